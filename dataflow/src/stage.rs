@@ -1,0 +1,267 @@
+//! The contract between a stage and what runs it: three traits, one for each end of a pipeline and one for its middle.
+//!
+//! A [`Source`] makes messages, a [`Stage`] turns one message into another, and a sink is a [`Stage`] whose output is
+//! [`Nothing`](conicflow_messages::Nothing). None of them knows who is up- or downstream, on which machine, or whether it
+//! is a test.
+
+use crate::sides::{Side, Sides};
+use conicflow_messages::{Header, Item, Message};
+use schemars::JsonSchema;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+/// Why a stage could not start or go on; its text says what, where and, after `hint:`, what to do.
+pub type StageError = Box<dyn std::error::Error + Send + Sync>;
+
+/// The parameters of a node, as they stand in the pipeline file.
+///
+/// Types, defaults, ranges and descriptions come from one place, the struct itself: its field types, its `Default`, its
+/// `#[schemars(range(..))]` attributes and its doc comments. Derive `Deserialize` with
+/// `#[serde(default, deny_unknown_fields)]`.
+pub trait Config: DeserializeOwned + Serialize + JsonSchema + Default {
+    /// What types and ranges cannot tell: files that are missing, values that exclude each other.
+    /// `base` is the folder of the pipeline file, against which relative paths are resolved.
+    fn faults(&self, base: &Path) -> Vec<ConfigFault> {
+        let _ = base;
+        Vec::new()
+    }
+}
+
+/// A parameter whose value cannot be used.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ConfigFault {
+    /// Name of the parameter.
+    pub key: &'static str,
+    /// What is wrong with its value.
+    pub what: String,
+    /// What to do about it.
+    pub hint: String,
+}
+
+/// A node without parameters.
+#[derive(Clone, Debug, Default, serde::Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct NoConfig {}
+
+impl Config for NoConfig {}
+
+/// What a stage is told when it starts.
+#[derive(Clone, Debug, Default)]
+pub struct Context {
+    /// Name of the stage in the pipeline file.
+    pub stage: String,
+    /// Folder of the pipeline file; relative paths are resolved against it.
+    pub base: PathBuf,
+    /// Number of messages that this stage sent or took before it was started anew in the same run; 0 at first.
+    pub resume_at: u64,
+    /// Raised when the run is to end.
+    pub stop: Stop,
+}
+
+impl Context {
+    /// A path from the pipeline file, relative to that file.
+    pub fn resolve(&self, path: &Path) -> PathBuf {
+        self.base.join(path)
+    }
+}
+
+/// A flag that is raised once, when the run is to end.
+#[derive(Clone, Debug, Default)]
+pub struct Stop(pub(crate) Arc<AtomicBool>);
+
+impl Stop {
+    /// Whether the run is to end.
+    pub fn requested(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+
+    /// Ends the run.
+    pub fn request(&self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+/// The first stage of a pipeline: it has no input and makes messages of its own.
+pub trait Source: Sized {
+    /// Name of the node in the pipeline file.
+    const NAME: &'static str;
+    /// What it does, in one sentence.
+    const SUMMARY: &'static str;
+    /// Its parameters.
+    type Config: Config;
+    /// What it makes.
+    type Output: Item;
+
+    /// Makes it ready.
+    ///
+    /// # Errors
+    /// A parameter or a file that cannot be used; the stage is not started anew.
+    fn new(config: Self::Config, context: &Context) -> Result<Self, StageError>;
+
+    /// Inputs whose latest value it reads.
+    fn sides() -> &'static [Side] {
+        &[]
+    }
+
+    /// Number of messages that it will make in all, where that is known.
+    fn total(&self) -> Option<u64> {
+        None
+    }
+
+    /// Makes the next message: fills `output.header` (camera, scale, noise, stamp, source) and writes the items. It may
+    /// take its time, and looks at [`Context::stop`] when it waits.
+    ///
+    /// # Errors
+    /// A device or a file that failed; the stage is started anew, as the pipeline file says.
+    fn next(&mut self, sides: &Sides, output: &mut Output<Self::Output>) -> Result<Next, StageError>;
+}
+
+/// What a source has to offer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Next {
+    /// A message was written.
+    Message,
+    /// There is none, and there will be no more.
+    End,
+}
+
+/// A stage in the middle of a pipeline, or a sink at its end: driven by one input.
+pub trait Stage: Sized {
+    /// Name of the node in the pipeline file.
+    const NAME: &'static str;
+    /// What it does, in one sentence.
+    const SUMMARY: &'static str;
+    /// Its parameters.
+    type Config: Config;
+    /// What drives it.
+    type Input: Item;
+    /// What it makes; [`Nothing`](conicflow_messages::Nothing) for a sink.
+    type Output: Item;
+
+    /// Makes it ready.
+    ///
+    /// # Errors
+    /// A parameter or a file that cannot be used; the stage is not started anew.
+    fn new(config: Self::Config, context: &Context) -> Result<Self, StageError>;
+
+    /// Further inputs, which do not drive it.
+    fn sides() -> &'static [Side] {
+        &[]
+    }
+
+    /// Turns one message into one of its own. The output's header is the input's, to be changed where need be.
+    ///
+    /// # Errors
+    /// What cannot be gone on from; "nothing found in this frame" is an empty list, not an error.
+    fn step(
+        &mut self,
+        input: &Message<Self::Input>,
+        sides: &Sides,
+        output: &mut Output<Self::Output>,
+    ) -> Result<(), StageError>;
+
+    /// Ends its work, after the last message: closes files, prints sums.
+    ///
+    /// # Errors
+    /// What could not be ended.
+    fn finish(&mut self) -> Result<(), StageError> {
+        Ok(())
+    }
+}
+
+/// The place where a step writes its message.
+///
+/// Images are written straight into the memory that the next stage reads, by [`Output::image`]. Lists, whose length is
+/// known only at the end, are gathered by [`Output::push`] and copied there once.
+pub struct Output<'a, T: Item> {
+    /// The header of the message.
+    pub header: Header,
+    memory: &'a mut dyn Memory<T>,
+    list: &'a mut Vec<T>,
+    counts: &'a mut BTreeMap<&'static str, u64>,
+    image: bool,
+}
+
+/// Memory that the next stage reads.
+pub(crate) trait Memory<T: Item> {
+    /// A place for `length` items, with undefined but valid content.
+    fn loan(&mut self, length: usize) -> Result<&mut [T], StageError>;
+}
+
+impl<'a, T: Item> Output<'a, T> {
+    pub(crate) fn new(
+        header: Header,
+        memory: &'a mut dyn Memory<T>,
+        list: &'a mut Vec<T>,
+        counts: &'a mut BTreeMap<&'static str, u64>,
+    ) -> Self {
+        list.clear();
+        Self { header, memory, list, counts, image: false }
+    }
+
+    /// Adds an item to the list that is sent.
+    pub fn push(&mut self, item: T) {
+        self.list.push(item);
+    }
+
+    /// Memory for `length` items, to be written in place; each must be written, the content before is left over from an
+    /// earlier message.
+    ///
+    /// # Errors
+    /// There is no memory left.
+    pub fn image(&mut self, length: usize) -> Result<&mut [T], StageError> {
+        self.image = true;
+        self.memory.loan(length)
+    }
+
+    /// Adds to a counter that the summary and `top` show, such as why candidates were turned down.
+    pub fn count(&mut self, name: &'static str, times: u64) {
+        *self.counts.entry(name).or_default() += times;
+    }
+
+    pub(crate) fn is_image(&self) -> bool {
+        self.image
+    }
+
+    pub(crate) fn list(&self) -> &[T] {
+        self.list
+    }
+}
+
+/// Keeps a source to a rate: a frame is due at fixed times, however long the making of one takes.
+#[derive(Debug)]
+pub struct Pace {
+    period: Option<Duration>,
+    due: Option<Instant>,
+    stop: Stop,
+}
+
+impl Pace {
+    /// A pace of `rate_hz` frames per second; 0: as fast as they are taken.
+    pub fn new(rate_hz: f64, stop: Stop) -> Self {
+        let period = (rate_hz > 0.0).then(|| Duration::from_secs_f64(1.0 / rate_hz));
+        Self { period, due: None, stop }
+    }
+
+    /// Waits until the next frame is due, or the run is to end. A source that fell behind by more than one frame does not
+    /// hurry to catch up.
+    pub fn wait(&mut self) {
+        let Some(period) = self.period else { return };
+        let now = Instant::now();
+        let due = self.due.map_or(now, |due| due + period);
+        let late = now.saturating_duration_since(due) > period;
+        self.due = Some(if late { now } else { due });
+        while !self.stop.requested() {
+            let left = due.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return;
+            }
+            std::thread::sleep(left.min(Duration::from_millis(50)));
+        }
+    }
+}

@@ -1,0 +1,92 @@
+//! Ellipses: what the extractor finds in one scan line, with the moments of the points that it was fitted to.
+
+use crate::{Header, Item, Kind, Malformed, item::finite};
+use bytemuck::{Pod, Zeroable};
+
+/// Number of moments `sum s^p t^q`, p + q <= 4.
+pub const MOMENTS: usize = 15;
+
+/// The direction of a scan line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scan {
+    /// A row of the image: `line` is v, the pixels are counted along u.
+    Row,
+    /// A column of the image: `line` is u, the pixels are counted along v.
+    Column,
+}
+
+/// An ellipse in the plane through the camera centre and one scan line.
+///
+/// In-plane coordinates, for a row v with `y = (v - cy) / fy` and `k = sqrt(1 + y^2)`: `s = z (u - cx) / fx` along the
+/// line and `t = z k` away from the camera; a point is `(s, t y / k, t / k)` in the camera frame. For a column x and y
+/// change places.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq)]
+pub struct Ellipse {
+    /// 0: the line is a row, 1: a column.
+    pub scan: u32,
+    /// Number of the row or column.
+    pub line: u32,
+    /// First pixel of the arc along the line.
+    pub first: u32,
+    /// Last pixel of the arc along the line.
+    pub last: u32,
+    /// Number of measurements in the arc; holes are not counted.
+    pub points: u32,
+    /// Zero; keeps the layout free of holes.
+    pub reserved: u32,
+    /// Centre in the camera frame, in metres.
+    pub center: [f64; 3],
+    /// Centre in the plane `(s, t)`, in metres.
+    pub plane_center: [f64; 2],
+    /// Semi-axes, the longer first, in metres.
+    pub semi_axes: [f64; 2],
+    /// Angle of the longer axis from the s axis, in (-pi/2, pi/2].
+    pub angle: f64,
+    /// Half the extent of the ellipse along s, across the view, in metres.
+    pub half_width: f64,
+    /// Half the extent along t, along the view, in metres: the paper's r2.
+    pub half_depth: f64,
+    /// Root mean square distance of the points from the ellipse, in metres.
+    pub rms: f64,
+    /// Angle that the arc spans around the centre, in radians.
+    pub arc: f64,
+    /// Origin `(s, t)` of the moments, in metres.
+    pub origin: [f64; 2],
+    /// Moments `sum (s - s0)^p (t - t0)^q` of the points, by degree, then by falling p:
+    /// 1, s, t, s2, st, t2, s3, s2t, st2, t3, s4, s3t, s2t2, st3, t4.
+    pub moments: [f64; MOMENTS],
+}
+
+impl Ellipse {
+    /// The direction of the scan line.
+    pub fn scan(&self) -> Scan {
+        if self.scan == 0 { Scan::Row } else { Scan::Column }
+    }
+
+    fn numbers_are_finite(&self) -> bool {
+        finite(&self.center)
+            && finite(&self.plane_center)
+            && finite(&self.semi_axes)
+            && finite(&[self.angle, self.half_width, self.half_depth, self.rms, self.arc])
+            && finite(&self.origin)
+            && finite(&self.moments)
+    }
+}
+
+impl Item for Ellipse {
+    const KIND: Kind = Kind::Ellipses;
+    const TYPE_NAME: &'static str = "conicflow.Ellipse.v1";
+
+    fn check(header: &Header, items: &[Self]) -> Result<(), Malformed> {
+        let (width, height) = (header.camera.width, header.camera.height);
+        for (index, ellipse) in items.iter().enumerate() {
+            let (lines, pixels) = if ellipse.scan == 0 { (height, width) } else { (width, height) };
+            let inside = ellipse.line < lines && ellipse.first <= ellipse.last && ellipse.last < pixels;
+            if ellipse.scan > 1 || !inside || !ellipse.numbers_are_finite() {
+                return Err(Malformed::new(Kind::Ellipses, format!("item {index} is out of range or not finite")));
+            }
+        }
+        Ok(())
+    }
+}

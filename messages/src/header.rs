@@ -1,0 +1,215 @@
+//! The header that every message carries: which frame, seen by which camera, and when it passed which stage.
+
+use crate::{Kind, Malformed, Text, item::finite};
+use bytemuck::{Pod, Zeroable};
+
+/// Name and version of [`Header`]'s memory layout.
+pub const HEADER_TYPE_NAME: &str = "conicflow.Header.v1";
+
+/// Flag: the writer has nothing more to send; such a message carries no items.
+pub const END_OF_STREAM: u32 = 1;
+/// Flag: [`Header::world_from_camera`] is known.
+pub const HAS_POSE: u32 = 2;
+
+/// How many hops a message remembers; later ones are not recorded.
+pub const MAX_HOPS: usize = 8;
+
+/// What precedes the items of every message.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq)]
+pub struct Header {
+    /// One number per start of a source: a source that starts anew is told from one that goes on.
+    pub epoch: u64,
+    /// Number of the frame, from 0, without gaps as the source sent them.
+    pub sequence: u64,
+    /// Time of capture in nanoseconds: since the Unix epoch where the sensor tells, else since the first frame.
+    pub stamp_ns: u64,
+    /// The camera that saw the frame.
+    pub camera: Camera,
+    /// Metres per unit of a depth pixel.
+    pub depth_scale: f64,
+    /// The depth noise of the sensor.
+    pub noise: NoiseModel,
+    /// Pose of the camera, row-major `[R | t]`, where [`HAS_POSE`] is set.
+    pub world_from_camera: [[f64; 4]; 3],
+    /// Name of the frame's file, or of the source.
+    pub source: Text<256>,
+    /// [`END_OF_STREAM`], [`HAS_POSE`].
+    pub flags: u32,
+    /// How many entries of `hops` are in use.
+    pub hop_count: u32,
+    /// The stages that the frame has passed, the source first.
+    pub hops: [Hop; MAX_HOPS],
+}
+
+/// When a frame passed a stage, on the monotonic clock of that machine.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq)]
+pub struct Hop {
+    /// Name of the stage in the pipeline file.
+    pub stage: Text<32>,
+    /// When the stage had the message (the source: the frame).
+    pub received_ns: u64,
+    /// When it sent its own.
+    pub sent_ns: u64,
+}
+
+/// A pinhole camera without distortion; pixel centres lie at whole numbers.
+///
+/// A pixel (u, v) of depth z is the point `z ((u - cx) / fx, (v - cy) / fy, 1)`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq)]
+pub struct Camera {
+    /// Width of the image in pixels.
+    pub width: u32,
+    /// Height of the image in pixels.
+    pub height: u32,
+    /// Focal length along x, in pixels.
+    pub fx: f64,
+    /// Focal length along y, in pixels.
+    pub fy: f64,
+    /// Principal point, x, in pixels.
+    pub cx: f64,
+    /// Principal point, y, in pixels.
+    pub cy: f64,
+}
+
+/// Standard deviation of a depth measurement along z, as a function of the depth.
+///
+/// `sigma(z)^2 = (floor + growth (z - knee)^2)^2 + (step z^2)^2 / 12`: the axial noise of a Kinect v1 after Nguyen,
+/// Izadi and Lovell (2012), and the error of a disparity that comes in steps.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq)]
+pub struct NoiseModel {
+    /// Noise at the knee, in metres.
+    pub floor_m: f64,
+    /// Growth with the squared distance from the knee, in 1/metre.
+    pub growth_per_m: f64,
+    /// Depth of least noise, in metres.
+    pub knee_m: f64,
+    /// Depth between two neighbouring disparities, divided by the squared depth, in 1/metre.
+    pub step_per_m: f64,
+}
+
+impl NoiseModel {
+    /// A sensor without noise.
+    pub const IDEAL: Self = Self { floor_m: 0.0, growth_per_m: 0.0, knee_m: 0.0, step_per_m: 0.0 };
+
+    /// Kinect v1 and its siblings: focal length 580 px, base line 75 mm, disparity in eighths of a pixel.
+    pub const KINECT_V1: Self =
+        Self { floor_m: 0.0012, growth_per_m: 0.0019, knee_m: 0.4, step_per_m: 1.0 / (8.0 * 580.0 * 0.075) };
+
+    /// Variance of a depth `z` (metres), in square metres.
+    pub fn variance(&self, z: f64) -> f64 {
+        let axial = self.floor_m + self.growth_per_m * (z - self.knee_m).powi(2);
+        let step = self.step_per_m * z * z;
+        axial * axial + step * step / 12.0
+    }
+
+    /// Standard deviation of a depth `z`, both in metres.
+    pub fn sigma(&self, z: f64) -> f64 {
+        self.variance(z).sqrt()
+    }
+}
+
+impl Header {
+    /// Whether this message ends its writer's stream.
+    pub fn ends_stream(&self) -> bool {
+        self.flags & END_OF_STREAM != 0
+    }
+
+    /// Pose of the camera in the world, row-major `[R | t]`, if the source knows it.
+    pub fn pose(&self) -> Option<&[[f64; 4]; 3]> {
+        (self.flags & HAS_POSE != 0).then_some(&self.world_from_camera)
+    }
+
+    /// The hops so far, the source first.
+    pub fn trace(&self) -> &[Hop] {
+        &self.hops[..(self.hop_count as usize).min(MAX_HOPS)]
+    }
+
+    /// Records that a stage passed the message on; beyond [`MAX_HOPS`] nothing is recorded.
+    pub fn add_hop(&mut self, hop: Hop) {
+        if let Some(slot) = self.hops.get_mut(self.hop_count as usize) {
+            *slot = hop;
+            self.hop_count += 1;
+        }
+    }
+
+    /// Whether a header from another process makes sense.
+    ///
+    /// # Errors
+    /// What is wrong with it; `kind` names the message in the error.
+    pub fn check(&self, kind: Kind) -> Result<(), Malformed> {
+        let fault = |what: &str| Err(Malformed::new(kind, what));
+        let camera = &self.camera;
+        let noise = &self.noise;
+        if self.flags & !(END_OF_STREAM | HAS_POSE) != 0 {
+            return fault("unknown flags in the header");
+        }
+        if self.hop_count as usize > MAX_HOPS || self.trace().iter().any(|hop| hop.stage.as_str().is_none()) {
+            return fault("broken trace of hops in the header");
+        }
+        if self.source.as_str().is_none() {
+            return fault("the source's name is not UTF-8");
+        }
+        if self.ends_stream() {
+            return Ok(());
+        }
+        if !(finite(&[camera.cx, camera.cy]) && camera.fx.is_normal() && camera.fy.is_normal()) {
+            return fault("camera intrinsics that are zero or not finite");
+        }
+        if !(self.depth_scale.is_normal() && self.depth_scale > 0.0) {
+            return fault("a depth scale that is not a positive number");
+        }
+        if !finite(&[noise.floor_m, noise.growth_per_m, noise.knee_m, noise.step_per_m]) {
+            return fault("a noise model that is not finite");
+        }
+        if self.pose().is_some_and(|rows| !rows.iter().all(|row| finite(row))) {
+            return fault("a camera pose that is not finite");
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn kinect_noise_is_that_of_the_papers() {
+        let model = NoiseModel::KINECT_V1;
+        let step = 4.0 / (8.0 * 580.0 * 0.075);
+        let expected = ((0.0012 + 0.0019 * 1.6_f64.powi(2)).powi(2) + step * step / 12.0).sqrt();
+        assert!((model.sigma(2.0) - expected).abs() < 1e-12);
+        assert_eq!(NoiseModel::IDEAL.sigma(3.0), 0.0);
+    }
+
+    #[test]
+    fn a_header_of_garbage_is_refused() {
+        let mut header = Header { depth_scale: 0.001, ..Header::default() };
+        header.camera = Camera { width: 2, height: 1, fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 };
+        assert_eq!(header.check(Kind::Depth), Ok(()));
+        for spoil in [
+            |h: &mut Header| h.camera.fx = f64::NAN,
+            |h: &mut Header| h.depth_scale = -1.0,
+            |h: &mut Header| h.flags = 0x80,
+            |h: &mut Header| h.hop_count = 9,
+            |h: &mut Header| h.noise.floor_m = f64::INFINITY,
+            |h: &mut Header| (h.flags, h.world_from_camera[1][2]) = (HAS_POSE, f64::NAN),
+        ] {
+            let mut spoilt = header;
+            spoil(&mut spoilt);
+            assert!(spoilt.check(Kind::Depth).is_err());
+        }
+    }
+
+    #[test]
+    fn the_trace_stops_growing() {
+        let mut header = Header::default();
+        for _ in 0..20 {
+            header.add_hop(Hop::default());
+        }
+        assert_eq!(header.trace().len(), MAX_HOPS);
+    }
+}

@@ -1,0 +1,167 @@
+//! Objects: spheres, cylinders and cones found in one frame, with their uncertainty.
+
+use crate::{Header, Item, Kind, Malformed, item::finite};
+use bytemuck::{Pod, Zeroable};
+
+/// The shapes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum ObjectKind {
+    /// A sphere.
+    Sphere,
+    /// A circular cylinder.
+    Cylinder,
+    /// A circular cone or a frustum of one.
+    Cone,
+}
+
+impl ObjectKind {
+    /// All shapes.
+    pub const ALL: [Self; 3] = [Self::Sphere, Self::Cylinder, Self::Cone];
+
+    /// The number that stands for it in a message.
+    pub const fn code(self) -> u32 {
+        match self {
+            Self::Sphere => 0,
+            Self::Cylinder => 1,
+            Self::Cone => 2,
+        }
+    }
+
+    /// The shape that a number stands for.
+    pub const fn from_code(code: u32) -> Option<Self> {
+        match code {
+            0 => Some(Self::Sphere),
+            1 => Some(Self::Cylinder),
+            2 => Some(Self::Cone),
+            _ => None,
+        }
+    }
+
+    /// The word for it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Sphere => "sphere",
+            Self::Cylinder => "cylinder",
+            Self::Cone => "cone",
+        }
+    }
+}
+
+/// A sphere, cylinder or cone in the camera frame; what a shape does not have is zero.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq)]
+pub struct Object {
+    /// [`ObjectKind::code`].
+    pub kind: u32,
+    /// Number of measurements that support it.
+    pub points: u32,
+    /// Number of scan lines that support it.
+    pub rows: u32,
+    /// Zero; keeps the layout free of holes.
+    pub reserved: u32,
+    /// Centre of a sphere; of a cylinder or cone the middle of its visible part, on the axis. Metres.
+    pub center: [f64; 3],
+    /// Unit vector along the axis, of a cone from the apex to the base.
+    pub axis: [f64; 3],
+    /// Radius in metres; of a cone at `center`.
+    pub radius: f64,
+    /// Length of the visible part along the axis, in metres.
+    pub length: f64,
+    /// Half-angle of a cone in radians.
+    pub half_angle: f64,
+    /// Radius of a cone at the wide end of its visible part, in metres.
+    pub base_radius: f64,
+    /// Radius of a cone at the narrow end of its visible part, in metres.
+    pub top_radius: f64,
+    /// Apex of a cone, in metres; may lie outside the visible part.
+    pub apex: [f64; 3],
+    /// Standard deviations.
+    pub sigma: ObjectSigma,
+    /// Root mean square distance of the points from the surface, in metres.
+    pub rms: f64,
+    /// Visible part of the circumference, in radians.
+    pub arc: f64,
+}
+
+/// Standard deviations of an [`Object`]; zero where the shape has no such parameter.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq)]
+pub struct ObjectSigma {
+    /// Covariance of the centre, row-major, in square metres.
+    pub center: [[f64; 3]; 3],
+    /// Of the axis: angle in radians.
+    pub axis: f64,
+    /// Of the radius, in metres.
+    pub radius: f64,
+    /// Of the length, in metres.
+    pub length: f64,
+    /// Of the half-angle, in radians.
+    pub half_angle: f64,
+}
+
+impl Object {
+    /// The shape; a code that stands for none is refused at the border, by [`Item::check`].
+    pub fn shape(&self) -> ObjectKind {
+        ObjectKind::from_code(self.kind).unwrap_or(ObjectKind::Sphere)
+    }
+
+    /// What is wrong with an object from another process, if anything.
+    pub(crate) fn fault(&self) -> Option<&'static str> {
+        let sigma = &self.sigma;
+        let numbers = finite(&self.center)
+            && finite(&self.axis)
+            && finite(&self.apex)
+            && finite(&[self.radius, self.length, self.half_angle, self.base_radius, self.top_radius])
+            && finite(&[sigma.axis, sigma.radius, sigma.length, sigma.half_angle, self.rms, self.arc])
+            && sigma.center.iter().all(|row| finite(row));
+        if ObjectKind::from_code(self.kind).is_none() {
+            Some("is of no known shape")
+        } else if !numbers {
+            Some("has a number that is not finite")
+        } else if self.radius < 0.0 || self.length < 0.0 {
+            Some("has a negative size")
+        } else {
+            None
+        }
+    }
+}
+
+impl Item for Object {
+    const KIND: Kind = Kind::Objects;
+    const TYPE_NAME: &'static str = "conicflow.Object.v1";
+
+    fn check(_: &Header, items: &[Self]) -> Result<(), Malformed> {
+        match items.iter().enumerate().find_map(|(index, object)| Some((index, object.fault()?))) {
+            Some((index, fault)) => Err(Malformed::new(Kind::Objects, format!("item {index} {fault}"))),
+            None => Ok(()),
+        }
+    }
+
+    fn label(&self) -> Option<&'static str> {
+        Some(self.shape().name())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn codes_and_shapes_match() {
+        for shape in ObjectKind::ALL {
+            assert_eq!(ObjectKind::from_code(shape.code()), Some(shape));
+        }
+        assert_eq!(ObjectKind::from_code(3), None);
+    }
+
+    #[test]
+    fn an_unknown_shape_and_a_nan_are_refused() {
+        let good = Object { radius: 0.1, ..Object::default() };
+        let unknown = Object { kind: 7, ..good };
+        let nan = Object { axis: [0.0, f64::NAN, 0.0], ..good };
+        assert!(Object::check(&Header::default(), &[good]).is_ok());
+        let error = Object::check(&Header::default(), &[good, unknown]).unwrap_err();
+        assert_eq!(error.to_string(), "malformed objects: item 1 is of no known shape");
+        assert!(Object::check(&Header::default(), &[nan]).is_err());
+    }
+}

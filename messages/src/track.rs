@@ -1,0 +1,101 @@
+//! Tracks: objects with an identity and a velocity, followed from frame to frame.
+
+use crate::{Header, Item, Kind, Malformed, Object, item::finite};
+use bytemuck::{Pod, Zeroable};
+
+/// How far a track is to be trusted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TrackState {
+    /// Seen too few times to be sure of it.
+    Tentative,
+    /// Seen often enough, and in this frame.
+    Confirmed,
+    /// Confirmed before, not seen in this frame; its state is a prediction.
+    Coasting,
+}
+
+impl TrackState {
+    /// The number that stands for it in a message.
+    pub const fn code(self) -> u32 {
+        match self {
+            Self::Tentative => 0,
+            Self::Confirmed => 1,
+            Self::Coasting => 2,
+        }
+    }
+
+    /// The state that a number stands for.
+    pub const fn from_code(code: u32) -> Option<Self> {
+        match code {
+            0 => Some(Self::Tentative),
+            1 => Some(Self::Confirmed),
+            2 => Some(Self::Coasting),
+            _ => None,
+        }
+    }
+
+    /// The word for it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Tentative => "tentative",
+            Self::Confirmed => "confirmed",
+            Self::Coasting => "coasting",
+        }
+    }
+}
+
+/// One tracked object.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq)]
+pub struct Track {
+    /// Identity: the same from the first sight to the last, never used again.
+    pub id: u64,
+    /// [`TrackState::code`].
+    pub state: u32,
+    /// Frames since its first sight.
+    pub age: u32,
+    /// Frames since it was last seen.
+    pub misses: u32,
+    /// Zero; keeps the layout free of holes.
+    pub reserved: u32,
+    /// Its filtered shape, with standard deviations.
+    pub object: Object,
+    /// Velocity of the centre in metres per second.
+    pub velocity: [f64; 3],
+    /// Covariance of the velocity, row-major.
+    pub velocity_covariance: [[f64; 3]; 3],
+}
+
+impl Track {
+    /// How far it is to be trusted; a code that stands for nothing is refused at the border, by [`Item::check`].
+    pub fn track_state(&self) -> TrackState {
+        TrackState::from_code(self.state).unwrap_or(TrackState::Tentative)
+    }
+
+    fn fault(&self) -> Option<&'static str> {
+        let numbers = finite(&self.velocity) && self.velocity_covariance.iter().all(|row| finite(row));
+        if TrackState::from_code(self.state).is_none() {
+            Some("is in no known state")
+        } else if !numbers {
+            Some("has a velocity that is not finite")
+        } else {
+            self.object.fault()
+        }
+    }
+}
+
+impl Item for Track {
+    const KIND: Kind = Kind::Tracks;
+    const TYPE_NAME: &'static str = "conicflow.Track.v1";
+
+    fn check(_: &Header, items: &[Self]) -> Result<(), Malformed> {
+        match items.iter().enumerate().find_map(|(index, track)| Some((index, track.fault()?))) {
+            Some((index, fault)) => Err(Malformed::new(Kind::Tracks, format!("item {index} {fault}"))),
+            None => Ok(()),
+        }
+    }
+
+    fn label(&self) -> Option<&'static str> {
+        (self.track_state() != TrackState::Tentative).then(|| self.object.shape().name())
+    }
+}
