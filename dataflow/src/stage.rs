@@ -12,7 +12,7 @@ use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::{Duration, Instant};
 
 /// Why a stage could not start or go on; its text says what, where and, after `hint:`, what to do.
@@ -70,19 +70,32 @@ impl Context {
     }
 }
 
-/// A flag that is raised once, when the run is to end.
+/// A flag that is raised when the run is to end: in order, or at once.
 #[derive(Clone, Debug, Default)]
-pub struct Stop(pub(crate) Arc<AtomicBool>);
+pub struct Stop(Arc<AtomicU8>);
+
+const IN_ORDER: u8 = 1;
+const AT_ONCE: u8 = 2;
 
 impl Stop {
     /// Whether the run is to end.
     pub fn requested(&self) -> bool {
-        self.0.load(Ordering::Relaxed)
+        self.0.load(Ordering::Relaxed) >= IN_ORDER
     }
 
-    /// Ends the run.
+    /// Whether it is to end at once: nobody waits any more.
+    pub fn forced(&self) -> bool {
+        self.0.load(Ordering::Relaxed) >= AT_ONCE
+    }
+
+    /// Ends the run in order: no new frames, and those under way are finished.
     pub fn request(&self) {
-        self.0.store(true, Ordering::Relaxed);
+        self.0.fetch_max(IN_ORDER, Ordering::Relaxed);
+    }
+
+    /// Ends the run at once.
+    pub fn force(&self) {
+        self.0.fetch_max(AT_ONCE, Ordering::Relaxed);
     }
 }
 
@@ -108,13 +121,18 @@ pub trait Source: Sized {
         &[]
     }
 
+    /// Messages per second that it is to be kept to; 0: as fast as they are taken.
+    fn rate_hz(&self) -> f64 {
+        0.0
+    }
+
     /// Number of messages that it will make in all, where that is known.
     fn total(&self) -> Option<u64> {
         None
     }
 
-    /// Makes the next message: fills `output.header` (camera, scale, noise, stamp, source) and writes the items. It may
-    /// take its time, and looks at [`Context::stop`] when it waits.
+    /// Makes the next message: fills `output.header` (camera, scale, noise, stamp, source) and writes the items. A
+    /// source that waits for a device looks at [`Context::stop`] meanwhile.
     ///
     /// # Errors
     /// A device or a file that failed; the stage is started anew, as the pipeline file says.

@@ -22,6 +22,8 @@ pub struct Header {
     pub epoch: u64,
     /// Number of the frame, from 0, without gaps as the source sent them.
     pub sequence: u64,
+    /// Number of this message among those of the stage that wrote it, from 0: a gap tells what this edge lost.
+    pub number: u64,
     /// Time of capture in nanoseconds: since the Unix epoch where the sensor tells, else since the first frame.
     pub stamp_ns: u64,
     /// The camera that saw the frame.

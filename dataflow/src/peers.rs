@@ -1,0 +1,29 @@
+//! What a stage can know of the other stages of its run: whether they still live.
+
+use crate::status::{Life, Status};
+use std::path::PathBuf;
+
+/// The other stages of a run, by the records in its folder.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Peers {
+    run: Option<(PathBuf, u64)>,
+}
+
+impl Peers {
+    /// The stages of the run `run` whose records lie in `folder`.
+    pub(crate) fn in_folder(folder: PathBuf, run: u64) -> Self {
+        Self { run: Some((folder, run)) }
+    }
+
+    /// Where a stage is in its life; `None` if nothing is known of it.
+    pub(crate) fn life(&self, stage: &str) -> Option<Life> {
+        let (folder, run) = self.run.as_ref()?;
+        let status = Status::read(&status_path(folder, stage))?;
+        (status.run == *run).then(|| status.life())
+    }
+}
+
+/// The file of a stage's record.
+pub(crate) fn status_path(folder: &std::path::Path, stage: &str) -> PathBuf {
+    folder.join(format!("{stage}.status"))
+}

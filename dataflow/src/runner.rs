@@ -1,0 +1,104 @@
+//! What a stage runs with: its wiring, its ports, its record; and how what goes wrong in it is told.
+//!
+//! The two loops themselves are [`crate::source_loop`] and [`crate::stage_loop`].
+
+use crate::outlet::Outlet;
+use crate::peers::Peers;
+use crate::ports::{PortError, Topic, Transport};
+use crate::side_ports::{self, SidePort};
+use crate::sides::Side;
+use crate::stage::{Context, StageError};
+use crate::status::{Life, StatusFile};
+use conicflow_messages::{Item, Kind};
+use std::any::Any;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+/// How a stage is joined to the others.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Wiring {
+    /// The topic that drives it, if it is no source.
+    pub(crate) input: Option<Topic>,
+    /// Its further inputs, by their names.
+    pub(crate) sides: Vec<(String, Topic)>,
+    /// The topic that it writes.
+    pub(crate) output: Option<Topic>,
+    /// A source ends after so many messages.
+    pub(crate) frames: Option<u64>,
+}
+
+/// All that a stage runs with, but itself.
+pub(crate) struct Surroundings<'a, T> {
+    pub(crate) transport: &'a T,
+    pub(crate) wiring: Wiring,
+    pub(crate) context: Context,
+    pub(crate) peers: Peers,
+    pub(crate) record: StatusFile,
+}
+
+/// Why a stage ended before its stream did.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// It could not be made ready; to start it anew would not help.
+    #[error("{0}")]
+    Refused(StageError),
+    /// It failed at a frame.
+    #[error("at frame {frame}: {error}")]
+    Failed {
+        /// The frame's sequence number.
+        frame: u64,
+        /// What it said.
+        error: StageError,
+    },
+    /// Its ports failed.
+    #[error(transparent)]
+    Port(#[from] PortError),
+}
+
+impl<T: Transport + 'static> Surroundings<'_, T> {
+    pub(crate) fn outlet<O: Item>(&mut self) -> Result<Outlet<O, T::Writer<O>>, PortError> {
+        let wired = self.wiring.output.take().filter(|_| O::KIND != Kind::Nothing);
+        let port = wired.map(|topic| Ok::<_, PortError>((self.transport.writer::<O>(&topic)?, topic))).transpose()?;
+        let (stop, sent) = (self.context.stop.clone(), self.record.status.sent);
+        Ok(Outlet::new(port, &self.context.stage, sent, self.peers.clone(), stop))
+    }
+
+    pub(crate) fn sides(&self, declared: &'static [Side]) -> Result<Vec<Box<dyn SidePort>>, PortError> {
+        let mut ports = Vec::new();
+        for side in declared {
+            if let Some((_, topic)) = self.wiring.sides.iter().find(|(name, _)| name == side.name) {
+                ports.extend(side_ports::open(self.transport, *side, topic, &self.context.stage)?);
+            }
+        }
+        Ok(ports)
+    }
+
+    pub(crate) fn begin(&mut self, total: Option<u64>) {
+        let status = &mut self.record.status;
+        status.total = self.wiring.frames.or(total).unwrap_or(0);
+        status.set_life(Life::Running);
+        self.record.write();
+    }
+}
+
+/// Calls a step; an error or a panic is told with the number of the frame that it met.
+pub(crate) fn guarded<R>(frame: u64, step: impl FnOnce() -> Result<R, StageError>) -> Result<R, RunError> {
+    let failed = |error| RunError::Failed { frame, error };
+    match catch_unwind(AssertUnwindSafe(step)) {
+        Ok(result) => result.map_err(failed),
+        Err(panic) => Err(failed(format!("panicked: {}", panic_text(&*panic)).into())),
+    }
+}
+
+fn panic_text(panic: &(dyn Any + Send)) -> &str {
+    let text = panic.downcast_ref::<&str>().copied();
+    text.or_else(|| panic.downcast_ref::<String>().map(String::as_str)).unwrap_or("without a text")
+}
+
+/// Whether sending ended because the run did; other errors are passed on.
+pub(crate) fn is_stopped(sent: Result<(), PortError>) -> Result<bool, PortError> {
+    match sent {
+        Ok(()) => Ok(false),
+        Err(PortError::Stopped) => Ok(true),
+        Err(error) => Err(error),
+    }
+}

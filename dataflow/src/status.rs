@@ -1,0 +1,269 @@
+//! What a stage tells of itself while it runs: a fixed record in a file of the run's folder, rewritten after each step.
+//!
+//! Whoever wants to know reads the file; the stage neither notices nor waits, and what it counted survives its death.
+//! Durations are counted in a histogram of fixed size with logarithmic buckets, because the record must have one.
+
+use bytemuck::{Pod, Zeroable};
+use conicflow_messages::Text;
+use std::fs::{File, OpenOptions};
+use std::io;
+use std::os::unix::fs::FileExt;
+use std::path::Path;
+use std::time::Duration;
+
+/// Inputs that a record has room for; further ones are not counted.
+pub const MAX_INPUTS: usize = 6;
+/// Named counters that a record has room for; further ones are not counted.
+pub const MAX_COUNTERS: usize = 40;
+
+const LAYOUT: u64 = 0x636f_6e69_6366_0001;
+/// Each octave of time is cut into this many buckets: a percentile is right within 3 %.
+const STEPS: usize = 16;
+/// 1 microsecond to 69 seconds.
+const OCTAVES: usize = 26;
+const SMALLEST_NS: u64 = 1024;
+
+/// Where a stage is in its life.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Life {
+    /// Started, not yet ready.
+    Starting,
+    /// At work.
+    Running,
+    /// Done: it has sent all that it had to.
+    Ended,
+    /// Given up by the launcher; it will not come back.
+    Gone,
+}
+
+impl Life {
+    const ALL: [Self; 4] = [Self::Starting, Self::Running, Self::Ended, Self::Gone];
+}
+
+/// Counts of one input.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
+pub struct InputCounts {
+    /// Name of the topic.
+    pub topic: Text<64>,
+    /// Messages that were worked on.
+    pub received: u64,
+    /// Messages that the writer sent and this input lost to newer ones.
+    pub dropped: u64,
+    /// Frames that are missing in the sequence, wherever they were lost.
+    pub gaps: u64,
+    /// Messages that came twice or out of order, and were left out.
+    pub late: u64,
+    /// Messages that made no sense, and were left out.
+    pub malformed: u64,
+}
+
+/// A named count.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
+pub struct Counter {
+    /// What is counted.
+    pub name: Text<56>,
+    /// How often it was.
+    pub count: u64,
+}
+
+/// Durations, counted in buckets that grow with the duration.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+pub struct Durations {
+    buckets: [[u32; STEPS]; OCTAVES],
+}
+
+impl Default for Durations {
+    fn default() -> Self {
+        Self::zeroed()
+    }
+}
+
+impl Durations {
+    /// Counts one duration, in nanoseconds.
+    pub fn add(&mut self, ns: u64) {
+        let ns = ns.max(SMALLEST_NS);
+        let octave = (ns.ilog2() - SMALLEST_NS.ilog2()) as usize;
+        let step = ((ns >> (ns.ilog2() - 4)) & 15) as usize;
+        let bucket = if octave < OCTAVES { (octave, step) } else { (OCTAVES - 1, STEPS - 1) };
+        self.buckets[bucket.0][bucket.1] += 1;
+    }
+
+    /// How many were counted.
+    pub fn count(&self) -> u64 {
+        self.buckets.iter().flatten().map(|&count| u64::from(count)).sum()
+    }
+
+    /// The duration that the share `quantile` (0 to 1) of all does not exceed; `None` if none was counted.
+    pub fn quantile(&self, quantile: f64) -> Option<Duration> {
+        let rank = (self.count() as f64 * quantile).ceil().max(1.0) as u64;
+        let mut below = 0;
+        for (index, &count) in self.buckets.iter().flatten().enumerate() {
+            below += u64::from(count);
+            if below >= rank {
+                let (octave, step) = (index / STEPS, index % STEPS);
+                let middle = (SMALLEST_NS << octave) as f64 * (1.0 + (step as f64 + 0.5) / STEPS as f64);
+                return Some(Duration::from_nanos(middle as u64));
+            }
+        }
+        None
+    }
+}
+
+/// The record of one stage.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+pub struct Status {
+    layout: u64,
+    /// The run that the counts belong to.
+    pub run: u64,
+    /// Process of the stage.
+    pub process: u32,
+    life: u32,
+    /// How many messages there will be in all; 0 if that is not known.
+    pub total: u64,
+    /// Messages worked on (a source: made).
+    pub steps: u64,
+    /// Messages sent.
+    pub sent: u64,
+    /// How often the stage was started in this run.
+    pub starts: u64,
+    /// Counts per input, the driving one first.
+    pub inputs: [InputCounts; MAX_INPUTS],
+    /// Items sent, by what they are called; and what the stage counts itself.
+    pub counters: [Counter; MAX_COUNTERS],
+    /// Time that steps took.
+    pub compute: Durations,
+    /// Time from the writer's sending to this stage's receiving.
+    pub hop: Durations,
+    /// Time from the source's having a frame to this stage's receiving what was made of it.
+    pub latency: Durations,
+}
+
+impl Default for Status {
+    fn default() -> Self {
+        Self { layout: LAYOUT, ..Self::zeroed() }
+    }
+}
+
+impl Status {
+    /// Where the stage is in its life.
+    pub fn life(&self) -> Life {
+        Life::ALL.get(self.life as usize).copied().unwrap_or(Life::Starting)
+    }
+
+    /// Says where the stage is in its life.
+    pub fn set_life(&mut self, life: Life) {
+        self.life = life as u32;
+    }
+
+    /// Adds to a named counter.
+    pub fn count(&mut self, name: &str, times: u64) {
+        let text = Text::new(name);
+        let slot = self.counters.iter_mut().find(|slot| slot.name == text || slot.name == Text::default());
+        if let Some(slot) = slot {
+            slot.name = text;
+            slot.count += times;
+        }
+    }
+
+    /// The named counters that are in use.
+    pub fn named_counters(&self) -> impl Iterator<Item = (&str, u64)> {
+        let used = self.counters.iter().filter(|counter| counter.name != Text::default());
+        used.map(|counter| (counter.name.as_str().unwrap_or("?"), counter.count))
+    }
+
+    /// The inputs that are in use.
+    pub fn used_inputs(&self) -> impl Iterator<Item = &InputCounts> {
+        self.inputs.iter().filter(|input| input.topic != Text::default())
+    }
+
+    /// Reads the record in a file; `None` where there is none that makes sense.
+    pub fn read(path: &Path) -> Option<Self> {
+        let mut status = Self::zeroed();
+        File::open(path).ok()?.read_exact_at(bytemuck::bytes_of_mut(&mut status), 0).ok()?;
+        (status.layout == LAYOUT).then_some(status)
+    }
+}
+
+/// A record and the file that it is kept in.
+#[derive(Debug)]
+pub struct StatusFile {
+    /// The record; [`StatusFile::write`] makes it seen.
+    pub status: Box<Status>,
+    file: Option<File>,
+}
+
+impl StatusFile {
+    /// A record that is kept nowhere.
+    pub fn nowhere() -> Self {
+        Self { status: Box::default(), file: None }
+    }
+
+    /// The record in the file `path`, continued if it is of the same `run`, else begun.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn open(path: &Path, run: u64) -> io::Result<Self> {
+        let status = Status::read(path).filter(|status| status.run == run).unwrap_or_default();
+        let file = OpenOptions::new().create(true).truncate(false).write(true).open(path)?;
+        let mut status = Box::new(status);
+        status.run = run;
+        Ok(Self { status, file: Some(file) })
+    }
+
+    /// Makes the record seen by others. A file that cannot be written (a full disk) only hides the counts.
+    pub fn write(&self) {
+        if let Some(file) = &self.file {
+            file.write_all_at(bytemuck::bytes_of(&*self.status), 0).ok();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_are_right_within_four_percent() {
+        let mut durations = Durations::default();
+        (1..=10_000_u64).for_each(|us| durations.add(us * 1000));
+        for (quantile, us) in [(0.5, 5000.0), (0.99, 9900.0), (0.01, 100.0)] {
+            let found = durations.quantile(quantile).unwrap().as_secs_f64() * 1e6;
+            assert!((found / us - 1.0).abs() < 0.04, "{quantile}: {found} us, not {us}");
+        }
+        assert_eq!(Durations::default().quantile(0.5), None);
+    }
+
+    #[test]
+    fn the_shortest_and_the_longest_find_a_bucket() {
+        let mut durations = Durations::default();
+        durations.add(0);
+        durations.add(u64::MAX);
+        assert_eq!(durations.count(), 2);
+    }
+
+    #[test]
+    fn a_stage_started_anew_goes_on_counting_in_the_same_run_only() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.status");
+        let mut first = StatusFile::open(&path, 7).unwrap();
+        first.status.sent = 12;
+        first.status.count("sphere", 3);
+        first.write();
+        let second = StatusFile::open(&path, 7).unwrap();
+        assert_eq!(second.status.sent, 12);
+        assert_eq!(second.status.named_counters().collect::<Vec<_>>(), [("sphere", 3)]);
+        assert_eq!(StatusFile::open(&path, 8).unwrap().status.sent, 0);
+    }
+
+    #[test]
+    fn a_file_of_garbage_is_no_record() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("b.status");
+        std::fs::write(&path, vec![0xa5; 40_000]).unwrap();
+        assert!(Status::read(&path).is_none());
+    }
+}
