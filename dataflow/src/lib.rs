@@ -3,8 +3,10 @@
 mod clock;
 pub mod in_memory;
 mod inbox;
+mod node;
 mod outlet;
 mod peers;
+pub mod pipeline;
 pub mod ports;
 mod runner;
 pub mod shared_memory;
@@ -16,6 +18,7 @@ mod stage_loop;
 mod status;
 
 pub use clock::monotonic_ns;
+pub use node::{Node, Variant};
 pub use runner::RunError;
 pub use sides::{AnyMessage, Pick, Side, Sides};
 pub use stage::{Config, ConfigFault, Context, Next, NoConfig, Output, Pace, Source, Stage, StageError, Stop};
