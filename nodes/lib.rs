@@ -1,4 +1,6 @@
-//! The stages of conicflow, one file each, in the order in which a frame meets them.
+//! The stages of conicflow, one file each, in the order in which a frame meets them; their table; and the command line.
+
+pub mod noise_config;
 
 pub mod synthetic_source;
 
@@ -13,3 +15,11 @@ pub mod kalman_tracker;
 pub mod console_sink;
 pub mod json_sink;
 pub mod picture_sink;
+
+pub mod command_line;
+mod node_help;
+
+use conicflow_dataflow::Node;
+
+/// The nodes that a pipeline file may name: one row makes one available.
+pub const NODES: &[Node] = &[];

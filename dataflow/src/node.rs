@@ -31,7 +31,7 @@ pub struct Variant {
     pub input: Kind,
     /// What it makes; [`Kind::Nothing`] for a sink.
     pub output: Kind,
-    pub(crate) run: fn(Json, Surroundings<'_, SharedMemory>) -> Result<(), RunError>,
+    pub(crate) run: fn(Json, Surroundings<SharedMemory>) -> Result<(), RunError>,
 }
 
 impl Node {
@@ -109,11 +109,11 @@ fn check<C: Config>(parameters: Json, base: &Path) -> Result<Vec<ConfigFault>, s
     Ok(serde_json::from_value::<C>(parameters)?.faults(base))
 }
 
-fn start_source<S: Source>(parameters: Json, around: Surroundings<'_, SharedMemory>) -> Result<(), RunError> {
+fn start_source<S: Source>(parameters: Json, around: Surroundings<SharedMemory>) -> Result<(), RunError> {
     run_source::<S, _>(configuration(parameters)?, around)
 }
 
-fn start_stage<S: Stage>(parameters: Json, around: Surroundings<'_, SharedMemory>) -> Result<(), RunError> {
+fn start_stage<S: Stage>(parameters: Json, around: Surroundings<SharedMemory>) -> Result<(), RunError> {
     run_stage::<S, _>(configuration(parameters)?, around)
 }
 

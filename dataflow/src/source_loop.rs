@@ -23,7 +23,7 @@ struct SourceLoop<S: Source, T: Transport> {
 /// Runs the source `S` to its end.
 pub(crate) fn run_source<S: Source, T: Transport + 'static>(
     config: S::Config,
-    mut around: Surroundings<'_, T>,
+    mut around: Surroundings<T>,
 ) -> Result<(), RunError> {
     around.context.resume_at = around.record.status.sent;
     let source = S::new(config, &around.context).map_err(RunError::Refused)?;

@@ -16,6 +16,7 @@ use crate::node::Node;
 use crate::ports::{Delivery, Topic, TopicReader};
 use conicflow_messages::Kind;
 use diagnostic::Place;
+use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -91,7 +92,8 @@ pub struct Input {
 }
 
 /// What happens to a stage that died.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Restart {
     /// Nothing.
     Never,
