@@ -1,7 +1,7 @@
 //! The sink for people: what was found in each frame, as text on standard output.
 
 use conicflow_dataflow::{Config, Context, Output, Sides, Stage, StageError, Stop};
-use conicflow_messages::{Ellipse, Header, Item, Message, Nothing, Object, ObjectKind, Scan, Track, TrackState};
+use conicflow_messages::{Ellipse, Item, Message, Nothing, Object, ObjectKind, Scan, Track, TrackState};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::fmt::{self, Write as _};
@@ -167,7 +167,7 @@ fn unwritable(error: &io::Error) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use conicflow_messages::Text;
+    use conicflow_messages::{Header, Text};
 
     fn shown<T: Describe>(config: ConsoleSinkConfig, messages: &[&[T]]) -> String {
         let mut console = Console::new(Vec::new(), config);
