@@ -180,11 +180,18 @@ impl Axis {
         let gain = gain(self.variance, measured.variance);
         let flip = is_line && self.direction.dot(&measured.direction) < 0.0;
         let target = if flip { -measured.direction } else { measured.direction };
-        let turn = Rotation3::scaled_rotation_between(&self.direction, &target, gain);
-        let turned = turn.map_or(self.direction.into_inner(), |turn| turn * self.direction.into_inner());
-        self.direction = UnitVector3::new_normalize(turned);
+        self.direction = turned(self.direction, target, gain);
         self.variance = joseph(gain, self.variance, measured.variance);
     }
+}
+
+/// A share of the turn from one direction to another. By `atan2` of sine and cosine: an arc cosine is not a number once
+/// rounding carries a product of unit vectors beyond one.
+fn turned(from: UnitVector3<f64>, to: UnitVector3<f64>, share: f64) -> UnitVector3<f64> {
+    let normal = from.cross(&to);
+    let angle = normal.norm().atan2(from.dot(&to));
+    let Some(axis) = UnitVector3::try_new(normal, 1e-12) else { return from };
+    UnitVector3::new_normalize(Rotation3::from_axis_angle(&axis, share * angle) * from.into_inner())
 }
 
 #[cfg(test)]

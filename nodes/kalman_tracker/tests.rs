@@ -298,6 +298,7 @@ fn a_false_alarm_is_never_confirmed() {
         let tracks = tracker.update(&header(frame), &[far_apart(frame)]);
         assert!(states(tracks).iter().all(|state| *state == TrackState::Tentative));
         assert!(tracks.len() <= 3, "tentative tracks go after three misses");
+        assert_eq!(ids(tracks).last(), Some(&(frame + 1)), "no identity is given again");
     }
 }
 
@@ -318,12 +319,40 @@ fn a_source_started_anew_keeps_its_tracks_only_if_it_goes_on() {
 #[test]
 fn the_sign_of_a_cylinders_axis_is_kept() {
     let mut tracker = Tracker::new(KalmanTrackerConfig::default());
-    for frame in 0..20 {
+    let axis = Vector3::new(0.05, 1.0, 0.0).normalize();
+    for frame in 0..60 {
         let sign = if frame % 3 == 0 { 1.0 } else { -1.0 };
-        let object = Object { axis: [0.0, sign, 0.0], ..cylinder(Vector3::new(0.0, 0.0, 1.0)) };
+        let tilt = if frame == 0 { Vector3::y() } else { axis };
+        let object = Object { axis: (tilt * sign).into(), ..cylinder(Vector3::new(0.0, 0.0, 1.0)) };
         let track = tracker.update(&header(frame), &[object])[0];
-        assert!((track.object.axis[1] - 1.0).abs() < 1e-12, "{:?}", track.object.axis);
+        let off = (Vector3::from(track.object.axis) - axis).norm();
+        assert!(off < if frame < 30 { 0.06 } else { 1e-6 }, "frame {frame}: {off}");
     }
+}
+
+#[test]
+fn a_sphere_in_the_place_of_a_cylinder_is_another_object() {
+    let mut tracker = Tracker::new(KalmanTrackerConfig::default());
+    let place = Vector3::new(0.0, 0.0, 1.0);
+    for frame in 0..5 {
+        tracker.update(&header(frame), &[cylinder(place)]);
+    }
+    let tracks = tracker.update(&header(5), &[sphere(place)]);
+    assert_eq!(ids(tracks), [1, 2]);
+    assert_eq!(states(tracks), [TrackState::Coasting, TrackState::Tentative]);
+}
+
+/// A track seen once is near to everything in units of its own uncertainty; that must not win it what belongs to another.
+#[test]
+fn a_new_track_does_not_take_the_sights_of_an_old_one() {
+    let mut tracker = Tracker::new(exact());
+    let (old, new) = (Vector3::new(0.0, 0.0, 1.0), Vector3::new(0.06, 0.0, 1.0));
+    for frame in 0..20 {
+        tracker.update(&header(frame), &[sphere(old)]);
+    }
+    tracker.update(&header(20), &[sphere(old), sphere(new)]);
+    let tracks = tracker.update(&header(21), &[sphere(old + Vector3::new(3.0 * SIGMA_M, 0.0, 0.0))]);
+    assert_eq!((tracks[0].misses, tracks[1].misses), (0, 1));
 }
 
 #[test]
