@@ -1,0 +1,244 @@
+//! Which files of a path are depth frames, and in which order: single files, folders of PNG or PCD, TUM RGB-D folders.
+//!
+//! Every file's header is looked at before the first frame is sent, so that what is no depth frame is passed over, what
+//! is unreadable is known, and the number of frames and their size are certain.
+
+use super::pcd;
+use super::{depth_png, natural, tum};
+use anyhow::{Context as _, Error, Result, anyhow, bail};
+use std::fs::{self, File};
+use std::io::Read as _;
+use std::path::{Path, PathBuf};
+
+const PCD_HEADER_BYTES: u64 = 64 * 1024;
+
+/// How the frames are stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Format {
+    /// 16-bit grey PNG.
+    Png,
+    /// Organised point cloud.
+    Pcd,
+}
+
+/// One depth frame.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct FrameFile {
+    pub(super) path: PathBuf,
+    /// Width and height.
+    pub(super) size: (u32, u32),
+    /// Its place in the recording, counting the unreadable ones.
+    pub(super) slot: u64,
+    /// Time of capture, where the recording tells.
+    pub(super) stamp_ns: Option<u64>,
+}
+
+/// The frames of a path.
+#[derive(Debug)]
+pub(super) struct Layout {
+    pub(super) format: Format,
+    /// Where the frames lie.
+    pub(super) folder: PathBuf,
+    /// Metres per unit as this layout has it by custom.
+    pub(super) depth_scale: f64,
+    /// In the order in which they are sent; at least one.
+    pub(super) frames: Vec<FrameFile>,
+    /// Why the other frames cannot be read.
+    pub(super) unreadable: Vec<Error>,
+}
+
+impl Layout {
+    /// Finds the frames of `path`, a file or a folder.
+    ///
+    /// # Errors
+    /// There is nothing there, or no frame that can be read.
+    pub(super) fn discover(path: &Path) -> Result<Self> {
+        let path = fs::canonicalize(path).with_context(|| {
+            format!("`{}` cannot be opened\n  hint: relative paths start at the pipeline file's folder", path.display())
+        })?;
+        let layout = if path.is_file() { single_file(&path) } else { folder(&path) };
+        layout?.readable(&path)
+    }
+
+    fn new(format: Format, folder: &Path, depth_scale: f64, candidates: Vec<Candidate>) -> Self {
+        let mut layout = Self { format, folder: folder.to_owned(), depth_scale, frames: vec![], unreadable: vec![] };
+        for (slot, candidate) in (0..).zip(candidates) {
+            let Candidate { path, size, stamp_ns } = candidate;
+            match size {
+                Ok(size) => layout.frames.push(FrameFile { path, size, slot, stamp_ns }),
+                Err(error) => layout.unreadable.push(error.context(format!("`{}`", path.display()))),
+            }
+        }
+        layout
+    }
+
+    fn readable(mut self, path: &Path) -> Result<Self> {
+        if !self.frames.is_empty() || self.unreadable.is_empty() {
+            return Ok(self);
+        }
+        let count = self.unreadable.len();
+        let first = self.unreadable.remove(0);
+        if path.is_file() {
+            return Err(first);
+        }
+        Err(first.context(format!("none of the {count} frames in `{}` can be read; the first", path.display())))
+    }
+}
+
+/// A file that should be a depth frame, and what its header says.
+struct Candidate {
+    path: PathBuf,
+    size: Result<(u32, u32)>,
+    stamp_ns: Option<u64>,
+}
+
+fn single_file(path: &Path) -> Result<Layout> {
+    if path.file_name().is_some_and(|name| name == tum::LIST) {
+        return tum_folder(folder_of(path));
+    }
+    let (format, scale) = match kind_of(path) {
+        Some(Kind::Png) => (Format::Png, 0.001),
+        Some(Kind::Pcd) => (Format::Pcd, 1.0),
+        _ => bail!("`{}` is no depth frame, expected a 16-bit PNG, a PCD file or a folder of them", path.display()),
+    };
+    let size = if format == Format::Png { png_size(path) } else { pcd_size(path) };
+    let candidate = Candidate { path: path.to_owned(), size, stamp_ns: None };
+    Ok(Layout::new(format, folder_of(path), scale, vec![candidate]))
+}
+
+fn folder_of(path: &Path) -> &Path {
+    path.parent().unwrap_or(Path::new("."))
+}
+
+fn folder(path: &Path) -> Result<Layout> {
+    let above = folder_of(path);
+    if path.join(tum::LIST).is_file() {
+        return tum_folder(path);
+    }
+    if path.file_name().is_some_and(|name| name == "depth") && above.join(tum::LIST).is_file() {
+        return tum_folder(above);
+    }
+    let inner = path.join("depth");
+    let outer = Listing::read(path)?;
+    let listing = if outer.has_frames() || !inner.is_dir() { outer } else { Listing::read(&inner)? };
+    listing.into_layout()
+}
+
+fn tum_folder(folder: &Path) -> Result<Layout> {
+    let list = folder.join(tum::LIST);
+    let named = |error: Error| error.context(format!("`{}`", list.display()));
+    let text = fs::read_to_string(&list).map_err(|error| named(error.into()))?;
+    let entries = tum::parse(&text).map_err(named)?;
+    let candidates = entries.into_iter().map(|entry| {
+        let path = folder.join(entry.name);
+        Candidate { size: png_size(&path), path, stamp_ns: Some(entry.stamp_ns) }
+    });
+    Ok(Layout::new(Format::Png, folder, tum::DEPTH_SCALE, candidates.collect()))
+}
+
+fn png_size(path: &Path) -> Result<(u32, u32)> {
+    depth_png::probe(path)?.depth_size()
+}
+
+fn pcd_size(path: &Path) -> Result<(u32, u32)> {
+    let mut head = Vec::new();
+    File::open(path)?.take(PCD_HEADER_BYTES).read_to_end(&mut head)?;
+    let header = pcd::Header::parse(&head)?;
+    Ok((header.width, header.height))
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Png,
+    Pcd,
+    Jpeg,
+}
+
+fn kind_of(path: &Path) -> Option<Kind> {
+    match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
+        "png" => Some(Kind::Png),
+        "pcd" => Some(Kind::Pcd),
+        "jpg" | "jpeg" => Some(Kind::Jpeg),
+        _ => None,
+    }
+}
+
+/// The files of a folder, sorted by what they hold.
+struct Listing {
+    folder: PathBuf,
+    png: Vec<Candidate>,
+    pcd: Vec<PathBuf>,
+    pictures: usize,
+}
+
+impl Listing {
+    fn read(folder: &Path) -> Result<Self> {
+        let mut listing = Self { folder: folder.to_owned(), png: vec![], pcd: vec![], pictures: 0 };
+        for path in sorted_files(folder).with_context(|| format!("`{}` cannot be listed", folder.display()))? {
+            match kind_of(&path) {
+                Some(Kind::Png) => listing.add_png(path),
+                Some(Kind::Pcd) => listing.pcd.push(path),
+                Some(Kind::Jpeg) => listing.pictures += 1,
+                None => {}
+            }
+        }
+        listing.keep_those_called_depth();
+        Ok(listing)
+    }
+
+    fn add_png(&mut self, path: PathBuf) {
+        match depth_png::probe(&path) {
+            Ok(depth_png::Content::Picture(..)) => self.pictures += 1,
+            content => {
+                let size = content.and_then(depth_png::Content::depth_size);
+                self.png.push(Candidate { path, size, stamp_ns: None });
+            }
+        }
+    }
+
+    /// Where some names say `depth`, the others are infrared images, labels or the like.
+    fn keep_those_called_depth(&mut self) {
+        let called_depth = |png: &Candidate| file_name(&png.path).to_lowercase().contains("depth");
+        if self.png.iter().any(called_depth) {
+            self.png.retain(called_depth);
+        }
+    }
+
+    fn has_frames(&self) -> bool {
+        !self.png.is_empty() || !self.pcd.is_empty()
+    }
+
+    fn into_layout(self) -> Result<Layout> {
+        let folder = self.folder.display();
+        match (self.png.is_empty(), self.pcd.is_empty()) {
+            (false, true) => Ok(Layout::new(Format::Png, &self.folder, 0.001, self.png)),
+            (true, false) => {
+                let candidate = |path: PathBuf| Candidate { size: pcd_size(&path), path, stamp_ns: None };
+                let candidates = self.pcd.into_iter().map(candidate).collect();
+                Ok(Layout::new(Format::Pcd, &self.folder, 1.0, candidates))
+            }
+            (false, false) => bail!(
+                "`{folder}` holds 16-bit PNGs and PCD files, expected one kind\n  hint: move one of them to a folder \
+                 of its own"
+            ),
+            (true, true) => Err(anyhow!(
+                "no depth frames in `{folder}`, only {} colour images and files of other kinds\n  hint: depth frames \
+                 are 16-bit grey PNGs or organised PCD files",
+                self.pictures
+            )),
+        }
+    }
+}
+
+/// The files that are not hidden, in natural order of their names.
+fn sorted_files(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
+    let mut paths = fs::read_dir(folder)?.map(|entry| Ok(entry?.path())).collect::<std::io::Result<Vec<_>>>()?;
+    paths.retain(|path| kind_of(path).is_some() && !file_name(path).starts_with('.') && path.is_file());
+    paths.sort_by(|a, b| natural::compare(&file_name(a), &file_name(b)));
+    Ok(paths)
+}
+
+/// The name of a file, as text.
+pub(super) fn file_name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}

@@ -1,0 +1,192 @@
+//! Organised point clouds: reads x, y and z of a PCD file, whatever its encoding and the order and types of its fields.
+
+mod header;
+mod lzf;
+
+pub(super) use header::Header;
+
+use anyhow::{Context as _, Result, anyhow, bail, ensure};
+use header::{Encoding, Scalar};
+
+/// The points of one file, row by row; the buffers are kept from file to file.
+#[derive(Default)]
+pub(super) struct Cloud {
+    /// Width of the image that the points make.
+    pub(super) width: u32,
+    /// Height of the image that the points make.
+    pub(super) height: u32,
+    columns: [Vec<f32>; 3],
+    unpacked: Vec<u8>,
+}
+
+/// Where one coordinate stands.
+#[derive(Clone, Copy)]
+struct Place {
+    /// Which number of a line of text.
+    word: usize,
+    /// First byte in a point, and in a file that is stored field after field.
+    in_point: usize,
+    in_fields: usize,
+    scalar: Scalar,
+    size: usize,
+}
+
+impl Cloud {
+    /// Reads a whole file. Points without measurement have NaN coordinates, as in the file.
+    ///
+    /// # Errors
+    /// A header or points that cannot be read; nothing is allocated that the file's length does not account for.
+    pub(super) fn read(&mut self, file: &[u8]) -> Result<()> {
+        let header = Header::parse(file)?;
+        let places = places(&header)?;
+        let data = &file[header.data_offset..];
+        check_length(&header, data)?;
+        for column in &mut self.columns {
+            column.resize(header.points(), f32::NAN);
+        }
+        (self.width, self.height) = (header.width, header.height);
+        match header.encoding {
+            Encoding::Ascii => self.read_text(&header, places, data),
+            Encoding::Binary => {
+                let stride = header.point_size();
+                self.read_columns(data, places.map(|place| (place, place.in_point, stride)));
+                Ok(())
+            }
+            Encoding::BinaryCompressed => self.read_compressed(&header, places, data),
+        }
+    }
+
+    /// The points in the order of the rows; holes have a NaN somewhere.
+    pub(super) fn points(&self) -> impl Iterator<Item = [f32; 3]> + Clone {
+        let [x, y, z] = &self.columns;
+        x.iter().zip(y).zip(z).map(|((&x, &y), &z)| [x, y, z])
+    }
+
+    /// The z coordinates in the order of the rows.
+    pub(super) fn depths(&self) -> &[f32] {
+        &self.columns[2]
+    }
+
+    fn read_compressed(&mut self, header: &Header, places: [Place; 3], data: &[u8]) -> Result<()> {
+        let packed = packed_block(header, data)?;
+        let mut unpacked = std::mem::take(&mut self.unpacked);
+        unpacked.resize(header.points() * header.point_size(), 0);
+        let outcome = lzf::decompress(packed, &mut unpacked);
+        self.read_columns(&unpacked, places.map(|place| (place, place.in_fields, place.size)));
+        self.unpacked = unpacked;
+        outcome
+    }
+
+    fn read_columns(&mut self, data: &[u8], places: [(Place, usize, usize); 3]) {
+        for (column, (place, first, stride)) in self.columns.iter_mut().zip(places) {
+            read_column(place.scalar, &data[first..], stride, column);
+        }
+    }
+
+    fn read_text(&mut self, header: &Header, places: [Place; 3], data: &[u8]) -> Result<()> {
+        let words: usize = header.fields.iter().map(|field| field.count).sum();
+        let points = header.points();
+        let mut read = 0;
+        for (index, line) in data.split(|&byte| byte == b'\n').enumerate() {
+            if line.iter().all(u8::is_ascii_whitespace) || read == points {
+                continue;
+            }
+            let point = read_line(line, words, places).with_context(|| format!("line {}", header.lines + index + 1))?;
+            for (column, value) in self.columns.iter_mut().zip(point) {
+                column[read] = value;
+            }
+            read += 1;
+        }
+        ensure!(read == points, "{read} points, expected {points}\n  hint: the file seems to be cut off");
+        Ok(())
+    }
+}
+
+/// Finds x, y and z among the fields.
+fn places(header: &Header) -> Result<[Place; 3]> {
+    let mut found = [None; 3];
+    let (mut word, mut in_point, mut in_fields) = (0, 0, 0);
+    for field in &header.fields {
+        if let Some(axis) = ["x", "y", "z"].iter().position(|name| *name == field.name) {
+            ensure!(field.count == 1, "field `{}` has COUNT {}, expected 1", field.name, field.count);
+            found[axis] = Some(Place { word, in_point, in_fields, scalar: field.scalar, size: field.size });
+        }
+        word += field.count;
+        in_point += field.count * field.size;
+        in_fields += field.count * field.size * header.points();
+    }
+    match found {
+        [Some(x), Some(y), Some(z)] => Ok([x, y, z]),
+        _ => {
+            let names: Vec<_> = header.fields.iter().map(|field| field.name.as_str()).collect();
+            bail!("FIELDS {}, expected x, y and z among them", names.join(" "))
+        }
+    }
+}
+
+/// Refuses a header that promises more points than the file can hold, before memory is taken for them.
+fn check_length(header: &Header, data: &[u8]) -> Result<()> {
+    let whole = header.points() * header.point_size();
+    let needed = match header.encoding {
+        Encoding::Ascii => header.points() * header.fields.len() * 2 - 1,
+        Encoding::Binary => whole,
+        Encoding::BinaryCompressed => 8 + whole / lzf::MAX_RATIO,
+    };
+    let got = data.len();
+    ensure!(got >= needed, "{got} bytes of points, expected {needed} or more\n  hint: the file seems to be cut off");
+    Ok(())
+}
+
+/// The compressed bytes, behind their two lengths.
+fn packed_block<'a>(header: &Header, data: &'a [u8]) -> Result<&'a [u8]> {
+    let length = |at: usize| {
+        let bytes = data.get(at..).and_then(|rest| rest.first_chunk::<4>()).context("the lengths are cut off")?;
+        Ok::<_, anyhow::Error>(u32::from_le_bytes(*bytes) as usize)
+    };
+    let (packed, unpacked) = (length(0)?, length(4)?);
+    let expected = header.points() * header.point_size();
+    ensure!(unpacked == expected, "{unpacked} bytes when decompressed, expected {expected} by the header");
+    let got = data.len() - 8;
+    let block = data.get(8..8 + packed);
+    block.with_context(|| {
+        format!("{got} bytes of compressed points, expected {packed}\n  hint: the file seems to be cut off")
+    })
+}
+
+fn read_line(line: &[u8], words: usize, places: [Place; 3]) -> Result<[f32; 3]> {
+    let line = std::str::from_utf8(line).map_err(|_| anyhow!("not text"))?;
+    let mut point = [f32::NAN; 3];
+    let mut got = 0;
+    for (index, word) in line.split_ascii_whitespace().enumerate() {
+        if let Some(axis) = places.iter().position(|place| place.word == index) {
+            point[axis] = word.parse().map_err(|_| anyhow!("`{word}` is no number"))?;
+        }
+        got = index + 1;
+    }
+    ensure!(got == words, "{got} numbers, expected {words}");
+    Ok(point)
+}
+
+fn read_column(scalar: Scalar, bytes: &[u8], stride: usize, out: &mut [f32]) {
+    match scalar {
+        Scalar::F32 => convert(bytes, stride, out, f32::from_le_bytes),
+        Scalar::F64 => convert(bytes, stride, out, |raw| f64::from_le_bytes(raw) as f32),
+        Scalar::I8 => convert(bytes, stride, out, |raw| i8::from_le_bytes(raw).into()),
+        Scalar::I16 => convert(bytes, stride, out, |raw| i16::from_le_bytes(raw).into()),
+        Scalar::I32 => convert(bytes, stride, out, |raw| i32::from_le_bytes(raw) as f32),
+        Scalar::I64 => convert(bytes, stride, out, |raw| i64::from_le_bytes(raw) as f32),
+        Scalar::U8 => convert(bytes, stride, out, |raw| u8::from_le_bytes(raw).into()),
+        Scalar::U16 => convert(bytes, stride, out, |raw| u16::from_le_bytes(raw).into()),
+        Scalar::U32 => convert(bytes, stride, out, |raw| u32::from_le_bytes(raw) as f32),
+        Scalar::U64 => convert(bytes, stride, out, |raw| u64::from_le_bytes(raw) as f32),
+    }
+}
+
+fn convert<const N: usize>(bytes: &[u8], stride: usize, out: &mut [f32], number: impl Fn([u8; N]) -> f32) {
+    for (value, point) in out.iter_mut().zip(bytes.chunks(stride)) {
+        *value = point.first_chunk().map_or(f32::NAN, |raw| number(*raw));
+    }
+}
+
+#[cfg(test)]
+mod tests;
