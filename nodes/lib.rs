@@ -2,8 +2,6 @@
 
 pub mod noise_config;
 
-pub mod noise_config;
-
 pub mod synthetic_source;
 
 pub mod image_source;
@@ -21,7 +19,25 @@ pub mod picture_sink;
 pub mod command_line;
 mod node_help;
 
-use conicflow_dataflow::Node;
+use conicflow_dataflow::{Node, Variant};
+use conicflow_messages::{Ellipse, Object, Track};
+use console_sink::ConsoleSink;
+use image_source::ImageSource;
+use json_sink::JsonSink;
+use kalman_tracker::KalmanTracker;
 
 /// The nodes that a pipeline file may name: one row makes one available.
-pub const NODES: &[Node] = &[];
+pub const NODES: &[Node] = &[
+    Node::source::<ImageSource>(),
+    Node::stage::<KalmanTracker>(),
+    Node::stages::<ConsoleSink<Track>>(&[
+        Variant::stage::<ConsoleSink<Track>>(),
+        Variant::stage::<ConsoleSink<Object>>(),
+        Variant::stage::<ConsoleSink<Ellipse>>(),
+    ]),
+    Node::stages::<JsonSink<Track>>(&[
+        Variant::stage::<JsonSink<Track>>(),
+        Variant::stage::<JsonSink<Object>>(),
+        Variant::stage::<JsonSink<Ellipse>>(),
+    ]),
+];
