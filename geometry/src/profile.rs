@@ -60,7 +60,7 @@ pub fn fit_circle_profile(pairs: &PlaneMoments) -> Option<CircleProfile> {
     let rms = (residual / (n - 2.0)).sqrt() / (2.0 * radius);
     let (center_sigma, radius_sigma) = (rms * radius / zz.sqrt(), rms / n.sqrt());
     let finite = radius.is_finite() && center.is_finite() && radius > 0.0;
-    finite.then(|| CircleProfile { center: at + center, radius, rms, center_sigma, radius_sigma })
+    finite.then_some(CircleProfile { center: at + center, radius, rms, center_sigma, radius_sigma })
 }
 
 #[cfg(test)]
