@@ -25,10 +25,12 @@ use console_sink::ConsoleSink;
 use image_source::ImageSource;
 use json_sink::JsonSink;
 use kalman_tracker::KalmanTracker;
+use row_ellipse_extractor::RowEllipseExtractor;
 
 /// The nodes that a pipeline file may name: one row makes one available.
 pub const NODES: &[Node] = &[
     Node::source::<ImageSource>(),
+    Node::stage::<RowEllipseExtractor>(),
     Node::stage::<KalmanTracker>(),
     Node::stages::<ConsoleSink<Track>>(&[
         Variant::stage::<ConsoleSink<Track>>(),
