@@ -239,7 +239,9 @@ impl<'a, T: Item> Output<'a, T> {
 
     /// Adds to a counter that the summary and `top` show, such as why candidates were turned down.
     pub fn count(&mut self, name: &'static str, times: u64) {
-        *self.counts.entry(name).or_default() += times;
+        if times > 0 {
+            *self.counts.entry(name).or_default() += times;
+        }
     }
 
     pub(crate) fn is_image(&self) -> bool {
