@@ -1,5 +1,7 @@
 //! The stages of conicflow, one file each, in the order in which a frame meets them.
 
+pub mod noise_config;
+
 pub mod synthetic_source;
 
 pub mod image_source;
