@@ -21,6 +21,8 @@ pub struct Raster {
     pub owner: Vec<u16>,
     /// For each shape, how many pixels of the image it would cover if it were alone.
     pub alone: Vec<u32>,
+    columns: Vec<f64>,
+    rows: Vec<f64>,
 }
 
 /// Pixels from `first` up to but without `end`, in columns and in rows; may reach beyond the image.
@@ -33,10 +35,13 @@ pub struct Window {
 }
 
 impl Window {
-    /// What both windows cover.
-    pub fn and(self, other: Self) -> Self {
-        let common = |a: [i64; 2], b: [i64; 2]| [a[0].max(b[0]), a[1].min(b[1])];
-        Self { u: common(self.u, other.u), v: common(self.v, other.v) }
+    /// What both windows cover, if anything.
+    pub fn and(self, other: Self) -> Option<Self> {
+        let common = |a: [i64; 2], b: [i64; 2]| {
+            let both = [a[0].max(b[0]), a[1].min(b[1])];
+            (both[0] < both[1]).then_some(both)
+        };
+        Some(Self { u: common(self.u, other.u)?, v: common(self.v, other.v)? })
     }
 
     /// The whole image of a camera, and `margin` times its size on each side.
@@ -69,7 +74,10 @@ impl Raster {
     /// An empty image.
     pub fn new(camera: Camera) -> Self {
         let pixels = camera.width as usize * camera.height as usize;
-        Self { camera, depth: vec![f64::INFINITY; pixels], owner: vec![NOBODY; pixels], alone: Vec::new() }
+        let columns = (0..camera.width).map(|u| (f64::from(u) - camera.cx) / camera.fx).collect();
+        let rows = (0..camera.height).map(|v| (f64::from(v) - camera.cy) / camera.fy).collect();
+        let (depth, owner) = (vec![f64::INFINITY; pixels], vec![NOBODY; pixels]);
+        Self { camera, depth, owner, alone: Vec::new(), columns, rows }
     }
 
     /// Renders shapes that are given in the camera's frame.
@@ -90,16 +98,19 @@ impl Raster {
 
     /// Paints what of a surface lies before everything painted so far; the number of pixels that it covers alone.
     fn paint(&mut self, surface: &impl Surface, owner: u16) -> u32 {
-        let Some(window) = Window::of_bounds(&self.camera, surface.bounds()) else { return 0 };
-        let window = window.and(Window::image(&self.camera, 0));
+        let window = Window::of_bounds(&self.camera, surface.bounds());
+        let Some(window) = window.and_then(|window| window.and(Window::image(&self.camera, 0))) else { return 0 };
+        let [first, end] = window.u.map(|u| u as usize);
         let mut hits = 0;
         for v in window.v[0]..window.v[1] {
-            for u in window.u[0]..window.u[1] {
-                let Some(z) = surface.hit(&Vector3::zeros(), &ray(&self.camera, u, v)) else { continue };
-                hits += 1;
-                let index = self.index(u, v);
-                if z < self.depth[index] {
-                    (self.depth[index], self.owner[index]) = (z, owner);
+            let row = self.index(window.u[0], v)..self.index(window.u[1], v);
+            let y = self.rows[v as usize];
+            let pixels = self.depth[row.clone()].iter_mut().zip(&mut self.owner[row]);
+            for ((depth, seen), x) in pixels.zip(&self.columns[first..end]) {
+                let z = surface.hit(&Vector3::zeros(), &Vector3::new(*x, y, 1.0));
+                hits += u32::from(z < f64::INFINITY);
+                if z < *depth {
+                    (*depth, *seen) = (z, owner);
                 }
             }
         }
@@ -115,7 +126,7 @@ impl Raster {
     /// The point that is seen in a pixel, in the camera's frame.
     #[inline]
     pub fn point(&self, u: i64, v: i64) -> Vector3<f64> {
-        ray(&self.camera, u, v) * self.depth[self.index(u, v)]
+        Vector3::new(self.columns[u as usize], self.rows[v as usize], 1.0) * self.depth[self.index(u, v)]
     }
 }
 

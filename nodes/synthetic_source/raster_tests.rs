@@ -41,7 +41,7 @@ fn the_nearest_surface_is_seen_whatever_the_order() {
 fn every_ray(raster: &Raster, shapes: &[Shape]) -> Vec<f64> {
     let camera = &raster.camera;
     let depth = |u: i64, v: i64| {
-        let hits = shapes.iter().filter_map(|shape| shape.hit(&Vector3::zeros(), &ray(camera, u, v)));
+        let hits = shapes.iter().map(|shape| shape.hit(&Vector3::zeros(), &ray(camera, u, v)));
         hits.fold(f64::INFINITY, f64::min)
     };
     let pixels = (0..i64::from(camera.height)).flat_map(|v| (0..i64::from(camera.width)).map(move |u| (u, v)));

@@ -29,7 +29,7 @@ fn darken(raster: &Raster, shape: &Shape, owner: u16, projector: &Vector3<f64>, 
     let seen_by_projector = shape.bounds().map(|bounds| bounds.map(|corner| corner - projector));
     let Some(window) = Window::of_bounds(&raster.camera, seen_by_projector) else { return };
     let nearest = seen_by_projector.map_or(0.0, |[least, _]| least.z);
-    let window = stretched(window, raster.camera.fx * projector.x / nearest).and(image);
+    let Some(window) = stretched(window, raster.camera.fx * projector.x / nearest).and(image) else { return };
     for v in window.v[0]..window.v[1] {
         for u in window.u[0]..window.u[1] {
             let index = raster.index(u, v);
@@ -40,7 +40,7 @@ fn darken(raster: &Raster, shape: &Shape, owner: u16, projector: &Vector3<f64>, 
             shadow[index] = if raster.owner[index] == owner {
                 turned_away(shape, &point, projector)
             } else {
-                shape.hit(&point, &(projector - point)).is_some_and(|t| t < 1.0)
+                shape.hit(&point, &(projector - point)) < 1.0
             };
         }
     }

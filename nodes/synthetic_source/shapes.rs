@@ -12,8 +12,8 @@ const NEAREST: f64 = 1e-6;
 
 /// What every shape can tell; all in one frame, metres.
 pub trait Surface {
-    /// The first `t > 0` at which the ray meets it.
-    fn hit(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> Option<f64>;
+    /// The first `t > 0` at which the ray meets it; infinite where it does not.
+    fn hit(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64;
     /// Unit normal, outwards, at a point of the surface.
     fn normal(&self, point: &Vector3<f64>) -> Vector3<f64>;
     /// Least and greatest coordinates; `None`: without end.
@@ -91,17 +91,21 @@ fn roots(a: f64, b: f64, c: f64) -> [f64; 2] {
     [q / a, c / q]
 }
 
+/// A `t` that lies ahead, else infinity.
+#[inline]
+fn ahead(t: f64) -> f64 {
+    if t > NEAREST { t } else { f64::INFINITY }
+}
+
 /// The smaller of those that lie ahead.
 #[inline]
-fn first_ahead(candidates: [f64; 2]) -> Option<f64> {
-    let ahead = |t: f64| if t > NEAREST { t } else { f64::INFINITY };
-    let first = ahead(candidates[0]).min(ahead(candidates[1]));
-    first.is_finite().then_some(first)
+fn first_ahead([one, other]: [f64; 2]) -> f64 {
+    ahead(one).min(ahead(other))
 }
 
 impl Surface for Sphere {
     #[inline]
-    fn hit(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> Option<f64> {
+    fn hit(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
         let from_center = origin - self.center;
         let c = from_center.norm_squared() - self.radius * self.radius;
         first_ahead(roots(direction.norm_squared(), from_center.dot(direction), c))
@@ -151,7 +155,7 @@ impl Frustum {
 impl Surface for Frustum {
     /// Side: `|p - h axis|^2 = (base_radius + slope h)^2` with `h = p . axis`; ends: `h = 0` and `h = length`.
     #[inline]
-    fn hit(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> Option<f64> {
+    fn hit(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
         let from_base = origin - self.base;
         let (o_axial, d_axial) = (from_base.dot(&self.axis), direction.dot(&self.axis));
         let slope = self.slope();
@@ -161,7 +165,7 @@ impl Surface for Frustum {
         let b = od - o_axial * d_axial - o_radius * d_radius;
         let c = oo - o_axial * o_axial - o_radius * o_radius;
         if a > 0.0 && b * b < a * c {
-            return None; // a line through an end also meets the side, prolonged
+            return f64::INFINITY; // a line through an end also meets the side, prolonged
         }
         let side = |t: f64| if (0.0..=self.length).contains(&(o_axial + t * d_axial)) { t } else { f64::NAN };
         let end = |h: f64, radius: f64| {
@@ -170,7 +174,7 @@ impl Surface for Frustum {
         };
         let sides = first_ahead(roots(a, b, c).map(side));
         let ends = first_ahead([end(0.0, self.base_radius), end(self.length, self.top_radius)]);
-        first_ahead([sides.unwrap_or(f64::NAN), ends.unwrap_or(f64::NAN)])
+        sides.min(ends)
     }
 
     fn normal(&self, point: &Vector3<f64>) -> Vector3<f64> {
@@ -198,7 +202,7 @@ impl Surface for Frustum {
 
 impl Surface for Block {
     #[inline]
-    fn hit(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> Option<f64> {
+    fn hit(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
         let (origin, direction) = (self.axes.tr_mul(&(origin - self.center)), self.axes.tr_mul(direction));
         let (mut enter, mut leave) = (f64::NEG_INFINITY, f64::INFINITY);
         for i in 0..3 {
@@ -207,7 +211,7 @@ impl Surface for Block {
             enter = enter.max(near.min(far));
             leave = leave.min(near.max(far));
         }
-        if enter <= leave { first_ahead([enter, leave]) } else { None }
+        if enter <= leave { first_ahead([enter, leave]) } else { f64::INFINITY }
     }
 
     fn normal(&self, point: &Vector3<f64>) -> Vector3<f64> {
@@ -235,16 +239,14 @@ impl Plane {
 
 impl Surface for Plane {
     #[inline]
-    fn hit(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> Option<f64> {
-        let t = (self.point - origin).dot(&self.normal) / direction.dot(&self.normal);
-        if !(t > NEAREST && t.is_finite()) {
-            return None;
-        }
+    fn hit(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
+        let t = ahead((self.point - origin).dot(&self.normal) / direction.dot(&self.normal));
         if !self.is_finite() {
-            return Some(t);
+            return t;
         }
         let offset = origin + direction * t - self.point;
-        (0..2).all(|i| offset.dot(&self.sides[i]).abs() <= self.half[i]).then_some(t)
+        let inside = (0..2).all(|i| offset.dot(&self.sides[i]).abs() <= self.half[i]);
+        if inside { t } else { f64::INFINITY }
     }
 
     fn normal(&self, _: &Vector3<f64>) -> Vector3<f64> {
@@ -264,7 +266,7 @@ impl Surface for Plane {
 }
 
 impl Surface for Shape {
-    fn hit(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> Option<f64> {
+    fn hit(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
         match self {
             Self::Sphere(sphere) => sphere.hit(origin, direction),
             Self::Frustum(frustum) => frustum.hit(origin, direction),

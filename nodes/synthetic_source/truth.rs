@@ -102,7 +102,7 @@ impl Seen {
         self.rows += u32::from(row != self.last_row);
         self.last_row = row;
         match shape {
-            Shape::Sphere(sphere) => self.angle.add(angle_about(&sphere.center, &Vector3::y(), point)),
+            Shape::Sphere(sphere) => self.angle.add(angle_about(&sphere.center, &across(&sphere.center), point)),
             Shape::Frustum(frustum) if !frustum.is_cap(point) => {
                 self.along.add(frustum.along(point));
                 self.angle.add(angle_about(&frustum.base, &frustum.axis, point));
@@ -117,6 +117,11 @@ fn angle_about(center: &Vector3<f64>, axis: &Vector3<f64>, point: &Vector3<f64>)
     let to_camera = axis * center.dot(axis) - center;
     let outwards = point - center;
     axis.cross(&to_camera).dot(&outwards).atan2(to_camera.dot(&outwards))
+}
+
+/// The direction across the line of sight to a point that is nearest to the image's vertical.
+fn across(center: &Vector3<f64>) -> Vector3<f64> {
+    center.cross(&Vector3::x()).try_normalize(1e-9).unwrap_or_else(Vector3::y)
 }
 
 /// The whole of a shape as an object; `None` for boxes and planes.
@@ -172,14 +177,14 @@ fn visible_part(whole: Object, shape: &Shape, seen: &Seen) -> Object {
 fn covered_outside(camera: &Camera, shape: &Shape) -> u32 {
     let Some(window) = Window::of_bounds(camera, shape.bounds()) else { return 0 };
     let image = Window::image(camera, 0);
-    let around = window.and(Window::image(camera, 1));
-    if around.and(image) == around {
+    let Some(around) = window.and(Window::image(camera, 1)) else { return 0 };
+    if around.and(image) == Some(around) {
         return 0;
     }
     let inside = |u: i64, v: i64| (image.u[0]..image.u[1]).contains(&u) && (image.v[0]..image.v[1]).contains(&v);
     let row = |v: i64| {
         (around.u[0]..around.u[1])
-            .filter(|&u| !inside(u, v) && shape.hit(&Vector3::zeros(), &ray(camera, u, v)).is_some())
+            .filter(|&u| !inside(u, v) && shape.hit(&Vector3::zeros(), &ray(camera, u, v)).is_finite())
             .count() as u32
     };
     (around.v[0]..around.v[1]).map(row).sum()
@@ -241,7 +246,7 @@ pub struct TruthObject {
     pub points: u32,
     /// Number of rows with visible pixels.
     pub rows: u32,
-    /// Visible part of the circumference; of a sphere about the image's vertical.
+    /// Visible part of the circumference; of a sphere about the direction across the line of sight.
     pub arc: f64,
     /// Share of the pixels that it would cover alone that are hidden or outside the image.
     pub hidden: f64,
