@@ -1,7 +1,6 @@
 use super::super::scene::Scene;
 use super::super::shapes::{Plane, Sphere};
 use super::*;
-use nalgebra::Vector3;
 
 const CAMERA: Camera = Camera { width: 320, height: 240, fx: 262.5, fy: 262.5, cx: 159.5, cy: 119.5 };
 /// A tenth of a millimetre, so that the pixels' rounding is far below the noise.
