@@ -2,7 +2,7 @@
 //! sensor spoils the depth as a real one would, and the true objects are known.
 //!
 //! The walk of a frame: [`scene`] (what is where at this time, by [`motion`]) -> [`raster`] (exact depth, by [`shapes`])
-//! -> [`sensor`] (noise, silhouettes, [`shadow`], lost points) -> pixels; and from the raster to [`truth`].
+//! -> [`sensor`] (noise, silhouettes, shadow, lost points) -> pixels; and from the raster to [`truth`].
 
 mod fields;
 pub mod motion;

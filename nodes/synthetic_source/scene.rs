@@ -165,6 +165,7 @@ impl Scene {
             Gaze::Fixed(rotation) => rotation,
             Gaze::At(point) => {
                 let forward = moved(point, &view.gaze_motion) - translation;
+                // at the one moment when it moves through the line above its point, any view is as good
                 looking_along(&forward, &view.up).unwrap_or_else(Matrix3::identity)
             }
         };
