@@ -2,6 +2,8 @@
 
 pub mod noise_config;
 
+pub mod noise_config;
+
 pub mod synthetic_source;
 
 pub mod image_source;

@@ -1,0 +1,84 @@
+//! How the numbers of a scene file are checked while it is read, so that an error names the line and the column.
+
+use nalgebra::Vector3;
+use serde::de::{Deserialize, Deserializer, Error};
+
+fn finite<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    let number = f64::deserialize(deserializer)?;
+    if number.is_finite() {
+        Ok(number)
+    } else {
+        Err(D::Error::custom(format!("expected a finite number, got {number}")))
+    }
+}
+
+/// A finite number above zero.
+pub fn positive<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    match finite(deserializer)? {
+        number if number > 0.0 => Ok(number),
+        number => Err(D::Error::custom(format!("expected a number above zero, got {number}"))),
+    }
+}
+
+/// A finite number, zero or above.
+pub fn not_negative<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    match finite(deserializer)? {
+        number if number >= 0.0 => Ok(number),
+        number => Err(D::Error::custom(format!("expected zero or a number above it, got {number}"))),
+    }
+}
+
+/// A share from 0 to 1.
+pub fn share<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    match finite(deserializer)? {
+        number if (0.0..=1.0).contains(&number) => Ok(number),
+        number => Err(D::Error::custom(format!("expected a number from 0 to 1, got {number}"))),
+    }
+}
+
+/// Three finite numbers.
+pub fn vector<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vector3<f64>, D::Error> {
+    let numbers = <[f64; 3]>::deserialize(deserializer)?;
+    if numbers.iter().all(|number| number.is_finite()) {
+        Ok(numbers.into())
+    } else {
+        Err(D::Error::custom(format!("expected three finite numbers, got {numbers:?}")))
+    }
+}
+
+/// Three finite numbers that may be left out.
+pub fn maybe_vector<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Vector3<f64>>, D::Error> {
+    vector(deserializer).map(Some)
+}
+
+/// Three numbers above zero.
+pub fn size<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vector3<f64>, D::Error> {
+    let size = vector(deserializer)?;
+    if size.min() > 0.0 {
+        Ok(size)
+    } else {
+        Err(D::Error::custom(format!("expected three numbers above zero, got {:?}", size.as_slice())))
+    }
+}
+
+/// A direction of any length but zero; made a unit vector.
+pub fn direction<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vector3<f64>, D::Error> {
+    let unit = vector(deserializer)?.try_normalize(1e-9);
+    unit.ok_or_else(|| D::Error::custom("expected a direction, got a vector of length zero"))
+}
+
+/// A direction that may be left out.
+pub fn maybe_direction<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Vector3<f64>>, D::Error> {
+    direction(deserializer).map(Some)
+}
+
+/// A quaternion `[x, y, z, w]` of any length but zero; made a unit quaternion.
+pub fn maybe_quaternion<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<[f64; 4]>, D::Error> {
+    let numbers = <[f64; 4]>::deserialize(deserializer)?;
+    let length = numbers.iter().map(|number| number * number).sum::<f64>().sqrt();
+    if length.is_finite() && length > 1e-9 {
+        Ok(Some(numbers.map(|number| number / length)))
+    } else {
+        Err(D::Error::custom(format!("expected a quaternion `[x, y, z, w]`, got {numbers:?}")))
+    }
+}

@@ -1,0 +1,266 @@
+//! A depth camera that is simulated exactly: rays are cut with the shapes of a scene file in closed form, a model of the
+//! sensor spoils the depth as a real one would, and the true objects are known.
+//!
+//! The walk of a frame: [`scene`] (what is where at this time, by [`motion`]) -> [`raster`] (exact depth, by [`shapes`])
+//! -> [`sensor`] (noise, silhouettes, shadow, lost points) -> pixels; and from the raster to [`truth`].
+
+mod fields;
+pub mod motion;
+pub mod pose;
+mod random;
+pub mod raster;
+pub mod scene;
+pub mod sensor;
+mod shadow;
+pub mod shapes;
+pub mod truth;
+
+use anyhow::{Context as _, Result, bail};
+use conicflow_dataflow::{Config, ConfigFault, Context, Next, Output, Pace, Sides, Source, StageError};
+use conicflow_messages::{Camera, HAS_POSE, Header, Text};
+use random::Dice;
+use raster::Raster;
+use scene::{BUILT_IN, Scene};
+use schemars::JsonSchema;
+use sensor::{Sensor, SensorConfig};
+use serde::{Deserialize, Serialize};
+use shapes::Shape;
+use std::fs::{File, OpenOptions};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use truth::{Truth, TruthLine, truth_of};
+
+/// Frame rate of simulated time where frames are made as fast as they are taken.
+const UNPACED_RATE_HZ: f64 = 30.0;
+
+/// A depth camera in a scene. Each frame is a function of its number and the seed alone.
+#[derive(Clone, Debug)]
+pub struct SyntheticCamera {
+    scene: Scene,
+    sensor: Sensor,
+    seed: u64,
+    rate_hz: f64,
+    depth_scale: f64,
+    raster: Raster,
+    shapes: Vec<Shape>,
+    time_s: f64,
+}
+
+impl SyntheticCamera {
+    /// A camera of `rate_hz` frames per second (above 0) whose pixels count `depth_scale` metres.
+    pub fn new(scene: Scene, camera: Camera, noise: SensorConfig, depth_scale: f64, rate_hz: f64, seed: u64) -> Self {
+        let sensor = Sensor::new(noise, depth_scale);
+        let (raster, shapes) = (Raster::new(camera), Vec::new());
+        Self { scene, sensor, seed, rate_hz, depth_scale, raster, shapes, time_s: 0.0 }
+    }
+
+    /// Takes frame `number`: writes as many pixels as the camera has, row by row.
+    pub fn shoot(&mut self, number: u64, pixels: &mut [u16]) {
+        self.time_s = number as f64 / self.rate_hz;
+        self.scene.shapes_in_camera(self.time_s, &mut self.shapes);
+        self.raster.render(&self.shapes);
+        self.sensor.measure(&self.raster, &self.shapes, &Dice::new(self.seed, number), pixels);
+    }
+
+    /// The true objects of the frame that was taken last.
+    pub fn truth(&self) -> Vec<Truth> {
+        truth_of(&self.scene, self.time_s, &self.raster, &self.shapes)
+    }
+
+    /// The exact depth of the frame that was taken last.
+    pub fn raster(&self) -> &Raster {
+        &self.raster
+    }
+
+    /// Fills in what a header tells of the frame that was taken last.
+    pub fn describe(&self, header: &mut Header) {
+        header.camera = self.raster.camera;
+        header.depth_scale = self.depth_scale;
+        header.noise = self.sensor.noise_model();
+        header.world_from_camera = self.scene.world_from_camera(self.time_s).rows();
+        header.flags |= HAS_POSE;
+        header.source = Text::new(&self.scene.name);
+        header.stamp_ns = (self.time_s * 1e9).round() as u64;
+    }
+}
+
+/// Parameters of the simulated camera.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct SyntheticSourceConfig {
+    /// Scene file, or the name of a built-in scene; none: `bouncing_ball`.
+    pub scene: Option<PathBuf>,
+    /// Width of the image in pixels.
+    #[schemars(range(min = 1, max = 4096))]
+    pub width: u32,
+    /// Height of the image in pixels.
+    #[schemars(range(min = 1, max = 4096))]
+    pub height: u32,
+    /// Intrinsics in pixels; none: those of a Kinect v1, scaled to the width.
+    pub intrinsics: Option<Intrinsics>,
+    /// Frames per second; 0: as fast as they are taken, simulated time goes at 30 then.
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub rate_hz: f64,
+    /// Number of frames; 0: without end.
+    pub frames: u64,
+    /// Seed of the noise.
+    pub seed: u64,
+    /// What the sensor does to the depth: "kinect_v1", "ideal" or a table of coefficients.
+    pub noise: SensorConfig,
+    /// Metres per unit of a depth pixel.
+    #[schemars(range(min = 1e-6, max = 1.0))]
+    pub depth_scale: f64,
+    /// File for the true objects, one line of JSON per frame; none: not written.
+    pub truth_path: Option<PathBuf>,
+}
+
+/// A pinhole camera; pixel centres lie at whole numbers.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Intrinsics {
+    /// Focal length along x, in pixels.
+    #[schemars(range(min = 1.0))]
+    pub fx: f64,
+    /// Focal length along y, in pixels.
+    #[schemars(range(min = 1.0))]
+    pub fy: f64,
+    /// Principal point, x, in pixels.
+    pub cx: f64,
+    /// Principal point, y, in pixels.
+    pub cy: f64,
+}
+
+impl Default for SyntheticSourceConfig {
+    fn default() -> Self {
+        Self {
+            scene: None,
+            width: 640,
+            height: 480,
+            intrinsics: None,
+            rate_hz: 30.0,
+            frames: 0,
+            seed: 0,
+            noise: SensorConfig::default(),
+            depth_scale: 0.001,
+            truth_path: None,
+        }
+    }
+}
+
+impl SyntheticSourceConfig {
+    /// The camera that the parameters describe; a Kinect v1 has a focal length of 525 pixels at 640x480.
+    pub fn camera(&self) -> Camera {
+        let (width, height) = (self.width, self.height);
+        let focal = 525.0 * f64::from(width) / 640.0;
+        let middle = |size: u32| 0.5 * (f64::from(size) - 1.0);
+        let kinect = Intrinsics { fx: focal, fy: focal, cx: middle(width), cy: middle(height) };
+        let Intrinsics { fx, fy, cx, cy } = self.intrinsics.unwrap_or(kinect);
+        Camera { width, height, fx, fy, cx, cy }
+    }
+
+    /// Reads the scene; a single word is the name of a built-in one.
+    fn load_scene(&self, base: &Path) -> Result<Scene> {
+        let default = Path::new(BUILT_IN[0].0);
+        let path = self.scene.as_deref().unwrap_or(default);
+        match path.to_str().and_then(Scene::built_in) {
+            Some(scene) => scene,
+            None => Scene::load(&base.join(path)),
+        }
+    }
+}
+
+impl Config for SyntheticSourceConfig {
+    fn faults(&self, base: &Path) -> Vec<ConfigFault> {
+        let mut faults = Vec::new();
+        if let Err(error) = self.load_scene(base) {
+            let text = format!("{error:#}");
+            let (what, hint) = text.split_once("\n  hint: ").unwrap_or((&text, "correct the scene file"));
+            faults.push(ConfigFault { key: "scene", what: what.into(), hint: hint.into() });
+        }
+        let folder = self.truth_path.as_ref().and_then(|path| base.join(path).parent().map(Path::to_owned));
+        if let Some(folder) = folder.filter(|folder| !folder.is_dir() && !folder.as_os_str().is_empty()) {
+            let what = format!("the folder `{}` does not exist", folder.display());
+            faults.push(ConfigFault { key: "truth_path", what, hint: "create it, or name another file".into() });
+        }
+        faults
+    }
+}
+
+/// The node: a [`SyntheticCamera`] that keeps a pace.
+pub struct SyntheticSource {
+    camera: SyntheticCamera,
+    pace: Pace,
+    next: u64,
+    frames: u64,
+    truth: Option<TruthFile>,
+}
+
+impl Source for SyntheticSource {
+    const NAME: &'static str = "synthetic_source";
+    const SUMMARY: &'static str = "Depth camera in a simulated scene with known objects";
+    type Config = SyntheticSourceConfig;
+    type Output = u16;
+
+    fn new(config: Self::Config, context: &Context) -> Result<Self, StageError> {
+        let scene = config.load_scene(&context.base)?;
+        let rate_hz = if config.rate_hz > 0.0 { config.rate_hz } else { UNPACED_RATE_HZ };
+        let (camera, seed) = (config.camera(), config.seed);
+        let camera = SyntheticCamera::new(scene, camera, config.noise, config.depth_scale, rate_hz, seed);
+        let truth_path = config.truth_path.as_deref().map(|path| context.resolve(path));
+        let truth = truth_path.map(|path| TruthFile::open(path, context.resume_at)).transpose()?;
+        let pace = Pace::new(config.rate_hz, context.stop.clone());
+        Ok(Self { camera, pace, next: context.resume_at, frames: config.frames, truth })
+    }
+
+    fn total(&self) -> Option<u64> {
+        (self.frames > 0).then_some(self.frames)
+    }
+
+    fn next(&mut self, _: &Sides, output: &mut Output<u16>) -> Result<Next, StageError> {
+        if self.frames > 0 && self.next >= self.frames {
+            return Ok(Next::End);
+        }
+        self.pace.wait();
+        let camera = self.camera.raster.camera;
+        self.camera.shoot(self.next, output.image(camera.width as usize * camera.height as usize)?);
+        self.camera.describe(&mut output.header);
+        if let Some(truth) = &mut self.truth {
+            truth.write(self.next, &self.camera)?;
+        }
+        self.next += 1;
+        Ok(Next::Message)
+    }
+}
+
+/// A file with one [`TruthLine`] per frame, each written whole as soon as it is known.
+struct TruthFile {
+    path: PathBuf,
+    file: File,
+}
+
+impl TruthFile {
+    /// Starts the file, or goes on with it where the stage was started anew.
+    fn open(path: PathBuf, resume_at: u64) -> Result<Self> {
+        let go_on = resume_at > 0;
+        let file = OpenOptions::new().create(true).write(true).append(go_on).truncate(!go_on).open(&path);
+        match file {
+            Ok(file) => Ok(Self { path, file }),
+            Err(error) => {
+                bail!("cannot write `{}`: {error}\n  hint: `truth_path` names a file to be created", path.display())
+            }
+        }
+    }
+
+    fn write(&mut self, sequence: u64, camera: &SyntheticCamera) -> Result<()> {
+        let mut header = Header::default();
+        camera.describe(&mut header);
+        let objects = camera.truth().iter().map(Into::into).collect();
+        let line = TruthLine { sequence, source: camera.scene.name.clone(), stamp_ns: header.stamp_ns, objects };
+        let mut text = serde_json::to_string(&line)?;
+        text.push('\n');
+        self.file.write_all(text.as_bytes()).with_context(|| format!("cannot write `{}`", self.path.display()))
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,168 @@
+use super::super::scene::Scene;
+use super::super::shapes::{Plane, Sphere};
+use super::*;
+
+const CAMERA: Camera = Camera { width: 320, height: 240, fx: 262.5, fy: 262.5, cx: 159.5, cy: 119.5 };
+/// A tenth of a millimetre, so that the pixels' rounding is far below the noise.
+const FINE: f64 = 1e-4;
+
+/// A plane through (0, 0, z), turned about the camera's x axis.
+fn wall(z: f64, tilt: f64) -> Shape {
+    let (point, normal) = (Vector3::new(0.0, 0.0, z), Vector3::new(0.0, tilt.sin(), -tilt.cos()));
+    Shape::Plane(Plane { point, normal, sides: [Vector3::x(), normal.cross(&Vector3::x())], half: [f64::INFINITY; 2] })
+}
+
+fn ball() -> Shape {
+    Shape::Sphere(Sphere { center: Vector3::new(0.0, 0.0, 1.2), radius: 0.3 })
+}
+
+fn measure(config: SensorConfig, shapes: &[Shape], dice: Dice) -> (Raster, Vec<u16>) {
+    let mut raster = Raster::new(CAMERA);
+    raster.render(shapes);
+    let mut pixels = vec![7; raster.depth.len()];
+    Sensor::new(config, FINE).measure(&raster, shapes, &dice, &mut pixels);
+    (raster, pixels)
+}
+
+fn only(spoil: impl FnOnce(&mut SensorTable)) -> SensorConfig {
+    let mut table = SensorTable::IDEAL;
+    spoil(&mut table);
+    SensorConfig::Table(table)
+}
+
+const IDEAL: SensorConfig = SensorConfig::Named(NoiseName::Ideal);
+const KINECT: SensorConfig = SensorConfig::Named(NoiseName::KinectV1);
+
+#[test]
+fn an_ideal_sensor_rounds_and_does_nothing_else() {
+    let (raster, pixels) = measure(IDEAL, &[ball(), wall(2.0, 0.3)], Dice::new(1, 1));
+    for (&pixel, &z) in pixels.iter().zip(&raster.depth) {
+        assert_eq!(f64::from(pixel), (z / FINE).round());
+    }
+}
+
+#[test]
+fn noise_has_the_mean_and_the_sigma_of_the_model() {
+    for z in [0.8, 1.5, 2.0, 3.0, 4.0, 6.0] {
+        let (_, pixels) = measure(KINECT, &[wall(z, 0.0)], Dice::new(5, 0));
+        let depths: Vec<f64> =
+            pixels.iter().filter(|&&pixel| pixel != 0).map(|&pixel| f64::from(pixel) * FINE).collect();
+        assert!(depths.len() == pixels.len(), "a wall seen from the front loses no point");
+        let count = depths.len() as f64;
+        let mean = depths.iter().sum::<f64>() / count;
+        let sigma = (depths.iter().map(|depth| (depth - mean).powi(2)).sum::<f64>() / count).sqrt();
+        let model = NoiseModel::KINECT_V1.sigma(z);
+        // depth is 1 / disparity: the mean moves by sigma^2 / z
+        assert!((mean - z).abs() < 0.05 * model + 1.5 * model * model / z, "mean {mean} at {z}");
+        assert!((sigma / model - 1.0).abs() < 0.03, "sigma {sigma} at {z}, expected {model}");
+    }
+}
+
+#[test]
+fn depth_comes_in_steps_of_disparity() {
+    let (_, pixels) = measure(KINECT, &[wall(3.0, 0.0)], Dice::new(5, 0));
+    let mut levels: Vec<u16> = pixels;
+    levels.sort_unstable();
+    levels.dedup();
+    assert!(levels.len() < 20, "{} levels", levels.len());
+    let step = NoiseModel::KINECT_V1.step_per_m;
+    for level in levels {
+        let disparity = 1.0 / (f64::from(level) * FINE * step);
+        assert!((disparity - disparity.round()).abs() < 0.005, "{level}: {disparity} eighths of a pixel");
+    }
+}
+
+#[test]
+fn bits_depend_on_seed_and_frame_alone() {
+    let shapes = [ball(), wall(2.0, 0.3)];
+    let frame = |seed, number| measure(KINECT, &shapes, Dice::new(seed, number)).1;
+    assert_eq!(frame(1, 4), frame(1, 4));
+    let differing = |a: &[u16], b: &[u16]| a.iter().zip(b).filter(|(a, b)| a != b).count();
+    assert!(differing(&frame(1, 4), &frame(1, 5)) > 30_000);
+    assert!(differing(&frame(1, 4), &frame(2, 4)) > 30_000);
+}
+
+#[test]
+fn points_get_lost_at_grazing_angles_only() {
+    let sensor = only(|table| table.dropout_angle_deg = 70.0);
+    let lost = |tilt_deg: f64| {
+        let (raster, pixels) = measure(sensor, &[wall(2.0, tilt_deg.to_radians())], Dice::new(3, 0));
+        // the middle row, where the ray is nearly the optical axis
+        let row = &pixels[raster.index(100, 120)..raster.index(220, 120)];
+        row.iter().filter(|&&pixel| pixel == 0).count()
+    };
+    assert_eq!(lost(0.0), 0);
+    assert_eq!(lost(65.0), 0);
+    let expected = 120.0 * (1.0 - 80.0_f64.to_radians().cos() / 70.0_f64.to_radians().cos());
+    assert!((lost(80.0) as f64 - expected).abs() < 18.0, "{} lost, expected {expected:.0}", lost(80.0));
+}
+
+#[test]
+fn only_silhouettes_are_restless() {
+    let shapes = [ball(), wall(2.0, 0.0)];
+    let (raster, pixels) = measure(only(|table| table.edge_jitter_px = 0.5), &shapes, Dice::new(3, 0));
+    let (_, exact) = measure(IDEAL, &shapes, Dice::new(3, 0));
+    let (mut changed, mut at_silhouette) = (0, 0);
+    let radius = 262.5 * 0.3 / (1.2_f64 * 1.2 - 0.09).sqrt();
+    for (u, v) in (0..240).flat_map(|v| (0..320).map(move |u| (u, v))) {
+        let index = raster.index(u, v);
+        let from_silhouette = ((u as f64 - 159.5).hypot(v as f64 - 119.5) - radius).abs();
+        at_silhouette += usize::from(from_silhouette < 0.5);
+        if pixels[index] != exact[index] {
+            changed += 1;
+            assert!(from_silhouette < 2.5, "({u}, {v}) is {from_silhouette} pixels away");
+        }
+    }
+    assert!(changed > at_silhouette / 4 && changed < at_silhouette, "{changed} of {at_silhouette} changed");
+}
+
+#[test]
+fn the_shadow_lies_on_the_left_and_range_has_limits() {
+    let shapes = [ball(), wall(2.0, 0.0)];
+    let (raster, pixels) = measure(only(|table| table.shadow_baseline_m = 0.075), &shapes, Dice::new(3, 0));
+    let dark: Vec<i64> = (0..320).filter(|&u| pixels[raster.index(u, 120)] == 0).collect();
+    let radius = 262.5 * 0.3 / (1.2_f64 * 1.2 - 0.09).sqrt();
+    let left_edge = 159.5 - radius;
+    assert!(dark.len() >= 5 && dark.iter().all(|&u| (u as f64 - left_edge).abs() < 12.0), "{dark:?}");
+    let (_, pixels) =
+        measure(only(|table| (table.min_range_m, table.max_range_m) = (1.0, 1.9)), &shapes, Dice::new(3, 0));
+    assert_eq!(pixels[raster.index(159, 120)], 0, "the ball's front is at 0.9 m");
+    assert_eq!(pixels[raster.index(10, 10)], 0, "the wall is at 2 m");
+    assert_ne!(pixels[raster.index(159 + 62, 120)], 0, "the ball's rim is at 1.02 m");
+}
+
+/// What cannot be told in 16 bits is not measured.
+#[test]
+fn depths_beyond_the_pixels_range_are_no_measurement() {
+    let (_, pixels) = measure(IDEAL, &[wall(7.0, 0.0)], Dice::new(0, 0));
+    assert!(pixels.iter().all(|&pixel| pixel == 0), "70000 units");
+}
+
+#[test]
+fn words_and_tables_are_understood() {
+    #[derive(Debug, Deserialize)]
+    struct Stage {
+        noise: SensorConfig,
+    }
+    let parse = |text: &str| toml::from_str::<Stage>(text).map(|stage| stage.noise);
+    assert_eq!(parse("noise = 'ideal'").unwrap(), IDEAL);
+    let table = SensorTable { edge_jitter_px: 0.0, ..SensorTable::KINECT_V1 };
+    assert_eq!(parse("noise = { edge_jitter_px = 0.0 }").unwrap(), SensorConfig::Table(table));
+    let error = parse("noise = { jitter = 1.0 }").unwrap_err().to_string();
+    assert!(error.contains("`edge_jitter_px`"), "{error}");
+    assert_eq!(SensorConfig::from(NoiseConfig::default()), KINECT);
+}
+
+/// The bits of one frame, as they are on every machine; a change of the model changes them and has to be told to users.
+#[test]
+fn bits_are_the_same_on_every_machine() {
+    let scene = Scene::built_in("bouncing_ball").unwrap().unwrap();
+    let mut shapes = Vec::new();
+    scene.shapes_in_camera(0.5, &mut shapes);
+    let (_, pixels) = measure(KINECT, &shapes, Dice::new(11, 15));
+    let fnv = pixels
+        .iter()
+        .flat_map(|pixel| pixel.to_le_bytes())
+        .fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3));
+    assert_eq!(fnv, 0xc07e_090c_6ca9_adb4, "{fnv:#x}");
+}

@@ -1,0 +1,115 @@
+use super::*;
+use conicflow_messages::{Kind, NoiseModel};
+
+fn small() -> SyntheticSourceConfig {
+    SyntheticSourceConfig { width: 80, height: 60, ..SyntheticSourceConfig::default() }
+}
+
+fn camera(config: &SyntheticSourceConfig) -> SyntheticCamera {
+    let scene = config.load_scene(Path::new("")).unwrap();
+    SyntheticCamera::new(scene, config.camera(), config.noise, config.depth_scale, 30.0, config.seed)
+}
+
+fn frame(camera: &mut SyntheticCamera, number: u64) -> Vec<u16> {
+    let mut pixels = vec![1; 80 * 60];
+    camera.shoot(number, &mut pixels);
+    pixels
+}
+
+#[test]
+fn a_frame_does_not_depend_on_those_before_it() {
+    let (mut steady, mut fresh) = (camera(&small()), camera(&small()));
+    let frames: Vec<_> = (0..12).map(|number| frame(&mut steady, number)).collect();
+    assert_eq!(frame(&mut fresh, 11), frames[11]);
+    assert_eq!(frame(&mut fresh, 4), frames[4]);
+    assert_ne!(frames[4], frames[11]);
+}
+
+#[test]
+fn the_header_tells_camera_noise_pose_and_simulated_time() {
+    let mut camera = camera(&small());
+    frame(&mut camera, 45);
+    let mut header = Header::default();
+    camera.describe(&mut header);
+    assert_eq!(header.check(Kind::Depth), Ok(()));
+    assert_eq!((header.stamp_ns, header.source.as_str()), (1_500_000_000, Some("bouncing_ball")));
+    assert_eq!((header.noise, header.depth_scale), (NoiseModel::KINECT_V1, 0.001));
+    let pose = header.pose().unwrap();
+    assert_eq!([pose[0][3], pose[1][3], pose[2][3]], [0.0, 0.0, 1.0]);
+    assert_eq!(header.camera.fx, 65.625);
+}
+
+#[test]
+fn intrinsics_scale_with_the_width_unless_they_are_given() {
+    let kinect = SyntheticSourceConfig::default().camera();
+    assert_eq!((kinect.fx, kinect.fy, kinect.cx, kinect.cy), (525.0, 525.0, 319.5, 239.5));
+    let large = SyntheticSourceConfig { width: 1280, height: 960, ..SyntheticSourceConfig::default() }.camera();
+    assert_eq!((large.fx, large.cx, large.cy), (1050.0, 639.5, 479.5));
+    let given = toml::from_str::<SyntheticSourceConfig>("intrinsics = { fx = 100, fy = 110, cx = 1, cy = 2 }").unwrap();
+    assert_eq!((given.camera().fx, given.camera().fy, given.camera().cx), (100.0, 110.0, 1.0));
+}
+
+/// What the default pipeline shows: ten seconds of a ball that is in the image and before everything else.
+#[test]
+fn the_default_scene_keeps_its_objects_in_view() {
+    let mut camera = camera(&small());
+    let mut heights = Vec::new();
+    for number in (0..300).step_by(3) {
+        frame(&mut camera, number);
+        for truth in camera.truth() {
+            assert!(truth.hidden < 0.25, "frame {number}: {:.2} of the {} is hidden", truth.hidden, truth.name);
+            assert!(truth.name != "ball" || truth.hidden == 0.0, "frame {number}: {:.2}", truth.hidden);
+            heights.extend((truth.name == "ball").then_some(truth.body.center[1]));
+        }
+    }
+    let span = heights.iter().fold(0.0_f64, |most, y| most.max(y - heights[0]));
+    assert!(span > 0.4, "the ball bounces: {span}");
+}
+
+#[test]
+fn what_cannot_be_used_is_told_before_the_start() {
+    let base = tempfile::tempdir().unwrap();
+    assert_eq!(SyntheticSourceConfig::default().faults(base.path()), []);
+    let config = SyntheticSourceConfig {
+        scene: Some("garden.toml".into()),
+        truth_path: Some("nowhere/truth.jsonl".into()),
+        ..SyntheticSourceConfig::default()
+    };
+    let faults = config.faults(base.path());
+    assert_eq!(faults.iter().map(|fault| fault.key).collect::<Vec<_>>(), ["scene", "truth_path"]);
+    assert!(faults[0].what.contains("garden.toml") && faults[0].hint.contains("`bouncing_ball`"), "{faults:?}");
+    std::fs::write(base.path().join("garden.toml"), "name = 'garden'\ncamera = 3\n").unwrap();
+    let faults = config.faults(base.path());
+    assert!(faults[0].what.contains("garden.toml:2:10") && faults[0].hint.contains("[[sphere]]"), "{faults:?}");
+}
+
+#[test]
+fn the_truth_file_has_one_line_per_frame_and_is_gone_on_with() {
+    let base = tempfile::tempdir().unwrap();
+    let path = base.path().join("truth.jsonl");
+    let mut camera = camera(&small());
+    let mut write = |first: u64| {
+        let mut file = TruthFile::open(path.clone(), first).unwrap();
+        for number in first..first + 3 {
+            frame(&mut camera, number);
+            file.write(number, &camera).unwrap();
+        }
+    };
+    write(0);
+    write(3);
+    let text = std::fs::read_to_string(&path).unwrap();
+    let lines: Vec<TruthLine> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(lines.iter().map(|line| line.sequence).collect::<Vec<_>>(), [0, 1, 2, 3, 4, 5]);
+    assert_eq!(lines[3].stamp_ns, 100_000_000);
+    assert_eq!(lines[3].objects.len(), 3);
+    write(0);
+    assert_eq!(std::fs::read_to_string(&path).unwrap().lines().count(), 3, "a new run starts a new file");
+}
+
+#[test]
+fn the_source_knows_its_length_and_goes_on_where_it_was() {
+    let context = Context { resume_at: 7, ..Context::default() };
+    let source = SyntheticSource::new(SyntheticSourceConfig { frames: 9, ..small() }, &context).unwrap();
+    assert_eq!((source.total(), source.next), (Some(9), 7));
+    assert_eq!(SyntheticSource::new(small(), &context).unwrap().total(), None);
+}

@@ -1,0 +1,291 @@
+//! What is really there: the spheres, cylinders and cones of a rendered scene as [`Object`]s in the camera's frame, with
+//! the part of each that can be seen, and their lines in the truth file.
+
+use super::raster::{Raster, Window, ray};
+use super::scene::Scene;
+use super::shapes::{Frustum, Shape, Surface};
+use conicflow_messages::{Camera, Object, ObjectKind};
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+/// A sphere, cylinder or cone that is really there.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Truth {
+    /// Its name in the scene.
+    pub name: String,
+    /// Its visible part, as an extractor without fault would report it: `points` counts its visible pixels, `rows` the
+    /// rows that these lie in. Where nothing of it is visible: all of it, with no points.
+    pub object: Object,
+    /// All of it: `center` and `length` are those of the whole body.
+    pub body: Object,
+    /// Share of the pixels that it would cover alone that are hidden by others or lie outside the image; 1 where it lies
+    /// behind the camera.
+    pub hidden: f64,
+    /// Velocity over ground, in the camera's axes, in m/s.
+    pub velocity: [f64; 3],
+}
+
+/// The truth of a scene at a time (seconds), as a camera of the scene's pose sees it.
+pub fn truth_at(scene: &Scene, camera: Camera, time_s: f64) -> Vec<Truth> {
+    let mut shapes = Vec::new();
+    scene.shapes_in_camera(time_s, &mut shapes);
+    let mut raster = Raster::new(camera);
+    raster.render(&shapes);
+    truth_of(scene, time_s, &raster, &shapes)
+}
+
+/// The truth of a scene that was rendered; `shapes` are the scene's bodies in the camera's frame.
+pub fn truth_of(scene: &Scene, time_s: f64, raster: &Raster, shapes: &[Shape]) -> Vec<Truth> {
+    let seen = look(raster, shapes);
+    let mut truths = Vec::new();
+    for (index, (body, shape)) in scene.bodies.iter().zip(shapes).enumerate() {
+        let Some(whole) = object(shape) else { continue };
+        let alone = raster.alone[index] + covered_outside(&raster.camera, shape);
+        let visible = f64::from(seen[index].points) / f64::from(alone.max(1));
+        truths.push(Truth {
+            name: body.name.clone(),
+            object: visible_part(whole, shape, &seen[index]),
+            body: whole,
+            hidden: 1.0 - visible,
+            velocity: velocity(scene, index, time_s),
+        });
+    }
+    truths
+}
+
+/// What is seen of a shape.
+#[derive(Clone, Copy, Debug)]
+struct Seen {
+    points: u32,
+    rows: u32,
+    last_row: i64,
+    along: Span,
+    angle: Span,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Span {
+    least: f64,
+    most: f64,
+}
+
+impl Span {
+    const EMPTY: Self = Self { least: f64::INFINITY, most: f64::NEG_INFINITY };
+
+    fn add(&mut self, value: f64) {
+        *self = Self { least: self.least.min(value), most: self.most.max(value) };
+    }
+
+    fn width(self) -> f64 {
+        (self.most - self.least).max(0.0)
+    }
+}
+
+fn look(raster: &Raster, shapes: &[Shape]) -> Vec<Seen> {
+    let nothing = Seen { points: 0, rows: 0, last_row: -1, along: Span::EMPTY, angle: Span::EMPTY };
+    let mut seen = vec![nothing; shapes.len()];
+    for v in 0..i64::from(raster.camera.height) {
+        for u in 0..i64::from(raster.camera.width) {
+            let owner = usize::from(raster.owner[raster.index(u, v)]);
+            let Some(shape) = shapes.get(owner) else { continue };
+            if matches!(shape, Shape::Sphere(_) | Shape::Frustum(_)) {
+                seen[owner].add(shape, v, &raster.point(u, v));
+            }
+        }
+    }
+    seen
+}
+
+impl Seen {
+    fn add(&mut self, shape: &Shape, row: i64, point: &Vector3<f64>) {
+        self.points += 1;
+        self.rows += u32::from(row != self.last_row);
+        self.last_row = row;
+        match shape {
+            Shape::Sphere(sphere) => self.angle.add(angle_about(&sphere.center, &across(&sphere.center), point)),
+            Shape::Frustum(frustum) if !frustum.is_cap(point) => {
+                self.along.add(frustum.along(point));
+                self.angle.add(angle_about(&frustum.base, &frustum.axis, point));
+            }
+            _ => {}
+        }
+    }
+}
+
+/// Angle of a point about an axis, from the direction to the camera.
+fn angle_about(center: &Vector3<f64>, axis: &Vector3<f64>, point: &Vector3<f64>) -> f64 {
+    let to_camera = axis * center.dot(axis) - center;
+    let outwards = point - center;
+    axis.cross(&to_camera).dot(&outwards).atan2(to_camera.dot(&outwards))
+}
+
+/// The direction across the line of sight to a point that is nearest to the image's vertical.
+fn across(center: &Vector3<f64>) -> Vector3<f64> {
+    center.cross(&Vector3::x()).try_normalize(1e-9).unwrap_or_else(Vector3::y)
+}
+
+/// The whole of a shape as an object; `None` for boxes and planes.
+fn object(shape: &Shape) -> Option<Object> {
+    match shape {
+        Shape::Sphere(sphere) => Some(Object {
+            kind: ObjectKind::Sphere.code(),
+            center: sphere.center.into(),
+            radius: sphere.radius,
+            ..Object::default()
+        }),
+        Shape::Frustum(frustum) => Some(part_of(frustum, 0.0, frustum.length)),
+        Shape::Block(_) | Shape::Plane(_) => None,
+    }
+}
+
+/// A frustum between two distances from its first end; one of equal radii is a cylinder.
+fn part_of(frustum: &Frustum, from: f64, to: f64) -> Object {
+    let middle = 0.5 * (from + to);
+    let whole = Object {
+        kind: ObjectKind::Cylinder.code(),
+        center: (frustum.base + frustum.axis * middle).into(),
+        axis: frustum.axis.into(),
+        radius: frustum.radius_at(middle),
+        length: to - from,
+        ..Object::default()
+    };
+    let slope = frustum.slope();
+    if slope == 0.0 {
+        return whole;
+    }
+    let ends = [frustum.radius_at(from), frustum.radius_at(to)];
+    Object {
+        kind: ObjectKind::Cone.code(),
+        axis: (frustum.axis * slope.signum()).into(),
+        half_angle: slope.abs().atan(),
+        base_radius: ends[0].max(ends[1]),
+        top_radius: ends[0].min(ends[1]),
+        apex: (frustum.base - frustum.axis * (frustum.base_radius / slope)).into(),
+        ..whole
+    }
+}
+
+fn visible_part(whole: Object, shape: &Shape, seen: &Seen) -> Object {
+    let part = match shape {
+        Shape::Frustum(frustum) if seen.along.width() > 0.0 => part_of(frustum, seen.along.least, seen.along.most),
+        _ => whole,
+    };
+    Object { points: seen.points, rows: seen.rows, arc: seen.angle.width(), ..part }
+}
+
+/// How many pixels a shape would cover beside the image, up to one image's size away.
+fn covered_outside(camera: &Camera, shape: &Shape) -> u32 {
+    let Some(window) = Window::of_bounds(camera, shape.bounds()) else { return 0 };
+    let image = Window::image(camera, 0);
+    let Some(around) = window.and(Window::image(camera, 1)) else { return 0 };
+    if around.and(image) == Some(around) {
+        return 0;
+    }
+    let inside = |u: i64, v: i64| (image.u[0]..image.u[1]).contains(&u) && (image.v[0]..image.v[1]).contains(&v);
+    let row = |v: i64| {
+        (around.u[0]..around.u[1])
+            .filter(|&u| !inside(u, v) && shape.hit(&Vector3::zeros(), &ray(camera, u, v)).is_finite())
+            .count() as u32
+    };
+    (around.v[0]..around.v[1]).map(row).sum()
+}
+
+/// Central difference over a millisecond.
+fn velocity(scene: &Scene, index: usize, time_s: f64) -> [f64; 3] {
+    const HALF_STEP_S: f64 = 0.0005;
+    let body = &scene.bodies[index];
+    let place = |time_s: f64| scene.shape(body, time_s).anchor();
+    let over_ground = (place(time_s + HALF_STEP_S) - place(time_s - HALF_STEP_S)) / (2.0 * HALF_STEP_S);
+    scene.world_from_camera(time_s).rotation.tr_mul(&over_ground).into()
+}
+
+/// One line of the truth file: the objects of one frame, camera frame, metres, radians, seconds.
+#[derive(Clone, Debug, Deserialize, Serialize)]
+pub struct TruthLine {
+    /// Number of the frame.
+    pub sequence: u64,
+    /// Name of the scene.
+    pub source: String,
+    /// Simulated time in nanoseconds.
+    pub stamp_ns: u64,
+    /// All spheres, cylinders and cones of the scene, also those that are not in the image (`points` is 0 then).
+    pub objects: Vec<TruthObject>,
+}
+
+/// A true object as it stands in the truth file: the fields of a detected one, and what only the scene knows.
+#[derive(Clone, Debug, Deserialize, Serialize)]
+pub struct TruthObject {
+    /// Its name in the scene.
+    pub name: String,
+    /// `sphere`, `cylinder` or `cone`.
+    pub kind: String,
+    /// Apex of a cone.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub apex: Option<[f64; 3]>,
+    /// Centre of a sphere; of a cylinder or cone the middle of its visible part, on the axis.
+    pub center: [f64; 3],
+    /// Unit vector along the axis, of a cone from the apex to the base.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub axis: Option<[f64; 3]>,
+    /// Radius of a sphere or cylinder.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub radius: Option<f64>,
+    /// Half-angle of a cone.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub half_angle: Option<f64>,
+    /// Radius of a cone at the wide end of its visible part.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub base_radius: Option<f64>,
+    /// Radius of a cone at the narrow end of its visible part.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub top_radius: Option<f64>,
+    /// Length of the visible part along the axis.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub length: Option<f64>,
+    /// Number of visible pixels.
+    pub points: u32,
+    /// Number of rows with visible pixels.
+    pub rows: u32,
+    /// Visible part of the circumference; of a sphere about the direction across the line of sight.
+    pub arc: f64,
+    /// Share of the pixels that it would cover alone that are hidden or outside the image.
+    pub hidden: f64,
+    /// Velocity over ground, in the camera's axes.
+    pub velocity: [f64; 3],
+    /// Centre of the whole body.
+    pub body_center: [f64; 3],
+    /// Length of the whole body; 0 of a sphere.
+    pub body_length: f64,
+}
+
+impl From<&Truth> for TruthObject {
+    fn from(truth: &Truth) -> Self {
+        let object = &truth.object;
+        let shape = object.shape();
+        let is_cone = shape == ObjectKind::Cone;
+        let of_cone = |number: f64| is_cone.then_some(number);
+        Self {
+            name: truth.name.clone(),
+            kind: shape.name().into(),
+            apex: is_cone.then_some(object.apex),
+            center: object.center,
+            axis: (shape != ObjectKind::Sphere).then_some(object.axis),
+            radius: (!is_cone).then_some(object.radius),
+            half_angle: of_cone(object.half_angle),
+            base_radius: of_cone(object.base_radius),
+            top_radius: of_cone(object.top_radius),
+            length: (shape != ObjectKind::Sphere).then_some(object.length),
+            points: object.points,
+            rows: object.rows,
+            arc: object.arc,
+            hidden: truth.hidden,
+            velocity: truth.velocity,
+            body_center: truth.body.center,
+            body_length: truth.body.length,
+        }
+    }
+}
+
+#[cfg(test)]
+#[path = "truth_tests.rs"]
+mod tests;
