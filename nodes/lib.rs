@@ -1,4 +1,4 @@
-//! The stages of conicflow, one file each, in the order in which a frame meets them.
+//! The stages of conicflow, one file each, in the order in which a frame meets them; their table; and the command line.
 
 pub mod noise_config;
 
@@ -15,3 +15,31 @@ pub mod kalman_tracker;
 pub mod console_sink;
 pub mod json_sink;
 pub mod picture_sink;
+
+pub mod command_line;
+mod node_help;
+
+use conicflow_dataflow::{Node, Variant};
+use conicflow_messages::{Ellipse, Object, Track};
+use console_sink::ConsoleSink;
+use image_source::ImageSource;
+use json_sink::JsonSink;
+use kalman_tracker::KalmanTracker;
+use row_ellipse_extractor::RowEllipseExtractor;
+
+/// The nodes that a pipeline file may name: one row makes one available.
+pub const NODES: &[Node] = &[
+    Node::source::<ImageSource>(),
+    Node::stage::<RowEllipseExtractor>(),
+    Node::stage::<KalmanTracker>(),
+    Node::stages::<ConsoleSink<Track>>(&[
+        Variant::stage::<ConsoleSink<Track>>(),
+        Variant::stage::<ConsoleSink<Object>>(),
+        Variant::stage::<ConsoleSink<Ellipse>>(),
+    ]),
+    Node::stages::<JsonSink<Track>>(&[
+        Variant::stage::<JsonSink<Track>>(),
+        Variant::stage::<JsonSink<Object>>(),
+        Variant::stage::<JsonSink<Ellipse>>(),
+    ]),
+];

@@ -1,1 +1,7 @@
-fn main(){}
+//! The program `conicflow`; all of it is in [`conicflow_nodes`].
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    conicflow_nodes::command_line::main()
+}

@@ -78,7 +78,7 @@ impl<T: Item, W: Writer<T>> Outlet<T, W> {
         status.sent = self.number;
         self.counts.iter().for_each(|(name, count)| status.count(name, *count));
         self.counts.clear();
-        self.list.iter().filter_map(Item::label).for_each(|label| status.count(label, 1));
+        self.list.iter().filter_map(Item::label).for_each(|label| status.count_found(label));
     }
 
     /// Tells all readers that nothing more will come, and stays until they have taken all.

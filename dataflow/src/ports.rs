@@ -3,11 +3,13 @@
 //! [`crate::shared_memory`] is the transport between processes, [`crate::in_memory`] its twin for tests.
 
 use conicflow_messages::{Header, Item};
+use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::time::Duration;
 
 /// Which messages an input sees.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Delivery {
     /// The newest; what it overwrites is counted.
     Latest,
@@ -16,7 +18,7 @@ pub enum Delivery {
 }
 
 /// One end of a topic, as the pipeline file describes it: what both sides have to agree on.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Topic {
     /// Its name in the pipeline file.
     pub name: String,
@@ -27,7 +29,7 @@ pub struct Topic {
 }
 
 /// A stage that reads a topic.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TopicReader {
     /// Name of the stage.
     pub stage: String,

@@ -4,7 +4,8 @@
 
 use crate::outlet::Outlet;
 use crate::peers::Peers;
-use crate::ports::{PortError, Topic, Transport};
+use crate::plan::Wiring;
+use crate::ports::{PortError, Transport};
 use crate::side_ports::{self, SidePort};
 use crate::sides::Side;
 use crate::stage::{Context, StageError};
@@ -13,22 +14,9 @@ use conicflow_messages::{Item, Kind};
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-/// How a stage is joined to the others.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Wiring {
-    /// The topic that drives it, if it is no source.
-    pub(crate) input: Option<Topic>,
-    /// Its further inputs, by their names.
-    pub(crate) sides: Vec<(String, Topic)>,
-    /// The topic that it writes.
-    pub(crate) output: Option<Topic>,
-    /// A source ends after so many messages.
-    pub(crate) frames: Option<u64>,
-}
-
 /// All that a stage runs with, but itself.
-pub(crate) struct Surroundings<'a, T> {
-    pub(crate) transport: &'a T,
+pub(crate) struct Surroundings<T> {
+    pub(crate) transport: T,
     pub(crate) wiring: Wiring,
     pub(crate) context: Context,
     pub(crate) peers: Peers,
@@ -54,7 +42,7 @@ pub enum RunError {
     Port(#[from] PortError),
 }
 
-impl<T: Transport + 'static> Surroundings<'_, T> {
+impl<T: Transport + 'static> Surroundings<T> {
     pub(crate) fn outlet<O: Item>(&mut self) -> Result<Outlet<O, T::Writer<O>>, PortError> {
         let wired = self.wiring.output.take().filter(|_| O::KIND != Kind::Nothing);
         let port = wired.map(|topic| Ok::<_, PortError>((self.transport.writer::<O>(&topic)?, topic))).transpose()?;
@@ -66,7 +54,7 @@ impl<T: Transport + 'static> Surroundings<'_, T> {
         let mut ports = Vec::new();
         for side in declared {
             if let Some((_, topic)) = self.wiring.sides.iter().find(|(name, _)| name == side.name) {
-                ports.extend(side_ports::open(self.transport, *side, topic, &self.context.stage)?);
+                ports.extend(side_ports::open(&self.transport, *side, topic, &self.context.stage)?);
             }
         }
         Ok(ports)

@@ -23,7 +23,7 @@ struct SourceLoop<S: Source, T: Transport> {
 /// Runs the source `S` to its end.
 pub(crate) fn run_source<S: Source, T: Transport + 'static>(
     config: S::Config,
-    mut around: Surroundings<'_, T>,
+    mut around: Surroundings<T>,
 ) -> Result<(), RunError> {
     around.context.resume_at = around.record.status.sent;
     let source = S::new(config, &around.context).map_err(RunError::Refused)?;
@@ -32,7 +32,8 @@ pub(crate) fn run_source<S: Source, T: Transport + 'static>(
     let frames = around.wiring.frames;
     let (sides, outlet) = (around.sides(S::sides())?, around.outlet()?);
     let mut pace = Pace::new(source.rate_hz(), stop.clone());
-    let mut running = SourceLoop::<S, T> { source, sides, outlet, record: around.record, stop, epoch: new_epoch(), sequence };
+    let mut running =
+        SourceLoop::<S, T> { source, sides, outlet, record: around.record, stop, epoch: new_epoch(), sequence };
     while frames.is_none_or(|frames| running.sequence < frames) {
         pace.wait();
         if running.stop.requested() || !running.make_one()? {

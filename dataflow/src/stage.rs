@@ -245,10 +245,6 @@ impl<'a, T: Item> Output<'a, T> {
     pub(crate) fn is_image(&self) -> bool {
         self.image
     }
-
-    pub(crate) fn list(&self) -> &[T] {
-        self.list
-    }
 }
 
 /// Keeps a source to a rate: a frame is due at fixed times, however long the making of one takes.

@@ -31,7 +31,7 @@ struct StageLoop<S: Stage, T: Transport> {
 /// Runs the stage `S` until its input ends.
 pub(crate) fn run_stage<S: Stage, T: Transport + 'static>(
     config: S::Config,
-    mut around: Surroundings<'_, T>,
+    mut around: Surroundings<T>,
 ) -> Result<(), RunError> {
     around.context.resume_at = around.record.status.steps;
     let topic = around.wiring.input.take().ok_or_else(|| RunError::Refused("a stage needs an `input`".into()))?;

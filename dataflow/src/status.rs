@@ -13,6 +13,8 @@ use std::time::Duration;
 
 /// Inputs that a record has room for; further ones are not counted.
 pub const MAX_INPUTS: usize = 6;
+/// Kinds of items that a record has room for; further ones are not counted.
+pub const MAX_LABELS: usize = 8;
 /// Named counters that a record has room for; further ones are not counted.
 pub const MAX_COUNTERS: usize = 40;
 
@@ -132,7 +134,9 @@ pub struct Status {
     pub starts: u64,
     /// Counts per input, the driving one first.
     pub inputs: [InputCounts; MAX_INPUTS],
-    /// Items sent, by what they are called; and what the stage counts itself.
+    /// Items sent, by what they are called.
+    pub found: [Counter; MAX_LABELS],
+    /// What the stage counts itself.
     pub counters: [Counter; MAX_COUNTERS],
     /// Time that steps took.
     pub compute: Durations,
@@ -161,18 +165,12 @@ impl Status {
 
     /// Adds to a named counter.
     pub fn count(&mut self, name: &str, times: u64) {
-        let text = Text::new(name);
-        let slot = self.counters.iter_mut().find(|slot| slot.name == text || slot.name == Text::default());
-        if let Some(slot) = slot {
-            slot.name = text;
-            slot.count += times;
-        }
+        add(&mut self.counters, name, times);
     }
 
-    /// The named counters that are in use.
-    pub fn named_counters(&self) -> impl Iterator<Item = (&str, u64)> {
-        let used = self.counters.iter().filter(|counter| counter.name != Text::default());
-        used.map(|counter| (counter.name.as_str().unwrap_or("?"), counter.count))
+    /// Counts an item that was sent, by what it is called.
+    pub fn count_found(&mut self, label: &str) {
+        add(&mut self.found, label, 1);
     }
 
     /// The inputs that are in use.
@@ -188,6 +186,21 @@ impl Status {
     }
 }
 
+fn add(counters: &mut [Counter], name: &str, times: u64) {
+    let text = Text::new(name);
+    let slot = counters.iter_mut().find(|slot| slot.name == text || slot.name == Text::default());
+    if let Some(slot) = slot {
+        slot.name = text;
+        slot.count += times;
+    }
+}
+
+/// The counters that are in use.
+pub fn used(counters: &[Counter]) -> impl Iterator<Item = (&str, u64)> {
+    let used = counters.iter().filter(|counter| counter.name != Text::default());
+    used.map(|counter| (counter.name.as_str().unwrap_or("?"), counter.count))
+}
+
 /// A record and the file that it is kept in.
 #[derive(Debug)]
 pub struct StatusFile {
@@ -198,7 +211,8 @@ pub struct StatusFile {
 
 impl StatusFile {
     /// A record that is kept nowhere.
-    pub fn nowhere() -> Self {
+    #[cfg(test)]
+    pub(crate) fn nowhere() -> Self {
         Self { status: Box::default(), file: None }
     }
 
@@ -255,7 +269,7 @@ mod tests {
         first.write();
         let second = StatusFile::open(&path, 7).unwrap();
         assert_eq!(second.status.sent, 12);
-        assert_eq!(second.status.named_counters().collect::<Vec<_>>(), [("sphere", 3)]);
+        assert_eq!(used(&second.status.counters).collect::<Vec<_>>(), [("sphere", 3)]);
         assert_eq!(StatusFile::open(&path, 8).unwrap().status.sent, 0);
     }
 

@@ -1,1 +1,40 @@
-//! Pure mathematics.
+//! The mathematics of conicflow: scan planes, moments, conic, circle and line fits, profiles, solids.
+//!
+//! No input or output, double precision, SI units, angles in radians. "The paper" is Georgiev, Al-Hami, Lakaemper,
+//! "Real-time 3D scene description using Spheres, Cones and Cylinders" (2013).
+//!
+//! | the paper | here |
+//! |---|---|
+//! | scan row `s`, 1.5-D subspace | [`ScanPlane`], coordinates `(s, t)` |
+//! | `S_{x^p y^q}`, `addPoint`, `removeLastPoint` | [`PlaneMoments`], [`PlaneMoments::add`], [`PlaneMoments::remove`] |
+//! | `S1`, `S2`, `S3`, `fitModel` | [`fit_ellipse`] (the paper's 6x6 `S` is misprinted; we follow Halir & Flusser) |
+//! | `calculateError` | [`Conic::rms`] |
+//! | ellipse `E = (c, r1, r2)` | [`Ellipse`]: `center`, `half_extents[0]`, `half_extents[1]` |
+//! | incremental line through centres (collinear) | [`LineMoments`], [`Line`] |
+//! | centres of a sphere's sections (concyclic) | [`Regression`] of `t k` over the row's slope, see [`ScanPlane::slope`] |
+//! | `f_cylinder(z) = r`, `f_cone(z) = alpha z` | [`fit_line_profile`]; `z` of a cone counts from its apex |
+//! | `f_circle(z) = sqrt(r^2 - (z - z_i)^2)` | [`fit_circle_profile`] |
+//! | fitted 3-D model | [`Sphere`], [`Cylinder`], [`Cone`] |
+
+mod camera;
+mod circle;
+mod ellipse;
+mod line;
+mod moments;
+mod profile;
+mod regression;
+mod section;
+mod solid;
+
+pub use camera::{Pinhole, Scan, ScanPlane};
+pub use circle::{Circle, fit_circle};
+pub use ellipse::{Conic, Ellipse, fit_ellipse};
+pub use line::{Line, LineMoments, PlaneLine, fit_plane_line};
+pub use moments::{MOMENTS, PlaneMoments};
+pub use profile::{CircleProfile, fit_circle_profile, fit_line_profile};
+pub use regression::{Fit, Regression};
+pub use section::{SectionShape, cone_half_angle, cone_lean};
+pub use solid::{Cone, Cylinder, Quadric, Sphere};
+
+/// Points, directions and offsets in the camera frame, in metres.
+pub type Vector3 = nalgebra::Vector3<f64>;

@@ -1,0 +1,122 @@
+//! The table of nodes: what the pipeline file may name, and how each is checked and run.
+
+use crate::runner::{RunError, Surroundings};
+use crate::shared_memory::SharedMemory;
+use crate::sides::Side;
+use crate::source_loop::run_source;
+use crate::stage::{Config, ConfigFault, Source, Stage};
+use crate::stage_loop::run_stage;
+use conicflow_messages::{Item, Kind};
+use serde_json::Value as Json;
+use std::path::Path;
+
+/// One row of the table: a node that stages of a pipeline file can be.
+#[derive(Clone, Copy)]
+pub struct Node {
+    /// Its name in the pipeline file.
+    pub name: &'static str,
+    /// What it does, in one sentence.
+    pub summary: &'static str,
+    /// What it can be driven by and makes of it; the first is what its documentation shows.
+    pub variants: &'static [Variant],
+    pub(crate) sides: fn() -> &'static [Side],
+    pub(crate) schema: fn() -> Json,
+    pub(crate) check: fn(Json, &Path) -> Result<Vec<ConfigFault>, serde_json::Error>,
+}
+
+/// A node for one kind of input.
+#[derive(Clone, Copy)]
+pub struct Variant {
+    /// What drives it; [`Kind::Nothing`] for a source.
+    pub input: Kind,
+    /// What it makes; [`Kind::Nothing`] for a sink.
+    pub output: Kind,
+    pub(crate) run: fn(Json, Surroundings<SharedMemory>) -> Result<(), RunError>,
+}
+
+impl Node {
+    /// The row of a source.
+    pub const fn source<S: Source>() -> Self {
+        Self {
+            name: S::NAME,
+            summary: S::SUMMARY,
+            variants: const { &[Variant::source::<S>()] },
+            sides: S::sides,
+            schema: schema::<S::Config>,
+            check: check::<S::Config>,
+        }
+    }
+
+    /// The row of a stage or sink that takes one kind of input.
+    pub const fn stage<S: Stage>() -> Self {
+        Self::stages::<S>(const { &[Variant::stage::<S>()] })
+    }
+
+    /// The row of a stage or sink that takes several kinds of input, one variant for each; `S` is the first of them.
+    pub const fn stages<S: Stage>(variants: &'static [Variant]) -> Self {
+        Self {
+            name: S::NAME,
+            summary: S::SUMMARY,
+            variants,
+            sides: S::sides,
+            schema: schema::<S::Config>,
+            check: check::<S::Config>,
+        }
+    }
+
+    /// What may drive it.
+    pub fn inputs(&self) -> impl Iterator<Item = Kind> {
+        self.variants.iter().map(|variant| variant.input).filter(|kind| *kind != Kind::Nothing)
+    }
+
+    /// What it makes, the same whatever drives it.
+    pub fn output(&self) -> Kind {
+        self.variants.first().map_or(Kind::Nothing, |variant| variant.output)
+    }
+
+    /// Whether nothing drives it.
+    pub fn is_source(&self) -> bool {
+        self.inputs().next().is_none()
+    }
+
+    /// Its further inputs.
+    pub fn sides(&self) -> &'static [Side] {
+        (self.sides)()
+    }
+
+    /// Its parameters as a JSON schema: names, types, ranges, defaults and descriptions.
+    pub fn schema(&self) -> Json {
+        (self.schema)()
+    }
+}
+
+impl Variant {
+    const fn source<S: Source>() -> Self {
+        Self { input: Kind::Nothing, output: S::Output::KIND, run: start_source::<S> }
+    }
+
+    /// A stage for its kind of input.
+    pub const fn stage<S: Stage>() -> Self {
+        Self { input: S::Input::KIND, output: S::Output::KIND, run: start_stage::<S> }
+    }
+}
+
+fn schema<C: Config>() -> Json {
+    schemars::SchemaGenerator::default().into_root_schema_for::<C>().to_value()
+}
+
+fn check<C: Config>(parameters: Json, base: &Path) -> Result<Vec<ConfigFault>, serde_json::Error> {
+    Ok(serde_json::from_value::<C>(parameters)?.faults(base))
+}
+
+fn start_source<S: Source>(parameters: Json, around: Surroundings<SharedMemory>) -> Result<(), RunError> {
+    run_source::<S, _>(configuration(parameters)?, around)
+}
+
+fn start_stage<S: Stage>(parameters: Json, around: Surroundings<SharedMemory>) -> Result<(), RunError> {
+    run_stage::<S, _>(configuration(parameters)?, around)
+}
+
+fn configuration<C: Config>(parameters: Json) -> Result<C, RunError> {
+    serde_json::from_value(parameters).map_err(|error| RunError::Refused(error.into()))
+}

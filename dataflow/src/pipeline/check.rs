@@ -1,0 +1,174 @@
+//! The stages of a pipeline checked against each other: topics, kinds of message, cycles, machines.
+
+use super::diagnostic::{Diagnostic, suggestion};
+use super::{Input, Pipeline, Program, StageSpec};
+use crate::node::Node;
+use crate::ports::Delivery;
+use crate::sides::Pick;
+use conicflow_messages::Kind;
+
+/// Checks how the stages are joined.
+pub(super) fn connections(pipeline: &Pipeline, faults: &mut Vec<Diagnostic>) {
+    for stage in &pipeline.stages {
+        ends(stage, faults);
+        inputs(pipeline, stage, faults);
+        output(pipeline, stage, faults);
+        machine(pipeline, stage, faults);
+    }
+    cycles(pipeline, faults);
+}
+
+/// Whether a stage has the input and the output that its node needs, and no other.
+fn ends(stage: &StageSpec, faults: &mut Vec<Diagnostic>) {
+    let Program::Node(node) = &stage.program else { return };
+    let name = &stage.name;
+    if node.is_source()
+        && let Some(input) = &stage.input
+    {
+        let what = format!("stage `{name}` has an `input`, but `{}` is a source", node.name);
+        faults.push(Diagnostic::error(&input.place, what, "remove the line"));
+    }
+    if !node.is_source() && stage.input.is_none() {
+        let hint = format!("add `input = \"..\"`, a topic that carries {}", kinds(node));
+        faults.push(Diagnostic::error(&stage.place, format!("stage `{name}` has no `input`"), hint));
+    }
+    let makes = node.output();
+    match &stage.output_place {
+        Some(place) if makes == Kind::Nothing => {
+            let what = format!("stage `{name}` has an `output`, but `{}` is a sink", node.name);
+            faults.push(Diagnostic::error(place, what, "remove the line"));
+        }
+        None if makes != Kind::Nothing => {
+            let hint = format!("add `output = \"{makes}\"`, the topic that it writes");
+            faults.push(Diagnostic::error(&stage.place, format!("stage `{name}` has no `output`"), hint));
+        }
+        _ => {}
+    }
+}
+
+fn kinds(node: &Node) -> String {
+    let names: Vec<_> = node.inputs().map(Kind::name).collect();
+    names.join(" or ")
+}
+
+fn inputs(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>) {
+    for input in stage.all_inputs() {
+        if !pipeline.topics().contains(&input.topic.as_str()) {
+            let hint = suggestion(&input.topic, pipeline.topics(), "topics that are written");
+            let what = format!("nobody writes the topic `{}`", input.topic);
+            faults.push(Diagnostic::error(&input.place, what, hint));
+        }
+    }
+    let Program::Node(node) = &stage.program else { return };
+    if let Some(input) = &stage.input {
+        let accepted: Vec<Kind> = node.inputs().collect();
+        fits(pipeline, node, input, &accepted, faults);
+    }
+    for (name, input) in &stage.inputs {
+        if let Some(side) = node.sides().iter().find(|side| side.name == name) {
+            fits(pipeline, node, input, &[side.kind], faults);
+        }
+    }
+}
+
+fn fits(pipeline: &Pipeline, node: &Node, input: &Input, accepted: &[Kind], faults: &mut Vec<Diagnostic>) {
+    let Some(kind) = pipeline.kind_of(&input.topic) else { return };
+    if accepted.is_empty() || kind == Kind::Nothing || accepted.contains(&kind) {
+        return;
+    }
+    let names: Vec<_> = accepted.iter().map(|kind| kind.name()).collect();
+    let what = format!("the topic `{}` carries {kind}, `{}` takes {} here", input.topic, node.name, names.join(" or "));
+    let fitting: Vec<_> = pipeline
+        .topics()
+        .into_iter()
+        .filter(|topic| pipeline.kind_of(topic).is_some_and(|kind| accepted.contains(&kind)))
+        .map(|topic| format!("`{topic}`"))
+        .collect();
+    let hint = if fitting.is_empty() {
+        "no stage writes such a topic".to_owned()
+    } else {
+        format!("topics that carry it: {}", fitting.join(", "))
+    };
+    faults.push(Diagnostic::error(&input.place, what, hint));
+}
+
+fn output(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>) {
+    let (Some(topic), Some(place)) = (&stage.output, &stage.output_place) else { return };
+    if let (Some(kind), Some(first)) = (stage.output_kind(), pipeline.kind_of(topic)) {
+        if kind != first && kind != Kind::Nothing {
+            let what =
+                format!("the topic `{topic}` carries {first}, stage `{}` would write {kind} into it", stage.name);
+            faults.push(Diagnostic::error(place, what, "give it a topic of its own"));
+        }
+    }
+    if stage.output_kind() != Some(Kind::Nothing) && pipeline.topic(topic).readers.is_empty() {
+        let hint = "add a stage with this `input`, or leave it for tools that look on";
+        faults.push(Diagnostic::warning(place, format!("nobody reads the topic `{topic}`"), hint));
+    }
+}
+
+fn machine(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>) {
+    let names = || pipeline.machines.keys().map(String::as_str).collect::<Vec<_>>();
+    match &stage.machine {
+        Some(machine) if !pipeline.machines.contains_key(machine) => {
+            let hint = match names().is_empty() {
+                true => format!("add a table [machine.{machine}], or remove the line"),
+                false => suggestion(machine, names(), "machines"),
+            };
+            let what = format!("stage `{}` is on machine `{machine}`, which is not in the file", stage.name);
+            faults.push(Diagnostic::error(&stage.place, what, hint));
+        }
+        None if !pipeline.machines.is_empty() => {
+            let what = format!("stage `{}` does not say on which machine it runs", stage.name);
+            let hint = format!("add `machine = \"{}\"`", names()[0]);
+            faults.push(Diagnostic::error(&stage.place, what, hint));
+        }
+        _ => {}
+    }
+}
+
+/// Cycles in which each stage would wait for the next: only an input that is read as latest value may close one.
+fn cycles(pipeline: &Pipeline, faults: &mut Vec<Diagnostic>) {
+    let mut done = vec![false; pipeline.stages.len()];
+    for start in 0..pipeline.stages.len() {
+        let mut path = vec![start];
+        if let Some(cycle) = find_cycle(pipeline, &mut path, &mut done) {
+            let names: Vec<_> = cycle.iter().map(|&index| format!("`{}`", pipeline.stages[index].name)).collect();
+            let stage = &pipeline.stages[cycle[0]];
+            let place = stage.input.as_ref().map_or(&stage.place, |input| &input.place);
+            let what = format!("the stages {} wait for each other in a circle", names.join(" -> "));
+            let hint = "one of them has to read its input as latest value: a further input under `inputs`";
+            faults.push(Diagnostic::error(place, what, hint));
+        }
+    }
+}
+
+/// Follows the inputs that a stage waits for; a cycle is returned in the direction of the data.
+fn find_cycle(pipeline: &Pipeline, path: &mut Vec<usize>, done: &mut [bool]) -> Option<Vec<usize>> {
+    let current = *path.last()?;
+    if done[current] {
+        return None;
+    }
+    for writer in waits_for(pipeline, &pipeline.stages[current]) {
+        if let Some(start) = path.iter().position(|&index| index == writer) {
+            path.iter().for_each(|&index| done[index] = true);
+            return Some(path[start..].iter().rev().copied().collect());
+        }
+        path.push(writer);
+        if let Some(cycle) = find_cycle(pipeline, path, done) {
+            return Some(cycle);
+        }
+        path.pop();
+    }
+    done[current] = true;
+    None
+}
+
+fn waits_for(pipeline: &Pipeline, stage: &StageSpec) -> Vec<usize> {
+    let sides = if let Program::Node(node) = &stage.program { node.sides() } else { &[] };
+    let latest = |name: &str| sides.iter().all(|side| side.name != name || side.pick == Pick::Latest);
+    let awaited = stage.inputs.iter().filter(|(name, input)| !latest(name) || input.delivery == Delivery::Lossless);
+    let topics: Vec<_> = stage.input.iter().chain(awaited.map(|(_, input)| input)).map(|input| &input.topic).collect();
+    let writes = |stage: &StageSpec| stage.output.as_ref().is_some_and(|output| topics.contains(&output));
+    (0..pipeline.stages.len()).filter(|&index| writes(&pipeline.stages[index])).collect()
+}

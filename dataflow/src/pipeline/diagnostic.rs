@@ -1,0 +1,126 @@
+//! What is wrong with a pipeline file: where, what, and what to do about it.
+
+use std::fmt::{self, Display};
+use std::ops::Range;
+use std::sync::Arc;
+
+/// A text that a pipeline comes from: the file, or one `--set`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SourceText {
+    /// Its name in messages.
+    pub name: String,
+    /// The text itself.
+    pub text: String,
+}
+
+/// A piece of a [`SourceText`].
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Place {
+    pub(crate) source: Arc<SourceText>,
+    pub(crate) span: Range<usize>,
+}
+
+impl Place {
+    /// Line and column, both from 1, and the line itself.
+    fn position(&self) -> (usize, usize, &str) {
+        let text = &self.source.text;
+        let start = text.floor_char_boundary(self.span.start.min(text.len()));
+        let line_start = text[..start].rfind('\n').map_or(0, |newline| newline + 1);
+        let line = text[line_start..].lines().next().unwrap_or("");
+        let number = text[..start].matches('\n').count() + 1;
+        (number, text[line_start..start].chars().count() + 1, line)
+    }
+}
+
+/// How bad it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Severity {
+    /// Nothing starts from this file.
+    Error,
+    /// It works, but perhaps not as it was meant.
+    Warning,
+}
+
+/// One thing that is wrong.
+#[derive(Clone, Debug)]
+pub struct Diagnostic {
+    /// How bad it is.
+    pub severity: Severity,
+    pub(crate) place: Place,
+    pub(crate) what: String,
+    pub(crate) hint: String,
+}
+
+impl Diagnostic {
+    pub(crate) fn error(place: &Place, what: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self { severity: Severity::Error, place: place.clone(), what: what.into(), hint: hint.into() }
+    }
+
+    pub(crate) fn warning(place: &Place, what: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self { severity: Severity::Warning, ..Self::error(place, what, hint) }
+    }
+
+    /// Where it stands in its text, to put several in order.
+    pub(crate) fn offset(&self) -> usize {
+        self.place.span.start
+    }
+}
+
+impl Display for Diagnostic {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (line, column, text) = self.place.position();
+        let severity = if self.severity == Severity::Error { "error" } else { "warning" };
+        let length = self.place.source.text.get(self.place.span.clone()).map_or(1, |piece| {
+            let first_line = piece.lines().next().unwrap_or("");
+            first_line.chars().count().max(1)
+        });
+        writeln!(f, "{severity}: {}:{line}:{column}: {}", self.place.source.name, self.what)?;
+        writeln!(f, "{line:>5} | {text}")?;
+        write!(f, "      | {:>column$}{}", "^", "^".repeat(length - 1))?;
+        if self.hint.is_empty() { Ok(()) } else { write!(f, "\n  hint: {}", self.hint) }
+    }
+}
+
+/// All that is wrong with a pipeline file, in the order of its lines.
+#[derive(Clone, Debug, Default)]
+pub struct Report(pub Vec<Diagnostic>);
+
+impl Report {
+    /// Whether nothing may start from this file.
+    pub fn has_errors(&self) -> bool {
+        self.0.iter().any(|diagnostic| diagnostic.severity == Severity::Error)
+    }
+}
+
+impl Display for Report {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (index, diagnostic) in self.0.iter().enumerate() {
+            write!(f, "{}{diagnostic}", if index == 0 { "" } else { "\n\n" })?;
+        }
+        Ok(())
+    }
+}
+
+impl std::error::Error for Report {}
+
+/// The candidate that a misspelt word most likely means.
+pub(crate) fn closest<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    let scored = candidates.into_iter().map(|candidate| (strsim::damerau_levenshtein(word, candidate), candidate));
+    let best = scored.min_by_key(|(distance, _)| *distance)?;
+    (best.0 <= 1 + word.chars().count() / 3).then_some(best.1)
+}
+
+/// "did you mean `x`?", or else what there is to choose from.
+pub(crate) fn suggestion<'a>(
+    word: &str,
+    candidates: impl IntoIterator<Item = &'a str> + Clone,
+    plural: &str,
+) -> String {
+    match closest(word, candidates.clone()) {
+        Some(candidate) => format!("did you mean `{candidate}`?"),
+        None => {
+            let names: Vec<_> = candidates.into_iter().map(|name| format!("`{name}`")).collect();
+            if names.is_empty() { format!("there are no {plural}") } else { format!("{plural}: {}", names.join(", ")) }
+        }
+    }
+}

@@ -1,0 +1,203 @@
+//! The pipeline file: which stages there are, where they run, and what joins them.
+//!
+//! Reading it takes three steps, and each reports all that it finds before the next begins: TOML into a tree that knows its
+//! places ([`value`]), the tree into stages ([`read`]), and the stages checked against each other ([`check`]).
+
+mod check;
+mod diagnostic;
+mod graph;
+mod read;
+mod schema;
+mod value;
+
+pub use diagnostic::{Diagnostic, Report, Severity, SourceText};
+
+use crate::node::Node;
+use crate::ports::{Delivery, Topic, TopicReader};
+use conicflow_messages::Kind;
+use diagnostic::Place;
+use serde::{Deserialize, Serialize};
+use serde_json::Value as Json;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// A pipeline, read and checked.
+pub struct Pipeline {
+    /// Its name: two pipelines of different names on one machine do not meet.
+    pub name: String,
+    /// Folder of the file; relative paths are resolved against it.
+    pub base: PathBuf,
+    /// The machines, where there is more than one.
+    pub machines: BTreeMap<String, Machine>,
+    /// The stages, in the order of the file.
+    pub stages: Vec<StageSpec>,
+}
+
+/// A machine of a pipeline that spans several.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Machine {
+    /// Zenoh endpoints that it listens on.
+    pub listen: Vec<String>,
+    /// Zenoh endpoints that it connects to.
+    pub connect: Vec<String>,
+    /// A full Zenoh configuration.
+    pub zenoh: Option<PathBuf>,
+}
+
+/// One stage of a pipeline.
+pub struct StageSpec {
+    /// Its name.
+    pub name: String,
+    /// What runs.
+    pub program: Program,
+    /// What drives it.
+    pub input: Option<Input>,
+    /// Its further inputs, by name.
+    pub inputs: Vec<(String, Input)>,
+    /// The topic that it writes.
+    pub output: Option<String>,
+    /// Where it runs.
+    pub machine: Option<String>,
+    /// What happens when it dies.
+    pub restart: Restart,
+    /// Environment variables for it.
+    pub env: Vec<(String, String)>,
+    /// Parameters of its node.
+    pub parameters: Json,
+    place: Place,
+    output_place: Option<Place>,
+}
+
+/// What a stage runs.
+pub enum Program {
+    /// A node of the table.
+    Node(Node),
+    /// A program of one's own, with its arguments.
+    Command(Vec<String>),
+    /// Neither, as the file stands; it has been reported.
+    Unknown,
+}
+
+/// One input of a stage.
+#[derive(Clone, Debug)]
+pub struct Input {
+    /// The topic that it reads.
+    pub topic: String,
+    /// Which messages it sees.
+    pub delivery: Delivery,
+    /// How many wait at most.
+    pub queue: usize,
+    place: Place,
+}
+
+/// What happens to a stage that died.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Restart {
+    /// Nothing.
+    Never,
+    /// It is started anew if it failed.
+    #[default]
+    OnFailure,
+    /// It is started anew however it ended, until the run ends.
+    Always,
+}
+
+impl Pipeline {
+    /// Reads and checks a pipeline.
+    ///
+    /// `base` is the folder against which its paths are resolved, `overrides` are `STAGE.KEY=VALUE`, `nodes` the table.
+    /// The report beside the pipeline holds warnings only.
+    ///
+    /// # Errors
+    /// All that is wrong with it, at once.
+    pub fn read(
+        source: SourceText,
+        base: &Path,
+        overrides: &[String],
+        nodes: &[Node],
+    ) -> Result<(Self, Report), Report> {
+        let source = Arc::new(source);
+        let mut faults = Vec::new();
+        let mut document = value::parse(&source, &mut faults);
+        for text in overrides {
+            value::apply_override(&mut document, text, &mut faults);
+        }
+        let pipeline = read::pipeline(document, &source, base, nodes, &mut faults);
+        check::connections(&pipeline, &mut faults);
+        faults.sort_by_key(Diagnostic::offset);
+        let report = Report(faults);
+        if report.has_errors() { Err(report) } else { Ok((pipeline, report)) }
+    }
+
+    /// The stage of this name.
+    pub fn stage(&self, name: &str) -> Option<&StageSpec> {
+        self.stages.iter().find(|stage| stage.name == name)
+    }
+
+    /// What both ends of a topic have to agree on.
+    pub fn topic(&self, name: &str) -> Topic {
+        let writers = self.stages.iter().filter(|stage| stage.output.as_deref() == Some(name));
+        let readers = self.stages.iter().flat_map(|stage| {
+            let inputs = stage.all_inputs().filter(|input| input.topic == name);
+            inputs.map(|input| TopicReader { stage: stage.name.clone(), delivery: input.delivery, queue: input.queue })
+        });
+        Topic {
+            name: name.to_owned(),
+            writers: writers.map(|stage| stage.name.clone()).collect(),
+            readers: readers.collect(),
+        }
+    }
+
+    /// What a topic carries, by the nodes that write it; `None` if only programs of one's own do.
+    pub fn kind_of(&self, topic: &str) -> Option<Kind> {
+        let mut writers = self.stages.iter().filter(|stage| stage.output.as_deref() == Some(topic));
+        writers.find_map(StageSpec::output_kind)
+    }
+
+    /// The names of all topics, in the order of the stages that write them.
+    pub fn topics(&self) -> Vec<&str> {
+        let mut names: Vec<&str> = Vec::new();
+        for topic in self.stages.iter().filter_map(|stage| stage.output.as_deref()) {
+            if !names.contains(&topic) {
+                names.push(topic);
+            }
+        }
+        names
+    }
+
+    /// The topics that are written on one machine and read on another, with both machines.
+    pub fn crossings(&self) -> Vec<(&str, &str, &str)> {
+        let mut crossings = Vec::new();
+        for writer in &self.stages {
+            for reader in &self.stages {
+                let joined = reader.all_inputs().any(|input| Some(&input.topic) == writer.output.as_ref());
+                let machines = (writer.machine.as_deref(), reader.machine.as_deref());
+                if let (true, (Some(from), Some(to)), Some(topic)) = (joined, machines, writer.output.as_deref()) {
+                    if from != to {
+                        crossings.push((topic, from, to));
+                    }
+                }
+            }
+        }
+        crossings
+    }
+}
+
+impl StageSpec {
+    /// The driving input and the further ones.
+    pub fn all_inputs(&self) -> impl Iterator<Item = &Input> {
+        self.input.iter().chain(self.inputs.iter().map(|(_, input)| input))
+    }
+
+    /// What it makes; `None` if it is a program of one's own.
+    pub fn output_kind(&self) -> Option<Kind> {
+        if let Program::Node(node) = &self.program { Some(node.output()) } else { None }
+    }
+
+    /// Whether nothing drives it.
+    pub fn is_source(&self) -> bool {
+        self.input.is_none()
+    }
+}

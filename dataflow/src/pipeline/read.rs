@@ -1,0 +1,354 @@
+//! The tree of a pipeline file into stages: keys, types, nodes and their parameters.
+
+use super::diagnostic::{Diagnostic, Place, SourceText, suggestion};
+use super::schema;
+use super::value::{Content, Entry, Table, Value};
+use super::{Input, Machine, Pipeline, Program, Restart, StageSpec};
+use crate::node::Node;
+use crate::ports::Delivery;
+use crate::sides::Pick;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+const STAGE_KEYS: [&str; 8] = ["node", "program", "input", "inputs", "output", "machine", "restart", "env"];
+const INPUT_KEYS: [&str; 3] = ["topic", "delivery", "queue"];
+const MACHINE_KEYS: [&str; 3] = ["listen", "connect", "zenoh"];
+
+/// Names travel in headers of fixed size, as far as the terminating zero.
+const MAX_STAGE_NAME: usize = 31;
+const MAX_TOPIC_NAME: usize = 63;
+
+const QUEUE_LATEST: usize = 2;
+const QUEUE_SAME_FRAME: usize = 8;
+const QUEUE_LOSSLESS: usize = 4;
+const MAX_QUEUE: i64 = 64;
+
+/// Reads a document; what cannot be read is reported and left out.
+pub(super) fn pipeline(
+    mut document: Table,
+    source: &Arc<SourceText>,
+    base: &Path,
+    nodes: &[Node],
+    faults: &mut Vec<Diagnostic>,
+) -> Pipeline {
+    let start = Place { source: Arc::clone(source), span: 0..0 };
+    let mut reader = Reader { base, nodes, faults };
+    let name = reader.name(document.take("name"), &start);
+    let machines = document.take("machine").map(|entry| reader.machines(entry)).unwrap_or_default();
+    let stages = document.take("stage").map(|entry| reader.stages(entry)).unwrap_or_default();
+    reader.unknown_keys(&document, &["name", "machine", "stage"], "the pipeline");
+    if stages.is_empty() && reader.faults.is_empty() {
+        reader.fault(&start, "the pipeline has no stages", "add one, such as [stage.source] with `node` and `output`");
+    }
+    Pipeline { name, base: base.to_owned(), machines, stages }
+}
+
+struct Reader<'a> {
+    base: &'a Path,
+    nodes: &'a [Node],
+    faults: &'a mut Vec<Diagnostic>,
+}
+
+impl Reader<'_> {
+    fn fault(&mut self, place: &Place, what: impl Into<String>, hint: impl Into<String>) {
+        self.faults.push(Diagnostic::error(place, what, hint));
+    }
+
+    fn unknown_keys(&mut self, table: &Table, known: &[&str], owner: &str) {
+        for entry in &table.0 {
+            let hint = suggestion(&entry.key, known.iter().copied(), "keys");
+            self.fault(&entry.key_place, format!("unknown key `{}` in {owner}", entry.key), hint);
+        }
+    }
+
+    fn string(&mut self, entry: &Entry) -> Option<String> {
+        if entry.value.as_str().is_none() {
+            let what = format!("`{}` wants a string, this is {}", entry.key, entry.value.type_name());
+            self.fault(&entry.value.place, what, format!("for example {} = \"..\"", entry.key));
+        }
+        entry.value.as_str().map(str::to_owned)
+    }
+
+    fn strings(&mut self, entry: &Entry) -> Option<Vec<String>> {
+        let strings = match &entry.value.content {
+            Content::Array(values) => values.iter().map(|value| value.as_str().map(str::to_owned)).collect(),
+            _ => None,
+        };
+        if strings.is_none() {
+            let what = format!("`{}` wants an array of strings", entry.key);
+            self.fault(&entry.value.place, what, format!("for example {} = [\"..\", \"..\"]", entry.key));
+        }
+        strings
+    }
+
+    fn table(&mut self, entry: Entry, example: &str) -> Table {
+        match entry.value.content {
+            Content::Table(table) => table,
+            _ => {
+                let what = format!("`{}` wants a table, this is {}", entry.key, entry.value.type_name());
+                self.fault(&entry.value.place, what, format!("for example {example}"));
+                Table::default()
+            }
+        }
+    }
+
+    /// A name that can stand in paths, ports and JSON.
+    fn check_name(&mut self, name: &str, place: &Place, what: &str, longest: usize, allowed: &str) {
+        let good = |c: char| c.is_ascii_alphanumeric() || allowed.contains(c);
+        if name.is_empty() || name.len() > longest || !name.chars().all(good) {
+            let hint = format!("1 to {longest} letters, digits or one of {allowed}");
+            self.fault(place, format!("`{name}` cannot be the name of a {what}"), hint);
+        }
+    }
+
+    fn name(&mut self, entry: Option<Entry>, start: &Place) -> String {
+        let Some(entry) = entry else {
+            self.fault(start, "the pipeline has no name", "add a line such as name = \"tabletop\" at the top");
+            return String::new();
+        };
+        let name = self.string(&entry).unwrap_or_default();
+        self.check_name(&name, &entry.value.place, "pipeline", MAX_STAGE_NAME, "_-");
+        name
+    }
+
+    fn machines(&mut self, entry: Entry) -> BTreeMap<String, Machine> {
+        let table = self.table(entry, "[machine.robot]");
+        table.0.into_iter().map(|entry| (entry.key.clone(), self.machine(entry))).collect()
+    }
+
+    fn machine(&mut self, entry: Entry) -> Machine {
+        let owner = format!("machine `{}`", entry.key);
+        let mut table = self.table(entry, "[machine.robot]");
+        let mut endpoints = |reader: &mut Self, key| table.take(key).and_then(|entry| reader.strings(&entry));
+        let listen = endpoints(self, "listen").unwrap_or_default();
+        let connect = endpoints(self, "connect").unwrap_or_default();
+        let zenoh = table.take("zenoh").and_then(|entry| self.existing_file(&entry));
+        self.unknown_keys(&table, &MACHINE_KEYS, &owner);
+        Machine { listen, connect, zenoh }
+    }
+
+    fn existing_file(&mut self, entry: &Entry) -> Option<PathBuf> {
+        let path = self.base.join(self.string(entry)?);
+        if !path.is_file() {
+            let hint = "paths are relative to the pipeline file";
+            self.fault(&entry.value.place, format!("there is no file `{}`", path.display()), hint);
+        }
+        Some(path)
+    }
+
+    fn stages(&mut self, entry: Entry) -> Vec<StageSpec> {
+        let table = self.table(entry, "[stage.source]");
+        table.0.into_iter().map(|entry| self.stage(entry)).collect()
+    }
+
+    fn stage(&mut self, entry: Entry) -> StageSpec {
+        let (name, place) = (entry.key.clone(), entry.key_place.clone());
+        self.check_name(&name, &place, "stage", MAX_STAGE_NAME, "_-");
+        let mut table = self.table(entry, "[stage.source]");
+        let program = self.program(&mut table, &name, &place);
+        let input = table.take("input").and_then(|entry| self.input(&entry.value, Pick::Latest, Delivery::Latest));
+        let driving = input.as_ref().map_or(Delivery::Latest, |input| input.delivery);
+        let inputs = table.take("inputs").map(|entry| self.inputs(entry, &program, driving)).unwrap_or_default();
+        let output = table.take("output");
+        let output_place = output.as_ref().map(|entry| entry.value.place.clone());
+        let output = output.and_then(|entry| self.topic_name(&entry));
+        let machine = table.take("machine").and_then(|entry| self.string(&entry));
+        let restart = table.take("restart").and_then(|entry| self.restart(&entry)).unwrap_or_default();
+        let env = table.take("env").map(|entry| self.env(entry)).unwrap_or_default();
+        self.parameters(&table, &program, &name, &place);
+        let parameters = table.to_json();
+        StageSpec { name, program, input, inputs, output, machine, restart, env, parameters, place, output_place }
+    }
+
+    fn program(&mut self, table: &mut Table, stage: &str, place: &Place) -> Program {
+        match (table.take("node"), table.take("program")) {
+            (Some(node), None) => self.node(&node),
+            (None, Some(program)) => self.command(&program),
+            (None, None) => {
+                let hint = match table
+                    .0
+                    .iter()
+                    .find_map(|entry| super::diagnostic::closest(&entry.key, ["node", "program"]))
+                {
+                    Some(key) => format!("did you mean `{key}`?"),
+                    None => "add `node = \"..\"`; `conicflow nodes` lists them".to_owned(),
+                };
+                self.fault(place, format!("stage `{stage}` has neither `node` nor `program`"), hint);
+                Program::Unknown
+            }
+            (Some(_), Some(program)) => {
+                let what = format!("stage `{stage}` has both `node` and `program`");
+                self.fault(&program.key_place, what, "keep the one that shall run");
+                Program::Unknown
+            }
+        }
+    }
+
+    fn node(&mut self, entry: &Entry) -> Program {
+        let Some(name) = self.string(entry) else { return Program::Unknown };
+        if let Some(node) = self.nodes.iter().find(|node| node.name == name) {
+            return Program::Node(*node);
+        }
+        let hint = suggestion(&name, self.nodes.iter().map(|node| node.name), "nodes");
+        self.fault(&entry.value.place, format!("there is no node `{name}`"), hint);
+        Program::Unknown
+    }
+
+    fn command(&mut self, entry: &Entry) -> Program {
+        let Some(mut command) = self.strings(entry) else { return Program::Unknown };
+        let Some(program) = command.first_mut() else {
+            self.fault(&entry.value.place, "`program` is empty", "for example program = [\"./my_stage\", \"--flag\"]");
+            return Program::Unknown;
+        };
+        match find_program(self.base, program) {
+            Some(path) => *program = path.to_string_lossy().into_owned(),
+            None => {
+                let what = format!("there is no program `{program}` that may be run");
+                let hint = "with a slash it is relative to the pipeline file, without one it is looked for in PATH";
+                self.fault(&entry.value.place, what, hint);
+            }
+        }
+        Program::Command(command)
+    }
+
+    fn topic_name(&mut self, entry: &Entry) -> Option<String> {
+        let name = self.string(entry)?;
+        self.check_name(&name, &entry.value.place, "topic", MAX_TOPIC_NAME, "_-/");
+        Some(name)
+    }
+
+    /// An input in its short or its long form; `pick` and `delivery` set what is not said.
+    fn input(&mut self, value: &Value, pick: Pick, delivery: Delivery) -> Option<Input> {
+        let place = value.place.clone();
+        let (topic, said, queue) = match &value.content {
+            Content::String(topic) => (topic.clone(), None, None),
+            Content::Table(table) => self.long_input(table.clone(), &place)?,
+            _ => {
+                let what = format!("an input is a topic or a table, this is {}", value.type_name());
+                self.fault(&place, what, "\"depth\" or { topic = \"depth\", delivery = \"lossless\", queue = 4 }");
+                return None;
+            }
+        };
+        let delivery = said.unwrap_or(delivery);
+        let default_queue = match (delivery, pick) {
+            (Delivery::Lossless, _) => QUEUE_LOSSLESS,
+            (Delivery::Latest, Pick::SameFrame) => QUEUE_SAME_FRAME,
+            (Delivery::Latest, Pick::Latest) => QUEUE_LATEST,
+        };
+        // Two places keep the last frame beside the message that ends the stream.
+        Some(Input { topic, delivery, queue: queue.unwrap_or(default_queue).max(2), place })
+    }
+
+    fn long_input(&mut self, mut table: Table, place: &Place) -> Option<(String, Option<Delivery>, Option<usize>)> {
+        let topic = table.take("topic").and_then(|entry| self.string(&entry));
+        let delivery = table.take("delivery").and_then(|entry| self.delivery(&entry));
+        let queue = table.take("queue").and_then(|entry| self.queue(&entry));
+        self.unknown_keys(&table, &INPUT_KEYS, "the input");
+        if topic.is_none() {
+            self.fault(place, "the input has no topic", "for example { topic = \"depth\", delivery = \"lossless\" }");
+        }
+        Some((topic?, delivery, queue))
+    }
+
+    fn delivery(&mut self, entry: &Entry) -> Option<Delivery> {
+        let word = self.string(entry)?;
+        match word.as_str() {
+            "latest" => Some(Delivery::Latest),
+            "lossless" => Some(Delivery::Lossless),
+            _ => {
+                let hint = suggestion(&word, ["latest", "lossless"], "allowed");
+                self.fault(&entry.value.place, format!("`delivery` cannot be `{word}`"), hint);
+                None
+            }
+        }
+    }
+
+    fn queue(&mut self, entry: &Entry) -> Option<usize> {
+        match entry.value.content {
+            Content::Integer(length @ 1..=MAX_QUEUE) => usize::try_from(length).ok(),
+            _ => {
+                let what = "`queue` wants an integer from 1 to 64";
+                self.fault(&entry.value.place, what, "how many messages wait for this input at most");
+                None
+            }
+        }
+    }
+
+    fn inputs(&mut self, entry: Entry, program: &Program, driving: Delivery) -> Vec<(String, Input)> {
+        let table = self.table(entry, "inputs = { depth = \"depth\" }");
+        let mut inputs = Vec::new();
+        for entry in table.0 {
+            let pick = self.pick_of(&entry, program);
+            let default = if pick == Pick::SameFrame { driving } else { Delivery::Latest };
+            inputs.extend(self.input(&entry.value, pick, default).map(|input| (entry.key, input)));
+        }
+        inputs
+    }
+
+    /// Which message of a further input a node wants; a fault if it has no such input.
+    fn pick_of(&mut self, entry: &Entry, program: &Program) -> Pick {
+        let Program::Node(node) = program else { return Pick::Latest };
+        if let Some(side) = node.sides().iter().find(|side| side.name == entry.key) {
+            return side.pick;
+        }
+        let hint = suggestion(&entry.key, node.sides().iter().map(|side| side.name), "further inputs");
+        self.fault(&entry.key_place, format!("node `{}` has no further input `{}`", node.name, entry.key), hint);
+        Pick::Latest
+    }
+
+    fn restart(&mut self, entry: &Entry) -> Option<Restart> {
+        let word = self.string(entry)?;
+        match word.as_str() {
+            "never" => Some(Restart::Never),
+            "on_failure" => Some(Restart::OnFailure),
+            "always" => Some(Restart::Always),
+            _ => {
+                let hint = suggestion(&word, ["never", "on_failure", "always"], "allowed");
+                self.fault(&entry.value.place, format!("`restart` cannot be `{word}`"), hint);
+                None
+            }
+        }
+    }
+
+    fn env(&mut self, entry: Entry) -> Vec<(String, String)> {
+        let table = self.table(entry, "env = { RUST_LOG = \"debug\" }");
+        table.0.iter().filter_map(|entry| Some((entry.key.clone(), self.string(entry)?))).collect()
+    }
+
+    /// Checks the keys that are left: those of the node.
+    fn parameters(&mut self, table: &Table, program: &Program, stage: &str, place: &Place) {
+        let Program::Node(node) = program else { return };
+        let found = schema::check_table(table, &node.schema(), &STAGE_KEYS, &format!("stage `{stage}`"));
+        if !found.is_empty() {
+            self.faults.extend(found);
+            return;
+        }
+        match (node.check)(table.to_json(), self.base) {
+            Ok(faults) => {
+                for fault in faults {
+                    let at = table.get(fault.key).map_or(place, |entry| &entry.value.place);
+                    self.faults.push(Diagnostic::error(at, fault.what, fault.hint));
+                }
+            }
+            Err(error) => {
+                self.fault(place, format!("the parameters of stage `{stage}` cannot be used: {error}"), "");
+            }
+        }
+    }
+}
+
+/// A program by a path, relative to the pipeline file, or by a name in PATH.
+fn find_program(base: &Path, program: &str) -> Option<PathBuf> {
+    if program.contains('/') {
+        let path = base.join(program);
+        return is_executable(&path).then_some(path);
+    }
+    let folders = std::env::var_os("PATH")?;
+    std::env::split_paths(&folders).map(|folder| folder.join(program)).find(|path| is_executable(path))
+}
+
+fn is_executable(path: &Path) -> bool {
+    use std::os::unix::fs::PermissionsExt;
+    path.metadata().is_ok_and(|data| data.is_file() && data.permissions().mode() & 0o111 != 0)
+}

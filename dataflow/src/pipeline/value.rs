@@ -1,0 +1,194 @@
+//! A TOML document as a tree in which every key and value knows its place, and into which `--set` can write.
+
+use super::diagnostic::{Diagnostic, Place, SourceText};
+use std::sync::Arc;
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+/// A value and its place.
+#[derive(Clone, Debug)]
+pub(crate) struct Value {
+    pub(crate) content: Content,
+    pub(crate) place: Place,
+}
+
+/// What a value holds.
+#[derive(Clone, Debug)]
+pub(crate) enum Content {
+    String(String),
+    Integer(i64),
+    Float(f64),
+    Boolean(bool),
+    Datetime(String),
+    Array(Vec<Value>),
+    Table(Table),
+}
+
+/// The entries of a table, in the order of the text.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Table(pub(crate) Vec<Entry>);
+
+/// A key with its value.
+#[derive(Clone, Debug)]
+pub(crate) struct Entry {
+    pub(crate) key: String,
+    pub(crate) key_place: Place,
+    pub(crate) value: Value,
+}
+
+impl Table {
+    pub(crate) fn get(&self, key: &str) -> Option<&Entry> {
+        self.0.iter().find(|entry| entry.key == key)
+    }
+
+    /// Takes an entry out.
+    pub(crate) fn take(&mut self, key: &str) -> Option<Entry> {
+        let index = self.0.iter().position(|entry| entry.key == key)?;
+        Some(self.0.remove(index))
+    }
+
+    fn set(&mut self, path: &[&str], key_place: &Place, value: Value) {
+        let Some((first, rest)) = path.split_first() else { return };
+        if rest.is_empty() {
+            self.take(first);
+            self.0.push(Entry { key: (*first).to_owned(), key_place: key_place.clone(), value });
+            return;
+        }
+        if !matches!(self.get(first), Some(Entry { value: Value { content: Content::Table(_), .. }, .. })) {
+            self.take(first);
+            let table = Value { content: Content::Table(Self::default()), place: key_place.clone() };
+            self.0.push(Entry { key: (*first).to_owned(), key_place: key_place.clone(), value: table });
+        }
+        let entry = self.0.iter_mut().find(|entry| entry.key == *first);
+        if let Some(Entry { value: Value { content: Content::Table(table), .. }, .. }) = entry {
+            table.set(rest, key_place, value);
+        }
+    }
+}
+
+impl Value {
+    /// The word for what it holds.
+    pub(crate) fn type_name(&self) -> &'static str {
+        match self.content {
+            Content::String(_) => "a string",
+            Content::Integer(_) => "an integer",
+            Content::Float(_) => "a number",
+            Content::Boolean(_) => "a boolean",
+            Content::Datetime(_) => "a date",
+            Content::Array(_) => "an array",
+            Content::Table(_) => "a table",
+        }
+    }
+
+    pub(crate) fn as_str(&self) -> Option<&str> {
+        if let Content::String(text) = &self.content { Some(text) } else { None }
+    }
+
+    /// The same value without places.
+    pub(crate) fn to_json(&self) -> serde_json::Value {
+        match &self.content {
+            Content::String(text) | Content::Datetime(text) => text.as_str().into(),
+            Content::Integer(number) => (*number).into(),
+            Content::Float(number) => (*number).into(),
+            Content::Boolean(truth) => (*truth).into(),
+            Content::Array(values) => values.iter().map(Self::to_json).collect(),
+            Content::Table(table) => table.to_json(),
+        }
+    }
+}
+
+impl Table {
+    /// The same table without places.
+    pub(crate) fn to_json(&self) -> serde_json::Value {
+        let entries = self.0.iter().map(|entry| (entry.key.clone(), entry.value.to_json()));
+        serde_json::Value::Object(entries.collect())
+    }
+}
+
+/// Reads a whole document; what is not TOML is reported and left out.
+pub(crate) fn parse(source: &Arc<SourceText>, faults: &mut Vec<Diagnostic>) -> Table {
+    let (document, errors) = DeTable::parse_recoverable(&source.text);
+    faults.extend(errors.iter().map(|error| syntax_fault(source, error)));
+    convert_table(source, document.get_ref())
+}
+
+fn syntax_fault(source: &Arc<SourceText>, error: &toml::de::Error) -> Diagnostic {
+    let place = Place { source: Arc::clone(source), span: error.span().unwrap_or(0..0) };
+    let hint = match error.message() {
+        "duplicate key" => "each key stands once in its table, and each stage has a name of its own",
+        _ => "the file is not valid TOML here; strings stand in quotes, tables in [brackets]",
+    };
+    Diagnostic::error(&place, error.message(), hint)
+}
+
+fn convert_table(source: &Arc<SourceText>, table: &DeTable<'_>) -> Table {
+    let mut entries: Vec<_> = table
+        .iter()
+        .map(|(key, value)| Entry {
+            key: key.get_ref().to_string(),
+            key_place: Place { source: Arc::clone(source), span: key.span() },
+            value: convert(source, value),
+        })
+        .collect();
+    entries.sort_by_key(|entry| entry.key_place.span.start);
+    Table(entries)
+}
+
+fn convert(source: &Arc<SourceText>, value: &Spanned<DeValue<'_>>) -> Value {
+    let content = match value.get_ref() {
+        DeValue::String(text) => Content::String(text.to_string()),
+        DeValue::Integer(number) => {
+            i64::from_str_radix(number.as_str(), number.radix()).map_or(Content::Float(f64::INFINITY), Content::Integer)
+        }
+        DeValue::Float(number) => Content::Float(number.as_str().parse().unwrap_or(f64::NAN)),
+        DeValue::Boolean(truth) => Content::Boolean(*truth),
+        DeValue::Datetime(date) => Content::Datetime(date.to_string()),
+        DeValue::Array(values) => Content::Array(values.iter().map(|value| convert(source, value)).collect()),
+        DeValue::Table(table) => Content::Table(convert_table(source, table)),
+    };
+    Value { content, place: Place { source: Arc::clone(source), span: value.span() } }
+}
+
+/// Writes `STAGE.KEY=VALUE` into a document. A value that is not TOML is taken as a string, so that quotes need not be
+/// quoted for a shell.
+pub(crate) fn apply_override(document: &mut Table, text: &str, faults: &mut Vec<Diagnostic>) {
+    let source = Arc::new(SourceText { name: "--set".to_owned(), text: text.to_owned() });
+    let whole = Place { source: Arc::clone(&source), span: 0..text.len() };
+    let path_and_value = text.split_once('=').map(|(path, value)| (path.split('.').map(str::trim).collect(), value));
+    let Some((path, value)): Option<(Vec<_>, _)> = path_and_value.filter(|(path, _): &(Vec<_>, _)| path.len() >= 2)
+    else {
+        let what = "`--set` wants STAGE.KEY=VALUE";
+        faults.push(Diagnostic::error(&whole, what, "for example --set source.rate_hz=10"));
+        return;
+    };
+    let stage = path[0];
+    let known = document.get("stage").and_then(|entry| match &entry.value.content {
+        Content::Table(stages) => stages.get(stage),
+        _ => None,
+    });
+    if known.is_none() {
+        let names: Vec<&str> = stage_names(document);
+        let hint = super::diagnostic::suggestion(stage, names.iter().copied(), "stages");
+        faults.push(Diagnostic::error(&whole, format!("there is no stage `{stage}`"), hint));
+        return;
+    }
+    let offset = text.len() - value.len();
+    let content = override_value(&source, value);
+    let place = Place { source, span: offset..text.len() };
+    let full: Vec<&str> = std::iter::once("stage").chain(path.iter().copied()).collect();
+    document.set(&full, &whole, Value { content, place });
+}
+
+fn stage_names(document: &Table) -> Vec<&str> {
+    match document.get("stage").map(|entry| &entry.value.content) {
+        Some(Content::Table(stages)) => stages.0.iter().map(|entry| entry.key.as_str()).collect(),
+        _ => Vec::new(),
+    }
+}
+
+fn override_value(source: &Arc<SourceText>, text: &str) -> Content {
+    match DeValue::parse(text.trim()) {
+        Ok(value) => convert(source, &value).content,
+        Err(_) => Content::String(text.trim().to_owned()),
+    }
+}

@@ -1,0 +1,122 @@
+//! The plan of a run: what each process has to know of the pipeline, with every default settled and every name resolved.
+//!
+//! The launcher writes it once; all stages of a run read the same plan, whatever becomes of the pipeline file meanwhile.
+
+use crate::pipeline::{Pipeline, Program, Restart, StageSpec};
+use crate::ports::Topic;
+use conicflow_messages::Kind;
+use serde::{Deserialize, Serialize};
+use serde_json::Value as Json;
+use std::path::PathBuf;
+
+/// The plan of a run on one machine.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Plan {
+    /// Name of the pipeline.
+    pub pipeline: String,
+    /// Folder against which paths in parameters are resolved.
+    pub base: PathBuf,
+    /// A number that no other run has.
+    pub run: u64,
+    /// The stages, in the order of the file.
+    pub stages: Vec<PlannedStage>,
+}
+
+/// The plan of one stage.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct PlannedStage {
+    /// Its name.
+    pub name: String,
+    /// What runs.
+    pub runs: Runs,
+    /// Parameters of its node.
+    pub parameters: Json,
+    /// How it is joined to the others.
+    pub wiring: Wiring,
+    /// What happens when it dies.
+    pub restart: Restart,
+    /// Environment variables for it.
+    pub env: Vec<(String, String)>,
+}
+
+/// What a stage runs.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Runs {
+    /// The variant of a built-in node that takes the kind of message called `input`.
+    Node {
+        /// Name of the node.
+        node: String,
+        /// [`Kind::name`] of what drives it.
+        input: String,
+    },
+    /// A program with its arguments.
+    Command(Vec<String>),
+}
+
+/// How a stage is joined to the others.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Wiring {
+    /// The topic that drives it, if it is no source.
+    pub input: Option<Topic>,
+    /// Its further inputs, by their names.
+    pub sides: Vec<(String, Topic)>,
+    /// The topic that it writes.
+    pub output: Option<Topic>,
+    /// A source ends after so many messages.
+    pub frames: Option<u64>,
+}
+
+impl Plan {
+    /// The plan of those stages of a pipeline that run on `machine`; of all where no machine is named. Sources end after
+    /// `frames` messages.
+    pub fn of(pipeline: &Pipeline, machine: Option<&str>, frames: Option<u64>, run: u64) -> Self {
+        let here = |stage: &&StageSpec| machine.is_none() || stage.machine.as_deref() == machine;
+        let stages = pipeline.stages.iter().filter(here).map(|stage| PlannedStage::of(pipeline, stage, frames));
+        Self { pipeline: pipeline.name.clone(), base: pipeline.base.clone(), run, stages: stages.collect() }
+    }
+
+    /// The plan of one stage.
+    pub fn stage(&self, name: &str) -> Option<&PlannedStage> {
+        self.stages.iter().find(|stage| stage.name == name)
+    }
+}
+
+impl PlannedStage {
+    fn of(pipeline: &Pipeline, stage: &StageSpec, frames: Option<u64>) -> Self {
+        let input_kind = stage.input.as_ref().and_then(|input| pipeline.kind_of(&input.topic));
+        let runs = match &stage.program {
+            Program::Node(node) => {
+                let input = input_kind.or_else(|| node.inputs().next()).unwrap_or(Kind::Nothing);
+                Runs::Node { node: node.name.to_owned(), input: input.name().to_owned() }
+            }
+            Program::Command(command) => Runs::Command(command.clone()),
+            Program::Unknown => Runs::Command(Vec::new()),
+        };
+        let sides = stage.inputs.iter().map(|(name, input)| (name.clone(), pipeline.topic(&input.topic)));
+        let wiring = Wiring {
+            input: stage.input.as_ref().map(|input| pipeline.topic(&input.topic)),
+            sides: sides.collect(),
+            output: stage.output.as_ref().map(|output| pipeline.topic(output)),
+            frames: frames.filter(|_| stage.is_source()),
+        };
+        Self {
+            name: stage.name.clone(),
+            runs,
+            parameters: stage.parameters.clone(),
+            wiring,
+            restart: stage.restart,
+            env: stage.env.clone(),
+        }
+    }
+
+    /// Whether nothing drives it.
+    pub fn is_source(&self) -> bool {
+        self.wiring.input.is_none()
+    }
+
+    /// Whether it writes nothing.
+    pub fn is_sink(&self) -> bool {
+        self.wiring.output.is_none()
+    }
+}

@@ -1,0 +1,143 @@
+//! Lines of least squared distance: in a scan plane from its moments, and in space from running sums.
+
+use crate::{PlaneMoments, Vector3};
+use nalgebra::{Matrix3, SymmetricEigen};
+
+/// A line in a plane: total least squares.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlaneLine {
+    /// The mean of the points, which lies on the line.
+    pub point: [f64; 2],
+    /// Angle of the line from the s axis, in (-pi/2, pi/2].
+    pub angle: f64,
+    /// Root mean square distance of the points from the line.
+    pub rms: f64,
+}
+
+/// The line of least squared distance from the points; `None` where there are fewer than two or all are the same.
+pub fn fit_plane_line(moments: &PlaneMoments) -> Option<PlaneLine> {
+    let point = moments.mean()?;
+    let [ss, st, tt] = moments.about(point).covariance()?;
+    let (mean, half_gap) = ((ss + tt) / 2.0, ((ss - tt) / 2.0).hypot(st));
+    if moments.count() < 2.0 || mean.is_nan() || mean <= 0.0 {
+        return None;
+    }
+    let angle = 0.5 * (2.0 * st).atan2(ss - tt);
+    Some(PlaneLine { point, angle, rms: (mean - half_gap).max(0.0).sqrt() })
+}
+
+/// Running sums over points in space: one more point is O(1).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LineMoments {
+    origin: Vector3,
+    count: f64,
+    sum: Vector3,
+    outer: Matrix3<f64>,
+}
+
+/// A line in space.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Line {
+    /// The mean of the points, which lies on the line.
+    pub point: Vector3,
+    /// Unit vector along the line; its sign means nothing.
+    pub direction: Vector3,
+    /// Root mean square distance of the points from the line.
+    pub rms: f64,
+    /// Standard deviation of the points along the line.
+    pub spread: f64,
+}
+
+impl Line {
+    /// Distance of a point from the line.
+    pub fn distance(&self, point: &Vector3) -> f64 {
+        (point - self.point).cross(&self.direction).norm()
+    }
+}
+
+impl LineMoments {
+    /// The sums of no points; `origin` should be near them.
+    pub fn new(origin: Vector3) -> Self {
+        Self { origin, count: 0.0, sum: Vector3::zeros(), outer: Matrix3::zeros() }
+    }
+
+    /// Adds a point.
+    pub fn add(&mut self, point: &Vector3) {
+        let offset = point - self.origin;
+        self.count += 1.0;
+        self.sum += offset;
+        self.outer += offset * offset.transpose();
+    }
+
+    /// Number of points.
+    pub fn count(&self) -> f64 {
+        self.count
+    }
+
+    /// The line of least squared distance; `None` where there are fewer than two points or all are the same.
+    pub fn fit(&self) -> Option<Line> {
+        if self.count < 2.0 {
+            return None;
+        }
+        let mean = self.sum / self.count;
+        let scatter = self.outer / self.count - mean * mean.transpose();
+        if !scatter.iter().all(|x| x.is_finite()) {
+            return None;
+        }
+        let eigen = SymmetricEigen::new(scatter);
+        let longest = eigen.eigenvalues.imax();
+        let along = eigen.eigenvalues[longest];
+        if along <= 1e-14 * mean.norm_squared().max(f64::MIN_POSITIVE) {
+            return None;
+        }
+        let across = (scatter.trace() - along).max(0.0);
+        let direction = eigen.eigenvectors.column(longest).into_owned();
+        Some(Line { point: self.origin + mean, direction, rms: across.sqrt(), spread: along.sqrt() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_line_in_a_plane_is_found_at_any_angle() {
+        for angle in [0.0_f64, 0.7, -1.2, std::f64::consts::FRAC_PI_2] {
+            let (sin, cos) = angle.sin_cos();
+            let points = (0..30).map(|i| (f64::from(i) * 0.01, if i % 2 == 0 { 0.002 } else { -0.002 }));
+            let moments =
+                PlaneMoments::of([50.0, 2.0], points.map(|(a, b)| [50.0 + cos * a - sin * b, 2.0 + sin * a + cos * b]));
+            let line = fit_plane_line(&moments).unwrap();
+            assert!((line.angle - angle).sin().abs() < 0.01, "{line:?}");
+            assert!((line.rms - 0.002).abs() < 1e-4);
+        }
+    }
+
+    #[test]
+    fn one_point_is_no_line() {
+        assert_eq!(fit_plane_line(&PlaneMoments::of([0.0, 0.0], [[1.0, 2.0]])), None);
+        assert_eq!(fit_plane_line(&PlaneMoments::of([1.0, 2.0], [[1.0, 2.0]; 4])), None);
+        let mut sums = LineMoments::new(Vector3::zeros());
+        assert_eq!(sums.fit(), None);
+        for _ in 0..5 {
+            sums.add(&Vector3::new(1.0, 2.0, 3.0));
+        }
+        assert_eq!(sums.fit(), None);
+    }
+
+    #[test]
+    fn a_line_in_space_is_found_with_its_scatter() {
+        let direction = Vector3::new(1.0, -2.0, 0.5).normalize();
+        let across = direction.cross(&Vector3::z()).normalize();
+        let mut sums = LineMoments::new(Vector3::new(10.0, 0.0, 2.0));
+        for i in 0..40 {
+            let side = if i % 2 == 0 { 0.003 } else { -0.003 };
+            sums.add(&(Vector3::new(10.0, 0.3, 2.0) + direction * (f64::from(i) * 0.01) + across * side));
+        }
+        let line = sums.fit().unwrap();
+        assert!(line.direction.cross(&direction).norm() < 5e-3);
+        assert!((line.rms - 0.003).abs() < 1e-4);
+        assert!(line.distance(&Vector3::new(10.0, 0.3, 2.0)) < 5e-3);
+        assert!((line.spread - 0.115).abs() < 1e-3);
+    }
+}

@@ -1,0 +1,234 @@
+//! Running sums over points of a plane: all that line, circle and conic fits need to know of the points.
+//!
+//! `m[p, q] = sum (s - s0)^p (t - t0)^q` for p + q <= 4 about an origin `(s0, t0)`. One more point is 14 additions; two
+//! sets are joined by adding their sums; moving the origin is exact polynomial algebra and needs no points.
+
+/// Number of sums.
+pub const MOMENTS: usize = 15;
+
+/// Place of each exponent pair `[p][q]` among the sums.
+const INDEX: [[usize; 5]; 5] =
+    [[0, 2, 5, 9, 14], [1, 4, 8, 13, 0], [3, 7, 12, 0, 0], [6, 11, 0, 0, 0], [10, 0, 0, 0, 0]];
+
+/// The 15 moments up to degree 4 of weighted points in a plane.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlaneMoments {
+    origin: [f64; 2],
+    sums: [f64; MOMENTS],
+}
+
+impl PlaneMoments {
+    /// The moments of no points, about `origin`.
+    pub fn new(origin: [f64; 2]) -> Self {
+        Self { origin, sums: [0.0; MOMENTS] }
+    }
+
+    /// Moments that were summed elsewhere, ordered by degree, then by falling p:
+    /// 1, s, t, s2, st, t2, s3, s2t, st2, t3, s4, s3t, s2t2, st3, t4.
+    pub fn from_sums(origin: [f64; 2], sums: [f64; MOMENTS]) -> Self {
+        Self { origin, sums }
+    }
+
+    /// The moments of `points` about `origin`.
+    pub fn of(origin: [f64; 2], points: impl IntoIterator<Item = [f64; 2]>) -> Self {
+        let mut moments = Self::new(origin);
+        points.into_iter().for_each(|point| moments.add(point));
+        moments
+    }
+
+    /// The point about which the sums are taken.
+    pub fn origin(&self) -> [f64; 2] {
+        self.origin
+    }
+
+    /// The sums, in the order of [`PlaneMoments::from_sums`].
+    pub fn sums(&self) -> &[f64; MOMENTS] {
+        &self.sums
+    }
+
+    /// `sum (s - s0)^p (t - t0)^q`, p + q <= 4.
+    #[inline]
+    pub fn get(&self, p: usize, q: usize) -> f64 {
+        self.sums[INDEX[p][q]]
+    }
+
+    /// Number of points, or the sum of their weights.
+    #[inline]
+    pub fn count(&self) -> f64 {
+        self.sums[0]
+    }
+
+    /// Adds a point.
+    #[inline]
+    pub fn add(&mut self, point: [f64; 2]) {
+        self.add_weighted(point, 1.0);
+    }
+
+    /// Takes a point out again.
+    #[inline]
+    pub fn remove(&mut self, point: [f64; 2]) {
+        self.add_weighted(point, -1.0);
+    }
+
+    /// Adds a point that counts `weight` times.
+    #[inline]
+    pub fn add_weighted(&mut self, point: [f64; 2], weight: f64) {
+        let (s, t) = (point[0] - self.origin[0], point[1] - self.origin[1]);
+        let (s2, st, t2) = (s * s, s * t, t * t);
+        let monomials =
+            [1.0, s, t, s2, st, t2, s2 * s, s2 * t, s * t2, t2 * t, s2 * s2, s2 * st, s2 * t2, st * t2, t2 * t2];
+        for (sum, monomial) in self.sums.iter_mut().zip(monomials) {
+            *sum += weight * monomial;
+        }
+    }
+
+    /// Adds the points of `other`, wherever its origin is.
+    pub fn merge(&mut self, other: &Self) {
+        let other = other.about(self.origin);
+        self.sums.iter_mut().zip(other.sums).for_each(|(sum, term)| *sum += term);
+    }
+
+    /// Takes the points of `other` out, wherever its origin is.
+    pub fn subtract(&mut self, other: &Self) {
+        let other = other.about(self.origin);
+        self.sums.iter_mut().zip(other.sums).for_each(|(sum, term)| *sum -= term);
+    }
+
+    /// The same points, seen from another origin.
+    #[must_use]
+    pub fn about(&self, origin: [f64; 2]) -> Self {
+        let (ds, dt) = (self.origin[0] - origin[0], self.origin[1] - origin[1]);
+        let mut moved = Self { origin, sums: self.sums };
+        if ds != 0.0 || dt != 0.0 {
+            moved.shift(ds, |p, q| INDEX[p][q]);
+            moved.shift(dt, |p, q| INDEX[q][p]);
+        }
+        moved
+    }
+
+    /// Binomial theorem, applied in place along one axis (the Pascal matrix as a product of single additions).
+    fn shift(&mut self, by: f64, index: impl Fn(usize, usize) -> usize) {
+        for q in 0..4 {
+            for first in 1..=4 - q {
+                for p in (first..=4 - q).rev() {
+                    self.sums[index(p, q)] += by * self.sums[index(p - 1, q)];
+                }
+            }
+        }
+    }
+
+    /// The moments of the same points with all offsets from the origin multiplied by `factor`.
+    #[must_use]
+    pub fn scaled(&self, factor: f64) -> Self {
+        let mut scaled = *self;
+        for (p, row) in INDEX.iter().enumerate() {
+            for (q, &index) in row.iter().enumerate().take(5 - p) {
+                scaled.sums[index] *= factor.powi((p + q) as i32);
+            }
+        }
+        scaled
+    }
+
+    /// Mean of the points, if there are any.
+    pub fn mean(&self) -> Option<[f64; 2]> {
+        let count = self.count();
+        (count > 0.0).then(|| [self.origin[0] + self.sums[1] / count, self.origin[1] + self.sums[2] / count])
+    }
+
+    /// Variances and covariance of the points `[var s, cov st, var t]`, if there are any.
+    pub fn covariance(&self) -> Option<[f64; 3]> {
+        let count = self.count();
+        if count <= 0.0 {
+            return None;
+        }
+        let (s, t) = (self.sums[1] / count, self.sums[2] / count);
+        Some([self.sums[3] / count - s * s, self.sums[4] / count - s * t, self.sums[5] / count - t * t])
+    }
+
+    /// The points seen from their mean, in units of their spread: `(mean, spread, moments divided by the count)`.
+    ///
+    /// All fits of higher degree start from here (Hartley 1997: shift and scale before solving). `None` where there are
+    /// no points or all of them are the same.
+    pub fn normalized(&self) -> Option<([f64; 2], f64, Self)> {
+        let mean = self.mean()?;
+        let centred = self.about(mean);
+        let spread = ((centred.sums[3] + centred.sums[5]) / centred.sums[0]).sqrt();
+        // Below this the spread is what rounding left of the sums, not a spread.
+        let resolution = 1e-7 * (self.origin[0] - mean[0]).hypot(self.origin[1] - mean[1]);
+        if !(spread.is_finite() && spread > resolution.max(f64::MIN_POSITIVE)) {
+            return None;
+        }
+        let mut unit = centred.scaled(1.0 / spread);
+        unit.sums.iter_mut().for_each(|sum| *sum /= centred.sums[0]);
+        unit.origin = [0.0, 0.0];
+        Some((mean, spread, unit))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn points() -> Vec<[f64; 2]> {
+        (0..20).map(|i| f64::from(i) * 0.7).map(|a| [1.0 + 0.2 * a.cos(), 2.0 + 0.3 * (1.3 * a).sin()]).collect()
+    }
+
+    fn assert_same(a: &PlaneMoments, b: &PlaneMoments) {
+        assert_eq!(a.origin(), b.origin());
+        for (x, y) in a.sums().iter().zip(b.sums()) {
+            assert!((x - y).abs() <= 1e-12 * (1.0 + x.abs()), "{x} {y}");
+        }
+    }
+
+    #[test]
+    fn sums_stand_in_the_order_of_the_message() {
+        let moments = PlaneMoments::of([0.0, 0.0], [[2.0, 3.0]]);
+        let expected = [1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 8.0, 12.0, 18.0, 27.0, 16.0, 24.0, 36.0, 54.0, 81.0];
+        assert_eq!(moments.sums(), &expected);
+        for p in 0..5 {
+            for q in 0..5 - p {
+                assert_eq!(moments.get(p, q), 2.0_f64.powi(p as i32) * 3.0_f64.powi(q as i32));
+            }
+        }
+    }
+
+    #[test]
+    fn a_moved_origin_gives_what_summing_about_it_gives() {
+        let direct = PlaneMoments::of([1.1, 1.7], points());
+        assert_same(&PlaneMoments::of([-0.5, 0.4], points()).about([1.1, 1.7]), &direct);
+    }
+
+    #[test]
+    fn joining_and_taking_out_are_exact_inverses() {
+        let (left, right) = (&points()[..8], &points()[8..]);
+        let part = PlaneMoments::of([0.3, 0.1], right.to_vec());
+        let mut sum = PlaneMoments::of([1.0, 2.0], left.to_vec());
+        sum.merge(&part);
+        assert_same(&sum, &PlaneMoments::of([1.0, 2.0], points()));
+        sum.subtract(&part);
+        right.iter().for_each(|&point| sum.add(point));
+        right.iter().for_each(|&point| sum.remove(point));
+        assert_same(&sum, &PlaneMoments::of([1.0, 2.0], left.to_vec()));
+    }
+
+    #[test]
+    fn scaling_multiplies_offsets() {
+        let far = points().into_iter().map(|[s, t]| [1.0 + 3.0 * (s - 1.0), 2.0 + 3.0 * (t - 2.0)]);
+        assert_same(&PlaneMoments::of([1.0, 2.0], points()).scaled(3.0), &PlaneMoments::of([1.0, 2.0], far));
+    }
+
+    #[test]
+    fn equal_points_and_no_points_have_no_normal_form() {
+        assert!(PlaneMoments::new([0.0, 0.0]).normalized().is_none());
+        assert!(PlaneMoments::of([1.0, 1.0], [[5.0, 7.1]; 9]).normalized().is_none());
+        assert!(PlaneMoments::new([0.0, 0.0]).mean().is_none());
+    }
+
+    #[test]
+    fn a_normal_form_has_mean_zero_and_spread_one() {
+        let (_, spread, unit) = PlaneMoments::of([1.0, 2.0], points()).normalized().unwrap();
+        assert!(spread > 0.1 && (unit.count() - 1.0).abs() < 1e-12);
+        assert!(unit.get(1, 0).abs() < 1e-12 && unit.get(0, 1).abs() < 1e-12);
+        assert!((unit.get(2, 0) + unit.get(0, 2) - 1.0).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,110 @@
+//! Radius over position along the axis, the paper's (z, r) space: a straight line is a cylinder or a cone, a circle with
+//! its centre on the z axis is a sphere.
+//!
+//! Both come from the same moments of the pairs `(z, r)`, so that a section more is O(1).
+
+use crate::{Fit, PlaneMoments};
+
+/// The semicircle `r = sqrt(R^2 - (z - z0)^2)`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CircleProfile {
+    /// z of the centre.
+    pub center: f64,
+    /// Radius R.
+    pub radius: f64,
+    /// Root mean square distance of the pairs from the circle, with two degrees of freedom taken off.
+    pub rms: f64,
+    /// Standard error of `center`.
+    pub center_sigma: f64,
+    /// Standard error of `radius`.
+    pub radius_sigma: f64,
+}
+
+impl CircleProfile {
+    /// The radius of the section at `z`, zero beyond the poles.
+    pub fn at(&self, z: f64) -> f64 {
+        (self.radius * self.radius - (z - self.center).powi(2)).max(0.0).sqrt()
+    }
+}
+
+/// Least squares of `r = value + slope (z - at)`; `None` for fewer than three pairs or no extent along z.
+pub fn fit_line_profile(pairs: &PlaneMoments) -> Option<Fit> {
+    let (n, mean) = (pairs.count(), pairs.mean()?);
+    let [zz, zr, rr] = pairs.about(mean).covariance()?;
+    if n < 3.0 || zz.is_nan() || zz <= 0.0 {
+        return None;
+    }
+    let slope = zr / zz;
+    let rms = ((rr - slope * zr).max(0.0) * n / (n - 2.0)).sqrt();
+    let (value_sigma, slope_sigma) = (rms / n.sqrt(), rms / (n * zz).sqrt());
+    Some(Fit { at: mean[0], value: mean[1], slope, rms, value_sigma, slope_sigma })
+}
+
+/// Least squares of `z^2 + r^2 = 2 z0 z + K`, linear in `z0` and `K = R^2 - z0^2`; `None` for fewer than three pairs or
+/// no extent along z.
+pub fn fit_circle_profile(pairs: &PlaneMoments) -> Option<CircleProfile> {
+    let n = pairs.count();
+    // About the mean of z, with r still counted from the axis.
+    let at = pairs.mean()?[0];
+    let m = pairs.about([at, 0.0]);
+    let zz = m.get(2, 0);
+    if n < 3.0 || zz.is_nan() || zz <= 0.0 {
+        return None;
+    }
+    let square_mean = (zz + m.get(0, 2)) / n;
+    let center = (m.get(3, 0) + m.get(1, 2)) / (2.0 * zz);
+    let radius = (square_mean + center * center).sqrt();
+    let total = m.get(4, 0) + 2.0 * m.get(2, 2) + m.get(0, 4);
+    let residual = (total - n * square_mean * square_mean - 4.0 * center * center * zz).max(0.0);
+    // The algebraic residual is 2 R times the distance.
+    let rms = (residual / (n - 2.0)).sqrt() / (2.0 * radius);
+    let (center_sigma, radius_sigma) = (rms * radius / zz.sqrt(), rms / n.sqrt());
+    let finite = radius.is_finite() && center.is_finite() && radius > 0.0;
+    finite.then_some(CircleProfile { center: at + center, radius, rms, center_sigma, radius_sigma })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pairs(radius: impl Fn(f64) -> f64) -> PlaneMoments {
+        PlaneMoments::of([0.5, 0.1], (0..30).map(|i| 0.4 + 0.01 * f64::from(i)).map(|z| [z, radius(z)]))
+    }
+
+    #[test]
+    fn a_cylinder_is_constant_and_a_cone_slopes() {
+        let cylinder = fit_line_profile(&pairs(|_| 0.2)).unwrap();
+        assert!((cylinder.value - 0.2).abs() < 1e-12 && cylinder.slope.abs() < 1e-9 && cylinder.rms < 1e-6);
+        let cone = fit_line_profile(&pairs(|z| 0.25 * (z - 0.1))).unwrap();
+        assert!((cone.slope - 0.25).abs() < 1e-9 && (cone.at(0.1)).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_sphere_is_a_circle_about_the_axis() {
+        let sphere = fit_circle_profile(&pairs(|z| (0.09 - (z - 0.6_f64).powi(2)).sqrt())).unwrap();
+        assert!((sphere.center - 0.6).abs() < 1e-9 && (sphere.radius - 0.3).abs() < 1e-9, "{sphere:?}");
+        assert!(sphere.rms < 1e-6 && (sphere.at(0.6) - 0.3).abs() < 1e-9 && sphere.at(5.0) == 0.0);
+    }
+
+    #[test]
+    fn each_explains_the_other_badly() {
+        assert!(fit_line_profile(&pairs(|z| (0.04 - (z - 0.5_f64).powi(2)).sqrt())).unwrap().rms > 5e-3);
+        assert!(fit_circle_profile(&pairs(|z| 0.05 + 0.5 * (z - 0.4))).unwrap().rms > 2e-3);
+    }
+
+    #[test]
+    fn errors_are_those_of_the_noise() {
+        let noisy = pairs(|z| (0.09 - (z - 0.6_f64).powi(2)).sqrt() + 0.002 * (z * 937.0).sin());
+        let sphere = fit_circle_profile(&noisy).unwrap();
+        assert!((sphere.radius - 0.3).abs() < 4.0 * sphere.radius_sigma + 1e-3, "{sphere:?}");
+        assert!(sphere.rms > 5e-4 && sphere.rms < 3e-3);
+    }
+
+    #[test]
+    fn no_extent_no_profile() {
+        let same = PlaneMoments::of([0.0, 0.0], [[0.0, 0.2]; 6]);
+        assert_eq!(fit_line_profile(&same), None);
+        assert_eq!(fit_circle_profile(&same), None);
+        assert_eq!(fit_circle_profile(&PlaneMoments::of([0.0, 0.0], [[0.0, 0.2], [1.0, 0.2]])), None);
+    }
+}

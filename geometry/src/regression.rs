@@ -1,0 +1,105 @@
+//! Least squares of `y = a + b x` with running sums, and the standard errors that come with it.
+
+/// Running sums over pairs: one more pair is O(1).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Regression {
+    count: f64,
+    mean_x: f64,
+    mean_y: f64,
+    xx: f64,
+    xy: f64,
+    yy: f64,
+}
+
+/// A straight line `y = value + slope (x - at)`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fit {
+    /// Mean of x, where `value` is known best.
+    pub at: f64,
+    /// y there.
+    pub value: f64,
+    /// Change of y with x.
+    pub slope: f64,
+    /// Root mean square residual, with two degrees of freedom taken off.
+    pub rms: f64,
+    /// Standard error of `value`.
+    pub value_sigma: f64,
+    /// Standard error of `slope`.
+    pub slope_sigma: f64,
+}
+
+impl Fit {
+    /// y at `x`.
+    pub fn at(&self, x: f64) -> f64 {
+        self.value + self.slope * (x - self.at)
+    }
+}
+
+impl Regression {
+    /// Adds a pair (Welford's update of means and central sums, which does not cancel).
+    pub fn add(&mut self, x: f64, y: f64) {
+        self.count += 1.0;
+        let (dx, dy) = (x - self.mean_x, y - self.mean_y);
+        self.mean_x += dx / self.count;
+        self.mean_y += dy / self.count;
+        self.xx += dx * (x - self.mean_x);
+        self.xy += dx * (y - self.mean_y);
+        self.yy += dy * (y - self.mean_y);
+    }
+
+    /// Number of pairs.
+    pub fn count(&self) -> f64 {
+        self.count
+    }
+
+    /// Mean of y.
+    pub fn mean(&self) -> f64 {
+        self.mean_y
+    }
+
+    /// Standard deviation of y about its mean.
+    pub fn deviation(&self) -> f64 {
+        if self.count > 1.0 { (self.yy / (self.count - 1.0)).max(0.0).sqrt() } else { 0.0 }
+    }
+
+    /// The line; `None` where there are fewer than three pairs or all x are the same.
+    pub fn fit(&self) -> Option<Fit> {
+        if self.count < 3.0 || self.xx.is_nan() || self.xx <= 0.0 {
+            return None;
+        }
+        let slope = self.xy / self.xx;
+        let rms = ((self.yy - slope * self.xy).max(0.0) / (self.count - 2.0)).sqrt();
+        let (value_sigma, slope_sigma) = (rms / self.count.sqrt(), rms / self.xx.sqrt());
+        Some(Fit { at: self.mean_x, value: self.mean_y, slope, rms, value_sigma, slope_sigma })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_is_found_far_from_zero() {
+        let mut sums = Regression::default();
+        for i in 0..50 {
+            let x = 1e6 + f64::from(i) * 0.1;
+            sums.add(x, 3.0 - 0.25 * (x - 1e6) + if i % 2 == 0 { 0.01 } else { -0.01 });
+        }
+        let fit = sums.fit().unwrap();
+        assert!((fit.slope + 0.25).abs() < 1e-3 && (fit.at(1e6) - 3.0).abs() < 5e-3);
+        assert!((fit.rms - 0.01).abs() < 5e-4);
+        assert!((fit.value_sigma - 0.01 / 50.0_f64.sqrt()).abs() < 1e-4);
+        assert!(fit.slope_sigma > 5e-4 && fit.slope_sigma < 2e-3);
+    }
+
+    #[test]
+    fn pairs_without_extent_have_no_line() {
+        let mut sums = Regression::default();
+        assert_eq!(sums.fit(), None);
+        for _ in 0..9 {
+            sums.add(2.0, 1.0);
+        }
+        assert_eq!(sums.fit(), None);
+        assert_eq!((sums.mean(), sums.deviation()), (1.0, 0.0));
+    }
+}

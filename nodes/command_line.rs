@@ -1,0 +1,215 @@
+//! The command line: what each command prints, and with which code it exits (0 done, 1 failed, 2 wrong file or arguments).
+
+use crate::NODES;
+use crate::node_help;
+use anyhow::{Context, bail};
+use clap::{Args, Parser, Subcommand};
+use conicflow_dataflow::pipeline::{Pipeline, Report, SourceText};
+use conicflow_dataflow::{Plan, ProcessError, RunFolder, RunOptions};
+use std::io::{IsTerminal, Write, stderr, stdout};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use tracing_subscriber::EnvFilter;
+
+const BUILT_IN: &str = include_str!("../pipeline.toml");
+const DEFAULT_FILE: &str = "pipeline.toml";
+
+/// Exit code for a wrong file or wrong arguments.
+const WRONG_INPUT: u8 = 2;
+
+/// Finds spheres, cylinders and cones in depth frames and tracks them, as a dataflow of separate processes.
+#[derive(Parser)]
+#[command(version, about, after_help = "Without a command it runs ./pipeline.toml, or else its built-in pipeline.")]
+struct CommandLine {
+    #[command(subcommand)]
+    command: Option<Command>,
+    /// What is logged: error, warn, info, debug or trace; a filter such as conicflow_dataflow=debug works too
+    #[arg(long, global = true, env = "CONICFLOW_LOG", default_value = "info", value_name = "LEVEL")]
+    log: String,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Run a pipeline, each stage as a process of its own
+    Run(RunArguments),
+    /// Run one stage of a pipeline in this process
+    Node {
+        /// Name of the stage
+        stage: String,
+        /// The pipeline file [default: ./pipeline.toml, else the built-in one]
+        file: Option<PathBuf>,
+    },
+    /// Report everything that is wrong with a pipeline file, without starting anything
+    Validate {
+        #[command(flatten)]
+        source: FileArguments,
+    },
+    /// Print the graph of a pipeline as Mermaid text
+    Graph {
+        #[command(flatten)]
+        source: FileArguments,
+    },
+    /// List the built-in nodes, or the parameters of one
+    Nodes {
+        /// Name of a node
+        name: Option<String>,
+    },
+}
+
+#[derive(Args, Default)]
+struct FileArguments {
+    /// The pipeline file [default: ./pipeline.toml, else the built-in one]
+    file: Option<PathBuf>,
+    /// Set a parameter, as if it stood in the file; may be repeated
+    #[arg(long = "set", value_name = "STAGE.KEY=VALUE")]
+    overrides: Vec<String>,
+}
+
+#[derive(Args, Default)]
+struct RunArguments {
+    #[command(flatten)]
+    source: FileArguments,
+    /// Run the stages of this machine
+    #[arg(long, value_name = "NAME")]
+    machine: Option<String>,
+    /// End after this time, such as 10s or 2min
+    #[arg(long = "for", value_name = "TIME", value_parser = humantime::parse_duration)]
+    duration: Option<Duration>,
+    /// End after so many frames of each source
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    frames: Option<u64>,
+    /// Show no progress and no summary
+    #[arg(long)]
+    quiet: bool,
+}
+
+/// Runs the program.
+pub fn main() -> ExitCode {
+    let arguments = CommandLine::parse();
+    log_to_standard_error(&arguments.log);
+    let command = arguments.command.unwrap_or_else(|| Command::Run(RunArguments::default()));
+    match dispatch(command) {
+        Ok(code) => code,
+        Err(error) => {
+            eprintln!("{}", describe(&error));
+            exit_code(&error).into()
+        }
+    }
+}
+
+fn dispatch(command: Command) -> anyhow::Result<ExitCode> {
+    match command {
+        Command::Run(arguments) => run(&arguments),
+        Command::Node { stage, file } => node(&stage, file).map(|()| ExitCode::SUCCESS),
+        Command::Validate { source } => validate(&source),
+        Command::Graph { source } => {
+            write!(stdout(), "{}", source.read()?.mermaid())?;
+            Ok(ExitCode::SUCCESS)
+        }
+        Command::Nodes { name } => {
+            write!(stdout(), "{}", node_help::nodes(name.as_deref())?)?;
+            Ok(ExitCode::SUCCESS)
+        }
+    }
+}
+
+/// The text of an error and its causes; a report speaks for itself.
+fn describe(error: &anyhow::Error) -> String {
+    if error.is::<Report>() { error.to_string() } else { format!("error: {error:#}") }
+}
+
+fn exit_code(error: &anyhow::Error) -> u8 {
+    error.downcast_ref::<ProcessError>().map_or(WRONG_INPUT, ProcessError::exit_code)
+}
+
+fn log_to_standard_error(filter: &str) {
+    let filter = EnvFilter::try_new(filter).unwrap_or_else(|_| EnvFilter::new("info"));
+    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(stderr).without_time();
+    builder.with_target(false).with_ansi(stderr().is_terminal()).init();
+}
+
+impl FileArguments {
+    fn read(&self) -> anyhow::Result<Pipeline> {
+        let (pipeline, warnings) = self.read_with_warnings()?;
+        if !warnings.0.is_empty() {
+            eprintln!("{warnings}\n");
+        }
+        Ok(pipeline)
+    }
+
+    fn read_with_warnings(&self) -> anyhow::Result<(Pipeline, Report)> {
+        let (source, base) = self.text()?;
+        Ok(Pipeline::read(source, &base, &self.overrides, NODES)?)
+    }
+
+    /// The text of the file and the folder of its paths; of the built-in pipeline that is the current folder.
+    fn text(&self) -> anyhow::Result<(SourceText, PathBuf)> {
+        let default = Path::new(DEFAULT_FILE);
+        let file = self.file.as_deref().or(default.is_file().then_some(default));
+        let Some(file) = file else {
+            let source = SourceText { name: "built-in pipeline".to_owned(), text: BUILT_IN.to_owned() };
+            return Ok((source, std::env::current_dir()?));
+        };
+        let text = std::fs::read_to_string(file)
+            .with_context(|| format!("cannot read the pipeline file `{}`", file.display()))?;
+        let folder = file.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
+        Ok((SourceText { name: file.display().to_string(), text }, folder.canonicalize()?))
+    }
+}
+
+fn validate(source: &FileArguments) -> anyhow::Result<ExitCode> {
+    let (pipeline, warnings) = source.read_with_warnings()?;
+    if !warnings.0.is_empty() {
+        writeln!(stdout(), "{warnings}\n")?;
+    }
+    let (stages, topics) = (pipeline.stages.len(), pipeline.topics().len());
+    writeln!(stdout(), "`{}` is valid: {stages} stages, {topics} topics", pipeline.name)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn run(arguments: &RunArguments) -> anyhow::Result<ExitCode> {
+    let pipeline = arguments.source.read()?;
+    check_machine(&pipeline, arguments.machine.as_deref())?;
+    let run = SystemTime::now().duration_since(UNIX_EPOCH)?.as_nanos() as u64;
+    let plan = Plan::of(&pipeline, arguments.machine.as_deref(), arguments.frames, run);
+    let program = std::env::current_exe().context("cannot find this program's own file, which runs the stages")?;
+    let options = RunOptions { program, duration: arguments.duration, quiet: arguments.quiet };
+    let summary = conicflow_dataflow::run(&plan, &options)?;
+    if !arguments.quiet {
+        eprint!("\n{summary}");
+    }
+    Ok(if summary.is_complete() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+fn check_machine(pipeline: &Pipeline, machine: Option<&str>) -> anyhow::Result<()> {
+    let names: Vec<_> = pipeline.machines.keys().map(|name| format!("`{name}`")).collect();
+    match machine {
+        Some(machine) if !pipeline.machines.contains_key(machine) => {
+            bail!("there is no machine `{machine}` in the pipeline\n  hint: machines: {}", names.join(", "))
+        }
+        None if !names.is_empty() => bail!(
+            "the pipeline spans the machines {}\n  hint: say which of them this is, with --machine NAME",
+            names.join(", ")
+        ),
+        _ => {}
+    }
+    if let Some((topic, from, to)) = pipeline.crossings().first() {
+        bail!(
+            "the topic `{topic}` would have to cross from machine `{from}` to `{to}`, which this version cannot do\n  \
+             hint: put all stages that exchange messages on one machine"
+        );
+    }
+    Ok(())
+}
+
+/// Runs one stage here: of the run that this process was started in, or of a file, for a debugger or a service manager.
+fn node(stage: &str, file: Option<PathBuf>) -> anyhow::Result<()> {
+    if file.is_none() && std::env::var_os(conicflow_dataflow::PIPELINE).is_some() {
+        return Ok(conicflow_dataflow::run_in_run(NODES)?);
+    }
+    let pipeline = FileArguments { file, overrides: Vec::new() }.read()?;
+    let plan = Plan::of(&pipeline, None, None, 0);
+    let folder = RunFolder::open(&plan.pipeline)?;
+    Ok(conicflow_dataflow::run_planned(&plan, &folder, stage, NODES)?)
+}

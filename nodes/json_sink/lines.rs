@@ -1,0 +1,252 @@
+//! A file of whole lines: each is written and handed to the system at once, so that a crash loses none that was
+//! finished and leaves none torn for the next start.
+
+use anyhow::{Context as _, anyhow};
+use serde::Serialize;
+use std::fs::{File, OpenOptions};
+use std::io::{self, ErrorKind, Read, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+/// Writes values as lines of JSON.
+pub struct JsonLines {
+    place: Place,
+    line: Vec<u8>,
+    written: u64,
+}
+
+enum Place {
+    StandardOutput,
+    /// A regular file has a length of whole lines to go back to; a pipe or device has none.
+    File {
+        file: File,
+        path: PathBuf,
+        whole: Option<u64>,
+    },
+}
+
+/// What became of a line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Wrote {
+    /// It was written.
+    Line,
+    /// Whoever read at the other end of the pipe has gone (`| head`).
+    ReaderGone,
+}
+
+impl JsonLines {
+    /// Lines on standard output.
+    pub fn standard_output() -> Self {
+        Self::to(Place::StandardOutput)
+    }
+
+    /// Lines in the file at `path`, whose folder is made where it is missing. Its content is kept if `append`, but for a
+    /// torn last line, and dropped otherwise.
+    ///
+    /// # Errors
+    /// The folder or the file cannot be made or written.
+    pub fn open(path: &Path, append: bool) -> anyhow::Result<Self> {
+        let open = || {
+            path.parent().map_or(Ok(()), std::fs::create_dir_all)?;
+            let file = OpenOptions::new().read(append).write(true).create(true).truncate(!append).open(path)?;
+            let whole = if append { cut_torn_line(&file)? } else { length(&file)? };
+            Ok(Place::File { file, path: path.to_owned(), whole })
+        };
+        open().map(Self::to).map_err(|error| {
+            let hint = hint(&error);
+            anyhow!("cannot open `{}` for writing: {error}\n  hint: {hint}", path.display())
+        })
+    }
+
+    fn to(place: Place) -> Self {
+        Self { place, line: Vec::new(), written: 0 }
+    }
+
+    /// Writes one value as one line.
+    ///
+    /// # Errors
+    /// The line cannot be written, such as on a full disk; no part of it remains in a file.
+    pub fn write(&mut self, value: &impl Serialize) -> anyhow::Result<Wrote> {
+        self.line.clear();
+        serde_json::to_writer(&mut self.line, value).context("cannot express the message as JSON")?;
+        self.line.push(b'\n');
+        match self.place.write(&self.line) {
+            Ok(()) => {
+                self.written += 1;
+                Ok(Wrote::Line)
+            }
+            Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(Wrote::ReaderGone),
+            Err(error) => Err(self.fault(&error)),
+        }
+    }
+
+    fn fault(&self, error: &io::Error) -> anyhow::Error {
+        let path = match &self.place {
+            Place::StandardOutput => Path::new("standard output"),
+            Place::File { path, .. } => path,
+        };
+        let hint = hint(error);
+        anyhow!("cannot write line {} to `{}`: {error}\n  hint: {hint}", self.written + 1, path.display())
+    }
+}
+
+impl Place {
+    fn write(&mut self, line: &[u8]) -> io::Result<()> {
+        match self {
+            Self::StandardOutput => {
+                let mut output = io::stdout().lock();
+                output.write_all(line)?;
+                output.flush()
+            }
+            Self::File { file, whole, .. } => {
+                let result = file.write_all(line);
+                settle(file, whole, line.len(), result)
+            }
+        }
+    }
+}
+
+/// Ends the writing of a line of `length` bytes: what was written of one that failed is taken back. Where not even that
+/// is possible, the next start cuts it off.
+fn settle(file: &mut File, whole: &mut Option<u64>, length: usize, result: io::Result<()>) -> io::Result<()> {
+    let Some(whole) = whole else { return result };
+    if result.is_ok() {
+        *whole += length as u64;
+    } else if file.set_len(*whole).is_ok() {
+        file.seek(SeekFrom::Start(*whole))?;
+    }
+    result
+}
+
+/// Length of a regular file.
+fn length(file: &File) -> io::Result<Option<u64>> {
+    let about = file.metadata()?;
+    Ok(about.is_file().then_some(about.len()))
+}
+
+/// Cuts off what stands after the last line feed, and goes on from there; the length that is left.
+fn cut_torn_line(mut file: &File) -> io::Result<Option<u64>> {
+    let Some(length) = length(file)? else { return Ok(None) };
+    let whole = end_of_last_line(file, length)?;
+    file.set_len(whole)?;
+    file.seek(SeekFrom::Start(whole))?;
+    Ok(Some(whole))
+}
+
+/// Position behind the last line feed, looked for from the end.
+fn end_of_last_line(mut file: &File, length: u64) -> io::Result<u64> {
+    let mut buffer = [0; 4096];
+    let mut end = length;
+    while end > 0 {
+        let start = end.saturating_sub(buffer.len() as u64);
+        let block = &mut buffer[..(end - start) as usize];
+        file.seek(SeekFrom::Start(start))?;
+        file.read_exact(block)?;
+        if let Some(at) = block.iter().rposition(|&byte| byte == b'\n') {
+            return Ok(start + at as u64 + 1);
+        }
+        end = start;
+    }
+    Ok(0)
+}
+
+/// What to do about a file that cannot be written.
+fn hint(error: &io::Error) -> &'static str {
+    match error.kind() {
+        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => "free some space, or set `path` to another disk",
+        ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem => "set `path` to a place that you may write to",
+        ErrorKind::IsADirectory => "set `path` to a file, not a folder",
+        ErrorKind::NotADirectory | ErrorKind::AlreadyExists => {
+            "a part of `path` before the last is a file, not a folder"
+        }
+        _ => "set `path` to a file that can be written, or to \"-\" for standard output",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    fn write(path: &Path, append: bool, values: &[u32]) {
+        let mut lines = JsonLines::open(path, append).unwrap();
+        for value in values {
+            assert_eq!(lines.write(value).unwrap(), Wrote::Line);
+        }
+    }
+
+    #[test]
+    fn every_line_is_in_the_file_at_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("new/folder/out.jsonl");
+        let mut lines = JsonLines::open(&path, false).unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), "");
+        for (value, content) in [("a", "\"a\"\n"), ("b", "\"a\"\n\"b\"\n")] {
+            lines.write(&value).unwrap();
+            assert_eq!(fs::read_to_string(&path).unwrap(), content);
+        }
+    }
+
+    #[test]
+    fn a_new_run_starts_anew_and_a_restart_goes_on() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("out.jsonl");
+        write(&path, true, &[1, 2]);
+        write(&path, true, &[3]);
+        assert_eq!(fs::read_to_string(&path).unwrap(), "1\n2\n3\n");
+        write(&path, false, &[4]);
+        assert_eq!(fs::read_to_string(&path).unwrap(), "4\n");
+    }
+
+    #[test]
+    fn a_torn_line_is_cut_off_however_long_it_is() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("out.jsonl");
+        for (before, kept) in [
+            ("{\"a\":1}\n{\"b\":".to_owned(), "{\"a\":1}\n"),
+            (format!("1\n{}", "x".repeat(4095)), "1\n"),
+            (format!("1\n{}", "x".repeat(9000)), "1\n"),
+            ("x".repeat(5000), ""),
+            ("1\n".to_owned(), "1\n"),
+        ] {
+            fs::write(&path, &before).unwrap();
+            write(&path, true, &[7]);
+            assert_eq!(fs::read_to_string(&path).unwrap(), format!("{kept}7\n"));
+        }
+    }
+
+    #[test]
+    fn a_line_that_fails_half_way_is_taken_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("out.jsonl");
+        let mut file = File::create(&path).unwrap();
+        let mut whole = Some(0);
+        file.write_all(b"1\n").unwrap();
+        settle(&mut file, &mut whole, 2, Ok(())).unwrap();
+        file.write_all(b"{\"torn").unwrap();
+        assert!(settle(&mut file, &mut whole, 20, Err(ErrorKind::StorageFull.into())).is_err());
+        assert_eq!(fs::read_to_string(&path).unwrap(), "1\n");
+        file.write_all(b"2\n").unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), "1\n2\n");
+    }
+
+    #[test]
+    fn a_full_disk_is_told_with_the_line_and_a_hint() {
+        let device = Path::new("/dev/full");
+        if !device.exists() {
+            eprintln!("skipped: this system has no /dev/full");
+            return;
+        }
+        let mut lines = JsonLines::open(device, false).unwrap();
+        let error = lines.write(&1).unwrap_err().to_string();
+        assert!(error.starts_with("cannot write line 1 to `/dev/full`: No space left"), "{error}");
+        assert!(error.ends_with("hint: free some space, or set `path` to another disk"), "{error}");
+    }
+
+    #[test]
+    fn a_file_in_place_of_a_folder_is_told() {
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join("file"), "").unwrap();
+        let error = JsonLines::open(&folder.path().join("file/out.jsonl"), false).err().unwrap().to_string();
+        assert!(error.contains("hint: a part of `path` before the last is a file"), "{error}");
+    }
+}

@@ -1,0 +1,315 @@
+//! How messages look in JSON: the keys, their order, and which of them a shape has.
+
+use conicflow_messages::{Ellipse, Item, Message, Object, ObjectKind, Scan, Track};
+use serde::ser::SerializeMap;
+use serde::{Serialize, Serializer};
+
+/// An item that has a form in JSON.
+pub trait ToJson: Item {
+    /// The item as it is written, keys in order.
+    fn to_json(&self) -> impl Serialize;
+}
+
+impl ToJson for Object {
+    fn to_json(&self) -> impl Serialize {
+        ObjectView::from(self)
+    }
+}
+
+impl ToJson for Track {
+    fn to_json(&self) -> impl Serialize {
+        TrackView::from(self)
+    }
+}
+
+impl ToJson for Ellipse {
+    fn to_json(&self) -> impl Serialize {
+        EllipseView::from(self)
+    }
+}
+
+/// One line of the output: a message, with the list under the name of its kind.
+pub struct Line<'a, T> {
+    /// The message.
+    pub message: Message<'a, T>,
+    /// From the moment the source had the frame until now, if known.
+    pub latency_ms: Option<f64>,
+}
+
+impl<T: ToJson> Serialize for Line<'_, T> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let header = self.message.header;
+        let mut line = serializer.serialize_map(Some(5))?;
+        line.serialize_entry("sequence", &header.sequence)?;
+        line.serialize_entry("source", header.source.as_str().unwrap_or_default())?;
+        line.serialize_entry("stamp_ns", &header.stamp_ns)?;
+        line.serialize_entry("latency_ms", &self.latency_ms)?;
+        line.serialize_entry(T::KIND.name(), &List(self.message.items))?;
+        line.end()
+    }
+}
+
+struct List<'a, T>(&'a [T]);
+
+impl<T: ToJson> Serialize for List<'_, T> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq(self.0.iter().map(ToJson::to_json))
+    }
+}
+
+/// An [`Object`] in JSON; a key that the shape does not have is left out.
+#[derive(Clone, Debug, Serialize)]
+pub struct ObjectView {
+    kind: &'static str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    apex: Option<[f64; 3]>,
+    center: [f64; 3],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    axis: Option<[f64; 3]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    half_angle: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    radius: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    base_radius: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    top_radius: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    length: Option<f64>,
+    sigma: SigmaView,
+    rms: f64,
+    points: u32,
+    rows: u32,
+    arc: f64,
+}
+
+impl From<&Object> for ObjectView {
+    fn from(object: &Object) -> Self {
+        let shape = object.shape();
+        let cone = |value| (shape == ObjectKind::Cone).then_some(value);
+        let elongated = |value| (shape != ObjectKind::Sphere).then_some(value);
+        Self {
+            kind: shape.name(),
+            apex: (shape == ObjectKind::Cone).then_some(object.apex),
+            center: object.center,
+            axis: (shape != ObjectKind::Sphere).then_some(object.axis),
+            half_angle: cone(object.half_angle),
+            radius: (shape != ObjectKind::Cone).then_some(object.radius),
+            base_radius: cone(object.base_radius),
+            top_radius: cone(object.top_radius),
+            length: elongated(object.length),
+            sigma: SigmaView::from(object),
+            rms: object.rms,
+            points: object.points,
+            rows: object.rows,
+            arc: object.arc,
+        }
+    }
+}
+
+/// Standard deviations in JSON; `radius` of a cone belongs to its radius at `center`.
+#[derive(Clone, Debug, Serialize)]
+struct SigmaView {
+    center: [f64; 3],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    axis: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    half_angle: Option<f64>,
+    radius: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    length: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    velocity: Option<[f64; 3]>,
+}
+
+impl From<&Object> for SigmaView {
+    fn from(object: &Object) -> Self {
+        let (shape, sigma) = (object.shape(), &object.sigma);
+        let elongated = |value| (shape != ObjectKind::Sphere).then_some(value);
+        Self {
+            center: deviations(&sigma.center),
+            axis: elongated(sigma.axis),
+            half_angle: (shape == ObjectKind::Cone).then_some(sigma.half_angle),
+            radius: sigma.radius,
+            length: elongated(sigma.length),
+            velocity: None,
+        }
+    }
+}
+
+/// Square roots of a covariance's diagonal.
+fn deviations(covariance: &[[f64; 3]; 3]) -> [f64; 3] {
+    std::array::from_fn(|i| covariance[i][i].max(0.0).sqrt())
+}
+
+/// A [`Track`] in JSON: its object, its identity and its motion.
+#[derive(Clone, Debug, Serialize)]
+pub struct TrackView {
+    #[serde(flatten)]
+    object: ObjectView,
+    id: u64,
+    velocity: [f64; 3],
+    age: u32,
+    misses: u32,
+    state: &'static str,
+}
+
+impl From<&Track> for TrackView {
+    fn from(track: &Track) -> Self {
+        let mut object = ObjectView::from(&track.object);
+        object.sigma.velocity = Some(deviations(&track.velocity_covariance));
+        Self {
+            object,
+            id: track.id,
+            velocity: track.velocity,
+            age: track.age,
+            misses: track.misses,
+            state: track.track_state().name(),
+        }
+    }
+}
+
+/// An [`Ellipse`] in JSON, without its moments.
+#[derive(Clone, Debug, Serialize)]
+pub struct EllipseView {
+    scan: &'static str,
+    line: u32,
+    first: u32,
+    last: u32,
+    points: u32,
+    center: [f64; 3],
+    semi_axes: [f64; 2],
+    angle: f64,
+    rms: f64,
+    arc: f64,
+}
+
+impl From<&Ellipse> for EllipseView {
+    fn from(ellipse: &Ellipse) -> Self {
+        Self {
+            scan: if ellipse.scan() == Scan::Row { "row" } else { "column" },
+            line: ellipse.line,
+            first: ellipse.first,
+            last: ellipse.last,
+            points: ellipse.points,
+            center: ellipse.center,
+            semi_axes: ellipse.semi_axes,
+            angle: ellipse.angle,
+            rms: ellipse.rms,
+            arc: ellipse.arc,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use conicflow_messages::{Header, ObjectSigma, Text, TrackState};
+
+    fn object(kind: ObjectKind) -> Object {
+        Object {
+            kind: kind.code(),
+            points: 900,
+            rows: 40,
+            center: [0.1, -0.2, 1.5],
+            axis: [0.0, 1.0, 0.0],
+            radius: 0.05,
+            length: 0.25,
+            half_angle: 0.125,
+            base_radius: 0.0625,
+            top_radius: 0.03125,
+            apex: [0.1, -0.7, 1.5],
+            sigma: ObjectSigma {
+                center: [[0.25, 9.0, 9.0], [9.0, 4.0, 9.0], [9.0, 9.0, 1.0]],
+                axis: 0.01,
+                radius: 0.001,
+                length: 0.002,
+                half_angle: 0.003,
+            },
+            rms: 0.0005,
+            arc: 2.5,
+            ..Object::default()
+        }
+    }
+
+    fn json<T: ToJson>(items: &[T]) -> String {
+        let header =
+            Header { sequence: 12, stamp_ns: 7, source: Text::new("frame-000012.depth.png"), ..Header::default() };
+        let message = Message { header: &header, items };
+        serde_json::to_string(&Line { message, latency_ms: Some(1.4) }).unwrap()
+    }
+
+    const HEAD: &str = r#"{"sequence":12,"source":"frame-000012.depth.png","stamp_ns":7,"latency_ms":1.4,"#;
+    const TAIL: &str = r#""rms":0.0005,"points":900,"rows":40,"arc":2.5"#;
+
+    #[test]
+    fn a_sphere_has_no_axis() {
+        let expected = format!(
+            "{HEAD}\"objects\":[{}{TAIL}}}]}}",
+            r#"{"kind":"sphere","center":[0.1,-0.2,1.5],"radius":0.05,"sigma":{"center":[0.5,2.0,1.0],"radius":0.001},"#
+        );
+        assert_eq!(json(&[object(ObjectKind::Sphere)]), expected);
+    }
+
+    #[test]
+    fn a_cylinder_has_an_axis_and_a_length() {
+        let expected = format!(
+            "{HEAD}\"objects\":[{}{}{TAIL}}}]}}",
+            r#"{"kind":"cylinder","center":[0.1,-0.2,1.5],"axis":[0.0,1.0,0.0],"radius":0.05,"length":0.25,"#,
+            r#""sigma":{"center":[0.5,2.0,1.0],"axis":0.01,"radius":0.001,"length":0.002},"#
+        );
+        assert_eq!(json(&[object(ObjectKind::Cylinder)]), expected);
+    }
+
+    #[test]
+    fn a_cone_has_an_apex_and_two_radii() {
+        let expected = format!(
+            "{HEAD}\"objects\":[{}{}{}{TAIL}}}]}}",
+            r#"{"kind":"cone","apex":[0.1,-0.7,1.5],"center":[0.1,-0.2,1.5],"axis":[0.0,1.0,0.0],"#,
+            r#""half_angle":0.125,"base_radius":0.0625,"top_radius":0.03125,"length":0.25,"#,
+            r#""sigma":{"center":[0.5,2.0,1.0],"axis":0.01,"half_angle":0.003,"radius":0.001,"length":0.002},"#
+        );
+        assert_eq!(json(&[object(ObjectKind::Cone)]), expected);
+    }
+
+    #[test]
+    fn a_frame_with_nothing_in_it_has_an_empty_list() {
+        assert_eq!(json::<Object>(&[]), format!("{HEAD}\"objects\":[]}}"));
+        assert_eq!(json::<Track>(&[]), format!("{HEAD}\"tracks\":[]}}"));
+        assert_eq!(json::<Ellipse>(&[]), format!("{HEAD}\"ellipses\":[]}}"));
+    }
+
+    #[test]
+    fn a_track_adds_identity_and_motion() {
+        let track = Track {
+            id: 3,
+            state: TrackState::Coasting.code(),
+            age: 20,
+            misses: 2,
+            object: object(ObjectKind::Sphere),
+            velocity: [0.5, 0.0, -1.0],
+            velocity_covariance: [[0.25, 0.0, 0.0], [0.0, 0.25, 0.0], [0.0, 0.0, 1.0]],
+            ..Track::default()
+        };
+        let text = json(&[track]);
+        assert!(text.starts_with(&format!("{HEAD}\"tracks\":[{{\"kind\":\"sphere\",\"center\":")), "{text}");
+        let tail = r#","id":3,"velocity":[0.5,0.0,-1.0],"age":20,"misses":2,"state":"coasting"}]}"#;
+        assert!(text.ends_with(&format!("{TAIL}{tail}")), "{text}");
+        assert!(text.contains(r#""radius":0.001,"velocity":[0.5,0.5,1.0]}"#), "{text}");
+    }
+
+    #[test]
+    fn an_ellipse_leaves_its_moments_at_home() {
+        let ellipse = Ellipse { scan: 1, line: 4, first: 5, last: 9, points: 5, arc: 1.5, ..Ellipse::default() };
+        let expected = format!(
+            "{HEAD}\"ellipses\":[{}]}}",
+            r#"{"scan":"column","line":4,"first":5,"last":9,"points":5,"center":[0.0,0.0,0.0],"semi_axes":[0.0,0.0],"angle":0.0,"rms":0.0,"arc":1.5}"#
+        );
+        assert_eq!(json(&[ellipse]), expected);
+    }
+
+    #[test]
+    fn a_covariance_spoilt_by_rounding_gives_zero() {
+        assert_eq!(deviations(&[[-1e-20, 0.0, 0.0], [0.0, 4.0, 0.0], [0.0, 0.0, 0.0]]), [0.0, 2.0, 0.0]);
+    }
+}

@@ -1,0 +1,137 @@
+//! The parameters of the tracker.
+
+use super::life::Rules;
+use conicflow_dataflow::{Config, ConfigFault};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// Parameters of `kalman_tracker`.
+///
+/// The `floor_*` are standard deviations that are added (as squares) to those of each detection, for what these leave
+/// out; the `drift_*` say how fast what is nearly constant may change.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct KalmanTrackerConfig {
+    /// Strength of the random acceleration that objects undergo, in m/s^2 per square root of Hz.
+    #[schemars(range(min = 0.0))]
+    pub acceleration: f64,
+    /// Standard deviation of the speed of an object seen for the first time, per axis, in m/s.
+    #[schemars(range(min = 0.0))]
+    pub initial_speed_mps: f64,
+    /// Standard deviation of a sudden change of velocity (a bounce, a push), per axis, in m/s; 0: none is looked for.
+    #[schemars(range(min = 0.0))]
+    pub manoeuvre_mps: f64,
+    /// Squared Mahalanobis distance up to which a detection may belong to a track; 16.3 leaves out one in a thousand.
+    #[schemars(range(min = 0.0))]
+    pub gate: f64,
+    /// Difference of radius between track and detection that is let pass whatever their sigma, as a share of the radius.
+    #[schemars(range(min = 0.0))]
+    pub max_radius_change: f64,
+    /// Number of sights that confirm a track, within `confirm_window` frames.
+    #[schemars(range(min = 1, max = 32))]
+    pub confirm_hits: u32,
+    /// Number of frames within which `confirm_hits` sights confirm a track.
+    #[schemars(range(min = 1, max = 32))]
+    pub confirm_window: u32,
+    /// How long a confirmed track goes on without being seen, in seconds.
+    #[schemars(range(min = 0.0))]
+    pub max_coast_s: f64,
+    /// Frame rate to reckon with where the time stamps do not advance, in Hz.
+    #[schemars(range(min = 0.001))]
+    pub assumed_rate_hz: f64,
+    /// Added to the sigma of the centre, in metres.
+    #[schemars(range(min = 0.000001))]
+    pub floor_center_m: f64,
+    /// Added to the sigma of the centre along the axis, as a share of the length: the middle moves with what is visible.
+    #[schemars(range(min = 0.0))]
+    pub floor_along_axis: f64,
+    /// Added to the sigma of the radius, in metres.
+    #[schemars(range(min = 0.000001))]
+    pub floor_radius_m: f64,
+    /// Added to the sigma of the axis, in degrees.
+    #[schemars(range(min = 0.0))]
+    pub floor_axis_deg: f64,
+    /// Added to the sigma of the half-angle, in degrees.
+    #[schemars(range(min = 0.0))]
+    pub floor_half_angle_deg: f64,
+    /// Added to the sigma of the length, in metres.
+    #[schemars(range(min = 0.0))]
+    pub floor_length_m: f64,
+    /// Drift of the radius, in metres per square root of a second.
+    #[schemars(range(min = 0.0))]
+    pub drift_radius_m: f64,
+    /// Drift of the axis, in degrees per square root of a second.
+    #[schemars(range(min = 0.0))]
+    pub drift_axis_deg: f64,
+    /// Drift of the half-angle, in degrees per square root of a second.
+    #[schemars(range(min = 0.0))]
+    pub drift_half_angle_deg: f64,
+    /// Drift of the visible length, in metres per square root of a second.
+    #[schemars(range(min = 0.0))]
+    pub drift_length_m: f64,
+}
+
+impl Default for KalmanTrackerConfig {
+    fn default() -> Self {
+        Self {
+            acceleration: 0.5,
+            initial_speed_mps: 1.5,
+            manoeuvre_mps: 2.0,
+            gate: 16.3,
+            max_radius_change: 0.25,
+            confirm_hits: 3,
+            confirm_window: 5,
+            max_coast_s: 1.0,
+            assumed_rate_hz: 30.0,
+            floor_center_m: 0.001,
+            floor_along_axis: 0.1,
+            floor_radius_m: 0.0005,
+            floor_axis_deg: 0.5,
+            floor_half_angle_deg: 0.5,
+            floor_length_m: 0.01,
+            drift_radius_m: 0.0002,
+            drift_axis_deg: 10.0,
+            drift_half_angle_deg: 0.1,
+            drift_length_m: 0.05,
+        }
+    }
+}
+
+impl Config for KalmanTrackerConfig {
+    fn faults(&self, _: &Path) -> Vec<ConfigFault> {
+        if self.confirm_hits <= self.confirm_window {
+            return Vec::new();
+        }
+        let (hits, window) = (self.confirm_hits, self.confirm_window);
+        let what = format!("{hits} sights cannot fall within {window} frames");
+        let hint = format!("set `confirm_window` to at least {hits}, or `confirm_hits` to at most {window}");
+        vec![ConfigFault { key: "confirm_hits", what, hint }]
+    }
+}
+
+impl KalmanTrackerConfig {
+    /// When a track is confirmed and when it is lost.
+    pub fn rules(&self) -> Rules {
+        Rules { hits: self.confirm_hits, window: self.confirm_window, max_coast_s: self.max_coast_s }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn more_hits_than_frames_are_refused() {
+        let config = KalmanTrackerConfig { confirm_hits: 6, ..KalmanTrackerConfig::default() };
+        let faults = config.faults(Path::new(""));
+        assert_eq!((faults.len(), faults[0].key), (1, "confirm_hits"));
+        assert!(KalmanTrackerConfig::default().faults(Path::new("")).is_empty());
+    }
+
+    #[test]
+    fn unknown_keys_are_refused() {
+        assert!(toml::from_str::<KalmanTrackerConfig>("gate = 9.0").is_ok());
+        assert!(toml::from_str::<KalmanTrackerConfig>("gates = 9.0").is_err());
+    }
+}

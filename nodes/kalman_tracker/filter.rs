@@ -1,0 +1,333 @@
+//! The Kalman filters that follow one object: its motion, a size that hardly changes, the direction of its axis.
+//!
+//! Motion has white noise of spectral density `q` as acceleration (Bar-Shalom, Li, Kirubarajan, "Estimation with
+//! Applications to Tracking and Navigation", 2001, section 6.2.2): with `x = [p; v]`,
+//! `F = [I, dt I; 0, I]`, `Q = q [dt^3/3 I, dt^2/2 I; dt^2/2 I, dt I]`, `H = [I, 0]`. Two steps add up to one of their
+//! length, so frames may come at any rate and be missing. The covariance is updated in Joseph's form,
+//! `P = (I - K H) P (I - K H)' + K R K'`, and kept symmetric.
+
+use nalgebra::{Cholesky, Matrix3, Matrix6, Matrix6x3, Rotation3, U3, UnitVector3, Vector3, Vector6};
+
+/// Position and velocity of an object.
+#[derive(Clone, Debug)]
+pub struct Motion {
+    /// Position in metres, then velocity in metres per second.
+    pub state: Vector6<f64>,
+    /// Its covariance.
+    pub covariance: Matrix6<f64>,
+}
+
+impl Motion {
+    /// An object seen once at `position`, whose speed is unknown but for its standard deviation per axis, in m/s.
+    pub fn new(position: Vector3<f64>, position_covariance: Matrix3<f64>, speed_sigma: f64) -> Self {
+        let mut state = Vector6::zeros();
+        state.fixed_rows_mut::<3>(0).copy_from(&position);
+        let mut covariance = Matrix6::zeros();
+        covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&position_covariance);
+        covariance.fixed_view_mut::<3, 3>(3, 3).fill_diagonal(speed_sigma * speed_sigma);
+        Self { state, covariance }
+    }
+
+    /// Position in metres.
+    pub fn position(&self) -> Vector3<f64> {
+        self.state.fixed_rows::<3>(0).into()
+    }
+
+    /// Velocity in metres per second.
+    pub fn velocity(&self) -> Vector3<f64> {
+        self.state.fixed_rows::<3>(3).into()
+    }
+
+    /// Covariance of the position, in square metres.
+    pub fn position_covariance(&self) -> Matrix3<f64> {
+        self.covariance.fixed_view::<3, 3>(0, 0).into()
+    }
+
+    /// Covariance of the velocity.
+    pub fn velocity_covariance(&self) -> Matrix3<f64> {
+        self.covariance.fixed_view::<3, 3>(3, 3).into()
+    }
+
+    /// Goes on by `dt` seconds, with acceleration noise of spectral density `density` in m^2/s^3.
+    pub fn predict(&mut self, dt: f64, density: f64) {
+        let noise = blocks(dt.powi(3) / 3.0, dt.powi(2) / 2.0, dt) * density;
+        let mut transition = Matrix6::identity();
+        transition.fixed_view_mut::<3, 3>(0, 3).fill_diagonal(dt);
+        self.state = transition * self.state;
+        self.covariance = symmetric(&(transition * self.covariance * transition.transpose() + noise));
+    }
+
+    /// The same object had its velocity changed at the start of the last `dt` seconds, by `speed_sigma` m/s per axis.
+    pub fn kicked(&self, dt: f64, speed_sigma: f64) -> Self {
+        let noise = blocks(dt * dt, dt, 1.0) * (speed_sigma * speed_sigma);
+        Self { state: self.state, covariance: self.covariance + noise }
+    }
+
+    /// Compares a measured position with the predicted one; `None` if the covariances are not positive definite.
+    pub fn innovation(&self, position: &Vector3<f64>, covariance: &Matrix3<f64>) -> Option<Innovation> {
+        let spread = Cholesky::new(self.position_covariance() + covariance)?;
+        Some(Innovation { residual: position - self.position(), spread })
+    }
+
+    /// Takes in a measured position.
+    pub fn update(&mut self, innovation: &Innovation, covariance: &Matrix3<f64>) {
+        let cross: Matrix6x3<f64> = self.covariance.fixed_view::<6, 3>(0, 0).into();
+        let gain = cross * innovation.spread.inverse();
+        self.state += gain * innovation.residual;
+        let mut kept = Matrix6::identity();
+        let mut left = kept.fixed_view_mut::<6, 3>(0, 0);
+        left -= gain;
+        self.covariance = kept * self.covariance * kept.transpose() + gain * covariance * gain.transpose();
+        self.covariance = symmetric(&self.covariance);
+    }
+}
+
+/// `[a I, b I; b I, c I]`.
+fn blocks(a: f64, b: f64, c: f64) -> Matrix6<f64> {
+    let mut matrix = Matrix6::from_diagonal(&Vector6::new(a, a, a, c, c, c));
+    for i in 0..3 {
+        (matrix[(i, i + 3)], matrix[(i + 3, i)]) = (b, b);
+    }
+    matrix
+}
+
+fn symmetric(matrix: &Matrix6<f64>) -> Matrix6<f64> {
+    (matrix + matrix.transpose()) * 0.5
+}
+
+/// A measured position against the predicted one.
+#[derive(Clone, Debug)]
+pub struct Innovation {
+    residual: Vector3<f64>,
+    spread: Cholesky<f64, U3>,
+}
+
+impl Innovation {
+    /// Squared Mahalanobis distance (the normalised innovation squared): chi-square with 3 degrees of freedom.
+    pub fn distance2(&self) -> f64 {
+        self.residual.dot(&self.spread.solve(&self.residual))
+    }
+
+    /// Logarithm of the determinant of the innovation's covariance.
+    pub fn ln_determinant(&self) -> f64 {
+        self.spread.ln_determinant()
+    }
+}
+
+/// A size that hardly changes: a random walk.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Size {
+    /// The estimate.
+    pub value: f64,
+    /// Its variance.
+    pub variance: f64,
+}
+
+impl Size {
+    /// A size measured once.
+    pub fn new(value: f64, variance: f64) -> Self {
+        Self { value, variance }
+    }
+
+    /// Goes on by `dt` seconds; the size drifts by `drift` per square root of a second.
+    pub fn predict(&mut self, dt: f64, drift: f64) {
+        self.variance += drift * drift * dt;
+    }
+
+    /// Squared difference to a measurement, in units of its variance.
+    pub fn distance2(&self, measured: Self) -> f64 {
+        (measured.value - self.value).powi(2) / (self.variance + measured.variance)
+    }
+
+    /// Takes in a measurement.
+    pub fn update(&mut self, measured: Self) {
+        let gain = gain(self.variance, measured.variance);
+        self.value += gain * (measured.value - self.value);
+        self.variance = joseph(gain, self.variance, measured.variance);
+    }
+}
+
+fn gain(variance: f64, noise: f64) -> f64 {
+    variance / (variance + noise).max(f64::MIN_POSITIVE)
+}
+
+fn joseph(gain: f64, variance: f64, noise: f64) -> f64 {
+    (1.0 - gain).powi(2) * variance + gain.powi(2) * noise
+}
+
+/// A direction that turns slowly: a filter in the plane tangent to the unit sphere, with the same variance all around.
+#[derive(Clone, Copy, Debug)]
+pub struct Axis {
+    /// The estimate.
+    pub direction: UnitVector3<f64>,
+    /// Variance of the angle, in square radians.
+    pub variance: f64,
+}
+
+impl Axis {
+    /// A direction measured once.
+    pub fn new(direction: UnitVector3<f64>, variance: f64) -> Self {
+        Self { direction, variance }
+    }
+
+    /// Goes on by `dt` seconds; the axis turns by `drift` radians per square root of a second.
+    pub fn predict(&mut self, dt: f64, drift: f64) {
+        self.variance += drift * drift * dt;
+    }
+
+    /// Takes in a measurement, turning towards it on the shortest way; a line is the same line turned around.
+    pub fn update(&mut self, measured: Self, is_line: bool) {
+        let gain = gain(self.variance, measured.variance);
+        let flip = is_line && self.direction.dot(&measured.direction) < 0.0;
+        let target = if flip { -measured.direction } else { measured.direction };
+        self.direction = turned(self.direction, target, gain);
+        self.variance = joseph(gain, self.variance, measured.variance);
+    }
+}
+
+/// A share of the turn from one direction to another. By `atan2` of sine and cosine: an arc cosine is not a number once
+/// rounding carries a product of unit vectors beyond one.
+fn turned(from: UnitVector3<f64>, to: UnitVector3<f64>, share: f64) -> UnitVector3<f64> {
+    let normal = from.cross(&to);
+    let angle = normal.norm().atan2(from.dot(&to));
+    let Some(axis) = UnitVector3::try_new(normal, 1e-12) else { return from };
+    UnitVector3::new_normalize(Rotation3::from_axis_angle(&axis, share * angle) * from.into_inner())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn isotropic(sigma: f64) -> Matrix3<f64> {
+        Matrix3::from_diagonal_element(sigma * sigma)
+    }
+
+    fn measure(motion: &mut Motion, position: Vector3<f64>, covariance: &Matrix3<f64>) {
+        let innovation = motion.innovation(&position, covariance).unwrap();
+        motion.update(&innovation, covariance);
+    }
+
+    /// Without process noise the filter is the least-squares line through the measurements: at the last of `n`, with
+    /// period T, the variances are `2 (2n - 1) r / (n (n + 1))` and `12 r / (T^2 n (n^2 - 1))`.
+    #[test]
+    fn without_acceleration_it_is_the_line_of_least_squares() {
+        let (sigma, period, n) = (0.01, 0.1, 20_u32);
+        let place = |k: u32| Vector3::new(1.0 + 0.02 * f64::from(k), (f64::from(k) * 1.7).sin() * 0.01, 2.0);
+        let mut motion = Motion::new(place(0), isotropic(sigma), 1e4);
+        for k in 1..n {
+            motion.predict(period, 0.0);
+            measure(&mut motion, place(k), &isotropic(sigma));
+        }
+        let (count, last) = (f64::from(n), f64::from(n - 1));
+        let mean_k = last / 2.0;
+        let sum = |f: &dyn Fn(u32) -> f64| (0..n).map(f).sum::<f64>();
+        let mean_y = sum(&|k| place(k).y) / count;
+        let slope = sum(&|k| (f64::from(k) - mean_k) * (place(k).y - mean_y)) * 12.0 / (count * (count * count - 1.0));
+        assert!((motion.state[0] - (1.0 + 0.02 * last)).abs() < 1e-9);
+        assert!((motion.state[3] - 0.2).abs() < 1e-8, "velocity {}", motion.state[3]);
+        assert!((motion.state[1] - (mean_y + slope * (last - mean_k))).abs() < 1e-8);
+        assert!((motion.state[4] - slope / period).abs() < 1e-7);
+        let position_variance = 2.0 * (2.0 * count - 1.0) / (count * (count + 1.0)) * sigma * sigma;
+        let velocity_variance = 12.0 * sigma * sigma / (period * period * count * (count * count - 1.0));
+        assert!((motion.covariance[(1, 1)] / position_variance - 1.0).abs() < 1e-6);
+        assert!((motion.covariance[(4, 4)] / velocity_variance - 1.0).abs() < 1e-6);
+    }
+
+    /// In the steady state the gain of a position and of its velocity, `g` and `h`, leave the covariance as it was:
+    /// the velocity's variance loses `h p_pv` to the measurement, the gain times what is predicted of the cross term,
+    /// and wins `q T` in the same time.
+    #[test]
+    fn in_the_steady_state_a_measurement_takes_what_a_step_brings() {
+        let (sigma, period, density) = (0.002, 1.0 / 30.0, 0.25);
+        let mut motion = Motion::new(Vector3::zeros(), isotropic(sigma), 1.0);
+        for _ in 0..300 {
+            motion.predict(period, density);
+            measure(&mut motion, Vector3::zeros(), &isotropic(sigma));
+        }
+        motion.predict(period, density);
+        let (position, cross) = (motion.covariance[(0, 0)], motion.covariance[(0, 3)]);
+        let taken = cross * cross / (position + sigma * sigma);
+        assert!((taken / (density * period) - 1.0).abs() < 1e-9, "{taken} against {}", density * period);
+    }
+
+    #[test]
+    fn two_steps_are_one_of_their_length() {
+        let mut once = Motion::new(Vector3::new(1.0, 2.0, 3.0), isotropic(0.01), 2.0);
+        once.state[4] = 0.7;
+        let mut twice = once.clone();
+        once.predict(0.25, 0.8);
+        twice.predict(0.1, 0.8);
+        twice.predict(0.15, 0.8);
+        assert!((once.state - twice.state).norm() < 1e-14);
+        assert!((once.covariance - twice.covariance).norm() < 1e-14);
+    }
+
+    #[test]
+    fn a_kick_is_an_uncertain_velocity_before_the_step() {
+        let before = Motion::new(Vector3::zeros(), isotropic(0.01), 0.5);
+        let mut kicked_before = Motion::new(Vector3::zeros(), isotropic(0.01), 0.5_f64.hypot(3.0));
+        kicked_before.predict(0.2, 0.1);
+        let mut after = before;
+        after.predict(0.2, 0.1);
+        assert!((after.kicked(0.2, 3.0).covariance - kicked_before.covariance).norm() < 1e-12);
+    }
+
+    #[test]
+    fn covariances_that_are_none_are_refused() {
+        let motion = Motion::new(Vector3::zeros(), isotropic(0.01), 1.0);
+        assert!(motion.innovation(&Vector3::zeros(), &Matrix3::from_diagonal_element(-1.0)).is_none());
+    }
+
+    /// A random walk of variance `w` per step measured with variance `r` settles at `(sqrt(w^2 + 4 w r) - w) / 2`.
+    #[test]
+    fn a_size_settles_at_the_closed_form() {
+        let (drift, dt, noise) = (0.01, 0.25, 4e-4);
+        let mut size = Size::new(1.0, 10.0);
+        for _ in 0..500 {
+            size.predict(dt, drift);
+            size.update(Size::new(1.0, noise));
+        }
+        let walk: f64 = drift * drift * dt;
+        let settled = ((walk * walk + 4.0 * walk * noise).sqrt() - walk) / 2.0;
+        assert!((size.variance / settled - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_constant_size_is_the_weighted_mean() {
+        let mut size = Size::new(1.0, 1.0);
+        size.update(Size::new(4.0, 0.5));
+        assert!((size.value - 3.0).abs() < 1e-15);
+        assert!((size.variance - 1.0 / 3.0).abs() < 1e-15);
+        size.variance = 0.0;
+        size.update(Size::new(9.0, 0.0));
+        assert_eq!(size.value, 3.0, "two certainties do not divide by zero");
+    }
+
+    #[test]
+    fn the_axis_of_a_line_has_no_sign_and_stays_a_unit_vector() {
+        let up = UnitVector3::new_normalize(Vector3::new(0.0, -1.0, 0.0));
+        let lean = UnitVector3::new_normalize(Vector3::new(0.1, 1.0, 0.0));
+        let mut line = Axis::new(up, 0.01);
+        line.update(Axis::new(lean, 0.01), true);
+        let half = 0.1_f64.atan() / 2.0;
+        assert!((line.direction.angle(&up) - half).abs() < 1e-12);
+        assert!(line.direction.x < 0.0 && (line.variance - 0.005).abs() < 1e-15);
+        for k in 0..1000 {
+            let tilt = Vector3::new(f64::from(k).sin() * 0.1, -1.0, f64::from(k).cos() * 0.1);
+            line.predict(0.03, 0.2);
+            line.update(Axis::new(UnitVector3::new_normalize(tilt), 0.01), true);
+        }
+        assert!((line.direction.norm() - 1.0).abs() < 1e-15);
+        assert!(line.direction.angle(&up) < 0.11);
+    }
+
+    #[test]
+    fn the_axis_of_a_cone_has_a_sign() {
+        let mut axis = Axis::new(Vector3::y_axis(), 0.01);
+        axis.update(Axis::new(Vector3::x_axis(), 0.03), false);
+        assert!((axis.direction.angle(&Vector3::y_axis()) - std::f64::consts::FRAC_PI_8).abs() < 1e-12);
+        axis.direction = Vector3::y_axis();
+        axis.update(Axis::new(-Vector3::y_axis(), 0.01), false);
+        assert_eq!(axis.direction, Vector3::y_axis(), "opposite directions give no way to turn");
+    }
+}

@@ -1,0 +1,124 @@
+//! The life of a track: born at the first sight, confirmed by enough sights, coasting while unseen, lost in the end.
+
+use conicflow_messages::TrackState;
+
+/// When a track is confirmed and when it is lost.
+#[derive(Clone, Copy, Debug)]
+pub struct Rules {
+    /// Sights that confirm a track,
+    pub hits: u32,
+    /// within this many frames, at most 32.
+    pub window: u32,
+    /// How long a confirmed track stays without a sight, in seconds.
+    pub max_coast_s: f64,
+}
+
+/// What became of a track so far.
+#[derive(Clone, Debug)]
+pub struct Life {
+    /// Frames since its first sight.
+    pub age: u32,
+    /// Frames since it was last seen.
+    pub misses: u32,
+    unseen_s: f64,
+    /// The last 32 frames, the newest in the lowest bit; 1: seen.
+    sights: u32,
+    confirmed: bool,
+}
+
+impl Life {
+    /// A track at its first sight.
+    pub fn born(rules: &Rules) -> Self {
+        Self { age: 0, misses: 0, unseen_s: 0.0, sights: 1, confirmed: rules.hits <= 1 }
+    }
+
+    /// One more frame, in which it was seen.
+    pub fn seen(&mut self, rules: &Rules) {
+        self.age = self.age.saturating_add(1);
+        (self.misses, self.unseen_s) = (0, 0.0);
+        self.sights = self.sights << 1 | 1;
+        self.confirmed |= (self.sights & window(rules)).count_ones() >= rules.hits;
+    }
+
+    /// One more frame, `elapsed_s` seconds later, in which it was not seen.
+    pub fn missed(&mut self, elapsed_s: f64) {
+        self.age = self.age.saturating_add(1);
+        self.misses = self.misses.saturating_add(1);
+        self.unseen_s += elapsed_s;
+        self.sights <<= 1;
+    }
+
+    /// Whether it is to be given up: unseen for too long, or no longer able to be confirmed.
+    pub fn is_lost(&self, rules: &Rules) -> bool {
+        if self.confirmed {
+            return self.unseen_s > rules.max_coast_s;
+        }
+        let frames = self.age.saturating_add(1).min(rules.window);
+        let missed = frames - (self.sights & window(rules)).count_ones();
+        missed > rules.window.saturating_sub(rules.hits)
+    }
+
+    /// How far it is to be trusted.
+    pub fn state(&self) -> TrackState {
+        match (self.confirmed, self.misses) {
+            (false, _) => TrackState::Tentative,
+            (true, 0) => TrackState::Confirmed,
+            (true, _) => TrackState::Coasting,
+        }
+    }
+}
+
+/// As many low bits as the window has frames.
+fn window(rules: &Rules) -> u32 {
+    u32::MAX >> (32 - rules.window.clamp(1, 32))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RULES: Rules = Rules { hits: 3, window: 5, max_coast_s: 0.25 };
+
+    /// States after each frame of `sights` behind the first; `None` once it is lost. Frames are 0.1 s apart.
+    fn live(sights: &str) -> Vec<Option<TrackState>> {
+        let mut life = Life::born(&RULES);
+        let step = |sight: char| {
+            match sight {
+                'x' => life.seen(&RULES),
+                _ => life.missed(0.1),
+            }
+            (!life.is_lost(&RULES)).then(|| life.state())
+        };
+        sights.chars().map(step).collect()
+    }
+
+    #[test]
+    fn three_sights_of_five_confirm() {
+        use TrackState::{Coasting, Confirmed, Tentative};
+        assert_eq!(live("xx"), [Some(Tentative), Some(Confirmed)]);
+        assert_eq!(live("--xx"), [Some(Tentative), Some(Tentative), Some(Tentative), Some(Confirmed)]);
+        assert_eq!(live("xx-x"), [Some(Tentative), Some(Confirmed), Some(Coasting), Some(Confirmed)]);
+    }
+
+    #[test]
+    fn three_misses_of_five_end_a_tentative_track() {
+        assert_eq!(live("---"), [Some(TrackState::Tentative), Some(TrackState::Tentative), None]);
+        assert_eq!(live("-x--").last(), Some(&None));
+    }
+
+    #[test]
+    fn a_confirmed_track_coasts_for_its_time() {
+        let states = live("xx---");
+        assert_eq!(states[2..], [Some(TrackState::Coasting), Some(TrackState::Coasting), None]);
+    }
+
+    #[test]
+    fn a_window_of_32_frames_and_one_of_one_frame_work() {
+        let mut life = Life::born(&Rules { window: 32, ..RULES });
+        assert!((0..100).all(|_| {
+            life.seen(&Rules { window: 32, ..RULES });
+            !life.is_lost(&Rules { window: 32, ..RULES })
+        }));
+        assert_eq!(Life::born(&Rules { hits: 1, window: 1, ..RULES }).state(), TrackState::Confirmed);
+    }
+}

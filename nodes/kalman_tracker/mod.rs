@@ -1,0 +1,179 @@
+//! The tracker: gives the objects of successive frames an identity, a velocity and a filtered shape.
+//!
+//! Each object has a Kalman filter of constant velocity. Where the camera's pose is known, filtering happens in the world
+//! and the camera may move; positions and velocities are given in the camera frame of the present frame, the velocity
+//! being that in the world, seen along the camera's axes. Without a pose the camera counts as standing still; a frame
+//! that lacks one takes that of the frame before.
+
+mod association;
+mod config;
+mod detection;
+mod filter;
+mod life;
+mod target;
+#[cfg(test)]
+mod tests;
+mod timeline;
+
+pub use config::KalmanTrackerConfig;
+
+use association::Association;
+use conicflow_dataflow::{Context, Output, Sides, Stage, StageError};
+use conicflow_messages::{Header, Message, Object, ObjectKind, Track};
+use detection::Detection;
+use nalgebra::{IsometryMatrix3, Matrix3, Rotation3, Translation3};
+use target::Target;
+use timeline::Timeline;
+
+/// Follows objects from frame to frame.
+pub struct Tracker {
+    config: KalmanTrackerConfig,
+    timeline: Timeline,
+    world_from_camera: IsometryMatrix3<f64>,
+    next_id: u64,
+    targets: Vec<Target>,
+    detections: Vec<Detection>,
+    association: Association,
+    tracks: Vec<Track>,
+    confirmed: Vec<ObjectKind>,
+}
+
+impl Tracker {
+    /// A tracker that has seen nothing; the first track gets the identity 1.
+    pub fn new(config: KalmanTrackerConfig) -> Self {
+        Self::with_first_id(config, 1)
+    }
+
+    /// A tracker whose first track gets the identity `first_id`.
+    pub fn with_first_id(config: KalmanTrackerConfig, first_id: u64) -> Self {
+        Self {
+            timeline: Timeline::new(1.0 / config.assumed_rate_hz),
+            config,
+            world_from_camera: IsometryMatrix3::identity(),
+            next_id: first_id,
+            targets: Vec::new(),
+            detections: Vec::new(),
+            association: Association::default(),
+            tracks: Vec::new(),
+            confirmed: Vec::new(),
+        }
+    }
+
+    /// Takes in the objects of one frame, in the camera frame; the tracks that are alive, by identity.
+    pub fn update(&mut self, header: &Header, objects: &[Object]) -> &[Track] {
+        let time = self.timeline.advance(header);
+        if time.new_run {
+            self.targets.clear();
+        }
+        if let Some(pose) = header.pose() {
+            self.world_from_camera = isometry(pose);
+        }
+        self.predict(time.elapsed_s);
+        self.detect(objects);
+        self.associate(time.elapsed_s);
+        self.update_targets(time.elapsed_s);
+        self.give_birth();
+        let camera_from_world = self.world_from_camera.inverse();
+        self.tracks.clear();
+        self.tracks.extend(self.targets.iter().map(|target| target.track(&camera_from_world)));
+        &self.tracks
+    }
+
+    /// The shapes of the tracks that the last frame confirmed.
+    pub fn newly_confirmed(&self) -> &[ObjectKind] {
+        &self.confirmed
+    }
+
+    fn predict(&mut self, dt: f64) {
+        for target in &mut self.targets {
+            target.predict(dt, &self.config);
+        }
+    }
+
+    fn detect(&mut self, objects: &[Object]) {
+        self.detections.clear();
+        let detection = |object| Detection::new(object, &self.world_from_camera, &self.config);
+        self.detections.extend(objects.iter().map(detection));
+    }
+
+    /// Undisturbed targets choose first; then those that may have been pushed.
+    fn associate(&mut self, dt: f64) {
+        let Self { association, targets, detections, config, .. } = self;
+        association.reset(targets.len(), detections.len());
+        association.assign(|target, detection| targets[target].cost(&detections[detection], config));
+        association.assign(|target, detection| targets[target].cost_of_manoeuvre(&detections[detection], dt, config));
+    }
+
+    fn update_targets(&mut self, dt: f64) {
+        self.confirmed.clear();
+        for (target, detection) in self.targets.iter_mut().zip(self.association.detections()) {
+            let was_confirmed = target.is_confirmed();
+            match detection {
+                Some(detection) => target.see(&self.detections[*detection], dt, &self.config),
+                None => target.miss(dt),
+            }
+            if target.is_confirmed() && !was_confirmed {
+                self.confirmed.push(target.kind);
+            }
+        }
+        let rules = self.config.rules();
+        self.targets.retain(|target| !target.life.is_lost(&rules));
+    }
+
+    fn give_birth(&mut self) {
+        for index in self.association.unclaimed() {
+            let target = Target::born(self.next_id, &self.detections[index], &self.config);
+            self.next_id += 1;
+            if target.is_confirmed() {
+                self.confirmed.push(target.kind);
+            }
+            self.targets.push(target);
+        }
+    }
+}
+
+/// A pose from its rows `[R | t]`.
+fn isometry(rows: &[[f64; 4]; 3]) -> IsometryMatrix3<f64> {
+    let rotation = Matrix3::from_fn(|row, column| rows[row][column]);
+    let translation = Translation3::new(rows[0][3], rows[1][3], rows[2][3]);
+    IsometryMatrix3::from_parts(translation, Rotation3::from_matrix_unchecked(rotation))
+}
+
+/// The stage around a [`Tracker`].
+pub struct KalmanTracker(Tracker);
+
+impl Stage for KalmanTracker {
+    const NAME: &'static str = "kalman_tracker";
+    const SUMMARY: &'static str =
+        "Follows objects from frame to frame with Kalman filters: identity, velocity, steady shape";
+    type Config = KalmanTrackerConfig;
+    type Input = Object;
+    type Output = Track;
+
+    fn new(config: KalmanTrackerConfig, context: &Context) -> Result<Self, StageError> {
+        Ok(Self(Tracker::with_first_id(config, first_id(context.resume_at))))
+    }
+
+    fn step(&mut self, input: &Message<Object>, _: &Sides, output: &mut Output<Track>) -> Result<(), StageError> {
+        for track in self.0.update(input.header, input.items) {
+            output.push(*track);
+        }
+        for kind in self.0.newly_confirmed() {
+            output.count(confirmed_counter(*kind), 1);
+        }
+        Ok(())
+    }
+}
+
+/// The first identity after a restart, above any that was given before: no frame has more than 65,536 new objects.
+fn first_id(resume_at: u64) -> u64 {
+    (resume_at << 16) + 1
+}
+
+fn confirmed_counter(kind: ObjectKind) -> &'static str {
+    match kind {
+        ObjectKind::Sphere => "tracks confirmed: sphere",
+        ObjectKind::Cylinder => "tracks confirmed: cylinder",
+        ObjectKind::Cone => "tracks confirmed: cone",
+    }
+}

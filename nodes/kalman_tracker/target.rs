@@ -1,0 +1,222 @@
+//! One object that is followed: the filters of its parameters, its shape and its life.
+
+use super::config::KalmanTrackerConfig;
+use super::detection::{Detection, rotated};
+use super::filter::{Axis, Motion, Size};
+use super::life::Life;
+use conicflow_messages::{Object, ObjectKind, ObjectSigma, Track, TrackState};
+use nalgebra::{IsometryMatrix3, Point3, Vector3};
+
+/// What a cylinder that was seen as a cone, or the reverse, costs more than one seen as itself: minus twice the
+/// logarithm of one in seven.
+const KIND_CHANGE_COST: f64 = 4.0;
+
+/// The least half-angle that a cone is given, in radians: its apex stays finite.
+const MIN_HALF_ANGLE: f64 = 1e-6;
+
+/// An object that is followed, in the frame of tracking.
+#[derive(Clone, Debug)]
+pub struct Target {
+    id: u64,
+    /// What it was seen as most often.
+    pub kind: ObjectKind,
+    /// How long and how often it was seen.
+    pub life: Life,
+    votes: [u32; ObjectKind::ALL.len()],
+    motion: Motion,
+    radius: Size,
+    length: Size,
+    axis: Option<Axis>,
+    half_angle: Option<Size>,
+    last_seen: Object,
+}
+
+impl Target {
+    /// A target at its first sight.
+    pub fn born(id: u64, first: &Detection, config: &KalmanTrackerConfig) -> Self {
+        let mut votes = [0; ObjectKind::ALL.len()];
+        votes[first.kind.code() as usize] = 1;
+        Self {
+            id,
+            kind: first.kind,
+            life: Life::born(&config.rules()),
+            votes,
+            motion: Motion::new(first.position, first.covariance, config.initial_speed_mps),
+            radius: first.radius,
+            length: first.length,
+            axis: first.axis,
+            half_angle: first.half_angle,
+            last_seen: first.object,
+        }
+    }
+
+    /// Goes on by `dt` seconds.
+    pub fn predict(&mut self, dt: f64, config: &KalmanTrackerConfig) {
+        self.motion.predict(dt, config.acceleration.powi(2));
+        self.radius.predict(dt, config.drift_radius_m);
+        self.length.predict(dt, config.drift_length_m);
+        if let Some(axis) = &mut self.axis {
+            axis.predict(dt, config.drift_axis_deg.to_radians());
+        }
+        if let Some(half_angle) = &mut self.half_angle {
+            half_angle.predict(dt, config.drift_half_angle_deg.to_radians());
+        }
+    }
+
+    /// Minus twice the logarithm of the likelihood that `detection` is this target, up to a constant; `None` outside the
+    /// gate or where shape or radius do not fit.
+    pub fn cost(&self, detection: &Detection, config: &KalmanTrackerConfig) -> Option<f64> {
+        self.cost_of(&self.motion, detection, config)
+    }
+
+    /// The same for a target that was seen in the frame before, `dt` seconds ago, and changed its velocity since.
+    pub fn cost_of_manoeuvre(&self, detection: &Detection, dt: f64, config: &KalmanTrackerConfig) -> Option<f64> {
+        let may_be = self.life.misses == 0 && self.kind == detection.kind && config.manoeuvre_mps > 0.0;
+        may_be.then(|| self.cost_of(&self.motion.kicked(dt, config.manoeuvre_mps), detection, config))?
+    }
+
+    fn cost_of(&self, motion: &Motion, detection: &Detection, config: &KalmanTrackerConfig) -> Option<f64> {
+        let kind_cost = kind_cost(self.kind, detection.kind)?;
+        let radius_cost = self.radius_cost(detection.radius, config)?;
+        let innovation = motion.innovation(&detection.position, &detection.covariance)?;
+        let distance2 = innovation.distance2();
+        (distance2 < config.gate).then(|| distance2 + innovation.ln_determinant() + radius_cost + kind_cost)
+    }
+
+    /// An outlier of the radius costs no more than one at the gate.
+    fn radius_cost(&self, measured: Size, config: &KalmanTrackerConfig) -> Option<f64> {
+        let distance2 = self.radius.distance2(measured);
+        let passes = (measured.value - self.radius.value).abs() <= config.max_radius_change * self.radius.value;
+        let spread = (self.radius.variance + measured.variance).ln();
+        (distance2 < config.gate || passes).then(|| distance2.min(config.gate) + spread)
+    }
+
+    /// Whether it was seen often enough to be sure of it.
+    pub fn is_confirmed(&self) -> bool {
+        self.life.state() != TrackState::Tentative
+    }
+
+    /// Takes in a sight, `dt` seconds after the frame before.
+    pub fn see(&mut self, detection: &Detection, dt: f64, config: &KalmanTrackerConfig) {
+        if self.cost(detection, config).is_none() {
+            self.motion = self.motion.kicked(dt, config.manoeuvre_mps);
+        }
+        if let Some(innovation) = self.motion.innovation(&detection.position, &detection.covariance) {
+            self.motion.update(&innovation, &detection.covariance);
+        }
+        self.radius.update(detection.radius);
+        self.length.update(detection.length);
+        self.vote(detection);
+        self.turn(detection);
+        update_or_begin(&mut self.half_angle, detection.half_angle);
+        self.last_seen = detection.object;
+        self.life.seen(&config.rules());
+    }
+
+    /// Goes on through a frame in which it was not seen.
+    pub fn miss(&mut self, dt: f64) {
+        self.life.missed(dt);
+    }
+
+    /// The shape is the one seen most often; a cylinder that turns out to be a cone takes the sign of its axis.
+    fn vote(&mut self, detection: &Detection) {
+        let seen = detection.kind.code() as usize;
+        self.votes[seen] = self.votes[seen].saturating_add(1);
+        if self.votes[seen] <= self.votes[self.kind.code() as usize] || self.kind == detection.kind {
+            return;
+        }
+        self.kind = detection.kind;
+        if let (Some(axis), Some(seen)) = (&mut self.axis, detection.axis)
+            && axis.direction.dot(&seen.direction) < 0.0
+        {
+            axis.direction = -axis.direction;
+        }
+    }
+
+    fn turn(&mut self, detection: &Detection) {
+        let Some(seen) = detection.axis else { return };
+        let is_line = self.kind != ObjectKind::Cone || detection.kind != ObjectKind::Cone;
+        match &mut self.axis {
+            Some(axis) => axis.update(seen, is_line),
+            None => self.axis = Some(seen),
+        }
+    }
+
+    /// The track as it is sent, in the camera frame.
+    pub fn track(&self, camera_from_world: &IsometryMatrix3<f64>) -> Track {
+        let rotation = &camera_from_world.rotation;
+        Track {
+            id: self.id,
+            state: self.life.state().code(),
+            age: self.life.age,
+            misses: self.life.misses,
+            object: self.object(camera_from_world),
+            velocity: (rotation * self.motion.velocity()).into(),
+            velocity_covariance: rotated(&self.motion.velocity_covariance(), rotation).transpose().into(),
+            ..Track::default()
+        }
+    }
+
+    /// The filtered object. What supports it is that of its last sight, and nothing while it is unseen.
+    fn object(&self, camera_from_world: &IsometryMatrix3<f64>) -> Object {
+        let unseen = Object { points: 0, rows: 0, arc: 0.0, ..self.last_seen };
+        let seen = if self.life.misses == 0 { self.last_seen } else { unseen };
+        let rotation = &camera_from_world.rotation;
+        let center = camera_from_world * Point3::from(self.motion.position());
+        let sphere = Object {
+            kind: self.kind.code(),
+            points: seen.points,
+            rows: seen.rows,
+            center: center.coords.into(),
+            radius: self.radius.value,
+            sigma: ObjectSigma {
+                center: rotated(&self.motion.position_covariance(), rotation).transpose().into(),
+                radius: self.radius.variance.sqrt(),
+                ..ObjectSigma::default()
+            },
+            rms: seen.rms,
+            arc: seen.arc,
+            ..Object::default()
+        };
+        let Some(axis) = self.axis.filter(|_| self.kind != ObjectKind::Sphere) else { return sphere };
+        let cylinder = Object {
+            axis: (rotation * axis.direction.into_inner()).into(),
+            length: self.length.value,
+            sigma: ObjectSigma { axis: axis.variance.sqrt(), length: self.length.variance.sqrt(), ..sphere.sigma },
+            ..sphere
+        };
+        let Some(half_angle) = self.half_angle.filter(|_| self.kind == ObjectKind::Cone) else { return cylinder };
+        with_half_angle(cylinder, half_angle)
+    }
+}
+
+/// The cone whose middle is `cylinder`: apex and end radii follow from its radius there and its half-angle.
+fn with_half_angle(cylinder: Object, half_angle: Size) -> Object {
+    let slope = half_angle.value.max(MIN_HALF_ANGLE).tan();
+    let apex = Vector3::from(cylinder.center) - Vector3::from(cylinder.axis) * (cylinder.radius / slope);
+    let widening = slope * cylinder.length / 2.0;
+    Object {
+        half_angle: half_angle.value,
+        base_radius: cylinder.radius + widening,
+        top_radius: (cylinder.radius - widening).max(0.0),
+        apex: apex.into(),
+        sigma: ObjectSigma { half_angle: half_angle.variance.sqrt(), ..cylinder.sigma },
+        ..cylinder
+    }
+}
+
+/// Cost of a target of one shape being seen as another; only cylinders and cones are taken for each other.
+fn kind_cost(tracked: ObjectKind, seen: ObjectKind) -> Option<f64> {
+    if tracked == seen {
+        return Some(0.0);
+    }
+    (tracked != ObjectKind::Sphere && seen != ObjectKind::Sphere).then_some(KIND_CHANGE_COST)
+}
+
+fn update_or_begin(size: &mut Option<Size>, measured: Option<Size>) {
+    match (size.as_mut(), measured) {
+        (Some(size), Some(measured)) => size.update(measured),
+        (None, measured) => *size = measured,
+        (Some(_), None) => {}
+    }
+}

@@ -1,0 +1,120 @@
+//! The pre-filter: which arcs go on as ellipses, and why the others do not.
+
+use super::RowEllipseConfig;
+use super::growth::{self, Arc};
+use super::scan_line::{Point, ScanLine};
+use conicflow_geometry::{self as geometry, Scan, fit_plane_line};
+use conicflow_messages::{Ellipse, NoiseModel};
+
+/// Why an arc is turned down.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Rejection {
+    /// Fewer points than asked for.
+    FewPoints,
+    /// A line explains the points: wall, floor, box.
+    Line,
+    /// The points determine no ellipse that explains them.
+    NoEllipse,
+    /// The centre lies before the surface: the inside of something.
+    Concave,
+    /// A semi-axis outside the limits.
+    Radius,
+    /// One semi-axis much longer than the other: wall, floor.
+    Elongated,
+    /// The points span too small an angle around the centre.
+    ShortArc,
+}
+
+impl Rejection {
+    const NAMES: [&'static str; 7] = [
+        "arcs of too few points",
+        "arcs that a line explains",
+        "arcs without ellipse",
+        "concave arcs",
+        "ellipses beyond the radius limits",
+        "elongated ellipses",
+        "ellipses of short arcs",
+    ];
+}
+
+/// How often each reason occurred.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Rejections([u64; Rejection::NAMES.len()]);
+
+impl Rejections {
+    pub fn count(&mut self, reason: Rejection) {
+        self.0[reason as usize] += 1;
+    }
+
+    pub fn iter(&self) -> impl Iterator<Item = (&'static str, u64)> {
+        Rejection::NAMES.into_iter().zip(self.0).filter(|(_, times)| *times > 0)
+    }
+}
+
+/// The ellipse of an arc, or why it is none.
+pub(super) fn accept(
+    arc: &Arc,
+    line: &ScanLine,
+    noise: &NoiseModel,
+    config: &RowEllipseConfig,
+) -> Result<Ellipse, Rejection> {
+    if arc.points.len() < config.min_points as usize {
+        return Err(Rejection::FewPoints);
+    }
+    let limit = growth::max_error(&arc.moments, &line.plane, noise, config);
+    if fit_plane_line(&arc.moments).is_none_or(|fit| fit.rms <= limit) {
+        return Err(Rejection::Line);
+    }
+    let (conic, rms) = growth::fit(&arc.moments).ok_or(Rejection::NoEllipse)?;
+    let ellipse = conic.to_ellipse().filter(|_| rms <= limit).ok_or(Rejection::NoEllipse)?;
+    check_shape(&ellipse, arc, config)?;
+    let angle = span(&ellipse, arc.points);
+    if angle < config.min_arc_deg.to_radians() {
+        return Err(Rejection::ShortArc);
+    }
+    Ok(message(&ellipse, arc, line, rms, angle))
+}
+
+fn check_shape(ellipse: &geometry::Ellipse, arc: &Arc, config: &RowEllipseConfig) -> Result<(), Rejection> {
+    let [long, short] = ellipse.semi_axes;
+    if arc.moments.mean().is_none_or(|[_, t]| ellipse.center[1] <= t) {
+        Err(Rejection::Concave)
+    } else if short < config.min_radius_m || long > config.max_radius_m {
+        Err(Rejection::Radius)
+    } else if short < config.min_radius_ratio * long {
+        Err(Rejection::Elongated)
+    } else {
+        Ok(())
+    }
+}
+
+/// The angle between the first and the last point as seen from the centre, over the side that faces the camera.
+fn span(ellipse: &geometry::Ellipse, points: &[Point]) -> f64 {
+    let from_front = |point: &Point| (point.st[0] - ellipse.center[0]).atan2(ellipse.center[1] - point.st[1]);
+    match (points.first(), points.last()) {
+        (Some(first), Some(last)) => (from_front(last) - from_front(first)).abs(),
+        _ => 0.0,
+    }
+}
+
+fn message(ellipse: &geometry::Ellipse, arc: &Arc, line: &ScanLine, rms: f64, span: f64) -> Ellipse {
+    let pixel = |point: Option<&Point>| point.map_or(0, |point| point.pixel);
+    Ellipse {
+        scan: if line.scan == Scan::Row { 0 } else { 1 },
+        line: line.number,
+        first: pixel(arc.points.first()),
+        last: pixel(arc.points.last()),
+        points: arc.points.len() as u32,
+        reserved: 0,
+        center: line.plane.to_camera(ellipse.center).into(),
+        plane_center: ellipse.center,
+        semi_axes: ellipse.semi_axes,
+        angle: ellipse.angle,
+        half_width: ellipse.half_extents[0],
+        half_depth: ellipse.half_extents[1],
+        rms,
+        arc: span,
+        origin: arc.moments.origin(),
+        moments: *arc.moments.sums(),
+    }
+}

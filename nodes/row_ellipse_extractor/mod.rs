@@ -1,0 +1,185 @@
+//! Finds ellipses in the scan lines of a depth image: the paper's Algorithm 1, with its pre-filter.
+//!
+//! A scan line is split at holes and depth jumps into runs ([`scan_line`]). Along a run a model grows point by point on
+//! running sums, and ends where no line and no ellipse explains its points any more ([`growth`]); what is left of the
+//! run starts the next one, so that one pass finds all ellipses of a line. Walls, specks and hollows are then turned
+//! down, each under the name of its reason ([`filter`]).
+
+mod filter;
+mod growth;
+#[cfg(test)]
+pub(crate) mod rendered;
+mod scan_line;
+#[cfg(test)]
+mod tests;
+
+use conicflow_dataflow::{Config, Context, Output, Sides, Stage, StageError};
+use conicflow_geometry::{Pinhole, Scan};
+use conicflow_messages::{Camera, Ellipse, Header, Message};
+use filter::Rejections;
+use scan_line::ScanLine;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Which scan lines are looked at.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ScanLines {
+    /// Rows: finds upright objects.
+    #[default]
+    Rows,
+    /// Columns: finds lying ones.
+    Columns,
+    /// Rows, then columns.
+    Both,
+}
+
+/// Parameters of the extractor.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct RowEllipseConfig {
+    /// Scan lines to look at: `rows`, `columns` (for objects that lie) or `both`.
+    pub scan: ScanLines,
+    /// Looks at every n-th scan line.
+    #[schemars(range(min = 1, max = 64))]
+    pub line_step: u32,
+    /// Largest root mean square distance of points from their line or ellipse, in standard deviations of the sensor.
+    #[schemars(range(min = 0.1, max = 20.0))]
+    pub max_error_sigmas: f64,
+    /// Added to it, for what the noise model leaves out, in metres.
+    #[schemars(range(min = 0.0, max = 0.1))]
+    pub max_error_floor_m: f64,
+    /// A depth step ends a run beyond this many standard deviations of the sensor ...
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub jump_sigmas: f64,
+    /// ... plus what a surface of this slope (depth per distance across the view) would step.
+    #[schemars(range(min = 0.1, max = 100.0))]
+    pub jump_slope: f64,
+    /// Number of missing pixels that are bridged inside a run.
+    #[schemars(range(min = 0, max = 64))]
+    pub max_hole_px: u32,
+    /// Number of points taken off both ends of a run, where pixels mix two depths.
+    #[schemars(range(min = 0, max = 16))]
+    pub trim_px: u32,
+    /// Fewest points of an ellipse.
+    #[schemars(range(min = 6, max = 1000))]
+    pub min_points: u32,
+    /// Smallest semi-axis of an ellipse, in metres.
+    #[schemars(range(min = 0.001, max = 10.0))]
+    pub min_radius_m: f64,
+    /// Largest semi-axis of an ellipse, in metres.
+    #[schemars(range(min = 0.001, max = 10.0))]
+    pub max_radius_m: f64,
+    /// Smallest ratio of the shorter to the longer semi-axis; flatter ellipses are walls and floors.
+    #[schemars(range(min = 0.01, max = 1.0))]
+    pub min_radius_ratio: f64,
+    /// Smallest angle that the points span around the centre, in degrees.
+    #[schemars(range(min = 0.0, max = 180.0))]
+    pub min_arc_deg: f64,
+}
+
+impl Default for RowEllipseConfig {
+    fn default() -> Self {
+        Self {
+            scan: ScanLines::Rows,
+            line_step: 1,
+            max_error_sigmas: 1.5,
+            max_error_floor_m: 0.0005,
+            jump_sigmas: 5.0,
+            jump_slope: 5.0,
+            max_hole_px: 3,
+            trim_px: 1,
+            min_points: 10,
+            min_radius_m: 0.015,
+            max_radius_m: 0.6,
+            min_radius_ratio: 0.3,
+            min_arc_deg: 60.0,
+        }
+    }
+}
+
+impl Config for RowEllipseConfig {}
+
+/// Finds the ellipses of a depth image.
+#[derive(Debug)]
+pub struct RowEllipseExtractor {
+    config: RowEllipseConfig,
+    line: ScanLine,
+    ellipses: Vec<Ellipse>,
+    rejections: Rejections,
+}
+
+impl RowEllipseExtractor {
+    /// An extractor with these parameters.
+    pub fn with(config: RowEllipseConfig) -> Self {
+        Self { config, line: ScanLine::default(), ellipses: Vec::new(), rejections: Rejections::default() }
+    }
+
+    /// The ellipses of the depth image `pixels` (row by row, `width * height` of them), in the order of the scan lines.
+    pub fn extract(&mut self, header: &Header, pixels: &[u16]) -> &[Ellipse] {
+        self.ellipses.clear();
+        self.rejections = Rejections::default();
+        if self.config.scan != ScanLines::Columns {
+            self.scan(header, pixels, Scan::Row);
+        }
+        if self.config.scan != ScanLines::Rows {
+            self.scan(header, pixels, Scan::Column);
+        }
+        &self.ellipses
+    }
+
+    /// Why arcs of the last image were turned down, and how many of them.
+    pub fn rejections(&self) -> impl Iterator<Item = (&'static str, u64)> {
+        self.rejections.iter()
+    }
+
+    fn scan(&mut self, header: &Header, pixels: &[u16], scan: Scan) {
+        let lines = match scan {
+            Scan::Row => header.camera.height,
+            Scan::Column => header.camera.width,
+        };
+        for line in (0..lines).step_by(self.config.line_step.max(1) as usize) {
+            self.line.read(header, pixels, scan, line, &self.config);
+            self.ellipses_of_line(header);
+        }
+    }
+
+    fn ellipses_of_line(&mut self, header: &Header) {
+        for run in self.line.runs() {
+            let mut rest = run;
+            while !rest.is_empty() {
+                let arc = growth::grow(rest, &self.line.plane, &header.noise, &self.config);
+                match filter::accept(&arc, &self.line, &header.noise, &self.config) {
+                    Ok(ellipse) => self.ellipses.push(ellipse),
+                    Err(reason) => self.rejections.count(reason),
+                }
+                rest = &rest[arc.points.len()..];
+            }
+        }
+    }
+}
+
+impl Stage for RowEllipseExtractor {
+    const NAME: &'static str = "row_ellipse_extractor";
+    const SUMMARY: &'static str =
+        "finds ellipses in the scan lines of a depth image, in one pass with constant time a point";
+    type Config = RowEllipseConfig;
+    type Input = u16;
+    type Output = Ellipse;
+
+    fn new(config: Self::Config, _: &Context) -> Result<Self, StageError> {
+        Ok(Self::with(config))
+    }
+
+    fn step(&mut self, input: &Message<u16>, _: &Sides, output: &mut Output<Ellipse>) -> Result<(), StageError> {
+        self.extract(input.header, input.items);
+        self.ellipses.iter().for_each(|&ellipse| output.push(ellipse));
+        self.rejections.iter().for_each(|(reason, times)| output.count(reason, times));
+        Ok(())
+    }
+}
+
+/// The camera of a message, for the mathematics.
+fn pinhole(camera: &Camera) -> Pinhole {
+    Pinhole { fx: camera.fx, fy: camera.fy, cx: camera.cx, cy: camera.cy }
+}
