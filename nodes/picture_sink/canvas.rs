@@ -167,7 +167,7 @@ mod tests {
         picture.line([-1e300, -1e299], [1e300, 3e299], 1, WHITE);
         picture.begin(8, 8);
         picture.square([1e300, -1e300], 3, WHITE);
-        picture.text(1e300, f64::NAN, "#12 cyl 98", WHITE);
+        picture.text(1e300, f64::NAN, "12: cyl 98", WHITE);
         assert!(painted(&picture).iter().all(|(_, y)| *y < 7), "only the text, moved inside");
     }
 

@@ -40,7 +40,7 @@ impl Drawn for Track {
                 TrackState::Confirmed => Pen { colour, width: painter.line_width },
                 TrackState::Coasting => Pen { colour: dark(colour), width: painter.line_width },
             };
-            painter.object(&track.object, pen, || format!("#{} {}", track.id, object_label(&track.object)));
+            painter.object(&track.object, pen, || format!("{}: {}", track.id, object_label(&track.object)));
         }
     }
 }
