@@ -157,7 +157,10 @@ impl ImageSource {
         if self.misses >= self.recording.len() {
             bail!("none of the {} frames can be read; the last: {error:#}", self.misses);
         }
-        tracing::warn!("passed over: {error:#}");
+        // Once is enough for a file that a loop meets in every round.
+        if self.position <= self.recording.len() as u64 {
+            tracing::warn!("passed over: {error:#}");
+        }
         Ok(())
     }
 

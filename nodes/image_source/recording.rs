@@ -230,6 +230,6 @@ fn cloud_scale(depths: &[f32], metres_per_z: f64) -> f64 {
 
 /// Depth in units, 0 where that is none.
 fn quantised(z: f32, units_per_z: f64) -> u16 {
-    let units = (f64::from(z) * units_per_z).round();
+    let units = f64::from(z) * units_per_z + 0.5;
     if units >= 1.0 && units < f64::from(INVALID_FAR) { units as u16 } else { 0 }
 }

@@ -1,1 +1,201 @@
-//! To be written.
+//! Writes pictures to look at: the depth image in grey, over it the ellipses and the outlines of objects or tracks.
+//!
+//! One sink for whatever drives it, a list of objects, tracks or ellipses; the depth image and the ellipses of the same
+//! frame come by further inputs and may be missing.
+
+mod canvas;
+mod depth_view;
+mod font;
+mod outline;
+mod painter;
+
+use anyhow::{Context as _, Result, ensure};
+use conicflow_dataflow::{ConfigFault, Context, Output, Pick, Side, Sides, Stage, StageError};
+use conicflow_messages::{Header, Kind, Message, Nothing};
+pub use painter::{Drawn, Painter};
+use png::{BitDepth, ColorType, Compression, Encoder};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::fs;
+use std::marker::PhantomData;
+use std::path::{Path, PathBuf};
+
+/// The most pixels of a picture.
+const MAX_PIXELS: u64 = 1 << 26;
+
+/// Parameters of [`PictureSink`].
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Folder for the pictures; it is made if need be.
+    pub path: Option<PathBuf>,
+    /// Draw every so many frames.
+    #[schemars(range(min = 1))]
+    pub every: u64,
+    /// What pictures are called after: `sequence` (frame_000012.png) or `source` (the frame's file, where it has one).
+    pub names: Names,
+    /// Width of the outlines, in pixels.
+    #[schemars(range(min = 1, max = 15))]
+    pub line_width_px: u32,
+    /// Whether objects are labelled with their kind and radius in millimetres, and tracks with their number.
+    pub labels: bool,
+    /// Depth of the lightest grey, in metres; default: by the frame.
+    #[schemars(range(min = 0.0))]
+    pub near_m: Option<f64>,
+    /// Depth of the darkest grey, in metres; default: by the frame.
+    #[schemars(range(min = 0.0))]
+    pub far_m: Option<f64>,
+}
+
+/// What pictures are called after.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Names {
+    /// The frame's sequence number.
+    Sequence,
+    /// The frame's file.
+    Source,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self { path: None, every: 1, names: Names::Sequence, line_width_px: 2, labels: true, near_m: None, far_m: None }
+    }
+}
+
+impl conicflow_dataflow::Config for Config {
+    fn faults(&self, _: &Path) -> Vec<ConfigFault> {
+        let mut faults = Vec::new();
+        let mut fault =
+            |key, what: &str, hint: &str| faults.push(ConfigFault { key, what: what.into(), hint: hint.into() });
+        if self.path.is_none() {
+            fault("path", "is missing", "write `path = \"pictures/\"`");
+        }
+        if self.near_m.zip(self.far_m).is_some_and(|(near, far)| near >= far) {
+            fault("near_m", "is not below `far_m`", "near is light, far is dark: write the smaller depth here");
+        }
+        faults
+    }
+}
+
+/// Writes a PNG for every message, or every so many.
+pub struct PictureSink<T> {
+    folder: PathBuf,
+    every: u64,
+    names: Names,
+    painter: Painter,
+    file: Vec<u8>,
+    /// Messages taken.
+    taken: u64,
+    item: PhantomData<T>,
+}
+
+impl<T: Drawn> PictureSink<T> {
+    fn open(config: &Config, context: &Context) -> Result<Self> {
+        let path = config.path.as_ref().context("`path` is missing\n  hint: write `path = \"pictures/\"`")?;
+        let folder = context.resolve(path);
+        fs::create_dir_all(&folder).with_context(|| format!("the folder `{}` cannot be made", folder.display()))?;
+        Ok(Self {
+            folder,
+            every: config.every.max(1),
+            names: config.names,
+            painter: Painter::new(config),
+            file: Vec::new(),
+            taken: context.resume_at,
+            item: PhantomData,
+        })
+    }
+
+    /// Draws a message and writes the picture, if it is its turn; returns the file.
+    fn take(&mut self, input: &Message<T>, sides: &Sides) -> Result<Option<PathBuf>> {
+        let number = self.taken;
+        self.taken += 1;
+        if !number.is_multiple_of(self.every) {
+            return Ok(None);
+        }
+        self.draw(input, sides)?;
+        let path = self.folder.join(picture_name(input.header, self.names));
+        self.write(&path).with_context(|| format!("`{}` cannot be written", path.display()))?;
+        Ok(Some(path))
+    }
+
+    fn draw(&mut self, input: &Message<T>, sides: &Sides) -> Result<()> {
+        let camera = &input.header.camera;
+        let pixels = u64::from(camera.width) * u64::from(camera.height);
+        ensure!(
+            (1..=MAX_PIXELS).contains(&pixels),
+            "frame {} has {}x{} pixels, expected 1 to {MAX_PIXELS}",
+            input.header.sequence,
+            camera.width,
+            camera.height
+        );
+        self.painter.begin(camera);
+        if let Some(depth) = sides.depth("depth") {
+            self.painter.depth(&depth);
+        }
+        if let Some(ellipses) = sides.ellipses("ellipses") {
+            self.painter.ellipses(ellipses.items);
+        }
+        T::draw(input.items, &mut self.painter);
+        Ok(())
+    }
+
+    /// Writes the picture under another name first, so that nobody sees half of it.
+    fn write(&mut self, path: &Path) -> Result<()> {
+        self.file.clear();
+        let (width, height) = self.painter.size();
+        let mut encoder = Encoder::new(&mut self.file, width, height);
+        encoder.set_color(ColorType::Rgb);
+        encoder.set_depth(BitDepth::Eight);
+        encoder.set_compression(Compression::Fast);
+        encoder.write_header()?.write_image_data(self.painter.bytes())?;
+        let part = path.with_extension("png.part");
+        fs::write(&part, &self.file)?;
+        fs::rename(&part, path)?;
+        Ok(())
+    }
+}
+
+/// `frame_000012.png`, or the stem of the frame's file where the source names one.
+fn picture_name(header: &Header, names: Names) -> String {
+    let source = Path::new(header.source.as_str().unwrap_or_default());
+    match (names, source.extension(), source.file_stem()) {
+        (Names::Source, Some(_), Some(stem)) => format!("{}.png", harmless(&stem.to_string_lossy())),
+        _ => format!("frame_{:06}.png", header.sequence),
+    }
+}
+
+/// A name from another process, without what could lead out of the folder.
+fn harmless(name: &str) -> String {
+    let allowed = |letter: char| letter.is_alphanumeric() || "._- ".contains(letter);
+    name.chars().map(|letter| if allowed(letter) { letter } else { '_' }).collect()
+}
+
+impl<T: Drawn> Stage for PictureSink<T> {
+    const NAME: &'static str = "picture_sink";
+    const SUMMARY: &'static str = "Writes PNGs of the depth image with ellipses, objects or tracks drawn over it.";
+    type Config = Config;
+    type Input = T;
+    type Output = Nothing;
+
+    fn new(config: Config, context: &Context) -> Result<Self, StageError> {
+        Ok(Self::open(&config, context)?)
+    }
+
+    fn sides() -> &'static [Side] {
+        &[
+            Side { name: "depth", kind: Kind::Depth, pick: Pick::SameFrame },
+            Side { name: "ellipses", kind: Kind::Ellipses, pick: Pick::SameFrame },
+        ]
+    }
+
+    fn step(&mut self, input: &Message<T>, sides: &Sides, output: &mut Output<Nothing>) -> Result<(), StageError> {
+        if self.take(input, sides)?.is_some() {
+            output.count("pictures written", 1);
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests;

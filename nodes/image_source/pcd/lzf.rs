@@ -61,12 +61,12 @@ fn room(output: &mut [u8], start: usize, length: usize) -> Result<&mut [u8]> {
 /// Copies bytes that may overlap with what is being written: a distance of 1 repeats one byte.
 fn copy_back(output: &mut [u8], at: usize, distance: usize, length: usize) -> Result<()> {
     let from = at.checked_sub(distance).context("the compressed data refers back beyond its beginning")?;
-    if distance >= length {
-        output.copy_within(from..from + length, at);
-    } else {
-        for index in 0..length {
-            output[at + index] = output[from + index];
-        }
+    // What stands from `from` on repeats itself every `distance` bytes, so that each copy may be twice as long.
+    let mut done = 0;
+    while done < length {
+        let part = (distance + done).min(length - done);
+        output.copy_within(from..from + part, at + done);
+        done += part;
     }
     Ok(())
 }
