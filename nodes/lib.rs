@@ -2,8 +2,6 @@
 
 pub mod noise_config;
 
-pub mod noise_config;
-
 pub mod synthetic_source;
 
 pub mod image_source;
@@ -27,12 +25,17 @@ use console_sink::ConsoleSink;
 use image_source::ImageSource;
 use json_sink::JsonSink;
 use kalman_tracker::KalmanTracker;
+use object_assembler::ObjectAssembler;
+use picture_sink::PictureSink;
 use row_ellipse_extractor::RowEllipseExtractor;
+use synthetic_source::SyntheticSource;
 
 /// The nodes that a pipeline file may name: one row makes one available.
 pub const NODES: &[Node] = &[
+    Node::source::<SyntheticSource>(),
     Node::source::<ImageSource>(),
     Node::stage::<RowEllipseExtractor>(),
+    Node::stage::<ObjectAssembler>(),
     Node::stage::<KalmanTracker>(),
     Node::stages::<ConsoleSink<Track>>(&[
         Variant::stage::<ConsoleSink<Track>>(),
@@ -43,5 +46,10 @@ pub const NODES: &[Node] = &[
         Variant::stage::<JsonSink<Track>>(),
         Variant::stage::<JsonSink<Object>>(),
         Variant::stage::<JsonSink<Ellipse>>(),
+    ]),
+    Node::stages::<PictureSink<Track>>(&[
+        Variant::stage::<PictureSink<Track>>(),
+        Variant::stage::<PictureSink<Object>>(),
+        Variant::stage::<PictureSink<Ellipse>>(),
     ]),
 ];

@@ -56,6 +56,7 @@ impl<S: Source, T: Transport> SourceLoop<S, T> {
         let header = Header { epoch: self.epoch, sequence: self.sequence, ..output.header };
         let is_image = output.is_image();
         if next == Next::End {
+            self.keep_record();
             return Ok(false);
         }
         self.record.status.compute.add(started.elapsed().as_nanos() as u64);
@@ -63,13 +64,13 @@ impl<S: Source, T: Transport> SourceLoop<S, T> {
             return Ok(false);
         }
         self.sequence += 1;
+        self.record.status.steps += 1;
         self.keep_record();
         Ok(true)
     }
 
     fn keep_record(&mut self) {
         let status = &mut *self.record.status;
-        status.steps += 1;
         self.outlet.tally(status);
         for (slot, side) in status.inputs.iter_mut().zip(&self.sides) {
             *slot = side.counts();

@@ -16,7 +16,7 @@ pub mod shapes;
 pub mod truth;
 
 use anyhow::{Context as _, Result, bail};
-use conicflow_dataflow::{Config, ConfigFault, Context, Next, Output, Pace, Sides, Source, StageError};
+use conicflow_dataflow::{Config, ConfigFault, Context, Next, Output, Sides, Source, StageError};
 use conicflow_messages::{Camera, HAS_POSE, Header, Text};
 use random::Dice;
 use raster::Raster;
@@ -189,7 +189,7 @@ impl Config for SyntheticSourceConfig {
 /// The node: a [`SyntheticCamera`] that keeps a pace.
 pub struct SyntheticSource {
     camera: SyntheticCamera,
-    pace: Pace,
+    rate_hz: f64,
     next: u64,
     frames: u64,
     truth: Option<TruthFile>,
@@ -208,8 +208,11 @@ impl Source for SyntheticSource {
         let camera = SyntheticCamera::new(scene, camera, config.noise, config.depth_scale, rate_hz, seed);
         let truth_path = config.truth_path.as_deref().map(|path| context.resolve(path));
         let truth = truth_path.map(|path| TruthFile::open(path, context.resume_at)).transpose()?;
-        let pace = Pace::new(config.rate_hz, context.stop.clone());
-        Ok(Self { camera, pace, next: context.resume_at, frames: config.frames, truth })
+        Ok(Self { camera, rate_hz: config.rate_hz, next: context.resume_at, frames: config.frames, truth })
+    }
+
+    fn rate_hz(&self) -> f64 {
+        self.rate_hz
     }
 
     fn total(&self) -> Option<u64> {
@@ -220,7 +223,6 @@ impl Source for SyntheticSource {
         if self.frames > 0 && self.next >= self.frames {
             return Ok(Next::End);
         }
-        self.pace.wait();
         let camera = self.camera.raster.camera;
         self.camera.shoot(self.next, output.image(camera.width as usize * camera.height as usize)?);
         self.camera.describe(&mut output.header);
