@@ -46,12 +46,29 @@ pub struct Line {
     pub rms: f64,
     /// Standard deviation of the points along the line.
     pub spread: f64,
+    /// Number of points.
+    pub count: f64,
 }
 
 impl Line {
     /// Distance of a point from the line.
     pub fn distance(&self, point: &Vector3) -> f64 {
         (point - self.point).cross(&self.direction).norm()
+    }
+
+    /// Position of a point along the line, from the mean of the points.
+    pub fn position(&self, point: &Vector3) -> f64 {
+        (point - self.point).dot(&self.direction)
+    }
+
+    /// Standard error of the direction, in radians.
+    pub fn direction_sigma(&self) -> f64 {
+        self.rms / (self.spread * self.count.sqrt())
+    }
+
+    /// Standard deviation of a further point's distance from the line at a position along it.
+    pub fn prediction_sigma(&self, position: f64) -> f64 {
+        self.rms * (1.0 + (1.0 + (position / self.spread).powi(2)) / self.count).sqrt()
     }
 }
 
@@ -92,7 +109,7 @@ impl LineMoments {
         }
         let across = (scatter.trace() - along).max(0.0);
         let direction = eigen.eigenvectors.column(longest).into_owned();
-        Some(Line { point: self.origin + mean, direction, rms: across.sqrt(), spread: along.sqrt() })
+        Some(Line { point: self.origin + mean, direction, rms: across.sqrt(), spread: along.sqrt(), count: self.count })
     }
 }
 
