@@ -58,6 +58,11 @@ impl Regression {
         self.count
     }
 
+    /// Standard deviation of x about its mean, 0 where there are no pairs.
+    pub fn spread(&self) -> f64 {
+        if self.count > 0.0 { (self.xx / self.count).max(0.0).sqrt() } else { 0.0 }
+    }
+
     /// Mean of y.
     pub fn mean(&self) -> f64 {
         self.mean_y

@@ -6,7 +6,7 @@
 
 use super::sections::Section;
 use super::verify::{Body, Candidate, Rejection, Solid};
-use conicflow_geometry::{Cone, Cylinder, Fit, Line, LineMoments, Regression, Vector3, cone_half_angle, cone_lean};
+use conicflow_geometry::{Cone, Cylinder, Fit, Line, PencilMoments, Regression, Vector3, cone_half_angle, cone_lean};
 
 /// Repetitions of the fit; each takes the error of axis and half-angle down by far more than a factor of ten.
 const PASSES: usize = 4;
@@ -22,14 +22,14 @@ struct Skeleton {
 
 /// Fits a cylinder or a cone, whichever the slope of the profile asks for.
 pub(super) fn fit(candidate: &Candidate) -> Result<Body, Rejection> {
-    let mut axis = center_line(candidate, |section| Some(section.center))?.direction;
-    let mut half_angle = 0.0;
-    let mut skeleton = skeleton(candidate, &axis, half_angle)?;
-    for _ in 1..PASSES {
-        (axis, half_angle) = lean(candidate, &skeleton, &axis)?;
-        skeleton = self::skeleton(candidate, &axis, half_angle)?;
+    let mut line = raw_line(candidate)?;
+    let (mut axis, mut half_angle) = (line.direction, 0.0);
+    let mut profile = profile(candidate, &line, &axis, half_angle)?;
+    for _ in 0..PASSES {
+        line = center_line(candidate, &Skeleton { line, profile }, &axis, half_angle)?;
+        (axis, half_angle) = lean(candidate, &Skeleton { line, profile }, &axis)?;
+        profile = self::profile(candidate, &line, &axis, half_angle)?;
     }
-    let Skeleton { line, profile } = skeleton;
     if line.rms > candidate.config.max_center_scatter * profile.value {
         return Err(Rejection::NotCollinear);
     }
@@ -39,25 +39,34 @@ pub(super) fn fit(candidate: &Candidate) -> Result<Body, Rejection> {
     if half_angle > 0.0 { cone(candidate, &line, axis, &profile) } else { Ok(cylinder(candidate, &line, &profile)) }
 }
 
-fn skeleton(candidate: &Candidate, axis: &Vector3, half_angle: f64) -> Result<Skeleton, Rejection> {
-    let line = center_line(candidate, |section| section.cut(axis, half_angle).map(|(center, _)| center))?;
+/// Radii over positions; a section stands where its plane meets the line so far.
+fn profile(candidate: &Candidate, line: &Line, axis: &Vector3, half_angle: f64) -> Result<Fit, Rejection> {
     let mut pairs = Regression::default();
     for section in candidate.sections() {
-        let (center, radius) = section.cut(axis, half_angle).ok_or(Rejection::Tilted)?;
-        pairs.add((center - line.point).dot(axis), radius);
+        let cut = section.cut(axis, half_angle).ok_or(Rejection::Tilted)?;
+        pairs.add(section.position(line, axis), cut.radius);
     }
-    let profile = pairs.fit().ok_or(Rejection::Degenerate)?;
-    Ok(Skeleton { line, profile })
+    pairs.fit().ok_or(Rejection::Degenerate)
 }
 
-fn center_line(candidate: &Candidate, center: impl Fn(&Section) -> Option<Vector3>) -> Result<Line, Rejection> {
-    let mut sums = LineMoments::new(candidate.middle().center);
+/// The line through the centres as found.
+fn raw_line(candidate: &Candidate) -> Result<Line, Rejection> {
+    let mut sums = PencilMoments::new(candidate.middle().scan);
+    candidate.sections().for_each(|section| sums.add(&section.plane, section.plane_center));
+    sums.fit().ok_or(Rejection::Degenerate)
+}
+
+/// The line through the centres, each put behind the front of its arc by the radius that the profile gives it: an arc
+/// tells its front far better than its radius, and an error of the radius would move the centre as much.
+fn center_line(candidate: &Candidate, so_far: &Skeleton, axis: &Vector3, half_angle: f64) -> Result<Line, Rejection> {
+    let mut sums = PencilMoments::new(candidate.middle().scan);
     for section in candidate.sections() {
-        sums.add(&center(section).ok_or(Rejection::Tilted)?);
+        let cut = section.cut(axis, half_angle).ok_or(Rejection::Tilted)?;
+        let position = section.position(&so_far.line, axis);
+        let radius = if half_angle > 0.0 { so_far.profile.at(position) } else { so_far.profile.value };
+        sums.add(&section.plane, cut.behind_front(radius));
     }
-    let line = sums.fit().ok_or(Rejection::Degenerate)?;
-    let sign = line.direction.dot(&candidate.middle().plane.normal()).signum();
-    Ok(Line { direction: line.direction * sign, ..line })
+    sums.fit().ok_or(Rejection::Degenerate)
 }
 
 /// Axis and half-angle that the slope of the profile asks for; half-angle 0 for a cylinder.

@@ -23,7 +23,7 @@ use sections::Section;
 use sequence::Sequences;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
-use verify::Rejections;
+use verify::{Body, Candidate, Rejection, Rejections, Solid};
 
 /// How objects are found in a list of ellipses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
@@ -185,6 +185,7 @@ pub struct ObjectAssembler {
     sections: Vec<Section>,
     chains: Chains,
     sequences: Sequences,
+    inliers: Vec<usize>,
     objects: Vec<Object>,
     rejections: Rejections,
 }
@@ -197,6 +198,7 @@ impl ObjectAssembler {
             sections: Vec::new(),
             chains: Chains::default(),
             sequences: Sequences::default(),
+            inliers: Vec::new(),
             objects: Vec::new(),
             rejections: Rejections::default(),
         }
@@ -211,8 +213,8 @@ impl ObjectAssembler {
         for chain in self.chains.iter() {
             self.sequences.split(&self.sections, chain, &self.config);
             for members in self.sequences.iter() {
-                let noise = &header.noise;
-                match object(&self.sections, members, noise, &self.config) {
+                let candidate = Candidate::new(&self.sections, members, &header.noise, &self.config);
+                match candidate.and_then(|candidate| object(&candidate, &mut self.inliers)) {
                     Ok(object) => self.objects.push(object),
                     Err(reason) => self.rejections.count(reason),
                 }
@@ -229,19 +231,24 @@ impl ObjectAssembler {
 }
 
 /// The object that a sequence of sections forms, or why it forms none.
-fn object(
-    sections: &[Section],
-    members: &[usize],
-    noise: &NoiseModel,
-    config: &AssemblerConfig,
-) -> Result<Object, verify::Rejection> {
-    let candidate = verify::Candidate::new(sections, members, noise, config)?;
-    let axial = axial::fit(&candidate).and_then(|body| candidate.verify(body));
-    let spherical = spherical::fit(&candidate).and_then(|body| candidate.verify(body));
-    match (axial, spherical) {
-        (Ok(a), Ok(s)) => Ok(if s.rms < a.rms { s } else { a }),
-        (Ok(object), Err(_)) | (Err(_), Ok(object)) => Ok(object),
+///
+/// It is fitted again without the sections that it explains badly; `inliers` is a buffer for those that stay.
+fn object(candidate: &Candidate, inliers: &mut Vec<usize>) -> Result<Object, Rejection> {
+    let (object, solid) = best(candidate)?;
+    candidate.inliers(&solid, inliers);
+    if inliers.len() as u32 == object.rows {
+        return Ok(object);
+    }
+    Ok(candidate.with(inliers).and_then(|rest| best(&rest)).map_or(object, |(refined, _)| refined))
+}
+
+/// The shape that explains the points best, among those that explain them at all.
+fn best(candidate: &Candidate) -> Result<(Object, Solid), Rejection> {
+    let verified = |body: Body| candidate.verify(&body).map(|object| (object, body.solid));
+    match (axial::fit(candidate).and_then(verified), spherical::fit(candidate).and_then(verified)) {
+        (Ok(axial), Ok(spherical)) => Ok(if spherical.0.rms < axial.0.rms { spherical } else { axial }),
         (Err(reason), Err(_)) => Err(reason),
+        (axial, spherical) => axial.or(spherical),
     }
 }
 

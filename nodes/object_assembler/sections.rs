@@ -1,7 +1,7 @@
 //! The ellipses of a message as sections of bodies: with their planes, ready for the mathematics.
 
 use super::SectionFit;
-use conicflow_geometry::{Pinhole, PlaneMoments, Scan, ScanPlane, SectionShape, Vector3, fit_circle};
+use conicflow_geometry::{Line, Pinhole, PlaneMoments, Scan, ScanPlane, SectionShape, Vector3, fit_circle};
 use conicflow_messages::{self as messages, Ellipse, Header};
 
 /// What a scan plane cuts out of a body.
@@ -56,21 +56,48 @@ impl Section {
         })
     }
 
-    /// Centre and semi-minor axis b, given how the body is tilted to the plane; `None` where that cuts no ellipse.
-    pub fn cut(&self, axis: &Vector3, half_angle: f64) -> Option<(Vector3, f64)> {
+    /// The section, given how the body is tilted to the plane; `None` where that cuts no ellipse.
+    pub fn cut(&self, axis: &Vector3, half_angle: f64) -> Option<Cut> {
         let shape = SectionShape::new(&self.plane, axis, half_angle)?;
         match self.fit {
-            SectionFit::Ellipse => Some((self.center, self.radius / shape.depth)),
+            SectionFit::Ellipse => {
+                Some(Cut { center: self.plane_center, radius: self.radius / shape.depth, depth: None })
+            }
             SectionFit::Circle => {
                 let circle = shape.fit(&self.moments)?;
-                Some((self.plane.to_camera(circle.center), circle.radius))
+                Some(Cut { center: circle.center, radius: circle.radius, depth: Some(shape.depth) })
             }
         }
+    }
+
+    /// Where the plane meets a line, as a position along `axis` counted from the line's point.
+    pub fn position(&self, line: &Line, axis: &Vector3) -> f64 {
+        let normal = self.plane.normal();
+        -line.point.dot(&normal) / line.direction.dot(&normal) * line.direction.dot(axis)
     }
 
     /// Mean of the points, in the camera frame.
     pub fn mean(&self) -> Vector3 {
         self.plane.to_camera(self.moments.mean().unwrap_or(self.plane_center))
+    }
+}
+
+/// A section of a body of known axis.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Cut {
+    /// Centre in the plane.
+    pub center: [f64; 2],
+    /// Semi-minor axis b.
+    pub radius: f64,
+    /// Half extent along the view, divided by b; `None` where centres stay as the extractor found them.
+    depth: Option<f64>,
+}
+
+impl Cut {
+    /// The centre of a section of radius `radius` with the same front.
+    pub fn behind_front(&self, radius: f64) -> [f64; 2] {
+        let shift = self.depth.map_or(0.0, |depth| (radius - self.radius) * depth);
+        [self.center[0], self.center[1] + shift]
     }
 }
 

@@ -5,6 +5,7 @@
 //! `z_i = rho sin(theta_i - theta_C)`, and its radius `sqrt(R^2 - z_i^2)`: the paper's circle in (z, r). The angle is
 //! unknown at first; starting from the middle of the sections, each pass moves it to the centre of the circle found.
 
+use super::SectionFit;
 use super::sections::Section;
 use super::verify::{Body, Candidate, Rejection, Solid};
 use conicflow_geometry::{CircleProfile, PlaneMoments, Regression, ScanPlane, Sphere, Vector3, fit_circle_profile};
@@ -55,9 +56,14 @@ fn check_extent(candidate: &Candidate, profile: &CircleProfile, angle: f64) -> R
 
 fn body(candidate: &Candidate, profile: &CircleProfile, angle: f64) -> Result<Body, Rejection> {
     let (mut sides, mut distances) = (Regression::default(), Regression::default());
+    let mean = candidate.mean(|section| distance(section, angle));
     for section in candidate.sections() {
+        // As with axial bodies: the front of the arc is known better than its radius.
+        let position = mean * (section.plane.angle() - angle).sin();
+        let shift = if section.fit == SectionFit::Circle { profile.at(position) - section.radius } else { 0.0 };
+        let cosine = (section.plane.angle() - angle).cos();
         sides.add(section.plane.angle(), section.plane_center[0]);
-        distances.add(section.plane.angle(), distance(section, angle));
+        distances.add(section.plane.angle(), (section.plane_center[1] + shift) / cosine);
     }
     let scatter = sides.deviation().hypot(distances.deviation());
     if scatter > candidate.config.max_center_scatter * profile.radius {

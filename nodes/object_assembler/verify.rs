@@ -8,6 +8,9 @@ use conicflow_messages::{NoiseModel, Object, ObjectKind, ObjectSigma};
 /// Least standard deviation that is ever claimed, in metres and radians.
 const LEAST_SIGMA: f64 = 1e-6;
 
+/// Sections this many times worse than the whole are left out.
+const OUTLIER_RMS: f64 = 1.6;
+
 /// Why a candidate is turned down.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Rejection {
@@ -70,6 +73,17 @@ pub(super) enum Solid {
     Cone(Cone),
 }
 
+impl Solid {
+    /// Sum of the squared distances of a section's points.
+    fn square_sum(&self, section: &Section) -> f64 {
+        match self {
+            Self::Sphere(sphere) => sphere.square_sum(&section.plane, &section.moments),
+            Self::Cylinder(cylinder) => cylinder.square_sum(&section.plane, &section.moments),
+            Self::Cone(cone) => cone.square_sum(&section.plane, &section.moments),
+        }
+    }
+}
+
 /// A fitted body.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Body {
@@ -117,6 +131,11 @@ impl<'a> Candidate<'a> {
         Ok(candidate)
     }
 
+    /// The same with other members.
+    pub fn with(&self, members: &'a [usize]) -> Result<Self, Rejection> {
+        Self::new(self.sections, members, self.noise, self.config)
+    }
+
     pub fn sections(&self) -> impl Iterator<Item = &'a Section> {
         self.members.iter().map(|&member| &self.sections[member])
     }
@@ -147,18 +166,18 @@ impl<'a> Candidate<'a> {
     }
 
     /// The report on a body, if it is one to be reported.
-    pub fn verify(&self, body: Body) -> Result<Object, Rejection> {
-        let limits = self.limits(&body);
+    pub fn verify(&self, body: &Body) -> Result<Object, Rejection> {
+        let limits = self.limits(body);
         let is_sphere = matches!(body.solid, Solid::Sphere(_));
         let rms = self.rms(&body.solid);
         if !limits.contain(body.radius) {
             Err(Rejection::Radius)
         } else if !is_sphere && body.length < self.config.min_length_radii * body.radius {
             Err(Rejection::Short)
-        } else if rms.is_nan() || rms > self.max_rms(&body) {
+        } else if rms.is_nan() || rms > self.max_rms(body) {
             Err(Rejection::Rms)
         } else {
-            Ok(self.report(&body, rms))
+            Ok(self.report(body, rms))
         }
     }
 
@@ -177,12 +196,18 @@ impl<'a> Candidate<'a> {
 
     /// Root mean square distance of all points from the surface.
     fn rms(&self, solid: &Solid) -> f64 {
-        let square_sum = |section: &Section| match solid {
-            Solid::Sphere(sphere) => sphere.square_sum(&section.plane, &section.moments),
-            Solid::Cylinder(cylinder) => cylinder.square_sum(&section.plane, &section.moments),
-            Solid::Cone(cone) => cone.square_sum(&section.plane, &section.moments),
-        };
-        (self.sections().map(square_sum).sum::<f64>() / self.points()).sqrt()
+        (self.sections().map(|section| solid.square_sum(section)).sum::<f64>() / self.points()).sqrt()
+    }
+
+    /// The members whose points lie on the surface as well as those of the others: sections that took in some points of
+    /// a floor or of a neighbour stay out.
+    pub fn inliers(&self, solid: &Solid, inliers: &mut Vec<usize>) {
+        let limit = OUTLIER_RMS * self.rms(solid);
+        inliers.clear();
+        inliers.extend(self.members.iter().copied().filter(|&member| {
+            let section = &self.sections[member];
+            solid.square_sum(section) <= limit * limit * section.moments.count()
+        }));
     }
 
     fn points(&self) -> f64 {
