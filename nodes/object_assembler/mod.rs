@@ -17,7 +17,7 @@ mod verify;
 
 use chains::Chains;
 use conicflow_dataflow::{Config, ConfigFault, Context, Output, Sides, Stage, StageError};
-use conicflow_messages::{Ellipse, Header, Message, NoiseModel, Object};
+use conicflow_messages::{Ellipse, Header, Message, Object};
 use schemars::JsonSchema;
 use sections::Section;
 use sequence::Sequences;
@@ -89,6 +89,9 @@ pub struct AssemblerConfig {
     /// Largest half-angle of a cone, in degrees.
     #[schemars(range(min = 0.0, max = 80.0))]
     pub max_half_angle_deg: f64,
+    /// Residual of a cone, as a part of the cylinder's or sphere's, below which it is called a cone.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub cone_gain: f64,
     /// Fewest scan lines of an object.
     #[schemars(range(min = 3, max = 1000))]
     pub min_rows: u32,
@@ -110,6 +113,10 @@ pub struct AssemblerConfig {
     /// ... plus this many radii, for the error of the paper's radius.
     #[schemars(range(min = 0.0, max = 0.5))]
     pub max_rms_radii: f64,
+    /// Least root mean square distance of the points of a section from a straight line, in standard deviations of the
+    /// sensor: a flatter one may be a plane.
+    #[schemars(range(min = 0.0, max = 20.0))]
+    pub min_bulge_sigmas: f64,
     /// Limits on the radius of a sphere.
     pub sphere: RadiusLimits,
     /// Limits on the radius of a cylinder.
@@ -131,14 +138,16 @@ impl Default for AssemblerConfig {
             max_center_scatter: 0.2,
             max_radius_scatter: 0.12,
             min_half_angle_deg: 5.0,
-            max_half_angle_deg: 40.0,
-            min_rows: 10,
+            max_half_angle_deg: 30.0,
+            cone_gain: 0.8,
+            min_rows: 12,
             min_coverage: 0.6,
             min_length_radii: 0.4,
             min_sphere_height_radii: 0.8,
             min_arc_deg: 75.0,
-            max_rms_sigmas: 2.0,
+            max_rms_sigmas: 1.3,
             max_rms_radii: 0.02,
+            min_bulge_sigmas: 2.5,
             sphere: limits,
             cylinder: limits,
             cone: limits,
@@ -230,25 +239,47 @@ impl ObjectAssembler {
     }
 }
 
+/// Parts of a sequence that a fit starts from, where the whole is spoilt by its ends: a rim, a foot on the floor.
+const SEEDS: [(f64, f64); 4] = [(0.0, 1.0), (0.25, 0.75), (0.0, 0.5), (0.5, 1.0)];
+
 /// The object that a sequence of sections forms, or why it forms none.
 ///
-/// It is fitted again without the sections that it explains badly; `inliers` is a buffer for those that stay.
+/// The first seed that forms one is fitted again with all sections of the sequence that it explains; `inliers` is a
+/// buffer for them.
 fn object(candidate: &Candidate, inliers: &mut Vec<usize>) -> Result<Object, Rejection> {
-    let (object, solid) = best(candidate)?;
-    candidate.inliers(&solid, inliers);
-    if inliers.len() as u32 == object.rows {
-        return Ok(object);
+    let mut whole = None;
+    for (from, to) in SEEDS {
+        match candidate.part(from, to).and_then(|seed| best(&seed)) {
+            Ok((object, solid)) => {
+                candidate.inliers(&solid, object.rms, inliers);
+                return Ok(candidate.with(inliers).and_then(|all| best(&all)).map_or(object, |(all, _)| all));
+            }
+            Err(reason) => whole = whole.or(Some(reason)),
+        }
     }
-    Ok(candidate.with(inliers).and_then(|rest| best(&rest)).map_or(object, |(refined, _)| refined))
+    Err(whole.unwrap_or(Rejection::Degenerate))
 }
 
 /// The shape that explains the points best, among those that explain them at all.
+///
+/// A cone has one parameter more than a cylinder: it has to explain the points clearly better than the others.
 fn best(candidate: &Candidate) -> Result<(Object, Solid), Rejection> {
     let verified = |body: Body| candidate.verify(&body).map(|object| (object, body.solid));
-    match (axial::fit(candidate).and_then(verified), spherical::fit(candidate).and_then(verified)) {
-        (Ok(axial), Ok(spherical)) => Ok(if spherical.0.rms < axial.0.rms { spherical } else { axial }),
-        (Err(reason), Err(_)) => Err(reason),
-        (axial, spherical) => axial.or(spherical),
+    let cylinder = axial::fit_cylinder(candidate).and_then(verified);
+    let sphere = spherical::fit(candidate).and_then(verified);
+    let cone = axial::fit_cone(candidate).and_then(verified);
+    better(better(cylinder, sphere, 1.0), cone, candidate.config.cone_gain)
+}
+
+/// The second of two where its residual is less than `gain` times that of the first, or the first is none.
+fn better<T>(
+    first: Result<(Object, T), Rejection>,
+    second: Result<(Object, T), Rejection>,
+    gain: f64,
+) -> Result<(Object, T), Rejection> {
+    match (first, second) {
+        (Ok(first), Ok(second)) => Ok(if second.0.rms < gain * first.0.rms { second } else { first }),
+        (first, second) => first.or_else(|reason| second.map_err(|_| reason)),
     }
 }
 

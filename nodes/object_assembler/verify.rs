@@ -2,7 +2,7 @@
 
 use super::sections::Section;
 use super::{AssemblerConfig, RadiusLimits};
-use conicflow_geometry::{Cone, Cylinder, Quadric, Sphere, Vector3};
+use conicflow_geometry::{Cone, Cylinder, Quadric, Sphere, Vector3, fit_plane_line};
 use conicflow_messages::{NoiseModel, Object, ObjectKind, ObjectSigma};
 
 /// Least standard deviation that is ever claimed, in metres and radians.
@@ -17,12 +17,14 @@ pub(super) enum Rejection {
     FewRows,
     Gaps,
     ShortArc,
+    Flat,
     Degenerate,
     NotCollinear,
     NotConcyclic,
     Profile,
     Tilted,
     HalfAngle,
+    Constant,
     BeyondApex,
     Cap,
     Radius,
@@ -32,16 +34,18 @@ pub(super) enum Rejection {
 }
 
 impl Rejection {
-    const NAMES: [&'static str; 15] = [
+    const NAMES: [&'static str; 17] = [
         "candidates of too few rows",
         "candidates with too many gaps",
         "candidates of short arcs",
+        "candidates as flat as a plane",
         "candidates without extent",
         "candidates with scattered centers (line)",
         "candidates with scattered centers (circle)",
         "candidates with scattered radii",
         "candidates too tilted",
         "cones too blunt",
+        "cones too sharp",
         "cones seen beyond their apex",
         "caps of spheres",
         "candidates beyond the radius limits",
@@ -128,7 +132,16 @@ impl<'a> Candidate<'a> {
         if candidate.mean(|section| section.arc) < config.min_arc_deg.to_radians() {
             return Err(Rejection::ShortArc);
         }
+        if candidate.bulge() < config.min_bulge_sigmas * candidate.noise_sigma() {
+            return Err(Rejection::Flat);
+        }
         Ok(candidate)
+    }
+
+    /// The same with a part of the members, from one fraction to another.
+    pub fn part(&self, from: f64, to: f64) -> Result<Self, Rejection> {
+        let index = |fraction: f64| (fraction * self.count()).round() as usize;
+        self.with(&self.members[index(from)..index(to)])
     }
 
     /// The same with other members.
@@ -190,8 +203,7 @@ impl<'a> Candidate<'a> {
     }
 
     fn max_rms(&self, body: &Body) -> f64 {
-        let depth = self.mean(|section| section.mean().z);
-        self.config.max_rms_sigmas * self.noise.sigma(depth) + self.config.max_rms_radii * body.radius
+        self.config.max_rms_sigmas * self.noise_sigma() + self.config.max_rms_radii * body.radius
     }
 
     /// Root mean square distance of all points from the surface.
@@ -199,15 +211,28 @@ impl<'a> Candidate<'a> {
         (self.sections().map(|section| solid.square_sum(section)).sum::<f64>() / self.points()).sqrt()
     }
 
-    /// The members whose points lie on the surface as well as those of the others: sections that took in some points of
-    /// a floor or of a neighbour stay out.
-    pub fn inliers(&self, solid: &Solid, inliers: &mut Vec<usize>) {
-        let limit = OUTLIER_RMS * self.rms(solid);
+    /// The members whose points lie on a surface, given the distance of those that it was fitted to: sections that took
+    /// in points of a floor or of a neighbour stay out.
+    pub fn inliers(&self, solid: &Solid, rms: f64, inliers: &mut Vec<usize>) {
+        let limit = OUTLIER_RMS * rms;
         inliers.clear();
         inliers.extend(self.members.iter().copied().filter(|&member| {
             let section = &self.sections[member];
             solid.square_sum(section) <= limit * limit * section.moments.count()
         }));
+    }
+
+    /// Root mean square distance of the points of the sections from a line each.
+    fn bulge(&self) -> f64 {
+        let square_sum = |section: &Section| {
+            fit_plane_line(&section.moments).map_or(0.0, |line| line.rms * line.rms * section.moments.count())
+        };
+        (self.sections().map(square_sum).sum::<f64>() / self.points()).sqrt()
+    }
+
+    /// Standard deviation of the sensor at the depth of the points.
+    fn noise_sigma(&self) -> f64 {
+        self.noise.sigma(self.mean(|section| section.mean().z))
     }
 
     fn points(&self) -> f64 {
