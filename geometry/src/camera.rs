@@ -85,7 +85,9 @@ impl Pinhole {
 }
 
 impl ScanPlane {
-    fn new(scan: Scan, slope: f64) -> Self {
+    /// The plane through the camera's x axis (rows) with `y = slope z`, or through its y axis (columns) with
+    /// `x = slope z`.
+    pub fn new(scan: Scan, slope: f64) -> Self {
         Self { scan, slope, stretch: slope.hypot(1.0) }
     }
 
@@ -97,6 +99,11 @@ impl ScanPlane {
     /// `y` of a row, `x` of a column.
     pub fn slope(&self) -> f64 {
         self.slope
+    }
+
+    /// Angle from the optical axis, the arc tangent of the slope.
+    pub fn angle(&self) -> f64 {
+        self.slope.atan()
     }
 
     /// `k = sqrt(1 + slope^2)`, which turns a depth z into `t = z k`.

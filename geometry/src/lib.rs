@@ -10,7 +10,7 @@
 //! | `S1`, `S2`, `S3`, `fitModel` | [`fit_ellipse`] (the paper's 6x6 `S` is misprinted; we follow Halir & Flusser) |
 //! | `calculateError` | [`Conic::rms`] |
 //! | ellipse `E = (c, r1, r2)` | [`Ellipse`]: `center`, `half_extents[0]`, `half_extents[1]` |
-//! | incremental line through centres (collinear) | [`LineMoments`], [`Line`] |
+//! | incremental line through centres (collinear) | [`LineMoments`], [`PencilMoments`], [`Line`] |
 //! | centres of a sphere's sections (concyclic) | [`Regression`] of `t k` over the row's slope, see [`ScanPlane::slope`] |
 //! | `f_cylinder(z) = r`, `f_cone(z) = alpha z` | [`fit_line_profile`]; `z` of a cone counts from its apex |
 //! | `f_circle(z) = sqrt(r^2 - (z - z_i)^2)` | [`fit_circle_profile`] |
@@ -29,7 +29,7 @@ mod solid;
 pub use camera::{Pinhole, Scan, ScanPlane};
 pub use circle::{Circle, fit_circle};
 pub use ellipse::{Conic, Ellipse, fit_ellipse};
-pub use line::{Line, LineMoments, PlaneLine, fit_plane_line};
+pub use line::{Line, LineMoments, PencilMoments, PlaneLine, fit_plane_line};
 pub use moments::{MOMENTS, PlaneMoments};
 pub use profile::{CircleProfile, fit_circle_profile, fit_line_profile};
 pub use regression::{Fit, Regression};

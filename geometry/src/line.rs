@@ -1,6 +1,6 @@
-//! Lines of least squared distance: in a scan plane from its moments, and in space from running sums.
+//! Lines: of least squared distance in a scan plane or in space, and through one point on each plane of a pencil.
 
-use crate::{PlaneMoments, Vector3};
+use crate::{PlaneMoments, Regression, Scan, ScanPlane, Vector3};
 use nalgebra::{Matrix3, SymmetricEigen};
 
 /// A line in a plane: total least squares.
@@ -46,12 +46,29 @@ pub struct Line {
     pub rms: f64,
     /// Standard deviation of the points along the line.
     pub spread: f64,
+    /// Number of points.
+    pub count: f64,
 }
 
 impl Line {
     /// Distance of a point from the line.
     pub fn distance(&self, point: &Vector3) -> f64 {
         (point - self.point).cross(&self.direction).norm()
+    }
+
+    /// Position of a point along the line, from the mean of the points.
+    pub fn position(&self, point: &Vector3) -> f64 {
+        (point - self.point).dot(&self.direction)
+    }
+
+    /// Standard error of the direction, in radians.
+    pub fn direction_sigma(&self) -> f64 {
+        self.rms / (self.spread * self.count.sqrt())
+    }
+
+    /// Standard deviation of a further point's distance from the line at a position along it.
+    pub fn prediction_sigma(&self, position: f64) -> f64 {
+        self.rms * (1.0 + (1.0 + (position / self.spread).powi(2)) / self.count).sqrt()
     }
 }
 
@@ -92,7 +109,58 @@ impl LineMoments {
         }
         let across = (scatter.trace() - along).max(0.0);
         let direction = eigen.eigenvectors.column(longest).into_owned();
-        Some(Line { point: self.origin + mean, direction, rms: across.sqrt(), spread: along.sqrt() })
+        Some(Line { point: self.origin + mean, direction, rms: across.sqrt(), spread: along.sqrt(), count: self.count })
+    }
+}
+
+/// Running sums for a line through points that lie on known scan planes: one more point is O(1).
+///
+/// Along the image of a line, inverse depth and `s / z` are linear in the slope of the scan plane, which is exact. So
+/// two regressions give the line, and noise along the view does not turn it towards the view as it turns the line of
+/// least squared distance where the points reach less far than they scatter.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PencilMoments {
+    scan: Scan,
+    inverse_depth: Regression,
+    side: Regression,
+}
+
+impl PencilMoments {
+    /// The sums of no points.
+    pub fn new(scan: Scan) -> Self {
+        Self { scan, inverse_depth: Regression::default(), side: Regression::default() }
+    }
+
+    /// Adds the point `(s, t)` of a plane of the pencil.
+    pub fn add(&mut self, plane: &ScanPlane, [s, t]: [f64; 2]) {
+        let depth = t / plane.stretch();
+        self.inverse_depth.add(plane.slope(), 1.0 / depth);
+        self.side.add(plane.slope(), s / depth);
+    }
+
+    /// The line, towards growing slopes; `None` where there are fewer than three points, all are on one plane, or the
+    /// line is not in front of the camera.
+    pub fn fit(&self) -> Option<Line> {
+        let (inverse, side) = (self.inverse_depth.fit()?, self.side.fit()?);
+        let point = |slope: f64| {
+            let depth = 1.0 / inverse.at(slope);
+            let plane = ScanPlane::new(self.scan, slope);
+            (depth > 0.0).then(|| plane.to_camera([side.at(slope) * depth, plane.stretch() * depth]))
+        };
+        // Ends that are a standard deviation of the slopes away on both sides.
+        let half = self.inverse_depth.spread();
+        let (from, to, middle) = (point(inverse.at - half)?, point(inverse.at + half)?, point(inverse.at)?);
+        let spread = 0.5 * (to - from).norm();
+        let depth = 1.0 / inverse.value;
+        let rms = (depth * depth * inverse.rms).hypot(depth * side.rms);
+        let direction = (to - from).try_normalize(0.0)?;
+        direction.iter().all(|x| x.is_finite()).then_some(Line {
+            point: middle,
+            direction,
+            rms,
+            spread,
+            count: self.side.count(),
+        })
     }
 }
 
@@ -139,5 +207,33 @@ mod tests {
         assert!((line.rms - 0.003).abs() < 1e-4);
         assert!(line.distance(&Vector3::new(10.0, 0.3, 2.0)) < 5e-3);
         assert!((line.spread - 0.115).abs() < 1e-3);
+    }
+
+    #[test]
+    fn a_line_across_a_pencil_is_exact_and_not_drawn_towards_the_view() {
+        let (foot, direction) = (Vector3::new(0.1, 0.2, 1.5), Vector3::new(0.2, 0.8, -0.5).normalize());
+        for noise in [0.0, 0.004] {
+            let mut sums = PencilMoments::new(Scan::Row);
+            for i in 0..40 {
+                let plane = ScanPlane::new(Scan::Row, 0.12 + 0.0005 * f64::from(i));
+                let normal = plane.normal();
+                let [s, t] = plane.to_plane(&(foot - direction * (foot.dot(&normal) / direction.dot(&normal))));
+                sums.add(&plane, [s, t + if i % 2 == 0 { noise } else { -noise }]);
+            }
+            let line = sums.fit().unwrap();
+            assert!(line.direction.cross(&direction).norm() < 1e-9 + 10.0 * noise, "{line:?}");
+            assert!(line.distance(&foot) < 1e-9 + noise);
+            assert!((line.rms - noise).abs() < 1e-9 + 0.2 * noise);
+        }
+    }
+
+    #[test]
+    fn points_of_one_plane_or_behind_the_camera_give_no_pencil_line() {
+        let mut sums = PencilMoments::new(Scan::Row);
+        (0..9).for_each(|_| sums.add(&ScanPlane::new(Scan::Row, 0.1), [0.0, 1.0]));
+        assert_eq!(sums.fit(), None);
+        let mut behind = PencilMoments::new(Scan::Column);
+        (0..9).for_each(|i| behind.add(&ScanPlane::new(Scan::Column, 0.1 * f64::from(i)), [0.0, -1.0]));
+        assert_eq!(behind.fit(), None);
     }
 }

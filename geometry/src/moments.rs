@@ -129,6 +129,22 @@ impl PlaneMoments {
         scaled
     }
 
+    /// The moments of the points `map * p`, rows of the matrix first.
+    #[must_use]
+    pub fn mapped(&self, map: [[f64; 2]; 2]) -> Self {
+        let image = |[s, t]: [f64; 2]| map.map(|[a, b]| a * s + b * t);
+        let mut mapped = Self::new(image(self.origin));
+        for degree in 0..=4 {
+            for q in 0..=degree {
+                // (a s + b t)^p (c s + d t)^q is a binary form in (s, t); its coefficients weigh the old moments.
+                let form = binary_form(map, degree - q, q);
+                let terms = form.iter().take(degree + 1).enumerate();
+                mapped.sums[INDEX[degree - q][q]] = terms.map(|(k, c)| c * self.get(degree - k, k)).sum();
+            }
+        }
+        mapped
+    }
+
     /// Mean of the points, if there are any.
     pub fn mean(&self) -> Option<[f64; 2]> {
         let count = self.count();
@@ -163,6 +179,19 @@ impl PlaneMoments {
         unit.origin = [0.0, 0.0];
         Some((mean, spread, unit))
     }
+}
+
+/// Coefficients of `(a s + b t)^p (c s + d t)^q`, by rising power of t.
+fn binary_form(map: [[f64; 2]; 2], p: usize, q: usize) -> [f64; 5] {
+    let mut form = [1.0, 0.0, 0.0, 0.0, 0.0];
+    for factor in 0..p + q {
+        let [a, b] = if factor < p { map[0] } else { map[1] };
+        for k in (1..5).rev() {
+            form[k] = a * form[k] + b * form[k - 1];
+        }
+        form[0] *= a;
+    }
+    form
 }
 
 #[cfg(test)]
@@ -215,6 +244,14 @@ mod tests {
     fn scaling_multiplies_offsets() {
         let far = points().into_iter().map(|[s, t]| [1.0 + 3.0 * (s - 1.0), 2.0 + 3.0 * (t - 2.0)]);
         assert_same(&PlaneMoments::of([1.0, 2.0], points()).scaled(3.0), &PlaneMoments::of([1.0, 2.0], far));
+    }
+
+    #[test]
+    fn a_linear_map_of_the_moments_is_one_of_the_points() {
+        let map = [[0.8, -0.3], [0.5, 1.7]];
+        let image = |[s, t]: [f64; 2]| [0.8 * s - 0.3 * t, 0.5 * s + 1.7 * t];
+        let mapped = PlaneMoments::of([0.9, 1.8], points()).mapped(map);
+        assert_same(&mapped, &PlaneMoments::of(image([0.9, 1.8]), points().into_iter().map(image)));
     }
 
     #[test]

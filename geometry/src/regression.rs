@@ -33,6 +33,12 @@ impl Fit {
     pub fn at(&self, x: f64) -> f64 {
         self.value + self.slope * (x - self.at)
     }
+
+    /// Standard deviation of a further pair's y at `x`, from the fit and from its own scatter.
+    pub fn prediction_sigma(&self, x: f64) -> f64 {
+        let slope_part = self.slope_sigma * (x - self.at);
+        (self.rms * self.rms + self.value_sigma * self.value_sigma + slope_part * slope_part).sqrt()
+    }
 }
 
 impl Regression {
@@ -50,6 +56,11 @@ impl Regression {
     /// Number of pairs.
     pub fn count(&self) -> f64 {
         self.count
+    }
+
+    /// Standard deviation of x about its mean, 0 where there are no pairs.
+    pub fn spread(&self) -> f64 {
+        if self.count > 0.0 { (self.xx / self.count).max(0.0).sqrt() } else { 0.0 }
     }
 
     /// Mean of y.

@@ -8,7 +8,7 @@
 //! -m, by `z tan e tan^2 phi`, m the direction of n across the axis. So `b = z tan phi sqrt(1 - tan^2 phi tan^2 e)`: for
 //! parallel planes linear in z. A cylinder is the limit phi = 0, where b = R and the centre lies on the axis.
 
-use crate::{ScanPlane, Vector3};
+use crate::{Circle, PlaneMoments, ScanPlane, Vector3, fit_circle};
 
 /// How a section of a cylinder or cone of known axis is stretched.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -17,6 +17,10 @@ pub struct SectionShape {
     pub width: f64,
     /// Half extent along t, divided by b.
     pub depth: f64,
+    /// Unit vector `(s, t)` of the longer semi-axis.
+    pub long_axis: [f64; 2],
+    /// The longer semi-axis, divided by b.
+    pub ratio: f64,
 }
 
 impl SectionShape {
@@ -24,8 +28,32 @@ impl SectionShape {
     /// the plane cuts no ellipse.
     pub fn new(plane: &ScanPlane, axis: &Vector3, half_angle: f64) -> Option<Self> {
         let steepness = axis.dot(&plane.normal()).powi(2) - half_angle.sin().powi(2);
-        let stretch = |w: Vector3| (1.0 + axis.dot(&w).powi(2) / steepness).sqrt();
-        (steepness > 1e-3).then(|| Self { width: stretch(plane.s_axis()), depth: stretch(plane.t_axis()) })
+        if steepness < 1e-3 {
+            return None;
+        }
+        let stretch = |part: f64| (1.0 + part * part / steepness).sqrt();
+        let (s, t) = (axis.dot(&plane.s_axis()), axis.dot(&plane.t_axis()));
+        let length = s.hypot(t);
+        let long_axis = if length > 0.0 { [s / length, t / length] } else { [1.0, 0.0] };
+        Some(Self { width: stretch(s), depth: stretch(t), long_axis, ratio: stretch(length) })
+    }
+
+    /// The ellipse of this shape through an arc's points: its centre and b.
+    ///
+    /// Pressed along its longer axis the ellipse is a circle, which a short noisy arc determines far better than a free
+    /// ellipse.
+    pub fn fit(&self, moments: &PlaneMoments) -> Option<Circle> {
+        let circle = fit_circle(&moments.mapped(self.along_long_axis(1.0 / self.ratio)))?;
+        let [[a, b], [c, d]] = self.along_long_axis(self.ratio);
+        let [s, t] = circle.center;
+        Some(Circle { center: [a * s + b * t, c * s + d * t], radius: circle.radius })
+    }
+
+    /// The map that multiplies lengths along the longer axis by `factor`.
+    fn along_long_axis(&self, factor: f64) -> [[f64; 2]; 2] {
+        let [s, t] = self.long_axis;
+        let more = factor - 1.0;
+        [[1.0 + more * s * s, more * s * t], [more * s * t, 1.0 + more * t * t]]
     }
 }
 
@@ -91,6 +119,23 @@ mod tests {
             assert!((cone_half_angle(minor / z, tilt) - cone.half_angle).abs() < 1e-9);
             assert!((cone_lean(&center.normalize(), &plane.normal(), cone.half_angle) - axis).norm() < 1e-4);
         }
+    }
+
+    #[test]
+    fn an_arc_of_known_shape_gives_centre_and_radius() {
+        let axis = Vector3::new(0.3, 0.8, -0.5).normalize();
+        let cylinder = Cylinder { point: Vector3::new(0.1, 0.2, 2.0), axis, radius: 0.15 };
+        let plane = CAMERA.plane(Scan::Row, 200.0);
+        let ellipse = cut(&cylinder, &plane);
+        let (sin, cos) = ellipse.angle.sin_cos();
+        let [long, short] = ellipse.semi_axes;
+        let points = (0..20).map(|i| 4.0 + 0.05 * f64::from(i)).map(|a: f64| (long * a.cos(), short * a.sin()));
+        let points =
+            points.map(|(x, y)| [ellipse.center[0] + cos * x - sin * y, ellipse.center[1] + sin * x + cos * y]);
+        let shape = SectionShape::new(&plane, &axis, 0.0).unwrap();
+        let found = shape.fit(&PlaneMoments::of([0.0, 1.8], points)).unwrap();
+        assert!((found.radius - 0.15).abs() < 1e-6, "{found:?}");
+        assert!((found.center[0] - ellipse.center[0]).hypot(found.center[1] - ellipse.center[1]) < 1e-6);
     }
 
     #[test]

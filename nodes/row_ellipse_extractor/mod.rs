@@ -83,7 +83,7 @@ impl Default for RowEllipseConfig {
         Self {
             scan: ScanLines::Rows,
             line_step: 1,
-            max_error_sigmas: 1.5,
+            max_error_sigmas: 1.3,
             max_error_floor_m: 0.0005,
             jump_sigmas: 5.0,
             jump_slope: 5.0,
@@ -92,7 +92,7 @@ impl Default for RowEllipseConfig {
             min_points: 10,
             min_radius_m: 0.015,
             max_radius_m: 0.6,
-            min_radius_ratio: 0.3,
+            min_radius_ratio: 0.2,
             min_arc_deg: 60.0,
         }
     }

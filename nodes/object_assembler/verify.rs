@@ -1,0 +1,311 @@
+//! What a body has to fulfil to be reported, and the report.
+
+use super::sections::Section;
+use super::{AssemblerConfig, RadiusLimits};
+use conicflow_geometry::{Cone, Cylinder, Quadric, Sphere, Vector3, fit_plane_line};
+use conicflow_messages::{NoiseModel, Object, ObjectKind, ObjectSigma};
+
+/// Least standard deviation that is ever claimed, in metres and radians.
+const LEAST_SIGMA: f64 = 1e-6;
+
+/// Sections this many times worse than the whole are left out.
+const OUTLIER_RMS: f64 = 1.6;
+
+/// Why a candidate is turned down.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Rejection {
+    FewRows,
+    Gaps,
+    ShortArc,
+    Flat,
+    Degenerate,
+    NotCollinear,
+    NotConcyclic,
+    Profile,
+    Tilted,
+    HalfAngle,
+    Constant,
+    BeyondApex,
+    Cap,
+    Radius,
+    Short,
+    Rms,
+    Double,
+}
+
+impl Rejection {
+    const NAMES: [&'static str; 17] = [
+        "candidates of too few rows",
+        "candidates with too many gaps",
+        "candidates of short arcs",
+        "candidates as flat as a plane",
+        "candidates without extent",
+        "candidates with scattered centers (line)",
+        "candidates with scattered centers (circle)",
+        "candidates with scattered radii",
+        "candidates too tilted",
+        "cones too blunt",
+        "cones too sharp",
+        "cones seen beyond their apex",
+        "caps of spheres",
+        "candidates beyond the radius limits",
+        "candidates too short",
+        "candidates that miss their points",
+        "objects seen twice",
+    ];
+}
+
+/// How often each reason occurred.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Rejections([u64; Rejection::NAMES.len()]);
+
+impl Rejections {
+    pub fn count(&mut self, reason: Rejection) {
+        self.0[reason as usize] += 1;
+    }
+
+    pub fn iter(&self) -> impl Iterator<Item = (&'static str, u64)> {
+        Rejection::NAMES.into_iter().zip(self.0).filter(|(_, times)| *times > 0)
+    }
+}
+
+/// The surface of a body.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Solid {
+    Sphere(Sphere),
+    Cylinder(Cylinder),
+    Cone(Cone),
+}
+
+impl Solid {
+    /// Sum of the squared distances of a section's points.
+    fn square_sum(&self, section: &Section) -> f64 {
+        match self {
+            Self::Sphere(sphere) => sphere.square_sum(&section.plane, &section.moments),
+            Self::Cylinder(cylinder) => cylinder.square_sum(&section.plane, &section.moments),
+            Self::Cone(cone) => cone.square_sum(&section.plane, &section.moments),
+        }
+    }
+}
+
+/// A fitted body.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Body {
+    pub solid: Solid,
+    pub center: Vector3,
+    pub axis: Vector3,
+    pub length: f64,
+    pub radius: f64,
+    /// Change of the radius along the axis.
+    pub slope: f64,
+    pub radius_sigma: f64,
+    pub half_angle_sigma: f64,
+    pub axis_sigma: f64,
+    /// Standard error of the centre, across the axis.
+    pub across_sigma: f64,
+}
+
+/// The sections of one body, which passed the tests that need no fit.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Candidate<'a> {
+    sections: &'a [Section],
+    members: &'a [usize],
+    noise: &'a NoiseModel,
+    pub config: &'a AssemblerConfig,
+}
+
+impl<'a> Candidate<'a> {
+    pub fn new(
+        sections: &'a [Section],
+        members: &'a [usize],
+        noise: &'a NoiseModel,
+        config: &'a AssemblerConfig,
+    ) -> Result<Self, Rejection> {
+        if members.len() < config.min_rows.max(3) as usize {
+            return Err(Rejection::FewRows);
+        }
+        let candidate = Self { sections, members, noise, config };
+        let [first, last] = candidate.ends();
+        if candidate.count() < config.min_coverage * f64::from(last.line - first.line + 1) {
+            return Err(Rejection::Gaps);
+        }
+        if candidate.mean(|section| section.arc) < config.min_arc_deg.to_radians() {
+            return Err(Rejection::ShortArc);
+        }
+        if candidate.bulge() < config.min_bulge_sigmas * candidate.noise_sigma() {
+            return Err(Rejection::Flat);
+        }
+        Ok(candidate)
+    }
+
+    /// The same with a part of the members, from one fraction to another.
+    pub fn part(&self, from: f64, to: f64) -> Result<Self, Rejection> {
+        let index = |fraction: f64| (fraction * self.count()).round() as usize;
+        self.with(&self.members[index(from)..index(to)])
+    }
+
+    /// The same with other members.
+    pub fn with(&self, members: &'a [usize]) -> Result<Self, Rejection> {
+        Self::new(self.sections, members, self.noise, self.config)
+    }
+
+    pub fn sections(&self) -> impl Iterator<Item = &'a Section> {
+        self.members.iter().map(|&member| &self.sections[member])
+    }
+
+    /// Number of sections.
+    pub fn count(&self) -> f64 {
+        self.members.len() as f64
+    }
+
+    pub fn middle(&self) -> &'a Section {
+        &self.sections[self.members[self.members.len() / 2]]
+    }
+
+    /// The first and the last section.
+    pub fn ends(&self) -> [&'a Section; 2] {
+        [self.members[0], self.members[self.members.len() - 1]].map(|member| &self.sections[member])
+    }
+
+    /// Mean of a property of the sections.
+    pub fn mean(&self, property: impl Fn(&Section) -> f64) -> f64 {
+        self.sections().map(property).sum::<f64>() / self.count()
+    }
+
+    /// From where to where the points of the sections reach along an axis, counted from `point`.
+    pub fn extent(&self, point: &Vector3, axis: &Vector3) -> (f64, f64) {
+        let positions = self.ends().map(|section| (section.mean() - point).dot(axis));
+        (positions[0].min(positions[1]), positions[0].max(positions[1]))
+    }
+
+    /// The report on a body, if it is one to be reported.
+    pub fn verify(&self, body: &Body) -> Result<Object, Rejection> {
+        let limits = self.limits(body);
+        let is_sphere = matches!(body.solid, Solid::Sphere(_));
+        let rms = self.rms(&body.solid);
+        if !limits.contain(body.radius) {
+            Err(Rejection::Radius)
+        } else if !is_sphere && body.length < self.config.min_length_radii * body.radius {
+            Err(Rejection::Short)
+        } else if rms.is_nan() || rms > self.max_rms(body) {
+            Err(Rejection::Rms)
+        } else {
+            Ok(self.report(body, rms))
+        }
+    }
+
+    fn limits(&self, body: &Body) -> RadiusLimits {
+        match body.solid {
+            Solid::Sphere(_) => self.config.sphere,
+            Solid::Cylinder(_) => self.config.cylinder,
+            Solid::Cone(_) => self.config.cone,
+        }
+    }
+
+    fn max_rms(&self, body: &Body) -> f64 {
+        self.config.max_rms_sigmas * self.noise_sigma() + self.config.max_rms_radii * body.radius
+    }
+
+    /// Root mean square distance of all points from the surface.
+    fn rms(&self, solid: &Solid) -> f64 {
+        (self.sections().map(|section| solid.square_sum(section)).sum::<f64>() / self.points()).sqrt()
+    }
+
+    /// The members whose points lie on a surface, given the distance of those that it was fitted to: sections that took
+    /// in points of a floor or of a neighbour stay out.
+    pub fn inliers(&self, solid: &Solid, rms: f64, inliers: &mut Vec<usize>) {
+        let limit = OUTLIER_RMS * rms;
+        inliers.clear();
+        inliers.extend(self.members.iter().copied().filter(|&member| {
+            let section = &self.sections[member];
+            solid.square_sum(section) <= limit * limit * section.moments.count()
+        }));
+    }
+
+    /// Root mean square distance of the points of the sections from a line each.
+    fn bulge(&self) -> f64 {
+        let square_sum = |section: &Section| {
+            fit_plane_line(&section.moments).map_or(0.0, |line| line.rms * line.rms * section.moments.count())
+        };
+        (self.sections().map(square_sum).sum::<f64>() / self.points()).sqrt()
+    }
+
+    /// Standard deviation of the sensor at the depth of the points.
+    fn noise_sigma(&self) -> f64 {
+        self.noise.sigma(self.mean(|section| section.mean().z))
+    }
+
+    fn points(&self) -> f64 {
+        self.sections().map(|section| section.moments.count()).sum()
+    }
+
+    fn report(&self, body: &Body, rms: f64) -> Object {
+        let end = |at: f64| (body.radius + body.slope * at).max(0.0);
+        let mut object = Object {
+            points: self.points().round() as u32,
+            rows: self.members.len() as u32,
+            center: body.center.into(),
+            axis: body.axis.into(),
+            radius: body.radius,
+            length: body.length,
+            sigma: self.sigma(body, rms),
+            rms,
+            arc: self.mean(|section| section.arc),
+            ..Object::default()
+        };
+        match body.solid {
+            Solid::Sphere(_) => object.kind = ObjectKind::Sphere.code(),
+            Solid::Cylinder(_) => object.kind = ObjectKind::Cylinder.code(),
+            Solid::Cone(cone) => {
+                object.kind = ObjectKind::Cone.code();
+                object.half_angle = cone.half_angle;
+                object.apex = cone.apex.into();
+                (object.top_radius, object.base_radius) = (end(-body.length / 2.0), end(body.length / 2.0));
+            }
+        }
+        object
+    }
+
+    /// Standard errors from the scatter of centres and radii, and never less than the points allow.
+    fn sigma(&self, body: &Body, rms: f64) -> ObjectSigma {
+        let floor = (rms / self.points().sqrt()).max(LEAST_SIGMA);
+        // An end lies anywhere between two scan lines.
+        let end = self.middle().spacing / 12.0_f64.sqrt();
+        let across = body.across_sigma.max(floor).powi(2);
+        let along = (end * end / 2.0 + floor * floor - across) * body.axis.norm();
+        let at = |i: usize, j: usize| {
+            let diagonal = if i == j { across } else { 0.0 };
+            diagonal + along * body.axis[i] * body.axis[j]
+        };
+        let (is_sphere, is_cone) = (matches!(body.solid, Solid::Sphere(_)), matches!(body.solid, Solid::Cone(_)));
+        let present = |present: bool, sigma: f64| if present { sigma } else { 0.0 };
+        ObjectSigma {
+            center: [0, 1, 2].map(|i| [0, 1, 2].map(|j| at(i, j))),
+            axis: present(!is_sphere, body.axis_sigma.max(LEAST_SIGMA)),
+            radius: body.radius_sigma.max(floor),
+            length: present(!is_sphere, (2.0 * end * end).sqrt().max(floor)),
+            half_angle: present(is_cone, body.half_angle_sigma.max(LEAST_SIGMA)),
+        }
+    }
+}
+
+/// Drops objects whose centre lies inside one with more points: the same, seen along rows and along columns.
+pub(super) fn drop_doubles(objects: &mut Vec<Object>, rejections: &mut Rejections) {
+    objects.sort_by_key(|object| std::cmp::Reverse(object.points));
+    let mut kept = 0;
+    for index in 0..objects.len() {
+        let object = objects[index];
+        let inside = |other: &Object| distance(&object, other) < 0.5 * other.radius.max(object.radius);
+        if objects[..kept].iter().any(inside) {
+            rejections.count(Rejection::Double);
+        } else {
+            objects[kept] = object;
+            kept += 1;
+        }
+    }
+    objects.truncate(kept);
+}
+
+fn distance(a: &Object, b: &Object) -> f64 {
+    (Vector3::from(a.center) - Vector3::from(b.center)).norm()
+}
