@@ -139,7 +139,7 @@ impl SharedMemory {
     fn event(&self, topic: &Topic, part: &str) -> Result<EventFactory, PortError> {
         let ports = topic.readers.len() + topic.writers.len() + SPARE_READERS;
         let builder = self.node.service_builder(&self.service_name(topic, part)?).event();
-        let builder = builder.max_listeners(ports).max_notifiers(ports).max_nodes(2 * ports).event_id_max_value(1);
+        let builder = builder.max_listeners(ports).max_notifiers(ports).max_nodes(2 * ports).event_id_max_value(ports);
         builder
             .open_or_create()
             .map_err(|error| self.fault(format!("the wake-up of topic `{}` cannot be opened", topic.name), error))
@@ -150,8 +150,9 @@ impl SharedMemory {
         created.map_err(|error| self.fault(format!("topic `{}` cannot be listened to", topic.name), error))
     }
 
-    fn notifier(&self, topic: &Topic, part: &str) -> Result<Notifier<Ipc>, PortError> {
-        let created = self.event(topic, part)?.notifier_builder().create();
+    fn notifier(&self, topic: &Topic, part: &str, event: usize) -> Result<Notifier<Ipc>, PortError> {
+        let service = self.event(topic, part)?;
+        let created = service.notifier_builder().default_event_id(EventId::new(event)).create();
         created.map_err(|error| self.fault(format!("topic `{}` cannot wake anybody", topic.name), error))
     }
 }
@@ -181,8 +182,12 @@ impl Transport for SharedMemory {
         let reader = topic.readers.iter().find(|reader| reader.stage == stage);
         let queue = reader.map_or(2, |reader| reader.queue);
         let wake = self.listener(topic, "/wake")?;
-        let lossless = reader.is_some_and(|reader| reader.delivery == Delivery::Lossless);
-        let room = if lossless { Some(self.notifier(topic, "/room")?) } else { None };
+        let room = match place_of(topic, stage) {
+            Some(place) if topic.delivery_to(stage) == Delivery::Lossless => {
+                Some(self.notifier(topic, "/room", place)?)
+            }
+            _ => None,
+        };
         let name = PortName::new(stage).map_err(|error| fault(&error))?;
         let messages = self.messages::<T>(topic)?;
         let subscriber = messages.subscriber_builder().buffer_size(queue).name(&name).create();
@@ -195,8 +200,9 @@ impl Transport for SharedMemory {
             loan: None,
             publisher: None,
             messages: Arc::new(self.messages(topic)?),
-            wake: self.notifier(topic, "/wake")?,
-            room: Some(self.listener(topic, "/room")?),
+            wake: self.notifier(topic, "/wake", 0)?,
+            room: Arc::new(self.listener(topic, "/room")?),
+            attached: Vec::new(),
             topic: topic.clone(),
             config: self.node.config().clone(),
             root: self.root.clone(),
@@ -263,7 +269,9 @@ pub struct SharedWriter<T: Item> {
     publisher: Option<Publisher<Ipc, [WireItem<T>], WireHeader>>,
     messages: Arc<Factory<T>>,
     wake: Notifier<Ipc>,
-    room: Option<Listener<Ipc>>,
+    room: Arc<Listener<Ipc>>,
+    /// Ports of lossless readers that have taken their first message.
+    attached: Vec<u128>,
     topic: Topic,
     config: Config,
     root: PathBuf,
@@ -285,10 +293,7 @@ impl<T: Item> SharedWriter<T> {
             let builder = self.messages.publisher_builder().max_loaned_samples(2);
             let builder = builder.initial_max_slice_len(length.max(INITIAL_LIST));
             let builder = builder.allocation_strategy(AllocationStrategy::PowerOfTwo);
-            let builder = match self.room.take() {
-                Some(room) => builder.set_backpressure_handler(self.wait_for_room(room)),
-                None => builder,
-            };
+            let builder = builder.set_backpressure_handler(self.wait_for_room());
             self.publisher = Some(builder.create().map_err(|error| self.fault(error))?);
         }
         self.publisher.as_ref().ok_or(PortError::Stopped)
@@ -296,19 +301,14 @@ impl<T: Item> SharedWriter<T> {
 
     /// What a full queue leads to: for a lossless reader of the pipeline to waiting, until it has room or is dead; for any
     /// other to its loss of this message.
-    fn wait_for_room(
-        &self,
-        room: Listener<Ipc>,
-    ) -> impl Fn(&BackpressureInfo) -> BackpressureAction + Send + use<T> + 'static {
-        let lossless = self.topic.readers.iter().filter(|reader| reader.delivery == Delivery::Lossless);
-        let lossless: Vec<String> = lossless.map(|reader| reader.stage.clone()).collect();
-        let (messages, config, stop) = (Arc::clone(&self.messages), self.config.clone(), self.stop.clone());
+    fn wait_for_room(&self) -> impl Fn(&BackpressureInfo) -> BackpressureAction + Send + use<T> + 'static {
+        let (messages, topic, room) = (Arc::clone(&self.messages), self.topic.clone(), Arc::clone(&self.room));
+        let (config, stop) = (self.config.clone(), self.stop.clone());
         move |full| {
             if stop.forced() {
                 return BackpressureAction::DiscardDataAndFail;
             }
-            let reader = stage_of(&messages, full.receiver_port_id);
-            if !reader.is_some_and(|reader| lossless.contains(&reader)) {
+            if !lossless_readers(&messages, &topic).iter().any(|(port, _)| *port == full.receiver_port_id) {
                 return BackpressureAction::DiscardData;
             }
             let woken = room.timed_wait(|_| {}, DEAD_READER_CHECK);
@@ -320,12 +320,47 @@ impl<T: Item> SharedWriter<T> {
     }
 }
 
-/// The stage that reads through a port, as its port is named.
-fn stage_of<T: Item>(messages: &Factory<T>, port: u128) -> Option<String> {
-    let mut found = None;
+impl<T: Item> SharedWriter<T> {
+    /// Lossless readers that have not taken a message yet; what their predecessors answered is forgotten.
+    fn new_lossless_readers(&mut self) -> Vec<(u128, usize)> {
+        let mut readers = lossless_readers(&self.messages, &self.topic);
+        self.attached.retain(|port| readers.iter().any(|(reader, _)| reader == port));
+        readers.retain(|(port, _)| !self.attached.contains(port));
+        if !readers.is_empty() {
+            self.room.try_wait(|_| {}).ok();
+        }
+        readers
+    }
+
+    /// Waits until readers that are new have taken the message that was just sent. Before a reader looks into its queue
+    /// for the first time iceoryx2 does not count it as connected, and would drop what does not fit.
+    fn await_first_sight(&mut self, mut new: Vec<(u128, usize)>) {
+        while !new.is_empty() && !self.stop.forced() {
+            let mut answers = Vec::new();
+            self.room.timed_wait(|event| answers.push(event.id.as_value()), DEAD_READER_CHECK).ok();
+            let seen = new.extract_if(.., |(_, place)| answers.contains(place));
+            self.attached.extend(seen.map(|(port, _)| port));
+            if answers.is_empty() {
+                clean_dead_nodes(&self.config);
+            }
+            let there = lossless_readers(&self.messages, &self.topic);
+            new.retain(|reader| there.contains(reader));
+        }
+    }
+}
+
+/// The place of a reader among those of its topic: the number by which it answers.
+fn place_of(topic: &Topic, stage: &str) -> Option<usize> {
+    topic.readers.iter().position(|reader| reader.stage == stage)
+}
+
+/// Port and place of the lossless readers that are there now; ports are named after their stages.
+fn lossless_readers<T: Item>(messages: &Factory<T>, topic: &Topic) -> Vec<(u128, usize)> {
+    let mut found = Vec::new();
     messages.dynamic_config().list_subscribers(|reader| {
-        if reader.subscriber_id.value() == port {
-            found = Some(reader.subscriber_name.as_str().to_owned());
+        let stage = reader.subscriber_name.as_str();
+        if let (Some(place), Delivery::Lossless) = (place_of(topic, stage), topic.delivery_to(stage)) {
+            found.push((reader.subscriber_id.value(), place));
         }
         CallbackProgression::Continue
     });
@@ -360,9 +395,11 @@ impl<T: Item> Writer<T> for SharedWriter<T> {
         }
         let Some(mut sample) = self.loan.take() else { return Err(PortError::Stopped) };
         *WireHeader::peel_mut(sample.user_header_mut()) = *header;
+        let new = self.new_lossless_readers();
         sample.send().map_err(|error| if self.stop.forced() { PortError::Stopped } else { self.fault(error) })?;
         // A reader that is not woken looks by itself at its next tick.
         self.wake.notify().ok();
+        self.await_first_sight(new);
         Ok(())
     }
 
