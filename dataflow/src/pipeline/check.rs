@@ -94,12 +94,12 @@ fn fits(pipeline: &Pipeline, node: &Node, input: &Input, accepted: &[Kind], faul
 
 fn output(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>) {
     let (Some(topic), Some(place)) = (&stage.output, &stage.output_place) else { return };
-    if let (Some(kind), Some(first)) = (stage.output_kind(), pipeline.kind_of(topic)) {
-        if kind != first && kind != Kind::Nothing {
-            let what =
-                format!("the topic `{topic}` carries {first}, stage `{}` would write {kind} into it", stage.name);
-            faults.push(Diagnostic::error(place, what, "give it a topic of its own"));
-        }
+    if let (Some(kind), Some(first)) = (stage.output_kind(), pipeline.kind_of(topic))
+        && kind != first
+        && kind != Kind::Nothing
+    {
+        let what = format!("the topic `{topic}` carries {first}, stage `{}` would write {kind} into it", stage.name);
+        faults.push(Diagnostic::error(place, what, "give it a topic of its own"));
     }
     if stage.output_kind() != Some(Kind::Nothing) && pipeline.topic(topic).readers.is_empty() {
         let hint = "add a stage with this `input`, or leave it for tools that look on";

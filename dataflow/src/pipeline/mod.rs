@@ -174,10 +174,10 @@ impl Pipeline {
             for reader in &self.stages {
                 let joined = reader.all_inputs().any(|input| Some(&input.topic) == writer.output.as_ref());
                 let machines = (writer.machine.as_deref(), reader.machine.as_deref());
-                if let (true, (Some(from), Some(to)), Some(topic)) = (joined, machines, writer.output.as_deref()) {
-                    if from != to {
-                        crossings.push((topic, from, to));
-                    }
+                if let (true, (Some(from), Some(to)), Some(topic)) = (joined, machines, writer.output.as_deref())
+                    && from != to
+                {
+                    crossings.push((topic, from, to));
                 }
             }
         }
