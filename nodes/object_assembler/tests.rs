@@ -144,7 +144,7 @@ fn noisy_rows_are_skipped() {
     let (header, mut pixels) = render(KINECT_HALF, NoiseModel::KINECT_V1, &[can(1.5)], 9);
     for row in [100, 110, 111, 130] {
         let width = KINECT_HALF.width as usize;
-        pixels[row * width..(row + 1) * width].iter_mut().step_by(3).for_each(|pixel| *pixel = *pixel * 9 / 10);
+        pixels[row * width..(row + 1) * width].iter_mut().step_by(3).for_each(|pixel| *pixel = *pixel / 10 * 9);
     }
     let mut extractor = RowEllipseExtractor::with(RowEllipseConfig::default());
     let mut assembler = ObjectAssembler::with(AssemblerConfig::default());
