@@ -33,7 +33,7 @@ pub use line::{Line, LineMoments, PencilMoments, PlaneLine, fit_plane_line};
 pub use moments::{MOMENTS, PlaneMoments};
 pub use profile::{CircleProfile, fit_circle_profile, fit_line_profile};
 pub use regression::{Fit, Regression};
-pub use section::{SectionShape, cone_half_angle, cone_lean};
+pub use section::SectionShape;
 pub use solid::{Cone, Cylinder, Quadric, Sphere};
 
 /// Points, directions and offsets in the camera frame, in metres.

@@ -1,44 +1,54 @@
 //! What a plane cuts out of a cylinder or a cone: how the cut's extents tell the radius, and where its centre lies.
 //!
-//! Take a cone with apex a, half-angle phi and unit axis d, cut by a plane with unit normal n, `d.n = cos e`. The cut is
-//! an ellipse while `cos e > sin phi`. With the plane at the distance h from the apex, its semi-axes are
-//! `h sin phi cos phi / (cos^2 e - sin^2 phi)` and `b = h sin phi / sqrt(cos^2 e - sin^2 phi)`; its half extent along a
-//! unit vector w of the plane is `sqrt(b^2 (1 + (d.w)^2 / (cos^2 e - sin^2 phi)))`; its centre is the plane's conjugate
-//! point, at the axial distance `z = h cos e cos^2 phi / (cos^2 e - sin^2 phi)` from the apex and beside the axis, towards
-//! -m, by `z tan e tan^2 phi`, m the direction of n across the axis. So `b = z tan phi sqrt(1 - tan^2 phi tan^2 e)`: for
-//! parallel planes linear in z. A cylinder is the limit phi = 0, where b = R and the centre lies on the axis.
+//! Take a cone with apex a, half-angle phi and unit axis d away from the apex, cut by a plane with unit normal n, and
+//! `d = n cos e + g sin e` with g a unit vector of the plane. The cut is an ellipse while `cos e > sin phi`. Let the
+//! axis pierce the plane at the distance zeta from the apex, where the cone has the radius `rho = zeta tan phi`, and
+//! `q = 1 - tan^2 phi tan^2 e`. Then the semi-minor axis is `b = rho / sqrt(q)`; the half extent along a unit vector w
+//! of the plane is `b sqrt(1 + (d.w)^2 / (cos^2 e - sin^2 phi))`; the centre, which is the plane's conjugate point, lies
+//! `rho tan phi sin e / (q cos^2 e)` from the piercing point, towards g. A cylinder is the limit phi = 0: b = rho = R,
+//! and the centre lies on the axis.
 
 use crate::{Circle, PlaneMoments, ScanPlane, Vector3, fit_circle};
 
-/// How a section of a cylinder or cone of known axis is stretched.
+/// The section of a cylinder or cone of known axis, in units of the radius rho where the axis pierces the plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SectionShape {
-    /// Half extent along s, divided by b.
+    /// Half extent along s.
     pub width: f64,
-    /// Half extent along t, divided by b.
+    /// Half extent along t.
     pub depth: f64,
+    /// Centre of the section, `(s, t)` from the piercing point.
+    pub center: [f64; 2],
+    /// The semi-minor axis b.
+    minor: f64,
     /// Unit vector `(s, t)` of the longer semi-axis.
-    pub long_axis: [f64; 2],
+    long_axis: [f64; 2],
     /// The longer semi-axis, divided by b.
-    pub ratio: f64,
+    ratio: f64,
 }
 
 impl SectionShape {
-    /// The section of a body with unit axis `axis` and half-angle `half_angle` (0: a cylinder) by `plane`; `None` where
-    /// the plane cuts no ellipse.
+    /// The section of a body with unit axis `axis` and half-angle `half_angle` (0: a cylinder) by `plane`; the axis of a
+    /// cone points away from its apex. `None` where the plane cuts no ellipse, or one too long to be of use.
     pub fn new(plane: &ScanPlane, axis: &Vector3, half_angle: f64) -> Option<Self> {
-        let steepness = axis.dot(&plane.normal()).powi(2) - half_angle.sin().powi(2);
+        let cosine2 = axis.dot(&plane.normal()).powi(2);
+        let steepness = cosine2 - half_angle.sin().powi(2);
         if steepness < 1e-3 {
             return None;
         }
-        let stretch = |part: f64| (1.0 + part * part / steepness).sqrt();
+        let tangent = half_angle.tan();
         let (s, t) = (axis.dot(&plane.s_axis()), axis.dot(&plane.t_axis()));
-        let length = s.hypot(t);
-        let long_axis = if length > 0.0 { [s / length, t / length] } else { [1.0, 0.0] };
-        Some(Self { width: stretch(s), depth: stretch(t), long_axis, ratio: stretch(length) })
+        let sine = s.hypot(t);
+        let q = 1.0 - (tangent * sine).powi(2) / cosine2;
+        let minor = 1.0 / q.sqrt();
+        let stretch = |part: f64| (1.0 + part * part / steepness).sqrt();
+        let long_axis = if sine > 0.0 { [s / sine, t / sine] } else { [1.0, 0.0] };
+        let shift = tangent / (q * cosine2);
+        let (width, depth) = (minor * stretch(s), minor * stretch(t));
+        Some(Self { width, depth, center: [shift * s, shift * t], minor, long_axis, ratio: stretch(sine) })
     }
 
-    /// The ellipse of this shape through an arc's points: its centre and b.
+    /// The section of this shape through an arc's points: its centre and rho.
     ///
     /// Pressed along its longer axis the ellipse is a circle, which a short noisy arc determines far better than a free
     /// ellipse.
@@ -46,7 +56,7 @@ impl SectionShape {
         let circle = fit_circle(&moments.mapped(self.along_long_axis(1.0 / self.ratio)))?;
         let [[a, b], [c, d]] = self.along_long_axis(self.ratio);
         let [s, t] = circle.center;
-        Some(Circle { center: [a * s + b * t, c * s + d * t], radius: circle.radius })
+        Some(Circle { center: [a * s + b * t, c * s + d * t], radius: circle.radius / self.minor })
     }
 
     /// The map that multiplies lengths along the longer axis by `factor`.
@@ -55,27 +65,6 @@ impl SectionShape {
         let more = factor - 1.0;
         [[1.0 + more * s * s, more * s * t], [more * s * t, 1.0 + more * t * t]]
     }
-}
-
-/// The half-angle of a cone whose semi-minor axis b grows by `slope` per metre along the axis, cut by planes with
-/// `tan e = tilt`: the smaller solution of `slope^2 = x (1 - x tilt^2)`, `x = tan^2 phi`.
-pub fn cone_half_angle(slope: f64, tilt: f64) -> f64 {
-    let (square, tilt2) = (slope * slope, tilt * tilt);
-    let root = (1.0 - 4.0 * square * tilt2).max(0.0).sqrt();
-    (2.0 * square / (1.0 + root)).sqrt().atan()
-}
-
-/// Unit axis of a cone from the direction of the line through the centres of its sections by planes with normal
-/// `normal`; `direction` points away from the apex.
-pub fn cone_lean(direction: &Vector3, normal: &Vector3, half_angle: f64) -> Vector3 {
-    let mut axis = *direction;
-    let square = half_angle.tan().powi(2);
-    for _ in 0..4 {
-        let cosine = axis.dot(normal);
-        let across = (normal - axis * cosine) / cosine;
-        axis = (direction + across * square).normalize();
-    }
-    axis
 }
 
 #[cfg(test)]
@@ -105,19 +94,17 @@ mod tests {
     fn the_cut_of_a_tilted_cone_is_as_stated() {
         let axis = Vector3::new(0.1, 0.85, -0.5).normalize();
         let cone = Cone { apex: Vector3::new(0.05, -0.3, 1.8), axis, half_angle: 0.22 };
-        for line in [90.0, 120.0, 160.0] {
-            let plane = CAMERA.plane(Scan::Row, line);
+        for plane in [90.0, 120.0, 160.0].map(|line| CAMERA.plane(Scan::Row, line)) {
             let ellipse = cut(&cone, &plane);
             let shape = SectionShape::new(&plane, &axis, cone.half_angle).unwrap();
-            let minor = ellipse.half_extents[0] / shape.width;
-            assert!((ellipse.half_extents[1] / shape.depth - minor).abs() < 1e-9);
-            assert!((ellipse.semi_axes[1] - minor).abs() < 1e-9);
-            let center = plane.to_camera(ellipse.center) - cone.apex;
-            let z = center.dot(&axis);
-            let cosine = plane.normal().dot(&axis);
-            let tilt = (1.0 - cosine * cosine).sqrt() / cosine;
-            assert!((cone_half_angle(minor / z, tilt) - cone.half_angle).abs() < 1e-9);
-            assert!((cone_lean(&center.normalize(), &plane.normal(), cone.half_angle) - axis).norm() < 1e-4);
+            let zeta = -plane.normal().dot(&cone.apex) / plane.normal().dot(&axis);
+            let pierced = plane.to_plane(&(cone.apex + axis * zeta));
+            let rho = zeta * cone.half_angle.tan();
+            assert!((ellipse.half_extents[0] - rho * shape.width).abs() < 1e-9);
+            assert!((ellipse.half_extents[1] - rho * shape.depth).abs() < 1e-9);
+            for k in [0, 1] {
+                assert!((ellipse.center[k] - pierced[k] - rho * shape.center[k]).abs() < 1e-9);
+            }
         }
     }
 

@@ -2,13 +2,16 @@
 //!
 //! The extents of a section depend on how the axis is tilted to its plane, and the centres of a cone's sections lie
 //! beside its axis; both are known exactly (`conicflow_geometry::SectionShape`), so the fit starts from the line through
-//! the centres and is repeated with the axis and half-angle that it gave.
+//! the centres and is repeated with the axis and half-angle that it gave: then it is the line through the points where
+//! the axis pierces the planes, and the radius there is exactly linear in the position.
 
 use super::verify::{Body, Candidate, Rejection, Solid};
-use conicflow_geometry::{Cone, Cylinder, Line, PencilMoments, Regression, Vector3, cone_half_angle, cone_lean};
+use conicflow_geometry::{Cone, Cylinder, Line, PencilMoments, Regression, Vector3};
 
 /// Repetitions of the fit; each takes the error of axis and half-angle down by far more than a factor of ten.
-const PASSES: usize = 4;
+const PASSES: usize = 6;
+/// Greatest half-angle of a pass, in radians; the first may overshoot where the axis is still far off.
+const BLUNTEST: f64 = 0.6;
 
 /// Axis and half-angle, as far as they are known; half-angle 0 for a cylinder.
 #[derive(Clone, Copy, Debug)]
@@ -36,9 +39,12 @@ pub(super) fn fit_cylinder(candidate: &Candidate) -> Result<Body, Rejection> {
 
 /// Fits a cone, if the slope of the profile asks for one.
 pub(super) fn fit_cone(candidate: &Candidate) -> Result<Body, Rejection> {
-    let (pose, skeleton) = fit(candidate, |pose, skeleton| lean(candidate, skeleton, pose))?;
+    let (pose, skeleton) = fit(candidate, |pose, skeleton| lean(skeleton, pose))?;
     if pose.half_angle < candidate.config.min_half_angle_deg.to_radians() {
         return Err(Rejection::Constant);
+    }
+    if pose.half_angle > candidate.config.max_half_angle_deg.to_radians() {
+        return Err(Rejection::HalfAngle);
     }
     let line = skeleton.profile.fit().ok_or(Rejection::Degenerate)?;
     check_scatter(candidate, &skeleton, line.rms)?;
@@ -54,7 +60,7 @@ fn fit(
     let mut pose = Pose { axis: line.direction, half_angle: 0.0 };
     let mut skeleton = Skeleton { line, profile: profile(candidate, &line, &pose)? };
     for _ in 0..PASSES {
-        skeleton.line = center_line(candidate, &skeleton, &pose)?;
+        skeleton.line = axis_line(candidate, &skeleton, &pose)?;
         pose = turn(&pose, &skeleton)?;
         skeleton.profile = profile(candidate, &skeleton.line, &pose)?;
     }
@@ -89,38 +95,28 @@ fn raw_line(candidate: &Candidate) -> Result<Line, Rejection> {
     sums.fit().ok_or(Rejection::Degenerate)
 }
 
-/// The line through the centres, each put behind the front of its arc by the radius that the profile gives it: an arc
-/// tells its front far better than its radius, and an error of the radius would move the centre as much.
-fn center_line(candidate: &Candidate, so_far: &Skeleton, pose: &Pose) -> Result<Line, Rejection> {
+/// The axis, through the piercing points; each is put behind the front of its arc by the radius that the profile gives
+/// it: an arc tells its front far better than its radius, and an error of the radius would move the centre as much.
+fn axis_line(candidate: &Candidate, so_far: &Skeleton, pose: &Pose) -> Result<Line, Rejection> {
     let profile = so_far.profile.fit().ok_or(Rejection::Degenerate)?;
     let mut sums = PencilMoments::new(candidate.middle().scan);
     for section in candidate.sections() {
         let cut = section.cut(&pose.axis, pose.half_angle).ok_or(Rejection::Tilted)?;
         let position = section.position(&so_far.line, &pose.axis);
         let radius = if pose.half_angle > 0.0 { profile.at(position) } else { profile.value };
-        sums.add(&section.plane, cut.behind_front(radius));
+        sums.add(&section.plane, cut.pierced(radius));
     }
     sums.fit().ok_or(Rejection::Degenerate)
 }
 
-/// Axis and half-angle that the slope of the profile asks for.
-fn lean(candidate: &Candidate, skeleton: &Skeleton, pose: &Pose) -> Result<Pose, Rejection> {
+/// Axis and half-angle that the slope of the profile asks for; the axis of a cone points away from its apex.
+fn lean(skeleton: &Skeleton, pose: &Pose) -> Result<Pose, Rejection> {
     let slope = skeleton.profile.fit().ok_or(Rejection::Degenerate)?.slope;
-    let normal = candidate.middle().plane.normal();
-    let half_angle = cone_half_angle(slope, tilt(&pose.axis, &normal));
-    if half_angle > candidate.config.max_half_angle_deg.to_radians() {
-        return Err(Rejection::HalfAngle);
-    }
-    // Away from the apex; `axis` points towards growing line numbers or, from the second pass on, away from the apex.
+    let half_angle = slope.abs().atan().min(BLUNTEST);
+    // Positions count along the pose's axis; the line points towards growing line numbers.
     let outwards = pose.axis * slope.signum();
-    let direction = skeleton.line.direction * skeleton.line.direction.dot(&outwards).signum();
-    let facing = normal * normal.dot(&outwards).signum();
-    Ok(Pose { axis: cone_lean(&direction, &facing, half_angle), half_angle })
-}
-
-/// Tangent of the angle between an axis and the normal of a plane.
-fn tilt(axis: &Vector3, normal: &Vector3) -> f64 {
-    axis.cross(normal).norm() / axis.dot(normal).abs()
+    let direction = skeleton.line.direction;
+    Ok(Pose { axis: direction * direction.dot(&outwards).signum(), half_angle })
 }
 
 fn cylinder(candidate: &Candidate, skeleton: &Skeleton, pose: &Pose) -> Body {
@@ -145,9 +141,7 @@ fn cone(candidate: &Candidate, skeleton: &Skeleton, pose: &Pose) -> Result<Body,
     let Skeleton { line, profile } = skeleton;
     let Pose { axis, half_angle } = *pose;
     let profile = profile.fit().ok_or(Rejection::Degenerate)?;
-    // All centres lie on a line through the apex, where the radius is zero.
-    let apex_position = profile.at - profile.value / profile.slope;
-    let apex = line.point + line.direction * (apex_position / line.direction.dot(&axis));
+    let apex = line.point + axis * (profile.at - profile.value / profile.slope);
     let (from, to) = candidate.extent(&apex, &axis);
     if from < 0.0 {
         return Err(Rejection::BeyondApex);

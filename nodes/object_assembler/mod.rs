@@ -17,11 +17,12 @@ mod verify;
 
 use chains::Chains;
 use conicflow_dataflow::{Config, ConfigFault, Context, Output, Sides, Stage, StageError};
-use conicflow_messages::{Ellipse, Header, Message, Object};
+use conicflow_messages::{Ellipse, Header, Message, NoiseModel, Object};
 use schemars::JsonSchema;
 use sections::Section;
 use sequence::Sequences;
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 use std::path::Path;
 use verify::{Body, Candidate, Rejection, Rejections, Solid};
 
@@ -38,7 +39,8 @@ pub enum Method {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SectionFit {
-    /// The ellipse as the extractor found it, and of its radii the one along the view: the paper's choice.
+    /// The ellipse as the extractor found it, as in the paper. The paper names the radius r2, along the view; but what it
+    /// measures at a distance is what the other one gives, and that is taken.
     Ellipse,
     /// An ellipse of the axis ratio that the axis of the body implies, fitted anew to the arc's moments.
     #[default]
@@ -136,7 +138,7 @@ impl Default for AssemblerConfig {
             neighbors: 4,
             max_gap_lines: 4,
             max_center_scatter: 0.2,
-            max_radius_scatter: 0.12,
+            max_radius_scatter: 0.15,
             min_half_angle_deg: 5.0,
             max_half_angle_deg: 30.0,
             cone_gain: 0.8,
@@ -147,7 +149,7 @@ impl Default for AssemblerConfig {
             min_arc_deg: 75.0,
             max_rms_sigmas: 1.3,
             max_rms_radii: 0.02,
-            min_bulge_sigmas: 2.5,
+            min_bulge_sigmas: 2.2,
             sphere: limits,
             cylinder: limits,
             cone: limits,
@@ -222,11 +224,8 @@ impl ObjectAssembler {
         for chain in self.chains.iter() {
             self.sequences.split(&self.sections, chain, &self.config);
             for members in self.sequences.iter() {
-                let candidate = Candidate::new(&self.sections, members, &header.noise, &self.config);
-                match candidate.and_then(|candidate| object(&candidate, &mut self.inliers)) {
-                    Ok(object) => self.objects.push(object),
-                    Err(reason) => self.rejections.count(reason),
-                }
+                let search = Search { sections: &self.sections, noise: &header.noise, config: &self.config };
+                search.run(members, &mut self.inliers, &mut self.objects, &mut self.rejections);
             }
         }
         verify::drop_doubles(&mut self.objects, &mut self.rejections);
@@ -239,20 +238,47 @@ impl ObjectAssembler {
     }
 }
 
+/// What is the same for all sequences of an image.
+struct Search<'a> {
+    sections: &'a [Section],
+    noise: &'a NoiseModel,
+    config: &'a AssemblerConfig,
+}
+
+impl Search<'_> {
+    /// Adds the objects of a sequence: what lies before and after one is looked at again.
+    fn run(&self, members: &[usize], inliers: &mut Vec<usize>, objects: &mut Vec<Object>, rejections: &mut Rejections) {
+        let candidate = Candidate::new(self.sections, members, self.noise, self.config);
+        match candidate.and_then(|candidate| object(&candidate, inliers)) {
+            Ok((object, range)) => {
+                objects.push(object);
+                for rest in [&members[..range.start], &members[range.end..]] {
+                    if rest.len() >= self.config.min_rows as usize {
+                        self.run(rest, inliers, objects, rejections);
+                    }
+                }
+            }
+            Err(reason) => rejections.count(reason),
+        }
+    }
+}
+
 /// Parts of a sequence that a fit starts from, where the whole is spoilt by its ends: a rim, a foot on the floor.
 const SEEDS: [(f64, f64); 4] = [(0.0, 1.0), (0.25, 0.75), (0.0, 0.5), (0.5, 1.0)];
 
-/// The object that a sequence of sections forms, or why it forms none.
+/// The first object that a sequence of sections forms, and where in the sequence, or why it forms none.
 ///
-/// The first seed that forms one is fitted again with all sections of the sequence that it explains; `inliers` is a
-/// buffer for them.
-fn object(candidate: &Candidate, inliers: &mut Vec<usize>) -> Result<Object, Rejection> {
+/// The first seed that forms one is fitted again with all sections around it that it explains; `inliers` is a buffer for
+/// them.
+fn object(candidate: &Candidate, inliers: &mut Vec<usize>) -> Result<(Object, Range<usize>), Rejection> {
     let mut whole = None;
     for (from, to) in SEEDS {
-        match candidate.part(from, to).and_then(|seed| best(&seed)) {
+        let seed = candidate.part(from, to);
+        match candidate.only(seed.clone()).and_then(|seed| best(&seed)) {
             Ok((object, solid)) => {
-                candidate.inliers(&solid, object.rms, inliers);
-                return Ok(candidate.with(inliers).and_then(|all| best(&all)).map_or(object, |(all, _)| all));
+                let range = candidate.inliers(&solid, object.rms, seed, inliers);
+                let refined = candidate.with(inliers).and_then(|all| best(&all));
+                return Ok((refined.map_or(object, |(refined, _)| refined), range));
             }
             Err(reason) => whole = whole.or(Some(reason)),
         }

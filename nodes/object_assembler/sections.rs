@@ -15,7 +15,7 @@ pub(super) struct Section {
     pub center: Vector3,
     /// Centre in the plane.
     pub plane_center: [f64; 2],
-    /// The paper's r2, or the radius of the circle through the points.
+    /// Half the extent across the view, or the radius of the circle through the points.
     pub radius: f64,
     /// How centre and radius were found.
     pub fit: SectionFit,
@@ -39,7 +39,7 @@ impl Section {
         let plane = camera.plane(scan, f64::from(ellipse.line));
         let moments = PlaneMoments::from_sums(ellipse.origin, ellipse.moments);
         let (plane_center, radius) = match fit {
-            SectionFit::Ellipse => (ellipse.plane_center, ellipse.half_depth),
+            SectionFit::Ellipse => (ellipse.plane_center, ellipse.half_width),
             SectionFit::Circle => fit_circle(&moments).map(|circle| (circle.center, circle.radius))?,
         };
         Some(Self {
@@ -56,18 +56,17 @@ impl Section {
         })
     }
 
-    /// The section, given how the body is tilted to the plane; `None` where that cuts no ellipse.
+    /// The section, given the axis and half-angle of the body; `None` where that cuts no ellipse.
     pub fn cut(&self, axis: &Vector3, half_angle: f64) -> Option<Cut> {
         let shape = SectionShape::new(&self.plane, axis, half_angle)?;
-        match self.fit {
-            SectionFit::Ellipse => {
-                Some(Cut { center: self.plane_center, radius: self.radius / shape.depth, depth: None })
-            }
+        let (center, radius, lag) = match self.fit {
+            SectionFit::Ellipse => (self.plane_center, self.radius / shape.width, 0.0),
             SectionFit::Circle => {
                 let circle = shape.fit(&self.moments)?;
-                Some(Cut { center: circle.center, radius: circle.radius, depth: Some(shape.depth) })
+                (circle.center, circle.radius, shape.depth)
             }
-        }
+        };
+        Some(Cut { center, radius, offset: shape.center, lag })
     }
 
     /// Where the plane meets a line, as a position along `axis` counted from the line's point.
@@ -85,19 +84,21 @@ impl Section {
 /// A section of a body of known axis.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cut {
-    /// Centre in the plane.
-    pub center: [f64; 2],
-    /// Semi-minor axis b.
+    /// Radius of the body where its axis pierces the plane.
     pub radius: f64,
-    /// Half extent along the view, divided by b; `None` where centres stay as the extractor found them.
-    depth: Option<f64>,
+    /// Centre of the section in the plane.
+    center: [f64; 2],
+    /// From the piercing point to the centre, per radius.
+    offset: [f64; 2],
+    /// From the front of the section to its centre, per radius; 0 where centres stay as the extractor found them.
+    lag: f64,
 }
 
 impl Cut {
-    /// The centre of a section of radius `radius` with the same front.
-    pub fn behind_front(&self, radius: f64) -> [f64; 2] {
-        let shift = self.depth.map_or(0.0, |depth| (radius - self.radius) * depth);
-        [self.center[0], self.center[1] + shift]
+    /// Where the axis pierces the plane, if the body has the radius `radius` there and the section keeps its front.
+    pub fn pierced(&self, radius: f64) -> [f64; 2] {
+        let [s, t] = self.center;
+        [s - radius * self.offset[0], t + (radius - self.radius) * self.lag - radius * self.offset[1]]
     }
 }
 

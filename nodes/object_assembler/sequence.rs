@@ -4,7 +4,7 @@
 //! along it. Spherical: the centres are feet of perpendiculars from one point on the pencil of scan planes, so
 //! `t k = Cy y + Cz` is linear in the slope y of the plane and s is constant (they are concyclic with the camera, see
 //! `conicflow_geometry`), and the radii lie on a circle. As long as one of them foresees the next section, it belongs to
-//! the body; k sections in a row that none foresees end it.
+//! the body; a hypothesis whose own sections scatter too much is dead, and k sections in a row that none foresees end it.
 
 use super::AssemblerConfig;
 use super::sections::Section;
@@ -106,7 +106,8 @@ impl Sums {
         let center = line.distance(&section.center)
             <= gate(line.prediction_sigma(line.position(&section.center)), config.max_center_scatter * scale);
         let residual = (radius - profile.at(position)).abs();
-        Some(center && residual <= gate(profile.prediction_sigma(position), config.max_radius_scatter * scale))
+        let alive = line.rms <= config.max_center_scatter * scale && profile.rms <= config.max_radius_scatter * scale;
+        Some(alive && center && residual <= gate(profile.prediction_sigma(position), config.max_radius_scatter * scale))
     }
 
     fn foresees_spherical(&self, section: &Section, config: &AssemblerConfig) -> Option<bool> {
@@ -118,7 +119,8 @@ impl Sums {
         let side = (s - self.sides.mean()).abs() <= gate(self.sides.deviation(), limit);
         let foot = (t * section.plane.stretch() - feet.at(slope)).abs() <= gate(feet.prediction_sigma(slope), limit);
         let residual = ((position - profile.center).hypot(radius) - profile.radius).abs();
-        Some(side && foot && residual <= gate(profile.rms, config.max_radius_scatter * profile.radius))
+        let alive = profile.rms <= config.max_radius_scatter * profile.radius;
+        Some(alive && side && foot && residual <= gate(profile.rms, config.max_radius_scatter * profile.radius))
     }
 }
 

@@ -16,14 +16,11 @@ const PASSES: usize = 4;
 /// Fits a sphere.
 pub(super) fn fit(candidate: &Candidate) -> Result<Body, Rejection> {
     let mut angle = candidate.middle().plane.angle();
-    let mut profile = None;
-    for _ in 0..PASSES {
-        let distance = candidate.mean(|section| distance(section, angle));
-        let found = circle(candidate, angle, distance).ok_or(Rejection::Degenerate)?;
-        angle += (found.center / distance).clamp(-1.0, 1.0).asin();
-        profile = Some((found, distance));
+    for _ in 1..PASSES {
+        let shift = circle(candidate, angle)?.center / mean_distance(candidate, angle);
+        angle += shift.clamp(-1.0, 1.0).asin();
     }
-    let (profile, _) = profile.ok_or(Rejection::Degenerate)?;
+    let profile = circle(candidate, angle)?;
     if profile.rms > candidate.config.max_radius_scatter * profile.radius {
         return Err(Rejection::Profile);
     }
@@ -36,17 +33,23 @@ fn distance(section: &Section, angle: f64) -> f64 {
     section.plane_center[1] / (section.plane.angle() - angle).cos()
 }
 
-fn circle(candidate: &Candidate, angle: f64, distance: f64) -> Option<CircleProfile> {
+fn mean_distance(candidate: &Candidate, angle: f64) -> f64 {
+    candidate.mean(|section| distance(section, angle))
+}
+
+/// Radii over positions, counted from the plane under `angle`.
+fn circle(candidate: &Candidate, angle: f64) -> Result<CircleProfile, Rejection> {
+    let distance = mean_distance(candidate, angle);
     let pairs = candidate.sections().map(|section| {
         let position = distance * (section.plane.angle() - angle).sin();
         [position, section.radius]
     });
-    fit_circle_profile(&PlaneMoments::of([0.0, 0.0], pairs))
+    fit_circle_profile(&PlaneMoments::of([0.0, 0.0], pairs)).ok_or(Rejection::Degenerate)
 }
 
 /// A cap tells too little: the sections have to reach both sides of the centre, and far enough.
 fn check_extent(candidate: &Candidate, profile: &CircleProfile, angle: f64) -> Result<(), Rejection> {
-    let distance = candidate.mean(|section| distance(section, angle));
+    let distance = mean_distance(candidate, angle);
     let positions = candidate.ends().map(|section| distance * (section.plane.angle() - angle).sin());
     let low = positions[0].min(positions[1]);
     let high = positions[0].max(positions[1]);
@@ -56,7 +59,7 @@ fn check_extent(candidate: &Candidate, profile: &CircleProfile, angle: f64) -> R
 
 fn body(candidate: &Candidate, profile: &CircleProfile, angle: f64) -> Result<Body, Rejection> {
     let (mut sides, mut distances) = (Regression::default(), Regression::default());
-    let mean = candidate.mean(|section| distance(section, angle));
+    let mean = mean_distance(candidate, angle);
     for section in candidate.sections() {
         // As with axial bodies: the front of the arc is known better than its radius.
         let position = mean * (section.plane.angle() - angle).sin();

@@ -1,12 +1,16 @@
 //! What a body has to fulfil to be reported, and the report.
 
 use super::sections::Section;
-use super::{AssemblerConfig, RadiusLimits};
+use super::{AssemblerConfig, RadiusLimits, SectionFit};
 use conicflow_geometry::{Cone, Cylinder, Quadric, Sphere, Vector3, fit_plane_line};
 use conicflow_messages::{NoiseModel, Object, ObjectKind, ObjectSigma};
+use std::ops::Range;
 
 /// Least standard deviation that is ever claimed, in metres and radians.
 const LEAST_SIGMA: f64 = 1e-6;
+
+/// What the points may be off the paper's model, in radii: on short arcs its centres are too near by a quarter.
+const ELLIPSE_RMS_RADII: f64 = 0.35;
 
 /// Sections this many times worse than the whole are left out.
 const OUTLIER_RMS: f64 = 1.6;
@@ -138,10 +142,15 @@ impl<'a> Candidate<'a> {
         Ok(candidate)
     }
 
-    /// The same with a part of the members, from one fraction to another.
-    pub fn part(&self, from: f64, to: f64) -> Result<Self, Rejection> {
+    /// The members from one fraction of the sequence to another.
+    pub fn part(&self, from: f64, to: f64) -> Range<usize> {
         let index = |fraction: f64| (fraction * self.count()).round() as usize;
-        self.with(&self.members[index(from)..index(to)])
+        index(from)..index(to)
+    }
+
+    /// The same with a part of the members.
+    pub fn only(&self, part: Range<usize>) -> Result<Self, Rejection> {
+        self.with(&self.members[part])
     }
 
     /// The same with other members.
@@ -203,7 +212,11 @@ impl<'a> Candidate<'a> {
     }
 
     fn max_rms(&self, body: &Body) -> f64 {
-        self.config.max_rms_sigmas * self.noise_sigma() + self.config.max_rms_radii * body.radius
+        let radii = match self.config.section_fit {
+            SectionFit::Ellipse => ELLIPSE_RMS_RADII,
+            SectionFit::Circle => self.config.max_rms_radii,
+        };
+        self.config.max_rms_sigmas * self.noise_sigma() + radii * body.radius
     }
 
     /// Root mean square distance of all points from the surface.
@@ -211,15 +224,21 @@ impl<'a> Candidate<'a> {
         (self.sections().map(|section| solid.square_sum(section)).sum::<f64>() / self.points()).sqrt()
     }
 
-    /// The members whose points lie on a surface, given the distance of those that it was fitted to: sections that took
-    /// in points of a floor or of a neighbour stay out.
-    pub fn inliers(&self, solid: &Solid, rms: f64, inliers: &mut Vec<usize>) {
+    /// The members from `seed` on to both sides whose points lie on a surface, given the distance of those that it was
+    /// fitted to; sections that took in points of a floor or of a neighbour stay out, and k in a row end the body.
+    pub fn inliers(&self, solid: &Solid, rms: f64, seed: Range<usize>, inliers: &mut Vec<usize>) -> Range<usize> {
         let limit = OUTLIER_RMS * rms;
-        inliers.clear();
-        inliers.extend(self.members.iter().copied().filter(|&member| {
-            let section = &self.sections[member];
+        let fits = |position: &usize| {
+            let section = &self.sections[self.members[*position]];
             solid.square_sum(section) <= limit * limit * section.moments.count()
-        }));
+        };
+        let last = reach(seed.start..self.members.len(), self.config.neighbors, fits);
+        let first = reach((0..seed.end).rev(), self.config.neighbors, fits);
+        let start = first.map_or(seed.start, |first| first.min(seed.start));
+        let end = last.map_or(seed.end, |last| seed.end.max(last + 1));
+        inliers.clear();
+        inliers.extend((start..end).filter(fits).map(|position| self.members[position]));
+        start..end
     }
 
     /// Root mean square distance of the points of the sections from a line each.
@@ -287,6 +306,22 @@ impl<'a> Candidate<'a> {
             half_angle: present(is_cone, body.half_angle_sigma.max(LEAST_SIGMA)),
         }
     }
+}
+
+/// The last position that fits before `patience` positions in a row that do not.
+fn reach(positions: impl Iterator<Item = usize>, patience: u32, fits: impl Fn(&usize) -> bool) -> Option<usize> {
+    let (mut last, mut misses) = (None, 0);
+    for position in positions {
+        if fits(&position) {
+            (last, misses) = (Some(position), 0);
+        } else {
+            misses += 1;
+            if misses >= patience {
+                break;
+            }
+        }
+    }
+    last
 }
 
 /// Drops objects whose centre lies inside one with more points: the same, seen along rows and along columns.
