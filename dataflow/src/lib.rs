@@ -6,6 +6,8 @@ mod folder;
 pub mod in_memory;
 mod inbox;
 mod launcher;
+#[cfg(test)]
+mod loops_tests;
 mod node;
 mod outlet;
 mod peers;

@@ -2,11 +2,11 @@
 
 use crate::clock::monotonic_ns;
 use crate::peers::Peers;
-use crate::ports::{Delivery, PortError, Topic, Writer};
+use crate::ports::{Delivery, PortError, Topic, TopicReader, Writer};
 use crate::stage::{Memory, Output, StageError, Stop};
 use crate::status::{Life, Status};
 use conicflow_messages::{END_OF_STREAM, Header, Hop, Item, Text};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
 /// How long the first message waits for readers that want only the newest.
@@ -83,22 +83,20 @@ impl<T: Item, W: Writer<T>> Outlet<T, W> {
 
     /// Tells all readers that nothing more will come, and stays until they have taken all.
     pub(crate) fn end(&mut self) -> Result<(), PortError> {
-        if self.port.is_none() {
-            return Ok(());
-        }
-        let mut told = Vec::new();
+        let (mut before, mut told) = (Vec::new(), BTreeSet::new());
         let deadline = Instant::now() + PATIENCE_WITH_LIVE_READERS;
         while !self.stop.forced() {
-            let absent = self.absent_readers(false);
             let Some((writer, _)) = &mut self.port else { break };
             let connected = writer.connected();
-            if connected.iter().any(|reader| !told.contains(reader)) {
+            if connected.iter().any(|reader| !before.contains(reader)) {
                 writer.send(&end_of_stream(&self.last, self.stage))?;
             }
-            if connected.is_empty() && (absent == 0 || Instant::now() > deadline) {
+            told.extend(connected.iter().cloned());
+            let all_told = self.absent_readers(false).all(|reader| told.contains(&reader.stage));
+            if connected.is_empty() && (all_told || Instant::now() > deadline) {
                 break;
             }
-            told = connected;
+            before = connected;
             std::thread::sleep(LOOK);
         }
         Ok(())
@@ -110,7 +108,7 @@ impl<T: Item, W: Writer<T>> Outlet<T, W> {
         let mut said = false;
         loop {
             let first = self.number == 0 && Instant::now() < deadline;
-            if self.absent_readers(!first) == 0 {
+            if self.absent_readers(!first).next().is_none() {
                 return Ok(());
             }
             if self.stop.requested() {
@@ -124,13 +122,14 @@ impl<T: Item, W: Writer<T>> Outlet<T, W> {
         }
     }
 
-    /// How many readers of the pipeline are not there and still to come; only lossless ones, or all.
-    fn absent_readers(&self, only_lossless: bool) -> usize {
-        let Some((writer, topic)) = &self.port else { return 0 };
-        let connected = writer.connected();
-        let wanted = topic.readers.iter().filter(|reader| !only_lossless || reader.delivery == Delivery::Lossless);
-        let absent = wanted.filter(|reader| !connected.contains(&reader.stage));
-        absent.filter(|reader| !matches!(self.peers.life(&reader.stage), Some(Life::Ended | Life::Gone))).count()
+    /// Readers of the pipeline that are not there and still to come; only the lossless ones, or all.
+    fn absent_readers(&self, only_lossless: bool) -> impl Iterator<Item = &TopicReader> {
+        let (connected, topic) = self.port.as_ref().map(|(writer, topic)| (writer.connected(), topic)).unzip();
+        let connected: Vec<String> = connected.unwrap_or_default();
+        let readers = topic.into_iter().flat_map(|topic| &topic.readers);
+        let wanted = readers.filter(move |reader| !only_lossless || reader.delivery == Delivery::Lossless);
+        let absent = wanted.filter(move |reader| !connected.contains(&reader.stage));
+        absent.filter(|reader| !matches!(self.peers.life(&reader.stage), Some(Life::Ended | Life::Gone)))
     }
 }
 

@@ -211,7 +211,6 @@ pub struct StatusFile {
 
 impl StatusFile {
     /// A record that is kept nowhere.
-    #[cfg(test)]
     pub(crate) fn nowhere() -> Self {
         Self { status: Box::default(), file: None }
     }
