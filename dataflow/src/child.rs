@@ -4,7 +4,7 @@ use crate::folder::RunFolder;
 use crate::pipeline::Restart;
 use crate::plan::{Plan, PlannedStage};
 use crate::stage_process::{LAUNCHER, PIPELINE, ProcessError, REFUSED, STAGE};
-use crate::status::{Life, StatusFile};
+use crate::status::{Life, Status, StatusFile};
 use rustix::process::{Pid, Signal, kill_process};
 use std::collections::VecDeque;
 use std::io;
@@ -109,7 +109,10 @@ impl Supervised {
     ) -> Result<Change, ProcessError> {
         match &mut self.state {
             State::Running(child) => match child.try_wait() {
-                Ok(Some(status)) => Ok(self.ended(status, plan, folder, ending)),
+                Ok(Some(status)) => {
+                    let process = child.id();
+                    Ok(self.ended(process, status, plan, folder, ending))
+                }
                 _ => Ok(Change::None),
             },
             State::Waiting { .. } if ending => {
@@ -124,9 +127,17 @@ impl Supervised {
         }
     }
 
-    fn ended(&mut self, status: ExitStatus, plan: &Plan, folder: &RunFolder, ending: bool) -> Change {
+    /// Whether a process that exited well had done all its work, rather than having been told to go. A program that keeps
+    /// no record is believed.
+    fn came_to_its_end(&self, process: u32, plan: &Plan, folder: &RunFolder) -> bool {
+        let record = Status::read(&folder.status(&self.planned.name));
+        let own = record.filter(|status| status.run == plan.run && status.process == process);
+        own.is_none_or(|status| status.life() == Life::Ended)
+    }
+
+    fn ended(&mut self, process: u32, status: ExitStatus, plan: &Plan, folder: &RunFolder, ending: bool) -> Change {
         let name = self.planned.name.clone();
-        let finished = status.success();
+        let finished = status.success() && self.came_to_its_end(process, plan, folder);
         if finished && (self.planned.restart != Restart::Always || ending) {
             self.state = State::Done;
             settle(folder, plan, &name, Life::Ended);

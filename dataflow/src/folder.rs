@@ -6,9 +6,14 @@ use std::fs::{self, File, TryLockError};
 use std::io;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
 
 /// Environment variable: the user's folder, where the default does not suit.
 pub const RUNTIME_DIR: &str = "CONICFLOW_RUNTIME_DIR";
+
+/// Stages end by themselves within this time after their launcher was killed.
+const LAST_STAGES_GRACE: Duration = Duration::from_secs(5);
 
 /// Why a run has no folder.
 #[derive(Debug, thiserror::Error)]
@@ -39,6 +44,15 @@ pub enum FolderError {
         /// Its name.
         name: String,
     },
+    /// Stages of an earlier run, or stages that were started one by one, are still there.
+    #[error(
+        "stages of a pipeline named `{name}` are still running on this machine\n  \
+         hint: end them (`pgrep -af \"conicflow node\"` lists them), or give this pipeline another `name`"
+    )]
+    Occupied {
+        /// Its name.
+        name: String,
+    },
     /// The plan of a run makes no sense.
     #[error("{}: {error}\n  hint: start the pipeline anew with `conicflow run`", path.display())]
     Plan {
@@ -56,7 +70,7 @@ pub struct RunFolder {
     shared_memory: PathBuf,
 }
 
-/// Held as long as a run lasts: no other of the same name can start.
+/// Held as long as a run lasts, or a stage lives: no other run of the same name can start.
 #[derive(Debug)]
 pub struct RunLock {
     _file: File,
@@ -91,17 +105,44 @@ impl RunFolder {
         status_path(&self.path, stage)
     }
 
-    /// Takes the folder for a run of `name`.
+    /// Takes the folder for a run of `name`, as soon as the stages of an earlier run that was cut off are gone.
     ///
     /// # Errors
-    /// Another run has it.
+    /// Another run has it, or stages of another run stay.
     pub fn lock(&self, name: &str) -> Result<RunLock, FolderError> {
-        let path = self.path.join("lock");
-        let file = File::create(&path).map_err(|error| FolderError::Io { path: path.clone(), error })?;
+        let (path, file) = self.open_lock("lock")?;
         match file.try_lock() {
-            Ok(()) => Ok(RunLock { _file: file }),
-            Err(TryLockError::WouldBlock) => Err(FolderError::Running { name: name.to_owned() }),
-            Err(TryLockError::Error(error)) => Err(FolderError::Io { path, error }),
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => return Err(FolderError::Running { name: name.to_owned() }),
+            Err(TryLockError::Error(error)) => return Err(FolderError::Io { path, error }),
+        }
+        let deadline = Instant::now() + LAST_STAGES_GRACE;
+        let (path, stages) = self.open_lock("stages.lock")?;
+        loop {
+            match stages.try_lock() {
+                Ok(()) => return Ok(RunLock { _file: file }),
+                Err(TryLockError::WouldBlock) if Instant::now() < deadline => sleep(Duration::from_millis(10)),
+                Err(TryLockError::WouldBlock) => return Err(FolderError::Occupied { name: name.to_owned() }),
+                Err(TryLockError::Error(error)) => return Err(FolderError::Io { path, error }),
+            }
+        }
+    }
+
+    /// Says that a stage of this pipeline lives in this process, for as long as the result is held.
+    ///
+    /// # Errors
+    /// The folder cannot be written.
+    pub fn join(&self) -> Result<RunLock, FolderError> {
+        let (path, file) = self.open_lock("stages.lock")?;
+        file.lock_shared().map_err(|error| FolderError::Io { path, error })?;
+        Ok(RunLock { _file: file })
+    }
+
+    fn open_lock(&self, name: &str) -> Result<(PathBuf, File), FolderError> {
+        let path = self.path.join(name);
+        match File::create(&path) {
+            Ok(file) => Ok((path, file)),
+            Err(error) => Err(FolderError::Io { path, error }),
         }
     }
 

@@ -245,7 +245,8 @@ fn run_alone<T: Item>(
 ) -> Result<Vec<Owned<T>>, RunError> {
     let mut reader = memory.reader::<T>(output, DOWNSTREAM)?;
     let record = StatusFile::nowhere();
-    let around = Surroundings { transport: memory.clone(), wiring, context, peers: Peers::default(), record };
+    let around =
+        Surroundings { transport: memory.clone(), wiring, context, peers: Peers::default(), record, lock: None };
     thread::scope(|scope| {
         let running = scope.spawn(|| run(around));
         let fed = feed(&|| running.is_finished());

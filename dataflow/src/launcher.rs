@@ -142,9 +142,17 @@ impl Launcher<'_> {
         self.lost |= lost;
         if lost && !ending {
             tracing::error!("the run ends, because a stage is lost");
+        }
+        if (lost || self.nobody_reads()) && !ending {
             self.stop_sources();
         }
         Ok(())
+    }
+
+    /// Whether all sinks are over: what the others still make would be for nobody.
+    fn nobody_reads(&self) -> bool {
+        let mut sinks = self.stages.iter().filter(|stage| stage.planned.is_sink()).peekable();
+        sinks.peek().is_some() && sinks.all(Supervised::is_over)
     }
 
     /// Goes on to the next phase when the time of this one is over.

@@ -2,6 +2,7 @@
 //!
 //! The two loops themselves are [`crate::source_loop`] and [`crate::stage_loop`].
 
+use crate::folder::RunLock;
 use crate::outlet::Outlet;
 use crate::peers::Peers;
 use crate::plan::Wiring;
@@ -21,6 +22,8 @@ pub(crate) struct Surroundings<T> {
     pub(crate) context: Context,
     pub(crate) peers: Peers,
     pub(crate) record: StatusFile,
+    /// Held while the stage lives, where it is a process of its own.
+    pub(crate) lock: Option<RunLock>,
 }
 
 /// Why a stage ended before its stream did.

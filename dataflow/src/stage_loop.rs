@@ -45,7 +45,7 @@ pub(crate) fn run_stage<S: Stage, T: Transport + 'static>(
     let (sides, outlet) = (around.sides(S::sides())?, around.outlet()?);
     let stage = S::new(config, &around.context).map_err(RunError::Refused)?;
     around.begin(None);
-    let Surroundings { context, peers, record, .. } = around;
+    let Surroundings { context, peers, record, lock: _lock, .. } = around;
     let mut running = StageLoop::<S, T> { stage, inbox, sides, outlet, record, stop: context.stop, topic, peers };
     while let Some(message) = running.next_message()? {
         if !running.work_on(message)? {
@@ -117,13 +117,12 @@ impl<S: Stage, T: Transport> StageLoop<S, T> {
         self.record.write();
     }
 
-    /// Ends the work. A stage that was stopped, rather than having come to the end of its input, may be followed by
-    /// another in its place: it does not end the stream.
+    /// Ends the work, and the stream; a stage that was stopped at once leaves its readers waiting for its successor.
     fn end(mut self) -> Result<(), RunError> {
         let frame = self.record.status.steps;
         self.stage.finish().map_err(|error: StageError| RunError::Failed { frame, error })?;
         drop((self.inbox, self.sides));
-        if !self.stop.requested() {
+        if !self.stop.forced() {
             self.outlet.end()?;
             self.record.status.set_life(Life::Ended);
         }

@@ -118,6 +118,7 @@ pub fn run_in_run(nodes: &[Node]) -> Result<(), ProcessError> {
 
 fn run_own(node: Node) -> Result<(), ProcessError> {
     let (mut plan, folder, stage) = own_place()?;
+    die_with_launcher();
     let own = plan.stages.iter_mut().find(|planned| planned.name == stage);
     if let (Some(planned), Some(variant)) = (own, node.variants.first()) {
         planned.runs = Runs::Node { node: node.name.to_owned(), input: variant.input.name().to_owned() };
@@ -156,6 +157,7 @@ fn surroundings(
     folder: &RunFolder,
     planned: &PlannedStage,
 ) -> Result<Surroundings<SharedMemory>, ProcessError> {
+    let lock = Some(folder.join()?);
     let stop = Stop::default();
     listen_for_signals(stop.clone())?;
     let transport = SharedMemory::open(folder.shared_memory(), &plan.pipeline, &planned.name, stop.clone());
@@ -169,6 +171,7 @@ fn surroundings(
         context,
         peers,
         record,
+        lock,
     };
     let status = &mut around.record.status;
     status.process = getpid().as_raw_nonzero().get().unsigned_abs();

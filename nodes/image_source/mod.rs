@@ -191,7 +191,7 @@ impl ImageSource {
 impl Source for ImageSource {
     const NAME: &'static str = "image_source";
     const SUMMARY: &'static str =
-        "Plays back recorded depth frames: 16-bit PNGs, TUM RGB-D folders, organised PCD files.";
+        "Plays back recorded depth frames: 16-bit PNGs, TUM RGB-D folders, organised PCD files";
     type Config = Config;
     type Output = u16;
 

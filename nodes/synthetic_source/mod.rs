@@ -197,7 +197,7 @@ pub struct SyntheticSource {
 
 impl Source for SyntheticSource {
     const NAME: &'static str = "synthetic_source";
-    const SUMMARY: &'static str = "Depth camera in a simulated scene with known objects";
+    const SUMMARY: &'static str = "Simulates a depth camera in a scene with known objects";
     type Config = SyntheticSourceConfig;
     type Output = u16;
 

@@ -59,6 +59,12 @@ fn inputs(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>) 
             faults.push(Diagnostic::error(&input.place, what, hint));
         }
     }
+    for (index, input) in stage.all_inputs().enumerate() {
+        if stage.all_inputs().take(index).any(|earlier| earlier.topic == input.topic) {
+            let what = format!("stage `{}` reads the topic `{}` twice", stage.name, input.topic);
+            faults.push(Diagnostic::error(&input.place, what, "one input per topic is enough"));
+        }
+    }
     let Program::Node(node) = &stage.program else { return };
     if let Some(input) = &stage.input {
         let accepted: Vec<Kind> = node.inputs().collect();
