@@ -17,6 +17,8 @@ pub mod ports;
 mod progress;
 mod runner;
 pub mod shared_memory;
+#[cfg(test)]
+mod shared_memory_tests;
 mod side_ports;
 mod sides;
 mod source_loop;
