@@ -3,7 +3,7 @@
 //! The launcher writes it once; all stages of a run read the same plan, whatever becomes of the pipeline file meanwhile.
 
 use crate::pipeline::{Pipeline, Program, Restart, StageSpec};
-use crate::ports::Topic;
+use crate::ports::Wiring;
 use conicflow_messages::Kind;
 use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
@@ -52,19 +52,6 @@ pub enum Runs {
     },
     /// A program with its arguments.
     Command(Vec<String>),
-}
-
-/// How a stage is joined to the others.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
-pub struct Wiring {
-    /// The topic that drives it, if it is no source.
-    pub input: Option<Topic>,
-    /// Its further inputs, by their names.
-    pub sides: Vec<(String, Topic)>,
-    /// The topic that it writes.
-    pub output: Option<Topic>,
-    /// A source ends after so many messages.
-    pub frames: Option<u64>,
 }
 
 impl Plan {

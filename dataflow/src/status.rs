@@ -8,7 +8,7 @@ use conicflow_messages::Text;
 use std::fs::{File, OpenOptions};
 use std::io;
 use std::os::unix::fs::FileExt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Inputs that a record has room for; further ones are not counted.
@@ -199,6 +199,11 @@ fn add(counters: &mut [Counter], name: &str, times: u64) {
 pub fn used(counters: &[Counter]) -> impl Iterator<Item = (&str, u64)> {
     let used = counters.iter().filter(|counter| counter.name != Text::default());
     used.map(|counter| (counter.name.as_str().unwrap_or("?"), counter.count))
+}
+
+/// The file of a stage's record.
+pub(crate) fn status_path(folder: &Path, stage: &str) -> PathBuf {
+    folder.join(format!("{stage}.status"))
 }
 
 /// A record and the file that it is kept in.

@@ -3,14 +3,21 @@
 //! A run ends when all its stages have: because the sources are exhausted, the time is over, someone asks for it, or a stage
 //! is lost. It then stops the sources, lets what is under way be delivered, and presses harder as time passes.
 
-use crate::child::{Change, Supervised};
-use crate::folder::{FolderError, RunFolder};
+mod child;
+mod folder;
+mod process;
+mod progress;
+mod summary;
+
+pub use folder::{FolderError, RUNTIME_DIR, RunFolder, RunLock};
+pub use process::{PIPELINE, ProcessError, run_in_run, run_planned, run_source, run_stage};
+pub use summary::{StageSummary, Summary};
+
 use crate::plan::Plan;
-use crate::progress::Progress;
-use crate::shared_memory::SharedMemory;
+use crate::ports::shared_memory::SharedMemory;
 use crate::stage::Stop;
-use crate::stage_process::ProcessError;
-use crate::summary::Summary;
+use child::{Change, Supervised};
+use progress::Progress;
 use rustix::process::Signal;
 use signal_hook::consts::{SIGCHLD, SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;

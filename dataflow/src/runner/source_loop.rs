@@ -1,10 +1,10 @@
 //! The life of a source: it makes messages at its pace, until it has no more, has made enough, or the run ends.
 
+use super::outlet::Outlet;
+use super::side_ports::{self, SidePort};
+use super::{RunError, Surroundings, guarded, is_stopped};
 use crate::clock::monotonic_ns;
-use crate::outlet::Outlet;
 use crate::ports::Transport;
-use crate::runner::{RunError, Surroundings, guarded, is_stopped};
-use crate::side_ports::{self, SidePort};
 use crate::stage::{Next, Pace, Source, Stop};
 use crate::status::{Life, StatusFile};
 use conicflow_messages::Header;

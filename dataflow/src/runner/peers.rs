@@ -1,6 +1,6 @@
 //! What a stage can know of the other stages of its run: whether they still live.
 
-use crate::status::{Life, Status};
+use crate::status::{Life, Status, status_path};
 use std::path::PathBuf;
 
 /// The other stages of a run, by the records in its folder.
@@ -21,9 +21,4 @@ impl Peers {
         let status = Status::read(&status_path(folder, stage))?;
         (status.run == *run).then(|| status.life())
     }
-}
-
-/// The file of a stage's record.
-pub(crate) fn status_path(folder: &std::path::Path, stage: &str) -> PathBuf {
-    folder.join(format!("{stage}.status"))
 }

@@ -1,11 +1,11 @@
 //! A stage as a process of its own: finds its place in the plan, opens what it needs, and runs until it is done or told.
 
-use crate::folder::{FolderError, RunFolder};
+use super::folder::{FolderError, RunFolder};
 use crate::node::Node;
-use crate::peers::Peers;
 use crate::plan::{Plan, PlannedStage, Runs};
+use crate::ports::shared_memory::SharedMemory;
+use crate::runner::peers::Peers;
 use crate::runner::{RunError, Surroundings};
-use crate::shared_memory::SharedMemory;
 use crate::stage::{Context, Source, Stage, Stop};
 use crate::status::{Life, StatusFile};
 use rustix::process::{Signal, getpid, getppid, set_parent_process_death_signal};

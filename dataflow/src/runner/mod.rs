@@ -1,18 +1,27 @@
-//! What a stage runs with: its wiring, its ports, its record; and how what goes wrong in it is told.
+//! Runs one stage: takes messages, lets it step, sends what it made, and keeps its record, until the stream ends.
 //!
-//! The two loops themselves are [`crate::source_loop`] and [`crate::stage_loop`].
+//! The two loops are [`source_loop`] and [`stage_loop`]; here is what they run with, and how what goes wrong is told.
 
-use crate::folder::RunLock;
-use crate::outlet::Outlet;
-use crate::peers::Peers;
-use crate::plan::Wiring;
-use crate::ports::{PortError, Transport};
-use crate::side_ports::{self, SidePort};
+pub(crate) mod alone;
+pub(crate) mod inbox;
+mod outlet;
+pub(crate) mod peers;
+mod side_ports;
+pub(crate) mod source_loop;
+pub(crate) mod stage_loop;
+#[cfg(test)]
+mod tests;
+
+use crate::ports::{PortError, Transport, Wiring};
 use crate::sides::Side;
 use crate::stage::{Context, StageError};
 use crate::status::{Life, StatusFile};
 use conicflow_messages::{Item, Kind};
+use outlet::Outlet;
+use peers::Peers;
+use side_ports::SidePort;
 use std::any::Any;
+use std::fs::File;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// All that a stage runs with, but itself.
@@ -23,7 +32,7 @@ pub(crate) struct Surroundings<T> {
     pub(crate) peers: Peers,
     pub(crate) record: StatusFile,
     /// Held while the stage lives, where it is a process of its own.
-    pub(crate) lock: Option<RunLock>,
+    pub(crate) lock: Option<File>,
 }
 
 /// Why a stage ended before its stream did.

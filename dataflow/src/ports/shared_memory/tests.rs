@@ -1,7 +1,7 @@
 //! Tests of the topics in shared memory, within one process: each side opens them as a process of its own would.
 
+use crate::ports::shared_memory::SharedMemory;
 use crate::ports::{Delivery, PortError, Reader, Received, Topic, TopicReader, Transport, Writer};
-use crate::shared_memory::SharedMemory;
 use crate::stage::Stop;
 use conicflow_messages::{Header, Object, Track};
 use std::path::Path;

@@ -1,6 +1,9 @@
 //! What a stage's runner needs of a transport: to take messages out of a topic and to write messages into one.
 //!
-//! [`crate::shared_memory`] is the transport between processes, [`crate::in_memory`] its twin for tests.
+//! [`shared_memory`] is the transport between processes, [`in_memory`] its twin for tests.
+
+pub mod in_memory;
+pub mod shared_memory;
 
 use conicflow_messages::{Header, Item};
 use serde::{Deserialize, Serialize};
@@ -49,6 +52,19 @@ impl Topic {
     pub fn is_lossless(&self) -> bool {
         self.readers.iter().any(|reader| reader.delivery == Delivery::Lossless)
     }
+}
+
+/// How a stage is joined to the others.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Wiring {
+    /// The topic that drives it, if it is no source.
+    pub input: Option<Topic>,
+    /// Its further inputs, by their names.
+    pub sides: Vec<(String, Topic)>,
+    /// The topic that it writes.
+    pub output: Option<Topic>,
+    /// A source ends after so many messages.
+    pub frames: Option<u64>,
 }
 
 /// Why a port could not be opened or used.

@@ -1,6 +1,6 @@
 //! Tests of the two loops, over the in-memory twin of shared memory.
 
-use crate::in_memory::{Owned, collect, pass};
+use super::alone::{Owned, collect, pass};
 use crate::{Context, Next, NoConfig, Output, RunError, Sides, Source, Stage, StageError};
 use conicflow_messages::{Camera, Header, Message, Nothing, Object, ObjectKind};
 

@@ -1,6 +1,6 @@
 //! The further inputs of a running stage: finds for each step the message that goes with it.
 
-use crate::inbox::Inbox;
+use super::inbox::Inbox;
 use crate::ports::{Delivery, PortError, Reader, Received, Topic, Transport};
 use crate::sides::{AnyMessage, Pick, Side, Sides};
 use crate::status::InputCounts;

@@ -1,6 +1,6 @@
 //! Shows how far a run is: one line that is rewritten on a terminal, a line now and then without one.
 
-use crate::summary::Summary;
+use super::summary::Summary;
 use std::io::{IsTerminal, Write, stderr};
 use std::time::{Duration, Instant};
 

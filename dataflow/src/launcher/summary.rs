@@ -1,6 +1,6 @@
 //! What a run did: read from the records of its stages, while it runs for its progress, and at its end for people.
 
-use crate::folder::RunFolder;
+use super::folder::RunFolder;
 use crate::plan::{Plan, PlannedStage, Runs};
 use crate::status::{Durations, Status, used};
 use std::fmt::{self, Display, Write};

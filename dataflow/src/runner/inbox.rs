@@ -137,7 +137,7 @@ fn ends_of_trace(header: &Header) -> (Text<32>, Text<32>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::in_memory::InMemory;
+    use crate::ports::in_memory::InMemory;
     use crate::ports::{Topic, TopicReader, Transport, Writer};
     use conicflow_messages::{Camera, END_OF_STREAM, Hop, Object};
 

@@ -1,9 +1,9 @@
 //! One stage as the launcher sees it: its process, and whether it is to be started anew.
 
-use crate::folder::RunFolder;
+use super::folder::RunFolder;
+use super::process::{LAUNCHER, PIPELINE, ProcessError, REFUSED, STAGE};
 use crate::pipeline::Restart;
 use crate::plan::{Plan, PlannedStage};
-use crate::stage_process::{LAUNCHER, PIPELINE, ProcessError, REFUSED, STAGE};
 use crate::status::{Life, Status, StatusFile};
 use rustix::process::{Pid, Signal, kill_process};
 use std::collections::VecDeque;

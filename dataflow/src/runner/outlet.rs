@@ -1,7 +1,7 @@
 //! The output of a running stage: hands it a place to write, stamps the header and sends.
 
+use super::peers::Peers;
 use crate::clock::monotonic_ns;
-use crate::peers::Peers;
 use crate::ports::{Delivery, PortError, Topic, TopicReader, Writer};
 use crate::stage::{Memory, Output, StageError, Stop};
 use crate::status::{Life, Status};

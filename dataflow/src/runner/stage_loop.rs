@@ -1,12 +1,12 @@
 //! The life of a stage or a sink: it takes a message, steps, sends what it made, until its input ends or the run does.
 
+use super::inbox::Inbox;
+use super::outlet::Outlet;
+use super::peers::Peers;
+use super::side_ports::{self, SidePort};
+use super::{RunError, Surroundings, guarded, is_stopped};
 use crate::clock::monotonic_ns;
-use crate::inbox::Inbox;
-use crate::outlet::Outlet;
-use crate::peers::Peers;
 use crate::ports::{PortError, Reader, Received, Topic, Transport};
-use crate::runner::{RunError, Surroundings, guarded, is_stopped};
-use crate::side_ports::{self, SidePort};
 use crate::stage::{Stage, StageError, Stop};
 use crate::status::{Life, StatusFile};
 use conicflow_messages::{Header, Message};

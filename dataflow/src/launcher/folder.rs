@@ -1,7 +1,7 @@
 //! Where a run keeps its files: one folder per user, in it one per pipeline, and beside them the files of shared memory.
 
-use crate::peers::status_path;
 use crate::plan::Plan;
+use crate::status::status_path;
 use std::fs::{self, File, TryLockError};
 use std::io;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
@@ -70,7 +70,7 @@ pub struct RunFolder {
     shared_memory: PathBuf,
 }
 
-/// Held as long as a run lasts, or a stage lives: no other run of the same name can start.
+/// Held as long as a run lasts: no other of the same name can start.
 #[derive(Debug)]
 pub struct RunLock {
     _file: File,
@@ -128,14 +128,14 @@ impl RunFolder {
         }
     }
 
-    /// Says that a stage of this pipeline lives in this process, for as long as the result is held.
+    /// Says that a stage of this pipeline lives in this process, for as long as the file is held.
     ///
     /// # Errors
     /// The folder cannot be written.
-    pub fn join(&self) -> Result<RunLock, FolderError> {
+    pub(crate) fn join(&self) -> Result<File, FolderError> {
         let (path, file) = self.open_lock("stages.lock")?;
         file.lock_shared().map_err(|error| FolderError::Io { path, error })?;
-        Ok(RunLock { _file: file })
+        Ok(file)
     }
 
     fn open_lock(&self, name: &str) -> Result<(PathBuf, File), FolderError> {
