@@ -5,7 +5,7 @@ use crate::node_help;
 use anyhow::{Context, bail};
 use clap::{Args, Parser, Subcommand};
 use conicflow_dataflow::pipeline::{Pipeline, Report, SourceText};
-use conicflow_dataflow::{Plan, ProcessError, RunFolder, RunOptions};
+use conicflow_dataflow::{NO_RUN, Plan, ProcessError, RunFolder, RunOptions};
 use std::io::{IsTerminal, Write, stderr, stdout};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -209,7 +209,7 @@ fn node(stage: &str, file: Option<PathBuf>) -> anyhow::Result<()> {
         return Ok(conicflow_dataflow::run_in_run(NODES)?);
     }
     let pipeline = FileArguments { file, overrides: Vec::new() }.read()?;
-    let plan = Plan::of(&pipeline, None, None, 0);
+    let plan = Plan::of(&pipeline, None, None, NO_RUN);
     let folder = RunFolder::open(&plan.pipeline)?;
     Ok(conicflow_dataflow::run_planned(&plan, &folder, stage, NODES)?)
 }

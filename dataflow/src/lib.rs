@@ -30,4 +30,4 @@ pub use plan::{Plan, PlannedStage, Runs};
 pub use runner::RunError;
 pub use sides::{AnyMessage, Pick, Side, Sides};
 pub use stage::{Config, ConfigFault, Context, Next, NoConfig, Output, Source, Stage, StageError, Stop};
-pub use status::{Counter, Durations, InputCounts, Life, Status, used};
+pub use status::{Counter, Durations, InputCounts, Life, NO_RUN, Status, used};

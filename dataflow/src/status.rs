@@ -18,6 +18,9 @@ pub const MAX_LABELS: usize = 8;
 /// Named counters that a record has room for; further ones are not counted.
 pub const MAX_COUNTERS: usize = 40;
 
+/// The run of stages that were started one by one, without a launcher.
+pub const NO_RUN: u64 = 0;
+
 const LAYOUT: u64 = 0x636f_6e69_6366_0001;
 /// Each octave of time is cut into this many buckets: a percentile is right within 3 %.
 const STEPS: usize = 16;
@@ -220,12 +223,14 @@ impl StatusFile {
         Self { status: Box::default(), file: None }
     }
 
-    /// The record in the file `path`, continued if it is of the same `run`, else begun.
+    /// The record in the file `path`, continued if it is of the same `run`, else begun; stages
+    /// that were started one by one ([`NO_RUN`]) always begin.
     ///
     /// # Errors
     /// The file cannot be written.
     pub fn open(path: &Path, run: u64) -> io::Result<Self> {
-        let status = Status::read(path).filter(|status| status.run == run).unwrap_or_default();
+        let earlier = Status::read(path).filter(|status| status.run == run && run != NO_RUN);
+        let status = earlier.unwrap_or_default();
         let file = OpenOptions::new().create(true).truncate(false).write(true).open(path)?;
         let mut status = Box::new(status);
         status.run = run;

@@ -1,6 +1,6 @@
 //! What a stage can know of the other stages of its run: whether they still live.
 
-use crate::status::{Life, Status, status_path};
+use crate::status::{Life, NO_RUN, Status, status_path};
 use std::path::PathBuf;
 
 /// The other stages of a run, by the records in its folder.
@@ -10,9 +10,9 @@ pub(crate) struct Peers {
 }
 
 impl Peers {
-    /// The stages of the run `run` whose records lie in `folder`.
+    /// The stages of the run `run` whose records lie in `folder`; of stages that were started one by one nothing is known.
     pub(crate) fn in_folder(folder: PathBuf, run: u64) -> Self {
-        Self { run: Some((folder, run)) }
+        Self { run: (run != NO_RUN).then_some((folder, run)) }
     }
 
     /// Where a stage is in its life; `None` if nothing is known of it.
