@@ -2,6 +2,7 @@
 
 use crate::NODES;
 use crate::node_help;
+use crate::top;
 use anyhow::{Context, bail};
 use clap::{Args, Parser, Subcommand};
 use conicflow_dataflow::pipeline::{Pipeline, Report, SourceText};
@@ -49,6 +50,12 @@ enum Command {
     Graph {
         #[command(flatten)]
         source: FileArguments,
+    },
+    /// Show what running pipelines do, live
+    Top {
+        /// Print one look as JSON
+        #[arg(long)]
+        once: bool,
     },
     /// List the built-in nodes, or the parameters of one
     Nodes {
@@ -107,6 +114,7 @@ fn dispatch(command: Command) -> anyhow::Result<ExitCode> {
             write!(stdout(), "{}", source.read()?.mermaid())?;
             Ok(ExitCode::SUCCESS)
         }
+        Command::Top { once } => top::top(once).map(|()| ExitCode::SUCCESS),
         Command::Nodes { name } => {
             write!(stdout(), "{}", node_help::nodes(name.as_deref())?)?;
             Ok(ExitCode::SUCCESS)

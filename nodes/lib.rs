@@ -18,6 +18,7 @@ pub mod picture_sink;
 
 pub mod command_line;
 mod node_help;
+mod top;
 
 use conicflow_dataflow::{Node, Variant};
 use conicflow_messages::{Ellipse, Object, Track};

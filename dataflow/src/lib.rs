@@ -7,6 +7,7 @@
 mod clock;
 mod launcher;
 mod node;
+mod observe;
 pub mod pipeline;
 mod plan;
 pub mod ports;
@@ -14,6 +15,7 @@ mod runner;
 mod sides;
 mod stage;
 mod status;
+mod table;
 
 /// Runs a single stage or source as it runs in a pipeline, with nothing around it.
 pub mod testing {
@@ -26,8 +28,10 @@ pub use launcher::{
     Summary, run, run_in_run, run_planned, run_source, run_stage,
 };
 pub use node::{Node, Variant};
+pub use observe::{InputActivity, Observation, PipelineActivity, StageActivity, TopicActivity, observe};
 pub use plan::{Plan, PlannedStage, Runs};
 pub use runner::RunError;
 pub use sides::{AnyMessage, Pick, Side, Sides};
 pub use stage::{Config, ConfigFault, Context, Next, NoConfig, Output, Source, Stage, StageError, Stop};
 pub use status::{Counter, Durations, InputCounts, Life, NO_RUN, Status, used};
+pub use table::Table;

@@ -54,6 +54,16 @@ pub enum Runs {
     Command(Vec<String>),
 }
 
+impl Runs {
+    /// The node or the program, by name.
+    pub fn name(&self) -> &str {
+        match self {
+            Self::Node { node, .. } => node,
+            Self::Command(command) => command.first().map_or("?", String::as_str),
+        }
+    }
+}
+
 impl Plan {
     /// The plan of those stages of a pipeline that run on `machine`; of all where no machine is named. Sources end after
     /// `frames` messages.

@@ -124,6 +124,8 @@ pub struct Status {
     layout: u64,
     /// The run that the counts belong to.
     pub run: u64,
+    /// Name of the stage.
+    pub stage: Text<32>,
     /// Process of the stage.
     pub process: u32,
     life: u32,
@@ -133,6 +135,8 @@ pub struct Status {
     pub steps: u64,
     /// Messages sent.
     pub sent: u64,
+    /// Bytes of the messages sent.
+    pub sent_bytes: u64,
     /// How often the stage was started in this run.
     pub starts: u64,
     /// Counts per input, the driving one first.

@@ -90,6 +90,23 @@ impl RunFolder {
         Ok(Self { path, shared_memory })
     }
 
+    /// The folders of all pipelines that this user has run.
+    ///
+    /// # Errors
+    /// The user's folder cannot be read.
+    pub fn all() -> Result<Vec<Self>, FolderError> {
+        let user = user_folder();
+        let (runs, shared_memory) = (user.join("run"), user.join("shm"));
+        let entries = match fs::read_dir(&runs) {
+            Ok(entries) => entries,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+            Err(error) => return Err(FolderError::Io { path: runs, error }),
+        };
+        let mut paths: Vec<_> = entries.flatten().map(|entry| entry.path()).collect();
+        paths.sort();
+        Ok(paths.into_iter().map(|path| Self { path, shared_memory: shared_memory.clone() }).collect())
+    }
+
     /// The folder that iceoryx2 keeps its files in, shared by all pipelines of this user.
     pub fn shared_memory(&self) -> &Path {
         &self.shared_memory

@@ -8,6 +8,7 @@ use crate::runner::peers::Peers;
 use crate::runner::{RunError, Surroundings};
 use crate::stage::{Context, Source, Stage, Stop};
 use crate::status::{Life, StatusFile};
+use conicflow_messages::Text;
 use rustix::process::{Signal, getpid, getppid, set_parent_process_death_signal};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
@@ -175,6 +176,7 @@ fn surroundings(
     };
     let status = &mut around.record.status;
     status.process = getpid().as_raw_nonzero().get().unsigned_abs();
+    status.stage = Text::new(&planned.name);
     status.starts += 1;
     status.set_life(Life::Starting);
     around.record.write();

@@ -1,9 +1,10 @@
 //! What a run did: read from the records of its stages, while it runs for its progress, and at its end for people.
 
 use super::folder::RunFolder;
-use crate::plan::{Plan, PlannedStage, Runs};
+use crate::plan::{Plan, PlannedStage};
 use crate::status::{Durations, Status, used};
-use std::fmt::{self, Display, Write};
+use crate::table::Table;
+use std::fmt::{self, Display};
 use std::time::Duration;
 
 /// The records of a run's stages at one moment.
@@ -74,10 +75,7 @@ impl Summary {
     fn stage_table(&self) -> Table {
         let mut table = Table::new(&["stage", "node", "messages", "compute p50", "p99", "starts"]);
         for (planned, status) in self.statuses() {
-            let node = match &planned.runs {
-                Runs::Node { node, .. } => node.clone(),
-                Runs::Command(command) => command.first().cloned().unwrap_or_default(),
-            };
+            let node = planned.runs.name().to_owned();
             let times = &status.compute;
             let row = [planned.name.clone(), node, status.steps.to_string(), time(times, 0.5), time(times, 0.99)];
             table.row(row.into_iter().chain([status.starts.to_string()]));
@@ -129,36 +127,5 @@ impl Display for Summary {
             }
         }
         if self.complete { Ok(()) } else { writeln!(f, "\nnot complete: a stage was lost, see above") }
-    }
-}
-
-/// Columns of text, the first two to the left and the others to the right.
-struct Table {
-    rows: Vec<Vec<String>>,
-}
-
-impl Table {
-    fn new(titles: &[&str]) -> Self {
-        Self { rows: vec![titles.iter().map(|title| (*title).to_owned()).collect()] }
-    }
-
-    fn row(&mut self, cells: impl Iterator<Item = String>) {
-        self.rows.push(cells.collect());
-    }
-}
-
-impl Display for Table {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let columns = self.rows.first().map_or(0, Vec::len);
-        let width = |column: usize| self.rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
-        let widths: Vec<usize> = (0..columns).map(width).collect();
-        for row in &self.rows {
-            let mut line = String::new();
-            for (index, (cell, width)) in row.iter().zip(&widths).enumerate() {
-                if index < 2 { write!(line, "{cell:<width$}  ")? } else { write!(line, "{cell:>width$}  ")? }
-            }
-            writeln!(f, "{}", line.trim_end())?;
-        }
-        Ok(())
     }
 }

@@ -114,7 +114,7 @@ impl<T: Item> Writer<T> for MemoryWriter<T> {
         Ok(&mut self.loan)
     }
 
-    fn send(&mut self, header: &Header) -> Result<(), PortError> {
+    fn send(&mut self, header: &Header) -> Result<usize, PortError> {
         let message = Arc::new(Held { header: *header, items: std::mem::take(&mut self.loan) });
         let mut queues = lock(&self.channel.queues);
         let full = |queue: &Queue<T>| queue.delivery == Delivery::Lossless && queue.messages.len() >= queue.capacity;
@@ -132,7 +132,7 @@ impl<T: Item> Writer<T> for MemoryWriter<T> {
             queue.messages.push_back(Arc::clone(&message));
         }
         self.channel.changed.notify_all();
-        Ok(())
+        Ok(message.items.len())
     }
 
     fn connected(&self) -> Vec<String> {

@@ -147,11 +147,12 @@ pub trait Writer<T: Item> {
     /// The transport failed.
     fn loan(&mut self, length: usize) -> Result<&mut [T], PortError>;
 
-    /// Sends the loaned memory, or an empty message without one. Waits for room where a reader wants every message.
+    /// Sends the loaned memory, or an empty message without one, and tells how many items that were. Waits for room where
+    /// a reader wants every message.
     ///
     /// # Errors
     /// The transport failed, or the run ended while it waited.
-    fn send(&mut self, header: &Header) -> Result<(), PortError>;
+    fn send(&mut self, header: &Header) -> Result<usize, PortError>;
 
     /// The stages of the pipeline that read this topic now.
     fn connected(&self) -> Vec<String>;

@@ -49,7 +49,7 @@ where
                 writer.loan(items.len())?.copy_from_slice(items);
                 writer.send(&from_upstream(*header))?;
             }
-            writer.send(&from_upstream(Header { flags: END_OF_STREAM, ..Header::default() }))
+            writer.send(&from_upstream(Header { flags: END_OF_STREAM, ..Header::default() })).map(drop)
         },
     )
 }

@@ -159,7 +159,9 @@ mod tests {
         let topic = topic(delivery);
         let reader = memory.reader::<Object>(&topic, "reader").unwrap();
         let mut writer = memory.writer::<Object>(&topic).unwrap();
-        headers.iter().for_each(|header| writer.send(header).unwrap());
+        for header in headers {
+            writer.send(header).unwrap();
+        }
         let mut inbox = Inbox::new(reader, delivery, "objects", 1);
         let taken = std::iter::from_fn(|| inbox.take().unwrap().map(|message| message.header().sequence)).collect();
         (taken, inbox.counts(), inbox.ended())

@@ -21,6 +21,7 @@ pub(crate) struct Outlet<T: Item, W: Writer<T>> {
     list: Vec<T>,
     counts: BTreeMap<&'static str, u64>,
     number: u64,
+    bytes: u64,
     last: Header,
     peers: Peers,
     stop: Stop,
@@ -44,6 +45,7 @@ impl<T: Item, W: Writer<T>> Outlet<T, W> {
             list: Vec::new(),
             counts: BTreeMap::new(),
             number,
+            bytes: 0,
             last: Header::default(),
             peers,
             stop,
@@ -67,8 +69,9 @@ impl<T: Item, W: Writer<T>> Outlet<T, W> {
         }
         header.number = self.number;
         header.add_hop(Hop { stage: self.stage, received_ns, sent_ns: monotonic_ns() });
-        writer.send(&header)?;
+        let length = writer.send(&header)?;
         self.number += 1;
+        self.bytes += (length * size_of::<T>() + size_of::<Header>()) as u64;
         self.last = header;
         Ok(())
     }
@@ -76,6 +79,7 @@ impl<T: Item, W: Writer<T>> Outlet<T, W> {
     /// Adds what the last step counted, and what it sent by label, to the record.
     pub(crate) fn tally(&mut self, status: &mut Status) {
         status.sent = self.number;
+        status.sent_bytes += std::mem::take(&mut self.bytes);
         self.counts.iter().for_each(|(name, count)| status.count(name, *count));
         self.counts.clear();
         self.list.iter().filter_map(Item::label).for_each(|label| status.count_found(label));

@@ -147,18 +147,19 @@ impl<T: Item> Writer<T> for SharedWriter<T> {
         Ok(WireItem::peel_slice_mut(self.loan.insert(sample).payload_mut()))
     }
 
-    fn send(&mut self, header: &Header) -> Result<(), PortError> {
+    fn send(&mut self, header: &Header) -> Result<usize, PortError> {
         if self.loan.is_none() {
             self.loan(0)?;
         }
         let Some(mut sample) = self.loan.take() else { return Err(PortError::Stopped) };
+        let length = sample.payload().len();
         *WireHeader::peel_mut(sample.user_header_mut()) = *header;
         let new = self.new_lossless_readers();
         sample.send().map_err(|error| if self.stop.forced() { PortError::Stopped } else { self.fault(error) })?;
         // A reader that is not woken looks by itself at its next tick.
         self.wake.notify().ok();
         self.await_first_sight(new);
-        Ok(())
+        Ok(length)
     }
 
     fn connected(&self) -> Vec<String> {
