@@ -17,12 +17,13 @@
 //! radius = 0.1
 //! motion.ballistic = { velocity = [0, 0, 0], floor_m = 0.5 }
 //! ```
-//! Further: `[[cone]]` (`base_radius`, `top_radius`), `[[box]]` (`center`, `size`), `[[plane]]` (`point`, `normal`, `size`).
+//! Further: `[[cone]]` (`base_radius`, `top_radius`), `[[bowl]]` (`center`, `radius`, `depth`), `[[box]]` (`center`,
+//! `size`), `[[plane]]` (`point`, `normal`, `size`). A cylinder or cone with `open = true` is a cup.
 
 use super::fields::*;
 use super::motion::{Motion, Setting};
 use super::pose::{Pose, from_quaternion, looking_along};
-use super::shapes::{Block, Frustum, Plane, Shape, Sphere, Surface};
+use super::shapes::{Block, Bowl, Frustum, Plane, Shape, Sphere, Surface};
 use anyhow::{Context as _, Result, anyhow, bail};
 use nalgebra::{Matrix3, Vector3};
 use serde::Deserialize;
@@ -59,6 +60,13 @@ pub struct Body {
     pub name: String,
     shape: Shape,
     motion: Option<Motion>,
+}
+
+impl Body {
+    /// Something that stands still.
+    pub fn still(name: impl Into<String>, shape: Shape) -> Self {
+        Self { name: name.into(), shape, motion: None }
+    }
 }
 
 #[derive(Clone, Debug)]
@@ -104,11 +112,24 @@ impl Scene {
             let place = error.span().map(|span| line_and_column(text, span.start)).unwrap_or_default();
             anyhow!(
                 "{origin}{place}: {}\n  hint: a scene file has `name`, `up`, `gravity`, `[camera]` and any number of \
-                 `[[sphere]]`, `[[cylinder]]`, `[[cone]]`, `[[box]]` and `[[plane]]`",
+                 `[[sphere]]`, `[[cylinder]]`, `[[cone]]`, `[[bowl]]`, `[[box]]` and `[[plane]]`",
                 error.to_string().trim_end()
             )
         })?;
         Self::from_file(file, origin)
+    }
+
+    /// A scene in which nothing moves: z is up, and the camera at `position` looks at a point, with `camera_up` upwards in
+    /// the image. The names of the bodies are unlike each other.
+    pub fn still(
+        name: String,
+        bodies: Vec<Body>,
+        position: Vector3<f64>,
+        look_at: Vector3<f64>,
+        camera_up: Vector3<f64>,
+    ) -> Self {
+        let view = View { position, gaze: Gaze::At(look_at), up: camera_up, motion: None, gaze_motion: None };
+        Self { name, bodies, view, up: Vector3::z(), gravity: earth() }
     }
 
     fn from_file(file: SceneFile, origin: &str) -> Result<Self> {
@@ -117,6 +138,7 @@ impl Scene {
         bodies.extend(file.sphere.into_iter().map(SphereEntry::body));
         bodies.extend(file.cylinder.into_iter().map(|entry| entry.body(&up)));
         bodies.extend(file.cone.into_iter().map(|entry| entry.body(&up)));
+        bodies.extend(file.bowl.into_iter().map(|entry| entry.body(&up)));
         bodies.extend(file.block.into_iter().map(BoxEntry::body));
         for entry in file.plane {
             bodies.push(entry.body().with_context(|| origin.to_owned())?);
@@ -202,6 +224,8 @@ struct SceneFile {
     cylinder: Vec<CylinderEntry>,
     #[serde(default)]
     cone: Vec<ConeEntry>,
+    #[serde(default)]
+    bowl: Vec<BowlEntry>,
     #[serde(default, rename = "box")]
     block: Vec<BoxEntry>,
     #[serde(default)]
@@ -277,7 +301,7 @@ impl SphereEntry {
     }
 }
 
-/// `axis` points from `base`, the centre of one end, to the other end.
+/// `axis` points from `base`, the centre of one end, to the other end, which may be `open`.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct CylinderEntry {
@@ -290,6 +314,8 @@ struct CylinderEntry {
     radius: f64,
     #[serde(deserialize_with = "positive")]
     length: f64,
+    #[serde(default)]
+    open: bool,
     motion: Option<Motion>,
 }
 
@@ -297,7 +323,8 @@ impl CylinderEntry {
     fn body(self, up: &Vector3<f64>) -> Body {
         let (base, axis) = (self.base, self.axis.unwrap_or(*up));
         let (base_radius, top_radius) = (self.radius, self.radius);
-        let shape = Shape::Frustum(Frustum { base, axis, length: self.length, base_radius, top_radius });
+        let (length, open) = (self.length, self.open);
+        let shape = Shape::Frustum(Frustum { base, axis, length, base_radius, top_radius, open });
         Body { name: self.name, shape, motion: self.motion }
     }
 }
@@ -317,14 +344,40 @@ struct ConeEntry {
     top_radius: f64,
     #[serde(deserialize_with = "positive")]
     length: f64,
+    #[serde(default)]
+    open: bool,
     motion: Option<Motion>,
 }
 
 impl ConeEntry {
     fn body(self, up: &Vector3<f64>) -> Body {
-        let Self { name, base, base_radius, top_radius, length, motion, .. } = self;
+        let Self { name, base, base_radius, top_radius, length, open, motion, .. } = self;
         let axis = self.axis.unwrap_or(*up);
-        Body { name, shape: Shape::Frustum(Frustum { base, axis, length, base_radius, top_radius }), motion }
+        Body { name, shape: Shape::Frustum(Frustum { base, axis, length, base_radius, top_radius, open }), motion }
+    }
+}
+
+/// A thin shell about `center`, whose rim is `depth` (half of the sphere where left out) above its bottom; `axis` points
+/// from the bottom to the opening.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct BowlEntry {
+    name: String,
+    #[serde(deserialize_with = "vector")]
+    center: Vector3<f64>,
+    #[serde(deserialize_with = "positive")]
+    radius: f64,
+    #[serde(default, deserialize_with = "maybe_direction")]
+    axis: Option<Vector3<f64>>,
+    depth: Option<f64>,
+    motion: Option<Motion>,
+}
+
+impl BowlEntry {
+    fn body(self, up: &Vector3<f64>) -> Body {
+        let sphere = Sphere { center: self.center, radius: self.radius };
+        let (axis, depth) = (self.axis.unwrap_or(*up), self.depth.unwrap_or(self.radius));
+        Body { name: self.name, shape: Shape::Bowl(Bowl { sphere, axis, depth }), motion: self.motion }
     }
 }
 

@@ -9,7 +9,7 @@ fn close(hit: f64, expected: f64) -> bool {
 
 fn upright_can() -> Frustum {
     let base = Vector3::new(0.0, 0.5, 2.0);
-    Frustum { base, axis: -Vector3::y(), length: 1.0, base_radius: 0.2, top_radius: 0.2 }
+    Frustum { base, axis: -Vector3::y(), length: 1.0, base_radius: 0.2, top_radius: 0.2, open: false }
 }
 
 #[test]
