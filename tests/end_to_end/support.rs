@@ -3,15 +3,52 @@
 
 use serde_json::Value as Json;
 use std::fs::{self, File, Permissions};
+use std::io::BufReader;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, ChildStdout, Command, Stdio};
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 /// Whatever a test waits for comes long before this; it has failed when this is over.
-const DEADLINE: Duration = Duration::from_secs(60);
+const DEADLINE: Duration = Duration::from_secs(120);
 const LOOK: Duration = Duration::from_millis(10);
+
+/// Five stages that find and track a ball in small images, every frame of it, until it is told to stop.
+pub const TRACKING: &str = r#"
+name = "tracking"
+
+[stage.source]
+node       = "synthetic_source"
+output     = "depth"
+width      = 64
+height     = 48
+rate_hz    = 0
+intrinsics = { fx = 200, fy = 200, cx = 31.5, cy = 23.5 }
+
+[stage.extractor]
+node   = "row_ellipse_extractor"
+input  = { topic = "depth", delivery = "lossless" }
+output = "ellipses"
+
+[stage.assembler]
+node   = "object_assembler"
+input  = { topic = "ellipses", delivery = "lossless" }
+output = "objects"
+
+[stage.tracker]
+node   = "kalman_tracker"
+input  = { topic = "objects", delivery = "lossless" }
+output = "tracks"
+
+[stage.json]
+node  = "json_sink"
+input = { topic = "tracks", delivery = "lossless" }
+path  = "tracks.jsonl"
+"#;
+
+/// The names of its stages.
+pub const TRACKING_STAGES: [&str; 5] = ["source", "extractor", "assembler", "tracker", "json"];
 
 /// A folder for a test's files and another, with a short path, for what runs need; nothing outside of them is met.
 pub struct Playground {
@@ -58,6 +95,11 @@ impl Playground {
     /// The complete lines of a file of JSON objects.
     pub fn json_lines(&self, name: &str) -> Vec<Json> {
         self.lines(name).iter().map(|line| serde_json::from_str(line).unwrap()).collect()
+    }
+
+    /// The sequence numbers in a file of JSON objects.
+    pub fn sequences(&self, name: &str) -> Vec<u64> {
+        self.json_lines(name).iter().map(|line| line["sequence"].as_u64().unwrap()).collect()
     }
 
     /// `conicflow` with these arguments, in the folder of the test's files.
@@ -109,8 +151,17 @@ impl Started {
     pub fn new(mut command: Command) -> Self {
         let texts = TempDir::new().unwrap();
         let text = |name: &str| File::create(texts.path().join(name)).unwrap();
-        let child = command.stdout(text("stdout")).stderr(text("stderr")).spawn().unwrap();
-        Self { child, texts }
+        Self { child: command.stdout(text("stdout")).stderr(text("stderr")).spawn().unwrap(), texts }
+    }
+
+    /// A program whose standard output is read here, line by line.
+    pub fn piped(mut command: Command) -> (Self, BufReader<ChildStdout>) {
+        let texts = TempDir::new().unwrap();
+        let stderr = File::create(texts.path().join("stderr")).unwrap();
+        File::create(texts.path().join("stdout")).unwrap();
+        let mut child = command.stdout(Stdio::piped()).stderr(stderr).spawn().unwrap();
+        let output = BufReader::new(child.stdout.take().unwrap());
+        (Self { child, texts }, output)
     }
 
     /// Its process.

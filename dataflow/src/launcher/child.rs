@@ -90,13 +90,15 @@ impl Supervised {
         }
     }
 
-    /// Kills the process and waits until it is gone.
+    /// Kills the process, if there is one, and waits until it is gone.
     pub(crate) fn kill(&mut self) {
         if let State::Running(child) = &mut self.state {
             child.kill().ok();
             child.wait().ok();
         }
-        self.state = State::Done;
+        if !self.is_gone() {
+            self.state = State::Done;
+        }
     }
 
     /// Looks whether the process ended, and starts it anew where that is due. `ending`: the run is on its way out.

@@ -3,6 +3,7 @@
 use super::folder::{FolderError, RunFolder};
 use crate::node::Node;
 use crate::plan::{Plan, PlannedStage, Runs};
+use crate::ports::PortError;
 use crate::ports::shared_memory::SharedMemory;
 use crate::runner::peers::Peers;
 use crate::runner::{RunError, Surroundings};
@@ -64,7 +65,12 @@ pub enum ProcessError {
 impl ProcessError {
     /// The exit code that tells the launcher whether to try again.
     pub fn exit_code(&self) -> u8 {
-        if let Self::Run(RunError::Failed { .. } | RunError::Port(_)) = self { 1 } else { REFUSED }
+        use PortError::{Incompatible, PathTooLong};
+        match self {
+            Self::Run(RunError::Port(Incompatible { .. } | PathTooLong { .. })) => REFUSED,
+            Self::Run(RunError::Failed { .. } | RunError::Port(_)) => 1,
+            _ => REFUSED,
+        }
     }
 }
 

@@ -76,7 +76,13 @@ fn inputs(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>) 
 }
 
 fn fits(pipeline: &Pipeline, node: &Node, input: &Input, accepted: &[Kind], faults: &mut Vec<Diagnostic>) {
-    let Some(kind) = pipeline.kind_of(&input.topic) else { return };
+    let Some(kind) = pipeline.kind_of(&input.topic) else {
+        return kind_is_known(pipeline, node, input, accepted, faults);
+    };
+    if let Some(said) = input.kind.filter(|said| *said != kind) {
+        let what = format!("the topic `{}` carries {kind}, not {said}", input.topic);
+        faults.push(Diagnostic::error(&input.place, what, "remove `kind`: the stage that writes it tells"));
+    }
     if accepted.is_empty() || kind == Kind::Nothing || accepted.contains(&kind) {
         return;
     }
@@ -94,6 +100,19 @@ fn fits(pipeline: &Pipeline, node: &Node, input: &Input, accepted: &[Kind], faul
         format!("topics that carry it: {}", fitting.join(", "))
     };
     faults.push(Diagnostic::error(&input.place, what, hint));
+}
+
+/// Whether a node that takes several kinds of message can tell which of them it gets.
+fn kind_is_known(pipeline: &Pipeline, node: &Node, input: &Input, accepted: &[Kind], faults: &mut Vec<Diagnostic>) {
+    let topic = &input.topic;
+    let mut writers = pipeline.stages.iter().filter(|stage| stage.output.as_ref() == Some(topic));
+    if let [first, _, ..] = accepted
+        && writers.any(|writer| matches!(writer.program, Program::Command(_)))
+    {
+        let what = format!("nobody says what the topic `{topic}` carries, `{}` takes {}", node.name, kinds(node));
+        let hint = format!("say it here, such as input = {{ topic = \"{topic}\", kind = \"{first}\" }}");
+        faults.push(Diagnostic::error(&input.place, what, hint));
+    }
 }
 
 fn output(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>) {

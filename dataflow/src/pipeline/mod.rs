@@ -90,6 +90,8 @@ pub struct Input {
     pub delivery: Delivery,
     /// How many wait at most.
     pub queue: usize,
+    /// What the topic carries, where the file says so: no node tells it of what a program of one's own writes.
+    pub kind: Option<Kind>,
     place: Place,
 }
 
@@ -154,10 +156,14 @@ impl Pipeline {
         }
     }
 
-    /// What a topic carries, by the nodes that write it; `None` if only programs of one's own do.
+    /// What a topic carries: by the nodes that write it; where only programs of one's own do, as an input says or because
+    /// a node that reads it takes nothing else.
     pub fn kind_of(&self, topic: &str) -> Option<Kind> {
         let mut writers = self.stages.iter().filter(|stage| stage.output.as_deref() == Some(topic));
-        writers.find_map(StageSpec::output_kind)
+        let mut inputs = self.stages.iter().flat_map(StageSpec::all_inputs).filter(|input| input.topic == topic);
+        let said = || inputs.find_map(|input| input.kind);
+        let needed = || self.stages.iter().find_map(|stage| stage.needed_kind(topic));
+        writers.find_map(StageSpec::output_kind).or_else(said).or_else(needed)
     }
 
     /// The names of all topics, in the order of the stages that write them.
@@ -193,6 +199,17 @@ impl StageSpec {
     /// The driving input and the further ones.
     pub fn all_inputs(&self) -> impl Iterator<Item = &Input> {
         self.input.iter().chain(self.inputs.iter().map(|(_, input)| input))
+    }
+
+    /// What its inputs from a topic have to carry, where its node takes one kind of message there.
+    fn needed_kind(&self, topic: &str) -> Option<Kind> {
+        let Program::Node(node) = &self.program else { return None };
+        if self.input.as_ref().is_some_and(|input| input.topic == topic) {
+            let mut kinds = node.inputs();
+            return kinds.next().filter(|_| kinds.next().is_none());
+        }
+        let (name, _) = self.inputs.iter().find(|(_, input)| input.topic == topic)?;
+        node.sides().iter().find(|side| side.name == name).map(|side| side.kind)
     }
 
     /// What it makes; `None` if it is a program of one's own.

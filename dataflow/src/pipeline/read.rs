@@ -7,12 +7,17 @@ use super::{Input, Machine, Pipeline, Program, Restart, StageSpec};
 use crate::node::Node;
 use crate::ports::Delivery;
 use crate::sides::Pick;
+use conicflow_messages::Kind;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 const STAGE_KEYS: [&str; 8] = ["node", "program", "input", "inputs", "output", "machine", "restart", "env"];
-const INPUT_KEYS: [&str; 3] = ["topic", "delivery", "queue"];
+const INPUT_KEYS: [&str; 4] = ["topic", "delivery", "queue", "kind"];
+const KINDS: [Kind; 4] = [Kind::Depth, Kind::Ellipses, Kind::Objects, Kind::Tracks];
+const DELIVERIES: [(&str, Delivery); 2] = [("latest", Delivery::Latest), ("lossless", Delivery::Lossless)];
+const RESTARTS: [(&str, Restart); 3] =
+    [("never", Restart::Never), ("on_failure", Restart::OnFailure), ("always", Restart::Always)];
 const MACHINE_KEYS: [&str; 3] = ["listen", "connect", "zenoh"];
 
 /// Names travel in headers of fixed size, as far as the terminating zero.
@@ -43,6 +48,15 @@ pub(super) fn pipeline(
         Vec::new()
     });
     Pipeline { name, base: base.to_owned(), machines, stages }
+}
+
+/// What the file says of an input.
+#[derive(Default)]
+struct SaidInput {
+    topic: String,
+    delivery: Option<Delivery>,
+    queue: Option<usize>,
+    kind: Option<Kind>,
 }
 
 struct Reader<'a> {
@@ -164,7 +178,7 @@ impl Reader<'_> {
         let inputs = table.take("inputs").map(|entry| self.inputs(entry, &program, driving)).unwrap_or_default();
         let output = table.take("output").and_then(|entry| self.topic_name(&entry));
         let machine = table.take("machine").and_then(|entry| self.string(&entry));
-        let restart = table.take("restart").and_then(|entry| self.restart(&entry)).unwrap_or_default();
+        let restart = table.take("restart").and_then(|entry| self.word(&entry, RESTARTS)).unwrap_or_default();
         let env = table.take("env").map(|entry| self.env(entry)).unwrap_or_default();
         self.parameters(&table, &program, &name, &place);
         let parameters = table.to_json();
@@ -247,8 +261,8 @@ impl Reader<'_> {
     /// An input in its short or its long form; `pick` and `delivery` set what is not said.
     fn input(&mut self, value: &Value, pick: Pick, delivery: Delivery) -> Option<Input> {
         let place = value.place.clone();
-        let (topic, said, queue) = match &value.content {
-            Content::String(topic) => (topic.clone(), None, None),
+        let said = match &value.content {
+            Content::String(topic) => SaidInput { topic: topic.clone(), ..SaidInput::default() },
             Content::Table(table) => self.long_input(table.clone(), &place)?,
             _ => {
                 let what = format!("an input is a topic or a table, this is {}", value.type_name());
@@ -256,38 +270,38 @@ impl Reader<'_> {
                 return None;
             }
         };
-        let delivery = said.unwrap_or(delivery);
+        let delivery = said.delivery.unwrap_or(delivery);
         let default_queue = match (delivery, pick) {
             (Delivery::Lossless, _) => QUEUE_LOSSLESS,
             (Delivery::Latest, Pick::SameFrame) => QUEUE_SAME_FRAME,
             (Delivery::Latest, Pick::Latest) => QUEUE_LATEST,
         };
         // Two places keep the last frame beside the message that ends the stream.
-        Some(Input { topic, delivery, queue: queue.unwrap_or(default_queue).max(2), place })
+        let queue = said.queue.unwrap_or(default_queue).max(2);
+        Some(Input { topic: said.topic, delivery, queue, kind: said.kind, place })
     }
 
-    fn long_input(&mut self, mut table: Table, place: &Place) -> Option<(String, Option<Delivery>, Option<usize>)> {
+    fn long_input(&mut self, mut table: Table, place: &Place) -> Option<SaidInput> {
         let topic = table.take("topic").and_then(|entry| self.string(&entry));
-        let delivery = table.take("delivery").and_then(|entry| self.delivery(&entry));
+        let delivery = table.take("delivery").and_then(|entry| self.word(&entry, DELIVERIES));
         let queue = table.take("queue").and_then(|entry| self.queue(&entry));
+        let kind = table.take("kind").and_then(|entry| self.word(&entry, KINDS.map(|kind| (kind.name(), kind))));
         self.unknown_keys(&table, &INPUT_KEYS, "the input");
         if topic.is_none() {
             self.fault(place, "the input has no topic", "for example { topic = \"depth\", delivery = \"lossless\" }");
         }
-        Some((topic?, delivery, queue))
+        Some(SaidInput { topic: topic?, delivery, queue, kind })
     }
 
-    fn delivery(&mut self, entry: &Entry) -> Option<Delivery> {
+    /// The meaning of one of a few words.
+    fn word<T: Copy, const N: usize>(&mut self, entry: &Entry, words: [(&str, T); N]) -> Option<T> {
         let word = self.string(entry)?;
-        match word.as_str() {
-            "latest" => Some(Delivery::Latest),
-            "lossless" => Some(Delivery::Lossless),
-            _ => {
-                let hint = suggestion(&word, ["latest", "lossless"], "allowed");
-                self.fault(&entry.value.place, format!("`delivery` cannot be `{word}`"), hint);
-                None
-            }
+        let meaning = words.iter().find(|(known, _)| *known == word).map(|(_, meaning)| *meaning);
+        if meaning.is_none() {
+            let hint = suggestion(&word, words.map(|(known, _)| known), "allowed");
+            self.fault(&entry.value.place, format!("`{}` cannot be `{word}`", entry.key), hint);
         }
+        meaning
     }
 
     fn queue(&mut self, entry: &Entry) -> Option<usize> {
@@ -324,20 +338,6 @@ impl Reader<'_> {
         let hint = suggestion(&entry.key, node.sides().iter().map(|side| side.name), "further inputs");
         self.fault(&entry.key_place, format!("node `{}` has no further input `{}`", node.name, entry.key), hint);
         Pick::Latest
-    }
-
-    fn restart(&mut self, entry: &Entry) -> Option<Restart> {
-        let word = self.string(entry)?;
-        match word.as_str() {
-            "never" => Some(Restart::Never),
-            "on_failure" => Some(Restart::OnFailure),
-            "always" => Some(Restart::Always),
-            _ => {
-                let hint = suggestion(&word, ["never", "on_failure", "always"], "allowed");
-                self.fault(&entry.value.place, format!("`restart` cannot be `{word}`"), hint);
-                None
-            }
-        }
     }
 
     fn env(&mut self, entry: Entry) -> Vec<(String, String)> {

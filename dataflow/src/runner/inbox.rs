@@ -117,7 +117,9 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
             let source = ends_of_trace(message.header()).0;
             let before = self.pending.len();
             self.pending.retain(|older| ends_of_trace(older.header()).0 != source);
-            self.counts.dropped += (before - self.pending.len()) as u64;
+            let replaced = (before - self.pending.len()) as u64;
+            self.counts.dropped += replaced;
+            self.counts.gaps += replaced;
         }
         self.pending.push_back(message);
     }
@@ -173,7 +175,7 @@ mod tests {
         assert_eq!(pass(Delivery::Lossless, &headers).0, [0, 1, 2, 3]);
         let (taken, counts, ended) = pass(Delivery::Latest, &headers);
         assert_eq!(taken, [3]);
-        assert_eq!((counts.received, counts.dropped, ended), (1, 3, false));
+        assert_eq!((counts.received, counts.dropped, counts.gaps, ended), (1, 3, 3, false));
     }
 
     #[test]
