@@ -3,7 +3,7 @@
 use crate::NODES;
 use crate::node_help;
 use crate::top;
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 use clap::{Args, Parser, Subcommand};
 use conicflow_dataflow::pipeline::{Pipeline, Report, SourceText};
 use conicflow_dataflow::{NO_RUN, Plan, ProcessError, RunFolder, RunOptions};
@@ -159,8 +159,10 @@ impl FileArguments {
             let source = SourceText { name: "built-in pipeline".to_owned(), text: BUILT_IN.to_owned() };
             return Ok((source, std::env::current_dir()?));
         };
-        let text = std::fs::read_to_string(file)
-            .with_context(|| format!("cannot read the pipeline file `{}`", file.display()))?;
+        let text = std::fs::read_to_string(file).map_err(|error| {
+            let hint = "without a file it is ./pipeline.toml, or else the built-in pipeline";
+            anyhow!("cannot read the pipeline file `{}`: {error}\n  hint: {hint}", file.display())
+        })?;
         let folder = file.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
         Ok((SourceText { name: file.display().to_string(), text }, folder.canonicalize()?))
     }

@@ -2,6 +2,7 @@
 
 use crate::NODES;
 use anyhow::bail;
+use conicflow_dataflow::pipeline::suggestion;
 use conicflow_dataflow::{Node, Pick};
 use conicflow_messages::Kind;
 use serde_json::Value as Json;
@@ -19,8 +20,8 @@ pub fn nodes(name: Option<&str>) -> anyhow::Result<String> {
     match NODES.iter().find(|node| node.name == name) {
         Some(node) => Ok(describe(node)?),
         None => {
-            let names: Vec<_> = NODES.iter().map(|node| node.name).collect();
-            bail!("there is no node `{name}`\n  hint: nodes: {}", names.join(", "))
+            let hint = suggestion(name, NODES.iter().map(|node| node.name), "nodes");
+            bail!("there is no node `{name}`\n  hint: {hint}")
         }
     }
 }

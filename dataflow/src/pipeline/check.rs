@@ -22,13 +22,11 @@ pub(super) fn connections(pipeline: &Pipeline, faults: &mut Vec<Diagnostic>) {
 fn ends(stage: &StageSpec, faults: &mut Vec<Diagnostic>) {
     let Program::Node(node) = &stage.program else { return };
     let name = &stage.name;
-    if node.is_source()
-        && let Some(input) = &stage.input
-    {
+    if let (Some(place), true) = (&stage.input_place, node.is_source()) {
         let what = format!("stage `{name}` has an `input`, but `{}` is a source", node.name);
-        faults.push(Diagnostic::error(&input.place, what, "remove the line"));
+        faults.push(Diagnostic::error(place, what, "remove the line"));
     }
-    if !node.is_source() && stage.input.is_none() {
+    if !node.is_source() && stage.input_place.is_none() {
         let hint = format!("add `input = \"..\"`, a topic that carries {}", kinds(node));
         faults.push(Diagnostic::error(&stage.place, format!("stage `{name}` has no `input`"), hint));
     }
@@ -115,6 +113,7 @@ fn output(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>) 
 
 fn machine(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>) {
     let names = || pipeline.machines.keys().map(String::as_str).collect::<Vec<_>>();
+    let place = stage.machine_place.as_ref().unwrap_or(&stage.place);
     match &stage.machine {
         Some(machine) if !pipeline.machines.contains_key(machine) => {
             let hint = match names().is_empty() {
@@ -122,12 +121,12 @@ fn machine(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>)
                 false => suggestion(machine, names(), "machines"),
             };
             let what = format!("stage `{}` is on machine `{machine}`, which is not in the file", stage.name);
-            faults.push(Diagnostic::error(&stage.place, what, hint));
+            faults.push(Diagnostic::error(place, what, hint));
         }
-        None if !pipeline.machines.is_empty() => {
+        None if !pipeline.machines.is_empty() && stage.machine_place.is_none() => {
             let what = format!("stage `{}` does not say on which machine it runs", stage.name);
-            let hint = format!("add `machine = \"{}\"`", names()[0]);
-            faults.push(Diagnostic::error(&stage.place, what, hint));
+            let hint = format!("add `machine = \"..\"`; machines: `{}`", names().join("`, `"));
+            faults.push(Diagnostic::error(place, what, hint));
         }
         _ => {}
     }
@@ -142,8 +141,11 @@ fn cycles(pipeline: &Pipeline, faults: &mut Vec<Diagnostic>) {
             let names: Vec<_> = cycle.iter().map(|&index| format!("`{}`", pipeline.stages[index].name)).collect();
             let stage = &pipeline.stages[cycle[0]];
             let place = stage.input.as_ref().map_or(&stage.place, |input| &input.place);
-            let what = format!("the stages {} wait for each other in a circle", names.join(" -> "));
-            let hint = "one of them has to read its input as latest value: a further input under `inputs`";
+            let what = match names.as_slice() {
+                [name] => format!("stage {name} waits for itself"),
+                _ => format!("the stages {} wait for each other in a circle", names.join(" -> ")),
+            };
+            let hint = "a circle is closed by an input that is read as latest value: a further one, under `inputs`";
             faults.push(Diagnostic::error(place, what, hint));
         }
     }

@@ -10,7 +10,7 @@ mod read;
 mod schema;
 mod value;
 
-pub use diagnostic::{Diagnostic, Report, Severity, SourceText};
+pub use diagnostic::{Diagnostic, Report, Severity, SourceText, suggestion};
 
 use crate::node::Node;
 use crate::ports::{Delivery, Topic, TopicReader};
@@ -66,7 +66,9 @@ pub struct StageSpec {
     /// Parameters of its node.
     pub parameters: Json,
     place: Place,
+    input_place: Option<Place>,
     output_place: Option<Place>,
+    machine_place: Option<Place>,
 }
 
 /// What a stage runs.
@@ -121,13 +123,15 @@ impl Pipeline {
         let source = Arc::new(source);
         let mut faults = Vec::new();
         let mut document = value::parse(&source, &mut faults);
+        if !faults.is_empty() {
+            return Err(Report::in_order(faults));
+        }
         for text in overrides {
             value::apply_override(&mut document, text, &mut faults);
         }
         let pipeline = read::pipeline(document, &source, base, nodes, &mut faults);
         check::connections(&pipeline, &mut faults);
-        faults.sort_by_key(Diagnostic::offset);
-        let report = Report(faults);
+        let report = Report::in_order(faults);
         if report.has_errors() { Err(report) } else { Ok((pipeline, report)) }
     }
 

@@ -1,0 +1,11 @@
+//! The program as its users have it: the real binary, started as a process, on files in folders of its own.
+
+#![allow(missing_docs)] // a test's name says what it shows
+
+mod commands;
+mod outside_stage;
+#[cfg(target_os = "linux")]
+mod processes;
+mod run;
+mod support;
+mod validate;
