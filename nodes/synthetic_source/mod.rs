@@ -12,6 +12,7 @@ pub mod random_scene;
 pub mod random_scenes;
 pub mod raster;
 pub mod scene;
+mod scene_file;
 pub mod sensor;
 mod shadow;
 pub mod shapes;
