@@ -122,11 +122,10 @@ pub fn compare(truth: &Object, answer: &Object) -> Comparison {
 pub fn fault(expected: &Expected, answer: &Object) -> Option<Fault> {
     let Tolerance { position_m, radius_m: [least, most], axis, half_angle } = expected.tolerance;
     let comparison = compare(&expected.body, answer);
-    if comparison.position_m >= position_m {
-        let near = is_near(&expected.body, answer, position_m);
-        Some(if near { Fault::Position } else { Fault::NothingThere })
-    } else if answer.shape() != expected.body.shape() {
-        Some(if is_near(&expected.body, answer, position_m) { Fault::Shape } else { Fault::NothingThere })
+    let wrong_shape = answer.shape() != expected.body.shape();
+    if wrong_shape || comparison.position_m >= position_m {
+        let fault = if wrong_shape { Fault::Shape } else { Fault::Position };
+        Some(if is_near(&expected.body, answer) { fault } else { Fault::NothingThere })
     } else if comparison.axis >= axis {
         Some(Fault::Axis)
     } else if !(least..=most).contains(&comparison.radius_m) {
@@ -139,12 +138,13 @@ pub fn fault(expected: &Expected, answer: &Object) -> Option<Fault> {
 }
 
 /// Whether the middle of an answer lies within a true object, or next to it.
-fn is_near(truth: &Object, answer: &Object, margin: f64) -> bool {
+fn is_near(truth: &Object, answer: &Object) -> bool {
+    const MARGIN_M: f64 = 0.05;
     let offset = vector(answer.center) - vector(truth.center);
     let axis = vector(truth.axis);
     let beyond_end = offset.dot(&axis).abs() - 0.5 * truth.length;
     let widest = truth.radius.max(truth.base_radius);
-    perpendicular(&offset, &axis).norm() < widest + margin && beyond_end < margin
+    perpendicular(&offset, &axis).norm() < widest + MARGIN_M && beyond_end < MARGIN_M
 }
 
 /// The outcome of a frame: for each true object the answer that is right about it, for each other answer why it is not

@@ -12,6 +12,7 @@ pub mod random_scene;
 pub mod random_scenes;
 pub mod raster;
 pub mod scene;
+mod scene_file;
 pub mod sensor;
 mod shadow;
 pub mod shapes;
@@ -120,7 +121,7 @@ pub struct SyntheticSourceConfig {
     pub frames: u64,
     /// Seed of the noise.
     pub seed: u64,
-    /// What the sensor does to the depth: "kinect_v1", "ideal" or a table of coefficients.
+    /// What the sensor does to the depth: "kinect_v1", "realsense_d435", "time_of_flight", "ideal" or a table.
     pub noise: SensorConfig,
     /// Metres per unit of a depth pixel.
     #[schemars(range(min = 1e-6, max = 1.0))]

@@ -117,7 +117,7 @@ impl Seen {
         }
         match shape {
             Shape::Sphere(sphere) | Shape::Bowl(Bowl { sphere, .. }) => {
-                self.angle.add(angle_about(&sphere.center, &across(&sphere.center), point))
+                self.angle.add(angle_about(&sphere.center, &across(&sphere.center), point));
             }
             Shape::Frustum(frustum) if !frustum.is_cap(point) => {
                 self.along.add(frustum.along(point));
