@@ -1,6 +1,7 @@
 //! What the end-to-end tests stand on: a playground of its own for each test, runs that cannot outlive it, and waiting for
 //! conditions instead of for time.
 
+use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value as Json;
 use std::fs::{self, File, Permissions};
 use std::io::BufReader;
@@ -12,6 +13,7 @@ use tempfile::TempDir;
 
 /// Whatever a test waits for comes long before this; it has failed when this is over.
 const DEADLINE: Duration = Duration::from_secs(120);
+const GRACE: Duration = Duration::from_secs(10);
 const LOOK: Duration = Duration::from_millis(10);
 
 /// Five stages that find and track a ball in small images, every frame of it, until it is told to stop.
@@ -203,6 +205,14 @@ impl Started {
 
 impl Drop for Started {
     fn drop(&mut self) {
+        // A run that is still going on gets the time to clean up after itself.
+        let since = Instant::now();
+        if let (Ok(None), Some(process)) = (self.child.try_wait(), Pid::from_raw(self.child.id().cast_signed())) {
+            kill_process(process, Signal::TERM).ok();
+        }
+        while matches!(self.child.try_wait(), Ok(None)) && since.elapsed() < GRACE {
+            std::thread::sleep(LOOK);
+        }
         self.child.kill().ok();
         self.child.wait().ok();
     }

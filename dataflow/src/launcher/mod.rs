@@ -14,6 +14,7 @@ pub use process::{PIPELINE, ProcessError, run_in_run, run_planned, run_source, r
 pub use summary::{StageSummary, Summary};
 
 use crate::plan::Plan;
+use crate::ports::PortError;
 use crate::ports::shared_memory::SharedMemory;
 use crate::stage::Stop;
 use child::{Change, Supervised};
@@ -53,7 +54,7 @@ pub enum LaunchError {
     Process(#[from] ProcessError),
     /// The shared memory.
     #[error(transparent)]
-    Port(#[from] crate::ports::PortError),
+    Port(#[from] PortError),
     /// Signals.
     #[error("signals cannot be received: {0}")]
     Signals(std::io::Error),
@@ -66,7 +67,7 @@ pub enum LaunchError {
 pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
     let folder = RunFolder::open(&plan.pipeline)?;
     let _lock = folder.lock(&plan.pipeline)?;
-    SharedMemory::open(folder.shared_memory(), &plan.pipeline, "launcher", Stop::default())?.clean();
+    clean_shared_memory(&folder, plan)?;
     folder.begin(plan)?;
     let mut launcher = Launcher {
         plan,
@@ -82,7 +83,14 @@ pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
     let ended = launcher.supervise();
     launcher.stages.iter_mut().for_each(Supervised::kill);
     ended?;
+    clean_shared_memory(&launcher.folder, plan)?;
     Ok(launcher.summary())
+}
+
+/// Removes what stages that were killed, in this run or an earlier one, have left in shared memory.
+fn clean_shared_memory(folder: &RunFolder, plan: &Plan) -> Result<(), PortError> {
+    SharedMemory::open(folder.shared_memory(), &plan.pipeline, "launcher", Stop::default())?.clean();
+    Ok(())
 }
 
 /// How hard the run presses for its end.
