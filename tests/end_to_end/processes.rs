@@ -1,7 +1,8 @@
 //! The processes of a run: who starts whom, what is survived, how it ends, and that nothing stays behind.
 
-use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, wait_until};
-use rustix::process::{Pid, Signal, kill_process};
+use crate::support::signal;
+use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, environment, parent, processes, wait_until};
+use rustix::process::Signal;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -17,46 +18,14 @@ fn wait_for_lines(run: &mut Started, playground: &Playground) {
     run.wait_until("it delivers", || playground.lines("tracks.jsonl").len() > before + 3);
 }
 
-fn signal(process: u32, signal: Signal) {
-    kill_process(Pid::from_raw(process.cast_signed()).unwrap(), signal).unwrap();
-}
-
-/// The numbers of all processes.
-fn processes() -> impl Iterator<Item = u32> {
-    let names = fs::read_dir("/proc").unwrap().map(|entry| entry.unwrap().file_name());
-    names.filter_map(|name| name.to_str()?.parse().ok())
-}
-
-/// The parent of a process that lives.
-fn parent(process: u32) -> Option<u32> {
-    let stat = fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
-    let mut after_name = stat.rsplit_once(')')?.1.split_whitespace();
-    let state = after_name.next()?;
-    after_name.next()?.parse().ok().filter(|_| state != "Z")
-}
-
-/// The value of a variable in the environment that a process was started with.
-fn environment(process: u32, name: &str) -> Option<String> {
-    let bytes = fs::read(format!("/proc/{process}/environ")).ok()?;
-    let text = String::from_utf8_lossy(&bytes).into_owned();
-    text.split('\0').find_map(|entry| entry.strip_prefix(name)?.strip_prefix('=')).map(str::to_owned)
-}
-
 /// The processes of a launcher's stages, by their names.
 fn stages_of(launcher: u32) -> BTreeMap<String, u32> {
     let children = processes().filter(|process| parent(*process) == Some(launcher));
     children.filter_map(|process| Some((environment(process, "CONICFLOW_STAGE")?, process))).collect()
 }
 
-/// The processes, whoever their parent is, that belong to a run in this playground.
-fn living(playground: &Playground) -> Vec<u32> {
-    let runtime = playground.runtime().to_str().unwrap();
-    let own = |process: &u32| environment(*process, "CONICFLOW_RUNTIME_DIR").as_deref() == Some(runtime);
-    processes().filter(|process| parent(*process).is_some()).filter(own).collect()
-}
-
 fn expect_nothing_lives(playground: &Playground) {
-    let living = living(playground);
+    let living = playground.processes();
     assert!(living.is_empty(), "the run is over, but not for {living:?}");
 }
 
@@ -68,7 +37,7 @@ fn each_stage_is_a_process_whose_parent_is_the_launcher() {
     let stages = stages_of(run.id());
     assert!(stages.keys().eq(["assembler", "extractor", "json", "source", "tracker"]), "{stages:?}");
     let expected: BTreeSet<_> = stages.into_values().chain([run.id()]).collect();
-    assert_eq!(living(&playground).into_iter().collect::<BTreeSet<_>>(), expected, "one process per stage, no more");
+    assert_eq!(playground.processes().into_iter().collect::<BTreeSet<_>>(), expected, "one process per stage, no more");
 }
 
 /// Kills each stage in turn: it comes back, the others stay, and results come on, in order.
@@ -113,9 +82,9 @@ fn no_stage_outlives_its_launcher_and_the_next_run_starts() {
     let playground = Playground::with_pipeline(TRACKING);
     let mut run = start(&playground, &[]);
     wait_for_lines(&mut run, &playground);
-    assert_eq!(living(&playground).len(), 6);
+    assert_eq!(playground.processes().len(), 6);
     signal(run.id(), Signal::KILL);
-    wait_until("all processes are gone", || living(&playground).is_empty());
+    wait_until("all processes are gone", || playground.processes().is_empty());
     playground.conicflow(&["run", "--frames", "3"]).expect_code(0);
     assert_eq!(playground.sequences("tracks.jsonl"), [0, 1, 2]);
 }
@@ -128,7 +97,7 @@ fn the_next_run_does_not_wait_for_the_stages_of_a_dead_launcher() {
     signal(run.id(), Signal::KILL);
     playground.conicflow(&["run", "--frames", "3", "--set", "json.path=next.jsonl"]).expect_code(0);
     assert_eq!(playground.sequences("next.jsonl"), [0, 1, 2]);
-    wait_until("all processes are gone", || living(&playground).is_empty());
+    wait_until("all processes are gone", || playground.processes().is_empty());
 }
 
 #[test]
@@ -265,7 +234,7 @@ fn nothing_stays_in_shared_memory_however_runs_end() {
         }
         signal(run.id(), [Signal::INT, Signal::INT, Signal::KILL, Signal::TERM][round % 4]);
         drop(run.wait());
-        wait_until("all processes are gone", || living(&playground).is_empty());
+        wait_until("all processes are gone", || playground.processes().is_empty());
         if round % 4 != LAUNCHER_KILLED {
             let left: Vec<_> = used.iter().filter(|path| path.exists()).collect();
             assert!(left.is_empty(), "{} of {} files are left in round {round}: {left:?}", left.len(), used.len());

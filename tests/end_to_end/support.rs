@@ -83,6 +83,13 @@ impl Playground {
         self.runtime.path()
     }
 
+    /// The processes, whoever their parent is, that belong to a run in this playground.
+    pub fn processes(&self) -> Vec<u32> {
+        let runtime = self.runtime.path().to_str();
+        let own = |process: &u32| environment(*process, "CONICFLOW_RUNTIME_DIR").as_deref() == runtime;
+        processes().filter(|process| parent(*process).is_some()).filter(own).collect()
+    }
+
     pub fn write(&self, name: &str, text: &str) {
         fs::write(self.path(name), text).unwrap();
     }
@@ -125,6 +132,39 @@ impl Playground {
     pub fn conicflow(&self, arguments: &[&str]) -> Ended {
         self.start(arguments).wait()
     }
+}
+
+impl Drop for Playground {
+    /// Ends what a test that failed has left running.
+    fn drop(&mut self) {
+        self.processes().into_iter().for_each(|process| signal(process, Signal::KILL));
+    }
+}
+
+/// All processes, where the system tells.
+pub fn processes() -> impl Iterator<Item = u32> {
+    let entries = fs::read_dir("/proc").into_iter().flatten().flatten();
+    entries.filter_map(|entry| entry.file_name().to_str()?.parse().ok())
+}
+
+/// The parent of a process that lives.
+pub fn parent(process: u32) -> Option<u32> {
+    let stat = fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
+    let mut after_name = stat.rsplit_once(')')?.1.split_whitespace();
+    let state = after_name.next()?;
+    after_name.next()?.parse().ok().filter(|_| state != "Z")
+}
+
+/// The value of a variable in the environment that a process was started with.
+pub fn environment(process: u32, name: &str) -> Option<String> {
+    let bytes = fs::read(format!("/proc/{process}/environ")).ok()?;
+    let text = String::from_utf8_lossy(&bytes).into_owned();
+    text.split('\0').find_map(|entry| entry.strip_prefix(name)?.strip_prefix('=')).map(str::to_owned)
+}
+
+/// Sends a signal to a process, which may just have ended.
+pub fn signal(process: u32, signal: Signal) {
+    Pid::from_raw(process.cast_signed()).map(|process| kill_process(process, signal));
 }
 
 /// A program of `examples/`, built beside the program under test.
@@ -207,8 +247,8 @@ impl Drop for Started {
     fn drop(&mut self) {
         // A run that is still going on gets the time to clean up after itself.
         let since = Instant::now();
-        if let (Ok(None), Some(process)) = (self.child.try_wait(), Pid::from_raw(self.child.id().cast_signed())) {
-            kill_process(process, Signal::TERM).ok();
+        if matches!(self.child.try_wait(), Ok(None)) {
+            signal(self.child.id(), Signal::TERM);
         }
         while matches!(self.child.try_wait(), Ok(None)) && since.elapsed() < GRACE {
             std::thread::sleep(LOOK);
