@@ -202,8 +202,8 @@ impl Line<'_> {
 fn write_table(text: &mut String, title: &str, lines: &[Line]) -> fmt::Result {
     writeln!(
         text,
-        "{title:<24}{:>6}{:>6}{:>6}{:>8}{:>7}{:>7}{:>10}{:>8}{:>10}{:>10}{:>12}",
-        "truth", "found", "wrong", "recall", "prec.", "F1", "radius %", "bias %", "pos. mm", "axis deg", "h.-angle deg"
+        "{title:<24}{:>6}{:>6}{:>6}{:>8}{:>7}{:>7}{:>10}{:>8}{:>9}{:>10}{:>10}",
+        "truth", "found", "wrong", "recall", "prec.", "F1", "radius %", "bias %", "pos. mm", "axis deg", "half deg"
     )?;
     for line in lines.iter().filter(|line| !line.samples.is_empty() || line.wrong.is_some_and(|wrong| wrong > 0)) {
         write_line(text, line)?;
@@ -229,7 +229,7 @@ fn write_line(text: &mut String, line: &Line) -> fmt::Result {
     let half_angle = line.values(|errors| errors.half_angle.map(|angle| angle.abs().to_degrees()));
     let magnitude = radius.iter().map(|value| value.abs()).collect();
     write!(text, "{:>10}{:>8}", median_text(magnitude, 2), median_text(radius, 2))?;
-    writeln!(text, "{:>10}{:>10}{:>12}", median_text(position, 2), median_text(axis, 2), median_text(half_angle, 2))
+    writeln!(text, "{:>9}{:>10}{:>10}", median_text(position, 2), median_text(axis, 2), median_text(half_angle, 2))
 }
 
 fn share(part: usize, whole: usize) -> f64 {
