@@ -79,11 +79,12 @@ impl NoiseEstimator {
     /// It is of another size or scale than those before.
     pub fn add(&mut self, header: &Header, pixels: &[u16]) -> anyhow::Result<()> {
         let first = self.header.get_or_insert(*header);
-        if first.camera != header.camera || first.depth_scale != header.depth_scale {
+        let measures = |header: &Header| (header.camera.width, header.camera.height, header.depth_scale);
+        if measures(first) != measures(header) {
             let name = header.source.as_str().unwrap_or_default().escape_debug();
             bail!(
-                "frame {} of `{name}` comes from another camera or has another scale than the first one\n  hint: \
-                 estimate the noise of one sensor at a time",
+                "frame {} of `{name}` has another size or scale than the first one\n  hint: estimate the noise of one \
+                 sensor at a time",
                 header.sequence
             );
         }
@@ -117,7 +118,12 @@ impl Stage for NoiseEstimator {
     type Input = u16;
     type Output = Nothing;
 
-    fn new(config: Self::Config, _: &Context) -> Result<Self, StageError> {
+    fn new(config: Self::Config, context: &Context) -> Result<Self, StageError> {
+        if context.resume_at > 0 {
+            return Err(
+                "what was seen before this stage was started anew is lost\n  hint: run it from the start".into()
+            );
+        }
         Ok(Self::with(config))
     }
 

@@ -116,5 +116,5 @@ fn too_little_is_told() {
     estimator.add(&header, &[1000; 12]).unwrap();
     assert!(estimator.estimate().unwrap_err().to_string().contains("hint:"));
     let other = Header { depth_scale: 0.0002, ..header };
-    assert!(estimator.add(&other, &[1000; 12]).unwrap_err().to_string().contains("another camera"));
+    assert!(estimator.add(&other, &[1000; 12]).unwrap_err().to_string().contains("another size or scale"));
 }
