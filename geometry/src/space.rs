@@ -6,6 +6,7 @@
 //! with x and y exchanged.
 
 use crate::{PlaneMoments, Scan, ScanPlane, Vector3};
+use nalgebra::Matrix3;
 
 /// Number of moments.
 const SPACE_MOMENTS: usize = 35;
@@ -111,6 +112,15 @@ impl SpaceMoments {
     /// Mean of the points.
     pub fn mean(&self) -> Vector3 {
         Vector3::new(self.get(1, 0, 0), self.get(0, 1, 0), self.get(0, 0, 1)) / self.weight()
+    }
+
+    /// Least variance of the points along any direction: their mean square distance from a plane.
+    pub fn least_variance(&self) -> f64 {
+        let (n, mean) = (self.weight(), self.mean());
+        let second = [[2, 0, 0], [1, 1, 0], [1, 0, 1], [0, 2, 0], [0, 1, 1], [0, 0, 2]];
+        let [xx, xy, xz, yy, yz, zz] = second.map(|[a, b, c]| self.get(a, b, c) / n);
+        let outer = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz) - mean * mean.transpose();
+        outer.symmetric_eigenvalues().min()
     }
 
     /// The same points as the fits take them; `None` where there are none, or all of them are the same.

@@ -5,6 +5,7 @@
 //! run starts the next one, so that one pass finds all ellipses of a line. Walls, specks and hollows are then turned
 //! down, each under the name of its reason ([`filter`]).
 
+mod arcs;
 mod filter;
 mod growth;
 #[cfg(test)]
@@ -13,6 +14,7 @@ mod scan_line;
 #[cfg(test)]
 mod tests;
 
+use arcs::RayLine;
 use conicflow_dataflow::{Config, Context, Output, Sides, Stage, StageError};
 use conicflow_geometry::{Pinhole, Scan};
 use conicflow_messages::{Camera, Ellipse, Header, Message};
@@ -34,10 +36,23 @@ pub enum ScanLines {
     Both,
 }
 
+/// How a scan line is cut into arcs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ArcFinder {
+    /// The paper's way: an ellipse grows point by point.
+    #[default]
+    Conic,
+    /// Lines and circles through moments that are free of the noise's bias, for the pooled fits of the assembler.
+    Moments,
+}
+
 /// Parameters of the extractor.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RowEllipseConfig {
+    /// How a scan line is cut into arcs: `conic`, the paper's way, or `moments`, for `method = "pooled"` of the assembler.
+    pub arcs: ArcFinder,
     /// Scan lines to look at: `rows`, `columns` (for objects that lie) or `both`.
     pub scan: ScanLines,
     /// Looks at every n-th scan line.
@@ -81,6 +96,7 @@ pub struct RowEllipseConfig {
 impl Default for RowEllipseConfig {
     fn default() -> Self {
         Self {
+            arcs: ArcFinder::Conic,
             scan: ScanLines::Rows,
             line_step: 1,
             max_error_sigmas: 1.3,
@@ -105,6 +121,7 @@ impl Config for RowEllipseConfig {}
 pub struct RowEllipseExtractor {
     config: RowEllipseConfig,
     line: ScanLine,
+    rays: RayLine,
     ellipses: Vec<Ellipse>,
     rejections: Rejections,
 }
@@ -112,7 +129,8 @@ pub struct RowEllipseExtractor {
 impl RowEllipseExtractor {
     /// An extractor with these parameters.
     pub fn with(config: RowEllipseConfig) -> Self {
-        Self { config, line: ScanLine::default(), ellipses: Vec::new(), rejections: Rejections::default() }
+        let (line, rays) = (ScanLine::default(), RayLine::default());
+        Self { config, line, rays, ellipses: Vec::new(), rejections: Rejections::default() }
     }
 
     /// The ellipses of the depth image `pixels` (row by row, `width * height` of them), in the order of the scan lines.
@@ -139,8 +157,16 @@ impl RowEllipseExtractor {
             Scan::Column => header.camera.width,
         };
         for line in (0..lines).step_by(self.config.line_step.max(1) as usize) {
-            self.line.read(header, pixels, scan, line, &self.config);
-            self.ellipses_of_line(header);
+            match self.config.arcs {
+                ArcFinder::Conic => {
+                    self.line.read(header, pixels, scan, line, &self.config);
+                    self.ellipses_of_line(header);
+                }
+                ArcFinder::Moments => {
+                    self.rays.read(header, pixels, scan, line, &self.config);
+                    self.rays.arcs(&self.config, &mut self.ellipses, &mut self.rejections);
+                }
+            }
         }
     }
 

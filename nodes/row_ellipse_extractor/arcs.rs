@@ -1,0 +1,275 @@
+//! Arcs for the pooled fits of the assembler: a scan line is cut where neither a line nor a circle explains its points.
+//!
+//! Running sums of unbiased moments give the moments of any interval by one subtraction, so an interval grows by
+//! galloping and bisection, with a handful of fits in place of one per point. On an arc of less than half a turn a
+//! circle is a far better judge than a free ellipse; the true shape is left to the pooled fit. Unbiased moments put the
+//! expected error of the right curve at zero, so the limit is what the noise of n points scatters:
+//! `error^2 <= sigma^2 (a sqrt(2 / n) + b)`.
+
+use super::RowEllipseConfig;
+use super::filter::{Rejection, Rejections};
+use super::pinhole;
+use conicflow_geometry::{ArcFit, Pinhole, PlaneMoments, RaySums, Scan, ScanPlane, line_square};
+use conicflow_messages::{Ellipse, Header, NoiseModel, is_measured};
+use std::ops::Range;
+
+/// The limit's `a`: how many standard deviations the error of a right curve may scatter.
+const SCATTER: f64 = 2.5;
+/// The limit's `b`: part of the variance that the noise model may be wrong by.
+const SLACK: f64 = 0.3;
+/// Significance that the error of a line has to exceed that of the circle by, in standard deviations.
+const CURVED: f64 = 3.0;
+/// Fewest points whose error means anything.
+const FIRST_FIT: usize = 6;
+
+/// One scan line; its buffers are used again for the next.
+#[derive(Debug)]
+pub(super) struct RayLine {
+    scan: Scan,
+    number: u32,
+    plane: ScanPlane,
+    pixels: Vec<u32>,
+    slopes: Vec<f64>,
+    depths: Vec<f64>,
+    variances: Vec<f64>,
+    runs: Vec<Range<usize>>,
+    /// Running sums of one run, beginning with nothing.
+    sums: Vec<RaySums>,
+    /// Depth of each pixel of the line, 0 where none was measured.
+    all: Vec<f64>,
+}
+
+/// An interval of a run, and what its ends are.
+#[derive(Clone, Copy, Debug)]
+struct Interval {
+    from: usize,
+    to: usize,
+    /// Whether the interval begins or ends where the run does.
+    at_jump: [bool; 2],
+}
+
+impl Default for RayLine {
+    fn default() -> Self {
+        let plane = Pinhole { fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 }.plane(Scan::Row, 0.0);
+        Self {
+            scan: Scan::Row,
+            number: 0,
+            plane,
+            pixels: Vec::new(),
+            slopes: Vec::new(),
+            depths: Vec::new(),
+            variances: Vec::new(),
+            runs: Vec::new(),
+            sums: Vec::new(),
+            all: Vec::new(),
+        }
+    }
+}
+
+impl RayLine {
+    /// Reads line `number` of a depth image and splits it at jumps and holes.
+    pub fn read(&mut self, header: &Header, pixels: &[u16], scan: Scan, number: u32, config: &RowEllipseConfig) {
+        let camera = pinhole(&header.camera);
+        (self.scan, self.number, self.plane) = (scan, number, camera.plane(scan, f64::from(number)));
+        let (width, line) = (header.camera.width as usize, number as usize);
+        match scan {
+            Scan::Row => self.gather(header, &camera, pixels[line * width..(line + 1) * width].iter()),
+            Scan::Column => self.gather(header, &camera, pixels[line..].iter().step_by(width)),
+        }
+        self.split(&header.noise, camera.pixel_pitch(scan), config);
+    }
+
+    /// Adds the arcs of the line to `ellipses`.
+    pub fn arcs(&mut self, config: &RowEllipseConfig, ellipses: &mut Vec<Ellipse>, rejections: &mut Rejections) {
+        for index in 0..self.runs.len() {
+            let run = self.runs[index].clone();
+            if run.len() < FIRST_FIT {
+                rejections.count(Rejection::FewPoints);
+                continue;
+            }
+            self.sum(run.clone());
+            let mut from = 0;
+            while run.len() - from >= FIRST_FIT {
+                let (length, is_curve) = self.longest(&run, from);
+                let interval = Interval { from, to: from + length, at_jump: [from == 0, from + length == run.len()] };
+                match if is_curve { self.accept(&run, interval, config) } else { Err(Rejection::Line) } {
+                    Ok(ellipse) => ellipses.push(ellipse),
+                    Err(reason) => rejections.count(reason),
+                }
+                from += length;
+            }
+        }
+    }
+
+    fn gather<'a>(&mut self, header: &Header, camera: &Pinhole, depths: impl Iterator<Item = &'a u16>) {
+        self.pixels.clear();
+        self.slopes.clear();
+        self.depths.clear();
+        self.variances.clear();
+        self.all.clear();
+        for (pixel, &depth) in depths.enumerate() {
+            if !is_measured(depth) {
+                self.all.push(0.0);
+                continue;
+            }
+            let z = f64::from(depth) * header.depth_scale;
+            self.all.push(z);
+            self.pixels.push(pixel as u32);
+            self.slopes.push(camera.ray_slope(self.scan, pixel as f64));
+            self.depths.push(z);
+            self.variances.push(header.noise.variance(z));
+        }
+    }
+
+    fn split(&mut self, noise: &NoiseModel, pitch: f64, config: &RowEllipseConfig) {
+        self.runs.clear();
+        let mut start = 0;
+        for end in 1..=self.depths.len() {
+            if end == self.depths.len() || !self.connected(end, noise, pitch, config) {
+                self.runs.push(start..end);
+                start = end;
+            }
+        }
+    }
+
+    /// Whether the measurement `next` and the one before may lie on one surface.
+    fn connected(&self, next: usize, noise: &NoiseModel, pitch: f64, config: &RowEllipseConfig) -> bool {
+        let pixels = self.pixels[next] - self.pixels[next - 1];
+        let (a, b) = (self.depths[next - 1], self.depths[next]);
+        let (near, step) = (a.min(b), (b - a).abs());
+        let slope = config.jump_slope * pitch * near * f64::from(pixels);
+        pixels <= config.max_hole_px + 1 && (step <= slope || step <= slope + config.jump_sigmas * noise.sigma(near))
+    }
+
+    fn sum(&mut self, run: Range<usize>) {
+        self.sums.clear();
+        let mut sums = RaySums::default();
+        self.sums.push(sums);
+        for i in run {
+            sums = sums.with(self.slopes[i], self.depths[i], self.variances[i]);
+            self.sums.push(sums);
+        }
+    }
+
+    /// Moments of an interval of the run.
+    fn moments(&self, from: usize, to: usize) -> PlaneMoments {
+        self.sums[to].since(&self.sums[from]).moments(self.plane.stretch())
+    }
+
+    /// Variance of the sensor in the middle of an interval, in the scan plane.
+    fn variance(&self, run: &Range<usize>, from: usize, to: usize) -> f64 {
+        self.variances[run.start + (from + to) / 2] * self.plane.stretch() * self.plane.stretch()
+    }
+
+    fn is_line(&self, run: &Range<usize>, from: usize, to: usize) -> bool {
+        line_square(&self.moments(from, to)) <= limit(self.variance(run, from, to), to - from)
+    }
+
+    fn is_circle(&self, run: &Range<usize>, from: usize, to: usize) -> bool {
+        let most = limit(self.variance(run, from, to), to - from);
+        ArcFit::new(&self.moments(from, to)).is_some_and(|fit| fit.circle_square <= most)
+    }
+
+    /// Length of the longest interval from `from` on that one curve explains, and whether that has to be a circle.
+    fn longest(&self, run: &Range<usize>, from: usize) -> (usize, bool) {
+        let most = run.len() - from;
+        if self.is_line(run, from, run.len()) {
+            return (most, false);
+        }
+        if self.is_circle(run, from, run.len()) {
+            return (most, true);
+        }
+        let line = gallop(FIRST_FIT, most, |length| self.is_line(run, from, from + length));
+        let circle = gallop(line, most, |length| self.is_circle(run, from, from + length));
+        (circle, circle > line + line / 8 + 1)
+    }
+
+    /// The arc of an interval, or why it is none.
+    fn accept(&self, run: &Range<usize>, interval: Interval, config: &RowEllipseConfig) -> Result<Ellipse, Rejection> {
+        let length = interval.to - interval.from;
+        let trim = |at_jump: bool| if at_jump { config.trim_px as usize } else { 1 + length / 12 };
+        let (from, to) =
+            (interval.from + trim(interval.at_jump[0]), interval.to - trim(interval.at_jump[1]).min(length));
+        if to < from + FIRST_FIT - 1 {
+            return Err(Rejection::FewPoints);
+        }
+        let moments = self.moments(from, to);
+        let fit = ArcFit::new(&moments).ok_or(Rejection::NoEllipse)?;
+        let mean = moments.mean().ok_or(Rejection::NoEllipse)?;
+        let scatter = self.variance(run, from, to) * (2.0 / (to - from) as f64).sqrt();
+        if !fit.circle.radius.is_finite() || fit.line_square - fit.circle_square.max(0.0) < CURVED * scatter {
+            Err(Rejection::Line)
+        } else if fit.circle.center[1] <= mean[1] {
+            Err(Rejection::Concave)
+        } else if !(config.min_radius_m..2.0 * config.max_radius_m).contains(&fit.circle.radius) {
+            Err(Rejection::Radius)
+        } else {
+            Ok(self.message(run.start + from..run.start + to, &fit, &moments.about(mean), config))
+        }
+    }
+
+    fn message(
+        &self,
+        points: Range<usize>,
+        fit: &ArcFit,
+        moments: &PlaneMoments,
+        config: &RowEllipseConfig,
+    ) -> Ellipse {
+        let [first, last] = [points.start, points.end - 1];
+        let radius = fit.circle.radius;
+        let beyond = config.trim_px + 2 + points.len() as u32 / 8;
+        let from_front = |i: usize| {
+            let st = [self.slopes[i] * self.depths[i], self.plane.stretch() * self.depths[i]];
+            (st[0] - fit.circle.center[0]).atan2(fit.circle.center[1] - st[1])
+        };
+        Ellipse {
+            scan: if self.scan == Scan::Row { 0 } else { 1 },
+            line: self.number,
+            first: self.pixels[first],
+            last: self.pixels[last],
+            points: points.len() as u32,
+            beyond_px: beyond,
+            unbiased: 1,
+            center: self.plane.to_camera(fit.circle.center).into(),
+            plane_center: fit.circle.center,
+            semi_axes: [radius; 2],
+            half_width: radius,
+            half_depth: radius,
+            rms: fit.circle_square.max(0.0).sqrt(),
+            arc: (from_front(last) - from_front(first)).abs(),
+            beyond: [self.depth_near(self.pixels[first], beyond, -1), self.depth_near(self.pixels[last], beyond, 1)],
+            origin: moments.origin(),
+            moments: *moments.sums(),
+            ..Ellipse::default()
+        }
+    }
+
+    /// The depth `distance` pixels from `pixel`, or else a little farther; 0 where there is none.
+    fn depth_near(&self, pixel: u32, distance: u32, side: i64) -> f64 {
+        let at = |more: i64| usize::try_from(i64::from(pixel) + side * (i64::from(distance) + more)).ok();
+        let depth = |more: i64| at(more).and_then(|index| self.all.get(index)).copied().filter(|z| *z > 0.0);
+        depth(0).or_else(|| depth(1)).or_else(|| depth(2)).unwrap_or(0.0)
+    }
+}
+
+/// Largest mean square error that the noise accounts for.
+fn limit(variance: f64, points: usize) -> f64 {
+    variance * (SCATTER * (2.0 / points as f64).sqrt() + SLACK) + 1e-8
+}
+
+/// The greatest length up to `most` that is explained, from `least` on, if those explained are without gaps.
+fn gallop(least: usize, most: usize, explained: impl Fn(usize) -> bool) -> usize {
+    let (mut good, mut bad) = (least.min(most), most + 1);
+    while good + 1 < bad {
+        let trial = if bad > most { (good + good / 2 + 1).min(most) } else { (good + bad) / 2 };
+        if explained(trial) {
+            good = trial;
+        } else {
+            bad = trial;
+        }
+        if good == most {
+            break;
+        }
+    }
+    good
+}
