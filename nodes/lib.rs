@@ -13,6 +13,7 @@ pub mod object_assembler;
 pub mod kalman_tracker;
 
 pub mod console_sink;
+pub mod evaluation_sink;
 pub mod json_sink;
 pub mod picture_sink;
 
@@ -22,6 +23,7 @@ mod node_help;
 use conicflow_dataflow::{Node, Variant};
 use conicflow_messages::{Ellipse, Object, Track};
 use console_sink::ConsoleSink;
+use evaluation_sink::EvaluationSink;
 use image_source::ImageSource;
 use json_sink::JsonSink;
 use kalman_tracker::KalmanTracker;
@@ -51,5 +53,9 @@ pub const NODES: &[Node] = &[
         Variant::stage::<PictureSink<Track>>(),
         Variant::stage::<PictureSink<Object>>(),
         Variant::stage::<PictureSink<Ellipse>>(),
+    ]),
+    Node::stages::<EvaluationSink<Object>>(&[
+        Variant::stage::<EvaluationSink<Object>>(),
+        Variant::stage::<EvaluationSink<Track>>(),
     ]),
 ];

@@ -8,8 +8,11 @@ mod fields;
 pub mod motion;
 pub mod pose;
 mod random;
+pub mod random_scene;
+pub mod random_scenes;
 pub mod raster;
 pub mod scene;
+mod scene_file;
 pub mod sensor;
 mod shadow;
 pub mod shapes;
@@ -19,6 +22,7 @@ use anyhow::{Context as _, Result, bail};
 use conicflow_dataflow::{Config, ConfigFault, Context, Next, Output, Sides, Source, StageError};
 use conicflow_messages::{Camera, HAS_POSE, Header, Text};
 use random::Dice;
+use random_scenes::RandomScenes;
 use raster::Raster;
 use scene::{BUILT_IN, Scene};
 use schemars::JsonSchema;
@@ -37,6 +41,7 @@ const UNPACED_RATE_HZ: f64 = 30.0;
 #[derive(Clone, Debug)]
 pub struct SyntheticCamera {
     scene: Scene,
+    scenes: Option<RandomScenes>,
     sensor: Sensor,
     seed: u64,
     rate_hz: f64,
@@ -51,15 +56,24 @@ impl SyntheticCamera {
     pub fn new(scene: Scene, camera: Camera, noise: SensorConfig, depth_scale: f64, rate_hz: f64, seed: u64) -> Self {
         let sensor = Sensor::new(noise, depth_scale);
         let (raster, shapes) = (Raster::new(camera), Vec::new());
-        Self { scene, sensor, seed, rate_hz, depth_scale, raster, shapes, time_s: 0.0 }
+        Self { scene, scenes: None, sensor, seed, rate_hz, depth_scale, raster, shapes, time_s: 0.0 }
+    }
+
+    /// The same camera before another random scene in each frame.
+    pub fn before(self, scenes: RandomScenes) -> Self {
+        Self { scenes: Some(scenes), ..self }
     }
 
     /// Takes frame `number`: writes as many pixels as the camera has, row by row.
     pub fn shoot(&mut self, number: u64, pixels: &mut [u16]) {
         self.time_s = number as f64 / self.rate_hz;
+        let mut noise = number;
+        if let Some(scenes) = &self.scenes {
+            (self.scene, noise) = scenes.scene(number);
+        }
         self.scene.shapes_in_camera(self.time_s, &mut self.shapes);
         self.raster.render(&self.shapes);
-        self.sensor.measure(&self.raster, &self.shapes, &Dice::new(self.seed, number), pixels);
+        self.sensor.measure(&self.raster, &self.shapes, &Dice::new(self.seed, noise), pixels);
     }
 
     /// The true objects of the frame that was taken last.
@@ -90,6 +104,8 @@ impl SyntheticCamera {
 pub struct SyntheticSourceConfig {
     /// Scene file, or the name of a built-in scene; none: `bouncing_ball`.
     pub scene: Option<PathBuf>,
+    /// Another random scene in each frame: `{ groups = ["standing", ...], seeds = [first, last] }`; in place of `scene`.
+    pub scenes: Option<RandomScenes>,
     /// Width of the image in pixels.
     #[schemars(range(min = 1, max = 4096))]
     pub width: u32,
@@ -101,7 +117,7 @@ pub struct SyntheticSourceConfig {
     /// Frames per second; 0: as fast as they are taken, simulated time goes at 30 then.
     #[schemars(range(min = 0.0, max = 1000.0))]
     pub rate_hz: f64,
-    /// Number of frames; 0: without end.
+    /// Number of frames; 0: without end, of random scenes one for each.
     pub frames: u64,
     /// Seed of the noise.
     pub seed: u64,
@@ -134,6 +150,7 @@ impl Default for SyntheticSourceConfig {
     fn default() -> Self {
         Self {
             scene: None,
+            scenes: None,
             width: 640,
             height: 480,
             intrinsics: None,
@@ -148,6 +165,13 @@ impl Default for SyntheticSourceConfig {
 }
 
 impl SyntheticSourceConfig {
+    /// Number of frames in all, where there is an end.
+    fn total(&self) -> Option<u64> {
+        let wanted = (self.frames > 0).then_some(self.frames);
+        let there = self.scenes.as_ref().map(RandomScenes::frames);
+        wanted.into_iter().chain(there).min()
+    }
+
     /// The camera that the parameters describe; a Kinect v1 has a focal length of 525 pixels at 640x480.
     pub fn camera(&self) -> Camera {
         let (width, height) = (self.width, self.height);
@@ -177,6 +201,11 @@ impl Config for SyntheticSourceConfig {
             let (what, hint) = text.split_once("\n  hint: ").unwrap_or((&text, "correct the scene file"));
             faults.push(ConfigFault { key: "scene", what: what.into(), hint: hint.into() });
         }
+        faults.extend(self.scenes.as_ref().and_then(RandomScenes::fault));
+        if self.scene.is_some() && self.scenes.is_some() {
+            let what = "cannot be shown together with `scene`".into();
+            faults.push(ConfigFault { key: "scenes", what, hint: "leave one of them out".into() });
+        }
         let folder = self.truth_path.as_ref().and_then(|path| base.join(path).parent().map(Path::to_owned));
         if let Some(folder) = folder.filter(|folder| !folder.is_dir() && !folder.as_os_str().is_empty()) {
             let what = format!("the folder `{}` does not exist", folder.display());
@@ -191,7 +220,7 @@ pub struct SyntheticSource {
     camera: SyntheticCamera,
     rate_hz: f64,
     next: u64,
-    frames: u64,
+    total: Option<u64>,
     truth: Option<TruthFile>,
 }
 
@@ -202,13 +231,16 @@ impl Source for SyntheticSource {
     type Output = u16;
 
     fn new(config: Self::Config, context: &Context) -> Result<Self, StageError> {
-        let scene = config.load_scene(&context.base)?;
+        let (scene, total) = (config.load_scene(&context.base)?, config.total());
         let rate_hz = if config.rate_hz > 0.0 { config.rate_hz } else { UNPACED_RATE_HZ };
         let (camera, seed) = (config.camera(), config.seed);
-        let camera = SyntheticCamera::new(scene, camera, config.noise, config.depth_scale, rate_hz, seed);
+        let mut camera = SyntheticCamera::new(scene, camera, config.noise, config.depth_scale, rate_hz, seed);
+        if let Some(scenes) = config.scenes {
+            camera = camera.before(scenes);
+        }
         let truth_path = config.truth_path.as_deref().map(|path| context.resolve(path));
         let truth = truth_path.map(|path| TruthFile::open(path, context.resume_at)).transpose()?;
-        Ok(Self { camera, rate_hz: config.rate_hz, next: context.resume_at, frames: config.frames, truth })
+        Ok(Self { camera, rate_hz: config.rate_hz, next: context.resume_at, total, truth })
     }
 
     fn rate_hz(&self) -> f64 {
@@ -216,11 +248,11 @@ impl Source for SyntheticSource {
     }
 
     fn total(&self) -> Option<u64> {
-        (self.frames > 0).then_some(self.frames)
+        self.total
     }
 
     fn next(&mut self, _: &Sides, output: &mut Output<u16>) -> Result<Next, StageError> {
-        if self.frames > 0 && self.next >= self.frames {
+        if self.total.is_some_and(|total| self.next >= total) {
             return Ok(Next::End);
         }
         let camera = self.camera.raster.camera;

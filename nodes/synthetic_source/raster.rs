@@ -89,6 +89,7 @@ impl Raster {
             let hits = match shape {
                 Shape::Sphere(sphere) => self.paint(sphere, index as u16),
                 Shape::Frustum(frustum) => self.paint(frustum, index as u16),
+                Shape::Bowl(bowl) => self.paint(bowl, index as u16),
                 Shape::Block(block) => self.paint(block, index as u16),
                 Shape::Plane(plane) => self.paint(plane, index as u16),
             };

@@ -82,3 +82,17 @@ fn a_missing_file_is_told_with_the_built_in_names() {
     let told = format!("{:#}", Scene::load(Path::new("/nowhere/scene.toml")).unwrap_err());
     assert!(told.contains("`/nowhere/scene.toml`") && told.contains("hint: ") && told.contains("`tabletop`"), "{told}");
 }
+
+#[test]
+fn bowls_and_cups_are_understood() {
+    let text = format!(
+        "{MINIMAL}[[bowl]]\nname = 'bowl'\ncenter = [0, 2, 1]\nradius = 0.1\n\
+         [[cylinder]]\nname = 'mug'\nbase = [0.3, 2, 1]\nradius = 0.04\nlength = 0.1\nopen = true\n"
+    );
+    let bodies = Scene::parse(&text, "test.toml").unwrap().bodies;
+    let find = |name: &str| bodies.iter().find(|body| body.name == name).unwrap().shape;
+    let Shape::Bowl(bowl) = find("bowl") else { panic!("a bowl") };
+    assert_eq!((bowl.depth, bowl.axis), (0.1, Vector3::z()), "half a sphere that opens upwards");
+    assert!(find("mug").is_open());
+    assert!(error(&text.replace("radius = 0.1\n", "radius = 0.1\ndepth = -1\n")).contains("above zero"));
+}

@@ -1,4 +1,4 @@
-//! Solids and planes that a ray can be cut with exactly.
+//! Solids, shells and planes that a ray can be cut with exactly.
 //!
 //! A ray is `origin + t direction`. With the camera's centre as origin and `direction = ((u - cx) / fx, (v - cy) / fy, 1)`
 //! the parameter `t` is the depth `z`. Sphere and frustum are quadratic in `t`, `a t^2 + 2 b t + c = 0`; box and plane are
@@ -31,7 +31,7 @@ pub struct Sphere {
     pub radius: f64,
 }
 
-/// A cylinder, a cone or what is left of one whose tip was cut off; closed at both ends.
+/// A cylinder, a cone or what is left of one whose tip was cut off; closed at both ends, or a cup.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frustum {
     /// Centre of the first end.
@@ -44,6 +44,19 @@ pub struct Frustum {
     pub base_radius: f64,
     /// Radius of the second end.
     pub top_radius: f64,
+    /// Whether the second end is open: a thin wall whose inside can be seen.
+    pub open: bool,
+}
+
+/// A thin shell that is a part of a sphere: a bowl, seen from outside or inside.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bowl {
+    /// The whole sphere.
+    pub sphere: Sphere,
+    /// Unit vector from its bottom to its opening.
+    pub axis: Vector3<f64>,
+    /// Distance of the rim from the bottom, along the axis.
+    pub depth: f64,
 }
 
 /// A box of any orientation.
@@ -75,8 +88,10 @@ pub struct Plane {
 pub enum Shape {
     /// A ball.
     Sphere(Sphere),
-    /// A cylinder or cone.
+    /// A cylinder, cone or cup.
     Frustum(Frustum),
+    /// A bowl.
+    Bowl(Bowl),
     /// A box.
     Block(Block),
     /// A plane or rectangle.
@@ -103,12 +118,19 @@ fn first_ahead([one, other]: [f64; 2]) -> f64 {
     ahead(one).min(ahead(other))
 }
 
+impl Sphere {
+    #[inline]
+    fn crossings(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> [f64; 2] {
+        let from_center = origin - self.center;
+        let c = from_center.norm_squared() - self.radius * self.radius;
+        roots(direction.norm_squared(), from_center.dot(direction), c)
+    }
+}
+
 impl Surface for Sphere {
     #[inline]
     fn hit(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
-        let from_center = origin - self.center;
-        let c = from_center.norm_squared() - self.radius * self.radius;
-        first_ahead(roots(direction.norm_squared(), from_center.dot(direction), c))
+        first_ahead(self.crossings(origin, direction))
     }
 
     fn normal(&self, point: &Vector3<f64>) -> Vector3<f64> {
@@ -173,7 +195,8 @@ impl Surface for Frustum {
             if oo + t * (2.0 * od + t * dd) <= radius * radius + h * h { t } else { f64::NAN }
         };
         let sides = first_ahead(roots(a, b, c).map(side));
-        let ends = first_ahead([end(0.0, self.base_radius), end(self.length, self.top_radius)]);
+        let top = if self.open { f64::NAN } else { end(self.length, self.top_radius) };
+        let ends = first_ahead([end(0.0, self.base_radius), top]);
         sides.min(ends)
     }
 
@@ -197,6 +220,33 @@ impl Surface for Frustum {
     fn transformed(&self, target_from_source: &Pose) -> Self {
         let base = target_from_source.point(&self.base);
         Self { base, axis: target_from_source.rotation * self.axis, ..*self }
+    }
+}
+
+impl Bowl {
+    /// Height of a point above the rim.
+    fn above_rim(&self, point: &Vector3<f64>) -> f64 {
+        (point - self.sphere.center).dot(&self.axis) + self.sphere.radius - self.depth
+    }
+}
+
+impl Surface for Bowl {
+    fn hit(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
+        let wall = |t: f64| if self.above_rim(&(origin + direction * t)) <= 0.0 { t } else { f64::NAN };
+        first_ahead(self.sphere.crossings(origin, direction).map(wall))
+    }
+
+    fn normal(&self, point: &Vector3<f64>) -> Vector3<f64> {
+        self.sphere.normal(point)
+    }
+
+    fn bounds(&self) -> Option<[Vector3<f64>; 2]> {
+        self.sphere.bounds()
+    }
+
+    fn transformed(&self, target_from_source: &Pose) -> Self {
+        let sphere = self.sphere.transformed(target_from_source);
+        Self { sphere, axis: target_from_source.rotation * self.axis, ..*self }
     }
 }
 
@@ -270,6 +320,7 @@ impl Surface for Shape {
         match self {
             Self::Sphere(sphere) => sphere.hit(origin, direction),
             Self::Frustum(frustum) => frustum.hit(origin, direction),
+            Self::Bowl(bowl) => bowl.hit(origin, direction),
             Self::Block(block) => block.hit(origin, direction),
             Self::Plane(plane) => plane.hit(origin, direction),
         }
@@ -279,6 +330,7 @@ impl Surface for Shape {
         match self {
             Self::Sphere(sphere) => sphere.normal(point),
             Self::Frustum(frustum) => frustum.normal(point),
+            Self::Bowl(bowl) => bowl.normal(point),
             Self::Block(block) => block.normal(point),
             Self::Plane(plane) => plane.normal(point),
         }
@@ -288,6 +340,7 @@ impl Surface for Shape {
         match self {
             Self::Sphere(sphere) => sphere.bounds(),
             Self::Frustum(frustum) => frustum.bounds(),
+            Self::Bowl(bowl) => bowl.bounds(),
             Self::Block(block) => block.bounds(),
             Self::Plane(plane) => plane.bounds(),
         }
@@ -297,6 +350,7 @@ impl Surface for Shape {
         match self {
             Self::Sphere(sphere) => Self::Sphere(sphere.transformed(target_from_source)),
             Self::Frustum(frustum) => Self::Frustum(frustum.transformed(target_from_source)),
+            Self::Bowl(bowl) => Self::Bowl(bowl.transformed(target_from_source)),
             Self::Block(block) => Self::Block(block.transformed(target_from_source)),
             Self::Plane(plane) => Self::Plane(plane.transformed(target_from_source)),
         }
@@ -309,15 +363,21 @@ impl Shape {
         match self {
             Self::Sphere(sphere) => sphere.center,
             Self::Frustum(frustum) => frustum.base,
+            Self::Bowl(bowl) => bowl.sphere.center,
             Self::Block(block) => block.center,
             Self::Plane(plane) => plane.point,
         }
     }
 
+    /// Whether its inside can be seen, so that it may hide a part of itself.
+    pub fn is_open(&self) -> bool {
+        matches!(self, Self::Bowl(_) | Self::Frustum(Frustum { open: true, .. }))
+    }
+
     /// How far the shape reaches below its anchor, against the unit vector `up`; infinite for a plane without end.
     pub fn reach_below(&self, up: &Vector3<f64>) -> f64 {
         match self {
-            Self::Sphere(sphere) => sphere.radius,
+            Self::Sphere(sphere) | Self::Bowl(Bowl { sphere, .. }) => sphere.radius,
             Self::Frustum(frustum) => {
                 let rise = frustum.axis.dot(up);
                 let reach = (1.0 - rise * rise).max(0.0).sqrt();

@@ -9,7 +9,7 @@ fn close(hit: f64, expected: f64) -> bool {
 
 fn upright_can() -> Frustum {
     let base = Vector3::new(0.0, 0.5, 2.0);
-    Frustum { base, axis: -Vector3::y(), length: 1.0, base_radius: 0.2, top_radius: 0.2 }
+    Frustum { base, axis: -Vector3::y(), length: 1.0, base_radius: 0.2, top_radius: 0.2, open: false }
 }
 
 #[test]
@@ -160,4 +160,34 @@ fn the_lowest_point_is_the_one_of_the_bounds() {
         let below = shape.anchor().y - shape.bounds().unwrap()[0].y;
         assert!((shape.reach_below(&Vector3::y()) - below).abs() < 1e-9, "{shape:?}");
     }
+}
+
+#[test]
+fn a_cup_shows_its_inside_through_its_open_end_only() {
+    let cup = Frustum { open: true, ..upright_can() };
+    let top = cup.base + cup.axis * cup.length;
+    let down = -cup.axis;
+    let above = top + cup.axis * 0.5 + Vector3::x() * 0.05;
+    assert!((upright_can().hit(&above, &down) - 0.5).abs() < 1e-12, "a can has a lid");
+    assert!((cup.hit(&above, &down) - 1.5).abs() < 1e-12, "a cup shows its bottom");
+    let below = cup.base - cup.axis * 0.5;
+    assert!((cup.hit(&below, &cup.axis) - 0.5).abs() < 1e-12, "and is closed from below");
+    let slanted = (Vector3::x() - cup.axis).normalize();
+    let wall = top + slanted * cup.hit(&top, &slanted);
+    let radius = (wall - cup.base - cup.axis * cup.along(&wall)).norm();
+    assert!((radius - 0.2).abs() < 1e-12 && cup.along(&wall) > 0.0);
+    assert!(cup.normal(&wall).dot(&slanted) > 0.0, "the normal points outwards, also on the inside");
+}
+
+#[test]
+fn a_bowl_is_a_sphere_without_what_is_above_its_rim() {
+    let sphere = Sphere { center: Vector3::new(0.0, 0.0, 2.0), radius: 0.1 };
+    let bowl = Bowl { sphere, axis: -Vector3::y(), depth: 0.06 };
+    let ray = |y: f64| bowl.hit(&Vector3::new(0.0, y, 0.0), &Vector3::z());
+    let rim = 0.1 - 0.06; // below the centre; y points down
+    let height = |y: f64| (0.01 - y * y).sqrt();
+    assert!((ray(rim + 0.001) - (2.0 - height(rim + 0.001))).abs() < 1e-12, "the outside");
+    assert_eq!(ray(rim - 0.001), f64::INFINITY, "above the rim there is nothing");
+    let from_above = bowl.hit(&Vector3::new(0.0, -1.0, 2.0), &Vector3::y());
+    assert!((from_above - 1.1).abs() < 1e-12, "the inside of its bottom");
 }

@@ -3,7 +3,7 @@
 
 use super::raster::{Raster, Window, ray};
 use super::scene::Scene;
-use super::shapes::{Frustum, Shape, Surface};
+use super::shapes::{Bowl, Frustum, Shape, Surface};
 use conicflow_messages::{Camera, Object, ObjectKind};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -21,6 +21,10 @@ pub struct Truth {
     /// Share of the pixels that it would cover alone that are hidden by others or lie outside the image; 1 where it lies
     /// behind the camera.
     pub hidden: f64,
+    /// Columns and rows from the first to the last of its visible pixels.
+    pub extent_px: [u32; 2],
+    /// Whether it is a bowl: its outside is a part of a sphere and may be called one, its inside may not.
+    pub bowl: bool,
     /// Velocity over ground, in the camera's axes, in m/s.
     pub velocity: [f64; 3],
 }
@@ -47,6 +51,8 @@ pub fn truth_of(scene: &Scene, time_s: f64, raster: &Raster, shapes: &[Shape]) -
             object: visible_part(whole, shape, &seen[index]),
             body: whole,
             hidden: 1.0 - visible,
+            extent_px: seen[index].extent_px(),
+            bowl: matches!(shape, Shape::Bowl(_)),
             velocity: velocity(scene, index, time_s),
         });
     }
@@ -59,6 +65,8 @@ struct Seen {
     points: u32,
     rows: u32,
     last_row: i64,
+    u: Span,
+    v: Span,
     along: Span,
     angle: Span,
 }
@@ -82,14 +90,15 @@ impl Span {
 }
 
 fn look(raster: &Raster, shapes: &[Shape]) -> Vec<Seen> {
-    let nothing = Seen { points: 0, rows: 0, last_row: -1, along: Span::EMPTY, angle: Span::EMPTY };
+    let (u, v, along, angle) = (Span::EMPTY, Span::EMPTY, Span::EMPTY, Span::EMPTY);
+    let nothing = Seen { points: 0, rows: 0, last_row: -1, u, v, along, angle };
     let mut seen = vec![nothing; shapes.len()];
     for v in 0..i64::from(raster.camera.height) {
         for u in 0..i64::from(raster.camera.width) {
             let owner = usize::from(raster.owner[raster.index(u, v)]);
             let Some(shape) = shapes.get(owner) else { continue };
-            if matches!(shape, Shape::Sphere(_) | Shape::Frustum(_)) {
-                seen[owner].add(shape, v, &raster.point(u, v));
+            if matches!(shape, Shape::Sphere(_) | Shape::Frustum(_) | Shape::Bowl(_)) {
+                seen[owner].add(shape, [u, v], &raster.point(u, v));
             }
         }
     }
@@ -97,18 +106,29 @@ fn look(raster: &Raster, shapes: &[Shape]) -> Vec<Seen> {
 }
 
 impl Seen {
-    fn add(&mut self, shape: &Shape, row: i64, point: &Vector3<f64>) {
+    fn add(&mut self, shape: &Shape, [u, v]: [i64; 2], point: &Vector3<f64>) {
         self.points += 1;
-        self.rows += u32::from(row != self.last_row);
-        self.last_row = row;
+        self.rows += u32::from(v != self.last_row);
+        self.last_row = v;
+        self.u.add(u as f64);
+        self.v.add(v as f64);
+        if shape.normal(point).dot(point) > 0.0 {
+            return; // the inside of a cup or bowl
+        }
         match shape {
-            Shape::Sphere(sphere) => self.angle.add(angle_about(&sphere.center, &across(&sphere.center), point)),
+            Shape::Sphere(sphere) | Shape::Bowl(Bowl { sphere, .. }) => {
+                self.angle.add(angle_about(&sphere.center, &across(&sphere.center), point));
+            }
             Shape::Frustum(frustum) if !frustum.is_cap(point) => {
                 self.along.add(frustum.along(point));
                 self.angle.add(angle_about(&frustum.base, &frustum.axis, point));
             }
             _ => {}
         }
+    }
+
+    fn extent_px(&self) -> [u32; 2] {
+        [self.u, self.v].map(|span| if self.points > 0 { span.width() as u32 + 1 } else { 0 })
     }
 }
 
@@ -127,7 +147,7 @@ fn across(center: &Vector3<f64>) -> Vector3<f64> {
 /// The whole of a shape as an object; `None` for boxes and planes.
 fn object(shape: &Shape) -> Option<Object> {
     match shape {
-        Shape::Sphere(sphere) => Some(Object {
+        Shape::Sphere(sphere) | Shape::Bowl(Bowl { sphere, .. }) => Some(Object {
             kind: ObjectKind::Sphere.code(),
             center: sphere.center.into(),
             radius: sphere.radius,
@@ -217,7 +237,7 @@ pub struct TruthLine {
 pub struct TruthObject {
     /// Its name in the scene.
     pub name: String,
-    /// `sphere`, `cylinder` or `cone`.
+    /// `sphere`, `cylinder`, `cone`, or `bowl`: a shell whose outside is a part of the sphere given.
     pub kind: String,
     /// Apex of a cone.
     #[serde(skip_serializing_if = "Option::is_none", default)]
@@ -266,7 +286,7 @@ impl From<&Truth> for TruthObject {
         let of_cone = |number: f64| is_cone.then_some(number);
         Self {
             name: truth.name.clone(),
-            kind: shape.name().into(),
+            kind: if truth.bowl { "bowl".into() } else { shape.name().into() },
             apex: is_cone.then_some(object.apex),
             center: object.center,
             axis: (shape != ObjectKind::Sphere).then_some(object.axis),

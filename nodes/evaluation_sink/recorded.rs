@@ -1,0 +1,286 @@
+//! The truth of recorded frames, from a file of objects that someone measured.
+//!
+//! ```json
+//! {"units": "m", "scenes": {"learn34.pcd": [
+//!   {"type": "cylinder", "what": "tin", "radius_m": 0.0977, "axis_point_m": [x, y, z], "axis_dir": [x, y, z]},
+//!   {"type": "sphere_like", "what": "upturned bowl", "radius_m": 0.0822, "centre_m": [x, y, z]}]}}
+//! ```
+//! Camera frame. `scenes` has a list for each frame, by its file's name; an empty one says that nothing is to be found
+//! there. In place of it `objects` is one list for all frames, and `frames` tells where one ball is in each:
+//! `[{"file": "depth/000000.png", "sphere": {"centre_mm": [x, y, z], "radius_mm": r}}]`, where a frame without `sphere`
+//! is not judged, and `"radius": {"accept_range_mm": [least, most]}` beside it says what radius is right. An entry of
+//! `"quality": "poor"` only has to be seen.
+
+use super::matching::{Expected, Tolerance};
+use anyhow::{Context as _, Result, bail};
+use conicflow_messages::{Object, ObjectKind};
+use nalgebra::Vector3;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Tolerances against a truth that was measured.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct RecordedTolerances {
+    /// Radius of a cylinder, in metres.
+    #[schemars(range(min = 0.0))]
+    pub radius_m: f64,
+    /// Distance of the true point on the axis from the answer's axis, in metres.
+    #[schemars(range(min = 0.0))]
+    pub position_m: f64,
+    /// Angle between the axes, in degrees.
+    #[schemars(range(min = 0.0, max = 180.0))]
+    pub axis_deg: f64,
+    /// Distance of the centres of spheres, in metres.
+    #[schemars(range(min = 0.0))]
+    pub center_m: f64,
+}
+
+impl Default for RecordedTolerances {
+    fn default() -> Self {
+        Self { radius_m: 0.004, position_m: 0.005, axis_deg: 4.0, center_m: 0.03 }
+    }
+}
+
+impl RecordedTolerances {
+    fn of_cylinder(&self, radius: f64) -> Tolerance {
+        Tolerance {
+            position_m: self.position_m,
+            radius_m: [radius - self.radius_m, radius + self.radius_m],
+            axis: self.axis_deg.to_radians(),
+            half_angle: 1e-9,
+        }
+    }
+
+    fn of_sphere(&self, radius_m: [f64; 2]) -> Tolerance {
+        Tolerance { position_m: self.center_m, radius_m, axis: 0.1, half_angle: 1e-9 }
+    }
+
+    /// That something is there.
+    fn of_poor(radius: f64) -> Tolerance {
+        Tolerance { position_m: 0.05, radius_m: [0.5 * radius, 1.5 * radius], axis: 0.5, half_angle: 1e-9 }
+    }
+}
+
+#[derive(Deserialize)]
+struct TruthFile {
+    units: Units,
+    scenes: Option<BTreeMap<String, Vec<Entry>>>,
+    objects: Option<Vec<Entry>>,
+    frames: Option<Vec<FrameEntry>>,
+    radius: Option<RadiusNote>,
+}
+
+/// The keys of the entries tell the units, too; the file has to agree with them.
+#[derive(Clone, Copy, PartialEq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Units {
+    M,
+    Mm,
+}
+
+#[derive(Deserialize)]
+struct RadiusNote {
+    accept_range_mm: Option<[f64; 2]>,
+}
+
+#[derive(Deserialize)]
+struct Entry {
+    #[serde(rename = "type")]
+    kind: String,
+    #[serde(default)]
+    what: String,
+    quality: Option<String>,
+    radius_m: f64,
+    axis_point_m: Option<[f64; 3]>,
+    axis_dir: Option<[f64; 3]>,
+    centre_m: Option<[f64; 3]>,
+    seen_side_from_to_m: Option<[f64; 2]>,
+}
+
+#[derive(Deserialize)]
+struct FrameEntry {
+    file: String,
+    sphere: Option<BallEntry>,
+}
+
+#[derive(Deserialize)]
+struct BallEntry {
+    centre_mm: [f64; 3],
+    radius_mm: f64,
+}
+
+/// What is in the frames of a recording.
+#[derive(Clone, Debug)]
+pub struct RecordedTruth {
+    by_frame: BTreeMap<String, Option<Vec<Expected>>>,
+    everywhere: Option<Vec<Expected>>,
+}
+
+impl RecordedTruth {
+    /// Reads a truth file.
+    ///
+    /// # Errors
+    /// The file cannot be read, or what is wrong with it at which line and column.
+    pub fn load(path: &Path, tolerances: &RecordedTolerances) -> Result<Self> {
+        let place = || format!("truth file `{}`", path.display());
+        let text = std::fs::read_to_string(path).with_context(place)?;
+        Self::parse(&text, tolerances).with_context(place)
+    }
+
+    fn parse(text: &str, tolerances: &RecordedTolerances) -> Result<Self> {
+        let file: TruthFile = serde_json::from_str(text)?;
+        let wanted = if file.frames.is_some() { Units::Mm } else { Units::M };
+        if file.units != wanted {
+            bail!("`units` is not what the keys of its entries say\n  hint: metres for objects, mm for `frames`");
+        }
+        let list =
+            |entries: &[Entry]| entries.iter().map(|entry| entry.expected(tolerances)).collect::<Result<Vec<_>>>();
+        let everywhere = file.objects.as_deref().map(list).transpose()?;
+        let mut by_frame = BTreeMap::new();
+        for (name, entries) in file.scenes.iter().flatten() {
+            let expected = list(entries).with_context(|| format!("scene `{name}`"))?;
+            by_frame.insert(name.clone(), Some(expected));
+        }
+        let range = file.radius.and_then(|radius| radius.accept_range_mm);
+        for frame in file.frames.iter().flatten() {
+            let ball = frame.sphere.as_ref().map(|ball| vec![ball.expected(range, tolerances)]);
+            by_frame.insert(file_name(&frame.file).to_owned(), ball);
+        }
+        if by_frame.is_empty() && everywhere.is_none() {
+            bail!("it has none of `scenes`, `objects` and `frames`\n  hint: say what is in the frames");
+        }
+        Ok(Self { by_frame, everywhere })
+    }
+
+    /// What is in the frame of a file; `None` where that was not measured.
+    pub fn of_frame(&self, source: &str) -> Option<&[Expected]> {
+        match self.by_frame.get(file_name(source)) {
+            Some(frame) => frame.as_deref(),
+            None => self.everywhere.as_deref(),
+        }
+    }
+}
+
+/// The last part of a path, with `/` as separator on every system.
+fn file_name(path: &str) -> &str {
+    path.rsplit('/').next().unwrap_or(path)
+}
+
+impl Entry {
+    fn expected(&self, tolerances: &RecordedTolerances) -> Result<Expected> {
+        let radius = self.radius_m;
+        let sphere_range = [radius - tolerances.radius_m, radius + tolerances.radius_m];
+        let (body, tolerance, required) = match (self.kind.as_str(), self.axis_point_m, self.axis_dir, self.centre_m) {
+            ("cylinder", Some(point), Some(axis), _) => {
+                let poor = self.quality.as_deref() == Some("poor");
+                let exact = tolerances.of_cylinder(radius);
+                let tolerance = if poor { RecordedTolerances::of_poor(radius) } else { exact };
+                (self.cylinder(point, axis), tolerance, true)
+            }
+            ("sphere", _, _, Some(center)) => (sphere(center, radius), tolerances.of_sphere(sphere_range), true),
+            ("sphere_like", _, _, Some(center)) => {
+                let range = [0.8 * radius, 1.2 * radius];
+                (sphere(center, radius), tolerances.of_sphere(range), false)
+            }
+            (kind, ..) => bail!(
+                "an entry `{}` of type `{kind}` is not understood\n  hint: a `cylinder` has `axis_point_m` and \
+                 `axis_dir`, a `sphere` or `sphere_like` has `centre_m`",
+                self.what
+            ),
+        };
+        Ok(Expected { name: self.what.clone(), body, hidden: 0.0, required, tolerance })
+    }
+
+    fn cylinder(&self, point: [f64; 3], axis: [f64; 3]) -> Object {
+        let [from, to] = self.seen_side_from_to_m.unwrap_or([-0.05, 0.05]);
+        Object {
+            kind: ObjectKind::Cylinder.code(),
+            center: point,
+            axis: Vector3::from(axis).try_normalize(1e-9).unwrap_or_else(Vector3::zeros).into(),
+            radius: self.radius_m,
+            length: to - from,
+            ..Object::default()
+        }
+    }
+}
+
+fn sphere(center: [f64; 3], radius: f64) -> Object {
+    Object { kind: ObjectKind::Sphere.code(), center, radius, ..Object::default() }
+}
+
+impl BallEntry {
+    fn expected(&self, range_mm: Option<[f64; 2]>, tolerances: &RecordedTolerances) -> Expected {
+        let radius = 1e-3 * self.radius_mm;
+        let around = [radius - tolerances.radius_m, radius + tolerances.radius_m];
+        let range = range_mm.map_or(around, |range| range.map(|limit| 1e-3 * limit));
+        let center = self.centre_mm.map(|coordinate| 1e-3 * coordinate);
+        let tolerance = tolerances.of_sphere(range);
+        Expected { name: "ball".into(), body: sphere(center, radius), hidden: 0.0, required: true, tolerance }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(text: &str) -> Result<RecordedTruth> {
+        RecordedTruth::parse(text, &RecordedTolerances::default())
+    }
+
+    #[test]
+    fn scenes_are_found_by_the_name_of_their_file() {
+        let truth = parse(
+            r#"{"units": "m", "how": "by hand", "scenes": {"a.pcd": [
+                {"type": "cylinder", "what": "tin", "radius_m": 0.05, "axis_point_m": [0, 0, 1], "axis_dir": [0, 2, 0]},
+                {"type": "sphere_like", "radius_m": 0.08, "centre_m": [0.1, 0, 1]}], "b.pcd": []}}"#,
+        )
+        .unwrap();
+        let [tin, bowl] = truth.of_frame("a.pcd").unwrap() else { panic!() };
+        assert_eq!((tin.name.as_str(), tin.body.axis, tin.required), ("tin", [0.0, 1.0, 0.0], true));
+        assert!((tin.tolerance.radius_m[1] - 0.054).abs() < 1e-12);
+        assert_eq!((bowl.body.shape(), bowl.required), (ObjectKind::Sphere, false));
+        assert_eq!(truth.of_frame("b.pcd").map(<[Expected]>::len), Some(0));
+        assert!(truth.of_frame("c.pcd").is_none());
+    }
+
+    #[test]
+    fn a_ball_has_its_place_in_each_frame_that_was_measured() {
+        let truth = parse(
+            r#"{"units": "mm", "radius": {"accept_range_mm": [195, 222]}, "frames": [
+                {"frame": 0, "file": "depth/000000.png", "sphere": {"centre_mm": [500, -500, 2300], "radius_mm": 208}},
+                {"frame": 1, "file": "depth/000001.png"}]}"#,
+        )
+        .unwrap();
+        let [ball] = truth.of_frame("000000.png").unwrap() else { panic!() };
+        assert!((Vector3::from(ball.body.center) - Vector3::new(0.5, -0.5, 2.3)).norm() < 1e-12);
+        let [least, most] = ball.tolerance.radius_m;
+        assert!((least - 0.195).abs() < 1e-12 && (most - 0.222).abs() < 1e-12);
+        assert!(truth.of_frame("000001.png").is_none());
+    }
+
+    #[test]
+    fn one_list_can_hold_for_all_frames_and_poor_entries_only_have_to_be_seen() {
+        let truth = parse(
+            r#"{"units": "m", "objects": [{"type": "cylinder", "quality": "poor", "radius_m": 0.04,
+                "axis_point_m": [0, 0, 1], "axis_dir": [0, 1, 0]}]}"#,
+        )
+        .unwrap();
+        assert_eq!(truth.of_frame("anything").unwrap()[0].tolerance.radius_m, [0.02, 0.06]);
+    }
+
+    #[test]
+    fn what_is_not_understood_is_told() {
+        for (text, what) in [
+            (r#"{"units": "m"}"#, "none of `scenes`"),
+            (r#"{"units": "mm", "objects": []}"#, "`units`"),
+            (r#"{"units": "m", "objects": [{"type": "torus", "what": "ring", "radius_m": 1}]}"#, "`torus`"),
+            (r#"{"units": "m", "objects": [{"type": "cylinder"}]}"#, "radius_m"),
+        ] {
+            let error = format!("{:#}", parse(text).unwrap_err());
+            assert!(error.contains(what), "{error}");
+        }
+    }
+}
