@@ -5,8 +5,8 @@
 //! `(y / k)^b (1 / k)^c m[a, b + c]`: an arc joins the pool in O(1), and no point is seen again. Columns are the same
 //! with x and y exchanged.
 
-use crate::{PlaneMoments, Scan, ScanPlane, Vector3};
-use nalgebra::Matrix3;
+use crate::{PlaneMoments, Scan, ScanPlane, Sphere, Vector3};
+use nalgebra::{Matrix3, Matrix4, Vector4};
 
 /// Number of moments.
 const SPACE_MOMENTS: usize = 35;
@@ -163,6 +163,17 @@ impl SpaceMoments {
 }
 
 impl QuadricMoments {
+    /// The sphere of least algebraic distance `sum (|p|^2 + b.p + c)^2`, in the camera frame: a start for better fits.
+    pub fn sphere(&self) -> Option<Sphere> {
+        let m = &self.matrix;
+        let normal = Matrix4::from_fn(|i, j| m[6 + i][6 + j]);
+        let right = Vector4::from_fn(|i, _| -(m[0][6 + i] + m[1][6 + i] + m[2][6 + i]));
+        let [x, y, z, c] = normal.cholesky()?.solve(&right).into();
+        let center = Vector3::new(x, y, z) * -0.5;
+        let square = center.norm_squared() - c;
+        (square > 0.0).then(|| Sphere { center: self.origin + center * self.scale, radius: square.sqrt() * self.scale })
+    }
+
     /// `q' (sum m m')`: its product with the coefficients of another quadric is the sum of the products of both over the
     /// points.
     pub fn times(&self, q: &Coefficients) -> Coefficients {

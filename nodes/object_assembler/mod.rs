@@ -101,6 +101,9 @@ pub struct AssemblerConfig {
     /// `pooled`: half-angle from which on something is a cone and not a cylinder, in degrees.
     #[schemars(range(min = 0.0, max = 45.0))]
     pub min_cone_deg: f64,
+    /// `pooled`: smallest visible part of the circumference, in degrees.
+    #[schemars(range(min = 0.0, max = 180.0))]
+    pub min_visible_arc_deg: f64,
     /// `pooled`: fewest scan lines of an object.
     #[schemars(range(min = 5, max = 1000))]
     pub min_lines: u32,
@@ -153,6 +156,7 @@ impl Default for AssemblerConfig {
             max_half_angle_deg: 30.0,
             cone_gain: 0.8,
             min_cone_deg: 2.5,
+            min_visible_arc_deg: 30.0,
             min_lines: 7,
             min_rows: 12,
             min_coverage: 0.6,

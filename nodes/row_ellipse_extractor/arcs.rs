@@ -17,8 +17,15 @@ use std::ops::Range;
 const SCATTER: f64 = 2.5;
 /// The limit's `b`: part of the variance that the noise model may be wrong by.
 const SLACK: f64 = 0.3;
-/// Significance that the error of a line has to exceed that of the circle by, in standard deviations.
+/// Significance that the error of a line has to exceed that of the circle by, in standard deviations, where the arc is
+/// a part of a run ...
 const CURVED: f64 = 3.0;
+/// ... and where it is all of a run, set off by jumps: many weak ones of neighbouring lines make a strong one.
+const HARDLY_CURVED: f64 = 0.5;
+/// How many standard deviations the mean of a few points at an end may be off the circle through the others.
+const STRAYING: f64 = 2.0;
+/// Number of points whose mean depth tells the variance of each.
+const SURROUNDINGS: usize = 16;
 /// Fewest points whose error means anything.
 const FIRST_FIT: usize = 6;
 
@@ -39,13 +46,11 @@ pub(super) struct RayLine {
     all: Vec<f64>,
 }
 
-/// An interval of a run, and what its ends are.
+/// An interval of a run.
 #[derive(Clone, Copy, Debug)]
 struct Interval {
     from: usize,
     to: usize,
-    /// Whether the interval begins or ends where the run does.
-    at_jump: [bool; 2],
 }
 
 impl Default for RayLine {
@@ -77,6 +82,7 @@ impl RayLine {
             Scan::Column => self.gather(header, &camera, pixels[line..].iter().step_by(width)),
         }
         self.split(&header.noise, camera.pixel_pitch(scan), config);
+        self.weigh(&header.noise);
     }
 
     /// Adds the arcs of the line to `ellipses`.
@@ -90,8 +96,8 @@ impl RayLine {
             self.sum(run.clone());
             let mut from = 0;
             while run.len() - from >= FIRST_FIT {
-                let (length, is_curve) = self.longest(&run, from);
-                let interval = Interval { from, to: from + length, at_jump: [from == 0, from + length == run.len()] };
+                let (length, is_curve) = self.longest(&run, from, config);
+                let interval = Interval { from, to: from + length };
                 match if is_curve { self.accept(&run, interval, config) } else { Err(Rejection::Line) } {
                     Ok(ellipse) => ellipses.push(ellipse),
                     Err(reason) => rejections.count(reason),
@@ -105,7 +111,6 @@ impl RayLine {
         self.pixels.clear();
         self.slopes.clear();
         self.depths.clear();
-        self.variances.clear();
         self.all.clear();
         for (pixel, &depth) in depths.enumerate() {
             if !is_measured(depth) {
@@ -117,7 +122,19 @@ impl RayLine {
             self.pixels.push(pixel as u32);
             self.slopes.push(camera.ray_slope(self.scan, pixel as f64));
             self.depths.push(z);
-            self.variances.push(header.noise.variance(z));
+        }
+    }
+
+    /// The variance of each measurement, at the mean depth of its surroundings: were it taken at the measured depth, it
+    /// would go with the noise and spoil the moments that it is to correct.
+    fn weigh(&mut self, noise: &NoiseModel) {
+        self.variances.resize(self.depths.len(), 0.0);
+        for run in &self.runs {
+            let (depths, variances) = (&self.depths[run.clone()], &mut self.variances[run.clone()]);
+            for (depths, variances) in depths.chunks(SURROUNDINGS).zip(variances.chunks_mut(SURROUNDINGS)) {
+                let mean = depths.iter().sum::<f64>() / depths.len() as f64;
+                variances.fill(noise.variance(mean));
+            }
         }
     }
 
@@ -170,11 +187,18 @@ impl RayLine {
         ArcFit::new(&self.moments(from, to)).is_some_and(|fit| fit.circle_square <= most)
     }
 
+    /// Distance of the ends of a run.
+    fn width(&self, run: &Range<usize>) -> f64 {
+        let st = |i: usize| [self.slopes[i] * self.depths[i], self.plane.stretch() * self.depths[i]];
+        let (a, b) = (st(run.start), st(run.end - 1));
+        (a[0] - b[0]).hypot(a[1] - b[1])
+    }
+
     /// Length of the longest interval from `from` on that one curve explains, and whether that has to be a circle.
-    fn longest(&self, run: &Range<usize>, from: usize) -> (usize, bool) {
+    fn longest(&self, run: &Range<usize>, from: usize, config: &RowEllipseConfig) -> (usize, bool) {
         let most = run.len() - from;
         if self.is_line(run, from, run.len()) {
-            return (most, false);
+            return (most, from == 0 && self.width(run) < 2.0 * config.max_radius_m);
         }
         if self.is_circle(run, from, run.len()) {
             return (most, true);
@@ -186,10 +210,7 @@ impl RayLine {
 
     /// The arc of an interval, or why it is none.
     fn accept(&self, run: &Range<usize>, interval: Interval, config: &RowEllipseConfig) -> Result<Ellipse, Rejection> {
-        let length = interval.to - interval.from;
-        let trim = |at_jump: bool| if at_jump { config.trim_px as usize } else { 1 + length / 12 };
-        let (from, to) =
-            (interval.from + trim(interval.at_jump[0]), interval.to - trim(interval.at_jump[1]).min(length));
+        let Interval { from, to } = self.trimmed(run, interval, config);
         if to < from + FIRST_FIT - 1 {
             return Err(Rejection::FewPoints);
         }
@@ -197,15 +218,52 @@ impl RayLine {
         let fit = ArcFit::new(&moments).ok_or(Rejection::NoEllipse)?;
         let mean = moments.mean().ok_or(Rejection::NoEllipse)?;
         let scatter = self.variance(run, from, to) * (2.0 / (to - from) as f64).sqrt();
-        if !fit.circle.radius.is_finite() || fit.line_square - fit.circle_square.max(0.0) < CURVED * scatter {
+        let is_whole = interval.from == 0 && interval.to == run.len();
+        let curved = if is_whole { HARDLY_CURVED } else { CURVED };
+        if !fit.circle.radius.is_finite() || fit.line_square - fit.circle_square.max(0.0) < curved * scatter {
             Err(Rejection::Line)
         } else if fit.circle.center[1] <= mean[1] {
             Err(Rejection::Concave)
-        } else if !(config.min_radius_m..2.0 * config.max_radius_m).contains(&fit.circle.radius) {
+        } else if !(config.min_radius_m..4.0 * config.max_radius_m).contains(&fit.circle.radius) {
             Err(Rejection::Radius)
         } else {
             Ok(self.message(run.start + from..run.start + to, &fit, &moments.about(mean), config))
         }
+    }
+
+    /// What is left of an interval when the ends that may belong to something else are taken off: pixels at a jump mix
+    /// two depths, and where a curve breaks it has taken in some points of what follows.
+    fn trimmed(&self, run: &Range<usize>, interval: Interval, config: &RowEllipseConfig) -> Interval {
+        let trim = config.trim_px as usize;
+        let Interval { mut from, mut to } = interval;
+        let (starts_run, ends_run) = (from == 0, to == run.len());
+        from += trim;
+        to = to.saturating_sub(trim).max(from);
+        for _ in 0..4 {
+            let few = ((to - from) / 8).max(3);
+            if to - from < 2 * FIRST_FIT + few {
+                break;
+            }
+            let strays_behind = !ends_run && self.strays(run, from..to - few, to - few..to);
+            let strays_before = !starts_run && self.strays(run, from + few..to, from..from + few);
+            to -= if strays_behind { few } else { 0 };
+            from += if strays_before { few } else { 0 };
+            if !(strays_behind || strays_before) {
+                break;
+            }
+        }
+        Interval { from, to }
+    }
+
+    /// Whether the points of `few` are off the circle through those of `others`.
+    fn strays(&self, run: &Range<usize>, others: Range<usize>, few: Range<usize>) -> bool {
+        let Some(fit) = ArcFit::new(&self.moments(others.start, others.end)) else { return false };
+        let ([s, t], radius) = (fit.circle.center, fit.circle.radius);
+        let block = self.moments(few.start, few.end);
+        let m = |p, q| block.get(p, q) / block.count();
+        let square = m(2, 0) + m(0, 2) - 2.0 * (s * m(1, 0) + t * m(0, 1)) + s * s + t * t;
+        let off = (square - radius * radius) / (2.0 * radius);
+        off.powi(2) > STRAYING.powi(2) * self.variance(run, few.start, few.end) / few.len() as f64
     }
 
     fn message(

@@ -12,6 +12,8 @@ const FEWEST: usize = 5;
 const ROUNDS: usize = 7;
 /// How many standard deviations the error of an arc may scatter.
 const SCATTER: f64 = 3.0;
+/// How many standard deviations the curvature of a chain has to be above zero.
+const CURVED: f64 = 4.0;
 /// Part of the variance that the misfit of one arc may be on top of it.
 const SLACK: f64 = 0.5;
 
@@ -54,6 +56,16 @@ pub(super) fn chain(arcs: &Arcs, seed: usize, gap: i64, free: impl Fn(usize) -> 
             chain.push(seed);
         }
     }
+}
+
+/// Whether the arcs of a chain are surely curved, all together.
+pub(super) fn is_curved(arcs: &Arcs, chain: &[usize]) -> bool {
+    let (mut bulge, mut points) = (0.0, 0.0);
+    for arc in chain.iter().map(|&index| &arcs.arcs[index]) {
+        bulge += arc.bulge;
+        points += arc.points;
+    }
+    chain.len() >= FEWEST && bulge > CURVED * (2.0 * points).sqrt()
 }
 
 /// Grows a model of one kind from `chain` on; `None` where it does not explain even that.

@@ -86,6 +86,10 @@ impl Pooled {
         let free = |index: usize| !taken[index];
         let gap = i64::from(config.max_gap_lines);
         growth::chain(&self.arcs, seed, gap, free, &mut self.chain);
+        if !growth::is_curved(&self.arcs, &self.chain) {
+            rejections.count(Rejection::Flat);
+            return None;
+        }
         let mut found = ObjectKind::ALL.map(|_| None);
         let mut reason = None;
         for (slot, kind) in found.iter_mut().zip(ObjectKind::ALL) {

@@ -2,8 +2,8 @@
 
 use super::arcs::{Arc, Misfit};
 use conicflow_geometry::{
-    Coefficients, Conical, FixedSlope, FreeSlope, LineMoments, Regression, SpaceMoments, Sphere, Surface, SurfaceFit,
-    Vector3, fit_surface,
+    ArcFit, Coefficients, Conical, FixedSlope, FreeSlope, Line, LineMoments, PlaneMoments, SpaceMoments, Sphere,
+    Surface, SurfaceFit, Vector3, fit_surface,
 };
 use conicflow_messages::ObjectKind;
 
@@ -102,10 +102,7 @@ fn fit_sphere<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&
     let moments = pool(arcs.clone(), |_| 1.0).normalized()?;
     let start = match last {
         Some(Model::Sphere(fit)) => fit.surface,
-        _ => {
-            let radius = arcs.clone().map(|arc| arc.radius).fold(0.0, f64::max);
-            Sphere { center: moments.origin + moments.origin.normalize() * (0.8 * radius), radius }
-        }
+        _ => moments.sphere()?,
     };
     fit_surface(&moments, &start).map(Model::Sphere)
 }
@@ -115,8 +112,7 @@ fn fit_cylinder<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option
     if let Some(Model::Cylinder(fit)) = last {
         return fit_surface(&moments, &fit.surface).map(Model::Cylinder);
     }
-    let fits = starts(arcs)?.map(|start| fit_surface(&moments, &FixedSlope(Conical { slope: 0.0, ..start })));
-    better(fits).map(Model::Cylinder)
+    fit_surface(&moments, &FixedSlope(start(arcs)?)).map(Model::Cylinder)
 }
 
 fn fit_cone<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Model>) -> Option<Model> {
@@ -124,7 +120,7 @@ fn fit_cone<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Mo
         Some(Model::Cone(fit)) => *fit,
         _ => {
             let moments = pool(arcs.clone(), |_| 1.0).normalized()?;
-            better(starts(arcs)?.map(|start| fit_surface(&moments, &FreeSlope(start))))?
+            fit_surface(&moments, &FreeSlope(start(arcs)?))?
         }
     };
     for _ in 0..CONE_PASSES {
@@ -156,29 +152,29 @@ fn flipped(fit: &SurfaceFit<FreeSlope, 6>) -> SurfaceFit<FreeSlope, 6> {
     flipped
 }
 
-fn better<S, const N: usize>(fits: [Option<SurfaceFit<S, N>>; 2]) -> Option<SurfaceFit<S, N>> {
-    let [a, b] = fits;
-    match (a, b) {
-        (Some(a), Some(b)) => Some(if b.square_sum < a.square_sum { b } else { a }),
-        (a, b) => a.or(b),
-    }
+/// A guess from the circles of the arcs: of some directions for the axis that along which the points lie best on one
+/// circle.
+fn start<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone)) -> Option<Conical> {
+    let first = arcs.clone().next()?;
+    let (mut centers, mut means) = (LineMoments::new(first.center), LineMoments::new(first.mean));
+    arcs.clone().for_each(|arc| {
+        centers.add(&arc.center);
+        means.add(&arc.mean);
+    });
+    let along = |line: Option<Line>| line.map(|line| line.direction);
+    let axes = [Some(first.plane.normal()), along(centers.fit()), along(means.fit())];
+    let guesses = axes.into_iter().flatten().filter_map(|axis| round_about(arcs, &axis));
+    guesses.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, guess)| guess)
 }
 
-/// Guesses from the circles of the arcs: the line through their centres, and the normal of the scan planes.
-fn starts<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone)) -> Option<[Conical; 2]> {
-    let first = arcs.clone().next()?;
-    let mut line = LineMoments::new(first.center);
-    arcs.clone().for_each(|arc| line.add(&arc.center));
-    let normal = first.plane.normal();
-    let line = line.fit();
-    let axis = line.map_or(normal, |line| line.direction);
-    let point = line.map_or(first.center, |line| line.point);
-    let start = |axis: Vector3| {
-        let mut profile = Regression::default();
-        let lean = axis.dot(&normal).abs().max(0.2).sqrt();
-        arcs.clone().for_each(|arc| profile.add((arc.center - point).dot(&axis), arc.radius * lean));
-        let slope = profile.fit().map_or(0.0, |fit| fit.slope.clamp(-0.5, 0.5));
-        Conical { point, axis, radius: profile.mean(), slope }
-    };
-    Some([start(axis), start(normal)])
+/// The circle through all points as seen along an axis, and the mean square distance from it.
+fn round_about<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), axis: &Vector3) -> Option<(f64, Conical)> {
+    let frame = Conical { point: Vector3::zeros(), axis: *axis, radius: 1.0, slope: 0.0 };
+    let [u, v] = frame.across();
+    let mut seen = PlaneMoments::new([0.0, 0.0]);
+    arcs.clone().for_each(|arc| seen.merge(&arc.seen_along(&u, &v)));
+    let fit = ArcFit::new(&seen)?;
+    let (circle, mean) = (fit.circle, arcs.clone().next()?.mean);
+    let point = u * circle.center[0] + v * circle.center[1] + axis * axis.dot(&mean);
+    circle.radius.is_finite().then_some((fit.circle_square, Conical { point, radius: circle.radius.min(2.0), ..frame }))
 }

@@ -49,7 +49,7 @@ pub(super) fn check(arcs: &Arcs, grown: &Grown, config: &AssemblerConfig) -> Res
         Err(Rejection::HalfAngle)
     } else if grown.model.kind() != ObjectKind::Sphere && reach < config.min_length_radii * radius {
         Err(Rejection::Short)
-    } else if measured.angle < config.min_arc_deg.to_radians() {
+    } else if measured.angle < config.min_visible_arc_deg.to_radians() {
         Err(Rejection::ShortArc)
     } else if is_plane(arcs, grown, &measured) {
         Err(Rejection::Flat)
