@@ -155,7 +155,7 @@ impl Default for AssemblerConfig {
             min_half_angle_deg: 5.0,
             max_half_angle_deg: 30.0,
             cone_gain: 0.8,
-            min_cone_deg: 2.5,
+            min_cone_deg: 3.0,
             min_visible_arc_deg: 30.0,
             min_lines: 7,
             min_rows: 12,

@@ -22,6 +22,16 @@ const SLACK: f64 = 0.3;
 const CURVED: f64 = 3.0;
 /// ... and where it is all of a run, set off by jumps: many weak ones of neighbouring lines make a strong one.
 const HARDLY_CURVED: f64 = 0.5;
+/// Slope of a surface (depth per distance across the view) that neighbouring pixels may show ...
+const JUMP_SLOPE: f64 = 3.0;
+/// ... and those on the two sides of a hole;
+const HOLE_SLOPE: f64 = 1.5;
+/// how many standard deviations of the sensor a step may be on top of it.
+const JUMP_SIGMAS: f64 = 4.0;
+/// Points on each side of a crease that are compared with the three in it.
+const WING: usize = 5;
+/// Depth of a crease, in standard deviations of the sensor.
+const CREASE: f64 = 7.0;
 /// How many standard deviations the mean of a few points at an end may be off the circle through the others.
 const STRAYING: f64 = 2.0;
 /// Number of points whose mean depth tells the variance of each.
@@ -42,13 +52,16 @@ pub(super) struct RayLine {
     runs: Vec<Range<usize>>,
     /// Running sums of one run, beginning with nothing.
     sums: Vec<RaySums>,
+    /// Where a run is cut, its ends included.
+    cuts: Vec<usize>,
     /// Depth of each pixel of the line, 0 where none was measured.
     all: Vec<f64>,
 }
 
-/// An interval of a run.
+/// An interval of a part of a run.
 #[derive(Clone, Copy, Debug)]
 struct Interval {
+    part: [usize; 2],
     from: usize,
     to: usize,
 }
@@ -66,6 +79,7 @@ impl Default for RayLine {
             variances: Vec::new(),
             runs: Vec::new(),
             sums: Vec::new(),
+            cuts: Vec::new(),
             all: Vec::new(),
         }
     }
@@ -94,17 +108,60 @@ impl RayLine {
                 continue;
             }
             self.sum(run.clone());
-            let mut from = 0;
-            while run.len() - from >= FIRST_FIT {
-                let (length, is_curve) = self.longest(&run, from, config);
-                let interval = Interval { from, to: from + length };
-                match if is_curve { self.accept(&run, interval, config) } else { Err(Rejection::Line) } {
-                    Ok(ellipse) => ellipses.push(ellipse),
-                    Err(reason) => rejections.count(reason),
-                }
-                from += length;
+            self.cut(&run);
+            for piece in 0..self.cuts.len() - 1 {
+                self.arcs_of(&run, self.cuts[piece]..self.cuts[piece + 1], config, ellipses, rejections);
             }
         }
+    }
+
+    /// Adds the arcs of a part of a run.
+    fn arcs_of(
+        &self,
+        run: &Range<usize>,
+        part: Range<usize>,
+        config: &RowEllipseConfig,
+        ellipses: &mut Vec<Ellipse>,
+        rejections: &mut Rejections,
+    ) {
+        let mut from = part.start;
+        while part.end - from >= FIRST_FIT {
+            let (length, is_curve) = self.longest(run, &part, from, config);
+            let interval = Interval { part: [part.start, part.end], from, to: from + length };
+            match if is_curve { self.accept(run, interval, config) } else { Err(Rejection::Line) } {
+                Ok(ellipse) => ellipses.push(ellipse),
+                Err(reason) => rejections.count(reason),
+            }
+            from += length;
+        }
+    }
+
+    /// Cuts a run that no line and no circle explains at its creases that are open to the camera, as where an object
+    /// stands on a floor.
+    fn cut(&mut self, run: &Range<usize>) {
+        self.cuts.clear();
+        self.cuts.push(0);
+        if !self.is_line(run, 0, run.len()) && !self.is_circle(run, 0, run.len()) {
+            let mut deepest: Option<(usize, f64)> = None;
+            for at in WING + 1..run.len().saturating_sub(WING + 1) {
+                let depth = self.crease(at) / self.variances[run.start + at].sqrt();
+                if depth > CREASE {
+                    if deepest.is_none_or(|(_, most)| depth > most) {
+                        deepest = Some((at, depth));
+                    }
+                } else if let Some((at, _)) = deepest.take() {
+                    self.cuts.push(at);
+                }
+            }
+            self.cuts.extend(deepest.map(|(at, _)| at));
+        }
+        self.cuts.push(run.len());
+    }
+
+    /// How much deeper the points about `at` are than those to both sides.
+    fn crease(&self, at: usize) -> f64 {
+        let mean = |from: usize, to: usize| (self.sums[to].0[2] - self.sums[from].0[2]) / (to - from) as f64;
+        2.0 * mean(at - 1, at + 2) - mean(at - 1 - WING, at - 1) - mean(at + 2, at + 2 + WING)
     }
 
     fn gather<'a>(&mut self, header: &Header, camera: &Pinhole, depths: impl Iterator<Item = &'a u16>) {
@@ -154,8 +211,8 @@ impl RayLine {
         let pixels = self.pixels[next] - self.pixels[next - 1];
         let (a, b) = (self.depths[next - 1], self.depths[next]);
         let (near, step) = (a.min(b), (b - a).abs());
-        let slope = config.jump_slope * pitch * near * f64::from(pixels);
-        pixels <= config.max_hole_px + 1 && (step <= slope || step <= slope + config.jump_sigmas * noise.sigma(near))
+        let reach = JUMP_SLOPE.max(HOLE_SLOPE * f64::from(pixels)) * pitch * near;
+        pixels <= config.max_hole_px + 1 && (step <= reach || step <= reach + JUMP_SIGMAS * noise.sigma(near))
     }
 
     fn sum(&mut self, run: Range<usize>) {
@@ -195,12 +252,18 @@ impl RayLine {
     }
 
     /// Length of the longest interval from `from` on that one curve explains, and whether that has to be a circle.
-    fn longest(&self, run: &Range<usize>, from: usize, config: &RowEllipseConfig) -> (usize, bool) {
-        let most = run.len() - from;
-        if self.is_line(run, from, run.len()) {
-            return (most, from == 0 && self.width(run) < 2.0 * config.max_radius_m);
+    fn longest(
+        &self,
+        run: &Range<usize>,
+        part: &Range<usize>,
+        from: usize,
+        config: &RowEllipseConfig,
+    ) -> (usize, bool) {
+        let most = part.end - from;
+        if self.is_line(run, from, part.end) {
+            return (most, from == part.start && self.width(run) < 2.0 * config.max_radius_m);
         }
-        if self.is_circle(run, from, run.len()) {
+        if self.is_circle(run, from, part.end) {
             return (most, true);
         }
         let line = gallop(FIRST_FIT, most, |length| self.is_line(run, from, from + length));
@@ -210,7 +273,7 @@ impl RayLine {
 
     /// The arc of an interval, or why it is none.
     fn accept(&self, run: &Range<usize>, interval: Interval, config: &RowEllipseConfig) -> Result<Ellipse, Rejection> {
-        let Interval { from, to } = self.trimmed(run, interval, config);
+        let Interval { from, to, .. } = self.trimmed(run, interval, config);
         if to < from + FIRST_FIT - 1 {
             return Err(Rejection::FewPoints);
         }
@@ -218,7 +281,7 @@ impl RayLine {
         let fit = ArcFit::new(&moments).ok_or(Rejection::NoEllipse)?;
         let mean = moments.mean().ok_or(Rejection::NoEllipse)?;
         let scatter = self.variance(run, from, to) * (2.0 / (to - from) as f64).sqrt();
-        let is_whole = interval.from == 0 && interval.to == run.len();
+        let is_whole = [interval.from, interval.to] == interval.part;
         let curved = if is_whole { HARDLY_CURVED } else { CURVED };
         if !fit.circle.radius.is_finite() || fit.line_square - fit.circle_square.max(0.0) < curved * scatter {
             Err(Rejection::Line)
@@ -235,8 +298,8 @@ impl RayLine {
     /// two depths, and where a curve breaks it has taken in some points of what follows.
     fn trimmed(&self, run: &Range<usize>, interval: Interval, config: &RowEllipseConfig) -> Interval {
         let trim = config.trim_px as usize;
-        let Interval { mut from, mut to } = interval;
-        let (starts_run, ends_run) = (from == 0, to == run.len());
+        let Interval { part, mut from, mut to } = interval;
+        let (starts_run, ends_run) = (from == part[0], to == part[1]);
         from += trim;
         to = to.saturating_sub(trim).max(from);
         for _ in 0..4 {
@@ -252,7 +315,7 @@ impl RayLine {
                 break;
             }
         }
-        Interval { from, to }
+        Interval { from, to, ..interval }
     }
 
     /// Whether the points of `few` are off the circle through those of `others`.

@@ -16,6 +16,12 @@ const SCATTER: f64 = 3.0;
 const CURVED: f64 = 4.0;
 /// Part of the variance that the misfit of one arc may be on top of it.
 const SLACK: f64 = 0.5;
+/// The same when all that belongs to the object has been found ...
+const STRICT_SCATTER: f64 = 2.5;
+/// ... and there,
+const STRICT_SLACK: f64 = 0.15;
+/// and at the ends.
+const END_SCATTER: f64 = 1.2;
 
 /// A model and the arcs that it explains, in the order of the lines.
 #[derive(Clone, Debug)]
@@ -34,11 +40,28 @@ impl Grown {
     }
 }
 
-/// Whether an arc's misfit is what its noise accounts for.
-pub(super) fn explains(arc: &Arc, misfit: &Misfit) -> bool {
+/// Whether an arc's misfit is what its noise accounts for, and `slack` variances more.
+fn explains(arc: &Arc, misfit: &Misfit, scatter: f64, slack: f64) -> bool {
     let sigma = arc.variance.sqrt();
-    misfit.square <= arc.variance * (SCATTER * (2.0 / arc.points).sqrt() + SLACK)
-        && misfit.mean.abs() <= sigma * (SLACK + SCATTER / arc.points.sqrt())
+    misfit.square <= arc.variance * (scatter * (2.0 / arc.points).sqrt() + slack)
+        && misfit.mean.abs() <= sigma * (slack + scatter / arc.points.sqrt())
+}
+
+/// Leaves out the arcs that the model explains badly, at the ends with less patience: there an object meets the floor, a
+/// rim or another object.
+fn cleaned(arcs: &Arcs, grown: &Grown) -> Vec<usize> {
+    let q = grown.model.coefficients();
+    let fits = |index: usize, scatter: f64, slack: f64| {
+        let arc = &arcs.arcs[index];
+        grown.model.misfit(&q, arc).is_some_and(|misfit| explains(arc, &misfit, scatter, slack))
+    };
+    let mut members = grown.members.clone();
+    members.retain(|&index| fits(index, STRICT_SCATTER, STRICT_SLACK));
+    let at_end = |index: usize| !fits(index, END_SCATTER, 0.0);
+    let last = members.iter().rposition(|&index| !at_end(index)).map_or(0, |last| last + 1);
+    members.truncate(last);
+    let first = members.iter().position(|&index| !at_end(index)).unwrap_or(0);
+    members.split_off(first)
 }
 
 /// The seed with its neighbours on both sides, in the order of the lines.
@@ -93,6 +116,14 @@ pub(super) fn grow(
         let members = grown.members.iter().map(|&member| &arcs.arcs[member]);
         grown.model = model::fit(kind, &members, Some(&grown.model))?;
     }
+    for _ in 0..2 {
+        grown.members = cleaned(arcs, &grown);
+        if grown.members.len() < FEWEST {
+            return None;
+        }
+        let members = grown.members.iter().map(|&member| &arcs.arcs[member]);
+        grown.model = model::fit(kind, &members, Some(&grown.model))?;
+    }
     Some(grown)
 }
 
@@ -124,7 +155,7 @@ fn reach(arcs: &Arcs, grown: &Grown, gap: i64, free: impl Fn(usize) -> bool) -> 
         let margin = (span[1] - span[0]) / 8 + 2;
         free(index)
             && arc.overlap([span[0] - margin, span[1] + margin]) > 0
-            && grown.model.misfit(&q, arc).is_some_and(|misfit| explains(arc, &misfit))
+            && grown.model.misfit(&q, arc).is_some_and(|misfit| explains(arc, &misfit, SCATTER, SLACK))
             && faces(arc, &grown.model)
     };
     for side in [-1, 1] {

@@ -21,7 +21,7 @@ use verify::Measured;
 /// Two models that explain about as many points: the smaller explains at least this part of the larger's.
 const AS_MANY: f64 = 0.9;
 /// Standard deviations by which the slope of a cone has to differ from zero.
-const SLOPE_SIGMAS: f64 = 4.0;
+const SLOPE_SIGMAS: f64 = 3.0;
 /// Most seeds that are tried in one image.
 const MAX_TRIES: usize = 96;
 
