@@ -160,7 +160,7 @@ impl Default for AssemblerConfig {
             min_lines: 7,
             min_rows: 12,
             min_coverage: 0.6,
-            min_length_radii: 0.4,
+            min_length_radii: 0.6,
             min_sphere_height_radii: 0.8,
             min_arc_deg: 75.0,
             max_rms_sigmas: 1.3,

@@ -5,7 +5,7 @@ use super::super::{AssemblerConfig, RadiusLimits};
 use super::arcs::{Arc, Arcs};
 use super::growth::Grown;
 use super::model::Model;
-use conicflow_geometry::Vector3;
+use conicflow_geometry::{Scan, Vector3};
 use conicflow_messages::ObjectKind;
 
 /// How many standard deviations the error of the whole may scatter.
@@ -47,16 +47,24 @@ pub(super) fn check(arcs: &Arcs, grown: &Grown, config: &AssemblerConfig) -> Res
         Err(Rejection::Radius)
     } else if !is_sharp(grown, config) {
         Err(Rejection::HalfAngle)
-    } else if grown.model.kind() != ObjectKind::Sphere && reach < config.min_length_radii * radius {
+    } else if reach < least_reach(grown, config) * radius {
         Err(Rejection::Short)
     } else if measured.angle < config.min_visible_arc_deg.to_radians() {
         Err(Rejection::ShortArc)
     } else if is_plane(arcs, grown, &measured) {
         Err(Rejection::Flat)
-    } else if seen_through(arcs, grown) > SEEN_THROUGH {
+    } else if seen_through(arcs, grown, &measured) > SEEN_THROUGH {
         Err(Rejection::SeenThrough)
     } else {
         Ok(measured)
+    }
+}
+
+/// Least extent of what is seen, in radii.
+fn least_reach(grown: &Grown, config: &AssemblerConfig) -> f64 {
+    match grown.model {
+        Model::Sphere(_) => config.min_sphere_height_radii,
+        _ => config.min_length_radii,
     }
 }
 
@@ -95,7 +103,10 @@ fn measure(arcs: &Arcs, grown: &Grown) -> Measured {
         lines += u32::from(last != Some(arc.line));
         last = Some(arc.line);
         angle += arc.points * span(arc, grown, &q);
-        let along = position(&grown.model, &arc.mean);
+        let along = match (&grown.model, arc.scan) {
+            (Model::Sphere(_), Scan::Column) => arc.mean.x,
+            (model, _) => position(model, &arc.mean),
+        };
         extent = [extent[0].min(along), extent[1].max(along)];
     }
     Measured { points, lines, misfit: grown.model.square_sum() / weight(arcs, grown), angle: angle / points, extent }
@@ -107,6 +118,7 @@ fn weight(arcs: &Arcs, grown: &Grown) -> f64 {
     grown.arcs(arcs).map(share).sum()
 }
 
+/// Place of a point along the axis; of a sphere, across its arcs.
 fn position(model: &Model, point: &Vector3) -> f64 {
     match model.conical() {
         Some(surface) => surface.axis.dot(&(point - surface.point)),
@@ -138,18 +150,26 @@ fn is_plane(arcs: &Arcs, grown: &Grown, measured: &Measured) -> bool {
 }
 
 /// Part of the arc ends at which something is seen behind the surface.
-fn seen_through(arcs: &Arcs, grown: &Grown) -> f64 {
+fn seen_through(arcs: &Arcs, grown: &Grown, measured: &Measured) -> f64 {
     let q = grown.model.coefficients();
     let (mut seen, mut all) = (0.0, 0.0_f64);
     for arc in grown.arcs(arcs) {
         for (x, z) in arc.beyond_rays.into_iter().zip(arc.beyond).filter(|(_, z)| *z > 0.0) {
             all += 1.0;
             let margin = 3.0 * arc.variance.sqrt();
-            let through = arc.hit(&q, x).is_some_and(|surface| z > surface + margin);
-            seen += f64::from(u8::from(through));
+            let through = |surface: f64| z > surface + margin && is_between(grown, measured, &arc.point(x, surface));
+            seen += f64::from(u8::from(arc.hit(&q, x).is_some_and(through)));
         }
     }
     seen / all.max(1.0)
+}
+
+/// Whether a point is surely between the ends of what is seen; of a sphere any is.
+fn is_between(grown: &Grown, measured: &Measured, point: &Vector3) -> bool {
+    let along = position(&grown.model, point);
+    let margin = 0.05 * (measured.extent[1] - measured.extent[0]);
+    let between = (measured.extent[0] + margin..measured.extent[1] - margin).contains(&along);
+    grown.model.kind() == ObjectKind::Sphere || between
 }
 
 /// Whether the radius is known at all, given its standard deviation.
