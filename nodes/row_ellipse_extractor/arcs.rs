@@ -21,7 +21,7 @@ const SLACK: f64 = 0.3;
 /// a part of a run ...
 const CURVED: f64 = 3.0;
 /// ... and where it is all of a run, set off by jumps: many weak ones of neighbouring lines make a strong one.
-const HARDLY_CURVED: f64 = 0.5;
+const HARDLY_CURVED: f64 = 0.0;
 /// Slope of a surface (depth per distance across the view) that neighbouring pixels may show ...
 const JUMP_SLOPE: f64 = 3.0;
 /// ... and those on the two sides of a hole;
@@ -37,7 +37,7 @@ const STRAYING: f64 = 2.0;
 /// Number of points whose mean depth tells the variance of each.
 const SURROUNDINGS: usize = 16;
 /// Fewest points whose error means anything.
-const FIRST_FIT: usize = 6;
+const FIRST_FIT: usize = 5;
 
 /// One scan line; its buffers are used again for the next.
 #[derive(Debug)]
