@@ -9,9 +9,9 @@ use conicflow_geometry::{Scan, Vector3};
 use conicflow_messages::ObjectKind;
 
 /// How many standard deviations the error of the whole may scatter.
-const SCATTER: f64 = 1.7;
+const SCATTER: f64 = 1.3;
 /// Part of the variance that the misfit of the whole may be on top of it.
-const SLACK: f64 = 0.10;
+const SLACK: f64 = 0.07;
 /// Least part of the variance that a plane has to be off the points.
 const PLANE: f64 = 0.7;
 /// Greatest part of arc ends beyond which the model would hide what was measured.
