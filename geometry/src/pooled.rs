@@ -136,8 +136,15 @@ impl<const N: usize> System<N> {
         Some(std::array::from_fn(|i| step[i]))
     }
 
+    /// Directions of which the points tell so little that the correction for noise leaves less than nothing get a small
+    /// share of what the others have: they are known badly, and say so.
     fn inverse(&self, scale: f64, lengths: &[bool; N]) -> Option<SMatrix<f64, N, N>> {
-        let inverse = self.matrix.cholesky()?.inverse();
+        let damped = |share: f64| {
+            let mut matrix = self.matrix;
+            (0..N).for_each(|i| matrix[(i, i)] += share * self.matrix[(i, i)].abs());
+            matrix.cholesky()
+        };
+        let inverse = [0.0, 1e-4, 1e-3, 1e-2, 0.1].into_iter().find_map(damped)?.inverse();
         let unit = |i: usize| if lengths[i] { 1.0 } else { 1.0 / scale };
         Some(SMatrix::from_fn(|i, j| inverse[(i, j)] * unit(i) * unit(j)))
     }

@@ -5,7 +5,9 @@ use super::model::{self, Model};
 use conicflow_messages::ObjectKind;
 
 /// Arcs that a growth starts from, on each side of its seed.
-const CHAIN: usize = 4;
+const CHAIN: usize = 8;
+/// Slope of a cone beyond which its fit has gone astray.
+const STEEPEST: f64 = 1.2;
 /// Fewest arcs that a model is fitted to.
 const FEWEST: usize = 5;
 /// Most rounds of taking in and fitting again; each at most doubles the extent.
@@ -129,16 +131,22 @@ pub(super) fn grow(
 
 /// The model of the chain, if it explains it, or else of its middle.
 fn first(arcs: &Arcs, kind: ObjectKind, chain: &[usize]) -> Option<Grown> {
-    let middle = chain.len().saturating_sub(FEWEST) / 2;
-    for part in [chain, &chain[middle..middle + FEWEST]] {
+    for length in [chain.len(), 9, FEWEST] {
+        let start = chain.len().saturating_sub(length) / 2;
+        let part = &chain[start..(start + length).min(chain.len())];
         let members = part.iter().map(|&member| &arcs.arcs[member]);
         let Some(model) = model::fit(kind, &members, None) else { continue };
         let points: f64 = members.clone().map(|arc| arc.points).sum();
-        if model.square_sum() / points <= SLACK + SCATTER * (2.0 / points).sqrt() {
+        if !is_wild(&model) && model.square_sum() / points <= SLACK + SCATTER * (2.0 / points).sqrt() {
             return Some(Grown { model, members: part.to_vec() });
         }
     }
     None
+}
+
+/// Whether a few arcs gave a cone that none is.
+fn is_wild(model: &Model) -> bool {
+    model.conical().is_some_and(|surface| surface.slope.abs() > STEEPEST)
 }
 
 /// The arcs around the members that the model explains, without gaps of more than `gap` lines, and not farther off than

@@ -92,8 +92,13 @@ impl Pooled {
         }
         let mut found = ObjectKind::ALL.map(|_| None);
         let mut reason = None;
+        let mut start = self.chain.clone();
         for (slot, kind) in found.iter_mut().zip(ObjectKind::ALL) {
-            let Some(grown) = growth::grow(&self.arcs, kind, &self.chain, gap, free) else { continue };
+            let Some(grown) = growth::grow(&self.arcs, kind, &start, gap, free) else { continue };
+            // A slope needs many lines: a cone starts from what a cylinder took for one.
+            if kind == ObjectKind::Cylinder && grown.members.len() > start.len() {
+                start.clone_from(&grown.members);
+            }
             match candidate(&self.arcs, grown, config) {
                 Ok(candidate) => *slot = Some(candidate),
                 Err(why) => reason = Some(why),
