@@ -157,7 +157,7 @@ impl Default for AssemblerConfig {
             cone_gain: 0.8,
             min_cone_deg: 3.0,
             min_visible_arc_deg: 30.0,
-            min_lines: 7,
+            min_lines: 8,
             min_rows: 12,
             min_coverage: 0.6,
             min_length_radii: 0.6,
