@@ -2,10 +2,11 @@
 
 use crate::NODES;
 use crate::node_help;
-use anyhow::{Context, bail};
+use crate::top;
+use anyhow::{Context, anyhow, bail};
 use clap::{Args, Parser, Subcommand};
 use conicflow_dataflow::pipeline::{Pipeline, Report, SourceText};
-use conicflow_dataflow::{Plan, ProcessError, RunFolder, RunOptions};
+use conicflow_dataflow::{NO_RUN, Plan, ProcessError, RunFolder, RunOptions};
 use std::io::{IsTerminal, Write, stderr, stdout};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -49,6 +50,12 @@ enum Command {
     Graph {
         #[command(flatten)]
         source: FileArguments,
+    },
+    /// Show what running pipelines do, live
+    Top {
+        /// Print one look as JSON
+        #[arg(long)]
+        once: bool,
     },
     /// List the built-in nodes, or the parameters of one
     Nodes {
@@ -107,6 +114,7 @@ fn dispatch(command: Command) -> anyhow::Result<ExitCode> {
             write!(stdout(), "{}", source.read()?.mermaid())?;
             Ok(ExitCode::SUCCESS)
         }
+        Command::Top { once } => top::top(once).map(|()| ExitCode::SUCCESS),
         Command::Nodes { name } => {
             write!(stdout(), "{}", node_help::nodes(name.as_deref())?)?;
             Ok(ExitCode::SUCCESS)
@@ -151,8 +159,10 @@ impl FileArguments {
             let source = SourceText { name: "built-in pipeline".to_owned(), text: BUILT_IN.to_owned() };
             return Ok((source, std::env::current_dir()?));
         };
-        let text = std::fs::read_to_string(file)
-            .with_context(|| format!("cannot read the pipeline file `{}`", file.display()))?;
+        let text = std::fs::read_to_string(file).map_err(|error| {
+            let hint = "without a file it is ./pipeline.toml, or else the built-in pipeline";
+            anyhow!("cannot read the pipeline file `{}`: {error}\n  hint: {hint}", file.display())
+        })?;
         let folder = file.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
         Ok((SourceText { name: file.display().to_string(), text }, folder.canonicalize()?))
     }
@@ -209,7 +219,7 @@ fn node(stage: &str, file: Option<PathBuf>) -> anyhow::Result<()> {
         return Ok(conicflow_dataflow::run_in_run(NODES)?);
     }
     let pipeline = FileArguments { file, overrides: Vec::new() }.read()?;
-    let plan = Plan::of(&pipeline, None, None, 0);
+    let plan = Plan::of(&pipeline, None, None, NO_RUN);
     let folder = RunFolder::open(&plan.pipeline)?;
     Ok(conicflow_dataflow::run_planned(&plan, &folder, stage, NODES)?)
 }

@@ -15,10 +15,12 @@ pub mod kalman_tracker;
 pub mod console_sink;
 pub mod evaluation_sink;
 pub mod json_sink;
+pub mod noise_estimator;
 pub mod picture_sink;
 
 pub mod command_line;
 mod node_help;
+mod top;
 
 use conicflow_dataflow::{Node, Variant};
 use conicflow_messages::{Ellipse, Object, Track};
@@ -27,6 +29,7 @@ use evaluation_sink::EvaluationSink;
 use image_source::ImageSource;
 use json_sink::JsonSink;
 use kalman_tracker::KalmanTracker;
+use noise_estimator::NoiseEstimator;
 use object_assembler::ObjectAssembler;
 use picture_sink::PictureSink;
 use row_ellipse_extractor::RowEllipseExtractor;
@@ -58,4 +61,5 @@ pub const NODES: &[Node] = &[
         Variant::stage::<EvaluationSink<Object>>(),
         Variant::stage::<EvaluationSink<Track>>(),
     ]),
+    Node::stage::<NoiseEstimator>(),
 ];

@@ -2,6 +2,7 @@
 
 use crate::NODES;
 use anyhow::bail;
+use conicflow_dataflow::pipeline::suggestion;
 use conicflow_dataflow::{Node, Pick};
 use conicflow_messages::Kind;
 use serde_json::Value as Json;
@@ -19,8 +20,8 @@ pub fn nodes(name: Option<&str>) -> anyhow::Result<String> {
     match NODES.iter().find(|node| node.name == name) {
         Some(node) => Ok(describe(node)?),
         None => {
-            let names: Vec<_> = NODES.iter().map(|node| node.name).collect();
-            bail!("there is no node `{name}`\n  hint: nodes: {}", names.join(", "))
+            let hint = suggestion(name, NODES.iter().map(|node| node.name), "nodes");
+            bail!("there is no node `{name}`\n  hint: {hint}")
         }
     }
 }
@@ -39,16 +40,36 @@ fn describe(node: &Node) -> Result<String, std::fmt::Error> {
         writeln!(text, "output  {}", node.output())?;
     }
     let schema = node.schema();
-    let parameters = schema.get("properties").and_then(Json::as_object).into_iter().flatten();
-    for (name, parameter) in parameters {
+    text.push_str(&parameters(&schema, &schema, ""));
+    Ok(text)
+}
+
+/// The parameters of an object schema, those of tables within it after their names.
+fn parameters(schema: &Json, object: &Json, prefix: &str) -> String {
+    let mut text = String::new();
+    for (name, parameter) in object.get("properties").and_then(Json::as_object).into_iter().flatten() {
         let description = field(parameter, "description").replace('\n', " ");
-        writeln!(text, "\n{name} = {}{}\n    {description}", default_of(parameter), range_of(parameter))?;
-        let words = choices(&schema, parameter);
+        let (default, range) = (default_of(parameter), range_of(parameter));
+        text.push_str(&format!("\n{prefix}{name} = {default}{range}\n    {description}\n"));
+        let words = choices(schema, parameter);
         if !words.is_empty() {
-            writeln!(text, "    one of {}", words.join(", "))?;
+            text.push_str(&format!("    one of {}\n", words.join(", ")));
+        }
+        for table in branches(schema, parameter).iter().filter(|branch| branch.get("properties").is_some()) {
+            text.push_str(&parameters(schema, table, &format!("{prefix}{name}.")));
         }
     }
-    Ok(text)
+    text
+}
+
+/// What a parameter may be: itself, the type that it refers to, or the branches of a choice.
+fn branches<'a>(schema: &'a Json, parameter: &'a Json) -> Vec<&'a Json> {
+    let target = parameter.get("$ref").and_then(Json::as_str).and_then(|path| schema.pointer(path.strip_prefix('#')?));
+    let parameter = target.unwrap_or(parameter);
+    match ["oneOf", "anyOf"].iter().find_map(|key| parameter.get(*key)?.as_array()) {
+        Some(list) => list.iter().flat_map(|branch| branches(schema, branch)).collect(),
+        None => vec![parameter],
+    }
 }
 
 fn field<'a>(parameter: &'a Json, name: &str) -> &'a str {
@@ -72,12 +93,11 @@ fn range_of(parameter: &Json) -> String {
     }
 }
 
-/// The words that a parameter can be, through the type that it refers to.
+/// The words that a parameter can be.
 fn choices(schema: &Json, parameter: &Json) -> Vec<String> {
-    let target = parameter.get("$ref").and_then(Json::as_str).and_then(|path| schema.pointer(path.strip_prefix('#')?));
-    let parameter = target.unwrap_or(parameter);
-    let branches = ["oneOf", "anyOf"].iter().filter_map(|key| parameter.get(*key)?.as_array()).flatten();
-    let nested = branches.flat_map(|branch| choices(schema, branch));
-    let words = parameter.get("enum").and_then(Json::as_array).into_iter().flatten().chain(parameter.get("const"));
-    words.map(Json::to_string).chain(nested).collect()
+    let words = branches(schema, parameter).into_iter().flat_map(|branch| {
+        let listed = branch.get("enum").and_then(Json::as_array).into_iter().flatten();
+        listed.chain(branch.get("const")).map(Json::to_string)
+    });
+    words.collect()
 }

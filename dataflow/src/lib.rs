@@ -1,37 +1,37 @@
 //! Stages as separate processes, joined by shared memory and described by a pipeline file.
+//!
+//! In the order in which one meets them: a stage is written against [`Stage`] or [`Source`]; the pipeline file names it by
+//! the row that [`Node`] makes of it ([`pipeline`]); the [`Plan`] settles what each process has to know; [`run`] starts
+//! them; each runs its loop over [`ports`], which lead through shared memory; and [`Status`] records tell how it goes.
 
-mod child;
 mod clock;
-mod folder;
-pub mod in_memory;
-mod inbox;
 mod launcher;
 mod node;
-mod outlet;
-mod peers;
+mod observe;
 pub mod pipeline;
 mod plan;
 pub mod ports;
-mod progress;
 mod runner;
-pub mod shared_memory;
-mod side_ports;
 mod sides;
-mod source_loop;
 mod stage;
-mod stage_loop;
-mod stage_process;
 mod status;
-mod summary;
+mod table;
+
+/// Runs a single stage or source as it runs in a pipeline, with nothing around it.
+pub mod testing {
+    pub use crate::runner::alone::{Owned, collect, pass};
+}
 
 pub use clock::monotonic_ns;
-pub use folder::{FolderError, RUNTIME_DIR, RunFolder, RunLock};
-pub use launcher::{LaunchError, RunOptions, run};
+pub use launcher::{
+    FolderError, LaunchError, PIPELINE, ProcessError, RUNTIME_DIR, RunFolder, RunLock, RunOptions, StageSummary,
+    Summary, run, run_in_run, run_planned, run_source, run_stage,
+};
 pub use node::{Node, Variant};
-pub use plan::{Plan, PlannedStage, Runs, Wiring};
+pub use observe::{InputActivity, Observation, PipelineActivity, StageActivity, TopicActivity, observe};
+pub use plan::{Plan, PlannedStage, Runs};
 pub use runner::RunError;
 pub use sides::{AnyMessage, Pick, Side, Sides};
-pub use stage::{Config, ConfigFault, Context, Next, NoConfig, Output, Pace, Source, Stage, StageError, Stop};
-pub use stage_process::{PIPELINE, ProcessError, run_in_run, run_planned, run_source, run_stage};
-pub use status::{Counter, Durations, InputCounts, Life, Status, used};
-pub use summary::{StageSummary, Summary};
+pub use stage::{Config, ConfigFault, Context, Next, NoConfig, Output, Source, Stage, StageError, Stop};
+pub use status::{Counter, Durations, InputCounts, Life, NO_RUN, Status, used};
+pub use table::Table;

@@ -1,11 +1,11 @@
 //! The table of nodes: what the pipeline file may name, and how each is checked and run.
 
+use crate::ports::shared_memory::SharedMemory;
+use crate::runner::source_loop::run_source;
+use crate::runner::stage_loop::run_stage;
 use crate::runner::{RunError, Surroundings};
-use crate::shared_memory::SharedMemory;
 use crate::sides::Side;
-use crate::source_loop::run_source;
 use crate::stage::{Config, ConfigFault, Source, Stage};
-use crate::stage_loop::run_stage;
 use conicflow_messages::{Item, Kind};
 use serde_json::Value as Json;
 use std::path::Path;

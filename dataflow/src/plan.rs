@@ -3,7 +3,7 @@
 //! The launcher writes it once; all stages of a run read the same plan, whatever becomes of the pipeline file meanwhile.
 
 use crate::pipeline::{Pipeline, Program, Restart, StageSpec};
-use crate::ports::Topic;
+use crate::ports::Wiring;
 use conicflow_messages::Kind;
 use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
@@ -54,17 +54,14 @@ pub enum Runs {
     Command(Vec<String>),
 }
 
-/// How a stage is joined to the others.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
-pub struct Wiring {
-    /// The topic that drives it, if it is no source.
-    pub input: Option<Topic>,
-    /// Its further inputs, by their names.
-    pub sides: Vec<(String, Topic)>,
-    /// The topic that it writes.
-    pub output: Option<Topic>,
-    /// A source ends after so many messages.
-    pub frames: Option<u64>,
+impl Runs {
+    /// The node or the program, by name.
+    pub fn name(&self) -> &str {
+        match self {
+            Self::Node { node, .. } => node,
+            Self::Command(command) => command.first().map_or("?", String::as_str),
+        }
+    }
 }
 
 impl Plan {

@@ -251,7 +251,7 @@ impl<'a, T: Item> Output<'a, T> {
 
 /// Keeps a source to a rate: a frame is due at fixed times, however long the making of one takes.
 #[derive(Debug)]
-pub struct Pace {
+pub(crate) struct Pace {
     period: Option<Duration>,
     due: Option<Instant>,
     stop: Stop,

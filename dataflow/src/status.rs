@@ -8,7 +8,7 @@ use conicflow_messages::Text;
 use std::fs::{File, OpenOptions};
 use std::io;
 use std::os::unix::fs::FileExt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Inputs that a record has room for; further ones are not counted.
@@ -17,6 +17,9 @@ pub const MAX_INPUTS: usize = 6;
 pub const MAX_LABELS: usize = 8;
 /// Named counters that a record has room for; further ones are not counted.
 pub const MAX_COUNTERS: usize = 40;
+
+/// The run of stages that were started one by one, without a launcher.
+pub const NO_RUN: u64 = 0;
 
 const LAYOUT: u64 = 0x636f_6e69_6366_0001;
 /// Each octave of time is cut into this many buckets: a percentile is right within 3 %.
@@ -121,6 +124,8 @@ pub struct Status {
     layout: u64,
     /// The run that the counts belong to.
     pub run: u64,
+    /// Name of the stage.
+    pub stage: Text<32>,
     /// Process of the stage.
     pub process: u32,
     life: u32,
@@ -130,6 +135,8 @@ pub struct Status {
     pub steps: u64,
     /// Messages sent.
     pub sent: u64,
+    /// Bytes of the messages sent.
+    pub sent_bytes: u64,
     /// How often the stage was started in this run.
     pub starts: u64,
     /// Counts per input, the driving one first.
@@ -201,6 +208,11 @@ pub fn used(counters: &[Counter]) -> impl Iterator<Item = (&str, u64)> {
     used.map(|counter| (counter.name.as_str().unwrap_or("?"), counter.count))
 }
 
+/// The file of a stage's record.
+pub(crate) fn status_path(folder: &Path, stage: &str) -> PathBuf {
+    folder.join(format!("{stage}.status"))
+}
+
 /// A record and the file that it is kept in.
 #[derive(Debug)]
 pub struct StatusFile {
@@ -211,17 +223,18 @@ pub struct StatusFile {
 
 impl StatusFile {
     /// A record that is kept nowhere.
-    #[cfg(test)]
     pub(crate) fn nowhere() -> Self {
         Self { status: Box::default(), file: None }
     }
 
-    /// The record in the file `path`, continued if it is of the same `run`, else begun.
+    /// The record in the file `path`, continued if it is of the same `run`, else begun; stages
+    /// that were started one by one ([`NO_RUN`]) always begin.
     ///
     /// # Errors
     /// The file cannot be written.
     pub fn open(path: &Path, run: u64) -> io::Result<Self> {
-        let status = Status::read(path).filter(|status| status.run == run).unwrap_or_default();
+        let earlier = Status::read(path).filter(|status| status.run == run && run != NO_RUN);
+        let status = earlier.unwrap_or_default();
         let file = OpenOptions::new().create(true).truncate(false).write(true).open(path)?;
         let mut status = Box::new(status);
         status.run = run;

@@ -160,6 +160,11 @@ impl<T: Answer> Stage for EvaluationSink<T> {
     type Output = Nothing;
 
     fn new(config: EvaluationConfig, context: &Context) -> Result<Self, StageError> {
+        if context.resume_at > 0 {
+            return Err(
+                "what was counted before this stage was started anew is lost\n  hint: run it from the start".into()
+            );
+        }
         let (scene, truth) = (config.load_scene(&context.base)?, config.load_truth(&context.base)?);
         let open = |path: &PathBuf| {
             let path = context.resolve(path);

@@ -202,8 +202,8 @@ impl Line<'_> {
 fn write_table(text: &mut String, title: &str, lines: &[Line]) -> fmt::Result {
     writeln!(
         text,
-        "{title:<24}{:>6}{:>6}{:>6}{:>8}{:>7}{:>7}{:>10}{:>8}{:>10}{:>10}{:>12}",
-        "truth", "found", "wrong", "recall", "prec.", "F1", "radius %", "bias %", "pos. mm", "axis deg", "h.-angle deg"
+        "{title:<24}{:>6}{:>6}{:>6}{:>8}{:>7}{:>7}{:>10}{:>8}{:>9}{:>10}{:>10}",
+        "truth", "found", "wrong", "recall", "prec.", "F1", "radius %", "bias %", "pos. mm", "axis deg", "half deg"
     )?;
     for line in lines.iter().filter(|line| !line.samples.is_empty() || line.wrong.is_some_and(|wrong| wrong > 0)) {
         write_line(text, line)?;
@@ -214,22 +214,21 @@ fn write_table(text: &mut String, title: &str, lines: &[Line]) -> fmt::Result {
 fn write_line(text: &mut String, line: &Line) -> fmt::Result {
     let radius = line.values(|errors| Some(100.0 * errors.radius));
     let (truth, found) = (line.samples.len(), radius.len());
-    let recall = share(found, truth);
+    let recall = part_text(found, truth);
     write!(text, "{:<24}{truth:>6}{found:>6}", line.label)?;
     match line.wrong {
         Some(wrong) => {
-            let precision = share(found, found + wrong);
-            let f1 = 2.0 * found as f64 / (truth + found + wrong).max(1) as f64;
-            write!(text, "{wrong:>6}{recall:>8.3}{precision:>7.3}{f1:>7.3}")?;
+            let (precision, f1) = (part_text(found, found + wrong), part_text(2 * found, truth + found + wrong));
+            write!(text, "{wrong:>6}{recall:>8}{precision:>7}{f1:>7}")?;
         }
-        None => write!(text, "{:>6}{recall:>8.3}{:>7}{:>7}", "", "", "")?,
+        None => write!(text, "{:>6}{recall:>8}{:>7}{:>7}", "", "", "")?,
     }
     let position = line.values(|errors| Some(1e3 * errors.position_m));
     let axis = line.values(|errors| errors.axis.map(f64::to_degrees));
     let half_angle = line.values(|errors| errors.half_angle.map(|angle| angle.abs().to_degrees()));
     let magnitude = radius.iter().map(|value| value.abs()).collect();
     write!(text, "{:>10}{:>8}", median_text(magnitude, 2), median_text(radius, 2))?;
-    writeln!(text, "{:>10}{:>10}{:>12}", median_text(position, 2), median_text(axis, 2), median_text(half_angle, 2))
+    writeln!(text, "{:>9}{:>10}{:>10}", median_text(position, 2), median_text(axis, 2), median_text(half_angle, 2))
 }
 
 fn share(part: usize, whole: usize) -> f64 {
@@ -240,6 +239,11 @@ fn share(part: usize, whole: usize) -> f64 {
 pub fn quantile(mut values: Vec<f64>, share: f64) -> Option<f64> {
     let index = ((values.len() as f64 - 1.0).max(0.0) * share).round() as usize;
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(index, f64::total_cmp).1)
+}
+
+/// A part of a whole; nothing of nothing tells nothing.
+fn part_text(part: usize, whole: usize) -> String {
+    if whole == 0 { "-".to_owned() } else { format!("{:.3}", part as f64 / whole as f64) }
 }
 
 fn median_text(values: Vec<f64>, digits: usize) -> String {

@@ -1,6 +1,7 @@
 use super::*;
 use crate::synthetic_source::random_scene::{SceneGroup, random_scene};
 use crate::synthetic_source::truth::truth_at;
+use conicflow_dataflow::pipeline::{Pipeline, SourceText};
 use conicflow_messages::{Camera, Header, ObjectSigma, Text};
 
 const CAMERA: Camera = Camera { width: 320, height: 240, fx: 262.5, fy: 262.5, cx: 159.5, cy: 119.5 };
@@ -104,4 +105,20 @@ fn files_that_cannot_be_used_are_told_before_the_start() {
     let keys: Vec<_> = config.faults(base.path()).into_iter().map(|fault| fault.key).collect();
     assert_eq!(keys, ["scene", "truth", "truth"]);
     assert!(EvaluationConfig::default().faults(base.path()).is_empty());
+}
+
+#[test]
+fn the_pipeline_files_of_the_experiments_are_valid() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments");
+    let read = |name: &str, overrides: &[String]| {
+        let source = SourceText { name: name.into(), text: std::fs::read_to_string(folder.join(name)).unwrap() };
+        Pipeline::read(source, &folder, overrides, crate::NODES)
+    };
+    assert!(read("detection.toml", &[]).is_ok());
+    let size = ["source.width=640", "source.height=480", "source.scenes.groups=[\"tabletop\"]"].map(String::from);
+    assert!(read("detection.toml", &size).is_ok());
+    for name in ["noise.toml", "recording.toml"] {
+        assert!(read(name, &["source.path=\".\"".into()]).is_ok(), "{name}");
+        assert!(read(name, &[]).err().unwrap().to_string().contains("is missing"), "{name} has no frames of its own");
+    }
 }

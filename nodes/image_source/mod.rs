@@ -51,7 +51,7 @@ pub struct Config {
     /// Frames per second; 0: as fast as the pipeline takes them, stamped as at 30 Hz. Recorded time stamps are kept.
     #[schemars(range(min = 0.0))]
     pub rate_hz: f64,
-    /// Depth noise of the sensor: a name (`kinect_v1`, `ideal`) or a table of coefficients.
+    /// Depth noise of the sensor: a name (`kinect_v1`, `realsense_d435`, `time_of_flight`, `ideal`) or a table.
     pub noise: NoiseConfig,
     /// Whether to start again at the end; stamps go on rising.
     #[serde(rename = "loop")]
@@ -191,7 +191,7 @@ impl ImageSource {
 impl Source for ImageSource {
     const NAME: &'static str = "image_source";
     const SUMMARY: &'static str =
-        "Plays back recorded depth frames: 16-bit PNGs, TUM RGB-D folders, organised PCD files.";
+        "Plays back recorded depth frames: 16-bit PNGs, TUM RGB-D folders, organised PCD files";
     type Config = Config;
     type Output = u16;
 

@@ -339,7 +339,7 @@ fn better<T>(
 
 impl Stage for ObjectAssembler {
     const NAME: &'static str = "object_assembler";
-    const SUMMARY: &'static str = "puts ellipses of neighbouring scan lines together to spheres, cylinders and cones";
+    const SUMMARY: &'static str = "Puts ellipses of neighbouring scan lines together to spheres, cylinders and cones";
     type Config = AssemblerConfig;
     type Input = Ellipse;
     type Output = Object;

@@ -173,7 +173,7 @@ fn harmless(name: &str) -> String {
 
 impl<T: Drawn> Stage for PictureSink<T> {
     const NAME: &'static str = "picture_sink";
-    const SUMMARY: &'static str = "Writes PNGs of the depth image with ellipses, objects or tracks drawn over it.";
+    const SUMMARY: &'static str = "Writes PNGs of the depth image with ellipses, objects or tracks drawn over it";
     type Config = Config;
     type Input = T;
     type Output = Nothing;

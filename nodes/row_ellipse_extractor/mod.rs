@@ -188,7 +188,7 @@ impl RowEllipseExtractor {
 impl Stage for RowEllipseExtractor {
     const NAME: &'static str = "row_ellipse_extractor";
     const SUMMARY: &'static str =
-        "finds ellipses in the scan lines of a depth image, in one pass with constant time a point";
+        "Finds ellipses in the scan lines of a depth image, in one pass with constant time a point";
     type Config = RowEllipseConfig;
     type Input = u16;
     type Output = Ellipse;

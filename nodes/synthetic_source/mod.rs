@@ -121,7 +121,7 @@ pub struct SyntheticSourceConfig {
     pub frames: u64,
     /// Seed of the noise.
     pub seed: u64,
-    /// What the sensor does to the depth: "kinect_v1", "ideal" or a table of coefficients.
+    /// What the sensor does to the depth: "kinect_v1", "realsense_d435", "time_of_flight", "ideal" or a table.
     pub noise: SensorConfig,
     /// Metres per unit of a depth pixel.
     #[schemars(range(min = 1e-6, max = 1.0))]
@@ -226,7 +226,7 @@ pub struct SyntheticSource {
 
 impl Source for SyntheticSource {
     const NAME: &'static str = "synthetic_source";
-    const SUMMARY: &'static str = "Depth camera in a simulated scene with known objects";
+    const SUMMARY: &'static str = "Simulates a depth camera in a scene with known objects";
     type Config = SyntheticSourceConfig;
     type Output = u16;
 

@@ -74,9 +74,10 @@ impl Scene {
     /// # Errors
     /// The file cannot be read, or what is wrong with it at which line and column.
     pub fn load(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).with_context(|| {
+        let text = std::fs::read_to_string(path).map_err(|error| {
             let names = BUILT_IN.map(|(name, _)| name).join("`, `");
-            format!("cannot read the scene file `{}`\n  hint: a built-in scene is one of `{names}`", path.display())
+            let place = path.display();
+            anyhow!("cannot read the scene file `{place}`: {error}\n  hint: a built-in scene is one of `{names}`")
         })?;
         Self::parse(&text, &path.display().to_string())
     }

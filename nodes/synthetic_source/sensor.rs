@@ -9,19 +9,19 @@ use super::random::Dice;
 use super::raster::Raster;
 use super::shadow;
 use super::shapes::{Shape, Surface};
-use crate::noise_config::{NoiseConfig, NoiseName};
+use crate::noise_config::{NoiseConfig, NoiseName, REALSENSE_D435, TIME_OF_FLIGHT};
 use conicflow_messages::{Camera, INVALID_FAR, INVALID_NEAR, NoiseModel};
 use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// What the sensor does to the depth: `"kinect_v1"`, `"ideal"` or a table.
+/// What the sensor does to the depth: `"kinect_v1"`, `"realsense_d435"`, `"time_of_flight"`, `"ideal"` or a table.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(
     untagged,
-    expecting = "expected \"kinect_v1\", \"ideal\" or a table with some of the numbers `floor_m`, `growth_per_m`, \
-                 `knee_m`, `step_per_m`, `edge_jitter_px`, `shadow_baseline_m`, `dropout_angle_deg`, `min_range_m`, \
-                 `max_range_m`"
+    expecting = "expected \"kinect_v1\", \"realsense_d435\", \"time_of_flight\", \"ideal\" or a table with some of the \
+                 numbers `floor_m`, `growth_per_m`, `knee_m`, `step_per_m`, `edge_jitter_px`, `shadow_baseline_m`, \
+                 `dropout_angle_deg`, `min_range_m`, `max_range_m`"
 )]
 pub enum SensorConfig {
     /// A sensor with a name.
@@ -71,28 +71,59 @@ pub struct SensorTable {
 
 impl SensorTable {
     const KINECT_V1: Self = Self {
-        floor_m: NoiseModel::KINECT_V1.floor_m,
-        growth_per_m: NoiseModel::KINECT_V1.growth_per_m,
-        knee_m: NoiseModel::KINECT_V1.knee_m,
-        step_per_m: NoiseModel::KINECT_V1.step_per_m,
         edge_jitter_px: 0.5,
         shadow_baseline_m: 0.075,
         dropout_angle_deg: 70.0,
         min_range_m: 0.4,
         max_range_m: 8.0,
+        ..Self::with(NoiseModel::KINECT_V1)
     };
 
-    const IDEAL: Self = Self {
-        floor_m: 0.0,
-        growth_per_m: 0.0,
-        knee_m: 0.0,
-        step_per_m: 0.0,
-        edge_jitter_px: 0.0,
-        shadow_baseline_m: 0.0,
-        dropout_angle_deg: 90.0,
-        min_range_m: 0.0,
-        max_range_m: 1e3,
+    /// Its depth image is that of the left camera; what the right one does not see is not measured.
+    const REALSENSE_D435: Self = Self {
+        edge_jitter_px: 1.0,
+        shadow_baseline_m: 0.05,
+        dropout_angle_deg: 75.0,
+        min_range_m: 0.2,
+        max_range_m: 10.0,
+        ..Self::with(REALSENSE_D435)
     };
+
+    /// It lights the scene from beside the lens: no shadow.
+    const TIME_OF_FLIGHT: Self = Self {
+        edge_jitter_px: 0.5,
+        dropout_angle_deg: 75.0,
+        min_range_m: 0.25,
+        max_range_m: 5.5,
+        ..Self::with(TIME_OF_FLIGHT)
+    };
+
+    const IDEAL: Self = Self::with(NoiseModel::IDEAL);
+
+    /// A sensor without any fault but the noise.
+    const fn with(noise: NoiseModel) -> Self {
+        let NoiseModel { floor_m, growth_per_m, knee_m, step_per_m } = noise;
+        Self {
+            floor_m,
+            growth_per_m,
+            knee_m,
+            step_per_m,
+            edge_jitter_px: 0.0,
+            shadow_baseline_m: 0.0,
+            dropout_angle_deg: 90.0,
+            min_range_m: 0.0,
+            max_range_m: 1e3,
+        }
+    }
+
+    const fn named(name: NoiseName) -> Self {
+        match name {
+            NoiseName::KinectV1 => Self::KINECT_V1,
+            NoiseName::RealsenseD435 => Self::REALSENSE_D435,
+            NoiseName::TimeOfFlight => Self::TIME_OF_FLIGHT,
+            NoiseName::Ideal => Self::IDEAL,
+        }
+    }
 }
 
 impl Default for SensorTable {
@@ -106,10 +137,7 @@ impl From<NoiseConfig> for SensorConfig {
     fn from(noise: NoiseConfig) -> Self {
         match noise {
             NoiseConfig::Named(name) => Self::Named(name),
-            NoiseConfig::Coefficients(c) => {
-                let (floor_m, growth_per_m, knee_m, step_per_m) = (c.floor_m, c.growth_per_m, c.knee_m, c.step_per_m);
-                Self::Table(SensorTable { floor_m, growth_per_m, knee_m, step_per_m, ..SensorTable::IDEAL })
-            }
+            NoiseConfig::Coefficients(_) => Self::Table(SensorTable::with(noise.into())),
         }
     }
 }
@@ -145,8 +173,7 @@ impl Sensor {
     /// A sensor whose pixels count `depth_scale` metres.
     pub fn new(config: SensorConfig, depth_scale: f64) -> Self {
         let table = match config {
-            SensorConfig::Named(NoiseName::KinectV1) => SensorTable::KINECT_V1,
-            SensorConfig::Named(NoiseName::Ideal) => SensorTable::IDEAL,
+            SensorConfig::Named(name) => SensorTable::named(name),
             SensorConfig::Table(table) => table,
         };
         let grazing = table.dropout_angle_deg < 90.0;

@@ -22,13 +22,11 @@ pub(super) fn connections(pipeline: &Pipeline, faults: &mut Vec<Diagnostic>) {
 fn ends(stage: &StageSpec, faults: &mut Vec<Diagnostic>) {
     let Program::Node(node) = &stage.program else { return };
     let name = &stage.name;
-    if node.is_source()
-        && let Some(input) = &stage.input
-    {
+    if let (Some(place), true) = (&stage.input_place, node.is_source()) {
         let what = format!("stage `{name}` has an `input`, but `{}` is a source", node.name);
-        faults.push(Diagnostic::error(&input.place, what, "remove the line"));
+        faults.push(Diagnostic::error(place, what, "remove the line"));
     }
-    if !node.is_source() && stage.input.is_none() {
+    if !node.is_source() && stage.input_place.is_none() {
         let hint = format!("add `input = \"..\"`, a topic that carries {}", kinds(node));
         faults.push(Diagnostic::error(&stage.place, format!("stage `{name}` has no `input`"), hint));
     }
@@ -59,6 +57,12 @@ fn inputs(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>) 
             faults.push(Diagnostic::error(&input.place, what, hint));
         }
     }
+    for (index, input) in stage.all_inputs().enumerate() {
+        if stage.all_inputs().take(index).any(|earlier| earlier.topic == input.topic) {
+            let what = format!("stage `{}` reads the topic `{}` twice", stage.name, input.topic);
+            faults.push(Diagnostic::error(&input.place, what, "one input per topic is enough"));
+        }
+    }
     let Program::Node(node) = &stage.program else { return };
     if let Some(input) = &stage.input {
         let accepted: Vec<Kind> = node.inputs().collect();
@@ -72,7 +76,13 @@ fn inputs(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>) 
 }
 
 fn fits(pipeline: &Pipeline, node: &Node, input: &Input, accepted: &[Kind], faults: &mut Vec<Diagnostic>) {
-    let Some(kind) = pipeline.kind_of(&input.topic) else { return };
+    let Some(kind) = pipeline.kind_of(&input.topic) else {
+        return kind_is_known(pipeline, node, input, accepted, faults);
+    };
+    if let Some(said) = input.kind.filter(|said| *said != kind) {
+        let what = format!("the topic `{}` carries {kind}, not {said}", input.topic);
+        faults.push(Diagnostic::error(&input.place, what, "remove `kind`: the stage that writes it tells"));
+    }
     if accepted.is_empty() || kind == Kind::Nothing || accepted.contains(&kind) {
         return;
     }
@@ -92,6 +102,19 @@ fn fits(pipeline: &Pipeline, node: &Node, input: &Input, accepted: &[Kind], faul
     faults.push(Diagnostic::error(&input.place, what, hint));
 }
 
+/// Whether a node that takes several kinds of message can tell which of them it gets.
+fn kind_is_known(pipeline: &Pipeline, node: &Node, input: &Input, accepted: &[Kind], faults: &mut Vec<Diagnostic>) {
+    let topic = &input.topic;
+    let mut writers = pipeline.stages.iter().filter(|stage| stage.output.as_ref() == Some(topic));
+    if let [first, _, ..] = accepted
+        && writers.any(|writer| matches!(writer.program, Program::Command(_)))
+    {
+        let what = format!("nobody says what the topic `{topic}` carries, `{}` takes {}", node.name, kinds(node));
+        let hint = format!("say it here, such as input = {{ topic = \"{topic}\", kind = \"{first}\" }}");
+        faults.push(Diagnostic::error(&input.place, what, hint));
+    }
+}
+
 fn output(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>) {
     let (Some(topic), Some(place)) = (&stage.output, &stage.output_place) else { return };
     if let (Some(kind), Some(first)) = (stage.output_kind(), pipeline.kind_of(topic))
@@ -109,6 +132,7 @@ fn output(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>) 
 
 fn machine(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>) {
     let names = || pipeline.machines.keys().map(String::as_str).collect::<Vec<_>>();
+    let place = stage.machine_place.as_ref().unwrap_or(&stage.place);
     match &stage.machine {
         Some(machine) if !pipeline.machines.contains_key(machine) => {
             let hint = match names().is_empty() {
@@ -116,12 +140,12 @@ fn machine(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>)
                 false => suggestion(machine, names(), "machines"),
             };
             let what = format!("stage `{}` is on machine `{machine}`, which is not in the file", stage.name);
-            faults.push(Diagnostic::error(&stage.place, what, hint));
+            faults.push(Diagnostic::error(place, what, hint));
         }
-        None if !pipeline.machines.is_empty() => {
+        None if !pipeline.machines.is_empty() && stage.machine_place.is_none() => {
             let what = format!("stage `{}` does not say on which machine it runs", stage.name);
-            let hint = format!("add `machine = \"{}\"`", names()[0]);
-            faults.push(Diagnostic::error(&stage.place, what, hint));
+            let hint = format!("add `machine = \"..\"`; machines: `{}`", names().join("`, `"));
+            faults.push(Diagnostic::error(place, what, hint));
         }
         _ => {}
     }
@@ -136,8 +160,11 @@ fn cycles(pipeline: &Pipeline, faults: &mut Vec<Diagnostic>) {
             let names: Vec<_> = cycle.iter().map(|&index| format!("`{}`", pipeline.stages[index].name)).collect();
             let stage = &pipeline.stages[cycle[0]];
             let place = stage.input.as_ref().map_or(&stage.place, |input| &input.place);
-            let what = format!("the stages {} wait for each other in a circle", names.join(" -> "));
-            let hint = "one of them has to read its input as latest value: a further input under `inputs`";
+            let what = match names.as_slice() {
+                [name] => format!("stage {name} waits for itself"),
+                _ => format!("the stages {} wait for each other in a circle", names.join(" -> ")),
+            };
+            let hint = "a circle is closed by an input that is read as latest value: a further one, under `inputs`";
             faults.push(Diagnostic::error(place, what, hint));
         }
     }

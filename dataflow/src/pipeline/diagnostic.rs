@@ -60,23 +60,24 @@ impl Diagnostic {
         Self { severity: Severity::Warning, ..Self::error(place, what, hint) }
     }
 
-    /// Where it stands in its text, to put several in order.
-    pub(crate) fn offset(&self) -> usize {
-        self.place.span.start
+    fn is_error(&self) -> bool {
+        self.severity == Severity::Error
     }
 }
 
 impl Display for Diagnostic {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (line, column, text) = self.place.position();
-        let severity = if self.severity == Severity::Error { "error" } else { "warning" };
+        let severity = if self.is_error() { "error" } else { "warning" };
         let length = self.place.source.text.get(self.place.span.clone()).map_or(1, |piece| {
             let first_line = piece.lines().next().unwrap_or("");
             first_line.chars().count().max(1)
         });
         writeln!(f, "{severity}: {}:{line}:{column}: {}", self.place.source.name, self.what)?;
-        writeln!(f, "{line:>5} | {text}")?;
-        write!(f, "      | {:>column$}{}", "^", "^".repeat(length - 1))?;
+        writeln!(f, "{}", format!("{line:>5} | {text}").trim_end())?;
+        let blank = |letter| if letter == '\t' { '\t' } else { ' ' };
+        let before: String = text.chars().take(column - 1).map(blank).collect();
+        write!(f, "      | {before}{}", "^".repeat(length))?;
         if self.hint.is_empty() { Ok(()) } else { write!(f, "\n  hint: {}", self.hint) }
     }
 }
@@ -86,9 +87,18 @@ impl Display for Diagnostic {
 pub struct Report(pub Vec<Diagnostic>);
 
 impl Report {
+    /// Puts what was found in the order of the text. Warnings wait until there are no errors, of which they may be the
+    /// consequence.
+    pub(crate) fn in_order(mut found: Vec<Diagnostic>) -> Self {
+        let errors = found.iter().any(Diagnostic::is_error);
+        found.retain(|diagnostic| diagnostic.is_error() || !errors);
+        found.sort_by_key(|diagnostic| diagnostic.place.span.start);
+        Self(found)
+    }
+
     /// Whether nothing may start from this file.
     pub fn has_errors(&self) -> bool {
-        self.0.iter().any(|diagnostic| diagnostic.severity == Severity::Error)
+        self.0.iter().any(Diagnostic::is_error)
     }
 }
 
@@ -111,11 +121,7 @@ pub(crate) fn closest<'a>(word: &str, candidates: impl IntoIterator<Item = &'a s
 }
 
 /// "did you mean `x`?", or else what there is to choose from.
-pub(crate) fn suggestion<'a>(
-    word: &str,
-    candidates: impl IntoIterator<Item = &'a str> + Clone,
-    plural: &str,
-) -> String {
+pub fn suggestion<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str> + Clone, plural: &str) -> String {
     match closest(word, candidates.clone()) {
         Some(candidate) => format!("did you mean `{candidate}`?"),
         None => {

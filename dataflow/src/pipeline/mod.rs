@@ -10,7 +10,7 @@ mod read;
 mod schema;
 mod value;
 
-pub use diagnostic::{Diagnostic, Report, Severity, SourceText};
+pub use diagnostic::{Diagnostic, Report, Severity, SourceText, suggestion};
 
 use crate::node::Node;
 use crate::ports::{Delivery, Topic, TopicReader};
@@ -66,7 +66,9 @@ pub struct StageSpec {
     /// Parameters of its node.
     pub parameters: Json,
     place: Place,
+    input_place: Option<Place>,
     output_place: Option<Place>,
+    machine_place: Option<Place>,
 }
 
 /// What a stage runs.
@@ -88,6 +90,8 @@ pub struct Input {
     pub delivery: Delivery,
     /// How many wait at most.
     pub queue: usize,
+    /// What the topic carries, where the file says so: no node tells it of what a program of one's own writes.
+    pub kind: Option<Kind>,
     place: Place,
 }
 
@@ -121,13 +125,15 @@ impl Pipeline {
         let source = Arc::new(source);
         let mut faults = Vec::new();
         let mut document = value::parse(&source, &mut faults);
+        if !faults.is_empty() {
+            return Err(Report::in_order(faults));
+        }
         for text in overrides {
             value::apply_override(&mut document, text, &mut faults);
         }
         let pipeline = read::pipeline(document, &source, base, nodes, &mut faults);
         check::connections(&pipeline, &mut faults);
-        faults.sort_by_key(Diagnostic::offset);
-        let report = Report(faults);
+        let report = Report::in_order(faults);
         if report.has_errors() { Err(report) } else { Ok((pipeline, report)) }
     }
 
@@ -150,10 +156,14 @@ impl Pipeline {
         }
     }
 
-    /// What a topic carries, by the nodes that write it; `None` if only programs of one's own do.
+    /// What a topic carries: by the nodes that write it; where only programs of one's own do, as an input says or because
+    /// a node that reads it takes nothing else.
     pub fn kind_of(&self, topic: &str) -> Option<Kind> {
         let mut writers = self.stages.iter().filter(|stage| stage.output.as_deref() == Some(topic));
-        writers.find_map(StageSpec::output_kind)
+        let mut inputs = self.stages.iter().flat_map(StageSpec::all_inputs).filter(|input| input.topic == topic);
+        let said = || inputs.find_map(|input| input.kind);
+        let needed = || self.stages.iter().find_map(|stage| stage.needed_kind(topic));
+        writers.find_map(StageSpec::output_kind).or_else(said).or_else(needed)
     }
 
     /// The names of all topics, in the order of the stages that write them.
@@ -189,6 +199,17 @@ impl StageSpec {
     /// The driving input and the further ones.
     pub fn all_inputs(&self) -> impl Iterator<Item = &Input> {
         self.input.iter().chain(self.inputs.iter().map(|(_, input)| input))
+    }
+
+    /// What its inputs from a topic have to carry, where its node takes one kind of message there.
+    fn needed_kind(&self, topic: &str) -> Option<Kind> {
+        let Program::Node(node) = &self.program else { return None };
+        if self.input.as_ref().is_some_and(|input| input.topic == topic) {
+            let mut kinds = node.inputs();
+            return kinds.next().filter(|_| kinds.next().is_none());
+        }
+        let (name, _) = self.inputs.iter().find(|(_, input)| input.topic == topic)?;
+        node.sides().iter().find(|side| side.name == name).map(|side| side.kind)
     }
 
     /// What it makes; `None` if it is a program of one's own.

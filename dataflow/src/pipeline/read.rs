@@ -1,18 +1,23 @@
 //! The tree of a pipeline file into stages: keys, types, nodes and their parameters.
 
-use super::diagnostic::{Diagnostic, Place, SourceText, suggestion};
+use super::diagnostic::{Diagnostic, Place, SourceText, closest, suggestion};
 use super::schema;
 use super::value::{Content, Entry, Table, Value};
 use super::{Input, Machine, Pipeline, Program, Restart, StageSpec};
 use crate::node::Node;
 use crate::ports::Delivery;
 use crate::sides::Pick;
+use conicflow_messages::Kind;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 const STAGE_KEYS: [&str; 8] = ["node", "program", "input", "inputs", "output", "machine", "restart", "env"];
-const INPUT_KEYS: [&str; 3] = ["topic", "delivery", "queue"];
+const INPUT_KEYS: [&str; 4] = ["topic", "delivery", "queue", "kind"];
+const KINDS: [Kind; 4] = [Kind::Depth, Kind::Ellipses, Kind::Objects, Kind::Tracks];
+const DELIVERIES: [(&str, Delivery); 2] = [("latest", Delivery::Latest), ("lossless", Delivery::Lossless)];
+const RESTARTS: [(&str, Restart); 3] =
+    [("never", Restart::Never), ("on_failure", Restart::OnFailure), ("always", Restart::Always)];
 const MACHINE_KEYS: [&str; 3] = ["listen", "connect", "zenoh"];
 
 /// Names travel in headers of fixed size, as far as the terminating zero.
@@ -34,14 +39,24 @@ pub(super) fn pipeline(
 ) -> Pipeline {
     let start = Place { source: Arc::clone(source), span: 0..0 };
     let mut reader = Reader { base, nodes, faults };
-    let name = reader.name(document.take("name"), &start);
+    let name = reader.name(&mut document, &start);
     let machines = document.take("machine").map(|entry| reader.machines(entry)).unwrap_or_default();
-    let stages = document.take("stage").map(|entry| reader.stages(entry)).unwrap_or_default();
+    let stages = document.take("stage").map(|entry| reader.stages(entry));
     reader.unknown_keys(&document, &["name", "machine", "stage"], "the pipeline");
-    if stages.is_empty() && reader.faults.is_empty() {
-        reader.fault(&start, "the pipeline has no stages", "add one, such as [stage.source] with `node` and `output`");
-    }
+    let stages = stages.unwrap_or_else(|| {
+        reader.no_stages(&document, &start);
+        Vec::new()
+    });
     Pipeline { name, base: base.to_owned(), machines, stages }
+}
+
+/// What the file says of an input.
+#[derive(Default)]
+struct SaidInput {
+    topic: String,
+    delivery: Option<Delivery>,
+    queue: Option<usize>,
+    kind: Option<Kind>,
 }
 
 struct Reader<'a> {
@@ -71,26 +86,26 @@ impl Reader<'_> {
     }
 
     fn strings(&mut self, entry: &Entry) -> Option<Vec<String>> {
-        let strings = match &entry.value.content {
-            Content::Array(values) => values.iter().map(|value| value.as_str().map(str::to_owned)).collect(),
+        let wrong = match &entry.value.content {
+            Content::Array(values) => match values.iter().map(|value| value.as_str().map(str::to_owned)).collect() {
+                Some(strings) => return Some(strings),
+                None => values.iter().find(|value| value.as_str().is_none()),
+            },
             _ => None,
         };
-        if strings.is_none() {
-            let what = format!("`{}` wants an array of strings", entry.key);
-            self.fault(&entry.value.place, what, format!("for example {} = [\"..\", \"..\"]", entry.key));
-        }
-        strings
+        let wrong = wrong.unwrap_or(&entry.value);
+        let what = format!("`{}` wants an array of strings, this is {}", entry.key, wrong.type_name());
+        self.fault(&wrong.place, what, format!("for example {} = [\"..\", \"..\"]", entry.key));
+        None
     }
 
-    fn table(&mut self, entry: Entry, example: &str) -> Table {
-        match entry.value.content {
-            Content::Table(table) => table,
-            _ => {
-                let what = format!("`{}` wants a table, this is {}", entry.key, entry.value.type_name());
-                self.fault(&entry.value.place, what, format!("for example {example}"));
-                Table::default()
-            }
+    fn table(&mut self, entry: Entry, example: &str) -> Option<Table> {
+        if let Content::Table(table) = entry.value.content {
+            return Some(table);
         }
+        let what = format!("`{}` wants a table, this is {}", entry.key, entry.value.type_name());
+        self.fault(&entry.value.place, what, format!("for example {example}"));
+        None
     }
 
     /// A name that can stand in paths, ports and JSON.
@@ -102,24 +117,33 @@ impl Reader<'_> {
         }
     }
 
-    fn name(&mut self, entry: Option<Entry>, start: &Place) -> String {
-        let Some(entry) = entry else {
-            self.fault(start, "the pipeline has no name", "add a line such as name = \"tabletop\" at the top");
+    fn name(&mut self, document: &mut Table, start: &Place) -> String {
+        let Some(entry) = document.take("name") else {
+            if !is_misspelt("name", document) {
+                self.fault(start, "the pipeline has no name", "add a line such as name = \"tabletop\" at the top");
+            }
             return String::new();
         };
-        let name = self.string(&entry).unwrap_or_default();
+        let Some(name) = self.string(&entry) else { return String::new() };
         self.check_name(&name, &entry.value.place, "pipeline", MAX_STAGE_NAME, "_-");
         name
     }
 
+    fn no_stages(&mut self, document: &Table, start: &Place) {
+        if !is_misspelt("stage", document) {
+            let hint = "add one, such as [stage.source] with `node` and `output`";
+            self.fault(start, "the pipeline has no stages", hint);
+        }
+    }
+
     fn machines(&mut self, entry: Entry) -> BTreeMap<String, Machine> {
-        let table = self.table(entry, "[machine.robot]");
+        let table = self.table(entry, "[machine.robot]").unwrap_or_default();
         table.0.into_iter().map(|entry| (entry.key.clone(), self.machine(entry))).collect()
     }
 
     fn machine(&mut self, entry: Entry) -> Machine {
         let owner = format!("machine `{}`", entry.key);
-        let mut table = self.table(entry, "[machine.robot]");
+        let mut table = self.table(entry, "[machine.robot]").unwrap_or_default();
         let mut endpoints = |reader: &mut Self, key| table.take(key).and_then(|entry| reader.strings(&entry));
         let listen = endpoints(self, "listen").unwrap_or_default();
         let connect = endpoints(self, "connect").unwrap_or_default();
@@ -138,27 +162,41 @@ impl Reader<'_> {
     }
 
     fn stages(&mut self, entry: Entry) -> Vec<StageSpec> {
-        let table = self.table(entry, "[stage.source]");
-        table.0.into_iter().map(|entry| self.stage(entry)).collect()
+        let table = self.table(entry, "[stage.source]").unwrap_or_default();
+        table.0.into_iter().filter_map(|entry| self.stage(entry)).collect()
     }
 
-    fn stage(&mut self, entry: Entry) -> StageSpec {
+    fn stage(&mut self, entry: Entry) -> Option<StageSpec> {
         let (name, place) = (entry.key.clone(), entry.key_place.clone());
         self.check_name(&name, &place, "stage", MAX_STAGE_NAME, "_-");
-        let mut table = self.table(entry, "[stage.source]");
+        let mut table = self.table(entry, "[stage.source]")?;
+        let place_of = |key| table.get(key).map(|entry| entry.value.place.clone());
+        let [input_place, output_place, machine_place] = ["input", "output", "machine"].map(place_of);
         let program = self.program(&mut table, &name, &place);
         let input = table.take("input").and_then(|entry| self.input(&entry.value, Pick::Latest, Delivery::Latest));
         let driving = input.as_ref().map_or(Delivery::Latest, |input| input.delivery);
         let inputs = table.take("inputs").map(|entry| self.inputs(entry, &program, driving)).unwrap_or_default();
-        let output = table.take("output");
-        let output_place = output.as_ref().map(|entry| entry.value.place.clone());
-        let output = output.and_then(|entry| self.topic_name(&entry));
+        let output = table.take("output").and_then(|entry| self.topic_name(&entry));
         let machine = table.take("machine").and_then(|entry| self.string(&entry));
-        let restart = table.take("restart").and_then(|entry| self.restart(&entry)).unwrap_or_default();
+        let restart = table.take("restart").and_then(|entry| self.word(&entry, RESTARTS)).unwrap_or_default();
         let env = table.take("env").map(|entry| self.env(entry)).unwrap_or_default();
         self.parameters(&table, &program, &name, &place);
         let parameters = table.to_json();
-        StageSpec { name, program, input, inputs, output, machine, restart, env, parameters, place, output_place }
+        Some(StageSpec {
+            name,
+            program,
+            input,
+            inputs,
+            output,
+            machine,
+            restart,
+            env,
+            parameters,
+            place,
+            input_place,
+            output_place,
+            machine_place,
+        })
     }
 
     fn program(&mut self, table: &mut Table, stage: &str, place: &Place) -> Program {
@@ -166,11 +204,7 @@ impl Reader<'_> {
             (Some(node), None) => self.node(&node),
             (None, Some(program)) => self.command(&program),
             (None, None) => {
-                let hint = match table
-                    .0
-                    .iter()
-                    .find_map(|entry| super::diagnostic::closest(&entry.key, ["node", "program"]))
-                {
+                let hint = match table.0.iter().find_map(|entry| closest(&entry.key, ["node", "program"])) {
                     Some(key) => format!("did you mean `{key}`?"),
                     None => "add `node = \"..\"`; `conicflow nodes` lists them".to_owned(),
                 };
@@ -201,12 +235,18 @@ impl Reader<'_> {
             self.fault(&entry.value.place, "`program` is empty", "for example program = [\"./my_stage\", \"--flag\"]");
             return Program::Unknown;
         };
+        let place =
+            if let Content::Array(values) = &entry.value.content { &values[0].place } else { &entry.value.place };
         match find_program(self.base, program) {
-            Some(path) => *program = path.to_string_lossy().into_owned(),
+            Some(path) if is_executable(&path) => *program = path.to_string_lossy().into_owned(),
+            Some(_) => {
+                let what = format!("`{program}` may not be run");
+                self.fault(place, what, format!("if it is a program: chmod +x {program}"));
+            }
             None => {
-                let what = format!("there is no program `{program}` that may be run");
+                let what = format!("there is no program `{program}`");
                 let hint = "with a slash it is relative to the pipeline file, without one it is looked for in PATH";
-                self.fault(&entry.value.place, what, hint);
+                self.fault(place, what, hint);
             }
         }
         Program::Command(command)
@@ -221,8 +261,8 @@ impl Reader<'_> {
     /// An input in its short or its long form; `pick` and `delivery` set what is not said.
     fn input(&mut self, value: &Value, pick: Pick, delivery: Delivery) -> Option<Input> {
         let place = value.place.clone();
-        let (topic, said, queue) = match &value.content {
-            Content::String(topic) => (topic.clone(), None, None),
+        let said = match &value.content {
+            Content::String(topic) => SaidInput { topic: topic.clone(), ..SaidInput::default() },
             Content::Table(table) => self.long_input(table.clone(), &place)?,
             _ => {
                 let what = format!("an input is a topic or a table, this is {}", value.type_name());
@@ -230,45 +270,48 @@ impl Reader<'_> {
                 return None;
             }
         };
-        let delivery = said.unwrap_or(delivery);
+        let delivery = said.delivery.unwrap_or(delivery);
         let default_queue = match (delivery, pick) {
             (Delivery::Lossless, _) => QUEUE_LOSSLESS,
             (Delivery::Latest, Pick::SameFrame) => QUEUE_SAME_FRAME,
             (Delivery::Latest, Pick::Latest) => QUEUE_LATEST,
         };
         // Two places keep the last frame beside the message that ends the stream.
-        Some(Input { topic, delivery, queue: queue.unwrap_or(default_queue).max(2), place })
+        let queue = said.queue.unwrap_or(default_queue).max(2);
+        Some(Input { topic: said.topic, delivery, queue, kind: said.kind, place })
     }
 
-    fn long_input(&mut self, mut table: Table, place: &Place) -> Option<(String, Option<Delivery>, Option<usize>)> {
+    fn long_input(&mut self, mut table: Table, place: &Place) -> Option<SaidInput> {
         let topic = table.take("topic").and_then(|entry| self.string(&entry));
-        let delivery = table.take("delivery").and_then(|entry| self.delivery(&entry));
+        let delivery = table.take("delivery").and_then(|entry| self.word(&entry, DELIVERIES));
         let queue = table.take("queue").and_then(|entry| self.queue(&entry));
+        let kind = table.take("kind").and_then(|entry| self.word(&entry, KINDS.map(|kind| (kind.name(), kind))));
         self.unknown_keys(&table, &INPUT_KEYS, "the input");
         if topic.is_none() {
             self.fault(place, "the input has no topic", "for example { topic = \"depth\", delivery = \"lossless\" }");
         }
-        Some((topic?, delivery, queue))
+        Some(SaidInput { topic: topic?, delivery, queue, kind })
     }
 
-    fn delivery(&mut self, entry: &Entry) -> Option<Delivery> {
+    /// The meaning of one of a few words.
+    fn word<T: Copy, const N: usize>(&mut self, entry: &Entry, words: [(&str, T); N]) -> Option<T> {
         let word = self.string(entry)?;
-        match word.as_str() {
-            "latest" => Some(Delivery::Latest),
-            "lossless" => Some(Delivery::Lossless),
-            _ => {
-                let hint = suggestion(&word, ["latest", "lossless"], "allowed");
-                self.fault(&entry.value.place, format!("`delivery` cannot be `{word}`"), hint);
-                None
-            }
+        let meaning = words.iter().find(|(known, _)| *known == word).map(|(_, meaning)| *meaning);
+        if meaning.is_none() {
+            let hint = suggestion(&word, words.map(|(known, _)| known), "allowed");
+            self.fault(&entry.value.place, format!("`{}` cannot be `{word}`", entry.key), hint);
         }
+        meaning
     }
 
     fn queue(&mut self, entry: &Entry) -> Option<usize> {
         match entry.value.content {
             Content::Integer(length @ 1..=MAX_QUEUE) => usize::try_from(length).ok(),
             _ => {
-                let what = "`queue` wants an integer from 1 to 64";
+                let what = match entry.value.content {
+                    Content::Integer(length) => format!("`queue` is {length}, allowed is from 1 to {MAX_QUEUE}"),
+                    _ => format!("`queue` wants an integer, this is {}", entry.value.type_name()),
+                };
                 self.fault(&entry.value.place, what, "how many messages wait for this input at most");
                 None
             }
@@ -276,7 +319,7 @@ impl Reader<'_> {
     }
 
     fn inputs(&mut self, entry: Entry, program: &Program, driving: Delivery) -> Vec<(String, Input)> {
-        let table = self.table(entry, "inputs = { depth = \"depth\" }");
+        let table = self.table(entry, "inputs = { depth = \"depth\" }").unwrap_or_default();
         let mut inputs = Vec::new();
         for entry in table.0 {
             let pick = self.pick_of(&entry, program);
@@ -297,22 +340,8 @@ impl Reader<'_> {
         Pick::Latest
     }
 
-    fn restart(&mut self, entry: &Entry) -> Option<Restart> {
-        let word = self.string(entry)?;
-        match word.as_str() {
-            "never" => Some(Restart::Never),
-            "on_failure" => Some(Restart::OnFailure),
-            "always" => Some(Restart::Always),
-            _ => {
-                let hint = suggestion(&word, ["never", "on_failure", "always"], "allowed");
-                self.fault(&entry.value.place, format!("`restart` cannot be `{word}`"), hint);
-                None
-            }
-        }
-    }
-
     fn env(&mut self, entry: Entry) -> Vec<(String, String)> {
-        let table = self.table(entry, "env = { RUST_LOG = \"debug\" }");
+        let table = self.table(entry, "env = { RUST_LOG = \"debug\" }").unwrap_or_default();
         table.0.iter().filter_map(|entry| Some((entry.key.clone(), self.string(entry)?))).collect()
     }
 
@@ -328,7 +357,7 @@ impl Reader<'_> {
             Ok(faults) => {
                 for fault in faults {
                     let at = table.get(fault.key).map_or(place, |entry| &entry.value.place);
-                    self.faults.push(Diagnostic::error(at, fault.what, fault.hint));
+                    self.fault(at, format!("`{}`: {}", fault.key, fault.what), fault.hint);
                 }
             }
             Err(error) => {
@@ -338,11 +367,16 @@ impl Reader<'_> {
     }
 }
 
+/// Whether the table has an entry that most likely means `key`.
+fn is_misspelt(key: &str, table: &Table) -> bool {
+    table.0.iter().any(|entry| closest(&entry.key, [key]).is_some())
+}
+
 /// A program by a path, relative to the pipeline file, or by a name in PATH.
 fn find_program(base: &Path, program: &str) -> Option<PathBuf> {
     if program.contains('/') {
         let path = base.join(program);
-        return is_executable(&path).then_some(path);
+        return path.exists().then_some(path);
     }
     let folders = std::env::var_os("PATH")?;
     std::env::split_paths(&folders).map(|folder| folder.join(program)).find(|path| is_executable(path))

@@ -1,6 +1,8 @@
 //! A TOML document as a tree in which every key and value knows its place, and into which `--set` can write.
 
 use super::diagnostic::{Diagnostic, Place, SourceText};
+use std::collections::BTreeSet;
+use std::ops::Range;
 use std::sync::Arc;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
@@ -72,6 +74,7 @@ impl Value {
         match self.content {
             Content::String(_) => "a string",
             Content::Integer(_) => "an integer",
+            Content::Float(number) if !number.is_finite() => "a number out of range",
             Content::Float(_) => "a number",
             Content::Boolean(_) => "a boolean",
             Content::Datetime(_) => "a date",
@@ -108,17 +111,36 @@ impl Table {
 /// Reads a whole document; what is not TOML is reported and left out.
 pub(crate) fn parse(source: &Arc<SourceText>, faults: &mut Vec<Diagnostic>) -> Table {
     let (document, errors) = DeTable::parse_recoverable(&source.text);
-    faults.extend(errors.iter().map(|error| syntax_fault(source, error)));
+    let mut spoilt = BTreeSet::new();
+    for error in &errors {
+        let span = error.span().unwrap_or(0..0);
+        // A fault spoils the rest of its table: what else is found there is mostly its consequence.
+        if spoilt.insert(table_start(&source.text, span.start)) {
+            faults.push(syntax_fault(source, span, error.message()));
+        }
+    }
     convert_table(source, document.get_ref())
 }
 
-fn syntax_fault(source: &Arc<SourceText>, error: &toml::de::Error) -> Diagnostic {
-    let place = Place { source: Arc::clone(source), span: error.span().unwrap_or(0..0) };
-    let hint = match error.message() {
+/// Where the table begins that the text at `offset` belongs to: at the last line that opens one.
+fn table_start(text: &str, offset: usize) -> usize {
+    let lines = text.split_inclusive('\n').scan(0, |end, line| {
+        let start = *end;
+        *end += line.len();
+        Some((start, line))
+    });
+    let headers =
+        lines.take_while(|(start, _)| *start <= offset).filter(|(_, line)| line.trim_start().starts_with('['));
+    headers.last().map_or(0, |(start, _)| start)
+}
+
+fn syntax_fault(source: &Arc<SourceText>, span: Range<usize>, message: &str) -> Diagnostic {
+    let hint = match message {
         "duplicate key" => "each key stands once in its table, and each stage has a name of its own",
+        _ if message.contains("array") => "an array ends with `]`, and commas stand between what is in it",
         _ => "the file is not valid TOML here; strings stand in quotes, tables in [brackets]",
     };
-    Diagnostic::error(&place, error.message(), hint)
+    Diagnostic::error(&Place { source: Arc::clone(source), span }, message, hint)
 }
 
 fn convert_table(source: &Arc<SourceText>, table: &DeTable<'_>) -> Table {

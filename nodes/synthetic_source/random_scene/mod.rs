@@ -136,11 +136,13 @@ impl Set {
         None
     }
 
-    /// Turns the camera to the middle of the places that are taken, at a height above them, give or take.
+    /// Turns the camera to the middle of the places that are taken, at a height above them, give or take; in each fourth
+    /// scene so far aside that the image's border may cut things off.
     fn look_at_things(&mut self, height: f64) {
         let count = self.taken.len().max(1) as f64;
         let middle = self.taken.iter().map(|(place, _)| place).sum::<Vector3<f64>>() / count;
-        let mut shake = || self.draws.within(-0.08..=0.08) * middle.y;
+        let reach = if self.draws.chance(0.25) { 0.4 } else { 0.08 };
+        let mut shake = || self.draws.within(-reach..=reach) * middle.y;
         self.look_at = middle + Vector3::new(shake(), shake(), height + shake());
     }
 

@@ -51,10 +51,10 @@ impl Set {
 
     /// What stands on floors.
     pub fn large_thing(&mut self) -> Thing {
-        match self.draws.count(0..=5) {
-            0 | 1 => self.can(),
-            2 | 3 => self.cone(),
-            4 => self.ball(),
+        match self.draws.count(0..=7) {
+            0..=2 => self.can(),
+            3 | 4 => self.cone(),
+            5 | 6 => self.ball(),
             _ => self.bucket(),
         }
     }
@@ -88,7 +88,7 @@ impl Set {
 
     /// What stands on tables.
     pub fn small_thing(&mut self) -> Thing {
-        match self.draws.count(0..=5) {
+        match self.draws.count(0..=6) {
             0 => self.mug(),
             1 | 2 => self.cup(),
             3 | 4 => self.tin(),

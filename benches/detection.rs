@@ -1,0 +1,174 @@
+//! CPU time of the detector's parts against the number of pixels, on cluttered rendered scenes; beside it what any
+//! detector has to pay (reading the frame, summing the moments of its rows) and what the paper's way costs, which fits an
+//! ellipse at every point.
+//!
+//! `cargo bench --bench detection`; one thread, medians over scenes of medians over repetitions. The last column is the
+//! exponent p in `time ~ pixels^p`, fitted over all sizes: 1 is linear.
+
+use conicflow_geometry::{Pinhole, PlaneMoments, Scan, fit_ellipse};
+use conicflow_messages::{Ellipse, Header, is_measured};
+use conicflow_nodes::object_assembler::{AssemblerConfig, ObjectAssembler};
+use conicflow_nodes::row_ellipse_extractor::{RowEllipseConfig, RowEllipseExtractor};
+use conicflow_nodes::synthetic_source::random_scene::SceneGroup;
+use conicflow_nodes::synthetic_source::random_scenes::RandomScenes;
+use conicflow_nodes::synthetic_source::{SyntheticCamera, SyntheticSourceConfig};
+use rustix::time::{ClockId, clock_gettime};
+use std::error::Error;
+use std::hint::black_box;
+
+const SIZES: [(u32, u32); 5] = [(80, 60), (160, 120), (320, 240), (640, 480), (1280, 960)];
+const GROUPS: [SceneGroup; 4] = [SceneGroup::Clutter, SceneGroup::Standing, SceneGroup::Tabletop, SceneGroup::Composed];
+const SEEDS: [u64; 2] = [0, 4];
+const REPETITIONS: usize = 5;
+
+/// What a part does with a frame; its answer keeps the compiler from leaving the work out.
+type Work<'a> = Box<dyn FnMut(&Frame) -> u64 + 'a>;
+
+struct Frame {
+    header: Header,
+    pixels: Vec<u16>,
+    ellipses: Vec<Ellipse>,
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let frames: Vec<Vec<Frame>> = SIZES.iter().map(|&size| frames(size)).collect::<Result<_, _>>()?;
+    let header: String = SIZES.iter().map(|(width, height)| format!("{:>11}", format!("{width}x{height}"))).collect();
+    println!("milliseconds of CPU per frame, medians over {} scenes", frames[0].len());
+    println!("{:<32}{header}{:>10}", "", "exponent");
+    for (name, mut work) in parts() {
+        let times: Vec<f64> = frames.iter().map(|frames| median_ms(frames, &mut work)).collect();
+        let columns: String = times.iter().map(|time| format!("{time:>11.3}")).collect();
+        println!("{name:<32}{columns}{:>10.2}", exponent(&times));
+    }
+    Ok(())
+}
+
+fn parts() -> [(&'static str, Work<'static>); 6] {
+    let (mut extractor, mut assembler) = detector();
+    let (mut first, mut second) = detector();
+    [
+        ("floor: reading the frame", Box::new(read)),
+        ("floor: 15 moments of each row", Box::new(sum_moments)),
+        ("row_ellipse_extractor", Box::new(move |frame| extractor.extract(&frame.header, &frame.pixels).len() as u64)),
+        ("object_assembler", Box::new(move |frame| assembler.assemble(&frame.header, &frame.ellipses).len() as u64)),
+        (
+            "both",
+            Box::new(move |frame| {
+                let ellipses = first.extract(&frame.header, &frame.pixels);
+                second.assemble(&frame.header, ellipses).len() as u64
+            }),
+        ),
+        ("the paper: a fit at every point", Box::new(fit_every_point)),
+    ]
+}
+
+fn detector() -> (RowEllipseExtractor, ObjectAssembler) {
+    (RowEllipseExtractor::with(RowEllipseConfig::default()), ObjectAssembler::with(AssemblerConfig::default()))
+}
+
+fn frames((width, height): (u32, u32)) -> Result<Vec<Frame>, Box<dyn Error>> {
+    let config = SyntheticSourceConfig { width, height, ..SyntheticSourceConfig::default() };
+    let scenes = RandomScenes { groups: GROUPS.into(), seeds: SEEDS };
+    let (first, _) = scenes.scene(0);
+    let count = scenes.frames();
+    let mut camera =
+        SyntheticCamera::new(first, config.camera(), config.noise, config.depth_scale, 30.0, 0).before(scenes);
+    let (mut extractor, _) = detector();
+    let frame = |number| {
+        let mut pixels = vec![0; width as usize * height as usize];
+        camera.shoot(number, &mut pixels);
+        let mut header = Header::default();
+        camera.describe(&mut header);
+        let ellipses = extractor.extract(&header, &pixels).to_vec();
+        Ok(Frame { header, pixels, ellipses })
+    };
+    (0..count).map(frame).collect()
+}
+
+fn median_ms(frames: &[Frame], work: &mut Work) -> f64 {
+    let of_frame = |frame: &Frame| {
+        let mut times: Vec<f64> = (0..=REPETITIONS).map(|_| cpu_ms(|| work(black_box(frame)))).collect();
+        times.remove(0); // warms up
+        median(&mut times)
+    };
+    median(&mut frames.iter().map(of_frame).collect::<Vec<_>>())
+}
+
+fn median(values: &mut [f64]) -> f64 {
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+fn cpu_ms(work: impl FnOnce() -> u64) -> f64 {
+    let now = || {
+        let time = clock_gettime(ClockId::ThreadCPUTime);
+        time.tv_sec as f64 * 1e3 + time.tv_nsec as f64 * 1e-6
+    };
+    let start = now();
+    black_box(work());
+    now() - start
+}
+
+/// Slope of the straight line through the logarithms.
+fn exponent(times: &[f64]) -> f64 {
+    let x: Vec<f64> = SIZES.iter().map(|(width, height)| (f64::from(*width) * f64::from(*height)).ln()).collect();
+    let y: Vec<f64> = times.iter().map(|time| time.ln()).collect();
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+    let (mean_x, mean_y) = (mean(&x), mean(&y));
+    let product = x.iter().zip(&y).map(|(x, y)| (x - mean_x) * (y - mean_y)).sum::<f64>();
+    product / x.iter().map(|x| (x - mean_x).powi(2)).sum::<f64>()
+}
+
+fn read(frame: &Frame) -> u64 {
+    frame.pixels.iter().map(|&pixel| u64::from(pixel)).sum()
+}
+
+/// Visits the measurements of each row as points in its plane, in metres.
+fn for_each_row(frame: &Frame, mut visit: impl FnMut(&mut dyn Iterator<Item = [f64; 2]>)) {
+    let camera = &frame.header.camera;
+    let pinhole = Pinhole { fx: camera.fx, fy: camera.fy, cx: camera.cx, cy: camera.cy };
+    for (number, row) in frame.pixels.chunks_exact(camera.width as usize).enumerate() {
+        let stretch = pinhole.plane(Scan::Row, number as f64).stretch();
+        let mut points = row.iter().enumerate().filter(|(_, pixel)| is_measured(**pixel)).map(|(u, &pixel)| {
+            let z = f64::from(pixel) * frame.header.depth_scale;
+            [z * pinhole.ray_slope(Scan::Row, u as f64), z * stretch]
+        });
+        visit(&mut points);
+    }
+}
+
+fn sum_moments(frame: &Frame) -> u64 {
+    let mut check = 0;
+    for_each_row(frame, |points| {
+        let mut moments = PlaneMoments::new([0.0, 1.0]);
+        points.for_each(|point| moments.add(point));
+        check ^= moments.get(4, 0).to_bits();
+    });
+    check
+}
+
+/// Algorithm 1 of the paper as it stands: add a point, fit, and start anew where the error exceeds the noise.
+fn fit_every_point(frame: &Frame) -> u64 {
+    const JUMP_M: f64 = 0.05;
+    const FEWEST: f64 = 6.0;
+    let noise = frame.header.noise;
+    let mut found = 0;
+    for_each_row(frame, |points| {
+        let mut moments = PlaneMoments::new([0.0, 1.0]);
+        let mut last = 0.0;
+        for [s, t] in points {
+            moments.add([s, t]);
+            let jump = (t - last).abs() > JUMP_M;
+            last = t;
+            if moments.count() < FEWEST && !jump {
+                continue;
+            }
+            let rms = fit_ellipse(&moments).and_then(|conic| conic.rms(&moments));
+            if jump || rms.is_some_and(|rms| rms > 0.0005 + 1.3 * noise.sigma(t)) {
+                found += 1;
+                moments = PlaneMoments::new([s, t]);
+            }
+        }
+    });
+    found
+}

@@ -1,0 +1,198 @@
+//! One stage as the launcher sees it: its process, and whether it is to be started anew.
+
+use super::folder::RunFolder;
+use super::process::{LAUNCHER, PIPELINE, ProcessError, REFUSED, STAGE};
+use crate::pipeline::Restart;
+use crate::plan::{Plan, PlannedStage};
+use crate::status::{Life, Status, StatusFile};
+use rustix::process::{Pid, Signal, kill_process};
+use std::collections::VecDeque;
+use std::io;
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::path::Path;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+
+/// A stage that dies more often than this within a minute is given up.
+const MAX_RESTARTS_PER_MINUTE: usize = 10;
+const MINUTE: Duration = Duration::from_secs(60);
+const FIRST_BACK_OFF: Duration = Duration::from_millis(100);
+const LONGEST_BACK_OFF: Duration = Duration::from_secs(5);
+
+/// Where a stage's process is.
+enum State {
+    Running(Child),
+    Waiting { until: Instant },
+    Done,
+    Gone,
+}
+
+/// What became of a stage at a look.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Change {
+    /// Nothing to speak of.
+    None,
+    /// It will not come back although it should have, and the run cannot go on.
+    Lost,
+    /// It will not come back, as the pipeline file says; the others go on.
+    Left,
+}
+
+/// A stage and its process.
+pub(crate) struct Supervised {
+    pub(crate) planned: PlannedStage,
+    state: State,
+    deaths: VecDeque<Instant>,
+}
+
+impl Supervised {
+    pub(crate) fn start(planned: PlannedStage, plan: &Plan, program: &Path) -> Result<Self, ProcessError> {
+        let mut stage = Self { planned, state: State::Done, deaths: VecDeque::new() };
+        stage.spawn(plan, program)?;
+        Ok(stage)
+    }
+
+    /// Every stage gets a process group of its own, so that Ctrl-C reaches the launcher alone, which ends them in order.
+    fn spawn(&mut self, plan: &Plan, program: &Path) -> Result<(), ProcessError> {
+        let spawned = Command::new(program)
+            .args(["node", &self.planned.name])
+            .env(PIPELINE, &plan.pipeline)
+            .env(STAGE, &self.planned.name)
+            .env(LAUNCHER, std::process::id().to_string())
+            .envs(self.planned.env.iter().map(|(key, value)| (key, value)))
+            .stdin(Stdio::null())
+            .process_group(0)
+            .spawn();
+        self.state = State::Running(spawned.map_err(|error: io::Error| ProcessError::System {
+            doing: format!("stage `{}` cannot be started", self.planned.name),
+            error,
+        })?);
+        Ok(())
+    }
+
+    /// Whether nothing of it runs, or is going to.
+    pub(crate) fn is_over(&self) -> bool {
+        matches!(self.state, State::Done | State::Gone)
+    }
+
+    /// Whether it was given up.
+    pub(crate) fn is_gone(&self) -> bool {
+        matches!(self.state, State::Gone)
+    }
+
+    /// Sends a signal to its process, if there is one.
+    pub(crate) fn signal(&self, signal: Signal) {
+        if let State::Running(child) = &self.state
+            && let Some(process) = Pid::from_raw(child.id().cast_signed())
+        {
+            // It may just have ended by itself.
+            kill_process(process, signal).ok();
+        }
+    }
+
+    /// Kills the process, if there is one, and waits until it is gone.
+    pub(crate) fn kill(&mut self) {
+        if let State::Running(child) = &mut self.state {
+            child.kill().ok();
+            child.wait().ok();
+        }
+        if !self.is_gone() {
+            self.state = State::Done;
+        }
+    }
+
+    /// Looks whether the process ended, and starts it anew where that is due. `ending`: the run is on its way out.
+    pub(crate) fn look(
+        &mut self,
+        plan: &Plan,
+        folder: &RunFolder,
+        program: &Path,
+        ending: bool,
+    ) -> Result<Change, ProcessError> {
+        match &mut self.state {
+            State::Running(child) => match child.try_wait() {
+                Ok(Some(status)) => {
+                    let process = child.id();
+                    Ok(self.ended(process, status, plan, folder, ending))
+                }
+                _ => Ok(Change::None),
+            },
+            State::Waiting { .. } if ending => {
+                self.state = State::Done;
+                Ok(Change::None)
+            }
+            State::Waiting { until } if Instant::now() >= *until => {
+                self.spawn(plan, program)?;
+                Ok(Change::None)
+            }
+            _ => Ok(Change::None),
+        }
+    }
+
+    /// Whether a process that exited well had done all its work, rather than having been told to go. A program that keeps
+    /// no record is believed.
+    fn came_to_its_end(&self, process: u32, plan: &Plan, folder: &RunFolder) -> bool {
+        let record = Status::read(&folder.status(&self.planned.name));
+        let own = record.filter(|status| status.run == plan.run && status.process == process);
+        own.is_none_or(|status| status.life() == Life::Ended)
+    }
+
+    fn ended(&mut self, process: u32, status: ExitStatus, plan: &Plan, folder: &RunFolder, ending: bool) -> Change {
+        let name = self.planned.name.clone();
+        let finished = status.success() && self.came_to_its_end(process, plan, folder);
+        if finished && (self.planned.restart != Restart::Always || ending) {
+            self.state = State::Done;
+            settle(folder, plan, &name, Life::Ended);
+            return Change::None;
+        }
+        if ending {
+            self.state = State::Done;
+            return Change::None;
+        }
+        if status.code() == Some(i32::from(REFUSED)) {
+            return self.give_up(folder, plan, Change::Lost);
+        }
+        let how = describe(status);
+        if self.planned.restart == Restart::Never {
+            tracing::error!("stage `{name}` {how}, and is not started anew: its `restart` is \"never\"");
+            return self.give_up(folder, plan, Change::Left);
+        }
+        let now = Instant::now();
+        self.deaths.push_back(now);
+        self.deaths.retain(|death| now.duration_since(*death) < MINUTE);
+        if self.deaths.len() > MAX_RESTARTS_PER_MINUTE {
+            tracing::error!(
+                "stage `{name}` {how}, for the {}th time within a minute: it is given up",
+                self.deaths.len()
+            );
+            return self.give_up(folder, plan, Change::Lost);
+        }
+        let doublings = (self.deaths.len() as u32 - 1).min(10);
+        let back_off = (FIRST_BACK_OFF * 2_u32.pow(doublings)).min(LONGEST_BACK_OFF);
+        tracing::warn!("stage `{name}` {how}, and is started anew in {:.1} s", back_off.as_secs_f64());
+        self.state = State::Waiting { until: now + back_off };
+        Change::None
+    }
+
+    fn give_up(&mut self, folder: &RunFolder, plan: &Plan, change: Change) -> Change {
+        self.state = State::Gone;
+        settle(folder, plan, &self.planned.name, Life::Gone);
+        change
+    }
+}
+
+/// Makes it known to the other stages that one will not come back.
+fn settle(folder: &RunFolder, plan: &Plan, stage: &str, life: Life) {
+    if let Ok(mut record) = StatusFile::open(&folder.status(stage), plan.run) {
+        record.status.set_life(life);
+        record.write();
+    }
+}
+
+fn describe(status: ExitStatus) -> String {
+    match (status.code(), status.signal()) {
+        (Some(code), _) => format!("ended with exit code {code}"),
+        (None, Some(signal)) => format!("was killed by signal {signal}"),
+        (None, None) => "ended".to_owned(),
+    }
+}

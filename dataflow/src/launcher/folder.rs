@@ -1,0 +1,218 @@
+//! Where a run keeps its files: one folder per user, in it one per pipeline, and beside them the files of shared memory.
+
+use crate::plan::Plan;
+use crate::status::status_path;
+use std::fs::{self, File, TryLockError};
+use std::io;
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+/// Environment variable: the user's folder, where the default does not suit.
+pub const RUNTIME_DIR: &str = "CONICFLOW_RUNTIME_DIR";
+
+/// Stages end by themselves within this time after their launcher was killed.
+const LAST_STAGES_GRACE: Duration = Duration::from_secs(5);
+
+/// Why a run has no folder.
+#[derive(Debug, thiserror::Error)]
+pub enum FolderError {
+    /// The folder could not be made, read or written.
+    #[error("{}: {error}\n  hint: set CONICFLOW_RUNTIME_DIR to a short path that this user may write to", path.display())]
+    Io {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system said.
+        error: io::Error,
+    },
+    /// The folder is open to others.
+    #[error(
+        "`{}` belongs to another user or is open to others\n  \
+         hint: remove it, or set CONICFLOW_RUNTIME_DIR to a folder of your own with mode 700", path.display()
+    )]
+    NotPrivate {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// A pipeline of this name runs already.
+    #[error(
+        "a pipeline named `{name}` is running already on this machine\n  \
+         hint: end it first, or give this one another `name` in its file"
+    )]
+    Running {
+        /// Its name.
+        name: String,
+    },
+    /// Stages of an earlier run, or stages that were started one by one, are still there.
+    #[error(
+        "stages of a pipeline named `{name}` are still running on this machine\n  \
+         hint: end them (`pgrep -af \"conicflow node\"` lists them), or give this pipeline another `name`"
+    )]
+    Occupied {
+        /// Its name.
+        name: String,
+    },
+    /// The plan of a run makes no sense.
+    #[error("{}: {error}\n  hint: start the pipeline anew with `conicflow run`", path.display())]
+    Plan {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        error: serde_json::Error,
+    },
+}
+
+/// The folder of one pipeline's run.
+#[derive(Clone, Debug)]
+pub struct RunFolder {
+    path: PathBuf,
+    shared_memory: PathBuf,
+}
+
+/// Held as long as a run lasts: no other of the same name can start.
+#[derive(Debug)]
+pub struct RunLock {
+    _file: File,
+}
+
+impl RunFolder {
+    /// The folder of the pipeline `name`, made if it is not there.
+    ///
+    /// # Errors
+    /// It cannot be made, or is open to others.
+    pub fn open(name: &str) -> Result<Self, FolderError> {
+        let user = user_folder();
+        private_folder(&user)?;
+        let (path, shared_memory) = (user.join("run").join(name), user.join("shm"));
+        private_folder(&path)?;
+        private_folder(&shared_memory)?;
+        Ok(Self { path, shared_memory })
+    }
+
+    /// The folders of all pipelines that this user has run.
+    ///
+    /// # Errors
+    /// The user's folder cannot be read.
+    pub fn all() -> Result<Vec<Self>, FolderError> {
+        let user = user_folder();
+        let (runs, shared_memory) = (user.join("run"), user.join("shm"));
+        let entries = match fs::read_dir(&runs) {
+            Ok(entries) => entries,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+            Err(error) => return Err(FolderError::Io { path: runs, error }),
+        };
+        let mut paths: Vec<_> = entries.flatten().map(|entry| entry.path()).collect();
+        paths.sort();
+        Ok(paths.into_iter().map(|path| Self { path, shared_memory: shared_memory.clone() }).collect())
+    }
+
+    /// The folder that iceoryx2 keeps its files in, shared by all pipelines of this user.
+    pub fn shared_memory(&self) -> &Path {
+        &self.shared_memory
+    }
+
+    /// The folder itself.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The file of a stage's record.
+    pub fn status(&self, stage: &str) -> PathBuf {
+        status_path(&self.path, stage)
+    }
+
+    /// Takes the folder for a run of `name`, as soon as the stages of an earlier run that was cut off are gone.
+    ///
+    /// # Errors
+    /// Another run has it, or stages of another run stay.
+    pub fn lock(&self, name: &str) -> Result<RunLock, FolderError> {
+        let (path, file) = self.open_lock("lock")?;
+        match file.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => return Err(FolderError::Running { name: name.to_owned() }),
+            Err(TryLockError::Error(error)) => return Err(FolderError::Io { path, error }),
+        }
+        let deadline = Instant::now() + LAST_STAGES_GRACE;
+        let (path, stages) = self.open_lock("stages.lock")?;
+        loop {
+            match stages.try_lock() {
+                Ok(()) => return Ok(RunLock { _file: file }),
+                Err(TryLockError::WouldBlock) if Instant::now() < deadline => sleep(Duration::from_millis(10)),
+                Err(TryLockError::WouldBlock) => return Err(FolderError::Occupied { name: name.to_owned() }),
+                Err(TryLockError::Error(error)) => return Err(FolderError::Io { path, error }),
+            }
+        }
+    }
+
+    /// Says that a stage of this pipeline lives in this process, for as long as the file is held.
+    ///
+    /// # Errors
+    /// The folder cannot be written.
+    pub(crate) fn join(&self) -> Result<File, FolderError> {
+        let (path, file) = self.open_lock("stages.lock")?;
+        file.lock_shared().map_err(|error| FolderError::Io { path, error })?;
+        Ok(file)
+    }
+
+    fn open_lock(&self, name: &str) -> Result<(PathBuf, File), FolderError> {
+        let path = self.path.join(name);
+        match File::create(&path) {
+            Ok(file) => Ok((path, file)),
+            Err(error) => Err(FolderError::Io { path, error }),
+        }
+    }
+
+    /// Writes the plan of a run and removes the records of earlier ones.
+    ///
+    /// # Errors
+    /// The folder cannot be written.
+    pub fn begin(&self, plan: &Plan) -> Result<(), FolderError> {
+        let fault = |error| FolderError::Io { path: self.path.clone(), error };
+        for entry in fs::read_dir(&self.path).map_err(fault)?.flatten() {
+            if entry.path().extension().is_some_and(|extension| extension == "status") {
+                fs::remove_file(entry.path()).map_err(fault)?;
+            }
+        }
+        let path = self.plan_path();
+        let text = serde_json::to_vec_pretty(plan).map_err(|error| FolderError::Plan { path: path.clone(), error })?;
+        fs::write(&path, text).map_err(|error| FolderError::Io { path, error })
+    }
+
+    /// Reads the plan of the run.
+    ///
+    /// # Errors
+    /// There is none, or it makes no sense.
+    pub fn plan(&self) -> Result<Plan, FolderError> {
+        let path = self.plan_path();
+        let text = fs::read(&path).map_err(|error| FolderError::Io { path: path.clone(), error })?;
+        serde_json::from_slice(&text).map_err(|error| FolderError::Plan { path, error })
+    }
+
+    fn plan_path(&self) -> PathBuf {
+        self.path.join("plan.json")
+    }
+}
+
+fn user_folder() -> PathBuf {
+    if let Some(path) = std::env::var_os(RUNTIME_DIR) {
+        return path.into();
+    }
+    match std::env::var_os("XDG_RUNTIME_DIR") {
+        Some(path) if Path::new(&path).is_dir() => Path::new(&path).join("conicflow"),
+        _ => PathBuf::from(format!("/tmp/conicflow-{}", rustix::process::getuid().as_raw())),
+    }
+}
+
+/// Makes a folder that only this user can enter, and makes sure that it is one.
+fn private_folder(path: &Path) -> Result<(), FolderError> {
+    let fault = |error| FolderError::Io { path: path.to_owned(), error };
+    fs::DirBuilder::new().recursive(true).mode(0o700).create(path).map_err(fault)?;
+    let data = fs::metadata(path).map_err(fault)?;
+    let own = data.uid() == rustix::process::getuid().as_raw();
+    if own && data.permissions().mode() & 0o077 == 0 {
+        Ok(())
+    } else {
+        Err(FolderError::NotPrivate { path: path.to_owned() })
+    }
+}

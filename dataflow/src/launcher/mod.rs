@@ -1,0 +1,218 @@
+//! Starts the stages of a plan as processes, keeps them alive, and ends them in order.
+//!
+//! A run ends when all its stages have: because the sources are exhausted, the time is over, someone asks for it, or a stage
+//! is lost. It then stops the sources, lets what is under way be delivered, and presses harder as time passes.
+
+mod child;
+mod folder;
+mod process;
+mod progress;
+mod summary;
+
+pub use folder::{FolderError, RUNTIME_DIR, RunFolder, RunLock};
+pub use process::{PIPELINE, ProcessError, run_in_run, run_planned, run_source, run_stage};
+pub use summary::{StageSummary, Summary};
+
+use crate::plan::Plan;
+use crate::ports::shared_memory::SharedMemory;
+use crate::stage::Stop;
+use child::{Change, Supervised};
+use progress::Progress;
+use rustix::process::Signal;
+use signal_hook::consts::{SIGCHLD, SIGHUP, SIGINT, SIGTERM};
+use signal_hook::iterator::Signals;
+use std::path::PathBuf;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::time::{Duration, Instant};
+
+const LOOK: Duration = Duration::from_millis(100);
+/// An ending run in which nothing is delivered any more for this long is ended at once.
+const DELIVERY_GRACE: Duration = Duration::from_secs(5);
+/// Stages that were told to end at once are killed after this time.
+const KILL_GRACE: Duration = Duration::from_secs(5);
+
+/// How a run is to be.
+#[derive(Clone, Debug, Default)]
+pub struct RunOptions {
+    /// The program that runs stages: it has to know `node STAGE`.
+    pub program: PathBuf,
+    /// It ends after this time.
+    pub duration: Option<Duration>,
+    /// No progress is shown.
+    pub quiet: bool,
+}
+
+/// Why a run could not begin.
+#[derive(Debug, thiserror::Error)]
+pub enum LaunchError {
+    /// The run's folder.
+    #[error(transparent)]
+    Folder(#[from] FolderError),
+    /// A process.
+    #[error(transparent)]
+    Process(#[from] ProcessError),
+    /// The shared memory.
+    #[error(transparent)]
+    Port(#[from] crate::ports::PortError),
+    /// Signals.
+    #[error("signals cannot be received: {0}")]
+    Signals(std::io::Error),
+}
+
+/// Runs a plan to its end.
+///
+/// # Errors
+/// What kept it from beginning; that a stage was lost later is told by [`Summary::is_complete`].
+pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
+    let folder = RunFolder::open(&plan.pipeline)?;
+    let _lock = folder.lock(&plan.pipeline)?;
+    SharedMemory::open(folder.shared_memory(), &plan.pipeline, "launcher", Stop::default())?.clean();
+    folder.begin(plan)?;
+    let mut launcher = Launcher {
+        plan,
+        folder,
+        options,
+        stages: Vec::new(),
+        signals: signals()?,
+        phase: Phase::Running,
+        lost: false,
+        progress: Progress::new(options.quiet),
+        started: Instant::now(),
+    };
+    let ended = launcher.supervise();
+    launcher.stages.iter_mut().for_each(Supervised::kill);
+    ended?;
+    Ok(launcher.summary())
+}
+
+/// How hard the run presses for its end.
+#[derive(Clone, Copy, Debug)]
+enum Phase {
+    Running,
+    /// The sources were stopped; something was delivered last at that time.
+    Delivering {
+        delivered: u64,
+        since: Instant,
+    },
+    /// All stages were told to end at once.
+    Stopping {
+        since: Instant,
+    },
+    Killing,
+}
+
+struct Launcher<'a> {
+    plan: &'a Plan,
+    folder: RunFolder,
+    options: &'a RunOptions,
+    stages: Vec<Supervised>,
+    signals: Receiver<i32>,
+    phase: Phase,
+    lost: bool,
+    progress: Progress,
+    started: Instant,
+}
+
+impl Launcher<'_> {
+    fn supervise(&mut self) -> Result<(), LaunchError> {
+        for planned in &self.plan.stages {
+            self.stages.push(Supervised::start(planned.clone(), self.plan, &self.options.program)?);
+        }
+        while !self.stages.iter().all(Supervised::is_over) {
+            self.wait_for_events();
+            self.look_at_stages()?;
+            self.press();
+            self.progress.show(&self.summary());
+        }
+        self.progress.clear();
+        Ok(())
+    }
+
+    /// Sleeps until a signal comes or a look is due; each request to end presses harder than the one before.
+    fn wait_for_events(&mut self) {
+        match self.signals.recv_timeout(LOOK) {
+            Ok(SIGCHLD) | Err(RecvTimeoutError::Timeout) => {}
+            Ok(_) | Err(RecvTimeoutError::Disconnected) => match self.phase {
+                Phase::Running => self.stop_sources(),
+                Phase::Delivering { .. } => self.stop_all(),
+                Phase::Stopping { .. } | Phase::Killing => self.kill_all(),
+            },
+        }
+    }
+
+    fn look_at_stages(&mut self) -> Result<(), LaunchError> {
+        let ending = !matches!(self.phase, Phase::Running);
+        let mut lost = false;
+        for stage in &mut self.stages {
+            lost |= stage.look(self.plan, &self.folder, &self.options.program, ending)? == Change::Lost;
+        }
+        self.lost |= lost;
+        if lost && !ending {
+            tracing::error!("the run ends, because a stage is lost");
+        }
+        if (lost || self.nobody_reads()) && !ending {
+            self.stop_sources();
+        }
+        Ok(())
+    }
+
+    /// Whether all sinks are over: what the others still make would be for nobody.
+    fn nobody_reads(&self) -> bool {
+        let mut sinks = self.stages.iter().filter(|stage| stage.planned.is_sink()).peekable();
+        sinks.peek().is_some() && sinks.all(Supervised::is_over)
+    }
+
+    /// Goes on to the next phase when the time of this one is over.
+    fn press(&mut self) {
+        match self.phase {
+            Phase::Running if self.options.duration.is_some_and(|limit| self.started.elapsed() > limit) => {
+                self.stop_sources();
+            }
+            Phase::Delivering { delivered, since } => {
+                let now_delivered = self.delivered();
+                if now_delivered > delivered {
+                    self.phase = Phase::Delivering { delivered: now_delivered, since: Instant::now() };
+                } else if since.elapsed() > DELIVERY_GRACE {
+                    self.stop_all();
+                }
+            }
+            Phase::Stopping { since } if since.elapsed() > KILL_GRACE => self.kill_all(),
+            _ => {}
+        }
+    }
+
+    fn stop_sources(&mut self) {
+        self.phase = Phase::Delivering { delivered: self.delivered(), since: Instant::now() };
+        self.stages.iter().filter(|stage| stage.planned.is_source()).for_each(|stage| stage.signal(Signal::INT));
+    }
+
+    fn stop_all(&mut self) {
+        self.phase = Phase::Stopping { since: Instant::now() };
+        self.stages.iter().for_each(|stage| stage.signal(Signal::TERM));
+    }
+
+    fn kill_all(&mut self) {
+        self.phase = Phase::Killing;
+        self.stages.iter_mut().for_each(Supervised::kill);
+    }
+
+    /// How many messages have been worked on, by all stages together.
+    fn delivered(&self) -> u64 {
+        let summary = self.summary();
+        summary.stages.iter().filter_map(|stage| stage.status.as_ref()).map(|status| status.steps).sum()
+    }
+
+    fn summary(&self) -> Summary {
+        let lost = self.lost || self.stages.iter().any(Supervised::is_gone);
+        Summary::read(self.plan, &self.folder, self.started.elapsed(), !lost)
+    }
+}
+
+fn signals() -> Result<Receiver<i32>, LaunchError> {
+    let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP, SIGCHLD]).map_err(LaunchError::Signals)?;
+    let (sender, receiver) = channel();
+    let listen = move || signals.forever().take_while(|signal| sender.send(*signal).is_ok()).for_each(drop);
+    let builder = std::thread::Builder::new().name("signals".to_owned());
+    builder.spawn(listen).map_err(LaunchError::Signals)?;
+    Ok(receiver)
+}

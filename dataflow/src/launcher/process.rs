@@ -1,0 +1,209 @@
+//! A stage as a process of its own: finds its place in the plan, opens what it needs, and runs until it is done or told.
+
+use super::folder::{FolderError, RunFolder};
+use crate::node::Node;
+use crate::plan::{Plan, PlannedStage, Runs};
+use crate::ports::PortError;
+use crate::ports::shared_memory::SharedMemory;
+use crate::runner::peers::Peers;
+use crate::runner::{RunError, Surroundings};
+use crate::stage::{Context, Source, Stage, Stop};
+use crate::status::{Life, StatusFile};
+use conicflow_messages::Text;
+use rustix::process::{Signal, getpid, getppid, set_parent_process_death_signal};
+use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::iterator::Signals;
+use std::io;
+use std::os::unix::process::CommandExt;
+use std::process::{Command, ExitCode};
+use std::time::Duration;
+
+/// Environment variable: name of the pipeline whose run a stage belongs to.
+pub const PIPELINE: &str = "CONICFLOW_PIPELINE";
+/// Environment variable: name of the stage.
+pub(crate) const STAGE: &str = "CONICFLOW_STAGE";
+/// Environment variable: process of the launcher.
+pub(crate) const LAUNCHER: &str = "CONICFLOW_LAUNCHER";
+
+/// Exit code of a stage that could not be made ready: to start it anew would not help.
+pub(crate) const REFUSED: u8 = 2;
+
+/// A stage that is told to end at once, and cannot, is ended after this time.
+const LAST_GRACE: Duration = Duration::from_secs(3);
+
+/// Why a stage's process could not begin or go on.
+#[derive(Debug, thiserror::Error)]
+pub enum ProcessError {
+    /// The run's folder.
+    #[error(transparent)]
+    Folder(#[from] FolderError),
+    /// The stage failed.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// There is no such stage in the plan.
+    #[error("there is no stage `{0}` in this pipeline\n  hint: `conicflow graph` shows its stages")]
+    NoStage(String),
+    /// The plan names a node that this program does not have.
+    #[error("this program has no node `{0}`\n  hint: it was built from another version than the launcher")]
+    NoNode(String),
+    /// Something of the operating system.
+    #[error("{doing}: {error}\n  hint: is the program there, and may this user run it?")]
+    System {
+        /// What was being done.
+        doing: String,
+        /// What the system said.
+        error: io::Error,
+    },
+    /// The process is not part of a run.
+    #[error(
+        "the environment variable `{0}` is not set\n  \
+         hint: this program is a stage; name it in a pipeline file as program = [\"..\"], and start it by `conicflow run`"
+    )]
+    NoRun(&'static str),
+}
+
+impl ProcessError {
+    /// The exit code that tells the launcher whether to try again.
+    pub fn exit_code(&self) -> u8 {
+        use PortError::{Incompatible, PathTooLong};
+        match self {
+            Self::Run(RunError::Port(Incompatible { .. } | PathTooLong { .. })) => REFUSED,
+            Self::Run(RunError::Failed { .. } | RunError::Port(_)) => 1,
+            _ => REFUSED,
+        }
+    }
+}
+
+/// Runs the stage `name` of a plan in this process: a node of the table, or a program that takes the place of this one.
+///
+/// # Errors
+/// What kept the stage from beginning, or ended it.
+pub fn run_planned(plan: &Plan, folder: &RunFolder, name: &str, nodes: &[Node]) -> Result<(), ProcessError> {
+    let planned = plan.stage(name).ok_or_else(|| ProcessError::NoStage(name.to_owned()))?;
+    match &planned.runs {
+        Runs::Node { node, input } => {
+            let row = nodes.iter().find(|row| row.name == *node);
+            let variants = row.into_iter().flat_map(|row| row.variants);
+            let fitting = variants.clone().find(|variant| variant.input.name() == *input).or(variants.clone().next());
+            let run = fitting.ok_or_else(|| ProcessError::NoNode(node.clone()))?.run;
+            Ok(run(planned.parameters.clone(), surroundings(plan, folder, planned)?)?)
+        }
+        Runs::Command(command) => Err(become_program(plan, planned, command)),
+    }
+}
+
+/// Runs the source `S` as the stage that the launcher started this program for; for a `main` outside this repository.
+pub fn run_source<S: Source>() -> ExitCode {
+    exit_code(run_own(Node::source::<S>()))
+}
+
+/// Runs the stage or sink `S` as the stage that the launcher started this program for; for a `main` outside this
+/// repository.
+pub fn run_stage<S: Stage>() -> ExitCode {
+    exit_code(run_own(Node::stage::<S>()))
+}
+
+fn exit_code(ended: Result<(), ProcessError>) -> ExitCode {
+    match ended {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}");
+            error.exit_code().into()
+        }
+    }
+}
+
+/// Runs a stage of the run that this process was started in.
+///
+/// # Errors
+/// As [`run_planned`], or this process is not part of a run.
+pub fn run_in_run(nodes: &[Node]) -> Result<(), ProcessError> {
+    let (plan, folder, stage) = own_place()?;
+    die_with_launcher();
+    run_planned(&plan, &folder, &stage, nodes)
+}
+
+fn run_own(node: Node) -> Result<(), ProcessError> {
+    let (mut plan, folder, stage) = own_place()?;
+    die_with_launcher();
+    let own = plan.stages.iter_mut().find(|planned| planned.name == stage);
+    if let (Some(planned), Some(variant)) = (own, node.variants.first()) {
+        planned.runs = Runs::Node { node: node.name.to_owned(), input: variant.input.name().to_owned() };
+    }
+    run_planned(&plan, &folder, &stage, &[node])
+}
+
+fn own_place() -> Result<(Plan, RunFolder, String), ProcessError> {
+    let variable = |name| std::env::var(name).map_err(|_| ProcessError::NoRun(name));
+    let folder = RunFolder::open(&variable(PIPELINE)?)?;
+    Ok((folder.plan()?, folder, variable(STAGE)?))
+}
+
+/// Sees to it that this process ends when the launcher does, however that ends.
+fn die_with_launcher() {
+    let launcher = std::env::var(LAUNCHER).ok().and_then(|pid| pid.parse::<i32>().ok());
+    // Without this signal the launcher could leave an orphan, but not a wrong result.
+    set_parent_process_death_signal(Some(Signal::TERM)).ok();
+    let parent = getppid().map(|pid| pid.as_raw_nonzero().get());
+    if launcher.is_some() && launcher != parent {
+        std::process::exit(i32::from(REFUSED));
+    }
+}
+
+fn become_program(plan: &Plan, planned: &PlannedStage, command: &[String]) -> ProcessError {
+    let Some((program, arguments)) = command.split_first() else {
+        return ProcessError::NoNode(planned.name.clone());
+    };
+    set_parent_process_death_signal(Some(Signal::KILL)).ok();
+    let error = Command::new(program).args(arguments).current_dir(&plan.base).exec();
+    ProcessError::System { doing: format!("stage `{}` cannot run `{program}`", planned.name), error }
+}
+
+fn surroundings(
+    plan: &Plan,
+    folder: &RunFolder,
+    planned: &PlannedStage,
+) -> Result<Surroundings<SharedMemory>, ProcessError> {
+    let lock = Some(folder.join()?);
+    let stop = Stop::default();
+    listen_for_signals(stop.clone())?;
+    let transport = SharedMemory::open(folder.shared_memory(), &plan.pipeline, &planned.name, stop.clone());
+    let path = folder.status(&planned.name);
+    let record = StatusFile::open(&path, plan.run).map_err(|error| FolderError::Io { path, error })?;
+    let context = Context { stage: planned.name.clone(), base: plan.base.clone(), resume_at: 0, stop };
+    let peers = Peers::in_folder(folder.path().to_owned(), plan.run);
+    let mut around = Surroundings {
+        transport: transport.map_err(RunError::from)?,
+        wiring: planned.wiring.clone(),
+        context,
+        peers,
+        record,
+        lock,
+    };
+    let status = &mut around.record.status;
+    status.process = getpid().as_raw_nonzero().get().unsigned_abs();
+    status.stage = Text::new(&planned.name);
+    status.starts += 1;
+    status.set_life(Life::Starting);
+    around.record.write();
+    Ok(around)
+}
+
+/// SIGINT ends the stage in order, SIGTERM at once; the thread that listens sees to the latter.
+fn listen_for_signals(stop: Stop) -> Result<(), ProcessError> {
+    let fault = |error| ProcessError::System { doing: "signals cannot be received".to_owned(), error };
+    let mut signals = Signals::new([SIGINT, SIGTERM]).map_err(fault)?;
+    let listen = move || {
+        for signal in signals.forever() {
+            if signal == SIGINT {
+                stop.request();
+            } else {
+                stop.force();
+                std::thread::sleep(LAST_GRACE);
+                std::process::exit(128 + SIGTERM);
+            }
+        }
+    };
+    let builder = std::thread::Builder::new().name("signals".to_owned());
+    builder.spawn(listen).map(drop).map_err(fault)
+}

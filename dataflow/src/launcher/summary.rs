@@ -1,0 +1,131 @@
+//! What a run did: read from the records of its stages, while it runs for its progress, and at its end for people.
+
+use super::folder::RunFolder;
+use crate::plan::{Plan, PlannedStage};
+use crate::status::{Durations, Status, used};
+use crate::table::Table;
+use std::fmt::{self, Display};
+use std::time::Duration;
+
+/// The records of a run's stages at one moment.
+pub struct Summary {
+    /// Name of the pipeline.
+    pub pipeline: String,
+    /// Time since the run began.
+    pub elapsed: Duration,
+    /// The stages, in the order of the file.
+    pub stages: Vec<StageSummary>,
+    complete: bool,
+}
+
+/// A stage and its record.
+pub struct StageSummary {
+    /// Its plan.
+    pub planned: PlannedStage,
+    /// Its record, once it has one.
+    pub status: Option<Box<Status>>,
+}
+
+impl Summary {
+    pub(crate) fn read(plan: &Plan, folder: &RunFolder, elapsed: Duration, complete: bool) -> Self {
+        let of_run = |status: &Status| status.run == plan.run;
+        let stages = plan.stages.iter().map(|planned| StageSummary {
+            planned: planned.clone(),
+            status: Status::read(&folder.status(&planned.name)).filter(of_run).map(Box::new),
+        });
+        Self { pipeline: plan.pipeline.clone(), elapsed, stages: stages.collect(), complete }
+    }
+
+    /// Whether no stage was lost.
+    pub fn is_complete(&self) -> bool {
+        self.complete
+    }
+
+    /// Frames that the sources have made, and how many they will have made in the end where all of them know.
+    pub fn frames(&self) -> (u64, Option<u64>) {
+        let sources = self.statuses().filter(|(planned, _)| planned.is_source());
+        let (mut made, mut total) = (0, Some(0));
+        for (_, status) in sources {
+            made += status.sent;
+            total = total.filter(|_| status.total > 0).map(|sum: u64| sum + status.total);
+        }
+        (made, total.filter(|total| *total > 0))
+    }
+
+    /// Frames that have come to the end of the pipeline: those of the busiest sink.
+    pub fn finished(&self) -> u64 {
+        self.statuses().filter(|(planned, _)| planned.is_sink()).map(|(_, status)| status.steps).max().unwrap_or(0)
+    }
+
+    /// Messages that inputs lost to newer ones.
+    pub fn dropped(&self) -> u64 {
+        self.statuses().flat_map(|(_, status)| status.used_inputs()).map(|input| input.dropped).sum()
+    }
+
+    /// Objects found so far.
+    pub fn objects(&self) -> u64 {
+        let writers = self.statuses().filter(|(planned, _)| !planned.is_sink());
+        writers.map(|(_, status)| used(&status.found).map(|(_, count)| count).sum()).max().unwrap_or(0)
+    }
+
+    fn statuses(&self) -> impl Iterator<Item = (&PlannedStage, &Status)> {
+        self.stages.iter().filter_map(|stage| Some((&stage.planned, stage.status.as_deref()?)))
+    }
+
+    fn stage_table(&self) -> Table {
+        let mut table = Table::new(&["stage", "node", "messages", "compute p50", "p99", "starts"]);
+        for (planned, status) in self.statuses() {
+            let node = planned.runs.name().to_owned();
+            let times = &status.compute;
+            let row = [planned.name.clone(), node, status.steps.to_string(), time(times, 0.5), time(times, 0.99)];
+            table.row(row.into_iter().chain([status.starts.to_string()]));
+        }
+        table
+    }
+
+    fn input_table(&self) -> Table {
+        let mut table = Table::new(&["topic", "reader", "received", "dropped", "gaps", "late", "hop p50", "p99"]);
+        for (planned, status) in self.statuses() {
+            for (index, input) in status.used_inputs().enumerate() {
+                let driving = index == 0 && !planned.is_source();
+                let hop = |quantile| if driving { time(&status.hop, quantile) } else { String::new() };
+                let counts = [input.received, input.dropped, input.gaps, input.late].map(|count| count.to_string());
+                let names = [input.topic.to_string(), planned.name.clone()];
+                table.row(names.into_iter().chain(counts).chain([hop(0.5), hop(0.99)]));
+            }
+        }
+        table
+    }
+}
+
+fn time(durations: &Durations, quantile: f64) -> String {
+    durations.quantile(quantile).map_or("-".to_owned(), |time| milliseconds(time.as_secs_f64()))
+}
+
+fn milliseconds(seconds: f64) -> String {
+    format!("{:.3} ms", seconds * 1e3)
+}
+
+impl Display for Summary {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (frames, _) = self.frames();
+        let seconds = self.elapsed.as_secs_f64();
+        let rate = frames as f64 / seconds.max(1e-9);
+        writeln!(f, "{}: {frames} frames in {seconds:.1} s ({rate:.1} Hz), {} dropped", self.pipeline, self.dropped())?;
+        for (planned, status) in self.statuses().filter(|(planned, _)| planned.is_sink()) {
+            let (median, late) = (time(&status.latency, 0.5), time(&status.latency, 0.99));
+            writeln!(f, "latency from the source to `{}`: p50 {median}, p99 {late}", planned.name)?;
+        }
+        write!(f, "\n{}\n{}", self.stage_table(), self.input_table())?;
+        for (planned, status) in self.statuses() {
+            let found: Vec<_> = used(&status.found).map(|(label, count)| format!("{label} {count}")).collect();
+            if !found.is_empty() {
+                writeln!(f, "\n{} found in {} frames: {}", planned.name, status.steps, found.join(", "))?;
+            }
+            for (name, count) in used(&status.counters) {
+                writeln!(f, "  {}: {name}: {count}", planned.name)?;
+            }
+        }
+        if self.complete { Ok(()) } else { writeln!(f, "\nnot complete: a stage was lost, see above") }
+    }
+}

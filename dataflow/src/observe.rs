@@ -1,0 +1,227 @@
+//! Looks at running pipelines from outside: reads the records of their stages and what the kernel knows of the processes.
+//!
+//! Nothing is attached to, so that nothing is slowed down and no queue gets another reader.
+
+use crate::launcher::{FolderError, RunFolder};
+use crate::plan::{Plan, PlannedStage};
+use crate::status::{Durations, Life, Status};
+use serde::Serialize;
+use std::fs;
+use std::time::{Duration, Instant};
+
+/// The pipelines that run at one moment.
+pub struct Observation {
+    taken: Instant,
+    pipelines: Vec<(Plan, Vec<Observed>)>,
+}
+
+/// A stage at one moment.
+struct Observed {
+    status: Status,
+    cpu: Duration,
+    resident_bytes: u64,
+}
+
+/// What a pipeline did between two moments.
+#[derive(Debug, Serialize)]
+pub struct PipelineActivity {
+    /// Its name.
+    pub pipeline: String,
+    /// Its stages that live, in the order of the file.
+    pub stages: Vec<StageActivity>,
+    /// What they write.
+    pub topics: Vec<TopicActivity>,
+    /// What they read.
+    pub inputs: Vec<InputActivity>,
+}
+
+/// What a stage did between two moments.
+#[derive(Debug, Serialize)]
+pub struct StageActivity {
+    /// Its name.
+    pub stage: String,
+    /// Its node or program.
+    pub node: String,
+    /// Its process.
+    pub process: u32,
+    /// How often it was started in this run.
+    pub starts: u64,
+    /// Messages worked on, in all.
+    pub messages: u64,
+    /// Messages worked on per second.
+    pub rate_hz: f64,
+    /// Processor time, in percent of one core.
+    pub cpu_percent: f64,
+    /// Memory in use, shared memory included, in MB.
+    pub memory_mb: f64,
+    /// Time of a step, median, since the run began.
+    pub compute_p50_ms: Option<f64>,
+    /// Time of a step, 99 of 100, since the run began.
+    pub compute_p99_ms: Option<f64>,
+}
+
+/// What went into a topic between two moments.
+#[derive(Debug, Serialize)]
+pub struct TopicActivity {
+    /// Its name.
+    pub topic: String,
+    /// The stage that writes it.
+    pub writer: String,
+    /// Messages sent, in all.
+    pub sent: u64,
+    /// Messages per second.
+    pub rate_hz: f64,
+    /// Megabytes per second.
+    pub bandwidth_mbps: f64,
+}
+
+/// What came out of a topic for one stage.
+#[derive(Debug, Serialize)]
+pub struct InputActivity {
+    /// Name of the topic.
+    pub topic: String,
+    /// The stage that reads it.
+    pub reader: String,
+    /// Messages worked on.
+    pub received: u64,
+    /// Messages lost to newer ones.
+    pub dropped: u64,
+    /// Frames missing in the sequence.
+    pub gaps: u64,
+    /// Messages that came twice or out of order.
+    pub late: u64,
+    /// Messages that made no sense.
+    pub malformed: u64,
+    /// Time from sending to receiving, median; of the driving input.
+    pub hop_p50_ms: Option<f64>,
+    /// The same, 99 of 100.
+    pub hop_p99_ms: Option<f64>,
+    /// Time from the source to here, median; of the driving input.
+    pub latency_p50_ms: Option<f64>,
+    /// The same, 99 of 100.
+    pub latency_p99_ms: Option<f64>,
+}
+
+/// Looks at all pipelines of this user that run.
+///
+/// # Errors
+/// The user's folder cannot be read.
+pub fn observe() -> Result<Observation, FolderError> {
+    let plans = RunFolder::all()?.into_iter().filter_map(|folder| Some((folder.plan().ok()?, folder)));
+    let observed = plans.map(|(plan, folder)| {
+        let stages = plan.stages.iter().filter_map(|stage| observe_stage(&folder, &stage.name)).collect::<Vec<_>>();
+        (plan, stages)
+    });
+    Ok(Observation { taken: Instant::now(), pipelines: observed.filter(|(_, stages)| !stages.is_empty()).collect() })
+}
+
+/// A stage that lives; a record may outlive its process.
+fn observe_stage(folder: &RunFolder, name: &str) -> Option<Observed> {
+    let status = Status::read(&folder.status(name)).filter(|status| status.life() == Life::Running)?;
+    let (cpu, resident_bytes) = process_usage(status.process)?;
+    Some(Observed { status, cpu, resident_bytes })
+}
+
+/// Processor time and resident memory of a process, from /proc; `None` if there is none.
+fn process_usage(process: u32) -> Option<(Duration, u64)> {
+    let stat = fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
+    // The name stands in parentheses and may hold anything; what follows the last one are fields 3 and on.
+    let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
+    let ticks: u64 = fields.get(11)?.parse::<u64>().ok()? + fields.get(12)?.parse::<u64>().ok()?;
+    let pages: u64 = fields.get(21)?.parse().ok()?;
+    let per_second = rustix::param::clock_ticks_per_second();
+    let cpu = Duration::from_secs_f64(ticks as f64 / per_second as f64);
+    Some((cpu, pages * rustix::param::page_size() as u64))
+}
+
+impl Observation {
+    /// What happened since an earlier look.
+    pub fn since(&self, earlier: &Self) -> Vec<PipelineActivity> {
+        let seconds = self.taken.duration_since(earlier.taken).as_secs_f64().max(1e-3);
+        self.pipelines.iter().map(|(plan, stages)| pipeline_activity(plan, stages, earlier, seconds)).collect()
+    }
+
+    fn find(&self, run: u64, process: u32) -> Option<&Observed> {
+        let stages = self.pipelines.iter().filter(|(plan, _)| plan.run == run).flat_map(|(_, stages)| stages);
+        stages.into_iter().find(|stage| stage.status.process == process)
+    }
+}
+
+fn pipeline_activity(plan: &Plan, stages: &[Observed], earlier: &Observation, seconds: f64) -> PipelineActivity {
+    let (mut activities, mut topics, mut inputs) = (Vec::new(), Vec::new(), Vec::new());
+    for planned in &plan.stages {
+        let of_stage = |stage: &&Observed| stage.status.stage.as_str() == Some(&planned.name);
+        let Some(stage) = stages.iter().find(of_stage) else { continue };
+        let span = Span { before: earlier.find(plan.run, stage.status.process), now: stage, seconds };
+        activities.push(span.stage(planned));
+        topics.extend(planned.wiring.output.as_ref().map(|topic| span.topic(&topic.name, &planned.name)));
+        inputs.extend(input_activity(&stage.status, &planned.name, !planned.is_source()));
+    }
+    PipelineActivity { pipeline: plan.pipeline.clone(), stages: activities, topics, inputs }
+}
+
+/// A stage at two moments; at only one if it was started meanwhile.
+struct Span<'a> {
+    before: Option<&'a Observed>,
+    now: &'a Observed,
+    seconds: f64,
+}
+
+impl Span<'_> {
+    fn per_second(&self, count: fn(&Status) -> u64) -> f64 {
+        let counted = self.before.map_or(0, |before| count(&self.now.status).saturating_sub(count(&before.status)));
+        counted as f64 / self.seconds
+    }
+
+    fn stage(&self, planned: &PlannedStage) -> StageActivity {
+        let status = &self.now.status;
+        let cpu = self.before.map_or(Duration::ZERO, |before| self.now.cpu.saturating_sub(before.cpu));
+        StageActivity {
+            stage: planned.name.clone(),
+            node: planned.runs.name().to_owned(),
+            process: status.process,
+            starts: status.starts,
+            messages: status.steps,
+            rate_hz: self.per_second(|status| status.steps),
+            cpu_percent: cpu.as_secs_f64() / self.seconds * 100.0,
+            memory_mb: self.now.resident_bytes as f64 / 1e6,
+            compute_p50_ms: milliseconds(&status.compute, 0.5),
+            compute_p99_ms: milliseconds(&status.compute, 0.99),
+        }
+    }
+
+    fn topic(&self, topic: &str, writer: &str) -> TopicActivity {
+        TopicActivity {
+            topic: topic.to_owned(),
+            writer: writer.to_owned(),
+            sent: self.now.status.sent,
+            rate_hz: self.per_second(|status| status.sent),
+            bandwidth_mbps: self.per_second(|status| status.sent_bytes) / 1e6,
+        }
+    }
+}
+
+fn input_activity(status: &Status, reader: &str, driven: bool) -> Vec<InputActivity> {
+    let rows = status.used_inputs().enumerate().map(|(index, input)| {
+        let drives = driven && index == 0;
+        let time = |durations: &Durations, quantile| milliseconds(durations, quantile).filter(|_| drives);
+        InputActivity {
+            topic: input.topic.to_string(),
+            reader: reader.to_owned(),
+            received: input.received,
+            dropped: input.dropped,
+            gaps: input.gaps,
+            late: input.late,
+            malformed: input.malformed,
+            hop_p50_ms: time(&status.hop, 0.5),
+            hop_p99_ms: time(&status.hop, 0.99),
+            latency_p50_ms: time(&status.latency, 0.5),
+            latency_p99_ms: time(&status.latency, 0.99),
+        }
+    });
+    rows.collect()
+}
+
+fn milliseconds(durations: &Durations, quantile: f64) -> Option<f64> {
+    durations.quantile(quantile).map(|time| time.as_secs_f64() * 1e3)
+}

@@ -1,0 +1,211 @@
+//! Topics in shared memory, by iceoryx2: this module is the only place that knows it.
+//!
+//! A topic `t` of pipeline `p` is three services: `conicflow/p/t` carries the messages, `conicflow/p/t/wake` wakes the
+//! readers when a message was sent, `conicflow/p/t/room` wakes a writer that waits because a lossless reader's queue is
+//! full. All numbers of a service follow from the pipeline file, so that every stage asks for the same ones and the order
+//! of their start does not matter.
+
+#![allow(unsafe_code)] // layout promises for types in shared memory, and loans whose content is left over
+
+mod reader;
+#[cfg(test)]
+mod tests;
+mod writer;
+
+pub use reader::{SharedMessage, SharedReader};
+pub use writer::SharedWriter;
+
+use crate::ports::{Delivery, PortError, Topic, Transport};
+use crate::stage::Stop;
+use bytemuck::TransparentWrapper;
+use conicflow_messages::{HEADER_TYPE_NAME, Header, Item};
+use iceoryx2::node::NodeCreationFailure;
+use iceoryx2::port::listener::Listener;
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::prelude::*;
+use iceoryx2::service::builder::publish_subscribe::{PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError};
+use iceoryx2::service::port_factory::publish_subscribe::PortFactory as TopicFactory;
+use std::fmt::{Debug, Display};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use writer::place_of;
+
+type Ipc = ipc_threadsafe::Service;
+type Factory<T> = TopicFactory<Ipc, [WireItem<T>], WireHeader>;
+
+/// Unix sockets lie in the folder, and their names leave no more room than this for folder and prefix together.
+const ROOT_AND_PREFIX_LIMIT: usize = 71;
+const PREFIX: &str = "conicflow_";
+
+/// Readers that may join beside those of the pipeline file: tools that look on.
+const SPARE_READERS: usize = 8;
+/// Messages that one reader may hold at a time: one for each source on a topic, and those that wait for their frame.
+const MAX_HELD: usize = 16;
+
+/// An item in shared memory.
+#[repr(transparent)]
+#[derive(Clone, Copy, Debug, TransparentWrapper)]
+struct WireItem<T>(T);
+
+/// The header in shared memory.
+#[repr(transparent)]
+#[derive(Clone, Copy, Debug, Default, TransparentWrapper)]
+struct WireHeader(Header);
+
+// SAFETY: an `Item` is plain old data without pointers, and its type name carries the version of its layout.
+unsafe impl<T: Item> ZeroCopySend for WireItem<T> {
+    unsafe fn type_name() -> &'static str {
+        T::TYPE_NAME
+    }
+}
+
+// SAFETY: the header is plain old data without pointers, and its type name carries the version of its layout.
+unsafe impl ZeroCopySend for WireHeader {
+    unsafe fn type_name() -> &'static str {
+        HEADER_TYPE_NAME
+    }
+}
+
+/// This process's access to the topics of one pipeline.
+pub struct SharedMemory {
+    node: Node<Ipc>,
+    pipeline: String,
+    root: PathBuf,
+    stop: Stop,
+}
+
+impl SharedMemory {
+    /// Joins the pipeline `pipeline` whose files lie in the folder `root`, and cleans up after processes that died there.
+    ///
+    /// # Errors
+    /// The folder cannot be used for shared memory.
+    pub fn open(root: &Path, pipeline: &str, stage: &str, stop: Stop) -> Result<Self, PortError> {
+        set_log_level(LogLevel::Fatal);
+        let config = configuration(root)?;
+        let fault = |reason: &dyn Debug| PortError::SharedMemory {
+            doing: format!("stage `{stage}` cannot join the shared memory"),
+            reason: format!("{reason:?}"),
+            root: root.to_owned(),
+        };
+        let name = NodeName::new(stage).map_err(|error| fault(&error))?;
+        let builder = NodeBuilder::new().name(&name).config(&config).signal_handling_mode(SignalHandlingMode::Disabled);
+        let node = builder.create::<Ipc>().map_err(|error: NodeCreationFailure| fault(&error))?;
+        Ok(Self { node, pipeline: pipeline.to_owned(), root: root.to_owned(), stop })
+    }
+
+    /// Removes what processes that died have left in shared memory.
+    pub fn clean(&self) {
+        self.node.try_cleanup_dead_nodes();
+    }
+
+    fn fault(&self, doing: impl Display, reason: impl Debug) -> PortError {
+        PortError::SharedMemory { doing: doing.to_string(), reason: format!("{reason:?}"), root: self.root.clone() }
+    }
+
+    fn service_name(&self, topic: &Topic, part: &str) -> Result<ServiceName, PortError> {
+        let name = format!("conicflow/{}/{}{part}", self.pipeline, topic.name);
+        ServiceName::new(&name).map_err(|error| self.fault(format!("topic `{}` cannot be named", topic.name), error))
+    }
+
+    fn messages<T: Item>(&self, topic: &Topic) -> Result<Factory<T>, PortError> {
+        let longest = topic.readers.iter().map(|reader| reader.queue).max().unwrap_or(2);
+        let readers = topic.readers.len() + SPARE_READERS;
+        let writers = topic.writers.len() + 2;
+        let opened = self
+            .node
+            .service_builder(&self.service_name(topic, "")?)
+            .publish_subscribe::<[WireItem<T>]>()
+            .user_header::<WireHeader>()
+            .enable_safe_overflow(!topic.is_lossless())
+            .subscriber_max_buffer_size(longest)
+            .subscriber_max_borrowed_samples(MAX_HELD)
+            .max_publishers(writers)
+            .max_subscribers(readers)
+            .max_nodes(2 * (writers + readers))
+            .history_size(0)
+            .open_or_create();
+        opened.map_err(|error| match error {
+            PublishSubscribeOpenOrCreateError::PublishSubscribeOpenError(
+                PublishSubscribeOpenError::IncompatibleTypes,
+            ) => PortError::Incompatible {
+                topic: topic.name.clone(),
+                expected: format!("{HEADER_TYPE_NAME}, {}", T::TYPE_NAME),
+            },
+            other => self.fault(format!("topic `{}` cannot be opened", topic.name), other),
+        })
+    }
+
+    fn event(&self, topic: &Topic, part: &str) -> Result<EventFactory, PortError> {
+        let ports = topic.readers.len() + topic.writers.len() + SPARE_READERS;
+        let builder = self.node.service_builder(&self.service_name(topic, part)?).event();
+        let builder = builder.max_listeners(ports).max_notifiers(ports).max_nodes(2 * ports).event_id_max_value(ports);
+        builder
+            .open_or_create()
+            .map_err(|error| self.fault(format!("the wake-up of topic `{}` cannot be opened", topic.name), error))
+    }
+
+    fn listener(&self, topic: &Topic, part: &str) -> Result<Listener<Ipc>, PortError> {
+        let created = self.event(topic, part)?.listener_builder().create();
+        created.map_err(|error| self.fault(format!("topic `{}` cannot be listened to", topic.name), error))
+    }
+
+    fn notifier(&self, topic: &Topic, part: &str, event: usize) -> Result<Notifier<Ipc>, PortError> {
+        let service = self.event(topic, part)?;
+        let created = service.notifier_builder().default_event_id(EventId::new(event)).create();
+        created.map_err(|error| self.fault(format!("topic `{}` cannot wake anybody", topic.name), error))
+    }
+}
+
+type EventFactory = iceoryx2::service::port_factory::event::PortFactory<Ipc>;
+
+fn configuration(root: &Path) -> Result<Config, PortError> {
+    let length = root.as_os_str().len() + PREFIX.len();
+    let limit = ROOT_AND_PREFIX_LIMIT - PREFIX.len();
+    let too_long = || PortError::PathTooLong { path: root.to_owned(), length: length - PREFIX.len(), limit };
+    if length > ROOT_AND_PREFIX_LIMIT {
+        return Err(too_long());
+    }
+    let mut config = Config::default();
+    let path = iceoryx2::prelude::Path::new(root.as_os_str().as_encoded_bytes()).map_err(|_| too_long())?;
+    config.global.set_root_path(&path);
+    config.global.prefix = FileName::new(PREFIX.as_bytes()).map_err(|_| too_long())?;
+    Ok(config)
+}
+
+impl Transport for SharedMemory {
+    type Reader<T: Item> = SharedReader<T>;
+    type Writer<T: Item> = SharedWriter<T>;
+
+    fn reader<T: Item>(&self, topic: &Topic, stage: &str) -> Result<SharedReader<T>, PortError> {
+        let fault = |error: &dyn Debug| self.fault(format!("topic `{}` cannot be read", topic.name), error);
+        let reader = topic.readers.iter().find(|reader| reader.stage == stage);
+        let queue = reader.map_or(2, |reader| reader.queue);
+        let wake = self.listener(topic, "/wake")?;
+        let room = match place_of(topic, stage) {
+            Some(place) if topic.delivery_to(stage) == Delivery::Lossless => {
+                Some(self.notifier(topic, "/room", place)?)
+            }
+            _ => None,
+        };
+        let name = PortName::new(stage).map_err(|error| fault(&error))?;
+        let messages = self.messages::<T>(topic)?;
+        let subscriber = messages.subscriber_builder().buffer_size(queue).name(&name).create();
+        let subscriber = subscriber.map_err(|error| fault(&error))?;
+        Ok(SharedReader { subscriber, wake, room, topic: topic.name.clone(), root: self.root.clone() })
+    }
+
+    fn writer<T: Item>(&self, topic: &Topic) -> Result<SharedWriter<T>, PortError> {
+        Ok(SharedWriter {
+            loan: None,
+            publisher: None,
+            messages: Arc::new(self.messages(topic)?),
+            wake: self.notifier(topic, "/wake", 0)?,
+            room: Arc::new(self.listener(topic, "/room")?),
+            attached: Vec::new(),
+            topic: topic.clone(),
+            config: self.node.config().clone(),
+            root: self.root.clone(),
+            stop: self.stop.clone(),
+        })
+    }
+}

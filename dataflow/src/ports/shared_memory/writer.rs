@@ -1,0 +1,174 @@
+//! The writing end of a topic in shared memory, and its waiting for readers that must not miss a message.
+
+use super::{Factory, Ipc, WireHeader, WireItem};
+use crate::ports::{Delivery, PortError, Topic, Writer};
+use crate::stage::Stop;
+use bytemuck::TransparentWrapper;
+use conicflow_messages::{Header, Item};
+use iceoryx2::port::listener::Listener;
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::publisher::Publisher;
+use iceoryx2::port::{BackpressureAction, BackpressureInfo};
+use iceoryx2::prelude::{AllocationStrategy, CallbackProgression, Config, Node, NodeState, PortFactory};
+use iceoryx2::sample_mut::SampleMut;
+use std::fmt::Debug;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// A writer that waits for room looks this often whether the reader still lives.
+const DEAD_READER_CHECK: Duration = Duration::from_millis(100);
+/// Room for lists that no message has exceeded yet; longer ones grow the segment.
+const INITIAL_LIST: usize = 1024;
+
+/// Writes a topic in shared memory.
+pub struct SharedWriter<T: Item> {
+    pub(super) loan: Option<SampleMut<Ipc, [WireItem<T>], WireHeader>>,
+    pub(super) publisher: Option<Publisher<Ipc, [WireItem<T>], WireHeader>>,
+    pub(super) messages: Arc<Factory<T>>,
+    pub(super) wake: Notifier<Ipc>,
+    pub(super) room: Arc<Listener<Ipc>>,
+    /// Ports of lossless readers that have taken their first message.
+    pub(super) attached: Vec<u128>,
+    pub(super) topic: Topic,
+    pub(super) config: Config,
+    pub(super) root: PathBuf,
+    pub(super) stop: Stop,
+}
+
+impl<T: Item> SharedWriter<T> {
+    fn fault(&self, reason: impl Debug) -> PortError {
+        PortError::SharedMemory {
+            doing: format!("topic `{}` cannot be written", self.topic.name),
+            reason: format!("{reason:?}"),
+            root: self.root.clone(),
+        }
+    }
+
+    /// The publisher, made when the length of the first message is known.
+    fn publisher(&mut self, length: usize) -> Result<&Publisher<Ipc, [WireItem<T>], WireHeader>, PortError> {
+        if self.publisher.is_none() {
+            let builder = self.messages.publisher_builder().max_loaned_samples(2);
+            let builder = builder.initial_max_slice_len(length.max(INITIAL_LIST));
+            let builder = builder.allocation_strategy(AllocationStrategy::PowerOfTwo);
+            let builder = builder.set_backpressure_handler(self.wait_for_room());
+            self.publisher = Some(builder.create().map_err(|error| self.fault(error))?);
+        }
+        self.publisher.as_ref().ok_or(PortError::Stopped)
+    }
+
+    /// What a full queue leads to: for a lossless reader of the pipeline to waiting, until it has room or is dead; for any
+    /// other to its loss of this message.
+    fn wait_for_room(&self) -> impl Fn(&BackpressureInfo) -> BackpressureAction + Send + use<T> + 'static {
+        let (messages, topic, room) = (Arc::clone(&self.messages), self.topic.clone(), Arc::clone(&self.room));
+        let (config, stop) = (self.config.clone(), self.stop.clone());
+        move |full| {
+            if stop.forced() {
+                return BackpressureAction::DiscardDataAndFail;
+            }
+            if !lossless_readers(&messages, &topic).iter().any(|(port, _)| *port == full.receiver_port_id) {
+                return BackpressureAction::DiscardData;
+            }
+            let woken = room.timed_wait(|_| {}, DEAD_READER_CHECK);
+            if !woken.is_ok_and(|events| events > 0) {
+                clean_dead_nodes(&config);
+            }
+            BackpressureAction::Retry
+        }
+    }
+}
+
+impl<T: Item> SharedWriter<T> {
+    /// Lossless readers that have not taken a message yet; what their predecessors answered is forgotten.
+    fn new_lossless_readers(&mut self) -> Vec<(u128, usize)> {
+        let mut readers = lossless_readers(&self.messages, &self.topic);
+        self.attached.retain(|port| readers.iter().any(|(reader, _)| reader == port));
+        readers.retain(|(port, _)| !self.attached.contains(port));
+        if !readers.is_empty() {
+            self.room.try_wait(|_| {}).ok();
+        }
+        readers
+    }
+
+    /// Waits until readers that are new have taken the message that was just sent. Before a reader looks into its queue
+    /// for the first time iceoryx2 does not count it as connected, and would drop what does not fit.
+    fn await_first_sight(&mut self, mut new: Vec<(u128, usize)>) {
+        while !new.is_empty() && !self.stop.forced() {
+            let mut answers = Vec::new();
+            self.room.timed_wait(|event| answers.push(event.id.as_value()), DEAD_READER_CHECK).ok();
+            let seen = new.extract_if(.., |(_, place)| answers.contains(place));
+            self.attached.extend(seen.map(|(port, _)| port));
+            if answers.is_empty() {
+                clean_dead_nodes(&self.config);
+            }
+            let there = lossless_readers(&self.messages, &self.topic);
+            new.retain(|reader| there.contains(reader));
+        }
+    }
+}
+
+/// The place of a reader among those of its topic: the number by which it answers.
+pub(super) fn place_of(topic: &Topic, stage: &str) -> Option<usize> {
+    topic.readers.iter().position(|reader| reader.stage == stage)
+}
+
+/// Port and place of the lossless readers that are there now; ports are named after their stages.
+fn lossless_readers<T: Item>(messages: &Factory<T>, topic: &Topic) -> Vec<(u128, usize)> {
+    let mut found = Vec::new();
+    messages.dynamic_config().list_subscribers(|reader| {
+        let stage = reader.subscriber_name.as_str();
+        if let (Some(place), Delivery::Lossless) = (place_of(topic, stage), topic.delivery_to(stage)) {
+            found.push((reader.subscriber_id.value(), place));
+        }
+        CallbackProgression::Continue
+    });
+    found
+}
+
+fn clean_dead_nodes(config: &Config) {
+    // What cannot be listed or cleaned now is tried again at the next look.
+    Node::<Ipc>::list(config, |node| {
+        if let NodeState::Dead(dead) = node {
+            dead.try_remove_stale_resources().ok();
+        }
+        CallbackProgression::Continue
+    })
+    .ok();
+}
+
+impl<T: Item> Writer<T> for SharedWriter<T> {
+    fn loan(&mut self, length: usize) -> Result<&mut [T], PortError> {
+        self.loan = None;
+        let loaned = self.publisher(length)?.loan_slice_uninit(length);
+        let loaned = loaned.map_err(|error| self.fault(error))?;
+        // SAFETY: `Item` is valid for all bit patterns, and the bytes of a shared segment are those that the kernel zeroed
+        // or an earlier message wrote.
+        let sample = unsafe { loaned.assume_init() };
+        Ok(WireItem::peel_slice_mut(self.loan.insert(sample).payload_mut()))
+    }
+
+    fn send(&mut self, header: &Header) -> Result<usize, PortError> {
+        if self.loan.is_none() {
+            self.loan(0)?;
+        }
+        let Some(mut sample) = self.loan.take() else { return Err(PortError::Stopped) };
+        let length = sample.payload().len();
+        *WireHeader::peel_mut(sample.user_header_mut()) = *header;
+        let new = self.new_lossless_readers();
+        sample.send().map_err(|error| if self.stop.forced() { PortError::Stopped } else { self.fault(error) })?;
+        // A reader that is not woken looks by itself at its next tick.
+        self.wake.notify().ok();
+        self.await_first_sight(new);
+        Ok(length)
+    }
+
+    fn connected(&self) -> Vec<String> {
+        let mut stages = Vec::new();
+        self.messages.dynamic_config().list_subscribers(|reader| {
+            stages.push(reader.subscriber_name.as_str().to_owned());
+            CallbackProgression::Continue
+        });
+        stages.retain(|stage| self.topic.readers.iter().any(|reader| reader.stage == *stage));
+        stages
+    }
+}

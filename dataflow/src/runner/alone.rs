@@ -1,0 +1,118 @@
+//! Runs a single stage or source as it runs in a pipeline, with nothing around it: for tests.
+
+use super::peers::Peers;
+use super::source_loop::run_source;
+use super::stage_loop::run_stage;
+use super::{RunError, Surroundings};
+use crate::ports::in_memory::{InMemory, MemoryReader};
+use crate::ports::{Delivery, PortError, Reader, Received, Topic, TopicReader, Transport, Wiring, Writer};
+use crate::stage::{Context, Source, Stage};
+use crate::status::StatusFile;
+use conicflow_messages::{END_OF_STREAM, Header, Hop, Item, Text};
+use std::thread;
+use std::time::Duration;
+
+/// A message of one's own: its header and its items.
+pub type Owned<T> = (Header, Vec<T>);
+
+const UPSTREAM: &str = "upstream";
+const DOWNSTREAM: &str = "downstream";
+
+/// Runs the stage `S` over `messages`, none of which is lost, and returns what it sent.
+///
+/// # Errors
+/// What the stage refused or failed at.
+pub fn pass<S: Stage>(
+    config: S::Config,
+    context: Context,
+    messages: &[Owned<S::Input>],
+) -> Result<Vec<Owned<S::Output>>, RunError>
+where
+    S::Config: Send,
+{
+    let memory = InMemory::new(context.stop.clone());
+    let input = topic("input", UPSTREAM, &context.stage, messages.len() + 1);
+    let output = topic("output", &context.stage, DOWNSTREAM, messages.len() + 1);
+    let mut writer = memory.writer::<S::Input>(&input)?;
+    let wiring = Wiring { input: Some(input), output: Some(output.clone()), ..Wiring::default() };
+    run_alone(
+        &memory,
+        wiring,
+        context,
+        &output,
+        |around| run_stage::<S, _>(config, around),
+        |is_over| {
+            while writer.connected().is_empty() && !is_over() {
+                thread::yield_now();
+            }
+            for (header, items) in messages {
+                writer.loan(items.len())?.copy_from_slice(items);
+                writer.send(&from_upstream(*header))?;
+            }
+            writer.send(&from_upstream(Header { flags: END_OF_STREAM, ..Header::default() })).map(drop)
+        },
+    )
+}
+
+/// Runs the source `S` until it has made `frames` messages, or has no more, and returns them.
+///
+/// # Errors
+/// What the source refused or failed at.
+pub fn collect<S: Source>(config: S::Config, context: Context, frames: u64) -> Result<Vec<Owned<S::Output>>, RunError>
+where
+    S::Config: Send,
+{
+    let memory = InMemory::new(context.stop.clone());
+    let output = topic("output", &context.stage, DOWNSTREAM, 4);
+    let wiring = Wiring { output: Some(output.clone()), frames: Some(frames), ..Wiring::default() };
+    run_alone(&memory, wiring, context, &output, |around| run_source::<S, _>(config, around), |_| Ok(()))
+}
+
+fn topic(name: &str, writer: &str, reader: &str, queue: usize) -> Topic {
+    let reader = TopicReader { stage: reader.to_owned(), delivery: Delivery::Lossless, queue };
+    Topic { name: name.to_owned(), writers: vec![writer.to_owned()], readers: vec![reader] }
+}
+
+fn from_upstream(header: Header) -> Header {
+    let mut header = Header { hop_count: 0, ..header };
+    header.add_hop(Hop { stage: Text::new(UPSTREAM), ..Hop::default() });
+    header
+}
+
+/// Runs one loop on a thread of its own, feeds it, and gathers what it sends until it is over.
+fn run_alone<T: Item>(
+    memory: &InMemory,
+    wiring: Wiring,
+    context: Context,
+    output: &Topic,
+    run: impl FnOnce(Surroundings<InMemory>) -> Result<(), RunError> + Send,
+    feed: impl FnOnce(&dyn Fn() -> bool) -> Result<(), PortError>,
+) -> Result<Vec<Owned<T>>, RunError> {
+    let mut reader = memory.reader::<T>(output, DOWNSTREAM)?;
+    let record = StatusFile::nowhere();
+    let around =
+        Surroundings { transport: memory.clone(), wiring, context, peers: Peers::default(), record, lock: None };
+    thread::scope(|scope| {
+        let running = scope.spawn(|| run(around));
+        let fed = feed(&|| running.is_finished());
+        let sent = gather(&mut reader, || running.is_finished());
+        drop(reader);
+        running.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))?;
+        fed?;
+        Ok(sent?)
+    })
+}
+
+/// All messages up to the end of the stream, or until nobody is left to send more.
+fn gather<T: Item>(reader: &mut MemoryReader<T>, is_over: impl Fn() -> bool) -> Result<Vec<Owned<T>>, PortError> {
+    let mut messages = Vec::new();
+    loop {
+        let over = is_over();
+        match reader.receive()? {
+            Some(message) if message.header().ends_stream() => return Ok(messages),
+            Some(message) => messages.push((*message.header(), message.items().to_vec())),
+            None if over => return Ok(messages),
+            None => reader.wait(Duration::from_millis(10))?,
+        }
+    }
+}

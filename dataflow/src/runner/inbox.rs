@@ -1,0 +1,208 @@
+//! An input of a stage: decides which of the messages that came is worked on, and counts the others.
+
+use crate::ports::{Delivery, PortError, Reader, Received};
+use crate::status::InputCounts;
+use conicflow_messages::{Header, Item, Text};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::time::Duration;
+
+/// Takes messages from a reader: checked, in order, the newest only where that is wanted.
+pub(crate) struct Inbox<T: Item, R: Reader<T>> {
+    reader: R,
+    delivery: Delivery,
+    writers: usize,
+    ended: BTreeSet<String>,
+    pending: VecDeque<R::Message>,
+    last_frame: BTreeMap<Text<32>, (u64, u64)>,
+    last_number: BTreeMap<Text<32>, u64>,
+    counts: InputCounts,
+}
+
+impl<T: Item, R: Reader<T>> Inbox<T, R> {
+    /// An input from `topic`, which `writers` stages write.
+    pub(crate) fn new(reader: R, delivery: Delivery, topic: &str, writers: usize) -> Self {
+        Self {
+            reader,
+            delivery,
+            writers,
+            ended: BTreeSet::new(),
+            pending: VecDeque::new(),
+            last_frame: BTreeMap::new(),
+            last_number: BTreeMap::new(),
+            counts: InputCounts { topic: Text::new(topic), ..InputCounts::default() },
+        }
+    }
+
+    /// The message to be worked on next, if one is there.
+    pub(crate) fn take(&mut self) -> Result<Option<R::Message>, PortError> {
+        while self.delivery == Delivery::Latest || self.pending.is_empty() {
+            let Some(message) = self.reader.receive()? else { break };
+            if self.admit(&message) {
+                self.enqueue(message);
+            }
+        }
+        let next = self.pending.pop_front();
+        self.counts.received += u64::from(next.is_some());
+        Ok(next)
+    }
+
+    /// Sleeps until a message may have come.
+    pub(crate) fn wait(&mut self, timeout: Duration) -> Result<(), PortError> {
+        self.reader.wait(timeout)
+    }
+
+    /// Whether every writer has said that it sends nothing more, and nothing waits.
+    pub(crate) fn ended(&self) -> bool {
+        self.ended.len() >= self.writers && self.pending.is_empty()
+    }
+
+    /// Whether nothing that came before still waits.
+    pub(crate) fn is_idle(&self) -> bool {
+        self.pending.is_empty()
+    }
+
+    pub(crate) fn counts(&self) -> InputCounts {
+        self.counts
+    }
+
+    /// Continues the counts of an earlier process.
+    pub(crate) fn resume(&mut self, counts: InputCounts) {
+        let topic = self.counts.topic;
+        if counts.topic == topic {
+            self.counts = counts;
+        }
+    }
+
+    /// Whether a message is to be worked on: it makes sense, is news, and is not the end of a stream.
+    fn admit(&mut self, message: &R::Message) -> bool {
+        let header = message.header();
+        if let Err(error) = header.check(T::KIND).and_then(|()| check_items::<T>(header, message.items())) {
+            self.counts.malformed += 1;
+            tracing::warn!("left out a message of topic `{}`: {error}", self.counts.topic);
+            return false;
+        }
+        let (source, writer) = ends_of_trace(header);
+        if header.ends_stream() {
+            self.ended.insert(writer.to_string());
+            return false;
+        }
+        self.count_lost(header, writer);
+        self.in_sequence(header, source)
+    }
+
+    /// Counts what was lost on the way from the writer to here.
+    fn count_lost(&mut self, header: &Header, writer: Text<32>) {
+        if let Some(last) = self.last_number.insert(writer, header.number) {
+            self.counts.dropped += header.number.saturating_sub(last + 1);
+        }
+    }
+
+    /// Whether a frame is newer than the last one of its source; counts those between them.
+    fn in_sequence(&mut self, header: &Header, source: Text<32>) -> bool {
+        let last = self.last_frame.get(&source).copied();
+        if let Some((epoch, sequence)) = last {
+            if epoch == header.epoch && header.sequence <= sequence {
+                self.counts.late += 1;
+                return false;
+            }
+            self.counts.gaps += header.sequence.saturating_sub(sequence + 1);
+        }
+        self.last_frame.insert(source, (header.epoch, header.sequence));
+        true
+    }
+
+    /// Puts a message at the end, in place of an older one of the same source where only the newest is wanted.
+    fn enqueue(&mut self, message: R::Message) {
+        if self.delivery == Delivery::Latest {
+            let source = ends_of_trace(message.header()).0;
+            let before = self.pending.len();
+            self.pending.retain(|older| ends_of_trace(older.header()).0 != source);
+            let replaced = (before - self.pending.len()) as u64;
+            self.counts.dropped += replaced;
+            self.counts.gaps += replaced;
+        }
+        self.pending.push_back(message);
+    }
+}
+
+fn check_items<T: Item>(header: &Header, items: &[T]) -> Result<(), conicflow_messages::Malformed> {
+    if header.ends_stream() { Ok(()) } else { T::check(header, items) }
+}
+
+/// The stage that had the frame first, and the one that wrote this message.
+fn ends_of_trace(header: &Header) -> (Text<32>, Text<32>) {
+    let trace = header.trace();
+    let name = |hop: Option<&conicflow_messages::Hop>| hop.map(|hop| hop.stage).unwrap_or_default();
+    (name(trace.first()), name(trace.last()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ports::in_memory::InMemory;
+    use crate::ports::{Topic, TopicReader, Transport, Writer};
+    use conicflow_messages::{Camera, END_OF_STREAM, Hop, Object};
+
+    fn topic(delivery: Delivery) -> Topic {
+        let reader = TopicReader { stage: "reader".into(), delivery, queue: 8 };
+        Topic { name: "objects".into(), writers: vec!["writer".into()], readers: vec![reader] }
+    }
+
+    fn header(sequence: u64) -> Header {
+        let camera = Camera { width: 4, height: 3, fx: 5.0, fy: 5.0, cx: 1.5, cy: 1.0 };
+        let mut header = Header { sequence, number: sequence, camera, depth_scale: 0.001, ..Header::default() };
+        header.add_hop(Hop { stage: Text::new("writer"), ..Hop::default() });
+        header
+    }
+
+    /// Sends the frames and returns those that were taken, with the counts.
+    fn pass(delivery: Delivery, headers: &[Header]) -> (Vec<u64>, InputCounts, bool) {
+        let memory = InMemory::default();
+        let topic = topic(delivery);
+        let reader = memory.reader::<Object>(&topic, "reader").unwrap();
+        let mut writer = memory.writer::<Object>(&topic).unwrap();
+        for header in headers {
+            writer.send(header).unwrap();
+        }
+        let mut inbox = Inbox::new(reader, delivery, "objects", 1);
+        let taken = std::iter::from_fn(|| inbox.take().unwrap().map(|message| message.header().sequence)).collect();
+        (taken, inbox.counts(), inbox.ended())
+    }
+
+    #[test]
+    fn lossless_takes_each_and_latest_the_newest() {
+        let headers: Vec<_> = (0..4).map(header).collect();
+        assert_eq!(pass(Delivery::Lossless, &headers).0, [0, 1, 2, 3]);
+        let (taken, counts, ended) = pass(Delivery::Latest, &headers);
+        assert_eq!(taken, [3]);
+        assert_eq!((counts.received, counts.dropped, counts.gaps, ended), (1, 3, 3, false));
+    }
+
+    #[test]
+    fn the_last_frame_survives_the_end_of_the_stream() {
+        let end = Header { flags: END_OF_STREAM, ..header(0) };
+        let (taken, _, ended) = pass(Delivery::Latest, &[header(0), header(1), end]);
+        assert_eq!((taken, ended), (vec![1], true));
+    }
+
+    #[test]
+    fn frames_come_once_and_in_order_and_gaps_are_counted() {
+        let (taken, counts, _) = pass(Delivery::Lossless, &[0, 2, 1, 2, 5].map(header));
+        assert_eq!(taken, [0, 2, 5]);
+        assert_eq!((counts.gaps, counts.late), (3, 2));
+    }
+
+    #[test]
+    fn the_newest_of_each_source_is_kept() {
+        let mut other = Header { hops: Header::default().hops, hop_count: 0, ..header(7) };
+        other.add_hop(Hop { stage: Text::new("other"), ..Hop::default() });
+        assert_eq!(pass(Delivery::Latest, &[header(0), other, header(1)]).0, [7, 1]);
+    }
+
+    #[test]
+    fn nonsense_is_counted_and_left_out() {
+        let broken = Header { depth_scale: f64::NAN, ..header(1) };
+        let (taken, counts, _) = pass(Delivery::Lossless, &[header(0), broken]);
+        assert_eq!((taken, counts.malformed), (vec![0], 1));
+    }
+}

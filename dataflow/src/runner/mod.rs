@@ -1,0 +1,104 @@
+//! Runs one stage: takes messages, lets it step, sends what it made, and keeps its record, until the stream ends.
+//!
+//! The two loops are [`source_loop`] and [`stage_loop`]; here is what they run with, and how what goes wrong is told.
+
+pub(crate) mod alone;
+pub(crate) mod inbox;
+mod outlet;
+pub(crate) mod peers;
+mod side_ports;
+pub(crate) mod source_loop;
+pub(crate) mod stage_loop;
+#[cfg(test)]
+mod tests;
+
+use crate::ports::{PortError, Transport, Wiring};
+use crate::sides::Side;
+use crate::stage::{Context, StageError};
+use crate::status::{Life, StatusFile};
+use conicflow_messages::{Item, Kind};
+use outlet::Outlet;
+use peers::Peers;
+use side_ports::SidePort;
+use std::any::Any;
+use std::fs::File;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+/// All that a stage runs with, but itself.
+pub(crate) struct Surroundings<T> {
+    pub(crate) transport: T,
+    pub(crate) wiring: Wiring,
+    pub(crate) context: Context,
+    pub(crate) peers: Peers,
+    pub(crate) record: StatusFile,
+    /// Held while the stage lives, where it is a process of its own.
+    pub(crate) lock: Option<File>,
+}
+
+/// Why a stage ended before its stream did.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// It could not be made ready; to start it anew would not help.
+    #[error("{0}")]
+    Refused(StageError),
+    /// It failed at a frame.
+    #[error("at frame {frame}: {error}")]
+    Failed {
+        /// The frame's sequence number.
+        frame: u64,
+        /// What it said.
+        error: StageError,
+    },
+    /// Its ports failed.
+    #[error(transparent)]
+    Port(#[from] PortError),
+}
+
+impl<T: Transport + 'static> Surroundings<T> {
+    pub(crate) fn outlet<O: Item>(&mut self) -> Result<Outlet<O, T::Writer<O>>, PortError> {
+        let wired = self.wiring.output.take().filter(|_| O::KIND != Kind::Nothing);
+        let port = wired.map(|topic| Ok::<_, PortError>((self.transport.writer::<O>(&topic)?, topic))).transpose()?;
+        let (stop, sent) = (self.context.stop.clone(), self.record.status.sent);
+        Ok(Outlet::new(port, &self.context.stage, sent, self.peers.clone(), stop))
+    }
+
+    pub(crate) fn sides(&self, declared: &'static [Side]) -> Result<Vec<Box<dyn SidePort>>, PortError> {
+        let mut ports = Vec::new();
+        for side in declared {
+            if let Some((_, topic)) = self.wiring.sides.iter().find(|(name, _)| name == side.name) {
+                ports.extend(side_ports::open(&self.transport, *side, topic, &self.context.stage)?);
+            }
+        }
+        Ok(ports)
+    }
+
+    pub(crate) fn begin(&mut self, total: Option<u64>) {
+        let status = &mut self.record.status;
+        status.total = self.wiring.frames.or(total).unwrap_or(0);
+        status.set_life(Life::Running);
+        self.record.write();
+    }
+}
+
+/// Calls a step; an error or a panic is told with the number of the frame that it met.
+pub(crate) fn guarded<R>(frame: u64, step: impl FnOnce() -> Result<R, StageError>) -> Result<R, RunError> {
+    let failed = |error| RunError::Failed { frame, error };
+    match catch_unwind(AssertUnwindSafe(step)) {
+        Ok(result) => result.map_err(failed),
+        Err(panic) => Err(failed(format!("panicked: {}", panic_text(&*panic)).into())),
+    }
+}
+
+fn panic_text(panic: &(dyn Any + Send)) -> &str {
+    let text = panic.downcast_ref::<&str>().copied();
+    text.or_else(|| panic.downcast_ref::<String>().map(String::as_str)).unwrap_or("without a text")
+}
+
+/// Whether sending ended because the run did; other errors are passed on.
+pub(crate) fn is_stopped(sent: Result<(), PortError>) -> Result<bool, PortError> {
+    match sent {
+        Ok(()) => Ok(false),
+        Err(PortError::Stopped) => Ok(true),
+        Err(error) => Err(error),
+    }
+}

@@ -1,0 +1,145 @@
+//! The output of a running stage: hands it a place to write, stamps the header and sends.
+
+use super::peers::Peers;
+use crate::clock::monotonic_ns;
+use crate::ports::{Delivery, PortError, Topic, TopicReader, Writer};
+use crate::stage::{Memory, Output, StageError, Stop};
+use crate::status::{Life, Status};
+use conicflow_messages::{END_OF_STREAM, Header, Hop, Item, Text};
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::{Duration, Instant};
+
+/// How long the first message waits for readers that want only the newest.
+const PATIENCE_WITH_LIVE_READERS: Duration = Duration::from_secs(5);
+/// How often a writer looks whether readers have come or gone.
+const LOOK: Duration = Duration::from_millis(10);
+
+/// Writes the messages of one stage.
+pub(crate) struct Outlet<T: Item, W: Writer<T>> {
+    port: Option<(W, Topic)>,
+    stage: Text<32>,
+    list: Vec<T>,
+    counts: BTreeMap<&'static str, u64>,
+    number: u64,
+    bytes: u64,
+    last: Header,
+    peers: Peers,
+    stop: Stop,
+}
+
+impl<T: Item, W: Writer<T>> Memory<T> for Option<(W, Topic)> {
+    fn loan(&mut self, length: usize) -> Result<&mut [T], StageError> {
+        match self {
+            Some((writer, _)) => Ok(writer.loan(length)?),
+            None => Err("this stage has no `output` in the pipeline file".into()),
+        }
+    }
+}
+
+impl<T: Item, W: Writer<T>> Outlet<T, W> {
+    /// The output of `stage` into a topic, if it is wired to one; `number` messages were sent before.
+    pub(crate) fn new(port: Option<(W, Topic)>, stage: &str, number: u64, peers: Peers, stop: Stop) -> Self {
+        Self {
+            port,
+            stage: Text::new(stage),
+            list: Vec::new(),
+            counts: BTreeMap::new(),
+            number,
+            bytes: 0,
+            last: Header::default(),
+            peers,
+            stop,
+        }
+    }
+
+    /// A place to write a message with this header.
+    pub(crate) fn place(&mut self, header: Header) -> Output<'_, T> {
+        Output::new(header, &mut self.port, &mut self.list, &mut self.counts)
+    }
+
+    /// Sends what was written: an image where it is, a list after it was copied into shared memory.
+    pub(crate) fn send(&mut self, mut header: Header, received_ns: u64, is_image: bool) -> Result<(), PortError> {
+        if self.port.is_none() {
+            return Ok(());
+        }
+        self.await_readers()?;
+        let Some((writer, _)) = &mut self.port else { return Ok(()) };
+        if !is_image {
+            writer.loan(self.list.len())?.copy_from_slice(&self.list);
+        }
+        header.number = self.number;
+        header.add_hop(Hop { stage: self.stage, received_ns, sent_ns: monotonic_ns() });
+        let length = writer.send(&header)?;
+        self.number += 1;
+        self.bytes += (length * size_of::<T>() + size_of::<Header>()) as u64;
+        self.last = header;
+        Ok(())
+    }
+
+    /// Adds what the last step counted, and what it sent by label, to the record.
+    pub(crate) fn tally(&mut self, status: &mut Status) {
+        status.sent = self.number;
+        status.sent_bytes += std::mem::take(&mut self.bytes);
+        self.counts.iter().for_each(|(name, count)| status.count(name, *count));
+        self.counts.clear();
+        self.list.iter().filter_map(Item::label).for_each(|label| status.count_found(label));
+    }
+
+    /// Tells all readers that nothing more will come, and stays until they have taken all.
+    pub(crate) fn end(&mut self) -> Result<(), PortError> {
+        let (mut before, mut told) = (Vec::new(), BTreeSet::new());
+        let deadline = Instant::now() + PATIENCE_WITH_LIVE_READERS;
+        while !self.stop.forced() {
+            let Some((writer, _)) = &mut self.port else { break };
+            let connected = writer.connected();
+            if connected.iter().any(|reader| !before.contains(reader)) {
+                writer.send(&end_of_stream(&self.last, self.stage))?;
+            }
+            told.extend(connected.iter().cloned());
+            let all_told = self.absent_readers(false).all(|reader| told.contains(&reader.stage));
+            if connected.is_empty() && (all_told || Instant::now() > deadline) {
+                break;
+            }
+            before = connected;
+            std::thread::sleep(LOOK);
+        }
+        Ok(())
+    }
+
+    /// Waits for the readers that must not miss a message, and before the first one also for the others, for a while.
+    fn await_readers(&mut self) -> Result<(), PortError> {
+        let deadline = Instant::now() + PATIENCE_WITH_LIVE_READERS;
+        let mut said = false;
+        loop {
+            let first = self.number == 0 && Instant::now() < deadline;
+            if self.absent_readers(!first).next().is_none() {
+                return Ok(());
+            }
+            if self.stop.requested() {
+                return Err(PortError::Stopped);
+            }
+            if Instant::now() > deadline && !said {
+                tracing::warn!("waiting for a reader that must not miss a message");
+                said = true;
+            }
+            std::thread::sleep(LOOK);
+        }
+    }
+
+    /// Readers of the pipeline that are not there and still to come; only the lossless ones, or all.
+    fn absent_readers(&self, only_lossless: bool) -> impl Iterator<Item = &TopicReader> {
+        let (connected, topic) = self.port.as_ref().map(|(writer, topic)| (writer.connected(), topic)).unzip();
+        let connected: Vec<String> = connected.unwrap_or_default();
+        let readers = topic.into_iter().flat_map(|topic| &topic.readers);
+        let wanted = readers.filter(move |reader| !only_lossless || reader.delivery == Delivery::Lossless);
+        let absent = wanted.filter(move |reader| !connected.contains(&reader.stage));
+        absent.filter(|reader| !matches!(self.peers.life(&reader.stage), Some(Life::Ended | Life::Gone)))
+    }
+}
+
+/// The message that ends a stream: the last header, without items.
+fn end_of_stream(last: &Header, stage: Text<32>) -> Header {
+    let mut header = Header { flags: END_OF_STREAM, hop_count: 0, ..*last };
+    header.add_hop(Hop { stage, received_ns: 0, sent_ns: monotonic_ns() });
+    header
+}

@@ -1,0 +1,178 @@
+//! The further inputs of a running stage: finds for each step the message that goes with it.
+
+use super::inbox::Inbox;
+use crate::ports::{Delivery, PortError, Reader, Received, Topic, Transport};
+use crate::sides::{AnyMessage, Pick, Side, Sides};
+use crate::status::InputCounts;
+use conicflow_messages::{Ellipse, Header, Item, Kind, Message, Object, Track};
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
+
+/// Messages that wait for the frame they belong to; less than a reader may hold.
+const MAX_WAITING: usize = 12;
+/// How long a step waits for a message of its frame that is still on its way.
+const ON_ITS_WAY: Duration = Duration::from_millis(500);
+
+/// A further input, opened.
+pub(crate) trait SidePort {
+    /// Its name in the pipeline file.
+    fn name(&self) -> &'static str;
+    /// Finds the message that goes with a step, or with no frame at all.
+    fn find(&mut self, step: Option<&Header>) -> Result<(), PortError>;
+    /// The message that was found.
+    fn message(&self) -> Option<AnyMessage<'_>>;
+    /// What came and what was lost.
+    fn counts(&self) -> InputCounts;
+}
+
+/// Opens a further input that is wired to `topic`.
+pub(crate) fn open<T: Transport>(
+    transport: &T,
+    side: Side,
+    topic: &Topic,
+    stage: &str,
+) -> Result<Option<Box<dyn SidePort + 'static>>, PortError>
+where
+    T::Reader<u16>: 'static,
+    T::Reader<Ellipse>: 'static,
+    T::Reader<Object>: 'static,
+    T::Reader<Track>: 'static,
+{
+    Ok(match side.kind {
+        Kind::Nothing => None,
+        Kind::Depth => Some(typed(transport.reader::<u16>(topic, stage)?, side, topic, stage)),
+        Kind::Ellipses => Some(typed(transport.reader::<Ellipse>(topic, stage)?, side, topic, stage)),
+        Kind::Objects => Some(typed(transport.reader::<Object>(topic, stage)?, side, topic, stage)),
+        Kind::Tracks => Some(typed(transport.reader::<Track>(topic, stage)?, side, topic, stage)),
+    })
+}
+
+/// The messages that were found, to be handed to a step.
+pub(crate) fn found(ports: &[Box<dyn SidePort>]) -> Sides<'_> {
+    Sides(ports.iter().filter_map(|port| Some((port.name(), port.message()?))).collect())
+}
+
+fn typed<T: AnyItem, R: Reader<T> + 'static>(reader: R, side: Side, topic: &Topic, stage: &str) -> Box<dyn SidePort> {
+    let wired = topic.readers.iter().find(|reader| reader.stage == stage);
+    let lossless = wired.is_some_and(|reader| reader.delivery == Delivery::Lossless);
+    let taking = if side.pick == Pick::Latest { Delivery::Latest } else { Delivery::Lossless };
+    Box::new(TypedSide {
+        inbox: Inbox::new(reader, taking, &topic.name, topic.writers.len()),
+        side,
+        patience: if lossless { ON_ITS_WAY } else { Duration::ZERO },
+        waiting: VecDeque::new(),
+        found: None,
+    })
+}
+
+/// An item that has its place in [`AnyMessage`].
+trait AnyItem: Item {
+    fn any(message: Message<'_, Self>) -> AnyMessage<'_>;
+}
+
+impl AnyItem for u16 {
+    fn any(message: Message<'_, Self>) -> AnyMessage<'_> {
+        AnyMessage::Depth(message)
+    }
+}
+
+impl AnyItem for Ellipse {
+    fn any(message: Message<'_, Self>) -> AnyMessage<'_> {
+        AnyMessage::Ellipses(message)
+    }
+}
+
+impl AnyItem for Object {
+    fn any(message: Message<'_, Self>) -> AnyMessage<'_> {
+        AnyMessage::Objects(message)
+    }
+}
+
+impl AnyItem for Track {
+    fn any(message: Message<'_, Self>) -> AnyMessage<'_> {
+        AnyMessage::Tracks(message)
+    }
+}
+
+struct TypedSide<T: Item, R: Reader<T>> {
+    inbox: Inbox<T, R>,
+    side: Side,
+    patience: Duration,
+    waiting: VecDeque<R::Message>,
+    found: Option<R::Message>,
+}
+
+impl<T: Item, R: Reader<T>> TypedSide<T, R> {
+    fn find_latest(&mut self) -> Result<(), PortError> {
+        while let Some(message) = self.inbox.take()? {
+            self.found = Some(message);
+        }
+        Ok(())
+    }
+
+    fn find_same_frame(&mut self, step: &Header) -> Result<(), PortError> {
+        self.found = None;
+        let deadline = Instant::now() + self.patience;
+        loop {
+            self.gather(step)?;
+            if let Some(index) = self.waiting.iter().position(|message| same_frame(message.header(), step)) {
+                self.found = self.waiting.remove(index);
+                return Ok(());
+            }
+            let left = deadline.saturating_duration_since(Instant::now());
+            let overtaken = self.waiting.iter().any(|message| follows(message.header(), step));
+            if overtaken || left.is_zero() || self.inbox.ended() {
+                return Ok(());
+            }
+            self.inbox.wait(left)?;
+        }
+    }
+
+    /// Takes what came, and forgets what the step has left behind.
+    fn gather(&mut self, step: &Header) -> Result<(), PortError> {
+        loop {
+            self.waiting.retain(|message| !follows(step, message.header()));
+            if self.waiting.len() >= MAX_WAITING {
+                self.waiting.pop_front();
+            }
+            match self.inbox.take()? {
+                Some(message) => self.waiting.push_back(message),
+                None => return Ok(()),
+            }
+            if self.waiting.back().is_some_and(|message| !follows(step, message.header())) {
+                return Ok(());
+            }
+        }
+    }
+}
+
+fn same_frame(a: &Header, b: &Header) -> bool {
+    (a.epoch, a.sequence) == (b.epoch, b.sequence)
+}
+
+/// Whether `a` is a later frame of the same source than `b`.
+fn follows(a: &Header, b: &Header) -> bool {
+    a.epoch == b.epoch && a.sequence > b.sequence
+}
+
+impl<T: AnyItem, R: Reader<T>> SidePort for TypedSide<T, R> {
+    fn name(&self) -> &'static str {
+        self.side.name
+    }
+
+    fn find(&mut self, step: Option<&Header>) -> Result<(), PortError> {
+        match (self.side.pick, step) {
+            (Pick::SameFrame, Some(header)) => self.find_same_frame(header),
+            _ => self.find_latest(),
+        }
+    }
+
+    fn message(&self) -> Option<AnyMessage<'_>> {
+        let message = self.found.as_ref()?;
+        Some(T::any(Message { header: message.header(), items: message.items() }))
+    }
+
+    fn counts(&self) -> InputCounts {
+        self.inbox.counts()
+    }
+}

@@ -1,0 +1,96 @@
+//! The life of a source: it makes messages at its pace, until it has no more, has made enough, or the run ends.
+
+use super::outlet::Outlet;
+use super::side_ports::{self, SidePort};
+use super::{RunError, Surroundings, guarded, is_stopped};
+use crate::clock::monotonic_ns;
+use crate::ports::Transport;
+use crate::stage::{Next, Pace, Source, Stop};
+use crate::status::{Life, StatusFile};
+use conicflow_messages::Header;
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
+
+struct SourceLoop<S: Source, T: Transport> {
+    source: S,
+    sides: Vec<Box<dyn SidePort>>,
+    outlet: Outlet<S::Output, T::Writer<S::Output>>,
+    record: StatusFile,
+    stop: Stop,
+    epoch: u64,
+    sequence: u64,
+}
+
+/// Runs the source `S` to its end.
+pub(crate) fn run_source<S: Source, T: Transport + 'static>(
+    config: S::Config,
+    mut around: Surroundings<T>,
+) -> Result<(), RunError> {
+    around.context.resume_at = around.record.status.sent;
+    let source = S::new(config, &around.context).map_err(RunError::Refused)?;
+    around.begin(source.total());
+    let (stop, sequence) = (around.context.stop.clone(), around.context.resume_at);
+    let frames = around.wiring.frames;
+    let (sides, outlet) = (around.sides(S::sides())?, around.outlet()?);
+    let mut pace = Pace::new(source.rate_hz(), stop.clone());
+    let mut running =
+        SourceLoop::<S, T> { source, sides, outlet, record: around.record, stop, epoch: new_epoch(), sequence };
+    while frames.is_none_or(|frames| running.sequence < frames) {
+        pace.wait();
+        if running.stop.requested() || !running.make_one()? {
+            break;
+        }
+    }
+    running.end()
+}
+
+impl<S: Source, T: Transport> SourceLoop<S, T> {
+    /// Makes and sends one message; false if there is none any more.
+    fn make_one(&mut self) -> Result<bool, RunError> {
+        for side in &mut self.sides {
+            side.find(None)?;
+        }
+        let started = Instant::now();
+        let sides = side_ports::found(&self.sides);
+        let mut output = self.outlet.place(Header::default());
+        let next = guarded(self.sequence, || self.source.next(&sides, &mut output))?;
+        let header = Header { epoch: self.epoch, sequence: self.sequence, ..output.header };
+        let is_image = output.is_image();
+        if next == Next::End {
+            self.keep_record();
+            return Ok(false);
+        }
+        self.record.status.compute.add(started.elapsed().as_nanos() as u64);
+        if is_stopped(self.outlet.send(header, monotonic_ns(), is_image))? {
+            return Ok(false);
+        }
+        self.sequence += 1;
+        self.record.status.steps += 1;
+        self.keep_record();
+        Ok(true)
+    }
+
+    fn keep_record(&mut self) {
+        let status = &mut *self.record.status;
+        self.outlet.tally(status);
+        for (slot, side) in status.inputs.iter_mut().zip(&self.sides) {
+            *slot = side.counts();
+        }
+        self.record.write();
+    }
+
+    /// Ends the stream; a source that was stopped at once leaves its readers waiting for its successor.
+    fn end(mut self) -> Result<(), RunError> {
+        drop(self.sides);
+        if !self.stop.forced() {
+            self.outlet.end()?;
+            self.record.status.set_life(Life::Ended);
+        }
+        self.record.write();
+        Ok(())
+    }
+}
+
+/// A number that no earlier start of a source had.
+fn new_epoch() -> u64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as u64)
+}

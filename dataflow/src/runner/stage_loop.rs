@@ -1,0 +1,132 @@
+//! The life of a stage or a sink: it takes a message, steps, sends what it made, until its input ends or the run does.
+
+use super::inbox::Inbox;
+use super::outlet::Outlet;
+use super::peers::Peers;
+use super::side_ports::{self, SidePort};
+use super::{RunError, Surroundings, guarded, is_stopped};
+use crate::clock::monotonic_ns;
+use crate::ports::{PortError, Reader, Received, Topic, Transport};
+use crate::stage::{Stage, StageError, Stop};
+use crate::status::{Life, StatusFile};
+use conicflow_messages::{Header, Message};
+use std::time::{Duration, Instant};
+
+/// A stage that nobody wakes looks around this often.
+const TICK: Duration = Duration::from_millis(100);
+
+type MessageOf<S, T> = <<T as Transport>::Reader<<S as Stage>::Input> as Reader<<S as Stage>::Input>>::Message;
+
+struct StageLoop<S: Stage, T: Transport> {
+    stage: S,
+    inbox: Inbox<S::Input, T::Reader<S::Input>>,
+    sides: Vec<Box<dyn SidePort>>,
+    outlet: Outlet<S::Output, T::Writer<S::Output>>,
+    record: StatusFile,
+    stop: Stop,
+    topic: Topic,
+    peers: Peers,
+}
+
+/// Runs the stage `S` until its input ends.
+pub(crate) fn run_stage<S: Stage, T: Transport + 'static>(
+    config: S::Config,
+    mut around: Surroundings<T>,
+) -> Result<(), RunError> {
+    around.context.resume_at = around.record.status.steps;
+    let topic = around.wiring.input.take().ok_or_else(|| RunError::Refused("a stage needs an `input`".into()))?;
+    let mut inbox = Inbox::new(
+        around.transport.reader(&topic, &around.context.stage)?,
+        topic.delivery_to(&around.context.stage),
+        &topic.name,
+        topic.writers.len(),
+    );
+    inbox.resume(around.record.status.inputs[0]);
+    let (sides, outlet) = (around.sides(S::sides())?, around.outlet()?);
+    let stage = S::new(config, &around.context).map_err(RunError::Refused)?;
+    around.begin(None);
+    let Surroundings { context, peers, record, lock: _lock, .. } = around;
+    let mut running = StageLoop::<S, T> { stage, inbox, sides, outlet, record, stop: context.stop, topic, peers };
+    while let Some(message) = running.next_message()? {
+        if !running.work_on(message)? {
+            break;
+        }
+    }
+    running.end()
+}
+
+impl<S: Stage, T: Transport> StageLoop<S, T> {
+    /// Waits for the next message; `None` when no more will come, or the run is to end.
+    fn next_message(&mut self) -> Result<Option<MessageOf<S, T>>, PortError> {
+        while !self.stop.requested() {
+            // The writers are looked at first: what they sent before they were gone is then sure to be found.
+            let last_call = self.inbox.is_idle() && self.writers_are_gone();
+            if let Some(message) = self.inbox.take()? {
+                return Ok(Some(message));
+            }
+            if last_call || self.inbox.ended() {
+                break;
+            }
+            self.inbox.wait(TICK)?;
+        }
+        Ok(None)
+    }
+
+    /// Whether all stages that write the input have ended for good, be it without a word.
+    fn writers_are_gone(&self) -> bool {
+        let gone = |writer: &String| matches!(self.peers.life(writer), Some(Life::Ended | Life::Gone));
+        !self.topic.writers.is_empty() && self.topic.writers.iter().all(gone)
+    }
+
+    /// Steps once and sends what came of it; false if the run ended meanwhile.
+    fn work_on(&mut self, message: MessageOf<S, T>) -> Result<bool, RunError> {
+        let received_ns = monotonic_ns();
+        let header = *message.header();
+        for side in &mut self.sides {
+            side.find(Some(&header))?;
+        }
+        let started = Instant::now();
+        let sides = side_ports::found(&self.sides);
+        let mut output = self.outlet.place(header);
+        let input = Message { header: &header, items: message.items() };
+        guarded(header.sequence, || self.stage.step(&input, &sides, &mut output))?;
+        let (made, is_image) = (output.header, output.is_image());
+        drop(message);
+        self.keep_times(&header, received_ns, started.elapsed());
+        let stopped = is_stopped(self.outlet.send(made, received_ns, is_image))?;
+        self.keep_counts();
+        Ok(!stopped)
+    }
+
+    fn keep_times(&mut self, header: &Header, received_ns: u64, step: Duration) {
+        let status = &mut *self.record.status;
+        status.compute.add(step.as_nanos() as u64);
+        let trace = header.trace();
+        if let (Some(source), Some(writer)) = (trace.first(), trace.last()) {
+            status.hop.add(received_ns.saturating_sub(writer.sent_ns));
+            status.latency.add(received_ns.saturating_sub(source.received_ns));
+        }
+    }
+
+    fn keep_counts(&mut self) {
+        let status = &mut *self.record.status;
+        status.steps += 1;
+        self.outlet.tally(status);
+        let counts = std::iter::once(self.inbox.counts()).chain(self.sides.iter().map(|side| side.counts()));
+        status.inputs.iter_mut().zip(counts).for_each(|(slot, counts)| *slot = counts);
+        self.record.write();
+    }
+
+    /// Ends the work, and the stream; a stage that was stopped at once leaves its readers waiting for its successor.
+    fn end(mut self) -> Result<(), RunError> {
+        let frame = self.record.status.steps;
+        self.stage.finish().map_err(|error: StageError| RunError::Failed { frame, error })?;
+        drop((self.inbox, self.sides));
+        if !self.stop.forced() {
+            self.outlet.end()?;
+            self.record.status.set_life(Life::Ended);
+        }
+        self.record.write();
+        Ok(())
+    }
+}

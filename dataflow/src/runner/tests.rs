@@ -1,0 +1,120 @@
+//! Tests of the two loops, over the in-memory twin of shared memory.
+
+use super::alone::{Owned, collect, pass};
+use crate::{Context, Next, NoConfig, Output, RunError, Sides, Source, Stage, StageError};
+use conicflow_messages::{Camera, Header, Message, Nothing, Object, ObjectKind};
+
+fn context(stage: &str) -> Context {
+    Context { stage: stage.to_owned(), ..Context::default() }
+}
+
+fn header(sequence: u64) -> Header {
+    let camera = Camera { width: 2, height: 2, fx: 1.0, fy: 1.0, cx: 0.5, cy: 0.5 };
+    Header { epoch: 7, sequence, number: sequence, camera, depth_scale: 0.001, ..Header::default() }
+}
+
+fn ball(radius: f64) -> Object {
+    Object { kind: ObjectKind::Sphere.code(), radius, ..Object::default() }
+}
+
+/// Passes on the objects that are larger than 0.1 m; fails at objects without a size.
+struct Large;
+
+impl Stage for Large {
+    const NAME: &'static str = "large";
+    const SUMMARY: &'static str = "Passes on large objects";
+    type Config = NoConfig;
+    type Input = Object;
+    type Output = Object;
+
+    fn new(_: NoConfig, _: &Context) -> Result<Self, StageError> {
+        Ok(Self)
+    }
+
+    fn step(&mut self, input: &Message<Object>, _: &Sides, output: &mut Output<Object>) -> Result<(), StageError> {
+        assert!(input.items.iter().all(|object| object.radius < 9.0), "an object of a giant");
+        if input.items.iter().any(|object| object.radius == 0.0) {
+            return Err("an object without a size".into());
+        }
+        input.items.iter().filter(|object| object.radius > 0.1).for_each(|object| output.push(*object));
+        Ok(())
+    }
+}
+
+/// Makes images whose pixels all hold the number of the frame; it has three.
+struct Counting(u16);
+
+impl Source for Counting {
+    const NAME: &'static str = "counting";
+    const SUMMARY: &'static str = "Makes three images";
+    type Config = NoConfig;
+    type Output = u16;
+
+    fn new(_: NoConfig, context: &Context) -> Result<Self, StageError> {
+        Ok(Self(u16::try_from(context.resume_at)?))
+    }
+
+    fn next(&mut self, _: &Sides, output: &mut Output<u16>) -> Result<Next, StageError> {
+        if self.0 == 3 {
+            return Ok(Next::End);
+        }
+        output.header = header(0);
+        output.image(4)?.fill(self.0);
+        self.0 += 1;
+        Ok(Next::Message)
+    }
+}
+
+#[test]
+fn a_stage_makes_one_message_of_each_and_keeps_its_header() {
+    let messages: Vec<Owned<Object>> = vec![(header(4), vec![ball(0.2), ball(0.05)]), (header(5), vec![])];
+    let sent = pass::<Large>(NoConfig::default(), context("large"), &messages).unwrap();
+    assert_eq!(sent.iter().map(|(_, objects)| objects.len()).collect::<Vec<_>>(), [1, 0]);
+    let (first, _) = &sent[0];
+    assert_eq!((first.epoch, first.sequence, first.number), (7, 4, 0));
+    let stages: Vec<_> = first.trace().iter().map(|hop| hop.stage.to_string()).collect();
+    assert_eq!(stages, ["upstream", "large"]);
+}
+
+#[test]
+fn an_error_and_a_panic_name_the_frame() {
+    let failing = |radius| vec![(header(0), vec![ball(0.2)]), (header(1), vec![ball(radius)])];
+    let error = pass::<Large>(NoConfig::default(), context("large"), &failing(0.0)).unwrap_err();
+    assert_eq!(error.to_string(), "at frame 1: an object without a size");
+    let error = pass::<Large>(NoConfig::default(), context("large"), &failing(10.0)).unwrap_err();
+    assert_eq!(error.to_string(), "at frame 1: panicked: an object of a giant");
+    assert!(matches!(error, RunError::Failed { frame: 1, .. }));
+}
+
+#[test]
+fn a_source_numbers_its_frames_and_ends() {
+    let frames = collect::<Counting>(NoConfig::default(), context("counting"), 10).unwrap();
+    assert_eq!(frames.iter().map(|(header, _)| header.sequence).collect::<Vec<_>>(), [0, 1, 2]);
+    assert_eq!(frames[2].1, [2; 4]);
+    assert_eq!(collect::<Counting>(NoConfig::default(), context("counting"), 2).unwrap().len(), 2);
+}
+
+/// A sink that counts nothing but runs to the end.
+struct Quiet;
+
+impl Stage for Quiet {
+    const NAME: &'static str = "quiet";
+    const SUMMARY: &'static str = "Takes all";
+    type Config = NoConfig;
+    type Input = u16;
+    type Output = Nothing;
+
+    fn new(_: NoConfig, _: &Context) -> Result<Self, StageError> {
+        Ok(Self)
+    }
+
+    fn step(&mut self, input: &Message<u16>, _: &Sides, _: &mut Output<Nothing>) -> Result<(), StageError> {
+        if input.items.len() == 4 { Ok(()) } else { Err("not four pixels".into()) }
+    }
+}
+
+#[test]
+fn what_makes_no_sense_does_not_reach_a_stage() {
+    let frames = vec![(header(0), vec![1; 4]), (header(1), vec![1; 5]), (header(2), vec![1; 4])];
+    assert!(pass::<Quiet>(NoConfig::default(), context("quiet"), &frames).unwrap().is_empty());
+}

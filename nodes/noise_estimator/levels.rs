@@ -1,0 +1,115 @@
+//! The step of the disparity, from the depths that occur at all: in a sensor whose disparity comes in steps, the inverse
+//! depths of neighbouring levels are one step apart.
+
+use conicflow_messages::is_measured;
+
+/// Fewest gaps between levels that tell a step.
+const FEWEST: usize = 8;
+/// A gap wider than so many steps is not used: levels are missing there.
+const WIDEST: f64 = 4.5;
+/// Mean distance of gaps from whole steps, in steps, up to which they count as steps; chance would give 0.25.
+const LARGEST_FRACTION: f64 = 0.12;
+
+/// How often each depth occurred.
+#[derive(Clone, Debug, Default)]
+pub struct Levels {
+    counts: Vec<u32>,
+}
+
+/// The gap between two depths that occur.
+#[derive(Clone, Copy)]
+struct Gap {
+    /// Difference of the inverse depths, in 1/metre.
+    inverse: f64,
+    /// Units of the depth image that one step of 1/metre makes there.
+    units_per_step: f64,
+}
+
+impl Levels {
+    /// Counts the depths of an image.
+    pub fn add(&mut self, pixels: &[u16]) {
+        self.counts.resize(1 << 16, 0);
+        pixels.iter().filter(|pixel| is_measured(**pixel)).for_each(|&pixel| self.counts[usize::from(pixel)] += 1);
+    }
+
+    /// Depth between two neighbouring levels, divided by the squared depth, in 1/metre; 0: no steps can be told.
+    pub fn step_per_m(&self, depth_scale: f64) -> f64 {
+        let gaps = self.gaps(depth_scale);
+        let mut wide: Vec<f64> = gaps.iter().filter(|(units, _)| *units >= 3).map(|(_, gap)| gap.inverse).collect();
+        if wide.len() < FEWEST {
+            return 0.0;
+        }
+        let middle = wide.len() / 2;
+        let first_guess = *wide.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let gaps: Vec<Gap> = gaps.into_iter().map(|(_, gap)| gap).collect();
+        refined(&gaps, refined(&gaps, first_guess).unwrap_or(first_guess)).unwrap_or(0.0)
+    }
+
+    /// Gaps between depths that occur, with their widths in units.
+    fn gaps(&self, depth_scale: f64) -> Vec<(usize, Gap)> {
+        let occurring: Vec<usize> = (1..self.counts.len()).filter(|&depth| self.counts[depth] > 0).collect();
+        let gap = |pair: &[usize]| {
+            let [near, far] = [pair[0], pair[1]].map(|units| units as f64 * depth_scale);
+            let gap = Gap { inverse: 1.0 / near - 1.0 / far, units_per_step: near * far / depth_scale };
+            (pair[1] - pair[0], gap)
+        };
+        occurring.windows(2).map(gap).collect()
+    }
+}
+
+/// The step that makes the gaps whole numbers of it, where the units of the image are fine enough to tell; `None`: there is
+/// none.
+fn refined(gaps: &[Gap], step: f64) -> Option<f64> {
+    let (mut sum, mut steps, mut fraction, mut count) = (0.0, 0.0, 0.0, 0_usize);
+    for gap in gaps.iter().filter(|gap| gap.units_per_step * step >= 4.0 && gap.inverse < WIDEST * step) {
+        let ratio = gap.inverse / step;
+        let whole = ratio.round().max(1.0);
+        (sum, steps) = (sum + gap.inverse, steps + whole);
+        fraction += (ratio - whole).abs();
+        count += 1;
+    }
+    let told = count >= FEWEST && fraction < LARGEST_FRACTION * count as f64;
+    told.then(|| sum / steps)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// All levels of a disparity in steps between two depths, in pixels of `scale` metres.
+    fn stepped(step: f64, scale: f64, from: f64, to: f64) -> Vec<u16> {
+        let numbers = (1.0 / (to * step)) as u32..(1.0 / (from * step)) as u32;
+        numbers.map(|number| (1.0 / (f64::from(number) * step) / scale).round() as u16).collect()
+    }
+
+    #[test]
+    fn the_step_is_found_in_millimetres_and_in_tenths() {
+        for (scale, from, to) in [(0.001, 0.8, 4.0), (0.001, 1.8, 2.2), (0.0001, 0.8, 1.2)] {
+            let mut levels = Levels::default();
+            levels.add(&stepped(0.002874, scale, from, to));
+            let step = levels.step_per_m(scale);
+            assert!((step / 0.002874 - 1.0).abs() < 0.01, "{from} to {to} m: {step}");
+        }
+    }
+
+    #[test]
+    fn levels_that_are_missing_do_no_harm() {
+        let mut levels = Levels::default();
+        let all = stepped(0.002874, 0.001, 1.0, 3.0);
+        let some: Vec<u16> =
+            all.iter().enumerate().filter(|(index, _)| index % 5 != 0).map(|(_, &depth)| depth).collect();
+        levels.add(&some);
+        assert!((levels.step_per_m(0.001) / 0.002874 - 1.0).abs() < 0.02);
+    }
+
+    #[test]
+    fn a_sensor_without_steps_has_none() {
+        let mut levels = Levels::default();
+        assert_eq!(levels.step_per_m(0.001), 0.0);
+        levels.add(&(800..4000).collect::<Vec<u16>>());
+        assert_eq!(levels.step_per_m(0.001), 0.0);
+        let mut sparse = Levels::default();
+        sparse.add(&(0..60_u16).map(|i| 1000 + 7 * i + (i * i * 13) % 23).collect::<Vec<u16>>());
+        assert_eq!(sparse.step_per_m(0.001), 0.0, "gaps by chance are no steps");
+    }
+}

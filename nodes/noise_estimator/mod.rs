@@ -1,0 +1,137 @@
+//! The sink that finds the noise of a sensor from a recording, as the line that a pipeline file needs.
+//!
+//! Of a static scene the depth of each pixel varies from frame to frame by nothing but noise ([`temporal`]). Of flat walls
+//! and floors each block of the image is a plane up to noise ([`wall`]), also up to that which does not change with time
+//! and which a fit to a surface meets as well. Both give variances over depth, to which [`fit`] fits a [`NoiseModel`].
+
+mod fit;
+mod levels;
+mod temporal;
+#[cfg(test)]
+mod tests;
+mod wall;
+
+pub use fit::{NoiseEstimate, Spread};
+
+use anyhow::bail;
+use conicflow_dataflow::{Config, Context, Output, Sides, Stage, StageError};
+use conicflow_messages::{Header, Message, Nothing};
+use fit::Spreads;
+use levels::Levels;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::io::Write;
+use temporal::Temporal;
+
+/// What the recording shows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Recorded {
+    /// Anything that does not move, seen by a camera that does not move.
+    #[default]
+    StaticScene,
+    /// Flat walls and floors; camera and walls may move.
+    FlatWall,
+}
+
+/// Parameters of `noise_estimator`.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct NoiseEstimatorConfig {
+    /// What the recording shows: `static_scene` (nothing moves) or `flat_wall` (walls and floors fill most of the image).
+    pub recorded: Recorded,
+    /// Fewest measurements of a pixel of a static scene.
+    #[schemars(range(min = 3))]
+    pub min_frames: u32,
+    /// Side of the blocks in which a wall counts as flat, in pixels.
+    #[schemars(range(min = 4, max = 128))]
+    pub block_px: u32,
+}
+
+impl Default for NoiseEstimatorConfig {
+    fn default() -> Self {
+        Self { recorded: Recorded::StaticScene, min_frames: 20, block_px: 12 }
+    }
+}
+
+impl Config for NoiseEstimatorConfig {}
+
+/// Gathers the noise of depth images.
+pub struct NoiseEstimator {
+    config: NoiseEstimatorConfig,
+    /// Of the first frame.
+    header: Option<Header>,
+    levels: Levels,
+    temporal: Temporal,
+    spreads: Spreads,
+}
+
+impl NoiseEstimator {
+    /// An estimator that has seen nothing.
+    pub fn with(config: NoiseEstimatorConfig) -> Self {
+        let (levels, temporal, spreads) = (Levels::default(), Temporal::default(), Spreads::default());
+        Self { config, header: None, levels, temporal, spreads }
+    }
+
+    /// Adds a depth image.
+    ///
+    /// # Errors
+    /// It is of another size or scale than those before.
+    pub fn add(&mut self, header: &Header, pixels: &[u16]) -> anyhow::Result<()> {
+        let first = self.header.get_or_insert(*header);
+        let measures = |header: &Header| (header.camera.width, header.camera.height, header.depth_scale);
+        if measures(first) != measures(header) {
+            let name = header.source.as_str().unwrap_or_default().escape_debug();
+            bail!(
+                "frame {} of `{name}` has another size or scale than the first one\n  hint: estimate the noise of one \
+                 sensor at a time",
+                header.sequence
+            );
+        }
+        self.levels.add(pixels);
+        match self.config.recorded {
+            Recorded::StaticScene => self.temporal.add(pixels),
+            Recorded::FlatWall => wall::add(header, pixels, self.config.block_px, &mut self.spreads),
+        }
+        Ok(())
+    }
+
+    /// The noise that explains what was seen.
+    ///
+    /// # Errors
+    /// Too little was seen.
+    pub fn estimate(&self) -> anyhow::Result<NoiseEstimate> {
+        let Some(header) = &self.header else {
+            bail!("no frame was seen, so the noise cannot be estimated\n  hint: give a recording");
+        };
+        let step_per_m = self.levels.step_per_m(header.depth_scale);
+        let temporal = (self.config.recorded == Recorded::StaticScene)
+            .then(|| self.temporal.spreads(header.depth_scale, self.config.min_frames));
+        fit::fit(temporal.as_ref().unwrap_or(&self.spreads), step_per_m)
+    }
+}
+
+impl Stage for NoiseEstimator {
+    const NAME: &'static str = "noise_estimator";
+    const SUMMARY: &'static str = "finds the depth noise of a sensor from a recording, as a line for the pipeline file";
+    type Config = NoiseEstimatorConfig;
+    type Input = u16;
+    type Output = Nothing;
+
+    fn new(config: Self::Config, context: &Context) -> Result<Self, StageError> {
+        if context.resume_at > 0 {
+            return Err(
+                "what was seen before this stage was started anew is lost\n  hint: run it from the start".into()
+            );
+        }
+        Ok(Self::with(config))
+    }
+
+    fn step(&mut self, input: &Message<u16>, _: &Sides, _: &mut Output<Nothing>) -> Result<(), StageError> {
+        Ok(self.add(input.header, input.items)?)
+    }
+
+    fn finish(&mut self) -> Result<(), StageError> {
+        Ok(std::io::stdout().write_all(self.estimate()?.to_string().as_bytes())?)
+    }
+}

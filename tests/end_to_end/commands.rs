@@ -1,0 +1,192 @@
+//! The commands that start nothing: `graph`, `nodes`, help; and what wrong arguments are told.
+
+use crate::support::{Playground, TRACKING};
+
+const NODES: [&str; 8] = [
+    "synthetic_source",
+    "image_source",
+    "row_ellipse_extractor",
+    "object_assembler",
+    "kalman_tracker",
+    "console_sink",
+    "json_sink",
+    "picture_sink",
+];
+
+#[test]
+fn the_graph_of_the_default_pipeline() {
+    let expected = r#"flowchart LR
+  source["source<br/>synthetic_source"]
+  extractor["extractor<br/>row_ellipse_extractor"]
+  assembler["assembler<br/>object_assembler"]
+  tracker["tracker<br/>kalman_tracker"]
+  console["console<br/>console_sink"]
+  source -->|"depth"| extractor
+  extractor -->|"ellipses"| assembler
+  assembler -->|"objects"| tracker
+  tracker -->|"tracks"| console
+"#;
+    let ended = Playground::new().conicflow(&["graph"]).expect_code(0);
+    assert_eq!((ended.stdout.as_str(), ended.stderr.as_str()), (expected, ""));
+}
+
+#[test]
+fn a_graph_with_machines_further_inputs_and_programs() {
+    let playground = Playground::with_pipeline(
+        r#"
+name = "two"
+
+[machine.robot]
+[machine.base]
+
+[stage.camera]
+program = ["sh"]
+machine = "robot"
+output  = "depth"
+
+[stage.extractor]
+node    = "row_ellipse_extractor"
+machine = "robot"
+input   = { topic = "depth", delivery = "lossless" }
+output  = "ellipses"
+
+[stage.pictures]
+node    = "picture_sink"
+machine = "base"
+input   = "ellipses"
+inputs  = { depth = "depth" }
+path    = "pictures/"
+"#,
+    );
+    let ended = playground.conicflow(&["graph"]).expect_code(0);
+    let (before, after) = ended.stdout.split_once("sh\"]").unwrap();
+    assert!(before.starts_with("flowchart LR\n  subgraph base\n    pictures[\"pictures<br/>picture_sink\"]\n  end\n"));
+    let expected = r#"
+    extractor["extractor<br/>row_ellipse_extractor"]
+  end
+  camera -->|"depth, lossless"| extractor
+  extractor -->|"ellipses"| pictures
+  camera -.->|"depth"| pictures
+"#;
+    assert_eq!(after, expected);
+}
+
+#[test]
+fn all_nodes_are_listed() {
+    let ended = Playground::new().conicflow(&["nodes"]).expect_code(0);
+    let rows: Vec<_> = ended.stdout.lines().map(|line| line.split_once(' ').unwrap()).collect();
+    for node in NODES {
+        let row = rows.iter().find(|(name, _)| *name == node).unwrap_or_else(|| panic!("no {node}"));
+        assert!(row.1.trim().len() > 10, "{node} has no summary");
+    }
+}
+
+/// The parameters in the text of `conicflow nodes NAME`: name, default and description.
+fn parameters(text: &str) -> Vec<(&str, &str, &str)> {
+    let lines: Vec<_> = text.lines().collect();
+    let heads = lines.iter().enumerate().filter_map(|(index, line)| Some((index, line.split_once(" = ")?)));
+    let parameters = heads.filter(|(index, _)| !lines[*index].starts_with([' ', 'i']) || lines[index - 1].is_empty());
+    parameters.map(|(index, (name, default))| (name, default, lines.get(index + 1).copied().unwrap_or(""))).collect()
+}
+
+#[test]
+fn each_node_shows_its_parameters_with_default_and_description() {
+    let playground = Playground::new();
+    let listed = playground.conicflow(&["nodes"]).stdout;
+    for node in listed.lines().map(|line| line.split_whitespace().next().unwrap()) {
+        let text = playground.conicflow(&["nodes", node]).expect_code(0).stdout;
+        assert!(text.starts_with(&format!("{node}: ")), "{text}");
+        let parameters = parameters(&text);
+        assert!(!parameters.is_empty(), "{text}");
+        for (name, default, description) in parameters {
+            let described = description.strip_prefix("    ").is_some_and(|text| text.trim().len() > 10);
+            assert!(described, "`{name}` of {node} has no description:\n{text}");
+            assert!(!default.is_empty(), "`{name}` of {node} has no default");
+        }
+    }
+}
+
+#[test]
+fn the_parameters_of_a_node_in_full() {
+    let expected = r#"console_sink: Shows ellipses, objects or tracks as text on standard output
+
+input   tracks | objects | ellipses
+
+every = 1   (at least 1)
+    Show one message in this many; 1 shows all.
+
+tentative = false
+    Show tracks that are not confirmed yet.
+"#;
+    assert_eq!(Playground::new().conicflow(&["nodes", "console_sink"]).expect_code(0).stdout, expected);
+}
+
+#[test]
+fn nodes_that_do_not_exist_are_told_with_a_suggestion() {
+    let playground = Playground::new();
+    let ended = playground.conicflow(&["nodes", "kalman_traker"]).expect_code(2);
+    let expected = "error: there is no node `kalman_traker`\n  hint: did you mean `kalman_tracker`?\n";
+    assert_eq!((ended.stdout.as_str(), ended.stderr.as_str()), ("", expected));
+    let ended = playground.conicflow(&["nodes", "nonsense"]).expect_code(2);
+    assert!(ended.stderr.starts_with("error: there is no node `nonsense`\n  hint: nodes: `synthetic_source`, "));
+}
+
+#[test]
+fn help_names_the_commands() {
+    let ended = Playground::new().conicflow(&["--help"]).expect_code(0);
+    for command in ["run", "node", "validate", "graph", "nodes"] {
+        let begins = |line: &&str| line.trim_start().starts_with(&format!("{command} "));
+        assert!(ended.stdout.lines().any(|line| begins(&line)), "{command}: {}", ended.stdout);
+    }
+    let ended = Playground::new().conicflow(&["run", "--help"]).expect_code(0);
+    for option in ["--set", "--for", "--frames", "--machine", "--quiet"] {
+        assert!(ended.stdout.contains(option), "{option}: {}", ended.stdout);
+    }
+}
+
+#[test]
+fn wrong_arguments_are_refused() {
+    let playground = Playground::with_pipeline(TRACKING);
+    for (arguments, told) in [
+        (&["walk"][..], "unrecognized subcommand 'walk'"),
+        (&["run", "--frames", "0"], "invalid value '0' for '--frames <N>'"),
+        (&["run", "--for", "soon"], "invalid value 'soon' for '--for <TIME>'"),
+        (&["run", "--machine", "robot"], "there is no machine `robot` in the pipeline"),
+        (&["node", "sourc"], "there is no stage `sourc` in this pipeline\n  hint: "),
+    ] {
+        let ended = playground.conicflow(arguments).expect_code(2);
+        assert!(ended.stderr.contains(told), "{arguments:?}: {}", ended.stderr);
+    }
+}
+
+#[test]
+fn files_that_are_missing_are_named() {
+    let playground = Playground::with_pipeline(TRACKING);
+    for command in ["run", "validate", "graph"] {
+        let ended = playground.conicflow(&[command, "elsewhere/no.toml"]).expect_code(2);
+        assert_eq!(
+            ended.stderr,
+            "error: cannot read the pipeline file `elsewhere/no.toml`: No such file or directory (os error 2)\n  \
+             hint: without a file it is ./pipeline.toml, or else the built-in pipeline\n"
+        );
+    }
+}
+
+#[test]
+fn machines_have_to_be_chosen_and_cannot_be_joined_yet() {
+    let text = TRACKING.replace("node ", "machine = \"robot\"\nnode ");
+    let playground = Playground::with_pipeline(&format!("{text}\n[machine.robot]\n[machine.base]\n"));
+    let ended = playground.conicflow(&["run"]).expect_code(2);
+    assert!(ended.stderr.starts_with("error: the pipeline spans the machines `base`, `robot`\n  hint: "));
+    let ended = playground.conicflow(&["run", "--machine", "robt"]).expect_code(2);
+    assert!(
+        ended.stderr.starts_with("error: there is no machine `robt` in the pipeline\n  hint: "),
+        "{}",
+        ended.stderr
+    );
+    let apart = ["run", "--machine", "robot", "--set", "json.machine=base"];
+    let ended = playground.conicflow(&apart).expect_code(2);
+    assert!(ended.stderr.starts_with("error: the topic `tracks` would have to cross from machine `robot` to `base`"));
+    playground.conicflow(&["run", "--machine", "robot", "--frames", "3"]).expect_code(0);
+    assert_eq!(playground.sequences("tracks.jsonl"), [0, 1, 2]);
+}

@@ -1,0 +1,12 @@
+//! The program as its users have it: the real binary, started as a process, on files in folders of its own.
+
+#![allow(missing_docs)] // a test's name says what it shows
+#![allow(clippy::unwrap_used, clippy::panic)] // what a test cannot go on from is its failure
+
+mod commands;
+mod outside_stage;
+#[cfg(target_os = "linux")]
+mod processes;
+mod run;
+mod support;
+mod validate;

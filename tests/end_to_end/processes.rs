@@ -1,0 +1,273 @@
+//! The processes of a run: who starts whom, what is survived, how it ends, and that nothing stays behind.
+
+use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, wait_until};
+use rustix::process::{Pid, Signal, kill_process};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// A paced run of [`TRACKING`] that goes on until it is told to end.
+fn start(playground: &Playground, more: &[&str]) -> Started {
+    playground.start(&[&["run", "--set", "source.rate_hz=50"], more].concat())
+}
+
+/// Waits until a run delivers more than it has so far.
+fn wait_for_lines(run: &mut Started, playground: &Playground) {
+    let before = playground.lines("tracks.jsonl").len();
+    run.wait_until("it delivers", || playground.lines("tracks.jsonl").len() > before + 3);
+}
+
+fn signal(process: u32, signal: Signal) {
+    kill_process(Pid::from_raw(process.cast_signed()).unwrap(), signal).unwrap();
+}
+
+/// The numbers of all processes.
+fn processes() -> impl Iterator<Item = u32> {
+    let names = fs::read_dir("/proc").unwrap().map(|entry| entry.unwrap().file_name());
+    names.filter_map(|name| name.to_str()?.parse().ok())
+}
+
+/// The parent of a process that lives.
+fn parent(process: u32) -> Option<u32> {
+    let stat = fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
+    let mut after_name = stat.rsplit_once(')')?.1.split_whitespace();
+    let state = after_name.next()?;
+    after_name.next()?.parse().ok().filter(|_| state != "Z")
+}
+
+/// The value of a variable in the environment that a process was started with.
+fn environment(process: u32, name: &str) -> Option<String> {
+    let bytes = fs::read(format!("/proc/{process}/environ")).ok()?;
+    let text = String::from_utf8_lossy(&bytes).into_owned();
+    text.split('\0').find_map(|entry| entry.strip_prefix(name)?.strip_prefix('=')).map(str::to_owned)
+}
+
+/// The processes of a launcher's stages, by their names.
+fn stages_of(launcher: u32) -> BTreeMap<String, u32> {
+    let children = processes().filter(|process| parent(*process) == Some(launcher));
+    children.filter_map(|process| Some((environment(process, "CONICFLOW_STAGE")?, process))).collect()
+}
+
+/// The processes, whoever their parent is, that belong to a run in this playground.
+fn living(playground: &Playground) -> Vec<u32> {
+    let runtime = playground.runtime().to_str().unwrap();
+    let own = |process: &u32| environment(*process, "CONICFLOW_RUNTIME_DIR").as_deref() == Some(runtime);
+    processes().filter(|process| parent(*process).is_some()).filter(own).collect()
+}
+
+fn expect_nothing_lives(playground: &Playground) {
+    let living = living(playground);
+    assert!(living.is_empty(), "the run is over, but not for {living:?}");
+}
+
+#[test]
+fn each_stage_is_a_process_whose_parent_is_the_launcher() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let mut run = start(&playground, &[]);
+    wait_for_lines(&mut run, &playground);
+    let stages = stages_of(run.id());
+    assert!(stages.keys().eq(["assembler", "extractor", "json", "source", "tracker"]), "{stages:?}");
+    let expected: BTreeSet<_> = stages.into_values().chain([run.id()]).collect();
+    assert_eq!(living(&playground).into_iter().collect::<BTreeSet<_>>(), expected, "one process per stage, no more");
+}
+
+/// Kills each stage in turn: it comes back, the others stay, and results come on, in order.
+fn kill_each_stage(delivery: &str) {
+    let playground = Playground::with_pipeline(&TRACKING.replace("lossless", delivery));
+    let mut run = start(&playground, &[]);
+    let launcher = run.id();
+    wait_for_lines(&mut run, &playground);
+    for stage in TRACKING_STAGES {
+        let before = stages_of(launcher);
+        signal(before[stage], Signal::KILL);
+        let is_new = |process: Option<&u32>| process.is_some_and(|process| *process != before[stage]);
+        run.wait_until("the stage is started anew", || is_new(stages_of(launcher).get(stage)));
+        wait_for_lines(&mut run, &playground);
+        let mut after = stages_of(launcher);
+        after.insert(stage.to_owned(), before[stage]);
+        assert_eq!(after, before, "only `{stage}` was to be started anew");
+    }
+    signal(launcher, Signal::INT);
+    let ended = run.wait().expect_code(0);
+    for stage in TRACKING_STAGES {
+        assert_eq!(ended.stage(stage).starts, 2, "{stage}: {}", ended.stderr);
+        let told = format!("stage `{stage}` was killed by signal 9, and is started anew in 0.1 s");
+        assert!(ended.stderr.contains(&told), "{stage}: {}", ended.stderr);
+    }
+    let sequences = playground.sequences("tracks.jsonl");
+    assert!(sequences.is_sorted(), "frames went back: {sequences:?}");
+}
+
+#[test]
+fn the_death_of_any_stage_is_survived_where_the_newest_is_wanted() {
+    kill_each_stage("latest");
+}
+
+#[test]
+fn the_death_of_any_stage_is_survived_where_writers_wait() {
+    kill_each_stage("lossless");
+}
+
+#[test]
+fn no_stage_outlives_its_launcher_and_the_next_run_starts() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let mut run = start(&playground, &[]);
+    wait_for_lines(&mut run, &playground);
+    assert_eq!(living(&playground).len(), 6);
+    signal(run.id(), Signal::KILL);
+    wait_until("all processes are gone", || living(&playground).is_empty());
+    playground.conicflow(&["run", "--frames", "3"]).expect_code(0);
+    assert_eq!(playground.sequences("tracks.jsonl"), [0, 1, 2]);
+}
+
+#[test]
+fn the_next_run_does_not_wait_for_the_stages_of_a_dead_launcher() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let mut run = start(&playground, &[]);
+    wait_for_lines(&mut run, &playground);
+    signal(run.id(), Signal::KILL);
+    playground.conicflow(&["run", "--frames", "3", "--set", "json.path=next.jsonl"]).expect_code(0);
+    assert_eq!(playground.sequences("next.jsonl"), [0, 1, 2]);
+    wait_until("all processes are gone", || living(&playground).is_empty());
+}
+
+#[test]
+fn interrupt_and_terminate_end_a_run_in_order() {
+    for end in [Signal::INT, Signal::TERM] {
+        let playground = Playground::with_pipeline(TRACKING);
+        let mut run = start(&playground, &[]);
+        wait_for_lines(&mut run, &playground);
+        signal(run.id(), end);
+        let ended = run.wait().expect_code(0);
+        assert_eq!(ended.stages(), TRACKING_STAGES, "{end:?}");
+        let made = ended.stage("source").messages;
+        assert!(playground.sequences("tracks.jsonl").into_iter().eq(0..made), "{end:?}: what was made is delivered");
+        expect_nothing_lives(&playground);
+    }
+}
+
+#[test]
+fn who_insists_ends_stages_that_do_not_listen() {
+    let deaf = r#"
+[stage.deaf]
+program = ["sh", "-c", "trap '' INT TERM; exec sleep 600"]
+input   = "tracks"
+"#;
+    let playground = Playground::with_pipeline(&format!("{TRACKING}{deaf}"));
+    let mut run = start(&playground, &[]);
+    wait_for_lines(&mut run, &playground);
+    let launcher = run.id();
+    wait_until("all processes are gone", || {
+        signal(launcher, Signal::INT);
+        stages_of(launcher).is_empty()
+    });
+    let ended = run.wait();
+    assert!(ended.stderr.contains("\ntracking: "), "no summary: {}", ended.stderr);
+    expect_nothing_lives(&playground);
+}
+
+#[test]
+fn a_source_that_cannot_start_ends_the_run() {
+    let source = "node = \"image_source\"\npath = \"frames/\"\nrate_hz = 0\noutput = \"depth\"\n\n[stage.extractor]";
+    let (before, rest) = TRACKING.split_once("[stage.source]").unwrap();
+    let (_, after) = rest.split_once("[stage.extractor]").unwrap();
+    let playground = Playground::with_pipeline(&format!("{before}[stage.source]\n{source}{after}"));
+    fs::create_dir(playground.path("frames")).unwrap();
+    playground.conicflow(&["validate"]).expect_code(0);
+    let ended = playground.conicflow(&["run"]).expect_code(1);
+    let folder = playground.path("frames").display().to_string();
+    assert!(ended.stderr.lines().any(|line| line.starts_with("error: ") && line.contains(&folder)), "{}", ended.stderr);
+    assert!(ended.stderr.contains("\n  hint: "), "{}", ended.stderr);
+    assert!(ended.stderr.ends_with("not complete: a stage was lost, see above\n"), "{}", ended.stderr);
+    expect_nothing_lives(&playground);
+}
+
+#[test]
+fn a_sink_that_cannot_write_ends_the_run() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let ended = playground.conicflow(&["run", "--set", "json.path=pipeline.toml/tracks.jsonl"]).expect_code(1);
+    let told = |line: &str| line.starts_with("error: ") && line.contains("pipeline.toml/tracks.jsonl");
+    assert!(ended.stderr.lines().any(told), "{}", ended.stderr);
+    assert!(ended.stderr.ends_with("not complete: a stage was lost, see above\n"), "{}", ended.stderr);
+    expect_nothing_lives(&playground);
+}
+
+#[test]
+fn a_stage_that_is_never_restarted_leaves_the_others_at_work() {
+    let other = r#"
+[stage.other]
+node    = "json_sink"
+input   = { topic = "tracks", delivery = "lossless" }
+path    = "other.jsonl"
+restart = "never"
+"#;
+    let playground = Playground::with_pipeline(&format!("{TRACKING}{other}"));
+    let mut run = start(&playground, &[]);
+    wait_for_lines(&mut run, &playground);
+    let launcher = run.id();
+    let killed = stages_of(launcher)["other"];
+    signal(killed, Signal::KILL);
+    run.wait_until("its death is seen", || !stages_of(launcher).contains_key("other"));
+    wait_for_lines(&mut run, &playground);
+    wait_for_lines(&mut run, &playground);
+    signal(launcher, Signal::INT);
+    let ended = run.wait().expect_code(1);
+    assert!(ended.stderr.contains("stage `other` was killed by signal 9, and is not started anew"), "{}", ended.stderr);
+    assert_eq!((ended.stage("other").starts, ended.stage("json").starts), (1, 1));
+    assert!(ended.stage("other").messages < ended.stage("json").messages, "{}", ended.stderr);
+}
+
+#[test]
+fn a_stage_that_is_always_restarted_comes_back_though_it_ended_well() {
+    let again = r#"
+[stage.again]
+program = ["sh", "-c", "echo start >> starts.txt"]
+input   = "tracks"
+restart = "always"
+"#;
+    let playground = Playground::with_pipeline(&format!("{TRACKING}{again}"));
+    let mut run = start(&playground, &[]);
+    run.wait_until("it was started three times", || playground.lines("starts.txt").len() >= 3);
+    wait_for_lines(&mut run, &playground);
+    signal(run.id(), Signal::INT);
+    run.wait().expect_code(0);
+}
+
+/// The files in shared memory that a process uses, but for one of 16 bytes that all runs on a machine share.
+fn shared_files(process: u32) -> BTreeSet<PathBuf> {
+    let maps = fs::read_to_string(format!("/proc/{process}/maps")).unwrap_or_default();
+    let paths =
+        maps.lines().filter_map(|line| line.find("/dev/shm/conicflow_").map(|start| PathBuf::from(&line[start..])));
+    paths.filter(|path| path.extension().is_none_or(|end| end != "global_mgmt")).collect()
+}
+
+/// All files in a folder and those in it.
+fn files_below(folder: &Path) -> Vec<PathBuf> {
+    let paths = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    paths.flat_map(|path| if path.is_dir() { files_below(&path) } else { vec![path] }).collect()
+}
+
+#[test]
+fn nothing_stays_in_shared_memory_however_runs_end() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let mut used = BTreeSet::new();
+    for round in 0..10 {
+        fs::remove_file(playground.path("tracks.jsonl")).ok();
+        let mut run = start(&playground, &[]);
+        wait_for_lines(&mut run, &playground);
+        let stages = stages_of(run.id());
+        stages.values().for_each(|process| used.extend(shared_files(*process)));
+        if round % 5 == 1 {
+            stages.values().for_each(|process| signal(*process, Signal::KILL));
+        }
+        signal(run.id(), [Signal::INT, Signal::INT, Signal::KILL, Signal::TERM][round % 4]);
+        drop(run.wait());
+        wait_until("all processes are gone", || living(&playground).is_empty());
+    }
+    assert!(used.len() > 100, "only {} files were used, which shows little", used.len());
+    playground.conicflow(&["run", "--frames", "3"]).expect_code(0);
+    let left: Vec<_> = used.iter().filter(|path| path.exists()).collect();
+    assert!(left.is_empty(), "{} of {} files are left: {left:?}", left.len(), used.len());
+    let left = files_below(&playground.runtime().join("shm"));
+    assert!(left.is_empty(), "{left:?}");
+}

@@ -1,0 +1,321 @@
+//! Runs from their start to their end: what comes out, in which order, and what the summary says of it.
+
+use crate::support::{Ended, InputRow, Playground, Started, TRACKING, TRACKING_STAGES, example};
+use serde_json::Value as Json;
+use std::fs::{self, File};
+use std::io::{BufRead, BufReader, BufWriter};
+use std::ops::Range;
+use std::time::{Duration, Instant};
+
+/// A source and a sink that takes its time over each frame, without lossless delivery between them.
+fn slow_pipeline(delay_ms: u64) -> Playground {
+    let program = example("slow_sink");
+    Playground::with_pipeline(&format!(
+        r#"
+name = "slow"
+
+[stage.source]
+node    = "synthetic_source"
+output  = "depth"
+width   = 32
+height  = 24
+rate_hz = 0
+
+[stage.sink]
+program  = ["{program}"]
+input    = "depth"
+path     = "sequences.txt"
+delay_ms = {delay_ms}
+"#
+    ))
+}
+
+#[test]
+fn the_default_pipeline_tracks_and_tells_of_all_its_stages() {
+    let small = ["--set", "source.width=160", "--set", "source.height=120", "--set", "source.rate_hz=0"];
+    let sets = [&small[..], &["--set", "source.frames=5", "--set", "console.every=1"]].concat();
+    let ended = Playground::new().conicflow(&[&["run"][..], &sets].concat()).expect_code(0);
+    let shown: Vec<_> = ended.stdout.lines().filter(|line| line.starts_with("frame ")).collect();
+    assert!(shown.last().unwrap().starts_with("frame 4 "), "{}", ended.stdout);
+    assert_eq!(ended.stages(), ["source", "extractor", "assembler", "tracker", "console"]);
+    assert_eq!(ended.stage("source").messages, 5);
+    assert!(ended.stderr.contains("\ndefault: 5 frames in "), "{}", ended.stderr);
+    assert!(ended.stages().iter().all(|stage| ended.stage(stage).starts == 1), "{}", ended.stderr);
+}
+
+#[test]
+fn quiet_runs_say_nothing() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let ended = playground.conicflow(&["run", "--quiet", "--frames", "3"]).expect_code(0);
+    assert_eq!((ended.stdout.as_str(), ended.stderr.as_str()), ("", ""));
+    assert_eq!(playground.sequences("tracks.jsonl"), [0, 1, 2]);
+}
+
+/// The lines of a run of [`TRACKING`] over 1000 frames, without the times that the machine took.
+fn lossless_run() -> Vec<Json> {
+    let playground = Playground::with_pipeline(TRACKING);
+    let ended = playground.conicflow(&["run", "--set", "source.frames=1000"]).expect_code(0);
+    for stage in TRACKING_STAGES {
+        let row = ended.stage(stage);
+        assert_eq!((row.messages, row.starts), (1000, 1), "{stage}");
+    }
+    for [writer, reader] in
+        [["depth", "extractor"], ["ellipses", "assembler"], ["objects", "tracker"], ["tracks", "json"]]
+    {
+        let everything = InputRow { received: 1000, dropped: 0, gaps: 0, late: 0 };
+        assert_eq!(ended.input(writer, reader), everything, "{reader}");
+    }
+    let mut lines = playground.json_lines("tracks.jsonl");
+    for line in &mut lines {
+        let latency = line.as_object_mut().unwrap().remove("latency_ms").unwrap();
+        assert!(latency.as_f64().unwrap() > 0.0, "{line}");
+    }
+    lines
+}
+
+#[test]
+fn lossless_delivers_each_frame_once_in_order_and_the_same_bits_each_time() {
+    let first = lossless_run();
+    let sequences: Vec<_> = first.iter().map(|line| line["sequence"].as_u64().unwrap()).collect();
+    assert!(sequences.into_iter().eq(0..1000));
+    assert!(first.iter().any(|line| line["tracks"][0]["id"].is_u64()), "nothing was tracked");
+    let text = |lines: &[Json]| lines.iter().map(Json::to_string).collect::<Vec<_>>();
+    assert_eq!(text(&first), text(&lossless_run()));
+}
+
+#[test]
+fn a_slow_reader_loses_frames_and_each_of_them_is_counted() {
+    let playground = slow_pipeline(20);
+    let ended = playground.conicflow(&["run", "--frames", "300"]).expect_code(0);
+    let taken: Vec<u64> = playground.lines("sequences.txt").iter().map(|line| line.parse().unwrap()).collect();
+    let input = ended.input("depth", "sink");
+    assert_eq!(input.received, taken.len() as u64);
+    assert!(input.dropped > 0, "nothing was lost, so that nothing is shown");
+    assert_eq!((input.received + input.dropped, input.late), (ended.stage("source").messages, 0));
+    assert_eq!(input.gaps, input.dropped, "the only loss is before the only reader");
+    assert!(taken.is_sorted_by(|a, b| a < b), "{taken:?}");
+    assert_eq!(taken.last(), Some(&299), "the newest frame is never lost");
+}
+
+#[test]
+fn a_slow_reader_holds_a_lossless_writer_back() {
+    let playground = slow_pipeline(5);
+    let lossless = "sink.input={ topic = \"depth\", delivery = \"lossless\", queue = 2 }";
+    playground.conicflow(&["run", "--frames", "60", "--set", lossless]).expect_code(0);
+    assert!(playground.lines("sequences.txt").into_iter().eq((0..60).map(|number: u64| number.to_string())));
+}
+
+#[test]
+fn a_single_frame_arrives_even_where_only_the_newest_is_wanted() {
+    let playground = Playground::with_pipeline(&TRACKING.replace("lossless", "latest"));
+    playground.conicflow(&["run", "--set", "source.frames=1"]).expect_code(0);
+    assert_eq!(playground.sequences("tracks.jsonl"), [0]);
+}
+
+#[test]
+fn a_run_ends_after_so_much_time() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let begun = Instant::now();
+    let ended = playground.conicflow(&["run", "--for", "1s", "--set", "source.rate_hz=50"]).expect_code(0);
+    assert!(begun.elapsed() >= Duration::from_secs(1));
+    let made = ended.stage("source").messages;
+    assert!(playground.sequences("tracks.jsonl").into_iter().eq(0..made), "what was made is delivered");
+    assert!(made > 0);
+}
+
+#[test]
+fn pipelines_of_different_names_do_not_meet() {
+    let playground = Playground::new();
+    let scenes = [("bouncing_ball", 40), ("empty_room", 60)];
+    let runs = scenes.map(|(scene, frames)| {
+        let text = TRACKING.replace("\"tracking\"", &format!("\"{scene}\"")).replace("tracks.jsonl", scene);
+        playground.write(&format!("{scene}.toml"), &text);
+        let (file, scene) = (format!("{scene}.toml"), format!("source.scene={scene}"));
+        let paced = ["--set", "source.rate_hz=50", "--frames", &frames.to_string()].map(str::to_owned);
+        let arguments = [["run", &file, "--set", &scene].map(str::to_owned), paced].concat();
+        playground.start(&arguments.iter().map(String::as_str).collect::<Vec<_>>())
+    });
+    runs.into_iter().for_each(|run| drop(run.wait().expect_code(0)));
+    for (scene, frames) in scenes {
+        assert!(playground.sequences(scene).into_iter().eq(0..frames), "{scene}");
+        assert!(playground.json_lines(scene).iter().all(|line| line["source"] == scene), "{scene}");
+    }
+}
+
+#[test]
+fn a_name_runs_once_at_a_time() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let mut first = playground.start(&["run", "--set", "source.rate_hz=50"]);
+    first.wait_until("the first run delivers", || !playground.lines("tracks.jsonl").is_empty());
+    let second = playground.conicflow(&["run", "--set", "json.path=second.jsonl"]).expect_code(2);
+    assert_eq!(
+        second.stderr,
+        "error: a pipeline named `tracking` is running already on this machine\n  \
+         hint: end it first, or give this one another `name` in its file\n"
+    );
+    assert!(!playground.path("second.jsonl").exists());
+    let before = playground.lines("tracks.jsonl").len();
+    first.wait_until("the first run goes on", || playground.lines("tracks.jsonl").len() > before + 5);
+}
+
+#[test]
+fn a_run_whose_reader_has_seen_enough_ends_well() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let (run, mut output) = Started::piped(playground.command(&["run", "--quiet", "--set", "json.path=-"]));
+    output.read_line(&mut String::new()).unwrap();
+    drop(output);
+    assert_eq!(run.wait().expect_code(0).stderr, "");
+}
+
+#[test]
+fn pictures_show_the_depth_of_each_frame() {
+    let pictures = r#"
+[stage.pictures]
+node   = "picture_sink"
+input  = { topic = "objects", delivery = "lossless" }
+inputs = { depth = "depth", ellipses = "ellipses" }
+path   = "pictures/"
+"#;
+    let playground = Playground::with_pipeline(&format!("{TRACKING}{pictures}"));
+    let ended = playground.conicflow(&["run", "--frames", "12"]).expect_code(0);
+    let written: Vec<_> = (0..12).map(|number| format!("frame_{number:06}.png")).collect();
+    let mut names: Vec<_> = fs::read_dir(playground.path("pictures")).unwrap().map(name).collect();
+    names.sort();
+    assert_eq!(names, written);
+    for topic in ["depth", "ellipses", "objects"] {
+        assert_eq!(ended.input(topic, "pictures"), InputRow { received: 12, dropped: 0, gaps: 0, late: 0 }, "{topic}");
+    }
+    for name in names {
+        let shades = shades(&playground.path("pictures").join(&name));
+        assert!(shades.len() > 64 * 48 / 2, "{name}: {} pixels with depth", shades.len());
+        assert!(shades.iter().max() > shades.iter().min(), "{name}: all at one depth");
+    }
+}
+
+fn name(entry: std::io::Result<fs::DirEntry>) -> String {
+    entry.unwrap().file_name().into_string().unwrap()
+}
+
+/// The grey pixels of a picture of 64x48, but for the black ones.
+fn shades(path: &std::path::Path) -> Vec<u8> {
+    let mut reader = png::Decoder::new(BufReader::new(File::open(path).unwrap())).read_info().unwrap();
+    let mut bytes = vec![0; reader.output_buffer_size().unwrap()];
+    let info = reader.next_frame(&mut bytes).unwrap();
+    assert_eq!((info.width, info.height, info.color_type), (64, 48, png::ColorType::Rgb));
+    let pixels = bytes.chunks_exact(3).filter(|pixel| pixel[0] > 0 && pixel[0] == pixel[1] && pixel[1] == pixel[2]);
+    pixels.map(|pixel| pixel[0]).collect()
+}
+
+const RECORDING: &str = r#"
+name = "recording"
+
+[stage.source]
+node    = "image_source"
+output  = "depth"
+path    = "frames/"
+rate_hz = 0
+noise   = "ideal"
+
+[stage.extractor]
+node   = "row_ellipse_extractor"
+input  = { topic = "depth", delivery = "lossless" }
+output = "ellipses"
+
+[stage.assembler]
+node   = "object_assembler"
+input  = { topic = "ellipses", delivery = "lossless" }
+output = "objects"
+
+[stage.json]
+node  = "json_sink"
+input = { topic = "objects", delivery = "lossless" }
+path  = "objects.jsonl"
+"#;
+
+const WIDTH: u32 = 160;
+const HEIGHT: u32 = 120;
+const FOCAL: f64 = 150.0;
+const METRES_PER_UNIT: f64 = 0.0005;
+const RADIUS: f64 = 0.1;
+
+/// A ball of [`RADIUS`] before a wall, as the pixels of a camera that looks at its centre from `distance` metres.
+fn ball(distance: f64) -> Vec<u16> {
+    let pixel = |column: u32, row: u32| {
+        let x = (f64::from(column) - f64::from(WIDTH - 1) / 2.0) / FOCAL;
+        let y = (f64::from(row) - f64::from(HEIGHT - 1) / 2.0) / FOCAL;
+        // The nearer z at which |z (x, y, 1) - (0, 0, distance)| is the radius.
+        let squared = x * x + y * y + 1.0;
+        let below_root = distance * distance - squared * (distance * distance - RADIUS * RADIUS);
+        let z = if below_root < 0.0 { 1.5 } else { (distance - below_root.sqrt()) / squared };
+        (z / METRES_PER_UNIT).round() as u16
+    };
+    (0..HEIGHT).flat_map(|row| (0..WIDTH).map(move |column| pixel(column, row))).collect()
+}
+
+fn write_depth_png(playground: &Playground, name: &str, pixels: &[u16]) {
+    let file = BufWriter::new(File::create(playground.path("frames").join(name)).unwrap());
+    let mut encoder = png::Encoder::new(file, WIDTH, HEIGHT);
+    encoder.set_color(png::ColorType::Grayscale);
+    encoder.set_depth(png::BitDepth::Sixteen);
+    let bytes: Vec<u8> = pixels.iter().flat_map(|pixel| pixel.to_be_bytes()).collect();
+    encoder.write_header().unwrap().write_image_data(&bytes).unwrap();
+}
+
+/// A recording of a ball that comes nearer, frame by frame, with its camera beside it.
+fn recording(numbers: Range<u32>) -> Playground {
+    let playground = Playground::with_pipeline(RECORDING);
+    fs::create_dir(playground.path("frames")).unwrap();
+    let (cx, cy) = (f64::from(WIDTH - 1) / 2.0, f64::from(HEIGHT - 1) / 2.0);
+    let camera = serde_json::json!({
+        "width": WIDTH, "height": HEIGHT, "fx": FOCAL, "fy": FOCAL, "cx": cx, "cy": cy, "depth_scale": METRES_PER_UNIT,
+    });
+    playground.write("frames/camera.json", &camera.to_string());
+    for number in numbers {
+        write_depth_png(&playground, &format!("img{number}.png"), &ball(distance(number)));
+    }
+    playground
+}
+
+fn distance(number: u32) -> f64 {
+    1.0 - 0.02 * f64::from(number)
+}
+
+/// Makes sure that in each of the frames with these numbers, and in no other, the ball was found where it is.
+fn expect_balls(playground: &Playground, numbers: &[u32]) {
+    let lines = playground.json_lines("objects.jsonl");
+    let sources: Vec<_> = lines.iter().map(|line| line["source"].as_str().unwrap().to_owned()).collect();
+    assert_eq!(sources, numbers.iter().map(|number| format!("img{number}.png")).collect::<Vec<_>>());
+    assert!(playground.sequences("objects.jsonl").into_iter().eq(0..numbers.len() as u64));
+    for (line, &number) in lines.iter().zip(numbers) {
+        let object = &line["objects"][0];
+        let (z, radius) = (object["center"][2].as_f64().unwrap(), object["radius"].as_f64().unwrap());
+        assert_eq!(object["kind"], "sphere", "{line}");
+        assert!((z - distance(number)).abs() < 0.01 && (radius - RADIUS).abs() < 0.01, "frame {number}: {line}");
+    }
+}
+
+#[test]
+fn a_folder_of_pngs_is_played_in_natural_order_with_the_camera_beside_it() {
+    let playground = recording(8..12);
+    let ended = playground.conicflow(&["run"]).expect_code(0);
+    expect_balls(&playground, &[8, 9, 10, 11]);
+    assert!(ended.stderr.contains("4 frames of 160x120, fx 150.00 fy 150.00 cx 79.50 cy 59.50"), "{}", ended.stderr);
+}
+
+#[test]
+fn a_bad_frame_among_good_ones_is_passed_over_and_counted() {
+    let playground = recording(0..6);
+    playground.write("frames/img2.png", "this is no picture");
+    let good = fs::read(playground.path("frames/img4.png")).unwrap();
+    fs::write(playground.path("frames/img4.png"), &good[..good.len() / 2]).unwrap();
+    let ended: Ended = playground.conicflow(&["run"]).expect_code(0);
+    expect_balls(&playground, &[0, 1, 3, 5]);
+    assert!(ended.stderr.contains("source: frames unreadable: 2\n"), "{}", ended.stderr);
+    for name in ["img2.png", "img4.png"] {
+        assert!(
+            ended.stderr.lines().any(|line| line.contains("passed over") && line.contains(name)),
+            "{}",
+            ended.stderr
+        );
+    }
+}

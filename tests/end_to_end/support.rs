@@ -1,0 +1,266 @@
+//! What the end-to-end tests stand on: a playground of its own for each test, runs that cannot outlive it, and waiting for
+//! conditions instead of for time.
+
+use serde_json::Value as Json;
+use std::fs::{self, File, Permissions};
+use std::io::BufReader;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdout, Command, Stdio};
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+
+/// Whatever a test waits for comes long before this; it has failed when this is over.
+const DEADLINE: Duration = Duration::from_secs(120);
+const LOOK: Duration = Duration::from_millis(10);
+
+/// Five stages that find and track a ball in small images, every frame of it, until it is told to stop.
+pub const TRACKING: &str = r#"
+name = "tracking"
+
+[stage.source]
+node       = "synthetic_source"
+output     = "depth"
+width      = 64
+height     = 48
+rate_hz    = 0
+intrinsics = { fx = 200, fy = 200, cx = 31.5, cy = 23.5 }
+
+[stage.extractor]
+node   = "row_ellipse_extractor"
+input  = { topic = "depth", delivery = "lossless" }
+output = "ellipses"
+
+[stage.assembler]
+node   = "object_assembler"
+input  = { topic = "ellipses", delivery = "lossless" }
+output = "objects"
+
+[stage.tracker]
+node   = "kalman_tracker"
+input  = { topic = "objects", delivery = "lossless" }
+output = "tracks"
+
+[stage.json]
+node  = "json_sink"
+input = { topic = "tracks", delivery = "lossless" }
+path  = "tracks.jsonl"
+"#;
+
+/// The names of its stages.
+pub const TRACKING_STAGES: [&str; 5] = ["source", "extractor", "assembler", "tracker", "json"];
+
+/// A folder for a test's files and another, with a short path, for what runs need; nothing outside of them is met.
+pub struct Playground {
+    files: TempDir,
+    runtime: TempDir,
+}
+
+impl Playground {
+    pub fn new() -> Self {
+        // Unix sockets lie in the runtime folder, and have to have short paths.
+        let private = Permissions::from_mode(0o700);
+        let runtime = tempfile::Builder::new().prefix("cf").permissions(private).tempdir_in("/tmp").unwrap();
+        Self { files: TempDir::new().unwrap(), runtime }
+    }
+
+    /// A playground with this text in `pipeline.toml`, where every command looks for it.
+    pub fn with_pipeline(text: &str) -> Self {
+        let playground = Self::new();
+        playground.write("pipeline.toml", text);
+        playground
+    }
+
+    /// A file or folder of the test.
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.files.path().join(name)
+    }
+
+    /// The folder of the runs' own files.
+    pub fn runtime(&self) -> &Path {
+        self.runtime.path()
+    }
+
+    pub fn write(&self, name: &str, text: &str) {
+        fs::write(self.path(name), text).unwrap();
+    }
+
+    /// The complete lines of a file; none if there is no file yet.
+    pub fn lines(&self, name: &str) -> Vec<String> {
+        let text = fs::read_to_string(self.path(name)).unwrap_or_default();
+        let whole = text.rsplit_once('\n').map_or("", |(whole, _)| whole);
+        whole.lines().map(str::to_owned).collect()
+    }
+
+    /// The complete lines of a file of JSON objects.
+    pub fn json_lines(&self, name: &str) -> Vec<Json> {
+        self.lines(name).iter().map(|line| serde_json::from_str(line).unwrap()).collect()
+    }
+
+    /// The sequence numbers in a file of JSON objects.
+    pub fn sequences(&self, name: &str) -> Vec<u64> {
+        self.json_lines(name).iter().map(|line| line["sequence"].as_u64().unwrap()).collect()
+    }
+
+    /// `conicflow` with these arguments, in the folder of the test's files.
+    pub fn command(&self, arguments: &[&str]) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_conicflow"));
+        let inherited = std::env::vars_os().map(|(name, _)| name);
+        inherited.filter(|name| name.to_string_lossy().starts_with("CONICFLOW_")).for_each(|name| {
+            command.env_remove(name);
+        });
+        command.args(arguments).current_dir(self.files.path()).env("CONICFLOW_RUNTIME_DIR", self.runtime.path());
+        command.stdin(Stdio::null());
+        command
+    }
+
+    /// Starts `conicflow` with these arguments.
+    pub fn start(&self, arguments: &[&str]) -> Started {
+        Started::new(self.command(arguments))
+    }
+
+    /// Runs `conicflow` with these arguments to its end.
+    pub fn conicflow(&self, arguments: &[&str]) -> Ended {
+        self.start(arguments).wait()
+    }
+}
+
+/// A program of `examples/`, built beside the program under test.
+pub fn example(name: &str) -> String {
+    let path = Path::new(env!("CARGO_BIN_EXE_conicflow")).with_file_name("examples").join(name);
+    assert!(path.is_file(), "there is no `{}`; `cargo build --examples` makes it", path.display());
+    path.to_str().unwrap().to_owned()
+}
+
+/// A running program; killed, and its stages with it, when the test is over, however that ends.
+pub struct Started {
+    child: Child,
+    /// Its standard output and standard error.
+    texts: TempDir,
+}
+
+/// What a program that has ended left behind.
+#[derive(Debug)]
+pub struct Ended {
+    pub code: Option<i32>,
+    pub stdout: String,
+    pub stderr: String,
+}
+
+impl Started {
+    pub fn new(mut command: Command) -> Self {
+        let texts = TempDir::new().unwrap();
+        let text = |name: &str| File::create(texts.path().join(name)).unwrap();
+        Self { child: command.stdout(text("stdout")).stderr(text("stderr")).spawn().unwrap(), texts }
+    }
+
+    /// A program whose standard output is read here, line by line.
+    pub fn piped(mut command: Command) -> (Self, BufReader<ChildStdout>) {
+        let texts = TempDir::new().unwrap();
+        let stderr = File::create(texts.path().join("stderr")).unwrap();
+        File::create(texts.path().join("stdout")).unwrap();
+        let mut child = command.stdout(Stdio::piped()).stderr(stderr).spawn().unwrap();
+        let output = BufReader::new(child.stdout.take().unwrap());
+        (Self { child, texts }, output)
+    }
+
+    /// Its process.
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// What it has written to standard error so far.
+    pub fn stderr(&self) -> String {
+        self.text("stderr")
+    }
+
+    fn text(&self, name: &str) -> String {
+        fs::read_to_string(self.texts.path().join(name)).unwrap()
+    }
+
+    /// Waits until a condition holds while it runs.
+    pub fn wait_until(&mut self, what: &str, mut holds: impl FnMut() -> bool) {
+        let since = Instant::now();
+        while !holds() {
+            assert!(self.child.try_wait().unwrap().is_none(), "it ended before {what}: {}", self.stderr());
+            assert!(since.elapsed() < DEADLINE, "never came true: {what}: {}", self.stderr());
+            std::thread::sleep(LOOK);
+        }
+    }
+
+    /// Waits until it ends.
+    pub fn wait(mut self) -> Ended {
+        let since = Instant::now();
+        loop {
+            if let Some(status) = self.child.try_wait().unwrap() {
+                return Ended { code: status.code(), stdout: self.text("stdout"), stderr: self.stderr() };
+            }
+            assert!(since.elapsed() < DEADLINE, "it does not end: {}", self.stderr());
+            std::thread::sleep(LOOK);
+        }
+    }
+}
+
+impl Drop for Started {
+    fn drop(&mut self) {
+        self.child.kill().ok();
+        self.child.wait().ok();
+    }
+}
+
+/// Waits until a condition holds.
+pub fn wait_until(what: &str, mut holds: impl FnMut() -> bool) {
+    let since = Instant::now();
+    while !holds() {
+        assert!(since.elapsed() < DEADLINE, "never came true: {what}");
+        std::thread::sleep(LOOK);
+    }
+}
+
+/// What the summary says of a stage.
+#[derive(Debug, PartialEq, Eq)]
+pub struct StageRow {
+    pub messages: u64,
+    pub starts: u64,
+}
+
+/// What the summary says of an input.
+#[derive(Debug, PartialEq, Eq)]
+pub struct InputRow {
+    pub received: u64,
+    pub dropped: u64,
+    pub gaps: u64,
+    pub late: u64,
+}
+
+impl Ended {
+    /// Makes sure that it ended with this exit code.
+    pub fn expect_code(self, code: i32) -> Self {
+        assert_eq!(self.code, Some(code), "stdout: {}\nstderr: {}", self.stdout, self.stderr);
+        self
+    }
+
+    /// The words of the summary's table that begins with `title`.
+    fn table(&self, title: &str) -> impl Iterator<Item = Vec<&str>> {
+        let rows = self.stderr.lines().skip_while(move |line| line.split_whitespace().next() != Some(title));
+        rows.skip(1).take_while(|line| !line.is_empty()).map(|line| line.split_whitespace().collect())
+    }
+
+    /// The names of the stages in the summary.
+    pub fn stages(&self) -> Vec<&str> {
+        self.table("stage").map(|words| words[0]).collect()
+    }
+
+    pub fn stage(&self, name: &str) -> StageRow {
+        let row = self.table("stage").find(|words| words[0] == name);
+        let words = row.unwrap_or_else(|| panic!("no stage `{name}` in: {}", self.stderr));
+        StageRow { messages: words[2].parse().unwrap(), starts: words[words.len() - 1].parse().unwrap() }
+    }
+
+    pub fn input(&self, topic: &str, reader: &str) -> InputRow {
+        let row = self.table("topic").find(|words| words[..2] == [topic, reader]);
+        let words = row.unwrap_or_else(|| panic!("no input of `{reader}` from `{topic}` in: {}", self.stderr));
+        let number = |index: usize| words[index].parse().unwrap();
+        InputRow { received: number(2), dropped: number(3), gaps: number(4), late: number(5) }
+    }
+}

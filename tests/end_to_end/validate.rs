@@ -1,0 +1,169 @@
+//! Faulty pipeline files: each in `tests/faulty_pipelines` lies beside the exact text that it is refused with, and nothing
+//! starts from it. `UPDATE_EXPECT=1` writes the texts anew, to be read before they are kept.
+
+use crate::support::{Ended, Playground, Started};
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+const SOUND: &str = r#"
+name = "sound"
+
+[stage.source]
+node   = "synthetic_source"
+output = "depth"
+frames = 3
+
+[stage.extractor]
+node   = "row_ellipse_extractor"
+input  = "depth"
+output = "ellipses"
+
+[stage.json]
+node  = "json_sink"
+input = "ellipses"
+path  = "ellipses.jsonl"
+"#;
+
+fn folder() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/faulty_pipelines")
+}
+
+fn faulty_files() -> Vec<PathBuf> {
+    let entries = fs::read_dir(folder()).unwrap().map(|entry| entry.unwrap().path());
+    let mut files: Vec<_> = entries.filter(|path| path.extension().is_some_and(|end| end == "toml")).collect();
+    files.sort();
+    assert!(!files.is_empty());
+    files
+}
+
+/// All that lies there but the expected texts.
+fn names_in_folder() -> BTreeSet<PathBuf> {
+    let paths = fs::read_dir(folder()).unwrap().map(|entry| entry.unwrap().path());
+    paths.filter(|path| path.extension().is_none_or(|end| end != "txt")).collect()
+}
+
+/// What `command` says of a file in the folder of faulty files.
+fn refused(playground: &Playground, command: &str, file: &Path) -> Ended {
+    let mut command = playground.command(&[command, file.file_name().unwrap().to_str().unwrap()]);
+    command.current_dir(folder());
+    Started::new(command).wait()
+}
+
+#[test]
+fn every_fault_is_told_with_its_place_and_a_hint() {
+    let playground = Playground::new();
+    let here = folder().canonicalize().unwrap();
+    let mut differing = Vec::new();
+    for file in faulty_files() {
+        let ended = refused(&playground, "validate", &file);
+        assert_eq!((ended.code, ended.stdout.as_str()), (Some(2), ""), "{}: {}", file.display(), ended.stderr);
+        let text = ended.stderr.replace(here.to_str().unwrap(), "[folder]");
+        let expected = file.with_extension("txt");
+        if std::env::var_os("UPDATE_EXPECT").is_some() {
+            fs::write(expected, text).unwrap();
+        } else if fs::read_to_string(&expected).unwrap_or_default() != text {
+            differing.push(format!("{} expects something else than:\n{text}", expected.display()));
+        }
+    }
+    assert!(differing.is_empty(), "{}", differing.join("\n"));
+}
+
+#[test]
+fn nothing_starts_from_a_faulty_file() {
+    let playground = Playground::new();
+    let before = names_in_folder();
+    for file in faulty_files() {
+        let (run, validate) = (refused(&playground, "run", &file), refused(&playground, "validate", &file));
+        assert_eq!((run.code, run.stdout, run.stderr), (Some(2), String::new(), validate.stderr), "{}", file.display());
+    }
+    assert_eq!(fs::read_dir(playground.runtime()).unwrap().count(), 0, "a run has begun");
+    assert_eq!(names_in_folder(), before, "something was written");
+}
+
+/// The place of a diagnostic in a text: the line of each `error: NAME:LINE:COLUMN: ..`.
+fn lines_of_errors(text: &str) -> Vec<usize> {
+    let errors = text.lines().filter(|line| line.starts_with("error: "));
+    errors.map(|line| line.split(':').nth(2).unwrap().parse().unwrap()).collect()
+}
+
+#[test]
+fn all_faults_of_a_file_come_at_once_in_the_order_of_its_lines() {
+    let playground = Playground::new();
+    for file in faulty_files() {
+        let lines = lines_of_errors(&refused(&playground, "validate", &file).stderr);
+        assert!(lines.is_sorted(), "{}: {lines:?}", file.display());
+    }
+    let several = refused(&playground, "validate", &folder().join("several_at_once.toml"));
+    assert_eq!(lines_of_errors(&several.stderr), [1, 4, 9, 11, 15, 16, 17, 19]);
+}
+
+#[test]
+fn a_sound_file_is_valid() {
+    let playground = Playground::with_pipeline(SOUND);
+    let ended = playground.conicflow(&["validate"]).expect_code(0);
+    assert_eq!((ended.stdout.as_str(), ended.stderr.as_str()), ("`sound` is valid: 3 stages, 2 topics\n", ""));
+    assert!(!playground.path("ellipses.jsonl").exists(), "to validate is not to run");
+}
+
+#[test]
+fn what_is_odd_but_works_is_a_warning() {
+    let (without_sink, _) = SOUND.split_once("[stage.json]").unwrap();
+    let playground = Playground::with_pipeline(without_sink);
+    let ended = playground.conicflow(&["validate"]).expect_code(0);
+    let expected = "warning: pipeline.toml:12:10: nobody reads the topic `ellipses`
+   12 | output = \"ellipses\"
+      |          ^^^^^^^^^^
+  hint: add a stage with this `input`, or leave it for tools that look on
+
+`sound` is valid: 2 stages, 2 topics\n";
+    assert_eq!(ended.stdout, expected);
+}
+
+#[test]
+fn overrides_are_checked_as_the_file_is() {
+    let playground = Playground::with_pipeline(SOUND);
+    for (set, expected) in [
+        (
+            "sorce.frames=5",
+            "error: --set:1:1: there is no stage `sorce`\n    1 | sorce.frames=5\n      | ^^^^^^^^^^^^^^\n  \
+             hint: did you mean `source`?\n",
+        ),
+        (
+            "source.frame=5",
+            "error: --set:1:1: unknown key `frame` in stage `source`\n    1 | source.frame=5\n      | ^^^^^^^^^^^^^^\n  \
+             hint: did you mean `frames`?\n",
+        ),
+        (
+            "source.frames=five",
+            "error: --set:1:15: `frames` wants an integer, this is a string\n    1 | source.frames=five\n      \
+             |               ^^^^\n  hint: Number of frames; 0: without end, of random scenes one for each (default 0)\n",
+        ),
+        (
+            "source.noise.floor_m=-1",
+            "error: --set:1:22: `floor_m` is -1, allowed is 0 or more\n    1 | source.noise.floor_m=-1\n      \
+             |                      ^^\n  hint: Noise at the knee, in metres (default 0.0012)\n",
+        ),
+        (
+            "frames=5",
+            "error: --set:1:1: `--set` wants STAGE.KEY=VALUE\n    1 | frames=5\n      | ^^^^^^^^\n  \
+             hint: for example --set source.rate_hz=10\n",
+        ),
+    ] {
+        let ended = playground.conicflow(&["validate", "--set", set]).expect_code(2);
+        assert_eq!((ended.stdout.as_str(), ended.stderr.as_str()), ("", expected), "{set}");
+    }
+}
+
+#[test]
+fn overrides_take_the_place_of_what_the_file_says() {
+    let playground = Playground::with_pipeline(SOUND);
+    let sets = ["source.width=64", "source.height=48", "source.noise.floor_m=0.002", "json.path=other.jsonl"];
+    let small: Vec<_> = sets.iter().flat_map(|set| ["--set", set]).collect();
+    let lossless = ["--set", "extractor.input={ topic = \"depth\", delivery = \"lossless\" }"];
+    let more = ["--set", "json.input.topic=ellipses", "--set", "json.input.delivery=lossless"];
+    let arguments = [&["run", "--set", "source.frames=7"][..], &small, &lossless, &more].concat();
+    playground.conicflow(&arguments).expect_code(0);
+    assert_eq!(playground.lines("other.jsonl").len(), 7);
+    assert!(!playground.path("ellipses.jsonl").exists());
+}
