@@ -1,5 +1,7 @@
 //! Puts ellipses together to spheres, cylinders and cones.
 //!
+//! `method = "pooled"` ([`pooled`]): models are fitted to the moments of all arcs of an object at once.
+//!
 //! The paper's way (`method = "profile"`): ellipses of neighbouring scan lines with near centres form chains
 //! ([`chains`]); along a chain the centres have to stay on a line or a circle and the radii on a straight or a circular
 //! profile, else the object ends and a new one begins ([`sequence`]); what held together is fitted as a cylinder, a cone
@@ -33,9 +35,9 @@ use verify::{Body, Candidate, Rejection, Rejections, Solid};
 #[serde(rename_all = "snake_case")]
 pub enum Method {
     /// The paper's: lines and circles through the centres, radius over position along the axis.
-    #[default]
     Profile,
     /// Models fitted to the pooled moments of all arcs of an object.
+    #[default]
     Pooled,
 }
 
@@ -144,7 +146,7 @@ impl Default for AssemblerConfig {
     fn default() -> Self {
         let limits = RadiusLimits { min_m: 0.015, max_m: 0.5 };
         Self {
-            method: Method::Profile,
+            method: Method::Pooled,
             section_fit: SectionFit::Circle,
             max_center_step_m: 0.01,
             max_center_step_radii: 0.35,
@@ -170,6 +172,13 @@ impl Default for AssemblerConfig {
             cylinder: limits,
             cone: limits,
         }
+    }
+}
+
+impl AssemblerConfig {
+    /// The paper's method.
+    pub fn of_the_paper() -> Self {
+        Self { method: Method::Profile, ..Self::default() }
     }
 }
 

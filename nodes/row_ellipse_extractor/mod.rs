@@ -1,6 +1,9 @@
-//! Finds ellipses in the scan lines of a depth image: the paper's Algorithm 1, with its pre-filter.
+//! Finds ellipses in the scan lines of a depth image.
 //!
-//! A scan line is split at holes and depth jumps into runs ([`scan_line`]). Along a run a model grows point by point on
+//! `arcs = "moments"` ([`arcs`]): a line is cut where neither a line nor a circle explains its points; what is round goes
+//! on with moments that are free of the noise's bias, for the pooled fits of the assembler.
+//!
+//! `arcs = "conic"`, the paper's Algorithm 1 with its pre-filter: a scan line is split at holes and depth jumps into runs ([`scan_line`]). Along a run a model grows point by point on
 //! running sums, and ends where no line and no ellipse explains its points any more ([`growth`]); what is left of the
 //! run starts the next one, so that one pass finds all ellipses of a line. Walls, specks and hollows are then turned
 //! down, each under the name of its reason ([`filter`]).
@@ -28,11 +31,11 @@ use serde::{Deserialize, Serialize};
 #[serde(rename_all = "snake_case")]
 pub enum ScanLines {
     /// Rows: finds upright objects.
-    #[default]
     Rows,
     /// Columns: finds lying ones.
     Columns,
     /// Rows, then columns.
+    #[default]
     Both,
 }
 
@@ -41,9 +44,9 @@ pub enum ScanLines {
 #[serde(rename_all = "snake_case")]
 pub enum ArcFinder {
     /// The paper's way: an ellipse grows point by point.
-    #[default]
     Conic,
     /// Lines and circles through moments that are free of the noise's bias, for the pooled fits of the assembler.
+    #[default]
     Moments,
 }
 
@@ -96,8 +99,8 @@ pub struct RowEllipseConfig {
 impl Default for RowEllipseConfig {
     fn default() -> Self {
         Self {
-            arcs: ArcFinder::Conic,
-            scan: ScanLines::Rows,
+            arcs: ArcFinder::Moments,
+            scan: ScanLines::Both,
             line_step: 1,
             max_error_sigmas: 1.3,
             max_error_floor_m: 0.0005,
@@ -115,6 +118,13 @@ impl Default for RowEllipseConfig {
 }
 
 impl Config for RowEllipseConfig {}
+
+impl RowEllipseConfig {
+    /// The paper's way: ellipses of the rows alone.
+    pub fn of_the_paper() -> Self {
+        Self { arcs: ArcFinder::Conic, scan: ScanLines::Rows, ..Self::default() }
+    }
+}
 
 /// Finds the ellipses of a depth image.
 #[derive(Debug)]

@@ -127,8 +127,3 @@ pub(super) fn covariance<S: Surface<N>, const N: usize>(
     }
     noise.covariance(fit)
 }
-
-/// The distance of two points across a direction; for objects seen twice.
-pub(super) fn distance_across(a: &Vector3, b: &Vector3, axis: &Vector3) -> f64 {
-    (a - b).cross(axis).norm()
-}
