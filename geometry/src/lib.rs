@@ -15,26 +15,39 @@
 //! | `f_cylinder(z) = r`, `f_cone(z) = alpha z` | [`fit_line_profile`]; `z` of a cone counts from its apex |
 //! | `f_circle(z) = sqrt(r^2 - (z - z_i)^2)` | [`fit_circle_profile`] |
 //! | fitted 3-D model | [`Sphere`], [`Cylinder`], [`Cone`] |
+//!
+//! Beyond the paper: moments free of the noise's bias ([`RaySums`]), pooled over the arcs of an object
+//! ([`SpaceMoments`]), to which a [`Surface`] is fitted without seeing a point again ([`fit_surface`]).
 
+mod arc_fit;
 mod camera;
 mod circle;
 mod ellipse;
 mod line;
 mod moments;
+mod pooled;
 mod profile;
 mod regression;
 mod section;
 mod solid;
+mod space;
+mod surface;
+mod unbiased;
 
+pub use arc_fit::{ArcFit, line_square};
 pub use camera::{Pinhole, Scan, ScanPlane};
 pub use circle::{Circle, fit_circle};
 pub use ellipse::{Conic, Ellipse, fit_ellipse};
 pub use line::{Line, LineMoments, PencilMoments, PlaneLine, fit_plane_line};
 pub use moments::{MOMENTS, PlaneMoments};
+pub use pooled::{GradientNoise, SurfaceFit, fit_surface, gradient};
 pub use profile::{CircleProfile, fit_circle_profile, fit_line_profile};
 pub use regression::{Fit, Regression};
 pub use section::SectionShape;
 pub use solid::{Cone, Cylinder, Quadric, Sphere};
+pub use space::{Coefficients, QUADRIC_TERMS, QuadricMoments, SpaceMoments};
+pub use surface::{Conical, FixedSlope, FreeSlope, Surface, section_of};
+pub use unbiased::{RaySums, unbiased_powers};
 
 /// Points, directions and offsets in the camera frame, in metres.
 pub type Vector3 = nalgebra::Vector3<f64>;

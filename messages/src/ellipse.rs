@@ -33,6 +33,10 @@ pub struct Ellipse {
     pub last: u32,
     /// Number of measurements in the arc; holes are not counted.
     pub points: u32,
+    /// How many pixels before `first` and behind `last` the depths in `beyond` were measured.
+    pub beyond_px: u32,
+    /// 1: the moments are free of the bias that the sensor's noise gives them; 0: they are plain sums.
+    pub unbiased: u32,
     /// Zero; keeps the layout free of holes.
     pub reserved: u32,
     /// Centre in the camera frame, in metres.
@@ -51,6 +55,8 @@ pub struct Ellipse {
     pub rms: f64,
     /// Angle that the arc spans around the centre, in radians.
     pub arc: f64,
+    /// Depths measured `beyond_px` pixels before the first and behind the last pixel, in metres; 0: none.
+    pub beyond: [f64; 2],
     /// Origin `(s, t)` of the moments, in metres.
     pub origin: [f64; 2],
     /// Moments `sum (s - s0)^p (t - t0)^q` of the points, by degree, then by falling p:
@@ -69,6 +75,7 @@ impl Ellipse {
             && finite(&self.plane_center)
             && finite(&self.semi_axes)
             && finite(&[self.angle, self.half_width, self.half_depth, self.rms, self.arc])
+            && finite(&self.beyond)
             && finite(&self.origin)
             && finite(&self.moments)
     }
@@ -76,7 +83,7 @@ impl Ellipse {
 
 impl Item for Ellipse {
     const KIND: Kind = Kind::Ellipses;
-    const TYPE_NAME: &'static str = "conicflow.Ellipse.v1";
+    const TYPE_NAME: &'static str = "conicflow.Ellipse.v2";
 
     fn check(header: &Header, items: &[Self]) -> Result<(), Malformed> {
         let (width, height) = (header.camera.width, header.camera.height);

@@ -1,5 +1,7 @@
 //! Puts ellipses together to spheres, cylinders and cones.
 //!
+//! `method = "pooled"` ([`pooled`]): models are fitted to the moments of all arcs of an object at once.
+//!
 //! The paper's way (`method = "profile"`): ellipses of neighbouring scan lines with near centres form chains
 //! ([`chains`]); along a chain the centres have to stay on a line or a circle and the radii on a straight or a circular
 //! profile, else the object ends and a new one begins ([`sequence`]); what held together is fitted as a cylinder, a cone
@@ -8,6 +10,7 @@
 
 mod axial;
 mod chains;
+mod pooled;
 mod sections;
 mod sequence;
 mod spherical;
@@ -18,6 +21,7 @@ mod verify;
 use chains::Chains;
 use conicflow_dataflow::{Config, ConfigFault, Context, Output, Sides, Stage, StageError};
 use conicflow_messages::{Ellipse, Header, Message, NoiseModel, Object};
+use pooled::Pooled;
 use schemars::JsonSchema;
 use sections::Section;
 use sequence::Sequences;
@@ -31,8 +35,10 @@ use verify::{Body, Candidate, Rejection, Rejections, Solid};
 #[serde(rename_all = "snake_case")]
 pub enum Method {
     /// The paper's: lines and circles through the centres, radius over position along the axis.
-    #[default]
     Profile,
+    /// Models fitted to the pooled moments of all arcs of an object.
+    #[default]
+    Pooled,
 }
 
 /// What is taken for the section of a body by a scan plane.
@@ -63,7 +69,7 @@ pub struct RadiusLimits {
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct AssemblerConfig {
-    /// How objects are found: `profile`, the paper's method.
+    /// How objects are found: `pooled` moments of arcs, or the paper's `profile`.
     pub method: Method,
     /// Sections as found by the extractor (`ellipse`, as in the paper) or of the axis ratio that the axis implies (`circle`).
     pub section_fit: SectionFit,
@@ -94,6 +100,15 @@ pub struct AssemblerConfig {
     /// Residual of a cone, as a part of the cylinder's or sphere's, below which it is called a cone.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub cone_gain: f64,
+    /// `pooled`: half-angle from which on something is a cone and not a cylinder, in degrees.
+    #[schemars(range(min = 0.0, max = 45.0))]
+    pub min_cone_deg: f64,
+    /// `pooled`: smallest visible part of the circumference, in degrees.
+    #[schemars(range(min = 0.0, max = 180.0))]
+    pub min_visible_arc_deg: f64,
+    /// `pooled`: fewest scan lines of an object.
+    #[schemars(range(min = 5, max = 1000))]
+    pub min_lines: u32,
     /// Fewest scan lines of an object.
     #[schemars(range(min = 3, max = 1000))]
     pub min_rows: u32,
@@ -131,7 +146,7 @@ impl Default for AssemblerConfig {
     fn default() -> Self {
         let limits = RadiusLimits { min_m: 0.015, max_m: 0.5 };
         Self {
-            method: Method::Profile,
+            method: Method::Pooled,
             section_fit: SectionFit::Circle,
             max_center_step_m: 0.01,
             max_center_step_radii: 0.35,
@@ -142,9 +157,12 @@ impl Default for AssemblerConfig {
             min_half_angle_deg: 5.0,
             max_half_angle_deg: 30.0,
             cone_gain: 0.8,
+            min_cone_deg: 3.0,
+            min_visible_arc_deg: 30.0,
+            min_lines: 8,
             min_rows: 12,
             min_coverage: 0.6,
-            min_length_radii: 0.4,
+            min_length_radii: 0.6,
             min_sphere_height_radii: 0.8,
             min_arc_deg: 75.0,
             max_rms_sigmas: 1.3,
@@ -154,6 +172,13 @@ impl Default for AssemblerConfig {
             cylinder: limits,
             cone: limits,
         }
+    }
+}
+
+impl AssemblerConfig {
+    /// The paper's method.
+    pub fn of_the_paper() -> Self {
+        Self { method: Method::Profile, ..Self::default() }
     }
 }
 
@@ -196,6 +221,7 @@ pub struct ObjectAssembler {
     sections: Vec<Section>,
     chains: Chains,
     sequences: Sequences,
+    pooled: Pooled,
     inliers: Vec<usize>,
     objects: Vec<Object>,
     rejections: Rejections,
@@ -209,6 +235,7 @@ impl ObjectAssembler {
             sections: Vec::new(),
             chains: Chains::default(),
             sequences: Sequences::default(),
+            pooled: Pooled::default(),
             inliers: Vec::new(),
             objects: Vec::new(),
             rejections: Rejections::default(),
@@ -219,6 +246,17 @@ impl ObjectAssembler {
     pub fn assemble(&mut self, header: &Header, ellipses: &[Ellipse]) -> &[Object] {
         self.objects.clear();
         self.rejections = Rejections::default();
+        match self.config.method {
+            Method::Pooled => {
+                let (objects, rejections) = (&mut self.objects, &mut self.rejections);
+                self.pooled.assemble(header, ellipses, &self.config, objects, rejections);
+            }
+            Method::Profile => self.by_profile(header, ellipses),
+        }
+        &self.objects
+    }
+
+    fn by_profile(&mut self, header: &Header, ellipses: &[Ellipse]) {
         sections::read(header, ellipses, self.config.section_fit, &mut self.sections);
         self.chains.link(&self.sections, &self.config);
         for chain in self.chains.iter() {
@@ -229,7 +267,6 @@ impl ObjectAssembler {
             }
         }
         verify::drop_doubles(&mut self.objects, &mut self.rejections);
-        &self.objects
     }
 
     /// Why candidates of the last image were turned down, and how many of them.

@@ -8,7 +8,7 @@ const KINECT: Camera = Camera { width: 640, height: 480, fx: 580.0, fy: 580.0, c
 
 fn detect(camera: Camera, noise: NoiseModel, bodies: &[Body], seed: u64, config: &AssemblerConfig) -> Vec<Object> {
     let (header, pixels) = render(camera, noise, bodies, seed);
-    let mut extractor = RowEllipseExtractor::with(RowEllipseConfig::default());
+    let mut extractor = RowEllipseExtractor::with(RowEllipseConfig::of_the_paper());
     let mut assembler = ObjectAssembler::with(config.clone());
     let objects = assembler.assemble(&header, extractor.extract(&header, &pixels)).to_vec();
     assert_eq!(Object::check(&header, &objects), Ok(()));
@@ -16,7 +16,7 @@ fn detect(camera: Camera, noise: NoiseModel, bodies: &[Body], seed: u64, config:
 }
 
 fn kinect(bodies: &[Body], seed: u64) -> Vec<Object> {
-    detect(KINECT_HALF, NoiseModel::KINECT_V1, bodies, seed, &AssemblerConfig::default())
+    detect(KINECT_HALF, NoiseModel::KINECT_V1, bodies, seed, &AssemblerConfig::of_the_paper())
 }
 
 fn can(distance: f64) -> Body {
@@ -39,7 +39,7 @@ fn distance(object: &Object, point: &Vector3) -> f64 {
 
 #[test]
 fn a_cylinder_without_noise_is_exact() {
-    let objects = detect(KINECT, NoiseModel::IDEAL, &[can(1.5)], 1, &AssemblerConfig::default());
+    let objects = detect(KINECT, NoiseModel::IDEAL, &[can(1.5)], 1, &AssemblerConfig::of_the_paper());
     let found = single(&objects, ObjectKind::Cylinder);
     assert!((found.radius - 0.2).abs() < 1e-4 && found.rms < 1e-4, "{found:?}");
     assert!(angle(&found, &Vector3::y()) < 1e-3 && distance(&found, &Vector3::new(0.0, 0.0, 1.5)) < 1e-3);
@@ -57,7 +57,7 @@ fn sections_of_known_shape_keep_the_radius_at_a_distance() {
 
 #[test]
 fn the_papers_radius_shrinks_as_in_the_paper() {
-    let config = AssemblerConfig { section_fit: SectionFit::Ellipse, ..AssemblerConfig::default() };
+    let config = AssemblerConfig { section_fit: SectionFit::Ellipse, ..AssemblerConfig::of_the_paper() };
     // Table 1 of the paper, without its Kalman filter.
     for (range, paper) in [(1.0, 0.20), (1.5, 0.17), (2.0, 0.16), (2.5, 0.16), (3.0, 0.15)] {
         let objects = detect(KINECT_HALF, NoiseModel::KINECT_V1, &[can(range)], 3, &config);
@@ -71,7 +71,7 @@ fn the_papers_radius_shrinks_as_in_the_paper() {
 fn a_sphere_is_found_off_the_optical_axis() {
     let center = Vector3::new(0.2, 0.25, 1.5);
     let ball = Body::Sphere { center, radius: 0.15 };
-    let exact = detect(KINECT, NoiseModel::IDEAL, &[ball], 4, &AssemblerConfig::default());
+    let exact = detect(KINECT, NoiseModel::IDEAL, &[ball], 4, &AssemblerConfig::of_the_paper());
     let found = single(&exact, ObjectKind::Sphere);
     assert!((found.radius - 0.15).abs() < 1e-4 && distance(&found, &center) < 2e-4, "{found:?}");
     let found = single(&kinect(&[ball], 4), ObjectKind::Sphere);
@@ -146,8 +146,8 @@ fn noisy_rows_are_skipped() {
         let width = KINECT_HALF.width as usize;
         pixels[row * width..(row + 1) * width].iter_mut().step_by(3).for_each(|pixel| *pixel = *pixel / 10 * 9);
     }
-    let mut extractor = RowEllipseExtractor::with(RowEllipseConfig::default());
-    let mut assembler = ObjectAssembler::with(AssemblerConfig::default());
+    let mut extractor = RowEllipseExtractor::with(RowEllipseConfig::of_the_paper());
+    let mut assembler = ObjectAssembler::with(AssemblerConfig::of_the_paper());
     let objects = assembler.assemble(&header, extractor.extract(&header, &pixels)).to_vec();
     let found = single(&objects, ObjectKind::Cylinder);
     assert!(found.rows > 120 && (found.radius - 0.2).abs() < 0.003, "{found:?}");
@@ -175,7 +175,7 @@ fn sigmas_are_present_exactly_where_the_shape_has_the_parameter() {
     let ball = Body::Sphere { center: Vector3::new(0.0, 0.0, 1.2), radius: 0.15 };
     for noise in [NoiseModel::IDEAL, NoiseModel::KINECT_V1] {
         for body in [ball, can(1.5)] {
-            let objects = detect(KINECT_HALF, noise, &[body], 10, &AssemblerConfig::default());
+            let objects = detect(KINECT_HALF, noise, &[body], 10, &AssemblerConfig::of_the_paper());
             let sigma = objects[0].sigma;
             let is_sphere = objects[0].shape() == ObjectKind::Sphere;
             assert!(sigma.radius > 0.0 && (0..3).all(|i| sigma.center[i][i] > 0.0), "{sigma:?}");
@@ -187,9 +187,10 @@ fn sigmas_are_present_exactly_where_the_shape_has_the_parameter() {
 
 #[test]
 fn a_candidate_beyond_the_limits_is_counted() {
-    let config = AssemblerConfig { cylinder: RadiusLimits { min_m: 0.01, max_m: 0.15 }, ..AssemblerConfig::default() };
+    let config =
+        AssemblerConfig { cylinder: RadiusLimits { min_m: 0.01, max_m: 0.15 }, ..AssemblerConfig::of_the_paper() };
     let (header, pixels) = render(KINECT_HALF, NoiseModel::KINECT_V1, &[can(1.5)], 11);
-    let mut extractor = RowEllipseExtractor::with(RowEllipseConfig::default());
+    let mut extractor = RowEllipseExtractor::with(RowEllipseConfig::of_the_paper());
     let mut assembler = ObjectAssembler::with(config);
     assert_eq!(assembler.assemble(&header, extractor.extract(&header, &pixels)), []);
     assert!(assembler.rejections().any(|(reason, _)| reason == "candidates beyond the radius limits"));
@@ -201,7 +202,7 @@ fn limits_that_exclude_each_other_are_faults() {
         sphere: RadiusLimits { min_m: 0.5, max_m: 0.1 },
         min_half_angle_deg: 40.0,
         max_half_angle_deg: 20.0,
-        ..AssemblerConfig::default()
+        ..AssemblerConfig::of_the_paper()
     };
     let keys: Vec<_> = config.faults(Path::new(".")).into_iter().map(|fault| fault.key).collect();
     assert_eq!(keys, ["sphere", "min_half_angle_deg"]);

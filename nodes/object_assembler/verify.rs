@@ -35,10 +35,12 @@ pub(super) enum Rejection {
     Short,
     Rms,
     Double,
+    SeenThrough,
+    Vague,
 }
 
 impl Rejection {
-    const NAMES: [&'static str; 17] = [
+    const NAMES: [&'static str; 19] = [
         "candidates of too few rows",
         "candidates with too many gaps",
         "candidates of short arcs",
@@ -56,6 +58,8 @@ impl Rejection {
         "candidates too short",
         "candidates that miss their points",
         "objects seen twice",
+        "candidates behind which something is seen",
+        "candidates of vague radius",
     ];
 }
 

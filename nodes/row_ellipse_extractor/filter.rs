@@ -105,7 +105,6 @@ fn message(ellipse: &geometry::Ellipse, arc: &Arc, line: &ScanLine, rms: f64, sp
         first: pixel(arc.points.first()),
         last: pixel(arc.points.last()),
         points: arc.points.len() as u32,
-        reserved: 0,
         center: line.plane.to_camera(ellipse.center).into(),
         plane_center: ellipse.center,
         semi_axes: ellipse.semi_axes,
@@ -116,5 +115,6 @@ fn message(ellipse: &geometry::Ellipse, arc: &Arc, line: &ScanLine, rms: f64, sp
         arc: span,
         origin: arc.moments.origin(),
         moments: *arc.moments.sums(),
+        ..Ellipse::default()
     }
 }

@@ -1,10 +1,14 @@
-//! Finds ellipses in the scan lines of a depth image: the paper's Algorithm 1, with its pre-filter.
+//! Finds ellipses in the scan lines of a depth image.
 //!
-//! A scan line is split at holes and depth jumps into runs ([`scan_line`]). Along a run a model grows point by point on
+//! `arcs = "moments"` ([`arcs`]): a line is cut where neither a line nor a circle explains its points; what is round goes
+//! on with moments that are free of the noise's bias, for the pooled fits of the assembler.
+//!
+//! `arcs = "conic"`, the paper's Algorithm 1 with its pre-filter: a scan line is split at holes and depth jumps into runs ([`scan_line`]). Along a run a model grows point by point on
 //! running sums, and ends where no line and no ellipse explains its points any more ([`growth`]); what is left of the
 //! run starts the next one, so that one pass finds all ellipses of a line. Walls, specks and hollows are then turned
 //! down, each under the name of its reason ([`filter`]).
 
+mod arcs;
 mod filter;
 mod growth;
 #[cfg(test)]
@@ -13,6 +17,7 @@ mod scan_line;
 #[cfg(test)]
 mod tests;
 
+use arcs::RayLine;
 use conicflow_dataflow::{Config, Context, Output, Sides, Stage, StageError};
 use conicflow_geometry::{Pinhole, Scan};
 use conicflow_messages::{Camera, Ellipse, Header, Message};
@@ -26,18 +31,31 @@ use serde::{Deserialize, Serialize};
 #[serde(rename_all = "snake_case")]
 pub enum ScanLines {
     /// Rows: finds upright objects.
-    #[default]
     Rows,
     /// Columns: finds lying ones.
     Columns,
     /// Rows, then columns.
+    #[default]
     Both,
+}
+
+/// How a scan line is cut into arcs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ArcFinder {
+    /// The paper's way: an ellipse grows point by point.
+    Conic,
+    /// Lines and circles through moments that are free of the noise's bias, for the pooled fits of the assembler.
+    #[default]
+    Moments,
 }
 
 /// Parameters of the extractor.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RowEllipseConfig {
+    /// How a scan line is cut into arcs: `conic`, the paper's way, or `moments`, for `method = "pooled"` of the assembler.
+    pub arcs: ArcFinder,
     /// Scan lines to look at: `rows`, `columns` (for objects that lie) or `both`.
     pub scan: ScanLines,
     /// Looks at every n-th scan line.
@@ -81,7 +99,8 @@ pub struct RowEllipseConfig {
 impl Default for RowEllipseConfig {
     fn default() -> Self {
         Self {
-            scan: ScanLines::Rows,
+            arcs: ArcFinder::Moments,
+            scan: ScanLines::Both,
             line_step: 1,
             max_error_sigmas: 1.3,
             max_error_floor_m: 0.0005,
@@ -100,11 +119,19 @@ impl Default for RowEllipseConfig {
 
 impl Config for RowEllipseConfig {}
 
+impl RowEllipseConfig {
+    /// The paper's way: ellipses of the rows alone.
+    pub fn of_the_paper() -> Self {
+        Self { arcs: ArcFinder::Conic, scan: ScanLines::Rows, ..Self::default() }
+    }
+}
+
 /// Finds the ellipses of a depth image.
 #[derive(Debug)]
 pub struct RowEllipseExtractor {
     config: RowEllipseConfig,
     line: ScanLine,
+    rays: RayLine,
     ellipses: Vec<Ellipse>,
     rejections: Rejections,
 }
@@ -112,7 +139,8 @@ pub struct RowEllipseExtractor {
 impl RowEllipseExtractor {
     /// An extractor with these parameters.
     pub fn with(config: RowEllipseConfig) -> Self {
-        Self { config, line: ScanLine::default(), ellipses: Vec::new(), rejections: Rejections::default() }
+        let (line, rays) = (ScanLine::default(), RayLine::default());
+        Self { config, line, rays, ellipses: Vec::new(), rejections: Rejections::default() }
     }
 
     /// The ellipses of the depth image `pixels` (row by row, `width * height` of them), in the order of the scan lines.
@@ -139,8 +167,16 @@ impl RowEllipseExtractor {
             Scan::Column => header.camera.width,
         };
         for line in (0..lines).step_by(self.config.line_step.max(1) as usize) {
-            self.line.read(header, pixels, scan, line, &self.config);
-            self.ellipses_of_line(header);
+            match self.config.arcs {
+                ArcFinder::Conic => {
+                    self.line.read(header, pixels, scan, line, &self.config);
+                    self.ellipses_of_line(header);
+                }
+                ArcFinder::Moments => {
+                    self.rays.read(header, pixels, scan, line, &self.config);
+                    self.rays.arcs(&self.config, &mut self.ellipses, &mut self.rejections);
+                }
+            }
         }
     }
 

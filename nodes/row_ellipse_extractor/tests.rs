@@ -25,7 +25,7 @@ fn rejected(rejections: &[(&'static str, u64)], name: &str) -> u64 {
 #[test]
 fn each_row_of_a_cylinder_gives_its_section() {
     let scene = render(KINECT_HALF, NoiseModel::IDEAL, &[upright(0.1, 1.5, 0.2)], 1);
-    let (ellipses, _) = extract(RowEllipseConfig::default(), &scene);
+    let (ellipses, _) = extract(RowEllipseConfig::of_the_paper(), &scene);
     // Where the frustum is cut off, a row sees only a part of its section.
     let whole: Vec<_> = ellipses.iter().filter(|ellipse| ellipse.points > 60).collect();
     assert!(whole.len() > 80, "{} whole ones", whole.len());
@@ -43,7 +43,7 @@ fn each_row_of_a_cylinder_gives_its_section() {
 fn one_pass_finds_all_ellipses_of_a_row_and_no_wall() {
     let bodies = [upright(-0.5, 1.8, 0.15), upright(0.0, 1.6, 0.1), upright(0.5, 2.0, 0.2), wall(3.0)];
     let scene = render(KINECT_HALF, NoiseModel::KINECT_V1, &bodies, 2);
-    let (ellipses, rejections) = extract(RowEllipseConfig::default(), &scene);
+    let (ellipses, rejections) = extract(RowEllipseConfig::of_the_paper(), &scene);
     for (from, to, radius) in [(-0.65, -0.35, 0.15), (-0.1, 0.1, 0.1), (0.3, 0.7, 0.2)] {
         let of_body: Vec<_> = ellipses.iter().filter(|ellipse| (from..to).contains(&ellipse.center[0])).collect();
         let mean = of_body.iter().map(|ellipse| ellipse.half_width).sum::<f64>() / of_body.len() as f64;
@@ -59,7 +59,7 @@ fn one_pass_finds_all_ellipses_of_a_row_and_no_wall() {
 fn a_floor_and_a_wall_give_next_to_nothing() {
     let floor = Body::Plane { normal: Vector3::new(0.0, 0.9, 0.3).normalize(), offset: 0.9 };
     let scene = render(KINECT_HALF, NoiseModel::KINECT_V1, &[floor, wall(2.5)], 3);
-    let (ellipses, rejections) = extract(RowEllipseConfig::default(), &scene);
+    let (ellipses, rejections) = extract(RowEllipseConfig::of_the_paper(), &scene);
     assert!(ellipses.len() < 10, "{} ellipses", ellipses.len());
     assert!(rejected(&rejections, "arcs that a line explains") > 200, "{rejections:?}");
 }
@@ -69,7 +69,7 @@ fn the_inside_of_a_bowl_is_concave() {
     // The camera is in the sphere, so only the far half is seen.
     let bowl = Body::Sphere { center: Vector3::new(0.0, 0.0, 0.2), radius: 0.5 };
     let scene = render(KINECT_HALF, NoiseModel::IDEAL, &[bowl], 4);
-    let (ellipses, rejections) = extract(RowEllipseConfig::default(), &scene);
+    let (ellipses, rejections) = extract(RowEllipseConfig::of_the_paper(), &scene);
     assert_eq!(ellipses.len(), 0);
     assert!(rejected(&rejections, "concave arcs") > 200, "{rejections:?}");
 }
@@ -81,7 +81,7 @@ fn small_holes_are_bridged_and_large_ones_split() {
         let mut holed = scene.clone();
         let row = 120 * KINECT_HALF.width as usize;
         holed.1[row + 150..row + 150 + hole].fill(0);
-        let (ellipses, _) = extract(RowEllipseConfig::default(), &holed);
+        let (ellipses, _) = extract(RowEllipseConfig::of_the_paper(), &holed);
         ellipses.iter().filter(|ellipse| ellipse.line == 120).map(|ellipse| ellipse.points).collect::<Vec<_>>()
     };
     let whole = points_without(0)[0];
@@ -94,7 +94,7 @@ fn columns_find_what_lies_across() {
     let lying =
         Body::Frustum { center: Vector3::new(0.0, 0.0, 1.5), axis: Vector3::x(), radius: 0.1, slope: 0.0, length: 0.6 };
     let scene = render(KINECT_HALF, NoiseModel::KINECT_V1, &[lying], 6);
-    let count = |scan| extract(RowEllipseConfig { scan, ..RowEllipseConfig::default() }, &scene).0.len();
+    let count = |scan| extract(RowEllipseConfig { scan, ..RowEllipseConfig::of_the_paper() }, &scene).0.len();
     let (rows, columns) = (count(ScanLines::Rows), count(ScanLines::Columns));
     assert!(rows < 5 && columns > 90, "{rows} in rows, {columns} in columns");
     assert_eq!(count(ScanLines::Both), rows + columns);
@@ -103,7 +103,7 @@ fn columns_find_what_lies_across() {
 #[test]
 fn the_moments_are_those_of_the_points() {
     let scene = render(KINECT_HALF, NoiseModel::KINECT_V1, &[upright(0.0, 1.2, 0.15)], 7);
-    let (ellipses, _) = extract(RowEllipseConfig::default(), &scene);
+    let (ellipses, _) = extract(RowEllipseConfig::of_the_paper(), &scene);
     let ellipse = ellipses.iter().find(|ellipse| ellipse.line == 130).unwrap();
     let stretch = ((130.0 - KINECT_HALF.cy) / KINECT_HALF.fy).hypot(1.0);
     let mut sums = [0.0; 4];
@@ -121,7 +121,7 @@ fn the_moments_are_those_of_the_points() {
 #[test]
 fn an_image_without_measurements_is_an_empty_list() {
     let (header, pixels) = render(KINECT_HALF, NoiseModel::IDEAL, &[], 8);
-    assert_eq!(extract(RowEllipseConfig::default(), &(header, pixels.clone())).0.len(), 0);
+    assert_eq!(extract(RowEllipseConfig::of_the_paper(), &(header, pixels.clone())).0.len(), 0);
     let far = vec![u16::MAX; pixels.len()];
-    assert_eq!(extract(RowEllipseConfig::default(), &(header, far)).0.len(), 0);
+    assert_eq!(extract(RowEllipseConfig::of_the_paper(), &(header, far)).0.len(), 0);
 }

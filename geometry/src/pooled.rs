@@ -1,0 +1,155 @@
+//! Levenberg and Marquardt's fit of a surface to the pooled moments of its points: closed form, O(1) an iteration.
+//!
+//! With `M = sum m m'` the sum of squared distances is `q' M q`, its gradient `2 J' M q`, the Gauss-Newton matrix
+//! `2 J' M J`, `J = dq/dtheta`. Unbiased moments may leave M slightly indefinite and the least sum slightly below zero:
+//! the damping holds, and below zero is as good as zero.
+
+use crate::space::dot;
+use crate::{Coefficients, QuadricMoments, Surface, Vector3};
+use nalgebra::{SMatrix, SVector};
+
+/// Most steps of a fit.
+const STEPS: usize = 30;
+/// A step shorter than this (in spreads of the points, and radians) ends the fit.
+const SHORT: f64 = 1e-6;
+
+/// A fitted surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SurfaceFit<S, const N: usize> {
+    /// The surface, in the camera frame.
+    pub surface: S,
+    /// Sum of the squared distances, each times the weight of its point.
+    pub square_sum: f64,
+    /// Inverse of the Gauss-Newton matrix: the covariance of the parameters, were the distances of the points
+    /// independent and of a variance of one over their weights.
+    pub inverse: SMatrix<f64, N, N>,
+    /// Whether the steps became short.
+    pub converged: bool,
+}
+
+/// Fits a surface of which `start` is a guess; `None` where the points do not determine one near it.
+pub fn fit_surface<S: Surface<N>, const N: usize>(moments: &QuadricMoments, start: &S) -> Option<SurfaceFit<S, N>> {
+    let mut surface = start.to_local(&moments.origin, moments.scale).moved(&[0.0; N])?;
+    let mut system = System::new(moments, &surface);
+    let (mut damping, mut converged) = (1e-3, false);
+    for _ in 0..STEPS {
+        let Some(step) = system.step(damping) else {
+            damping = (damping * 10.0).max(1e-3);
+            continue;
+        };
+        let length = step.iter().map(|x| x * x).sum::<f64>().sqrt();
+        let next = surface.moved(&step).map(|next| (next, moments.times(&next.coefficients())));
+        match next.filter(|(next, mq)| dot(&next.coefficients(), mq) <= system.square_sum) {
+            Some((next, _)) => {
+                surface = next;
+                system = System::new(moments, &surface);
+                damping *= 0.1;
+                converged = length < SHORT;
+            }
+            None if length < SHORT => converged = true,
+            None => damping = (damping * 10.0).max(1e-6),
+        }
+        if converged || damping > 1e6 {
+            break;
+        }
+    }
+    let square_sum = system.square_sum * moments.scale * moments.scale;
+    let inverse = system.inverse(moments.scale, &S::lengths())?;
+    let surface = surface.to_camera(&moments.origin, moments.scale);
+    square_sum.is_finite().then_some(SurfaceFit { surface, square_sum, inverse, converged })
+}
+
+/// Scatter of a fit's gradient, from points that stand for all.
+///
+/// Noise along the ray moves a point less across the surface the more the ray grazes it: `variance (dF/dz)^2`. The
+/// covariance of the parameters is then not the inverse `A^-1` of the Gauss-Newton matrix but `A^-1 B A^-1`, with
+/// `B = sum w^2 variance (dF/dz)^2 j j'` and j the derivatives of F at the point.
+#[derive(Clone, Copy, Debug)]
+pub struct GradientNoise<const N: usize> {
+    derivatives: [Coefficients; N],
+    coefficients: Coefficients,
+    matrix: SMatrix<f64, N, N>,
+}
+
+impl<const N: usize> GradientNoise<N> {
+    /// No points yet, on a surface in the camera frame.
+    pub fn new<S: Surface<N>>(surface: &S) -> Self {
+        Self { derivatives: surface.derivatives(), coefficients: surface.coefficients(), matrix: SMatrix::zeros() }
+    }
+
+    /// Adds a point; `weight` is the sum of `w^2 variance` over the points that it stands for.
+    pub fn add(&mut self, point: &Vector3, weight: f64) {
+        let m = monomials(point);
+        let j = SVector::<f64, N>::from_fn(|i, _| dot(&self.derivatives[i], &m));
+        let slope = gradient(&self.coefficients, point).dot(point) / point.z;
+        self.matrix += j * j.transpose() * (weight * slope * slope);
+    }
+
+    /// Covariance of the parameters of a fit.
+    pub fn covariance<S>(&self, fit: &SurfaceFit<S, N>) -> SMatrix<f64, N, N> {
+        fit.inverse * self.matrix * fit.inverse
+    }
+}
+
+/// The monomials of a quadric at a point.
+fn monomials(p: &Vector3) -> Coefficients {
+    [p.x * p.x, p.y * p.y, p.z * p.z, p.x * p.y, p.x * p.z, p.y * p.z, p.x, p.y, p.z, 1.0]
+}
+
+/// Gradient of a quadric at a point.
+pub fn gradient(q: &Coefficients, p: &Vector3) -> Vector3 {
+    Vector3::new(
+        2.0 * q[0] * p.x + q[3] * p.y + q[4] * p.z + q[6],
+        2.0 * q[1] * p.y + q[3] * p.x + q[5] * p.z + q[7],
+        2.0 * q[2] * p.z + q[4] * p.x + q[5] * p.y + q[8],
+    )
+}
+
+/// The normal equations at one surface, in the frame of the fit.
+struct System<const N: usize> {
+    square_sum: f64,
+    gradient: SVector<f64, N>,
+    matrix: SMatrix<f64, N, N>,
+}
+
+impl<const N: usize> System<N> {
+    fn new<S: Surface<N>>(moments: &QuadricMoments, surface: &S) -> Self {
+        let (q, derivatives) = (surface.coefficients(), surface.derivatives());
+        let products: [Coefficients; N] = std::array::from_fn(|i| moments.times(&derivatives[i]));
+        let mut matrix = SMatrix::<f64, N, N>::zeros();
+        for i in 0..N {
+            for j in 0..=i {
+                let entry = dot(&products[i], &derivatives[j]);
+                (matrix[(i, j)], matrix[(j, i)]) = (entry, entry);
+            }
+        }
+        let gradient = SVector::from_fn(|i, _| dot(&products[i], &q));
+        Self { square_sum: dot(&moments.times(&q), &q), gradient, matrix }
+    }
+
+    /// The step that solves the damped equations; `None` where they are not positive definite.
+    fn step(&self, damping: f64) -> Option<[f64; N]> {
+        let mut damped = self.matrix;
+        let floor = 1e-12 * self.matrix.diagonal().amax();
+        (0..N).for_each(|i| damped[(i, i)] += damping * self.matrix[(i, i)].abs() + floor);
+        let step = damped.cholesky()?.solve(&-self.gradient);
+        Some(std::array::from_fn(|i| step[i]))
+    }
+
+    /// Directions of which the points tell so little that the correction for noise leaves less than nothing get a small
+    /// share of what the others have: they are known badly, and say so.
+    fn inverse(&self, scale: f64, lengths: &[bool; N]) -> Option<SMatrix<f64, N, N>> {
+        let damped = |share: f64| {
+            let mut matrix = self.matrix;
+            (0..N).for_each(|i| matrix[(i, i)] += share * self.matrix[(i, i)].abs());
+            matrix.cholesky()
+        };
+        let inverse = [0.0, 1e-4, 1e-3, 1e-2, 0.1].into_iter().find_map(damped)?.inverse();
+        let unit = |i: usize| if lengths[i] { 1.0 } else { 1.0 / scale };
+        Some(SMatrix::from_fn(|i, j| inverse[(i, j)] * unit(i) * unit(j)))
+    }
+}
+
+#[cfg(test)]
+#[path = "pooled_tests.rs"]
+mod tests;

@@ -1,0 +1,163 @@
+//! Tests of the pooled fits on rows of simulated points.
+
+use super::*;
+use crate::{
+    Conical, FixedSlope, FreeSlope, Pinhole, RaySums, Scan, ScanPlane, SpaceMoments, Sphere, Vector3, unbiased_powers,
+};
+
+const CAMERA: Pinhole = Pinhole { fx: 290.0, fy: 290.0, cx: 159.5, cy: 119.5 };
+
+/// Random numbers that are the same in each run (splitmix64).
+struct Random(u64);
+
+impl Random {
+    fn uniform(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut x = self.0;
+        x = (x ^ (x >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        x = (x ^ (x >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        ((x ^ (x >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    /// Mean 0, standard deviation 1 (Box and Muller).
+    fn normal(&mut self) -> f64 {
+        let radius = (-2.0 * (1.0 - self.uniform()).ln()).sqrt();
+        radius * (std::f64::consts::TAU * self.uniform()).cos()
+    }
+}
+
+/// What a Kinect v1 makes of a depth: Nguyen, Izadi and Lovell (2012), and steps of the disparity.
+fn kinect(z: f64, random: &mut Random) -> (f64, f64) {
+    let (axial, step) = (0.0012 + 0.0019 * (z - 0.4).powi(2), 1.0 / (8.0 * 580.0 * 0.075));
+    let noisy = z + axial * random.normal();
+    let stepped = 1.0 / (step * (1.0 / (step * noisy)).round());
+    (stepped, axial * axial + (step * z * z).powi(2) / 12.0)
+}
+
+/// The nearer root of `F = 0` along a ray, if the ray meets the surface.
+fn hit(conic: &[f64; 6], x: f64, k: f64) -> Option<f64> {
+    let a = conic[0] * x * x + conic[1] * x * k + conic[2] * k * k;
+    let b = conic[3] * x + conic[4] * k;
+    let discriminant = b * b - 4.0 * a * conic[5];
+    (discriminant > 0.0).then(|| (-b - discriminant.sqrt()) / (2.0 * a))
+}
+
+/// The pool of a surface as seen in some rows, `hidden` of each arc taken off at one side; noise as `measure` makes it.
+fn seen(
+    q: &Coefficients,
+    rows: std::ops::Range<u32>,
+    hidden: f64,
+    mut measure: impl FnMut(f64) -> (f64, f64),
+) -> SpaceMoments {
+    let mut pool = SpaceMoments::default();
+    for row in rows {
+        let plane: ScanPlane = CAMERA.plane(Scan::Row, f64::from(row));
+        let conic = crate::section_of(q, &plane);
+        let ray = |u: u32| CAMERA.ray_slope(Scan::Row, f64::from(u));
+        let hits: Vec<_> = (0..320).map(ray).filter_map(|x| Some((x, hit(&conic, x, plane.stretch())?))).collect();
+        let visible = &hits[(hidden * hits.len() as f64) as usize..];
+        let sums = visible.iter().fold(RaySums::default(), |sums, (x, z)| {
+            let (z, variance) = measure(*z);
+            sums.with(*x, z, variance)
+        });
+        pool.add(&SpaceMoments::of_arc(&plane, &sums.moments(plane.stretch())), 1.0);
+    }
+    pool
+}
+
+fn can(distance: f64) -> Conical {
+    Conical { point: Vector3::new(0.0, 0.0, distance), axis: Vector3::y(), radius: 0.2, slope: 0.0 }
+}
+
+/// Mean and standard deviation of the radius of a can over some frames.
+fn radius_of_can(distance: f64, hidden: f64, frames: u64) -> (f64, f64) {
+    let q = FixedSlope(can(distance)).coefficients();
+    let half = (0.35 * CAMERA.fy / distance) as u32;
+    let rows = 120 - half.min(110)..120 + half.min(110);
+    let guess = Conical { axis: Vector3::new(0.05, 1.0, 0.1).normalize(), radius: 0.15, ..can(distance - 0.03) };
+    let radii: Vec<_> = (0..frames)
+        .map(|frame| {
+            let mut random = Random(frame + 1);
+            let pool = seen(&q, rows.clone(), hidden, |z| kinect(z, &mut random));
+            fit_surface(&pool.normalized().unwrap(), &FixedSlope(guess)).unwrap().surface.0.radius
+        })
+        .collect();
+    let mean = radii.iter().sum::<f64>() / frames as f64;
+    let variance = radii.iter().map(|r| (r - mean).powi(2)).sum::<f64>() / (frames as f64 - 1.0);
+    (mean, variance.sqrt())
+}
+
+#[test]
+fn a_can_keeps_its_radius_with_distance_and_occlusion() {
+    // The table in the description of the method, last column: distance, hidden share, mean and sigma over 20 frames.
+    let table = [
+        (1.0, 0.0, 0.0003, 0.0003),
+        (1.0, 0.5, 0.0004, 0.0006),
+        (1.0, 0.7, 0.0012, 0.0016),
+        (2.0, 0.0, 0.0006, 0.0008),
+        (2.0, 0.7, 0.005, 0.008),
+        (3.0, 0.0, 0.0015, 0.003),
+        (3.0, 0.5, 0.006, 0.016),
+        (3.0, 0.7, 0.02, 0.05),
+    ];
+    for (distance, hidden, bias, spread) in table {
+        let (mean, sigma) = radius_of_can(distance, hidden, 20);
+        println!("{distance} m, {:2.0} % hidden: {mean:.4} +- {sigma:.4}", 100.0 * hidden);
+        assert!((mean - 0.2).abs() < bias && sigma < spread, "{mean} {sigma} at {distance} m, {hidden} hidden");
+    }
+}
+
+fn exact(z: f64) -> (f64, f64) {
+    (z, 0.0)
+}
+
+#[test]
+fn exact_points_give_each_surface_back() {
+    let sphere = Sphere { center: Vector3::new(0.1, 0.05, 1.2), radius: 0.15 };
+    let pool = seen(&sphere.coefficients(), 90..170, 0.3, exact).normalized().unwrap();
+    let start = Sphere { center: pool.origin + Vector3::z() * 0.1, radius: 0.1 };
+    let found = fit_surface(&pool, &start).unwrap();
+    assert!((found.surface.center - sphere.center).norm() < 1e-7 && found.converged, "{found:?}");
+
+    let axis = Vector3::new(0.3, 0.9, -0.4).normalize();
+    let cone = Conical { point: Vector3::new(0.1, 0.0, 1.3), axis, radius: 0.12, slope: 0.25 };
+    let pool = seen(&FreeSlope(cone).coefficients(), 80..160, 0.0, exact).normalized().unwrap();
+    let start = Conical { axis: Vector3::y(), radius: 0.1, slope: 0.0, ..cone };
+    let found = fit_surface(&pool, &FreeSlope(start)).unwrap();
+    let surface = found.surface.0.anchored(&cone.point);
+    assert!((surface.radius - 0.12).abs() < 1e-6 && (surface.slope - 0.25).abs() < 1e-6, "{found:?}");
+    assert!((surface.axis - axis).norm() < 1e-6 && (surface.point - cone.point).norm() < 1e-6);
+}
+
+#[test]
+fn the_covariance_is_that_of_the_errors() {
+    let sphere = Sphere { center: Vector3::new(0.0, 0.0, 1.5), radius: 0.15 };
+    let q = sphere.coefficients();
+    let noise = 0.003_f64;
+    let (mut ratios, mut square_sums) = (Vec::new(), Vec::new());
+    for frame in 0..60 {
+        let mut random = Random(100 + frame);
+        let pool = seen(&q, 96..144, 0.0, |z| (z + noise * random.normal(), noise * noise)).normalized().unwrap();
+        let found = fit_surface(&pool, &Sphere { center: sphere.center, radius: 0.14 }).unwrap();
+        let mut scatter = GradientNoise::new(&found.surface);
+        for row in 96..144 {
+            let plane = CAMERA.plane(Scan::Row, f64::from(row));
+            let conic = crate::section_of(&q, &plane);
+            let ray = |u: u32| CAMERA.ray_slope(Scan::Row, f64::from(u));
+            for (x, z) in (0..320).map(ray).filter_map(|x| Some((x, hit(&conic, x, plane.stretch())?))) {
+                scatter.add(&plane.to_camera([x * z, plane.stretch() * z]), noise * noise);
+            }
+        }
+        ratios.push((found.surface.radius - 0.15) / scatter.covariance(&found)[(3, 3)].sqrt());
+        square_sums.push(found.square_sum / (pool.matrix[9][9] * noise * noise));
+    }
+    let scatter = (ratios.iter().map(|x| x * x).sum::<f64>() / ratios.len() as f64).sqrt();
+    let mean_square = square_sums.iter().sum::<f64>() / square_sums.len() as f64;
+    assert!((0.75..1.3).contains(&scatter), "{scatter}");
+    assert!(mean_square.abs() < 0.02, "{mean_square}");
+}
+
+#[test]
+fn powers_without_variance_are_powers() {
+    assert_eq!(unbiased_powers(2.0, 0.0), [1.0, 2.0, 4.0, 8.0, 16.0]);
+}

@@ -1,0 +1,239 @@
+//! Moments of points in space: all that the fit of a quadric needs to know of the points of many arcs.
+//!
+//! The points of an arc lie in a scan plane, where `p = (s, t y / k, t / k)` for a row of slope y and stretch k. So each
+//! of the 35 moments `sum X^a Y^b Z^c`, a + b + c <= 4, is one plane moment times a constant,
+//! `(y / k)^b (1 / k)^c m[a, b + c]`: an arc joins the pool in O(1), and no point is seen again. Columns are the same
+//! with x and y exchanged.
+
+use crate::{PlaneMoments, Scan, ScanPlane, Sphere, Vector3};
+use nalgebra::{Matrix3, Matrix4, Vector4};
+
+/// Number of moments.
+const SPACE_MOMENTS: usize = 35;
+
+/// Number of monomials of a quadric: X2, Y2, Z2, XY, XZ, YZ, X, Y, Z, 1.
+pub const QUADRIC_TERMS: usize = 10;
+
+/// Coefficients of a quadric, in the order X2, Y2, Z2, XY, XZ, YZ, X, Y, Z, 1.
+pub type Coefficients = [f64; QUADRIC_TERMS];
+
+/// Exponents `[a, b, c]` of each moment.
+const EXPONENTS: [[usize; 3]; SPACE_MOMENTS] = exponents();
+
+/// Place of the moment with exponents `[a][b][c]`.
+const PLACE: [[[usize; 5]; 5]; 5] = places();
+
+/// Exponents of the quadric's monomials.
+const QUADRIC: [[usize; 3]; QUADRIC_TERMS] =
+    [[2, 0, 0], [0, 2, 0], [0, 0, 2], [1, 1, 0], [1, 0, 1], [0, 1, 1], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 0]];
+
+const fn exponents() -> [[usize; 3]; SPACE_MOMENTS] {
+    let mut table = [[0; 3]; SPACE_MOMENTS];
+    let (mut next, mut degree) = (0, 0);
+    while degree <= 4 {
+        let mut rest = 0;
+        while rest <= degree {
+            let mut c = 0;
+            while c <= rest {
+                table[next] = [degree - rest, rest - c, c];
+                next += 1;
+                c += 1;
+            }
+            rest += 1;
+        }
+        degree += 1;
+    }
+    table
+}
+
+const fn places() -> [[[usize; 5]; 5]; 5] {
+    let mut table = [[[0; 5]; 5]; 5];
+    let mut place = 0;
+    while place < SPACE_MOMENTS {
+        let [a, b, c] = EXPONENTS[place];
+        table[a][b][c] = place;
+        place += 1;
+    }
+    table
+}
+
+/// The 35 moments up to degree 4 of weighted points, about the camera centre.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SpaceMoments {
+    sums: [f64; SPACE_MOMENTS],
+}
+
+impl Default for SpaceMoments {
+    fn default() -> Self {
+        Self { sums: [0.0; SPACE_MOMENTS] }
+    }
+}
+
+/// The points of a pool, seen from their mean in units of their spread: the matrix `sum m m'` of the quadric monomials.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct QuadricMoments {
+    /// The mean of the points.
+    pub origin: Vector3,
+    /// Their standard deviation in space.
+    pub scale: f64,
+    /// `sum m m'` over points `(p - origin) / scale`.
+    pub matrix: [[f64; QUADRIC_TERMS]; QUADRIC_TERMS],
+}
+
+impl SpaceMoments {
+    /// The points of an arc in the plane `plane`.
+    pub fn of_arc(plane: &ScanPlane, moments: &PlaneMoments) -> Self {
+        let moments = moments.about([0.0, 0.0]);
+        let across = powers(plane.slope() / plane.stretch());
+        let forward = powers(1.0 / plane.stretch());
+        let mut space = Self::default();
+        for (sum, [a, b, c]) in space.sums.iter_mut().zip(EXPONENTS) {
+            let (along, beside) = if plane.scan() == Scan::Row { (a, b) } else { (b, a) };
+            *sum = across[beside] * forward[c] * moments.get(along, beside + c);
+        }
+        space
+    }
+
+    /// Adds points that count `weight` times.
+    pub fn add(&mut self, other: &Self, weight: f64) {
+        self.sums.iter_mut().zip(&other.sums).for_each(|(sum, term)| *sum += weight * term);
+    }
+
+    /// `sum X^a Y^b Z^c`.
+    fn get(&self, a: usize, b: usize, c: usize) -> f64 {
+        self.sums[PLACE[a][b][c]]
+    }
+
+    /// Sum of the weights of the points.
+    pub fn weight(&self) -> f64 {
+        self.sums[0]
+    }
+
+    /// Mean of the points.
+    pub fn mean(&self) -> Vector3 {
+        Vector3::new(self.get(1, 0, 0), self.get(0, 1, 0), self.get(0, 0, 1)) / self.weight()
+    }
+
+    /// Least variance of the points along any direction: their mean square distance from a plane.
+    pub fn least_variance(&self) -> f64 {
+        let (n, mean) = (self.weight(), self.mean());
+        let second = [[2, 0, 0], [1, 1, 0], [1, 0, 1], [0, 2, 0], [0, 1, 1], [0, 0, 2]];
+        let [xx, xy, xz, yy, yz, zz] = second.map(|[a, b, c]| self.get(a, b, c) / n);
+        let outer = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz) - mean * mean.transpose();
+        outer.symmetric_eigenvalues().min()
+    }
+
+    /// The same points as the fits take them; `None` where there are none, or all of them are the same.
+    pub fn normalized(&self) -> Option<QuadricMoments> {
+        let origin = self.mean();
+        let mut local = *self;
+        local.shift(-origin.x, |a, b, c| PLACE[a][b][c]);
+        local.shift(-origin.y, |b, a, c| PLACE[a][b][c]);
+        local.shift(-origin.z, |c, a, b| PLACE[a][b][c]);
+        let trace = local.get(2, 0, 0) + local.get(0, 2, 0) + local.get(0, 0, 2);
+        let scale = (trace / self.weight()).sqrt();
+        if !(scale.is_finite() && scale > 1e-9) {
+            return None;
+        }
+        let factors = powers(1.0 / scale);
+        for (sum, [a, b, c]) in local.sums.iter_mut().zip(EXPONENTS) {
+            *sum *= factors[a + b + c];
+        }
+        let entry = |i: usize, j: usize| {
+            let ([a, b, c], [d, e, f]) = (QUADRIC[i], QUADRIC[j]);
+            local.get(a + d, b + e, c + f)
+        };
+        let matrix = std::array::from_fn(|i| std::array::from_fn(|j| entry(i, j)));
+        Some(QuadricMoments { origin, scale, matrix })
+    }
+
+    /// Binomial theorem, in place along the axis whose exponent `index` takes first.
+    fn shift(&mut self, by: f64, index: impl Fn(usize, usize, usize) -> usize) {
+        for b in 0..4 {
+            for c in 0..4 - b {
+                let degree = 4 - b - c;
+                for first in 1..=degree {
+                    for a in (first..=degree).rev() {
+                        self.sums[index(a, b, c)] += by * self.sums[index(a - 1, b, c)];
+                    }
+                }
+            }
+        }
+    }
+}
+
+impl QuadricMoments {
+    /// The sphere of least algebraic distance `sum (|p|^2 + b.p + c)^2`, in the camera frame: a start for better fits.
+    pub fn sphere(&self) -> Option<Sphere> {
+        let m = &self.matrix;
+        let normal = Matrix4::from_fn(|i, j| m[6 + i][6 + j]);
+        let right = Vector4::from_fn(|i, _| -(m[0][6 + i] + m[1][6 + i] + m[2][6 + i]));
+        let [x, y, z, c] = normal.cholesky()?.solve(&right).into();
+        let center = Vector3::new(x, y, z) * -0.5;
+        let square = center.norm_squared() - c;
+        (square > 0.0).then(|| Sphere { center: self.origin + center * self.scale, radius: square.sqrt() * self.scale })
+    }
+
+    /// `q' (sum m m')`: its product with the coefficients of another quadric is the sum of the products of both over the
+    /// points.
+    pub fn times(&self, q: &Coefficients) -> Coefficients {
+        let mut product = [0.0; QUADRIC_TERMS];
+        for (row, factor) in self.matrix.iter().zip(q) {
+            product.iter_mut().zip(row).for_each(|(sum, entry)| *sum += factor * entry);
+        }
+        product
+    }
+}
+
+/// Sum of the products.
+pub(crate) fn dot(a: &Coefficients, b: &Coefficients) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// The powers 0 to 4.
+fn powers(x: f64) -> [f64; 5] {
+    [1.0, x, x * x, x * x * x, x * x * x * x]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Pinhole;
+
+    const CAMERA: Pinhole = Pinhole { fx: 290.0, fy: 290.0, cx: 159.5, cy: 119.5 };
+
+    fn monomials(p: &Vector3) -> Coefficients {
+        QUADRIC.map(|[a, b, c]| p.x.powi(a as i32) * p.y.powi(b as i32) * p.z.powi(c as i32))
+    }
+
+    #[test]
+    fn pooled_arcs_give_the_matrix_of_their_points() {
+        let mut pool = SpaceMoments::default();
+        let mut points = Vec::new();
+        for (scan, line) in [(Scan::Row, 30.0), (Scan::Row, 200.0), (Scan::Column, 250.0)] {
+            let plane = CAMERA.plane(scan, line);
+            let arc: Vec<_> = (0..20).map(|i| [0.1 + 0.02 * f64::from(i), 1.5 + 0.3 * f64::from(i * i % 7)]).collect();
+            pool.add(&SpaceMoments::of_arc(&plane, &PlaneMoments::of([0.2, 1.6], arc.iter().copied())), 1.0);
+            points.extend(arc.into_iter().map(|point| plane.to_camera(point)));
+        }
+        let normal = pool.normalized().unwrap();
+        let mean = points.iter().sum::<Vector3>() / points.len() as f64;
+        assert!((normal.origin - mean).norm() < 1e-12);
+        let mut expected = [[0.0; QUADRIC_TERMS]; QUADRIC_TERMS];
+        for point in &points {
+            let m = monomials(&((point - normal.origin) / normal.scale));
+            (0..100).for_each(|ij| expected[ij / 10][ij % 10] += m[ij / 10] * m[ij % 10]);
+        }
+        for (row, expected) in normal.matrix.iter().zip(&expected) {
+            row.iter().zip(expected).for_each(|(x, y)| assert!((x - y).abs() < 1e-8, "{x} {y}"));
+        }
+    }
+
+    #[test]
+    fn no_points_and_equal_points_have_no_normal_form() {
+        assert_eq!(SpaceMoments::default().normalized(), None);
+        let plane = CAMERA.plane(Scan::Row, 0.0);
+        let same = SpaceMoments::of_arc(&plane, &PlaneMoments::of([0.0, 1.0], [[0.0, 1.0]; 5]));
+        assert_eq!(same.normalized(), None);
+    }
+}

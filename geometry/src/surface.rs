@@ -1,0 +1,325 @@
+//! Spheres, cylinders and cones as the ten coefficients of a quadric `F(p) = q(theta)' m(p)`, with derivatives.
+//!
+//! F is scaled so that `|grad F| = 1` on the surface, so it is the distance to first order:
+//! - sphere: `(|p - c|^2 - R^2) / (2 R)`
+//! - cylinder and cone, with `x = p - c`, unit axis d, slope `tau = tan phi`, and the radius `R + tau d.x` along the axis:
+//!   `cos phi ((|x|^2 - (d.x)^2 - (R + tau d.x)^2) / (2 R))`; a cylinder has tau = 0. Where a cone is wider or narrower
+//!   than R by a factor g, F is too great by g: whoever pools its arcs weighs each by `1 / g^2`.
+
+use crate::{Coefficients, Scan, ScanPlane, Sphere, Vector3};
+use nalgebra::Matrix3;
+
+/// A surface with N parameters.
+pub trait Surface<const N: usize>: Copy {
+    /// Coefficients of F.
+    fn coefficients(&self) -> Coefficients;
+
+    /// Their derivatives by the parameters.
+    fn derivatives(&self) -> [Coefficients; N];
+
+    /// The surface whose parameters differ by `step`; `None` where there is none.
+    fn moved(&self, step: &[f64; N]) -> Option<Self>;
+
+    /// For each parameter whether it is a length.
+    fn lengths() -> [bool; N];
+
+    /// The surface in a frame with this origin, whose unit of length is `scale`.
+    fn to_local(&self, origin: &Vector3, scale: f64) -> Self;
+
+    /// The surface, given in a frame with this origin and unit of length.
+    fn to_camera(&self, origin: &Vector3, scale: f64) -> Self;
+}
+
+/// A circular cylinder (slope 0) or cone without ends.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Conical {
+    /// A point on the axis.
+    pub point: Vector3,
+    /// Unit vector along the axis.
+    pub axis: Vector3,
+    /// Radius at `point`.
+    pub radius: f64,
+    /// Change of the radius along the axis: the tangent of the half-angle.
+    pub slope: f64,
+}
+
+/// A [`Conical`] whose slope is kept: 5 parameters, two tilts of the axis, two shifts across it, the radius.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FixedSlope(pub Conical);
+
+/// A [`Conical`] whose slope is free: 6 parameters, the slope last.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FreeSlope(pub Conical);
+
+impl Surface<4> for Sphere {
+    fn coefficients(&self) -> Coefficients {
+        let (c, a) = (&self.center, 0.5 / self.radius);
+        let constant = a * c.norm_squared() - 0.5 * self.radius;
+        [a, a, a, 0.0, 0.0, 0.0, -2.0 * a * c.x, -2.0 * a * c.y, -2.0 * a * c.z, constant]
+    }
+
+    fn derivatives(&self) -> [Coefficients; 4] {
+        let (c, a) = (&self.center, 0.5 / self.radius);
+        let along = |i: usize| {
+            let mut d = [0.0; 10];
+            (d[6 + i], d[9]) = (-2.0 * a, 2.0 * a * c[i]);
+            d
+        };
+        // d/dR (x.x / 2R - R / 2) = -(F + R / 2) / R - 1 / 2
+        let mut by_radius = self.coefficients().map(|q| -q / self.radius);
+        by_radius[9] -= 1.0;
+        [along(0), along(1), along(2), by_radius]
+    }
+
+    fn moved(&self, step: &[f64; 4]) -> Option<Self> {
+        let [x, y, z, r] = *step;
+        let radius = self.radius + r;
+        (radius > 0.0).then(|| Self { center: self.center + Vector3::new(x, y, z), radius })
+    }
+
+    fn lengths() -> [bool; 4] {
+        [true; 4]
+    }
+
+    fn to_local(&self, origin: &Vector3, scale: f64) -> Self {
+        Self { center: (self.center - origin) / scale, radius: self.radius / scale }
+    }
+
+    fn to_camera(&self, origin: &Vector3, scale: f64) -> Self {
+        Self { center: origin + self.center * scale, radius: self.radius * scale }
+    }
+}
+
+impl Conical {
+    /// The radius where the axis passes `point`.
+    pub fn radius_at(&self, point: &Vector3) -> f64 {
+        self.radius + self.slope * self.axis.dot(&(point - self.point))
+    }
+
+    /// The same surface, its point moved along the axis to the foot of `point`.
+    #[must_use]
+    pub fn anchored(&self, point: &Vector3) -> Self {
+        let along = self.axis.dot(&(point - self.point));
+        Self { point: self.point + self.axis * along, radius: self.radius + self.slope * along, ..*self }
+    }
+
+    /// Two unit vectors across the axis, perpendicular to each other.
+    pub fn across(&self) -> [Vector3; 2] {
+        let mut other = Vector3::zeros();
+        other[self.axis.iamin()] = 1.0;
+        let u = self.axis.cross(&other).normalize();
+        [u, self.axis.cross(&u)]
+    }
+
+    fn cosine(&self) -> f64 {
+        1.0 / (1.0 + self.slope * self.slope).sqrt()
+    }
+
+    /// `(A, b, e)` of `p'A p + b.p + e`, without the factor `cos phi`.
+    fn form(&self) -> (Matrix3<f64>, Vector3, f64) {
+        let (c, d, tau) = (&self.point, &self.axis, self.slope);
+        let a = (Matrix3::identity() - d * d.transpose() * (1.0 + tau * tau)) * (0.5 / self.radius);
+        let ac = a * c;
+        (a, ac * -2.0 - d * tau, c.dot(&ac) + tau * d.dot(c) - 0.5 * self.radius)
+    }
+
+    fn all_derivatives(&self) -> [Coefficients; 6] {
+        let (c, d, tau, cosine) = (&self.point, &self.axis, self.slope, self.cosine());
+        let (a, _, _) = self.form();
+        let (ac, half) = (a * c, 0.5 / self.radius);
+        let spread = -(1.0 + tau * tau) * half;
+        // A change of A alone changes b by -2 dA c and e by c'dA c.
+        let coefficients = |da: &Matrix3<f64>, db: Vector3, de: f64| {
+            let dac = da * c;
+            pack(da, &(db - dac * 2.0), de + c.dot(&dac)).map(|q| q * cosine)
+        };
+        let tilt = |u: &Vector3| {
+            let outer = u * d.transpose();
+            coefficients(&((outer + outer.transpose()) * spread), u * -tau, tau * u.dot(c))
+        };
+        let shift = |u: &Vector3| coefficients(&Matrix3::zeros(), a * u * -2.0, 2.0 * u.dot(&ac));
+        let by_radius = coefficients(&(a * (-1.0 / self.radius)), Vector3::zeros(), -0.5);
+        let mut by_slope = coefficients(&(d * d.transpose() * (-2.0 * tau * half)), -d, d.dot(c));
+        let shrink = -tau * cosine * cosine;
+        by_slope.iter_mut().zip(self.quadric()).for_each(|(sum, q)| *sum += shrink * q);
+        let [u, v] = self.across();
+        [tilt(&u), tilt(&v), shift(&u), shift(&v), by_radius, by_slope]
+    }
+
+    fn quadric(&self) -> Coefficients {
+        let (a, b, e) = self.form();
+        pack(&a, &b, e).map(|q| q * self.cosine())
+    }
+
+    fn stepped(&self, tilt: [f64; 2], shift: [f64; 2], radius: f64, slope: f64) -> Option<Self> {
+        let [u, v] = self.across();
+        let axis = (self.axis + u * tilt[0] + v * tilt[1]).normalize();
+        let point = self.point + u * shift[0] + v * shift[1];
+        let moved = Self { point, axis, radius: self.radius + radius, slope: self.slope + slope };
+        (moved.radius > 0.0 && axis.iter().all(|x| x.is_finite())).then_some(moved)
+    }
+
+    fn local(&self, origin: &Vector3, scale: f64) -> Self {
+        let near = self.anchored(origin);
+        Self { point: (near.point - origin) / scale, radius: near.radius / scale, ..*self }
+    }
+
+    fn camera(&self, origin: &Vector3, scale: f64) -> Self {
+        Self { point: origin + self.point * scale, radius: self.radius * scale, ..*self }
+    }
+}
+
+impl Surface<5> for FixedSlope {
+    fn coefficients(&self) -> Coefficients {
+        self.0.quadric()
+    }
+
+    fn derivatives(&self) -> [Coefficients; 5] {
+        let [a, b, c, d, e, _] = self.0.all_derivatives();
+        [a, b, c, d, e]
+    }
+
+    fn moved(&self, step: &[f64; 5]) -> Option<Self> {
+        let [a, b, c, d, e] = *step;
+        self.0.stepped([a, b], [c, d], e, 0.0).map(Self)
+    }
+
+    fn lengths() -> [bool; 5] {
+        [false, false, true, true, true]
+    }
+
+    fn to_local(&self, origin: &Vector3, scale: f64) -> Self {
+        Self(self.0.local(origin, scale))
+    }
+
+    fn to_camera(&self, origin: &Vector3, scale: f64) -> Self {
+        Self(self.0.camera(origin, scale))
+    }
+}
+
+impl Surface<6> for FreeSlope {
+    fn coefficients(&self) -> Coefficients {
+        self.0.quadric()
+    }
+
+    fn derivatives(&self) -> [Coefficients; 6] {
+        self.0.all_derivatives()
+    }
+
+    fn moved(&self, step: &[f64; 6]) -> Option<Self> {
+        let [a, b, c, d, e, f] = *step;
+        self.0.stepped([a, b], [c, d], e, f).map(Self)
+    }
+
+    fn lengths() -> [bool; 6] {
+        [false, false, true, true, true, false]
+    }
+
+    fn to_local(&self, origin: &Vector3, scale: f64) -> Self {
+        Self(self.0.local(origin, scale))
+    }
+
+    fn to_camera(&self, origin: &Vector3, scale: f64) -> Self {
+        Self(self.0.camera(origin, scale))
+    }
+}
+
+fn pack(a: &Matrix3<f64>, b: &Vector3, e: f64) -> Coefficients {
+    let twice = |i: usize, j: usize| a[(i, j)] + a[(j, i)];
+    [a[(0, 0)], a[(1, 1)], a[(2, 2)], twice(0, 1), twice(0, 2), twice(1, 2), b.x, b.y, b.z, e]
+}
+
+/// The conic `[s^2, s t, t^2, s, t, 1]` that a scan plane cuts out of a quadric.
+pub fn section_of(q: &Coefficients, plane: &ScanPlane) -> [f64; 6] {
+    let [xx, yy, zz, xy, xz, yz, x, y, z, one] = *q;
+    let (across, forward) = (plane.slope() / plane.stretch(), 1.0 / plane.stretch());
+    // Along the line, across it, and forward.
+    let (aa, bb, ab, az, bz, a, b) = match plane.scan() {
+        Scan::Row => (xx, yy, xy, xz, yz, x, y),
+        Scan::Column => (yy, xx, xy, yz, xz, y, x),
+    };
+    [
+        aa,
+        ab * across + az * forward,
+        bb * across * across + bz * across * forward + zz * forward * forward,
+        a,
+        b * across + z * forward,
+        one,
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Pinhole;
+
+    fn value(q: &Coefficients, p: &Vector3) -> f64 {
+        let m = [p.x * p.x, p.y * p.y, p.z * p.z, p.x * p.y, p.x * p.z, p.y * p.z, p.x, p.y, p.z, 1.0];
+        q.iter().zip(m).map(|(q, m)| q * m).sum()
+    }
+
+    fn cone() -> Conical {
+        Conical { point: Vector3::zeros(), axis: Vector3::new(0.2, 0.9, -0.3).normalize(), radius: 0.8, slope: 0.2 }
+            .anchored(&Vector3::zeros())
+    }
+
+    fn check_derivatives<const N: usize>(surface: impl Surface<N>) {
+        let derivatives = surface.derivatives();
+        for i in 0..N {
+            let at = |h: f64| {
+                let mut step = [0.0; N];
+                step[i] = h;
+                surface.moved(&step).unwrap().coefficients()
+            };
+            let (more, less) = (at(1e-6), at(-1e-6));
+            for k in 0..10 {
+                let difference = (more[k] - less[k]) / 2e-6;
+                assert!((difference - derivatives[i][k]).abs() < 1e-6, "{i} {k}: {difference} {}", derivatives[i][k]);
+            }
+        }
+    }
+
+    #[test]
+    fn derivatives_are_those_of_the_coefficients() {
+        let shifted = Conical { point: cone().across()[0] * 0.3 + cone().across()[1], ..cone() };
+        check_derivatives(Sphere { center: Vector3::new(0.3, -0.4, 1.2), radius: 0.7 });
+        check_derivatives(FixedSlope(Conical { slope: 0.0, ..shifted }));
+        check_derivatives(FreeSlope(shifted));
+    }
+
+    #[test]
+    fn values_are_distances_to_first_order() {
+        let cone = cone();
+        let [u, _] = cone.across();
+        let normal = (u - cone.axis * cone.slope).normalize();
+        let near = |offset: f64| cone.point + u * cone.radius + normal * offset;
+        let q = FreeSlope(cone).coefficients();
+        assert!(value(&q, &near(0.0)).abs() < 1e-12);
+        assert!((value(&q, &near(1e-4)) - 1e-4).abs() < 1e-7);
+        let sphere = Sphere { center: Vector3::new(0.1, 0.2, 2.0), radius: 0.3 };
+        let outside = sphere.center + u * 0.301;
+        assert!((value(&sphere.coefficients(), &outside) - 0.001).abs() < 1e-5);
+    }
+
+    #[test]
+    fn a_frame_of_a_fit_and_back_is_the_same_surface() {
+        let (origin, scale) = (Vector3::new(0.2, 0.1, 1.5), 0.13);
+        let there = FreeSlope(cone()).to_local(&origin, scale);
+        let back = there.to_camera(&origin, scale);
+        let (point, local) = (Vector3::new(0.4, 0.7, 1.1), (Vector3::new(0.4, 0.7, 1.1) - origin) / scale);
+        let ratio = value(&back.coefficients(), &point) / value(&there.coefficients(), &local);
+        assert!((ratio - scale).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_section_has_the_values_of_its_points() {
+        let camera = Pinhole { fx: 290.0, fy: 290.0, cx: 159.5, cy: 119.5 };
+        let q = FreeSlope(cone()).coefficients();
+        for plane in [camera.plane(Scan::Row, 30.0), camera.plane(Scan::Column, 300.0)] {
+            let (s, t) = (0.3, 1.4);
+            let c = section_of(&q, &plane);
+            let there = c[0] * s * s + c[1] * s * t + c[2] * t * t + c[3] * s + c[4] * t + c[5];
+            assert!((there - value(&q, &plane.to_camera([s, t]))).abs() < 1e-12);
+        }
+    }
+}

@@ -1,0 +1,186 @@
+//! The arcs of a message, ready for pooling, and which of them lie beside each other.
+
+use conicflow_geometry::{
+    Coefficients, Conic, Pinhole, PlaneMoments, Scan, ScanPlane, SpaceMoments, Vector3, section_of,
+};
+use conicflow_messages::{self as messages, Ellipse, Header};
+use std::ops::Range;
+
+/// An arc with what the assembler needs of it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Arc {
+    pub scan: Scan,
+    pub line: u32,
+    /// First and last pixel along the line.
+    pub pixels: [i64; 2],
+    pub plane: ScanPlane,
+    moments: PlaneMoments,
+    /// The same in space, about the camera centre.
+    pub space: SpaceMoments,
+    pub points: f64,
+    /// Variance of the sensor along the ray, at the depth of the arc.
+    pub variance: f64,
+    /// Mean of the points.
+    pub mean: Vector3,
+    /// Centre and radius of the circle through the points.
+    pub center: Vector3,
+    pub radius: f64,
+    /// Angle that the points span about the centre of the circle.
+    pub angle: f64,
+    /// Slopes of the rays through the first and the last pixel.
+    pub rays: [f64; 2],
+    /// Slopes of the rays through two pixels beyond the ends ...
+    pub beyond_rays: [f64; 2],
+    /// ... and the depths that were measured there, 0 for none.
+    pub beyond: [f64; 2],
+    /// Distance between this and the next scan line.
+    pub spacing: f64,
+    /// How much better the circle is than a line, in points times variances.
+    pub bulge: f64,
+}
+
+/// How far the points of an arc are off a surface.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Misfit {
+    /// Mean square distance, free of the noise.
+    pub square: f64,
+    /// Mean distance, above zero outside.
+    pub mean: f64,
+}
+
+impl Arc {
+    fn new(header: &Header, ellipse: &Ellipse) -> Option<Self> {
+        let camera = &header.camera;
+        let camera = Pinhole { fx: camera.fx, fy: camera.fy, cx: camera.cx, cy: camera.cy };
+        let scan = match ellipse.scan() {
+            messages::Scan::Row => Scan::Row,
+            messages::Scan::Column => Scan::Column,
+        };
+        let plane = camera.plane(scan, f64::from(ellipse.line));
+        let moments = PlaneMoments::from_sums(ellipse.origin, ellipse.moments);
+        let mean = plane.to_camera(moments.mean()?);
+        let ray = |pixel: f64| camera.ray_slope(scan, pixel);
+        let (first, last, far) = (f64::from(ellipse.first), f64::from(ellipse.last), f64::from(ellipse.beyond_px));
+        let variance = header.noise.variance(mean.z) * plane.stretch().powi(2);
+        let line = conicflow_geometry::line_square(&moments);
+        Some(Self {
+            scan,
+            line: ellipse.line,
+            pixels: [i64::from(ellipse.first), i64::from(ellipse.last)],
+            plane,
+            moments,
+            space: SpaceMoments::of_arc(&plane, &moments),
+            points: moments.count(),
+            variance: variance.max(1e-8),
+            mean,
+            center: Vector3::from(ellipse.center),
+            radius: ellipse.half_width,
+            angle: ellipse.arc,
+            rays: [ray(first), ray(last)],
+            beyond_rays: [ray(first - far), ray(last + far)],
+            beyond: ellipse.beyond,
+            spacing: mean.z * camera.line_pitch(scan),
+            bulge: (line - ellipse.rms * ellipse.rms) * moments.count() / variance.max(1e-8),
+        })
+    }
+
+    /// How far the points are off the quadric `q`.
+    pub fn misfit(&self, q: &Coefficients) -> Misfit {
+        let conic = Conic { origin: [0.0, 0.0], coefficients: section_of(q, &self.plane) };
+        let conic = conic.about(self.moments.origin());
+        let c = &conic.coefficients;
+        let m = |p, q| self.moments.get(p, q);
+        let sum = c[0] * m(2, 0) + c[1] * m(1, 1) + c[2] * m(0, 2) + c[3] * m(1, 0) + c[4] * m(0, 1) + c[5] * m(0, 0);
+        Misfit { square: conic.square_sum(&self.moments) / self.points, mean: sum / self.points }
+    }
+
+    /// The points as `(u.p, v.p)`, for two unit vectors.
+    pub fn seen_along(&self, u: &Vector3, v: &Vector3) -> PlaneMoments {
+        let (s, t) = (self.plane.s_axis(), self.plane.t_axis());
+        self.moments.mapped([[u.dot(&s), u.dot(&t)], [v.dot(&s), v.dot(&t)]])
+    }
+
+    /// Depth at which a ray of the scan line, of slope `x`, first meets the quadric `q`.
+    pub fn hit(&self, q: &Coefficients, x: f64) -> Option<f64> {
+        let [ss, st, tt, s, t, one] = section_of(q, &self.plane);
+        let k = self.plane.stretch();
+        let (a, b) = (ss * x * x + st * x * k + tt * k * k, s * x + t * k);
+        let discriminant = b * b - 4.0 * a * one;
+        if discriminant <= 0.0 || a.abs() < 1e-12 {
+            return None;
+        }
+        let near = (-b - discriminant.sqrt() * a.signum()) / (2.0 * a);
+        (near > 0.0).then_some(near)
+    }
+
+    /// The point of depth `z` on the ray of slope `x`.
+    pub fn point(&self, x: f64, z: f64) -> Vector3 {
+        self.plane.to_camera([x * z, self.plane.stretch() * z])
+    }
+
+    /// Number of pixels along the line that both have, less than zero for the gap between them.
+    pub fn overlap(&self, pixels: [i64; 2]) -> i64 {
+        self.pixels[1].min(pixels[1]) - self.pixels[0].max(pixels[0]) + 1
+    }
+}
+
+/// The arcs of one image in the order of scan, line and pixel; the buffers are used again for the next.
+#[derive(Debug, Default)]
+pub(super) struct Arcs {
+    pub arcs: Vec<Arc>,
+    /// For rows and columns: index of the first arc of each line, and the end.
+    starts: [Vec<usize>; 2],
+}
+
+impl Arcs {
+    pub fn read(&mut self, header: &Header, ellipses: &[Ellipse]) {
+        self.arcs.clear();
+        self.arcs.extend(ellipses.iter().filter_map(|ellipse| Arc::new(header, ellipse)));
+        self.arcs.sort_unstable_by_key(|arc| (arc.scan == Scan::Column, arc.line, arc.pixels[0]));
+        let lines = [header.camera.height as usize, header.camera.width as usize];
+        let mut next = 0;
+        for (starts, (lines, scan)) in self.starts.iter_mut().zip(lines.into_iter().zip([Scan::Row, Scan::Column])) {
+            starts.clear();
+            for line in 0..=lines {
+                while self.arcs.get(next).is_some_and(|arc| arc.scan == scan && (arc.line as usize) < line) {
+                    next += 1;
+                }
+                starts.push(next);
+            }
+        }
+    }
+
+    /// Indices of the arcs of a line.
+    pub fn on_line(&self, scan: Scan, line: i64) -> Range<usize> {
+        let starts = &self.starts[usize::from(scan == Scan::Column)];
+        match usize::try_from(line) {
+            Ok(line) if line + 1 < starts.len() => starts[line]..starts[line + 1],
+            _ => 0..0,
+        }
+    }
+
+    /// The arc beside `index`, at most `gap` lines on in the direction `side` (1 or -1), that most likely is the same
+    /// surface: the one that has the most columns in common, of those at the same depth.
+    pub fn beside(&self, index: usize, side: i64, gap: i64, free: impl Fn(usize) -> bool) -> Option<usize> {
+        let arc = &self.arcs[index];
+        for distance in 1..=gap {
+            let line = i64::from(arc.line) + side * distance;
+            let near =
+                self.on_line(arc.scan, line).filter(|&other| free(other) && self.touches(arc, &self.arcs[other]));
+            if let Some(best) = near.max_by_key(|&other| arc.overlap(self.arcs[other].pixels)) {
+                return Some(best);
+            }
+        }
+        None
+    }
+
+    /// Whether two arcs of near lines may belong to one surface.
+    fn touches(&self, a: &Arc, b: &Arc) -> bool {
+        let shorter = (a.pixels[1] - a.pixels[0]).min(b.pixels[1] - b.pixels[0]) + 1;
+        let lines = f64::from(a.line.abs_diff(b.line));
+        let step = 5.0 * lines * a.spacing + 4.0 * (a.variance / a.points.min(b.points)).sqrt();
+        // The depth of the mean differs with the columns that an arc covers, by no more than its bulge.
+        let bulge = 0.5 * (a.pixels[1] - a.pixels[0]).abs_diff(b.pixels[1] - b.pixels[0]) as f64 * a.spacing;
+        2 * a.overlap(b.pixels) >= shorter && (a.mean.z - b.mean.z).abs() <= step + bulge
+    }
+}

@@ -1,0 +1,180 @@
+//! The three models and their fits to the pooled moments of some arcs.
+
+use super::arcs::{Arc, Misfit};
+use conicflow_geometry::{
+    ArcFit, Coefficients, Conical, FixedSlope, FreeSlope, Line, LineMoments, PlaneMoments, SpaceMoments, Sphere,
+    Surface, SurfaceFit, Vector3, fit_surface,
+};
+use conicflow_messages::ObjectKind;
+
+/// Refits of a cone, each with the weights that the last one gave its arcs.
+const CONE_PASSES: usize = 3;
+
+/// A fitted model.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Model {
+    Sphere(SurfaceFit<Sphere, 4>),
+    Cylinder(SurfaceFit<FixedSlope, 5>),
+    Cone(SurfaceFit<FreeSlope, 6>),
+}
+
+impl Model {
+    pub fn kind(&self) -> ObjectKind {
+        match self {
+            Self::Sphere(_) => ObjectKind::Sphere,
+            Self::Cylinder(_) => ObjectKind::Cylinder,
+            Self::Cone(_) => ObjectKind::Cone,
+        }
+    }
+
+    pub fn coefficients(&self) -> Coefficients {
+        match self {
+            Self::Sphere(fit) => fit.surface.coefficients(),
+            Self::Cylinder(fit) => fit.surface.coefficients(),
+            Self::Cone(fit) => fit.surface.coefficients(),
+        }
+    }
+
+    /// Axis and profile of a cylinder or cone.
+    pub fn conical(&self) -> Option<Conical> {
+        match self {
+            Self::Sphere(_) => None,
+            Self::Cylinder(fit) => Some(fit.surface.0),
+            Self::Cone(fit) => Some(fit.surface.0),
+        }
+    }
+
+    /// Radius of a sphere or cylinder, and of a cone where `mean` is.
+    pub fn radius_at(&self, mean: &Vector3) -> f64 {
+        match self {
+            Self::Sphere(fit) => fit.surface.radius,
+            Self::Cylinder(fit) => fit.surface.0.radius,
+            Self::Cone(fit) => fit.surface.0.radius_at(mean),
+        }
+    }
+
+    /// By how much F is too great at an arc (see [`Conical`]); `None` beyond the apex of a cone.
+    pub fn excess(&self, arc: &Arc) -> Option<f64> {
+        match self {
+            Self::Cone(fit) => Some(fit.surface.0.radius_at(&arc.mean) / fit.surface.0.radius).filter(|g| *g > 0.05),
+            _ => Some(1.0),
+        }
+    }
+
+    /// Weighted sum of the squared distances.
+    pub fn square_sum(&self) -> f64 {
+        match self {
+            Self::Sphere(fit) => fit.square_sum,
+            Self::Cylinder(fit) => fit.square_sum,
+            Self::Cone(fit) => fit.square_sum,
+        }
+    }
+
+    /// How far the points of an arc are off the model, of which `q` are the coefficients.
+    pub fn misfit(&self, q: &Coefficients, arc: &Arc) -> Option<Misfit> {
+        let excess = self.excess(arc)?;
+        let Misfit { square, mean } = arc.misfit(q);
+        Some(Misfit { square: square / (excess * excess), mean: mean / excess })
+    }
+}
+
+/// The arcs pooled, each with the weight of one over its variance, times what `excess` asks for.
+fn pool<'a>(arcs: impl Iterator<Item = &'a Arc>, excess: impl Fn(&Arc) -> f64) -> SpaceMoments {
+    let mut pool = SpaceMoments::default();
+    arcs.for_each(|arc| pool.add(&arc.space, 1.0 / (arc.variance * excess(arc).powi(2))));
+    pool
+}
+
+/// Fits a model of a kind; starts from `last` where there is one of that kind.
+pub(super) fn fit<'a>(
+    kind: ObjectKind,
+    arcs: &(impl Iterator<Item = &'a Arc> + Clone),
+    last: Option<&Model>,
+) -> Option<Model> {
+    match kind {
+        ObjectKind::Sphere => fit_sphere(arcs, last),
+        ObjectKind::Cylinder => fit_cylinder(arcs, last),
+        ObjectKind::Cone => fit_cone(arcs, last),
+    }
+}
+
+fn fit_sphere<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Model>) -> Option<Model> {
+    let moments = pool(arcs.clone(), |_| 1.0).normalized()?;
+    let start = match last {
+        Some(Model::Sphere(fit)) => fit.surface,
+        _ => moments.sphere()?,
+    };
+    fit_surface(&moments, &start).map(Model::Sphere)
+}
+
+fn fit_cylinder<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Model>) -> Option<Model> {
+    let moments = pool(arcs.clone(), |_| 1.0).normalized()?;
+    if let Some(Model::Cylinder(fit)) = last {
+        return fit_surface(&moments, &fit.surface).map(Model::Cylinder);
+    }
+    fit_surface(&moments, &FixedSlope(start(arcs)?)).map(Model::Cylinder)
+}
+
+fn fit_cone<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Model>) -> Option<Model> {
+    let mut fit = match last {
+        Some(Model::Cone(fit)) => *fit,
+        _ => {
+            let moments = pool(arcs.clone(), |_| 1.0).normalized()?;
+            fit_surface(&moments, &FreeSlope(start(arcs)?))?
+        }
+    };
+    for _ in 0..CONE_PASSES {
+        let cone = fit.surface.0;
+        let excess = |arc: &Arc| (cone.radius_at(&arc.mean) / cone.radius).max(0.05);
+        let moments = pool(arcs.clone(), excess).normalized()?;
+        fit = fit_surface(&moments, &fit.surface)?;
+    }
+    // The axis of a cone points away from its apex.
+    if fit.surface.0.slope < 0.0 {
+        fit = flipped(&fit);
+    }
+    Some(Model::Cone(fit))
+}
+
+fn flipped(fit: &SurfaceFit<FreeSlope, 6>) -> SurfaceFit<FreeSlope, 6> {
+    let mut flipped = *fit;
+    let before = fit.surface.0;
+    flipped.surface.0 = Conical { axis: -before.axis, slope: -before.slope, ..before };
+    // Parameters: tilts, shifts, radius, slope; the directions across turn with the axis.
+    let (old, new) = (before.across(), flipped.surface.0.across());
+    let turn = |i: usize| new[i].dot(&old[i]);
+    let signs = [-turn(0), -turn(1), turn(0), turn(1), 1.0, -1.0];
+    for i in 0..6 {
+        for j in 0..6 {
+            flipped.inverse[(i, j)] *= signs[i] * signs[j];
+        }
+    }
+    flipped
+}
+
+/// A guess from the circles of the arcs: of some directions for the axis that along which the points lie best on one
+/// circle.
+fn start<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone)) -> Option<Conical> {
+    let first = arcs.clone().next()?;
+    let (mut centers, mut means) = (LineMoments::new(first.center), LineMoments::new(first.mean));
+    arcs.clone().for_each(|arc| {
+        centers.add(&arc.center);
+        means.add(&arc.mean);
+    });
+    let along = |line: Option<Line>| line.map(|line| line.direction);
+    let axes = [Some(first.plane.normal()), along(centers.fit()), along(means.fit())];
+    let guesses = axes.into_iter().flatten().filter_map(|axis| round_about(arcs, &axis));
+    guesses.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, guess)| guess)
+}
+
+/// The circle through all points as seen along an axis, and the mean square distance from it.
+fn round_about<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), axis: &Vector3) -> Option<(f64, Conical)> {
+    let frame = Conical { point: Vector3::zeros(), axis: *axis, radius: 1.0, slope: 0.0 };
+    let [u, v] = frame.across();
+    let mut seen = PlaneMoments::new([0.0, 0.0]);
+    arcs.clone().for_each(|arc| seen.merge(&arc.seen_along(&u, &v)));
+    let fit = ArcFit::new(&seen)?;
+    let (circle, mean) = (fit.circle, arcs.clone().next()?.mean);
+    let point = u * circle.center[0] + v * circle.center[1] + axis * axis.dot(&mean);
+    circle.radius.is_finite().then_some((fit.circle_square, Conical { point, radius: circle.radius.min(2.0), ..frame }))
+}

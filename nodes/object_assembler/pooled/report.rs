@@ -1,0 +1,129 @@
+//! The report on a verified model, with the uncertainty that the noise of the sensor gives it.
+
+use super::arcs::Arcs;
+use super::growth::Grown;
+use super::model::Model;
+use super::verify::{self, Measured};
+use conicflow_geometry::{Conical, GradientNoise, Surface, SurfaceFit, Vector3};
+use conicflow_messages::{Object, ObjectKind, ObjectSigma};
+use nalgebra::{Matrix3, SMatrix};
+
+/// Points of an arc that stand for all of them.
+const SAMPLES: usize = 7;
+/// Arcs of an object that stand for all of them.
+const ARCS: usize = 24;
+/// Least standard deviation that is ever claimed, in metres and radians.
+const LEAST_SIGMA: f64 = 1e-6;
+
+pub(super) fn report(arcs: &Arcs, grown: &Grown, measured: &Measured) -> Object {
+    let center = verify::middle(grown, measured);
+    let variance = grown.arcs(arcs).map(|arc| arc.variance * arc.points).sum::<f64>() / measured.points;
+    let object = Object {
+        kind: grown.model.kind().code(),
+        points: measured.points.round() as u32,
+        rows: measured.lines,
+        center: center.into(),
+        rms: (measured.misfit.max(0.0) * variance).sqrt(),
+        arc: measured.angle,
+        ..Object::default()
+    };
+    let end = end_sigma(arcs, grown);
+    match &grown.model {
+        Model::Sphere(fit) => {
+            let covariance = covariance(arcs, grown, fit);
+            let sigma = ObjectSigma {
+                center: [0, 1, 2].map(|i| [0, 1, 2].map(|j| covariance[(i, j)])),
+                radius: root(covariance[(3, 3)]),
+                ..ObjectSigma::default()
+            };
+            Object { radius: fit.surface.radius, sigma, ..object }
+        }
+        Model::Cylinder(fit) => {
+            let covariance = covariance(arcs, grown, fit);
+            let surface = fit.surface.0;
+            let sigma = conical_sigma(&surface, &covariance.fixed_view::<5, 5>(0, 0).into_owned(), measured, end);
+            let length = measured.extent[1] - measured.extent[0];
+            Object { radius: surface.radius, axis: surface.axis.into(), length, sigma, ..object }
+        }
+        Model::Cone(fit) => {
+            let covariance = covariance(arcs, grown, fit);
+            let surface = fit.surface.0;
+            let half_angle = surface.slope.atan();
+            let mut sigma = conical_sigma(&surface, &covariance.fixed_view::<5, 5>(0, 0).into_owned(), measured, end);
+            sigma.half_angle = root(covariance[(5, 5)]) * half_angle.cos().powi(2);
+            cone(object, &surface, half_angle, sigma, measured)
+        }
+    }
+}
+
+fn cone(object: Object, surface: &Conical, half_angle: f64, sigma: ObjectSigma, measured: &Measured) -> Object {
+    let [from, to] = measured.extent;
+    let radius = |along: f64| (surface.radius + surface.slope * along).max(0.0);
+    Object {
+        kind: ObjectKind::Cone.code(),
+        axis: surface.axis.into(),
+        radius: radius(0.5 * (from + to)),
+        length: to - from,
+        half_angle,
+        base_radius: radius(to),
+        top_radius: radius(from),
+        apex: (surface.point - surface.axis * (surface.radius / surface.slope)).into(),
+        sigma,
+        ..object
+    }
+}
+
+fn root(variance: f64) -> f64 {
+    variance.max(0.0).sqrt().max(LEAST_SIGMA)
+}
+
+/// An end lies anywhere between two scan lines.
+fn end_sigma(arcs: &Arcs, grown: &Grown) -> f64 {
+    arcs.arcs[grown.members[grown.members.len() / 2]].spacing / 12.0_f64.sqrt()
+}
+
+/// Parameters: two tilts, two shifts across, the radius.
+fn conical_sigma(surface: &Conical, covariance: &SMatrix<f64, 5, 5>, measured: &Measured, end: f64) -> ObjectSigma {
+    let middle = 0.5 * (measured.extent[0] + measured.extent[1]);
+    let across = surface.across();
+    let mut center = surface.axis * surface.axis.transpose() * (0.5 * end * end);
+    for (i, u) in across.iter().enumerate() {
+        for (j, v) in across.iter().enumerate() {
+            let tilt = covariance[(i, j)] * middle * middle;
+            let mixed = middle * (covariance[(i, 2 + j)] + covariance[(2 + i, j)]);
+            center += u * v.transpose() * (covariance[(2 + i, 2 + j)] + mixed + tilt);
+        }
+    }
+    let center: Matrix3<f64> = (center + center.transpose()) * 0.5;
+    ObjectSigma {
+        center: [0, 1, 2].map(|i| [0, 1, 2].map(|j| center[(i, j)])),
+        axis: root(covariance[(0, 0)] + covariance[(1, 1)]),
+        radius: root(covariance[(4, 4)]),
+        length: (2.0 * end * end).sqrt().max(LEAST_SIGMA),
+        half_angle: 0.0,
+    }
+}
+
+/// Covariance of a fit's parameters, from points along its arcs.
+pub(super) fn covariance<S: Surface<N>, const N: usize>(
+    arcs: &Arcs,
+    grown: &Grown,
+    fit: &SurfaceFit<S, N>,
+) -> SMatrix<f64, N, N> {
+    let q = grown.model.coefficients();
+    let stride = grown.members.len().div_ceil(ARCS);
+    let mut noise = GradientNoise::new(&fit.surface);
+    for arc in grown.arcs(arcs).step_by(stride) {
+        let weight = 1.0 / (arc.variance * grown.model.excess(arc).unwrap_or(1.0).powi(2));
+        let along_z = arc.variance / arc.plane.stretch().powi(2);
+        let share = stride as f64 * arc.points / SAMPLES as f64;
+        for sample in 0..SAMPLES {
+            let part = (sample as f64 + 0.5) / SAMPLES as f64;
+            let x = arc.rays[0] + part * (arc.rays[1] - arc.rays[0]);
+            if let Some(z) = arc.hit(&q, x) {
+                noise.add(&arc.point(x, z), share * weight * weight * along_z);
+            }
+        }
+    }
+    noise.covariance(fit)
+}

@@ -1,0 +1,178 @@
+//! What a grown model has to fulfil as a whole to be an object.
+
+use super::super::verify::Rejection;
+use super::super::{AssemblerConfig, RadiusLimits};
+use super::arcs::{Arc, Arcs};
+use super::growth::Grown;
+use super::model::Model;
+use conicflow_geometry::{Scan, Vector3};
+use conicflow_messages::ObjectKind;
+
+/// How many standard deviations the error of the whole may scatter.
+const SCATTER: f64 = 1.3;
+/// Part of the variance that the misfit of the whole may be on top of it.
+const SLACK: f64 = 0.07;
+/// Least part of the variance that a plane has to be off the points.
+const PLANE: f64 = 0.7;
+/// Greatest part of arc ends beyond which the model would hide what was measured.
+const SEEN_THROUGH: f64 = 0.2;
+/// Greatest standard deviation of a radius, as a part of it.
+const VAGUE: f64 = 0.12;
+
+/// What was measured of a grown model, for its report.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Measured {
+    pub points: f64,
+    pub lines: u32,
+    /// Mean square distance over variance, free of noise.
+    pub misfit: f64,
+    /// Mean visible circumference.
+    pub angle: f64,
+    /// From where to where the arcs reach along the axis, counted from the surface's point; along z for a sphere.
+    pub extent: [f64; 2],
+}
+
+pub(super) fn check(arcs: &Arcs, grown: &Grown, config: &AssemblerConfig) -> Result<Measured, Rejection> {
+    let measured = measure(arcs, grown);
+    let [first, last] = [grown.members[0], grown.members[grown.members.len() - 1]].map(|index| &arcs.arcs[index]);
+    let radius = grown.model.radius_at(&middle(grown, &measured));
+    let reach = measured.extent[1] - measured.extent[0];
+    if measured.lines < config.min_lines {
+        Err(Rejection::FewRows)
+    } else if f64::from(measured.lines) < config.min_coverage * f64::from(last.line - first.line + 1) {
+        Err(Rejection::Gaps)
+    } else if measured.misfit > SLACK + SCATTER * (2.0 / measured.points).sqrt() {
+        Err(Rejection::Rms)
+    } else if !limits(&grown.model, config).contain(radius) {
+        Err(Rejection::Radius)
+    } else if !is_sharp(grown, config) {
+        Err(Rejection::HalfAngle)
+    } else if reach < least_reach(grown, config) * radius {
+        Err(Rejection::Short)
+    } else if measured.angle < config.min_visible_arc_deg.to_radians() {
+        Err(Rejection::ShortArc)
+    } else if is_plane(arcs, grown, &measured) {
+        Err(Rejection::Flat)
+    } else if seen_through(arcs, grown, &measured) > SEEN_THROUGH {
+        Err(Rejection::SeenThrough)
+    } else {
+        Ok(measured)
+    }
+}
+
+/// Least extent of what is seen, in radii.
+fn least_reach(grown: &Grown, config: &AssemblerConfig) -> f64 {
+    match grown.model {
+        Model::Sphere(_) => config.min_sphere_height_radii,
+        _ => config.min_length_radii,
+    }
+}
+
+fn limits(model: &Model, config: &AssemblerConfig) -> RadiusLimits {
+    match model {
+        Model::Sphere(_) => config.sphere,
+        Model::Cylinder(_) => config.cylinder,
+        Model::Cone(_) => config.cone,
+    }
+}
+
+fn is_sharp(grown: &Grown, config: &AssemblerConfig) -> bool {
+    match &grown.model {
+        Model::Cone(fit) => fit.surface.0.slope <= config.max_half_angle_deg.to_radians().tan(),
+        _ => true,
+    }
+}
+
+/// The point of the axis in the middle of what is seen, or the centre.
+pub(super) fn middle(grown: &Grown, measured: &Measured) -> Vector3 {
+    match &grown.model {
+        Model::Sphere(fit) => fit.surface.center,
+        other => other.conical().map_or(Vector3::zeros(), |surface| {
+            surface.point + surface.axis * (0.5 * (measured.extent[0] + measured.extent[1]))
+        }),
+    }
+}
+
+fn measure(arcs: &Arcs, grown: &Grown) -> Measured {
+    let points = grown.points(arcs);
+    let mut lines = 0;
+    let mut last = None;
+    let (mut angle, mut extent) = (0.0, [f64::INFINITY, f64::NEG_INFINITY]);
+    let q = grown.model.coefficients();
+    for arc in grown.arcs(arcs) {
+        lines += u32::from(last != Some(arc.line));
+        last = Some(arc.line);
+        angle += arc.points * span(arc, grown, &q);
+        let along = match (&grown.model, arc.scan) {
+            (Model::Sphere(_), Scan::Column) => arc.mean.x,
+            (model, _) => position(model, &arc.mean),
+        };
+        extent = [extent[0].min(along), extent[1].max(along)];
+    }
+    Measured { points, lines, misfit: grown.model.square_sum() / weight(arcs, grown), angle: angle / points, extent }
+}
+
+/// Number of points in units of the fit's weights.
+fn weight(arcs: &Arcs, grown: &Grown) -> f64 {
+    let share = |arc: &Arc| arc.points / grown.model.excess(arc).unwrap_or(1.0).powi(2);
+    grown.arcs(arcs).map(share).sum()
+}
+
+/// Place of a point along the axis; of a sphere, across its arcs.
+fn position(model: &Model, point: &Vector3) -> f64 {
+    match model.conical() {
+        Some(surface) => surface.axis.dot(&(point - surface.point)),
+        None => point.y,
+    }
+}
+
+/// Angle between the ends of an arc as seen from the axis or centre.
+fn span(arc: &Arc, grown: &Grown, q: &[f64; 10]) -> f64 {
+    let ends = arc.rays.map(|x| arc.hit(q, x).map(|z| arc.point(x, z)));
+    let [Some(a), Some(b)] = ends else { return arc.angle };
+    let outwards = |point: Vector3| match &grown.model {
+        Model::Sphere(fit) => {
+            let normal = arc.plane.normal();
+            let from = point - fit.surface.center;
+            from - normal * normal.dot(&from)
+        }
+        other => other.conical().map_or(point, |surface| point - surface.anchored(&point).point),
+    };
+    outwards(a).angle(&outwards(b))
+}
+
+/// Whether a plane explains the points nearly as well.
+fn is_plane(arcs: &Arcs, grown: &Grown, measured: &Measured) -> bool {
+    let mut pool = conicflow_geometry::SpaceMoments::default();
+    grown.arcs(arcs).for_each(|arc| pool.add(&arc.space, 1.0));
+    let variance = grown.arcs(arcs).map(|arc| arc.variance * arc.points).sum::<f64>() / measured.points;
+    pool.least_variance() < variance * (PLANE + SCATTER * (2.0 / measured.points).sqrt())
+}
+
+/// Part of the arc ends at which something is seen behind the surface.
+fn seen_through(arcs: &Arcs, grown: &Grown, measured: &Measured) -> f64 {
+    let q = grown.model.coefficients();
+    let (mut seen, mut all) = (0.0, 0.0_f64);
+    for arc in grown.arcs(arcs) {
+        for (x, z) in arc.beyond_rays.into_iter().zip(arc.beyond).filter(|(_, z)| *z > 0.0) {
+            all += 1.0;
+            let margin = 3.0 * arc.variance.sqrt();
+            let through = |surface: f64| z > surface + margin && is_between(grown, measured, &arc.point(x, surface));
+            seen += f64::from(u8::from(arc.hit(&q, x).is_some_and(through)));
+        }
+    }
+    seen / all.max(1.0)
+}
+
+/// Whether a point is surely between the ends of what is seen; of a sphere any is.
+fn is_between(grown: &Grown, measured: &Measured, point: &Vector3) -> bool {
+    let along = position(&grown.model, point);
+    let margin = 0.05 * (measured.extent[1] - measured.extent[0]);
+    let between = (measured.extent[0] + margin..measured.extent[1] - margin).contains(&along);
+    grown.model.kind() == ObjectKind::Sphere || between
+}
+
+/// Whether the radius is known at all, given its standard deviation.
+pub(super) fn is_vague(radius: f64, sigma: f64) -> bool {
+    sigma.is_nan() || sigma > VAGUE * radius
+}
