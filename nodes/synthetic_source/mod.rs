@@ -18,7 +18,8 @@ mod shadow;
 pub mod shapes;
 pub mod truth;
 
-use anyhow::{Context as _, Result, bail};
+use crate::json_sink::JsonLines;
+use anyhow::Result;
 use conicflow_dataflow::{Config, ConfigFault, Context, Next, Output, Sides, Source, StageError};
 use conicflow_messages::{Camera, HAS_POSE, Header, Text};
 use random::Dice;
@@ -29,8 +30,6 @@ use schemars::JsonSchema;
 use sensor::{Sensor, SensorConfig};
 use serde::{Deserialize, Serialize};
 use shapes::Shape;
-use std::fs::{File, OpenOptions};
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use truth::{Truth, TruthLine, truth_of};
 
@@ -221,7 +220,7 @@ pub struct SyntheticSource {
     rate_hz: f64,
     next: u64,
     total: Option<u64>,
-    truth: Option<TruthFile>,
+    truth: Option<JsonLines>,
 }
 
 impl Source for SyntheticSource {
@@ -239,7 +238,7 @@ impl Source for SyntheticSource {
             camera = camera.before(scenes);
         }
         let truth_path = config.truth_path.as_deref().map(|path| context.resolve(path));
-        let truth = truth_path.map(|path| TruthFile::open(path, context.resume_at)).transpose()?;
+        let truth = truth_path.map(|path| JsonLines::open(&path, context.resume_at > 0)).transpose()?;
         Ok(Self { camera, rate_hz: config.rate_hz, next: context.resume_at, total, truth })
     }
 
@@ -258,41 +257,22 @@ impl Source for SyntheticSource {
         let camera = self.camera.raster.camera;
         self.camera.shoot(self.next, output.image(camera.width as usize * camera.height as usize)?);
         self.camera.describe(&mut output.header);
-        if let Some(truth) = &mut self.truth {
-            truth.write(self.next, &self.camera)?;
+        if self.truth.is_some() {
+            let line = self.truth_line();
+            self.truth.as_mut().map(|file| file.write(&line)).transpose()?;
         }
         self.next += 1;
         Ok(Next::Message)
     }
 }
 
-/// A file with one [`TruthLine`] per frame, each written whole as soon as it is known.
-struct TruthFile {
-    path: PathBuf,
-    file: File,
-}
-
-impl TruthFile {
-    /// Starts the file, or goes on with it where the stage was started anew.
-    fn open(path: PathBuf, resume_at: u64) -> Result<Self> {
-        let go_on = resume_at > 0;
-        let file = OpenOptions::new().create(true).write(true).append(go_on).truncate(!go_on).open(&path);
-        match file {
-            Ok(file) => Ok(Self { path, file }),
-            Err(error) => {
-                bail!("cannot write `{}`: {error}\n  hint: `truth_path` names a file to be created", path.display())
-            }
-        }
-    }
-
-    fn write(&mut self, sequence: u64, camera: &SyntheticCamera) -> Result<()> {
+impl SyntheticSource {
+    /// The true objects of the frame that was shot last.
+    fn truth_line(&self) -> TruthLine {
         let mut header = Header::default();
-        camera.describe(&mut header);
-        let objects = camera.truth().iter().map(Into::into).collect();
-        let line = TruthLine { sequence, source: camera.scene.name.clone(), stamp_ns: header.stamp_ns, objects };
-        let mut text = serde_json::to_string(&line)?;
-        text.push('\n');
-        self.file.write_all(text.as_bytes()).with_context(|| format!("cannot write `{}`", self.path.display()))
+        self.camera.describe(&mut header);
+        let objects = self.camera.truth().iter().map(Into::into).collect();
+        TruthLine { sequence: self.next, source: self.camera.scene.name.clone(), stamp_ns: header.stamp_ns, objects }
     }
 }
 

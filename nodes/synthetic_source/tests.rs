@@ -87,12 +87,15 @@ fn what_cannot_be_used_is_told_before_the_start() {
 fn the_truth_file_has_one_line_per_frame_and_is_gone_on_with() {
     let base = tempfile::tempdir().unwrap();
     let path = base.path().join("truth.jsonl");
-    let mut camera = camera(&small());
-    let mut write = |first: u64| {
-        let mut file = TruthFile::open(path.clone(), first).unwrap();
+    let config = || SyntheticSourceConfig { truth_path: Some(path.clone()), ..small() };
+    let write = |first: u64| {
+        let context = Context { resume_at: first, ..Context::default() };
+        let mut source = SyntheticSource::new(config(), &context).unwrap();
         for number in first..first + 3 {
-            frame(&mut camera, number);
-            file.write(number, &camera).unwrap();
+            frame(&mut source.camera, number);
+            source.next = number;
+            let line = source.truth_line();
+            source.truth.as_mut().unwrap().write(&line).unwrap();
         }
     };
     write(0);
