@@ -82,11 +82,14 @@ fn all_nodes_are_listed() {
 }
 
 /// The parameters in the text of `conicflow nodes NAME`: name, default and description.
-fn parameters(text: &str) -> Vec<(&str, &str, &str)> {
-    let lines: Vec<_> = text.lines().collect();
-    let heads = lines.iter().enumerate().filter_map(|(index, line)| Some((index, line.split_once(" = ")?)));
-    let parameters = heads.filter(|(index, _)| !lines[*index].starts_with([' ', 'i']) || lines[index - 1].is_empty());
-    parameters.map(|(index, (name, default))| (name, default, lines.get(index + 1).copied().unwrap_or(""))).collect()
+fn parameters<'a>(text: &'a str) -> Vec<(&'a str, &'a str, &'a str)> {
+    let paragraphs = text.split("\n\n").filter(|paragraph| !paragraph.starts_with("input"));
+    let split = |paragraph: &'a str| {
+        let (head, rest) = paragraph.split_once('\n')?;
+        let (name, default) = head.split_once(" = ")?;
+        Some((name, default, rest.lines().next()?))
+    };
+    paragraphs.filter_map(split).collect()
 }
 
 #[test]

@@ -1,7 +1,8 @@
 //! Stages from outside this repository: a program of its own in the middle of a pipeline.
 
-use crate::support::{Ended, Playground, StageRow, TRACKING, example};
+use crate::support::{Ended, Playground, StageRow, Started, TRACKING, example};
 use serde_json::Value as Json;
+use std::process::Command;
 
 /// What tracks objects, with `nearest_object` before the tracker and a record of what went into it.
 fn with_nearest_object(keys: &str) -> Playground {
@@ -91,8 +92,8 @@ fn a_program_that_takes_another_kind_of_message_ends_the_run() {
 #[test]
 fn a_stage_that_nobody_started_says_how_it_is_started() {
     let playground = Playground::new();
-    let mut command = std::process::Command::new(example("nearest_object"));
+    let mut command = Command::new(example("nearest_object"));
     command.env_remove("CONICFLOW_PIPELINE").env("CONICFLOW_RUNTIME_DIR", playground.runtime());
-    let ended = crate::support::Started::new(command).wait().expect_code(2);
+    let ended = Started::new(command).wait().expect_code(2);
     assert!(ended.stderr.starts_with("error: the environment variable `CONICFLOW_PIPELINE` is not set\n  hint: "));
 }

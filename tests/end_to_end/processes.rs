@@ -1,8 +1,10 @@
 //! The processes of a run: who starts whom, what is survived, how it ends, and that nothing stays behind.
 
-use crate::support::signal;
-use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, environment, parent, processes, wait_until};
+use crate::support::{
+    Playground, Started, TRACKING, TRACKING_STAGES, environment, parent, processes, signal, wait_until,
+};
 use rustix::process::Signal;
+use serde_json::Value as Json;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -38,6 +40,23 @@ fn each_stage_is_a_process_whose_parent_is_the_launcher() {
     assert!(stages.keys().eq(["assembler", "extractor", "json", "source", "tracker"]), "{stages:?}");
     let expected: BTreeSet<_> = stages.into_values().chain([run.id()]).collect();
     assert_eq!(playground.processes().into_iter().collect::<BTreeSet<_>>(), expected, "one process per stage, no more");
+}
+
+#[test]
+fn who_looks_on_sees_the_stages_at_work() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let mut run = start(&playground, &[]);
+    wait_for_lines(&mut run, &playground);
+    let look = playground.conicflow(&["top", "--once"]).expect_code(0);
+    let seen: Json = serde_json::from_str(&look.stdout).unwrap();
+    let seen = &seen["pipelines"][0];
+    assert_eq!(seen["pipeline"], "tracking", "{seen:#}");
+    let processes = stages_of(run.id());
+    for (index, name) in TRACKING_STAGES.into_iter().enumerate() {
+        let stage = &seen["stages"][index];
+        assert_eq!((&stage["stage"], &stage["process"]), (&name.into(), &processes[name].into()), "{seen:#}");
+        assert!(stage["messages"].as_u64().unwrap() > 0, "{seen:#}");
+    }
 }
 
 /// Kills each stage in turn: it comes back, the others stay, and results come on, in order.

@@ -1,10 +1,11 @@
 //! Runs from their start to their end: what comes out, in which order, and what the summary says of it.
 
-use crate::support::{Ended, InputRow, Playground, Started, TRACKING, TRACKING_STAGES, example};
+use crate::support::{InputRow, Playground, Started, TRACKING, TRACKING_STAGES, example};
 use serde_json::Value as Json;
 use std::fs::{self, File};
 use std::io::{BufRead, BufReader, BufWriter};
 use std::ops::Range;
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 /// A source and a sink that takes its time over each frame, without lossless delivery between them.
@@ -197,7 +198,7 @@ fn name(entry: std::io::Result<fs::DirEntry>) -> String {
 }
 
 /// The grey pixels of a picture of 64x48, but for the black ones.
-fn shades(path: &std::path::Path) -> Vec<u8> {
+fn shades(path: &Path) -> Vec<u8> {
     let mut reader = png::Decoder::new(BufReader::new(File::open(path).unwrap())).read_info().unwrap();
     let mut bytes = vec![0; reader.output_buffer_size().unwrap()];
     let info = reader.next_frame(&mut bytes).unwrap();
@@ -308,7 +309,7 @@ fn a_bad_frame_among_good_ones_is_passed_over_and_counted() {
     playground.write("frames/img2.png", "this is no picture");
     let good = fs::read(playground.path("frames/img4.png")).unwrap();
     fs::write(playground.path("frames/img4.png"), &good[..good.len() / 2]).unwrap();
-    let ended: Ended = playground.conicflow(&["run"]).expect_code(0);
+    let ended = playground.conicflow(&["run"]).expect_code(0);
     expect_balls(&playground, &[0, 1, 3, 5]);
     assert!(ended.stderr.contains("source: frames unreadable: 2\n"), "{}", ended.stderr);
     for name in ["img2.png", "img4.png"] {
