@@ -2,7 +2,7 @@
 //!
 //! Of a static scene the depth of each pixel varies from frame to frame by nothing but noise ([`temporal`]). Of flat walls
 //! and floors each block of the image is a plane up to noise ([`wall`]), also up to that which does not change with time
-//! and which a fit to a surface meets as well. Both give variances over depth, to which [`fit`] fits a [`NoiseModel`].
+//! and which a fit to a surface meets as well. Both give variances over depth, to which [`fit`] fits a noise model.
 
 mod fit;
 mod levels;

@@ -35,9 +35,9 @@ use verify::{Body, Candidate, Rejection, Rejections, Solid};
 #[serde(rename_all = "snake_case")]
 pub enum Method {
     /// The paper's: lines and circles through the centres, radius over position along the axis.
+    #[default]
     Profile,
     /// Models fitted to the pooled moments of all arcs of an object.
-    #[default]
     Pooled,
 }
 
@@ -69,7 +69,7 @@ pub struct RadiusLimits {
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct AssemblerConfig {
-    /// How objects are found: `pooled` moments of arcs, or the paper's `profile`.
+    /// How objects are found: the paper's `profile`, or `pooled` moments of arcs (with `arcs = "moments"` of the extractor).
     pub method: Method,
     /// Sections as found by the extractor (`ellipse`, as in the paper) or of the axis ratio that the axis implies (`circle`).
     pub section_fit: SectionFit,
@@ -146,7 +146,7 @@ impl Default for AssemblerConfig {
     fn default() -> Self {
         let limits = RadiusLimits { min_m: 0.015, max_m: 0.5 };
         Self {
-            method: Method::Pooled,
+            method: Method::Profile,
             section_fit: SectionFit::Circle,
             max_center_step_m: 0.01,
             max_center_step_radii: 0.35,
@@ -162,7 +162,7 @@ impl Default for AssemblerConfig {
             min_lines: 8,
             min_rows: 12,
             min_coverage: 0.6,
-            min_length_radii: 0.6,
+            min_length_radii: 0.4,
             min_sphere_height_radii: 0.8,
             min_arc_deg: 75.0,
             max_rms_sigmas: 1.3,

@@ -22,9 +22,8 @@ pub(super) struct Arc {
     pub variance: f64,
     /// Mean of the points.
     pub mean: Vector3,
-    /// Centre and radius of the circle through the points.
+    /// Centre of the circle through the points.
     pub center: Vector3,
-    pub radius: f64,
     /// Angle that the points span about the centre of the circle.
     pub angle: f64,
     /// Slopes of the rays through the first and the last pixel.
@@ -74,7 +73,6 @@ impl Arc {
             variance: variance.max(1e-8),
             mean,
             center: Vector3::from(ellipse.center),
-            radius: ellipse.half_width,
             angle: ellipse.arc,
             rays: [ray(first), ray(last)],
             beyond_rays: [ray(first - far), ray(last + far)],
