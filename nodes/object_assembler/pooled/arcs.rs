@@ -22,9 +22,8 @@ pub(super) struct Arc {
     pub variance: f64,
     /// Mean of the points.
     pub mean: Vector3,
-    /// Centre and radius of the circle through the points.
+    /// Centre of the circle through the points.
     pub center: Vector3,
-    pub radius: f64,
     /// Angle that the points span about the centre of the circle.
     pub angle: f64,
     /// Slopes of the rays through the first and the last pixel.
@@ -61,7 +60,10 @@ impl Arc {
         let mean = plane.to_camera(moments.mean()?);
         let ray = |pixel: f64| camera.ray_slope(scan, pixel);
         let (first, last, far) = (f64::from(ellipse.first), f64::from(ellipse.last), f64::from(ellipse.beyond_px));
-        let variance = header.noise.variance(mean.z) * plane.stretch().powi(2);
+        let variance = match ellipse.unbiased {
+            0 => header.noise.variance(mean.z),
+            _ => ellipse.sigma * ellipse.sigma,
+        } * plane.stretch().powi(2);
         let line = conicflow_geometry::line_square(&moments);
         Some(Self {
             scan,
@@ -74,7 +76,6 @@ impl Arc {
             variance: variance.max(1e-8),
             mean,
             center: Vector3::from(ellipse.center),
-            radius: ellipse.half_width,
             angle: ellipse.arc,
             rays: [ray(first), ray(last)],
             beyond_rays: [ray(first - far), ray(last + far)],

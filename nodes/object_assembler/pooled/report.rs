@@ -4,7 +4,7 @@ use super::arcs::Arcs;
 use super::growth::Grown;
 use super::model::Model;
 use super::verify::{self, Measured};
-use conicflow_geometry::{Conical, GradientNoise, Surface, SurfaceFit, Vector3};
+use conicflow_geometry::{Conical, GradientNoise, Surface, SurfaceFit};
 use conicflow_messages::{Object, ObjectKind, ObjectSigma};
 use nalgebra::{Matrix3, SMatrix};
 
