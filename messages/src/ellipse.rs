@@ -55,6 +55,8 @@ pub struct Ellipse {
     pub rms: f64,
     /// Angle that the arc spans around the centre, in radians.
     pub arc: f64,
+    /// Standard deviation of a depth for which the moments were corrected, in metres.
+    pub sigma: f64,
     /// Depths measured `beyond_px` pixels before the first and behind the last pixel, in metres; 0: none.
     pub beyond: [f64; 2],
     /// Origin `(s, t)` of the moments, in metres.
@@ -76,6 +78,7 @@ impl Ellipse {
             && finite(&self.semi_axes)
             && finite(&[self.angle, self.half_width, self.half_depth, self.rms, self.arc])
             && finite(&self.beyond)
+            && self.sigma.is_finite()
             && finite(&self.origin)
             && finite(&self.moments)
     }

@@ -36,6 +36,8 @@ const CREASE: f64 = 7.0;
 const STRAYING: f64 = 2.0;
 /// Number of points whose mean depth tells the variance of each.
 const SURROUNDINGS: usize = 16;
+/// Fewest points of a curve that tells how noisy the sensor is.
+const TELLING: usize = 12;
 /// Fewest points whose error means anything.
 const FIRST_FIT: usize = 5;
 
@@ -86,8 +88,16 @@ impl Default for RayLine {
 }
 
 impl RayLine {
-    /// Reads line `number` of a depth image and splits it at jumps and holes.
-    pub fn read(&mut self, header: &Header, pixels: &[u16], scan: Scan, number: u32, config: &RowEllipseConfig) {
+    /// Reads line `number` of a depth image and splits it at jumps and holes; the sensor's variance is `quiet` times that
+    /// of its model.
+    pub fn read(
+        &mut self,
+        header: &Header,
+        quiet: f64,
+        pixels: &[u16],
+        (scan, number): (Scan, u32),
+        config: &RowEllipseConfig,
+    ) {
         let camera = pinhole(&header.camera);
         (self.scan, self.number, self.plane) = (scan, number, camera.plane(scan, f64::from(number)));
         let (width, line) = (header.camera.width as usize, number as usize);
@@ -96,7 +106,23 @@ impl RayLine {
             Scan::Column => self.gather(header, &camera, pixels[line..].iter().step_by(width)),
         }
         self.split(&header.noise, camera.pixel_pitch(scan), config);
-        self.weigh(&header.noise);
+        self.weigh(&header.noise, quiet, (0.5 * header.depth_scale).powi(2));
+    }
+
+    /// Adds the errors of the lines and circles of this line, in variances of the sensor.
+    pub fn errors(&mut self, config: &RowEllipseConfig, errors: &mut Vec<f64>) {
+        for index in 0..self.runs.len() {
+            let run = self.runs[index].clone();
+            self.sum(run.clone());
+            let (whole, mut from) = (0..run.len(), 0);
+            while run.len() - from >= TELLING {
+                let (length, _) = self.longest(&run, &whole, from, config);
+                let fit = ArcFit::new(&self.moments(from, from + length)).filter(|_| length >= TELLING);
+                let variance = self.variance(&run, from, from + length);
+                errors.extend(fit.map(|fit| fit.line_square.min(fit.circle_square) / variance));
+                from += length;
+            }
+        }
     }
 
     /// Adds the arcs of the line to `ellipses`.
@@ -183,14 +209,15 @@ impl RayLine {
     }
 
     /// The variance of each measurement, at the mean depth of its surroundings: were it taken at the measured depth, it
-    /// would go with the noise and spoil the moments that it is to correct.
-    fn weigh(&mut self, noise: &NoiseModel) {
+    /// would go with the noise and spoil the moments that it is to correct. It is no less than
+    /// what the steps of the depth's unit make.
+    fn weigh(&mut self, noise: &NoiseModel, quiet: f64, least: f64) {
         self.variances.resize(self.depths.len(), 0.0);
         for run in &self.runs {
             let (depths, variances) = (&self.depths[run.clone()], &mut self.variances[run.clone()]);
             for (depths, variances) in depths.chunks(SURROUNDINGS).zip(variances.chunks_mut(SURROUNDINGS)) {
                 let mean = depths.iter().sum::<f64>() / depths.len() as f64;
-                variances.fill(noise.variance(mean));
+                variances.fill((quiet * noise.variance(mean)).max(least));
             }
         }
     }
@@ -349,6 +376,7 @@ impl RayLine {
             first: self.pixels[first],
             last: self.pixels[last],
             points: points.len() as u32,
+            sigma: self.variances[(first + last) / 2].sqrt(),
             beyond_px: beyond,
             unbiased: 1,
             center: self.plane.to_camera(fit.circle.center).into(),

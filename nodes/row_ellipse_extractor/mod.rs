@@ -126,12 +126,17 @@ impl RowEllipseConfig {
     }
 }
 
+/// Every how many rows are looked at to tell how noisy the sensor is.
+const LISTEN_STEP: usize = 8;
+
 /// Finds the ellipses of a depth image.
 #[derive(Debug)]
 pub struct RowEllipseExtractor {
     config: RowEllipseConfig,
     line: ScanLine,
     rays: RayLine,
+    errors: Vec<f64>,
+    quiet: f64,
     ellipses: Vec<Ellipse>,
     rejections: Rejections,
 }
@@ -140,13 +145,22 @@ impl RowEllipseExtractor {
     /// An extractor with these parameters.
     pub fn with(config: RowEllipseConfig) -> Self {
         let (line, rays) = (ScanLine::default(), RayLine::default());
-        Self { config, line, rays, ellipses: Vec::new(), rejections: Rejections::default() }
+        Self {
+            config,
+            line,
+            rays,
+            errors: Vec::new(),
+            quiet: 1.0,
+            ellipses: Vec::new(),
+            rejections: Rejections::default(),
+        }
     }
 
     /// The ellipses of the depth image `pixels` (row by row, `width * height` of them), in the order of the scan lines.
     pub fn extract(&mut self, header: &Header, pixels: &[u16]) -> &[Ellipse] {
         self.ellipses.clear();
         self.rejections = Rejections::default();
+        self.quiet = if self.config.arcs == ArcFinder::Moments { self.listen(header, pixels) } else { 1.0 };
         if self.config.scan != ScanLines::Columns {
             self.scan(header, pixels, Scan::Row);
         }
@@ -161,6 +175,20 @@ impl RowEllipseExtractor {
         self.rejections.iter()
     }
 
+    /// How much of the noise model's variance there is in an image, at most all of it: to correct moments for noise that
+    /// is not there would be as wrong as not to correct them. The errors of lines and circles are free of noise if the
+    /// model is right, and below zero by its excess if it is not.
+    fn listen(&mut self, header: &Header, pixels: &[u16]) -> f64 {
+        self.errors.clear();
+        for line in (0..header.camera.height).step_by(LISTEN_STEP) {
+            self.rays.read(header, 1.0, pixels, (Scan::Row, line), &self.config);
+            self.rays.errors(&self.config, &mut self.errors);
+        }
+        self.errors.sort_unstable_by(f64::total_cmp);
+        let median = self.errors.get(self.errors.len() / 2).copied().unwrap_or_default();
+        (1.0 + median).clamp(0.0, 1.0)
+    }
+
     fn scan(&mut self, header: &Header, pixels: &[u16], scan: Scan) {
         let lines = match scan {
             Scan::Row => header.camera.height,
@@ -173,7 +201,7 @@ impl RowEllipseExtractor {
                     self.ellipses_of_line(header);
                 }
                 ArcFinder::Moments => {
-                    self.rays.read(header, pixels, scan, line, &self.config);
+                    self.rays.read(header, self.quiet, pixels, (scan, line), &self.config);
                     self.rays.arcs(&self.config, &mut self.ellipses, &mut self.rejections);
                 }
             }

@@ -60,7 +60,10 @@ impl Arc {
         let mean = plane.to_camera(moments.mean()?);
         let ray = |pixel: f64| camera.ray_slope(scan, pixel);
         let (first, last, far) = (f64::from(ellipse.first), f64::from(ellipse.last), f64::from(ellipse.beyond_px));
-        let variance = header.noise.variance(mean.z) * plane.stretch().powi(2);
+        let variance = match ellipse.unbiased {
+            0 => header.noise.variance(mean.z),
+            _ => ellipse.sigma * ellipse.sigma,
+        } * plane.stretch().powi(2);
         let line = conicflow_geometry::line_square(&moments);
         Some(Self {
             scan,

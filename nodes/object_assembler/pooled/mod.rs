@@ -9,6 +9,8 @@ mod arcs;
 mod growth;
 mod model;
 mod report;
+#[cfg(test)]
+mod tests;
 mod verify;
 
 use super::AssemblerConfig;

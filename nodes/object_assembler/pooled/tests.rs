@@ -1,0 +1,140 @@
+use super::super::{AssemblerConfig, ObjectAssembler};
+use crate::row_ellipse_extractor::rendered::{Body, KINECT_HALF, render};
+use crate::row_ellipse_extractor::{RowEllipseConfig, RowEllipseExtractor};
+use conicflow_geometry::Vector3;
+use conicflow_messages::{Camera, Item, NoiseModel, Object, ObjectKind};
+
+fn detect(camera: Camera, noise: NoiseModel, bodies: &[Body], seed: u64) -> Vec<Object> {
+    let (header, pixels) = render(camera, noise, bodies, seed);
+    find(&header, &pixels)
+}
+
+fn find(header: &conicflow_messages::Header, pixels: &[u16]) -> Vec<Object> {
+    let mut extractor = RowEllipseExtractor::with(RowEllipseConfig::default());
+    let mut assembler = ObjectAssembler::with(AssemblerConfig::default());
+    let objects = assembler.assemble(header, extractor.extract(header, pixels)).to_vec();
+    assert_eq!(Object::check(header, &objects), Ok(()));
+    objects
+}
+
+fn kinect(bodies: &[Body], seed: u64) -> Vec<Object> {
+    detect(KINECT_HALF, NoiseModel::KINECT_V1, bodies, seed)
+}
+
+fn can(distance: f64) -> Body {
+    Body::Frustum { center: Vector3::new(0.0, 0.0, distance), axis: Vector3::y(), radius: 0.2, slope: 0.0, length: 0.7 }
+}
+
+fn wall(z: f64) -> Body {
+    Body::Plane { normal: Vector3::z(), offset: z }
+}
+
+fn floor(y: f64) -> Body {
+    Body::Plane { normal: Vector3::y(), offset: y }
+}
+
+fn single(objects: &[Object], shape: ObjectKind) -> Object {
+    assert_eq!(objects.len(), 1, "{objects:?}");
+    assert_eq!(objects[0].shape(), shape, "{objects:?}");
+    objects[0]
+}
+
+fn off(object: &Object, point: &Vector3) -> f64 {
+    (Vector3::from(object.center) - point).norm()
+}
+
+#[test]
+fn a_can_keeps_its_radius_at_a_distance() {
+    for (distance, tolerance) in [(1.0, 0.001), (2.0, 0.002), (3.0, 0.006)] {
+        let found = single(&kinect(&[can(distance), wall(4.0)], 1), ObjectKind::Cylinder);
+        assert!((found.radius - 0.2).abs() < tolerance, "{} at {distance} m", found.radius);
+        assert!(Vector3::from(found.axis).y.abs() > 0.999 && off(&found, &Vector3::new(0.0, 0.0, distance)) < 0.02);
+        assert!((found.radius - 0.2).abs() < 5.0 * found.sigma.radius, "{found:?}");
+    }
+}
+
+#[test]
+fn half_a_can_is_enough() {
+    let board = Body::Block { center: Vector3::new(0.2, 0.0, 1.2), size: Vector3::new(0.4, 1.2, 0.02), turn: 0.0 };
+    let found = single(&kinect(&[can(1.6), board, wall(3.0)], 2), ObjectKind::Cylinder);
+    assert!((found.radius - 0.2).abs() < 0.006 && found.arc < 1.6, "{found:?}");
+}
+
+#[test]
+fn boxes_floor_and_wall_are_nothing() {
+    for seed in 0..6 {
+        let turn = 0.3 + 0.2 * seed as f64;
+        let near = Body::Block { center: Vector3::new(-0.3, 0.3, 1.6), size: Vector3::new(0.3, 0.6, 0.3), turn };
+        let far = Body::Block { center: Vector3::new(0.6, 0.2, 2.6), size: Vector3::new(0.4, 0.8, 0.5), turn: -turn };
+        assert_eq!(kinect(&[near, far, floor(0.6), wall(3.5)], seed), []);
+    }
+}
+
+#[test]
+fn a_sphere_and_cones_of_either_sense_are_told_apart() {
+    let center = Vector3::new(0.1, 0.0, 1.5);
+    let ball = single(&kinect(&[Body::Sphere { center, radius: 0.15 }], 3), ObjectKind::Sphere);
+    assert!((ball.radius - 0.15).abs() < 0.0015 && off(&ball, &center) < 0.003, "{ball:?}");
+    for slope in [0.25_f64, -0.2] {
+        let cone = Body::Frustum { center, axis: Vector3::y(), radius: 0.12, slope, length: 0.4 };
+        let found = single(&kinect(&[cone], 4), ObjectKind::Cone);
+        assert!((found.half_angle - slope.abs().atan()).to_degrees().abs() < 1.0, "{found:?}");
+        assert!(found.axis[1] * slope > 0.0 && found.base_radius > found.top_radius, "{found:?}");
+        let apex = center - Vector3::y() * (0.12 / slope);
+        assert!((Vector3::from(found.apex) - apex).norm() < 0.03, "{found:?}");
+    }
+}
+
+#[test]
+fn a_ball_on_a_can_is_cut_off_from_it() {
+    let axis = Vector3::y();
+    let can = Body::Frustum { center: Vector3::new(0.0, 0.25, 1.4), axis, radius: 0.1, slope: 0.0, length: 0.3 };
+    let ball = Body::Sphere { center: Vector3::new(0.0, -0.02, 1.4), radius: 0.12 };
+    let mut objects = kinect(&[can, ball, floor(0.4), wall(3.0)], 7);
+    objects.sort_by_key(|object| object.kind);
+    let shapes: Vec<_> = objects.iter().map(Object::shape).collect();
+    assert_eq!(shapes, [ObjectKind::Sphere, ObjectKind::Cylinder], "{objects:?}");
+    assert!((objects[0].radius - 0.12).abs() < 0.001 && (objects[1].radius - 0.1).abs() < 0.001, "{objects:?}");
+}
+
+#[test]
+fn what_lies_across_is_found_in_columns_and_reported_once() {
+    let center = Vector3::new(0.0, 0.1, 1.5);
+    for axis in [Vector3::x(), Vector3::new(0.8, 0.6, 0.0), Vector3::new(0.6, 0.7, -0.4).normalize()] {
+        let pipe = Body::Frustum { center, axis, radius: 0.08, slope: 0.0, length: 0.6 };
+        let found = single(&kinect(&[pipe, wall(3.0)], 8), ObjectKind::Cylinder);
+        assert!((found.radius - 0.08).abs() < 0.001, "{found:?}");
+        assert!(Vector3::from(found.axis).cross(&axis).norm() < 0.02, "{found:?}");
+    }
+}
+
+#[test]
+fn the_inside_of_a_bowl_is_nothing() {
+    let bowl = Body::Sphere { center: Vector3::new(0.0, 0.0, 0.2), radius: 0.5 };
+    assert_eq!(kinect(&[bowl], 9), []);
+}
+
+#[test]
+fn a_sensor_quieter_than_its_model_is_no_worse() {
+    let center = Vector3::new(0.02, 0.01, 0.8);
+    let camera = Camera { width: 160, height: 120, fx: 150.0, fy: 150.0, cx: 79.5, cy: 59.5 };
+    let ball = Body::Sphere { center, radius: 0.1 };
+    let (mut header, pixels) = render(camera, NoiseModel::IDEAL, &[ball], 12);
+    header.noise = NoiseModel::KINECT_V1;
+    let found = single(&find(&header, &pixels), ObjectKind::Sphere);
+    assert!((found.radius - 0.1).abs() < 1e-3 && off(&found, &center) < 2e-3, "{found:?}");
+}
+
+#[test]
+fn sigmas_are_about_as_large_as_the_errors() {
+    let found: Vec<_> = (0..24).map(|seed| single(&kinect(&[can(1.7)], 100 + seed), ObjectKind::Cylinder)).collect();
+    let scatter = |error: &dyn Fn(&Object) -> f64| {
+        (found.iter().map(|object| error(object).powi(2)).sum::<f64>() / found.len() as f64).sqrt()
+    };
+    let radius = scatter(&|object| (object.radius - 0.2) / object.sigma.radius);
+    let axis = scatter(&|object| Vector3::from(object.axis).cross(&Vector3::y()).norm() / object.sigma.axis);
+    let side = scatter(&|object| object.center[0] / object.sigma.center[0][0].sqrt());
+    for ratio in [radius, axis, side] {
+        assert!((0.5..2.0).contains(&ratio), "errors over sigmas: {radius}, {axis}, {side}");
+    }
+}
