@@ -19,6 +19,8 @@ pub(crate) enum Body {
     Sphere { center: Vector3, radius: f64 },
     /// A frustum: `center` in the middle, radius `radius + slope h` at the axial distance h from it; no lids.
     Frustum { center: Vector3, axis: Vector3, radius: f64, slope: f64, length: f64 },
+    /// A box with its faces turned by `turn` (radians) about the vertical.
+    Block { center: Vector3, size: Vector3, turn: f64 },
 }
 
 impl Body {
@@ -39,6 +41,11 @@ impl Body {
                 base_radius: radius - slope * length / 2.0,
                 top_radius: radius + slope * length / 2.0,
                 open: true,
+            }),
+            Self::Block { center, size, turn } => Shape::Block(shapes::Block {
+                center,
+                axes: nalgebra::Rotation3::from_axis_angle(&Vector3::y_axis(), turn).into_inner(),
+                half: size / 2.0,
             }),
         }
     }

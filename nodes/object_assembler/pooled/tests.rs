@@ -1,6 +1,8 @@
-use super::super::{AssemblerConfig, ObjectAssembler};
+//! Tests of the pooled method, on rendered frames.
+
+use super::super::{AssemblerConfig, Method, ObjectAssembler};
 use crate::row_ellipse_extractor::rendered::{Body, KINECT_HALF, render};
-use crate::row_ellipse_extractor::{RowEllipseConfig, RowEllipseExtractor};
+use crate::row_ellipse_extractor::{ArcFinder, RowEllipseConfig, RowEllipseExtractor, ScanLines};
 use conicflow_geometry::Vector3;
 use conicflow_messages::{Camera, Item, NoiseModel, Object, ObjectKind};
 
@@ -10,8 +12,9 @@ fn detect(camera: Camera, noise: NoiseModel, bodies: &[Body], seed: u64) -> Vec<
 }
 
 fn find(header: &conicflow_messages::Header, pixels: &[u16]) -> Vec<Object> {
-    let mut extractor = RowEllipseExtractor::with(RowEllipseConfig::default());
-    let mut assembler = ObjectAssembler::with(AssemblerConfig::default());
+    let arcs = RowEllipseConfig { arcs: ArcFinder::Moments, scan: ScanLines::Both, ..RowEllipseConfig::default() };
+    let mut extractor = RowEllipseExtractor::with(arcs);
+    let mut assembler = ObjectAssembler::with(AssemblerConfig { method: Method::Pooled, ..AssemblerConfig::default() });
     let objects = assembler.assemble(header, extractor.extract(header, pixels)).to_vec();
     assert_eq!(Object::check(header, &objects), Ok(()));
     objects
