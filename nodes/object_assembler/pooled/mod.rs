@@ -24,6 +24,10 @@ use verify::Measured;
 const AS_MANY: f64 = 0.9;
 /// Standard deviations by which the slope of a cone has to differ from zero.
 const SLOPE_SIGMAS: f64 = 3.0;
+/// Half-angle below which a cone is slender, in radians (7 degrees) ...
+const SLENDER: f64 = 0.122;
+/// ... and has to take this part of the variance off the residual that a cylinder leaves.
+const NOTABLE: f64 = 0.03;
 /// Most seeds that are tried in one image.
 const MAX_TRIES: usize = 96;
 
@@ -159,9 +163,16 @@ fn is_cone(object: &Object, config: &AssemblerConfig) -> bool {
     object.half_angle > config.min_cone_deg.to_radians() && object.half_angle > SLOPE_SIGMAS * object.sigma.half_angle
 }
 
-/// A cone that is surely one, or the cylinder where that explains more.
+/// Of a cylinder and a cone that explain about the same points the cone where it is surely one: a blunt one by its
+/// half-angle; a slender one, which a tilted cylinder resembles, only where it also explains the points notably better.
 fn sharper(cylinder: Candidate, cone: Candidate) -> Candidate {
-    if cone.measured.points < AS_MANY * cylinder.measured.points { cylinder } else { cone }
+    let gain = cylinder.measured.misfit - cone.measured.misfit;
+    let is_slender = cone.object.half_angle < SLENDER;
+    if cone.measured.points < AS_MANY * cylinder.measured.points || (is_slender && gain < NOTABLE) {
+        cylinder
+    } else {
+        cone
+    }
 }
 
 fn rounder(sphere: Candidate, axial: Candidate) -> Candidate {
