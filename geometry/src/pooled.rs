@@ -5,7 +5,7 @@
 //! the damping holds, and below zero is as good as zero.
 
 use crate::space::dot;
-use crate::{Coefficients, QuadricMoments, Surface, Vector3};
+use crate::{Coefficients, Contour, ContourTerm, QuadricMoments, Surface, Vector3};
 use nalgebra::{SMatrix, SVector};
 
 /// Most steps of a fit.
@@ -20,6 +20,8 @@ pub struct SurfaceFit<S, const N: usize> {
     pub surface: S,
     /// Sum of the squared distances, each times the weight of its point.
     pub square_sum: f64,
+    /// The same of the contour.
+    pub contour_sum: f64,
     /// Inverse of the Gauss-Newton matrix: the covariance of the parameters, were the distances of the points
     /// independent and of a variance of one over their weights.
     pub inverse: SMatrix<f64, N, N>,
@@ -29,8 +31,18 @@ pub struct SurfaceFit<S, const N: usize> {
 
 /// Fits a surface of which `start` is a guess; `None` where the points do not determine one near it.
 pub fn fit_surface<S: Surface<N>, const N: usize>(moments: &QuadricMoments, start: &S) -> Option<SurfaceFit<S, N>> {
+    fit_with_contour(moments, None, start)
+}
+
+/// The same, to the points and to the contour that the surface shows; `square_sum` stays that of the points alone, which
+/// have to be pooled with the weights of one over their variance.
+pub fn fit_with_contour<S: Surface<N>, const N: usize>(
+    moments: &QuadricMoments,
+    contour: Option<&Contour>,
+    start: &S,
+) -> Option<SurfaceFit<S, N>> {
     let mut surface = start.to_local(&moments.origin, moments.scale).moved(&[0.0; N])?;
-    let mut system = System::new(moments, &surface);
+    let mut system = System::new(moments, contour, &surface);
     let (mut damping, mut converged) = (1e-3, false);
     for _ in 0..STEPS {
         let Some(step) = system.step(damping) else {
@@ -38,11 +50,10 @@ pub fn fit_surface<S: Surface<N>, const N: usize>(moments: &QuadricMoments, star
             continue;
         };
         let length = step.iter().map(|x| x * x).sum::<f64>().sqrt();
-        let next = surface.moved(&step).map(|next| (next, moments.times(&next.coefficients())));
-        match next.filter(|(next, mq)| dot(&next.coefficients(), mq) <= system.square_sum) {
-            Some((next, _)) => {
-                surface = next;
-                system = System::new(moments, &surface);
+        let next = surface.moved(&step).map(|next| (next, System::new(moments, contour, &next)));
+        match next.filter(|(_, next)| next.sum() <= system.sum()) {
+            Some(next) => {
+                (surface, system) = next;
                 damping *= 0.1;
                 converged = length < SHORT;
             }
@@ -56,7 +67,8 @@ pub fn fit_surface<S: Surface<N>, const N: usize>(moments: &QuadricMoments, star
     let square_sum = system.square_sum * moments.scale * moments.scale;
     let inverse = system.inverse(moments.scale, &S::lengths())?;
     let surface = surface.to_camera(&moments.origin, moments.scale);
-    square_sum.is_finite().then_some(SurfaceFit { surface, square_sum, inverse, converged })
+    let contour_sum = system.contour_sum * moments.scale * moments.scale;
+    square_sum.is_finite().then_some(SurfaceFit { surface, square_sum, contour_sum, inverse, converged })
 }
 
 /// Scatter of a fit's gradient, from points that stand for all.
@@ -85,9 +97,35 @@ impl<const N: usize> GradientNoise<N> {
         self.matrix += j * j.transpose() * (weight * slope * slope);
     }
 
+    /// Adds the contour that was fitted with the points.
+    pub fn add_contour<S: Surface<N>>(&mut self, contour: &Contour, surface: &S) {
+        self.matrix += contour.term(surface, &Vector3::zeros(), 1.0).matrix;
+    }
+
     /// Covariance of the parameters of a fit.
     pub fn covariance<S>(&self, fit: &SurfaceFit<S, N>) -> SMatrix<f64, N, N> {
         fit.inverse * self.matrix * fit.inverse
+    }
+}
+
+/// How well a fit tells where its surface is, away from the points that it was fitted to.
+#[derive(Clone, Copy, Debug)]
+pub struct Prediction<const N: usize> {
+    derivatives: [Coefficients; N],
+    inverse: SMatrix<f64, N, N>,
+}
+
+impl<const N: usize> Prediction<N> {
+    /// The prediction of a fit whose points were pooled with the weights of one over their variance.
+    pub fn new<S: Surface<N>>(fit: &SurfaceFit<S, N>) -> Self {
+        Self { derivatives: fit.surface.derivatives(), inverse: fit.inverse }
+    }
+
+    /// Variance of the distance of `point` from the surface that the uncertainty of the fit makes, in square metres.
+    pub fn variance(&self, point: &Vector3) -> f64 {
+        let m = monomials(point);
+        let j = SVector::<f64, N>::from_fn(|i, _| dot(&self.derivatives[i], &m));
+        j.dot(&(self.inverse * j)).max(0.0)
     }
 }
 
@@ -108,12 +146,13 @@ pub fn gradient(q: &Coefficients, p: &Vector3) -> Vector3 {
 /// The normal equations at one surface, in the frame of the fit.
 struct System<const N: usize> {
     square_sum: f64,
+    contour_sum: f64,
     gradient: SVector<f64, N>,
     matrix: SMatrix<f64, N, N>,
 }
 
 impl<const N: usize> System<N> {
-    fn new<S: Surface<N>>(moments: &QuadricMoments, surface: &S) -> Self {
+    fn new<S: Surface<N>>(moments: &QuadricMoments, contour: Option<&Contour>, surface: &S) -> Self {
         let (q, derivatives) = (surface.coefficients(), surface.derivatives());
         let products: [Coefficients; N] = std::array::from_fn(|i| moments.times(&derivatives[i]));
         let mut matrix = SMatrix::<f64, N, N>::zeros();
@@ -124,7 +163,21 @@ impl<const N: usize> System<N> {
             }
         }
         let gradient = SVector::from_fn(|i, _| dot(&products[i], &q));
-        Self { square_sum: dot(&moments.times(&q), &q), gradient, matrix }
+        let mut system = Self { square_sum: dot(&moments.times(&q), &q), contour_sum: 0.0, gradient, matrix };
+        if let Some(contour) = contour {
+            system.add(&contour.term(surface, &moments.origin, moments.scale), 1.0 / (moments.scale * moments.scale));
+        }
+        system
+    }
+
+    fn add(&mut self, term: &ContourTerm<N>, factor: f64) {
+        self.contour_sum += factor * term.square_sum;
+        self.gradient += term.gradient * factor;
+        self.matrix += term.matrix * factor;
+    }
+
+    fn sum(&self) -> f64 {
+        self.square_sum + self.contour_sum
     }
 
     /// The step that solves the damped equations; `None` where they are not positive definite.

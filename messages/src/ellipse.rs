@@ -59,6 +59,9 @@ pub struct Ellipse {
     pub sigma: f64,
     /// Depths measured `beyond_px` pixels before the first and behind the last pixel, in metres; 0: none.
     pub beyond: [f64; 2],
+    /// Where along the line the surface ends on either side before something farther behind it, in pixels, between its
+    /// last pixel and the next that was measured; 0: what ends it is nearer, adjoins it or is not seen.
+    pub contour: [f64; 2],
     /// Origin `(s, t)` of the moments, in metres.
     pub origin: [f64; 2],
     /// Moments `sum (s - s0)^p (t - t0)^q` of the points, by degree, then by falling p:
@@ -78,6 +81,7 @@ impl Ellipse {
             && finite(&self.semi_axes)
             && finite(&[self.angle, self.half_width, self.half_depth, self.rms, self.arc])
             && finite(&self.beyond)
+            && finite(&self.contour)
             && self.sigma.is_finite()
             && finite(&self.origin)
             && finite(&self.moments)
@@ -86,7 +90,7 @@ impl Ellipse {
 
 impl Item for Ellipse {
     const KIND: Kind = Kind::Ellipses;
-    const TYPE_NAME: &'static str = "conicflow.Ellipse.v2";
+    const TYPE_NAME: &'static str = "conicflow.Ellipse.v3";
 
     fn check(header: &Header, items: &[Self]) -> Result<(), Malformed> {
         let (width, height) = (header.camera.width, header.camera.height);

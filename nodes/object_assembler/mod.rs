@@ -21,6 +21,8 @@ mod verify;
 use chains::Chains;
 use conicflow_dataflow::{Config, ConfigFault, Context, Output, Sides, Stage, StageError};
 use conicflow_messages::{Ellipse, Header, Message, NoiseModel, Object};
+pub use pooled::PooledConfig;
+
 use pooled::Pooled;
 use schemars::JsonSchema;
 use sections::Section;
@@ -100,15 +102,6 @@ pub struct AssemblerConfig {
     /// Residual of a cone, as a part of the cylinder's or sphere's, below which it is called a cone.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub cone_gain: f64,
-    /// `pooled`: half-angle from which on something is a cone and not a cylinder, in degrees.
-    #[schemars(range(min = 0.0, max = 45.0))]
-    pub min_cone_deg: f64,
-    /// `pooled`: smallest visible part of the circumference, in degrees.
-    #[schemars(range(min = 0.0, max = 180.0))]
-    pub min_visible_arc_deg: f64,
-    /// `pooled`: fewest scan lines of an object.
-    #[schemars(range(min = 5, max = 1000))]
-    pub min_lines: u32,
     /// Fewest scan lines of an object.
     #[schemars(range(min = 3, max = 1000))]
     pub min_rows: u32,
@@ -134,6 +127,8 @@ pub struct AssemblerConfig {
     /// sensor: a flatter one may be a plane.
     #[schemars(range(min = 0.0, max = 20.0))]
     pub min_bulge_sigmas: f64,
+    /// Parameters of `method = "pooled"`; those above, `method` and half-angles aside, are about `profile`.
+    pub pooled: PooledConfig,
     /// Limits on the radius of a sphere.
     pub sphere: RadiusLimits,
     /// Limits on the radius of a cylinder.
@@ -157,9 +152,6 @@ impl Default for AssemblerConfig {
             min_half_angle_deg: 5.0,
             max_half_angle_deg: 30.0,
             cone_gain: 0.8,
-            min_cone_deg: 3.0,
-            min_visible_arc_deg: 30.0,
-            min_lines: 8,
             min_rows: 12,
             min_coverage: 0.6,
             min_length_radii: 0.4,
@@ -168,6 +160,7 @@ impl Default for AssemblerConfig {
             max_rms_sigmas: 1.3,
             max_rms_radii: 0.02,
             min_bulge_sigmas: 2.2,
+            pooled: PooledConfig::default(),
             sphere: limits,
             cylinder: limits,
             cone: limits,

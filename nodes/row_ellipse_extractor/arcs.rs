@@ -9,7 +9,7 @@
 use super::RowEllipseConfig;
 use super::filter::{Rejection, Rejections};
 use super::pinhole;
-use conicflow_geometry::{ArcFit, Pinhole, PlaneMoments, RaySums, Scan, ScanPlane, line_square};
+use conicflow_geometry::{ArcFit, Circle, Pinhole, PlaneMoments, RaySums, Scan, ScanPlane, line_square};
 use conicflow_messages::{Ellipse, Header, NoiseModel, is_measured};
 use std::ops::Range;
 
@@ -18,10 +18,8 @@ const SCATTER: f64 = 2.5;
 /// The limit's `b`: part of the variance that the noise model may be wrong by.
 const SLACK: f64 = 0.3;
 /// Significance that the error of a line has to exceed that of the circle by, in standard deviations, where the arc is
-/// a part of a run ...
+/// a part of a run.
 const CURVED: f64 = 3.0;
-/// ... and where it is all of a run, set off by jumps: many weak ones of neighbouring lines make a strong one.
-const HARDLY_CURVED: f64 = 0.0;
 /// Slope of a surface (depth per distance across the view) that neighbouring pixels may show ...
 const JUMP_SLOPE: f64 = 3.0;
 /// ... and those on the two sides of a hole;
@@ -38,6 +36,10 @@ const STRAYING: f64 = 2.0;
 const SURROUNDINGS: usize = 16;
 /// Fewest points of a curve that tells how noisy the sensor is.
 const TELLING: usize = 12;
+/// Most pixels between a contour and what is seen behind it that count: a wider gap is the shadow of the sensor.
+const MAX_GAP: f64 = 3.0;
+/// Fewest points of an arc that goes on although it is not curved, because it is set off by jumps.
+const SET_OFF: usize = 8;
 /// Fewest points whose error means anything.
 const FIRST_FIT: usize = 5;
 
@@ -309,16 +311,25 @@ impl RayLine {
         let mean = moments.mean().ok_or(Rejection::NoEllipse)?;
         let scatter = self.variance(run, from, to) * (2.0 / (to - from) as f64).sqrt();
         let is_whole = [interval.from, interval.to] == interval.part;
-        let curved = if is_whole { HARDLY_CURVED } else { CURVED };
-        if !fit.circle.radius.is_finite() || fit.line_square - fit.circle_square.max(0.0) < curved * scatter {
+        let limits = config.min_radius_m..4.0 * config.max_radius_m;
+        let is_line = fit.line_square - fit.circle_square.max(0.0) < if is_whole { 0.0 } else { CURVED * scatter };
+        let fit = if is_line || !fit.circle.radius.is_finite() {
             Err(Rejection::Line)
         } else if fit.circle.center[1] <= mean[1] {
             Err(Rejection::Concave)
-        } else if !(config.min_radius_m..4.0 * config.max_radius_m).contains(&fit.circle.radius) {
+        } else if !limits.contains(&fit.circle.radius) {
             Err(Rejection::Radius)
         } else {
-            Ok(self.message(run.start + from..run.start + to, &fit, &moments.about(mean), config))
-        }
+            Ok(fit)
+        };
+        let contour = self.contour(run, [interval.from == 0, interval.to == run.len()]);
+        let may_be_part = is_whole && to - from >= SET_OFF && contour != [0.0; 2];
+        let may_be_part = may_be_part && self.width(run) < 2.0 * config.max_radius_m;
+        let fit =
+            fit.or_else(|why| if may_be_part { Ok(nearly_flat(&moments, mean, limits.end)) } else { Err(why) })?;
+        let mut ellipse = self.message(run.start + from..run.start + to, &fit, &moments.about(mean), config);
+        ellipse.contour = contour;
+        Ok(ellipse)
     }
 
     /// What is left of an interval when the ends that may belong to something else are taken off: pixels at a jump mix
@@ -393,12 +404,35 @@ impl RayLine {
         }
     }
 
+    /// Where a run ends before something farther behind it, on the sides on which it `ends`.
+    fn contour(&self, run: &Range<usize>, ends: [bool; 2]) -> [f64; 2] {
+        let [first, last] = [run.start, run.end - 1].map(|i| (self.pixels[i], self.depths[i]));
+        let next = |neighbor: Option<usize>, (pixel, z): (u32, f64), ends: bool| {
+            let other = neighbor.filter(|_| ends)?;
+            let (there, behind) = (self.pixels.get(other)?, self.depths.get(other)?);
+            let away = f64::from(*there) - f64::from(pixel);
+            (*behind > z).then(|| f64::from(pixel) + 0.5 * away.clamp(-MAX_GAP, MAX_GAP))
+        };
+        let before = next(run.start.checked_sub(1), first, ends[0]);
+        let after = next(Some(run.end), last, ends[1]);
+        [before.unwrap_or(0.0), after.unwrap_or(0.0)]
+    }
+
     /// The depth `distance` pixels from `pixel`, or else a little farther; 0 where there is none.
     fn depth_near(&self, pixel: u32, distance: u32, side: i64) -> f64 {
         let at = |more: i64| usize::try_from(i64::from(pixel) + side * (i64::from(distance) + more)).ok();
         let depth = |more: i64| at(more).and_then(|index| self.all.get(index)).copied().filter(|z| *z > 0.0);
         depth(0).or_else(|| depth(1)).or_else(|| depth(2)).unwrap_or(0.0)
     }
+}
+
+/// A circle as flat as any may be that touches the points: an arc of noisy points that is set off by jumps may be part of
+/// an object even where the noise bends it the wrong way.
+fn nearly_flat(moments: &PlaneMoments, mean: [f64; 2], radius: f64) -> ArcFit {
+    let away = 1.0 / mean[0].hypot(mean[1]);
+    let circle = Circle { center: mean.map(|x| x * (1.0 + radius * away)), radius };
+    let line_square = line_square(moments);
+    ArcFit { line_square, circle_square: line_square, circle }
 }
 
 /// Largest mean square error that the noise accounts for.

@@ -1,7 +1,7 @@
 //! The arcs of a message, ready for pooling, and which of them lie beside each other.
 
 use conicflow_geometry::{
-    Coefficients, Conic, Pinhole, PlaneMoments, Scan, ScanPlane, SpaceMoments, Vector3, section_of,
+    Coefficients, Conic, ContourPoint, Pinhole, PlaneMoments, Scan, ScanPlane, SpaceMoments, Vector3, section_of,
 };
 use conicflow_messages::{self as messages, Ellipse, Header};
 use std::ops::Range;
@@ -32,6 +32,8 @@ pub(super) struct Arc {
     pub beyond_rays: [f64; 2],
     /// ... and the depths that were measured there, 0 for none.
     pub beyond: [f64; 2],
+    /// Where the surface ends before something farther, on either side.
+    pub contour: [Option<ContourPoint>; 2],
     /// Distance between this and the next scan line.
     pub spacing: f64,
     /// How much better the circle is than a line, in points times variances.
@@ -80,6 +82,7 @@ impl Arc {
             rays: [ray(first), ray(last)],
             beyond_rays: [ray(first - far), ray(last + far)],
             beyond: ellipse.beyond,
+            contour: contour(&camera, &plane, &ellipse.contour),
             spacing: mean.z * camera.line_pitch(scan),
             bulge: (line - ellipse.rms * ellipse.rms) * moments.count() / variance.max(1e-8),
         })
@@ -125,6 +128,17 @@ impl Arc {
     }
 }
 
+fn contour(camera: &Pinhole, plane: &ScanPlane, pixels: &[f64; 2]) -> [Option<ContourPoint>; 2] {
+    let scan = plane.scan();
+    let ray = |pixel: f64| plane.to_camera([camera.ray_slope(scan, pixel), plane.stretch()]);
+    let first_side = if scan == Scan::Row { 0 } else { 2 };
+    [0, 1].map(|end| {
+        let point =
+            ContourPoint { ray: ray(pixels[end]), pixel: ray(1.0) - ray(0.0), side: first_side + end, radius_px: 0.0 };
+        (pixels[end] > 0.0).then_some(point)
+    })
+}
+
 /// The arcs of one image in the order of scan, line and pixel; the buffers are used again for the next.
 #[derive(Debug, Default)]
 pub(super) struct Arcs {
@@ -149,6 +163,16 @@ impl Arcs {
                 starts.push(next);
             }
         }
+    }
+
+    /// The arcs of some indices.
+    pub fn of<'a>(&'a self, indices: &'a [usize]) -> impl Iterator<Item = &'a Arc> + Clone {
+        indices.iter().map(|&index| &self.arcs[index])
+    }
+
+    /// From the first to the last pixel of some arcs.
+    pub fn span(&self, indices: &[usize]) -> Option<[i64; 2]> {
+        self.of(indices).map(|arc| arc.pixels).reduce(|[a, b], [c, d]| [a.min(c), b.max(d)])
     }
 
     /// Indices of the arcs of a line.

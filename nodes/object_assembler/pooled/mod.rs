@@ -1,11 +1,14 @@
 //! Objects by pooled moments (`method = "pooled"`): no ellipse has to be right on its own.
 //!
 //! The arcs of an image ([`arcs`]) carry the moments of their points. From the most curved arc on, models of each shape
-//! grow over the lines as long as they explain the moments ([`growth`], [`model`]); each is verified as a whole
-//! ([`verify`]), the one that explains most with the fewest parameters is reported ([`report`]), and its arcs are taken
-//! out before the next seed is tried.
+//! grow over the lines as long as they explain the moments ([`growth`], [`model`]); what has grown is fitted together
+//! with the contour that it shows, verified as a whole ([`verify`]), and of the shapes that pass the one is reported
+//! ([`report`]) that explains most with the fewest parameters ([`choice`]). Its arcs are taken out before the next seed
+//! is tried.
 
 mod arcs;
+mod choice;
+mod config;
 mod growth;
 mod model;
 mod report;
@@ -13,23 +16,20 @@ mod report;
 mod tests;
 mod verify;
 
+pub use config::PooledConfig;
+
 use super::AssemblerConfig;
 use super::verify::{Rejection, Rejections};
-use arcs::Arcs;
+use arcs::{Arc, Arcs};
+use conicflow_geometry::Contour;
 use conicflow_messages::{Ellipse, Header, Object, ObjectKind};
-use growth::Grown;
+use model::Model;
 use verify::Measured;
 
-/// Two models that explain about as many points: the smaller explains at least this part of the larger's.
-const AS_MANY: f64 = 0.9;
-/// Standard deviations by which the slope of a cone has to differ from zero.
-const SLOPE_SIGMAS: f64 = 3.0;
-/// Half-angle below which a cone is slender, in radians (7 degrees) ...
-const SLENDER: f64 = 0.122;
-/// ... and has to take this part of the variance off the residual that a cylinder leaves.
-const NOTABLE: f64 = 0.03;
 /// Most seeds that are tried in one image.
 const MAX_TRIES: usize = 96;
+/// Fits to the contour, each with the points that are near the contour of the last.
+const CONTOUR_PASSES: usize = 2;
 
 /// Finds objects in the arcs of an image; its buffers are used again for the next.
 #[derive(Debug, Default)]
@@ -38,12 +38,31 @@ pub(super) struct Pooled {
     order: Vec<usize>,
     taken: Vec<bool>,
     tried: Vec<bool>,
+    growing: Growing,
+}
+
+/// Buffers of a growth.
+#[derive(Debug, Default)]
+struct Growing {
     chain: Vec<usize>,
+    spare: Vec<usize>,
+    /// The members of each shape.
+    members: [Vec<usize>; ObjectKind::ALL.len()],
+    contour: Contour,
+}
+
+/// A model and the arcs that it explains, in the order of the lines.
+#[derive(Clone, Copy, Debug)]
+struct Grown<'a> {
+    arcs: &'a Arcs,
+    model: Model,
+    members: &'a [usize],
 }
 
 /// A verified candidate.
-struct Candidate {
-    grown: Grown,
+#[derive(Clone, Copy, Debug)]
+struct Candidate<'a> {
+    grown: Grown<'a>,
     measured: Measured,
     object: Object,
 }
@@ -61,14 +80,13 @@ impl Pooled {
         let arcs = &self.arcs.arcs;
         self.order.clear();
         self.order.extend(0..arcs.len());
-        self.order.sort_by(|&a, &b| arcs[b].bulge.total_cmp(&arcs[a].bulge).then(a.cmp(&b)));
+        self.order.sort_unstable_by(|&a, &b| arcs[b].bulge.total_cmp(&arcs[a].bulge).then(a.cmp(&b)));
         for flags in [&mut self.taken, &mut self.tried] {
             flags.clear();
             flags.resize(arcs.len(), false);
         }
         let mut tries = 0;
-        for place in 0..self.order.len() {
-            let seed = self.order[place];
+        for &seed in &self.order {
             if self.taken[seed] || self.tried[seed] {
                 continue;
             }
@@ -76,113 +94,109 @@ impl Pooled {
                 break;
             }
             tries += 1;
-            match self.candidate(seed, config, rejections) {
+            match self.growing.candidate(&self.arcs, &self.taken, seed, config, rejections) {
                 Some(candidate) => {
-                    self.take(&candidate);
+                    take(&candidate, &mut self.taken);
                     objects.push(candidate.object);
                 }
-                None => self.chain.iter().for_each(|&arc| self.tried[arc] = true),
+                None => self.growing.chain.iter().for_each(|&arc| self.tried[arc] = true),
             }
         }
     }
+}
 
+impl Growing {
     /// The object around a seed, if there is one.
-    fn candidate(&mut self, seed: usize, config: &AssemblerConfig, rejections: &mut Rejections) -> Option<Candidate> {
-        let taken = &self.taken;
+    fn candidate<'a>(
+        &'a mut self,
+        arcs: &'a Arcs,
+        taken: &[bool],
+        seed: usize,
+        config: &AssemblerConfig,
+        rejections: &mut Rejections,
+    ) -> Option<Candidate<'a>> {
         let free = |index: usize| !taken[index];
-        let gap = i64::from(config.max_gap_lines);
-        growth::chain(&self.arcs, seed, gap, free, &mut self.chain);
-        if !growth::is_curved(&self.arcs, &self.chain) {
+        let gap = i64::from(config.pooled.max_gap_lines);
+        growth::chain(arcs, seed, gap, free, &mut self.chain);
+        if !growth::is_curved(arcs, &self.chain) {
             rejections.count(Rejection::Flat);
             return None;
         }
-        let mut found = ObjectKind::ALL.map(|_| None);
+        let models = self.models(arcs, gap, free);
+        let Self { members, contour, .. } = self;
         let mut reason = None;
-        let mut start = self.chain.clone();
-        for (slot, kind) in found.iter_mut().zip(ObjectKind::ALL) {
-            let Some(grown) = growth::grow(&self.arcs, kind, &start, gap, free) else { continue };
-            // A slope needs many lines: a cone starts from what a cylinder took for one.
-            if kind == ObjectKind::Cylinder && grown.members.len() > start.len() {
-                start.clone_from(&grown.members);
-            }
-            match candidate(&self.arcs, grown, config) {
-                Ok(candidate) => *slot = Some(candidate),
-                Err(why) => reason = Some(why),
-            }
-        }
-        let best = choose(found, config);
+        let found = std::array::from_fn(|kind| {
+            let grown = Grown { arcs, model: models[kind]?, members: &members[kind] };
+            candidate(grown, config, contour).map_err(|why| reason = Some(why)).ok()
+        });
+        let best = choice::choose(found, config, contour);
         if best.is_none() {
             rejections.count(reason.unwrap_or(Rejection::Degenerate));
         }
         best
     }
 
-    /// Takes the arcs of an object, and all others that its surface explains, from what is left.
-    fn take(&mut self, candidate: &Candidate) {
-        let (model, measured) = (&candidate.grown.model, &candidate.measured);
-        candidate.grown.members.iter().for_each(|&member| self.taken[member] = true);
-        let q = model.coefficients();
-        let center = verify::middle(&candidate.grown, measured);
-        let reach = 0.5 * (measured.extent[1] - measured.extent[0]) + 1.5 * candidate.object.radius;
-        for (taken, arc) in self.taken.iter_mut().zip(&self.arcs.arcs) {
-            if !*taken && (arc.mean - center).norm() < reach {
-                let misfit = model.misfit(&q, arc);
-                *taken = misfit.is_some_and(|misfit| misfit.square.max(misfit.mean.powi(2)) < 4.0 * arc.variance);
-            }
+    /// The model of each shape that grows from the chain. A slope needs many lines: a cone starts from what a cylinder
+    /// took for one.
+    fn models(&mut self, arcs: &Arcs, gap: i64, free: impl Fn(usize) -> bool + Copy) -> [Option<Model>; 3] {
+        let Self { chain, spare, members: [balls, cans, cones], .. } = self;
+        let mut grow = |kind, start: &[usize], members: &mut Vec<usize>| {
+            growth::grow(arcs, kind, start, gap, free, members, spare)
+        };
+        let sphere = grow(ObjectKind::Sphere, chain, balls);
+        let cylinder = grow(ObjectKind::Cylinder, chain, cans);
+        let start = if cylinder.is_some() && cans.len() > chain.len() { &*cans } else { &*chain };
+        [sphere, cylinder, grow(ObjectKind::Cone, start, cones)]
+    }
+}
+
+impl<'a> Grown<'a> {
+    fn arcs(&self) -> impl Iterator<Item = &'a Arc> + Clone + use<'a> {
+        self.arcs.of(self.members)
+    }
+
+    fn points(&self) -> f64 {
+        self.arcs().map(|arc| arc.points).sum()
+    }
+
+    /// The arcs of the first and the last line.
+    fn ends(&self) -> [&'a Arc; 2] {
+        [self.members[0], self.members[self.members.len() - 1]].map(|index| &self.arcs.arcs[index])
+    }
+
+    /// From where to where the arcs reach along the axis, counted from the surface's point; nowhere for a sphere.
+    fn extent(&self) -> [f64; 2] {
+        let along = |arc: &Arc| self.model.conical().map_or(0.0, |s| s.axis.dot(&(arc.mean - s.point)));
+        self.arcs().map(along).fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], x| [a.min(x), b.max(x)])
+    }
+}
+
+/// What has grown, fitted together with its contour, if it is an object.
+fn candidate<'a>(
+    mut grown: Grown<'a>,
+    config: &AssemblerConfig,
+    contour: &mut Contour,
+) -> Result<Candidate<'a>, Rejection> {
+    verify::check(&grown, config)?;
+    for _ in 0..CONTOUR_PASSES {
+        grown.model = model::with_contour(&grown, contour).unwrap_or(grown.model);
+    }
+    let measured = verify::check(&grown, config)?;
+    let object = report::report(&grown, &measured, contour);
+    if verify::is_vague(&object) { Err(Rejection::Vague) } else { Ok(Candidate { grown, measured, object }) }
+}
+
+/// Takes the arcs of an object, and all others that its surface explains, from what is left.
+fn take(candidate: &Candidate, taken: &mut [bool]) {
+    let Candidate { grown, measured, object } = candidate;
+    grown.members.iter().for_each(|&member| taken[member] = true);
+    let q = grown.model.coefficients();
+    let center = verify::middle(grown, measured);
+    let reach = 0.5 * (measured.extent[1] - measured.extent[0]) + 1.5 * object.radius;
+    for (taken, arc) in taken.iter_mut().zip(&grown.arcs.arcs) {
+        if !*taken && (arc.mean - center).norm() < reach {
+            let misfit = grown.model.misfit(&q, arc);
+            *taken = misfit.is_some_and(|misfit| misfit.square.max(misfit.mean.powi(2)) < 4.0 * arc.variance);
         }
     }
-}
-
-fn candidate(arcs: &Arcs, grown: Grown, config: &AssemblerConfig) -> Result<Candidate, Rejection> {
-    let measured = verify::check(arcs, &grown, config)?;
-    let object = report::report(arcs, &grown, &measured);
-    if verify::is_vague(object.radius, object.sigma.radius) {
-        return Err(Rejection::Vague);
-    }
-    Ok(Candidate { grown, measured, object })
-}
-
-/// The candidate that explains most points; of those that explain about as many, the one of fewer parameters, unless
-/// the other explains them better.
-fn choose([sphere, cylinder, cone]: [Option<Candidate>; 3], config: &AssemblerConfig) -> Option<Candidate> {
-    let cone = cone.filter(|cone| is_cone(&cone.object, config));
-    let axial = match (cylinder, cone) {
-        (Some(cylinder), Some(cone)) => {
-            Some(if cylinder.measured.points < AS_MANY * cone.measured.points { cone } else { sharper(cylinder, cone) })
-        }
-        (cylinder, cone) => cylinder.or(cone),
-    };
-    match (sphere, axial) {
-        (Some(sphere), Some(axial)) => Some(rounder(sphere, axial)),
-        (sphere, axial) => sphere.or(axial),
-    }
-}
-
-/// Whether the half-angle of a cone is surely not zero.
-fn is_cone(object: &Object, config: &AssemblerConfig) -> bool {
-    object.half_angle > config.min_cone_deg.to_radians() && object.half_angle > SLOPE_SIGMAS * object.sigma.half_angle
-}
-
-/// Of a cylinder and a cone that explain about the same points the cone where it is surely one: a blunt one by its
-/// half-angle; a slender one, which a tilted cylinder resembles, only where it also explains the points notably better.
-fn sharper(cylinder: Candidate, cone: Candidate) -> Candidate {
-    let gain = cylinder.measured.misfit - cone.measured.misfit;
-    let is_slender = cone.object.half_angle < SLENDER;
-    if cone.measured.points < AS_MANY * cylinder.measured.points || (is_slender && gain < NOTABLE) {
-        cylinder
-    } else {
-        cone
-    }
-}
-
-fn rounder(sphere: Candidate, axial: Candidate) -> Candidate {
-    let (a, b) = (sphere.measured.points, axial.measured.points);
-    let sphere_wins = if a < AS_MANY * b {
-        false
-    } else if b < AS_MANY * a {
-        true
-    } else {
-        sphere.measured.misfit <= axial.measured.misfit + 2.0 * (2.0 / a).sqrt()
-    };
-    if sphere_wins { sphere } else { axial }
 }

@@ -1,14 +1,19 @@
 //! The three models and their fits to the pooled moments of some arcs.
 
+use super::Grown;
 use super::arcs::{Arc, Misfit};
 use conicflow_geometry::{
-    ArcFit, Coefficients, Conical, FixedSlope, FreeSlope, Line, LineMoments, PlaneMoments, SpaceMoments, Sphere,
-    Surface, SurfaceFit, Vector3, fit_surface,
+    ArcFit, Coefficients, Conical, Contour, ContourNoise, ContourPoint, FixedSlope, FreeSlope, Line, LineMoments,
+    PlaneMoments, Prediction, SpaceMoments, Sphere, Surface, SurfaceFit, Vector3, fit_surface, fit_with_contour,
 };
 use conicflow_messages::ObjectKind;
 
 /// Refits of a cone, each with the weights that the last one gave its arcs.
 const CONE_PASSES: usize = 3;
+/// Radius, as a part of that in the middle of a cone, below which it is too near its apex.
+const LEAST_EXCESS: f64 = 0.05;
+/// Slope of a cone beyond which its fit has gone astray.
+const STEEPEST: f64 = 1.2;
 
 /// A fitted model.
 #[derive(Clone, Copy, Debug)]
@@ -56,7 +61,9 @@ impl Model {
     /// By how much F is too great at an arc (see [`Conical`]); `None` beyond the apex of a cone.
     pub fn excess(&self, arc: &Arc) -> Option<f64> {
         match self {
-            Self::Cone(fit) => Some(fit.surface.0.radius_at(&arc.mean) / fit.surface.0.radius).filter(|g| *g > 0.05),
+            Self::Cone(fit) => {
+                Some(fit.surface.0.radius_at(&arc.mean) / fit.surface.0.radius).filter(|g| *g > LEAST_EXCESS)
+            }
             _ => Some(1.0),
         }
     }
@@ -70,11 +77,47 @@ impl Model {
         }
     }
 
+    /// The same with those of the contour.
+    pub fn cost(&self) -> f64 {
+        match self {
+            Self::Sphere(fit) => fit.square_sum + fit.contour_sum,
+            Self::Cylinder(fit) => fit.square_sum + fit.contour_sum,
+            Self::Cone(fit) => fit.square_sum + fit.contour_sum,
+        }
+    }
+
     /// How far the points of an arc are off the model, of which `q` are the coefficients.
     pub fn misfit(&self, q: &Coefficients, arc: &Arc) -> Option<Misfit> {
         let excess = self.excess(arc)?;
         let Misfit { square, mean } = arc.misfit(q);
         Some(Misfit { square: square / (excess * excess), mean: mean / excess })
+    }
+}
+
+/// How well a model tells where its surface is.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Predictor {
+    Sphere(Prediction<4>),
+    Cylinder(Prediction<5>),
+    Cone(Prediction<6>),
+}
+
+impl Predictor {
+    pub fn new(model: &Model) -> Self {
+        match model {
+            Model::Sphere(fit) => Self::Sphere(Prediction::new(fit)),
+            Model::Cylinder(fit) => Self::Cylinder(Prediction::new(fit)),
+            Model::Cone(fit) => Self::Cone(Prediction::new(fit)),
+        }
+    }
+
+    /// Variance of the distance of a point from the surface.
+    pub fn variance(&self, point: &Vector3) -> f64 {
+        match self {
+            Self::Sphere(prediction) => prediction.variance(point),
+            Self::Cylinder(prediction) => prediction.variance(point),
+            Self::Cone(prediction) => prediction.variance(point),
+        }
     }
 }
 
@@ -120,13 +163,13 @@ fn fit_cone<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Mo
         Some(Model::Cone(fit)) => *fit,
         _ => {
             let moments = pool(arcs.clone(), |_| 1.0).normalized()?;
-            fit_surface(&moments, &FreeSlope(start(arcs)?))?
+            let fit = fit_surface(&moments, &FreeSlope(start(arcs)?))?;
+            (fit.surface.0.slope.abs() <= STEEPEST).then_some(fit)?
         }
     };
     for _ in 0..CONE_PASSES {
         let cone = fit.surface.0;
-        let excess = |arc: &Arc| (cone.radius_at(&arc.mean) / cone.radius).max(0.05);
-        let moments = pool(arcs.clone(), excess).normalized()?;
+        let moments = pool(arcs.clone(), |arc| excess(&cone, arc)).normalized()?;
         fit = fit_surface(&moments, &fit.surface)?;
     }
     // The axis of a cone points away from its apex.
@@ -134,6 +177,42 @@ fn fit_cone<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Mo
         fit = flipped(&fit);
     }
     Some(Model::Cone(fit))
+}
+
+/// How exact the contours of objects are, with a margin: on rendered frames they scatter by half a pixel and 2 % of the
+/// radius, and lie up to 5 % of it too far in.
+const CONTOUR_NOISE: ContourNoise = ContourNoise { point_px: 0.5, point_share: 0.03, offset_px: 1.0, share: 0.05 };
+
+/// The model fitted anew, to its arcs and to the contour that they show; `contour` keeps what was used of it.
+pub(super) fn with_contour(grown: &Grown, contour: &mut Contour) -> Option<Model> {
+    let arcs = grown.arcs();
+    contour.clear(CONTOUR_NOISE);
+    for arc in arcs.clone() {
+        let radius_px = grown.model.radius_at(&arc.mean) / arc.spacing;
+        arc.contour.into_iter().flatten().for_each(|point| contour.add(ContourPoint { radius_px, ..point }));
+    }
+    let [from, to] = grown.extent();
+    let within = |surface: &Conical, point: &Vector3| (from..=to).contains(&surface.axis.dot(&(point - surface.point)));
+    let pool = |excess: &dyn Fn(&Arc) -> f64| pool(arcs.clone(), excess).normalized();
+    match &grown.model {
+        Model::Sphere(fit) => {
+            contour.select(&fit.surface, |_| true);
+            fit_with_contour(&pool(&|_| 1.0)?, Some(contour), &fit.surface).map(Model::Sphere)
+        }
+        Model::Cylinder(fit) => {
+            contour.select(&fit.surface, |point| within(&fit.surface.0, point));
+            fit_with_contour(&pool(&|_| 1.0)?, Some(contour), &fit.surface).map(Model::Cylinder)
+        }
+        Model::Cone(fit) => {
+            contour.select(&fit.surface, |point| within(&fit.surface.0, point));
+            fit_with_contour(&pool(&|arc| excess(&fit.surface.0, arc))?, Some(contour), &fit.surface).map(Model::Cone)
+        }
+    }
+}
+
+/// By how much F is too great at an arc of a cone; not less than a little above zero, near and beyond the apex.
+fn excess(cone: &Conical, arc: &Arc) -> f64 {
+    (cone.radius_at(&arc.mean) / cone.radius).max(LEAST_EXCESS)
 }
 
 fn flipped(fit: &SurfaceFit<FreeSlope, 6>) -> SurfaceFit<FreeSlope, 6> {

@@ -1,10 +1,9 @@
 //! The report on a verified model, with the uncertainty that the noise of the sensor gives it.
 
-use super::arcs::Arcs;
-use super::growth::Grown;
+use super::Grown;
 use super::model::Model;
 use super::verify::{self, Measured};
-use conicflow_geometry::{Conical, GradientNoise, Surface, SurfaceFit};
+use conicflow_geometry::{Conical, Contour, GradientNoise, Surface, SurfaceFit};
 use conicflow_messages::{Object, ObjectKind, ObjectSigma};
 use nalgebra::{Matrix3, SMatrix};
 
@@ -15,9 +14,9 @@ const ARCS: usize = 24;
 /// Least standard deviation that is ever claimed, in metres and radians.
 const LEAST_SIGMA: f64 = 1e-6;
 
-pub(super) fn report(arcs: &Arcs, grown: &Grown, measured: &Measured) -> Object {
+pub(super) fn report(grown: &Grown, measured: &Measured, contour: &Contour) -> Object {
     let center = verify::middle(grown, measured);
-    let variance = grown.arcs(arcs).map(|arc| arc.variance * arc.points).sum::<f64>() / measured.points;
+    let variance = grown.arcs().map(|arc| arc.variance * arc.points).sum::<f64>() / measured.points;
     let object = Object {
         kind: grown.model.kind().code(),
         points: measured.points.round() as u32,
@@ -27,10 +26,10 @@ pub(super) fn report(arcs: &Arcs, grown: &Grown, measured: &Measured) -> Object 
         arc: measured.angle,
         ..Object::default()
     };
-    let end = end_sigma(arcs, grown);
+    let end = end_sigma(grown);
     match &grown.model {
         Model::Sphere(fit) => {
-            let covariance = covariance(arcs, grown, fit);
+            let covariance = covariance(grown, fit, contour);
             let sigma = ObjectSigma {
                 center: [0, 1, 2].map(|i| [0, 1, 2].map(|j| covariance[(i, j)])),
                 radius: root(covariance[(3, 3)]),
@@ -39,14 +38,14 @@ pub(super) fn report(arcs: &Arcs, grown: &Grown, measured: &Measured) -> Object 
             Object { radius: fit.surface.radius, sigma, ..object }
         }
         Model::Cylinder(fit) => {
-            let covariance = covariance(arcs, grown, fit);
+            let covariance = covariance(grown, fit, contour);
             let surface = fit.surface.0;
             let sigma = conical_sigma(&surface, &covariance.fixed_view::<5, 5>(0, 0).into_owned(), measured, end);
             let length = measured.extent[1] - measured.extent[0];
             Object { radius: surface.radius, axis: surface.axis.into(), length, sigma, ..object }
         }
         Model::Cone(fit) => {
-            let covariance = covariance(arcs, grown, fit);
+            let covariance = covariance(grown, fit, contour);
             let surface = fit.surface.0;
             let half_angle = surface.slope.atan();
             let mut sigma = conical_sigma(&surface, &covariance.fixed_view::<5, 5>(0, 0).into_owned(), measured, end);
@@ -78,8 +77,8 @@ fn root(variance: f64) -> f64 {
 }
 
 /// An end lies anywhere between two scan lines.
-fn end_sigma(arcs: &Arcs, grown: &Grown) -> f64 {
-    arcs.arcs[grown.members[grown.members.len() / 2]].spacing / 12.0_f64.sqrt()
+fn end_sigma(grown: &Grown) -> f64 {
+    grown.ends()[0].spacing / 12.0_f64.sqrt()
 }
 
 /// Parameters: two tilts, two shifts across, the radius.
@@ -106,14 +105,14 @@ fn conical_sigma(surface: &Conical, covariance: &SMatrix<f64, 5, 5>, measured: &
 
 /// Covariance of a fit's parameters, from points along its arcs.
 pub(super) fn covariance<S: Surface<N>, const N: usize>(
-    arcs: &Arcs,
     grown: &Grown,
     fit: &SurfaceFit<S, N>,
+    contour: &Contour,
 ) -> SMatrix<f64, N, N> {
     let q = grown.model.coefficients();
     let stride = grown.members.len().div_ceil(ARCS);
     let mut noise = GradientNoise::new(&fit.surface);
-    for arc in grown.arcs(arcs).step_by(stride) {
+    for arc in grown.arcs().step_by(stride) {
         let weight = 1.0 / (arc.variance * grown.model.excess(arc).unwrap_or(1.0).powi(2));
         let along_z = arc.variance / arc.plane.stretch().powi(2);
         let share = stride as f64 * arc.points / SAMPLES as f64;
@@ -125,5 +124,6 @@ pub(super) fn covariance<S: Surface<N>, const N: usize>(
             }
         }
     }
+    noise.add_contour(contour, &fit.surface);
     noise.covariance(fit)
 }

@@ -2,22 +2,28 @@
 
 use super::super::verify::Rejection;
 use super::super::{AssemblerConfig, RadiusLimits};
-use super::arcs::{Arc, Arcs};
-use super::growth::Grown;
+use super::Grown;
+use super::arcs::Arc;
 use super::model::Model;
 use conicflow_geometry::{Scan, Vector3};
-use conicflow_messages::ObjectKind;
+use conicflow_messages::{Object, ObjectKind};
 
 /// How many standard deviations the error of the whole may scatter.
 const SCATTER: f64 = 1.3;
 /// Part of the variance that the misfit of the whole may be on top of it.
 const SLACK: f64 = 0.07;
 /// Least part of the variance that a plane has to be off the points.
-const PLANE: f64 = 0.7;
+const PLANE: f64 = 0.05;
 /// Greatest part of arc ends beyond which the model would hide what was measured.
 const SEEN_THROUGH: f64 = 0.2;
+/// Cosine of the least angle between the axis and the scan lines, 40 degrees.
+const ALONG: f64 = 0.766;
 /// Greatest standard deviation of a radius, as a part of it.
 const VAGUE: f64 = 0.12;
+/// Greatest standard deviation of an axis, 3 degrees,
+const VAGUE_AXIS: f64 = 0.0524;
+/// and 2 degrees where less than a radius of its length is seen.
+const VAGUE_SHORT_AXIS: f64 = 0.0349;
 
 /// What was measured of a grown model, for its report.
 #[derive(Clone, Copy, Debug)]
@@ -32,14 +38,14 @@ pub(super) struct Measured {
     pub extent: [f64; 2],
 }
 
-pub(super) fn check(arcs: &Arcs, grown: &Grown, config: &AssemblerConfig) -> Result<Measured, Rejection> {
-    let measured = measure(arcs, grown);
-    let [first, last] = [grown.members[0], grown.members[grown.members.len() - 1]].map(|index| &arcs.arcs[index]);
+pub(super) fn check(grown: &Grown, config: &AssemblerConfig) -> Result<Measured, Rejection> {
+    let measured = measure(grown);
+    let [first, last] = grown.ends();
     let radius = grown.model.radius_at(&middle(grown, &measured));
     let reach = measured.extent[1] - measured.extent[0];
-    if measured.lines < config.min_lines {
+    if measured.lines < config.pooled.min_lines {
         Err(Rejection::FewRows)
-    } else if f64::from(measured.lines) < config.min_coverage * f64::from(last.line - first.line + 1) {
+    } else if f64::from(measured.lines) < config.pooled.min_coverage * f64::from(last.line - first.line + 1) {
         Err(Rejection::Gaps)
     } else if measured.misfit > SLACK + SCATTER * (2.0 / measured.points).sqrt() {
         Err(Rejection::Rms)
@@ -49,22 +55,30 @@ pub(super) fn check(arcs: &Arcs, grown: &Grown, config: &AssemblerConfig) -> Res
         Err(Rejection::HalfAngle)
     } else if reach < least_reach(grown, config) * radius {
         Err(Rejection::Short)
-    } else if measured.angle < config.min_visible_arc_deg.to_radians() {
+    } else if runs_along(grown) {
+        Err(Rejection::Tilted)
+    } else if measured.angle < config.pooled.min_arc_deg.to_radians() {
         Err(Rejection::ShortArc)
-    } else if is_plane(arcs, grown, &measured) {
+    } else if is_plane(grown, &measured) {
         Err(Rejection::Flat)
-    } else if seen_through(arcs, grown, &measured) > SEEN_THROUGH {
+    } else if seen_through(grown, &measured) > SEEN_THROUGH {
         Err(Rejection::SeenThrough)
     } else {
         Ok(measured)
     }
 }
 
+/// Whether the axis lies so nearly along the scan lines that these hardly show the curvature.
+fn runs_along(grown: &Grown) -> bool {
+    let [arc, _] = grown.ends();
+    grown.model.conical().is_some_and(|surface| surface.axis.dot(&arc.plane.s_axis()).abs() > ALONG)
+}
+
 /// Least extent of what is seen, in radii.
 fn least_reach(grown: &Grown, config: &AssemblerConfig) -> f64 {
     match grown.model {
-        Model::Sphere(_) => config.min_sphere_height_radii,
-        _ => config.min_length_radii,
+        Model::Sphere(_) => config.pooled.min_cap_radii,
+        _ => config.pooled.min_length_radii,
     }
 }
 
@@ -93,13 +107,13 @@ pub(super) fn middle(grown: &Grown, measured: &Measured) -> Vector3 {
     }
 }
 
-fn measure(arcs: &Arcs, grown: &Grown) -> Measured {
-    let points = grown.points(arcs);
+fn measure(grown: &Grown) -> Measured {
+    let points = grown.points();
     let mut lines = 0;
     let mut last = None;
     let (mut angle, mut extent) = (0.0, [f64::INFINITY, f64::NEG_INFINITY]);
     let q = grown.model.coefficients();
-    for arc in grown.arcs(arcs) {
+    for arc in grown.arcs() {
         lines += u32::from(last != Some(arc.line));
         last = Some(arc.line);
         angle += arc.points * span(arc, grown, &q);
@@ -109,13 +123,13 @@ fn measure(arcs: &Arcs, grown: &Grown) -> Measured {
         };
         extent = [extent[0].min(along), extent[1].max(along)];
     }
-    Measured { points, lines, misfit: grown.model.square_sum() / weight(arcs, grown), angle: angle / points, extent }
+    Measured { points, lines, misfit: grown.model.square_sum() / weight(grown), angle: angle / points, extent }
 }
 
 /// Number of points in units of the fit's weights.
-fn weight(arcs: &Arcs, grown: &Grown) -> f64 {
+fn weight(grown: &Grown) -> f64 {
     let share = |arc: &Arc| arc.points / grown.model.excess(arc).unwrap_or(1.0).powi(2);
-    grown.arcs(arcs).map(share).sum()
+    grown.arcs().map(share).sum()
 }
 
 /// Place of a point along the axis; of a sphere, across its arcs.
@@ -142,18 +156,18 @@ fn span(arc: &Arc, grown: &Grown, q: &[f64; 10]) -> f64 {
 }
 
 /// Whether a plane explains the points nearly as well.
-fn is_plane(arcs: &Arcs, grown: &Grown, measured: &Measured) -> bool {
+fn is_plane(grown: &Grown, measured: &Measured) -> bool {
     let mut pool = conicflow_geometry::SpaceMoments::default();
-    grown.arcs(arcs).for_each(|arc| pool.add(&arc.space, 1.0));
-    let variance = grown.arcs(arcs).map(|arc| arc.variance * arc.points).sum::<f64>() / measured.points;
+    grown.arcs().for_each(|arc| pool.add(&arc.space, 1.0));
+    let variance = grown.arcs().map(|arc| arc.variance * arc.points).sum::<f64>() / measured.points;
     pool.least_variance() < variance * (PLANE + SCATTER * (2.0 / measured.points).sqrt())
 }
 
 /// Part of the arc ends at which something is seen behind the surface.
-fn seen_through(arcs: &Arcs, grown: &Grown, measured: &Measured) -> f64 {
+fn seen_through(grown: &Grown, measured: &Measured) -> f64 {
     let q = grown.model.coefficients();
     let (mut seen, mut all) = (0.0, 0.0_f64);
-    for arc in grown.arcs(arcs) {
+    for arc in grown.arcs() {
         for (x, z) in arc.beyond_rays.into_iter().zip(arc.beyond).filter(|(_, z)| *z > 0.0) {
             all += 1.0;
             let margin = 3.0 * arc.variance.sqrt();
@@ -172,7 +186,11 @@ fn is_between(grown: &Grown, measured: &Measured, point: &Vector3) -> bool {
     grown.model.kind() == ObjectKind::Sphere || between
 }
 
-/// Whether the radius is known at all, given its standard deviation.
-pub(super) fn is_vague(radius: f64, sigma: f64) -> bool {
-    sigma.is_nan() || sigma > VAGUE * radius
+/// Whether too little is known about the radius or the axis of an object, given their standard deviations.
+pub(super) fn is_vague(object: &Object) -> bool {
+    let sigma = &object.sigma;
+    let axis = if object.length < object.radius { VAGUE_SHORT_AXIS } else { VAGUE_AXIS };
+    let is_sharp =
+        sigma.radius <= VAGUE * object.radius && (object.shape() == ObjectKind::Sphere || sigma.axis <= axis);
+    !is_sharp
 }

@@ -1,0 +1,82 @@
+//! Which shape an object has, where more than one explains it.
+
+use super::super::AssemblerConfig;
+use super::{Candidate, Grown, model};
+use conicflow_geometry::Contour;
+use conicflow_messages::Object;
+
+/// Two models that explain about as many points: the smaller explains at least this part of the larger's.
+const AS_MANY: f64 = 0.9;
+/// Standard deviations by which the slope of a cone has to differ from zero.
+const SLOPE_SIGMAS: f64 = 3.0;
+/// Least gain of a cone over a cylinder: two standard deviations of one parameter.
+const GAIN: f64 = 4.0;
+/// Half-angles (5 and 7 degrees) up to which the faults of a sensor may make a cone of a cylinder, and from which on they
+/// do not: between them the gain that they account for falls to nothing.
+const SLENDER: [f64; 2] = [0.0873, 0.122];
+/// That gain, per point of the object ...
+const GAIN_PER_POINT: f64 = 0.03;
+/// ... and at most.
+const MOST_GAIN: f64 = 45.0;
+
+/// The candidate that explains most points; of those that explain about as many, the one of fewer parameters, unless
+/// the other explains them better.
+pub(super) fn choose<'a>(
+    [sphere, cylinder, cone]: [Option<Candidate<'a>>; 3],
+    config: &AssemblerConfig,
+    contour: &mut Contour,
+) -> Option<Candidate<'a>> {
+    let cone = cone.filter(|cone| is_cone(&cone.object, config));
+    let axial = match (cylinder, cone) {
+        (Some(cylinder), Some(cone)) => Some(sharper(cylinder, cone, contour)),
+        (cylinder, cone) => cylinder.or(cone),
+    };
+    match (sphere, axial) {
+        (Some(sphere), Some(axial)) => Some(rounder(sphere, axial)),
+        (sphere, axial) => sphere.or(axial),
+    }
+}
+
+/// Whether the half-angle of a cone is surely not zero.
+fn is_cone(object: &Object, config: &AssemblerConfig) -> bool {
+    let least = config.pooled.min_half_angle_deg.to_radians();
+    object.half_angle > least.max(SLOPE_SIGMAS * object.sigma.half_angle)
+}
+
+/// Of a cylinder and a cone the one that explains more points, else the cone only if it explains them surely better.
+fn sharper<'a>(cylinder: Candidate<'a>, cone: Candidate<'a>, contour: &mut Contour) -> Candidate<'a> {
+    let (a, b) = (cylinder.measured.points, cone.measured.points);
+    if a < AS_MANY * b {
+        return cone;
+    }
+    if b < AS_MANY * a {
+        return cylinder;
+    }
+    let members = if a > b { cylinder.grown.members } else { cone.grown.members };
+    let mut cost = |candidate: &Candidate| cost(Grown { members, ..candidate.grown }, contour);
+    let gain = cost(&cylinder).zip(cost(&cone)).map_or(0.0, |(cylinder, cone)| cylinder - cone);
+    if gain > least_gain(&cone.object, a.max(b)) { cone } else { cylinder }
+}
+
+/// What is left of the points and the contour of some members by a model that is fitted to these.
+fn cost(mut grown: Grown, contour: &mut Contour) -> Option<f64> {
+    grown.model = model::fit(grown.model.kind(), &grown.arcs(), Some(&grown.model))?;
+    Some(model::with_contour(&grown, contour)?.cost())
+}
+
+fn least_gain(cone: &Object, points: f64) -> f64 {
+    let slender = ((SLENDER[1] - cone.half_angle) / (SLENDER[1] - SLENDER[0])).clamp(0.0, 1.0);
+    GAIN.max(slender * (GAIN_PER_POINT * points).min(MOST_GAIN))
+}
+
+fn rounder<'a>(sphere: Candidate<'a>, axial: Candidate<'a>) -> Candidate<'a> {
+    let (a, b) = (sphere.measured.points, axial.measured.points);
+    let sphere_wins = if a < AS_MANY * b {
+        false
+    } else if b < AS_MANY * a {
+        true
+    } else {
+        sphere.measured.misfit <= axial.measured.misfit + 2.0 * (2.0 / a).sqrt()
+    };
+    if sphere_wins { sphere } else { axial }
+}
