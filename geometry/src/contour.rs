@@ -49,8 +49,6 @@ pub struct ContourNoise {
 #[derive(Clone, Debug, Default)]
 pub struct Contour {
     points: Vec<(ContourPoint, bool)>,
-    /// Number of points that might be on the contour of the surface they were selected for.
-    seen: usize,
     noise: ContourNoise,
 }
 
@@ -77,11 +75,54 @@ struct SideSums<const N: usize> {
     shared_slope: SMatrix<f64, 2, N>,
 }
 
-/// `(a, b, c)` of `F(z r) = a z^2 + b z + c`.
-fn along(q: &Coefficients, r: &Vector3) -> [f64; 3] {
-    let [xx, yy, zz, xy, xz, yz, x, y, z, one] = *q;
-    let a = r.x * (xx * r.x + xy * r.y + xz * r.z) + r.y * (yy * r.y + yz * r.z) + zz * r.z * r.z;
-    [a, x * r.x + y * r.y + z * r.z, one]
+/// `F(z r) = a z^2 + b z + c` along a ray, and the changes of a and b per pixel.
+#[derive(Clone, Copy)]
+struct Along {
+    a: f64,
+    b: f64,
+    c: f64,
+    a_pixel: f64,
+    b_pixel: f64,
+}
+
+impl Along {
+    #[inline]
+    fn new(q: &Coefficients, point: &ContourPoint) -> Self {
+        let (r, pixel) = (&point.ray, &point.pixel);
+        let [xx, yy, zz, xy, xz, yz, x, y, z, c] = *q;
+        // half the gradient of a
+        let half = Vector3::new(
+            xx * r.x + 0.5 * (xy * r.y + xz * r.z),
+            yy * r.y + 0.5 * (xy * r.x + yz * r.z),
+            zz * r.z + 0.5 * (xz * r.x + yz * r.y),
+        );
+        let b = Vector3::new(x, y, z);
+        Self { a: half.dot(r), b: b.dot(r), c, a_pixel: 2.0 * half.dot(pixel), b_pixel: b.dot(pixel) }
+    }
+
+    /// The discriminant, and its change per pixel.
+    fn discriminant(&self) -> [f64; 2] {
+        [self.b * self.b - 4.0 * self.a * self.c, 2.0 * self.b * self.b_pixel - 4.0 * self.a_pixel * self.c]
+    }
+
+    /// The derivative of both in the direction of other coefficients.
+    fn derivative(&self, d: &Self) -> [f64; 2] {
+        [
+            2.0 * self.b * d.b - 4.0 * (d.a * self.c + self.a * d.c),
+            2.0 * (d.b * self.b_pixel + self.b * d.b_pixel) - 4.0 * (d.a_pixel * self.c + self.a_pixel * d.c),
+        ]
+    }
+
+    /// How far the ray is off the contour, in pixels along the line.
+    fn error(&self) -> f64 {
+        let [value, per_pixel] = self.discriminant();
+        value / per_pixel
+    }
+
+    /// Depth at which the ray touches the surface.
+    fn depth(&self) -> f64 {
+        -0.5 * self.b / self.a
+    }
 }
 
 impl Contour {
@@ -96,51 +137,24 @@ impl Contour {
         self.points.push((point, true));
     }
 
-    /// Number of points that are used.
-    pub fn used(&self) -> usize {
-        self.points.iter().filter(|(_, used)| *used).count()
-    }
-
-    /// Number of points of which the surface might be the contour, near or not.
-    pub fn seen(&self) -> usize {
-        self.seen
-    }
-
-    /// How far a point is off the contour of a surface, in pixels along the line.
-    fn error(point: &ContourPoint, q: &Coefficients) -> f64 {
-        let [a, b, c] = along(q, &point.ray);
-        let per_pixel = Self::change(point, q, b, c);
-        (b * b - 4.0 * a * c) / per_pixel
-    }
-
-    /// Change of the discriminant per pixel.
-    fn change(point: &ContourPoint, q: &Coefficients, b: f64, c: f64) -> f64 {
-        let r = &point.ray;
-        let gradient = crate::gradient(&[q[0], q[1], q[2], q[3], q[4], q[5], 0.0, 0.0, 0.0, 0.0], r);
-        let [_, db, _] = along(q, &point.pixel);
-        2.0 * b * db - 4.0 * gradient.dot(&point.pixel) * c
-    }
-
     /// Uses only the points that are near the contour of a surface, and only those for which `seen` holds at the point
     /// of the surface that the ray touches.
     pub fn select<S: Surface<N>, const N: usize>(&mut self, surface: &S, seen: impl Fn(&Vector3) -> bool) {
-        self.seen = 0;
         let q = surface.coefficients();
         let mut middle = [0.0; SIDES];
         for (side, middle) in middle.iter_mut().enumerate() {
             *middle = self.median(side, &q);
         }
         for (point, used) in &mut self.points {
-            let [a, b, _] = along(&q, &point.ray);
-            let off = Self::error(point, &q) - middle[point.side];
-            let is_seen = seen(&(point.ray * (-0.5 * b / a)));
-            self.seen += usize::from(is_seen);
-            *used = is_seen && off.abs() < GATE * self.noise.of(point).sqrt();
+            let along = Along::new(&q, point);
+            let off = along.error() - middle[point.side];
+            *used = seen(&(point.ray * along.depth())) && off.abs() < GATE * self.noise.of(point).sqrt();
         }
     }
 
     fn median(&self, side: usize, q: &Coefficients) -> f64 {
-        let errors = self.points.iter().filter(|(point, _)| point.side == side).map(|(point, _)| Self::error(point, q));
+        let errors =
+            self.points.iter().filter(|(point, _)| point.side == side).map(|(point, _)| Along::new(q, point).error());
         let mut errors: Vec<f64> = errors.collect();
         if errors.is_empty() {
             return 0.0;
@@ -157,12 +171,11 @@ impl Contour {
         let derivatives = surface.derivatives().map(|derivative| camera(&derivative));
         let mut sides = [SideSums::default(); SIDES];
         for (point, _) in self.points.iter().filter(|(_, used)| *used) {
-            let [a, b, c] = along(&q, &point.ray);
-            let per_pixel = Self::change(point, &q, b, c);
-            let error = (b * b - 4.0 * a * c) / per_pixel;
+            let along = Along::new(&q, point);
+            let (error, [_, per_pixel]) = (along.error(), along.discriminant());
             let slope = SVector::<f64, N>::from_fn(|i, _| {
-                let [da, db, dc] = along(&derivatives[i], &point.ray);
-                (2.0 * b * db - 4.0 * (da * c + a * dc)) / per_pixel
+                let [value, change] = along.derivative(&Along::new(&derivatives[i], point));
+                (value - error * change) / per_pixel
             });
             sides[point.side].add(error, &slope, point.radius_px, self.noise.of(point));
         }
@@ -225,4 +238,90 @@ fn in_camera_frame(q: &Coefficients, origin: &Vector3, scale: f64) -> Coefficien
         - (x * o.x + y * o.y + z * o.z)
         + constant;
     [xx * square, yy * square, zz * square, xy * square, xz * square, yz * square, slope.x, slope.y, slope.z, value]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Conical, FreeSlope, Pinhole, Scan, section_of};
+
+    const CAMERA: Pinhole = Pinhole { fx: 290.0, fy: 290.0, cx: 159.5, cy: 119.5 };
+    const NOISE: ContourNoise = ContourNoise { point_px: 0.5, point_share: 0.03, offset_px: 1.0, share: 0.05 };
+
+    fn cup() -> Conical {
+        let axis = Vector3::new(0.1, 0.9, -0.3).normalize();
+        Conical { point: Vector3::new(0.05, 0.02, 1.2), axis, radius: 0.05, slope: 0.12 }
+    }
+
+    /// The contour of a surface on rows 105 to 140, moved outwards by so many pixels.
+    fn contour(surface: &Conical, outwards: f64) -> Contour {
+        let mut contour = Contour::default();
+        contour.clear(NOISE);
+        for row in 105..140 {
+            let plane = CAMERA.plane(Scan::Row, f64::from(row));
+            let [ss, st, tt, s, t, one] = section_of(&FreeSlope(*surface).coefficients(), &plane);
+            let k = plane.stretch();
+            // the discriminant along the ray of slope x, as a polynomial of x
+            let (a, b) = (s * s - 4.0 * ss * one, 2.0 * s * t * k - 4.0 * st * k * one);
+            let c = t * t * k * k - 4.0 * tt * k * k * one;
+            let root = (b * b - 4.0 * a * c).sqrt();
+            let mut slopes = [(-b - root) / (2.0 * a), (-b + root) / (2.0 * a)];
+            slopes.sort_by(f64::total_cmp);
+            for (side, slope) in slopes.into_iter().enumerate() {
+                let slope = slope + outwards * if side == 0 { -1.0 } else { 1.0 } / CAMERA.fx;
+                let ray = plane.to_camera([slope, k]);
+                let pixel = plane.s_axis() / CAMERA.fx;
+                contour.add(ContourPoint { ray, pixel, side, radius_px: 12.0 });
+            }
+        }
+        contour
+    }
+
+    fn cost(contour: &Contour, surface: &Conical) -> f64 {
+        contour.term(&FreeSlope(*surface), &Vector3::zeros(), 1.0).square_sum
+    }
+
+    #[test]
+    fn the_true_surface_touches_its_contour() {
+        let contour = contour(&cup(), 0.0);
+        assert!(cost(&contour, &cup()) < 1e-12);
+        let (origin, scale) = (Vector3::new(0.0, 0.1, 1.1), 0.04);
+        let local = FreeSlope(cup()).to_local(&origin, scale);
+        assert!(contour.term(&local, &origin, scale).square_sum < 1e-12, "in any frame");
+    }
+
+    #[test]
+    fn a_taper_costs_and_an_offset_hardly_does() {
+        let tapered = cost(&contour(&cup(), 0.0), &Conical { slope: 0.0, ..cup() });
+        let shifted = cost(&contour(&cup(), 1.0), &cup());
+        assert!(tapered > 20.0 && shifted < 3.0, "{tapered} {shifted}");
+    }
+
+    #[test]
+    fn the_gradient_is_that_of_the_cost() {
+        let contour = contour(&Conical { slope: 0.1, radius: 0.049, ..cup() }, 0.4);
+        let surface = FreeSlope(cup());
+        let term = contour.term(&surface, &Vector3::zeros(), 1.0);
+        for i in 0..6 {
+            let at = |h: f64| {
+                let mut step = [0.0; 6];
+                step[i] = h;
+                cost(&contour, &surface.moved(&step).unwrap().0)
+            };
+            let slope = (at(1e-6) - at(-1e-6)) / 4e-6;
+            let scale = 1.0 + term.gradient.amax();
+            assert!((slope - term.gradient[i]).abs() < 1e-4 * scale, "{i}: {slope} {}", term.gradient[i]);
+        }
+    }
+
+    #[test]
+    fn what_is_far_off_is_not_used() {
+        let mut contour = contour(&cup(), 0.0);
+        let [first, ..] = contour.points[..] else { panic!() };
+        contour.add(ContourPoint { ray: first.0.ray + first.0.pixel * 8.0, ..first.0 });
+        contour.select(&FreeSlope(cup()), |_| true);
+        assert_eq!(contour.points.iter().filter(|(_, used)| !used).count(), 1);
+        contour.select(&FreeSlope(cup()), |_| false);
+        assert!(contour.points.iter().all(|(_, used)| !used));
+    }
 }

@@ -37,9 +37,9 @@ use verify::{Body, Candidate, Rejection, Rejections, Solid};
 #[serde(rename_all = "snake_case")]
 pub enum Method {
     /// The paper's: lines and circles through the centres, radius over position along the axis.
-    #[default]
     Profile,
     /// Models fitted to the pooled moments of all arcs of an object.
+    #[default]
     Pooled,
 }
 
@@ -71,7 +71,8 @@ pub struct RadiusLimits {
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct AssemblerConfig {
-    /// How objects are found: the paper's `profile`, or `pooled` moments of arcs (with `arcs = "moments"` of the extractor).
+    /// How objects are found: by `pooled` moments of arcs (`arcs = "moments"` of the extractor), or by the paper's `profile`
+    /// of ellipses (`arcs = "conic"`).
     pub method: Method,
     /// Sections as found by the extractor (`ellipse`, as in the paper) or of the axis ratio that the axis implies (`circle`).
     pub section_fit: SectionFit,
@@ -141,7 +142,7 @@ impl Default for AssemblerConfig {
     fn default() -> Self {
         let limits = RadiusLimits { min_m: 0.015, max_m: 0.5 };
         Self {
-            method: Method::Profile,
+            method: Method::Pooled,
             section_fit: SectionFit::Circle,
             max_center_step_m: 0.01,
             max_center_step_radii: 0.35,

@@ -59,7 +59,7 @@ impl Rejection {
         "candidates that miss their points",
         "objects seen twice",
         "candidates behind which something is seen",
-        "candidates of vague radius",
+        "candidates of vague radius or axis",
     ];
 }
 

@@ -38,6 +38,8 @@ const SURROUNDINGS: usize = 16;
 const TELLING: usize = 12;
 /// Most pixels between a contour and what is seen behind it that count: a wider gap is the shadow of the sensor.
 const MAX_GAP: f64 = 3.0;
+/// Besides `trim_px`, one point in so many is taken off each end: edges are smeared the wider, the larger they are seen.
+const SMEARED: usize = 32;
 /// Fewest points of an arc that goes on although it is not curved, because it is set off by jumps.
 const SET_OFF: usize = 8;
 /// Fewest points whose error means anything.
@@ -335,8 +337,8 @@ impl RayLine {
     /// What is left of an interval when the ends that may belong to something else are taken off: pixels at a jump mix
     /// two depths, and where a curve breaks it has taken in some points of what follows.
     fn trimmed(&self, run: &Range<usize>, interval: Interval, config: &RowEllipseConfig) -> Interval {
-        let trim = config.trim_px as usize;
         let Interval { part, mut from, mut to } = interval;
+        let trim = config.trim_px as usize + (to - from) / SMEARED;
         let (starts_run, ends_run) = (from == part[0], to == part[1]);
         from += trim;
         to = to.saturating_sub(trim).max(from);

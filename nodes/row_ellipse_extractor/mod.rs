@@ -31,11 +31,11 @@ use serde::{Deserialize, Serialize};
 #[serde(rename_all = "snake_case")]
 pub enum ScanLines {
     /// Rows: finds upright objects.
-    #[default]
     Rows,
     /// Columns: finds lying ones.
     Columns,
     /// Rows, then columns.
+    #[default]
     Both,
 }
 
@@ -44,9 +44,9 @@ pub enum ScanLines {
 #[serde(rename_all = "snake_case")]
 pub enum ArcFinder {
     /// The paper's way: an ellipse grows point by point.
-    #[default]
     Conic,
     /// Lines and circles through moments that are free of the noise's bias, for the pooled fits of the assembler.
+    #[default]
     Moments,
 }
 
@@ -54,7 +54,7 @@ pub enum ArcFinder {
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RowEllipseConfig {
-    /// How a scan line is cut into arcs: `conic`, the paper's way, or `moments`, for `method = "pooled"` of the assembler.
+    /// How a scan line is cut into arcs: `moments`, for `method = "pooled"` of the assembler, or `conic`, the paper's way.
     pub arcs: ArcFinder,
     /// Scan lines to look at: `rows`, `columns` (for objects that lie) or `both`.
     pub scan: ScanLines,
@@ -99,8 +99,8 @@ pub struct RowEllipseConfig {
 impl Default for RowEllipseConfig {
     fn default() -> Self {
         Self {
-            arcs: ArcFinder::Conic,
-            scan: ScanLines::Rows,
+            arcs: ArcFinder::Moments,
+            scan: ScanLines::Both,
             line_step: 1,
             max_error_sigmas: 1.3,
             max_error_floor_m: 0.0005,

@@ -11,8 +11,10 @@ use nalgebra::{Matrix3, SMatrix};
 const SAMPLES: usize = 7;
 /// Arcs of an object that stand for all of them.
 const ARCS: usize = 24;
-/// Least standard deviation that is ever claimed, in metres and radians.
-const LEAST_SIGMA: f64 = 1e-6;
+/// What the faults of sensors add, that no number of points averages out: to radius and centre in radii,
+const SYSTEMATIC: f64 = 0.002;
+/// to directions in radians.
+const SYSTEMATIC_ANGLE: f64 = 0.001;
 
 pub(super) fn report(grown: &Grown, measured: &Measured, contour: &Contour) -> Object {
     let center = verify::middle(grown, measured);
@@ -27,12 +29,12 @@ pub(super) fn report(grown: &Grown, measured: &Measured, contour: &Contour) -> O
         ..Object::default()
     };
     let end = end_sigma(grown);
-    match &grown.model {
+    let object = match &grown.model {
         Model::Sphere(fit) => {
             let covariance = covariance(grown, fit, contour);
             let sigma = ObjectSigma {
                 center: [0, 1, 2].map(|i| [0, 1, 2].map(|j| covariance[(i, j)])),
-                radius: root(covariance[(3, 3)]),
+                radius: covariance[(3, 3)].max(0.0).sqrt(),
                 ..ObjectSigma::default()
             };
             Object { radius: fit.surface.radius, sigma, ..object }
@@ -49,10 +51,28 @@ pub(super) fn report(grown: &Grown, measured: &Measured, contour: &Contour) -> O
             let surface = fit.surface.0;
             let half_angle = surface.slope.atan();
             let mut sigma = conical_sigma(&surface, &covariance.fixed_view::<5, 5>(0, 0).into_owned(), measured, end);
-            sigma.half_angle = root(covariance[(5, 5)]) * half_angle.cos().powi(2);
+            let middle = 0.5 * (measured.extent[0] + measured.extent[1]);
+            let [radius, mixed, slope] = [(4, 4), (4, 5), (5, 5)].map(|place| covariance[place]);
+            sigma.radius = (radius + middle * (2.0 * mixed + middle * slope)).max(0.0).sqrt();
+            sigma.half_angle = slope.max(0.0).sqrt() * half_angle.cos().powi(2);
             cone(object, &surface, half_angle, sigma, measured)
         }
+    };
+    with_faults(object)
+}
+
+/// The object with what the faults of sensors add to its standard deviations.
+fn with_faults(mut object: Object) -> Object {
+    let (length, sigma) = (SYSTEMATIC * object.radius, &mut object.sigma);
+    sigma.radius = sigma.radius.hypot(length);
+    (0..3).for_each(|i| sigma.center[i][i] += length * length);
+    if object.kind != ObjectKind::Sphere.code() {
+        sigma.axis = sigma.axis.hypot(SYSTEMATIC_ANGLE);
     }
+    if object.kind == ObjectKind::Cone.code() {
+        sigma.half_angle = sigma.half_angle.hypot(SYSTEMATIC_ANGLE);
+    }
+    object
 }
 
 fn cone(object: Object, surface: &Conical, half_angle: f64, sigma: ObjectSigma, measured: &Measured) -> Object {
@@ -70,10 +90,6 @@ fn cone(object: Object, surface: &Conical, half_angle: f64, sigma: ObjectSigma, 
         sigma,
         ..object
     }
-}
-
-fn root(variance: f64) -> f64 {
-    variance.max(0.0).sqrt().max(LEAST_SIGMA)
 }
 
 /// An end lies anywhere between two scan lines.
@@ -96,9 +112,9 @@ fn conical_sigma(surface: &Conical, covariance: &SMatrix<f64, 5, 5>, measured: &
     let center: Matrix3<f64> = (center + center.transpose()) * 0.5;
     ObjectSigma {
         center: [0, 1, 2].map(|i| [0, 1, 2].map(|j| center[(i, j)])),
-        axis: root(covariance[(0, 0)] + covariance[(1, 1)]),
-        radius: root(covariance[(4, 4)]),
-        length: (2.0 * end * end).sqrt().max(LEAST_SIGMA),
+        axis: (covariance[(0, 0)] + covariance[(1, 1)]).max(0.0).sqrt(),
+        radius: covariance[(4, 4)].max(0.0).sqrt(),
+        length: (2.0 * end * end).sqrt(),
         half_angle: 0.0,
     }
 }

@@ -130,7 +130,7 @@ fn a_sensor_quieter_than_its_model_is_no_worse() {
 
 #[test]
 fn sigmas_are_about_as_large_as_the_errors() {
-    let found: Vec<_> = (0..24).map(|seed| single(&kinect(&[can(1.7)], 100 + seed), ObjectKind::Cylinder)).collect();
+    let found: Vec<_> = (0..24).map(|seed| single(&kinect(&[can(2.6)], 100 + seed), ObjectKind::Cylinder)).collect();
     let scatter = |error: &dyn Fn(&Object) -> f64| {
         (found.iter().map(|object| error(object).powi(2)).sum::<f64>() / found.len() as f64).sqrt()
     };

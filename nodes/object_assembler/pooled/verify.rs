@@ -10,8 +10,11 @@ use conicflow_messages::{Object, ObjectKind};
 
 /// How many standard deviations the error of the whole may scatter.
 const SCATTER: f64 = 1.3;
-/// Part of the variance that the misfit of the whole may be on top of it.
+/// Part of the variance that the misfit of the whole may be on top of it,
 const SLACK: f64 = 0.07;
+/// and how much more for so many points and above: they show the faults of sensor and surface.
+const MORE_SLACK: f64 = 0.1;
+const MANY_POINTS: f64 = 3000.0;
 /// Least part of the variance that a plane has to be off the points.
 const PLANE: f64 = 0.05;
 /// Greatest part of arc ends beyond which the model would hide what was measured.
@@ -22,8 +25,8 @@ const ALONG: f64 = 0.766;
 const VAGUE: f64 = 0.12;
 /// Greatest standard deviation of an axis, 3 degrees,
 const VAGUE_AXIS: f64 = 0.0524;
-/// and 2 degrees where less than a radius of its length is seen.
-const VAGUE_SHORT_AXIS: f64 = 0.0349;
+/// and 1.2 degrees where less than a radius of its length is seen.
+const VAGUE_SHORT_AXIS: f64 = 0.0209;
 
 /// What was measured of a grown model, for its report.
 #[derive(Clone, Copy, Debug)]
@@ -47,7 +50,7 @@ pub(super) fn check(grown: &Grown, config: &AssemblerConfig) -> Result<Measured,
         Err(Rejection::FewRows)
     } else if f64::from(measured.lines) < config.pooled.min_coverage * f64::from(last.line - first.line + 1) {
         Err(Rejection::Gaps)
-    } else if measured.misfit > SLACK + SCATTER * (2.0 / measured.points).sqrt() {
+    } else if measured.misfit > most_misfit(measured.points) {
         Err(Rejection::Rms)
     } else if !limits(&grown.model, config).contain(radius) {
         Err(Rejection::Radius)
@@ -66,6 +69,11 @@ pub(super) fn check(grown: &Grown, config: &AssemblerConfig) -> Result<Measured,
     } else {
         Ok(measured)
     }
+}
+
+/// Greatest misfit of an object, in variances.
+fn most_misfit(points: f64) -> f64 {
+    SLACK + MORE_SLACK * (points / MANY_POINTS).min(1.0) + SCATTER * (2.0 / points).sqrt()
 }
 
 /// Whether the axis lies so nearly along the scan lines that these hardly show the curvature.
@@ -163,7 +171,7 @@ fn is_plane(grown: &Grown, measured: &Measured) -> bool {
     pool.least_variance() < variance * (PLANE + SCATTER * (2.0 / measured.points).sqrt())
 }
 
-/// Part of the arc ends at which something is seen behind the surface.
+/// Part of the arc ends at which something is seen behind the surface; of few ends that tell, some may be noise.
 fn seen_through(grown: &Grown, measured: &Measured) -> f64 {
     let q = grown.model.coefficients();
     let (mut seen, mut all) = (0.0, 0.0_f64);
@@ -175,7 +183,7 @@ fn seen_through(grown: &Grown, measured: &Measured) -> f64 {
             seen += f64::from(u8::from(arc.hit(&q, x).is_some_and(through)));
         }
     }
-    seen / all.max(1.0)
+    seen / all.max(1.0).max(0.5 * grown.members.len() as f64)
 }
 
 /// Whether a point is surely between the ends of what is seen; of a sphere any is.
