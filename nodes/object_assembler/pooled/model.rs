@@ -181,7 +181,7 @@ fn fit_cone<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Mo
 
 /// How exact the contours of objects are, with a margin: on rendered frames they scatter by half a pixel and 2 % of the
 /// radius, and lie up to 5 % of it too far in.
-const CONTOUR_NOISE: ContourNoise = ContourNoise { point_px: 0.5, point_share: 0.03, offset_px: 1.0, share: 0.05 };
+const CONTOUR_NOISE: ContourNoise = ContourNoise { point_px: 0.5, point_share: 0.04, offset_px: 1.0, share: 0.05 };
 
 /// The model fitted anew, to its arcs and to the contour that they show; `contour` keeps what was used of it.
 pub(super) fn with_contour(grown: &Grown, contour: &mut Contour) -> Option<Model> {
