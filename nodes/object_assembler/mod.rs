@@ -20,7 +20,7 @@ mod verify;
 
 use chains::Chains;
 use conicflow_dataflow::{Config, ConfigFault, Context, Output, Sides, Stage, StageError};
-use conicflow_messages::{Ellipse, Header, Message, NoiseModel, Object};
+use conicflow_messages::{Ellipse, Header, Message, NoiseModel, Object, ObjectKind};
 pub use pooled::PooledConfig;
 
 use pooled::Pooled;
@@ -65,6 +65,31 @@ pub struct RadiusLimits {
     /// Largest radius, in metres.
     #[schemars(range(min = 0.001, max = 100.0))]
     pub max_m: f64,
+}
+
+/// Smallest and largest radius and visible length of a cylinder or cone.
+#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct AxialLimits {
+    /// Smallest radius, in metres; of a cone in the middle of its visible part.
+    #[schemars(range(min = 0.001, max = 100.0))]
+    pub min_m: f64,
+    /// Largest radius, in metres.
+    #[schemars(range(min = 0.001, max = 100.0))]
+    pub max_m: f64,
+    /// Smallest visible length, in metres.
+    #[serde(default)]
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub min_length_m: f64,
+    /// Largest visible length, in metres.
+    #[serde(default = "unlimited_m")]
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub max_length_m: f64,
+}
+
+/// More than any camera sees.
+fn unlimited_m() -> f64 {
+    100.0
 }
 
 /// Parameters of the assembler.
@@ -132,15 +157,16 @@ pub struct AssemblerConfig {
     pub pooled: PooledConfig,
     /// Limits on the radius of a sphere.
     pub sphere: RadiusLimits,
-    /// Limits on the radius of a cylinder.
-    pub cylinder: RadiusLimits,
-    /// Limits on the radius of a cone in the middle of its visible part.
-    pub cone: RadiusLimits,
+    /// Limits on the radius and the visible length of a cylinder.
+    pub cylinder: AxialLimits,
+    /// Limits on the radius, in the middle of its visible part, and the visible length of a cone.
+    pub cone: AxialLimits,
 }
 
 impl Default for AssemblerConfig {
     fn default() -> Self {
-        let limits = RadiusLimits { min_m: 0.015, max_m: 0.5 };
+        let (min_m, max_m) = (0.015, 0.5);
+        let axial = AxialLimits { min_m, max_m, min_length_m: 0.0, max_length_m: unlimited_m() };
         Self {
             method: Method::Pooled,
             section_fit: SectionFit::Circle,
@@ -162,9 +188,9 @@ impl Default for AssemblerConfig {
             max_rms_radii: 0.02,
             min_bulge_sigmas: 2.2,
             pooled: PooledConfig::default(),
-            sphere: limits,
-            cylinder: limits,
-            cone: limits,
+            sphere: RadiusLimits { min_m, max_m },
+            cylinder: axial,
+            cone: axial,
         }
     }
 }
@@ -178,8 +204,12 @@ impl AssemblerConfig {
 
 impl Config for AssemblerConfig {
     fn faults(&self, _: &Path) -> Vec<ConfigFault> {
-        let limits = [("sphere", self.sphere), ("cylinder", self.cylinder), ("cone", self.cone)];
-        let mut faults: Vec<_> = limits.into_iter().filter_map(|(key, limits)| limits.fault(key)).collect();
+        let sphere = fault("sphere", "m", self.sphere.min_m, self.sphere.max_m);
+        let axial = [("cylinder", &self.cylinder), ("cone", &self.cone)].into_iter().flat_map(|(key, limits)| {
+            let radius = fault(key, "m", limits.min_m, limits.max_m);
+            radius.into_iter().chain(fault(key, "length_m", limits.min_length_m, limits.max_length_m))
+        });
+        let mut faults: Vec<_> = sphere.into_iter().chain(axial).collect();
         if self.min_half_angle_deg > self.max_half_angle_deg {
             faults.push(ConfigFault {
                 key: "min_half_angle_deg",
@@ -194,17 +224,30 @@ impl Config for AssemblerConfig {
     }
 }
 
-impl RadiusLimits {
-    fn fault(&self, key: &'static str) -> Option<ConfigFault> {
-        (self.min_m > self.max_m).then(|| ConfigFault {
-            key,
-            what: format!("min_m, {}, is more than max_m, {}", self.min_m, self.max_m),
-            hint: "radii are in metres".to_owned(),
-        })
-    }
+/// What is wrong with the limits `min_UNIT` and `max_UNIT` of a shape.
+fn fault(key: &'static str, unit: &str, min: f64, max: f64) -> Option<ConfigFault> {
+    (min > max).then(|| ConfigFault {
+        key,
+        what: format!("min_{unit}, {min}, is more than max_{unit}, {max}"),
+        hint: "both are in metres".to_owned(),
+    })
+}
 
-    fn contain(&self, radius: f64) -> bool {
-        (self.min_m..=self.max_m).contains(&radius)
+impl AssemblerConfig {
+    /// Why an object of this size is not reported.
+    fn wrong_size(&self, shape: ObjectKind, radius: f64, length: f64) -> Option<Rejection> {
+        let axial = match shape {
+            ObjectKind::Sphere => {
+                let RadiusLimits { min_m, max_m } = self.sphere;
+                return (!(min_m..=max_m).contains(&radius)).then_some(Rejection::Radius);
+            }
+            ObjectKind::Cylinder => &self.cylinder,
+            ObjectKind::Cone => &self.cone,
+        };
+        if !(axial.min_m..=axial.max_m).contains(&radius) {
+            return Some(Rejection::Radius);
+        }
+        (!(axial.min_length_m..=axial.max_length_m).contains(&length)).then_some(Rejection::Length)
     }
 }
 
@@ -219,6 +262,8 @@ pub struct ObjectAssembler {
     inliers: Vec<usize>,
     objects: Vec<Object>,
     rejections: Rejections,
+    /// Whether it was said that the ellipses are not those that the method is made for.
+    warned: bool,
 }
 
 impl ObjectAssembler {
@@ -233,6 +278,7 @@ impl ObjectAssembler {
             inliers: Vec::new(),
             objects: Vec::new(),
             rejections: Rejections::default(),
+            warned: false,
         }
     }
 
@@ -261,6 +307,20 @@ impl ObjectAssembler {
             }
         }
         verify::drop_doubles(&mut self.objects, &mut self.rejections);
+    }
+
+    /// Says once that the ellipses are of the other kind than the method is made for.
+    fn warn_of_mismatch(&mut self, ellipses: &[Ellipse]) {
+        let is_pooled = self.config.method == Method::Pooled;
+        if self.warned || ellipses.iter().all(|ellipse| (ellipse.unbiased == 1) == is_pooled) {
+            return;
+        }
+        self.warned = true;
+        let (method, arcs) = if is_pooled { ("pooled", "moments") } else { ("profile", "conic") };
+        tracing::warn!(
+            "the ellipses are not made for `method = \"{method}\"`: fewer objects will be found, and with larger errors\n  \
+             hint: write `arcs = \"{arcs}\"` in the extractor's table"
+        );
     }
 
     /// Why candidates of the last image were turned down, and how many of them.
@@ -352,6 +412,7 @@ impl Stage for ObjectAssembler {
     }
 
     fn step(&mut self, input: &Message<Ellipse>, _: &Sides, output: &mut Output<Object>) -> Result<(), StageError> {
+        self.warn_of_mismatch(input.items);
         self.assemble(input.header, input.items);
         self.objects.iter().for_each(|&object| output.push(object));
         self.rejections.iter().for_each(|(reason, times)| output.count(reason, times));

@@ -187,24 +187,33 @@ fn sigmas_are_present_exactly_where_the_shape_has_the_parameter() {
 
 #[test]
 fn a_candidate_beyond_the_limits_is_counted() {
-    let config =
-        AssemblerConfig { cylinder: RadiusLimits { min_m: 0.01, max_m: 0.15 }, ..AssemblerConfig::of_the_paper() };
     let (header, pixels) = render(KINECT_HALF, NoiseModel::KINECT_V1, &[can(1.5)], 11);
-    let mut extractor = RowEllipseExtractor::with(RowEllipseConfig::of_the_paper());
-    let mut assembler = ObjectAssembler::with(config);
-    assert_eq!(assembler.assemble(&header, extractor.extract(&header, &pixels)), []);
-    assert!(assembler.rejections().any(|(reason, _)| reason == "candidates beyond the radius limits"));
+    let moments = || (RowEllipseConfig::default(), AssemblerConfig::default());
+    let of_the_paper = || (RowEllipseConfig::of_the_paper(), AssemblerConfig::of_the_paper());
+    for (arcs, config) in [moments(), of_the_paper()] {
+        let ellipses = RowEllipseExtractor::with(arcs).extract(&header, &pixels).to_vec();
+        let limits = config.cylinder;
+        for (cylinder, reason) in [
+            (AxialLimits { max_m: 0.15, ..limits }, "candidates beyond the radius limits"),
+            (AxialLimits { max_length_m: 0.2, ..limits }, "candidates beyond the length limits"),
+        ] {
+            let mut assembler = ObjectAssembler::with(AssemblerConfig { cylinder, ..config.clone() });
+            assert_eq!(assembler.assemble(&header, &ellipses), []);
+            assert!(assembler.rejections().any(|(why, _)| why == reason), "{reason}");
+        }
+    }
 }
 
 #[test]
 fn limits_that_exclude_each_other_are_faults() {
     let config = AssemblerConfig {
         sphere: RadiusLimits { min_m: 0.5, max_m: 0.1 },
+        cone: AxialLimits { min_m: 0.1, max_m: 0.2, min_length_m: 2.0, max_length_m: 1.0 },
         min_half_angle_deg: 40.0,
         max_half_angle_deg: 20.0,
         ..AssemblerConfig::of_the_paper()
     };
     let keys: Vec<_> = config.faults(Path::new(".")).into_iter().map(|fault| fault.key).collect();
-    assert_eq!(keys, ["sphere", "min_half_angle_deg"]);
+    assert_eq!(keys, ["sphere", "cone", "min_half_angle_deg"]);
     assert_eq!(AssemblerConfig::default().faults(Path::new(".")), []);
 }

@@ -1,7 +1,7 @@
 //! What a body has to fulfil to be reported, and the report.
 
 use super::sections::Section;
-use super::{AssemblerConfig, RadiusLimits, SectionFit};
+use super::{AssemblerConfig, SectionFit};
 use conicflow_geometry::{Cone, Cylinder, Quadric, Sphere, Vector3, fit_plane_line};
 use conicflow_messages::{NoiseModel, Object, ObjectKind, ObjectSigma};
 use std::ops::Range;
@@ -37,10 +37,11 @@ pub(super) enum Rejection {
     Double,
     SeenThrough,
     Vague,
+    Length,
 }
 
 impl Rejection {
-    const NAMES: [&'static str; 19] = [
+    const NAMES: [&'static str; 20] = [
         "candidates of too few rows",
         "candidates with too many gaps",
         "candidates of short arcs",
@@ -60,6 +61,7 @@ impl Rejection {
         "objects seen twice",
         "candidates behind which something is seen",
         "candidates of vague radius or axis",
+        "candidates beyond the length limits",
     ];
 }
 
@@ -86,6 +88,14 @@ pub(super) enum Solid {
 }
 
 impl Solid {
+    fn shape(&self) -> ObjectKind {
+        match self {
+            Self::Sphere(_) => ObjectKind::Sphere,
+            Self::Cylinder(_) => ObjectKind::Cylinder,
+            Self::Cone(_) => ObjectKind::Cone,
+        }
+    }
+
     /// Sum of the squared distances of a section's points.
     fn square_sum(&self, section: &Section) -> f64 {
         match self {
@@ -193,25 +203,16 @@ impl<'a> Candidate<'a> {
 
     /// The report on a body, if it is one to be reported.
     pub fn verify(&self, body: &Body) -> Result<Object, Rejection> {
-        let limits = self.limits(body);
-        let is_sphere = matches!(body.solid, Solid::Sphere(_));
+        let shape = body.solid.shape();
         let rms = self.rms(&body.solid);
-        if !limits.contain(body.radius) {
-            Err(Rejection::Radius)
-        } else if !is_sphere && body.length < self.config.min_length_radii * body.radius {
+        if let Some(reason) = self.config.wrong_size(shape, body.radius, body.length) {
+            Err(reason)
+        } else if shape != ObjectKind::Sphere && body.length < self.config.min_length_radii * body.radius {
             Err(Rejection::Short)
         } else if rms.is_nan() || rms > self.max_rms(body) {
             Err(Rejection::Rms)
         } else {
             Ok(self.report(body, rms))
-        }
-    }
-
-    fn limits(&self, body: &Body) -> RadiusLimits {
-        match body.solid {
-            Solid::Sphere(_) => self.config.sphere,
-            Solid::Cylinder(_) => self.config.cylinder,
-            Solid::Cone(_) => self.config.cone,
         }
     }
 

@@ -1,7 +1,7 @@
 //! What a grown model has to fulfil as a whole to be an object.
 
+use super::super::AssemblerConfig;
 use super::super::verify::Rejection;
-use super::super::{AssemblerConfig, RadiusLimits};
 use super::Grown;
 use super::arcs::Arc;
 use super::model::Model;
@@ -52,8 +52,8 @@ pub(super) fn check(grown: &Grown, config: &AssemblerConfig) -> Result<Measured,
         Err(Rejection::Gaps)
     } else if measured.misfit > most_misfit(measured.points) {
         Err(Rejection::Rms)
-    } else if !limits(&grown.model, config).contain(radius) {
-        Err(Rejection::Radius)
+    } else if let Some(reason) = config.wrong_size(grown.model.kind(), radius, reach) {
+        Err(reason)
     } else if !is_sharp(grown, config) {
         Err(Rejection::HalfAngle)
     } else if reach < least_reach(grown, config) * radius {
@@ -87,14 +87,6 @@ fn least_reach(grown: &Grown, config: &AssemblerConfig) -> f64 {
     match grown.model {
         Model::Sphere(_) => config.pooled.min_cap_radii,
         _ => config.pooled.min_length_radii,
-    }
-}
-
-fn limits(model: &Model, config: &AssemblerConfig) -> RadiusLimits {
-    match model {
-        Model::Sphere(_) => config.sphere,
-        Model::Cylinder(_) => config.cylinder,
-        Model::Cone(_) => config.cone,
     }
 }
 
