@@ -6,6 +6,19 @@
 
 use crate::{Circle, PlaneMoments};
 
+/// The moments of an arc about its mean that determine line and circle, per point; with `z = x^2 + y^2`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ArcMoments {
+    count: f64,
+    mean: [f64; 2],
+    xx: f64,
+    xy: f64,
+    yy: f64,
+    xz: f64,
+    yz: f64,
+    zz: f64,
+}
+
 /// Line and circle through one arc.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArcFit {
@@ -21,37 +34,117 @@ pub struct ArcFit {
 #[inline]
 pub fn line_square(moments: &PlaneMoments) -> f64 {
     let [ss, st, tt] = moments.covariance().unwrap_or_default();
-    0.5 * (ss + tt) - (0.25 * (ss - tt) * (ss - tt) + st * st).sqrt()
+    smaller_eigenvalue(ss, st, tt)
+}
+
+impl ArcMoments {
+    /// Those of points of which all moments are known; `None` where there are none.
+    pub fn of(moments: &PlaneMoments) -> Option<Self> {
+        let mean = moments.mean()?;
+        let centred = moments.about(mean);
+        let per_point = 1.0 / moments.count();
+        let m = |p, q| centred.get(p, q) * per_point;
+        Some(Self {
+            count: moments.count(),
+            mean,
+            xx: m(2, 0),
+            xy: m(1, 1),
+            yy: m(0, 2),
+            xz: m(3, 0) + m(1, 2),
+            yz: m(2, 1) + m(0, 3),
+            zz: m(4, 0) + 2.0 * m(2, 2) + m(0, 4),
+        })
+    }
+
+    /// From the means of `(x, y)`, of `(x^2, x y, y^2)`, of `(x q, y q)` and of `q^2`, with `q = x^2 + y^2`.
+    #[inline]
+    pub fn from_means(count: f64, mean: [f64; 2], squares: [f64; 3], cubes: [f64; 2], fourth: f64) -> Self {
+        let ([x, y], [sxx, sxy, syy]) = (mean, squares);
+        let (xx, xy, yy) = (sxx - x * x, sxy - x * y, syy - y * y);
+        let (q, m) = (sxx + syy, x * x + y * y);
+        // z = q - 2 (mean . p) + m, about the mean.
+        let xz = cubes[0] - x * q - 2.0 * (x * xx + y * xy);
+        let yz = cubes[1] - y * q - 2.0 * (x * xy + y * yy);
+        let along = x * (x * sxx + 2.0 * y * sxy) + y * y * syy;
+        let zz = fourth - 4.0 * (x * cubes[0] + y * cubes[1] - along) + m * (2.0 * q - 3.0 * m);
+        Self { count, mean, xx, xy, yy, xz, yz, zz }
+    }
+
+    /// Number of points.
+    pub fn count(&self) -> f64 {
+        self.count
+    }
+
+    /// Mean of the points, in metres.
+    pub fn mean(&self) -> [f64; 2] {
+        self.mean
+    }
+
+    /// Mean square distance from `point`, in square metres.
+    pub fn square_from(&self, point: [f64; 2]) -> f64 {
+        let (x, y) = (self.mean[0] - point[0], self.mean[1] - point[1]);
+        self.xx + self.yy + x * x + y * y
+    }
+
+    /// Mean square distance from the line of least squares.
+    #[inline]
+    pub fn line_square(&self) -> f64 {
+        smaller_eigenvalue(self.xx, self.xy, self.yy)
+    }
+
+    /// Whether the mean square distance from the best circle is at most `square`, without fitting it.
+    ///
+    /// The polynomial of the eigenvalues rises through its smallest root; a line is a circle too.
+    #[inline]
+    pub fn is_circle_within(&self, square: f64) -> bool {
+        let c = self.eigenvalue_polynomial();
+        c[0] + square * (c[1] + square * (c[2] + square * c[3])) >= 0.0 || self.line_square() <= square
+    }
+
+    /// The cubic whose smallest root is the mean square distance from the circle.
+    #[inline]
+    fn eigenvalue_polynomial(&self) -> [f64; 4] {
+        let Self { xx, xy, yy, xz, yz, zz, .. } = *self;
+        let (z, covariance) = (xx + yy, xx * yy - xy * xy);
+        let variance = zz - z * z;
+        [
+            xz * (xz * yy - yz * xy) + yz * (yz * xx - xz * xy) - variance * covariance,
+            (variance + 4.0 * covariance) * z - xz * xz - yz * yz,
+            -3.0 * z * z - zz,
+            4.0 * z,
+        ]
+    }
+
+    /// Fits both.
+    pub fn fit(&self) -> ArcFit {
+        let Self { xx, xy, yy, xz, yz, .. } = *self;
+        let (z, covariance) = (xx + yy, xx * yy - xy * xy);
+        let eta = root_near_zero(&self.eigenvalue_polynomial());
+        let half = 0.5 / (eta * eta - eta * z + covariance);
+        let (x, y) = ((xz * (yy - eta) - yz * xy) * half, (yz * (xx - eta) - xz * xy) * half);
+        let circle = Circle { center: [self.mean[0] + x, self.mean[1] + y], radius: (x * x + y * y + z).sqrt() };
+        ArcFit { line_square: self.line_square(), circle_square: eta, circle }
+    }
+
+    #[cfg(test)]
+    pub(crate) fn numbers(&self) -> [f64; 9] {
+        let Self { count, mean, xx, xy, yy, xz, yz, zz } = *self;
+        [count, mean[0], mean[1], xx, xy, yy, xz, yz, zz]
+    }
 }
 
 impl ArcFit {
     /// Fits both; `None` where there are fewer than three points.
     pub fn new(moments: &PlaneMoments) -> Option<Self> {
-        if moments.count() < 3.0 {
-            return None;
-        }
-        let mean = moments.mean()?;
-        let centred = moments.about(mean);
-        let per_point = 1.0 / moments.count();
-        let m = |p, q| centred.get(p, q) * per_point;
-        let (xx, xy, yy) = (m(2, 0), m(1, 1), m(0, 2));
-        let (xz, yz) = (m(3, 0) + m(1, 2), m(2, 1) + m(0, 3));
-        let zz = m(4, 0) + 2.0 * m(2, 2) + m(0, 4);
-        let (z, covariance) = (xx + yy, xx * yy - xy * xy);
-        let variance = zz - z * z;
-        let cubic = [
-            xz * (xz * yy - yz * xy) + yz * (yz * xx - xz * xy) - variance * covariance,
-            (variance + 4.0 * covariance) * z - xz * xz - yz * yz,
-            -3.0 * z * z - zz,
-            4.0 * z,
-        ];
-        let line_square = 0.5 * z - (0.25 * (xx - yy) * (xx - yy) + xy * xy).sqrt();
-        let eta = root_near_zero(&cubic);
-        let half = 0.5 / (eta * eta - eta * z + covariance);
-        let (x, y) = ((xz * (yy - eta) - yz * xy) * half, (yz * (xx - eta) - xz * xy) * half);
-        let circle = Circle { center: [mean[0] + x, mean[1] + y], radius: (x * x + y * y + z).sqrt() };
-        Some(Self { line_square, circle_square: eta, circle })
+        let arc = ArcMoments::of(moments).filter(|arc| arc.count >= 3.0)?;
+        Some(arc.fit())
     }
+}
+
+/// The smaller eigenvalue of `[[xx, xy], [xy, yy]]`.
+#[inline]
+pub(crate) fn smaller_eigenvalue(xx: f64, xy: f64, yy: f64) -> f64 {
+    0.5 * (xx + yy) - (0.25 * (xx - yy) * (xx - yy) + xy * xy).sqrt()
 }
 
 /// The root of `c0 + c1 x + c2 x^2 + c3 x^3` that Newton's iteration finds from 0.
@@ -64,7 +157,8 @@ fn root_near_zero(c: &[f64; 4]) -> f64 {
             break;
         }
         x -= step;
-        if step.abs() <= 1e-6 * x.abs() + 1e-14 {
+        // Convergence is quadratic: what is left is the square of the step.
+        if step.abs() <= 1e-4 * x.abs() + 1e-13 {
             break;
         }
     }
@@ -90,6 +184,35 @@ mod tests {
         assert!((fit.circle_square.sqrt() - circle.rms(&moments).unwrap()).abs() < 1e-4, "{fit:?}");
         assert!((fit.line_square.sqrt() - line.rms).abs() < 1e-6, "{fit:?} {line:?}");
         assert!((line_square(&moments) - fit.line_square).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_circle_within_a_distance_needs_no_fit() {
+        for (i, noise) in [0.0, 0.001, 0.003, 0.01].into_iter().enumerate() {
+            let phase = i as f64;
+            let noisy = arc(3.9, 5.5).enumerate().map(|(i, [s, t])| [s, t + noise * (i as f64 * 2.4 + phase).sin()]);
+            let arc = ArcMoments::of(&PlaneMoments::of([0.0, 0.0], noisy)).unwrap();
+            let square = arc.fit().circle_square;
+            for (factor, within) in [(0.5, false), (0.95, false), (1.05, true), (3.0, true)] {
+                let limit = factor * square + if within { 1e-12 } else { -1e-12 };
+                assert_eq!(arc.is_circle_within(limit), within, "{factor} of {square}");
+            }
+        }
+    }
+
+    #[test]
+    fn means_about_the_camera_give_the_moments_about_the_mean() {
+        let points: Vec<_> = arc(4.0, 5.0).collect();
+        let mean = |f: &dyn Fn(f64, f64) -> f64| points.iter().map(|[s, t]| f(*s, *t)).sum::<f64>() / 40.0;
+        let q = |s: f64, t: f64| s * s + t * t;
+        let cubes = [mean(&|s, t| s * q(s, t)), mean(&|s, t| t * q(s, t))];
+        let squares = [mean(&|s, _| s * s), mean(&|s, t| s * t), mean(&|_, t| t * t)];
+        let plain = [mean(&|s, _| s), mean(&|_, t| t)];
+        let arc = ArcMoments::from_means(40.0, plain, squares, cubes, mean(&|s, t| q(s, t).powi(2)));
+        let expected = ArcMoments::of(&PlaneMoments::of([0.0, 0.0], points.iter().copied())).unwrap();
+        for (a, b) in arc.numbers().into_iter().zip(expected.numbers()) {
+            assert!((a - b).abs() < 1e-13, "{arc:?} {expected:?}");
+        }
     }
 
     #[test]

@@ -5,7 +5,8 @@
 //! are unbiased estimates of the powers of z. With them the fits are adjusted least squares (Kukush, Markovsky and Van
 //! Huffel, "Consistent estimation in an implicit quadratic measurement error model", 2004).
 
-use crate::{MOMENTS, PlaneMoments};
+use crate::arc_fit::smaller_eigenvalue;
+use crate::{ArcMoments, MOMENTS, PlaneMoments};
 
 /// Unbiased estimates of `[1, z, z^2, z^3, z^4]` from a measurement of variance `variance`.
 #[inline]
@@ -66,6 +67,73 @@ impl RaySums {
     }
 }
 
+/// What a line asks of the rays of a scan line, and no more: the sums of `[x h1, h1, x^2 h2, x h2, h2]`.
+///
+/// As those of [`RaySums`], they are free of the noise, and the difference of two running sums is the sum over what lies
+/// between.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LineSums(pub [f64; 5]);
+
+/// What a circle asks on top of it, in a scan plane of stretch k: with `c = x^2 + k^2`, the sums of
+/// `[x c h3, c h3, c^2 h4]`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct CircleSums(pub [f64; 3]);
+
+impl LineSums {
+    /// These sums and one more measurement: slope x, depth z, variance of the depth.
+    #[inline]
+    #[must_use]
+    pub fn with(&self, x: f64, z: f64, variance: f64) -> Self {
+        let h2 = z * z - variance;
+        let xh2 = x * h2;
+        let terms = [x * z, z, x * xh2, xh2, h2];
+        Self(std::array::from_fn(|i| self.0[i] + terms[i]))
+    }
+
+    /// The measurements between an earlier state of the running sums and this one.
+    #[inline]
+    #[must_use]
+    pub fn since(&self, earlier: &Self) -> Self {
+        Self(std::array::from_fn(|i| self.0[i] - earlier.0[i]))
+    }
+
+    /// Mean square distance of `count` points from their line, in a scan plane of stretch k.
+    #[inline]
+    pub fn line_square(&self, count: f64, k: f64) -> f64 {
+        let per_point = 1.0 / count;
+        let [x, y, xx, xy, yy] = self.0.map(|sum| sum * per_point);
+        smaller_eigenvalue(xx - x * x, k * (xy - x * y), k * k * (yy - y * y))
+    }
+}
+
+impl CircleSums {
+    /// These sums and one more measurement: slope x, depth z, variance of the depth, and the square of the stretch.
+    #[inline]
+    #[must_use]
+    pub fn with(&self, x: f64, z: f64, variance: f64, square_stretch: f64) -> Self {
+        let [_, _, _, h3, h4] = unbiased_powers(z, variance);
+        let c = x * x + square_stretch;
+        let terms = [x * (c * h3), c * h3, c * (c * h4)];
+        Self(std::array::from_fn(|i| self.0[i] + terms[i]))
+    }
+
+    /// The measurements between an earlier state of the running sums and this one.
+    #[inline]
+    #[must_use]
+    pub fn since(&self, earlier: &Self) -> Self {
+        Self(std::array::from_fn(|i| self.0[i] - earlier.0[i]))
+    }
+
+    /// The moments of `count` points, of which `line` are the other sums, in a scan plane of stretch k.
+    #[inline]
+    pub fn moments(&self, line: &LineSums, count: f64, k: f64) -> ArcMoments {
+        let per_point = 1.0 / count;
+        let [x, y, xx, xy, yy] = line.0.map(|sum| sum * per_point);
+        let [xq, yq, qq] = self.0.map(|sum| sum * per_point);
+        ArcMoments::from_means(count, [x, k * y], [xx, k * xy, k * k * yy], [xq, k * yq], qq)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -80,6 +148,22 @@ mod tests {
         for (a, b) in sums.moments(k).sums().iter().zip(direct.sums()) {
             assert!((a - b).abs() < 1e-11 * (1.0 + b.abs()), "{a} {b}");
         }
+    }
+
+    #[test]
+    fn the_sums_for_lines_and_circles_say_the_same_as_all_of_them() {
+        let rays = (0..30).map(|i| (0.01 * f64::from(i) - 0.1, 1.5 + 0.02 * f64::from(i % 5)));
+        let (variance, k) = (1e-3, 1.1);
+        let all = rays.clone().fold(RaySums::default(), |sums, (x, z)| sums.with(x, z, variance)).moments(k);
+        let line = LineSums::default().with(0.3, 1.0, variance);
+        let circle = CircleSums::default().with(0.3, 1.0, variance, k * k);
+        let lines = rays.clone().fold(line, |sums, (x, z)| sums.with(x, z, variance)).since(&line);
+        let circles = rays.fold(circle, |sums, (x, z)| sums.with(x, z, variance, k * k)).since(&circle);
+        let (few, expected) = (circles.moments(&lines, 30.0, k), ArcMoments::of(&all).unwrap());
+        for (a, b) in few.numbers().into_iter().zip(expected.numbers()) {
+            assert!((a - b).abs() < 1e-12 * (1.0 + b.abs()), "{few:?} {expected:?}");
+        }
+        assert!((lines.line_square(30.0, k) - expected.line_square()).abs() < 1e-13);
     }
 
     #[test]

@@ -3,10 +3,10 @@
 //! `arcs = "moments"` ([`arcs`]): a line is cut where neither a line nor a circle explains its points; what is round goes
 //! on with moments that are free of the noise's bias, for the pooled fits of the assembler.
 //!
-//! `arcs = "conic"`, the paper's Algorithm 1 with its pre-filter: a scan line is split at holes and depth jumps into runs ([`scan_line`]). Along a run a model grows point by point on
-//! running sums, and ends where no line and no ellipse explains its points any more ([`growth`]); what is left of the
-//! run starts the next one, so that one pass finds all ellipses of a line. Walls, specks and hollows are then turned
-//! down, each under the name of its reason ([`filter`]).
+//! `arcs = "conic"`, the paper's Algorithm 1 with its pre-filter: a scan line is split at holes and depth jumps into
+//! runs ([`scan_line`]). Along a run a model grows point by point on running sums, and ends where no line and no ellipse
+//! explains its points any more ([`growth`]); what is left of the run starts the next one, so that one pass finds all
+//! ellipses of a line. Walls, specks and hollows are then turned down, each under the name of its reason ([`filter`]).
 
 mod arcs;
 mod filter;
@@ -17,7 +17,7 @@ mod scan_line;
 #[cfg(test)]
 mod tests;
 
-use arcs::RayLine;
+use arcs::Arcs;
 use conicflow_dataflow::{Config, Context, Output, Sides, Stage, StageError};
 use conicflow_geometry::{Pinhole, Scan};
 use conicflow_messages::{Camera, Ellipse, Header, Message};
@@ -126,17 +126,14 @@ impl RowEllipseConfig {
     }
 }
 
-/// Every how many rows are looked at to tell how noisy the sensor is.
-const LISTEN_STEP: usize = 8;
-
 /// Finds the ellipses of a depth image.
 #[derive(Debug)]
 pub struct RowEllipseExtractor {
     config: RowEllipseConfig,
     line: ScanLine,
-    rays: RayLine,
-    errors: Vec<f64>,
-    quiet: f64,
+    arcs: Arcs,
+    /// Part of the noise model's variance that there is in the image.
+    noise_level: f64,
     ellipses: Vec<Ellipse>,
     rejections: Rejections,
 }
@@ -144,13 +141,11 @@ pub struct RowEllipseExtractor {
 impl RowEllipseExtractor {
     /// An extractor with these parameters.
     pub fn with(config: RowEllipseConfig) -> Self {
-        let (line, rays) = (ScanLine::default(), RayLine::default());
         Self {
+            arcs: Arcs::with(config.clone()),
             config,
-            line,
-            rays,
-            errors: Vec::new(),
-            quiet: 1.0,
+            line: ScanLine::default(),
+            noise_level: 1.0,
             ellipses: Vec::new(),
             rejections: Rejections::default(),
         }
@@ -160,7 +155,9 @@ impl RowEllipseExtractor {
     pub fn extract(&mut self, header: &Header, pixels: &[u16]) -> &[Ellipse] {
         self.ellipses.clear();
         self.rejections = Rejections::default();
-        self.quiet = if self.config.arcs == ArcFinder::Moments { self.listen(header, pixels) } else { 1.0 };
+        if self.config.arcs == ArcFinder::Moments {
+            self.noise_level = self.arcs.noise_level(header, pixels);
+        }
         if self.config.scan != ScanLines::Columns {
             self.scan(header, pixels, Scan::Row);
         }
@@ -175,36 +172,24 @@ impl RowEllipseExtractor {
         self.rejections.iter()
     }
 
-    /// How much of the noise model's variance there is in an image, at most all of it: to correct moments for noise that
-    /// is not there would be as wrong as not to correct them. The errors of lines and circles are free of noise if the
-    /// model is right, and below zero by its excess if it is not.
-    fn listen(&mut self, header: &Header, pixels: &[u16]) -> f64 {
-        self.errors.clear();
-        for line in (0..header.camera.height).step_by(LISTEN_STEP) {
-            self.rays.read(header, 1.0, pixels, (Scan::Row, line), &self.config);
-            self.rays.errors(&self.config, &mut self.errors);
+    fn scan(&mut self, header: &Header, pixels: &[u16], scan: Scan) {
+        match self.config.arcs {
+            ArcFinder::Conic => self.conics(header, pixels, scan),
+            ArcFinder::Moments => {
+                let how = (scan, self.noise_level);
+                self.arcs.find(header, pixels, how, &mut self.ellipses, &mut self.rejections);
+            }
         }
-        self.errors.sort_unstable_by(f64::total_cmp);
-        let median = self.errors.get(self.errors.len() / 2).copied().unwrap_or_default();
-        (1.0 + median).clamp(0.0, 1.0)
     }
 
-    fn scan(&mut self, header: &Header, pixels: &[u16], scan: Scan) {
+    fn conics(&mut self, header: &Header, pixels: &[u16], scan: Scan) {
         let lines = match scan {
             Scan::Row => header.camera.height,
             Scan::Column => header.camera.width,
         };
         for line in (0..lines).step_by(self.config.line_step.max(1) as usize) {
-            match self.config.arcs {
-                ArcFinder::Conic => {
-                    self.line.read(header, pixels, scan, line, &self.config);
-                    self.ellipses_of_line(header);
-                }
-                ArcFinder::Moments => {
-                    self.rays.read(header, self.quiet, pixels, (scan, line), &self.config);
-                    self.rays.arcs(&self.config, &mut self.ellipses, &mut self.rejections);
-                }
-            }
+            self.line.read(header, pixels, scan, line, &self.config);
+            self.ellipses_of_line(header);
         }
     }
 

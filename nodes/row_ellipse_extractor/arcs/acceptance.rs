@@ -1,0 +1,164 @@
+//! Which segments are arcs, and what is told of them: their ends are taken off where they may belong to something else,
+//! their curvature has to exceed the noise, and their centre has to lie behind the surface.
+
+use super::super::filter::Rejection;
+use super::run::{FIRST_FIT, Run};
+use super::segments::Segment;
+use conicflow_geometry::{ArcFit, ArcMoments, Circle, PlaneMoments, Scan};
+use conicflow_messages::Ellipse;
+use std::ops::Range;
+
+/// Significance that the error of a line has to exceed that of the circle by, in standard deviations, where the arc is
+/// a part of a run.
+const CURVED: f64 = 3.0;
+/// Fewest points of an arc that goes on although it is not curved, because it is set off by jumps.
+const SET_OFF: usize = 8;
+/// Besides `trim_px`, one point in so many is taken off each end: edges are smeared the wider, the larger they are seen.
+const SMEARED: usize = 32;
+/// Most pixels between a contour and what is seen behind it that count: a wider gap is the shadow of the sensor.
+const MAX_GAP: f64 = 3.0;
+/// How many standard deviations the mean of a few points at an end may be off the circle through the others.
+const STRAYING: f64 = 2.0;
+/// Radius beyond which a circle is a wall, in the largest radii of an object: the circle of a short arc is uncertain.
+const FLATTEST: f64 = 4.0;
+
+/// The arc of a segment, or why it is none.
+pub(super) fn accept(run: &mut Run, image: &[u16], segment: &Segment) -> Result<Ellipse, Rejection> {
+    let points = trimmed(run, segment);
+    if points.len() < FIRST_FIT - 1 {
+        return Err(Rejection::FewPoints);
+    }
+    let moments = run.moments(points.start, points.end);
+    let contour = contour(run, segment);
+    let fit = circle(run, segment, &points, &moments).or_else(|why| {
+        if may_be_part(run, segment, &points, contour) { Ok(nearly_flat(run, &moments)) } else { Err(why) }
+    })?;
+    let sums = run.all_sums(points.start, points.end).moments(run.plane().stretch());
+    Ok(Ellipse { contour, ..message(run, image, points, &fit, &sums.about(moments.mean())) })
+}
+
+/// The circle through the points of a segment, or why it is none of an object.
+fn circle(run: &Run, segment: &Segment, points: &Range<usize>, moments: &ArcMoments) -> Result<ArcFit, Rejection> {
+    let (fit, config) = (moments.fit(), &run.view.config);
+    let scatter = run.variance(points.start, points.end) * (2.0 / points.len() as f64).sqrt();
+    // Many weak ones of neighbouring lines make a strong one.
+    let curved = if is_whole(run, segment) { 0.0 } else { CURVED * scatter };
+    if !fit.circle.radius.is_finite() || fit.line_square - fit.circle_square.max(0.0) < curved {
+        Err(Rejection::Line)
+    } else if fit.circle.center[1] <= moments.mean()[1] {
+        Err(Rejection::Concave)
+    } else if !(config.min_radius_m..FLATTEST * config.max_radius_m).contains(&fit.circle.radius) {
+        Err(Rejection::Radius)
+    } else {
+        Ok(fit)
+    }
+}
+
+/// Whether a segment may be part of an object even where the noise bends it the wrong way: it is set off by jumps.
+fn may_be_part(run: &Run, segment: &Segment, points: &Range<usize>, contour: [f64; 2]) -> bool {
+    is_whole(run, segment)
+        && points.len() >= SET_OFF
+        && contour != [0.0; 2]
+        && run.width() < 2.0 * run.view.config.max_radius_m
+}
+
+/// A circle as flat as any may be that touches the points.
+fn nearly_flat(run: &Run, moments: &ArcMoments) -> ArcFit {
+    let (mean, radius) = (moments.mean(), FLATTEST * run.view.config.max_radius_m);
+    let away = 1.0 / (mean[0] * mean[0] + mean[1] * mean[1]).sqrt();
+    let circle = Circle { center: mean.map(|x| x * (1.0 + radius * away)), radius };
+    let line_square = moments.line_square();
+    ArcFit { line_square, circle_square: line_square, circle }
+}
+
+/// Where a segment ends before something farther behind it, on the sides on which it ends its run, in pixels.
+fn contour(run: &Run, segment: &Segment) -> [f64; 2] {
+    let end = |is_end: bool, point: usize, neighbor: Option<(u32, u16)>| {
+        let (pixel, depth) = (run.points.pixels[point], run.points.depths[point]);
+        let (there, _) = neighbor.filter(|(_, behind)| is_end && *behind > depth)?;
+        Some(f64::from(pixel) + 0.5 * (f64::from(there) - f64::from(pixel)).clamp(-MAX_GAP, MAX_GAP))
+    };
+    let [before, behind] = run.points.neighbors;
+    let ends = [end(segment.from == 0, 0, before), end(segment.to == run.length, run.length - 1, behind)];
+    ends.map(Option::unwrap_or_default)
+}
+
+/// Whether a segment is all there is between two jumps or creases.
+fn is_whole(run: &Run, segment: &Segment) -> bool {
+    let starts_open = segment.from == 0 && run.points.open[0];
+    let ends_open = segment.to == run.length && run.points.open[1];
+    [segment.from, segment.to] == segment.part && !starts_open && !ends_open
+}
+
+/// What is left of a segment when the ends that may belong to something else are taken off: pixels at a jump mix two
+/// depths, and where a curve breaks it has taken in some points of what follows.
+fn trimmed(run: &mut Run, segment: &Segment) -> Range<usize> {
+    let Segment { part, mut from, mut to, .. } = *segment;
+    let trim = run.view.config.trim_px as usize + (to - from) / SMEARED;
+    let (starts_run, ends_run) = (from == part[0], to == part[1]);
+    from += trim;
+    to = to.saturating_sub(trim).max(from);
+    for _ in 0..4 {
+        let few = ((to - from) / 8).max(3);
+        if to - from < 2 * FIRST_FIT + few {
+            break;
+        }
+        let strays_behind = !ends_run && strays(run, from..to - few, to - few..to);
+        let strays_before = !starts_run && strays(run, from + few..to, from..from + few);
+        to -= if strays_behind { few } else { 0 };
+        from += if strays_before { few } else { 0 };
+        if !(strays_behind || strays_before) {
+            break;
+        }
+    }
+    from..to
+}
+
+/// Whether the points of `few` are off the circle through those of `others`.
+fn strays(run: &mut Run, others: Range<usize>, few: Range<usize>) -> bool {
+    let circle = run.moments(others.start, others.end).fit().circle;
+    let square = run.moments(few.start, few.end).square_from(circle.center);
+    let off = (square - circle.radius * circle.radius) / (2.0 * circle.radius);
+    off.powi(2) > STRAYING.powi(2) * run.variance(few.start, few.end) / few.len() as f64
+}
+
+fn message(run: &Run, image: &[u16], points: Range<usize>, fit: &ArcFit, moments: &PlaneMoments) -> Ellipse {
+    let [first, last] = [points.start, points.end - 1];
+    let radius = fit.circle.radius;
+    let beyond = run.view.config.trim_px + 2 + points.len() as u32 / 8;
+    let from_front = |point: usize| {
+        let [s, t] = run.point(point);
+        (s - fit.circle.center[0]).atan2(fit.circle.center[1] - t)
+    };
+    Ellipse {
+        scan: if run.view.scan == Scan::Row { 0 } else { 1 },
+        line: run.line.number,
+        first: run.pixel(first),
+        last: run.pixel(last),
+        points: points.len() as u32,
+        sigma: run.depth_variance((first + last) / 2).sqrt(),
+        beyond_px: beyond,
+        unbiased: 1,
+        center: run.plane().to_camera(fit.circle.center).into(),
+        plane_center: fit.circle.center,
+        semi_axes: [radius; 2],
+        half_width: radius,
+        half_depth: radius,
+        rms: fit.circle_square.max(0.0).sqrt(),
+        arc: (from_front(last) - from_front(first)).abs(),
+        beyond: [
+            depth_near(run, image, run.pixel(first), beyond, -1),
+            depth_near(run, image, run.pixel(last), beyond, 1),
+        ],
+        origin: moments.origin(),
+        moments: *moments.sums(),
+        ..Ellipse::default()
+    }
+}
+
+/// The depth `distance` pixels from `pixel`, or else a little farther; 0 where there is none.
+fn depth_near(run: &Run, image: &[u16], pixel: u32, distance: u32, side: i64) -> f64 {
+    let depth =
+        |more: i64| run.view.depth(image, run.line.number, i64::from(pixel) + side * (i64::from(distance) + more));
+    depth(0).or_else(|| depth(1)).or_else(|| depth(2)).unwrap_or(0.0)
+}

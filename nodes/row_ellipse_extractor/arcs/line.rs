@@ -1,0 +1,155 @@
+//! One scan line, or a window of it: its measurements, split into runs at jumps and holes.
+
+use super::view::View;
+use conicflow_geometry::{Pinhole, Scan, ScanPlane};
+use conicflow_messages::is_measured;
+use std::ops::Range;
+
+/// Pixels that are tested together for holes, and measurements for jumps.
+const BATCH: usize = 32;
+
+/// A scan line; its buffers are used again for the next.
+#[derive(Debug)]
+pub(super) struct RayLine {
+    pub number: u32,
+    pub plane: ScanPlane,
+    window: Range<u32>,
+    /// Number of measurements.
+    count: usize,
+    /// The pixels of a column side by side.
+    column: Vec<u16>,
+    /// Pixel of each measurement ...
+    pixels: Vec<u32>,
+    /// ... and its depth in units of the image.
+    depths: Vec<u16>,
+    /// Running sums of the depths, beginning with nothing; they may wrap around, differences of them do not.
+    depth_sums: Vec<u32>,
+    runs: Vec<Range<usize>>,
+}
+
+impl Default for RayLine {
+    fn default() -> Self {
+        Self {
+            number: 0,
+            plane: Pinhole { fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 }.plane(Scan::Row, 0.0),
+            window: 0..0,
+            count: 0,
+            column: Vec::new(),
+            pixels: Vec::new(),
+            depths: Vec::new(),
+            depth_sums: vec![0],
+            runs: Vec::new(),
+        }
+    }
+}
+
+impl RayLine {
+    /// Reads the pixels `window` of a scan line and splits them at jumps and holes.
+    pub fn read(&mut self, view: &View, image: &[u16], line: u32, window: Range<u32>) {
+        (self.number, self.plane) = (line, view.plane(line));
+        if self.pixels.len() < window.len() {
+            self.pixels.resize(window.len(), 0);
+            self.depths.resize(window.len(), 0);
+            self.depth_sums.resize(window.len() + 1, 0);
+        }
+        let mut column = std::mem::take(&mut self.column);
+        let depths = view.depths(image, line, &window, &mut column);
+        self.count = self.gather(window.start, depths);
+        self.column = column;
+        self.split(view);
+        self.window = window;
+    }
+
+    /// Moves the measured ones of the pixels from `first` on together; their number.
+    fn gather(&mut self, first: u32, pixels: &[u16]) -> usize {
+        let mut count = 0;
+        for (batch, first) in pixels.chunks(BATCH).zip((first..).step_by(BATCH)) {
+            if batch.iter().fold(true, |all, depth| all & is_measured(*depth)) {
+                self.depths[count..count + batch.len()].copy_from_slice(batch);
+                self.pixels[count..count + batch.len()].iter_mut().zip(first..).for_each(|(pixel, at)| *pixel = at);
+                count += batch.len();
+                continue;
+            }
+            for (pixel, &depth) in (first..).zip(batch) {
+                // Written in any case, counted only if it is one: no branch on the image's content.
+                (self.pixels[count], self.depths[count]) = (pixel, depth);
+                count += usize::from(is_measured(depth));
+            }
+        }
+        self.sum_depths(count);
+        count
+    }
+
+    fn sum_depths(&mut self, count: usize) {
+        let mut sum = 0_u32;
+        for (&depth, known) in self.depths[..count].iter().zip(&mut self.depth_sums[1..]) {
+            sum = sum.wrapping_add(u32::from(depth));
+            *known = sum;
+        }
+    }
+
+    fn split(&mut self, view: &View) {
+        self.runs.clear();
+        let (rule, count) = (view.jump_rule(), self.count);
+        let (pixels, depths) = (&self.pixels[..count], &self.depths[..count]);
+        let mut start = 0;
+        for first in (1..count).step_by(BATCH) {
+            let batch = first - 1..(first + BATCH).min(count);
+            if !rule.may_split(&pixels[batch.clone()], &depths[batch.clone()]) {
+                continue;
+            }
+            for end in batch.skip(1) {
+                if rule.splits(depths[end - 1], depths[end], pixels[end] - pixels[end - 1]) {
+                    self.runs.push(start..end);
+                    start = end;
+                }
+            }
+        }
+        self.runs.extend((count > start).then_some(start..count));
+    }
+
+    /// Number of runs.
+    pub fn runs(&self) -> usize {
+        self.runs.len()
+    }
+
+    /// Number of points of a run.
+    pub fn run_length(&self, index: usize) -> usize {
+        self.runs[index].len()
+    }
+
+    /// The measurements of a run.
+    pub fn run(&self, view: &View, index: usize) -> Points<'_> {
+        let points = self.runs[index].clone();
+        let ends = [self.pixels[points.start], self.pixels[points.end - 1]];
+        let open = [
+            ends[0] == self.window.start && ends[0] > 0,
+            ends[1] + 1 == self.window.end && self.window.end < view.length,
+        ];
+        Points {
+            pixels: &self.pixels[points.clone()],
+            depths: &self.depths[points.clone()],
+            depth_sums: &self.depth_sums[points.start..=points.end],
+            neighbors: [points.start.checked_sub(1), Some(points.end)].map(|at| self.measurement(at?)),
+            open,
+        }
+    }
+
+    /// Pixel and depth of a measurement, if there are so many.
+    fn measurement(&self, index: usize) -> Option<(u32, u16)> {
+        (index < self.count).then(|| (self.pixels[index], self.depths[index]))
+    }
+}
+
+/// The measurements of a run, in units of the image.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Points<'a> {
+    pub pixels: &'a [u32],
+    pub depths: &'a [u16],
+    /// Running sums of the depths, one more than there are depths.
+    pub depth_sums: &'a [u32],
+    /// Pixel and depth of the measurements before and behind the run, in the window.
+    pub neighbors: [Option<(u32, u16)>; 2],
+    /// Whether the run goes on beyond the window, before the first point and behind the last.
+    pub open: [bool; 2],
+}

@@ -1,0 +1,201 @@
+//! Arcs for the pooled fits of the assembler: a scan line is cut where neither a line nor a circle explains its points.
+//!
+//! On an arc of less than half a turn a circle is a far better judge than a free ellipse; the true shape is left to the
+//! pooled fit. Unbiased moments put the expected error of the right curve at zero, so the limit is what the noise of n
+//! points scatters: `error^2 <= sigma^2 (a sqrt(2 / n) + b)`.
+//!
+//! Most of a room is flat, so the image is looked at from coarse to fine: every fourth line as a whole ([`line`],
+//! [`segments`], [`acceptance`]), those between only about the arcs of the coarse lines above and below.
+
+mod acceptance;
+mod line;
+mod noise_level;
+mod run;
+mod segments;
+#[cfg(test)]
+mod tests;
+mod view;
+
+use super::RowEllipseConfig;
+use super::filter::{Rejection, Rejections};
+use acceptance::accept;
+use conicflow_geometry::Scan;
+use conicflow_messages::{Ellipse, Header};
+use line::RayLine;
+use run::{FIRST_FIT, Run, Sums};
+use segments::{cut, next_segment};
+use std::ops::Range;
+use view::View;
+
+/// Every how many lines one is looked at as a whole. Objects are at least three times as high.
+const COARSE_STEP: u32 = 4;
+/// Pixels beyond both ends of an arc that are looked at in the lines beside it ...
+const MARGIN_PX: u32 = 16;
+/// ... and the part of the arc's length on top of them.
+const MARGIN_SHARE: u32 = 4;
+
+/// Finds the arcs of depth images; its buffers are used again for the next.
+#[derive(Debug)]
+pub(super) struct Arcs {
+    view: View,
+    line: RayLine,
+    search: LineSearch,
+    errors: Vec<f64>,
+    above: CoarseLine,
+    below: CoarseLine,
+    windows: Vec<Range<u32>>,
+}
+
+/// What a line shows that is looked at as a whole.
+#[derive(Debug, Default)]
+struct CoarseLine {
+    arcs: Vec<Ellipse>,
+    /// Pixels that are worth a look in the lines beside it, in order.
+    windows: Vec<Range<u32>>,
+}
+
+/// The search for arcs in one line.
+#[derive(Debug, Default)]
+struct LineSearch {
+    sums: Sums,
+    /// Where a run is cut, its ends included.
+    cuts: Vec<usize>,
+}
+
+impl Arcs {
+    pub fn with(config: RowEllipseConfig) -> Self {
+        Self {
+            view: View::with(config),
+            line: RayLine::default(),
+            search: LineSearch::default(),
+            errors: Vec::new(),
+            above: CoarseLine::default(),
+            below: CoarseLine::default(),
+            windows: Vec::new(),
+        }
+    }
+
+    /// The part of the noise model's variance that there is in an image.
+    pub fn noise_level(&mut self, header: &Header, image: &[u16]) -> f64 {
+        self.view.turn(header, Scan::Row, 1.0);
+        noise_level::noise_level(&self.view, image, &mut self.line, &mut self.search.sums, &mut self.errors)
+    }
+
+    /// Adds the arcs of the rows or columns of an image to `ellipses`, in the order of line and pixel.
+    pub fn find(
+        &mut self,
+        header: &Header,
+        image: &[u16],
+        (scan, noise_level): (Scan, f64),
+        ellipses: &mut Vec<Ellipse>,
+        rejections: &mut Rejections,
+    ) {
+        self.view.turn(header, scan, noise_level);
+        let step = self.view.config.line_step.max(1);
+        let coarse_step = step * (COARSE_STEP / step).max(1);
+        let lines = self.view.lines;
+        self.above.clear();
+        for coarse in (0..lines + coarse_step).step_by(coarse_step as usize) {
+            self.below.clear();
+            if coarse < lines {
+                self.read_coarse(image, coarse, rejections);
+            }
+            let between = (coarse + step).saturating_sub(coarse_step)..coarse.min(lines);
+            self.read_between(image, between.step_by(step as usize), ellipses, rejections);
+            ellipses.append(&mut self.below.arcs);
+            std::mem::swap(&mut self.above, &mut self.below);
+        }
+    }
+
+    fn read_coarse(&mut self, image: &[u16], number: u32, rejections: &mut Rejections) {
+        let Self { view, line, search, below, .. } = self;
+        line.read(view, image, number, 0..view.length);
+        search.arcs_of(view, image, line, &mut below.arcs, rejections);
+        below.windows.extend(below.arcs.iter().map(|arc| window_about(arc, view.length)));
+    }
+
+    /// Looks at lines between two coarse ones, where either of these shows something.
+    fn read_between(
+        &mut self,
+        image: &[u16],
+        lines: impl Iterator<Item = u32>,
+        ellipses: &mut Vec<Ellipse>,
+        rejections: &mut Rejections,
+    ) {
+        unite(&self.above.windows, &self.below.windows, &mut self.windows);
+        for number in lines {
+            for window in &self.windows {
+                self.line.read(&self.view, image, number, window.clone());
+                self.search.arcs_of(&self.view, image, &self.line, ellipses, rejections);
+            }
+        }
+    }
+}
+
+impl CoarseLine {
+    fn clear(&mut self) {
+        self.arcs.clear();
+        self.windows.clear();
+    }
+}
+
+impl LineSearch {
+    /// Adds the arcs of a line, or of a window of it, that was read.
+    fn arcs_of(
+        &mut self,
+        view: &View,
+        image: &[u16],
+        line: &RayLine,
+        ellipses: &mut Vec<Ellipse>,
+        rejections: &mut Rejections,
+    ) {
+        for index in 0..line.runs() {
+            if line.run_length(index) < FIRST_FIT {
+                rejections.count(Rejection::FewPoints);
+                continue;
+            }
+            let mut run = Run::new(view, line, index, &mut self.sums);
+            cut(&mut run, &mut self.cuts);
+            for ends in self.cuts.windows(2) {
+                arcs_of_part(&mut run, image, ends[0]..ends[1], ellipses, rejections);
+            }
+        }
+    }
+}
+
+fn arcs_of_part(
+    run: &mut Run,
+    image: &[u16],
+    part: Range<usize>,
+    ellipses: &mut Vec<Ellipse>,
+    rejections: &mut Rejections,
+) {
+    let mut from = part.start;
+    while let Some(segment) = next_segment(run, &part, from) {
+        match if segment.is_curve { accept(run, image, &segment) } else { Err(Rejection::Line) } {
+            Ok(arc) => ellipses.push(arc),
+            Err(reason) => rejections.count(reason),
+        }
+        from = segment.to;
+    }
+}
+
+/// The pixels about an arc that are worth a look in the lines beside it.
+fn window_about(arc: &Ellipse, length: u32) -> Range<u32> {
+    let margin = MARGIN_PX + (arc.last - arc.first) / MARGIN_SHARE;
+    arc.first.saturating_sub(margin)..(arc.last + 1 + margin).min(length)
+}
+
+/// The union of two lists of windows that are in the order of their starts.
+fn unite(a: &[Range<u32>], b: &[Range<u32>], union: &mut Vec<Range<u32>>) {
+    union.clear();
+    union.extend(a.iter().chain(b).cloned());
+    union.sort_unstable_by_key(|window| window.start);
+    union.dedup_by(|next, kept| {
+        let overlaps = next.start <= kept.end;
+        if overlaps {
+            kept.end = kept.end.max(next.end);
+        }
+        overlaps
+    });
+}

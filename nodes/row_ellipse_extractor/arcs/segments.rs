@@ -1,0 +1,109 @@
+//! Segmentation: a run is cut at its creases, and where neither a line nor a circle explains its points.
+//!
+//! Running sums give the moments of any interval by one subtraction, so an interval grows by galloping and bisection,
+//! with a handful of fits in place of one per point.
+
+use super::run::{FIRST_FIT, Run, SURROUNDINGS};
+use std::ops::Range;
+
+/// Points on each side of a crease that are compared with the three in it.
+const WING: usize = 5;
+/// Depth of a crease, in standard deviations of the sensor.
+const CREASE: f64 = 7.0;
+/// Parts of a unit of the image that the depth of a crease is counted in.
+const CREASE_UNIT: f64 = 15.0;
+
+/// An interval of a run that one curve explains.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Segment {
+    /// The part of the run between two creases that it lies in.
+    pub part: [usize; 2],
+    pub from: usize,
+    pub to: usize,
+    /// Whether it may be an arc: no line explains it, or it is all there is and not too wide.
+    pub is_curve: bool,
+}
+
+/// Puts the ends of the parts of a run between its creases into `cuts`, where an object stands on a floor: only creases
+/// open to the camera count, and only where no circle (as the inside of a bowl) explains the whole run.
+pub(super) fn cut(run: &mut Run, cuts: &mut Vec<usize>) {
+    cuts.clear();
+    cuts.push(0);
+    add_creases(run, cuts);
+    if cuts.len() > 1 && (run.is_line(0, run.length) || run.is_circle(0, run.length)) {
+        cuts.truncate(1);
+    }
+    cuts.push(run.length);
+}
+
+/// Adds the deepest point of each crease.
+fn add_creases(run: &Run, creases: &mut Vec<usize>) {
+    let mut deepest: Option<(i32, usize)> = None;
+    let end = run.length.saturating_sub(WING + 1);
+    for first in (0..end).step_by(SURROUNDINGS) {
+        let block = first.max(WING + 1)..(first + SURROUNDINGS).min(end);
+        if block.is_empty() {
+            continue;
+        }
+        let least = (CREASE_UNIT * CREASE * run.depth_variance(first).sqrt() / run.view.scale) as i32;
+        let depths = crease_depths(run.points.depth_sums, block.clone());
+        if depths.clone().fold(0, i32::max) <= least {
+            creases.extend(deepest.take().map(|(_, at)| at));
+            continue;
+        }
+        for (depth, at) in depths.zip(block) {
+            if depth > least {
+                deepest = deepest.filter(|(most, _)| *most >= depth).or(Some((depth, at)));
+            } else {
+                creases.extend(deepest.take().map(|(_, at)| at));
+            }
+        }
+    }
+    creases.extend(deepest.map(|(_, at)| at));
+}
+
+/// How much deeper the three points about each of `block` are than those to both sides, in parts of a unit of the image.
+fn crease_depths(sums: &[u32], block: Range<usize>) -> impl Iterator<Item = i32> + Clone {
+    // 2 (P[2] - P[-1]) / 3 - (P[-1] - P[-6]) / 5 - (P[7] - P[2]) / 5 of the running sums P, times 15.
+    let shifted = |by: usize| sums[block.start + by - WING - 1..].iter().take(block.len());
+    let (wings, middles) = (shifted(0).zip(shifted(2 * WING + 3)), shifted(WING).zip(shifted(WING + 3)));
+    wings.zip(middles).map(|((before, behind), (from, to))| {
+        let (wings, middle) = (behind.wrapping_sub(*before), to.wrapping_sub(*from));
+        middle.wrapping_mul(13).wrapping_sub(wings.wrapping_mul(3)).cast_signed()
+    })
+}
+
+/// The segment of a part of a run between two creases that begins at `from`; `None` where too few points are left.
+pub(super) fn next_segment(run: &mut Run, part: &Range<usize>, from: usize) -> Option<Segment> {
+    let most = part.end - from;
+    let segment =
+        |length: usize, is_curve: bool| Segment { part: [part.start, part.end], from, to: from + length, is_curve };
+    if most < FIRST_FIT {
+        None
+    } else if run.is_line(from, part.end) {
+        Some(segment(most, from == part.start && run.width() < 2.0 * run.view.config.max_radius_m))
+    } else if run.is_circle(from, part.end) {
+        Some(segment(most, true))
+    } else {
+        let line = gallop(FIRST_FIT, most, |length| run.is_line(from, from + length));
+        let circle = gallop(line, most, |length| run.is_circle(from, from + length));
+        Some(segment(circle, circle > line + line / 8 + 1))
+    }
+}
+
+/// The greatest length up to `most` that is explained, from `least` on, if those explained are without gaps.
+fn gallop(least: usize, most: usize, mut explained: impl FnMut(usize) -> bool) -> usize {
+    let (mut good, mut bad) = (least.min(most), most + 1);
+    while good + 1 < bad {
+        let trial = if bad > most { (good + good / 2 + 1).min(most) } else { (good + bad) / 2 };
+        if explained(trial) {
+            good = trial;
+        } else {
+            bad = trial;
+        }
+        if good == most {
+            break;
+        }
+    }
+    good
+}

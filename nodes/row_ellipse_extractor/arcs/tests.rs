@@ -1,0 +1,122 @@
+use super::super::rendered::{Body, KINECT_HALF, render};
+use super::super::{ArcFinder, RowEllipseConfig, RowEllipseExtractor, ScanLines};
+use super::*;
+use conicflow_geometry::Vector3;
+use conicflow_messages::{Camera, Item, NoiseModel};
+
+fn config(scan: ScanLines) -> RowEllipseConfig {
+    RowEllipseConfig { arcs: ArcFinder::Moments, scan, ..RowEllipseConfig::default() }
+}
+
+fn arcs(config: RowEllipseConfig, (header, pixels): &(Header, Vec<u16>)) -> Vec<Ellipse> {
+    let arcs = RowEllipseExtractor::with(config).extract(header, pixels).to_vec();
+    assert_eq!(Ellipse::check(header, &arcs), Ok(()));
+    arcs
+}
+
+fn can(x: f64, z: f64, radius: f64) -> Body {
+    Body::Frustum { center: Vector3::new(x, 0.0, z), axis: Vector3::y(), radius, slope: 0.0, length: 0.5 }
+}
+
+fn wall(z: f64) -> Body {
+    Body::Plane { normal: Vector3::z(), offset: z }
+}
+
+fn room(seed: u64) -> (Header, Vec<u16>) {
+    let floor = Body::Plane { normal: Vector3::y(), offset: 0.25 };
+    let ball = Body::Sphere { center: Vector3::new(0.5, 0.1, 1.4), radius: 0.15 };
+    let block = Body::Block { center: Vector3::new(-0.5, 0.1, 1.7), size: Vector3::new(0.3, 0.3, 0.3), turn: 0.4 };
+    render(KINECT_HALF, NoiseModel::KINECT_V1, &[can(0.0, 1.6, 0.12), ball, block, floor, wall(3.0)], seed)
+}
+
+#[test]
+fn lines_between_the_coarse_ones_show_as_much_as_those() {
+    let arcs = arcs(config(ScanLines::Rows), &render(KINECT_HALF, NoiseModel::KINECT_V1, &[can(0.1, 1.5, 0.2)], 1));
+    // The near side of the can is in rows 64 to 175, of which 64 and 172 are the outermost coarse ones.
+    for line in 65..175 {
+        let widest = arcs.iter().filter(|arc| arc.line == line).map(|arc| arc.points).max();
+        assert!(widest.is_some_and(|points| points > 40), "{widest:?} points in row {line}");
+    }
+}
+
+#[test]
+fn the_radius_of_an_arc_is_free_of_the_noise() {
+    let arcs = arcs(config(ScanLines::Rows), &render(KINECT_HALF, NoiseModel::KINECT_V1, &[can(0.0, 2.2, 0.2)], 2));
+    let mut radii: Vec<f64> = arcs.iter().filter(|arc| arc.points > 40).map(|arc| arc.half_width).collect();
+    radii.sort_by(f64::total_cmp);
+    assert!(radii.len() > 50 && (radii[radii.len() / 2] - 0.2).abs() < 0.01, "{radii:?}");
+}
+
+#[test]
+fn columns_are_the_rows_of_the_turned_image() {
+    let (header, pixels) = room(3);
+    let Camera { width, height, fx, fy, cx, cy } = header.camera;
+    let camera = Camera { width: height, height: width, fx: fy, fy: fx, cx: cy, cy: cx };
+    let turned = (0..width * height).map(|i| pixels[(i % height * width + i / height) as usize]).collect();
+    let columns = arcs(config(ScanLines::Columns), &(header, pixels));
+    let rows = arcs(config(ScanLines::Rows), &(Header { camera, ..header }, turned));
+    assert!(columns.len() > 30, "{} arcs", columns.len());
+    // The noise level is that of the rows in both, so the variances differ a little, and with them a few verdicts.
+    let alike = |a: &&Ellipse| rows.iter().any(|b| (a.line, a.first, a.last) == (b.line, b.first, b.last));
+    let same = columns.iter().filter(alike).count();
+    assert!(10 * same > 9 * columns.len().max(rows.len()), "{same} of {} and {}", columns.len(), rows.len());
+}
+
+#[test]
+fn arcs_come_in_the_order_of_scan_line_and_pixel() {
+    let arcs = arcs(config(ScanLines::Both), &room(4));
+    assert!(arcs.iter().any(|arc| arc.scan == 0) && arcs.iter().any(|arc| arc.scan == 1));
+    for pair in arcs.windows(2) {
+        let key = |arc: &Ellipse| (arc.scan, arc.line, arc.first);
+        assert!(key(&pair[0]) < key(&pair[1]), "{pair:?}");
+        let one_line = (pair[0].scan, pair[0].line) == (pair[1].scan, pair[1].line);
+        assert!(!one_line || pair[0].last < pair[1].first, "{pair:?}");
+    }
+}
+
+#[test]
+fn lines_that_are_stepped_over_are_not_looked_at() {
+    for line_step in [2, 3, 7] {
+        let arcs = arcs(RowEllipseConfig { line_step, ..config(ScanLines::Rows) }, &room(5));
+        assert!(arcs.len() > 10 && arcs.iter().all(|arc| arc.line % line_step == 0), "every {line_step} lines");
+    }
+}
+
+#[test]
+fn a_floor_and_a_wall_give_next_to_nothing() {
+    let floor = Body::Plane { normal: Vector3::new(0.0, 0.9, 0.3).normalize(), offset: 0.9 };
+    let arcs = arcs(config(ScanLines::Both), &render(KINECT_HALF, NoiseModel::KINECT_V1, &[floor, wall(2.5)], 6));
+    assert!(arcs.len() < 20, "{} arcs", arcs.len());
+}
+
+#[test]
+fn the_noise_level_is_that_of_the_image() {
+    let bodies = [can(0.0, 1.5, 0.2), wall(2.5)];
+    let level = |noise| {
+        let (header, pixels) = render(KINECT_HALF, noise, &bodies, 7);
+        Arcs::with(config(ScanLines::Rows)).noise_level(&Header { noise: NoiseModel::KINECT_V1, ..header }, &pixels)
+    };
+    let (loud, quiet) = (level(NoiseModel::KINECT_V1), level(NoiseModel::IDEAL));
+    assert!(loud > 0.85 && quiet < 0.02, "{loud} and {quiet}");
+}
+
+#[test]
+fn after_two_rounds_nothing_is_allocated() {
+    let rooms: Vec<_> = (10..14).map(room).collect();
+    let mut extractor = RowEllipseExtractor::with(config(ScanLines::Both));
+    let mut round = || rooms.iter().map(|(header, pixels)| extractor.extract(header, pixels).len()).sum::<usize>();
+    let first = allocation_counter::measure(|| assert!(round() > 100));
+    round();
+    let third = allocation_counter::measure(|| assert!(round() > 100));
+    assert!(first.count_total > 0, "the counter counts nothing");
+    assert_eq!(third.count_total, 0, "{third:?}");
+}
+
+#[test]
+fn windows_that_touch_are_united() {
+    let mut union = Vec::new();
+    unite(&[3..9, 20..30], &[0..4, 9..12, 25..26, 40..41], &mut union);
+    assert_eq!(union, [0..12, 20..30, 40..41]);
+    unite(&[], &[], &mut union);
+    assert_eq!(union, []);
+}

@@ -1,0 +1,225 @@
+//! What all scan lines of one direction of a depth image have in common.
+
+use super::super::{RowEllipseConfig, pinhole};
+use conicflow_geometry::{Pinhole, Scan, ScanPlane};
+use conicflow_messages::{Header, NoiseModel, is_measured};
+use std::ops::Range;
+
+/// The limit's `a`: how many standard deviations the error of a right curve may scatter.
+const SCATTER: f64 = 2.5;
+/// The limit's `b`: part of the variance that the noise model may be wrong by.
+const SLACK: f64 = 0.3;
+/// Slope of a surface (depth per distance across the view) that neighbouring pixels may show ...
+const JUMP_SLOPE: f64 = 3.0;
+/// ... and those on the two sides of a hole;
+const HOLE_SLOPE: f64 = 1.5;
+/// how many standard deviations of the sensor a step may be on top of it.
+const JUMP_SIGMAS: f64 = 4.0;
+
+/// The rows or the columns of an image; the tables are used again for the next.
+#[derive(Debug)]
+pub(super) struct View {
+    pub config: RowEllipseConfig,
+    pub scan: Scan,
+    /// Number of scan lines.
+    pub lines: u32,
+    /// Number of pixels of each.
+    pub length: u32,
+    /// Metres per unit of a pixel.
+    pub scale: f64,
+    camera: Pinhole,
+    width: usize,
+    noise: NoiseModel,
+    /// Part of the noise model's variance that there is.
+    quiet: f64,
+    /// Variance that the steps of the depth's unit make at the least.
+    least: f64,
+    /// Distance of neighbouring pixels per metre of depth.
+    pitch: f64,
+    /// Slope of the ray of each pixel.
+    slopes: Vec<f64>,
+    /// Largest mean square error of so many points, in variances.
+    limits: Vec<f64>,
+}
+
+impl View {
+    pub fn with(config: RowEllipseConfig) -> Self {
+        Self {
+            config,
+            scan: Scan::Row,
+            lines: 0,
+            length: 0,
+            scale: 0.0,
+            camera: Pinhole { fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 },
+            width: 0,
+            noise: NoiseModel::IDEAL,
+            quiet: 1.0,
+            least: 0.0,
+            pitch: 0.0,
+            slopes: Vec::new(),
+            limits: Vec::new(),
+        }
+    }
+
+    /// Turns to the rows or columns of an image; the sensor's variance is `quiet` times that of its model.
+    pub fn turn(&mut self, header: &Header, scan: Scan, quiet: f64) {
+        let size = [header.camera.height, header.camera.width];
+        [self.lines, self.length] = if scan == Scan::Row { size } else { [size[1], size[0]] };
+        (self.scan, self.camera, self.width) = (scan, pinhole(&header.camera), size[1] as usize);
+        (self.noise, self.quiet, self.scale) = (header.noise, quiet, header.depth_scale);
+        self.least = (0.5 * self.scale).powi(2);
+        self.pitch = self.camera.pixel_pitch(scan);
+        self.slopes.clear();
+        self.slopes.extend((0..self.length).map(|pixel| self.camera.ray_slope(scan, f64::from(pixel))));
+        let known = self.limits.len();
+        self.limits.extend((known..=self.length as usize).map(|n| SCATTER * (2.0 / n.max(1) as f64).sqrt() + SLACK));
+    }
+
+    /// The plane of a scan line.
+    pub fn plane(&self, line: u32) -> ScanPlane {
+        self.camera.plane(self.scan, f64::from(line))
+    }
+
+    /// Slope of the ray through a pixel.
+    #[inline]
+    pub fn slope(&self, pixel: u32) -> f64 {
+        self.slopes[pixel as usize]
+    }
+
+    /// The pixels `window` of a scan line; those of a column are copied side by side into `column`.
+    pub fn depths<'a>(&self, image: &'a [u16], line: u32, window: &Range<u32>, column: &'a mut Vec<u16>) -> &'a [u16] {
+        let (line, first, last) = (line as usize, window.start as usize, window.end as usize);
+        if self.scan == Scan::Row {
+            return &image[line * self.width + first..line * self.width + last];
+        }
+        column.clear();
+        column.extend(image[first * self.width + line..].chunks(self.width).take(window.len()).map(|rest| rest[0]));
+        column
+    }
+
+    /// Depth of a pixel, in metres, if it is inside the image and measured.
+    pub fn depth(&self, image: &[u16], line: u32, pixel: i64) -> Option<f64> {
+        let pixel = u32::try_from(pixel).ok().filter(|pixel| *pixel < self.length)?;
+        let [row, column] = if self.scan == Scan::Row { [line, pixel] } else { [pixel, line] };
+        let raw = image[row as usize * self.width + column as usize];
+        is_measured(raw).then(|| f64::from(raw) * self.scale)
+    }
+
+    /// Variance of a depth, in square metres.
+    #[inline]
+    pub fn variance(&self, depth: f64) -> f64 {
+        (self.quiet * self.noise.variance(depth)).max(self.least)
+    }
+
+    /// Largest mean square error of `points` points that noise of this variance accounts for.
+    #[inline]
+    pub fn limit(&self, variance: f64, points: usize) -> f64 {
+        variance * self.limits[points] + 1e-8
+    }
+
+    /// The rule by which a line is split.
+    pub fn jump_rule(&self) -> JumpRule {
+        let NoiseModel { floor_m, growth_per_m, knee_m, step_per_m } = self.noise;
+        JumpRule {
+            scale: self.scale as f32,
+            per_metre: (1.0 / self.scale) as f32,
+            slope: (JUMP_SLOPE * self.pitch) as f32,
+            hole_slope: (HOLE_SLOPE * self.pitch) as f32,
+            floor: (JUMP_SIGMAS * floor_m) as f32,
+            growth: (JUMP_SIGMAS * growth_per_m) as f32,
+            knee: knee_m as f32,
+            step: (JUMP_SIGMAS * step_per_m / 12.0_f64.sqrt()) as f32,
+            max_pixels: self.config.max_hole_px + 1,
+        }
+    }
+}
+
+/// Whether two measurements in a row may lie on one surface.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct JumpRule {
+    scale: f32,
+    per_metre: f32,
+    slope: f32,
+    hole_slope: f32,
+    floor: f32,
+    growth: f32,
+    knee: f32,
+    step: f32,
+    max_pixels: u32,
+}
+
+impl JumpRule {
+    /// Whether there is a jump or too large a hole between raw depths a and b that are `pixels` apart.
+    pub fn splits(&self, a: u16, b: u16, pixels: u32) -> bool {
+        f32::from(a.abs_diff(b)) > self.largest_step(a.min(b), pixels) || pixels > self.max_pixels
+    }
+
+    /// Whether there may be a jump or a hole among depths of neighbouring `pixels`: without it none has to be looked at.
+    #[inline]
+    pub fn may_split(&self, pixels: &[u32], depths: &[u16]) -> bool {
+        let (Some(first), Some(last)) = (pixels.first(), pixels.last()) else { return false };
+        let (mut nearest, mut largest) = (u16::MAX, 0);
+        for (&a, &b) in depths.iter().zip(&depths[1..]) {
+            (nearest, largest) = (nearest.min(a.min(b)), largest.max(a.abs_diff(b)));
+        }
+        (last - first) as usize >= pixels.len() || f32::from(largest) > self.largest_step(nearest, 1)
+    }
+
+    /// The largest raw step on one surface from raw depth `near` on; it grows with the depth.
+    #[inline]
+    fn largest_step(&self, near: u16, pixels: u32) -> f32 {
+        let near = f32::from(near) * self.scale;
+        let slope = self.slope.max(self.hole_slope * pixels as f32);
+        let beyond_knee = (near - self.knee).max(0.0);
+        let (axial, quantum) = (self.floor + self.growth * beyond_knee * beyond_knee, self.step * near * near);
+        (slope * near + (axial * axial + quantum * quantum).sqrt()) * self.per_metre
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use conicflow_messages::Camera;
+
+    fn rule() -> JumpRule {
+        let camera = Camera { width: 320, height: 240, fx: 290.0, fy: 290.0, cx: 159.5, cy: 119.5 };
+        let noise = NoiseModel::KINECT_V1;
+        let mut view = View::with(RowEllipseConfig::default());
+        view.turn(&Header { camera, noise, depth_scale: 1e-3, ..Header::default() }, Scan::Row, 1.0);
+        view.jump_rule()
+    }
+
+    #[test]
+    fn a_jump_is_more_than_slope_and_noise() {
+        let (rule, noise) = (rule(), NoiseModel::KINECT_V1);
+        for near in [500_u16, 1000, 2000, 4000] {
+            let z = f64::from(near) * 1e-3;
+            let largest = 1e3 * (JUMP_SLOPE * z / 290.0 + JUMP_SIGMAS * noise.sigma(z));
+            let (within, beyond) = ((largest - 1.0) as u16, (largest + 1.0) as u16);
+            assert!(!rule.splits(near, near + within, 1) && !rule.splits(near + within, near, 1));
+            assert!(rule.splits(near, near + beyond, 1) && rule.splits(near + beyond, near, 1));
+        }
+    }
+
+    #[test]
+    fn a_hole_allows_more_and_ends_a_run_where_it_is_large() {
+        let rule = rule();
+        assert!(rule.splits(1000, 1025, 1) && !rule.splits(1000, 1025, 4));
+        assert!(!rule.splits(1000, 1000, 4) && rule.splits(1000, 1000, 5));
+    }
+
+    #[test]
+    fn what_may_not_split_does_not() {
+        let (rule, pixels) = (rule(), [10, 11, 12, 13, 14, 15]);
+        let mut none = 0;
+        for seed in 0..2000_u32 {
+            let random = |i: u32| (seed * 6 + i).wrapping_mul(2_654_435_761) >> 8;
+            let depths: [u16; 6] = std::array::from_fn(|i| 1500 + (random(i as u32) % (seed / 20 + 1)) as u16);
+            let splits = depths.windows(2).any(|pair| rule.splits(pair[0], pair[1], 1));
+            none += usize::from(!rule.may_split(&pixels, &depths));
+            assert!(rule.may_split(&pixels, &depths) || !splits, "{depths:?}");
+        }
+        assert!((200..1800).contains(&none), "{none} without");
+        assert!(rule.may_split(&[10, 11, 13], &[1500, 1500, 1500]));
+    }
+}
