@@ -33,7 +33,13 @@ impl Conic {
     /// `sum F^2` over the points of `moments`: the quadratic form `q' M q` of the coefficients.
     pub fn square_sum(&self, moments: &PlaneMoments) -> f64 {
         const POWERS: [(usize, usize); 6] = [(2, 0), (1, 1), (0, 2), (1, 0), (0, 1), (0, 0)];
-        let moments = moments.about(self.origin);
+        let moved;
+        let moments = if moments.origin() == self.origin {
+            moments
+        } else {
+            moved = moments.about(self.origin);
+            &moved
+        };
         let mut sum = 0.0;
         for (i, (&qi, (pi, ri))) in self.coefficients.iter().zip(POWERS).enumerate() {
             sum += qi * qi * moments.get(2 * pi, 2 * ri);

@@ -9,9 +9,12 @@ use crate::{Coefficients, Contour, ContourTerm, QuadricMoments, Surface, Vector3
 use nalgebra::{SMatrix, SVector};
 
 /// Most steps of a fit.
-const STEPS: usize = 30;
+const STEPS: usize = 8;
 /// A step shorter than this (in spreads of the points, and radians) ends the fit.
-const SHORT: f64 = 1e-6;
+const SHORT: f64 = 1e-4;
+
+/// So does one that lowers the sum of squares by less than this: noise makes it scatter by more than one.
+const SLIGHT: f64 = 1e-3;
 
 /// A fitted surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,13 +32,13 @@ pub struct SurfaceFit<S, const N: usize> {
     pub converged: bool,
 }
 
-/// Fits a surface of which `start` is a guess; `None` where the points do not determine one near it.
+/// Fits a surface of which `start` is a guess, to points that are pooled with the weights of one over their variance;
+/// `None` where they do not determine one near it.
 pub fn fit_surface<S: Surface<N>, const N: usize>(moments: &QuadricMoments, start: &S) -> Option<SurfaceFit<S, N>> {
     fit_with_contour(moments, None, start)
 }
 
-/// The same, to the points and to the contour that the surface shows; `square_sum` stays that of the points alone, which
-/// have to be pooled with the weights of one over their variance.
+/// The same, to the points and to the contour that the surface shows; `square_sum` stays that of the points alone.
 pub fn fit_with_contour<S: Surface<N>, const N: usize>(
     moments: &QuadricMoments,
     contour: Option<&Contour>,
@@ -43,6 +46,7 @@ pub fn fit_with_contour<S: Surface<N>, const N: usize>(
 ) -> Option<SurfaceFit<S, N>> {
     let mut surface = start.to_local(&moments.origin, moments.scale).moved(&[0.0; N])?;
     let mut system = System::new(moments, contour, &surface);
+    let slight = SLIGHT / (moments.scale * moments.scale);
     let (mut damping, mut converged) = (1e-3, false);
     for _ in 0..STEPS {
         let Some(step) = system.step(damping) else {
@@ -53,9 +57,9 @@ pub fn fit_with_contour<S: Surface<N>, const N: usize>(
         let next = surface.moved(&step).map(|next| (next, System::new(moments, contour, &next)));
         match next.filter(|(_, next)| next.sum() <= system.sum()) {
             Some(next) => {
+                converged = length < SHORT || system.sum() - next.1.sum() < slight;
                 (surface, system) = next;
                 damping *= 0.1;
-                converged = length < SHORT;
             }
             None if length < SHORT => converged = true,
             None => damping = (damping * 10.0).max(1e-6),

@@ -111,17 +111,24 @@ fn exact(z: f64) -> (f64, f64) {
     (z, 0.0)
 }
 
+/// Points, weighed as those that are known to a hundredth of a micrometre.
+fn of_exact(points: &SpaceMoments) -> QuadricMoments {
+    let mut pool = SpaceMoments::default();
+    pool.add(points, 1e16);
+    pool.normalized().unwrap()
+}
+
 #[test]
 fn exact_points_give_each_surface_back() {
     let sphere = Sphere { center: Vector3::new(0.1, 0.05, 1.2), radius: 0.15 };
-    let pool = seen(&sphere.coefficients(), 90..170, 0.3, exact).normalized().unwrap();
+    let pool = of_exact(&seen(&sphere.coefficients(), 90..170, 0.3, exact));
     let start = Sphere { center: pool.origin + Vector3::z() * 0.1, radius: 0.1 };
     let found = fit_surface(&pool, &start).unwrap();
     assert!((found.surface.center - sphere.center).norm() < 1e-7 && found.converged, "{found:?}");
 
     let axis = Vector3::new(0.3, 0.9, -0.4).normalize();
     let cone = Conical { point: Vector3::new(0.1, 0.0, 1.3), axis, radius: 0.12, slope: 0.25 };
-    let pool = seen(&FreeSlope(cone).coefficients(), 80..160, 0.0, exact).normalized().unwrap();
+    let pool = of_exact(&seen(&FreeSlope(cone).coefficients(), 80..160, 0.0, exact));
     let start = Conical { axis: Vector3::y(), radius: 0.1, slope: 0.0, ..cone };
     let found = fit_surface(&pool, &FreeSlope(start)).unwrap();
     let surface = found.surface.0.anchored(&cone.point);

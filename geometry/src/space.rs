@@ -5,7 +5,7 @@
 //! `(y / k)^b (1 / k)^c m[a, b + c]`: an arc joins the pool in O(1), and no point is seen again. Columns are the same
 //! with x and y exchanged.
 
-use crate::{PlaneMoments, Scan, ScanPlane, Sphere, Vector3};
+use crate::{ArcMoments, PlaneMoments, Scan, ScanPlane, Sphere, Vector3};
 use nalgebra::{Matrix3, Matrix4, Vector4};
 
 /// Number of moments.
@@ -174,6 +174,21 @@ impl QuadricMoments {
         (square > 0.0).then(|| Sphere { center: self.origin + center * self.scale, radius: square.sqrt() * self.scale })
     }
 
+    /// The points as `(u.p, v.p)`, for two unit vectors that are perpendicular to each other; in the frame of the fits.
+    pub fn seen_along(&self, u: &Vector3, v: &Vector3) -> ArcMoments {
+        let linear = |a: &Vector3| [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, a.x, a.y, a.z, 0.0];
+        let square = |i: usize, j: usize| u[i] * u[j] + v[i] * v[j];
+        let round =
+            [square(0, 0), square(1, 1), square(2, 2), 2.0 * square(0, 1), 2.0 * square(0, 2), 2.0 * square(1, 2)];
+        let (x, y) = (linear(u), linear(v));
+        let q = std::array::from_fn(|i| round.get(i).copied().unwrap_or_default());
+        let (count, [mx, my, mq]) = (self.matrix[9][9], [x, y, q].map(|a| self.times(&a)));
+        let mean = |m: &Coefficients, a: &Coefficients| dot(m, a) / count;
+        let squares = [mean(&mx, &x), mean(&mx, &y), mean(&my, &y)];
+        let cubes = [mean(&mx, &q), mean(&my, &q)];
+        ArcMoments::from_means(count, [mx[9] / count, my[9] / count], squares, cubes, mean(&mq, &q))
+    }
+
     /// `q' (sum m m')`: its product with the coefficients of another quadric is the sum of the products of both over the
     /// points.
     pub fn times(&self, q: &Coefficients) -> Coefficients {
@@ -226,6 +241,21 @@ mod tests {
         }
         for (row, expected) in normal.matrix.iter().zip(&expected) {
             row.iter().zip(expected).for_each(|(x, y)| assert!((x - y).abs() < 1e-8, "{x} {y}"));
+        }
+    }
+
+    #[test]
+    fn seen_along_two_directions_they_are_points_of_a_plane() {
+        let plane = CAMERA.plane(Scan::Row, 30.0);
+        let arc: Vec<_> = (0..20).map(|i| [0.1 + 0.02 * f64::from(i), 1.5 + 0.3 * f64::from(i * i % 7)]).collect();
+        let pool = SpaceMoments::of_arc(&plane, &PlaneMoments::of([0.2, 1.6], arc.iter().copied()));
+        let normal = pool.normalized().unwrap();
+        let u = Vector3::new(0.9, 0.2, -0.3).normalize();
+        let v = u.cross(&Vector3::new(0.1, 0.5, 0.8)).normalize();
+        let seen = arc.into_iter().map(|point| (plane.to_camera(point) - normal.origin) / normal.scale);
+        let expected = ArcMoments::of(&PlaneMoments::of([0.0, 0.0], seen.map(|p| [u.dot(&p), v.dot(&p)]))).unwrap();
+        for (a, b) in normal.seen_along(&u, &v).numbers().into_iter().zip(expected.numbers()) {
+            assert!((a - b).abs() < 1e-9, "{a} {b}");
         }
     }
 

@@ -98,12 +98,6 @@ impl Arc {
         Misfit { square: conic.square_sum(&self.moments) / self.points, mean: sum / self.points }
     }
 
-    /// The points as `(u.p, v.p)`, for two unit vectors.
-    pub fn seen_along(&self, u: &Vector3, v: &Vector3) -> PlaneMoments {
-        let (s, t) = (self.plane.s_axis(), self.plane.t_axis());
-        self.moments.mapped([[u.dot(&s), u.dot(&t)], [v.dot(&s), v.dot(&t)]])
-    }
-
     /// Depth at which a ray of the scan line, of slope `x`, first meets the quadric `q`.
     pub fn hit(&self, q: &Coefficients, x: f64) -> Option<f64> {
         let [ss, st, tt, s, t, one] = section_of(q, &self.plane);

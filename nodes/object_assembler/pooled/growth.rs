@@ -76,21 +76,30 @@ pub(super) fn chain(arcs: &Arcs, seed: usize, gap: i64, free: impl Fn(usize) -> 
 pub(super) fn is_curved(arcs: &Arcs, chain: &[usize]) -> bool {
     let bulge: f64 = chain.iter().map(|&index| arcs.arcs[index].bulge).sum();
     let [mean, variance] = STRAIGHT.map(|moment| moment * chain.len() as f64);
-    chain.len() >= FEWEST && bulge > mean + CURVED * variance.sqrt()
+    bulge > mean + CURVED * variance.sqrt()
 }
 
-/// Grows a model of one kind from `chain` on, and leaves the arcs that it explains in `members`, in the order of the
+/// What a growth starts from.
+#[derive(Clone, Copy)]
+pub(super) struct Start<'a> {
+    pub kind: ObjectKind,
+    pub chain: &'a [usize],
+    /// A model of it, of this or another kind, if there is one.
+    pub guess: Option<&'a Model>,
+}
+
+/// Grows a model of one kind from a chain on, and leaves the arcs that it explains in `members`, in the order of the
 /// lines; `None` where it does not explain even the chain. `spare` is a buffer.
 pub(super) fn grow(
     arcs: &Arcs,
-    kind: ObjectKind,
-    chain: &[usize],
+    start: &Start,
     gap: i64,
     free: impl Fn(usize) -> bool + Copy,
     members: &mut Vec<usize>,
     spare: &mut Vec<usize>,
 ) -> Option<Model> {
-    let mut model = first(arcs, kind, chain, members)?;
+    let kind = start.kind;
+    let mut model = first(arcs, start, members)?;
     for round in 0..ROUNDS {
         reach(&Grown { arcs, model, members }, gap, free, spare);
         if spare.len() < FEWEST {
@@ -113,12 +122,12 @@ pub(super) fn grow(
 }
 
 /// The model of the chain, if it explains it, or else of its middle.
-fn first(arcs: &Arcs, kind: ObjectKind, chain: &[usize], members: &mut Vec<usize>) -> Option<Model> {
+fn first(arcs: &Arcs, &Start { kind, chain, guess }: &Start, members: &mut Vec<usize>) -> Option<Model> {
     for length in [chain.len(), CORE, FEWEST] {
         let start = chain.len().saturating_sub(length) / 2;
         members.clear();
         members.extend(&chain[start..(start + length).min(chain.len())]);
-        let Some(model) = model::fit(kind, &arcs.of(members), None) else { continue };
+        let Some(model) = model::fit(kind, &arcs.of(members), guess) else { continue };
         let points: f64 = arcs.of(members).map(|arc| arc.points).sum();
         if model.square_sum() / points <= FIRST.square_limit(points) {
             return Some(model);
@@ -142,8 +151,8 @@ fn reach(grown: &Grown, gap: i64, free: impl Fn(usize) -> bool, found: &mut Vec<
         let bears = |misfit| GROWING.bears(arc, &misfit, predictor.variance(&arc.mean));
         free(index)
             && arc.overlap([span[0] - margin, span[1] + margin]) > 0
-            && model.misfit(&q, arc).is_some_and(bears)
             && faces(arc, model)
+            && model.misfit(&q, arc).is_some_and(bears)
     };
     found.clear();
     for side in [-1, 1] {

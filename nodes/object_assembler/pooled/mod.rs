@@ -23,6 +23,7 @@ use super::verify::{Rejection, Rejections};
 use arcs::{Arc, Arcs};
 use conicflow_geometry::Contour;
 use conicflow_messages::{Ellipse, Header, Object, ObjectKind};
+use growth::Start;
 use model::Model;
 use verify::Measured;
 
@@ -118,6 +119,10 @@ impl Growing {
         let free = |index: usize| !taken[index];
         let gap = i64::from(config.pooled.max_gap_lines);
         growth::chain(arcs, seed, gap, free, &mut self.chain);
+        if self.chain.len() < config.pooled.min_lines as usize {
+            rejections.count(Rejection::FewRows);
+            return None;
+        }
         if !growth::is_curved(arcs, &self.chain) {
             rejections.count(Rejection::Flat);
             return None;
@@ -140,13 +145,13 @@ impl Growing {
     /// took for one.
     fn models(&mut self, arcs: &Arcs, gap: i64, free: impl Fn(usize) -> bool + Copy) -> [Option<Model>; 3] {
         let Self { chain, spare, members: [balls, cans, cones], .. } = self;
-        let mut grow = |kind, start: &[usize], members: &mut Vec<usize>| {
-            growth::grow(arcs, kind, start, gap, free, members, spare)
+        let mut grow = |kind, chain: &[usize], guess: Option<&Model>, members: &mut Vec<usize>| {
+            growth::grow(arcs, &Start { kind, chain, guess }, gap, free, members, spare)
         };
-        let sphere = grow(ObjectKind::Sphere, chain, balls);
-        let cylinder = grow(ObjectKind::Cylinder, chain, cans);
-        let start = if cylinder.is_some() && cans.len() > chain.len() { &*cans } else { &*chain };
-        [sphere, cylinder, grow(ObjectKind::Cone, start, cones)]
+        let sphere = grow(ObjectKind::Sphere, chain, None, balls);
+        let cylinder = grow(ObjectKind::Cylinder, chain, None, cans);
+        let longer = if cylinder.is_some() && cans.len() > chain.len() { &*cans } else { &*chain };
+        [sphere, cylinder, grow(ObjectKind::Cone, longer, cylinder.as_ref(), cones)]
     }
 }
 

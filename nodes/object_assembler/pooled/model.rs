@@ -4,16 +4,19 @@ use super::Grown;
 use super::arcs::{Arc, Misfit};
 use conicflow_geometry::{
     ArcFit, Coefficients, Conical, Contour, ContourNoise, ContourPoint, FixedSlope, FreeSlope, Line, LineMoments,
-    PlaneMoments, Prediction, SpaceMoments, Sphere, Surface, SurfaceFit, Vector3, fit_surface, fit_with_contour,
+    Prediction, QuadricMoments, SpaceMoments, Sphere, Surface, SurfaceFit, Vector3, fit_surface, fit_with_contour,
 };
 use conicflow_messages::ObjectKind;
 
 /// Refits of a cone, each with the weights that the last one gave its arcs.
-const CONE_PASSES: usize = 3;
+const CONE_PASSES: usize = 1;
 /// Radius, as a part of that in the middle of a cone, below which it is too near its apex.
 const LEAST_EXCESS: f64 = 0.05;
 /// Slope of a cone beyond which its fit has gone astray.
 const STEEPEST: f64 = 1.2;
+
+/// Radius of a guess at most, in metres.
+const WIDEST: f64 = 2.0;
 
 /// A fitted model.
 #[derive(Clone, Copy, Debug)]
@@ -155,7 +158,7 @@ fn fit_cylinder<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option
     if let Some(Model::Cylinder(fit)) = last {
         return fit_surface(&moments, &fit.surface).map(Model::Cylinder);
     }
-    fit_surface(&moments, &FixedSlope(start(arcs)?)).map(Model::Cylinder)
+    fit_surface(&moments, &FixedSlope(start(arcs.clone(), &moments)?)).map(Model::Cylinder)
 }
 
 fn fit_cone<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Model>) -> Option<Model> {
@@ -163,7 +166,11 @@ fn fit_cone<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Mo
         Some(Model::Cone(fit)) => *fit,
         _ => {
             let moments = pool(arcs.clone(), |_| 1.0).normalized()?;
-            let fit = fit_surface(&moments, &FreeSlope(start(arcs)?))?;
+            let start = match last {
+                Some(Model::Cylinder(fit)) => fit.surface.0,
+                _ => start(arcs.clone(), &moments)?,
+            };
+            let fit = fit_surface(&moments, &FreeSlope(start))?;
             (fit.surface.0.slope.abs() <= STEEPEST).then_some(fit)?
         }
     };
@@ -231,29 +238,27 @@ fn flipped(fit: &SurfaceFit<FreeSlope, 6>) -> SurfaceFit<FreeSlope, 6> {
     flipped
 }
 
-/// A guess from the circles of the arcs: of some directions for the axis that along which the points lie best on one
-/// circle.
-fn start<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone)) -> Option<Conical> {
+/// A guess from the circles of the arcs, of which `moments` are those of the points: of some directions for the axis that
+/// along which the points lie best on one circle.
+fn start<'a>(arcs: impl Iterator<Item = &'a Arc> + Clone, moments: &QuadricMoments) -> Option<Conical> {
     let first = arcs.clone().next()?;
     let (mut centers, mut means) = (LineMoments::new(first.center), LineMoments::new(first.mean));
-    arcs.clone().for_each(|arc| {
+    arcs.for_each(|arc| {
         centers.add(&arc.center);
         means.add(&arc.mean);
     });
     let along = |line: Option<Line>| line.map(|line| line.direction);
     let axes = [Some(first.plane.normal()), along(centers.fit()), along(means.fit())];
-    let guesses = axes.into_iter().flatten().filter_map(|axis| round_about(arcs, &axis));
+    let guesses = axes.into_iter().flatten().filter_map(|axis| round_about(moments, &axis));
     guesses.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, guess)| guess)
 }
 
 /// The circle through all points as seen along an axis, and the mean square distance from it.
-fn round_about<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), axis: &Vector3) -> Option<(f64, Conical)> {
-    let frame = Conical { point: Vector3::zeros(), axis: *axis, radius: 1.0, slope: 0.0 };
+fn round_about(moments: &QuadricMoments, axis: &Vector3) -> Option<(f64, Conical)> {
+    let frame = Conical { point: moments.origin, axis: *axis, radius: 1.0, slope: 0.0 };
     let [u, v] = frame.across();
-    let mut seen = PlaneMoments::new([0.0, 0.0]);
-    arcs.clone().for_each(|arc| seen.merge(&arc.seen_along(&u, &v)));
-    let fit = ArcFit::new(&seen)?;
-    let (circle, mean) = (fit.circle, arcs.clone().next()?.mean);
-    let point = u * circle.center[0] + v * circle.center[1] + axis * axis.dot(&mean);
-    circle.radius.is_finite().then_some((fit.circle_square, Conical { point, radius: circle.radius.min(2.0), ..frame }))
+    let ArcFit { circle, circle_square, .. } = moments.seen_along(&u, &v).fit();
+    let [x, y] = circle.center.map(|offset| offset * moments.scale);
+    let radius = (circle.radius * moments.scale).min(WIDEST);
+    radius.is_finite().then_some((circle_square, Conical { point: frame.point + u * x + v * y, radius, ..frame }))
 }

@@ -28,7 +28,7 @@ use std::ops::Range;
 use view::View;
 
 /// Every how many lines one is looked at as a whole. Objects are at least three times as high.
-const COARSE_STEP: u32 = 4;
+const COARSE_STEP: u32 = 6;
 /// Pixels beyond both ends of an arc that are looked at in the lines beside it ...
 const MARGIN_PX: u32 = 16;
 /// ... and the part of the arc's length on top of them.

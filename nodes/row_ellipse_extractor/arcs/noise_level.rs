@@ -9,7 +9,7 @@ use super::segments::{Segment, next_segment};
 use super::view::View;
 
 /// About how many lines are looked at; the median is over some errors of each.
-const LINES: u32 = 24;
+const LINES: u32 = 12;
 /// Fewest points of a curve that tells how noisy the sensor is.
 const TELLING: usize = 12;
 
