@@ -1,6 +1,7 @@
 //! Which shape an object has, where more than one explains it.
 
 use super::super::AssemblerConfig;
+use super::verify::is_vague;
 use super::{Candidate, Grown, model};
 use conicflow_geometry::Contour;
 use conicflow_messages::Object;
@@ -65,7 +66,8 @@ fn cost(mut grown: Grown, contour: &mut Contour) -> Option<f64> {
 }
 
 fn least_gain(cone: &Object, points: f64) -> f64 {
-    let slender = ((SLENDER[1] - cone.half_angle) / (SLENDER[1] - SLENDER[0])).clamp(0.0, 1.0);
+    let slender =
+        if is_vague(cone) { 1.0 } else { ((SLENDER[1] - cone.half_angle) / (SLENDER[1] - SLENDER[0])).clamp(0.0, 1.0) };
     GAIN.max(slender * (GAIN_PER_POINT * points).min(MOST_GAIN))
 }
 

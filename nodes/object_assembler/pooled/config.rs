@@ -10,6 +10,10 @@ pub struct PooledConfig {
     /// Fewest scan lines of an object.
     #[schemars(range(min = 5, max = 1000))]
     pub min_lines: u32,
+    /// Smallest visual angle of an object across its scan lines, in degrees: a finer image shows more of what is too small
+    /// to tell.
+    #[schemars(range(min = 0.0, max = 45.0))]
+    pub min_view_deg: f64,
     /// Scan lines without a part of the object that are bridged in any case.
     #[schemars(range(min = 1, max = 64))]
     pub max_gap_lines: u32,
@@ -34,6 +38,7 @@ impl Default for PooledConfig {
     fn default() -> Self {
         Self {
             min_lines: 10,
+            min_view_deg: 1.4,
             max_gap_lines: 4,
             min_coverage: 0.6,
             min_arc_deg: 30.0,

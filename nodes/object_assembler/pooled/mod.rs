@@ -134,11 +134,14 @@ impl Growing {
             let grown = Grown { arcs, model: models[kind]?, members: &members[kind] };
             candidate(grown, config, contour).map_err(|why| reason = Some(why)).ok()
         });
+        // A vague cone may still show that a cylinder is none: the choice comes first.
         let best = choice::choose(found, config, contour);
-        if best.is_none() {
-            rejections.count(reason.unwrap_or(Rejection::Degenerate));
+        let sure = best.filter(|best| !verify::is_vague(&best.object));
+        if sure.is_none() {
+            let vague = best.map(|_| Rejection::Vague);
+            rejections.count(vague.or(reason).unwrap_or(Rejection::Degenerate));
         }
-        best
+        sure
     }
 
     /// The model of each shape that grows from the chain. A slope needs many lines: a cone starts from what a cylinder
@@ -188,7 +191,7 @@ fn candidate<'a>(
     }
     let measured = verify::check(&grown, config)?;
     let object = report::report(&grown, &measured, contour);
-    if verify::is_vague(&object) { Err(Rejection::Vague) } else { Ok(Candidate { grown, measured, object }) }
+    Ok(Candidate { grown, measured, object })
 }
 
 /// Takes the arcs of an object, and all others that its surface explains, from what is left.

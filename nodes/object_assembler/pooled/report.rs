@@ -12,7 +12,7 @@ const SAMPLES: usize = 7;
 /// Arcs of an object that stand for all of them.
 const ARCS: usize = 24;
 /// What the faults of sensors add, that no number of points averages out: to radius and centre in radii,
-const SYSTEMATIC: f64 = 0.002;
+const SYSTEMATIC: f64 = 0.003;
 /// to directions in radians.
 const SYSTEMATIC_ANGLE: f64 = 0.001;
 

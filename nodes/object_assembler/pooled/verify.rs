@@ -46,7 +46,7 @@ pub(super) fn check(grown: &Grown, config: &AssemblerConfig) -> Result<Measured,
     let [first, last] = grown.ends();
     let radius = grown.model.radius_at(&middle(grown, &measured));
     let reach = measured.extent[1] - measured.extent[0];
-    if measured.lines < config.pooled.min_lines {
+    if measured.lines < config.pooled.min_lines || height_in_view(grown) < config.pooled.min_view_deg.to_radians() {
         Err(Rejection::FewRows)
     } else if f64::from(measured.lines) < config.pooled.min_coverage * f64::from(last.line - first.line + 1) {
         Err(Rejection::Gaps)
@@ -69,6 +69,12 @@ pub(super) fn check(grown: &Grown, config: &AssemblerConfig) -> Result<Measured,
     } else {
         Ok(measured)
     }
+}
+
+/// Visual angle across the scan lines, in radians.
+fn height_in_view(grown: &Grown) -> f64 {
+    let [first, last] = grown.ends();
+    f64::from(last.line - first.line + 1) * first.spacing / first.mean.z
 }
 
 /// Greatest misfit of an object, in variances.
