@@ -43,9 +43,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-fn parts() -> [(&'static str, Work<'static>); 6] {
+fn parts() -> [(&'static str, Work<'static>); 7] {
     let (mut extractor, mut assembler) = detector();
     let (mut first, mut second) = detector();
+    let (mut conics, mut profile) = detector_of_the_paper();
     [
         ("floor: reading the frame", Box::new(read)),
         ("floor: 15 moments of each row", Box::new(sum_moments)),
@@ -58,12 +59,26 @@ fn parts() -> [(&'static str, Work<'static>); 6] {
                 second.assemble(&frame.header, ellipses).len() as u64
             }),
         ),
+        (
+            "the paper: conics and profiles",
+            Box::new(move |frame| {
+                let ellipses = conics.extract(&frame.header, &frame.pixels);
+                profile.assemble(&frame.header, ellipses).len() as u64
+            }),
+        ),
         ("the paper: a fit at every point", Box::new(fit_every_point)),
     ]
 }
 
 fn detector() -> (RowEllipseExtractor, ObjectAssembler) {
     (RowEllipseExtractor::with(RowEllipseConfig::default()), ObjectAssembler::with(AssemblerConfig::default()))
+}
+
+fn detector_of_the_paper() -> (RowEllipseExtractor, ObjectAssembler) {
+    (
+        RowEllipseExtractor::with(RowEllipseConfig::of_the_paper()),
+        ObjectAssembler::with(AssemblerConfig::of_the_paper()),
+    )
 }
 
 fn frames((width, height): (u32, u32)) -> Result<Vec<Frame>, Box<dyn Error>> {

@@ -50,6 +50,8 @@ pub struct ContourNoise {
 pub struct Contour {
     points: Vec<(ContourPoint, bool)>,
     noise: ContourNoise,
+    /// How far the points of one side are off.
+    errors: Vec<f64>,
 }
 
 /// Its part in the normal equations of a fit.
@@ -152,15 +154,17 @@ impl Contour {
         }
     }
 
-    fn median(&self, side: usize, q: &Coefficients) -> f64 {
-        let errors =
-            self.points.iter().filter(|(point, _)| point.side == side).map(|(point, _)| Along::new(q, point).error());
-        let mut errors: Vec<f64> = errors.collect();
+    /// The median of how far the points of a side are off, within what its offset may be.
+    fn median(&mut self, side: usize, q: &Coefficients) -> f64 {
+        let Self { points, noise, errors } = self;
+        errors.clear();
+        let of_side = points.iter().filter(|(point, _)| point.side == side);
+        errors.extend(of_side.map(|(point, _)| Along::new(q, point).error()));
         if errors.is_empty() {
             return 0.0;
         }
         let middle = errors.len() / 2;
-        let limit = 2.0 * self.noise.offset_px;
+        let limit = 2.0 * noise.offset_px;
         errors.select_nth_unstable_by(middle, f64::total_cmp).1.clamp(-limit, limit)
     }
 

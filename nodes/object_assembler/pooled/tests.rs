@@ -141,3 +141,20 @@ fn sigmas_are_about_as_large_as_the_errors() {
         assert!((0.5..2.0).contains(&ratio), "errors over sigmas: {radius}, {axis}, {side}");
     }
 }
+
+#[test]
+fn after_two_rounds_nothing_is_allocated() {
+    let bodies = |distance| [can(distance), floor(0.6), wall(3.5)];
+    let mut extractor = RowEllipseExtractor::with(RowEllipseConfig::default());
+    let scenes: Vec<_> = [1.0, 1.5, 2.0]
+        .map(|distance| render(KINECT_HALF, NoiseModel::KINECT_V1, &bodies(distance), 1))
+        .map(|(header, pixels)| (header, extractor.extract(&header, &pixels).to_vec()))
+        .into();
+    let mut assembler = ObjectAssembler::with(AssemblerConfig::default());
+    let mut round = || scenes.iter().map(|(header, arcs)| assembler.assemble(header, arcs).len()).sum::<usize>();
+    let first = allocation_counter::measure(|| assert!(round() >= 3));
+    round();
+    let third = allocation_counter::measure(|| assert!(round() >= 3));
+    assert!(first.count_total > 0, "the counter counts nothing");
+    assert_eq!(third.count_total, 0, "{third:?}");
+}
