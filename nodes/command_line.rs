@@ -1,15 +1,19 @@
 //! The command line: what each command prints, and with which code it exits (0 done, 1 failed, 2 wrong file or arguments).
 
 use crate::NODES;
+use crate::experiment::{Experiment, Results, Rows, Variation};
 use crate::node_help;
 use crate::top;
 use anyhow::{Context, anyhow, bail};
 use clap::{Args, Parser, Subcommand};
 use conicflow_dataflow::pipeline::{Pipeline, Report, SourceText};
-use conicflow_dataflow::{NO_RUN, Plan, ProcessError, RunFolder, RunOptions};
+use conicflow_dataflow::{NO_RUN, Plan, ProcessError, RunFolder, RunOptions, Summary};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use std::io::{IsTerminal, Write, stderr, stdout};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tracing_subscriber::EnvFilter;
 
@@ -147,8 +151,13 @@ impl FileArguments {
     }
 
     fn read_with_warnings(&self) -> anyhow::Result<(Pipeline, Report)> {
+        self.read_with(&[])
+    }
+
+    /// The pipeline with further parameters set; those of the command line have the last word.
+    fn read_with(&self, further: &[String]) -> anyhow::Result<(Pipeline, Report)> {
         let (source, base) = self.text()?;
-        Ok(Pipeline::read(source, &base, &self.overrides, NODES)?)
+        Ok(Pipeline::read(source, &base, &[further, &self.overrides].concat(), NODES)?)
     }
 
     /// The text of the file and the folder of its paths; of the built-in pipeline that is the current folder.
@@ -173,6 +182,11 @@ fn validate(source: &FileArguments) -> anyhow::Result<ExitCode> {
     if !warnings.0.is_empty() {
         writeln!(stdout(), "{warnings}\n")?;
     }
+    if let Some(json) = &pipeline.experiment {
+        for variation in Experiment::read(json)?.variations()? {
+            source.read_with(&variation.overrides)?;
+        }
+    }
     let (stages, topics) = (pipeline.stages.len(), pipeline.topics().len());
     writeln!(stdout(), "`{}` is valid: {stages} stages, {topics} topics", pipeline.name)?;
     Ok(ExitCode::SUCCESS)
@@ -180,16 +194,53 @@ fn validate(source: &FileArguments) -> anyhow::Result<ExitCode> {
 
 fn run(arguments: &RunArguments) -> anyhow::Result<ExitCode> {
     let pipeline = arguments.source.read()?;
-    check_machine(&pipeline, arguments.machine.as_deref())?;
-    let run = SystemTime::now().duration_since(UNIX_EPOCH)?.as_nanos() as u64;
-    let plan = Plan::of(&pipeline, arguments.machine.as_deref(), arguments.frames, run);
-    let program = std::env::current_exe().context("cannot find this program's own file, which runs the stages")?;
-    let options = RunOptions { program, duration: arguments.duration, quiet: arguments.quiet };
-    let summary = conicflow_dataflow::run(&plan, &options)?;
+    if let Some(json) = &pipeline.experiment {
+        return run_experiment(&pipeline, &Experiment::read(json)?, arguments);
+    }
+    let summary = run_once(&pipeline, arguments, arguments.quiet)?;
     if !arguments.quiet {
         eprint!("\n{summary}");
     }
     Ok(if summary.is_complete() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// Runs a pipeline for each combination of what its experiment varies, and prints one table.
+fn run_experiment(pipeline: &Pipeline, experiment: &Experiment, arguments: &RunArguments) -> anyhow::Result<ExitCode> {
+    let variations = experiment.variations()?;
+    let (rows, mut results) = (Rows::of(pipeline)?, Results::new(experiment));
+    let interrupted = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM, SIGHUP] {
+        signal_hook::flag::register(signal, Arc::clone(&interrupted))?;
+    }
+    for (index, variation) in variations.iter().enumerate() {
+        let overrides: Vec<String> = variation.overrides.iter().cloned().chain(rows.overrides()).collect();
+        if !arguments.quiet {
+            eprintln!("run {} of {}: {}", index + 1, variations.len(), variation.overrides.join(" "));
+        }
+        let (pipeline, _) = arguments.source.read_with(&overrides)?;
+        let summary = run_once(&pipeline, arguments, true)?;
+        if !summary.is_complete() || interrupted.load(Ordering::Relaxed) {
+            tell_incomplete(&summary, variation);
+            return Ok(ExitCode::FAILURE);
+        }
+        results.add(rows.read(variation, &summary)?);
+    }
+    write!(stdout(), "{}{}", results.table(), results.exponents())?;
+    results.write(&pipeline.base)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn tell_incomplete(summary: &Summary, variation: &Variation) {
+    eprintln!("the run with `{}` was not finished:\n{summary}", variation.overrides.join(" "));
+}
+
+fn run_once(pipeline: &Pipeline, arguments: &RunArguments, quiet: bool) -> anyhow::Result<Summary> {
+    check_machine(pipeline, arguments.machine.as_deref())?;
+    let run = SystemTime::now().duration_since(UNIX_EPOCH)?.as_nanos() as u64;
+    let plan = Plan::of(pipeline, arguments.machine.as_deref(), arguments.frames, run);
+    let program = std::env::current_exe().context("cannot find this program's own file, which runs the stages")?;
+    let options = RunOptions { program, duration: arguments.duration, quiet };
+    Ok(conicflow_dataflow::run(&plan, &options)?)
 }
 
 fn check_machine(pipeline: &Pipeline, machine: Option<&str>) -> anyhow::Result<()> {

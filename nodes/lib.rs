@@ -12,13 +12,17 @@ pub mod object_assembler;
 
 pub mod kalman_tracker;
 
+pub mod follower;
+
 pub mod console_sink;
 pub mod evaluation_sink;
 pub mod json_sink;
+pub mod measurement_sink;
 pub mod noise_estimator;
 pub mod picture_sink;
 
 pub mod command_line;
+pub mod experiment;
 mod node_help;
 mod top;
 
@@ -26,9 +30,11 @@ use conicflow_dataflow::{Node, Variant};
 use conicflow_messages::{Ellipse, Object, Track};
 use console_sink::ConsoleSink;
 use evaluation_sink::EvaluationSink;
+use follower::Follower;
 use image_source::ImageSource;
 use json_sink::JsonSink;
 use kalman_tracker::KalmanTracker;
+use measurement_sink::MeasurementSink;
 use noise_estimator::NoiseEstimator;
 use object_assembler::ObjectAssembler;
 use picture_sink::PictureSink;
@@ -42,6 +48,7 @@ pub const NODES: &[Node] = &[
     Node::stage::<RowEllipseExtractor>(),
     Node::stage::<ObjectAssembler>(),
     Node::stage::<KalmanTracker>(),
+    Node::stage::<Follower>(),
     Node::stages::<ConsoleSink<Track>>(&[
         Variant::stage::<ConsoleSink<Track>>(),
         Variant::stage::<ConsoleSink<Object>>(),
@@ -60,6 +67,10 @@ pub const NODES: &[Node] = &[
     Node::stages::<EvaluationSink<Object>>(&[
         Variant::stage::<EvaluationSink<Object>>(),
         Variant::stage::<EvaluationSink<Track>>(),
+    ]),
+    Node::stages::<MeasurementSink<Object>>(&[
+        Variant::stage::<MeasurementSink<Object>>(),
+        Variant::stage::<MeasurementSink<Track>>(),
     ]),
     Node::stage::<NoiseEstimator>(),
 ];

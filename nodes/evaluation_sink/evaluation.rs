@@ -5,7 +5,7 @@ use super::errors::Errors;
 use super::matching::{Expected, Fault, Matching, match_up};
 use super::rendered;
 use super::score::{Sample, Score, WrongAnswer};
-use crate::synthetic_source::scene::Scene;
+use crate::synthetic_source::scene_values::SceneTemplate;
 use anyhow::Result;
 use conicflow_messages::{Header, Object};
 use nalgebra::Vector3;
@@ -13,7 +13,7 @@ use serde_json::json;
 
 /// Scores answers against rendered truth.
 pub struct Evaluation {
-    scene: Option<Scene>,
+    scene: Option<SceneTemplate>,
     config: EvaluationConfig,
     score: Score,
 }
@@ -30,7 +30,7 @@ pub struct FrameScore<'a> {
 
 impl Evaluation {
     /// An evaluation of frames that show random or built-in scenes, or the one that is given.
-    pub fn new(config: EvaluationConfig, scene: Option<Scene>) -> Self {
+    pub fn new(config: EvaluationConfig, scene: Option<SceneTemplate>) -> Self {
         Self { scene, config, score: Score::default() }
     }
 

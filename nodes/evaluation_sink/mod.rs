@@ -12,7 +12,7 @@ pub mod recorded_score;
 pub mod rendered;
 pub mod score;
 
-use crate::synthetic_source::scene::Scene;
+use crate::synthetic_source::scene_values::{SceneTemplate, Values};
 use anyhow::{Context as _, Result};
 use conicflow_dataflow::{Config, ConfigFault, Context, Output, Sides, Stage, StageError};
 use conicflow_messages::{Item, Message, Nothing, Object, Track, TrackState};
@@ -108,9 +108,16 @@ impl Config for EvaluationConfig {
     }
 }
 
+/// Reads a scene file, and makes sure that it is one.
+pub fn load_scene(path: &Path) -> Result<SceneTemplate> {
+    let template = SceneTemplate::load(path)?;
+    template.scene(&Values::new())?;
+    Ok(template)
+}
+
 impl EvaluationConfig {
-    fn load_scene(&self, base: &Path) -> Result<Option<Scene>> {
-        self.scene.as_deref().map(|path| Scene::load(&base.join(path))).transpose()
+    fn load_scene(&self, base: &Path) -> Result<Option<SceneTemplate>> {
+        self.scene.as_deref().map(|path| load_scene(&base.join(path))).transpose()
     }
 
     fn load_truth(&self, base: &Path) -> Result<Option<RecordedTruth>> {

@@ -4,16 +4,27 @@ use super::matching::{Expected, Tolerance};
 use super::{Duties, Tolerances};
 use crate::synthetic_source::random_scene::{parse_name, random_scene};
 use crate::synthetic_source::scene::Scene;
+use crate::synthetic_source::scene_values::SceneTemplate;
 use crate::synthetic_source::truth::{Truth, truth_at};
 use anyhow::{Result, bail};
 use conicflow_messages::{Header, Object, ObjectKind};
 use nalgebra::Vector3;
 
-/// The scene of a frame: the one that is given, else the random or built-in one that the header names.
-pub fn scene_of(header: &Header, given: Option<&Scene>) -> Result<Scene> {
+/// The scene of a frame: the one that is given, else the random or built-in one that the header names; with the camera
+/// where the header has it.
+pub fn scene_of(header: &Header, given: Option<&SceneTemplate>) -> Result<Scene> {
+    let mut scene = scene_named(header, given)?;
+    if let Some(rows) = header.pose() {
+        let there = Vector3::from_fn(|row, _| rows[row][3]);
+        scene.camera_shift = there - scene.world_from_camera(header.stamp_ns as f64 * 1e-9).translation;
+    }
+    Ok(scene)
+}
+
+fn scene_named(header: &Header, given: Option<&SceneTemplate>) -> Result<Scene> {
     let name = header.source.as_str().unwrap_or_default();
-    if let Some(scene) = given.filter(|scene| scene.name == name) {
-        return Ok(scene.clone());
+    if let Some(scene) = given.and_then(|template| template.of_source(name)) {
+        return scene;
     }
     if let Some((group, seed)) = parse_name(name) {
         return Ok(random_scene(group, seed));

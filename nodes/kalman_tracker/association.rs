@@ -1,45 +1,54 @@
-//! Which detection belongs to which track: the cheapest pair of all first, then the cheapest of what is left.
+//! Which detection belongs to which track: the assignment that is the cheapest as a whole (Kuhn 1955, Munkres 1957).
+
+use pathfinding::kuhn_munkres::kuhn_munkres;
+use pathfinding::matrix::Matrix;
+
+/// What it costs a track to stay alone. As minus twice the logarithm of a density, in 1/m^4 over place and radius: one new
+/// object in 150 cubic metres for each metre of radius, so that all but the vaguest pairs are cheaper.
+const COST_ALONE: f64 = 10.0;
+/// The assignment is found in whole numbers, of this many to one.
+const STEPS: f64 = 1e6;
+/// The gain of a pair that must not be: less than all others together can make good.
+const FORBIDDEN: i64 = -1_000_000_000_000_000;
 
 /// Pairs tracks with detections, each at most once.
 ///
-/// Costs are compared across tracks, so they have to be on one scale, such as minus twice a logarithm of likelihood.
+/// Costs are added up over tracks, so they have to be on one scale, such as minus twice a logarithm of likelihood.
 #[derive(Clone, Debug, Default)]
 pub struct Association {
-    candidates: Vec<Candidate>,
     detection_of: Vec<Option<usize>>,
     track_of: Vec<Option<usize>>,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Candidate {
-    cost: f64,
-    track: usize,
-    detection: usize,
 }
 
 impl Association {
     /// Forgets all pairs.
     pub fn reset(&mut self, tracks: usize, detections: usize) {
-        self.candidates.clear();
         self.detection_of.clear();
         self.detection_of.resize(tracks, None);
         self.track_of.clear();
         self.track_of.resize(detections, None);
     }
 
-    /// Offers each pair of a free track and a free detection that has a cost, and joins them, the cheapest first; among
-    /// equals the older track, then the earlier detection. May be called again, with another cost, for what was left.
+    /// Offers each pair of a free track and a free detection that has a cost, and joins those whose costs, with those of
+    /// the tracks that stay alone, have the least sum. May be called again, with another cost, for what was left.
     pub fn assign(&mut self, cost: impl Fn(usize, usize) -> Option<f64>) {
-        for track in free(&self.detection_of) {
-            let costs = free(&self.track_of).filter_map(|detection| Some((detection, cost(track, detection)?)));
-            self.candidates.extend(costs.map(|(detection, cost)| Candidate { cost, track, detection }));
+        let (tracks, detections): (Vec<_>, Vec<_>) =
+            (free(&self.detection_of).collect(), free(&self.track_of).collect());
+        if tracks.is_empty() || detections.is_empty() {
+            return;
         }
-        let order = |c: &Candidate| (c.track, c.detection);
-        self.candidates.sort_unstable_by(|a, b| a.cost.total_cmp(&b.cost).then_with(|| order(a).cmp(&order(b))));
-        for Candidate { track, detection, .. } in self.candidates.drain(..) {
-            if self.detection_of[track].is_none() && self.track_of[detection].is_none() {
-                self.detection_of[track] = Some(detection);
-                self.track_of[detection] = Some(track);
+        // one column for each detection, and one for each track to stay alone in
+        let mut gains = Matrix::new(tracks.len(), detections.len() + tracks.len(), 0);
+        for (row, &track) in tracks.iter().enumerate() {
+            for (column, &detection) in detections.iter().enumerate() {
+                gains[(row, column)] = cost(track, detection).map_or(FORBIDDEN, gain);
+            }
+        }
+        let (_, columns) = kuhn_munkres(&gains);
+        for (row, column) in columns.into_iter().enumerate().filter(|(_, column)| *column < detections.len()) {
+            if gains[(row, column)] > FORBIDDEN {
+                self.detection_of[tracks[row]] = Some(detections[column]);
+                self.track_of[detections[column]] = Some(tracks[row]);
             }
         }
     }
@@ -53,6 +62,11 @@ impl Association {
     pub fn unclaimed(&self) -> impl Iterator<Item = usize> + '_ {
         free(&self.track_of)
     }
+}
+
+/// What a pair saves; `as` keeps what is not finite within the bounds of the numbers.
+fn gain(cost: f64) -> i64 {
+    ((COST_ALONE - cost).clamp(-1e6, 1e6) * STEPS) as i64
 }
 
 fn free(partners: &[Option<usize>]) -> impl Iterator<Item = usize> + '_ {
@@ -74,6 +88,20 @@ mod tests {
     fn the_nearest_pair_goes_first_whoever_asks_first() {
         let association = assign(&[&[Some(2.0), Some(3.0)], &[Some(1.0), Some(9.0)]]);
         assert_eq!(association.detections(), [Some(1), Some(0)]);
+    }
+
+    #[test]
+    fn the_sum_counts_not_the_nearest_pair() {
+        let association = assign(&[&[Some(1.0), Some(2.0)], &[Some(1.5), Some(9.0)]]);
+        assert_eq!(association.detections(), [Some(1), Some(0)]);
+    }
+
+    #[test]
+    fn a_track_stays_alone_rather_than_take_what_is_most_unlikely() {
+        let association = assign(&[&[Some(COST_ALONE + 1.0)]]);
+        assert_eq!(association.detections(), [None]);
+        let association = assign(&[&[Some(1.0), Some(9.0)], &[Some(9.5), Some(COST_ALONE + 5.0)]]);
+        assert_eq!(association.detections(), [Some(0), None], "the second would have to push the first away");
     }
 
     #[test]

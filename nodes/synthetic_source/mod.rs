@@ -13,19 +13,23 @@ pub mod random_scenes;
 pub mod raster;
 pub mod scene;
 mod scene_file;
+pub mod scene_values;
+mod screen;
 pub mod sensor;
 mod shadow;
 pub mod shapes;
 pub mod truth;
 
 use crate::json_sink::JsonLines;
-use anyhow::Result;
-use conicflow_dataflow::{Config, ConfigFault, Context, Next, Output, Sides, Source, StageError};
-use conicflow_messages::{Camera, HAS_POSE, Header, Text};
+use anyhow::{Result, bail};
+use conicflow_dataflow::{Config, ConfigFault, Context, Next, Output, Pick, Side, Sides, Source, StageError};
+use conicflow_messages::{Camera, HAS_POSE, Header, Kind, Text};
+use nalgebra::Vector3;
 use random::Dice;
 use random_scenes::RandomScenes;
 use raster::Raster;
 use scene::{BUILT_IN, Scene};
+use scene_values::{SceneTemplate, Values};
 use schemars::JsonSchema;
 use sensor::{Sensor, SensorConfig};
 use serde::{Deserialize, Serialize};
@@ -61,6 +65,12 @@ impl SyntheticCamera {
     /// The same camera before another random scene in each frame.
     pub fn before(self, scenes: RandomScenes) -> Self {
         Self { scenes: Some(scenes), ..self }
+    }
+
+    /// Moves the camera for one frame by a velocity along its axes, in m/s, besides the motion that the scene has.
+    pub fn drive(&mut self, velocity: Vector3<f64>) {
+        let rotation = self.scene.world_from_camera(self.time_s).rotation;
+        self.scene.camera_shift += rotation * velocity / self.rate_hz;
     }
 
     /// Takes frame `number`: writes as many pixels as the camera has, row by row.
@@ -103,6 +113,8 @@ impl SyntheticCamera {
 pub struct SyntheticSourceConfig {
     /// Scene file, or the name of a built-in scene; none: `bouncing_ball`.
     pub scene: Option<PathBuf>,
+    /// Values of the scene file, in place of those that stand under its `[values]`.
+    pub values: Values,
     /// Another random scene in each frame: `{ groups = ["standing", ...], seeds = [first, last] }`; in place of `scene`.
     pub scenes: Option<RandomScenes>,
     /// Width of the image in pixels.
@@ -149,6 +161,7 @@ impl Default for SyntheticSourceConfig {
     fn default() -> Self {
         Self {
             scene: None,
+            values: Values::new(),
             scenes: None,
             width: 640,
             height: 480,
@@ -186,8 +199,9 @@ impl SyntheticSourceConfig {
         let default = Path::new(BUILT_IN[0].0);
         let path = self.scene.as_deref().unwrap_or(default);
         match path.to_str().and_then(Scene::built_in) {
-            Some(scene) => scene,
-            None => Scene::load(&base.join(path)),
+            Some(scene) if self.values.is_empty() => scene,
+            Some(_) => bail!("a built-in scene has no values\n  hint: leave `values` out, or name a scene file"),
+            None => SceneTemplate::load(&base.join(path))?.scene(&self.values),
         }
     }
 }
@@ -250,9 +264,17 @@ impl Source for SyntheticSource {
         self.total
     }
 
-    fn next(&mut self, _: &Sides, output: &mut Output<u16>) -> Result<Next, StageError> {
+    /// Who drives the camera: the first track's `velocity` is the one that it is to take, none lets it stand.
+    fn sides() -> &'static [Side] {
+        &[Side { name: "command", kind: Kind::Tracks, pick: Pick::Latest }]
+    }
+
+    fn next(&mut self, sides: &Sides, output: &mut Output<u16>) -> Result<Next, StageError> {
         if self.total.is_some_and(|total| self.next >= total) {
             return Ok(Next::End);
+        }
+        if let Some(command) = sides.tracks("command").and_then(|message| message.items.first()) {
+            self.camera.drive(command.velocity.into());
         }
         let camera = self.camera.raster.camera;
         self.camera.shoot(self.next, output.image(camera.width as usize * camera.height as usize)?);

@@ -4,7 +4,9 @@
 
 use super::motion::{Motion, Setting};
 use super::pose::{Pose, looking_along};
-use super::scene_file::{SceneFile, earth};
+use super::scene_file::{SceneFile, ScreenEntry, earth};
+use super::scene_values::{SceneTemplate, Values};
+use super::screen::screen;
 use super::shapes::{Shape, Surface};
 use anyhow::{Context as _, Result, anyhow, bail};
 use nalgebra::{Matrix3, Vector3};
@@ -29,6 +31,8 @@ pub struct Scene {
     pub name: String,
     /// What can be seen; solids first, in the order of the file's tables.
     pub bodies: Vec<Body>,
+    /// How far the camera is from where the file would have it, in metres: who drives it adds to it.
+    pub camera_shift: Vector3<f64>,
     view: View,
     up: Vector3<f64>,
     gravity: f64,
@@ -74,12 +78,16 @@ impl Scene {
     /// # Errors
     /// The file cannot be read, or what is wrong with it at which line and column.
     pub fn load(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).map_err(|error| {
+        SceneTemplate::load(path)?.scene(&Values::new())
+    }
+
+    /// The text of a scene file.
+    pub(super) fn read(path: &Path) -> Result<String> {
+        std::fs::read_to_string(path).map_err(|error| {
             let names = BUILT_IN.map(|(name, _)| name).join("`, `");
             let place = path.display();
             anyhow!("cannot read the scene file `{place}`: {error}\n  hint: a built-in scene is one of `{names}`")
-        })?;
-        Self::parse(&text, &path.display().to_string())
+        })
     }
 
     /// A scene that is built into the program, if there is one of that name.
@@ -97,7 +105,7 @@ impl Scene {
             let place = error.span().map(|span| line_and_column(text, span.start)).unwrap_or_default();
             anyhow!(
                 "{origin}{place}: {}\n  hint: a scene file has `name`, `up`, `gravity`, `[camera]` and any number of \
-                 `[[sphere]]`, `[[cylinder]]`, `[[cone]]`, `[[bowl]]`, `[[box]]` and `[[plane]]`",
+                 `[[sphere]]`, `[[cylinder]]`, `[[cone]]`, `[[bowl]]`, `[[box]]`, `[[plane]]` and `[[screen]]`",
                 error.to_string().trim_end()
             )
         })?;
@@ -114,16 +122,40 @@ impl Scene {
         camera_up: Vector3<f64>,
     ) -> Self {
         let view = View { position, gaze: Gaze::At(look_at), up: camera_up, motion: None, gaze_motion: None };
-        Self { name, bodies, view, up: Vector3::z(), gravity: earth() }
+        Self { name, bodies, camera_shift: Vector3::zeros(), view, up: Vector3::z(), gravity: earth() }
     }
 
     fn from_file(file: SceneFile, origin: &str) -> Result<Self> {
         let (name, up, gravity) = (file.name.clone(), file.up, file.gravity);
-        let (bodies, camera) = file.bodies().with_context(|| origin.to_owned())?;
+        let (bodies, camera, screens) = file.bodies().with_context(|| origin.to_owned())?;
         let view = camera.view(&up).with_context(|| origin.to_owned())?;
-        let scene = Self { name, bodies, view, up, gravity };
+        let mut scene = Self { name, bodies, camera_shift: Vector3::zeros(), view, up, gravity };
+        screens.iter().try_for_each(|entry| scene.put_up(entry)).with_context(|| origin.to_owned())?;
         scene.check().with_context(|| origin.to_owned())?;
         Ok(scene)
+    }
+
+    /// Puts up a screen for the camera at time 0; one that hides nothing is left out.
+    fn put_up(&mut self, entry: &ScreenEntry) -> Result<()> {
+        if entry.hides == 0.0 {
+            return Ok(());
+        }
+        let body = self.bodies.iter().find(|body| body.name == entry.before);
+        let body = body.with_context(|| {
+            format!(
+                "`{}` stands before `{}`, which is not there\n  hint: name a body of the scene",
+                entry.name, entry.before
+            )
+        })?;
+        let shape = screen(&self.shape(body, 0.0), &self.world_from_camera(0.0), entry.distance_m, entry.hides);
+        let shape = shape.with_context(|| {
+            format!(
+                "`{}` cannot hide `{}` at {} m\n  hint: the camera has to look at it, from farther away",
+                entry.name, entry.before, entry.distance_m
+            )
+        })?;
+        self.bodies.push(Body::still(entry.name.clone(), shape));
+        Ok(())
     }
 
     fn check(&self) -> Result<()> {
@@ -168,7 +200,7 @@ impl Scene {
                 looking_along(&forward, &view.up).unwrap_or_else(Matrix3::identity)
             }
         };
-        Pose { rotation, translation }
+        Pose { rotation, translation: translation + self.camera_shift }
     }
 
     /// All bodies in the camera's frame at a time (seconds), in the order of `bodies`, written over `shapes`.

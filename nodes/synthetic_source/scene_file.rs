@@ -18,12 +18,14 @@
 //! motion.ballistic = { velocity = [0, 0, 0], floor_m = 0.5 }
 //! ```
 //! Further: `[[cone]]` (`base_radius`, `top_radius`), `[[bowl]]` (`center`, `radius`, `depth`), `[[box]]` (`center`,
-//! `size`), `[[plane]]` (`point`, `normal`, `size`). A cylinder or cone with `open = true` is a cup.
+//! `size`), `[[plane]]` (`point`, `normal`, `size`), `[[screen]]` (`before`, `hides`, `distance_m`). A cylinder or cone with
+//! `open = true` is a cup. `[values]` and `"$name"` in place of a number: see [`super::scene_values`].
 
 use super::fields::*;
 use super::motion::Motion;
 use super::pose::{from_quaternion, looking_along};
 use super::scene::{Body, Gaze, View};
+use super::scene_values::Values;
 use super::shapes::{Block, Bowl, Frustum, Plane, Shape, Sphere};
 use anyhow::{Context as _, Result, bail};
 use nalgebra::{Matrix3, Vector3};
@@ -51,6 +53,11 @@ pub struct SceneFile {
     block: Vec<BoxEntry>,
     #[serde(default)]
     plane: Vec<PlaneEntry>,
+    #[serde(default)]
+    screen: Vec<ScreenEntry>,
+    /// Read by [`super::scene_values`], and put in before this is.
+    #[serde(default, rename = "values")]
+    _values: Values,
 }
 
 impl SceneFile {
@@ -58,7 +65,7 @@ impl SceneFile {
     ///
     /// # Errors
     /// A plane's sides cannot be used.
-    pub fn bodies(self) -> Result<(Vec<Body>, CameraEntry)> {
+    pub fn bodies(self) -> Result<(Vec<Body>, CameraEntry, Vec<ScreenEntry>)> {
         let up = self.up;
         let mut bodies: Vec<Body> = Vec::new();
         bodies.extend(self.sphere.into_iter().map(SphereEntry::body));
@@ -69,7 +76,7 @@ impl SceneFile {
         for entry in self.plane {
             bodies.push(entry.body()?);
         }
-        Ok((bodies, self.camera))
+        Ok((bodies, self.camera, self.screen))
     }
 }
 
@@ -277,6 +284,18 @@ impl PlaneEntry {
         let plane = Plane { point: self.point, normal: self.normal, sides: [second.cross(&self.normal), second], half };
         Ok(Body { name: self.name, shape: Shape::Plane(plane), motion: self.motion })
     }
+}
+
+/// A board at `distance_m` from the camera that hides the share `hides` of the width of the body named `before`.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ScreenEntry {
+    pub name: String,
+    pub before: String,
+    #[serde(deserialize_with = "share")]
+    pub hides: f64,
+    #[serde(deserialize_with = "positive")]
+    pub distance_m: f64,
 }
 
 /// The coordinate axis that is least parallel to a direction.

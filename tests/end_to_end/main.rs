@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::panic)] // what a test cannot go on from is its failure
 
 mod commands;
+mod experiments;
 mod outside_stage;
 #[cfg(target_os = "linux")]
 mod processes;

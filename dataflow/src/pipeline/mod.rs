@@ -32,6 +32,8 @@ pub struct Pipeline {
     pub machines: BTreeMap<String, Machine>,
     /// The stages, in the order of the file.
     pub stages: Vec<StageSpec>,
+    /// What the file says under `experiment`; it is for whoever runs the pipeline, none of the stages see it.
+    pub experiment: Option<Json>,
 }
 
 /// A machine of a pipeline that spans several.

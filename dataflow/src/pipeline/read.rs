@@ -41,13 +41,14 @@ pub(super) fn pipeline(
     let mut reader = Reader { base, nodes, faults };
     let name = reader.name(&mut document, &start);
     let machines = document.take("machine").map(|entry| reader.machines(entry)).unwrap_or_default();
+    let experiment = document.take("experiment").map(|entry| entry.value.to_json());
     let stages = document.take("stage").map(|entry| reader.stages(entry));
-    reader.unknown_keys(&document, &["name", "machine", "stage"], "the pipeline");
+    reader.unknown_keys(&document, &["name", "machine", "stage", "experiment"], "the pipeline");
     let stages = stages.unwrap_or_else(|| {
         reader.no_stages(&document, &start);
         Vec::new()
     });
-    Pipeline { name, base: base.to_owned(), machines, stages }
+    Pipeline { name, base: base.to_owned(), machines, stages, experiment }
 }
 
 /// What the file says of an input.

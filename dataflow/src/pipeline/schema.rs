@@ -35,8 +35,10 @@ impl<'a> Checker<'a> {
 
     fn table(&mut self, table: &Table, schema: &'a Json, reserved: &[&str], owner: &str) {
         let properties = schema.get("properties").and_then(Json::as_object);
+        // of a map, whose keys are free, the schema of all values
+        let any = schema.get("additionalProperties").filter(|any| any.is_object());
         for entry in &table.0 {
-            if let Some(property) = properties.and_then(|properties| properties.get(&entry.key)) {
+            if let Some(property) = properties.and_then(|properties| properties.get(&entry.key)).or(any) {
                 self.value(&entry.key, &entry.value, property);
                 continue;
             }

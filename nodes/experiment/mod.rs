@@ -1,0 +1,96 @@
+//! Experiments: a pipeline file with an `[experiment]` is run once for each combination of the values that it varies, and
+//! what its `measurement_sink` stages found becomes one table, beside the figures of the paper, a CSV file and a plot.
+
+mod axes;
+mod plot;
+mod spec;
+mod table;
+
+pub use spec::{Experiment, Variation};
+pub use table::Results;
+
+use crate::measurement_sink::{Figure, Row};
+use anyhow::{Context as _, Result};
+use conicflow_dataflow::pipeline::{Pipeline, Program};
+use conicflow_dataflow::{StageSummary, Summary};
+use std::path::{Path, PathBuf};
+
+const SINK: &str = "measurement_sink";
+
+/// Where the sinks of one run leave their rows.
+pub struct Rows {
+    folder: PathBuf,
+    stages: Vec<String>,
+}
+
+impl Rows {
+    /// Rows of the pipeline's measuring stages, in a folder of their own.
+    ///
+    /// # Errors
+    /// The folder cannot be made.
+    pub fn of(pipeline: &Pipeline) -> Result<Self> {
+        let folder = std::env::temp_dir().join(format!("conicflow-{}-{}", pipeline.name, std::process::id()));
+        std::fs::create_dir_all(&folder).with_context(|| format!("cannot make `{}`", folder.display()))?;
+        let measures = |program: &Program| matches!(program, Program::Node(node) if node.name == SINK);
+        let stages = pipeline.stages.iter().filter(|stage| measures(&stage.program));
+        Ok(Self { folder, stages: stages.map(|stage| stage.name.clone()).collect() })
+    }
+
+    fn path(&self, stage: &str) -> PathBuf {
+        self.folder.join(format!("{stage}.jsonl"))
+    }
+
+    /// What has to be set for the sinks to leave them there.
+    pub fn overrides(&self) -> impl Iterator<Item = String> {
+        self.stages.iter().map(|stage| format!("{stage}.path={:?}", self.path(stage).display().to_string()))
+    }
+
+    /// Reads the rows of a run: what was varied, the stage, its figures, and the times of all stages.
+    ///
+    /// # Errors
+    /// A sink left none, or something else.
+    pub fn read(&self, variation: &Variation, summary: &Summary) -> Result<Vec<Row>> {
+        let mut rows = Vec::new();
+        for stage in &self.stages {
+            let path = self.path(stage);
+            let text = std::fs::read_to_string(&path).with_context(|| format!("the stage `{stage}` left no rows"))?;
+            for line in text.lines() {
+                let mut row = Row(variation.names.clone());
+                row.text("stage", stage);
+                row.0.extend(figures(line).with_context(|| format!("the rows of the stage `{stage}`"))?);
+                add_times(&mut row, summary);
+                rows.push(row);
+            }
+        }
+        Ok(rows)
+    }
+}
+
+impl Drop for Rows {
+    fn drop(&mut self) {
+        // what is left in the folder for temporary files harms nobody
+        let _ = std::fs::remove_dir_all(&self.folder);
+    }
+}
+
+fn figures(line: &str) -> Result<Vec<(String, Figure)>> {
+    let cells: serde_json::Map<String, serde_json::Value> = serde_json::from_str(line)?;
+    cells.into_iter().map(|(column, cell)| Ok((column, serde_json::from_value(cell)?))).collect()
+}
+
+/// The median time of each stage's step, and the rate at which frames came through all of them.
+fn add_times(row: &mut Row, summary: &Summary) {
+    for StageSummary { planned, status } in &summary.stages {
+        let median = status.as_ref().and_then(|status| status.compute.quantile(0.5));
+        row.number(&format!("{}_ms", planned.name), median.map_or(f64::NAN, |time| time.as_secs_f64() * 1e3));
+    }
+    row.number("frames_per_s", summary.finished() as f64 / summary.elapsed.as_secs_f64());
+}
+
+/// A path of the pipeline file, whose folder is made where it is missing.
+fn prepared(base: &Path, path: &Path) -> Result<PathBuf> {
+    let path = base.join(path);
+    let made = path.parent().map_or(Ok(()), std::fs::create_dir_all);
+    made.with_context(|| format!("cannot make the folder of `{}`", path.display()))?;
+    Ok(path)
+}

@@ -1,0 +1,89 @@
+//! Measurements of a scene whose answers are made up.
+
+use super::*;
+use conicflow_messages::{Camera, Object, ObjectKind, Text, Track, TrackState};
+
+const SCENE: &str = r#"
+    name = "two balls"
+    [camera]
+    position  = [0, 0, 0]
+    direction = [0, 1, 0]
+    [[sphere]]
+    name   = "left"
+    center = [-0.3, 2.0, 0]
+    radius = 0.1
+    motion.linear = { velocity = [0.5, 0, 0] }
+    [[sphere]]
+    name   = "right"
+    center = [0.3, 2.0, 0]
+    radius = 0.1
+"#;
+
+fn header(time_s: f64) -> Header {
+    let camera = Camera { width: 160, height: 120, fx: 130.0, fy: 130.0, cx: 79.5, cy: 59.5 };
+    Header { camera, stamp_ns: (time_s * 1e9) as u64, source: Text::new("two balls"), ..Header::default() }
+}
+
+/// In the camera frame: x right, y down, z forward.
+fn ball(x: f64, radius: f64) -> Object {
+    Object { kind: ObjectKind::Sphere.code(), center: [x, 0.0, 2.0], radius, ..Object::default() }
+}
+
+fn track(id: u64, x: f64) -> Track {
+    Track { id, state: TrackState::Confirmed.code(), object: ball(x, 0.1), ..Track::default() }
+}
+
+fn measure(config: MeasurementConfig, frames: &[(f64, Vec<Sighted>)]) -> Vec<Row> {
+    let scene = SceneTemplate::new(SCENE.into(), "test".into());
+    let mut measurement = Measurement::new(config, Some(scene));
+    for (time_s, answers) in frames {
+        measurement.add(&header(*time_s), answers).unwrap();
+    }
+    measurement.rows()
+}
+
+#[test]
+fn means_deviations_and_speeds_are_those_of_the_answers() {
+    let frame = |time_s: f64, radius: f64| {
+        (time_s, vec![Sighted::from(&ball(-0.3 + 0.6 * time_s, radius)), Sighted::from(&ball(0.3, 0.1))])
+    };
+    let rows = measure(MeasurementConfig::default(), &[frame(0.0, 0.08), frame(0.1, 0.09), frame(0.2, 0.10)]);
+    let left = &rows[0];
+    let number = |column: &str| left.number_of(column).unwrap();
+    assert_eq!(left.get("object"), Some(&Figure::Text("left".into())));
+    assert_eq!((number("frames"), number("n")), (3.0, 3.0));
+    assert!((number("radius_m") - 0.09).abs() < 1e-12 && (number("radius_sd_m") - 0.01).abs() < 1e-12);
+    assert!((number("speed_mps") - 0.6).abs() < 1e-9 && (number("speed_true_mps") - 0.5).abs() < 1e-9);
+    assert!((number("distance_true_m") - 2.0).abs() < 0.03);
+    assert_eq!((rows.len(), rows[2].number_of("mota")), (3, Some(1.0)));
+}
+
+#[test]
+fn misses_wrong_answers_and_switches_count_against_mota() {
+    let frames = [
+        (0.0, vec![Sighted::from(&track(1, -0.3)), Sighted::from(&track(2, 0.3))]),
+        (0.1, vec![Sighted::from(&track(1, -0.25)), Sighted::from(&track(3, 0.3)), Sighted::from(&track(4, 2.0))]),
+        (0.2, vec![Sighted::from(&track(1, -0.2))]),
+    ];
+    let rows = measure(MeasurementConfig::default(), &frames);
+    let all = rows.last().unwrap();
+    let number = |column: &str| all.number_of(column).unwrap();
+    assert_eq!(["frames", "n", "switches", "wrong", "identities"].map(number), [6.0, 5.0, 1.0, 1.0, 3.0]);
+    assert!((number("mota") - 0.5).abs() < 1e-12, "one missed, one wrong, one switch in six");
+}
+
+#[test]
+fn an_identity_that_is_still_right_is_kept() {
+    let near = |id, x| Sighted::from(&track(id, x));
+    let frames = [(0.0, vec![near(1, -0.3), near(2, 0.3)]), (0.0, vec![near(1, -0.2), near(2, 0.3), near(5, -0.3)])];
+    let rows = measure(MeasurementConfig::default(), &frames);
+    assert_eq!(rows[0].number_of("switches"), Some(0.0), "another track is nearer, but the first is still right");
+}
+
+#[test]
+fn frames_before_the_filter_has_settled_are_left_out() {
+    let config = MeasurementConfig { from_s: 0.15, ..MeasurementConfig::default() };
+    let frames = [0.0, 0.1, 0.2].map(|time_s| (time_s, vec![Sighted::from(&ball(0.3, 0.1))]));
+    let rows = measure(config, &frames);
+    assert_eq!(rows.last().unwrap().number_of("frames"), Some(2.0));
+}

@@ -1,0 +1,51 @@
+//! Each frame's sights as CSV: where each object was and where it was seen, in the world frame.
+
+use super::sighting::Sighting;
+use anyhow::{Context as _, Result};
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::Path;
+
+const TITLES: &str =
+    "time_s,object,camera_x_m,camera_y_m,camera_z_m,x_true_m,y_true_m,z_true_m,x_m,y_m,z_m,radius_m,id";
+
+/// The file.
+pub struct Trace(BufWriter<File>);
+
+impl Trace {
+    /// Makes the file, and its folder where it is missing.
+    ///
+    /// # Errors
+    /// One of them cannot be made.
+    pub fn create(path: &Path) -> Result<Self> {
+        let create = || -> std::io::Result<Self> {
+            path.parent().map_or(Ok(()), std::fs::create_dir_all)?;
+            let mut file = BufWriter::new(File::create(path)?);
+            writeln!(file, "{TITLES}")?;
+            Ok(Self(file))
+        };
+        create().with_context(|| format!("cannot write `{}`", path.display()))
+    }
+
+    /// Writes a frame, one line for each object that was there; what was not seen leaves its cells empty.
+    pub fn write(&mut self, sightings: &[Sighting]) -> std::io::Result<()> {
+        for Sighting { time_s, camera, name, truth, seen } in sightings {
+            let place = truth.position;
+            write!(self.0, "{time_s:.6},{name},{:.6},{:.6},{:.6},", camera.x, camera.y, camera.z)?;
+            write!(self.0, "{:.6},{:.6},{:.6},", place.x, place.y, place.z)?;
+            let Some(seen) = seen else {
+                writeln!(self.0, ",,,,")?;
+                continue;
+            };
+            let place = seen.state.position;
+            let id = seen.id.map(|id| id.to_string()).unwrap_or_default();
+            writeln!(self.0, "{:.6},{:.6},{:.6},{:.6},{id}", place.x, place.y, place.z, seen.state.radius_m)?;
+        }
+        Ok(())
+    }
+
+    /// Hands the last lines to the system.
+    pub fn flush(&mut self) -> std::io::Result<()> {
+        self.0.flush()
+    }
+}

@@ -1,0 +1,195 @@
+//! The paper's experiments, each in a short form: the files of `experiments/` as they are, fewer frames and values.
+
+use crate::support::Playground;
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+/// The CSV of an experiment, row by row.
+struct Table(Vec<BTreeMap<String, String>>);
+
+impl Table {
+    /// Runs `experiments/NAME.toml` with some of its text replaced.
+    fn of(name: &str, edits: &[(&str, &str)], frames: u32) -> Self {
+        let playground = playground(name, edits);
+        let file = format!("{name}.toml");
+        let ended = playground.conicflow(&["run", &file, "--quiet", "--frames", &frames.to_string()]).expect_code(0);
+        assert!(!ended.stdout.is_empty(), "no table");
+        Self::read(&playground, &format!("results/{name}.csv"))
+    }
+
+    fn read(playground: &Playground, path: &str) -> Self {
+        let lines = playground.lines(path);
+        let titles: Vec<&str> = lines[0].split(',').collect();
+        let row = |line: &String| {
+            let cells = titles.iter().zip(line.split(',')).filter(|(_, cell)| !cell.is_empty());
+            cells.map(|(title, cell)| ((*title).to_owned(), cell.to_owned())).collect()
+        };
+        Self(lines[1..].iter().map(row).collect())
+    }
+
+    /// The number in a column of the row that has these cells.
+    fn number(&self, cells: &[(&str, &str)], column: &str) -> f64 {
+        let fits = |row: &&BTreeMap<String, String>| {
+            cells.iter().all(|(column, cell)| row.get(*column).map(String::as_str) == Some(*cell))
+        };
+        let row = self.0.iter().find(fits).unwrap_or_else(|| panic!("no row with {cells:?} in {:?}", self.0));
+        row.get(column).unwrap_or_else(|| panic!("no `{column}` in {row:?}")).parse().unwrap()
+    }
+}
+
+fn playground(name: &str, edits: &[(&str, &str)]) -> Playground {
+    let playground = Playground::new();
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments");
+    let mut text = fs::read_to_string(folder.join(format!("{name}.toml"))).unwrap();
+    for (from, to) in edits {
+        assert!(text.contains(from), "`{from}` does not stand in {name}.toml");
+        text = text.replace(from, to);
+    }
+    playground.write(&format!("{name}.toml"), &text);
+    fs::create_dir(playground.path("scenes")).unwrap();
+    for scene in fs::read_dir(folder.join("scenes")).unwrap().flatten() {
+        fs::copy(scene.path(), playground.path("scenes").join(scene.file_name())).unwrap();
+    }
+    playground
+}
+
+fn assert_near(what: &str, number: f64, expected: f64, tolerance: f64) {
+    assert!((number - expected).abs() <= tolerance, "{what}: {number}, expected {expected} +- {tolerance}");
+}
+
+#[test]
+fn basic_scene_is_found_by_both_methods() {
+    let table = Table::of("basic", &[], 12);
+    for method in ["profile", "pooled"] {
+        for object in ["trash can", "parking cone", "exercise ball"] {
+            let found = table.number(&[("method", method), ("stage", "measured"), ("object", object)], "n");
+            assert_eq!(found, 12.0, "{object}, {method}");
+        }
+    }
+    let pooled =
+        |object, column| table.number(&[("method", "pooled"), ("stage", "filtered"), ("object", object)], column);
+    assert_near("radius of the can", pooled("trash can", "radius_m"), 0.17, 0.002);
+    assert_near("radius of the ball", pooled("exercise ball", "radius_m"), 0.28, 0.003);
+    assert_near("half-angle of the cone", pooled("parking cone", "half_angle_deg"), 13.57, 0.6);
+    assert_eq!(pooled("all", "wrong"), 0.0);
+    assert_eq!(pooled("all", "switches"), 0.0);
+}
+
+/// The paper's radius shrinks with the distance: 0.20, 0.16, 0.15 m; that of pooled moments does not.
+#[test]
+fn accuracy_shows_the_papers_bias_and_none_of_ours() {
+    let table = Table::of(
+        "accuracy",
+        &[("[1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0]", "[1.0, 2.0, 3.0]"), ("from_s = 1.0 ", "from_s = 0.2 ")],
+        18,
+    );
+    let radius = |distance, method, stage| {
+        table.number(&[("distance", distance), ("method", method), ("stage", stage)], "radius_m")
+    };
+    for (distance, paper) in [("1", 0.20), ("2", 0.16), ("3", 0.15)] {
+        assert_near("the paper's way", radius(distance, "profile", "measured"), paper, 0.012);
+        assert_near("pooled", radius(distance, "pooled", "measured"), 0.2, 0.003);
+        assert_near("pooled and filtered", radius(distance, "pooled", "filtered"), 0.2, 0.003);
+    }
+    let far = |stage, column| table.number(&[("distance", "3"), ("method", "pooled"), ("stage", stage)], column);
+    assert_near("distance", far("measured", "distance_m"), 3.0, 0.005);
+    assert!(far("filtered", "radius_sd_m") < 0.5 * far("measured", "radius_sd_m"), "the filter steadies the radius");
+}
+
+#[test]
+fn occlusion_shrinks_the_papers_radius_and_not_ours() {
+    let edits = [
+        ("[1.0, 1.5, 2.0] }", "[1.0] }"),
+        ("[0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7]", "[0.1, 0.4, 0.7]"),
+        ("from_s = 1.0 ", "from_s = 0.2 "),
+    ];
+    let table = Table::of("occlusion", &edits, 12);
+    let cell =
+        |hidden, method, column| table.number(&[("hidden", hidden), ("method", method), ("stage", "measured")], column);
+    assert_near("the paper's way, 40 %", cell("0.4", "profile", "radius_m"), 0.11, 0.015);
+    assert_eq!(cell("0.7", "profile", "n"), 0.0, "the paper stops at 50 %");
+    for hidden in ["0.1", "0.4", "0.7"] {
+        assert_near("pooled", cell(hidden, "pooled", "radius_m"), 0.2, 0.006);
+    }
+}
+
+#[test]
+fn speeds_are_right_and_the_filter_steadies_them() {
+    let table = Table::of("speed", &[("[0.21, 0.65, 0.71, 1.09, 1.54, 1.64, 2.66]", "[0.65, 2.66]")], 40);
+    for (speed, expected) in [("0.65", 0.65), ("2.66", 2.66)] {
+        let cell = |stage, column| table.number(&[("speed", speed), ("stage", stage)], column);
+        assert_near("way over time", cell("measured", "speed_mps"), expected, 0.02);
+        assert_near("filtered", cell("filtered", "speed_mps"), expected, 0.02);
+        assert!(cell("filtered", "speed_sd_mps") < 0.015);
+        assert_eq!(cell("filtered", "identities"), 1.0);
+    }
+}
+
+#[test]
+fn tilted_cones_are_found() {
+    let table = Table::of("tilted_cone", &[], 8);
+    for tilt in ["5", "20", "40"] {
+        let cell = |column| table.number(&[("tilt_deg", tilt), ("method", "pooled")], column);
+        assert_eq!(cell("n"), 8.0);
+        assert_near("half-angle", cell("half_angle_deg"), 13.5, 0.7);
+        assert!(cell("axis_rms_deg") < 1.0, "axis at {tilt} degrees: {}", cell("axis_rms_deg"));
+    }
+    let found = |tilt| table.number(&[("tilt_deg", tilt), ("method", "profile")], "n");
+    assert_eq!((found("5"), found("20")), (8.0, 8.0));
+}
+
+#[test]
+fn lying_pipes_need_columns() {
+    let table = Table::of("lying_cylinder", &[], 8);
+    let cell = |turned, scan, column| table.number(&[("turned_deg", turned), ("scan", scan)], column);
+    assert_eq!(cell("0", "rows", "n"), 0.0, "its sections by rows are no ellipses");
+    for (turned, scan) in [("0", "columns"), ("0", "both"), ("30", "both"), ("60", "both")] {
+        assert_eq!(cell(turned, scan, "n"), 8.0);
+        assert_near("radius", cell(turned, scan, "radius_m"), 0.1, 0.003);
+    }
+}
+
+#[test]
+fn a_ball_is_told_from_the_can_below_it() {
+    let table = Table::of("ball_on_cylinder", &[], 8);
+    for (object, radius) in [("ball", 0.12), ("can", 0.15)] {
+        let cell = |method, column| table.number(&[("method", method), ("object", object)], column);
+        assert_eq!((cell("pooled", "n"), cell("profile", "n")), (8.0, 8.0));
+        assert_near(object, cell("pooled", "radius_m"), radius, 0.002);
+    }
+    assert_eq!(table.number(&[("method", "pooled"), ("object", "all")], "wrong"), 0.0);
+}
+
+/// Times differ from machine to machine; that the table has them, and that everything is found, does not.
+#[test]
+fn cost_has_a_time_for_each_size() {
+    let small = "        { name = 4800, set = { \"source.width\" = 80, \"source.height\" = 60 } },\n";
+    let text = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments/cost.toml")).unwrap();
+    let large: String =
+        text.lines().filter(|line| line.contains("name = 1228800")).map(|line| format!("{line}\n")).collect();
+    let table = Table::of("cost", &[(small, ""), (&large, "")], 4);
+    for pixels in ["19200", "76800", "307200"] {
+        assert!(table.number(&[("pixels", pixels), ("object", "all")], "extractor_ms") > 0.0);
+    }
+    let found = table.number(&[("pixels", "307200"), ("object", "all")], "n");
+    assert_eq!(found, 12.0, "three objects in four frames");
+}
+
+#[test]
+fn the_same_file_gives_the_same_table() {
+    let edits = [("[1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0]", "[2.0]"), ("from_s = 1.0 ", "from_s = 0.0 ")];
+    let playground = playground("accuracy", &edits);
+    let run = || playground.conicflow(&["run", "accuracy.toml", "--quiet", "--frames", "6"]).expect_code(0).stdout;
+    let first = run();
+    assert_eq!(first, run());
+    let plot = fs::read_to_string(playground.path("results/accuracy.svg")).unwrap();
+    assert!(plot.contains("<polyline") && plot.contains("profile, measured"), "{plot}");
+}
+
+#[test]
+fn a_wrong_experiment_is_refused() {
+    let playground = playground("accuracy", &[("source.values.distance", "source.values.distanse")]);
+    let ended = playground.conicflow(&["validate", "accuracy.toml"]).expect_code(2);
+    assert!(ended.stderr.contains("the scene has no value `distanse`"), "{}", ended.stderr);
+}
