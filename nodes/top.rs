@@ -1,6 +1,6 @@
 //! `conicflow top`: what running pipelines do, as a screen that is drawn anew each second, or once as JSON.
 
-use conicflow_dataflow::{PipelineActivity, Table, observe};
+use conicflow_dataflow::{PipelineActivity, Table, link_table, observe};
 use serde_json::json;
 use std::io::{IsTerminal, Write, stdout};
 use std::thread::sleep;
@@ -35,7 +35,10 @@ fn screen(pipelines: &[PipelineActivity]) -> String {
         return "no pipeline runs; start one with `conicflow run`\n".to_owned();
     }
     let parts = pipelines.iter().map(|pipeline| {
-        format!("{}\n\n{}\n{}\n{}\n", pipeline.pipeline, stages(pipeline), topics(pipeline), inputs(pipeline))
+        let links =
+            if pipeline.links.is_empty() { String::new() } else { format!("\n{}", link_table(&pipeline.links)) };
+        let tables = [stages(pipeline), topics(pipeline), inputs(pipeline)].map(|table| table.to_string());
+        format!("{}\n\n{}{links}\n", pipeline.pipeline, tables.join("\n"))
     });
     parts.collect()
 }

@@ -4,6 +4,7 @@
 //! the row that [`Node`] makes of it ([`pipeline`]); the [`Plan`] settles what each process has to know; [`run`] starts
 //! them; each runs its loop over [`ports`], which lead through shared memory; and [`Status`] records tell how it goes.
 
+pub mod bridge;
 mod clock;
 mod launcher;
 mod node;
@@ -22,10 +23,11 @@ pub mod testing {
     pub use crate::runner::alone::{Owned, collect, pass};
 }
 
+pub use bridge::{EdgeReport, LinkReport};
 pub use clock::monotonic_ns;
 pub use launcher::{
     FolderError, LaunchError, PIPELINE, ProcessError, RUNTIME_DIR, RunFolder, RunLock, RunOptions, StageSummary,
-    Summary, run, run_in_run, run_planned, run_source, run_stage,
+    Summary, link_table, run, run_in_run, run_planned, run_source, run_stage,
 };
 pub use node::{Node, Variant};
 pub use observe::{InputActivity, Observation, PipelineActivity, StageActivity, TopicActivity, observe};

@@ -2,6 +2,7 @@
 //!
 //! Nothing is attached to, so that nothing is slowed down and no queue gets another reader.
 
+use crate::bridge::{LinkReport, read_links};
 use crate::launcher::{FolderError, RunFolder};
 use crate::plan::{Plan, PlannedStage};
 use crate::status::{Durations, Life, Status};
@@ -12,7 +13,7 @@ use std::time::{Duration, Instant};
 /// The pipelines that run at one moment.
 pub struct Observation {
     taken: Instant,
-    pipelines: Vec<(Plan, Vec<Observed>)>,
+    pipelines: Vec<(Plan, Vec<Observed>, Vec<LinkReport>)>,
 }
 
 /// A stage at one moment.
@@ -33,6 +34,8 @@ pub struct PipelineActivity {
     pub topics: Vec<TopicActivity>,
     /// What they read.
     pub inputs: Vec<InputActivity>,
+    /// The links to other machines.
+    pub links: Vec<LinkReport>,
 }
 
 /// What a stage did between two moments.
@@ -110,9 +113,10 @@ pub fn observe() -> Result<Observation, FolderError> {
     let plans = RunFolder::all()?.into_iter().filter_map(|folder| Some((folder.plan().ok()?, folder)));
     let observed = plans.map(|(plan, folder)| {
         let stages = plan.stages.iter().filter_map(|stage| observe_stage(&folder, &stage.name)).collect::<Vec<_>>();
-        (plan, stages)
+        let links = read_links(folder.path(), plan.run);
+        (plan, stages, links)
     });
-    Ok(Observation { taken: Instant::now(), pipelines: observed.filter(|(_, stages)| !stages.is_empty()).collect() })
+    Ok(Observation { taken: Instant::now(), pipelines: observed.filter(|(_, stages, _)| !stages.is_empty()).collect() })
 }
 
 /// A stage that lives; a record may outlive its process.
@@ -138,11 +142,15 @@ impl Observation {
     /// What happened since an earlier look.
     pub fn since(&self, earlier: &Self) -> Vec<PipelineActivity> {
         let seconds = self.taken.duration_since(earlier.taken).as_secs_f64().max(1e-3);
-        self.pipelines.iter().map(|(plan, stages)| pipeline_activity(plan, stages, earlier, seconds)).collect()
+        let activity = |(plan, stages, links): &(Plan, Vec<Observed>, Vec<LinkReport>)| PipelineActivity {
+            links: links.clone(),
+            ..pipeline_activity(plan, stages, earlier, seconds)
+        };
+        self.pipelines.iter().map(activity).collect()
     }
 
     fn find(&self, run: u64, process: u32) -> Option<&Observed> {
-        let stages = self.pipelines.iter().filter(|(plan, _)| plan.run == run).flat_map(|(_, stages)| stages);
+        let stages = self.pipelines.iter().filter(|(plan, ..)| plan.run == run).flat_map(|(_, stages, _)| stages);
         stages.into_iter().find(|stage| stage.status.process == process)
     }
 }
@@ -157,7 +165,7 @@ fn pipeline_activity(plan: &Plan, stages: &[Observed], earlier: &Observation, se
         topics.extend(planned.wiring.output.as_ref().map(|topic| span.topic(&topic.name, &planned.name)));
         inputs.extend(input_activity(&stage.status, &planned.name, !planned.is_source()));
     }
-    PipelineActivity { pipeline: plan.pipeline.clone(), stages: activities, topics, inputs }
+    PipelineActivity { pipeline: plan.pipeline.clone(), stages: activities, topics, inputs, links: Vec::new() }
 }
 
 /// A stage at two moments; at only one if it was started meanwhile.

@@ -2,6 +2,7 @@
 //!
 //! The launcher writes it once; all stages of a run read the same plan, whatever becomes of the pipeline file meanwhile.
 
+use crate::bridge::{BRIDGE, BridgePlan};
 use crate::pipeline::{Pipeline, Program, Restart, StageSpec};
 use crate::ports::Wiring;
 use conicflow_messages::Kind;
@@ -52,6 +53,8 @@ pub enum Runs {
     },
     /// A program with its arguments.
     Command(Vec<String>),
+    /// The edges to and from other machines.
+    Bridge(Box<BridgePlan>),
 }
 
 impl Runs {
@@ -60,6 +63,7 @@ impl Runs {
         match self {
             Self::Node { node, .. } => node,
             Self::Command(command) => command.first().map_or("?", String::as_str),
+            Self::Bridge(_) => "zenoh",
         }
     }
 }
@@ -69,8 +73,10 @@ impl Plan {
     /// `frames` messages.
     pub fn of(pipeline: &Pipeline, machine: Option<&str>, frames: Option<u64>, run: u64) -> Self {
         let here = |stage: &&StageSpec| machine.is_none() || stage.machine.as_deref() == machine;
-        let stages = pipeline.stages.iter().filter(here).map(|stage| PlannedStage::of(pipeline, stage, frames));
-        Self { pipeline: pipeline.name.clone(), base: pipeline.base.clone(), run, stages: stages.collect() }
+        let stages = pipeline.stages.iter().filter(here);
+        let mut stages: Vec<_> = stages.map(|stage| PlannedStage::of(pipeline, stage, machine, frames)).collect();
+        stages.extend(machine.and_then(|machine| BridgePlan::of(pipeline, machine)).map(PlannedStage::bridge));
+        Self { pipeline: pipeline.name.clone(), base: pipeline.base.clone(), run, stages }
     }
 
     /// The plan of one stage.
@@ -80,7 +86,8 @@ impl Plan {
 }
 
 impl PlannedStage {
-    fn of(pipeline: &Pipeline, stage: &StageSpec, frames: Option<u64>) -> Self {
+    fn of(pipeline: &Pipeline, stage: &StageSpec, machine: Option<&str>, frames: Option<u64>) -> Self {
+        let topic = |name: &String| pipeline.topic_on(name, machine);
         let input_kind = stage.input.as_ref().and_then(|input| pipeline.kind_of(&input.topic));
         let runs = match &stage.program {
             Program::Node(node) => {
@@ -90,11 +97,11 @@ impl PlannedStage {
             Program::Command(command) => Runs::Command(command.clone()),
             Program::Unknown => Runs::Command(Vec::new()),
         };
-        let sides = stage.inputs.iter().map(|(name, input)| (name.clone(), pipeline.topic(&input.topic)));
+        let sides = stage.inputs.iter().map(|(name, input)| (name.clone(), topic(&input.topic)));
         let wiring = Wiring {
-            input: stage.input.as_ref().map(|input| pipeline.topic(&input.topic)),
+            input: stage.input.as_ref().map(|input| topic(&input.topic)),
             sides: sides.collect(),
-            output: stage.output.as_ref().map(|output| pipeline.topic(output)),
+            output: stage.output.as_ref().map(topic),
             frames: frames.filter(|_| stage.is_source()),
         };
         Self {
@@ -107,13 +114,32 @@ impl PlannedStage {
         }
     }
 
+    fn bridge(plan: BridgePlan) -> Self {
+        Self {
+            name: BRIDGE.to_owned(),
+            runs: Runs::Bridge(Box::new(plan)),
+            parameters: Json::Null,
+            wiring: Wiring::default(),
+            restart: Restart::OnFailure,
+            env: Vec::new(),
+        }
+    }
+
+    /// Whether it carries the edges to and from other machines.
+    pub fn is_bridge(&self) -> bool {
+        matches!(self.runs, Runs::Bridge(_))
+    }
+
     /// Whether nothing drives it.
     pub fn is_source(&self) -> bool {
         self.wiring.input.is_none()
     }
 
-    /// Whether it writes nothing.
+    /// Whether what it takes leaves this machine's stages.
     pub fn is_sink(&self) -> bool {
-        self.wiring.output.is_none()
+        match &self.runs {
+            Runs::Bridge(plan) => !plan.outgoing.is_empty(),
+            _ => self.wiring.output.is_none(),
+        }
     }
 }

@@ -2,6 +2,7 @@
 
 use crate::{Header, Item, Kind, Malformed, item::finite};
 use bytemuck::{Pod, Zeroable};
+use serde::{Deserialize, Serialize};
 
 /// Number of moments `sum s^p t^q`, p + q <= 4.
 pub const MOMENTS: usize = 15;
@@ -21,7 +22,7 @@ pub enum Scan {
 /// line and `t = z k` away from the camera; a point is `(s, t y / k, t / k)` in the camera frame. For a column x and y
 /// change places.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq, Serialize, Deserialize)]
 pub struct Ellipse {
     /// 0: the line is a row, 1: a column.
     pub scan: u32,

@@ -2,6 +2,7 @@
 
 use crate::{Kind, Malformed, Text, item::finite};
 use bytemuck::{Pod, Zeroable};
+use serde::{Deserialize, Serialize};
 
 /// Name and version of [`Header`]'s memory layout.
 pub const HEADER_TYPE_NAME: &str = "conicflow.Header.v1";
@@ -16,7 +17,7 @@ pub const MAX_HOPS: usize = 8;
 
 /// What precedes the items of every message.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq, Serialize, Deserialize)]
 pub struct Header {
     /// One number per start of a source: a source that starts anew is told from one that goes on.
     pub epoch: u64,
@@ -46,7 +47,7 @@ pub struct Header {
 
 /// When a frame passed a stage, on the monotonic clock of that machine.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq, Serialize, Deserialize)]
 pub struct Hop {
     /// Name of the stage in the pipeline file.
     pub stage: Text<32>,
@@ -60,7 +61,7 @@ pub struct Hop {
 ///
 /// A pixel (u, v) of depth z is the point `z ((u - cx) / fx, (v - cy) / fy, 1)`.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq, Serialize, Deserialize)]
 pub struct Camera {
     /// Width of the image in pixels.
     pub width: u32,
@@ -81,7 +82,7 @@ pub struct Camera {
 /// `sigma(z)^2 = (floor + growth (z - knee)^2)^2 + (step z^2)^2 / 12`: the axial noise of a Kinect v1 after Nguyen,
 /// Izadi and Lovell (2012), and the error of a disparity that comes in steps.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq, Serialize, Deserialize)]
 pub struct NoiseModel {
     /// Noise at the knee, in metres.
     pub floor_m: f64,

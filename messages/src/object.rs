@@ -2,6 +2,7 @@
 
 use crate::{Header, Item, Kind, Malformed, item::finite};
 use bytemuck::{Pod, Zeroable};
+use serde::{Deserialize, Serialize};
 
 /// The shapes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -49,7 +50,7 @@ impl ObjectKind {
 
 /// A sphere, cylinder or cone in the camera frame; what a shape does not have is zero.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq, Serialize, Deserialize)]
 pub struct Object {
     /// [`ObjectKind::code`].
     pub kind: u32,
@@ -85,7 +86,7 @@ pub struct Object {
 
 /// Standard deviations of an [`Object`]; zero where the shape has no such parameter.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq, Serialize, Deserialize)]
 pub struct ObjectSigma {
     /// Covariance of the centre, row-major, in square metres.
     pub center: [[f64; 3]; 3],

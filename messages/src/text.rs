@@ -1,6 +1,7 @@
 //! Short text of fixed size, as shared memory needs it: UTF-8, padded with zero bytes, no pointer.
 
 use bytemuck::{Pod, Zeroable};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de, ser};
 use std::fmt;
 
 /// UTF-8 text of at most `N` bytes; what is longer is cut at a character boundary.
@@ -21,6 +22,22 @@ impl<const N: usize> Text<N> {
     pub fn as_str(&self) -> Option<&str> {
         let length = self.0.iter().position(|&byte| byte == 0).unwrap_or(N);
         std::str::from_utf8(&self.0[..length]).ok()
+    }
+}
+
+impl<const N: usize> Serialize for Text<N> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.as_str().ok_or_else(|| ser::Error::custom("bytes that are not UTF-8"))?)
+    }
+}
+
+impl<'de, const N: usize> Deserialize<'de> for Text<N> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let text = <&str>::deserialize(deserializer)?;
+        if text.len() > N || text.contains('\0') {
+            return Err(de::Error::custom(format_args!("a text of more than {N} bytes, or with a zero byte")));
+        }
+        Ok(Self::new(text))
     }
 }
 

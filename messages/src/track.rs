@@ -2,6 +2,7 @@
 
 use crate::{Header, Item, Kind, Malformed, Object, item::finite};
 use bytemuck::{Pod, Zeroable};
+use serde::{Deserialize, Serialize};
 
 /// How far a track is to be trusted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,7 +47,7 @@ impl TrackState {
 
 /// One tracked object.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq, Serialize, Deserialize)]
 pub struct Track {
     /// Identity: the same from the first sight to the last, never used again.
     pub id: u64,

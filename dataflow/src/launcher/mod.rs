@@ -11,7 +11,7 @@ mod summary;
 
 pub use folder::{FolderError, RUNTIME_DIR, RunFolder, RunLock};
 pub use process::{PIPELINE, ProcessError, run_in_run, run_planned, run_source, run_stage};
-pub use summary::{StageSummary, Summary};
+pub use summary::{StageSummary, Summary, link_table};
 
 use crate::plan::Plan;
 use crate::ports::PortError;

@@ -1,6 +1,7 @@
 //! A stage as a process of its own: finds its place in the plan, opens what it needs, and runs until it is done or told.
 
 use super::folder::{FolderError, RunFolder};
+use crate::bridge::{self, BridgeError};
 use crate::node::Node;
 use crate::plan::{Plan, PlannedStage, Runs};
 use crate::ports::PortError;
@@ -40,6 +41,9 @@ pub enum ProcessError {
     /// The stage failed.
     #[error(transparent)]
     Run(#[from] RunError),
+    /// The bridge failed.
+    #[error(transparent)]
+    Bridge(#[from] BridgeError),
     /// There is no such stage in the plan.
     #[error("there is no stage `{0}` in this pipeline\n  hint: `conicflow graph` shows its stages")]
     NoStage(String),
@@ -68,6 +72,7 @@ impl ProcessError {
         use PortError::{Incompatible, PathTooLong};
         match self {
             Self::Run(RunError::Port(Incompatible { .. } | PathTooLong { .. })) => REFUSED,
+            Self::Bridge(error) if !error.is_final() => 1,
             Self::Run(RunError::Failed { .. } | RunError::Port(_)) => 1,
             _ => REFUSED,
         }
@@ -89,6 +94,10 @@ pub fn run_planned(plan: &Plan, folder: &RunFolder, name: &str, nodes: &[Node]) 
             Ok(run(planned.parameters.clone(), surroundings(plan, folder, planned)?)?)
         }
         Runs::Command(command) => Err(become_program(plan, planned, command)),
+        Runs::Bridge(edges) => {
+            let around = surroundings(plan, folder, planned)?;
+            Ok(bridge::run(edges, plan, folder, around)?)
+        }
     }
 }
 

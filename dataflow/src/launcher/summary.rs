@@ -1,6 +1,7 @@
 //! What a run did: read from the records of its stages, while it runs for its progress, and at its end for people.
 
 use super::folder::RunFolder;
+use crate::bridge::{LinkReport, read_links};
 use crate::plan::{Plan, PlannedStage};
 use crate::status::{Durations, Status, used};
 use crate::table::Table;
@@ -15,6 +16,8 @@ pub struct Summary {
     pub elapsed: Duration,
     /// The stages, in the order of the file.
     pub stages: Vec<StageSummary>,
+    /// The links to other machines.
+    pub links: Vec<LinkReport>,
     complete: bool,
 }
 
@@ -33,7 +36,8 @@ impl Summary {
             planned: planned.clone(),
             status: Status::read(&folder.status(&planned.name)).filter(of_run).map(Box::new),
         });
-        Self { pipeline: plan.pipeline.clone(), elapsed, stages: stages.collect(), complete }
+        let links = read_links(folder.path(), plan.run);
+        Self { pipeline: plan.pipeline.clone(), elapsed, stages: stages.collect(), links, complete }
     }
 
     /// Whether no stage was lost.
@@ -43,7 +47,8 @@ impl Summary {
 
     /// Frames that the sources have made, and how many they will have made in the end where all of them know.
     pub fn frames(&self) -> (u64, Option<u64>) {
-        let sources = self.statuses().filter(|(planned, _)| planned.is_source());
+        let alone = self.stages.iter().all(|stage| stage.planned.is_bridge() || !stage.planned.is_source());
+        let sources = self.statuses().filter(|(planned, _)| planned.is_source() && (alone || !planned.is_bridge()));
         let (mut made, mut total) = (0, Some(0));
         for (_, status) in sources {
             made += status.sent;
@@ -98,6 +103,24 @@ impl Summary {
     }
 }
 
+/// The links to other machines, with what went over them.
+pub fn link_table(links: &[LinkReport]) -> Table {
+    let mut table = Table::new(&["link", "topic", "way", "messages", "Hz", "MB/s", "lost", "resent", "age", "up"]);
+    for link in links {
+        let up = link.connected_s.map_or_else(|| "down".to_owned(), |seconds| format!("{seconds:.0} s"));
+        for edge in &link.edges {
+            let names = [&link.machine, &edge.topic, &edge.direction].map(String::clone);
+            let rates = [format!("{:.1}", edge.rate_hz), format!("{:.2}", edge.bandwidth_mbps)];
+            let lost = (edge.lost + edge.stale + edge.malformed).to_string();
+            let times = [format!("{:.1} ms", edge.age_ms), up.clone()];
+            let counts = [lost, edge.resent.to_string()];
+            let row = names.into_iter().chain([edge.messages.to_string()]).chain(rates).chain(counts);
+            table.row(row.chain(times));
+        }
+    }
+    table
+}
+
 fn time(durations: &Durations, quantile: f64) -> String {
     durations.quantile(quantile).map_or("-".to_owned(), |time| milliseconds(time.as_secs_f64()))
 }
@@ -112,11 +135,14 @@ impl Display for Summary {
         let seconds = self.elapsed.as_secs_f64();
         let rate = frames as f64 / seconds.max(1e-9);
         writeln!(f, "{}: {frames} frames in {seconds:.1} s ({rate:.1} Hz), {} dropped", self.pipeline, self.dropped())?;
-        for (planned, status) in self.statuses().filter(|(planned, _)| planned.is_sink()) {
+        for (planned, status) in self.statuses().filter(|(planned, _)| planned.is_sink() && !planned.is_bridge()) {
             let (median, late) = (time(&status.latency, 0.5), time(&status.latency, 0.99));
             writeln!(f, "latency from the source to `{}`: p50 {median}, p99 {late}", planned.name)?;
         }
         write!(f, "\n{}\n{}", self.stage_table(), self.input_table())?;
+        if !self.links.is_empty() {
+            write!(f, "\n{}", link_table(&self.links))?;
+        }
         for (planned, status) in self.statuses() {
             let found: Vec<_> = used(&status.found).map(|(label, count)| format!("{label} {count}")).collect();
             if !found.is_empty() {

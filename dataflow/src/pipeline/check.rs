@@ -2,6 +2,7 @@
 
 use super::diagnostic::{Diagnostic, suggestion};
 use super::{Input, Pipeline, Program, StageSpec};
+use crate::bridge::BRIDGE;
 use crate::node::Node;
 use crate::ports::Delivery;
 use crate::sides::Pick;
@@ -14,6 +15,7 @@ pub(super) fn connections(pipeline: &Pipeline, faults: &mut Vec<Diagnostic>) {
         inputs(pipeline, stage, faults);
         output(pipeline, stage, faults);
         machine(pipeline, stage, faults);
+        bridged(pipeline, stage, faults);
     }
     cycles(pipeline, faults);
 }
@@ -148,6 +150,39 @@ fn machine(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>)
             faults.push(Diagnostic::error(place, what, hint));
         }
         _ => {}
+    }
+}
+
+/// What only edges between machines demand: a name that is free for the bridge, and compression for images alone.
+fn bridged(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>) {
+    if stage.name == BRIDGE && !pipeline.crossings().is_empty() {
+        let what = format!("a stage cannot be called `{BRIDGE}` where edges cross machines");
+        faults.push(Diagnostic::error(
+            &stage.place,
+            what,
+            "that is the process that carries them: choose another name",
+        ));
+    }
+    let images = |input: &&Input| pipeline.kind_of(&input.topic).is_none_or(|kind| kind == Kind::Depth);
+    for input in stage.all_inputs().filter(|input| input.compression.is_some() && !images(input)) {
+        let what = format!("`compression` is for images, the topic `{}` carries lists", input.topic);
+        faults.push(Diagnostic::error(&input.place, what, "remove `compression`"));
+    }
+    let unknown = |topic: &str| pipeline.kind_of(topic).is_none();
+    if let Some(input) = stage.all_inputs().find(|input| {
+        unknown(&input.topic) && pipeline.crossings().iter().any(|(crossing, ..)| *crossing == input.topic)
+    }) {
+        let what = format!("nobody says what the topic `{}` carries, and it crosses machines", input.topic);
+        let hint = format!("say it here, such as input = {{ topic = \"{}\", kind = \"objects\" }}", input.topic);
+        faults.push(Diagnostic::error(&input.place, what, hint));
+    }
+    let slashes = |topic: &String| topic.starts_with('/') || topic.ends_with('/') || topic.contains("//");
+    if let (Some(topic), Some(place)) = (&stage.output, &stage.output_place)
+        && slashes(topic)
+        && pipeline.crossings().iter().any(|(crossing, ..)| crossing == topic)
+    {
+        let what = format!("the topic `{topic}` cannot cross machines: it has an empty part between slashes");
+        faults.push(Diagnostic::error(place, what, "a name such as camera/depth"));
     }
 }
 

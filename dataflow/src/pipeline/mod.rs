@@ -12,6 +12,8 @@ mod value;
 
 pub use diagnostic::{Diagnostic, Report, Severity, SourceText, suggestion};
 
+use crate::bridge::BRIDGE;
+use crate::bridge::Compression;
 use crate::node::Node;
 use crate::ports::{Delivery, Topic, TopicReader};
 use conicflow_messages::Kind;
@@ -37,14 +39,18 @@ pub struct Pipeline {
 }
 
 /// A machine of a pipeline that spans several.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Machine {
     /// Zenoh endpoints that it listens on.
     pub listen: Vec<String>,
     /// Zenoh endpoints that it connects to.
     pub connect: Vec<String>,
-    /// A full Zenoh configuration.
+    /// A file with a Zenoh configuration of one's own, which adds to this one and overrides it.
     pub zenoh: Option<PathBuf>,
+    /// Endpoints that others can reach may be open to everyone.
+    pub insecure: bool,
+    /// Lossless edges from here wait so long for a machine that has gone; `None`: the default, in seconds.
+    pub outage_s: Option<f64>,
 }
 
 /// One stage of a pipeline.
@@ -94,6 +100,8 @@ pub struct Input {
     pub queue: usize,
     /// What the topic carries, where the file says so: no node tells it of what a program of one's own writes.
     pub kind: Option<Kind>,
+    /// How images for it are compressed on their way from another machine.
+    pub compression: Option<Compression>,
     place: Place,
 }
 
@@ -156,6 +164,28 @@ impl Pipeline {
             writers: writers.map(|stage| stage.name.clone()).collect(),
             readers: readers.collect(),
         }
+    }
+
+    /// The topic as the stages of `machine` see it: written by the same stages, here or elsewhere, and read by those that
+    /// are here, and by the bridge where one of its writers is here and one of its readers is not.
+    pub fn topic_on(&self, name: &str, machine: Option<&str>) -> Topic {
+        let mut topic = self.topic(name);
+        let Some(machine) = machine else { return topic };
+        let (here, away): (Vec<_>, Vec<_>) =
+            topic.readers.into_iter().partition(|reader| self.is_on(&reader.stage, machine));
+        topic.readers = here;
+        let leaves = topic.writers.iter().any(|writer| self.is_on(writer, machine));
+        if let (true, Some(queue)) = (leaves, away.iter().map(|reader| reader.queue).max()) {
+            let lossless = away.iter().any(|reader| reader.delivery == Delivery::Lossless);
+            let delivery = if lossless { Delivery::Lossless } else { Delivery::Latest };
+            topic.readers.push(TopicReader { stage: BRIDGE.to_owned(), delivery, queue });
+        }
+        topic
+    }
+
+    /// Whether a stage runs on a machine.
+    pub(crate) fn is_on(&self, stage: &str, machine: &str) -> bool {
+        self.stage(stage).is_some_and(|stage| stage.machine.as_deref() == Some(machine))
     }
 
     /// What a topic carries: by the nodes that write it; where only programs of one's own do, as an input says or because

@@ -4,6 +4,7 @@ use super::diagnostic::{Diagnostic, Place, SourceText, closest, suggestion};
 use super::schema;
 use super::value::{Content, Entry, Table, Value};
 use super::{Input, Machine, Pipeline, Program, Restart, StageSpec};
+use crate::bridge::{Compression, settings};
 use crate::node::Node;
 use crate::ports::Delivery;
 use crate::sides::Pick;
@@ -13,12 +14,14 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 const STAGE_KEYS: [&str; 8] = ["node", "program", "input", "inputs", "output", "machine", "restart", "env"];
-const INPUT_KEYS: [&str; 4] = ["topic", "delivery", "queue", "kind"];
+const INPUT_KEYS: [&str; 5] = ["topic", "delivery", "queue", "kind", "compression"];
+const COMPRESSIONS: [(&str, Compression); 3] =
+    [("none", Compression::None), ("lz4", Compression::Lz4), ("zstd", Compression::Zstd)];
 const KINDS: [Kind; 4] = [Kind::Depth, Kind::Ellipses, Kind::Objects, Kind::Tracks];
 const DELIVERIES: [(&str, Delivery); 2] = [("latest", Delivery::Latest), ("lossless", Delivery::Lossless)];
 const RESTARTS: [(&str, Restart); 3] =
     [("never", Restart::Never), ("on_failure", Restart::OnFailure), ("always", Restart::Always)];
-const MACHINE_KEYS: [&str; 3] = ["listen", "connect", "zenoh"];
+const MACHINE_KEYS: [&str; 5] = ["listen", "connect", "zenoh", "insecure", "outage_s"];
 
 /// Names travel in headers of fixed size, as far as the terminating zero.
 const MAX_STAGE_NAME: usize = 31;
@@ -28,6 +31,7 @@ const QUEUE_LATEST: usize = 2;
 const QUEUE_SAME_FRAME: usize = 8;
 const QUEUE_LOSSLESS: usize = 4;
 const MAX_QUEUE: i64 = 64;
+const MAX_OUTAGE_S: f64 = 86_400.0;
 
 /// Reads a document; what cannot be read is reported and left out.
 pub(super) fn pipeline(
@@ -58,6 +62,7 @@ struct SaidInput {
     delivery: Option<Delivery>,
     queue: Option<usize>,
     kind: Option<Kind>,
+    compression: Option<Compression>,
 }
 
 struct Reader<'a> {
@@ -143,14 +148,44 @@ impl Reader<'_> {
     }
 
     fn machine(&mut self, entry: Entry) -> Machine {
-        let owner = format!("machine `{}`", entry.key);
+        let (owner, place) = (format!("machine `{}`", entry.key), entry.key_place.clone());
+        self.check_name(&entry.key, &place, "machine", MAX_STAGE_NAME, "_-");
         let mut table = self.table(entry, "[machine.robot]").unwrap_or_default();
         let mut endpoints = |reader: &mut Self, key| table.take(key).and_then(|entry| reader.strings(&entry));
         let listen = endpoints(self, "listen").unwrap_or_default();
         let connect = endpoints(self, "connect").unwrap_or_default();
         let zenoh = table.take("zenoh").and_then(|entry| self.existing_file(&entry));
+        let insecure = table.take("insecure").and_then(|entry| self.boolean(&entry)).unwrap_or_default();
+        let outage_s = table.take("outage_s").and_then(|entry| self.seconds(&entry));
         self.unknown_keys(&table, &MACHINE_KEYS, &owner);
-        Machine { listen, connect, zenoh }
+        let machine = Machine { listen, connect, zenoh, insecure, outage_s };
+        if let Err(error) = settings::check(&machine) {
+            self.fault(&place, format!("{owner}: {}", error.what), error.hint);
+        }
+        machine
+    }
+
+    fn boolean(&mut self, entry: &Entry) -> Option<bool> {
+        if let Content::Boolean(said) = entry.value.content {
+            return Some(said);
+        }
+        let what = format!("`{}` wants true or false, this is {}", entry.key, entry.value.type_name());
+        self.fault(&entry.value.place, what, format!("for example {} = true", entry.key));
+        None
+    }
+
+    fn seconds(&mut self, entry: &Entry) -> Option<f64> {
+        let seconds = match entry.value.content {
+            Content::Integer(seconds) => seconds as f64,
+            Content::Float(seconds) => seconds,
+            _ => f64::NAN,
+        };
+        if (0.0..=MAX_OUTAGE_S).contains(&seconds) {
+            return Some(seconds);
+        }
+        let what = format!("`{}` wants seconds, from 0 to {MAX_OUTAGE_S}", entry.key);
+        self.fault(&entry.value.place, what, "how long lossless edges wait for a machine that has gone");
+        None
     }
 
     fn existing_file(&mut self, entry: &Entry) -> Option<PathBuf> {
@@ -279,7 +314,8 @@ impl Reader<'_> {
         };
         // Two places keep the last frame beside the message that ends the stream.
         let queue = said.queue.unwrap_or(default_queue).max(2);
-        Some(Input { topic: said.topic, delivery, queue, kind: said.kind, place })
+        let SaidInput { topic, kind, compression, .. } = said;
+        Some(Input { topic, delivery, queue, kind, compression, place })
     }
 
     fn long_input(&mut self, mut table: Table, place: &Place) -> Option<SaidInput> {
@@ -287,11 +323,12 @@ impl Reader<'_> {
         let delivery = table.take("delivery").and_then(|entry| self.word(&entry, DELIVERIES));
         let queue = table.take("queue").and_then(|entry| self.queue(&entry));
         let kind = table.take("kind").and_then(|entry| self.word(&entry, KINDS.map(|kind| (kind.name(), kind))));
+        let compression = table.take("compression").and_then(|entry| self.word(&entry, COMPRESSIONS));
         self.unknown_keys(&table, &INPUT_KEYS, "the input");
         if topic.is_none() {
             self.fault(place, "the input has no topic", "for example { topic = \"depth\", delivery = \"lossless\" }");
         }
-        Some(SaidInput { topic: topic?, delivery, queue, kind })
+        Some(SaidInput { topic: topic?, delivery, queue, kind, compression })
     }
 
     /// The meaning of one of a few words.

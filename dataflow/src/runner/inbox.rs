@@ -56,6 +56,11 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
         self.ended.len() >= self.writers && self.pending.is_empty()
     }
 
+    /// Whether this writer has said that it sends nothing more.
+    pub(crate) fn has_ended(&self, writer: &str) -> bool {
+        self.ended.contains(writer)
+    }
+
     /// Whether nothing that came before still waits.
     pub(crate) fn is_idle(&self) -> bool {
         self.pending.is_empty()

@@ -4,7 +4,7 @@
 
 pub(crate) mod alone;
 pub(crate) mod inbox;
-mod outlet;
+pub(crate) mod outlet;
 pub(crate) mod peers;
 mod side_ports;
 pub(crate) mod source_loop;

@@ -85,15 +85,33 @@ impl<T: Item, W: Writer<T>> Outlet<T, W> {
         self.list.iter().filter_map(Item::label).for_each(|label| status.count_found(label));
     }
 
+    /// Sends on what a stage on another machine wrote, as that stage wrote it.
+    pub(crate) fn relay(&mut self, header: &Header, items: &[T]) -> Result<(), PortError> {
+        self.await_readers()?;
+        let Some((writer, _)) = &mut self.port else { return Ok(()) };
+        writer.loan(items.len())?.copy_from_slice(items);
+        writer.send(header)?;
+        self.number += 1;
+        self.bytes += (size_of_val(items) + size_of::<Header>()) as u64;
+        self.last = *header;
+        Ok(())
+    }
+
     /// Tells all readers that nothing more will come, and stays until they have taken all.
     pub(crate) fn end(&mut self) -> Result<(), PortError> {
+        self.end_as(&[self.stage])
+    }
+
+    /// The same in the name of other stages.
+    pub(crate) fn end_as(&mut self, writers: &[Text<32>]) -> Result<(), PortError> {
         let (mut before, mut told) = (Vec::new(), BTreeSet::new());
         let deadline = Instant::now() + PATIENCE_WITH_LIVE_READERS;
         while !self.stop.forced() {
             let Some((writer, _)) = &mut self.port else { break };
             let connected = writer.connected();
             if connected.iter().any(|reader| !before.contains(reader)) {
-                writer.send(&end_of_stream(&self.last, self.stage))?;
+                let ends = writers.iter().map(|stage| end_of_stream(&self.last, *stage));
+                ends.into_iter().try_for_each(|end| writer.send(&end).map(drop))?;
             }
             told.extend(connected.iter().cloned());
             let all_told = self.absent_readers(false).all(|reader| told.contains(&reader.stage));
@@ -138,7 +156,7 @@ impl<T: Item, W: Writer<T>> Outlet<T, W> {
 }
 
 /// The message that ends a stream: the last header, without items.
-fn end_of_stream(last: &Header, stage: Text<32>) -> Header {
+pub(crate) fn end_of_stream(last: &Header, stage: Text<32>) -> Header {
     let mut header = Header { flags: END_OF_STREAM, hop_count: 0, ..*last };
     header.add_hop(Hop { stage, received_ns: 0, sent_ns: monotonic_ns() });
     header

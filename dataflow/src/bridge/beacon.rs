@@ -1,0 +1,100 @@
+//! The small message by which bridges tell each other that they live, what they have received, and what time it is there.
+
+use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
+
+/// What a bridge puts under its link key a few times per second.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Beacon {
+    /// One number per start of the bridge.
+    pub stream: u64,
+    /// Its clock when this was sent.
+    pub sent_ns: u64,
+    /// The last beacon of each peer.
+    pub echoes: Vec<Echo>,
+    /// What it has received, per edge.
+    pub acks: Vec<Ack>,
+}
+
+/// When a peer's last beacon was sent, by that peer's clock, and when it came, by the sender's.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Echo {
+    pub machine: String,
+    pub stream: u64,
+    pub sent_ns: u64,
+    pub received_ns: u64,
+}
+
+/// How far an edge was received.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Ack {
+    /// The machine that sends it.
+    pub from: String,
+    pub topic: String,
+    /// The stream that is received.
+    pub stream: u64,
+    /// Number of the message that is expected next.
+    pub next: u64,
+    /// The writers whose streams have ended.
+    pub ended: Vec<String>,
+}
+
+/// How many exchanges are remembered.
+const SAMPLES: usize = 32;
+
+/// The difference between two machines' clocks, from exchanges of beacons.
+///
+/// As NTP does: with t1, t4 the own times of sending and receiving and t2, t3 the peer's, the offset is
+/// `((t2 - t1) + (t3 - t4)) / 2`, wrong by half the round trip's asymmetry at most; of the last exchanges the one with
+/// the shortest round trip counts.
+#[derive(Debug, Default)]
+pub(super) struct Clock(VecDeque<Exchange>);
+
+/// One exchange.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Exchange {
+    /// Time on the way, there and back, in nanoseconds.
+    pub round_trip_ns: i64,
+    /// The peer's clock less the own one, in nanoseconds.
+    pub offset_ns: i64,
+}
+
+impl Clock {
+    /// Adds an exchange; times that cannot be are left out.
+    pub(super) fn add(&mut self, [t1, t2, t3, t4]: [u64; 4]) {
+        let [t1, t2, t3, t4] = [t1, t2, t3, t4].map(i128::from);
+        let exchange = (i64::try_from((t4 - t1) - (t3 - t2)), i64::try_from(((t2 - t1) + (t3 - t4)) / 2));
+        let (Ok(round_trip_ns @ 0..), Ok(offset_ns)) = exchange else { return };
+        if self.0.len() == SAMPLES {
+            self.0.pop_front();
+        }
+        self.0.push_back(Exchange { round_trip_ns, offset_ns });
+    }
+
+    /// Forgets everything: the peer may be another machine now.
+    pub(super) fn clear(&mut self) {
+        self.0.clear();
+    }
+
+    /// The best exchange of the last ones.
+    pub(super) fn best(&self) -> Option<Exchange> {
+        self.0.iter().copied().min_by_key(|exchange| exchange.round_trip_ns)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_quickest_exchange_tells_the_offset() {
+        let mut clock = Clock::default();
+        assert_eq!(clock.best(), None);
+        // The peer is 1000 ahead; 10 there and 10 back, then 10 there and 300 back.
+        clock.add([100, 1110, 1150, 160]);
+        clock.add([200, 1210, 1250, 550]);
+        assert_eq!(clock.best(), Some(Exchange { round_trip_ns: 20, offset_ns: 1000 }));
+        clock.add([u64::MAX, 0, u64::MAX, 0]);
+        assert_eq!(clock.best().unwrap().offset_ns, 1000);
+    }
+}

@@ -1,0 +1,119 @@
+//! Depth images in fewer bytes, without loss: neighbouring pixels differ by little, so the differences along each row are
+//! stored, small numbers first whatever their sign, their low bytes before their high ones, and that is compressed.
+
+use serde::{Deserialize, Serialize};
+
+/// How the bytes of depth images are compressed on their way to another machine; lists are too short to gain by it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Compression {
+    /// Not at all: a link that is faster than the processor.
+    None,
+    /// LZ4: a half to a quarter of the bytes at the least cost.
+    Lz4,
+    /// Zstandard, level 1: a third to a sixth of the bytes.
+    #[default]
+    Zstd,
+}
+
+const ZSTD_LEVEL: i32 = 1;
+
+/// Appends the pixels of an image of `width` columns to `bytes`.
+pub(super) fn compress(pixels: &[u16], width: usize, how: Compression, bytes: &mut Vec<u8>) -> Result<(), String> {
+    if how == Compression::None {
+        bytes.extend(pixels.iter().flat_map(|pixel| pixel.to_le_bytes()));
+        return Ok(());
+    }
+    let planes = split(pixels, width);
+    let packed = match how {
+        Compression::Zstd => zstd::bulk::compress(&planes, ZSTD_LEVEL).map_err(|error| error.to_string())?,
+        _ => lz4_flex::block::compress(&planes),
+    };
+    bytes.extend(packed);
+    Ok(())
+}
+
+/// The pixels of an image of `width` times `height`; `pixels` is overwritten.
+pub(super) fn decompress(
+    bytes: &[u8],
+    (width, height): (usize, usize),
+    how: Compression,
+    pixels: &mut Vec<u16>,
+) -> Result<(), String> {
+    let length = 2 * width * height;
+    let unpacked = match how {
+        Compression::None => bytes.to_vec(),
+        Compression::Lz4 => lz4_flex::block::decompress(bytes, length).map_err(|error| error.to_string())?,
+        Compression::Zstd => zstd::bulk::decompress(bytes, length).map_err(|error| error.to_string())?,
+    };
+    if unpacked.len() != length {
+        return Err(format!("{} bytes of pixels, expected {length} for {width}x{height}", unpacked.len()));
+    }
+    pixels.clear();
+    if how == Compression::None {
+        pixels.extend(unpacked.chunks_exact(2).map(|pair| u16::from_le_bytes([pair[0], pair[1]])));
+    } else {
+        join(&unpacked, width, pixels);
+    }
+    Ok(())
+}
+
+/// Differences along the rows: all low bytes, then all high bytes.
+fn split(pixels: &[u16], width: usize) -> Vec<u8> {
+    let (mut low, mut high) = (Vec::with_capacity(2 * pixels.len()), Vec::with_capacity(pixels.len()));
+    for row in pixels.chunks(width.max(1)) {
+        let mut left = 0;
+        for &pixel in row {
+            let [small, large] = zigzag(pixel.wrapping_sub(left)).to_le_bytes();
+            low.push(small);
+            high.push(large);
+            left = pixel;
+        }
+    }
+    low.append(&mut high);
+    low
+}
+
+fn join(planes: &[u8], width: usize, pixels: &mut Vec<u16>) {
+    let (low, high) = planes.split_at(planes.len() / 2);
+    for (low, high) in low.chunks(width.max(1)).zip(high.chunks(width.max(1))) {
+        let mut left = 0_u16;
+        for (&small, &large) in low.iter().zip(high) {
+            left = left.wrapping_add(unzigzag(u16::from_le_bytes([small, large])));
+            pixels.push(left);
+        }
+    }
+}
+
+/// 0, -1, 1, -2, 2.. as 0, 1, 2, 3, 4..
+fn zigzag(difference: u16) -> u16 {
+    let sign = if difference & 0x8000 == 0 { 0 } else { u16::MAX };
+    (difference << 1) ^ sign
+}
+
+fn unzigzag(code: u16) -> u16 {
+    (code >> 1) ^ (code & 1).wrapping_neg()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_difference_survives() {
+        for difference in 0..=u16::MAX {
+            assert_eq!(unzigzag(zigzag(difference)), difference);
+        }
+        assert_eq!([0, u16::MAX, 1, u16::MAX - 1].map(zigzag), [0, 1, 2, 3]);
+    }
+
+    #[test]
+    fn a_slanted_plane_takes_a_tenth_of_its_bytes() {
+        let pixels: Vec<u16> = (0..640 * 480).map(|index| 800 + (index % 640 + index / 640) as u16 / 3).collect();
+        for how in [Compression::Lz4, Compression::Zstd] {
+            let mut bytes = Vec::new();
+            compress(&pixels, 640, how, &mut bytes).unwrap();
+            assert!(bytes.len() < pixels.len() / 5, "{how:?}: {} bytes", bytes.len());
+        }
+    }
+}

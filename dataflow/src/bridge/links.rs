@@ -1,0 +1,139 @@
+//! What one bridge knows of the others: who lives, what they have received, how their clocks differ.
+
+use super::beacon::{Ack, Beacon, Clock, Echo, Exchange};
+use super::wire::{WireError, decode_note};
+use crate::clock::monotonic_ns;
+use std::collections::BTreeMap;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+/// A peer of which nothing was heard for so long is not connected.
+const SILENCE: Duration = Duration::from_millis(1500);
+
+/// The other machines, as the threads of a bridge share them.
+pub(super) struct Links {
+    machine: String,
+    stream: u64,
+    peers: Mutex<BTreeMap<String, Peer>>,
+    acks: Mutex<BTreeMap<(String, String), Ack>>,
+}
+
+/// One other machine.
+#[derive(Default)]
+pub(super) struct Peer {
+    heard: Option<Instant>,
+    since: Option<Instant>,
+    echo: Echo,
+    clock: Clock,
+    acks: BTreeMap<String, Ack>,
+    refused: Option<String>,
+}
+
+/// What is shown of a peer.
+pub(super) struct PeerState {
+    pub connected_for: Option<Duration>,
+    pub clock: Option<Exchange>,
+}
+
+fn lock<V>(mutex: &Mutex<V>) -> MutexGuard<'_, V> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Links {
+    pub(super) fn new<'a>(machine: &str, stream: u64, peers: impl Iterator<Item = &'a str>) -> Self {
+        let peers = peers.map(|peer| (peer.to_owned(), Peer::default())).collect();
+        Self { machine: machine.to_owned(), stream, peers: Mutex::new(peers), acks: Mutex::default() }
+    }
+
+    /// Takes in a beacon.
+    pub(super) fn heard(&self, machine: &str, bytes: &[u8]) {
+        let now_ns = monotonic_ns();
+        let mut peers = lock(&self.peers);
+        let Some(peer) = peers.get_mut(machine) else { return };
+        match decode_note::<Beacon>(bytes) {
+            Ok(beacon) => self.take_in(machine, peer, beacon, now_ns),
+            Err(error) => refuse(machine, peer, &error),
+        }
+    }
+
+    fn take_in(&self, machine: &str, peer: &mut Peer, beacon: Beacon, now_ns: u64) {
+        let now = Instant::now();
+        if !is_connected(peer, now) {
+            tracing::info!("the link to machine `{machine}` is up");
+            peer.since = Some(now);
+        }
+        peer.heard = Some(now);
+        if beacon.stream != peer.echo.stream {
+            peer.clock.clear();
+        }
+        let own = |echo: &&Echo| echo.machine == self.machine && echo.stream == self.stream;
+        if let Some(echo) = beacon.echoes.iter().find(own) {
+            peer.clock.add([echo.sent_ns, echo.received_ns, beacon.sent_ns, now_ns]);
+        }
+        peer.echo =
+            Echo { machine: machine.to_owned(), stream: beacon.stream, sent_ns: beacon.sent_ns, received_ns: now_ns };
+        let acks = beacon.acks.into_iter().filter(|ack| ack.from == self.machine);
+        peer.acks.extend(acks.map(|ack| (ack.topic.clone(), ack)));
+    }
+
+    /// Says that an edge was received so far; true if that is news.
+    pub(super) fn received(&self, ack: Ack) {
+        lock(&self.acks).insert((ack.from.clone(), ack.topic.clone()), ack);
+    }
+
+    /// What has been received so far.
+    pub(super) fn acks(&self) -> Vec<Ack> {
+        lock(&self.acks).values().cloned().collect()
+    }
+
+    /// The beacon that is due now.
+    pub(super) fn beacon(&self, acks: Vec<Ack>) -> Beacon {
+        let peers = lock(&self.peers);
+        let echoes = peers.values().filter(|peer| peer.heard.is_some()).map(|peer| peer.echo.clone()).collect();
+        Beacon { stream: self.stream, sent_ns: monotonic_ns(), echoes, acks }
+    }
+
+    /// What a peer said it has of a topic, and when it was heard of last.
+    pub(super) fn ack_of(&self, machine: &str, topic: &str) -> (Option<Ack>, Option<Instant>) {
+        let peers = lock(&self.peers);
+        peers.get(machine).map_or((None, None), |peer| (peer.acks.get(topic).cloned(), peer.heard))
+    }
+
+    /// Whether a peer was heard of just now.
+    pub(super) fn is_connected(&self, machine: &str) -> bool {
+        lock(&self.peers).get(machine).is_some_and(|peer| is_connected(peer, Instant::now()))
+    }
+
+    /// A peer's clock less the own one, in nanoseconds.
+    pub(super) fn clock_offset(&self, machine: &str) -> Option<i64> {
+        lock(&self.peers).get(machine)?.clock.best().map(|exchange| exchange.offset_ns)
+    }
+
+    /// All peers; says which have fallen silent since the last look.
+    pub(super) fn look(&self) -> BTreeMap<String, PeerState> {
+        let now = Instant::now();
+        let mut states = BTreeMap::new();
+        for (machine, peer) in lock(&self.peers).iter_mut() {
+            if peer.since.is_some() && !is_connected(peer, now) {
+                tracing::warn!("the link to machine `{machine}` is down");
+                peer.since = None;
+            }
+            let connected_for = peer.since.map(|since| now.saturating_duration_since(since));
+            states.insert(machine.clone(), PeerState { connected_for, clock: peer.clock.best() });
+        }
+        states
+    }
+}
+
+fn is_connected(peer: &Peer, now: Instant) -> bool {
+    peer.heard.is_some_and(|heard| now.saturating_duration_since(heard) < SILENCE)
+}
+
+/// Says once why a peer is not listened to.
+fn refuse(machine: &str, peer: &mut Peer, error: &WireError) {
+    let reason = error.to_string();
+    if peer.refused.as_ref() != Some(&reason) {
+        tracing::error!("refused machine `{machine}`: {reason}");
+        peer.refused = Some(reason);
+    }
+}

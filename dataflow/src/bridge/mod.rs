@@ -1,0 +1,73 @@
+//! Edges between machines, over Zenoh: the only place that knows it.
+//!
+//! Where a topic is written on one machine and read on another, the launcher of each starts one bridge process. What leaves
+//! is read from shared memory, encoded ([`wire`]) and put under `conicflow/PIPELINE/MACHINE/TOPIC` ([`sending`]); what comes
+//! is checked, decoded and written into shared memory ([`receiving`]). Each bridge also puts a small beacon under
+//! `conicflow/PIPELINE/@link/MACHINE` ([`beacon`]): it acknowledges, measures the clocks, and shows that the link lives,
+//! because Zenoh's `put` succeeds with nobody there. [`outbox`] and [`sequence`] are the two ends of lossless delivery.
+
+mod beacon;
+mod depth_codec;
+mod links;
+mod mailbox;
+mod outbox;
+mod plan;
+mod process;
+mod receiving;
+mod report;
+mod sending;
+mod sequence;
+pub(crate) mod settings;
+mod wire;
+#[cfg(test)]
+mod wire_tests;
+
+pub use depth_codec::Compression;
+pub use plan::{BridgePlan, Edge, Receiver};
+pub(crate) use process::run;
+pub(crate) use report::read as read_links;
+pub use report::{EdgeReport, LinkReport};
+pub use settings::SettingsFault;
+pub use wire::{MAX_MESSAGE, Place, WIRE_VERSION, Wire, WireError, decode_message, encode_message};
+
+use crate::ports::PortError;
+
+/// Name of the bridge among the stages of a machine.
+pub const BRIDGE: &str = "bridge";
+
+/// Why a bridge ended before its edges did.
+#[derive(Debug, thiserror::Error)]
+pub enum BridgeError {
+    /// The machine's table, or its Zenoh file.
+    #[error("{0}")]
+    Settings(#[from] SettingsFault),
+    /// Shared memory.
+    #[error(transparent)]
+    Port(#[from] PortError),
+    /// Bytes that cannot be made.
+    #[error(transparent)]
+    Wire(#[from] WireError),
+    /// Zenoh.
+    #[error("{doing}: {reason}\n  hint: are the endpoints in the machine's table right, and free?")]
+    Zenoh {
+        /// What was being done.
+        doing: String,
+        /// What Zenoh said.
+        reason: String,
+    },
+    /// A thread panicked.
+    #[error("an edge of the bridge panicked; its message stands above")]
+    Panicked,
+}
+
+impl BridgeError {
+    /// Whether starting anew would not help.
+    pub fn is_final(&self) -> bool {
+        use PortError::{Incompatible, PathTooLong};
+        matches!(self, Self::Settings(_) | Self::Port(Incompatible { .. } | PathTooLong { .. }))
+    }
+
+    fn zenoh(doing: &str, reason: impl std::fmt::Display) -> Self {
+        Self::Zenoh { doing: doing.to_owned(), reason: reason.to_string() }
+    }
+}

@@ -1,0 +1,232 @@
+//! The sending end of an edge's numbering: keeps what was not acknowledged, says what is to be sent again, and gives up
+//! what a machine that stayed away for too long will not get.
+
+use super::beacon::Ack;
+use super::plan::Receiver;
+use super::wire::{Place, set_oldest};
+use crate::ports::Delivery;
+use std::collections::{BTreeSet, VecDeque};
+use std::time::{Duration, Instant};
+
+/// No more than this is under way; a lossless writer waits meanwhile.
+const MAX_KEPT: usize = 64;
+const MAX_KEPT_BYTES: usize = 16 << 20;
+/// What was not acknowledged after this time is sent again.
+const RESEND_AFTER: Duration = Duration::from_millis(250);
+/// A machine that wants only the newest is waited for so long, to learn that the stream has ended.
+const END_PATIENCE: Duration = Duration::from_secs(5);
+
+/// What has left a machine by one edge and may have to leave it again.
+pub(super) struct Outbox {
+    stream: u64,
+    next: u64,
+    kept: VecDeque<(u64, Vec<u8>)>,
+    ends: Vec<(String, Vec<u8>)>,
+    ended_at: Option<Instant>,
+    receivers: Vec<Remote>,
+    outage: Duration,
+    progress: Instant,
+    lost: u64,
+}
+
+/// What is known of a receiving machine.
+struct Remote {
+    machine: String,
+    lossless: bool,
+    next: u64,
+    ended: BTreeSet<String>,
+    heard: Option<Instant>,
+}
+
+impl Remote {
+    /// Whether nothing was heard of it for `limit`, although there was something before.
+    fn is_gone(&self, now: Instant, limit: Duration) -> bool {
+        self.heard.is_some_and(|heard| now.saturating_duration_since(heard) > limit)
+    }
+}
+
+impl Outbox {
+    pub(super) fn new(stream: u64, receivers: &[Receiver], outage: Duration, now: Instant) -> Self {
+        let remote = |receiver: &Receiver| Remote {
+            machine: receiver.machine.clone(),
+            lossless: receiver.delivery == Delivery::Lossless,
+            next: 0,
+            ended: BTreeSet::new(),
+            heard: None,
+        };
+        Self {
+            stream,
+            next: 0,
+            kept: VecDeque::new(),
+            ends: Vec::new(),
+            ended_at: None,
+            receivers: receivers.iter().map(remote).collect(),
+            outage,
+            progress: now,
+            lost: 0,
+        }
+    }
+
+    /// The machines that receive this.
+    pub(super) fn machines(&self) -> Vec<String> {
+        self.receivers.iter().map(|remote| remote.machine.clone()).collect()
+    }
+
+    /// Messages that a lossless receiver will not get.
+    pub(super) fn lost(&self) -> u64 {
+        self.lost
+    }
+
+    /// Messages that are kept.
+    pub(super) fn kept(&self) -> u64 {
+        self.kept.len() as u64
+    }
+
+    /// Whether another message may be sent.
+    pub(super) fn has_room(&self) -> bool {
+        let bytes: usize = self.kept.iter().map(|(_, bytes)| bytes.len()).sum();
+        self.kept.len() < MAX_KEPT && bytes < MAX_KEPT_BYTES
+    }
+
+    /// The place of the next message.
+    pub(super) fn place(&self) -> Place {
+        Place { stream: self.stream, number: self.next, oldest: self.oldest() }
+    }
+
+    fn oldest(&self) -> u64 {
+        self.kept.front().map_or(self.next, |(number, _)| *number)
+    }
+
+    /// Counts the message that was made for [`Outbox::place`], and keeps it if somebody must not miss it.
+    pub(super) fn sent(&mut self, bytes: &[u8], now: Instant) {
+        if self.kept.is_empty() {
+            self.progress = now;
+        }
+        if self.receivers.iter().any(|remote| remote.lossless) {
+            self.kept.push_back((self.next, bytes.to_vec()));
+        }
+        self.next += 1;
+    }
+
+    /// The same for the end of a writer's stream, of which everybody is told until they know.
+    pub(super) fn sent_end(&mut self, writer: &str, bytes: &[u8], now: Instant) {
+        self.sent(bytes, now);
+        self.ends.push((writer.to_owned(), bytes.to_vec()));
+        self.ended_at = Some(now);
+    }
+
+    /// Learns what a machine has, and when it was heard of last.
+    pub(super) fn acknowledge(&mut self, machine: &str, ack: Option<&Ack>, heard: Option<Instant>, now: Instant) {
+        let Some(remote) = self.receivers.iter_mut().find(|remote| remote.machine == machine) else { return };
+        remote.heard = heard;
+        if let Some(ack) = ack.filter(|ack| ack.stream == self.stream) {
+            if ack.next > remote.next {
+                self.progress = now;
+            }
+            remote.next = remote.next.max(ack.next.min(self.next));
+            remote.ended.extend(ack.ended.iter().cloned());
+        }
+        self.forget(now);
+    }
+
+    /// Drops what all lossless receivers have, or have been away for too long to get.
+    fn forget(&mut self, now: Instant) {
+        let lossless = || self.receivers.iter().filter(|remote| remote.lossless);
+        let waited_for = lossless().filter(|remote| !remote.is_gone(now, self.outage)).map(|remote| remote.next);
+        let needed = waited_for.min().unwrap_or(self.next);
+        let given_up: Vec<u64> = lossless().map(|remote| remote.next).collect();
+        while self.kept.front().is_some_and(|(number, _)| *number < needed) {
+            let number = self.kept.pop_front().map_or(0, |(number, _)| number);
+            self.lost += u64::from(given_up.iter().any(|next| number >= *next));
+        }
+    }
+
+    /// What is to be sent again now, if `alive` says that the machine that lacks it can be reached.
+    pub(super) fn due(&mut self, now: Instant, alive: impl Fn(&str) -> bool) -> Vec<Vec<u8>> {
+        if now.saturating_duration_since(self.progress) < RESEND_AFTER {
+            return Vec::new();
+        }
+        self.progress = now;
+        let oldest = self.oldest();
+        let lacking = |remote: &&Remote| remote.lossless && alive(&remote.machine);
+        let from = self.receivers.iter().filter(lacking).map(|remote| remote.next).min().unwrap_or(self.next);
+        let again = self.kept.iter().filter(|(number, _)| *number >= from).map(|(_, bytes)| bytes);
+        let untold = |writer: &String| {
+            let unaware = |remote: &Remote| !remote.lossless && !remote.ended.contains(writer);
+            self.receivers.iter().any(|remote| unaware(remote) && alive(&remote.machine))
+        };
+        let ends = self.ends.iter().filter(|(writer, _)| untold(writer)).map(|(_, bytes)| bytes);
+        let mut messages: Vec<_> = again.chain(ends).cloned().collect();
+        messages.iter_mut().for_each(|bytes| set_oldest(bytes, oldest));
+        messages
+    }
+
+    /// Whether everybody has what they must have, or will not get it any more.
+    pub(super) fn is_settled(&self, now: Instant) -> bool {
+        let impatient = self.ended_at.is_some_and(|since| now.saturating_duration_since(since) > END_PATIENCE);
+        self.receivers.iter().all(|remote| match remote.lossless {
+            true => remote.next >= self.next || (self.kept.is_empty() && remote.is_gone(now, self.outage)),
+            false => impatient || self.ends.iter().all(|(writer, _)| remote.ended.contains(writer)),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const OUTAGE: Duration = Duration::from_secs(10);
+
+    fn outbox(delivery: Delivery, now: Instant) -> Outbox {
+        Outbox::new(1, &[Receiver { machine: "base".to_owned(), delivery }], OUTAGE, now)
+    }
+
+    fn ack(next: u64, ended: &[&str]) -> Ack {
+        let ended = ended.iter().map(|&writer| writer.to_owned()).collect();
+        Ack { from: String::new(), topic: String::new(), stream: 1, next, ended }
+    }
+
+    #[test]
+    fn what_is_not_acknowledged_is_sent_again_and_what_is_is_forgotten() {
+        let start = Instant::now();
+        let mut outbox = outbox(Delivery::Lossless, start);
+        (0..3_u8).for_each(|number| outbox.sent(&[number; 40], start));
+        outbox.acknowledge("base", Some(&ack(1, &[])), Some(start), start);
+        assert!(outbox.due(start, |_| true).is_empty());
+        let later = start + RESEND_AFTER;
+        let first_bytes: Vec<_> = outbox.due(later, |_| true).iter().map(|bytes| bytes[0]).collect();
+        assert_eq!(first_bytes, [1, 2]);
+        outbox.acknowledge("base", Some(&ack(3, &[])), Some(later), later);
+        assert!(outbox.is_settled(later) && outbox.due(later + RESEND_AFTER, |_| true).is_empty());
+        assert_eq!((outbox.place().oldest, outbox.lost()), (3, 0));
+    }
+
+    #[test]
+    fn a_machine_is_waited_for_as_long_as_the_file_says_and_then_counted() {
+        let start = Instant::now();
+        let mut outbox = outbox(Delivery::Lossless, start);
+        (0..MAX_KEPT).for_each(|_| outbox.sent(&[0; 40], start));
+        outbox.acknowledge("base", None, None, start + 3 * OUTAGE);
+        assert!(!outbox.has_room(), "a machine that was never there is waited for");
+        outbox.acknowledge("base", None, Some(start), start + OUTAGE);
+        assert!(!outbox.has_room());
+        let gone = start + OUTAGE + Duration::from_millis(1);
+        outbox.acknowledge("base", None, Some(start), gone);
+        assert!(outbox.has_room() && outbox.is_settled(gone));
+        assert_eq!((outbox.lost(), outbox.place().oldest), (MAX_KEPT as u64, MAX_KEPT as u64));
+    }
+
+    #[test]
+    fn where_the_newest_wins_only_the_end_is_repeated_until_it_is_known() {
+        let start = Instant::now();
+        let mut outbox = outbox(Delivery::Latest, start);
+        outbox.sent(&[1; 40], start);
+        outbox.sent_end("source", &[2; 40], start);
+        let later = start + RESEND_AFTER;
+        assert_eq!(outbox.due(later, |_| true).len(), 1);
+        assert!(outbox.due(later + RESEND_AFTER, |_| false).is_empty(), "nobody can be reached");
+        assert!(!outbox.is_settled(later));
+        outbox.acknowledge("base", Some(&ack(0, &["source"])), Some(later), later);
+        assert!(outbox.is_settled(later));
+    }
+}

@@ -1,0 +1,170 @@
+//! An edge that comes: checked, decoded, and written into shared memory as if its writer were on this machine.
+
+use super::beacon::Ack;
+use super::links::Links;
+use super::mailbox::Mailbox;
+use super::plan::Edge;
+use super::report::EdgeCounts;
+use super::sending::Shared;
+use super::sequence::{Sequence, Verdict};
+use super::wire::{Wire, decode_message};
+use super::{BRIDGE, BridgeError};
+use crate::clock::monotonic_ns;
+use crate::ports::shared_memory::SharedWriter;
+use crate::ports::{Delivery, PortError, Transport};
+use crate::runner::outlet::Outlet;
+use crate::stage::Stop;
+use conicflow_messages::{Header, MAX_HOPS, Text};
+use std::collections::BTreeSet;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+use zenoh::Wait;
+use zenoh::bytes::ZBytes;
+use zenoh::pubsub::Subscriber;
+
+const TICK: Duration = Duration::from_millis(50);
+/// Messages that wait to be decoded, where none may be missed; what is refused comes again.
+const LOSSLESS_ROOM: usize = 64;
+/// Where the newest wins, what was under way for longer is a backlog that nobody wants.
+const STALE: Duration = Duration::from_secs(1);
+/// Nonsense is told at most this often.
+const TELL_NONSENSE: Duration = Duration::from_secs(1);
+
+/// The thread of one edge that comes.
+pub(super) struct Receiving<'a, T: Wire> {
+    edge: &'a Edge,
+    lossless: bool,
+    mailbox: Arc<Mailbox<ZBytes>>,
+    _subscriber: Subscriber<()>,
+    outlet: Outlet<T, SharedWriter<T>>,
+    sequence: Sequence,
+    items: Vec<T>,
+    ended: BTreeSet<String>,
+    links: Arc<Links>,
+    counts: Arc<EdgeCounts>,
+    stop: Stop,
+    told: Option<Instant>,
+}
+
+impl<'a, T: Wire> Receiving<'a, T> {
+    /// Joins the topic and subscribes to the key.
+    pub(super) fn new(edge: &'a Edge, shared: &Shared<'a>, counts: Arc<EdgeCounts>) -> Result<Self, BridgeError> {
+        let topic = edge.topic.clone();
+        let lossless = edge.delivery_to(shared.machine) == Some(Delivery::Lossless);
+        let room = if lossless { LOSSLESS_ROOM } else { edge.writers.len() + 1 };
+        let mailbox = Arc::new(Mailbox::new(room, !lossless));
+        let letters = Arc::clone(&mailbox);
+        let declared = shared
+            .session
+            .declare_subscriber(shared.key(&edge.from, &topic.name))
+            .callback(move |sample| {
+                // What finds no room comes again, or was not the newest.
+                letters.leave(sample.payload().clone());
+            })
+            .wait();
+        let port = Some((shared.transport.writer::<T>(&topic)?, topic));
+        Ok(Self {
+            edge,
+            lossless,
+            mailbox,
+            _subscriber: declared.map_err(|error| BridgeError::zenoh("cannot subscribe to a topic of Zenoh", error))?,
+            outlet: Outlet::new(port, BRIDGE, 0, shared.peers.clone(), shared.stop.clone()),
+            sequence: Sequence::new(lossless),
+            items: Vec::new(),
+            ended: BTreeSet::new(),
+            links: Arc::clone(shared.links),
+            counts,
+            stop: shared.stop.clone(),
+            told: None,
+        })
+    }
+
+    /// Carries messages until all writers have ended, or the run does.
+    pub(super) fn run(mut self) -> Result<(), BridgeError> {
+        while !self.stop.requested() && self.ended.len() < self.edge.writers.len() {
+            let Some(bytes) = self.mailbox.take(TICK) else { continue };
+            match self.accept(&bytes.to_bytes()) {
+                Err(PortError::Stopped) => break,
+                result => result?,
+            }
+        }
+        let writers: Vec<_> = self.edge.writers.iter().map(|writer| Text::new(writer)).collect();
+        Ok(self.outlet.end_as(&writers)?)
+    }
+
+    /// Checks a message, and passes it on if it is the next.
+    fn accept(&mut self, bytes: &[u8]) -> Result<(), PortError> {
+        let mut items = std::mem::take(&mut self.items);
+        let decoded = decode_message(bytes, &mut items);
+        self.items = items;
+        let (place, header) = match decoded {
+            Ok(message) => message,
+            Err(error) => return self.leave_out(&error),
+        };
+        let writer = header.trace().last().map(|hop| hop.stage.to_string()).unwrap_or_default();
+        if !self.edge.writers.contains(&writer) {
+            return self.leave_out(&format!("no stage `{writer}` of machine `{}` writes it", self.edge.from));
+        }
+        let repeated_end = header.ends_stream() && !self.lossless && place.stream >= self.sequence.expected().0;
+        let verdict = self.sequence.judge(place);
+        self.counts.lost.store(self.sequence.lost(), Ordering::Relaxed);
+        if verdict == Verdict::Take {
+            self.pass_on(header, bytes.len())?;
+            self.sequence.taken();
+        }
+        if header.ends_stream() && (verdict == Verdict::Take || repeated_end) {
+            self.ended.insert(writer);
+        }
+        self.acknowledge();
+        Ok(())
+    }
+
+    fn pass_on(&mut self, mut header: Header, wire_bytes: usize) -> Result<(), PortError> {
+        if header.ends_stream() {
+            return Ok(());
+        }
+        let age = self.to_own_clock(&mut header);
+        self.counts.age_ns.store(age.as_nanos() as u64, Ordering::Relaxed);
+        if !self.lossless && age > STALE {
+            EdgeCounts::add(&self.counts.stale, 1);
+            return Ok(());
+        }
+        EdgeCounts::add(&self.counts.messages, 1);
+        EdgeCounts::add(&self.counts.wire_bytes, wire_bytes as u64);
+        EdgeCounts::add(&self.counts.memory_bytes, (size_of_val(&*self.items) + size_of::<Header>()) as u64);
+        self.outlet.relay(&header, &self.items)
+    }
+
+    /// Turns the times of the trace into times of this machine's clock, and tells how long the message was under way.
+    /// Before the clocks have been compared it counts as sent just now.
+    fn to_own_clock(&self, header: &mut Header) -> Duration {
+        let now = monotonic_ns();
+        let sent = header.trace().last().map_or(0, |hop| hop.sent_ns);
+        let offset = self.links.clock_offset(&self.edge.from).map(i128::from);
+        let offset = offset.unwrap_or(i128::from(sent) - i128::from(now));
+        let own = |time: u64| u64::try_from(i128::from(time) - offset).unwrap_or(0);
+        let used = (header.hop_count as usize).min(MAX_HOPS);
+        for hop in &mut header.hops[..used] {
+            (hop.received_ns, hop.sent_ns) = (own(hop.received_ns), own(hop.sent_ns));
+        }
+        Duration::from_nanos(now.saturating_sub(own(sent)))
+    }
+
+    fn acknowledge(&self) {
+        let (stream, next) = self.sequence.expected();
+        let ended = self.ended.iter().cloned().collect();
+        let (from, topic) = (self.edge.from.clone(), self.edge.topic.name.clone());
+        self.links.received(Ack { from, topic, stream, next, ended });
+    }
+
+    fn leave_out(&mut self, reason: &dyn std::fmt::Display) -> Result<(), PortError> {
+        EdgeCounts::add(&self.counts.malformed, 1);
+        if self.told.is_none_or(|told| told.elapsed() > TELL_NONSENSE) {
+            self.told = Some(Instant::now());
+            let (topic, from) = (&self.edge.topic.name, &self.edge.from);
+            tracing::warn!("left out a message of topic `{topic}` from machine `{from}`: {reason}");
+        }
+        Ok(())
+    }
+}

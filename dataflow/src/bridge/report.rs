@@ -1,0 +1,118 @@
+//! What a bridge tells of its links while it runs, in a file of the run's folder beside the records of the stages.
+
+use serde::{Deserialize, Serialize};
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// The link to one other machine.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct LinkReport {
+    /// The other machine.
+    pub machine: String,
+    /// Whether it was heard of just now.
+    pub connected: bool,
+    /// For how long, in seconds.
+    pub connected_s: Option<f64>,
+    /// Shortest time there and back, of late, in milliseconds.
+    pub round_trip_ms: Option<f64>,
+    /// Its monotonic clock less this machine's, in seconds.
+    pub clock_offset_s: Option<f64>,
+    /// What goes over it.
+    pub edges: Vec<EdgeReport>,
+}
+
+/// A topic that goes over a link.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct EdgeReport {
+    /// Its name.
+    pub topic: String,
+    /// `out` or `in`.
+    pub direction: String,
+    /// Messages sent, or received and passed on.
+    pub messages: u64,
+    /// The same per second.
+    pub rate_hz: f64,
+    /// Megabytes per second on the wire.
+    pub bandwidth_mbps: f64,
+    /// Bytes on the wire, in all.
+    pub wire_bytes: u64,
+    /// The same messages in shared memory.
+    pub memory_bytes: u64,
+    /// Messages that were lost on the way, or given up.
+    pub lost: u64,
+    /// Messages that were sent again.
+    pub resent: u64,
+    /// Messages that came too late to be of use.
+    pub stale: u64,
+    /// Messages that made no sense, and were left out.
+    pub malformed: u64,
+    /// Time from the writer's sending to the arrival of the last message, in milliseconds.
+    pub age_ms: f64,
+}
+
+/// The file's content.
+#[derive(Serialize, Deserialize)]
+struct Report {
+    run: u64,
+    links: Vec<LinkReport>,
+}
+
+/// Counts of one edge, written by its thread and read by another.
+#[derive(Debug, Default)]
+pub(super) struct EdgeCounts {
+    pub messages: AtomicU64,
+    pub wire_bytes: AtomicU64,
+    pub memory_bytes: AtomicU64,
+    pub lost: AtomicU64,
+    pub resent: AtomicU64,
+    pub stale: AtomicU64,
+    pub malformed: AtomicU64,
+    pub age_ns: AtomicU64,
+}
+
+impl EdgeCounts {
+    pub(super) fn add(counter: &AtomicU64, count: u64) {
+        counter.fetch_add(count, Ordering::Relaxed);
+    }
+
+    /// The counts now; rates are those since an earlier report, `seconds` ago.
+    pub(super) fn report(&self, topic: &str, direction: &str, earlier: &EdgeReport, seconds: f64) -> EdgeReport {
+        let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        let (messages, wire_bytes) = (count(&self.messages), count(&self.wire_bytes));
+        let per_second = |now: u64, before: u64| now.saturating_sub(before) as f64 / seconds.max(1e-3);
+        EdgeReport {
+            topic: topic.to_owned(),
+            direction: direction.to_owned(),
+            messages,
+            rate_hz: per_second(messages, earlier.messages),
+            bandwidth_mbps: per_second(wire_bytes, earlier.wire_bytes) / 1e6,
+            wire_bytes,
+            memory_bytes: count(&self.memory_bytes),
+            lost: count(&self.lost),
+            resent: count(&self.resent),
+            stale: count(&self.stale),
+            malformed: count(&self.malformed),
+            age_ms: count(&self.age_ns) as f64 / 1e6,
+        }
+    }
+}
+
+fn path(folder: &Path) -> PathBuf {
+    folder.join("bridge.links")
+}
+
+/// Writes the report of a run, whole or not at all.
+pub(super) fn write(folder: &Path, run: u64, links: &[LinkReport]) -> io::Result<()> {
+    let text = serde_json::to_vec(&Report { run, links: links.to_vec() })?;
+    let new = folder.join("bridge.links.new");
+    std::fs::write(&new, text)?;
+    std::fs::rename(new, path(folder))
+}
+
+/// Reads the report of a run; empty if there is none.
+pub(crate) fn read(folder: &Path, run: u64) -> Vec<LinkReport> {
+    let text = std::fs::read(path(folder)).unwrap_or_default();
+    let report = serde_json::from_slice::<Report>(&text).ok().filter(|report| report.run == run);
+    report.map(|report| report.links).unwrap_or_default()
+}

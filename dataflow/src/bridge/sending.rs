@@ -1,0 +1,198 @@
+//! An edge that leaves: out of shared memory, encoded, put to Zenoh, and kept until it is acknowledged where that is asked.
+
+use super::links::Links;
+use super::outbox::Outbox;
+use super::plan::Edge;
+use super::report::EdgeCounts;
+use super::wire::{Wire, encode_message};
+use super::{BRIDGE, BridgeError};
+use crate::clock::monotonic_ns;
+use crate::ports::shared_memory::{SharedMemory, SharedReader};
+use crate::ports::{Delivery, Received, Transport};
+use crate::runner::inbox::Inbox;
+use crate::runner::outlet::end_of_stream;
+use crate::runner::peers::Peers;
+use crate::stage::Stop;
+use crate::status::Life;
+use conicflow_messages::{Header, Kind, Text};
+use std::collections::BTreeSet;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use zenoh::Wait;
+use zenoh::pubsub::Publisher;
+use zenoh::qos::{CongestionControl, Priority};
+
+/// An edge that nobody wakes looks around this often.
+const TICK: Duration = Duration::from_millis(20);
+/// A full outbox looks for acknowledgements this often.
+const FULL_TICK: Duration = Duration::from_millis(2);
+
+/// What the threads of a bridge share.
+pub(super) struct Shared<'a> {
+    pub session: &'a zenoh::Session,
+    pub transport: &'a SharedMemory,
+    pub links: &'a Arc<Links>,
+    pub pipeline: &'a str,
+    pub machine: &'a str,
+    pub stream: u64,
+    pub outage: Duration,
+    pub peers: &'a Peers,
+    pub stop: &'a Stop,
+}
+
+impl Shared<'_> {
+    /// The key of what a machine writes into a topic.
+    pub(super) fn key(&self, from: &str, topic: &str) -> String {
+        format!("conicflow/{}/{from}/{topic}", self.pipeline)
+    }
+}
+
+/// The thread of one edge that leaves.
+pub(super) struct Sending<'a, T: Wire> {
+    edge: &'a Edge,
+    inbox: Inbox<T, SharedReader<T>>,
+    publisher: Publisher<'a>,
+    outbox: Outbox,
+    links: Arc<Links>,
+    counts: Arc<EdgeCounts>,
+    peers: Peers,
+    stop: Stop,
+    last: Header,
+    ended: BTreeSet<String>,
+}
+
+impl<'a, T: Wire> Sending<'a, T> {
+    /// Joins the topic and declares the key.
+    pub(super) fn new(edge: &'a Edge, shared: &Shared<'a>, counts: Arc<EdgeCounts>) -> Result<Self, BridgeError> {
+        let topic = &edge.topic;
+        let reader = shared.transport.reader::<T>(topic, BRIDGE)?;
+        let images = edge.kind == Kind::Depth;
+        let declared = shared
+            .session
+            .declare_publisher(shared.key(&edge.from, &topic.name))
+            .congestion_control(CongestionControl::Drop)
+            .priority(if images { Priority::DataLow } else { Priority::InteractiveHigh })
+            .express(!images)
+            .wait();
+        Ok(Self {
+            edge,
+            inbox: Inbox::new(reader, topic.delivery_to(BRIDGE), &topic.name, topic.writers.len()),
+            publisher: declared.map_err(|error| BridgeError::zenoh("cannot declare a topic to Zenoh", error))?,
+            outbox: Outbox::new(shared.stream, &edge.to, shared.outage, Instant::now()),
+            links: Arc::clone(shared.links),
+            counts,
+            peers: shared.peers.clone(),
+            stop: shared.stop.clone(),
+            last: Header::default(),
+            ended: BTreeSet::new(),
+        })
+    }
+
+    /// Carries messages until all writers have ended and everybody has what they must have.
+    pub(super) fn run(mut self) -> Result<(), BridgeError> {
+        while !self.stop.forced() && !self.is_done() {
+            self.settle();
+            if self.ended.len() == self.edge.writers.len() || !self.outbox.has_room() {
+                std::thread::sleep(FULL_TICK);
+                continue;
+            }
+            if !self.forward_next()? {
+                self.forward_ends()?;
+                self.inbox.wait(TICK)?;
+            }
+        }
+        self.tell_what_is_lost();
+        Ok(())
+    }
+
+    fn is_done(&self) -> bool {
+        self.ended.len() == self.edge.writers.len() && self.outbox.is_settled(Instant::now())
+    }
+
+    /// Learns what has arrived, and sends again what has not.
+    fn settle(&mut self) {
+        let now = Instant::now();
+        for machine in self.outbox.machines() {
+            let (ack, heard) = self.links.ack_of(&machine, &self.edge.topic.name);
+            self.outbox.acknowledge(&machine, ack.as_ref(), heard, now);
+        }
+        let links = Arc::clone(&self.links);
+        for bytes in self.outbox.due(now, |machine| links.is_connected(machine)) {
+            EdgeCounts::add(&self.counts.resent, 1);
+            self.put(bytes);
+        }
+        self.counts.lost.store(self.outbox.lost(), std::sync::atomic::Ordering::Relaxed);
+    }
+
+    /// Sends the next message, if there is one. What came from another machine does not go out again.
+    fn forward_next(&mut self) -> Result<bool, BridgeError> {
+        let Some(message) = self.inbox.take()? else { return Ok(false) };
+        let header = *message.header();
+        let writer = header.trace().last().map(|hop| hop.stage.to_string()).unwrap_or_default();
+        if !self.edge.writers.contains(&writer) {
+            return Ok(true);
+        }
+        let encoded = encode_message(self.outbox.place(), &header, message.items(), self.edge.compression);
+        let memory_bytes = size_of_val(message.items()) + size_of::<Header>();
+        drop(message);
+        self.last = header;
+        match encoded {
+            Ok(bytes) => {
+                self.count(&header, bytes.len(), memory_bytes);
+                self.outbox.sent(&bytes, Instant::now());
+                self.put(bytes);
+            }
+            Err(error) => self.leave_out(&error),
+        }
+        Ok(true)
+    }
+
+    fn leave_out(&self, error: &dyn std::fmt::Display) {
+        EdgeCounts::add(&self.counts.malformed, 1);
+        tracing::warn!("a message of topic `{}` cannot leave this machine: {error}", self.edge.topic.name);
+    }
+
+    fn count(&self, header: &Header, wire_bytes: usize, memory_bytes: usize) {
+        EdgeCounts::add(&self.counts.messages, 1);
+        EdgeCounts::add(&self.counts.wire_bytes, wire_bytes as u64);
+        EdgeCounts::add(&self.counts.memory_bytes, memory_bytes as u64);
+        let sent_ns = header.trace().last().map_or(0, |hop| hop.sent_ns);
+        let age = monotonic_ns().saturating_sub(sent_ns);
+        self.counts.age_ns.store(age, std::sync::atomic::Ordering::Relaxed);
+    }
+
+    /// Puts bytes; whether they arrive is learnt from the beacons, because Zenoh does not tell.
+    fn put(&self, bytes: Vec<u8>) {
+        self.publisher.put(bytes).wait().ok();
+    }
+
+    /// Passes on that writers have ended, or are gone.
+    fn forward_ends(&mut self) -> Result<(), BridgeError> {
+        let gone: Vec<_> = self.edge.writers.iter().filter(|writer| self.is_gone(writer)).cloned().collect();
+        while !gone.is_empty() && self.forward_next()? {}
+        for writer in &self.edge.writers {
+            let over = self.inbox.has_ended(writer) || gone.contains(writer);
+            if over && self.inbox.is_idle() && self.ended.insert(writer.clone()) {
+                let end = end_of_stream(&self.last, Text::new(writer));
+                let bytes = encode_message::<T>(self.outbox.place(), &end, &[], self.edge.compression)?;
+                self.outbox.sent_end(writer, &bytes, Instant::now());
+                self.put(bytes);
+            }
+        }
+        Ok(())
+    }
+
+    fn is_gone(&self, writer: &str) -> bool {
+        !self.ended.contains(writer) && self.peers.life(writer) == Some(Life::Gone)
+    }
+
+    fn tell_what_is_lost(&self) {
+        let lossless = self.edge.to.iter().any(|receiver| receiver.delivery == Delivery::Lossless);
+        let lost = self.outbox.lost() + self.outbox.kept();
+        self.counts.lost.store(lost, std::sync::atomic::Ordering::Relaxed);
+        if lossless && lost > 0 {
+            let topic = &self.edge.topic.name;
+            tracing::error!("{lost} messages of the lossless topic `{topic}` did not reach all machines that read it");
+        }
+    }
+}

@@ -1,0 +1,166 @@
+//! From a machine's table to a Zenoh configuration that is closed unless the file opens it.
+
+use super::wire::MAX_MESSAGE;
+use crate::pipeline::Machine;
+use serde_json::{Value as Json, json};
+use std::path::Path;
+
+/// A link is given up when it was silent for so long; until then it comes back by itself.
+const LEASE_MS: u64 = 2000;
+/// A frame on a slow link may take so long, in microseconds, before Zenoh drops it.
+const MAX_FRAME_WAIT_US: u64 = 1_000_000;
+
+/// Why a machine's table cannot be used.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{what}\n  hint: {hint}")]
+pub struct SettingsFault {
+    /// What is wrong.
+    pub what: String,
+    /// What to do about it.
+    pub hint: String,
+}
+
+fn fault(what: String, hint: &str) -> SettingsFault {
+    SettingsFault { what, hint: hint.to_owned() }
+}
+
+/// Whether a machine's table can be used; a file that is not there is reported elsewhere.
+pub(crate) fn check(machine: &Machine) -> Result<(), SettingsFault> {
+    let missing = machine.zenoh.as_ref().is_some_and(|file| !file.is_file());
+    if missing { Ok(()) } else { configuration(machine).map(drop) }
+}
+
+/// The Zenoh configuration of a machine.
+pub(super) fn configuration(machine: &Machine) -> Result<zenoh::Config, SettingsFault> {
+    let mut settings = json!({
+        "mode": "peer",
+        "scouting": { "multicast": { "enabled": false }, "gossip": { "enabled": false } },
+        "listen": { "endpoints": machine.listen },
+        "connect": {
+            "endpoints": machine.connect,
+            "retry": { "period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2 },
+        },
+        "transport": {
+            "unicast": { "open_timeout": LEASE_MS, "accept_timeout": LEASE_MS },
+            "link": {
+                "tx": {
+                    "lease": LEASE_MS,
+                    "queue": { "congestion_control": { "drop": { "max_wait_before_drop_fragments": MAX_FRAME_WAIT_US } } },
+                },
+                "rx": { "max_message_size": MAX_MESSAGE },
+            },
+        },
+    });
+    if let Some(path) = &machine.zenoh {
+        merge(&mut settings, read_file(path)?);
+    }
+    let mut endpoints = Vec::new();
+    collect_strings(&settings["listen"]["endpoints"], &mut endpoints);
+    endpoints.iter().try_for_each(|endpoint| check_listen(endpoint, machine.insecure))?;
+    zenoh::Config::from_json5(&settings.to_string()).map_err(|error| {
+        fault(format!("Zenoh cannot use its settings: {error}"), "endpoints look like tcp/192.168.0.2:7447")
+    })
+}
+
+fn read_file(path: &Path) -> Result<Json, SettingsFault> {
+    let hint = "it is a Zenoh configuration in JSON5, such as { mode: \"client\" }";
+    let text = std::fs::read_to_string(path)
+        .map_err(|error| fault(format!("cannot read `{}`: {error}", path.display()), hint))?;
+    let mut settings: Json = json5::from_str(&text)
+        .map_err(|error| fault(format!("cannot understand `{}`: {error}", path.display()), hint))?;
+    let folder = path.parent().unwrap_or(Path::new("."));
+    if let Some(Json::Object(tls)) = settings.pointer_mut("/transport/link/tls") {
+        let files = tls.iter_mut().filter(|(key, _)| key.ends_with("_certificate") || key.ends_with("_key"));
+        for (_, value) in files {
+            if let Some(file) = value.as_str() {
+                *value = folder.join(file).to_string_lossy().into();
+            }
+        }
+    }
+    Ok(settings)
+}
+
+/// Overrides what `more` says; the rest of `settings` stays.
+fn merge(settings: &mut Json, more: Json) {
+    match (settings, more) {
+        (Json::Object(settings), Json::Object(more)) => {
+            more.into_iter().for_each(|(key, value)| merge(settings.entry(key).or_insert(Json::Null), value));
+        }
+        (settings, more) => *settings = more,
+    }
+}
+
+/// All strings in a value: endpoints stand in a list, or in one list per mode.
+fn collect_strings(value: &Json, strings: &mut Vec<String>) {
+    match value {
+        Json::String(text) => strings.push(text.clone()),
+        Json::Array(values) => values.iter().for_each(|value| collect_strings(value, strings)),
+        Json::Object(entries) => entries.values().for_each(|value| collect_strings(value, strings)),
+        _ => {}
+    }
+}
+
+/// A port that others can reach has to know who they are, unless the file says otherwise.
+fn check_listen(endpoint: &str, insecure: bool) -> Result<(), SettingsFault> {
+    let address = endpoint.split(['#', '?']).next().unwrap_or(endpoint);
+    let Some((protocol, host)) = address.split_once('/') else {
+        let hint = "an endpoint looks like tcp/127.0.0.1:7447";
+        return Err(fault(format!("`{endpoint}` is not an endpoint to listen on"), hint));
+    };
+    let local = ["127.", "[::1]", "localhost:"].iter().any(|loopback| host.starts_with(loopback));
+    let secure = matches!(protocol, "tls" | "quic" | "unixsock-stream" | "unixpipe");
+    if local || secure || insecure {
+        return Ok(());
+    }
+    let what = format!("`{endpoint}` would be open to everyone who can reach it");
+    Err(fault(what, "use tls/.. with certificates in a `zenoh` file, or say insecure = true"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn listening(endpoint: &str) -> Machine {
+        Machine { listen: vec![endpoint.to_owned()], ..Machine::default() }
+    }
+
+    #[test]
+    fn nothing_is_open_unless_written() {
+        let config = configuration(&Machine::default()).unwrap();
+        for (key, expected) in [
+            ("listen/endpoints", "[]"),
+            ("scouting/multicast/enabled", "false"),
+            ("scouting/gossip/enabled", "false"),
+            ("transport/link/rx/max_message_size", "8388608"),
+        ] {
+            assert_eq!(config.get_json(key).unwrap(), expected, "{key}");
+        }
+    }
+
+    #[test]
+    fn an_open_port_has_to_be_asked_for() {
+        for closed in ["tcp/127.0.0.1:7447", "tcp/[::1]:7447", "tls/0.0.0.0:7447", "tcp/localhost:7447"] {
+            assert_eq!(check(&listening(closed)), Ok(()), "{closed}");
+        }
+        for open in ["tcp/0.0.0.0:7447", "tcp/[::]:7447", "tcp/robot.local:7447"] {
+            assert!(check(&listening(open)).unwrap_err().what.contains("open to everyone"), "{open}");
+            assert_eq!(check(&Machine { insecure: true, ..listening(open) }), Ok(()), "{open}");
+        }
+        assert!(check(&listening("7447")).is_err());
+    }
+
+    #[test]
+    fn a_file_adds_to_what_is_safe_and_cannot_open_a_port_in_passing() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("zenoh.json5");
+        let machine = Machine { zenoh: Some(path.clone()), ..Machine::default() };
+        std::fs::write(&path, "{ mode: 'client', connect: { endpoints: ['tcp/router:7447'] }, }").unwrap();
+        let config = configuration(&machine).unwrap();
+        assert_eq!(config.get_json("mode").unwrap(), "\"client\"");
+        assert_eq!(config.get_json("scouting/multicast/enabled").unwrap(), "false");
+        std::fs::write(&path, "{ listen: { endpoints: { peer: ['tcp/[::]:7447'] } } }").unwrap();
+        assert!(check(&machine).unwrap_err().what.contains("`tcp/[::]:7447`"));
+        std::fs::write(&path, "{ no_such_key: 1 }").unwrap();
+        assert!(check(&machine).is_err());
+    }
+}

@@ -1,0 +1,266 @@
+//! The bytes of a message between machines, and the border where bytes from another machine become a message.
+//!
+//! `CFLO`, the wire's version as a little-endian `u16`, the place in the link's stream as three little-endian `u64`, then in
+//! bincode 2 (`config::standard()`): the names of the memory layouts, the header, and the body: for lists a count and the items, for depth images
+//! the compression and the bytes. Nothing is believed: version, layouts, sizes, lengths, ranges and numbers are checked
+//! before a message is handed on.
+
+use super::depth_codec::{self, Compression};
+use bincode::config::{Configuration, Limit, standard};
+use bincode::serde::{borrow_decode_from_slice, encode_into_std_write};
+use conicflow_messages::{Ellipse, HEADER_TYPE_NAME, Header, Item, Malformed, Object, Track};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+/// Version of the bytes between machines; machines of different versions refuse each other.
+pub const WIRE_VERSION: u16 = 1;
+/// No message is longer than this, in bytes.
+pub const MAX_MESSAGE: usize = 8 << 20;
+/// No image has more pixels than this.
+const MAX_PIXELS: u64 = 16 << 20;
+
+const MAGIC: [u8; 4] = *b"CFLO";
+const PREFIX: usize = MAGIC.len() + size_of::<u16>();
+
+/// Why bytes from another machine are not a message.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+pub enum WireError {
+    /// They are something else.
+    #[error("bytes that do not come from conicflow\n  hint: who else publishes under this key?")]
+    Foreign,
+    /// The other side speaks another version.
+    #[error(
+        "the other machine speaks version {theirs} of the wire, this one {ours}\n  \
+         hint: install the same conicflow on both"
+    )]
+    Version {
+        /// This side's.
+        ours: u16,
+        /// The other's.
+        theirs: u16,
+    },
+    /// The other side's types have another layout.
+    #[error(
+        "the other machine sends messages laid out as `{theirs}`, this one reads `{ours}`\n  \
+         hint: install the same conicflow on both"
+    )]
+    Layout {
+        /// This side's.
+        ours: String,
+        /// The other's.
+        theirs: String,
+    },
+    /// They are too many.
+    #[error("a message of {bytes} bytes, allowed are {MAX_MESSAGE}\n  hint: send smaller images, or lists")]
+    TooLong {
+        /// How many they are.
+        bytes: usize,
+    },
+    /// They cannot be read, or written.
+    #[error("broken bytes: {0}")]
+    Broken(String),
+    /// They can be read, but make no sense.
+    #[error(transparent)]
+    Malformed(#[from] Malformed),
+}
+
+/// Where a message stands in the stream of its link.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Place {
+    /// One number per start of the sending bridge.
+    pub stream: u64,
+    /// Number of the message in that stream, from 0.
+    pub number: u64,
+    /// Number of the oldest message that the sender still keeps: what is older will not come again.
+    pub oldest: u64,
+}
+
+/// What stands before the body.
+#[derive(Serialize, Deserialize)]
+struct Opening<'a> {
+    layout: &'a str,
+    header: Header,
+}
+
+/// A kind of item that can go to another machine.
+pub trait Wire: Item {
+    /// Appends the body of a message.
+    ///
+    /// # Errors
+    /// It cannot be encoded.
+    fn encode_body(header: &Header, items: &[Self], how: Compression, bytes: &mut Vec<u8>) -> Result<(), WireError>;
+
+    /// Reads the body of a message into `items`.
+    ///
+    /// # Errors
+    /// It cannot be decoded.
+    fn decode_body(header: &Header, bytes: &[u8], items: &mut Vec<Self>) -> Result<(), WireError>;
+}
+
+impl Wire for u16 {
+    fn encode_body(header: &Header, items: &[u16], how: Compression, bytes: &mut Vec<u8>) -> Result<(), WireError> {
+        bytes.push(how as u8);
+        depth_codec::compress(items, header.camera.width as usize, how, bytes).map_err(WireError::Broken)
+    }
+
+    fn decode_body(header: &Header, bytes: &[u8], items: &mut Vec<u16>) -> Result<(), WireError> {
+        let (width, height) = (header.camera.width, header.camera.height);
+        if u64::from(width) * u64::from(height) > MAX_PIXELS {
+            return Err(WireError::Broken(format!("an image of {width}x{height}, allowed are {MAX_PIXELS} pixels")));
+        }
+        let Some((&tag, packed)) = bytes.split_first() else {
+            return Err(WireError::Broken("an image without bytes".to_owned()));
+        };
+        let known = [Compression::None, Compression::Lz4, Compression::Zstd];
+        let Some(&how) = known.get(usize::from(tag)) else {
+            return Err(WireError::Broken(format!("compression number {tag}, known are 0 to 2")));
+        };
+        let size = (width as usize, height as usize);
+        depth_codec::decompress(packed, size, how, items).map_err(WireError::Broken)
+    }
+}
+
+impl Wire for Ellipse {
+    fn encode_body(_: &Header, items: &[Self], _: Compression, bytes: &mut Vec<u8>) -> Result<(), WireError> {
+        encode(&items, bytes)
+    }
+
+    fn decode_body(_: &Header, bytes: &[u8], items: &mut Vec<Self>) -> Result<(), WireError> {
+        decode_list(bytes, items)
+    }
+}
+
+impl Wire for Object {
+    fn encode_body(_: &Header, items: &[Self], _: Compression, bytes: &mut Vec<u8>) -> Result<(), WireError> {
+        encode(&items, bytes)
+    }
+
+    fn decode_body(_: &Header, bytes: &[u8], items: &mut Vec<Self>) -> Result<(), WireError> {
+        decode_list(bytes, items)
+    }
+}
+
+impl Wire for Track {
+    fn encode_body(_: &Header, items: &[Self], _: Compression, bytes: &mut Vec<u8>) -> Result<(), WireError> {
+        encode(&items, bytes)
+    }
+
+    fn decode_body(_: &Header, bytes: &[u8], items: &mut Vec<Self>) -> Result<(), WireError> {
+        decode_list(bytes, items)
+    }
+}
+
+/// The bytes of a message.
+///
+/// # Errors
+/// It is longer than [`MAX_MESSAGE`], or holds text that is none.
+pub fn encode_message<T: Wire>(
+    place: Place,
+    header: &Header,
+    items: &[T],
+    how: Compression,
+) -> Result<Vec<u8>, WireError> {
+    let mut bytes = opening_bytes();
+    bytes.extend([place.stream, place.number, place.oldest].iter().flat_map(|number| number.to_le_bytes()));
+    encode(&Opening { layout: &layout::<T>(), header: *header }, &mut bytes)?;
+    if !header.ends_stream() {
+        T::encode_body(header, items, how, &mut bytes)?;
+    }
+    if bytes.len() > MAX_MESSAGE { Err(WireError::TooLong { bytes: bytes.len() }) } else { Ok(bytes) }
+}
+
+/// Reads a message; its items overwrite `items`. The message of an ended stream has none.
+///
+/// # Errors
+/// What is wrong with the bytes; `items` is then of no use.
+pub fn decode_message<T: Wire>(bytes: &[u8], items: &mut Vec<T>) -> Result<(Place, Header), WireError> {
+    let (place, content) = split_place(content(bytes)?)?;
+    let (opening, length) = decode_start::<Opening<'_>>(content)?;
+    let ours = layout::<T>();
+    if opening.layout != ours {
+        return Err(WireError::Layout { ours, theirs: opening.layout.to_owned() });
+    }
+    let (header, body) = (opening.header, &content[length..]);
+    header.check(T::KIND)?;
+    items.clear();
+    if header.ends_stream() {
+        let nothing_follows = body.is_empty();
+        return nothing_follows.then_some((place, header)).ok_or_else(trailing);
+    }
+    T::decode_body(&header, body, items)?;
+    T::check(&header, items)?;
+    Ok((place, header))
+}
+
+/// The bytes of something small, with the same prefix as a message.
+pub(super) fn encode_note<N: Serialize>(note: &N) -> Result<Vec<u8>, WireError> {
+    let mut bytes = opening_bytes();
+    encode(note, &mut bytes)?;
+    Ok(bytes)
+}
+
+/// Reads something small.
+pub(super) fn decode_note<N: DeserializeOwned>(bytes: &[u8]) -> Result<N, WireError> {
+    decode_whole(content(bytes)?)
+}
+
+/// Tells anew, in the bytes of a message that is sent again, which is the oldest that is still kept.
+pub(super) fn set_oldest(bytes: &mut [u8], oldest: u64) {
+    if let Some(slot) = bytes.get_mut(PREFIX + 16..PREFIX + 24) {
+        slot.copy_from_slice(&oldest.to_le_bytes());
+    }
+}
+
+fn split_place(bytes: &[u8]) -> Result<(Place, &[u8]), WireError> {
+    let (numbers, rest) = bytes.split_at_checked(24).ok_or_else(|| WireError::Broken("no place".to_owned()))?;
+    let number = |at: usize| numbers[at..at + 8].iter().rev().fold(0, |sum, &byte| sum << 8 | u64::from(byte));
+    Ok((Place { stream: number(0), number: number(8), oldest: number(16) }, rest))
+}
+
+fn layout<T: Item>() -> String {
+    format!("{HEADER_TYPE_NAME} {}", T::TYPE_NAME)
+}
+
+fn opening_bytes() -> Vec<u8> {
+    [MAGIC.as_slice(), &WIRE_VERSION.to_le_bytes()].concat()
+}
+
+/// What follows the prefix of bytes that are ours.
+fn content(bytes: &[u8]) -> Result<&[u8], WireError> {
+    if bytes.len() > MAX_MESSAGE {
+        return Err(WireError::TooLong { bytes: bytes.len() });
+    }
+    let rest = bytes.strip_prefix(&MAGIC).filter(|_| bytes.len() >= PREFIX).ok_or(WireError::Foreign)?;
+    let theirs = u16::from_le_bytes([rest[0], rest[1]]);
+    if theirs == WIRE_VERSION { Ok(&bytes[PREFIX..]) } else { Err(WireError::Version { ours: WIRE_VERSION, theirs }) }
+}
+
+type Bounded = Configuration<bincode::config::LittleEndian, bincode::config::Varint, Limit<MAX_MESSAGE>>;
+
+fn bounded() -> Bounded {
+    standard().with_limit::<MAX_MESSAGE>()
+}
+
+fn encode<V: Serialize>(value: &V, bytes: &mut Vec<u8>) -> Result<(), WireError> {
+    let written = encode_into_std_write(value, bytes, bounded());
+    written.map(drop).map_err(|error| WireError::Broken(error.to_string()))
+}
+
+/// A value at the start of the bytes, and how many it took.
+fn decode_start<'a, V: Deserialize<'a>>(bytes: &'a [u8]) -> Result<(V, usize), WireError> {
+    borrow_decode_from_slice(bytes, bounded()).map_err(|error| WireError::Broken(error.to_string()))
+}
+
+fn decode_whole<V: DeserializeOwned>(bytes: &[u8]) -> Result<V, WireError> {
+    let (value, length) = decode_start(bytes)?;
+    if length == bytes.len() { Ok(value) } else { Err(trailing()) }
+}
+
+fn decode_list<T: DeserializeOwned>(bytes: &[u8], items: &mut Vec<T>) -> Result<(), WireError> {
+    *items = decode_whole(bytes)?;
+    Ok(())
+}
+
+fn trailing() -> WireError {
+    WireError::Broken("more bytes than the message needs".to_owned())
+}

@@ -1,0 +1,170 @@
+//! What the wire promises: every message comes back bit for bit, and no bytes whatever do harm.
+
+use super::depth_codec::Compression;
+use super::wire::{Place, WIRE_VERSION, Wire, WireError, decode_message, encode_message};
+use conicflow_messages::{Camera, END_OF_STREAM, Ellipse, Header, Hop, Object, Text, Track};
+use proptest::prelude::*;
+
+const HOW: [Compression; 3] = [Compression::None, Compression::Lz4, Compression::Zstd];
+
+fn header(width: u32, height: u32) -> Header {
+    let camera = Camera { width, height, fx: 525.0, fy: 525.0, cx: 319.5, cy: 239.5 };
+    let source = Text::new("frame-000012.depth.png");
+    let mut header = Header { epoch: u64::MAX, sequence: 12, camera, depth_scale: 0.001, source, ..Header::default() };
+    header.add_hop(Hop { stage: Text::new("source"), received_ns: 1, sent_ns: u64::MAX });
+    header
+}
+
+fn ellipse() -> Ellipse {
+    Ellipse { line: 3, first: 1, last: 4, rms: 1e-300, center: [-0.0, 0.1, 2.0], ..Ellipse::default() }
+}
+
+fn place() -> Place {
+    Place { stream: 7, number: 300, oldest: 299 }
+}
+
+fn bytes_of<T: Wire>(header: &Header, items: &[T], how: Compression) -> Vec<u8> {
+    encode_message(place(), header, items, how).unwrap()
+}
+
+#[test]
+fn lists_come_back_bit_for_bit() {
+    let (mut back, header) = (Vec::new(), header(64, 48));
+    let sent = vec![ellipse(); 500];
+    let decoded = decode_message::<Ellipse>(&bytes_of(&header, &sent, Compression::None), &mut back).unwrap();
+    assert_eq!(decoded, (place(), header));
+    assert_eq!(bytemuck::cast_slice::<_, u8>(&back), bytemuck::cast_slice::<_, u8>(&sent));
+}
+
+#[test]
+fn the_end_of_a_stream_has_no_items_and_nothing_behind_it() {
+    let end = Header { flags: END_OF_STREAM, ..header(0, 0) };
+    let mut bytes = bytes_of::<Track>(&end, &[], Compression::None);
+    assert_eq!(decode_message::<Track>(&bytes, &mut Vec::new()), Ok((place(), end)));
+    bytes.push(0);
+    assert!(matches!(decode_message::<Track>(&bytes, &mut Vec::new()), Err(WireError::Broken(_))));
+}
+
+#[test]
+fn another_version_and_another_layout_are_named() {
+    let mut bytes = bytes_of::<Object>(&header(4, 3), &[], Compression::None);
+    let error = decode_message::<Track>(&bytes, &mut Vec::new()).unwrap_err().to_string();
+    assert!(error.contains("`conicflow.Header.v1 conicflow.Object.v1`, this one reads"), "{error}");
+    assert!(error.contains("`conicflow.Header.v1 conicflow.Track.v1`"), "{error}");
+    bytes[4] = 0x63;
+    let error = decode_message::<Object>(&bytes, &mut Vec::new()).unwrap_err();
+    assert_eq!(error, WireError::Version { ours: WIRE_VERSION, theirs: 0x63 });
+    bytes[0] = b'X';
+    assert_eq!(decode_message::<Object>(&bytes, &mut Vec::new()), Err(WireError::Foreign));
+}
+
+#[test]
+fn a_list_that_claims_more_than_it_has_is_refused() {
+    let header = header(4, 3);
+    let mut bytes = bytes_of::<Object>(&header, &[], Compression::None);
+    assert_eq!(bytes.pop(), Some(0));
+    // Bincode's mark for a length of eight bytes, and 2^60 items.
+    bytes.extend([253, 0, 0, 0, 0, 0, 0, 0, 16]);
+    assert!(matches!(decode_message::<Object>(&bytes, &mut Vec::new()), Err(WireError::Broken(_))));
+}
+
+#[test]
+fn images_that_do_not_fill_their_size_are_refused() {
+    for how in HOW {
+        let pixels = vec![1000; 12];
+        let good = bytes_of(&header(4, 3), &pixels, how);
+        let short = bytes_of(&header(4, 4), &pixels, how);
+        let huge = bytes_of(&header(65_536, 65_536), &pixels, how);
+        assert!(decode_message::<u16>(&good, &mut Vec::new()).is_ok());
+        assert!(decode_message::<u16>(&short, &mut Vec::new()).is_err(), "{how:?}");
+        assert!(decode_message::<u16>(&huge, &mut Vec::new()).is_err(), "{how:?}");
+    }
+}
+
+#[test]
+fn numbers_that_make_no_sense_are_refused() {
+    let nonsense = Ellipse { rms: f64::NAN, ..ellipse() };
+    let bytes = bytes_of(&header(64, 48), &[nonsense], Compression::None);
+    assert!(matches!(decode_message::<Ellipse>(&bytes, &mut Vec::new()), Err(WireError::Malformed(_))));
+}
+
+#[test]
+fn the_corpus_of_the_fuzzer_does_no_harm() {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../fuzz/corpus/wire");
+    let entries: Vec<_> = std::fs::read_dir(folder).unwrap().flatten().collect();
+    assert!(entries.len() >= 8, "the corpus in {folder} is gone");
+    for entry in entries {
+        decode_all(&std::fs::read(entry.path()).unwrap());
+    }
+}
+
+/// Writes what the fuzzer begins with: `cargo test -p conicflow-dataflow begin_the_corpus -- --ignored`, after each change of
+/// the wire.
+#[test]
+#[ignore = "writes into the repository"]
+fn begin_the_corpus() {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../fuzz/corpus/wire/");
+    let write = |name: &str, bytes: &[u8]| std::fs::write(format!("{folder}{name}"), bytes).unwrap();
+    let pixels: Vec<u16> = (0..12).map(|index| 900 + index * index).collect();
+    for how in HOW {
+        write(&format!("depth_{how:?}").to_lowercase(), &bytes_of(&header(4, 3), &pixels, how));
+    }
+    let lists = bytes_of(&header(64, 48), &[ellipse(); 2], Compression::None);
+    write("ellipses", &lists);
+    write("cut", &lists[..lists.len() / 2]);
+    write("objects", &bytes_of::<Object>(&header(64, 48), &[Object::default()], Compression::None));
+    write("tracks", &bytes_of::<Track>(&header(64, 48), &[Track::default()], Compression::None));
+    let end = Header { flags: END_OF_STREAM, ..header(0, 0) };
+    write("end", &bytes_of::<Track>(&end, &[], Compression::None));
+    write("huge", &bytes_of(&header(65_536, 65_536), &pixels, Compression::Zstd));
+}
+
+/// As the fuzz target does: what is accepted has to survive being sent again.
+fn decode_all(bytes: &[u8]) {
+    again::<u16>(bytes);
+    again::<Ellipse>(bytes);
+    again::<Object>(bytes);
+    again::<Track>(bytes);
+}
+
+fn again<T: Wire>(bytes: &[u8]) {
+    let mut items = Vec::new();
+    let Ok((place, header)) = decode_message::<T>(bytes, &mut items) else { return };
+    let resent = encode_message(place, &header, &items, Compression::Lz4).unwrap();
+    let mut back = Vec::new();
+    assert_eq!(decode_message::<T>(&resent, &mut back), Ok((place, header)));
+    assert_eq!(bytemuck::cast_slice::<_, u8>(&back), bytemuck::cast_slice::<_, u8>(&items));
+}
+
+proptest! {
+    #[test]
+    fn every_image_comes_back(width in 1_u32..40, height in 1_u32..30, seed: u64, rough: u16) {
+        let mut state = seed | 1;
+        let mut next = || { state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1); (state >> 48) as u16 };
+        let pixels: Vec<u16> = (0..width * height).map(|_| next() & rough).collect();
+        for how in HOW {
+            let mut back = Vec::new();
+            decode_message::<u16>(&bytes_of(&header(width, height), &pixels, how), &mut back).unwrap();
+            prop_assert_eq!(&back, &pixels);
+        }
+    }
+
+    #[test]
+    fn no_bytes_do_harm(bytes in prop::collection::vec(any::<u8>(), 0..600)) {
+        decode_all(&bytes);
+        let prefixed = [b"CFLO\x01\x00".as_slice(), &bytes].concat();
+        decode_all(&prefixed);
+    }
+
+    #[test]
+    fn a_message_with_a_changed_or_missing_byte_does_no_harm(at: prop::sample::Index, value: u8, cut: bool) {
+        let mut bytes = bytes_of(&header(64, 48), &[ellipse(); 4], Compression::None);
+        let index = at.index(bytes.len());
+        if cut { bytes.truncate(index) } else { bytes[index] = value }
+        decode_all(&bytes);
+        let mut image = bytes_of(&header(8, 4), &[900_u16; 32], Compression::Zstd);
+        let index = at.index(image.len());
+        if cut { image.truncate(index) } else { image[index] = value }
+        decode_all(&image);
+    }
+}

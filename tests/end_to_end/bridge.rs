@@ -1,0 +1,155 @@
+//! One pipeline on two machines: two launchers on this host, each with a runtime folder of its own, joined over loopback.
+
+use super::support::{Ended, Playground, Started, TRACKING, environment, signal, wait_until};
+use rustix::process::Signal;
+use serde_json::Value as Json;
+use std::net::TcpListener;
+
+/// [`TRACKING`] with its source and extractor on `robot`, the others on `base`.
+fn apart(listen: &str, connect: &str) -> String {
+    let mut text = TRACKING.to_owned();
+    for (stage, machine) in
+        [("source", "robot"), ("extractor", "robot"), ("assembler", "base"), ("tracker", "base"), ("json", "base")]
+    {
+        let title = format!("[stage.{stage}]\n");
+        text = text.replace(&title, &format!("{title}machine = \"{machine}\"\n"));
+    }
+    format!("{text}\n[machine.robot]\nlisten = [\"{listen}\"]\n[machine.base]\nconnect = [\"{connect}\"]\n")
+}
+
+/// An endpoint on this host that nobody uses.
+fn loopback() -> String {
+    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    format!("tcp/127.0.0.1:{port}")
+}
+
+/// Two machines with the same file.
+fn machines(text: &str) -> [Playground; 2] {
+    [Playground::with_pipeline(text), Playground::with_pipeline(text)]
+}
+
+/// The same, with a source at 30 frames per second and inputs that want the newest only.
+fn live() -> [Playground; 2] {
+    let endpoint = loopback();
+    let text =
+        apart(&endpoint, &endpoint).replace(", delivery = \"lossless\"", "").replace("rate_hz    = 0", "rate_hz = 30");
+    machines(&text)
+}
+
+fn start(machine: &Playground, name: &str) -> Started {
+    machine.start(&["run", "--machine", name])
+}
+
+/// What the tracks say, without the times that it took.
+fn tracks(playground: &Playground) -> Vec<Json> {
+    let mut lines = playground.json_lines("tracks.jsonl");
+    lines.iter_mut().for_each(|line| drop(line.as_object_mut().unwrap().remove("latency_ms")));
+    lines
+}
+
+/// The row of the summary that tells of a link: messages, lost, resent.
+fn link(ended: &Ended, machine: &str, topic: &str) -> [u64; 3] {
+    let rows = ended.stderr.lines().map(|line| line.split_whitespace().collect::<Vec<_>>());
+    let row = rows.into_iter().find(|words| words.len() > 9 && words[..2] == [machine, topic]);
+    let words = row.unwrap_or_else(|| panic!("no link to `{machine}` in: {}", ended.stderr));
+    [3, 6, 7].map(|index| words[index].parse().unwrap())
+}
+
+/// The process of a stage.
+fn process_of(playground: &Playground, stage: &str) -> Option<u32> {
+    let of_stage = |process: &u32| environment(*process, "CONICFLOW_STAGE").as_deref() == Some(stage);
+    playground.processes().into_iter().find(of_stage)
+}
+
+fn newest(playground: &Playground) -> u64 {
+    playground.sequences("tracks.jsonl").last().copied().unwrap_or(0)
+}
+
+/// Ends both and makes sure that nothing is left behind.
+fn end(runs: [Started; 2], machines: &[Playground; 2]) {
+    for run in runs {
+        signal(run.id(), Signal::INT);
+        run.wait().expect_code(0);
+    }
+    machines.iter().for_each(|machine| wait_until("no process is left", || machine.processes().is_empty()));
+}
+
+#[test]
+fn two_machines_find_the_same_tracks_as_one_bit_for_bit_whoever_starts_first() {
+    let alone = Playground::with_pipeline(TRACKING);
+    alone.conicflow(&["run", "--frames", "200"]).expect_code(0);
+    let expected = tracks(&alone);
+    assert_eq!(expected.len(), 200);
+    for robot_first in [true, false] {
+        let endpoint = loopback();
+        let [robot, base] = machines(&apart(&endpoint, &endpoint));
+        let start_robot = || robot.start(&["run", "--machine", "robot", "--frames", "200"]);
+        let (mut first, second) = if robot_first { (start_robot(), None) } else { (start(&base, "base"), Some(())) };
+        first.wait_until("the first machine's bridge runs", || {
+            process_of(if robot_first { &robot } else { &base }, "bridge").is_some()
+        });
+        let other = if second.is_some() { start_robot() } else { start(&base, "base") };
+        let (robot_run, base_run) = if robot_first { (first, other) } else { (other, first) };
+        let (sent, received) = (robot_run.wait().expect_code(0), base_run.wait().expect_code(0));
+        assert_eq!(tracks(&base), expected, "robot first: {robot_first}");
+        assert_eq!(link(&sent, "base", "ellipses")[..2], [200, 0]);
+        assert_eq!(link(&received, "robot", "ellipses")[..2], [200, 0]);
+    }
+}
+
+#[test]
+fn a_machine_that_is_killed_and_started_again_gets_what_is_new_and_the_other_feels_nothing() {
+    let machines = live();
+    let [robot, base] = &machines;
+    let mut robot_run = start(robot, "robot");
+    let base_run = start(base, "base");
+    robot_run.wait_until("tracks arrive", || newest(base) > 30);
+    signal(base_run.id(), Signal::KILL);
+    drop(base_run);
+    wait_until("no process of `base` is left", || base.processes().is_empty());
+    let before = newest(base);
+    let mut again = start(base, "base");
+    again.wait_until("new tracks arrive", || newest(base) > before + 30);
+    signal(robot_run.id(), Signal::INT);
+    let robot_ended = robot_run.wait().expect_code(0);
+    let depth = robot_ended.input("depth", "extractor");
+    assert!(depth.gaps <= depth.received / 10, "{depth:?}");
+    assert_eq!(robot_ended.stage("extractor").starts, 1);
+    again.wait().expect_code(0);
+    machines.iter().for_each(|machine| assert!(machine.processes().is_empty()));
+}
+
+#[test]
+fn stages_and_bridges_may_die_on_either_side() {
+    let machines = live();
+    let [robot, base] = &machines;
+    let mut runs = [start(robot, "robot"), start(base, "base")];
+    for (machine, stage) in [(robot, "extractor"), (base, "assembler"), (robot, "bridge"), (base, "bridge")] {
+        let before = newest(base);
+        runs[1].wait_until("tracks arrive", || newest(base) > before + 10);
+        let process = process_of(machine, stage).unwrap();
+        signal(process, Signal::KILL);
+        runs[1].wait_until("its successor runs", || process_of(machine, stage).is_some_and(|new| new != process));
+    }
+    let before = newest(base);
+    runs[1].wait_until("tracks arrive at the end", || newest(base) > before + 10);
+    end(runs, &machines);
+}
+
+#[test]
+fn top_shows_each_link() {
+    let machines = live();
+    let [robot, base] = &machines;
+    let mut runs = [start(robot, "robot"), start(base, "base")];
+    runs[1].wait_until("tracks arrive", || newest(base) > 60);
+    let ended = base.conicflow(&["top", "--once"]).expect_code(0);
+    let json: Json = serde_json::from_str(&ended.stdout).unwrap();
+    let shown = &json["pipelines"][0]["links"][0];
+    assert_eq!((shown["machine"].as_str(), shown["connected"].as_bool()), (Some("robot"), Some(true)), "{shown}");
+    // Both clocks are this host's.
+    assert!(shown["clock_offset_s"].as_f64().unwrap().abs() < 0.1, "{shown}");
+    let edge = &shown["edges"][0];
+    assert_eq!((edge["topic"].as_str(), edge["direction"].as_str()), (Some("ellipses"), Some("in")), "{shown}");
+    assert!(edge["messages"].as_u64().unwrap() > 10 && edge["wire_bytes"].as_u64().unwrap() > 1000, "{shown}");
+    end(runs, &machines);
+}
