@@ -6,7 +6,7 @@ use serde_json::Value as Json;
 use std::net::TcpListener;
 
 /// [`TRACKING`] with its source and extractor on `robot`, the others on `base`.
-fn apart(listen: &str, connect: &str) -> String {
+pub fn apart(listen: &str, connect: &str) -> String {
     let mut text = TRACKING.to_owned();
     for (stage, machine) in
         [("source", "robot"), ("extractor", "robot"), ("assembler", "base"), ("tracker", "base"), ("json", "base")]
@@ -18,13 +18,13 @@ fn apart(listen: &str, connect: &str) -> String {
 }
 
 /// An endpoint on this host that nobody uses.
-fn loopback() -> String {
+pub fn loopback() -> String {
     let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     format!("tcp/127.0.0.1:{port}")
 }
 
 /// Two machines with the same file.
-fn machines(text: &str) -> [Playground; 2] {
+pub fn machines(text: &str) -> [Playground; 2] {
     [Playground::with_pipeline(text), Playground::with_pipeline(text)]
 }
 
@@ -36,12 +36,12 @@ fn live() -> [Playground; 2] {
     machines(&text)
 }
 
-fn start(machine: &Playground, name: &str) -> Started {
+pub fn start(machine: &Playground, name: &str) -> Started {
     machine.start(&["run", "--machine", name])
 }
 
 /// What the tracks say, without the times that it took.
-fn tracks(playground: &Playground) -> Vec<Json> {
+pub fn tracks(playground: &Playground) -> Vec<Json> {
     let mut lines = playground.json_lines("tracks.jsonl");
     lines.iter_mut().for_each(|line| drop(line.as_object_mut().unwrap().remove("latency_ms")));
     lines
@@ -61,7 +61,7 @@ fn process_of(playground: &Playground, stage: &str) -> Option<u32> {
     playground.processes().into_iter().find(of_stage)
 }
 
-fn newest(playground: &Playground) -> u64 {
+pub fn newest(playground: &Playground) -> u64 {
     playground.sequences("tracks.jsonl").last().copied().unwrap_or(0)
 }
 

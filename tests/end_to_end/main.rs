@@ -5,6 +5,10 @@
 
 mod bridge;
 mod commands;
+#[cfg(target_os = "linux")]
+mod hosts;
+#[cfg(target_os = "linux")]
+mod intruders;
 mod outside_stage;
 #[cfg(target_os = "linux")]
 mod processes;
