@@ -113,6 +113,12 @@ impl<'a, T: Wire> Sending<'a, T> {
         self.outbox.may_send(Instant::now(), |machine| self.links.is_connected(machine))
     }
 
+    /// Whether anybody is there: a machine of the pipeline, or another program that has subscribed.
+    fn is_wanted(&self) -> bool {
+        let subscribed = || self.publisher.matching_status().wait().is_ok_and(|status| status.matching());
+        self.outbox.is_wanted(|machine| self.links.is_connected(machine)) || subscribed()
+    }
+
     /// Learns what has arrived, and sends again what has not.
     fn settle(&mut self) {
         let now = Instant::now();
@@ -134,8 +140,7 @@ impl<'a, T: Wire> Sending<'a, T> {
         let Some(message) = self.inbox.take()? else { return Ok(false) };
         let header = *message.header();
         let writer = header.trace().last().map(|hop| hop.stage.to_string()).unwrap_or_default();
-        let wanted = self.outbox.is_wanted(|machine| self.links.is_connected(machine));
-        if !wanted || !self.edge.writers.contains(&writer) {
+        if !self.is_wanted() || !self.edge.writers.contains(&writer) {
             return Ok(true);
         }
         let encoded = encode_message(self.outbox.place(), &header, message.items(), self.edge.compression);
