@@ -4,9 +4,10 @@ use super::support::{Ended, Playground, Started, TRACKING, environment, signal, 
 use rustix::process::Signal;
 use serde_json::Value as Json;
 use std::net::TcpListener;
+use std::process::{Command, Stdio};
 
 /// [`TRACKING`] with its source and extractor on `robot`, the others on `base`.
-fn apart(listen: &str, connect: &str) -> String {
+pub fn apart(listen: &str, connect: &str) -> String {
     let mut text = TRACKING.to_owned();
     for (stage, machine) in
         [("source", "robot"), ("extractor", "robot"), ("assembler", "base"), ("tracker", "base"), ("json", "base")]
@@ -18,13 +19,13 @@ fn apart(listen: &str, connect: &str) -> String {
 }
 
 /// An endpoint on this host that nobody uses.
-fn loopback() -> String {
+pub fn loopback() -> String {
     let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     format!("tcp/127.0.0.1:{port}")
 }
 
 /// Two machines with the same file.
-fn machines(text: &str) -> [Playground; 2] {
+pub fn machines(text: &str) -> [Playground; 2] {
     [Playground::with_pipeline(text), Playground::with_pipeline(text)]
 }
 
@@ -36,12 +37,12 @@ fn live() -> [Playground; 2] {
     machines(&text)
 }
 
-fn start(machine: &Playground, name: &str) -> Started {
+pub fn start(machine: &Playground, name: &str) -> Started {
     machine.start(&["run", "--machine", name])
 }
 
 /// What the tracks say, without the times that it took.
-fn tracks(playground: &Playground) -> Vec<Json> {
+pub fn tracks(playground: &Playground) -> Vec<Json> {
     let mut lines = playground.json_lines("tracks.jsonl");
     lines.iter_mut().for_each(|line| drop(line.as_object_mut().unwrap().remove("latency_ms")));
     lines
@@ -61,7 +62,7 @@ fn process_of(playground: &Playground, stage: &str) -> Option<u32> {
     playground.processes().into_iter().find(of_stage)
 }
 
-fn newest(playground: &Playground) -> u64 {
+pub fn newest(playground: &Playground) -> u64 {
     playground.sequences("tracks.jsonl").last().copied().unwrap_or(0)
 }
 
@@ -134,6 +135,47 @@ fn stages_and_bridges_may_die_on_either_side() {
     let before = newest(base);
     runs[1].wait_until("tracks arrive at the end", || newest(base) > before + 10);
     end(runs, &machines);
+}
+
+#[test]
+fn a_python_program_reads_objects_by_their_key() {
+    let python = std::env::var("CONICFLOW_TEST_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    let has_zenoh = Command::new(&python).args(["-c", "import zenoh"]).stderr(Stdio::null()).status();
+    if !has_zenoh.is_ok_and(|status| status.success()) {
+        eprintln!("SKIPPED: `{python}` has no eclipse-zenoh; nothing was shown");
+        return;
+    }
+    let endpoint = loopback();
+    let text = apart(&endpoint, &endpoint).replace("rate_hz    = 0", "rate_hz = 30");
+    let text = text.replace("[stage.assembler]\nmachine = \"base\"", "[stage.assembler]\nmachine = \"robot\"");
+    let sink = "[stage.objects]\nnode = \"json_sink\"\nmachine = \"base\"\npath = \"objects.jsonl\"\n";
+    let [robot, base] =
+        machines(&format!("{text}\n{sink}input = {{ topic = \"objects\", delivery = \"lossless\" }}\n"));
+    let robot_run = robot.start(&["run", "--machine", "robot", "--frames", "150"]);
+    let mut script = Command::new(python);
+    script.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/read_objects.py"));
+    let script = Started::new({
+        script.args([&endpoint, "tracking", "robot", "objects"]);
+        script
+    });
+    let base_run = start(&base, "base");
+    let printed = script.wait().expect_code(0).stdout;
+    robot_run.wait().expect_code(0);
+    base_run.wait().expect_code(0);
+    let expected = base.json_lines("objects.jsonl");
+    assert_eq!(expected.len(), 150);
+    let lines: Vec<Json> = printed.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert!(lines.len() > 50 && lines.iter().any(|line| !line["objects"][0].is_null()), "{} lines", lines.len());
+    for line in lines {
+        let same = &expected[line["sequence"].as_u64().unwrap() as usize];
+        let shape = |line: &Json| {
+            let objects = line["objects"].as_array().unwrap().iter();
+            objects
+                .map(|object| (object["kind"].clone(), object["center"].clone(), object["radius"].clone()))
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(shape(&line), shape(same));
+    }
 }
 
 #[test]

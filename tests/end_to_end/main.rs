@@ -6,6 +6,10 @@
 mod bridge;
 mod commands;
 mod experiments;
+#[cfg(target_os = "linux")]
+mod hosts;
+#[cfg(target_os = "linux")]
+mod intruders;
 mod outside_stage;
 #[cfg(target_os = "linux")]
 mod processes;

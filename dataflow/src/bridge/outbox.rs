@@ -13,6 +13,11 @@ const MAX_KEPT: usize = 64;
 const MAX_KEPT_BYTES: usize = 16 << 20;
 /// What was not acknowledged after this time is sent again.
 const RESEND_AFTER: Duration = Duration::from_millis(250);
+/// Where the newest wins nothing is sent after a message that has been under way for longer: on a slow link it would only
+/// wait in line, and be old when it comes.
+const MAX_UNDER_WAY: Duration = Duration::from_millis(150);
+/// What was not acknowledged after this time is lost.
+const SURELY_LOST: Duration = Duration::from_secs(1);
 /// A machine that wants only the newest is waited for so long, to learn that the stream has ended.
 const END_PATIENCE: Duration = Duration::from_secs(5);
 
@@ -21,6 +26,7 @@ pub(super) struct Outbox {
     stream: u64,
     next: u64,
     kept: VecDeque<(u64, Vec<u8>)>,
+    under_way: VecDeque<(u64, Instant)>,
     ends: Vec<(String, Vec<u8>)>,
     ended_at: Option<Instant>,
     receivers: Vec<Remote>,
@@ -58,6 +64,7 @@ impl Outbox {
             stream,
             next: 0,
             kept: VecDeque::new(),
+            under_way: VecDeque::new(),
             ends: Vec::new(),
             ended_at: None,
             receivers: receivers.iter().map(remote).collect(),
@@ -82,8 +89,24 @@ impl Outbox {
         self.kept.len() as u64
     }
 
-    /// Whether another message may be sent.
-    pub(super) fn has_room(&self) -> bool {
+    /// Whether another message may be sent to the machines that are `alive`.
+    pub(super) fn may_send(&mut self, now: Instant, alive: impl Fn(&str) -> bool) -> bool {
+        if self.receivers.iter().any(|remote| remote.lossless) {
+            return self.has_room();
+        }
+        let reached = self.receivers.iter().filter(|remote| alive(&remote.machine)).map(|remote| remote.next).min();
+        let arrived = reached.unwrap_or(self.next);
+        let under_way = |sent: Instant| now.saturating_duration_since(sent);
+        self.under_way.retain(|&(number, sent)| number >= arrived && under_way(sent) < SURELY_LOST);
+        self.under_way.front().is_none_or(|&(_, sent)| under_way(sent) < MAX_UNDER_WAY)
+    }
+
+    /// Whether there is anybody to send to: a machine that must not miss a message is, even where it cannot be reached.
+    pub(super) fn is_wanted(&self, alive: impl Fn(&str) -> bool) -> bool {
+        self.receivers.iter().any(|remote| remote.lossless || alive(&remote.machine))
+    }
+
+    fn has_room(&self) -> bool {
         let bytes: usize = self.kept.iter().map(|(_, bytes)| bytes.len()).sum();
         self.kept.len() < MAX_KEPT && bytes < MAX_KEPT_BYTES
     }
@@ -104,6 +127,8 @@ impl Outbox {
         }
         if self.receivers.iter().any(|remote| remote.lossless) {
             self.kept.push_back((self.next, bytes.to_vec()));
+        } else {
+            self.under_way.push_back((self.next, now));
         }
         self.next += 1;
     }
@@ -214,6 +239,24 @@ mod tests {
         outbox.acknowledge("base", None, Some(start), gone);
         assert!(outbox.has_room() && outbox.is_settled(gone));
         assert_eq!((outbox.lost(), outbox.place().oldest), (MAX_KEPT as u64, MAX_KEPT as u64));
+    }
+
+    #[test]
+    fn where_the_newest_wins_no_queue_builds_up_on_a_slow_link() {
+        let start = Instant::now();
+        let mut outbox = outbox(Delivery::Latest, start);
+        assert!(!outbox.is_wanted(|_| false) && outbox.is_wanted(|_| true));
+        outbox.sent(&[1; 40], start);
+        assert!(outbox.may_send(start, |_| true), "one may follow at once");
+        outbox.sent(&[2; 40], start);
+        let late = start + MAX_UNDER_WAY;
+        assert!(!outbox.may_send(late, |_| true));
+        outbox.acknowledge("base", Some(&ack(1, &[])), Some(late), late);
+        assert!(!outbox.may_send(late, |_| true));
+        outbox.acknowledge("base", Some(&ack(2, &[])), Some(late), late);
+        assert!(outbox.may_send(late, |_| true));
+        outbox.sent(&[3; 40], late);
+        assert!(outbox.may_send(late + SURELY_LOST, |_| true), "what is lost is not waited for");
     }
 
     #[test]

@@ -92,7 +92,7 @@ impl<'a, T: Wire> Sending<'a, T> {
     pub(super) fn run(mut self) -> Result<(), BridgeError> {
         while !self.stop.forced() && !self.is_done() {
             self.settle();
-            if self.ended.len() == self.edge.writers.len() || !self.outbox.has_room() {
+            if self.ended.len() == self.edge.writers.len() || !self.may_send() {
                 std::thread::sleep(FULL_TICK);
                 continue;
             }
@@ -107,6 +107,16 @@ impl<'a, T: Wire> Sending<'a, T> {
 
     fn is_done(&self) -> bool {
         self.ended.len() == self.edge.writers.len() && self.outbox.is_settled(Instant::now())
+    }
+
+    fn may_send(&mut self) -> bool {
+        self.outbox.may_send(Instant::now(), |machine| self.links.is_connected(machine))
+    }
+
+    /// Whether anybody is there: a machine of the pipeline, or another program that has subscribed.
+    fn is_wanted(&self) -> bool {
+        let subscribed = || self.publisher.matching_status().wait().is_ok_and(|status| status.matching());
+        self.outbox.is_wanted(|machine| self.links.is_connected(machine)) || subscribed()
     }
 
     /// Learns what has arrived, and sends again what has not.
@@ -124,12 +134,13 @@ impl<'a, T: Wire> Sending<'a, T> {
         self.counts.lost.store(self.outbox.lost(), std::sync::atomic::Ordering::Relaxed);
     }
 
-    /// Sends the next message, if there is one. What came from another machine does not go out again.
+    /// Sends the next message, if there is one and anybody to send it to. What came from another machine does not go out
+    /// again.
     fn forward_next(&mut self) -> Result<bool, BridgeError> {
         let Some(message) = self.inbox.take()? else { return Ok(false) };
         let header = *message.header();
         let writer = header.trace().last().map(|hop| hop.stage.to_string()).unwrap_or_default();
-        if !self.edge.writers.contains(&writer) {
+        if !self.is_wanted() || !self.edge.writers.contains(&writer) {
             return Ok(true);
         }
         let encoded = encode_message(self.outbox.place(), &header, message.items(), self.edge.compression);

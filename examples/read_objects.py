@@ -1,0 +1,109 @@
+#!/usr/bin/env python3
+"""Prints the objects that one machine of a pipeline sends to another, with nothing of conicflow but the wire.
+
+    pip install eclipse-zenoh
+    read_objects.py tcp/127.0.0.1:7447 PIPELINE MACHINE TOPIC
+
+The key is conicflow/PIPELINE/MACHINE/TOPIC, where MACHINE writes TOPIC. The bytes (dataflow/src/bridge/wire.rs): `CFLO`, the
+version as u16, stream, number and oldest number as u64, all little-endian; then bincode 2, standard configuration: the names
+of the layouts, the header, the list.
+"""
+
+import json
+import struct
+import sys
+import threading
+
+import zenoh
+
+LAYOUT = "conicflow.Header.v1 conicflow.Object.v1"
+KINDS = {0: "sphere", 1: "cylinder", 2: "cone"}
+END_OF_STREAM = 1
+
+
+class Bytes:
+    """Reads bincode: whole numbers in as many bytes as they need, reals in eight, text and lists after their length."""
+
+    def __init__(self, content):
+        self.content, self.at = content, 0
+
+    def take(self, form):
+        values = struct.unpack_from("<" + form, self.content, self.at)
+        self.at += struct.calcsize("<" + form)
+        return values
+
+    def whole(self):
+        (first,) = self.take("B")
+        return first if first < 251 else self.take({251: "H", 252: "I", 253: "Q"}[first])[0]
+
+    def reals(self, count):
+        return list(self.take(f"{count}d"))
+
+    def text(self):
+        (raw,) = self.take(f"{self.whole()}s")
+        return raw.decode()
+
+
+def read_header(data):
+    epoch, sequence, number, stamp_ns = (data.whole() for _ in range(4))
+    data.whole(), data.whole()  # width and height in pixels
+    data.reals(4 + 1 + 4 + 12)  # fx fy cx cy, depth scale, noise model, pose
+    source, flags, _ = data.text(), data.whole(), data.whole()
+    for _ in range(8):  # hops: stage, received_ns, sent_ns
+        data.text(), data.whole(), data.whole()
+    return {"sequence": sequence, "stamp_ns": stamp_ns, "source": source, "flags": flags}
+
+
+def read_object(data):
+    kind, points, rows, _ = (data.whole() for _ in range(4))
+    center, axis = data.reals(3), data.reals(3)
+    radius, length, half_angle, base_radius, top_radius = data.reals(5)
+    apex = data.reals(3)
+    data.reals(9 + 4)  # covariance of the centre; sigma of axis, radius, length, half angle
+    rms, arc = data.reals(2)
+    item = {"kind": KINDS[kind], "center": center, "points": points, "rows": rows, "rms": rms, "arc": arc}
+    if item["kind"] != "sphere":
+        item |= {"axis": axis, "length": length}
+    if item["kind"] == "cone":
+        return item | {"apex": apex, "half_angle": half_angle, "base_radius": base_radius, "top_radius": top_radius}
+    return item | {"radius": radius}
+
+
+def read_message(content):
+    magic, version = struct.unpack_from("<4sH", content)
+    if (magic, version) != (b"CFLO", 1):
+        raise ValueError(f"this script reads version 1 of the wire, got {magic!r} version {version}")
+    data = Bytes(content[6 + 24 :])
+    layout = data.text()
+    if layout != LAYOUT:
+        raise ValueError(f"this script reads `{LAYOUT}`, got `{layout}`")
+    header = read_header(data)
+    ended = header.pop("flags") & END_OF_STREAM
+    objects = [] if ended else [read_object(data) for _ in range(data.whole())]
+    return header | {"objects": objects}, bool(ended)
+
+
+def main(endpoint, pipeline, machine, topic):
+    config = zenoh.Config()
+    config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5("listen/endpoints", "[]")
+    config.insert_json5("connect/endpoints", json.dumps([endpoint]))
+    done = threading.Event()
+
+    def receive(sample):
+        message, ended = read_message(sample.payload.to_bytes())
+        if not ended:
+            print(json.dumps(message), flush=True)
+        else:
+            done.set()
+
+    with zenoh.open(config) as session:
+        subscriber = session.declare_subscriber(f"conicflow/{pipeline}/{machine}/{topic}", receive)
+        done.wait()
+        subscriber.undeclare()
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 5:
+        sys.exit(__doc__)
+    main(*sys.argv[1:])

@@ -1,0 +1,120 @@
+//! What others may send to a bridge: garbage, another version, or a knock on the door without the right certificate.
+
+use super::bridge::{apart, loopback, machines, newest, start};
+use super::support::{Playground, signal, wait_until};
+use rustix::process::Signal;
+use std::process::Command;
+use zenoh::Wait;
+
+/// A Zenoh session of somebody who connects to an endpoint.
+fn intruder(endpoint: &str) -> zenoh::Session {
+    let mut config = zenoh::Config::default();
+    for (key, value) in [
+        ("scouting/multicast/enabled", "false"),
+        ("listen/endpoints", "[]"),
+        ("connect/endpoints", &format!("[\"{endpoint}\"]")),
+    ] {
+        config.insert_json5(key, value).unwrap();
+    }
+    zenoh::open(config).wait().unwrap()
+}
+
+/// Both machines where the base listens and the newest wins.
+fn live(endpoint: &str) -> [Playground; 2] {
+    let text =
+        apart(endpoint, endpoint).replace(", delivery = \"lossless\"", "").replace("rate_hz    = 0", "rate_hz = 30");
+    let text = text.replace("listen = [", "@").replace("connect = [", "listen = [").replace('@', "connect = [");
+    machines(&text)
+}
+
+#[test]
+fn a_flood_of_garbage_is_counted_and_does_no_harm() {
+    let endpoint = loopback();
+    let [robot, base] = live(&endpoint);
+    let (robot_run, mut base_run) = (start(&robot, "robot"), start(&base, "base"));
+    base_run.wait_until("tracks arrive", || newest(&base) > 20);
+    let session = intruder(&endpoint);
+    let before = newest(&base);
+    let mut noise = 0x9e37_79b9_u32;
+    base_run.wait_until("tracks go on in the flood", || {
+        for length in [0, 3, 40, 700, 70_000] {
+            noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            let garbage: Vec<u8> = (0..length).map(|index| (noise >> (index % 24)) as u8).collect();
+            let prefixed = [b"CFLO\x01\x00".as_slice(), &garbage].concat();
+            for key in ["robot/ellipses", "@link/robot"] {
+                session.put(format!("conicflow/tracking/{key}"), garbage.clone()).wait().unwrap();
+                session.put(format!("conicflow/tracking/{key}"), prefixed.clone()).wait().unwrap();
+            }
+        }
+        newest(&base) > before + 60
+    });
+    assert!(base_run.stderr().contains("left out a message of topic `ellipses` from machine `robot`"));
+    signal(robot_run.id(), Signal::INT);
+    robot_run.wait().expect_code(0);
+    let ended = base_run.wait().expect_code(0);
+    assert_eq!(ended.stage("bridge").starts, 1, "{}", ended.stderr);
+}
+
+#[test]
+fn a_machine_of_another_version_is_refused_by_name_and_numbers() {
+    let endpoint = loopback();
+    let [_, base] = live(&endpoint);
+    let mut base_run = start(&base, "base");
+    base_run.wait_until("its port is open", || std::net::TcpStream::connect(&endpoint[4..]).is_ok());
+    let session = intruder(&endpoint);
+    let expected = "refused machine `robot`: the other machine speaks version 99 of the wire, this one 1";
+    wait_until("it is refused", || {
+        session.put("conicflow/tracking/@link/robot", b"CFLO\x63\x00".as_slice()).wait().unwrap();
+        base_run.stderr().contains(expected)
+    });
+    signal(base_run.id(), Signal::INT);
+    base_run.wait().expect_code(0);
+}
+
+#[test]
+fn only_who_has_the_right_certificate_gets_in() {
+    let endpoint = loopback().replace("tcp/127.0.0.1", "tls/localhost");
+    let text =
+        apart(&endpoint, &endpoint).replace(", delivery = \"lossless\"", "").replace("rate_hz    = 0", "rate_hz = 30");
+    let text = text
+        .replace("[machine.robot]\n", "[machine.robot]\nzenoh = \"tls/robot.json5\"\n")
+        .replace("[machine.base]\n", "[machine.base]\nzenoh = \"tls/base.json5\"\n");
+    let [robot, base] = machines(&text);
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/tls/certificates.sh");
+    let certificates = |folder: &str| {
+        let made = Command::new(script).args([folder, "robot=localhost", "base=localhost"]).status();
+        made.is_ok_and(|status| status.success())
+    };
+    if !certificates(robot.path("tls").to_str().unwrap()) {
+        eprintln!("SKIPPED: there is no `openssl`; nothing was shown");
+        return;
+    }
+    let copy = |from: &str, to: &str| std::fs::copy(robot.path(from), base.path(to)).map(drop).unwrap();
+    assert!(certificates(base.path("tls").to_str().unwrap()), "another authority");
+    let robot_run = start(&robot, "robot");
+    // Another authority's certificate, then none, then the right one.
+    for stage in ["wrong", "none", "right"] {
+        if stage == "none" {
+            let only_ca = "{ transport: { link: { tls: { root_ca_certificate: 'ca.pem' } } } }";
+            base.write("tls/base.json5", only_ca);
+            copy("tls/ca.pem", "tls/ca.pem");
+        } else if stage == "right" {
+            ["tls/base.json5", "tls/base.key", "tls/base.pem", "tls/ca.pem"]
+                .into_iter()
+                .for_each(|file| copy(file, file));
+        }
+        let mut base_run = start(&base, "base");
+        if stage == "right" {
+            base_run.wait_until("tracks arrive", || newest(&base) > 0);
+        } else {
+            // Long enough for many attempts; the right certificate takes a tenth of it.
+            let since = std::time::Instant::now();
+            wait_until("attempts were made", || since.elapsed().as_secs() >= 4);
+            assert_eq!(base.lines("tracks.jsonl").len(), 0, "{stage}");
+        }
+        signal(base_run.id(), Signal::INT);
+        base_run.wait().expect_code(0);
+    }
+    signal(robot_run.id(), Signal::INT);
+    robot_run.wait().expect_code(0);
+}
