@@ -249,3 +249,16 @@ fn the_recorded_ball_has_one_identity_from_first_to_last_sight() {
     }
     assert_eq!(frames.len(), 101);
 }
+
+/// A short noisy arc makes a small ellipse: the paper's bias, in one scan line.
+#[test]
+fn an_ellipse_is_found_in_noise_and_shrinks_with_it() {
+    let edits = [("[0.0, 0.001, 0.002, 0.005, 0.01, 0.015, 0.02, 0.03, 0.04]", "[0.0, 0.005, 0.02]")];
+    let table = Table::of("ellipse_noise", &edits, 50);
+    let cell = |sigma, column| table.number(&[("sigma_m", sigma)], column);
+    assert_near("without noise", cell("0", "long_m"), 0.4, 5e-4);
+    assert_near("without noise", cell("0", "short_m"), 0.2, 5e-4);
+    assert_eq!((cell("0.005", "n"), cell("0.02", "n")), (50.0, 50.0));
+    assert_near("residual", cell("0.02", "rms_m"), 0.02, 0.001);
+    assert!((0.30..0.34).contains(&cell("0.02", "long_m")) && cell("0.02", "long_sd_m") < 0.02);
+}
