@@ -34,7 +34,7 @@ use follower::Follower;
 use image_source::ImageSource;
 use json_sink::JsonSink;
 use kalman_tracker::KalmanTracker;
-use measurement_sink::MeasurementSink;
+use measurement_sink::{MeasurementSink, SectionSink};
 use noise_estimator::NoiseEstimator;
 use object_assembler::ObjectAssembler;
 use picture_sink::PictureSink;
@@ -72,5 +72,6 @@ pub const NODES: &[Node] = &[
         Variant::stage::<MeasurementSink<Object>>(),
         Variant::stage::<MeasurementSink<Track>>(),
     ]),
+    Node::stage::<SectionSink>(),
     Node::stage::<NoiseEstimator>(),
 ];

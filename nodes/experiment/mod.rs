@@ -1,5 +1,5 @@
 //! Experiments: a pipeline file with an `[experiment]` is run once for each combination of the values that it varies, and
-//! what its `measurement_sink` stages found becomes one table, beside the figures of the paper, a CSV file and a plot.
+//! what its `measurement_sink` and `section_sink` stages found becomes one table, beside the figures of the paper, a CSV file and a plot.
 
 mod axes;
 mod plot;
@@ -15,7 +15,8 @@ use conicflow_dataflow::pipeline::{Pipeline, Program};
 use conicflow_dataflow::{StageSummary, Summary};
 use std::path::{Path, PathBuf};
 
-const SINK: &str = "measurement_sink";
+/// The sinks that leave rows.
+const SINKS: [&str; 2] = ["measurement_sink", "section_sink"];
 
 /// Where the sinks of one run leave their rows.
 pub struct Rows {
@@ -31,7 +32,7 @@ impl Rows {
     pub fn of(pipeline: &Pipeline) -> Result<Self> {
         let folder = std::env::temp_dir().join(format!("conicflow-{}-{}", pipeline.name, std::process::id()));
         std::fs::create_dir_all(&folder).with_context(|| format!("cannot make `{}`", folder.display()))?;
-        let measures = |program: &Program| matches!(program, Program::Node(node) if node.name == SINK);
+        let measures = |program: &Program| matches!(program, Program::Node(node) if SINKS.contains(&node.name));
         let stages = pipeline.stages.iter().filter(|stage| measures(&stage.program));
         Ok(Self { folder, stages: stages.map(|stage| stage.name.clone()).collect() })
     }

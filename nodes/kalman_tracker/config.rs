@@ -1,5 +1,6 @@
 //! The parameters of the tracker.
 
+use super::ballistic::Ballistic;
 use super::life::Rules;
 use conicflow_dataflow::{Config, ConfigFault};
 use schemars::JsonSchema;
@@ -22,6 +23,9 @@ pub struct KalmanTrackerConfig {
     /// Standard deviation of a sudden change of velocity (a bounce, a push), per axis, in m/s; 0: none is looked for.
     #[schemars(range(min = 0.0))]
     pub manoeuvre_mps: f64,
+    /// Balls may fall and bounce: `{ gravity_mps2 = 9.81, up = [0, 0, 1], floor_m = 0, restitution = 0.8 }`; none: they go
+    /// straight on while unseen.
+    pub ballistic: Option<Ballistic>,
     /// Squared Mahalanobis distance up to which a detection may belong to a track; 16.3 leaves out one in a thousand.
     #[schemars(range(min = 0.0))]
     pub gate: f64,
@@ -78,6 +82,7 @@ impl Default for KalmanTrackerConfig {
             acceleration: 0.5,
             initial_speed_mps: 1.5,
             manoeuvre_mps: 2.0,
+            ballistic: None,
             gate: 16.3,
             max_radius_change: 0.25,
             confirm_hits: 3,

@@ -57,6 +57,14 @@ impl Motion {
         self.covariance = symmetric(&(transition * self.covariance * transition.transpose() + noise));
     }
 
+    /// Moves on by what is known for sure, in metres and metres per second.
+    pub fn shift(&mut self, way: &Vector3<f64>, velocity: &Vector3<f64>) {
+        let mut place = self.state.fixed_rows_mut::<3>(0);
+        place += way;
+        let mut speed = self.state.fixed_rows_mut::<3>(3);
+        speed += velocity;
+    }
+
     /// The same object had its velocity changed at the start of the last `dt` seconds, by `speed_sigma` m/s per axis.
     pub fn kicked(&self, dt: f64, speed_sigma: f64) -> Self {
         let noise = blocks(dt * dt, dt, 1.0) * (speed_sigma * speed_sigma);

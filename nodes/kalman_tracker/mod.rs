@@ -3,9 +3,10 @@
 //! Each object has a Kalman filter of constant velocity. Where the camera's pose is known, filtering happens in the world
 //! and the camera may move; positions and velocities are given in the camera frame of the present frame, the velocity
 //! being that in the world, seen along the camera's axes. Without a pose the camera counts as standing still; a frame
-//! that lacks one takes that of the frame before.
+//! that lacks one takes that of the frame before. Thrown balls may be told to fall and bounce ([`ballistic`]).
 
 mod association;
+mod ballistic;
 mod config;
 mod detection;
 mod filter;

@@ -1,5 +1,6 @@
 //! One object that is followed: the filters of its parameters, its shape and its life.
 
+use super::ballistic::Fall;
 use super::config::KalmanTrackerConfig;
 use super::detection::{Detection, rotated};
 use super::filter::{Axis, Motion, Size};
@@ -24,6 +25,7 @@ pub struct Target {
     pub life: Life,
     votes: [u32; ObjectKind::ALL.len()],
     motion: Motion,
+    fall: Fall,
     radius: Size,
     length: Size,
     axis: Option<Axis>,
@@ -42,6 +44,7 @@ impl Target {
             life: Life::born(&config.rules()),
             votes,
             motion: Motion::new(first.position, first.covariance, config.initial_speed_mps),
+            fall: Fall::default(),
             radius: first.radius,
             length: first.length,
             axis: first.axis,
@@ -53,6 +56,7 @@ impl Target {
     /// Goes on by `dt` seconds.
     pub fn predict(&mut self, dt: f64, config: &KalmanTrackerConfig) {
         self.motion.predict(dt, config.acceleration.powi(2));
+        self.fall(dt, config);
         self.radius.predict(dt, config.drift_radius_m);
         self.length.predict(dt, config.drift_length_m);
         if let Some(axis) = &mut self.axis {
@@ -63,10 +67,35 @@ impl Target {
         }
     }
 
+    /// Of a ball that may fall both motions are predicted: the one that holds, and the other one.
+    fn fall(&mut self, dt: f64, config: &KalmanTrackerConfig) {
+        let Some(ballistic) = config.ballistic.filter(|_| self.kind == ObjectKind::Sphere) else { return };
+        let steady = self.motion.clone();
+        let falling = ballistic.fallen(steady.clone(), dt, self.radius.value);
+        let (holds, other) = if self.fall.holds() { (falling, steady) } else { (steady, falling) };
+        self.motion = holds;
+        self.fall.other = Some(other);
+    }
+
+    /// Chooses between the two motions by a sight.
+    fn weigh_motions(&mut self, detection: &Detection) {
+        let Some(other) = self.fall.other.take() else { return };
+        let distance2 =
+            |motion: &Motion| Some(motion.innovation(&detection.position, &detection.covariance)?.distance2());
+        let (Some(held), Some(rival)) = (distance2(&self.motion), distance2(&other)) else { return };
+        let fell = self.fall.holds();
+        let (steady, falling) = if fell { (rival, held) } else { (held, rival) };
+        self.fall.weigh(steady, falling);
+        if self.fall.holds() != fell {
+            self.motion = other;
+        }
+    }
+
     /// Minus twice the logarithm of the likelihood that `detection` is this target, up to a constant; `None` outside the
     /// gate or where shape or radius do not fit.
     pub fn cost(&self, detection: &Detection, config: &KalmanTrackerConfig) -> Option<f64> {
-        self.cost_of(&self.motion, detection, config)
+        let motions = std::iter::once(&self.motion).chain(&self.fall.other);
+        motions.filter_map(|motion| self.cost_of(motion, detection, config)).min_by(f64::total_cmp)
     }
 
     /// The same for a target that was seen in the frame before, `dt` seconds ago, and changed its velocity since.
@@ -98,6 +127,7 @@ impl Target {
 
     /// Takes in a sight, `dt` seconds after the frame before.
     pub fn see(&mut self, detection: &Detection, dt: f64, config: &KalmanTrackerConfig) {
+        self.weigh_motions(detection);
         if self.cost(detection, config).is_none() {
             self.motion = self.motion.kicked(dt, config.manoeuvre_mps);
         }

@@ -1,5 +1,6 @@
 //! Tests of the tracker as a whole, on simulated detections.
 
+use super::ballistic::Ballistic;
 use super::filter::Motion;
 use super::{KalmanTrackerConfig, Tracker};
 use conicflow_messages::{HAS_POSE, Header, Object, ObjectKind, ObjectSigma, Track, TrackState};
@@ -268,6 +269,71 @@ fn a_bounce_keeps_the_identity() {
     };
     assert_eq!(run(2.0), 1, "tracks in all");
     assert!(run(0.0) > 1, "a bounce lies outside the gate of a motion without pushes");
+}
+
+/// A ball that falls, bounces and rises while it is hidden for 0.6 seconds.
+#[test]
+fn a_bounce_that_nobody_sees_keeps_the_identity_if_the_floor_is_known() {
+    let run = |ballistic| {
+        let mut tracker = Tracker::new(KalmanTrackerConfig { ballistic, ..KalmanTrackerConfig::default() });
+        let mut noise = Noise(9);
+        let (mut height, mut speed) = (1.2_f64, 0.0_f64);
+        for frame in 0..40 {
+            height += speed * PERIOD_S - 0.5 * 9.81 * PERIOD_S * PERIOD_S;
+            speed -= 9.81 * PERIOD_S;
+            if height < 0.1 {
+                (height, speed) = (0.2 - height, -0.8 * speed);
+            }
+            let seen = [sphere(Vector3::new(0.5 * seconds(frame), 2.0, height) + noise.vector(SIGMA_M))];
+            let hidden = (8..26).contains(&frame);
+            tracker.update(&header(frame), if hidden { &[] } else { &seen });
+        }
+        tracker.next_id - 1
+    };
+    assert_eq!(run(Some(Ballistic { floor_m: Some(0.0), ..Ballistic::default() })), 1, "tracks in all");
+    assert!(run(None) > 1, "straight on it would go through the floor");
+}
+
+#[test]
+fn a_ball_that_lies_does_not_fall() {
+    let ballistic = Some(Ballistic::default());
+    let mut tracker = Tracker::new(KalmanTrackerConfig { ballistic, ..KalmanTrackerConfig::default() });
+    let mut noise = Noise(6);
+    let place = Vector3::new(0.0, 2.0, 0.5);
+    for frame in 0..60 {
+        let hidden = (30..50).contains(&frame);
+        let seen = [sphere(place + noise.vector(SIGMA_M))];
+        let track = tracker.update(&header(frame), if hidden { &[] } else { &seen })[0];
+        let off = (Vector3::from(track.object.center) - place).norm();
+        assert!(track.id == 1 && off < 0.06, "frame {frame}: {off} m off");
+    }
+}
+
+/// CLEAR-MOT of three balls that cross at one place at the same time, two of them hidden there, over many runs of noise.
+#[test]
+fn crossing_balls_are_not_mixed_up() {
+    for seed in 0..20 {
+        let mut tracker = Tracker::new(KalmanTrackerConfig::default());
+        let mut noise = Noise(100 + seed);
+        let (mut found, mut there) = (0, 0);
+        for frame in 0..120 {
+            let way = -1.0 + 0.5 * seconds(frame);
+            let places = [Vector3::new(way, 0.0, 1.5), Vector3::new(-way, 0.02, 1.6), Vector3::new(0.0, way, 1.7)];
+            let seen = places.iter().enumerate().filter(|(index, _)| *index == 0 || way.abs() > 0.15);
+            let objects: Vec<_> = seen.map(|(_, place)| sphere(place + noise.vector(SIGMA_M))).collect();
+            let tracks = tracker.update(&header(frame), &objects);
+            there += objects.len();
+            let right = |track: &&Track| {
+                let place = places.get(track.id as usize - 1).unwrap_or(&places[0]);
+                track.track_state() == TrackState::Confirmed
+                    && (Vector3::from(track.object.center) - place).norm() < 0.03
+            };
+            found += tracks.iter().filter(right).count();
+            assert!(tracks.iter().all(|track| track.id <= 3), "seed {seed}, frame {frame}: a fourth identity");
+        }
+        let share = found as f64 / there as f64;
+        assert!(share > 0.97, "seed {seed}: {share} of the sights under their first identity");
+    }
 }
 
 #[test]

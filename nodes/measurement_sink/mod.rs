@@ -8,6 +8,7 @@
 
 mod matching;
 mod row;
+mod section_sink;
 mod sighting;
 mod spread;
 mod tally;
@@ -16,6 +17,7 @@ mod tests;
 mod trace;
 
 pub use row::{Figure, Row};
+pub use section_sink::{SectionConfig, SectionSink, Sections};
 pub use sighting::Sighted;
 
 use crate::evaluation_sink::rendered::{expected, scene_of};

@@ -193,3 +193,72 @@ fn a_wrong_experiment_is_refused() {
     let ended = playground.conicflow(&["validate", "accuracy.toml"]).expect_code(2);
     assert!(ended.stderr.contains("the scene has no value `distanse`"), "{}", ended.stderr);
 }
+
+/// The command of each frame reaches the camera before the next one; how soon is all that may differ from run to run.
+#[test]
+fn the_robot_stops_a_metre_before_the_ball() {
+    let table = Table::of("follow", &[("\"scenes/held_ball.toml\", ", ""), ("from_s = 11.0", "from_s = 7.5")], 240);
+    let cell = |stage, column| table.number(&[("stage", stage)], column);
+    assert_near("distance over ground", (cell("halt", "distance_m").powi(2) - 0.25_f64.powi(2)).sqrt(), 1.0, 0.03);
+    assert!(cell("halt", "distance_sd_m") < 0.01, "it stands");
+    assert_eq!(cell("way", "identities"), 1.0);
+    assert!(cell("way", "position_rms_m") < 0.005, "the camera's way is taken out");
+}
+
+#[test]
+fn crossing_balls_keep_their_identities() {
+    let table = Table::of("crossing_balls", &[], 240);
+    let all = |column| table.number(&[("stage", "filtered"), ("object", "all")], column);
+    assert_eq!((all("switches"), all("identities")), (0.0, 5.0));
+    assert!(all("mota") >= 0.95, "MOTA {}", all("mota"));
+    assert!(all("motp_m") < 0.005, "MOTP {}", all("motp_m"));
+}
+
+#[test]
+fn a_bouncing_ball_is_one_ball_near_its_true_way() {
+    let table = Table::of("bouncing_ball", &[], 110);
+    let cell = |column| table.number(&[("stage", "filtered")], column);
+    assert_eq!((cell("identities"), cell("switches")), (1.0, 0.0));
+    assert!(cell("n") >= 106.0, "seen in {} of 110 frames", cell("n"));
+    assert!(cell("position_rms_m") < 0.005, "{} m off", cell("position_rms_m"));
+    assert_near("radius", cell("radius_m"), 0.1, 0.002);
+}
+
+/// A ball on a stick that someone carries about: one identity, seen in each of the frames.
+#[test]
+fn the_recorded_ball_has_one_identity_from_first_to_last_sight() {
+    let folder = std::env::var_os("CONICFLOW_DATA").map(|data| Path::new(&data).join("ball-kinect-cam1/depth"));
+    let Some(folder) = folder.filter(|folder| folder.is_dir()) else {
+        eprintln!("SKIPPED: CONICFLOW_DATA does not name a folder with `ball-kinect-cam1/depth`");
+        return;
+    };
+    let playground = playground("recorded_ball", &[]);
+    let path = format!("source.path={:?}", folder.canonicalize().unwrap());
+    let arguments = ["run", "recorded_ball.toml", "--quiet", "--set", &path, "--set", "json.path=\"tracks.jsonl\""];
+    playground.conicflow(&arguments).expect_code(0);
+    let frames = playground.json_lines("tracks.jsonl");
+    for frame in &frames {
+        let tracks = frame["tracks"].as_array().unwrap();
+        let is_ball = |radius: f64| (0.195..0.222).contains(&radius); // what its truth file accepts
+        let ball = tracks.iter().find(|track| track["kind"] == "sphere" && is_ball(track["radius"].as_f64().unwrap()));
+        assert_eq!(
+            ball.map(|ball| (ball["id"].as_u64(), ball["misses"].as_u64())),
+            Some((Some(1), Some(0))),
+            "{frame}"
+        );
+    }
+    assert_eq!(frames.len(), 101);
+}
+
+/// A short noisy arc makes a small ellipse: the paper's bias, in one scan line.
+#[test]
+fn an_ellipse_is_found_in_noise_and_shrinks_with_it() {
+    let edits = [("[0.0, 0.001, 0.002, 0.005, 0.01, 0.015, 0.02, 0.03, 0.04]", "[0.0, 0.005, 0.02]")];
+    let table = Table::of("ellipse_noise", &edits, 50);
+    let cell = |sigma, column| table.number(&[("sigma_m", sigma)], column);
+    assert_near("without noise", cell("0", "long_m"), 0.4, 5e-4);
+    assert_near("without noise", cell("0", "short_m"), 0.2, 5e-4);
+    assert_eq!((cell("0.005", "n"), cell("0.02", "n")), (50.0, 50.0));
+    assert_near("residual", cell("0.02", "rms_m"), 0.02, 0.001);
+    assert!((0.30..0.34).contains(&cell("0.02", "long_m")) && cell("0.02", "long_sd_m") < 0.02);
+}

@@ -92,8 +92,10 @@ fn a_slow_reader_loses_frames_and_each_of_them_is_counted() {
     let input = ended.input("depth", "sink");
     assert_eq!(input.received, taken.len() as u64);
     assert!(input.dropped > 0, "nothing was lost, so that nothing is shown");
-    let before_it_came = taken[0];
-    assert_eq!((before_it_came + input.received + input.dropped, input.late), (ended.stage("source").messages, 0));
+    // what was sent before the reader was there is not lost; it may have had some of that waiting
+    let (sent, counted) = (ended.stage("source").messages, input.received + input.dropped);
+    assert!((sent - taken[0]..=sent).contains(&counted), "{counted} of {sent}, the first was {}", taken[0]);
+    assert_eq!(input.late, 0);
     assert_eq!(input.gaps, input.dropped, "the only loss is before the only reader");
     assert!(taken.is_sorted_by(|a, b| a < b), "{taken:?}");
     assert_eq!(taken.last(), Some(&299), "the newest frame is never lost");
