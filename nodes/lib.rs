@@ -21,6 +21,7 @@ pub mod picture_sink;
 pub mod command_line;
 mod node_help;
 mod top;
+mod topic;
 
 use conicflow_dataflow::{Node, Variant};
 use conicflow_messages::{Ellipse, Object, Track};

@@ -9,4 +9,5 @@ mod outside_stage;
 mod processes;
 mod run;
 mod support;
+mod topic;
 mod validate;
