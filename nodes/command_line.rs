@@ -4,6 +4,7 @@ use crate::NODES;
 use crate::experiment::{Experiment, Results, Rows, Variation};
 use crate::node_help;
 use crate::top;
+use crate::topic::{self, TopicCommand};
 use anyhow::{Context, anyhow, bail};
 use clap::{Args, Parser, Subcommand};
 use conicflow_dataflow::pipeline::{Pipeline, Report, SourceText};
@@ -61,6 +62,9 @@ enum Command {
         #[arg(long)]
         once: bool,
     },
+    /// Look at the topics of a running pipeline, with no change to it
+    #[command(subcommand)]
+    Topic(TopicCommand),
     /// List the built-in nodes, or the parameters of one
     Nodes {
         /// Name of a node
@@ -119,6 +123,7 @@ fn dispatch(command: Command) -> anyhow::Result<ExitCode> {
             Ok(ExitCode::SUCCESS)
         }
         Command::Top { once } => top::top(once).map(|()| ExitCode::SUCCESS),
+        Command::Topic(command) => topic::topic(&command).map(|()| ExitCode::SUCCESS),
         Command::Nodes { name } => {
             write!(stdout(), "{}", node_help::nodes(name.as_deref())?)?;
             Ok(ExitCode::SUCCESS)

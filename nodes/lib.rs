@@ -25,6 +25,7 @@ pub mod command_line;
 pub mod experiment;
 mod node_help;
 mod top;
+mod topic;
 
 use conicflow_dataflow::{Node, Variant};
 use conicflow_messages::{Ellipse, Object, Track};

@@ -17,6 +17,7 @@ mod sides;
 mod stage;
 mod status;
 mod table;
+mod watch;
 
 /// Runs a single stage or source as it runs in a pipeline, with nothing around it.
 pub mod testing {
@@ -35,5 +36,6 @@ pub use plan::{Plan, PlannedStage, Runs};
 pub use runner::RunError;
 pub use sides::{AnyMessage, Pick, Side, Sides};
 pub use stage::{Config, ConfigFault, Context, Next, NoConfig, Output, Source, Stage, StageError, Stop};
-pub use status::{Counter, Durations, InputCounts, Life, NO_RUN, Status, used};
+pub use status::{Counter, Durations, InputCounts, Intervals, Life, NO_RUN, Status, used};
 pub use table::Table;
+pub use watch::{RunningPipeline, WatchError, Watching};

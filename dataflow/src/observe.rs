@@ -76,6 +76,12 @@ pub struct TopicActivity {
     pub rate_hz: f64,
     /// Megabytes per second.
     pub bandwidth_mbps: f64,
+    /// Shortest time between two messages.
+    pub interval_min_ms: Option<f64>,
+    /// Longest time between two messages.
+    pub interval_max_ms: Option<f64>,
+    /// Standard deviation of the time between two messages.
+    pub interval_std_ms: Option<f64>,
 }
 
 /// What came out of a topic for one stage.
@@ -199,12 +205,17 @@ impl Span<'_> {
     }
 
     fn topic(&self, topic: &str, writer: &str) -> TopicActivity {
+        let intervals = self.before.map(|before| self.now.status.intervals.since(&before.status.intervals));
+        let range = intervals.and_then(|intervals| intervals.range());
         TopicActivity {
             topic: topic.to_owned(),
             writer: writer.to_owned(),
             sent: self.now.status.sent,
             rate_hz: self.per_second(|status| status.sent),
             bandwidth_mbps: self.per_second(|status| status.sent_bytes) / 1e6,
+            interval_min_ms: range.map(|(shortest, _)| shortest.as_secs_f64() * 1e3),
+            interval_max_ms: range.map(|(_, longest)| longest.as_secs_f64() * 1e3),
+            interval_std_ms: intervals.and_then(|intervals| intervals.standard_deviation_s()).map(|std| std * 1e3),
         }
     }
 }

@@ -21,7 +21,7 @@ pub const MAX_COUNTERS: usize = 40;
 /// The run of stages that were started one by one, without a launcher.
 pub const NO_RUN: u64 = 0;
 
-const LAYOUT: u64 = 0x636f_6e69_6366_0001;
+const LAYOUT: u64 = 0x636f_6e69_6366_0002;
 /// Each octave of time is cut into this many buckets: a percentile is right within 3 %.
 const STEPS: usize = 16;
 /// 1 microsecond to 69 seconds.
@@ -117,6 +117,52 @@ impl Durations {
     }
 }
 
+/// Times between messages that were sent one after the other: their distribution and their exact moments.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+pub struct Intervals {
+    durations: Durations,
+    count: u64,
+    sum_s: f64,
+    sum_squares_s2: f64,
+}
+
+impl Intervals {
+    /// Counts one interval, in nanoseconds.
+    pub fn add(&mut self, ns: u64) {
+        let seconds = ns as f64 * 1e-9;
+        self.durations.add(ns);
+        self.count += 1;
+        self.sum_s += seconds;
+        self.sum_squares_s2 += seconds * seconds;
+    }
+
+    /// The intervals that were counted after an earlier look at the same record.
+    pub fn since(&self, earlier: &Self) -> Self {
+        let mut buckets = self.durations.buckets;
+        let before = earlier.durations.buckets.as_flattened();
+        buckets.as_flattened_mut().iter_mut().zip(before).for_each(|(now, before)| *now = now.saturating_sub(*before));
+        Self {
+            durations: Durations { buckets },
+            count: self.count.saturating_sub(earlier.count),
+            sum_s: self.sum_s - earlier.sum_s,
+            sum_squares_s2: self.sum_squares_s2 - earlier.sum_squares_s2,
+        }
+    }
+
+    /// Shortest and longest interval, within 3 %; `None` if there is none.
+    pub fn range(&self) -> Option<(Duration, Duration)> {
+        Some((self.durations.quantile(0.0)?, self.durations.quantile(1.0)?))
+    }
+
+    /// Standard deviation in seconds; `None` of fewer than two.
+    pub fn standard_deviation_s(&self) -> Option<f64> {
+        let count = self.count as f64;
+        let mean = self.sum_s / count;
+        (self.count > 1).then(|| (self.sum_squares_s2 / count - mean * mean).max(0.0).sqrt())
+    }
+}
+
 /// The record of one stage.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
@@ -151,6 +197,8 @@ pub struct Status {
     pub hop: Durations,
     /// Time from the source's having a frame to this stage's receiving what was made of it.
     pub latency: Durations,
+    /// Time between messages sent.
+    pub intervals: Intervals,
 }
 
 impl Default for Status {
@@ -262,6 +310,20 @@ mod tests {
             assert!((found / us - 1.0).abs() < 0.04, "{quantile}: {found} us, not {us}");
         }
         assert_eq!(Durations::default().quantile(0.5), None);
+    }
+
+    #[test]
+    fn intervals_are_those_since_the_earlier_look() {
+        let mut intervals = Intervals::zeroed();
+        intervals.add(900_000_000);
+        let earlier = intervals;
+        assert_eq!(intervals.since(&earlier).range(), None);
+        [20, 40, 30, 30].into_iter().for_each(|ms: u64| intervals.add(ms * 1_000_000));
+        let new = intervals.since(&earlier);
+        let (shortest, longest) = new.range().unwrap();
+        assert!((shortest.as_secs_f64() / 0.02 - 1.0).abs() < 0.04, "{shortest:?}");
+        assert!((longest.as_secs_f64() / 0.04 - 1.0).abs() < 0.04, "{longest:?}");
+        assert!((new.standard_deviation_s().unwrap() - 0.00005_f64.sqrt()).abs() < 1e-7);
     }
 
     #[test]

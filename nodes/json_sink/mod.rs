@@ -80,7 +80,7 @@ impl<T: ToJson> Stage for JsonSink<T> {
 
 /// Milliseconds, to the microsecond, from the moment the source had the frame until `now_ns` on the monotonic clock;
 /// `None` where the frame carries no time of this machine's clock.
-fn latency_ms(header: &Header, now_ns: u64) -> Option<f64> {
+pub(crate) fn latency_ms(header: &Header, now_ns: u64) -> Option<f64> {
     let elapsed_ns = now_ns.checked_sub(header.trace().first()?.received_ns)?;
     Some((elapsed_ns / 1000) as f64 / 1000.0)
 }

@@ -15,4 +15,5 @@ mod outside_stage;
 mod processes;
 mod run;
 mod support;
+mod topic;
 mod validate;

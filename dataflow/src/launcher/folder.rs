@@ -15,6 +15,9 @@ pub const RUNTIME_DIR: &str = "CONICFLOW_RUNTIME_DIR";
 /// Stages end by themselves within this time after their launcher was killed.
 const LAST_STAGES_GRACE: Duration = Duration::from_secs(5);
 
+/// Whoever only looks whether a run has the folder holds it shorter than this.
+const LOOK_GRACE: Duration = Duration::from_millis(100);
+
 /// Why a run has no folder.
 #[derive(Debug, thiserror::Error)]
 pub enum FolderError {
@@ -128,10 +131,14 @@ impl RunFolder {
     /// Another run has it, or stages of another run stay.
     pub fn lock(&self, name: &str) -> Result<RunLock, FolderError> {
         let (path, file) = self.open_lock("lock")?;
-        match file.try_lock() {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => return Err(FolderError::Running { name: name.to_owned() }),
-            Err(TryLockError::Error(error)) => return Err(FolderError::Io { path, error }),
+        let deadline = Instant::now() + LOOK_GRACE;
+        loop {
+            match file.try_lock() {
+                Ok(()) => break,
+                Err(TryLockError::WouldBlock) if Instant::now() < deadline => sleep(Duration::from_millis(10)),
+                Err(TryLockError::WouldBlock) => return Err(FolderError::Running { name: name.to_owned() }),
+                Err(TryLockError::Error(error)) => return Err(FolderError::Io { path, error }),
+            }
         }
         let deadline = Instant::now() + LAST_STAGES_GRACE;
         let (path, stages) = self.open_lock("stages.lock")?;
@@ -143,6 +150,12 @@ impl RunFolder {
                 Err(TryLockError::Error(error)) => return Err(FolderError::Io { path, error }),
             }
         }
+    }
+
+    /// Whether a run has the folder now.
+    pub(crate) fn is_running(&self) -> bool {
+        let file = File::open(self.path.join("lock"));
+        file.is_ok_and(|file| matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock)))
     }
 
     /// Says that a stage of this pipeline lives in this process, for as long as the file is held.

@@ -48,6 +48,11 @@ impl Topic {
         self.readers.iter().find(|entry| entry.stage == reader).map_or(Delivery::Latest, |entry| entry.delivery)
     }
 
+    /// The length of the longest queue of a reader.
+    pub(crate) fn longest_queue(&self) -> usize {
+        self.readers.iter().map(|reader| reader.queue).max().unwrap_or(2)
+    }
+
     /// Whether any reader wants every message.
     pub fn is_lossless(&self) -> bool {
         self.readers.iter().any(|reader| reader.delivery == Delivery::Lossless)
@@ -93,6 +98,17 @@ pub enum PortError {
         topic: String,
         /// Type names of header and item that this stage uses.
         expected: String,
+    },
+    /// All places for those who look on are taken.
+    #[error(
+        "topic `{topic}` has {limit} onlookers already, there is no place for another\n  \
+         hint: end one of them (`pgrep -af \"conicflow topic\"` lists them)"
+    )]
+    TooManyTaps {
+        /// The topic.
+        topic: String,
+        /// How many it has places for.
+        limit: usize,
     },
     /// Shared memory failed.
     #[error(

@@ -22,6 +22,8 @@ pub(crate) struct Outlet<T: Item, W: Writer<T>> {
     counts: BTreeMap<&'static str, u64>,
     number: u64,
     bytes: u64,
+    sent_ns: Option<u64>,
+    interval_ns: Option<u64>,
     last: Header,
     peers: Peers,
     stop: Stop,
@@ -46,6 +48,8 @@ impl<T: Item, W: Writer<T>> Outlet<T, W> {
             counts: BTreeMap::new(),
             number,
             bytes: 0,
+            sent_ns: None,
+            interval_ns: None,
             last: Header::default(),
             peers,
             stop,
@@ -68,9 +72,11 @@ impl<T: Item, W: Writer<T>> Outlet<T, W> {
             writer.loan(self.list.len())?.copy_from_slice(&self.list);
         }
         header.number = self.number;
-        header.add_hop(Hop { stage: self.stage, received_ns, sent_ns: monotonic_ns() });
+        let sent_ns = monotonic_ns();
+        header.add_hop(Hop { stage: self.stage, received_ns, sent_ns });
         let length = writer.send(&header)?;
         self.number += 1;
+        self.interval_ns = self.sent_ns.replace(sent_ns).map(|before| sent_ns.saturating_sub(before));
         self.bytes += (length * size_of::<T>() + size_of::<Header>()) as u64;
         self.last = header;
         Ok(())
@@ -80,6 +86,7 @@ impl<T: Item, W: Writer<T>> Outlet<T, W> {
     pub(crate) fn tally(&mut self, status: &mut Status) {
         status.sent = self.number;
         status.sent_bytes += std::mem::take(&mut self.bytes);
+        self.interval_ns.take().into_iter().for_each(|ns| status.intervals.add(ns));
         self.counts.iter().for_each(|(name, count)| status.count(name, *count));
         self.counts.clear();
         self.list.iter().filter_map(Item::label).for_each(|label| status.count_found(label));

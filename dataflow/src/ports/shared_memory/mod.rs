@@ -8,11 +8,13 @@
 #![allow(unsafe_code)] // layout promises for types in shared memory, and loans whose content is left over
 
 mod reader;
+mod tap;
 #[cfg(test)]
 mod tests;
 mod writer;
 
 pub use reader::{SharedMessage, SharedReader};
+pub use tap::SharedTap;
 pub use writer::SharedWriter;
 
 use crate::ports::{Delivery, PortError, Topic, Transport};
@@ -108,7 +110,6 @@ impl SharedMemory {
     }
 
     fn messages<T: Item>(&self, topic: &Topic) -> Result<Factory<T>, PortError> {
-        let longest = topic.readers.iter().map(|reader| reader.queue).max().unwrap_or(2);
         let readers = topic.readers.len() + SPARE_READERS;
         let writers = topic.writers.len() + 2;
         let opened = self
@@ -117,7 +118,7 @@ impl SharedMemory {
             .publish_subscribe::<[WireItem<T>]>()
             .user_header::<WireHeader>()
             .enable_safe_overflow(!topic.is_lossless())
-            .subscriber_max_buffer_size(longest)
+            .subscriber_max_buffer_size(topic.longest_queue())
             .subscriber_max_borrowed_samples(MAX_HELD)
             .max_publishers(writers)
             .max_subscribers(readers)

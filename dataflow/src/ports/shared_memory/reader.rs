@@ -22,7 +22,7 @@ pub struct SharedReader<T: Item> {
 
 /// A message in shared memory.
 #[derive(Debug)]
-pub struct SharedMessage<T: Item>(Sample<Ipc, [WireItem<T>], WireHeader>);
+pub struct SharedMessage<T: Item>(pub(super) Sample<Ipc, [WireItem<T>], WireHeader>);
 
 impl<T: Item> Received<T> for SharedMessage<T> {
     fn header(&self) -> &Header {

@@ -1,0 +1,143 @@
+//! Watches a topic of a running pipeline from outside: every message that comes, checked, until the run is over.
+//!
+//! A watcher sleeps between looks instead of being woken, so that a writer does nothing for it but pass it a pointer.
+
+use crate::launcher::{FolderError, RunFolder};
+use crate::plan::Plan;
+use crate::ports::shared_memory::{SharedMemory, SharedTap};
+use crate::ports::{PortError, Received, Topic};
+use crate::stage::Stop;
+use conicflow_messages::{Item, Message};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+/// Shorter than a writer that runs flat out takes to fill the queue of an ordinary topic is not worth the processor time.
+const LOOK: Duration = Duration::from_millis(1);
+/// How often a watcher without messages looks whether the run still goes on.
+const RUN_CHECK: Duration = Duration::from_millis(100);
+
+/// A pipeline that runs now.
+pub struct RunningPipeline {
+    /// What its stages know of it.
+    pub plan: Plan,
+    folder: RunFolder,
+}
+
+/// Why a topic could not be watched.
+#[derive(Debug, thiserror::Error)]
+pub enum WatchError {
+    /// The run's folder.
+    #[error(transparent)]
+    Folder(#[from] FolderError),
+    /// The shared memory.
+    #[error(transparent)]
+    Port(#[from] PortError),
+    /// Signals.
+    #[error("signals cannot be received: {0}")]
+    Signals(#[from] io::Error),
+}
+
+/// Whether a watcher wants more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Watching {
+    /// It does.
+    GoOn,
+    /// It has seen enough.
+    Enough,
+}
+
+impl RunningPipeline {
+    /// All pipelines of this user that run now.
+    ///
+    /// # Errors
+    /// The user's folder cannot be read.
+    pub fn all() -> Result<Vec<Self>, FolderError> {
+        let running = RunFolder::all()?.into_iter().filter(RunFolder::is_running);
+        Ok(running.filter_map(|folder| Some(Self { plan: folder.plan().ok()?, folder })).collect())
+    }
+
+    /// What both ends of a topic agreed on, if a stage writes or reads one of this name.
+    pub fn topic(&self, name: &str) -> Option<&Topic> {
+        self.topics().find(|topic| topic.name == name)
+    }
+
+    /// All topics, once for each stage that writes or reads one.
+    pub fn topics(&self) -> impl Iterator<Item = &Topic> {
+        let wirings = self.plan.stages.iter().map(|stage| &stage.wiring);
+        wirings.flat_map(|wiring| wiring.output.iter().chain(&wiring.input).chain(wiring.sides.iter().map(|(_, t)| t)))
+    }
+
+    /// Calls `see` with each message of `topic` from now on, until it has seen enough, the run is over, or this process
+    /// is told to end. Messages that make no sense are left out, with a warning.
+    ///
+    /// # Errors
+    /// The topic cannot be read, or `see` failed.
+    pub fn watch<T: Item, E: From<WatchError>>(
+        &self,
+        topic: &Topic,
+        mut see: impl FnMut(Message<'_, T>) -> Result<Watching, E>,
+    ) -> Result<(), E> {
+        let told = told_to_end().map_err(WatchError::from)?;
+        let (memory, mut tap) = self.tap::<T>(topic)?;
+        let mut checked = Instant::now();
+        while !told.load(Ordering::Relaxed) {
+            let check = checked.elapsed() > RUN_CHECK;
+            // The run is looked at first: what was sent before it was over is then sure to be found.
+            let over = check && !self.still_runs();
+            match tap.receive(&memory).map_err(WatchError::from)? {
+                Some(received) => {
+                    if is_sound(topic, &received) && see(message(&received))? == Watching::Enough {
+                        return Ok(());
+                    }
+                }
+                None if over => return Ok(()),
+                None => sleep(LOOK),
+            }
+            if check {
+                checked = Instant::now();
+            }
+        }
+        Ok(())
+    }
+
+    fn tap<T: Item>(&self, topic: &Topic) -> Result<(SharedMemory, SharedTap<T>), WatchError> {
+        let memory = SharedMemory::open(self.folder.shared_memory(), &self.plan.pipeline, "(tap)", Stop::default())?;
+        let tap = memory.tap::<T>(topic)?;
+        Ok((memory, tap))
+    }
+
+    /// Whether this run has not ended yet.
+    pub fn still_runs(&self) -> bool {
+        self.folder.is_running() && self.folder.plan().is_ok_and(|plan| plan.run == self.plan.run)
+    }
+}
+
+/// Raised by the signals that end a program, so that this one can leave its place in order.
+fn told_to_end() -> io::Result<Arc<AtomicBool>> {
+    let told = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM, SIGHUP] {
+        signal_hook::flag::register(signal, Arc::clone(&told))?;
+    }
+    Ok(told)
+}
+
+fn message<T: Item>(received: &impl Received<T>) -> Message<'_, T> {
+    Message { header: received.header(), items: received.items() }
+}
+
+/// Whether a message is to be seen: it makes sense, and is not the end of a stream.
+fn is_sound<T: Item>(topic: &Topic, received: &impl Received<T>) -> bool {
+    let header = received.header();
+    if header.ends_stream() {
+        return false;
+    }
+    let checked = header.check(T::KIND).and_then(|()| T::check(header, received.items()));
+    if let Err(error) = &checked {
+        tracing::warn!("left out a message of topic `{}`: {error}", topic.name);
+    }
+    checked.is_ok()
+}

@@ -1,0 +1,238 @@
+//! `conicflow topic`: what goes through the topics of a running pipeline, seen without a change to it.
+//!
+//! `list`, `hz` and `bw` read the records that the stages keep, and attach to nothing; `echo` is a reader more, in a place
+//! that is kept free for it, for which no writer waits.
+
+use crate::NODES;
+use crate::json_sink::{Line, ToJson, latency_ms};
+use anyhow::{anyhow, bail};
+use clap::{Args, Subcommand};
+use conicflow_dataflow::pipeline::suggestion;
+use conicflow_dataflow::ports::{Delivery, Topic};
+use conicflow_dataflow::{
+    PipelineActivity, Plan, PlannedStage, RunningPipeline, Runs, Table, TopicActivity, Watching, monotonic_ns, observe,
+};
+use conicflow_messages::{Ellipse, Item, Kind, Message, Object, Track};
+use serde_json::json;
+use std::io::{ErrorKind, Write, stdout};
+use std::thread::sleep;
+use std::time::Duration;
+
+const PERIOD: Duration = Duration::from_secs(1);
+
+/// What is to be seen of topics.
+#[derive(Subcommand)]
+pub enum TopicCommand {
+    /// List the topics with what they carry, who writes and who reads them, and their rates
+    List {
+        #[command(flatten)]
+        of: PipelineName,
+    },
+    /// Print each message as a line of JSON, as json_sink does; of depth images a summary
+    Echo(TopicArguments),
+    /// Print once a second how many messages are sent, and how regularly
+    Hz(TopicArguments),
+    /// Print once a second how many bytes are sent
+    Bw(TopicArguments),
+}
+
+/// Which topic, and how much of it.
+#[derive(Args)]
+pub struct TopicArguments {
+    /// Name of the topic
+    topic: String,
+    /// End after so many lines
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    count: Option<u64>,
+    #[command(flatten)]
+    of: PipelineName,
+}
+
+/// Which pipeline, where several run.
+#[derive(Args)]
+pub struct PipelineName {
+    /// Name of the pipeline, where several run
+    #[arg(long, value_name = "NAME")]
+    pipeline: Option<String>,
+}
+
+/// Shows what was asked for; a reader of the output that goes away (`| head`) ends it without a word.
+///
+/// # Errors
+/// There is no such pipeline or topic, or it cannot be read.
+pub fn topic(command: &TopicCommand) -> anyhow::Result<()> {
+    let shown = match command {
+        TopicCommand::List { of } => list(&of.find()?),
+        TopicCommand::Echo(arguments) => echo(arguments),
+        TopicCommand::Hz(arguments) => each_second(arguments, rate_line),
+        TopicCommand::Bw(arguments) => each_second(arguments, bandwidth_line),
+    };
+    shown.or_else(|error| if is_broken_pipe(&error) { Ok(()) } else { Err(error) })
+}
+
+fn is_broken_pipe(error: &anyhow::Error) -> bool {
+    error.downcast_ref::<std::io::Error>().is_some_and(|error| error.kind() == ErrorKind::BrokenPipe)
+}
+
+impl PipelineName {
+    fn find(&self) -> anyhow::Result<RunningPipeline> {
+        let mut running = RunningPipeline::all()?;
+        let names: Vec<_> = running.iter().map(|running| running.plan.pipeline.clone()).collect();
+        if names.is_empty() {
+            bail!("no pipeline runs\n  hint: start one with `conicflow run`");
+        }
+        let Some(name) = &self.pipeline else {
+            if names.len() > 1 {
+                bail!("several pipelines run: {}\n  hint: say which, with --pipeline NAME", names.join(", "));
+            }
+            return Ok(running.swap_remove(0));
+        };
+        let found = names.iter().position(|running| running == name);
+        let hint = || suggestion(name, names.iter().map(String::as_str), "pipelines that run");
+        let found = found.ok_or_else(|| anyhow!("no pipeline `{name}` runs\n  hint: {}", hint()))?;
+        Ok(running.swap_remove(found))
+    }
+}
+
+fn find_topic<'a>(running: &'a RunningPipeline, name: &str) -> anyhow::Result<&'a Topic> {
+    let names = running.topics().map(|topic| topic.name.as_str());
+    let mut names: Vec<_> = names.collect();
+    names.sort_unstable();
+    names.dedup();
+    let hint = || suggestion(name, names.iter().copied(), "topics");
+    running
+        .topic(name)
+        .ok_or_else(|| anyhow!("pipeline `{}` has no topic `{name}`\n  hint: {}", running.plan.pipeline, hint()))
+}
+
+/// What a topic carries, by a node that writes or reads it.
+fn kind_of(plan: &Plan, topic: &str) -> Option<Kind> {
+    plan.stages.iter().find_map(|stage| kind_at(stage, topic))
+}
+
+fn kind_at(stage: &PlannedStage, topic: &str) -> Option<Kind> {
+    let Runs::Node { node, input } = &stage.runs else { return None };
+    let node = NODES.iter().find(|row| row.name == *node)?;
+    let named = |wired: &Option<Topic>| wired.as_ref().is_some_and(|wired| wired.name == topic);
+    if named(&stage.wiring.output) {
+        return Some(node.output());
+    }
+    if named(&stage.wiring.input) {
+        return node.inputs().find(|kind| kind.name() == input);
+    }
+    let (name, _) = stage.wiring.sides.iter().find(|(_, side)| side.name == topic)?;
+    node.sides().iter().find(|side| side.name == name).map(|side| side.kind)
+}
+
+fn list(running: &RunningPipeline) -> anyhow::Result<()> {
+    let mut table = Table::new(&["TOPIC", "KIND", "WRITER", "Hz", "MB/s", "READERS"]);
+    for (topic, activity) in activities(running, None)? {
+        let kind = kind_of(&running.plan, &topic.name).map_or("?", Kind::name);
+        let names = [&topic.name, kind, &activity.writer].map(str::to_owned);
+        let figures = [activity.rate_hz, activity.bandwidth_mbps].map(|figure| format!("{figure:.2}"));
+        table.row(names.into_iter().chain(figures).chain([readers(topic)]));
+    }
+    write!(stdout(), "{table}")?;
+    Ok(())
+}
+
+fn readers(topic: &Topic) -> String {
+    let readers = topic.readers.iter().map(|reader| {
+        let delivery = if reader.delivery == Delivery::Lossless { "lossless" } else { "latest" };
+        format!("{} ({delivery}, queue {})", reader.stage, reader.queue)
+    });
+    readers.collect::<Vec<_>>().join(", ")
+}
+
+/// What the writers of one topic, or of all, do in the second to come.
+fn activities<'a>(running: &'a RunningPipeline, only: Option<&str>) -> anyhow::Result<Vec<(&'a Topic, TopicActivity)>> {
+    let before = observe()?;
+    sleep(PERIOD);
+    let seen = observe()?.since(&before);
+    let own = |seen: &PipelineActivity| seen.pipeline == running.plan.pipeline;
+    let written = seen.into_iter().filter(own).flat_map(|seen| seen.topics);
+    let wanted = written.filter(|activity| only.is_none_or(|name| activity.topic == name));
+    Ok(wanted.filter_map(|activity| Some((running.topic(&activity.topic)?, activity))).collect())
+}
+
+/// Prints a line per second and writer, until there are enough or the pipeline has ended.
+fn each_second(arguments: &TopicArguments, line: fn(&TopicActivity) -> String) -> anyhow::Result<()> {
+    let running = arguments.of.find()?;
+    let topic = find_topic(&running, &arguments.topic)?;
+    let mut left = arguments.count.unwrap_or(u64::MAX);
+    while left > 0 && running.still_runs() {
+        for (_, activity) in activities(&running, Some(&topic.name))? {
+            let writer = if topic.writers.len() > 1 { format!(" from {}", activity.writer) } else { String::new() };
+            writeln!(stdout(), "{}{writer}: {}", topic.name, line(&activity))?;
+        }
+        left -= 1;
+    }
+    Ok(())
+}
+
+fn rate_line(activity: &TopicActivity) -> String {
+    let time = |time: Option<f64>| time.map_or_else(|| "-".to_owned(), |time| format!("{time:.2} ms"));
+    let [min, max, std] = [activity.interval_min_ms, activity.interval_max_ms, activity.interval_std_ms].map(time);
+    format!("{:.2} Hz, interval min {min}, max {max}, std {std}", activity.rate_hz)
+}
+
+fn bandwidth_line(activity: &TopicActivity) -> String {
+    format!("{:.3} MB/s, {:.2} Hz", activity.bandwidth_mbps, activity.rate_hz)
+}
+
+fn echo(arguments: &TopicArguments) -> anyhow::Result<()> {
+    let running = arguments.of.find()?;
+    let topic = find_topic(&running, &arguments.topic)?;
+    match kind_of(&running.plan, &topic.name) {
+        Some(Kind::Depth) => echo_lines::<u16>(&running, topic, arguments.count, image_line),
+        Some(Kind::Ellipses) => echo_lines::<Ellipse>(&running, topic, arguments.count, list_line),
+        Some(Kind::Objects) => echo_lines::<Object>(&running, topic, arguments.count, list_line),
+        Some(Kind::Tracks) => echo_lines::<Track>(&running, topic, arguments.count, list_line),
+        Some(Kind::Nothing) | None => bail!(
+            "nothing tells what topic `{}` carries\n  hint: only programs write and read it; let a json_sink read it too",
+            topic.name
+        ),
+    }
+}
+
+fn echo_lines<T: Item>(
+    running: &RunningPipeline,
+    topic: &Topic,
+    count: Option<u64>,
+    line: fn(&Message<'_, T>) -> serde_json::Result<Vec<u8>>,
+) -> anyhow::Result<()> {
+    let mut left = count.unwrap_or(u64::MAX);
+    running.watch::<T, anyhow::Error>(topic, |message| {
+        let mut text = line(&message)?;
+        text.push(b'\n');
+        stdout().write_all(&text)?;
+        stdout().flush()?;
+        left -= 1;
+        Ok(if left == 0 { Watching::Enough } else { Watching::GoOn })
+    })
+}
+
+fn list_line<T: ToJson>(message: &Message<'_, T>) -> serde_json::Result<Vec<u8>> {
+    serde_json::to_vec(&Line { message: *message, latency_ms: latency_ms(message.header, monotonic_ns()) })
+}
+
+/// An image in brief: its size, how many pixels measured something, and the median of those in metres.
+fn image_line(message: &Message<'_, u16>) -> serde_json::Result<Vec<u8>> {
+    let header = message.header;
+    let mut measured: Vec<u16> =
+        message.items.iter().copied().filter(|depth| !matches!(*depth, 0 | u16::MAX)).collect();
+    let middle = measured.len() / 2;
+    let median = (!measured.is_empty()).then(|| *measured.select_nth_unstable(middle).1);
+    serde_json::to_vec(&json!({
+        "sequence": header.sequence,
+        "source": header.source.as_str().unwrap_or_default(),
+        "stamp_ns": header.stamp_ns,
+        "latency_ms": latency_ms(header, monotonic_ns()),
+        "depth": {
+            "width": header.camera.width,
+            "height": header.camera.height,
+            "measured": measured.len(),
+            "median_m": median.map(|depth| f64::from(depth) * header.depth_scale),
+        },
+    }))
+}

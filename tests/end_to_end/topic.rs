@@ -1,0 +1,170 @@
+//! `conicflow topic`: who looks on sees all there is, and those that work do not notice, whatever becomes of who looks on.
+
+use crate::support::{Ended, Playground, Started, TRACKING, TRACKING_STAGES, signal};
+use rustix::process::Signal;
+use serde_json::Value as Json;
+use std::io::{BufRead, BufReader};
+use std::process::ChildStdout;
+
+/// A run of [`TRACKING`] at this rate, until it is told to end.
+fn start(playground: &Playground, rate_hz: &str) -> Started {
+    let rate = format!("source.rate_hz={rate_hz}");
+    let mut run = playground.start(&["run", "--set", &rate]);
+    run.wait_until("it delivers", || !playground.lines("tracks.jsonl").is_empty());
+    run
+}
+
+/// `topic echo`, when its first line has come.
+fn echo(playground: &Playground, topic: &str) -> (Started, BufReader<ChildStdout>) {
+    let (echo, mut output) = Started::piped(playground.command(&["topic", "echo", topic]));
+    let mut line = String::new();
+    output.read_line(&mut line).unwrap();
+    assert!(line.starts_with("{\"sequence\":"), "{line}: {}", echo.stderr());
+    (echo, output)
+}
+
+/// Ends a run and makes sure that each stage worked on every frame that was made.
+fn end_without_loss(run: Started, playground: &Playground) -> Ended {
+    signal(run.id(), Signal::INT);
+    let ended = run.wait().expect_code(0);
+    let made = ended.stage("source").messages;
+    assert!(made > 50, "{made} frames show little");
+    for stage in TRACKING_STAGES {
+        assert_eq!(ended.stage(stage).messages, made, "{stage}: {}", ended.stderr);
+        assert_eq!(ended.stage(stage).starts, 1, "{stage}: {}", ended.stderr);
+    }
+    assert!(playground.sequences("tracks.jsonl").into_iter().eq(0..made), "not every frame was delivered");
+    ended
+}
+
+#[test]
+fn echo_prints_what_the_sink_writes_and_ends_with_the_run() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let run = start(&playground, "50");
+    let (echo, output) = echo(&playground, "tracks");
+    let seen = std::thread::spawn(move || output.lines().map(Result::unwrap).collect::<Vec<_>>());
+    playground.conicflow(&["topic", "echo", "tracks", "--count", "60"]).expect_code(0);
+    end_without_loss(run, &playground);
+    echo.wait().expect_code(0);
+    let mut written = playground.json_lines("tracks.jsonl");
+    let mut seen: Vec<Json> = seen.join().unwrap().iter().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert!(seen.len() >= 60, "{} lines", seen.len());
+    for line in written.iter_mut().chain(&mut seen) {
+        line.as_object_mut().unwrap().remove("latency_ms").unwrap();
+    }
+    for line in &seen {
+        assert_eq!(*line, written[line["sequence"].as_u64().unwrap() as usize]);
+    }
+    assert!(seen.is_sorted_by_key(|line| line["sequence"].as_u64()), "frames went back");
+}
+
+#[test]
+fn images_are_summed_up() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let _run = start(&playground, "50");
+    let ended = playground.conicflow(&["topic", "echo", "depth", "--count", "2"]).expect_code(0);
+    assert_eq!(ended.stdout.lines().count(), 2);
+    for line in ended.stdout.lines() {
+        let line: Json = serde_json::from_str(line).unwrap();
+        assert_eq!((&line["depth"]["width"], &line["depth"]["height"]), (&64.into(), &48.into()), "{line}");
+        assert!(line["depth"]["measured"].as_u64().unwrap() > 100, "{line}");
+        let median = line["depth"]["median_m"].as_f64().unwrap();
+        assert!((0.3..10.0).contains(&median), "{line}");
+    }
+}
+
+#[test]
+fn who_looks_on_and_is_stopped_or_killed_costs_nothing() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let mut run = start(&playground, "0");
+    let (stopped, _stopped_output) = echo(&playground, "depth");
+    signal(stopped.id(), Signal::STOP);
+    for topic in ["depth", "ellipses", "objects", "tracks"] {
+        let (killed, _output) = echo(&playground, topic);
+        signal(killed.id(), Signal::KILL);
+        drop(killed.wait());
+    }
+    let before = playground.lines("tracks.jsonl").len();
+    run.wait_until("hundreds of frames more came", || playground.lines("tracks.jsonl").len() > before + 300);
+    end_without_loss(run, &playground);
+    signal(stopped.id(), Signal::CONT);
+    stopped.wait().expect_code(0);
+}
+
+#[test]
+fn a_reader_of_the_output_that_goes_ends_it_without_a_word() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let _run = start(&playground, "50");
+    let (echo, output) = echo(&playground, "tracks");
+    drop(output);
+    let ended = echo.wait().expect_code(0);
+    assert_eq!(ended.stderr, "");
+}
+
+#[test]
+fn the_ninth_who_looks_on_is_told_that_there_is_no_place() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let run = start(&playground, "50");
+    let lookers: Vec<_> = (0..8).map(|_| echo(&playground, "tracks")).collect();
+    let ended = playground.conicflow(&["topic", "echo", "tracks"]).expect_code(2);
+    assert!(ended.stderr.starts_with("error: topic `tracks` has 8 onlookers already"), "{}", ended.stderr);
+    assert!(ended.stderr.contains("\n  hint: "), "{}", ended.stderr);
+    lookers.iter().for_each(|(looker, _)| signal(looker.id(), Signal::KILL));
+    lookers.into_iter().for_each(|(looker, _)| drop(looker.wait()));
+    playground.conicflow(&["topic", "echo", "tracks", "--count", "50"]).expect_code(0);
+    end_without_loss(run, &playground);
+}
+
+#[test]
+fn rates_and_bytes_are_those_that_were_sent() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let run = start(&playground, "50");
+    let hz = playground.conicflow(&["topic", "hz", "depth", "--count", "2"]).expect_code(0);
+    assert_eq!(hz.stdout.lines().count(), 2);
+    for line in hz.stdout.lines() {
+        let rate: f64 = line.strip_prefix("depth: ").unwrap().split(' ').next().unwrap().parse().unwrap();
+        assert!(rate > 0.0 && rate < 60.0, "{line}");
+        assert!([", interval min ", ", max ", ", std "].iter().all(|part| line.contains(part)), "{line}");
+    }
+    let bw = playground.conicflow(&["topic", "bw", "depth", "--count", "1"]).expect_code(0);
+    let words: Vec<_> = bw.stdout.split([' ', ',']).filter(|word| !word.is_empty()).collect();
+    let (megabytes, rate): (f64, f64) = (words[1].parse().unwrap(), words[3].parse().unwrap());
+    let per_message = megabytes * 1e6 / rate;
+    assert!((per_message / (64.0 * 48.0 * 2.0) - 1.0).abs() < 0.3, "{per_message} bytes: {}", bw.stdout);
+    end_without_loss(run, &playground);
+}
+
+#[test]
+fn the_list_tells_what_each_topic_carries_and_for_whom() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let _run = start(&playground, "50");
+    let list = playground.conicflow(&["topic", "list"]).expect_code(0);
+    let rows: Vec<Vec<_>> = list.stdout.lines().skip(1).map(|line| line.split_whitespace().collect()).collect();
+    for (row, (name, writer, reader)) in rows.iter().zip([
+        ("depth", "source", "extractor"),
+        ("ellipses", "extractor", "assembler"),
+        ("objects", "assembler", "tracker"),
+        ("tracks", "tracker", "json"),
+    ]) {
+        assert_eq!(row[..3], [name, name, writer], "{}", list.stdout);
+        assert_eq!(row[5..], [reader, "(lossless,", "queue", "4)"], "{}", list.stdout);
+    }
+    assert_eq!(rows.len(), 4, "{}", list.stdout);
+}
+
+#[test]
+fn what_is_not_there_is_told_with_a_hint() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let ended = playground.conicflow(&["topic", "list"]).expect_code(2);
+    assert_eq!(ended.stderr, "error: no pipeline runs\n  hint: start one with `conicflow run`\n");
+    let _run = start(&playground, "50");
+    let ended = playground.conicflow(&["topic", "echo", "track"]).expect_code(2);
+    let expected = "error: pipeline `tracking` has no topic `track`\n  hint: did you mean `tracks`?\n";
+    assert_eq!(ended.stderr, expected);
+    let ended = playground.conicflow(&["topic", "hz", "depth", "--pipeline", "tracing"]).expect_code(2);
+    assert!(
+        ended.stderr.ends_with("no pipeline `tracing` runs\n  hint: did you mean `tracking`?\n"),
+        "{}",
+        ended.stderr
+    );
+}
