@@ -60,7 +60,7 @@ fn main() -> Outcome<()> {
 fn compare() -> Outcome<()> {
     println!("microseconds of a hop, medians of {ROUNDS} rounds of {MESSAGES} messages");
     println!(
-        "{:>9}{:>10}{:>20}{:>20}{:>20}{:>14}",
+        "{:>9}{:>10}{:>20}{:>20}{:>20}{:>17}",
         "bytes", "copy", "socket p50/p99", "iceoryx2 p50/p99", "topic p50/p99", "topic/iceoryx2"
     );
     for bytes in SIZES {
@@ -75,7 +75,7 @@ fn compare() -> Outcome<()> {
         let [topic, bare, socket] = rounds.each_ref().map(|rounds| [0, 1].map(|column| median(rounds, column)));
         let pair = |[p50, p99]: [f64; 2]| format!("{p50:.1} / {p99:.1}");
         let (copy, ratio) = (median(&copies, 0), topic[0] / bare[0]);
-        println!("{bytes:>9}{copy:>10.1}{:>20}{:>20}{:>20}{ratio:>14.2}", pair(socket), pair(bare), pair(topic));
+        println!("{bytes:>9}{copy:>10.1}{:>20}{:>20}{:>20}{ratio:>17.2}", pair(socket), pair(bare), pair(topic));
     }
     Ok(())
 }
