@@ -1,8 +1,10 @@
 use super::*;
 use crate::row_ellipse_extractor::rendered::{Body, KINECT_HALF, render};
 use crate::row_ellipse_extractor::{RowEllipseConfig, RowEllipseExtractor};
+use conicflow_dataflow::Config;
 use conicflow_geometry::Vector3;
 use conicflow_messages::{Camera, Item, NoiseModel, ObjectKind};
+use std::path::Path;
 
 const KINECT: Camera = Camera { width: 640, height: 480, fx: 580.0, fy: 580.0, cx: 319.5, cy: 239.5 };
 
