@@ -3,6 +3,7 @@
 use crate::NODES;
 use crate::experiment::{Experiment, Results, Rows, Variation};
 use crate::node_help;
+use crate::swap::{self, SwapArguments};
 use crate::top;
 use crate::topic::{self, TopicCommand};
 use anyhow::{Context, anyhow, bail};
@@ -65,6 +66,8 @@ enum Command {
     /// Look at the topics of a running pipeline, with no change to it
     #[command(subcommand)]
     Topic(TopicCommand),
+    /// Replace a stage of a running pipeline, with other parameters or another node; the others notice nothing
+    Swap(SwapArguments),
     /// List the built-in nodes, or the parameters of one
     Nodes {
         /// Name of a node
@@ -124,6 +127,7 @@ fn dispatch(command: Command) -> anyhow::Result<ExitCode> {
         }
         Command::Top { once } => top::top(once).map(|()| ExitCode::SUCCESS),
         Command::Topic(command) => topic::topic(&command).map(|()| ExitCode::SUCCESS),
+        Command::Swap(arguments) => swap::swap(&arguments).map(|()| ExitCode::SUCCESS),
         Command::Nodes { name } => {
             write!(stdout(), "{}", node_help::nodes(name.as_deref())?)?;
             Ok(ExitCode::SUCCESS)

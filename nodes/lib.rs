@@ -24,6 +24,7 @@ pub mod picture_sink;
 pub mod command_line;
 pub mod experiment;
 mod node_help;
+mod swap;
 mod top;
 mod topic;
 

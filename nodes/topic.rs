@@ -75,7 +75,8 @@ fn is_broken_pipe(error: &anyhow::Error) -> bool {
 }
 
 impl PipelineName {
-    fn find(&self) -> anyhow::Result<RunningPipeline> {
+    /// The pipeline of this name, or the only one that runs.
+    pub(crate) fn find(&self) -> anyhow::Result<RunningPipeline> {
         let mut running = RunningPipeline::all()?;
         let names: Vec<_> = running.iter().map(|running| running.plan.pipeline.clone()).collect();
         if names.is_empty() {

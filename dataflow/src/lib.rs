@@ -28,11 +28,11 @@ pub use bridge::{EdgeReport, LinkReport};
 pub use clock::monotonic_ns;
 pub use launcher::{
     FolderError, LaunchError, PIPELINE, ProcessError, RUNTIME_DIR, RunFolder, RunLock, RunOptions, StageSummary,
-    Summary, link_table, run, run_in_run, run_planned, run_source, run_stage,
+    Summary, SwapError, link_table, run, run_in_run, run_planned, run_source, run_stage,
 };
 pub use node::{Node, Variant};
 pub use observe::{InputActivity, Observation, PipelineActivity, StageActivity, TopicActivity, observe};
-pub use plan::{Plan, PlannedStage, Runs};
+pub use plan::{Origin, Plan, PlannedStage, Runs};
 pub use runner::RunError;
 pub use sides::{AnyMessage, Pick, Side, Sides};
 pub use stage::{Config, ConfigFault, Context, Next, NoConfig, Output, Source, Stage, StageError, Stop};

@@ -3,7 +3,8 @@
 //! The launcher writes it once; all stages of a run read the same plan, whatever becomes of the pipeline file meanwhile.
 
 use crate::bridge::{BRIDGE, BridgePlan};
-use crate::pipeline::{Pipeline, Program, Restart, StageSpec};
+use crate::node::Node;
+use crate::pipeline::{Pipeline, Program, Report, Restart, SourceText, StageSpec};
 use crate::ports::Wiring;
 use conicflow_messages::Kind;
 use serde::{Deserialize, Serialize};
@@ -21,10 +22,25 @@ pub struct Plan {
     pub run: u64,
     /// The stages, in the order of the file.
     pub stages: Vec<PlannedStage>,
+    /// What it was made of.
+    pub origin: Origin,
+}
+
+/// What a plan was made of, so that one stage can be changed while the others run, and checked like the file was.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Origin {
+    /// The pipeline file.
+    pub source: SourceText,
+    /// What was set beside it, as `STAGE.KEY=VALUE`.
+    pub overrides: Vec<String>,
+    /// The machine whose stages are in the plan; all where there is one.
+    pub machine: Option<String>,
+    /// Sources end after so many messages.
+    pub frames: Option<u64>,
 }
 
 /// The plan of one stage.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PlannedStage {
     /// Its name.
     pub name: String,
@@ -41,7 +57,7 @@ pub struct PlannedStage {
 }
 
 /// What a stage runs.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Runs {
     /// The variant of a built-in node that takes the kind of message called `input`.
@@ -76,7 +92,25 @@ impl Plan {
         let stages = pipeline.stages.iter().filter(here);
         let mut stages: Vec<_> = stages.map(|stage| PlannedStage::of(pipeline, stage, machine, frames)).collect();
         stages.extend(machine.and_then(|machine| BridgePlan::of(pipeline, machine)).map(PlannedStage::bridge));
-        Self { pipeline: pipeline.name.clone(), base: pipeline.base.clone(), run, stages }
+        let (source, overrides) = pipeline.source.clone();
+        let origin = Origin { source, overrides, machine: machine.map(str::to_owned), frames };
+        Self { pipeline: pipeline.name.clone(), base: pipeline.base.clone(), run, stages, origin }
+    }
+
+    /// The plan of the same run with further things set, as `STAGE.KEY=VALUE`; the report holds warnings.
+    ///
+    /// # Errors
+    /// All that is wrong with it then, at once.
+    pub fn with(&self, further: &[String], nodes: &[Node]) -> Result<(Self, Report), Report> {
+        let Origin { source, overrides, machine, frames } = &self.origin;
+        let overrides = [overrides.as_slice(), further].concat();
+        let (pipeline, warnings) = Pipeline::read(source.clone(), &self.base, &overrides, nodes)?;
+        Ok((Self::of(&pipeline, machine.as_deref(), *frames, self.run), warnings))
+    }
+
+    /// The stages that run something else, or are joined otherwise, in another plan.
+    pub fn stages_unlike<'a>(&'a self, other: &'a Self) -> impl Iterator<Item = &'a PlannedStage> {
+        self.stages.iter().filter(|stage| other.stage(&stage.name) != Some(stage))
     }
 
     /// The plan of one stage.

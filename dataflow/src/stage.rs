@@ -12,7 +12,7 @@ use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU8, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 use std::time::{Duration, Instant};
 
 /// Why a stage could not start or go on; its text says what, where and, after `hint:`, what to do.
@@ -72,7 +72,13 @@ impl Context {
 
 /// A flag that is raised when the run is to end: in order, or at once.
 #[derive(Clone, Debug, Default)]
-pub struct Stop(Arc<AtomicU8>);
+pub struct Stop(Arc<Flags>);
+
+#[derive(Debug, Default)]
+struct Flags {
+    end: AtomicU8,
+    leave: AtomicBool,
+}
 
 const IN_ORDER: u8 = 1;
 const AT_ONCE: u8 = 2;
@@ -80,22 +86,32 @@ const AT_ONCE: u8 = 2;
 impl Stop {
     /// Whether the run is to end.
     pub fn requested(&self) -> bool {
-        self.0.load(Ordering::Relaxed) >= IN_ORDER
+        self.0.end.load(Ordering::Relaxed) >= IN_ORDER
     }
 
     /// Whether it is to end at once: nobody waits any more.
     pub fn forced(&self) -> bool {
-        self.0.load(Ordering::Relaxed) >= AT_ONCE
+        self.0.end.load(Ordering::Relaxed) >= AT_ONCE
     }
 
     /// Ends the run in order: no new frames, and those under way are finished.
     pub fn request(&self) {
-        self.0.fetch_max(IN_ORDER, Ordering::Relaxed);
+        self.0.end.fetch_max(IN_ORDER, Ordering::Relaxed);
     }
 
     /// Ends the run at once.
     pub fn force(&self) {
-        self.0.fetch_max(AT_ONCE, Ordering::Relaxed);
+        self.0.end.fetch_max(AT_ONCE, Ordering::Relaxed);
+    }
+
+    /// Whether this stage is to leave its place to another process.
+    pub(crate) fn leaving(&self) -> bool {
+        self.0.leave.load(Ordering::Relaxed)
+    }
+
+    /// Asks this stage to leave its place to another process; the run goes on.
+    pub(crate) fn leave(&self) {
+        self.0.leave.store(true, Ordering::Relaxed);
     }
 }
 

@@ -283,10 +283,19 @@ impl StatusFile {
     pub fn open(path: &Path, run: u64) -> io::Result<Self> {
         let earlier = Status::read(path).filter(|status| status.run == run && run != NO_RUN);
         let status = earlier.unwrap_or_default();
-        let file = OpenOptions::new().create(true).truncate(false).write(true).open(path)?;
+        let file = OpenOptions::new().create(true).truncate(false).read(true).write(true).open(path)?;
         let mut status = Box::new(status);
         status.run = run;
         Ok(Self { status, file: Some(file) })
+    }
+
+    /// Takes over what another process of the same stage has written since this one opened the file.
+    pub(crate) fn reload(&mut self) {
+        let mut status = Status::zeroed();
+        let read = self.file.as_ref().map(|file| file.read_exact_at(bytemuck::bytes_of_mut(&mut status), 0));
+        if matches!(read, Some(Ok(()))) && status.layout == LAYOUT && status.run == self.status.run {
+            *self.status = status;
+        }
     }
 
     /// Makes the record seen by others. A file that cannot be written (a full disk) only hides the counts.

@@ -2,7 +2,7 @@
 //!
 //! A watcher sleeps between looks instead of being woken, so that a writer does nothing for it but pass it a pointer.
 
-use crate::launcher::{FolderError, RunFolder};
+use crate::launcher::{FolderError, RunFolder, SwapError};
 use crate::plan::Plan;
 use crate::ports::shared_memory::{SharedMemory, SharedTap};
 use crate::ports::{PortError, Received, Topic};
@@ -108,6 +108,14 @@ impl RunningPipeline {
         let memory = SharedMemory::open(self.folder.shared_memory(), &self.plan.pipeline, "(tap)", Stop::default())?;
         let tap = memory.tap::<T>(topic)?;
         Ok((memory, tap))
+    }
+
+    /// Replaces `stage` by what stands in `plan`, which differs from the plan of this run in nothing else.
+    ///
+    /// # Errors
+    /// Why it was not; the stage that was to be replaced is at work then.
+    pub fn swap(&self, stage: &str, plan: Plan) -> Result<(), SwapError> {
+        self.folder.ask_for_swap(stage, plan)
     }
 
     /// Whether this run has not ended yet.

@@ -15,5 +15,7 @@ mod outside_stage;
 mod processes;
 mod run;
 mod support;
+#[cfg(target_os = "linux")]
+mod swap;
 mod topic;
 mod validate;

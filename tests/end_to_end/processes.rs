@@ -15,13 +15,13 @@ fn start(playground: &Playground, more: &[&str]) -> Started {
 }
 
 /// Waits until a run delivers more than it has so far.
-fn wait_for_lines(run: &mut Started, playground: &Playground) {
+pub fn wait_for_lines(run: &mut Started, playground: &Playground) {
     let before = playground.lines("tracks.jsonl").len();
     run.wait_until("it delivers", || playground.lines("tracks.jsonl").len() > before + 3);
 }
 
 /// The processes of a launcher's stages, by their names.
-fn stages_of(launcher: u32) -> BTreeMap<String, u32> {
+pub fn stages_of(launcher: u32) -> BTreeMap<String, u32> {
     let children = processes().filter(|process| parent(*process) == Some(launcher));
     children.filter_map(|process| Some((environment(process, "CONICFLOW_STAGE")?, process))).collect()
 }
@@ -224,7 +224,7 @@ restart = "always"
 }
 
 /// The files in shared memory that a process uses, but for one of 16 bytes that all runs on a machine share.
-fn shared_files(process: u32) -> BTreeSet<PathBuf> {
+pub fn shared_files(process: u32) -> BTreeSet<PathBuf> {
     let maps = fs::read_to_string(format!("/proc/{process}/maps")).unwrap_or_default();
     let paths =
         maps.lines().filter_map(|line| line.find("/dev/shm/conicflow_").map(|start| PathBuf::from(&line[start..])));

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// What the bridge of one machine carries.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BridgePlan {
     /// The machine's name.
     pub machine: String,
@@ -21,7 +21,7 @@ pub struct BridgePlan {
 }
 
 /// What one machine writes into a topic that others read.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Edge {
     /// The topic, as the stages of the machine that this plan is for see it.
     pub topic: Topic,

@@ -52,22 +52,36 @@ impl Supervised {
         Ok(stage)
     }
 
-    /// Every stage gets a process group of its own, so that Ctrl-C reaches the launcher alone, which ends them in order.
     fn spawn(&mut self, plan: &Plan, program: &Path) -> Result<(), ProcessError> {
-        let spawned = Command::new(program)
-            .args(["node", &self.planned.name])
-            .env(PIPELINE, &plan.pipeline)
-            .env(STAGE, &self.planned.name)
-            .env(LAUNCHER, std::process::id().to_string())
-            .envs(self.planned.env.iter().map(|(key, value)| (key, value)))
-            .stdin(Stdio::null())
-            .process_group(0)
-            .spawn();
+        let spawned = command(&self.planned, plan, program).spawn();
         self.state = State::Running(spawned.map_err(|error: io::Error| ProcessError::System {
             doing: format!("stage `{}` cannot be started", self.planned.name),
             error,
         })?);
         Ok(())
+    }
+
+    /// Its process, if there is one.
+    pub(crate) fn process(&self) -> Option<u32> {
+        if let State::Running(child) = &self.state { Some(child.id()) } else { None }
+    }
+
+    /// Its process, if that has ended; what follows from it is for the one who asks, or for the next look.
+    pub(crate) fn exit(&mut self) -> Option<u32> {
+        let State::Running(child) = &mut self.state else { return None };
+        let ended = !matches!(child.try_wait(), Ok(None));
+        ended.then(|| child.id())
+    }
+
+    /// Gives its place to another process, which is there already.
+    pub(crate) fn take(&mut self, child: Child) {
+        self.state = State::Running(child);
+    }
+
+    /// Starts it anew at the next look, as `planned`.
+    pub(crate) fn come_back(&mut self, planned: PlannedStage) {
+        self.planned = planned;
+        self.state = State::Waiting { until: Instant::now() };
     }
 
     /// Whether nothing of it runs, or is going to.
@@ -179,6 +193,21 @@ impl Supervised {
         settle(folder, plan, &self.planned.name, Life::Gone);
         change
     }
+}
+
+/// What starts a stage. Each gets a process group of its own, so that Ctrl-C reaches the launcher alone, which ends them in
+/// order.
+pub(crate) fn command(planned: &PlannedStage, plan: &Plan, program: &Path) -> Command {
+    let mut command = Command::new(program);
+    command
+        .args(["node", &planned.name])
+        .env(PIPELINE, &plan.pipeline)
+        .env(STAGE, &planned.name)
+        .env(LAUNCHER, std::process::id().to_string())
+        .envs(planned.env.iter().map(|(key, value)| (key, value)))
+        .stdin(Stdio::null())
+        .process_group(0);
+    command
 }
 
 /// Makes it known to the other stages that one will not come back.

@@ -12,6 +12,9 @@ use std::time::{Duration, Instant};
 /// Environment variable: the user's folder, where the default does not suit.
 pub const RUNTIME_DIR: &str = "CONICFLOW_RUNTIME_DIR";
 
+/// Name of the plan's file.
+const PLAN: &str = "plan.json";
+
 /// Stages end by themselves within this time after their launcher was killed.
 const LAST_STAGES_GRACE: Duration = Duration::from_secs(5);
 
@@ -183,13 +186,20 @@ impl RunFolder {
     pub fn begin(&self, plan: &Plan) -> Result<(), FolderError> {
         let fault = |error| FolderError::Io { path: self.path.clone(), error };
         for entry in fs::read_dir(&self.path).map_err(fault)?.flatten() {
-            if entry.path().extension().is_some_and(|extension| extension == "status") {
+            let ends = ["status", "first", "last", "request", "answer", "new"];
+            if entry.path().extension().is_some_and(|extension| ends.iter().any(|end| extension == *end)) {
                 fs::remove_file(entry.path()).map_err(fault)?;
             }
         }
-        let path = self.plan_path();
-        let text = serde_json::to_vec_pretty(plan).map_err(|error| FolderError::Plan { path: path.clone(), error })?;
-        fs::write(&path, text).map_err(|error| FolderError::Io { path, error })
+        self.write_plan(plan)
+    }
+
+    /// Writes the plan that stages read when they start.
+    ///
+    /// # Errors
+    /// The folder cannot be written.
+    pub(crate) fn write_plan(&self, plan: &Plan) -> Result<(), FolderError> {
+        self.write_whole(PLAN, plan)
     }
 
     /// Reads the plan of the run.
@@ -203,7 +213,7 @@ impl RunFolder {
     }
 
     fn plan_path(&self) -> PathBuf {
-        self.path.join("plan.json")
+        self.path.join(PLAN)
     }
 }
 

@@ -7,10 +7,13 @@ mod child;
 mod folder;
 mod process;
 mod progress;
+mod request;
 mod summary;
+mod swap;
 
 pub use folder::{FolderError, RUNTIME_DIR, RunFolder, RunLock};
 pub use process::{PIPELINE, ProcessError, run_in_run, run_planned, run_source, run_stage};
+pub use request::SwapError;
 pub use summary::{StageSummary, Summary, link_table};
 
 use crate::plan::Plan;
@@ -25,8 +28,11 @@ use signal_hook::iterator::Signals;
 use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
+use swap::{Place, Swap};
 
 const LOOK: Duration = Duration::from_millis(100);
+/// How often the launcher looks while a stage is being replaced.
+const LOOK_AT_SWAP: Duration = Duration::from_millis(2);
 /// An ending run in which nothing is delivered any more for this long is ended at once.
 const DELIVERY_GRACE: Duration = Duration::from_secs(5);
 /// Stages that were told to end at once are killed after this time.
@@ -70,10 +76,11 @@ pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
     clean_shared_memory(&folder, plan)?;
     folder.begin(plan)?;
     let mut launcher = Launcher {
-        plan,
+        plan: plan.clone(),
         folder,
         options,
         stages: Vec::new(),
+        swap: None,
         signals: signals()?,
         phase: Phase::Running,
         lost: false,
@@ -81,6 +88,7 @@ pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
         started: Instant::now(),
     };
     let ended = launcher.supervise();
+    launcher.swap.take().into_iter().for_each(|swap| swap.abandon(&launcher.folder));
     launcher.stages.iter_mut().for_each(Supervised::kill);
     ended?;
     clean_shared_memory(&launcher.folder, plan)?;
@@ -110,10 +118,11 @@ enum Phase {
 }
 
 struct Launcher<'a> {
-    plan: &'a Plan,
+    plan: Plan,
     folder: RunFolder,
     options: &'a RunOptions,
     stages: Vec<Supervised>,
+    swap: Option<Swap>,
     signals: Receiver<i32>,
     phase: Phase,
     lost: bool,
@@ -124,10 +133,11 @@ struct Launcher<'a> {
 impl Launcher<'_> {
     fn supervise(&mut self) -> Result<(), LaunchError> {
         for planned in &self.plan.stages {
-            self.stages.push(Supervised::start(planned.clone(), self.plan, &self.options.program)?);
+            self.stages.push(Supervised::start(planned.clone(), &self.plan, &self.options.program)?);
         }
         while !self.stages.iter().all(Supervised::is_over) {
             self.wait_for_events();
+            self.replace()?;
             self.look_at_stages()?;
             self.press();
             self.progress.show(&self.summary());
@@ -138,7 +148,8 @@ impl Launcher<'_> {
 
     /// Sleeps until a signal comes or a look is due; each request to end presses harder than the one before.
     fn wait_for_events(&mut self) {
-        match self.signals.recv_timeout(LOOK) {
+        let look = if self.swap.is_some() { LOOK_AT_SWAP } else { LOOK };
+        match self.signals.recv_timeout(look) {
             Ok(SIGCHLD) | Err(RecvTimeoutError::Timeout) => {}
             Ok(_) | Err(RecvTimeoutError::Disconnected) => match self.phase {
                 Phase::Running => self.stop_sources(),
@@ -148,11 +159,27 @@ impl Launcher<'_> {
         }
     }
 
+    /// Goes on with the swap that is under way, or begins one that was asked for.
+    fn replace(&mut self) -> Result<(), LaunchError> {
+        let Self { plan, folder, options, stages, swap, phase, .. } = self;
+        let mut place = Place { plan, folder, program: &options.program, phase: *phase };
+        if let Some(request) = place.folder.take_request_if(swap.is_none()) {
+            *swap = Swap::begin(request, stages, &mut place)?;
+        } else if let Some(under_way) = swap.take()
+            && let Some(stage) = stages.iter_mut().find(|stage| stage.planned.name == under_way.stage())
+        {
+            *swap = under_way.go_on(stage, &mut place)?;
+        }
+        Ok(())
+    }
+
     fn look_at_stages(&mut self) -> Result<(), LaunchError> {
         let ending = !matches!(self.phase, Phase::Running);
         let mut lost = false;
-        for stage in &mut self.stages {
-            lost |= stage.look(self.plan, &self.folder, &self.options.program, ending)? == Change::Lost;
+        let swap = self.swap.as_ref();
+        let leaving = swap.filter(|swap| swap.decides_about_exit()).map(|swap| swap.stage().to_owned());
+        for stage in self.stages.iter_mut().filter(|stage| leaving.as_ref() != Some(&stage.planned.name)) {
+            lost |= stage.look(&self.plan, &self.folder, &self.options.program, ending)? == Change::Lost;
         }
         self.lost |= lost;
         if lost && !ending {
@@ -212,7 +239,7 @@ impl Launcher<'_> {
 
     fn summary(&self) -> Summary {
         let lost = self.lost || self.stages.iter().any(Supervised::is_gone);
-        Summary::read(self.plan, &self.folder, self.started.elapsed(), !lost)
+        Summary::read(&self.plan, &self.folder, self.started.elapsed(), !lost)
     }
 }
 

@@ -6,13 +6,13 @@ use crate::node::Node;
 use crate::plan::{Plan, PlannedStage, Runs};
 use crate::ports::PortError;
 use crate::ports::shared_memory::SharedMemory;
+use crate::runner::handover::{Handover, Successor};
 use crate::runner::peers::Peers;
 use crate::runner::{RunError, Surroundings};
 use crate::stage::{Context, Source, Stage, Stop};
-use crate::status::{Life, StatusFile};
-use conicflow_messages::Text;
-use rustix::process::{Signal, getpid, getppid, set_parent_process_death_signal};
-use signal_hook::consts::{SIGINT, SIGTERM};
+use crate::status::StatusFile;
+use rustix::process::{Signal, getppid, set_parent_process_death_signal};
+use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1};
 use signal_hook::iterator::Signals;
 use std::io;
 use std::os::unix::process::CommandExt;
@@ -175,8 +175,11 @@ fn surroundings(
 ) -> Result<Surroundings<SharedMemory>, ProcessError> {
     let lock = Some(folder.join()?);
     let stop = Stop::default();
-    listen_for_signals(stop.clone())?;
+    listen_for_signals(stop.clone(), planned.is_source())?;
     let transport = SharedMemory::open(folder.shared_memory(), &plan.pipeline, &planned.name, stop.clone());
+    let handover = Handover::of(folder.path(), &planned.name);
+    let successor = Successor::from_environment(&handover);
+    let successor = successor.map_err(|error| system("the launcher cannot be spoken with", error))?;
     let path = folder.status(&planned.name);
     let record = StatusFile::open(&path, plan.run).map_err(|error| FolderError::Io { path, error })?;
     let context = Context { stage: planned.name.clone(), base: plan.base.clone(), resume_at: 0, stop };
@@ -187,26 +190,34 @@ fn surroundings(
         context,
         peers,
         record,
+        handover: Some(handover),
+        successor,
         lock,
     };
-    let status = &mut around.record.status;
-    status.process = getpid().as_raw_nonzero().get().unsigned_abs();
-    status.stage = Text::new(&planned.name);
-    status.starts += 1;
-    status.set_life(Life::Starting);
-    around.record.write();
+    // The record is that of the predecessor until its successor's turn comes.
+    if around.successor.is_none() {
+        around.enter();
+    }
     Ok(around)
 }
 
-/// SIGINT ends the stage in order, SIGTERM at once; the thread that listens sees to the latter.
-fn listen_for_signals(stop: Stop) -> Result<(), ProcessError> {
-    let fault = |error| ProcessError::System { doing: "signals cannot be received".to_owned(), error };
-    let mut signals = Signals::new([SIGINT, SIGTERM]).map_err(fault)?;
+fn system(doing: &str, error: io::Error) -> ProcessError {
+    ProcessError::System { doing: doing.to_owned(), error }
+}
+
+/// SIGINT ends the stage in order, SIGTERM at once; the thread that listens sees to the latter. SIGUSR1 makes it leave its
+/// place to another process; a source then makes no further message.
+fn listen_for_signals(stop: Stop, is_source: bool) -> Result<(), ProcessError> {
+    let fault = |error| system("signals cannot be received", error);
+    let mut signals = Signals::new([SIGINT, SIGTERM, SIGUSR1]).map_err(fault)?;
     let listen = move || {
         for signal in signals.forever() {
-            if signal == SIGINT {
+            if signal == SIGUSR1 {
+                stop.leave();
+            }
+            if signal == SIGINT || (signal == SIGUSR1 && is_source) {
                 stop.request();
-            } else {
+            } else if signal == SIGTERM {
                 stop.force();
                 std::thread::sleep(LAST_GRACE);
                 std::process::exit(128 + SIGTERM);

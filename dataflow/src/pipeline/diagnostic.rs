@@ -1,11 +1,12 @@
 //! What is wrong with a pipeline file: where, what, and what to do about it.
 
+use serde::{Deserialize, Serialize};
 use std::fmt::{self, Display};
 use std::ops::Range;
 use std::sync::Arc;
 
 /// A text that a pipeline comes from: the file, or one `--set`.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SourceText {
     /// Its name in messages.
     pub name: String,

@@ -36,6 +36,8 @@ pub struct Pipeline {
     pub stages: Vec<StageSpec>,
     /// What the file says under `experiment`; it is for whoever runs the pipeline, none of the stages see it.
     pub experiment: Option<Json>,
+    /// The text that it was read from, and what was set beside it.
+    pub source: (SourceText, Vec<String>),
 }
 
 /// A machine of a pipeline that spans several.
@@ -141,7 +143,8 @@ impl Pipeline {
         for text in overrides {
             value::apply_override(&mut document, text, &mut faults);
         }
-        let pipeline = read::pipeline(document, &source, base, nodes, &mut faults);
+        let mut pipeline = read::pipeline(document, &source, base, nodes, &mut faults);
+        pipeline.source = (SourceText::clone(&source), overrides.to_vec());
         check::connections(&pipeline, &mut faults);
         let report = Report::in_order(faults);
         if report.has_errors() { Err(report) } else { Ok((pipeline, report)) }

@@ -52,7 +52,8 @@ pub(super) fn pipeline(
         reader.no_stages(&document, &start);
         Vec::new()
     });
-    Pipeline { name, base: base.to_owned(), machines, stages, experiment }
+    let source = Default::default();
+    Pipeline { name, base: base.to_owned(), machines, stages, experiment, source }
 }
 
 /// What the file says of an input.

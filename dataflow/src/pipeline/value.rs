@@ -7,6 +7,9 @@ use std::sync::Arc;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
+/// Keys of a stage that stay when another node takes the place of its own.
+const KEYS_OF_ANY_STAGE: [&str; 6] = ["input", "inputs", "output", "machine", "restart", "env"];
+
 /// A value and its place.
 #[derive(Clone, Debug)]
 pub(crate) struct Value {
@@ -68,7 +71,24 @@ impl Table {
     }
 }
 
+impl Table {
+    /// Takes the parameters of a stage's node away, where another is to take its place: they mean nothing to that.
+    fn forget_other_node(&mut self, stage: &str, node: &str) {
+        let stages = self.0.iter_mut().filter(|entry| entry.key == "stage").flat_map(|entry| entry.value.table_mut());
+        let stage = stages.flat_map(|stages| &mut stages.0).find(|entry| entry.key == stage);
+        let Some(keys) = stage.and_then(|entry| entry.value.table_mut()) else { return };
+        let same = keys.get("node").is_some_and(|entry| entry.value.as_str() == Some(node));
+        if !same {
+            keys.0.retain(|entry| KEYS_OF_ANY_STAGE.contains(&entry.key.as_str()));
+        }
+    }
+}
+
 impl Value {
+    fn table_mut(&mut self) -> Option<&mut Table> {
+        if let Content::Table(table) = &mut self.content { Some(table) } else { None }
+    }
+
     /// The word for what it holds.
     pub(crate) fn type_name(&self) -> &'static str {
         match self.content {
@@ -197,6 +217,9 @@ pub(crate) fn apply_override(document: &mut Table, text: &str, faults: &mut Vec<
     let offset = text.len() - value.len();
     let content = override_value(&source, value);
     let place = Place { source, span: offset..text.len() };
+    if let ([_, "node"], Content::String(node)) = (path.as_slice(), &content) {
+        document.forget_other_node(stage, node);
+    }
     let full: Vec<&str> = std::iter::once("stage").chain(path.iter().copied()).collect();
     document.set(&full, &whole, Value { content, place });
 }

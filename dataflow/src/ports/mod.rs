@@ -60,7 +60,7 @@ impl Topic {
 }
 
 /// How a stage is joined to the others.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Wiring {
     /// The topic that drives it, if it is no source.
     pub input: Option<Topic>,

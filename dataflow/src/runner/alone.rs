@@ -90,8 +90,9 @@ fn run_alone<T: Item>(
 ) -> Result<Vec<Owned<T>>, RunError> {
     let mut reader = memory.reader::<T>(output, DOWNSTREAM)?;
     let record = StatusFile::nowhere();
+    let (transport, peers) = (memory.clone(), Peers::default());
     let around =
-        Surroundings { transport: memory.clone(), wiring, context, peers: Peers::default(), record, lock: None };
+        Surroundings { transport, wiring, context, peers, record, handover: None, successor: None, lock: None };
     thread::scope(|scope| {
         let running = scope.spawn(|| run(around));
         let fed = feed(&|| running.is_finished());

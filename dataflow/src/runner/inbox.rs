@@ -1,10 +1,14 @@
 //! An input of a stage: decides which of the messages that came is worked on, and counts the others.
 
+use super::handover::Mark;
 use crate::ports::{Delivery, PortError, Reader, Received};
 use crate::status::InputCounts;
 use conicflow_messages::{Header, Item, Text};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
+
+/// Less than a reader may hold.
+const MAX_OVERHEARD: usize = 12;
 
 /// Takes messages from a reader: checked, in order, the newest only where that is wanted.
 pub(crate) struct Inbox<T: Item, R: Reader<T>> {
@@ -16,6 +20,10 @@ pub(crate) struct Inbox<T: Item, R: Reader<T>> {
     last_frame: BTreeMap<Text<32>, (u64, u64)>,
     last_number: BTreeMap<Text<32>, u64>,
     counts: InputCounts,
+    /// How far this process came.
+    worked_on: Mark,
+    /// How far its predecessor came.
+    predecessor: Mark,
 }
 
 impl<T: Item, R: Reader<T>> Inbox<T, R> {
@@ -30,6 +38,8 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
             last_frame: BTreeMap::new(),
             last_number: BTreeMap::new(),
             counts: InputCounts { topic: Text::new(topic), ..InputCounts::default() },
+            worked_on: Mark::default(),
+            predecessor: Mark::default(),
         }
     }
 
@@ -42,8 +52,76 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
             }
         }
         let next = self.pending.pop_front();
-        self.counts.received += u64::from(next.is_some());
+        if let Some(message) = &next {
+            self.counts.received += 1;
+            let (header, (source, writer)) = (message.header(), ends_of_trace(message.header()));
+            self.worked_on.numbers.insert(writer, header.number);
+            self.worked_on.frames.insert(source, (header.epoch, header.sequence));
+        }
         Ok(next)
+    }
+
+    /// How far this process came.
+    pub(crate) fn worked_on(&mut self) -> &Mark {
+        self.worked_on.ended.clone_from(&self.ended);
+        &self.worked_on
+    }
+
+    /// Whether all messages before `first` were worked on, and none of them can come any more.
+    pub(crate) fn has_passed(&self, first: &Mark) -> bool {
+        first.numbers.iter().all(|(writer, first)| {
+            let seen = self.last_number.get(writer).map_or(0, |last| last + 1) >= *first;
+            let is_before =
+                |message: &R::Message| is_from(message.header(), writer) && message.header().number < *first;
+            (seen || self.ended.contains(writer.as_str().unwrap_or_default())) && !self.pending.iter().any(is_before)
+        })
+    }
+
+    /// Keeps what has come, for when this process's turn has come.
+    pub(crate) fn overhear(&mut self) -> Result<(), PortError> {
+        while self.pending.len() < MAX_OVERHEARD {
+            let Some(message) = self.reader.receive()? else { break };
+            self.pending.push_back(message);
+        }
+        Ok(())
+    }
+
+    /// Whether a message of this writer was overheard.
+    pub(crate) fn has_heard(&self, writer: &str) -> bool {
+        self.pending.iter().any(|message| is_from(message.header(), &Text::new(writer)))
+    }
+
+    /// By writer, the number of the first message that was overheard; of an end the number that would follow.
+    pub(crate) fn first_heard(&self) -> Mark {
+        let mut first = Mark::default();
+        for header in self.pending.iter().map(Received::header) {
+            let number = header.number + u64::from(header.ends_stream());
+            first.numbers.entry(ends_of_trace(header).1).or_insert(number);
+        }
+        first
+    }
+
+    /// Goes on after the last message that the predecessor has worked on, with what was overheard meanwhile.
+    pub(crate) fn begin_after(&mut self, last: Mark) {
+        self.last_number.clone_from(&last.numbers);
+        self.last_frame.clone_from(&last.frames);
+        self.ended.clone_from(&last.ended);
+        self.worked_on = last.clone();
+        self.predecessor = last;
+        for message in std::mem::take(&mut self.pending) {
+            if self.admit(&message) {
+                self.enqueue(message);
+            }
+        }
+    }
+
+    /// Whether the predecessor has worked on a message; once one is news, all that follow are.
+    fn is_known(&mut self, header: &Header, writer: Text<32>) -> bool {
+        let known = self.predecessor.numbers.get(&writer).is_some_and(|last| header.number <= *last);
+        if !known {
+            self.predecessor.numbers.remove(&writer);
+        }
+        known
     }
 
     /// Sleeps until a message may have come.
@@ -91,6 +169,9 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
             self.ended.insert(writer.to_string());
             return false;
         }
+        if self.is_known(header, writer) {
+            return false;
+        }
         self.count_lost(header, writer);
         self.in_sequence(header, source)
     }
@@ -132,6 +213,10 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
 
 fn check_items<T: Item>(header: &Header, items: &[T]) -> Result<(), conicflow_messages::Malformed> {
     if header.ends_stream() { Ok(()) } else { T::check(header, items) }
+}
+
+fn is_from(header: &Header, writer: &Text<32>) -> bool {
+    ends_of_trace(header).1 == *writer
 }
 
 /// The stage that had the frame first, and the one that wrote this message.

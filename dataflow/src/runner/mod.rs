@@ -3,6 +3,7 @@
 //! The two loops are [`source_loop`] and [`stage_loop`]; here is what they run with, and how what goes wrong is told.
 
 pub(crate) mod alone;
+pub(crate) mod handover;
 pub(crate) mod inbox;
 pub(crate) mod outlet;
 pub(crate) mod peers;
@@ -16,7 +17,8 @@ use crate::ports::{PortError, Transport, Wiring};
 use crate::sides::Side;
 use crate::stage::{Context, StageError};
 use crate::status::{Life, StatusFile};
-use conicflow_messages::{Item, Kind};
+use conicflow_messages::{Item, Kind, Text};
+use handover::{Handover, Successor};
 use outlet::Outlet;
 use peers::Peers;
 use side_ports::SidePort;
@@ -31,6 +33,10 @@ pub(crate) struct Surroundings<T> {
     pub(crate) context: Context,
     pub(crate) peers: Peers,
     pub(crate) record: StatusFile,
+    /// How it leaves its place to another process; nowhere where it is alone.
+    pub(crate) handover: Option<Handover>,
+    /// Set where this process replaces another of the same stage.
+    pub(crate) successor: Option<Successor>,
     /// Held while the stage lives, where it is a process of its own.
     pub(crate) lock: Option<File>,
 }
@@ -70,6 +76,17 @@ impl<T: Transport + 'static> Surroundings<T> {
             }
         }
         Ok(ports)
+    }
+
+    /// Writes this process into the stage's record, which goes on from where a process before it came.
+    pub(crate) fn enter(&mut self) {
+        self.record.reload();
+        let status = &mut self.record.status;
+        status.process = std::process::id();
+        status.stage = Text::new(&self.context.stage);
+        status.starts += 1;
+        status.set_life(Life::Starting);
+        self.record.write();
     }
 
     pub(crate) fn begin(&mut self, total: Option<u64>) {

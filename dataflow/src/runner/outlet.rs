@@ -56,6 +56,11 @@ impl<T: Item, W: Writer<T>> Outlet<T, W> {
         }
     }
 
+    /// Goes on where another process of the same stage left, which had sent `number` messages.
+    pub(crate) fn resume(&mut self, number: u64) {
+        self.number = number;
+    }
+
     /// A place to write a message with this header.
     pub(crate) fn place(&mut self, header: Header) -> Output<'_, T> {
         Output::new(header, &mut self.port, &mut self.list, &mut self.counts)

@@ -1,5 +1,6 @@
 //! The life of a source: it makes messages at its pace, until it has no more, has made enough, or the run ends.
 
+use super::handover::Mark;
 use super::outlet::Outlet;
 use super::side_ports::{self, SidePort};
 use super::{RunError, Surroundings, guarded, is_stopped};
@@ -25,12 +26,16 @@ pub(crate) fn run_source<S: Source, T: Transport + 'static>(
     config: S::Config,
     mut around: Surroundings<T>,
 ) -> Result<(), RunError> {
+    let (sides, mut outlet) = (around.sides(S::sides())?, around.outlet()?);
+    if !takes_place(&mut around)? {
+        return Ok(());
+    }
     around.context.resume_at = around.record.status.sent;
+    outlet.resume(around.record.status.sent);
     let source = S::new(config, &around.context).map_err(RunError::Refused)?;
     around.begin(source.total());
     let (stop, sequence) = (around.context.stop.clone(), around.context.resume_at);
     let frames = around.wiring.frames;
-    let (sides, outlet) = (around.sides(S::sides())?, around.outlet()?);
     let mut pace = Pace::new(source.rate_hz(), stop.clone());
     let mut running =
         SourceLoop::<S, T> { source, sides, outlet, record: around.record, stop, epoch: new_epoch(), sequence };
@@ -41,6 +46,18 @@ pub(crate) fn run_source<S: Source, T: Transport + 'static>(
         }
     }
     running.end()
+}
+
+/// Waits, where this process replaces another, until that is gone: a device is never opened twice. Whether its turn came.
+fn takes_place<T: Transport + 'static>(around: &mut Surroundings<T>) -> Result<bool, RunError> {
+    let Some(mut successor) = around.successor.take() else { return Ok(true) };
+    successor.is_ready(&Mark::default()).map_err(|error| RunError::Refused(error.into()))?;
+    let stop = around.context.stop.clone();
+    let turn = successor.await_turn(|| stop.forced());
+    if turn {
+        around.enter();
+    }
+    Ok(turn)
 }
 
 impl<S: Source, T: Transport> SourceLoop<S, T> {
@@ -78,10 +95,10 @@ impl<S: Source, T: Transport> SourceLoop<S, T> {
         self.record.write();
     }
 
-    /// Ends the stream; a source that was stopped at once leaves its readers waiting for its successor.
+    /// Ends the stream; a source that was stopped at once, or replaced, leaves its readers waiting for its successor.
     fn end(mut self) -> Result<(), RunError> {
         drop(self.sides);
-        if !self.stop.forced() {
+        if !self.stop.forced() && !self.stop.leaving() {
             self.outlet.end()?;
             self.record.status.set_life(Life::Ended);
         }

@@ -1,19 +1,22 @@
 //! The life of a stage or a sink: it takes a message, steps, sends what it made, until its input ends or the run does.
 
+use super::handover::{Handover, Mark, Successor};
 use super::inbox::Inbox;
 use super::outlet::Outlet;
 use super::peers::Peers;
 use super::side_ports::{self, SidePort};
 use super::{RunError, Surroundings, guarded, is_stopped};
 use crate::clock::monotonic_ns;
-use crate::ports::{PortError, Reader, Received, Topic, Transport};
+use crate::ports::{Delivery, PortError, Reader, Received, Topic, Transport};
 use crate::stage::{Stage, StageError, Stop};
 use crate::status::{Life, StatusFile};
-use conicflow_messages::{Header, Message};
+use conicflow_messages::{Header, Item, Kind, Message};
 use std::time::{Duration, Instant};
 
 /// A stage that nobody wakes looks around this often.
 const TICK: Duration = Duration::from_millis(100);
+/// A successor waits so long for the first message of writers whose loss of one would be no fault.
+const PATIENCE_WITH_WRITERS: Duration = Duration::from_secs(1);
 
 type MessageOf<S, T> = <<T as Transport>::Reader<<S as Stage>::Input> as Reader<<S as Stage>::Input>>::Message;
 
@@ -26,6 +29,9 @@ struct StageLoop<S: Stage, T: Transport> {
     stop: Stop,
     topic: Topic,
     peers: Peers,
+    handover: Option<Handover>,
+    /// Asked to leave its place: from there on its successor hears everything.
+    leaves_at: Option<Mark>,
 }
 
 /// Runs the stage `S` until its input ends.
@@ -33,20 +39,35 @@ pub(crate) fn run_stage<S: Stage, T: Transport + 'static>(
     config: S::Config,
     mut around: Surroundings<T>,
 ) -> Result<(), RunError> {
-    around.context.resume_at = around.record.status.steps;
+    // A successor is not the first, even if it is ready before any message was worked on.
+    around.context.resume_at = around.record.status.steps.max(u64::from(around.successor.is_some()));
     let topic = around.wiring.input.take().ok_or_else(|| RunError::Refused("a stage needs an `input`".into()))?;
+    let sides = around.sides(S::sides())?;
     let mut inbox = Inbox::new(
         around.transport.reader(&topic, &around.context.stage)?,
         topic.delivery_to(&around.context.stage),
         &topic.name,
         topic.writers.len(),
     );
+    let mut outlet = around.outlet()?;
+    let early = if around.successor.is_some() { Some(made_early::<S>(&config, &around)?) } else { None };
+    if let Some(successor) = around.successor.take()
+        && !takes_place(successor, &mut inbox, &mut around, &topic)?
+    {
+        return Ok(());
+    }
+    around.context.resume_at = around.context.resume_at.max(around.record.status.steps);
+    let stage = match early.flatten() {
+        Some(stage) => stage,
+        None => S::new(config, &around.context).map_err(RunError::Refused)?,
+    };
     inbox.resume(around.record.status.inputs[0]);
-    let (sides, outlet) = (around.sides(S::sides())?, around.outlet()?);
-    let stage = S::new(config, &around.context).map_err(RunError::Refused)?;
+    outlet.resume(around.record.status.sent);
     around.begin(None);
-    let Surroundings { context, peers, record, lock: _lock, .. } = around;
-    let mut running = StageLoop::<S, T> { stage, inbox, sides, outlet, record, stop: context.stop, topic, peers };
+    let Surroundings { context, peers, record, handover, lock: _lock, .. } = around;
+    let (stop, leaves_at) = (context.stop, None);
+    let mut running =
+        StageLoop::<S, T> { stage, inbox, sides, outlet, record, stop, topic, peers, handover, leaves_at };
     while let Some(message) = running.next_message()? {
         if !running.work_on(message)? {
             break;
@@ -55,10 +76,49 @@ pub(crate) fn run_stage<S: Stage, T: Transport + 'static>(
     running.end()
 }
 
+/// Makes the stage ready while the one that it replaces is at work, so that what cannot begin never takes a place. A sink
+/// is made on trial, and anew in its place: two that are at work on one file would spoil it.
+fn made_early<S: Stage>(config: &S::Config, around: &Surroundings<impl Transport>) -> Result<Option<S>, RunError> {
+    let copied = serde_json::to_value(config).and_then(serde_json::from_value);
+    let copy = copied.map_err(|error| RunError::Refused(error.into()))?;
+    let stage = S::new(copy, &around.context).map_err(RunError::Refused)?;
+    Ok(Some(stage).filter(|_| S::Output::KIND != Kind::Nothing))
+}
+
+/// Hears each writer once, says so, and waits until the process that it replaces is gone; whether its turn came.
+fn takes_place<I: Item, T: Transport + 'static>(
+    mut successor: Successor,
+    inbox: &mut Inbox<I, T::Reader<I>>,
+    around: &mut Surroundings<T>,
+    topic: &Topic,
+) -> Result<bool, RunError> {
+    let deadline = Instant::now() + PATIENCE_WITH_WRITERS;
+    let lossless = topic.delivery_to(&around.context.stage) == Delivery::Lossless;
+    let is_over = |writer: &String| matches!(around.peers.life(writer), Some(Life::Ended | Life::Gone));
+    while !topic.writers.iter().all(|writer| inbox.has_heard(writer) || is_over(writer)) {
+        inbox.overhear()?;
+        if successor.is_dismissed() || around.context.stop.forced() {
+            return Ok(false);
+        }
+        if !lossless && Instant::now() > deadline {
+            break;
+        }
+    }
+    let fault = |error: std::io::Error| RunError::Refused(error.into());
+    successor.is_ready(&inbox.first_heard()).map_err(fault)?;
+    let stop = around.context.stop.clone();
+    if !successor.await_turn(|| stop.forced()) {
+        return Ok(false);
+    }
+    around.enter();
+    inbox.begin_after(successor.handover.last().unwrap_or_default());
+    Ok(true)
+}
+
 impl<S: Stage, T: Transport> StageLoop<S, T> {
     /// Waits for the next message; `None` when no more will come, or the run is to end.
     fn next_message(&mut self) -> Result<Option<MessageOf<S, T>>, PortError> {
-        while !self.stop.requested() {
+        while !self.stop.requested() && !self.may_leave() {
             // The writers are looked at first: what they sent before they were gone is then sure to be found.
             let last_call = self.inbox.is_idle() && self.writers_are_gone();
             if let Some(message) = self.inbox.take()? {
@@ -70,6 +130,13 @@ impl<S: Stage, T: Transport> StageLoop<S, T> {
             self.inbox.wait(TICK)?;
         }
         Ok(None)
+    }
+
+    /// Whether it was asked to leave its place, and its successor has heard all that it has not worked on.
+    fn may_leave(&mut self) -> bool {
+        let (true, Some(handover)) = (self.stop.leaving(), &self.handover) else { return false };
+        let leaves_at = self.leaves_at.get_or_insert_with(|| handover.first());
+        self.inbox.has_passed(leaves_at)
     }
 
     /// Whether all stages that write the input have ended for good, be it without a word.
@@ -121,6 +188,11 @@ impl<S: Stage, T: Transport> StageLoop<S, T> {
     fn end(mut self) -> Result<(), RunError> {
         let frame = self.record.status.steps;
         self.stage.finish().map_err(|error: StageError| RunError::Failed { frame, error })?;
+        let left = self.stop.leaving() && !self.stop.requested() && self.leaves_at.is_some() && !self.inbox.ended();
+        if let (true, Some(handover)) = (left, &self.handover) {
+            let told = handover.leave(self.inbox.worked_on());
+            return told.map_err(|error| RunError::Failed { frame, error: error.into() });
+        }
         drop((self.inbox, self.sides));
         if !self.stop.forced() {
             self.outlet.end()?;

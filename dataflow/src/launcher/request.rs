@@ -1,0 +1,100 @@
+//! How a swap is asked for: a request in the run's folder, which only this user can enter, and the launcher's answer there.
+//!
+//! The one who asks writes `swap.request` whole, by renaming it into place, and holds `swap.lock` until it has read
+//! `swap.answer`; the launcher looks for a request as often as it looks after its stages.
+
+use super::folder::{FolderError, RunFolder};
+use crate::plan::Plan;
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+use std::fs::{self, File};
+use std::io;
+use std::path::PathBuf;
+use std::thread::sleep;
+use std::time::Duration;
+
+const LOOK: Duration = Duration::from_millis(10);
+
+/// Why a stage was not replaced; the one that was to be replaced is at work.
+#[derive(Debug, thiserror::Error)]
+pub enum SwapError {
+    /// The run's folder.
+    #[error(transparent)]
+    Folder(#[from] FolderError),
+    /// Another swap is under way.
+    #[error("another swap is under way in this pipeline\n  hint: wait until it is done")]
+    Busy,
+    /// The run ended meanwhile.
+    #[error("the run ended before the stage was replaced\n  hint: start the pipeline anew with `conicflow run`")]
+    Over,
+    /// The launcher did not do it.
+    #[error("{0}")]
+    Refused(String),
+}
+
+/// What is to be replaced, and by what.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct Request {
+    pub(crate) id: u64,
+    /// Name of the stage.
+    pub(crate) stage: String,
+    /// The plan of the run as it is to be.
+    pub(crate) plan: Plan,
+}
+
+/// What became of it.
+#[derive(Debug, Serialize, Deserialize)]
+struct Answer {
+    id: u64,
+    fault: Option<String>,
+}
+
+impl RunFolder {
+    /// Asks the launcher of this run to replace `stage` by what stands in `plan`, and waits until it has.
+    pub(crate) fn ask_for_swap(&self, stage: &str, plan: Plan) -> Result<(), SwapError> {
+        let lock = File::create(self.path().join("swap.lock")).map_err(|error| self.fault("swap.lock", error))?;
+        lock.try_lock().map_err(|_| SwapError::Busy)?;
+        let id = crate::clock::monotonic_ns();
+        self.write_whole("swap.request", &Request { id, stage: stage.to_owned(), plan })?;
+        loop {
+            let over = !self.is_running();
+            match self.read_json::<Answer>("swap.answer").filter(|answer| answer.id == id) {
+                Some(Answer { fault: None, .. }) => return Ok(()),
+                Some(Answer { fault: Some(fault), .. }) => return Err(SwapError::Refused(fault)),
+                None if over => return Err(SwapError::Over),
+                None => sleep(LOOK),
+            }
+        }
+    }
+
+    /// A request that was not taken yet, if it is `wanted` now.
+    pub(crate) fn take_request_if(&self, wanted: bool) -> Option<Request> {
+        if !wanted {
+            return None;
+        }
+        let request = self.read_json("swap.request")?;
+        fs::remove_file(self.path().join("swap.request")).ok();
+        Some(request)
+    }
+
+    /// Answers the request `id`.
+    pub(crate) fn answer(&self, id: u64, outcome: Result<(), String>) -> Result<(), FolderError> {
+        self.write_whole("swap.answer", &Answer { id, fault: outcome.err() })
+    }
+
+    fn read_json<T: DeserializeOwned>(&self, name: &str) -> Option<T> {
+        serde_json::from_slice(&fs::read(self.path().join(name)).ok()?).ok()
+    }
+
+    /// Writes a file so that whoever reads it sees all of it, or what was there before.
+    pub(crate) fn write_whole(&self, name: &str, content: &impl Serialize) -> Result<(), FolderError> {
+        let (path, draft): (PathBuf, PathBuf) = (self.path().join(name), self.path().join(format!("{name}.new")));
+        let text =
+            serde_json::to_vec_pretty(content).map_err(|error| FolderError::Plan { path: path.clone(), error })?;
+        fs::write(&draft, text).map_err(|error| self.fault(name, error))?;
+        fs::rename(&draft, &path).map_err(|error| self.fault(name, error))
+    }
+
+    fn fault(&self, name: &str, error: io::Error) -> FolderError {
+        FolderError::Io { path: self.path().join(name), error }
+    }
+}

@@ -1,0 +1,262 @@
+//! Replaces a running stage: starts its successor beside it, lets it leave when that is ready, and gives it the place.
+//!
+//! Until the stage has been told to leave, whatever goes wrong leaves it at work. From then on its successor takes the place
+//! however it ended; a successor that cannot begin gives the place back.
+
+use super::Phase;
+use super::child::{Supervised, command};
+use super::folder::{FolderError, RunFolder};
+use super::process::ProcessError;
+use super::request::Request;
+use crate::plan::{Plan, PlannedStage};
+use crate::runner::handover::{Handover, SUCCESSOR};
+use crate::status::{Life, Status};
+use rustix::process::Signal;
+use std::io::{ErrorKind, Read, Write};
+use std::os::fd::OwnedFd;
+use std::os::unix::net::UnixStream;
+use std::path::Path;
+use std::process::Child;
+use std::time::{Duration, Instant};
+
+/// A successor is ready within this time, or not wanted any more.
+const READY_GRACE: Duration = Duration::from_secs(15);
+/// A stage that was told to leave, and does not, is killed after this time.
+const LEAVE_GRACE: Duration = Duration::from_secs(30);
+/// A successor that is not wanted any more ends by itself within this time.
+const DISMISS_GRACE: Duration = Duration::from_secs(2);
+
+/// A swap under way.
+pub(crate) struct Swap {
+    request: Request,
+    before: PlannedStage,
+    step: Step,
+    since: Instant,
+}
+
+enum Step {
+    /// The successor opens its ports beside the stage at work.
+    Preparing(Successor),
+    /// The stage at work was told to leave.
+    Leaving(Successor),
+    /// The successor has the place, and says when it works.
+    Beginning { process: u32 },
+}
+
+/// The process that is to take a stage's place.
+struct Successor {
+    child: Child,
+    /// Its standard input.
+    control: UnixStream,
+}
+
+impl Successor {
+    fn start(planned: &PlannedStage, plan: &Plan, program: &Path) -> Result<Self, ProcessError> {
+        let fault =
+            |error| ProcessError::System { doing: format!("stage `{}` cannot be replaced", planned.name), error };
+        let (control, input) = UnixStream::pair().map_err(fault)?;
+        control.set_nonblocking(true).map_err(fault)?;
+        let mut command = command(planned, plan, program);
+        let child = command.env(SUCCESSOR, "1").stdin(OwnedFd::from(input)).spawn().map_err(fault)?;
+        Ok(Self { child, control })
+    }
+
+    /// Whether it is ready; an error if it will not be.
+    fn is_ready(&mut self) -> Result<bool, ()> {
+        match self.control.read(&mut [0]) {
+            Ok(length) if length > 0 => Ok(true),
+            Err(error) if error.kind() == ErrorKind::WouldBlock => Ok(false),
+            _ => Err(()),
+        }
+    }
+
+    /// Gives it its turn.
+    fn begin(mut self) -> Child {
+        // If it has died meanwhile that is seen at the next look.
+        self.control.write_all(b"b").ok();
+        self.child
+    }
+
+    /// Lets it end in order, so that it leaves nothing behind.
+    fn dismiss(self) {
+        let Self { mut child, control } = self;
+        drop(control);
+        let deadline = Instant::now() + DISMISS_GRACE;
+        while matches!(child.try_wait(), Ok(None)) && Instant::now() < deadline {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        child.kill().ok();
+        child.wait().ok();
+    }
+}
+
+/// What a swap needs of the launcher.
+pub(crate) struct Place<'a> {
+    pub(crate) plan: &'a mut Plan,
+    pub(crate) folder: &'a RunFolder,
+    pub(crate) program: &'a Path,
+    pub(crate) phase: Phase,
+}
+
+impl Swap {
+    /// Begins a swap; `None` if it was refused, and the one who asked has been told.
+    pub(crate) fn begin(
+        request: Request,
+        stages: &[Supervised],
+        place: &mut Place<'_>,
+    ) -> Result<Option<Self>, FolderError> {
+        let (id, name) = (request.id, request.stage.clone());
+        match Self::prepare(request, stages, place) {
+            Ok(swap) => Ok(Some(swap)),
+            Err(fault) => {
+                tracing::warn!("stage `{name}` is not replaced: {fault}");
+                place.folder.write_plan(place.plan)?;
+                place.folder.answer(id, Err(fault))?;
+                Ok(None)
+            }
+        }
+    }
+
+    fn prepare(request: Request, stages: &[Supervised], place: &mut Place<'_>) -> Result<Self, String> {
+        let name = &request.stage;
+        let other_run = || "it was asked for another run\n  hint: try again".to_owned();
+        let planned = request.plan.stage(name).filter(|_| request.plan.run == place.plan.run).ok_or_else(other_run)?;
+        let stage = stages.iter().find(|stage| stage.planned.name == *name).ok_or_else(other_run)?;
+        if !matches!(place.phase, Phase::Running) || stage.process().is_none() || !is_at_work(place.folder, stage) {
+            return Err(format!("stage `{name}` is not at work\n  hint: `conicflow top` shows which stages are"));
+        }
+        Handover::of(place.folder.path(), name).clear();
+        place.folder.write_plan(&request.plan).map_err(|error| error.to_string())?;
+        let successor = Successor::start(planned, &request.plan, place.program).map_err(|error| error.to_string())?;
+        tracing::info!("stage `{name}` is being replaced");
+        Ok(Self { before: stage.planned.clone(), request, step: Step::Preparing(successor), since: Instant::now() })
+    }
+
+    /// Name of the stage.
+    pub(crate) fn stage(&self) -> &str {
+        &self.request.stage
+    }
+
+    /// Whether the end of the stage's process is part of the swap, rather than a matter of starting it anew.
+    pub(crate) fn decides_about_exit(&self) -> bool {
+        !matches!(self.step, Step::Preparing(_))
+    }
+
+    /// Looks how far it is; `None` when it is over, and the one who asked has been told.
+    pub(crate) fn go_on(self, stage: &mut Supervised, place: &mut Place<'_>) -> Result<Option<Self>, FolderError> {
+        let Self { request, before, step, since } = self;
+        let on = |request, before, step, since| Ok(Some(Self { request, before, step, since }));
+        match step {
+            Step::Preparing(mut successor) => match look_at(&mut successor, stage, place, since) {
+                Ok(false) => on(request, before, Step::Preparing(successor), since),
+                Ok(true) => {
+                    stage.signal(Signal::USR1);
+                    on(request, before, Step::Leaving(successor), Instant::now())
+                }
+                Err(fault) => {
+                    successor.dismiss();
+                    refuse(&request, place, fault).map(|()| None)
+                }
+            },
+            Step::Leaving(successor) => {
+                if since.elapsed() > LEAVE_GRACE {
+                    stage.signal(Signal::KILL);
+                }
+                match stage.exit() {
+                    None => on(request, before, Step::Leaving(successor), since),
+                    Some(process) if came_to_its_end(place.folder, &request.stage, process) => {
+                        successor.dismiss();
+                        refuse(&request, place, "the stage came to its end\n  hint: nothing is left to do")
+                            .map(|()| None)
+                    }
+                    Some(_) => {
+                        let process = take_place(successor, stage, &request, place);
+                        on(request, before, Step::Beginning { process }, Instant::now())
+                    }
+                }
+            }
+            Step::Beginning { process } => {
+                if is_at_work(place.folder, stage) {
+                    tracing::info!("stage `{}` was replaced", request.stage);
+                    return place.folder.answer(request.id, Ok(())).map(|()| None);
+                }
+                if stage.exit().is_none() || matches!(place.phase, Phase::Killing) {
+                    return on(request, before, Step::Beginning { process }, since);
+                }
+                place
+                    .plan
+                    .stages
+                    .iter_mut()
+                    .filter(|own| own.name == before.name)
+                    .for_each(|own| *own = before.clone());
+                stage.come_back(before);
+                let fault =
+                    "the new stage could not begin, and the old one comes back\n  hint: the launcher's log says why";
+                refuse(&request, place, fault).map(|()| None)
+            }
+        }
+    }
+
+    /// Ends what it has started, at the end of the run.
+    pub(crate) fn abandon(self, folder: &RunFolder) {
+        if let Step::Preparing(successor) | Step::Leaving(successor) = self.step {
+            successor.dismiss();
+        }
+        let told = folder.answer(self.request.id, Err("the run ended\n  hint: start it anew".to_owned()));
+        told.unwrap_or_else(|error| tracing::warn!("{error}"));
+    }
+}
+
+/// Whether the successor is ready; what stands against the swap as an error.
+fn look_at(
+    successor: &mut Successor,
+    stage: &mut Supervised,
+    place: &Place<'_>,
+    since: Instant,
+) -> Result<bool, &'static str> {
+    if !matches!(place.phase, Phase::Running) {
+        return Err("the run ends\n  hint: start it anew");
+    }
+    if stage.process().is_none() {
+        return Err("the stage died meanwhile\n  hint: try again when it is back");
+    }
+    if since.elapsed() > READY_GRACE {
+        return Err(
+            "the new stage is not ready: no message reached it\n  hint: try again when its writers send something",
+        );
+    }
+    successor.is_ready().map_err(|()| "the new stage could not be made ready\n  hint: the launcher's log says why")
+}
+
+fn take_place(successor: Successor, stage: &mut Supervised, request: &Request, place: &mut Place<'_>) -> u32 {
+    *place.plan = request.plan.clone();
+    if let Some(planned) = place.plan.stage(&request.stage) {
+        stage.planned = planned.clone();
+    }
+    let child = successor.begin();
+    let process = child.id();
+    stage.take(child);
+    match place.phase {
+        Phase::Delivering { .. } if stage.planned.is_source() => stage.signal(Signal::INT),
+        Phase::Stopping { .. } => stage.signal(Signal::TERM),
+        _ => {}
+    }
+    process
+}
+
+fn refuse(request: &Request, place: &mut Place<'_>, fault: &str) -> Result<(), FolderError> {
+    tracing::warn!("stage `{}` is not replaced: {fault}", request.stage);
+    place.folder.write_plan(place.plan)?;
+    place.folder.answer(request.id, Err(format!("stage `{}` is not replaced: {fault}", request.stage)))
+}
+
+/// Whether the stage's record says that its process now works, or has.
+fn is_at_work(folder: &RunFolder, stage: &Supervised) -> bool {
+    let record = Status::read(&folder.status(&stage.planned.name));
+    record.is_some_and(|record| Some(record.process) == stage.process() && record.life() != Life::Starting)
+}
+
+fn came_to_its_end(folder: &RunFolder, stage: &str, process: u32) -> bool {
+    let record = Status::read(&folder.status(stage));
+    record.is_some_and(|record| record.process == process && record.life() == Life::Ended)
+}

@@ -1,0 +1,171 @@
+//! A stage of a running pipeline is replaced: nothing is lost, nobody else notices, and nothing stays behind.
+
+use crate::processes::{shared_files, stages_of, wait_for_lines};
+use crate::support::{Ended, Playground, Started, TRACKING, TRACKING_STAGES, signal};
+use rustix::process::Signal;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::PathBuf;
+
+fn start(playground: &Playground, more: &[&str]) -> Started {
+    playground.start(&[&["run", "--set", "source.rate_hz=30"], more].concat())
+}
+
+/// Replaces a stage, and makes sure that its process is another one and that all others are the same.
+fn swap(playground: &Playground, run: &mut Started, arguments: &[&str]) {
+    let before = stages_of(run.id());
+    playground.conicflow(&[&["swap"], arguments].concat()).expect_code(0);
+    let mut after = stages_of(run.id());
+    let replaced = after.insert(arguments[0].to_owned(), before[arguments[0]]);
+    assert_ne!(replaced, Some(before[arguments[0]]), "`{}` was not replaced", arguments[0]);
+    assert_eq!(after, before, "only `{}` was to be replaced", arguments[0]);
+    wait_for_lines(run, playground);
+}
+
+fn end(run: Started) -> Ended {
+    signal(run.id(), Signal::INT);
+    run.wait().expect_code(0)
+}
+
+#[test]
+fn a_lossless_pipeline_loses_nothing_when_each_of_its_stages_is_replaced() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let mut run = playground.start(&["run", "--set", "source.rate_hz=200"]);
+    wait_for_lines(&mut run, &playground);
+    for stage in TRACKING_STAGES.into_iter().chain(TRACKING_STAGES) {
+        swap(&playground, &mut run, &[stage]);
+    }
+    let ended = end(run);
+    let made = ended.stage("source").messages;
+    let sequences = playground.sequences("tracks.jsonl");
+    assert!(sequences.iter().copied().eq(0..made), "{sequences:?} of {made}: {}", ended.stderr);
+    let inputs = [("depth", "extractor"), ("ellipses", "assembler"), ("objects", "tracker"), ("tracks", "json")];
+    for (topic, reader) in inputs {
+        let row = ended.input(topic, reader);
+        assert_eq!((row.received, row.dropped, row.gaps, row.late), (made, 0, 0, 0), "{reader}: {}", ended.stderr);
+        assert_eq!(ended.stage(reader).starts, 3, "{}", ended.stderr);
+    }
+}
+
+/// The most frames in a row that are missing between two lines from the line `from` on.
+fn longest_gap(playground: &Playground, from: usize) -> u64 {
+    let sequences = playground.sequences("tracks.jsonl");
+    assert!(sequences.is_sorted(), "frames went back: {sequences:?}");
+    let steps = sequences[from..].windows(2).map(|pair| pair[1] - pair[0] - 1);
+    steps.max().unwrap()
+}
+
+/// The middle one of nine swaps counts: on a machine that is busy with other things a single one may take its time.
+#[test]
+fn a_live_pipeline_misses_three_frames_at_most() {
+    let playground = Playground::with_pipeline(&TRACKING.replace("lossless", "latest"));
+    let mut run = start(&playground, &[]);
+    wait_for_lines(&mut run, &playground);
+    let mut missed: Vec<u64> = Vec::new();
+    for stage in ["extractor", "assembler", "tracker"].repeat(3) {
+        let before = playground.lines("tracks.jsonl").len();
+        swap(&playground, &mut run, &[stage]);
+        missed.push(longest_gap(&playground, before - 1));
+    }
+    missed.sort_unstable();
+    assert!(missed[missed.len() / 2] <= 3, "frames missing at each swap: {missed:?}");
+    end(run);
+}
+
+#[test]
+fn a_stage_is_replaced_by_one_with_other_parameters_and_by_another_node() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let mut run = start(&playground, &[]);
+    wait_for_lines(&mut run, &playground);
+    playground.conicflow(&["swap", "json", "--set", "path=other.jsonl"]).expect_code(0);
+    run.wait_until("the other file grows", || playground.lines("other.jsonl").len() > 3);
+    playground.conicflow(&["swap", "json", "--node", "console_sink"]).expect_code(0);
+    playground.conicflow(&["swap", "json", "--node", "json_sink", "--set", "path=third.jsonl"]).expect_code(0);
+    run.wait_until("the third file grows", || playground.lines("third.jsonl").len() > 3);
+    let ended = end(run);
+    let files = ["tracks.jsonl", "other.jsonl", "third.jsonl"].map(|name| playground.sequences(name));
+    assert_eq!(files[0].last().unwrap() + 1, files[1][0], "{}", ended.stderr);
+    assert!(files[1].last() < files[2].first() && files[2].is_sorted(), "{}", ended.stderr);
+    assert_eq!(ended.input("tracks", "json").received, ended.stage("source").messages, "{}", ended.stderr);
+}
+
+#[test]
+fn what_does_not_validate_or_cannot_start_leaves_the_stage_at_work() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let mut run = start(&playground, &[]);
+    wait_for_lines(&mut run, &playground);
+    let before = stages_of(run.id());
+    let refused = [
+        (vec!["tracker", "--set", "gatte=3"], "gatte"),
+        (vec!["tracker", "--node", "row_ellipse_extractor"], "carries objects"),
+        (vec!["json", "--set", "path=pipeline.toml/x.jsonl"], "could not be made ready"),
+        (vec!["json", "--set", "input=objects"], "cannot join stage `json` to other topics"),
+        (vec!["trackr"], "did you mean `tracker`"),
+    ];
+    for (arguments, told) in refused {
+        let ended = playground.conicflow(&[&["swap"], &arguments[..]].concat()).expect_code(2);
+        assert!(ended.stderr.contains(told) && ended.stderr.contains("hint: "), "{arguments:?}: {}", ended.stderr);
+        wait_for_lines(&mut run, &playground);
+        assert_eq!(stages_of(run.id()), before, "{arguments:?}");
+    }
+    let ended = end(run);
+    let made = ended.stage("source").messages;
+    assert!(playground.sequences("tracks.jsonl").into_iter().eq(0..made), "{}", ended.stderr);
+    assert_eq!(ended.stage("json").starts, 1);
+}
+
+#[test]
+fn a_source_that_cannot_begin_gives_its_place_back() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let mut run = start(&playground, &[]);
+    wait_for_lines(&mut run, &playground);
+    fs::create_dir(playground.path("frames")).unwrap();
+    let refused = playground.conicflow(&["swap", "source", "--node", "image_source", "--set", "path=frames/"]);
+    assert!(refused.expect_code(2).stderr.contains("the old one comes back"));
+    wait_for_lines(&mut run, &playground);
+    let made = end(run).stage("source").messages;
+    assert!(playground.sequences("tracks.jsonl").into_iter().eq(0..made));
+}
+
+/// The files in shared memory that the stages of a run use.
+fn used(stages: &BTreeMap<String, u32>) -> BTreeSet<PathBuf> {
+    stages.values().flat_map(|process| shared_files(*process)).collect()
+}
+
+#[test]
+fn shared_memory_does_not_grow_with_the_number_of_swaps() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let mut run = start(&playground, &[]);
+    wait_for_lines(&mut run, &playground);
+    let (first, mut all) = (used(&stages_of(run.id())), BTreeSet::new());
+    for _ in 0..20 {
+        swap(&playground, &mut run, &["assembler"]);
+        all.extend(used(&stages_of(run.id())));
+    }
+    assert!(all.len() > first.len() + 20, "only {} files were used, which shows little", all.len());
+    let there = all.iter().filter(|path| path.exists()).count();
+    assert!(there <= first.len(), "{there} files are there, {} were before", first.len());
+    end(run);
+}
+
+#[test]
+fn the_death_of_a_stage_or_its_launcher_amid_a_swap_leaves_nothing_behind() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let mut run = start(&playground, &[]);
+    wait_for_lines(&mut run, &playground);
+    for stage in ["tracker", "source"] {
+        let old = stages_of(run.id())[stage];
+        let swap = playground.start(&["swap", stage]);
+        signal(old, Signal::KILL);
+        drop(swap.wait());
+        wait_for_lines(&mut run, &playground);
+        assert_eq!(stages_of(run.id()).len(), 5);
+    }
+    let swap = playground.start(&["swap", "extractor"]);
+    signal(run.id(), Signal::KILL);
+    let _ = swap.wait();
+    drop(run.wait());
+    crate::support::wait_until("all processes are gone", || playground.processes().is_empty());
+    playground.conicflow(&["run", "--frames", "3", "--set", "json.path=next.jsonl"]).expect_code(0);
+    assert_eq!(playground.sequences("next.jsonl"), [0, 1, 2]);
+}
