@@ -39,7 +39,9 @@ pub fn swap(arguments: &SwapArguments) -> anyhow::Result<()> {
     if let Some(other) = changed.stages_unlike(plan).find(|other| other.name != *name) {
         bail!("this would change stage `{}`, too\n  hint: end the run, and start it with the change", other.name);
     }
-    Ok(running.swap(name, changed)?)
+    running.swap(name, changed)?;
+    tracing::info!("stage `{name}` was replaced");
+    Ok(())
 }
 
 fn find_stage<'a>(plan: &'a Plan, name: &str) -> anyhow::Result<&'a PlannedStage> {
