@@ -12,6 +12,8 @@ mod summary;
 mod swap;
 
 pub use folder::{FolderError, RUNTIME_DIR, RunFolder, RunLock};
+pub(crate) use folder::{check_private, user_folder};
+pub(crate) use process::{LAUNCHER, STAGE};
 pub use process::{PIPELINE, ProcessError, run_in_run, run_planned, run_source, run_stage};
 pub use request::SwapError;
 pub use summary::{StageSummary, Summary, link_table};
