@@ -266,7 +266,7 @@ fn run_once(pipeline: &Pipeline, arguments: &RunArguments, quiet: bool) -> anyho
     let run = SystemTime::now().duration_since(UNIX_EPOCH)?.as_nanos() as u64;
     let plan = Plan::of(pipeline, arguments.machine.as_deref(), arguments.frames, run);
     let program = std::env::current_exe().context("cannot find this program's own file, which runs the stages")?;
-    let options = RunOptions { program, duration: arguments.duration, quiet };
+    let options = RunOptions { program, nodes: NODES, duration: arguments.duration, quiet };
     Ok(conicflow_dataflow::run(&plan, &options)?)
 }
 

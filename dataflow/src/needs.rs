@@ -59,7 +59,8 @@ pub enum Shortfall {
     #[error(
         "shared memory has {} of {} free in {SHARED_MEMORY}, this pipeline needs up to {}, most of it for the topic \
          `{topic}`\n  hint: `conicflow doctor` finds what dead runs have left there; to enlarge it, `mount -o \
-         remount,size={wanted}M {SHARED_MEMORY}` as root, for a container `--shm-size={wanted}m`",
+         remount,size={wanted}M {SHARED_MEMORY}` as root, for a container `--shm-size={wanted}m`; \
+         smaller images and shorter queues need less",
         in_words(*.free), in_words(*.size), in_words(*.needed)
     )]
     Room {
