@@ -6,6 +6,7 @@
 mod bridge;
 mod commands;
 mod experiments;
+mod faults;
 #[cfg(target_os = "linux")]
 mod hosts;
 #[cfg(target_os = "linux")]

@@ -10,6 +10,7 @@ mod progress;
 mod request;
 mod summary;
 mod swap;
+mod vigil;
 
 pub use folder::{FolderError, RUNTIME_DIR, RunFolder, RunLock};
 pub use process::{PIPELINE, ProcessError, run_in_run, run_planned, run_source, run_stage};
