@@ -6,6 +6,7 @@
 mod bridge;
 mod commands;
 mod experiments;
+#[cfg(target_os = "linux")]
 mod faults;
 #[cfg(target_os = "linux")]
 mod hosts;
@@ -15,6 +16,8 @@ mod outside_stage;
 #[cfg(target_os = "linux")]
 mod processes;
 mod run;
+#[cfg(target_os = "linux")]
+mod stress;
 mod support;
 #[cfg(target_os = "linux")]
 mod swap;
