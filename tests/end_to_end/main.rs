@@ -9,6 +9,8 @@ mod commands;
 mod doctor;
 mod experiments;
 #[cfg(target_os = "linux")]
+mod faults;
+#[cfg(target_os = "linux")]
 mod hosts;
 #[cfg(target_os = "linux")]
 mod intruders;
@@ -16,6 +18,8 @@ mod outside_stage;
 #[cfg(target_os = "linux")]
 mod processes;
 mod run;
+#[cfg(target_os = "linux")]
+mod stress;
 mod support;
 #[cfg(target_os = "linux")]
 mod swap;

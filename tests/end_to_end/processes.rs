@@ -232,7 +232,7 @@ pub fn shared_files(process: u32) -> BTreeSet<PathBuf> {
 }
 
 /// All files in a folder and those in it.
-fn files_below(folder: &Path) -> Vec<PathBuf> {
+pub fn files_below(folder: &Path) -> Vec<PathBuf> {
     let paths = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
     paths.flat_map(|path| if path.is_dir() { files_below(&path) } else { vec![path] }).collect()
 }

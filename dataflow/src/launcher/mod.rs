@@ -10,6 +10,7 @@ mod progress;
 mod request;
 mod summary;
 mod swap;
+mod vigil;
 
 pub use folder::{FolderError, RUNTIME_DIR, RunFolder, RunLock};
 pub(crate) use folder::{check_private, user_folder};
