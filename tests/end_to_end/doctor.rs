@@ -5,6 +5,7 @@ use super::processes::{stages_of, wait_for_lines};
 use super::support::{Ended, Playground, Started, TRACKING, signal, wait_until};
 use rustix::process::{Signal, geteuid};
 use std::fs::{self, File};
+use std::io::ErrorKind;
 use std::net::TcpListener;
 use std::os::unix::fs::PermissionsExt;
 use std::path::PathBuf;
@@ -280,13 +281,38 @@ fn a_stage_without_its_launcher_is_told() {
     let playground = Playground::with_pipeline(TRACKING);
     // Whoever is not started by the launcher that its environment names has lost it.
     let mut command = Command::new("sleep");
-    command.arg("100").env("CONICFLOW_PIPELINE", "tracking").env("CONICFLOW_STAGE", "lonely");
-    command.env("CONICFLOW_LAUNCHER", "1");
+    command.arg("100").env("CONICFLOW_RUNTIME_DIR", playground.runtime());
+    command.envs([("CONICFLOW_PIPELINE", "tracking"), ("CONICFLOW_STAGE", "lonely"), ("CONICFLOW_LAUNCHER", "1")]);
     let orphan = Started::new(command);
     let found = playground.conicflow(&["doctor"]).expect_code(1);
     let told =
         format!("stage `lonely` of pipeline `tracking` runs on without its launcher, as process {}", orphan.id());
     assert!(found.stdout.contains(&told), "{}", found.stdout);
+}
+
+#[test]
+fn a_stage_that_finds_shared_memory_full_is_named_and_comes_back_when_there_is_room() {
+    let Some(memory) = OwnSharedMemory::new("32m") else { return };
+    let playground = Playground::with_pipeline(TRACKING);
+    let mut run = working(&memory, &playground);
+    let filler = memory.folder().join("filler");
+    let told = "stage `source` was killed by SIGBUS: shared memory is full";
+    let mut delivered = 0;
+    wait_until("the cause is named", || {
+        let mut file = File::options().append(true).create(true).open(&filler).unwrap();
+        assert_eq!(std::io::copy(&mut std::io::repeat(0), &mut file).unwrap_err().kind(), ErrorKind::StorageFull);
+        // What a killed source leaves is room for the next, if that is faster than this.
+        let lines = playground.lines("tracks.jsonl").len();
+        if let Some(source) = stages_of(run.id()).get("source").filter(|_| lines > delivered) {
+            delivered = lines + 3;
+            signal(*source, Signal::KILL);
+        }
+        run.stderr().contains(told)
+    });
+    fs::remove_file(&filler).unwrap();
+    wait_for_lines(&mut run, &playground);
+    signal(run.id(), Signal::INT);
+    run.wait().expect_code(0);
 }
 
 #[test]
@@ -299,7 +325,7 @@ fn a_full_disk_is_told_and_no_line_is_torn() {
     assert!(memory.around(&mount).status().unwrap().success());
     let run = memory.start(&playground, &["run", "--set", "json.path=disk/tracks.jsonl"]);
     let ended = run.wait().expect_code(1);
-    assert!(ended.stderr.contains("cannot write line "), "{}", ended.stderr);
+    assert!(ended.stderr.contains(": cannot write to `"), "{}", ended.stderr);
     assert!(ended.stderr.contains("No space left on device"), "{}", ended.stderr);
     assert!(ended.stderr.contains("hint: free some space, or set `path` to another disk"), "{}", ended.stderr);
     let disk = memory.folder().join("../..").join(playground.path("disk").strip_prefix("/").unwrap());

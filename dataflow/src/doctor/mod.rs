@@ -55,14 +55,18 @@ pub fn examine(plans: &[Plan], nodes: &[Node]) -> Vec<Finding> {
         findings.extend(cut_off_runs());
     }
     findings.extend(files());
+    without_repetition(findings)
+}
+
+/// What holds for several plans is told once.
+fn without_repetition(findings: Vec<Finding>) -> Vec<Finding> {
     let mut told = Vec::new();
-    findings.retain(|finding| {
-        !told.contains(finding) && {
-            told.push(finding.clone());
-            true
+    for finding in findings {
+        if !told.contains(&finding) {
+            told.push(finding);
         }
-    });
-    findings
+    }
+    told
 }
 
 /// Removes what dead runs of this user have left, and tells what that was. What a live process uses stays, whoever's it is.

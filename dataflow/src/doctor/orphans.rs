@@ -1,14 +1,29 @@
 //! Stages that outlived their launcher, which they should not.
 
 use super::Finding;
-use crate::launcher::{LAUNCHER, PIPELINE, STAGE};
+use crate::launcher::{LAST_STAGES_GRACE, LAUNCHER, PIPELINE, RUNTIME_DIR, STAGE};
 use rustix::process::geteuid;
 use std::fs;
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
+use std::thread::sleep;
+use std::time::{Duration, Instant};
 
-/// The processes of this user that a launcher started which is not their parent any more.
+const LOOK: Duration = Duration::from_millis(100);
+
+/// The processes of this user and its folder that a launcher started which is not their parent any more. Those of a launcher
+/// that died just now are given the time to end by themselves.
 pub(super) fn examine() -> Vec<Finding> {
+    let deadline = Instant::now() + LAST_STAGES_GRACE;
+    let mut found = orphans();
+    while !found.is_empty() && Instant::now() < deadline {
+        sleep(LOOK);
+        found = orphans();
+    }
+    found
+}
+
+fn orphans() -> Vec<Finding> {
     let entries = fs::read_dir("/proc").into_iter().flatten().flatten();
     let mut processes: Vec<u32> = entries.filter_map(|entry| entry.file_name().to_str()?.parse().ok()).collect();
     processes.sort_unstable();
@@ -17,17 +32,25 @@ pub(super) fn examine() -> Vec<Finding> {
 
 fn orphan(process: u32) -> Option<Finding> {
     let folder = Path::new("/proc").join(process.to_string());
-    let own = fs::metadata(&folder).is_ok_and(|about| about.uid() == geteuid().as_raw());
+    let own =
+        fs::metadata(&folder).is_ok_and(|about| about.uid() == geteuid().as_raw()) && is_in_own_numbering(&folder);
     let environment = own.then(|| fs::read(folder.join("environ")).ok())??;
     let variable = |name: &str| value(&environment, name);
+    let same_folder = variable(RUNTIME_DIR) == std::env::var(RUNTIME_DIR).ok();
     let (pipeline, stage, launcher) = (variable(PIPELINE)?, variable(STAGE)?, variable(LAUNCHER)?);
     // A process that a stage itself started has that stage for a parent, and ends when it will.
     let stat = fs::read_to_string(folder.join("stat")).ok()?;
     let parent = living_parent(&stat)?;
-    let lost = parent != launcher && !started_by_stage(&parent);
+    let lost = same_folder && parent != launcher && !started_by_stage(&parent);
     let what = format!("stage `{stage}` of pipeline `{pipeline}` runs on without its launcher, as process {process}");
     let hint = format!("`kill {process}` ends it, or `kill -9 {process}` if it does not listen");
     lost.then(|| Finding::new(what, hint))
+}
+
+/// Whether its numbers of processes are ours: those of a container say nothing here.
+fn is_in_own_numbering(process: &Path) -> bool {
+    let numbering = |process: &Path| fs::read_link(process.join("ns/pid")).ok();
+    numbering(process).is_some_and(|its| Some(its) == numbering(Path::new("/proc/self")))
 }
 
 fn started_by_stage(process: &str) -> bool {

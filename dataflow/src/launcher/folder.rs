@@ -16,7 +16,7 @@ pub const RUNTIME_DIR: &str = "CONICFLOW_RUNTIME_DIR";
 const PLAN: &str = "plan.json";
 
 /// Stages end by themselves within this time after their launcher was killed.
-const LAST_STAGES_GRACE: Duration = Duration::from_secs(5);
+pub(crate) const LAST_STAGES_GRACE: Duration = Duration::from_secs(5);
 
 /// Whoever only looks whether a run has the folder holds it shorter than this.
 const LOOK_GRACE: Duration = Duration::from_millis(100);

@@ -13,7 +13,7 @@ mod swap;
 mod vigil;
 
 pub use folder::{FolderError, RUNTIME_DIR, RunFolder, RunLock};
-pub(crate) use folder::{check_private, user_folder};
+pub(crate) use folder::{LAST_STAGES_GRACE, check_private, user_folder};
 pub(crate) use process::{LAUNCHER, STAGE};
 pub use process::{PIPELINE, ProcessError, run_in_run, run_planned, run_source, run_stage};
 pub use request::SwapError;

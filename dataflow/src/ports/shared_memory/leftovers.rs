@@ -9,7 +9,7 @@
 use super::{Ipc, PREFIX, configuration};
 use crate::needs::SHARED_MEMORY;
 use crate::ports::PortError;
-use iceoryx2::prelude::{CallbackProgression, Node, NodeState};
+use iceoryx2::prelude::{CallbackProgression, LogLevel, Node, NodeState, set_log_level};
 use std::fs::{self, File, OpenOptions};
 use std::io;
 use std::os::fd::AsRawFd;
@@ -99,6 +99,7 @@ pub(crate) fn remove_dead_nodes(root: &Path) -> Result<usize, PortError> {
 }
 
 fn each_dead_node(root: &Path, mut see: impl FnMut(iceoryx2::node::DeadNodeView<Ipc>)) -> Result<(), PortError> {
+    set_log_level(LogLevel::Fatal);
     let listed = Node::<Ipc>::list(&configuration(root)?, |node| {
         if let NodeState::Dead(dead) = node {
             see(dead);
