@@ -8,6 +8,7 @@ mod commands;
 mod experiments;
 #[cfg(target_os = "linux")]
 mod faults;
+mod hostile_files;
 #[cfg(target_os = "linux")]
 mod hosts;
 #[cfg(target_os = "linux")]
