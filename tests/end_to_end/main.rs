@@ -18,6 +18,8 @@ mod outside_stage;
 mod processes;
 mod run;
 #[cfg(target_os = "linux")]
+mod soak;
+#[cfg(target_os = "linux")]
 mod stress;
 mod support;
 #[cfg(target_os = "linux")]
