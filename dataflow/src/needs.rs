@@ -155,8 +155,8 @@ fn written<'a>(plan: &Plan, stage: &'a PlannedStage, nodes: &[Node]) -> Vec<(&'a
     let Some(topic) = &stage.wiring.output else { return Vec::new() };
     let bytes = match node_of(stage, nodes) {
         Some(node) => message_bytes(node.output(), (node.message_length)(stage.parameters.clone(), &plan.base)),
-        // What a program writes is not known here; an image is the longest that it usually is.
-        None => message_bytes(Kind::Depth, None),
+        // Where nobody tells what a program writes, an image is the longest that it usually is.
+        None => message_bytes(topic.kind.unwrap_or(Kind::Depth), None),
     };
     vec![(topic, taken(topic, bytes))]
 }
@@ -200,4 +200,111 @@ fn open_files(stage: &PlannedStage) -> u64 {
         _ => 0,
     };
     FILES_PER_STAGE + bridged + own.map(of_topic).sum::<u64>()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pipeline::{Pipeline, SourceText};
+    use crate::stage::{Context, NoConfig, Output, Source, Stage, StageError};
+    use crate::{Next, Sides};
+    use conicflow_messages::{Message, Nothing};
+
+    const PIXELS: usize = 1_000_000;
+
+    struct Camera;
+
+    impl Source for Camera {
+        const NAME: &'static str = "camera";
+        const SUMMARY: &'static str = "Makes images of a million pixels";
+        type Config = NoConfig;
+        type Output = u16;
+
+        fn new(_: NoConfig, _: &Context) -> Result<Self, StageError> {
+            Ok(Self)
+        }
+
+        fn message_length(_: &NoConfig, _: &Path) -> Option<usize> {
+            Some(PIXELS)
+        }
+
+        fn next(&mut self, _: &Sides, _: &mut Output<u16>) -> Result<Next, StageError> {
+            Ok(Next::End)
+        }
+    }
+
+    struct Overlay;
+
+    impl Stage for Overlay {
+        const NAME: &'static str = "overlay";
+        const SUMMARY: &'static str = "Reads images, and more of them";
+        type Config = NoConfig;
+        type Input = u16;
+        type Output = Nothing;
+
+        fn new(_: NoConfig, _: &Context) -> Result<Self, StageError> {
+            Ok(Self)
+        }
+
+        fn sides() -> &'static [Side] {
+            &[Side { name: "other", kind: Kind::Depth, pick: Pick::SameFrame }]
+        }
+
+        fn step(&mut self, _: &Message<u16>, _: &Sides, _: &mut Output<Nothing>) -> Result<(), StageError> {
+            Ok(())
+        }
+    }
+
+    const NODES: &[Node] = &[Node::source::<Camera>(), Node::stage::<Overlay>()];
+
+    fn needs(stages: &str) -> Needs {
+        let text = format!("name = \"test\"\n{stages}");
+        let source = SourceText { name: "test.toml".to_owned(), text };
+        let (pipeline, _) = Pipeline::read(source, Path::new("/"), &[], NODES).unwrap();
+        Needs::of(&Plan::of(&pipeline, None, None, 1), NODES)
+    }
+
+    /// Images of which there is room in the shared memory that a topic needs.
+    fn images(needs: &Needs, topic: &str) -> u64 {
+        let (_, bytes) = needs.topics.iter().find(|(name, _)| name == topic).unwrap();
+        bytes / (2 * PIXELS as u64)
+    }
+
+    const SOURCE: &str = "[stage.source]\nnode = \"camera\"\noutput = \"depth\"\n";
+
+    #[test]
+    fn a_topic_needs_as_many_messages_as_can_wait_and_be_held() {
+        let one = format!("{SOURCE}[stage.a]\nnode = \"overlay\"\ninput = {{ topic = \"depth\", queue = 5 }}\n");
+        let two = format!("{one}[stage.b]\nnode = \"overlay\"\ninput = {{ topic = \"depth\", queue = 9 }}\n");
+        assert_eq!(images(&needs(&one), "depth"), (5 + 2) + 2);
+        assert_eq!(images(&needs(&two), "depth"), (5 + 2) + (9 + 2) + 2);
+        assert!(needs(&two).open_files > needs(&one).open_files);
+    }
+
+    #[test]
+    fn who_waits_for_the_same_frame_holds_more() {
+        let second = SOURCE.replace("source", "second").replace("depth", "more");
+        let other = "{ topic = \"more\", queue = 5 }";
+        let stage = format!("[stage.a]\nnode = \"overlay\"\ninput = \"depth\"\ninputs = {{ other = {other} }}\n");
+        assert_eq!(images(&needs(&format!("{SOURCE}{second}{stage}")), "more"), (5 + 13) + 2);
+    }
+
+    #[test]
+    fn what_a_program_writes_is_taken_for_a_usual_image() {
+        let sink = "[stage.a]\nnode = \"overlay\"\ninput = { topic = \"depth\", queue = 5 }\n";
+        let program = SOURCE.replace("node = \"camera\"", "program = [\"sh\"]");
+        let (known, usual) = (needs(&format!("{SOURCE}{sink}")), needs(&format!("{program}{sink}")));
+        let ratio = known.shared_memory() as f64 / usual.shared_memory() as f64;
+        assert!((ratio / (PIXELS as f64 / USUAL_IMAGE as f64) - 1.0).abs() < 0.05, "{ratio}");
+    }
+
+    #[test]
+    fn a_shortfall_names_the_topic_and_what_would_do() {
+        let needs = Needs { topics: vec![("small".into(), 1 << 20), ("large".into(), 70 << 20)], open_files: 0 };
+        assert!(needs.short_of_room(71 << 20, 80 << 20).is_none(), "just enough");
+        let shortfall = needs.short_of_room((71 << 20) - 1, 80 << 20).unwrap().to_string();
+        assert!(shortfall.starts_with("shared memory has 74.4 MB of 83.9 MB free"), "{shortfall}");
+        assert!(shortfall.contains("needs up to 74.4 MB, most of it for the topic `large`\n"), "{shortfall}");
+        assert!(shortfall.contains("size=128M"), "80 MB less 71 are taken, 71 are needed: {shortfall}");
+    }
 }

@@ -10,6 +10,7 @@ mod doctor;
 mod experiments;
 #[cfg(target_os = "linux")]
 mod faults;
+mod hostile_files;
 #[cfg(target_os = "linux")]
 mod hosts;
 #[cfg(target_os = "linux")]
@@ -18,6 +19,8 @@ mod outside_stage;
 #[cfg(target_os = "linux")]
 mod processes;
 mod run;
+#[cfg(target_os = "linux")]
+mod soak;
 #[cfg(target_os = "linux")]
 mod stress;
 mod support;

@@ -10,8 +10,9 @@ use crate::launcher::{RunFolder, user_folder};
 use crate::needs::{Needs, in_words};
 use crate::node::Node;
 use crate::plan::Plan;
-use crate::ports::shared_memory::leftovers::{Leftover, dead_nodes, leftovers, remove_dead_nodes};
+use crate::ports::shared_memory::leftovers::{Leftover, Litter, clear, leftovers, litter};
 use std::fmt::{self, Display};
+use std::path::Path;
 use std::time::Duration;
 
 /// Something that is wrong, and what to do about it.
@@ -72,10 +73,11 @@ fn without_repetition(findings: Vec<Finding>) -> Vec<Finding> {
 /// Removes what dead runs of this user have left, and tells what that was. What a live process uses stays, whoever's it is.
 pub fn clean() -> Vec<String> {
     let mut removed = Vec::new();
-    // iceoryx2 comes first: what it still knows the owner of it removes in its own order.
-    let nodes = if folder::examine().is_empty() { clean_folder(&mut removed) } else { 0 };
-    if nodes > 0 {
-        removed.insert(0, format!("what {nodes} dead processes had in `{}`", user_folder().join("shm").display()));
+    // What the folder leads to comes first: it is removed in its own order.
+    if folder::examine().is_empty() {
+        let shared_memory = user_folder().join("shm");
+        removed.extend(clear(&shared_memory).ok().and_then(|litter| describe(litter, &shared_memory)));
+        removed.extend(clear_records());
     }
     let gone: Vec<_> = leftovers().unwrap_or_default().into_iter().filter(Leftover::remove).collect();
     if !gone.is_empty() {
@@ -84,13 +86,20 @@ pub fn clean() -> Vec<String> {
     removed
 }
 
-fn clean_folder(removed: &mut Vec<String>) -> usize {
-    for folder in RunFolder::all().unwrap_or_default().iter().filter(|folder| folder.cut_off().is_some()) {
-        if folder.discard().is_ok() {
-            removed.push(format!("the records of a run that was cut off, in `{}`", folder.path().display()));
-        }
+fn clear_records() -> Vec<String> {
+    let mut folders = RunFolder::all().unwrap_or_default();
+    folders.retain(|folder| folder.cut_off().is_some() && folder.discard().is_ok());
+    let removed =
+        |folder: RunFolder| format!("the records of a run that was cut off, in `{}`", folder.path().display());
+    folders.into_iter().map(removed).collect()
+}
+
+fn describe(litter: Litter, folder: &Path) -> Option<String> {
+    match litter {
+        Litter::None => None,
+        Litter::Processes(dead) => Some(format!("what {dead} dead processes had in `{}`", folder.display())),
+        Litter::Files => Some(format!("what dead processes had in `{}`", folder.display())),
     }
-    remove_dead_nodes(&user_folder().join("shm")).unwrap_or(0)
 }
 
 fn is_running(pipeline: &str) -> bool {
@@ -99,9 +108,9 @@ fn is_running(pipeline: &str) -> bool {
 
 fn dead_in_folder() -> Option<Finding> {
     let folder = user_folder().join("shm");
-    let dead = dead_nodes(&folder).ok().filter(|dead| *dead > 0)?;
-    let what = format!("{dead} processes that died have left files in `{}` and in shared memory", folder.display());
-    Some(Finding::new(what, "the next run removes them, or now `conicflow doctor --clean`"))
+    let left = describe(litter(&folder), &folder)?;
+    let what = format!("{left} was not removed");
+    Some(Finding::new(what, "the next run removes it, or now `conicflow doctor --clean`"))
 }
 
 fn cut_off_runs() -> Vec<Finding> {

@@ -83,9 +83,11 @@ pub enum LaunchError {
 pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
     let folder = RunFolder::open(&plan.pipeline)?;
     let _lock = folder.lock(&plan.pipeline)?;
-    clean_shared_memory(&folder, plan)?;
+    SharedMemory::clean(folder.shared_memory())?;
     Needs::of(plan, options.nodes).shortfalls().into_iter().try_for_each(Err)?;
     folder.begin(plan)?;
+    let memory = SharedMemory::open(folder.shared_memory(), &plan.namespace(), "launcher", Stop::default())?;
+    let services = memory.hold(plan.topics())?;
     let mut launcher = Launcher {
         plan: plan.clone(),
         folder,
@@ -102,14 +104,9 @@ pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
     launcher.swap.take().into_iter().for_each(|swap| swap.abandon(&launcher.folder));
     launcher.stages.iter_mut().for_each(Supervised::kill);
     ended?;
-    clean_shared_memory(&launcher.folder, plan)?;
+    drop(services);
+    SharedMemory::clean(launcher.folder.shared_memory())?;
     Ok(launcher.summary())
-}
-
-/// Removes what stages that were killed, in this run or an earlier one, have left in shared memory.
-fn clean_shared_memory(folder: &RunFolder, plan: &Plan) -> Result<(), PortError> {
-    SharedMemory::open(folder.shared_memory(), &plan.pipeline, "launcher", Stop::default())?.clean();
-    Ok(())
 }
 
 /// How hard the run presses for its end.

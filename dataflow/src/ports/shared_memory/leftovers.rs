@@ -1,12 +1,13 @@
 //! What dead processes have left in shared memory.
 //!
-//! Where the run's folder is still there, iceoryx2 finds the nodes that died by it and removes what was theirs. Of a run
-//! whose folder was deleted only the files in `/dev/shm` are left, and their names tell the process that made them but not
-//! the folder. No file of a live run is ever closed by all of its processes, so one that nobody has open is dead. `/proc`
-//! cannot tell that of processes in other containers, but the kernel can: it grants a lease for writing only where no
-//! one, wherever it runs, has the file open or mapped.
+//! Where the runs' folder is still there, what processes that died have left is found by it. Of runs whose folder was deleted
+//! only the files in `/dev/shm` are left, and no name leads from them to the folder. No file of a live run is ever closed
+//! by all of its processes, so one that nobody has open is dead. `/proc` cannot tell that of processes in other
+//! containers, but the kernel can: it grants a lease for writing only where no one, wherever it runs, has the file open or
+//! mapped.
 
-use super::{Ipc, PREFIX, configuration};
+use super::sweep::{PREFIX, is_littered};
+use super::{Ipc, SharedMemory, configuration};
 use crate::needs::SHARED_MEMORY;
 use crate::ports::PortError;
 use iceoryx2::prelude::{CallbackProgression, LogLevel, Node, NodeState, set_log_level};
@@ -21,8 +22,10 @@ use std::time::{Duration, SystemTime};
 const MIN_AGE: Duration = Duration::from_secs(60);
 /// From Linux's `fcntl.h`; the `libc` crate does not have it.
 const F_SETSIG: libc::c_int = 10;
-/// The counter of nodes, shared by all runs of all users, stays when nobody runs.
-const SHARED_BY_ALL: &str = ".global_mgmt";
+/// The counter of a folder's processes is the one file that none of them keeps open.
+const COUNTER: &str = ".global_mgmt";
+/// Digits that tell the files of one folder from those of another.
+const DIGITS: usize = 8;
 
 /// A file in shared memory that no process has open.
 #[derive(Debug)]
@@ -45,21 +48,37 @@ impl Leftover {
 /// Files of this program and this user in shared memory, at least a minute old, that no process has open or mapped.
 pub(crate) fn leftovers() -> io::Result<Vec<Leftover>> {
     let paths = fs::read_dir(SHARED_MEMORY)?.flatten().map(|entry| entry.path());
-    Ok(paths.filter(|path| is_ours(path)).filter_map(leftover).collect())
+    let (mut dead, mut in_use) = (Vec::new(), Vec::new());
+    for path in paths.filter(|path| name_of(path).starts_with(PREFIX)) {
+        match leftover(&path) {
+            Some(leftover) => dead.push(leftover),
+            None => in_use.push(path),
+        }
+    }
+    // A counter goes with the last file of its folder.
+    let in_use: Vec<_> = in_use.iter().map(|path| family(name_of(path))).collect();
+    let goes = |name: &str| !name.ends_with(COUNTER) || family(name).is_some_and(|own| !in_use.contains(&Some(own)));
+    dead.retain(|leftover| goes(name_of(&leftover.path)));
+    Ok(dead)
 }
 
-fn is_ours(path: &Path) -> bool {
-    let name = path.file_name().and_then(|name| name.to_str());
-    name.is_some_and(|name| name.starts_with(PREFIX) && !name.ends_with(SHARED_BY_ALL))
+fn name_of(path: &Path) -> &str {
+    path.file_name().and_then(|name| name.to_str()).unwrap_or_default()
 }
 
-fn leftover(path: PathBuf) -> Option<Leftover> {
-    let file = open(&path).ok()?;
+/// What the names of all files of one folder have in common, which those of earlier versions had not.
+fn family(name: &str) -> Option<&str> {
+    let (family, _) = name.strip_prefix(PREFIX)?.split_once('_')?;
+    Some(family).filter(|family| family.len() == DIGITS)
+}
+
+fn leftover(path: &Path) -> Option<Leftover> {
+    let file = open(path).ok()?;
     let about = file.metadata().ok()?;
     let age = SystemTime::now().duration_since(about.modified().ok()?).ok()?;
     let own = about.is_file() && about.uid() == rustix::process::geteuid().as_raw();
     let dead = own && age >= MIN_AGE && is_unused(&file);
-    dead.then(|| Leftover { path, bytes: about.blocks() * 512, age })
+    dead.then(|| Leftover { path: path.to_owned(), bytes: about.blocks() * 512, age })
 }
 
 fn open(path: &Path) -> io::Result<File> {
@@ -78,44 +97,57 @@ fn is_unused(file: &File) -> bool {
     }
 }
 
-/// How many processes have joined the shared memory of a folder and died there.
-///
-/// # Errors
-/// The folder's path is too long.
-pub(crate) fn dead_nodes(root: &Path) -> Result<usize, PortError> {
-    let mut dead = 0;
-    each_dead_node(root, |_| dead += 1)?;
-    Ok(dead)
+/// What dead processes have left in a folder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Litter {
+    /// Nothing.
+    None,
+    /// So many processes have joined its shared memory and died there.
+    Processes(usize),
+    /// Files that nothing leads to, and that nobody uses.
+    Files,
 }
 
-/// Removes what the dead processes of a folder have left; tells how many of them that were.
-///
-/// # Errors
-/// The folder's path is too long.
-pub(crate) fn remove_dead_nodes(root: &Path) -> Result<usize, PortError> {
-    let mut removed = 0;
-    each_dead_node(root, |dead| removed += usize::from(dead.try_remove_stale_resources().is_ok()))?;
-    Ok(removed)
-}
-
-fn each_dead_node(root: &Path, mut see: impl FnMut(iceoryx2::node::DeadNodeView<Ipc>)) -> Result<(), PortError> {
+/// What dead processes have left in a folder, and in shared memory from there.
+pub(crate) fn litter(root: &Path) -> Litter {
     set_log_level(LogLevel::Fatal);
-    let listed = Node::<Ipc>::list(&configuration(root)?, |node| {
-        if let NodeState::Dead(dead) = node {
-            see(dead);
-        }
-        CallbackProgression::Continue
-    });
+    let mut dead = 0;
     // What cannot be listed is told by what cannot be opened: the folder is looked at, too.
-    listed.or(Ok(()))
+    configuration(root).ok().and_then(|config| {
+        let count = |node: NodeState<Ipc>| {
+            dead += usize::from(matches!(node, NodeState::Dead(_)));
+            CallbackProgression::Continue
+        };
+        Node::<Ipc>::list(&config, count).ok()
+    });
+    match dead {
+        0 if is_littered(root) => Litter::Files,
+        0 => Litter::None,
+        dead => Litter::Processes(dead),
+    }
 }
 
-/// Whether sockets can lie in a folder of this path.
+/// Removes what dead processes have left in a folder, and in shared memory from there; tells what that was.
+///
+/// # Errors
+/// The folder cannot be used for shared memory.
+pub(crate) fn clear(root: &Path) -> Result<Litter, PortError> {
+    let litter = litter(root);
+    if litter != Litter::None {
+        SharedMemory::clean(root)?;
+    }
+    Ok(litter)
+}
+
+/// Makes sure that sockets can lie in a folder of this path, whether it is there or not.
 ///
 /// # Errors
 /// It is too long.
 pub(crate) fn check_path(root: &Path) -> Result<(), PortError> {
-    configuration(root).map(drop)
+    match configuration(root) {
+        Err(error @ PortError::PathTooLong { .. }) => Err(error),
+        _ => Ok(()),
+    }
 }
 
 #[cfg(test)]
@@ -139,14 +171,13 @@ mod tests {
     }
 
     #[test]
-    fn only_files_of_this_program_are_its_leftovers() {
-        for (name, ours) in [
-            ("conicflow_0354a209_1__0.data", true),
-            ("conicflow_9204dd18_node.0_10_0.global_mgmt", false),
-            ("iox2_0354a209_1__0.data", false),
-            ("3842671441.zenoh", false),
-        ] {
-            assert_eq!(is_ours(&Path::new(SHARED_MEMORY).join(name)), ours, "{name}");
-        }
+    fn the_files_of_a_folder_are_a_family() {
+        assert_eq!(family("conicflow_0123abcd_0354a209029e7d094a819e2d4030ea331e6caaf0_1__0.data"), Some("0123abcd"));
+        assert_eq!(
+            family("conicflow_0123abcd_9204dd183d1c4d8e1ff592a30766ffa6765aa8b5_node.global_mgmt"),
+            Some("0123abcd")
+        );
+        assert_eq!(family("conicflow_9204dd183d1c4d8e1ff592a30766ffa6765aa8b5_node.global_mgmt"), None);
+        assert_eq!(family("iox2_0123abcd_1__0.data"), None);
     }
 }
