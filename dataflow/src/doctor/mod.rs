@@ -97,6 +97,7 @@ fn clear_records() -> Vec<String> {
 fn describe(litter: Litter, folder: &Path) -> Option<String> {
     match litter {
         Litter::None => None,
+        Litter::Processes(1) => Some(format!("what a dead process had in `{}`", folder.display())),
         Litter::Processes(dead) => Some(format!("what {dead} dead processes had in `{}`", folder.display())),
         Litter::Files => Some(format!("what dead processes had in `{}`", folder.display())),
     }
