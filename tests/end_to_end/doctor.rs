@@ -137,9 +137,10 @@ fn what_no_run_would_find_any_more_is_removed_and_what_lives_is_not() {
     let Some(memory) = OwnSharedMemory::new("64m") else { return };
     let (dead, living) = (Playground::with_pipeline(TRACKING), Playground::with_pipeline(TRACKING));
     kill_all(working(&memory, &dead));
-    fs::remove_dir_all(dead.runtime()).unwrap();
     let left = memory.files();
     let mut run = working(&memory, &living);
+    // Only now: a folder made later could get its number, and with it its files.
+    fs::remove_dir_all(dead.runtime()).unwrap();
     memory.age();
     File::create(memory.folder().join("iox2_of_another_program.data")).unwrap();
     let theirs: Vec<_> = memory.files().into_iter().filter(|file| !left.contains(file)).collect();
