@@ -24,5 +24,7 @@ mod stress;
 mod support;
 #[cfg(target_os = "linux")]
 mod swap;
+#[cfg(target_os = "linux")]
+mod top;
 mod topic;
 mod validate;
