@@ -5,6 +5,8 @@
 
 mod bridge;
 mod commands;
+#[cfg(target_os = "linux")]
+mod doctor;
 mod experiments;
 #[cfg(target_os = "linux")]
 mod faults;

@@ -5,9 +5,10 @@
 //! full. All numbers of a service follow from the pipeline file, so that every stage asks for the same ones and the order
 //! of their start does not matter.
 
-#![allow(unsafe_code)] // layout promises for types in shared memory, and loans whose content is left over
+#![allow(unsafe_code)] // layout promises for types in shared memory, loans whose content is left over, and leases on files
 
 mod hold;
+pub(crate) mod leftovers;
 mod reader;
 mod sweep;
 mod tap;

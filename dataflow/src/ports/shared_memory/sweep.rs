@@ -5,14 +5,16 @@
 //! uses it holds a lock, which the kernel releases however a process ends; and what a folder's users have in shared memory
 //! bears a prefix of its own, so that other users, folders and containers are never touched.
 
+use crate::needs::SHARED_MEMORY;
 use std::fs::{self, File, TryLockError};
 use std::io::{self, ErrorKind};
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 
 const LOCK: &str = "lock";
-/// Where the system keeps named shared memory.
-const SEGMENTS: &str = "/dev/shm";
+
+/// What the names of all files in shared memory begin with that this program makes.
+pub(super) const PREFIX: &str = "conicflow_";
 
 /// What the names of all files begin with that users of the folder make.
 ///
@@ -26,7 +28,7 @@ pub(super) fn prefix(root: &Path) -> io::Result<String> {
         .as_flattened()
         .iter()
         .fold(0x811c_9dc5_u32, |hash, byte| (hash ^ u32::from(*byte)).wrapping_mul(0x0100_0193));
-    Ok(format!("conicflow_{hash:08x}_"))
+    Ok(format!("{PREFIX}{hash:08x}_"))
 }
 
 /// Says that this process uses the folder, for as long as the file is held.
@@ -46,7 +48,14 @@ pub(super) fn sweep(root: &Path) -> io::Result<()> {
     }
     let prefix = prefix(root)?;
     remove_all(root, |name| name != LOCK)?;
-    remove_all(Path::new(SEGMENTS), |name| name.starts_with(&prefix))
+    remove_all(Path::new(SHARED_MEMORY), |name| name.starts_with(&prefix))
+}
+
+/// Whether something is left in the folder, and nobody uses it.
+pub(super) fn is_littered(root: &Path) -> bool {
+    let unused = File::open(root.join(LOCK)).is_ok_and(|file| file.try_lock().is_ok());
+    let entries = || fs::read_dir(root).into_iter().flatten().flatten();
+    unused && entries().any(|entry| entry.file_name() != LOCK)
 }
 
 fn remove_all(folder: &Path, which: impl Fn(&str) -> bool) -> io::Result<()> {
@@ -74,7 +83,7 @@ mod tests {
         let details = folder.path().join("nodes/42/conicflow_node.details");
         fs::create_dir_all(details.parent().unwrap()).unwrap();
         fs::write(&details, "half a node").unwrap();
-        let segment = Path::new(SEGMENTS).join(format!("{}half_a_segment", prefix(folder.path()).unwrap()));
+        let segment = Path::new(SHARED_MEMORY).join(format!("{}half_a_segment", prefix(folder.path()).unwrap()));
         fs::write(&segment, "nothing").unwrap();
         let occupied = occupy(folder.path()).unwrap();
         sweep(folder.path()).unwrap();
