@@ -11,6 +11,8 @@ mod faults;
 #[cfg(target_os = "linux")]
 mod hosts;
 #[cfg(target_os = "linux")]
+mod identities;
+#[cfg(target_os = "linux")]
 mod intruders;
 mod outside_stage;
 #[cfg(target_os = "linux")]
