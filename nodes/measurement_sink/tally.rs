@@ -24,6 +24,8 @@ pub struct Tally {
     squared_error: Spread,
     error: Spread,
     squared_axis: Spread,
+    squared_radius_sigmas: Spread,
+    squared_center_sigmas: Spread,
     identities: BTreeSet<u64>,
     switches: u64,
     last: Option<Last>,
@@ -60,6 +62,8 @@ impl Tally {
         self.error.add(error);
         self.squared_error.add(error * error);
         self.squared_axis.add(angle(&truth.axis, &seen.state.axis).powi(2));
+        seen.sigmas.radius.into_iter().for_each(|error| self.squared_radius_sigmas.add(error * error));
+        seen.sigmas.center.into_iter().for_each(|error| self.squared_center_sigmas.add(error * error));
         self.identify(seen);
     }
 
@@ -109,6 +113,8 @@ impl Tally {
         row.number("speed_sd_mps", self.speed.deviation());
         row.number("position_rms_m", self.squared_error.mean().sqrt());
         row.number("axis_rms_deg", self.squared_axis.mean().sqrt().to_degrees());
+        row.number("radius_sigmas", self.squared_radius_sigmas.mean().sqrt());
+        row.number("center_sigmas", self.squared_center_sigmas.mean().sqrt());
         row.count("identities", self.identities.len() as u64);
         row.count("switches", self.switches);
         row

@@ -14,6 +14,8 @@ mod hostile_files;
 #[cfg(target_os = "linux")]
 mod hosts;
 #[cfg(target_os = "linux")]
+mod identities;
+#[cfg(target_os = "linux")]
 mod intruders;
 mod outside_stage;
 #[cfg(target_os = "linux")]
