@@ -43,7 +43,12 @@ pub fn start(machine: &Playground, name: &str) -> Started {
 
 /// What the tracks say, without the times that it took.
 pub fn tracks(playground: &Playground) -> Vec<Json> {
-    let mut lines = playground.json_lines("tracks.jsonl");
+    without_times(playground, "tracks.jsonl")
+}
+
+/// The lines of a file of JSON objects, without the times that it took.
+pub fn without_times(playground: &Playground, file: &str) -> Vec<Json> {
+    let mut lines = playground.json_lines(file);
     lines.iter_mut().for_each(|line| drop(line.as_object_mut().unwrap().remove("latency_ms")));
     lines
 }

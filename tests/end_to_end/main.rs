@@ -14,6 +14,7 @@ mod outside_stage;
 #[cfg(target_os = "linux")]
 mod processes;
 mod run;
+mod several_machines;
 mod support;
 #[cfg(target_os = "linux")]
 mod swap;
