@@ -13,6 +13,7 @@ mod intruders;
 mod outside_stage;
 #[cfg(target_os = "linux")]
 mod processes;
+mod routers;
 mod run;
 mod several_machines;
 mod support;

@@ -1,22 +1,13 @@
 //! More than one edge between two machines: there and back, three machines, pipelines beside each other. What comes out is
 //! what one machine finds, bit for bit.
 
-use super::bridge::{loopback, start, without_times};
+use super::bridge::{HALVES, loopback, placed, start, without_times};
 use super::support::{Playground, TRACKING};
 use serde_json::Value as Json;
 
 /// [`TRACKING`] with so many frames.
 fn finite(frames: u32) -> String {
     TRACKING.replace("rate_hz    = 0", &format!("rate_hz    = 0\nframes     = {frames}"))
-}
-
-/// The stages of `text` on these machines.
-fn placed(text: &str, places: &[(&str, &str)]) -> String {
-    places.iter().fold(text.to_owned(), |text, (stage, machine)| {
-        let title = format!("[stage.{stage}]\n");
-        assert!(text.contains(&title), "no stage `{stage}`");
-        text.replace(&title, &format!("{title}machine = \"{machine}\"\n"))
-    })
 }
 
 /// What one machine writes into these files.
@@ -84,8 +75,6 @@ path  = "ellipses.jsonl"
 
 #[test]
 fn pipelines_beside_each_other_on_the_same_machines_do_not_meet() {
-    let places =
-        [("source", "robot"), ("extractor", "robot"), ("assembler", "base"), ("tracker", "base"), ("json", "base")];
     let other = finite(80).replace("\"tracking\"", "\"other\"").replace("width", "seed = 7\nwidth");
     let texts = [finite(100), other.replace("tracks.jsonl", "other.jsonl")];
     let expected = [alone(&texts[0], ["tracks.jsonl"]), alone(&texts[1], ["other.jsonl"])];
@@ -98,7 +87,7 @@ fn pipelines_beside_each_other_on_the_same_machines_do_not_meet() {
         let ends = format!("\n[machine.robot]\nlisten = [\"{own}\"]\n[machine.base]\nconnect = {endpoints:?}\n");
         let file = format!("{}.toml", runs.len());
         for (machine, name) in [(&robot, "robot"), (&base, "base")] {
-            machine.write(&file, &(placed(text, &places) + &ends));
+            machine.write(&file, &(placed(text, &HALVES) + &ends));
             runs.push(machine.start(&["run", &file, "--machine", name]));
         }
     }
