@@ -7,6 +7,8 @@ use std::thread::sleep;
 use std::time::Duration;
 
 const PERIOD: Duration = Duration::from_secs(1);
+/// A stage that has given no sign of life for this long is pointed out.
+const SILENT_S: f64 = 2.0;
 
 /// Draws the screen until it is ended; without a terminal, or if `once`, prints JSON and ends.
 ///
@@ -37,10 +39,17 @@ fn screen(pipelines: &[PipelineActivity]) -> String {
     let parts = pipelines.iter().map(|pipeline| {
         let links =
             if pipeline.links.is_empty() { String::new() } else { format!("\n{}", link_table(&pipeline.links)) };
+        let silent = silent(pipeline);
         let tables = [stages(pipeline), topics(pipeline), inputs(pipeline)].map(|table| table.to_string());
-        format!("{}\n\n{}{links}\n", pipeline.pipeline, tables.join("\n"))
+        format!("{}\n\n{silent}{}{links}\n", pipeline.pipeline, tables.join("\n"))
     });
     parts.collect()
+}
+
+/// A line for each stage that hangs, or seems to.
+fn silent(pipeline: &PipelineActivity) -> String {
+    let silent = pipeline.stages.iter().filter(|stage| stage.silent_s > SILENT_S);
+    silent.map(|stage| format!("{}: no sign of life for {:.0} s\n", clip(&stage.stage, 14), stage.silent_s)).collect()
 }
 
 fn stages(pipeline: &PipelineActivity) -> Table {

@@ -12,6 +12,7 @@ mod observe;
 pub mod pipeline;
 mod plan;
 pub mod ports;
+mod pulse;
 mod runner;
 mod sides;
 mod stage;

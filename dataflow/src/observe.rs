@@ -3,6 +3,7 @@
 //! Nothing is attached to, so that nothing is slowed down and no queue gets another reader.
 
 use crate::bridge::{LinkReport, read_links};
+use crate::clock::monotonic_ns;
 use crate::launcher::{FolderError, RunFolder};
 use crate::plan::{Plan, PlannedStage};
 use crate::status::{Durations, Life, Status};
@@ -19,6 +20,7 @@ pub struct Observation {
 /// A stage at one moment.
 struct Observed {
     status: Status,
+    silent: Duration,
     cpu: Duration,
     resident_bytes: u64,
 }
@@ -57,6 +59,8 @@ pub struct StageActivity {
     pub cpu_percent: f64,
     /// Memory in use, shared memory included, in MB.
     pub memory_mb: f64,
+    /// Time since its last sign of life, in seconds; of a stage that waits at most about 0.1.
+    pub silent_s: f64,
     /// Time of a step, median, since the run began.
     pub compute_p50_ms: Option<f64>,
     /// Time of a step, 99 of 100, since the run began.
@@ -129,7 +133,8 @@ pub fn observe() -> Result<Observation, FolderError> {
 fn observe_stage(folder: &RunFolder, name: &str) -> Option<Observed> {
     let status = Status::read(&folder.status(name)).filter(|status| status.life() == Life::Running)?;
     let (cpu, resident_bytes) = process_usage(status.process)?;
-    Some(Observed { status, cpu, resident_bytes })
+    let silent = Duration::from_nanos(monotonic_ns().saturating_sub(status.alive_ns));
+    Some(Observed { status, silent, cpu, resident_bytes })
 }
 
 /// Processor time and resident memory of a process, from /proc; `None` if there is none.
@@ -199,6 +204,7 @@ impl Span<'_> {
             rate_hz: self.per_second(|status| status.steps),
             cpu_percent: cpu.as_secs_f64() / self.seconds * 100.0,
             memory_mb: self.now.resident_bytes as f64 / 1e6,
+            silent_s: self.now.silent.as_secs_f64(),
             compute_p50_ms: milliseconds(&status.compute, 0.5),
             compute_p99_ms: milliseconds(&status.compute, 0.99),
         }

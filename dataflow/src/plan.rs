@@ -52,6 +52,8 @@ pub struct PlannedStage {
     pub wiring: Wiring,
     /// What happens when it dies.
     pub restart: Restart,
+    /// Without a sign of life for so long, in seconds, it counts as dead; `None`: it is reported.
+    pub hang_s: Option<f64>,
     /// Environment variables for it.
     pub env: Vec<(String, String)>,
 }
@@ -144,6 +146,7 @@ impl PlannedStage {
             parameters: stage.parameters.clone(),
             wiring,
             restart: stage.restart,
+            hang_s: stage.hang_s,
             env: stage.env.clone(),
         }
     }
@@ -155,6 +158,7 @@ impl PlannedStage {
             parameters: Json::Null,
             wiring: Wiring::default(),
             restart: Restart::OnFailure,
+            hang_s: None,
             env: Vec::new(),
         }
     }

@@ -4,6 +4,7 @@
 //! [`Nothing`](conicflow_messages::Nothing). None of them knows who is up- or downstream, on which machine, or whether it
 //! is a test.
 
+use crate::pulse::Pulse;
 use crate::sides::{Side, Sides};
 use conicflow_messages::{Header, Item, Message};
 use schemars::JsonSchema;
@@ -11,8 +12,8 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 /// Why a stage could not start or go on; its text says what, where and, after `hint:`, what to do.
@@ -71,6 +72,9 @@ impl Context {
 }
 
 /// A flag that is raised when the run is to end: in order, or at once.
+///
+/// Whoever asks for it lives: asking is the sign by which the launcher tells a stage that waits from one that hangs, so a
+/// step that may take seconds asks now and then.
 #[derive(Clone, Debug, Default)]
 pub struct Stop(Arc<Flags>);
 
@@ -78,6 +82,7 @@ pub struct Stop(Arc<Flags>);
 struct Flags {
     end: AtomicU8,
     leave: AtomicBool,
+    pulse: OnceLock<Pulse>,
 }
 
 const IN_ORDER: u8 = 1;
@@ -86,11 +91,13 @@ const AT_ONCE: u8 = 2;
 impl Stop {
     /// Whether the run is to end.
     pub fn requested(&self) -> bool {
+        self.show_life();
         self.0.end.load(Ordering::Relaxed) >= IN_ORDER
     }
 
     /// Whether it is to end at once: nobody waits any more.
     pub fn forced(&self) -> bool {
+        self.show_life();
         self.0.end.load(Ordering::Relaxed) >= AT_ONCE
     }
 
@@ -102,6 +109,16 @@ impl Stop {
     /// Ends the run at once.
     pub fn force(&self) {
         self.0.end.fetch_max(AT_ONCE, Ordering::Relaxed);
+    }
+
+    fn show_life(&self) {
+        self.0.pulse.get().into_iter().for_each(Pulse::beat);
+    }
+
+    /// From now on signs of life go there.
+    pub(crate) fn show_life_by(&self, pulse: Pulse) {
+        // A process has one stage, and one record.
+        self.0.pulse.set(pulse).ok();
     }
 
     /// Whether this stage is to leave its place to another process.

@@ -3,10 +3,13 @@
 //! Whoever wants to know reads the file; the stage neither notices nor waits, and what it counted survives its death.
 //! Durations are counted in a histogram of fixed size with logarithmic buckets, because the record must have one.
 
+use crate::clock::monotonic_ns;
+use crate::pulse::Pulse;
 use bytemuck::{Pod, Zeroable};
 use conicflow_messages::Text;
 use std::fs::{File, OpenOptions};
 use std::io;
+use std::mem::offset_of;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -21,7 +24,7 @@ pub const MAX_COUNTERS: usize = 40;
 /// The run of stages that were started one by one, without a launcher.
 pub const NO_RUN: u64 = 0;
 
-const LAYOUT: u64 = 0x636f_6e69_6366_0002;
+const LAYOUT: u64 = 0x636f_6e69_6366_0003;
 /// Each octave of time is cut into this many buckets: a percentile is right within 3 %.
 const STEPS: usize = 16;
 /// 1 microsecond to 69 seconds.
@@ -185,6 +188,8 @@ pub struct Status {
     pub sent_bytes: u64,
     /// How often the stage was started in this run.
     pub starts: u64,
+    /// Last sign of life of its process, on the monotonic clock.
+    pub alive_ns: u64,
     /// Counts per input, the driving one first.
     pub inputs: [InputCounts; MAX_INPUTS],
     /// Items sent, by what they are called.
@@ -298,8 +303,15 @@ impl StatusFile {
         }
     }
 
-    /// Makes the record seen by others. A file that cannot be written (a full disk) only hides the counts.
-    pub fn write(&self) {
+    /// Signs of life of this process between the times that the record is written.
+    pub(crate) fn pulse(&self) -> Option<Pulse> {
+        let file = self.file.as_ref()?.try_clone().ok()?;
+        Some(Pulse::new(file, offset_of!(Status, alive_ns)))
+    }
+
+    /// Makes the record seen by others, and is a sign of life. A file that cannot be written (a full disk) only hides the counts.
+    pub fn write(&mut self) {
+        self.status.alive_ns = monotonic_ns();
         if let Some(file) = &self.file {
             file.write_all_at(bytemuck::bytes_of(&*self.status), 0).ok();
         }

@@ -7,6 +7,9 @@ mod bridge;
 mod commands;
 mod experiments;
 #[cfg(target_os = "linux")]
+mod faults;
+mod hostile_files;
+#[cfg(target_os = "linux")]
 mod hosts;
 #[cfg(target_os = "linux")]
 mod intruders;
@@ -16,6 +19,10 @@ mod processes;
 mod routers;
 mod run;
 mod several_machines;
+#[cfg(target_os = "linux")]
+mod soak;
+#[cfg(target_os = "linux")]
+mod stress;
 mod support;
 #[cfg(target_os = "linux")]
 mod swap;

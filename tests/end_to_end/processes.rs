@@ -232,7 +232,7 @@ pub fn shared_files(process: u32) -> BTreeSet<PathBuf> {
 }
 
 /// All files in a folder and those in it.
-fn files_below(folder: &Path) -> Vec<PathBuf> {
+pub fn files_below(folder: &Path) -> Vec<PathBuf> {
     let paths = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
     paths.flat_map(|path| if path.is_dir() { files_below(&path) } else { vec![path] }).collect()
 }
@@ -261,5 +261,5 @@ fn nothing_stays_in_shared_memory_however_runs_end() {
     }
     assert!(used.len() > 100, "only {} files were used, which shows little", used.len());
     let left = files_below(&playground.runtime().join("shm"));
-    assert!(left.is_empty(), "{left:?}");
+    assert!(left.iter().all(|path| path.ends_with("lock")), "{left:?}");
 }

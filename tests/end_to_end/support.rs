@@ -230,6 +230,12 @@ impl Started {
         }
     }
 
+    /// Waits until it has written this to standard error.
+    pub fn wait_for_text(&mut self, text: &str) {
+        let path = self.texts.path().join("stderr");
+        self.wait_until(text, || fs::read_to_string(&path).unwrap().contains(text));
+    }
+
     /// Waits until it ends.
     pub fn wait(mut self) -> Ended {
         let since = Instant::now();

@@ -2,8 +2,9 @@
 
 use super::folder::RunFolder;
 use super::process::{LAUNCHER, PIPELINE, ProcessError, REFUSED, STAGE};
+use super::vigil::{News, Vigil};
 use crate::pipeline::Restart;
-use crate::plan::{Plan, PlannedStage};
+use crate::plan::{Plan, PlannedStage, Runs};
 use crate::status::{Life, Status, StatusFile};
 use rustix::process::{Pid, Signal, kill_process};
 use std::collections::VecDeque;
@@ -42,12 +43,14 @@ pub(crate) enum Change {
 pub(crate) struct Supervised {
     pub(crate) planned: PlannedStage,
     state: State,
+    vigil: Vigil,
     deaths: VecDeque<Instant>,
 }
 
 impl Supervised {
     pub(crate) fn start(planned: PlannedStage, plan: &Plan, program: &Path) -> Result<Self, ProcessError> {
-        let mut stage = Self { planned, state: State::Done, deaths: VecDeque::new() };
+        let mut stage =
+            Self { planned, state: State::Done, vigil: Vigil::new(0, Instant::now()), deaths: VecDeque::new() };
         stage.spawn(plan, program)?;
         Ok(stage)
     }
@@ -129,7 +132,10 @@ impl Supervised {
                     let process = child.id();
                     Ok(self.ended(process, status, plan, folder, ending))
                 }
-                _ => Ok(Change::None),
+                _ => {
+                    self.watch(plan, folder);
+                    Ok(Change::None)
+                }
             },
             State::Waiting { .. } if ending => {
                 self.state = State::Done;
@@ -140,6 +146,41 @@ impl Supervised {
                 Ok(Change::None)
             }
             _ => Ok(Change::None),
+        }
+    }
+
+    /// Looks whether the process still gives signs of life; one that hangs is reported, and killed where the file says so.
+    fn watch(&mut self, plan: &Plan, folder: &RunFolder) {
+        let Some(process) = self.process() else { return };
+        let record = Status::read(&folder.status(&self.planned.name)).filter(|status| status.run == plan.run);
+        let own = record.filter(|status| status.process == process);
+        if own.is_none() && matches!(self.planned.runs, Runs::Command(_)) {
+            return;
+        }
+        let limit = self.planned.hang_s.map(Duration::from_secs_f64);
+        let steps = own.as_ref().map_or(0, |status| status.steps);
+        let news = self.vigil.look(process, own.map(|status| status.alive_ns), limit, Instant::now());
+        news.into_iter().for_each(|news| self.tell(news, steps));
+        if let (Some(News::Hangs(_)), Some(_), State::Running(child)) = (news, limit, &mut self.state) {
+            child.kill().ok();
+        }
+    }
+
+    fn tell(&self, news: News, steps: u64) {
+        let name = &self.planned.name;
+        let (News::Hangs(silent) | News::GoesOn(silent)) = news;
+        let seconds = silent.as_secs_f64();
+        match (news, self.planned.hang_s) {
+            (News::GoesOn(_), _) => {
+                tracing::info!("stage `{name}` goes on after {seconds:.1} s without a sign of life");
+            }
+            (News::Hangs(_), Some(_)) => {
+                tracing::error!("stage `{name}` hangs after {steps} messages, {seconds:.1} s ago, and is killed");
+            }
+            (News::Hangs(_), None) => tracing::warn!(
+                "stage `{name}` hangs after {steps} messages: no sign of life for {seconds:.1} s\n  \
+                 hint: with restart = {{ when = \"on_failure\", hang_s = 5 }} it would be started anew"
+            ),
         }
     }
 

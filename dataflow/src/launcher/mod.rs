@@ -10,6 +10,7 @@ mod progress;
 mod request;
 mod summary;
 mod swap;
+mod vigil;
 
 pub use folder::{FolderError, RUNTIME_DIR, RunFolder, RunLock};
 pub use process::{PIPELINE, ProcessError, run_in_run, run_planned, run_source, run_stage};
@@ -19,7 +20,6 @@ pub use summary::{StageSummary, Summary, link_table};
 use crate::plan::Plan;
 use crate::ports::PortError;
 use crate::ports::shared_memory::SharedMemory;
-use crate::stage::Stop;
 use child::{Change, Supervised};
 use progress::Progress;
 use rustix::process::Signal;
@@ -73,7 +73,7 @@ pub enum LaunchError {
 pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
     let folder = RunFolder::open(&plan.pipeline)?;
     let _lock = folder.lock(&plan.pipeline)?;
-    clean_shared_memory(&folder, plan)?;
+    SharedMemory::clean(folder.shared_memory())?;
     folder.begin(plan)?;
     let mut launcher = Launcher {
         plan: plan.clone(),
@@ -91,14 +91,8 @@ pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
     launcher.swap.take().into_iter().for_each(|swap| swap.abandon(&launcher.folder));
     launcher.stages.iter_mut().for_each(Supervised::kill);
     ended?;
-    clean_shared_memory(&launcher.folder, plan)?;
+    SharedMemory::clean(launcher.folder.shared_memory())?;
     Ok(launcher.summary())
-}
-
-/// Removes what stages that were killed, in this run or an earlier one, have left in shared memory.
-fn clean_shared_memory(folder: &RunFolder, plan: &Plan) -> Result<(), PortError> {
-    SharedMemory::open(folder.shared_memory(), &plan.pipeline, "launcher", Stop::default())?.clean();
-    Ok(())
 }
 
 /// How hard the run presses for its end.

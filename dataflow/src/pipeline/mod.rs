@@ -71,6 +71,8 @@ pub struct StageSpec {
     pub machine: Option<String>,
     /// What happens when it dies.
     pub restart: Restart,
+    /// Without a sign of life for so long, in seconds, it counts as dead; `None`: it is reported.
+    pub hang_s: Option<f64>,
     /// Environment variables for it.
     pub env: Vec<(String, String)>,
     /// Parameters of its node.

@@ -87,6 +87,7 @@ impl<T: Transport + 'static> Surroundings<T> {
         status.starts += 1;
         status.set_life(Life::Starting);
         self.record.write();
+        self.record.pulse().into_iter().for_each(|pulse| self.context.stop.show_life_by(pulse));
     }
 
     pub(crate) fn begin(&mut self, total: Option<u64>) {

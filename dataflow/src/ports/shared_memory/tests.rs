@@ -92,7 +92,7 @@ fn another_type_of_message_is_refused_by_name() {
 fn a_folder_with_too_long_a_path_is_told() {
     let folder = Path::new("/tmp").join("long".repeat(20));
     let error = SharedMemory::open(&folder, "test", "stage", Stop::default()).err().unwrap();
-    assert!(matches!(error, PortError::PathTooLong { length: 85, limit: 61, .. }), "{error}");
+    assert!(matches!(error, PortError::PathTooLong { length: 85, limit: 48, .. }), "{error}");
 }
 
 #[test]

@@ -1,0 +1,112 @@
+//! Tells a stage that hangs from one that waits: who waits gives a sign of life ten times a second, and a step is one.
+
+use std::time::{Duration, Instant};
+
+/// A stage that has given no sign of life for this long is reported, where the file names no other time.
+const REPORT_AFTER: Duration = Duration::from_secs(10);
+/// A longer time between two looks is not held against the stage: the launcher, or the whole machine, stood still as well.
+const LONGEST_LOOK: Duration = Duration::from_secs(1);
+
+/// What the launcher knows of one process's signs of life.
+#[derive(Debug)]
+pub(crate) struct Vigil {
+    process: u32,
+    sign: Option<u64>,
+    silent: Duration,
+    looked: Instant,
+    reported: bool,
+}
+
+/// What is new at a look.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum News {
+    /// It has been silent for too long.
+    Hangs(Duration),
+    /// After that it has given a sign of life.
+    GoesOn(Duration),
+}
+
+impl Vigil {
+    /// Begins with a process that was just started, or has just taken the place.
+    pub(crate) fn new(process: u32, now: Instant) -> Self {
+        Self { process, sign: None, silent: Duration::ZERO, looked: now, reported: false }
+    }
+
+    /// Looks at the last sign of life that the stage's record tells of, if it is one of `process`.
+    pub(crate) fn look(
+        &mut self,
+        process: u32,
+        sign: Option<u64>,
+        limit: Option<Duration>,
+        now: Instant,
+    ) -> Option<News> {
+        if process != self.process {
+            *self = Self::new(process, now);
+        }
+        let passed = now.duration_since(self.looked).min(LONGEST_LOOK);
+        self.looked = now;
+        if sign != self.sign {
+            self.sign = sign;
+            let silent = std::mem::take(&mut self.silent);
+            return std::mem::take(&mut self.reported).then_some(News::GoesOn(silent));
+        }
+        self.silent += passed;
+        let hangs = !self.reported && self.silent > limit.unwrap_or(REPORT_AFTER);
+        self.reported |= hangs;
+        hangs.then_some(News::Hangs(self.silent))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LOOK: Duration = Duration::from_millis(100);
+
+    /// The news of looks at these signs, a tenth of a second apart, with their number.
+    fn news(signs: impl IntoIterator<Item = Option<u64>>) -> Vec<(usize, News)> {
+        let begin = Instant::now();
+        let mut vigil = Vigil::new(7, begin);
+        let looks = signs.into_iter().enumerate();
+        let seen = looks.filter_map(|(look, sign)| {
+            let news = vigil.look(7, sign, Some(Duration::from_secs(2)), begin + LOOK * look as u32);
+            Some((look, news?))
+        });
+        seen.collect()
+    }
+
+    #[test]
+    fn a_stage_hangs_when_its_last_sign_is_old_and_that_is_told_once() {
+        let signs = (0..10).map(Some).chain([Some(10); 60]).chain([Some(11); 10]);
+        let told = news(signs);
+        let [(31, News::Hangs(silent)), (70, News::GoesOn(_))] = told[..] else { panic!("{told:?}") };
+        assert!((2.0..2.2).contains(&silent.as_secs_f64()), "{silent:?}");
+    }
+
+    #[test]
+    fn a_stage_that_never_came_to_its_record_hangs_too() {
+        let told = news([None; 30]);
+        assert!(matches!(told[..], [(21, News::Hangs(_))]), "{told:?}");
+    }
+
+    #[test]
+    fn time_in_which_nobody_looked_does_not_count() {
+        let begin = Instant::now();
+        let mut vigil = Vigil::new(7, begin);
+        let limit = Some(Duration::from_secs(2));
+        assert_eq!(vigil.look(7, Some(1), limit, begin), None);
+        assert_eq!(vigil.look(7, Some(1), limit, begin + Duration::from_secs(3600)), None);
+    }
+
+    #[test]
+    fn another_process_begins_anew() {
+        let begin = Instant::now();
+        let mut vigil = Vigil::new(7, begin);
+        let second = |count: u32| begin + Duration::from_secs(count.into());
+        for count in 0..3 {
+            assert_eq!(vigil.look(7, None, Some(Duration::from_secs(3)), second(count)), None);
+        }
+        assert_eq!(vigil.look(8, None, Some(Duration::from_secs(3)), second(4)), None);
+        assert!(vigil.look(8, None, Some(Duration::from_millis(500)), second(5)).is_some());
+    }
+}

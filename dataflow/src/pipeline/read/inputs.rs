@@ -1,0 +1,106 @@
+//! The inputs of a stage in a pipeline file.
+
+use super::Reader;
+use crate::bridge::Compression;
+use crate::pipeline::diagnostic::{Place, suggestion};
+use crate::pipeline::value::{Content, Entry, Table, Value};
+use crate::pipeline::{Input, Program};
+use crate::ports::Delivery;
+use crate::sides::Pick;
+use conicflow_messages::Kind;
+
+const INPUT_KEYS: [&str; 5] = ["topic", "delivery", "queue", "kind", "compression"];
+const COMPRESSIONS: [(&str, Compression); 3] =
+    [("none", Compression::None), ("lz4", Compression::Lz4), ("zstd", Compression::Zstd)];
+const KINDS: [Kind; 4] = [Kind::Depth, Kind::Ellipses, Kind::Objects, Kind::Tracks];
+const DELIVERIES: [(&str, Delivery); 2] = [("latest", Delivery::Latest), ("lossless", Delivery::Lossless)];
+
+const QUEUE_LATEST: usize = 2;
+const QUEUE_SAME_FRAME: usize = 8;
+const QUEUE_LOSSLESS: usize = 4;
+const MAX_QUEUE: i64 = 64;
+
+/// What the file says of an input.
+#[derive(Default)]
+struct SaidInput {
+    topic: String,
+    delivery: Option<Delivery>,
+    queue: Option<usize>,
+    kind: Option<Kind>,
+    compression: Option<Compression>,
+}
+
+impl Reader<'_> {
+    /// An input in its short or its long form; `pick` and `delivery` set what is not said.
+    pub(super) fn input(&mut self, value: &Value, pick: Pick, delivery: Delivery) -> Option<Input> {
+        let place = value.place.clone();
+        let said = match &value.content {
+            Content::String(topic) => SaidInput { topic: topic.clone(), ..SaidInput::default() },
+            Content::Table(table) => self.long_input(table.clone(), &place)?,
+            _ => {
+                let what = format!("an input is a topic or a table, this is {}", value.type_name());
+                self.fault(&place, what, "\"depth\" or { topic = \"depth\", delivery = \"lossless\", queue = 4 }");
+                return None;
+            }
+        };
+        let delivery = said.delivery.unwrap_or(delivery);
+        let default_queue = match (delivery, pick) {
+            (Delivery::Lossless, _) => QUEUE_LOSSLESS,
+            (Delivery::Latest, Pick::SameFrame) => QUEUE_SAME_FRAME,
+            (Delivery::Latest, Pick::Latest) => QUEUE_LATEST,
+        };
+        // Two places keep the last frame beside the message that ends the stream.
+        let queue = said.queue.unwrap_or(default_queue).max(2);
+        let SaidInput { topic, kind, compression, .. } = said;
+        Some(Input { topic, delivery, queue, kind, compression, place })
+    }
+
+    fn long_input(&mut self, mut table: Table, place: &Place) -> Option<SaidInput> {
+        let topic = table.take("topic").and_then(|entry| self.string(&entry));
+        let delivery = table.take("delivery").and_then(|entry| self.word(&entry, DELIVERIES));
+        let queue = table.take("queue").and_then(|entry| self.queue(&entry));
+        let kind = table.take("kind").and_then(|entry| self.word(&entry, KINDS.map(|kind| (kind.name(), kind))));
+        let compression = table.take("compression").and_then(|entry| self.word(&entry, COMPRESSIONS));
+        self.unknown_keys(&table, &INPUT_KEYS, "the input");
+        if topic.is_none() {
+            self.fault(place, "the input has no topic", "for example { topic = \"depth\", delivery = \"lossless\" }");
+        }
+        Some(SaidInput { topic: topic?, delivery, queue, kind, compression })
+    }
+
+    fn queue(&mut self, entry: &Entry) -> Option<usize> {
+        match entry.value.content {
+            Content::Integer(length @ 1..=MAX_QUEUE) => usize::try_from(length).ok(),
+            _ => {
+                let what = match entry.value.content {
+                    Content::Integer(length) => format!("`queue` is {length}, allowed is from 1 to {MAX_QUEUE}"),
+                    _ => format!("`queue` wants an integer, this is {}", entry.value.type_name()),
+                };
+                self.fault(&entry.value.place, what, "how many messages wait for this input at most");
+                None
+            }
+        }
+    }
+
+    pub(super) fn inputs(&mut self, entry: Entry, program: &Program, driving: Delivery) -> Vec<(String, Input)> {
+        let table = self.table(entry, "inputs = { depth = \"depth\" }").unwrap_or_default();
+        let mut inputs = Vec::new();
+        for entry in table.0 {
+            let pick = self.pick_of(&entry, program);
+            let default = if pick == Pick::SameFrame { driving } else { Delivery::Latest };
+            inputs.extend(self.input(&entry.value, pick, default).map(|input| (entry.key, input)));
+        }
+        inputs
+    }
+
+    /// Which message of a further input a node wants; a fault if it has no such input.
+    fn pick_of(&mut self, entry: &Entry, program: &Program) -> Pick {
+        let Program::Node(node) = program else { return Pick::Latest };
+        if let Some(side) = node.sides().iter().find(|side| side.name == entry.key) {
+            return side.pick;
+        }
+        let hint = suggestion(&entry.key, node.sides().iter().map(|side| side.name), "further inputs");
+        self.fault(&entry.key_place, format!("node `{}` has no further input `{}`", node.name, entry.key), hint);
+        Pick::Latest
+    }
+}

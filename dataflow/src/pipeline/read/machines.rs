@@ -1,0 +1,47 @@
+//! The machines of a pipeline file, and how they reach each other.
+
+use super::{MAX_STAGE_NAME, Reader};
+use crate::bridge::settings;
+use crate::pipeline::Machine;
+use crate::pipeline::value::Entry;
+use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
+use std::path::PathBuf;
+
+const MACHINE_KEYS: [&str; 5] = ["listen", "connect", "zenoh", "insecure", "outage_s"];
+const OUTAGE_S: RangeInclusive<f64> = 0.0..=86_400.0;
+const OUTAGE_HINT: &str = "how long lossless edges wait for a machine that has gone";
+
+impl Reader<'_> {
+    pub(super) fn machines(&mut self, entry: Entry) -> BTreeMap<String, Machine> {
+        let table = self.table(entry, "[machine.robot]").unwrap_or_default();
+        table.0.into_iter().map(|entry| (entry.key.clone(), self.machine(entry))).collect()
+    }
+
+    fn machine(&mut self, entry: Entry) -> Machine {
+        let (owner, place) = (format!("machine `{}`", entry.key), entry.key_place.clone());
+        self.check_name(&entry.key, &place, "machine", MAX_STAGE_NAME, "_-");
+        let mut table = self.table(entry, "[machine.robot]").unwrap_or_default();
+        let mut endpoints = |reader: &mut Self, key| table.take(key).and_then(|entry| reader.strings(&entry));
+        let listen = endpoints(self, "listen").unwrap_or_default();
+        let connect = endpoints(self, "connect").unwrap_or_default();
+        let zenoh = table.take("zenoh").and_then(|entry| self.existing_file(&entry));
+        let insecure = table.take("insecure").and_then(|entry| self.boolean(&entry)).unwrap_or_default();
+        let outage_s = table.take("outage_s").and_then(|entry| self.seconds(&entry, OUTAGE_S, OUTAGE_HINT));
+        self.unknown_keys(&table, &MACHINE_KEYS, &owner);
+        let machine = Machine { listen, connect, zenoh, insecure, outage_s };
+        if let Err(error) = settings::check(&machine) {
+            self.fault(&place, format!("{owner}: {}", error.what), error.hint);
+        }
+        machine
+    }
+
+    fn existing_file(&mut self, entry: &Entry) -> Option<PathBuf> {
+        let path = self.base.join(self.string(entry)?);
+        if !path.is_file() {
+            let hint = "paths are relative to the pipeline file";
+            self.fault(&entry.value.place, format!("there is no file `{}`", path.display()), hint);
+        }
+        Some(path)
+    }
+}

@@ -1,0 +1,158 @@
+//! The tree of a pipeline file into stages: keys, types, nodes and their parameters.
+
+mod inputs;
+mod machines;
+mod stages;
+
+use super::Pipeline;
+use super::diagnostic::{Diagnostic, Place, SourceText, closest, suggestion};
+use super::value::{Content, Entry, Table};
+use crate::node::Node;
+use std::ops::RangeInclusive;
+use std::path::Path;
+use std::sync::Arc;
+
+/// Names travel in headers of fixed size, as far as the terminating zero.
+const MAX_STAGE_NAME: usize = 31;
+const MAX_TOPIC_NAME: usize = 63;
+
+/// Reads a document; what cannot be read is reported and left out.
+pub(super) fn pipeline(
+    mut document: Table,
+    source: &Arc<SourceText>,
+    base: &Path,
+    nodes: &[Node],
+    faults: &mut Vec<Diagnostic>,
+) -> Pipeline {
+    let start = Place { source: Arc::clone(source), span: 0..0 };
+    let mut reader = Reader { base, nodes, faults };
+    let name = reader.name(&mut document, &start);
+    let machines = document.take("machine").map(|entry| reader.machines(entry)).unwrap_or_default();
+    let experiment = document.take("experiment").map(|entry| entry.value.to_json());
+    let stages = document.take("stage").map(|entry| reader.stages(entry));
+    reader.unknown_keys(&document, &["name", "machine", "stage", "experiment"], "the pipeline");
+    let stages = stages.unwrap_or_else(|| {
+        reader.no_stages(&document, &start);
+        Vec::new()
+    });
+    let source = Default::default();
+    Pipeline { name, base: base.to_owned(), machines, stages, experiment, source }
+}
+
+struct Reader<'a> {
+    base: &'a Path,
+    nodes: &'a [Node],
+    faults: &'a mut Vec<Diagnostic>,
+}
+
+impl Reader<'_> {
+    fn fault(&mut self, place: &Place, what: impl Into<String>, hint: impl Into<String>) {
+        self.faults.push(Diagnostic::error(place, what, hint));
+    }
+
+    fn unknown_keys(&mut self, table: &Table, known: &[&str], owner: &str) {
+        for entry in &table.0 {
+            let hint = suggestion(&entry.key, known.iter().copied(), "keys");
+            self.fault(&entry.key_place, format!("unknown key `{}` in {owner}", entry.key), hint);
+        }
+    }
+
+    fn string(&mut self, entry: &Entry) -> Option<String> {
+        if entry.value.as_str().is_none() {
+            let what = format!("`{}` wants a string, this is {}", entry.key, entry.value.type_name());
+            self.fault(&entry.value.place, what, format!("for example {} = \"..\"", entry.key));
+        }
+        entry.value.as_str().map(str::to_owned)
+    }
+
+    fn strings(&mut self, entry: &Entry) -> Option<Vec<String>> {
+        let wrong = match &entry.value.content {
+            Content::Array(values) => match values.iter().map(|value| value.as_str().map(str::to_owned)).collect() {
+                Some(strings) => return Some(strings),
+                None => values.iter().find(|value| value.as_str().is_none()),
+            },
+            _ => None,
+        };
+        let wrong = wrong.unwrap_or(&entry.value);
+        let what = format!("`{}` wants an array of strings, this is {}", entry.key, wrong.type_name());
+        self.fault(&wrong.place, what, format!("for example {} = [\"..\", \"..\"]", entry.key));
+        None
+    }
+
+    fn boolean(&mut self, entry: &Entry) -> Option<bool> {
+        if let Content::Boolean(said) = entry.value.content {
+            return Some(said);
+        }
+        let what = format!("`{}` wants true or false, this is {}", entry.key, entry.value.type_name());
+        self.fault(&entry.value.place, what, format!("for example {} = true", entry.key));
+        None
+    }
+
+    /// A time in seconds within a range; `what_for` is the hint.
+    fn seconds(&mut self, entry: &Entry, range: RangeInclusive<f64>, what_for: &str) -> Option<f64> {
+        let seconds = match entry.value.content {
+            Content::Integer(seconds) => seconds as f64,
+            Content::Float(seconds) => seconds,
+            _ => f64::NAN,
+        };
+        if range.contains(&seconds) {
+            return Some(seconds);
+        }
+        let what = format!("`{}` wants seconds, from {} to {}", entry.key, range.start(), range.end());
+        self.fault(&entry.value.place, what, what_for);
+        None
+    }
+
+    /// The meaning of one of a few words.
+    fn word<T: Copy, const N: usize>(&mut self, entry: &Entry, words: [(&str, T); N]) -> Option<T> {
+        let word = self.string(entry)?;
+        let meaning = words.iter().find(|(known, _)| *known == word).map(|(_, meaning)| *meaning);
+        if meaning.is_none() {
+            let hint = suggestion(&word, words.map(|(known, _)| known), "allowed");
+            self.fault(&entry.value.place, format!("`{}` cannot be `{word}`", entry.key), hint);
+        }
+        meaning
+    }
+
+    fn table(&mut self, entry: Entry, example: &str) -> Option<Table> {
+        if let Content::Table(table) = entry.value.content {
+            return Some(table);
+        }
+        let what = format!("`{}` wants a table, this is {}", entry.key, entry.value.type_name());
+        self.fault(&entry.value.place, what, format!("for example {example}"));
+        None
+    }
+
+    /// A name that can stand in paths, ports and JSON.
+    fn check_name(&mut self, name: &str, place: &Place, what: &str, longest: usize, allowed: &str) {
+        let good = |c: char| c.is_ascii_alphanumeric() || allowed.contains(c);
+        if name.is_empty() || name.len() > longest || !name.chars().all(good) {
+            let hint = format!("1 to {longest} letters, digits or one of {allowed}");
+            self.fault(place, format!("`{name}` cannot be the name of a {what}"), hint);
+        }
+    }
+
+    fn name(&mut self, document: &mut Table, start: &Place) -> String {
+        let Some(entry) = document.take("name") else {
+            if !is_misspelt("name", document) {
+                self.fault(start, "the pipeline has no name", "add a line such as name = \"tabletop\" at the top");
+            }
+            return String::new();
+        };
+        let Some(name) = self.string(&entry) else { return String::new() };
+        self.check_name(&name, &entry.value.place, "pipeline", MAX_STAGE_NAME, "_-");
+        name
+    }
+
+    fn no_stages(&mut self, document: &Table, start: &Place) {
+        if !is_misspelt("stage", document) {
+            let hint = "add one, such as [stage.source] with `node` and `output`";
+            self.fault(start, "the pipeline has no stages", hint);
+        }
+    }
+}
+
+/// Whether the table has an entry that most likely means `key`.
+fn is_misspelt(key: &str, table: &Table) -> bool {
+    table.0.iter().any(|entry| closest(&entry.key, [key]).is_some())
+}

@@ -1,0 +1,171 @@
+//! The stages of a pipeline file: what each runs, what happens when it dies, and its parameters.
+
+use super::{MAX_STAGE_NAME, MAX_TOPIC_NAME, Reader};
+use crate::pipeline::diagnostic::{Place, closest, suggestion};
+use crate::pipeline::schema;
+use crate::pipeline::value::{Content, Entry, Table};
+use crate::pipeline::{Program, Restart, StageSpec};
+use crate::ports::Delivery;
+use crate::sides::Pick;
+use std::ops::RangeInclusive;
+use std::path::{Path, PathBuf};
+
+const STAGE_KEYS: [&str; 8] = ["node", "program", "input", "inputs", "output", "machine", "restart", "env"];
+const RESTARTS: [(&str, Restart); 3] =
+    [("never", Restart::Never), ("on_failure", Restart::OnFailure), ("always", Restart::Always)];
+/// Stages that wait give a sign of life ten times a second.
+const HANG_S: RangeInclusive<f64> = 1.0..=86_400.0;
+const HANG_HINT: &str = "a stage without a sign of life for so long counts as dead";
+
+impl Reader<'_> {
+    pub(super) fn stages(&mut self, entry: Entry) -> Vec<StageSpec> {
+        let table = self.table(entry, "[stage.source]").unwrap_or_default();
+        table.0.into_iter().filter_map(|entry| self.stage(entry)).collect()
+    }
+
+    fn stage(&mut self, entry: Entry) -> Option<StageSpec> {
+        let (name, place) = (entry.key.clone(), entry.key_place.clone());
+        self.check_name(&name, &place, "stage", MAX_STAGE_NAME, "_-");
+        let mut table = self.table(entry, "[stage.source]")?;
+        let place_of = |key| table.get(key).map(|entry| entry.value.place.clone());
+        let [input_place, output_place, machine_place] = ["input", "output", "machine"].map(place_of);
+        let program = self.program(&mut table, &name, &place);
+        let input = table.take("input").and_then(|entry| self.input(&entry.value, Pick::Latest, Delivery::Latest));
+        let driving = input.as_ref().map_or(Delivery::Latest, |input| input.delivery);
+        let inputs = table.take("inputs").map(|entry| self.inputs(entry, &program, driving)).unwrap_or_default();
+        let output = table.take("output").and_then(|entry| self.topic_name(&entry));
+        let machine = table.take("machine").and_then(|entry| self.string(&entry));
+        let (restart, hang_s) = table.take("restart").map(|entry| self.restart(entry)).unwrap_or_default();
+        let env = table.take("env").map(|entry| self.env(entry)).unwrap_or_default();
+        self.parameters(&table, &program, &name, &place);
+        let parameters = table.to_json();
+        Some(StageSpec {
+            name,
+            program,
+            input,
+            inputs,
+            output,
+            machine,
+            restart,
+            hang_s,
+            env,
+            parameters,
+            place,
+            input_place,
+            output_place,
+            machine_place,
+        })
+    }
+
+    /// When a stage is started anew, in its short or its long form, and after what time without a sign of life it counts
+    /// as dead.
+    fn restart(&mut self, entry: Entry) -> (Restart, Option<f64>) {
+        let Content::Table(mut table) = entry.value.content else {
+            return (self.word(&entry, RESTARTS).unwrap_or_default(), None);
+        };
+        let when = table.take("when").and_then(|entry| self.word(&entry, RESTARTS)).unwrap_or_default();
+        let hang_s = table.take("hang_s").and_then(|entry| self.seconds(&entry, HANG_S, HANG_HINT));
+        self.unknown_keys(&table, &["when", "hang_s"], "`restart`");
+        (when, hang_s)
+    }
+
+    fn program(&mut self, table: &mut Table, stage: &str, place: &Place) -> Program {
+        match (table.take("node"), table.take("program")) {
+            (Some(node), None) => self.node(&node),
+            (None, Some(program)) => self.command(&program),
+            (None, None) => {
+                let hint = match table.0.iter().find_map(|entry| closest(&entry.key, ["node", "program"])) {
+                    Some(key) => format!("did you mean `{key}`?"),
+                    None => "add `node = \"..\"`; `conicflow nodes` lists them".to_owned(),
+                };
+                self.fault(place, format!("stage `{stage}` has neither `node` nor `program`"), hint);
+                Program::Unknown
+            }
+            (Some(_), Some(program)) => {
+                let what = format!("stage `{stage}` has both `node` and `program`");
+                self.fault(&program.key_place, what, "keep the one that shall run");
+                Program::Unknown
+            }
+        }
+    }
+
+    fn node(&mut self, entry: &Entry) -> Program {
+        let Some(name) = self.string(entry) else { return Program::Unknown };
+        if let Some(node) = self.nodes.iter().find(|node| node.name == name) {
+            return Program::Node(*node);
+        }
+        let hint = suggestion(&name, self.nodes.iter().map(|node| node.name), "nodes");
+        self.fault(&entry.value.place, format!("there is no node `{name}`"), hint);
+        Program::Unknown
+    }
+
+    fn command(&mut self, entry: &Entry) -> Program {
+        let Some(mut command) = self.strings(entry) else { return Program::Unknown };
+        let Some(program) = command.first_mut() else {
+            self.fault(&entry.value.place, "`program` is empty", "for example program = [\"./my_stage\", \"--flag\"]");
+            return Program::Unknown;
+        };
+        let place =
+            if let Content::Array(values) = &entry.value.content { &values[0].place } else { &entry.value.place };
+        match find_program(self.base, program) {
+            Some(path) if is_executable(&path) => *program = path.to_string_lossy().into_owned(),
+            Some(_) => {
+                let what = format!("`{program}` may not be run");
+                self.fault(place, what, format!("if it is a program: chmod +x {program}"));
+            }
+            None => {
+                let what = format!("there is no program `{program}`");
+                let hint = "with a slash it is relative to the pipeline file, without one it is looked for in PATH";
+                self.fault(place, what, hint);
+            }
+        }
+        Program::Command(command)
+    }
+
+    fn topic_name(&mut self, entry: &Entry) -> Option<String> {
+        let name = self.string(entry)?;
+        self.check_name(&name, &entry.value.place, "topic", MAX_TOPIC_NAME, "_-/");
+        Some(name)
+    }
+
+    fn env(&mut self, entry: Entry) -> Vec<(String, String)> {
+        let table = self.table(entry, "env = { RUST_LOG = \"debug\" }").unwrap_or_default();
+        table.0.iter().filter_map(|entry| Some((entry.key.clone(), self.string(entry)?))).collect()
+    }
+
+    /// Checks the keys that are left: those of the node.
+    fn parameters(&mut self, table: &Table, program: &Program, stage: &str, place: &Place) {
+        let Program::Node(node) = program else { return };
+        let found = schema::check_table(table, &node.schema(), &STAGE_KEYS, &format!("stage `{stage}`"));
+        if !found.is_empty() {
+            self.faults.extend(found);
+            return;
+        }
+        match (node.check)(table.to_json(), self.base) {
+            Ok(faults) => {
+                for fault in faults {
+                    let at = table.get(fault.key).map_or(place, |entry| &entry.value.place);
+                    self.fault(at, format!("`{}`: {}", fault.key, fault.what), fault.hint);
+                }
+            }
+            Err(error) => {
+                self.fault(place, format!("the parameters of stage `{stage}` cannot be used: {error}"), "");
+            }
+        }
+    }
+}
+
+/// A program by a path, relative to the pipeline file, or by a name in PATH.
+fn find_program(base: &Path, program: &str) -> Option<PathBuf> {
+    if program.contains('/') {
+        let path = base.join(program);
+        return path.exists().then_some(path);
+    }
+    let folders = std::env::var_os("PATH")?;
+    std::env::split_paths(&folders).map(|folder| folder.join(program)).find(|path| is_executable(path))
+}
+
+fn is_executable(path: &Path) -> bool {
+    use std::os::unix::fs::PermissionsExt;
+    path.metadata().is_ok_and(|data| data.is_file() && data.permissions().mode() & 0o111 != 0)
+}

@@ -1,0 +1,93 @@
+//! Stages that panic, hang or are stopped: they are told of, started anew where that is asked for, and harm no other.
+
+use crate::processes::{stages_of, wait_for_lines};
+use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, example, signal};
+use rustix::process::Signal;
+use serde_json::Value as Json;
+
+/// [`TRACKING`] with a stage between assembler and tracker that does wrong at one frame.
+fn with_faulty_stage(keys: &str) -> Playground {
+    let (before, after) = TRACKING.split_once("[stage.tracker]").unwrap();
+    let (program, after) = (example("faulty_stage"), after.replacen("\"objects\"", "\"passed_on\"", 1));
+    Playground::with_pipeline(&format!(
+        r#"{before}
+[stage.faulty]
+program = ["{program}"]
+input   = {{ topic = "objects", delivery = "lossless" }}
+output  = "passed_on"
+{keys}
+
+[stage.tracker]{after}"#
+    ))
+}
+
+fn start(playground: &Playground) -> Started {
+    playground.start(&["run", "--set", "source.rate_hz=50"])
+}
+
+/// Ends a run, in which the faulty stage was started twice and all others once, and frames came on in order.
+fn expect_one_more_start(run: Started, playground: &Playground) -> String {
+    signal(run.id(), Signal::INT);
+    let ended = run.wait().expect_code(0);
+    assert_eq!(ended.stage("faulty").starts, 2, "{}", ended.stderr);
+    for stage in TRACKING_STAGES {
+        assert_eq!(ended.stage(stage).starts, 1, "{stage}: {}", ended.stderr);
+    }
+    let sequences = playground.sequences("tracks.jsonl");
+    assert!(sequences.is_sorted() && sequences.last() > Some(&40), "{sequences:?}");
+    let lost = ended.input("objects", "faulty");
+    let missing = ended.stage("assembler").messages - sequences.len() as u64;
+    assert!((1..=8).contains(&missing), "{missing} frames are missing, of {lost:?}");
+    ended.stderr
+}
+
+fn wait_for_frame(run: &mut Started, playground: &Playground, frame: u64) {
+    run.wait_until("it delivers again", || playground.sequences("tracks.jsonl").last() > Some(&frame));
+}
+
+#[test]
+fn a_panic_is_told_with_its_frame_and_the_next_one_is_worked_on() {
+    let playground = with_faulty_stage("panic_at = 20");
+    let mut run = start(&playground);
+    wait_for_frame(&mut run, &playground, 40);
+    let told = expect_one_more_start(run, &playground);
+    assert!(told.contains("at frame 20: panicked: this frame is too much"), "{told}");
+    assert!(told.contains("stage `faulty` ended with exit code 1, and is started anew"), "{told}");
+}
+
+#[test]
+fn a_stage_that_hangs_is_killed_and_started_anew_where_the_file_says_so() {
+    let playground = with_faulty_stage("hang_at = 20\nrestart = { when = \"on_failure\", hang_s = 1 }");
+    let mut run = start(&playground);
+    wait_for_frame(&mut run, &playground, 40);
+    let told = expect_one_more_start(run, &playground);
+    assert!(told.contains("stage `faulty` hangs after 20 messages, 1."), "{told}");
+    assert!(told.contains("stage `faulty` was killed by signal 9, and is started anew"), "{told}");
+}
+
+#[test]
+fn a_stage_that_stands_still_is_told_of_and_goes_on() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let mut run = start(&playground);
+    wait_for_lines(&mut run, &playground);
+    let tracker = stages_of(run.id())["tracker"];
+    signal(tracker, Signal::STOP);
+    run.wait_until("its silence is seen", || {
+        let look = playground.conicflow(&["top", "--once"]).expect_code(0);
+        let seen: Json = serde_json::from_str(&look.stdout).unwrap();
+        let stages = seen["pipelines"][0]["stages"].as_array().unwrap();
+        let silence = |name: &str| stages.iter().find(|stage| stage["stage"] == name).unwrap()["silent_s"].as_f64();
+        assert!(silence("assembler") < Some(2.0), "a stage that waits for another is alive: {seen:#}");
+        silence("tracker") > Some(3.0)
+    });
+    run.wait_for_text("stage `tracker` hangs after ");
+    signal(tracker, Signal::CONT);
+    run.wait_for_text("stage `tracker` goes on after 1");
+    wait_for_lines(&mut run, &playground);
+    signal(run.id(), Signal::INT);
+    let ended = run.wait().expect_code(0);
+    assert_eq!(ended.stage("tracker").starts, 1, "{}", ended.stderr);
+    assert!(ended.stderr.contains("hint: with restart = { when = \"on_failure\", hang_s = 5 }"), "{}", ended.stderr);
+    let made = ended.stage("source").messages;
+    assert!(playground.sequences("tracks.jsonl").into_iter().eq(0..made), "nothing is lost meanwhile");
+}

@@ -1,0 +1,130 @@
+//! Kills at random moments: after each kill the run goes on or is gone, and the machine is as it was. Some hundred of them:
+//! `CONICFLOW_STRESS_ROUNDS=300 cargo test --test end_to_end -- stress --nocapture`
+
+use crate::processes::{files_below, shared_files, stages_of, wait_for_lines};
+use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, signal, wait_until};
+use rustix::process::Signal;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::time::Duration;
+
+const ROUNDS: &str = "CONICFLOW_STRESS_ROUNDS";
+const DEFAULT_ROUNDS: usize = 16;
+
+/// When the kill comes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Moment {
+    Start,
+    AtWork,
+    Swap,
+    End,
+}
+
+/// Who is killed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Victims {
+    Stage,
+    TwoStages,
+    Launcher,
+    All,
+}
+
+const MOMENTS: [Moment; 4] = [Moment::Start, Moment::AtWork, Moment::Swap, Moment::End];
+const VICTIMS: [Victims; 4] = [Victims::Stage, Victims::TwoStages, Victims::Launcher, Victims::All];
+
+/// What the runs of the playground have left: files of theirs in shared memory, and in the runtime folder those that are
+/// not only there to be locked.
+fn files(playground: &Playground, prefix: &str) -> BTreeSet<String> {
+    let shared = fs::read_dir("/dev/shm").unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let own = shared.filter(|name| name.starts_with(prefix));
+    let below = files_below(playground.runtime()).into_iter().map(|path| path.display().to_string());
+    own.chain(below.filter(|path| !path.ends_with("lock"))).collect()
+}
+
+/// What the names of all shared memory of runs in the playground begin with: `conicflow_`, and eight digits.
+fn prefix(playground: &Playground) -> String {
+    let mut run = playground.start(&["run", "--set", "source.rate_hz=100"]);
+    wait_for_lines(&mut run, playground);
+    let name = shared_files(stages_of(run.id())["source"]).pop_first().unwrap();
+    signal(run.id(), Signal::INT);
+    run.wait().expect_code(0);
+    name.file_name().unwrap().to_str().unwrap()[..19].to_owned()
+}
+
+fn sleep_up_to(random: &mut fastrand::Rng, milliseconds: u64) {
+    std::thread::sleep(Duration::from_millis(random.u64(0..=milliseconds)));
+}
+
+/// A run that has come to this moment, and a swap under way.
+fn come_to(moment: Moment, playground: &Playground, random: &mut fastrand::Rng) -> (Started, Option<Started>) {
+    let mut run = playground.start(&["run", "--set", "source.rate_hz=100"]);
+    if moment == Moment::Start {
+        sleep_up_to(random, 300);
+        return (run, None);
+    }
+    wait_for_lines(&mut run, playground);
+    let swap = (moment == Moment::Swap)
+        .then(|| playground.start(&["swap", *random.choice(&TRACKING_STAGES[1..]).as_ref().unwrap()]));
+    if moment == Moment::End {
+        signal(run.id(), Signal::INT);
+    }
+    sleep_up_to(random, if moment == Moment::End { 30 } else { 150 });
+    (run, swap)
+}
+
+fn kill(victims: Victims, run: &Started, random: &mut fastrand::Rng) {
+    let stages: Vec<u32> = stages_of(run.id()).into_values().collect();
+    let count = match victims {
+        Victims::Stage => 1,
+        Victims::TwoStages => 2,
+        Victims::Launcher => 0,
+        Victims::All => stages.len(),
+    };
+    if victims == Victims::All && random.bool() {
+        signal(run.id(), Signal::KILL);
+    }
+    random.choose_multiple(&stages, count).into_iter().for_each(|process| signal(*process, Signal::KILL));
+    if matches!(victims, Victims::Launcher | Victims::All) {
+        signal(run.id(), Signal::KILL);
+    }
+}
+
+/// One kill; what was found wrong after it.
+fn round(moment: Moment, victims: Victims, playground: &Playground, random: &mut fastrand::Rng) {
+    fs::remove_file(playground.path("tracks.jsonl")).ok();
+    let (mut run, swap) = come_to(moment, playground, random);
+    kill(victims, &run, random);
+    let goes_on = matches!(victims, Victims::Stage | Victims::TwoStages) && moment != Moment::End;
+    if goes_on {
+        wait_for_lines(&mut run, playground);
+        signal(run.id(), Signal::INT);
+    }
+    let ended = run.wait();
+    if goes_on {
+        let ended = ended.expect_code(0);
+        assert!(playground.sequences("tracks.jsonl").is_sorted(), "frames went back: {}", ended.stderr);
+    }
+    swap.map(Started::wait);
+    wait_until("all processes are gone", || playground.processes().is_empty());
+    let next = playground.conicflow(&["run", "--frames", "3", "--set", "json.path=next.jsonl"]).expect_code(0);
+    assert_eq!(playground.sequences("next.jsonl"), [0, 1, 2], "{}", next.stderr);
+    assert_eq!(playground.processes(), [0; 0], "the run is over, but not for these");
+}
+
+#[test]
+fn kills_at_random_moments_leave_the_machine_as_it_was() {
+    let rounds = std::env::var(ROUNDS).map_or(DEFAULT_ROUNDS, |text| text.parse().unwrap());
+    let playground = Playground::with_pipeline(TRACKING);
+    let prefix = prefix(&playground);
+    let (before, mut random, mut seen) = (files(&playground, &prefix), fastrand::Rng::with_seed(1), BTreeMap::new());
+    assert!(before.iter().all(|path| !path.starts_with(&prefix)), "{before:?}");
+    for index in 0..rounds {
+        let (moment, victims) = (random.choice(MOMENTS).unwrap(), random.choice(VICTIMS).unwrap());
+        println!("round {index}: {victims:?} at {moment:?}");
+        round(moment, victims, &playground, &mut random);
+        let after: Vec<_> = files(&playground, &prefix).difference(&before).cloned().collect();
+        assert_eq!(after, [""; 0], "left behind by {victims:?} at {moment:?}");
+        *seen.entry((moment, victims)).or_insert(0) += 1;
+    }
+    println!("{rounds} rounds, nothing left behind: {seen:?}");
+}
