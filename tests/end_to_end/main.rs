@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::panic)] // what a test cannot go on from is its failure
 
 mod bridge;
+mod certificates;
 mod commands;
 mod experiments;
 #[cfg(target_os = "linux")]

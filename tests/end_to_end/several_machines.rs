@@ -94,3 +94,42 @@ fn pipelines_beside_each_other_on_the_same_machines_do_not_meet() {
     runs.into_iter().for_each(|run| drop(run.wait().expect_code(0)));
     assert!(["tracks.jsonl", "other.jsonl"].map(|file| [without_times(&base, file)]) == expected);
 }
+
+#[test]
+fn files_and_programs_of_other_machines_need_not_be_here() {
+    const TEXT: &str = r#"
+name = "apart"
+[machine.robot]
+zenoh = "robot.json5"
+[machine.base]
+zenoh = "base.json5"
+[stage.source]
+machine = "robot"
+node = "image_source"
+path = "frames/"
+output = "depth"
+[stage.own]
+machine = "robot"
+program = ["./own"]
+input = "depth"
+[stage.extractor]
+machine = "base"
+node = "row_ellipse_extractor"
+input = "depth"
+output = "ellipses"
+[stage.json]
+machine = "base"
+node = "json_sink"
+input = "ellipses"
+path = "."
+"#;
+    let playground = Playground::with_pipeline(TEXT);
+    let faults = |arguments: &[&str]| {
+        let stderr = playground.conicflow(arguments).expect_code(2).stderr;
+        ["robot.json5", "frames", "own", "base.json5", "is a folder"]
+            .map(|file| stderr.lines().any(|line| line.starts_with("error") && line.contains(file)))
+    };
+    assert_eq!(faults(&["validate"]), [true; 5]);
+    assert_eq!(faults(&["run", "--machine", "robot"]), [true, true, true, false, false]);
+    assert_eq!(faults(&["run", "--machine", "base"]), [false, false, false, true, true]);
+}
