@@ -56,7 +56,7 @@ fn first_frames<S: Source>(config: Value, folder: &Path, frames: u64) -> bool
 where
     S::Config: Send,
 {
-    let config = serde_json::from_value(config).expect("the parameters are known");
+    let config = serde_json::from_value(config).unwrap();
     let context = Context { stage: "source".to_owned(), base: folder.to_owned(), ..Context::default() };
     collect::<S>(config, context, frames).map_err(|error| error.to_string()).is_ok()
 }

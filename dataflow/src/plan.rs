@@ -5,7 +5,7 @@
 use crate::bridge::{BRIDGE, BridgePlan};
 use crate::node::Node;
 use crate::pipeline::{Pipeline, Program, Report, Restart, SourceText, StageSpec};
-use crate::ports::Wiring;
+use crate::ports::{Topic, Wiring};
 use conicflow_messages::Kind;
 use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
@@ -114,6 +114,17 @@ impl Plan {
     /// The stages that run something else, or are joined otherwise, in another plan.
     pub fn stages_unlike<'a>(&'a self, other: &'a Self) -> impl Iterator<Item = &'a PlannedStage> {
         self.stages.iter().filter(|stage| other.stage(&stage.name) != Some(stage))
+    }
+
+    /// All topics, once for each stage that writes or reads one.
+    pub fn topics(&self) -> impl Iterator<Item = &Topic> {
+        let wirings = self.stages.iter().map(|stage| &stage.wiring);
+        wirings.flat_map(|wiring| wiring.output.iter().chain(&wiring.input).chain(wiring.sides.iter().map(|(_, t)| t)))
+    }
+
+    /// What keeps the topics of this run apart from those of others, whatever those have left behind.
+    pub(crate) fn namespace(&self) -> String {
+        format!("{}/{:x}", self.pipeline, self.run)
     }
 
     /// The plan of one stage.

@@ -20,6 +20,7 @@ pub use summary::{StageSummary, Summary, link_table};
 use crate::plan::Plan;
 use crate::ports::PortError;
 use crate::ports::shared_memory::SharedMemory;
+use crate::stage::Stop;
 use child::{Change, Supervised};
 use progress::Progress;
 use rustix::process::Signal;
@@ -75,6 +76,8 @@ pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
     let _lock = folder.lock(&plan.pipeline)?;
     SharedMemory::clean(folder.shared_memory())?;
     folder.begin(plan)?;
+    let memory = SharedMemory::open(folder.shared_memory(), &plan.namespace(), "launcher", Stop::default())?;
+    let services = memory.hold(plan.topics())?;
     let mut launcher = Launcher {
         plan: plan.clone(),
         folder,
@@ -91,6 +94,7 @@ pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
     launcher.swap.take().into_iter().for_each(|swap| swap.abandon(&launcher.folder));
     launcher.stages.iter_mut().for_each(Supervised::kill);
     ended?;
+    drop(services);
     SharedMemory::clean(launcher.folder.shared_memory())?;
     Ok(launcher.summary())
 }

@@ -181,6 +181,7 @@ impl Pipeline {
         });
         Topic {
             name: name.to_owned(),
+            kind: self.kind_of(name),
             writers: writers.map(|stage| stage.name.clone()).collect(),
             readers: readers.collect(),
         }

@@ -1,12 +1,13 @@
 //! Topics in shared memory, by iceoryx2: this module is the only place that knows it.
 //!
-//! A topic `t` of pipeline `p` is three services: `conicflow/p/t` carries the messages, `conicflow/p/t/wake` wakes the
-//! readers when a message was sent, `conicflow/p/t/room` wakes a writer that waits because a lossless reader's queue is
+//! A topic `t` of run `r` is three services: `conicflow/r/t` carries the messages, `conicflow/r/t/wake` wakes the readers
+//! when a message was sent, `conicflow/r/t/room` wakes a writer that waits because a lossless reader's queue is
 //! full. All numbers of a service follow from the pipeline file, so that every stage asks for the same ones and the order
 //! of their start does not matter.
 
 #![allow(unsafe_code)] // layout promises for types in shared memory, and loans whose content is left over
 
+mod hold;
 mod reader;
 mod sweep;
 mod tap;
@@ -14,6 +15,7 @@ mod tap;
 mod tests;
 mod writer;
 
+pub use hold::Held;
 pub use reader::{SharedMessage, SharedReader};
 pub use tap::SharedTap;
 pub use writer::SharedWriter;
@@ -69,21 +71,21 @@ unsafe impl ZeroCopySend for WireHeader {
     }
 }
 
-/// This process's access to the topics of one pipeline; its readers and writers need it as long as they are at work.
+/// This process's access to the topics of one run; its readers and writers need it as long as they are at work.
 pub struct SharedMemory {
     node: Node<Ipc>,
-    pipeline: String,
+    run: String,
     root: PathBuf,
     stop: Stop,
     _occupied: File,
 }
 
 impl SharedMemory {
-    /// Joins the pipeline `pipeline` whose files lie in the folder `root`, and cleans up after processes that died there.
+    /// Joins the run `run` whose files lie in the folder `root`.
     ///
     /// # Errors
     /// The folder cannot be used for shared memory.
-    pub fn open(root: &Path, pipeline: &str, stage: &str, stop: Stop) -> Result<Self, PortError> {
+    pub fn open(root: &Path, run: &str, stage: &str, stop: Stop) -> Result<Self, PortError> {
         set_log_level(LogLevel::Fatal);
         let config = configuration(root)?;
         let fault = |reason: &dyn Debug| PortError::SharedMemory {
@@ -95,7 +97,7 @@ impl SharedMemory {
         let name = NodeName::new(stage).map_err(|error| fault(&error))?;
         let builder = NodeBuilder::new().name(&name).config(&config).signal_handling_mode(SignalHandlingMode::Disabled);
         let node = builder.create::<Ipc>().map_err(|error: NodeCreationFailure| fault(&error))?;
-        Ok(Self { node, pipeline: pipeline.to_owned(), root: root.to_owned(), stop, _occupied })
+        Ok(Self { node, run: run.to_owned(), root: root.to_owned(), stop, _occupied })
     }
 
     /// Removes what processes that died have left in shared memory.
@@ -116,7 +118,7 @@ impl SharedMemory {
     }
 
     fn service_name(&self, topic: &Topic, part: &str) -> Result<ServiceName, PortError> {
-        let name = format!("conicflow/{}/{}{part}", self.pipeline, topic.name);
+        let name = format!("conicflow/{}/{}{part}", self.run, topic.name);
         ServiceName::new(&name).map_err(|error| self.fault(format!("topic `{}` cannot be named", topic.name), error))
     }
 

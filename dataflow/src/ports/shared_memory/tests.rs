@@ -10,7 +10,7 @@ use std::time::Duration;
 
 fn topic(delivery: Delivery, queue: usize) -> Topic {
     let reader = TopicReader { stage: "reader".into(), delivery, queue };
-    Topic { name: "things".into(), writers: vec!["writer".into()], readers: vec![reader] }
+    Topic { name: "things".into(), kind: None, writers: vec!["writer".into()], readers: vec![reader] }
 }
 
 fn open(root: &Path, stage: &str) -> SharedMemory {
