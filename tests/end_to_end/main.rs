@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::panic)] // what a test cannot go on from is its failure
 
 mod bridge;
+mod certificates;
 mod commands;
 #[cfg(target_os = "linux")]
 mod doctor;
@@ -20,7 +21,9 @@ mod intruders;
 mod outside_stage;
 #[cfg(target_os = "linux")]
 mod processes;
+mod routers;
 mod run;
+mod several_machines;
 #[cfg(target_os = "linux")]
 mod soak;
 #[cfg(target_os = "linux")]
