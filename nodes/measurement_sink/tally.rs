@@ -121,6 +121,13 @@ impl Tally {
     }
 }
 
+/// The mean over the sights of all objects.
+fn pooled(tallies: &[Tally], of: fn(&Tally) -> &Spread) -> f64 {
+    let known = || tallies.iter().map(of).filter(|spread| spread.count() > 0);
+    known().map(|spread| spread.mean() * spread.count() as f64).sum::<f64>()
+        / known().map(Spread::count).sum::<u64>() as f64
+}
+
 /// Angle between two lines, in radians; 0 where one has no direction.
 fn angle(a: &Vector3<f64>, b: &Vector3<f64>) -> f64 {
     let (sine, cosine) = (a.cross(b).norm(), a.dot(b).abs());
@@ -152,6 +159,8 @@ impl Total {
         row.count("wrong", self.wrong);
         row.number("mota", 1.0 - faults as f64 / frames as f64);
         row.number("motp_m", motp);
+        row.number("radius_sigmas", pooled(tallies, |tally| &tally.squared_radius_sigmas).sqrt());
+        row.number("center_sigmas", pooled(tallies, |tally| &tally.squared_center_sigmas).sqrt());
         row
     }
 }

@@ -54,6 +54,14 @@ fn playground(name: &str, edits: &[(&str, &str)]) -> Playground {
     playground
 }
 
+/// Errors of the confirmed tracks in units of their sigmas, over a whole sequence, whose frames err alike.
+fn assert_honest(table: &Table, object: &str) {
+    for column in ["radius_sigmas", "center_sigmas"] {
+        let error = table.number(&[("stage", "filtered"), ("object", object)], column);
+        assert!((0.7..1.5).contains(&error), "{column} of {object}: {error}");
+    }
+}
+
 fn assert_near(what: &str, number: f64, expected: f64, tolerance: f64) {
     assert!((number - expected).abs() <= tolerance, "{what}: {number}, expected {expected} +- {tolerance}");
 }
@@ -242,6 +250,7 @@ fn crossing_balls_keep_their_identities() {
     assert_eq!((all("switches"), all("identities")), (0.0, 5.0));
     assert!(all("mota") >= 0.95, "MOTA {}", all("mota"));
     assert!(all("motp_m") < 0.005, "MOTP {}", all("motp_m"));
+    assert_honest(&table, "all");
 }
 
 #[test]
@@ -252,6 +261,7 @@ fn a_bouncing_ball_is_one_ball_near_its_true_way() {
     assert!(cell("n") >= 106.0, "seen in {} of 110 frames", cell("n"));
     assert!(cell("position_rms_m") < 0.005, "{} m off", cell("position_rms_m"));
     assert_near("radius", cell("radius_m"), 0.1, 0.002);
+    assert_honest(&table, "ball");
 }
 
 /// A ball on a stick that someone carries about: one identity, seen in each of the frames.

@@ -179,3 +179,31 @@ fn what_stands_still_is_known_better_than_each_measurement() {
     assert!(squares.sqrt() < SIGMA_M / 2.0, "standard deviation {}", squares.sqrt());
     assert!(squares < 1.3 * given, "the filter promises {given} and keeps {squares}");
 }
+
+/// Half of the variance of each sight is common to all of a run: the sigma of a track says so, and without it claims far too
+/// much. The filter takes the whole for noise, so that its part is a little larger than need be.
+#[test]
+fn what_all_sights_have_in_common_is_part_of_the_sigma() {
+    let errors_in_sigmas = |common_share| {
+        let config = KalmanTrackerConfig { acceleration: 0.01, common_share, floor_radius_m: 1e-9, ..exact() };
+        let (mut noise, mut squares) = (Noise(23), [0.0; 2]);
+        let (runs, part, place) = (400, 0.5_f64.sqrt(), Vector3::new(0.1, 0.0, 2.0));
+        for _ in 0..runs {
+            let mut tracker = Tracker::new(config.clone());
+            let (offset, wider, mut last) = (noise.vector(SIGMA_M), 0.001 * noise.normal(), Track::default());
+            for frame in 0..90 {
+                let center = place + (offset + noise.vector(SIGMA_M)) * part;
+                let radius = 0.1 + (wider + 0.001 * noise.normal()) * part;
+                last = tracker.update(&header(frame), &[Object { radius, ..sphere(center) }])[0];
+            }
+            let (error, sigma) = (Vector3::from(last.object.center) - place, last.object.sigma);
+            let spread = Cholesky::new(Matrix3::from(sigma.center)).unwrap();
+            squares[0] += error.dot(&spread.solve(&error)) / 3.0 / f64::from(runs);
+            squares[1] += ((last.object.radius - 0.1) / sigma.radius).powi(2) / f64::from(runs);
+        }
+        squares.map(f64::sqrt)
+    };
+    let ([position, radius], [bare_position, bare_radius]) = (errors_in_sigmas(0.5), errors_in_sigmas(0.0));
+    assert!((0.85..1.05).contains(&position) && (0.85..1.05).contains(&radius), "{position}, {radius}");
+    assert!(bare_position > 1.5 && bare_radius > 2.0, "{bare_position}, {bare_radius}");
+}

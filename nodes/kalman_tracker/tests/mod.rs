@@ -34,9 +34,14 @@ impl Noise {
     }
 }
 
-/// Without additions to the sigma of the detections, which here is the true one.
+/// Without additions to the sigma of the detections, which here is the true one, and independent of those before.
 fn exact() -> KalmanTrackerConfig {
-    KalmanTrackerConfig { floor_center_m: 1e-9, floor_along_axis: 0.0, ..KalmanTrackerConfig::default() }
+    KalmanTrackerConfig {
+        floor_center_m: 1e-9,
+        floor_along_axis: 0.0,
+        common_share: 0.0,
+        ..KalmanTrackerConfig::default()
+    }
 }
 
 fn header(sequence: u64) -> Header {
