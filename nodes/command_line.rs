@@ -170,21 +170,22 @@ fn log_to_standard_error(filter: &str) {
 
 impl FileArguments {
     fn read(&self) -> anyhow::Result<Pipeline> {
-        let (pipeline, warnings) = self.read_with_warnings()?;
+        self.read_on(None)
+    }
+
+    /// The pipeline as one of its machines needs it.
+    fn read_on(&self, machine: Option<&str>) -> anyhow::Result<Pipeline> {
+        let (pipeline, warnings) = self.read_with(machine, &[])?;
         if !warnings.0.is_empty() {
             eprintln!("{warnings}\n");
         }
         Ok(pipeline)
     }
 
-    fn read_with_warnings(&self) -> anyhow::Result<(Pipeline, Report)> {
-        self.read_with(&[])
-    }
-
     /// The pipeline with further parameters set; those of the command line have the last word.
-    fn read_with(&self, further: &[String]) -> anyhow::Result<(Pipeline, Report)> {
+    fn read_with(&self, machine: Option<&str>, further: &[String]) -> anyhow::Result<(Pipeline, Report)> {
         let (source, base) = self.text()?;
-        Ok(Pipeline::read(source, &base, &[further, &self.overrides].concat(), NODES)?)
+        Ok(Pipeline::read_on(machine, source, &base, &[further, &self.overrides].concat(), NODES)?)
     }
 
     /// The text of the file and the folder of its paths; of the built-in pipeline that is the current folder.
@@ -205,13 +206,13 @@ impl FileArguments {
 }
 
 fn validate(source: &FileArguments) -> anyhow::Result<ExitCode> {
-    let (pipeline, warnings) = source.read_with_warnings()?;
+    let (pipeline, warnings) = source.read_with(None, &[])?;
     if !warnings.0.is_empty() {
         writeln!(stdout(), "{warnings}\n")?;
     }
     if let Some(json) = &pipeline.experiment {
         for variation in Experiment::read(json)?.variations()? {
-            source.read_with(&variation.overrides)?;
+            source.read_with(None, &variation.overrides)?;
         }
     }
     let (stages, topics) = (pipeline.stages.len(), pipeline.topics().len());
@@ -220,7 +221,7 @@ fn validate(source: &FileArguments) -> anyhow::Result<ExitCode> {
 }
 
 fn run(arguments: &RunArguments) -> anyhow::Result<ExitCode> {
-    let pipeline = arguments.source.read()?;
+    let pipeline = arguments.source.read_on(arguments.machine.as_deref())?;
     if let Some(json) = &pipeline.experiment {
         return run_experiment(&pipeline, &Experiment::read(json)?, arguments);
     }
@@ -244,7 +245,7 @@ fn run_experiment(pipeline: &Pipeline, experiment: &Experiment, arguments: &RunA
         if !arguments.quiet {
             eprintln!("run {} of {}: {}", index + 1, variations.len(), variation.overrides.join(" "));
         }
-        let (pipeline, _) = arguments.source.read_with(&overrides)?;
+        let (pipeline, _) = arguments.source.read_with(arguments.machine.as_deref(), &overrides)?;
         let summary = run_once(&pipeline, arguments, true)?;
         if !summary.is_complete() || interrupted.load(Ordering::Relaxed) {
             tell_incomplete(&summary, variation);

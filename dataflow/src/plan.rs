@@ -106,7 +106,8 @@ impl Plan {
     pub fn with(&self, further: &[String], nodes: &[Node]) -> Result<(Self, Report), Report> {
         let Origin { source, overrides, machine, frames } = &self.origin;
         let overrides = [overrides.as_slice(), further].concat();
-        let (pipeline, warnings) = Pipeline::read(source.clone(), &self.base, &overrides, nodes)?;
+        let (pipeline, warnings) =
+            Pipeline::read_on(machine.as_deref(), source.clone(), &self.base, &overrides, nodes)?;
         Ok((Self::of(&pipeline, machine.as_deref(), *frames, self.run), warnings))
     }
 

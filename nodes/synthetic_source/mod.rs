@@ -7,7 +7,7 @@
 mod fields;
 pub mod motion;
 pub mod pose;
-mod random;
+pub(crate) mod random;
 pub mod random_scene;
 pub mod random_scenes;
 pub mod raster;

@@ -54,6 +54,14 @@ fn playground(name: &str, edits: &[(&str, &str)]) -> Playground {
     playground
 }
 
+/// Errors of the confirmed tracks in units of their sigmas, over a whole sequence, whose frames err alike.
+fn assert_honest(table: &Table, object: &str) {
+    for column in ["radius_sigmas", "center_sigmas"] {
+        let error = table.number(&[("stage", "filtered"), ("object", object)], column);
+        assert!((0.7..1.5).contains(&error), "{column} of {object}: {error}");
+    }
+}
+
 fn assert_near(what: &str, number: f64, expected: f64, tolerance: f64) {
     assert!((number - expected).abs() <= tolerance, "{what}: {number}, expected {expected} +- {tolerance}");
 }
@@ -74,6 +82,36 @@ fn basic_scene_is_found_by_both_methods() {
     assert_near("half-angle of the cone", pooled("parking cone", "half_angle_deg"), 13.57, 0.6);
     assert_eq!(pooled("all", "wrong"), 0.0);
     assert_eq!(pooled("all", "switches"), 0.0);
+}
+
+/// The extractor is swapped by one entry under `cases`: RANSAC finds can and ball, each row on its own, and no cone.
+#[test]
+fn ransac_takes_the_extractors_place_in_the_basic_scene() {
+    let table = Table::of("basic", &[], 4);
+    let cell =
+        |object, column| table.number(&[("method", "RANSAC"), ("stage", "measured"), ("object", object)], column);
+    for (object, radius) in [("trash can", 0.147), ("exercise ball", 0.255)] {
+        assert!(cell(object, "n") >= 3.0, "{object} in {} of 4 frames", cell(object, "n"));
+        assert_near(object, cell(object, "radius_m"), radius, 0.015);
+    }
+    assert!(cell("parking cone", "n") <= 2.0);
+}
+
+#[test]
+fn ransac_finds_ellipses_in_the_wall_and_wants_many_more_trials() {
+    let table = Table::of("ransac", &[], 40);
+    let cell = |method, ratio, column| table.number(&[("method", method), ("min_ratio", ratio)], column);
+    for ratio in ["0.01", "0.2", "0.4"] {
+        assert_eq!((cell("row by row", ratio, "n"), cell("row by row", ratio, "others")), (40.0, 0.0));
+        assert_near("longer semi-axis", cell("row by row", ratio, "long_m"), 0.395, 0.002);
+        let of_papers_trials = cell("RANSAC", ratio, "n");
+        assert!((12.0..30.0).contains(&of_papers_trials), "{of_papers_trials} of 40 at a ratio of {ratio}");
+        assert!(cell("RANSAC", ratio, "others") > 8.0, "ellipses in the wall");
+    }
+    let many = |ratio| cell("RANSAC x16", ratio, "n");
+    assert_eq!((many("0.2"), many("0.4")), (40.0, 40.0));
+    assert!(many("0.01") < 28.0, "without a limit of the ratio {} of 40", many("0.01"));
+    assert_near("longer semi-axis", cell("RANSAC x16", "0.4", "long_m"), 0.397, 0.002);
 }
 
 /// The paper's radius shrinks with the distance: 0.20, 0.16, 0.15 m; that of pooled moments does not.
@@ -212,6 +250,7 @@ fn crossing_balls_keep_their_identities() {
     assert_eq!((all("switches"), all("identities")), (0.0, 5.0));
     assert!(all("mota") >= 0.95, "MOTA {}", all("mota"));
     assert!(all("motp_m") < 0.005, "MOTP {}", all("motp_m"));
+    assert_honest(&table, "all");
 }
 
 #[test]
@@ -222,6 +261,7 @@ fn a_bouncing_ball_is_one_ball_near_its_true_way() {
     assert!(cell("n") >= 106.0, "seen in {} of 110 frames", cell("n"));
     assert!(cell("position_rms_m") < 0.005, "{} m off", cell("position_rms_m"));
     assert_near("radius", cell("radius_m"), 0.1, 0.002);
+    assert_honest(&table, "ball");
 }
 
 /// A ball on a stick that someone carries about: one identity, seen in each of the frames.

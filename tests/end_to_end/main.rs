@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::panic)] // what a test cannot go on from is its failure
 
 mod bridge;
+mod certificates;
 mod commands;
 #[cfg(target_os = "linux")]
 mod doctor;
@@ -14,11 +15,15 @@ mod hostile_files;
 #[cfg(target_os = "linux")]
 mod hosts;
 #[cfg(target_os = "linux")]
+mod identities;
+#[cfg(target_os = "linux")]
 mod intruders;
 mod outside_stage;
 #[cfg(target_os = "linux")]
 mod processes;
+mod routers;
 mod run;
+mod several_machines;
 #[cfg(target_os = "linux")]
 mod soak;
 #[cfg(target_os = "linux")]
@@ -26,5 +31,7 @@ mod stress;
 mod support;
 #[cfg(target_os = "linux")]
 mod swap;
+#[cfg(target_os = "linux")]
+mod top;
 mod topic;
 mod validate;
