@@ -84,8 +84,12 @@ fn images_that_do_not_fill_their_size_are_refused() {
 #[test]
 fn numbers_that_make_no_sense_are_refused() {
     let nonsense = Ellipse { rms: f64::NAN, ..ellipse() };
-    let bytes = bytes_of(&header(64, 48), &[nonsense], Compression::None);
-    assert!(matches!(decode_message::<Ellipse>(&bytes, &mut Vec::new()), Err(WireError::Malformed(_))));
+    // Also where no flag says that there is a pose.
+    let nowhere = Header { world_from_camera: [[f64::NAN; 4]; 3], ..header(64, 48) };
+    for (header, ellipse) in [(header(64, 48), nonsense), (nowhere, ellipse())] {
+        let bytes = bytes_of(&header, &[ellipse], Compression::None);
+        assert!(matches!(decode_message::<Ellipse>(&bytes, &mut Vec::new()), Err(WireError::Malformed(_))));
+    }
 }
 
 #[test]
@@ -195,7 +199,8 @@ fn again<T: Wire>(bytes: &[u8]) -> bool {
     let Ok((place, header)) = decode_message::<T>(bytes, &mut items) else { return false };
     let resent = encode_message(place, &header, &items, Compression::Lz4).unwrap();
     let mut back = Vec::new();
-    assert_eq!(decode_message::<T>(&resent, &mut back), Ok((place, header)));
+    let (same_place, same_header) = decode_message::<T>(&resent, &mut back).unwrap();
+    assert_eq!((same_place, bytemuck::bytes_of(&same_header)), (place, bytemuck::bytes_of(&header)));
     assert_eq!(bytemuck::cast_slice::<_, u8>(&back), bytemuck::cast_slice::<_, u8>(&items));
     true
 }
