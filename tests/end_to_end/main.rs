@@ -21,6 +21,8 @@ mod intruders;
 mod outside_stage;
 #[cfg(target_os = "linux")]
 mod processes;
+#[cfg(target_os = "linux")]
+mod radio;
 mod routers;
 mod run;
 mod several_machines;

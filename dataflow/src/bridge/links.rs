@@ -110,6 +110,14 @@ impl Links {
         lock(&self.peers).get(machine).is_some_and(|peer| is_connected(peer, Instant::now()))
     }
 
+    /// The time to a peer and back, if it was heard of just now; 0 before that has been measured.
+    pub(super) fn round_trip(&self, machine: &str) -> Option<Duration> {
+        let peers = lock(&self.peers);
+        let peer = peers.get(machine).filter(|peer| is_connected(peer, Instant::now()))?;
+        let nanoseconds = peer.clock.best().map_or(0, |exchange| exchange.round_trip_ns);
+        Some(Duration::from_nanos(u64::try_from(nanoseconds).unwrap_or(0)))
+    }
+
     /// A peer's clock less the own one, in nanoseconds.
     pub(super) fn clock_offset(&self, machine: &str) -> Option<i64> {
         lock(&self.peers).get(machine)?.clock.best().map(|exchange| exchange.offset_ns)
