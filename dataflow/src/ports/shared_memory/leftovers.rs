@@ -6,7 +6,7 @@
 //! containers, but the kernel can: it grants a lease for writing only where no one, wherever it runs, has the file open or
 //! mapped.
 
-use super::sweep::{PREFIX, is_littered};
+use super::sweep::{COUNTER, PREFIX, is_littered};
 use super::{Ipc, SharedMemory, configuration};
 use crate::needs::SHARED_MEMORY;
 use crate::ports::PortError;
@@ -22,8 +22,6 @@ use std::time::{Duration, SystemTime};
 const MIN_AGE: Duration = Duration::from_secs(60);
 /// From Linux's `fcntl.h`; the `libc` crate does not have it.
 const F_SETSIG: libc::c_int = 10;
-/// The counter of a folder's processes is the one file that none of them keeps open.
-const COUNTER: &str = ".global_mgmt";
 /// Digits that tell the files of one folder from those of another.
 const DIGITS: usize = 8;
 

@@ -98,6 +98,7 @@ impl SharedMemory {
         let name = NodeName::new(stage).map_err(|error| fault(&error))?;
         let builder = NodeBuilder::new().name(&name).config(&config).signal_handling_mode(SignalHandlingMode::Disabled);
         let node = builder.create::<Ipc>().map_err(|error: NodeCreationFailure| fault(&error))?;
+        sweep::close_to_others(root).map_err(|error| fault(&error))?;
         Ok(Self { node, run: run.to_owned(), root: root.to_owned(), stop, _occupied })
     }
 

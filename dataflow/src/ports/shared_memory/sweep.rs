@@ -6,15 +6,18 @@
 //! bears a prefix of its own, so that other users, folders and containers are never touched.
 
 use crate::needs::SHARED_MEMORY;
-use std::fs::{self, File, TryLockError};
+use std::fs::{self, File, Permissions, TryLockError};
 use std::io::{self, ErrorKind};
-use std::os::unix::fs::MetadataExt;
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::Path;
 
 const LOCK: &str = "lock";
 
 /// What the names of all files in shared memory begin with that this program makes.
 pub(super) const PREFIX: &str = "conicflow_";
+
+/// The counter of a folder's processes is the one file that none of them keeps open.
+pub(super) const COUNTER: &str = ".global_mgmt";
 
 /// What the names of all files begin with that users of the folder make.
 ///
@@ -23,7 +26,7 @@ pub(super) const PREFIX: &str = "conicflow_";
 pub(super) fn prefix(root: &Path) -> io::Result<String> {
     let folder = fs::metadata(root)?;
     // FNV-1a: the same in every build, unlike the hashes of the standard library.
-    let bytes = [folder.dev().to_le_bytes(), folder.ino().to_le_bytes()];
+    let bytes = [folder.dev(), folder.ino(), folder.uid().into()].map(u64::to_le_bytes);
     let hash = bytes
         .as_flattened()
         .iter()
@@ -36,6 +39,15 @@ pub(super) fn occupy(root: &Path) -> io::Result<File> {
     let file = File::create(root.join(LOCK))?;
     file.lock_shared()?;
     Ok(file)
+}
+
+/// Closes to others the one file in shared memory that iceoryx2 leaves open to everybody, a counter of 16 bytes.
+pub(super) fn close_to_others(root: &Path) -> io::Result<()> {
+    let prefix = prefix(root)?;
+    let is_counter = |name: &str| name.starts_with(&prefix) && name.ends_with(COUNTER);
+    for_each_entry(Path::new(SHARED_MEMORY), is_counter, |path, _| {
+        fs::set_permissions(path, Permissions::from_mode(0o600))
+    })
 }
 
 /// Removes all that users of the folder have left in it and in shared memory, if nobody uses it.
@@ -59,15 +71,21 @@ pub(super) fn is_littered(root: &Path) -> bool {
 }
 
 fn remove_all(folder: &Path, which: impl Fn(&str) -> bool) -> io::Result<()> {
+    let remove = |path: &Path, is_folder| if is_folder { fs::remove_dir_all(path) } else { fs::remove_file(path) };
+    for_each_entry(folder, which, remove)
+}
+
+/// Does something with the entries of these names, unless they are gone meanwhile.
+fn for_each_entry(
+    folder: &Path,
+    which: impl Fn(&str) -> bool,
+    act: impl Fn(&Path, bool) -> io::Result<()>,
+) -> io::Result<()> {
     for entry in fs::read_dir(folder)? {
         let entry = entry?;
         if entry.file_name().to_str().is_some_and(&which) {
-            let removed = if entry.file_type()?.is_dir() {
-                fs::remove_dir_all(entry.path())
-            } else {
-                fs::remove_file(entry.path())
-            };
-            removed.or_else(|error| if error.kind() == ErrorKind::NotFound { Ok(()) } else { Err(error) })?;
+            let done = act(&entry.path(), entry.file_type()?.is_dir());
+            done.or_else(|error| if error.kind() == ErrorKind::NotFound { Ok(()) } else { Err(error) })?;
         }
     }
     Ok(())
