@@ -1,6 +1,7 @@
 //! The command line: what each command prints, and with which code it exits (0 done, 1 failed, 2 wrong file or arguments).
 
 use crate::NODES;
+use crate::doctor::doctor;
 use crate::experiment::{Experiment, Results, Rows, Variation};
 use crate::node_help;
 use crate::swap::{self, SwapArguments};
@@ -68,6 +69,17 @@ enum Command {
     Topic(TopicCommand),
     /// Replace a stage of a running pipeline, with other parameters or another node; the others notice nothing
     Swap(SwapArguments),
+    /// Tell what is wrong with this machine for running a pipeline: leftovers of dead runs, limits, ports
+    Doctor {
+        #[command(flatten)]
+        source: FileArguments,
+        /// Look at what the stages of this machine need [default: of each]
+        #[arg(long, value_name = "NAME")]
+        machine: Option<String>,
+        /// Remove first what dead runs have left
+        #[arg(long)]
+        clean: bool,
+    },
     /// List the built-in nodes, or the parameters of one
     Nodes {
         /// Name of a node
@@ -128,6 +140,11 @@ fn dispatch(command: Command) -> anyhow::Result<ExitCode> {
         Command::Top { once } => top::top(once).map(|()| ExitCode::SUCCESS),
         Command::Topic(command) => topic::topic(&command).map(|()| ExitCode::SUCCESS),
         Command::Swap(arguments) => swap::swap(&arguments).map(|()| ExitCode::SUCCESS),
+        Command::Doctor { source, machine, clean } => {
+            let pipeline = source.read()?;
+            machine.as_deref().map_or(Ok(()), |machine| check_machine(&pipeline, Some(machine)))?;
+            doctor(&pipeline, machine.as_deref(), clean)
+        }
         Command::Nodes { name } => {
             write!(stdout(), "{}", node_help::nodes(name.as_deref())?)?;
             Ok(ExitCode::SUCCESS)
@@ -153,21 +170,22 @@ fn log_to_standard_error(filter: &str) {
 
 impl FileArguments {
     fn read(&self) -> anyhow::Result<Pipeline> {
-        let (pipeline, warnings) = self.read_with_warnings()?;
+        self.read_on(None)
+    }
+
+    /// The pipeline as one of its machines needs it.
+    fn read_on(&self, machine: Option<&str>) -> anyhow::Result<Pipeline> {
+        let (pipeline, warnings) = self.read_with(machine, &[])?;
         if !warnings.0.is_empty() {
             eprintln!("{warnings}\n");
         }
         Ok(pipeline)
     }
 
-    fn read_with_warnings(&self) -> anyhow::Result<(Pipeline, Report)> {
-        self.read_with(&[])
-    }
-
     /// The pipeline with further parameters set; those of the command line have the last word.
-    fn read_with(&self, further: &[String]) -> anyhow::Result<(Pipeline, Report)> {
+    fn read_with(&self, machine: Option<&str>, further: &[String]) -> anyhow::Result<(Pipeline, Report)> {
         let (source, base) = self.text()?;
-        Ok(Pipeline::read(source, &base, &[further, &self.overrides].concat(), NODES)?)
+        Ok(Pipeline::read_on(machine, source, &base, &[further, &self.overrides].concat(), NODES)?)
     }
 
     /// The text of the file and the folder of its paths; of the built-in pipeline that is the current folder.
@@ -188,13 +206,13 @@ impl FileArguments {
 }
 
 fn validate(source: &FileArguments) -> anyhow::Result<ExitCode> {
-    let (pipeline, warnings) = source.read_with_warnings()?;
+    let (pipeline, warnings) = source.read_with(None, &[])?;
     if !warnings.0.is_empty() {
         writeln!(stdout(), "{warnings}\n")?;
     }
     if let Some(json) = &pipeline.experiment {
         for variation in Experiment::read(json)?.variations()? {
-            source.read_with(&variation.overrides)?;
+            source.read_with(None, &variation.overrides)?;
         }
     }
     let (stages, topics) = (pipeline.stages.len(), pipeline.topics().len());
@@ -203,7 +221,7 @@ fn validate(source: &FileArguments) -> anyhow::Result<ExitCode> {
 }
 
 fn run(arguments: &RunArguments) -> anyhow::Result<ExitCode> {
-    let pipeline = arguments.source.read()?;
+    let pipeline = arguments.source.read_on(arguments.machine.as_deref())?;
     if let Some(json) = &pipeline.experiment {
         return run_experiment(&pipeline, &Experiment::read(json)?, arguments);
     }
@@ -227,7 +245,7 @@ fn run_experiment(pipeline: &Pipeline, experiment: &Experiment, arguments: &RunA
         if !arguments.quiet {
             eprintln!("run {} of {}: {}", index + 1, variations.len(), variation.overrides.join(" "));
         }
-        let (pipeline, _) = arguments.source.read_with(&overrides)?;
+        let (pipeline, _) = arguments.source.read_with(arguments.machine.as_deref(), &overrides)?;
         let summary = run_once(&pipeline, arguments, true)?;
         if !summary.is_complete() || interrupted.load(Ordering::Relaxed) {
             tell_incomplete(&summary, variation);
@@ -249,7 +267,7 @@ fn run_once(pipeline: &Pipeline, arguments: &RunArguments, quiet: bool) -> anyho
     let run = SystemTime::now().duration_since(UNIX_EPOCH)?.as_nanos() as u64;
     let plan = Plan::of(pipeline, arguments.machine.as_deref(), arguments.frames, run);
     let program = std::env::current_exe().context("cannot find this program's own file, which runs the stages")?;
-    let options = RunOptions { program, duration: arguments.duration, quiet };
+    let options = RunOptions { program, nodes: NODES, duration: arguments.duration, quiet };
     Ok(conicflow_dataflow::run(&plan, &options)?)
 }
 

@@ -23,6 +23,7 @@ pub mod noise_estimator;
 pub mod picture_sink;
 
 pub mod command_line;
+mod doctor;
 pub mod experiment;
 mod node_help;
 mod swap;

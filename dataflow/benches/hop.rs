@@ -185,7 +185,7 @@ fn ages(mut receive: impl FnMut() -> Outcome<Option<u64>>) -> Outcome<Vec<u64>> 
 
 fn topic() -> Topic {
     let reader = TopicReader { stage: "reader".into(), delivery: Delivery::Latest, queue: 2 };
-    Topic { name: "hop".into(), writers: vec!["writer".into()], readers: vec![reader] }
+    Topic { name: "hop".into(), kind: None, writers: vec!["writer".into()], readers: vec![reader] }
 }
 
 fn send_by_topic(bytes: usize, folder: &Folder) -> Outcome<[f64; 2]> {

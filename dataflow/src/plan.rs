@@ -5,7 +5,7 @@
 use crate::bridge::{BRIDGE, BridgePlan};
 use crate::node::Node;
 use crate::pipeline::{Pipeline, Program, Report, Restart, SourceText, StageSpec};
-use crate::ports::Wiring;
+use crate::ports::{Topic, Wiring};
 use conicflow_messages::Kind;
 use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
@@ -106,13 +106,25 @@ impl Plan {
     pub fn with(&self, further: &[String], nodes: &[Node]) -> Result<(Self, Report), Report> {
         let Origin { source, overrides, machine, frames } = &self.origin;
         let overrides = [overrides.as_slice(), further].concat();
-        let (pipeline, warnings) = Pipeline::read(source.clone(), &self.base, &overrides, nodes)?;
+        let (pipeline, warnings) =
+            Pipeline::read_on(machine.as_deref(), source.clone(), &self.base, &overrides, nodes)?;
         Ok((Self::of(&pipeline, machine.as_deref(), *frames, self.run), warnings))
     }
 
     /// The stages that run something else, or are joined otherwise, in another plan.
     pub fn stages_unlike<'a>(&'a self, other: &'a Self) -> impl Iterator<Item = &'a PlannedStage> {
         self.stages.iter().filter(|stage| other.stage(&stage.name) != Some(stage))
+    }
+
+    /// All topics, once for each stage that writes or reads one.
+    pub fn topics(&self) -> impl Iterator<Item = &Topic> {
+        let wirings = self.stages.iter().map(|stage| &stage.wiring);
+        wirings.flat_map(|wiring| wiring.output.iter().chain(&wiring.input).chain(wiring.sides.iter().map(|(_, t)| t)))
+    }
+
+    /// What keeps the topics of this run apart from those of others, whatever those have left behind.
+    pub(crate) fn namespace(&self) -> String {
+        format!("{}/{:x}", self.pipeline, self.run)
     }
 
     /// The plan of one stage.

@@ -67,8 +67,7 @@ impl RunningPipeline {
 
     /// All topics, once for each stage that writes or reads one.
     pub fn topics(&self) -> impl Iterator<Item = &Topic> {
-        let wirings = self.plan.stages.iter().map(|stage| &stage.wiring);
-        wirings.flat_map(|wiring| wiring.output.iter().chain(&wiring.input).chain(wiring.sides.iter().map(|(_, t)| t)))
+        self.plan.topics()
     }
 
     /// Calls `see` with each message of `topic` from now on, until it has seen enough, the run is over, or this process
@@ -105,7 +104,7 @@ impl RunningPipeline {
     }
 
     fn tap<T: Item>(&self, topic: &Topic) -> Result<(SharedMemory, SharedTap<T>), WatchError> {
-        let memory = SharedMemory::open(self.folder.shared_memory(), &self.plan.pipeline, "(tap)", Stop::default())?;
+        let memory = SharedMemory::open(self.folder.shared_memory(), &self.plan.namespace(), "(tap)", Stop::default())?;
         let tap = memory.tap::<T>(topic)?;
         Ok((memory, tap))
     }

@@ -22,7 +22,7 @@ for pair in "$@"; do
         -out "$name.pem" 2>/dev/null
     rm "$name.csr" "$name.ext"
     cat > "$name.json5" <<EOF
-// Both sides show their certificates; files are relative to this one. An access_control table may follow here.
+// Both sides show their certificates; files are relative to this one. access_control.json5 says how to name who may do what.
 {
     transport: { link: { tls: {
         root_ca_certificate: "ca.pem",

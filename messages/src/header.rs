@@ -168,7 +168,7 @@ impl Header {
         if !finite(&[noise.floor_m, noise.growth_per_m, noise.knee_m, noise.step_per_m]) {
             return fault("a noise model that is not finite");
         }
-        if self.pose().is_some_and(|rows| !rows.iter().all(|row| finite(row))) {
+        if !self.world_from_camera.iter().all(|row| finite(row)) {
             return fault("a camera pose that is not finite");
         }
         Ok(())

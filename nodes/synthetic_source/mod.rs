@@ -256,6 +256,10 @@ impl Source for SyntheticSource {
         Ok(Self { camera, rate_hz: config.rate_hz, next: context.resume_at, total, truth })
     }
 
+    fn message_length(config: &SyntheticSourceConfig, _: &Path) -> Option<usize> {
+        Some(config.width as usize * config.height as usize)
+    }
+
     fn rate_hz(&self) -> f64 {
         self.rate_hz
     }

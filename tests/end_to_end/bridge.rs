@@ -6,15 +6,22 @@ use serde_json::Value as Json;
 use std::net::TcpListener;
 use std::process::{Command, Stdio};
 
+/// Where the stages of [`TRACKING`] are, unless a test says otherwise.
+pub const HALVES: [(&str, &str); 5] =
+    [("source", "robot"), ("extractor", "robot"), ("assembler", "base"), ("tracker", "base"), ("json", "base")];
+
+/// The stages of `text` on these machines.
+pub fn placed(text: &str, places: &[(&str, &str)]) -> String {
+    places.iter().fold(text.to_owned(), |text, (stage, machine)| {
+        let title = format!("[stage.{stage}]\n");
+        assert!(text.contains(&title), "no stage `{stage}`");
+        text.replace(&title, &format!("{title}machine = \"{machine}\"\n"))
+    })
+}
+
 /// [`TRACKING`] with its source and extractor on `robot`, the others on `base`.
 pub fn apart(listen: &str, connect: &str) -> String {
-    let mut text = TRACKING.to_owned();
-    for (stage, machine) in
-        [("source", "robot"), ("extractor", "robot"), ("assembler", "base"), ("tracker", "base"), ("json", "base")]
-    {
-        let title = format!("[stage.{stage}]\n");
-        text = text.replace(&title, &format!("{title}machine = \"{machine}\"\n"));
-    }
+    let text = placed(TRACKING, &HALVES);
     format!("{text}\n[machine.robot]\nlisten = [\"{listen}\"]\n[machine.base]\nconnect = [\"{connect}\"]\n")
 }
 
@@ -43,7 +50,12 @@ pub fn start(machine: &Playground, name: &str) -> Started {
 
 /// What the tracks say, without the times that it took.
 pub fn tracks(playground: &Playground) -> Vec<Json> {
-    let mut lines = playground.json_lines("tracks.jsonl");
+    without_times(playground, "tracks.jsonl")
+}
+
+/// The lines of a file of JSON objects, without the times that it took.
+pub fn without_times(playground: &Playground, file: &str) -> Vec<Json> {
+    let mut lines = playground.json_lines(file);
     lines.iter_mut().for_each(|line| drop(line.as_object_mut().unwrap().remove("latency_ms")));
     lines
 }

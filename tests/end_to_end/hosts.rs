@@ -4,19 +4,24 @@
 use super::bridge::{apart, machines, newest, tracks};
 use super::support::{Playground, Started, TRACKING, signal, wait_until};
 use rustix::process::{Signal, geteuid};
+use std::io::BufRead;
+use std::path::Path;
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
-const ROBOT: &str = "10.77.0.1";
+pub const ROBOT: &str = "10.77.0.1";
 const BASE: &str = "10.77.0.2";
 /// What is shown while the cable is out cannot come over it.
 const OUTAGE: Duration = Duration::from_secs(3);
+/// Longer than Zenoh, and TCP's first retries, wait.
+const LONG_OUTAGE: Duration = Duration::from_secs(13);
 
-/// Two network namespaces with a cable between them, gone when this is.
-struct Hosts {
+/// Two network namespaces with a cable or a radio between them, gone when this is.
+pub struct Hosts {
     robot: String,
     base: String,
+    _radio: Option<Started>,
 }
 
 fn ip(arguments: &str) -> bool {
@@ -26,19 +31,48 @@ fn ip(arguments: &str) -> bool {
 }
 
 impl Hosts {
-    /// The hosts; `None`, said loudly, where this user cannot make them.
-    fn new() -> Option<Self> {
+    /// Hosts joined by a cable; `None`, said loudly, where this user cannot make them.
+    pub fn new() -> Option<Self> {
+        let hosts = Self::apart()?;
+        let (robot, base) = (&hosts.robot, &hosts.base);
+        assert!(ip(&format!("link add cable netns {robot} type veth peer name cable netns {base}")));
+        hosts.set_up();
+        Some(hosts)
+    }
+
+    /// Hosts joined by a radio: so many Mbit/s, 100 ms there and 100 ms back, and of 100 packets 5 are lost.
+    pub fn with_radio(mbit_per_s: u32) -> Option<Self> {
+        let mut hosts = Self::apart()?;
+        if !Path::new("/dev/net/tun").exists() {
+            eprintln!("SKIPPED: a radio needs python3 and /dev/net/tun; nothing was shown");
+            return None;
+        }
+        let mut script = Command::new("python3");
+        script.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/end_to_end/radio.py"));
+        script.args([&hosts.robot, &hosts.base, &mbit_per_s.to_string(), "100", "5"]).stdin(Stdio::null());
+        let (radio, mut says) = Started::piped(script);
+        says.read_line(&mut String::new()).unwrap();
+        hosts._radio = Some(radio);
+        hosts.set_up();
+        Some(hosts)
+    }
+
+    /// Hosts that nothing joins yet.
+    fn apart() -> Option<Self> {
         static COUNT: AtomicU32 = AtomicU32::new(0);
         let number = format!("{}-{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
-        let hosts = Self { robot: format!("cfr{number}"), base: format!("cfb{number}") };
+        let hosts = Self { robot: format!("cfr{number}"), base: format!("cfb{number}"), _radio: None };
         if !geteuid().is_root() || !ip(&format!("netns add {}", hosts.robot)) {
             eprintln!("SKIPPED: network namespaces need root and `ip netns`; nothing was shown");
             return None;
         }
-        let (robot, base) = (&hosts.robot, &hosts.base);
+        assert!(ip(&format!("netns add {}", hosts.base)));
+        Some(hosts)
+    }
+
+    fn set_up(&self) {
+        let (robot, base) = (&self.robot, &self.base);
         let steps = [
-            format!("netns add {base}"),
-            format!("link add cable netns {robot} type veth peer name cable netns {base}"),
             format!("-n {robot} addr add {ROBOT}/24 dev cable"),
             format!("-n {base} addr add {BASE}/24 dev cable"),
             format!("-n {robot} link set lo up"),
@@ -47,11 +81,10 @@ impl Hosts {
             format!("-n {base} link set cable up"),
         ];
         steps.iter().for_each(|step| assert!(ip(step), "ip {step}"));
-        Some(hosts)
     }
 
     /// Pulls the cable, or puts it back.
-    fn cable(&self, state: &str) {
+    pub fn cable(&self, state: &str) {
         assert!(ip(&format!("-n {} link set cable {state}", self.robot)));
     }
 
@@ -74,7 +107,9 @@ impl Hosts {
         slow
     }
 
-    fn start(&self, host: &str, playground: &Playground, machine: &str) -> Started {
+    /// Starts the machine of this name on its host.
+    pub fn start(&self, playground: &Playground, machine: &str) -> Started {
+        let host = if machine == "robot" { &self.robot } else { &self.base };
         let inner = playground.command(&["run", "--machine", machine]);
         let mut command = Command::new("ip");
         command.args(["netns", "exec", host]).arg(inner.get_program()).args(inner.get_args()).stdin(Stdio::null());
@@ -88,8 +123,8 @@ impl Hosts {
         Started::new(command)
     }
 
-    fn start_both(&self, [robot, base]: &[Playground; 2]) -> [Started; 2] {
-        [self.start(&self.robot, robot, "robot"), self.start(&self.base, base, "base")]
+    pub fn start_both(&self, [robot, base]: &[Playground; 2]) -> [Started; 2] {
+        [self.start(robot, "robot"), self.start(base, "base")]
     }
 }
 
@@ -110,7 +145,7 @@ fn live() -> [Playground; 2] {
     machines(&text().replace(", delivery = \"lossless\"", "").replace("rate_hz    = 0", "rate_hz = 30"))
 }
 
-fn end(runs: [Started; 2]) -> [super::support::Ended; 2] {
+pub fn end(runs: [Started; 2]) -> [super::support::Ended; 2] {
     runs.map(|run| {
         signal(run.id(), Signal::INT);
         run.wait().expect_code(0)
@@ -148,11 +183,11 @@ fn after_an_outage_live_edges_carry_what_is_new() {
 #[test]
 #[ignore = "takes half a minute; cargo test -- --ignored"]
 fn after_an_outage_longer_than_any_lease_too() {
-    pull_the_cable(Duration::from_secs(13));
+    pull_the_cable(LONG_OUTAGE);
 }
 
 /// Lossless edges over a bad cable give, bit for bit, what one machine finds.
-fn nothing_is_lost(hosts: &Hosts, disturb: impl FnOnce()) {
+pub fn nothing_is_lost(hosts: &Hosts, disturb: impl FnOnce()) {
     const FRAMES: &str = "200";
     let alone = Playground::with_pipeline(TRACKING);
     alone.conicflow(&["run", "--frames", FRAMES, "--set", "source.rate_hz=40"]).expect_code(0);
@@ -166,14 +201,24 @@ fn nothing_is_lost(hosts: &Hosts, disturb: impl FnOnce()) {
     machines.iter().for_each(|machine| wait_until("no process is left", || machine.processes().is_empty()));
 }
 
-#[test]
-fn lossless_edges_lose_nothing_to_an_outage() {
+fn nothing_is_lost_to(outage: Duration) {
     let Some(hosts) = Hosts::new() else { return };
     nothing_is_lost(&hosts, || {
         hosts.cable("down");
-        std::thread::sleep(OUTAGE);
+        std::thread::sleep(outage);
         hosts.cable("up");
     });
+}
+
+#[test]
+fn lossless_edges_lose_nothing_to_an_outage() {
+    nothing_is_lost_to(OUTAGE);
+}
+
+#[test]
+#[ignore = "takes half a minute; cargo test -- --ignored"]
+fn lossless_edges_lose_nothing_to_an_outage_longer_than_any_lease_either() {
+    nothing_is_lost_to(LONG_OUTAGE);
 }
 
 #[test]

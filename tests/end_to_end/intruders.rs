@@ -1,9 +1,8 @@
-//! What others may send to a bridge: garbage, another version, or a knock on the door without the right certificate.
+//! What others may send to a bridge: garbage, or messages of another version.
 
 use super::bridge::{apart, loopback, machines, newest, start};
 use super::support::{Playground, signal, wait_until};
 use rustix::process::Signal;
-use std::process::Command;
 use zenoh::Wait;
 
 /// A Zenoh session of somebody who connects to an endpoint.
@@ -69,52 +68,4 @@ fn a_machine_of_another_version_is_refused_by_name_and_numbers() {
     });
     signal(base_run.id(), Signal::INT);
     base_run.wait().expect_code(0);
-}
-
-#[test]
-fn only_who_has_the_right_certificate_gets_in() {
-    let endpoint = loopback().replace("tcp/127.0.0.1", "tls/localhost");
-    let text =
-        apart(&endpoint, &endpoint).replace(", delivery = \"lossless\"", "").replace("rate_hz    = 0", "rate_hz = 30");
-    let text = text
-        .replace("[machine.robot]\n", "[machine.robot]\nzenoh = \"tls/robot.json5\"\n")
-        .replace("[machine.base]\n", "[machine.base]\nzenoh = \"tls/base.json5\"\n");
-    let [robot, base] = machines(&text);
-    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/tls/certificates.sh");
-    let certificates = |folder: &str| {
-        let made = Command::new(script).args([folder, "robot=localhost", "base=localhost"]).status();
-        made.is_ok_and(|status| status.success())
-    };
-    if !certificates(robot.path("tls").to_str().unwrap()) {
-        eprintln!("SKIPPED: there is no `openssl`; nothing was shown");
-        return;
-    }
-    let copy = |from: &str, to: &str| std::fs::copy(robot.path(from), base.path(to)).map(drop).unwrap();
-    assert!(certificates(base.path("tls").to_str().unwrap()), "another authority");
-    let robot_run = start(&robot, "robot");
-    // Another authority's certificate, then none, then the right one.
-    for stage in ["wrong", "none", "right"] {
-        if stage == "none" {
-            let only_ca = "{ transport: { link: { tls: { root_ca_certificate: 'ca.pem' } } } }";
-            base.write("tls/base.json5", only_ca);
-            copy("tls/ca.pem", "tls/ca.pem");
-        } else if stage == "right" {
-            ["tls/base.json5", "tls/base.key", "tls/base.pem", "tls/ca.pem"]
-                .into_iter()
-                .for_each(|file| copy(file, file));
-        }
-        let mut base_run = start(&base, "base");
-        if stage == "right" {
-            base_run.wait_until("tracks arrive", || newest(&base) > 0);
-        } else {
-            // Long enough for many attempts; the right certificate takes a tenth of it.
-            let since = std::time::Instant::now();
-            wait_until("attempts were made", || since.elapsed().as_secs() >= 4);
-            assert_eq!(base.lines("tracks.jsonl").len(), 0, "{stage}");
-        }
-        signal(base_run.id(), Signal::INT);
-        base_run.wait().expect_code(0);
-    }
-    signal(robot_run.id(), Signal::INT);
-    robot_run.wait().expect_code(0);
 }

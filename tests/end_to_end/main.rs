@@ -4,10 +4,14 @@
 #![allow(clippy::unwrap_used, clippy::panic)] // what a test cannot go on from is its failure
 
 mod bridge;
+mod certificates;
 mod commands;
+#[cfg(target_os = "linux")]
+mod doctor;
 mod experiments;
 #[cfg(target_os = "linux")]
 mod faults;
+mod hostile_files;
 #[cfg(target_os = "linux")]
 mod hosts;
 #[cfg(target_os = "linux")]
@@ -17,11 +21,19 @@ mod intruders;
 mod outside_stage;
 #[cfg(target_os = "linux")]
 mod processes;
+#[cfg(target_os = "linux")]
+mod radio;
+mod routers;
 mod run;
+mod several_machines;
+#[cfg(target_os = "linux")]
+mod soak;
 #[cfg(target_os = "linux")]
 mod stress;
 mod support;
 #[cfg(target_os = "linux")]
 mod swap;
+#[cfg(target_os = "linux")]
+mod top;
 mod topic;
 mod validate;

@@ -1,9 +1,7 @@
-//! Kills at random moments, some hundred times: after each kill the run goes on or is gone, and the machine is as it was.
-//!
-//! It looks at the shared memory of the whole machine and therefore runs alone, on demand:
-//! `CONICFLOW_STRESS_ROUNDS=300 cargo test --test end_to_end -- --ignored stress --nocapture`
+//! Kills at random moments: after each kill the run goes on or is gone, and the machine is as it was. Some hundred of them:
+//! `CONICFLOW_STRESS_ROUNDS=300 cargo test --test end_to_end -- stress --nocapture`
 
-use crate::processes::{files_below, stages_of, wait_for_lines};
+use crate::processes::{files_below, shared_files, stages_of, wait_for_lines};
 use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, signal, wait_until};
 use rustix::process::Signal;
 use std::collections::{BTreeMap, BTreeSet};
@@ -11,7 +9,7 @@ use std::fs;
 use std::time::Duration;
 
 const ROUNDS: &str = "CONICFLOW_STRESS_ROUNDS";
-const DEFAULT_ROUNDS: usize = 100;
+const DEFAULT_ROUNDS: usize = 16;
 
 /// When the kill comes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -34,13 +32,23 @@ enum Victims {
 const MOMENTS: [Moment; 4] = [Moment::Start, Moment::AtWork, Moment::Swap, Moment::End];
 const VICTIMS: [Victims; 4] = [Victims::Stage, Victims::TwoStages, Victims::Launcher, Victims::All];
 
-/// What is on the machine beside processes: files in shared memory, and those of the playground's runs. Those that are only
-/// there to be locked, and one of 16 bytes that all runs share, stay.
-fn files(playground: &Playground) -> BTreeSet<String> {
+/// What the runs of the playground have left: files of theirs in shared memory, and in the runtime folder those that are
+/// not only there to be locked.
+fn files(playground: &Playground, prefix: &str) -> BTreeSet<String> {
     let shared = fs::read_dir("/dev/shm").unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
-    let own = shared.filter(|name| name.starts_with("conicflow_") && !name.ends_with("global_mgmt"));
+    let own = shared.filter(|name| name.starts_with(prefix));
     let below = files_below(playground.runtime()).into_iter().map(|path| path.display().to_string());
     own.chain(below.filter(|path| !path.ends_with("lock"))).collect()
+}
+
+/// What the names of all shared memory of runs in the playground begin with: `conicflow_`, and eight digits.
+fn prefix(playground: &Playground) -> String {
+    let mut run = playground.start(&["run", "--set", "source.rate_hz=100"]);
+    wait_for_lines(&mut run, playground);
+    let name = shared_files(stages_of(run.id())["source"]).pop_first().unwrap();
+    signal(run.id(), Signal::INT);
+    run.wait().expect_code(0);
+    name.file_name().unwrap().to_str().unwrap()[..19].to_owned()
 }
 
 fn sleep_up_to(random: &mut fastrand::Rng, milliseconds: u64) {
@@ -104,17 +112,17 @@ fn round(moment: Moment, victims: Victims, playground: &Playground, random: &mut
 }
 
 #[test]
-#[ignore = "looks at the whole machine, and takes some seconds a round"]
 fn kills_at_random_moments_leave_the_machine_as_it_was() {
     let rounds = std::env::var(ROUNDS).map_or(DEFAULT_ROUNDS, |text| text.parse().unwrap());
     let playground = Playground::with_pipeline(TRACKING);
-    playground.conicflow(&["run", "--frames", "3"]).expect_code(0);
-    let (before, mut random, mut seen) = (files(&playground), fastrand::Rng::with_seed(1), BTreeMap::new());
+    let prefix = prefix(&playground);
+    let (before, mut random, mut seen) = (files(&playground, &prefix), fastrand::Rng::with_seed(1), BTreeMap::new());
+    assert!(before.iter().all(|path| !path.starts_with(&prefix)), "{before:?}");
     for index in 0..rounds {
         let (moment, victims) = (random.choice(MOMENTS).unwrap(), random.choice(VICTIMS).unwrap());
         println!("round {index}: {victims:?} at {moment:?}");
         round(moment, victims, &playground, &mut random);
-        let after: Vec<_> = files(&playground).difference(&before).cloned().collect();
+        let after: Vec<_> = files(&playground, &prefix).difference(&before).cloned().collect();
         assert_eq!(after, [""; 0], "left behind by {victims:?} at {moment:?}");
         *seen.entry((moment, victims)).or_insert(0) += 1;
     }

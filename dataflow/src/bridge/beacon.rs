@@ -39,16 +39,19 @@ pub(super) struct Ack {
     pub ended: Vec<String>,
 }
 
-/// How many exchanges are remembered.
-const SAMPLES: usize = 32;
+/// Of how many seconds exchanges are remembered: a queue on the link, which delays one direction, is rarely there for longer.
+const SECONDS: usize = 32;
 
 /// The difference between two machines' clocks, from exchanges of beacons.
 ///
 /// As NTP does: with t1, t4 the own times of sending and receiving and t2, t3 the peer's, the offset is
-/// `((t2 - t1) + (t3 - t4)) / 2`, wrong by half the round trip's asymmetry at most; of the last exchanges the one with
-/// the shortest round trip counts.
+/// `((t2 - t1) + (t3 - t4)) / 2`, wrong by half the round trip's asymmetry at most; of the last seconds' exchanges the one
+/// with the shortest round trip counts.
 #[derive(Debug, Default)]
-pub(super) struct Clock(VecDeque<Exchange>);
+pub(super) struct Clock {
+    /// The second, and its best exchange.
+    best: VecDeque<(u64, Exchange)>,
+}
 
 /// One exchange.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,24 +65,33 @@ pub(super) struct Exchange {
 impl Clock {
     /// Adds an exchange; times that cannot be are left out.
     pub(super) fn add(&mut self, [t1, t2, t3, t4]: [u64; 4]) {
+        let second = t4 / 1_000_000_000;
         let [t1, t2, t3, t4] = [t1, t2, t3, t4].map(i128::from);
         let exchange = (i64::try_from((t4 - t1) - (t3 - t2)), i64::try_from(((t2 - t1) + (t3 - t4)) / 2));
         let (Ok(round_trip_ns @ 0..), Ok(offset_ns)) = exchange else { return };
-        if self.0.len() == SAMPLES {
-            self.0.pop_front();
+        let exchange = Exchange { round_trip_ns, offset_ns };
+        match self.best.back_mut() {
+            Some((last, best)) if *last == second => *best = quicker(*best, exchange),
+            _ => self.best.push_back((second, exchange)),
         }
-        self.0.push_back(Exchange { round_trip_ns, offset_ns });
+        if self.best.len() > SECONDS {
+            self.best.pop_front();
+        }
     }
 
     /// Forgets everything: the peer may be another machine now.
     pub(super) fn clear(&mut self) {
-        self.0.clear();
+        self.best.clear();
     }
 
-    /// The best exchange of the last ones.
+    /// The best exchange of the last seconds.
     pub(super) fn best(&self) -> Option<Exchange> {
-        self.0.iter().copied().min_by_key(|exchange| exchange.round_trip_ns)
+        self.best.iter().map(|(_, exchange)| *exchange).reduce(quicker)
     }
+}
+
+fn quicker(one: Exchange, other: Exchange) -> Exchange {
+    if other.round_trip_ns < one.round_trip_ns { other } else { one }
 }
 
 #[cfg(test)]
@@ -96,5 +108,17 @@ mod tests {
         assert_eq!(clock.best(), Some(Exchange { round_trip_ns: 20, offset_ns: 1000 }));
         clock.add([u64::MAX, 0, u64::MAX, 0]);
         assert_eq!(clock.best().unwrap().offset_ns, 1000);
+    }
+
+    #[test]
+    fn a_quick_exchange_is_remembered_for_a_while_through_any_number_of_slow_ones() {
+        const SECOND: u64 = 1_000_000_000;
+        let mut clock = Clock::default();
+        clock.add([0, 10, 10, 20]);
+        let slow = |time: u64| [time, time + 5000, time + 5000, time + 5010];
+        (1..3100).for_each(|count| clock.add(slow(count * SECOND / 100)));
+        assert_eq!(clock.best().unwrap().round_trip_ns, 20);
+        (31..40).for_each(|second| clock.add(slow(second * SECOND)));
+        assert_eq!(clock.best().unwrap().round_trip_ns, 5010);
     }
 }

@@ -9,11 +9,14 @@ use std::time::{Duration, Instant};
 
 /// A peer of which nothing was heard for so long is not connected.
 const SILENCE: Duration = Duration::from_millis(1500);
+/// Of a peer that has not come after this time the user is told.
+const PATIENCE: Duration = Duration::from_secs(5);
 
 /// The other machines, as the threads of a bridge share them.
 pub(super) struct Links {
     machine: String,
     stream: u64,
+    started: Instant,
     peers: Mutex<BTreeMap<String, Peer>>,
     acks: Mutex<BTreeMap<(String, String), Ack>>,
 }
@@ -27,10 +30,12 @@ pub(super) struct Peer {
     clock: Clock,
     acks: BTreeMap<String, Ack>,
     refused: Option<String>,
+    missed: bool,
 }
 
 /// What is shown of a peer.
 pub(super) struct PeerState {
+    pub was_heard: bool,
     pub connected_for: Option<Duration>,
     pub clock: Option<Exchange>,
 }
@@ -42,7 +47,8 @@ fn lock<V>(mutex: &Mutex<V>) -> MutexGuard<'_, V> {
 impl Links {
     pub(super) fn new<'a>(machine: &str, stream: u64, peers: impl Iterator<Item = &'a str>) -> Self {
         let peers = peers.map(|peer| (peer.to_owned(), Peer::default())).collect();
-        Self { machine: machine.to_owned(), stream, peers: Mutex::new(peers), acks: Mutex::default() }
+        let (machine, started) = (machine.to_owned(), Instant::now());
+        Self { machine, stream, started, peers: Mutex::new(peers), acks: Mutex::default() }
     }
 
     /// Takes in a beacon.
@@ -104,12 +110,20 @@ impl Links {
         lock(&self.peers).get(machine).is_some_and(|peer| is_connected(peer, Instant::now()))
     }
 
+    /// The time to a peer and back, if it was heard of just now; 0 before that has been measured.
+    pub(super) fn round_trip(&self, machine: &str) -> Option<Duration> {
+        let peers = lock(&self.peers);
+        let peer = peers.get(machine).filter(|peer| is_connected(peer, Instant::now()))?;
+        let nanoseconds = peer.clock.best().map_or(0, |exchange| exchange.round_trip_ns);
+        Some(Duration::from_nanos(u64::try_from(nanoseconds).unwrap_or(0)))
+    }
+
     /// A peer's clock less the own one, in nanoseconds.
     pub(super) fn clock_offset(&self, machine: &str) -> Option<i64> {
         lock(&self.peers).get(machine)?.clock.best().map(|exchange| exchange.offset_ns)
     }
 
-    /// All peers; says which have fallen silent since the last look.
+    /// All peers; says which have fallen silent since the last look, and once which never came.
     pub(super) fn look(&self) -> BTreeMap<String, PeerState> {
         let now = Instant::now();
         let mut states = BTreeMap::new();
@@ -118,8 +132,12 @@ impl Links {
                 tracing::warn!("the link to machine `{machine}` is down");
                 peer.since = None;
             }
+            if now.saturating_duration_since(self.started) > PATIENCE {
+                miss(machine, peer);
+            }
             let connected_for = peer.since.map(|since| now.saturating_duration_since(since));
-            states.insert(machine.clone(), PeerState { connected_for, clock: peer.clock.best() });
+            let (was_heard, clock) = (peer.heard.is_some(), peer.clock.best());
+            states.insert(machine.clone(), PeerState { was_heard, connected_for, clock });
         }
         states
     }
@@ -127,6 +145,18 @@ impl Links {
 
 fn is_connected(peer: &Peer, now: Instant) -> bool {
     peer.heard.is_some_and(|heard| now.saturating_duration_since(heard) < SILENCE)
+}
+
+/// Says once that a peer has never been heard of, and was not refused either.
+fn miss(machine: &str, peer: &mut Peer) {
+    if peer.heard.is_none() && peer.refused.is_none() && !peer.missed {
+        tracing::warn!(
+            "nothing was heard of machine `{machine}` in {} s\n  hint: is it started there with `--machine {machine}`, and \
+             does one side `connect` to where the other listens? a router joins only what has mode: \"client\"",
+            PATIENCE.as_secs()
+        );
+        peer.missed = true;
+    }
 }
 
 /// Says once why a peer is not listened to.

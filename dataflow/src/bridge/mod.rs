@@ -4,7 +4,8 @@
 //! is read from shared memory, encoded ([`wire`]) and put under `conicflow/PIPELINE/MACHINE/TOPIC` ([`sending`]); what comes
 //! is checked, decoded and written into shared memory ([`receiving`]). Each bridge also puts a small beacon under
 //! `conicflow/PIPELINE/@link/MACHINE` ([`beacon`]): it acknowledges, measures the clocks, and shows that the link lives,
-//! because Zenoh's `put` succeeds with nobody there. [`outbox`] and [`sequence`] are the two ends of lossless delivery.
+//! because Zenoh's `put` succeeds with nobody there. [`outbox`] and [`sequence`] are the two ends of lossless delivery;
+//! where the newest wins, [`window`] keeps what is under way from becoming a queue.
 
 mod beacon;
 mod depth_codec;
@@ -18,6 +19,7 @@ mod report;
 mod sending;
 mod sequence;
 pub(crate) mod settings;
+mod window;
 mod wire;
 #[cfg(test)]
 mod wire_tests;

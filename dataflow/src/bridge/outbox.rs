@@ -3,6 +3,7 @@
 
 use super::beacon::Ack;
 use super::plan::Receiver;
+use super::window::Window;
 use super::wire::{Place, set_oldest};
 use crate::ports::Delivery;
 use std::collections::{BTreeSet, VecDeque};
@@ -13,11 +14,6 @@ const MAX_KEPT: usize = 64;
 const MAX_KEPT_BYTES: usize = 16 << 20;
 /// What was not acknowledged after this time is sent again.
 const RESEND_AFTER: Duration = Duration::from_millis(250);
-/// Where the newest wins nothing is sent after a message that has been under way for longer: on a slow link it would only
-/// wait in line, and be old when it comes.
-const MAX_UNDER_WAY: Duration = Duration::from_millis(150);
-/// What was not acknowledged after this time is lost.
-const SURELY_LOST: Duration = Duration::from_secs(1);
 /// A machine that wants only the newest is waited for so long, to learn that the stream has ended.
 const END_PATIENCE: Duration = Duration::from_secs(5);
 
@@ -26,7 +22,7 @@ pub(super) struct Outbox {
     stream: u64,
     next: u64,
     kept: VecDeque<(u64, Vec<u8>)>,
-    under_way: VecDeque<(u64, Instant)>,
+    window: Window,
     ends: Vec<(String, Vec<u8>)>,
     ended_at: Option<Instant>,
     receivers: Vec<Remote>,
@@ -52,7 +48,9 @@ impl Remote {
 }
 
 impl Outbox {
-    pub(super) fn new(stream: u64, receivers: &[Receiver], outage: Duration, now: Instant) -> Self {
+    /// An edge to these machines; where the newest wins a message may wait on the way for `wait`, where not a machine is waited
+    /// for during `outage`.
+    pub(super) fn new(stream: u64, receivers: &[Receiver], [wait, outage]: [Duration; 2], now: Instant) -> Self {
         let remote = |receiver: &Receiver| Remote {
             machine: receiver.machine.clone(),
             lossless: receiver.delivery == Delivery::Lossless,
@@ -64,7 +62,7 @@ impl Outbox {
             stream,
             next: 0,
             kept: VecDeque::new(),
-            under_way: VecDeque::new(),
+            window: Window::new(wait),
             ends: Vec::new(),
             ended_at: None,
             receivers: receivers.iter().map(remote).collect(),
@@ -89,16 +87,17 @@ impl Outbox {
         self.kept.len() as u64
     }
 
-    /// Whether another message may be sent to the machines that are `alive`.
-    pub(super) fn may_send(&mut self, now: Instant, alive: impl Fn(&str) -> bool) -> bool {
+    /// Whether another message may be sent; `round_trip` tells of the machines that are there.
+    pub(super) fn may_send(&mut self, now: Instant, round_trip: impl Fn(&str) -> Option<Duration>) -> bool {
         if self.receivers.iter().any(|remote| remote.lossless) {
             return self.has_room();
         }
-        let reached = self.receivers.iter().filter(|remote| alive(&remote.machine)).map(|remote| remote.next).min();
-        let arrived = reached.unwrap_or(self.next);
-        let under_way = |sent: Instant| now.saturating_duration_since(sent);
-        self.under_way.retain(|&(number, sent)| number >= arrived && under_way(sent) < SURELY_LOST);
-        self.under_way.front().is_none_or(|&(_, sent)| under_way(sent) < MAX_UNDER_WAY)
+        let there = self.receivers.iter().filter_map(|remote| Some((remote.next, round_trip(&remote.machine)?)));
+        match there.reduce(|one, other| (one.0.min(other.0), one.1.max(other.1))) {
+            Some((next, round_trip)) => self.window.acknowledge(next, round_trip, now),
+            None => self.window.clear(),
+        }
+        self.window.is_open()
     }
 
     /// Whether there is anybody to send to: a machine that must not miss a message is, even where it cannot be reached.
@@ -128,7 +127,7 @@ impl Outbox {
         if self.receivers.iter().any(|remote| remote.lossless) {
             self.kept.push_back((self.next, bytes.to_vec()));
         } else {
-            self.under_way.push_back((self.next, now));
+            self.window.sent(self.next, now);
         }
         self.next += 1;
     }
@@ -201,9 +200,10 @@ mod tests {
     use super::*;
 
     const OUTAGE: Duration = Duration::from_secs(10);
+    const WAIT: Duration = Duration::from_millis(100);
 
     fn outbox(delivery: Delivery, now: Instant) -> Outbox {
-        Outbox::new(1, &[Receiver { machine: "base".to_owned(), delivery }], OUTAGE, now)
+        Outbox::new(1, &[Receiver { machine: "base".to_owned(), delivery }], [WAIT, OUTAGE], now)
     }
 
     fn ack(next: u64, ended: &[&str]) -> Ack {
@@ -246,17 +246,16 @@ mod tests {
         let start = Instant::now();
         let mut outbox = outbox(Delivery::Latest, start);
         assert!(!outbox.is_wanted(|_| false) && outbox.is_wanted(|_| true));
+        let (there, away) = (|_: &str| Some(Duration::ZERO), |_: &str| None);
+        assert!(outbox.may_send(start, there));
         outbox.sent(&[1; 40], start);
-        assert!(outbox.may_send(start, |_| true), "one may follow at once");
+        assert!(!outbox.may_send(start, there));
+        outbox.acknowledge("base", Some(&ack(1, &[])), Some(start), start);
+        assert!(outbox.may_send(start, there));
         outbox.sent(&[2; 40], start);
-        let late = start + MAX_UNDER_WAY;
-        assert!(!outbox.may_send(late, |_| true));
-        outbox.acknowledge("base", Some(&ack(1, &[])), Some(late), late);
-        assert!(!outbox.may_send(late, |_| true));
-        outbox.acknowledge("base", Some(&ack(2, &[])), Some(late), late);
-        assert!(outbox.may_send(late, |_| true));
-        outbox.sent(&[3; 40], late);
-        assert!(outbox.may_send(late + SURELY_LOST, |_| true), "what is lost is not waited for");
+        outbox.sent(&[3; 40], start);
+        assert!(!outbox.may_send(start, there));
+        assert!(outbox.may_send(start, away), "nobody is there to wait for");
     }
 
     #[test]

@@ -200,6 +200,7 @@ impl<'a> Watch<'a> {
                 false => carried.edge.from == machine,
             };
             LinkReport {
+                was_heard: state.was_heard,
                 connected: state.connected_for.is_some(),
                 connected_s: state.connected_for.map(|time| time.as_secs_f64()),
                 round_trip_ms: state.clock.map(|clock| clock.round_trip_ns as f64 / 1e6),

@@ -137,13 +137,13 @@ impl<'a, T: Wire> Receiving<'a, T> {
     }
 
     /// Turns the times of the trace into times of this machine's clock, and tells how long the message was under way.
-    /// Before the clocks have been compared it counts as sent just now.
+    /// Before the clocks have been compared it counts as sent just now; never as sent later than it came.
     fn to_own_clock(&self, header: &mut Header) -> Duration {
         let now = monotonic_ns();
         let sent = header.trace().last().map_or(0, |hop| hop.sent_ns);
         let offset = self.links.clock_offset(&self.edge.from).map(i128::from);
         let offset = offset.unwrap_or(i128::from(sent) - i128::from(now));
-        let own = |time: u64| u64::try_from(i128::from(time) - offset).unwrap_or(0);
+        let own = |time: u64| u64::try_from(i128::from(time) - offset).unwrap_or(0).min(now);
         let used = (header.hop_count as usize).min(MAX_HOPS);
         for hop in &mut header.hops[..used] {
             (hop.received_ns, hop.sent_ns) = (own(hop.received_ns), own(hop.sent_ns));

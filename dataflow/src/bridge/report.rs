@@ -10,6 +10,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 pub struct LinkReport {
     /// The other machine.
     pub machine: String,
+    /// Whether it was ever heard of.
+    pub was_heard: bool,
     /// Whether it was heard of just now.
     pub connected: bool,
     /// For how long, in seconds.

@@ -24,6 +24,9 @@ use zenoh::qos::{CongestionControl, Priority};
 
 /// An edge that nobody wakes looks around this often.
 const TICK: Duration = Duration::from_millis(20);
+/// Where the newest wins, messages wait on a full link for so long at most; images, waiting for less, give way to lists.
+const LISTS_WAIT: Duration = Duration::from_millis(100);
+const IMAGES_WAIT: Duration = Duration::from_millis(40);
 /// A full outbox looks for acknowledgements this often.
 const FULL_TICK: Duration = Duration::from_millis(2);
 
@@ -67,6 +70,7 @@ impl<'a, T: Wire> Sending<'a, T> {
         let topic = &edge.topic;
         let reader = shared.transport.reader::<T>(topic, BRIDGE)?;
         let images = edge.kind == Kind::Depth;
+        let wait = if images { IMAGES_WAIT } else { LISTS_WAIT };
         let declared = shared
             .session
             .declare_publisher(shared.key(&edge.from, &topic.name))
@@ -78,7 +82,7 @@ impl<'a, T: Wire> Sending<'a, T> {
             edge,
             inbox: Inbox::new(reader, topic.delivery_to(BRIDGE), &topic.name, topic.writers.len()),
             publisher: declared.map_err(|error| BridgeError::zenoh("cannot declare a topic to Zenoh", error))?,
-            outbox: Outbox::new(shared.stream, &edge.to, shared.outage, Instant::now()),
+            outbox: Outbox::new(shared.stream, &edge.to, [wait, shared.outage], Instant::now()),
             links: Arc::clone(shared.links),
             counts,
             peers: shared.peers.clone(),
@@ -110,7 +114,7 @@ impl<'a, T: Wire> Sending<'a, T> {
     }
 
     fn may_send(&mut self) -> bool {
-        self.outbox.may_send(Instant::now(), |machine| self.links.is_connected(machine))
+        self.outbox.may_send(Instant::now(), |machine| self.links.round_trip(machine))
     }
 
     /// Whether anybody is there: a machine of the pipeline, or another program that has subscribed.

@@ -84,8 +84,12 @@ fn images_that_do_not_fill_their_size_are_refused() {
 #[test]
 fn numbers_that_make_no_sense_are_refused() {
     let nonsense = Ellipse { rms: f64::NAN, ..ellipse() };
-    let bytes = bytes_of(&header(64, 48), &[nonsense], Compression::None);
-    assert!(matches!(decode_message::<Ellipse>(&bytes, &mut Vec::new()), Err(WireError::Malformed(_))));
+    // Also where no flag says that there is a pose.
+    let nowhere = Header { world_from_camera: [[f64::NAN; 4]; 3], ..header(64, 48) };
+    for (header, ellipse) in [(header(64, 48), nonsense), (nowhere, ellipse())] {
+        let bytes = bytes_of(&header, &[ellipse], Compression::None);
+        assert!(matches!(decode_message::<Ellipse>(&bytes, &mut Vec::new()), Err(WireError::Malformed(_))));
+    }
 }
 
 #[test]
@@ -95,6 +99,71 @@ fn the_corpus_of_the_fuzzer_does_no_harm() {
     assert!(entries.len() >= 8, "the corpus in {folder} is gone");
     for entry in entries {
         decode_all(&std::fs::read(entry.path()).unwrap());
+    }
+}
+
+/// What the fuzzer does, without what it needs to be built: `CONICFLOW_FUZZ_ROUNDS=200000000 cargo test --release -p
+/// conicflow-dataflow mutations -- --ignored`.
+#[test]
+#[ignore = "takes as long as it is told to"]
+fn mutations_of_the_corpus_do_no_harm() {
+    let rounds = std::env::var("CONICFLOW_FUZZ_ROUNDS").map_or(1_000_000, |rounds| rounds.parse().unwrap());
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../fuzz/corpus/wire");
+    let mut files: Vec<_> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+    files.sort();
+    let corpus: Vec<_> = files.iter().map(|file| std::fs::read(file).unwrap()).collect();
+    let mut random = Random(0x9e37_79b9_7f4a_7c15);
+    let mut accepted = 0_u64;
+    for _ in 0..rounds {
+        let mut bytes = corpus[random.below(corpus.len())].clone();
+        for _ in 0..=random.below(6) {
+            mutate(&mut bytes, &mut random);
+        }
+        let tell = TellOnPanic(&bytes);
+        accepted += decode_all(tell.0);
+    }
+    eprintln!("{accepted} of {rounds} mutations were messages");
+    assert!(accepted > rounds / 1000, "the mutations no longer get past the first checks");
+}
+
+/// xorshift64*.
+struct Random(u64);
+
+impl Random {
+    fn below(&mut self, limit: usize) -> usize {
+        self.0 ^= self.0 >> 12;
+        self.0 ^= self.0 << 25;
+        self.0 ^= self.0 >> 27;
+        ((self.0.wrapping_mul(0x2545_f491_4f6c_dd1d) >> 33) as usize) % limit.max(1)
+    }
+}
+
+fn mutate(bytes: &mut Vec<u8>, random: &mut Random) {
+    const EDGES: [u8; 8] = [0, 1, 127, 128, 250, 251, 253, 255];
+    let at = random.below(bytes.len());
+    match random.below(6) {
+        0 if !bytes.is_empty() => bytes[at] ^= 1 << random.below(8),
+        1 if !bytes.is_empty() => bytes[at] = EDGES[random.below(EDGES.len())],
+        2 if !bytes.is_empty() => drop(bytes.remove(at)),
+        3 => bytes.insert(at, EDGES[random.below(EDGES.len())]),
+        4 => {
+            let piece = bytes[at..bytes.len().min(at + 1 + random.below(32))].to_vec();
+            let target = random.below(bytes.len());
+            bytes.splice(target..target, piece);
+        }
+        _ if random.below(16) == 0 => bytes.truncate(at),
+        _ => {}
+    }
+}
+
+/// Shows the bytes that did harm.
+struct TellOnPanic<'a>(&'a [u8]);
+
+impl Drop for TellOnPanic<'_> {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            eprintln!("these bytes did harm: {:02x?}", self.0);
+        }
     }
 }
 
@@ -119,21 +188,21 @@ fn begin_the_corpus() {
     write("huge", &bytes_of(&header(65_536, 65_536), &pixels, Compression::Zstd));
 }
 
-/// As the fuzz target does: what is accepted has to survive being sent again.
-fn decode_all(bytes: &[u8]) {
-    again::<u16>(bytes);
-    again::<Ellipse>(bytes);
-    again::<Object>(bytes);
-    again::<Track>(bytes);
+/// As the fuzz target does: what is accepted has to survive being sent again; of how many kinds it was.
+fn decode_all(bytes: &[u8]) -> u64 {
+    let accepted = [again::<u16>(bytes), again::<Ellipse>(bytes), again::<Object>(bytes), again::<Track>(bytes)];
+    accepted.into_iter().map(u64::from).sum()
 }
 
-fn again<T: Wire>(bytes: &[u8]) {
+fn again<T: Wire>(bytes: &[u8]) -> bool {
     let mut items = Vec::new();
-    let Ok((place, header)) = decode_message::<T>(bytes, &mut items) else { return };
+    let Ok((place, header)) = decode_message::<T>(bytes, &mut items) else { return false };
     let resent = encode_message(place, &header, &items, Compression::Lz4).unwrap();
     let mut back = Vec::new();
-    assert_eq!(decode_message::<T>(&resent, &mut back), Ok((place, header)));
+    let (same_place, same_header) = decode_message::<T>(&resent, &mut back).unwrap();
+    assert_eq!((same_place, bytemuck::bytes_of(&same_header)), (place, bytemuck::bytes_of(&header)));
     assert_eq!(bytemuck::cast_slice::<_, u8>(&back), bytemuck::cast_slice::<_, u8>(&items));
+    true
 }
 
 proptest! {

@@ -13,10 +13,14 @@ mod swap;
 mod vigil;
 
 pub use folder::{FolderError, RUNTIME_DIR, RunFolder, RunLock};
+pub(crate) use folder::{LAST_STAGES_GRACE, check_private, user_folder};
+pub(crate) use process::{LAUNCHER, STAGE};
 pub use process::{PIPELINE, ProcessError, run_in_run, run_planned, run_source, run_stage};
 pub use request::SwapError;
 pub use summary::{StageSummary, Summary, link_table};
 
+use crate::needs::{Needs, Shortfall};
+use crate::node::Node;
 use crate::plan::Plan;
 use crate::ports::PortError;
 use crate::ports::shared_memory::SharedMemory;
@@ -40,10 +44,12 @@ const DELIVERY_GRACE: Duration = Duration::from_secs(5);
 const KILL_GRACE: Duration = Duration::from_secs(5);
 
 /// How a run is to be.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Default)]
 pub struct RunOptions {
     /// The program that runs stages: it has to know `node STAGE`.
     pub program: PathBuf,
+    /// What tells how much room the messages of its sources need.
+    pub nodes: &'static [Node],
     /// It ends after this time.
     pub duration: Option<Duration>,
     /// No progress is shown.
@@ -62,6 +68,9 @@ pub enum LaunchError {
     /// The shared memory.
     #[error(transparent)]
     Port(#[from] PortError),
+    /// The machine has too little of something.
+    #[error(transparent)]
+    Shortfall(#[from] Shortfall),
     /// Signals.
     #[error("signals cannot be received: {0}")]
     Signals(std::io::Error),
@@ -74,8 +83,11 @@ pub enum LaunchError {
 pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
     let folder = RunFolder::open(&plan.pipeline)?;
     let _lock = folder.lock(&plan.pipeline)?;
-    clean_shared_memory(&folder, plan)?;
+    SharedMemory::clean(folder.shared_memory())?;
+    Needs::of(plan, options.nodes).shortfalls().into_iter().try_for_each(Err)?;
     folder.begin(plan)?;
+    let memory = SharedMemory::open(folder.shared_memory(), &plan.namespace(), "launcher", Stop::default())?;
+    let services = memory.hold(plan.topics())?;
     let mut launcher = Launcher {
         plan: plan.clone(),
         folder,
@@ -92,14 +104,9 @@ pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
     launcher.swap.take().into_iter().for_each(|swap| swap.abandon(&launcher.folder));
     launcher.stages.iter_mut().for_each(Supervised::kill);
     ended?;
-    clean_shared_memory(&launcher.folder, plan)?;
+    drop(services);
+    SharedMemory::clean(launcher.folder.shared_memory())?;
     Ok(launcher.summary())
-}
-
-/// Removes what stages that were killed, in this run or an earlier one, have left in shared memory.
-fn clean_shared_memory(folder: &RunFolder, plan: &Plan) -> Result<(), PortError> {
-    SharedMemory::open(folder.shared_memory(), &plan.pipeline, "launcher", Stop::default())?.clean();
-    Ok(())
 }
 
 /// How hard the run presses for its end.

@@ -176,7 +176,7 @@ fn surroundings(
     let lock = Some(folder.join()?);
     let stop = Stop::default();
     listen_for_signals(stop.clone(), planned.is_source())?;
-    let transport = SharedMemory::open(folder.shared_memory(), &plan.pipeline, &planned.name, stop.clone());
+    let transport = SharedMemory::open(folder.shared_memory(), &plan.namespace(), &planned.name, stop.clone());
     let handover = Handover::of(folder.path(), &planned.name);
     let successor = Successor::from_environment(&handover);
     let successor = successor.map_err(|error| system("the launcher cannot be spoken with", error))?;

@@ -107,7 +107,8 @@ impl Summary {
 pub fn link_table(links: &[LinkReport]) -> Table {
     let mut table = Table::new(&["link", "topic", "way", "messages", "Hz", "MB/s", "lost", "resent", "age", "up"]);
     for link in links {
-        let up = link.connected_s.map_or_else(|| "down".to_owned(), |seconds| format!("{seconds:.0} s"));
+        let down = if link.was_heard { "down" } else { "never" };
+        let up = link.connected_s.map_or_else(|| down.to_owned(), |seconds| format!("{seconds:.0} s"));
         for edge in &link.edges {
             let names = [&link.machine, &edge.topic, &edge.direction].map(String::clone);
             let rates = [format!("{:.1}", edge.rate_hz), format!("{:.2}", edge.bandwidth_mbps)];

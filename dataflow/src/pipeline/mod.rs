@@ -18,6 +18,7 @@ use crate::node::Node;
 use crate::ports::{Delivery, Topic, TopicReader};
 use conicflow_messages::Kind;
 use diagnostic::Place;
+use read::Surroundings;
 use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
 use std::collections::BTreeMap;
@@ -136,6 +137,20 @@ impl Pipeline {
         overrides: &[String],
         nodes: &[Node],
     ) -> Result<(Self, Report), Report> {
+        Self::read_on(None, source, base, overrides, nodes)
+    }
+
+    /// The same on one of its machines: what the others need of files and programs need not be here.
+    ///
+    /// # Errors
+    /// All that is wrong with it, at once.
+    pub fn read_on(
+        machine: Option<&str>,
+        source: SourceText,
+        base: &Path,
+        overrides: &[String],
+        nodes: &[Node],
+    ) -> Result<(Self, Report), Report> {
         let source = Arc::new(source);
         let mut faults = Vec::new();
         let mut document = value::parse(&source, &mut faults);
@@ -145,7 +160,7 @@ impl Pipeline {
         for text in overrides {
             value::apply_override(&mut document, text, &mut faults);
         }
-        let mut pipeline = read::pipeline(document, &source, base, nodes, &mut faults);
+        let mut pipeline = read::pipeline(document, &source, &Surroundings { base, machine, nodes }, &mut faults);
         pipeline.source = (SourceText::clone(&source), overrides.to_vec());
         check::connections(&pipeline, &mut faults);
         let report = Report::in_order(faults);
@@ -166,6 +181,7 @@ impl Pipeline {
         });
         Topic {
             name: name.to_owned(),
+            kind: self.kind_of(name),
             writers: writers.map(|stage| stage.name.clone()).collect(),
             readers: readers.collect(),
         }

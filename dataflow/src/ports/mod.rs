@@ -5,7 +5,7 @@
 pub mod in_memory;
 pub mod shared_memory;
 
-use conicflow_messages::{Header, Item};
+use conicflow_messages::{Header, Item, Kind};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::time::Duration;
@@ -25,6 +25,8 @@ pub enum Delivery {
 pub struct Topic {
     /// Its name in the pipeline file.
     pub name: String,
+    /// What it carries, where that is known.
+    pub kind: Option<Kind>,
     /// Names of the stages that write it.
     pub writers: Vec<String>,
     /// The stages that read it, and how.

@@ -70,7 +70,7 @@ where
 
 fn topic(name: &str, writer: &str, reader: &str, queue: usize) -> Topic {
     let reader = TopicReader { stage: reader.to_owned(), delivery: Delivery::Lossless, queue };
-    Topic { name: name.to_owned(), writers: vec![writer.to_owned()], readers: vec![reader] }
+    Topic { name: name.to_owned(), kind: None, writers: vec![writer.to_owned()], readers: vec![reader] }
 }
 
 fn from_upstream(header: Header) -> Header {

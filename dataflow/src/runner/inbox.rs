@@ -235,7 +235,7 @@ mod tests {
 
     fn topic(delivery: Delivery) -> Topic {
         let reader = TopicReader { stage: "reader".into(), delivery, queue: 8 };
-        Topic { name: "objects".into(), writers: vec!["writer".into()], readers: vec![reader] }
+        Topic { name: "objects".into(), kind: None, writers: vec!["writer".into()], readers: vec![reader] }
     }
 
     fn header(sequence: u64) -> Header {

@@ -21,6 +21,7 @@ impl Reader<'_> {
     fn machine(&mut self, entry: Entry) -> Machine {
         let (owner, place) = (format!("machine `{}`", entry.key), entry.key_place.clone());
         self.check_name(&entry.key, &place, "machine", MAX_STAGE_NAME, "_-");
+        self.go_to(Some(&entry.key));
         let mut table = self.table(entry, "[machine.robot]").unwrap_or_default();
         let mut endpoints = |reader: &mut Self, key| table.take(key).and_then(|entry| reader.strings(&entry));
         let listen = endpoints(self, "listen").unwrap_or_default();
@@ -37,8 +38,8 @@ impl Reader<'_> {
     }
 
     fn existing_file(&mut self, entry: &Entry) -> Option<PathBuf> {
-        let path = self.base.join(self.string(entry)?);
-        if !path.is_file() {
+        let path = self.around.base.join(self.string(entry)?);
+        if !path.is_file() && !self.elsewhere {
             let hint = "paths are relative to the pipeline file";
             self.fault(&entry.value.place, format!("there is no file `{}`", path.display()), hint);
         }

@@ -20,12 +20,11 @@ const MAX_TOPIC_NAME: usize = 63;
 pub(super) fn pipeline(
     mut document: Table,
     source: &Arc<SourceText>,
-    base: &Path,
-    nodes: &[Node],
+    around: &Surroundings<'_>,
     faults: &mut Vec<Diagnostic>,
 ) -> Pipeline {
     let start = Place { source: Arc::clone(source), span: 0..0 };
-    let mut reader = Reader { base, nodes, faults };
+    let mut reader = Reader { around, elsewhere: false, faults };
     let name = reader.name(&mut document, &start);
     let machines = document.take("machine").map(|entry| reader.machines(entry)).unwrap_or_default();
     let experiment = document.take("experiment").map(|entry| entry.value.to_json());
@@ -36,16 +35,32 @@ pub(super) fn pipeline(
         Vec::new()
     });
     let source = Default::default();
-    Pipeline { name, base: base.to_owned(), machines, stages, experiment, source }
+    Pipeline { name, base: around.base.to_owned(), machines, stages, experiment, source }
+}
+
+/// Where a file is read.
+pub(super) struct Surroundings<'a> {
+    /// Folder of the file.
+    pub base: &'a Path,
+    /// The machine, where that is known.
+    pub machine: Option<&'a str>,
+    /// What stages can run.
+    pub nodes: &'a [Node],
 }
 
 struct Reader<'a> {
-    base: &'a Path,
-    nodes: &'a [Node],
+    around: &'a Surroundings<'a>,
+    /// What is read now belongs to another machine: whether its files are there shows there.
+    elsewhere: bool,
     faults: &'a mut Vec<Diagnostic>,
 }
 
 impl Reader<'_> {
+    /// Notes to which machine belongs what is read next.
+    fn go_to(&mut self, machine: Option<&str>) {
+        self.elsewhere = self.around.machine.is_some() && self.around.machine != machine;
+    }
+
     fn fault(&mut self, place: &Place, what: impl Into<String>, hint: impl Into<String>) {
         self.faults.push(Diagnostic::error(place, what, hint));
     }

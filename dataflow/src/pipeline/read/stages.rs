@@ -29,6 +29,7 @@ impl Reader<'_> {
         let mut table = self.table(entry, "[stage.source]")?;
         let place_of = |key| table.get(key).map(|entry| entry.value.place.clone());
         let [input_place, output_place, machine_place] = ["input", "output", "machine"].map(place_of);
+        self.go_to(table.get("machine").and_then(|entry| entry.value.as_str()));
         let program = self.program(&mut table, &name, &place);
         let input = table.take("input").and_then(|entry| self.input(&entry.value, Pick::Latest, Delivery::Latest));
         let driving = input.as_ref().map_or(Delivery::Latest, |input| input.delivery);
@@ -91,10 +92,10 @@ impl Reader<'_> {
 
     fn node(&mut self, entry: &Entry) -> Program {
         let Some(name) = self.string(entry) else { return Program::Unknown };
-        if let Some(node) = self.nodes.iter().find(|node| node.name == name) {
+        if let Some(node) = self.around.nodes.iter().find(|node| node.name == name) {
             return Program::Node(*node);
         }
-        let hint = suggestion(&name, self.nodes.iter().map(|node| node.name), "nodes");
+        let hint = suggestion(&name, self.around.nodes.iter().map(|node| node.name), "nodes");
         self.fault(&entry.value.place, format!("there is no node `{name}`"), hint);
         Program::Unknown
     }
@@ -107,8 +108,9 @@ impl Reader<'_> {
         };
         let place =
             if let Content::Array(values) = &entry.value.content { &values[0].place } else { &entry.value.place };
-        match find_program(self.base, program) {
+        match find_program(self.around.base, program) {
             Some(path) if is_executable(&path) => *program = path.to_string_lossy().into_owned(),
+            _ if self.elsewhere => {}
             Some(_) => {
                 let what = format!("`{program}` may not be run");
                 self.fault(place, what, format!("if it is a program: chmod +x {program}"));
@@ -133,7 +135,7 @@ impl Reader<'_> {
         table.0.iter().filter_map(|entry| Some((entry.key.clone(), self.string(entry)?))).collect()
     }
 
-    /// Checks the keys that are left: those of the node.
+    /// Checks the keys that are left: those of the node; what it makes of their values only where it runs.
     fn parameters(&mut self, table: &Table, program: &Program, stage: &str, place: &Place) {
         let Program::Node(node) = program else { return };
         let found = schema::check_table(table, &node.schema(), &STAGE_KEYS, &format!("stage `{stage}`"));
@@ -141,7 +143,10 @@ impl Reader<'_> {
             self.faults.extend(found);
             return;
         }
-        match (node.check)(table.to_json(), self.base) {
+        if self.elsewhere {
+            return;
+        }
+        match (node.check)(table.to_json(), self.around.base) {
             Ok(faults) => {
                 for fault in faults {
                     let at = table.get(fault.key).map_or(place, |entry| &entry.value.place);

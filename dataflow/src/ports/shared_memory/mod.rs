@@ -1,18 +1,22 @@
 //! Topics in shared memory, by iceoryx2: this module is the only place that knows it.
 //!
-//! A topic `t` of pipeline `p` is three services: `conicflow/p/t` carries the messages, `conicflow/p/t/wake` wakes the
-//! readers when a message was sent, `conicflow/p/t/room` wakes a writer that waits because a lossless reader's queue is
+//! A topic `t` of run `r` is three services: `conicflow/r/t` carries the messages, `conicflow/r/t/wake` wakes the readers
+//! when a message was sent, `conicflow/r/t/room` wakes a writer that waits because a lossless reader's queue is
 //! full. All numbers of a service follow from the pipeline file, so that every stage asks for the same ones and the order
 //! of their start does not matter.
 
-#![allow(unsafe_code)] // layout promises for types in shared memory, and loans whose content is left over
+#![allow(unsafe_code)] // layout promises for types in shared memory, loans whose content is left over, and leases on files
 
+mod hold;
+pub(crate) mod leftovers;
 mod reader;
+mod sweep;
 mod tap;
 #[cfg(test)]
 mod tests;
 mod writer;
 
+pub use hold::Held;
 pub use reader::{SharedMessage, SharedReader};
 pub use tap::SharedTap;
 pub use writer::SharedWriter;
@@ -28,6 +32,7 @@ use iceoryx2::prelude::*;
 use iceoryx2::service::builder::publish_subscribe::{PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError};
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory as TopicFactory;
 use std::fmt::{Debug, Display};
+use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use writer::place_of;
@@ -35,9 +40,8 @@ use writer::place_of;
 type Ipc = ipc_threadsafe::Service;
 type Factory<T> = TopicFactory<Ipc, [WireItem<T>], WireHeader>;
 
-/// Unix sockets lie in the folder, and their names leave no more room than this for folder and prefix together.
-const ROOT_AND_PREFIX_LIMIT: usize = 71;
-const PREFIX: &str = "conicflow_";
+/// Unix sockets lie in the folder, and their names leave no more room than this for its path.
+const ROOT_LIMIT: usize = 48;
 
 /// Readers that may join beside those of the pipeline file: tools that look on.
 const SPARE_READERS: usize = 8;
@@ -68,20 +72,21 @@ unsafe impl ZeroCopySend for WireHeader {
     }
 }
 
-/// This process's access to the topics of one pipeline.
+/// This process's access to the topics of one run; its readers and writers need it as long as they are at work.
 pub struct SharedMemory {
     node: Node<Ipc>,
-    pipeline: String,
+    run: String,
     root: PathBuf,
     stop: Stop,
+    _occupied: File,
 }
 
 impl SharedMemory {
-    /// Joins the pipeline `pipeline` whose files lie in the folder `root`, and cleans up after processes that died there.
+    /// Joins the run `run` whose files lie in the folder `root`.
     ///
     /// # Errors
     /// The folder cannot be used for shared memory.
-    pub fn open(root: &Path, pipeline: &str, stage: &str, stop: Stop) -> Result<Self, PortError> {
+    pub fn open(root: &Path, run: &str, stage: &str, stop: Stop) -> Result<Self, PortError> {
         set_log_level(LogLevel::Fatal);
         let config = configuration(root)?;
         let fault = |reason: &dyn Debug| PortError::SharedMemory {
@@ -89,15 +94,24 @@ impl SharedMemory {
             reason: format!("{reason:?}"),
             root: root.to_owned(),
         };
+        let _occupied = sweep::occupy(root).map_err(|error| fault(&error))?;
         let name = NodeName::new(stage).map_err(|error| fault(&error))?;
         let builder = NodeBuilder::new().name(&name).config(&config).signal_handling_mode(SignalHandlingMode::Disabled);
         let node = builder.create::<Ipc>().map_err(|error: NodeCreationFailure| fault(&error))?;
-        Ok(Self { node, pipeline: pipeline.to_owned(), root: root.to_owned(), stop })
+        Ok(Self { node, run: run.to_owned(), root: root.to_owned(), stop, _occupied })
     }
 
     /// Removes what processes that died have left in shared memory.
-    pub fn clean(&self) {
-        self.node.try_cleanup_dead_nodes();
+    ///
+    /// # Errors
+    /// The folder cannot be used for shared memory.
+    pub fn clean(root: &Path) -> Result<(), PortError> {
+        Self::open(root, "", "launcher", Stop::default())?.node.try_cleanup_dead_nodes();
+        sweep::sweep(root).map_err(|error| PortError::SharedMemory {
+            doing: "what dead processes left cannot be removed".to_owned(),
+            reason: error.to_string(),
+            root: root.to_owned(),
+        })
     }
 
     fn fault(&self, doing: impl Display, reason: impl Debug) -> PortError {
@@ -105,7 +119,7 @@ impl SharedMemory {
     }
 
     fn service_name(&self, topic: &Topic, part: &str) -> Result<ServiceName, PortError> {
-        let name = format!("conicflow/{}/{}{part}", self.pipeline, topic.name);
+        let name = format!("conicflow/{}/{}{part}", self.run, topic.name);
         ServiceName::new(&name).map_err(|error| self.fault(format!("topic `{}` cannot be named", topic.name), error))
     }
 
@@ -160,16 +174,20 @@ impl SharedMemory {
 type EventFactory = iceoryx2::service::port_factory::event::PortFactory<Ipc>;
 
 fn configuration(root: &Path) -> Result<Config, PortError> {
-    let length = root.as_os_str().len() + PREFIX.len();
-    let limit = ROOT_AND_PREFIX_LIMIT - PREFIX.len();
-    let too_long = || PortError::PathTooLong { path: root.to_owned(), length: length - PREFIX.len(), limit };
-    if length > ROOT_AND_PREFIX_LIMIT {
+    let length = root.as_os_str().len();
+    let too_long = || PortError::PathTooLong { path: root.to_owned(), length, limit: ROOT_LIMIT };
+    if length > ROOT_LIMIT {
         return Err(too_long());
     }
+    let prefix = sweep::prefix(root).map_err(|error| PortError::SharedMemory {
+        doing: "the folder of shared memory cannot be used".to_owned(),
+        reason: error.to_string(),
+        root: root.to_owned(),
+    })?;
     let mut config = Config::default();
     let path = iceoryx2::prelude::Path::new(root.as_os_str().as_encoded_bytes()).map_err(|_| too_long())?;
     config.global.set_root_path(&path);
-    config.global.prefix = FileName::new(PREFIX.as_bytes()).map_err(|_| too_long())?;
+    config.global.prefix = FileName::new(prefix.as_bytes()).map_err(|_| too_long())?;
     Ok(config)
 }
 

@@ -1,0 +1,73 @@
+//! Files with anything in them: what the fuzzers began with and what they found, and mutations of it, do no harm.
+
+#[path = "../../fuzz/readers.rs"]
+mod readers;
+
+use readers::{READERS, Reader};
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::PathBuf;
+
+const MUTATIONS: &str = "CONICFLOW_MUTATIONS";
+const DEFAULT_MUTATIONS: usize = 300;
+
+/// The files of a corpus, by their names: those that begin with `good` are to be accepted, those with `bad` refused.
+fn corpus(kind: &str) -> BTreeMap<String, Vec<u8>> {
+    let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus").join(kind);
+    let files = fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap());
+    files.map(|file| (file.file_name().into_string().unwrap(), fs::read(file.path()).unwrap())).collect()
+}
+
+#[test]
+fn the_corpora_of_the_fuzzers_do_no_harm() {
+    for (kind, accepts) in READERS {
+        let files = corpus(kind);
+        assert!(files.keys().any(|name| name.starts_with("good")), "{kind}: {:?}", files.keys());
+        assert!(files.keys().any(|name| name.starts_with("bad")), "{kind}: {:?}", files.keys());
+        for (name, bytes) in files {
+            let accepted = accepts(&bytes);
+            assert!(accepted || !name.starts_with("good"), "{kind}/{name} was refused");
+            assert!(!accepted || !name.starts_with("bad"), "{kind}/{name} was accepted");
+        }
+    }
+}
+
+/// One of the files with a few bytes changed, a piece left out, repeated or exchanged, or a number put in.
+fn mutated(files: &[Vec<u8>], random: &mut fastrand::Rng) -> Vec<u8> {
+    const NUMBERS: [&[u8]; 8] =
+        [b"0", b"-1", b"4294967295", b"18446744073709551616", b"1e308", b"nan", b"inf", b"\xff\xff\xff\xff"];
+    let mut bytes = random.choice(files).unwrap().clone();
+    for _ in 0..random.usize(1..4) {
+        let (from, length) = (random.usize(0..=bytes.len()), random.usize(0..32));
+        let piece = from..(from + length).min(bytes.len());
+        match random.u8(0..6) {
+            0 => bytes[piece].iter_mut().take(2).for_each(|byte| *byte = random.u8(..)),
+            1 => drop(bytes.drain(piece)),
+            2 => bytes.truncate(from),
+            3 => {
+                let again = bytes[piece].to_vec();
+                bytes.splice(from..from, again);
+            }
+            4 => drop(bytes.splice(from..piece.end.min(from + 4), random.choice(NUMBERS).unwrap().iter().copied())),
+            _ => {
+                let other = random.choice(files).unwrap();
+                bytes.splice(from.., other[from.min(other.len())..].iter().copied());
+            }
+        }
+    }
+    bytes
+}
+
+fn mutate((kind, accepts): Reader, count: usize) {
+    let files: Vec<_> = corpus(kind).into_values().collect();
+    let mut random = fastrand::Rng::with_seed(7);
+    let accepted = (0..count).filter(|_| accepts(&mutated(&files, &mut random))).count();
+    assert!(accepted > 0 && accepted < count, "{kind}: {accepted} of {count} accepted, which shows little");
+}
+
+/// More of them: `CONICFLOW_MUTATIONS=100000 cargo test --release --test end_to_end -- mutations`.
+#[test]
+fn mutations_of_the_corpora_do_no_harm() {
+    let count = std::env::var(MUTATIONS).map_or(DEFAULT_MUTATIONS, |text| text.parse().unwrap());
+    READERS.into_iter().for_each(|reader| mutate(reader, count));
+}

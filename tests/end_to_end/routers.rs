@@ -1,0 +1,90 @@
+//! Machines that reach a Zenoh router, and not each other.
+
+use super::bridge::{HALVES, loopback, newest, placed, start, tracks};
+use super::support::{Playground, Started, TRACKING, signal, wait_until};
+use rustix::process::Signal;
+use zenoh::Wait;
+
+/// A Zenoh router of this process that listens on an endpoint.
+fn router(endpoint: &str) -> zenoh::Session {
+    let mut config = zenoh::Config::default();
+    for (key, value) in [
+        ("mode", "\"router\""),
+        ("scouting/multicast/enabled", "false"),
+        ("listen/endpoints", &format!("[\"{endpoint}\"]")),
+        ("connect/endpoints", "[]"),
+    ] {
+        config.insert_json5(key, value).unwrap();
+    }
+    zenoh::open(config).wait().unwrap()
+}
+
+/// The robot finds ellipses and the base tracks; both know the router alone, in these modes.
+fn by_router(text: &str, modes: [&str; 2], endpoint: &str) -> [Playground; 2] {
+    let text =
+        placed(text, &HALVES) + "\n[machine.robot]\nzenoh = \"net.json5\"\n[machine.base]\nzenoh = \"net.json5\"\n";
+    modes.map(|mode| {
+        let machine = Playground::with_pipeline(&text);
+        machine.write("net.json5", &format!("{{ mode: '{mode}', connect: {{ endpoints: ['{endpoint}'] }} }}"));
+        machine
+    })
+}
+
+fn start_both([robot, base]: &[Playground; 2]) -> [Started; 2] {
+    [start(robot, "robot"), start(base, "base")]
+}
+
+#[test]
+fn nothing_is_lost_through_a_router() {
+    let finite = TRACKING.replace("rate_hz    = 0", "rate_hz    = 0\nframes     = 200");
+    let alone = Playground::with_pipeline(&finite);
+    alone.conicflow(&["run"]).expect_code(0);
+    for modes in [["client", "client"], ["peer", "client"]] {
+        let endpoint = loopback();
+        let _router = router(&endpoint);
+        let machines = by_router(&finite, modes, &endpoint);
+        start_both(&machines).into_iter().for_each(|run| drop(run.wait().expect_code(0)));
+        assert!(tracks(&machines[1]) == tracks(&alone), "{modes:?}");
+    }
+}
+
+#[test]
+fn peers_that_a_router_does_not_join_are_told_so() {
+    let endpoint = loopback();
+    let _router = router(&endpoint);
+    let machines = by_router(TRACKING, ["peer", "peer"], &endpoint);
+    for (run, other) in start_both(&machines).into_iter().zip(["base", "robot"]) {
+        wait_until("it is told", || run.stderr().contains(&format!("nothing was heard of machine `{other}` in 5 s")));
+        let machine = if other == "base" { &machines[0] } else { &machines[1] };
+        let top = machine.conicflow(&["top", "--once"]).expect_code(0);
+        let json: serde_json::Value = serde_json::from_str(&top.stdout).unwrap();
+        let link = &json["pipelines"][0]["links"][0];
+        assert_eq!([&link["was_heard"], &link["connected"]], [false, false], "{link}");
+        signal(run.id(), Signal::INT);
+        signal(run.id(), Signal::INT);
+        let ended = run.wait();
+        assert!(ended.stderr.matches("nothing was heard").count() == 1, "{}", ended.stderr);
+        assert!(ended.stderr.lines().any(|line| line.trim_end().ends_with("never")), "{}", ended.stderr);
+    }
+}
+
+#[test]
+fn a_router_may_come_late_and_come_again() {
+    let endpoint = loopback();
+    let live = TRACKING.replace(", delivery = \"lossless\"", "").replace("rate_hz    = 0", "rate_hz    = 30");
+    let machines = by_router(&live, ["client"; 2], &endpoint);
+    let mut runs = start_both(&machines);
+    for run in &runs {
+        wait_until("it waits for the router", || run.stderr().contains("cannot be opened yet"));
+    }
+    for _ in 0..2 {
+        let before = newest(&machines[1]);
+        let router = router(&endpoint);
+        runs[1].wait_until("tracks arrive", || newest(&machines[1]) > before + 20);
+        router.close().wait().unwrap();
+    }
+    for run in runs {
+        signal(run.id(), Signal::INT);
+        run.wait().expect_code(0);
+    }
+}

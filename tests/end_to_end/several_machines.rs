@@ -1,0 +1,135 @@
+//! More than one edge between two machines: there and back, three machines, pipelines beside each other. What comes out is
+//! what one machine finds, bit for bit.
+
+use super::bridge::{HALVES, loopback, placed, start, without_times};
+use super::support::{Playground, TRACKING};
+use serde_json::Value as Json;
+
+/// [`TRACKING`] with so many frames.
+fn finite(frames: u32) -> String {
+    TRACKING.replace("rate_hz    = 0", &format!("rate_hz    = 0\nframes     = {frames}"))
+}
+
+/// What one machine writes into these files.
+fn alone<const N: usize>(text: &str, files: [&str; N]) -> [Vec<Json>; N] {
+    let playground = Playground::with_pipeline(text);
+    playground.conicflow(&["run"]).expect_code(0);
+    files.map(|file| without_times(&playground, file))
+}
+
+/// Runs the file on all machines, until all end by themselves.
+fn run_on<const N: usize>(text: &str, names: [&str; N]) -> [Playground; N] {
+    let machines = names.map(|_| Playground::with_pipeline(text));
+    let runs: Vec<_> = machines.iter().zip(names).map(|(machine, name)| start(machine, name)).collect();
+    runs.into_iter().for_each(|run| drop(run.wait().expect_code(0)));
+    machines.iter().for_each(|machine| assert!(machine.processes().is_empty()));
+    machines
+}
+
+#[test]
+fn every_hop_may_cross_there_and_back() {
+    let text = finite(100);
+    let [expected] = alone(&text, ["tracks.jsonl"]);
+    assert_eq!(expected.len(), 100);
+    let places =
+        [("source", "robot"), ("extractor", "base"), ("assembler", "robot"), ("tracker", "base"), ("json", "robot")];
+    let endpoint = loopback();
+    let ends = format!("\n[machine.robot]\nlisten = [\"{endpoint}\"]\n[machine.base]\nconnect = [\"{endpoint}\"]\n");
+    let [robot, _] = run_on(&(placed(&text, &places) + &ends), ["robot", "base"]);
+    assert!(without_times(&robot, "tracks.jsonl") == expected);
+}
+
+#[test]
+fn three_machines_share_topics_pair_by_pair() {
+    let more = r#"
+[stage.again]
+node   = "row_ellipse_extractor"
+input  = { topic = "depth", delivery = "lossless", compression = "lz4" }
+output = "found_again"
+
+[stage.ellipses]
+node  = "json_sink"
+input = { topic = "found_again", delivery = "lossless" }
+path  = "ellipses.jsonl"
+"#;
+    let text = finite(100) + more;
+    let files = ["tracks.jsonl", "ellipses.jsonl"];
+    let expected = alone(&text, files);
+    let places = [
+        ("source", "robot"),
+        ("extractor", "base"),
+        ("assembler", "desk"),
+        ("tracker", "desk"),
+        ("json", "desk"),
+        ("again", "desk"),
+        ("ellipses", "desk"),
+    ];
+    let (robot, base) = (loopback(), loopback());
+    let ends = format!(
+        "\n[machine.robot]\nlisten = [\"{robot}\"]\n[machine.base]\nlisten = [\"{base}\"]\nconnect = [\"{robot}\"]\n\
+         [machine.desk]\nconnect = [\"{robot}\", \"{base}\"]\n"
+    );
+    let [_, _, desk] = run_on(&(placed(&text, &places) + &ends), ["robot", "base", "desk"]);
+    assert!(files.map(|file| without_times(&desk, file)) == expected);
+}
+
+#[test]
+fn pipelines_beside_each_other_on_the_same_machines_do_not_meet() {
+    let other = finite(80).replace("\"tracking\"", "\"other\"").replace("width", "seed = 7\nwidth");
+    let texts = [finite(100), other.replace("tracks.jsonl", "other.jsonl")];
+    let expected = [alone(&texts[0], ["tracks.jsonl"]), alone(&texts[1], ["other.jsonl"])];
+    assert_ne!(expected[0][0][..80], expected[1][0]);
+    let endpoints = [loopback(), loopback()];
+    let [robot, base] = [Playground::new(), Playground::new()];
+    let mut runs = Vec::new();
+    for (text, own) in texts.iter().zip(&endpoints) {
+        // Both sessions of the base join both of the robot: nothing but their keys tells the pipelines apart.
+        let ends = format!("\n[machine.robot]\nlisten = [\"{own}\"]\n[machine.base]\nconnect = {endpoints:?}\n");
+        let file = format!("{}.toml", runs.len());
+        for (machine, name) in [(&robot, "robot"), (&base, "base")] {
+            machine.write(&file, &(placed(text, &HALVES) + &ends));
+            runs.push(machine.start(&["run", &file, "--machine", name]));
+        }
+    }
+    runs.into_iter().for_each(|run| drop(run.wait().expect_code(0)));
+    assert!(["tracks.jsonl", "other.jsonl"].map(|file| [without_times(&base, file)]) == expected);
+}
+
+#[test]
+fn files_and_programs_of_other_machines_need_not_be_here() {
+    const TEXT: &str = r#"
+name = "apart"
+[machine.robot]
+zenoh = "robot.json5"
+[machine.base]
+zenoh = "base.json5"
+[stage.source]
+machine = "robot"
+node = "image_source"
+path = "frames/"
+output = "depth"
+[stage.own]
+machine = "robot"
+program = ["./own"]
+input = "depth"
+[stage.extractor]
+machine = "base"
+node = "row_ellipse_extractor"
+input = "depth"
+output = "ellipses"
+[stage.json]
+machine = "base"
+node = "json_sink"
+input = "ellipses"
+path = "."
+"#;
+    let playground = Playground::with_pipeline(TEXT);
+    let faults = |arguments: &[&str]| {
+        let stderr = playground.conicflow(arguments).expect_code(2).stderr;
+        ["robot.json5", "frames", "own", "base.json5", "is a folder"]
+            .map(|file| stderr.lines().any(|line| line.starts_with("error") && line.contains(file)))
+    };
+    assert_eq!(faults(&["validate"]), [true; 5]);
+    assert_eq!(faults(&["run", "--machine", "robot"]), [true, true, true, false, false]);
+    assert_eq!(faults(&["run", "--machine", "base"]), [false, false, false, true, true]);
+}

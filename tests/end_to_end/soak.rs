@@ -1,0 +1,95 @@
+//! A long live run: memory, open files and shared memory stay what they were. An hour of it, with its latencies:
+//! `CONICFLOW_SOAK_S=3600 cargo test --release --test end_to_end -- soak --nocapture`
+
+use crate::processes::{shared_files, stages_of, wait_for_lines};
+use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, signal};
+use rustix::process::Signal;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+const SECONDS: &str = "CONICFLOW_SOAK_S";
+const DEFAULT_SECONDS: u64 = 15;
+const SAMPLES: u64 = 60;
+/// What a process may grow by: a few pages that it had not come to use before.
+const SLACK_KB: u64 = 512;
+
+/// What a stage uses at one moment.
+#[derive(Clone, Copy, Debug)]
+struct Usage {
+    /// Memory of its own that is resident, in kB; what it shares is counted once, below.
+    private_kb: u64,
+    open_files: usize,
+}
+
+fn usage(process: u32) -> Usage {
+    let rollup = fs::read_to_string(format!("/proc/{process}/smaps_rollup")).unwrap();
+    let field = |line: &str| line.split_whitespace().nth(1).unwrap().parse::<u64>().unwrap();
+    let private = rollup.lines().filter(|line| line.starts_with("Private_")).map(field);
+    Usage { private_kb: private.sum(), open_files: fs::read_dir(format!("/proc/{process}/fd")).unwrap().count() }
+}
+
+/// Number and bytes of the files in shared memory that the stages use.
+fn shared(stages: &BTreeMap<String, u32>) -> (usize, u64) {
+    let files: BTreeSet<PathBuf> = stages.values().flat_map(|process| shared_files(*process)).collect();
+    (files.len(), files.iter().filter_map(|path| Some(path.metadata().ok()?.len())).sum())
+}
+
+struct Sample {
+    stages: BTreeMap<String, Usage>,
+    shared: (usize, u64),
+}
+
+fn sample(run: &Started) -> Sample {
+    let stages = stages_of(run.id());
+    let shared = shared(&stages);
+    Sample { stages: stages.into_iter().map(|(name, process)| (name, usage(process))).collect(), shared }
+}
+
+/// Medians of the latencies, in ms, of the first and the last tenth of the frames after the first tenth.
+fn latencies(playground: &Playground) -> (f64, f64) {
+    let lines = playground.json_lines("tracks.jsonl");
+    let all: Vec<f64> = lines.iter().map(|line| line["latency_ms"].as_f64().unwrap()).collect();
+    let tenth = all.len() / 10;
+    let median = |part: &[f64]| {
+        let mut sorted = part.to_vec();
+        sorted.sort_by(f64::total_cmp);
+        sorted[sorted.len() / 2]
+    };
+    (median(&all[tenth..2 * tenth]), median(&all[all.len() - tenth..]))
+}
+
+#[test]
+fn a_long_run_uses_no_more_at_its_end_than_at_its_begin() {
+    let seconds = std::env::var(SECONDS).map_or(DEFAULT_SECONDS, |text| text.parse().unwrap());
+    let live = TRACKING.replace("lossless", "latest");
+    let playground = Playground::with_pipeline(&live);
+    let sizes = ["source.width=640", "source.height=480", "source.rate_hz=30"];
+    let camera = ["source.intrinsics={ fx = 525, fy = 525, cx = 319.5, cy = 239.5 }", "source.scene=tabletop"];
+    let sets = sizes.into_iter().chain(camera).flat_map(|set| ["--set", set]);
+    let mut run = playground.start(&["run"].into_iter().chain(sets).collect::<Vec<_>>());
+    wait_for_lines(&mut run, &playground);
+    let begin = Instant::now();
+    let due = |number: u64| begin + Duration::from_secs_f64(seconds as f64 * number as f64 / SAMPLES as f64);
+    let mut samples = Vec::new();
+    for number in 0..=SAMPLES {
+        run.wait_until("the next look is due", || Instant::now() >= due(number));
+        samples.push(sample(&run));
+    }
+    signal(run.id(), Signal::INT);
+    let ended = run.wait().expect_code(0);
+    // The first fifth is for warming up.
+    let (first, last) = (&samples[samples.len() / 5], samples.last().unwrap());
+    for stage in TRACKING_STAGES {
+        let (before, after) = (first.stages[stage], last.stages[stage]);
+        println!("{stage}: {before:?}, after {seconds} s {after:?}");
+        assert!(after.private_kb <= before.private_kb + SLACK_KB, "{stage}: {before:?}, {after:?}");
+        assert_eq!(after.open_files, before.open_files, "{stage}");
+        assert_eq!(ended.stage(stage).starts, 1, "{}", ended.stderr);
+    }
+    println!("shared memory, files and bytes: {:?}, {:?}", first.shared, last.shared);
+    assert_eq!(first.shared, last.shared);
+    let (early, late) = latencies(&playground);
+    println!("latency from source to sink, medians: {early:.2} ms at first, {late:.2} ms at last\n{}", ended.stderr);
+}
