@@ -103,7 +103,8 @@ impl State {
     }
 }
 
-fn axis(object: &Object) -> Vector3<f64> {
+/// Unit vector along the axis of an object; zero for a sphere.
+pub fn axis(object: &Object) -> Vector3<f64> {
     if object.shape() == ObjectKind::Sphere { Vector3::zeros() } else { object.axis.into() }
 }
 

@@ -1,6 +1,8 @@
 //! The paper's experiments, each in a short form: the files of `experiments/` as they are, fewer frames and values.
 
 use crate::support::Playground;
+use conicflow_nodes::synthetic_source::scene::Scene;
+use conicflow_nodes::synthetic_source::{SyntheticCamera, SyntheticSourceConfig};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
@@ -262,6 +264,51 @@ fn a_bouncing_ball_is_one_ball_near_its_true_way() {
     assert!(cell("position_rms_m") < 0.005, "{} m off", cell("position_rms_m"));
     assert_near("radius", cell("radius_m"), 0.1, 0.002);
     assert_honest(&table, "ball");
+}
+
+/// Writes frames of a scene down as a camera would: 16-bit PNGs in millimetres, and what is known of the camera.
+fn record(playground: &Playground, scene: &str, frames: u64) {
+    let config = SyntheticSourceConfig { width: 320, height: 240, ..SyntheticSourceConfig::default() };
+    let (scene, camera) = (Scene::load(&playground.path(scene)).unwrap(), config.camera());
+    let mut synthetic = SyntheticCamera::new(scene, camera, config.noise, 0.001, 30.0, 77);
+    let mut depths = vec![0; 320 * 240];
+    fs::create_dir(playground.path("frames")).unwrap();
+    for number in 0..frames {
+        synthetic.shoot(number, &mut depths);
+        let file = fs::File::create(playground.path(&format!("frames/{number}.png"))).unwrap();
+        let mut encoder = png::Encoder::new(file, 320, 240);
+        encoder.set_color(png::ColorType::Grayscale);
+        encoder.set_depth(png::BitDepth::Sixteen);
+        let bytes: Vec<u8> = depths.iter().flat_map(|depth| depth.to_be_bytes()).collect();
+        encoder.write_header().unwrap().write_image_data(&bytes).unwrap();
+    }
+    let (fx, fy, cx, cy) = (camera.fx, camera.fy, camera.cx, camera.cy);
+    let known = serde_json::json!({ "width": 320, "height": 240, "fx": fx, "fy": fy, "cx": cx, "cy": cy, "depth_scale": 0.001 });
+    playground.write("frames/camera.json", &known.to_string());
+}
+
+/// Recorded frames take the place of the synthetic source by a few settings; of them each shape and each track has a row.
+#[test]
+fn an_experiment_takes_recorded_frames() {
+    let playground = playground("basic", &[]);
+    record(&playground, "scenes/basic.toml", 6);
+    let set = ["source.node=image_source", "source.path=frames", "source.rate_hz=0", "source.noise=kinect_v1"];
+    let sets = set.iter().flat_map(|set| ["--set", set]);
+    let arguments: Vec<&str> = ["run", "basic.toml", "--quiet"].into_iter().chain(sets).collect();
+    playground.conicflow(&arguments).expect_code(0);
+    let table = Table::read(&playground, "results/basic.csv");
+    let cell =
+        |stage, object, column| table.number(&[("method", "pooled"), ("stage", stage), ("object", object)], column);
+    for (shape, radius) in [("cylinder", 0.17), ("cone", 0.09), ("sphere", 0.28)] {
+        assert_eq!((cell("measured", shape, "frames"), cell("measured", shape, "n")), (6.0, 6.0), "{shape}");
+        assert_near(shape, cell("measured", shape, "radius_m"), radius, 0.004);
+    }
+    let tracks = table.0.iter().filter(|row| row["method"] == "pooled" && row["stage"] == "filtered");
+    assert_eq!(
+        tracks.map(|row| row["n"].as_str()).collect::<Vec<_>>(),
+        ["4", "4", "4"],
+        "confirmed in the third frame"
+    );
 }
 
 /// A ball on a stick that someone carries about: one identity, seen in each of the frames.

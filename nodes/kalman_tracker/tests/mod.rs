@@ -4,6 +4,7 @@ mod camera;
 mod consistency;
 mod identity;
 mod motion;
+mod oracle;
 mod shape;
 
 use super::{KalmanTrackerConfig, Tracker};
