@@ -38,9 +38,16 @@ pub(crate) struct Leftover {
 impl Leftover {
     /// Removes the file, unless a process has opened it meanwhile; whether it was removed.
     pub(crate) fn remove(&self) -> bool {
-        // The file is held, and with it the lease, until its name is gone.
-        open(&self.path).is_ok_and(|file| is_unused(&file) && fs::remove_file(&self.path).is_ok())
+        remove_unused(&self.path).unwrap_or(false)
     }
+}
+
+/// Removes a file in shared memory, unless a process has it open; whether it was removed.
+pub(super) fn remove_unused(path: &Path) -> io::Result<bool> {
+    // The file is held, and with it the lease, until its name is gone.
+    let file = open(path)?;
+    let unused = is_unused(&file);
+    if unused { fs::remove_file(path).map(|()| true) } else { Ok(false) }
 }
 
 /// Files of this program and this user in shared memory, at least a minute old, that no process has open or mapped.

@@ -5,6 +5,7 @@
 //! uses it holds a lock, which the kernel releases however a process ends; and what a folder's users have in shared memory
 //! bears a prefix of its own, so that other users, folders and containers are never touched.
 
+use super::leftovers::remove_unused;
 use crate::needs::SHARED_MEMORY;
 use std::fs::{self, File, Permissions, TryLockError};
 use std::io::{self, ErrorKind};
@@ -59,8 +60,10 @@ pub(super) fn sweep(root: &Path) -> io::Result<()> {
         Ok(()) => {}
     }
     let prefix = prefix(root)?;
-    remove_all(root, |name| name != LOCK)?;
-    remove_all(Path::new(SHARED_MEMORY), |name| name.starts_with(&prefix))
+    let remove = |path: &Path, is_folder| if is_folder { fs::remove_dir_all(path) } else { fs::remove_file(path) };
+    for_each_entry(root, |name| name != LOCK, remove)?;
+    // A folder that was deleted under a live run may have left its number to this one.
+    for_each_entry(Path::new(SHARED_MEMORY), |name| name.starts_with(&prefix), |path, _| remove_unused(path).map(drop))
 }
 
 /// Whether something is left in the folder, and nobody uses it.
@@ -68,11 +71,6 @@ pub(super) fn is_littered(root: &Path) -> bool {
     let unused = File::open(root.join(LOCK)).is_ok_and(|file| file.try_lock().is_ok());
     let entries = || fs::read_dir(root).into_iter().flatten().flatten();
     unused && entries().any(|entry| entry.file_name() != LOCK)
-}
-
-fn remove_all(folder: &Path, which: impl Fn(&str) -> bool) -> io::Result<()> {
-    let remove = |path: &Path, is_folder| if is_folder { fs::remove_dir_all(path) } else { fs::remove_file(path) };
-    for_each_entry(folder, which, remove)
 }
 
 /// Does something with the entries of these names, unless they are gone meanwhile.
