@@ -12,6 +12,7 @@ use clap::{Args, Parser, Subcommand};
 use conicflow_dataflow::pipeline::{Pipeline, Report, SourceText};
 use conicflow_dataflow::{NO_RUN, Plan, ProcessError, RunFolder, RunOptions, Summary};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use std::fmt::Display;
 use std::io::{IsTerminal, Write, stderr, stdout};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -122,7 +123,7 @@ pub fn main() -> ExitCode {
     match dispatch(command) {
         Ok(code) => code,
         Err(error) => {
-            eprintln!("{}", describe(&error));
+            say(describe(&error));
             exit_code(&error).into()
         }
     }
@@ -152,6 +153,11 @@ fn dispatch(command: Command) -> anyhow::Result<ExitCode> {
     }
 }
 
+/// Writes a line to standard error; that nobody reads it any more is no fault of the run.
+fn say(text: impl Display) {
+    writeln!(stderr(), "{text}").ok();
+}
+
 /// The text of an error and its causes; a report speaks for itself.
 fn describe(error: &anyhow::Error) -> String {
     if error.is::<Report>() { error.to_string() } else { format!("error: {error:#}") }
@@ -165,7 +171,8 @@ fn log_to_standard_error(filter: &str) {
     // What a link does is told by the bridge; Zenoh's own words are for `CONICFLOW_LOG=zenoh=debug`.
     let filter = EnvFilter::try_new(format!("zenoh=error,{filter}")).unwrap_or_else(|_| EnvFilter::new("info"));
     let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(stderr).without_time();
-    builder.with_target(false).with_ansi(stderr().is_terminal()).init();
+    // A log that nobody reads any more is no fault of the run.
+    builder.with_target(false).with_ansi(stderr().is_terminal()).log_internal_errors(false).init();
 }
 
 impl FileArguments {
@@ -177,7 +184,7 @@ impl FileArguments {
     fn read_on(&self, machine: Option<&str>) -> anyhow::Result<Pipeline> {
         let (pipeline, warnings) = self.read_with(machine, &[])?;
         if !warnings.0.is_empty() {
-            eprintln!("{warnings}\n");
+            say(format_args!("{warnings}\n"));
         }
         Ok(pipeline)
     }
@@ -227,7 +234,7 @@ fn run(arguments: &RunArguments) -> anyhow::Result<ExitCode> {
     }
     let summary = run_once(&pipeline, arguments, arguments.quiet)?;
     if !arguments.quiet {
-        eprint!("\n{summary}");
+        say(format_args!("\n{}", summary.to_string().trim_end()));
     }
     Ok(if summary.is_complete() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
@@ -243,11 +250,11 @@ fn run_experiment(pipeline: &Pipeline, experiment: &Experiment, arguments: &RunA
     for (index, variation) in variations.iter().enumerate() {
         let overrides: Vec<String> = variation.overrides.iter().cloned().chain(rows.overrides()).collect();
         if !arguments.quiet {
-            eprintln!("run {} of {}: {}", index + 1, variations.len(), variation.overrides.join(" "));
+            say(format_args!("run {} of {}: {}", index + 1, variations.len(), variation.overrides.join(" ")));
         }
         let (pipeline, _) = arguments.source.read_with(arguments.machine.as_deref(), &overrides)?;
         let summary = run_once(&pipeline, arguments, true)?;
-        if !summary.is_complete() || interrupted.load(Ordering::Relaxed) {
+        if !summary.is_complete() || summary.restarts() > 0 || interrupted.load(Ordering::Relaxed) {
             tell_incomplete(&summary, variation);
             return Ok(ExitCode::FAILURE);
         }
@@ -259,7 +266,8 @@ fn run_experiment(pipeline: &Pipeline, experiment: &Experiment, arguments: &RunA
 }
 
 fn tell_incomplete(summary: &Summary, variation: &Variation) {
-    eprintln!("the run with `{}` was not finished:\n{summary}", variation.overrides.join(" "));
+    let what = if summary.is_complete() { "was disturbed: a stage was started anew" } else { "was not finished" };
+    say(format_args!("the run with `{}` {what}:\n{summary}", variation.overrides.join(" ")));
 }
 
 fn run_once(pipeline: &Pipeline, arguments: &RunArguments, quiet: bool) -> anyhow::Result<Summary> {

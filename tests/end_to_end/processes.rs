@@ -9,6 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
+use std::process::{Child, Stdio};
 
 /// A paced run of [`TRACKING`] that goes on until it is told to end.
 fn start(playground: &Playground, more: &[&str]) -> Started {
@@ -155,6 +156,22 @@ input   = "tracks"
     let ended = run.wait();
     assert!(ended.stderr.contains("\ntracking: "), "no summary: {}", ended.stderr);
     expect_nothing_lives(&playground);
+}
+
+#[test]
+fn a_run_whose_log_nobody_reads_any_more_goes_on() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let mut command = playground.command(&["run", "--frames", "30", "--set", "tracker.node=no_such_node"]);
+    assert_eq!(command.stderr(Stdio::piped()).spawn().map(read_nothing).unwrap(), Some(2));
+    let mut command = playground.command(&["run", "--frames", "30"]);
+    assert_eq!(command.stderr(Stdio::piped()).spawn().map(read_nothing).unwrap(), Some(0));
+    assert_eq!(playground.sequences("tracks.jsonl").len(), 30);
+}
+
+/// Closes the end of a pipe that a program's log goes to, and waits for the program.
+fn read_nothing(mut program: Child) -> Option<i32> {
+    drop(program.stderr.take());
+    program.wait().unwrap().code()
 }
 
 #[test]

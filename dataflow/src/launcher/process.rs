@@ -14,7 +14,7 @@ use crate::status::StatusFile;
 use rustix::process::{Signal, getppid, set_parent_process_death_signal};
 use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1};
 use signal_hook::iterator::Signals;
-use std::io;
+use std::io::{self, Write};
 use std::os::unix::process::CommandExt;
 use std::process::{Command, ExitCode};
 use std::time::Duration;
@@ -116,7 +116,8 @@ fn exit_code(ended: Result<(), ProcessError>) -> ExitCode {
     match ended {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error}");
+            // Whether anybody reads it is not the stage's concern.
+            writeln!(io::stderr(), "error: {error}").ok();
             error.exit_code().into()
         }
     }

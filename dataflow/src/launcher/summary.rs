@@ -67,6 +67,11 @@ impl Summary {
         self.statuses().flat_map(|(_, status)| status.used_inputs()).map(|input| input.dropped).sum()
     }
 
+    /// How often stages were started anew.
+    pub fn restarts(&self) -> u64 {
+        self.statuses().map(|(_, status)| status.starts.saturating_sub(1)).sum()
+    }
+
     /// Objects found so far.
     pub fn objects(&self) -> u64 {
         let writers = self.statuses().filter(|(planned, _)| !planned.is_sink());
