@@ -24,7 +24,7 @@ pub const MAX_COUNTERS: usize = 40;
 /// The run of stages that were started one by one, without a launcher.
 pub const NO_RUN: u64 = 0;
 
-const LAYOUT: u64 = 0x636f_6e69_6366_0003;
+const LAYOUT: u64 = 0x636f_6e69_6366_0004;
 /// Each octave of time is cut into this many buckets: a percentile is right within 3 %.
 const STEPS: usize = 16;
 /// 1 microsecond to 69 seconds.
@@ -64,6 +64,24 @@ pub struct InputCounts {
     pub late: u64,
     /// Messages that made no sense, and were left out.
     pub malformed: u64,
+    /// The last message that was worked on.
+    pub last: LastMessage,
+}
+
+/// What tells which message of a stream one is.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
+pub struct LastMessage {
+    /// The stage that wrote it.
+    pub writer: Text<32>,
+    /// Its number among the messages of that stage.
+    pub number: u64,
+    /// The stage that had its frame first.
+    pub source: Text<32>,
+    /// The start of the source that made the frame.
+    pub epoch: u64,
+    /// The frame's number in the source's sequence.
+    pub sequence: u64,
 }
 
 /// A named count.

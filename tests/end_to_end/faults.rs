@@ -37,7 +37,9 @@ fn expect_one_more_start(run: Started, playground: &Playground) -> String {
     assert!(sequences.is_sorted() && sequences.last() > Some(&40), "{sequences:?}");
     let lost = ended.input("objects", "faulty");
     let missing = ended.stage("assembler").messages - sequences.len() as u64;
-    assert!((1..=8).contains(&missing), "{missing} frames are missing, of {lost:?}");
+    assert!((1..=8).contains(&missing), "{missing} frames are missing: {}", ended.stderr);
+    assert_eq!((lost.dropped, lost.gaps), (missing, missing), "{}", ended.stderr);
+    assert_eq!(ended.input("passed_on", "tracker").gaps, missing, "{}", ended.stderr);
     ended.stderr
 }
 

@@ -2,7 +2,7 @@
 
 use super::handover::Mark;
 use crate::ports::{Delivery, PortError, Reader, Received};
-use crate::status::InputCounts;
+use crate::status::{InputCounts, LastMessage};
 use conicflow_messages::{Header, Item, Text};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
@@ -57,6 +57,8 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
             let (header, (source, writer)) = (message.header(), ends_of_trace(message.header()));
             self.worked_on.numbers.insert(writer, header.number);
             self.worked_on.frames.insert(source, (header.epoch, header.sequence));
+            let &Header { number, epoch, sequence, .. } = header;
+            self.counts.last = LastMessage { writer, number, source, epoch, sequence };
         }
         Ok(next)
     }
@@ -148,11 +150,17 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
         self.counts
     }
 
-    /// Continues the counts of an earlier process.
+    /// Continues the counts of an earlier process. What had come to that and was not worked on is lost, which shows in the
+    /// numbers where all messages come from one writer.
     pub(crate) fn resume(&mut self, counts: InputCounts) {
-        let topic = self.counts.topic;
-        if counts.topic == topic {
-            self.counts = counts;
+        if counts.topic != self.counts.topic {
+            return;
+        }
+        self.counts = counts;
+        let LastMessage { writer, number, source, epoch, sequence } = counts.last;
+        if self.writers == 1 && writer != Text::default() {
+            self.last_number.entry(writer).or_insert(number);
+            self.last_frame.entry(source).or_insert((epoch, sequence));
         }
     }
 
@@ -280,6 +288,20 @@ mod tests {
         let (taken, counts, _) = pass(Delivery::Lossless, &[0, 2, 1, 2, 5].map(header));
         assert_eq!(taken, [0, 2, 5]);
         assert_eq!((counts.gaps, counts.late), (3, 2));
+    }
+
+    #[test]
+    fn what_was_lost_with_an_earlier_process_is_counted() {
+        let (_, earlier, _) = pass(Delivery::Lossless, &[0, 1].map(header));
+        let memory = InMemory::default();
+        let topic = topic(Delivery::Lossless);
+        let reader = memory.reader::<Object>(&topic, "reader").unwrap();
+        let mut inbox = Inbox::new(reader, Delivery::Lossless, "objects", 1);
+        inbox.resume(earlier);
+        memory.writer::<Object>(&topic).unwrap().send(&header(5)).unwrap();
+        assert_eq!(inbox.take().unwrap().map(|message| message.header().sequence), Some(5));
+        let counts = inbox.counts();
+        assert_eq!((counts.received, counts.dropped, counts.gaps), (3, 3, 3));
     }
 
     #[test]
