@@ -1,6 +1,7 @@
 //! The command line: what each command prints, and with which code it exits (0 done, 1 failed, 2 wrong file or arguments).
 
 use crate::NODES;
+use crate::doctor::doctor;
 use crate::experiment::{Experiment, Results, Rows, Variation};
 use crate::node_help;
 use crate::swap::{self, SwapArguments};
@@ -68,6 +69,17 @@ enum Command {
     Topic(TopicCommand),
     /// Replace a stage of a running pipeline, with other parameters or another node; the others notice nothing
     Swap(SwapArguments),
+    /// Tell what is wrong with this machine for running a pipeline: leftovers of dead runs, limits, ports
+    Doctor {
+        #[command(flatten)]
+        source: FileArguments,
+        /// Look at what the stages of this machine need [default: of each]
+        #[arg(long, value_name = "NAME")]
+        machine: Option<String>,
+        /// Remove first what dead runs have left
+        #[arg(long)]
+        clean: bool,
+    },
     /// List the built-in nodes, or the parameters of one
     Nodes {
         /// Name of a node
@@ -128,6 +140,11 @@ fn dispatch(command: Command) -> anyhow::Result<ExitCode> {
         Command::Top { once } => top::top(once).map(|()| ExitCode::SUCCESS),
         Command::Topic(command) => topic::topic(&command).map(|()| ExitCode::SUCCESS),
         Command::Swap(arguments) => swap::swap(&arguments).map(|()| ExitCode::SUCCESS),
+        Command::Doctor { source, machine, clean } => {
+            let pipeline = source.read()?;
+            machine.as_deref().map_or(Ok(()), |machine| check_machine(&pipeline, Some(machine)))?;
+            doctor(&pipeline, machine.as_deref(), clean)
+        }
         Command::Nodes { name } => {
             write!(stdout(), "{}", node_help::nodes(name.as_deref())?)?;
             Ok(ExitCode::SUCCESS)
@@ -250,7 +267,7 @@ fn run_once(pipeline: &Pipeline, arguments: &RunArguments, quiet: bool) -> anyho
     let run = SystemTime::now().duration_since(UNIX_EPOCH)?.as_nanos() as u64;
     let plan = Plan::of(pipeline, arguments.machine.as_deref(), arguments.frames, run);
     let program = std::env::current_exe().context("cannot find this program's own file, which runs the stages")?;
-    let options = RunOptions { program, duration: arguments.duration, quiet };
+    let options = RunOptions { program, nodes: NODES, duration: arguments.duration, quiet };
     Ok(conicflow_dataflow::run(&plan, &options)?)
 }
 

@@ -6,6 +6,7 @@ pub mod synthetic_source;
 
 pub mod image_source;
 
+pub mod ransac_ellipse_extractor;
 pub mod row_ellipse_extractor;
 
 pub mod object_assembler;
@@ -22,6 +23,7 @@ pub mod noise_estimator;
 pub mod picture_sink;
 
 pub mod command_line;
+mod doctor;
 pub mod experiment;
 mod node_help;
 mod swap;
@@ -40,6 +42,7 @@ use measurement_sink::{MeasurementSink, SectionSink};
 use noise_estimator::NoiseEstimator;
 use object_assembler::ObjectAssembler;
 use picture_sink::PictureSink;
+use ransac_ellipse_extractor::RansacEllipseExtractor;
 use row_ellipse_extractor::RowEllipseExtractor;
 use synthetic_source::SyntheticSource;
 
@@ -48,6 +51,7 @@ pub const NODES: &[Node] = &[
     Node::source::<SyntheticSource>(),
     Node::source::<ImageSource>(),
     Node::stage::<RowEllipseExtractor>(),
+    Node::stage::<RansacEllipseExtractor>(),
     Node::stage::<ObjectAssembler>(),
     Node::stage::<KalmanTracker>(),
     Node::stage::<Follower>(),

@@ -6,7 +6,9 @@
 
 pub mod bridge;
 mod clock;
+mod doctor;
 mod launcher;
+mod needs;
 mod node;
 mod observe;
 pub mod pipeline;
@@ -27,10 +29,12 @@ pub mod testing {
 
 pub use bridge::{EdgeReport, LinkReport};
 pub use clock::monotonic_ns;
+pub use doctor::{Finding, clean, examine};
 pub use launcher::{
     FolderError, LaunchError, PIPELINE, ProcessError, RUNTIME_DIR, RunFolder, RunLock, RunOptions, StageSummary,
     Summary, SwapError, link_table, run, run_in_run, run_planned, run_source, run_stage,
 };
+pub use needs::{Needs, Shortfall};
 pub use node::{Node, Variant};
 pub use observe::{InputActivity, Observation, PipelineActivity, StageActivity, TopicActivity, observe};
 pub use plan::{Origin, Plan, PlannedStage, Runs};

@@ -22,6 +22,7 @@ pub struct Node {
     pub(crate) sides: fn() -> &'static [Side],
     pub(crate) schema: fn() -> Json,
     pub(crate) check: fn(Json, &Path) -> Result<Vec<ConfigFault>, serde_json::Error>,
+    pub(crate) message_length: fn(Json, &Path) -> Option<usize>,
 }
 
 /// A node for one kind of input.
@@ -44,6 +45,7 @@ impl Node {
             sides: S::sides,
             schema: schema::<S::Config>,
             check: check::<S::Config>,
+            message_length: message_length::<S>,
         }
     }
 
@@ -61,6 +63,7 @@ impl Node {
             sides: S::sides,
             schema: schema::<S::Config>,
             check: check::<S::Config>,
+            message_length: |_, _| None,
         }
     }
 
@@ -107,6 +110,10 @@ fn schema<C: Config>() -> Json {
 
 fn check<C: Config>(parameters: Json, base: &Path) -> Result<Vec<ConfigFault>, serde_json::Error> {
     Ok(serde_json::from_value::<C>(parameters)?.faults(base))
+}
+
+fn message_length<S: Source>(parameters: Json, base: &Path) -> Option<usize> {
+    S::message_length(&serde_json::from_value(parameters).ok()?, base)
 }
 
 fn start_source<S: Source>(parameters: Json, around: Surroundings<SharedMemory>) -> Result<(), RunError> {

@@ -154,6 +154,13 @@ pub trait Source: Sized {
         &[]
     }
 
+    /// Number of items of a message (of an image its pixels), where that is known before it is made ready: the run does not
+    /// start where shared memory has no room for them. `base` is the folder of the pipeline file.
+    fn message_length(config: &Self::Config, base: &Path) -> Option<usize> {
+        let _ = (config, base);
+        None
+    }
+
     /// Messages per second that it is to be kept to; 0: as fast as they are taken.
     fn rate_hz(&self) -> f64 {
         0.0

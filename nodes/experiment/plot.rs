@@ -14,6 +14,9 @@ const LEFT: f64 = 80.0;
 const RIGHT: f64 = 520.0;
 const TOP: f64 = 40.0;
 const BOTTOM: f64 = 410.0;
+/// Height of a line of the legend, and the width of its letters, at the least what they take.
+const LEGEND_STEP: f64 = 18.0;
+const LETTER: f64 = 7.0;
 /// Told apart by most eyes that do not see all colours (Okabe and Ito 2008).
 const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000"];
 
@@ -115,10 +118,11 @@ fn svg(title: &str, plot: &Plot, lines: &[Line]) -> Result<String, fmt::Error> {
     let along = |index: usize| lines.iter().flat_map(move |line| line.points.iter().map(move |point| point[index]));
     let x = Axis::holding(along(0), [LEFT, RIGHT], plot.logarithmic);
     let y = Axis::holding(along(1), [BOTTOM, TOP], plot.logarithmic);
+    let [width, height] = paper_size(lines);
     let mut text = String::new();
     writeln!(
         text,
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" width=\"{WIDTH}\" height=\"{HEIGHT}\" \
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" height=\"{height}\" \
          font-family=\"sans-serif\" font-size=\"12\">\n<rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n\
          <text x=\"{LEFT}\" y=\"24\" font-size=\"15\">{}</text>",
         escaped(title)
@@ -131,6 +135,13 @@ fn svg(title: &str, plot: &Plot, lines: &[Line]) -> Result<String, fmt::Error> {
     }
     text += "</svg>\n";
     Ok(text)
+}
+
+/// Width and height of a drawing that has room for its legend, beside the axes.
+fn paper_size(lines: &[Line]) -> [f64; 2] {
+    let longest = lines.iter().map(|line| line.name.chars().count()).max().unwrap_or(0);
+    let legend = [RIGHT + 32.0 + LETTER * longest as f64, TOP + 10.0 + LEGEND_STEP * lines.len() as f64];
+    [WIDTH.max(legend[0]), HEIGHT.max(legend[1])]
 }
 
 fn frame(text: &mut String, plot: &Plot, x: &Axis, y: &Axis) -> fmt::Result {
@@ -166,7 +177,7 @@ fn draw_line(text: &mut String, line: &Line, index: usize, x: &Axis, y: &Axis) -
         writeln!(text, "<polyline points=\"{}\" fill=\"none\" stroke=\"{colour}\"/>", points.join(" "))?;
     }
     let radius = if places.len() > 60 { 1.5 } else { 3.5 };
-    let marks = [RIGHT + 16.0, TOP + 10.0 + 18.0 * index as f64];
+    let marks = [RIGHT + 16.0, TOP + 10.0 + LEGEND_STEP * index as f64];
     for [x, y] in places.iter().chain([&marks]) {
         writeln!(text, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius}\" fill=\"{fill}\" stroke=\"{colour}\"/>")?;
     }
@@ -200,6 +211,20 @@ mod tests {
         let lines = lines(&plot(), &rows);
         let line = |name: &str, points: &[[f64; 2]]| Line { name: name.into(), points: points.into(), circles: false };
         assert_eq!(lines, [line("a", &[[1.0, 2.0], [2.0, 4.0]]), line("b", &[[1.0, 3.0]])]);
+    }
+
+    #[test]
+    fn a_long_legend_stays_within_the_paper() {
+        let row = |index: i32| row(&format!("a kind of measurement with a long name, number {index}"), 1.0, 2.0);
+        let text = svg("many", &plot(), &lines(&plot(), &(0..40).map(row).collect::<Vec<_>>())).unwrap();
+        let (size, rest) = text.split_once("viewBox=\"0 0 ").unwrap().1.split_once('"').unwrap();
+        let size: Vec<f64> = size.split(' ').map(|number| number.parse().unwrap()).collect();
+        let last = rest.lines().find(|line| line.contains("number 39<")).unwrap();
+        let number = |name: &str| -> f64 {
+            last.split_once(&format!("{name}=\"")).unwrap().1.split_once('"').unwrap().0.parse().unwrap()
+        };
+        let letters = last.split_once('>').unwrap().1.len() - "</text>".len();
+        assert!(number(" x") + 6.5 * letters as f64 <= size[0] && number(" y") + 4.0 <= size[1], "{size:?}: {last}");
     }
 
     #[test]

@@ -178,7 +178,9 @@ impl Vary {
             Ok((name, set.collect::<Result<_>>()?))
         });
         let of_cases = self.cases.iter().map(|case| {
-            let set = case.set.iter().map(|(key, value)| assignment(key, value));
+            // another node forgets the parameters of the one before, so it has to come first
+            let (nodes, others): (Vec<_>, Vec<_>) = case.set.iter().partition(|(key, _)| key.ends_with(".node"));
+            let set = nodes.into_iter().chain(others).map(|(key, value)| assignment(key, value));
             Ok((case.name.clone(), set.collect::<Result<_>>()?))
         });
         of_values.chain(of_cases).collect()
@@ -230,6 +232,14 @@ mod tests {
         let [near, far] = ["1.0", "2.5"].map(|d| vec![format!("source.values.distance={d}"), format!("sink.from={d}")]);
         let profile = |set: &Vec<String>| [set.clone(), vec!["a.method=\"profile\"".to_owned()]].concat();
         assert_eq!(overrides, [near.clone(), profile(&near), far.clone(), profile(&far)]);
+    }
+
+    #[test]
+    fn a_case_sets_the_node_before_its_parameters() {
+        let text =
+            "vary = [{ name = \"n\", cases = [{ name = \"b\", set = { \"x.gain\" = 2, \"x.node\" = \"b\" } }] }]";
+        let variation = experiment(text).unwrap().variations().unwrap().remove(0);
+        assert_eq!(variation.overrides, ["x.node=\"b\"", "x.gain=2"]);
     }
 
     #[test]

@@ -199,6 +199,13 @@ impl Source for ImageSource {
         Ok(Self::open(&config, context)?)
     }
 
+    fn message_length(config: &Config, base: &Path) -> Option<usize> {
+        let Config { depth_scale, intrinsics, first, frames, .. } = *config;
+        let options = Options { depth_scale, intrinsics, first, frames };
+        // What cannot be opened is told when the stage starts.
+        Recording::open(&base.join(config.path.as_ref()?), &options).ok().map(|recording| recording.pixels())
+    }
+
     fn rate_hz(&self) -> f64 {
         self.rate_hz
     }

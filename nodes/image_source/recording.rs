@@ -86,6 +86,11 @@ impl Recording {
         self.layout.frames.len()
     }
 
+    /// Number of pixels of each frame.
+    pub fn pixels(&self) -> usize {
+        self.size.0 as usize * self.size.1 as usize
+    }
+
     /// Whether there is no frame; [`Recording::open`] refuses that.
     pub fn is_empty(&self) -> bool {
         self.layout.frames.is_empty()

@@ -322,3 +322,12 @@ fn faults_of_the_parameters_are_found_without_opening() {
     assert!(config.repeat && config.intrinsics == Some(Intrinsics { fx: 1.0, fy: 2.0, cx: 3.0, cy: 4.0 }));
     assert!(toml::from_str::<Config>("intrinsics = { fx = 1, fy = 2, cx = 3 }").is_err());
 }
+
+#[test]
+fn how_long_its_messages_are_is_known_before_it_starts() {
+    let folder = Folder::new().depth(&["0.png", "1.png"]);
+    let config = |path: &str| Config { path: Some(path.into()), intrinsics: Some(GIVEN), ..Config::default() };
+    let length = |config: &Config| ImageSource::message_length(config, folder.path.parent().unwrap());
+    assert_eq!(length(&config("frames")), Some((CAMERA.width * CAMERA.height) as usize));
+    assert_eq!(length(&config("other")), None);
+}

@@ -11,7 +11,6 @@ use std::path::{Path, PathBuf};
 pub struct JsonLines {
     place: Place,
     line: Vec<u8>,
-    written: u64,
 }
 
 enum Place {
@@ -58,7 +57,7 @@ impl JsonLines {
     }
 
     fn to(place: Place) -> Self {
-        Self { place, line: Vec::new(), written: 0 }
+        Self { place, line: Vec::new() }
     }
 
     /// Writes one value as one line.
@@ -70,10 +69,7 @@ impl JsonLines {
         serde_json::to_writer(&mut self.line, value).context("cannot express the message as JSON")?;
         self.line.push(b'\n');
         match self.place.write(&self.line) {
-            Ok(()) => {
-                self.written += 1;
-                Ok(Wrote::Line)
-            }
+            Ok(()) => Ok(Wrote::Line),
             Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(Wrote::ReaderGone),
             Err(error) => Err(self.fault(&error)),
         }
@@ -85,7 +81,7 @@ impl JsonLines {
             Place::File { path, .. } => path,
         };
         let hint = hint(error);
-        anyhow!("cannot write line {} to `{}`: {error}\n  hint: {hint}", self.written + 1, path.display())
+        anyhow!("cannot write to `{}`: {error}\n  hint: {hint}", path.display())
     }
 }
 
@@ -230,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_disk_is_told_with_the_line_and_a_hint() {
+    fn a_full_disk_is_told_with_a_hint() {
         let device = Path::new("/dev/full");
         if !device.exists() {
             eprintln!("skipped: this system has no /dev/full");
@@ -238,7 +234,7 @@ mod tests {
         }
         let mut lines = JsonLines::open(device, false).unwrap();
         let error = lines.write(&1).unwrap_err().to_string();
-        assert!(error.starts_with("cannot write line 1 to `/dev/full`: No space left"), "{error}");
+        assert!(error.starts_with("cannot write to `/dev/full`: No space left"), "{error}");
         assert!(error.ends_with("hint: free some space, or set `path` to another disk"), "{error}");
     }
 

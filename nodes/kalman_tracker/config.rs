@@ -62,6 +62,10 @@ pub struct KalmanTrackerConfig {
     /// Added to the sigma of the length, in metres.
     #[schemars(range(min = 0.0))]
     pub floor_length_m: f64,
+    /// Share of the variance of a sight (its floor included) that those after it have in common, so that no average lessens it:
+    /// the same pixels cut the same edge, frame after frame. It is part of the sigma of a track's centre, radius and half-angle.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub common_share: f64,
     /// Drift of the radius, in metres per square root of a second.
     #[schemars(range(min = 0.0))]
     pub drift_radius_m: f64,
@@ -89,12 +93,13 @@ impl Default for KalmanTrackerConfig {
             confirm_window: 5,
             max_coast_s: 1.0,
             assumed_rate_hz: 30.0,
-            floor_center_m: 0.001,
+            floor_center_m: 0.0005,
             floor_along_axis: 0.1,
             floor_radius_m: 0.0005,
             floor_axis_deg: 0.5,
             floor_half_angle_deg: 0.5,
             floor_length_m: 0.01,
+            common_share: 0.5,
             drift_radius_m: 0.0002,
             drift_axis_deg: 10.0,
             drift_half_angle_deg: 0.1,

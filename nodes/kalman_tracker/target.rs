@@ -6,7 +6,7 @@ use super::detection::{Detection, rotated};
 use super::filter::{Axis, Motion, Size};
 use super::life::Life;
 use conicflow_messages::{Object, ObjectKind, ObjectSigma, Track, TrackState};
-use nalgebra::{IsometryMatrix3, Point3, Vector3};
+use nalgebra::{IsometryMatrix3, Matrix3, Point3, Vector3};
 
 /// What a cylinder that was seen as a cone, or the reverse, costs more than one seen as itself: minus twice the
 /// logarithm of one in seven.
@@ -30,7 +30,30 @@ pub struct Target {
     length: Size,
     axis: Option<Axis>,
     half_angle: Option<Size>,
+    common: CommonError,
     last_seen: Object,
+}
+
+/// Covariance of the error that successive sights have in common.
+///
+/// The filters take errors for independent. To consider one that is not (Schmidt 1966; Bar-Shalom et al., section 8.2.5) is simple
+/// here: an offset `b` of all sights is an offset `b` of the position and none of the velocity, since with the
+/// sensitivity `S = [I; 0]` an update leaves `S = (I - K H) S + K` as it is. So `P` and the covariance of `b` add up.
+#[derive(Clone, Copy, Debug)]
+struct CommonError {
+    position: Matrix3<f64>,
+    radius: f64,
+    half_angle: f64,
+}
+
+impl CommonError {
+    fn of(sight: &Detection, share: f64) -> Self {
+        Self {
+            position: sight.covariance * share,
+            radius: sight.radius.variance * share,
+            half_angle: sight.half_angle.map_or(0.0, |half_angle| half_angle.variance * share),
+        }
+    }
 }
 
 impl Target {
@@ -49,6 +72,7 @@ impl Target {
             length: first.length,
             axis: first.axis,
             half_angle: first.half_angle,
+            common: CommonError::of(first, config.common_share),
             last_seen: first.object,
         }
     }
@@ -139,6 +163,7 @@ impl Target {
         self.vote(detection);
         self.turn(detection);
         update_or_begin(&mut self.half_angle, detection.half_angle);
+        self.common = CommonError::of(detection, config.common_share);
         self.last_seen = detection.object;
         self.life.seen(&config.rules());
     }
@@ -193,6 +218,7 @@ impl Target {
         let seen = if self.life.misses == 0 { self.last_seen } else { unseen };
         let rotation = &camera_from_world.rotation;
         let center = camera_from_world * Point3::from(self.motion.position());
+        let covariance = self.motion.position_covariance() + self.common.position;
         let sphere = Object {
             kind: self.kind.code(),
             points: seen.points,
@@ -200,8 +226,8 @@ impl Target {
             center: center.coords.into(),
             radius: self.radius.value,
             sigma: ObjectSigma {
-                center: rotated(&self.motion.position_covariance(), rotation).transpose().into(),
-                radius: self.radius.variance.sqrt(),
+                center: rotated(&covariance, rotation).transpose().into(),
+                radius: (self.radius.variance + self.common.radius).sqrt(),
                 ..ObjectSigma::default()
             },
             rms: seen.rms,
@@ -216,7 +242,8 @@ impl Target {
             ..sphere
         };
         let Some(half_angle) = self.half_angle.filter(|_| self.kind == ObjectKind::Cone) else { return cylinder };
-        with_half_angle(cylinder, half_angle)
+        let variance = half_angle.variance + self.common.half_angle;
+        with_half_angle(cylinder, Size { variance, ..half_angle })
     }
 }
 

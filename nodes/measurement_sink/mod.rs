@@ -5,8 +5,11 @@
 //! An answer belongs to a true object if it is right by the rule of [`crate::evaluation_sink::matching`], within wide
 //! tolerances: a radius that is far off is to be measured, not to be turned down. The identity that an object had is kept
 //! where it is still right, as CLEAR-MOT has it (Bernardin and Stiefelhagen 2008).
+//!
+//! Recorded frames have no truth here: of them each track, or each shape, gives a row ([`recorded`]).
 
 mod matching;
+mod recorded;
 mod row;
 mod section_sink;
 mod sighting;
@@ -28,6 +31,7 @@ use anyhow::Result;
 use conicflow_dataflow::{Config, ConfigFault, Context, Output, Sides, Stage, StageError};
 use conicflow_messages::{Header, Message, Nothing};
 use matching::Matcher;
+use recorded::{Recorded, is_recorded};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sighting::{Sighting, world_from_camera};
@@ -84,12 +88,20 @@ pub struct Measurement {
     matcher: Matcher,
     tallies: Vec<Tally>,
     total: Total,
+    recorded: Recorded,
 }
 
 impl Measurement {
     /// A measurement of a scene; without one the frames name theirs.
     pub fn new(config: MeasurementConfig, scene: Option<SceneTemplate>) -> Self {
-        Self { config, scene, matcher: Matcher::default(), tallies: Vec::new(), total: Total::default() }
+        Self {
+            config,
+            scene,
+            matcher: Matcher::default(),
+            tallies: Vec::new(),
+            total: Total::default(),
+            recorded: Recorded::default(),
+        }
     }
 
     /// Takes in the answers to a frame; what was seen of each true object that had to be.
@@ -98,6 +110,10 @@ impl Measurement {
     /// The frame shows a scene that is not known.
     pub fn add(&mut self, header: &Header, answers: &[Sighted]) -> Result<Vec<Sighting>> {
         let time_s = header.stamp_ns as f64 * 1e-9;
+        if is_recorded(header) {
+            self.recorded.add(answers);
+            return Ok(Vec::new());
+        }
         let scene = scene_of(header, self.scene.as_ref())?;
         let truths = expected(header, &scene, &self.config.required, &self.config.tolerance);
         let matches = self.matcher.match_up(&truths, answers);
@@ -123,8 +139,12 @@ impl Measurement {
         &mut self.tallies[index]
     }
 
-    /// One row for each object that was there, in the order of their first frames; of several one more for all.
+    /// One row for each object that was there, in the order of their first frames; of several one more for all. Of
+    /// recorded frames one for each track, or each shape.
     pub fn rows(&self) -> Vec<Row> {
+        if self.recorded.frames > 0 {
+            return self.recorded.rows();
+        }
         let mut rows: Vec<Row> = self.tallies.iter().map(Tally::row).collect();
         if rows.len() != 1 {
             rows.push(self.total.row(&self.tallies));

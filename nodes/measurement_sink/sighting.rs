@@ -1,5 +1,6 @@
 //! What one frame says of one true object.
 
+use crate::evaluation_sink::errors::{Errors, Sigmas};
 use crate::evaluation_sink::matching::{Expected, perpendicular, radius_at};
 use conicflow_messages::{Header, Object, ObjectKind, Track, TrackState};
 use nalgebra::{IsometryMatrix3, Matrix3, Point3, Rotation3, Translation3, Vector3};
@@ -69,6 +70,8 @@ pub struct Seen {
     pub id: Option<u64>,
     /// Speed that a track states, across its axis, in m/s.
     pub speed_mps: Option<f64>,
+    /// Errors in units of the standard deviations that came with them.
+    pub sigmas: Sigmas,
 }
 
 impl Sighting {
@@ -80,6 +83,7 @@ impl Sighting {
             state: state(&answer.object),
             id: answer.id,
             speed_mps: answer.velocity.map(|velocity| perpendicular(&velocity, &axis(&answer.object)).norm()),
+            sigmas: Errors::of(truth, &answer.object).sigmas,
         });
         Self { time_s, camera: pose.translation.vector, name: truth.name.clone(), truth: state(&truth.body), seen }
     }
@@ -99,7 +103,8 @@ impl State {
     }
 }
 
-fn axis(object: &Object) -> Vector3<f64> {
+/// Unit vector along the axis of an object; zero for a sphere.
+pub fn axis(object: &Object) -> Vector3<f64> {
     if object.shape() == ObjectKind::Sphere { Vector3::zeros() } else { object.axis.into() }
 }
 

@@ -24,6 +24,8 @@ pub struct Tally {
     squared_error: Spread,
     error: Spread,
     squared_axis: Spread,
+    squared_radius_sigmas: Spread,
+    squared_center_sigmas: Spread,
     identities: BTreeSet<u64>,
     switches: u64,
     last: Option<Last>,
@@ -60,6 +62,8 @@ impl Tally {
         self.error.add(error);
         self.squared_error.add(error * error);
         self.squared_axis.add(angle(&truth.axis, &seen.state.axis).powi(2));
+        seen.sigmas.radius.into_iter().for_each(|error| self.squared_radius_sigmas.add(error * error));
+        seen.sigmas.center.into_iter().for_each(|error| self.squared_center_sigmas.add(error * error));
         self.identify(seen);
     }
 
@@ -109,10 +113,19 @@ impl Tally {
         row.number("speed_sd_mps", self.speed.deviation());
         row.number("position_rms_m", self.squared_error.mean().sqrt());
         row.number("axis_rms_deg", self.squared_axis.mean().sqrt().to_degrees());
+        row.number("radius_sigmas", self.squared_radius_sigmas.mean().sqrt());
+        row.number("center_sigmas", self.squared_center_sigmas.mean().sqrt());
         row.count("identities", self.identities.len() as u64);
         row.count("switches", self.switches);
         row
     }
+}
+
+/// The mean over the sights of all objects.
+fn pooled(tallies: &[Tally], of: fn(&Tally) -> &Spread) -> f64 {
+    let known = || tallies.iter().map(of).filter(|spread| spread.count() > 0);
+    known().map(|spread| spread.mean() * spread.count() as f64).sum::<f64>()
+        / known().map(Spread::count).sum::<u64>() as f64
 }
 
 /// Angle between two lines, in radians; 0 where one has no direction.
@@ -146,6 +159,8 @@ impl Total {
         row.count("wrong", self.wrong);
         row.number("mota", 1.0 - faults as f64 / frames as f64);
         row.number("motp_m", motp);
+        row.number("radius_sigmas", pooled(tallies, |tally| &tally.squared_radius_sigmas).sqrt());
+        row.number("center_sigmas", pooled(tallies, |tally| &tally.squared_center_sigmas).sqrt());
         row
     }
 }

@@ -87,3 +87,21 @@ fn frames_before_the_filter_has_settled_are_left_out() {
     let rows = measure(config, &frames);
     assert_eq!(rows.last().unwrap().number_of("frames"), Some(2.0));
 }
+
+#[test]
+fn of_recorded_frames_each_track_has_its_row() {
+    let mut measurement = Measurement::new(MeasurementConfig::default(), None);
+    for number in 0..4_u64 {
+        let header = Header { source: Text::new(&format!("img{number}.PNG")), ..header(0.0) };
+        let tracks = [track(7, 0.0), track(8, 0.5)];
+        let answers: Vec<_> = tracks[..if number < 3 { 2 } else { 1 }].iter().map(Sighted::from).collect();
+        measurement.add(&header, &answers).unwrap();
+    }
+    let rows = measurement.rows();
+    assert_eq!(rows[0].get("object"), Some(&Figure::Text("sphere 7".into())));
+    let numbers = |row: &Row| ["frames", "n", "distance_m", "radius_m"].map(|column| row.number_of(column).unwrap());
+    assert_eq!((rows.len(), numbers(&rows[0])), (2, [4.0, 4.0, 2.0, 0.1]));
+    assert_eq!(numbers(&rows[1])[1], 3.0);
+    let unknown = Header { source: Text::new("another scene"), ..header(0.0) };
+    assert!(measurement.add(&unknown, &[]).is_err());
+}

@@ -7,7 +7,7 @@
 mod fields;
 pub mod motion;
 pub mod pose;
-mod random;
+pub(crate) mod random;
 pub mod random_scene;
 pub mod random_scenes;
 pub mod raster;
@@ -254,6 +254,10 @@ impl Source for SyntheticSource {
         let truth_path = config.truth_path.as_deref().map(|path| context.resolve(path));
         let truth = truth_path.map(|path| JsonLines::open(&path, context.resume_at > 0)).transpose()?;
         Ok(Self { camera, rate_hz: config.rate_hz, next: context.resume_at, total, truth })
+    }
+
+    fn message_length(config: &SyntheticSourceConfig, _: &Path) -> Option<usize> {
+        Some(config.width as usize * config.height as usize)
     }
 
     fn rate_hz(&self) -> f64 {

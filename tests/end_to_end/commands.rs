@@ -2,10 +2,11 @@
 
 use crate::support::{Playground, TRACKING};
 
-const NODES: [&str; 8] = [
+const NODES: [&str; 9] = [
     "synthetic_source",
     "image_source",
     "row_ellipse_extractor",
+    "ransac_ellipse_extractor",
     "object_assembler",
     "kalman_tracker",
     "console_sink",

@@ -1,6 +1,8 @@
 //! The paper's experiments, each in a short form: the files of `experiments/` as they are, fewer frames and values.
 
 use crate::support::Playground;
+use conicflow_nodes::synthetic_source::scene::Scene;
+use conicflow_nodes::synthetic_source::{SyntheticCamera, SyntheticSourceConfig};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
@@ -54,6 +56,14 @@ fn playground(name: &str, edits: &[(&str, &str)]) -> Playground {
     playground
 }
 
+/// Errors of the confirmed tracks in units of their sigmas, over a whole sequence, whose frames err alike.
+fn assert_honest(table: &Table, object: &str) {
+    for column in ["radius_sigmas", "center_sigmas"] {
+        let error = table.number(&[("stage", "filtered"), ("object", object)], column);
+        assert!((0.7..1.5).contains(&error), "{column} of {object}: {error}");
+    }
+}
+
 fn assert_near(what: &str, number: f64, expected: f64, tolerance: f64) {
     assert!((number - expected).abs() <= tolerance, "{what}: {number}, expected {expected} +- {tolerance}");
 }
@@ -74,6 +84,36 @@ fn basic_scene_is_found_by_both_methods() {
     assert_near("half-angle of the cone", pooled("parking cone", "half_angle_deg"), 13.57, 0.6);
     assert_eq!(pooled("all", "wrong"), 0.0);
     assert_eq!(pooled("all", "switches"), 0.0);
+}
+
+/// The extractor is swapped by one entry under `cases`: RANSAC finds can and ball, each row on its own, and no cone.
+#[test]
+fn ransac_takes_the_extractors_place_in_the_basic_scene() {
+    let table = Table::of("basic", &[], 4);
+    let cell =
+        |object, column| table.number(&[("method", "RANSAC"), ("stage", "measured"), ("object", object)], column);
+    for (object, radius) in [("trash can", 0.147), ("exercise ball", 0.255)] {
+        assert!(cell(object, "n") >= 3.0, "{object} in {} of 4 frames", cell(object, "n"));
+        assert_near(object, cell(object, "radius_m"), radius, 0.015);
+    }
+    assert!(cell("parking cone", "n") <= 2.0);
+}
+
+#[test]
+fn ransac_finds_ellipses_in_the_wall_and_wants_many_more_trials() {
+    let table = Table::of("ransac", &[], 40);
+    let cell = |method, ratio, column| table.number(&[("method", method), ("min_ratio", ratio)], column);
+    for ratio in ["0.01", "0.2", "0.4"] {
+        assert_eq!((cell("row by row", ratio, "n"), cell("row by row", ratio, "others")), (40.0, 0.0));
+        assert_near("longer semi-axis", cell("row by row", ratio, "long_m"), 0.395, 0.002);
+        let of_papers_trials = cell("RANSAC", ratio, "n");
+        assert!((12.0..30.0).contains(&of_papers_trials), "{of_papers_trials} of 40 at a ratio of {ratio}");
+        assert!(cell("RANSAC", ratio, "others") > 8.0, "ellipses in the wall");
+    }
+    let many = |ratio| cell("RANSAC x16", ratio, "n");
+    assert_eq!((many("0.2"), many("0.4")), (40.0, 40.0));
+    assert!(many("0.01") < 28.0, "without a limit of the ratio {} of 40", many("0.01"));
+    assert_near("longer semi-axis", cell("RANSAC x16", "0.4", "long_m"), 0.397, 0.002);
 }
 
 /// The paper's radius shrinks with the distance: 0.20, 0.16, 0.15 m; that of pooled moments does not.
@@ -212,6 +252,7 @@ fn crossing_balls_keep_their_identities() {
     assert_eq!((all("switches"), all("identities")), (0.0, 5.0));
     assert!(all("mota") >= 0.95, "MOTA {}", all("mota"));
     assert!(all("motp_m") < 0.005, "MOTP {}", all("motp_m"));
+    assert_honest(&table, "all");
 }
 
 #[test]
@@ -222,6 +263,52 @@ fn a_bouncing_ball_is_one_ball_near_its_true_way() {
     assert!(cell("n") >= 106.0, "seen in {} of 110 frames", cell("n"));
     assert!(cell("position_rms_m") < 0.005, "{} m off", cell("position_rms_m"));
     assert_near("radius", cell("radius_m"), 0.1, 0.002);
+    assert_honest(&table, "ball");
+}
+
+/// Writes frames of a scene down as a camera would: 16-bit PNGs in millimetres, and what is known of the camera.
+fn record(playground: &Playground, scene: &str, frames: u64) {
+    let config = SyntheticSourceConfig { width: 320, height: 240, ..SyntheticSourceConfig::default() };
+    let (scene, camera) = (Scene::load(&playground.path(scene)).unwrap(), config.camera());
+    let mut synthetic = SyntheticCamera::new(scene, camera, config.noise, 0.001, 30.0, 77);
+    let mut depths = vec![0; 320 * 240];
+    fs::create_dir(playground.path("frames")).unwrap();
+    for number in 0..frames {
+        synthetic.shoot(number, &mut depths);
+        let file = fs::File::create(playground.path(&format!("frames/{number}.png"))).unwrap();
+        let mut encoder = png::Encoder::new(file, 320, 240);
+        encoder.set_color(png::ColorType::Grayscale);
+        encoder.set_depth(png::BitDepth::Sixteen);
+        let bytes: Vec<u8> = depths.iter().flat_map(|depth| depth.to_be_bytes()).collect();
+        encoder.write_header().unwrap().write_image_data(&bytes).unwrap();
+    }
+    let (fx, fy, cx, cy) = (camera.fx, camera.fy, camera.cx, camera.cy);
+    let known = serde_json::json!({ "width": 320, "height": 240, "fx": fx, "fy": fy, "cx": cx, "cy": cy, "depth_scale": 0.001 });
+    playground.write("frames/camera.json", &known.to_string());
+}
+
+/// Recorded frames take the place of the synthetic source by a few settings; of them each shape and each track has a row.
+#[test]
+fn an_experiment_takes_recorded_frames() {
+    let playground = playground("basic", &[]);
+    record(&playground, "scenes/basic.toml", 6);
+    let set = ["source.node=image_source", "source.path=frames", "source.rate_hz=0", "source.noise=kinect_v1"];
+    let sets = set.iter().flat_map(|set| ["--set", set]);
+    let arguments: Vec<&str> = ["run", "basic.toml", "--quiet"].into_iter().chain(sets).collect();
+    playground.conicflow(&arguments).expect_code(0);
+    let table = Table::read(&playground, "results/basic.csv");
+    let cell =
+        |stage, object, column| table.number(&[("method", "pooled"), ("stage", stage), ("object", object)], column);
+    for (shape, radius) in [("cylinder", 0.17), ("cone", 0.09), ("sphere", 0.28)] {
+        assert_eq!((cell("measured", shape, "frames"), cell("measured", shape, "n")), (6.0, 6.0), "{shape}");
+        assert_near(shape, cell("measured", shape, "radius_m"), radius, 0.004);
+    }
+    let tracks = table.0.iter().filter(|row| row["method"] == "pooled" && row["stage"] == "filtered");
+    assert_eq!(
+        tracks.map(|row| row["n"].as_str()).collect::<Vec<_>>(),
+        ["4", "4", "4"],
+        "confirmed in the third frame"
+    );
 }
 
 /// A ball on a stick that someone carries about: one identity, seen in each of the frames.

@@ -6,12 +6,16 @@
 mod bridge;
 mod certificates;
 mod commands;
+#[cfg(target_os = "linux")]
+mod doctor;
 mod experiments;
 #[cfg(target_os = "linux")]
 mod faults;
 mod hostile_files;
 #[cfg(target_os = "linux")]
 mod hosts;
+#[cfg(target_os = "linux")]
+mod identities;
 #[cfg(target_os = "linux")]
 mod intruders;
 mod outside_stage;
@@ -29,5 +33,7 @@ mod stress;
 mod support;
 #[cfg(target_os = "linux")]
 mod swap;
+#[cfg(target_os = "linux")]
+mod top;
 mod topic;
 mod validate;

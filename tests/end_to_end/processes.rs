@@ -7,6 +7,7 @@ use rustix::process::Signal;
 use serde_json::Value as Json;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 /// A paced run of [`TRACKING`] that goes on until it is told to end.
@@ -229,6 +230,28 @@ pub fn shared_files(process: u32) -> BTreeSet<PathBuf> {
     let paths =
         maps.lines().filter_map(|line| line.find("/dev/shm/conicflow_").map(|start| PathBuf::from(&line[start..])));
     paths.filter(|path| path.extension().is_none_or(|end| end != "global_mgmt")).collect()
+}
+
+/// What the names of all files begin with that a run has in shared memory: `conicflow_`, and eight digits of its folder.
+pub fn shared_prefix(run: &Started) -> String {
+    let path = shared_files(stages_of(run.id())["source"]).pop_first().unwrap();
+    path.file_name().unwrap().to_str().unwrap()[.."conicflow_01234567".len()].to_owned()
+}
+
+#[test]
+fn no_other_user_can_open_what_a_run_shares() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let mut run = start(&playground, &[]);
+    wait_for_lines(&mut run, &playground);
+    let prefix = shared_prefix(&run);
+    let shared = fs::read_dir("/dev/shm").unwrap().map(|entry| entry.unwrap().path());
+    let own: Vec<_> = shared.filter(|path| path.file_name().unwrap().to_str().unwrap().starts_with(&prefix)).collect();
+    assert!(own.len() > 20, "only {own:?}");
+    // What lies in the runtime folder nobody else can reach.
+    for path in own.iter().map(PathBuf::as_path).chain([playground.runtime()]) {
+        let mode = path.metadata().map_or(0, |about| about.permissions().mode());
+        assert_eq!(mode & 0o077, 0, "{}: {mode:o}", path.display());
+    }
 }
 
 /// All files in a folder and those in it.

@@ -1,7 +1,7 @@
 //! Kills at random moments: after each kill the run goes on or is gone, and the machine is as it was. Some hundred of them:
 //! `CONICFLOW_STRESS_ROUNDS=300 cargo test --test end_to_end -- stress --nocapture`
 
-use crate::processes::{files_below, shared_files, stages_of, wait_for_lines};
+use crate::processes::{files_below, shared_prefix, stages_of, wait_for_lines};
 use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, signal, wait_until};
 use rustix::process::Signal;
 use std::collections::{BTreeMap, BTreeSet};
@@ -41,14 +41,14 @@ fn files(playground: &Playground, prefix: &str) -> BTreeSet<String> {
     own.chain(below.filter(|path| !path.ends_with("lock"))).collect()
 }
 
-/// What the names of all shared memory of runs in the playground begin with: `conicflow_`, and eight digits.
+/// What the names of all shared memory of runs in the playground begin with.
 fn prefix(playground: &Playground) -> String {
     let mut run = playground.start(&["run", "--set", "source.rate_hz=100"]);
     wait_for_lines(&mut run, playground);
-    let name = shared_files(stages_of(run.id())["source"]).pop_first().unwrap();
+    let prefix = shared_prefix(&run);
     signal(run.id(), Signal::INT);
     run.wait().expect_code(0);
-    name.file_name().unwrap().to_str().unwrap()[..19].to_owned()
+    prefix
 }
 
 fn sleep_up_to(random: &mut fastrand::Rng, milliseconds: u64) {

@@ -30,8 +30,25 @@ pub(crate) fn check(machine: &Machine) -> Result<(), SettingsFault> {
     if missing { Ok(()) } else { configuration(machine).map(drop) }
 }
 
+/// Where a machine listens.
+pub(crate) fn listen_endpoints(machine: &Machine) -> Result<Vec<String>, SettingsFault> {
+    let mut endpoints = Vec::new();
+    collect_strings(&settings(machine)?["listen"]["endpoints"], &mut endpoints);
+    Ok(endpoints)
+}
+
 /// The Zenoh configuration of a machine.
 pub(super) fn configuration(machine: &Machine) -> Result<zenoh::Config, SettingsFault> {
+    let settings = settings(machine)?;
+    let mut endpoints = Vec::new();
+    collect_strings(&settings["listen"]["endpoints"], &mut endpoints);
+    endpoints.iter().try_for_each(|endpoint| check_listen(endpoint, machine.insecure))?;
+    zenoh::Config::from_json5(&settings.to_string()).map_err(|error| {
+        fault(format!("Zenoh cannot use its settings: {error}"), "endpoints look like tcp/192.168.0.2:7447")
+    })
+}
+
+fn settings(machine: &Machine) -> Result<Json, SettingsFault> {
     let mut settings = json!({
         "mode": "peer",
         "scouting": { "multicast": { "enabled": false }, "gossip": { "enabled": false } },
@@ -54,12 +71,7 @@ pub(super) fn configuration(machine: &Machine) -> Result<zenoh::Config, Settings
     if let Some(path) = &machine.zenoh {
         merge(&mut settings, read_file(path)?);
     }
-    let mut endpoints = Vec::new();
-    collect_strings(&settings["listen"]["endpoints"], &mut endpoints);
-    endpoints.iter().try_for_each(|endpoint| check_listen(endpoint, machine.insecure))?;
-    zenoh::Config::from_json5(&settings.to_string()).map_err(|error| {
-        fault(format!("Zenoh cannot use its settings: {error}"), "endpoints look like tcp/192.168.0.2:7447")
-    })
+    Ok(settings)
 }
 
 fn read_file(path: &Path) -> Result<Json, SettingsFault> {

@@ -7,6 +7,7 @@ use crate::pipeline::Restart;
 use crate::plan::{Plan, PlannedStage, Runs};
 use crate::status::{Life, Status, StatusFile};
 use rustix::process::{Pid, Signal, kill_process};
+use signal_hook::consts::SIGBUS;
 use std::collections::VecDeque;
 use std::io;
 use std::os::unix::process::{CommandExt, ExitStatusExt};
@@ -262,6 +263,7 @@ fn settle(folder: &RunFolder, plan: &Plan, stage: &str, life: Life) {
 fn describe(status: ExitStatus) -> String {
     match (status.code(), status.signal()) {
         (Some(code), _) => format!("ended with exit code {code}"),
+        (None, Some(SIGBUS)) => "was killed by SIGBUS: shared memory is full, see `conicflow doctor`".to_owned(),
         (None, Some(signal)) => format!("was killed by signal {signal}"),
         (None, None) => "ended".to_owned(),
     }

@@ -1,7 +1,7 @@
 //! Where a run keeps its files: one folder per user, in it one per pipeline, and beside them the files of shared memory.
 
 use crate::plan::Plan;
-use crate::status::status_path;
+use crate::status::{Life, Status, status_path};
 use std::fs::{self, File, TryLockError};
 use std::io;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
@@ -16,7 +16,7 @@ pub const RUNTIME_DIR: &str = "CONICFLOW_RUNTIME_DIR";
 const PLAN: &str = "plan.json";
 
 /// Stages end by themselves within this time after their launcher was killed.
-const LAST_STAGES_GRACE: Duration = Duration::from_secs(5);
+pub(crate) const LAST_STAGES_GRACE: Duration = Duration::from_secs(5);
 
 /// Whoever only looks whether a run has the folder holds it shorter than this.
 const LOOK_GRACE: Duration = Duration::from_millis(100);
@@ -161,6 +161,14 @@ impl RunFolder {
         file.is_ok_and(|file| matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock)))
     }
 
+    /// What cut a run off that left this folder behind: its plan, if that run neither lasts nor came to its end.
+    pub(crate) fn cut_off(&self) -> Option<Plan> {
+        let plan = self.plan().ok().filter(|_| !self.is_running())?;
+        let records = plan.stages.iter().filter_map(|stage| Status::read(&self.status(&stage.name)));
+        let mut own = records.filter(|record| record.run == plan.run);
+        own.any(|record| matches!(record.life(), Life::Starting | Life::Running)).then_some(plan)
+    }
+
     /// Says that a stage of this pipeline lives in this process, for as long as the file is held.
     ///
     /// # Errors
@@ -184,6 +192,23 @@ impl RunFolder {
     /// # Errors
     /// The folder cannot be written.
     pub fn begin(&self, plan: &Plan) -> Result<(), FolderError> {
+        self.remove_records()?;
+        self.write_plan(plan)
+    }
+
+    /// Removes what a run has left that is over; the locks stay.
+    ///
+    /// # Errors
+    /// A run has the folder, or it cannot be written.
+    pub(crate) fn discard(&self) -> Result<(), FolderError> {
+        let name = self.path.file_name().unwrap_or_default().to_string_lossy();
+        let _lock = self.lock(&name)?;
+        self.remove_records()?;
+        let path = self.plan_path();
+        fs::remove_file(&path).map_err(|error| FolderError::Io { path, error })
+    }
+
+    fn remove_records(&self) -> Result<(), FolderError> {
         let fault = |error| FolderError::Io { path: self.path.clone(), error };
         for entry in fs::read_dir(&self.path).map_err(fault)?.flatten() {
             let ends = ["status", "first", "last", "request", "answer", "new"];
@@ -191,7 +216,7 @@ impl RunFolder {
                 fs::remove_file(entry.path()).map_err(fault)?;
             }
         }
-        self.write_plan(plan)
+        Ok(())
     }
 
     /// Writes the plan that stages read when they start.
@@ -217,7 +242,8 @@ impl RunFolder {
     }
 }
 
-fn user_folder() -> PathBuf {
+/// The folder of this user, whether it is there or not.
+pub(crate) fn user_folder() -> PathBuf {
     if let Some(path) = std::env::var_os(RUNTIME_DIR) {
         return path.into();
     }
@@ -231,7 +257,19 @@ fn user_folder() -> PathBuf {
 fn private_folder(path: &Path) -> Result<(), FolderError> {
     let fault = |error| FolderError::Io { path: path.to_owned(), error };
     fs::DirBuilder::new().recursive(true).mode(0o700).create(path).map_err(fault)?;
+    check_private(path)
+}
+
+/// Makes sure that only this user can enter a folder.
+///
+/// # Errors
+/// It is not there, is no folder, or is open to others.
+pub(crate) fn check_private(path: &Path) -> Result<(), FolderError> {
+    let fault = |error| FolderError::Io { path: path.to_owned(), error };
     let data = fs::metadata(path).map_err(fault)?;
+    if !data.is_dir() {
+        return Err(fault(io::ErrorKind::NotADirectory.into()));
+    }
     let own = data.uid() == rustix::process::getuid().as_raw();
     if own && data.permissions().mode() & 0o077 == 0 {
         Ok(())

@@ -13,10 +13,14 @@ mod swap;
 mod vigil;
 
 pub use folder::{FolderError, RUNTIME_DIR, RunFolder, RunLock};
+pub(crate) use folder::{LAST_STAGES_GRACE, check_private, user_folder};
+pub(crate) use process::{LAUNCHER, STAGE};
 pub use process::{PIPELINE, ProcessError, run_in_run, run_planned, run_source, run_stage};
 pub use request::SwapError;
 pub use summary::{StageSummary, Summary, link_table};
 
+use crate::needs::{Needs, Shortfall};
+use crate::node::Node;
 use crate::plan::Plan;
 use crate::ports::PortError;
 use crate::ports::shared_memory::SharedMemory;
@@ -40,10 +44,12 @@ const DELIVERY_GRACE: Duration = Duration::from_secs(5);
 const KILL_GRACE: Duration = Duration::from_secs(5);
 
 /// How a run is to be.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Default)]
 pub struct RunOptions {
     /// The program that runs stages: it has to know `node STAGE`.
     pub program: PathBuf,
+    /// What tells how much room the messages of its sources need.
+    pub nodes: &'static [Node],
     /// It ends after this time.
     pub duration: Option<Duration>,
     /// No progress is shown.
@@ -62,6 +68,9 @@ pub enum LaunchError {
     /// The shared memory.
     #[error(transparent)]
     Port(#[from] PortError),
+    /// The machine has too little of something.
+    #[error(transparent)]
+    Shortfall(#[from] Shortfall),
     /// Signals.
     #[error("signals cannot be received: {0}")]
     Signals(std::io::Error),
@@ -75,6 +84,7 @@ pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
     let folder = RunFolder::open(&plan.pipeline)?;
     let _lock = folder.lock(&plan.pipeline)?;
     SharedMemory::clean(folder.shared_memory())?;
+    Needs::of(plan, options.nodes).shortfalls().into_iter().try_for_each(Err)?;
     folder.begin(plan)?;
     let memory = SharedMemory::open(folder.shared_memory(), &plan.namespace(), "launcher", Stop::default())?;
     let services = memory.hold(plan.topics())?;

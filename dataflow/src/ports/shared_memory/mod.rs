@@ -5,9 +5,10 @@
 //! full. All numbers of a service follow from the pipeline file, so that every stage asks for the same ones and the order
 //! of their start does not matter.
 
-#![allow(unsafe_code)] // layout promises for types in shared memory, and loans whose content is left over
+#![allow(unsafe_code)] // layout promises for types in shared memory, loans whose content is left over, and leases on files
 
 mod hold;
+pub(crate) mod leftovers;
 mod reader;
 mod sweep;
 mod tap;
@@ -97,6 +98,7 @@ impl SharedMemory {
         let name = NodeName::new(stage).map_err(|error| fault(&error))?;
         let builder = NodeBuilder::new().name(&name).config(&config).signal_handling_mode(SignalHandlingMode::Disabled);
         let node = builder.create::<Ipc>().map_err(|error: NodeCreationFailure| fault(&error))?;
+        sweep::close_to_others(root).map_err(|error| fault(&error))?;
         Ok(Self { node, run: run.to_owned(), root: root.to_owned(), stop, _occupied })
     }
 

@@ -1,0 +1,35 @@
+//! Whether a run could have its folder: private, writable, and with a path that is short enough for sockets.
+
+use super::Finding;
+use crate::launcher::{FolderError, check_private, user_folder};
+use crate::ports::shared_memory::leftovers::check_path;
+use rustix::fs::{Access, access};
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// What keeps a run from having its folder.
+pub(super) fn examine() -> Vec<Finding> {
+    let user = user_folder();
+    let parts = [user.clone(), user.join("run"), user.join("shm")];
+    let faults = parts.into_iter().filter_map(|path| fault(path).as_ref().map(Finding::of));
+    let too_long = check_path(&user.join("shm")).err();
+    let mut findings: Vec<_> = too_long.iter().map(Finding::of).chain(faults).collect();
+    // What keeps this user out of the first folder keeps it out of those within.
+    findings.truncate(1);
+    findings
+}
+
+fn fault(path: PathBuf) -> Option<FolderError> {
+    match check_private(&path) {
+        Ok(()) => writable(&path).err().map(|error| FolderError::Io { path, error }),
+        Err(FolderError::Io { error, .. }) if error.kind() == io::ErrorKind::NotFound => {
+            let there = path.ancestors().find(|ancestor| ancestor.exists())?;
+            writable(there).err().map(|error| FolderError::Io { path: there.to_owned(), error })
+        }
+        Err(error) => Some(error),
+    }
+}
+
+fn writable(folder: &Path) -> io::Result<()> {
+    Ok(access(folder, Access::WRITE_OK | Access::EXEC_OK)?)
+}

@@ -1,0 +1,67 @@
+//! Whether the ports that a pipeline listens on are free.
+
+use super::Finding;
+use crate::bridge::settings::listen_endpoints;
+use crate::plan::{Plan, Runs};
+use std::io::{self, ErrorKind};
+use std::net::{TcpListener, UdpSocket};
+
+/// The ports that these plans need and cannot have. Addresses of other machines tell nothing here.
+pub(super) fn examine(plans: &[&Plan]) -> Vec<Finding> {
+    let bridges = plans.iter().flat_map(|plan| &plan.stages).filter_map(|stage| match &stage.runs {
+        Runs::Bridge(bridge) => Some(bridge),
+        _ => None,
+    });
+    let endpoints = bridges.flat_map(|bridge| match listen_endpoints(&bridge.settings) {
+        Ok(endpoints) => endpoints.into_iter().map(|endpoint| Ok((bridge.machine.clone(), endpoint))).collect(),
+        Err(fault) => vec![Err(fault)],
+    });
+    let found = endpoints.filter_map(|endpoint| match endpoint {
+        Ok((machine, endpoint)) => taken(&machine, &endpoint),
+        Err(fault) => Some(Finding::of(&fault)),
+    });
+    found.collect()
+}
+
+fn taken(machine: &str, endpoint: &str) -> Option<Finding> {
+    let address = endpoint.split(['#', '?']).next()?;
+    let (protocol, address) = address.split_once('/')?;
+    let error = bind(protocol, address).err()?;
+    let port = address.rsplit(':').next().unwrap_or(address);
+    let hint = match error.kind() {
+        ErrorKind::AddrInUse => format!("`ss -lnp sport = :{port}` shows who has it; end that, or choose another port"),
+        ErrorKind::PermissionDenied => "choose a port above 1023".to_owned(),
+        _ => return None,
+    };
+    Some(Finding::new(format!("machine `{machine}` cannot listen on `{endpoint}`: {error}"), hint))
+}
+
+fn bind(protocol: &str, address: &str) -> io::Result<()> {
+    match protocol {
+        "udp" | "quic" => UdpSocket::bind(address).map(drop),
+        "tcp" | "tls" | "ws" => TcpListener::bind(address).map(drop),
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_port_that_somebody_has_is_told() {
+        let holder = TcpListener::bind("127.0.0.1:0").unwrap();
+        let endpoint = format!("tcp/{}", holder.local_addr().unwrap());
+        let finding = taken("robot", &endpoint).unwrap();
+        assert!(finding.what.starts_with(&format!("machine `robot` cannot listen on `{endpoint}`: ")), "{finding}");
+        assert!(finding.hint.contains("choose another port"), "{finding}");
+        drop(holder);
+        assert_eq!(taken("robot", &endpoint), None);
+    }
+
+    #[test]
+    fn the_address_of_another_machine_tells_nothing() {
+        assert_eq!(taken("robot", "tcp/192.0.2.1:7447"), None);
+        assert_eq!(taken("robot", "unixsock-stream/tmp/socket"), None);
+    }
+}

@@ -1,0 +1,145 @@
+//! What is wrong with this machine for running pipelines, and the removal of what dead runs have left.
+//!
+//! To look changes nothing: no folder is made, no process is touched. Each look is a file of its own, and gives findings.
+
+mod folder;
+mod listening;
+mod orphans;
+
+use crate::launcher::{RunFolder, user_folder};
+use crate::needs::{Needs, in_words};
+use crate::node::Node;
+use crate::plan::Plan;
+use crate::ports::shared_memory::leftovers::{Leftover, Litter, clear, leftovers, litter};
+use std::fmt::{self, Display};
+use std::path::Path;
+use std::time::Duration;
+
+/// Something that is wrong, and what to do about it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Finding {
+    /// What is wrong, and where.
+    pub what: String,
+    /// What to do about it.
+    pub hint: String,
+}
+
+impl Finding {
+    fn new(what: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self { what: what.into(), hint: hint.into() }
+    }
+
+    /// An error is its text and its hint.
+    fn of(error: &impl Display) -> Self {
+        let text = error.to_string();
+        let (what, hint) = text.split_once("\n  hint: ").unwrap_or((&text, ""));
+        Self::new(what, hint)
+    }
+}
+
+impl Display for Finding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}\n  hint: {}", self.what, self.hint)
+    }
+}
+
+/// Looks at this machine, for a pipeline with these plans: one for each machine that this may be.
+pub fn examine(plans: &[Plan], nodes: &[Node]) -> Vec<Finding> {
+    let mut findings = folder::examine();
+    let usable = findings.is_empty();
+    let idle: Vec<_> = plans.iter().filter(|plan| !is_running(&plan.pipeline)).collect();
+    findings.extend(idle.iter().flat_map(|plan| Needs::of(plan, nodes).shortfalls()).map(|short| Finding::of(&short)));
+    findings.extend(listening::examine(&idle));
+    findings.extend(orphans::examine());
+    if usable {
+        findings.extend(dead_in_folder());
+        findings.extend(cut_off_runs());
+    }
+    findings.extend(files());
+    without_repetition(findings)
+}
+
+/// What holds for several plans is told once.
+fn without_repetition(findings: Vec<Finding>) -> Vec<Finding> {
+    let mut told = Vec::new();
+    for finding in findings {
+        if !told.contains(&finding) {
+            told.push(finding);
+        }
+    }
+    told
+}
+
+/// Removes what dead runs of this user have left, and tells what that was. What a live process uses stays, whoever's it is.
+pub fn clean() -> Vec<String> {
+    let mut removed = Vec::new();
+    // What the folder leads to comes first: it is removed in its own order.
+    if folder::examine().is_empty() {
+        let shared_memory = user_folder().join("shm");
+        removed.extend(clear(&shared_memory).ok().and_then(|litter| describe(litter, &shared_memory)));
+        removed.extend(clear_records());
+    }
+    let gone: Vec<_> = leftovers().unwrap_or_default().into_iter().filter(Leftover::remove).collect();
+    if !gone.is_empty() {
+        removed.push(format!("{} in /dev/shm that nobody had open", several(&gone)));
+    }
+    removed
+}
+
+fn clear_records() -> Vec<String> {
+    let mut folders = RunFolder::all().unwrap_or_default();
+    folders.retain(|folder| folder.cut_off().is_some() && folder.discard().is_ok());
+    let removed =
+        |folder: RunFolder| format!("the records of a run that was cut off, in `{}`", folder.path().display());
+    folders.into_iter().map(removed).collect()
+}
+
+fn describe(litter: Litter, folder: &Path) -> Option<String> {
+    match litter {
+        Litter::None => None,
+        Litter::Processes(1) => Some(format!("what a dead process had in `{}`", folder.display())),
+        Litter::Processes(dead) => Some(format!("what {dead} dead processes had in `{}`", folder.display())),
+        Litter::Files => Some(format!("what dead processes had in `{}`", folder.display())),
+    }
+}
+
+fn is_running(pipeline: &str) -> bool {
+    RunFolder::all().is_ok_and(|all| all.iter().any(|folder| folder.path().ends_with(pipeline) && folder.is_running()))
+}
+
+fn dead_in_folder() -> Option<Finding> {
+    let folder = user_folder().join("shm");
+    let left = describe(litter(&folder), &folder)?;
+    let what = format!("{left} was not removed");
+    Some(Finding::new(what, "the next run removes it, or now `conicflow doctor --clean`"))
+}
+
+fn cut_off_runs() -> Vec<Finding> {
+    let cut_off = RunFolder::all().unwrap_or_default().into_iter().filter(|folder| folder.cut_off().is_some());
+    let finding = |folder: RunFolder| {
+        let what = format!("the run whose records are in `{}` was cut off", folder.path().display());
+        Finding::new(what, "the next run of this pipeline removes them, or now `conicflow doctor --clean`")
+    };
+    cut_off.map(finding).collect()
+}
+
+fn files() -> Option<Finding> {
+    let found = leftovers().ok().filter(|found| !found.is_empty())?;
+    let oldest = found.iter().map(|file| file.age).max().unwrap_or_default();
+    let what = format!("{} of dead runs in /dev/shm that nobody has open, up to {} old", several(&found), age(oldest));
+    let hint = "`conicflow doctor --clean` removes them; no run finds them any more if its runtime folder was deleted";
+    Some(Finding::new(what, hint))
+}
+
+fn several(files: &[Leftover]) -> String {
+    let bytes = files.iter().map(|file| file.bytes).sum();
+    format!("{} {} ({})", files.len(), if files.len() == 1 { "file" } else { "files" }, in_words(bytes))
+}
+
+fn age(time: Duration) -> String {
+    match time.as_secs() {
+        seconds @ 0..3600 => format!("{} min", seconds / 60),
+        seconds @ 3600..172_800 => format!("{} h", seconds / 3600),
+        seconds => format!("{} days", seconds / 86_400),
+    }
+}

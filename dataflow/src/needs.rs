@@ -1,0 +1,310 @@
+//! What a run needs of its machine: room in shared memory for the messages that can be under way at once, and open files.
+//!
+//! The system gives memory for a message when it is first written, and kills a stage that writes where none is left; a
+//! writer uses again what came back to it last. So a topic takes as many messages as its readers can keep waiting and hold
+//! at once, each of the length that its source names.
+
+use crate::node::Node;
+use crate::plan::{Plan, PlannedStage, Runs};
+use crate::ports::{Topic, TopicReader};
+use crate::sides::{Pick, Side};
+use conicflow_messages::{Ellipse, Header, Kind, Object, Track};
+use rustix::process::{Resource, getrlimit};
+use std::path::Path;
+
+/// Where the system keeps shared memory.
+pub(crate) const SHARED_MEMORY: &str = "/dev/shm";
+
+/// Messages that a reader holds beside its queue: the one that is worked on, and the next.
+const HELD: usize = 2;
+/// Messages that wait for their frame in a further input.
+const HELD_FOR_FRAME: usize = 13;
+/// Messages that a writer has in hand.
+const LOANED: usize = 2;
+/// Items of an image whose size nobody can tell beforehand.
+const USUAL_IMAGE: usize = 640 * 480;
+/// Items of a list, which few exceed.
+const USUAL_LIST: usize = 1024;
+const PAGE: usize = 4096;
+/// What iceoryx2 keeps for each pair of a writer and a reader, and for each end of a topic.
+const ROOM_PER_PORT: usize = 96 * 1024;
+
+/// Open files of a stage that is joined to nothing.
+const FILES_PER_STAGE: u64 = 24;
+/// Open files for each topic that a stage is joined to, and for each stage at its other end.
+const FILES_PER_TOPIC: u64 = 14;
+const FILES_PER_PEER: u64 = 4;
+/// Open files of Zenoh, and for each machine that it talks with.
+const FILES_OF_ZENOH: u64 = 64;
+
+/// What a plan needs of the machine that it runs on.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Needs {
+    /// The topics, and the bytes of shared memory that each takes at most.
+    pub topics: Vec<(String, u64)>,
+    /// Files that one process has open at once.
+    pub open_files: u64,
+}
+
+/// What a machine has too little of.
+#[derive(Debug, thiserror::Error)]
+pub enum Shortfall {
+    /// Shared memory is not there.
+    #[error(
+        "there is no shared memory in {SHARED_MEMORY}: {0}\n  hint: mount it: \
+         `mkdir -p {SHARED_MEMORY} && mount -t tmpfs -o mode=1777 tmpfs {SHARED_MEMORY}` as root"
+    )]
+    NoSharedMemory(std::io::Error),
+    /// Messages that are under way would not find room.
+    #[error(
+        "shared memory has {} of {} free in {SHARED_MEMORY}, this pipeline needs up to {}, most of it for the topic \
+         `{topic}`\n  hint: `conicflow doctor` finds what dead runs have left there; to enlarge it, `mount -o \
+         remount,size={wanted}M {SHARED_MEMORY}` as root, for a container `--shm-size={wanted}m`; \
+         smaller images and shorter queues need less",
+        in_words(*.free), in_words(*.size), in_words(*.needed)
+    )]
+    Room {
+        /// Bytes that are free.
+        free: u64,
+        /// Bytes that there are in all.
+        size: u64,
+        /// Bytes that the pipeline takes at most.
+        needed: u64,
+        /// What takes most of them.
+        topic: String,
+        /// Megabytes that it should have in all.
+        wanted: u64,
+    },
+    /// A stage would not get the files that it has to open.
+    #[error(
+        "a process may have {limit} files open, a stage of this pipeline needs up to {needed}\n  \
+         hint: `ulimit -n {needed}` in the shell before it is started; in a systemd unit `LimitNOFILE={needed}`"
+    )]
+    OpenFiles {
+        /// How many a process may have.
+        limit: u64,
+        /// How many a stage has at most.
+        needed: u64,
+    },
+}
+
+impl Needs {
+    /// What a plan needs whose nodes stand in the table `nodes`.
+    pub fn of(plan: &Plan, nodes: &[Node]) -> Self {
+        let mut topics: Vec<(String, u64)> = Vec::new();
+        for stage in &plan.stages {
+            for (topic, bytes) in written(plan, stage, nodes) {
+                match topics.iter_mut().find(|(name, _)| *name == topic.name) {
+                    Some((_, sum)) => *sum += bytes,
+                    None => topics.push((topic.name.clone(), bytes)),
+                }
+            }
+        }
+        Self { topics, open_files: plan.stages.iter().map(open_files).max().unwrap_or(0) }
+    }
+
+    /// Bytes of shared memory.
+    pub fn shared_memory(&self) -> u64 {
+        self.topics.iter().map(|(_, bytes)| bytes).sum()
+    }
+
+    /// What this machine has too little of, now.
+    pub fn shortfalls(&self) -> Vec<Shortfall> {
+        let limit = getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX);
+        let files = (limit < self.open_files).then_some(Shortfall::OpenFiles { limit, needed: self.open_files });
+        let room = match room() {
+            Ok((free, size)) => self.short_of_room(free, size),
+            Err(error) => Some(Shortfall::NoSharedMemory(error)),
+        };
+        room.into_iter().chain(files).collect()
+    }
+
+    fn short_of_room(&self, free: u64, size: u64) -> Option<Shortfall> {
+        let needed = self.shared_memory();
+        let (topic, _) = self.topics.iter().max_by_key(|(_, bytes)| *bytes)?;
+        let wanted = (size.saturating_sub(free) + needed).div_ceil(1 << 20).next_power_of_two();
+        (free < needed).then(|| Shortfall::Room { free, size, needed, topic: topic.clone(), wanted })
+    }
+}
+
+/// Bytes of shared memory that are free, and that there are.
+pub(crate) fn room() -> std::io::Result<(u64, u64)> {
+    let about = rustix::fs::statvfs(Path::new(SHARED_MEMORY))?;
+    Ok((about.f_bavail * about.f_frsize, about.f_blocks * about.f_frsize))
+}
+
+/// A number of bytes as people read it.
+pub(crate) fn in_words(bytes: u64) -> String {
+    match bytes {
+        0..1_000_000 => format!("{:.1} kB", bytes as f64 * 1e-3),
+        1_000_000..1_000_000_000 => format!("{:.1} MB", bytes as f64 * 1e-6),
+        _ => format!("{:.1} GB", bytes as f64 * 1e-9),
+    }
+}
+
+/// The topics that a stage writes here, and the bytes that its messages take there.
+fn written<'a>(plan: &Plan, stage: &'a PlannedStage, nodes: &[Node]) -> Vec<(&'a Topic, u64)> {
+    let taken = |topic: &Topic, bytes: usize| {
+        let waiting: usize = topic.readers.iter().map(|reader| reader.queue + held(plan, topic, reader, nodes)).sum();
+        ((waiting + LOANED) * bytes + (topic.readers.len() + 1) * ROOM_PER_PORT) as u64
+    };
+    if let Runs::Bridge(bridge) = &stage.runs {
+        let edges = bridge.incoming.iter();
+        return edges.map(|edge| (&edge.topic, taken(&edge.topic, message_bytes(edge.kind, None)))).collect();
+    }
+    let Some(topic) = &stage.wiring.output else { return Vec::new() };
+    let bytes = match node_of(stage, nodes) {
+        Some(node) => message_bytes(node.output(), (node.message_length)(stage.parameters.clone(), &plan.base)),
+        // Where nobody tells what a program writes, an image is the longest that it usually is.
+        None => message_bytes(topic.kind.unwrap_or(Kind::Depth), None),
+    };
+    vec![(topic, taken(topic, bytes))]
+}
+
+fn node_of<'a>(stage: &PlannedStage, nodes: &'a [Node]) -> Option<&'a Node> {
+    let Runs::Node { node, .. } = &stage.runs else { return None };
+    nodes.iter().find(|row| row.name == *node)
+}
+
+/// Messages of a topic that a reader holds at once, beside those in its queue.
+fn held(plan: &Plan, topic: &Topic, reader: &TopicReader, nodes: &[Node]) -> usize {
+    let Some(stage) = plan.stage(&reader.stage) else { return HELD };
+    let sides = node_of(stage, nodes).map_or(&[] as &[Side], Node::sides);
+    let wired = stage.wiring.sides.iter().filter(|(_, wired)| wired.name == topic.name);
+    let waits = |name: &str| sides.iter().any(|side| side.name == name && side.pick == Pick::SameFrame);
+    if wired.into_iter().any(|(name, _)| waits(name)) { HELD_FOR_FRAME } else { HELD }
+}
+
+/// The bytes of a message of `length` items, or of as many as are usual.
+fn message_bytes(kind: Kind, length: Option<usize>) -> usize {
+    let (item, usual) = match kind {
+        Kind::Nothing => (0, 0),
+        Kind::Depth => (size_of::<u16>(), USUAL_IMAGE),
+        Kind::Ellipses => (size_of::<Ellipse>(), USUAL_LIST),
+        Kind::Objects => (size_of::<Object>(), USUAL_LIST),
+        Kind::Tracks => (size_of::<Track>(), USUAL_LIST),
+    };
+    // A message seldom begins where a page does.
+    (size_of::<Header>() + length.unwrap_or(usual) * item).next_multiple_of(PAGE) + PAGE
+}
+
+fn open_files(stage: &PlannedStage) -> u64 {
+    let own = stage.wiring.input.iter().chain(&stage.wiring.output).chain(stage.wiring.sides.iter().map(|(_, t)| t));
+    let of_topic =
+        |topic: &Topic| FILES_PER_TOPIC + FILES_PER_PEER * (topic.readers.len() + topic.writers.len()) as u64;
+    let bridged = match &stage.runs {
+        Runs::Bridge(plan) => {
+            let edges = plan.incoming.iter().chain(&plan.outgoing);
+            FILES_OF_ZENOH + edges.map(|edge| of_topic(&edge.topic)).sum::<u64>() + 8 * plan.peers().len() as u64
+        }
+        _ => 0,
+    };
+    FILES_PER_STAGE + bridged + own.map(of_topic).sum::<u64>()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pipeline::{Pipeline, SourceText};
+    use crate::stage::{Context, NoConfig, Output, Source, Stage, StageError};
+    use crate::{Next, Sides};
+    use conicflow_messages::{Message, Nothing};
+
+    const PIXELS: usize = 1_000_000;
+
+    struct Camera;
+
+    impl Source for Camera {
+        const NAME: &'static str = "camera";
+        const SUMMARY: &'static str = "Makes images of a million pixels";
+        type Config = NoConfig;
+        type Output = u16;
+
+        fn new(_: NoConfig, _: &Context) -> Result<Self, StageError> {
+            Ok(Self)
+        }
+
+        fn message_length(_: &NoConfig, _: &Path) -> Option<usize> {
+            Some(PIXELS)
+        }
+
+        fn next(&mut self, _: &Sides, _: &mut Output<u16>) -> Result<Next, StageError> {
+            Ok(Next::End)
+        }
+    }
+
+    struct Overlay;
+
+    impl Stage for Overlay {
+        const NAME: &'static str = "overlay";
+        const SUMMARY: &'static str = "Reads images, and more of them";
+        type Config = NoConfig;
+        type Input = u16;
+        type Output = Nothing;
+
+        fn new(_: NoConfig, _: &Context) -> Result<Self, StageError> {
+            Ok(Self)
+        }
+
+        fn sides() -> &'static [Side] {
+            &[Side { name: "other", kind: Kind::Depth, pick: Pick::SameFrame }]
+        }
+
+        fn step(&mut self, _: &Message<u16>, _: &Sides, _: &mut Output<Nothing>) -> Result<(), StageError> {
+            Ok(())
+        }
+    }
+
+    const NODES: &[Node] = &[Node::source::<Camera>(), Node::stage::<Overlay>()];
+
+    fn needs(stages: &str) -> Needs {
+        let text = format!("name = \"test\"\n{stages}");
+        let source = SourceText { name: "test.toml".to_owned(), text };
+        let (pipeline, _) = Pipeline::read(source, Path::new("/"), &[], NODES).unwrap();
+        Needs::of(&Plan::of(&pipeline, None, None, 1), NODES)
+    }
+
+    /// Images of which there is room in the shared memory that a topic needs.
+    fn images(needs: &Needs, topic: &str) -> u64 {
+        let (_, bytes) = needs.topics.iter().find(|(name, _)| name == topic).unwrap();
+        bytes / (2 * PIXELS as u64)
+    }
+
+    const SOURCE: &str = "[stage.source]\nnode = \"camera\"\noutput = \"depth\"\n";
+
+    #[test]
+    fn a_topic_needs_as_many_messages_as_can_wait_and_be_held() {
+        let one = format!("{SOURCE}[stage.a]\nnode = \"overlay\"\ninput = {{ topic = \"depth\", queue = 5 }}\n");
+        let two = format!("{one}[stage.b]\nnode = \"overlay\"\ninput = {{ topic = \"depth\", queue = 9 }}\n");
+        assert_eq!(images(&needs(&one), "depth"), (5 + 2) + 2);
+        assert_eq!(images(&needs(&two), "depth"), (5 + 2) + (9 + 2) + 2);
+        assert!(needs(&two).open_files > needs(&one).open_files);
+    }
+
+    #[test]
+    fn who_waits_for_the_same_frame_holds_more() {
+        let second = SOURCE.replace("source", "second").replace("depth", "more");
+        let other = "{ topic = \"more\", queue = 5 }";
+        let stage = format!("[stage.a]\nnode = \"overlay\"\ninput = \"depth\"\ninputs = {{ other = {other} }}\n");
+        assert_eq!(images(&needs(&format!("{SOURCE}{second}{stage}")), "more"), (5 + 13) + 2);
+    }
+
+    #[test]
+    fn what_a_program_writes_is_taken_for_a_usual_image() {
+        let sink = "[stage.a]\nnode = \"overlay\"\ninput = { topic = \"depth\", queue = 5 }\n";
+        let program = SOURCE.replace("node = \"camera\"", "program = [\"sh\"]");
+        let (known, usual) = (needs(&format!("{SOURCE}{sink}")), needs(&format!("{program}{sink}")));
+        let ratio = known.shared_memory() as f64 / usual.shared_memory() as f64;
+        assert!((ratio / (PIXELS as f64 / USUAL_IMAGE as f64) - 1.0).abs() < 0.05, "{ratio}");
+    }
+
+    #[test]
+    fn a_shortfall_names_the_topic_and_what_would_do() {
+        let needs = Needs { topics: vec![("small".into(), 1 << 20), ("large".into(), 70 << 20)], open_files: 0 };
+        assert!(needs.short_of_room(71 << 20, 80 << 20).is_none(), "just enough");
+        let shortfall = needs.short_of_room((71 << 20) - 1, 80 << 20).unwrap().to_string();
+        assert!(shortfall.starts_with("shared memory has 74.4 MB of 83.9 MB free"), "{shortfall}");
+        assert!(shortfall.contains("needs up to 74.4 MB, most of it for the topic `large`\n"), "{shortfall}");
+        assert!(shortfall.contains("size=128M"), "80 MB less 71 are taken, 71 are needed: {shortfall}");
+    }
+}

@@ -1,0 +1,181 @@
+//! What dead processes have left in shared memory.
+//!
+//! Where the runs' folder is still there, what processes that died have left is found by it. Of runs whose folder was deleted
+//! only the files in `/dev/shm` are left, and no name leads from them to the folder. No file of a live run is ever closed
+//! by all of its processes, so one that nobody has open is dead. `/proc` cannot tell that of processes in other
+//! containers, but the kernel can: it grants a lease for writing only where no one, wherever it runs, has the file open or
+//! mapped.
+
+use super::sweep::{COUNTER, PREFIX, is_littered};
+use super::{Ipc, SharedMemory, configuration};
+use crate::needs::SHARED_MEMORY;
+use crate::ports::PortError;
+use iceoryx2::prelude::{CallbackProgression, LogLevel, Node, NodeState, set_log_level};
+use std::fs::{self, File, OpenOptions};
+use std::io;
+use std::os::fd::AsRawFd;
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime};
+
+/// A younger file may be one that is just being made, or whose owners are about to be looked after.
+const MIN_AGE: Duration = Duration::from_secs(60);
+/// From Linux's `fcntl.h`; the `libc` crate does not have it.
+const F_SETSIG: libc::c_int = 10;
+/// Digits that tell the files of one folder from those of another.
+const DIGITS: usize = 8;
+
+/// A file in shared memory that no process has open.
+#[derive(Debug)]
+pub(crate) struct Leftover {
+    path: PathBuf,
+    /// Bytes of memory that it takes.
+    pub(crate) bytes: u64,
+    /// Time since it was last written.
+    pub(crate) age: Duration,
+}
+
+impl Leftover {
+    /// Removes the file, unless a process has opened it meanwhile; whether it was removed.
+    pub(crate) fn remove(&self) -> bool {
+        // The file is held, and with it the lease, until its name is gone.
+        open(&self.path).is_ok_and(|file| is_unused(&file) && fs::remove_file(&self.path).is_ok())
+    }
+}
+
+/// Files of this program and this user in shared memory, at least a minute old, that no process has open or mapped.
+pub(crate) fn leftovers() -> io::Result<Vec<Leftover>> {
+    let paths = fs::read_dir(SHARED_MEMORY)?.flatten().map(|entry| entry.path());
+    let (mut dead, mut in_use) = (Vec::new(), Vec::new());
+    for path in paths.filter(|path| name_of(path).starts_with(PREFIX)) {
+        match leftover(&path) {
+            Some(leftover) => dead.push(leftover),
+            None => in_use.push(path),
+        }
+    }
+    // A counter goes with the last file of its folder.
+    let in_use: Vec<_> = in_use.iter().map(|path| family(name_of(path))).collect();
+    let goes = |name: &str| !name.ends_with(COUNTER) || family(name).is_some_and(|own| !in_use.contains(&Some(own)));
+    dead.retain(|leftover| goes(name_of(&leftover.path)));
+    Ok(dead)
+}
+
+fn name_of(path: &Path) -> &str {
+    path.file_name().and_then(|name| name.to_str()).unwrap_or_default()
+}
+
+/// What the names of all files of one folder have in common, which those of earlier versions had not.
+fn family(name: &str) -> Option<&str> {
+    let (family, _) = name.strip_prefix(PREFIX)?.split_once('_')?;
+    Some(family).filter(|family| family.len() == DIGITS)
+}
+
+fn leftover(path: &Path) -> Option<Leftover> {
+    let file = open(path).ok()?;
+    let about = file.metadata().ok()?;
+    let age = SystemTime::now().duration_since(about.modified().ok()?).ok()?;
+    let own = about.is_file() && about.uid() == rustix::process::geteuid().as_raw();
+    let dead = own && age >= MIN_AGE && is_unused(&file);
+    dead.then(|| Leftover { path: path.to_owned(), bytes: about.blocks() * 512, age })
+}
+
+fn open(path: &Path) -> io::Result<File> {
+    OpenOptions::new().read(true).write(true).custom_flags(libc::O_NOFOLLOW | libc::O_NONBLOCK).open(path)
+}
+
+/// Whether nobody else has the file open or mapped, in whatever container; it stays so until the file is closed here,
+/// because whoever opens it meanwhile waits for that. Where the kernel cannot tell, somebody has.
+fn is_unused(file: &File) -> bool {
+    let descriptor = file.as_raw_fd();
+    // SAFETY: the calls take an open descriptor and numbers, and touch no memory. The signal that tells of somebody who
+    // waits is one that is ignored unless asked for.
+    unsafe {
+        libc::fcntl(descriptor, F_SETSIG, libc::SIGURG) == 0
+            && libc::fcntl(descriptor, libc::F_SETLEASE, libc::F_WRLCK) == 0
+    }
+}
+
+/// What dead processes have left in a folder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Litter {
+    /// Nothing.
+    None,
+    /// So many processes have joined its shared memory and died there.
+    Processes(usize),
+    /// Files that nothing leads to, and that nobody uses.
+    Files,
+}
+
+/// What dead processes have left in a folder, and in shared memory from there.
+pub(crate) fn litter(root: &Path) -> Litter {
+    set_log_level(LogLevel::Fatal);
+    let mut dead = 0;
+    // What cannot be listed is told by what cannot be opened: the folder is looked at, too.
+    configuration(root).ok().and_then(|config| {
+        let count = |node: NodeState<Ipc>| {
+            dead += usize::from(matches!(node, NodeState::Dead(_)));
+            CallbackProgression::Continue
+        };
+        Node::<Ipc>::list(&config, count).ok()
+    });
+    match dead {
+        0 if is_littered(root) => Litter::Files,
+        0 => Litter::None,
+        dead => Litter::Processes(dead),
+    }
+}
+
+/// Removes what dead processes have left in a folder, and in shared memory from there; tells what that was.
+///
+/// # Errors
+/// The folder cannot be used for shared memory.
+pub(crate) fn clear(root: &Path) -> Result<Litter, PortError> {
+    let litter = litter(root);
+    if litter != Litter::None {
+        SharedMemory::clean(root)?;
+    }
+    Ok(litter)
+}
+
+/// Makes sure that sockets can lie in a folder of this path, whether it is there or not.
+///
+/// # Errors
+/// It is too long.
+pub(crate) fn check_path(root: &Path) -> Result<(), PortError> {
+    match configuration(root) {
+        Err(error @ PortError::PathTooLong { .. }) => Err(error),
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_that_somebody_has_open_is_not_left_over() {
+        let folder = tempfile::tempdir_in(SHARED_MEMORY).unwrap();
+        let path = folder.path().join("segment");
+        let holder = File::create_new(&path).unwrap();
+        assert!(!is_unused(&open(&path).unwrap()), "open elsewhere");
+        drop(holder);
+        assert!(is_unused(&open(&path).unwrap()));
+        let leftover = Leftover { path: path.clone(), bytes: 0, age: MIN_AGE };
+        let holder = File::open(&path).unwrap();
+        assert!(!leftover.remove() && path.exists(), "somebody reads it");
+        drop(holder);
+        assert!(leftover.remove() && !path.exists());
+        assert!(!leftover.remove(), "it is gone");
+    }
+
+    #[test]
+    fn the_files_of_a_folder_are_a_family() {
+        assert_eq!(family("conicflow_0123abcd_0354a209029e7d094a819e2d4030ea331e6caaf0_1__0.data"), Some("0123abcd"));
+        assert_eq!(
+            family("conicflow_0123abcd_9204dd183d1c4d8e1ff592a30766ffa6765aa8b5_node.global_mgmt"),
+            Some("0123abcd")
+        );
+        assert_eq!(family("conicflow_9204dd183d1c4d8e1ff592a30766ffa6765aa8b5_node.global_mgmt"), None);
+        assert_eq!(family("iox2_0123abcd_1__0.data"), None);
+    }
+}

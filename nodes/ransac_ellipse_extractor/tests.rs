@@ -1,0 +1,85 @@
+//! Tests of the extractor as a whole, on rendered frames.
+
+use super::*;
+use crate::row_ellipse_extractor::rendered::{Body, KINECT_HALF, render};
+use conicflow_geometry::Vector3;
+use conicflow_messages::{Item, NoiseModel};
+
+fn upright(x: f64, z: f64, radius: f64) -> Body {
+    Body::Frustum { center: Vector3::new(x, 0.0, z), axis: Vector3::y(), radius, slope: 0.0, length: 0.5 }
+}
+
+fn scene() -> (Header, Vec<u16>) {
+    let wall = Body::Plane { normal: Vector3::z(), offset: 3.0 };
+    render(KINECT_HALF, NoiseModel::KINECT_V1, &[upright(0.1, 1.2, 0.2), wall], 3)
+}
+
+fn extract(config: &RansacEllipseConfig, (header, pixels): &(Header, Vec<u16>)) -> Vec<Ellipse> {
+    let mut extractor = RansacEllipseExtractor::with(config.clone());
+    let ellipses = extractor.extract(header, pixels).to_vec();
+    assert_eq!(Ellipse::check(header, &ellipses), Ok(()));
+    ellipses
+}
+
+#[test]
+fn the_number_of_trials_is_the_papers() {
+    assert_eq!(RansacEllipseConfig::default().trials(), 369);
+}
+
+#[test]
+fn rows_of_a_cylinder_give_its_sections() {
+    let config = RansacEllipseConfig { max_ellipses: 1, line_step: 8, ..RansacEllipseConfig::default() };
+    let ellipses = extract(&config, &scene());
+    let near: Vec<_> = ellipses.iter().filter(|ellipse| ellipse.center[2] < 2.0).collect();
+    assert!(near.len() >= 9, "{} sections", near.len());
+    let mean = near.iter().map(|ellipse| ellipse.half_width).sum::<f64>() / near.len() as f64;
+    assert!((0.17..0.21).contains(&mean), "mean half width {mean}");
+    assert!(near.iter().all(|ellipse| (ellipse.center[0] - 0.1).abs() < 0.03), "{near:?}");
+}
+
+#[test]
+fn without_a_limit_of_the_ratio_walls_are_ellipses() {
+    let config = |min_radius_ratio| RansacEllipseConfig {
+        min_radius_ratio,
+        max_radius_m: 2.0,
+        max_ellipses: 1,
+        line_step: 8,
+        ..RansacEllipseConfig::default()
+    };
+    let of_wall = |ratio| extract(&config(ratio), &scene()).iter().filter(|found| found.center[2] > 2.5).count();
+    assert!(of_wall(0.0) >= 18, "{} of 30 lines", of_wall(0.0));
+    assert!(of_wall(0.4) <= 3, "{} of 30 lines", of_wall(0.4));
+}
+
+#[test]
+fn the_same_frame_gives_the_same_ellipses_and_the_next_one_other_draws() {
+    let config = RansacEllipseConfig { line_step: 24, ..RansacEllipseConfig::default() };
+    let (header, pixels) = scene();
+    let next = (Header { sequence: header.sequence + 1, ..header }, pixels.clone());
+    let this = (header, pixels);
+    assert_eq!(extract(&config, &this), extract(&config, &this));
+    assert_ne!(extract(&config, &this), extract(&config, &next));
+}
+
+#[test]
+fn columns_see_what_lies() {
+    let lying = Body::Frustum {
+        center: Vector3::new(0.0, 0.0, 1.2),
+        axis: Vector3::x(),
+        radius: 0.15,
+        slope: 0.0,
+        length: 0.8,
+    };
+    let frame = render(KINECT_HALF, NoiseModel::KINECT_V1, &[lying], 4);
+    let found = |scan| extract(&RansacEllipseConfig { scan, line_step: 16, ..RansacEllipseConfig::default() }, &frame);
+    let columns = found(ScanLines::Columns);
+    assert!(columns.len() >= 8 && columns.iter().all(|ellipse| ellipse.scan() == conicflow_messages::Scan::Column));
+    assert!(columns.iter().all(|ellipse| (ellipse.half_width - 0.15).abs() < 0.04), "{columns:?}");
+    assert_eq!(found(ScanLines::Both).len(), columns.len() + found(ScanLines::Rows).len());
+}
+
+#[test]
+fn an_image_without_measurements_is_an_empty_list() {
+    let frame = render(KINECT_HALF, NoiseModel::IDEAL, &[], 8);
+    assert_eq!(extract(&RansacEllipseConfig::default(), &frame).len(), 0);
+}

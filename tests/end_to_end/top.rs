@@ -1,0 +1,70 @@
+//! `conicflow top` on a terminal of 80 columns and 24 lines.
+
+use crate::processes::wait_for_lines;
+use crate::support::{Playground, TRACKING, TRACKING_STAGES, signal};
+use rustix::fs::OFlags;
+use rustix::process::Signal;
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use rustix::termios::{Winsize, tcsetwinsize};
+use std::fs::File;
+use std::io::Read;
+use std::os::fd::OwnedFd;
+use std::sync::mpsc::{Receiver, channel};
+use std::time::Duration;
+
+const COLUMNS: usize = 80;
+const LINES: usize = 24;
+/// What `top` clears the screen with.
+const CLEAR: &str = "\x1b[H\x1b[2J";
+const DEADLINE: Duration = Duration::from_secs(60);
+
+/// A terminal: the end that a program writes to, and what comes out of it, screen by screen.
+fn terminal() -> (OwnedFd, Receiver<String>) {
+    let outer = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
+    grantpt(&outer).unwrap();
+    unlockpt(&outer).unwrap();
+    let path = ptsname(&outer, Vec::new()).unwrap();
+    let inner = rustix::fs::open(path, OFlags::RDWR | OFlags::NOCTTY, rustix::fs::Mode::empty()).unwrap();
+    let size = Winsize { ws_row: LINES as u16, ws_col: COLUMNS as u16, ws_xpixel: 0, ws_ypixel: 0 };
+    tcsetwinsize(&inner, size).unwrap();
+    let (sender, screens) = channel();
+    std::thread::spawn(move || {
+        let (mut outer, mut text, mut bytes) = (File::from(outer), String::new(), [0; 4096]);
+        while let Ok(length @ 1..) = outer.read(&mut bytes) {
+            text.push_str(&String::from_utf8_lossy(&bytes[..length]));
+            let mut parts: Vec<String> = text.split(CLEAR).map(str::to_owned).collect();
+            text = parts.pop().unwrap_or_default();
+            parts
+                .into_iter()
+                .filter(|screen| !screen.is_empty())
+                .for_each(|screen| sender.send(screen).unwrap_or_default());
+        }
+    });
+    (inner, screens)
+}
+
+#[test]
+fn it_fits_a_terminal_and_is_drawn_anew() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let mut run = playground.start(&["run", "--set", "source.rate_hz=50"]);
+    wait_for_lines(&mut run, &playground);
+    let (inner, screens) = terminal();
+    let mut command = playground.command(&["top"]);
+    let mut top = command.stdout(inner.try_clone().unwrap()).stderr(inner).spawn().unwrap();
+    drop(command);
+    let seen = [screens.recv_timeout(DEADLINE).unwrap(), screens.recv_timeout(DEADLINE).unwrap()];
+    for screen in &seen {
+        let lines: Vec<&str> = screen.lines().collect();
+        assert!(lines.len() <= LINES, "{} lines:\n{screen}", lines.len());
+        assert!(lines.iter().all(|line| line.chars().count() <= COLUMNS), "too wide:\n{screen}");
+        assert_eq!(lines[0], "tracking", "{screen}");
+        for stage in TRACKING_STAGES {
+            assert!(lines.iter().any(|line| line.starts_with(stage)), "no `{stage}`:\n{screen}");
+        }
+    }
+    assert_ne!(seen[0], seen[1], "it counts on");
+    signal(top.id(), Signal::INT);
+    top.wait().unwrap();
+    signal(run.id(), Signal::INT);
+    run.wait().expect_code(0);
+}
