@@ -1,0 +1,299 @@
+//! Age of a message that crosses to another machine, from when its writer sent it to when its reader has it, beside that of
+//! the same bytes put and subscribed with Zenoh alone; what goes over the wire, and what it costs.
+//!
+//! `cargo bench --bench bridge`: two launchers on this host, joined over loopback, at 30 messages per second; then two
+//! sessions of one process. Ellipses and frames of 640x480 of one cluttered scene; milliseconds, megabytes and per cent of a
+//! core in each of the two bridges.
+
+use conicflow_dataflow::bridge::{Compression, Place, Wire, encode_message};
+use conicflow_dataflow::pipeline::{Pipeline, SourceText};
+use conicflow_dataflow::testing::collect;
+use conicflow_dataflow::{
+    Context, Next, NoConfig, Node, Output, Plan, RUNTIME_DIR, RunOptions, Sides, Source, Stage, StageError,
+    monotonic_ns, observe, run, run_in_run,
+};
+use conicflow_messages::{Ellipse, Header, Item, Message, Nothing};
+use conicflow_nodes::row_ellipse_extractor::{RowEllipseConfig, RowEllipseExtractor};
+use conicflow_nodes::synthetic_source::{SyntheticSource, SyntheticSourceConfig};
+use std::error::Error;
+use std::marker::PhantomData;
+use std::net::TcpListener;
+use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
+use std::process::{Child, Command};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::sleep;
+use std::time::Duration;
+use tempfile::TempDir;
+use zenoh::Wait;
+use zenoh::qos::CongestionControl;
+
+type Outcome<T> = Result<T, Box<dyn Error>>;
+
+const RATE_HZ: f64 = 30.0;
+const MESSAGES: usize = 450;
+/// The first messages find caches and connections cold.
+const WARM_UP: usize = 60;
+/// When the cost of a bridge is looked at, and for how long.
+const SETTLED: Duration = Duration::from_secs(4);
+const OBSERVED: Duration = Duration::from_secs(8);
+const FOLDER: &str = "BRIDGE_BENCH_FOLDER";
+const NODES: [Node; 4] =
+    [Node::source::<Frames>(), Node::source::<Lists>(), Node::stage::<Ages<u16>>(), Node::stage::<Ages<Ellipse>>()];
+/// Name, source, sink, compression.
+const CASES: [(&str, &str, &str, Compression); 4] = [
+    ("ellipses", "lists", "list_ages", Compression::None),
+    ("frames, none", "frames", "frame_ages", Compression::None),
+    ("frames, lz4", "frames", "frame_ages", Compression::Lz4),
+    ("frames, zstd", "frames", "frame_ages", Compression::Zstd),
+];
+
+fn main() -> Outcome<()> {
+    let arguments: Vec<String> = std::env::args().collect();
+    match arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
+        [_, "node", _] => Ok(run_in_run(&NODES)?),
+        [_, "machine", name, folder] => machine(name, Path::new(folder)),
+        _ => compare(),
+    }
+}
+
+fn compare() -> Outcome<()> {
+    let (header, pixels, ellipses) = frame()?;
+    println!("{} messages at {RATE_HZ} Hz; a list has {} ellipses", MESSAGES, ellipses.len());
+    println!(
+        "{:<14}{:>9}{:>9}{:>7}{:>18}{:>18}{:>16}",
+        "", "bytes", "wire", "MB/s", "bridge p50/p99", "Zenoh p50/p99", "CPU out/in"
+    );
+    for (name, source, sink, how) in CASES {
+        let (bytes, wire) = match source {
+            "lists" => (size_of_val(&*ellipses), encoded(&header, &ellipses, how)?),
+            _ => (size_of_val(&*pixels), encoded(&header, &pixels, how)?),
+        };
+        let (bridged, costs) = bridged(source, sink, how)?;
+        let bare = bare(&wire)?;
+        let rate = wire.len() as f64 * RATE_HZ / 1e6;
+        let pair = |[p50, p99]: [f64; 2]| format!("{p50:.2} / {p99:.2}");
+        let costs = format!("{:.1} / {:.1}", costs[0], costs[1]);
+        println!("{name:<14}{bytes:>9}{:>9}{rate:>7.2}{:>18}{:>18}{costs:>16}", wire.len(), pair(bridged), pair(bare));
+    }
+    Ok(())
+}
+
+/// One frame of a cluttered scene, and its ellipses.
+fn frame() -> Outcome<(Header, Vec<u16>, Vec<Ellipse>)> {
+    let config = SyntheticSourceConfig { width: 640, height: 480, rate_hz: 0.0, ..SyntheticSourceConfig::default() };
+    let context = Context { stage: "source".to_owned(), ..Context::default() };
+    let (header, pixels) = collect::<SyntheticSource>(config, context, 1)?.pop().ok_or("the source made nothing")?;
+    let ellipses = RowEllipseExtractor::with(RowEllipseConfig::default()).extract(&header, &pixels).to_vec();
+    Ok((header, pixels, ellipses))
+}
+
+fn encoded<T: Wire>(header: &Header, items: &[T], how: Compression) -> Outcome<Vec<u8>> {
+    Ok(encode_message(Place::default(), header, items, how)?)
+}
+
+/// The times in milliseconds at a half and at 99 of 100.
+fn percentiles(mut ages_ns: Vec<u64>) -> Outcome<[f64; 2]> {
+    let mut ages_ns = ages_ns.split_off(WARM_UP.min(ages_ns.len()));
+    ages_ns.sort_unstable();
+    let last = ages_ns.len().checked_sub(1).ok_or("nothing arrived")?;
+    Ok([0.5, 0.99].map(|share| ages_ns[(share * last as f64) as usize] as f64 * 1e-6))
+}
+
+/// Gives the same frame again and again, stamped when it is sent.
+struct Frames(Header, Vec<u16>);
+
+impl Source for Frames {
+    const NAME: &'static str = "frames";
+    const SUMMARY: &'static str = "The same frame again and again";
+    type Config = NoConfig;
+    type Output = u16;
+
+    fn new(_: NoConfig, _: &Context) -> Result<Self, StageError> {
+        let (header, pixels, _) = frame().map_err(|error| error.to_string())?;
+        Ok(Self(header, pixels))
+    }
+
+    fn rate_hz(&self) -> f64 {
+        RATE_HZ
+    }
+
+    fn next(&mut self, _: &Sides, output: &mut Output<u16>) -> Result<Next, StageError> {
+        output.image(self.1.len())?.copy_from_slice(&self.1);
+        output.header = Header { stamp_ns: monotonic_ns(), ..with_own_sequence(&self.0, &output.header) };
+        Ok(Next::Message)
+    }
+}
+
+/// Gives the ellipses of that frame.
+struct Lists(Header, Vec<Ellipse>);
+
+impl Source for Lists {
+    const NAME: &'static str = "lists";
+    const SUMMARY: &'static str = "The same ellipses again and again";
+    type Config = NoConfig;
+    type Output = Ellipse;
+
+    fn new(_: NoConfig, _: &Context) -> Result<Self, StageError> {
+        let (header, _, ellipses) = frame().map_err(|error| error.to_string())?;
+        Ok(Self(header, ellipses))
+    }
+
+    fn rate_hz(&self) -> f64 {
+        RATE_HZ
+    }
+
+    fn next(&mut self, _: &Sides, output: &mut Output<Ellipse>) -> Result<Next, StageError> {
+        self.1.iter().for_each(|ellipse| output.push(*ellipse));
+        output.header = Header { stamp_ns: monotonic_ns(), ..with_own_sequence(&self.0, &output.header) };
+        Ok(Next::Message)
+    }
+}
+
+/// The camera of one header in the place of another.
+fn with_own_sequence(made: &Header, own: &Header) -> Header {
+    Header { camera: made.camera, depth_scale: made.depth_scale, noise: made.noise, source: made.source, ..*own }
+}
+
+/// Writes down how old messages are when they come.
+struct Ages<T>(Vec<u64>, PhantomData<T>);
+
+/// A kind of message, and the name of the sink that takes it.
+trait Aged: Item {
+    const SINK: &'static str;
+}
+
+impl Aged for u16 {
+    const SINK: &'static str = "frame_ages";
+}
+
+impl Aged for Ellipse {
+    const SINK: &'static str = "list_ages";
+}
+
+impl<T: Aged> Stage for Ages<T> {
+    const NAME: &'static str = T::SINK;
+    const SUMMARY: &'static str = "Writes down how old messages are when they come";
+    type Config = NoConfig;
+    type Input = T;
+    type Output = Nothing;
+
+    fn new(_: NoConfig, _: &Context) -> Result<Self, StageError> {
+        Ok(Self(Vec::new(), PhantomData))
+    }
+
+    fn step(&mut self, input: &Message<T>, _: &Sides, _: &mut Output<Nothing>) -> Result<(), StageError> {
+        self.0.push(monotonic_ns().saturating_sub(input.header.stamp_ns));
+        Ok(())
+    }
+
+    fn finish(&mut self) -> Result<(), StageError> {
+        let folder = std::env::var(FOLDER)?;
+        Ok(std::fs::write(Path::new(&folder).join("ages"), bytemuck::cast_slice(&self.0))?)
+    }
+}
+
+/// Ages of what crosses between two launchers, and what it costs their bridges.
+fn bridged(source: &str, sink: &str, how: Compression) -> Outcome<([f64; 2], [f64; 2])> {
+    let folder = TempDir::new()?;
+    let port = TcpListener::bind("127.0.0.1:0")?.local_addr()?.port();
+    let compression = match how {
+        Compression::None if source == "lists" => "",
+        Compression::None => ", compression = \"none\"",
+        Compression::Lz4 => ", compression = \"lz4\"",
+        Compression::Zstd => ", compression = \"zstd\"",
+    };
+    let text = format!(
+        "name = \"bench\"\n[machine.robot]\nlisten = [\"tcp/127.0.0.1:{port}\"]\n[machine.base]\n\
+         connect = [\"tcp/127.0.0.1:{port}\"]\n[stage.source]\nnode = \"{source}\"\nmachine = \"robot\"\n\
+         output = \"topic\"\n[stage.sink]\nnode = \"{sink}\"\nmachine = \"base\"\n\
+         input = {{ topic = \"topic\"{compression} }}\n"
+    );
+    std::fs::write(folder.path().join("pipeline.toml"), text)?;
+    let machines = ["robot", "base"].map(|name| start_machine(name, folder.path()));
+    for machine in machines {
+        let ended = machine?.wait()?;
+        ended.success().then_some(()).ok_or("a machine failed")?;
+    }
+    let cost = |name: &str| -> Outcome<f64> { Ok(std::fs::read_to_string(folder.path().join(name))?.parse()?) };
+    let bytes = std::fs::read(folder.path().join("ages"))?;
+    let ages = bytes.chunks_exact(8).map(|age| u64::from_ne_bytes(age.try_into().unwrap_or_default()));
+    Ok((percentiles(ages.collect())?, [cost("robot.cpu")?, cost("base.cpu")?]))
+}
+
+fn start_machine(name: &str, folder: &Path) -> Outcome<Child> {
+    // Unix sockets lie there, and have to have short paths.
+    let runtime = folder.join(&name[..1]);
+    std::fs::create_dir(&runtime)?;
+    std::fs::set_permissions(&runtime, std::fs::Permissions::from_mode(0o700))?;
+    let mut command = Command::new(std::env::current_exe()?);
+    command.args(["machine", name]).arg(folder).env(RUNTIME_DIR, runtime).env(FOLDER, folder);
+    Ok(command.spawn()?)
+}
+
+/// Runs one machine of the pipeline, and looks at what its bridge costs meanwhile.
+fn machine(name: &str, folder: &Path) -> Outcome<()> {
+    let text = std::fs::read_to_string(folder.join("pipeline.toml"))?;
+    let source = SourceText { name: "pipeline.toml".to_owned(), text };
+    let (pipeline, _) = Pipeline::read(source, folder, &[], &NODES).map_err(|report| report.to_string())?;
+    let plan = Plan::of(&pipeline, Some(name), Some(MESSAGES as u64), monotonic_ns());
+    let cost_file = folder.join(format!("{name}.cpu"));
+    let looking = std::thread::spawn(move || std::fs::write(cost_file, bridge_cpu().unwrap_or(f64::NAN).to_string()));
+    let options = RunOptions { program: std::env::current_exe()?, duration: None, quiet: true, nodes: &NODES };
+    let summary = run(&plan, &options)?;
+    looking.join().map_err(|_| "the observer panicked")??;
+    if summary.is_complete() { Ok(()) } else { Err("the run was not finished".into()) }
+}
+
+fn bridge_cpu() -> Option<f64> {
+    sleep(SETTLED);
+    let before = observe().ok()?;
+    sleep(OBSERVED);
+    let activity = observe().ok()?.since(&before);
+    activity
+        .iter()
+        .flat_map(|pipeline| &pipeline.stages)
+        .find(|stage| stage.stage == "bridge")
+        .map(|stage| stage.cpu_percent)
+}
+
+fn session(listen: &str, connect: &str) -> Outcome<zenoh::Session> {
+    let mut config = zenoh::Config::default();
+    for (key, value) in [
+        ("scouting/multicast/enabled", "false"),
+        ("listen/endpoints", listen),
+        ("connect/endpoints", connect),
+        ("transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments", "1000000"),
+    ] {
+        config.insert_json5(key, value).map_err(|error| error.to_string())?;
+    }
+    Ok(zenoh::open(config).wait().map_err(|error| error.to_string())?)
+}
+
+/// Ages of the same bytes, put and subscribed and nothing else.
+fn bare(wire: &[u8]) -> Outcome<[f64; 2]> {
+    let port = TcpListener::bind("127.0.0.1:0")?.local_addr()?.port();
+    let endpoint = format!("[\"tcp/127.0.0.1:{port}\"]");
+    let (here, there) = (session(&endpoint, "[]")?, session("[]", &endpoint)?);
+    let ages = Arc::new(Mutex::new(Vec::new()));
+    let heard = Arc::clone(&ages);
+    let hear = move |sample: zenoh::sample::Sample| {
+        let bytes = sample.payload().to_bytes();
+        let sent = bytes.get(..8).and_then(|sent| sent.try_into().ok()).map_or(0, u64::from_ne_bytes);
+        heard.lock().unwrap_or_else(PoisonError::into_inner).push(monotonic_ns().saturating_sub(sent));
+    };
+    let zenoh = |error: zenoh::Error| error.to_string();
+    let _ears = there.declare_subscriber("bench").callback(hear).wait().map_err(zenoh)?;
+    let publisher = here.declare_publisher("bench").congestion_control(CongestionControl::Drop).express(true);
+    let publisher = publisher.wait().map_err(zenoh)?;
+    while !publisher.matching_status().wait().map_err(zenoh)?.matching() {
+        sleep(Duration::from_millis(10));
+    }
+    for _ in 0..MESSAGES {
+        sleep(Duration::from_secs_f64(1.0 / RATE_HZ));
+        let sent = monotonic_ns();
+        publisher.put([&sent.to_ne_bytes(), wire].concat()).wait().map_err(zenoh)?;
+    }
+    sleep(Duration::from_millis(200));
+    percentiles(std::mem::take(&mut *ages.lock().unwrap_or_else(PoisonError::into_inner)))
+}
