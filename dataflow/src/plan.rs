@@ -11,9 +11,14 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
 use std::path::PathBuf;
 
+/// Raised with each change of what launcher and stages agree on: the plan, records, names in shared memory.
+pub(crate) const LAYOUT: u32 = 1;
+
 /// The plan of a run on one machine.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Plan {
+    /// What the program that made it was built with.
+    pub(crate) layout: u32,
     /// Name of the pipeline.
     pub pipeline: String,
     /// Folder against which paths in parameters are resolved.
@@ -96,7 +101,7 @@ impl Plan {
         stages.extend(machine.and_then(|machine| BridgePlan::of(pipeline, machine)).map(PlannedStage::bridge));
         let (source, overrides) = pipeline.source.clone();
         let origin = Origin { source, overrides, machine: machine.map(str::to_owned), frames };
-        Self { pipeline: pipeline.name.clone(), base: pipeline.base.clone(), run, stages, origin }
+        Self { layout: LAYOUT, pipeline: pipeline.name.clone(), base: pipeline.base.clone(), run, stages, origin }
     }
 
     /// The plan of the same run with further things set, as `STAGE.KEY=VALUE`; the report holds warnings.

@@ -2,6 +2,8 @@
 
 use crate::support::{Ended, Playground, StageRow, Started, TRACKING, example};
 use serde_json::Value as Json;
+use std::fs;
+use std::os::unix::fs::DirBuilderExt;
 use std::process::Command;
 
 /// What tracks objects, with `nearest_object` before the tracker and a record of what went into it.
@@ -96,4 +98,20 @@ fn a_stage_that_nobody_started_says_how_it_is_started() {
     command.env_remove("CONICFLOW_PIPELINE").env("CONICFLOW_RUNTIME_DIR", playground.runtime());
     let ended = Started::new(command).wait().expect_code(2);
     assert!(ended.stderr.starts_with("error: the environment variable `CONICFLOW_PIPELINE` is not set\n  hint: "));
+}
+
+#[test]
+fn a_stage_of_another_version_than_its_launcher_says_so() {
+    let playground = Playground::new();
+    let folder = playground.runtime().join("run/other");
+    fs::DirBuilder::new().recursive(true).mode(0o700).create(&folder).unwrap();
+    fs::write(folder.join("plan.json"), r#"{ "layout": 99, "stages": "in other words" }"#).unwrap();
+    let mut command = Command::new(example("nearest_object"));
+    let variables = [("CONICFLOW_PIPELINE", "other"), ("CONICFLOW_STAGE", "nearest")];
+    command.envs(variables).env("CONICFLOW_RUNTIME_DIR", playground.runtime());
+    let ended = Started::new(command).wait().expect_code(2);
+    assert!(
+        ended.stderr.contains("were built from different versions of conicflow (layout 1, 99)\n  hint: "),
+        "{ended:?}"
+    );
 }

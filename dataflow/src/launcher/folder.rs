@@ -1,7 +1,8 @@
 //! Where a run keeps its files: one folder per user, in it one per pipeline, and beside them the files of shared memory.
 
-use crate::plan::Plan;
+use crate::plan::{LAYOUT, Plan};
 use crate::status::{Life, Status, status_path};
+use serde::Deserialize;
 use std::fs::{self, File, TryLockError};
 use std::io;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
@@ -59,6 +60,17 @@ pub enum FolderError {
         /// Its name.
         name: String,
     },
+    /// The launcher was built from another version than this program.
+    #[error(
+        "this program and the launcher of its run were built from different versions of conicflow (layout {own}, {launcher})\n  \
+         hint: build both from the same version"
+    )]
+    OtherVersion {
+        /// What this program was built with.
+        own: u32,
+        /// What the launcher was built with; 0 if it does not say.
+        launcher: u32,
+    },
     /// The plan of a run makes no sense.
     #[error("{}: {error}\n  hint: start the pipeline anew with `conicflow run`", path.display())]
     Plan {
@@ -67,6 +79,13 @@ pub enum FolderError {
         /// What is wrong with it.
         error: serde_json::Error,
     },
+}
+
+/// The part of a plan that every version can read.
+#[derive(Deserialize)]
+struct Agreed {
+    #[serde(default)]
+    layout: u32,
 }
 
 /// The folder of one pipeline's run.
@@ -234,7 +253,11 @@ impl RunFolder {
     pub fn plan(&self) -> Result<Plan, FolderError> {
         let path = self.plan_path();
         let text = fs::read(&path).map_err(|error| FolderError::Io { path: path.clone(), error })?;
-        serde_json::from_slice(&text).map_err(|error| FolderError::Plan { path, error })
+        let fault = |error| FolderError::Plan { path, error };
+        match serde_json::from_slice::<Agreed>(&text).map_err(fault.clone())?.layout {
+            LAYOUT => serde_json::from_slice(&text).map_err(fault),
+            launcher => Err(FolderError::OtherVersion { own: LAYOUT, launcher }),
+        }
     }
 
     fn plan_path(&self) -> PathBuf {
