@@ -9,6 +9,8 @@ use conicflow_dataflow::ports::{Delivery, Reader, Received, Topic, TopicReader, 
 use conicflow_dataflow::{Stop, monotonic_ns};
 use conicflow_messages::Header;
 use iceoryx2::prelude::{Config, FileName, Node, NodeBuilder, Path as RootPath, SemanticString, ServiceName, ipc};
+use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
+use std::cell::RefCell;
 use std::error::Error;
 use std::hint::black_box;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -27,6 +29,8 @@ const ROUNDS: usize = 5;
 const MESSAGES: usize = 300;
 /// Long enough for a reader to fall asleep.
 const PAUSE: Duration = Duration::from_millis(2);
+/// Messages that wait for a reader that was held up.
+const QUEUE: usize = 16;
 /// A reader that has not got what it waits for by then has failed.
 const PATIENCE: Duration = Duration::from_secs(20);
 
@@ -169,22 +173,24 @@ fn read(way: &str, bytes: usize, folder: &Path) -> Outcome<()> {
     Ok(())
 }
 
-/// Receives by `receive`, which sleeps a while at most, until all are there; their ages in nanoseconds.
-fn ages(mut receive: impl FnMut() -> Outcome<Option<u64>>) -> Outcome<Vec<u64>> {
+/// Receives what is there, then waits for more, until all have come; their ages in nanoseconds.
+fn ages(wait: impl Fn() -> Outcome<()>, mut receive: impl FnMut() -> Outcome<Option<u64>>) -> Outcome<Vec<u64>> {
     println!("ready");
     let (mut ages, start) = (Vec::with_capacity(MESSAGES), Instant::now());
     while ages.len() < MESSAGES {
         if start.elapsed() > PATIENCE {
             return Err(format!("{} of {MESSAGES} messages came", ages.len()).into());
         }
-        let sent = receive()?;
-        ages.extend(sent.map(|sent| monotonic_ns() - sent));
+        match receive()? {
+            Some(sent) => ages.push(monotonic_ns() - sent),
+            None => wait()?,
+        }
     }
     Ok(ages)
 }
 
 fn topic() -> Topic {
-    let reader = TopicReader { stage: "reader".into(), delivery: Delivery::Latest, queue: 2 };
+    let reader = TopicReader { stage: "reader".into(), delivery: Delivery::Latest, queue: QUEUE };
     Topic { name: "hop".into(), kind: None, writers: vec!["writer".into()], readers: vec![reader] }
 }
 
@@ -203,10 +209,10 @@ fn send_by_topic(bytes: usize, folder: &Folder) -> Outcome<[f64; 2]> {
 
 fn read_topic(folder: &Path) -> Outcome<Vec<u64>> {
     let memory = SharedMemory::open(folder, "hop", "reader", Stop::default())?;
-    let mut reader = memory.reader::<u16>(&topic(), "reader")?;
-    ages(|| {
-        reader.wait(PAUSE * 10)?;
-        let message = reader.receive()?;
+    let reader = RefCell::new(memory.reader::<u16>(&topic(), "reader")?);
+    let wait = || Ok(reader.borrow_mut().wait(PAUSE * 10)?);
+    ages(wait, || {
+        let message = reader.borrow_mut().receive()?;
         Ok(message.map(|message| black_box(message.header().stamp_ns + u64::from(message.items()[0]) - 7)))
     })
 }
@@ -218,9 +224,16 @@ fn bare_node(folder: &Path) -> Outcome<Node<ipc::Service>> {
     Ok(NodeBuilder::new().config(&config).create()?)
 }
 
+type BareMessages = PortFactory<ipc::Service, [u8], u64>;
+
+fn bare_messages(node: &Node<ipc::Service>, name: &ServiceName) -> Outcome<BareMessages> {
+    let builder = node.service_builder(name).publish_subscribe::<[u8]>().user_header::<u64>();
+    Ok(builder.subscriber_max_buffer_size(QUEUE).open_or_create()?)
+}
+
 fn send_bare(bytes: usize, folder: &Folder) -> Outcome<[f64; 2]> {
     let (node, name) = (bare_node(&folder.0)?, ServiceName::new("hop")?);
-    let messages = node.service_builder(&name).publish_subscribe::<[u8]>().user_header::<u64>().open_or_create()?;
+    let messages = bare_messages(&node, &name)?;
     let publisher = messages.publisher_builder().initial_max_slice_len(bytes).create()?;
     let wake = node.service_builder(&name).event().open_or_create()?.notifier_builder().create()?;
     let reader = ReadingProcess::start(Way::Bare, bytes, folder)?;
@@ -240,11 +253,11 @@ fn send_bare(bytes: usize, folder: &Folder) -> Outcome<[f64; 2]> {
 
 fn read_bare(folder: &Path) -> Outcome<Vec<u64>> {
     let (node, name) = (bare_node(folder)?, ServiceName::new("hop")?);
-    let messages = node.service_builder(&name).publish_subscribe::<[u8]>().user_header::<u64>().open_or_create()?;
+    let messages = bare_messages(&node, &name)?;
     let subscriber = messages.subscriber_builder().create()?;
     let wake = node.service_builder(&name).event().open_or_create()?.listener_builder().create()?;
-    ages(|| {
-        wake.timed_wait(|_| {}, PAUSE * 10)?;
+    let wait = || Ok(wake.timed_wait(|_| {}, PAUSE * 10).map(drop)?);
+    ages(wait, || {
         let sample = subscriber.receive()?;
         Ok(sample.map(|sample| black_box(*sample.user_header() + u64::from(sample.payload()[0]) - 7)))
     })
@@ -266,8 +279,11 @@ fn send_by_socket(bytes: usize, folder: &Folder) -> Outcome<[f64; 2]> {
 fn read_socket(bytes: usize, folder: &Path) -> Outcome<Vec<u64>> {
     let mut socket = UnixStream::connect(folder.join("socket"))?;
     let mut message = vec![0; bytes];
-    ages(|| {
-        socket.read_exact(&mut message)?;
-        Ok(Some(u64::from_ne_bytes(message[..8].try_into()?)))
-    })
+    ages(
+        || Ok(()),
+        || {
+            socket.read_exact(&mut message)?;
+            Ok(Some(u64::from_ne_bytes(message[..8].try_into()?)))
+        },
+    )
 }
