@@ -43,7 +43,9 @@ pub fn draw(experiment: &Experiment, rows: &[Row], base: &Path) -> Result<()> {
             [lines(plot, &rows), paper_lines(experiment, plot, &rows)].concat()
         }
     };
-    let text = svg(&experiment.title, plot, &lines).unwrap_or_default();
+    // What the paper says of it stands behind, and has no room here.
+    let title = experiment.title.split(';').next().unwrap_or_default();
+    let text = svg(title, plot, &lines).unwrap_or_default();
     std::fs::write(&path, text).with_context(|| format!("cannot write `{}`", path.display()))
 }
 

@@ -27,7 +27,7 @@ use std::path::PathBuf;
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Experiment {
-    /// What stands above the table.
+    /// What stands above the table; above the plot as far as the first semicolon.
     pub title: String,
     /// The columns that are shown, behind those that tell the rows apart.
     pub columns: Vec<String>,
