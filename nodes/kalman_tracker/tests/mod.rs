@@ -4,7 +4,6 @@ mod camera;
 mod consistency;
 mod identity;
 mod motion;
-mod oracle;
 mod shape;
 
 use super::{KalmanTrackerConfig, Tracker};
