@@ -58,7 +58,7 @@ fn seen(
         let visible = &hits[(hidden * hits.len() as f64) as usize..];
         let sums = visible.iter().fold(RaySums::default(), |sums, (x, z)| {
             let (z, variance) = measure(*z);
-            sums.with(*x, z, variance)
+            sums.with(&[*x], &[z], variance)
         });
         pool.add(&SpaceMoments::of_arc(&plane, &sums.moments(plane.stretch())), 1.0);
     }

@@ -95,11 +95,10 @@ impl RayLine {
         let mut start = 0;
         for first in (1..count).step_by(BATCH) {
             let batch = first - 1..(first + BATCH).min(count);
-            if !rule.may_split(&pixels[batch.clone()], &depths[batch.clone()]) {
-                continue;
-            }
+            let Some(least_step) = rule.may_split(&pixels[batch.clone()], &depths[batch.clone()]) else { continue };
             for end in batch.skip(1) {
-                if rule.splits(depths[end - 1], depths[end], pixels[end] - pixels[end - 1]) {
+                let (a, b, gap) = (depths[end - 1], depths[end], pixels[end] - pixels[end - 1]);
+                if (a.abs_diff(b) > least_step || gap > 1) && rule.splits(a, b, gap) {
                     self.runs.push(start..end);
                     start = end;
                 }

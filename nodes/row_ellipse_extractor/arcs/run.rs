@@ -3,24 +3,24 @@
 
 use super::line::{Points, RayLine};
 use super::view::View;
-use conicflow_geometry::{ArcMoments, CircleSums, LineSums, RaySums, ScanPlane};
-use std::ops::Range;
+use conicflow_geometry::{ArcMoments, ArcSums, RaySums, ScanPlane};
 
 /// Number of points whose mean depth tells the variance of each.
 pub(super) const SURROUNDINGS: usize = 16;
 /// Fewest points whose error means anything.
 pub(super) const FIRST_FIT: usize = 5;
 
-/// Running sums of one run, beginning with nothing; the buffers are used again for the next.
+/// Rays and running sums of one run; the buffers are used again for the next.
 #[derive(Debug, Default)]
 pub(super) struct Sums {
-    line: Vec<LineSums>,
-    /// Most of a room is flat: these are summed only where a line has not done.
-    circle: Vec<CircleSums>,
-    /// The states of `circle` that are known.
-    known: Range<usize>,
-    /// Variances, each of as many points as are the surroundings of one.
+    /// Slope of the ray of each point, ...
+    slopes: Vec<f64>,
+    /// ... its depth in metres, ...
+    depths: Vec<f64>,
+    /// ... and the variances of the depths, each of as many points as are the surroundings of one.
     variances: Vec<f64>,
+    /// Running sums, beginning with nothing.
+    arc: Vec<ArcSums>,
 }
 
 /// A run, ready for fits. Points count from its start.
@@ -30,47 +30,70 @@ pub(super) struct Run<'a> {
     pub line: &'a RayLine,
     pub points: Points<'a>,
     pub length: usize,
-    sums: &'a mut Sums,
+    sums: &'a Sums,
     stretch: f64,
 }
 
 impl Sums {
+    fn begin(&mut self, view: &View, points: &Points, square_stretch: f64) {
+        view.slopes_of(points.pixels, &mut self.slopes);
+        self.depths.clear();
+        self.depths.extend(points.depths.iter().map(|&depth| f64::from(depth) * view.scale));
+        self.weigh(view, points.depth_sums);
+        if self.arc.len() <= self.depths.len() {
+            self.arc.resize(self.depths.len() + 1, ArcSums::default());
+        }
+        let rays = self.slopes.chunks(SURROUNDINGS).zip(self.depths.chunks(SURROUNDINGS));
+        let mut sums = ArcSums::default();
+        for ((rays, variance), known) in rays.zip(&self.variances).zip(self.arc[1..].chunks_mut(SURROUNDINGS)) {
+            sums = add_block(&sums, rays, *variance, square_stretch, known);
+        }
+    }
+
     /// The variance of each measurement is that at the mean depth of its surroundings: were it taken at the measured
     /// depth, it would go with the noise and spoil the moments that it is to correct.
-    fn begin(&mut self, view: &View, points: &Points) {
-        let length = points.depths.len();
-        if self.line.len() <= length {
-            self.line.resize(length + 1, LineSums::default());
-            self.circle.resize(length + 1, CircleSums::default());
-        }
-        self.known = 0..0;
+    fn weigh(&mut self, view: &View, depth_sums: &[u32]) {
         self.variances.clear();
+        let length = depth_sums.len() - 1;
         let per_point = view.scale / SURROUNDINGS as f64;
         for from in (0..length).step_by(SURROUNDINGS) {
             let to = (from + SURROUNDINGS).min(length);
-            let total = f64::from(points.depth_sums[to].wrapping_sub(points.depth_sums[from]));
+            let total = f64::from(depth_sums[to].wrapping_sub(depth_sums[from]));
             let per_point = if to - from == SURROUNDINGS { per_point } else { view.scale / (to - from) as f64 };
             self.variances.push(view.variance(total * per_point));
         }
-        let mut sums = LineSums::default();
-        let blocks = points.pixels.chunks(SURROUNDINGS).zip(points.depths.chunks(SURROUNDINGS));
-        for ((pixels, depths), (known, variance)) in
-            blocks.zip(self.line[1..].chunks_mut(SURROUNDINGS).zip(&self.variances))
-        {
-            for ((&pixel, &depth), known) in pixels.iter().zip(depths).zip(known) {
-                sums = sums.with(view.slope(pixel), f64::from(depth) * view.scale, *variance);
-                *known = sums;
-            }
-        }
     }
+}
+
+/// Adds points of one variance to the running sums, and keeps every state.
+#[inline]
+fn add_block(
+    sums: &ArcSums,
+    (slopes, depths): (&[f64], &[f64]),
+    variance: f64,
+    square_stretch: f64,
+    known: &mut [ArcSums],
+) -> ArcSums {
+    let mut sums = *sums;
+    let ((x_pairs, x_rest), (z_pairs, z_rest)) = (slopes.as_chunks(), depths.as_chunks());
+    let (pairs, rest) = known[..depths.len()].as_chunks_mut();
+    for ((&x, &z), known) in x_pairs.iter().zip(z_pairs).zip(pairs) {
+        *known = sums.with_two(x, z, variance, square_stretch);
+        sums = known[1];
+    }
+    if let (&[x], &[z], [known]) = (x_rest, z_rest, rest) {
+        [*known, _] = sums.with_two([x; 2], [z; 2], variance, square_stretch);
+    }
+    sums
 }
 
 impl<'a> Run<'a> {
     /// A run of a line that was read.
     pub fn new(view: &'a View, line: &'a RayLine, index: usize, sums: &'a mut Sums) -> Self {
         let points = line.run(view, index);
-        sums.begin(view, &points);
-        Self { view, line, points, length: points.depths.len(), sums, stretch: line.plane.stretch() }
+        let stretch = line.plane.stretch();
+        sums.begin(view, &points, stretch * stretch);
+        Self { view, line, points, length: points.depths.len(), sums, stretch }
     }
 
     /// The plane of the scan line.
@@ -85,59 +108,31 @@ impl<'a> Run<'a> {
 
     /// A point in the plane of the scan line, in metres.
     pub fn point(&self, point: usize) -> [f64; 2] {
-        let [slope, depth] = self.ray(point);
+        let (slope, depth) = (self.sums.slopes[point], self.sums.depths[point]);
         [slope * depth, self.stretch * depth]
-    }
-
-    /// Slope of the ray of a point, and its depth in metres.
-    #[inline]
-    fn ray(&self, point: usize) -> [f64; 2] {
-        [self.view.slope(self.points.pixels[point]), f64::from(self.points.depths[point]) * self.view.scale]
     }
 
     /// Moments of an interval, for lines and circles.
     #[inline]
-    pub fn moments(&mut self, from: usize, to: usize) -> ArcMoments {
-        self.sum_circles(from, to);
-        let circle = self.sums.circle[to].since(&self.sums.circle[from]);
-        circle.moments(&self.sums.line[to].since(&self.sums.line[from]), (to - from) as f64, self.stretch)
+    pub fn moments(&self, from: usize, to: usize) -> ArcMoments {
+        self.sums_between(from, to).moments((to - from) as f64, self.stretch)
     }
 
-    /// Makes the sums for circles known over an interval.
     #[inline]
-    fn sum_circles(&mut self, from: usize, to: usize) {
-        if from < self.sums.known.start || from > self.sums.known.end {
-            self.sums.known = from..from;
-            self.sums.circle[from] = CircleSums::default();
-        }
-        if to > self.sums.known.end {
-            self.sum_more_circles(to);
-        }
-    }
-
-    fn sum_more_circles(&mut self, to: usize) {
-        let (view, square_stretch) = (self.view, self.stretch * self.stretch);
-        let mut from = self.sums.known.end;
-        let mut sums = self.sums.circle[from];
-        while from < to {
-            let end = (from - from % SURROUNDINGS + SURROUNDINGS).min(to);
-            let variance = self.depth_variance(from);
-            let rays = self.points.pixels[from..end].iter().zip(&self.points.depths[from..end]);
-            for ((&pixel, &depth), known) in rays.zip(&mut self.sums.circle[from + 1..=end]) {
-                sums = sums.with(view.slope(pixel), f64::from(depth) * view.scale, variance, square_stretch);
-                *known = sums;
-            }
-            from = end;
-        }
-        self.sums.known.end = to;
+    fn sums_between(&self, from: usize, to: usize) -> ArcSums {
+        self.sums.arc[to].since(&self.sums.arc[from])
     }
 
     /// All sums of an interval.
     pub fn all_sums(&self, from: usize, to: usize) -> RaySums {
-        (from..to).fold(RaySums::default(), |sums, point| {
-            let [slope, depth] = self.ray(point);
-            sums.with(slope, depth, self.depth_variance(point))
-        })
+        let (mut sums, mut from) = (RaySums::default(), from);
+        while from < to {
+            let end = (from - from % SURROUNDINGS + SURROUNDINGS).min(to);
+            let variance = self.depth_variance(from);
+            sums = sums.with(&self.sums.slopes[from..end], &self.sums.depths[from..end], variance);
+            from = end;
+        }
+        sums
     }
 
     /// Variance of the sensor at a point, along the depth.
@@ -156,13 +151,12 @@ impl<'a> Run<'a> {
     /// Whether a line explains the points of an interval.
     #[inline]
     pub fn is_line(&self, from: usize, to: usize) -> bool {
-        let sums = self.sums.line[to].since(&self.sums.line[from]);
-        sums.line_square((to - from) as f64, self.stretch) <= self.limit(from, to)
+        self.sums_between(from, to).line_square((to - from) as f64, self.stretch) <= self.limit(from, to)
     }
 
     /// Whether a circle explains them.
     #[inline]
-    pub fn is_circle(&mut self, from: usize, to: usize) -> bool {
+    pub fn is_circle(&self, from: usize, to: usize) -> bool {
         let limit = self.limit(from, to);
         self.moments(from, to).is_circle_within(limit)
     }

@@ -80,10 +80,14 @@ impl View {
         self.camera.plane(self.scan, f64::from(line))
     }
 
-    /// Slope of the ray through a pixel.
-    #[inline]
-    pub fn slope(&self, pixel: u32) -> f64 {
-        self.slopes[pixel as usize]
+    /// Puts the slopes of the rays through some pixels into `slopes`.
+    pub fn slopes_of(&self, pixels: &[u32], slopes: &mut Vec<f64>) {
+        slopes.clear();
+        let (Some(&first), Some(&last)) = (pixels.first(), pixels.last()) else { return };
+        match self.slopes.get(first as usize..=last as usize) {
+            Some(known) if known.len() == pixels.len() => slopes.extend_from_slice(known),
+            _ => slopes.extend(pixels.iter().map(|&pixel| self.slopes[pixel as usize])),
+        }
     }
 
     /// The pixels `window` of a scan line; those of a column are copied side by side into `column`.
@@ -154,15 +158,18 @@ impl JumpRule {
         f32::from(a.abs_diff(b)) > self.largest_step(a.min(b), pixels) || pixels > self.max_pixels
     }
 
-    /// Whether there may be a jump or a hole among depths of neighbouring `pixels`: without it none has to be looked at.
+    /// The raw step that none of the depths of neighbouring `pixels` has to exceed to be a jump; `None` where none does,
+    /// and there is no hole either.
     #[inline]
-    pub fn may_split(&self, pixels: &[u32], depths: &[u16]) -> bool {
-        let (Some(first), Some(last)) = (pixels.first(), pixels.last()) else { return false };
+    pub fn may_split(&self, pixels: &[u32], depths: &[u16]) -> Option<u16> {
+        let (first, last) = (pixels.first()?, pixels.last()?);
         let (mut nearest, mut largest) = (u16::MAX, 0);
         for (&a, &b) in depths.iter().zip(&depths[1..]) {
             (nearest, largest) = (nearest.min(a.min(b)), largest.max(a.abs_diff(b)));
         }
-        (last - first) as usize >= pixels.len() || f32::from(largest) > self.largest_step(nearest, 1)
+        let least_step = self.largest_step(nearest, 1);
+        let may = (last - first) as usize >= pixels.len() || f32::from(largest) > least_step;
+        may.then_some(least_step as u16)
     }
 
     /// The largest raw step on one surface from raw depth `near` on; it grows with the depth.
@@ -216,10 +223,10 @@ mod tests {
             let random = |i: u32| (seed * 6 + i).wrapping_mul(2_654_435_761) >> 8;
             let depths: [u16; 6] = std::array::from_fn(|i| 1500 + (random(i as u32) % (seed / 20 + 1)) as u16);
             let splits = depths.windows(2).any(|pair| rule.splits(pair[0], pair[1], 1));
-            none += usize::from(!rule.may_split(&pixels, &depths));
-            assert!(rule.may_split(&pixels, &depths) || !splits, "{depths:?}");
+            none += usize::from(rule.may_split(&pixels, &depths).is_none());
+            assert!(rule.may_split(&pixels, &depths).is_some() || !splits, "{depths:?}");
         }
         assert!((200..1800).contains(&none), "{none} without");
-        assert!(rule.may_split(&[10, 11, 13], &[1500, 1500, 1500]));
+        assert!(rule.may_split(&[10, 11, 13], &[1500, 1500, 1500]).is_some());
     }
 }
