@@ -30,32 +30,24 @@ fn powers<T: Number>(z: T, variance: T) -> [T; 5] {
 /// Sums `sum x^p h_n(z)` over the rays of a scan line, x the slope of the ray; p <= n <= 4, in the order of
 /// [`PlaneMoments::from_sums`] with n = p + q.
 ///
-/// They do not depend on the scan plane, and the difference of two running sums is the sum over what lies between.
+/// They do not depend on the scan plane.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RaySums(pub [f64; MOMENTS]);
 
 impl RaySums {
-    /// These sums and more measurements of one variance: slopes, and as many depths.
-    #[must_use]
-    pub fn with(&self, slopes: &[f64], depths: &[f64], variance: f64) -> Self {
+    /// Adds measurements of one variance: slopes, and as many depths.
+    #[inline]
+    pub fn add(&mut self, slopes: &[f64], depths: &[f64], variance: f64) {
         let ((x_pairs, x_rest), (z_pairs, z_rest)) = (slopes.as_chunks(), depths.as_chunks());
         let mut pairs = [f64x2::ZERO; MOMENTS];
         for (&x, &z) in x_pairs.iter().zip(z_pairs) {
             let terms = ray_terms(f64x2::new(x), f64x2::new(z), f64x2::splat(variance));
             pairs.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
         }
-        let mut sums = Self(std::array::from_fn(|i| self.0[i] + pairs[i].reduce_add()));
+        self.0.iter_mut().zip(pairs).for_each(|(sum, pair)| *sum += pair.reduce_add());
         if let (&[x], &[z]) = (x_rest, z_rest) {
-            sums.0.iter_mut().zip(ray_terms(x, z, variance)).for_each(|(sum, term)| *sum += term);
+            self.0.iter_mut().zip(ray_terms(x, z, variance)).for_each(|(sum, term)| *sum += term);
         }
-        sums
-    }
-
-    /// The measurements between an earlier state of the running sums and this one.
-    #[inline]
-    #[must_use]
-    pub fn since(&self, earlier: &Self) -> Self {
-        Self(std::array::from_fn(|i| self.0[i] - earlier.0[i]))
     }
 
     /// The plane moments about `(0, 0)` in a scan plane of stretch `k`: `t = k z`.
@@ -94,7 +86,7 @@ fn ray_terms<T: Number>(x: T, z: T, variance: T) -> [T; MOMENTS] {
 /// What lines and circles ask of the rays of a scan line, and no more: with `c = x^2 + k^2` in a scan plane of stretch
 /// k, the sums of `[x h1, h1], [x^2 h2, x h2], [h2, c^2 h4], [x c h3, c h3]`.
 ///
-/// As those of [`RaySums`], they are free of the noise, and the difference of two running sums is the sum over what lies
+/// As those of [`RaySums`] they are free of the noise, and the difference of two running sums is the sum over what lies
 /// between.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ArcSums([f64x2; 4]);
@@ -162,8 +154,8 @@ mod tests {
     #[test]
     fn without_noise_they_are_the_moments_of_the_points() {
         let k = 1.1;
-        let earlier = RaySums::default().with(&[0.3], &[1.0], 0.1);
-        let sums = earlier.with(&SLOPES, &depths(), 0.0).since(&earlier);
+        let mut sums = RaySums::default();
+        sums.add(&SLOPES, &depths(), 0.0);
         let points = SLOPES.into_iter().zip(depths()).map(|(x, z)| [x * z, k * z]);
         let direct = PlaneMoments::of([0.0, 0.0], points);
         for (a, b) in sums.moments(k).sums().iter().zip(direct.sums()) {
@@ -175,12 +167,13 @@ mod tests {
     fn the_sums_for_lines_and_circles_say_the_same_as_all_of_them() {
         let (variance, k, depths) = (1e-3, 1.1, depths());
         let with_two = |sums: &ArcSums, x, z| sums.with_two(x, z, variance, k * k);
-        let all = RaySums::default().with(&SLOPES, &depths, variance).moments(k);
+        let mut all = RaySums::default();
+        all.add(&SLOPES, &depths, variance);
         let [before, _] = with_two(&ArcSums::default(), [0.3, 7.0], [1.0, 7.0]);
         let pairs = SLOPES.as_chunks().0.iter().zip(depths.as_chunks().0);
         let even = pairs.fold(before, |sums, (&x, &z)| with_two(&sums, x, z)[1]);
         let [after, _] = with_two(&even, [SLOPES[30], 7.0], [depths[30], 7.0]);
-        let (few, expected) = (after.since(&before), ArcMoments::of(&all).unwrap());
+        let (few, expected) = (after.since(&before), ArcMoments::of(&all.moments(k)).unwrap());
         for (a, b) in few.moments(31.0, k).numbers().into_iter().zip(expected.numbers()) {
             assert!((a - b).abs() < 1e-12 * (1.0 + b.abs()), "{few:?} {expected:?}");
         }

@@ -95,13 +95,18 @@ impl RayLine {
         let mut start = 0;
         for first in (1..count).step_by(BATCH) {
             let batch = first - 1..(first + BATCH).min(count);
-            let Some(least_step) = rule.may_split(&pixels[batch.clone()], &depths[batch.clone()]) else { continue };
-            for end in batch.skip(1) {
-                let (a, b, gap) = (depths[end - 1], depths[end], pixels[end] - pixels[end - 1]);
-                if (a.abs_diff(b) > least_step || gap > 1) && rule.splits(a, b, gap) {
-                    self.runs.push(start..end);
-                    start = end;
-                }
+            if !rule.may_split(&pixels[batch.clone()], &depths[batch.clone()]) {
+                continue;
+            }
+            let (pixels, depths) = (&pixels[batch.clone()], &depths[batch.clone()]);
+            let mut splits = [false; BATCH];
+            let neighbors = pixels.iter().zip(&pixels[1..]).zip(depths.iter().zip(&depths[1..]));
+            for (splits, ((here, there), (&a, &b))) in splits.iter_mut().zip(neighbors) {
+                *splits = rule.splits(a, b, there - here);
+            }
+            for (end, _) in (batch.start + 1..).zip(splits).filter(|(_, splits)| *splits) {
+                self.runs.push(start..end);
+                start = end;
             }
         }
         self.runs.extend((count > start).then_some(start..count));

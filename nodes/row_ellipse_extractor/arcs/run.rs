@@ -129,7 +129,7 @@ impl<'a> Run<'a> {
         while from < to {
             let end = (from - from % SURROUNDINGS + SURROUNDINGS).min(to);
             let variance = self.depth_variance(from);
-            sums = sums.with(&self.sums.slopes[from..end], &self.sums.depths[from..end], variance);
+            sums.add(&self.sums.slopes[from..end], &self.sums.depths[from..end], variance);
             from = end;
         }
         sums

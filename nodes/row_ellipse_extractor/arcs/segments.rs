@@ -40,12 +40,13 @@ pub(super) fn cut(run: &mut Run, cuts: &mut Vec<usize>) {
 fn add_creases(run: &Run, creases: &mut Vec<usize>) {
     let mut deepest: Option<(i32, usize)> = None;
     let end = run.length.saturating_sub(WING + 1);
+    let per_sigma = CREASE_UNIT * CREASE / run.view.scale;
     for first in (0..end).step_by(SURROUNDINGS) {
         let block = first.max(WING + 1)..(first + SURROUNDINGS).min(end);
         if block.is_empty() {
             continue;
         }
-        let least = (CREASE_UNIT * CREASE * run.depth_variance(first).sqrt() / run.view.scale) as i32;
+        let least = (per_sigma * run.depth_variance(first).sqrt()) as i32;
         let depths = crease_depths(run.points.depth_sums, block.clone());
         if depths.clone().fold(0, i32::max) <= least {
             creases.extend(deepest.take().map(|(_, at)| at));
@@ -69,7 +70,8 @@ fn crease_depths(sums: &[u32], block: Range<usize>) -> impl Iterator<Item = i32>
     let (wings, middles) = (shifted(0).zip(shifted(2 * WING + 3)), shifted(WING).zip(shifted(WING + 3)));
     wings.zip(middles).map(|((before, behind), (from, to))| {
         let (wings, middle) = (behind.wrapping_sub(*before), to.wrapping_sub(*from));
-        middle.wrapping_mul(13).wrapping_sub(wings.wrapping_mul(3)).cast_signed()
+        // 13 middle - 3 wings, by what every processor does four at a time.
+        (middle << 4).wrapping_sub(middle.wrapping_add(wings).wrapping_mul(3)).cast_signed()
     })
 }
 

@@ -154,29 +154,27 @@ pub(super) struct JumpRule {
 
 impl JumpRule {
     /// Whether there is a jump or too large a hole between raw depths a and b that are `pixels` apart.
+    #[inline]
     pub fn splits(&self, a: u16, b: u16, pixels: u32) -> bool {
-        f32::from(a.abs_diff(b)) > self.largest_step(a.min(b), pixels) || pixels > self.max_pixels
+        (f32::from(a.abs_diff(b)) > self.largest_step(a.min(b), pixels)) | (pixels > self.max_pixels)
     }
 
-    /// The raw step that none of the depths of neighbouring `pixels` has to exceed to be a jump; `None` where none does,
-    /// and there is no hole either.
+    /// Whether there may be a jump or a hole among depths of neighbouring `pixels`: without it none has to be looked at.
     #[inline]
-    pub fn may_split(&self, pixels: &[u32], depths: &[u16]) -> Option<u16> {
-        let (first, last) = (pixels.first()?, pixels.last()?);
+    pub fn may_split(&self, pixels: &[u32], depths: &[u16]) -> bool {
+        let (Some(first), Some(last)) = (pixels.first(), pixels.last()) else { return false };
         let (mut nearest, mut largest) = (u16::MAX, 0);
         for (&a, &b) in depths.iter().zip(&depths[1..]) {
             (nearest, largest) = (nearest.min(a.min(b)), largest.max(a.abs_diff(b)));
         }
-        let least_step = self.largest_step(nearest, 1);
-        let may = (last - first) as usize >= pixels.len() || f32::from(largest) > least_step;
-        may.then_some(least_step as u16)
+        (last - first) as usize >= pixels.len() || f32::from(largest) > self.largest_step(nearest, 1)
     }
 
     /// The largest raw step on one surface from raw depth `near` on; it grows with the depth.
     #[inline]
     fn largest_step(&self, near: u16, pixels: u32) -> f32 {
         let near = f32::from(near) * self.scale;
-        let slope = self.slope.max(self.hole_slope * pixels as f32);
+        let slope = self.slope.max(self.hole_slope * pixels.cast_signed() as f32);
         let beyond_knee = (near - self.knee).max(0.0);
         let (axial, quantum) = (self.floor + self.growth * beyond_knee * beyond_knee, self.step * near * near);
         (slope * near + (axial * axial + quantum * quantum).sqrt()) * self.per_metre
@@ -223,10 +221,10 @@ mod tests {
             let random = |i: u32| (seed * 6 + i).wrapping_mul(2_654_435_761) >> 8;
             let depths: [u16; 6] = std::array::from_fn(|i| 1500 + (random(i as u32) % (seed / 20 + 1)) as u16);
             let splits = depths.windows(2).any(|pair| rule.splits(pair[0], pair[1], 1));
-            none += usize::from(rule.may_split(&pixels, &depths).is_none());
-            assert!(rule.may_split(&pixels, &depths).is_some() || !splits, "{depths:?}");
+            none += usize::from(!rule.may_split(&pixels, &depths));
+            assert!(rule.may_split(&pixels, &depths) || !splits, "{depths:?}");
         }
         assert!((200..1800).contains(&none), "{none} without");
-        assert!(rule.may_split(&[10, 11, 13], &[1500, 1500, 1500]).is_some());
+        assert!(rule.may_split(&[10, 11, 13], &[1500, 1500, 1500]));
     }
 }
