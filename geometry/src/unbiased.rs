@@ -16,7 +16,7 @@ pub fn unbiased_powers(z: f64, variance: f64) -> [f64; 5] {
     powers(z, variance)
 }
 
-/// A measurement, or two side by side.
+/// A depth, or two side by side.
 trait Number: Copy + From<f64> + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> {}
 impl Number for f64 {}
 impl Number for f64x2 {}
@@ -38,16 +38,8 @@ impl RaySums {
     /// Adds measurements of one variance: slopes, and as many depths.
     #[inline]
     pub fn add(&mut self, slopes: &[f64], depths: &[f64], variance: f64) {
-        let ((x_pairs, x_rest), (z_pairs, z_rest)) = (slopes.as_chunks(), depths.as_chunks());
-        let mut pairs = [f64x2::ZERO; MOMENTS];
-        for (&x, &z) in x_pairs.iter().zip(z_pairs) {
-            let terms = ray_terms(f64x2::new(x), f64x2::new(z), f64x2::splat(variance));
-            pairs.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
-        }
-        self.0.iter_mut().zip(pairs).for_each(|(sum, pair)| *sum += pair.reduce_add());
-        if let (&[x], &[z]) = (x_rest, z_rest) {
-            self.0.iter_mut().zip(ray_terms(x, z, variance)).for_each(|(sum, term)| *sum += term);
-        }
+        let sums = sum(slopes, depths, |x, z| ray_terms(x, z, f64x2::splat(variance)));
+        self.0.iter_mut().zip(sums).for_each(|(sum, more)| *sum += more);
     }
 
     /// The plane moments about `(0, 0)` in a scan plane of stretch `k`: `t = k z`.
@@ -76,15 +68,78 @@ impl RaySums {
     }
 }
 
+/// The sums of some terms over measurements, which are looked at two at a time.
 #[inline]
-fn ray_terms<T: Number>(x: T, z: T, variance: T) -> [T; MOMENTS] {
+fn sum<const N: usize>(slopes: &[f64], depths: &[f64], terms: impl Fn(f64x2, f64x2) -> [f64x2; N]) -> [f64; N] {
+    let ((x_pairs, x_rest), (z_pairs, z_rest)) = (slopes.as_chunks(), depths.as_chunks());
+    let mut pairs = [f64x2::ZERO; N];
+    for (&x, &z) in x_pairs.iter().zip(z_pairs) {
+        let terms = terms(f64x2::new(x), f64x2::new(z));
+        pairs.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
+    }
+    let mut sums = pairs.map(f64x2::reduce_add);
+    if let (&[x], &[z]) = (x_rest, z_rest) {
+        let terms = terms(f64x2::splat(x), f64x2::splat(z));
+        sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term.to_array()[0]);
+    }
+    sums
+}
+
+#[inline]
+fn ray_terms(x: f64x2, z: f64x2, variance: f64x2) -> [f64x2; MOMENTS] {
     let [one, h1, h2, h3, h4] = powers(z, variance);
     let (x2, xh2, xh3, xh4) = (x * x, x * h2, x * h3, x * h4);
     [one, x * h1, h1, x * xh2, xh2, h2, x2 * xh3, x * xh3, xh3, h3, x2 * (x * xh4), x2 * xh4, x * xh4, xh4, h4]
 }
 
+#[inline]
+fn line_terms(x: f64x2, z: f64x2, variance: f64x2) -> [f64x2; 5] {
+    let h2 = z * z - variance;
+    let xh2 = x * h2;
+    [x * z, z, x * xh2, xh2, h2]
+}
+
+#[inline]
+fn arc_terms(x: f64x2, z: f64x2, variance: f64x2, square_stretch: f64x2) -> [f64x2; 8] {
+    let [_, h1, h2, h3, h4] = powers(z, variance);
+    let (xh2, c) = (x * h2, x * x + square_stretch);
+    let (ch3, ch4) = (c * h3, c * h4);
+    [x * h1, h1, x * xh2, xh2, h2, c * ch4, x * ch3, ch3]
+}
+
+/// What a line asks of the rays of a scan line, and no more: the sums of `[x h1, h1, x^2 h2, x h2, h2]`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LineSums([f64; 5]);
+
+impl LineSums {
+    /// Adds measurements of one variance: slopes, and as many depths.
+    #[inline]
+    pub fn add(&mut self, slopes: &[f64], depths: &[f64], variance: f64) {
+        let sums = sum(slopes, depths, |x, z| line_terms(x, z, f64x2::splat(variance)));
+        self.0.iter_mut().zip(sums).for_each(|(sum, more)| *sum += more);
+    }
+
+    /// The sums of these measurements but for some of them.
+    #[must_use]
+    pub fn without(&self, some: &Self) -> Self {
+        Self(std::array::from_fn(|i| self.0[i] - some.0[i]))
+    }
+
+    /// Mean square distance of `count` points from their line, in a scan plane of stretch k.
+    #[inline]
+    pub fn line_square(&self, count: f64, k: f64) -> f64 {
+        mean_square(self.0.map(|sum| sum / count), k)
+    }
+}
+
+/// Mean square distance from the line, of which the means of `[x h1, h1, x^2 h2, x h2, h2]` are known.
+#[inline]
+fn mean_square([x, y, xx, xy, yy]: [f64; 5], k: f64) -> f64 {
+    smaller_eigenvalue(xx - x * x, k * (xy - x * y), k * k * (yy - y * y))
+}
+
 /// What lines and circles ask of the rays of a scan line, and no more: with `c = x^2 + k^2` in a scan plane of stretch
-/// k, the sums of `[x h1, h1], [x^2 h2, x h2], [h2, c^2 h4], [x c h3, c h3]`.
+/// k, the sums of `[x h1, h1, x^2 h2, x h2, h2, c^2 h4, x c h3, c h3]`, in pairs.
 ///
 /// As those of [`RaySums`] they are free of the noise, and the difference of two running sums is the sum over what lies
 /// between.
@@ -97,13 +152,19 @@ impl ArcSums {
     #[inline]
     #[must_use]
     pub fn with_two(&self, x: [f64; 2], z: [f64; 2], variance: f64, square_stretch: f64) -> [Self; 2] {
-        let (x, z, variance) = (f64x2::new(x), f64x2::new(z), f64x2::splat(variance));
-        let [_, h1, h2, h3, h4] = powers(z, variance);
-        let (xh2, c) = (x * h2, x * x + f64x2::splat(square_stretch));
-        let (ch3, ch4) = (c * h3, c * h4);
-        let terms = [[x * h1, h1], [x * xh2, xh2], [h2, c * ch4], [x * ch3, ch3]].map(f64x2::transpose);
+        let [variance, square_stretch] = [variance, square_stretch].map(f64x2::splat);
+        let [a, b, c, d, e, f, g, h] = arc_terms(f64x2::new(x), f64x2::new(z), variance, square_stretch);
+        let terms = [[a, b], [c, d], [e, f], [g, h]].map(f64x2::transpose);
         let first: [f64x2; 4] = std::array::from_fn(|i| self.0[i] + terms[i][0]);
         [Self(first), Self(std::array::from_fn(|i| first[i] + terms[i][1]))]
+    }
+
+    /// Adds measurements of one variance: slopes, and as many depths.
+    #[inline]
+    pub fn add(&mut self, slopes: &[f64], depths: &[f64], variance: f64, square_stretch: f64) {
+        let [variance, square_stretch] = [variance, square_stretch].map(f64x2::splat);
+        let [a, b, c, d, e, f, g, h] = sum(slopes, depths, |x, z| arc_terms(x, z, variance, square_stretch));
+        self.0.iter_mut().zip([[a, b], [c, d], [e, f], [g, h]]).for_each(|(sum, more)| *sum += f64x2::new(more));
     }
 
     /// The measurements between an earlier state of the running sums and this one.
@@ -117,7 +178,7 @@ impl ArcSums {
     #[inline]
     pub fn line_square(&self, count: f64, k: f64) -> f64 {
         let [[x, y], [xx, xy], [yy, _], _] = self.means(count);
-        smaller_eigenvalue(xx - x * x, k * (xy - x * y), k * k * (yy - y * y))
+        mean_square([x, y, xx, xy, yy], k)
     }
 
     /// The moments of `count` points in a scan plane of stretch k.
@@ -166,18 +227,29 @@ mod tests {
     #[test]
     fn the_sums_for_lines_and_circles_say_the_same_as_all_of_them() {
         let (variance, k, depths) = (1e-3, 1.1, depths());
-        let with_two = |sums: &ArcSums, x, z| sums.with_two(x, z, variance, k * k);
         let mut all = RaySums::default();
         all.add(&SLOPES, &depths, variance);
+        let expected = ArcMoments::of(&all.moments(k)).unwrap();
+        let check = |few: ArcSums| {
+            for (a, b) in few.moments(31.0, k).numbers().into_iter().zip(expected.numbers()) {
+                assert!((a - b).abs() < 1e-12 * (1.0 + b.abs()), "{few:?} {expected:?}");
+            }
+            assert!((few.line_square(31.0, k) - expected.line_square()).abs() < 1e-13);
+        };
+        let mut arc = ArcSums::default();
+        arc.add(&SLOPES, &depths, variance, k * k);
+        check(arc);
+        let with_two = |sums: &ArcSums, x, z| sums.with_two(x, z, variance, k * k);
         let [before, _] = with_two(&ArcSums::default(), [0.3, 7.0], [1.0, 7.0]);
         let pairs = SLOPES.as_chunks().0.iter().zip(depths.as_chunks().0);
         let even = pairs.fold(before, |sums, (&x, &z)| with_two(&sums, x, z)[1]);
-        let [after, _] = with_two(&even, [SLOPES[30], 7.0], [depths[30], 7.0]);
-        let (few, expected) = (after.since(&before), ArcMoments::of(&all.moments(k)).unwrap());
-        for (a, b) in few.moments(31.0, k).numbers().into_iter().zip(expected.numbers()) {
-            assert!((a - b).abs() < 1e-12 * (1.0 + b.abs()), "{few:?} {expected:?}");
-        }
-        assert!((few.line_square(31.0, k) - expected.line_square()).abs() < 1e-13);
+        check(with_two(&even, [SLOPES[30], 7.0], [depths[30], 7.0])[0].since(&before));
+
+        let (mut line, mut some) = (LineSums::default(), LineSums::default());
+        line.add(&[0.3, 0.4, 0.5], &[1.0, 2.0, 3.0], variance);
+        some.add(&[0.3, 0.4, 0.5], &[1.0, 2.0, 3.0], variance);
+        line.add(&SLOPES, &depths, variance);
+        assert!((line.without(&some).line_square(31.0, k) - expected.line_square()).abs() < 1e-13);
     }
 
     #[test]

@@ -3,7 +3,8 @@
 //! Running sums give the moments of any interval by one subtraction, so an interval grows by galloping and bisection,
 //! with a handful of fits in place of one per point.
 
-use super::run::{FIRST_FIT, Run, SURROUNDINGS};
+use super::rays::SURROUNDINGS;
+use super::run::{FIRST_FIT, Run};
 use std::ops::Range;
 
 /// Points on each side of a crease that are compared with the three in it.
@@ -26,7 +27,7 @@ pub(super) struct Segment {
 
 /// Puts the ends of the parts of a run between its creases into `cuts`, where an object stands on a floor: only creases
 /// open to the camera count, and only where no circle (as the inside of a bowl) explains the whole run.
-pub(super) fn cut(run: &mut Run, cuts: &mut Vec<usize>) {
+pub(super) fn cut(run: &Run, cuts: &mut Vec<usize>) {
     cuts.clear();
     cuts.push(0);
     add_creases(run, cuts);
@@ -76,7 +77,7 @@ fn crease_depths(sums: &[u32], block: Range<usize>) -> impl Iterator<Item = i32>
 }
 
 /// The segment of a part of a run between two creases that begins at `from`; `None` where too few points are left.
-pub(super) fn next_segment(run: &mut Run, part: &Range<usize>, from: usize) -> Option<Segment> {
+pub(super) fn next_segment(run: &Run, part: &Range<usize>, from: usize) -> Option<Segment> {
     let most = part.end - from;
     let segment =
         |length: usize, is_curve: bool| Segment { part: [part.start, part.end], from, to: from + length, is_curve };

@@ -80,14 +80,16 @@ impl View {
         self.camera.plane(self.scan, f64::from(line))
     }
 
-    /// Puts the slopes of the rays through some pixels into `slopes`.
-    pub fn slopes_of(&self, pixels: &[u32], slopes: &mut Vec<f64>) {
-        slopes.clear();
-        let (Some(&first), Some(&last)) = (pixels.first(), pixels.last()) else { return };
-        match self.slopes.get(first as usize..=last as usize) {
-            Some(known) if known.len() == pixels.len() => slopes.extend_from_slice(known),
-            _ => slopes.extend(pixels.iter().map(|&pixel| self.slopes[pixel as usize])),
+    /// Slopes of the rays through some pixels; `buffer` is for those of pixels with holes between them.
+    #[inline]
+    pub fn slopes<'a>(&'a self, pixels: &[u32], buffer: &'a mut Vec<f64>) -> &'a [f64] {
+        let [first, last] = [pixels.first(), pixels.last()].map(|pixel| pixel.map_or(0, |&pixel| pixel as usize));
+        if last - first < pixels.len() {
+            return &self.slopes[first..first + pixels.len()];
         }
+        buffer.clear();
+        buffer.extend(pixels.iter().map(|&pixel| self.slopes[pixel as usize]));
+        buffer
     }
 
     /// The pixels `window` of a scan line; those of a column are copied side by side into `column`.
