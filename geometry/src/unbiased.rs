@@ -7,38 +7,39 @@
 
 use crate::arc_fit::smaller_eigenvalue;
 use crate::{ArcMoments, MOMENTS, PlaneMoments};
+use std::ops::{Add, Mul, Sub};
+use wide::f64x2;
 
 /// Unbiased estimates of `[1, z, z^2, z^3, z^4]` from a measurement of variance `variance`.
 #[inline]
 pub fn unbiased_powers(z: f64, variance: f64) -> [f64; 5] {
-    let z2 = z * z;
-    [1.0, z, z2 - variance, z * (z2 - 3.0 * variance), z2 * (z2 - 6.0 * variance) + 3.0 * variance * variance]
+    powers(z, variance)
+}
+
+/// A depth, or two side by side.
+trait Number: Copy + From<f64> + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> {}
+impl Number for f64 {}
+impl Number for f64x2 {}
+
+#[inline]
+fn powers<T: Number>(z: T, variance: T) -> [T; 5] {
+    let (z2, [one, three, six]) = (z * z, [1.0, 3.0, 6.0].map(T::from));
+    [one, z, z2 - variance, z * (z2 - three * variance), z2 * (z2 - six * variance) + three * variance * variance]
 }
 
 /// Sums `sum x^p h_n(z)` over the rays of a scan line, x the slope of the ray; p <= n <= 4, in the order of
 /// [`PlaneMoments::from_sums`] with n = p + q.
 ///
-/// They do not depend on the scan plane, and the difference of two running sums is the sum over what lies between.
+/// They do not depend on the scan plane.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RaySums(pub [f64; MOMENTS]);
 
 impl RaySums {
-    /// These sums and one more measurement: slope x, depth z, variance of the depth.
+    /// Adds measurements of one variance: slopes, and as many depths.
     #[inline]
-    #[must_use]
-    pub fn with(&self, x: f64, z: f64, variance: f64) -> Self {
-        let [one, h1, h2, h3, h4] = unbiased_powers(z, variance);
-        let (x2, xh2, xh3, xh4) = (x * x, x * h2, x * h3, x * h4);
-        let terms =
-            [one, x * h1, h1, x * xh2, xh2, h2, x2 * xh3, x * xh3, xh3, h3, x2 * (x * xh4), x2 * xh4, x * xh4, xh4, h4];
-        Self(std::array::from_fn(|i| self.0[i] + terms[i]))
-    }
-
-    /// The measurements between an earlier state of the running sums and this one.
-    #[inline]
-    #[must_use]
-    pub fn since(&self, earlier: &Self) -> Self {
-        Self(std::array::from_fn(|i| self.0[i] - earlier.0[i]))
+    pub fn add(&mut self, slopes: &[f64], depths: &[f64], variance: f64) {
+        let sums = sum(slopes, depths, |x, z| ray_terms(x, z, f64x2::splat(variance)));
+        self.0.iter_mut().zip(sums).for_each(|(sum, more)| *sum += more);
     }
 
     /// The plane moments about `(0, 0)` in a scan plane of stretch `k`: `t = k z`.
@@ -67,27 +68,103 @@ impl RaySums {
     }
 }
 
-/// What a line asks of the rays of a scan line, and no more: the sums of `[x h1, h1, x^2 h2, x h2, h2]`.
-///
-/// As those of [`RaySums`], they are free of the noise, and the difference of two running sums is the sum over what lies
-/// between.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct LineSums(pub [f64; 5]);
+/// The sums of some terms over measurements, which are looked at two at a time.
+#[inline]
+fn sum<const N: usize>(slopes: &[f64], depths: &[f64], terms: impl Fn(f64x2, f64x2) -> [f64x2; N]) -> [f64; N] {
+    let ((x_pairs, x_rest), (z_pairs, z_rest)) = (slopes.as_chunks(), depths.as_chunks());
+    let mut pairs = [f64x2::ZERO; N];
+    for (&x, &z) in x_pairs.iter().zip(z_pairs) {
+        let terms = terms(f64x2::new(x), f64x2::new(z));
+        pairs.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
+    }
+    let mut sums = pairs.map(f64x2::reduce_add);
+    if let (&[x], &[z]) = (x_rest, z_rest) {
+        let terms = terms(f64x2::splat(x), f64x2::splat(z));
+        sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term.to_array()[0]);
+    }
+    sums
+}
 
-/// What a circle asks on top of it, in a scan plane of stretch k: with `c = x^2 + k^2`, the sums of
-/// `[x c h3, c h3, c^2 h4]`.
+#[inline]
+fn ray_terms(x: f64x2, z: f64x2, variance: f64x2) -> [f64x2; MOMENTS] {
+    let [one, h1, h2, h3, h4] = powers(z, variance);
+    let (x2, xh2, xh3, xh4) = (x * x, x * h2, x * h3, x * h4);
+    [one, x * h1, h1, x * xh2, xh2, h2, x2 * xh3, x * xh3, xh3, h3, x2 * (x * xh4), x2 * xh4, x * xh4, xh4, h4]
+}
+
+#[inline]
+fn line_terms(x: f64x2, z: f64x2, variance: f64x2) -> [f64x2; 5] {
+    let h2 = z * z - variance;
+    let xh2 = x * h2;
+    [x * z, z, x * xh2, xh2, h2]
+}
+
+#[inline]
+fn arc_terms(x: f64x2, z: f64x2, variance: f64x2, square_stretch: f64x2) -> [f64x2; 8] {
+    let [_, h1, h2, h3, h4] = powers(z, variance);
+    let (xh2, c) = (x * h2, x * x + square_stretch);
+    let (ch3, ch4) = (c * h3, c * h4);
+    [x * h1, h1, x * xh2, xh2, h2, c * ch4, x * ch3, ch3]
+}
+
+/// What a line asks of the rays of a scan line, and no more: the sums of `[x h1, h1, x^2 h2, x h2, h2]`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct CircleSums(pub [f64; 3]);
+pub struct LineSums([f64; 5]);
 
 impl LineSums {
-    /// These sums and one more measurement: slope x, depth z, variance of the depth.
+    /// Adds measurements of one variance: slopes, and as many depths.
+    #[inline]
+    pub fn add(&mut self, slopes: &[f64], depths: &[f64], variance: f64) {
+        let sums = sum(slopes, depths, |x, z| line_terms(x, z, f64x2::splat(variance)));
+        self.0.iter_mut().zip(sums).for_each(|(sum, more)| *sum += more);
+    }
+
+    /// The sums of these measurements but for some of them.
+    #[must_use]
+    pub fn without(&self, some: &Self) -> Self {
+        Self(std::array::from_fn(|i| self.0[i] - some.0[i]))
+    }
+
+    /// Mean square distance of `count` points from their line, in a scan plane of stretch k.
+    #[inline]
+    pub fn line_square(&self, count: f64, k: f64) -> f64 {
+        mean_square(self.0.map(|sum| sum / count), k)
+    }
+}
+
+/// Mean square distance from the line, of which the means of `[x h1, h1, x^2 h2, x h2, h2]` are known.
+#[inline]
+fn mean_square([x, y, xx, xy, yy]: [f64; 5], k: f64) -> f64 {
+    smaller_eigenvalue(xx - x * x, k * (xy - x * y), k * k * (yy - y * y))
+}
+
+/// What lines and circles ask of the rays of a scan line, and no more: with `c = x^2 + k^2` in a scan plane of stretch
+/// k, the sums of `[x h1, h1, x^2 h2, x h2, h2, c^2 h4, x c h3, c h3]`, in pairs.
+///
+/// As those of [`RaySums`] they are free of the noise, and the difference of two running sums is the sum over what lies
+/// between.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ArcSums([f64x2; 4]);
+
+impl ArcSums {
+    /// These sums with one, and with both of two more measurements: slopes x, depths z, variance of the depths, and the
+    /// square of the stretch.
     #[inline]
     #[must_use]
-    pub fn with(&self, x: f64, z: f64, variance: f64) -> Self {
-        let h2 = z * z - variance;
-        let xh2 = x * h2;
-        let terms = [x * z, z, x * xh2, xh2, h2];
-        Self(std::array::from_fn(|i| self.0[i] + terms[i]))
+    pub fn with_two(&self, x: [f64; 2], z: [f64; 2], variance: f64, square_stretch: f64) -> [Self; 2] {
+        let [variance, square_stretch] = [variance, square_stretch].map(f64x2::splat);
+        let [a, b, c, d, e, f, g, h] = arc_terms(f64x2::new(x), f64x2::new(z), variance, square_stretch);
+        let terms = [[a, b], [c, d], [e, f], [g, h]].map(f64x2::transpose);
+        let first: [f64x2; 4] = std::array::from_fn(|i| self.0[i] + terms[i][0]);
+        [Self(first), Self(std::array::from_fn(|i| first[i] + terms[i][1]))]
+    }
+
+    /// Adds measurements of one variance: slopes, and as many depths.
+    #[inline]
+    pub fn add(&mut self, slopes: &[f64], depths: &[f64], variance: f64, square_stretch: f64) {
+        let [variance, square_stretch] = [variance, square_stretch].map(f64x2::splat);
+        let [a, b, c, d, e, f, g, h] = sum(slopes, depths, |x, z| arc_terms(x, z, variance, square_stretch));
+        self.0.iter_mut().zip([[a, b], [c, d], [e, f], [g, h]]).for_each(|(sum, more)| *sum += f64x2::new(more));
     }
 
     /// The measurements between an earlier state of the running sums and this one.
@@ -100,37 +177,20 @@ impl LineSums {
     /// Mean square distance of `count` points from their line, in a scan plane of stretch k.
     #[inline]
     pub fn line_square(&self, count: f64, k: f64) -> f64 {
-        let per_point = 1.0 / count;
-        let [x, y, xx, xy, yy] = self.0.map(|sum| sum * per_point);
-        smaller_eigenvalue(xx - x * x, k * (xy - x * y), k * k * (yy - y * y))
-    }
-}
-
-impl CircleSums {
-    /// These sums and one more measurement: slope x, depth z, variance of the depth, and the square of the stretch.
-    #[inline]
-    #[must_use]
-    pub fn with(&self, x: f64, z: f64, variance: f64, square_stretch: f64) -> Self {
-        let [_, _, _, h3, h4] = unbiased_powers(z, variance);
-        let c = x * x + square_stretch;
-        let terms = [x * (c * h3), c * h3, c * (c * h4)];
-        Self(std::array::from_fn(|i| self.0[i] + terms[i]))
+        let [[x, y], [xx, xy], [yy, _], _] = self.means(count);
+        mean_square([x, y, xx, xy, yy], k)
     }
 
-    /// The measurements between an earlier state of the running sums and this one.
+    /// The moments of `count` points in a scan plane of stretch k.
     #[inline]
-    #[must_use]
-    pub fn since(&self, earlier: &Self) -> Self {
-        Self(std::array::from_fn(|i| self.0[i] - earlier.0[i]))
-    }
-
-    /// The moments of `count` points, of which `line` are the other sums, in a scan plane of stretch k.
-    #[inline]
-    pub fn moments(&self, line: &LineSums, count: f64, k: f64) -> ArcMoments {
-        let per_point = 1.0 / count;
-        let [x, y, xx, xy, yy] = line.0.map(|sum| sum * per_point);
-        let [xq, yq, qq] = self.0.map(|sum| sum * per_point);
+    pub fn moments(&self, count: f64, k: f64) -> ArcMoments {
+        let [[x, y], [xx, xy], [yy, qq], [xq, yq]] = self.means(count);
         ArcMoments::from_means(count, [x, k * y], [xx, k * xy, k * k * yy], [xq, k * yq], qq)
+    }
+
+    #[inline]
+    fn means(&self, count: f64) -> [[f64; 2]; 4] {
+        self.0.map(|sum| (sum * f64x2::splat(1.0 / count)).to_array())
     }
 }
 
@@ -138,13 +198,27 @@ impl CircleSums {
 mod tests {
     use super::*;
 
+    const SLOPES: [f64; 31] = {
+        let mut slopes = [0.0; 31];
+        let mut i = 0;
+        while i < 31 {
+            slopes[i] = 0.01 * i as f64 - 0.1;
+            i += 1;
+        }
+        slopes
+    };
+
+    fn depths() -> [f64; 31] {
+        std::array::from_fn(|i| 1.5 + 0.02 * (i % 5) as f64)
+    }
+
     #[test]
     fn without_noise_they_are_the_moments_of_the_points() {
-        let rays = (0..30).map(|i| (0.01 * f64::from(i) - 0.1, 1.5 + 0.02 * f64::from(i % 5)));
-        let (mut sums, k) = (RaySums::default(), 1.1);
-        let earlier = sums.with(0.3, 1.0, 0.1);
-        sums = rays.clone().fold(earlier, |sums, (x, z)| sums.with(x, z, 0.0)).since(&earlier);
-        let direct = PlaneMoments::of([0.0, 0.0], rays.map(|(x, z)| [x * z, k * z]));
+        let k = 1.1;
+        let mut sums = RaySums::default();
+        sums.add(&SLOPES, &depths(), 0.0);
+        let points = SLOPES.into_iter().zip(depths()).map(|(x, z)| [x * z, k * z]);
+        let direct = PlaneMoments::of([0.0, 0.0], points);
         for (a, b) in sums.moments(k).sums().iter().zip(direct.sums()) {
             assert!((a - b).abs() < 1e-11 * (1.0 + b.abs()), "{a} {b}");
         }
@@ -152,18 +226,30 @@ mod tests {
 
     #[test]
     fn the_sums_for_lines_and_circles_say_the_same_as_all_of_them() {
-        let rays = (0..30).map(|i| (0.01 * f64::from(i) - 0.1, 1.5 + 0.02 * f64::from(i % 5)));
-        let (variance, k) = (1e-3, 1.1);
-        let all = rays.clone().fold(RaySums::default(), |sums, (x, z)| sums.with(x, z, variance)).moments(k);
-        let line = LineSums::default().with(0.3, 1.0, variance);
-        let circle = CircleSums::default().with(0.3, 1.0, variance, k * k);
-        let lines = rays.clone().fold(line, |sums, (x, z)| sums.with(x, z, variance)).since(&line);
-        let circles = rays.fold(circle, |sums, (x, z)| sums.with(x, z, variance, k * k)).since(&circle);
-        let (few, expected) = (circles.moments(&lines, 30.0, k), ArcMoments::of(&all).unwrap());
-        for (a, b) in few.numbers().into_iter().zip(expected.numbers()) {
-            assert!((a - b).abs() < 1e-12 * (1.0 + b.abs()), "{few:?} {expected:?}");
-        }
-        assert!((lines.line_square(30.0, k) - expected.line_square()).abs() < 1e-13);
+        let (variance, k, depths) = (1e-3, 1.1, depths());
+        let mut all = RaySums::default();
+        all.add(&SLOPES, &depths, variance);
+        let expected = ArcMoments::of(&all.moments(k)).unwrap();
+        let check = |few: ArcSums| {
+            for (a, b) in few.moments(31.0, k).numbers().into_iter().zip(expected.numbers()) {
+                assert!((a - b).abs() < 1e-12 * (1.0 + b.abs()), "{few:?} {expected:?}");
+            }
+            assert!((few.line_square(31.0, k) - expected.line_square()).abs() < 1e-13);
+        };
+        let mut arc = ArcSums::default();
+        arc.add(&SLOPES, &depths, variance, k * k);
+        check(arc);
+        let with_two = |sums: &ArcSums, x, z| sums.with_two(x, z, variance, k * k);
+        let [before, _] = with_two(&ArcSums::default(), [0.3, 7.0], [1.0, 7.0]);
+        let pairs = SLOPES.as_chunks().0.iter().zip(depths.as_chunks().0);
+        let even = pairs.fold(before, |sums, (&x, &z)| with_two(&sums, x, z)[1]);
+        check(with_two(&even, [SLOPES[30], 7.0], [depths[30], 7.0])[0].since(&before));
+
+        let (mut line, mut some) = (LineSums::default(), LineSums::default());
+        line.add(&[0.3, 0.4, 0.5], &[1.0, 2.0, 3.0], variance);
+        some.add(&[0.3, 0.4, 0.5], &[1.0, 2.0, 3.0], variance);
+        line.add(&SLOPES, &depths, variance);
+        assert!((line.without(&some).line_square(31.0, k) - expected.line_square()).abs() < 1e-13);
     }
 
     #[test]

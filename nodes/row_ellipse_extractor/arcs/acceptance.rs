@@ -2,9 +2,10 @@
 //! their curvature has to exceed the noise, and their centre has to lie behind the surface.
 
 use super::super::filter::Rejection;
+use super::rays::Rays;
 use super::run::{FIRST_FIT, Run};
 use super::segments::Segment;
-use conicflow_geometry::{ArcFit, ArcMoments, Circle, PlaneMoments, Scan};
+use conicflow_geometry::{ArcFit, ArcMoments, Circle, LineSums, PlaneMoments, Scan};
 use conicflow_messages::Ellipse;
 use std::ops::Range;
 
@@ -22,30 +23,76 @@ const STRAYING: f64 = 2.0;
 /// Radius beyond which a circle is a wall, in the largest radii of an object: the circle of a short arc is uncertain.
 const FLATTEST: f64 = 4.0;
 
+/// The arc of a run that a line explains, or why it is none; `None` where a line does not.
+///
+/// Most of an image are walls and floors: of these no more is summed than has to be.
+pub(super) fn accept_line(rays: &Rays, image: &[u16]) -> Option<Result<Ellipse, Rejection>> {
+    let length = rays.length;
+    let trim = trim(rays, length).min(length / 2);
+    let points = trim..length - trim;
+    let whole = rays.line_sums(0..length);
+    let square = |sums: &LineSums, points: usize| sums.line_square(points as f64, rays.stretch);
+    if square(&whole, length) > rays.limit(0, length) {
+        return None;
+    }
+    let is_cut_off = rays.points.open != [false; 2];
+    let is_straight = || {
+        let middle = whole.without(&rays.line_sums(0..trim)).without(&rays.line_sums(points.end..length));
+        square(&middle, points.len()) < least_curvature(rays, &points)
+    };
+    let segment = Segment { part: [0, length], from: 0, to: length, is_curve: true };
+    Some(if points.len() < FIRST_FIT - 1 {
+        Err(Rejection::FewPoints)
+    } else if rays.width() >= 2.0 * rays.view.config.max_radius_m || is_cut_off && is_straight() {
+        Err(Rejection::Line)
+    } else {
+        arc(rays, image, &segment, points.clone(), &rays.moments(points))
+    })
+}
+
+/// By how much the mean square error of a line has to exceed that of the circle, where the arc is a part of a run.
+fn least_curvature(rays: &Rays, points: &Range<usize>) -> f64 {
+    CURVED * rays.variance(points.start, points.end) * (2.0 / points.len() as f64).sqrt()
+}
+
+/// Points that are taken off each end of so many.
+fn trim(rays: &Rays, points: usize) -> usize {
+    rays.view.config.trim_px as usize + points / SMEARED
+}
+
 /// The arc of a segment, or why it is none.
-pub(super) fn accept(run: &mut Run, image: &[u16], segment: &Segment) -> Result<Ellipse, Rejection> {
+pub(super) fn accept(run: &Run, image: &[u16], segment: &Segment) -> Result<Ellipse, Rejection> {
     let points = trimmed(run, segment);
     if points.len() < FIRST_FIT - 1 {
         return Err(Rejection::FewPoints);
     }
-    let moments = run.moments(points.start, points.end);
-    let contour = contour(run, segment);
-    let fit = circle(run, segment, &points, &moments).or_else(|why| {
-        if may_be_part(run, segment, &points, contour) { Ok(nearly_flat(run, &moments)) } else { Err(why) }
+    arc(run, image, segment, points.clone(), &run.moments(points.start, points.end))
+}
+
+/// The arc of some points of a segment, of which the moments are known, or why it is none.
+fn arc(
+    rays: &Rays,
+    image: &[u16],
+    segment: &Segment,
+    points: Range<usize>,
+    moments: &ArcMoments,
+) -> Result<Ellipse, Rejection> {
+    let contour = contour(rays, segment);
+    let fit = circle(rays, segment, &points, moments).or_else(|why| {
+        if may_be_part(rays, segment, &points, contour) { Ok(nearly_flat(rays, moments)) } else { Err(why) }
     })?;
-    let points = with_ends(run, segment, points, &fit.circle);
-    let moments = run.moments(points.start, points.end);
-    let fit = circle(run, segment, &points, &moments).unwrap_or_else(|_| nearly_flat(run, &moments));
-    let sums = run.all_sums(points.start, points.end).moments(run.plane().stretch());
-    Ok(Ellipse { contour, ..message(run, image, points, &fit, &sums.about(moments.mean())) })
+    let points = with_ends(rays, segment, points, &fit.circle);
+    let moments = rays.moments(points.clone());
+    let fit = circle(rays, segment, &points, &moments).unwrap_or_else(|_| nearly_flat(rays, &moments));
+    let sums = rays.all_sums(points.clone()).moments(rays.plane().stretch());
+    Ok(Ellipse { contour, ..message(rays, image, points, &fit, &sums.about(moments.mean())) })
 }
 
 /// The circle through the points of a segment, or why it is none of an object.
-fn circle(run: &Run, segment: &Segment, points: &Range<usize>, moments: &ArcMoments) -> Result<ArcFit, Rejection> {
-    let (fit, config) = (moments.fit(), &run.view.config);
-    let scatter = run.variance(points.start, points.end) * (2.0 / points.len() as f64).sqrt();
+fn circle(rays: &Rays, segment: &Segment, points: &Range<usize>, moments: &ArcMoments) -> Result<ArcFit, Rejection> {
+    let (fit, config) = (moments.fit(), &rays.view.config);
     // Many weak ones of neighbouring lines make a strong one.
-    let curved = if is_whole(run, segment) { 0.0 } else { CURVED * scatter };
+    let curved = if is_whole(rays, segment) { 0.0 } else { least_curvature(rays, points) };
     if !fit.circle.radius.is_finite() || fit.line_square - fit.circle_square.max(0.0) < curved {
         Err(Rejection::Line)
     } else if fit.circle.center[1] <= moments.mean()[1] {
@@ -58,16 +105,16 @@ fn circle(run: &Run, segment: &Segment, points: &Range<usize>, moments: &ArcMome
 }
 
 /// Whether a segment may be part of an object even where the noise bends it the wrong way: it is set off by jumps.
-fn may_be_part(run: &Run, segment: &Segment, points: &Range<usize>, contour: [f64; 2]) -> bool {
-    is_whole(run, segment)
+fn may_be_part(rays: &Rays, segment: &Segment, points: &Range<usize>, contour: [f64; 2]) -> bool {
+    is_whole(rays, segment)
         && points.len() >= SET_OFF
         && contour != [0.0; 2]
-        && run.width() < 2.0 * run.view.config.max_radius_m
+        && rays.width() < 2.0 * rays.view.config.max_radius_m
 }
 
 /// A circle as flat as any may be that touches the points.
-fn nearly_flat(run: &Run, moments: &ArcMoments) -> ArcFit {
-    let (mean, radius) = (moments.mean(), FLATTEST * run.view.config.max_radius_m);
+fn nearly_flat(rays: &Rays, moments: &ArcMoments) -> ArcFit {
+    let (mean, radius) = (moments.mean(), FLATTEST * rays.view.config.max_radius_m);
     let away = 1.0 / (mean[0] * mean[0] + mean[1] * mean[1]).sqrt();
     let circle = Circle { center: mean.map(|x| x * (1.0 + radius * away)), radius };
     let line_square = moments.line_square();
@@ -75,29 +122,29 @@ fn nearly_flat(run: &Run, moments: &ArcMoments) -> ArcFit {
 }
 
 /// Where a segment ends before something farther behind it, on the sides on which it ends its run, in pixels.
-fn contour(run: &Run, segment: &Segment) -> [f64; 2] {
+fn contour(rays: &Rays, segment: &Segment) -> [f64; 2] {
     let end = |is_end: bool, point: usize, neighbor: Option<(u32, u16)>| {
-        let (pixel, depth) = (run.points.pixels[point], run.points.depths[point]);
+        let (pixel, depth) = (rays.points.pixels[point], rays.points.depths[point]);
         let (there, _) = neighbor.filter(|(_, behind)| is_end && *behind > depth)?;
         Some(f64::from(pixel) + 0.5 * (f64::from(there) - f64::from(pixel)).clamp(-MAX_GAP, MAX_GAP))
     };
-    let [before, behind] = run.points.neighbors;
-    let ends = [end(segment.from == 0, 0, before), end(segment.to == run.length, run.length - 1, behind)];
+    let [before, behind] = rays.points.neighbors;
+    let ends = [end(segment.from == 0, 0, before), end(segment.to == rays.length, rays.length - 1, behind)];
     ends.map(Option::unwrap_or_default)
 }
 
 /// Whether a segment is all there is between two jumps or creases.
-fn is_whole(run: &Run, segment: &Segment) -> bool {
-    let starts_open = segment.from == 0 && run.points.open[0];
-    let ends_open = segment.to == run.length && run.points.open[1];
+fn is_whole(rays: &Rays, segment: &Segment) -> bool {
+    let starts_open = segment.from == 0 && rays.points.open[0];
+    let ends_open = segment.to == rays.length && rays.points.open[1];
     [segment.from, segment.to] == segment.part && !starts_open && !ends_open
 }
 
 /// What is left of a segment when the ends that may belong to something else are taken off: pixels at a jump mix two
 /// depths, and where a curve breaks it has taken in some points of what follows.
-fn trimmed(run: &mut Run, segment: &Segment) -> Range<usize> {
+fn trimmed(run: &Run, segment: &Segment) -> Range<usize> {
     let Segment { part, mut from, mut to, .. } = *segment;
-    let trim = run.view.config.trim_px as usize + (to - from) / SMEARED;
+    let trim = trim(run, to - from);
     let (starts_run, ends_run) = (from == part[0], to == part[1]);
     from += trim;
     to = to.saturating_sub(trim).max(from);
@@ -119,9 +166,9 @@ fn trimmed(run: &mut Run, segment: &Segment) -> Range<usize> {
 
 /// The points with the next one on either side, where it was taken off only because pixels at a jump may mix two depths,
 /// and its ray meets the circle through the others: what it shows then is the surface, where it curves most.
-fn with_ends(run: &Run, segment: &Segment, points: Range<usize>, circle: &Circle) -> Range<usize> {
+fn with_ends(rays: &Rays, segment: &Segment, points: Range<usize>, circle: &Circle) -> Range<usize> {
     let meets = |point: usize| {
-        let ([s, t], [x, y]) = (run.point(point), circle.center);
+        let ([s, t], [x, y]) = (rays.point(point), circle.center);
         (s * y - t * x).powi(2) < circle.radius * circle.radius * (s * s + t * t)
     };
     let starts_part = segment.from == segment.part[0] && segment.from < points.start;
@@ -131,31 +178,31 @@ fn with_ends(run: &Run, segment: &Segment, points: Range<usize>, circle: &Circle
 }
 
 /// Whether the points of `few` are off the circle through those of `others`.
-fn strays(run: &mut Run, others: Range<usize>, few: Range<usize>) -> bool {
+fn strays(run: &Run, others: Range<usize>, few: Range<usize>) -> bool {
     let circle = run.moments(others.start, others.end).fit().circle;
     let square = run.moments(few.start, few.end).square_from(circle.center);
     let off = (square - circle.radius * circle.radius) / (2.0 * circle.radius);
     off.powi(2) > STRAYING.powi(2) * run.variance(few.start, few.end) / few.len() as f64
 }
 
-fn message(run: &Run, image: &[u16], points: Range<usize>, fit: &ArcFit, moments: &PlaneMoments) -> Ellipse {
+fn message(rays: &Rays, image: &[u16], points: Range<usize>, fit: &ArcFit, moments: &PlaneMoments) -> Ellipse {
     let [first, last] = [points.start, points.end - 1];
     let radius = fit.circle.radius;
-    let beyond = run.view.config.trim_px + 2 + points.len() as u32 / 8;
+    let beyond = rays.view.config.trim_px + 2 + points.len() as u32 / 8;
     let from_front = |point: usize| {
-        let [s, t] = run.point(point);
+        let [s, t] = rays.point(point);
         (s - fit.circle.center[0]).atan2(fit.circle.center[1] - t)
     };
     Ellipse {
-        scan: if run.view.scan == Scan::Row { 0 } else { 1 },
-        line: run.line.number,
-        first: run.pixel(first),
-        last: run.pixel(last),
+        scan: if rays.view.scan == Scan::Row { 0 } else { 1 },
+        line: rays.line.number,
+        first: rays.pixel(first),
+        last: rays.pixel(last),
         points: points.len() as u32,
-        sigma: run.depth_variance((first + last) / 2).sqrt(),
+        sigma: rays.depth_variance((first + last) / 2).sqrt(),
         beyond_px: beyond,
         unbiased: 1,
-        center: run.plane().to_camera(fit.circle.center).into(),
+        center: rays.plane().to_camera(fit.circle.center).into(),
         plane_center: fit.circle.center,
         semi_axes: [radius; 2],
         half_width: radius,
@@ -163,8 +210,8 @@ fn message(run: &Run, image: &[u16], points: Range<usize>, fit: &ArcFit, moments
         rms: fit.circle_square.max(0.0).sqrt(),
         arc: (from_front(last) - from_front(first)).abs(),
         beyond: [
-            depth_near(run, image, run.pixel(first), beyond, -1),
-            depth_near(run, image, run.pixel(last), beyond, 1),
+            depth_near(rays, image, rays.pixel(first), beyond, -1),
+            depth_near(rays, image, rays.pixel(last), beyond, 1),
         ],
         origin: moments.origin(),
         moments: *moments.sums(),
@@ -173,8 +220,8 @@ fn message(run: &Run, image: &[u16], points: Range<usize>, fit: &ArcFit, moments
 }
 
 /// The depth `distance` pixels from `pixel`, or else a little farther; 0 where there is none.
-fn depth_near(run: &Run, image: &[u16], pixel: u32, distance: u32, side: i64) -> f64 {
+fn depth_near(rays: &Rays, image: &[u16], pixel: u32, distance: u32, side: i64) -> f64 {
     let depth =
-        |more: i64| run.view.depth(image, run.line.number, i64::from(pixel) + side * (i64::from(distance) + more));
+        |more: i64| rays.view.depth(image, rays.line.number, i64::from(pixel) + side * (i64::from(distance) + more));
     depth(0).or_else(|| depth(1)).or_else(|| depth(2)).unwrap_or(0.0)
 }

@@ -22,6 +22,8 @@ pub(super) struct RayLine {
     pixels: Vec<u32>,
     /// ... and its depth in units of the image.
     depths: Vec<u16>,
+    /// The same in metres.
+    metres: Vec<f64>,
     /// Running sums of the depths, beginning with nothing; they may wrap around, differences of them do not.
     depth_sums: Vec<u32>,
     runs: Vec<Range<usize>>,
@@ -37,6 +39,7 @@ impl Default for RayLine {
             column: Vec::new(),
             pixels: Vec::new(),
             depths: Vec::new(),
+            metres: Vec::new(),
             depth_sums: vec![0],
             runs: Vec::new(),
         }
@@ -50,18 +53,19 @@ impl RayLine {
         if self.pixels.len() < window.len() {
             self.pixels.resize(window.len(), 0);
             self.depths.resize(window.len(), 0);
+            self.metres.resize(window.len(), 0.0);
             self.depth_sums.resize(window.len() + 1, 0);
         }
         let mut column = std::mem::take(&mut self.column);
         let depths = view.depths(image, line, &window, &mut column);
-        self.count = self.gather(window.start, depths);
+        self.count = self.gather(view, window.start, depths);
         self.column = column;
         self.split(view);
         self.window = window;
     }
 
     /// Moves the measured ones of the pixels from `first` on together; their number.
-    fn gather(&mut self, first: u32, pixels: &[u16]) -> usize {
+    fn gather(&mut self, view: &View, first: u32, pixels: &[u16]) -> usize {
         let mut count = 0;
         for (batch, first) in pixels.chunks(BATCH).zip((first..).step_by(BATCH)) {
             if batch.iter().fold(true, |all, depth| all & is_measured(*depth)) {
@@ -75,6 +79,9 @@ impl RayLine {
                 (self.pixels[count], self.depths[count]) = (pixel, depth);
                 count += usize::from(is_measured(depth));
             }
+        }
+        for (metres, &depth) in self.metres[..count].iter_mut().zip(&self.depths) {
+            *metres = f64::from(depth) * view.scale;
         }
         self.sum_depths(count);
         count
@@ -98,11 +105,15 @@ impl RayLine {
             if !rule.may_split(&pixels[batch.clone()], &depths[batch.clone()]) {
                 continue;
             }
-            for end in batch.skip(1) {
-                if rule.splits(depths[end - 1], depths[end], pixels[end] - pixels[end - 1]) {
-                    self.runs.push(start..end);
-                    start = end;
-                }
+            let (pixels, depths) = (&pixels[batch.clone()], &depths[batch.clone()]);
+            let mut splits = [false; BATCH];
+            let neighbors = pixels.iter().zip(&pixels[1..]).zip(depths.iter().zip(&depths[1..]));
+            for (splits, ((here, there), (&a, &b))) in splits.iter_mut().zip(neighbors) {
+                *splits = rule.splits(a, b, there - here);
+            }
+            for (end, _) in (batch.start + 1..).zip(splits).filter(|(_, splits)| *splits) {
+                self.runs.push(start..end);
+                start = end;
             }
         }
         self.runs.extend((count > start).then_some(start..count));
@@ -129,6 +140,7 @@ impl RayLine {
         Points {
             pixels: &self.pixels[points.clone()],
             depths: &self.depths[points.clone()],
+            metres: &self.metres[points.clone()],
             depth_sums: &self.depth_sums[points.start..=points.end],
             neighbors: [points.start.checked_sub(1), Some(points.end)].map(|at| self.measurement(at?)),
             open,
@@ -141,11 +153,14 @@ impl RayLine {
     }
 }
 
-/// The measurements of a run, in units of the image.
+/// The measurements of a run.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Points<'a> {
     pub pixels: &'a [u32],
+    /// Depths in units of the image, ...
     pub depths: &'a [u16],
+    /// ... and in metres.
+    pub metres: &'a [f64],
     /// Running sums of the depths, one more than there are depths.
     pub depth_sums: &'a [u32],
     /// Pixel and depth of the measurements before and behind the run, in the window.

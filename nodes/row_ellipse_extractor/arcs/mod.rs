@@ -4,12 +4,13 @@
 //! pooled fit. Unbiased moments put the expected error of the right curve at zero, so the limit is what the noise of n
 //! points scatters: `error^2 <= sigma^2 (a sqrt(2 / n) + b)`.
 //!
-//! Most of a room is flat, so the image is looked at from coarse to fine: every fourth line as a whole ([`line`],
-//! [`segments`], [`acceptance`]), those between only about the arcs of the coarse lines above and below.
+//! Most of a room is flat, so the image is looked at from coarse to fine: every sixth line as a whole ([`line`],
+//! [`rays`], [`run`], [`segments`], [`acceptance`]), those between only about the arcs of the coarse lines above and below.
 
 mod acceptance;
 mod line;
 mod noise_level;
+mod rays;
 mod run;
 mod segments;
 #[cfg(test)]
@@ -18,11 +19,12 @@ mod view;
 
 use super::RowEllipseConfig;
 use super::filter::{Rejection, Rejections};
-use acceptance::accept;
-use conicflow_geometry::Scan;
+use acceptance::{accept, accept_line};
+use conicflow_geometry::{ArcSums, Scan};
 use conicflow_messages::{Ellipse, Header};
 use line::RayLine;
-use run::{FIRST_FIT, Run, Sums};
+use rays::{RayBuffers, Rays};
+use run::{FIRST_FIT, Run};
 use segments::{cut, next_segment};
 use std::ops::Range;
 use view::View;
@@ -57,7 +59,8 @@ struct CoarseLine {
 /// The search for arcs in one line.
 #[derive(Debug, Default)]
 struct LineSearch {
-    sums: Sums,
+    rays: RayBuffers,
+    sums: Vec<ArcSums>,
     /// Where a run is cut, its ends included.
     cuts: Vec<usize>,
 }
@@ -78,7 +81,7 @@ impl Arcs {
     /// The part of the noise model's variance that there is in an image.
     pub fn noise_level(&mut self, header: &Header, image: &[u16]) -> f64 {
         self.view.turn(header, Scan::Row, 1.0);
-        noise_level::noise_level(&self.view, image, &mut self.line, &mut self.search.sums, &mut self.errors)
+        noise_level::noise_level(&self.view, image, &mut self.line, &mut self.search, &mut self.errors)
     }
 
     /// Adds the arcs of the rows or columns of an image to `ellipses`, in the order of line and pixel.
@@ -154,17 +157,22 @@ impl LineSearch {
                 rejections.count(Rejection::FewPoints);
                 continue;
             }
-            let mut run = Run::new(view, line, index, &mut self.sums);
-            cut(&mut run, &mut self.cuts);
+            let rays = Rays::new(view, line, index, &mut self.rays);
+            if let Some(arc) = accept_line(&rays, image) {
+                arc.map_or_else(|why| rejections.count(why), |arc| ellipses.push(arc));
+                continue;
+            }
+            let run = Run::new(rays, &mut self.sums);
+            cut(&run, &mut self.cuts);
             for ends in self.cuts.windows(2) {
-                arcs_of_part(&mut run, image, ends[0]..ends[1], ellipses, rejections);
+                arcs_of_part(&run, image, ends[0]..ends[1], ellipses, rejections);
             }
         }
     }
 }
 
 fn arcs_of_part(
-    run: &mut Run,
+    run: &Run,
     image: &[u16],
     part: Range<usize>,
     ellipses: &mut Vec<Ellipse>,

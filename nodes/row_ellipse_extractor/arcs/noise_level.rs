@@ -3,8 +3,10 @@
 //! To correct moments for noise that is not there would be as wrong as not to correct them. The errors of lines and
 //! circles are free of noise if the model is right, and below zero by its excess if it is not.
 
+use super::LineSearch;
 use super::line::RayLine;
-use super::run::{Run, Sums};
+use super::rays::Rays;
+use super::run::Run;
 use super::segments::{Segment, next_segment};
 use super::view::View;
 
@@ -18,7 +20,7 @@ pub(super) fn noise_level(
     view: &View,
     image: &[u16],
     line: &mut RayLine,
-    sums: &mut Sums,
+    search: &mut LineSearch,
     errors: &mut Vec<f64>,
 ) -> f64 {
     errors.clear();
@@ -26,7 +28,8 @@ pub(super) fn noise_level(
         line.read(view, image, number, 0..view.length);
         for index in 0..line.runs() {
             if line.run_length(index) >= TELLING {
-                add_errors(&mut Run::new(view, line, index, sums), errors);
+                let rays = Rays::new(view, line, index, &mut search.rays);
+                add_errors(&Run::new(rays, &mut search.sums), errors);
             }
         }
     }
@@ -36,7 +39,7 @@ pub(super) fn noise_level(
 }
 
 /// Adds the errors of the lines and circles of a run, in variances of the sensor.
-fn add_errors(run: &mut Run, errors: &mut Vec<f64>) {
+fn add_errors(run: &Run, errors: &mut Vec<f64>) {
     let (whole, mut from) = (0..run.length, 0);
     while let Some(Segment { to, .. }) = next_segment(run, &whole, from) {
         if to - from >= TELLING {

@@ -80,10 +80,16 @@ impl View {
         self.camera.plane(self.scan, f64::from(line))
     }
 
-    /// Slope of the ray through a pixel.
+    /// Slopes of the rays through some pixels; `buffer` is for those of pixels with holes between them.
     #[inline]
-    pub fn slope(&self, pixel: u32) -> f64 {
-        self.slopes[pixel as usize]
+    pub fn slopes<'a>(&'a self, pixels: &[u32], buffer: &'a mut Vec<f64>) -> &'a [f64] {
+        let [first, last] = [pixels.first(), pixels.last()].map(|pixel| pixel.map_or(0, |&pixel| pixel as usize));
+        if last - first < pixels.len() {
+            return &self.slopes[first..first + pixels.len()];
+        }
+        buffer.clear();
+        buffer.extend(pixels.iter().map(|&pixel| self.slopes[pixel as usize]));
+        buffer
     }
 
     /// The pixels `window` of a scan line; those of a column are copied side by side into `column`.
@@ -150,8 +156,9 @@ pub(super) struct JumpRule {
 
 impl JumpRule {
     /// Whether there is a jump or too large a hole between raw depths a and b that are `pixels` apart.
+    #[inline]
     pub fn splits(&self, a: u16, b: u16, pixels: u32) -> bool {
-        f32::from(a.abs_diff(b)) > self.largest_step(a.min(b), pixels) || pixels > self.max_pixels
+        (f32::from(a.abs_diff(b)) > self.largest_step(a.min(b), pixels)) | (pixels > self.max_pixels)
     }
 
     /// Whether there may be a jump or a hole among depths of neighbouring `pixels`: without it none has to be looked at.
@@ -169,7 +176,7 @@ impl JumpRule {
     #[inline]
     fn largest_step(&self, near: u16, pixels: u32) -> f32 {
         let near = f32::from(near) * self.scale;
-        let slope = self.slope.max(self.hole_slope * pixels as f32);
+        let slope = self.slope.max(self.hole_slope * pixels.cast_signed() as f32);
         let beyond_knee = (near - self.knee).max(0.0);
         let (axial, quantum) = (self.floor + self.growth * beyond_knee * beyond_knee, self.step * near * near);
         (slope * near + (axial * axial + quantum * quantum).sqrt()) * self.per_metre
