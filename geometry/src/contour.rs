@@ -11,6 +11,7 @@
 //! `e'we - (U'we)' (V^-1 + U'wU)^-1 (U'we)`. What is left tells how the outline narrows and leans,
 //! which the depths of a small object hardly do.
 
+use crate::pooled::add_square;
 use crate::{Coefficients, Surface, Vector3};
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
@@ -209,7 +210,7 @@ impl<const N: usize> SideSums<N> {
         let (shared, weight) = (Vector2::new(1.0, radius_px), 1.0 / variance);
         self.square += error * error * weight;
         self.slope_error += slope * (error * weight);
-        self.slopes += slope * slope.transpose() * weight;
+        add_square(&mut self.slopes, slope, weight);
         self.shared += shared * shared.transpose() * weight;
         self.shared_error += shared * (error * weight);
         self.shared_slope += shared * slope.transpose() * weight;
