@@ -76,7 +76,8 @@ pub struct RowEllipseConfig {
     /// Number of missing pixels that are bridged inside a run.
     #[schemars(range(min = 0, max = 64))]
     pub max_hole_px: u32,
-    /// Number of points taken off both ends of a run, where pixels mix two depths.
+    /// Number of points taken off both ends of a run, where pixels mix two depths; `moments` puts the last of them back
+    /// where its ray meets the circle through the others.
     #[schemars(range(min = 0, max = 16))]
     pub trim_px: u32,
     /// Fewest points of an ellipse.

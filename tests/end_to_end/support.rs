@@ -152,7 +152,9 @@ pub fn parent(process: u32) -> Option<u32> {
     let stat = fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
     let mut after_name = stat.rsplit_once(')')?.1.split_whitespace();
     let state = after_name.next()?;
-    after_name.next()?.parse().ok().filter(|_| state != "Z")
+    // While a thread is left, the process holds its files and locks, whatever the first thread's state.
+    let threads = || fs::read_dir(format!("/proc/{process}/task")).map_or(0, Iterator::count);
+    after_name.next()?.parse().ok().filter(|_| state != "Z" || threads() > 1)
 }
 
 /// The value of a variable in the environment that a process was started with.

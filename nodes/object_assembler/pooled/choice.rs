@@ -1,10 +1,11 @@
 //! Which shape an object has, where more than one explains it.
 
 use super::super::AssemblerConfig;
+use super::super::verify::Rejection;
 use super::verify::is_vague;
 use super::{Candidate, Grown, model};
 use conicflow_geometry::Contour;
-use conicflow_messages::Object;
+use conicflow_messages::{Object, ObjectKind};
 
 /// Two models that explain about as many points: the smaller explains at least this part of the larger's.
 const AS_MANY: f64 = 0.9;
@@ -12,6 +13,12 @@ const AS_MANY: f64 = 0.9;
 const SLOPE_SIGMAS: f64 = 3.0;
 /// Least gain of a cone over a cylinder: two standard deviations of one parameter.
 const GAIN: f64 = 4.0;
+/// Standard deviation of a half-angle, 4 degrees, beyond which it could be any; and that, 1.5 degrees, from which on a
+/// slope speaks against a cylinder although it is not sure, ...
+const ANY_SLOPE: f64 = 0.07;
+const UNSURE_SLOPE: f64 = 0.026;
+/// ... being so many standard deviations from zero.
+const UNSURE_SIGMAS: f64 = 2.0;
 /// Half-angles (5 and 7 degrees) up to which the faults of a sensor may make a cone of a cylinder, and from which on they
 /// do not: between them the gain that they account for falls to nothing.
 const SLENDER: [f64; 2] = [0.0873, 0.122];
@@ -21,20 +28,38 @@ const GAIN_PER_POINT: f64 = 0.03;
 const MOST_GAIN: f64 = 45.0;
 
 /// The candidate that explains most points; of those that explain about as many, the one of fewer parameters, unless
-/// the other explains them better.
+/// the other explains them better. Of the three shapes those are `None` that did not even grow.
 pub(super) fn choose<'a>(
-    [sphere, cylinder, cone]: [Option<Candidate<'a>>; 3],
+    found: [Option<Result<Candidate<'a>, Rejection>>; 3],
     config: &AssemblerConfig,
     contour: &mut Contour,
-) -> Option<Candidate<'a>> {
+) -> Result<Candidate<'a>, Rejection> {
+    let reason = found.iter().flatten().filter_map(|found| found.as_ref().err()).next_back().copied();
+    let may_be_cone = found[2].as_ref().is_some_and(speaks_against_cylinder);
+    let [sphere, cylinder, cone] = found.map(|found| found?.ok());
+    // A vague cone may still show that a cylinder is none: the choice comes first.
     let cone = cone.filter(|cone| is_cone(&cone.object, config));
     let axial = match (cylinder, cone) {
         (Some(cylinder), Some(cone)) => Some(sharper(cylinder, cone, contour)),
         (cylinder, cone) => cylinder.or(cone),
     };
-    match (sphere, axial) {
-        (Some(sphere), Some(axial)) => Some(rounder(sphere, axial)),
-        (sphere, axial) => sphere.or(axial),
+    let best = match (sphere, axial) {
+        (Some(sphere), Some(axial)) => rounder(sphere, axial),
+        (sphere, axial) => sphere.or(axial).ok_or(reason.unwrap_or(Rejection::Degenerate))?,
+    };
+    let is_cylinder = best.grown.model.kind() == ObjectKind::Cylinder;
+    if is_vague(&best.object) || is_cylinder && may_be_cone { Err(Rejection::Vague) } else { Ok(best) }
+}
+
+/// Whether the cone that grew where a cylinder did leaves open that this is none: a slope is as likely as not, or could
+/// be any; or the cone, although free to be a cylinder, does not explain as much as an object has to.
+fn speaks_against_cylinder(cone: &Result<Candidate, Rejection>) -> bool {
+    match cone {
+        Ok(Candidate { object, .. }) => {
+            let sigma = object.sigma.half_angle;
+            sigma > ANY_SLOPE || sigma > UNSURE_SLOPE && object.half_angle > UNSURE_SIGMAS * sigma
+        }
+        Err(reason) => matches!(reason, Rejection::Rms | Rejection::FewRows | Rejection::Tilted),
     }
 }
 

@@ -44,7 +44,7 @@ impl Default for PooledConfig {
             min_arc_deg: 30.0,
             min_length_radii: 0.4,
             min_cap_radii: 0.5,
-            min_half_angle_deg: 3.0,
+            min_half_angle_deg: 2.5,
         }
     }
 }

@@ -129,19 +129,11 @@ impl Growing {
         }
         let models = self.models(arcs, gap, free);
         let Self { members, contour, .. } = self;
-        let mut reason = None;
         let found = std::array::from_fn(|kind| {
             let grown = Grown { arcs, model: models[kind]?, members: &members[kind] };
-            candidate(grown, config, contour).map_err(|why| reason = Some(why)).ok()
+            Some(candidate(grown, config, contour))
         });
-        // A vague cone may still show that a cylinder is none: the choice comes first.
-        let best = choice::choose(found, config, contour);
-        let sure = best.filter(|best| !verify::is_vague(&best.object));
-        if sure.is_none() {
-            let vague = best.map(|_| Rejection::Vague);
-            rejections.count(vague.or(reason).unwrap_or(Rejection::Degenerate));
-        }
-        sure
+        choice::choose(found, config, contour).map_err(|reason| rejections.count(reason)).ok()
     }
 
     /// The model of each shape that grows from the chain. A slope needs many lines: a cone starts from what a cylinder

@@ -179,11 +179,7 @@ fn fit_cone<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Mo
         let moments = pool(arcs.clone(), |arc| excess(&cone, arc)).normalized()?;
         fit = fit_surface(&moments, &fit.surface)?;
     }
-    // The axis of a cone points away from its apex.
-    if fit.surface.0.slope < 0.0 {
-        fit = flipped(&fit);
-    }
-    Some(Model::Cone(fit))
+    Some(Model::Cone(upright(fit)))
 }
 
 /// How exact the contours of objects are, with a margin: on rendered frames they scatter by half a pixel and 2 % of the
@@ -212,7 +208,8 @@ pub(super) fn with_contour(grown: &Grown, contour: &mut Contour) -> Option<Model
         }
         Model::Cone(fit) => {
             contour.select(&fit.surface, |point| within(&fit.surface.0, point));
-            fit_with_contour(&pool(&|arc| excess(&fit.surface.0, arc))?, Some(contour), &fit.surface).map(Model::Cone)
+            let fit = fit_with_contour(&pool(&|arc| excess(&fit.surface.0, arc))?, Some(contour), &fit.surface)?;
+            Some(Model::Cone(upright(fit)))
         }
     }
 }
@@ -222,8 +219,12 @@ fn excess(cone: &Conical, arc: &Arc) -> f64 {
     (cone.radius_at(&arc.mean) / cone.radius).max(LEAST_EXCESS)
 }
 
-fn flipped(fit: &SurfaceFit<FreeSlope, 6>) -> SurfaceFit<FreeSlope, 6> {
-    let mut flipped = *fit;
+/// The same cone, its axis pointing away from the apex.
+fn upright(fit: SurfaceFit<FreeSlope, 6>) -> SurfaceFit<FreeSlope, 6> {
+    if fit.surface.0.slope >= 0.0 {
+        return fit;
+    }
+    let mut flipped = fit;
     let before = fit.surface.0;
     flipped.surface.0 = Conical { axis: -before.axis, slope: -before.slope, ..before };
     // Parameters: tilts, shifts, radius, slope; the directions across turn with the axis.

@@ -9,7 +9,7 @@ use conicflow_geometry::{Scan, Vector3};
 use conicflow_messages::{Object, ObjectKind};
 
 /// How many standard deviations the error of the whole may scatter.
-const SCATTER: f64 = 1.3;
+const SCATTER: f64 = 1.0;
 /// Part of the variance that the misfit of the whole may be on top of it,
 const SLACK: f64 = 0.07;
 /// and how much more for so many points and above: they show the faults of sensor and surface.
@@ -21,11 +21,12 @@ const PLANE: f64 = 0.05;
 const SEEN_THROUGH: f64 = 0.2;
 /// Cosine of the least angle between the axis and the scan lines, 40 degrees.
 const ALONG: f64 = 0.766;
-/// Greatest standard deviation of a radius, as a part of it.
-const VAGUE: f64 = 0.12;
-/// Greatest standard deviation of an axis, 3 degrees,
-const VAGUE_AXIS: f64 = 0.0524;
-/// and 1.2 degrees where less than a radius of its length is seen.
+/// Greatest standard deviations of a radius, as a part of it, and of an axis: much of what a sphere or a cylinder explains
+/// with less certainty is something else.
+const VAGUE_SPHERE: [f64; 2] = [0.03, f64::INFINITY];
+const VAGUE_CYLINDER: [f64; 2] = [0.05, 0.0262]; // 1.5 degrees
+const VAGUE_CONE: [f64; 2] = [0.12, 0.0524]; // 3 degrees
+/// The same of an axis, 1.2 degrees, where less than a radius of its length is seen.
 const VAGUE_SHORT_AXIS: f64 = 0.0209;
 
 /// What was measured of a grown model, for its report.
@@ -195,8 +196,11 @@ fn is_between(grown: &Grown, measured: &Measured, point: &Vector3) -> bool {
 /// Whether too little is known about the radius or the axis of an object, given their standard deviations.
 pub(super) fn is_vague(object: &Object) -> bool {
     let sigma = &object.sigma;
-    let axis = if object.length < object.radius { VAGUE_SHORT_AXIS } else { VAGUE_AXIS };
-    let is_sharp =
-        sigma.radius <= VAGUE * object.radius && (object.shape() == ObjectKind::Sphere || sigma.axis <= axis);
-    !is_sharp
+    let [radius, axis] = match object.shape() {
+        ObjectKind::Sphere => VAGUE_SPHERE,
+        ObjectKind::Cylinder => VAGUE_CYLINDER,
+        ObjectKind::Cone => VAGUE_CONE,
+    };
+    let axis = if object.length < object.radius { axis.min(VAGUE_SHORT_AXIS) } else { axis };
+    sigma.radius > radius * object.radius || sigma.axis > axis
 }

@@ -13,7 +13,7 @@ use std::ops::Range;
 /// a part of a run.
 const CURVED: f64 = 3.0;
 /// Fewest points of an arc that goes on although it is not curved, because it is set off by jumps.
-const SET_OFF: usize = 8;
+const SET_OFF: usize = 6;
 /// Besides `trim_px`, one point in so many is taken off each end: edges are smeared the wider, the larger they are seen.
 const SMEARED: usize = 32;
 /// Most pixels between a contour and what is seen behind it that count: a wider gap is the shadow of the sensor.
@@ -81,8 +81,14 @@ fn arc(
     let fit = circle(rays, segment, &points, moments).or_else(|why| {
         if may_be_part(rays, segment, &points, contour) { Ok(nearly_flat(rays, moments)) } else { Err(why) }
     })?;
-    let sums = rays.all_sums(points.clone()).moments(rays.plane().stretch());
-    Ok(Ellipse { contour, ..message(rays, image, points, &fit, &sums.about(moments.mean())) })
+    let wider = with_ends(rays, segment, points.clone(), &fit.circle);
+    let sums = rays.all_sums(wider.clone()).moments(rays.plane().stretch());
+    if wider == points {
+        return Ok(Ellipse { contour, ..message(rays, image, points, &fit, &sums.about(moments.mean())) });
+    }
+    let moments = ArcMoments::of(&sums).ok_or(Rejection::FewPoints)?;
+    let fit = circle(rays, segment, &wider, &moments).unwrap_or_else(|_| nearly_flat(rays, &moments));
+    Ok(Ellipse { contour, ..message(rays, image, wider, &fit, &sums.about(moments.mean())) })
 }
 
 /// The circle through the points of a segment, or why it is none of an object.
@@ -159,6 +165,19 @@ fn trimmed(run: &Run, segment: &Segment) -> Range<usize> {
         }
     }
     from..to
+}
+
+/// The points with the next one on either side, where it was taken off only because pixels at a jump may mix two depths,
+/// and its ray meets the circle through the others: what it shows then is the surface, where it curves most.
+fn with_ends(rays: &Rays, segment: &Segment, points: Range<usize>, circle: &Circle) -> Range<usize> {
+    let meets = |point: usize| {
+        let ([s, t], [x, y]) = (rays.point(point), circle.center);
+        (s * y - t * x).powi(2) < circle.radius * circle.radius * (s * s + t * t)
+    };
+    let starts_part = segment.from == segment.part[0] && segment.from < points.start;
+    let ends_part = segment.to == segment.part[1] && segment.to > points.end;
+    let start = points.start - usize::from(starts_part && meets(points.start - 1));
+    start..points.end + usize::from(ends_part && meets(points.end))
 }
 
 /// Whether the points of `few` are off the circle through those of `others`.
