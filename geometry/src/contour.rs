@@ -11,6 +11,8 @@
 //! `e'we - (U'we)' (V^-1 + U'wU)^-1 (U'we)`. What is left tells how the outline narrows and leans,
 //! which the depths of a small object hardly do.
 
+use crate::pooled::add_square;
+use crate::space::dot;
 use crate::{Coefficients, Surface, Vector3};
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
@@ -107,12 +109,23 @@ impl Along {
         [self.b * self.b - 4.0 * self.a * self.c, 2.0 * self.b * self.b_pixel - 4.0 * self.a_pixel * self.c]
     }
 
-    /// The derivative of both in the direction of other coefficients.
-    fn derivative(&self, d: &Self) -> [f64; 2] {
-        [
-            2.0 * self.b * d.b - 4.0 * (d.a * self.c + self.a * d.c),
-            2.0 * (d.b * self.b_pixel + self.b * d.b_pixel) - 4.0 * (d.a_pixel * self.c + self.a_pixel * d.c),
-        ]
+    /// Error, and its derivatives by the coefficients: `(dD - e dD') / D'`, D' being the change of D per pixel.
+    fn error_gradient(&self, point: &ContourPoint) -> (f64, Coefficients) {
+        let [value, per_pixel] = self.discriminant();
+        let error = value / per_pixel;
+        let (r, pixel) = (&point.ray, &point.pixel);
+        // What a, a', b, b' and c add to it.
+        let by_a = -4.0 * self.c / per_pixel;
+        let by_a_pixel = -error * by_a;
+        let by_b = 2.0 * (self.b - error * self.b_pixel) / per_pixel;
+        let by_b_pixel = -2.0 * error * self.b / per_pixel;
+        let by_c = -4.0 * (self.a - error * self.a_pixel) / per_pixel;
+        // a = r'Ar and a' = 2 r'A pixel: both are linear in A, as `r'A (by_a r + 2 by_a' pixel)`.
+        let w = r * by_a + pixel * (2.0 * by_a_pixel);
+        let b = r * by_b + pixel * by_b_pixel;
+        let mixed = |i: usize, j: usize| 0.5 * (r[i] * w[j] + r[j] * w[i]);
+        let [xy, xz, yz] = [mixed(0, 1), mixed(0, 2), mixed(1, 2)];
+        (error, [r.x * w.x, r.y * w.y, r.z * w.z, xy, xz, yz, b.x, b.y, b.z, by_c])
     }
 
     /// How far the ray is off the contour, in pixels along the line.
@@ -175,12 +188,8 @@ impl Contour {
         let derivatives = surface.derivatives().map(|derivative| camera(&derivative));
         let mut sides = [SideSums::default(); SIDES];
         for (point, _) in self.points.iter().filter(|(_, used)| *used) {
-            let along = Along::new(&q, point);
-            let (error, [_, per_pixel]) = (along.error(), along.discriminant());
-            let slope = SVector::<f64, N>::from_fn(|i, _| {
-                let [value, change] = along.derivative(&Along::new(&derivatives[i], point));
-                (value - error * change) / per_pixel
-            });
+            let (error, gradient) = Along::new(&q, point).error_gradient(point);
+            let slope = SVector::<f64, N>::from_fn(|i, _| dot(&gradient, &derivatives[i]));
             sides[point.side].add(error, &slope, point.radius_px, self.noise.of(point));
         }
         let mut term = ContourTerm { square_sum: 0.0, gradient: SVector::zeros(), matrix: SMatrix::zeros() };
@@ -209,7 +218,7 @@ impl<const N: usize> SideSums<N> {
         let (shared, weight) = (Vector2::new(1.0, radius_px), 1.0 / variance);
         self.square += error * error * weight;
         self.slope_error += slope * (error * weight);
-        self.slopes += slope * slope.transpose() * weight;
+        add_square(&mut self.slopes, slope, weight);
         self.shared += shared * shared.transpose() * weight;
         self.shared_error += shared * (error * weight);
         self.shared_slope += shared * slope.transpose() * weight;

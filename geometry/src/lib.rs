@@ -49,7 +49,7 @@ pub use section::SectionShape;
 pub use solid::{Cone, Cylinder, Quadric, Sphere};
 pub use space::{Coefficients, QUADRIC_TERMS, QuadricMoments, SpaceMoments};
 pub use surface::{Conical, FixedSlope, FreeSlope, Surface, section_of};
-pub use unbiased::{ArcSums, LineSums, RaySums, unbiased_powers};
+pub use unbiased::{ArcSums, LineSums, RayPart, RaySums, unbiased_powers};
 
 /// Points, directions and offsets in the camera frame, in metres.
 pub type Vector3 = nalgebra::Vector3<f64>;

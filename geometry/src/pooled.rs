@@ -98,7 +98,7 @@ impl<const N: usize> GradientNoise<N> {
         let m = monomials(point);
         let j = SVector::<f64, N>::from_fn(|i, _| dot(&self.derivatives[i], &m));
         let slope = gradient(&self.coefficients, point).dot(point) / point.z;
-        self.matrix += j * j.transpose() * (weight * slope * slope);
+        add_square(&mut self.matrix, &j, weight * slope * slope);
     }
 
     /// Adds the contour that was fitted with the points.
@@ -130,6 +130,20 @@ impl<const N: usize> Prediction<N> {
         let m = monomials(point);
         let j = SVector::<f64, N>::from_fn(|i, _| dot(&self.derivatives[i], &m));
         j.dot(&(self.inverse * j)).max(0.0)
+    }
+}
+
+/// Adds `weight v v'`.
+#[inline]
+pub(crate) fn add_square<const N: usize>(sum: &mut SMatrix<f64, N, N>, v: &SVector<f64, N>, weight: f64) {
+    for i in 0..N {
+        for j in 0..=i {
+            let entry = v[i] * v[j] * weight;
+            sum[(i, j)] += entry;
+            if i != j {
+                sum[(j, i)] += entry;
+            }
+        }
     }
 }
 

@@ -56,11 +56,8 @@ fn seen(
         let ray = |u: u32| CAMERA.ray_slope(Scan::Row, f64::from(u));
         let hits: Vec<_> = (0..320).map(ray).filter_map(|x| Some((x, hit(&conic, x, plane.stretch())?))).collect();
         let visible = &hits[(hidden * hits.len() as f64) as usize..];
-        let mut sums = RaySums::default();
-        for (x, z) in visible {
-            let (z, variance) = measure(*z);
-            sums.add(&[*x], &[z], variance);
-        }
+        let measured: Vec<_> = visible.iter().map(|(x, z)| ([*x], measure(*z))).collect();
+        let sums = RaySums::of(measured.iter().map(|(x, (z, variance))| (&x[..], std::slice::from_ref(z), *variance)));
         pool.add(&SpaceMoments::of_arc(&plane, &sums.moments(plane.stretch())), 1.0);
     }
     pool

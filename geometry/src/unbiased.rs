@@ -35,11 +35,10 @@ fn powers<T: Number>(z: T, variance: T) -> [T; 5] {
 pub struct RaySums(pub [f64; MOMENTS]);
 
 impl RaySums {
-    /// Adds measurements of one variance: slopes, and as many depths.
+    /// The sums of some measurements.
     #[inline]
-    pub fn add(&mut self, slopes: &[f64], depths: &[f64], variance: f64) {
-        let sums = sum(slopes, depths, |x, z| ray_terms(x, z, f64x2::splat(variance)));
-        self.0.iter_mut().zip(sums).for_each(|(sum, more)| *sum += more);
+    pub fn of<'a>(parts: impl Iterator<Item = RayPart<'a>>) -> Self {
+        Self(sum(parts, ray_terms))
     }
 
     /// The plane moments about `(0, 0)` in a scan plane of stretch `k`: `t = k z`.
@@ -68,21 +67,29 @@ impl RaySums {
     }
 }
 
-/// The sums of some terms over measurements, which are looked at two at a time.
+/// Measurements of one variance: slopes of the rays, as many depths, and the variance of each.
+pub type RayPart<'a> = (&'a [f64], &'a [f64], f64);
+
+/// The sums of some terms of slope, depth and variance over measurements, which are looked at two at a time.
 #[inline]
-fn sum<const N: usize>(slopes: &[f64], depths: &[f64], terms: impl Fn(f64x2, f64x2) -> [f64x2; N]) -> [f64; N] {
-    let ((x_pairs, x_rest), (z_pairs, z_rest)) = (slopes.as_chunks(), depths.as_chunks());
-    let mut pairs = [f64x2::ZERO; N];
-    for (&x, &z) in x_pairs.iter().zip(z_pairs) {
-        let terms = terms(f64x2::new(x), f64x2::new(z));
-        pairs.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
+fn sum<'a, const N: usize>(
+    parts: impl Iterator<Item = RayPart<'a>>,
+    terms: impl Fn(f64x2, f64x2, f64x2) -> [f64x2; N],
+) -> [f64; N] {
+    let mut sums = [f64x2::ZERO; N];
+    for (slopes, depths, variance) in parts {
+        let ((x_pairs, x_rest), (z_pairs, z_rest)) = (slopes.as_chunks(), depths.as_chunks());
+        let variance = f64x2::splat(variance);
+        for (&x, &z) in x_pairs.iter().zip(z_pairs) {
+            let terms = terms(f64x2::new(x), f64x2::new(z), variance);
+            sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
+        }
+        if let (&[x], &[z]) = (x_rest, z_rest) {
+            let (terms, one) = (terms(f64x2::splat(x), f64x2::splat(z), variance), f64x2::new([1.0, 0.0]));
+            sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term * one);
+        }
     }
-    let mut sums = pairs.map(f64x2::reduce_add);
-    if let (&[x], &[z]) = (x_rest, z_rest) {
-        let terms = terms(f64x2::splat(x), f64x2::splat(z));
-        sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term.to_array()[0]);
-    }
-    sums
+    sums.map(f64x2::reduce_add)
 }
 
 #[inline]
@@ -112,11 +119,10 @@ fn arc_terms(x: f64x2, z: f64x2, variance: f64x2, square_stretch: f64x2) -> [f64
 pub struct LineSums([f64; 5]);
 
 impl LineSums {
-    /// Adds measurements of one variance: slopes, and as many depths.
+    /// The sums of some measurements.
     #[inline]
-    pub fn add(&mut self, slopes: &[f64], depths: &[f64], variance: f64) {
-        let sums = sum(slopes, depths, |x, z| line_terms(x, z, f64x2::splat(variance)));
-        self.0.iter_mut().zip(sums).for_each(|(sum, more)| *sum += more);
+    pub fn of<'a>(parts: impl Iterator<Item = RayPart<'a>>) -> Self {
+        Self(sum(parts, line_terms))
     }
 
     /// The sums of these measurements but for some of them.
@@ -159,12 +165,12 @@ impl ArcSums {
         [Self(first), Self(std::array::from_fn(|i| first[i] + terms[i][1]))]
     }
 
-    /// Adds measurements of one variance: slopes, and as many depths.
+    /// The sums of some measurements, in a scan plane of this square of the stretch.
     #[inline]
-    pub fn add(&mut self, slopes: &[f64], depths: &[f64], variance: f64, square_stretch: f64) {
-        let [variance, square_stretch] = [variance, square_stretch].map(f64x2::splat);
-        let [a, b, c, d, e, f, g, h] = sum(slopes, depths, |x, z| arc_terms(x, z, variance, square_stretch));
-        self.0.iter_mut().zip([[a, b], [c, d], [e, f], [g, h]]).for_each(|(sum, more)| *sum += f64x2::new(more));
+    pub fn of<'a>(parts: impl Iterator<Item = RayPart<'a>>, square_stretch: f64) -> Self {
+        let square_stretch = f64x2::splat(square_stretch);
+        let [a, b, c, d, e, f, g, h] = sum(parts, |x, z, variance| arc_terms(x, z, variance, square_stretch));
+        Self([[a, b], [c, d], [e, f], [g, h]].map(f64x2::new))
     }
 
     /// The measurements between an earlier state of the running sums and this one.
@@ -212,11 +218,16 @@ mod tests {
         std::array::from_fn(|i| 1.5 + 0.02 * (i % 5) as f64)
     }
 
+    /// The measurements in three parts, each of an odd number.
+    fn parts<'a>(slopes: &'a [f64; 31], depths: &'a [f64; 31], variance: f64) -> [RayPart<'a>; 3] {
+        let part = |range: std::ops::Range<usize>| (&slopes[range.clone()], &depths[range], variance);
+        [part(0..7), part(7..16), part(16..31)]
+    }
+
     #[test]
     fn without_noise_they_are_the_moments_of_the_points() {
         let k = 1.1;
-        let mut sums = RaySums::default();
-        sums.add(&SLOPES, &depths(), 0.0);
+        let sums = RaySums::of(parts(&SLOPES, &depths(), 0.0).into_iter());
         let points = SLOPES.into_iter().zip(depths()).map(|(x, z)| [x * z, k * z]);
         let direct = PlaneMoments::of([0.0, 0.0], points);
         for (a, b) in sums.moments(k).sums().iter().zip(direct.sums()) {
@@ -227,8 +238,7 @@ mod tests {
     #[test]
     fn the_sums_for_lines_and_circles_say_the_same_as_all_of_them() {
         let (variance, k, depths) = (1e-3, 1.1, depths());
-        let mut all = RaySums::default();
-        all.add(&SLOPES, &depths, variance);
+        let all = RaySums::of(parts(&SLOPES, &depths, variance).into_iter());
         let expected = ArcMoments::of(&all.moments(k)).unwrap();
         let check = |few: ArcSums| {
             for (a, b) in few.moments(31.0, k).numbers().into_iter().zip(expected.numbers()) {
@@ -236,20 +246,17 @@ mod tests {
             }
             assert!((few.line_square(31.0, k) - expected.line_square()).abs() < 1e-13);
         };
-        let mut arc = ArcSums::default();
-        arc.add(&SLOPES, &depths, variance, k * k);
-        check(arc);
+        check(ArcSums::of(parts(&SLOPES, &depths, variance).into_iter(), k * k));
         let with_two = |sums: &ArcSums, x, z| sums.with_two(x, z, variance, k * k);
         let [before, _] = with_two(&ArcSums::default(), [0.3, 7.0], [1.0, 7.0]);
         let pairs = SLOPES.as_chunks().0.iter().zip(depths.as_chunks().0);
         let even = pairs.fold(before, |sums, (&x, &z)| with_two(&sums, x, z)[1]);
         check(with_two(&even, [SLOPES[30], 7.0], [depths[30], 7.0])[0].since(&before));
 
-        let (mut line, mut some) = (LineSums::default(), LineSums::default());
-        line.add(&[0.3, 0.4, 0.5], &[1.0, 2.0, 3.0], variance);
-        some.add(&[0.3, 0.4, 0.5], &[1.0, 2.0, 3.0], variance);
-        line.add(&SLOPES, &depths, variance);
-        assert!((line.without(&some).line_square(31.0, k) - expected.line_square()).abs() < 1e-13);
+        let some = (&[0.3, 0.4, 0.5][..], &[1.0, 2.0, 3.0][..], variance);
+        let line = LineSums::of(std::iter::once(some).chain(parts(&SLOPES, &depths, variance)));
+        let rest = line.without(&LineSums::of(std::iter::once(some)));
+        assert!((rest.line_square(31.0, k) - expected.line_square()).abs() < 1e-13);
     }
 
     #[test]

@@ -100,7 +100,12 @@ impl Arc {
 
     /// Depth at which a ray of the scan line, of slope `x`, first meets the quadric `q`.
     pub fn hit(&self, q: &Coefficients, x: f64) -> Option<f64> {
-        let [ss, st, tt, s, t, one] = section_of(q, &self.plane);
+        self.hit_of(&section_of(q, &self.plane), x)
+    }
+
+    /// The same of a quadric of which the section by the plane of the scan line is known.
+    pub fn hit_of(&self, section: &[f64; 6], x: f64) -> Option<f64> {
+        let [ss, st, tt, s, t, one] = *section;
         let k = self.plane.stretch();
         let (a, b) = (ss * x * x + st * x * k + tt * k * k, s * x + t * k);
         let discriminant = b * b - 4.0 * a * one;

@@ -3,7 +3,7 @@
 use super::Grown;
 use super::model::Model;
 use super::verify::{self, Measured};
-use conicflow_geometry::{Conical, Contour, GradientNoise, Surface, SurfaceFit};
+use conicflow_geometry::{Conical, Contour, GradientNoise, Surface, SurfaceFit, section_of};
 use conicflow_messages::{Object, ObjectKind, ObjectSigma};
 use nalgebra::{Matrix3, SMatrix};
 
@@ -131,11 +131,12 @@ pub(super) fn covariance<S: Surface<N>, const N: usize>(
     for arc in grown.arcs().step_by(stride) {
         let weight = 1.0 / (arc.variance * grown.model.excess(arc).unwrap_or(1.0).powi(2));
         let along_z = arc.variance / arc.plane.stretch().powi(2);
+        let section = section_of(&q, &arc.plane);
         let share = stride as f64 * arc.points / SAMPLES as f64;
         for sample in 0..SAMPLES {
             let part = (sample as f64 + 0.5) / SAMPLES as f64;
             let x = arc.rays[0] + part * (arc.rays[1] - arc.rays[0]);
-            if let Some(z) = arc.hit(&q, x) {
+            if let Some(z) = arc.hit_of(&section, x) {
                 noise.add(&arc.point(x, z), share * weight * weight * along_z);
             }
         }

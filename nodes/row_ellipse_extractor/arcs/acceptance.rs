@@ -81,11 +81,13 @@ fn arc(
     let fit = circle(rays, segment, &points, moments).or_else(|why| {
         if may_be_part(rays, segment, &points, contour) { Ok(nearly_flat(rays, moments)) } else { Err(why) }
     })?;
-    let points = with_ends(rays, segment, points, &fit.circle);
-    let moments = rays.moments(points.clone());
-    let fit = circle(rays, segment, &points, &moments).unwrap_or_else(|_| nearly_flat(rays, &moments));
-    let sums = rays.all_sums(points.clone()).moments(rays.plane().stretch());
-    Ok(Ellipse { contour, ..message(rays, image, points, &fit, &sums.about(moments.mean())) })
+    let wider = with_ends(rays, segment, points.clone(), &fit.circle);
+    let sums = rays.all_sums(wider.clone()).moments(rays.plane().stretch());
+    let fit = match ArcMoments::of(&sums).filter(|_| wider != points) {
+        Some(moments) => circle(rays, segment, &wider, &moments).unwrap_or_else(|_| nearly_flat(rays, &moments)),
+        None => fit,
+    };
+    Ok(Ellipse { contour, ..message(rays, image, wider, &fit, &sums.about(moments.mean())) })
 }
 
 /// The circle through the points of a segment, or why it is none of an object.

@@ -24,8 +24,6 @@ pub(super) struct RayLine {
     depths: Vec<u16>,
     /// The same in metres.
     metres: Vec<f64>,
-    /// Running sums of the depths, beginning with nothing; they may wrap around, differences of them do not.
-    depth_sums: Vec<u32>,
     runs: Vec<Range<usize>>,
 }
 
@@ -40,7 +38,6 @@ impl Default for RayLine {
             pixels: Vec::new(),
             depths: Vec::new(),
             metres: Vec::new(),
-            depth_sums: vec![0],
             runs: Vec::new(),
         }
     }
@@ -54,7 +51,6 @@ impl RayLine {
             self.pixels.resize(window.len(), 0);
             self.depths.resize(window.len(), 0);
             self.metres.resize(window.len(), 0.0);
-            self.depth_sums.resize(window.len() + 1, 0);
         }
         let mut column = std::mem::take(&mut self.column);
         let depths = view.depths(image, line, &window, &mut column);
@@ -83,16 +79,7 @@ impl RayLine {
         for (metres, &depth) in self.metres[..count].iter_mut().zip(&self.depths) {
             *metres = f64::from(depth) * view.scale;
         }
-        self.sum_depths(count);
         count
-    }
-
-    fn sum_depths(&mut self, count: usize) {
-        let mut sum = 0_u32;
-        for (&depth, known) in self.depths[..count].iter().zip(&mut self.depth_sums[1..]) {
-            sum = sum.wrapping_add(u32::from(depth));
-            *known = sum;
-        }
     }
 
     fn split(&mut self, view: &View) {
@@ -141,7 +128,6 @@ impl RayLine {
             pixels: &self.pixels[points.clone()],
             depths: &self.depths[points.clone()],
             metres: &self.metres[points.clone()],
-            depth_sums: &self.depth_sums[points.start..=points.end],
             neighbors: [points.start.checked_sub(1), Some(points.end)].map(|at| self.measurement(at?)),
             open,
         }
@@ -161,8 +147,6 @@ pub(super) struct Points<'a> {
     pub depths: &'a [u16],
     /// ... and in metres.
     pub metres: &'a [f64],
-    /// Running sums of the depths, one more than there are depths.
-    pub depth_sums: &'a [u32],
     /// Pixel and depth of the measurements before and behind the run, in the window.
     pub neighbors: [Option<(u32, u16)>; 2],
     /// Whether the run goes on beyond the window, before the first point and behind the last.

@@ -63,6 +63,7 @@ struct LineSearch {
     sums: Vec<ArcSums>,
     /// Where a run is cut, its ends included.
     cuts: Vec<usize>,
+    depth_sums: Vec<u32>,
 }
 
 impl Arcs {
@@ -163,7 +164,7 @@ impl LineSearch {
                 continue;
             }
             let run = Run::new(rays, &mut self.sums);
-            cut(&run, &mut self.cuts);
+            cut(&run, &mut self.cuts, &mut self.depth_sums);
             for ends in self.cuts.windows(2) {
                 arcs_of_part(&run, image, ends[0]..ends[1], ellipses, rejections);
             }

@@ -33,15 +33,14 @@ pub(super) struct Rays<'a> {
 ///
 /// The variance of each measurement is that at the mean depth of its surroundings: were it taken at the measured depth,
 /// it would go with the noise and spoil the moments that it is to correct.
-fn weigh(view: &View, depth_sums: &[u32], variances: &mut Vec<f64>) {
+fn weigh(view: &View, depths: &[u16], variances: &mut Vec<f64>) {
     variances.clear();
-    let length = depth_sums.len() - 1;
+    let (blocks, rest) = depths.as_chunks::<SURROUNDINGS>();
+    let total = |depths: &[u16]| f64::from(depths.iter().map(|&depth| u32::from(depth)).sum::<u32>());
     let per_point = view.scale / SURROUNDINGS as f64;
-    for from in (0..length).step_by(SURROUNDINGS) {
-        let to = (from + SURROUNDINGS).min(length);
-        let total = f64::from(depth_sums[to].wrapping_sub(depth_sums[from]));
-        let per_point = if to - from == SURROUNDINGS { per_point } else { view.scale / (to - from) as f64 };
-        variances.push(view.variance(total * per_point));
+    variances.extend(blocks.iter().map(|block| view.variance(total(block) * per_point)));
+    if !rest.is_empty() {
+        variances.push(view.variance(total(rest) * (view.scale / rest.len() as f64)));
     }
 }
 
@@ -50,7 +49,7 @@ impl<'a> Rays<'a> {
     pub fn new(view: &'a View, line: &'a RayLine, index: usize, buffers: &'a mut RayBuffers) -> Self {
         let points = line.run(view, index);
         let RayBuffers { slopes, variances } = buffers;
-        weigh(view, points.depth_sums, variances);
+        weigh(view, points.depths, variances);
         let slopes = view.slopes(points.pixels, slopes);
         Self { view, line, points, length: points.depths.len(), stretch: line.plane.stretch(), slopes, variances }
     }
@@ -91,25 +90,18 @@ impl<'a> Rays<'a> {
 
     /// All sums of an interval.
     pub fn all_sums(&self, points: Range<usize>) -> RaySums {
-        let mut sums = RaySums::default();
-        self.parts(points).for_each(|(slopes, depths, variance)| sums.add(slopes, depths, variance));
-        sums
+        RaySums::of(self.parts(points))
     }
 
     /// Moments of an interval, for lines and circles.
     pub fn moments(&self, points: Range<usize>) -> ArcMoments {
-        let (mut sums, count) = (ArcSums::default(), points.len() as f64);
-        let square_stretch = self.stretch * self.stretch;
-        let parts = self.parts(points);
-        parts.for_each(|(slopes, depths, variance)| sums.add(slopes, depths, variance, square_stretch));
-        sums.moments(count, self.stretch)
+        let count = points.len() as f64;
+        ArcSums::of(self.parts(points), self.stretch * self.stretch).moments(count, self.stretch)
     }
 
     /// What a line asks of an interval.
     pub fn line_sums(&self, points: Range<usize>) -> LineSums {
-        let mut sums = LineSums::default();
-        self.parts(points).for_each(|(slopes, depths, variance)| sums.add(slopes, depths, variance));
-        sums
+        LineSums::of(self.parts(points))
     }
 
     /// Variance of the sensor at a point, along the depth.

@@ -27,18 +27,29 @@ pub(super) struct Segment {
 
 /// Puts the ends of the parts of a run between its creases into `cuts`, where an object stands on a floor: only creases
 /// open to the camera count, and only where no circle (as the inside of a bowl) explains the whole run.
-pub(super) fn cut(run: &Run, cuts: &mut Vec<usize>) {
+pub(super) fn cut(run: &Run, cuts: &mut Vec<usize>, depth_sums: &mut Vec<u32>) {
     cuts.clear();
     cuts.push(0);
-    add_creases(run, cuts);
+    add_creases(run, cuts, depth_sums);
     if cuts.len() > 1 && (run.is_line(0, run.length) || run.is_circle(0, run.length)) {
         cuts.truncate(1);
     }
     cuts.push(run.length);
 }
 
-/// Adds the deepest point of each crease.
-fn add_creases(run: &Run, creases: &mut Vec<usize>) {
+/// Running sums of the depths of a run, beginning with nothing; they may wrap around, differences of them do not.
+fn sum_depths(depths: &[u16], sums: &mut Vec<u32>) {
+    sums.clear();
+    sums.push(0);
+    sums.extend(depths.iter().scan(0_u32, |sum, &depth| {
+        *sum = sum.wrapping_add(u32::from(depth));
+        Some(*sum)
+    }));
+}
+
+/// Adds the deepest point of each crease; `depth_sums` is a buffer.
+fn add_creases(run: &Run, creases: &mut Vec<usize>, depth_sums: &mut Vec<u32>) {
+    sum_depths(run.points.depths, depth_sums);
     let mut deepest: Option<(i32, usize)> = None;
     let end = run.length.saturating_sub(WING + 1);
     let per_sigma = CREASE_UNIT * CREASE / run.view.scale;
@@ -48,7 +59,7 @@ fn add_creases(run: &Run, creases: &mut Vec<usize>) {
             continue;
         }
         let least = (per_sigma * run.depth_variance(first).sqrt()) as i32;
-        let depths = crease_depths(run.points.depth_sums, block.clone());
+        let depths = crease_depths(depth_sums, block.clone());
         if depths.clone().fold(0, i32::max) <= least {
             creases.extend(deepest.take().map(|(_, at)| at));
             continue;
