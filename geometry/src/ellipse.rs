@@ -32,7 +32,6 @@ pub struct Ellipse {
 impl Conic {
     /// `sum F^2` over the points of `moments`: the quadratic form `q' M q` of the coefficients.
     pub fn square_sum(&self, moments: &PlaneMoments) -> f64 {
-        const POWERS: [(usize, usize); 6] = [(2, 0), (1, 1), (0, 2), (1, 0), (0, 1), (0, 0)];
         let moved;
         let moments = if moments.origin() == self.origin {
             moments
@@ -40,14 +39,26 @@ impl Conic {
             moved = moments.about(self.origin);
             &moved
         };
-        let mut sum = 0.0;
-        for (i, (&qi, (pi, ri))) in self.coefficients.iter().zip(POWERS).enumerate() {
-            sum += qi * qi * moments.get(2 * pi, 2 * ri);
-            for (&qj, (pj, rj)) in self.coefficients.iter().zip(POWERS).skip(i + 1) {
-                sum += 2.0 * qi * qj * moments.get(pi + pj, ri + rj);
-            }
-        }
-        sum
+        let [a, b, c, d, e, f] = self.coefficients;
+        // The square of the polynomial, in the order of the moments.
+        let square = [
+            f * f,
+            2.0 * d * f,
+            2.0 * e * f,
+            d * d + 2.0 * a * f,
+            2.0 * (b * f + d * e),
+            e * e + 2.0 * c * f,
+            2.0 * a * d,
+            2.0 * (a * e + b * d),
+            2.0 * (b * e + c * d),
+            2.0 * c * e,
+            a * a,
+            2.0 * a * b,
+            b * b + 2.0 * a * c,
+            2.0 * b * c,
+            c * c,
+        ];
+        square.iter().zip(moments.sums()).map(|(factor, moment)| factor * moment).sum()
     }
 
     /// `sum |grad F|^2` over the points of `moments`.

@@ -10,6 +10,33 @@ pub const MOMENTS: usize = 15;
 const INDEX: [[usize; 5]; 5] =
     [[0, 2, 5, 9, 14], [1, 4, 8, 13, 0], [3, 7, 12, 0, 0], [6, 11, 0, 0, 0], [10, 0, 0, 0, 0]];
 
+/// For s and t, which moments get a share of which as the origin moves along it, in this order.
+const SHIFTS: [[[usize; 2]; 20]; 2] = [shifts(false), shifts(true)];
+
+/// Each power gets its share of the one below, the highest first; as often as there are powers.
+const fn shifts(along_t: bool) -> [[usize; 2]; 20] {
+    let mut table = [[0; 2]; 20];
+    let (mut next, mut other) = (0, 0);
+    while other < 4 {
+        let mut first = 1;
+        while first <= 4 - other {
+            let mut power = 4 - other;
+            while power >= first {
+                table[next] = if along_t {
+                    [INDEX[other][power], INDEX[other][power - 1]]
+                } else {
+                    [INDEX[power][other], INDEX[power - 1][other]]
+                };
+                next += 1;
+                power -= 1;
+            }
+            first += 1;
+        }
+        other += 1;
+    }
+    table
+}
+
 /// The 15 moments up to degree 4 of weighted points in a plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlaneMoments {
@@ -44,6 +71,11 @@ impl PlaneMoments {
     /// The sums, in the order of [`PlaneMoments::from_sums`].
     pub fn sums(&self) -> &[f64; MOMENTS] {
         &self.sums
+    }
+
+    /// Place of the moment of exponents p and q among the sums, p + q <= 4.
+    pub(crate) const fn place(p: usize, q: usize) -> usize {
+        INDEX[p][q]
     }
 
     /// `sum (s - s0)^p (t - t0)^q`, p + q <= 4.
@@ -100,21 +132,11 @@ impl PlaneMoments {
         let (ds, dt) = (self.origin[0] - origin[0], self.origin[1] - origin[1]);
         let mut moved = Self { origin, sums: self.sums };
         if ds != 0.0 || dt != 0.0 {
-            moved.shift(ds, |p, q| INDEX[p][q]);
-            moved.shift(dt, |p, q| INDEX[q][p]);
+            // The binomial theorem, in place along one axis after the other.
+            SHIFTS[0].iter().for_each(|[to, from]| moved.sums[*to] += ds * moved.sums[*from]);
+            SHIFTS[1].iter().for_each(|[to, from]| moved.sums[*to] += dt * moved.sums[*from]);
         }
         moved
-    }
-
-    /// Binomial theorem, applied in place along one axis (the Pascal matrix as a product of single additions).
-    fn shift(&mut self, by: f64, index: impl Fn(usize, usize) -> usize) {
-        for q in 0..4 {
-            for first in 1..=4 - q {
-                for p in (first..=4 - q).rev() {
-                    self.sums[index(p, q)] += by * self.sums[index(p - 1, q)];
-                }
-            }
-        }
     }
 
     /// The moments of the same points with all offsets from the origin multiplied by `factor`.

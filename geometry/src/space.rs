@@ -23,6 +23,14 @@ const EXPONENTS: [[usize; 3]; SPACE_MOMENTS] = exponents();
 /// Place of the moment with exponents `[a][b][c]`.
 const PLACE: [[[usize; 5]; 5]; 5] = places();
 
+/// For each axis, which moments get a share of which as the origin moves along it, in this order.
+const SHIFTS: [[[usize; 2]; SPACE_MOMENTS]; 3] = [shifts(0), shifts(1), shifts(2)];
+
+/// For each moment, of the points of a row or a column: the powers of the slope across the scan line and of the way
+/// forward that it is made of, and the place of the plane moment.
+const OF_ROW: [[usize; 3]; SPACE_MOMENTS] = of_arc(false);
+const OF_COLUMN: [[usize; 3]; SPACE_MOMENTS] = of_arc(true);
+
 /// Exponents of the quadric's monomials.
 const QUADRIC: [[usize; 3]; QUADRIC_TERMS] =
     [[2, 0, 0], [0, 2, 0], [0, 0, 2], [1, 1, 0], [1, 0, 1], [0, 1, 1], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 0]];
@@ -57,6 +65,45 @@ const fn places() -> [[[usize; 5]; 5]; 5] {
     table
 }
 
+/// Each power of one coordinate gets its share of the one below, the highest first; as often as there are powers.
+const fn shifts(axis: usize) -> [[usize; 2]; SPACE_MOMENTS] {
+    let mut table = [[0; 2]; SPACE_MOMENTS];
+    let (mut next, mut of_others) = (0, 0);
+    while of_others < SPACE_MOMENTS {
+        let others = EXPONENTS[of_others];
+        of_others += 1;
+        if others[axis] > 0 {
+            continue;
+        }
+        let degree = 4 - others[0] - others[1] - others[2];
+        let mut first = 1;
+        while first <= degree {
+            let mut power = degree;
+            while power >= first {
+                let (mut to, mut from) = (others, others);
+                (to[axis], from[axis]) = (power, power - 1);
+                table[next] = [PLACE[to[0]][to[1]][to[2]], PLACE[from[0]][from[1]][from[2]]];
+                next += 1;
+                power -= 1;
+            }
+            first += 1;
+        }
+    }
+    table
+}
+
+const fn of_arc(is_column: bool) -> [[usize; 3]; SPACE_MOMENTS] {
+    let mut table = [[0; 3]; SPACE_MOMENTS];
+    let mut place = 0;
+    while place < SPACE_MOMENTS {
+        let [a, b, c] = EXPONENTS[place];
+        let (along, beside) = if is_column { (b, a) } else { (a, b) };
+        table[place] = [beside, c, PlaneMoments::place(along, beside + c)];
+        place += 1;
+    }
+    table
+}
+
 /// The 35 moments up to degree 4 of weighted points, about the camera centre.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SpaceMoments {
@@ -86,12 +133,9 @@ impl SpaceMoments {
         let moments = moments.about([0.0, 0.0]);
         let across = powers(plane.slope() / plane.stretch());
         let forward = powers(1.0 / plane.stretch());
-        let mut space = Self::default();
-        for (sum, [a, b, c]) in space.sums.iter_mut().zip(EXPONENTS) {
-            let (along, beside) = if plane.scan() == Scan::Row { (a, b) } else { (b, a) };
-            *sum = across[beside] * forward[c] * moments.get(along, beside + c);
-        }
-        space
+        let places = if plane.scan() == Scan::Row { &OF_ROW } else { &OF_COLUMN };
+        let sums = places.map(|[beside, c, place]| across[beside] * forward[c] * moments.sums()[place]);
+        Self { sums }
     }
 
     /// Adds points that count `weight` times.
@@ -127,9 +171,7 @@ impl SpaceMoments {
     pub fn normalized(&self) -> Option<QuadricMoments> {
         let origin = self.mean();
         let mut local = *self;
-        local.shift(-origin.x, |a, b, c| PLACE[a][b][c]);
-        local.shift(-origin.y, |b, a, c| PLACE[a][b][c]);
-        local.shift(-origin.z, |c, a, b| PLACE[a][b][c]);
+        (0..3).for_each(|axis| local.shift(axis, -origin[axis]));
         let trace = local.get(2, 0, 0) + local.get(0, 2, 0) + local.get(0, 0, 2);
         let scale = (trace / self.weight()).sqrt();
         if !(scale.is_finite() && scale > 1e-9) {
@@ -147,18 +189,9 @@ impl SpaceMoments {
         Some(QuadricMoments { origin, scale, matrix })
     }
 
-    /// Binomial theorem, in place along the axis whose exponent `index` takes first.
-    fn shift(&mut self, by: f64, index: impl Fn(usize, usize, usize) -> usize) {
-        for b in 0..4 {
-            for c in 0..4 - b {
-                let degree = 4 - b - c;
-                for first in 1..=degree {
-                    for a in (first..=degree).rev() {
-                        self.sums[index(a, b, c)] += by * self.sums[index(a - 1, b, c)];
-                    }
-                }
-            }
-        }
+    /// Moves the origin along an axis by as much as the points are to move: the binomial theorem, in place.
+    fn shift(&mut self, axis: usize, by: f64) {
+        SHIFTS[axis].iter().for_each(|[to, from]| self.sums[*to] += by * self.sums[*from]);
     }
 }
 
@@ -201,8 +234,13 @@ impl QuadricMoments {
 }
 
 /// Sum of the products.
+#[inline]
 pub(crate) fn dot(a: &Coefficients, b: &Coefficients) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
+    let two = std::array::from_fn(|i| {
+        a[i] * b[i] + a[i + 2] * b[i + 2] + a[i + 4] * b[i + 4] + a[i + 6] * b[i + 6] + a[i + 8] * b[i + 8]
+    });
+    let [even, odd]: [f64; 2] = two;
+    even + odd
 }
 
 /// The powers 0 to 4.
