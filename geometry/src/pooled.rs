@@ -14,7 +14,7 @@ const STEPS: usize = 8;
 const SHORT: f64 = 1e-4;
 
 /// So does one that lowers the sum of squares by less than this: noise makes it scatter by more than one.
-const SLIGHT: f64 = 1e-3;
+const SLIGHT: f64 = 5e-2;
 
 /// A fitted surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
