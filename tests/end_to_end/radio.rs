@@ -8,15 +8,15 @@ use super::support::{Playground, Started};
 
 /// Images uncompressed, of which the radio carries a part, and beside them lists; the robot looks at its own, too.
 fn everything_crosses() -> String {
-    let endpoint = format!("tcp/{ROBOT}:7447");
+    let endpoints = format!(r#"["tcp/{ROBOT}:7447", "udp/{ROBOT}:7447"]"#);
     format!(
         r#"
 name = "everything"
 [machine.robot]
-listen   = ["{endpoint}"]
+listen   = {endpoints}
 insecure = true
 [machine.base]
-connect  = ["{endpoint}"]
+connect  = {endpoints}
 
 [stage.source]
 node    = "synthetic_source"

@@ -7,6 +7,7 @@ use super::plan::Edge;
 use super::report::EdgeCounts;
 use super::sending::Shared;
 use super::sequence::{Sequence, Verdict};
+use super::ways::Ear;
 use super::wire::{Wire, decode_message};
 use super::{BRIDGE, BridgeError};
 use crate::clock::monotonic_ns;
@@ -19,9 +20,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
-use zenoh::Wait;
 use zenoh::bytes::ZBytes;
-use zenoh::pubsub::Subscriber;
 
 const TICK: Duration = Duration::from_millis(50);
 /// Messages that wait to be decoded, where none may be missed; what is refused comes again.
@@ -36,7 +35,7 @@ pub(super) struct Receiving<'a, T: Wire> {
     edge: &'a Edge,
     lossless: bool,
     mailbox: Arc<Mailbox<ZBytes>>,
-    _subscriber: Subscriber<()>,
+    ear: Ear<'a>,
     outlet: Outlet<T, SharedWriter<T>>,
     sequence: Sequence,
     items: Vec<T>,
@@ -55,20 +54,17 @@ impl<'a, T: Wire> Receiving<'a, T> {
         let room = if lossless { LOSSLESS_ROOM } else { edge.writers.len() + 1 };
         let mailbox = Arc::new(Mailbox::new(room, !lossless));
         let letters = Arc::clone(&mailbox);
-        let declared = shared
-            .session
-            .declare_subscriber(shared.key(&edge.from, &topic.name))
-            .callback(move |sample| {
+        let ear =
+            shared.ways.listen(&shared.key(&edge.from, &topic.name), !lossless && edge.is_short(), move |bytes| {
                 // What finds no room comes again, or was not the newest.
-                letters.leave(sample.payload().clone());
-            })
-            .wait();
+                letters.leave(bytes);
+            })?;
         let port = Some((shared.transport.writer::<T>(&topic)?, topic));
         Ok(Self {
             edge,
             lossless,
             mailbox,
-            _subscriber: declared.map_err(|error| BridgeError::zenoh("cannot subscribe to a topic of Zenoh", error))?,
+            ear,
             outlet: Outlet::new(port, BRIDGE, 0, shared.peers.clone(), shared.stop.clone()),
             sequence: Sequence::new(lossless),
             items: Vec::new(),
@@ -83,6 +79,7 @@ impl<'a, T: Wire> Receiving<'a, T> {
     /// Carries messages until all writers have ended, or the run does.
     pub(super) fn run(mut self) -> Result<(), BridgeError> {
         while !self.stop.requested() && self.ended.len() < self.edge.writers.len() {
+            self.ear.choose()?;
             let Some(bytes) = self.mailbox.take(TICK) else { continue };
             match self.accept(&bytes.to_bytes()) {
                 Err(PortError::Stopped) => break,
