@@ -190,20 +190,43 @@ fn a_python_program_reads_objects_by_their_key() {
     }
 }
 
+/// What `top` shows of the only link of a machine.
+pub fn top_link(machine: &Playground) -> Json {
+    let ended = machine.conicflow(&["top", "--once"]).expect_code(0);
+    let json: Json = serde_json::from_str(&ended.stdout).unwrap();
+    json["pipelines"][0]["links"][0].clone()
+}
+
+/// Waits until `top` shows the only link of a machine in this state.
+pub fn wait_for_link(machine: &Playground, state: &str) {
+    wait_until(&format!("the link is {state}"), || top_link(machine)["state"] == state);
+}
+
 #[test]
 fn top_shows_each_link() {
     let machines = live();
     let [robot, base] = &machines;
-    let mut runs = [start(robot, "robot"), start(base, "base")];
+    let base_run = start(base, "base");
+    wait_for_link(base, "unreachable");
+    let before = top_link(base);
+    assert_eq!((before["machine"].as_str(), before["was_heard"].as_bool()), (Some("robot"), Some(false)), "{before}");
+    assert!(top_link(base)["state_s"].as_f64() > before["state_s"].as_f64(), "{before}");
+    let mut runs = [start(robot, "robot"), base_run];
     runs[1].wait_until("tracks arrive", || newest(base) > 60);
-    let ended = base.conicflow(&["top", "--once"]).expect_code(0);
-    let json: Json = serde_json::from_str(&ended.stdout).unwrap();
-    let shown = &json["pipelines"][0]["links"][0];
-    assert_eq!((shown["machine"].as_str(), shown["connected"].as_bool()), (Some("robot"), Some(true)), "{shown}");
+    let shown = top_link(base);
+    assert_eq!((shown["state"].as_str(), shown["connected"].as_bool()), (Some("up"), Some(true)), "{shown}");
     // Both clocks are this host's.
     assert!(shown["clock_offset_s"].as_f64().unwrap().abs() < 0.1, "{shown}");
     let edge = &shown["edges"][0];
     assert_eq!((edge["topic"].as_str(), edge["direction"].as_str()), (Some("ellipses"), Some("in")), "{shown}");
     assert!(edge["messages"].as_u64().unwrap() > 10 && edge["wire_bytes"].as_u64().unwrap() > 1000, "{shown}");
-    end(runs, &machines);
+    let [robot_run, base_run] = runs;
+    // What is killed does not say goodbye.
+    signal(robot_run.id(), Signal::KILL);
+    drop(robot_run);
+    wait_for_link(base, "unreachable");
+    assert_eq!(top_link(base)["was_heard"], true);
+    signal(base_run.id(), Signal::INT);
+    base_run.wait().expect_code(0);
+    machines.iter().for_each(|machine| wait_until("no process is left", || machine.processes().is_empty()));
 }

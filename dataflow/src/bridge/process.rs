@@ -42,6 +42,7 @@ pub(crate) fn run(
     let stream = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as u64);
     let links = Arc::new(Links::new(&bridge.machine, stream, bridge.peers().into_iter()));
     let mut account = Account::new(bridge, plan, folder, around.record, &links);
+    account.report(false);
     let Some(ways) = Ways::open(&bridge.settings, &stop, || account.report(false))? else { return Ok(()) };
     let shared = Shared {
         ways: &ways,
@@ -92,7 +93,6 @@ type Handle<'scope> = ScopedJoinHandle<'scope, Result<(), BridgeError>>;
 
 impl<'a> Watch<'a> {
     fn run(&mut self, shared: &Shared<'a>) -> Result<(), BridgeError> {
-        self.account.report(false);
         std::thread::scope(|scope| {
             let carried = &self.account.carried;
             let started: Result<Vec<_>, _> = carried.iter().map(|carried| carried.start(scope, shared)).collect();

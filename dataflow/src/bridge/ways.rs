@@ -172,3 +172,59 @@ impl<'a> Ear<'a> {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::net::{TcpListener, UdpSocket};
+    use std::sync::mpsc::{Receiver, channel};
+
+    const DEADLINE: Duration = Duration::from_secs(60);
+    const KEY: &str = "conicflow/test/robot/objects";
+
+    /// Two machines that are joined by a stream and by datagrams.
+    fn joined() -> [Ways; 2] {
+        let stream = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+        let datagrams = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+        let endpoints = vec![format!("tcp/{stream}"), format!("udp/{datagrams}")];
+        let listening = Machine { listen: endpoints.clone(), ..Machine::default() };
+        let connecting = Machine { connect: endpoints, ..Machine::default() };
+        [listening, connecting].map(|machine| Ways::open(&machine, &Stop::default(), || ()).unwrap().unwrap())
+    }
+
+    /// Speaks until a message is heard and `holds` is true of the ear.
+    fn speak_until(voice: &Voice, ear: &mut Ear<'_>, heard: &Receiver<ZBytes>, holds: fn(&Ear<'_>) -> bool) {
+        let since = Instant::now();
+        loop {
+            assert!(since.elapsed() < DEADLINE, "it never came true");
+            ear.choose().unwrap();
+            voice.put(b"objects".to_vec());
+            if heard.recv_timeout(Duration::from_millis(20)).is_ok() && holds(ear) {
+                return;
+            }
+        }
+    }
+
+    #[test]
+    fn short_messages_come_by_datagrams_and_by_the_stream_where_no_datagrams_come() {
+        let [mut robot, base] = joined();
+        let (take, heard) = channel();
+        let voice = robot.speak(KEY, true, Priority::InteractiveHigh).unwrap();
+        let mut ear = base.listen(KEY, true, move |bytes| drop(take.send(bytes))).unwrap();
+        speak_until(&voice, &mut ear, &heard, |ear| ear.stream.is_none());
+        let datagrams = robot.datagrams.take().unwrap();
+        datagrams.close().wait().unwrap();
+        while heard.try_recv().is_ok() {}
+        speak_until(&voice, &mut ear, &heard, |ear| ear.stream.is_some());
+    }
+
+    #[test]
+    fn what_is_long_or_must_not_be_lost_goes_by_the_stream_alone() {
+        let [robot, base] = joined();
+        let (take, heard) = channel();
+        let voice = robot.speak(KEY, false, Priority::DataLow).unwrap();
+        let mut ear = base.listen(KEY, false, move |bytes| drop(take.send(bytes))).unwrap();
+        speak_until(&voice, &mut ear, &heard, |ear| ear.stream.is_some() && ear.datagrams.is_none());
+        assert_eq!(voice.publishers.len(), 1);
+    }
+}
