@@ -150,6 +150,21 @@ fn stages_and_bridges_may_die_on_either_side() {
 }
 
 #[test]
+fn the_stages_of_two_machines_may_be_started_one_by_one() {
+    let machines = live();
+    let stages = HALVES.into_iter().chain([("bridge", "robot"), ("bridge", "base")]);
+    let mut runs: Vec<_> = stages
+        .map(|(stage, machine)| {
+            let playground = &machines[usize::from(machine == "base")];
+            playground.start(&["node", stage, "--machine", machine])
+        })
+        .collect();
+    runs[4].wait_until("tracks arrive", || newest(&machines[1]) > 30);
+    runs.iter().for_each(|run| signal(run.id(), Signal::INT));
+    runs.into_iter().for_each(|run| drop(run.wait().expect_code(0)));
+}
+
+#[test]
 fn a_python_program_reads_objects_by_their_key() {
     let python = std::env::var("CONICFLOW_TEST_PYTHON").unwrap_or_else(|_| "python3".to_owned());
     let has_zenoh = Command::new(&python).args(["-c", "import zenoh"]).stderr(Stdio::null()).status();
