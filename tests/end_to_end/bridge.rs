@@ -164,6 +164,62 @@ fn the_stages_of_two_machines_may_be_started_one_by_one() {
     runs.into_iter().for_each(|run| drop(run.wait().expect_code(0)));
 }
 
+/// Kills the bridge of one of two machines again and again while lossless edges carry frames as fast as they can; the number
+/// of frames that the base has missed.
+fn kill_the_bridge_of(killed: usize) -> u64 {
+    const FRAMES: u64 = 3000;
+    let endpoint = loopback();
+    let text = apart(&endpoint, &endpoint).replace("rate_hz    = 0", &format!("rate_hz = 400\nframes = {FRAMES}"));
+    let machines = machines(&text);
+    let mut runs = [start(&machines[0], "robot"), start(&machines[1], "base")];
+    for round in 1..=4 {
+        let target = newest(&machines[1]) + 400;
+        runs[1].wait_until("tracks arrive", || newest(&machines[1]) > target);
+        let process = process_of(&machines[killed], "bridge").unwrap();
+        signal(process, Signal::KILL);
+        let successor = || process_of(&machines[killed], "bridge").is_some_and(|new| new != process);
+        runs[1].wait_until(&format!("its successor runs, round {round}"), successor);
+    }
+    let ended = runs.map(|run| run.wait().expect_code(0));
+    let sequences = machines[1].sequences("tracks.jsonl");
+    assert!(sequences.is_sorted() && sequences.last() == Some(&(FRAMES - 1)), "{:?}", sequences.last());
+    let missed = FRAMES - sequences.len() as u64;
+    eprintln!("{missed} missed, assembler: {:?}", ended[1].input("ellipses", "assembler"));
+    missed
+}
+
+#[test]
+fn nothing_is_lost_with_a_receiving_bridge_that_is_killed() {
+    assert_eq!(kill_the_bridge_of(1), 0);
+}
+
+/// What is lost with a bridge that is killed: what waits in its queue, which has four places, and what it was just reading.
+const LOST_WITH_A_SENDER: u64 = 4 + 4;
+
+#[test]
+fn little_is_lost_with_a_sending_bridge_that_is_killed() {
+    assert!(kill_the_bridge_of(0) <= 4 * LOST_WITH_A_SENDER);
+}
+
+#[test]
+fn what_waits_for_a_machine_is_not_lost_with_a_sending_bridge_that_is_killed() {
+    const FRAMES: u64 = 300;
+    let endpoint = loopback();
+    let text = apart(&endpoint, &endpoint).replace("rate_hz    = 0", &format!("rate_hz = 0\nframes = {FRAMES}"));
+    let [robot, base] = machines(&text);
+    let robot_run = start(&robot, "robot");
+    wait_until("a full outbox waits", || top_link(&robot)["edges"][0]["messages"] == 64);
+    let process = process_of(&robot, "bridge").unwrap();
+    signal(process, Signal::KILL);
+    wait_until("its successor runs", || process_of(&robot, "bridge").is_some_and(|new| new != process));
+    let base_run = start(&base, "base");
+    robot_run.wait().expect_code(0);
+    base_run.wait().expect_code(0);
+    let sequences = base.sequences("tracks.jsonl");
+    assert!(sequences.starts_with(&(0..64).collect::<Vec<_>>()), "{sequences:?}");
+    assert!(sequences.len() as u64 >= FRAMES - LOST_WITH_A_SENDER, "{sequences:?}");
+}
+
 #[test]
 fn a_python_program_reads_objects_by_their_key() {
     let python = std::env::var("CONICFLOW_TEST_PYTHON").unwrap_or_else(|_| "python3".to_owned());

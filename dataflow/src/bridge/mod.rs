@@ -11,6 +11,7 @@
 mod account;
 mod beacon;
 mod depth_codec;
+mod kept;
 mod links;
 mod mailbox;
 mod outbox;

@@ -15,7 +15,7 @@ use crate::plan::Plan;
 use crate::ports::shared_memory::SharedMemory;
 use crate::runner::Surroundings;
 use crate::stage::Stop;
-use crate::status::Life;
+use crate::status::{Life, NO_RUN};
 use conicflow_messages::{Ellipse, Kind, Object, Track};
 use std::sync::Arc;
 use std::thread::{Scope, ScopedJoinHandle};
@@ -51,6 +51,7 @@ pub(crate) fn run(
         pipeline: &plan.pipeline,
         machine: &bridge.machine,
         stream,
+        kept: (plan.run != NO_RUN).then_some(folder.path()),
         outage: bridge.settings.outage_s.map_or(OUTAGE, Duration::from_secs_f64),
         peers: &around.peers,
         stop: &stop,

@@ -1,5 +1,6 @@
 //! An edge that leaves: out of shared memory, encoded, put to Zenoh, and kept until it is acknowledged where that is asked.
 
+use super::kept::Kept;
 use super::links::Links;
 use super::outbox::Outbox;
 use super::plan::Edge;
@@ -17,6 +18,7 @@ use crate::stage::Stop;
 use crate::status::Life;
 use conicflow_messages::{Header, Kind, Text};
 use std::collections::BTreeSet;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use zenoh::qos::Priority;
@@ -37,6 +39,8 @@ pub(super) struct Shared<'a> {
     pub pipeline: &'a str,
     pub machine: &'a str,
     pub stream: u64,
+    /// Where what is not acknowledged is kept, if anybody can come after this process.
+    pub kept: Option<&'a Path>,
     pub outage: Duration,
     pub peers: &'a Peers,
     pub stop: &'a Stop,
@@ -73,11 +77,12 @@ impl<'a, T: Wire> Sending<'a, T> {
         let priority = if images { Priority::DataLow } else { Priority::InteractiveHigh };
         let lossy = edge.to.iter().any(|receiver| receiver.delivery == Delivery::Latest);
         let voice = shared.ways.speak(&shared.key(&edge.from, &topic.name), lossy && edge.is_short(), priority)?;
+        let kept = shared.kept.map(|folder| Kept::in_folder(folder.to_owned(), &topic.name)).unwrap_or_default();
         Ok(Self {
             edge,
             inbox: Inbox::new(reader, topic.delivery_to(BRIDGE), &topic.name, topic.writers.len()),
             voice,
-            outbox: Outbox::new(shared.stream, &edge.to, [wait, shared.outage], Instant::now()),
+            outbox: Outbox::new(shared.stream, kept, &edge.to, [wait, shared.outage], Instant::now()),
             links: Arc::clone(shared.links),
             counts,
             peers: shared.peers.clone(),
@@ -99,6 +104,9 @@ impl<'a, T: Wire> Sending<'a, T> {
                 self.forward_ends()?;
                 self.inbox.wait(TICK)?;
             }
+        }
+        if !self.stop.forced() {
+            self.outbox.close();
         }
         self.tell_what_is_lost();
         Ok(())
