@@ -158,7 +158,9 @@ impl<'a> Ear<'a> {
     pub(super) fn choose(&mut self) -> Result<(), BridgeError> {
         let Some(datagrams) = &self.datagrams else { return Ok(()) };
         if datagrams.come() {
-            self.stream = None;
+            if self.stream.take().is_some() {
+                tracing::info!("`{}` comes by datagrams", self.key);
+            }
             return Ok(());
         }
         if datagrams.asked.elapsed() > ASK_AGAIN {
@@ -167,6 +169,7 @@ impl<'a> Ear<'a> {
             self.datagrams = Some(self.ask_for_datagrams(session)?);
         }
         if self.stream.is_none() {
+            tracing::info!("`{}` comes by the stream, because no datagrams come", self.key);
             self.stream = Some(self.declare(&self.ways.streams, Arc::clone(&self.take))?);
         }
         Ok(())
