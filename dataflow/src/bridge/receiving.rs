@@ -104,7 +104,7 @@ impl<'a, T: Wire> Receiving<'a, T> {
             return self.leave_out(&format!("no stage `{writer}` of machine `{}` writes it", self.edge.from));
         }
         let repeated_end = header.ends_stream() && !self.lossless && place.stream >= self.sequence.expected().0;
-        let verdict = self.sequence.judge(place);
+        let verdict = self.sequence.judge(place, Instant::now());
         self.counts.lost.store(self.sequence.lost(), Ordering::Relaxed);
         if verdict == Verdict::Take {
             self.pass_on(header, bytes.len())?;
