@@ -92,7 +92,7 @@ fn datagrams_may_be_encrypted_too() {
         std::fs::copy(robot.path("tls").join(file), base.path("tls").join(file)).unwrap();
     }
     let mut runs = [start(robot, "robot"), start(base, "base")];
-    runs[1].wait_for_text("`conicflow/tracking/robot/objects` comes by datagrams");
+    runs[1].wait_for_text("topic `objects` of machine `robot` comes by datagrams");
     let before = newest(base);
     runs[1].wait_until("tracks go on", || newest(base) > before + 30);
     for run in runs {

@@ -146,7 +146,7 @@ fn the_robot_does_not_feel_a_bad_radio_and_lists_stay_fresh_while_images_are_lat
     let frame = robot.frame();
     base_run.wait_until("lists arrive", arrives("lists.jsonl", frame));
     base_run.wait_until("images arrive", arrives("images.jsonl", frame));
-    base_run.wait_for_text("`conicflow/everything/robot/objects` comes by datagrams");
+    base_run.wait_for_text("topic `objects` of machine `robot` comes by datagrams");
     let lines = || FILES.map(|file| base.lines(file).len());
     let before = lines();
     let slow = robot.watch("radio slow", |robot| robot.go_on(450));

@@ -118,7 +118,7 @@ impl<'a> Watch<'a> {
             if self.account.is_due() {
                 self.account.report(self.ways.reach_anybody());
             }
-            self.ears.iter_mut().try_for_each(Ear::choose).inspect_err(|_| stop.force())?;
+            self.ears.iter_mut().try_for_each(|ear| ear.choose().map(drop)).inspect_err(|_| stop.force())?;
             for ended in handles.extract_if(.., |handle| handle.is_finished()) {
                 let edge = ended.join().unwrap_or(Err(BridgeError::Panicked));
                 result = result.and(edge.inspect_err(|_| stop.force()));

@@ -79,7 +79,10 @@ impl<'a, T: Wire> Receiving<'a, T> {
     /// Carries messages until all writers have ended, or the run does.
     pub(super) fn run(mut self) -> Result<(), BridgeError> {
         while !self.stop.requested() && self.ended.len() < self.edge.writers.len() {
-            self.ear.choose()?;
+            if let Some(way) = self.ear.choose()? {
+                let (topic, from) = (&self.edge.topic.name, &self.edge.from);
+                tracing::info!("topic `{topic}` of machine `{from}` comes by {way}");
+            }
             let Some(bytes) = self.mailbox.take(TICK) else { continue };
             match self.accept(&bytes.to_bytes()) {
                 Err(PortError::Stopped) => break,

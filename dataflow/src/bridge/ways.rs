@@ -154,25 +154,22 @@ impl<'a> Ear<'a> {
         Ok(Datagrams { session, asked: Instant::now(), came, _subscriber: subscriber })
     }
 
-    /// Chooses the way anew; to be called now and then.
-    pub(super) fn choose(&mut self) -> Result<(), BridgeError> {
-        let Some(datagrams) = &self.datagrams else { return Ok(()) };
+    /// Chooses the way anew; to be called now and then. The name of the way, if that has changed.
+    pub(super) fn choose(&mut self) -> Result<Option<&'static str>, BridgeError> {
+        let Some(datagrams) = &self.datagrams else { return Ok(None) };
         if datagrams.come() {
-            if self.stream.take().is_some() {
-                tracing::info!("`{}` comes by datagrams", self.key);
-            }
-            return Ok(());
+            return Ok(self.stream.take().map(|_| "datagrams"));
         }
         if datagrams.asked.elapsed() > ASK_AGAIN {
             let session = datagrams.session;
             self.datagrams = None;
             self.datagrams = Some(self.ask_for_datagrams(session)?);
         }
-        if self.stream.is_none() {
-            tracing::info!("`{}` comes by the stream, because no datagrams come", self.key);
-            self.stream = Some(self.declare(&self.ways.streams, Arc::clone(&self.take))?);
+        if self.stream.is_some() {
+            return Ok(None);
         }
-        Ok(())
+        self.stream = Some(self.declare(&self.ways.streams, Arc::clone(&self.take))?);
+        Ok(Some("the stream"))
     }
 }
 
