@@ -75,7 +75,7 @@ fn listen_for_beacons<'a>(shared: &Shared<'a>, bridge: &BridgePlan) -> Result<Ve
     let listen = |peer: &str| {
         let (links, machine) = (Arc::clone(shared.links), peer.to_owned());
         let hear = move |bytes: ZBytes| links.heard(&machine, &bytes.to_bytes());
-        shared.ways.listen(&beacon_key(shared.pipeline, peer), true, hear)
+        shared.ways.listen(&beacon_key(shared.pipeline, peer), Some(3 * BEACON_PERIOD), hear)
     };
     bridge.peers().into_iter().map(listen).collect()
 }

@@ -27,6 +27,8 @@ const TICK: Duration = Duration::from_millis(50);
 const LOSSLESS_ROOM: usize = 64;
 /// Where the newest wins, what was under way for longer is a backlog that nobody wants.
 const STALE: Duration = Duration::from_secs(1);
+/// Where datagrams come less often than this, the stream is listened to as well.
+const SILENCE: Duration = Duration::from_secs(2);
 /// Nonsense is told at most this often.
 const TELL_NONSENSE: Duration = Duration::from_secs(1);
 
@@ -44,6 +46,7 @@ pub(super) struct Receiving<'a, T: Wire> {
     counts: Arc<EdgeCounts>,
     stop: Stop,
     told: Option<Instant>,
+    ways_told: BTreeSet<&'static str>,
 }
 
 impl<'a, T: Wire> Receiving<'a, T> {
@@ -54,11 +57,11 @@ impl<'a, T: Wire> Receiving<'a, T> {
         let room = if lossless { LOSSLESS_ROOM } else { edge.writers.len() + 1 };
         let mailbox = Arc::new(Mailbox::new(room, !lossless));
         let letters = Arc::clone(&mailbox);
-        let ear =
-            shared.ways.listen(&shared.key(&edge.from, &topic.name), !lossless && edge.is_short(), move |bytes| {
-                // What finds no room comes again, or was not the newest.
-                letters.leave(bytes);
-            })?;
+        let silence = (!lossless && edge.is_short()).then_some(SILENCE);
+        let ear = shared.ways.listen(&shared.key(&edge.from, &topic.name), silence, move |bytes| {
+            // What finds no room comes again, or was not the newest.
+            letters.leave(bytes);
+        })?;
         let port = Some((shared.transport.writer::<T>(&topic)?, topic));
         Ok(Self {
             edge,
@@ -73,16 +76,14 @@ impl<'a, T: Wire> Receiving<'a, T> {
             counts,
             stop: shared.stop.clone(),
             told: None,
+            ways_told: BTreeSet::new(),
         })
     }
 
     /// Carries messages until all writers have ended, or the run does.
     pub(super) fn run(mut self) -> Result<(), BridgeError> {
         while !self.stop.requested() && self.ended.len() < self.edge.writers.len() {
-            if let Some(way) = self.ear.choose()? {
-                let (topic, from) = (&self.edge.topic.name, &self.edge.from);
-                tracing::info!("topic `{topic}` of machine `{from}` comes by {way}");
-            }
+            self.choose_way()?;
             let Some(bytes) = self.mailbox.take(TICK) else { continue };
             match self.accept(&bytes.to_bytes()) {
                 Err(PortError::Stopped) => break,
@@ -91,6 +92,15 @@ impl<'a, T: Wire> Receiving<'a, T> {
         }
         let writers: Vec<_> = self.edge.writers.iter().map(|writer| Text::new(writer)).collect();
         Ok(self.outlet.end_as(&writers)?)
+    }
+
+    /// Sees to it that messages come, and says once by which way.
+    fn choose_way(&mut self) -> Result<(), BridgeError> {
+        if let Some(way) = self.ear.choose()?.filter(|way| self.ways_told.insert(way)) {
+            let (topic, from) = (&self.edge.topic.name, &self.edge.from);
+            tracing::info!("topic `{topic}` of machine `{from}` comes by {way}");
+        }
+        Ok(())
     }
 
     /// Checks a message, and passes it on if it is the next.

@@ -18,9 +18,7 @@ use zenoh::{Session, Wait};
 
 /// A session that cannot be opened, because nobody is there yet, is tried again after this time.
 const OPEN_AGAIN: Duration = Duration::from_secs(1);
-/// Where no datagram came for so long, the stream is listened to.
-const SILENCE: Duration = Duration::from_secs(2);
-/// Where none came for so long, they are asked for again.
+/// Where no datagrams come, they are asked for again after so long.
 const ASK_AGAIN: Duration = Duration::from_secs(5);
 
 /// The open sessions of a machine.
@@ -76,19 +74,19 @@ impl Ways {
         Ok(Voice { publishers })
     }
 
-    /// Listens to a key, to datagrams alone as long as these come, if messages are `short`. `take` is called by threads of
-    /// Zenoh, which must not wait.
+    /// Listens to a key; if there is a longest `silence` between datagrams, to these alone as long as they come. `take` is
+    /// called by threads of Zenoh, which must not wait.
     pub(super) fn listen(
         &self,
         key: &str,
-        short: bool,
+        silence: Option<Duration>,
         take: impl Fn(ZBytes) + Send + Sync + 'static,
     ) -> Result<Ear<'_>, BridgeError> {
         let take: Take = Arc::new(take);
         let mut ear = Ear { ways: self, key: key.to_owned(), take, stream: None, datagrams: None };
         ear.stream = Some(ear.declare(&self.streams, Arc::clone(&ear.take))?);
-        if let Some(session) = self.datagrams.as_ref().filter(|_| short) {
-            ear.datagrams = Some(ear.ask_for_datagrams(session)?);
+        if let (Some(session), Some(silence)) = (&self.datagrams, silence) {
+            ear.datagrams = Some(ear.ask_for_datagrams(session, silence)?);
         }
         Ok(ear)
     }
@@ -124,6 +122,7 @@ pub(super) struct Ear<'a> {
 /// Its part for datagrams.
 struct Datagrams<'a> {
     session: &'a Session,
+    silence: Duration,
     asked: Instant,
     came: Arc<Mutex<Option<Instant>>>,
     _subscriber: Subscriber<()>,
@@ -132,7 +131,7 @@ struct Datagrams<'a> {
 impl Datagrams<'_> {
     fn come(&self) -> bool {
         let came = *self.came.lock().unwrap_or_else(PoisonError::into_inner);
-        came.is_some_and(|came| came.elapsed() < SILENCE)
+        came.is_some_and(|came| came.elapsed() < self.silence)
     }
 }
 
@@ -143,7 +142,7 @@ impl<'a> Ear<'a> {
         declared.map_err(|error| BridgeError::zenoh("cannot subscribe to a key of Zenoh", error))
     }
 
-    fn ask_for_datagrams(&self, session: &'a Session) -> Result<Datagrams<'a>, BridgeError> {
+    fn ask_for_datagrams(&self, session: &'a Session, silence: Duration) -> Result<Datagrams<'a>, BridgeError> {
         let (take, came) = (Arc::clone(&self.take), Arc::<Mutex<Option<Instant>>>::default());
         let clock = Arc::clone(&came);
         let note_and_take = move |bytes| {
@@ -151,7 +150,7 @@ impl<'a> Ear<'a> {
             take(bytes);
         };
         let subscriber = self.declare(session, Arc::new(note_and_take))?;
-        Ok(Datagrams { session, asked: Instant::now(), came, _subscriber: subscriber })
+        Ok(Datagrams { session, silence, asked: Instant::now(), came, _subscriber: subscriber })
     }
 
     /// Chooses the way anew; to be called now and then. The name of the way, if that has changed.
@@ -161,15 +160,15 @@ impl<'a> Ear<'a> {
             return Ok(self.stream.take().map(|_| "datagrams"));
         }
         if datagrams.asked.elapsed() > ASK_AGAIN {
-            let session = datagrams.session;
+            let (session, silence) = (datagrams.session, datagrams.silence);
             self.datagrams = None;
-            self.datagrams = Some(self.ask_for_datagrams(session)?);
+            self.datagrams = Some(self.ask_for_datagrams(session, silence)?);
         }
         if self.stream.is_some() {
             return Ok(None);
         }
         self.stream = Some(self.declare(&self.ways.streams, Arc::clone(&self.take))?);
-        Ok(Some("the stream"))
+        Ok(Some("the stream, while no datagrams come"))
     }
 }
 
@@ -210,7 +209,7 @@ mod tests {
         let [mut robot, base] = joined();
         let (take, heard) = channel();
         let voice = robot.speak(KEY, true, Priority::InteractiveHigh).unwrap();
-        let mut ear = base.listen(KEY, true, move |bytes| drop(take.send(bytes))).unwrap();
+        let mut ear = base.listen(KEY, Some(Duration::from_secs(1)), move |bytes| drop(take.send(bytes))).unwrap();
         speak_until(&voice, &mut ear, &heard, |ear| ear.stream.is_none());
         let datagrams = robot.datagrams.take().unwrap();
         datagrams.close().wait().unwrap();
@@ -223,7 +222,7 @@ mod tests {
         let [robot, base] = joined();
         let (take, heard) = channel();
         let voice = robot.speak(KEY, false, Priority::DataLow).unwrap();
-        let mut ear = base.listen(KEY, false, move |bytes| drop(take.send(bytes))).unwrap();
+        let mut ear = base.listen(KEY, None, move |bytes| drop(take.send(bytes))).unwrap();
         speak_until(&voice, &mut ear, &heard, |ear| ear.stream.is_some() && ear.datagrams.is_none());
         assert_eq!(voice.publishers.len(), 1);
     }
