@@ -48,6 +48,9 @@ enum Command {
         stage: String,
         /// The pipeline file [default: ./pipeline.toml, else the built-in one]
         file: Option<PathBuf>,
+        /// The machine that this is; there `bridge` is a stage, too
+        #[arg(long, value_name = "NAME")]
+        machine: Option<String>,
     },
     /// Report everything that is wrong with a pipeline file, without starting anything
     Validate {
@@ -132,7 +135,7 @@ pub fn main() -> ExitCode {
 fn dispatch(command: Command) -> anyhow::Result<ExitCode> {
     match command {
         Command::Run(arguments) => run(&arguments),
-        Command::Node { stage, file } => node(&stage, file).map(|()| ExitCode::SUCCESS),
+        Command::Node { stage, file, machine } => node(&stage, file, machine.as_deref()).map(|()| ExitCode::SUCCESS),
         Command::Validate { source } => validate(&source),
         Command::Graph { source } => {
             write!(stdout(), "{}", source.read()?.mermaid())?;
@@ -295,12 +298,18 @@ fn check_machine(pipeline: &Pipeline, machine: Option<&str>) -> anyhow::Result<(
 }
 
 /// Runs one stage here: of the run that this process was started in, or of a file, for a debugger or a service manager.
-fn node(stage: &str, file: Option<PathBuf>) -> anyhow::Result<()> {
+fn node(stage: &str, file: Option<PathBuf>, machine: Option<&str>) -> anyhow::Result<()> {
     if file.is_none() && std::env::var_os(conicflow_dataflow::PIPELINE).is_some() {
         return Ok(conicflow_dataflow::run_in_run(NODES)?);
     }
-    let pipeline = FileArguments { file, overrides: Vec::new() }.read()?;
-    let plan = Plan::of(&pipeline, None, None, NO_RUN);
+    let pipeline = FileArguments { file, overrides: Vec::new() }.read_on(machine)?;
+    check_machine(&pipeline, machine)?;
+    let placed =
+        pipeline.stages.iter().find(|placed| placed.name == stage).and_then(|placed| placed.machine.as_deref());
+    if let Some(other) = placed.filter(|placed| Some(*placed) != machine) {
+        bail!("stage `{stage}` is on another machine, `{other}`\n  hint: run it there, with --machine {other}");
+    }
+    let plan = Plan::of(&pipeline, machine, None, NO_RUN);
     let folder = RunFolder::open(&plan.pipeline)?;
     Ok(conicflow_dataflow::run_planned(&plan, &folder, stage, NODES)?)
 }

@@ -27,7 +27,7 @@ pub mod testing {
     pub use crate::runner::alone::{Owned, collect, pass};
 }
 
-pub use bridge::{EdgeReport, LinkReport};
+pub use bridge::{EdgeReport, LinkReport, LinkState};
 pub use clock::monotonic_ns;
 pub use doctor::{Finding, clean, examine};
 pub use launcher::{

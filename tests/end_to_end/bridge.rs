@@ -150,6 +150,77 @@ fn stages_and_bridges_may_die_on_either_side() {
 }
 
 #[test]
+fn the_stages_of_two_machines_may_be_started_one_by_one() {
+    let machines = live();
+    let stages = HALVES.into_iter().chain([("bridge", "robot"), ("bridge", "base")]);
+    let mut runs: Vec<_> = stages
+        .map(|(stage, machine)| {
+            let playground = &machines[usize::from(machine == "base")];
+            playground.start(&["node", stage, "--machine", machine])
+        })
+        .collect();
+    runs[4].wait_until("tracks arrive", || newest(&machines[1]) > 30);
+    runs.iter().for_each(|run| signal(run.id(), Signal::INT));
+    runs.into_iter().for_each(|run| drop(run.wait().expect_code(0)));
+}
+
+/// Kills the bridge of one of two machines again and again while lossless edges carry frames as fast as they can; the number
+/// of frames that the base has missed.
+fn kill_the_bridge_of(killed: usize) -> u64 {
+    const FRAMES: u64 = 3000;
+    let endpoint = loopback();
+    let text = apart(&endpoint, &endpoint).replace("rate_hz    = 0", &format!("rate_hz = 400\nframes = {FRAMES}"));
+    let machines = machines(&text);
+    let mut runs = [start(&machines[0], "robot"), start(&machines[1], "base")];
+    for round in 1..=4 {
+        let target = newest(&machines[1]) + 400;
+        runs[1].wait_until("tracks arrive", || newest(&machines[1]) > target);
+        let process = process_of(&machines[killed], "bridge").unwrap();
+        signal(process, Signal::KILL);
+        let successor = || process_of(&machines[killed], "bridge").is_some_and(|new| new != process);
+        runs[1].wait_until(&format!("its successor runs, round {round}"), successor);
+    }
+    let ended = runs.map(|run| run.wait().expect_code(0));
+    let sequences = machines[1].sequences("tracks.jsonl");
+    assert!(sequences.is_sorted() && sequences.last() == Some(&(FRAMES - 1)), "{:?}", sequences.last());
+    let missed = FRAMES - sequences.len() as u64;
+    eprintln!("{missed} missed, assembler: {:?}", ended[1].input("ellipses", "assembler"));
+    missed
+}
+
+#[test]
+fn nothing_is_lost_with_a_receiving_bridge_that_is_killed() {
+    assert_eq!(kill_the_bridge_of(1), 0);
+}
+
+/// What is lost with a bridge that is killed: what waits in its queue, which has four places, and what it was just reading.
+const LOST_WITH_A_SENDER: u64 = 4 + 4;
+
+#[test]
+fn little_is_lost_with_a_sending_bridge_that_is_killed() {
+    assert!(kill_the_bridge_of(0) <= 4 * LOST_WITH_A_SENDER);
+}
+
+#[test]
+fn what_waits_for_a_machine_is_not_lost_with_a_sending_bridge_that_is_killed() {
+    const FRAMES: u64 = 300;
+    let endpoint = loopback();
+    let text = apart(&endpoint, &endpoint).replace("rate_hz    = 0", &format!("rate_hz = 0\nframes = {FRAMES}"));
+    let [robot, base] = machines(&text);
+    let robot_run = start(&robot, "robot");
+    wait_until("a full outbox waits", || top_link(&robot)["edges"][0]["messages"] == 64);
+    let process = process_of(&robot, "bridge").unwrap();
+    signal(process, Signal::KILL);
+    wait_until("its successor runs", || process_of(&robot, "bridge").is_some_and(|new| new != process));
+    let base_run = start(&base, "base");
+    robot_run.wait().expect_code(0);
+    base_run.wait().expect_code(0);
+    let sequences = base.sequences("tracks.jsonl");
+    assert!(sequences.starts_with(&(0..64).collect::<Vec<_>>()), "{sequences:?}");
+    assert!(sequences.len() as u64 >= FRAMES - LOST_WITH_A_SENDER, "{sequences:?}");
+}
+
+#[test]
 fn a_python_program_reads_objects_by_their_key() {
     let python = std::env::var("CONICFLOW_TEST_PYTHON").unwrap_or_else(|_| "python3".to_owned());
     let has_zenoh = Command::new(&python).args(["-c", "import zenoh"]).stderr(Stdio::null()).status();
@@ -190,20 +261,43 @@ fn a_python_program_reads_objects_by_their_key() {
     }
 }
 
+/// What `top` shows of the only link of a machine.
+pub fn top_link(machine: &Playground) -> Json {
+    let ended = machine.conicflow(&["top", "--once"]).expect_code(0);
+    let json: Json = serde_json::from_str(&ended.stdout).unwrap();
+    json["pipelines"][0]["links"][0].clone()
+}
+
+/// Waits until `top` shows the only link of a machine in this state.
+pub fn wait_for_link(machine: &Playground, state: &str) {
+    wait_until(&format!("the link is {state}"), || top_link(machine)["state"] == state);
+}
+
 #[test]
 fn top_shows_each_link() {
     let machines = live();
     let [robot, base] = &machines;
-    let mut runs = [start(robot, "robot"), start(base, "base")];
+    let base_run = start(base, "base");
+    wait_for_link(base, "unreachable");
+    let before = top_link(base);
+    assert_eq!((before["machine"].as_str(), before["was_heard"].as_bool()), (Some("robot"), Some(false)), "{before}");
+    assert!(top_link(base)["state_s"].as_f64() > before["state_s"].as_f64(), "{before}");
+    let mut runs = [start(robot, "robot"), base_run];
     runs[1].wait_until("tracks arrive", || newest(base) > 60);
-    let ended = base.conicflow(&["top", "--once"]).expect_code(0);
-    let json: Json = serde_json::from_str(&ended.stdout).unwrap();
-    let shown = &json["pipelines"][0]["links"][0];
-    assert_eq!((shown["machine"].as_str(), shown["connected"].as_bool()), (Some("robot"), Some(true)), "{shown}");
+    let shown = top_link(base);
+    assert_eq!((shown["state"].as_str(), shown["connected"].as_bool()), (Some("up"), Some(true)), "{shown}");
     // Both clocks are this host's.
     assert!(shown["clock_offset_s"].as_f64().unwrap().abs() < 0.1, "{shown}");
     let edge = &shown["edges"][0];
     assert_eq!((edge["topic"].as_str(), edge["direction"].as_str()), (Some("ellipses"), Some("in")), "{shown}");
     assert!(edge["messages"].as_u64().unwrap() > 10 && edge["wire_bytes"].as_u64().unwrap() > 1000, "{shown}");
-    end(runs, &machines);
+    let [robot_run, base_run] = runs;
+    // What is killed does not say goodbye.
+    signal(robot_run.id(), Signal::KILL);
+    drop(robot_run);
+    wait_for_link(base, "unreachable");
+    assert_eq!(top_link(base)["was_heard"], true);
+    signal(base_run.id(), Signal::INT);
+    base_run.wait().expect_code(0);
+    machines.iter().for_each(|machine| wait_until("no process is left", || machine.processes().is_empty()));
 }

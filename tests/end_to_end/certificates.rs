@@ -73,6 +73,34 @@ fn only_who_has_the_right_certificate_gets_in() {
     robot_run.wait().expect_code(0);
 }
 
+#[test]
+fn datagrams_may_be_encrypted_too() {
+    let [stream, datagrams] = [tls_loopback(), loopback()];
+    let datagrams = datagrams.replace("tcp/127.0.0.1", "quic/localhost") + "?rel=0";
+    let machines = live(&format!("{stream}\", \"{datagrams}")).map(|machine| {
+        let text = std::fs::read_to_string(machine.path("pipeline.toml")).unwrap();
+        let text = text.replace("[stage.assembler]\nmachine = \"base\"", "[stage.assembler]\nmachine = \"robot\"");
+        machine.write("pipeline.toml", &text);
+        machine
+    });
+    let [robot, base] = &machines;
+    if !make_certificates(&robot.path("tls"), &["robot", "base"]) {
+        return;
+    }
+    std::fs::create_dir(base.path("tls")).unwrap();
+    for file in ["base.json5", "base.key", "base.pem", "ca.pem"] {
+        std::fs::copy(robot.path("tls").join(file), base.path("tls").join(file)).unwrap();
+    }
+    let mut runs = [start(robot, "robot"), start(base, "base")];
+    runs[1].wait_for_text("topic `objects` of machine `robot` comes by datagrams");
+    let before = newest(base);
+    runs[1].wait_until("tracks go on", || newest(base) > before + 30);
+    for run in runs {
+        signal(run.id(), Signal::INT);
+        run.wait().expect_code(0);
+    }
+}
+
 /// Somebody with a certificate of the authority, who reads and writes what is not theirs.
 struct Guest {
     session: zenoh::Session,

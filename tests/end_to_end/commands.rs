@@ -188,6 +188,17 @@ fn machines_have_to_be_chosen() {
         "{}",
         ended.stderr
     );
+    for (arguments, told) in [
+        (&["node", "json"][..], "the pipeline spans the machines `base`, `robot`\n  hint: "),
+        (&["node", "json", "--machine", "robt"], "there is no machine `robt` in the pipeline\n  hint: "),
+        (
+            &["node", "json", "--machine", "base"],
+            "stage `json` is on another machine, `robot`\n  hint: run it there, with --machine robot\n",
+        ),
+    ] {
+        let ended = playground.conicflow(arguments).expect_code(2);
+        assert!(ended.stderr.starts_with(&format!("error: {told}")), "{arguments:?}: {}", ended.stderr);
+    }
     playground.conicflow(&["run", "--machine", "robot", "--frames", "3"]).expect_code(0);
     assert_eq!(playground.sequences("tracks.jsonl"), [0, 1, 2]);
 }

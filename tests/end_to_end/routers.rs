@@ -1,6 +1,6 @@
 //! Machines that reach a Zenoh router, and not each other.
 
-use super::bridge::{HALVES, loopback, newest, placed, start, tracks};
+use super::bridge::{HALVES, loopback, newest, placed, start, top_link, tracks, wait_for_link};
 use super::support::{Playground, Started, TRACKING, signal, wait_until};
 use rustix::process::Signal;
 use zenoh::Wait;
@@ -56,15 +56,15 @@ fn peers_that_a_router_does_not_join_are_told_so() {
     for (run, other) in start_both(&machines).into_iter().zip(["base", "robot"]) {
         wait_until("it is told", || run.stderr().contains(&format!("nothing was heard of machine `{other}` in 5 s")));
         let machine = if other == "base" { &machines[0] } else { &machines[1] };
-        let top = machine.conicflow(&["top", "--once"]).expect_code(0);
-        let json: serde_json::Value = serde_json::from_str(&top.stdout).unwrap();
-        let link = &json["pipelines"][0]["links"][0];
+        let link = top_link(machine);
         assert_eq!([&link["was_heard"], &link["connected"]], [false, false], "{link}");
+        assert_eq!(link["state"], "never", "the router is there: {link}");
         signal(run.id(), Signal::INT);
         signal(run.id(), Signal::INT);
         let ended = run.wait();
         assert!(ended.stderr.matches("nothing was heard").count() == 1, "{}", ended.stderr);
-        assert!(ended.stderr.lines().any(|line| line.trim_end().ends_with("never")), "{}", ended.stderr);
+        let table = ended.stderr.lines().filter(|line| line.starts_with(other)).collect::<String>();
+        assert!(table.contains(" never "), "{}", ended.stderr);
     }
 }
 
@@ -77,11 +77,14 @@ fn a_router_may_come_late_and_come_again() {
     for run in &runs {
         wait_until("it waits for the router", || run.stderr().contains("cannot be opened yet"));
     }
+    machines.iter().for_each(|machine| wait_for_link(machine, "unreachable"));
     for _ in 0..2 {
         let before = newest(&machines[1]);
         let router = router(&endpoint);
         runs[1].wait_until("tracks arrive", || newest(&machines[1]) > before + 20);
+        wait_for_link(&machines[1], "up");
         router.close().wait().unwrap();
+        wait_for_link(&machines[1], "unreachable");
     }
     for run in runs {
         signal(run.id(), Signal::INT);

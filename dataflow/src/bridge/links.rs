@@ -36,7 +36,9 @@ pub(super) struct Peer {
 /// What is shown of a peer.
 pub(super) struct PeerState {
     pub was_heard: bool,
-    pub connected_for: Option<Duration>,
+    pub connected: bool,
+    /// For how long that is so.
+    pub time: Duration,
     pub clock: Option<Exchange>,
 }
 
@@ -62,8 +64,12 @@ impl Links {
         }
     }
 
+    /// Beacons may come by two ways: one that was overtaken tells nothing new.
     fn take_in(&self, machine: &str, peer: &mut Peer, beacon: Beacon, now_ns: u64) {
         let now = Instant::now();
+        if beacon.stream == peer.echo.stream && beacon.sent_ns <= peer.echo.sent_ns {
+            return;
+        }
         if !is_connected(peer, now) {
             tracing::info!("the link to machine `{machine}` is up");
             peer.since = Some(now);
@@ -135,9 +141,10 @@ impl Links {
             if now.saturating_duration_since(self.started) > PATIENCE {
                 miss(machine, peer);
             }
-            let connected_for = peer.since.map(|since| now.saturating_duration_since(since));
-            let (was_heard, clock) = (peer.heard.is_some(), peer.clock.best());
-            states.insert(machine.clone(), PeerState { was_heard, connected_for, clock });
+            let since = peer.since.or(peer.heard).unwrap_or(self.started);
+            let (was_heard, connected) = (peer.heard.is_some(), peer.since.is_some());
+            let (time, clock) = (now.saturating_duration_since(since), peer.clock.best());
+            states.insert(machine.clone(), PeerState { was_heard, connected, time, clock });
         }
         states
     }

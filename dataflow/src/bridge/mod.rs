@@ -4,11 +4,14 @@
 //! is read from shared memory, encoded ([`wire`]) and put under `conicflow/PIPELINE/MACHINE/TOPIC` ([`sending`]); what comes
 //! is checked, decoded and written into shared memory ([`receiving`]). Each bridge also puts a small beacon under
 //! `conicflow/PIPELINE/@link/MACHINE` ([`beacon`]): it acknowledges, measures the clocks, and shows that the link lives,
-//! because Zenoh's `put` succeeds with nobody there. [`outbox`] and [`sequence`] are the two ends of lossless delivery;
+//! because Zenoh's `put` succeeds with nobody there. What is short and may be lost goes by datagrams, where the file names
+//! endpoints for these ([`ways`]). [`outbox`] and [`sequence`] are the two ends of lossless delivery;
 //! where the newest wins, [`window`] keeps what is under way from becoming a queue.
 
+mod account;
 mod beacon;
 mod depth_codec;
+mod kept;
 mod links;
 mod mailbox;
 mod outbox;
@@ -19,6 +22,7 @@ mod report;
 mod sending;
 mod sequence;
 pub(crate) mod settings;
+mod ways;
 mod window;
 mod wire;
 #[cfg(test)]
@@ -28,7 +32,7 @@ pub use depth_codec::Compression;
 pub use plan::{BridgePlan, Edge, Receiver};
 pub(crate) use process::run;
 pub(crate) use report::read as read_links;
-pub use report::{EdgeReport, LinkReport};
+pub use report::{EdgeReport, LinkReport, LinkState};
 pub use settings::SettingsFault;
 pub use wire::{MAX_MESSAGE, Place, WIRE_VERSION, Wire, WireError, decode_message, encode_message};
 

@@ -2,16 +2,14 @@
 //! what a machine that stayed away for too long will not get.
 
 use super::beacon::Ack;
+use super::kept::Kept;
 use super::plan::Receiver;
 use super::window::Window;
 use super::wire::{Place, set_oldest};
 use crate::ports::Delivery;
-use std::collections::{BTreeSet, VecDeque};
+use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
-/// No more than this is under way; a lossless writer waits meanwhile.
-const MAX_KEPT: usize = 64;
-const MAX_KEPT_BYTES: usize = 16 << 20;
 /// What was not acknowledged after this time is sent again.
 const RESEND_AFTER: Duration = Duration::from_millis(250);
 /// A machine that wants only the newest is waited for so long, to learn that the stream has ended.
@@ -21,7 +19,7 @@ const END_PATIENCE: Duration = Duration::from_secs(5);
 pub(super) struct Outbox {
     stream: u64,
     next: u64,
-    kept: VecDeque<(u64, Vec<u8>)>,
+    kept: Kept,
     window: Window,
     ends: Vec<(String, Vec<u8>)>,
     ended_at: Option<Instant>,
@@ -48,9 +46,15 @@ impl Remote {
 }
 
 impl Outbox {
-    /// An edge to these machines; where the newest wins a message may wait on the way for `wait`, where not a machine is waited
-    /// for during `outage`.
-    pub(super) fn new(stream: u64, receivers: &[Receiver], [wait, outage]: [Duration; 2], now: Instant) -> Self {
+    /// An edge to these machines, in a new stream or in that of what an earlier process has kept; where the newest wins a
+    /// message may wait on the way for `wait`, where not a machine is waited for during `outage`.
+    pub(super) fn new(
+        stream: u64,
+        kept: Kept,
+        receivers: &[Receiver],
+        [wait, outage]: [Duration; 2],
+        now: Instant,
+    ) -> Self {
         let remote = |receiver: &Receiver| Remote {
             machine: receiver.machine.clone(),
             lossless: receiver.delivery == Delivery::Lossless,
@@ -58,10 +62,11 @@ impl Outbox {
             ended: BTreeSet::new(),
             heard: None,
         };
+        let (stream, next) = kept.last().map_or((stream, 0), |last| (last.stream, last.number + 1));
         Self {
             stream,
-            next: 0,
-            kept: VecDeque::new(),
+            next,
+            kept,
             window: Window::new(wait),
             ends: Vec::new(),
             ended_at: None,
@@ -90,7 +95,7 @@ impl Outbox {
     /// Whether another message may be sent; `round_trip` tells of the machines that are there.
     pub(super) fn may_send(&mut self, now: Instant, round_trip: impl Fn(&str) -> Option<Duration>) -> bool {
         if self.receivers.iter().any(|remote| remote.lossless) {
-            return self.has_room();
+            return self.kept.has_room();
         }
         let there = self.receivers.iter().filter_map(|remote| Some((remote.next, round_trip(&remote.machine)?)));
         match there.reduce(|one, other| (one.0.min(other.0), one.1.max(other.1))) {
@@ -105,27 +110,22 @@ impl Outbox {
         self.receivers.iter().any(|remote| remote.lossless || alive(&remote.machine))
     }
 
-    fn has_room(&self) -> bool {
-        let bytes: usize = self.kept.iter().map(|(_, bytes)| bytes.len()).sum();
-        self.kept.len() < MAX_KEPT && bytes < MAX_KEPT_BYTES
-    }
-
     /// The place of the next message.
     pub(super) fn place(&self) -> Place {
         Place { stream: self.stream, number: self.next, oldest: self.oldest() }
     }
 
     fn oldest(&self) -> u64 {
-        self.kept.front().map_or(self.next, |(number, _)| *number)
+        self.kept.oldest().unwrap_or(self.next)
     }
 
     /// Counts the message that was made for [`Outbox::place`], and keeps it if somebody must not miss it.
     pub(super) fn sent(&mut self, bytes: &[u8], now: Instant) {
-        if self.kept.is_empty() {
+        if self.kept.len() == 0 {
             self.progress = now;
         }
         if self.receivers.iter().any(|remote| remote.lossless) {
-            self.kept.push_back((self.next, bytes.to_vec()));
+            self.kept.add(self.next, bytes);
         } else {
             self.window.sent(self.next, now);
         }
@@ -159,8 +159,8 @@ impl Outbox {
         let waited_for = lossless().filter(|remote| !remote.is_gone(now, self.outage)).map(|remote| remote.next);
         let needed = waited_for.min().unwrap_or(self.next);
         let given_up: Vec<u64> = lossless().map(|remote| remote.next).collect();
-        while self.kept.front().is_some_and(|(number, _)| *number < needed) {
-            let number = self.kept.pop_front().map_or(0, |(number, _)| number);
+        while self.kept.oldest().is_some_and(|number| number < needed) {
+            let Some(number) = self.kept.forget_first() else { break };
             self.lost += u64::from(given_up.iter().any(|next| number >= *next));
         }
     }
@@ -174,7 +174,7 @@ impl Outbox {
         let oldest = self.oldest();
         let lacking = |remote: &&Remote| remote.lossless && alive(&remote.machine);
         let from = self.receivers.iter().filter(lacking).map(|remote| remote.next).min().unwrap_or(self.next);
-        let again = self.kept.iter().filter(|(number, _)| *number >= from).map(|(_, bytes)| bytes);
+        let again = self.kept.since(from);
         let untold = |writer: &String| {
             let unaware = |remote: &Remote| !remote.lossless && !remote.ended.contains(writer);
             self.receivers.iter().any(|remote| unaware(remote) && alive(&remote.machine))
@@ -185,11 +185,16 @@ impl Outbox {
         messages
     }
 
+    /// Forgets that there was anything for a later process to send.
+    pub(super) fn close(&mut self) {
+        self.kept.remove_files();
+    }
+
     /// Whether everybody has what they must have, or will not get it any more.
     pub(super) fn is_settled(&self, now: Instant) -> bool {
         let impatient = self.ended_at.is_some_and(|since| now.saturating_duration_since(since) > END_PATIENCE);
         self.receivers.iter().all(|remote| match remote.lossless {
-            true => remote.next >= self.next || (self.kept.is_empty() && remote.is_gone(now, self.outage)),
+            true => remote.next >= self.next || (self.kept.len() == 0 && remote.is_gone(now, self.outage)),
             false => impatient || self.ends.iter().all(|(writer, _)| remote.ended.contains(writer)),
         })
     }
@@ -198,12 +203,13 @@ impl Outbox {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bridge::kept::MAX_KEPT;
 
     const OUTAGE: Duration = Duration::from_secs(10);
     const WAIT: Duration = Duration::from_millis(100);
 
     fn outbox(delivery: Delivery, now: Instant) -> Outbox {
-        Outbox::new(1, &[Receiver { machine: "base".to_owned(), delivery }], [WAIT, OUTAGE], now)
+        Outbox::new(1, Kept::default(), &[Receiver { machine: "base".to_owned(), delivery }], [WAIT, OUTAGE], now)
     }
 
     fn ack(next: u64, ended: &[&str]) -> Ack {
@@ -232,12 +238,12 @@ mod tests {
         let mut outbox = outbox(Delivery::Lossless, start);
         (0..MAX_KEPT).for_each(|_| outbox.sent(&[0; 40], start));
         outbox.acknowledge("base", None, None, start + 3 * OUTAGE);
-        assert!(!outbox.has_room(), "a machine that was never there is waited for");
+        assert!(!outbox.kept.has_room(), "a machine that was never there is waited for");
         outbox.acknowledge("base", None, Some(start), start + OUTAGE);
-        assert!(!outbox.has_room());
+        assert!(!outbox.kept.has_room());
         let gone = start + OUTAGE + Duration::from_millis(1);
         outbox.acknowledge("base", None, Some(start), gone);
-        assert!(outbox.has_room() && outbox.is_settled(gone));
+        assert!(outbox.kept.has_room() && outbox.is_settled(gone));
         assert_eq!((outbox.lost(), outbox.place().oldest), (MAX_KEPT as u64, MAX_KEPT as u64));
     }
 

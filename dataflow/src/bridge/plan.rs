@@ -68,6 +68,11 @@ impl BridgePlan {
 }
 
 impl Edge {
+    /// Whether its messages are mostly as short as a packet on a network: most survive where some packets are lost.
+    pub(super) fn is_short(&self) -> bool {
+        matches!(self.kind, Kind::Objects | Kind::Tracks)
+    }
+
     /// How it reaches a machine, if it does.
     pub fn delivery_to(&self, machine: &str) -> Option<Delivery> {
         self.to.iter().find(|receiver| receiver.machine == machine).map(|receiver| receiver.delivery)

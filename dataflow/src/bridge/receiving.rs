@@ -7,6 +7,7 @@ use super::plan::Edge;
 use super::report::EdgeCounts;
 use super::sending::Shared;
 use super::sequence::{Sequence, Verdict};
+use super::ways::Ear;
 use super::wire::{Wire, decode_message};
 use super::{BRIDGE, BridgeError};
 use crate::clock::monotonic_ns;
@@ -19,15 +20,15 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
-use zenoh::Wait;
 use zenoh::bytes::ZBytes;
-use zenoh::pubsub::Subscriber;
 
 const TICK: Duration = Duration::from_millis(50);
 /// Messages that wait to be decoded, where none may be missed; what is refused comes again.
 const LOSSLESS_ROOM: usize = 64;
 /// Where the newest wins, what was under way for longer is a backlog that nobody wants.
 const STALE: Duration = Duration::from_secs(1);
+/// Where datagrams come less often than this, the stream is listened to as well.
+const SILENCE: Duration = Duration::from_secs(2);
 /// Nonsense is told at most this often.
 const TELL_NONSENSE: Duration = Duration::from_secs(1);
 
@@ -36,7 +37,7 @@ pub(super) struct Receiving<'a, T: Wire> {
     edge: &'a Edge,
     lossless: bool,
     mailbox: Arc<Mailbox<ZBytes>>,
-    _subscriber: Subscriber<()>,
+    ear: Ear<'a>,
     outlet: Outlet<T, SharedWriter<T>>,
     sequence: Sequence,
     items: Vec<T>,
@@ -45,6 +46,7 @@ pub(super) struct Receiving<'a, T: Wire> {
     counts: Arc<EdgeCounts>,
     stop: Stop,
     told: Option<Instant>,
+    ways_told: BTreeSet<&'static str>,
 }
 
 impl<'a, T: Wire> Receiving<'a, T> {
@@ -55,20 +57,17 @@ impl<'a, T: Wire> Receiving<'a, T> {
         let room = if lossless { LOSSLESS_ROOM } else { edge.writers.len() + 1 };
         let mailbox = Arc::new(Mailbox::new(room, !lossless));
         let letters = Arc::clone(&mailbox);
-        let declared = shared
-            .session
-            .declare_subscriber(shared.key(&edge.from, &topic.name))
-            .callback(move |sample| {
-                // What finds no room comes again, or was not the newest.
-                letters.leave(sample.payload().clone());
-            })
-            .wait();
+        let silence = (!lossless && edge.is_short()).then_some(SILENCE);
+        let ear = shared.ways.listen(&shared.key(&edge.from, &topic.name), silence, move |bytes| {
+            // What finds no room comes again, or was not the newest.
+            letters.leave(bytes);
+        })?;
         let port = Some((shared.transport.writer::<T>(&topic)?, topic));
         Ok(Self {
             edge,
             lossless,
             mailbox,
-            _subscriber: declared.map_err(|error| BridgeError::zenoh("cannot subscribe to a topic of Zenoh", error))?,
+            ear,
             outlet: Outlet::new(port, BRIDGE, 0, shared.peers.clone(), shared.stop.clone()),
             sequence: Sequence::new(lossless),
             items: Vec::new(),
@@ -77,12 +76,14 @@ impl<'a, T: Wire> Receiving<'a, T> {
             counts,
             stop: shared.stop.clone(),
             told: None,
+            ways_told: BTreeSet::new(),
         })
     }
 
     /// Carries messages until all writers have ended, or the run does.
     pub(super) fn run(mut self) -> Result<(), BridgeError> {
         while !self.stop.requested() && self.ended.len() < self.edge.writers.len() {
+            self.choose_way()?;
             let Some(bytes) = self.mailbox.take(TICK) else { continue };
             match self.accept(&bytes.to_bytes()) {
                 Err(PortError::Stopped) => break,
@@ -91,6 +92,15 @@ impl<'a, T: Wire> Receiving<'a, T> {
         }
         let writers: Vec<_> = self.edge.writers.iter().map(|writer| Text::new(writer)).collect();
         Ok(self.outlet.end_as(&writers)?)
+    }
+
+    /// Sees to it that messages come, and says once by which way.
+    fn choose_way(&mut self) -> Result<(), BridgeError> {
+        if let Some(way) = self.ear.choose()?.filter(|way| self.ways_told.insert(way)) {
+            let (topic, from) = (&self.edge.topic.name, &self.edge.from);
+            tracing::info!("topic `{topic}` of machine `{from}` comes by {way}");
+        }
+        Ok(())
     }
 
     /// Checks a message, and passes it on if it is the next.
@@ -107,7 +117,7 @@ impl<'a, T: Wire> Receiving<'a, T> {
             return self.leave_out(&format!("no stage `{writer}` of machine `{}` writes it", self.edge.from));
         }
         let repeated_end = header.ends_stream() && !self.lossless && place.stream >= self.sequence.expected().0;
-        let verdict = self.sequence.judge(place);
+        let verdict = self.sequence.judge(place, Instant::now());
         self.counts.lost.store(self.sequence.lost(), Ordering::Relaxed);
         if verdict == Verdict::Take {
             self.pass_on(header, bytes.len())?;

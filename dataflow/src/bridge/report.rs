@@ -10,6 +10,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 pub struct LinkReport {
     /// The other machine.
     pub machine: String,
+    /// Whether it is there.
+    pub state: LinkState,
+    /// For how long that is so, in seconds; of a machine that was never heard of, since this one's bridge started.
+    pub state_s: f64,
     /// Whether it was ever heard of.
     pub was_heard: bool,
     /// Whether it was heard of just now.
@@ -22,6 +26,32 @@ pub struct LinkReport {
     pub clock_offset_s: Option<f64>,
     /// What goes over it.
     pub edges: Vec<EdgeReport>,
+}
+
+/// What is known of another machine.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LinkState {
+    /// It was heard of just now.
+    Up,
+    /// It has fallen silent.
+    Down,
+    /// It was never heard of, but somebody, another machine or a router, is there.
+    Never,
+    /// Nobody at all is there: none of the machines, nor a router.
+    #[default]
+    Unreachable,
+}
+
+impl std::fmt::Display for LinkState {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Up => "up",
+            Self::Down => "down",
+            Self::Never => "never",
+            Self::Unreachable => "unreachable",
+        })
+    }
 }
 
 /// A topic that goes over a link.

@@ -1,9 +1,11 @@
 //! An edge that leaves: out of shared memory, encoded, put to Zenoh, and kept until it is acknowledged where that is asked.
 
+use super::kept::Kept;
 use super::links::Links;
 use super::outbox::Outbox;
 use super::plan::Edge;
 use super::report::EdgeCounts;
+use super::ways::{Voice, Ways};
 use super::wire::{Wire, encode_message};
 use super::{BRIDGE, BridgeError};
 use crate::clock::monotonic_ns;
@@ -16,11 +18,10 @@ use crate::stage::Stop;
 use crate::status::Life;
 use conicflow_messages::{Header, Kind, Text};
 use std::collections::BTreeSet;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-use zenoh::Wait;
-use zenoh::pubsub::Publisher;
-use zenoh::qos::{CongestionControl, Priority};
+use zenoh::qos::Priority;
 
 /// An edge that nobody wakes looks around this often.
 const TICK: Duration = Duration::from_millis(20);
@@ -32,12 +33,14 @@ const FULL_TICK: Duration = Duration::from_millis(2);
 
 /// What the threads of a bridge share.
 pub(super) struct Shared<'a> {
-    pub session: &'a zenoh::Session,
+    pub ways: &'a Ways,
     pub transport: &'a SharedMemory,
     pub links: &'a Arc<Links>,
     pub pipeline: &'a str,
     pub machine: &'a str,
     pub stream: u64,
+    /// Where what is not acknowledged is kept, if anybody can come after this process.
+    pub kept: Option<&'a Path>,
     pub outage: Duration,
     pub peers: &'a Peers,
     pub stop: &'a Stop,
@@ -54,7 +57,7 @@ impl Shared<'_> {
 pub(super) struct Sending<'a, T: Wire> {
     edge: &'a Edge,
     inbox: Inbox<T, SharedReader<T>>,
-    publisher: Publisher<'a>,
+    voice: Voice,
     outbox: Outbox,
     links: Arc<Links>,
     counts: Arc<EdgeCounts>,
@@ -71,18 +74,15 @@ impl<'a, T: Wire> Sending<'a, T> {
         let reader = shared.transport.reader::<T>(topic, BRIDGE)?;
         let images = edge.kind == Kind::Depth;
         let wait = if images { IMAGES_WAIT } else { LISTS_WAIT };
-        let declared = shared
-            .session
-            .declare_publisher(shared.key(&edge.from, &topic.name))
-            .congestion_control(CongestionControl::Drop)
-            .priority(if images { Priority::DataLow } else { Priority::InteractiveHigh })
-            .express(!images)
-            .wait();
+        let priority = if images { Priority::DataLow } else { Priority::InteractiveHigh };
+        let lossy = edge.to.iter().any(|receiver| receiver.delivery == Delivery::Latest);
+        let voice = shared.ways.speak(&shared.key(&edge.from, &topic.name), lossy && edge.is_short(), priority)?;
+        let kept = shared.kept.map(|folder| Kept::in_folder(folder.to_owned(), &topic.name)).unwrap_or_default();
         Ok(Self {
             edge,
             inbox: Inbox::new(reader, topic.delivery_to(BRIDGE), &topic.name, topic.writers.len()),
-            publisher: declared.map_err(|error| BridgeError::zenoh("cannot declare a topic to Zenoh", error))?,
-            outbox: Outbox::new(shared.stream, &edge.to, [wait, shared.outage], Instant::now()),
+            voice,
+            outbox: Outbox::new(shared.stream, kept, &edge.to, [wait, shared.outage], Instant::now()),
             links: Arc::clone(shared.links),
             counts,
             peers: shared.peers.clone(),
@@ -105,6 +105,9 @@ impl<'a, T: Wire> Sending<'a, T> {
                 self.inbox.wait(TICK)?;
             }
         }
+        if !self.stop.forced() {
+            self.outbox.close();
+        }
         self.tell_what_is_lost();
         Ok(())
     }
@@ -119,8 +122,7 @@ impl<'a, T: Wire> Sending<'a, T> {
 
     /// Whether anybody is there: a machine of the pipeline, or another program that has subscribed.
     fn is_wanted(&self) -> bool {
-        let subscribed = || self.publisher.matching_status().wait().is_ok_and(|status| status.matching());
-        self.outbox.is_wanted(|machine| self.links.is_connected(machine)) || subscribed()
+        self.outbox.is_wanted(|machine| self.links.is_connected(machine)) || self.voice.is_heard()
     }
 
     /// Learns what has arrived, and sends again what has not.
@@ -133,7 +135,7 @@ impl<'a, T: Wire> Sending<'a, T> {
         let links = Arc::clone(&self.links);
         for bytes in self.outbox.due(now, |machine| links.is_connected(machine)) {
             EdgeCounts::add(&self.counts.resent, 1);
-            self.put(bytes);
+            self.voice.put(bytes);
         }
         self.counts.lost.store(self.outbox.lost(), std::sync::atomic::Ordering::Relaxed);
     }
@@ -155,7 +157,7 @@ impl<'a, T: Wire> Sending<'a, T> {
             Ok(bytes) => {
                 self.count(&header, bytes.len(), memory_bytes);
                 self.outbox.sent(&bytes, Instant::now());
-                self.put(bytes);
+                self.voice.put(bytes);
             }
             Err(error) => self.leave_out(&error),
         }
@@ -176,11 +178,6 @@ impl<'a, T: Wire> Sending<'a, T> {
         self.counts.age_ns.store(age, std::sync::atomic::Ordering::Relaxed);
     }
 
-    /// Puts bytes; whether they arrive is learnt from the beacons, because Zenoh does not tell.
-    fn put(&self, bytes: Vec<u8>) {
-        self.publisher.put(bytes).wait().ok();
-    }
-
     /// Passes on that writers have ended, or are gone.
     fn forward_ends(&mut self) -> Result<(), BridgeError> {
         let gone: Vec<_> = self.edge.writers.iter().filter(|writer| self.is_gone(writer)).cloned().collect();
@@ -191,7 +188,7 @@ impl<'a, T: Wire> Sending<'a, T> {
                 let end = end_of_stream(&self.last, Text::new(writer));
                 let bytes = encode_message::<T>(self.outbox.place(), &end, &[], self.edge.compression)?;
                 self.outbox.sent_end(writer, &bytes, Instant::now());
-                self.put(bytes);
+                self.voice.put(bytes);
             }
         }
         Ok(())

@@ -1,6 +1,11 @@
 //! The receiving end of an edge's numbering: which messages are taken, and how many are gone for good.
 
 use super::wire::Place;
+use std::time::{Duration, Instant};
+
+/// Streams are numbered by the sender's clock, which may be set back: a stream that seems to be an earlier one is followed
+/// when nothing has come of the current one for so long.
+const SILENCE: Duration = Duration::from_secs(3);
 
 /// What is done with a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -20,11 +25,12 @@ pub(super) struct Sequence {
     stream: u64,
     next: u64,
     lost: u64,
+    came: Option<Instant>,
 }
 
 impl Sequence {
     pub(super) fn new(lossless: bool) -> Self {
-        Self { lossless, stream: 0, next: 0, lost: 0 }
+        Self { lossless, stream: 0, next: 0, lost: 0, came: None }
     }
 
     /// The stream that is received, and the number that is expected next.
@@ -38,12 +44,14 @@ impl Sequence {
     }
 
     /// Whether a message is to be taken; it counts as received only by [`Sequence::taken`].
-    pub(super) fn judge(&mut self, place: Place) -> Verdict {
-        if place.stream < self.stream {
+    pub(super) fn judge(&mut self, place: Place, now: Instant) -> Verdict {
+        let silent = self.came.is_none_or(|came| now.saturating_duration_since(came) > SILENCE);
+        if place.stream < self.stream && !silent {
             return Verdict::Old;
         }
+        self.came = Some(now);
         let oldest = if self.lossless { place.oldest.min(place.number) } else { place.number };
-        if place.stream > self.stream {
+        if place.stream != self.stream {
             (self.stream, self.next) = (place.stream, oldest);
         }
         if place.number < self.next {
@@ -65,7 +73,11 @@ mod tests {
     use super::*;
 
     fn take(sequence: &mut Sequence, stream: u64, number: u64, oldest: u64) -> Verdict {
-        let verdict = sequence.judge(Place { stream, number, oldest });
+        take_at(sequence, Place { stream, number, oldest }, Instant::now())
+    }
+
+    fn take_at(sequence: &mut Sequence, place: Place, now: Instant) -> Verdict {
+        let verdict = sequence.judge(place, now);
         if verdict == Verdict::Take {
             sequence.taken();
         }
@@ -106,5 +118,16 @@ mod tests {
             assert_eq!(take(&mut sequence, 5, 8, 8), Verdict::Old);
             assert_eq!((sequence.expected(), sequence.lost()), ((6, 1), 0));
         }
+    }
+
+    #[test]
+    fn a_sender_whose_clock_was_set_back_is_followed_when_its_predecessor_is_silent() {
+        let (mut sequence, start) = (Sequence::new(true), Instant::now());
+        let place = |stream, number| Place { stream, number, oldest: number };
+        assert_eq!(take_at(&mut sequence, place(5, 7), start), Verdict::Take);
+        assert_eq!(take_at(&mut sequence, place(4, 0), start + SILENCE), Verdict::Old);
+        let later = start + SILENCE + Duration::from_millis(1);
+        assert_eq!(take_at(&mut sequence, place(4, 0), later), Verdict::Take);
+        assert_eq!((sequence.expected(), sequence.lost()), ((4, 1), 0));
     }
 }

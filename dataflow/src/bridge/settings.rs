@@ -27,7 +27,7 @@ fn fault(what: String, hint: &str) -> SettingsFault {
 /// Whether a machine's table can be used; a file that is not there is reported elsewhere.
 pub(crate) fn check(machine: &Machine) -> Result<(), SettingsFault> {
     let missing = machine.zenoh.as_ref().is_some_and(|file| !file.is_file());
-    if missing { Ok(()) } else { configuration(machine).map(drop) }
+    if missing { Ok(()) } else { configurations(machine).map(drop) }
 }
 
 /// Where a machine listens.
@@ -37,15 +37,39 @@ pub(crate) fn listen_endpoints(machine: &Machine) -> Result<Vec<String>, Setting
     Ok(endpoints)
 }
 
-/// The Zenoh configuration of a machine.
-pub(super) fn configuration(machine: &Machine) -> Result<zenoh::Config, SettingsFault> {
+/// The Zenoh configurations of a machine's sessions: of the one that carries everything, and, where endpoints of both sorts
+/// are named, of one for datagrams. A client has one link alone, and so one session.
+pub(super) fn configurations(machine: &Machine) -> Result<(zenoh::Config, Option<zenoh::Config>), SettingsFault> {
     let settings = settings(machine)?;
     let mut endpoints = Vec::new();
     collect_strings(&settings["listen"]["endpoints"], &mut endpoints);
     endpoints.iter().try_for_each(|endpoint| check_listen(endpoint, machine.insecure))?;
+    collect_strings(&settings["connect"]["endpoints"], &mut endpoints);
+    let datagrams = endpoints.iter().filter(|endpoint| carries_datagrams(endpoint)).count();
+    if datagrams == 0 || datagrams == endpoints.len() || settings["mode"] == "client" {
+        return Ok((configuration(&settings)?, None));
+    }
+    let only = |wanted: fn(&str) -> bool| {
+        let mut settings = settings.clone();
+        ["listen", "connect"].iter().for_each(|way| retain_strings(&mut settings[way]["endpoints"], wanted));
+        configuration(&settings)
+    };
+    Ok((only(|endpoint| !carries_datagrams(endpoint))?, Some(only(carries_datagrams)?)))
+}
+
+fn configuration(settings: &Json) -> Result<zenoh::Config, SettingsFault> {
     zenoh::Config::from_json5(&settings.to_string()).map_err(|error| {
         fault(format!("Zenoh cannot use its settings: {error}"), "endpoints look like tcp/192.168.0.2:7447")
     })
+}
+
+/// Whether what goes through an endpoint may be lost, and then holds up nothing.
+fn carries_datagrams(endpoint: &str) -> bool {
+    let metadata = endpoint.split('#').next().and_then(|locator| locator.split_once('?')).map_or("", |(_, text)| text);
+    match metadata.split(';').find_map(|entry| entry.strip_prefix("rel=")) {
+        Some(reliable) => reliable == "0",
+        None => endpoint.starts_with("udp/"),
+    }
 }
 
 fn settings(machine: &Machine) -> Result<Json, SettingsFault> {
@@ -112,6 +136,18 @@ fn collect_strings(value: &Json, strings: &mut Vec<String>) {
     }
 }
 
+/// Leaves out the strings that are not wanted, wherever they stand in a value.
+fn retain_strings(value: &mut Json, wanted: fn(&str) -> bool) {
+    match value {
+        Json::Array(values) => {
+            values.retain(|value| value.as_str().is_none_or(wanted));
+            values.iter_mut().for_each(|value| retain_strings(value, wanted));
+        }
+        Json::Object(entries) => entries.values_mut().for_each(|value| retain_strings(value, wanted)),
+        _ => {}
+    }
+}
+
 /// A port that others can reach has to know who they are, unless the file says otherwise.
 fn check_listen(endpoint: &str, insecure: bool) -> Result<(), SettingsFault> {
     let address = endpoint.split(['#', '?']).next().unwrap_or(endpoint);
@@ -138,7 +174,7 @@ mod tests {
 
     #[test]
     fn nothing_is_open_unless_written() {
-        let config = configuration(&Machine::default()).unwrap();
+        let config = configurations(&Machine::default()).unwrap().0;
         for (key, expected) in [
             ("listen/endpoints", "[]"),
             ("scouting/multicast/enabled", "false"),
@@ -162,12 +198,32 @@ mod tests {
     }
 
     #[test]
+    fn datagrams_have_a_session_of_their_own_beside_a_stream() {
+        let machine = |connect: &[&str]| Machine {
+            listen: vec!["tcp/127.0.0.1:7447".to_owned()],
+            connect: connect.iter().map(|&endpoint| endpoint.to_owned()).collect(),
+            ..Machine::default()
+        };
+        let endpoints = |config: &zenoh::Config| {
+            ["listen", "connect"].map(|way| config.get_json(&format!("{way}/endpoints")).unwrap())
+        };
+        let (streams, datagrams) = configurations(&machine(&["udp/base:7447", "quic/base:7448?rel=0"])).unwrap();
+        assert_eq!(endpoints(&streams), [r#"["tcp/127.0.0.1:7447"]"#, "[]"]);
+        assert_eq!(endpoints(&datagrams.unwrap()), ["[]", r#"["udp/base:7447","quic/base:7448?rel=0"]"#]);
+        for streams_alone in [&[][..], &["tcp/base:7447"], &["udp/base:7447?rel=1"]] {
+            assert!(configurations(&machine(streams_alone)).unwrap().1.is_none(), "{streams_alone:?}");
+        }
+        let datagrams_alone = Machine { listen: Vec::new(), ..machine(&["udp/base:7447"]) };
+        assert!(configurations(&datagrams_alone).unwrap().1.is_none());
+    }
+
+    #[test]
     fn a_file_adds_to_what_is_safe_and_cannot_open_a_port_in_passing() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("zenoh.json5");
         let machine = Machine { zenoh: Some(path.clone()), ..Machine::default() };
         std::fs::write(&path, "{ mode: 'client', connect: { endpoints: ['tcp/router:7447'] }, }").unwrap();
-        let config = configuration(&machine).unwrap();
+        let config = configurations(&machine).unwrap().0;
         assert_eq!(config.get_json("mode").unwrap(), "\"client\"");
         assert_eq!(config.get_json("scouting/multicast/enabled").unwrap(), "false");
         std::fs::write(&path, "{ listen: { endpoints: { peer: ['tcp/[::]:7447'] } } }").unwrap();

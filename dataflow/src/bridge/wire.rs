@@ -211,6 +211,11 @@ pub(super) fn set_oldest(bytes: &mut [u8], oldest: u64) {
     }
 }
 
+/// Where a message stands in its stream.
+pub(super) fn place_of(bytes: &[u8]) -> Result<Place, WireError> {
+    split_place(content(bytes)?).map(|(place, _)| place)
+}
+
 fn split_place(bytes: &[u8]) -> Result<(Place, &[u8]), WireError> {
     let (numbers, rest) = bytes.split_at_checked(24).ok_or_else(|| WireError::Broken("no place".to_owned()))?;
     let number = |at: usize| numbers[at..at + 8].iter().rev().fold(0, |sum, &byte| sum << 8 | u64::from(byte));

@@ -230,7 +230,7 @@ impl RunFolder {
     fn remove_records(&self) -> Result<(), FolderError> {
         let fault = |error| FolderError::Io { path: self.path.clone(), error };
         for entry in fs::read_dir(&self.path).map_err(fault)?.flatten() {
-            let ends = ["status", "first", "last", "request", "answer", "new"];
+            let ends = ["status", "first", "last", "request", "answer", "new", "kept"];
             if entry.path().extension().is_some_and(|extension| ends.iter().any(|end| extension == *end)) {
                 fs::remove_file(entry.path()).map_err(fault)?;
             }

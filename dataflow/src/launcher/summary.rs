@@ -110,15 +110,14 @@ impl Summary {
 
 /// The links to other machines, with what went over them.
 pub fn link_table(links: &[LinkReport]) -> Table {
-    let mut table = Table::new(&["link", "topic", "way", "messages", "Hz", "MB/s", "lost", "resent", "age", "up"]);
+    let mut table = Table::new(&["link", "topic", "way", "messages", "Hz", "MB/s", "lost", "resent", "age", "state"]);
     for link in links {
-        let down = if link.was_heard { "down" } else { "never" };
-        let up = link.connected_s.map_or_else(|| down.to_owned(), |seconds| format!("{seconds:.0} s"));
+        let state = format!("{} {:.0} s", link.state, link.state_s);
         for edge in &link.edges {
             let names = [&link.machine, &edge.topic, &edge.direction].map(String::clone);
             let rates = [format!("{:.1}", edge.rate_hz), format!("{:.2}", edge.bandwidth_mbps)];
             let lost = (edge.lost + edge.stale + edge.malformed).to_string();
-            let times = [format!("{:.1} ms", edge.age_ms), up.clone()];
+            let times = [format!("{:.1} ms", edge.age_ms), state.clone()];
             let counts = [lost, edge.resent.to_string()];
             let row = names.into_iter().chain([edge.messages.to_string()]).chain(rates).chain(counts);
             table.row(row.chain(times));

@@ -1,0 +1,170 @@
+//! What was sent without loss and is not yet acknowledged. It also lies in files of the run's folder, so that the process that
+//! takes the place of a killed one sends it again; each message is there before it goes out.
+
+use super::wire::{Place, place_of};
+use std::collections::VecDeque;
+use std::fs::File;
+use std::io;
+use std::os::unix::fs::FileExt;
+use std::path::PathBuf;
+
+/// No more than this is kept; a lossless writer waits meanwhile.
+pub(super) const MAX_KEPT: usize = 64;
+const MAX_KEPT_BYTES: usize = 16 << 20;
+
+/// A file begins with the length of the message in it, which is written last.
+const LENGTH: usize = size_of::<u64>();
+
+/// Messages, the oldest first.
+#[derive(Default)]
+pub(super) struct Kept {
+    messages: VecDeque<(u64, Vec<u8>)>,
+    files: Option<Files>,
+}
+
+impl Kept {
+    /// What an earlier process has kept of a topic in this folder; what is kept from now on lies there, too.
+    pub(super) fn in_folder(folder: PathBuf, topic: &str) -> Self {
+        let files = Files { folder, topic: topic.replace('/', "."), open: [const { None }; MAX_KEPT] };
+        let mut found: Vec<(Place, Vec<u8>)> = (0..MAX_KEPT as u64).filter_map(|slot| files.read(slot)).collect();
+        let stream = found.iter().map(|(place, _)| place.stream).max();
+        found.retain(|(place, _)| Some(place.stream) == stream);
+        found.sort_by_key(|(place, _)| place.number);
+        let messages = found.into_iter().map(|(place, bytes)| (place.number, bytes)).collect();
+        Self { messages, files: Some(files) }
+    }
+
+    /// The place of the last message.
+    pub(super) fn last(&self) -> Option<Place> {
+        self.messages.back().and_then(|(_, bytes)| place_of(bytes).ok())
+    }
+
+    /// Number of the first message.
+    pub(super) fn oldest(&self) -> Option<u64> {
+        self.messages.front().map(|(number, _)| *number)
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.messages.len()
+    }
+
+    pub(super) fn has_room(&self) -> bool {
+        let bytes: usize = self.messages.iter().map(|(_, bytes)| bytes.len()).sum();
+        self.messages.len() < MAX_KEPT && bytes < MAX_KEPT_BYTES
+    }
+
+    /// The messages from a number on.
+    pub(super) fn since(&self, first: u64) -> impl Iterator<Item = &Vec<u8>> {
+        self.messages.iter().filter(move |(number, _)| *number >= first).map(|(_, bytes)| bytes)
+    }
+
+    pub(super) fn add(&mut self, number: u64, bytes: &[u8]) {
+        self.with_files(|files| files.write(number, bytes));
+        self.messages.push_back((number, bytes.to_vec()));
+    }
+
+    /// Forgets the first message; its number.
+    pub(super) fn forget_first(&mut self) -> Option<u64> {
+        let (number, _) = self.messages.pop_front()?;
+        self.with_files(|files| files.clear(number));
+        Some(number)
+    }
+
+    /// Removes the files: nobody comes after this process.
+    pub(super) fn remove_files(&mut self) {
+        if let Some(files) = self.files.take() {
+            (0..MAX_KEPT as u64).for_each(|slot| drop(std::fs::remove_file(files.path(slot))));
+        }
+    }
+
+    /// Without files it goes on as well; only a process that is killed would then take messages with it.
+    fn with_files(&mut self, work: impl FnOnce(&mut Files) -> io::Result<()>) {
+        if let Some(Err(error)) = self.files.as_mut().map(work) {
+            tracing::warn!("what is not acknowledged is kept in memory alone: {error}");
+            self.remove_files();
+        }
+    }
+}
+
+/// A file for each message.
+struct Files {
+    folder: PathBuf,
+    topic: String,
+    open: [Option<File>; MAX_KEPT],
+}
+
+impl Files {
+    fn path(&self, number: u64) -> PathBuf {
+        self.folder.join(format!("bridge.{}.{}.kept", self.topic, number % MAX_KEPT as u64))
+    }
+
+    /// The message in a file; nothing if it is not whole.
+    fn read(&self, slot: u64) -> Option<(Place, Vec<u8>)> {
+        let bytes = std::fs::read(self.path(slot)).ok()?;
+        let (length, message) = bytes.split_first_chunk::<LENGTH>()?;
+        let whole = u64::from_le_bytes(*length) == message.len() as u64;
+        let place = place_of(message).ok().filter(|_| whole)?;
+        Some((place, message.to_vec()))
+    }
+
+    fn write(&mut self, number: u64, bytes: &[u8]) -> io::Result<()> {
+        let file = self.file(number)?;
+        file.set_len(0)?;
+        file.write_all_at(bytes, LENGTH as u64)?;
+        file.write_all_at(&(bytes.len() as u64).to_le_bytes(), 0)
+    }
+
+    fn clear(&mut self, number: u64) -> io::Result<()> {
+        self.file(number)?.set_len(0)
+    }
+
+    fn file(&mut self, number: u64) -> io::Result<&File> {
+        let path = self.path(number);
+        let slot = &mut self.open[(number % MAX_KEPT as u64) as usize];
+        if slot.is_none() {
+            *slot = Some(File::options().write(true).create(true).truncate(false).open(path)?);
+        }
+        slot.as_ref().ok_or_else(|| io::ErrorKind::NotFound.into())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bridge::{Compression, encode_message};
+    use conicflow_messages::{Header, Object};
+
+    fn message(number: u64) -> Vec<u8> {
+        let place = Place { stream: 7, number, oldest: 0 };
+        encode_message::<Object>(place, &Header::default(), &[], Compression::None).unwrap()
+    }
+
+    #[test]
+    fn the_next_process_finds_what_was_not_forgotten() {
+        let folder = tempfile::tempdir().unwrap();
+        let open = || Kept::in_folder(folder.path().to_owned(), "cameras/front");
+        let mut kept = open();
+        assert_eq!((kept.last(), kept.oldest()), (None, None));
+        (60..70).for_each(|number| kept.add(number, &message(number)));
+        assert_eq!([(); 3].map(|()| kept.forget_first().unwrap()), [60, 61, 62]);
+        drop(kept);
+        let mut kept = open();
+        assert_eq!((kept.last().map(|place| (place.stream, place.number)), kept.oldest()), (Some((7, 69)), Some(63)));
+        assert!(kept.since(63).eq((63..70).map(message).collect::<Vec<_>>().iter()));
+        kept.remove_files();
+        assert_eq!(folder.path().read_dir().unwrap().count(), 0);
+    }
+
+    #[test]
+    fn a_message_that_was_not_written_to_its_end_is_none() {
+        let folder = tempfile::tempdir().unwrap();
+        let open = || Kept::in_folder(folder.path().to_owned(), "objects");
+        (0..3).for_each(|number| open().add(number, &message(number)));
+        let path = folder.path().join("bridge.objects.2.kept");
+        let whole = std::fs::read(&path).unwrap();
+        for torn in [&whole[..whole.len() - 1], &[[0; LENGTH].as_slice(), &whole[LENGTH..]].concat(), b"short"] {
+            std::fs::write(&path, torn).unwrap();
+            assert_eq!(open().last().map(|place| place.number), Some(1));
+        }
+    }
+}

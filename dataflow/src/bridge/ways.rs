@@ -1,0 +1,229 @@
+//! The ways to the other machines: a Zenoh session over streams for everything, and where the file names endpoints for
+//! datagrams another over these, for short messages of which the newest wins.
+//!
+//! A stream on a radio that loses packets holds back all that follows a loss until it was sent again; a datagram that is lost
+//! is lost, and the next comes in time. Nothing tells a peer that datagrams do not reach it, and Zenoh's own declarations may
+//! be among those that are lost: so a message takes both ways while the receiver listens to both, and it listens to the
+//! stream as long as no datagrams come.
+
+use super::{BridgeError, settings};
+use crate::pipeline::Machine;
+use crate::stage::Stop;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+use zenoh::bytes::ZBytes;
+use zenoh::pubsub::{Publisher, Subscriber};
+use zenoh::qos::{CongestionControl, Priority};
+use zenoh::{Session, Wait};
+
+/// A session that cannot be opened, because nobody is there yet, is tried again after this time.
+const OPEN_AGAIN: Duration = Duration::from_secs(1);
+/// Where no datagrams come, they are asked for again after so long.
+const ASK_AGAIN: Duration = Duration::from_secs(5);
+
+/// The open sessions of a machine.
+pub(super) struct Ways {
+    streams: Session,
+    datagrams: Option<Session>,
+}
+
+/// What is done with what comes.
+type Take = Arc<dyn Fn(ZBytes) + Send + Sync>;
+
+impl Ways {
+    /// Opens the sessions, as soon as that works; nothing if the run ends before. `failed` is called after each attempt.
+    pub(super) fn open(machine: &Machine, stop: &Stop, mut failed: impl FnMut()) -> Result<Option<Self>, BridgeError> {
+        let (streams, datagrams) = settings::configurations(machine)?;
+        let open = || -> zenoh::Result<Self> {
+            let datagrams = datagrams.clone().map(|config| zenoh::open(config).wait()).transpose()?;
+            Ok(Self { streams: zenoh::open(streams.clone()).wait()?, datagrams })
+        };
+        let mut told = false;
+        while !stop.requested() {
+            match open() {
+                Ok(ways) => return Ok(Some(ways)),
+                Err(error) if !told => tracing::warn!("Zenoh cannot be opened yet, and is tried again: {error}"),
+                Err(_) => {}
+            }
+            told = true;
+            failed();
+            std::thread::sleep(OPEN_AGAIN);
+        }
+        Ok(None)
+    }
+
+    /// Whether there is a link to any other machine, or to a router.
+    pub(super) fn reach_anybody(&self) -> bool {
+        let reaches = |session: &Session| {
+            let info = session.info();
+            info.peers_zid().wait().next().is_some() || info.routers_zid().wait().next().is_some()
+        };
+        [Some(&self.streams), self.datagrams.as_ref()].into_iter().flatten().any(reaches)
+    }
+
+    /// Makes a key ready to be written, also by datagrams if messages are `short`.
+    pub(super) fn speak(&self, key: &str, short: bool, priority: Priority) -> Result<Voice, BridgeError> {
+        let declare = |session: &Session| {
+            let publisher = session.declare_publisher(key.to_owned()).priority(priority);
+            publisher.congestion_control(CongestionControl::Drop).express(priority != Priority::DataLow).wait()
+        };
+        let datagrams = self.datagrams.as_ref().filter(|_| short);
+        let publishers: zenoh::Result<_> =
+            [Some(&self.streams), datagrams].into_iter().flatten().map(declare).collect();
+        let publishers = publishers.map_err(|error| BridgeError::zenoh("cannot declare a key to Zenoh", error))?;
+        Ok(Voice { publishers })
+    }
+
+    /// Listens to a key; if there is a longest `silence` between datagrams, to these alone as long as they come. `take` is
+    /// called by threads of Zenoh, which must not wait.
+    pub(super) fn listen(
+        &self,
+        key: &str,
+        silence: Option<Duration>,
+        take: impl Fn(ZBytes) + Send + Sync + 'static,
+    ) -> Result<Ear<'_>, BridgeError> {
+        let take: Take = Arc::new(take);
+        let mut ear = Ear { ways: self, key: key.to_owned(), take, stream: None, datagrams: None };
+        ear.stream = Some(ear.declare(&self.streams, Arc::clone(&ear.take))?);
+        if let (Some(session), Some(silence)) = (&self.datagrams, silence) {
+            ear.datagrams = Some(ear.ask_for_datagrams(session, silence)?);
+        }
+        Ok(ear)
+    }
+}
+
+/// A key that is written.
+pub(super) struct Voice {
+    publishers: Vec<Publisher<'static>>,
+}
+
+impl Voice {
+    /// Puts a message on each way on which somebody listens; whether it arrives has to be learnt otherwise.
+    pub(super) fn put(&self, bytes: Vec<u8>) {
+        let bytes = ZBytes::from(bytes);
+        self.publishers.iter().for_each(|publisher| drop(publisher.put(bytes.clone()).wait()));
+    }
+
+    /// Whether anybody listens.
+    pub(super) fn is_heard(&self) -> bool {
+        self.publishers.iter().any(|publisher| publisher.matching_status().wait().is_ok_and(|status| status.matching()))
+    }
+}
+
+/// A key that is listened to.
+pub(super) struct Ear<'a> {
+    ways: &'a Ways,
+    key: String,
+    take: Take,
+    stream: Option<Subscriber<()>>,
+    datagrams: Option<Datagrams<'a>>,
+}
+
+/// Its part for datagrams.
+struct Datagrams<'a> {
+    session: &'a Session,
+    silence: Duration,
+    asked: Instant,
+    came: Arc<Mutex<Option<Instant>>>,
+    _subscriber: Subscriber<()>,
+}
+
+impl Datagrams<'_> {
+    fn come(&self) -> bool {
+        let came = *self.came.lock().unwrap_or_else(PoisonError::into_inner);
+        came.is_some_and(|came| came.elapsed() < self.silence)
+    }
+}
+
+impl<'a> Ear<'a> {
+    fn declare(&self, session: &Session, take: Take) -> Result<Subscriber<()>, BridgeError> {
+        let declared =
+            session.declare_subscriber(&self.key).callback(move |sample| take(sample.payload().clone())).wait();
+        declared.map_err(|error| BridgeError::zenoh("cannot subscribe to a key of Zenoh", error))
+    }
+
+    fn ask_for_datagrams(&self, session: &'a Session, silence: Duration) -> Result<Datagrams<'a>, BridgeError> {
+        let (take, came) = (Arc::clone(&self.take), Arc::<Mutex<Option<Instant>>>::default());
+        let clock = Arc::clone(&came);
+        let note_and_take = move |bytes| {
+            *clock.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
+            take(bytes);
+        };
+        let subscriber = self.declare(session, Arc::new(note_and_take))?;
+        Ok(Datagrams { session, silence, asked: Instant::now(), came, _subscriber: subscriber })
+    }
+
+    /// Chooses the way anew; to be called now and then. The name of the way, if that has changed.
+    pub(super) fn choose(&mut self) -> Result<Option<&'static str>, BridgeError> {
+        let Some(datagrams) = &self.datagrams else { return Ok(None) };
+        if datagrams.come() {
+            return Ok(self.stream.take().map(|_| "datagrams"));
+        }
+        if datagrams.asked.elapsed() > ASK_AGAIN {
+            let (session, silence) = (datagrams.session, datagrams.silence);
+            self.datagrams = None;
+            self.datagrams = Some(self.ask_for_datagrams(session, silence)?);
+        }
+        if self.stream.is_some() {
+            return Ok(None);
+        }
+        self.stream = Some(self.declare(&self.ways.streams, Arc::clone(&self.take))?);
+        Ok(Some("the stream, while no datagrams come"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::net::{TcpListener, UdpSocket};
+    use std::sync::mpsc::{Receiver, channel};
+
+    const DEADLINE: Duration = Duration::from_secs(60);
+    const KEY: &str = "conicflow/test/robot/objects";
+
+    /// Two machines that are joined by a stream and by datagrams.
+    fn joined() -> [Ways; 2] {
+        let stream = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+        let datagrams = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+        let endpoints = vec![format!("tcp/{stream}"), format!("udp/{datagrams}")];
+        let listening = Machine { listen: endpoints.clone(), ..Machine::default() };
+        let connecting = Machine { connect: endpoints, ..Machine::default() };
+        [listening, connecting].map(|machine| Ways::open(&machine, &Stop::default(), || ()).unwrap().unwrap())
+    }
+
+    /// Speaks until a message is heard and `holds` is true of the ear.
+    fn speak_until(voice: &Voice, ear: &mut Ear<'_>, heard: &Receiver<ZBytes>, holds: fn(&Ear<'_>) -> bool) {
+        let since = Instant::now();
+        loop {
+            assert!(since.elapsed() < DEADLINE, "it never came true");
+            ear.choose().unwrap();
+            voice.put(b"objects".to_vec());
+            if heard.recv_timeout(Duration::from_millis(20)).is_ok() && holds(ear) {
+                return;
+            }
+        }
+    }
+
+    #[test]
+    fn short_messages_come_by_datagrams_and_by_the_stream_where_no_datagrams_come() {
+        let [mut robot, base] = joined();
+        let (take, heard) = channel();
+        let voice = robot.speak(KEY, true, Priority::InteractiveHigh).unwrap();
+        let mut ear = base.listen(KEY, Some(Duration::from_secs(1)), move |bytes| drop(take.send(bytes))).unwrap();
+        speak_until(&voice, &mut ear, &heard, |ear| ear.stream.is_none());
+        let datagrams = robot.datagrams.take().unwrap();
+        datagrams.close().wait().unwrap();
+        while heard.try_recv().is_ok() {}
+        speak_until(&voice, &mut ear, &heard, |ear| ear.stream.is_some());
+    }
+
+    #[test]
+    fn what_is_long_or_must_not_be_lost_goes_by_the_stream_alone() {
+        let [robot, base] = joined();
+        let (take, heard) = channel();
+        let voice = robot.speak(KEY, false, Priority::DataLow).unwrap();
+        let mut ear = base.listen(KEY, None, move |bytes| drop(take.send(bytes))).unwrap();
+        speak_until(&voice, &mut ear, &heard, |ear| ear.stream.is_some() && ear.datagrams.is_none());
+        assert_eq!(voice.publishers.len(), 1);
+    }
+}
