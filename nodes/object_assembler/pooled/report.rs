@@ -11,8 +11,10 @@ use nalgebra::{Matrix3, SMatrix};
 const SAMPLES: usize = 7;
 /// Arcs of an object that stand for all of them.
 const ARCS: usize = 24;
-/// What the faults of sensors add, that no number of points averages out: to radius and centre in radii,
-const SYSTEMATIC: f64 = 0.003;
+/// What the faults of sensors add, that no number of points averages out: to radius and centre in radii ...
+const SYSTEMATIC: f64 = 0.002;
+/// ... and in pixels, as silhouettes are smeared,
+const SYSTEMATIC_PX: f64 = 0.08;
 /// to directions in radians.
 const SYSTEMATIC_ANGLE: f64 = 0.001;
 
@@ -58,12 +60,12 @@ pub(super) fn report(grown: &Grown, measured: &Measured, contour: &Contour) -> O
             cone(object, &surface, half_angle, sigma, measured)
         }
     };
-    with_faults(object)
+    with_faults(object, grown.ends()[0].spacing)
 }
 
-/// The object with what the faults of sensors add to its standard deviations.
-fn with_faults(mut object: Object) -> Object {
-    let (length, sigma) = (SYSTEMATIC * object.radius, &mut object.sigma);
+/// The object with what the faults of sensors add to its standard deviations; `pixel` is the size of one there.
+fn with_faults(mut object: Object, pixel: f64) -> Object {
+    let (length, sigma) = ((SYSTEMATIC * object.radius).hypot(SYSTEMATIC_PX * pixel), &mut object.sigma);
     sigma.radius = sigma.radius.hypot(length);
     (0..3).for_each(|i| sigma.center[i][i] += length * length);
     if object.kind != ObjectKind::Sphere.code() {
