@@ -34,6 +34,8 @@ mod support;
 #[cfg(target_os = "linux")]
 mod swap;
 #[cfg(target_os = "linux")]
+mod swap_joined;
+#[cfg(target_os = "linux")]
 mod top;
 mod topic;
 mod validate;

@@ -24,6 +24,8 @@ pub(crate) struct Inbox<T: Item, R: Reader<T>> {
     worked_on: Mark,
     /// How far its predecessor came.
     predecessor: Mark,
+    /// Writer and number of the last message that an earlier process counted, where this one has heard it as well.
+    counted: Option<(Text<32>, u64)>,
 }
 
 impl<T: Item, R: Reader<T>> Inbox<T, R> {
@@ -40,6 +42,7 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
             counts: InputCounts { topic: Text::new(topic), ..InputCounts::default() },
             worked_on: Mark::default(),
             predecessor: Mark::default(),
+            counted: None,
         }
     }
 
@@ -53,14 +56,24 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
         }
         let next = self.pending.pop_front();
         if let Some(message) = &next {
-            self.counts.received += 1;
             let (header, (source, writer)) = (message.header(), ends_of_trace(message.header()));
             self.worked_on.numbers.insert(writer, header.number);
             self.worked_on.frames.insert(source, (header.epoch, header.sequence));
             let &Header { number, epoch, sequence, .. } = header;
-            self.counts.last = LastMessage { writer, number, source, epoch, sequence };
+            self.count_received(LastMessage { writer, number, source, epoch, sequence });
         }
         Ok(next)
+    }
+
+    /// Counts a message, unless an earlier process of the same stage has.
+    fn count_received(&mut self, message: LastMessage) {
+        let is_known = |(writer, last): &(Text<32>, u64)| message.writer == *writer && message.number <= *last;
+        if self.counted.as_ref().is_some_and(is_known) {
+            return;
+        }
+        self.counted = None;
+        self.counts.received += 1;
+        self.counts.last = message;
     }
 
     /// How far this process came.
@@ -88,6 +101,16 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
         Ok(())
     }
 
+    /// The headers of what was overheard.
+    pub(crate) fn overheard(&self) -> impl Iterator<Item = &Header> {
+        self.pending.iter().map(Received::header)
+    }
+
+    /// Leaves messages that were overheard to the predecessor; never the end of a stream.
+    pub(crate) fn forget_overheard(&mut self, forget: impl Fn(&Header) -> bool) {
+        self.pending.retain(|message| message.header().ends_stream() || !forget(message.header()));
+    }
+
     /// Whether a message of this writer was overheard.
     pub(crate) fn has_heard(&self, writer: &str) -> bool {
         self.pending.iter().any(|message| is_from(message.header(), &Text::new(writer)))
@@ -96,7 +119,7 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
     /// By writer, the number of the first message that was overheard; of an end the number that would follow.
     pub(crate) fn first_heard(&self) -> Mark {
         let mut first = Mark::default();
-        for header in self.pending.iter().map(Received::header) {
+        for header in self.overheard() {
             let number = header.number + u64::from(header.ends_stream());
             first.numbers.entry(ends_of_trace(header).1).or_insert(number);
         }
@@ -110,6 +133,11 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
         self.ended.clone_from(&last.ended);
         self.worked_on = last.clone();
         self.predecessor = last;
+        self.admit_overheard();
+    }
+
+    /// Queues what was overheard.
+    pub(crate) fn admit_overheard(&mut self) {
         for message in std::mem::take(&mut self.pending) {
             if self.admit(&message) {
                 self.enqueue(message);
@@ -160,7 +188,11 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
         let LastMessage { writer, number, source, epoch, sequence } = counts.last;
         if self.writers == 1 && writer != Text::default() {
             self.last_number.entry(writer).or_insert(number);
-            self.last_frame.entry(source).or_insert((epoch, sequence));
+            if self.overheard().any(|header| is_from(header, &writer) && header.number <= number) {
+                self.counted = Some((writer, number));
+            } else {
+                self.last_frame.entry(source).or_insert((epoch, sequence));
+            }
         }
     }
 

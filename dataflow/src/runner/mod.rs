@@ -10,9 +10,11 @@ pub(crate) mod peers;
 mod side_ports;
 pub(crate) mod source_loop;
 pub(crate) mod stage_loop;
+mod succession;
 #[cfg(test)]
 mod tests;
 
+use crate::ports::shared_memory::residence;
 use crate::ports::{PortError, Transport, Wiring};
 use crate::sides::Side;
 use crate::stage::{Context, StageError};
@@ -95,6 +97,26 @@ impl<T: Transport + 'static> Surroundings<T> {
         status.total = self.wiring.frames.or(total).unwrap_or(0);
         status.set_life(Life::Running);
         self.record.write();
+    }
+}
+
+/// Gives back, once a process is at work, what only its start needed.
+pub(crate) struct Settling(Option<u64>);
+
+impl Settling {
+    /// Steps until all that a stage does has been done once.
+    const STEPS: u64 = 10;
+
+    /// For a stage that is a process of its own; others leave their process as it is.
+    pub(crate) fn of<T>(around: &Surroundings<T>) -> Self {
+        Self(around.lock.as_ref().map(|_| Self::STEPS))
+    }
+
+    pub(crate) fn step(&mut self) {
+        self.0 = self.0.and_then(|left| left.checked_sub(1));
+        if self.0 == Some(0) {
+            residence::give_back();
+        }
     }
 }
 

@@ -5,11 +5,12 @@
 //! full. All numbers of a service follow from the pipeline file, so that every stage asks for the same ones and the order
 //! of their start does not matter.
 
-#![allow(unsafe_code)] // layout promises for types in shared memory, loans whose content is left over, and leases on files
+#![allow(unsafe_code)] // layouts in shared memory, loans whose content is left over, leases on files, pages given back
 
 mod hold;
 pub(crate) mod leftovers;
 mod reader;
+pub(crate) mod residence;
 mod sweep;
 mod tap;
 #[cfg(test)]
