@@ -23,6 +23,8 @@ mod outside_stage;
 mod processes;
 #[cfg(target_os = "linux")]
 mod radio;
+#[cfg(target_os = "linux")]
+mod room;
 mod routers;
 mod run;
 mod several_machines;

@@ -101,7 +101,7 @@ scene   = "tabletop"
 output  = "depth"
 width   = 64
 height  = 48
-rate_hz = 60
+rate_hz = 5
 
 [stage.extractor]
 node   = "row_ellipse_extractor"

@@ -9,6 +9,8 @@ use std::time::Duration;
 
 /// Less than a reader may hold.
 const MAX_OVERHEARD: usize = 12;
+/// Messages that are heard at a time before something else is looked at.
+const MOST_AT_ONCE: usize = 64;
 
 /// Takes messages from a reader: checked, in order, the newest only where that is wanted.
 pub(crate) struct Inbox<T: Item, R: Reader<T>> {
@@ -99,6 +101,29 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
             self.pending.push_back(message);
         }
         Ok(())
+    }
+
+    /// Hears all that has come, so that no writer waits for another one to be heard: where there is no room for more, the
+    /// first message of a writer that was heard again is left to the predecessor.
+    pub(crate) fn hear_on(&mut self) -> Result<(), PortError> {
+        for _ in 0..MOST_AT_ONCE {
+            let Some(message) = self.reader.receive()? else { break };
+            self.pending.push_back(message);
+            let Some(dispensable) = self.dispensable().filter(|_| self.pending.len() >= MAX_OVERHEARD) else {
+                continue;
+            };
+            self.pending.remove(dispensable);
+        }
+        Ok(())
+    }
+
+    /// The first message whose writer was heard again after it.
+    fn dispensable(&self) -> Option<usize> {
+        let headers: Vec<_> = self.overheard().collect();
+        (0..headers.len()).find(|&index| {
+            let writer = ends_of_trace(headers[index]).1;
+            !headers[index].ends_stream() && headers[index + 1..].iter().any(|later| is_from(later, &writer))
+        })
     }
 
     /// The headers of what was overheard.

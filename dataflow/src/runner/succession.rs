@@ -61,7 +61,7 @@ fn hears_all<I: Item, T: Transport>(
     let is_over = |writer: &String| matches!(around.peers.life(writer), Some(Life::Ended | Life::Gone));
     loop {
         // The further inputs last: what a message was made of came before it.
-        inbox.overhear()?;
+        inbox.hear_on()?;
         sides.iter_mut().try_for_each(|side| side.overhear())?;
         let late = Instant::now() > deadline;
         let needed = |side: &dyn SidePort| {

@@ -7,13 +7,20 @@
 use std::fs;
 use std::ops::Range;
 
-/// Gives back pages of the program and its libraries that are as they are in their files, and memory that is free. Where the
-/// system cannot tell which pages those are, or does not take them, they stay.
+/// Of the stack so much stays, below what is in use.
+const SPARE_STACK: usize = 64 * 1024;
+/// Pages are at most as long as this.
+const PAGE: usize = 64 * 1024;
+
+/// Gives back pages of the program and its libraries that are as they are in their files, stack that was needed once, and
+/// memory that is free. Where the system cannot tell which pages those are, or does not take them, they stay.
 pub(crate) fn give_back() {
     let mappings = fs::read_to_string("/proc/self/smaps").unwrap_or_default();
-    for range in unwritten(&mappings) {
-        // SAFETY: the pages are mapped from a file, cannot be written, and none of them was while it could be: the next
-        // access finds the same bytes in the file. The range is one that the system named.
+    let here = std::ptr::from_ref(&mappings).addr();
+    for range in unwritten(&mappings).into_iter().chain(unused_stack(&mappings, here)) {
+        // SAFETY: the range is one that the system named, or a part of it. Pages of files that cannot be written, and of which
+        // none was while it could be, are read anew from there at the next access; below the frames of this thread, with
+        // room for a signal's, nothing is alive on its stack.
         unsafe { libc::madvise(range.start as *mut libc::c_void, range.len(), libc::MADV_DONTNEED) };
     }
     #[cfg(target_env = "gnu")]
@@ -21,6 +28,14 @@ pub(crate) fn give_back() {
     unsafe {
         libc::malloc_trim(0)
     };
+}
+
+/// What the main thread's stack has beyond what it uses, where that is the one with the address `here`.
+fn unused_stack(mappings: &str, here: usize) -> Option<Range<usize>> {
+    let line = mappings.lines().find(|line| line.ends_with("[stack]"))?;
+    let stack = addresses(line)?;
+    let unused = stack.start..here.saturating_sub(SPARE_STACK) / PAGE * PAGE;
+    (stack.contains(&here) && !unused.is_empty()).then_some(unused)
 }
 
 /// The mappings of programs and libraries that nobody can write, and of which no page was changed.
@@ -39,13 +54,18 @@ fn unwritten(mappings: &str) -> Vec<Range<usize>> {
 /// What the first line of a mapping tells: its range, if it is one of a file that cannot be written. `None` for any other
 /// line.
 fn file_mapping(line: &str) -> Option<Option<Range<usize>>> {
-    let mut words = line.split_whitespace();
-    let (start, end) = words.next()?.split_once('-')?;
-    let address = |text| usize::from_str_radix(text, 16).ok();
-    let range = address(start)?..address(end)?;
+    let range = addresses(line)?;
+    let mut words = line.split_whitespace().skip(1);
     let (permissions, path) = (words.next()?, words.nth(3));
     let fixed = matches!(permissions, "r-xp" | "r--p") && path.is_some_and(|path| path.starts_with('/'));
     Some(fixed.then_some(range))
+}
+
+/// The addresses that the first line of a mapping begins with.
+fn addresses(line: &str) -> Option<Range<usize>> {
+    let (start, end) = line.split_whitespace().next()?.split_once('-')?;
+    let address = |text| usize::from_str_radix(text, 16).ok();
+    Some(address(start)?..address(end)?)
 }
 
 #[cfg(test)]
@@ -75,6 +95,14 @@ Anonymous:             0 kB
     fn only_what_is_as_in_its_file_is_given_back() {
         assert_eq!(unwritten(MAPPINGS), [0x1000..0x3000, 0x3000..0x9000]);
         assert!(unwritten("nonsense\nAnonymous: 0 kB\n").is_empty());
+    }
+
+    #[test]
+    fn of_the_stack_what_is_used_stays() {
+        let stack = "7ff000000000-7ff000100000 rw-p 00000000 00:00 0    [stack]\nRss: 900 kB\n";
+        assert_eq!(unused_stack(stack, 0x7ff0_000e_1234), Some(0x7ff0_0000_0000..0x7ff0_000d_0000));
+        assert_eq!(unused_stack(stack, 0x7ff0_0001_1234), None, "all of it may be in use");
+        assert_eq!(unused_stack(stack, 0x6ff0_0000_0000), None, "the stack of another thread");
     }
 
     #[test]

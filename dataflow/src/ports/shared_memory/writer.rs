@@ -1,10 +1,11 @@
 //! The writing end of a topic in shared memory, and its waiting for readers that must not miss a message.
 
 use super::{Factory, Ipc, WireHeader, WireItem};
+use crate::needs;
 use crate::ports::{Delivery, PortError, Topic, Writer};
 use crate::stage::Stop;
 use bytemuck::TransparentWrapper;
-use conicflow_messages::{Header, Item};
+use conicflow_messages::{Header, Item, Kind};
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
@@ -18,13 +19,13 @@ use std::time::Duration;
 
 /// A writer that waits for room looks this often whether the reader still lives.
 const DEAD_READER_CHECK: Duration = Duration::from_millis(100);
-/// Room for lists that no message has exceeded yet; longer ones grow the segment.
-const INITIAL_LIST: usize = 1024;
 
 /// Writes a topic in shared memory.
 pub struct SharedWriter<T: Item> {
     pub(super) loan: Option<SampleMut<Ipc, [WireItem<T>], WireHeader>>,
     pub(super) publisher: Option<Publisher<Ipc, [WireItem<T>], WireHeader>>,
+    /// Items of the longest message that the publisher has room for.
+    pub(super) capacity: usize,
     pub(super) messages: Arc<Factory<T>>,
     pub(super) wake: Notifier<Ipc>,
     pub(super) room: Arc<Listener<Ipc>>,
@@ -45,14 +46,23 @@ impl<T: Item> SharedWriter<T> {
         }
     }
 
-    /// The publisher, made when the length of the first message is known.
+    /// The publisher, made when the length of the first message is known, and anew for messages that have no room in it.
+    /// What the former one sent stays with its readers, who take it before what the new one sends. A segment that grows by
+    /// itself would need no second publisher, but takes a megabyte of each process that has a part in it.
     fn publisher(&mut self, length: usize) -> Result<&Publisher<Ipc, [WireItem<T>], WireHeader>, PortError> {
-        if self.publisher.is_none() {
-            let builder = self.messages.publisher_builder().max_loaned_samples(2);
-            let builder = builder.initial_max_slice_len(length.max(INITIAL_LIST));
-            let builder = builder.allocation_strategy(AllocationStrategy::PowerOfTwo);
+        if self.publisher.is_none() || length > self.capacity {
+            let capacity = match T::KIND {
+                Kind::Depth => length.max(1),
+                kind => length.max(needs::usual_length(kind)).next_power_of_two(),
+            };
+            needs::look_for_room::<T>(&self.topic, capacity)?;
+            self.publisher = None;
+            self.attached.clear();
+            let builder = self.messages.publisher_builder().max_loaned_samples(1).initial_max_slice_len(capacity);
+            let builder = builder.allocation_strategy(AllocationStrategy::Static);
             let builder = builder.set_backpressure_handler(self.wait_for_room());
             self.publisher = Some(builder.create().map_err(|error| self.fault(error))?);
+            self.capacity = capacity;
         }
         self.publisher.as_ref().ok_or(PortError::Stopped)
     }
