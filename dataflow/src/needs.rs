@@ -43,12 +43,21 @@ const FILES_OF_ZENOH: u64 = 64;
 /// What a plan needs of the machine that it runs on.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Needs {
-    /// The topics, and the bytes of shared memory that each takes at most.
-    pub topics: Vec<(String, u64)>,
-    /// The topics, and the bytes of their longest messages.
-    messages: Vec<(String, u64)>,
+    /// What its topics need of shared memory.
+    pub topics: Vec<TopicNeeds>,
     /// Files that one process has open at once.
     pub open_files: u64,
+}
+
+/// What a topic needs of shared memory.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct TopicNeeds {
+    /// Name of the topic.
+    pub name: String,
+    /// Bytes that it takes at most.
+    pub bytes: u64,
+    /// Bytes of its longest message.
+    pub longest_message: u64,
 }
 
 /// What a machine has too little of.
@@ -109,20 +118,22 @@ pub enum Shortfall {
 impl Needs {
     /// What a plan needs whose nodes stand in the table `nodes`.
     pub fn of(plan: &Plan, nodes: &[Node]) -> Self {
-        let (mut topics, mut messages): (Vec<(String, u64)>, Vec<(String, u64)>) = (Vec::new(), Vec::new());
+        let mut topics: Vec<TopicNeeds> = Vec::new();
         for stage in &plan.stages {
             for (topic, bytes) in written(plan, stage, nodes) {
                 let readers = topic.readers.iter();
                 let with_readers = readers.map(|reader| reader.queue + held(plan, topic, reader, nodes)).sum();
-                let taken = taken(topic, bytes, with_readers);
-                match topics.iter_mut().find(|(name, _)| *name == topic.name) {
-                    Some((_, sum)) => *sum += taken,
-                    None => topics.push((topic.name.clone(), taken)),
+                let (taken, longest_message) = (taken(topic, bytes, with_readers), bytes as u64);
+                match topics.iter_mut().find(|needs| needs.name == topic.name) {
+                    Some(needs) => {
+                        needs.bytes += taken;
+                        needs.longest_message = needs.longest_message.max(longest_message);
+                    }
+                    None => topics.push(TopicNeeds { name: topic.name.clone(), bytes: taken, longest_message }),
                 }
-                messages.push((topic.name.clone(), bytes as u64));
             }
         }
-        Self { topics, messages, open_files: plan.stages.iter().map(open_files).max().unwrap_or(0) }
+        Self { topics, open_files: plan.stages.iter().map(open_files).max().unwrap_or(0) }
     }
 
     /// Makes sure that there is room, now, for somebody who looks into a topic.
@@ -151,13 +162,13 @@ impl Needs {
 
     /// Bytes that a topic takes more, with so many messages more that wait and are held.
     fn with_another_reader(&self, topic: &Topic, queue: usize, held: usize) -> u64 {
-        let longest = self.messages.iter().filter(|(name, _)| *name == topic.name).map(|(_, bytes)| *bytes).max();
-        longest.unwrap_or(0) * (queue + held) as u64 + ROOM_PER_PORT as u64
+        let own = self.topics.iter().find(|needs| needs.name == topic.name);
+        own.map_or(0, |needs| needs.longest_message) * (queue + held) as u64 + ROOM_PER_PORT as u64
     }
 
     /// Bytes of shared memory.
     pub fn shared_memory(&self) -> u64 {
-        self.topics.iter().map(|(_, bytes)| bytes).sum()
+        self.topics.iter().map(|needs| needs.bytes).sum()
     }
 
     /// What this machine has too little of, now.
@@ -173,7 +184,7 @@ impl Needs {
 
     fn short_of_room(&self, free: u64, size: u64) -> Option<Shortfall> {
         let needed = self.shared_memory();
-        let (topic, _) = self.topics.iter().max_by_key(|(_, bytes)| *bytes)?;
+        let topic = &self.topics.iter().max_by_key(|needs| needs.bytes)?.name;
         let wanted = (size.saturating_sub(free) + needed).div_ceil(1 << 20).next_power_of_two();
         (free < needed).then(|| Shortfall::Room { free, size, needed, topic: topic.clone(), wanted })
     }
@@ -345,8 +356,7 @@ mod tests {
 
     /// Images of which there is room in the shared memory that a topic needs.
     fn images(needs: &Needs, topic: &str) -> u64 {
-        let (_, bytes) = needs.topics.iter().find(|(name, _)| name == topic).unwrap();
-        bytes / (2 * PIXELS as u64)
+        needs.topics.iter().find(|needs| needs.name == topic).unwrap().bytes / (2 * PIXELS as u64)
     }
 
     const SOURCE: &str = "[stage.source]\nnode = \"camera\"\noutput = \"depth\"\n";
@@ -379,7 +389,8 @@ mod tests {
 
     #[test]
     fn a_shortfall_names_the_topic_and_what_would_do() {
-        let topics = vec![("small".into(), 1 << 20), ("large".into(), 70 << 20)];
+        let topic = |name: &str, bytes| TopicNeeds { name: name.to_owned(), bytes, longest_message: 1 };
+        let topics = vec![topic("small", 1 << 20), topic("large", 70 << 20)];
         let needs = Needs { topics, ..Needs::default() };
         assert!(needs.short_of_room(71 << 20, 80 << 20).is_none(), "just enough");
         let shortfall = needs.short_of_room((71 << 20) - 1, 80 << 20).unwrap().to_string();

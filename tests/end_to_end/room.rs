@@ -106,9 +106,9 @@ fn what_a_run_asks_for_is_enough_and_less_than_twice_as_much() {
         fill(&playground, &mut run);
         let stages = stages_of(run.id());
         for (topic, writer, reader) in TOPICS {
-            let (_, needed) = needs.topics.iter().find(|(name, _)| name == topic).unwrap();
+            let needed = needs.topics.iter().find(|needs| needs.name == topic).unwrap().bytes;
             let used = bytes_of(&(&shared_files(stages[writer]) & &shared_files(stages[reader])));
-            assert!(used <= *needed, "{delivery}: {topic} takes {used} bytes, {needed} were asked for");
+            assert!(used <= needed, "{delivery}: {topic} takes {used} bytes, {needed} were asked for");
         }
         let all: BTreeSet<_> = stages.values().flat_map(|process| shared_files(*process)).collect();
         let (used, needed) = (bytes_of(&all), needs.shared_memory());

@@ -66,7 +66,7 @@ fn hears_all<I: Item, T: Transport>(
         let late = Instant::now() > deadline;
         let needed = |side: &dyn SidePort| {
             let wired = around.wiring.sides.iter().find(|(name, _)| name == side.name()).map(|(_, topic)| topic);
-            wired.is_some_and(|topic| !(late && !lossless(topic)) && !topic.writers.iter().all(is_over))
+            wired.is_some_and(|topic| (lossless(topic) || !late) && !topic.writers.iter().all(is_over))
         };
         let needed: Vec<_> = sides.iter().filter(|side| needed(side.as_ref())).collect();
         inbox.forget_overheard(|header| !needed.iter().all(|side| side.hears(header)));
