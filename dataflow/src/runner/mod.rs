@@ -100,21 +100,21 @@ impl<T: Transport + 'static> Surroundings<T> {
     }
 }
 
-/// Gives back, once a process is at work, what only its start needed.
+/// Gives back, when a process is at work, what only its start needed.
 pub(crate) struct Settling(Option<u64>);
 
 impl Settling {
-    /// Steps until all that a stage does has been done once.
-    const STEPS: u64 = 10;
+    /// The steps after which it does: soon, and when what is seldom done has been done as well.
+    const STEPS: [u64; 2] = [10, 100];
 
     /// For a stage that is a process of its own; others leave their process as it is.
     pub(crate) fn of<T>(around: &Surroundings<T>) -> Self {
-        Self(around.lock.as_ref().map(|_| Self::STEPS))
+        Self(around.lock.as_ref().map(|_| 0))
     }
 
     pub(crate) fn step(&mut self) {
-        self.0 = self.0.and_then(|left| left.checked_sub(1));
-        if self.0 == Some(0) {
+        self.0 = self.0.map(|steps| steps + 1);
+        if self.0.is_some_and(|steps| Self::STEPS.contains(&steps)) {
             residence::give_back();
         }
     }
