@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
 /// Less than a reader may hold.
-const MAX_OVERHEARD: usize = 12;
+pub(super) const MAX_OVERHEARD: usize = 12;
 /// Messages that are heard at a time before something else is looked at.
 const MOST_AT_ONCE: usize = 64;
 
@@ -289,89 +289,4 @@ fn ends_of_trace(header: &Header) -> (Text<32>, Text<32>) {
     let trace = header.trace();
     let name = |hop: Option<&conicflow_messages::Hop>| hop.map(|hop| hop.stage).unwrap_or_default();
     (name(trace.first()), name(trace.last()))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::ports::in_memory::InMemory;
-    use crate::ports::{Topic, TopicReader, Transport, Writer};
-    use conicflow_messages::{Camera, END_OF_STREAM, Hop, Object};
-
-    fn topic(delivery: Delivery) -> Topic {
-        let reader = TopicReader { stage: "reader".into(), delivery, queue: 8 };
-        Topic { name: "objects".into(), kind: None, writers: vec!["writer".into()], readers: vec![reader] }
-    }
-
-    fn header(sequence: u64) -> Header {
-        let camera = Camera { width: 4, height: 3, fx: 5.0, fy: 5.0, cx: 1.5, cy: 1.0 };
-        let mut header = Header { sequence, number: sequence, camera, depth_scale: 0.001, ..Header::default() };
-        header.add_hop(Hop { stage: Text::new("writer"), ..Hop::default() });
-        header
-    }
-
-    /// Sends the frames and returns those that were taken, with the counts.
-    fn pass(delivery: Delivery, headers: &[Header]) -> (Vec<u64>, InputCounts, bool) {
-        let memory = InMemory::default();
-        let topic = topic(delivery);
-        let reader = memory.reader::<Object>(&topic, "reader").unwrap();
-        let mut writer = memory.writer::<Object>(&topic).unwrap();
-        for header in headers {
-            writer.send(header).unwrap();
-        }
-        let mut inbox = Inbox::new(reader, delivery, "objects", 1);
-        let taken = std::iter::from_fn(|| inbox.take().unwrap().map(|message| message.header().sequence)).collect();
-        (taken, inbox.counts(), inbox.ended())
-    }
-
-    #[test]
-    fn lossless_takes_each_and_latest_the_newest() {
-        let headers: Vec<_> = (0..4).map(header).collect();
-        assert_eq!(pass(Delivery::Lossless, &headers).0, [0, 1, 2, 3]);
-        let (taken, counts, ended) = pass(Delivery::Latest, &headers);
-        assert_eq!(taken, [3]);
-        assert_eq!((counts.received, counts.dropped, counts.gaps, ended), (1, 3, 3, false));
-    }
-
-    #[test]
-    fn the_last_frame_survives_the_end_of_the_stream() {
-        let end = Header { flags: END_OF_STREAM, ..header(0) };
-        let (taken, _, ended) = pass(Delivery::Latest, &[header(0), header(1), end]);
-        assert_eq!((taken, ended), (vec![1], true));
-    }
-
-    #[test]
-    fn frames_come_once_and_in_order_and_gaps_are_counted() {
-        let (taken, counts, _) = pass(Delivery::Lossless, &[0, 2, 1, 2, 5].map(header));
-        assert_eq!(taken, [0, 2, 5]);
-        assert_eq!((counts.gaps, counts.late), (3, 2));
-    }
-
-    #[test]
-    fn what_was_lost_with_an_earlier_process_is_counted() {
-        let (_, earlier, _) = pass(Delivery::Lossless, &[0, 1].map(header));
-        let memory = InMemory::default();
-        let topic = topic(Delivery::Lossless);
-        let reader = memory.reader::<Object>(&topic, "reader").unwrap();
-        let mut inbox = Inbox::new(reader, Delivery::Lossless, "objects", 1);
-        inbox.resume(earlier);
-        memory.writer::<Object>(&topic).unwrap().send(&header(5)).unwrap();
-        assert_eq!(inbox.take().unwrap().map(|message| message.header().sequence), Some(5));
-        let counts = inbox.counts();
-        assert_eq!((counts.received, counts.dropped, counts.gaps), (3, 3, 3));
-    }
-
-    #[test]
-    fn the_newest_of_each_source_is_kept() {
-        let mut other = Header { hops: Header::default().hops, hop_count: 0, ..header(7) };
-        other.add_hop(Hop { stage: Text::new("other"), ..Hop::default() });
-        assert_eq!(pass(Delivery::Latest, &[header(0), other, header(1)]).0, [7, 1]);
-    }
-
-    #[test]
-    fn nonsense_is_counted_and_left_out() {
-        let broken = Header { depth_scale: f64::NAN, ..header(1) };
-        let (taken, counts, _) = pass(Delivery::Lossless, &[header(0), broken]);
-        assert_eq!((taken, counts.malformed), (vec![0], 1));
-    }
 }

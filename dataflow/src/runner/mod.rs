@@ -5,6 +5,8 @@
 pub(crate) mod alone;
 pub(crate) mod handover;
 pub(crate) mod inbox;
+#[cfg(test)]
+mod inbox_tests;
 pub(crate) mod outlet;
 pub(crate) mod peers;
 mod side_ports;
