@@ -9,6 +9,7 @@ use std::fs::File;
 use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::time::Duration;
 
 /// Parameters of the sink.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
@@ -16,17 +17,22 @@ use std::process::ExitCode;
 struct PairingSinkConfig {
     /// File for the numbers, one line per list.
     path: PathBuf,
+    /// Time spent on each list, in milliseconds.
+    delay_ms: u64,
 }
 
 impl Default for PairingSinkConfig {
     fn default() -> Self {
-        Self { path: "pairs.txt".into() }
+        Self { path: "pairs.txt".into(), delay_ms: 0 }
     }
 }
 
 impl Config for PairingSinkConfig {}
 
-struct PairingSink(File);
+struct PairingSink {
+    file: File,
+    delay: Duration,
+}
 
 impl Stage for PairingSink {
     const NAME: &'static str = "pairing_sink";
@@ -36,7 +42,8 @@ impl Stage for PairingSink {
     type Output = Nothing;
 
     fn new(config: PairingSinkConfig, context: &Context) -> Result<Self, StageError> {
-        Ok(Self(File::options().create(true).append(true).open(context.resolve(&config.path))?))
+        let file = File::options().create(true).append(true).open(context.resolve(&config.path))?;
+        Ok(Self { file, delay: Duration::from_millis(config.delay_ms) })
     }
 
     fn sides() -> &'static [Side] {
@@ -50,7 +57,8 @@ impl Stage for PairingSink {
         let number = |header: Option<&Header>| header.map_or("-".to_owned(), |header| header.sequence.to_string());
         let (depth, ellipses) = (sides.depth("depth"), sides.ellipses("ellipses"));
         let sides = [number(depth.map(|image| image.header)), number(ellipses.map(|list| list.header))];
-        writeln!(self.0, "{} {}", input.header.sequence, sides.join(" "))?;
+        writeln!(self.file, "{} {}", input.header.sequence, sides.join(" "))?;
+        std::thread::sleep(self.delay);
         Ok(())
     }
 }

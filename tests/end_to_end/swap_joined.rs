@@ -35,8 +35,8 @@ fn wait_for_pairs(run: &mut Started, playground: &Playground) {
 #[test]
 fn inputs_of_the_same_frame_stay_together_and_none_is_lost() {
     let playground = Playground::with_pipeline(&paired("lossless"));
-    // Flat out, so that images are well ahead of what is made of them.
-    let mut run = playground.start(&["run"]);
+    // The sink is the slowest, so that all queues before it are full, and images are well ahead of what is made of them.
+    let mut run = playground.start(&["run", "--set", "pairs.delay_ms=10"]);
     wait_for_pairs(&mut run, &playground);
     for stage in ["pairs", "extractor", "pairs", "source", "pairs", "assembler", "pairs"] {
         replace(&playground, &run, &[stage]);

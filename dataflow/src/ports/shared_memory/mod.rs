@@ -225,6 +225,7 @@ impl Transport for SharedMemory {
             messages: Arc::new(self.messages(topic)?),
             wake: self.notifier(topic, "/wake", 0)?,
             room: Arc::new(self.listener(topic, "/room")?),
+            answers: Arc::default(),
             attached: Vec::new(),
             topic: topic.clone(),
             config: self.node.config().clone(),

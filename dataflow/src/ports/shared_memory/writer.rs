@@ -14,7 +14,7 @@ use iceoryx2::prelude::{AllocationStrategy, CallbackProgression, Config, Node, N
 use iceoryx2::sample_mut::SampleMut;
 use std::fmt::Debug;
 use std::path::PathBuf;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 /// A writer that waits for room looks this often whether the reader still lives.
@@ -29,6 +29,8 @@ pub struct SharedWriter<T: Item> {
     pub(super) messages: Arc<Factory<T>>,
     pub(super) wake: Notifier<Ipc>,
     pub(super) room: Arc<Listener<Ipc>>,
+    /// Places of readers that have taken something since the last message was sent, whoever of this writer waited then.
+    pub(super) answers: Arc<Mutex<Vec<usize>>>,
     /// Ports of lossless readers that have taken their first message.
     pub(super) attached: Vec<u128>,
     pub(super) topic: Topic,
@@ -71,7 +73,7 @@ impl<T: Item> SharedWriter<T> {
     /// other to its loss of this message.
     fn wait_for_room(&self) -> impl Fn(&BackpressureInfo) -> BackpressureAction + Send + use<T> + 'static {
         let (messages, topic, room) = (Arc::clone(&self.messages), self.topic.clone(), Arc::clone(&self.room));
-        let (config, stop) = (self.config.clone(), self.stop.clone());
+        let (config, stop, answers) = (self.config.clone(), self.stop.clone(), Arc::clone(&self.answers));
         move |full| {
             if stop.forced() {
                 return BackpressureAction::DiscardDataAndFail;
@@ -79,7 +81,8 @@ impl<T: Item> SharedWriter<T> {
             if !lossless_readers(&messages, &topic).iter().any(|(port, _)| *port == full.receiver_port_id) {
                 return BackpressureAction::DiscardData;
             }
-            let woken = room.timed_wait(|_| {}, DEAD_READER_CHECK);
+            let mut answers = answers.lock().unwrap_or_else(PoisonError::into_inner);
+            let woken = room.timed_wait(|event| answers.push(event.id.as_value()), DEAD_READER_CHECK);
             if !woken.is_ok_and(|events| events > 0) {
                 clean_dead_nodes(&config);
             }
@@ -97,6 +100,7 @@ impl<T: Item> SharedWriter<T> {
         if !readers.is_empty() {
             self.room.try_wait(|_| {}).ok();
         }
+        self.answers.lock().unwrap_or_else(PoisonError::into_inner).clear();
         readers
     }
 
@@ -104,8 +108,10 @@ impl<T: Item> SharedWriter<T> {
     /// for the first time iceoryx2 does not count it as connected, and would drop what does not fit.
     fn await_first_sight(&mut self, mut new: Vec<(u128, usize)>) {
         while !new.is_empty() && !self.stop.forced() {
-            let mut answers = Vec::new();
-            self.room.timed_wait(|event| answers.push(event.id.as_value()), DEAD_READER_CHECK).ok();
+            let mut answers = std::mem::take(&mut *self.answers.lock().unwrap_or_else(PoisonError::into_inner));
+            if answers.is_empty() {
+                self.room.timed_wait(|event| answers.push(event.id.as_value()), DEAD_READER_CHECK).ok();
+            }
             let seen = new.extract_if(.., |(_, place)| answers.contains(place));
             self.attached.extend(seen.map(|(port, _)| port));
             if answers.is_empty() {
