@@ -5,13 +5,16 @@ use super::bridge::{apart, loopback, machines, newest, start};
 use super::support::{Playground, Started, TRACKING, TRACKING_STAGES, example};
 use super::swap::{end, replace};
 
+/// So many images may wait for what is made of them: more than there are frames on the way.
+const SIDE_QUEUE: usize = 20;
 /// Frames that a live pipeline may miss at a swap.
 const LIVE_GAP: u64 = 3;
 
 /// [`TRACKING`] with a sink that wants the objects, the image and the ellipses of each frame.
 fn paired(delivery: &str) -> String {
-    let topic = |name: &str| format!("{{ topic = \"{name}\", delivery = \"{delivery}\" }}");
-    let (objects, depth, ellipses) = (topic("objects"), topic("depth"), topic("ellipses"));
+    let topic = |name: &str| format!("{{ topic = \"{name}\", delivery = \"{delivery}\", queue = {SIDE_QUEUE} }}");
+    let (depth, ellipses) = (topic("depth"), topic("ellipses"));
+    let objects = format!("{{ topic = \"objects\", delivery = \"{delivery}\" }}");
     let inputs = format!("{{ depth = {depth}, ellipses = {ellipses} }}");
     let program = example("pairing_sink");
     let sink = format!("[stage.pairs]\nprogram = [\"{program}\"]\ninput = {objects}\ninputs = {inputs}\n");
