@@ -1,21 +1,30 @@
-//! A whole pipeline of five processes: how many small frames a second it passes on without loss, how long a 640x480 frame
-//! takes from source to sink beside what the stages compute, and what each process uses.
+//! A whole pipeline of five processes: how many small frames a second it passes on without loss, what somebody who looks on
+//! costs it then, how long a 640x480 frame takes from source to sink beside what the stages compute, and what each process
+//! uses.
 //!
 //! `cargo bench --bench pipeline`
 
 use serde_json::Value as Json;
 use std::error::Error;
 use std::fs::{self, File};
+use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::thread::sleep;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 type Outcome<T> = Result<T, Box<dyn Error>>;
 
 const ROUNDS: usize = 3;
 const SMALL_FRAMES: usize = 3000;
 const LIVE_SECONDS: u64 = 10;
+/// A run with and without an onlooker in turn, so often and for so long each.
+const TURNS: usize = 9;
+const TURN: Duration = Duration::from_millis(1500);
+/// Bytes at the end of a file in which there is a whole line.
+const LAST_LINES: u64 = 16 * 1024;
+const ONLOOKERS: [[&str; 3]; 4] =
+    [["topic", "echo", "depth"], ["topic", "echo", "tracks"], ["topic", "hz", "depth"], ["topic", "bw", "depth"]];
 
 const PIPELINE: &str = r#"
 name = "bench"
@@ -48,9 +57,9 @@ path  = "tracks.jsonl"
 
 fn main() -> Outcome<()> {
     let folder = tempfile::tempdir()?;
-    let mut rates = (0..ROUNDS).map(|_| lossless_rate(folder.path())).collect::<Outcome<Vec<_>>>()?;
-    rates.sort_by(f64::total_cmp);
-    println!("lossless, 64x48, five processes: {:.0} frames per second (median of {ROUNDS})", rates[ROUNDS / 2]);
+    let rates = (0..ROUNDS).map(|_| lossless_rate(folder.path())).collect::<Outcome<Vec<_>>>()?;
+    println!("lossless, 64x48, five processes: {:.0} frames per second (median of {ROUNDS})", median(rates));
+    onlookers(folder.path())?;
     live(folder.path())
 }
 
@@ -70,6 +79,91 @@ fn lossless_rate(folder: &Path) -> Outcome<f64> {
     let summary = String::from_utf8(output.stderr)?;
     let rate = summary.split_once('(').and_then(|(_, rest)| rest.split_once(" Hz")).map(|(rate, _)| rate);
     Ok(rate.ok_or_else(|| format!("no rate in: {summary}"))?.parse()?)
+}
+
+/// Prints what looking on costs a run that goes flat out without loss: processor time of its stages per frame, without and
+/// with an onlooker in turn.
+fn onlookers(folder: &Path) -> Outcome<()> {
+    println!(
+        "\nlossless, 64x48, flat out; processor time of the five stages in us per frame, medians of {TURNS} turns"
+    );
+    println!(
+        "{:<20}{:>9}{:>9}{:>8}{:>16}{:>18}",
+        "onlooker", "without", "with", "ratio", "frames per s", "its own CPU %"
+    );
+    for arguments in ONLOOKERS {
+        let endless = ["run", "--set", "source.rate_hz=0", "--set", "source.width=64", "--set", "source.height=48"];
+        let mut run = Ended(conicflow(folder, &endless).stderr(Stdio::null()).spawn()?);
+        sleep(TURN);
+        let stages = children(run.0.id())?;
+        let (mut without, mut with, mut ratios) = (Vec::new(), Vec::new(), Vec::new());
+        for _ in 0..TURNS {
+            let alone = turn(folder, &stages, None)?;
+            let mut onlooker = Ended(conicflow(folder, &arguments).stdout(Stdio::null()).spawn()?);
+            sleep(TURN / 3);
+            let watched = turn(folder, &stages, Some(onlooker.0.id()))?;
+            onlooker.end()?;
+            ratios.push(watched[0] / alone[0]);
+            without.push(alone);
+            with.push(watched);
+        }
+        let middle = |turns: &[[f64; 3]], index: usize| median(turns.iter().map(|turn| turn[index]).collect());
+        println!(
+            "{:<20}{:>9.1}{:>9.1}{:>8.3}{:>16}{:>18.1}",
+            arguments[1..].join(" "),
+            middle(&without, 0),
+            middle(&with, 0),
+            median(ratios),
+            format!("{:.0}, {:.0}", middle(&without, 1), middle(&with, 1)),
+            middle(&with, 2)
+        );
+        run.end()?;
+    }
+    Ok(())
+}
+
+/// Processor time of the stages per frame in us, frames per second, and per cent of a core that the onlooker takes.
+fn turn(folder: &Path, stages: &[u32], onlooker: Option<u32>) -> Outcome<[f64; 3]> {
+    let time_of_all = || stages.iter().map(|stage| processor_ns(*stage)).sum::<Outcome<u64>>();
+    let own_time = || onlooker.map_or(Ok(0), processor_ns);
+    let (since, before) = (Instant::now(), (time_of_all()?, own_time()?, newest(folder)?));
+    sleep(TURN);
+    let after = (time_of_all()?, own_time()?, newest(folder)?);
+    let (seconds, frames) = (since.elapsed().as_secs_f64(), (after.2 - before.2) as f64);
+    Ok([(after.0 - before.0) as f64 * 1e-3 / frames, frames / seconds, (after.1 - before.1) as f64 * 1e-7 / seconds])
+}
+
+/// The stages of a run: processes whose parent is its launcher.
+fn children(launcher: u32) -> Outcome<Vec<u32>> {
+    let text = fs::read_to_string(format!("/proc/{launcher}/task/{launcher}/children"))?;
+    Ok(text.split_whitespace().map(str::parse).collect::<Result<_, _>>()?)
+}
+
+/// The time that a process has had on a processor.
+fn processor_ns(process: u32) -> Outcome<u64> {
+    let mut sum = 0;
+    for thread in fs::read_dir(format!("/proc/{process}/task"))? {
+        let text = fs::read_to_string(thread?.path().join("schedstat"))?;
+        sum += text.split_whitespace().next().unwrap_or_default().parse::<u64>()?;
+    }
+    Ok(sum)
+}
+
+/// The number of the newest frame that has arrived at the sink.
+fn newest(folder: &Path) -> Outcome<u64> {
+    let mut file = File::open(folder.join("tracks.jsonl"))?;
+    let length = file.seek(SeekFrom::End(0))?;
+    file.seek(SeekFrom::Start(length.saturating_sub(LAST_LINES)))?;
+    let mut text = String::new();
+    file.read_to_string(&mut text)?;
+    let line = text.rsplit('\n').nth(1).unwrap_or_default();
+    let sequence = serde_json::from_str::<Json>(line)?["sequence"].as_u64();
+    Ok(sequence.ok_or("a line without a sequence number")?)
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
 }
 
 /// Prints what a live run at 30 Hz needs.

@@ -5,7 +5,7 @@ use crate::topic::PipelineName;
 use anyhow::{anyhow, bail};
 use clap::Args;
 use conicflow_dataflow::pipeline::suggestion;
-use conicflow_dataflow::{Plan, PlannedStage};
+use conicflow_dataflow::{Needs, Plan, PlannedStage};
 
 /// What is to be replaced, and by what.
 #[derive(Args)]
@@ -39,6 +39,7 @@ pub fn swap(arguments: &SwapArguments) -> anyhow::Result<()> {
     if let Some(other) = changed.stages_unlike(plan).find(|other| other.name != *name) {
         bail!("this would change stage `{}`, too\n  hint: end the run, and start it with the change", other.name);
     }
+    Needs::of(&changed, NODES).look_for_successor(stage)?;
     running.swap(name, changed)?;
     tracing::info!("stage `{name}` was replaced");
     Ok(())

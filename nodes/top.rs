@@ -1,5 +1,6 @@
 //! `conicflow top`: what running pipelines do, as a screen that is drawn anew each second, or once as JSON.
 
+use crate::topic::give_way;
 use conicflow_dataflow::{PipelineActivity, Table, link_table, observe};
 use serde_json::json;
 use std::io::{IsTerminal, Write, stdout};
@@ -15,6 +16,7 @@ const SILENT_S: f64 = 2.0;
 /// # Errors
 /// The runs cannot be read, or standard output cannot be written.
 pub fn top(once: bool) -> anyhow::Result<()> {
+    give_way();
     let mut before = observe()?;
     loop {
         sleep(PERIOD);

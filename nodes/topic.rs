@@ -10,7 +10,8 @@ use clap::{Args, Subcommand};
 use conicflow_dataflow::pipeline::suggestion;
 use conicflow_dataflow::ports::{Delivery, Topic};
 use conicflow_dataflow::{
-    PipelineActivity, Plan, PlannedStage, RunningPipeline, Runs, Table, TopicActivity, Watching, monotonic_ns, observe,
+    Needs, PipelineActivity, Plan, PlannedStage, RunningPipeline, Runs, Table, TopicActivity, Watching, monotonic_ns,
+    observe,
 };
 use conicflow_messages::{Ellipse, Item, Kind, Message, Object, Track};
 use serde_json::json;
@@ -19,6 +20,8 @@ use std::thread::sleep;
 use std::time::Duration;
 
 const PERIOD: Duration = Duration::from_secs(1);
+/// Who looks on gives way to those at work.
+const NICENESS: i32 = 10;
 
 /// What is to be seen of topics.
 #[derive(Subcommand)]
@@ -61,6 +64,7 @@ pub struct PipelineName {
 /// # Errors
 /// There is no such pipeline or topic, or it cannot be read.
 pub fn topic(command: &TopicCommand) -> anyhow::Result<()> {
+    give_way();
     let shown = match command {
         TopicCommand::List { of } => list(&of.find()?),
         TopicCommand::Echo(arguments) => echo(arguments),
@@ -68,6 +72,11 @@ pub fn topic(command: &TopicCommand) -> anyhow::Result<()> {
         TopicCommand::Bw(arguments) => each_second(arguments, bandwidth_line),
     };
     shown.or_else(|error| if is_broken_pipe(&error) { Ok(()) } else { Err(error) })
+}
+
+/// Lets the stages go first where processors are short; where that is not allowed nothing else is lost.
+pub(crate) fn give_way() {
+    rustix::process::nice(NICENESS).ok();
 }
 
 fn is_broken_pipe(error: &anyhow::Error) -> bool {
@@ -184,6 +193,7 @@ fn bandwidth_line(activity: &TopicActivity) -> String {
 fn echo(arguments: &TopicArguments) -> anyhow::Result<()> {
     let running = arguments.of.find()?;
     let topic = find_topic(&running, &arguments.topic)?;
+    Needs::of(&running.plan, NODES).look_for_onlooker(topic)?;
     match kind_of(&running.plan, &topic.name) {
         Some(Kind::Depth) => echo_lines::<u16>(&running, topic, arguments.count, image_line),
         Some(Kind::Ellipses) => echo_lines::<Ellipse>(&running, topic, arguments.count, list_line),

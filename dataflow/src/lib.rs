@@ -34,7 +34,7 @@ pub use launcher::{
     FolderError, LaunchError, PIPELINE, ProcessError, RUNTIME_DIR, RunFolder, RunLock, RunOptions, StageSummary,
     Summary, SwapError, link_table, run, run_in_run, run_planned, run_source, run_stage,
 };
-pub use needs::{Needs, Shortfall};
+pub use needs::{Needs, Shortfall, TopicNeeds};
 pub use node::{Node, Variant};
 pub use observe::{InputActivity, Observation, PipelineActivity, StageActivity, TopicActivity, observe};
 pub use plan::{Origin, Plan, PlannedStage, Runs};

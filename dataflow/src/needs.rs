@@ -2,13 +2,14 @@
 //!
 //! The system gives memory for a message when it is first written, and kills a stage that writes where none is left; a
 //! writer uses again what came back to it last. So a topic takes as many messages as its readers can keep waiting and hold
-//! at once, each of the length that its source names.
+//! at once, each of the length that its source names. What is not certain beforehand is looked at when it comes: a list
+//! that is longer than usual, somebody who looks on, a stage that is replaced.
 
 use crate::node::Node;
 use crate::plan::{Plan, PlannedStage, Runs};
-use crate::ports::{Topic, TopicReader};
+use crate::ports::{PortError, Topic, TopicReader, Wiring};
 use crate::sides::{Pick, Side};
-use conicflow_messages::{Ellipse, Header, Kind, Object, Track};
+use conicflow_messages::{Ellipse, Header, Item, Kind, Object, Track};
 use rustix::process::{Resource, getrlimit};
 use std::path::Path;
 
@@ -20,14 +21,16 @@ const HELD: usize = 2;
 /// Messages that wait for their frame in a further input.
 const HELD_FOR_FRAME: usize = 13;
 /// Messages that a writer has in hand.
-const LOANED: usize = 2;
+const LOANED: usize = 1;
 /// Items of an image whose size nobody can tell beforehand.
 const USUAL_IMAGE: usize = 640 * 480;
-/// Items of a list, which few exceed.
-const USUAL_LIST: usize = 1024;
+/// Arcs in an image of that size, which few exceed.
+const USUAL_ELLIPSES: usize = 1024;
+/// Things before a camera, which few exceed.
+const USUAL_OBJECTS: usize = 64;
 const PAGE: usize = 4096;
 /// What iceoryx2 keeps for each pair of a writer and a reader, and for each end of a topic.
-const ROOM_PER_PORT: usize = 96 * 1024;
+const ROOM_PER_PORT: usize = 24 * 1024;
 
 /// Open files of a stage that is joined to nothing.
 const FILES_PER_STAGE: u64 = 24;
@@ -40,10 +43,21 @@ const FILES_OF_ZENOH: u64 = 64;
 /// What a plan needs of the machine that it runs on.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Needs {
-    /// The topics, and the bytes of shared memory that each takes at most.
-    pub topics: Vec<(String, u64)>,
+    /// What its topics need of shared memory.
+    pub topics: Vec<TopicNeeds>,
     /// Files that one process has open at once.
     pub open_files: u64,
+}
+
+/// What a topic needs of shared memory.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct TopicNeeds {
+    /// Name of the topic.
+    pub name: String,
+    /// Bytes that it takes at most.
+    pub bytes: u64,
+    /// Bytes of its longest message.
+    pub longest_message: u64,
 }
 
 /// What a machine has too little of.
@@ -75,6 +89,19 @@ pub enum Shortfall {
         /// Megabytes that it should have in all.
         wanted: u64,
     },
+    /// What comes to a running pipeline would not find room.
+    #[error(
+        "to {purpose} takes up to {} of shared memory, {} are free in {SHARED_MEMORY}\n  hint: `conicflow doctor` finds \
+         what dead runs have left there", in_words(*.needed), in_words(*.free)
+    )]
+    MoreRoom {
+        /// What the room is for.
+        purpose: String,
+        /// Bytes that are free.
+        free: u64,
+        /// Bytes that it takes at most.
+        needed: u64,
+    },
     /// A stage would not get the files that it has to open.
     #[error(
         "a process may have {limit} files open, a stage of this pipeline needs up to {needed}\n  \
@@ -91,21 +118,57 @@ pub enum Shortfall {
 impl Needs {
     /// What a plan needs whose nodes stand in the table `nodes`.
     pub fn of(plan: &Plan, nodes: &[Node]) -> Self {
-        let mut topics: Vec<(String, u64)> = Vec::new();
+        let mut topics: Vec<TopicNeeds> = Vec::new();
         for stage in &plan.stages {
             for (topic, bytes) in written(plan, stage, nodes) {
-                match topics.iter_mut().find(|(name, _)| *name == topic.name) {
-                    Some((_, sum)) => *sum += bytes,
-                    None => topics.push((topic.name.clone(), bytes)),
+                let readers = topic.readers.iter();
+                let with_readers = readers.map(|reader| reader.queue + held(plan, topic, reader, nodes)).sum();
+                let (taken, longest_message) = (taken(topic, bytes, with_readers), bytes as u64);
+                match topics.iter_mut().find(|needs| needs.name == topic.name) {
+                    Some(needs) => {
+                        needs.bytes += taken;
+                        needs.longest_message = needs.longest_message.max(longest_message);
+                    }
+                    None => topics.push(TopicNeeds { name: topic.name.clone(), bytes: taken, longest_message }),
                 }
             }
         }
         Self { topics, open_files: plan.stages.iter().map(open_files).max().unwrap_or(0) }
     }
 
+    /// Makes sure that there is room, now, for somebody who looks into a topic.
+    ///
+    /// # Errors
+    /// How much is missing.
+    pub fn look_for_onlooker(&self, topic: &Topic) -> Result<(), Shortfall> {
+        let needed = self.with_another_reader(topic, topic.longest_queue(), 1);
+        enough(needed, || format!("look into topic `{}`", topic.name))
+    }
+
+    /// Makes sure that there is room, now, for another process of a stage beside the one at work.
+    ///
+    /// # Errors
+    /// How much is missing.
+    pub fn look_for_successor(&self, stage: &PlannedStage) -> Result<(), Shortfall> {
+        let Wiring { input, sides, output, .. } = &stage.wiring;
+        let queue =
+            |topic: &Topic| topic.readers.iter().find(|reader| reader.stage == stage.name).map_or(0, |r| r.queue);
+        let read = input.iter().chain(sides.iter().map(|(_, topic)| topic));
+        let read: u64 = read.map(|topic| self.with_another_reader(topic, queue(topic), HELD_FOR_FRAME)).sum();
+        let waiting = |topic: &Topic| topic.readers.iter().map(|reader| reader.queue).sum();
+        let written: u64 = output.iter().map(|topic| self.with_another_reader(topic, waiting(topic), LOANED)).sum();
+        enough(read + written, || format!("replace stage `{}`", stage.name))
+    }
+
+    /// Bytes that a topic takes more, with so many messages more that wait and are held.
+    fn with_another_reader(&self, topic: &Topic, queue: usize, held: usize) -> u64 {
+        let own = self.topics.iter().find(|needs| needs.name == topic.name);
+        own.map_or(0, |needs| needs.longest_message) * (queue + held) as u64 + ROOM_PER_PORT as u64
+    }
+
     /// Bytes of shared memory.
     pub fn shared_memory(&self) -> u64 {
-        self.topics.iter().map(|(_, bytes)| bytes).sum()
+        self.topics.iter().map(|needs| needs.bytes).sum()
     }
 
     /// What this machine has too little of, now.
@@ -121,10 +184,15 @@ impl Needs {
 
     fn short_of_room(&self, free: u64, size: u64) -> Option<Shortfall> {
         let needed = self.shared_memory();
-        let (topic, _) = self.topics.iter().max_by_key(|(_, bytes)| *bytes)?;
+        let topic = &self.topics.iter().max_by_key(|needs| needs.bytes)?.name;
         let wanted = (size.saturating_sub(free) + needed).div_ceil(1 << 20).next_power_of_two();
         (free < needed).then(|| Shortfall::Room { free, size, needed, topic: topic.clone(), wanted })
     }
+}
+
+fn enough(needed: u64, purpose: impl FnOnce() -> String) -> Result<(), Shortfall> {
+    let (free, _) = room().map_err(Shortfall::NoSharedMemory)?;
+    if free < needed { Err(Shortfall::MoreRoom { purpose: purpose(), free, needed }) } else { Ok(()) }
 }
 
 /// Bytes of shared memory that are free, and that there are.
@@ -142,15 +210,11 @@ pub(crate) fn in_words(bytes: u64) -> String {
     }
 }
 
-/// The topics that a stage writes here, and the bytes that its messages take there.
-fn written<'a>(plan: &Plan, stage: &'a PlannedStage, nodes: &[Node]) -> Vec<(&'a Topic, u64)> {
-    let taken = |topic: &Topic, bytes: usize| {
-        let waiting: usize = topic.readers.iter().map(|reader| reader.queue + held(plan, topic, reader, nodes)).sum();
-        ((waiting + LOANED) * bytes + (topic.readers.len() + 1) * ROOM_PER_PORT) as u64
-    };
+/// The topics that a stage writes here, and the bytes of its longest message there.
+fn written<'a>(plan: &Plan, stage: &'a PlannedStage, nodes: &[Node]) -> Vec<(&'a Topic, usize)> {
     if let Runs::Bridge(bridge) = &stage.runs {
         let edges = bridge.incoming.iter();
-        return edges.map(|edge| (&edge.topic, taken(&edge.topic, message_bytes(edge.kind, None)))).collect();
+        return edges.map(|edge| (&edge.topic, message_bytes(edge.kind, None))).collect();
     }
     let Some(topic) = &stage.wiring.output else { return Vec::new() };
     let bytes = match node_of(stage, nodes) {
@@ -158,7 +222,7 @@ fn written<'a>(plan: &Plan, stage: &'a PlannedStage, nodes: &[Node]) -> Vec<(&'a
         // Where nobody tells what a program writes, an image is the longest that it usually is.
         None => message_bytes(topic.kind.unwrap_or(Kind::Depth), None),
     };
-    vec![(topic, taken(topic, bytes))]
+    vec![(topic, bytes)]
 }
 
 fn node_of<'a>(stage: &PlannedStage, nodes: &'a [Node]) -> Option<&'a Node> {
@@ -177,15 +241,41 @@ fn held(plan: &Plan, topic: &Topic, reader: &TopicReader, nodes: &[Node]) -> usi
 
 /// The bytes of a message of `length` items, or of as many as are usual.
 fn message_bytes(kind: Kind, length: Option<usize>) -> usize {
-    let (item, usual) = match kind {
-        Kind::Nothing => (0, 0),
-        Kind::Depth => (size_of::<u16>(), USUAL_IMAGE),
-        Kind::Ellipses => (size_of::<Ellipse>(), USUAL_LIST),
-        Kind::Objects => (size_of::<Object>(), USUAL_LIST),
-        Kind::Tracks => (size_of::<Track>(), USUAL_LIST),
+    let item = match kind {
+        Kind::Nothing => 0,
+        Kind::Depth => size_of::<u16>(),
+        Kind::Ellipses => size_of::<Ellipse>(),
+        Kind::Objects => size_of::<Object>(),
+        Kind::Tracks => size_of::<Track>(),
     };
     // A message seldom begins where a page does.
-    (size_of::<Header>() + length.unwrap_or(usual) * item).next_multiple_of(PAGE) + PAGE
+    (size_of::<Header>() + length.unwrap_or(usual_length(kind)) * item).next_multiple_of(PAGE) + PAGE
+}
+
+/// Items of a message, which few exceed.
+pub(crate) fn usual_length(kind: Kind) -> usize {
+    match kind {
+        Kind::Nothing => 0,
+        Kind::Depth => USUAL_IMAGE,
+        Kind::Ellipses => USUAL_ELLIPSES,
+        Kind::Objects | Kind::Tracks => USUAL_OBJECTS,
+    }
+}
+
+/// Bytes that a writer's messages take, of which its readers hold and keep waiting so many at most.
+fn taken(topic: &Topic, bytes: usize, with_readers: usize) -> u64 {
+    ((with_readers + LOANED) * bytes + (topic.readers.len() + 1) * ROOM_PER_PORT) as u64
+}
+
+/// Makes sure that a topic's messages find room if they are up to `length` items long.
+pub(crate) fn look_for_room<T: Item>(topic: &Topic, length: usize) -> Result<(), PortError> {
+    let with_readers = topic.readers.iter().map(|reader| reader.queue + HELD).sum();
+    let needed = taken(topic, message_bytes(T::KIND, Some(length)), with_readers);
+    match room() {
+        Ok((free, _)) if free < needed => Err(PortError::NoRoom { topic: topic.name.clone(), length, free, needed }),
+        // Where there is no such folder iceoryx2 says it better.
+        _ => Ok(()),
+    }
 }
 
 fn open_files(stage: &PlannedStage) -> u64 {
@@ -266,8 +356,7 @@ mod tests {
 
     /// Images of which there is room in the shared memory that a topic needs.
     fn images(needs: &Needs, topic: &str) -> u64 {
-        let (_, bytes) = needs.topics.iter().find(|(name, _)| name == topic).unwrap();
-        bytes / (2 * PIXELS as u64)
+        needs.topics.iter().find(|needs| needs.name == topic).unwrap().bytes / (2 * PIXELS as u64)
     }
 
     const SOURCE: &str = "[stage.source]\nnode = \"camera\"\noutput = \"depth\"\n";
@@ -276,8 +365,8 @@ mod tests {
     fn a_topic_needs_as_many_messages_as_can_wait_and_be_held() {
         let one = format!("{SOURCE}[stage.a]\nnode = \"overlay\"\ninput = {{ topic = \"depth\", queue = 5 }}\n");
         let two = format!("{one}[stage.b]\nnode = \"overlay\"\ninput = {{ topic = \"depth\", queue = 9 }}\n");
-        assert_eq!(images(&needs(&one), "depth"), (5 + 2) + 2);
-        assert_eq!(images(&needs(&two), "depth"), (5 + 2) + (9 + 2) + 2);
+        assert_eq!(images(&needs(&one), "depth"), (5 + 2) + 1);
+        assert_eq!(images(&needs(&two), "depth"), (5 + 2) + (9 + 2) + 1);
         assert!(needs(&two).open_files > needs(&one).open_files);
     }
 
@@ -286,7 +375,7 @@ mod tests {
         let second = SOURCE.replace("source", "second").replace("depth", "more");
         let other = "{ topic = \"more\", queue = 5 }";
         let stage = format!("[stage.a]\nnode = \"overlay\"\ninput = \"depth\"\ninputs = {{ other = {other} }}\n");
-        assert_eq!(images(&needs(&format!("{SOURCE}{second}{stage}")), "more"), (5 + 13) + 2);
+        assert_eq!(images(&needs(&format!("{SOURCE}{second}{stage}")), "more"), (5 + 13) + 1);
     }
 
     #[test]
@@ -300,7 +389,9 @@ mod tests {
 
     #[test]
     fn a_shortfall_names_the_topic_and_what_would_do() {
-        let needs = Needs { topics: vec![("small".into(), 1 << 20), ("large".into(), 70 << 20)], open_files: 0 };
+        let topic = |name: &str, bytes| TopicNeeds { name: name.to_owned(), bytes, longest_message: 1 };
+        let topics = vec![topic("small", 1 << 20), topic("large", 70 << 20)];
+        let needs = Needs { topics, ..Needs::default() };
         assert!(needs.short_of_room(71 << 20, 80 << 20).is_none(), "just enough");
         let shortfall = needs.short_of_room((71 << 20) - 1, 80 << 20).unwrap().to_string();
         assert!(shortfall.starts_with("shared memory has 74.4 MB of 83.9 MB free"), "{shortfall}");

@@ -182,7 +182,7 @@ fn a_run_for_which_shared_memory_is_too_small_does_not_begin() {
     let ended = memory.conicflow(&playground, &[&["run"], &wide[..]].concat()).expect_code(2);
     assert!(ended.stderr.starts_with("error: shared memory has 8."), "{}", ended.stderr);
     assert!(ended.stderr.contains("most of it for the topic `depth`\n  hint: "), "{}", ended.stderr);
-    assert!(ended.stderr.contains("`--shm-size=32m`"), "{}", ended.stderr);
+    assert!(ended.stderr.contains("`--shm-size=16m`"), "{}", ended.stderr);
     assert!(!playground.path("tracks.jsonl").exists(), "no stage was started");
     let found = memory.conicflow(&playground, &[&["doctor"], &wide[..]].concat()).expect_code(1);
     assert!(found.stdout.starts_with("problem: shared memory has 8."), "{}", found.stdout);
@@ -190,7 +190,7 @@ fn a_run_for_which_shared_memory_is_too_small_does_not_begin() {
 
 #[test]
 fn a_run_for_which_shared_memory_is_just_large_enough_works() {
-    let Some(memory) = OwnSharedMemory::new("32m") else { return };
+    let Some(memory) = OwnSharedMemory::new("16m") else { return };
     let playground = Playground::with_pipeline(TRACKING);
     let wide = ["--frames", "30", "--set", "source.width=1280", "--set", "source.height=720"];
     memory.conicflow(&playground, &[&["run"], &wide[..]].concat()).expect_code(0);
@@ -299,7 +299,7 @@ fn a_stage_without_its_launcher_is_told() {
 
 #[test]
 fn a_stage_that_finds_shared_memory_full_is_named_and_comes_back_when_there_is_room() {
-    let Some(memory) = OwnSharedMemory::new("32m") else { return };
+    let Some(memory) = OwnSharedMemory::new("16m") else { return };
     let playground = Playground::with_pipeline(TRACKING);
     let mut run = working(&memory, &playground);
     let filler = memory.folder().join("filler");

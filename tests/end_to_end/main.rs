@@ -23,6 +23,8 @@ mod outside_stage;
 mod processes;
 #[cfg(target_os = "linux")]
 mod radio;
+#[cfg(target_os = "linux")]
+mod room;
 mod routers;
 mod run;
 mod several_machines;
@@ -33,6 +35,8 @@ mod stress;
 mod support;
 #[cfg(target_os = "linux")]
 mod swap;
+#[cfg(target_os = "linux")]
+mod swap_joined;
 #[cfg(target_os = "linux")]
 mod top;
 mod topic;

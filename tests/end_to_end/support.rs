@@ -4,7 +4,7 @@
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value as Json;
 use std::fs::{self, File, Permissions};
-use std::io::BufReader;
+use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, Stdio};
@@ -109,6 +109,19 @@ impl Playground {
     /// The sequence numbers in a file of JSON objects.
     pub fn sequences(&self, name: &str) -> Vec<u64> {
         self.json_lines(name).iter().map(|line| line["sequence"].as_u64().unwrap()).collect()
+    }
+
+    /// The same, of the last lines of a file that may have grown long.
+    pub fn sequences_at_the_end(&self, name: &str) -> Vec<u64> {
+        const LENGTH: u64 = 16 * 1024;
+        let mut file = File::open(self.path(name)).unwrap();
+        let start = file.metadata().unwrap().len().saturating_sub(LENGTH);
+        file.seek(SeekFrom::Start(start)).unwrap();
+        let mut text = String::new();
+        file.read_to_string(&mut text).unwrap();
+        let whole = text.rsplit_once('\n').map_or("", |(whole, _)| whole);
+        let lines = whole.lines().skip(usize::from(start > 0));
+        lines.map(|line| serde_json::from_str::<Json>(line).unwrap()["sequence"].as_u64().unwrap()).collect()
     }
 
     /// `conicflow` with these arguments, in the folder of the test's files.

@@ -12,17 +12,22 @@ fn start(playground: &Playground, more: &[&str]) -> Started {
 }
 
 /// Replaces a stage, and makes sure that its process is another one and that all others are the same.
-fn swap(playground: &Playground, run: &mut Started, arguments: &[&str]) {
+pub fn replace(playground: &Playground, run: &Started, arguments: &[&str]) {
     let before = stages_of(run.id());
     playground.conicflow(&[&["swap"], arguments].concat()).expect_code(0);
     let mut after = stages_of(run.id());
     let replaced = after.insert(arguments[0].to_owned(), before[arguments[0]]);
     assert_ne!(replaced, Some(before[arguments[0]]), "`{}` was not replaced", arguments[0]);
     assert_eq!(after, before, "only `{}` was to be replaced", arguments[0]);
+}
+
+/// The same, and more is delivered.
+fn swap(playground: &Playground, run: &mut Started, arguments: &[&str]) {
+    replace(playground, run, arguments);
     wait_for_lines(run, playground);
 }
 
-fn end(run: Started) -> Ended {
+pub fn end(run: Started) -> Ended {
     signal(run.id(), Signal::INT);
     run.wait().expect_code(0)
 }

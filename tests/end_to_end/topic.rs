@@ -1,8 +1,10 @@
 //! `conicflow topic`: who looks on sees all there is, and those that work do not notice, whatever becomes of who looks on.
 
+use crate::processes::stages_of;
 use crate::support::{Ended, Playground, Started, TRACKING, TRACKING_STAGES, signal};
 use rustix::process::Signal;
 use serde_json::Value as Json;
+use std::fs::{self, DirEntry};
 use std::io::{BufRead, BufReader};
 use std::process::ChildStdout;
 
@@ -35,6 +37,48 @@ fn end_without_loss(run: Started, playground: &Playground) -> Ended {
     }
     assert!(playground.sequences("tracks.jsonl").into_iter().eq(0..made), "not every frame was delivered");
     ended
+}
+
+/// The time that processes have had on a processor, in ns.
+fn processor_ns(processes: impl IntoIterator<Item = u32>) -> u64 {
+    let of_thread = |thread: std::io::Result<DirEntry>| {
+        let text = fs::read_to_string(thread.unwrap().path().join("schedstat")).unwrap();
+        text.split_whitespace().next().unwrap().parse::<u64>().unwrap()
+    };
+    processes.into_iter().flat_map(|id| fs::read_dir(format!("/proc/{id}/task")).unwrap()).map(of_thread).sum()
+}
+
+/// In one run, in turn without and with somebody who looks on: what its stages take of the processors for a frame. On a
+/// machine that does other things besides a single turn tells little, the middle one of many does.
+#[test]
+fn who_looks_on_costs_a_run_that_goes_flat_out_no_processor_time() {
+    const TURNS: usize = 9;
+    const FRAMES: u64 = 600;
+    let playground = Playground::with_pipeline(TRACKING);
+    let mut run = start(&playground, "0");
+    let stages = stages_of(run.id());
+    let newest = || playground.sequences_at_the_end("tracks.jsonl").last().copied().unwrap_or(0);
+    let turn = |run: &mut Started| {
+        let before = (newest(), processor_ns(stages.values().copied()));
+        run.wait_until("frames pass", || newest() > before.0 + FRAMES);
+        let after = (newest(), processor_ns(stages.values().copied()));
+        (after.1 - before.1) as f64 / (after.0 - before.0) as f64
+    };
+    let mut ratios: Vec<f64> = (0..TURNS)
+        .map(|_| {
+            let alone = turn(&mut run);
+            let (echo, mut output) = echo(&playground, "depth");
+            let drained = std::thread::spawn(move || std::io::copy(&mut output, &mut std::io::sink()));
+            let watched = turn(&mut run);
+            drop(echo);
+            drained.join().unwrap().unwrap();
+            watched / alone
+        })
+        .collect();
+    ratios.sort_by(f64::total_cmp);
+    eprintln!("processor time per frame with an onlooker over that without: {ratios:.3?}");
+    assert!(ratios[TURNS / 2] < 1.1, "{ratios:?}");
+    end_without_loss(run, &playground);
 }
 
 #[test]

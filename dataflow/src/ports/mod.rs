@@ -5,6 +5,7 @@
 pub mod in_memory;
 pub mod shared_memory;
 
+use crate::needs::in_words;
 use conicflow_messages::{Header, Item, Kind};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -111,6 +112,21 @@ pub enum PortError {
         topic: String,
         /// How many it has places for.
         limit: usize,
+    },
+    /// The messages that may be under way at once would not find room in shared memory.
+    #[error(
+        "topic `{topic}` has a message of {length} items: shared memory has {} free, the topic needs up to {}\n  hint: \
+         `conicflow doctor` says how to enlarge it", in_words(*.free), in_words(*.needed)
+    )]
+    NoRoom {
+        /// The topic.
+        topic: String,
+        /// Items of the message.
+        length: usize,
+        /// Bytes that are free.
+        free: u64,
+        /// Bytes that the topic takes at most, with messages as long as this.
+        needed: u64,
     },
     /// Shared memory failed.
     #[error(

@@ -8,7 +8,9 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
 /// Less than a reader may hold.
-const MAX_OVERHEARD: usize = 12;
+pub(super) const MAX_OVERHEARD: usize = 12;
+/// Messages that are heard at a time before something else is looked at.
+const MOST_AT_ONCE: usize = 64;
 
 /// Takes messages from a reader: checked, in order, the newest only where that is wanted.
 pub(crate) struct Inbox<T: Item, R: Reader<T>> {
@@ -24,6 +26,8 @@ pub(crate) struct Inbox<T: Item, R: Reader<T>> {
     worked_on: Mark,
     /// How far its predecessor came.
     predecessor: Mark,
+    /// Writer and number of the last message that an earlier process counted, where this one has heard it as well.
+    counted: Option<(Text<32>, u64)>,
 }
 
 impl<T: Item, R: Reader<T>> Inbox<T, R> {
@@ -40,6 +44,7 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
             counts: InputCounts { topic: Text::new(topic), ..InputCounts::default() },
             worked_on: Mark::default(),
             predecessor: Mark::default(),
+            counted: None,
         }
     }
 
@@ -53,14 +58,24 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
         }
         let next = self.pending.pop_front();
         if let Some(message) = &next {
-            self.counts.received += 1;
             let (header, (source, writer)) = (message.header(), ends_of_trace(message.header()));
             self.worked_on.numbers.insert(writer, header.number);
             self.worked_on.frames.insert(source, (header.epoch, header.sequence));
             let &Header { number, epoch, sequence, .. } = header;
-            self.counts.last = LastMessage { writer, number, source, epoch, sequence };
+            self.count_received(LastMessage { writer, number, source, epoch, sequence });
         }
         Ok(next)
+    }
+
+    /// Counts a message, unless an earlier process of the same stage has.
+    fn count_received(&mut self, message: LastMessage) {
+        let is_known = |(writer, last): &(Text<32>, u64)| message.writer == *writer && message.number <= *last;
+        if self.counted.as_ref().is_some_and(is_known) {
+            return;
+        }
+        self.counted = None;
+        self.counts.received += 1;
+        self.counts.last = message;
     }
 
     /// How far this process came.
@@ -88,6 +103,39 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
         Ok(())
     }
 
+    /// Hears all that has come, so that no writer waits for another one to be heard: where there is no room for more, the
+    /// first message of a writer that was heard again is left to the predecessor.
+    pub(crate) fn hear_on(&mut self) -> Result<(), PortError> {
+        for _ in 0..MOST_AT_ONCE {
+            let Some(message) = self.reader.receive()? else { break };
+            self.pending.push_back(message);
+            let Some(dispensable) = self.dispensable().filter(|_| self.pending.len() >= MAX_OVERHEARD) else {
+                continue;
+            };
+            self.pending.remove(dispensable);
+        }
+        Ok(())
+    }
+
+    /// The first message whose writer was heard again after it.
+    fn dispensable(&self) -> Option<usize> {
+        let headers: Vec<_> = self.overheard().collect();
+        (0..headers.len()).find(|&index| {
+            let writer = ends_of_trace(headers[index]).1;
+            !headers[index].ends_stream() && headers[index + 1..].iter().any(|later| is_from(later, &writer))
+        })
+    }
+
+    /// The headers of what was overheard.
+    pub(crate) fn overheard(&self) -> impl Iterator<Item = &Header> {
+        self.pending.iter().map(Received::header)
+    }
+
+    /// Leaves messages that were overheard to the predecessor; never the end of a stream.
+    pub(crate) fn forget_overheard(&mut self, forget: impl Fn(&Header) -> bool) {
+        self.pending.retain(|message| message.header().ends_stream() || !forget(message.header()));
+    }
+
     /// Whether a message of this writer was overheard.
     pub(crate) fn has_heard(&self, writer: &str) -> bool {
         self.pending.iter().any(|message| is_from(message.header(), &Text::new(writer)))
@@ -96,7 +144,7 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
     /// By writer, the number of the first message that was overheard; of an end the number that would follow.
     pub(crate) fn first_heard(&self) -> Mark {
         let mut first = Mark::default();
-        for header in self.pending.iter().map(Received::header) {
+        for header in self.overheard() {
             let number = header.number + u64::from(header.ends_stream());
             first.numbers.entry(ends_of_trace(header).1).or_insert(number);
         }
@@ -110,6 +158,11 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
         self.ended.clone_from(&last.ended);
         self.worked_on = last.clone();
         self.predecessor = last;
+        self.admit_overheard();
+    }
+
+    /// Queues what was overheard.
+    pub(crate) fn admit_overheard(&mut self) {
         for message in std::mem::take(&mut self.pending) {
             if self.admit(&message) {
                 self.enqueue(message);
@@ -160,7 +213,11 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
         let LastMessage { writer, number, source, epoch, sequence } = counts.last;
         if self.writers == 1 && writer != Text::default() {
             self.last_number.entry(writer).or_insert(number);
-            self.last_frame.entry(source).or_insert((epoch, sequence));
+            if self.overheard().any(|header| is_from(header, &writer) && header.number <= number) {
+                self.counted = Some((writer, number));
+            } else {
+                self.last_frame.entry(source).or_insert((epoch, sequence));
+            }
         }
     }
 
@@ -232,89 +289,4 @@ fn ends_of_trace(header: &Header) -> (Text<32>, Text<32>) {
     let trace = header.trace();
     let name = |hop: Option<&conicflow_messages::Hop>| hop.map(|hop| hop.stage).unwrap_or_default();
     (name(trace.first()), name(trace.last()))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::ports::in_memory::InMemory;
-    use crate::ports::{Topic, TopicReader, Transport, Writer};
-    use conicflow_messages::{Camera, END_OF_STREAM, Hop, Object};
-
-    fn topic(delivery: Delivery) -> Topic {
-        let reader = TopicReader { stage: "reader".into(), delivery, queue: 8 };
-        Topic { name: "objects".into(), kind: None, writers: vec!["writer".into()], readers: vec![reader] }
-    }
-
-    fn header(sequence: u64) -> Header {
-        let camera = Camera { width: 4, height: 3, fx: 5.0, fy: 5.0, cx: 1.5, cy: 1.0 };
-        let mut header = Header { sequence, number: sequence, camera, depth_scale: 0.001, ..Header::default() };
-        header.add_hop(Hop { stage: Text::new("writer"), ..Hop::default() });
-        header
-    }
-
-    /// Sends the frames and returns those that were taken, with the counts.
-    fn pass(delivery: Delivery, headers: &[Header]) -> (Vec<u64>, InputCounts, bool) {
-        let memory = InMemory::default();
-        let topic = topic(delivery);
-        let reader = memory.reader::<Object>(&topic, "reader").unwrap();
-        let mut writer = memory.writer::<Object>(&topic).unwrap();
-        for header in headers {
-            writer.send(header).unwrap();
-        }
-        let mut inbox = Inbox::new(reader, delivery, "objects", 1);
-        let taken = std::iter::from_fn(|| inbox.take().unwrap().map(|message| message.header().sequence)).collect();
-        (taken, inbox.counts(), inbox.ended())
-    }
-
-    #[test]
-    fn lossless_takes_each_and_latest_the_newest() {
-        let headers: Vec<_> = (0..4).map(header).collect();
-        assert_eq!(pass(Delivery::Lossless, &headers).0, [0, 1, 2, 3]);
-        let (taken, counts, ended) = pass(Delivery::Latest, &headers);
-        assert_eq!(taken, [3]);
-        assert_eq!((counts.received, counts.dropped, counts.gaps, ended), (1, 3, 3, false));
-    }
-
-    #[test]
-    fn the_last_frame_survives_the_end_of_the_stream() {
-        let end = Header { flags: END_OF_STREAM, ..header(0) };
-        let (taken, _, ended) = pass(Delivery::Latest, &[header(0), header(1), end]);
-        assert_eq!((taken, ended), (vec![1], true));
-    }
-
-    #[test]
-    fn frames_come_once_and_in_order_and_gaps_are_counted() {
-        let (taken, counts, _) = pass(Delivery::Lossless, &[0, 2, 1, 2, 5].map(header));
-        assert_eq!(taken, [0, 2, 5]);
-        assert_eq!((counts.gaps, counts.late), (3, 2));
-    }
-
-    #[test]
-    fn what_was_lost_with_an_earlier_process_is_counted() {
-        let (_, earlier, _) = pass(Delivery::Lossless, &[0, 1].map(header));
-        let memory = InMemory::default();
-        let topic = topic(Delivery::Lossless);
-        let reader = memory.reader::<Object>(&topic, "reader").unwrap();
-        let mut inbox = Inbox::new(reader, Delivery::Lossless, "objects", 1);
-        inbox.resume(earlier);
-        memory.writer::<Object>(&topic).unwrap().send(&header(5)).unwrap();
-        assert_eq!(inbox.take().unwrap().map(|message| message.header().sequence), Some(5));
-        let counts = inbox.counts();
-        assert_eq!((counts.received, counts.dropped, counts.gaps), (3, 3, 3));
-    }
-
-    #[test]
-    fn the_newest_of_each_source_is_kept() {
-        let mut other = Header { hops: Header::default().hops, hop_count: 0, ..header(7) };
-        other.add_hop(Hop { stage: Text::new("other"), ..Hop::default() });
-        assert_eq!(pass(Delivery::Latest, &[header(0), other, header(1)]).0, [7, 1]);
-    }
-
-    #[test]
-    fn nonsense_is_counted_and_left_out() {
-        let broken = Header { depth_scale: f64::NAN, ..header(1) };
-        let (taken, counts, _) = pass(Delivery::Lossless, &[header(0), broken]);
-        assert_eq!((taken, counts.malformed), (vec![0], 1));
-    }
 }

@@ -5,14 +5,18 @@
 pub(crate) mod alone;
 pub(crate) mod handover;
 pub(crate) mod inbox;
+#[cfg(test)]
+mod inbox_tests;
 pub(crate) mod outlet;
 pub(crate) mod peers;
 mod side_ports;
 pub(crate) mod source_loop;
 pub(crate) mod stage_loop;
+mod succession;
 #[cfg(test)]
 mod tests;
 
+use crate::ports::shared_memory::residence;
 use crate::ports::{PortError, Transport, Wiring};
 use crate::sides::Side;
 use crate::stage::{Context, StageError};
@@ -95,6 +99,26 @@ impl<T: Transport + 'static> Surroundings<T> {
         status.total = self.wiring.frames.or(total).unwrap_or(0);
         status.set_life(Life::Running);
         self.record.write();
+    }
+}
+
+/// Gives back, when a process is at work, what only its start needed.
+pub(crate) struct Settling(Option<u64>);
+
+impl Settling {
+    /// The steps after which it does: soon, and when what is seldom done has been done as well.
+    const STEPS: [u64; 2] = [10, 100];
+
+    /// For a stage that is a process of its own; others leave their process as it is.
+    pub(crate) fn of<T>(around: &Surroundings<T>) -> Self {
+        Self(around.lock.as_ref().map(|_| 0))
+    }
+
+    pub(crate) fn step(&mut self) {
+        self.0 = self.0.map(|steps| steps + 1);
+        if self.0.is_some_and(|steps| Self::STEPS.contains(&steps)) {
+            residence::give_back();
+        }
     }
 }
 

@@ -23,6 +23,12 @@ pub(crate) trait SidePort {
     fn message(&self) -> Option<AnyMessage<'_>>;
     /// What came and what was lost.
     fn counts(&self) -> InputCounts;
+    /// Keeps what has come, for when this process's turn has come.
+    fn overhear(&mut self) -> Result<(), PortError>;
+    /// Whether what goes with this step, and with all that follow, was or will be overheard.
+    fn hears(&self, step: &Header) -> bool;
+    /// Goes on where an earlier process of the same stage left, with what was overheard meanwhile.
+    fn resume(&mut self, counts: InputCounts) -> Result<(), PortError>;
 }
 
 /// Opens a further input that is wired to `topic`.
@@ -174,5 +180,21 @@ impl<T: AnyItem, R: Reader<T>> SidePort for TypedSide<T, R> {
 
     fn counts(&self) -> InputCounts {
         self.inbox.counts()
+    }
+
+    fn overhear(&mut self) -> Result<(), PortError> {
+        self.inbox.overhear()
+    }
+
+    fn hears(&self, step: &Header) -> bool {
+        let before = |header: &Header| same_frame(header, step) || follows(step, header);
+        self.side.pick == Pick::Latest || self.inbox.overheard().any(before)
+    }
+
+    fn resume(&mut self, counts: InputCounts) -> Result<(), PortError> {
+        self.inbox.overhear()?;
+        self.inbox.resume(counts);
+        self.inbox.admit_overheard();
+        Ok(())
     }
 }

@@ -3,7 +3,7 @@
 use super::handover::Mark;
 use super::outlet::Outlet;
 use super::side_ports::{self, SidePort};
-use super::{RunError, Surroundings, guarded, is_stopped};
+use super::{RunError, Settling, Surroundings, guarded, is_stopped};
 use crate::clock::monotonic_ns;
 use crate::ports::Transport;
 use crate::stage::{Next, Pace, Source, Stop};
@@ -19,6 +19,7 @@ struct SourceLoop<S: Source, T: Transport> {
     stop: Stop,
     epoch: u64,
     sequence: u64,
+    settling: Settling,
 }
 
 /// Runs the source `S` to its end.
@@ -26,19 +27,20 @@ pub(crate) fn run_source<S: Source, T: Transport + 'static>(
     config: S::Config,
     mut around: Surroundings<T>,
 ) -> Result<(), RunError> {
-    let (sides, mut outlet) = (around.sides(S::sides())?, around.outlet()?);
+    let (mut sides, mut outlet) = (around.sides(S::sides())?, around.outlet()?);
     if !takes_place(&mut around)? {
         return Ok(());
     }
     around.context.resume_at = around.record.status.sent;
     outlet.resume(around.record.status.sent);
+    sides.iter_mut().zip(around.record.status.inputs).try_for_each(|(side, counts)| side.resume(counts))?;
     let source = S::new(config, &around.context).map_err(RunError::Refused)?;
     around.begin(source.total());
     let (stop, sequence) = (around.context.stop.clone(), around.context.resume_at);
-    let frames = around.wiring.frames;
+    let (frames, settling) = (around.wiring.frames, Settling::of(&around));
     let mut pace = Pace::new(source.rate_hz(), stop.clone());
-    let mut running =
-        SourceLoop::<S, T> { source, sides, outlet, record: around.record, stop, epoch: new_epoch(), sequence };
+    let (record, epoch) = (around.record, new_epoch());
+    let mut running = SourceLoop::<S, T> { source, sides, outlet, record, stop, epoch, sequence, settling };
     while frames.is_none_or(|frames| running.sequence < frames) {
         pace.wait();
         if running.stop.requested() || !running.make_one()? {
@@ -83,6 +85,7 @@ impl<S: Source, T: Transport> SourceLoop<S, T> {
         self.sequence += 1;
         self.record.status.steps += 1;
         self.keep_record();
+        self.settling.step();
         Ok(true)
     }
 

@@ -1,22 +1,21 @@
 //! The life of a stage or a sink: it takes a message, steps, sends what it made, until its input ends or the run does.
 
-use super::handover::{Handover, Mark, Successor};
+use super::handover::{Handover, Mark};
 use super::inbox::Inbox;
 use super::outlet::Outlet;
 use super::peers::Peers;
 use super::side_ports::{self, SidePort};
-use super::{RunError, Surroundings, guarded, is_stopped};
+use super::succession::{made_early, takes_place};
+use super::{RunError, Settling, Surroundings, guarded, is_stopped};
 use crate::clock::monotonic_ns;
-use crate::ports::{Delivery, PortError, Reader, Received, Topic, Transport};
+use crate::ports::{PortError, Reader, Received, Topic, Transport};
 use crate::stage::{Stage, StageError, Stop};
 use crate::status::{Life, StatusFile};
-use conicflow_messages::{Header, Item, Kind, Message};
+use conicflow_messages::{Header, Message};
 use std::time::{Duration, Instant};
 
 /// A stage that nobody wakes looks around this often.
 const TICK: Duration = Duration::from_millis(100);
-/// A successor waits so long for the first message of writers whose loss of one would be no fault.
-const PATIENCE_WITH_WRITERS: Duration = Duration::from_secs(1);
 
 type MessageOf<S, T> = <<T as Transport>::Reader<<S as Stage>::Input> as Reader<<S as Stage>::Input>>::Message;
 
@@ -30,6 +29,7 @@ struct StageLoop<S: Stage, T: Transport> {
     topic: Topic,
     peers: Peers,
     handover: Option<Handover>,
+    settling: Settling,
     /// Asked to leave its place: from there on its successor hears everything.
     leaves_at: Option<Mark>,
 }
@@ -42,7 +42,7 @@ pub(crate) fn run_stage<S: Stage, T: Transport + 'static>(
     // A successor is not the first, even if it is ready before any message was worked on.
     around.context.resume_at = around.record.status.steps.max(u64::from(around.successor.is_some()));
     let topic = around.wiring.input.take().ok_or_else(|| RunError::Refused("a stage needs an `input`".into()))?;
-    let sides = around.sides(S::sides())?;
+    let mut sides = around.sides(S::sides())?;
     let mut inbox = Inbox::new(
         around.transport.reader(&topic, &around.context.stage)?,
         topic.delivery_to(&around.context.stage),
@@ -52,7 +52,7 @@ pub(crate) fn run_stage<S: Stage, T: Transport + 'static>(
     let mut outlet = around.outlet()?;
     let early = if around.successor.is_some() { Some(made_early::<S>(&config, &around)?) } else { None };
     if let Some(successor) = around.successor.take()
-        && !takes_place(successor, &mut inbox, &mut around, &topic)?
+        && !takes_place(successor, &mut inbox, &mut sides, &mut around, &topic)?
     {
         return Ok(());
     }
@@ -61,58 +61,22 @@ pub(crate) fn run_stage<S: Stage, T: Transport + 'static>(
         Some(stage) => stage,
         None => S::new(config, &around.context).map_err(RunError::Refused)?,
     };
-    inbox.resume(around.record.status.inputs[0]);
+    let (own, of_sides) = around.record.status.inputs.split_at(1);
+    inbox.resume(own[0]);
+    sides.iter_mut().zip(of_sides).try_for_each(|(side, counts)| side.resume(*counts))?;
     outlet.resume(around.record.status.sent);
     around.begin(None);
+    let settling = Settling::of(&around);
     let Surroundings { context, peers, record, handover, lock: _lock, .. } = around;
     let (stop, leaves_at) = (context.stop, None);
     let mut running =
-        StageLoop::<S, T> { stage, inbox, sides, outlet, record, stop, topic, peers, handover, leaves_at };
+        StageLoop::<S, T> { stage, inbox, sides, outlet, record, stop, topic, peers, handover, settling, leaves_at };
     while let Some(message) = running.next_message()? {
         if !running.work_on(message)? {
             break;
         }
     }
     running.end()
-}
-
-/// Makes the stage ready while the one that it replaces is at work, so that what cannot begin never takes a place. A sink
-/// is made on trial, and anew in its place: two that are at work on one file would spoil it.
-fn made_early<S: Stage>(config: &S::Config, around: &Surroundings<impl Transport>) -> Result<Option<S>, RunError> {
-    let copied = serde_json::to_value(config).and_then(serde_json::from_value);
-    let copy = copied.map_err(|error| RunError::Refused(error.into()))?;
-    let stage = S::new(copy, &around.context).map_err(RunError::Refused)?;
-    Ok(Some(stage).filter(|_| S::Output::KIND != Kind::Nothing))
-}
-
-/// Hears each writer once, says so, and waits until the process that it replaces is gone; whether its turn came.
-fn takes_place<I: Item, T: Transport + 'static>(
-    mut successor: Successor,
-    inbox: &mut Inbox<I, T::Reader<I>>,
-    around: &mut Surroundings<T>,
-    topic: &Topic,
-) -> Result<bool, RunError> {
-    let deadline = Instant::now() + PATIENCE_WITH_WRITERS;
-    let lossless = topic.delivery_to(&around.context.stage) == Delivery::Lossless;
-    let is_over = |writer: &String| matches!(around.peers.life(writer), Some(Life::Ended | Life::Gone));
-    while !topic.writers.iter().all(|writer| inbox.has_heard(writer) || is_over(writer)) {
-        inbox.overhear()?;
-        if successor.is_dismissed() || around.context.stop.forced() {
-            return Ok(false);
-        }
-        if !lossless && Instant::now() > deadline {
-            break;
-        }
-    }
-    let fault = |error: std::io::Error| RunError::Refused(error.into());
-    successor.is_ready(&inbox.first_heard()).map_err(fault)?;
-    let stop = around.context.stop.clone();
-    if !successor.await_turn(|| stop.forced()) {
-        return Ok(false);
-    }
-    around.enter();
-    inbox.begin_after(successor.handover.last().unwrap_or_default());
-    Ok(true)
 }
 
 impl<S: Stage, T: Transport> StageLoop<S, T> {
@@ -162,6 +126,7 @@ impl<S: Stage, T: Transport> StageLoop<S, T> {
         self.keep_times(&header, received_ns, started.elapsed());
         let stopped = is_stopped(self.outlet.send(made, received_ns, is_image))?;
         self.keep_counts();
+        self.settling.step();
         Ok(!stopped)
     }
 

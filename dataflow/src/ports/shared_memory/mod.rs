@@ -5,11 +5,12 @@
 //! full. All numbers of a service follow from the pipeline file, so that every stage asks for the same ones and the order
 //! of their start does not matter.
 
-#![allow(unsafe_code)] // layout promises for types in shared memory, loans whose content is left over, and leases on files
+#![allow(unsafe_code)] // layouts in shared memory, loans whose content is left over, leases on files, pages given back
 
 mod hold;
 pub(crate) mod leftovers;
 mod reader;
+pub(crate) mod residence;
 mod sweep;
 mod tap;
 #[cfg(test)]
@@ -186,6 +187,8 @@ fn configuration(root: &Path) -> Result<Config, PortError> {
         root: root.to_owned(),
     })?;
     let mut config = Config::default();
+    // Each is room for a connection in every reader, whose writer may have gone while it holds messages of that.
+    config.defaults.publish_subscribe.subscriber_expired_connection_buffer = MAX_HELD;
     let path = iceoryx2::prelude::Path::new(root.as_os_str().as_encoded_bytes()).map_err(|_| too_long())?;
     config.global.set_root_path(&path);
     config.global.prefix = FileName::new(prefix.as_bytes()).map_err(|_| too_long())?;
@@ -218,9 +221,11 @@ impl Transport for SharedMemory {
         Ok(SharedWriter {
             loan: None,
             publisher: None,
+            capacity: 0,
             messages: Arc::new(self.messages(topic)?),
             wake: self.notifier(topic, "/wake", 0)?,
             room: Arc::new(self.listener(topic, "/room")?),
+            answers: Arc::default(),
             attached: Vec::new(),
             topic: topic.clone(),
             config: self.node.config().clone(),

@@ -1,6 +1,6 @@
 //! Tests of the topics in shared memory, within one process: each side opens them as a process of its own would.
 
-use crate::ports::shared_memory::SharedMemory;
+use crate::ports::shared_memory::{SharedMemory, SharedMessage};
 use crate::ports::{Delivery, PortError, Reader, Received, Topic, TopicReader, Transport, Writer};
 use crate::stage::Stop;
 use conicflow_messages::{Header, Object, Track};
@@ -69,12 +69,51 @@ fn lists_grow_and_may_be_empty() {
     let topic = topic(Delivery::Latest, 8);
     let mut reader = open(folder.path(), "reader").reader::<u16>(&topic, "reader").unwrap();
     let mut writer = open(folder.path(), "writer").writer::<u16>(&topic).unwrap();
-    for (sequence, length) in [(0, 3), (1, 0), (2, 5000), (3, 60_000)] {
-        send(&mut writer, sequence, &vec![9; length]);
+    let mut held = Vec::new();
+    for (sequence, length) in [(0, 3), (1, 0), (2, 5000), (3, 7), (4, 60_000)] {
+        send(&mut writer, sequence, &vec![length as u16; length]);
+        held.extend(reader.receive().unwrap());
     }
-    let lengths: Vec<_> =
-        std::iter::from_fn(|| reader.receive().unwrap().map(|message| message.items().len())).collect();
-    assert_eq!(lengths, [3, 0, 5000, 60_000]);
+    let lengths: Vec<_> = held.iter().map(|message| message.items().len()).collect();
+    assert_eq!(lengths, [3, 0, 5000, 7, 60_000]);
+    let own = |message: &SharedMessage<u16>| message.items().iter().all(|&item| item as usize == message.items().len());
+    assert!(held.iter().all(own), "what is held stays as it was");
+}
+
+#[test]
+fn a_lossless_reader_misses_nothing_while_lists_grow() {
+    let folder = tempfile::tempdir().unwrap();
+    let topic = topic(Delivery::Lossless, 3);
+    let mut reader = open(folder.path(), "reader").reader::<Object>(&topic, "reader").unwrap();
+    let lengths = || (0..60_usize).map(|index| (index * index) % 1000);
+    thread::scope(|scope| {
+        scope.spawn(|| {
+            let mut writer = open(folder.path(), "writer").writer::<Object>(&topic).unwrap();
+            let lists = lengths().map(|length| vec![Object::default(); length]).enumerate();
+            lists.for_each(|(sequence, list)| send(&mut writer, sequence as u64, &list));
+            while !writer.connected().is_empty() {
+                thread::sleep(Duration::from_millis(1));
+            }
+        });
+        let mut taken = Vec::new();
+        while taken.len() < 60 {
+            reader.wait(Duration::from_millis(100)).unwrap();
+            taken.extend(reader.receive().unwrap().map(|message| (message.header().sequence, message.items().len())));
+        }
+        assert!(taken.into_iter().eq((0..).zip(lengths())));
+        drop(reader);
+    });
+}
+
+#[test]
+fn a_message_for_which_there_is_no_room_is_told_rather_than_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut topic = topic(Delivery::Latest, 2);
+    topic.readers[0].queue = 1 << 30;
+    let mut writer = open(folder.path(), "writer").writer::<Track>(&topic).unwrap();
+    let error = writer.loan(5).err().unwrap();
+    assert!(matches!(error, PortError::NoRoom { .. }), "{error}");
+    assert!(error.to_string().starts_with("topic `things` has a message of 64 items: shared memory has "), "{error}");
 }
 
 #[test]

@@ -1,10 +1,11 @@
 //! The writing end of a topic in shared memory, and its waiting for readers that must not miss a message.
 
 use super::{Factory, Ipc, WireHeader, WireItem};
+use crate::needs;
 use crate::ports::{Delivery, PortError, Topic, Writer};
 use crate::stage::Stop;
 use bytemuck::TransparentWrapper;
-use conicflow_messages::{Header, Item};
+use conicflow_messages::{Header, Item, Kind};
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
@@ -13,21 +14,23 @@ use iceoryx2::prelude::{AllocationStrategy, CallbackProgression, Config, Node, N
 use iceoryx2::sample_mut::SampleMut;
 use std::fmt::Debug;
 use std::path::PathBuf;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 /// A writer that waits for room looks this often whether the reader still lives.
 const DEAD_READER_CHECK: Duration = Duration::from_millis(100);
-/// Room for lists that no message has exceeded yet; longer ones grow the segment.
-const INITIAL_LIST: usize = 1024;
 
 /// Writes a topic in shared memory.
 pub struct SharedWriter<T: Item> {
     pub(super) loan: Option<SampleMut<Ipc, [WireItem<T>], WireHeader>>,
     pub(super) publisher: Option<Publisher<Ipc, [WireItem<T>], WireHeader>>,
+    /// Items of the longest message that the publisher has room for.
+    pub(super) capacity: usize,
     pub(super) messages: Arc<Factory<T>>,
     pub(super) wake: Notifier<Ipc>,
     pub(super) room: Arc<Listener<Ipc>>,
+    /// Places of readers that have taken something since the last message was sent, whoever of this writer waited then.
+    pub(super) answers: Arc<Mutex<Vec<usize>>>,
     /// Ports of lossless readers that have taken their first message.
     pub(super) attached: Vec<u128>,
     pub(super) topic: Topic,
@@ -45,14 +48,23 @@ impl<T: Item> SharedWriter<T> {
         }
     }
 
-    /// The publisher, made when the length of the first message is known.
+    /// The publisher, made when the length of the first message is known, and anew for messages that have no room in it.
+    /// What the former one sent stays with its readers, who take it before what the new one sends. A segment that grows by
+    /// itself would need no second publisher, but takes a megabyte of each process that has a part in it.
     fn publisher(&mut self, length: usize) -> Result<&Publisher<Ipc, [WireItem<T>], WireHeader>, PortError> {
-        if self.publisher.is_none() {
-            let builder = self.messages.publisher_builder().max_loaned_samples(2);
-            let builder = builder.initial_max_slice_len(length.max(INITIAL_LIST));
-            let builder = builder.allocation_strategy(AllocationStrategy::PowerOfTwo);
+        if self.publisher.is_none() || length > self.capacity {
+            let capacity = match T::KIND {
+                Kind::Depth => length.max(1),
+                kind => length.max(needs::usual_length(kind)).next_power_of_two(),
+            };
+            needs::look_for_room::<T>(&self.topic, capacity)?;
+            self.publisher = None;
+            self.attached.clear();
+            let builder = self.messages.publisher_builder().max_loaned_samples(1).initial_max_slice_len(capacity);
+            let builder = builder.allocation_strategy(AllocationStrategy::Static);
             let builder = builder.set_backpressure_handler(self.wait_for_room());
             self.publisher = Some(builder.create().map_err(|error| self.fault(error))?);
+            self.capacity = capacity;
         }
         self.publisher.as_ref().ok_or(PortError::Stopped)
     }
@@ -61,7 +73,7 @@ impl<T: Item> SharedWriter<T> {
     /// other to its loss of this message.
     fn wait_for_room(&self) -> impl Fn(&BackpressureInfo) -> BackpressureAction + Send + use<T> + 'static {
         let (messages, topic, room) = (Arc::clone(&self.messages), self.topic.clone(), Arc::clone(&self.room));
-        let (config, stop) = (self.config.clone(), self.stop.clone());
+        let (config, stop, answers) = (self.config.clone(), self.stop.clone(), Arc::clone(&self.answers));
         move |full| {
             if stop.forced() {
                 return BackpressureAction::DiscardDataAndFail;
@@ -69,7 +81,8 @@ impl<T: Item> SharedWriter<T> {
             if !lossless_readers(&messages, &topic).iter().any(|(port, _)| *port == full.receiver_port_id) {
                 return BackpressureAction::DiscardData;
             }
-            let woken = room.timed_wait(|_| {}, DEAD_READER_CHECK);
+            let mut answers = answers.lock().unwrap_or_else(PoisonError::into_inner);
+            let woken = room.timed_wait(|event| answers.push(event.id.as_value()), DEAD_READER_CHECK);
             if !woken.is_ok_and(|events| events > 0) {
                 clean_dead_nodes(&config);
             }
@@ -87,6 +100,7 @@ impl<T: Item> SharedWriter<T> {
         if !readers.is_empty() {
             self.room.try_wait(|_| {}).ok();
         }
+        self.answers.lock().unwrap_or_else(PoisonError::into_inner).clear();
         readers
     }
 
@@ -94,8 +108,10 @@ impl<T: Item> SharedWriter<T> {
     /// for the first time iceoryx2 does not count it as connected, and would drop what does not fit.
     fn await_first_sight(&mut self, mut new: Vec<(u128, usize)>) {
         while !new.is_empty() && !self.stop.forced() {
-            let mut answers = Vec::new();
-            self.room.timed_wait(|event| answers.push(event.id.as_value()), DEAD_READER_CHECK).ok();
+            let mut answers = std::mem::take(&mut *self.answers.lock().unwrap_or_else(PoisonError::into_inner));
+            if answers.is_empty() {
+                self.room.timed_wait(|event| answers.push(event.id.as_value()), DEAD_READER_CHECK).ok();
+            }
             let seen = new.extract_if(.., |(_, place)| answers.contains(place));
             self.attached.extend(seen.map(|(port, _)| port));
             if answers.is_empty() {

@@ -1,0 +1,114 @@
+//! What a process keeps resident: once it is at work it gives back what only its start needed.
+//!
+//! To read a plan and to open ports runs through most of the program once, and the system maps 64 kB of it around each place
+//! that is touched: 8 MB that a stage, which then goes round in 1 MB, would go on holding. Pages that were never written come
+//! back from the file when they are needed again; memory that was freed is the allocator's to return.
+
+use std::fs;
+use std::ops::Range;
+
+/// Of the stack so much stays, below what is in use.
+const SPARE_STACK: usize = 64 * 1024;
+/// Pages are at most as long as this.
+const PAGE: usize = 64 * 1024;
+
+/// Gives back pages of the program and its libraries that are as they are in their files, stack that was needed once, and
+/// memory that is free. Where the system cannot tell which pages those are, or does not take them, they stay.
+pub(crate) fn give_back() {
+    let mappings = fs::read_to_string("/proc/self/smaps").unwrap_or_default();
+    let here = std::ptr::from_ref(&mappings).addr();
+    for range in unwritten(&mappings).into_iter().chain(unused_stack(&mappings, here)) {
+        // SAFETY: the range is one that the system named, or a part of it. Pages of files that cannot be written, and of which
+        // none was while it could be, are read anew from there at the next access; below the frames of this thread, with
+        // room for a signal's, nothing is alive on its stack.
+        unsafe { libc::madvise(range.start as *mut libc::c_void, range.len(), libc::MADV_DONTNEED) };
+    }
+    #[cfg(target_env = "gnu")]
+    // SAFETY: the allocator returns what nobody holds.
+    unsafe {
+        libc::malloc_trim(0)
+    };
+}
+
+/// What the main thread's stack has beyond what it uses, where that is the one with the address `here`.
+fn unused_stack(mappings: &str, here: usize) -> Option<Range<usize>> {
+    let line = mappings.lines().find(|line| line.ends_with("[stack]"))?;
+    let stack = addresses(line)?;
+    let unused = stack.start..here.saturating_sub(SPARE_STACK) / PAGE * PAGE;
+    (stack.contains(&here) && !unused.is_empty()).then_some(unused)
+}
+
+/// The mappings of programs and libraries that nobody can write, and of which no page was changed.
+fn unwritten(mappings: &str) -> Vec<Range<usize>> {
+    let (mut found, mut current) = (Vec::new(), None);
+    for line in mappings.lines() {
+        if let Some(mapping) = file_mapping(line) {
+            current = mapping;
+        } else if line.split_whitespace().eq(["Anonymous:", "0", "kB"]) {
+            found.extend(current.take());
+        }
+    }
+    found
+}
+
+/// What the first line of a mapping tells: its range, if it is one of a file that cannot be written. `None` for any other
+/// line.
+fn file_mapping(line: &str) -> Option<Option<Range<usize>>> {
+    let range = addresses(line)?;
+    let mut words = line.split_whitespace().skip(1);
+    let (permissions, path) = (words.next()?, words.nth(3));
+    let fixed = matches!(permissions, "r-xp" | "r--p") && path.is_some_and(|path| path.starts_with('/'));
+    Some(fixed.then_some(range))
+}
+
+/// The addresses that the first line of a mapping begins with.
+fn addresses(line: &str) -> Option<Range<usize>> {
+    let (start, end) = line.split_whitespace().next()?.split_once('-')?;
+    let address = |text| usize::from_str_radix(text, 16).ok();
+    Some(address(start)?..address(end)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MAPPINGS: &str = "\
+1000-3000 r--p 00000000 fe:00 11 /bin/program
+Rss:                   8 kB
+Anonymous:             0 kB
+VmFlags: rd mr mw me
+3000-9000 r-xp 00002000 fe:00 11 /bin/program
+Anonymous:             0 kB
+9000-a000 r--p 00008000 fe:00 11 /bin/program
+Anonymous:             4 kB
+a000-b000 rw-p 00009000 fe:00 11 /bin/program
+Anonymous:             0 kB
+b000-c000 r--p 00000000 00:00 0
+Anonymous:             0 kB
+c000-d000 r-xp 00000000 00:00 0 [vdso]
+Anonymous:             0 kB
+d000-e000 rw-s 00000000 00:1b 5 /dev/shm/segment
+Anonymous:             0 kB
+";
+
+    #[test]
+    fn only_what_is_as_in_its_file_is_given_back() {
+        assert_eq!(unwritten(MAPPINGS), [0x1000..0x3000, 0x3000..0x9000]);
+        assert!(unwritten("nonsense\nAnonymous: 0 kB\n").is_empty());
+    }
+
+    #[test]
+    fn of_the_stack_what_is_used_stays() {
+        let stack = "7ff000000000-7ff000100000 rw-p 00000000 00:00 0    [stack]\nRss: 900 kB\n";
+        assert_eq!(unused_stack(stack, 0x7ff0_000e_1234), Some(0x7ff0_0000_0000..0x7ff0_000d_0000));
+        assert_eq!(unused_stack(stack, 0x7ff0_0001_1234), None, "all of it may be in use");
+        assert_eq!(unused_stack(stack, 0x6ff0_0000_0000), None, "the stack of another thread");
+    }
+
+    #[test]
+    fn the_program_goes_on_afterwards() {
+        let kept: Vec<u64> = (0..100_000).collect();
+        give_back();
+        assert_eq!(kept.iter().sum::<u64>(), 4_999_950_000);
+    }
+}

@@ -1,0 +1,125 @@
+//! Tests of an input: what is taken, what is left out, and how both are counted.
+
+use super::inbox::{Inbox, MAX_OVERHEARD};
+use crate::ports::in_memory::InMemory;
+use crate::ports::{Delivery, Received, Topic, TopicReader, Transport, Writer};
+use crate::status::InputCounts;
+use conicflow_messages::{Camera, END_OF_STREAM, Header, Hop, Object, Text};
+
+fn topic(delivery: Delivery) -> Topic {
+    let reader = TopicReader { stage: "reader".into(), delivery, queue: 8 };
+    Topic { name: "objects".into(), kind: None, writers: vec!["writer".into()], readers: vec![reader] }
+}
+
+fn header(sequence: u64) -> Header {
+    let camera = Camera { width: 4, height: 3, fx: 5.0, fy: 5.0, cx: 1.5, cy: 1.0 };
+    let mut header = Header { sequence, number: sequence, camera, depth_scale: 0.001, ..Header::default() };
+    header.add_hop(Hop { stage: Text::new("writer"), ..Hop::default() });
+    header
+}
+
+/// Sends the frames and returns those that were taken, with the counts.
+fn pass(delivery: Delivery, headers: &[Header]) -> (Vec<u64>, InputCounts, bool) {
+    let memory = InMemory::default();
+    let topic = topic(delivery);
+    let reader = memory.reader::<Object>(&topic, "reader").unwrap();
+    let mut writer = memory.writer::<Object>(&topic).unwrap();
+    for header in headers {
+        writer.send(header).unwrap();
+    }
+    let mut inbox = Inbox::new(reader, delivery, "objects", 1);
+    let taken = std::iter::from_fn(|| inbox.take().unwrap().map(|message| message.header().sequence)).collect();
+    (taken, inbox.counts(), inbox.ended())
+}
+
+#[test]
+fn lossless_takes_each_and_latest_the_newest() {
+    let headers: Vec<_> = (0..4).map(header).collect();
+    assert_eq!(pass(Delivery::Lossless, &headers).0, [0, 1, 2, 3]);
+    let (taken, counts, ended) = pass(Delivery::Latest, &headers);
+    assert_eq!(taken, [3]);
+    assert_eq!((counts.received, counts.dropped, counts.gaps, ended), (1, 3, 3, false));
+}
+
+#[test]
+fn the_last_frame_survives_the_end_of_the_stream() {
+    let end = Header { flags: END_OF_STREAM, ..header(0) };
+    let (taken, _, ended) = pass(Delivery::Latest, &[header(0), header(1), end]);
+    assert_eq!((taken, ended), (vec![1], true));
+}
+
+#[test]
+fn frames_come_once_and_in_order_and_gaps_are_counted() {
+    let (taken, counts, _) = pass(Delivery::Lossless, &[0, 2, 1, 2, 5].map(header));
+    assert_eq!(taken, [0, 2, 5]);
+    assert_eq!((counts.gaps, counts.late), (3, 2));
+}
+
+#[test]
+fn what_was_lost_with_an_earlier_process_is_counted() {
+    let (_, earlier, _) = pass(Delivery::Lossless, &[0, 1].map(header));
+    let memory = InMemory::default();
+    let topic = topic(Delivery::Lossless);
+    let reader = memory.reader::<Object>(&topic, "reader").unwrap();
+    let mut inbox = Inbox::new(reader, Delivery::Lossless, "objects", 1);
+    inbox.resume(earlier);
+    memory.writer::<Object>(&topic).unwrap().send(&header(5)).unwrap();
+    assert_eq!(inbox.take().unwrap().map(|message| message.header().sequence), Some(5));
+    let counts = inbox.counts();
+    assert_eq!((counts.received, counts.dropped, counts.gaps), (3, 3, 3));
+}
+
+/// A header that the stage `writer` wrote.
+fn written_by(writer: &str, sequence: u64) -> Header {
+    let mut header = Header { hops: Header::default().hops, hop_count: 0, ..header(sequence) };
+    header.add_hop(Hop { stage: Text::new(writer), ..Hop::default() });
+    header
+}
+
+#[test]
+fn a_successor_hears_a_rare_writer_beside_one_that_sends_a_lot() {
+    let memory = InMemory::default();
+    let mut topic = topic(Delivery::Lossless);
+    topic.readers[0].queue = 64;
+    let reader = memory.reader::<Object>(&topic, "reader").unwrap();
+    let mut writer = memory.writer::<Object>(&topic).unwrap();
+    let mut inbox = Inbox::new(reader, Delivery::Lossless, "objects", 2);
+    (0..40).for_each(|sequence| _ = writer.send(&written_by("often", sequence)).unwrap());
+    writer.send(&written_by("rare", 3)).unwrap();
+    inbox.hear_on().unwrap();
+    let numbers = inbox.first_heard().numbers;
+    assert_eq!(numbers[&Text::new("rare")], 3);
+    assert_eq!(numbers[&Text::new("often")], 40 + 2 - MAX_OVERHEARD as u64, "older ones are the predecessor's");
+}
+
+#[test]
+fn what_predecessor_and_successor_both_heard_is_counted_once() {
+    let (_, earlier, _) = pass(Delivery::Lossless, &[0, 1, 2].map(header));
+    let memory = InMemory::default();
+    let topic = topic(Delivery::Lossless);
+    let reader = memory.reader::<Object>(&topic, "reader").unwrap();
+    let mut writer = memory.writer::<Object>(&topic).unwrap();
+    let mut inbox = Inbox::new(reader, Delivery::Lossless, "objects", 1);
+    (1..5).for_each(|sequence| _ = writer.send(&header(sequence)).unwrap());
+    inbox.overhear().unwrap();
+    inbox.resume(earlier);
+    inbox.admit_overheard();
+    let taken: Vec<_> = std::iter::from_fn(|| inbox.take().unwrap().map(|message| message.header().number)).collect();
+    let counts = inbox.counts();
+    assert_eq!(taken, [1, 2, 3, 4], "what belongs to a later frame is still needed");
+    assert_eq!((counts.received, counts.dropped, counts.gaps, counts.late), (5, 0, 0, 0));
+}
+
+#[test]
+fn the_newest_of_each_source_is_kept() {
+    let mut other = Header { hops: Header::default().hops, hop_count: 0, ..header(7) };
+    other.add_hop(Hop { stage: Text::new("other"), ..Hop::default() });
+    assert_eq!(pass(Delivery::Latest, &[header(0), other, header(1)]).0, [7, 1]);
+}
+
+#[test]
+fn nonsense_is_counted_and_left_out() {
+    let broken = Header { depth_scale: f64::NAN, ..header(1) };
+    let (taken, counts, _) = pass(Delivery::Lossless, &[header(0), broken]);
+    assert_eq!((taken, counts.malformed), (vec![0], 1));
+}

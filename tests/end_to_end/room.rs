@@ -1,0 +1,119 @@
+//! The room in shared memory that a run asks for beforehand, against what it takes when every reader stands still and every
+//! queue is full.
+
+use super::processes::{shared_files, stages_of};
+use super::support::{Playground, Started, signal};
+use conicflow_dataflow::pipeline::{Pipeline, SourceText};
+use conicflow_dataflow::{Needs, Plan};
+use conicflow_nodes::NODES;
+use rustix::process::Signal;
+use serde_json::Value as Json;
+use std::collections::BTreeSet;
+use std::os::unix::fs::MetadataExt;
+use std::path::PathBuf;
+
+const PIPELINE: &str = r#"
+name = "room"
+
+[stage.source]
+node   = "synthetic_source"
+output = "depth"
+scene  = "tabletop"
+width  = 640
+height = 480
+
+[stage.extractor]
+node   = "row_ellipse_extractor"
+input  = "depth"
+output = "ellipses"
+
+[stage.assembler]
+node   = "object_assembler"
+input  = "ellipses"
+output = "objects"
+
+[stage.tracker]
+node   = "kalman_tracker"
+input  = "objects"
+output = "tracks"
+
+[stage.json]
+node  = "json_sink"
+input = "tracks"
+path  = "tracks.jsonl"
+"#;
+
+/// Each topic with its writer and its reader.
+const TOPICS: [(&str, &str, &str); 4] = [
+    ("depth", "source", "extractor"),
+    ("ellipses", "extractor", "assembler"),
+    ("objects", "assembler", "tracker"),
+    ("tracks", "tracker", "json"),
+];
+
+fn needs(text: &str) -> Needs {
+    let source = SourceText { name: "pipeline.toml".to_owned(), text: text.to_owned() };
+    let (pipeline, _) = Pipeline::read(source, &std::env::temp_dir(), &[], NODES).unwrap();
+    Needs::of(&Plan::of(&pipeline, None, None, 1), NODES)
+}
+
+fn messages(playground: &Playground, stage: &str) -> u64 {
+    let look = playground.conicflow(&["top", "--once"]).expect_code(0);
+    let seen: Json = serde_json::from_str(&look.stdout).unwrap();
+    let stages = seen["pipelines"][0]["stages"].as_array().unwrap();
+    stages.iter().find(|row| row["stage"] == stage).unwrap()["messages"].as_u64().unwrap()
+}
+
+/// Stops the readers from the last to the first, and each only when the writer before it has filled its queue.
+fn fill_all_queues(playground: &Playground, run: &mut Started) {
+    let stages = stages_of(run.id());
+    for (_, writer, reader) in TOPICS.iter().rev() {
+        signal(stages[*reader], Signal::STOP);
+        let before = messages(playground, writer);
+        run.wait_until("the queue is full", || messages(playground, writer) > before + 20);
+    }
+}
+
+/// Stops the last reader, and waits until every writer waits for the one after it.
+fn stall(playground: &Playground, run: &mut Started) {
+    signal(stages_of(run.id())["json"], Signal::STOP);
+    let (mut made, mut looks) = (0, 0);
+    run.wait_until("all writers wait", || {
+        let now = messages(playground, "source");
+        looks = if now == made { looks + 1 } else { 0 };
+        made = now;
+        looks > 20
+    });
+}
+
+fn bytes_of(files: &BTreeSet<PathBuf>) -> u64 {
+    files.iter().filter_map(|path| Some(path.metadata().ok()?.blocks() * 512)).sum()
+}
+
+#[test]
+fn what_a_run_asks_for_is_enough_and_less_than_twice_as_much() {
+    for delivery in ["latest", "lossless"] {
+        let long = |topic: &str| format!("input  = {{ topic = \"{topic}\", delivery = \"{delivery}\" }}\n");
+        let text = TOPICS.iter().fold(PIPELINE.to_owned(), |text, (topic, ..)| {
+            let short = [format!("input  = \"{topic}\"\n"), format!("input = \"{topic}\"\n")];
+            short.iter().fold(text, |text, short| text.replace(short, &long(topic)))
+        });
+        let needs = needs(&text);
+        let playground = Playground::with_pipeline(&text);
+        let mut run = playground.start(&["run"]);
+        run.wait_until("tracks come", || playground.lines("tracks.jsonl").len() > 20);
+        let fill = if delivery == "latest" { fill_all_queues } else { stall };
+        fill(&playground, &mut run);
+        let stages = stages_of(run.id());
+        for (topic, writer, reader) in TOPICS {
+            let needed = needs.topics.iter().find(|needs| needs.name == topic).unwrap().bytes;
+            let used = bytes_of(&(&shared_files(stages[writer]) & &shared_files(stages[reader])));
+            assert!(used <= needed, "{delivery}: {topic} takes {used} bytes, {needed} were asked for");
+        }
+        let all: BTreeSet<_> = stages.values().flat_map(|process| shared_files(*process)).collect();
+        let (used, needed) = (bytes_of(&all), needs.shared_memory());
+        eprintln!("{delivery}: {used} bytes of shared memory are used, {needed} were asked for");
+        assert!(used <= needed && needed < 2 * used, "{delivery}: {used} bytes are used, {needs:?}");
+        stages.values().for_each(|process| signal(*process, Signal::CONT));
+    }
+}

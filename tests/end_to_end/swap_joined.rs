@@ -1,0 +1,216 @@
+//! Stages that are joined to more than one neighbour are replaced: with several inputs of the same frame, on topics with
+//! several writers, and on both sides of a bridge between machines.
+
+use super::bridge::{apart, loopback, machines, newest, start};
+use super::support::{Playground, Started, TRACKING, TRACKING_STAGES, example};
+use super::swap::{end, replace};
+
+/// So many images may wait for what is made of them: more than there are frames on the way.
+const SIDE_QUEUE: usize = 20;
+/// Frames that a live pipeline may miss at a swap.
+const LIVE_GAP: u64 = 3;
+
+/// [`TRACKING`] with a sink that wants the objects, the image and the ellipses of each frame.
+fn paired(delivery: &str) -> String {
+    let topic = |name: &str| format!("{{ topic = \"{name}\", delivery = \"{delivery}\", queue = {SIDE_QUEUE} }}");
+    let (depth, ellipses) = (topic("depth"), topic("ellipses"));
+    let objects = format!("{{ topic = \"objects\", delivery = \"{delivery}\" }}");
+    let inputs = format!("{{ depth = {depth}, ellipses = {ellipses} }}");
+    let program = example("pairing_sink");
+    let sink = format!("[stage.pairs]\nprogram = [\"{program}\"]\ninput = {objects}\ninputs = {inputs}\n");
+    format!("{}\n{sink}", TRACKING.replace("lossless", delivery))
+}
+
+/// What the sink wrote: a frame's number, and those of the image and the ellipses that came with it.
+fn pairs(playground: &Playground) -> Vec<[Option<u64>; 3]> {
+    let row = |line: &String| {
+        let numbers: Vec<_> = line.split(' ').map(|word| word.parse().ok()).collect();
+        numbers.try_into().unwrap()
+    };
+    playground.lines("pairs.txt").iter().map(row).collect()
+}
+
+fn wait_for_pairs(run: &mut Started, playground: &Playground) {
+    let before = pairs(playground).len();
+    run.wait_until("pairs come", || pairs(playground).len() > before + 5);
+}
+
+#[test]
+fn inputs_of_the_same_frame_stay_together_and_none_is_lost() {
+    let playground = Playground::with_pipeline(&paired("lossless"));
+    // The sink is the slowest, so that all queues before it are full, and images are well ahead of what is made of them.
+    let mut run = playground.start(&["run", "--set", "pairs.delay_ms=10"]);
+    wait_for_pairs(&mut run, &playground);
+    for stage in ["pairs", "extractor", "pairs", "source", "pairs", "assembler", "pairs"] {
+        replace(&playground, &run, &[stage]);
+        wait_for_pairs(&mut run, &playground);
+    }
+    let ended = end(run);
+    let made = ended.stage("source").messages;
+    let expected: Vec<_> = (0..made).map(|frame| [Some(frame); 3]).collect();
+    let torn = pairs(&playground).into_iter().zip(&expected).find(|(found, expected)| found != *expected);
+    assert_eq!((torn, pairs(&playground).len() as u64), (None, made), "{}", ended.stderr);
+    for topic in ["objects", "depth", "ellipses"] {
+        let row = ended.input(topic, "pairs");
+        assert_eq!((row.received, row.dropped, row.gaps, row.late), (made, 0, 0, 0), "{topic}: {}", ended.stderr);
+    }
+}
+
+/// As in the tests of plain stages, the middle one of several swaps counts.
+fn middle(mut missed: Vec<u64>) -> u64 {
+    missed.sort_unstable();
+    missed[missed.len() / 2]
+}
+
+/// The most frames between two of these, which are in order.
+fn longest_gap(frames: &[u64]) -> u64 {
+    assert!(frames.is_sorted(), "frames went back: {frames:?}");
+    frames.windows(2).map(|pair| pair[1] - pair[0] - 1).max().unwrap()
+}
+
+#[test]
+fn live_inputs_of_the_same_frame_are_together_again_after_three_frames() {
+    let playground = Playground::with_pipeline(&paired("latest"));
+    let mut run = playground.start(&["run", "--set", "source.rate_hz=30"]);
+    wait_for_pairs(&mut run, &playground);
+    let whole = |rows: &[[Option<u64>; 3]]| -> Vec<u64> {
+        rows.iter().filter(|row| row[0] == row[1] && row[0] == row[2]).filter_map(|row| row[0]).collect()
+    };
+    let missed = (0..5).map(|_| {
+        let before = pairs(&playground).len();
+        replace(&playground, &run, &["pairs"]);
+        wait_for_pairs(&mut run, &playground);
+        longest_gap(&whole(&pairs(&playground)[before - 1..]))
+    });
+    let missed = missed.collect();
+    assert!(middle(missed) <= LIVE_GAP);
+    end(run);
+}
+
+/// Two cameras that write the same topic.
+const TWO_CAMERAS: &str = r#"
+name = "cameras"
+
+[stage.left]
+node    = "synthetic_source"
+scene   = "bouncing_ball"
+output  = "depth"
+width   = 64
+height  = 48
+rate_hz = 100
+
+[stage.right]
+node    = "synthetic_source"
+scene   = "tabletop"
+output  = "depth"
+width   = 64
+height  = 48
+rate_hz = 5
+
+[stage.extractor]
+node   = "row_ellipse_extractor"
+input  = { topic = "depth", delivery = "lossless" }
+output = "ellipses"
+
+[stage.again]
+node   = "row_ellipse_extractor"
+input  = { topic = "depth", delivery = "lossless" }
+output = "ellipses"
+
+[stage.json]
+node  = "json_sink"
+input = { topic = "ellipses", delivery = "lossless" }
+path  = "ellipses.jsonl"
+"#;
+
+/// The stages and the scenes that they show.
+const CAMERAS: [(&str, &str); 2] = [("left", "bouncing_ball"), ("right", "tabletop")];
+
+/// The numbers of the frames of a scene, in the order of their lines.
+fn frames_of(playground: &Playground, source: &str) -> Vec<u64> {
+    let lines = playground.json_lines("ellipses.jsonl");
+    lines.iter().filter(|line| line["source"] == source).map(|line| line["sequence"].as_u64().unwrap()).collect()
+}
+
+#[test]
+fn readers_and_writers_of_a_topic_with_several_writers_are_replaced_without_loss() {
+    // Two extractors would each find the same frame, and the sink take it once: here one writes elsewhere.
+    let text = TWO_CAMERAS.replacen("output = \"ellipses\"\n\n[stage.json]", "output = \"more\"\n\n[stage.json]", 1);
+    let playground = Playground::with_pipeline(&text);
+    let mut run = playground.start(&["run"]);
+    let wait = |run: &mut Started| {
+        let count = || CAMERAS.map(|(_, scene)| frames_of(&playground, scene).len());
+        let before = count();
+        run.wait_until("both cameras deliver", || {
+            let now = count();
+            now[0] > before[0] + 3 && now[1] > before[1] + 3
+        });
+    };
+    wait(&mut run);
+    for stage in ["extractor", "left", "json", "right", "extractor", "again", "left"] {
+        replace(&playground, &run, &[stage]);
+        wait(&mut run);
+    }
+    let ended = end(run);
+    let mut sum = 0;
+    for (source, scene) in CAMERAS {
+        let made = ended.stage(source).messages;
+        assert!(frames_of(&playground, scene).into_iter().eq(0..made), "{source}: {}", ended.stderr);
+        sum += made;
+    }
+    for (topic, reader) in [("depth", "extractor"), ("ellipses", "json"), ("depth", "again")] {
+        let row = ended.input(topic, reader);
+        assert_eq!((row.received, row.dropped, row.gaps, row.late), (sum, 0, 0, 0), "{reader}: {}", ended.stderr);
+    }
+}
+
+/// The stages of [`TRACKING`] on the machine (0 robot, 1 base) where [`apart`] puts them.
+const PLACES: [(&str, usize); 5] = [("source", 0), ("extractor", 0), ("assembler", 1), ("tracker", 1), ("json", 1)];
+
+fn start_both([robot, base]: &[Playground; 2]) -> [Started; 2] {
+    let mut runs = [start(robot, "robot"), start(base, "base")];
+    runs[1].wait_until("tracks arrive", || newest(base) > 10);
+    runs
+}
+
+fn wait_for_tracks(run: &mut Started, base: &Playground) {
+    let before = newest(base);
+    run.wait_until("tracks go on", || newest(base) > before + 10);
+}
+
+#[test]
+fn stages_on_both_sides_of_a_bridge_are_replaced_without_loss() {
+    let endpoint = loopback();
+    let machines = machines(&apart(&endpoint, &endpoint).replace("rate_hz    = 0", "rate_hz = 100"));
+    let mut runs = start_both(&machines);
+    for (stage, machine) in PLACES.into_iter().chain(PLACES) {
+        replace(&machines[machine], &runs[machine], &[stage]);
+        wait_for_tracks(&mut runs[1], &machines[1]);
+    }
+    let [robot, base] = runs;
+    let (robot, base) = (end(robot), base.wait().expect_code(0));
+    let made = robot.stage("source").messages;
+    assert!(machines[1].sequences("tracks.jsonl").into_iter().eq(0..made), "{}\n{}", robot.stderr, base.stderr);
+    for (topic, reader) in [("ellipses", "assembler"), ("objects", "tracker"), ("tracks", "json")] {
+        let row = base.input(topic, reader);
+        assert_eq!((row.received, row.dropped, row.gaps, row.late), (made, 0, 0, 0), "{reader}: {}", base.stderr);
+    }
+    assert_eq!(TRACKING_STAGES.len(), PLACES.len());
+}
+
+#[test]
+fn a_live_pipeline_on_two_machines_misses_three_frames_at_most() {
+    let endpoint = loopback();
+    let text = apart(&endpoint, &endpoint).replace(", delivery = \"lossless\"", "");
+    let machines = machines(&text.replace("rate_hz    = 0", "rate_hz = 30"));
+    let mut runs = start_both(&machines);
+    let mut missed = Vec::new();
+    for (stage, machine) in [("extractor", 0), ("assembler", 1), ("tracker", 1)].repeat(3) {
+        let before = machines[1].lines("tracks.jsonl").len();
+        replace(&machines[machine], &runs[machine], &[stage]);
+        wait_for_tracks(&mut runs[1], &machines[1]);
+        missed.push(longest_gap(&machines[1].sequences("tracks.jsonl")[before - 1..]));
+    }
+    assert!(middle(missed) <= LIVE_GAP);
+    runs.into_iter().for_each(|run| drop(end(run)));
+}
