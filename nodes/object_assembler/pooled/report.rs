@@ -14,7 +14,7 @@ const ARCS: usize = 24;
 /// What the faults of sensors add, that no number of points averages out: to radius and centre in radii ...
 const SYSTEMATIC: f64 = 0.002;
 /// ... and in pixels, as silhouettes are smeared,
-const SYSTEMATIC_PX: f64 = 0.08;
+const SYSTEMATIC_PX: f64 = 0.06;
 /// to directions in radians.
 const SYSTEMATIC_ANGLE: f64 = 0.001;
 
