@@ -99,7 +99,7 @@ impl Default for KalmanTrackerConfig {
             floor_axis_deg: 0.5,
             floor_half_angle_deg: 0.5,
             floor_length_m: 0.01,
-            common_share: 0.5,
+            common_share: 0.35,
             drift_radius_m: 0.0002,
             drift_axis_deg: 10.0,
             drift_half_angle_deg: 0.1,

@@ -3,15 +3,17 @@
 use super::super::{AssemblerConfig, Method, ObjectAssembler};
 use crate::row_ellipse_extractor::rendered::{Body, KINECT_HALF, render};
 use crate::row_ellipse_extractor::{ArcFinder, RowEllipseConfig, RowEllipseExtractor, ScanLines};
+use crate::synthetic_source::scene::Scene;
+use crate::synthetic_source::{SyntheticCamera, SyntheticSourceConfig};
 use conicflow_geometry::Vector3;
-use conicflow_messages::{Camera, Item, NoiseModel, Object, ObjectKind};
+use conicflow_messages::{Camera, Header, Item, NoiseModel, Object, ObjectKind};
 
 fn detect(camera: Camera, noise: NoiseModel, bodies: &[Body], seed: u64) -> Vec<Object> {
     let (header, pixels) = render(camera, noise, bodies, seed);
     find(&header, &pixels)
 }
 
-fn find(header: &conicflow_messages::Header, pixels: &[u16]) -> Vec<Object> {
+fn find(header: &Header, pixels: &[u16]) -> Vec<Object> {
     let arcs = RowEllipseConfig { arcs: ArcFinder::Moments, scan: ScanLines::Both, ..RowEllipseConfig::default() };
     let mut extractor = RowEllipseExtractor::with(arcs);
     let mut assembler = ObjectAssembler::with(AssemblerConfig { method: Method::Pooled, ..AssemblerConfig::default() });
@@ -128,18 +130,32 @@ fn a_sensor_quieter_than_its_model_is_no_worse() {
     assert!((found.radius - 0.1).abs() < 1e-3 && off(&found, &center) < 2e-3, "{found:?}");
 }
 
+/// A can of radius 0.1 m, 2.6 m before the camera, as a Kinect sees it: with silhouettes that are unsure of their place.
+fn can_by_a_kinect(seed: u64) -> Object {
+    const CAN: &str = "name = 'can'\n[camera]\nposition = [0.0, 0.0, 0.0]\nlook_at = [0.0, 1.0, 0.0]\n\
+        [[cylinder]]\nname = 'can'\nbase = [0.0, 2.6, -0.35]\nradius = 0.1\nlength = 0.7\n\
+        [[plane]]\nname = 'wall'\npoint = [0.0, 4.0, 0.0]\nnormal = [0.0, -1.0, 0.0]\n";
+    let config = SyntheticSourceConfig { width: 320, height: 240, ..SyntheticSourceConfig::default() };
+    let scene = Scene::parse(CAN, "can").unwrap();
+    let mut camera = SyntheticCamera::new(scene, config.camera(), config.noise, config.depth_scale, 30.0, seed);
+    let (mut header, mut pixels) = (Header::default(), vec![0; 320 * 240]);
+    camera.shoot(0, &mut pixels);
+    camera.describe(&mut header);
+    single(&find(&header, &pixels), ObjectKind::Cylinder)
+}
+
 #[test]
 fn sigmas_are_about_as_large_as_the_errors() {
-    let found: Vec<_> = (0..24).map(|seed| single(&kinect(&[can(2.6)], 100 + seed), ObjectKind::Cylinder)).collect();
+    let found: Vec<_> = (0..24).map(|seed| can_by_a_kinect(100 + seed)).collect();
     let scatter = |error: &dyn Fn(&Object) -> f64| {
         (found.iter().map(|object| error(object).powi(2)).sum::<f64>() / found.len() as f64).sqrt()
     };
-    let radius = scatter(&|object| (object.radius - 0.2) / object.sigma.radius);
+    let radius = scatter(&|object| (object.radius - 0.1) / object.sigma.radius);
     let axis = scatter(&|object| Vector3::from(object.axis).cross(&Vector3::y()).norm() / object.sigma.axis);
     let side = scatter(&|object| object.center[0] / object.sigma.center[0][0].sqrt());
-    for ratio in [radius, axis, side] {
-        // Silhouettes are exact here, so that the errors are rather small.
-        assert!((0.4..2.0).contains(&ratio), "errors over sigmas: {radius}, {axis}, {side}");
+    // The faults of a sensor are taken to move a centre alike in all directions; those of both sides cancel.
+    for (ratio, least) in [(radius, 0.5), (axis, 0.5), (side, 0.4)] {
+        assert!((least..2.0).contains(&ratio), "errors over sigmas: {radius}, {axis}, {side}");
     }
 }
 
