@@ -1,7 +1,7 @@
 //! What the wire promises: every message comes back bit for bit, and no bytes whatever do harm.
 
 use super::compression::Compression;
-use super::wire::{Place, WIRE_VERSION, Wire, WireError, decode_message, encode_message};
+use super::wire::{MAX_MESSAGE, Place, WIRE_VERSION, Wire, WireError, decode_message, encode_message};
 use conicflow_messages::{Camera, END_OF_STREAM, Ellipse, Header, Hop, Object, Text, Track};
 use proptest::prelude::*;
 
@@ -68,6 +68,17 @@ fn a_list_that_claims_more_than_it_has_is_refused() {
     // Bincode's mark for a length of eight bytes, and 2^60 items.
     bytes.extend([253, 0, 0, 0, 0, 0, 0, 0, 16]);
     assert!(matches!(decode_message::<Object>(&bytes, &mut Vec::new()), Err(WireError::Broken(_))));
+}
+
+#[test]
+fn messages_that_are_too_long_neither_leave_nor_come() {
+    let pixels = vec![0; MAX_MESSAGE / 2 + 1];
+    let error = encode_message(place(), &header(pixels.len() as u32, 1), &pixels, Compression::None).unwrap_err();
+    assert!(matches!(error, WireError::TooLong { bytes } if bytes > MAX_MESSAGE), "{error}");
+    let mut bytes = bytes_of::<Object>(&header(4, 3), &[], Compression::None);
+    bytes.resize(MAX_MESSAGE + 1, 0);
+    let error = decode_message::<Object>(&bytes, &mut Vec::new()).unwrap_err();
+    assert_eq!(error, WireError::TooLong { bytes: MAX_MESSAGE + 1 });
 }
 
 #[test]
