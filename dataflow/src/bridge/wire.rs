@@ -1,9 +1,10 @@
 //! The bytes of a message between machines, and the border where bytes from another machine become a message.
 //!
 //! `CFLO`, the wire's version as a little-endian `u16`, the place in the link's stream as three little-endian `u64`, then in
-//! bincode 2 (`config::standard()`): the names of the memory layouts, the header, and the body: of objects and
-//! tracks a count and the items, of depth images and ellipses the compression (a byte) and what it has made. Nothing is believed: version, layouts, sizes, lengths, ranges and numbers are checked
-//! before a message is handed on.
+//! bincode 2 (`config::standard()`): the names of the memory layouts, the header, and the body: of objects and tracks a count
+//! and the items; of images and ellipses a byte for the compression (0 none, 1 LZ4, 2 Zstandard), and what it has made
+//! ([`depth_codec`], [`ellipse_codec`]), without compression the pixels as little-endian `u16`, and a count and the items.
+//! Nothing is believed: version, layouts, sizes, lengths, ranges and numbers are checked before a message is handed on.
 
 use super::compression::Compression;
 use super::{depth_codec, ellipse_codec};
