@@ -182,7 +182,8 @@ fn the_robot_does_not_feel_a_bad_radio_and_lists_stay_fresh_while_images_are_lat
     let after = [0, 1].map(|index| show(base, FILES[index], before[index]));
     end([robot.run, base_run]);
     for written in disturbed {
-        assert!(written.share() > 0.9 * alone.share() && written.latency(0.5) < 2.0 * alone.latency(0.5) + 20.0);
+        // Whoever waited for the radio would lose all frames; a host that is busy otherwise loses some, now and then.
+        assert!(written.share() > 0.75 * alone.share() && written.latency(0.5) < 2.0 * alone.latency(0.5) + 20.0);
     }
     // The radio takes 100 ms, and every twentieth packet.
     assert!(lists.share() > 25.0 / 30.0, "more lists are lost than packets");
