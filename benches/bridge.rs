@@ -41,8 +41,10 @@ const FOLDER: &str = "BRIDGE_BENCH_FOLDER";
 const NODES: [Node; 4] =
     [Node::source::<Frames>(), Node::source::<Lists>(), Node::stage::<Ages<u16>>(), Node::stage::<Ages<Ellipse>>()];
 /// Name, source, sink, compression.
-const CASES: [(&str, &str, &str, Compression); 4] = [
-    ("ellipses", "lists", "list_ages", Compression::None),
+const CASES: [(&str, &str, &str, Compression); 6] = [
+    ("ellipses, none", "lists", "list_ages", Compression::None),
+    ("ellipses, lz4", "lists", "list_ages", Compression::Lz4),
+    ("ellipses, zstd", "lists", "list_ages", Compression::Zstd),
     ("frames, none", "frames", "frame_ages", Compression::None),
     ("frames, lz4", "frames", "frame_ages", Compression::Lz4),
     ("frames, zstd", "frames", "frame_ages", Compression::Zstd),
@@ -61,7 +63,7 @@ fn compare() -> Outcome<()> {
     let (header, pixels, ellipses) = frame()?;
     println!("{} messages at {RATE_HZ} Hz; a list has {} ellipses", MESSAGES, ellipses.len());
     println!(
-        "{:<14}{:>9}{:>9}{:>7}{:>18}{:>18}{:>16}",
+        "{:<16}{:>9}{:>9}{:>7}{:>18}{:>18}{:>16}",
         "", "bytes", "wire", "MB/s", "bridge p50/p99", "Zenoh p50/p99", "CPU out/in"
     );
     for (name, source, sink, how) in CASES {
@@ -74,7 +76,7 @@ fn compare() -> Outcome<()> {
         let rate = wire.len() as f64 * RATE_HZ / 1e6;
         let pair = |[p50, p99]: [f64; 2]| format!("{p50:.2} / {p99:.2}");
         let costs = format!("{:.1} / {:.1}", costs[0], costs[1]);
-        println!("{name:<14}{bytes:>9}{:>9}{rate:>7.2}{:>18}{:>18}{costs:>16}", wire.len(), pair(bridged), pair(bare));
+        println!("{name:<16}{bytes:>9}{:>9}{rate:>7.2}{:>18}{:>18}{costs:>16}", wire.len(), pair(bridged), pair(bare));
     }
     Ok(())
 }
@@ -198,16 +200,15 @@ fn bridged(source: &str, sink: &str, how: Compression) -> Outcome<([f64; 2], [f6
     let folder = TempDir::new()?;
     let port = TcpListener::bind("127.0.0.1:0")?.local_addr()?.port();
     let compression = match how {
-        Compression::None if source == "lists" => "",
-        Compression::None => ", compression = \"none\"",
-        Compression::Lz4 => ", compression = \"lz4\"",
-        Compression::Zstd => ", compression = \"zstd\"",
+        Compression::None => "none",
+        Compression::Lz4 => "lz4",
+        Compression::Zstd => "zstd",
     };
     let text = format!(
         "name = \"bench\"\n[machine.robot]\nlisten = [\"tcp/127.0.0.1:{port}\"]\n[machine.base]\n\
          connect = [\"tcp/127.0.0.1:{port}\"]\n[stage.source]\nnode = \"{source}\"\nmachine = \"robot\"\n\
          output = \"topic\"\n[stage.sink]\nnode = \"{sink}\"\nmachine = \"base\"\n\
-         input = {{ topic = \"topic\"{compression} }}\n"
+         input = {{ topic = \"topic\", compression = \"{compression}\" }}\n"
     );
     std::fs::write(folder.path().join("pipeline.toml"), text)?;
     let machines = ["robot", "base"].map(|name| start_machine(name, folder.path()));

@@ -61,7 +61,7 @@ pub fn without_times(playground: &Playground, file: &str) -> Vec<Json> {
 }
 
 /// The row of the summary that tells of a link: messages, lost, resent.
-fn link(ended: &Ended, machine: &str, topic: &str) -> [u64; 3] {
+pub fn link(ended: &Ended, machine: &str, topic: &str) -> [u64; 3] {
     let rows = ended.stderr.lines().map(|line| line.split_whitespace().collect::<Vec<_>>());
     let row = rows.into_iter().find(|words| words.len() > 9 && words[..2] == [machine, topic]);
     let words = row.unwrap_or_else(|| panic!("no link to `{machine}` in: {}", ended.stderr));
@@ -291,6 +291,9 @@ fn top_shows_each_link() {
     let edge = &shown["edges"][0];
     assert_eq!((edge["topic"].as_str(), edge["direction"].as_str()), (Some("ellipses"), Some("in")), "{shown}");
     assert!(edge["messages"].as_u64().unwrap() > 10 && edge["wire_bytes"].as_u64().unwrap() > 1000, "{shown}");
+    let positive = ["rate_hz", "bandwidth_mbps", "age_ms"].map(|figure| edge[figure].as_f64().unwrap() > 0.0);
+    assert_eq!((positive, edge["malformed"].as_u64()), ([true; 3], Some(0)), "{shown}");
+    assert!(edge["lost"].is_u64() && edge["stale"].is_u64() && edge["resent"].is_u64(), "{shown}");
     let [robot_run, base_run] = runs;
     // What is killed does not say goodbye.
     signal(robot_run.id(), Signal::KILL);

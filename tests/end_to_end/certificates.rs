@@ -20,10 +20,11 @@ fn live(endpoint: &str) -> [Playground; 2] {
     machines(&text)
 }
 
-/// Makes an authority in a folder, and certificates for these machines; false, said loudly, where that cannot be done.
-fn make_certificates(folder: &Path, names: &[&str]) -> bool {
+/// Makes an authority in a folder, and certificates for these machines at this address; false, said loudly, where that
+/// cannot be done.
+pub fn make_certificates(folder: &Path, names: &[&str], address: &str) -> bool {
     let mut script = Command::new(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/tls/certificates.sh"));
-    script.arg(folder).args(names.iter().map(|name| format!("{name}=localhost")));
+    script.arg(folder).args(names.iter().map(|name| format!("{name}={address}")));
     let made = script.status().is_ok_and(|status| status.success());
     if !made {
         eprintln!("SKIPPED: there is no `openssl`; nothing was shown");
@@ -39,11 +40,11 @@ fn tls_loopback() -> String {
 fn only_who_has_the_right_certificate_gets_in() {
     let endpoint = tls_loopback();
     let [robot, base] = live(&endpoint);
-    if !make_certificates(&robot.path("tls"), &["robot", "base"]) {
+    if !make_certificates(&robot.path("tls"), &["robot", "base"], "localhost") {
         return;
     }
     let another_authority = base.path("tls");
-    assert!(make_certificates(&another_authority, &["robot", "base"]));
+    assert!(make_certificates(&another_authority, &["robot", "base"], "localhost"));
     let copy = |from: &str, to: &str| std::fs::copy(robot.path(from), base.path(to)).map(drop).unwrap();
     let robot_run = start(&robot, "robot");
     // Another authority's certificate, then none, then the right one.
@@ -84,7 +85,7 @@ fn datagrams_may_be_encrypted_too() {
         machine
     });
     let [robot, base] = &machines;
-    if !make_certificates(&robot.path("tls"), &["robot", "base"]) {
+    if !make_certificates(&robot.path("tls"), &["robot", "base"], "localhost") {
         return;
     }
     std::fs::create_dir(base.path("tls")).unwrap();
@@ -148,7 +149,7 @@ fn who_is_not_on_the_list_can_neither_read_nor_write() {
     let endpoint = tls_loopback();
     let [robot, base] = live(&endpoint);
     let folder = robot.path("tls");
-    if !make_certificates(&folder, &["robot", "base", "guest"]) {
+    if !make_certificates(&folder, &["robot", "base", "guest"], "localhost") {
         return;
     }
     let exchanged = EXAMPLE.replace("robot", "@").replace("base", "robot").replace('@', "base");

@@ -38,6 +38,8 @@ mod swap;
 #[cfg(target_os = "linux")]
 mod swap_joined;
 #[cfg(target_os = "linux")]
+mod three_hosts;
+#[cfg(target_os = "linux")]
 mod top;
 mod topic;
 mod validate;

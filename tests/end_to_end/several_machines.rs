@@ -1,8 +1,9 @@
 //! More than one edge between two machines: there and back, three machines, pipelines beside each other. What comes out is
 //! what one machine finds, bit for bit.
 
-use super::bridge::{HALVES, loopback, placed, start, without_times};
-use super::support::{Playground, TRACKING};
+use super::bridge::{HALVES, apart, link, loopback, machines, newest, placed, start, tracks, without_times};
+use super::support::{Playground, TRACKING, signal, wait_until};
+use rustix::process::Signal;
 use serde_json::Value as Json;
 
 /// [`TRACKING`] with so many frames.
@@ -132,4 +133,39 @@ path = "."
     assert_eq!(faults(&["validate"]), [true; 5]);
     assert_eq!(faults(&["run", "--machine", "robot"]), [true, true, true, false, false]);
     assert_eq!(faults(&["run", "--machine", "base"]), [false, false, false, true, true]);
+}
+
+#[test]
+fn the_pipeline_for_two_machines_runs_as_the_readme_says() {
+    const TEXT: &str = include_str!("../../pipeline.two-machines.toml");
+    let port = loopback().rsplit(':').next().unwrap().to_owned();
+    // Another test may have that port.
+    let [robot, base] = machines(&TEXT.replace("7447", &port));
+    robot.conicflow(&["validate"]).expect_code(0);
+    let runs = [start(&robot, "robot"), start(&base, "base")];
+    let [robot_ended, base_ended] = runs.map(|run| run.wait().expect_code(0));
+    let [sent, lost, _] = link(&robot_ended, "base", "ellipses");
+    assert!(sent > 200 && lost == 0, "{}", robot_ended.stderr);
+    assert!(base_ended.stdout.lines().count() > 5, "{}", base_ended.stdout);
+}
+
+#[test]
+fn a_machine_that_stays_away_is_waited_for_as_long_as_the_file_says_and_what_it_misses_is_told() {
+    const FRAMES: u64 = 300;
+    let endpoint = loopback();
+    let text = apart(&endpoint, &endpoint).replace("[machine.robot]\n", "[machine.robot]\noutage_s = 1\n");
+    let [robot, base] = machines(&text.replace("rate_hz    = 0", &format!("rate_hz = 100\nframes = {FRAMES}")));
+    let (robot_run, mut base_run) = (start(&robot, "robot"), start(&base, "base"));
+    base_run.wait_until("tracks arrive", || newest(&base) > 30);
+    signal(base_run.id(), Signal::KILL);
+    drop(base_run);
+    wait_until("no process of `base` is left", || base.processes().is_empty());
+    let ended = robot_run.wait().expect_code(0);
+    let [sent, lost, _] = link(&ended, "base", "ellipses");
+    let came = tracks(&base).len() as u64;
+    // What was on its way when the base was killed may count as either.
+    let arrived = sent - lost;
+    assert!(sent == FRAMES && lost > 100 && arrived.abs_diff(came) < 64, "{came} came, {lost} of {sent} lost");
+    let told = format!("{lost} messages of the lossless topic `ellipses` did not reach all machines that read it");
+    assert!(ended.stderr.contains(&told), "{}", ended.stderr);
 }

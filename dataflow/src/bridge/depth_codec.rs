@@ -1,35 +1,15 @@
 //! Depth images in fewer bytes, without loss: neighbouring pixels differ by little, so the differences along each row are
 //! stored, small numbers first whatever their sign, their low bytes before their high ones, and that is compressed.
 
-use serde::{Deserialize, Serialize};
-
-/// How the bytes of depth images are compressed on their way to another machine; lists are too short to gain by it.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Compression {
-    /// Not at all: a link that is faster than the processor.
-    None,
-    /// LZ4: a half to a quarter of the bytes at the least cost.
-    Lz4,
-    /// Zstandard, level 1: a third to a sixth of the bytes.
-    #[default]
-    Zstd,
-}
-
-const ZSTD_LEVEL: i32 = 1;
+use super::compression::Compression;
 
 /// Appends the pixels of an image of `width` columns to `bytes`.
 pub(super) fn compress(pixels: &[u16], width: usize, how: Compression, bytes: &mut Vec<u8>) -> Result<(), String> {
     if how == Compression::None {
         bytes.extend(pixels.iter().flat_map(|pixel| pixel.to_le_bytes()));
-        return Ok(());
+    } else {
+        bytes.extend(how.pack(&split(pixels, width))?);
     }
-    let planes = split(pixels, width);
-    let packed = match how {
-        Compression::Zstd => zstd::bulk::compress(&planes, ZSTD_LEVEL).map_err(|error| error.to_string())?,
-        _ => lz4_flex::block::compress(&planes),
-    };
-    bytes.extend(packed);
     Ok(())
 }
 
@@ -40,15 +20,7 @@ pub(super) fn decompress(
     how: Compression,
     pixels: &mut Vec<u16>,
 ) -> Result<(), String> {
-    let length = 2 * width * height;
-    let unpacked = match how {
-        Compression::None => bytes.to_vec(),
-        Compression::Lz4 => lz4_flex::block::decompress(bytes, length).map_err(|error| error.to_string())?,
-        Compression::Zstd => zstd::bulk::decompress(bytes, length).map_err(|error| error.to_string())?,
-    };
-    if unpacked.len() != length {
-        return Err(format!("{} bytes of pixels, expected {length} for {width}x{height}", unpacked.len()));
-    }
+    let unpacked = how.unpack(bytes, 2 * width * height)?;
     pixels.clear();
     if how == Compression::None {
         pixels.extend(unpacked.chunks_exact(2).map(|pair| u16::from_le_bytes([pair[0], pair[1]])));

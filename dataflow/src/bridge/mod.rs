@@ -10,7 +10,9 @@
 
 mod account;
 mod beacon;
+mod compression;
 mod depth_codec;
+mod ellipse_codec;
 mod kept;
 mod links;
 mod mailbox;
@@ -28,7 +30,7 @@ mod wire;
 #[cfg(test)]
 mod wire_tests;
 
-pub use depth_codec::Compression;
+pub use compression::Compression;
 pub use plan::{BridgePlan, Edge, Receiver};
 pub(crate) use process::run;
 pub(crate) use report::read as read_links;

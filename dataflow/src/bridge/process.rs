@@ -85,7 +85,7 @@ struct Watch<'a> {
     account: Account<'a>,
     ways: &'a Ways,
     links: &'a Links,
-    voice: Voice,
+    voice: Voice<'a>,
     ears: Vec<Ear<'a>>,
     sent: (Instant, Vec<Ack>),
 }

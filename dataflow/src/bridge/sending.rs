@@ -57,7 +57,7 @@ impl Shared<'_> {
 pub(super) struct Sending<'a, T: Wire> {
     edge: &'a Edge,
     inbox: Inbox<T, SharedReader<T>>,
-    voice: Voice,
+    voice: Voice<'a>,
     outbox: Outbox,
     links: Arc<Links>,
     counts: Arc<EdgeCounts>,

@@ -38,7 +38,7 @@ pub(crate) fn listen_endpoints(machine: &Machine) -> Result<Vec<String>, Setting
 }
 
 /// The Zenoh configurations of a machine's sessions: of the one that carries everything, and, where endpoints of both sorts
-/// are named, of one for datagrams. A client has one link alone, and so one session.
+/// are named, of one for datagrams.
 pub(super) fn configurations(machine: &Machine) -> Result<(zenoh::Config, Option<zenoh::Config>), SettingsFault> {
     let settings = settings(machine)?;
     let mut endpoints = Vec::new();
@@ -46,7 +46,7 @@ pub(super) fn configurations(machine: &Machine) -> Result<(zenoh::Config, Option
     endpoints.iter().try_for_each(|endpoint| check_listen(endpoint, machine.insecure))?;
     collect_strings(&settings["connect"]["endpoints"], &mut endpoints);
     let datagrams = endpoints.iter().filter(|endpoint| carries_datagrams(endpoint)).count();
-    if datagrams == 0 || datagrams == endpoints.len() || settings["mode"] == "client" {
+    if datagrams == 0 || datagrams == endpoints.len() {
         return Ok((configuration(&settings)?, None));
     }
     let only = |wanted: fn(&str) -> bool| {
@@ -61,6 +61,11 @@ fn configuration(settings: &Json) -> Result<zenoh::Config, SettingsFault> {
     zenoh::Config::from_json5(&settings.to_string()).map_err(|error| {
         fault(format!("Zenoh cannot use its settings: {error}"), "endpoints look like tcp/192.168.0.2:7447")
     })
+}
+
+/// Whether a session has one link alone, to a router, and none without it.
+pub(super) fn is_client(config: &zenoh::Config) -> bool {
+    config.get_json("mode").is_ok_and(|mode| mode == "\"client\"")
 }
 
 /// Whether what goes through an endpoint may be lost, and then holds up nothing.

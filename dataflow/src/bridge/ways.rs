@@ -9,7 +9,7 @@
 use super::{BridgeError, settings};
 use crate::pipeline::Machine;
 use crate::stage::Stop;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 use zenoh::bytes::ZBytes;
 use zenoh::pubsub::{Publisher, Subscriber};
@@ -24,7 +24,7 @@ const ASK_AGAIN: Duration = Duration::from_secs(5);
 /// The open sessions of a machine.
 pub(super) struct Ways {
     streams: Session,
-    datagrams: Option<Session>,
+    datagrams: Arc<OnceLock<Session>>,
 }
 
 /// What is done with what comes.
@@ -35,8 +35,9 @@ impl Ways {
     pub(super) fn open(machine: &Machine, stop: &Stop, mut failed: impl FnMut()) -> Result<Option<Self>, BridgeError> {
         let (streams, datagrams) = settings::configurations(machine)?;
         let open = || -> zenoh::Result<Self> {
-            let datagrams = datagrams.clone().map(|config| zenoh::open(config).wait()).transpose()?;
-            Ok(Self { streams: zenoh::open(streams.clone()).wait()?, datagrams })
+            let ways = Self { streams: zenoh::open(streams.clone()).wait()?, datagrams: Arc::default() };
+            datagrams.iter().try_for_each(|config| ways.open_datagrams(config, stop))?;
+            Ok(ways)
         };
         let mut told = false;
         while !stop.requested() {
@@ -52,26 +53,39 @@ impl Ways {
         Ok(None)
     }
 
+    /// A peer has a session even where nobody is there; a client has one when its router answers, which is waited for
+    /// elsewhere, because the stream carries everything meanwhile.
+    fn open_datagrams(&self, config: &zenoh::Config, stop: &Stop) -> zenoh::Result<()> {
+        if !settings::is_client(config) {
+            self.datagrams.set(zenoh::open(config.clone()).wait()?).ok();
+            return Ok(());
+        }
+        let (datagrams, config, stop) = (Arc::clone(&self.datagrams), config.clone(), stop.clone());
+        std::thread::spawn(move || {
+            while datagrams.get().is_none() && !stop.requested() {
+                match zenoh::open(config.clone()).wait() {
+                    Ok(session) => drop(datagrams.set(session)),
+                    Err(_) => std::thread::sleep(OPEN_AGAIN),
+                }
+            }
+        });
+        Ok(())
+    }
+
     /// Whether there is a link to any other machine, or to a router.
     pub(super) fn reach_anybody(&self) -> bool {
         let reaches = |session: &Session| {
             let info = session.info();
             info.peers_zid().wait().next().is_some() || info.routers_zid().wait().next().is_some()
         };
-        [Some(&self.streams), self.datagrams.as_ref()].into_iter().flatten().any(reaches)
+        [Some(&self.streams), self.datagrams.get()].into_iter().flatten().any(reaches)
     }
 
     /// Makes a key ready to be written, also by datagrams if messages are `short`.
-    pub(super) fn speak(&self, key: &str, short: bool, priority: Priority) -> Result<Voice, BridgeError> {
-        let declare = |session: &Session| {
-            let publisher = session.declare_publisher(key.to_owned()).priority(priority);
-            publisher.congestion_control(CongestionControl::Drop).express(priority != Priority::DataLow).wait()
-        };
-        let datagrams = self.datagrams.as_ref().filter(|_| short);
-        let publishers: zenoh::Result<_> =
-            [Some(&self.streams), datagrams].into_iter().flatten().map(declare).collect();
-        let publishers = publishers.map_err(|error| BridgeError::zenoh("cannot declare a key to Zenoh", error))?;
-        Ok(Voice { publishers })
+    pub(super) fn speak(&self, key: &str, short: bool, priority: Priority) -> Result<Voice<'_>, BridgeError> {
+        let mut voice = Voice { ways: self, key: key.to_owned(), short, priority, publishers: Vec::new() };
+        voice.declare(&self.streams)?;
+        Ok(voice)
     }
 
     /// Listens to a key; if there is a longest `silence` between datagrams, to these alone as long as they come. `take` is
@@ -83,23 +97,39 @@ impl Ways {
         take: impl Fn(ZBytes) + Send + Sync + 'static,
     ) -> Result<Ear<'_>, BridgeError> {
         let take: Take = Arc::new(take);
-        let mut ear = Ear { ways: self, key: key.to_owned(), take, stream: None, datagrams: None };
+        let mut ear = Ear { ways: self, key: key.to_owned(), take, silence, stream: None, datagrams: None };
         ear.stream = Some(ear.declare(&self.streams, Arc::clone(&ear.take))?);
-        if let (Some(session), Some(silence)) = (&self.datagrams, silence) {
-            ear.datagrams = Some(ear.ask_for_datagrams(session, silence)?);
-        }
+        ear.ask_for_datagrams()?;
         Ok(ear)
     }
 }
 
 /// A key that is written.
-pub(super) struct Voice {
+pub(super) struct Voice<'a> {
+    ways: &'a Ways,
+    key: String,
+    short: bool,
+    priority: Priority,
+    /// For the stream, and for datagrams.
     publishers: Vec<Publisher<'static>>,
 }
 
-impl Voice {
+impl Voice<'_> {
+    fn declare(&mut self, session: &Session) -> Result<(), BridgeError> {
+        let publisher = session.declare_publisher(self.key.clone()).priority(self.priority);
+        let publisher =
+            publisher.congestion_control(CongestionControl::Drop).express(self.priority != Priority::DataLow);
+        let declared = publisher.wait().map_err(|error| BridgeError::zenoh("cannot declare a key to Zenoh", error))?;
+        self.publishers.push(declared);
+        Ok(())
+    }
+
     /// Puts a message on each way on which somebody listens; whether it arrives has to be learnt otherwise.
-    pub(super) fn put(&self, bytes: Vec<u8>) {
+    pub(super) fn put(&mut self, bytes: Vec<u8>) {
+        if let Some(session) = self.ways.datagrams.get().filter(|_| self.short && self.publishers.len() == 1) {
+            // It is tried again with the next message.
+            self.declare(session).ok();
+        }
         let bytes = ZBytes::from(bytes);
         self.publishers.iter().for_each(|publisher| drop(publisher.put(bytes.clone()).wait()));
     }
@@ -115,34 +145,37 @@ pub(super) struct Ear<'a> {
     ways: &'a Ways,
     key: String,
     take: Take,
+    /// The longest between datagrams, if they are listened to.
+    silence: Option<Duration>,
     stream: Option<Subscriber<()>>,
-    datagrams: Option<Datagrams<'a>>,
+    datagrams: Option<Datagrams>,
 }
 
 /// Its part for datagrams.
-struct Datagrams<'a> {
-    session: &'a Session,
+struct Datagrams {
     silence: Duration,
     asked: Instant,
     came: Arc<Mutex<Option<Instant>>>,
     _subscriber: Subscriber<()>,
 }
 
-impl Datagrams<'_> {
+impl Datagrams {
     fn come(&self) -> bool {
         let came = *self.came.lock().unwrap_or_else(PoisonError::into_inner);
         came.is_some_and(|came| came.elapsed() < self.silence)
     }
 }
 
-impl<'a> Ear<'a> {
+impl Ear<'_> {
     fn declare(&self, session: &Session, take: Take) -> Result<Subscriber<()>, BridgeError> {
         let declared =
             session.declare_subscriber(&self.key).callback(move |sample| take(sample.payload().clone())).wait();
         declared.map_err(|error| BridgeError::zenoh("cannot subscribe to a key of Zenoh", error))
     }
 
-    fn ask_for_datagrams(&self, session: &'a Session, silence: Duration) -> Result<Datagrams<'a>, BridgeError> {
+    /// Subscribes to datagrams, where they are listened to and there is a session for them.
+    fn ask_for_datagrams(&mut self) -> Result<(), BridgeError> {
+        let (Some(session), Some(silence)) = (self.ways.datagrams.get(), self.silence) else { return Ok(()) };
         let (take, came) = (Arc::clone(&self.take), Arc::<Mutex<Option<Instant>>>::default());
         let clock = Arc::clone(&came);
         let note_and_take = move |bytes| {
@@ -150,19 +183,21 @@ impl<'a> Ear<'a> {
             take(bytes);
         };
         let subscriber = self.declare(session, Arc::new(note_and_take))?;
-        Ok(Datagrams { session, silence, asked: Instant::now(), came, _subscriber: subscriber })
+        self.datagrams = Some(Datagrams { silence, asked: Instant::now(), came, _subscriber: subscriber });
+        Ok(())
     }
 
     /// Chooses the way anew; to be called now and then. The name of the way, if that has changed.
     pub(super) fn choose(&mut self) -> Result<Option<&'static str>, BridgeError> {
-        let Some(datagrams) = &self.datagrams else { return Ok(None) };
+        let Some(datagrams) = &self.datagrams else {
+            return self.ask_for_datagrams().map(|()| None);
+        };
         if datagrams.come() {
             return Ok(self.stream.take().map(|_| "datagrams"));
         }
         if datagrams.asked.elapsed() > ASK_AGAIN {
-            let (session, silence) = (datagrams.session, datagrams.silence);
             self.datagrams = None;
-            self.datagrams = Some(self.ask_for_datagrams(session, silence)?);
+            self.ask_for_datagrams()?;
         }
         if self.stream.is_some() {
             return Ok(None);
@@ -192,7 +227,7 @@ mod tests {
     }
 
     /// Speaks until a message is heard and `holds` is true of the ear.
-    fn speak_until(voice: &Voice, ear: &mut Ear<'_>, heard: &Receiver<ZBytes>, holds: fn(&Ear<'_>) -> bool) {
+    fn speak_until(voice: &mut Voice<'_>, ear: &mut Ear<'_>, heard: &Receiver<ZBytes>, holds: fn(&Ear<'_>) -> bool) {
         let since = Instant::now();
         loop {
             assert!(since.elapsed() < DEADLINE, "it never came true");
@@ -206,24 +241,23 @@ mod tests {
 
     #[test]
     fn short_messages_come_by_datagrams_and_by_the_stream_where_no_datagrams_come() {
-        let [mut robot, base] = joined();
+        let [robot, base] = joined();
         let (take, heard) = channel();
-        let voice = robot.speak(KEY, true, Priority::InteractiveHigh).unwrap();
+        let mut voice = robot.speak(KEY, true, Priority::InteractiveHigh).unwrap();
         let mut ear = base.listen(KEY, Some(Duration::from_secs(1)), move |bytes| drop(take.send(bytes))).unwrap();
-        speak_until(&voice, &mut ear, &heard, |ear| ear.stream.is_none());
-        let datagrams = robot.datagrams.take().unwrap();
-        datagrams.close().wait().unwrap();
+        speak_until(&mut voice, &mut ear, &heard, |ear| ear.stream.is_none());
+        robot.datagrams.get().unwrap().close().wait().unwrap();
         while heard.try_recv().is_ok() {}
-        speak_until(&voice, &mut ear, &heard, |ear| ear.stream.is_some());
+        speak_until(&mut voice, &mut ear, &heard, |ear| ear.stream.is_some());
     }
 
     #[test]
     fn what_is_long_or_must_not_be_lost_goes_by_the_stream_alone() {
         let [robot, base] = joined();
         let (take, heard) = channel();
-        let voice = robot.speak(KEY, false, Priority::DataLow).unwrap();
+        let mut voice = robot.speak(KEY, false, Priority::DataLow).unwrap();
         let mut ear = base.listen(KEY, None, move |bytes| drop(take.send(bytes))).unwrap();
-        speak_until(&voice, &mut ear, &heard, |ear| ear.stream.is_some() && ear.datagrams.is_none());
+        speak_until(&mut voice, &mut ear, &heard, |ear| ear.stream.is_some() && ear.datagrams.is_none());
         assert_eq!(voice.publishers.len(), 1);
     }
 }

@@ -1,11 +1,13 @@
 //! The bytes of a message between machines, and the border where bytes from another machine become a message.
 //!
 //! `CFLO`, the wire's version as a little-endian `u16`, the place in the link's stream as three little-endian `u64`, then in
-//! bincode 2 (`config::standard()`): the names of the memory layouts, the header, and the body: for lists a count and the items, for depth images
-//! the compression and the bytes. Nothing is believed: version, layouts, sizes, lengths, ranges and numbers are checked
-//! before a message is handed on.
+//! bincode 2 (`config::standard()`): the names of the memory layouts, the header, and the body: of objects and tracks a count
+//! and the items; of images and ellipses a byte for the compression (0 none, 1 LZ4, 2 Zstandard), and what it has made
+//! ([`depth_codec`], [`ellipse_codec`]), without compression the pixels as little-endian `u16`, and a count and the items.
+//! Nothing is believed: version, layouts, sizes, lengths, ranges and numbers are checked before a message is handed on.
 
-use super::depth_codec::{self, Compression};
+use super::compression::Compression;
+use super::{depth_codec, ellipse_codec};
 use bincode::config::{Configuration, Limit, standard};
 use bincode::serde::{borrow_decode_from_slice, encode_into_std_write};
 use conicflow_messages::{Ellipse, HEADER_TYPE_NAME, Header, Item, Malformed, Object, Track};
@@ -13,7 +15,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 /// Version of the bytes between machines; machines of different versions refuse each other.
-pub const WIRE_VERSION: u16 = 1;
+pub const WIRE_VERSION: u16 = 2;
 /// No message is longer than this, in bytes.
 pub const MAX_MESSAGE: usize = 8 << 20;
 /// No image has more pixels than this.
@@ -108,25 +110,30 @@ impl Wire for u16 {
         if u64::from(width) * u64::from(height) > MAX_PIXELS {
             return Err(WireError::Broken(format!("an image of {width}x{height}, allowed are {MAX_PIXELS} pixels")));
         }
-        let Some((&tag, packed)) = bytes.split_first() else {
-            return Err(WireError::Broken("an image without bytes".to_owned()));
-        };
-        let known = [Compression::None, Compression::Lz4, Compression::Zstd];
-        let Some(&how) = known.get(usize::from(tag)) else {
-            return Err(WireError::Broken(format!("compression number {tag}, known are 0 to 2")));
-        };
+        let (how, packed) = split_compression(bytes)?;
         let size = (width as usize, height as usize);
         depth_codec::decompress(packed, size, how, items).map_err(WireError::Broken)
     }
 }
 
 impl Wire for Ellipse {
-    fn encode_body(_: &Header, items: &[Self], _: Compression, bytes: &mut Vec<u8>) -> Result<(), WireError> {
-        encode(&items, bytes)
+    fn encode_body(header: &Header, items: &[Self], how: Compression, bytes: &mut Vec<u8>) -> Result<(), WireError> {
+        bytes.push(how as u8);
+        if how == Compression::None {
+            return encode(&items, bytes);
+        }
+        if size_of_val(items) > MAX_MESSAGE {
+            return Err(WireError::TooLong { bytes: size_of_val(items) });
+        }
+        ellipse_codec::compress(header, items, how, bytes).map_err(WireError::Broken)
     }
 
-    fn decode_body(_: &Header, bytes: &[u8], items: &mut Vec<Self>) -> Result<(), WireError> {
-        decode_list(bytes, items)
+    fn decode_body(header: &Header, bytes: &[u8], items: &mut Vec<Self>) -> Result<(), WireError> {
+        let (how, packed) = split_compression(bytes)?;
+        if how == Compression::None {
+            return decode_list(packed, items);
+        }
+        ellipse_codec::decompress(header, packed, how, items).map_err(WireError::Broken)
     }
 }
 
@@ -148,6 +155,12 @@ impl Wire for Track {
     fn decode_body(_: &Header, bytes: &[u8], items: &mut Vec<Self>) -> Result<(), WireError> {
         decode_list(bytes, items)
     }
+}
+
+/// How a body is compressed, and what follows.
+fn split_compression(bytes: &[u8]) -> Result<(Compression, &[u8]), WireError> {
+    let (&tag, packed) = bytes.split_first().ok_or_else(|| WireError::Broken("no body".to_owned()))?;
+    Ok((Compression::of_tag(tag).map_err(WireError::Broken)?, packed))
 }
 
 /// The bytes of a message.

@@ -1,7 +1,7 @@
 //! What the wire promises: every message comes back bit for bit, and no bytes whatever do harm.
 
-use super::depth_codec::Compression;
-use super::wire::{Place, WIRE_VERSION, Wire, WireError, decode_message, encode_message};
+use super::compression::Compression;
+use super::wire::{MAX_MESSAGE, Place, WIRE_VERSION, Wire, WireError, decode_message, encode_message};
 use conicflow_messages::{Camera, END_OF_STREAM, Ellipse, Header, Hop, Object, Text, Track};
 use proptest::prelude::*;
 
@@ -30,10 +30,12 @@ fn bytes_of<T: Wire>(header: &Header, items: &[T], how: Compression) -> Vec<u8> 
 #[test]
 fn lists_come_back_bit_for_bit() {
     let (mut back, header) = (Vec::new(), header(64, 48));
-    let sent = vec![ellipse(); 500];
-    let decoded = decode_message::<Ellipse>(&bytes_of(&header, &sent, Compression::None), &mut back).unwrap();
-    assert_eq!(decoded, (place(), header));
-    assert_eq!(bytemuck::cast_slice::<_, u8>(&back), bytemuck::cast_slice::<_, u8>(&sent));
+    for (how, length) in HOW.into_iter().flat_map(|how| [(how, 0), (how, 1), (how, 500)]) {
+        let sent = vec![ellipse(); length];
+        let decoded = decode_message::<Ellipse>(&bytes_of(&header, &sent, how), &mut back).unwrap();
+        assert_eq!(decoded, (place(), header));
+        assert_eq!(bytemuck::cast_slice::<_, u8>(&back), bytemuck::cast_slice::<_, u8>(&sent));
+    }
 }
 
 #[test]
@@ -69,6 +71,17 @@ fn a_list_that_claims_more_than_it_has_is_refused() {
 }
 
 #[test]
+fn messages_that_are_too_long_neither_leave_nor_come() {
+    let pixels = vec![0; MAX_MESSAGE / 2 + 1];
+    let error = encode_message(place(), &header(pixels.len() as u32, 1), &pixels, Compression::None).unwrap_err();
+    assert!(matches!(error, WireError::TooLong { bytes } if bytes > MAX_MESSAGE), "{error}");
+    let mut bytes = bytes_of::<Object>(&header(4, 3), &[], Compression::None);
+    bytes.resize(MAX_MESSAGE + 1, 0);
+    let error = decode_message::<Object>(&bytes, &mut Vec::new()).unwrap_err();
+    assert_eq!(error, WireError::TooLong { bytes: MAX_MESSAGE + 1 });
+}
+
+#[test]
 fn images_that_do_not_fill_their_size_are_refused() {
     for how in HOW {
         let pixels = vec![1000; 12];
@@ -87,8 +100,10 @@ fn numbers_that_make_no_sense_are_refused() {
     // Also where no flag says that there is a pose.
     let nowhere = Header { world_from_camera: [[f64::NAN; 4]; 3], ..header(64, 48) };
     for (header, ellipse) in [(header(64, 48), nonsense), (nowhere, ellipse())] {
-        let bytes = bytes_of(&header, &[ellipse], Compression::None);
-        assert!(matches!(decode_message::<Ellipse>(&bytes, &mut Vec::new()), Err(WireError::Malformed(_))));
+        for how in HOW {
+            let bytes = bytes_of(&header, &[ellipse], how);
+            assert!(matches!(decode_message::<Ellipse>(&bytes, &mut Vec::new()), Err(WireError::Malformed(_))));
+        }
     }
 }
 
@@ -178,8 +193,10 @@ fn begin_the_corpus() {
     for how in HOW {
         write(&format!("depth_{how:?}").to_lowercase(), &bytes_of(&header(4, 3), &pixels, how));
     }
+    for how in HOW {
+        write(&format!("ellipses_{how:?}").to_lowercase(), &bytes_of(&header(64, 48), &[ellipse(); 2], how));
+    }
     let lists = bytes_of(&header(64, 48), &[ellipse(); 2], Compression::None);
-    write("ellipses", &lists);
     write("cut", &lists[..lists.len() / 2]);
     write("objects", &bytes_of::<Object>(&header(64, 48), &[Object::default()], Compression::None));
     write("tracks", &bytes_of::<Track>(&header(64, 48), &[Track::default()], Compression::None));
@@ -221,16 +238,18 @@ proptest! {
     #[test]
     fn no_bytes_do_harm(bytes in prop::collection::vec(any::<u8>(), 0..600)) {
         decode_all(&bytes);
-        let prefixed = [b"CFLO\x01\x00".as_slice(), &bytes].concat();
+        let prefixed = [b"CFLO\x02\x00".as_slice(), &bytes].concat();
         decode_all(&prefixed);
     }
 
     #[test]
     fn a_message_with_a_changed_or_missing_byte_does_no_harm(at: prop::sample::Index, value: u8, cut: bool) {
-        let mut bytes = bytes_of(&header(64, 48), &[ellipse(); 4], Compression::None);
-        let index = at.index(bytes.len());
-        if cut { bytes.truncate(index) } else { bytes[index] = value }
-        decode_all(&bytes);
+        for how in HOW {
+            let mut bytes = bytes_of(&header(64, 48), &[ellipse(); 4], how);
+            let index = at.index(bytes.len());
+            if cut { bytes.truncate(index) } else { bytes[index] = value }
+            decode_all(&bytes);
+        }
         let mut image = bytes_of(&header(8, 4), &[900_u16; 32], Compression::Zstd);
         let index = at.index(image.len());
         if cut { image.truncate(index) } else { image[index] = value }

@@ -153,7 +153,7 @@ fn machine(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>)
     }
 }
 
-/// What only edges between machines demand: a name that is free for the bridge, and compression for images alone.
+/// What only edges between machines demand: a name that is free for the bridge, and compression for what is long.
 fn bridged(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>) {
     if stage.name == BRIDGE && !pipeline.crossings().is_empty() {
         let what = format!("a stage cannot be called `{BRIDGE}` where edges cross machines");
@@ -163,9 +163,11 @@ fn bridged(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>)
             "that is the process that carries them: choose another name",
         ));
     }
-    let images = |input: &&Input| pipeline.kind_of(&input.topic).is_none_or(|kind| kind == Kind::Depth);
-    for input in stage.all_inputs().filter(|input| input.compression.is_some() && !images(input)) {
-        let what = format!("`compression` is for images, the topic `{}` carries lists", input.topic);
+    let short =
+        |input: &Input| pipeline.kind_of(&input.topic).filter(|kind| !matches!(kind, Kind::Depth | Kind::Ellipses));
+    for input in stage.all_inputs().filter(|input| input.compression.is_some()) {
+        let Some(kind) = short(input) else { continue };
+        let what = format!("`compression` is for images and ellipses, the topic `{}` carries {kind}", input.topic);
         faults.push(Diagnostic::error(&input.place, what, "remove `compression`"));
     }
     let unknown = |topic: &str| pipeline.kind_of(topic).is_none();

@@ -1,0 +1,96 @@
+//! Three hosts as network namespaces: two that cannot reach each other, and one between them that both reach. Needs root and
+//! `ip netns`; where they are missing each test says so and shows nothing.
+
+use super::bridge::{HALVES, placed, tracks};
+use super::hosts::{Host, ip};
+use super::support::{Playground, Started, TRACKING, example, wait_until};
+use std::process::Command;
+use std::time::Duration;
+
+/// The addresses of the host between the others, towards each.
+const HUB: [&str; 2] = ["10.78.1.3", "10.78.2.3"];
+const ENDS: [&str; 2] = ["10.78.1.1", "10.78.2.2"];
+const OUTAGE: Duration = Duration::from_secs(3);
+
+/// Two hosts, each with a cable to the third.
+struct Star {
+    ends: [Host; 2],
+    hub: Host,
+}
+
+impl Star {
+    fn new() -> Option<Self> {
+        let star = Self { ends: [Host::new()?, Host::new()?], hub: Host::new()? };
+        let hub = star.hub.name();
+        for (index, end) in star.ends.iter().enumerate() {
+            let end_name = end.name();
+            assert!(ip(&format!("link add cable netns {end_name} type veth peer name cable{index} netns {hub}")));
+            end.address("cable", ENDS[index]);
+            star.hub.address(&format!("cable{index}"), HUB[index]);
+            let other = ENDS[1 - index];
+            assert!(!ip(&format!("-n {end_name} route get {other}")), "the ends reach each other");
+        }
+        Some(star)
+    }
+}
+
+fn finite() -> String {
+    TRACKING.replace("rate_hz    = 0", "rate_hz    = 60\nframes     = 200")
+}
+
+fn found_by_one_machine() -> Vec<serde_json::Value> {
+    let alone = Playground::with_pipeline(&finite());
+    alone.conicflow(&["run"]).expect_code(0);
+    tracks(&alone)
+}
+
+fn run(host: &Host, playground: &Playground, machine: &str) -> Started {
+    host.start(&playground.command(&["run", "--machine", machine]))
+}
+
+#[test]
+fn three_hosts_share_a_pipeline_and_lose_nothing_with_a_cable_that_is_pulled() {
+    let Some(star) = Star::new() else { return };
+    // Images go to the desk, ellipses on to the base; objects come back to the desk, tracks to the robot.
+    let places =
+        [("source", "robot"), ("extractor", "desk"), ("assembler", "base"), ("tracker", "desk"), ("json", "robot")];
+    let [to_robot, to_base] = HUB.map(|address| format!("tcp/{address}:7447"));
+    let text = placed(&finite(), &places)
+        + &format!(
+            "\n[machine.desk]\ninsecure = true\nlisten = [\"{to_robot}\", \"{to_base}\"]\n\
+             [machine.robot]\nconnect = [\"{to_robot}\"]\n[machine.base]\nconnect = [\"{to_base}\"]\n"
+        );
+    let machines = [(); 3].map(|()| Playground::with_pipeline(&text));
+    let [robot, base, desk] = &machines;
+    let mut runs = [run(&star.ends[0], robot, "robot"), run(&star.ends[1], base, "base"), run(&star.hub, desk, "desk")];
+    runs[0].wait_until("tracks come back", || robot.lines("tracks.jsonl").len() > 20);
+    star.ends[1].ip("link set cable down");
+    std::thread::sleep(OUTAGE);
+    star.ends[1].ip("link set cable up");
+    runs.into_iter().for_each(|run| drop(run.wait().expect_code(0)));
+    assert!(tracks(robot) == found_by_one_machine());
+    machines.iter().for_each(|machine| wait_until("no process is left", || machine.processes().is_empty()));
+}
+
+#[test]
+fn two_sites_that_reach_nothing_but_a_router_lose_nothing() {
+    let Some(star) = Star::new() else { return };
+    let mut router = Command::new(example("router"));
+    let endpoints = HUB.map(|address| format!("tcp/{address}:7447"));
+    router.args(&endpoints);
+    let text = placed(&finite(), &HALVES)
+        + "\n[machine.robot]\nzenoh = \"net.json5\"\n[machine.base]\nzenoh = \"net.json5\"\n";
+    let machines = endpoints.map(|endpoint| {
+        let machine = Playground::with_pipeline(&text);
+        machine.write("net.json5", &format!("{{ mode: 'client', connect: {{ endpoints: ['{endpoint}'] }} }}"));
+        machine
+    });
+    // The router comes last, and comes a second time.
+    let mut runs = [run(&star.ends[0], &machines[0], "robot"), run(&star.ends[1], &machines[1], "base")];
+    let first = star.hub.start(&router);
+    runs[1].wait_until("tracks arrive", || machines[1].lines("tracks.jsonl").len() > 20);
+    drop(first);
+    let _second = star.hub.start(&router);
+    runs.into_iter().for_each(|run| drop(run.wait().expect_code(0)));
+    assert!(tracks(&machines[1]) == found_by_one_machine());
+}
