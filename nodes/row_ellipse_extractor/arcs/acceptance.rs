@@ -83,10 +83,9 @@ fn arc(
     })?;
     let wider = with_ends(rays, segment, points.clone(), &fit.circle);
     let sums = rays.all_sums(wider.clone()).moments(rays.plane().stretch());
-    let fit = match ArcMoments::of(&sums).filter(|_| wider != points) {
-        Some(moments) => circle(rays, segment, &wider, &moments).unwrap_or_else(|_| nearly_flat(rays, &moments)),
-        None => fit,
-    };
+    let more = if wider == points { None } else { ArcMoments::of(&sums) };
+    let fit = more
+        .map_or(fit, |moments| circle(rays, segment, &wider, &moments).unwrap_or_else(|_| nearly_flat(rays, &moments)));
     Ok(Ellipse { contour, ..message(rays, image, wider, &fit, &sums.about(moments.mean())) })
 }
 

@@ -1,12 +1,9 @@
 //! One scan line, or a window of it: its measurements, split into runs at jumps and holes.
 
-use super::view::View;
+use super::view::{BATCH, JumpRule, View};
 use conicflow_geometry::{Pinhole, Scan, ScanPlane};
 use conicflow_messages::is_measured;
 use std::ops::Range;
-
-/// Pixels that are tested together for holes, and measurements for jumps.
-const BATCH: usize = 32;
 
 /// A scan line; its buffers are used again for the next.
 #[derive(Debug)]
@@ -14,8 +11,6 @@ pub(super) struct RayLine {
     pub number: u32,
     pub plane: ScanPlane,
     window: Range<u32>,
-    /// Number of measurements.
-    count: usize,
     /// The pixels of a column side by side.
     column: Vec<u16>,
     /// Pixel of each measurement ...
@@ -33,7 +28,6 @@ impl Default for RayLine {
             number: 0,
             plane: Pinhole { fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 }.plane(Scan::Row, 0.0),
             window: 0..0,
-            count: 0,
             column: Vec::new(),
             pixels: Vec::new(),
             depths: Vec::new(),
@@ -47,63 +41,46 @@ impl RayLine {
     /// Reads the pixels `window` of a scan line and splits them at jumps and holes.
     pub fn read(&mut self, view: &View, image: &[u16], line: u32, window: Range<u32>) {
         (self.number, self.plane) = (line, view.plane(line));
-        if self.pixels.len() < window.len() {
-            self.pixels.resize(window.len(), 0);
-            self.depths.resize(window.len(), 0);
-            self.metres.resize(window.len(), 0.0);
-        }
+        self.runs.clear();
+        self.pixels.clear();
+        self.depths.clear();
         let mut column = std::mem::take(&mut self.column);
-        let depths = view.depths(image, line, &window, &mut column);
-        self.count = self.gather(view, window.start, depths);
+        self.split(&view.jumps, window.start, view.depths(image, line, &window, &mut column));
         self.column = column;
-        self.split(view);
+        self.metres.clear();
+        self.metres.extend(self.depths.iter().map(|&depth| f64::from(depth) * view.scale));
         self.window = window;
     }
 
-    /// Moves the measured ones of the pixels from `first` on together; their number.
-    fn gather(&mut self, view: &View, first: u32, pixels: &[u16]) -> usize {
-        let mut count = 0;
-        for (batch, first) in pixels.chunks(BATCH).zip((first..).step_by(BATCH)) {
-            if batch.iter().fold(true, |all, depth| all & is_measured(*depth)) {
-                self.depths[count..count + batch.len()].copy_from_slice(batch);
-                self.pixels[count..count + batch.len()].iter_mut().zip(first..).for_each(|(pixel, at)| *pixel = at);
-                count += batch.len();
-                continue;
-            }
-            for (pixel, &depth) in (first..).zip(batch) {
-                // Written in any case, counted only if it is one: no branch on the image's content.
-                (self.pixels[count], self.depths[count]) = (pixel, depth);
-                count += usize::from(is_measured(depth));
+    /// Adds the measured ones of the pixels from `first` on, in runs.
+    fn split(&mut self, rule: &JumpRule, first: u32, pixels: &[u16]) {
+        let mut from = 0;
+        for start in (0..pixels.len()).step_by(BATCH) {
+            for at in places(&rule.doubtful(&batch(&pixels[start..]))) {
+                let end = start + at + 1;
+                if pixels.get(end).is_none_or(|&next| rule.splits(pixels[end - 1], next, 1)) {
+                    self.add(rule, first + from as u32, &pixels[from..end]);
+                    from = end;
+                }
             }
         }
-        for (metres, &depth) in self.metres[..count].iter_mut().zip(&self.depths) {
-            *metres = f64::from(depth) * view.scale;
-        }
-        count
+        self.add(rule, first + from as u32, &pixels[from..]);
     }
 
-    fn split(&mut self, view: &View) {
-        self.runs.clear();
-        let (rule, count) = (view.jump_rule(), self.count);
-        let (pixels, depths) = (&self.pixels[..count], &self.depths[..count]);
-        let mut start = 0;
-        for first in (1..count).step_by(BATCH) {
-            let batch = first - 1..(first + BATCH).min(count);
-            if !rule.may_split(&pixels[batch.clone()], &depths[batch.clone()]) {
-                continue;
-            }
-            let (pixels, depths) = (&pixels[batch.clone()], &depths[batch.clone()]);
-            let mut splits = [false; BATCH];
-            let neighbors = pixels.iter().zip(&pixels[1..]).zip(depths.iter().zip(&depths[1..]));
-            for (splits, ((here, there), (&a, &b))) in splits.iter_mut().zip(neighbors) {
-                *splits = rule.splits(a, b, there - here);
-            }
-            for (end, _) in (batch.start + 1..).zip(splits).filter(|(_, splits)| *splits) {
-                self.runs.push(start..end);
-                start = end;
-            }
+    /// Adds the pixels from `first` on, if they are measured: all of them are, or none. They go on with the last run
+    /// or begin a new one.
+    fn add(&mut self, rule: &JumpRule, first: u32, depths: &[u16]) {
+        let Some(&depth) = depths.first().filter(|depth| is_measured(**depth)) else { return };
+        let start = self.depths.len();
+        self.depths.extend_from_slice(depths);
+        self.pixels.extend((first..).take(depths.len()));
+        let goes_on = self
+            .measurement(start.wrapping_sub(1))
+            .is_some_and(|(pixel, last)| !rule.splits(last, depth, first - pixel));
+        match self.runs.last_mut() {
+            Some(run) if goes_on => run.end = self.depths.len(),
+            _ => self.runs.push(start..self.depths.len()),
         }
-        self.runs.extend((count > start).then_some(start..count));
     }
 
     /// Number of runs.
@@ -135,8 +112,30 @@ impl RayLine {
 
     /// Pixel and depth of a measurement, if there are so many.
     fn measurement(&self, index: usize) -> Option<(u32, u16)> {
-        (index < self.count).then(|| (self.pixels[index], self.depths[index]))
+        Some((*self.pixels.get(index)?, *self.depths.get(index)?))
     }
+}
+
+/// The first pixels and the one behind them; zeros follow the last of all.
+fn batch(pixels: &[u16]) -> [u16; BATCH + 1] {
+    pixels.first_chunk().copied().unwrap_or_else(|| {
+        let mut batch = [0; BATCH + 1];
+        batch[..pixels.len()].copy_from_slice(pixels);
+        batch
+    })
+}
+
+/// The places of the ones among zeros and ones.
+fn places(flags: &[u8; BATCH]) -> impl Iterator<Item = usize> {
+    let (words, _) = flags.as_chunks();
+    words.iter().zip((0..).step_by(8)).flat_map(|(word, first)| {
+        let mut word = u64::from_le_bytes(*word);
+        std::iter::from_fn(move || {
+            let bit = word.trailing_zeros() as usize;
+            word &= word.checked_sub(1)?;
+            Some(first + bit / 8)
+        })
+    })
 }
 
 /// The measurements of a run.
