@@ -11,6 +11,8 @@ pub(super) struct RayLine {
     pub number: u32,
     pub plane: ScanPlane,
     window: Range<u32>,
+    /// Number of measurements.
+    count: usize,
     /// The pixels of a column side by side.
     column: Vec<u16>,
     /// Pixel of each measurement ...
@@ -28,6 +30,7 @@ impl Default for RayLine {
             number: 0,
             plane: Pinhole { fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 }.plane(Scan::Row, 0.0),
             window: 0..0,
+            count: 0,
             column: Vec::new(),
             pixels: Vec::new(),
             depths: Vec::new(),
@@ -41,46 +44,55 @@ impl RayLine {
     /// Reads the pixels `window` of a scan line and splits them at jumps and holes.
     pub fn read(&mut self, view: &View, image: &[u16], line: u32, window: Range<u32>) {
         (self.number, self.plane) = (line, view.plane(line));
-        self.runs.clear();
-        self.pixels.clear();
-        self.depths.clear();
+        if self.pixels.len() < window.len() {
+            self.pixels.resize(window.len(), 0);
+            self.depths.resize(window.len(), 0);
+            self.metres.resize(window.len(), 0.0);
+        }
         let mut column = std::mem::take(&mut self.column);
-        self.split(&view.jumps, window.start, view.depths(image, line, &window, &mut column));
+        let depths = view.depths(image, line, &window, &mut column);
+        self.count = self.gather(view, window.start, depths);
         self.column = column;
-        self.metres.clear();
-        self.metres.extend(self.depths.iter().map(|&depth| f64::from(depth) * view.scale));
+        self.split(&view.jumps);
         self.window = window;
     }
 
-    /// Adds the measured ones of the pixels from `first` on, in runs.
-    fn split(&mut self, rule: &JumpRule, first: u32, pixels: &[u16]) {
-        let mut from = 0;
-        for start in (0..pixels.len()).step_by(BATCH) {
-            for at in places(&rule.doubtful(&batch(&pixels[start..]))) {
-                let end = start + at + 1;
-                if pixels.get(end).is_none_or(|&next| rule.splits(pixels[end - 1], next, 1)) {
-                    self.add(rule, first + from as u32, &pixels[from..end]);
-                    from = end;
+    /// Moves the measured ones of the pixels from `first` on together; their number.
+    fn gather(&mut self, view: &View, first: u32, pixels: &[u16]) -> usize {
+        let mut count = 0;
+        for (batch, first) in pixels.chunks(BATCH).zip((first..).step_by(BATCH)) {
+            if batch.iter().fold(true, |all, depth| all & is_measured(*depth)) {
+                self.depths[count..count + batch.len()].copy_from_slice(batch);
+                self.pixels[count..count + batch.len()].iter_mut().zip(first..).for_each(|(pixel, at)| *pixel = at);
+                count += batch.len();
+                continue;
+            }
+            for (pixel, &depth) in (first..).zip(batch) {
+                // Written in any case, counted only if it is one: no branch on the image's content.
+                (self.pixels[count], self.depths[count]) = (pixel, depth);
+                count += usize::from(is_measured(depth));
+            }
+        }
+        for (metres, &depth) in self.metres[..count].iter_mut().zip(&self.depths) {
+            *metres = f64::from(depth) * view.scale;
+        }
+        count
+    }
+
+    fn split(&mut self, rule: &JumpRule) {
+        self.runs.clear();
+        let (pixels, depths) = (&self.pixels[..self.count], &self.depths[..self.count]);
+        let mut start = 0;
+        for first in (0..self.count).step_by(BATCH) {
+            for at in places(&rule.doubtful(&pixels[first..], &depths[first..])) {
+                let last = first + at;
+                if rule.splits(depths[last], depths[last + 1], pixels[last + 1] - pixels[last]) {
+                    self.runs.push(start..last + 1);
+                    start = last + 1;
                 }
             }
         }
-        self.add(rule, first + from as u32, &pixels[from..]);
-    }
-
-    /// Adds the pixels from `first` on, if they are measured: all of them are, or none. They go on with the last run
-    /// or begin a new one.
-    fn add(&mut self, rule: &JumpRule, first: u32, depths: &[u16]) {
-        let Some(&depth) = depths.first().filter(|depth| is_measured(**depth)) else { return };
-        let start = self.depths.len();
-        self.depths.extend_from_slice(depths);
-        self.pixels.extend((first..).take(depths.len()));
-        let goes_on = self
-            .measurement(start.wrapping_sub(1))
-            .is_some_and(|(pixel, last)| !rule.splits(last, depth, first - pixel));
-        match self.runs.last_mut() {
-            Some(run) if goes_on => run.end = self.depths.len(),
-            _ => self.runs.push(start..self.depths.len()),
-        }
+        self.runs.extend((self.count > start).then_some(start..self.count));
     }
 
     /// Number of runs.
@@ -112,17 +124,8 @@ impl RayLine {
 
     /// Pixel and depth of a measurement, if there are so many.
     fn measurement(&self, index: usize) -> Option<(u32, u16)> {
-        Some((*self.pixels.get(index)?, *self.depths.get(index)?))
+        (index < self.count).then(|| (self.pixels[index], self.depths[index]))
     }
-}
-
-/// The first pixels and the one behind them; zeros follow the last of all.
-fn batch(pixels: &[u16]) -> [u16; BATCH + 1] {
-    pixels.first_chunk().copied().unwrap_or_else(|| {
-        let mut batch = [0; BATCH + 1];
-        batch[..pixels.len()].copy_from_slice(pixels);
-        batch
-    })
 }
 
 /// The places of the ones among zeros and ones.
