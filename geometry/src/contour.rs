@@ -52,6 +52,8 @@ pub struct ContourNoise {
 pub struct Contour {
     points: Vec<(ContourPoint, bool)>,
     noise: ContourNoise,
+    /// How many of the points that are seen are too far off.
+    far_off: usize,
     /// How far each point is off, ...
     errors: Vec<f64>,
     /// ... and those of one side.
@@ -165,14 +167,22 @@ impl Contour {
             self.errors.push(along.error());
         }
         let middles = std::array::from_fn::<_, SIDES, _>(|side| self.median(side));
+        self.far_off = 0;
         for ((point, used), error) in self.points.iter_mut().zip(&self.errors) {
-            *used &= (error - middles[point.side]).abs() < GATE * self.noise.of(point).sqrt();
+            let is_near = (error - middles[point.side]).abs() < GATE * self.noise.of(point).sqrt();
+            self.far_off += usize::from(*used && !is_near);
+            *used &= is_near;
         }
+    }
+
+    /// What the points that were selected against for being too far off would at least add to the weighted sum of squares.
+    pub fn least_left_out(&self) -> f64 {
+        self.far_off as f64 * GATE * GATE
     }
 
     /// The median of how far the points of a side are off, within what its offset may be.
     fn median(&mut self, side: usize) -> f64 {
-        let Self { points, noise, errors, of_side } = self;
+        let Self { points, noise, errors, of_side, .. } = self;
         of_side.clear();
         of_side.extend(points.iter().zip(errors).filter(|((point, _), _)| point.side == side).map(|(_, error)| *error));
         if of_side.is_empty() {
@@ -335,6 +345,7 @@ mod tests {
         contour.add(ContourPoint { ray: first.0.ray + first.0.pixel * 8.0, ..first.0 });
         contour.select(&FreeSlope(cup()), |_| true);
         assert_eq!(contour.points.iter().filter(|(_, used)| !used).count(), 1);
+        assert_eq!(contour.least_left_out(), GATE * GATE);
         contour.select(&FreeSlope(cup()), |_| false);
         assert!(contour.points.iter().all(|(_, used)| !used));
     }

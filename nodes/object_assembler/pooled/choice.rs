@@ -92,10 +92,12 @@ fn sharper<'a>(
     if gain > least_gain(&object, a.max(b)) { cone } else { cylinder }
 }
 
-/// What is left of the points and the contour of some members by a model that is fitted to these.
+/// What is left of the points and the contour of some members by a model that is fitted to these. What it leaves out of
+/// the contour counts, too, or it would gain by what it misses.
 fn cost(mut grown: Grown, contour: &mut Contour) -> Option<f64> {
     grown.model = model::fit(grown.model.kind(), &grown.arcs(), Some(&grown.model))?;
-    Some(model::with_contour(&grown, 1, contour)?.cost())
+    let cost = model::with_contour(&grown, 1, contour)?.cost();
+    Some(cost + contour.least_left_out())
 }
 
 fn least_gain(cone: &Object, points: f64) -> f64 {

@@ -39,7 +39,7 @@ pub(super) struct View {
     noise: NoiseModel,
     /// Part of the noise model's variance that there is.
     quiet: f64,
-    /// Variance that the steps of the depth's unit make at the least.
+    /// Variance that rounding to the unit of the image makes at the least.
     least: f64,
     /// The rule by which a line is split.
     pub jumps: JumpRule,
@@ -74,7 +74,7 @@ impl View {
         [self.lines, self.length] = if scan == Scan::Row { size } else { [size[1], size[0]] };
         (self.scan, self.camera, self.width) = (scan, pinhole(&header.camera), size[1] as usize);
         (self.noise, self.quiet, self.scale) = (header.noise, quiet, header.depth_scale);
-        self.least = (0.5 * self.scale).powi(2);
+        self.least = self.scale * self.scale / 12.0;
         let pitch = self.camera.pixel_pitch(scan);
         self.jumps = JumpRule::new(&self.noise, self.scale, pitch, self.config.max_hole_px);
         self.slopes.clear();
