@@ -52,8 +52,12 @@ pub struct ContourNoise {
 pub struct Contour {
     points: Vec<(ContourPoint, bool)>,
     noise: ContourNoise,
-    /// How far the points of one side are off.
+    /// How many of the points that are seen are too far off.
+    far_off: usize,
+    /// How far each point is off, ...
     errors: Vec<f64>,
+    /// ... and those of one side.
+    of_side: Vec<f64>,
 }
 
 /// Its part in the normal equations of a fit.
@@ -156,29 +160,36 @@ impl Contour {
     /// of the surface that the ray touches.
     pub fn select<S: Surface<N>, const N: usize>(&mut self, surface: &S, seen: impl Fn(&Vector3) -> bool) {
         let q = surface.coefficients();
-        let mut middle = [0.0; SIDES];
-        for (side, middle) in middle.iter_mut().enumerate() {
-            *middle = self.median(side, &q);
-        }
+        self.errors.clear();
         for (point, used) in &mut self.points {
             let along = Along::new(&q, point);
-            let off = along.error() - middle[point.side];
-            *used = seen(&(point.ray * along.depth())) && off.abs() < GATE * self.noise.of(point).sqrt();
+            *used = seen(&(point.ray * along.depth()));
+            self.errors.push(along.error());
+        }
+        let middles = std::array::from_fn::<_, SIDES, _>(|side| self.median(side));
+        self.far_off = 0;
+        for ((point, used), error) in self.points.iter_mut().zip(&self.errors) {
+            let is_near = (error - middles[point.side]).abs() < GATE * self.noise.of(point).sqrt();
+            self.far_off += usize::from(*used && !is_near);
+            *used &= is_near;
         }
     }
 
+    /// What the points that were selected against for being too far off would at least add to the weighted sum of squares.
+    pub fn least_left_out(&self) -> f64 {
+        self.far_off as f64 * GATE * GATE
+    }
+
     /// The median of how far the points of a side are off, within what its offset may be.
-    fn median(&mut self, side: usize, q: &Coefficients) -> f64 {
-        let Self { points, noise, errors } = self;
-        errors.clear();
-        let of_side = points.iter().filter(|(point, _)| point.side == side);
-        errors.extend(of_side.map(|(point, _)| Along::new(q, point).error()));
-        if errors.is_empty() {
+    fn median(&mut self, side: usize) -> f64 {
+        let Self { points, noise, errors, of_side, .. } = self;
+        of_side.clear();
+        of_side.extend(points.iter().zip(errors).filter(|((point, _), _)| point.side == side).map(|(_, error)| *error));
+        if of_side.is_empty() {
             return 0.0;
         }
-        let middle = errors.len() / 2;
-        let limit = 2.0 * noise.offset_px;
-        errors.select_nth_unstable_by(middle, f64::total_cmp).1.clamp(-limit, limit)
+        let (middle, limit) = (of_side.len() / 2, 2.0 * noise.offset_px);
+        of_side.select_nth_unstable_by(middle, f64::total_cmp).1.clamp(-limit, limit)
     }
 
     /// The term of a surface, that is given in a frame with this origin and unit of length.
@@ -334,6 +345,7 @@ mod tests {
         contour.add(ContourPoint { ray: first.0.ray + first.0.pixel * 8.0, ..first.0 });
         contour.select(&FreeSlope(cup()), |_| true);
         assert_eq!(contour.points.iter().filter(|(_, used)| !used).count(), 1);
+        assert_eq!(contour.least_left_out(), GATE * GATE);
         contour.select(&FreeSlope(cup()), |_| false);
         assert!(contour.points.iter().all(|(_, used)| !used));
     }

@@ -61,7 +61,7 @@ impl Line {
         (point - self.point).dot(&self.direction)
     }
 
-    /// Standard error of the direction, in radians.
+    /// Root mean square of the angle between this and the true direction, in radians.
     pub fn direction_sigma(&self) -> f64 {
         self.rms / (self.spread * self.count.sqrt())
     }

@@ -28,6 +28,8 @@ pub struct SurfaceFit<S, const N: usize> {
     /// Inverse of the Gauss-Newton matrix: the covariance of the parameters, were the distances of the points
     /// independent and of a variance of one over their weights.
     pub inverse: SMatrix<f64, N, N>,
+    /// The contour's part of the Gauss-Newton matrix.
+    pub contour: SMatrix<f64, N, N>,
     /// Whether the steps became short.
     pub converged: bool,
 }
@@ -70,9 +72,11 @@ pub fn fit_with_contour<S: Surface<N>, const N: usize>(
     }
     let square_sum = system.square_sum * moments.scale * moments.scale;
     let inverse = system.inverse(moments.scale, &S::lengths())?;
+    let unit = |i: usize| if S::lengths()[i] { 1.0 } else { moments.scale };
+    let contour = SMatrix::from_fn(|i, j| system.contour[(i, j)] * unit(i) * unit(j));
     let surface = surface.to_camera(&moments.origin, moments.scale);
     let contour_sum = system.contour_sum * moments.scale * moments.scale;
-    square_sum.is_finite().then_some(SurfaceFit { surface, square_sum, contour_sum, inverse, converged })
+    square_sum.is_finite().then_some(SurfaceFit { surface, square_sum, contour_sum, inverse, contour, converged })
 }
 
 /// Scatter of a fit's gradient, from points that stand for all.
@@ -101,14 +105,9 @@ impl<const N: usize> GradientNoise<N> {
         add_square(&mut self.matrix, &j, weight * slope * slope);
     }
 
-    /// Adds the contour that was fitted with the points.
-    pub fn add_contour<S: Surface<N>>(&mut self, contour: &Contour, surface: &S) {
-        self.matrix += contour.term(surface, &Vector3::zeros(), 1.0).matrix;
-    }
-
-    /// Covariance of the parameters of a fit.
+    /// Covariance of the parameters of a fit; its contour scatters as it counts.
     pub fn covariance<S>(&self, fit: &SurfaceFit<S, N>) -> SMatrix<f64, N, N> {
-        fit.inverse * self.matrix * fit.inverse
+        fit.inverse * (self.matrix + fit.contour) * fit.inverse
     }
 }
 
@@ -167,6 +166,7 @@ struct System<const N: usize> {
     contour_sum: f64,
     gradient: SVector<f64, N>,
     matrix: SMatrix<f64, N, N>,
+    contour: SMatrix<f64, N, N>,
 }
 
 impl<const N: usize> System<N> {
@@ -181,7 +181,13 @@ impl<const N: usize> System<N> {
             }
         }
         let gradient = SVector::from_fn(|i, _| dot(&products[i], &q));
-        let mut system = Self { square_sum: dot(&moments.times(&q), &q), contour_sum: 0.0, gradient, matrix };
+        let mut system = Self {
+            square_sum: dot(&moments.times(&q), &q),
+            contour_sum: 0.0,
+            gradient,
+            matrix,
+            contour: SMatrix::zeros(),
+        };
         if let Some(contour) = contour {
             system.add(&contour.term(surface, &moments.origin, moments.scale), 1.0 / (moments.scale * moments.scale));
         }
@@ -191,7 +197,8 @@ impl<const N: usize> System<N> {
     fn add(&mut self, term: &ContourTerm<N>, factor: f64) {
         self.contour_sum += factor * term.square_sum;
         self.gradient += term.gradient * factor;
-        self.matrix += term.matrix * factor;
+        self.contour = term.matrix * factor;
+        self.matrix += self.contour;
     }
 
     fn sum(&self) -> f64 {

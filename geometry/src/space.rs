@@ -35,6 +35,9 @@ const OF_COLUMN: [[usize; 3]; SPACE_MOMENTS] = of_arc(true);
 const QUADRIC: [[usize; 3]; QUADRIC_TERMS] =
     [[2, 0, 0], [0, 2, 0], [0, 0, 2], [1, 1, 0], [1, 0, 1], [0, 1, 1], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 0]];
 
+/// For each pair of the quadric's monomials, the place of the moment that is their product.
+const PRODUCTS: [[usize; QUADRIC_TERMS]; QUADRIC_TERMS] = products();
+
 const fn exponents() -> [[usize; 3]; SPACE_MOMENTS] {
     let mut table = [[0; 3]; SPACE_MOMENTS];
     let (mut next, mut degree) = (0, 0);
@@ -61,6 +64,18 @@ const fn places() -> [[[usize; 5]; 5]; 5] {
         let [a, b, c] = EXPONENTS[place];
         table[a][b][c] = place;
         place += 1;
+    }
+    table
+}
+
+const fn products() -> [[usize; QUADRIC_TERMS]; QUADRIC_TERMS] {
+    let mut table = [[0; QUADRIC_TERMS]; QUADRIC_TERMS];
+    let mut pair = 0;
+    while pair < QUADRIC_TERMS * QUADRIC_TERMS {
+        let (i, j) = (pair / QUADRIC_TERMS, pair % QUADRIC_TERMS);
+        let ([a, b, c], [d, e, f]) = (QUADRIC[i], QUADRIC[j]);
+        table[i][j] = PLACE[a + d][b + e][c + f];
+        pair += 1;
     }
     table
 }
@@ -181,11 +196,7 @@ impl SpaceMoments {
         for (sum, [a, b, c]) in local.sums.iter_mut().zip(EXPONENTS) {
             *sum *= factors[a + b + c];
         }
-        let entry = |i: usize, j: usize| {
-            let ([a, b, c], [d, e, f]) = (QUADRIC[i], QUADRIC[j]);
-            local.get(a + d, b + e, c + f)
-        };
-        let matrix = std::array::from_fn(|i| std::array::from_fn(|j| entry(i, j)));
+        let matrix = PRODUCTS.map(|row| row.map(|place| local.sums[place]));
         Some(QuadricMoments { origin, scale, matrix })
     }
 

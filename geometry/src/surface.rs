@@ -125,7 +125,8 @@ impl Conical {
 
     fn all_derivatives(&self) -> [Coefficients; 6] {
         let (c, d, tau, cosine) = (&self.point, &self.axis, self.slope, self.cosine());
-        let (a, _, _) = self.form();
+        let form = self.form();
+        let a = &form.0;
         let (ac, half) = (a * c, 0.5 / self.radius);
         let spread = -(1.0 + tau * tau) * half;
         // A change of A alone changes b by -2 dA c and e by c'dA c.
@@ -141,14 +142,18 @@ impl Conical {
         let by_radius = coefficients(&(a * (-1.0 / self.radius)), Vector3::zeros(), -0.5);
         let mut by_slope = coefficients(&(d * d.transpose() * (-2.0 * tau * half)), -d, d.dot(c));
         let shrink = -tau * cosine * cosine;
-        by_slope.iter_mut().zip(self.quadric()).for_each(|(sum, q)| *sum += shrink * q);
+        by_slope.iter_mut().zip(self.packed(&form)).for_each(|(sum, q)| *sum += shrink * q);
         let [u, v] = self.across();
         [tilt(&u), tilt(&v), shift(&u), shift(&v), by_radius, by_slope]
     }
 
     fn quadric(&self) -> Coefficients {
-        let (a, b, e) = self.form();
-        pack(&a, &b, e).map(|q| q * self.cosine())
+        self.packed(&self.form())
+    }
+
+    fn packed(&self, (a, b, e): &(Matrix3<f64>, Vector3, f64)) -> Coefficients {
+        let cosine = self.cosine();
+        pack(a, b, *e).map(|q| q * cosine)
     }
 
     fn stepped(&self, tilt: [f64; 2], shift: [f64; 2], radius: f64, slope: f64) -> Option<Self> {

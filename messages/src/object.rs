@@ -90,7 +90,7 @@ pub struct Object {
 pub struct ObjectSigma {
     /// Covariance of the centre, row-major, in square metres.
     pub center: [[f64; 3]; 3],
-    /// Of the axis: angle in radians.
+    /// Root mean square of the angle between the axis and the true one, in radians.
     pub axis: f64,
     /// Of the radius, in metres.
     pub radius: f64,

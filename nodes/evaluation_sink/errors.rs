@@ -26,7 +26,7 @@ pub struct Sigmas {
     pub radius: Option<f64>,
     /// Of the centre, per coordinate; of cylinders and cones across the axis.
     pub center: Option<f64>,
-    /// Of the axis, per coordinate.
+    /// Of the axis, as an angle.
     pub axis: Option<f64>,
     /// Of the half-angle.
     pub half_angle: Option<f64>,
@@ -50,7 +50,7 @@ impl Errors {
             sigmas: Sigmas {
                 radius: ratio(answer.radius - radius_there, sigma.radius),
                 center: center_ratio(truth, answer),
-                axis: axis.and_then(|angle| ratio(angle / std::f64::consts::SQRT_2, sigma.axis)),
+                axis: axis.and_then(|angle| ratio(angle, sigma.axis)),
                 half_angle: half_angle.and_then(|angle| ratio(angle, sigma.half_angle)),
             },
         }

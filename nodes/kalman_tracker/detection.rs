@@ -51,7 +51,8 @@ impl Detection {
             ),
             radius: Size::new(object.radius, variance(sigma.radius, radius_floor)),
             length: Size::new(object.length, variance(sigma.length, config.floor_length_m)),
-            axis: direction.map(|axis| Axis::new(axis, variance(sigma.axis, config.floor_axis_deg.to_radians()))),
+            // Of an angle's square each of the two directions across makes half.
+            axis: direction.map(|axis| Axis::new(axis, 0.5 * variance(sigma.axis, config.floor_axis_deg.to_radians()))),
             half_angle: (kind == ObjectKind::Cone).then_some(half_angle),
         }
     }

@@ -238,7 +238,11 @@ impl Target {
         let cylinder = Object {
             axis: (rotation * axis.direction.into_inner()).into(),
             length: self.length.value,
-            sigma: ObjectSigma { axis: axis.variance.sqrt(), length: self.length.variance.sqrt(), ..sphere.sigma },
+            sigma: ObjectSigma {
+                axis: (2.0 * axis.variance).sqrt(),
+                length: self.length.variance.sqrt(),
+                ..sphere.sigma
+            },
             ..sphere
         };
         let Some(half_angle) = self.half_angle.filter(|_| self.kind == ObjectKind::Cone) else { return cylinder };

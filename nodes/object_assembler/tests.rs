@@ -166,7 +166,7 @@ fn sigmas_tell_the_scatter_over_frames() {
     };
     let radius = ratio(|object| object.radius, |object| object.sigma.radius);
     let side = ratio(|object| object.center[0], |object| object.sigma.center[0][0].sqrt());
-    let axis = ratio(|object| object.axis[0], |object| object.sigma.axis);
+    let axis = ratio(|object| object.axis[0], |object| object.sigma.axis / std::f64::consts::SQRT_2);
     for ratio in [radius, side, axis] {
         assert!((0.2..3.0).contains(&ratio), "scatter over sigma: {radius}, {side}, {axis}");
     }

@@ -94,7 +94,7 @@ fn every_parameter_of_a_track_is_right_within_its_sigma() {
             measured.radius = sizes[0] + sigma.radius * noise.normal();
             measured.length = sizes[1] + sigma.length * noise.normal();
             measured.half_angle = sizes[2] + sigma.half_angle * noise.normal();
-            measured.axis = tilted(axis, sigma.axis, &mut noise).into();
+            measured.axis = tilted(axis, sigma.axis / 2.0_f64.sqrt(), &mut noise).into();
             last = tracker.update(&header(frame), &[measured])[0];
         }
         let square = |error: Vector3<f64>, covariance| error.dot(&Cholesky::new(covariance).unwrap().solve(&error));
@@ -104,7 +104,7 @@ fn every_parameter_of_a_track_is_right_within_its_sigma() {
         errors[2].add(((object.radius - sizes[0]) / sigma.radius).powi(2));
         errors[3].add(((object.length - sizes[1]) / sigma.length).powi(2));
         errors[4].add(((object.half_angle - sizes[2]) / sigma.half_angle).powi(2));
-        errors[5].add(Vector3::from(object.axis).cross(&axis).norm_squared() / sigma.axis.powi(2));
+        errors[5].add(Vector3::from(object.axis).cross(&axis).norm_squared() / (0.5 * sigma.axis.powi(2)));
     }
     let parameters =
         [("position", 3.0), ("velocity", 3.0), ("radius", 1.0), ("length", 1.0), ("half-angle", 1.0), ("axis", 2.0)];

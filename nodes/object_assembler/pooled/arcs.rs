@@ -34,8 +34,10 @@ pub(super) struct Arc {
     pub beyond: [f64; 2],
     /// Where the surface ends before something farther, on either side.
     pub contour: [Option<ContourPoint>; 2],
-    /// Distance between this and the next scan line.
+    /// Distance between this and the next scan line, in metres, ...
     pub spacing: f64,
+    /// ... and between neighbouring pixels of it.
+    pub pitch: f64,
     /// How much better the circle is than a line, in points times variances.
     pub bulge: f64,
 }
@@ -84,6 +86,7 @@ impl Arc {
             beyond: ellipse.beyond,
             contour: contour(&camera, &plane, &ellipse.contour),
             spacing: mean.z * camera.line_pitch(scan),
+            pitch: mean.z * camera.pixel_pitch(scan),
             bulge: (line - ellipse.rms * ellipse.rms) * moments.count() / variance.max(1e-8),
         })
     }
@@ -98,13 +101,9 @@ impl Arc {
         Misfit { square: conic.square_sum(&self.moments) / self.points, mean: sum / self.points }
     }
 
-    /// Depth at which a ray of the scan line, of slope `x`, first meets the quadric `q`.
-    pub fn hit(&self, q: &Coefficients, x: f64) -> Option<f64> {
-        self.hit_of(&section_of(q, &self.plane), x)
-    }
-
-    /// The same of a quadric of which the section by the plane of the scan line is known.
-    pub fn hit_of(&self, section: &[f64; 6], x: f64) -> Option<f64> {
+    /// Depth at which a ray of the scan line, of slope `x`, first meets a quadric, of which the section by the plane of
+    /// the line is given.
+    pub fn hit(&self, section: &[f64; 6], x: f64) -> Option<f64> {
         let [ss, st, tt, s, t, one] = *section;
         let k = self.plane.stretch();
         let (a, b) = (ss * x * x + st * x * k + tt * k * k, s * x + t * k);
@@ -131,11 +130,13 @@ fn contour(camera: &Pinhole, plane: &ScanPlane, pixels: &[f64; 2]) -> [Option<Co
     let scan = plane.scan();
     let ray = |pixel: f64| plane.to_camera([camera.ray_slope(scan, pixel), plane.stretch()]);
     let first_side = if scan == Scan::Row { 0 } else { 2 };
-    [0, 1].map(|end| {
-        let point =
-            ContourPoint { ray: ray(pixels[end]), pixel: ray(1.0) - ray(0.0), side: first_side + end, radius_px: 0.0 };
-        (pixels[end] > 0.0).then_some(point)
-    })
+    let point = |end: usize| ContourPoint {
+        ray: ray(pixels[end]),
+        pixel: ray(1.0) - ray(0.0),
+        side: first_side + end,
+        radius_px: 0.0,
+    };
+    [0, 1].map(|end| (pixels[end] > 0.0).then(|| point(end)))
 }
 
 /// The arcs of one image in the order of scan, line and pixel; the buffers are used again for the next.
@@ -204,7 +205,7 @@ impl Arcs {
         let lines = f64::from(a.line.abs_diff(b.line));
         let step = 5.0 * lines * a.spacing + 4.0 * (a.variance / a.points.min(b.points)).sqrt();
         // The depth of the mean differs with the columns that an arc covers, by no more than its bulge.
-        let bulge = 0.5 * (a.pixels[1] - a.pixels[0]).abs_diff(b.pixels[1] - b.pixels[0]) as f64 * a.spacing;
+        let bulge = 0.5 * (a.pixels[1] - a.pixels[0]).abs_diff(b.pixels[1] - b.pixels[0]) as f64 * a.pitch;
         2 * a.overlap(b.pixels) >= shorter && (a.mean.z - b.mean.z).abs() <= step + bulge
     }
 }

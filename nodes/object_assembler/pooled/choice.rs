@@ -33,29 +33,33 @@ pub(super) fn choose<'a>(
     found: [Option<Result<Candidate<'a>, Rejection>>; 3],
     config: &AssemblerConfig,
     contour: &mut Contour,
-) -> Result<Candidate<'a>, Rejection> {
+) -> Result<(Candidate<'a>, Object), Rejection> {
     let reason = found.iter().flatten().filter_map(|found| found.as_ref().err()).next_back().copied();
-    let may_be_cone = found[2].as_ref().is_some_and(speaks_against_cylinder);
-    let [sphere, cylinder, cone] = found.map(|found| found?.ok());
+    let [sphere, cylinder, cone] = found;
+    let cone = cone.map(|cone| cone.map(|cone| (cone, cone.report())));
+    let may_be_cone =
+        cone.as_ref().is_some_and(|cone| speaks_against_cylinder(cone.as_ref().map(|(_, object)| object)));
+    let [sphere, cylinder] = [sphere, cylinder].map(|found| found?.ok());
     // A vague cone may still show that a cylinder is none: the choice comes first.
-    let cone = cone.filter(|cone| is_cone(&cone.object, config));
+    let cone = cone.and_then(Result::ok).filter(|(_, object)| is_cone(object, config));
     let axial = match (cylinder, cone) {
-        (Some(cylinder), Some(cone)) => Some(sharper(cylinder, cone, contour)),
-        (cylinder, cone) => cylinder.or(cone),
+        (Some(cylinder), Some(cone)) => Some(sharper(cylinder, &cone, contour)),
+        (cylinder, cone) => cylinder.or(cone.map(|(cone, _)| cone)),
     };
     let best = match (sphere, axial) {
         (Some(sphere), Some(axial)) => rounder(sphere, axial),
         (sphere, axial) => sphere.or(axial).ok_or(reason.unwrap_or(Rejection::Degenerate))?,
     };
     let is_cylinder = best.grown.model.kind() == ObjectKind::Cylinder;
-    if is_vague(&best.object) || is_cylinder && may_be_cone { Err(Rejection::Vague) } else { Ok(best) }
+    let object = best.report();
+    if is_vague(&object) || is_cylinder && may_be_cone { Err(Rejection::Vague) } else { Ok((best, object)) }
 }
 
 /// Whether the cone that grew where a cylinder did leaves open that this is none: a slope is as likely as not, or could
 /// be any; or the cone, although free to be a cylinder, does not explain as much as an object has to.
-fn speaks_against_cylinder(cone: &Result<Candidate, Rejection>) -> bool {
+fn speaks_against_cylinder(cone: Result<&Object, &Rejection>) -> bool {
     match cone {
-        Ok(Candidate { object, .. }) => {
+        Ok(object) => {
             let sigma = object.sigma.half_angle;
             sigma > ANY_SLOPE || sigma > UNSURE_SLOPE && object.half_angle > UNSURE_SIGMAS * sigma
         }
@@ -70,7 +74,11 @@ fn is_cone(object: &Object, config: &AssemblerConfig) -> bool {
 }
 
 /// Of a cylinder and a cone the one that explains more points, else the cone only if it explains them surely better.
-fn sharper<'a>(cylinder: Candidate<'a>, cone: Candidate<'a>, contour: &mut Contour) -> Candidate<'a> {
+fn sharper<'a>(
+    cylinder: Candidate<'a>,
+    &(cone, object): &(Candidate<'a>, Object),
+    contour: &mut Contour,
+) -> Candidate<'a> {
     let (a, b) = (cylinder.measured.points, cone.measured.points);
     if a < AS_MANY * b {
         return cone;
@@ -81,13 +89,15 @@ fn sharper<'a>(cylinder: Candidate<'a>, cone: Candidate<'a>, contour: &mut Conto
     let members = if a > b { cylinder.grown.members } else { cone.grown.members };
     let mut cost = |candidate: &Candidate| cost(Grown { members, ..candidate.grown }, contour);
     let gain = cost(&cylinder).zip(cost(&cone)).map_or(0.0, |(cylinder, cone)| cylinder - cone);
-    if gain > least_gain(&cone.object, a.max(b)) { cone } else { cylinder }
+    if gain > least_gain(&object, a.max(b)) { cone } else { cylinder }
 }
 
-/// What is left of the points and the contour of some members by a model that is fitted to these.
+/// What is left of the points and the contour of some members by a model that is fitted to these. What it leaves out of
+/// the contour counts, too, or it would gain by what it misses.
 fn cost(mut grown: Grown, contour: &mut Contour) -> Option<f64> {
     grown.model = model::fit(grown.model.kind(), &grown.arcs(), Some(&grown.model))?;
-    Some(model::with_contour(&grown, contour)?.cost())
+    let cost = model::with_contour(&grown, 1, contour)?.cost();
+    Some(cost + contour.least_left_out())
 }
 
 fn least_gain(cone: &Object, points: f64) -> f64 {

@@ -65,7 +65,6 @@ struct Grown<'a> {
 struct Candidate<'a> {
     grown: Grown<'a>,
     measured: Measured,
-    object: Object,
 }
 
 impl Pooled {
@@ -96,9 +95,9 @@ impl Pooled {
             }
             tries += 1;
             match self.growing.candidate(&self.arcs, &self.taken, seed, config, rejections) {
-                Some(candidate) => {
-                    take(&candidate, &mut self.taken);
-                    objects.push(candidate.object);
+                Some((candidate, object)) => {
+                    take(&candidate, &object, &mut self.taken);
+                    objects.push(object);
                 }
                 None => self.growing.chain.iter().for_each(|&arc| self.tried[arc] = true),
             }
@@ -115,7 +114,7 @@ impl Growing {
         seed: usize,
         config: &AssemblerConfig,
         rejections: &mut Rejections,
-    ) -> Option<Candidate<'a>> {
+    ) -> Option<(Candidate<'a>, Object)> {
         let free = |index: usize| !taken[index];
         let gap = i64::from(config.pooled.max_gap_lines);
         growth::chain(arcs, seed, gap, free, &mut self.chain);
@@ -177,18 +176,23 @@ fn candidate<'a>(
     config: &AssemblerConfig,
     contour: &mut Contour,
 ) -> Result<Candidate<'a>, Rejection> {
-    verify::check(&grown, config)?;
-    for _ in 0..CONTOUR_PASSES {
-        grown.model = model::with_contour(&grown, contour).unwrap_or(grown.model);
-    }
     let measured = verify::check(&grown, config)?;
-    let object = report::report(&grown, &measured, contour);
-    Ok(Candidate { grown, measured, object })
+    if verify::is_plane(&grown, &measured) {
+        return Err(Rejection::Flat);
+    }
+    grown.model = model::with_contour(&grown, CONTOUR_PASSES, contour).unwrap_or(grown.model);
+    Ok(Candidate { grown, measured: verify::check(&grown, config)? })
+}
+
+impl Candidate<'_> {
+    fn report(&self) -> Object {
+        report::report(&self.grown, &self.measured)
+    }
 }
 
 /// Takes the arcs of an object, and all others that its surface explains, from what is left.
-fn take(candidate: &Candidate, taken: &mut [bool]) {
-    let Candidate { grown, measured, object } = candidate;
+fn take(candidate: &Candidate, object: &Object, taken: &mut [bool]) {
+    let Candidate { grown, measured } = candidate;
     grown.members.iter().for_each(|&member| taken[member] = true);
     let q = grown.model.coefficients();
     let center = verify::middle(grown, measured);

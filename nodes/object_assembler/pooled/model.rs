@@ -186,31 +186,46 @@ fn fit_cone<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Mo
 /// radius, and lie up to 5 % of it too far in.
 const CONTOUR_NOISE: ContourNoise = ContourNoise { point_px: 0.5, point_share: 0.04, offset_px: 1.0, share: 0.05 };
 
-/// The model fitted anew, to its arcs and to the contour that they show; `contour` keeps what was used of it.
-pub(super) fn with_contour(grown: &Grown, contour: &mut Contour) -> Option<Model> {
+/// The model fitted anew, to its arcs and to the contour that they show: so many times, each with the points that are
+/// near the contour of the last. `contour` is a buffer.
+pub(super) fn with_contour(grown: &Grown, passes: usize, contour: &mut Contour) -> Option<Model> {
     let arcs = grown.arcs();
-    contour.clear(CONTOUR_NOISE);
-    for arc in arcs.clone() {
-        let radius_px = grown.model.radius_at(&arc.mean) / arc.spacing;
-        arc.contour.into_iter().flatten().for_each(|point| contour.add(ContourPoint { radius_px, ..point }));
+    let evenly = match &grown.model {
+        Model::Cone(_) => None,
+        _ => Some(pool(arcs.clone(), |_| 1.0).normalized()?),
+    };
+    let mut grown = *grown;
+    for _ in 0..passes {
+        gather(&grown, contour);
+        let [from, to] = grown.extent();
+        let seen =
+            |surface: &Conical, point: &Vector3| (from..=to).contains(&surface.axis.dot(&(point - surface.point)));
+        grown.model = match (&grown.model, &evenly) {
+            (Model::Sphere(fit), Some(moments)) => {
+                contour.select(&fit.surface, |_| true);
+                Model::Sphere(fit_with_contour(moments, Some(contour), &fit.surface)?)
+            }
+            (Model::Cylinder(fit), Some(moments)) => {
+                contour.select(&fit.surface, |point| seen(&fit.surface.0, point));
+                Model::Cylinder(fit_with_contour(moments, Some(contour), &fit.surface)?)
+            }
+            (Model::Cone(fit), None) => {
+                let moments = pool(arcs.clone(), |arc| excess(&fit.surface.0, arc)).normalized()?;
+                contour.select(&fit.surface, |point| seen(&fit.surface.0, point));
+                Model::Cone(upright(fit_with_contour(&moments, Some(contour), &fit.surface)?))
+            }
+            _ => return None,
+        };
     }
-    let [from, to] = grown.extent();
-    let within = |surface: &Conical, point: &Vector3| (from..=to).contains(&surface.axis.dot(&(point - surface.point)));
-    let pool = |excess: &dyn Fn(&Arc) -> f64| pool(arcs.clone(), excess).normalized();
-    match &grown.model {
-        Model::Sphere(fit) => {
-            contour.select(&fit.surface, |_| true);
-            fit_with_contour(&pool(&|_| 1.0)?, Some(contour), &fit.surface).map(Model::Sphere)
-        }
-        Model::Cylinder(fit) => {
-            contour.select(&fit.surface, |point| within(&fit.surface.0, point));
-            fit_with_contour(&pool(&|_| 1.0)?, Some(contour), &fit.surface).map(Model::Cylinder)
-        }
-        Model::Cone(fit) => {
-            contour.select(&fit.surface, |point| within(&fit.surface.0, point));
-            let fit = fit_with_contour(&pool(&|arc| excess(&fit.surface.0, arc))?, Some(contour), &fit.surface)?;
-            Some(Model::Cone(upright(fit)))
-        }
+    Some(grown.model)
+}
+
+/// Puts the contour that a grown model shows into `contour`.
+fn gather(grown: &Grown, contour: &mut Contour) {
+    contour.clear(CONTOUR_NOISE);
+    for arc in grown.arcs() {
+        let radius_px = grown.model.radius_at(&arc.mean).max(0.0) / arc.pitch;
+        arc.contour.into_iter().flatten().for_each(|point| contour.add(ContourPoint { radius_px, ..point }));
     }
 }
 
@@ -234,6 +249,7 @@ fn upright(fit: SurfaceFit<FreeSlope, 6>) -> SurfaceFit<FreeSlope, 6> {
     for i in 0..6 {
         for j in 0..6 {
             flipped.inverse[(i, j)] *= signs[i] * signs[j];
+            flipped.contour[(i, j)] *= signs[i] * signs[j];
         }
     }
     flipped

@@ -3,7 +3,7 @@
 use super::Grown;
 use super::model::Model;
 use super::verify::{self, Measured};
-use conicflow_geometry::{Conical, Contour, GradientNoise, Surface, SurfaceFit, section_of};
+use conicflow_geometry::{Conical, GradientNoise, Surface, SurfaceFit, section_of};
 use conicflow_messages::{Object, ObjectKind, ObjectSigma};
 use nalgebra::{Matrix3, SMatrix};
 
@@ -18,7 +18,7 @@ const SYSTEMATIC_PX: f64 = 0.06;
 /// to directions in radians.
 const SYSTEMATIC_ANGLE: f64 = 0.001;
 
-pub(super) fn report(grown: &Grown, measured: &Measured, contour: &Contour) -> Object {
+pub(super) fn report(grown: &Grown, measured: &Measured) -> Object {
     let center = verify::middle(grown, measured);
     let variance = grown.arcs().map(|arc| arc.variance * arc.points).sum::<f64>() / measured.points;
     let object = Object {
@@ -33,7 +33,7 @@ pub(super) fn report(grown: &Grown, measured: &Measured, contour: &Contour) -> O
     let end = end_sigma(grown);
     let object = match &grown.model {
         Model::Sphere(fit) => {
-            let covariance = covariance(grown, fit, contour);
+            let covariance = covariance(grown, fit);
             let sigma = ObjectSigma {
                 center: [0, 1, 2].map(|i| [0, 1, 2].map(|j| covariance[(i, j)])),
                 radius: covariance[(3, 3)].max(0.0).sqrt(),
@@ -42,14 +42,14 @@ pub(super) fn report(grown: &Grown, measured: &Measured, contour: &Contour) -> O
             Object { radius: fit.surface.radius, sigma, ..object }
         }
         Model::Cylinder(fit) => {
-            let covariance = covariance(grown, fit, contour);
+            let covariance = covariance(grown, fit);
             let surface = fit.surface.0;
             let sigma = conical_sigma(&surface, &covariance.fixed_view::<5, 5>(0, 0).into_owned(), measured, end);
             let length = measured.extent[1] - measured.extent[0];
             Object { radius: surface.radius, axis: surface.axis.into(), length, sigma, ..object }
         }
         Model::Cone(fit) => {
-            let covariance = covariance(grown, fit, contour);
+            let covariance = covariance(grown, fit);
             let surface = fit.surface.0;
             let half_angle = surface.slope.atan();
             let mut sigma = conical_sigma(&surface, &covariance.fixed_view::<5, 5>(0, 0).into_owned(), measured, end);
@@ -60,7 +60,7 @@ pub(super) fn report(grown: &Grown, measured: &Measured, contour: &Contour) -> O
             cone(object, &surface, half_angle, sigma, measured)
         }
     };
-    with_faults(object, grown.ends()[0].spacing)
+    with_faults(object, grown.ends()[0].pitch)
 }
 
 /// The object with what the faults of sensors add to its standard deviations; `pixel` is the size of one there.
@@ -122,11 +122,7 @@ fn conical_sigma(surface: &Conical, covariance: &SMatrix<f64, 5, 5>, measured: &
 }
 
 /// Covariance of a fit's parameters, from points along its arcs.
-pub(super) fn covariance<S: Surface<N>, const N: usize>(
-    grown: &Grown,
-    fit: &SurfaceFit<S, N>,
-    contour: &Contour,
-) -> SMatrix<f64, N, N> {
+fn covariance<S: Surface<N>, const N: usize>(grown: &Grown, fit: &SurfaceFit<S, N>) -> SMatrix<f64, N, N> {
     let q = grown.model.coefficients();
     let stride = grown.members.len().div_ceil(ARCS);
     let mut noise = GradientNoise::new(&fit.surface);
@@ -138,11 +134,10 @@ pub(super) fn covariance<S: Surface<N>, const N: usize>(
         for sample in 0..SAMPLES {
             let part = (sample as f64 + 0.5) / SAMPLES as f64;
             let x = arc.rays[0] + part * (arc.rays[1] - arc.rays[0]);
-            if let Some(z) = arc.hit_of(&section, x) {
+            if let Some(z) = arc.hit(&section, x) {
                 noise.add(&arc.point(x, z), share * weight * weight * along_z);
             }
         }
     }
-    noise.add_contour(contour, &fit.surface);
     noise.covariance(fit)
 }

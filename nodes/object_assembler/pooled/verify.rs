@@ -5,7 +5,7 @@ use super::super::verify::Rejection;
 use super::Grown;
 use super::arcs::Arc;
 use super::model::Model;
-use conicflow_geometry::{Scan, Vector3};
+use conicflow_geometry::{Scan, Vector3, section_of};
 use conicflow_messages::{Object, ObjectKind};
 
 /// How many standard deviations the error of the whole may scatter.
@@ -63,8 +63,6 @@ pub(super) fn check(grown: &Grown, config: &AssemblerConfig) -> Result<Measured,
         Err(Rejection::Tilted)
     } else if measured.angle < config.pooled.min_arc_deg.to_radians() {
         Err(Rejection::ShortArc)
-    } else if is_plane(grown, &measured) {
-        Err(Rejection::Flat)
     } else if seen_through(grown, &measured) > SEEN_THROUGH {
         Err(Rejection::SeenThrough)
     } else {
@@ -149,7 +147,8 @@ fn position(model: &Model, point: &Vector3) -> f64 {
 
 /// Angle between the ends of an arc as seen from the axis or centre.
 fn span(arc: &Arc, grown: &Grown, q: &[f64; 10]) -> f64 {
-    let ends = arc.rays.map(|x| arc.hit(q, x).map(|z| arc.point(x, z)));
+    let section = section_of(q, &arc.plane);
+    let ends = arc.rays.map(|x| arc.hit(&section, x).map(|z| arc.point(x, z)));
     let [Some(a), Some(b)] = ends else { return arc.angle };
     let outwards = |point: Vector3| match &grown.model {
         Model::Sphere(fit) => {
@@ -163,7 +162,7 @@ fn span(arc: &Arc, grown: &Grown, q: &[f64; 10]) -> f64 {
 }
 
 /// Whether a plane explains the points nearly as well.
-fn is_plane(grown: &Grown, measured: &Measured) -> bool {
+pub(super) fn is_plane(grown: &Grown, measured: &Measured) -> bool {
     let mut pool = conicflow_geometry::SpaceMoments::default();
     grown.arcs().for_each(|arc| pool.add(&arc.space, 1.0));
     let variance = grown.arcs().map(|arc| arc.variance * arc.points).sum::<f64>() / measured.points;
@@ -175,11 +174,12 @@ fn seen_through(grown: &Grown, measured: &Measured) -> f64 {
     let q = grown.model.coefficients();
     let (mut seen, mut all) = (0.0, 0.0_f64);
     for arc in grown.arcs() {
+        let section = section_of(&q, &arc.plane);
         for (x, z) in arc.beyond_rays.into_iter().zip(arc.beyond).filter(|(_, z)| *z > 0.0) {
             all += 1.0;
             let margin = 3.0 * arc.variance.sqrt();
             let through = |surface: f64| z > surface + margin && is_between(grown, measured, &arc.point(x, surface));
-            seen += f64::from(u8::from(arc.hit(&q, x).is_some_and(through)));
+            seen += f64::from(u8::from(arc.hit(&section, x).is_some_and(through)));
         }
     }
     seen / all.max(1.0).max(0.5 * grown.members.len() as f64)

@@ -83,10 +83,9 @@ fn arc(
     })?;
     let wider = with_ends(rays, segment, points.clone(), &fit.circle);
     let sums = rays.all_sums(wider.clone()).moments(rays.plane().stretch());
-    let fit = match ArcMoments::of(&sums).filter(|_| wider != points) {
-        Some(moments) => circle(rays, segment, &wider, &moments).unwrap_or_else(|_| nearly_flat(rays, &moments)),
-        None => fit,
-    };
+    let more = if wider == points { None } else { ArcMoments::of(&sums) };
+    let fit = more
+        .map_or(fit, |moments| circle(rays, segment, &wider, &moments).unwrap_or_else(|_| nearly_flat(rays, &moments)));
     Ok(Ellipse { contour, ..message(rays, image, wider, &fit, &sums.about(moments.mean())) })
 }
 
@@ -212,8 +211,8 @@ fn message(rays: &Rays, image: &[u16], points: Range<usize>, fit: &ArcFit, momen
         rms: fit.circle_square.max(0.0).sqrt(),
         arc: (from_front(last) - from_front(first)).abs(),
         beyond: [
-            depth_near(rays, image, rays.pixel(first), beyond, -1),
-            depth_near(rays, image, rays.pixel(last), beyond, 1),
+            depth_at(rays, image, i64::from(rays.pixel(first)) - i64::from(beyond)),
+            depth_at(rays, image, i64::from(rays.pixel(last)) + i64::from(beyond)),
         ],
         origin: moments.origin(),
         moments: *moments.sums(),
@@ -221,9 +220,7 @@ fn message(rays: &Rays, image: &[u16], points: Range<usize>, fit: &ArcFit, momen
     }
 }
 
-/// The depth `distance` pixels from `pixel`, or else a little farther; 0 where there is none.
-fn depth_near(rays: &Rays, image: &[u16], pixel: u32, distance: u32, side: i64) -> f64 {
-    let depth =
-        |more: i64| rays.view.depth(image, rays.line.number, i64::from(pixel) + side * (i64::from(distance) + more));
-    depth(0).or_else(|| depth(1)).or_else(|| depth(2)).unwrap_or(0.0)
+/// The depth of a pixel of the line; 0 where there is none.
+fn depth_at(rays: &Rays, image: &[u16], pixel: i64) -> f64 {
+    rays.view.depth(image, rays.line.number, pixel).unwrap_or(0.0)
 }

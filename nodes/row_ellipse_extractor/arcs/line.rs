@@ -1,12 +1,9 @@
 //! One scan line, or a window of it: its measurements, split into runs at jumps and holes.
 
-use super::view::View;
+use super::view::{BATCH, JumpRule, View};
 use conicflow_geometry::{Pinhole, Scan, ScanPlane};
 use conicflow_messages::is_measured;
 use std::ops::Range;
-
-/// Pixels that are tested together for holes, and measurements for jumps.
-const BATCH: usize = 32;
 
 /// A scan line; its buffers are used again for the next.
 #[derive(Debug)]
@@ -56,7 +53,7 @@ impl RayLine {
         let depths = view.depths(image, line, &window, &mut column);
         self.count = self.gather(view, window.start, depths);
         self.column = column;
-        self.split(view);
+        self.split(&view.jumps);
         self.window = window;
     }
 
@@ -82,28 +79,20 @@ impl RayLine {
         count
     }
 
-    fn split(&mut self, view: &View) {
+    fn split(&mut self, rule: &JumpRule) {
         self.runs.clear();
-        let (rule, count) = (view.jump_rule(), self.count);
-        let (pixels, depths) = (&self.pixels[..count], &self.depths[..count]);
+        let (pixels, depths) = (&self.pixels[..self.count], &self.depths[..self.count]);
         let mut start = 0;
-        for first in (1..count).step_by(BATCH) {
-            let batch = first - 1..(first + BATCH).min(count);
-            if !rule.may_split(&pixels[batch.clone()], &depths[batch.clone()]) {
-                continue;
-            }
-            let (pixels, depths) = (&pixels[batch.clone()], &depths[batch.clone()]);
-            let mut splits = [false; BATCH];
-            let neighbors = pixels.iter().zip(&pixels[1..]).zip(depths.iter().zip(&depths[1..]));
-            for (splits, ((here, there), (&a, &b))) in splits.iter_mut().zip(neighbors) {
-                *splits = rule.splits(a, b, there - here);
-            }
-            for (end, _) in (batch.start + 1..).zip(splits).filter(|(_, splits)| *splits) {
-                self.runs.push(start..end);
-                start = end;
+        for first in (0..self.count).step_by(BATCH) {
+            for at in places(&rule.doubtful(&pixels[first..], &depths[first..])) {
+                let last = first + at;
+                if rule.splits(depths[last], depths[last + 1], pixels[last + 1] - pixels[last]) {
+                    self.runs.push(start..last + 1);
+                    start = last + 1;
+                }
             }
         }
-        self.runs.extend((count > start).then_some(start..count));
+        self.runs.extend((self.count > start).then_some(start..self.count));
     }
 
     /// Number of runs.
@@ -137,6 +126,19 @@ impl RayLine {
     fn measurement(&self, index: usize) -> Option<(u32, u16)> {
         (index < self.count).then(|| (self.pixels[index], self.depths[index]))
     }
+}
+
+/// The places of the ones among zeros and ones.
+fn places(flags: &[u8; BATCH]) -> impl Iterator<Item = usize> {
+    let (words, _) = flags.as_chunks();
+    words.iter().zip((0..).step_by(8)).flat_map(|(word, first)| {
+        let mut word = u64::from_le_bytes(*word);
+        std::iter::from_fn(move || {
+            let bit = word.trailing_zeros() as usize;
+            word &= word.checked_sub(1)?;
+            Some(first + bit / 8)
+        })
+    })
 }
 
 /// The measurements of a run.

@@ -16,6 +16,13 @@ const HOLE_SLOPE: f64 = 1.5;
 /// how many standard deviations of the sensor a step may be on top of it.
 const JUMP_SIGMAS: f64 = 4.0;
 
+/// A little less than one, lest rounding puts a lower bound above.
+const BELOW: f64 = 0.999;
+/// The root of a half, times 2^16, rounded down.
+const ROOT_HALF: u16 = 46_340;
+/// Neighbours that are tested for jumps together.
+pub(super) const BATCH: usize = 32;
+
 /// The rows or the columns of an image; the tables are used again for the next.
 #[derive(Debug)]
 pub(super) struct View {
@@ -32,10 +39,10 @@ pub(super) struct View {
     noise: NoiseModel,
     /// Part of the noise model's variance that there is.
     quiet: f64,
-    /// Variance that the steps of the depth's unit make at the least.
+    /// Variance that rounding to the unit of the image makes at the least.
     least: f64,
-    /// Distance of neighbouring pixels per metre of depth.
-    pitch: f64,
+    /// The rule by which a line is split.
+    pub jumps: JumpRule,
     /// Slope of the ray of each pixel.
     slopes: Vec<f64>,
     /// Largest mean square error of so many points, in variances.
@@ -55,7 +62,7 @@ impl View {
             noise: NoiseModel::IDEAL,
             quiet: 1.0,
             least: 0.0,
-            pitch: 0.0,
+            jumps: JumpRule::new(&NoiseModel::IDEAL, 1.0, 0.0, 0),
             slopes: Vec::new(),
             limits: Vec::new(),
         }
@@ -67,8 +74,9 @@ impl View {
         [self.lines, self.length] = if scan == Scan::Row { size } else { [size[1], size[0]] };
         (self.scan, self.camera, self.width) = (scan, pinhole(&header.camera), size[1] as usize);
         (self.noise, self.quiet, self.scale) = (header.noise, quiet, header.depth_scale);
-        self.least = (0.5 * self.scale).powi(2);
-        self.pitch = self.camera.pixel_pitch(scan);
+        self.least = self.scale * self.scale / 12.0;
+        let pitch = self.camera.pixel_pitch(scan);
+        self.jumps = JumpRule::new(&self.noise, self.scale, pitch, self.config.max_hole_px);
         self.slopes.clear();
         self.slopes.extend((0..self.length).map(|pixel| self.camera.ray_slope(scan, f64::from(pixel))));
         let known = self.limits.len();
@@ -122,22 +130,6 @@ impl View {
     pub fn limit(&self, variance: f64, points: usize) -> f64 {
         variance * self.limits[points] + 1e-8
     }
-
-    /// The rule by which a line is split.
-    pub fn jump_rule(&self) -> JumpRule {
-        let NoiseModel { floor_m, growth_per_m, knee_m, step_per_m } = self.noise;
-        JumpRule {
-            scale: self.scale as f32,
-            per_metre: (1.0 / self.scale) as f32,
-            slope: (JUMP_SLOPE * self.pitch) as f32,
-            hole_slope: (HOLE_SLOPE * self.pitch) as f32,
-            floor: (JUMP_SIGMAS * floor_m) as f32,
-            growth: (JUMP_SIGMAS * growth_per_m) as f32,
-            knee: knee_m as f32,
-            step: (JUMP_SIGMAS * step_per_m / 12.0_f64.sqrt()) as f32,
-            max_pixels: self.config.max_hole_px + 1,
-        }
-    }
 }
 
 /// Whether two measurements in a row may lie on one surface.
@@ -152,24 +144,88 @@ pub(super) struct JumpRule {
     knee: f32,
     step: f32,
     max_pixels: u32,
+    least: LeastStep,
+}
+
+/// A lower bound of the largest step between neighbours on one surface, in whole numbers: processors compare eight at a
+/// time.
+#[derive(Clone, Copy, Debug)]
+struct LeastStep {
+    /// In units of the image.
+    floor: u16,
+    knee: u16,
+    /// Per square unit of depth, times 2^32.
+    growth: u16,
+    quantum: u16,
+    /// Per unit of depth, times 2^16.
+    slope: u16,
+}
+
+impl LeastStep {
+    fn new(noise: &NoiseModel, scale: f64, pitch: f64) -> Self {
+        let (sigmas, whole) = (BELOW * JUMP_SIGMAS, f64::from(1 << 16));
+        let per_square = sigmas * whole * whole * scale;
+        Self {
+            floor: (sigmas * noise.floor_m / scale) as u16,
+            knee: (noise.knee_m / scale).ceil() as u16,
+            growth: (per_square * noise.growth_per_m) as u16,
+            quantum: (per_square * noise.step_per_m / 12.0_f64.sqrt()) as u16,
+            slope: (BELOW * whole * JUMP_SLOPE * pitch) as u16,
+        }
+    }
+
+    #[inline]
+    fn step(&self, near: u16) -> u16 {
+        let high = |a: u16, b: u16| ((u32::from(a) * u32::from(b)) >> 16) as u16;
+        let beyond_knee = near.saturating_sub(self.knee);
+        let axial = self.floor.saturating_add(high(high(beyond_knee, beyond_knee), self.growth));
+        let quantum = high(high(near, near), self.quantum);
+        // The root of the sum of two squares is at least their sum over that of two.
+        let noise = axial.max(quantum).max(high(axial.saturating_add(quantum), ROOT_HALF));
+        noise.saturating_add(high(near, self.slope))
+    }
 }
 
 impl JumpRule {
+    /// For depths in units of `scale` metres, and pixels that lie `pitch` apart per metre of depth.
+    fn new(noise: &NoiseModel, scale: f64, pitch: f64, max_hole_px: u32) -> Self {
+        let NoiseModel { floor_m, growth_per_m, knee_m, step_per_m } = *noise;
+        Self {
+            scale: scale as f32,
+            per_metre: (1.0 / scale) as f32,
+            slope: (JUMP_SLOPE * pitch) as f32,
+            hole_slope: (HOLE_SLOPE * pitch) as f32,
+            floor: (JUMP_SIGMAS * floor_m) as f32,
+            growth: (JUMP_SIGMAS * growth_per_m) as f32,
+            knee: knee_m as f32,
+            step: (JUMP_SIGMAS * step_per_m / 12.0_f64.sqrt()) as f32,
+            max_pixels: max_hole_px + 1,
+            least: LeastStep::new(noise, scale, pitch),
+        }
+    }
+
     /// Whether there is a jump or too large a hole between raw depths a and b that are `pixels` apart.
     #[inline]
     pub fn splits(&self, a: u16, b: u16, pixels: u32) -> bool {
         (f32::from(a.abs_diff(b)) > self.largest_step(a.min(b), pixels)) | (pixels > self.max_pixels)
     }
 
-    /// Whether there may be a jump or a hole among depths of neighbouring `pixels`: without it none has to be looked at.
+    /// Ones where there may be a jump or a hole behind a measurement, of the first of neighbouring `pixels`: no others
+    /// have to be looked at.
     #[inline]
-    pub fn may_split(&self, pixels: &[u32], depths: &[u16]) -> bool {
-        let (Some(first), Some(last)) = (pixels.first(), pixels.last()) else { return false };
-        let (mut nearest, mut largest) = (u16::MAX, 0);
-        for (&a, &b) in depths.iter().zip(&depths[1..]) {
-            (nearest, largest) = (nearest.min(a.min(b)), largest.max(a.abs_diff(b)));
+    pub fn doubtful(&self, pixels: &[u32], depths: &[u16]) -> [u8; BATCH] {
+        let mut doubtful = [0; BATCH];
+        let next = |count: usize| (BATCH + 1).min(count);
+        let (pixels, depths) = (&pixels[..next(pixels.len())], &depths[..next(depths.len())]);
+        for (doubtful, (&a, &b)) in doubtful.iter_mut().zip(depths.iter().zip(&depths[1..])) {
+            *doubtful = u8::from(a.abs_diff(b) > self.least.step(a.min(b)));
         }
-        (last - first) as usize >= pixels.len() || f32::from(largest) > self.largest_step(nearest, 1)
+        if (pixels[pixels.len() - 1] - pixels[0]) as usize >= pixels.len() {
+            for (doubtful, (&here, &there)) in doubtful.iter_mut().zip(pixels.iter().zip(&pixels[1..])) {
+                *doubtful |= u8::from(there - here > 1);
+            }
+        }
+        doubtful
     }
 
     /// The largest raw step on one surface from raw depth `near` on; it grows with the depth.
@@ -193,7 +249,7 @@ mod tests {
         let noise = NoiseModel::KINECT_V1;
         let mut view = View::with(RowEllipseConfig::default());
         view.turn(&Header { camera, noise, depth_scale: 1e-3, ..Header::default() }, Scan::Row, 1.0);
-        view.jump_rule()
+        view.jumps
     }
 
     #[test]
@@ -216,17 +272,19 @@ mod tests {
     }
 
     #[test]
-    fn what_may_not_split_does_not() {
+    fn nothing_splits_but_what_is_doubtful() {
         let (rule, pixels) = (rule(), [10, 11, 12, 13, 14, 15]);
         let mut none = 0;
         for seed in 0..2000_u32 {
             let random = |i: u32| (seed * 6 + i).wrapping_mul(2_654_435_761) >> 8;
             let depths: [u16; 6] = std::array::from_fn(|i| 1500 + (random(i as u32) % (seed / 20 + 1)) as u16);
-            let splits = depths.windows(2).any(|pair| rule.splits(pair[0], pair[1], 1));
-            none += usize::from(!rule.may_split(&pixels, &depths));
-            assert!(rule.may_split(&pixels, &depths) || !splits, "{depths:?}");
+            let doubtful = rule.doubtful(&pixels, &depths);
+            none += usize::from(doubtful == [0; BATCH]);
+            for (pair, doubtful) in depths.windows(2).zip(doubtful) {
+                assert!(doubtful == 1 || !rule.splits(pair[0], pair[1], 1), "{depths:?}");
+            }
         }
         assert!((200..1800).contains(&none), "{none} without");
-        assert!(rule.may_split(&[10, 11, 13], &[1500, 1500, 1500]));
+        assert_eq!(rule.doubtful(&[10, 11, 13], &[1500, 1500, 1500])[..3], [0, 1, 0]);
     }
 }
