@@ -5,6 +5,7 @@ use super::super::filter::Rejection;
 use super::rays::Rays;
 use super::run::{FIRST_FIT, Run};
 use super::segments::Segment;
+use super::view::View;
 use conicflow_geometry::{ArcFit, ArcMoments, Circle, LineSums, PlaneMoments, Scan};
 use conicflow_messages::Ellipse;
 use std::ops::Range;
@@ -122,11 +123,16 @@ fn nearly_flat(rays: &Rays, moments: &ArcMoments) -> ArcFit {
     ArcFit { line_square, circle_square: line_square, circle }
 }
 
-/// Where a segment ends before something farther behind it, on the sides on which it ends its run, in pixels.
+/// Where a segment ends before something behind it, on the sides on which it ends its run, in pixels. Beyond a hole may be
+/// the same surface: only a jump counts.
 fn contour(rays: &Rays, segment: &Segment) -> [f64; 2] {
+    let View { jumps, config, .. } = rays.view;
     let end = |is_end: bool, point: usize, neighbor: Option<(u32, u16)>| {
         let (pixel, depth) = (rays.points.pixels[point], rays.points.depths[point]);
-        let (there, _) = neighbor.filter(|(_, behind)| is_end && *behind > depth)?;
+        let is_behind = |there: u32, other: u16| {
+            other > depth && jumps.splits(depth, other, there.abs_diff(pixel).min(config.max_hole_px + 1))
+        };
+        let (there, _) = neighbor.filter(|(there, other)| is_end && is_behind(*there, *other))?;
         Some(f64::from(pixel) + 0.5 * (f64::from(there) - f64::from(pixel)).clamp(-MAX_GAP, MAX_GAP))
     };
     let [before, behind] = rays.points.neighbors;
