@@ -58,7 +58,7 @@ fn needs(text: &str) -> Needs {
     Needs::of(&Plan::of(&pipeline, None, None, 1), NODES)
 }
 
-fn messages(playground: &Playground, stage: &str) -> u64 {
+pub fn messages(playground: &Playground, stage: &str) -> u64 {
     let look = playground.conicflow(&["top", "--once"]).expect_code(0);
     let seen: Json = serde_json::from_str(&look.stdout).unwrap();
     let stages = seen["pipelines"][0]["stages"].as_array().unwrap();
@@ -66,7 +66,7 @@ fn messages(playground: &Playground, stage: &str) -> u64 {
 }
 
 /// Stops the readers from the last to the first, and each only when the writer before it has filled its queue.
-pub fn fill_all_queues(playground: &Playground, run: &mut Started) {
+fn fill_all_queues(playground: &Playground, run: &mut Started) {
     let stages = stages_of(run.id());
     for (_, writer, reader) in TOPICS.iter().rev() {
         signal(stages[*reader], Signal::STOP);

@@ -171,7 +171,12 @@ pub(crate) fn usual_length(kind: Kind) -> usize {
 
 /// Bytes that a writer's messages take, of which its readers hold and keep waiting so many at most.
 fn taken(topic: &Topic, bytes: usize, with_readers: usize) -> u64 {
-    ((with_readers + LOANED) * bytes + (topic.readers.len() + 1) * ROOM_PER_PORT) as u64
+    ((with_readers + LOANED) * bytes) as u64 + taken_by_ports(topic)
+}
+
+/// Bytes that iceoryx2 keeps for a writer and its readers, beside their messages.
+fn taken_by_ports(topic: &Topic) -> u64 {
+    ((topic.readers.len() + 1) * ROOM_PER_PORT) as u64
 }
 
 /// Makes sure that a topic's messages find room if they are up to `length` items long; the bytes that they take at most.
@@ -181,7 +186,7 @@ pub(crate) fn look_for_room<T: Item>(topic: &Topic, length: usize) -> Result<u64
     match room() {
         Ok((free, _)) if free < needed => Err(no_room(topic, length, needed)),
         // Where there is no such folder iceoryx2 says it better.
-        _ => Ok(needed),
+        _ => Ok(needed - taken_by_ports(topic)),
     }
 }
 

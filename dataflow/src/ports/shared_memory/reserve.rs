@@ -1,7 +1,7 @@
 //! Memory that a writer is sure of.
 //!
 //! iceoryx2 gives a segment its length, and the system gives memory for a page when that is first written: where other
-//! programs have taken what was free, the writer is killed. So the pages that its messages can come to need are asked for as
+//! programs have taken what was free, the writer is killed. So the pages that its images can come to need are asked for as
 //! soon as the segment is there, when it can still be told that there are too few. They are the first of the segment: of the
 //! places for messages that are free it takes the one that came back last, and a new one only where there is none.
 

@@ -55,26 +55,35 @@ impl<T: Item> SharedWriter<T> {
     /// itself would need no second publisher, but takes a megabyte of each process that has a part in it.
     fn publisher(&mut self, length: usize) -> Result<&Publisher<Ipc, [WireItem<T>], WireHeader>, PortError> {
         if self.publisher.is_none() || length > self.capacity {
-            let capacity = match T::KIND {
-                Kind::Depth => length.max(1),
-                kind => length.max(needs::usual_length(kind)).next_power_of_two(),
+            let (longest, capacity) = match T::KIND {
+                Kind::Depth => (length.max(1), length.max(1)),
+                kind => {
+                    let longest = length.max(needs::usual_length(kind));
+                    (longest, longest.next_power_of_two())
+                }
             };
-            let needed = needs::look_for_room::<T>(&self.topic, capacity)?;
+            let needed = needs::look_for_room::<T>(&self.topic, longest)?;
             self.publisher = None;
             self.attached.clear();
             let builder = self.messages.publisher_builder().max_loaned_samples(1).initial_max_slice_len(capacity);
             let builder = builder.allocation_strategy(AllocationStrategy::Static);
             let builder = builder.set_backpressure_handler(self.wait_for_room());
             let publisher = builder.create().map_err(|error| self.fault(error))?;
-            let reserved = reserve(self.occupied.prefix(), publisher.id().value(), needed);
-            reserved.map_err(|error| match error.kind() {
-                ErrorKind::StorageFull => needs::no_room(&self.topic, capacity, needed),
-                _ => self.fault(error),
-            })?;
+            // A list seldom fills its place; to take all of that would be many times what lists need.
+            if T::KIND == Kind::Depth {
+                self.take_memory(publisher.id().value(), capacity, needed)?;
+            }
             self.publisher = Some(publisher);
             self.capacity = capacity;
         }
         self.publisher.as_ref().ok_or(PortError::Stopped)
+    }
+
+    fn take_memory(&self, publisher: u128, capacity: usize, needed: u64) -> Result<(), PortError> {
+        reserve(self.occupied.prefix(), publisher, needed).map_err(|error| match error.kind() {
+            ErrorKind::StorageFull => needs::no_room(&self.topic, capacity, needed),
+            _ => self.fault(error),
+        })
     }
 
     /// What a full queue leads to: for a lossless reader of the pipeline to waiting, until it has room or is dead; for any
