@@ -43,8 +43,8 @@ impl Stage for FaultyStage {
             }
         }
         input.items.iter().for_each(|object| output.push(*object));
-        let first = self.0.nonsense_at.unwrap_or(u64::MAX);
-        nonsense(input.header.sequence.wrapping_sub(first)).into_iter().for_each(|object| output.push(object));
+        let number = self.0.nonsense_at.and_then(|first| input.header.sequence.checked_sub(first));
+        number.and_then(nonsense).into_iter().for_each(|object| output.push(object));
         Ok(())
     }
 }
