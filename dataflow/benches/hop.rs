@@ -34,6 +34,9 @@ const QUEUE: usize = 16;
 /// A reader that has not got what it waits for by then has failed.
 const PATIENCE: Duration = Duration::from_secs(20);
 
+/// What the names of a bare service's files begin with.
+const BARE_PREFIX: &[u8] = b"hop_";
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Way {
     Topic,
@@ -126,6 +129,10 @@ impl Drop for Folder {
     fn drop(&mut self) {
         // what is left in the folder for temporary files harms nobody
         let _ = std::fs::remove_dir_all(&self.0);
+        // Of a bare service one file stays in shared memory, whose name does not change.
+        let shared = std::fs::read_dir("/dev/shm").into_iter().flatten().flatten();
+        let own = shared.filter(|entry| entry.file_name().as_encoded_bytes().starts_with(BARE_PREFIX));
+        own.for_each(|entry| drop(std::fs::remove_file(entry.path())));
     }
 }
 
@@ -220,7 +227,7 @@ fn read_topic(folder: &Path) -> Outcome<Vec<u64>> {
 fn bare_node(folder: &Path) -> Outcome<Node<ipc::Service>> {
     let mut config = Config::default();
     config.global.set_root_path(&RootPath::new(folder.as_os_str().as_encoded_bytes())?);
-    config.global.prefix = FileName::new(b"hop_")?;
+    config.global.prefix = FileName::new(BARE_PREFIX)?;
     Ok(NodeBuilder::new().config(&config).create()?)
 }
 

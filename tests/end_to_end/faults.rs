@@ -93,3 +93,21 @@ fn a_stage_that_stands_still_is_told_of_and_goes_on() {
     let made = ended.stage("source").messages;
     assert!(playground.sequences("tracks.jsonl").into_iter().eq(0..made), "nothing is lost meanwhile");
 }
+
+#[test]
+fn nonsense_in_shared_memory_is_counted_and_left_out() {
+    let playground = with_faulty_stage("nonsense_at = 20");
+    let mut run = start(&playground);
+    wait_for_frame(&mut run, &playground, 40);
+    let look = playground.conicflow(&["top", "--once"]).expect_code(0);
+    let seen: Json = serde_json::from_str(&look.stdout).unwrap();
+    let inputs = seen["pipelines"][0]["inputs"].as_array().unwrap();
+    let malformed = |name: &str| inputs.iter().find(|input| input["reader"] == name).unwrap()["malformed"].as_u64();
+    assert_eq!((malformed("faulty"), malformed("tracker"), malformed("json")), (Some(0), Some(3), Some(0)), "{seen:#}");
+    signal(run.id(), Signal::INT);
+    let ended = run.wait().expect_code(0);
+    assert_eq!((ended.stage("faulty").starts, ended.stage("tracker").starts), (1, 1), "{}", ended.stderr);
+    let sequences = playground.sequences("tracks.jsonl");
+    let made = ended.stage("source").messages;
+    assert!(sequences.iter().copied().eq((0..20).chain(23..made)), "{sequences:?}");
+}

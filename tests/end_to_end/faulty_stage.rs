@@ -1,4 +1,5 @@
-//! A stage that passes on what it gets, but at one frame panics, or hangs: it neither comes back nor listens.
+//! A stage that passes on what it gets, but at one frame panics, hangs, so that it neither comes back nor listens, or writes
+//! nonsense.
 
 use conicflow_dataflow::{Config, Context, Output, Sides, Stage, StageError, run_stage};
 use conicflow_messages::{Message, Object};
@@ -14,6 +15,8 @@ struct FaultyStageConfig {
     panic_at: Option<u64>,
     /// The frame at which it hangs.
     hang_at: Option<u64>,
+    /// The frame from which on, for three frames, it writes what is no object.
+    nonsense_at: Option<u64>,
 }
 
 impl Config for FaultyStageConfig {}
@@ -40,8 +43,22 @@ impl Stage for FaultyStage {
             }
         }
         input.items.iter().for_each(|object| output.push(*object));
+        let number = self.0.nonsense_at.and_then(|first| input.header.sequence.checked_sub(first));
+        number.and_then(nonsense).into_iter().for_each(|object| output.push(object));
         Ok(())
     }
+}
+
+/// Numbers that are none, a kind that there is not, and any bits at all.
+fn nonsense(number: u64) -> Option<Object> {
+    let mut object = Object::default();
+    match number {
+        0 => object.center = [f64::NAN; 3],
+        1 => object.radius = f64::INFINITY,
+        2 => bytemuck::bytes_of_mut(&mut object).fill(0xff),
+        _ => return None,
+    }
+    Some(object)
 }
 
 fn main() -> ExitCode {

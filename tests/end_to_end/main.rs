@@ -11,6 +11,8 @@ mod doctor;
 mod experiments;
 #[cfg(target_os = "linux")]
 mod faults;
+#[cfg(target_os = "linux")]
+mod full_memory;
 mod hostile_files;
 #[cfg(target_os = "linux")]
 mod hosts;
@@ -19,6 +21,8 @@ mod identities;
 #[cfg(target_os = "linux")]
 mod intruders;
 mod outside_stage;
+#[cfg(target_os = "linux")]
+mod own_memory;
 #[cfg(target_os = "linux")]
 mod processes;
 #[cfg(target_os = "linux")]

@@ -1,7 +1,7 @@
 //! A long live run: memory, open files and shared memory stay what they were. An hour of it, with its latencies:
 //! `CONICFLOW_SOAK_S=3600 cargo test --release --test end_to_end -- soak --nocapture`
 
-use crate::processes::{shared_files, stages_of, wait_for_lines};
+use crate::processes::{files_in_shared_memory, shared_files, shared_prefix, stages_of, wait_for_lines};
 use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, signal};
 use rustix::process::Signal;
 use std::collections::{BTreeMap, BTreeSet};
@@ -14,20 +14,28 @@ const DEFAULT_SECONDS: u64 = 15;
 const SAMPLES: u64 = 60;
 /// What a process may grow by: a few pages that it had not come to use before.
 const SLACK_KB: u64 = 512;
+/// What a stage may have, once it has settled.
+const MOST_RESIDENT_KB: u64 = 10 * 1024;
+const MOST_THREADS: usize = 3;
 
 /// What a stage uses at one moment.
 #[derive(Clone, Copy, Debug)]
-struct Usage {
+pub struct Usage {
     /// Memory of its own that is resident, in kB; what it shares is counted once, below.
-    private_kb: u64,
+    pub private_kb: u64,
+    /// All memory that is resident, in kB: with the program and the libraries, which all stages share.
+    resident_kb: u64,
+    threads: usize,
     open_files: usize,
 }
 
-fn usage(process: u32) -> Usage {
+pub fn usage(process: u32) -> Usage {
     let rollup = fs::read_to_string(format!("/proc/{process}/smaps_rollup")).unwrap();
     let field = |line: &str| line.split_whitespace().nth(1).unwrap().parse::<u64>().unwrap();
-    let private = rollup.lines().filter(|line| line.starts_with("Private_")).map(field);
-    Usage { private_kb: private.sum(), open_files: fs::read_dir(format!("/proc/{process}/fd")).unwrap().count() }
+    let sum = |title: &str| rollup.lines().filter(|line| line.starts_with(title)).map(field).sum();
+    let entries = |name: &str| fs::read_dir(format!("/proc/{process}/{name}")).unwrap().count();
+    let (threads, open_files) = (entries("task"), entries("fd"));
+    Usage { private_kb: sum("Private_"), resident_kb: sum("Rss:"), threads, open_files }
 }
 
 /// Number and bytes of the files in shared memory that the stages use.
@@ -70,6 +78,7 @@ fn a_long_run_uses_no_more_at_its_end_than_at_its_begin() {
     let sets = sizes.into_iter().chain(camera).flat_map(|set| ["--set", set]);
     let mut run = playground.start(&["run"].into_iter().chain(sets).collect::<Vec<_>>());
     wait_for_lines(&mut run, &playground);
+    let prefix = shared_prefix(&run);
     let begin = Instant::now();
     let due = |number: u64| begin + Duration::from_secs_f64(seconds as f64 * number as f64 / SAMPLES as f64);
     let mut samples = Vec::new();
@@ -79,6 +88,7 @@ fn a_long_run_uses_no_more_at_its_end_than_at_its_begin() {
     }
     signal(run.id(), Signal::INT);
     let ended = run.wait().expect_code(0);
+    assert_eq!(files_in_shared_memory(&prefix), [""; 0], "left in shared memory");
     // The first fifth is for warming up.
     let (first, last) = (&samples[samples.len() / 5], samples.last().unwrap());
     for stage in TRACKING_STAGES {
@@ -86,6 +96,9 @@ fn a_long_run_uses_no_more_at_its_end_than_at_its_begin() {
         println!("{stage}: {before:?}, after {seconds} s {after:?}");
         assert!(after.private_kb <= before.private_kb + SLACK_KB, "{stage}: {before:?}, {after:?}");
         assert_eq!(after.open_files, before.open_files, "{stage}");
+        assert!(after.threads <= MOST_THREADS, "{stage}: {after:?}");
+        // A program that was not optimised is longer.
+        assert!(cfg!(debug_assertions) || after.resident_kb <= MOST_RESIDENT_KB, "{stage}: {after:?}");
         assert_eq!(ended.stage(stage).starts, 1, "{}", ended.stderr);
     }
     println!("shared memory, files and bytes: {:?}, {:?}", first.shared, last.shared);

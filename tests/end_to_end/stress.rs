@@ -1,7 +1,7 @@
 //! Kills at random moments: after each kill the run goes on or is gone, and the machine is as it was. Some hundred of them:
 //! `CONICFLOW_STRESS_ROUNDS=300 cargo test --test end_to_end -- stress --nocapture`
 
-use crate::processes::{files_below, shared_prefix, stages_of, wait_for_lines};
+use crate::processes::{files_below, files_in_shared_memory, shared_prefix, stages_of, wait_for_lines};
 use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, signal, wait_until};
 use rustix::process::Signal;
 use std::collections::{BTreeMap, BTreeSet};
@@ -35,10 +35,8 @@ const VICTIMS: [Victims; 4] = [Victims::Stage, Victims::TwoStages, Victims::Laun
 /// What the runs of the playground have left: files of theirs in shared memory, and in the runtime folder those that are
 /// not only there to be locked.
 fn files(playground: &Playground, prefix: &str) -> BTreeSet<String> {
-    let shared = fs::read_dir("/dev/shm").unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
-    let own = shared.filter(|name| name.starts_with(prefix));
     let below = files_below(playground.runtime()).into_iter().map(|path| path.display().to_string());
-    own.chain(below.filter(|path| !path.ends_with("lock"))).collect()
+    files_in_shared_memory(prefix).into_iter().chain(below.filter(|path| !path.ends_with("lock"))).collect()
 }
 
 /// What the names of all shared memory of runs in the playground begin with.

@@ -148,9 +148,17 @@ impl Playground {
 }
 
 impl Drop for Playground {
-    /// Ends what a test that failed has left running.
+    /// Ends what a test that failed has left running, and removes what killed processes have left in shared memory, as long
+    /// as the folder that leads there is there.
     fn drop(&mut self) {
-        self.processes().into_iter().for_each(|process| signal(process, Signal::KILL));
+        let since = Instant::now();
+        while !self.processes().is_empty() && since.elapsed() < GRACE {
+            self.processes().into_iter().for_each(|process| signal(process, Signal::KILL));
+            std::thread::sleep(LOOK);
+        }
+        if self.runtime().join("shm").is_dir() {
+            self.command(&["doctor", "--clean"]).output().ok();
+        }
     }
 }
 

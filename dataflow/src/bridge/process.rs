@@ -13,7 +13,7 @@ use super::{BridgeError, Wire};
 use crate::launcher::RunFolder;
 use crate::plan::Plan;
 use crate::ports::shared_memory::SharedMemory;
-use crate::runner::Surroundings;
+use crate::runner::{Settling, Surroundings};
 use crate::stage::Stop;
 use crate::status::{Life, NO_RUN};
 use conicflow_messages::{Ellipse, Kind, Object, Track};
@@ -38,7 +38,7 @@ pub(crate) fn run(
     folder: &RunFolder,
     around: Surroundings<SharedMemory>,
 ) -> Result<(), BridgeError> {
-    let stop = around.context.stop.clone();
+    let (stop, settling) = (around.context.stop.clone(), Settling::of(&around));
     let stream = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as u64);
     let links = Arc::new(Links::new(&bridge.machine, stream, bridge.peers().into_iter()));
     let mut account = Account::new(bridge, plan, folder, around.record, &links);
@@ -59,7 +59,8 @@ pub(crate) fn run(
     let voice = ways.speak(&beacon_key(&plan.pipeline, &bridge.machine), true, Priority::RealTime)?;
     let ears = listen_for_beacons(&shared, bridge)?;
     account.record.status.set_life(Life::Running);
-    let mut watch = Watch { account, ways: &ways, links: &links, voice, ears, sent: (Instant::now(), Vec::new()) };
+    let sent = (Instant::now(), Vec::new());
+    let mut watch = Watch { account, ways: &ways, links: &links, voice, ears, sent, settling };
     let result = watch.run(&shared);
     let life = if result.is_ok() && !stop.forced() { Life::Ended } else { Life::Starting };
     watch.account.record.status.set_life(life);
@@ -88,6 +89,8 @@ struct Watch<'a> {
     voice: Voice<'a>,
     ears: Vec<Ear<'a>>,
     sent: (Instant, Vec<Ack>),
+    /// Counts seconds with a link.
+    settling: Settling,
 }
 
 type Handle<'scope> = ScopedJoinHandle<'scope, Result<(), BridgeError>>;
@@ -116,7 +119,7 @@ impl<'a> Watch<'a> {
                 self.send_beacon(acks);
             }
             if self.account.is_due() {
-                self.account.report(self.ways.reach_anybody());
+                self.report();
             }
             self.ears.iter_mut().try_for_each(|ear| ear.choose().map(drop)).inspect_err(|_| stop.force())?;
             for ended in handles.extract_if(.., |handle| handle.is_finished()) {
@@ -126,6 +129,14 @@ impl<'a> Watch<'a> {
             std::thread::sleep(TICK);
         }
         result
+    }
+
+    fn report(&mut self) {
+        let reachable = self.ways.reach_anybody();
+        self.account.report(reachable);
+        if reachable {
+            self.settling.step();
+        }
     }
 
     fn send_beacon(&mut self, acks: Vec<Ack>) {

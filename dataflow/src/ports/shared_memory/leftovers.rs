@@ -62,7 +62,7 @@ pub(crate) fn leftovers() -> io::Result<Vec<Leftover>> {
     }
     // A counter goes with the last file of its folder.
     let in_use: Vec<_> = in_use.iter().map(|path| family(name_of(path))).collect();
-    let goes = |name: &str| !name.ends_with(COUNTER) || family(name).is_some_and(|own| !in_use.contains(&Some(own)));
+    let goes = |name: &str| !name.ends_with(COUNTER) || !in_use.contains(&family(name));
     dead.retain(|leftover| goes(name_of(&leftover.path)));
     Ok(dead)
 }
@@ -71,7 +71,7 @@ fn name_of(path: &Path) -> &str {
     path.file_name().and_then(|name| name.to_str()).unwrap_or_default()
 }
 
-/// What the names of all files of one folder have in common, which those of earlier versions had not.
+/// What the names of all files of one folder have in common; those of earlier versions had nothing, and are one family.
 fn family(name: &str) -> Option<&str> {
     let (family, _) = name.strip_prefix(PREFIX)?.split_once('_')?;
     Some(family).filter(|family| family.len() == DIGITS)

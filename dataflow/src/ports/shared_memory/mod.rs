@@ -10,6 +10,7 @@
 mod hold;
 pub(crate) mod leftovers;
 mod reader;
+mod reserve;
 pub(crate) mod residence;
 mod sweep;
 mod tap;
@@ -22,6 +23,7 @@ pub use reader::{SharedMessage, SharedReader};
 pub use tap::SharedTap;
 pub use writer::SharedWriter;
 
+use crate::needs::{ROOM_PER_PORT, in_words, room};
 use crate::ports::{Delivery, PortError, Topic, Transport};
 use crate::stage::Stop;
 use bytemuck::TransparentWrapper;
@@ -33,9 +35,9 @@ use iceoryx2::prelude::*;
 use iceoryx2::service::builder::publish_subscribe::{PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError};
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory as TopicFactory;
 use std::fmt::{Debug, Display};
-use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use sweep::Occupied;
 use writer::place_of;
 
 type Ipc = ipc_threadsafe::Service;
@@ -77,9 +79,9 @@ unsafe impl ZeroCopySend for WireHeader {
 pub struct SharedMemory {
     node: Node<Ipc>,
     run: String,
-    root: PathBuf,
     stop: Stop,
-    _occupied: File,
+    /// Shared with the ports, and last in each: the folder is theirs until all of them have left it.
+    occupied: Arc<Occupied>,
 }
 
 impl SharedMemory {
@@ -95,12 +97,12 @@ impl SharedMemory {
             reason: format!("{reason:?}"),
             root: root.to_owned(),
         };
-        let _occupied = sweep::occupy(root).map_err(|error| fault(&error))?;
+        let occupied = Arc::new(Occupied::new(root).map_err(|error| fault(&error))?);
         let name = NodeName::new(stage).map_err(|error| fault(&error))?;
         let builder = NodeBuilder::new().name(&name).config(&config).signal_handling_mode(SignalHandlingMode::Disabled);
         let node = builder.create::<Ipc>().map_err(|error: NodeCreationFailure| fault(&error))?;
         sweep::close_to_others(root).map_err(|error| fault(&error))?;
-        Ok(Self { node, run: run.to_owned(), root: root.to_owned(), stop, _occupied })
+        Ok(Self { node, run: run.to_owned(), stop, occupied })
     }
 
     /// Removes what processes that died have left in shared memory.
@@ -108,8 +110,10 @@ impl SharedMemory {
     /// # Errors
     /// The folder cannot be used for shared memory.
     pub fn clean(root: &Path) -> Result<(), PortError> {
-        Self::open(root, "", "launcher", Stop::default())?.node.try_cleanup_dead_nodes();
-        sweep::sweep(root).map_err(|error| PortError::SharedMemory {
+        let Self { node, occupied, .. } = Self::open(root, "", "launcher", Stop::default())?;
+        node.try_cleanup_dead_nodes();
+        drop(node);
+        occupied.sweep().map_err(|error| PortError::SharedMemory {
             doing: "what dead processes left cannot be removed".to_owned(),
             reason: error.to_string(),
             root: root.to_owned(),
@@ -117,7 +121,11 @@ impl SharedMemory {
     }
 
     fn fault(&self, doing: impl Display, reason: impl Debug) -> PortError {
-        PortError::SharedMemory { doing: doing.to_string(), reason: format!("{reason:?}"), root: self.root.clone() }
+        PortError::SharedMemory { doing: doing.to_string(), reason: format!("{reason:?}"), root: self.root() }
+    }
+
+    fn root(&self) -> PathBuf {
+        self.occupied.root().to_owned()
     }
 
     fn service_name(&self, topic: &Topic, part: &str) -> Result<ServiceName, PortError> {
@@ -125,7 +133,19 @@ impl SharedMemory {
         ServiceName::new(&name).map_err(|error| self.fault(format!("topic `{}` cannot be named", topic.name), error))
     }
 
+    /// Makes sure that there is room for what iceoryx2 keeps for a port: it is written when the port is made.
+    fn look_for_room(&self, topic: &Topic) -> Result<(), PortError> {
+        match room() {
+            Ok((free, _)) if free < ROOM_PER_PORT as u64 => {
+                let doing = format!("topic `{}` cannot be joined", topic.name);
+                Err(self.fault(doing, format_args!("shared memory has {} free", in_words(free))))
+            }
+            _ => Ok(()),
+        }
+    }
+
     fn messages<T: Item>(&self, topic: &Topic) -> Result<Factory<T>, PortError> {
+        self.look_for_room(topic)?;
         let readers = topic.readers.len() + SPARE_READERS;
         let writers = topic.writers.len() + 2;
         let opened = self
@@ -214,7 +234,7 @@ impl Transport for SharedMemory {
         let messages = self.messages::<T>(topic)?;
         let subscriber = messages.subscriber_builder().buffer_size(queue).name(&name).create();
         let subscriber = subscriber.map_err(|error| fault(&error))?;
-        Ok(SharedReader { subscriber, wake, room, topic: topic.name.clone(), root: self.root.clone() })
+        Ok(SharedReader { subscriber, wake, room, topic: topic.name.clone(), occupied: Arc::clone(&self.occupied) })
     }
 
     fn writer<T: Item>(&self, topic: &Topic) -> Result<SharedWriter<T>, PortError> {
@@ -229,8 +249,8 @@ impl Transport for SharedMemory {
             attached: Vec::new(),
             topic: topic.clone(),
             config: self.node.config().clone(),
-            root: self.root.clone(),
             stop: self.stop.clone(),
+            occupied: Arc::clone(&self.occupied),
         })
     }
 }

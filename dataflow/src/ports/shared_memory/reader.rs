@@ -1,5 +1,6 @@
 //! The reading end of a topic in shared memory.
 
+use super::sweep::Occupied;
 use super::{Ipc, WireHeader, WireItem};
 use crate::ports::{PortError, Reader, Received};
 use bytemuck::TransparentWrapper;
@@ -8,7 +9,7 @@ use iceoryx2::port::listener::{Listener, ListenerWaitError};
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::sample::Sample;
-use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Duration;
 
 /// Reads a topic in shared memory.
@@ -17,7 +18,7 @@ pub struct SharedReader<T: Item> {
     pub(super) wake: Listener<Ipc>,
     pub(super) room: Option<Notifier<Ipc>>,
     pub(super) topic: String,
-    pub(super) root: PathBuf,
+    pub(super) occupied: Arc<Occupied>,
 }
 
 /// A message in shared memory.
@@ -41,7 +42,7 @@ impl<T: Item> Reader<T> for SharedReader<T> {
         let received = self.subscriber.receive().map_err(|error| PortError::SharedMemory {
             doing: format!("topic `{}` cannot be read", self.topic),
             reason: format!("{error:?}"),
-            root: self.root.clone(),
+            root: self.occupied.root().to_owned(),
         })?;
         if let (Some(_), Some(room)) = (&received, &self.room) {
             // A writer that is not woken looks again by itself after `DEAD_READER_CHECK`.
@@ -57,7 +58,7 @@ impl<T: Item> Reader<T> for SharedReader<T> {
             Err(error) => Err(PortError::SharedMemory {
                 doing: format!("waiting for topic `{}` failed", self.topic),
                 reason: format!("{error:?}"),
-                root: self.root.clone(),
+                root: self.occupied.root().to_owned(),
             }),
         }
     }

@@ -1,16 +1,24 @@
 //! Removes all that is left in shared memory when nobody uses it.
 //!
 //! iceoryx2 removes what a dead process has left as far as that had come to announce it. A process that is killed while it
-//! joins or leaves may leave files that nothing leads to; they go when the last one that uses the folder is gone. Whoever
-//! uses it holds a lock, which the kernel releases however a process ends; and what a folder's users have in shared memory
-//! bears a prefix of its own, so that other users, folders and containers are never touched.
+//! joins or leaves may leave files that nothing leads to, and nobody removes the counter of processes; they go with the last
+//! one that uses the folder. Whoever uses it holds a lock, which the kernel releases however a process ends; and what a
+//! folder's users have in shared memory bears a prefix of its own, so that other users, folders and containers are never
+//! touched.
 
 use super::leftovers::remove_unused;
 use crate::needs::SHARED_MEMORY;
-use std::fs::{self, File, Permissions, TryLockError};
+use rustix::fs::{FlockOperation, flock};
+use rustix::io::Errno;
+use std::fs::{self, File, Permissions};
 use std::io::{self, ErrorKind};
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+/// Of a process that was killed the system may end the lock before it lets go of the files.
+const LETTING_GO: Duration = Duration::from_millis(100);
 
 const LOCK: &str = "lock";
 
@@ -35,11 +43,57 @@ pub(super) fn prefix(root: &Path) -> io::Result<String> {
     Ok(format!("{PREFIX}{hash:08x}_"))
 }
 
-/// Says that this process uses the folder, for as long as the file is held.
-pub(super) fn occupy(root: &Path) -> io::Result<File> {
-    let file = File::create(root.join(LOCK))?;
-    file.lock_shared()?;
-    Ok(file)
+/// A folder that this process uses as long as this lives; the last of its users leaves nothing in it.
+#[derive(Debug)]
+pub(super) struct Occupied {
+    root: PathBuf,
+    prefix: String,
+    lock: File,
+}
+
+impl Occupied {
+    /// Says that this process uses the folder.
+    pub(super) fn new(root: &Path) -> io::Result<Self> {
+        let lock = File::create(root.join(LOCK))?;
+        lock.lock_shared()?;
+        Ok(Self { root: root.to_owned(), prefix: prefix(root)?, lock })
+    }
+
+    /// The folder.
+    pub(super) fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// What the names of all files in shared memory begin with that its users make.
+    pub(super) fn prefix(&self) -> &str {
+        &self.prefix
+    }
+
+    /// Removes all that users of the folder have left in it and in shared memory, if no other uses it: for one that is about
+    /// to leave, because it may have lost its lock afterwards.
+    pub(super) fn sweep(&self) -> io::Result<()> {
+        match flock(&self.lock, FlockOperation::NonBlockingLockExclusive) {
+            Err(Errno::WOULDBLOCK) => return Ok(()),
+            locked => locked?,
+        }
+        let remove = |path: &Path, is_folder| if is_folder { fs::remove_dir_all(path) } else { fs::remove_file(path) };
+        for_each_entry(&self.root, |name| name != LOCK, remove)?;
+        // A folder that was deleted under a live run may have left its number to this one.
+        let (own, deadline) = (|name: &str| name.starts_with(&self.prefix), Instant::now() + LETTING_GO);
+        for_each_entry(Path::new(SHARED_MEMORY), own, |path, _| {
+            while !remove_unused(path)? && Instant::now() < deadline {
+                sleep(Duration::from_millis(1));
+            }
+            Ok(())
+        })
+    }
+}
+
+impl Drop for Occupied {
+    fn drop(&mut self) {
+        // What cannot be removed is found by the next run, or by `doctor`.
+        self.sweep().ok();
+    }
 }
 
 /// Closes to others the one file in shared memory that iceoryx2 leaves open to everybody, a counter of 16 bytes.
@@ -51,39 +105,36 @@ pub(super) fn close_to_others(root: &Path) -> io::Result<()> {
     })
 }
 
-/// Removes all that users of the folder have left in it and in shared memory, if nobody uses it.
-pub(super) fn sweep(root: &Path) -> io::Result<()> {
-    let file = File::create(root.join(LOCK))?;
-    match file.try_lock() {
-        Err(TryLockError::WouldBlock) => return Ok(()),
-        Err(TryLockError::Error(error)) => return Err(error),
-        Ok(()) => {}
-    }
-    let prefix = prefix(root)?;
-    let remove = |path: &Path, is_folder| if is_folder { fs::remove_dir_all(path) } else { fs::remove_file(path) };
-    for_each_entry(root, |name| name != LOCK, remove)?;
-    // A folder that was deleted under a live run may have left its number to this one.
-    for_each_entry(Path::new(SHARED_MEMORY), |name| name.starts_with(&prefix), |path, _| remove_unused(path).map(drop))
-}
-
-/// Whether something is left in the folder, and nobody uses it.
+/// Whether something of the folder's users is left, in it or in shared memory, and nobody uses it.
 pub(super) fn is_littered(root: &Path) -> bool {
     let unused = File::open(root.join(LOCK)).is_ok_and(|file| file.try_lock().is_ok());
-    let entries = || fs::read_dir(root).into_iter().flatten().flatten();
-    unused && entries().any(|entry| entry.file_name() != LOCK)
+    unused && (has_entry(root, |name| name != LOCK) || prefix(root).is_ok_and(|own| has_shared_file(&own)))
 }
 
-/// Does something with the entries of these names, unless they are gone meanwhile.
-fn for_each_entry(
+fn has_shared_file(prefix: &str) -> bool {
+    has_entry(Path::new(SHARED_MEMORY), |name| name.starts_with(prefix))
+}
+
+fn has_entry(folder: &Path, which: impl Fn(&str) -> bool) -> bool {
+    let mut entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    entries.any(|entry| entry.file_name().to_str().is_some_and(&which))
+}
+
+/// Does something with the entries of these names, unless they, or the folder, are gone meanwhile.
+pub(super) fn for_each_entry(
     folder: &Path,
     which: impl Fn(&str) -> bool,
     act: impl Fn(&Path, bool) -> io::Result<()>,
 ) -> io::Result<()> {
-    for entry in fs::read_dir(folder)? {
+    let unless_gone = |error: io::Error| if error.kind() == ErrorKind::NotFound { Ok(()) } else { Err(error) };
+    let entries = match fs::read_dir(folder) {
+        Ok(entries) => entries,
+        Err(error) => return unless_gone(error),
+    };
+    for entry in entries {
         let entry = entry?;
         if entry.file_name().to_str().is_some_and(&which) {
-            let done = act(&entry.path(), entry.file_type()?.is_dir());
-            done.or_else(|error| if error.kind() == ErrorKind::NotFound { Ok(()) } else { Err(error) })?;
+            act(&entry.path(), entry.file_type()?.is_dir()).or_else(unless_gone)?;
         }
     }
     Ok(())
@@ -93,19 +144,48 @@ fn for_each_entry(
 mod tests {
     use super::*;
 
+    /// What a process that was killed may leave: half a node in the folder, half a segment in shared memory.
+    fn litter(root: &Path) -> [PathBuf; 2] {
+        let details = root.join("nodes/42/conicflow_node.details");
+        fs::create_dir_all(details.parent().unwrap()).unwrap();
+        let segment = Path::new(SHARED_MEMORY).join(format!("{}half_a_segment", prefix(root).unwrap()));
+        let left = [details, segment];
+        left.iter().for_each(|path| fs::write(path, "half").unwrap());
+        left
+    }
+
     #[test]
     fn what_nothing_leads_to_goes_with_the_last_one_who_uses_the_folder() {
         let folder = tempfile::tempdir().unwrap();
-        let details = folder.path().join("nodes/42/conicflow_node.details");
-        fs::create_dir_all(details.parent().unwrap()).unwrap();
-        fs::write(&details, "half a node").unwrap();
-        let segment = Path::new(SHARED_MEMORY).join(format!("{}half_a_segment", prefix(folder.path()).unwrap()));
-        fs::write(&segment, "nothing").unwrap();
-        let occupied = occupy(folder.path()).unwrap();
-        sweep(folder.path()).unwrap();
-        assert!(details.exists() && segment.exists(), "somebody uses the folder");
+        let (first, last) = (Occupied::new(folder.path()).unwrap(), Occupied::new(folder.path()).unwrap());
+        let left = litter(folder.path());
+        drop(first);
+        assert!(left.iter().all(|path| path.exists()), "somebody uses the folder");
+        assert!(!is_littered(folder.path()), "it may be somebody's");
+        drop(last);
+        assert!(left.iter().all(|path| !path.exists()));
+        assert!(!folder.path().join("nodes").exists() && folder.path().join(LOCK).exists());
+    }
+
+    #[test]
+    fn what_is_left_in_shared_memory_alone_is_litter_too() {
+        let folder = tempfile::tempdir().unwrap();
+        drop(Occupied::new(folder.path()).unwrap());
+        assert!(!is_littered(folder.path()));
+        let [_, segment] = litter(folder.path());
+        fs::remove_dir_all(folder.path().join("nodes")).unwrap();
+        assert!(is_littered(folder.path()));
+        drop(Occupied::new(folder.path()).unwrap());
+        assert!(!is_littered(folder.path()) && !segment.exists());
+    }
+
+    #[test]
+    fn who_leaves_a_folder_that_was_deleted_leaves_nothing_in_shared_memory() {
+        let folder = tempfile::tempdir().unwrap();
+        let occupied = Occupied::new(folder.path()).unwrap();
+        let [_, segment] = litter(folder.path());
+        drop(folder);
         drop(occupied);
-        sweep(folder.path()).unwrap();
-        assert!(!folder.path().join("nodes").exists() && !segment.exists());
+        assert!(!segment.exists());
     }
 }

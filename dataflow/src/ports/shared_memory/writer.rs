@@ -1,5 +1,7 @@
 //! The writing end of a topic in shared memory, and its waiting for readers that must not miss a message.
 
+use super::reserve::reserve;
+use super::sweep::Occupied;
 use super::{Factory, Ipc, WireHeader, WireItem};
 use crate::needs;
 use crate::ports::{Delivery, PortError, Topic, Writer};
@@ -13,7 +15,7 @@ use iceoryx2::port::{BackpressureAction, BackpressureInfo};
 use iceoryx2::prelude::{AllocationStrategy, CallbackProgression, Config, Node, NodeState, PortFactory};
 use iceoryx2::sample_mut::SampleMut;
 use std::fmt::Debug;
-use std::path::PathBuf;
+use std::io::ErrorKind;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -35,8 +37,8 @@ pub struct SharedWriter<T: Item> {
     pub(super) attached: Vec<u128>,
     pub(super) topic: Topic,
     pub(super) config: Config,
-    pub(super) root: PathBuf,
     pub(super) stop: Stop,
+    pub(super) occupied: Arc<Occupied>,
 }
 
 impl<T: Item> SharedWriter<T> {
@@ -44,7 +46,7 @@ impl<T: Item> SharedWriter<T> {
         PortError::SharedMemory {
             doing: format!("topic `{}` cannot be written", self.topic.name),
             reason: format!("{reason:?}"),
-            root: self.root.clone(),
+            root: self.occupied.root().to_owned(),
         }
     }
 
@@ -53,20 +55,35 @@ impl<T: Item> SharedWriter<T> {
     /// itself would need no second publisher, but takes a megabyte of each process that has a part in it.
     fn publisher(&mut self, length: usize) -> Result<&Publisher<Ipc, [WireItem<T>], WireHeader>, PortError> {
         if self.publisher.is_none() || length > self.capacity {
-            let capacity = match T::KIND {
-                Kind::Depth => length.max(1),
-                kind => length.max(needs::usual_length(kind)).next_power_of_two(),
+            let (longest, capacity) = match T::KIND {
+                Kind::Depth => (length.max(1), length.max(1)),
+                kind => {
+                    let longest = length.max(needs::usual_length(kind));
+                    (longest, longest.next_power_of_two())
+                }
             };
-            needs::look_for_room::<T>(&self.topic, capacity)?;
+            let needed = needs::look_for_room::<T>(&self.topic, longest)?;
             self.publisher = None;
             self.attached.clear();
             let builder = self.messages.publisher_builder().max_loaned_samples(1).initial_max_slice_len(capacity);
             let builder = builder.allocation_strategy(AllocationStrategy::Static);
             let builder = builder.set_backpressure_handler(self.wait_for_room());
-            self.publisher = Some(builder.create().map_err(|error| self.fault(error))?);
+            let publisher = builder.create().map_err(|error| self.fault(error))?;
+            // A list seldom fills its place; to take all of that would be many times what lists need.
+            if T::KIND == Kind::Depth {
+                self.take_memory(publisher.id().value(), capacity, needed)?;
+            }
+            self.publisher = Some(publisher);
             self.capacity = capacity;
         }
         self.publisher.as_ref().ok_or(PortError::Stopped)
+    }
+
+    fn take_memory(&self, publisher: u128, capacity: usize, needed: u64) -> Result<(), PortError> {
+        reserve(self.occupied.prefix(), publisher, needed).map_err(|error| match error.kind() {
+            ErrorKind::StorageFull => needs::no_room(&self.topic, capacity, needed),
+            _ => self.fault(error),
+        })
     }
 
     /// What a full queue leads to: for a lossless reader of the pipeline to waiting, until it has room or is dead; for any

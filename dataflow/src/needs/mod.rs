@@ -1,20 +1,20 @@
 //! What a run needs of its machine: room in shared memory for the messages that can be under way at once, and open files.
 //!
-//! The system gives memory for a message when it is first written, and kills a stage that writes where none is left; a
-//! writer uses again what came back to it last. So a topic takes as many messages as its readers can keep waiting and hold
+//! A writer uses again what came back to it last. So a topic takes as many messages as its readers can keep waiting and hold
 //! at once, each of the length that its source names. What is not certain beforehand is looked at when it comes: a list
 //! that is longer than usual, somebody who looks on, a stage that is replaced.
+
+mod shortfall;
+
+pub use shortfall::Shortfall;
+pub(crate) use shortfall::{SHARED_MEMORY, in_words, room};
 
 use crate::node::Node;
 use crate::plan::{Plan, PlannedStage, Runs};
 use crate::ports::{PortError, Topic, TopicReader, Wiring};
 use crate::sides::{Pick, Side};
 use conicflow_messages::{Ellipse, Header, Item, Kind, Object, Track};
-use rustix::process::{Resource, getrlimit};
-use std::path::Path;
-
-/// Where the system keeps shared memory.
-pub(crate) const SHARED_MEMORY: &str = "/dev/shm";
+use shortfall::enough;
 
 /// Messages that a reader holds beside its queue: the one that is worked on, and the next.
 const HELD: usize = 2;
@@ -30,7 +30,7 @@ const USUAL_ELLIPSES: usize = 1024;
 const USUAL_OBJECTS: usize = 64;
 const PAGE: usize = 4096;
 /// What iceoryx2 keeps for each pair of a writer and a reader, and for each end of a topic.
-const ROOM_PER_PORT: usize = 24 * 1024;
+pub(crate) const ROOM_PER_PORT: usize = 24 * 1024;
 
 /// Open files of a stage that is joined to nothing.
 const FILES_PER_STAGE: u64 = 24;
@@ -58,61 +58,6 @@ pub struct TopicNeeds {
     pub bytes: u64,
     /// Bytes of its longest message.
     pub longest_message: u64,
-}
-
-/// What a machine has too little of.
-#[derive(Debug, thiserror::Error)]
-pub enum Shortfall {
-    /// Shared memory is not there.
-    #[error(
-        "there is no shared memory in {SHARED_MEMORY}: {0}\n  hint: mount it: \
-         `mkdir -p {SHARED_MEMORY} && mount -t tmpfs -o mode=1777 tmpfs {SHARED_MEMORY}` as root"
-    )]
-    NoSharedMemory(std::io::Error),
-    /// Messages that are under way would not find room.
-    #[error(
-        "shared memory has {} of {} free in {SHARED_MEMORY}, this pipeline needs up to {}, most of it for the topic \
-         `{topic}`\n  hint: `conicflow doctor` finds what dead runs have left there; to enlarge it, `mount -o \
-         remount,size={wanted}M {SHARED_MEMORY}` as root, for a container `--shm-size={wanted}m`; \
-         smaller images and shorter queues need less",
-        in_words(*.free), in_words(*.size), in_words(*.needed)
-    )]
-    Room {
-        /// Bytes that are free.
-        free: u64,
-        /// Bytes that there are in all.
-        size: u64,
-        /// Bytes that the pipeline takes at most.
-        needed: u64,
-        /// What takes most of them.
-        topic: String,
-        /// Megabytes that it should have in all.
-        wanted: u64,
-    },
-    /// What comes to a running pipeline would not find room.
-    #[error(
-        "to {purpose} takes up to {} of shared memory, {} are free in {SHARED_MEMORY}\n  hint: `conicflow doctor` finds \
-         what dead runs have left there", in_words(*.needed), in_words(*.free)
-    )]
-    MoreRoom {
-        /// What the room is for.
-        purpose: String,
-        /// Bytes that are free.
-        free: u64,
-        /// Bytes that it takes at most.
-        needed: u64,
-    },
-    /// A stage would not get the files that it has to open.
-    #[error(
-        "a process may have {limit} files open, a stage of this pipeline needs up to {needed}\n  \
-         hint: `ulimit -n {needed}` in the shell before it is started; in a systemd unit `LimitNOFILE={needed}`"
-    )]
-    OpenFiles {
-        /// How many a process may have.
-        limit: u64,
-        /// How many a stage has at most.
-        needed: u64,
-    },
 }
 
 impl Needs {
@@ -155,7 +100,7 @@ impl Needs {
             |topic: &Topic| topic.readers.iter().find(|reader| reader.stage == stage.name).map_or(0, |r| r.queue);
         let read = input.iter().chain(sides.iter().map(|(_, topic)| topic));
         let read: u64 = read.map(|topic| self.with_another_reader(topic, queue(topic), HELD_FOR_FRAME)).sum();
-        let waiting = |topic: &Topic| topic.readers.iter().map(|reader| reader.queue).sum();
+        let waiting = |topic: &Topic| topic.readers.iter().map(|reader| reader.queue + HELD).sum();
         let written: u64 = output.iter().map(|topic| self.with_another_reader(topic, waiting(topic), LOANED)).sum();
         enough(read + written, || format!("replace stage `{}`", stage.name))
     }
@@ -169,44 +114,6 @@ impl Needs {
     /// Bytes of shared memory.
     pub fn shared_memory(&self) -> u64 {
         self.topics.iter().map(|needs| needs.bytes).sum()
-    }
-
-    /// What this machine has too little of, now.
-    pub fn shortfalls(&self) -> Vec<Shortfall> {
-        let limit = getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX);
-        let files = (limit < self.open_files).then_some(Shortfall::OpenFiles { limit, needed: self.open_files });
-        let room = match room() {
-            Ok((free, size)) => self.short_of_room(free, size),
-            Err(error) => Some(Shortfall::NoSharedMemory(error)),
-        };
-        room.into_iter().chain(files).collect()
-    }
-
-    fn short_of_room(&self, free: u64, size: u64) -> Option<Shortfall> {
-        let needed = self.shared_memory();
-        let topic = &self.topics.iter().max_by_key(|needs| needs.bytes)?.name;
-        let wanted = (size.saturating_sub(free) + needed).div_ceil(1 << 20).next_power_of_two();
-        (free < needed).then(|| Shortfall::Room { free, size, needed, topic: topic.clone(), wanted })
-    }
-}
-
-fn enough(needed: u64, purpose: impl FnOnce() -> String) -> Result<(), Shortfall> {
-    let (free, _) = room().map_err(Shortfall::NoSharedMemory)?;
-    if free < needed { Err(Shortfall::MoreRoom { purpose: purpose(), free, needed }) } else { Ok(()) }
-}
-
-/// Bytes of shared memory that are free, and that there are.
-pub(crate) fn room() -> std::io::Result<(u64, u64)> {
-    let about = rustix::fs::statvfs(Path::new(SHARED_MEMORY))?;
-    Ok((about.f_bavail * about.f_frsize, about.f_blocks * about.f_frsize))
-}
-
-/// A number of bytes as people read it.
-pub(crate) fn in_words(bytes: u64) -> String {
-    match bytes {
-        0..1_000_000 => format!("{:.1} kB", bytes as f64 * 1e-3),
-        1_000_000..1_000_000_000 => format!("{:.1} MB", bytes as f64 * 1e-6),
-        _ => format!("{:.1} GB", bytes as f64 * 1e-9),
     }
 }
 
@@ -264,18 +171,29 @@ pub(crate) fn usual_length(kind: Kind) -> usize {
 
 /// Bytes that a writer's messages take, of which its readers hold and keep waiting so many at most.
 fn taken(topic: &Topic, bytes: usize, with_readers: usize) -> u64 {
-    ((with_readers + LOANED) * bytes + (topic.readers.len() + 1) * ROOM_PER_PORT) as u64
+    ((with_readers + LOANED) * bytes) as u64 + taken_by_ports(topic)
 }
 
-/// Makes sure that a topic's messages find room if they are up to `length` items long.
-pub(crate) fn look_for_room<T: Item>(topic: &Topic, length: usize) -> Result<(), PortError> {
+/// Bytes that iceoryx2 keeps for a writer and its readers, beside their messages.
+fn taken_by_ports(topic: &Topic) -> u64 {
+    ((topic.readers.len() + 1) * ROOM_PER_PORT) as u64
+}
+
+/// Makes sure that a topic's messages find room if they are up to `length` items long; the bytes that they take at most.
+pub(crate) fn look_for_room<T: Item>(topic: &Topic, length: usize) -> Result<u64, PortError> {
     let with_readers = topic.readers.iter().map(|reader| reader.queue + HELD).sum();
     let needed = taken(topic, message_bytes(T::KIND, Some(length)), with_readers);
     match room() {
-        Ok((free, _)) if free < needed => Err(PortError::NoRoom { topic: topic.name.clone(), length, free, needed }),
+        Ok((free, _)) if free < needed => Err(no_room(topic, length, needed)),
         // Where there is no such folder iceoryx2 says it better.
-        _ => Ok(()),
+        _ => Ok(needed - taken_by_ports(topic)),
     }
+}
+
+/// Why messages of `length` items have no room.
+pub(crate) fn no_room(topic: &Topic, length: usize, needed: u64) -> PortError {
+    let free = room().map_or(0, |(free, _)| free);
+    PortError::NoRoom { topic: topic.name.clone(), length, free, needed }
 }
 
 fn open_files(stage: &PlannedStage) -> u64 {
@@ -299,6 +217,7 @@ mod tests {
     use crate::stage::{Context, NoConfig, Output, Source, Stage, StageError};
     use crate::{Next, Sides};
     use conicflow_messages::{Message, Nothing};
+    use std::path::Path;
 
     const PIXELS: usize = 1_000_000;
 
@@ -385,17 +304,5 @@ mod tests {
         let (known, usual) = (needs(&format!("{SOURCE}{sink}")), needs(&format!("{program}{sink}")));
         let ratio = known.shared_memory() as f64 / usual.shared_memory() as f64;
         assert!((ratio / (PIXELS as f64 / USUAL_IMAGE as f64) - 1.0).abs() < 0.05, "{ratio}");
-    }
-
-    #[test]
-    fn a_shortfall_names_the_topic_and_what_would_do() {
-        let topic = |name: &str, bytes| TopicNeeds { name: name.to_owned(), bytes, longest_message: 1 };
-        let topics = vec![topic("small", 1 << 20), topic("large", 70 << 20)];
-        let needs = Needs { topics, ..Needs::default() };
-        assert!(needs.short_of_room(71 << 20, 80 << 20).is_none(), "just enough");
-        let shortfall = needs.short_of_room((71 << 20) - 1, 80 << 20).unwrap().to_string();
-        assert!(shortfall.starts_with("shared memory has 74.4 MB of 83.9 MB free"), "{shortfall}");
-        assert!(shortfall.contains("needs up to 74.4 MB, most of it for the topic `large`\n"), "{shortfall}");
-        assert!(shortfall.contains("size=128M"), "80 MB less 71 are taken, 71 are needed: {shortfall}");
     }
 }

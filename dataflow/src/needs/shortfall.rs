@@ -1,0 +1,122 @@
+//! What a machine has too little of for what is to run on it: what there is now, against what is needed.
+
+use super::Needs;
+use rustix::process::{Resource, getrlimit};
+use std::path::Path;
+
+/// Where the system keeps shared memory.
+pub(crate) const SHARED_MEMORY: &str = "/dev/shm";
+
+/// What a machine has too little of.
+#[derive(Debug, thiserror::Error)]
+pub enum Shortfall {
+    /// Shared memory is not there.
+    #[error(
+        "there is no shared memory in {SHARED_MEMORY}: {0}\n  hint: mount it: \
+         `mkdir -p {SHARED_MEMORY} && mount -t tmpfs -o mode=1777 tmpfs {SHARED_MEMORY}` as root"
+    )]
+    NoSharedMemory(std::io::Error),
+    /// Messages that are under way would not find room.
+    #[error(
+        "shared memory has {} of {} free in {SHARED_MEMORY}, this pipeline needs up to {}, most of it for the topic \
+         `{topic}`\n  hint: `conicflow doctor` finds what dead runs have left there; to enlarge it, `mount -o \
+         remount,size={wanted}M {SHARED_MEMORY}` as root, for a container `--shm-size={wanted}m`; \
+         smaller images and shorter queues need less",
+        in_words(*.free), in_words(*.size), in_words(*.needed)
+    )]
+    Room {
+        /// Bytes that are free.
+        free: u64,
+        /// Bytes that there are in all.
+        size: u64,
+        /// Bytes that the pipeline takes at most.
+        needed: u64,
+        /// What takes most of them.
+        topic: String,
+        /// Megabytes that it should have in all.
+        wanted: u64,
+    },
+    /// What comes to a running pipeline would not find room.
+    #[error(
+        "to {purpose} takes up to {} of shared memory, {} are free in {SHARED_MEMORY}\n  hint: `conicflow doctor` finds \
+         what dead runs have left there", in_words(*.needed), in_words(*.free)
+    )]
+    MoreRoom {
+        /// What the room is for.
+        purpose: String,
+        /// Bytes that are free.
+        free: u64,
+        /// Bytes that it takes at most.
+        needed: u64,
+    },
+    /// A stage would not get the files that it has to open.
+    #[error(
+        "a process may have {limit} files open, a stage of this pipeline needs up to {needed}\n  \
+         hint: `ulimit -n {needed}` in the shell before it is started; in a systemd unit `LimitNOFILE={needed}`"
+    )]
+    OpenFiles {
+        /// How many a process may have.
+        limit: u64,
+        /// How many a stage has at most.
+        needed: u64,
+    },
+}
+
+impl Needs {
+    /// What this machine has too little of, now.
+    pub fn shortfalls(&self) -> Vec<Shortfall> {
+        let limit = getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX);
+        let files = (limit < self.open_files).then_some(Shortfall::OpenFiles { limit, needed: self.open_files });
+        let room = match room() {
+            Ok((free, size)) => self.short_of_room(free, size),
+            Err(error) => Some(Shortfall::NoSharedMemory(error)),
+        };
+        room.into_iter().chain(files).collect()
+    }
+
+    fn short_of_room(&self, free: u64, size: u64) -> Option<Shortfall> {
+        let needed = self.shared_memory();
+        let topic = &self.topics.iter().max_by_key(|needs| needs.bytes)?.name;
+        let wanted = (size.saturating_sub(free) + needed).div_ceil(1 << 20).next_power_of_two();
+        (free < needed).then(|| Shortfall::Room { free, size, needed, topic: topic.clone(), wanted })
+    }
+}
+
+/// Makes sure that so many bytes of shared memory are free.
+pub(super) fn enough(needed: u64, purpose: impl FnOnce() -> String) -> Result<(), Shortfall> {
+    let (free, _) = room().map_err(Shortfall::NoSharedMemory)?;
+    if free < needed { Err(Shortfall::MoreRoom { purpose: purpose(), free, needed }) } else { Ok(()) }
+}
+
+/// Bytes of shared memory that are free, and that there are.
+pub(crate) fn room() -> std::io::Result<(u64, u64)> {
+    let about = rustix::fs::statvfs(Path::new(SHARED_MEMORY))?;
+    Ok((about.f_bavail * about.f_frsize, about.f_blocks * about.f_frsize))
+}
+
+/// A number of bytes as people read it.
+pub(crate) fn in_words(bytes: u64) -> String {
+    match bytes {
+        0..1_000_000 => format!("{:.1} kB", bytes as f64 * 1e-3),
+        1_000_000..1_000_000_000 => format!("{:.1} MB", bytes as f64 * 1e-6),
+        _ => format!("{:.1} GB", bytes as f64 * 1e-9),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::TopicNeeds;
+    use super::*;
+
+    #[test]
+    fn a_shortfall_names_the_topic_and_what_would_do() {
+        let topic = |name: &str, bytes| TopicNeeds { name: name.to_owned(), bytes, longest_message: 1 };
+        let topics = vec![topic("small", 1 << 20), topic("large", 70 << 20)];
+        let needs = Needs { topics, ..Needs::default() };
+        assert!(needs.short_of_room(71 << 20, 80 << 20).is_none(), "just enough");
+        let shortfall = needs.short_of_room((71 << 20) - 1, 80 << 20).unwrap().to_string();
+        assert!(shortfall.starts_with("shared memory has 74.4 MB of 83.9 MB free"), "{shortfall}");
+        assert!(shortfall.contains("needs up to 74.4 MB, most of it for the topic `large`\n"), "{shortfall}");
+        assert!(shortfall.contains("size=128M"), "80 MB less 71 are taken, 71 are needed: {shortfall}");
+    }
+}

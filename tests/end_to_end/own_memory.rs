@@ -1,0 +1,79 @@
+//! A /dev/shm of one's own for a test, so that it can be small, full or littered. It needs root, `unshare` and `nsenter`.
+
+use super::support::{Ended, Playground, Started, wait_until};
+use rustix::process::geteuid;
+use std::fs::{self, File};
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, SystemTime};
+
+/// A /dev/shm that nobody else sees, gone when this is.
+pub struct OwnSharedMemory {
+    holder: Child,
+}
+
+impl OwnSharedMemory {
+    /// A /dev/shm of this size; `None`, said loudly, where this user cannot make one.
+    pub fn new(size: &str) -> Option<Self> {
+        let script = format!("mount -t tmpfs -o size={size},mode=1777 tmpfs /dev/shm && exec sleep 1000");
+        let mut command = Command::new("unshare");
+        command.args(["--mount", "sh", "-c", &script]).stderr(Stdio::null());
+        let holder = geteuid().is_root().then(|| command.spawn().ok()).flatten();
+        let Some(holder) = holder else {
+            eprintln!("SKIPPED: a /dev/shm of one's own needs root and `unshare`; nothing was shown");
+            return None;
+        };
+        let program = format!("/proc/{}/comm", holder.id());
+        wait_until("/dev/shm is mounted", || fs::read_to_string(&program).is_ok_and(|name| name == "sleep\n"));
+        Some(Self { holder })
+    }
+
+    /// A command that sees this /dev/shm.
+    pub fn around(&self, inner: &Command) -> Command {
+        let folder = inner.get_current_dir().unwrap().to_str().unwrap();
+        let mut command = Command::new("nsenter");
+        command.args([&format!("--mount=/proc/{}/ns/mnt", self.holder.id()), &format!("--wd={folder}"), "--"]);
+        command.arg(inner.get_program()).args(inner.get_args()).stdin(Stdio::null());
+        for (name, value) in inner.get_envs() {
+            match value {
+                Some(value) => command.env(name, value),
+                None => command.env_remove(name),
+            };
+        }
+        command
+    }
+
+    pub fn start(&self, playground: &Playground, arguments: &[&str]) -> Started {
+        Started::new(self.around(&playground.command(arguments)))
+    }
+
+    pub fn conicflow(&self, playground: &Playground, arguments: &[&str]) -> Ended {
+        self.start(playground, arguments).wait()
+    }
+
+    pub fn folder(&self) -> PathBuf {
+        PathBuf::from(format!("/proc/{}/root/dev/shm", self.holder.id()))
+    }
+
+    pub fn files(&self) -> Vec<String> {
+        let entries = fs::read_dir(self.folder()).unwrap().flatten();
+        let mut names: Vec<_> = entries.map(|entry| entry.file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    }
+
+    /// Makes all files look as if they had been written an hour ago.
+    pub fn age(&self) {
+        for name in self.files() {
+            let file = File::options().write(true).open(self.folder().join(name)).unwrap();
+            file.set_modified(SystemTime::now() - Duration::from_secs(3700)).unwrap();
+        }
+    }
+}
+
+impl Drop for OwnSharedMemory {
+    fn drop(&mut self) {
+        self.holder.kill().ok();
+        self.holder.wait().ok();
+    }
+}
