@@ -1,5 +1,6 @@
 //! The stages of conicflow, one file each, in the order in which a frame meets them; their table; and the command line.
 
+mod camera;
 pub mod noise_config;
 
 pub mod synthetic_source;

@@ -4,6 +4,7 @@
 //! that is kept free for it, for which no writer waits.
 
 use crate::NODES;
+use crate::image_source::median;
 use crate::json_sink::{Line, ToJson, latency_ms};
 use anyhow::{anyhow, bail};
 use clap::{Args, Subcommand};
@@ -13,7 +14,7 @@ use conicflow_dataflow::{
     Needs, PipelineActivity, Plan, PlannedStage, RunningPipeline, Runs, Table, TopicActivity, Watching, monotonic_ns,
     observe,
 };
-use conicflow_messages::{Ellipse, Item, Kind, Message, Object, Track};
+use conicflow_messages::{Ellipse, Item, Kind, Message, Object, Track, is_measured};
 use serde_json::json;
 use std::io::{ErrorKind, Write, stdout};
 use std::thread::sleep;
@@ -230,10 +231,7 @@ fn list_line<T: ToJson>(message: &Message<'_, T>) -> serde_json::Result<Vec<u8>>
 /// An image in brief: its size, how many pixels measured something, and the median of those in metres.
 fn image_line(message: &Message<'_, u16>) -> serde_json::Result<Vec<u8>> {
     let header = message.header;
-    let mut measured: Vec<u16> =
-        message.items.iter().copied().filter(|depth| !matches!(*depth, 0 | u16::MAX)).collect();
-    let middle = measured.len() / 2;
-    let median = (!measured.is_empty()).then(|| *measured.select_nth_unstable(middle).1);
+    let measured = message.items.iter().filter(|&&depth| is_measured(depth)).count();
     serde_json::to_vec(&json!({
         "sequence": header.sequence,
         "source": header.source.as_str().unwrap_or_default(),
@@ -242,8 +240,8 @@ fn image_line(message: &Message<'_, u16>) -> serde_json::Result<Vec<u8>> {
         "depth": {
             "width": header.camera.width,
             "height": header.camera.height,
-            "measured": measured.len(),
-            "median_m": median.map(|depth| f64::from(depth) * header.depth_scale),
+            "measured": measured,
+            "median_m": median(message.items).map(|depth| f64::from(depth) * header.depth_scale),
         },
     }))
 }

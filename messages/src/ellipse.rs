@@ -72,7 +72,7 @@ pub struct Ellipse {
 
 impl Ellipse {
     /// The direction of the scan line.
-    pub fn scan(&self) -> Scan {
+    pub fn direction(&self) -> Scan {
         if self.scan == 0 { Scan::Row } else { Scan::Column }
     }
 

@@ -280,7 +280,7 @@ impl Clock {
 }
 
 /// The median of the measurements.
-fn median(pixels: &[u16]) -> Option<u16> {
+pub(crate) fn median(pixels: &[u16]) -> Option<u16> {
     let mut measured: Vec<_> = pixels.iter().copied().filter(|&pixel| is_measured(pixel)).collect();
     let middle = measured.len() / 2;
     (!measured.is_empty()).then(|| *measured.select_nth_unstable(middle).1)

@@ -1,8 +1,9 @@
 //! The ellipses of a message as sections of bodies: with their planes, ready for the mathematics.
 
 use super::SectionFit;
-use conicflow_geometry::{Line, Pinhole, PlaneMoments, Scan, ScanPlane, SectionShape, Vector3, fit_circle};
-use conicflow_messages::{self as messages, Ellipse, Header};
+use crate::camera::{pinhole, scan};
+use conicflow_geometry::{Line, PlaneMoments, Scan, ScanPlane, SectionShape, Vector3, fit_circle};
+use conicflow_messages::{Ellipse, Header};
 
 /// What a scan plane cuts out of a body.
 #[derive(Clone, Copy, Debug)]
@@ -28,14 +29,9 @@ pub(super) struct Section {
 }
 
 impl Section {
-    /// `None` where the points determine no circle and one is asked for.
-    fn new(header: &Header, ellipse: &Ellipse, fit: SectionFit) -> Option<Self> {
-        let camera = &header.camera;
-        let camera = Pinhole { fx: camera.fx, fy: camera.fy, cx: camera.cx, cy: camera.cy };
-        let scan = match ellipse.scan() {
-            messages::Scan::Row => Scan::Row,
-            messages::Scan::Column => Scan::Column,
-        };
+    /// Of an image of which every `step`th line was looked at. `None` where the points determine no circle and one is asked for.
+    fn new(header: &Header, ellipse: &Ellipse, step: u32, fit: SectionFit) -> Option<Self> {
+        let (camera, scan) = (pinhole(&header.camera), scan(ellipse));
         let plane = camera.plane(scan, f64::from(ellipse.line));
         let moments = PlaneMoments::from_sums(ellipse.origin, ellipse.moments);
         let (plane_center, radius) = match fit {

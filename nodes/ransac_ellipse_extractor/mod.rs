@@ -13,7 +13,7 @@ mod tests;
 use crate::row_ellipse_extractor::ScanLines;
 use crate::synthetic_source::random::Dice;
 use conicflow_dataflow::{Config, Context, Output, Sides, Stage, StageError};
-use conicflow_geometry::{self as geometry, Pinhole, PlaneMoments, Scan, ScanPlane, fit_ellipse};
+use conicflow_geometry::{self as geometry, PlaneMoments, Scan, ScanPlane, fit_ellipse};
 use conicflow_messages::{Ellipse, Header, Message, is_measured};
 use consensus::{Consensus, Draws, Point};
 use schemars::JsonSchema;
@@ -146,8 +146,7 @@ impl RansacEllipseExtractor {
 
     /// Takes the measurements of a line; the plane that they lie in.
     fn read(&mut self, header: &Header, pixels: &[u16], scan: Scan, line: u32) -> ScanPlane {
-        let camera = &header.camera;
-        let camera = Pinhole { fx: camera.fx, fy: camera.fy, cx: camera.cx, cy: camera.cy };
+        let camera = pinhole(&header.camera);
         let plane = camera.plane(scan, f64::from(line));
         let (width, line) = (header.camera.width as usize, line as usize);
         let (first, step, length) = match scan {

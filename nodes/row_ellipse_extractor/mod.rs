@@ -18,9 +18,9 @@ mod scan_line;
 mod tests;
 
 use arcs::Arcs;
-use conicflow_dataflow::{Config, Context, Output, Sides, Stage, StageError};
-use conicflow_geometry::{Pinhole, Scan};
-use conicflow_messages::{Camera, Ellipse, Header, Message};
+use conicflow_dataflow::{Config, ConfigFault, Context, Output, Sides, Stage, StageError};
+use conicflow_geometry::Scan;
+use conicflow_messages::{Ellipse, Header, Message};
 use filter::Rejections;
 use scan_line::ScanLine;
 use schemars::JsonSchema;
@@ -227,9 +227,4 @@ impl Stage for RowEllipseExtractor {
         self.rejections.iter().for_each(|(reason, times)| output.count(reason, times));
         Ok(())
     }
-}
-
-/// The camera of a message, for the mathematics.
-fn pinhole(camera: &Camera) -> Pinhole {
-    Pinhole { fx: camera.fx, fy: camera.fy, cx: camera.cx, cy: camera.cy }
 }

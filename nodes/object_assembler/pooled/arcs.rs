@@ -1,9 +1,10 @@
 //! The arcs of a message, ready for pooling, and which of them lie beside each other.
 
+use crate::camera::{pinhole, scan};
 use conicflow_geometry::{
     Coefficients, Conic, ContourPoint, Pinhole, PlaneMoments, Scan, ScanPlane, SpaceMoments, Vector3, section_of,
 };
-use conicflow_messages::{self as messages, Ellipse, Header};
+use conicflow_messages::{Ellipse, Header};
 use std::ops::Range;
 
 /// An arc with what the assembler needs of it.
@@ -50,13 +51,9 @@ pub(super) struct Misfit {
 }
 
 impl Arc {
-    fn new(header: &Header, ellipse: &Ellipse) -> Option<Self> {
-        let camera = &header.camera;
-        let camera = Pinhole { fx: camera.fx, fy: camera.fy, cx: camera.cx, cy: camera.cy };
-        let scan = match ellipse.scan() {
-            messages::Scan::Row => Scan::Row,
-            messages::Scan::Column => Scan::Column,
-        };
+    /// Every `step`th line of the image was looked at.
+    fn new(header: &Header, ellipse: &Ellipse, step: u32) -> Option<Self> {
+        let (camera, scan) = (pinhole(&header.camera), scan(ellipse));
         let plane = camera.plane(scan, f64::from(ellipse.line));
         let moments = PlaneMoments::from_sums(ellipse.origin, ellipse.moments);
         let mean = plane.to_camera(moments.mean()?);
