@@ -94,12 +94,13 @@ impl Item for Ellipse {
     const TYPE_NAME: &'static str = "conicflow.Ellipse.v3";
 
     fn check(header: &Header, items: &[Self]) -> Result<(), Malformed> {
-        let (width, height) = (header.camera.width, header.camera.height);
         for (index, ellipse) in items.iter().enumerate() {
-            let (lines, pixels) = if ellipse.scan == 0 { (height, width) } else { (width, height) };
-            let inside = ellipse.line < lines && ellipse.first <= ellipse.last && ellipse.last < pixels;
-            if ellipse.scan > 1 || !inside || !ellipse.numbers_are_finite() {
-                return Err(Malformed::new(Kind::Ellipses, format!("item {index} is out of range or not finite")));
+            let fault = |what: &str| Err(Malformed::new(Kind::Ellipses, format!("item {index} {what}")));
+            if !(ellipse.is_in(header) && ellipse.numbers_are_finite()) {
+                return fault("is out of range or not finite");
+            }
+            if !ellipse.is_of_points() {
+                return fault("has no points, or a deviation below zero");
             }
         }
         Ok(())
