@@ -86,7 +86,7 @@ pub struct AssemblerConfig {
     /// The paper's k: number of neighbours that an ellipse is compared with, and of noisy ones that an object survives.
     #[schemars(range(min = 1, max = 64))]
     pub neighbors: u32,
-    /// Largest number of scan lines between neighbours.
+    /// Largest number of scan lines between neighbours; of those that the extractor looks at, as wherever lines are counted.
     #[schemars(range(min = 1, max = 64))]
     pub max_gap_lines: u32,
     /// Largest scatter of centres about their line or circle, as a part of the radius.

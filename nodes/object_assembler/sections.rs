@@ -9,7 +9,7 @@ use conicflow_messages::{Ellipse, Header};
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Section {
     pub scan: Scan,
-    /// Number of the scan line.
+    /// Number of the scan line among those that were looked at.
     pub line: u32,
     pub plane: ScanPlane,
     /// Centre in the camera frame.
@@ -24,7 +24,7 @@ pub(super) struct Section {
     pub arc: f64,
     /// The points.
     pub moments: PlaneMoments,
-    /// Distance between this and the next scan line, at the depth of the points.
+    /// Distance between this and the next line that was looked at, at the depth of the points.
     pub spacing: f64,
 }
 
@@ -40,7 +40,7 @@ impl Section {
         };
         Some(Self {
             scan,
-            line: ellipse.line,
+            line: ellipse.line / step,
             plane,
             center: plane.to_camera(plane_center),
             plane_center,
@@ -48,7 +48,7 @@ impl Section {
             fit,
             arc: ellipse.arc,
             moments,
-            spacing: ellipse.center[2].abs() * camera.line_pitch(scan),
+            spacing: ellipse.center[2].abs() * camera.line_pitch(scan) * f64::from(step),
         })
     }
 
@@ -101,6 +101,7 @@ impl Cut {
 /// The sections of a message, rows before columns, each in the order of the lines.
 pub(super) fn read(header: &Header, ellipses: &[Ellipse], fit: SectionFit, sections: &mut Vec<Section>) {
     sections.clear();
-    sections.extend(ellipses.iter().filter_map(|ellipse| Section::new(header, ellipse, fit)));
+    let step = ellipses.iter().map(Ellipse::step).min().unwrap_or(1);
+    sections.extend(ellipses.iter().filter_map(|ellipse| Section::new(header, ellipse, step, fit)));
     sections.sort_by_key(|section| (section.scan == Scan::Column, section.line));
 }

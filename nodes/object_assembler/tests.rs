@@ -188,10 +188,37 @@ fn sigmas_are_present_exactly_where_the_shape_has_the_parameter() {
 }
 
 #[test]
+fn of_every_second_to_eighth_line_objects_are_the_same() {
+    let tall =
+        Body::Frustum { center: Vector3::new(0.0, 0.0, 1.5), axis: Vector3::y(), radius: 0.2, slope: 0.0, length: 1.0 };
+    let (header, pixels) = render(KINECT, NoiseModel::KINECT_V1, &[tall], 12);
+    for (arcs, config) in [moments(), of_the_paper()] {
+        let mut end_sigma = 0.0;
+        for line_step in [1, 2, 4, 8] {
+            let mut extractor = RowEllipseExtractor::with(RowEllipseConfig { line_step, ..arcs.clone() });
+            let mut assembler = ObjectAssembler::with(config.clone());
+            let objects = assembler.assemble(&header, extractor.extract(&header, &pixels)).to_vec();
+            let found = single(&objects, ObjectKind::Cylinder);
+            assert!((found.radius - 0.2).abs() < 0.004, "{found:?}");
+            assert!((found.length - 1.0).abs() < 0.04, "{found:?}");
+            end_sigma = if line_step == 1 { found.sigma.length } else { end_sigma };
+            let coarser = found.sigma.length / end_sigma / f64::from(line_step);
+            assert!((coarser - 1.0).abs() < 0.1, "step {line_step}: {found:?}");
+        }
+    }
+}
+
+fn moments() -> (RowEllipseConfig, AssemblerConfig) {
+    (RowEllipseConfig::default(), AssemblerConfig::default())
+}
+
+fn of_the_paper() -> (RowEllipseConfig, AssemblerConfig) {
+    (RowEllipseConfig::of_the_paper(), AssemblerConfig::of_the_paper())
+}
+
+#[test]
 fn a_candidate_beyond_the_limits_is_counted() {
     let (header, pixels) = render(KINECT_HALF, NoiseModel::KINECT_V1, &[can(1.5)], 11);
-    let moments = || (RowEllipseConfig::default(), AssemblerConfig::default());
-    let of_the_paper = || (RowEllipseConfig::of_the_paper(), AssemblerConfig::of_the_paper());
     for (arcs, config) in [moments(), of_the_paper()] {
         let ellipses = RowEllipseExtractor::with(arcs).extract(&header, &pixels).to_vec();
         let limits = config.cylinder;

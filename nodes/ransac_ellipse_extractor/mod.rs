@@ -128,6 +128,7 @@ impl RansacEllipseExtractor {
         if self.config.scan != ScanLines::Rows {
             self.scan(header, pixels, Scan::Column, &mut draws);
         }
+        self.ellipses.iter_mut().for_each(|ellipse| ellipse.line_step = self.config.line_step);
         &self.ellipses
     }
 

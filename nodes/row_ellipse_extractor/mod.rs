@@ -165,6 +165,7 @@ impl RowEllipseExtractor {
         if self.config.scan != ScanLines::Rows {
             self.scan(header, pixels, Scan::Column);
         }
+        self.ellipses.iter_mut().for_each(|ellipse| ellipse.line_step = self.config.line_step);
         &self.ellipses
     }
 

@@ -11,6 +11,7 @@ use std::ops::Range;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Arc {
     pub scan: Scan,
+    /// Number of the line among those that were looked at.
     pub line: u32,
     /// First and last pixel along the line.
     pub pixels: [i64; 2],
@@ -35,7 +36,9 @@ pub(super) struct Arc {
     pub beyond: [f64; 2],
     /// Where the surface ends before something farther, on either side.
     pub contour: [Option<ContourPoint>; 2],
-    /// Distance between this and the next scan line.
+    /// Distance between neighbouring lines of the image, at the depth of the arc ...
+    pub pixel: f64,
+    /// ... and between neighbouring lines that were looked at.
     pub spacing: f64,
     /// How much better the circle is than a line, in points times variances.
     pub bulge: f64,
@@ -64,9 +67,10 @@ impl Arc {
             _ => ellipse.sigma * ellipse.sigma,
         } * plane.stretch().powi(2);
         let line = conicflow_geometry::line_square(&moments);
+        let pixel = mean.z * camera.line_pitch(scan);
         Some(Self {
             scan,
-            line: ellipse.line,
+            line: ellipse.line / step,
             pixels: [i64::from(ellipse.first), i64::from(ellipse.last)],
             plane,
             moments,
@@ -80,7 +84,8 @@ impl Arc {
             beyond_rays: [ray(first - far), ray(last + far)],
             beyond: ellipse.beyond,
             contour: contour(&camera, &plane, &ellipse.contour),
-            spacing: mean.z * camera.line_pitch(scan),
+            pixel,
+            spacing: pixel * f64::from(step),
             bulge: (line - ellipse.rms * ellipse.rms) * moments.count() / variance.max(1e-8),
         })
     }
@@ -146,9 +151,10 @@ pub(super) struct Arcs {
 impl Arcs {
     pub fn read(&mut self, header: &Header, ellipses: &[Ellipse]) {
         self.arcs.clear();
-        self.arcs.extend(ellipses.iter().filter_map(|ellipse| Arc::new(header, ellipse)));
+        let step = ellipses.iter().map(Ellipse::step).min().unwrap_or(1);
+        self.arcs.extend(ellipses.iter().filter_map(|ellipse| Arc::new(header, ellipse, step)));
         self.arcs.sort_unstable_by_key(|arc| (arc.scan == Scan::Column, arc.line, arc.pixels[0]));
-        let lines = [header.camera.height as usize, header.camera.width as usize];
+        let lines = [header.camera.height, header.camera.width].map(|lines| lines.div_ceil(step) as usize);
         let mut next = 0;
         for (starts, (lines, scan)) in self.starts.iter_mut().zip(lines.into_iter().zip([Scan::Row, Scan::Column])) {
             starts.clear();
@@ -201,7 +207,7 @@ impl Arcs {
         let lines = f64::from(a.line.abs_diff(b.line));
         let step = 5.0 * lines * a.spacing + 4.0 * (a.variance / a.points.min(b.points)).sqrt();
         // The depth of the mean differs with the columns that an arc covers, by no more than its bulge.
-        let bulge = 0.5 * (a.pixels[1] - a.pixels[0]).abs_diff(b.pixels[1] - b.pixels[0]) as f64 * a.spacing;
+        let bulge = 0.5 * (a.pixels[1] - a.pixels[0]).abs_diff(b.pixels[1] - b.pixels[0]) as f64 * a.pixel;
         2 * a.overlap(b.pixels) >= shorter && (a.mean.z - b.mean.z).abs() <= step + bulge
     }
 }

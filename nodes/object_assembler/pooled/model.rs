@@ -191,7 +191,7 @@ pub(super) fn with_contour(grown: &Grown, contour: &mut Contour) -> Option<Model
     let arcs = grown.arcs();
     contour.clear(CONTOUR_NOISE);
     for arc in arcs.clone() {
-        let radius_px = grown.model.radius_at(&arc.mean) / arc.spacing;
+        let radius_px = grown.model.radius_at(&arc.mean) / arc.pixel;
         arc.contour.into_iter().flatten().for_each(|point| contour.add(ContourPoint { radius_px, ..point }));
     }
     let [from, to] = grown.extent();

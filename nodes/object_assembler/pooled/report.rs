@@ -60,7 +60,7 @@ pub(super) fn report(grown: &Grown, measured: &Measured, contour: &Contour) -> O
             cone(object, &surface, half_angle, sigma, measured)
         }
     };
-    with_faults(object, grown.ends()[0].spacing)
+    with_faults(object, grown.ends()[0].pixel)
 }
 
 /// The object with what the faults of sensors add to its standard deviations; `pixel` is the size of one there.
@@ -94,7 +94,7 @@ fn cone(object: Object, surface: &Conical, half_angle: f64, sigma: ObjectSigma, 
     }
 }
 
-/// An end lies anywhere between two scan lines.
+/// An end lies anywhere between two lines that were looked at.
 fn end_sigma(grown: &Grown) -> f64 {
     grown.ends()[0].spacing / 12.0_f64.sqrt()
 }
