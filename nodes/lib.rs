@@ -2,6 +2,7 @@
 
 mod camera;
 pub mod noise_config;
+mod upward;
 
 pub mod synthetic_source;
 
