@@ -60,6 +60,8 @@ pub struct Context {
     pub base: PathBuf,
     /// Number of messages that this stage sent or took before it was started anew in the same run; 0 at first.
     pub resume_at: u64,
+    /// What this stage had counted by then (see [`Output::count`]).
+    pub counted: BTreeMap<String, u64>,
     /// Raised when the run is to end.
     pub stop: Stop,
 }

@@ -129,14 +129,17 @@ impl ImageSource {
         for error in recording.unreadable() {
             tracing::warn!("passed over: {error:#}");
         }
+        // Of what was counted before a restart, the rest are frames that were passed over between those sent.
+        let unreadable = recording.unreadable().len() as u64;
+        let counted = context.counted.get(UNREADABLE).copied().unwrap_or(0);
         Ok(Self {
             clock: Clock::new(&recording, config.rate_hz),
             noise: config.noise.into(),
             rate_hz: config.rate_hz,
             repeat: config.repeat,
-            position: context.resume_at,
+            position: context.resume_at + counted.saturating_sub(unreadable),
             misses: 0,
-            uncounted: recording.unreadable().len() as u64,
+            uncounted: unreadable.saturating_sub(counted),
             described: false,
             recording,
         })

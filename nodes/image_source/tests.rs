@@ -1,5 +1,6 @@
 use super::fixtures::*;
 use super::*;
+use conicflow_dataflow::testing::collect;
 use std::fs;
 use tempfile::TempDir;
 
@@ -269,6 +270,27 @@ fn the_source_ends_goes_round_or_goes_on_where_it_stopped() {
     assert_eq!(resumed.total(), None);
     assert_eq!([resumed.advance(), resumed.advance()], [Some((1, 2)), Some((2, 0))]);
     assert_eq!(source(&folder, Config::default(), 3).advance(), None);
+}
+
+#[test]
+fn a_restart_counts_the_frames_that_were_passed_over() {
+    let mut damaged = png16(48, 36, &units(&depth_m(), 0.001));
+    damaged.truncate(damaged.len() / 2);
+    let names = ["0.png", "2.png", "3.png", "5.png"];
+    let folder = Folder::new().depth(&names).file("1.png", &damaged).file("4.png", "no PNG at all");
+    let base = folder.path.parent().unwrap().to_owned();
+    let config = || Config { path: Some("frames".into()), intrinsics: Some(GIVEN), rate_hz: 0.0, ..Config::default() };
+    let context = |resume_at, unreadable: &[u64]| {
+        let counted = unreadable.iter().map(|times| (UNREADABLE.to_owned(), *times)).collect();
+        Context { base: base.clone(), resume_at, counted, ..Context::default() }
+    };
+    let all = collect::<ImageSource>(config(), context(0, &[]), 9).unwrap();
+    assert_eq!(all.iter().map(|(header, _)| header.source.to_string()).collect::<Vec<_>>(), names);
+    // 4.png is found unreadable at the start, 1.png when its turn comes.
+    for (resume_at, unreadable, position) in [(0, &[][..], 0), (1, &[1], 1), (2, &[2], 3), (4, &[2], 5)] {
+        let source = ImageSource::new(config(), &context(resume_at, unreadable)).unwrap();
+        assert_eq!((source.position, source.uncounted), (position, u64::from(unreadable.is_empty())), "{resume_at}");
+    }
 }
 
 #[test]
