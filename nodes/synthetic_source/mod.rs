@@ -39,8 +39,10 @@ use truth::{Truth, TruthLine, truth_of};
 
 /// Frame rate of simulated time where frames are made as fast as they are taken.
 const UNPACED_RATE_HZ: f64 = 30.0;
+/// Commands made from frames that are older than this are no longer obeyed: whoever drives has gone.
+const MAX_COMMAND_AGE_S: f64 = 0.5;
 
-/// A depth camera in a scene. Each frame is a function of its number and the seed alone.
+/// A depth camera in a scene. Each frame is a function of its number, the seed and where the camera was driven to.
 #[derive(Clone, Debug)]
 pub struct SyntheticCamera {
     scene: Scene,
@@ -268,7 +270,8 @@ impl Source for SyntheticSource {
         self.total
     }
 
-    /// Who drives the camera: the first track's `velocity` is the one that it is to take, none lets it stand.
+    /// Who drives the camera: the first track's `velocity` is the one that it is to take; none lets it stand, as does a
+    /// command from a frame more than half a second before.
     fn sides() -> &'static [Side] {
         &[Side { name: "command", kind: Kind::Tracks, pick: Pick::Latest }]
     }
@@ -277,8 +280,8 @@ impl Source for SyntheticSource {
         if self.total.is_some_and(|total| self.next >= total) {
             return Ok(Next::End);
         }
-        if let Some(command) = sides.tracks("command").and_then(|message| message.items.first()) {
-            self.camera.drive(command.velocity.into());
+        if let Some(velocity) = self.command(sides) {
+            self.camera.drive(velocity);
         }
         let camera = self.camera.raster.camera;
         self.camera.shoot(self.next, output.image(camera.width as usize * camera.height as usize)?);
@@ -293,6 +296,14 @@ impl Source for SyntheticSource {
 }
 
 impl SyntheticSource {
+    /// The velocity that the camera is to take for the next frame.
+    fn command(&self, sides: &Sides) -> Option<Vector3<f64>> {
+        let command = sides.tracks("command")?;
+        let age_s = self.next as f64 / self.camera.rate_hz - command.header.stamp_ns as f64 * 1e-9;
+        let first = command.items.first().filter(|_| age_s <= MAX_COMMAND_AGE_S)?;
+        Some(first.velocity.into())
+    }
+
     /// The true objects of the frame that was shot last.
     fn truth_line(&self) -> TruthLine {
         let mut header = Header::default();
