@@ -92,7 +92,8 @@ impl Pooled {
                 continue;
             }
             if tries == MAX_TRIES {
-                break;
+                rejections.count(Rejection::Untried);
+                continue;
             }
             tries += 1;
             match self.growing.candidate(&self.arcs, &self.taken, seed, config, rejections) {
