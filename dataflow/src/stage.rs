@@ -31,6 +31,11 @@ pub trait Config: DeserializeOwned + Serialize + JsonSchema + Default {
         let _ = base;
         Vec::new()
     }
+
+    /// Parameters without effect, given the values of the others. Where the file sets one all the same, it is warned of.
+    fn idle(&self) -> Vec<ConfigFault> {
+        Vec::new()
+    }
 }
 
 /// A parameter whose value cannot be used.

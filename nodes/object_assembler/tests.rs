@@ -245,4 +245,19 @@ fn limits_that_exclude_each_other_are_faults() {
     let keys: Vec<_> = config.faults(Path::new(".")).into_iter().map(|fault| fault.key).collect();
     assert_eq!(keys, ["sphere", "cone", "min_half_angle_deg"]);
     assert_eq!(AssemblerConfig::default().faults(Path::new(".")), []);
+    let pooled = PooledConfig { min_half_angle_deg: 4.0, ..PooledConfig::default() };
+    let config = AssemblerConfig { pooled, max_half_angle_deg: 3.0, ..AssemblerConfig::default() };
+    assert_eq!(config.faults(Path::new("."))[0].key, "pooled");
+}
+
+#[test]
+fn what_has_no_effect_is_known() {
+    let idle = |config: &AssemblerConfig| config.idle().into_iter().map(|idle| idle.key).collect::<Vec<_>>();
+    let all = serde_json::to_value(AssemblerConfig::default()).unwrap();
+    let pooled = idle(&AssemblerConfig::default());
+    let active: Vec<_> = all.as_object().unwrap().keys().filter(|key| !pooled.contains(&key.as_str())).collect();
+    assert_eq!(active, ["method", "max_half_angle_deg", "pooled", "sphere", "cylinder", "cone"]);
+    assert_eq!(idle(&AssemblerConfig::of_the_paper()), ["pooled"]);
+    let paper = AssemblerConfig { section_fit: SectionFit::Ellipse, ..AssemblerConfig::of_the_paper() };
+    assert_eq!(idle(&paper), ["pooled", "max_rms_radii"]);
 }
