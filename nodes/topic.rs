@@ -16,7 +16,7 @@ use conicflow_dataflow::{
 };
 use conicflow_messages::{Ellipse, Item, Kind, Message, Object, Track, is_measured};
 use serde_json::json;
-use std::io::{ErrorKind, Write, stdout};
+use std::io::{Write, stdout};
 use std::thread::sleep;
 use std::time::Duration;
 
@@ -60,28 +60,23 @@ pub struct PipelineName {
     pipeline: Option<String>,
 }
 
-/// Shows what was asked for; a reader of the output that goes away (`| head`) ends it without a word.
+/// Shows what was asked for.
 ///
 /// # Errors
-/// There is no such pipeline or topic, or it cannot be read.
+/// There is no such pipeline or topic, it cannot be read, or standard output cannot be written.
 pub fn topic(command: &TopicCommand) -> anyhow::Result<()> {
     give_way();
-    let shown = match command {
+    match command {
         TopicCommand::List { of } => list(&of.find()?),
         TopicCommand::Echo(arguments) => echo(arguments),
         TopicCommand::Hz(arguments) => each_second(arguments, rate_line),
         TopicCommand::Bw(arguments) => each_second(arguments, bandwidth_line),
-    };
-    shown.or_else(|error| if is_broken_pipe(&error) { Ok(()) } else { Err(error) })
+    }
 }
 
 /// Lets the stages go first where processors are short; where that is not allowed nothing else is lost.
 pub(crate) fn give_way() {
     rustix::process::nice(NICENESS).ok();
-}
-
-fn is_broken_pipe(error: &anyhow::Error) -> bool {
-    error.downcast_ref::<std::io::Error>().is_some_and(|error| error.kind() == ErrorKind::BrokenPipe)
 }
 
 impl PipelineName {
