@@ -234,8 +234,7 @@ impl RowEllipseExtractor {
 
 impl Stage for RowEllipseExtractor {
     const NAME: &'static str = "row_ellipse_extractor";
-    const SUMMARY: &'static str =
-        "Finds ellipses in the scan lines of a depth image, in one pass with constant time a point";
+    const SUMMARY: &'static str = "Finds ellipses in the scan lines of a depth image, with the moments of their points";
     type Config = RowEllipseConfig;
     type Input = u16;
     type Output = Ellipse;

@@ -38,7 +38,8 @@ pub(super) struct Measured {
     pub misfit: f64,
     /// Mean visible circumference.
     pub angle: f64,
-    /// From where to where the arcs reach along the axis, counted from the surface's point; along z for a sphere.
+    /// From where to where the arcs reach along the axis, counted from the surface's point; of a sphere across the scan
+    /// lines, along y of the camera frame for rows and x for columns.
     pub extent: [f64; 2],
 }
 
