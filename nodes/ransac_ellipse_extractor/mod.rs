@@ -10,8 +10,9 @@ mod consensus;
 #[cfg(test)]
 mod tests;
 
+use crate::camera::pinhole;
+use crate::random::Dice;
 use crate::row_ellipse_extractor::ScanLines;
-use crate::synthetic_source::random::Dice;
 use conicflow_dataflow::{Config, Context, Output, Sides, Stage, StageError};
 use conicflow_geometry::{self as geometry, PlaneMoments, Scan, ScanPlane, fit_ellipse};
 use conicflow_messages::{Ellipse, Header, Message, is_measured};

@@ -7,7 +7,6 @@
 mod fields;
 pub mod motion;
 pub mod pose;
-pub(crate) mod random;
 pub mod random_scene;
 pub mod random_scenes;
 pub mod raster;
@@ -20,12 +19,12 @@ mod shadow;
 pub mod shapes;
 pub mod truth;
 
-use crate::json_sink::JsonLines;
+use crate::json_lines::JsonLines;
+use crate::random::Dice;
 use anyhow::{Result, bail};
 use conicflow_dataflow::{Config, ConfigFault, Context, Next, Output, Pick, Side, Sides, Source, StageError};
 use conicflow_messages::{Camera, HAS_POSE, Header, Kind, Text};
 use nalgebra::Vector3;
-use random::Dice;
 use random_scenes::RandomScenes;
 use raster::Raster;
 use scene::{BUILT_IN, Scene};
@@ -221,10 +220,10 @@ impl Config for SyntheticSourceConfig {
             let what = "cannot be shown together with `scene`".into();
             faults.push(ConfigFault { key: "scenes", what, hint: "leave one of them out".into() });
         }
-        let folder = self.truth_path.as_ref().and_then(|path| base.join(path).parent().map(Path::to_owned));
-        if let Some(folder) = folder.filter(|folder| !folder.is_dir() && !folder.as_os_str().is_empty()) {
-            let what = format!("the folder `{}` does not exist", folder.display());
-            faults.push(ConfigFault { key: "truth_path", what, hint: "create it, or name another file".into() });
+        let truth_path = self.truth_path.as_ref().map(|path| base.join(path));
+        if let Some(folder) = truth_path.filter(|path| path.is_dir()) {
+            let what = format!("`{}` is a folder, expected a file", folder.display());
+            faults.push(ConfigFault { key: "truth_path", what, hint: "add the name of a file".into() });
         }
         faults
     }

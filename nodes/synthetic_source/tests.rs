@@ -73,7 +73,7 @@ fn what_cannot_be_used_is_told_before_the_start() {
     assert_eq!(SyntheticSourceConfig::default().faults(base.path()), []);
     let config = SyntheticSourceConfig {
         scene: Some("garden.toml".into()),
-        truth_path: Some("nowhere/truth.jsonl".into()),
+        truth_path: Some(".".into()),
         ..SyntheticSourceConfig::default()
     };
     let faults = config.faults(base.path());
