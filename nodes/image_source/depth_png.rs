@@ -7,6 +7,9 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Cursor, Seek};
 use std::path::Path;
 
+/// What to do about a file that cannot be read.
+pub(super) const HINT: &str = "depth images are 16-bit grey PNGs; copy or record this one anew, or take it out";
+
 /// What a PNG holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Content {

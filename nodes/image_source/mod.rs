@@ -19,15 +19,12 @@ pub use intrinsics::Intrinsics;
 pub use recording::{Frame, Options, Recording};
 
 use crate::noise_config::NoiseConfig;
-use anyhow::{Context as _, bail};
+use anyhow::{Context as _, anyhow};
 use conicflow_dataflow::{ConfigFault, Context, Next, Output, Sides, Source, StageError};
-use conicflow_messages::{Header, NoiseModel, Text, is_measured};
+use conicflow_messages::{Header, MAX_PIXELS, NoiseModel, Text, is_measured};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-
-/// The most pixels or points of a frame that is read: 8192 x 8192.
-const MAX_PIXELS: u64 = 1 << 26;
 
 /// Frames per second by which frames without time stamps are stamped when `rate_hz` is 0.
 const USUAL_RATE_HZ: f64 = 30.0;
@@ -158,7 +155,11 @@ impl ImageSource {
     fn pass_over(&mut self, error: &anyhow::Error) -> anyhow::Result<()> {
         self.misses += 1;
         if self.misses >= self.recording.len() {
-            bail!("none of the {} frames can be read; the last: {error:#}", self.misses);
+            let none = format!("none of the {} frames can be read; the last: {error:#}", self.misses);
+            return Err(hinted(
+                anyhow!(none),
+                "look at one with another program; record them anew, or copy them again",
+            ));
         }
         // Once is enough for a file that a loop meets in every round.
         if self.position <= self.recording.len() as u64 {
@@ -287,6 +288,12 @@ pub(crate) fn median(pixels: &[u16]) -> Option<u16> {
     let mut measured: Vec<_> = pixels.iter().copied().filter(|&pixel| is_measured(pixel)).collect();
     let middle = measured.len() / 2;
     (!measured.is_empty()).then(|| *measured.select_nth_unstable(middle).1)
+}
+
+/// An error with what to do about it, where it does not say so itself.
+fn hinted(error: anyhow::Error, hint: &str) -> anyhow::Error {
+    let text = format!("{error:#}");
+    if text.contains("\n  hint: ") { error } else { anyhow!("{text}\n  hint: {hint}") }
 }
 
 /// The beginning of a line, for an error.

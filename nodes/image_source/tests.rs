@@ -113,7 +113,7 @@ fn a_single_file() {
     assert_eq!(names(&mut recording), ["b.png"]);
     let error = format!("{:#}", Recording::open(&folder.file("c.txt", "").at("c.txt"), &options).err().unwrap());
     assert!(
-        error.ends_with("c.txt` is no depth frame, expected a 16-bit PNG, a PCD file or a folder of them"),
+        error.ends_with("c.txt` is no depth frame\n  hint: name a 16-bit PNG, a PCD file, or a folder of them"),
         "{error}"
     );
 }
@@ -250,7 +250,10 @@ fn a_part_of_the_recording() {
     assert_eq!(names(&mut part(1, Some(2)).unwrap()), ["1.png", "2.png"]);
     assert_eq!(part(1, Some(2)).unwrap().load(0).unwrap().slot, 0);
     assert_eq!(names(&mut part(3, None).unwrap()), ["3.png"]);
-    assert_eq!(part(4, None).err().unwrap().to_string(), "`first` is 4, but there are 4 frames, counted from 0");
+    assert_eq!(
+        part(4, None).err().unwrap().to_string(),
+        "`first` is 4, but there are 4 frames, counted from 0\n  hint: the last is 3"
+    );
 }
 
 fn source(folder: &Folder, config: Config, resume_at: u64) -> ImageSource {
@@ -322,7 +325,7 @@ fn only_when_no_frame_can_be_read_it_is_an_error() {
     let error = anyhow::anyhow!("gone");
     assert!(source.pass_over(&error).is_ok());
     let error = source.pass_over(&error).unwrap_err().to_string();
-    assert_eq!(error, "none of the 2 frames can be read; the last: gone");
+    assert!(error.starts_with("none of the 2 frames can be read; the last: gone\n  hint: "), "{error}");
 }
 
 #[test]
