@@ -13,17 +13,20 @@ use conicflow_dataflow::pipeline::{Pipeline, Report, SourceText};
 use conicflow_dataflow::{NO_RUN, Plan, ProcessError, RunFolder, RunOptions, Summary};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use std::fmt::Display;
-use std::io::{IsTerminal, Write, stderr, stdout};
+use std::io::{self, ErrorKind, IsTerminal, Write, stderr, stdout};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::LevelFilter;
 
 const BUILT_IN: &str = include_str!("../pipeline.toml");
 const DEFAULT_FILE: &str = "pipeline.toml";
 
+/// Exit code for what was begun and could not be done.
+const FAILED: u8 = 1;
 /// Exit code for a wrong file or wrong arguments.
 const WRONG_INPUT: u8 = 2;
 
@@ -34,7 +37,14 @@ struct CommandLine {
     #[command(subcommand)]
     command: Option<Command>,
     /// What is logged: error, warn, info, debug or trace; a filter such as conicflow_dataflow=debug works too
-    #[arg(long, global = true, env = "CONICFLOW_LOG", default_value = "info", value_name = "LEVEL")]
+    #[arg(
+        long,
+        global = true,
+        env = "CONICFLOW_LOG",
+        default_value = "info",
+        value_name = "LEVEL",
+        value_parser = log_filter
+    )]
     log: String,
 }
 
@@ -125,6 +135,8 @@ pub fn main() -> ExitCode {
     let command = arguments.command.unwrap_or_else(|| Command::Run(RunArguments::default()));
     match dispatch(command) {
         Ok(code) => code,
+        // Who reads the output and goes (`| head`) has seen enough.
+        Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
             say(describe(&error));
             exit_code(&error).into()
@@ -166,13 +178,31 @@ fn describe(error: &anyhow::Error) -> String {
     if error.is::<Report>() { error.to_string() } else { format!("error: {error:#}") }
 }
 
+/// What the system refuses, such as a place on a full disk, is no wrong input.
 fn exit_code(error: &anyhow::Error) -> u8 {
-    error.downcast_ref::<ProcessError>().map_or(WRONG_INPUT, ProcessError::exit_code)
+    let refused = error.chain().any(|cause| cause.is::<io::Error>());
+    let other = if refused { FAILED } else { WRONG_INPUT };
+    error.downcast_ref::<ProcessError>().map_or(other, ProcessError::exit_code)
+}
+
+fn is_broken_pipe(error: &anyhow::Error) -> bool {
+    error.downcast_ref::<io::Error>().is_some_and(|error| error.kind() == ErrorKind::BrokenPipe)
+}
+
+/// A filter that is one: a single word has to be a level, as else it would count as the name of what alone is logged.
+fn log_filter(text: &str) -> Result<String, String> {
+    let is_named = |part: &str| part.contains(['=', '[', ']', '}']);
+    let wrong = text.split(',').map(str::trim).find(|part| !is_named(part) && part.parse::<LevelFilter>().is_err());
+    match (wrong, EnvFilter::try_new(text)) {
+        (Some(word), _) => Err(format!("`{word}` is no level\n  hint: error, warn, info, debug or trace")),
+        (None, Err(error)) => Err(error.to_string()),
+        (None, Ok(_)) => Ok(text.to_owned()),
+    }
 }
 
 fn log_to_standard_error(filter: &str) {
     // What a link does is told by the bridge; Zenoh's own words are for `CONICFLOW_LOG=zenoh=debug`.
-    let filter = EnvFilter::try_new(format!("zenoh=error,{filter}")).unwrap_or_else(|_| EnvFilter::new("info"));
+    let filter = EnvFilter::new(format!("zenoh=error,{filter}"));
     let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(stderr).without_time();
     // A log that nobody reads any more is no fault of the run.
     builder.with_target(false).with_ansi(stderr().is_terminal()).log_internal_errors(false).init();
@@ -263,8 +293,9 @@ fn run_experiment(pipeline: &Pipeline, experiment: &Experiment, arguments: &RunA
         }
         results.add(rows.read(variation, &summary)?);
     }
-    write!(stdout(), "{}{}", results.table(), results.exponents())?;
+    let printed = write!(stdout(), "{}{}", results.table(), results.exponents());
     results.write(&pipeline.base)?;
+    printed?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -312,4 +343,28 @@ fn node(stage: &str, file: Option<PathBuf>, machine: Option<&str>) -> anyhow::Re
     let plan = Plan::of(&pipeline, machine, None, NO_RUN);
     let folder = RunFolder::open(&plan.pipeline)?;
     Ok(conicflow_dataflow::run_planned(&plan, &folder, stage, NODES)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_level_is_a_word_that_there_is() {
+        for good in ["debug", "WARN", "off", "conicflow_dataflow=debug", "info,zenoh=debug", "warn,[step]=trace"] {
+            assert_eq!(log_filter(good).as_deref(), Ok(good));
+        }
+        for wrong in ["debgu", "info,debgu", "conicflow=debgu"] {
+            assert!(log_filter(wrong).is_err(), "{wrong}");
+        }
+        assert!(log_filter("info,debgu").is_err_and(|error| error.starts_with("`debgu` is no level\n  hint: ")));
+    }
+
+    #[test]
+    fn what_the_system_refuses_is_no_wrong_input() {
+        let full = || anyhow::Error::from(io::Error::from(ErrorKind::StorageFull));
+        assert_eq!(exit_code(&full().context("cannot write `results/table.csv`")), FAILED);
+        assert_eq!(exit_code(&anyhow!("there is no machine `moon`")), WRONG_INPUT);
+        assert!(is_broken_pipe(&io::Error::from(ErrorKind::BrokenPipe).into()) && !is_broken_pipe(&full()));
+    }
 }

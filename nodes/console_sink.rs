@@ -79,7 +79,7 @@ impl Describe for Ellipse {
     fn describe(&self, text: &mut impl fmt::Write) -> fmt::Result {
         let [x, y, z] = self.center;
         let [long, short] = self.semi_axes.map(|axis| axis * 1e3);
-        let scan = if self.scan() == Scan::Row { "row" } else { "column" };
+        let scan = if self.direction() == Scan::Row { "row" } else { "column" };
         write!(text, "{scan} {:4}, {:4} to {:4}", self.line, self.first, self.last)?;
         write!(text, "  at ({x:6.3}, {y:6.3}, {z:6.3}) m  semi-axes {long:.1} x {short:.1} mm")
     }

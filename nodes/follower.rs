@@ -4,11 +4,13 @@
 //! that the camera is to take, along the camera's axes, in m/s. No track: stand still. A source closes the loop by reading
 //! it as a further input, of which it takes the latest value.
 
-use conicflow_dataflow::{Config, Context, Output, Sides, Stage, StageError};
+use crate::upward;
+use conicflow_dataflow::{Config, ConfigFault, Context, Output, Sides, Stage, StageError};
 use conicflow_messages::{Header, Message, ObjectKind, Track, TrackState};
 use nalgebra::{Matrix3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::path::Path;
 
 /// What is followed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
@@ -38,19 +40,22 @@ pub struct FollowerConfig {
     /// Greatest speed, in m/s.
     #[schemars(range(min = 0.0))]
     pub max_speed_mps: f64,
-    /// Where up is: in the world where the frames carry a pose, else in the camera's frame. The robot does not leave the
-    /// ground.
-    pub up: [f64; 3],
+    /// Where up is, as a vector in the world where the frames carry a pose, else in the camera's frame; none: the world's z,
+    /// [0, 0, 1], with a pose, and -y, [0, -1, 0], without. The robot does not leave the ground.
+    pub up: Option<[f64; 3]>,
 }
 
 impl Default for FollowerConfig {
     fn default() -> Self {
-        let up = [0.0, 0.0, 1.0];
-        Self { quarry: Quarry::Sphere, stop_distance_m: 1.0, gain: 1.5, max_speed_mps: 0.8, up }
+        Self { quarry: Quarry::Sphere, stop_distance_m: 1.0, gain: 1.5, max_speed_mps: 0.8, up: None }
     }
 }
 
-impl Config for FollowerConfig {}
+impl Config for FollowerConfig {
+    fn faults(&self, _: &Path) -> Vec<ConfigFault> {
+        upward::fault("up", self.up).into_iter().collect()
+    }
+}
 
 /// Follows one track.
 pub struct Follower {
@@ -86,7 +91,7 @@ impl Follower {
 
     /// Proportional to what is too much of the distance over ground, along the camera's axes.
     fn velocity(&self, header: &Header, track: &Track) -> Vector3<f64> {
-        let up = up_in_camera(header, self.config.up.into());
+        let up = up_in_camera(header, self.config.up);
         let center = Vector3::from(track.object.center);
         let level = center - up * center.dot(&up);
         let distance = level.norm();
@@ -96,8 +101,8 @@ impl Follower {
     }
 }
 
-fn up_in_camera(header: &Header, up: Vector3<f64>) -> Vector3<f64> {
-    let up = up.try_normalize(1e-9).unwrap_or_else(Vector3::z);
+fn up_in_camera(header: &Header, up: Option<[f64; 3]>) -> Vector3<f64> {
+    let up = upward::unit(up, header.pose().is_some());
     header.pose().map_or(up, |rows| Matrix3::from_fn(|row, column| rows[row][column]).tr_mul(&up))
 }
 
@@ -143,6 +148,20 @@ mod tests {
         assert!(close(velocity(&mut follower, 1.2), 0.3));
         assert!(close(velocity(&mut follower, 1.0), 0.0));
         assert!(close(velocity(&mut follower, 0.8), -0.3), "backs off from what comes too near");
+    }
+
+    #[test]
+    fn without_a_pose_it_drives_ahead_as_well() {
+        let mut follower = Follower::new(FollowerConfig::default());
+        let velocity = follower.command(&Header::default(), &[ball(1, 3.0)]).unwrap().velocity;
+        assert!((Vector3::from(velocity) - Vector3::z() * 0.8).norm() < 1e-12, "{velocity:?}");
+    }
+
+    #[test]
+    fn no_direction_is_no_up() {
+        let config = |up| FollowerConfig { up: Some(up), ..FollowerConfig::default() };
+        assert_eq!(config([0.0; 3]).faults(Path::new(".")).len(), 1);
+        assert_eq!(config([0.0, -1.0, 0.0]).faults(Path::new(".")), []);
     }
 
     #[test]

@@ -1,6 +1,10 @@
 //! The stages of conicflow, one file each, in the order in which a frame meets them; their table; and the command line.
 
+mod camera;
+mod json_lines;
 pub mod noise_config;
+mod random;
+mod upward;
 
 pub mod synthetic_source;
 

@@ -24,8 +24,7 @@ pub fn top(once: bool) -> anyhow::Result<()> {
         let activity = now.since(&before);
         before = now;
         if once || !stdout().is_terminal() {
-            serde_json::to_writer_pretty(stdout(), &json!({ "pipelines": activity }))?;
-            writeln!(stdout())?;
+            writeln!(stdout(), "{}", serde_json::to_string_pretty(&json!({ "pipelines": activity }))?)?;
             return Ok(());
         }
         write!(stdout(), "\x1b[H\x1b[2J{}", screen(&activity))?;

@@ -4,6 +4,7 @@
 //! that is kept free for it, for which no writer waits.
 
 use crate::NODES;
+use crate::image_source::median;
 use crate::json_sink::{Line, ToJson, latency_ms};
 use anyhow::{anyhow, bail};
 use clap::{Args, Subcommand};
@@ -13,9 +14,9 @@ use conicflow_dataflow::{
     Needs, PipelineActivity, Plan, PlannedStage, RunningPipeline, Runs, Table, TopicActivity, Watching, monotonic_ns,
     observe,
 };
-use conicflow_messages::{Ellipse, Item, Kind, Message, Object, Track};
+use conicflow_messages::{Ellipse, Item, Kind, Message, Object, Track, is_measured};
 use serde_json::json;
-use std::io::{ErrorKind, Write, stdout};
+use std::io::{Write, stdout};
 use std::thread::sleep;
 use std::time::Duration;
 
@@ -59,28 +60,23 @@ pub struct PipelineName {
     pipeline: Option<String>,
 }
 
-/// Shows what was asked for; a reader of the output that goes away (`| head`) ends it without a word.
+/// Shows what was asked for.
 ///
 /// # Errors
-/// There is no such pipeline or topic, or it cannot be read.
+/// There is no such pipeline or topic, it cannot be read, or standard output cannot be written.
 pub fn topic(command: &TopicCommand) -> anyhow::Result<()> {
     give_way();
-    let shown = match command {
+    match command {
         TopicCommand::List { of } => list(&of.find()?),
         TopicCommand::Echo(arguments) => echo(arguments),
         TopicCommand::Hz(arguments) => each_second(arguments, rate_line),
         TopicCommand::Bw(arguments) => each_second(arguments, bandwidth_line),
-    };
-    shown.or_else(|error| if is_broken_pipe(&error) { Ok(()) } else { Err(error) })
+    }
 }
 
 /// Lets the stages go first where processors are short; where that is not allowed nothing else is lost.
 pub(crate) fn give_way() {
     rustix::process::nice(NICENESS).ok();
-}
-
-fn is_broken_pipe(error: &anyhow::Error) -> bool {
-    error.downcast_ref::<std::io::Error>().is_some_and(|error| error.kind() == ErrorKind::BrokenPipe)
 }
 
 impl PipelineName {
@@ -230,10 +226,7 @@ fn list_line<T: ToJson>(message: &Message<'_, T>) -> serde_json::Result<Vec<u8>>
 /// An image in brief: its size, how many pixels measured something, and the median of those in metres.
 fn image_line(message: &Message<'_, u16>) -> serde_json::Result<Vec<u8>> {
     let header = message.header;
-    let mut measured: Vec<u16> =
-        message.items.iter().copied().filter(|depth| !matches!(*depth, 0 | u16::MAX)).collect();
-    let middle = measured.len() / 2;
-    let median = (!measured.is_empty()).then(|| *measured.select_nth_unstable(middle).1);
+    let measured = message.items.iter().filter(|&&depth| is_measured(depth)).count();
     serde_json::to_vec(&json!({
         "sequence": header.sequence,
         "source": header.source.as_str().unwrap_or_default(),
@@ -242,8 +235,8 @@ fn image_line(message: &Message<'_, u16>) -> serde_json::Result<Vec<u8>> {
         "depth": {
             "width": header.camera.width,
             "height": header.camera.height,
-            "measured": measured.len(),
-            "median_m": median.map(|depth| f64::from(depth) * header.depth_scale),
+            "measured": measured,
+            "median_m": median(message.items).map(|depth| f64::from(depth) * header.depth_scale),
         },
     }))
 }

@@ -21,8 +21,15 @@ pub struct Node {
     pub variants: &'static [Variant],
     pub(crate) sides: fn() -> &'static [Side],
     pub(crate) schema: fn() -> Json,
-    pub(crate) check: fn(Json, &Path) -> Result<Vec<ConfigFault>, serde_json::Error>,
+    pub(crate) check: fn(Json, &Path) -> Result<Checked, serde_json::Error>,
     pub(crate) message_length: fn(Json, &Path) -> Option<usize>,
+}
+
+/// What there is to say of a node's parameters.
+pub(crate) struct Checked {
+    pub faults: Vec<ConfigFault>,
+    /// Those without effect, whether they are set or not.
+    pub idle: Vec<ConfigFault>,
 }
 
 /// A node for one kind of input.
@@ -108,8 +115,9 @@ fn schema<C: Config>() -> Json {
     schemars::SchemaGenerator::default().into_root_schema_for::<C>().to_value()
 }
 
-fn check<C: Config>(parameters: Json, base: &Path) -> Result<Vec<ConfigFault>, serde_json::Error> {
-    Ok(serde_json::from_value::<C>(parameters)?.faults(base))
+fn check<C: Config>(parameters: Json, base: &Path) -> Result<Checked, serde_json::Error> {
+    let config = serde_json::from_value::<C>(parameters)?;
+    Ok(Checked { faults: config.faults(base), idle: config.idle() })
 }
 
 fn message_length<S: Source>(parameters: Json, base: &Path) -> Option<usize> {

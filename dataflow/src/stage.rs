@@ -31,6 +31,11 @@ pub trait Config: DeserializeOwned + Serialize + JsonSchema + Default {
         let _ = base;
         Vec::new()
     }
+
+    /// Parameters without effect, given the values of the others. Where the file sets one all the same, it is warned of.
+    fn idle(&self) -> Vec<ConfigFault> {
+        Vec::new()
+    }
 }
 
 /// A parameter whose value cannot be used.
@@ -60,6 +65,8 @@ pub struct Context {
     pub base: PathBuf,
     /// Number of messages that this stage sent or took before it was started anew in the same run; 0 at first.
     pub resume_at: u64,
+    /// What this stage had counted by then (see [`Output::count`]).
+    pub counted: BTreeMap<String, u64>,
     /// Raised when the run is to end.
     pub stop: Stop,
 }

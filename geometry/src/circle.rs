@@ -4,7 +4,7 @@
 //! in Chernov, "Circular and Linear Regression" (2010), section 5.10. On a short arc it is far less biased than a free
 //! ellipse.
 
-use crate::{Conic, PlaneMoments};
+use crate::PlaneMoments;
 
 /// A circle in a plane, in metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -15,15 +15,11 @@ pub struct Circle {
     pub radius: f64,
 }
 
+#[cfg(test)]
 impl Circle {
     /// The circle as a conic.
-    pub fn to_conic(&self) -> Conic {
-        Conic { origin: self.center, coefficients: [1.0, 0.0, 1.0, 0.0, 0.0, -self.radius * self.radius] }
-    }
-
-    /// Root mean square distance of the points from the circle, to first order.
-    pub fn rms(&self, moments: &PlaneMoments) -> Option<f64> {
-        self.to_conic().rms(moments)
+    pub(crate) fn to_conic(self) -> crate::Conic {
+        crate::Conic { origin: self.center, coefficients: [1.0, 0.0, 1.0, 0.0, 0.0, -self.radius * self.radius] }
     }
 }
 

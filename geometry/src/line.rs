@@ -149,7 +149,7 @@ impl PencilMoments {
         };
         // Ends that are a standard deviation of the slopes away on both sides.
         let half = self.inverse_depth.spread();
-        let (from, to, middle) = (point(inverse.at - half)?, point(inverse.at + half)?, point(inverse.at)?);
+        let (from, to, middle) = (point(inverse.middle - half)?, point(inverse.middle + half)?, point(inverse.middle)?);
         let spread = 0.5 * (to - from).norm();
         let depth = 1.0 / inverse.value;
         let rms = (depth * depth * inverse.rms).hypot(depth * side.rms);

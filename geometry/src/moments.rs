@@ -6,9 +6,14 @@
 /// Number of sums.
 pub const MOMENTS: usize = 15;
 
-/// Place of each exponent pair `[p][q]` among the sums.
-const INDEX: [[usize; 5]; 5] =
-    [[0, 2, 5, 9, 14], [1, 4, 8, 13, 0], [3, 7, 12, 0, 0], [6, 11, 0, 0, 0], [10, 0, 0, 0, 0]];
+/// Place of each exponent pair `[p][q]` among the sums; beyond all of them where there is none.
+const INDEX: [[usize; 5]; 5] = [
+    [0, 2, 5, 9, 14],
+    [1, 4, 8, 13, MOMENTS],
+    [3, 7, 12, MOMENTS, MOMENTS],
+    [6, 11, MOMENTS, MOMENTS, MOMENTS],
+    [10, MOMENTS, MOMENTS, MOMENTS, MOMENTS],
+];
 
 /// For s and t, which moments get a share of which as the origin moves along it, in this order.
 const SHIFTS: [[[usize; 2]; 20]; 2] = [shifts(false), shifts(true)];
@@ -78,7 +83,10 @@ impl PlaneMoments {
         INDEX[p][q]
     }
 
-    /// `sum (s - s0)^p (t - t0)^q`, p + q <= 4.
+    /// `sum (s - s0)^p (t - t0)^q`.
+    ///
+    /// # Panics
+    /// p + q is more than 4.
     #[inline]
     pub fn get(&self, p: usize, q: usize) -> f64 {
         self.sums[INDEX[p][q]]
@@ -222,6 +230,12 @@ mod tests {
 
     fn points() -> Vec<[f64; 2]> {
         (0..20).map(|i| f64::from(i) * 0.7).map(|a| [1.0 + 0.2 * a.cos(), 2.0 + 0.3 * (1.3 * a).sin()]).collect()
+    }
+
+    #[test]
+    #[should_panic(expected = "out of bounds")]
+    fn a_moment_that_is_not_kept_is_none() {
+        PlaneMoments::of([0.0, 0.0], points()).get(3, 2);
     }
 
     fn assert_same(a: &PlaneMoments, b: &PlaneMoments) {

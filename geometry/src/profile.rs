@@ -37,7 +37,7 @@ pub fn fit_line_profile(pairs: &PlaneMoments) -> Option<Fit> {
     let slope = zr / zz;
     let rms = ((rr - slope * zr).max(0.0) * n / (n - 2.0)).sqrt();
     let (value_sigma, slope_sigma) = (rms / n.sqrt(), rms / (n * zz).sqrt());
-    Some(Fit { at: mean[0], value: mean[1], slope, rms, value_sigma, slope_sigma })
+    Some(Fit { middle: mean[0], value: mean[1], slope, rms, value_sigma, slope_sigma })
 }
 
 /// Least squares of `z^2 + r^2 = 2 z0 z + K`, linear in `z0` and `K = R^2 - z0^2`; `None` for fewer than three pairs or

@@ -11,11 +11,11 @@ pub struct Regression {
     yy: f64,
 }
 
-/// A straight line `y = value + slope (x - at)`.
+/// A straight line `y = value + slope (x - middle)`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fit {
     /// Mean of x, where `value` is known best.
-    pub at: f64,
+    pub middle: f64,
     /// y there.
     pub value: f64,
     /// Change of y with x.
@@ -31,12 +31,12 @@ pub struct Fit {
 impl Fit {
     /// y at `x`.
     pub fn at(&self, x: f64) -> f64 {
-        self.value + self.slope * (x - self.at)
+        self.value + self.slope * (x - self.middle)
     }
 
     /// Standard deviation of a further pair's y at `x`, from the fit and from its own scatter.
     pub fn prediction_sigma(&self, x: f64) -> f64 {
-        let slope_part = self.slope_sigma * (x - self.at);
+        let slope_part = self.slope_sigma * (x - self.middle);
         (self.rms * self.rms + self.value_sigma * self.value_sigma + slope_part * slope_part).sqrt()
     }
 }
@@ -81,7 +81,7 @@ impl Regression {
         let slope = self.xy / self.xx;
         let rms = ((self.yy - slope * self.xy).max(0.0) / (self.count - 2.0)).sqrt();
         let (value_sigma, slope_sigma) = (rms / self.count.sqrt(), rms / self.xx.sqrt());
-        Some(Fit { at: self.mean_x, value: self.mean_y, slope, rms, value_sigma, slope_sigma })
+        Some(Fit { middle: self.mean_x, value: self.mean_y, slope, rms, value_sigma, slope_sigma })
     }
 }
 

@@ -17,10 +17,11 @@ pub trait Quadric {
     /// Coefficients of F on a scan plane, `[s^2, s t, t^2, s, t, 1]` about `(0, 0)`.
     fn section(&self, plane: &ScanPlane) -> [f64; 6];
 
-    /// Sum of the squared distances of an arc's points from the surface, to first order.
+    /// Sum of the squared distances of an arc's points from the surface, to first order; NaN where the plane cuts none.
     fn square_sum(&self, plane: &ScanPlane, moments: &PlaneMoments) -> f64 {
         let conic = Conic { origin: [0.0, 0.0], coefficients: self.section(plane) };
-        conic.about(moments.origin()).square_sum(moments).max(0.0)
+        let sum = conic.about(moments.origin()).square_sum(moments);
+        if sum < 0.0 { 0.0 } else { sum }
     }
 }
 
@@ -98,6 +99,14 @@ fn restrict(form: &Matrix3<f64>, center: &Vector3, constant: f64, plane: &ScanPl
 mod tests {
     use super::*;
     use crate::{Pinhole, Scan};
+
+    #[test]
+    fn what_is_no_surface_fits_nothing() {
+        let plane = CAMERA.plane(Scan::Row, 100.0);
+        let moments = points(&plane, 0.0, |p| (p - Vector3::new(0.0, 0.0, 2.0)).norm() - 0.25);
+        let center = Vector3::new(0.0, 0.0, f64::NAN);
+        assert!(Sphere { center, radius: 0.25 }.square_sum(&plane, &moments).is_nan());
+    }
 
     const CAMERA: Pinhole = Pinhole { fx: 290.0, fy: 290.0, cx: 159.5, cy: 119.5 };
 

@@ -19,7 +19,7 @@ impl Item for u16 {
 
     fn check(header: &Header, items: &[Self]) -> Result<(), Malformed> {
         let (width, height) = (header.camera.width, header.camera.height);
-        if width == 0 || items.len() as u64 != u64::from(width) * u64::from(height) {
+        if width == 0 || height == 0 || items.len() as u64 != u64::from(width) * u64::from(height) {
             let what = format!("{} pixels in a frame of {width}x{height}", items.len());
             return Err(Malformed::new(Kind::Depth, what));
         }
@@ -39,5 +39,9 @@ mod tests {
         assert!(u16::check(&header, &[0; 12]).is_ok());
         let error = u16::check(&header, &[0; 11]).unwrap_err();
         assert_eq!(error.to_string(), "malformed depth: 11 pixels in a frame of 4x3");
+        for (width, height) in [(640, 0), (0, 480)] {
+            let header = Header { camera: Camera { width, height, ..camera }, ..header };
+            assert!(u16::check(&header, &[]).is_err(), "{width}x{height}");
+        }
     }
 }

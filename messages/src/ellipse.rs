@@ -38,8 +38,8 @@ pub struct Ellipse {
     pub beyond_px: u32,
     /// 1: the moments are free of the bias that the sensor's noise gives them; 0: they are plain sums.
     pub unbiased: u32,
-    /// Zero; keeps the layout free of holes.
-    pub reserved: u32,
+    /// Every how many lines the extractor looked at one; 0 stands for 1, all of them.
+    pub line_step: u32,
     /// Centre in the camera frame, in metres.
     pub center: [f64; 3],
     /// Centre in the plane `(s, t)`, in metres.
@@ -72,8 +72,26 @@ pub struct Ellipse {
 
 impl Ellipse {
     /// The direction of the scan line.
-    pub fn scan(&self) -> Scan {
+    pub fn direction(&self) -> Scan {
         if self.scan == 0 { Scan::Row } else { Scan::Column }
+    }
+
+    /// Every how many lines the extractor looked at one, at least 1.
+    pub fn step(&self) -> u32 {
+        self.line_step.max(1)
+    }
+
+    /// Whether the line and the pixels lie in the image, and the codes are ones that there are.
+    fn is_in(&self, header: &Header) -> bool {
+        let (width, height) = (header.camera.width, header.camera.height);
+        let (lines, pixels) = if self.scan == 0 { (height, width) } else { (width, height) };
+        let inside = self.line < lines && self.first <= self.last && self.last < pixels;
+        self.scan <= 1 && self.unbiased <= 1 && inside
+    }
+
+    /// Whether there are points, and no deviation is less than none.
+    fn is_of_points(&self) -> bool {
+        self.sigma >= 0.0 && self.rms >= 0.0 && self.moments[0] > 0.0
     }
 
     fn numbers_are_finite(&self) -> bool {
@@ -94,14 +112,51 @@ impl Item for Ellipse {
     const TYPE_NAME: &'static str = "conicflow.Ellipse.v3";
 
     fn check(header: &Header, items: &[Self]) -> Result<(), Malformed> {
-        let (width, height) = (header.camera.width, header.camera.height);
         for (index, ellipse) in items.iter().enumerate() {
-            let (lines, pixels) = if ellipse.scan == 0 { (height, width) } else { (width, height) };
-            let inside = ellipse.line < lines && ellipse.first <= ellipse.last && ellipse.last < pixels;
-            if ellipse.scan > 1 || !inside || !ellipse.numbers_are_finite() {
-                return Err(Malformed::new(Kind::Ellipses, format!("item {index} is out of range or not finite")));
+            let fault = |what: &str| Err(Malformed::new(Kind::Ellipses, format!("item {index} {what}")));
+            if !(ellipse.is_in(header) && ellipse.numbers_are_finite()) {
+                return fault("is out of range or not finite");
+            }
+            if !ellipse.is_of_points() {
+                return fault("has no points, or a deviation below zero");
             }
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Camera;
+
+    #[test]
+    fn what_no_extractor_finds_is_refused() {
+        let header = Header { camera: Camera { width: 8, height: 6, ..Camera::default() }, ..Header::default() };
+        let mut good = Ellipse { line: 5, first: 2, last: 7, unbiased: 1, sigma: 0.001, ..Ellipse::default() };
+        good.moments[0] = 6.0;
+        assert_eq!(Ellipse::check(&header, &[good]), Ok(()));
+        for spoil in [
+            |e: &mut Ellipse| e.scan = 2,
+            |e: &mut Ellipse| e.scan = 1,
+            |e: &mut Ellipse| e.line = 6,
+            |e: &mut Ellipse| e.last = 8,
+            |e: &mut Ellipse| e.unbiased = 2,
+            |e: &mut Ellipse| e.sigma = -1e-9,
+            |e: &mut Ellipse| e.rms = -1e-9,
+            |e: &mut Ellipse| e.moments[0] = 0.0,
+            |e: &mut Ellipse| e.moments[14] = f64::NAN,
+        ] {
+            let mut spoilt = good;
+            spoil(&mut spoilt);
+            let error = Ellipse::check(&header, &[good, spoilt]).unwrap_err();
+            assert!(error.to_string().contains("item 1 "), "{error}");
+        }
+    }
+
+    #[test]
+    fn no_step_is_each_line() {
+        assert_eq!(Ellipse::default().step(), 1);
+        assert_eq!(Ellipse { line_step: 4, ..Ellipse::default() }.step(), 4);
     }
 }

@@ -15,6 +15,11 @@ pub const HAS_POSE: u32 = 2;
 /// How many hops a message remembers; later ones are not recorded.
 pub const MAX_HOPS: usize = 8;
 
+/// Most pixels that an image has along a side ...
+pub const MAX_SIDE_PX: u32 = 16_384;
+/// ... and in all: what a header claims, stages make room for.
+pub const MAX_PIXELS: u64 = 1 << 26;
+
 /// What precedes the items of every message.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq, Serialize, Deserialize)]
@@ -115,6 +120,14 @@ impl NoiseModel {
     }
 }
 
+impl Camera {
+    /// Whether the image has pixels, and not more than an image can have.
+    fn has_size(&self) -> bool {
+        let side = |pixels| (1..=MAX_SIDE_PX).contains(&pixels);
+        side(self.width) && side(self.height) && u64::from(self.width) * u64::from(self.height) <= MAX_PIXELS
+    }
+}
+
 impl Header {
     /// Whether this message ends its writer's stream.
     pub fn ends_stream(&self) -> bool {
@@ -159,6 +172,9 @@ impl Header {
         if self.ends_stream() {
             return Ok(());
         }
+        if !camera.has_size() {
+            return Err(Malformed::new(kind, format!("an image of {}x{} pixels", camera.width, camera.height)));
+        }
         if !(finite(&[camera.cx, camera.cy]) && camera.fx.is_normal() && camera.fy.is_normal()) {
             return fault("camera intrinsics that are zero or not finite");
         }
@@ -195,6 +211,10 @@ mod tests {
         assert_eq!(header.check(Kind::Depth), Ok(()));
         for spoil in [
             |h: &mut Header| h.camera.fx = f64::NAN,
+            |h: &mut Header| h.camera.width = 0,
+            |h: &mut Header| h.camera.height = 0,
+            |h: &mut Header| h.camera.height = u32::MAX,
+            |h: &mut Header| (h.camera.width, h.camera.height) = (MAX_SIDE_PX, MAX_SIDE_PX),
             |h: &mut Header| h.depth_scale = -1.0,
             |h: &mut Header| h.flags = 0x80,
             |h: &mut Header| h.hop_count = 9,

@@ -173,12 +173,12 @@ pub fn match_up(expected: &[Expected], answers: &[Object]) -> Matching {
         }
     }
     let unused = answers.iter().enumerate().filter(|(index, _)| !used[*index]);
-    let wrong = unused.map(|(index, answer)| (index, worst_fault(expected, answer))).collect();
+    let wrong = unused.map(|(index, answer)| (index, mildest_fault(expected, answer))).collect();
     Matching { answer_of, wrong }
 }
 
-/// What comes nearest to being right.
-fn worst_fault(expected: &[Expected], answer: &Object) -> Fault {
+/// What is wrong with an answer as compared with the object that it comes nearest to.
+fn mildest_fault(expected: &[Expected], answer: &Object) -> Fault {
     let faults = expected.iter().map(|object| fault(object, answer).unwrap_or(Fault::Second));
     faults.min().unwrap_or(Fault::NothingThere)
 }

@@ -13,7 +13,7 @@ pub mod rendered;
 pub mod score;
 
 use crate::synthetic_source::scene_values::{SceneTemplate, Values};
-use anyhow::{Context as _, Result};
+use anyhow::{Result, anyhow};
 use conicflow_dataflow::{Config, ConfigFault, Context, Output, Sides, Stage, StageError};
 use conicflow_messages::{Item, Message, Nothing, Object, Track, TrackState};
 use evaluation::Evaluation;
@@ -103,7 +103,7 @@ impl Config for EvaluationConfig {
         let scene = self.load_scene(base).err().map(|error| fault("scene", error));
         let truth = self.load_truth(base).err().map(|error| fault("truth", error));
         let both = self.scene.is_some() && self.truth.is_some();
-        let both = both.then(|| fault("truth", anyhow::anyhow!("cannot be used together with `scene`")));
+        let both = both.then(|| fault("truth", anyhow!("cannot be used together with `scene`")));
         scene.into_iter().chain(truth).chain(both).collect()
     }
 }
@@ -175,7 +175,11 @@ impl<T: Answer> Stage for EvaluationSink<T> {
         let (scene, truth) = (config.load_scene(&context.base)?, config.load_truth(&context.base)?);
         let open = |path: &PathBuf| {
             let path = context.resolve(path);
-            File::create(&path).map(BufWriter::new).with_context(|| format!("cannot write `{}`", path.display()))
+            let file = File::create(&path).map(BufWriter::new);
+            file.map_err(|error| {
+                let hint = "`details_path` wants a file in a folder that there is, and that you may write to";
+                anyhow!("cannot write `{}`: {error}\n  hint: {hint}", path.display())
+            })
         };
         let details = config.details_path.as_ref().map(open).transpose()?;
         let judge = match truth {

@@ -1,5 +1,6 @@
 //! The camera's intrinsics, from the pipeline file or from a JSON file beside the frames.
 
+use super::hinted;
 use anyhow::{Context as _, Result, anyhow, bail, ensure};
 use conicflow_messages::Camera;
 use schemars::JsonSchema;
@@ -46,6 +47,10 @@ impl Intrinsics {
     }
 }
 
+/// What a JSON file should be like.
+const HINT: &str = "write `{\"width\": 640, \"height\": 480, \"fx\": .., \"fy\": .., \"cx\": .., \"cy\": ..}` with your camera's \
+                    numbers, or give `intrinsics` in the pipeline file";
+
 /// What a JSON file beside the frames tells.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct CameraFile {
@@ -65,12 +70,17 @@ impl CameraFile {
         let folders = [Some(folder), folder.parent()];
         let candidates = folders.into_iter().flatten().flat_map(|folder| NAMES.map(|name| folder.join(name)));
         let found = candidates.into_iter().find(|path| path.is_file());
-        found.map(|path| Self::read(&path).with_context(|| format!("`{}`", path.display()))).transpose()
+        let read = |path: PathBuf| {
+            let file = Self::read(&path).map_err(|error| hinted(error, HINT));
+            file.with_context(|| format!("`{}`", path.display()))
+        };
+        found.map(read).transpose()
     }
 
     fn read(path: &Path) -> Result<Self> {
         let mut text = String::new();
-        File::open(path)?.take(MAX_JSON_BYTES).read_to_string(&mut text)?;
+        File::open(path)?.take(MAX_JSON_BYTES + 1).read_to_string(&mut text)?;
+        ensure!(text.len() as u64 <= MAX_JSON_BYTES, "it is longer than {MAX_JSON_BYTES} bytes, and no camera's");
         let json: CameraJson = serde_json::from_str(&text)?;
         let intrinsics = json.intrinsics()?;
         ensure!(intrinsics.usable(), "focal lengths have to be positive, and all of {intrinsics:?} finite numbers");
@@ -203,10 +213,12 @@ mod tests {
     #[test]
     fn faults_are_told() {
         assert!(told("{\n oops").contains("line 2"));
-        assert_eq!(told(&MINE.replace("\"fy\": 52.0, ", "")), "the key `fy` is missing");
+        assert!(told(&MINE.replace("\"fy\": 52.0, ", "")).starts_with("the key `fy` is missing\n  hint: write `{"));
         assert!(told(&MINE.replace("52.0", "0")).starts_with("focal lengths have to be positive"));
-        assert_eq!(told(&MINE.replace("0.0002", "-1")), "`depth_scale` is -1, expected a positive number");
-        assert_eq!(told(r#"{"intrinsic_matrix": [1, 2]}"#), "`intrinsic_matrix` has 2 numbers, expected 9");
+        assert!(told(&MINE.replace("0.0002", "-1")).starts_with("`depth_scale` is -1, expected a positive number\n"));
+        assert!(told(r#"{"intrinsic_matrix": [1, 2]}"#).starts_with("`intrinsic_matrix` has 2 numbers, expected 9\n"));
+        let long = format!("{MINE}{}", " ".repeat(MAX_JSON_BYTES as usize));
+        assert!(told(&long).starts_with("it is longer than 1048576 bytes, and no camera's\n  hint: "));
         let rows = told(r#"{"intrinsic_matrix": [52.5, 0, 31.5, 0, 52, 23.5, 0, 0, 1]}"#);
         assert_eq!(
             rows,

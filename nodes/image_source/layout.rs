@@ -4,7 +4,7 @@
 //! is unreadable is known, and the number of frames and their size are certain.
 
 use super::pcd;
-use super::{depth_png, natural, tum};
+use super::{depth_png, hinted, natural, tum};
 use anyhow::{Context as _, Error, Result, anyhow, bail};
 use std::fs::{self, File};
 use std::io::Read as _;
@@ -99,7 +99,9 @@ fn single_file(path: &Path) -> Result<Layout> {
     let (format, scale) = match kind_of(path) {
         Some(Kind::Png) => (Format::Png, 0.001),
         Some(Kind::Pcd) => (Format::Pcd, 1.0),
-        _ => bail!("`{}` is no depth frame, expected a 16-bit PNG, a PCD file or a folder of them", path.display()),
+        _ => {
+            bail!("`{}` is no depth frame\n  hint: name a 16-bit PNG, a PCD file, or a folder of them", path.display())
+        }
     };
     let size = if format == Format::Png { png_size(path) } else { pcd_size(path) };
     let candidate = Candidate { path: path.to_owned(), size, stamp_ns: None };
@@ -126,7 +128,7 @@ fn folder(path: &Path) -> Result<Layout> {
 
 fn tum_folder(folder: &Path) -> Result<Layout> {
     let list = folder.join(tum::LIST);
-    let named = |error: Error| error.context(format!("`{}`", list.display()));
+    let named = |error: Error| hinted(error, tum::HINT).context(format!("`{}`", list.display()));
     let text = fs::read_to_string(&list).map_err(|error| named(error.into()))?;
     let entries = tum::parse(&text).map_err(named)?;
     let candidates = entries.into_iter().map(|entry| {
@@ -137,13 +139,14 @@ fn tum_folder(folder: &Path) -> Result<Layout> {
 }
 
 fn png_size(path: &Path) -> Result<(u32, u32)> {
-    depth_png::probe(path)?.depth_size()
+    let size = depth_png::probe(path).and_then(depth_png::Content::depth_size);
+    size.map_err(|error| hinted(error, depth_png::HINT))
 }
 
 fn pcd_size(path: &Path) -> Result<(u32, u32)> {
     let mut head = Vec::new();
     File::open(path)?.take(PCD_HEADER_BYTES).read_to_end(&mut head)?;
-    let header = pcd::Header::parse(&head)?;
+    let header = pcd::Header::parse(&head).map_err(|error| hinted(error, pcd::HINT))?;
     Ok((header.width, header.height))
 }
 

@@ -19,15 +19,12 @@ pub use intrinsics::Intrinsics;
 pub use recording::{Frame, Options, Recording};
 
 use crate::noise_config::NoiseConfig;
-use anyhow::{Context as _, bail};
+use anyhow::{Context as _, anyhow};
 use conicflow_dataflow::{ConfigFault, Context, Next, Output, Sides, Source, StageError};
-use conicflow_messages::{Header, NoiseModel, Text, is_measured};
+use conicflow_messages::{Header, MAX_PIXELS, NoiseModel, Text, is_measured};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-
-/// The most pixels or points of a frame that is read: 8192 x 8192.
-const MAX_PIXELS: u64 = 1 << 26;
 
 /// Frames per second by which frames without time stamps are stamped when `rate_hz` is 0.
 const USUAL_RATE_HZ: f64 = 30.0;
@@ -129,14 +126,17 @@ impl ImageSource {
         for error in recording.unreadable() {
             tracing::warn!("passed over: {error:#}");
         }
+        // Of what was counted before a restart, the rest are frames that were passed over between those sent.
+        let unreadable = recording.unreadable().len() as u64;
+        let counted = context.counted.get(UNREADABLE).copied().unwrap_or(0);
         Ok(Self {
             clock: Clock::new(&recording, config.rate_hz),
             noise: config.noise.into(),
             rate_hz: config.rate_hz,
             repeat: config.repeat,
-            position: context.resume_at,
+            position: context.resume_at + counted.saturating_sub(unreadable),
             misses: 0,
-            uncounted: recording.unreadable().len() as u64,
+            uncounted: unreadable.saturating_sub(counted),
             described: false,
             recording,
         })
@@ -155,7 +155,11 @@ impl ImageSource {
     fn pass_over(&mut self, error: &anyhow::Error) -> anyhow::Result<()> {
         self.misses += 1;
         if self.misses >= self.recording.len() {
-            bail!("none of the {} frames can be read; the last: {error:#}", self.misses);
+            let none = format!("none of the {} frames can be read; the last: {error:#}", self.misses);
+            return Err(hinted(
+                anyhow!(none),
+                "look at one with another program; record them anew, or copy them again",
+            ));
         }
         // Once is enough for a file that a loop meets in every round.
         if self.position <= self.recording.len() as u64 {
@@ -280,10 +284,16 @@ impl Clock {
 }
 
 /// The median of the measurements.
-fn median(pixels: &[u16]) -> Option<u16> {
+pub(crate) fn median(pixels: &[u16]) -> Option<u16> {
     let mut measured: Vec<_> = pixels.iter().copied().filter(|&pixel| is_measured(pixel)).collect();
     let middle = measured.len() / 2;
     (!measured.is_empty()).then(|| *measured.select_nth_unstable(middle).1)
+}
+
+/// An error with what to do about it, where it does not say so itself.
+fn hinted(error: anyhow::Error, hint: &str) -> anyhow::Error {
+    let text = format!("{error:#}");
+    if text.contains("\n  hint: ") { error } else { anyhow!("{text}\n  hint: {hint}") }
 }
 
 /// The beginning of a line, for an error.

@@ -127,9 +127,15 @@ fn fit_where(samples: impl Iterator<Item = Sample>, keep: impl Fn(&Sample) -> bo
         u.add(x, pu);
         v.add(y, pv);
     }
-    ensure!(u.n >= MIN_POINTS, "{} points with a measurement, expected {MIN_POINTS} or more to fit the camera", u.n);
+    ensure!(
+        u.n >= MIN_POINTS,
+        "{} points with a measurement, expected {MIN_POINTS} or more to fit the camera\n  hint: give `intrinsics`",
+        u.n
+    );
     let (Some(line_u), Some(line_v)) = (u.line(), v.line()) else {
-        bail!("the points lie in one row, one column or one ray, so that no camera can be fitted to them");
+        bail!(
+            "the points lie in one row, one column or one ray, so that no camera can be fitted to them\n  hint: give `intrinsics`"
+        );
     };
     Ok((line_u, line_v, u.n))
 }
@@ -185,7 +191,7 @@ mod tests {
         let error = fit_all(&world).unwrap_err().to_string();
         assert!(error.starts_with("the cloud is no image of a pinhole camera: "), "{error}");
         let error = fit_all(&vec![[f32::NAN; 3]; 48 * 36]).unwrap_err().to_string();
-        assert_eq!(error, "0 points with a measurement, expected 100 or more to fit the camera");
+        assert!(error.starts_with("0 points with a measurement, expected 100 or more to fit the camera\n  hint: "));
         let error = fit_all(&vec![[0.0, 0.0, 1.0]; 48 * 36]).unwrap_err().to_string();
         assert!(error.starts_with("the points lie in one row"), "{error}");
     }

@@ -1,12 +1,12 @@
 //! A recording: the depth frames of a path with their camera, read one by one into memory that the caller has.
 
-use super::depth_png;
 use super::intrinsics::{self, CameraFile, Intrinsics};
 use super::layout::{Format, FrameFile, Layout, file_name};
-use super::pcd::Cloud;
+use super::pcd::{self, Cloud};
 use super::pinhole::{self, FAIR_RESIDUAL_PX, Pinhole};
+use super::{depth_png, hinted};
 use anyhow::{Context as _, Error, Result, bail, ensure};
-use conicflow_messages::{Camera, INVALID_FAR};
+use conicflow_messages::{Camera, INVALID_FAR, MAX_SIDE_PX};
 use std::fs::File;
 use std::io::Read as _;
 use std::path::Path;
@@ -76,7 +76,10 @@ impl Recording {
         let camera = camera(&layout, size, options, beside.as_ref())?;
         let by_file = beside.and_then(|file| file.depth_scale).filter(|_| layout.format == Format::Png);
         let depth_scale = options.depth_scale.or(by_file).unwrap_or(layout.depth_scale);
-        ensure!(depth_scale.is_normal() && depth_scale > 0.0, "`depth_scale` is {depth_scale}, expected more than 0");
+        ensure!(
+            depth_scale.is_normal() && depth_scale > 0.0,
+            "`depth_scale` is {depth_scale}, expected more than 0\n  hint: metres per unit: 0.001 for millimetres"
+        );
         let (cloud, told) = (Cloud::default(), Told::default());
         Ok(Self { layout, size, camera, depth_scale, file: Vec::new(), cloud, units_per_z: 1.0, told })
     }
@@ -119,7 +122,8 @@ impl Recording {
     /// The file cannot be read, is damaged, or is a cloud that no pinhole camera saw.
     pub fn load(&mut self, index: usize) -> Result<Frame> {
         let file = self.layout.frames.get(index).context("no such frame")?.clone();
-        self.load_file(&file).with_context(|| format!("`{}`", file.path.display()))
+        let loaded = self.load_file(&file).map_err(|error| hinted(error, self.hint()));
+        loaded.with_context(|| format!("`{}`", file.path.display()))
     }
 
     fn load_file(&mut self, file: &FrameFile) -> Result<Frame> {
@@ -151,6 +155,11 @@ impl Recording {
         Ok((camera, scale))
     }
 
+    /// What to do about a frame that cannot be read.
+    fn hint(&self) -> &'static str {
+        if self.layout.format == Format::Png { depth_png::HINT } else { pcd::HINT }
+    }
+
     /// Says once what is unusual in a cloud.
     fn tell(&mut self, name: &str, pinhole: &Pinhole) {
         let axes = ["x points left", "y points up", "z points backward"];
@@ -174,7 +183,9 @@ impl Recording {
     /// The file is damaged.
     pub fn decode(&self, pixels: &mut [u16]) -> Result<()> {
         match self.layout.format {
-            Format::Png => depth_png::decode(&self.file, self.size, pixels),
+            Format::Png => {
+                depth_png::decode(&self.file, self.size, pixels).map_err(|error| hinted(error, depth_png::HINT))
+            }
             Format::Pcd => {
                 for (pixel, &z) in pixels.iter_mut().zip(self.cloud.depths()) {
                     *pixel = quantised(z, self.units_per_z);
@@ -189,15 +200,24 @@ impl Recording {
 fn select(frames: &mut Vec<FrameFile>, options: &Options) -> Result<()> {
     let count = frames.len();
     let first = usize::try_from(options.first).unwrap_or(usize::MAX);
-    ensure!(first < count, "`first` is {first}, but there are {count} frames, counted from 0");
+    ensure!(
+        first < count,
+        "`first` is {first}, but there are {count} frames, counted from 0\n  hint: the last is {}",
+        count - 1
+    );
     frames.drain(..first);
     frames.truncate(options.frames.and_then(|frames| usize::try_from(frames).ok()).unwrap_or(usize::MAX));
-    ensure!(!frames.is_empty(), "`frames` is 0, expected 1 or more");
+    ensure!(!frames.is_empty(), "`frames` is 0, expected 1 or more\n  hint: leave it out for all");
     Ok(())
 }
 
 fn common_size(frames: &[FrameFile]) -> Result<(u32, u32)> {
     let size = frames.first().context("no frames")?.size;
+    let (width, height) = size;
+    ensure!(
+        width.max(height) <= MAX_SIDE_PX,
+        "frames of {width}x{height}, expected {MAX_SIDE_PX} pixels a side or less\n  hint: cut or scale them first"
+    );
     if let Some(other) = frames.iter().find(|frame| frame.size != size) {
         bail!(
             "`{}` is {}x{}, but the frames before it are {}x{}\n  hint: keep the frames of each camera in a folder of \
@@ -215,7 +235,10 @@ fn common_size(frames: &[FrameFile]) -> Result<(u32, u32)> {
 /// The camera, if something tells it; that of clouds may be left to a fit.
 fn camera(layout: &Layout, size: (u32, u32), options: &Options, beside: Option<&CameraFile>) -> Result<Option<Camera>> {
     if let Some(intrinsics) = options.intrinsics {
-        ensure!(intrinsics.usable(), "`intrinsics` need positive focal lengths and finite numbers, not {intrinsics:?}");
+        ensure!(
+            intrinsics.usable(),
+            "`intrinsics` need positive focal lengths and finite numbers, not {intrinsics:?}\n  hint: take them from the camera's calibration, in pixels"
+        );
         return Ok(Some(intrinsics.camera(size)));
     }
     if let Some(file) = beside {

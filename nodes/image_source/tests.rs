@@ -1,5 +1,6 @@
 use super::fixtures::*;
 use super::*;
+use conicflow_dataflow::testing::collect;
 use std::fs;
 use tempfile::TempDir;
 
@@ -112,7 +113,7 @@ fn a_single_file() {
     assert_eq!(names(&mut recording), ["b.png"]);
     let error = format!("{:#}", Recording::open(&folder.file("c.txt", "").at("c.txt"), &options).err().unwrap());
     assert!(
-        error.ends_with("c.txt` is no depth frame, expected a 16-bit PNG, a PCD file or a folder of them"),
+        error.ends_with("c.txt` is no depth frame\n  hint: name a 16-bit PNG, a PCD file, or a folder of them"),
         "{error}"
     );
 }
@@ -249,7 +250,10 @@ fn a_part_of_the_recording() {
     assert_eq!(names(&mut part(1, Some(2)).unwrap()), ["1.png", "2.png"]);
     assert_eq!(part(1, Some(2)).unwrap().load(0).unwrap().slot, 0);
     assert_eq!(names(&mut part(3, None).unwrap()), ["3.png"]);
-    assert_eq!(part(4, None).err().unwrap().to_string(), "`first` is 4, but there are 4 frames, counted from 0");
+    assert_eq!(
+        part(4, None).err().unwrap().to_string(),
+        "`first` is 4, but there are 4 frames, counted from 0\n  hint: the last is 3"
+    );
 }
 
 fn source(folder: &Folder, config: Config, resume_at: u64) -> ImageSource {
@@ -269,6 +273,27 @@ fn the_source_ends_goes_round_or_goes_on_where_it_stopped() {
     assert_eq!(resumed.total(), None);
     assert_eq!([resumed.advance(), resumed.advance()], [Some((1, 2)), Some((2, 0))]);
     assert_eq!(source(&folder, Config::default(), 3).advance(), None);
+}
+
+#[test]
+fn a_restart_counts_the_frames_that_were_passed_over() {
+    let mut damaged = png16(48, 36, &units(&depth_m(), 0.001));
+    damaged.truncate(damaged.len() / 2);
+    let names = ["0.png", "2.png", "3.png", "5.png"];
+    let folder = Folder::new().depth(&names).file("1.png", &damaged).file("4.png", "no PNG at all");
+    let base = folder.path.parent().unwrap().to_owned();
+    let config = || Config { path: Some("frames".into()), intrinsics: Some(GIVEN), rate_hz: 0.0, ..Config::default() };
+    let context = |resume_at, unreadable: &[u64]| {
+        let counted = unreadable.iter().map(|times| (UNREADABLE.to_owned(), *times)).collect();
+        Context { base: base.clone(), resume_at, counted, ..Context::default() }
+    };
+    let all = collect::<ImageSource>(config(), context(0, &[]), 9).unwrap();
+    assert_eq!(all.iter().map(|(header, _)| header.source.to_string()).collect::<Vec<_>>(), names);
+    // 4.png is found unreadable at the start, 1.png when its turn comes.
+    for (resume_at, unreadable, position) in [(0, &[][..], 0), (1, &[1], 1), (2, &[2], 3), (4, &[2], 5)] {
+        let source = ImageSource::new(config(), &context(resume_at, unreadable)).unwrap();
+        assert_eq!((source.position, source.uncounted), (position, u64::from(unreadable.is_empty())), "{resume_at}");
+    }
 }
 
 #[test]
@@ -300,7 +325,7 @@ fn only_when_no_frame_can_be_read_it_is_an_error() {
     let error = anyhow::anyhow!("gone");
     assert!(source.pass_over(&error).is_ok());
     let error = source.pass_over(&error).unwrap_err().to_string();
-    assert_eq!(error, "none of the 2 frames can be read; the last: gone");
+    assert!(error.starts_with("none of the 2 frames can be read; the last: gone\n  hint: "), "{error}");
 }
 
 #[test]

@@ -10,6 +10,9 @@ pub(super) const LIST: &str = "depth.txt";
 /// Metres per unit of a depth pixel.
 pub(super) const DEPTH_SCALE: f64 = 1.0 / 5000.0;
 
+/// What a list that cannot be read should be like.
+pub(super) const HINT: &str = "one line for each frame, such as `1305031102.160407 depth/1305031102.160407.png`";
+
 /// One line of the list.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Entry<'a> {

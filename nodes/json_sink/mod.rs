@@ -1,11 +1,10 @@
 //! The sink that writes JSON: one object per message and line, for scripts, plots and other programs.
 
-mod lines;
 mod view;
 
-pub use lines::{JsonLines, Wrote};
 pub use view::{EllipseView, Line, ObjectView, ToJson, TrackView};
 
+use crate::json_lines::{JsonLines, Wrote};
 use conicflow_dataflow::{Config, ConfigFault, Context, Output, Sides, Stage, StageError, Stop, monotonic_ns};
 use conicflow_messages::{Header, Message, Nothing};
 use schemars::JsonSchema;

@@ -187,7 +187,7 @@ pub struct EllipseView {
 impl From<&Ellipse> for EllipseView {
     fn from(ellipse: &Ellipse) -> Self {
         Self {
-            scan: if ellipse.scan() == Scan::Row { "row" } else { "column" },
+            scan: if ellipse.direction() == Scan::Row { "row" } else { "column" },
             line: ellipse.line,
             first: ellipse.first,
             last: ellipse.last,

@@ -4,7 +4,7 @@
 //! which of them holds: `S <- 0.6 S + d2(steady) - d2(falling)`, with the squared Mahalanobis distances of each sight.
 
 use super::filter::Motion;
-use nalgebra::Vector3;
+use crate::upward;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -22,8 +22,9 @@ pub struct Ballistic {
     /// Acceleration of free fall, in m/s^2.
     #[schemars(range(min = 0.0))]
     pub gravity_mps2: f64,
-    /// Where up is: in the world where the frames carry a pose, else in the camera's frame.
-    pub up: [f64; 3],
+    /// Where up is, as a vector in the world where the frames carry a pose, else in the camera's frame; none: the world's z,
+    /// [0, 0, 1], with a pose, and -y, [0, -1, 0], without.
+    pub up: Option<[f64; 3]>,
     /// Height of the floor along `up`, in metres; none: nothing bounces unseen.
     pub floor_m: Option<f64>,
     /// Share of the speed that a bounce leaves.
@@ -33,18 +34,15 @@ pub struct Ballistic {
 
 impl Default for Ballistic {
     fn default() -> Self {
-        Self { gravity_mps2: 9.81, up: [0.0, 0.0, 1.0], floor_m: None, restitution: 0.8 }
+        Self { gravity_mps2: 9.81, up: None, floor_m: None, restitution: 0.8 }
     }
 }
 
 impl Ballistic {
-    fn up(&self) -> Vector3<f64> {
-        Vector3::from(self.up).try_normalize(1e-9).unwrap_or_else(Vector3::z)
-    }
-
     /// A motion that was predicted without gravity over the last `dt` seconds, with it; a ball of this radius bounces.
-    pub fn fallen(&self, mut motion: Motion, dt: f64, radius: f64) -> Motion {
-        let up = self.up();
+    /// `has_pose`: whether the frame of tracking is the world's.
+    pub fn fallen(&self, mut motion: Motion, dt: f64, radius: f64, has_pose: bool) -> Motion {
+        let up = upward::unit(self.up, has_pose);
         motion.shift(&(up * (-0.5 * self.gravity_mps2 * dt * dt)), &(up * (-self.gravity_mps2 * dt)));
         let Some(floor_m) = self.floor_m else { return motion };
         let (height, climbing) = (motion.position().dot(&up) - radius - floor_m, motion.velocity().dot(&up));
@@ -80,7 +78,7 @@ impl Fall {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::Matrix3;
+    use nalgebra::{Matrix3, Vector3};
 
     fn motion(height: f64, climbing: f64) -> Motion {
         let mut motion = Motion::new(Vector3::new(1.0, 2.0, height), Matrix3::from_diagonal_element(1e-6), 0.1);
@@ -93,7 +91,7 @@ mod tests {
         let mut fallen = motion(10.0, 2.0);
         for _ in 0..100 {
             fallen.predict(0.01, 0.0);
-            fallen = Ballistic::default().fallen(fallen, 0.01, 0.1);
+            fallen = Ballistic::default().fallen(fallen, 0.01, 0.1, true);
         }
         assert!((fallen.state[2] - (10.0 + 2.0 - 4.905)).abs() < 1e-9, "{}", fallen.state[2]);
         assert!((fallen.state[5] - (2.0 - 9.81)).abs() < 1e-9);
@@ -102,11 +100,11 @@ mod tests {
     #[test]
     fn a_ball_bounces_where_it_touches_the_floor() {
         let ballistic = Ballistic { gravity_mps2: 0.0, floor_m: Some(0.5), restitution: 0.5, ..Ballistic::default() };
-        let bounced = ballistic.fallen(motion(0.58, -3.0), 0.1, 0.1);
+        let bounced = ballistic.fallen(motion(0.58, -3.0), 0.1, 0.1, true);
         assert!((bounced.state[2] - 0.61).abs() < 1e-12, "2 cm below become 1 cm above");
         assert!((bounced.state[5] - 1.5).abs() < 1e-12);
         assert!(bounced.covariance[(5, 5)] > motion(0.0, 0.0).covariance[(5, 5)]);
-        let rising = ballistic.fallen(motion(0.58, 3.0), 0.1, 0.1);
+        let rising = ballistic.fallen(motion(0.58, 3.0), 0.1, 0.1, true);
         assert_eq!(rising.state, motion(0.58, 3.0).state);
     }
 

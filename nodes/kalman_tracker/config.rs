@@ -2,6 +2,7 @@
 
 use super::ballistic::Ballistic;
 use super::life::Rules;
+use crate::upward;
 use conicflow_dataflow::{Config, ConfigFault};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -23,8 +24,8 @@ pub struct KalmanTrackerConfig {
     /// Standard deviation of a sudden change of velocity (a bounce, a push), per axis, in m/s; 0: none is looked for.
     #[schemars(range(min = 0.0))]
     pub manoeuvre_mps: f64,
-    /// Balls may fall and bounce: `{ gravity_mps2 = 9.81, up = [0, 0, 1], floor_m = 0, restitution = 0.8 }`; none: they go
-    /// straight on while unseen.
+    /// Balls may fall and bounce: `{ gravity_mps2 = 9.81, floor_m = 0, restitution = 0.8 }`; none: they go straight on while
+    /// unseen.
     pub ballistic: Option<Ballistic>,
     /// Squared Mahalanobis distance up to which a detection may belong to a track; 16.3 leaves out one in a thousand.
     #[schemars(range(min = 0.0))]
@@ -110,17 +111,19 @@ impl Default for KalmanTrackerConfig {
 
 impl Config for KalmanTrackerConfig {
     fn faults(&self, _: &Path) -> Vec<ConfigFault> {
-        if self.confirm_hits <= self.confirm_window {
-            return Vec::new();
-        }
-        let (hits, window) = (self.confirm_hits, self.confirm_window);
-        let what = format!("{hits} sights cannot fall within {window} frames");
-        let hint = format!("set `confirm_window` to at least {hits}, or `confirm_hits` to at most {window}");
-        vec![ConfigFault { key: "confirm_hits", what, hint }]
+        let up = self.ballistic.and_then(|ballistic| upward::fault("ballistic", ballistic.up));
+        up.into_iter().chain(self.fault_of_hits()).collect()
     }
 }
 
 impl KalmanTrackerConfig {
+    fn fault_of_hits(&self) -> Option<ConfigFault> {
+        let (hits, window) = (self.confirm_hits, self.confirm_window);
+        let what = format!("{hits} sights cannot fall within {window} frames");
+        let hint = format!("set `confirm_window` to at least {hits}, or `confirm_hits` to at most {window}");
+        (hits > window).then_some(ConfigFault { key: "confirm_hits", what, hint })
+    }
+
     /// When a track is confirmed and when it is lost.
     pub fn rules(&self) -> Rules {
         Rules { hits: self.confirm_hits, window: self.confirm_window, max_coast_s: self.max_coast_s }
@@ -137,6 +140,13 @@ mod tests {
         let faults = config.faults(Path::new(""));
         assert_eq!((faults.len(), faults[0].key), (1, "confirm_hits"));
         assert!(KalmanTrackerConfig::default().faults(Path::new("")).is_empty());
+    }
+
+    #[test]
+    fn up_has_to_be_a_direction() {
+        let ballistic = Some(Ballistic { up: Some([0.0; 3]), ..Ballistic::default() });
+        let faults = KalmanTrackerConfig { ballistic, ..KalmanTrackerConfig::default() }.faults(Path::new(""));
+        assert_eq!((faults.len(), faults[0].key), (1, "ballistic"));
     }
 
     #[test]

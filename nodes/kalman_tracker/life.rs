@@ -21,6 +21,8 @@ pub struct Life {
     /// Frames since it was last seen.
     pub misses: u32,
     unseen_s: f64,
+    /// Seconds since the last frame of the camera that saw it last: others went on.
+    pub unwatched_s: f64,
     /// The last 32 frames, the newest in the lowest bit; 1: seen.
     sights: u32,
     confirmed: bool,
@@ -29,13 +31,13 @@ pub struct Life {
 impl Life {
     /// A track at its first sight.
     pub fn born(rules: &Rules) -> Self {
-        Self { age: 0, misses: 0, unseen_s: 0.0, sights: 1, confirmed: rules.hits <= 1 }
+        Self { age: 0, misses: 0, unseen_s: 0.0, unwatched_s: 0.0, sights: 1, confirmed: rules.hits <= 1 }
     }
 
     /// One more frame, in which it was seen.
     pub fn seen(&mut self, rules: &Rules) {
         self.age = self.age.saturating_add(1);
-        (self.misses, self.unseen_s) = (0, 0.0);
+        (self.misses, self.unseen_s, self.unwatched_s) = (0, 0.0, 0.0);
         self.sights = self.sights << 1 | 1;
         self.confirmed |= (self.sights & window(rules)).count_ones() >= rules.hits;
     }
@@ -45,17 +47,24 @@ impl Life {
         self.age = self.age.saturating_add(1);
         self.misses = self.misses.saturating_add(1);
         self.unseen_s += elapsed_s;
+        self.unwatched_s = 0.0;
         self.sights <<= 1;
     }
 
-    /// Whether it is to be given up: unseen for too long, or no longer able to be confirmed.
+    /// A frame, `elapsed_s` seconds later, of a camera that was not expected to see it.
+    pub fn unwatched(&mut self, elapsed_s: f64) {
+        self.unseen_s += elapsed_s;
+        self.unwatched_s += elapsed_s;
+    }
+
+    /// Whether it is to be given up: unseen for too long, or no longer able to be confirmed, or left by its camera.
     pub fn is_lost(&self, rules: &Rules) -> bool {
         if self.confirmed {
             return self.unseen_s > rules.max_coast_s;
         }
         let frames = self.age.saturating_add(1).min(rules.window);
         let missed = frames - (self.sights & window(rules)).count_ones();
-        missed > rules.window.saturating_sub(rules.hits)
+        missed > rules.window.saturating_sub(rules.hits) || self.unwatched_s > rules.max_coast_s
     }
 
     /// How far it is to be trusted.
@@ -110,6 +119,20 @@ mod tests {
     fn a_confirmed_track_coasts_for_its_time() {
         let states = live("xx---");
         assert_eq!(states[2..], [Some(TrackState::Coasting), Some(TrackState::Coasting), None]);
+    }
+
+    #[test]
+    fn frames_of_other_cameras_are_no_misses_but_take_time() {
+        for (hits, state) in [(1, TrackState::Confirmed), (3, TrackState::Tentative)] {
+            let rules = Rules { hits, ..RULES };
+            let mut life = Life::born(&rules);
+            (0..8).for_each(|_| life.unwatched(0.03));
+            assert_eq!((life.misses, life.state(), life.is_lost(&rules)), (0, state, false));
+            life.unwatched(0.03);
+            assert!(life.is_lost(&rules), "its camera is gone");
+            life.seen(&rules);
+            assert!(!life.is_lost(&rules));
+        }
     }
 
     #[test]

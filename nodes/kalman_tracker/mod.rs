@@ -2,8 +2,10 @@
 //!
 //! Each object has a Kalman filter of constant velocity. Where the camera's pose is known, filtering happens in the world
 //! and the camera may move; positions and velocities are given in the camera frame of the present frame, the velocity
-//! being that in the world, seen along the camera's axes. Without a pose the camera counts as standing still; a frame
-//! that lacks one takes that of the frame before. Thrown balls may be told to fall and bounce ([`ballistic`]).
+//! being that in the world, seen along the camera's axes. Without a pose the camera counts as standing still, in a world
+//! of its own ([`worlds`]); a frame that lacks one takes that of the frame before. Of several cameras in one world each
+//! has its pose, and only the one that saw a target last can miss it. Thrown balls may be told to fall and bounce
+//! ([`ballistic`]).
 
 mod association;
 mod ballistic;
@@ -15,22 +17,27 @@ mod target;
 #[cfg(test)]
 mod tests;
 mod timeline;
+mod worlds;
 
 pub use config::KalmanTrackerConfig;
 
+use crate::camera::isometry;
 use association::Association;
 use conicflow_dataflow::{Context, Output, Sides, Stage, StageError};
 use conicflow_messages::{Header, Message, Object, ObjectKind, Track};
 use detection::Detection;
-use nalgebra::{IsometryMatrix3, Matrix3, Rotation3, Translation3};
+use nalgebra::IsometryMatrix3;
 use target::Target;
-use timeline::Timeline;
+use timeline::{Advance, Timeline};
+use worlds::Worlds;
 
-/// Follows objects from frame to frame.
+/// Follows objects from frame to frame, of one camera or of several that tell their poses.
 pub struct Tracker {
     config: KalmanTrackerConfig,
     timeline: Timeline,
-    world_from_camera: IsometryMatrix3<f64>,
+    /// Pose of each source's camera, in the order of [`Advance::source`].
+    world_from_camera: Vec<IsometryMatrix3<f64>>,
+    has_pose: bool,
     next_id: u64,
     targets: Vec<Target>,
     detections: Vec<Detection>,
@@ -42,16 +49,12 @@ pub struct Tracker {
 impl Tracker {
     /// A tracker that has seen nothing; the first track gets the identity 1.
     pub fn new(config: KalmanTrackerConfig) -> Self {
-        Self::with_first_id(config, 1)
-    }
-
-    /// A tracker whose first track gets the identity `first_id`.
-    pub fn with_first_id(config: KalmanTrackerConfig, first_id: u64) -> Self {
         Self {
             timeline: Timeline::new(1.0 / config.assumed_rate_hz),
             config,
-            world_from_camera: IsometryMatrix3::identity(),
-            next_id: first_id,
+            world_from_camera: Vec::new(),
+            has_pose: false,
+            next_id: 1,
             targets: Vec::new(),
             detections: Vec::new(),
             association: Association::default(),
@@ -64,17 +67,15 @@ impl Tracker {
     pub fn update(&mut self, header: &Header, objects: &[Object]) -> &[Track] {
         let time = self.timeline.advance(header);
         if time.new_run {
-            self.targets.clear();
+            self.targets.retain(|target| target.seen_by != time.source);
         }
-        if let Some(pose) = header.pose() {
-            self.world_from_camera = isometry(pose);
-        }
+        let world_from_camera = self.pose(header, time.source);
         self.predict(time.elapsed_s);
-        self.detect(objects);
+        self.detect(objects, &world_from_camera);
         self.associate(time.elapsed_s);
-        self.update_targets(time.elapsed_s);
-        self.give_birth();
-        let camera_from_world = self.world_from_camera.inverse();
+        self.update_targets(&time);
+        self.give_birth(time.source);
+        let camera_from_world = world_from_camera.inverse();
         self.tracks.clear();
         self.tracks.extend(self.targets.iter().map(|target| target.track(&camera_from_world)));
         &self.tracks
@@ -85,15 +86,32 @@ impl Tracker {
         &self.confirmed
     }
 
+    /// The tracks that are alive, as of the last frame, by identity.
+    pub fn tracks(&self) -> &[Track] {
+        &self.tracks
+    }
+
+    /// Where the camera of a source is: where the header says, else where it was.
+    fn pose(&mut self, header: &Header, source: usize) -> IsometryMatrix3<f64> {
+        if source >= self.world_from_camera.len() {
+            self.world_from_camera.resize(source + 1, IsometryMatrix3::identity());
+        }
+        if let Some(pose) = header.pose() {
+            self.world_from_camera[source] = isometry(pose);
+            self.has_pose = true;
+        }
+        self.world_from_camera[source]
+    }
+
     fn predict(&mut self, dt: f64) {
         for target in &mut self.targets {
-            target.predict(dt, &self.config);
+            target.predict(dt, self.has_pose, &self.config);
         }
     }
 
-    fn detect(&mut self, objects: &[Object]) {
+    fn detect(&mut self, objects: &[Object], world_from_camera: &IsometryMatrix3<f64>) {
         self.detections.clear();
-        let detection = |object| Detection::new(object, &self.world_from_camera, &self.config);
+        let detection = |object| Detection::new(object, world_from_camera, &self.config);
         self.detections.extend(objects.iter().map(detection));
     }
 
@@ -105,13 +123,13 @@ impl Tracker {
         association.assign(|target, detection| targets[target].cost_of_manoeuvre(&detections[detection], dt, config));
     }
 
-    fn update_targets(&mut self, dt: f64) {
+    fn update_targets(&mut self, &Advance { elapsed_s: dt, source, .. }: &Advance) {
         self.confirmed.clear();
         for (target, detection) in self.targets.iter_mut().zip(self.association.detections()) {
             let was_confirmed = target.is_confirmed();
             match detection {
-                Some(detection) => target.see(&self.detections[*detection], dt, &self.config),
-                None => target.miss(dt),
+                Some(detection) => target.see(&self.detections[*detection], source, dt, &self.config),
+                None => target.miss(source, dt),
             }
             if target.is_confirmed() && !was_confirmed {
                 self.confirmed.push(target.kind);
@@ -121,9 +139,9 @@ impl Tracker {
         self.targets.retain(|target| !target.life.is_lost(&rules));
     }
 
-    fn give_birth(&mut self) {
+    fn give_birth(&mut self, source: usize) {
         for index in self.association.unclaimed() {
-            let target = Target::born(self.next_id, &self.detections[index], &self.config);
+            let target = Target::born(self.next_id, &self.detections[index], source, &self.config);
             self.next_id += 1;
             if target.is_confirmed() {
                 self.confirmed.push(target.kind);
@@ -133,15 +151,8 @@ impl Tracker {
     }
 }
 
-/// A pose from its rows `[R | t]`.
-fn isometry(rows: &[[f64; 4]; 3]) -> IsometryMatrix3<f64> {
-    let rotation = Matrix3::from_fn(|row, column| rows[row][column]);
-    let translation = Translation3::new(rows[0][3], rows[1][3], rows[2][3]);
-    IsometryMatrix3::from_parts(translation, Rotation3::from_matrix_unchecked(rotation))
-}
-
-/// The stage around a [`Tracker`].
-pub struct KalmanTracker(Tracker);
+/// The stage around [`Tracker`]s.
+pub struct KalmanTracker(Worlds);
 
 impl Stage for KalmanTracker {
     const NAME: &'static str = "kalman_tracker";
@@ -152,14 +163,15 @@ impl Stage for KalmanTracker {
     type Output = Track;
 
     fn new(config: KalmanTrackerConfig, context: &Context) -> Result<Self, StageError> {
-        Ok(Self(Tracker::with_first_id(config, first_id(context.resume_at))))
+        Ok(Self(Worlds::with_first_id(config, first_id(context.resume_at))))
     }
 
     fn step(&mut self, input: &Message<Object>, _: &Sides, output: &mut Output<Track>) -> Result<(), StageError> {
-        for track in self.0.update(input.header, input.items) {
+        let tracker = self.0.update(input.header, input.items);
+        for track in tracker.tracks() {
             output.push(*track);
         }
-        for kind in self.0.newly_confirmed() {
+        for kind in tracker.newly_confirmed() {
             output.count(confirmed_counter(*kind), 1);
         }
         Ok(())

@@ -32,6 +32,8 @@ pub struct Target {
     half_angle: Option<Size>,
     common: CommonError,
     last_seen: Object,
+    /// Which source saw it last.
+    pub seen_by: usize,
 }
 
 /// Covariance of the error that successive sights have in common.
@@ -57,8 +59,8 @@ impl CommonError {
 }
 
 impl Target {
-    /// A target at its first sight.
-    pub fn born(id: u64, first: &Detection, config: &KalmanTrackerConfig) -> Self {
+    /// A target at its first sight, by the source `seen_by`.
+    pub fn born(id: u64, first: &Detection, seen_by: usize, config: &KalmanTrackerConfig) -> Self {
         let mut votes = [0; ObjectKind::ALL.len()];
         votes[first.kind.code() as usize] = 1;
         Self {
@@ -74,13 +76,14 @@ impl Target {
             half_angle: first.half_angle,
             common: CommonError::of(first, config.common_share),
             last_seen: first.object,
+            seen_by,
         }
     }
 
-    /// Goes on by `dt` seconds.
-    pub fn predict(&mut self, dt: f64, config: &KalmanTrackerConfig) {
+    /// Goes on by `dt` seconds; `has_pose`: whether the frame of tracking is the world's.
+    pub fn predict(&mut self, dt: f64, has_pose: bool, config: &KalmanTrackerConfig) {
         self.motion.predict(dt, config.acceleration.powi(2));
-        self.fall(dt, config);
+        self.fall(dt, has_pose, config);
         self.radius.predict(dt, config.drift_radius_m);
         self.length.predict(dt, config.drift_length_m);
         if let Some(axis) = &mut self.axis {
@@ -92,10 +95,10 @@ impl Target {
     }
 
     /// Of a ball that may fall both motions are predicted: the one that holds, and the other one.
-    fn fall(&mut self, dt: f64, config: &KalmanTrackerConfig) {
+    fn fall(&mut self, dt: f64, has_pose: bool, config: &KalmanTrackerConfig) {
         let Some(ballistic) = config.ballistic.filter(|_| self.kind == ObjectKind::Sphere) else { return };
         let steady = self.motion.clone();
-        let falling = ballistic.fallen(steady.clone(), dt, self.radius.value);
+        let falling = ballistic.fallen(steady.clone(), dt, self.radius.value, has_pose);
         let (holds, other) = if self.fall.holds() { (falling, steady) } else { (steady, falling) };
         self.motion = holds;
         self.fall.other = Some(other);
@@ -125,6 +128,7 @@ impl Target {
     /// The same for a target that was seen in the frame before, `dt` seconds ago, and changed its velocity since.
     pub fn cost_of_manoeuvre(&self, detection: &Detection, dt: f64, config: &KalmanTrackerConfig) -> Option<f64> {
         let may_be = self.life.misses == 0 && self.kind == detection.kind && config.manoeuvre_mps > 0.0;
+        let dt = dt + self.life.unwatched_s;
         may_be.then(|| self.cost_of(&self.motion.kicked(dt, config.manoeuvre_mps), detection, config))?
     }
 
@@ -149,11 +153,12 @@ impl Target {
         self.life.state() != TrackState::Tentative
     }
 
-    /// Takes in a sight, `dt` seconds after the frame before.
-    pub fn see(&mut self, detection: &Detection, dt: f64, config: &KalmanTrackerConfig) {
+    /// Takes in a sight by the source `seen_by`, `dt` seconds after the frame before.
+    pub fn see(&mut self, detection: &Detection, seen_by: usize, dt: f64, config: &KalmanTrackerConfig) {
+        self.seen_by = seen_by;
         self.weigh_motions(detection);
         if self.cost(detection, config).is_none() {
-            self.motion = self.motion.kicked(dt, config.manoeuvre_mps);
+            self.motion = self.motion.kicked(dt + self.life.unwatched_s, config.manoeuvre_mps);
         }
         if let Some(innovation) = self.motion.innovation(&detection.position, &detection.covariance) {
             self.motion.update(&innovation, &detection.covariance);
@@ -168,9 +173,13 @@ impl Target {
         self.life.seen(&config.rules());
     }
 
-    /// Goes on through a frame in which it was not seen.
-    pub fn miss(&mut self, dt: f64) {
-        self.life.missed(dt);
+    /// Goes on through a frame of `source` in which it was not seen. Where another camera saw it last, that says nothing.
+    pub fn miss(&mut self, source: usize, dt: f64) {
+        if source == self.seen_by {
+            self.life.missed(dt);
+        } else {
+            self.life.unwatched(dt);
+        }
     }
 
     /// The shape is the one seen most often; a cylinder that turns out to be a cone takes the sign of its axis.

@@ -2,11 +2,15 @@
 
 use conicflow_messages::{Header, Text};
 
+/// A source whose first stamp is farther than this from the others' time has a clock of another origin, and begins now.
+const OTHER_CLOCK_NS: u128 = 60_000_000_000;
+
 /// Follows the time stamps of the sources, one or several, that the messages come from.
 #[derive(Clone, Debug)]
 pub struct Timeline {
     assumed_period_s: f64,
-    now_ns: Option<u64>,
+    /// The time that all sources share, on the clock of the first.
+    now_ns: Option<i128>,
     sources: Vec<Sight>,
 }
 
@@ -17,14 +21,18 @@ struct Sight {
     epoch: u64,
     sequence: u64,
     stamp_ns: u64,
+    /// When that was in the time that all share.
+    at_ns: i128,
 }
 
 /// What a message means for the time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Advance {
+    /// Number of the source, by its first message.
+    pub source: usize,
     /// Seconds since the message before.
     pub elapsed_s: f64,
-    /// The source began from its first frame: what was before has nothing to do with it.
+    /// The source began from its first frame: what it saw before has nothing to do with it.
     pub new_run: bool,
 }
 
@@ -36,47 +44,59 @@ impl Timeline {
 
     /// Goes on to the time of a message.
     ///
-    /// A source that was started anew (another epoch) and goes on with its sequence numbers is the same run. Stamps count
-    /// as they are; a frame that is older than one of another camera takes no time.
+    /// A source that was started anew (another epoch) and goes on with its sequence numbers is the same run. The sources
+    /// share a clock, until the stamps of one stand still or go back: from then on those count by their differences. A frame
+    /// that is older than one of another camera takes no time.
     pub fn advance(&mut self, header: &Header) -> Advance {
-        let sight = Sight::of(header);
-        let Some(last) = self.replace(sight) else {
-            return Advance { elapsed_s: self.move_forward(sight.stamp_ns), new_run: false };
+        let mut sight = Sight::of(header);
+        let known = self.sources.iter().position(|known| known.stage == sight.stage);
+        let source = known.unwrap_or(self.sources.len());
+        let new_run = known.is_some_and(|known| sight.begins_after(&self.sources[known]));
+        sight.at_ns = match known {
+            Some(_) if new_run => self.now_ns.unwrap_or(sight.at_ns),
+            Some(known) => self.goes_on(&self.sources[known], &sight),
+            None => self.now_ns.filter(|now| now.abs_diff(sight.at_ns) > OTHER_CLOCK_NS).unwrap_or(sight.at_ns),
         };
-        let new_run = sight.epoch != last.epoch && sight.sequence <= last.sequence;
-        let stands = sight.stamp_ns <= last.stamp_ns;
-        if new_run || stands {
-            self.now_ns = Some(sight.stamp_ns);
+        match known {
+            Some(known) => self.sources[known] = sight,
+            None => self.sources.push(sight),
         }
-        let elapsed_s = match (new_run, stands) {
-            (true, _) => 0.0,
-            (false, true) => self.assumed_period_s * sight.sequence.saturating_sub(last.sequence).max(1) as f64,
-            (false, false) => self.move_forward(sight.stamp_ns),
-        };
-        Advance { elapsed_s, new_run }
+        Advance { source, elapsed_s: self.move_forward(sight.at_ns), new_run }
     }
 
-    /// Remembers a message, and gives the one before from the same source.
-    fn replace(&mut self, sight: Sight) -> Option<Sight> {
-        if let Some(known) = self.sources.iter_mut().find(|known| known.stage == sight.stage) {
-            return Some(std::mem::replace(known, sight));
-        }
-        self.sources.push(sight);
-        None
+    /// When a message is that goes on after the last one of its source.
+    fn goes_on(&self, last: &Sight, sight: &Sight) -> i128 {
+        let passed_ns = if sight.stamp_ns > last.stamp_ns {
+            i128::from(sight.stamp_ns - last.stamp_ns)
+        } else {
+            let frames = sight.sequence.saturating_sub(last.sequence).max(1);
+            (self.assumed_period_s * frames as f64 * 1e9).round() as i128
+        };
+        last.at_ns + passed_ns
     }
 
-    /// Seconds until `stamp_ns`; none if that is past.
-    fn move_forward(&mut self, stamp_ns: u64) -> f64 {
-        let now_ns = self.now_ns.unwrap_or(stamp_ns);
-        self.now_ns = Some(now_ns.max(stamp_ns));
-        stamp_ns.saturating_sub(now_ns) as f64 * 1e-9
+    /// Seconds until `at_ns`; none if that is past.
+    fn move_forward(&mut self, at_ns: i128) -> f64 {
+        let now_ns = self.now_ns.unwrap_or(at_ns);
+        self.now_ns = Some(now_ns.max(at_ns));
+        (at_ns - now_ns).max(0) as f64 * 1e-9
     }
+}
+
+/// The name of the stage that a message first came from.
+pub fn source(header: &Header) -> Text<32> {
+    header.trace().first().map_or_else(Text::default, |hop| hop.stage)
 }
 
 impl Sight {
     fn of(header: &Header) -> Self {
-        let stage = header.trace().first().map_or_else(Text::default, |hop| hop.stage);
-        Self { stage, epoch: header.epoch, sequence: header.sequence, stamp_ns: header.stamp_ns }
+        let &Header { epoch, sequence, stamp_ns, .. } = header;
+        Self { stage: source(header), epoch, sequence, stamp_ns, at_ns: i128::from(stamp_ns) }
+    }
+
+    /// Whether the source was started anew since, from its first frame.
+    fn begins_after(&self, last: &Self) -> bool {
+        self.epoch != last.epoch && self.sequence <= last.sequence
     }
 }
 
@@ -129,5 +149,27 @@ mod tests {
         let times =
             elapsed_ms(&[("a", 1, 50, 100), ("b", 2, 3, 102), ("b", 2, 4, 135), ("a", 1, 51, 133), ("a", 1, 52, 166)]);
         assert_eq!(times, [Some(0), Some(2), Some(33), Some(0), Some(31)]);
+    }
+
+    #[test]
+    fn one_camera_that_begins_again_takes_no_time_from_the_other() {
+        let times = elapsed_ms(&[
+            ("a", 1, 50, 10_000),
+            ("b", 2, 50, 10_002),
+            ("a", 3, 0, 0), // started anew
+            ("b", 2, 51, 10_033),
+            ("a", 3, 1, 35),
+            ("b", 2, 52, 10_066),
+            ("b", 2, 53, 5), // goes back
+            ("a", 3, 2, 108),
+        ]);
+        assert_eq!(times, [Some(0), Some(2), None, Some(31), Some(4), Some(29), Some(40), Some(4)]);
+    }
+
+    #[test]
+    fn a_camera_with_another_clock_begins_now() {
+        let year_ns = 1_700_000_000_000;
+        let times = elapsed_ms(&[("a", 1, 0, 0), ("b", 2, 0, year_ns), ("a", 1, 1, 33), ("b", 2, 1, year_ns + 40)]);
+        assert_eq!(times, [Some(0), Some(0), Some(33), Some(7)]);
     }
 }

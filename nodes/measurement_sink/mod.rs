@@ -25,7 +25,7 @@ pub use sighting::Sighted;
 
 use crate::evaluation_sink::rendered::{expected, scene_of};
 use crate::evaluation_sink::{Duties, Tolerances, load_scene};
-use crate::json_sink::JsonLines;
+use crate::json_lines::JsonLines;
 use crate::synthetic_source::scene_values::SceneTemplate;
 use anyhow::Result;
 use conicflow_dataflow::{Config, ConfigFault, Context, Output, Sides, Stage, StageError};

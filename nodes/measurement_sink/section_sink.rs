@@ -3,7 +3,7 @@
 
 use super::row::Row;
 use super::spread::Spread;
-use crate::json_sink::JsonLines;
+use crate::json_lines::JsonLines;
 use conicflow_dataflow::{Config, Context, Output, Sides, Stage, StageError};
 use conicflow_messages::{Ellipse, Message, Nothing};
 use schemars::JsonSchema;

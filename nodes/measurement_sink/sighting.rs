@@ -1,9 +1,10 @@
 //! What one frame says of one true object.
 
+use crate::camera::isometry;
 use crate::evaluation_sink::errors::{Errors, Sigmas};
 use crate::evaluation_sink::matching::{Expected, perpendicular, radius_at};
 use conicflow_messages::{Header, Object, ObjectKind, Track, TrackState};
-use nalgebra::{IsometryMatrix3, Matrix3, Point3, Rotation3, Translation3, Vector3};
+use nalgebra::{IsometryMatrix3, Point3, Vector3};
 
 /// An answer: an object, and where it is a track its identity and velocity.
 #[derive(Clone, Copy, Debug)]
@@ -110,8 +111,5 @@ pub fn axis(object: &Object) -> Vector3<f64> {
 
 /// The pose of a header's camera; that of the world where it tells none.
 pub fn world_from_camera(header: &Header) -> IsometryMatrix3<f64> {
-    let Some(rows) = header.pose() else { return IsometryMatrix3::identity() };
-    let rotation = Matrix3::from_fn(|row, column| rows[row][column]);
-    let translation = Translation3::new(rows[0][3], rows[1][3], rows[2][3]);
-    IsometryMatrix3::from_parts(translation, Rotation3::from_matrix_unchecked(rotation))
+    header.pose().map_or_else(IsometryMatrix3::identity, isometry)
 }

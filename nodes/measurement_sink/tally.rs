@@ -72,9 +72,11 @@ impl Tally {
         let (truth, seen) = (&sighting.truth, sighting.seen.as_ref());
         if let Some(last) = self.last {
             let dt = sighting.time_s - last.time_s;
-            let speed = |from: Vector3<f64>, to: Vector3<f64>| perpendicular(&(to - from), &truth.axis).norm() / dt;
-            self.true_speed.add(speed(last.truth, truth.position));
-            let moved = last.seen.zip(seen).map(|(from, seen)| speed(from, seen.state.position));
+            let way = |from: Vector3<f64>, to: Vector3<f64>| perpendicular(&(to - from), &truth.axis).norm();
+            // Frames of one time tell no speed.
+            let speed = |from, to| (dt > 0.0).then(|| way(from, to) / dt);
+            speed(last.truth, truth.position).into_iter().for_each(|speed| self.true_speed.add(speed));
+            let moved = last.seen.zip(seen).and_then(|(from, seen)| speed(from, seen.state.position));
             let measured = seen.and_then(|seen| seen.speed_mps).or(moved);
             measured.into_iter().for_each(|speed| self.speed.add(speed));
         }
@@ -162,5 +164,24 @@ impl Total {
         row.number("radius_sigmas", pooled(tallies, |tally| &tally.squared_radius_sigmas).sqrt());
         row.number("center_sigmas", pooled(tallies, |tally| &tally.squared_center_sigmas).sqrt());
         row
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::sighting::State;
+    use super::*;
+
+    #[test]
+    fn frames_of_one_time_tell_no_speed() {
+        let mut tally = Tally::new("ball");
+        for (time_s, x) in [(0.0, 0.0), (0.0, 0.1), (0.5, 0.2)] {
+            let position = Vector3::new(x, 0.0, 2.0);
+            let axis = Vector3::zeros();
+            let truth = State { position, distance_m: 2.0, radius_m: 0.1, half_angle: 0.0, axis };
+            let (camera, name) = (Vector3::zeros(), "ball".to_owned());
+            tally.add(&Sighting { time_s, camera, name, truth, seen: None });
+        }
+        assert!((tally.true_speed.mean() - 0.2).abs() < 1e-12, "{:?}", tally.true_speed);
     }
 }

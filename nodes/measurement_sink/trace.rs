@@ -1,7 +1,7 @@
 //! Each frame's sights as CSV: where each object was and where it was seen, in the world frame.
 
 use super::sighting::Sighting;
-use anyhow::{Context as _, Result};
+use anyhow::{Result, anyhow};
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
@@ -24,7 +24,10 @@ impl Trace {
             writeln!(file, "{TITLES}")?;
             Ok(Self(file))
         };
-        create().with_context(|| format!("cannot write `{}`", path.display()))
+        create().map_err(|error| {
+            let hint = "`trace_path` wants a file in a place that you may write to";
+            anyhow!("cannot write `{}`: {error}\n  hint: {hint}", path.display())
+        })
     }
 
     /// Writes a frame, one line for each object that was there; what was not seen leaves its cells empty.

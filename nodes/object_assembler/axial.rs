@@ -141,7 +141,7 @@ fn cone(candidate: &Candidate, skeleton: &Skeleton, pose: &Pose) -> Result<Body,
     let Skeleton { line, profile } = skeleton;
     let Pose { axis, half_angle } = *pose;
     let profile = profile.fit().ok_or(Rejection::Degenerate)?;
-    let apex = line.point + axis * (profile.at - profile.value / profile.slope);
+    let apex = line.point + axis * (profile.middle - profile.value / profile.slope);
     let (from, to) = candidate.extent(&apex, &axis);
     if from < 0.0 {
         return Err(Rejection::BeyondApex);

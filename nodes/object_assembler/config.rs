@@ -86,7 +86,7 @@ pub struct AssemblerConfig {
     /// The paper's k: number of neighbours that an ellipse is compared with, and of noisy ones that an object survives.
     #[schemars(range(min = 1, max = 64))]
     pub neighbors: u32,
-    /// Largest number of scan lines between neighbours.
+    /// Largest number of scan lines between neighbours; of those that the extractor looks at, as wherever lines are counted.
     #[schemars(range(min = 1, max = 64))]
     pub max_gap_lines: u32,
     /// Largest scatter of centres about their line or circle, as a part of the radius.
@@ -95,10 +95,10 @@ pub struct AssemblerConfig {
     /// Largest scatter of radii about their profile, as a part of the radius.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub max_radius_scatter: f64,
-    /// Half-angle up to which a profile counts as constant, that of a cylinder, in degrees.
+    /// Half-angle up to which a profile counts as constant, that of a cylinder, in degrees; of `pooled` see there.
     #[schemars(range(min = 0.0, max = 45.0))]
     pub min_half_angle_deg: f64,
-    /// Largest half-angle of a cone, in degrees.
+    /// Largest half-angle of a cone, in degrees, whatever the method.
     #[schemars(range(min = 0.0, max = 80.0))]
     pub max_half_angle_deg: f64,
     /// Residual of a cone, as a part of the cylinder's or sphere's, below which it is called a cone.
@@ -122,14 +122,15 @@ pub struct AssemblerConfig {
     /// Largest root mean square distance of the points from the surface, in standard deviations of the sensor ...
     #[schemars(range(min = 0.1, max = 20.0))]
     pub max_rms_sigmas: f64,
-    /// ... plus this many radii, for the error of the paper's radius.
+    /// ... plus this many radii, for the error of the radius; of `section_fit = "ellipse"` that is known, and this has no
+    /// effect.
     #[schemars(range(min = 0.0, max = 0.5))]
     pub max_rms_radii: f64,
     /// Least root mean square distance of the points of a section from a straight line, in standard deviations of the
     /// sensor: a flatter one may be a plane.
     #[schemars(range(min = 0.0, max = 20.0))]
     pub min_bulge_sigmas: f64,
-    /// Parameters of `method = "pooled"`; those above, `method` and half-angles aside, are about `profile`.
+    /// Parameters of `method = "pooled"`; those above, `method` and `max_half_angle_deg` aside, are about `profile`.
     pub pooled: PooledConfig,
     /// Limits on the radius of a sphere.
     pub sphere: RadiusLimits,
@@ -186,19 +187,48 @@ impl Config for AssemblerConfig {
             radius.into_iter().chain(fault(key, "length_m", limits.min_length_m, limits.max_length_m))
         });
         let mut faults: Vec<_> = sphere.into_iter().chain(axial).collect();
-        if self.min_half_angle_deg > self.max_half_angle_deg {
-            faults.push(ConfigFault {
-                key: "min_half_angle_deg",
-                what: format!(
-                    "{} is more than max_half_angle_deg, {}",
-                    self.min_half_angle_deg, self.max_half_angle_deg
-                ),
-                hint: "what is steeper than the one and flatter than the other is a cone".to_owned(),
-            });
-        }
+        faults.extend(self.fault_of_half_angles());
         faults
     }
+
+    fn idle(&self) -> Vec<ConfigFault> {
+        let idle = |key, other: &str, needed: &str| ConfigFault {
+            key,
+            what: format!("has no effect with `{other}`"),
+            hint: format!("leave it out, or write `{needed}`"),
+        };
+        let (pooled, profile) = ("method = \"pooled\"", "method = \"profile\"");
+        match (self.method, self.section_fit) {
+            (Method::Pooled, _) => OF_PROFILE.iter().map(|key| idle(key, pooled, profile)).collect(),
+            (Method::Profile, SectionFit::Circle) => vec![idle("pooled", profile, pooled)],
+            (Method::Profile, SectionFit::Ellipse) => {
+                let radii = idle("max_rms_radii", "section_fit = \"ellipse\"", "section_fit = \"circle\"");
+                vec![idle("pooled", profile, pooled), radii]
+            }
+        }
+    }
 }
+
+/// Parameters that `method = "profile"` alone has.
+const OF_PROFILE: [&str; 17] = [
+    "section_fit",
+    "max_center_step_m",
+    "max_center_step_radii",
+    "neighbors",
+    "max_gap_lines",
+    "max_center_scatter",
+    "max_radius_scatter",
+    "min_half_angle_deg",
+    "cone_gain",
+    "min_rows",
+    "min_coverage",
+    "min_length_radii",
+    "min_sphere_height_radii",
+    "min_arc_deg",
+    "max_rms_sigmas",
+    "max_rms_radii",
+    "min_bulge_sigmas",
+];
 
 /// What is wrong with the limits `min_UNIT` and `max_UNIT` of a shape.
 fn fault(key: &'static str, unit: &str, min: f64, max: f64) -> Option<ConfigFault> {
@@ -210,6 +240,20 @@ fn fault(key: &'static str, unit: &str, min: f64, max: f64) -> Option<ConfigFaul
 }
 
 impl AssemblerConfig {
+    /// Half-angles of cones that exclude each other, of the method that is used.
+    fn fault_of_half_angles(&self) -> Option<ConfigFault> {
+        let (key, least) = match self.method {
+            Method::Profile => ("min_half_angle_deg", self.min_half_angle_deg),
+            Method::Pooled => ("pooled", self.pooled.min_half_angle_deg),
+        };
+        let most = self.max_half_angle_deg;
+        (least > most).then(|| ConfigFault {
+            key,
+            what: format!("min_half_angle_deg, {least}, is more than max_half_angle_deg, {most}"),
+            hint: "what is steeper than the one and flatter than the other is a cone".to_owned(),
+        })
+    }
+
     /// Why an object of this size is not reported.
     pub(super) fn wrong_size(&self, shape: ObjectKind, radius: f64, length: f64) -> Option<Rejection> {
         let axial = match shape {

@@ -1,14 +1,15 @@
 //! The ellipses of a message as sections of bodies: with their planes, ready for the mathematics.
 
 use super::SectionFit;
-use conicflow_geometry::{Line, Pinhole, PlaneMoments, Scan, ScanPlane, SectionShape, Vector3, fit_circle};
-use conicflow_messages::{self as messages, Ellipse, Header};
+use crate::camera::{pinhole, scan};
+use conicflow_geometry::{Line, PlaneMoments, Scan, ScanPlane, SectionShape, Vector3, fit_circle};
+use conicflow_messages::{Ellipse, Header};
 
 /// What a scan plane cuts out of a body.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Section {
     pub scan: Scan,
-    /// Number of the scan line.
+    /// Number of the scan line among those that were looked at.
     pub line: u32,
     pub plane: ScanPlane,
     /// Centre in the camera frame.
@@ -23,19 +24,14 @@ pub(super) struct Section {
     pub arc: f64,
     /// The points.
     pub moments: PlaneMoments,
-    /// Distance between this and the next scan line, at the depth of the points.
+    /// Distance between this and the next line that was looked at, at the depth of the points.
     pub spacing: f64,
 }
 
 impl Section {
-    /// `None` where the points determine no circle and one is asked for.
-    fn new(header: &Header, ellipse: &Ellipse, fit: SectionFit) -> Option<Self> {
-        let camera = &header.camera;
-        let camera = Pinhole { fx: camera.fx, fy: camera.fy, cx: camera.cx, cy: camera.cy };
-        let scan = match ellipse.scan() {
-            messages::Scan::Row => Scan::Row,
-            messages::Scan::Column => Scan::Column,
-        };
+    /// Of an image of which every `step`th line was looked at. `None` where the points determine no circle and one is asked for.
+    fn new(header: &Header, ellipse: &Ellipse, step: u32, fit: SectionFit) -> Option<Self> {
+        let (camera, scan) = (pinhole(&header.camera), scan(ellipse));
         let plane = camera.plane(scan, f64::from(ellipse.line));
         let moments = PlaneMoments::from_sums(ellipse.origin, ellipse.moments);
         let (plane_center, radius) = match fit {
@@ -44,7 +40,7 @@ impl Section {
         };
         Some(Self {
             scan,
-            line: ellipse.line,
+            line: ellipse.line / step,
             plane,
             center: plane.to_camera(plane_center),
             plane_center,
@@ -52,7 +48,7 @@ impl Section {
             fit,
             arc: ellipse.arc,
             moments,
-            spacing: ellipse.center[2].abs() * camera.line_pitch(scan),
+            spacing: ellipse.center[2].abs() * camera.line_pitch(scan) * f64::from(step),
         })
     }
 
@@ -105,6 +101,7 @@ impl Cut {
 /// The sections of a message, rows before columns, each in the order of the lines.
 pub(super) fn read(header: &Header, ellipses: &[Ellipse], fit: SectionFit, sections: &mut Vec<Section>) {
     sections.clear();
-    sections.extend(ellipses.iter().filter_map(|ellipse| Section::new(header, ellipse, fit)));
+    let step = ellipses.iter().map(Ellipse::step).min().unwrap_or(1);
+    sections.extend(ellipses.iter().filter_map(|ellipse| Section::new(header, ellipse, step, fit)));
     sections.sort_by_key(|section| (section.scan == Scan::Column, section.line));
 }

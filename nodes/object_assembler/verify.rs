@@ -38,10 +38,13 @@ pub(super) enum Rejection {
     SeenThrough,
     Vague,
     Length,
+    Small,
+    NotGrown,
+    Untried,
 }
 
 impl Rejection {
-    const NAMES: [&'static str; 20] = [
+    const NAMES: [&'static str; 23] = [
         "candidates of too few rows",
         "candidates with too many gaps",
         "candidates of short arcs",
@@ -62,6 +65,9 @@ impl Rejection {
         "candidates behind which something is seen",
         "candidates of vague radius or axis",
         "candidates beyond the length limits",
+        "candidates that look too small",
+        "candidates that no shape explains",
+        "arcs left untried",
     ];
 }
 

@@ -11,7 +11,7 @@ mod painter;
 
 use anyhow::{Context as _, Result, ensure};
 use conicflow_dataflow::{ConfigFault, Context, Output, Pick, Side, Sides, Stage, StageError};
-use conicflow_messages::{Header, Kind, Message, Nothing};
+use conicflow_messages::{Header, Kind, MAX_PIXELS, Message, Nothing};
 pub use painter::{Drawn, Painter};
 use png::{BitDepth, ColorType, Compression, Encoder};
 use schemars::JsonSchema;
@@ -19,9 +19,6 @@ use serde::{Deserialize, Serialize};
 use std::fs;
 use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
-
-/// The most pixels of a picture.
-const MAX_PIXELS: u64 = 1 << 26;
 
 /// Parameters of [`PictureSink`].
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
@@ -124,7 +121,7 @@ impl<T: Drawn> PictureSink<T> {
         let pixels = u64::from(camera.width) * u64::from(camera.height);
         ensure!(
             (1..=MAX_PIXELS).contains(&pixels),
-            "frame {} has {}x{} pixels, expected 1 to {MAX_PIXELS}",
+            "frame {} has {}x{} pixels, expected 1 to {MAX_PIXELS}\n  hint: the stage that made the message gave a wrong camera",
             input.header.sequence,
             camera.width,
             camera.height

@@ -141,7 +141,7 @@ impl Painter {
         let inner = (ellipse.first..=ellipse.last).filter(|pixel| (pixel + shift).is_multiple_of(ARC_STEP));
         for pixel in inner.chain([ellipse.first, ellipse.last]) {
             let (line, pixel) = (i64::from(ellipse.line), i64::from(pixel));
-            match ellipse.scan() {
+            match ellipse.direction() {
                 Scan::Row => self.canvas.dot(pixel, line, ARC),
                 Scan::Column => self.canvas.dot(line, pixel, ARC),
             }

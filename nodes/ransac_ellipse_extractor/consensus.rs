@@ -4,7 +4,7 @@
 //! left, which three more points determine. A point lies on it within a limit of Sampson's distance `|F| / |grad F|`.
 
 use super::RansacEllipseConfig;
-use crate::synthetic_source::random::Dice;
+use crate::random::Dice;
 use conicflow_geometry::{Conic, Ellipse, Vector3};
 
 /// Number of points that determine an ellipse along the axes.

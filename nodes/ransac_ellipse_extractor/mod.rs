@@ -10,10 +10,11 @@ mod consensus;
 #[cfg(test)]
 mod tests;
 
+use crate::camera::pinhole;
+use crate::random::Dice;
 use crate::row_ellipse_extractor::ScanLines;
-use crate::synthetic_source::random::Dice;
 use conicflow_dataflow::{Config, Context, Output, Sides, Stage, StageError};
-use conicflow_geometry::{self as geometry, Pinhole, PlaneMoments, Scan, ScanPlane, fit_ellipse};
+use conicflow_geometry::{self as geometry, PlaneMoments, Scan, ScanPlane, fit_ellipse};
 use conicflow_messages::{Ellipse, Header, Message, is_measured};
 use consensus::{Consensus, Draws, Point};
 use schemars::JsonSchema;
@@ -128,6 +129,7 @@ impl RansacEllipseExtractor {
         if self.config.scan != ScanLines::Rows {
             self.scan(header, pixels, Scan::Column, &mut draws);
         }
+        self.ellipses.iter_mut().for_each(|ellipse| ellipse.line_step = self.config.line_step);
         &self.ellipses
     }
 
@@ -146,8 +148,7 @@ impl RansacEllipseExtractor {
 
     /// Takes the measurements of a line; the plane that they lie in.
     fn read(&mut self, header: &Header, pixels: &[u16], scan: Scan, line: u32) -> ScanPlane {
-        let camera = &header.camera;
-        let camera = Pinhole { fx: camera.fx, fy: camera.fy, cx: camera.cx, cy: camera.cy };
+        let camera = pinhole(&header.camera);
         let plane = camera.plane(scan, f64::from(line));
         let (width, line) = (header.camera.width as usize, line as usize);
         let (first, step, length) = match scan {

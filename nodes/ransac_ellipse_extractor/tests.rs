@@ -79,7 +79,9 @@ fn columns_see_what_lies() {
     let frame = render(KINECT_HALF, NoiseModel::KINECT_V1, &[lying], 4);
     let found = |scan| extract(&RansacEllipseConfig { scan, line_step: 16, ..RansacEllipseConfig::default() }, &frame);
     let columns = found(ScanLines::Columns);
-    assert!(columns.len() >= 8 && columns.iter().all(|ellipse| ellipse.scan() == conicflow_messages::Scan::Column));
+    assert!(
+        columns.len() >= 8 && columns.iter().all(|ellipse| ellipse.direction() == conicflow_messages::Scan::Column)
+    );
     assert!(columns.iter().all(|ellipse| (ellipse.half_width - 0.15).abs() < 0.04), "{columns:?}");
     assert_eq!(found(ScanLines::Both).len(), columns.len() + found(ScanLines::Rows).len());
 }

@@ -18,9 +18,9 @@ mod scan_line;
 mod tests;
 
 use arcs::Arcs;
-use conicflow_dataflow::{Config, Context, Output, Sides, Stage, StageError};
-use conicflow_geometry::{Pinhole, Scan};
-use conicflow_messages::{Camera, Ellipse, Header, Message};
+use conicflow_dataflow::{Config, ConfigFault, Context, Output, Sides, Stage, StageError};
+use conicflow_geometry::Scan;
+use conicflow_messages::{Ellipse, Header, Message};
 use filter::Rejections;
 use scan_line::ScanLine;
 use schemars::JsonSchema;
@@ -61,16 +61,17 @@ pub struct RowEllipseConfig {
     /// Looks at every n-th scan line.
     #[schemars(range(min = 1, max = 64))]
     pub line_step: u32,
-    /// Largest root mean square distance of points from their line or ellipse, in standard deviations of the sensor.
+    /// Of `conic`: largest root mean square distance of points from their line or ellipse, in standard deviations of the
+    /// sensor. (`moments` follows the noise model alone.)
     #[schemars(range(min = 0.1, max = 20.0))]
     pub max_error_sigmas: f64,
-    /// Added to it, for what the noise model leaves out, in metres.
+    /// Of `conic`: added to it, for what the noise model leaves out, in metres.
     #[schemars(range(min = 0.0, max = 0.1))]
     pub max_error_floor_m: f64,
-    /// A depth step ends a run beyond this many standard deviations of the sensor ...
+    /// Of `conic`: a depth step ends a run beyond this many standard deviations of the sensor ...
     #[schemars(range(min = 0.0, max = 100.0))]
     pub jump_sigmas: f64,
-    /// ... plus what a surface of this slope (depth per distance across the view) would step.
+    /// Of `conic`: ... plus what a surface of this slope (depth per distance across the view) would step.
     #[schemars(range(min = 0.1, max = 100.0))]
     pub jump_slope: f64,
     /// Number of missing pixels that are bridged inside a run.
@@ -80,7 +81,7 @@ pub struct RowEllipseConfig {
     /// where its ray meets the circle through the others.
     #[schemars(range(min = 0, max = 16))]
     pub trim_px: u32,
-    /// Fewest points of an ellipse.
+    /// Of `conic`: fewest points of an ellipse.
     #[schemars(range(min = 6, max = 1000))]
     pub min_points: u32,
     /// Smallest semi-axis of an ellipse, in metres.
@@ -89,10 +90,10 @@ pub struct RowEllipseConfig {
     /// Largest semi-axis of an ellipse, in metres.
     #[schemars(range(min = 0.001, max = 10.0))]
     pub max_radius_m: f64,
-    /// Smallest ratio of the shorter to the longer semi-axis; flatter ellipses are walls and floors.
+    /// Of `conic`: smallest ratio of the shorter to the longer semi-axis; flatter ellipses are walls and floors.
     #[schemars(range(min = 0.01, max = 1.0))]
     pub min_radius_ratio: f64,
-    /// Smallest angle that the points span around the centre, in degrees.
+    /// Of `conic`: smallest angle that the points span around the centre, in degrees.
     #[schemars(range(min = 0.0, max = 180.0))]
     pub min_arc_deg: f64,
 }
@@ -118,7 +119,28 @@ impl Default for RowEllipseConfig {
     }
 }
 
-impl Config for RowEllipseConfig {}
+impl Config for RowEllipseConfig {
+    fn idle(&self) -> Vec<ConfigFault> {
+        let of_conic = if self.arcs == ArcFinder::Moments { &OF_CONIC[..] } else { &[] };
+        let idle = |&key| ConfigFault {
+            key,
+            what: "has no effect with `arcs = \"moments\"`".to_owned(),
+            hint: "leave it out, or write `arcs = \"conic\"`".to_owned(),
+        };
+        of_conic.iter().map(idle).collect()
+    }
+}
+
+/// Parameters that `arcs = "conic"` alone has.
+const OF_CONIC: [&str; 7] = [
+    "max_error_sigmas",
+    "max_error_floor_m",
+    "jump_sigmas",
+    "jump_slope",
+    "min_points",
+    "min_radius_ratio",
+    "min_arc_deg",
+];
 
 impl RowEllipseConfig {
     /// The paper's way: ellipses of the rows alone.
@@ -165,6 +187,7 @@ impl RowEllipseExtractor {
         if self.config.scan != ScanLines::Rows {
             self.scan(header, pixels, Scan::Column);
         }
+        self.ellipses.iter_mut().for_each(|ellipse| ellipse.line_step = self.config.line_step);
         &self.ellipses
     }
 
@@ -211,8 +234,7 @@ impl RowEllipseExtractor {
 
 impl Stage for RowEllipseExtractor {
     const NAME: &'static str = "row_ellipse_extractor";
-    const SUMMARY: &'static str =
-        "Finds ellipses in the scan lines of a depth image, in one pass with constant time a point";
+    const SUMMARY: &'static str = "Finds ellipses in the scan lines of a depth image, with the moments of their points";
     type Config = RowEllipseConfig;
     type Input = u16;
     type Output = Ellipse;
@@ -227,9 +249,4 @@ impl Stage for RowEllipseExtractor {
         self.rejections.iter().for_each(|(reason, times)| output.count(reason, times));
         Ok(())
     }
-}
-
-/// The camera of a message, for the mathematics.
-fn pinhole(camera: &Camera) -> Pinhole {
-    Pinhole { fx: camera.fx, fy: camera.fy, cx: camera.cx, cy: camera.cy }
 }

@@ -1,6 +1,7 @@
 //! The points of one scan line, split into runs without holes and depth jumps.
 
-use super::{RowEllipseConfig, pinhole};
+use super::RowEllipseConfig;
+use crate::camera::pinhole;
 use conicflow_geometry::{Pinhole, Scan, ScanPlane};
 use conicflow_messages::{Header, NoiseModel, is_measured};
 use std::ops::Range;

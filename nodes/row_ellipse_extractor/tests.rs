@@ -125,3 +125,13 @@ fn an_image_without_measurements_is_an_empty_list() {
     let far = vec![u16::MAX; pixels.len()];
     assert_eq!(extract(RowEllipseConfig::of_the_paper(), &(header, far)).0.len(), 0);
 }
+
+#[test]
+fn what_has_no_effect_is_known() {
+    use conicflow_dataflow::Config;
+    assert_eq!(RowEllipseConfig::of_the_paper().idle(), []);
+    let idle: Vec<_> = RowEllipseConfig::default().idle().into_iter().map(|idle| idle.key).collect();
+    let all = serde_json::to_value(RowEllipseConfig::default()).unwrap();
+    let active: Vec<_> = all.as_object().unwrap().keys().filter(|key| !idle.contains(&key.as_str())).collect();
+    assert_eq!(active, ["arcs", "scan", "line_step", "max_hole_px", "trim_px", "min_radius_m", "max_radius_m"]);
+}

@@ -7,7 +7,6 @@
 mod fields;
 pub mod motion;
 pub mod pose;
-pub(crate) mod random;
 pub mod random_scene;
 pub mod random_scenes;
 pub mod raster;
@@ -20,12 +19,12 @@ mod shadow;
 pub mod shapes;
 pub mod truth;
 
-use crate::json_sink::JsonLines;
+use crate::json_lines::JsonLines;
+use crate::random::Dice;
 use anyhow::{Result, bail};
 use conicflow_dataflow::{Config, ConfigFault, Context, Next, Output, Pick, Side, Sides, Source, StageError};
 use conicflow_messages::{Camera, HAS_POSE, Header, Kind, Text};
 use nalgebra::Vector3;
-use random::Dice;
 use random_scenes::RandomScenes;
 use raster::Raster;
 use scene::{BUILT_IN, Scene};
@@ -39,8 +38,10 @@ use truth::{Truth, TruthLine, truth_of};
 
 /// Frame rate of simulated time where frames are made as fast as they are taken.
 const UNPACED_RATE_HZ: f64 = 30.0;
+/// Commands made from frames that are older than this are no longer obeyed: whoever drives has gone.
+const MAX_COMMAND_AGE_S: f64 = 0.5;
 
-/// A depth camera in a scene. Each frame is a function of its number and the seed alone.
+/// A depth camera in a scene. Each frame is a function of its number, the seed and where the camera was driven to.
 #[derive(Clone, Debug)]
 pub struct SyntheticCamera {
     scene: Scene,
@@ -219,10 +220,10 @@ impl Config for SyntheticSourceConfig {
             let what = "cannot be shown together with `scene`".into();
             faults.push(ConfigFault { key: "scenes", what, hint: "leave one of them out".into() });
         }
-        let folder = self.truth_path.as_ref().and_then(|path| base.join(path).parent().map(Path::to_owned));
-        if let Some(folder) = folder.filter(|folder| !folder.is_dir() && !folder.as_os_str().is_empty()) {
-            let what = format!("the folder `{}` does not exist", folder.display());
-            faults.push(ConfigFault { key: "truth_path", what, hint: "create it, or name another file".into() });
+        let truth_path = self.truth_path.as_ref().map(|path| base.join(path));
+        if let Some(folder) = truth_path.filter(|path| path.is_dir()) {
+            let what = format!("`{}` is a folder, expected a file", folder.display());
+            faults.push(ConfigFault { key: "truth_path", what, hint: "add the name of a file".into() });
         }
         faults
     }
@@ -268,7 +269,8 @@ impl Source for SyntheticSource {
         self.total
     }
 
-    /// Who drives the camera: the first track's `velocity` is the one that it is to take, none lets it stand.
+    /// Who drives the camera: the first track's `velocity` is the one that it is to take; none lets it stand, as does a
+    /// command from a frame more than half a second before.
     fn sides() -> &'static [Side] {
         &[Side { name: "command", kind: Kind::Tracks, pick: Pick::Latest }]
     }
@@ -277,8 +279,8 @@ impl Source for SyntheticSource {
         if self.total.is_some_and(|total| self.next >= total) {
             return Ok(Next::End);
         }
-        if let Some(command) = sides.tracks("command").and_then(|message| message.items.first()) {
-            self.camera.drive(command.velocity.into());
+        if let Some(velocity) = self.command(sides) {
+            self.camera.drive(velocity);
         }
         let camera = self.camera.raster.camera;
         self.camera.shoot(self.next, output.image(camera.width as usize * camera.height as usize)?);
@@ -293,6 +295,14 @@ impl Source for SyntheticSource {
 }
 
 impl SyntheticSource {
+    /// The velocity that the camera is to take for the next frame.
+    fn command(&self, sides: &Sides) -> Option<Vector3<f64>> {
+        let command = sides.tracks("command")?;
+        let age_s = self.next as f64 / self.camera.rate_hz - command.header.stamp_ns as f64 * 1e-9;
+        let first = command.items.first().filter(|_| age_s <= MAX_COMMAND_AGE_S)?;
+        Some(first.velocity.into())
+    }
+
     /// The true objects of the frame that was shot last.
     fn truth_line(&self) -> TruthLine {
         let mut header = Header::default();

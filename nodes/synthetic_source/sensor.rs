@@ -5,11 +5,11 @@
 //! tracking" (2012), in the form of [`NoiseModel`]; the same paper finds the silhouettes uncertain by about 0.8 pixels at
 //! 640x480 and the noise growing beyond all bounds from 70 to 80 degrees on.
 
-use super::random::Dice;
 use super::raster::Raster;
 use super::shadow;
 use super::shapes::{Shape, Surface};
 use crate::noise_config::{NoiseConfig, NoiseName, REALSENSE_D435, TIME_OF_FLIGHT};
+use crate::random::Dice;
 use conicflow_messages::{Camera, INVALID_FAR, INVALID_NEAR, NoiseModel};
 use nalgebra::Vector3;
 use schemars::JsonSchema;

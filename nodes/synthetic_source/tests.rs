@@ -1,5 +1,6 @@
 use super::*;
-use conicflow_messages::{Kind, NoiseModel};
+use conicflow_dataflow::AnyMessage;
+use conicflow_messages::{Kind, Message, NoiseModel, Track};
 
 fn small() -> SyntheticSourceConfig {
     SyntheticSourceConfig { width: 80, height: 60, ..SyntheticSourceConfig::default() }
@@ -72,7 +73,7 @@ fn what_cannot_be_used_is_told_before_the_start() {
     assert_eq!(SyntheticSourceConfig::default().faults(base.path()), []);
     let config = SyntheticSourceConfig {
         scene: Some("garden.toml".into()),
-        truth_path: Some("nowhere/truth.jsonl".into()),
+        truth_path: Some(".".into()),
         ..SyntheticSourceConfig::default()
     };
     let faults = config.faults(base.path());
@@ -115,4 +116,23 @@ fn the_source_knows_its_length_and_goes_on_where_it_was() {
     let source = SyntheticSource::new(SyntheticSourceConfig { frames: 9, ..small() }, &context).unwrap();
     assert_eq!((source.total(), source.next), (Some(9), 7));
     assert_eq!(SyntheticSource::new(small(), &context).unwrap().total(), None);
+}
+
+#[test]
+fn the_command_of_who_drives_no_longer_is_not_obeyed() {
+    let velocity = [0.1, 0.0, 0.5];
+    let tracks = [Track { velocity, ..Track::default() }];
+    let mut source = SyntheticSource::new(small(), &Context::default()).unwrap();
+    let mut command = |frame: u64, stamp_ms: u64, items: &[Track]| {
+        let header = Header { stamp_ns: stamp_ms * 1_000_000, ..Header::default() };
+        source.next = frame;
+        source.command(&Sides(vec![("command", AnyMessage::Tracks(Message { header: &header, items }))]))
+    };
+    let obeyed = Some(velocity.into());
+    assert_eq!(command(30, 967, &tracks), obeyed);
+    assert_eq!(command(45, 1000, &tracks), obeyed, "half a second");
+    assert_eq!(command(46, 1000, &tracks), None);
+    assert_eq!(command(3, 1000, &tracks), obeyed, "of a clock that is ahead");
+    assert_eq!(command(30, 967, &[]), None);
+    assert_eq!(source.command(&Sides::default()), None);
 }

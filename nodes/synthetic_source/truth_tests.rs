@@ -1,8 +1,9 @@
 use super::super::scene::BUILT_IN;
 use super::super::sensor::{Sensor, SensorConfig};
-use super::super::{random::Dice, shapes::Sphere};
+use super::super::shapes::Sphere;
 use super::*;
 use crate::noise_config::NoiseName;
+use crate::random::Dice;
 
 const CAMERA: Camera = Camera { width: 160, height: 120, fx: 131.25, fy: 131.25, cx: 79.5, cy: 59.5 };
 

@@ -1,6 +1,8 @@
 //! The commands that start nothing: `graph`, `nodes`, help; and what wrong arguments are told.
 
 use crate::support::{Playground, TRACKING};
+use std::fs::File;
+use std::process::Stdio;
 
 const NODES: [&str; 9] = [
     "synthetic_source",
@@ -153,6 +155,7 @@ fn wrong_arguments_are_refused() {
     let playground = Playground::with_pipeline(TRACKING);
     for (arguments, told) in [
         (&["walk"][..], "unrecognized subcommand 'walk'"),
+        (&["graph", "--log", "debgu"], "`debgu` is no level\n  hint: error, warn, info, debug or trace"),
         (&["run", "--frames", "0"], "invalid value '0' for '--frames <N>'"),
         (&["run", "--for", "soon"], "invalid value 'soon' for '--for <TIME>'"),
         (&["run", "--machine", "robot"], "there is no machine `robot` in the pipeline"),
@@ -160,6 +163,29 @@ fn wrong_arguments_are_refused() {
     ] {
         let ended = playground.conicflow(arguments).expect_code(2);
         assert!(ended.stderr.contains(told), "{arguments:?}: {}", ended.stderr);
+    }
+}
+
+/// What was begun and could not be printed, since the disk is full, is no fault of the arguments; that nobody reads on is
+/// no fault at all.
+#[test]
+fn output_that_goes_nowhere() {
+    let playground = Playground::new();
+    for arguments in
+        [&["graph"][..], &["nodes"], &["nodes", "follower"], &["validate"], &["doctor"], &["top", "--once"]]
+    {
+        let (reader, writer) = std::io::pipe().unwrap();
+        drop(reader);
+        let ended = playground.command(arguments).stdout(writer).stderr(Stdio::piped()).output().unwrap();
+        let told = String::from_utf8_lossy(&ended.stderr);
+        assert!(ended.status.success() && told.is_empty(), "{arguments:?}: {told}");
+        let Ok(full) = File::options().write(true).open("/dev/full") else {
+            eprintln!("skipped: this system has no /dev/full");
+            continue;
+        };
+        let ended = playground.command(arguments).stdout(full).stderr(Stdio::piped()).output().unwrap();
+        let told = String::from_utf8_lossy(&ended.stderr);
+        assert!(ended.status.code() == Some(1) && told.contains("No space left on device"), "{arguments:?}: {told}");
     }
 }
 

@@ -156,6 +156,19 @@ fn overrides_are_checked_as_the_file_is() {
 }
 
 #[test]
+fn what_is_set_without_effect_is_warned_of() {
+    let playground = Playground::with_pipeline(SOUND);
+    let sets = ["validate", "--set", "extractor.min_arc_deg=45", "--set", "extractor.scan=rows"];
+    let expected = "warning: --set:1:23: `min_arc_deg`: has no effect with `arcs = \"moments\"`\n    1 | \
+                    extractor.min_arc_deg=45\n      |                       ^^\n  hint: leave it out, or write `arcs = \
+                    \"conic\"`\n";
+    let ended = playground.conicflow(&sets).expect_code(0);
+    assert!(ended.stdout.starts_with(expected), "{}", ended.stdout);
+    let ended = playground.conicflow(&[&sets[..], &["--set", "extractor.arcs=conic"]].concat()).expect_code(0);
+    assert!(ended.stdout.starts_with("`sound` is valid"), "{}", ended.stdout);
+}
+
+#[test]
 fn overrides_take_the_place_of_what_the_file_says() {
     let playground = Playground::with_pipeline(SOUND);
     let sets = ["source.width=64", "source.height=48", "source.noise.floor_m=0.002", "json.path=other.jsonl"];

@@ -145,13 +145,13 @@ fn expected(header: &Header, item: &Ellipse) -> Numbers {
 /// The centre in the camera frame, from that in the plane of the scan line.
 fn center(header: &Header, item: &Ellipse) -> [f64; 3] {
     let ([s, t], line, camera) = (item.plane_center, f64::from(item.line), &header.camera);
-    let slope = match item.scan() {
+    let slope = match item.direction() {
         Scan::Row => (line - camera.cy) / camera.fy,
         Scan::Column => (line - camera.cx) / camera.fx,
     };
     let stretch = (1.0 + slope * slope).sqrt();
     let (across, forward) = (t * slope / stretch, t / stretch);
-    match item.scan() {
+    match item.direction() {
         Scan::Row => [s, across, forward],
         Scan::Column => [across, s, forward],
     }

@@ -16,7 +16,10 @@ fn header(width: u32, height: u32) -> Header {
 }
 
 fn ellipse() -> Ellipse {
-    Ellipse { line: 3, first: 1, last: 4, rms: 1e-300, center: [-0.0, 0.1, 2.0], ..Ellipse::default() }
+    let mut ellipse =
+        Ellipse { line: 3, first: 1, last: 4, rms: 1e-300, center: [-0.0, 0.1, 2.0], ..Ellipse::default() };
+    ellipse.moments[0] = 4.0;
+    ellipse
 }
 
 fn place() -> Place {

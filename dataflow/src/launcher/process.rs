@@ -183,7 +183,7 @@ fn surroundings(
     let successor = successor.map_err(|error| system("the launcher cannot be spoken with", error))?;
     let path = folder.status(&planned.name);
     let record = StatusFile::open(&path, plan.run).map_err(|error| FolderError::Io { path, error })?;
-    let context = Context { stage: planned.name.clone(), base: plan.base.clone(), resume_at: 0, stop };
+    let context = Context { stage: planned.name.clone(), base: plan.base.clone(), stop, ..Context::default() };
     let peers = Peers::in_folder(folder.path().to_owned(), plan.run);
     let mut around = Surroundings {
         transport: transport.map_err(RunError::from)?,

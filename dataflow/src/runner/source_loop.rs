@@ -7,8 +7,9 @@ use super::{RunError, Settling, Surroundings, guarded, is_stopped};
 use crate::clock::monotonic_ns;
 use crate::ports::Transport;
 use crate::stage::{Next, Pace, Source, Stop};
-use crate::status::{Life, StatusFile};
+use crate::status::{Life, Status, StatusFile, used};
 use conicflow_messages::Header;
+use std::collections::BTreeMap;
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 struct SourceLoop<S: Source, T: Transport> {
@@ -32,6 +33,7 @@ pub(crate) fn run_source<S: Source, T: Transport + 'static>(
         return Ok(());
     }
     around.context.resume_at = around.record.status.sent;
+    around.context.counted = counted(&around.record.status);
     outlet.resume(around.record.status.sent);
     sides.iter_mut().zip(around.record.status.inputs).try_for_each(|(side, counts)| side.resume(counts))?;
     let source = S::new(config, &around.context).map_err(RunError::Refused)?;
@@ -48,6 +50,10 @@ pub(crate) fn run_source<S: Source, T: Transport + 'static>(
         }
     }
     running.end()
+}
+
+fn counted(status: &Status) -> BTreeMap<String, u64> {
+    used(&status.counters).map(|(name, times)| (name.to_owned(), times)).collect()
 }
 
 /// Waits, where this process replaces another, until that is gone: a device is never opened twice. Whether its turn came.

@@ -8,6 +8,10 @@ pub(super) use header::Header;
 use anyhow::{Context as _, Result, anyhow, bail, ensure};
 use header::{Encoding, Scalar};
 
+/// What to do about a file that cannot be read.
+pub(super) const HINT: &str =
+    "save the cloud anew, organised, by PCL's `savePCDFileBinary` for one, or take the file out";
+
 /// The points of one file, row by row; the buffers are kept from file to file.
 #[derive(Default)]
 pub(super) struct Cloud {

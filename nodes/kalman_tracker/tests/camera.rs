@@ -1,7 +1,8 @@
 //! A camera that moves, and one that does not tell where it is.
 
+use super::super::worlds::Worlds;
 use super::*;
-use conicflow_messages::HAS_POSE;
+use conicflow_messages::{HAS_POSE, Hop, Text};
 use nalgebra::Rotation3;
 
 /// A pose that moves and turns, as `[R | t]`.
@@ -50,4 +51,78 @@ fn without_a_pose_the_camera_is_where_it_was() {
     let velocity =
         (0..9).map(|frame| tracker.update(&header(frame), &[sphere(center)])[0].velocity).next_back().unwrap();
     assert!(Vector3::from(velocity).norm() < 1e-9);
+}
+
+/// The same frame, from the source `name`.
+fn from(name: &str, mut header: Header) -> Header {
+    header.add_hop(Hop { stage: Text::new(name), ..Hop::default() });
+    header
+}
+
+/// A header of a camera at `x`, looking along the world's z.
+fn placed(name: &str, x: f64, frame: u64) -> Header {
+    let world_from_camera = [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
+    from(name, Header { flags: HAS_POSE, world_from_camera, ..header(frame) })
+}
+
+#[test]
+fn two_cameras_do_not_miss_what_only_the_other_sees() {
+    let mut tracker = Tracker::new(KalmanTrackerConfig::default());
+    let (left, right) = (Vector3::new(0.0, 0.0, 2.0), Vector3::new(0.3, 0.0, 2.5));
+    for frame in 0..20 {
+        tracker.update(&placed("left", 0.0, frame), &[sphere(left)]);
+        let tracks = tracker.update(&placed("right", 5.0, frame), &[sphere(right)]);
+        let expected = if frame < 2 { TrackState::Tentative } else { TrackState::Confirmed };
+        assert_eq!((ids(tracks), states(tracks)), (vec![1, 2], vec![expected; 2]), "frame {frame}");
+        assert_eq!(tracks[0].misses, 0);
+        assert!((Vector3::from(tracks[0].object.center) - left + Vector3::x() * 5.0).norm() < 1e-6, "its own pose");
+        assert!((Vector3::from(tracks[1].object.center) - right).norm() < 1e-6);
+    }
+    // The left one sees nothing more, then falls silent.
+    let tracks = tracker.update(&placed("left", 0.0, 20), &[]);
+    assert_eq!((tracks[0].misses, tracks[1].misses), (1, 0));
+    let last = (20..60).map(|frame| ids(tracker.update(&placed("right", 5.0, frame), &[sphere(right)]))).next_back();
+    assert_eq!(last, Some(vec![2]));
+}
+
+#[test]
+fn a_camera_that_begins_again_takes_no_tracks_from_the_other() {
+    let mut tracker = Tracker::new(KalmanTrackerConfig::default());
+    let (left, right) = (Vector3::new(0.0, 0.0, 2.0), Vector3::new(0.3, 0.0, 2.5));
+    for frame in 0..9 {
+        tracker.update(&placed("left", 0.0, frame), &[sphere(left)]);
+        tracker.update(&placed("right", 5.0, frame), &[sphere(right)]);
+    }
+    let anew = Header { epoch: 2, ..placed("left", 0.0, 0) };
+    assert_eq!(ids(tracker.update(&anew, &[sphere(left)])), [2, 3]);
+}
+
+#[test]
+fn what_one_camera_hands_over_keeps_its_identity() {
+    let mut tracker = Tracker::new(KalmanTrackerConfig::default());
+    for frame in 0..40 {
+        let place = Vector3::new(0.02 * frame as f64, 0.0, 2.0);
+        let seen = [sphere(place)];
+        tracker.update(&placed("left", 0.0, frame), if frame < 20 { &seen } else { &[] });
+        let seen = [sphere(place - Vector3::x())];
+        let tracks = tracker.update(&placed("right", 1.0, frame), if frame < 20 { &[] } else { &seen });
+        assert_eq!((ids(tracks), tracks[0].misses), (vec![1], 0), "frame {frame}");
+    }
+}
+
+#[test]
+fn cameras_that_do_not_know_where_they_are_share_nothing_but_identities() {
+    let mut worlds = Worlds::with_first_id(KalmanTrackerConfig::default(), 7);
+    let place = Vector3::new(0.0, 0.0, 2.0);
+    for frame in 0..9 {
+        assert_eq!(ids(worlds.update(&from("left", header(frame)), &[sphere(place)]).tracks()), [7]);
+        assert_eq!(ids(worlds.update(&from("right", header(frame)), &[sphere(place)]).tracks()), [8]);
+    }
+    let right = worlds.update(&from("right", header(9)), &[]).tracks();
+    assert_eq!((ids(right), right[0].misses), (vec![8], 1));
+    assert_eq!(worlds.update(&from("left", header(9)), &[sphere(place)]).tracks()[0].misses, 0);
+    // Those that say where they are share a world, from then on.
+    assert_eq!(ids(worlds.update(&placed("left", 0.0, 10), &[sphere(place)]).tracks()), [9]);
+    assert_eq!(ids(worlds.update(&placed("right", 0.0, 10), &[sphere(place)]).tracks()), [9]);
+    assert_eq!(ids(worlds.update(&from("right", header(11)), &[sphere(place)]).tracks()), [9]);
 }

@@ -42,13 +42,17 @@ fn a_bounce_that_nobody_sees_keeps_the_identity_if_the_floor_is_known() {
         }
         tracker.next_id - 1
     };
-    assert_eq!(run(Some(Ballistic { floor_m: Some(0.0), ..Ballistic::default() })), 1, "tracks in all");
+    assert_eq!(
+        run(Some(Ballistic { floor_m: Some(0.0), up: Some([0.0, 0.0, 1.0]), ..Ballistic::default() })),
+        1,
+        "tracks in all"
+    );
     assert!(run(None) > 1, "straight on it would go through the floor");
 }
 
 #[test]
 fn a_ball_that_lies_does_not_fall() {
-    let ballistic = Some(Ballistic::default());
+    let ballistic = Some(Ballistic { up: Some([0.0, 0.0, 1.0]), ..Ballistic::default() });
     let mut tracker = Tracker::new(KalmanTrackerConfig { ballistic, ..KalmanTrackerConfig::default() });
     let mut noise = Noise(6);
     let place = Vector3::new(0.0, 2.0, 0.5);
@@ -58,5 +62,19 @@ fn a_ball_that_lies_does_not_fall() {
         let track = tracker.update(&header(frame), if hidden { &[] } else { &seen })[0];
         let off = (Vector3::from(track.object.center) - place).norm();
         assert!(track.id == 1 && off < 0.06, "frame {frame}: {off} m off");
+    }
+}
+
+/// Without a pose a ball falls along the camera's y, not towards the camera.
+#[test]
+fn down_is_along_the_image_where_there_is_no_pose() {
+    let ballistic = Some(Ballistic::default());
+    let mut tracker = Tracker::new(KalmanTrackerConfig { ballistic, ..KalmanTrackerConfig::default() });
+    let place = |frame: u64| Vector3::new(0.0, 4.905 * seconds(frame).powi(2) - 1.0, 2.0);
+    for frame in 0..18 {
+        let seen = [sphere(place(frame))];
+        let track = tracker.update(&header(frame), if frame < 10 { &seen } else { &[] })[0];
+        let off = (Vector3::from(track.object.center) - place(frame)).norm();
+        assert!(track.id == 1 && (frame < 8 || off < 0.08), "frame {frame}: {off} m off");
     }
 }

@@ -1,15 +1,17 @@
 //! The arcs of a message, ready for pooling, and which of them lie beside each other.
 
+use crate::camera::{pinhole, scan};
 use conicflow_geometry::{
     Coefficients, Conic, ContourPoint, Pinhole, PlaneMoments, Scan, ScanPlane, SpaceMoments, Vector3, section_of,
 };
-use conicflow_messages::{self as messages, Ellipse, Header};
+use conicflow_messages::{Ellipse, Header};
 use std::ops::Range;
 
 /// An arc with what the assembler needs of it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Arc {
     pub scan: Scan,
+    /// Number of the line among those that were looked at.
     pub line: u32,
     /// First and last pixel along the line.
     pub pixels: [i64; 2],
@@ -34,10 +36,10 @@ pub(super) struct Arc {
     pub beyond: [f64; 2],
     /// Where the surface ends before something farther, on either side.
     pub contour: [Option<ContourPoint>; 2],
-    /// Distance between this and the next scan line, in metres, ...
-    pub spacing: f64,
-    /// ... and between neighbouring pixels of it.
+    /// Distance at the depth of the arc between neighbouring pixels of the line, in metres, ...
     pub pitch: f64,
+    /// ... and between neighbouring lines that were looked at.
+    pub spacing: f64,
     /// How much better the circle is than a line, in points times variances.
     pub bulge: f64,
 }
@@ -52,13 +54,9 @@ pub(super) struct Misfit {
 }
 
 impl Arc {
-    fn new(header: &Header, ellipse: &Ellipse) -> Option<Self> {
-        let camera = &header.camera;
-        let camera = Pinhole { fx: camera.fx, fy: camera.fy, cx: camera.cx, cy: camera.cy };
-        let scan = match ellipse.scan() {
-            messages::Scan::Row => Scan::Row,
-            messages::Scan::Column => Scan::Column,
-        };
+    /// Every `step`th line of the image was looked at.
+    fn new(header: &Header, ellipse: &Ellipse, step: u32) -> Option<Self> {
+        let (camera, scan) = (pinhole(&header.camera), scan(ellipse));
         let plane = camera.plane(scan, f64::from(ellipse.line));
         let moments = PlaneMoments::from_sums(ellipse.origin, ellipse.moments);
         let mean = plane.to_camera(moments.mean()?);
@@ -71,7 +69,7 @@ impl Arc {
         let line = conicflow_geometry::line_square(&moments);
         Some(Self {
             scan,
-            line: ellipse.line,
+            line: ellipse.line / step,
             pixels: [i64::from(ellipse.first), i64::from(ellipse.last)],
             plane,
             moments,
@@ -85,8 +83,8 @@ impl Arc {
             beyond_rays: [ray(first - far), ray(last + far)],
             beyond: ellipse.beyond,
             contour: contour(&camera, &plane, &ellipse.contour),
-            spacing: mean.z * camera.line_pitch(scan),
             pitch: mean.z * camera.pixel_pitch(scan),
+            spacing: mean.z * camera.line_pitch(scan) * f64::from(step),
             bulge: (line - ellipse.rms * ellipse.rms) * moments.count() / variance.max(1e-8),
         })
     }
@@ -150,9 +148,10 @@ pub(super) struct Arcs {
 impl Arcs {
     pub fn read(&mut self, header: &Header, ellipses: &[Ellipse]) {
         self.arcs.clear();
-        self.arcs.extend(ellipses.iter().filter_map(|ellipse| Arc::new(header, ellipse)));
+        let step = ellipses.iter().map(Ellipse::step).min().unwrap_or(1);
+        self.arcs.extend(ellipses.iter().filter_map(|ellipse| Arc::new(header, ellipse, step)));
         self.arcs.sort_unstable_by_key(|arc| (arc.scan == Scan::Column, arc.line, arc.pixels[0]));
-        let lines = [header.camera.height as usize, header.camera.width as usize];
+        let lines = [header.camera.height, header.camera.width].map(|lines| lines.div_ceil(step) as usize);
         let mut next = 0;
         for (starts, (lines, scan)) in self.starts.iter_mut().zip(lines.into_iter().zip([Scan::Row, Scan::Column])) {
             starts.clear();

@@ -28,13 +28,17 @@ const GAIN_PER_POINT: f64 = 0.03;
 const MOST_GAIN: f64 = 45.0;
 
 /// The candidate that explains most points; of those that explain about as many, the one of fewer parameters, unless
-/// the other explains them better. Of the three shapes those are `None` that did not even grow.
+/// the other explains them better. Of the three shapes those are `None` that did not even grow. Where none is left, the
+/// reason is that of the most general one that grew.
 pub(super) fn choose<'a>(
     found: [Option<Result<Candidate<'a>, Rejection>>; 3],
     config: &AssemblerConfig,
     contour: &mut Contour,
 ) -> Result<(Candidate<'a>, Object), Rejection> {
-    let reason = found.iter().flatten().filter_map(|found| found.as_ref().err()).next_back().copied();
+    let grown = || found.iter().flatten();
+    let reason = grown().filter_map(|found| found.as_ref().err()).next_back().copied();
+    // Where a cone alone is an object, its slope is not sure.
+    let reason = reason.unwrap_or(if grown().next().is_some() { Rejection::Vague } else { Rejection::NotGrown });
     let [sphere, cylinder, cone] = found;
     let cone = cone.map(|cone| cone.map(|cone| (cone, cone.report())));
     let may_be_cone =
@@ -48,7 +52,7 @@ pub(super) fn choose<'a>(
     };
     let best = match (sphere, axial) {
         (Some(sphere), Some(axial)) => rounder(sphere, axial),
-        (sphere, axial) => sphere.or(axial).ok_or(reason.unwrap_or(Rejection::Degenerate))?,
+        (sphere, axial) => sphere.or(axial).ok_or(reason)?,
     };
     let is_cylinder = best.grown.model.kind() == ObjectKind::Cylinder;
     let object = best.report();
@@ -63,7 +67,7 @@ fn speaks_against_cylinder(cone: Result<&Object, &Rejection>) -> bool {
             let sigma = object.sigma.half_angle;
             sigma > ANY_SLOPE || sigma > UNSURE_SLOPE && object.half_angle > UNSURE_SIGMAS * sigma
         }
-        Err(reason) => matches!(reason, Rejection::Rms | Rejection::FewRows | Rejection::Tilted),
+        Err(reason) => matches!(reason, Rejection::Rms | Rejection::FewRows | Rejection::Small | Rejection::Tilted),
     }
 }
 

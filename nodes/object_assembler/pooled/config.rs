@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PooledConfig {
-    /// Fewest scan lines of an object.
+    /// Fewest scan lines of an object; of those that the extractor looks at, as wherever lines are counted.
     #[schemars(range(min = 5, max = 1000))]
     pub min_lines: u32,
     /// Smallest visual angle of an object across its scan lines, in degrees: a finer image shows more of what is too small

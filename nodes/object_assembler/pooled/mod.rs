@@ -91,7 +91,8 @@ impl Pooled {
                 continue;
             }
             if tries == MAX_TRIES {
-                break;
+                rejections.count(Rejection::Untried);
+                continue;
             }
             tries += 1;
             match self.growing.candidate(&self.arcs, &self.taken, seed, config, rejections) {
@@ -163,7 +164,7 @@ impl<'a> Grown<'a> {
         [self.members[0], self.members[self.members.len() - 1]].map(|index| &self.arcs.arcs[index])
     }
 
-    /// From where to where the arcs reach along the axis, counted from the surface's point; nowhere for a sphere.
+    /// From where to where the arcs reach along the axis, counted from the surface's point; 0 both for a sphere.
     fn extent(&self) -> [f64; 2] {
         let along = |arc: &Arc| self.model.conical().map_or(0.0, |s| s.axis.dot(&(arc.mean - s.point)));
         self.arcs().map(along).fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], x| [a.min(x), b.max(x)])

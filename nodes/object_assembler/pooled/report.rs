@@ -94,7 +94,7 @@ fn cone(object: Object, surface: &Conical, half_angle: f64, sigma: ObjectSigma, 
     }
 }
 
-/// An end lies anywhere between two scan lines.
+/// An end lies anywhere between two lines that were looked at.
 fn end_sigma(grown: &Grown) -> f64 {
     grown.ends()[0].spacing / 12.0_f64.sqrt()
 }

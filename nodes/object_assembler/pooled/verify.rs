@@ -38,7 +38,8 @@ pub(super) struct Measured {
     pub misfit: f64,
     /// Mean visible circumference.
     pub angle: f64,
-    /// From where to where the arcs reach along the axis, counted from the surface's point; along z for a sphere.
+    /// From where to where the arcs reach along the axis, counted from the surface's point; of a sphere across the scan
+    /// lines, along y of the camera frame for rows and x for columns.
     pub extent: [f64; 2],
 }
 
@@ -47,8 +48,10 @@ pub(super) fn check(grown: &Grown, config: &AssemblerConfig) -> Result<Measured,
     let [first, last] = grown.ends();
     let radius = grown.model.radius_at(&middle(grown, &measured));
     let reach = measured.extent[1] - measured.extent[0];
-    if measured.lines < config.pooled.min_lines || height_in_view(grown) < config.pooled.min_view_deg.to_radians() {
+    if measured.lines < config.pooled.min_lines {
         Err(Rejection::FewRows)
+    } else if height_in_view(grown) < config.pooled.min_view_deg.to_radians() {
+        Err(Rejection::Small)
     } else if f64::from(measured.lines) < config.pooled.min_coverage * f64::from(last.line - first.line + 1) {
         Err(Rejection::Gaps)
     } else if measured.misfit > most_misfit(measured.points) {

@@ -29,7 +29,7 @@ use segments::{cut, next_segment};
 use std::ops::Range;
 use view::View;
 
-/// Every how many lines one is looked at as a whole. Objects are at least three times as high.
+/// Every how many lines one is looked at as a whole: less than the fewest lines of an object, `min_lines` of the assembler.
 const COARSE_STEP: u32 = 6;
 /// Pixels beyond both ends of an arc that are looked at in the lines beside it ...
 const MARGIN_PX: u32 = 16;

@@ -1,6 +1,7 @@
 //! What all scan lines of one direction of a depth image have in common.
 
-use super::super::{RowEllipseConfig, pinhole};
+use super::super::RowEllipseConfig;
+use crate::camera::pinhole;
 use conicflow_geometry::{Pinhole, Scan, ScanPlane};
 use conicflow_messages::{Header, NoiseModel, is_measured};
 use std::ops::Range;

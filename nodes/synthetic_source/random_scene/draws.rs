@@ -1,6 +1,6 @@
 //! Random numbers for a scene, one after the other.
 
-use super::super::random::Dice;
+use crate::random::Dice;
 use nalgebra::Vector3;
 use std::ops::RangeInclusive;
 

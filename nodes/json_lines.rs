@@ -148,13 +148,11 @@ fn end_of_last_line(mut file: &File, length: u64) -> io::Result<u64> {
 /// What to do about a file that cannot be written.
 fn hint(error: &io::Error) -> &'static str {
     match error.kind() {
-        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => "free some space, or set `path` to another disk",
-        ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem => "set `path` to a place that you may write to",
-        ErrorKind::IsADirectory => "set `path` to a file, not a folder",
-        ErrorKind::NotADirectory | ErrorKind::AlreadyExists => {
-            "a part of `path` before the last is a file, not a folder"
-        }
-        _ => "set `path` to a file that can be written, or to \"-\" for standard output",
+        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => "free some space, or write to another disk",
+        ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem => "choose a place that you may write to",
+        ErrorKind::IsADirectory => "name a file, not a folder",
+        ErrorKind::NotADirectory | ErrorKind::AlreadyExists => "a part of the path before the last is a file",
+        _ => "name a file that can be written",
     }
 }
 
@@ -235,7 +233,7 @@ mod tests {
         let mut lines = JsonLines::open(device, false).unwrap();
         let error = lines.write(&1).unwrap_err().to_string();
         assert!(error.starts_with("cannot write to `/dev/full`: No space left"), "{error}");
-        assert!(error.ends_with("hint: free some space, or set `path` to another disk"), "{error}");
+        assert!(error.ends_with("hint: free some space, or write to another disk"), "{error}");
     }
 
     #[test]
@@ -243,6 +241,6 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         fs::write(folder.path().join("file"), "").unwrap();
         let error = JsonLines::open(&folder.path().join("file/out.jsonl"), false).err().unwrap().to_string();
-        assert!(error.contains("hint: a part of `path` before the last is a file"), "{error}");
+        assert!(error.contains("hint: a part of the path before the last is a file"), "{error}");
     }
 }
