@@ -19,8 +19,10 @@ const MANY_POINTS: f64 = 3000.0;
 const PLANE: f64 = 0.05;
 /// Greatest part of arc ends beyond which the model would hide what was measured.
 const SEEN_THROUGH: f64 = 0.2;
-/// Cosine of the least angle between the axis and the scan lines, 40 degrees.
-const ALONG: f64 = 0.766;
+/// Cosine of the least angle between the axis and the scan lines, 40 degrees, ...
+const ALONG_LINES: f64 = 0.766;
+/// ... and between the axis and the view, 25 degrees.
+const ALONG_VIEW: f64 = 0.906;
 /// Greatest standard deviations of a radius, as a part of it, and of an axis: much of what a sphere or a cylinder explains
 /// with less certainty is something else.
 const VAGUE_SPHERE: [f64; 2] = [0.03, f64::INFINITY];
@@ -62,7 +64,7 @@ pub(super) fn check(grown: &Grown, config: &AssemblerConfig) -> Result<Measured,
         Err(Rejection::HalfAngle)
     } else if reach < least_reach(grown, config) * radius {
         Err(Rejection::Short)
-    } else if runs_along(grown) {
+    } else if runs_along(grown, &measured) {
         Err(Rejection::Tilted)
     } else if measured.angle < config.pooled.min_arc_deg.to_radians() {
         Err(Rejection::ShortArc)
@@ -84,10 +86,14 @@ fn most_misfit(points: f64) -> f64 {
     SLACK + MORE_SLACK * (points / MANY_POINTS).min(1.0) + SCATTER * (2.0 / points).sqrt()
 }
 
-/// Whether the axis lies so nearly along the scan lines that these hardly show the curvature.
-fn runs_along(grown: &Grown) -> bool {
+/// Whether the axis lies so nearly along the scan lines that these hardly show the curvature, or so nearly along the view
+/// that this hardly shows the side.
+fn runs_along(grown: &Grown, measured: &Measured) -> bool {
     let [arc, _] = grown.ends();
-    grown.model.conical().is_some_and(|surface| surface.axis.dot(&arc.plane.s_axis()).abs() > ALONG)
+    let (along, view) = (arc.plane.s_axis(), middle(grown, measured).normalize());
+    grown.model.conical().is_some_and(|surface| {
+        surface.axis.dot(&along).abs() > ALONG_LINES || surface.axis.dot(&view).abs() > ALONG_VIEW
+    })
 }
 
 /// Least extent of what is seen, in radii.
