@@ -13,8 +13,9 @@ const SAMPLES: usize = 7;
 const ARCS: usize = 24;
 /// What the faults of sensors add, that no number of points averages out: to radius and centre in radii ...
 const SYSTEMATIC: f64 = 0.002;
-/// ... and in pixels, as silhouettes are smeared,
+/// ... and in pixels, as silhouettes are smeared: of a cone the more, whose slope hangs on them,
 const SYSTEMATIC_PX: f64 = 0.06;
+const SYSTEMATIC_CONE_PX: f64 = 0.09;
 /// to directions in radians.
 const SYSTEMATIC_ANGLE: f64 = 0.001;
 
@@ -65,13 +66,15 @@ pub(super) fn report(grown: &Grown, measured: &Measured) -> Object {
 
 /// The object with what the faults of sensors add to its standard deviations; `pixel` is the size of one there.
 fn with_faults(mut object: Object, pixel: f64) -> Object {
-    let (length, sigma) = ((SYSTEMATIC * object.radius).hypot(SYSTEMATIC_PX * pixel), &mut object.sigma);
+    let is_cone = object.kind == ObjectKind::Cone.code();
+    let pixels = if is_cone { SYSTEMATIC_CONE_PX } else { SYSTEMATIC_PX };
+    let (length, sigma) = ((SYSTEMATIC * object.radius).hypot(pixels * pixel), &mut object.sigma);
     sigma.radius = sigma.radius.hypot(length);
     (0..3).for_each(|i| sigma.center[i][i] += length * length);
     if object.kind != ObjectKind::Sphere.code() {
         sigma.axis = sigma.axis.hypot(SYSTEMATIC_ANGLE);
     }
-    if object.kind == ObjectKind::Cone.code() {
+    if is_cone {
         sigma.half_angle = sigma.half_angle.hypot(SYSTEMATIC_ANGLE);
     }
     object
