@@ -83,9 +83,8 @@ impl Ways {
 
     /// Makes a key ready to be written, also by datagrams if messages are `short`.
     pub(super) fn speak(&self, key: &str, short: bool, priority: Priority) -> Result<Voice<'_>, BridgeError> {
-        let mut voice = Voice { ways: self, key: key.to_owned(), short, priority, publishers: Vec::new() };
-        voice.declare(&self.streams)?;
-        Ok(voice)
+        let stream = declare(&self.streams, key, priority)?;
+        Ok(Voice { ways: self, key: key.to_owned(), short, priority, stream, datagrams: None })
     }
 
     /// Listens to a key; if there is a longest `silence` between datagrams, to these alone as long as they come. `take` is
@@ -110,34 +109,49 @@ pub(super) struct Voice<'a> {
     key: String,
     short: bool,
     priority: Priority,
-    /// For the stream, and for datagrams.
-    publishers: Vec<Publisher<'static>>,
+    stream: Publisher<'static>,
+    /// That for datagrams, and when it was declared.
+    datagrams: Option<(Publisher<'static>, Instant)>,
 }
 
 impl Voice<'_> {
-    fn declare(&mut self, session: &Session) -> Result<(), BridgeError> {
-        let publisher = session.declare_publisher(self.key.clone()).priority(self.priority);
-        let publisher =
-            publisher.congestion_control(CongestionControl::Drop).express(self.priority != Priority::DataLow);
-        let declared = publisher.wait().map_err(|error| BridgeError::zenoh("cannot declare a key to Zenoh", error))?;
-        self.publishers.push(declared);
-        Ok(())
-    }
-
     /// Puts a message on each way on which somebody listens; whether it arrives has to be learnt otherwise.
     pub(super) fn put(&mut self, bytes: Vec<u8>) {
-        if let Some(session) = self.ways.datagrams.get().filter(|_| self.short && self.publishers.len() == 1) {
-            // It is tried again with the next message.
-            self.declare(session).ok();
-        }
+        self.ask_for_ears();
         let bytes = ZBytes::from(bytes);
-        self.publishers.iter().for_each(|publisher| drop(publisher.put(bytes.clone()).wait()));
+        self.publishers().for_each(|publisher| drop(publisher.put(bytes.clone()).wait()));
+    }
+
+    /// Declares the key to the session for datagrams, if there is one for it; anew where nobody answered: Zenoh asks who
+    /// listens but once, and that may have been lost.
+    fn ask_for_ears(&mut self) {
+        let Some(session) = self.ways.datagrams.get().filter(|_| self.short) else { return };
+        let has_answer = |(publisher, asked): &(_, Instant)| asked.elapsed() < ASK_AGAIN || is_heard(publisher);
+        if !self.datagrams.as_ref().is_some_and(has_answer) {
+            self.datagrams = None;
+            self.datagrams =
+                declare(session, &self.key, self.priority).ok().map(|publisher| (publisher, Instant::now()));
+        }
+    }
+
+    fn publishers(&self) -> impl Iterator<Item = &Publisher<'static>> {
+        std::iter::once(&self.stream).chain(self.datagrams.as_ref().map(|(publisher, _)| publisher))
     }
 
     /// Whether anybody listens.
     pub(super) fn is_heard(&self) -> bool {
-        self.publishers.iter().any(|publisher| publisher.matching_status().wait().is_ok_and(|status| status.matching()))
+        self.publishers().any(is_heard)
     }
+}
+
+fn declare(session: &Session, key: &str, priority: Priority) -> Result<Publisher<'static>, BridgeError> {
+    let publisher = session.declare_publisher(key.to_owned()).priority(priority);
+    let publisher = publisher.congestion_control(CongestionControl::Drop).express(priority != Priority::DataLow);
+    publisher.wait().map_err(|error| BridgeError::zenoh("cannot declare a key to Zenoh", error))
+}
+
+fn is_heard(publisher: &Publisher) -> bool {
+    publisher.matching_status().wait().is_ok_and(|status| status.matching())
 }
 
 /// A key that is listened to.
@@ -258,6 +272,6 @@ mod tests {
         let mut voice = robot.speak(KEY, false, Priority::DataLow).unwrap();
         let mut ear = base.listen(KEY, None, move |bytes| drop(take.send(bytes))).unwrap();
         speak_until(&mut voice, &mut ear, &heard, |ear| ear.stream.is_some() && ear.datagrams.is_none());
-        assert_eq!(voice.publishers.len(), 1);
+        assert!(voice.datagrams.is_none());
     }
 }
