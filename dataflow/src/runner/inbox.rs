@@ -237,8 +237,19 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
         if self.is_known(header, writer) {
             return false;
         }
+        if self.is_repeated(header, source, writer) {
+            self.counts.late += 1;
+            return false;
+        }
         self.count_lost(header, writer);
         self.in_sequence(header, source)
+    }
+
+    /// Whether a message is the last one again: its writer was killed between sending it and noting that it had, so that
+    /// the next process of that stage sent it once more.
+    fn is_repeated(&self, header: &Header, source: Text<32>, writer: Text<32>) -> bool {
+        let is_same_frame = |(_, sequence): &(u64, u64)| *sequence == header.sequence;
+        self.last_number.get(&writer) == Some(&header.number) && self.last_frame.get(&source).is_some_and(is_same_frame)
     }
 
     /// Counts what was lost on the way from the writer to here.

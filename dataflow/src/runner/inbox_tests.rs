@@ -56,6 +56,15 @@ fn frames_come_once_and_in_order_and_gaps_are_counted() {
 }
 
 #[test]
+fn what_a_killed_source_sent_just_before_is_not_taken_again_from_the_next_one() {
+    let anew = |sequence: u64| Header { epoch: 1, ..header(sequence) };
+    let (taken, counts, _) = pass(Delivery::Lossless, &[header(0), header(1), anew(1), anew(2)]);
+    assert_eq!((taken, counts.late, counts.gaps), (vec![0, 1, 2], 1, 0));
+    let (taken, counts, _) = pass(Delivery::Lossless, &[header(0), header(1), header(2), anew(0), anew(1)]);
+    assert_eq!((taken, counts.late), (vec![0, 1, 2, 0, 1], 0), "another run from its first frame on");
+}
+
+#[test]
 fn what_was_lost_with_an_earlier_process_is_counted() {
     let (_, earlier, _) = pass(Delivery::Lossless, &[0, 1].map(header));
     let memory = InMemory::default();
