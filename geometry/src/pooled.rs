@@ -15,6 +15,10 @@ const SHORT: f64 = 1e-4;
 
 /// So does one that lowers the sum of squares by less than this: noise makes it scatter by more than one.
 const SLIGHT: f64 = 5e-2;
+/// A fit is given up at a step that gains less than this part of what it would have to; the next ones gain less still.
+const HOPELESS: f64 = 0.1;
+/// Damping up to which a step tells how much there is to gain.
+const FREE: f64 = 0.1;
 
 /// A fitted surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,18 +41,36 @@ pub struct SurfaceFit<S, const N: usize> {
 /// Fits a surface of which `start` is a guess, to points that are pooled with the weights of one over their variance;
 /// `None` where they do not determine one near it.
 pub fn fit_surface<S: Surface<N>, const N: usize>(moments: &QuadricMoments, start: &S) -> Option<SurfaceFit<S, N>> {
-    fit_with_contour(moments, None, start)
+    fit(moments, None, start, f64::INFINITY)
+}
+
+/// The same, given up as soon as the sum of squares will surely stay above `most`: then `None`.
+pub fn fit_within<S: Surface<N>, const N: usize>(
+    moments: &QuadricMoments,
+    start: &S,
+    most: f64,
+) -> Option<SurfaceFit<S, N>> {
+    fit(moments, None, start, most)
 }
 
 /// The same, to the points and to the contour that the surface shows; `square_sum` stays that of the points alone.
 pub fn fit_with_contour<S: Surface<N>, const N: usize>(
     moments: &QuadricMoments,
+    contour: &Contour,
+    start: &S,
+) -> Option<SurfaceFit<S, N>> {
+    fit(moments, Some(contour), start, f64::INFINITY)
+}
+
+fn fit<S: Surface<N>, const N: usize>(
+    moments: &QuadricMoments,
     contour: Option<&Contour>,
     start: &S,
+    most: f64,
 ) -> Option<SurfaceFit<S, N>> {
     let mut surface = start.to_local(&moments.origin, moments.scale).moved(&[0.0; N])?;
     let mut system = System::new(moments, contour, &surface);
-    let slight = SLIGHT / (moments.scale * moments.scale);
+    let [slight, most] = [SLIGHT, most].map(|sum| sum / (moments.scale * moments.scale));
     let (mut damping, mut converged) = (1e-3, false);
     for _ in 0..STEPS {
         let Some(step) = system.step(damping) else {
@@ -59,7 +81,11 @@ pub fn fit_with_contour<S: Surface<N>, const N: usize>(
         let next = surface.moved(&step).map(|next| (next, System::new(moments, contour, &next)));
         match next.filter(|(_, next)| next.sum() <= system.sum()) {
             Some(next) => {
-                converged = length < SHORT || system.sum() - next.1.sum() < slight;
+                let gain = system.sum() - next.1.sum();
+                if damping < FREE && gain < HOPELESS * (next.1.sum() - most) {
+                    return None;
+                }
+                converged = length < SHORT || gain < slight;
                 (surface, system) = next;
                 damping *= 0.1;
             }

@@ -148,8 +148,12 @@ impl SpaceMoments {
         let moments = moments.about([0.0, 0.0]);
         let across = powers(plane.slope() / plane.stretch());
         let forward = powers(1.0 / plane.stretch());
-        let places = if plane.scan() == Scan::Row { &OF_ROW } else { &OF_COLUMN };
-        let sums = places.map(|[beside, c, place]| across[beside] * forward[c] * moments.sums()[place]);
+        let moment = |[beside, c, place]: [usize; 3]| across[beside] * forward[c] * moments.sums()[place];
+        // Each table by itself: its places are then known when this is compiled.
+        let sums = match plane.scan() {
+            Scan::Row => std::array::from_fn(|i| moment(OF_ROW[i])),
+            Scan::Column => std::array::from_fn(|i| moment(OF_COLUMN[i])),
+        };
         Self { sums }
     }
 
@@ -186,7 +190,9 @@ impl SpaceMoments {
     pub fn normalized(&self) -> Option<QuadricMoments> {
         let origin = self.mean();
         let mut local = *self;
-        (0..3).for_each(|axis| local.shift(axis, -origin[axis]));
+        local.shift::<0>(-origin.x);
+        local.shift::<1>(-origin.y);
+        local.shift::<2>(-origin.z);
         let trace = local.get(2, 0, 0) + local.get(0, 2, 0) + local.get(0, 0, 2);
         let scale = (trace / self.weight()).sqrt();
         if !(scale.is_finite() && scale > 1e-9) {
@@ -196,13 +202,13 @@ impl SpaceMoments {
         for (sum, [a, b, c]) in local.sums.iter_mut().zip(EXPONENTS) {
             *sum *= factors[a + b + c];
         }
-        let matrix = PRODUCTS.map(|row| row.map(|place| local.sums[place]));
+        let matrix = std::array::from_fn(|i| std::array::from_fn(|j| local.sums[PRODUCTS[i][j]]));
         Some(QuadricMoments { origin, scale, matrix })
     }
 
     /// Moves the origin along an axis by as much as the points are to move: the binomial theorem, in place.
-    fn shift(&mut self, axis: usize, by: f64) {
-        SHIFTS[axis].iter().for_each(|[to, from]| self.sums[*to] += by * self.sums[*from]);
+    fn shift<const AXIS: usize>(&mut self, by: f64) {
+        SHIFTS[AXIS].iter().for_each(|[to, from]| self.sums[*to] += by * self.sums[*from]);
     }
 }
 

@@ -127,9 +127,10 @@ fn first(arcs: &Arcs, &Start { kind, chain, guess }: &Start, members: &mut Vec<u
         let start = chain.len().saturating_sub(length) / 2;
         members.clear();
         members.extend(&chain[start..(start + length).min(chain.len())]);
-        let Some(model) = model::fit(kind, &arcs.of(members), guess) else { continue };
         let points: f64 = arcs.of(members).map(|arc| arc.points).sum();
-        if model.square_sum() / points <= FIRST.square_limit(points) {
+        let most = points * FIRST.square_limit(points);
+        let model = model::fit_below(most, kind, &arcs.of(members), guess);
+        if let Some(model) = model.filter(|model| model.square_sum() <= most) {
             return Some(model);
         }
     }
@@ -148,7 +149,9 @@ fn reach(grown: &Grown, gap: i64, free: impl Fn(usize) -> bool, found: &mut Vec<
     let accept = |index: usize, span: [i64; 2]| {
         let arc = &arcs.arcs[index];
         let margin = (span[1] - span[0]) / 8 + 2;
-        let bears = |misfit| GROWING.bears(arc, &misfit, predictor.variance(&arc.mean));
+        // What an exact model explains needs no look at how exact this one is.
+        let bears =
+            |misfit| GROWING.bears(arc, &misfit, 0.0) || GROWING.bears(arc, &misfit, predictor.variance(&arc.mean));
         free(index)
             && arc.overlap([span[0] - margin, span[1] + margin]) > 0
             && faces(arc, model)

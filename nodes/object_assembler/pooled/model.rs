@@ -4,7 +4,7 @@ use super::Grown;
 use super::arcs::{Arc, Misfit};
 use conicflow_geometry::{
     ArcFit, Coefficients, Conical, Contour, ContourNoise, ContourPoint, FixedSlope, FreeSlope, Line, LineMoments,
-    Prediction, QuadricMoments, SpaceMoments, Sphere, Surface, SurfaceFit, Vector3, fit_surface, fit_with_contour,
+    Prediction, QuadricMoments, SpaceMoments, Sphere, Surface, SurfaceFit, Vector3, fit_with_contour, fit_within,
 };
 use conicflow_messages::ObjectKind;
 
@@ -12,6 +12,8 @@ use conicflow_messages::ObjectKind;
 const CONE_PASSES: usize = 1;
 /// Radius, as a part of that in the middle of a cone, below which it is too near its apex.
 const LEAST_EXCESS: f64 = 0.05;
+/// How many times what is left by its last fit the first one of a cone may leave, whose weights are those of a cylinder.
+const UNWEIGHTED: f64 = 2.0;
 /// Slope of a cone beyond which its fit has gone astray.
 const STEEPEST: f64 = 1.2;
 
@@ -137,31 +139,42 @@ pub(super) fn fit<'a>(
     arcs: &(impl Iterator<Item = &'a Arc> + Clone),
     last: Option<&Model>,
 ) -> Option<Model> {
+    fit_below(f64::INFINITY, kind, arcs, last)
+}
+
+/// The same, given up where the weighted sum of squares will not get below `most`.
+pub(super) fn fit_below<'a>(
+    most: f64,
+    kind: ObjectKind,
+    arcs: &(impl Iterator<Item = &'a Arc> + Clone),
+    last: Option<&Model>,
+) -> Option<Model> {
     match kind {
-        ObjectKind::Sphere => fit_sphere(arcs, last),
-        ObjectKind::Cylinder => fit_cylinder(arcs, last),
-        ObjectKind::Cone => fit_cone(arcs, last),
+        ObjectKind::Sphere => fit_sphere(most, arcs, last),
+        ObjectKind::Cylinder => fit_cylinder(most, arcs, last),
+        ObjectKind::Cone => fit_cone(most, arcs, last),
     }
 }
 
-fn fit_sphere<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Model>) -> Option<Model> {
+fn fit_sphere<'a>(most: f64, arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Model>) -> Option<Model> {
     let moments = pool(arcs.clone(), |_| 1.0).normalized()?;
     let start = match last {
         Some(Model::Sphere(fit)) => fit.surface,
         _ => moments.sphere()?,
     };
-    fit_surface(&moments, &start).map(Model::Sphere)
+    fit_within(&moments, &start, most).map(Model::Sphere)
 }
 
-fn fit_cylinder<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Model>) -> Option<Model> {
+fn fit_cylinder<'a>(most: f64, arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Model>) -> Option<Model> {
     let moments = pool(arcs.clone(), |_| 1.0).normalized()?;
-    if let Some(Model::Cylinder(fit)) = last {
-        return fit_surface(&moments, &fit.surface).map(Model::Cylinder);
-    }
-    fit_surface(&moments, &FixedSlope(start(arcs.clone(), &moments)?)).map(Model::Cylinder)
+    let start = match last {
+        Some(Model::Cylinder(fit)) => fit.surface,
+        _ => FixedSlope(start(arcs.clone(), &moments)?),
+    };
+    fit_within(&moments, &start, most).map(Model::Cylinder)
 }
 
-fn fit_cone<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Model>) -> Option<Model> {
+fn fit_cone<'a>(most: f64, arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Model>) -> Option<Model> {
     let mut fit = match last {
         Some(Model::Cone(fit)) => *fit,
         _ => {
@@ -170,14 +183,14 @@ fn fit_cone<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Mo
                 Some(Model::Cylinder(fit)) => fit.surface.0,
                 _ => start(arcs.clone(), &moments)?,
             };
-            let fit = fit_surface(&moments, &FreeSlope(start))?;
+            let fit = fit_within(&moments, &FreeSlope(start), UNWEIGHTED * most)?;
             (fit.surface.0.slope.abs() <= STEEPEST).then_some(fit)?
         }
     };
     for _ in 0..CONE_PASSES {
         let cone = fit.surface.0;
         let moments = pool(arcs.clone(), |arc| excess(&cone, arc)).normalized()?;
-        fit = fit_surface(&moments, &fit.surface)?;
+        fit = fit_within(&moments, &fit.surface, most)?;
     }
     Some(Model::Cone(upright(fit)))
 }
@@ -203,16 +216,16 @@ pub(super) fn with_contour(grown: &Grown, passes: usize, contour: &mut Contour) 
         grown.model = match (&grown.model, &evenly) {
             (Model::Sphere(fit), Some(moments)) => {
                 contour.select(&fit.surface, |_| true);
-                Model::Sphere(fit_with_contour(moments, Some(contour), &fit.surface)?)
+                Model::Sphere(fit_with_contour(moments, contour, &fit.surface)?)
             }
             (Model::Cylinder(fit), Some(moments)) => {
                 contour.select(&fit.surface, |point| seen(&fit.surface.0, point));
-                Model::Cylinder(fit_with_contour(moments, Some(contour), &fit.surface)?)
+                Model::Cylinder(fit_with_contour(moments, contour, &fit.surface)?)
             }
             (Model::Cone(fit), None) => {
                 let moments = pool(arcs.clone(), |arc| excess(&fit.surface.0, arc)).normalized()?;
                 contour.select(&fit.surface, |point| seen(&fit.surface.0, point));
-                Model::Cone(upright(fit_with_contour(&moments, Some(contour), &fit.surface)?))
+                Model::Cone(upright(fit_with_contour(&moments, contour, &fit.surface)?))
             }
             _ => return None,
         };
