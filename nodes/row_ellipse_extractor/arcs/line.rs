@@ -5,6 +5,9 @@ use conicflow_geometry::{Pinhole, Scan, ScanPlane};
 use conicflow_messages::is_measured;
 use std::ops::Range;
 
+/// Pixels that are moved together where each of them is measured.
+const GATHERED: usize = 32;
+
 /// A scan line; its buffers are used again for the next.
 #[derive(Debug)]
 pub(super) struct RayLine {
@@ -60,7 +63,7 @@ impl RayLine {
     /// Moves the measured ones of the pixels from `first` on together; their number.
     fn gather(&mut self, view: &View, first: u32, pixels: &[u16]) -> usize {
         let mut count = 0;
-        for (batch, first) in pixels.chunks(BATCH).zip((first..).step_by(BATCH)) {
+        for (batch, first) in pixels.chunks(GATHERED).zip((first..).step_by(GATHERED)) {
             if batch.iter().fold(true, |all, depth| all & is_measured(*depth)) {
                 self.depths[count..count + batch.len()].copy_from_slice(batch);
                 self.pixels[count..count + batch.len()].iter_mut().zip(first..).for_each(|(pixel, at)| *pixel = at);

@@ -22,7 +22,7 @@ const BELOW: f64 = 0.999;
 /// The root of a half, times 2^16, rounded down.
 const ROOT_HALF: u16 = 46_340;
 /// Neighbours that are tested for jumps together.
-pub(super) const BATCH: usize = 32;
+pub(super) const BATCH: usize = 64;
 
 /// The rows or the columns of an image; the tables are used again for the next.
 #[derive(Debug)]
@@ -107,9 +107,13 @@ impl View {
         if self.scan == Scan::Row {
             return &image[line * self.width + first..line * self.width + last];
         }
-        column.clear();
-        column.extend(image[first * self.width + line..].chunks(self.width).take(window.len()).map(|rest| rest[0]));
-        column
+        column.resize(column.len().max(window.len()), 0);
+        let mut at = first * self.width + line;
+        for depth in &mut column[..window.len()] {
+            *depth = image[at];
+            at += self.width;
+        }
+        &column[..window.len()]
     }
 
     /// Depth of a pixel, in metres, if it is inside the image and measured.
