@@ -36,7 +36,8 @@ const CONTOUR_PASSES: usize = 2;
 #[derive(Debug, Default)]
 pub(super) struct Pooled {
     arcs: Arcs,
-    order: Vec<usize>,
+    /// How curved each arc is, and its index.
+    order: Vec<(f64, usize)>,
     taken: Vec<bool>,
     tried: Vec<bool>,
     growing: Growing,
@@ -79,14 +80,14 @@ impl Pooled {
         self.arcs.read(header, ellipses);
         let arcs = &self.arcs.arcs;
         self.order.clear();
-        self.order.extend(0..arcs.len());
-        self.order.sort_unstable_by(|&a, &b| arcs[b].bulge.total_cmp(&arcs[a].bulge).then(a.cmp(&b)));
+        self.order.extend(arcs.iter().map(|arc| arc.bulge).zip(0..));
+        self.order.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
         for flags in [&mut self.taken, &mut self.tried] {
             flags.clear();
             flags.resize(arcs.len(), false);
         }
         let mut tries = 0;
-        for &seed in &self.order {
+        for &(_, seed) in &self.order {
             if self.taken[seed] || self.tried[seed] {
                 continue;
             }

@@ -8,9 +8,9 @@ use conicflow_messages::{Object, ObjectKind, ObjectSigma};
 use nalgebra::{Matrix3, SMatrix};
 
 /// Points of an arc that stand for all of them.
-const SAMPLES: usize = 7;
+const SAMPLES: usize = 5;
 /// Arcs of an object that stand for all of them.
-const ARCS: usize = 24;
+const ARCS: usize = 16;
 /// What the faults of sensors add, that no number of points averages out: to radius and centre in radii ...
 const SYSTEMATIC: f64 = 0.002;
 /// ... and in pixels, as silhouettes are smeared: of a cone the more, whose slope hangs on them,

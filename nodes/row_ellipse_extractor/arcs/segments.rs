@@ -30,26 +30,26 @@ pub(super) struct Segment {
 pub(super) fn cut(run: &Run, cuts: &mut Vec<usize>, depth_sums: &mut Vec<u32>) {
     cuts.clear();
     cuts.push(0);
-    add_creases(run, cuts, depth_sums);
-    if cuts.len() > 1 && (run.is_line(0, run.length) || run.is_circle(0, run.length)) {
-        cuts.truncate(1);
+    if !run.is_line(0, run.length) && !run.is_circle(0, run.length) {
+        add_creases(run, cuts, depth_sums);
     }
     cuts.push(run.length);
 }
 
 /// Running sums of the depths of a run, beginning with nothing; they may wrap around, differences of them do not.
-fn sum_depths(depths: &[u16], sums: &mut Vec<u32>) {
-    sums.clear();
-    sums.push(0);
-    sums.extend(depths.iter().scan(0_u32, |sum, &depth| {
-        *sum = sum.wrapping_add(u32::from(depth));
-        Some(*sum)
-    }));
+fn sum_depths<'a>(depths: &[u16], sums: &'a mut Vec<u32>) -> &'a [u32] {
+    sums.resize(sums.len().max(depths.len() + 1), 0);
+    let mut sum = 0_u32;
+    for (known, &depth) in sums[1..].iter_mut().zip(depths) {
+        sum = sum.wrapping_add(u32::from(depth));
+        *known = sum;
+    }
+    &sums[..=depths.len()]
 }
 
 /// Adds the deepest point of each crease; `depth_sums` is a buffer.
 fn add_creases(run: &Run, creases: &mut Vec<usize>, depth_sums: &mut Vec<u32>) {
-    sum_depths(run.points.depths, depth_sums);
+    let depth_sums = sum_depths(run.points.depths, depth_sums);
     let mut deepest: Option<(i32, usize)> = None;
     let end = run.length.saturating_sub(WING + 1);
     let per_sigma = CREASE_UNIT * CREASE / run.view.scale;
