@@ -30,9 +30,17 @@ pub struct ArcFit {
     pub circle: Circle,
 }
 
-/// Mean square distance of the points from their line; the points are as many as `moments` count.
+/// How much better a circle that leaves a mean square distance of `circle_square` explains points than a line does, in
+/// points times variances; the points are as many as `moments` count.
+///
+/// Noise of that variance gives a straight line one half on average, half of chi squared.
+pub fn bulge(moments: &PlaneMoments, circle_square: f64, variance: f64) -> f64 {
+    (line_square(moments) - circle_square) * moments.count() / variance
+}
+
+/// Mean square distance of the points from their line.
 #[inline]
-pub fn line_square(moments: &PlaneMoments) -> f64 {
+fn line_square(moments: &PlaneMoments) -> f64 {
     let [ss, st, tt] = moments.covariance().unwrap_or_default();
     smaller_eigenvalue(ss, st, tt)
 }
@@ -175,7 +183,8 @@ mod tests {
         assert!((fit.circle.radius - circle.radius).abs() < 1e-6, "{fit:?} {circle:?}");
         assert!((fit.circle_square.sqrt() - circle.to_conic().rms(&moments).unwrap()).abs() < 1e-4, "{fit:?}");
         assert!((fit.line_square.sqrt() - line.rms).abs() < 1e-6, "{fit:?} {line:?}");
-        assert!((line_square(&moments) - fit.line_square).abs() < 1e-9);
+        let expected = 40.0 * (fit.line_square - fit.circle_square) / 1e-6;
+        assert!((bulge(&moments, fit.circle_square, 1e-6) - expected).abs() < 1e-9 * expected);
     }
 
     #[test]

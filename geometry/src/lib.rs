@@ -35,7 +35,7 @@ mod space;
 mod surface;
 mod unbiased;
 
-pub use arc_fit::{ArcFit, ArcMoments, line_square};
+pub use arc_fit::{ArcFit, ArcMoments, bulge};
 pub use camera::{Pinhole, Scan, ScanPlane};
 pub use circle::{Circle, fit_circle};
 pub use contour::{Contour, ContourNoise, ContourPoint, ContourTerm, SIDES};

@@ -2,7 +2,7 @@
 
 use crate::camera::{pinhole, scan};
 use conicflow_geometry::{
-    Coefficients, Conic, ContourPoint, Pinhole, PlaneMoments, Scan, ScanPlane, SpaceMoments, Vector3, section_of,
+    Coefficients, Conic, ContourPoint, Pinhole, PlaneMoments, Scan, ScanPlane, SpaceMoments, Vector3, bulge, section_of,
 };
 use conicflow_messages::{Ellipse, Header};
 use std::ops::Range;
@@ -66,7 +66,6 @@ impl Arc {
             0 => header.noise.variance(mean.z),
             _ => ellipse.sigma * ellipse.sigma,
         } * plane.stretch().powi(2);
-        let line = conicflow_geometry::line_square(&moments);
         Some(Self {
             scan,
             line: ellipse.line / step,
@@ -85,7 +84,7 @@ impl Arc {
             contour: contour(&camera, &plane, &ellipse.contour),
             pitch: mean.z * camera.pixel_pitch(scan),
             spacing: mean.z * camera.line_pitch(scan) * f64::from(step),
-            bulge: (line - ellipse.rms * ellipse.rms) * moments.count() / variance.max(1e-8),
+            bulge: bulge(&moments, ellipse.rms * ellipse.rms, variance.max(1e-8)),
         })
     }
 

@@ -5,9 +5,11 @@
 //! points scatters: `error^2 <= sigma^2 (a sqrt(2 / n) + b)`.
 //!
 //! Most of a room is flat, so the image is looked at from coarse to fine: every sixth line as a whole ([`line`],
-//! [`rays`], [`run`], [`segments`], [`acceptance`]), those between only about the arcs of the coarse lines above and below.
+//! [`rays`], [`run`], [`segments`], [`acceptance`]), those between only about what is curved in the coarse lines above and
+//! below ([`coarse`]).
 
 mod acceptance;
+mod coarse;
 mod line;
 mod noise_level;
 mod rays;
@@ -20,6 +22,7 @@ mod view;
 use super::RowEllipseConfig;
 use super::filter::{Rejection, Rejections};
 use acceptance::{accept, accept_line};
+use coarse::CoarseLines;
 use conicflow_geometry::{ArcSums, Scan};
 use conicflow_messages::{Ellipse, Header};
 use line::RayLine;
@@ -31,10 +34,6 @@ use view::View;
 
 /// Every how many lines one is looked at as a whole: less than the fewest lines of an object, `min_lines` of the assembler.
 const COARSE_STEP: u32 = 6;
-/// Pixels beyond both ends of an arc that are looked at in the lines beside it ...
-const MARGIN_PX: u32 = 16;
-/// ... and the part of the arc's length on top of them.
-const MARGIN_SHARE: u32 = 4;
 
 /// Finds the arcs of depth images; its buffers are used again for the next.
 #[derive(Debug)]
@@ -43,17 +42,7 @@ pub(super) struct Arcs {
     line: RayLine,
     search: LineSearch,
     errors: Vec<f64>,
-    above: CoarseLine,
-    below: CoarseLine,
-    windows: Vec<Range<u32>>,
-}
-
-/// What a line shows that is looked at as a whole.
-#[derive(Debug, Default)]
-struct CoarseLine {
-    arcs: Vec<Ellipse>,
-    /// Pixels that are worth a look in the lines beside it, in order.
-    windows: Vec<Range<u32>>,
+    coarse: CoarseLines,
 }
 
 /// The search for arcs in one line.
@@ -73,9 +62,7 @@ impl Arcs {
             line: RayLine::default(),
             search: LineSearch::default(),
             errors: Vec::new(),
-            above: CoarseLine::default(),
-            below: CoarseLine::default(),
-            windows: Vec::new(),
+            coarse: CoarseLines::default(),
         }
     }
 
@@ -95,51 +82,25 @@ impl Arcs {
         rejections: &mut Rejections,
     ) {
         self.view.turn(header, scan, noise_level);
-        let step = self.view.config.line_step.max(1);
+        let Self { view, line, search, coarse, .. } = self;
+        let step = view.config.line_step.max(1);
         let coarse_step = step * (COARSE_STEP / step).max(1);
-        let lines = self.view.lines;
-        self.above.clear();
-        for coarse in (0..lines + coarse_step).step_by(coarse_step as usize) {
-            self.below.clear();
-            if coarse < lines {
-                self.read_coarse(image, coarse, rejections);
-            }
-            let between = (coarse + step).saturating_sub(coarse_step)..coarse.min(lines);
-            self.read_between(image, between.step_by(step as usize), ellipses, rejections);
-            ellipses.append(&mut self.below.arcs);
-            std::mem::swap(&mut self.above, &mut self.below);
+        coarse.clear();
+        for number in (0..view.lines).step_by(coarse_step as usize) {
+            line.read(view, image, number, 0..view.length);
+            coarse.add(line, |arcs| search.arcs_of(view, image, line, arcs, rejections));
         }
-    }
-
-    fn read_coarse(&mut self, image: &[u16], number: u32, rejections: &mut Rejections) {
-        let Self { view, line, search, below, .. } = self;
-        line.read(view, image, number, 0..view.length);
-        search.arcs_of(view, image, line, &mut below.arcs, rejections);
-        below.windows.extend(below.arcs.iter().map(|arc| window_about(arc, view.length)));
-    }
-
-    /// Looks at lines between two coarse ones, where either of these shows something.
-    fn read_between(
-        &mut self,
-        image: &[u16],
-        lines: impl Iterator<Item = u32>,
-        ellipses: &mut Vec<Ellipse>,
-        rejections: &mut Rejections,
-    ) {
-        unite(&self.above.windows, &self.below.windows, &mut self.windows);
-        for number in lines {
-            for window in &self.windows {
-                self.line.read(&self.view, image, number, window.clone());
-                self.search.arcs_of(&self.view, image, &self.line, ellipses, rejections);
+        for (index, number) in (0..view.lines + coarse_step).step_by(coarse_step as usize).enumerate() {
+            let between = (number + step).saturating_sub(coarse_step)..number.min(view.lines);
+            let windows = coarse.windows_before(index, view.length);
+            for number in between.step_by(step as usize) {
+                for window in windows {
+                    line.read(view, image, number, window.clone());
+                    search.arcs_of(view, image, line, ellipses, rejections);
+                }
             }
+            ellipses.extend_from_slice(coarse.arcs(index));
         }
-    }
-}
-
-impl CoarseLine {
-    fn clear(&mut self) {
-        self.arcs.clear();
-        self.windows.clear();
     }
 }
 
@@ -187,24 +148,4 @@ fn arcs_of_part(
         }
         from = segment.to;
     }
-}
-
-/// The pixels about an arc that are worth a look in the lines beside it.
-fn window_about(arc: &Ellipse, length: u32) -> Range<u32> {
-    let margin = MARGIN_PX + (arc.last - arc.first) / MARGIN_SHARE;
-    arc.first.saturating_sub(margin)..(arc.last + 1 + margin).min(length)
-}
-
-/// The union of two lists of windows that are in the order of their starts.
-fn unite(a: &[Range<u32>], b: &[Range<u32>], union: &mut Vec<Range<u32>>) {
-    union.clear();
-    union.extend(a.iter().chain(b).cloned());
-    union.sort_unstable_by_key(|window| window.start);
-    union.dedup_by(|next, kept| {
-        let overlaps = next.start <= kept.end;
-        if overlaps {
-            kept.end = kept.end.max(next.end);
-        }
-        overlaps
-    });
 }

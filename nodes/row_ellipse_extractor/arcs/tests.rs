@@ -111,12 +111,3 @@ fn after_two_rounds_nothing_is_allocated() {
     assert!(first.count_total > 0, "the counter counts nothing");
     assert_eq!(third.count_total, 0, "{third:?}");
 }
-
-#[test]
-fn windows_that_touch_are_united() {
-    let mut union = Vec::new();
-    unite(&[3..9, 20..30], &[0..4, 9..12, 25..26, 40..41], &mut union);
-    assert_eq!(union, [0..12, 20..30, 40..41]);
-    unite(&[], &[], &mut union);
-    assert_eq!(union, []);
-}
