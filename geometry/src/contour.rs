@@ -175,6 +175,21 @@ impl Contour {
         }
     }
 
+    /// Number of points.
+    pub fn points(&self) -> usize {
+        self.points.len()
+    }
+
+    /// How many of them are used.
+    pub fn used(&self) -> usize {
+        self.points.iter().filter(|(_, used)| *used).count()
+    }
+
+    /// How many of them are seen, and too far off to be used.
+    pub fn far_off(&self) -> usize {
+        self.far_off
+    }
+
     /// What the points that were selected against for being too far off would at least add to the weighted sum of squares.
     pub fn least_left_out(&self) -> f64 {
         self.far_off as f64 * GATE * GATE
@@ -344,9 +359,9 @@ mod tests {
         let [first, ..] = contour.points[..] else { panic!() };
         contour.add(ContourPoint { ray: first.0.ray + first.0.pixel * 8.0, ..first.0 });
         contour.select(&FreeSlope(cup()), |_| true);
-        assert_eq!(contour.points.iter().filter(|(_, used)| !used).count(), 1);
+        assert_eq!((contour.used() + 1, contour.far_off()), (contour.points(), 1));
         assert_eq!(contour.least_left_out(), GATE * GATE);
         contour.select(&FreeSlope(cup()), |_| false);
-        assert!(contour.points.iter().all(|(_, used)| !used));
+        assert_eq!((contour.used(), contour.far_off()), (0, 0));
     }
 }

@@ -36,6 +36,7 @@ pub(super) enum Rejection {
     Rms,
     Double,
     SeenThrough,
+    Outline,
     Vague,
     Length,
     Small,
@@ -44,7 +45,7 @@ pub(super) enum Rejection {
 }
 
 impl Rejection {
-    const NAMES: [&'static str; 23] = [
+    const NAMES: [&'static str; 24] = [
         "candidates of too few rows",
         "candidates with too many gaps",
         "candidates of short arcs",
@@ -63,6 +64,7 @@ impl Rejection {
         "candidates that miss their points",
         "objects seen twice",
         "candidates behind which something is seen",
+        "candidates of another outline",
         "candidates of vague radius or axis",
         "candidates beyond the length limits",
         "candidates that look too small",

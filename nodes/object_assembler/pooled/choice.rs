@@ -67,7 +67,8 @@ fn speaks_against_cylinder(cone: Result<&Object, &Rejection>) -> bool {
             let sigma = object.sigma.half_angle;
             sigma > ANY_SLOPE || sigma > UNSURE_SLOPE && object.half_angle > UNSURE_SIGMAS * sigma
         }
-        Err(reason) => matches!(reason, Rejection::Rms | Rejection::FewRows | Rejection::Small | Rejection::Tilted),
+        Err(Rejection::Rms | Rejection::Outline | Rejection::FewRows | Rejection::Small | Rejection::Tilted) => true,
+        Err(_) => false,
     }
 }
 

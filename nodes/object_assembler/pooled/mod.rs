@@ -182,7 +182,12 @@ fn candidate<'a>(
     if verify::is_plane(&grown, &measured) {
         return Err(Rejection::Flat);
     }
-    grown.model = model::with_contour(&grown, CONTOUR_PASSES, contour).unwrap_or(grown.model);
+    if let Some(model) = model::with_contour(&grown, CONTOUR_PASSES, contour) {
+        if verify::has_other_outline(&model, contour) {
+            return Err(Rejection::Outline);
+        }
+        grown.model = model;
+    }
     Ok(Candidate { grown, measured: verify::check(&grown, config)? })
 }
 

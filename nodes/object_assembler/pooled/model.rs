@@ -82,13 +82,18 @@ impl Model {
         }
     }
 
-    /// The same with those of the contour.
-    pub fn cost(&self) -> f64 {
+    /// The same of the contour.
+    pub fn contour_sum(&self) -> f64 {
         match self {
-            Self::Sphere(fit) => fit.square_sum + fit.contour_sum,
-            Self::Cylinder(fit) => fit.square_sum + fit.contour_sum,
-            Self::Cone(fit) => fit.square_sum + fit.contour_sum,
+            Self::Sphere(fit) => fit.contour_sum,
+            Self::Cylinder(fit) => fit.contour_sum,
+            Self::Cone(fit) => fit.contour_sum,
         }
+    }
+
+    /// Both.
+    pub fn cost(&self) -> f64 {
+        self.square_sum() + self.contour_sum()
     }
 
     /// How far the points of an arc are off the model, of which `q` are the coefficients.

@@ -1,12 +1,15 @@
 //! Tests of the pooled method, on rendered frames.
 
 use super::super::{AssemblerConfig, Method, ObjectAssembler};
+use super::model::Model;
+use super::verify;
 use crate::row_ellipse_extractor::rendered::{Body, KINECT_HALF, render};
 use crate::row_ellipse_extractor::{ArcFinder, RowEllipseConfig, RowEllipseExtractor, ScanLines};
 use crate::synthetic_source::scene::Scene;
 use crate::synthetic_source::{SyntheticCamera, SyntheticSourceConfig};
-use conicflow_geometry::Vector3;
+use conicflow_geometry::{Contour, ContourNoise, ContourPoint, Sphere, SurfaceFit, Vector3};
 use conicflow_messages::{Camera, Header, Item, NoiseModel, Object, ObjectKind};
+use nalgebra::SMatrix;
 
 fn detect(camera: Camera, noise: NoiseModel, bodies: &[Body], seed: u64) -> Vec<Object> {
     let (header, pixels) = render(camera, noise, bodies, seed);
@@ -111,6 +114,31 @@ fn what_lies_across_is_found_in_columns_and_reported_once() {
         assert!((found.radius - 0.08).abs() < 0.001, "{found:?}");
         assert!(Vector3::from(found.axis).cross(&axis).norm() < 0.02, "{found:?}");
     }
+}
+
+#[test]
+fn what_shows_another_outline_is_nothing() {
+    let surface = Sphere { center: Vector3::new(0.0, 0.0, 1.0), radius: 0.1 };
+    let mut contour = Contour::default();
+    // Rays that touch the ball on its left, and some that are 20 pixels off.
+    let mut look = |others: usize| {
+        contour.clear(ContourNoise { point_px: 0.5, point_share: 0.0, offset_px: 1.0, share: 0.05 });
+        for i in 0..40 {
+            let left = -0.1 / 0.99_f64.sqrt() - if i < others { 20.0 / 525.0 } else { 0.0 };
+            let (ray, pixel) = (Vector3::new(left, 0.0, 1.0), Vector3::x() / 525.0);
+            contour.add(ContourPoint { ray, pixel, side: 0, radius_px: 50.0 });
+        }
+        contour.select(&surface, |_| true);
+        let fit = |contour_sum: f64| {
+            let (inverse, of_contour) = (SMatrix::zeros(), SMatrix::zeros());
+            let (square_sum, converged) = (0.0, true);
+            Model::Sphere(SurfaceFit { surface, square_sum, contour_sum, inverse, contour: of_contour, converged })
+        };
+        [20.0, 60.0, 120.0].map(|sum| verify::has_other_outline(&fit(sum), &contour))
+    };
+    assert_eq!(look(0), [false, false, true], "0.5, 1.5 and 3 variances off");
+    assert_eq!(look(8), [false, false, true]);
+    assert_eq!(look(16), [true; 3]);
 }
 
 #[test]

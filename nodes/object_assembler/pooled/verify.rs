@@ -5,7 +5,7 @@ use super::super::verify::Rejection;
 use super::Grown;
 use super::arcs::Arc;
 use super::model::Model;
-use conicflow_geometry::{Scan, Vector3, section_of};
+use conicflow_geometry::{Contour, Scan, Vector3, section_of};
 use conicflow_messages::{Object, ObjectKind};
 
 /// How many standard deviations the error of the whole may scatter.
@@ -19,6 +19,13 @@ const MANY_POINTS: f64 = 3000.0;
 const PLANE: f64 = 0.05;
 /// Greatest part of arc ends beyond which the model would hide what was measured.
 const SEEN_THROUGH: f64 = 0.2;
+/// How many variances the contour of an object may be off on average, ...
+const OUTLINE: f64 = 1.7;
+/// ... how many standard deviations of that more, ...
+const OUTLINE_SCATTER: f64 = 2.0;
+/// ... and which part of so many points and above may belong to something else.
+const OTHERS: f64 = 0.35;
+const FEWEST_TELLING: usize = 8;
 /// Cosine of the least angle between the axis and the scan lines, 40 degrees, ...
 const ALONG_LINES: f64 = 0.766;
 /// ... and between the axis and the view, 25 degrees.
@@ -176,6 +183,14 @@ pub(super) fn is_plane(grown: &Grown, measured: &Measured) -> bool {
     grown.arcs().for_each(|arc| pool.add(&arc.space, 1.0));
     let variance = grown.arcs().map(|arc| arc.variance * arc.points).sum::<f64>() / measured.points;
     pool.least_variance() < variance * (PLANE + SCATTER * (2.0 / measured.points).sqrt())
+}
+
+/// Whether the contour that is seen is not that of a model which was fitted to it: on real frames, of most things that
+/// are neither sphere, cylinder nor cone.
+pub(super) fn has_other_outline(model: &Model, contour: &Contour) -> bool {
+    let (used, others) = (contour.used() as f64, contour.far_off() as f64);
+    let differs = model.contour_sum() > used * OUTLINE + OUTLINE_SCATTER * (2.0 * used).sqrt();
+    differs || contour.points() >= FEWEST_TELLING && others > OTHERS * contour.points() as f64
 }
 
 /// Part of the arc ends at which something is seen behind the surface; of few ends that tell, some may be noise.
