@@ -37,6 +37,7 @@ pub(super) enum Rejection {
     Double,
     SeenThrough,
     Outline,
+    Between,
     Vague,
     Length,
     Small,
@@ -45,7 +46,7 @@ pub(super) enum Rejection {
 }
 
 impl Rejection {
-    const NAMES: [&'static str; 24] = [
+    const NAMES: [&'static str; 25] = [
         "candidates of too few rows",
         "candidates with too many gaps",
         "candidates of short arcs",
@@ -65,6 +66,7 @@ impl Rejection {
         "objects seen twice",
         "candidates behind which something is seen",
         "candidates of another outline",
+        "candidates seen between other things alone",
         "candidates of vague radius or axis",
         "candidates beyond the length limits",
         "candidates that look too small",

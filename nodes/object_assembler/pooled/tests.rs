@@ -142,6 +142,18 @@ fn what_shows_another_outline_is_nothing() {
 }
 
 #[test]
+fn what_is_seen_through_a_gap_may_be_anything_but_a_dome_on_a_wall_is_a_sphere() {
+    let door =
+        |x: f64| Body::Block { center: Vector3::new(x, 0.0, 1.0), size: Vector3::new(0.4, 1.5, 0.02), turn: 0.0 };
+    let ajar = [can(1.5), door(-0.24), door(0.24), wall(3.0)];
+    assert_eq!(kinect(&ajar, 7), []);
+    assert_eq!(single(&kinect(&[can(1.5), door(-0.24), wall(3.0)], 7), ObjectKind::Cylinder).kind, 1);
+    let dome = Body::Sphere { center: Vector3::new(0.1, 0.05, 1.5), radius: 0.15 };
+    let found = single(&kinect(&[dome, wall(1.5)], 7), ObjectKind::Sphere);
+    assert!((found.radius - 0.15).abs() < 0.005, "{found:?}");
+}
+
+#[test]
 fn the_inside_of_a_bowl_is_nothing() {
     let bowl = Body::Sphere { center: Vector3::new(0.0, 0.0, 0.2), radius: 0.5 };
     assert_eq!(kinect(&[bowl], 9), []);

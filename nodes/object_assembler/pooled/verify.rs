@@ -26,6 +26,12 @@ const OUTLINE_SCATTER: f64 = 2.0;
 /// ... and which part of so many points and above may belong to something else.
 const OTHERS: f64 = 0.35;
 const FEWEST_TELLING: usize = 8;
+/// Part of arc ends, followed by something farther or by nothing, that are enough of an outline; where there are less, most
+/// that may be followed by something nearer, ...
+const LEAST_OUTLINE: f64 = 0.2;
+const MOST_HIDDEN: f64 = 0.2;
+/// ... nearer by so many standard deviations and a slope of one.
+const NEARER: f64 = 4.0;
 /// Cosine of the least angle between the axis and the scan lines, 40 degrees, ...
 const ALONG_LINES: f64 = 0.766;
 /// ... and between the axis and the view, 25 degrees.
@@ -75,6 +81,8 @@ pub(super) fn check(grown: &Grown, config: &AssemblerConfig) -> Result<Measured,
         Err(Rejection::Tilted)
     } else if measured.angle < config.pooled.min_arc_deg.to_radians() {
         Err(Rejection::ShortArc)
+    } else if is_between_others(grown) {
+        Err(Rejection::Between)
     } else if seen_through(grown, &measured) > SEEN_THROUGH {
         Err(Rejection::SeenThrough)
     } else {
@@ -191,6 +199,27 @@ pub(super) fn has_other_outline(model: &Model, contour: &Contour) -> bool {
     let (used, others) = (contour.used() as f64, contour.far_off() as f64);
     let differs = model.contour_sum() > used * OUTLINE + OUTLINE_SCATTER * (2.0 * used).sqrt();
     differs || contour.points() >= FEWEST_TELLING && others > OTHERS * contour.points() as f64
+}
+
+/// Whether hardly any of an object's own outline is seen, and something nearer hides it: what is seen between other things
+/// may be a part of anything.
+fn is_between_others(grown: &Grown) -> bool {
+    let part = |ends: usize| 0.5 * ends as f64 / grown.members.len() as f64;
+    let may_end = |arc: &Arc| (0..2).filter(|&end| arc.contour[end].is_some() || arc.beyond[end] == 0.0).count();
+    if part(grown.arcs().map(may_end).sum()) >= LEAST_OUTLINE {
+        return false;
+    }
+    let q = grown.model.coefficients();
+    let hidden = |arc: &Arc| {
+        let section = section_of(&q, &arc.plane);
+        let is_nearer = |end: usize| {
+            let (x, there, z) = (arc.rays[end], arc.beyond_rays[end], arc.beyond[end]);
+            let nearer = |here: f64| z < here - NEARER * arc.variance.sqrt() - (there - x).abs() * here;
+            z > 0.0 && arc.hit(&section, x).is_some_and(nearer)
+        };
+        (0..2).filter(|&end| is_nearer(end)).count()
+    };
+    part(grown.arcs().map(hidden).sum()) > MOST_HIDDEN
 }
 
 /// Part of the arc ends at which something is seen behind the surface; of few ends that tell, some may be noise.
