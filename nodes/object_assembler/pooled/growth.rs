@@ -86,6 +86,15 @@ pub(super) struct Start<'a> {
     pub chain: &'a [usize],
     /// A model of it, of this or another kind, if there is one.
     pub guess: Option<&'a Model>,
+    /// Whether its middle will do, where the whole is spoilt by its ends.
+    pub middle_will_do: bool,
+}
+
+/// What came of a growth.
+pub(super) struct Growth {
+    pub model: Option<Model>,
+    /// Whether its first model explained the whole chain.
+    pub from_whole: bool,
 }
 
 /// Grows a model of one kind from a chain on, and leaves the arcs that it explains in `members`, in the order of the
@@ -97,9 +106,21 @@ pub(super) fn grow(
     free: impl Fn(usize) -> bool + Copy,
     members: &mut Vec<usize>,
     spare: &mut Vec<usize>,
+) -> Growth {
+    let first = first(arcs, start, members);
+    let from_whole = first.is_some() && members.len() == start.chain.len();
+    Growth { model: first.and_then(|first| grow_on(arcs, first, gap, free, members, spare)), from_whole }
+}
+
+fn grow_on(
+    arcs: &Arcs,
+    mut model: Model,
+    gap: i64,
+    free: impl Fn(usize) -> bool + Copy,
+    members: &mut Vec<usize>,
+    spare: &mut Vec<usize>,
 ) -> Option<Model> {
-    let kind = start.kind;
-    let mut model = first(arcs, start, members)?;
+    let kind = model.kind();
     for round in 0..ROUNDS {
         reach(&Grown { arcs, model, members }, gap, free, spare);
         if spare.len() < FEWEST {
@@ -122,9 +143,11 @@ pub(super) fn grow(
 }
 
 /// The model of the chain, if it explains it, or else of its middle.
-fn first(arcs: &Arcs, &Start { kind, chain, guess }: &Start, members: &mut Vec<usize>) -> Option<Model> {
-    for length in [chain.len(), CORE, FEWEST] {
-        let start = chain.len().saturating_sub(length) / 2;
+fn first(arcs: &Arcs, start: &Start, members: &mut Vec<usize>) -> Option<Model> {
+    let &Start { kind, chain, guess, middle_will_do } = start;
+    let lengths = [chain.len(), CORE, FEWEST];
+    for length in if middle_will_do { &lengths[..] } else { &lengths[..1] } {
+        let start = chain.len().saturating_sub(*length) / 2;
         members.clear();
         members.extend(&chain[start..(start + length).min(chain.len())]);
         let points: f64 = arcs.of(members).map(|arc| arc.points).sum();

@@ -23,7 +23,7 @@ use super::verify::{Rejection, Rejections};
 use arcs::{Arc, Arcs};
 use conicflow_geometry::Contour;
 use conicflow_messages::{Ellipse, Header, Object, ObjectKind};
-use growth::Start;
+use growth::{Growth, Start};
 use model::Model;
 use verify::Measured;
 
@@ -137,17 +137,17 @@ impl Growing {
         choice::choose(found, config, contour).map_err(|reason| rejections.count(reason)).ok()
     }
 
-    /// The model of each shape that grows from the chain. A slope needs many lines: a cone starts from what a cylinder
-    /// took for one.
+    /// The model of each shape that grows from the chain. Where a cylinder explains all of that, a sphere has to as well;
+    /// and a slope needs many lines: a cone starts from what a cylinder took for one.
     fn models(&mut self, arcs: &Arcs, gap: i64, free: impl Fn(usize) -> bool + Copy) -> [Option<Model>; 3] {
         let Self { chain, spare, members: [balls, cans, cones], .. } = self;
-        let mut grow = |kind, chain: &[usize], guess: Option<&Model>, members: &mut Vec<usize>| {
-            growth::grow(arcs, &Start { kind, chain, guess }, gap, free, members, spare)
-        };
-        let sphere = grow(ObjectKind::Sphere, chain, None, balls);
-        let cylinder = grow(ObjectKind::Cylinder, chain, None, cans);
+        let mut grow = |start: &Start, members: &mut Vec<usize>| growth::grow(arcs, start, gap, free, members, spare);
+        let start = Start { kind: ObjectKind::Cylinder, chain, guess: None, middle_will_do: true };
+        let Growth { model: cylinder, from_whole } = grow(&start, cans);
+        let sphere = grow(&Start { kind: ObjectKind::Sphere, middle_will_do: !from_whole, ..start }, balls).model;
         let longer = if cylinder.is_some() && cans.len() > chain.len() { &*cans } else { &*chain };
-        [sphere, cylinder, grow(ObjectKind::Cone, longer, cylinder.as_ref(), cones)]
+        let cone = Start { kind: ObjectKind::Cone, chain: longer, guess: cylinder.as_ref(), ..start };
+        [sphere, cylinder, grow(&cone, cones).model]
     }
 }
 
