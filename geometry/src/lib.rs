@@ -42,7 +42,7 @@ pub use contour::{Contour, ContourNoise, ContourPoint, ContourTerm, SIDES};
 pub use ellipse::{Conic, Ellipse, fit_ellipse};
 pub use line::{Line, LineMoments, PencilMoments, PlaneLine, fit_plane_line};
 pub use moments::{MOMENTS, PlaneMoments};
-pub use pooled::{GradientNoise, Prediction, SurfaceFit, fit_surface, fit_with_contour, fit_within, gradient};
+pub use pooled::{GradientNoise, Prediction, SurfaceFit, fit_surface, fit_with_contour, gradient};
 pub use profile::{CircleProfile, fit_circle_profile, fit_line_profile};
 pub use regression::{Fit, Regression};
 pub use section::SectionShape;

@@ -39,13 +39,8 @@ pub struct SurfaceFit<S, const N: usize> {
 }
 
 /// Fits a surface of which `start` is a guess, to points that are pooled with the weights of one over their variance;
-/// `None` where they do not determine one near it.
-pub fn fit_surface<S: Surface<N>, const N: usize>(moments: &QuadricMoments, start: &S) -> Option<SurfaceFit<S, N>> {
-    fit(moments, None, start, f64::INFINITY)
-}
-
-/// The same, given up as soon as the sum of squares will surely stay above `most`: then `None`.
-pub fn fit_within<S: Surface<N>, const N: usize>(
+/// `None` where they do not determine one near it, or as soon as the sum of squares will surely stay above `most`.
+pub fn fit_surface<S: Surface<N>, const N: usize>(
     moments: &QuadricMoments,
     start: &S,
     most: f64,
@@ -53,7 +48,7 @@ pub fn fit_within<S: Surface<N>, const N: usize>(
     fit(moments, None, start, most)
 }
 
-/// The same, to the points and to the contour that the surface shows; `square_sum` stays that of the points alone.
+/// Fits it to the points and to the contour that it shows; `square_sum` stays that of the points alone.
 pub fn fit_with_contour<S: Surface<N>, const N: usize>(
     moments: &QuadricMoments,
     contour: &Contour,

@@ -77,7 +77,7 @@ fn radius_of_can(distance: f64, hidden: f64, frames: u64) -> (f64, f64) {
         .map(|frame| {
             let mut random = Random(frame + 1);
             let pool = seen(&q, rows.clone(), hidden, |z| kinect(z, &mut random));
-            fit_surface(&pool.normalized().unwrap(), &FixedSlope(guess)).unwrap().surface.0.radius
+            fit_surface(&pool.normalized().unwrap(), &FixedSlope(guess), f64::INFINITY).unwrap().surface.0.radius
         })
         .collect();
     let mean = radii.iter().sum::<f64>() / frames as f64;
@@ -121,17 +121,36 @@ fn exact_points_give_each_surface_back() {
     let sphere = Sphere { center: Vector3::new(0.1, 0.05, 1.2), radius: 0.15 };
     let pool = of_exact(&seen(&sphere.coefficients(), 90..170, 0.3, exact));
     let start = Sphere { center: pool.origin + Vector3::z() * 0.1, radius: 0.1 };
-    let found = fit_surface(&pool, &start).unwrap();
+    let found = fit_surface(&pool, &start, f64::INFINITY).unwrap();
     assert!((found.surface.center - sphere.center).norm() < 1e-7 && found.converged, "{found:?}");
 
     let axis = Vector3::new(0.3, 0.9, -0.4).normalize();
     let cone = Conical { point: Vector3::new(0.1, 0.0, 1.3), axis, radius: 0.12, slope: 0.25 };
     let pool = of_exact(&seen(&FreeSlope(cone).coefficients(), 80..160, 0.0, exact));
     let start = Conical { axis: Vector3::y(), radius: 0.1, slope: 0.0, ..cone };
-    let found = fit_surface(&pool, &FreeSlope(start)).unwrap();
+    let found = fit_surface(&pool, &FreeSlope(start), f64::INFINITY).unwrap();
     let surface = found.surface.0.anchored(&cone.point);
     assert!((surface.radius - 0.12).abs() < 1e-6 && (surface.slope - 0.25).abs() < 1e-6, "{found:?}");
     assert!((surface.axis - axis).norm() < 1e-6 && (surface.point - cone.point).norm() < 1e-6);
+}
+
+#[test]
+fn a_fit_that_cannot_be_good_enough_is_given_up() {
+    let sphere = Sphere { center: Vector3::new(0.0, 0.0, 1.5), radius: 0.15 };
+    let mut random = Random(7);
+    let points = seen(&sphere.coefficients(), 96..144, 0.0, |z| (z + 0.003 * random.normal(), 9e-6));
+    let mut pool = SpaceMoments::default();
+    pool.add(&points, 1.0 / 9e-6);
+    let pool = pool.normalized().unwrap();
+    let count = points.weight();
+    let start = Sphere { radius: 0.12, ..sphere };
+    let best = fit_surface(&pool, &start, f64::INFINITY).unwrap();
+    assert_eq!(fit_surface(&pool, &start, 0.2 * count), Some(best), "good enough: nothing else than without a limit");
+    let can = FixedSlope(Conical { radius: 0.12, ..can(1.5) });
+    let best = fit_surface(&pool, &can, f64::INFINITY).unwrap().square_sum;
+    assert!(best > 0.5 * count, "{best} of {count}");
+    assert_eq!(fit_surface(&pool, &can, 0.2 * count), None);
+    assert!(fit_surface(&pool, &can, 1.1 * best).is_some());
 }
 
 #[test]
@@ -143,7 +162,7 @@ fn the_covariance_is_that_of_the_errors() {
     for frame in 0..60 {
         let mut random = Random(100 + frame);
         let pool = seen(&q, 96..144, 0.0, |z| (z + noise * random.normal(), noise * noise)).normalized().unwrap();
-        let found = fit_surface(&pool, &Sphere { center: sphere.center, radius: 0.14 }).unwrap();
+        let found = fit_surface(&pool, &Sphere { center: sphere.center, radius: 0.14 }, f64::INFINITY).unwrap();
         let mut scatter = GradientNoise::new(&found.surface);
         for row in 96..144 {
             let plane = CAMERA.plane(Scan::Row, f64::from(row));

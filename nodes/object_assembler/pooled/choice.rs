@@ -100,7 +100,7 @@ fn sharper<'a>(
 /// What is left of the points and the contour of some members by a model that is fitted to these. What it leaves out of
 /// the contour counts, too, or it would gain by what it misses.
 fn cost(mut grown: Grown, contour: &mut Contour) -> Option<f64> {
-    grown.model = model::fit(grown.model.kind(), &grown.arcs(), Some(&grown.model))?;
+    grown.model = model::fit(grown.model.kind(), &grown.arcs(), Some(&grown.model), f64::INFINITY)?;
     let cost = model::with_contour(&grown, 1, contour)?.cost();
     Some(cost + contour.least_left_out())
 }

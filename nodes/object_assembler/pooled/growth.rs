@@ -112,6 +112,7 @@ pub(super) fn grow(
     Growth { model: first.and_then(|first| grow_on(arcs, first, gap, free, members, spare)), from_whole }
 }
 
+/// Takes in what the model explains, and fits it again, as long as that makes more of it.
 fn grow_on(
     arcs: &Arcs,
     mut model: Model,
@@ -130,14 +131,14 @@ fn grow_on(
             break;
         }
         std::mem::swap(members, spare);
-        model = model::fit(kind, &arcs.of(members), Some(&model))?;
+        model = model::fit(kind, &arcs.of(members), Some(&model), f64::INFINITY)?;
     }
     for _ in 0..2 {
         clean(arcs, &model, members);
         if members.len() < FEWEST {
             return None;
         }
-        model = model::fit(kind, &arcs.of(members), Some(&model))?;
+        model = model::fit(kind, &arcs.of(members), Some(&model), f64::INFINITY)?;
     }
     Some(model)
 }
@@ -152,7 +153,7 @@ fn first(arcs: &Arcs, start: &Start, members: &mut Vec<usize>) -> Option<Model> 
         members.extend(&chain[start..(start + length).min(chain.len())]);
         let points: f64 = arcs.of(members).map(|arc| arc.points).sum();
         let most = points * FIRST.square_limit(points);
-        let model = model::fit_below(most, kind, &arcs.of(members), guess);
+        let model = model::fit(kind, &arcs.of(members), guess, most);
         if let Some(model) = model.filter(|model| model.square_sum() <= most) {
             return Some(model);
         }

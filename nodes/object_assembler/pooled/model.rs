@@ -4,7 +4,7 @@ use super::Grown;
 use super::arcs::{Arc, Misfit};
 use conicflow_geometry::{
     ArcFit, Coefficients, Conical, Contour, ContourNoise, ContourPoint, FixedSlope, FreeSlope, Line, LineMoments,
-    Prediction, QuadricMoments, SpaceMoments, Sphere, Surface, SurfaceFit, Vector3, fit_with_contour, fit_within,
+    Prediction, QuadricMoments, SpaceMoments, Sphere, Surface, SurfaceFit, Vector3, fit_surface, fit_with_contour,
 };
 use conicflow_messages::ObjectKind;
 
@@ -138,48 +138,40 @@ fn pool<'a>(arcs: impl Iterator<Item = &'a Arc>, excess: impl Fn(&Arc) -> f64) -
     pool
 }
 
-/// Fits a model of a kind; starts from `last` where there is one of that kind.
+/// Fits a model of a kind; starts from `last` where there is one of that kind, and is given up where the weighted sum of
+/// squares will not get below `most`.
 pub(super) fn fit<'a>(
     kind: ObjectKind,
     arcs: &(impl Iterator<Item = &'a Arc> + Clone),
     last: Option<&Model>,
-) -> Option<Model> {
-    fit_below(f64::INFINITY, kind, arcs, last)
-}
-
-/// The same, given up where the weighted sum of squares will not get below `most`.
-pub(super) fn fit_below<'a>(
     most: f64,
-    kind: ObjectKind,
-    arcs: &(impl Iterator<Item = &'a Arc> + Clone),
-    last: Option<&Model>,
 ) -> Option<Model> {
     match kind {
-        ObjectKind::Sphere => fit_sphere(most, arcs, last),
-        ObjectKind::Cylinder => fit_cylinder(most, arcs, last),
-        ObjectKind::Cone => fit_cone(most, arcs, last),
+        ObjectKind::Sphere => fit_sphere(arcs, last, most),
+        ObjectKind::Cylinder => fit_cylinder(arcs, last, most),
+        ObjectKind::Cone => fit_cone(arcs, last, most),
     }
 }
 
-fn fit_sphere<'a>(most: f64, arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Model>) -> Option<Model> {
+fn fit_sphere<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Model>, most: f64) -> Option<Model> {
     let moments = pool(arcs.clone(), |_| 1.0).normalized()?;
     let start = match last {
         Some(Model::Sphere(fit)) => fit.surface,
         _ => moments.sphere()?,
     };
-    fit_within(&moments, &start, most).map(Model::Sphere)
+    fit_surface(&moments, &start, most).map(Model::Sphere)
 }
 
-fn fit_cylinder<'a>(most: f64, arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Model>) -> Option<Model> {
+fn fit_cylinder<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Model>, most: f64) -> Option<Model> {
     let moments = pool(arcs.clone(), |_| 1.0).normalized()?;
     let start = match last {
         Some(Model::Cylinder(fit)) => fit.surface,
         _ => FixedSlope(start(arcs.clone(), &moments)?),
     };
-    fit_within(&moments, &start, most).map(Model::Cylinder)
+    fit_surface(&moments, &start, most).map(Model::Cylinder)
 }
 
-fn fit_cone<'a>(most: f64, arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Model>) -> Option<Model> {
+fn fit_cone<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Model>, most: f64) -> Option<Model> {
     let mut fit = match last {
         Some(Model::Cone(fit)) => *fit,
         _ => {
@@ -188,14 +180,14 @@ fn fit_cone<'a>(most: f64, arcs: &(impl Iterator<Item = &'a Arc> + Clone), last:
                 Some(Model::Cylinder(fit)) => fit.surface.0,
                 _ => start(arcs.clone(), &moments)?,
             };
-            let fit = fit_within(&moments, &FreeSlope(start), UNWEIGHTED * most)?;
+            let fit = fit_surface(&moments, &FreeSlope(start), UNWEIGHTED * most)?;
             (fit.surface.0.slope.abs() <= STEEPEST).then_some(fit)?
         }
     };
     for _ in 0..CONE_PASSES {
         let cone = fit.surface.0;
         let moments = pool(arcs.clone(), |arc| excess(&cone, arc)).normalized()?;
-        fit = fit_within(&moments, &fit.surface, most)?;
+        fit = fit_surface(&moments, &fit.surface, most)?;
     }
     Some(Model::Cone(upright(fit)))
 }
