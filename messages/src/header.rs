@@ -114,6 +114,13 @@ impl NoiseModel {
         axial * axial + step * step / 12.0
     }
 
+    /// A sensor whose standard deviations are `factor` times those of this one.
+    #[must_use]
+    pub fn times(&self, factor: f64) -> Self {
+        let Self { floor_m, growth_per_m, knee_m, step_per_m } = *self;
+        Self { floor_m: factor * floor_m, growth_per_m: factor * growth_per_m, knee_m, step_per_m: factor * step_per_m }
+    }
+
     /// Standard deviation of a depth `z`, both in metres.
     pub fn sigma(&self, z: f64) -> f64 {
         self.variance(z).sqrt()
@@ -202,6 +209,7 @@ mod tests {
         let expected = ((0.0012 + 0.0019 * 1.6_f64.powi(2)).powi(2) + step * step / 12.0).sqrt();
         assert!((model.sigma(2.0) - expected).abs() < 1e-12);
         assert_eq!(NoiseModel::IDEAL.sigma(3.0), 0.0);
+        assert!((model.times(1.5).sigma(2.0) / model.sigma(2.0) - 1.5).abs() < 1e-12);
     }
 
     #[test]

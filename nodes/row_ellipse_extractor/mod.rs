@@ -25,6 +25,7 @@ use filter::Rejections;
 use scan_line::ScanLine;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::ops::RangeInclusive;
 
 /// Which scan lines are looked at.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
@@ -149,14 +150,18 @@ impl RowEllipseConfig {
     }
 }
 
+/// Variances of an image, in those of its noise model, that need not be spoken of.
+const USUAL_LEVELS: RangeInclusive<f64> = 0.1..=2.0;
+
 /// Finds the ellipses of a depth image.
 #[derive(Debug)]
 pub struct RowEllipseExtractor {
     config: RowEllipseConfig,
     line: ScanLine,
     arcs: Arcs,
-    /// Part of the noise model's variance that there is in the image.
+    /// Variance of the image, in variances of its noise model.
     noise_level: f64,
+    warned: bool,
     ellipses: Vec<Ellipse>,
     rejections: Rejections,
 }
@@ -169,6 +174,7 @@ impl RowEllipseExtractor {
             config,
             line: ScanLine::default(),
             noise_level: 1.0,
+            warned: false,
             ellipses: Vec::new(),
             rejections: Rejections::default(),
         }
@@ -180,6 +186,7 @@ impl RowEllipseExtractor {
         self.rejections = Rejections::default();
         if self.config.arcs == ArcFinder::Moments {
             self.noise_level = self.arcs.noise_level(header, pixels);
+            self.warn_of_noise();
         }
         if self.config.scan != ScanLines::Columns {
             self.scan(header, pixels, Scan::Row);
@@ -189,6 +196,20 @@ impl RowEllipseExtractor {
         }
         self.ellipses.iter_mut().for_each(|ellipse| ellipse.line_step = self.config.line_step);
         &self.ellipses
+    }
+
+    /// Says once that the noise model is not that of the sensor.
+    fn warn_of_noise(&mut self) {
+        if self.warned || USUAL_LEVELS.contains(&self.noise_level) {
+            return;
+        }
+        self.warned = true;
+        tracing::warn!(
+            "the depth is {:.1} times as noisy as the source's noise model says: it is taken as it is, but near and far \
+             alike\n  hint: find the sensor's own coefficients with the node `noise_estimator`, and write them into the \
+             source's `noise`",
+            self.noise_level.sqrt()
+        );
     }
 
     /// Why arcs of the last image were turned down, and how many of them.

@@ -20,10 +20,11 @@ pub mod shapes;
 pub mod truth;
 
 use crate::json_lines::JsonLines;
+use crate::noise_config::NoiseConfig;
 use crate::random::Dice;
 use anyhow::{Result, bail};
 use conicflow_dataflow::{Config, ConfigFault, Context, Next, Output, Pick, Side, Sides, Source, StageError};
-use conicflow_messages::{Camera, HAS_POSE, Header, Kind, Text};
+use conicflow_messages::{Camera, HAS_POSE, Header, Kind, NoiseModel, Text};
 use nalgebra::Vector3;
 use random_scenes::RandomScenes;
 use raster::Raster;
@@ -47,6 +48,7 @@ pub struct SyntheticCamera {
     scene: Scene,
     scenes: Option<RandomScenes>,
     sensor: Sensor,
+    told_noise: NoiseModel,
     seed: u64,
     rate_hz: f64,
     depth_scale: f64,
@@ -59,13 +61,18 @@ impl SyntheticCamera {
     /// A camera of `rate_hz` frames per second (above 0) whose pixels count `depth_scale` metres.
     pub fn new(scene: Scene, camera: Camera, noise: SensorConfig, depth_scale: f64, rate_hz: f64, seed: u64) -> Self {
         let sensor = Sensor::new(noise, depth_scale);
-        let (raster, shapes) = (Raster::new(camera), Vec::new());
-        Self { scene, scenes: None, sensor, seed, rate_hz, depth_scale, raster, shapes, time_s: 0.0 }
+        let (raster, shapes, told_noise) = (Raster::new(camera), Vec::new(), sensor.noise_model());
+        Self { scene, scenes: None, sensor, told_noise, seed, rate_hz, depth_scale, raster, shapes, time_s: 0.0 }
     }
 
     /// The same camera before another random scene in each frame.
     pub fn before(self, scenes: RandomScenes) -> Self {
         Self { scenes: Some(scenes), ..self }
+    }
+
+    /// The same camera, whose headers tell of this noise in place of what the sensor has.
+    pub fn telling(self, noise: NoiseModel) -> Self {
+        Self { told_noise: noise, ..self }
     }
 
     /// Moves the camera for one frame by a velocity along its axes, in m/s, besides the motion that the scene has.
@@ -100,7 +107,7 @@ impl SyntheticCamera {
     pub fn describe(&self, header: &mut Header) {
         header.camera = self.raster.camera;
         header.depth_scale = self.depth_scale;
-        header.noise = self.sensor.noise_model();
+        header.noise = self.told_noise;
         header.world_from_camera = self.scene.world_from_camera(self.time_s).rows();
         header.flags |= HAS_POSE;
         header.source = Text::new(&self.scene.name);
@@ -135,6 +142,8 @@ pub struct SyntheticSourceConfig {
     pub seed: u64,
     /// What the sensor does to the depth: "kinect_v1", "realsense_d435", "time_of_flight", "ideal" or a table.
     pub noise: SensorConfig,
+    /// The depth noise that the frames tell of in place of that of `noise`, to see what a wrong model does.
+    pub told_noise: Option<NoiseConfig>,
     /// Metres per unit of a depth pixel.
     #[schemars(range(min = 1e-6, max = 1.0))]
     pub depth_scale: f64,
@@ -171,6 +180,7 @@ impl Default for SyntheticSourceConfig {
             frames: 0,
             seed: 0,
             noise: SensorConfig::default(),
+            told_noise: None,
             depth_scale: 0.001,
             truth_path: None,
         }
@@ -251,6 +261,9 @@ impl Source for SyntheticSource {
         let mut camera = SyntheticCamera::new(scene, camera, config.noise, config.depth_scale, rate_hz, seed);
         if let Some(scenes) = config.scenes {
             camera = camera.before(scenes);
+        }
+        if let Some(noise) = config.told_noise {
+            camera = camera.telling(noise.into());
         }
         let truth_path = config.truth_path.as_deref().map(|path| context.resolve(path));
         let truth = truth_path.map(|path| JsonLines::open(&path, context.resume_at > 0)).transpose()?;

@@ -1,7 +1,12 @@
-//! How much of the noise model's variance there is in an image, at most all of it.
+//! How noisy an image is, as a multiple of the variance of its noise model.
 //!
-//! To correct moments for noise that is not there would be as wrong as not to correct them. The errors of lines and
-//! circles are free of noise if the model is right, and below zero by its excess if it is not.
+//! All limits and the correction of the moments rest on the noise, and a sensor may well be noisier than its model says, or
+//! quieter where a driver smooths. Limits that are too narrow are the worse mistake: from a tenth more noise on, fewer
+//! and fewer surfaces would be found.
+//!
+//! Noise above the model shows between pixels that lie close together, whatever the surface ([`scatter`]). Below it, there
+//! is noise that such pixels have in common; but the errors of lines and circles, free of noise if the model is right, are
+//! below zero by its excess ([`share`]).
 
 use super::LineSearch;
 use super::line::RayLine;
@@ -9,14 +14,57 @@ use super::rays::Rays;
 use super::run::Run;
 use super::segments::{Segment, next_segment};
 use super::view::View;
+use conicflow_messages::is_measured;
 
-/// About how many lines are looked at; the median is over some errors of each.
+/// About how many lines are looked at.
 const LINES: u32 = 12;
 /// Fewest points of a curve that tells how noisy the sensor is.
 const TELLING: usize = 12;
+/// Pixels from one of three to the next that are compared: farther ones lie on different surfaces too often.
+const APART: usize = 3;
+/// Fewest threes that tell anything.
+const FEWEST: usize = 64;
+/// Standard deviations beyond which three pixels do not lie on one smooth surface ...
+const WITHIN: f64 = 2.5;
+/// ... the mean square of a normal deviate inside of them, ...
+const SQUARE_WITHIN: f64 = 0.911_26;
+/// ... and the median of its square.
+const MEDIAN_SQUARE: f64 = 0.454_94;
+/// Above this it is no longer noise.
+const MOST: f64 = 16.0;
 
-/// The part of the noise model's variance that there is in an image, seen by a view that takes the model as it is.
-pub(super) fn noise_level(
+/// The variance that neighbours show, in variances of the model; at least one: what they have in common they do not show.
+///
+/// Along a line of the image a plane's inverse depth is linear, so `b (b / a + b / c - 2)` of three depths in even steps is
+/// noise alone, of six times the variance of one. The median of the squares is too high by the silhouettes and creases
+/// among them; the mean of those within reach, taken again and again, is not.
+pub(super) fn scatter(view: &View, image: &[u16], squares: &mut Vec<f64>) -> f64 {
+    squares.clear();
+    for line in lines(view) {
+        let depths = view.row(image, line).windows(2 * APART + 1).step_by(APART);
+        let threes = depths.map(|depths| [depths[0], depths[APART], depths[2 * APART]]);
+        squares.extend(threes.filter(|depths| depths.iter().all(|&depth| is_measured(depth))).map(|depths| {
+            let [a, b, c] = depths.map(|depth| f64::from(depth) * view.scale);
+            let off = b * (b / a + b / c - 2.0);
+            off * off / (6.0 * view.variance(b))
+        }));
+    }
+    if squares.len() < FEWEST {
+        return 1.0;
+    }
+    let mut level = median(squares) / MEDIAN_SQUARE;
+    for _ in 0..4 {
+        let limit = WITHIN * WITHIN * level;
+        let within =
+            |(sum, count), &square: &f64| if square <= limit { (sum + square, count + 1.0) } else { (sum, count) };
+        let (sum, count) = squares.iter().fold((0.0, 0.0), within);
+        level = sum / (count * SQUARE_WITHIN);
+    }
+    level.clamp(1.0, MOST)
+}
+
+/// The part of its own level, at most all, that a view finds in an image.
+pub(super) fn share(
     view: &View,
     image: &[u16],
     line: &mut RayLine,
@@ -24,7 +72,7 @@ pub(super) fn noise_level(
     errors: &mut Vec<f64>,
 ) -> f64 {
     errors.clear();
-    for number in (0..view.lines).step_by((view.lines / LINES).max(1) as usize) {
+    for number in lines(view) {
         line.read(view, image, number, 0..view.length);
         for index in 0..line.runs() {
             if line.run_length(index) >= TELLING {
@@ -33,9 +81,17 @@ pub(super) fn noise_level(
             }
         }
     }
-    let middle = errors.len() / 2;
-    let median = if errors.is_empty() { 0.0 } else { *errors.select_nth_unstable_by(middle, f64::total_cmp).1 };
-    (1.0 + median).clamp(0.0, 1.0)
+    (1.0 + median(errors)).clamp(0.0, 1.0)
+}
+
+fn lines(view: &View) -> impl Iterator<Item = u32> {
+    (0..view.lines).step_by((view.lines / LINES).max(1) as usize)
+}
+
+/// The median, whose place the values change; 0 of none.
+fn median(values: &mut [f64]) -> f64 {
+    let middle = values.len() / 2;
+    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
 
 /// Adds the errors of the lines and circles of a run, in variances of the sensor.

@@ -96,8 +96,42 @@ fn the_noise_level_is_that_of_the_image() {
         let (header, pixels) = render(KINECT_HALF, noise, &bodies, 7);
         Arcs::with(config(ScanLines::Rows)).noise_level(&Header { noise: NoiseModel::KINECT_V1, ..header }, &pixels)
     };
-    let (loud, quiet) = (level(NoiseModel::KINECT_V1), level(NoiseModel::IDEAL));
-    assert!(loud > 0.85 && quiet < 0.02, "{loud} and {quiet}");
+    let (as_told, none) = (level(NoiseModel::KINECT_V1), level(NoiseModel::IDEAL));
+    assert!((0.85..1.15).contains(&as_told) && none < 0.02, "{as_told} and {none}");
+    for factor in [1.2, 1.5, 2.0, 3.0] {
+        let ratio = level(NoiseModel::KINECT_V1.times(factor)) / (factor * factor);
+        assert!((0.85..1.15).contains(&ratio), "{ratio} at {factor}");
+    }
+}
+
+#[test]
+fn silhouettes_and_creases_are_not_taken_for_noise() {
+    for seed in 20..30 {
+        let (header, pixels) = room(seed);
+        let level = Arcs::with(config(ScanLines::Rows)).noise_level(&header, &pixels);
+        assert!((0.85..1.15).contains(&level), "{level} in room {seed}");
+    }
+}
+
+fn points_of_arcs(room: &(Header, Vec<u16>)) -> f64 {
+    arcs(config(ScanLines::Both), room).iter().map(|arc| f64::from(arc.points)).sum()
+}
+
+#[test]
+fn what_is_noisier_than_its_model_shows_nearly_the_same_arcs() {
+    for seed in 30..34 {
+        let mut room = room(seed);
+        let right = points_of_arcs(&room);
+        room.0.noise = room.0.noise.times(1.0 / 1.6);
+        let ratio = points_of_arcs(&room) / right;
+        assert!((0.9..1.1).contains(&ratio), "{ratio} in room {seed}");
+    }
+}
+
+#[test]
+fn a_blank_image_is_as_noisy_as_its_model() {
+    let (header, pixels) = room(8);
+    assert_eq!(Arcs::with(config(ScanLines::Rows)).noise_level(&header, &vec![0; pixels.len()]), 1.0);
 }
 
 #[test]

@@ -38,8 +38,8 @@ pub(super) struct View {
     camera: Pinhole,
     width: usize,
     noise: NoiseModel,
-    /// Part of the noise model's variance that there is.
-    quiet: f64,
+    /// Variance of the sensor, in variances of its model.
+    level: f64,
     /// Variance that rounding to the unit of the image makes at the least.
     least: f64,
     /// The rule by which a line is split.
@@ -61,7 +61,7 @@ impl View {
             camera: Pinhole { fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 },
             width: 0,
             noise: NoiseModel::IDEAL,
-            quiet: 1.0,
+            level: 1.0,
             least: 0.0,
             jumps: JumpRule::new(&NoiseModel::IDEAL, 1.0, 0.0, 0),
             slopes: Vec::new(),
@@ -69,15 +69,17 @@ impl View {
         }
     }
 
-    /// Turns to the rows or columns of an image; the sensor's variance is `quiet` times that of its model.
-    pub fn turn(&mut self, header: &Header, scan: Scan, quiet: f64) {
+    /// Turns to the rows or columns of an image; the sensor's variance is `level` times that of its model.
+    pub fn turn(&mut self, header: &Header, scan: Scan, level: f64) {
         let size = [header.camera.height, header.camera.width];
         [self.lines, self.length] = if scan == Scan::Row { size } else { [size[1], size[0]] };
         (self.scan, self.camera, self.width) = (scan, pinhole(&header.camera), size[1] as usize);
-        (self.noise, self.quiet, self.scale) = (header.noise, quiet, header.depth_scale);
+        (self.noise, self.level, self.scale) = (header.noise, level, header.depth_scale);
         self.least = self.scale * self.scale / 12.0;
         let pitch = self.camera.pixel_pitch(scan);
-        self.jumps = JumpRule::new(&self.noise, self.scale, pitch, self.config.max_hole_px);
+        // A driver that smooths does so within surfaces.
+        let noise = self.noise.times(level.max(1.0).sqrt());
+        self.jumps = JumpRule::new(&noise, self.scale, pitch, self.config.max_hole_px);
         self.slopes.clear();
         self.slopes.extend((0..self.length).map(|pixel| self.camera.ray_slope(scan, f64::from(pixel))));
         let known = self.limits.len();
@@ -99,6 +101,11 @@ impl View {
         buffer.clear();
         buffer.extend(pixels.iter().map(|&pixel| self.slopes[pixel as usize]));
         buffer
+    }
+
+    /// The pixels of a row, if those are the scan lines.
+    pub fn row<'a>(&self, image: &'a [u16], line: u32) -> &'a [u16] {
+        &image[line as usize * self.width..][..self.width]
     }
 
     /// The pixels `window` of a scan line; those of a column are copied side by side into `column`.
@@ -127,7 +134,7 @@ impl View {
     /// Variance of a depth, in square metres.
     #[inline]
     pub fn variance(&self, depth: f64) -> f64 {
-        (self.quiet * self.noise.variance(depth)).max(self.least)
+        (self.level * self.noise.variance(depth)).max(self.least)
     }
 
     /// Largest mean square error of `points` points that noise of this variance accounts for.
