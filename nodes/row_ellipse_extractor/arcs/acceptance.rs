@@ -3,7 +3,7 @@
 
 use super::super::filter::Rejection;
 use super::rays::Rays;
-use super::run::{FIRST_FIT, Run};
+use super::run::{FEWEST, FIRST_FIT, Run};
 use super::segments::Segment;
 use super::view::View;
 use conicflow_geometry::{ArcFit, ArcMoments, Circle, LineSums, PlaneMoments, Scan};
@@ -21,6 +21,8 @@ const SMEARED: usize = 32;
 const MAX_GAP: f64 = 3.0;
 /// How many standard deviations the mean of a few points at an end may be off the circle through the others.
 const STRAYING: f64 = 2.0;
+/// Part of what noise accounts for that an arc with its ends may be off its circle.
+const EXPLAINED: f64 = 0.5;
 /// Radius beyond which a circle is a wall, in the largest radii of an object: the circle of a short arc is uncertain.
 const FLATTEST: f64 = 4.0;
 
@@ -28,21 +30,23 @@ const FLATTEST: f64 = 4.0;
 ///
 /// Most of an image are walls and floors: of these no more is summed than has to be.
 pub(super) fn accept_line(rays: &Rays, image: &[u16]) -> Option<Result<Ellipse, Rejection>> {
-    let length = rays.length;
-    let trim = trim(rays, length).min(length / 2);
-    let points = trim..length - trim;
-    let whole = rays.line_sums(0..length);
+    let inner = rays.inner.clone();
+    let smeared = inner.len() / SMEARED;
+    let points = inner.start + smeared..inner.end - smeared;
+    let whole = rays.line_sums(inner.clone());
     let square = |sums: &LineSums, points: usize| sums.line_square(points as f64, rays.stretch);
-    if square(&whole, length) > rays.limit(0, length) {
+    if square(&whole, inner.len()) > rays.limit(inner.start, inner.end) {
         return None;
     }
     let is_cut_off = rays.points.open != [false; 2];
     let is_straight = || {
-        let middle = whole.without(&rays.line_sums(0..trim)).without(&rays.line_sums(points.end..length));
+        let ends = [inner.start..points.start, points.end..inner.end].map(|end| rays.line_sums(end));
+        let middle = whole.without(&ends[0]).without(&ends[1]);
         square(&middle, points.len()) < least_curvature(rays, &points)
     };
-    let segment = Segment { part: [0, length], from: 0, to: length, is_curve: true };
-    Some(if points.len() < FIRST_FIT - 1 {
+    let Range { start: from, end: to } = inner;
+    let segment = Segment { part: [from, to], from, to, is_curve: true };
+    Some(if points.len() < FEWEST {
         Err(Rejection::FewPoints)
     } else if rays.width() >= 2.0 * rays.view.config.max_radius_m || is_cut_off && is_straight() {
         Err(Rejection::Line)
@@ -56,15 +60,10 @@ fn least_curvature(rays: &Rays, points: &Range<usize>) -> f64 {
     CURVED * rays.variance(points.start, points.end) * (2.0 / points.len() as f64).sqrt()
 }
 
-/// Points that are taken off each end of so many.
-fn trim(rays: &Rays, points: usize) -> usize {
-    rays.view.config.trim_px as usize + points / SMEARED
-}
-
 /// The arc of a segment, or why it is none.
 pub(super) fn accept(run: &Run, image: &[u16], segment: &Segment) -> Result<Ellipse, Rejection> {
     let points = trimmed(run, segment);
-    if points.len() < FIRST_FIT - 1 {
+    if points.len() < FEWEST {
         return Err(Rejection::FewPoints);
     }
     arc(run, image, segment, points.clone(), &run.moments(points.start, points.end))
@@ -82,12 +81,17 @@ fn arc(
     let fit = circle(rays, segment, &points, moments).or_else(|why| {
         if may_be_part(rays, segment, &points, contour) { Ok(nearly_flat(rays, moments)) } else { Err(why) }
     })?;
-    let wider = with_ends(rays, segment, points.clone(), &fit.circle);
-    let sums = rays.all_sums(wider.clone()).moments(rays.plane().stretch());
-    let more = if wider == points { None } else { ArcMoments::of(&sums) };
-    let fit = more
-        .map_or(fit, |moments| circle(rays, segment, &wider, &moments).unwrap_or_else(|_| nearly_flat(rays, &moments)));
-    Ok(Ellipse { contour, ..message(rays, image, wider, &fit, &sums.about(moments.mean())) })
+    let (points, fit, moments) = with_ends(rays, segment, &points, &fit.circle).unwrap_or_else(|| {
+        let moments = all_moments(rays, &points);
+        (points, fit, moments)
+    });
+    Ok(Ellipse { contour, ..message(rays, image, points, &fit, &moments) })
+}
+
+/// Moments of some points about their mean.
+fn all_moments(rays: &Rays, points: &Range<usize>) -> PlaneMoments {
+    let moments = rays.all_sums(points.clone()).moments(rays.plane().stretch());
+    moments.mean().map_or(moments, |mean| moments.about(mean))
 }
 
 /// The circle through the points of a segment, or why it is none of an object.
@@ -124,44 +128,49 @@ fn nearly_flat(rays: &Rays, moments: &ArcMoments) -> ArcFit {
 }
 
 /// Where a segment ends before something behind it, on the sides on which it ends its run, in pixels. Beyond a hole may be
-/// the same surface: only a jump counts.
+/// the same surface: only a jump counts. A pixel between two jumps is of neither side.
 fn contour(rays: &Rays, segment: &Segment) -> [f64; 2] {
     let View { jumps, config, .. } = rays.view;
-    let end = |is_end: bool, point: usize, neighbor: Option<(u32, u16)>| {
+    let end = |is_end: bool, point: usize, [next, after]: [Option<(u32, u16)>; 2]| {
         let (pixel, depth) = (rays.points.pixels[point], rays.points.depths[point]);
-        let is_behind = |there: u32, other: u16| {
-            other > depth && jumps.splits(depth, other, there.abs_diff(pixel).min(config.max_hole_px + 1))
-        };
-        let (there, _) = neighbor.filter(|(there, other)| is_end && is_behind(*there, *other))?;
-        Some(f64::from(pixel) + 0.5 * (f64::from(there) - f64::from(pixel)).clamp(-MAX_GAP, MAX_GAP))
+        let (there, other) = next.filter(|_| is_end)?;
+        let is_alone = |beyond: u32, farther: u16| beyond.abs_diff(pixel) == 2 && jumps.splits(other, farther, 1);
+        let (there, other) = after.filter(|(beyond, farther)| is_alone(*beyond, *farther)).unwrap_or((there, other));
+        let is_behind = other > depth && jumps.splits(depth, other, there.abs_diff(pixel).min(config.max_hole_px + 1));
+        is_behind.then(|| f64::from(pixel) + 0.5 * (f64::from(there) - f64::from(pixel)).clamp(-MAX_GAP, MAX_GAP))
     };
-    let [before, behind] = rays.points.neighbors;
-    let ends = [end(segment.from == 0, 0, before), end(segment.to == rays.length, rays.length - 1, behind)];
-    ends.map(Option::unwrap_or_default)
+    let ([starts_run, ends_run], [before, behind]) = (reaches_ends(rays, segment), rays.points.neighbors);
+    [end(starts_run, 0, before), end(ends_run, rays.length - 1, behind)].map(Option::unwrap_or_default)
+}
+
+/// Whether a segment starts and ends its run.
+fn reaches_ends(rays: &Rays, segment: &Segment) -> [bool; 2] {
+    [segment.from == rays.inner.start, segment.to == rays.inner.end]
 }
 
 /// Whether a segment is all there is between two jumps or creases.
 fn is_whole(rays: &Rays, segment: &Segment) -> bool {
-    let starts_open = segment.from == 0 && rays.points.open[0];
-    let ends_open = segment.to == rays.length && rays.points.open[1];
-    [segment.from, segment.to] == segment.part && !starts_open && !ends_open
+    let [starts_run, ends_run] = reaches_ends(rays, segment);
+    let is_open = starts_run && rays.points.open[0] || ends_run && rays.points.open[1];
+    [segment.from, segment.to] == segment.part && !is_open
 }
 
 /// What is left of a segment when the ends that may belong to something else are taken off: pixels at a jump mix two
 /// depths, and where a curve breaks it has taken in some points of what follows.
 fn trimmed(run: &Run, segment: &Segment) -> Range<usize> {
     let Segment { part, mut from, mut to, .. } = *segment;
-    let trim = trim(run, to - from);
-    let (starts_run, ends_run) = (from == part[0], to == part[1]);
-    from += trim;
-    to = to.saturating_sub(trim).max(from);
+    let [few_before, few_behind] = reaches_ends(run, segment)
+        .map(|is_end| (to - from) / SMEARED + if is_end { 0 } else { run.view.config.trim_px as usize });
+    let (starts_part, ends_part) = (from == part[0], to == part[1]);
+    from += few_before;
+    to = to.saturating_sub(few_behind).max(from);
     for _ in 0..4 {
         let few = ((to - from) / 8).max(3);
         if to - from < 2 * FIRST_FIT + few {
             break;
         }
-        let strays_behind = !ends_run && strays(run, from..to - few, to - few..to);
-        let strays_before = !starts_run && strays(run, from + few..to, from..from + few);
+        let strays_behind = !ends_part && strays(run, from..to - few, to - few..to);
+        let strays_before = !starts_part && strays(run, from + few..to, from..from + few);
         to -= if strays_behind { few } else { 0 };
         from += if strays_before { few } else { 0 };
         if !(strays_behind || strays_before) {
@@ -171,17 +180,33 @@ fn trimmed(run: &Run, segment: &Segment) -> Range<usize> {
     from..to
 }
 
-/// The points with the next one on either side, where it was taken off only because pixels at a jump may mix two depths,
-/// and its ray meets the circle through the others: what it shows then is the surface, where it curves most.
-fn with_ends(rays: &Rays, segment: &Segment, points: Range<usize>, circle: &Circle) -> Range<usize> {
+/// The points with the next one on either side, where that was taken off only because pixels at a jump may mix two depths,
+/// and its ray meets the circle through the others: what it shows then is the surface, where it curves most. With their
+/// circle and moments; `None` where there is no such point, or no circle explains them all.
+fn with_ends(
+    rays: &Rays,
+    segment: &Segment,
+    points: &Range<usize>,
+    circle: &Circle,
+) -> Option<(Range<usize>, ArcFit, PlaneMoments)> {
     let meets = |point: usize| {
         let ([s, t], [x, y]) = (rays.point(point), circle.center);
         (s * y - t * x).powi(2) < circle.radius * circle.radius * (s * s + t * t)
     };
-    let starts_part = segment.from == segment.part[0] && segment.from < points.start;
-    let ends_part = segment.to == segment.part[1] && segment.to > points.end;
-    let start = points.start - usize::from(starts_part && meets(points.start - 1));
-    start..points.end + usize::from(ends_part && meets(points.end))
+    let [starts_run, ends_run] = reaches_ends(rays, segment);
+    let first = if starts_run { 0 } else { segment.part[0] };
+    let end = if ends_run { rays.length } else { segment.part[1] };
+    let before = segment.from == segment.part[0] && first < points.start && meets(points.start - 1);
+    let behind = segment.to == segment.part[1] && end > points.end && meets(points.end);
+    let wider = points.start - usize::from(before)..points.end + usize::from(behind);
+    if wider == *points {
+        return None;
+    }
+    let moments = all_moments(rays, &wider);
+    let sums = ArcMoments::of(&moments)?;
+    let explained = sums.fit().circle_square <= EXPLAINED * rays.limit(wider.start, wider.end);
+    let fit = || self::circle(rays, segment, &wider, &sums).unwrap_or_else(|_| nearly_flat(rays, &sums));
+    explained.then(|| (wider.clone(), fit(), moments))
 }
 
 /// Whether the points of `few` are off the circle through those of `others`.

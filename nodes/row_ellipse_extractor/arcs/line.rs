@@ -120,7 +120,10 @@ impl RayLine {
             pixels: &self.pixels[points.clone()],
             depths: &self.depths[points.clone()],
             metres: &self.metres[points.clone()],
-            neighbors: [points.start.checked_sub(1), Some(points.end)].map(|at| self.measurement(at?)),
+            neighbors: [
+                [1, 2].map(|by| self.measurement(points.start.checked_sub(by)?)),
+                [0, 1].map(|by| self.measurement(points.end + by)),
+            ],
             open,
         }
     }
@@ -152,8 +155,8 @@ pub(super) struct Points<'a> {
     pub depths: &'a [u16],
     /// ... and in metres.
     pub metres: &'a [f64],
-    /// Pixel and depth of the measurements before and behind the run, in the window.
-    pub neighbors: [Option<(u32, u16)>; 2],
+    /// Pixel and depth of the two measurements before the run and of those behind it, the nearer first, in the window.
+    pub neighbors: [[Option<(u32, u16)>; 2]; 2],
     /// Whether the run goes on beyond the window, before the first point and behind the last.
     pub open: [bool; 2],
 }

@@ -26,7 +26,6 @@ use coarse::CoarseLines;
 use conicflow_geometry::{ArcSums, Scan};
 use conicflow_messages::{Ellipse, Header};
 use line::RayLine;
-use noise_level::{scatter, share};
 use rays::{RayBuffers, Rays};
 use run::{FIRST_FIT, Run};
 use segments::{cut, next_segment};
@@ -69,13 +68,8 @@ impl Arcs {
 
     /// Variance of the depths of an image, in variances of its noise model.
     pub fn noise_level(&mut self, header: &Header, image: &[u16]) -> f64 {
-        let Self { view, line, search, errors, .. } = self;
-        view.turn(header, Scan::Row, 1.0);
-        let most = scatter(view, image, errors);
-        if most > 1.0 {
-            view.turn(header, Scan::Row, most);
-        }
-        most * share(view, image, line, search, errors)
+        self.view.turn(header, Scan::Row, 1.0);
+        noise_level::noise_level(&self.view, image, &mut self.line, &mut self.search, &mut self.errors)
     }
 
     /// Adds the arcs of the rows or columns of an image to `ellipses`, in the order of line and pixel.

@@ -4,9 +4,9 @@
 //! quieter where a driver smooths. Limits that are too narrow are the worse mistake: from a tenth more noise on, fewer
 //! and fewer surfaces would be found.
 //!
-//! Noise above the model shows between pixels that lie close together, whatever the surface ([`scatter`]). Below it, there
-//! is noise that such pixels have in common; but the errors of lines and circles, free of noise if the model is right, are
-//! below zero by its excess ([`share`]).
+//! Pixels that lie close together show the noise that they do not have in common, whatever the surface ([`scatter`]); that
+//! is all, unless a driver smooths. If there is less of it than the model says, the errors of lines and circles tell the
+//! whole ([`share`]): they are free of noise if the model is right, and below zero by its excess.
 
 use super::LineSearch;
 use super::line::RayLine;
@@ -26,19 +26,33 @@ const APART: usize = 3;
 const FEWEST: usize = 64;
 /// Standard deviations beyond which three pixels do not lie on one smooth surface ...
 const WITHIN: f64 = 2.5;
-/// ... the mean square of a normal deviate inside of them, ...
+/// ... and the mean square of a normal deviate inside of them.
 const SQUARE_WITHIN: f64 = 0.911_26;
-/// ... and the median of its square.
-const MEDIAN_SQUARE: f64 = 0.454_94;
+/// Growth of the level below which it has settled.
+const SETTLED: f64 = 1.01;
+/// Scatter in variances of the model above which neighbours have no noise in common.
+const UNSMOOTHED: f64 = 0.85;
 /// Above this it is no longer noise.
 const MOST: f64 = 16.0;
 
-/// The variance that neighbours show, in variances of the model; at least one: what they have in common they do not show.
+/// Variance of the depths of an image, in variances of the model that a view takes as it is.
+pub(super) fn noise_level(
+    view: &View,
+    image: &[u16],
+    line: &mut RayLine,
+    search: &mut LineSearch,
+    errors: &mut Vec<f64>,
+) -> f64 {
+    let scatter = scatter(view, image, errors);
+    if scatter > UNSMOOTHED { scatter.max(1.0) } else { share(view, image, line, search, errors) }
+}
+
+/// The variance that neighbours show, in variances of the model; less than there is, where they have noise in common.
 ///
 /// Along a line of the image a plane's inverse depth is linear, so `b (b / a + b / c - 2)` of three depths in even steps is
-/// noise alone, of six times the variance of one. The median of the squares is too high by the silhouettes and creases
-/// among them; the mean of those within reach, taken again and again, is not.
-pub(super) fn scatter(view: &View, image: &[u16], squares: &mut Vec<f64>) -> f64 {
+/// noise alone, of six times the variance of one. Silhouettes and creases are out of reach: the level grows from that of
+/// the model only as far as the mean square of those within reach confirms it.
+fn scatter(view: &View, image: &[u16], squares: &mut Vec<f64>) -> f64 {
     squares.clear();
     for line in lines(view) {
         let depths = view.row(image, line).windows(2 * APART + 1).step_by(APART);
@@ -52,25 +66,21 @@ pub(super) fn scatter(view: &View, image: &[u16], squares: &mut Vec<f64>) -> f64
     if squares.len() < FEWEST {
         return 1.0;
     }
-    let mut level = median(squares) / MEDIAN_SQUARE;
-    for _ in 0..4 {
+    let mut level = 1.0;
+    loop {
         let limit = WITHIN * WITHIN * level;
-        let within =
+        let add =
             |(sum, count), &square: &f64| if square <= limit { (sum + square, count + 1.0) } else { (sum, count) };
-        let (sum, count) = squares.iter().fold((0.0, 0.0), within);
-        level = sum / (count * SQUARE_WITHIN);
+        let (sum, count) = squares.iter().fold((0.0, 0.0_f64), add);
+        let last = std::mem::replace(&mut level, sum / (count.max(1.0) * SQUARE_WITHIN));
+        if level < last * SETTLED || level > MOST {
+            return level.min(MOST);
+        }
     }
-    level.clamp(1.0, MOST)
 }
 
-/// The part of its own level, at most all, that a view finds in an image.
-pub(super) fn share(
-    view: &View,
-    image: &[u16],
-    line: &mut RayLine,
-    search: &mut LineSearch,
-    errors: &mut Vec<f64>,
-) -> f64 {
+/// The part of the model's variance, at most all, that lines and circles show.
+fn share(view: &View, image: &[u16], line: &mut RayLine, search: &mut LineSearch, errors: &mut Vec<f64>) -> f64 {
     errors.clear();
     for number in lines(view) {
         line.read(view, image, number, 0..view.length);
@@ -96,8 +106,8 @@ fn median(values: &mut [f64]) -> f64 {
 
 /// Adds the errors of the lines and circles of a run, in variances of the sensor.
 fn add_errors(run: &Run, errors: &mut Vec<f64>) {
-    let (whole, mut from) = (0..run.length, 0);
-    while let Some(Segment { to, .. }) = next_segment(run, &whole, from) {
+    let mut from = run.inner.start;
+    while let Some(Segment { to, .. }) = next_segment(run, &run.inner, from) {
         if to - from >= TELLING {
             let fit = run.moments(from, to).fit();
             errors.push(fit.line_square.min(fit.circle_square) / run.variance(from, to));

@@ -17,12 +17,14 @@ pub(super) struct RayBuffers {
 }
 
 /// The rays of a run. Points count from its start.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Rays<'a> {
     pub view: &'a View,
     pub line: &'a RayLine,
     pub points: Points<'a>,
     pub length: usize,
+    /// All but those at the ends, where pixels may mix two depths.
+    pub inner: Range<usize>,
     pub stretch: f64,
     slopes: &'a [f64],
     /// Variances of the depths, each of as many points as are the surroundings of one.
@@ -50,8 +52,10 @@ impl<'a> Rays<'a> {
         let points = line.run(view, index);
         let RayBuffers { slopes, variances } = buffers;
         weigh(view, points.depths, variances);
-        let slopes = view.slopes(points.pixels, slopes);
-        Self { view, line, points, length: points.depths.len(), stretch: line.plane.stretch(), slopes, variances }
+        let (length, slopes) = (points.depths.len(), view.slopes(points.pixels, slopes));
+        let ends = (view.config.trim_px as usize).min(length / 4);
+        let (inner, stretch) = (ends..length - ends, line.plane.stretch());
+        Self { view, line, points, length, inner, stretch, slopes, variances }
     }
 
     /// The plane of the scan line.
@@ -79,7 +83,7 @@ impl<'a> Rays<'a> {
     /// Slopes, depths and variance of some points, in parts of one variance each.
     #[inline]
     pub fn parts(&self, points: Range<usize>) -> impl Iterator<Item = (&'a [f64], &'a [f64], f64)> {
-        let (rays, mut from) = (*self, points.start);
+        let (rays, mut from) = (self, points.start);
         std::iter::from_fn(move || {
             let part = from..(from - from % SURROUNDINGS + SURROUNDINGS).min(points.end);
             from = part.end;

@@ -4,8 +4,10 @@ use super::rays::{Rays, SURROUNDINGS};
 use conicflow_geometry::{ArcMoments, ArcSums};
 use std::ops::Deref;
 
-/// Fewest points whose error means anything.
+/// Fewest points whose error means anything ...
 pub(super) const FIRST_FIT: usize = 5;
+/// ... and fewest of an arc.
+pub(super) const FEWEST: usize = 4;
 
 /// A run, ready for fits.
 #[derive(Debug)]

@@ -4,7 +4,7 @@
 //! with a handful of fits in place of one per point.
 
 use super::rays::SURROUNDINGS;
-use super::run::{FIRST_FIT, Run};
+use super::run::{FEWEST, FIRST_FIT, Run};
 use std::ops::Range;
 
 /// Points on each side of a crease that are compared with the three in it.
@@ -17,7 +17,7 @@ const CREASE_UNIT: f64 = 15.0;
 /// An interval of a run that one curve explains.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Segment {
-    /// The part of the run between two creases that it lies in.
+    /// The part of the run between two creases that it lies in, without the ends of the run.
     pub part: [usize; 2],
     pub from: usize,
     pub to: usize,
@@ -29,11 +29,12 @@ pub(super) struct Segment {
 /// open to the camera count, and only where no circle (as the inside of a bowl) explains the whole run.
 pub(super) fn cut(run: &Run, cuts: &mut Vec<usize>, depth_sums: &mut Vec<u32>) {
     cuts.clear();
-    cuts.push(0);
-    if !run.is_line(0, run.length) && !run.is_circle(0, run.length) {
+    let Range { start, end } = run.inner;
+    cuts.push(start);
+    if !run.is_line(start, end) && !run.is_circle(start, end) {
         add_creases(run, cuts, depth_sums);
     }
-    cuts.push(run.length);
+    cuts.push(end);
 }
 
 /// Running sums of the depths of a run, beginning with nothing; they may wrap around, differences of them do not.
@@ -92,14 +93,14 @@ pub(super) fn next_segment(run: &Run, part: &Range<usize>, from: usize) -> Optio
     let most = part.end - from;
     let segment =
         |length: usize, is_curve: bool| Segment { part: [part.start, part.end], from, to: from + length, is_curve };
-    if most < FIRST_FIT {
+    if most < FEWEST {
         None
     } else if run.is_line(from, part.end) {
         Some(segment(most, from == part.start && run.width() < 2.0 * run.view.config.max_radius_m))
     } else if run.is_circle(from, part.end) {
         Some(segment(most, true))
     } else {
-        let line = gallop(FIRST_FIT, most, |length| run.is_line(from, from + length));
+        let line = gallop(FIRST_FIT.min(most), most, |length| run.is_line(from, from + length));
         let circle = gallop(line, most, |length| run.is_circle(from, from + length));
         Some(segment(circle, circle > line + line / 8 + 1))
     }

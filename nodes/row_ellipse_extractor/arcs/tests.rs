@@ -52,14 +52,21 @@ fn columns_are_the_rows_of_the_turned_image() {
     let (header, pixels) = room(3);
     let Camera { width, height, fx, fy, cx, cy } = header.camera;
     let camera = Camera { width: height, height: width, fx: fy, fy: fx, cx: cy, cy: cx };
-    let turned = (0..width * height).map(|i| pixels[(i % height * width + i / height) as usize]).collect();
-    let columns = arcs(config(ScanLines::Columns), &(header, pixels));
-    let rows = arcs(config(ScanLines::Rows), &(Header { camera, ..header }, turned));
-    assert!(columns.len() > 30, "{} arcs", columns.len());
-    // The noise level is that of the rows in both, so the variances differ a little, and with them a few verdicts.
-    let alike = |a: &&Ellipse| rows.iter().any(|b| (a.line, a.first, a.last) == (b.line, b.first, b.last));
-    let same = columns.iter().filter(alike).count();
-    assert!(10 * same > 9 * columns.len().max(rows.len()), "{same} of {} and {}", columns.len(), rows.len());
+    let turned: Vec<u16> = (0..width * height).map(|i| pixels[(i % height * width + i / height) as usize]).collect();
+    // At the same noise level: that of an image is taken from its rows.
+    let found = |header: &Header, pixels: &[u16], scan| {
+        let (mut ellipses, mut rejections) = (Vec::new(), Rejections::default());
+        let mut arcs = Arcs::with(config(ScanLines::Both));
+        arcs.find(header, pixels, (scan, 1.0), &mut ellipses, &mut rejections);
+        ellipses
+    };
+    let columns = found(&header, &pixels, Scan::Column);
+    let rows = found(&Header { camera, ..header }, &turned, Scan::Row);
+    assert!(columns.len() > 30 && columns.len() == rows.len(), "{} and {} arcs", columns.len(), rows.len());
+    for (column, row) in columns.iter().zip(&rows) {
+        assert_eq!((column.line, column.first, column.last), (row.line, row.first, row.last));
+        assert!((column.half_width - row.half_width).abs() < 1e-9 * row.half_width);
+    }
 }
 
 #[test]
@@ -80,6 +87,39 @@ fn lines_that_are_stepped_over_are_not_looked_at() {
         let arcs = arcs(RowEllipseConfig { line_step, ..config(ScanLines::Rows) }, &room(5));
         assert!(arcs.len() > 10 && arcs.iter().all(|arc| arc.line % line_step == 0), "every {line_step} lines");
     }
+}
+
+/// The arc of a can before a wall in one row of an image, some pixels of which are changed.
+fn arc_in_row(row: u32, change: impl FnOnce(&mut [u16])) -> Ellipse {
+    let (header, mut pixels) = render(KINECT_HALF, NoiseModel::IDEAL, &[can(0.0, 1.5, 0.08), wall(3.0)], 9);
+    let width = header.camera.width as usize;
+    change(&mut pixels[row as usize * width..][..width]);
+    let header = Header { noise: NoiseModel::KINECT_V1, ..header };
+    *arcs(config(ScanLines::Rows), &(header, pixels)).iter().find(|arc| arc.line == row).unwrap()
+}
+
+#[test]
+fn a_pixel_between_two_jumps_is_of_neither_side() {
+    let plain = arc_in_row(120, |_| {});
+    let last = plain.contour[1] as usize;
+    assert!(plain.contour[0] > 0.0 && last > 0);
+    for units_before_the_wall in [12_000, 7_000, 1_500] {
+        let arc = arc_in_row(120, |row| row[last + 1] -= units_before_the_wall);
+        assert_eq!(arc.contour, [plain.contour[0], plain.contour[1] + 0.5], "{units_before_the_wall}");
+        assert_eq!((arc.first, arc.last), (plain.first, plain.last));
+    }
+    let hidden = arc_in_row(120, |row| row[last + 1..last + 20].fill(9000));
+    assert_eq!(hidden.contour, [plain.contour[0], 0.0]);
+}
+
+#[test]
+fn an_end_that_is_off_the_circle_is_left_off() {
+    let plain = arc_in_row(120, |_| {});
+    let last = plain.contour[1] as usize;
+    assert_eq!(plain.last as usize, last, "the outermost pixel is on the circle");
+    let arc = arc_in_row(120, |row| row[last] += 300);
+    assert_eq!((arc.first, arc.last as usize), (plain.first, last - 1));
+    assert!((arc.half_width / plain.half_width - 1.0).abs() < 0.01);
 }
 
 #[test]
