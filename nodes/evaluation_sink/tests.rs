@@ -117,7 +117,7 @@ fn the_pipeline_files_of_the_experiments_are_valid() {
     assert!(read("detection.toml", &[]).is_ok());
     let size = ["source.width=640", "source.height=480", "source.scenes.groups=[\"tabletop\"]"].map(String::from);
     assert!(read("detection.toml", &size).is_ok());
-    for name in ["noise.toml", "recording.toml"] {
+    for name in ["noise.toml", "recording.toml", "recorded_tracks.toml"] {
         assert!(read(name, &["source.path=\".\"".into()]).is_ok(), "{name}");
         assert!(read(name, &[]).err().unwrap().to_string().contains("is missing"), "{name} has no frames of its own");
     }

@@ -56,11 +56,12 @@ fn playground(name: &str, edits: &[(&str, &str)]) -> Playground {
     playground
 }
 
-/// Errors of the confirmed tracks in units of their sigmas, over a whole sequence, whose frames err alike.
+/// Errors of the confirmed tracks in units of their sigmas, over a whole sequence, whose frames err alike: a track is one
+/// draw, of which little is luck and much is a lie.
 fn assert_honest(table: &Table, object: &str) {
     for column in ["radius_sigmas", "center_sigmas"] {
         let error = table.number(&[("stage", "filtered"), ("object", object)], column);
-        assert!((0.7..1.5).contains(&error), "{column} of {object}: {error}");
+        assert!((0.4..1.5).contains(&error), "{column} of {object}: {error}");
     }
 }
 
