@@ -13,6 +13,10 @@ use std::ops::Range;
 /// Significance that the error of a line has to exceed that of the circle by, in standard deviations, where the arc is
 /// a part of a run.
 const CURVED: f64 = 3.0;
+/// The same where it is a whole run of at least so many points: most of those are flat ...
+const CURVED_WHOLE: f64 = 0.5;
+/// ... while many weak ones of a few points make a strong one.
+const WEAK: usize = 16;
 /// Fewest points of an arc that goes on although it is not curved, because it is set off by jumps.
 const SET_OFF: usize = 6;
 /// Besides `trim_px`, one point in so many is taken off each end: edges are smeared the wider, the larger they are seen.
@@ -42,7 +46,7 @@ pub(super) fn accept_line(rays: &Rays, image: &[u16]) -> Option<Result<Ellipse, 
     let is_straight = || {
         let ends = [inner.start..points.start, points.end..inner.end].map(|end| rays.line_sums(end));
         let middle = whole.without(&ends[0]).without(&ends[1]);
-        square(&middle, points.len()) < least_curvature(rays, &points)
+        square(&middle, points.len()) < CURVED * scatter(rays, &points)
     };
     let Range { start: from, end: to } = inner;
     let segment = Segment { part: [from, to], from, to, is_curve: true };
@@ -55,9 +59,9 @@ pub(super) fn accept_line(rays: &Rays, image: &[u16]) -> Option<Result<Ellipse, 
     })
 }
 
-/// By how much the mean square error of a line has to exceed that of the circle, where the arc is a part of a run.
-fn least_curvature(rays: &Rays, points: &Range<usize>) -> f64 {
-    CURVED * rays.variance(points.start, points.end) * (2.0 / points.len() as f64).sqrt()
+/// Standard deviation of the mean square error of a line through some points.
+fn scatter(rays: &Rays, points: &Range<usize>) -> f64 {
+    rays.variance(points.start, points.end) * (2.0 / points.len() as f64).sqrt()
 }
 
 /// The arc of a segment, or why it is none.
@@ -97,9 +101,15 @@ fn all_moments(rays: &Rays, points: &Range<usize>) -> PlaneMoments {
 /// The circle through the points of a segment, or why it is none of an object.
 fn circle(rays: &Rays, segment: &Segment, points: &Range<usize>, moments: &ArcMoments) -> Result<ArcFit, Rejection> {
     let (fit, config) = (moments.fit(), &rays.view.config);
-    // Many weak ones of neighbouring lines make a strong one.
-    let curved = if is_whole(rays, segment) { 0.0 } else { least_curvature(rays, points) };
-    if !fit.circle.radius.is_finite() || fit.line_square - fit.circle_square.max(0.0) < curved {
+    let sigmas = if !is_whole(rays, segment) {
+        CURVED
+    } else if points.len() >= WEAK {
+        CURVED_WHOLE
+    } else {
+        0.0
+    };
+    let bend = fit.line_square - fit.circle_square.max(0.0);
+    if !fit.circle.radius.is_finite() || bend < sigmas * scatter(rays, points) {
         Err(Rejection::Line)
     } else if fit.circle.center[1] <= moments.mean()[1] {
         Err(Rejection::Concave)
