@@ -52,10 +52,11 @@ fn sum_depths<'a>(depths: &[u16], sums: &'a mut Vec<u32>) -> &'a [u32] {
 fn add_creases(run: &Run, creases: &mut Vec<usize>, depth_sums: &mut Vec<u32>) {
     let depth_sums = sum_depths(run.points.depths, depth_sums);
     let mut deepest: Option<(i32, usize)> = None;
-    let end = run.length.saturating_sub(WING + 1);
+    let start = (WING + 1).max(run.inner.start + 1);
+    let end = run.length.saturating_sub(WING + 1).min(run.inner.end);
     let per_sigma = CREASE_UNIT * CREASE / run.view.scale;
     for first in (0..end).step_by(SURROUNDINGS) {
-        let block = first.max(WING + 1)..(first + SURROUNDINGS).min(end);
+        let block = first.max(start)..(first + SURROUNDINGS).min(end);
         if block.is_empty() {
             continue;
         }

@@ -1,8 +1,9 @@
 use super::super::rendered::{Body, KINECT_HALF, render};
 use super::super::{ArcFinder, RowEllipseConfig, RowEllipseExtractor, ScanLines};
 use super::*;
+use crate::object_assembler::{AssemblerConfig, ObjectAssembler};
 use conicflow_geometry::Vector3;
-use conicflow_messages::{Camera, Item, NoiseModel};
+use conicflow_messages::{Camera, Item, NoiseModel, Object};
 
 fn config(scan: ScanLines) -> RowEllipseConfig {
     RowEllipseConfig { arcs: ArcFinder::Moments, scan, ..RowEllipseConfig::default() }
@@ -123,6 +124,18 @@ fn an_end_that_is_off_the_circle_is_left_off() {
 }
 
 #[test]
+fn any_number_of_points_may_be_taken_off_the_ends() {
+    for seed in 5..8 {
+        let points = |trim_px| {
+            let arcs = arcs(RowEllipseConfig { trim_px, ..config(ScanLines::Both) }, &room(seed));
+            arcs.iter().map(|arc| arc.points).sum::<u32>()
+        };
+        let left: Vec<u32> = [0, 1, 2, 4, 8, 12, 16].map(points).into();
+        assert!(left.is_sorted_by(|more, fewer| more >= fewer) && left[6] > 0, "{left:?}");
+    }
+}
+
+#[test]
 fn a_floor_and_a_wall_give_next_to_nothing() {
     let floor = Body::Plane { normal: Vector3::new(0.0, 0.9, 0.3).normalize(), offset: 0.9 };
     let arcs = arcs(config(ScanLines::Both), &render(KINECT_HALF, NoiseModel::KINECT_V1, &[floor, wall(2.5)], 6));
@@ -184,4 +197,46 @@ fn after_two_rounds_nothing_is_allocated() {
     let third = allocation_counter::measure(|| assert!(round() > 100));
     assert!(first.count_total > 0, "the counter counts nothing");
     assert_eq!(third.count_total, 0, "{third:?}");
+}
+
+/// An image of steps, slopes, holes and noise without sense.
+fn nonsense(seed: u64) -> (Header, Vec<u16>) {
+    let mut random = fastrand::Rng::with_seed(seed);
+    let (width, height) = (random.u32(1..90), random.u32(1..60));
+    let focal = random.f64() * 300.0 + 1.0;
+    let camera = Camera { width, height, fx: focal, fy: focal, cx: 0.5 * f64::from(width), cy: 0.0 };
+    let noise = [NoiseModel::KINECT_V1, NoiseModel::IDEAL, NoiseModel::KINECT_V1.times(0.01)][random.usize(0..3)];
+    let header = Header { camera, noise, depth_scale: [1e-4, 1e-3, 1.0][random.usize(0..3)], ..Header::default() };
+    let (mut depth, mut slope) = (random.u16(..), 0_i16);
+    let pixels = (0..width * height).map(|_| {
+        match random.u8(0..40) {
+            0 => depth = random.u16(..),
+            1..4 => slope = random.i16(-60..60),
+            4 => return 0,
+            _ => depth = depth.saturating_add_signed(slope),
+        }
+        depth.saturating_add(random.u16(0..8))
+    });
+    (header, pixels.collect())
+}
+
+#[test]
+fn nonsense_does_no_harm() {
+    let found: usize = (0..1000)
+        .map(|seed| {
+            let mut random = fastrand::Rng::with_seed(seed);
+            let config = RowEllipseConfig {
+                trim_px: random.u32(0..17),
+                max_hole_px: random.u32(0..9),
+                line_step: random.u32(1..9),
+                ..config(ScanLines::Both)
+            };
+            let image = nonsense(seed);
+            let arcs = arcs(config, &image);
+            let mut assembler = ObjectAssembler::with(AssemblerConfig::default());
+            assert_eq!(Object::check(&image.0, assembler.assemble(&image.0, &arcs)), Ok(()));
+            arcs.len()
+        })
+        .sum();
+    assert!(found > 500, "{found} arcs");
 }
