@@ -1,9 +1,9 @@
 //! What a structured-light sensor makes of an exact depth image: noise along the ray, disparity in steps, restless
 //! silhouettes, the projector's shadow, lost points where a surface is seen at a grazing angle, and limits of range.
 //!
-//! Axial noise and steps: Nguyen, Izadi and Lovell, "Modeling Kinect sensor noise for improved 3D reconstruction and
-//! tracking" (2012), in the form of [`NoiseModel`]; the same paper finds the silhouettes uncertain by about 0.8 pixels at
-//! 640x480 and the noise growing beyond all bounds from 70 to 80 degrees on.
+//! Axial noise, its growth with the angle, and steps: Nguyen, Izadi and Lovell, "Modeling Kinect sensor noise for improved
+//! 3D reconstruction and tracking" (2012), in the form of [`NoiseModel`]; the same paper finds the silhouettes uncertain by
+//! about 0.8 pixels at 640x480 and the noise growing beyond all bounds from 70 to 80 degrees on.
 
 use super::raster::Raster;
 use super::shadow;
@@ -14,14 +14,18 @@ use conicflow_messages::{Camera, INVALID_FAR, INVALID_NEAR, NoiseModel};
 use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::f64::consts::FRAC_PI_2;
+
+/// Least angle between ray and surface that noise grows to, in radians.
+const LEAST_GRAZE: f64 = 0.05;
 
 /// What the sensor does to the depth: `"kinect_v1"`, `"realsense_d435"`, `"time_of_flight"`, `"ideal"` or a table.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(
     untagged,
     expecting = "expected \"kinect_v1\", \"realsense_d435\", \"time_of_flight\", \"ideal\" or a table with some of the \
-                 numbers `floor_m`, `growth_per_m`, `knee_m`, `step_per_m`, `edge_jitter_px`, `shadow_baseline_m`, \
-                 `dropout_angle_deg`, `min_range_m`, `max_range_m`"
+                 numbers `floor_m`, `growth_per_m`, `knee_m`, `step_per_m`, `grazing_noise`, `edge_jitter_px`, \
+                 `shadow_baseline_m`, `dropout_angle_deg`, `min_range_m`, `max_range_m`"
 )]
 pub enum SensorConfig {
     /// A sensor with a name.
@@ -52,6 +56,10 @@ pub struct SensorTable {
     /// Depth between two neighbouring disparities, divided by the squared depth, in 1/metre; 0: no steps.
     #[schemars(range(min = 0.0))]
     pub step_per_m: f64,
+    /// What noise grows by where the angle a between ray and normal is large: `grazing_noise / sqrt(z) a^2 / (pi / 2 - a)^2`
+    /// in metres, a in radians; 0: not at all. A Kinect v1 has 0.0001, but no header tells of it.
+    #[schemars(range(min = 0.0))]
+    pub grazing_noise: f64,
     /// Standard deviation of a silhouette's place, in pixels of the image; 0: exact silhouettes.
     #[schemars(range(min = 0.0, max = 8.0))]
     pub edge_jitter_px: f64,
@@ -108,6 +116,7 @@ impl SensorTable {
             growth_per_m,
             knee_m,
             step_per_m,
+            grazing_noise: 0.0,
             edge_jitter_px: 0.0,
             shadow_baseline_m: 0.0,
             dropout_angle_deg: 90.0,
@@ -214,7 +223,11 @@ impl Sensor {
         if self.dropout_cosine > 0.0 && self.gets_lost(shape, &raster.point(u, v), dice, index) {
             return None;
         }
-        let depth = self.in_steps(exact + self.axial_sigma(exact) * dice.gaussian(Draw::Axial.counter(index)));
+        let mut sigma = self.axial_sigma(exact);
+        if self.table.grazing_noise > 0.0 {
+            sigma += self.grazing_sigma(shape, &raster.point(u, v));
+        }
+        let depth = self.in_steps(exact + sigma * dice.gaussian(Draw::Axial.counter(index)));
         (self.table.min_range_m..=self.table.max_range_m).contains(&depth).then_some(depth)
     }
 
@@ -233,6 +246,12 @@ impl Sensor {
     fn axial_sigma(&self, z: f64) -> f64 {
         let from_knee = z - self.table.knee_m;
         self.table.floor_m + self.table.growth_per_m * from_knee * from_knee
+    }
+
+    fn grazing_sigma(&self, shape: &Shape, point: &Vector3<f64>) -> f64 {
+        let angle = libm::acos((shape.normal(point).dot(point).abs() / point.norm()).min(1.0));
+        let growth = angle / (FRAC_PI_2 - angle).max(LEAST_GRAZE);
+        self.table.grazing_noise / point.z.sqrt() * growth * growth
     }
 
     /// The nearest depth whose disparity is a whole number of steps: `1 / z = n step_per_m`.

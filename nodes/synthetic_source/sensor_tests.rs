@@ -59,6 +59,20 @@ fn noise_has_the_mean_and_the_sigma_of_the_model() {
 }
 
 #[test]
+fn noise_grows_at_grazing_angles() {
+    let sensor = only(|table| table.grazing_noise = 1e-4);
+    for degrees in [0.0_f64, 60.0, 75.0, 82.0] {
+        let (raster, pixels) = measure(sensor, &[wall(2.0, degrees.to_radians())], Dice::new(3, 0));
+        // A few pixels about the middle, where the angle is that of the wall.
+        let middle = (117..123).flat_map(|row| row * 320 + 130..row * 320 + 190);
+        let squares = middle.map(|i| (f64::from(pixels[i]) * FINE - raster.depth[i]).powi(2));
+        let sigma = (squares.sum::<f64>() / 360.0).sqrt();
+        let expected = 1e-4 / 2.0_f64.sqrt() * (degrees / (90.0 - degrees)).powi(2);
+        assert!((sigma - expected).abs() < 0.15 * expected + 1e-4, "{sigma} at {degrees} degrees, expected {expected}");
+    }
+}
+
+#[test]
 fn depth_comes_in_steps_of_disparity() {
     let (_, pixels) = measure(KINECT, &[wall(3.0, 0.0)], Dice::new(5, 0));
     let mut levels: Vec<u16> = pixels;
