@@ -56,12 +56,13 @@ fn playground(name: &str, edits: &[(&str, &str)]) -> Playground {
     playground
 }
 
-/// Errors of the confirmed tracks in units of their sigmas, over a whole sequence, whose frames err alike: a track is one
-/// draw, of which little is luck and much is a lie.
+/// Errors of the confirmed tracks in units of their sigmas, over a whole sequence. Its frames err alike, so that a single
+/// object is one draw: below one is luck, far above is a lie.
 fn assert_honest(table: &Table, object: &str) {
+    let least = if object == "all" { 0.6 } else { 0.4 };
     for column in ["radius_sigmas", "center_sigmas"] {
         let error = table.number(&[("stage", "filtered"), ("object", object)], column);
-        assert!((0.4..1.5).contains(&error), "{column} of {object}: {error}");
+        assert!((least..1.5).contains(&error), "{column} of {object}: {error}");
     }
 }
 
