@@ -182,16 +182,16 @@ pub fn gradient(q: &Coefficients, p: &Vector3) -> Vector3 {
 }
 
 /// The normal equations at one surface, in the frame of the fit.
-struct System<const N: usize> {
+pub(crate) struct System<const N: usize> {
     square_sum: f64,
     contour_sum: f64,
-    gradient: SVector<f64, N>,
-    matrix: SMatrix<f64, N, N>,
+    pub(crate) gradient: SVector<f64, N>,
+    pub(crate) matrix: SMatrix<f64, N, N>,
     contour: SMatrix<f64, N, N>,
 }
 
 impl<const N: usize> System<N> {
-    fn new<S: Surface<N>>(moments: &QuadricMoments, contour: Option<&Contour>, surface: &S) -> Self {
+    pub(crate) fn new<S: Surface<N>>(moments: &QuadricMoments, contour: Option<&Contour>, surface: &S) -> Self {
         let (q, derivatives) = (surface.coefficients(), surface.derivatives());
         let products: [Coefficients; N] = std::array::from_fn(|i| moments.times(&derivatives[i]));
         let mut matrix = SMatrix::<f64, N, N>::zeros();

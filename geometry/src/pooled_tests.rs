@@ -1,30 +1,8 @@
 //! Tests of the pooled fits on rows of simulated points.
 
 use super::*;
-use crate::{
-    Conical, FixedSlope, FreeSlope, Pinhole, RaySums, Scan, ScanPlane, SpaceMoments, Sphere, Vector3, unbiased_powers,
-};
-
-const CAMERA: Pinhole = Pinhole { fx: 290.0, fy: 290.0, cx: 159.5, cy: 119.5 };
-
-/// Random numbers that are the same in each run (splitmix64).
-struct Random(u64);
-
-impl Random {
-    fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut x = self.0;
-        x = (x ^ (x >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        x = (x ^ (x >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        ((x ^ (x >> 31)) >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    /// Mean 0, standard deviation 1 (Box and Muller).
-    fn normal(&mut self) -> f64 {
-        let radius = (-2.0 * (1.0 - self.uniform()).ln()).sqrt();
-        radius * (std::f64::consts::TAU * self.uniform()).cos()
-    }
-}
+use crate::simulated::{CAMERA, Random, exact, hit, of_exact, seen};
+use crate::{Conical, FixedSlope, FreeSlope, Scan, SpaceMoments, Sphere, Vector3, unbiased_powers};
 
 /// What a Kinect v1 makes of a depth: Nguyen, Izadi and Lovell (2012), and steps of the disparity.
 fn kinect(z: f64, random: &mut Random) -> (f64, f64) {
@@ -32,35 +10,6 @@ fn kinect(z: f64, random: &mut Random) -> (f64, f64) {
     let noisy = z + axial * random.normal();
     let stepped = 1.0 / (step * (1.0 / (step * noisy)).round());
     (stepped, axial * axial + (step * z * z).powi(2) / 12.0)
-}
-
-/// The nearer root of `F = 0` along a ray, if the ray meets the surface.
-fn hit(conic: &[f64; 6], x: f64, k: f64) -> Option<f64> {
-    let a = conic[0] * x * x + conic[1] * x * k + conic[2] * k * k;
-    let b = conic[3] * x + conic[4] * k;
-    let discriminant = b * b - 4.0 * a * conic[5];
-    (discriminant > 0.0).then(|| (-b - discriminant.sqrt()) / (2.0 * a))
-}
-
-/// The pool of a surface as seen in some rows, `hidden` of each arc taken off at one side; noise as `measure` makes it.
-fn seen(
-    q: &Coefficients,
-    rows: std::ops::Range<u32>,
-    hidden: f64,
-    mut measure: impl FnMut(f64) -> (f64, f64),
-) -> SpaceMoments {
-    let mut pool = SpaceMoments::default();
-    for row in rows {
-        let plane: ScanPlane = CAMERA.plane(Scan::Row, f64::from(row));
-        let conic = crate::section_of(q, &plane);
-        let ray = |u: u32| CAMERA.ray_slope(Scan::Row, f64::from(u));
-        let hits: Vec<_> = (0..320).map(ray).filter_map(|x| Some((x, hit(&conic, x, plane.stretch())?))).collect();
-        let visible = &hits[(hidden * hits.len() as f64) as usize..];
-        let measured: Vec<_> = visible.iter().map(|(x, z)| ([*x], measure(*z))).collect();
-        let sums = RaySums::of(measured.iter().map(|(x, (z, variance))| (&x[..], std::slice::from_ref(z), *variance)));
-        pool.add(&SpaceMoments::of_arc(&plane, &sums.moments(plane.stretch())), 1.0);
-    }
-    pool
 }
 
 fn can(distance: f64) -> Conical {
@@ -103,17 +52,6 @@ fn a_can_keeps_its_radius_with_distance_and_occlusion() {
         println!("{distance} m, {:2.0} % hidden: {mean:.4} +- {sigma:.4}", 100.0 * hidden);
         assert!((mean - 0.2).abs() < bias && sigma < spread, "{mean} {sigma} at {distance} m, {hidden} hidden");
     }
-}
-
-fn exact(z: f64) -> (f64, f64) {
-    (z, 0.0)
-}
-
-/// Points, weighed as those that are known to a hundredth of a micrometre.
-fn of_exact(points: &SpaceMoments) -> QuadricMoments {
-    let mut pool = SpaceMoments::default();
-    pool.add(points, 1e16);
-    pool.normalized().unwrap()
 }
 
 #[test]

@@ -37,6 +37,7 @@ pub(super) enum Rejection {
     Double,
     SeenThrough,
     Outline,
+    Deformed,
     Between,
     Vague,
     Length,
@@ -46,7 +47,7 @@ pub(super) enum Rejection {
 }
 
 impl Rejection {
-    const NAMES: [&'static str; 25] = [
+    const NAMES: [&'static str; 26] = [
         "candidates of too few rows",
         "candidates with too many gaps",
         "candidates of short arcs",
@@ -66,6 +67,7 @@ impl Rejection {
         "objects seen twice",
         "candidates behind which something is seen",
         "candidates of another outline",
+        "candidates that are not round",
         "candidates seen between other things alone",
         "candidates of vague radius or axis",
         "candidates beyond the length limits",

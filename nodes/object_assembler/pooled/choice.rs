@@ -2,7 +2,7 @@
 
 use super::super::AssemblerConfig;
 use super::super::verify::Rejection;
-use super::verify::is_vague;
+use super::verify::{is_deformed, is_vague};
 use super::{Candidate, Grown, model};
 use conicflow_geometry::Contour;
 use conicflow_messages::{Object, ObjectKind};
@@ -56,7 +56,13 @@ pub(super) fn choose<'a>(
     };
     let is_cylinder = best.grown.model.kind() == ObjectKind::Cylinder;
     let object = best.report();
-    if is_vague(&object) || is_cylinder && may_be_cone { Err(Rejection::Vague) } else { Ok((best, object)) }
+    if is_vague(&object) || is_cylinder && may_be_cone {
+        Err(Rejection::Vague)
+    } else if is_deformed(&best.grown, &best.measured) {
+        Err(Rejection::Deformed)
+    } else {
+        Ok((best, object))
+    }
 }
 
 /// Whether the cone that grew where a cylinder did leaves open that this is none: a slope is as likely as not, or could

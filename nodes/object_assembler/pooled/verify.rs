@@ -4,7 +4,7 @@ use super::super::AssemblerConfig;
 use super::super::verify::Rejection;
 use super::Grown;
 use super::arcs::Arc;
-use super::model::Model;
+use super::model::{self, Model};
 use conicflow_geometry::{Contour, Scan, Vector3, section_of};
 use conicflow_messages::{Object, ObjectKind};
 
@@ -15,6 +15,10 @@ const SLACK: f64 = 0.07;
 /// and how much more for so many points and above: they show the faults of sensor and surface.
 const MORE_SLACK: f64 = 0.1;
 const MANY_POINTS: f64 = 3000.0;
+/// Greatest gain of another quadric, as chi squared of the noise alone ...
+const DEFORMED: f64 = 10.0;
+/// ... and as a part of the points' variance on top of it; [`MORE_SLACK`] of many points.
+const DEFORMED_SLACK: f64 = 0.03;
 /// Least part of the variance that a plane has to be off the points.
 const PLANE: f64 = 0.05;
 /// Greatest part of arc ends beyond which the model would hide what was measured.
@@ -98,7 +102,17 @@ fn height_in_view(grown: &Grown) -> f64 {
 
 /// Greatest misfit of an object, in variances.
 fn most_misfit(points: f64) -> f64 {
-    SLACK + MORE_SLACK * (points / MANY_POINTS).min(1.0) + SCATTER * (2.0 / points).sqrt()
+    SLACK + more_slack(points) + SCATTER * (2.0 / points).sqrt()
+}
+
+fn more_slack(points: f64) -> f64 {
+    MORE_SLACK * (points / MANY_POINTS).min(1.0)
+}
+
+/// Whether another quadric explains the points surely better: an ellipsoid, an oval pillar, or the edge of a box.
+pub(super) fn is_deformed(grown: &Grown, measured: &Measured) -> bool {
+    let most = DEFORMED + measured.points * (DEFORMED_SLACK + more_slack(measured.points));
+    model::deformation_gain(grown).is_some_and(|gain| gain > most)
 }
 
 /// Whether the axis lies so nearly along the scan lines that these hardly show the curvature, or so nearly along the view
