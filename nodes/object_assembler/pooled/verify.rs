@@ -17,8 +17,9 @@ const MORE_SLACK: f64 = 0.1;
 const MANY_POINTS: f64 = 3000.0;
 /// Greatest gain of another quadric, as chi squared of the noise alone ...
 const DEFORMED: f64 = 10.0;
-/// ... and as a part of the points' variance on top of it; [`MORE_SLACK`] of many points.
+/// ... and as a part of the points' variance on top of it, and how much more of many points: real sensors bend what is far.
 const DEFORMED_SLACK: f64 = 0.03;
+const MORE_DEFORMED_SLACK: f64 = 0.35;
 /// Least part of the variance that a plane has to be off the points.
 const PLANE: f64 = 0.05;
 /// Greatest part of arc ends beyond which the model would hide what was measured.
@@ -102,16 +103,17 @@ fn height_in_view(grown: &Grown) -> f64 {
 
 /// Greatest misfit of an object, in variances.
 fn most_misfit(points: f64) -> f64 {
-    SLACK + more_slack(points) + SCATTER * (2.0 / points).sqrt()
+    SLACK + MORE_SLACK * share_of_many(points) + SCATTER * (2.0 / points).sqrt()
 }
 
-fn more_slack(points: f64) -> f64 {
-    MORE_SLACK * (points / MANY_POINTS).min(1.0)
+fn share_of_many(points: f64) -> f64 {
+    (points / MANY_POINTS).min(1.0)
 }
 
 /// Whether another quadric explains the points surely better: an ellipsoid, an oval pillar, or the edge of a box.
 pub(super) fn is_deformed(grown: &Grown, measured: &Measured) -> bool {
-    let most = DEFORMED + measured.points * (DEFORMED_SLACK + more_slack(measured.points));
+    let slack = DEFORMED_SLACK + MORE_DEFORMED_SLACK * share_of_many(measured.points);
+    let most = DEFORMED + measured.points * slack;
     model::deformation_gain(grown).is_some_and(|gain| gain > most)
 }
 
