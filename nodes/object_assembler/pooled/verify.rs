@@ -19,7 +19,7 @@ const MANY_POINTS: f64 = 3000.0;
 const DEFORMED: f64 = 10.0;
 /// ... and as a part of the points' variance on top of it, and how much more of many points: real sensors bend what is far.
 const DEFORMED_SLACK: f64 = 0.03;
-const MORE_DEFORMED_SLACK: f64 = 0.35;
+const MORE_DEFORMED_SLACK: f64 = 0.5;
 /// Least part of the variance that a plane has to be off the points.
 const PLANE: f64 = 0.05;
 /// Greatest part of arc ends beyond which the model would hide what was measured.
