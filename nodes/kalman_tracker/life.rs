@@ -20,7 +20,8 @@ pub struct Life {
     pub age: u32,
     /// Frames since it was last seen.
     pub misses: u32,
-    unseen_s: f64,
+    /// Seconds from its last sight to the last frame.
+    pub unseen_s: f64,
     /// Seconds since the last frame of the camera that saw it last: others went on.
     pub unwatched_s: f64,
     /// The last 32 frames, the newest in the lowest bit; 1: seen.

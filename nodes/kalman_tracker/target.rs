@@ -12,6 +12,10 @@ use nalgebra::{IsometryMatrix3, Matrix3, Point3, Vector3};
 /// logarithm of one in seven.
 const KIND_CHANGE_COST: f64 = 4.0;
 
+/// How long a target may have been looked for in vain, in seconds, and still be found off its way by a push: after that it
+/// may be anywhere.
+const MANOEUVRE_UNSEEN_S: f64 = 0.2;
+
 /// The least half-angle that a cone is given, in radians: its apex stays finite.
 const MIN_HALF_ANGLE: f64 = 1e-6;
 
@@ -125,11 +129,16 @@ impl Target {
         motions.filter_map(|motion| self.cost_of(motion, detection, config)).min_by(f64::total_cmp)
     }
 
-    /// The same for a target that was seen in the frame before, `dt` seconds ago, and changed its velocity since.
+    /// The same for a target that changed its velocity when it was last seen; the frame before was `dt` seconds ago.
     pub fn cost_of_manoeuvre(&self, detection: &Detection, dt: f64, config: &KalmanTrackerConfig) -> Option<f64> {
-        let may_be = self.life.misses == 0 && self.kind == detection.kind && config.manoeuvre_mps > 0.0;
-        let dt = dt + self.life.unwatched_s;
-        may_be.then(|| self.cost_of(&self.motion.kicked(dt, config.manoeuvre_mps), detection, config))?
+        let is_recent = self.life.misses == 0 || self.life.unseen_s <= MANOEUVRE_UNSEEN_S;
+        let may_be = is_recent && self.kind == detection.kind && config.manoeuvre_mps > 0.0;
+        may_be.then(|| self.cost_of(&self.pushed(dt, config), detection, config))?
+    }
+
+    /// Its motion if it changed its velocity when it was last seen; the frame before was `dt` seconds ago.
+    fn pushed(&self, dt: f64, config: &KalmanTrackerConfig) -> Motion {
+        self.motion.kicked(dt + self.life.unseen_s, config.manoeuvre_mps)
     }
 
     fn cost_of(&self, motion: &Motion, detection: &Detection, config: &KalmanTrackerConfig) -> Option<f64> {
@@ -158,7 +167,7 @@ impl Target {
         self.seen_by = seen_by;
         self.weigh_motions(detection);
         if self.cost(detection, config).is_none() {
-            self.motion = self.motion.kicked(dt + self.life.unwatched_s, config.manoeuvre_mps);
+            self.motion = self.pushed(dt, config);
         }
         if let Some(innovation) = self.motion.innovation(&detection.position, &detection.covariance) {
             self.motion.update(&innovation, &detection.covariance);

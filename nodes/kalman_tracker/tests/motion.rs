@@ -23,6 +23,25 @@ fn a_bounce_keeps_the_identity() {
     assert!(run(0.0) > 1, "a bounce lies outside the gate of a motion without pushes");
 }
 
+/// A ball that is carried along stops while it is unseen.
+#[test]
+fn a_push_that_nobody_sees_keeps_the_identity_for_a_short_time() {
+    let run = |unseen_frames: u64| {
+        let mut tracker = Tracker::new(KalmanTrackerConfig::default());
+        let mut noise = Noise(4);
+        let speed_mps = 2.0;
+        for frame in 0..40 {
+            let place = Vector3::new(-1.0 + speed_mps * seconds(frame.min(20)), 0.0, 2.0);
+            let seen = [sphere(place + noise.vector(SIGMA_M))];
+            let hidden = (21..21 + unseen_frames).contains(&frame);
+            tracker.update(&header(frame), if hidden { &[] } else { &seen });
+        }
+        tracker.next_id - 1
+    };
+    assert_eq!([0, 1, 3, 5].map(run), [1; 4], "tracks in all");
+    assert_eq!(run(8), 2, "after a quarter of a second it may be another");
+}
+
 /// A ball that falls, bounces and rises while it is hidden for 0.6 seconds.
 #[test]
 fn a_bounce_that_nobody_sees_keeps_the_identity_if_the_floor_is_known() {
