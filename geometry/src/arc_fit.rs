@@ -30,19 +30,16 @@ pub struct ArcFit {
     pub circle: Circle,
 }
 
-/// How much better a circle that leaves a mean square distance of `circle_square` explains points than a line does, in
-/// points times variances; the points are as many as `moments` count.
+/// How much better a circle whose centre lies behind them explains the points of an arc than a line does, in points times
+/// variances; nothing where the arc is hollow.
 ///
-/// Noise of that variance gives a straight line one half on average, half of chi squared.
-pub fn bulge(moments: &PlaneMoments, circle_square: f64, variance: f64) -> f64 {
-    (line_square(moments) - circle_square) * moments.count() / variance
-}
-
-/// Mean square distance of the points from their line.
-#[inline]
-fn line_square(moments: &PlaneMoments) -> f64 {
-    let [ss, st, tt] = moments.covariance().unwrap_or_default();
-    smaller_eigenvalue(ss, st, tt)
+/// On a straight line noise of that variance bends one arc of two backwards, and gives the others chi squared of one degree
+/// of freedom.
+pub fn bulge(moments: &PlaneMoments, variance: f64) -> f64 {
+    let Some(arc) = ArcMoments::of(moments) else { return 0.0 };
+    let ArcFit { line_square, circle_square, circle } = arc.fit();
+    let is_hollow = circle.center[1] <= arc.mean[1];
+    if is_hollow { 0.0 } else { (line_square - circle_square) * arc.count / variance }
 }
 
 impl ArcMoments {
@@ -168,7 +165,7 @@ fn root_near_zero(c: &[f64; 4]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{fit_circle, fit_plane_line};
+    use crate::{fit_circle, line_rms};
 
     fn arc(from: f64, to: f64) -> impl Iterator<Item = [f64; 2]> {
         (0..40).map(move |i| from + (to - from) * f64::from(i) / 39.0).map(|a| [0.2 * a.cos(), 2.0 + 0.2 * a.sin()])
@@ -179,12 +176,14 @@ mod tests {
         let noisy = arc(3.9, 5.5).enumerate().map(|(i, [s, t])| [s, t + 0.003 * (i as f64 * 2.4).sin()]);
         let moments = PlaneMoments::of([0.0, 0.0], noisy);
         let fit = ArcMoments::of(&moments).unwrap().fit();
-        let (circle, line) = (fit_circle(&moments).unwrap(), fit_plane_line(&moments).unwrap());
+        let (circle, line) = (fit_circle(&moments).unwrap(), line_rms(&moments).unwrap());
         assert!((fit.circle.radius - circle.radius).abs() < 1e-6, "{fit:?} {circle:?}");
         assert!((fit.circle_square.sqrt() - circle.to_conic().rms(&moments).unwrap()).abs() < 1e-4, "{fit:?}");
-        assert!((fit.line_square.sqrt() - line.rms).abs() < 1e-6, "{fit:?} {line:?}");
+        assert!((fit.line_square.sqrt() - line).abs() < 1e-6, "{fit:?} {line:?}");
         let expected = 40.0 * (fit.line_square - fit.circle_square) / 1e-6;
-        assert!((bulge(&moments, fit.circle_square, 1e-6) - expected).abs() < 1e-9 * expected);
+        assert!((bulge(&moments, 1e-6) - expected).abs() < 1e-9 * expected);
+        let hollow = PlaneMoments::of([0.0, 0.0], arc(0.8, 2.4));
+        assert_eq!(bulge(&hollow, 1e-6), 0.0);
     }
 
     #[test]

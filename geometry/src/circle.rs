@@ -1,10 +1,7 @@
-//! The circle through points of which the moments are known.
-//!
-//! Taubin's fit minimises `sum F^2 / sum |grad F|^2` over all circles; the eigenvalue comes from Newton's iteration as
-//! in Chernov, "Circular and Linear Regression" (2010), section 5.10. On a short arc it is far less biased than a free
-//! ellipse.
+//! The circle through points of which the moments are known: Taubin's ([`ArcMoments::fit`]), which on a short arc is far
+//! less biased than a free ellipse.
 
-use crate::PlaneMoments;
+use crate::{ArcMoments, PlaneMoments};
 
 /// A circle in a plane, in metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,50 +20,18 @@ impl Circle {
     }
 }
 
+/// Radius, in spreads of the points, from which on they lie on a line.
+const STRAIGHT: f64 = 1e6;
+
 /// The circle of least distance; `None` where the points are fewer than three or on a line.
 pub fn fit_circle(moments: &PlaneMoments) -> Option<Circle> {
     if moments.count() < 3.0 {
         return None;
     }
-    let (mean, spread, m) = moments.normalized()?;
-    let (xx, xy, yy) = (m.get(2, 0), m.get(1, 1), m.get(0, 2));
-    let xz = m.get(3, 0) + m.get(1, 2);
-    let yz = m.get(2, 1) + m.get(0, 3);
-    let zz = m.get(4, 0) + 2.0 * m.get(2, 2) + m.get(0, 4);
-    let z = xx + yy;
-    let covariance = xx * yy - xy * xy;
-    let variance = zz - z * z;
-    let cubic = [
-        xz * (xz * yy - yz * xy) + yz * (yz * xx - xz * xy) - variance * covariance,
-        variance * z + 4.0 * covariance * z - xz * xz - yz * yz,
-        -3.0 * z * z - zz,
-        4.0 * z,
-    ];
-    let eta = smallest_root(&cubic);
-    let determinant = eta * eta - eta * z + covariance;
-    if determinant.abs() < 1e-12 {
-        return None;
-    }
-    let x = (xz * (yy - eta) - yz * xy) / (2.0 * determinant);
-    let y = (yz * (xx - eta) - xz * xy) / (2.0 * determinant);
-    let radius = spread * (x * x + y * y + z).sqrt();
-    let circle = Circle { center: [mean[0] + spread * x, mean[1] + spread * y], radius };
-    circle.radius.is_finite().then_some(circle)
-}
-
-/// The smallest root >= 0 of `c0 + c1 x + c2 x^2 + c3 x^3`, by Newton's iteration from 0.
-fn smallest_root(c: &[f64; 4]) -> f64 {
-    let value = |x: f64| c[0] + x * (c[1] + x * (c[2] + x * c[3]));
-    let (mut x, mut y) = (0.0, c[0]);
-    for _ in 0..30 {
-        let next = x - y / (c[1] + x * (2.0 * c[2] + x * 3.0 * c[3]));
-        let below = value(next);
-        if !next.is_finite() || next == x || below.abs() >= y.abs() {
-            break;
-        }
-        (x, y) = (next, below);
-    }
-    x
+    let (mean, spread, unit) = moments.normalized()?;
+    let Circle { center, radius } = ArcMoments::of(&unit)?.fit().circle;
+    let place = |axis: usize| mean[axis] + spread * center[axis];
+    (radius < STRAIGHT).then(|| Circle { center: [place(0), place(1)], radius: spread * radius })
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@
 //! | the paper | here |
 //! |---|---|
 //! | scan row `s`, 1.5-D subspace | [`ScanPlane`], coordinates `(s, t)` |
-//! | `S_{x^p y^q}`, `addPoint`, `removeLastPoint` | [`PlaneMoments`], [`PlaneMoments::add`], [`PlaneMoments::remove`] |
+//! | `S_{x^p y^q}`, `addPoint`, `removeLastPoint` | [`PlaneMoments`], [`PlaneMoments::add`], the copy from before |
 //! | `S1`, `S2`, `S3`, `fitModel` | [`fit_ellipse`] (the paper's 6x6 `S` is misprinted; we follow Halir & Flusser) |
 //! | `calculateError` | [`Conic::rms`] |
 //! | ellipse `E = (c, r1, r2)` | [`Ellipse`]: `center`, `half_extents[0]`, `half_extents[1]` |
@@ -44,7 +44,7 @@ pub use circle::{Circle, fit_circle};
 pub use contour::{Contour, ContourNoise, ContourPoint, ContourTerm, SIDES};
 pub use deformation::gain_of_deformations;
 pub use ellipse::{Conic, Ellipse, fit_ellipse};
-pub use line::{Line, LineMoments, PencilMoments, PlaneLine, fit_plane_line};
+pub use line::{Line, LineMoments, PencilMoments, line_rms};
 pub use moments::{MOMENTS, PlaneMoments};
 pub use pooled::{GradientNoise, Prediction, SurfaceFit, fit_surface, fit_with_contour, gradient};
 pub use profile::{CircleProfile, fit_circle_profile, fit_line_profile};
@@ -53,7 +53,7 @@ pub use section::SectionShape;
 pub use solid::{Cone, Cylinder, Quadric, Sphere};
 pub use space::{Coefficients, QUADRIC_TERMS, QuadricMoments, SpaceMoments};
 pub use surface::{Conical, FixedSlope, FreeSlope, Surface, section_of};
-pub use unbiased::{ArcSums, LineSums, RayPart, RaySums, unbiased_powers};
+pub use unbiased::{ArcSums, LineSums, RayPart, RaySums};
 
 /// Points, directions and offsets in the camera frame, in metres.
 pub type Vector3 = nalgebra::Vector3<f64>;

@@ -3,27 +3,13 @@
 use crate::{PlaneMoments, Regression, Scan, ScanPlane, Vector3};
 use nalgebra::{Matrix3, SymmetricEigen};
 
-/// A line in a plane: total least squares.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PlaneLine {
-    /// The mean of the points, which lies on the line.
-    pub point: [f64; 2],
-    /// Angle of the line from the s axis, in (-pi/2, pi/2].
-    pub angle: f64,
-    /// Root mean square distance of the points from the line.
-    pub rms: f64,
-}
-
-/// The line of least squared distance from the points; `None` where there are fewer than two or all are the same.
-pub fn fit_plane_line(moments: &PlaneMoments) -> Option<PlaneLine> {
-    let point = moments.mean()?;
-    let [ss, st, tt] = moments.about(point).covariance()?;
+/// Root mean square distance of points in a plane from their line of least squares, in metres; `None` where there are fewer
+/// than two or all are the same.
+pub fn line_rms(moments: &PlaneMoments) -> Option<f64> {
+    let [ss, st, tt] = moments.about(moments.mean()?).covariance()?;
     let (mean, half_gap) = ((ss + tt) / 2.0, ((ss - tt) / 2.0).hypot(st));
-    if moments.count() < 2.0 || mean.is_nan() || mean <= 0.0 {
-        return None;
-    }
-    let angle = 0.5 * (2.0 * st).atan2(ss - tt);
-    Some(PlaneLine { point, angle, rms: (mean - half_gap).max(0.0).sqrt() })
+    let is_line = moments.count() >= 2.0 && mean > 0.0;
+    is_line.then(|| (mean - half_gap).max(0.0).sqrt())
 }
 
 /// Running sums over points in space: one more point is O(1).
@@ -175,16 +161,15 @@ mod tests {
             let points = (0..30).map(|i| (f64::from(i) * 0.01, if i % 2 == 0 { 0.002 } else { -0.002 }));
             let moments =
                 PlaneMoments::of([50.0, 2.0], points.map(|(a, b)| [50.0 + cos * a - sin * b, 2.0 + sin * a + cos * b]));
-            let line = fit_plane_line(&moments).unwrap();
-            assert!((line.angle - angle).sin().abs() < 0.01, "{line:?}");
-            assert!((line.rms - 0.002).abs() < 1e-4);
+            let rms = line_rms(&moments).unwrap();
+            assert!((rms - 0.002).abs() < 1e-4, "{rms}");
         }
     }
 
     #[test]
     fn one_point_is_no_line() {
-        assert_eq!(fit_plane_line(&PlaneMoments::of([0.0, 0.0], [[1.0, 2.0]])), None);
-        assert_eq!(fit_plane_line(&PlaneMoments::of([1.0, 2.0], [[1.0, 2.0]; 4])), None);
+        assert_eq!(line_rms(&PlaneMoments::of([0.0, 0.0], [[1.0, 2.0]])), None);
+        assert_eq!(line_rms(&PlaneMoments::of([1.0, 2.0], [[1.0, 2.0]; 4])), None);
         let mut sums = LineMoments::new(Vector3::zeros());
         assert_eq!(sums.fit(), None);
         for _ in 0..5 {

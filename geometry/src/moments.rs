@@ -101,37 +101,13 @@ impl PlaneMoments {
     /// Adds a point.
     #[inline]
     pub fn add(&mut self, point: [f64; 2]) {
-        self.add_weighted(point, 1.0);
-    }
-
-    /// Takes a point out again.
-    #[inline]
-    pub fn remove(&mut self, point: [f64; 2]) {
-        self.add_weighted(point, -1.0);
-    }
-
-    /// Adds a point that counts `weight` times.
-    #[inline]
-    pub fn add_weighted(&mut self, point: [f64; 2], weight: f64) {
         let (s, t) = (point[0] - self.origin[0], point[1] - self.origin[1]);
         let (s2, st, t2) = (s * s, s * t, t * t);
         let monomials =
             [1.0, s, t, s2, st, t2, s2 * s, s2 * t, s * t2, t2 * t, s2 * s2, s2 * st, s2 * t2, st * t2, t2 * t2];
         for (sum, monomial) in self.sums.iter_mut().zip(monomials) {
-            *sum += weight * monomial;
+            *sum += monomial;
         }
-    }
-
-    /// Adds the points of `other`, wherever its origin is.
-    pub fn merge(&mut self, other: &Self) {
-        let other = other.about(self.origin);
-        self.sums.iter_mut().zip(other.sums).for_each(|(sum, term)| *sum += term);
-    }
-
-    /// Takes the points of `other` out, wherever its origin is.
-    pub fn subtract(&mut self, other: &Self) {
-        let other = other.about(self.origin);
-        self.sums.iter_mut().zip(other.sums).for_each(|(sum, term)| *sum -= term);
     }
 
     /// The same points, seen from another origin.
@@ -261,19 +237,6 @@ mod tests {
     fn a_moved_origin_gives_what_summing_about_it_gives() {
         let direct = PlaneMoments::of([1.1, 1.7], points());
         assert_same(&PlaneMoments::of([-0.5, 0.4], points()).about([1.1, 1.7]), &direct);
-    }
-
-    #[test]
-    fn joining_and_taking_out_are_exact_inverses() {
-        let (left, right) = (&points()[..8], &points()[8..]);
-        let part = PlaneMoments::of([0.3, 0.1], right.to_vec());
-        let mut sum = PlaneMoments::of([1.0, 2.0], left.to_vec());
-        sum.merge(&part);
-        assert_same(&sum, &PlaneMoments::of([1.0, 2.0], points()));
-        sum.subtract(&part);
-        right.iter().for_each(|&point| sum.add(point));
-        right.iter().for_each(|&point| sum.remove(point));
-        assert_same(&sum, &PlaneMoments::of([1.0, 2.0], left.to_vec()));
     }
 
     #[test]

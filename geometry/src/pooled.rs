@@ -34,8 +34,6 @@ pub struct SurfaceFit<S, const N: usize> {
     pub inverse: SMatrix<f64, N, N>,
     /// The contour's part of the Gauss-Newton matrix.
     pub contour: SMatrix<f64, N, N>,
-    /// Whether the steps became short.
-    pub converged: bool,
 }
 
 /// Fits a surface of which `start` is a guess, to points that are pooled with the weights of one over their variance;
@@ -97,7 +95,7 @@ fn fit<S: Surface<N>, const N: usize>(
     let contour = SMatrix::from_fn(|i, j| system.contour[(i, j)] * unit(i) * unit(j));
     let surface = surface.to_camera(&moments.origin, moments.scale);
     let contour_sum = system.contour_sum * moments.scale * moments.scale;
-    square_sum.is_finite().then_some(SurfaceFit { surface, square_sum, contour_sum, inverse, contour, converged })
+    square_sum.is_finite().then_some(SurfaceFit { surface, square_sum, contour_sum, inverse, contour })
 }
 
 /// Scatter of a fit's gradient, from points that stand for all.

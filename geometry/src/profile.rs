@@ -58,7 +58,9 @@ pub fn fit_circle_profile(pairs: &PlaneMoments) -> Option<CircleProfile> {
     let residual = (total - n * square_mean * square_mean - 4.0 * center * center * zz).max(0.0);
     // The algebraic residual is 2 R times the distance.
     let rms = (residual / (n - 2.0)).sqrt() / (2.0 * radius);
-    let (center_sigma, radius_sigma) = (rms * radius / zz.sqrt(), rms / n.sqrt());
+    let center_sigma = rms * radius / zz.sqrt();
+    // Of R^2 = K + z0^2, about the mean of z, where K and z0 do not depend on each other.
+    let radius_sigma = (rms / n.sqrt()).hypot(center / radius * center_sigma);
     let finite = radius.is_finite() && center.is_finite() && radius > 0.0;
     finite.then_some(CircleProfile { center: at + center, radius, rms, center_sigma, radius_sigma })
 }
@@ -66,6 +68,7 @@ pub fn fit_circle_profile(pairs: &PlaneMoments) -> Option<CircleProfile> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::simulated::Random;
 
     fn pairs(radius: impl Fn(f64) -> f64) -> PlaneMoments {
         PlaneMoments::of([0.5, 0.1], (0..30).map(|i| 0.4 + 0.01 * f64::from(i)).map(|z| [z, radius(z)]))
@@ -98,6 +101,20 @@ mod tests {
         let sphere = fit_circle_profile(&noisy).unwrap();
         assert!((sphere.radius - 0.3).abs() < 4.0 * sphere.radius_sigma + 1e-3, "{sphere:?}");
         assert!(sphere.rms > 5e-4 && sphere.rms < 3e-3);
+    }
+
+    /// The radius of a cap hangs on where its centre is told to be.
+    #[test]
+    fn the_sigma_of_the_radius_of_a_cap_is_that_of_its_errors() {
+        let mut random = Random(3);
+        let mut cap = || {
+            let z = |i: u32| -0.005 + 0.125 * f64::from(i) / 39.0;
+            let points = (0..40).map(|i| [z(i), (0.0225 - z(i).powi(2)).sqrt() + 0.002 * random.normal()]);
+            fit_circle_profile(&PlaneMoments::of([0.0, 0.0], points)).unwrap()
+        };
+        let ratios = (0..200).map(|_| cap()).map(|fit| ((fit.radius - 0.15) / fit.radius_sigma).powi(2));
+        let ratio = (ratios.sum::<f64>() / 200.0).sqrt();
+        assert!((0.8..1.25).contains(&ratio), "{ratio}");
     }
 
     #[test]

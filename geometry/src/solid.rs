@@ -17,7 +17,8 @@ pub trait Quadric {
     /// Coefficients of F on a scan plane, `[s^2, s t, t^2, s, t, 1]` about `(0, 0)`.
     fn section(&self, plane: &ScanPlane) -> [f64; 6];
 
-    /// Sum of the squared distances of an arc's points from the surface, to first order; NaN where the plane cuts none.
+    /// Sum of the squared distances of an arc's points from the surface, to first order; NaN for a
+    /// cone on a plane along its axis.
     fn square_sum(&self, plane: &ScanPlane, moments: &PlaneMoments) -> f64 {
         let conic = Conic { origin: [0.0, 0.0], coefficients: self.section(plane) };
         let sum = conic.about(moments.origin()).square_sum(moments);
@@ -77,6 +78,8 @@ impl Quadric for Cone {
         let form = Matrix3::identity() * (cos * cos) - self.axis * self.axis.transpose();
         let normal = plane.normal();
         let height = (-normal.dot(&self.apex) / normal.dot(&self.axis)).abs();
+        // On a plane along the axis there is no height that stands for the section.
+        let height = if height.is_finite() { height } else { f64::NAN };
         restrict(&form, &self.apex, 0.0, plane).map(|x| x / (2.0 * height * sin))
     }
 }
@@ -106,6 +109,8 @@ mod tests {
         let moments = points(&plane, 0.0, |p| (p - Vector3::new(0.0, 0.0, 2.0)).norm() - 0.25);
         let center = Vector3::new(0.0, 0.0, f64::NAN);
         assert!(Sphere { center, radius: 0.25 }.square_sum(&plane, &moments).is_nan());
+        let cone = Cone { apex: Vector3::new(0.0, 0.0, 2.0), axis: Vector3::x(), half_angle: 0.3 };
+        assert!(cone.square_sum(&plane, &moments).is_nan());
     }
 
     const CAMERA: Pinhole = Pinhole { fx: 290.0, fy: 290.0, cx: 159.5, cy: 119.5 };

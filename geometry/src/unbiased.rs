@@ -10,17 +10,12 @@ use crate::{ArcMoments, MOMENTS, PlaneMoments};
 use std::ops::{Add, Mul, Sub};
 use wide::f64x2;
 
-/// Unbiased estimates of `[1, z, z^2, z^3, z^4]` from a measurement of variance `variance`.
-#[inline]
-pub fn unbiased_powers(z: f64, variance: f64) -> [f64; 5] {
-    powers(z, variance)
-}
-
 /// A depth, or two side by side.
 trait Number: Copy + From<f64> + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> {}
 impl Number for f64 {}
 impl Number for f64x2 {}
 
+/// Unbiased estimates of `[1, z, z^2, z^3, z^4]` from a measurement of variance `variance`.
 #[inline]
 fn powers<T: Number>(z: T, variance: T) -> [T; 5] {
     let (z2, [one, three, six]) = (z * z, [1.0, 3.0, 6.0].map(T::from));
@@ -265,7 +260,7 @@ mod tests {
         let (z, v) = (1.7, 0.02_f64);
         let nodes = [(-(3.0 * v).sqrt(), 1.0 / 6.0), (0.0, 2.0 / 3.0), ((3.0 * v).sqrt(), 1.0 / 6.0)];
         for n in 0..5 {
-            let mean: f64 = nodes.iter().map(|(e, weight)| weight * unbiased_powers(z + e, v)[n]).sum();
+            let mean: f64 = nodes.iter().map(|(e, weight)| weight * powers(z + e, v)[n]).sum();
             assert!((mean - z.powi(n as i32)).abs() < 1e-12);
         }
     }

@@ -1,7 +1,7 @@
 //! Parameters of the assembler.
 
 use super::PooledConfig;
-use super::verify::Rejection;
+use super::rejection::Rejection;
 use conicflow_dataflow::{Config, ConfigFault};
 use conicflow_messages::ObjectKind;
 use schemars::JsonSchema;
@@ -86,7 +86,8 @@ pub struct AssemblerConfig {
     /// The paper's k: number of neighbours that an ellipse is compared with, and of noisy ones that an object survives.
     #[schemars(range(min = 1, max = 64))]
     pub neighbors: u32,
-    /// Largest number of scan lines between neighbours; of those that the extractor looks at, as wherever lines are counted.
+    /// Largest difference of the numbers of neighbouring scan lines; of those that the extractor looks at, as wherever lines
+    /// are counted.
     #[schemars(range(min = 1, max = 64))]
     pub max_gap_lines: u32,
     /// Largest scatter of centres about their line or circle, as a part of the radius.
@@ -99,7 +100,7 @@ pub struct AssemblerConfig {
     #[schemars(range(min = 0.0, max = 45.0))]
     pub min_half_angle_deg: f64,
     /// Largest half-angle of a cone, in degrees, whatever the method.
-    #[schemars(range(min = 0.0, max = 80.0))]
+    #[schemars(range(min = 0.0, max = 45.0))]
     pub max_half_angle_deg: f64,
     /// Residual of a cone, as a part of the cylinder's or sphere's, below which it is called a cone.
     #[schemars(range(min = 0.0, max = 1.0))]

@@ -1,45 +1,31 @@
 //! Puts ellipses together to spheres, cylinders and cones.
 //!
-//! `method = "pooled"` ([`pooled`]): models are fitted to the moments of all arcs of an object at once.
-//!
-//! The paper's way (`method = "profile"`): ellipses of neighbouring scan lines with near centres form chains
-//! ([`chains`]); along a chain the centres have to stay on a line or a circle and the radii on a straight or a circular
-//! profile, else the object ends and a new one begins ([`sequence`]); what held together is fitted as a cylinder, a cone
-//! ([`axial`]) or a sphere ([`spherical`]) and verified against the points, of which the ellipses carry the moments
-//! ([`verify`]). No point is seen again.
+//! `method = "pooled"` ([`pooled`]): models are fitted to the moments of all arcs of an object at once. `method = "profile"`
+//! ([`profile`]): the paper's way, section by section.
 
-mod axial;
-mod chains;
 mod config;
 mod pooled;
-mod sections;
-mod sequence;
-mod spherical;
+mod profile;
+mod rejection;
 #[cfg(test)]
 mod tests;
-mod verify;
 
 pub use config::{AssemblerConfig, AxialLimits, Method, RadiusLimits, SectionFit};
 pub use pooled::PooledConfig;
 
-use chains::Chains;
 use conicflow_dataflow::{Context, Output, Sides, Stage, StageError};
-use conicflow_messages::{Ellipse, Header, Message, NoiseModel, Object};
+use conicflow_geometry::{ScanPlane, Vector3};
+use conicflow_messages::{Ellipse, Header, Message, Object};
 use pooled::Pooled;
-use sections::Section;
-use sequence::Sequences;
-use std::ops::Range;
-use verify::{Body, Candidate, Rejection, Rejections, Solid};
+use profile::Profile;
+use rejection::Rejections;
 
 /// Finds the objects in a list of ellipses.
 #[derive(Debug)]
 pub struct ObjectAssembler {
     config: AssemblerConfig,
-    sections: Vec<Section>,
-    chains: Chains,
-    sequences: Sequences,
     pooled: Pooled,
-    inliers: Vec<usize>,
+    profile: Profile,
     objects: Vec<Object>,
     rejections: Rejections,
     /// Whether it was said that the ellipses are not those that the method is made for.
@@ -51,11 +37,8 @@ impl ObjectAssembler {
     pub fn with(config: AssemblerConfig) -> Self {
         Self {
             config,
-            sections: Vec::new(),
-            chains: Chains::default(),
-            sequences: Sequences::default(),
             pooled: Pooled::default(),
-            inliers: Vec::new(),
+            profile: Profile::default(),
             objects: Vec::new(),
             rejections: Rejections::default(),
             warned: false,
@@ -66,27 +49,12 @@ impl ObjectAssembler {
     pub fn assemble(&mut self, header: &Header, ellipses: &[Ellipse]) -> &[Object] {
         self.objects.clear();
         self.rejections = Rejections::default();
-        match self.config.method {
-            Method::Pooled => {
-                let (objects, rejections) = (&mut self.objects, &mut self.rejections);
-                self.pooled.assemble(header, ellipses, &self.config, objects, rejections);
-            }
-            Method::Profile => self.by_profile(header, ellipses),
+        let Self { config, pooled, profile, objects, rejections, .. } = self;
+        match config.method {
+            Method::Pooled => pooled.assemble(header, ellipses, config, objects, rejections),
+            Method::Profile => profile.assemble(header, ellipses, config, objects, rejections),
         }
         &self.objects
-    }
-
-    fn by_profile(&mut self, header: &Header, ellipses: &[Ellipse]) {
-        sections::read(header, ellipses, self.config.section_fit, &mut self.sections);
-        self.chains.link(&self.sections, &self.config);
-        for chain in self.chains.iter() {
-            self.sequences.split(&self.sections, chain, &self.config);
-            for members in self.sequences.iter() {
-                let search = Search { sections: &self.sections, noise: &header.noise, config: &self.config };
-                search.run(members, &mut self.inliers, &mut self.objects, &mut self.rejections);
-            }
-        }
-        verify::drop_doubles(&mut self.objects, &mut self.rejections);
     }
 
     /// Says once that the ellipses are of the other kind than the method is made for.
@@ -109,75 +77,13 @@ impl ObjectAssembler {
     }
 }
 
-/// What is the same for all sequences of an image.
-struct Search<'a> {
-    sections: &'a [Section],
-    noise: &'a NoiseModel,
-    config: &'a AssemblerConfig,
-}
+/// Cosine between an axis and the normal of the lines' planes below which an end is not told more exactly.
+const MOST_OBLIQUE: f64 = 0.2;
 
-impl Search<'_> {
-    /// Adds the objects of a sequence: what lies before and after one is looked at again.
-    fn run(&self, members: &[usize], inliers: &mut Vec<usize>, objects: &mut Vec<Object>, rejections: &mut Rejections) {
-        let candidate = Candidate::new(self.sections, members, self.noise, self.config);
-        match candidate.and_then(|candidate| object(&candidate, inliers)) {
-            Ok((object, range)) => {
-                objects.push(object);
-                for rest in [&members[..range.start], &members[range.end..]] {
-                    if rest.len() >= self.config.min_rows as usize {
-                        self.run(rest, inliers, objects, rejections);
-                    }
-                }
-            }
-            Err(reason) => rejections.count(reason),
-        }
-    }
-}
-
-/// Parts of a sequence that a fit starts from, where the whole is spoilt by its ends: a rim, a foot on the floor.
-const SEEDS: [(f64, f64); 4] = [(0.0, 1.0), (0.25, 0.75), (0.0, 0.5), (0.5, 1.0)];
-
-/// The first object that a sequence of sections forms, and where in the sequence, or why it forms none.
-///
-/// The first seed that forms one is fitted again with all sections around it that it explains; `inliers` is a buffer for
-/// them.
-fn object(candidate: &Candidate, inliers: &mut Vec<usize>) -> Result<(Object, Range<usize>), Rejection> {
-    let mut whole = None;
-    for (from, to) in SEEDS {
-        let seed = candidate.part(from, to);
-        match candidate.only(seed.clone()).and_then(|seed| best(&seed)) {
-            Ok((object, solid)) => {
-                let range = candidate.inliers(&solid, object.rms, seed, inliers);
-                let refined = candidate.with(inliers).and_then(|all| best(&all));
-                return Ok((refined.map_or(object, |(refined, _)| refined), range));
-            }
-            Err(reason) => whole = whole.or(Some(reason)),
-        }
-    }
-    Err(whole.unwrap_or(Rejection::Degenerate))
-}
-
-/// The shape that explains the points best, among those that explain them at all.
-///
-/// A cone has one parameter more than a cylinder: it has to explain the points clearly better than the others.
-fn best(candidate: &Candidate) -> Result<(Object, Solid), Rejection> {
-    let verified = |body: Body| candidate.verify(&body).map(|object| (object, body.solid));
-    let cylinder = axial::fit_cylinder(candidate).and_then(verified);
-    let sphere = spherical::fit(candidate).and_then(verified);
-    let cone = axial::fit_cone(candidate).and_then(verified);
-    better(better(cylinder, sphere, 1.0), cone, candidate.config.cone_gain)
-}
-
-/// The second of two where its residual is less than `gain` times that of the first, or the first is none.
-fn better<T>(
-    first: Result<(Object, T), Rejection>,
-    second: Result<(Object, T), Rejection>,
-    gain: f64,
-) -> Result<(Object, T), Rejection> {
-    match (first, second) {
-        (Ok(first), Ok(second)) => Ok(if second.0.rms < gain * first.0.rms { second } else { first }),
-        (first, second) => first.or_else(|reason| second.map_err(|_| reason)),
-    }
+/// Standard deviation of an end along the axis, in metres: it lies anywhere between two neighbouring planes of lines, which
+/// are `spacing` apart across.
+fn end_sigma(spacing: f64, plane: &ScanPlane, axis: &Vector3) -> f64 {
+    spacing / (12.0_f64.sqrt() * axis.dot(&plane.normal()).abs().max(MOST_OBLIQUE))
 }
 
 impl Stage for ObjectAssembler {

@@ -102,6 +102,20 @@ fn tilted_cones_are_found_as_in_the_paper() {
 }
 
 #[test]
+fn blunt_cones_are_found_where_they_are_asked_for() {
+    let slope = 38.0_f64.to_radians().tan();
+    let cone =
+        Body::Frustum { center: Vector3::new(0.0, 0.05, 1.3), axis: Vector3::y(), radius: 0.16, slope, length: 0.2 };
+    let found = |max_half_angle_deg| {
+        let config = AssemblerConfig { max_half_angle_deg, ..AssemblerConfig::of_the_paper() };
+        detect(KINECT, NoiseModel::KINECT_V1, &[cone], 5, &config)
+    };
+    let asked_for = single(&found(45.0), ObjectKind::Cone);
+    assert!((asked_for.half_angle.to_degrees() - 38.0).abs() < 1.0, "{asked_for:?}");
+    assert!(found(30.0).iter().all(|object| object.shape() != ObjectKind::Cone));
+}
+
+#[test]
 fn the_radius_of_a_tilted_cylinder_is_not_that_of_its_sections() {
     for tilt_deg in [5.0_f64, 20.0, 40.0, -40.0] {
         let (sin, cos) = tilt_deg.to_radians().sin_cos();

@@ -3,7 +3,7 @@
 use super::RowEllipseConfig;
 use super::growth::{self, Arc};
 use super::scan_line::{Point, ScanLine};
-use conicflow_geometry::{self as geometry, Scan, fit_plane_line};
+use conicflow_geometry::{self as geometry, Scan, line_rms};
 use conicflow_messages::{Ellipse, NoiseModel};
 
 /// Why an arc is turned down.
@@ -62,7 +62,7 @@ pub(super) fn accept(
         return Err(Rejection::FewPoints);
     }
     let limit = growth::max_error(&arc.moments, &line.plane, noise, config);
-    if fit_plane_line(&arc.moments).is_none_or(|fit| fit.rms <= limit) {
+    if line_rms(&arc.moments).is_none_or(|rms| rms <= limit) {
         return Err(Rejection::Line);
     }
     let (conic, rms) = growth::fit(&arc.moments).ok_or(Rejection::NoEllipse)?;

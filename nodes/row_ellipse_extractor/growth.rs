@@ -6,7 +6,7 @@
 
 use super::RowEllipseConfig;
 use super::scan_line::Point;
-use conicflow_geometry::{Conic, PlaneMoments, ScanPlane, fit_ellipse, fit_plane_line};
+use conicflow_geometry::{Conic, PlaneMoments, ScanPlane, fit_ellipse, line_rms};
 use conicflow_messages::NoiseModel;
 
 /// Fewest points that determine an ellipse with one to spare.
@@ -58,5 +58,5 @@ pub(super) fn fit(moments: &PlaneMoments) -> Option<(Conic, f64)> {
 fn is_explained(moments: &PlaneMoments, plane: &ScanPlane, noise: &NoiseModel, config: &RowEllipseConfig) -> bool {
     let limit = max_error(moments, plane, noise, config);
     // A line is a flat ellipse that costs little to fit; most of a room ends here.
-    fit_plane_line(moments).is_none_or(|line| line.rms <= limit) || fit(moments).is_some_and(|(_, rms)| rms <= limit)
+    line_rms(moments).is_none_or(|rms| rms <= limit) || fit(moments).is_some_and(|(_, rms)| rms <= limit)
 }

@@ -26,6 +26,7 @@ use scan_line::ScanLine;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::ops::RangeInclusive;
+use std::path::Path;
 
 /// Which scan lines are looked at.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
@@ -85,10 +86,11 @@ pub struct RowEllipseConfig {
     /// Of `conic`: fewest points of an ellipse.
     #[schemars(range(min = 6, max = 1000))]
     pub min_points: u32,
-    /// Smallest semi-axis of an ellipse, in metres.
+    /// Smallest semi-axis of an ellipse, in metres; of `moments` smallest radius of a circle.
     #[schemars(range(min = 0.001, max = 10.0))]
     pub min_radius_m: f64,
-    /// Largest semi-axis of an ellipse, in metres.
+    /// Largest semi-axis of an ellipse, in metres. Of `moments` what is wider than twice this is a wall; the circle through a
+    /// short arc is uncertain and may be four times as large.
     #[schemars(range(min = 0.001, max = 10.0))]
     pub max_radius_m: f64,
     /// Of `conic`: smallest ratio of the shorter to the longer semi-axis; flatter ellipses are walls and floors.
@@ -121,6 +123,16 @@ impl Default for RowEllipseConfig {
 }
 
 impl Config for RowEllipseConfig {
+    fn faults(&self, _: &Path) -> Vec<ConfigFault> {
+        let (least, most) = (self.min_radius_m, self.max_radius_m);
+        let fault = || ConfigFault {
+            key: "min_radius_m",
+            what: format!("nothing lies between {least} m and `max_radius_m`, {most} m"),
+            hint: "set it to less than `max_radius_m`".to_owned(),
+        };
+        (least >= most).then(fault).into_iter().collect()
+    }
+
     fn idle(&self) -> Vec<ConfigFault> {
         let of_conic = if self.arcs == ArcFinder::Moments { &OF_CONIC[..] } else { &[] };
         let idle = |&key| ConfigFault {

@@ -3,7 +3,7 @@
 use super::RowEllipseConfig;
 use crate::camera::pinhole;
 use conicflow_geometry::{Pinhole, Scan, ScanPlane};
-use conicflow_messages::{Header, NoiseModel, is_measured};
+use conicflow_messages::{Header, is_measured};
 use std::ops::Range;
 
 /// A measurement in the plane of its scan line.
@@ -68,7 +68,7 @@ impl ScanLine {
         let mut start = 0;
         for end in 1..=self.points.len() {
             let broken = match self.points.get(end) {
-                Some(next) => !connected(&self.points[end - 1], next, &header.noise, pitch, config),
+                Some(next) => !connected(&self.points[end - 1], next, header, pitch, config),
                 None => true,
             };
             if broken {
@@ -81,11 +81,13 @@ impl ScanLine {
 }
 
 /// Whether two neighbouring measurements may lie on one surface.
-fn connected(a: &Point, b: &Point, noise: &NoiseModel, pitch: f64, config: &RowEllipseConfig) -> bool {
+fn connected(a: &Point, b: &Point, header: &Header, pitch: f64, config: &RowEllipseConfig) -> bool {
     let pixels = b.pixel - a.pixel;
     let near = a.depth.min(b.depth);
     let slope = config.jump_slope * pitch * near * f64::from(pixels);
     let step = (b.depth - a.depth).abs();
     // The noise is looked up only where the slope alone does not explain the step.
-    pixels <= config.max_hole_px + 1 && (step <= slope || step <= slope + config.jump_sigmas * noise.sigma(near))
+    let sigma = || header.noise.sigma(near).max(header.depth_scale / 12.0_f64.sqrt());
+    let explained = || step <= slope + config.jump_sigmas * sigma();
+    pixels <= config.max_hole_px + 1 && (step <= slope || explained())
 }

@@ -66,6 +66,7 @@ impl Arc {
             0 => header.noise.variance(mean.z),
             _ => ellipse.sigma * ellipse.sigma,
         } * plane.stretch().powi(2);
+        let variance = variance.max(1e-8);
         Some(Self {
             scan,
             line: ellipse.line / step,
@@ -74,7 +75,7 @@ impl Arc {
             moments,
             space: SpaceMoments::of_arc(&plane, &moments),
             points: moments.count(),
-            variance: variance.max(1e-8),
+            variance,
             mean,
             center: Vector3::from(ellipse.center),
             angle: ellipse.arc,
@@ -84,7 +85,7 @@ impl Arc {
             contour: contour(&camera, &plane, &ellipse.contour),
             pitch: mean.z * camera.pixel_pitch(scan),
             spacing: mean.z * camera.line_pitch(scan) * f64::from(step),
-            bulge: bulge(&moments, ellipse.rms * ellipse.rms, variance.max(1e-8)),
+            bulge: bulge(&moments, variance),
         })
     }
 

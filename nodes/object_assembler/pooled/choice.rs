@@ -1,7 +1,7 @@
 //! Which shape an object has, where more than one explains it.
 
 use super::super::AssemblerConfig;
-use super::super::verify::Rejection;
+use super::super::rejection::Rejection;
 use super::verify::{is_deformed, is_vague};
 use super::{Candidate, Grown, model};
 use conicflow_geometry::Contour;

@@ -8,13 +8,13 @@ use serde::{Deserialize, Serialize};
 #[serde(default, deny_unknown_fields)]
 pub struct PooledConfig {
     /// Fewest scan lines of an object; of those that the extractor looks at, as wherever lines are counted.
-    #[schemars(range(min = 5, max = 1000))]
+    #[schemars(range(min = 7, max = 1000))]
     pub min_lines: u32,
     /// Smallest visual angle of an object across its scan lines, in degrees: a finer image shows more of what is too small
     /// to tell.
     #[schemars(range(min = 0.0, max = 45.0))]
     pub min_view_deg: f64,
-    /// Scan lines without a part of the object that are bridged in any case.
+    /// Scan lines without a part of the object that are bridged in any case; while the first few are put together, one less.
     #[schemars(range(min = 1, max = 64))]
     pub max_gap_lines: u32,
     /// Smallest part of the scan lines from first to last that support the object.

@@ -15,7 +15,7 @@ const FEWEST: usize = 5;
 const ROUNDS: usize = 7;
 /// How many standard deviations the curvature of a chain has to be above zero.
 const CURVED: f64 = 5.0;
-/// Curvature (in variances) that the noise gives a straight arc: mean and variance of half of chi squared.
+/// Mean and variance of the bulge that noise gives a straight arc: nothing or, of one arc in two, chi squared.
 const STRAIGHT: [f64; 2] = [0.5, 1.25];
 /// A gap of this part of an object's lines is bridged: something stands before it.
 const GAP: f64 = 0.5;

@@ -19,7 +19,7 @@ mod verify;
 pub use config::PooledConfig;
 
 use super::AssemblerConfig;
-use super::verify::{Rejection, Rejections};
+use super::rejection::{Rejection, Rejections};
 use arcs::{Arc, Arcs};
 use conicflow_geometry::Contour;
 use conicflow_messages::{Ellipse, Header, Object, ObjectKind};

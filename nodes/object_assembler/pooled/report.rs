@@ -1,5 +1,6 @@
 //! The report on a verified model, with the uncertainty that the noise of the sensor gives it.
 
+use super::super::end_sigma;
 use super::Grown;
 use super::model::Model;
 use super::verify::{self, Measured};
@@ -31,7 +32,8 @@ pub(super) fn report(grown: &Grown, measured: &Measured) -> Object {
         arc: measured.angle,
         ..Object::default()
     };
-    let end = end_sigma(grown);
+    let first = grown.ends()[0];
+    let end = |surface: &Conical| end_sigma(first.spacing, &first.plane, &surface.axis);
     let object = match &grown.model {
         Model::Sphere(fit) => {
             let covariance = covariance(grown, fit);
@@ -45,7 +47,8 @@ pub(super) fn report(grown: &Grown, measured: &Measured) -> Object {
         Model::Cylinder(fit) => {
             let covariance = covariance(grown, fit);
             let surface = fit.surface.0;
-            let sigma = conical_sigma(&surface, &covariance.fixed_view::<5, 5>(0, 0).into_owned(), measured, end);
+            let covariance = covariance.fixed_view::<5, 5>(0, 0).into_owned();
+            let sigma = conical_sigma(&surface, &covariance, measured, end(&surface));
             let length = measured.extent[1] - measured.extent[0];
             Object { radius: surface.radius, axis: surface.axis.into(), length, sigma, ..object }
         }
@@ -53,7 +56,8 @@ pub(super) fn report(grown: &Grown, measured: &Measured) -> Object {
             let covariance = covariance(grown, fit);
             let surface = fit.surface.0;
             let half_angle = surface.slope.atan();
-            let mut sigma = conical_sigma(&surface, &covariance.fixed_view::<5, 5>(0, 0).into_owned(), measured, end);
+            let as_cylinder = covariance.fixed_view::<5, 5>(0, 0).into_owned();
+            let mut sigma = conical_sigma(&surface, &as_cylinder, measured, end(&surface));
             let middle = 0.5 * (measured.extent[0] + measured.extent[1]);
             let [radius, mixed, slope] = [(4, 4), (4, 5), (5, 5)].map(|place| covariance[place]);
             sigma.radius = (radius + middle * (2.0 * mixed + middle * slope)).max(0.0).sqrt();
@@ -61,7 +65,7 @@ pub(super) fn report(grown: &Grown, measured: &Measured) -> Object {
             cone(object, &surface, half_angle, sigma, measured)
         }
     };
-    with_faults(object, grown.ends()[0].pitch)
+    with_faults(object, first.pitch)
 }
 
 /// The object with what the faults of sensors add to its standard deviations; `pixel` is the size of one there.
@@ -95,11 +99,6 @@ fn cone(object: Object, surface: &Conical, half_angle: f64, sigma: ObjectSigma, 
         sigma,
         ..object
     }
-}
-
-/// An end lies anywhere between two lines that were looked at.
-fn end_sigma(grown: &Grown) -> f64 {
-    grown.ends()[0].spacing / 12.0_f64.sqrt()
 }
 
 /// Parameters: two tilts, two shifts across, the radius.

@@ -1,7 +1,7 @@
 //! What a grown model has to fulfil as a whole to be an object.
 
 use super::super::AssemblerConfig;
-use super::super::verify::Rejection;
+use super::super::rejection::Rejection;
 use super::Grown;
 use super::arcs::Arc;
 use super::model::{self, Model};

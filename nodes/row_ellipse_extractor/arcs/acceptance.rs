@@ -113,7 +113,7 @@ fn circle(rays: &Rays, segment: &Segment, points: &Range<usize>, moments: &ArcMo
         Err(Rejection::Line)
     } else if fit.circle.center[1] <= moments.mean()[1] {
         Err(Rejection::Concave)
-    } else if !(config.min_radius_m..FLATTEST * config.max_radius_m).contains(&fit.circle.radius) {
+    } else if !(config.min_radius_m..flattest(rays)).contains(&fit.circle.radius) {
         Err(Rejection::Radius)
     } else {
         Ok(fit)
@@ -128,9 +128,14 @@ fn may_be_part(rays: &Rays, segment: &Segment, points: &Range<usize>, contour: [
         && rays.width() < 2.0 * rays.view.config.max_radius_m
 }
 
+/// Greatest radius of a circle, in metres.
+fn flattest(rays: &Rays) -> f64 {
+    FLATTEST * rays.view.config.max_radius_m
+}
+
 /// A circle as flat as any may be that touches the points.
 fn nearly_flat(rays: &Rays, moments: &ArcMoments) -> ArcFit {
-    let (mean, radius) = (moments.mean(), FLATTEST * rays.view.config.max_radius_m);
+    let (mean, radius) = (moments.mean(), flattest(rays));
     let away = 1.0 / (mean[0] * mean[0] + mean[1] * mean[1]).sqrt();
     let circle = Circle { center: mean.map(|x| x * (1.0 + radius * away)), radius };
     let line_square = moments.line_square();
@@ -214,9 +219,14 @@ fn with_ends(
     }
     let moments = all_moments(rays, &wider);
     let sums = ArcMoments::of(&moments)?;
-    let explained = sums.fit().circle_square <= EXPLAINED * rays.limit(wider.start, wider.end);
-    let fit = || self::circle(rays, segment, &wider, &sums).unwrap_or_else(|_| nearly_flat(rays, &sums));
-    explained.then(|| (wider.clone(), fit(), moments))
+    if sums.fit().circle_square > EXPLAINED * rays.limit(wider.start, wider.end) {
+        return None;
+    }
+    let fit = match self::circle(rays, segment, &wider, &sums) {
+        Err(_) if circle.radius >= flattest(rays) => nearly_flat(rays, &sums),
+        fit => fit.ok()?,
+    };
+    Some((wider, fit, moments))
 }
 
 /// Whether the points of `few` are off the circle through those of `others`.

@@ -9,8 +9,8 @@ use conicflow_geometry::{PlaneMoments, bulge};
 use conicflow_messages::Ellipse;
 use std::ops::Range;
 
-/// Bulge of a curved arc: what noise gives a straight one, on average.
-const CURVED: f64 = 0.5;
+/// Bulge of a curved arc: noise gives as much to one straight arc in six.
+const CURVED: f64 = 1.0;
 /// Pixels beyond both ends of an arc that are looked at in the lines beside it ...
 const MARGIN_PX: u32 = 16;
 /// ... and the part of the arc's length on top of them.
@@ -40,8 +40,7 @@ impl CoarseLines {
         find(&mut self.arcs);
         let square_stretch = line.plane.stretch().powi(2);
         let is_curved = |arc: &Ellipse| {
-            let moments = PlaneMoments::from_sums(arc.origin, arc.moments);
-            bulge(&moments, arc.rms * arc.rms, arc.sigma * arc.sigma * square_stretch) >= CURVED
+            bulge(&PlaneMoments::from_sums(arc.origin, arc.moments), arc.sigma * arc.sigma * square_stretch) >= CURVED
         };
         self.curved.extend(self.arcs[self.curved.len()..].iter().map(is_curved));
         self.ends.push(self.arcs.len());

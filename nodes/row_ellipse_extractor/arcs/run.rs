@@ -81,6 +81,7 @@ fn add_part(
     }
     if let (&[x], &[z], [known]) = (x_rest, z_rest, rest) {
         [*known, _] = sums.with_two([x; 2], [z; 2], variance, square_stretch);
+        sums = *known;
     }
     sums
 }

@@ -9,10 +9,10 @@ use std::ops::Range;
 
 /// Points on each side of a crease that are compared with the three in it.
 const WING: usize = 5;
-/// Depth of a crease, in standard deviations of the sensor.
-const CREASE: f64 = 7.0;
+/// Depth of a crease, in standard deviations of the sensor: 5.3 of those that noise gives such a depth.
+const CREASE: f64 = 3.5;
 /// Parts of a unit of the image that the depth of a crease is counted in.
-const CREASE_UNIT: f64 = 15.0;
+const CREASE_UNIT: f64 = 30.0;
 
 /// An interval of a run that one curve explains.
 #[derive(Clone, Copy, Debug)]
@@ -79,7 +79,7 @@ fn add_creases(run: &Run, creases: &mut Vec<usize>, depth_sums: &mut Vec<u32>) {
 
 /// How much deeper the three points about each of `block` are than those to both sides, in parts of a unit of the image.
 fn crease_depths(sums: &[u32], block: Range<usize>) -> impl Iterator<Item = i32> + Clone {
-    // 2 (P[2] - P[-1]) / 3 - (P[-1] - P[-6]) / 5 - (P[7] - P[2]) / 5 of the running sums P, times 15.
+    // (P[2] - P[-1]) / 3 - (P[-1] - P[-6]) / 10 - (P[7] - P[2]) / 10 of the running sums P, times 30.
     let shifted = |by: usize| sums[block.start + by - WING - 1..].iter().take(block.len());
     let (wings, middles) = (shifted(0).zip(shifted(2 * WING + 3)), shifted(WING).zip(shifted(WING + 3)));
     wings.zip(middles).map(|((before, behind), (from, to))| {

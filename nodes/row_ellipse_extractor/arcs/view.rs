@@ -38,7 +38,7 @@ pub(super) struct View {
     camera: Pinhole,
     width: usize,
     noise: NoiseModel,
-    /// Variance of the sensor, in variances of its model.
+    /// Variance of the sensor, in variances of its model or, where that is greater, of rounding.
     level: f64,
     /// Variance that rounding to the unit of the image makes at the least.
     least: f64,
@@ -78,7 +78,8 @@ impl View {
         self.least = self.scale * self.scale / 12.0;
         let pitch = self.camera.pixel_pitch(scan);
         // A driver that smooths does so within surfaces.
-        let noise = self.noise.times(level.max(1.0).sqrt());
+        let noise = NoiseModel { floor_m: self.noise.floor_m.max(self.least.sqrt()), ..self.noise };
+        let noise = noise.times(level.max(1.0).sqrt());
         self.jumps = JumpRule::new(&noise, self.scale, pitch, self.config.max_hole_px);
         self.slopes.clear();
         self.slopes.extend((0..self.length).map(|pixel| self.camera.ray_slope(scan, f64::from(pixel))));
@@ -134,7 +135,7 @@ impl View {
     /// Variance of a depth, in square metres.
     #[inline]
     pub fn variance(&self, depth: f64) -> f64 {
-        (self.level * self.noise.variance(depth)).max(self.least)
+        (self.level * self.noise.variance(depth).max(self.least)).max(self.least)
     }
 
     /// Largest mean square error of `points` points that noise of this variance accounts for.
@@ -245,7 +246,7 @@ impl JumpRule {
     fn largest_step(&self, near: u16, pixels: u32) -> f32 {
         let near = f32::from(near) * self.scale;
         let slope = self.slope.max(self.hole_slope * pixels.cast_signed() as f32);
-        let beyond_knee = (near - self.knee).max(0.0);
+        let beyond_knee = near - self.knee;
         let (axial, quantum) = (self.floor + self.growth * beyond_knee * beyond_knee, self.step * near * near);
         (slope * near + (axial * axial + quantum * quantum).sqrt()) * self.per_metre
     }
@@ -281,6 +282,18 @@ mod tests {
         let rule = rule();
         assert!(rule.splits(1000, 1025, 1) && !rule.splits(1000, 1025, 4));
         assert!(!rule.splits(1000, 1000, 4) && rule.splits(1000, 1000, 5));
+    }
+
+    #[test]
+    fn rounding_is_noise_that_no_model_tells() {
+        let camera = Camera { width: 1280, height: 720, fx: 1400.0, fy: 1400.0, cx: 639.5, cy: 359.5 };
+        let mut view = View::with(RowEllipseConfig::default());
+        let header = Header { camera, noise: NoiseModel::IDEAL, depth_scale: 1e-3, ..Header::default() };
+        view.turn(&header, Scan::Row, 1.0);
+        assert!(!view.jumps.splits(300, 301, 1), "one unit on a smooth surface");
+        assert!((view.variance(0.3) - 1e-6 / 12.0).abs() < 1e-20);
+        view.turn(&header, Scan::Row, 12.0);
+        assert!((view.variance(0.3) - 1e-6).abs() < 1e-18, "as noisy as the image is");
     }
 
     #[test]

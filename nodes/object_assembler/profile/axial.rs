@@ -5,12 +5,14 @@
 //! the centres and is repeated with the axis and half-angle that it gave: then it is the line through the points where
 //! the axis pierces the planes, and the radius there is exactly linear in the position.
 
-use super::verify::{Body, Candidate, Rejection, Solid};
+use super::Rejection;
+use super::verify::{Body, Candidate, Solid};
 use conicflow_geometry::{Cone, Cylinder, Line, PencilMoments, Regression, Vector3};
 
 /// Repetitions of the fit; each takes the error of axis and half-angle down by far more than a factor of ten.
 const PASSES: usize = 6;
-/// Greatest half-angle of a pass, in radians; the first may overshoot where the axis is still far off.
+/// Greatest half-angle of a pass in radians, if not a tenth above what is asked for: the first may overshoot where the axis
+/// is still far off.
 const BLUNTEST: f64 = 0.6;
 
 /// Axis and half-angle, as far as they are known; half-angle 0 for a cylinder.
@@ -39,11 +41,13 @@ pub(super) fn fit_cylinder(candidate: &Candidate) -> Result<Body, Rejection> {
 
 /// Fits a cone, if the slope of the profile asks for one.
 pub(super) fn fit_cone(candidate: &Candidate) -> Result<Body, Rejection> {
-    let (pose, skeleton) = fit(candidate, |pose, skeleton| lean(skeleton, pose))?;
-    if pose.half_angle < candidate.config.min_half_angle_deg.to_radians() {
+    let [least, most] = [candidate.config.min_half_angle_deg, candidate.config.max_half_angle_deg].map(f64::to_radians);
+    let bluntest = BLUNTEST.max(1.1 * most);
+    let (pose, skeleton) = fit(candidate, |pose, skeleton| lean(skeleton, pose, bluntest))?;
+    if pose.half_angle < least {
         return Err(Rejection::Constant);
     }
-    if pose.half_angle > candidate.config.max_half_angle_deg.to_radians() {
+    if pose.half_angle > most {
         return Err(Rejection::HalfAngle);
     }
     let line = skeleton.profile.fit().ok_or(Rejection::Degenerate)?;
@@ -110,9 +114,9 @@ fn axis_line(candidate: &Candidate, so_far: &Skeleton, pose: &Pose) -> Result<Li
 }
 
 /// Axis and half-angle that the slope of the profile asks for; the axis of a cone points away from its apex.
-fn lean(skeleton: &Skeleton, pose: &Pose) -> Result<Pose, Rejection> {
+fn lean(skeleton: &Skeleton, pose: &Pose, bluntest: f64) -> Result<Pose, Rejection> {
     let slope = skeleton.profile.fit().ok_or(Rejection::Degenerate)?.slope;
-    let half_angle = slope.abs().atan().min(BLUNTEST);
+    let half_angle = slope.abs().atan().min(bluntest);
     // Positions count along the pose's axis; the line points towards growing line numbers.
     let outwards = pose.axis * slope.signum();
     let direction = skeleton.line.direction;

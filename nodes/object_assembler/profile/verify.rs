@@ -1,8 +1,8 @@
 //! What a body has to fulfil to be reported, and the report.
 
 use super::sections::Section;
-use super::{AssemblerConfig, SectionFit};
-use conicflow_geometry::{Cone, Cylinder, Quadric, Sphere, Vector3, fit_plane_line};
+use super::{AssemblerConfig, Rejection, Rejections, SectionFit, end_sigma};
+use conicflow_geometry::{Cone, Cylinder, Quadric, Sphere, Vector3, line_rms};
 use conicflow_messages::{NoiseModel, Object, ObjectKind, ObjectSigma};
 use std::ops::Range;
 
@@ -14,82 +14,6 @@ const ELLIPSE_RMS_RADII: f64 = 0.35;
 
 /// Sections this many times worse than the whole are left out.
 const OUTLIER_RMS: f64 = 1.6;
-
-/// Why a candidate is turned down.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Rejection {
-    FewRows,
-    Gaps,
-    ShortArc,
-    Flat,
-    Degenerate,
-    NotCollinear,
-    NotConcyclic,
-    Profile,
-    Tilted,
-    HalfAngle,
-    Constant,
-    BeyondApex,
-    Cap,
-    Radius,
-    Short,
-    Rms,
-    Double,
-    SeenThrough,
-    Outline,
-    Deformed,
-    Between,
-    Vague,
-    Length,
-    Small,
-    NotGrown,
-    Untried,
-}
-
-impl Rejection {
-    const NAMES: [&'static str; 26] = [
-        "candidates of too few rows",
-        "candidates with too many gaps",
-        "candidates of short arcs",
-        "candidates as flat as a plane",
-        "candidates without extent",
-        "candidates with scattered centers (line)",
-        "candidates with scattered centers (circle)",
-        "candidates with scattered radii",
-        "candidates too tilted",
-        "cones too blunt",
-        "cones too sharp",
-        "cones seen beyond their apex",
-        "caps of spheres",
-        "candidates beyond the radius limits",
-        "candidates too short",
-        "candidates that miss their points",
-        "objects seen twice",
-        "candidates behind which something is seen",
-        "candidates of another outline",
-        "candidates that are not round",
-        "candidates seen between other things alone",
-        "candidates of vague radius or axis",
-        "candidates beyond the length limits",
-        "candidates that look too small",
-        "candidates that no shape explains",
-        "arcs left untried",
-    ];
-}
-
-/// How often each reason occurred.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Rejections([u64; Rejection::NAMES.len()]);
-
-impl Rejections {
-    pub fn count(&mut self, reason: Rejection) {
-        self.0[reason as usize] += 1;
-    }
-
-    pub fn iter(&self) -> impl Iterator<Item = (&'static str, u64)> {
-        Rejection::NAMES.into_iter().zip(self.0).filter(|(_, times)| *times > 0)
-    }
-}
 
 /// The surface of a body.
 #[derive(Clone, Copy, Debug)]
@@ -260,9 +184,8 @@ impl<'a> Candidate<'a> {
 
     /// Root mean square distance of the points of the sections from a line each.
     fn bulge(&self) -> f64 {
-        let square_sum = |section: &Section| {
-            fit_plane_line(&section.moments).map_or(0.0, |line| line.rms * line.rms * section.moments.count())
-        };
+        let square_sum =
+            |section: &Section| line_rms(&section.moments).map_or(0.0, |rms| rms * rms * section.moments.count());
         (self.sections().map(square_sum).sum::<f64>() / self.points()).sqrt()
     }
 
@@ -305,8 +228,8 @@ impl<'a> Candidate<'a> {
     /// Standard errors from the scatter of centres and radii, and never less than the points allow.
     fn sigma(&self, body: &Body, rms: f64) -> ObjectSigma {
         let floor = (rms / self.points().sqrt()).max(LEAST_SIGMA);
-        // An end lies anywhere between two scan lines.
-        let end = self.middle().spacing / 12.0_f64.sqrt();
+        let middle = self.middle();
+        let end = end_sigma(middle.spacing, &middle.plane, &body.axis);
         let across = body.across_sigma.max(floor).powi(2);
         let along = (end * end / 2.0 + floor * floor - across) * body.axis.norm();
         let at = |i: usize, j: usize| {
