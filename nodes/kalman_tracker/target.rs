@@ -54,11 +54,14 @@ struct CommonError {
 
 impl CommonError {
     fn of(sight: &Detection, share: f64) -> Self {
-        Self {
-            position: sight.covariance * share,
-            radius: sight.radius.variance * share,
-            half_angle: sight.half_angle.map_or(0.0, |half_angle| half_angle.variance * share),
-        }
+        let half_angle = sight.half_angle.map_or(0.0, |half_angle| half_angle.variance * share);
+        Self { position: sight.covariance * share, radius: sight.radius.variance * share, half_angle }
+    }
+
+    /// That after one more sight; one as a cylinder tells nothing of a cone's half-angle.
+    fn after(&self, sight: &Detection, share: f64) -> Self {
+        let now = Self::of(sight, share);
+        if sight.half_angle.is_some() { now } else { Self { half_angle: self.half_angle, ..now } }
     }
 }
 
@@ -177,7 +180,7 @@ impl Target {
         self.vote(detection);
         self.turn(detection);
         update_or_begin(&mut self.half_angle, detection.half_angle);
-        self.common = CommonError::of(detection, config.common_share);
+        self.common = self.common.after(detection, config.common_share);
         self.last_seen = detection.object;
         self.life.seen(&config.rules());
     }

@@ -2,8 +2,9 @@
 
 use conicflow_messages::{Header, Text};
 
-/// A source whose first stamp is farther than this from the others' time has a clock of another origin, and begins now.
-const OTHER_CLOCK_NS: u128 = 60_000_000_000;
+/// A source whose first stamp is farther than this from the others' time has another clock, and begins now; so does one that
+/// has fallen behind by more.
+const OTHER_CLOCK_NS: i128 = 1_000_000_000;
 
 /// Follows the time stamps of the sources, one or several, that the messages come from.
 #[derive(Clone, Debug)]
@@ -45,18 +46,21 @@ impl Timeline {
     /// Goes on to the time of a message.
     ///
     /// A source that was started anew (another epoch) and goes on with its sequence numbers is the same run. The sources
-    /// share a clock, until the stamps of one stand still or go back: from then on those count by their differences. A frame
-    /// that is older than one of another camera takes no time.
+    /// share a clock, until the stamps of one stand still or go back, or are far from those of the others: from then on those
+    /// count by their differences. A frame that is older than one of another camera takes no time.
     pub fn advance(&mut self, header: &Header) -> Advance {
         let mut sight = Sight::of(header);
         let known = self.sources.iter().position(|known| known.stage == sight.stage);
         let source = known.unwrap_or(self.sources.len());
         let new_run = known.is_some_and(|known| sight.begins_after(&self.sources[known]));
-        sight.at_ns = match known {
-            Some(_) if new_run => self.now_ns.unwrap_or(sight.at_ns),
+        let now_ns = self.now_ns.unwrap_or(sight.at_ns);
+        let at_ns = match known {
+            Some(_) if new_run => now_ns,
             Some(known) => self.goes_on(&self.sources[known], &sight),
-            None => self.now_ns.filter(|now| now.abs_diff(sight.at_ns) > OTHER_CLOCK_NS).unwrap_or(sight.at_ns),
+            None => sight.at_ns,
         };
+        let is_ahead = known.is_none() && at_ns > now_ns + OTHER_CLOCK_NS;
+        sight.at_ns = if is_ahead || at_ns < now_ns - OTHER_CLOCK_NS { now_ns } else { at_ns };
         match known {
             Some(known) => self.sources[known] = sight,
             None => self.sources.push(sight),
@@ -164,6 +168,25 @@ mod tests {
             ("a", 3, 2, 108),
         ]);
         assert_eq!(times, [Some(0), Some(2), None, Some(31), Some(4), Some(29), Some(40), Some(4)]);
+    }
+
+    #[test]
+    fn a_clock_that_is_seconds_ahead_takes_no_time_from_the_others() {
+        let times = elapsed_ms(&[("a", 1, 0, 10_000), ("b", 2, 0, 20_000), ("a", 1, 1, 10_033), ("b", 2, 1, 20_040)]);
+        assert_eq!(times, [Some(0), Some(0), Some(33), Some(7)]);
+    }
+
+    #[test]
+    fn time_goes_on_when_the_camera_that_was_ahead_falls_silent() {
+        // Both go on with their clock after the second camera has jumped ahead by four seconds.
+        let times = elapsed_ms(&[
+            ("a", 1, 0, 1000),
+            ("b", 2, 0, 1000),
+            ("b", 2, 1, 5000),
+            ("a", 1, 1, 1033),
+            ("a", 1, 2, 1066),
+        ]);
+        assert_eq!(times, [Some(0), Some(0), Some(4000), Some(0), Some(33)]);
     }
 
     #[test]

@@ -43,6 +43,19 @@ fn the_shape_is_the_one_seen_most_often() {
 }
 
 #[test]
+fn a_cone_seen_as_a_cylinder_once_is_no_surer_of_its_half_angle() {
+    let mut tracker = Tracker::new(KalmanTrackerConfig::default());
+    let place = Vector3::new(0.0, 0.0, 1.0);
+    let mut sigmas = [cone, cone, cone, cone, cone, cylinder].iter().zip(0..).map(|(seen, frame)| {
+        let track = tracker.update(&header(frame), &[seen(place)])[0];
+        assert_eq!(track.object.shape(), ObjectKind::Cone);
+        track.object.sigma.half_angle
+    });
+    let [as_cone, as_cylinder] = [sigmas.nth(4), sigmas.next()].map(Option::unwrap);
+    assert!((as_cylinder / as_cone - 1.0).abs() < 0.02, "{as_cone} {as_cylinder}");
+}
+
+#[test]
 fn a_cone_fits_together() {
     let mut tracker = Tracker::new(KalmanTrackerConfig::default());
     let mut noise = Noise(2);
