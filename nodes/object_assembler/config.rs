@@ -176,7 +176,7 @@ impl Default for AssemblerConfig {
 impl AssemblerConfig {
     /// The paper's method.
     pub fn of_the_paper() -> Self {
-        Self { method: Method::Profile, ..Self::default() }
+        Self { method: Method::Profile, section_fit: SectionFit::Ellipse, ..Self::default() }
     }
 }
 

@@ -8,6 +8,11 @@ use std::path::Path;
 
 const KINECT: Camera = Camera { width: 640, height: 480, fx: 580.0, fy: 580.0, cx: 319.5, cy: 239.5 };
 
+/// The paper's method, with sections of the shape that the axis implies.
+fn profile() -> AssemblerConfig {
+    AssemblerConfig { method: Method::Profile, ..AssemblerConfig::default() }
+}
+
 fn detect(camera: Camera, noise: NoiseModel, bodies: &[Body], seed: u64, config: &AssemblerConfig) -> Vec<Object> {
     let (header, pixels) = render(camera, noise, bodies, seed);
     let mut extractor = RowEllipseExtractor::with(RowEllipseConfig::of_the_paper());
@@ -18,7 +23,7 @@ fn detect(camera: Camera, noise: NoiseModel, bodies: &[Body], seed: u64, config:
 }
 
 fn kinect(bodies: &[Body], seed: u64) -> Vec<Object> {
-    detect(KINECT_HALF, NoiseModel::KINECT_V1, bodies, seed, &AssemblerConfig::of_the_paper())
+    detect(KINECT_HALF, NoiseModel::KINECT_V1, bodies, seed, &profile())
 }
 
 fn can(distance: f64) -> Body {
@@ -41,7 +46,7 @@ fn distance(object: &Object, point: &Vector3) -> f64 {
 
 #[test]
 fn a_cylinder_without_noise_is_exact() {
-    let objects = detect(KINECT, NoiseModel::IDEAL, &[can(1.5)], 1, &AssemblerConfig::of_the_paper());
+    let objects = detect(KINECT, NoiseModel::IDEAL, &[can(1.5)], 1, &profile());
     let found = single(&objects, ObjectKind::Cylinder);
     assert!((found.radius - 0.2).abs() < 1e-4 && found.rms < 1e-4, "{found:?}");
     assert!(angle(&found, &Vector3::y()) < 1e-3 && distance(&found, &Vector3::new(0.0, 0.0, 1.5)) < 1e-3);
@@ -59,7 +64,7 @@ fn sections_of_known_shape_keep_the_radius_at_a_distance() {
 
 #[test]
 fn the_papers_radius_shrinks_as_in_the_paper() {
-    let config = AssemblerConfig { section_fit: SectionFit::Ellipse, ..AssemblerConfig::of_the_paper() };
+    let config = AssemblerConfig::of_the_paper();
     // Table 1 of the paper, without its Kalman filter.
     for (range, paper) in [(1.0, 0.20), (1.5, 0.17), (2.0, 0.16), (2.5, 0.16), (3.0, 0.15)] {
         let objects = detect(KINECT_HALF, NoiseModel::KINECT_V1, &[can(range)], 3, &config);
@@ -73,7 +78,7 @@ fn the_papers_radius_shrinks_as_in_the_paper() {
 fn a_sphere_is_found_off_the_optical_axis() {
     let center = Vector3::new(0.2, 0.25, 1.5);
     let ball = Body::Sphere { center, radius: 0.15 };
-    let exact = detect(KINECT, NoiseModel::IDEAL, &[ball], 4, &AssemblerConfig::of_the_paper());
+    let exact = detect(KINECT, NoiseModel::IDEAL, &[ball], 4, &profile());
     let found = single(&exact, ObjectKind::Sphere);
     assert!((found.radius - 0.15).abs() < 1e-4 && distance(&found, &center) < 2e-4, "{found:?}");
     let found = single(&kinect(&[ball], 4), ObjectKind::Sphere);
@@ -107,7 +112,7 @@ fn blunt_cones_are_found_where_they_are_asked_for() {
     let cone =
         Body::Frustum { center: Vector3::new(0.0, 0.05, 1.3), axis: Vector3::y(), radius: 0.16, slope, length: 0.2 };
     let found = |max_half_angle_deg| {
-        let config = AssemblerConfig { max_half_angle_deg, ..AssemblerConfig::of_the_paper() };
+        let config = AssemblerConfig { max_half_angle_deg, ..profile() };
         detect(KINECT, NoiseModel::KINECT_V1, &[cone], 5, &config)
     };
     let asked_for = single(&found(45.0), ObjectKind::Cone);
@@ -163,7 +168,7 @@ fn noisy_rows_are_skipped() {
         pixels[row * width..(row + 1) * width].iter_mut().step_by(3).for_each(|pixel| *pixel = *pixel / 10 * 9);
     }
     let mut extractor = RowEllipseExtractor::with(RowEllipseConfig::of_the_paper());
-    let mut assembler = ObjectAssembler::with(AssemblerConfig::of_the_paper());
+    let mut assembler = ObjectAssembler::with(profile());
     let objects = assembler.assemble(&header, extractor.extract(&header, &pixels)).to_vec();
     let found = single(&objects, ObjectKind::Cylinder);
     assert!(found.rows > 120 && (found.radius - 0.2).abs() < 0.003, "{found:?}");
@@ -191,7 +196,7 @@ fn sigmas_are_present_exactly_where_the_shape_has_the_parameter() {
     let ball = Body::Sphere { center: Vector3::new(0.0, 0.0, 1.2), radius: 0.15 };
     for noise in [NoiseModel::IDEAL, NoiseModel::KINECT_V1] {
         for body in [ball, can(1.5)] {
-            let objects = detect(KINECT_HALF, noise, &[body], 10, &AssemblerConfig::of_the_paper());
+            let objects = detect(KINECT_HALF, noise, &[body], 10, &profile());
             let sigma = objects[0].sigma;
             let is_sphere = objects[0].shape() == ObjectKind::Sphere;
             assert!(sigma.radius > 0.0 && (0..3).all(|i| sigma.center[i][i] > 0.0), "{sigma:?}");
@@ -206,7 +211,7 @@ fn of_every_second_to_eighth_line_objects_are_the_same() {
     let tall =
         Body::Frustum { center: Vector3::new(0.0, 0.0, 1.5), axis: Vector3::y(), radius: 0.2, slope: 0.0, length: 1.0 };
     let (header, pixels) = render(KINECT, NoiseModel::KINECT_V1, &[tall], 12);
-    for (arcs, config) in [moments(), of_the_paper()] {
+    for (arcs, config) in [moments(), conics()] {
         let mut end_sigma = 0.0;
         for line_step in [1, 2, 4, 8] {
             let mut extractor = RowEllipseExtractor::with(RowEllipseConfig { line_step, ..arcs.clone() });
@@ -226,14 +231,14 @@ fn moments() -> (RowEllipseConfig, AssemblerConfig) {
     (RowEllipseConfig::default(), AssemblerConfig::default())
 }
 
-fn of_the_paper() -> (RowEllipseConfig, AssemblerConfig) {
-    (RowEllipseConfig::of_the_paper(), AssemblerConfig::of_the_paper())
+fn conics() -> (RowEllipseConfig, AssemblerConfig) {
+    (RowEllipseConfig::of_the_paper(), profile())
 }
 
 #[test]
 fn a_candidate_beyond_the_limits_is_counted() {
     let (header, pixels) = render(KINECT_HALF, NoiseModel::KINECT_V1, &[can(1.5)], 11);
-    for (arcs, config) in [moments(), of_the_paper()] {
+    for (arcs, config) in [moments(), conics()] {
         let ellipses = RowEllipseExtractor::with(arcs).extract(&header, &pixels).to_vec();
         let limits = config.cylinder;
         for (cylinder, reason) in [
@@ -254,7 +259,7 @@ fn limits_that_exclude_each_other_are_faults() {
         cone: AxialLimits { min_m: 0.1, max_m: 0.2, min_length_m: 2.0, max_length_m: 1.0 },
         min_half_angle_deg: 40.0,
         max_half_angle_deg: 20.0,
-        ..AssemblerConfig::of_the_paper()
+        ..profile()
     };
     let keys: Vec<_> = config.faults(Path::new(".")).into_iter().map(|fault| fault.key).collect();
     assert_eq!(keys, ["sphere", "cone", "min_half_angle_deg"]);
@@ -271,7 +276,7 @@ fn what_has_no_effect_is_known() {
     let pooled = idle(&AssemblerConfig::default());
     let active: Vec<_> = all.as_object().unwrap().keys().filter(|key| !pooled.contains(&key.as_str())).collect();
     assert_eq!(active, ["method", "max_half_angle_deg", "pooled", "sphere", "cylinder", "cone"]);
-    assert_eq!(idle(&AssemblerConfig::of_the_paper()), ["pooled"]);
-    let paper = AssemblerConfig { section_fit: SectionFit::Ellipse, ..AssemblerConfig::of_the_paper() };
+    assert_eq!(idle(&profile()), ["pooled"]);
+    let paper = AssemblerConfig::of_the_paper();
     assert_eq!(idle(&paper), ["pooled", "max_rms_radii"]);
 }

@@ -1,8 +1,10 @@
-//! Stages from outside this repository: a program of its own in the middle of a pipeline.
+//! Stages from outside this repository: a program of its own in the middle of a pipeline, and a camera at its beginning.
 
 use crate::support::{Ended, Playground, StageRow, Started, TRACKING, example};
+use rustix::fs::{CWD, Mode, mkfifoat};
 use serde_json::Value as Json;
 use std::fs;
+use std::io::Write as _;
 use std::os::unix::fs::DirBuilderExt;
 use std::process::Command;
 
@@ -114,4 +116,64 @@ fn a_stage_of_another_version_than_its_launcher_says_so() {
         ended.stderr.contains("were built from different versions of conicflow (layout 1, 99)\n  hint: "),
         "{ended:?}"
     );
+}
+
+/// What finds objects in the frames that `raw_camera` takes from `depth.z16`.
+fn with_raw_camera() -> Playground {
+    let program = example("raw_camera");
+    let (_, after) = TRACKING.split_once("[stage.extractor]").unwrap();
+    let text = format!(
+        r#"name = "raw"
+
+[stage.camera]
+program     = ["{program}"]
+output      = "depth"
+path        = "depth.z16"
+camera      = {{ width = 160, height = 120, fx = 150.0, fy = 150.0, cx = 79.5, cy = 59.5 }}
+depth_scale = 0.001
+noise       = {{ floor_m = 0.0005, growth_per_m = 0.0, knee_m = 0.0, step_per_m = 0.0 }}
+restart     = "never"
+
+[stage.extractor]{after}"#
+    );
+    Playground::with_pipeline(&text)
+}
+
+/// A frame of that camera, in bytes: a ball of radius 0.15 m before a wall.
+fn ball_before_a_wall() -> Vec<u8> {
+    let depth = |pixel: usize| {
+        let (x, y) = (((pixel % 160) as f64 - 79.5) / 150.0, ((pixel / 160) as f64 - 59.5) / 150.0);
+        let square = x * x + y * y + 1.0;
+        let root = 1.0 - square * (1.0 - 0.15 * 0.15);
+        let depth_m = if root > 0.0 { (1.0 - root.sqrt()) / square } else { 2.0 };
+        (depth_m * 1000.0).round() as u16
+    };
+    (0..160 * 120).flat_map(|pixel| depth(pixel).to_le_bytes()).collect()
+}
+
+#[test]
+fn a_camera_of_ones_own_sends_what_comes_through_a_pipe() {
+    let playground = with_raw_camera();
+    let pipe = playground.path("depth.z16");
+    mkfifoat(CWD, &pipe, Mode::RUSR | Mode::WUSR).unwrap();
+    let run = playground.start(&["run"]);
+    let mut writer = fs::OpenOptions::new().write(true).open(&pipe).unwrap();
+    for _ in 0..5 {
+        writer.write_all(&ball_before_a_wall()).unwrap();
+    }
+    drop(writer);
+    let ended = run.wait().expect_code(0);
+    assert_eq!(ended.stage("camera").messages, 5);
+    let tracks = playground.json_lines("tracks.jsonl");
+    let [ball] = &tracks.last().unwrap()["tracks"].as_array().unwrap()[..] else { panic!("{tracks:?}") };
+    assert_eq!(ball["kind"], "sphere");
+    assert!((ball["radius"].as_f64().unwrap() - 0.15).abs() < 0.002, "{ball}");
+}
+
+#[test]
+fn a_stream_that_ends_within_a_frame_is_told() {
+    let playground = with_raw_camera();
+    fs::write(playground.path("depth.z16"), &ball_before_a_wall()[..1000]).unwrap();
+    let ended = playground.conicflow(&["run"]).expect_code(1);
+    assert!(ended.stderr.contains("the stream ends 37400 bytes before the end of a frame\n  hint: "), "{ended:?}");
 }

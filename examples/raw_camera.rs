@@ -1,0 +1,137 @@
+//! A camera of one's own: raw frames of 16-bit depths (Z16, little-endian, row by row) from a pipe or a file.
+//!
+//! So come the frames of every depth camera that Linux has a driver for:
+//!
+//! ```console
+//! $ mkfifo depth.z16
+//! $ v4l2-ctl -d /dev/video2 --set-fmt-video=width=640,height=480,pixelformat='Z16 ' --stream-mmap --stream-to=depth.z16
+//! ```
+//!
+//! ```toml
+//! [stage.camera]
+//! program     = ["target/release/examples/raw_camera"]
+//! output      = "depth"
+//! path        = "depth.z16"
+//! camera      = { width = 640, height = 480, fx = 385.0, fy = 385.0, cx = 319.5, cy = 239.5 }
+//! depth_scale = 0.001
+//! noise       = { floor_m = 0.0, growth_per_m = 0.002, knee_m = 0.0, step_per_m = 0.0 }
+//! ```
+//!
+//! With the library of a camera it is the same: the device is opened when the first frame is asked for, as a stage that cannot
+//! be made ready ends the run, while one that fails later is started anew; and whoever waits for it looks at
+//! [`Stop::requested`] meanwhile.
+
+use anyhow::{Context as _, bail};
+use conicflow_dataflow::{Config, Context, Next, Output, Sides, Source, StageError, Stop, run_source};
+use conicflow_messages::{Camera, Header, NoiseModel, Text};
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::fs::{Mode, OFlags, open};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::fs::File;
+use std::io::{ErrorKind, Read};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Instant;
+
+/// Parameters of `raw_camera`.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct RawCameraConfig {
+    /// The pipe or file that the frames come from.
+    path: PathBuf,
+    /// Size and pinhole intrinsics, in pixels.
+    #[schemars(with = "serde_json::Value")]
+    camera: Camera,
+    /// Metres per unit of a pixel.
+    depth_scale: f64,
+    /// Coefficients of the depth noise, as `experiments/noise.toml` finds them.
+    #[schemars(with = "serde_json::Value")]
+    noise: NoiseModel,
+}
+
+impl Config for RawCameraConfig {}
+
+/// Sends the frames of a camera.
+struct RawCamera {
+    config: RawCameraConfig,
+    path: PathBuf,
+    device: Option<File>,
+    began: Instant,
+    stop: Stop,
+}
+
+impl Source for RawCamera {
+    const NAME: &'static str = "raw_camera";
+    const SUMMARY: &'static str = "Sends raw 16-bit depth frames from a pipe or a file";
+    type Config = RawCameraConfig;
+    type Output = u16;
+
+    fn new(config: RawCameraConfig, context: &Context) -> Result<Self, StageError> {
+        let path = context.resolve(&config.path);
+        Ok(Self { config, path, device: None, began: Instant::now(), stop: context.stop.clone() })
+    }
+
+    fn message_length(config: &RawCameraConfig, _: &Path) -> Option<usize> {
+        Some(pixels(&config.camera))
+    }
+
+    fn next(&mut self, _: &Sides, output: &mut Output<u16>) -> Result<Next, StageError> {
+        let device = match &mut self.device {
+            Some(device) => device,
+            none => none.insert(open_device(&self.path)?),
+        };
+        let image = output.image(pixels(&self.config.camera))?;
+        if !read_frame(device, bytemuck::cast_slice_mut(image), &self.stop)? {
+            return Ok(Next::End);
+        }
+        output.header = Header {
+            camera: self.config.camera,
+            depth_scale: self.config.depth_scale,
+            noise: self.config.noise,
+            stamp_ns: self.began.elapsed().as_nanos() as u64,
+            source: Text::new(Self::NAME),
+            ..Header::default()
+        };
+        Ok(Next::Message)
+    }
+}
+
+fn pixels(camera: &Camera) -> usize {
+    camera.width as usize * camera.height as usize
+}
+
+/// Without waiting for whoever writes into a pipe.
+fn open_device(path: &Path) -> anyhow::Result<File> {
+    let device = open(path, OFlags::RDONLY | OFlags::NONBLOCK | OFlags::CLOEXEC, Mode::empty());
+    Ok(File::from(device.with_context(|| format!("cannot open `{}`", path.display()))?))
+}
+
+/// Whether a whole frame came before the stream or the run ended.
+fn read_frame(device: &mut File, frame: &mut [u8], stop: &Stop) -> anyhow::Result<bool> {
+    let mut filled = 0;
+    while filled < frame.len() {
+        let patience = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
+        if poll(&mut [PollFd::new(device, PollFlags::IN)], Some(&patience))? == 0 {
+            if stop.requested() {
+                return Ok(false);
+            }
+            continue;
+        }
+        match device.read(&mut frame[filled..]) {
+            Ok(0) if filled == 0 => return Ok(false),
+            Ok(0) => bail!(
+                "the stream ends {} bytes before the end of a frame\n  hint: `camera` may have another size than it",
+                frame.len() - filled
+            ),
+            Ok(bytes) => filled += bytes,
+            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) => {}
+            Err(error) => return Err(error.into()),
+        }
+    }
+    Ok(true)
+}
+
+fn main() -> ExitCode {
+    run_source::<RawCamera>()
+}
