@@ -10,7 +10,7 @@ use crate::topic::{self, TopicCommand};
 use anyhow::{Context, anyhow, bail};
 use clap::{Args, Parser, Subcommand};
 use conicflow_dataflow::pipeline::{Pipeline, Report, SourceText};
-use conicflow_dataflow::{NO_RUN, Plan, ProcessError, RunFolder, RunOptions, Summary};
+use conicflow_dataflow::{LOG, NO_RUN, Plan, ProcessError, RunOptions, Summary};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use std::fmt::Display;
 use std::io::{self, ErrorKind, IsTerminal, Write, stderr, stdout};
@@ -36,11 +36,12 @@ const WRONG_INPUT: u8 = 2;
 struct CommandLine {
     #[command(subcommand)]
     command: Option<Command>,
-    /// What is logged: error, warn, info, debug or trace; a filter such as conicflow_dataflow=debug works too
+    /// What is logged, by each stage as well: error, warn, info, debug or trace; a filter such as
+    /// conicflow_dataflow=debug works too
     #[arg(
         long,
         global = true,
-        env = "CONICFLOW_LOG",
+        env = LOG,
         default_value = "info",
         value_name = "LEVEL",
         value_parser = log_filter
@@ -53,6 +54,9 @@ enum Command {
     /// Run a pipeline, each stage as a process of its own
     Run(RunArguments),
     /// Run one stage of a pipeline in this process
+    ///
+    /// That is for a debugger, beside other stages that are run like this; what belongs in a service is `conicflow run`,
+    /// which starts a stage anew when it dies.
     Node {
         /// Name of the stage
         stage: String,
@@ -133,7 +137,7 @@ pub fn main() -> ExitCode {
     let arguments = CommandLine::parse();
     log_to_standard_error(&arguments.log);
     let command = arguments.command.unwrap_or_else(|| Command::Run(RunArguments::default()));
-    match dispatch(command) {
+    match dispatch(command, &arguments.log) {
         Ok(code) => code,
         // Who reads the output and goes (`| head`) has seen enough.
         Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
@@ -144,10 +148,12 @@ pub fn main() -> ExitCode {
     }
 }
 
-fn dispatch(command: Command) -> anyhow::Result<ExitCode> {
+fn dispatch(command: Command, log: &str) -> anyhow::Result<ExitCode> {
     match command {
-        Command::Run(arguments) => run(&arguments),
-        Command::Node { stage, file, machine } => node(&stage, file, machine.as_deref()).map(|()| ExitCode::SUCCESS),
+        Command::Run(arguments) => run(&arguments, log),
+        Command::Node { stage, file, machine } => {
+            node(&stage, file, machine.as_deref(), log).map(|()| ExitCode::SUCCESS)
+        }
         Command::Validate { source } => validate(&source),
         Command::Graph { source } => {
             write!(stdout(), "{}", source.read()?.mermaid())?;
@@ -260,12 +266,12 @@ fn validate(source: &FileArguments) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-fn run(arguments: &RunArguments) -> anyhow::Result<ExitCode> {
+fn run(arguments: &RunArguments, log: &str) -> anyhow::Result<ExitCode> {
     let pipeline = arguments.source.read_on(arguments.machine.as_deref())?;
     if let Some(json) = &pipeline.experiment {
-        return run_experiment(&pipeline, &Experiment::read(json)?, arguments);
+        return run_experiment(&pipeline, &Experiment::read(json)?, arguments, log);
     }
-    let summary = run_once(&pipeline, arguments, arguments.quiet)?;
+    let summary = run_once(&pipeline, arguments, arguments.quiet, log)?;
     if !arguments.quiet {
         say(format_args!("\n{}", summary.to_string().trim_end()));
     }
@@ -273,7 +279,12 @@ fn run(arguments: &RunArguments) -> anyhow::Result<ExitCode> {
 }
 
 /// Runs a pipeline for each combination of what its experiment varies, and prints one table.
-fn run_experiment(pipeline: &Pipeline, experiment: &Experiment, arguments: &RunArguments) -> anyhow::Result<ExitCode> {
+fn run_experiment(
+    pipeline: &Pipeline,
+    experiment: &Experiment,
+    arguments: &RunArguments,
+    log: &str,
+) -> anyhow::Result<ExitCode> {
     let variations = experiment.variations()?;
     let (rows, mut results) = (Rows::of(pipeline)?, Results::new(experiment));
     let interrupted = Arc::new(AtomicBool::new(false));
@@ -286,7 +297,7 @@ fn run_experiment(pipeline: &Pipeline, experiment: &Experiment, arguments: &RunA
             say(format_args!("run {} of {}: {}", index + 1, variations.len(), variation.overrides.join(" ")));
         }
         let (pipeline, _) = arguments.source.read_with(arguments.machine.as_deref(), &overrides)?;
-        let summary = run_once(&pipeline, arguments, true)?;
+        let summary = run_once(&pipeline, arguments, true, log)?;
         if !summary.is_complete() || summary.restarts() > 0 || interrupted.load(Ordering::Relaxed) {
             tell_incomplete(&summary, variation);
             return Ok(ExitCode::FAILURE);
@@ -304,13 +315,18 @@ fn tell_incomplete(summary: &Summary, variation: &Variation) {
     say(format_args!("the run with `{}` {what}:\n{summary}", variation.overrides.join(" ")));
 }
 
-fn run_once(pipeline: &Pipeline, arguments: &RunArguments, quiet: bool) -> anyhow::Result<Summary> {
+fn run_once(pipeline: &Pipeline, arguments: &RunArguments, quiet: bool, log: &str) -> anyhow::Result<Summary> {
     check_machine(pipeline, arguments.machine.as_deref())?;
     let run = SystemTime::now().duration_since(UNIX_EPOCH)?.as_nanos() as u64;
     let plan = Plan::of(pipeline, arguments.machine.as_deref(), arguments.frames, run);
-    let program = std::env::current_exe().context("cannot find this program's own file, which runs the stages")?;
-    let options = RunOptions { program, nodes: NODES, duration: arguments.duration, quiet };
+    let options = RunOptions { duration: arguments.duration, quiet, ..options(log)? };
     Ok(conicflow_dataflow::run(&plan, &options)?)
+}
+
+/// How stages are run by this program.
+fn options(log: &str) -> anyhow::Result<RunOptions> {
+    let program = std::env::current_exe().context("cannot find this program's own file, which runs the stages")?;
+    Ok(RunOptions { program, nodes: NODES, log: Some(log.to_owned()), ..RunOptions::default() })
 }
 
 fn check_machine(pipeline: &Pipeline, machine: Option<&str>) -> anyhow::Result<()> {
@@ -328,8 +344,8 @@ fn check_machine(pipeline: &Pipeline, machine: Option<&str>) -> anyhow::Result<(
     Ok(())
 }
 
-/// Runs one stage here: of the run that this process was started in, or of a file, for a debugger or a service manager.
-fn node(stage: &str, file: Option<PathBuf>, machine: Option<&str>) -> anyhow::Result<()> {
+/// Runs one stage here: of the run that this process was started in, or of a file, for a debugger.
+fn node(stage: &str, file: Option<PathBuf>, machine: Option<&str>, log: &str) -> anyhow::Result<()> {
     if file.is_none() && std::env::var_os(conicflow_dataflow::PIPELINE).is_some() {
         return Ok(conicflow_dataflow::run_in_run(NODES)?);
     }
@@ -341,8 +357,7 @@ fn node(stage: &str, file: Option<PathBuf>, machine: Option<&str>) -> anyhow::Re
         bail!("stage `{stage}` is on another machine, `{other}`\n  hint: run it there, with --machine {other}");
     }
     let plan = Plan::of(&pipeline, machine, None, NO_RUN);
-    let folder = RunFolder::open(&plan.pipeline)?;
-    Ok(conicflow_dataflow::run_planned(&plan, &folder, stage, NODES)?)
+    Err(conicflow_dataflow::become_stage(&plan, stage, &options(log)?).into())
 }
 
 #[cfg(test)]

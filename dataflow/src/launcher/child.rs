@@ -1,7 +1,8 @@
 //! One stage as the launcher sees it: its process, and whether it is to be started anew.
 
-use super::folder::RunFolder;
-use super::process::{LAUNCHER, PIPELINE, ProcessError, REFUSED, STAGE};
+use super::RunOptions;
+use super::folder::{PLAN, RunFolder};
+use super::process::{LAUNCHER, ProcessError, REFUSED, as_stage};
 use super::vigil::{News, Vigil};
 use crate::pipeline::Restart;
 use crate::plan::{Plan, PlannedStage, Runs};
@@ -11,7 +12,6 @@ use signal_hook::consts::SIGBUS;
 use std::collections::VecDeque;
 use std::io;
 use std::os::unix::process::{CommandExt, ExitStatusExt};
-use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
@@ -49,15 +49,15 @@ pub(crate) struct Supervised {
 }
 
 impl Supervised {
-    pub(crate) fn start(planned: PlannedStage, plan: &Plan, program: &Path) -> Result<Self, ProcessError> {
+    pub(crate) fn start(planned: PlannedStage, plan: &Plan, options: &RunOptions) -> Result<Self, ProcessError> {
         let mut stage =
             Self { planned, state: State::Done, vigil: Vigil::new(0, Instant::now()), deaths: VecDeque::new() };
-        stage.spawn(plan, program)?;
+        stage.spawn(plan, options)?;
         Ok(stage)
     }
 
-    fn spawn(&mut self, plan: &Plan, program: &Path) -> Result<(), ProcessError> {
-        let spawned = command(&self.planned, plan, program).spawn();
+    fn spawn(&mut self, plan: &Plan, options: &RunOptions) -> Result<(), ProcessError> {
+        let spawned = command(&self.planned, plan, options).spawn();
         self.state = State::Running(spawned.map_err(|error: io::Error| ProcessError::System {
             doing: format!("stage `{}` cannot be started", self.planned.name),
             error,
@@ -124,7 +124,7 @@ impl Supervised {
         &mut self,
         plan: &Plan,
         folder: &RunFolder,
-        program: &Path,
+        options: &RunOptions,
         ending: bool,
     ) -> Result<Change, ProcessError> {
         match &mut self.state {
@@ -143,7 +143,7 @@ impl Supervised {
                 Ok(Change::None)
             }
             State::Waiting { until } if Instant::now() >= *until => {
-                self.spawn(plan, program)?;
+                self.spawn(plan, options)?;
                 Ok(Change::None)
             }
             _ => Ok(Change::None),
@@ -239,16 +239,9 @@ impl Supervised {
 
 /// What starts a stage. Each gets a process group of its own, so that Ctrl-C reaches the launcher alone, which ends them in
 /// order.
-pub(crate) fn command(planned: &PlannedStage, plan: &Plan, program: &Path) -> Command {
-    let mut command = Command::new(program);
-    command
-        .args(["node", &planned.name])
-        .env(PIPELINE, &plan.pipeline)
-        .env(STAGE, &planned.name)
-        .env(LAUNCHER, std::process::id().to_string())
-        .envs(planned.env.iter().map(|(key, value)| (key, value)))
-        .stdin(Stdio::null())
-        .process_group(0);
+pub(crate) fn command(planned: &PlannedStage, plan: &Plan, options: &RunOptions) -> Command {
+    let mut command = as_stage(planned, plan, PLAN, options);
+    command.env(LAUNCHER, std::process::id().to_string()).stdin(Stdio::null()).process_group(0);
     command
 }
 

@@ -15,7 +15,7 @@ mod vigil;
 pub use folder::{FolderError, RUNTIME_DIR, RunFolder, RunLock};
 pub(crate) use folder::{LAST_STAGES_GRACE, check_private, user_folder};
 pub(crate) use process::{LAUNCHER, STAGE};
-pub use process::{PIPELINE, ProcessError, run_in_run, run_planned, run_source, run_stage};
+pub use process::{LOG, PIPELINE, ProcessError, become_stage, run_in_run, run_source, run_stage};
 pub use request::SwapError;
 pub use summary::{StageSummary, Summary, link_table};
 
@@ -54,6 +54,8 @@ pub struct RunOptions {
     pub duration: Option<Duration>,
     /// No progress is shown.
     pub quiet: bool,
+    /// What its stages log, as they understand [`LOG`]; `None`: what they inherit.
+    pub log: Option<String>,
 }
 
 /// Why a run could not begin.
@@ -141,7 +143,7 @@ struct Launcher<'a> {
 impl Launcher<'_> {
     fn supervise(&mut self) -> Result<(), LaunchError> {
         for planned in &self.plan.stages {
-            self.stages.push(Supervised::start(planned.clone(), &self.plan, &self.options.program)?);
+            self.stages.push(Supervised::start(planned.clone(), &self.plan, self.options)?);
         }
         while !self.stages.iter().all(Supervised::is_over) {
             self.wait_for_events();
@@ -170,7 +172,7 @@ impl Launcher<'_> {
     /// Goes on with the swap that is under way, or begins one that was asked for.
     fn replace(&mut self) -> Result<(), LaunchError> {
         let Self { plan, folder, options, stages, swap, phase, .. } = self;
-        let mut place = Place { plan, folder, program: &options.program, phase: *phase };
+        let mut place = Place { plan, folder, options, phase: *phase };
         if let Some(request) = place.folder.take_request_if(swap.is_none()) {
             *swap = Swap::begin(request, stages, &mut place)?;
         } else if let Some(under_way) = swap.take()
@@ -187,7 +189,7 @@ impl Launcher<'_> {
         let swap = self.swap.as_ref();
         let leaving = swap.filter(|swap| swap.decides_about_exit()).map(|swap| swap.stage().to_owned());
         for stage in self.stages.iter_mut().filter(|stage| leaving.as_ref() != Some(&stage.planned.name)) {
-            lost |= stage.look(&self.plan, &self.folder, &self.options.program, ending)? == Change::Lost;
+            lost |= stage.look(&self.plan, &self.folder, self.options, ending)? == Change::Lost;
         }
         self.lost |= lost;
         if lost && !ending {
