@@ -10,7 +10,7 @@ use crate::topic::{self, TopicCommand};
 use anyhow::{Context, anyhow, bail};
 use clap::{Args, Parser, Subcommand};
 use conicflow_dataflow::pipeline::{Pipeline, Report, SourceText};
-use conicflow_dataflow::{LOG, NO_RUN, Plan, ProcessError, RunOptions, Summary};
+use conicflow_dataflow::{LOG, LaunchError, NO_RUN, Plan, ProcessError, RunOptions, Summary};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use std::fmt::Display;
 use std::io::{self, ErrorKind, IsTerminal, Write, stderr, stdout};
@@ -187,8 +187,9 @@ fn describe(error: &anyhow::Error) -> String {
 /// What the system refuses, such as a place on a full disk, is no wrong input.
 fn exit_code(error: &anyhow::Error) -> u8 {
     let refused = error.chain().any(|cause| cause.is::<io::Error>());
-    let other = if refused { FAILED } else { WRONG_INPUT };
-    error.downcast_ref::<ProcessError>().map_or(other, ProcessError::exit_code)
+    let of_stage = error.downcast_ref().map(ProcessError::exit_code);
+    let of_run = error.downcast_ref().map(LaunchError::exit_code);
+    of_stage.or(of_run).unwrap_or(if refused { FAILED } else { WRONG_INPUT })
 }
 
 fn is_broken_pipe(error: &anyhow::Error) -> bool {
@@ -380,6 +381,9 @@ mod tests {
         let full = || anyhow::Error::from(io::Error::from(ErrorKind::StorageFull));
         assert_eq!(exit_code(&full().context("cannot write `results/table.csv`")), FAILED);
         assert_eq!(exit_code(&anyhow!("there is no machine `moon`")), WRONG_INPUT);
+        let missing = || ProcessError::System { doing: "starting".to_owned(), error: ErrorKind::NotFound.into() };
+        assert_eq!(exit_code(&missing().into()), FAILED);
+        assert_eq!(exit_code(&LaunchError::from(missing()).into()), FAILED);
         assert!(is_broken_pipe(&io::Error::from(ErrorKind::BrokenPipe).into()) && !is_broken_pipe(&full()));
     }
 }

@@ -78,6 +78,18 @@ pub enum LaunchError {
     Signals(std::io::Error),
 }
 
+impl LaunchError {
+    /// The exit code of a program that could not begin the run: 1 for what the system refuses, 2 for what is wrong with
+    /// the file, the arguments or the machine.
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Self::Process(error) => error.exit_code(),
+            Self::Signals(_) => 1,
+            Self::Folder(_) | Self::Port(_) | Self::Shortfall(_) => 2,
+        }
+    }
+}
+
 /// Runs a plan to its end.
 ///
 /// # Errors
@@ -148,7 +160,7 @@ impl Launcher<'_> {
         while !self.stages.iter().all(Supervised::is_over) {
             self.wait_for_events();
             self.replace()?;
-            self.look_at_stages()?;
+            self.look_at_stages();
             self.press();
             self.progress.show(&self.summary());
         }
@@ -183,13 +195,13 @@ impl Launcher<'_> {
         Ok(())
     }
 
-    fn look_at_stages(&mut self) -> Result<(), LaunchError> {
+    fn look_at_stages(&mut self) {
         let ending = !matches!(self.phase, Phase::Running);
         let mut lost = false;
         let swap = self.swap.as_ref();
         let leaving = swap.filter(|swap| swap.decides_about_exit()).map(|swap| swap.stage().to_owned());
         for stage in self.stages.iter_mut().filter(|stage| leaving.as_ref() != Some(&stage.planned.name)) {
-            lost |= stage.look(&self.plan, &self.folder, self.options, ending)? == Change::Lost;
+            lost |= stage.look(&self.plan, &self.folder, self.options, ending) == Change::Lost;
         }
         self.lost |= lost;
         if lost && !ending {
@@ -198,7 +210,6 @@ impl Launcher<'_> {
         if (lost || self.nobody_reads()) && !ending {
             self.stop_sources();
         }
-        Ok(())
     }
 
     /// Whether all sinks are over: what the others still make would be for nobody.
