@@ -70,11 +70,17 @@ enum Command {
     Validate {
         #[command(flatten)]
         source: FileArguments,
+        /// Look for the files and programs of this machine's stages alone [default: of each]
+        #[arg(long, value_name = "NAME")]
+        machine: Option<String>,
     },
     /// Print the graph of a pipeline as Mermaid text
     Graph {
         #[command(flatten)]
         source: FileArguments,
+        /// Look for the files and programs of this machine's stages alone [default: of each]
+        #[arg(long, value_name = "NAME")]
+        machine: Option<String>,
     },
     /// Show what running pipelines do, live
     Top {
@@ -154,18 +160,16 @@ fn dispatch(command: Command, log: &str) -> anyhow::Result<ExitCode> {
         Command::Node { stage, file, machine } => {
             node(&stage, file, machine.as_deref(), log).map(|()| ExitCode::SUCCESS)
         }
-        Command::Validate { source } => validate(&source),
-        Command::Graph { source } => {
-            write!(stdout(), "{}", source.read()?.mermaid())?;
+        Command::Validate { source, machine } => validate(&source, machine.as_deref()),
+        Command::Graph { source, machine } => {
+            write!(stdout(), "{}", source.read_for(machine.as_deref())?.mermaid())?;
             Ok(ExitCode::SUCCESS)
         }
         Command::Top { once } => top::top(once).map(|()| ExitCode::SUCCESS),
         Command::Topic(command) => topic::topic(&command).map(|()| ExitCode::SUCCESS),
         Command::Swap(arguments) => swap::swap(&arguments).map(|()| ExitCode::SUCCESS),
         Command::Doctor { source, machine, clean } => {
-            let pipeline = source.read()?;
-            machine.as_deref().map_or(Ok(()), |machine| check_machine(&pipeline, Some(machine)))?;
-            doctor(&pipeline, machine.as_deref(), clean)
+            doctor(&source.read_for(machine.as_deref())?, machine.as_deref(), clean)
         }
         Command::Nodes { name } => {
             write!(stdout(), "{}", node_help::nodes(name.as_deref())?)?;
@@ -216,8 +220,11 @@ fn log_to_standard_error(filter: &str) {
 }
 
 impl FileArguments {
-    fn read(&self) -> anyhow::Result<Pipeline> {
-        self.read_on(None)
+    /// The pipeline as the machine that was named needs it; where none was, as all of them do.
+    fn read_for(&self, machine: Option<&str>) -> anyhow::Result<Pipeline> {
+        let pipeline = self.read_on(machine)?;
+        machine.map_or(Ok(()), |machine| check_machine(&pipeline, Some(machine)))?;
+        Ok(pipeline)
     }
 
     /// The pipeline as one of its machines needs it.
@@ -252,14 +259,15 @@ impl FileArguments {
     }
 }
 
-fn validate(source: &FileArguments) -> anyhow::Result<ExitCode> {
-    let (pipeline, warnings) = source.read_with(None, &[])?;
+fn validate(source: &FileArguments, machine: Option<&str>) -> anyhow::Result<ExitCode> {
+    let (pipeline, warnings) = source.read_with(machine, &[])?;
+    machine.map_or(Ok(()), |machine| check_machine(&pipeline, Some(machine)))?;
     if !warnings.0.is_empty() {
         writeln!(stdout(), "{warnings}\n")?;
     }
     if let Some(json) = &pipeline.experiment {
         for variation in Experiment::read(json)?.variations()? {
-            source.read_with(None, &variation.overrides)?;
+            source.read_with(machine, &variation.overrides)?;
         }
     }
     let (stages, topics) = (pipeline.stages.len(), pipeline.topics().len());
