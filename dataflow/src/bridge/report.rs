@@ -83,6 +83,13 @@ pub struct EdgeReport {
     pub age_ms: f64,
 }
 
+impl EdgeReport {
+    /// Whether it comes from the other machine.
+    pub(crate) fn comes(&self) -> bool {
+        self.direction == "in"
+    }
+}
+
 /// The file's content.
 #[derive(Serialize, Deserialize)]
 struct Report {

@@ -269,8 +269,8 @@ impl RunFolder {
     }
 }
 
-/// The folder of this user, whether it is there or not.
-pub(crate) fn user_folder() -> PathBuf {
+/// The folder of this user in which all runs have theirs, whether it is there or not.
+pub fn user_folder() -> PathBuf {
     if let Some(path) = std::env::var_os(RUNTIME_DIR) {
         return path.into();
     }

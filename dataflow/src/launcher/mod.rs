@@ -12,8 +12,8 @@ mod summary;
 mod swap;
 mod vigil;
 
-pub use folder::{FolderError, RUNTIME_DIR, RunFolder, RunLock};
-pub(crate) use folder::{LAST_STAGES_GRACE, check_private, user_folder};
+pub use folder::{FolderError, RUNTIME_DIR, RunFolder, RunLock, user_folder};
+pub(crate) use folder::{LAST_STAGES_GRACE, check_private};
 pub(crate) use process::{LAUNCHER, STAGE};
 pub use process::{LOG, PIPELINE, ProcessError, become_stage, run_in_run, run_source, run_stage};
 pub use request::SwapError;
