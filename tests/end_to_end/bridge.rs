@@ -307,7 +307,7 @@ fn top_shows_each_link() {
     let mut runs = [start(robot, "robot"), base_run];
     runs[1].wait_until("tracks arrive", || newest(base) > 60);
     let shown = top_link(base);
-    assert_eq!((shown["state"].as_str(), shown["connected"].as_bool()), (Some("up"), Some(true)), "{shown}");
+    assert_eq!(shown["state"], "up", "{shown}");
     // Both clocks are this host's.
     assert!(shown["clock_offset_s"].as_f64().unwrap().abs() < 0.1, "{shown}");
     let edge = &shown["edges"][0];
