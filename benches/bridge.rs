@@ -240,7 +240,7 @@ fn machine(name: &str, folder: &Path) -> Outcome<()> {
     let plan = Plan::of(&pipeline, Some(name), Some(MESSAGES as u64), monotonic_ns());
     let cost_file = folder.join(format!("{name}.cpu"));
     let looking = std::thread::spawn(move || std::fs::write(cost_file, bridge_cpu().unwrap_or(f64::NAN).to_string()));
-    let options = RunOptions { program: std::env::current_exe()?, duration: None, quiet: true, nodes: &NODES };
+    let options = RunOptions { program: std::env::current_exe()?, quiet: true, nodes: &NODES, ..RunOptions::default() };
     let summary = run(&plan, &options)?;
     looking.join().map_err(|_| "the observer panicked")??;
     if summary.is_complete() { Ok(()) } else { Err("the run was not finished".into()) }

@@ -10,7 +10,7 @@ use crate::topic::{self, TopicCommand};
 use anyhow::{Context, anyhow, bail};
 use clap::{Args, Parser, Subcommand};
 use conicflow_dataflow::pipeline::{Pipeline, Report, SourceText};
-use conicflow_dataflow::{NO_RUN, Plan, ProcessError, RunFolder, RunOptions, Summary};
+use conicflow_dataflow::{LOG, LaunchError, NO_RUN, Plan, ProcessError, RunOptions, Summary};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use std::fmt::Display;
 use std::io::{self, ErrorKind, IsTerminal, Write, stderr, stdout};
@@ -36,11 +36,12 @@ const WRONG_INPUT: u8 = 2;
 struct CommandLine {
     #[command(subcommand)]
     command: Option<Command>,
-    /// What is logged: error, warn, info, debug or trace; a filter such as conicflow_dataflow=debug works too
+    /// What is logged, by each stage as well: error, warn, info, debug or trace; a filter such as
+    /// conicflow_dataflow=debug works too
     #[arg(
         long,
         global = true,
-        env = "CONICFLOW_LOG",
+        env = LOG,
         default_value = "info",
         value_name = "LEVEL",
         value_parser = log_filter
@@ -53,6 +54,9 @@ enum Command {
     /// Run a pipeline, each stage as a process of its own
     Run(RunArguments),
     /// Run one stage of a pipeline in this process
+    ///
+    /// That is for a debugger, beside other stages that are run like this; what belongs in a service is `conicflow run`,
+    /// which starts a stage anew when it dies.
     Node {
         /// Name of the stage
         stage: String,
@@ -66,11 +70,17 @@ enum Command {
     Validate {
         #[command(flatten)]
         source: FileArguments,
+        /// Look for the files and programs of this machine's stages alone [default: of each]
+        #[arg(long, value_name = "NAME")]
+        machine: Option<String>,
     },
     /// Print the graph of a pipeline as Mermaid text
     Graph {
         #[command(flatten)]
         source: FileArguments,
+        /// Look for the files and programs of this machine's stages alone [default: of each]
+        #[arg(long, value_name = "NAME")]
+        machine: Option<String>,
     },
     /// Show what running pipelines do, live
     Top {
@@ -133,7 +143,7 @@ pub fn main() -> ExitCode {
     let arguments = CommandLine::parse();
     log_to_standard_error(&arguments.log);
     let command = arguments.command.unwrap_or_else(|| Command::Run(RunArguments::default()));
-    match dispatch(command) {
+    match dispatch(command, &arguments.log) {
         Ok(code) => code,
         // Who reads the output and goes (`| head`) has seen enough.
         Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
@@ -144,22 +154,22 @@ pub fn main() -> ExitCode {
     }
 }
 
-fn dispatch(command: Command) -> anyhow::Result<ExitCode> {
+fn dispatch(command: Command, log: &str) -> anyhow::Result<ExitCode> {
     match command {
-        Command::Run(arguments) => run(&arguments),
-        Command::Node { stage, file, machine } => node(&stage, file, machine.as_deref()).map(|()| ExitCode::SUCCESS),
-        Command::Validate { source } => validate(&source),
-        Command::Graph { source } => {
-            write!(stdout(), "{}", source.read()?.mermaid())?;
+        Command::Run(arguments) => run(&arguments, log),
+        Command::Node { stage, file, machine } => {
+            node(&stage, file, machine.as_deref(), log).map(|()| ExitCode::SUCCESS)
+        }
+        Command::Validate { source, machine } => validate(&source, machine.as_deref()),
+        Command::Graph { source, machine } => {
+            write!(stdout(), "{}", source.read_for(machine.as_deref())?.mermaid())?;
             Ok(ExitCode::SUCCESS)
         }
         Command::Top { once } => top::top(once).map(|()| ExitCode::SUCCESS),
         Command::Topic(command) => topic::topic(&command).map(|()| ExitCode::SUCCESS),
         Command::Swap(arguments) => swap::swap(&arguments).map(|()| ExitCode::SUCCESS),
         Command::Doctor { source, machine, clean } => {
-            let pipeline = source.read()?;
-            machine.as_deref().map_or(Ok(()), |machine| check_machine(&pipeline, Some(machine)))?;
-            doctor(&pipeline, machine.as_deref(), clean)
+            doctor(&source.read_for(machine.as_deref())?, machine.as_deref(), clean)
         }
         Command::Nodes { name } => {
             write!(stdout(), "{}", node_help::nodes(name.as_deref())?)?;
@@ -181,8 +191,9 @@ fn describe(error: &anyhow::Error) -> String {
 /// What the system refuses, such as a place on a full disk, is no wrong input.
 fn exit_code(error: &anyhow::Error) -> u8 {
     let refused = error.chain().any(|cause| cause.is::<io::Error>());
-    let other = if refused { FAILED } else { WRONG_INPUT };
-    error.downcast_ref::<ProcessError>().map_or(other, ProcessError::exit_code)
+    let of_stage = error.downcast_ref().map(ProcessError::exit_code);
+    let of_run = error.downcast_ref().map(LaunchError::exit_code);
+    of_stage.or(of_run).unwrap_or(if refused { FAILED } else { WRONG_INPUT })
 }
 
 fn is_broken_pipe(error: &anyhow::Error) -> bool {
@@ -209,8 +220,11 @@ fn log_to_standard_error(filter: &str) {
 }
 
 impl FileArguments {
-    fn read(&self) -> anyhow::Result<Pipeline> {
-        self.read_on(None)
+    /// The pipeline as the machine that was named needs it; where none was, as all of them do.
+    fn read_for(&self, machine: Option<&str>) -> anyhow::Result<Pipeline> {
+        let pipeline = self.read_on(machine)?;
+        machine.map_or(Ok(()), |machine| check_machine(&pipeline, Some(machine)))?;
+        Ok(pipeline)
     }
 
     /// The pipeline as one of its machines needs it.
@@ -245,14 +259,15 @@ impl FileArguments {
     }
 }
 
-fn validate(source: &FileArguments) -> anyhow::Result<ExitCode> {
-    let (pipeline, warnings) = source.read_with(None, &[])?;
+fn validate(source: &FileArguments, machine: Option<&str>) -> anyhow::Result<ExitCode> {
+    let (pipeline, warnings) = source.read_with(machine, &[])?;
+    machine.map_or(Ok(()), |machine| check_machine(&pipeline, Some(machine)))?;
     if !warnings.0.is_empty() {
         writeln!(stdout(), "{warnings}\n")?;
     }
     if let Some(json) = &pipeline.experiment {
         for variation in Experiment::read(json)?.variations()? {
-            source.read_with(None, &variation.overrides)?;
+            source.read_with(machine, &variation.overrides)?;
         }
     }
     let (stages, topics) = (pipeline.stages.len(), pipeline.topics().len());
@@ -260,12 +275,12 @@ fn validate(source: &FileArguments) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-fn run(arguments: &RunArguments) -> anyhow::Result<ExitCode> {
+fn run(arguments: &RunArguments, log: &str) -> anyhow::Result<ExitCode> {
     let pipeline = arguments.source.read_on(arguments.machine.as_deref())?;
     if let Some(json) = &pipeline.experiment {
-        return run_experiment(&pipeline, &Experiment::read(json)?, arguments);
+        return run_experiment(&pipeline, &Experiment::read(json)?, arguments, log);
     }
-    let summary = run_once(&pipeline, arguments, arguments.quiet)?;
+    let summary = run_once(&pipeline, arguments, arguments.quiet, log)?;
     if !arguments.quiet {
         say(format_args!("\n{}", summary.to_string().trim_end()));
     }
@@ -273,7 +288,12 @@ fn run(arguments: &RunArguments) -> anyhow::Result<ExitCode> {
 }
 
 /// Runs a pipeline for each combination of what its experiment varies, and prints one table.
-fn run_experiment(pipeline: &Pipeline, experiment: &Experiment, arguments: &RunArguments) -> anyhow::Result<ExitCode> {
+fn run_experiment(
+    pipeline: &Pipeline,
+    experiment: &Experiment,
+    arguments: &RunArguments,
+    log: &str,
+) -> anyhow::Result<ExitCode> {
     let variations = experiment.variations()?;
     let (rows, mut results) = (Rows::of(pipeline)?, Results::new(experiment));
     let interrupted = Arc::new(AtomicBool::new(false));
@@ -286,7 +306,7 @@ fn run_experiment(pipeline: &Pipeline, experiment: &Experiment, arguments: &RunA
             say(format_args!("run {} of {}: {}", index + 1, variations.len(), variation.overrides.join(" ")));
         }
         let (pipeline, _) = arguments.source.read_with(arguments.machine.as_deref(), &overrides)?;
-        let summary = run_once(&pipeline, arguments, true)?;
+        let summary = run_once(&pipeline, arguments, true, log)?;
         if !summary.is_complete() || summary.restarts() > 0 || interrupted.load(Ordering::Relaxed) {
             tell_incomplete(&summary, variation);
             return Ok(ExitCode::FAILURE);
@@ -304,13 +324,18 @@ fn tell_incomplete(summary: &Summary, variation: &Variation) {
     say(format_args!("the run with `{}` {what}:\n{summary}", variation.overrides.join(" ")));
 }
 
-fn run_once(pipeline: &Pipeline, arguments: &RunArguments, quiet: bool) -> anyhow::Result<Summary> {
+fn run_once(pipeline: &Pipeline, arguments: &RunArguments, quiet: bool, log: &str) -> anyhow::Result<Summary> {
     check_machine(pipeline, arguments.machine.as_deref())?;
     let run = SystemTime::now().duration_since(UNIX_EPOCH)?.as_nanos() as u64;
     let plan = Plan::of(pipeline, arguments.machine.as_deref(), arguments.frames, run);
-    let program = std::env::current_exe().context("cannot find this program's own file, which runs the stages")?;
-    let options = RunOptions { program, nodes: NODES, duration: arguments.duration, quiet };
+    let options = RunOptions { duration: arguments.duration, quiet, ..options(log)? };
     Ok(conicflow_dataflow::run(&plan, &options)?)
+}
+
+/// How stages are run by this program.
+fn options(log: &str) -> anyhow::Result<RunOptions> {
+    let program = std::env::current_exe().context("cannot find this program's own file, which runs the stages")?;
+    Ok(RunOptions { program, nodes: NODES, log: Some(log.to_owned()), ..RunOptions::default() })
 }
 
 fn check_machine(pipeline: &Pipeline, machine: Option<&str>) -> anyhow::Result<()> {
@@ -328,8 +353,8 @@ fn check_machine(pipeline: &Pipeline, machine: Option<&str>) -> anyhow::Result<(
     Ok(())
 }
 
-/// Runs one stage here: of the run that this process was started in, or of a file, for a debugger or a service manager.
-fn node(stage: &str, file: Option<PathBuf>, machine: Option<&str>) -> anyhow::Result<()> {
+/// Runs one stage here: of the run that this process was started in, or of a file, for a debugger.
+fn node(stage: &str, file: Option<PathBuf>, machine: Option<&str>, log: &str) -> anyhow::Result<()> {
     if file.is_none() && std::env::var_os(conicflow_dataflow::PIPELINE).is_some() {
         return Ok(conicflow_dataflow::run_in_run(NODES)?);
     }
@@ -341,8 +366,7 @@ fn node(stage: &str, file: Option<PathBuf>, machine: Option<&str>) -> anyhow::Re
         bail!("stage `{stage}` is on another machine, `{other}`\n  hint: run it there, with --machine {other}");
     }
     let plan = Plan::of(&pipeline, machine, None, NO_RUN);
-    let folder = RunFolder::open(&plan.pipeline)?;
-    Ok(conicflow_dataflow::run_planned(&plan, &folder, stage, NODES)?)
+    Err(conicflow_dataflow::become_stage(&plan, stage, &options(log)?).into())
 }
 
 #[cfg(test)]
@@ -365,6 +389,9 @@ mod tests {
         let full = || anyhow::Error::from(io::Error::from(ErrorKind::StorageFull));
         assert_eq!(exit_code(&full().context("cannot write `results/table.csv`")), FAILED);
         assert_eq!(exit_code(&anyhow!("there is no machine `moon`")), WRONG_INPUT);
+        let missing = || ProcessError::System { doing: "starting".to_owned(), error: ErrorKind::NotFound.into() };
+        assert_eq!(exit_code(&missing().into()), FAILED);
+        assert_eq!(exit_code(&LaunchError::from(missing()).into()), FAILED);
         assert!(is_broken_pipe(&io::Error::from(ErrorKind::BrokenPipe).into()) && !is_broken_pipe(&full()));
     }
 }

@@ -11,8 +11,7 @@ use clap::{Args, Subcommand};
 use conicflow_dataflow::pipeline::suggestion;
 use conicflow_dataflow::ports::{Delivery, Topic};
 use conicflow_dataflow::{
-    Needs, PipelineActivity, Plan, PlannedStage, RunningPipeline, Runs, Table, TopicActivity, Watching, monotonic_ns,
-    observe,
+    Needs, PipelineActivity, RunningPipeline, Table, TopicActivity, Watching, monotonic_ns, observe, user_folder,
 };
 use conicflow_messages::{Ellipse, Item, Kind, Message, Object, Track, is_measured};
 use serde_json::json;
@@ -85,7 +84,11 @@ impl PipelineName {
         let mut running = RunningPipeline::all()?;
         let names: Vec<_> = running.iter().map(|running| running.plan.pipeline.clone()).collect();
         if names.is_empty() {
-            bail!("no pipeline runs\n  hint: start one with `conicflow run`");
+            bail!(
+                "no pipeline runs that has its files in `{}`\n  \
+                 hint: start one with `conicflow run`, or set CONICFLOW_RUNTIME_DIR as it is where one runs",
+                user_folder().display()
+            );
         }
         let Some(name) = &self.pipeline else {
             if names.len() > 1 {
@@ -100,46 +103,45 @@ impl PipelineName {
     }
 }
 
+/// All topics of a pipeline, each once.
+fn topics(running: &RunningPipeline) -> Vec<&Topic> {
+    let mut topics: Vec<&Topic> = Vec::new();
+    for topic in running.topics() {
+        if topics.iter().all(|known| known.name != topic.name) {
+            topics.push(topic);
+        }
+    }
+    topics
+}
+
 fn find_topic<'a>(running: &'a RunningPipeline, name: &str) -> anyhow::Result<&'a Topic> {
-    let names = running.topics().map(|topic| topic.name.as_str());
-    let mut names: Vec<_> = names.collect();
-    names.sort_unstable();
-    names.dedup();
-    let hint = || suggestion(name, names.iter().copied(), "topics");
+    let hint = || suggestion(name, topics(running).iter().map(|topic| topic.name.as_str()), "topics");
     running
         .topic(name)
         .ok_or_else(|| anyhow!("pipeline `{}` has no topic `{name}`\n  hint: {}", running.plan.pipeline, hint()))
 }
 
-/// What a topic carries, by a node that writes or reads it.
-fn kind_of(plan: &Plan, topic: &str) -> Option<Kind> {
-    plan.stages.iter().find_map(|stage| kind_at(stage, topic))
-}
-
-fn kind_at(stage: &PlannedStage, topic: &str) -> Option<Kind> {
-    let Runs::Node { node, input } = &stage.runs else { return None };
-    let node = NODES.iter().find(|row| row.name == *node)?;
-    let named = |wired: &Option<Topic>| wired.as_ref().is_some_and(|wired| wired.name == topic);
-    if named(&stage.wiring.output) {
-        return Some(node.output());
-    }
-    if named(&stage.wiring.input) {
-        return node.inputs().find(|kind| kind.name() == input);
-    }
-    let (name, _) = stage.wiring.sides.iter().find(|(_, side)| side.name == topic)?;
-    node.sides().iter().find(|side| side.name == name).map(|side| side.kind)
-}
-
 fn list(running: &RunningPipeline) -> anyhow::Result<()> {
     let mut table = Table::new(&["TOPIC", "KIND", "WRITER", "Hz", "MB/s", "READERS"]);
-    for (topic, activity) in activities(running, None)? {
-        let kind = kind_of(&running.plan, &topic.name).map_or("?", Kind::name);
-        let names = [&topic.name, kind, &activity.writer].map(str::to_owned);
-        let figures = [activity.rate_hz, activity.bandwidth_mbps].map(|figure| format!("{figure:.2}"));
-        table.row(names.into_iter().chain(figures).chain([readers(topic)]));
+    let activities = activities(running, None)?;
+    for topic in topics(running) {
+        let named = [topic.name.as_str(), topic.kind.map_or("?", Kind::name)].map(str::to_owned);
+        let mut written: Vec<_> = activities.iter().filter(|activity| activity.topic == topic.name).map(row).collect();
+        if written.is_empty() {
+            written.push(["-", "-", "-"].map(str::to_owned));
+        }
+        for cells in written {
+            table.row(named.iter().cloned().chain(cells).chain([readers(topic)]));
+        }
     }
     write!(stdout(), "{table}")?;
     Ok(())
+}
+
+/// Who writes a topic, how often, and how much.
+fn row(activity: &TopicActivity) -> [String; 3] {
+    let [rate, bandwidth] = [activity.rate_hz, activity.bandwidth_mbps].map(|figure| format!("{figure:.2}"));
+    [activity.writer.clone(), rate, bandwidth]
 }
 
 fn readers(topic: &Topic) -> String {
@@ -151,14 +153,13 @@ fn readers(topic: &Topic) -> String {
 }
 
 /// What the writers of one topic, or of all, do in the second to come.
-fn activities<'a>(running: &'a RunningPipeline, only: Option<&str>) -> anyhow::Result<Vec<(&'a Topic, TopicActivity)>> {
+fn activities(running: &RunningPipeline, only: Option<&str>) -> anyhow::Result<Vec<TopicActivity>> {
     let before = observe()?;
     sleep(PERIOD);
     let seen = observe()?.since(&before);
     let own = |seen: &PipelineActivity| seen.pipeline == running.plan.pipeline;
     let written = seen.into_iter().filter(own).flat_map(|seen| seen.topics);
-    let wanted = written.filter(|activity| only.is_none_or(|name| activity.topic == name));
-    Ok(wanted.filter_map(|activity| Some((running.topic(&activity.topic)?, activity))).collect())
+    Ok(written.filter(|activity| only.is_none_or(|name| activity.topic == name)).collect())
 }
 
 /// Prints a line per second and writer, until there are enough or the pipeline has ended.
@@ -167,7 +168,11 @@ fn each_second(arguments: &TopicArguments, line: fn(&TopicActivity) -> String) -
     let topic = find_topic(&running, &arguments.topic)?;
     let mut left = arguments.count.unwrap_or(u64::MAX);
     while left > 0 && running.still_runs() {
-        for (_, activity) in activities(&running, Some(&topic.name))? {
+        let activities = activities(&running, Some(&topic.name))?;
+        if activities.is_empty() {
+            writeln!(stdout(), "{}: nobody writes it now", topic.name)?;
+        }
+        for activity in activities {
             let writer = if topic.writers.len() > 1 { format!(" from {}", activity.writer) } else { String::new() };
             writeln!(stdout(), "{}{writer}: {}", topic.name, line(&activity))?;
         }
@@ -190,7 +195,7 @@ fn echo(arguments: &TopicArguments) -> anyhow::Result<()> {
     let running = arguments.of.find()?;
     let topic = find_topic(&running, &arguments.topic)?;
     Needs::of(&running.plan, NODES).look_for_onlooker(topic)?;
-    match kind_of(&running.plan, &topic.name) {
+    match topic.kind {
         Some(Kind::Depth) => echo_lines::<u16>(&running, topic, arguments.count, image_line),
         Some(Kind::Ellipses) => echo_lines::<Ellipse>(&running, topic, arguments.count, list_line),
         Some(Kind::Objects) => echo_lines::<Object>(&running, topic, arguments.count, list_line),

@@ -31,8 +31,8 @@ pub use bridge::{EdgeReport, LinkReport, LinkState};
 pub use clock::monotonic_ns;
 pub use doctor::{Finding, clean, examine};
 pub use launcher::{
-    FolderError, LaunchError, PIPELINE, ProcessError, RUNTIME_DIR, RunFolder, RunLock, RunOptions, StageSummary,
-    Summary, SwapError, link_table, run, run_in_run, run_planned, run_source, run_stage,
+    FolderError, LOG, LaunchError, PIPELINE, ProcessError, RUNTIME_DIR, RunFolder, RunLock, RunOptions, StageSummary,
+    Summary, SwapError, become_stage, link_table, run, run_in_run, run_source, run_stage, user_folder,
 };
 pub use needs::{Needs, Shortfall, TopicNeeds};
 pub use node::{Node, Variant};

@@ -2,7 +2,7 @@
 //!
 //! Nothing is attached to, so that nothing is slowed down and no queue gets another reader.
 
-use crate::bridge::{LinkReport, read_links};
+use crate::bridge::{BRIDGE, EdgeReport, LinkReport, read_links};
 use crate::clock::monotonic_ns;
 use crate::launcher::{FolderError, RunFolder};
 use crate::plan::{Plan, PlannedStage};
@@ -72,7 +72,7 @@ pub struct StageActivity {
 pub struct TopicActivity {
     /// Its name.
     pub topic: String,
-    /// The stage that writes it.
+    /// The stage that writes it; [`BRIDGE`] what comes from another machine.
     pub writer: String,
     /// Messages sent, in all.
     pub sent: u64,
@@ -80,7 +80,7 @@ pub struct TopicActivity {
     pub rate_hz: f64,
     /// Megabytes per second.
     pub bandwidth_mbps: f64,
-    /// Shortest time between two messages.
+    /// Shortest time between two messages; of what comes from another machine it is not known.
     pub interval_min_ms: Option<f64>,
     /// Longest time between two messages.
     pub interval_max_ms: Option<f64>,
@@ -153,11 +153,8 @@ impl Observation {
     /// What happened since an earlier look.
     pub fn since(&self, earlier: &Self) -> Vec<PipelineActivity> {
         let seconds = self.taken.duration_since(earlier.taken).as_secs_f64().max(1e-3);
-        let activity = |(plan, stages, links): &(Plan, Vec<Observed>, Vec<LinkReport>)| PipelineActivity {
-            links: links.clone(),
-            ..pipeline_activity(plan, stages, earlier, seconds)
-        };
-        self.pipelines.iter().map(activity).collect()
+        let activities = self.pipelines.iter();
+        activities.map(|(plan, stages, links)| pipeline_activity(plan, stages, links, earlier, seconds)).collect()
     }
 
     fn find(&self, run: u64, process: u32) -> Option<&Observed> {
@@ -166,7 +163,13 @@ impl Observation {
     }
 }
 
-fn pipeline_activity(plan: &Plan, stages: &[Observed], earlier: &Observation, seconds: f64) -> PipelineActivity {
+fn pipeline_activity(
+    plan: &Plan,
+    stages: &[Observed],
+    links: &[LinkReport],
+    earlier: &Observation,
+    seconds: f64,
+) -> PipelineActivity {
     let (mut activities, mut topics, mut inputs) = (Vec::new(), Vec::new(), Vec::new());
     for planned in &plan.stages {
         let of_stage = |stage: &&Observed| stage.status.stage.as_str() == Some(&planned.name);
@@ -174,9 +177,28 @@ fn pipeline_activity(plan: &Plan, stages: &[Observed], earlier: &Observation, se
         let span = Span { before: earlier.find(plan.run, stage.status.process), now: stage, seconds };
         activities.push(span.stage(planned));
         topics.extend(planned.wiring.output.as_ref().map(|topic| span.topic(&topic.name, &planned.name)));
+        if planned.is_bridge() {
+            topics.extend(links.iter().flat_map(|link| &link.edges).filter(|edge| edge.comes()).map(arriving));
+        }
         inputs.extend(input_activity(&stage.status, &planned.name, !planned.is_source()));
     }
-    PipelineActivity { pipeline: plan.pipeline.clone(), stages: activities, topics, inputs, links: Vec::new() }
+    PipelineActivity { pipeline: plan.pipeline.clone(), stages: activities, topics, inputs, links: links.to_vec() }
+}
+
+/// What comes into a topic from another machine, as the bridge has reported it last; bytes are those in shared memory, as
+/// of every topic.
+fn arriving(edge: &EdgeReport) -> TopicActivity {
+    let bytes_per_message = edge.memory_bytes as f64 / edge.messages.max(1) as f64;
+    TopicActivity {
+        topic: edge.topic.clone(),
+        writer: BRIDGE.to_owned(),
+        sent: edge.messages,
+        rate_hz: edge.rate_hz,
+        bandwidth_mbps: edge.rate_hz * bytes_per_message / 1e6,
+        interval_min_ms: None,
+        interval_max_ms: None,
+        interval_std_ms: None,
+    }
 }
 
 /// A stage at two moments; at only one if it was started meanwhile.

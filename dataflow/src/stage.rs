@@ -296,6 +296,9 @@ impl<'a, T: Item> Output<'a, T> {
     }
 }
 
+/// What is due later than this is never due, for whoever waits for it; 30 years, which any clock can tell.
+const LONGEST_PERIOD_S: f64 = 1e9;
+
 /// Keeps a source to a rate: a frame is due at fixed times, however long the making of one takes.
 #[derive(Debug)]
 pub(crate) struct Pace {
@@ -307,7 +310,7 @@ pub(crate) struct Pace {
 impl Pace {
     /// A pace of `rate_hz` frames per second; 0: as fast as they are taken.
     pub fn new(rate_hz: f64, stop: Stop) -> Self {
-        let period = (rate_hz > 0.0).then(|| Duration::from_secs_f64(1.0 / rate_hz));
+        let period = (rate_hz > 0.0).then(|| Duration::from_secs_f64((1.0 / rate_hz).min(LONGEST_PERIOD_S)));
         Self { period, due: None, stop }
     }
 
@@ -325,6 +328,22 @@ impl Pace {
                 return;
             }
             std::thread::sleep(left.min(Duration::from_millis(50)));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_rate_has_a_period_that_the_clock_can_tell() {
+        for rate_hz in [f64::MIN_POSITIVE, 1e-320, 1e-20, 1e-9, f64::MAX, f64::INFINITY, 0.0, f64::NAN] {
+            let stop = Stop::default();
+            let mut pace = Pace::new(rate_hz, stop.clone());
+            pace.wait();
+            stop.request();
+            (0..3).for_each(|_| pace.wait());
         }
     }
 }

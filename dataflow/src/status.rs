@@ -256,6 +256,12 @@ impl Status {
         self.inputs.iter().filter(|input| input.topic != Text::default())
     }
 
+    /// Whether a process of the run `run` goes on with this record. Stages that were started one by one have no run in
+    /// common: what an earlier one left is not theirs.
+    fn continues_in(&self, run: u64) -> bool {
+        self.run == run && run != NO_RUN
+    }
+
     /// Reads the record in a file; `None` where there is none that makes sense.
     pub fn read(path: &Path) -> Option<Self> {
         let mut status = Self::zeroed();
@@ -304,7 +310,7 @@ impl StatusFile {
     /// # Errors
     /// The file cannot be written.
     pub fn open(path: &Path, run: u64) -> io::Result<Self> {
-        let earlier = Status::read(path).filter(|status| status.run == run && run != NO_RUN);
+        let earlier = Status::read(path).filter(|status| status.continues_in(run));
         let status = earlier.unwrap_or_default();
         let file = OpenOptions::new().create(true).truncate(false).read(true).write(true).open(path)?;
         let mut status = Box::new(status);
@@ -312,11 +318,11 @@ impl StatusFile {
         Ok(Self { status, file: Some(file) })
     }
 
-    /// Takes over what another process of the same stage has written since this one opened the file.
+    /// Takes over what another process of the same stage and run has written since this one opened the file.
     pub(crate) fn reload(&mut self) {
         let mut status = Status::zeroed();
         let read = self.file.as_ref().map(|file| file.read_exact_at(bytemuck::bytes_of_mut(&mut status), 0));
-        if matches!(read, Some(Ok(()))) && status.layout == LAYOUT && status.run == self.status.run {
+        if matches!(read, Some(Ok(()))) && status.layout == LAYOUT && status.continues_in(self.status.run) {
             *self.status = status;
         }
     }
@@ -385,6 +391,18 @@ mod tests {
         assert_eq!(second.status.sent, 12);
         assert_eq!(used(&second.status.counters).collect::<Vec<_>>(), [("sphere", 3)]);
         assert_eq!(StatusFile::open(&path, 8).unwrap().status.sent, 0);
+    }
+
+    #[test]
+    fn a_stage_without_a_run_begins_although_its_file_tells_of_another_without_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.status");
+        let mut first = StatusFile::open(&path, NO_RUN).unwrap();
+        first.status.sent = 3;
+        first.write();
+        let mut second = StatusFile::open(&path, NO_RUN).unwrap();
+        second.reload();
+        assert_eq!(second.status.sent, 0);
     }
 
     #[test]

@@ -161,7 +161,7 @@ enum Judge {
 impl<T: Answer> Stage for EvaluationSink<T> {
     const NAME: &'static str = "evaluation_sink";
     const SUMMARY: &'static str =
-        "scores objects or tracks against the truth of rendered or recorded frames, as tables";
+        "Scores objects or tracks against the truth of rendered or recorded frames, as tables";
     type Config = EvaluationConfig;
     type Input = T;
     type Output = Nothing;

@@ -169,7 +169,7 @@ where
 {
     const NAME: &'static str = "measurement_sink";
     const SUMMARY: &'static str =
-        "measures objects or tracks against the rendered truth: mean, standard deviation, identities";
+        "Measures objects or tracks against the rendered truth: mean, standard deviation, identities";
     type Config = MeasurementConfig;
     type Input = T;
     type Output = Nothing;

@@ -85,7 +85,7 @@ pub struct SectionSink {
 
 impl Stage for SectionSink {
     const NAME: &'static str = "section_sink";
-    const SUMMARY: &'static str = "measures ellipses against one true section: found, semi-axes, their deviations";
+    const SUMMARY: &'static str = "Measures ellipses against one true section: found, semi-axes, their deviations";
     type Config = SectionConfig;
     type Input = Ellipse;
     type Output = Nothing;

@@ -113,7 +113,7 @@ impl NoiseEstimator {
 
 impl Stage for NoiseEstimator {
     const NAME: &'static str = "noise_estimator";
-    const SUMMARY: &'static str = "finds the depth noise of a sensor from a recording, as a line for the pipeline file";
+    const SUMMARY: &'static str = "Finds the depth noise of a sensor from a recording, as a line for the pipeline file";
     type Config = NoiseEstimatorConfig;
     type Input = u16;
     type Output = Nothing;

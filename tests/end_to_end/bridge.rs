@@ -111,6 +111,28 @@ fn two_machines_find_the_same_tracks_as_one_bit_for_bit_whoever_starts_first() {
 }
 
 #[test]
+fn what_comes_from_another_machine_is_seen_in_its_topic() {
+    let machines = live();
+    let mut runs = [start(&machines[0], "robot"), start(&machines[1], "base")];
+    runs[1].wait_until("tracks arrive", || newest(&machines[1]) > 60);
+    let look = |arguments: &[&str]| machines[1].conicflow(&[&["topic"], arguments].concat()).expect_code(0).stdout;
+    let list = look(&["list"]);
+    let row = list.lines().find(|line| line.starts_with("ellipses ")).unwrap_or_else(|| panic!("{list}"));
+    let words: Vec<_> = row.split_whitespace().collect();
+    assert_eq!(
+        (&words[..3], &words[5..]),
+        (&["ellipses", "ellipses", "bridge"][..], &["assembler", "(latest,", "queue", "2)"][..])
+    );
+    assert!(words[3].parse::<f64>().unwrap() > 0.0, "{list}");
+    for (figure, unit) in [("hz", "Hz"), ("bw", "MB/s")] {
+        let line = look(&[figure, "ellipses", "--count", "1"]);
+        let words: Vec<_> = line.split([' ', ',']).collect();
+        assert!(words[0] == "ellipses:" && words[1].parse::<f64>().unwrap() > 0.0 && words[2] == unit, "{line}");
+    }
+    end(runs, &machines);
+}
+
+#[test]
 fn a_machine_that_is_killed_and_started_again_gets_what_is_new_and_the_other_feels_nothing() {
     let machines = live();
     let [robot, base] = &machines;
@@ -285,7 +307,7 @@ fn top_shows_each_link() {
     let mut runs = [start(robot, "robot"), base_run];
     runs[1].wait_until("tracks arrive", || newest(base) > 60);
     let shown = top_link(base);
-    assert_eq!((shown["state"].as_str(), shown["connected"].as_bool()), (Some("up"), Some(true)), "{shown}");
+    assert_eq!(shown["state"], "up", "{shown}");
     // Both clocks are this host's.
     assert!(shown["clock_offset_s"].as_f64().unwrap().abs() < 0.1, "{shown}");
     let edge = &shown["edges"][0];

@@ -20,6 +20,7 @@ mod hosts;
 mod identities;
 #[cfg(target_os = "linux")]
 mod intruders;
+mod node;
 mod outside_stage;
 #[cfg(target_os = "linux")]
 mod own_memory;

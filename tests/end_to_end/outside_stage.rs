@@ -9,7 +9,7 @@ use std::os::unix::fs::DirBuilderExt;
 use std::process::Command;
 
 /// What tracks objects, with `nearest_object` before the tracker and a record of what went into it.
-fn with_nearest_object(keys: &str) -> Playground {
+pub fn with_nearest_object(keys: &str) -> Playground {
     let program = example("nearest_object");
     let (before, after) = TRACKING.split_once("[stage.tracker]").unwrap();
     let after = after.replacen("\"objects\"", "\"nearest\"", 1);

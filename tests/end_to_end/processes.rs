@@ -285,6 +285,29 @@ restart = "never"
 }
 
 #[test]
+fn a_stage_whose_program_is_away_comes_back_with_it_and_the_others_go_on() {
+    let other = "\n[stage.other]\nnode = \"json_sink\"\ninput = \"tracks\"\npath = \"other.jsonl\"\n";
+    let playground = Playground::with_pipeline(&format!("{TRACKING}{other}"));
+    let (program, away) = (playground.path("conicflow"), playground.path("away"));
+    fs::copy(env!("CARGO_BIN_EXE_conicflow"), &program).unwrap();
+    let mut run = Started::new(playground.command_of(&program, &["run", "--set", "source.rate_hz=50"]));
+    wait_for_lines(&mut run, &playground);
+    fs::rename(&program, &away).unwrap();
+    let (launcher, before) = (run.id(), stages_of(run.id()));
+    signal(before["other"], Signal::KILL);
+    run.wait_for_text("stage `other` cannot be started (No such file or directory (os error 2)), and is started anew");
+    wait_for_lines(&mut run, &playground);
+    fs::rename(&away, &program).unwrap();
+    run.wait_until("it is back", || stages_of(launcher).contains_key("other"));
+    wait_for_lines(&mut run, &playground);
+    let mut after = stages_of(launcher);
+    after.insert("other".to_owned(), before["other"]);
+    assert_eq!(after, before, "only `other` was to be started anew");
+    signal(launcher, Signal::INT);
+    assert_eq!(run.wait().expect_code(0).stage("other").starts, 2);
+}
+
+#[test]
 fn a_stage_that_is_always_restarted_comes_back_though_it_ended_well() {
     let again = r#"
 [stage.again]

@@ -57,7 +57,7 @@ fn peers_that_a_router_does_not_join_are_told_so() {
         wait_until("it is told", || run.stderr().contains(&format!("nothing was heard of machine `{other}` in 5 s")));
         let machine = if other == "base" { &machines[0] } else { &machines[1] };
         let link = top_link(machine);
-        assert_eq!([&link["was_heard"], &link["connected"]], [false, false], "{link}");
+        assert_eq!(link["was_heard"], false, "{link}");
         assert_eq!(link["state"], "never", "the router is there: {link}");
         signal(run.id(), Signal::INT);
         signal(run.id(), Signal::INT);

@@ -323,3 +323,24 @@ fn a_bad_frame_among_good_ones_is_passed_over_and_counted() {
         );
     }
 }
+
+#[test]
+fn the_level_of_the_log_is_that_of_the_stages_as_well() {
+    let playground = recording(8..10);
+    let told = |level: &str| playground.conicflow(&["run", "--log", level]).expect_code(0).stderr;
+    let (usual, all, faults) = (told("info"), told("debug"), told("error"));
+    assert!(usual.contains("2 frames of 160x120") && !usual.contains("DEBUG"), "{usual}");
+    assert!(all.contains("2 frames of 160x120"), "{all}");
+    for frame in [0, 1] {
+        let begins = format!("DEBUG stage `extractor`, frame {frame}: ");
+        let reasons = all.lines().find_map(|line| line.trim_start().strip_prefix(begins.as_str()));
+        let reasons = reasons.unwrap_or_else(|| panic!("{all}"));
+        assert!(
+            reasons
+                .split(", ")
+                .all(|part| part.rsplit_once(": ").is_some_and(|(_, count)| count.parse::<u64>().is_ok())),
+            "{all}"
+        );
+    }
+    assert!(!faults.contains("2 frames of 160x120"), "{faults}");
+}

@@ -131,8 +131,10 @@ path = "."
             .map(|file| stderr.lines().any(|line| line.starts_with("error") && line.contains(file)))
     };
     assert_eq!(faults(&["validate"]), [true; 5]);
-    assert_eq!(faults(&["run", "--machine", "robot"]), [true, true, true, false, false]);
-    assert_eq!(faults(&["run", "--machine", "base"]), [false, false, false, true, true]);
+    for command in ["run", "validate", "graph", "doctor"] {
+        assert_eq!(faults(&[command, "--machine", "robot"]), [true, true, true, false, false], "{command}");
+        assert_eq!(faults(&[command, "--machine", "base"]), [false, false, false, true, true], "{command}");
+    }
 }
 
 #[test]

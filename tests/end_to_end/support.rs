@@ -126,7 +126,12 @@ impl Playground {
 
     /// `conicflow` with these arguments, in the folder of the test's files.
     pub fn command(&self, arguments: &[&str]) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_conicflow"));
+        self.command_of(Path::new(env!("CARGO_BIN_EXE_conicflow")), arguments)
+    }
+
+    /// The same by another file of that program.
+    pub fn command_of(&self, program: &Path, arguments: &[&str]) -> Command {
+        let mut command = Command::new(program);
         let inherited = std::env::vars_os().map(|(name, _)| name);
         inherited.filter(|name| name.to_string_lossy().starts_with("CONICFLOW_")).for_each(|name| {
             command.env_remove(name);

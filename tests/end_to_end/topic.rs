@@ -197,10 +197,33 @@ fn the_list_tells_what_each_topic_carries_and_for_whom() {
 }
 
 #[test]
+fn a_topic_that_nobody_writes_now_is_listed_and_that_is_told() {
+    let other = "\n[stage.other]\nnode = \"json_sink\"\ninput = \"objects\"\npath = \"objects.jsonl\"\n";
+    let never = TRACKING.replace("[stage.tracker]\n", "[stage.tracker]\nrestart = \"never\"\n");
+    let playground = Playground::with_pipeline(&format!("{never}{other}"));
+    let mut run = start(&playground, "50");
+    signal(stages_of(run.id())["tracker"], Signal::KILL);
+    run.wait_for_text("stage `tracker` was killed by signal 9, and is not started anew");
+    let list = playground.conicflow(&["topic", "list"]).expect_code(0).stdout;
+    let row = list.lines().find(|line| line.starts_with("tracks ")).unwrap_or_else(|| panic!("{list}"));
+    let words: Vec<_> = row.split_whitespace().collect();
+    assert_eq!(words[..6], ["tracks", "tracks", "-", "-", "-", "json"], "{list}");
+    let hz = playground.conicflow(&["topic", "hz", "tracks", "--count", "1"]).expect_code(0);
+    assert_eq!(hz.stdout, "tracks: nobody writes it now\n");
+    signal(run.id(), Signal::INT);
+    run.wait().expect_code(1);
+}
+
+#[test]
 fn what_is_not_there_is_told_with_a_hint() {
     let playground = Playground::with_pipeline(TRACKING);
     let ended = playground.conicflow(&["topic", "list"]).expect_code(2);
-    assert_eq!(ended.stderr, "error: no pipeline runs\n  hint: start one with `conicflow run`\n");
+    let expected = format!(
+        "error: no pipeline runs that has its files in `{}`\n  \
+         hint: start one with `conicflow run`, or set CONICFLOW_RUNTIME_DIR as it is where one runs\n",
+        playground.runtime().display()
+    );
+    assert_eq!(ended.stderr, expected);
     let _run = start(&playground, "50");
     let ended = playground.conicflow(&["topic", "echo", "track"]).expect_code(2);
     let expected = "error: pipeline `tracking` has no topic `track`\n  hint: did you mean `tracks`?\n";

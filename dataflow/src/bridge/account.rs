@@ -86,8 +86,6 @@ impl<'a> Account<'a> {
             state,
             state_s: peer.time.as_secs_f64(),
             was_heard: peer.was_heard,
-            connected: peer.connected,
-            connected_s: peer.connected.then_some(peer.time.as_secs_f64()),
             round_trip_ms: peer.clock.map(|clock| clock.round_trip_ns as f64 / 1e6),
             clock_offset_s: peer.clock.map(|clock| clock.offset_ns as f64 / 1e9),
             edges: edges.map(|carried| carried.reported.clone()).collect(),

@@ -88,7 +88,7 @@ impl Links {
         peer.acks.extend(acks.map(|ack| (ack.topic.clone(), ack)));
     }
 
-    /// Says that an edge was received so far; true if that is news.
+    /// Notes how far an edge was received, for the next beacon to say.
     pub(super) fn received(&self, ack: Ack) {
         lock(&self.acks).insert((ack.from.clone(), ack.topic.clone()), ack);
     }

@@ -16,10 +16,6 @@ pub struct LinkReport {
     pub state_s: f64,
     /// Whether it was ever heard of.
     pub was_heard: bool,
-    /// Whether it was heard of just now.
-    pub connected: bool,
-    /// For how long, in seconds.
-    pub connected_s: Option<f64>,
     /// Shortest time there and back, of late, in milliseconds.
     pub round_trip_ms: Option<f64>,
     /// Its monotonic clock less this machine's, in seconds.
@@ -81,6 +77,13 @@ pub struct EdgeReport {
     pub malformed: u64,
     /// Time from the writer's sending to the arrival of the last message, in milliseconds.
     pub age_ms: f64,
+}
+
+impl EdgeReport {
+    /// Whether it comes from the other machine.
+    pub(crate) fn comes(&self) -> bool {
+        self.direction == "in"
+    }
 }
 
 /// The file's content.

@@ -1,7 +1,8 @@
 //! One stage as the launcher sees it: its process, and whether it is to be started anew.
 
-use super::folder::RunFolder;
-use super::process::{LAUNCHER, PIPELINE, ProcessError, REFUSED, STAGE};
+use super::RunOptions;
+use super::folder::{PLAN, RunFolder};
+use super::process::{LAUNCHER, ProcessError, REFUSED, as_stage};
 use super::vigil::{News, Vigil};
 use crate::pipeline::Restart;
 use crate::plan::{Plan, PlannedStage, Runs};
@@ -11,7 +12,6 @@ use signal_hook::consts::SIGBUS;
 use std::collections::VecDeque;
 use std::io;
 use std::os::unix::process::{CommandExt, ExitStatusExt};
-use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
@@ -49,20 +49,14 @@ pub(crate) struct Supervised {
 }
 
 impl Supervised {
-    pub(crate) fn start(planned: PlannedStage, plan: &Plan, program: &Path) -> Result<Self, ProcessError> {
-        let mut stage =
-            Self { planned, state: State::Done, vigil: Vigil::new(0, Instant::now()), deaths: VecDeque::new() };
-        stage.spawn(plan, program)?;
-        Ok(stage)
-    }
-
-    fn spawn(&mut self, plan: &Plan, program: &Path) -> Result<(), ProcessError> {
-        let spawned = command(&self.planned, plan, program).spawn();
-        self.state = State::Running(spawned.map_err(|error: io::Error| ProcessError::System {
-            doing: format!("stage `{}` cannot be started", self.planned.name),
+    /// Starts a stage for the first time; a fault then is one of the run.
+    pub(crate) fn start(planned: PlannedStage, plan: &Plan, options: &RunOptions) -> Result<Self, ProcessError> {
+        let child = command(&planned, plan, options).spawn().map_err(|error: io::Error| ProcessError::System {
+            doing: format!("stage `{}` cannot be started", planned.name),
             error,
-        })?);
-        Ok(())
+        })?;
+        let vigil = Vigil::new(0, Instant::now());
+        Ok(Self { planned, state: State::Running(child), vigil, deaths: VecDeque::new() })
     }
 
     /// Its process, if there is one.
@@ -120,33 +114,36 @@ impl Supervised {
     }
 
     /// Looks whether the process ended, and starts it anew where that is due. `ending`: the run is on its way out.
-    pub(crate) fn look(
-        &mut self,
-        plan: &Plan,
-        folder: &RunFolder,
-        program: &Path,
-        ending: bool,
-    ) -> Result<Change, ProcessError> {
+    pub(crate) fn look(&mut self, plan: &Plan, folder: &RunFolder, options: &RunOptions, ending: bool) -> Change {
         match &mut self.state {
             State::Running(child) => match child.try_wait() {
                 Ok(Some(status)) => {
                     let process = child.id();
-                    Ok(self.ended(process, status, plan, folder, ending))
+                    self.ended(process, status, plan, folder, ending)
                 }
                 _ => {
                     self.watch(plan, folder);
-                    Ok(Change::None)
+                    Change::None
                 }
             },
             State::Waiting { .. } if ending => {
                 self.state = State::Done;
-                Ok(Change::None)
+                Change::None
             }
-            State::Waiting { until } if Instant::now() >= *until => {
-                self.spawn(plan, program)?;
-                Ok(Change::None)
+            State::Waiting { until } if Instant::now() >= *until => self.start_anew(plan, folder, options),
+            _ => Change::None,
+        }
+    }
+
+    /// What keeps a stage from coming back, such as a program that is just being replaced, is no fault of the others: it
+    /// counts as one more death.
+    fn start_anew(&mut self, plan: &Plan, folder: &RunFolder, options: &RunOptions) -> Change {
+        match command(&self.planned, plan, options).spawn() {
+            Ok(child) => {
+                self.state = State::Running(child);
+                Change::None
             }
-            _ => Ok(Change::None),
+            Err(error) => self.died(&format!("cannot be started ({error})"), plan, folder),
         }
     }
 
@@ -208,7 +205,12 @@ impl Supervised {
         if status.code() == Some(i32::from(REFUSED)) {
             return self.give_up(folder, plan, Change::Lost);
         }
-        let how = describe(status);
+        self.died(&describe(status), plan, folder)
+    }
+
+    /// Sees to it that it is started anew, later with each death, unless that is not wanted or was done too often.
+    fn died(&mut self, how: &str, plan: &Plan, folder: &RunFolder) -> Change {
+        let name = &self.planned.name;
         if self.planned.restart == Restart::Never {
             tracing::error!("stage `{name}` {how}, and is not started anew: its `restart` is \"never\"");
             return self.give_up(folder, plan, Change::Left);
@@ -239,16 +241,9 @@ impl Supervised {
 
 /// What starts a stage. Each gets a process group of its own, so that Ctrl-C reaches the launcher alone, which ends them in
 /// order.
-pub(crate) fn command(planned: &PlannedStage, plan: &Plan, program: &Path) -> Command {
-    let mut command = Command::new(program);
-    command
-        .args(["node", &planned.name])
-        .env(PIPELINE, &plan.pipeline)
-        .env(STAGE, &planned.name)
-        .env(LAUNCHER, std::process::id().to_string())
-        .envs(planned.env.iter().map(|(key, value)| (key, value)))
-        .stdin(Stdio::null())
-        .process_group(0);
+pub(crate) fn command(planned: &PlannedStage, plan: &Plan, options: &RunOptions) -> Command {
+    let mut command = as_stage(planned, plan, PLAN, options);
+    command.env(LAUNCHER, std::process::id().to_string()).stdin(Stdio::null()).process_group(0);
     command
 }
 

@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 pub const RUNTIME_DIR: &str = "CONICFLOW_RUNTIME_DIR";
 
 /// Name of the plan's file.
-const PLAN: &str = "plan.json";
+pub(crate) const PLAN: &str = "plan.json";
 
 /// Stages end by themselves within this time after their launcher was killed.
 pub(crate) const LAST_STAGES_GRACE: Duration = Duration::from_secs(5);
@@ -223,14 +223,14 @@ impl RunFolder {
         let name = self.path.file_name().unwrap_or_default().to_string_lossy();
         let _lock = self.lock(&name)?;
         self.remove_records()?;
-        let path = self.plan_path();
+        let path = self.path.join(PLAN);
         fs::remove_file(&path).map_err(|error| FolderError::Io { path, error })
     }
 
     fn remove_records(&self) -> Result<(), FolderError> {
         let fault = |error| FolderError::Io { path: self.path.clone(), error };
         for entry in fs::read_dir(&self.path).map_err(fault)?.flatten() {
-            let ends = ["status", "first", "last", "request", "answer", "new", "kept"];
+            let ends = ["status", "first", "last", "request", "answer", "new", "kept", "plan"];
             if entry.path().extension().is_some_and(|extension| ends.iter().any(|end| extension == *end)) {
                 fs::remove_file(entry.path()).map_err(fault)?;
             }
@@ -251,7 +251,15 @@ impl RunFolder {
     /// # Errors
     /// There is none, or it makes no sense.
     pub fn plan(&self) -> Result<Plan, FolderError> {
-        let path = self.plan_path();
+        self.read_plan(PLAN)
+    }
+
+    /// Reads the plan in a file of the folder.
+    ///
+    /// # Errors
+    /// There is none, or it makes no sense.
+    pub(crate) fn read_plan(&self, file: &str) -> Result<Plan, FolderError> {
+        let path = self.path.join(file);
         let text = fs::read(&path).map_err(|error| FolderError::Io { path: path.clone(), error })?;
         let fault = |error| FolderError::Plan { path, error };
         match serde_json::from_slice::<Agreed>(&text).map_err(fault.clone())?.layout {
@@ -259,14 +267,10 @@ impl RunFolder {
             launcher => Err(FolderError::OtherVersion { own: LAYOUT, launcher }),
         }
     }
-
-    fn plan_path(&self) -> PathBuf {
-        self.path.join(PLAN)
-    }
 }
 
-/// The folder of this user, whether it is there or not.
-pub(crate) fn user_folder() -> PathBuf {
+/// The folder of this user in which all runs have theirs, whether it is there or not.
+pub fn user_folder() -> PathBuf {
     if let Some(path) = std::env::var_os(RUNTIME_DIR) {
         return path.into();
     }

@@ -12,10 +12,10 @@ mod summary;
 mod swap;
 mod vigil;
 
-pub use folder::{FolderError, RUNTIME_DIR, RunFolder, RunLock};
-pub(crate) use folder::{LAST_STAGES_GRACE, check_private, user_folder};
+pub use folder::{FolderError, RUNTIME_DIR, RunFolder, RunLock, user_folder};
+pub(crate) use folder::{LAST_STAGES_GRACE, check_private};
 pub(crate) use process::{LAUNCHER, STAGE};
-pub use process::{PIPELINE, ProcessError, run_in_run, run_planned, run_source, run_stage};
+pub use process::{LOG, PIPELINE, ProcessError, become_stage, run_in_run, run_source, run_stage};
 pub use request::SwapError;
 pub use summary::{StageSummary, Summary, link_table};
 
@@ -54,6 +54,8 @@ pub struct RunOptions {
     pub duration: Option<Duration>,
     /// No progress is shown.
     pub quiet: bool,
+    /// What its stages log, as they understand [`LOG`]; `None`: what they inherit.
+    pub log: Option<String>,
 }
 
 /// Why a run could not begin.
@@ -74,6 +76,18 @@ pub enum LaunchError {
     /// Signals.
     #[error("signals cannot be received: {0}")]
     Signals(std::io::Error),
+}
+
+impl LaunchError {
+    /// The exit code of a program that could not begin the run: 1 for what the system refuses, 2 for what is wrong with
+    /// the file, the arguments or the machine.
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Self::Process(error) => error.exit_code(),
+            Self::Signals(_) => 1,
+            Self::Folder(_) | Self::Port(_) | Self::Shortfall(_) => 2,
+        }
+    }
 }
 
 /// Runs a plan to its end.
@@ -141,12 +155,12 @@ struct Launcher<'a> {
 impl Launcher<'_> {
     fn supervise(&mut self) -> Result<(), LaunchError> {
         for planned in &self.plan.stages {
-            self.stages.push(Supervised::start(planned.clone(), &self.plan, &self.options.program)?);
+            self.stages.push(Supervised::start(planned.clone(), &self.plan, self.options)?);
         }
         while !self.stages.iter().all(Supervised::is_over) {
             self.wait_for_events();
             self.replace()?;
-            self.look_at_stages()?;
+            self.look_at_stages();
             self.press();
             self.progress.show(&self.summary());
         }
@@ -170,7 +184,7 @@ impl Launcher<'_> {
     /// Goes on with the swap that is under way, or begins one that was asked for.
     fn replace(&mut self) -> Result<(), LaunchError> {
         let Self { plan, folder, options, stages, swap, phase, .. } = self;
-        let mut place = Place { plan, folder, program: &options.program, phase: *phase };
+        let mut place = Place { plan, folder, options, phase: *phase };
         if let Some(request) = place.folder.take_request_if(swap.is_none()) {
             *swap = Swap::begin(request, stages, &mut place)?;
         } else if let Some(under_way) = swap.take()
@@ -181,13 +195,13 @@ impl Launcher<'_> {
         Ok(())
     }
 
-    fn look_at_stages(&mut self) -> Result<(), LaunchError> {
+    fn look_at_stages(&mut self) {
         let ending = !matches!(self.phase, Phase::Running);
         let mut lost = false;
         let swap = self.swap.as_ref();
         let leaving = swap.filter(|swap| swap.decides_about_exit()).map(|swap| swap.stage().to_owned());
         for stage in self.stages.iter_mut().filter(|stage| leaving.as_ref() != Some(&stage.planned.name)) {
-            lost |= stage.look(&self.plan, &self.folder, &self.options.program, ending)? == Change::Lost;
+            lost |= stage.look(&self.plan, &self.folder, self.options, ending) == Change::Lost;
         }
         self.lost |= lost;
         if lost && !ending {
@@ -196,7 +210,6 @@ impl Launcher<'_> {
         if (lost || self.nobody_reads()) && !ending {
             self.stop_sources();
         }
-        Ok(())
     }
 
     /// Whether all sinks are over: what the others still make would be for nobody.

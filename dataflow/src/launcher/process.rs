@@ -1,6 +1,7 @@
 //! A stage as a process of its own: finds its place in the plan, opens what it needs, and runs until it is done or told.
 
-use super::folder::{FolderError, RunFolder};
+use super::RunOptions;
+use super::folder::{FolderError, PLAN, RunFolder};
 use crate::bridge::{self, BridgeError};
 use crate::node::Node;
 use crate::plan::{Plan, PlannedStage, Runs};
@@ -23,8 +24,12 @@ use std::time::Duration;
 pub const PIPELINE: &str = "CONICFLOW_PIPELINE";
 /// Environment variable: name of the stage.
 pub(crate) const STAGE: &str = "CONICFLOW_STAGE";
-/// Environment variable: process of the launcher.
+/// Environment variable: process of the launcher; without it the stage was started by itself.
 pub(crate) const LAUNCHER: &str = "CONICFLOW_LAUNCHER";
+/// Environment variable: the file of the plan in the run's folder.
+const PLAN_FILE: &str = "CONICFLOW_PLAN";
+/// Environment variable: what is logged, as a level or a filter.
+pub const LOG: &str = "CONICFLOW_LOG";
 
 /// Exit code of a stage that could not be made ready: to start it anew would not help.
 pub(crate) const REFUSED: u8 = 2;
@@ -73,17 +78,52 @@ impl ProcessError {
         match self {
             Self::Run(RunError::Port(Incompatible { .. } | PathTooLong { .. })) => REFUSED,
             Self::Bridge(error) if !error.is_final() => 1,
-            Self::Run(RunError::Failed { .. } | RunError::Port(_)) => 1,
+            Self::Run(RunError::Failed { .. } | RunError::Port(_)) | Self::System { .. } => 1,
             _ => REFUSED,
         }
     }
 }
 
+/// What runs a stage: `options.program`, whose environment tells it which stage it is, by the plan in the file `plan_file`
+/// of the run's folder.
+pub(crate) fn as_stage(planned: &PlannedStage, plan: &Plan, plan_file: &str, options: &RunOptions) -> Command {
+    let mut command = Command::new(&options.program);
+    command
+        .args(["node", &planned.name])
+        .env(PIPELINE, &plan.pipeline)
+        .env(STAGE, &planned.name)
+        .env(PLAN_FILE, plan_file)
+        .envs(options.log.iter().map(|log| (LOG, log)))
+        .envs(planned.env.iter().map(|(key, value)| (key, value)));
+    command
+}
+
+/// Makes this process the stage `name` of a plan that nobody launches, with the environment that a launcher would give it;
+/// comes back only with what kept it from that.
+pub fn become_stage(plan: &Plan, name: &str, options: &RunOptions) -> ProcessError {
+    match alone(plan, name, options) {
+        Ok(mut command) => system(&format!("stage `{name}` cannot be started"), command.exec()),
+        Err(error) => error,
+    }
+}
+
+/// What runs a stage that nobody launches, after its plan was written.
+fn alone(plan: &Plan, name: &str, options: &RunOptions) -> Result<Command, ProcessError> {
+    let planned = plan.stage(name).ok_or_else(|| ProcessError::NoStage(name.to_owned()))?;
+    let folder = RunFolder::open(&plan.pipeline)?;
+    if folder.is_running() {
+        return Err(FolderError::Running { name: plan.pipeline.clone() }.into());
+    }
+    // A file of its own: stages that are started at the same time do not meet in it.
+    let plan_file = format!("{name}.plan");
+    folder.write_whole(&plan_file, plan)?;
+    let mut command = as_stage(planned, plan, &plan_file, options);
+    command.env_remove(LAUNCHER);
+    Ok(command)
+}
+
 /// Runs the stage `name` of a plan in this process: a node of the table, or a program that takes the place of this one.
-///
-/// # Errors
-/// What kept the stage from beginning, or ended it.
-pub fn run_planned(plan: &Plan, folder: &RunFolder, name: &str, nodes: &[Node]) -> Result<(), ProcessError> {
+fn run_planned(plan: &Plan, folder: &RunFolder, name: &str, nodes: &[Node]) -> Result<(), ProcessError> {
     let planned = plan.stage(name).ok_or_else(|| ProcessError::NoStage(name.to_owned()))?;
     match &planned.runs {
         Runs::Node { node, input } => {
@@ -126,7 +166,7 @@ fn exit_code(ended: Result<(), ProcessError>) -> ExitCode {
 /// Runs a stage of the run that this process was started in.
 ///
 /// # Errors
-/// As [`run_planned`], or this process is not part of a run.
+/// What kept the stage from beginning, or ended it; or this process is not part of a run.
 pub fn run_in_run(nodes: &[Node]) -> Result<(), ProcessError> {
     let (plan, folder, stage) = own_place()?;
     die_with_launcher();
@@ -146,16 +186,20 @@ fn run_own(node: Node) -> Result<(), ProcessError> {
 fn own_place() -> Result<(Plan, RunFolder, String), ProcessError> {
     let variable = |name| std::env::var(name).map_err(|_| ProcessError::NoRun(name));
     let folder = RunFolder::open(&variable(PIPELINE)?)?;
-    Ok((folder.plan()?, folder, variable(STAGE)?))
+    let plan_file = variable(PLAN_FILE).unwrap_or_else(|_| PLAN.to_owned());
+    Ok((folder.read_plan(&plan_file)?, folder, variable(STAGE)?))
 }
 
-/// Sees to it that this process ends when the launcher does, however that ends.
+fn launcher() -> Option<i32> {
+    std::env::var(LAUNCHER).ok()?.parse().ok()
+}
+
+/// Sees to it that this process ends when the launcher does, however that ends; a stage that was started by itself has none.
 fn die_with_launcher() {
-    let launcher = std::env::var(LAUNCHER).ok().and_then(|pid| pid.parse::<i32>().ok());
+    let Some(launcher) = launcher() else { return };
     // Without this signal the launcher could leave an orphan, but not a wrong result.
     set_parent_process_death_signal(Some(Signal::TERM)).ok();
-    let parent = getppid().map(|pid| pid.as_raw_nonzero().get());
-    if launcher.is_some() && launcher != parent {
+    if getppid().map(|pid| pid.as_raw_nonzero().get()) != Some(launcher) {
         std::process::exit(i32::from(REFUSED));
     }
 }
@@ -164,7 +208,10 @@ fn become_program(plan: &Plan, planned: &PlannedStage, command: &[String]) -> Pr
     let Some((program, arguments)) = command.split_first() else {
         return ProcessError::NoNode(planned.name.clone());
     };
-    set_parent_process_death_signal(Some(Signal::KILL)).ok();
+    if launcher().is_some() {
+        // It may not know what SIGTERM is meant for.
+        set_parent_process_death_signal(Some(Signal::KILL)).ok();
+    }
     let error = Command::new(program).args(arguments).current_dir(&plan.base).exec();
     ProcessError::System { doing: format!("stage `{}` cannot run `{program}`", planned.name), error }
 }

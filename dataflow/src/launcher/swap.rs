@@ -3,11 +3,11 @@
 //! Until the stage has been told to leave, whatever goes wrong leaves it at work. From then on its successor takes the place
 //! however it ended; a successor that cannot begin gives the place back.
 
-use super::Phase;
 use super::child::{Supervised, command};
 use super::folder::{FolderError, RunFolder};
 use super::process::ProcessError;
 use super::request::Request;
+use super::{Phase, RunOptions};
 use crate::plan::{Plan, PlannedStage};
 use crate::runner::handover::{Handover, SUCCESSOR};
 use crate::status::{Life, Status};
@@ -15,7 +15,6 @@ use rustix::process::Signal;
 use std::io::{ErrorKind, Read, Write};
 use std::os::fd::OwnedFd;
 use std::os::unix::net::UnixStream;
-use std::path::Path;
 use std::process::Child;
 use std::time::{Duration, Instant};
 
@@ -51,12 +50,12 @@ struct Successor {
 }
 
 impl Successor {
-    fn start(planned: &PlannedStage, plan: &Plan, program: &Path) -> Result<Self, ProcessError> {
+    fn start(planned: &PlannedStage, plan: &Plan, options: &RunOptions) -> Result<Self, ProcessError> {
         let fault =
             |error| ProcessError::System { doing: format!("stage `{}` cannot be replaced", planned.name), error };
         let (control, input) = UnixStream::pair().map_err(fault)?;
         control.set_nonblocking(true).map_err(fault)?;
-        let mut command = command(planned, plan, program);
+        let mut command = command(planned, plan, options);
         let child = command.env(SUCCESSOR, "1").stdin(OwnedFd::from(input)).spawn().map_err(fault)?;
         Ok(Self { child, control })
     }
@@ -94,7 +93,7 @@ impl Successor {
 pub(crate) struct Place<'a> {
     pub(crate) plan: &'a mut Plan,
     pub(crate) folder: &'a RunFolder,
-    pub(crate) program: &'a Path,
+    pub(crate) options: &'a RunOptions,
     pub(crate) phase: Phase,
 }
 
@@ -127,7 +126,7 @@ impl Swap {
         }
         Handover::of(place.folder.path(), name).clear();
         place.folder.write_plan(&request.plan).map_err(|error| error.to_string())?;
-        let successor = Successor::start(planned, &request.plan, place.program).map_err(|error| error.to_string())?;
+        let successor = Successor::start(planned, &request.plan, place.options).map_err(|error| error.to_string())?;
         tracing::info!("stage `{name}` is being replaced");
         Ok(Self { before: stage.planned.clone(), request, step: Step::Preparing(successor), since: Instant::now() })
     }

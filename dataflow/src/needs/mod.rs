@@ -11,15 +11,15 @@ pub(crate) use shortfall::{SHARED_MEMORY, in_words, room};
 
 use crate::node::Node;
 use crate::plan::{Plan, PlannedStage, Runs};
-use crate::ports::{PortError, Topic, TopicReader, Wiring};
+use crate::ports::{MAX_KEPT, PortError, Topic, TopicReader, Wiring};
 use crate::sides::{Pick, Side};
 use conicflow_messages::{Ellipse, Header, Item, Kind, Object, Track};
 use shortfall::enough;
 
 /// Messages that a reader holds beside its queue: the one that is worked on, and the next.
 const HELD: usize = 2;
-/// Messages that wait for their frame in a further input.
-const HELD_FOR_FRAME: usize = 13;
+/// Messages that a reader holds of a further input that waits for its frame: those that are kept, and the one in use.
+const HELD_FOR_FRAME: usize = MAX_KEPT + 1;
 /// Messages that a writer has in hand.
 const LOANED: usize = 1;
 /// Items of an image whose size nobody can tell beforehand.

@@ -11,6 +11,9 @@ use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::time::Duration;
 
+/// Messages that a stage keeps of one input at most until their frame has come, or its own turn.
+pub(crate) const MAX_KEPT: usize = 12;
+
 /// Which messages an input sees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

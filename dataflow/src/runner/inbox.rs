@@ -1,14 +1,12 @@
 //! An input of a stage: decides which of the messages that came is worked on, and counts the others.
 
 use super::handover::Mark;
-use crate::ports::{Delivery, PortError, Reader, Received};
+use crate::ports::{Delivery, MAX_KEPT, PortError, Reader, Received};
 use crate::status::{InputCounts, LastMessage};
 use conicflow_messages::{Header, Item, Text};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
-/// Less than a reader may hold.
-pub(super) const MAX_OVERHEARD: usize = 12;
 /// Messages that are heard at a time before something else is looked at.
 const MOST_AT_ONCE: usize = 64;
 
@@ -96,7 +94,7 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
 
     /// Keeps what has come, for when this process's turn has come.
     pub(crate) fn overhear(&mut self) -> Result<(), PortError> {
-        while self.pending.len() < MAX_OVERHEARD {
+        while self.pending.len() < MAX_KEPT {
             let Some(message) = self.reader.receive()? else { break };
             self.pending.push_back(message);
         }
@@ -109,7 +107,7 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
         for _ in 0..MOST_AT_ONCE {
             let Some(message) = self.reader.receive()? else { break };
             self.pending.push_back(message);
-            let Some(dispensable) = self.dispensable().filter(|_| self.pending.len() >= MAX_OVERHEARD) else {
+            let Some(dispensable) = self.dispensable().filter(|_| self.pending.len() >= MAX_KEPT) else {
                 continue;
             };
             self.pending.remove(dispensable);

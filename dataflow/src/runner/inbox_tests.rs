@@ -1,8 +1,8 @@
 //! Tests of an input: what is taken, what is left out, and how both are counted.
 
-use super::inbox::{Inbox, MAX_OVERHEARD};
+use super::inbox::Inbox;
 use crate::ports::in_memory::InMemory;
-use crate::ports::{Delivery, Received, Topic, TopicReader, Transport, Writer};
+use crate::ports::{Delivery, MAX_KEPT, Received, Topic, TopicReader, Transport, Writer};
 use crate::status::InputCounts;
 use conicflow_messages::{Camera, END_OF_STREAM, Header, Hop, Object, Text};
 
@@ -98,7 +98,7 @@ fn a_successor_hears_a_rare_writer_beside_one_that_sends_a_lot() {
     inbox.hear_on().unwrap();
     let numbers = inbox.first_heard().numbers;
     assert_eq!(numbers[&Text::new("rare")], 3);
-    assert_eq!(numbers[&Text::new("often")], 40 + 2 - MAX_OVERHEARD as u64, "older ones are the predecessor's");
+    assert_eq!(numbers[&Text::new("often")], 40 + 2 - MAX_KEPT as u64, "older ones are the predecessor's");
 }
 
 #[test]

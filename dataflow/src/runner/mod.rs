@@ -82,7 +82,7 @@ impl<T: Transport + 'static> Surroundings<T> {
         Ok(ports)
     }
 
-    /// Writes this process into the stage's record, which goes on from where a process before it came.
+    /// Writes this process into the stage's record, which goes on from where a process of the same run before it came.
     pub(crate) fn enter(&mut self) {
         self.record.reload();
         let status = &mut self.record.status;

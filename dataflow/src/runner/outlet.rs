@@ -7,6 +7,7 @@ use crate::stage::{Memory, Output, StageError, Stop};
 use crate::status::{Life, Status};
 use conicflow_messages::{END_OF_STREAM, Header, Hop, Item, Text};
 use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::{self, Display, Formatter};
 use std::time::{Duration, Instant};
 
 /// How long the first message waits for readers that want only the newest.
@@ -87,12 +88,15 @@ impl<T: Item, W: Writer<T>> Outlet<T, W> {
         Ok(())
     }
 
-    /// Adds what the last step counted, and what it sent by label, to the record.
-    pub(crate) fn tally(&mut self, status: &mut Status) {
+    /// Adds what the last step, which met `frame`, counted, and what it sent by label, to the record.
+    pub(crate) fn tally(&mut self, status: &mut Status, frame: u64) {
         status.sent = self.number;
         status.sent_bytes += std::mem::take(&mut self.bytes);
         self.interval_ns.take().into_iter().for_each(|ns| status.intervals.add(ns));
         self.counts.iter().for_each(|(name, count)| status.count(name, *count));
+        if !self.counts.is_empty() {
+            tracing::debug!("stage `{}`, frame {frame}: {}", self.stage, Counts(&self.counts));
+        }
         self.counts.clear();
         self.list.iter().filter_map(Item::label).for_each(|label| status.count_found(label));
     }
@@ -164,6 +168,18 @@ impl<T: Item, W: Writer<T>> Outlet<T, W> {
         let wanted = readers.filter(move |reader| !only_lossless || reader.delivery == Delivery::Lossless);
         let absent = wanted.filter(move |reader| !connected.contains(&reader.stage));
         absent.filter(|reader| !matches!(self.peers.life(&reader.stage), Some(Life::Ended | Life::Gone)))
+    }
+}
+
+/// What a step counted, as a list that is written only where somebody reads it.
+struct Counts<'a>(&'a BTreeMap<&'static str, u64>);
+
+impl Display for Counts<'_> {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        for (index, (name, count)) in self.0.iter().enumerate() {
+            write!(f, "{}{name}: {count}", if index == 0 { "" } else { ", " })?;
+        }
+        Ok(())
     }
 }
 

@@ -1,15 +1,13 @@
 //! The further inputs of a running stage: finds for each step the message that goes with it.
 
 use super::inbox::Inbox;
-use crate::ports::{Delivery, PortError, Reader, Received, Topic, Transport};
+use crate::ports::{Delivery, MAX_KEPT, PortError, Reader, Received, Topic, Transport};
 use crate::sides::{AnyMessage, Pick, Side, Sides};
 use crate::status::InputCounts;
 use conicflow_messages::{Ellipse, Header, Item, Kind, Message, Object, Track};
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-/// Messages that wait for the frame they belong to; less than a reader may hold.
-const MAX_WAITING: usize = 12;
 /// How long a step waits for a message of its frame that is still on its way.
 const ON_ITS_WAY: Duration = Duration::from_millis(500);
 
@@ -138,7 +136,7 @@ impl<T: Item, R: Reader<T>> TypedSide<T, R> {
     fn gather(&mut self, step: &Header) -> Result<(), PortError> {
         loop {
             self.waiting.retain(|message| !follows(step, message.header()));
-            if self.waiting.len() >= MAX_WAITING {
+            if self.waiting.len() >= MAX_KEPT {
                 self.waiting.pop_front();
             }
             match self.inbox.take()? {

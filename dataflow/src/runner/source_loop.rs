@@ -81,7 +81,7 @@ impl<S: Source, T: Transport> SourceLoop<S, T> {
         let header = Header { epoch: self.epoch, sequence: self.sequence, ..output.header };
         let is_image = output.is_image();
         if next == Next::End {
-            self.keep_record();
+            self.keep_record(header.sequence);
             return Ok(false);
         }
         self.record.status.compute.add(started.elapsed().as_nanos() as u64);
@@ -90,14 +90,14 @@ impl<S: Source, T: Transport> SourceLoop<S, T> {
         }
         self.sequence += 1;
         self.record.status.steps += 1;
-        self.keep_record();
+        self.keep_record(header.sequence);
         self.settling.step();
         Ok(true)
     }
 
-    fn keep_record(&mut self) {
+    fn keep_record(&mut self, frame: u64) {
         let status = &mut *self.record.status;
-        self.outlet.tally(status);
+        self.outlet.tally(status, frame);
         for (slot, side) in status.inputs.iter_mut().zip(&self.sides) {
             *slot = side.counts();
         }

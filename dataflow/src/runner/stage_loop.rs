@@ -125,7 +125,7 @@ impl<S: Stage, T: Transport> StageLoop<S, T> {
         drop(message);
         self.keep_times(&header, received_ns, started.elapsed());
         let stopped = is_stopped(self.outlet.send(made, received_ns, is_image))?;
-        self.keep_counts();
+        self.keep_counts(header.sequence);
         self.settling.step();
         Ok(!stopped)
     }
@@ -140,10 +140,10 @@ impl<S: Stage, T: Transport> StageLoop<S, T> {
         }
     }
 
-    fn keep_counts(&mut self) {
+    fn keep_counts(&mut self, frame: u64) {
         let status = &mut *self.record.status;
         status.steps += 1;
-        self.outlet.tally(status);
+        self.outlet.tally(status, frame);
         let counts = std::iter::once(self.inbox.counts()).chain(self.sides.iter().map(|side| side.counts()));
         status.inputs.iter_mut().zip(counts).for_each(|(slot, counts)| *slot = counts);
         self.record.write();

@@ -24,7 +24,7 @@ pub use tap::SharedTap;
 pub use writer::SharedWriter;
 
 use crate::needs::{ROOM_PER_PORT, in_words, room};
-use crate::ports::{Delivery, PortError, Topic, Transport};
+use crate::ports::{Delivery, MAX_KEPT, PortError, Topic, Transport};
 use crate::stage::Stop;
 use bytemuck::TransparentWrapper;
 use conicflow_messages::{HEADER_TYPE_NAME, Header, Item};
@@ -48,8 +48,8 @@ const ROOT_LIMIT: usize = 48;
 
 /// Readers that may join beside those of the pipeline file: tools that look on.
 const SPARE_READERS: usize = 8;
-/// Messages that one reader may hold at a time: one for each source on a topic, and those that wait for their frame.
-const MAX_HELD: usize = 16;
+/// Messages that one reader may hold at a time: one for each source on a topic, or those that it keeps, and some in use.
+const MAX_HELD: usize = MAX_KEPT + 4;
 
 /// An item in shared memory.
 #[repr(transparent)]
