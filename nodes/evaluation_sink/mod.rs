@@ -34,13 +34,13 @@ pub struct EvaluationConfig {
     pub scene: Option<PathBuf>,
     /// Truth file of a recording: what was measured in its frames; none: the frames are rendered.
     pub truth: Option<PathBuf>,
-    /// Which true objects have to be found; right answers about others are not counted.
+    /// Which true objects of rendered frames have to be found; right answers about others are not counted.
     pub required: Duties,
-    /// How far off an answer may be and still be right.
+    /// How far off an answer about a rendered frame may be and still be right.
     pub tolerance: Tolerances,
-    /// The same for a recording.
+    /// The same for a recording, with `truth`.
     pub recorded_tolerance: RecordedTolerances,
-    /// File for what was missed and what was wrong, one line of JSON per frame; none: not written.
+    /// File for what was missed and what was wrong, one line of JSON per frame that is judged; none: not written.
     pub details_path: Option<PathBuf>,
 }
 
@@ -105,6 +105,19 @@ impl Config for EvaluationConfig {
         let both = self.scene.is_some() && self.truth.is_some();
         let both = both.then(|| fault("truth", anyhow!("cannot be used together with `scene`")));
         scene.into_iter().chain(truth).chain(both).collect()
+    }
+
+    fn idle(&self) -> Vec<ConfigFault> {
+        let idle =
+            |key, what: &str, hint: &str| ConfigFault { key, what: format!("has no effect {what}"), hint: hint.into() };
+        if self.truth.is_some() {
+            vec![
+                idle("required", "with `truth`", "leave it out: the truth file lists what has to be found"),
+                idle("tolerance", "with `truth`", "leave it out, or write `recorded_tolerance`"),
+            ]
+        } else {
+            vec![idle("recorded_tolerance", "without `truth`", "leave it out, or write `tolerance`")]
+        }
     }
 }
 
@@ -192,16 +205,15 @@ impl<T: Answer> Stage for EvaluationSink<T> {
     fn step(&mut self, input: &Message<T>, _: &Sides, output: &mut Output<Nothing>) -> Result<(), StageError> {
         self.answers.clear();
         self.answers.extend(input.items.iter().filter_map(Answer::object));
-        match &mut self.judge {
+        let frame = match &mut self.judge {
+            Judge::Rendered(evaluation) => Some(evaluation.add(input.header, &self.answers)?),
             Judge::Recorded(score) => score.add(input.header.source.as_str().unwrap_or_default(), &self.answers),
-            Judge::Rendered(evaluation) => {
-                let frame = evaluation.add(input.header, &self.answers)?;
-                output.count("missed", frame.missed().count() as u64);
-                output.count("wrong", frame.matching.wrong.len() as u64);
-                if let Some(details) = &mut self.details {
-                    writeln!(details, "{}", frame.details(input.header))?;
-                }
-            }
+        };
+        let Some(frame) = frame else { return Ok(()) };
+        output.count("missed", frame.missed().count() as u64);
+        output.count("wrong", frame.matching.wrong.len() as u64);
+        if let Some(details) = &mut self.details {
+            writeln!(details, "{}", frame.details(input.header))?;
         }
         Ok(())
     }

@@ -1,6 +1,7 @@
 //! Scores answers against the measured truth of a recording: what was found, what was off, and what nobody listed, frame
 //! by frame, to be looked at.
 
+use super::evaluation::FrameScore;
 use super::matching::{Comparison, Expected, Fault, compare, fault, match_up};
 use super::recorded::RecordedTruth;
 use super::score::quantile;
@@ -50,21 +51,22 @@ impl RecordedScore {
         }
     }
 
-    /// Scores the answers to the frame of a file.
-    pub fn add(&mut self, source: &str, answers: &[Object]) {
+    /// Scores the answers to the frame of a file; `None` where its truth is not known.
+    pub fn add<'a>(&mut self, source: &str, answers: &'a [Object]) -> Option<FrameScore<'a>> {
         let Some(expected) = self.truth.of_frame(source).map(<[Expected]>::to_vec) else {
             self.unjudged += 1;
-            return;
+            return None;
         };
         self.frames += 1;
         self.note(format_args!("{}", source.escape_debug()));
         let matching = match_up(&expected, answers);
-        for (object, answer) in expected.iter().zip(matching.answer_of) {
+        for (object, answer) in expected.iter().zip(&matching.answer_of) {
             self.count(object, answer.map(|index| &answers[index]));
         }
-        for (index, fault) in matching.wrong {
-            self.count_wrong(&expected, &answers[index], fault);
+        for (index, fault) in &matching.wrong {
+            self.count_wrong(&expected, &answers[*index], *fault);
         }
+        Some(FrameScore { expected, answers, matching })
     }
 
     fn note(&mut self, line: fmt::Arguments) {
@@ -203,8 +205,12 @@ mod tests {
         std::fs::write(&path, TRUTH).unwrap();
         let truth = RecordedTruth::load(&path, &RecordedTolerances::default()).unwrap();
         let mut score = RecordedScore::new(truth);
-        score.add("a.pcd", &[cylinder(0.001, 0.051), cylinder(0.3, 0.097), cylinder(-0.5, 0.04)]);
-        score.add("b.pcd", &[cylinder(0.0, 0.05)]);
+        let answers = [cylinder(0.001, 0.051), cylinder(0.3, 0.097), cylinder(-0.5, 0.04)];
+        let frame = score.add("a.pcd", &answers).unwrap();
+        let missed: Vec<_> = frame.missed().map(|object| object.name.as_str()).collect();
+        assert_eq!(missed, ["pot"]);
+        assert_eq!(frame.matching.wrong, [(1, Fault::Radius), (2, Fault::NothingThere)]);
+        assert!(score.add("b.pcd", &[cylinder(0.0, 0.05)]).is_none());
         assert_eq!((score.frames, score.unjudged, score.required, score.found), (1, 1, 2, 1));
         assert_eq!((score.off, score.unlisted), (1, 1));
         let report = score.report();

@@ -108,6 +108,14 @@ fn files_that_cannot_be_used_are_told_before_the_start() {
 }
 
 #[test]
+fn what_has_no_effect_on_the_kind_of_frames_is_idle() {
+    let keys = |config: EvaluationConfig| config.idle().into_iter().map(|fault| fault.key).collect::<Vec<_>>();
+    let recording = EvaluationConfig { truth: Some("truth.json".into()), ..EvaluationConfig::default() };
+    assert_eq!(keys(recording), ["required", "tolerance"]);
+    assert_eq!(keys(EvaluationConfig::default()), ["recorded_tolerance"]);
+}
+
+#[test]
 fn the_pipeline_files_of_the_experiments_are_valid() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments");
     let read = |name: &str, overrides: &[String]| {
