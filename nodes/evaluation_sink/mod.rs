@@ -12,6 +12,7 @@ pub mod recorded_score;
 pub mod rendered;
 pub mod score;
 
+use crate::faults;
 use crate::synthetic_source::scene_values::{SceneTemplate, Values};
 use anyhow::{Result, anyhow};
 use conicflow_dataflow::{Config, ConfigFault, Context, Output, Sides, Stage, StageError};
@@ -94,16 +95,13 @@ impl Default for Tolerances {
 
 impl Config for EvaluationConfig {
     fn faults(&self, base: &Path) -> Vec<ConfigFault> {
-        let fault = |key, error: anyhow::Error| {
-            let text = format!("{error:#}");
-            let (what, hint) =
-                text.split_once("\n  hint: ").unwrap_or((&text, "correct the file, or name another one"));
-            ConfigFault { key, what: what.into(), hint: hint.into() }
-        };
-        let scene = self.load_scene(base).err().map(|error| fault("scene", error));
-        let truth = self.load_truth(base).err().map(|error| fault("truth", error));
-        let both = self.scene.is_some() && self.truth.is_some();
-        let both = both.then(|| fault("truth", anyhow!("cannot be used together with `scene`")));
+        let scene = self.load_scene(base).err().map(|error| faults::of_file("scene", &error));
+        let truth = self.load_truth(base).err().map(|error| faults::of_file("truth", &error));
+        let both = (self.scene.is_some() && self.truth.is_some()).then(|| ConfigFault {
+            key: "truth",
+            what: "cannot be used together with `scene`".into(),
+            hint: "leave one of them out".into(),
+        });
         scene.into_iter().chain(truth).chain(both).collect()
     }
 
@@ -180,11 +178,7 @@ impl<T: Answer> Stage for EvaluationSink<T> {
     type Output = Nothing;
 
     fn new(config: EvaluationConfig, context: &Context) -> Result<Self, StageError> {
-        if context.resume_at > 0 {
-            return Err(
-                "what was counted before this stage was started anew is lost\n  hint: run it from the start".into()
-            );
-        }
+        faults::refuse_restart(context, "counted")?;
         let (scene, truth) = (config.load_scene(&context.base)?, config.load_truth(&context.base)?);
         let open = |path: &PathBuf| {
             let path = context.resolve(path);

@@ -13,6 +13,7 @@ mod wall;
 
 pub use fit::{NoiseEstimate, Spread};
 
+use crate::faults;
 use anyhow::bail;
 use conicflow_dataflow::{Config, Context, Output, Sides, Stage, StageError};
 use conicflow_messages::{Header, Message, Nothing};
@@ -119,11 +120,7 @@ impl Stage for NoiseEstimator {
     type Output = Nothing;
 
     fn new(config: Self::Config, context: &Context) -> Result<Self, StageError> {
-        if context.resume_at > 0 {
-            return Err(
-                "what was seen before this stage was started anew is lost\n  hint: run it from the start".into()
-            );
-        }
+        faults::refuse_restart(context, "seen")?;
         Ok(Self::with(config))
     }
 
