@@ -12,6 +12,9 @@ pub const END_OF_STREAM: u32 = 1;
 /// Flag: [`Header::world_from_camera`] is known.
 pub const HAS_POSE: u32 = 2;
 
+/// Most bytes of the name of a source; what is longer is cut.
+pub const MAX_SOURCE_BYTES: usize = 256;
+
 /// How many hops a message remembers; later ones are not recorded.
 pub const MAX_HOPS: usize = 8;
 
@@ -41,7 +44,7 @@ pub struct Header {
     /// Pose of the camera, row-major `[R | t]` with a rotation R and t in metres, where [`HAS_POSE`] is set.
     pub world_from_camera: [[f64; 4]; 3],
     /// Name of the frame's file, or of the source.
-    pub source: Text<256>,
+    pub source: Text<MAX_SOURCE_BYTES>,
     /// [`END_OF_STREAM`], [`HAS_POSE`].
     pub flags: u32,
     /// How many entries of `hops` are in use.
