@@ -152,7 +152,7 @@ fn lying_thing(set: &mut Set) -> Thing {
 fn lay(set: &mut Set, thing: Thing, middle: Vector3<f64>) {
     let heading = set.draws.heading();
     let Thing::Round { base_radius, top_radius, length, .. } = thing else { return };
-    let droop = ((base_radius - top_radius) / length).atan();
+    let droop = libm::atan((base_radius - top_radius) / length);
     let axis = heading * libm::cos(droop) - Vector3::z() * libm::sin(droop);
     let base = middle - heading * (0.5 * length) + Vector3::z() * (base_radius * libm::cos(droop));
     set.put_along(thing, base, axis);

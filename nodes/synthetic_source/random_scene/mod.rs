@@ -147,7 +147,7 @@ impl Set {
     }
 
     fn scene(self, name: String) -> Scene {
-        let camera_up = Vector3::new(self.roll_deg.to_radians().tan(), 0.0, 1.0);
+        let camera_up = Vector3::new(libm::tan(self.roll_deg.to_radians()), 0.0, 1.0);
         Scene::still(name, self.bodies, self.camera, self.look_at, camera_up)
     }
 }
