@@ -1,4 +1,4 @@
-//! What is to be found: cans, cones, balls, mugs and cups, of random sizes.
+//! What is to be found: cans, cones, buckets, balls, mugs, cups and tins of random sizes; and bowls, which are no objects.
 
 use super::super::shapes::{Bowl, Frustum, Shape, Sphere};
 use super::Set;
@@ -65,7 +65,7 @@ impl Set {
         Thing::Round { name: "can", base_radius: radius, top_radius: radius, length, open: self.draws.chance(0.3) }
     }
 
-    /// A parking cone, whose half-angle is 10 to 25 degrees.
+    /// A parking cone, whose half-angle is 10 to 22 degrees.
     pub fn cone(&mut self) -> Thing {
         let (top_radius, length) = (self.draws.within(0.0..=0.04), self.draws.within(0.3..=0.7));
         let slope = libm::tan(self.draws.within(10.0..=22.0_f64).to_radians());
