@@ -17,7 +17,7 @@ pub fn scan(ellipse: &Ellipse) -> Scan {
     }
 }
 
-/// A pose from its rows `[R | t]`.
+/// A pose from its rows `[R | t]`, whose R is a rotation: the border has checked that.
 pub fn isometry(rows: &[[f64; 4]; 3]) -> IsometryMatrix3<f64> {
     let rotation = Matrix3::from_fn(|row, column| rows[row][column]);
     let translation = Translation3::new(rows[0][3], rows[1][3], rows[2][3]);

@@ -1,9 +1,12 @@
 //! The stages of conicflow, one file each, in the order in which a frame meets them; their table; and the command line.
 
 mod camera;
+mod csv;
+mod faults;
 mod json_lines;
 pub mod noise_config;
 mod random;
+mod spread;
 mod upward;
 
 pub mod synthetic_source;

@@ -12,6 +12,9 @@ pub const END_OF_STREAM: u32 = 1;
 /// Flag: [`Header::world_from_camera`] is known.
 pub const HAS_POSE: u32 = 2;
 
+/// Most bytes of the name of a source; what is longer is cut.
+pub const MAX_SOURCE_BYTES: usize = 256;
+
 /// How many hops a message remembers; later ones are not recorded.
 pub const MAX_HOPS: usize = 8;
 
@@ -38,10 +41,10 @@ pub struct Header {
     pub depth_scale: f64,
     /// The depth noise of the sensor.
     pub noise: NoiseModel,
-    /// Pose of the camera, row-major `[R | t]`, where [`HAS_POSE`] is set.
+    /// Pose of the camera, row-major `[R | t]` with a rotation R and t in metres, where [`HAS_POSE`] is set.
     pub world_from_camera: [[f64; 4]; 3],
     /// Name of the frame's file, or of the source.
-    pub source: Text<256>,
+    pub source: Text<MAX_SOURCE_BYTES>,
     /// [`END_OF_STREAM`], [`HAS_POSE`].
     pub flags: u32,
     /// How many entries of `hops` are in use.
@@ -194,8 +197,23 @@ impl Header {
         if !self.world_from_camera.iter().all(|row| finite(row)) {
             return fault("a camera pose that is not finite");
         }
+        if self.pose().is_some_and(|rows| !is_rotation(rows)) {
+            return fault("a camera pose that is no rotation");
+        }
         Ok(())
     }
+}
+
+/// Whether the left 3x3 part of `[R | t]` is a rotation, up to the rounding of numbers that were written by hand: rows of
+/// length 1, perpendicular and right-handed. Stages invert it by transposing.
+fn is_rotation(rows: &[[f64; 4]; 3]) -> bool {
+    const TOLERANCE: f64 = 1e-3;
+    let dot = |a: &[f64; 4], b: &[f64; 4]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    let [x, y, z] = rows;
+    let unit = rows.iter().all(|row| (dot(row, row) - 1.0).abs() <= TOLERANCE);
+    let perpendicular = [dot(x, y), dot(y, z), dot(z, x)].iter().all(|cosine| cosine.abs() <= TOLERANCE);
+    let cross = [x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0], 0.0];
+    unit && perpendicular && dot(&cross, z) > 0.0
 }
 
 #[cfg(test)]
@@ -233,6 +251,28 @@ mod tests {
             spoil(&mut spoilt);
             assert!(spoilt.check(Kind::Depth).is_err());
         }
+    }
+
+    #[test]
+    fn a_pose_is_a_rotation_or_not_flagged() {
+        let camera = Camera { width: 2, height: 1, fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 };
+        let check = |flags: u32, rows: [[f64; 3]; 3]| {
+            let world_from_camera = rows.map(|[x, y, z]| [x, y, z, 7.0]);
+            Header { depth_scale: 0.001, camera, flags, world_from_camera, ..Header::default() }.check(Kind::Depth)
+        };
+        let turned = [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]];
+        let rounded = [[0.866, 0.0, 0.5], [0.0, 1.0, 0.0], [-0.5, 0.0, 0.866]];
+        for rows in [turned, rounded] {
+            assert_eq!(check(HAS_POSE, rows), Ok(()));
+        }
+        let mirrored = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]];
+        let scaled = turned.map(|row| row.map(|number| 1.01 * number));
+        let sheared = [[1.0, 0.0, 0.0], [0.01, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        for rows in [[[0.0; 3]; 3], mirrored, scaled, sheared, [[1e200; 3]; 3]] {
+            let told = check(HAS_POSE, rows).unwrap_err().to_string();
+            assert_eq!(told, "malformed depth: a camera pose that is no rotation", "{rows:?}");
+        }
+        assert_eq!(check(0, [[0.0; 3]; 3]), Ok(()));
     }
 
     #[test]

@@ -19,7 +19,8 @@ mod track;
 pub use depth::{INVALID_FAR, INVALID_NEAR, is_measured};
 pub use ellipse::{Ellipse, MOMENTS, Scan};
 pub use header::{
-    Camera, END_OF_STREAM, HAS_POSE, HEADER_TYPE_NAME, Header, Hop, MAX_HOPS, MAX_PIXELS, MAX_SIDE_PX, NoiseModel,
+    Camera, END_OF_STREAM, HAS_POSE, HEADER_TYPE_NAME, Header, Hop, MAX_HOPS, MAX_PIXELS, MAX_SIDE_PX,
+    MAX_SOURCE_BYTES, NoiseModel,
 };
 pub use item::{Item, Kind, Malformed, Message, Nothing};
 pub use object::{Object, ObjectKind, ObjectSigma};

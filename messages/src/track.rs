@@ -9,9 +9,9 @@ use serde::{Deserialize, Serialize};
 pub enum TrackState {
     /// Seen too few times to be sure of it.
     Tentative,
-    /// Seen often enough, and in this frame.
+    /// Seen often enough, and in the last frame of the camera that saw it last.
     Confirmed,
-    /// Confirmed before, not seen in this frame; its state is a prediction.
+    /// Confirmed before, not seen in that frame; its state is a prediction.
     Coasting,
 }
 

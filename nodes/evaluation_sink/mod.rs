@@ -12,6 +12,7 @@ pub mod recorded_score;
 pub mod rendered;
 pub mod score;
 
+use crate::faults;
 use crate::synthetic_source::scene_values::{SceneTemplate, Values};
 use anyhow::{Result, anyhow};
 use conicflow_dataflow::{Config, ConfigFault, Context, Output, Sides, Stage, StageError};
@@ -34,13 +35,13 @@ pub struct EvaluationConfig {
     pub scene: Option<PathBuf>,
     /// Truth file of a recording: what was measured in its frames; none: the frames are rendered.
     pub truth: Option<PathBuf>,
-    /// Which true objects have to be found; right answers about others are not counted.
+    /// Which true objects of rendered frames have to be found; right answers about others are not counted.
     pub required: Duties,
-    /// How far off an answer may be and still be right.
+    /// How far off an answer about a rendered frame may be and still be right.
     pub tolerance: Tolerances,
-    /// The same for a recording.
+    /// The same for a recording, with `truth`.
     pub recorded_tolerance: RecordedTolerances,
-    /// File for what was missed and what was wrong, one line of JSON per frame; none: not written.
+    /// File for what was missed and what was wrong, one line of JSON per frame that is judged; none: not written.
     pub details_path: Option<PathBuf>,
 }
 
@@ -94,17 +95,27 @@ impl Default for Tolerances {
 
 impl Config for EvaluationConfig {
     fn faults(&self, base: &Path) -> Vec<ConfigFault> {
-        let fault = |key, error: anyhow::Error| {
-            let text = format!("{error:#}");
-            let (what, hint) =
-                text.split_once("\n  hint: ").unwrap_or((&text, "correct the file, or name another one"));
-            ConfigFault { key, what: what.into(), hint: hint.into() }
-        };
-        let scene = self.load_scene(base).err().map(|error| fault("scene", error));
-        let truth = self.load_truth(base).err().map(|error| fault("truth", error));
-        let both = self.scene.is_some() && self.truth.is_some();
-        let both = both.then(|| fault("truth", anyhow!("cannot be used together with `scene`")));
+        let scene = self.load_scene(base).err().map(|error| faults::of_file("scene", &error));
+        let truth = self.load_truth(base).err().map(|error| faults::of_file("truth", &error));
+        let both = (self.scene.is_some() && self.truth.is_some()).then(|| ConfigFault {
+            key: "truth",
+            what: "cannot be used together with `scene`".into(),
+            hint: "leave one of them out".into(),
+        });
         scene.into_iter().chain(truth).chain(both).collect()
+    }
+
+    fn idle(&self) -> Vec<ConfigFault> {
+        let idle =
+            |key, what: &str, hint: &str| ConfigFault { key, what: format!("has no effect {what}"), hint: hint.into() };
+        if self.truth.is_some() {
+            vec![
+                idle("required", "with `truth`", "leave it out: the truth file lists what has to be found"),
+                idle("tolerance", "with `truth`", "leave it out, or write `recorded_tolerance`"),
+            ]
+        } else {
+            vec![idle("recorded_tolerance", "without `truth`", "leave it out, or write `tolerance`")]
+        }
     }
 }
 
@@ -167,11 +178,7 @@ impl<T: Answer> Stage for EvaluationSink<T> {
     type Output = Nothing;
 
     fn new(config: EvaluationConfig, context: &Context) -> Result<Self, StageError> {
-        if context.resume_at > 0 {
-            return Err(
-                "what was counted before this stage was started anew is lost\n  hint: run it from the start".into()
-            );
-        }
+        faults::refuse_restart(context, "counted")?;
         let (scene, truth) = (config.load_scene(&context.base)?, config.load_truth(&context.base)?);
         let open = |path: &PathBuf| {
             let path = context.resolve(path);
@@ -192,16 +199,15 @@ impl<T: Answer> Stage for EvaluationSink<T> {
     fn step(&mut self, input: &Message<T>, _: &Sides, output: &mut Output<Nothing>) -> Result<(), StageError> {
         self.answers.clear();
         self.answers.extend(input.items.iter().filter_map(Answer::object));
-        match &mut self.judge {
+        let frame = match &mut self.judge {
+            Judge::Rendered(evaluation) => Some(evaluation.add(input.header, &self.answers)?),
             Judge::Recorded(score) => score.add(input.header.source.as_str().unwrap_or_default(), &self.answers),
-            Judge::Rendered(evaluation) => {
-                let frame = evaluation.add(input.header, &self.answers)?;
-                output.count("missed", frame.missed().count() as u64);
-                output.count("wrong", frame.matching.wrong.len() as u64);
-                if let Some(details) = &mut self.details {
-                    writeln!(details, "{}", frame.details(input.header))?;
-                }
-            }
+        };
+        let Some(frame) = frame else { return Ok(()) };
+        output.count("missed", frame.missed().count() as u64);
+        output.count("wrong", frame.matching.wrong.len() as u64);
+        if let Some(details) = &mut self.details {
+            writeln!(details, "{}", frame.details(input.header))?;
         }
         Ok(())
     }

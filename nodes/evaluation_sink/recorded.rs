@@ -8,8 +8,12 @@
 //! Camera frame. `scenes` has a list for each frame, by its file's name; an empty one says that nothing is to be found
 //! there. In place of it `objects` is one list for all frames, and `frames` tells where one ball is in each:
 //! `[{"file": "depth/000000.png", "sphere": {"centre_mm": [x, y, z], "radius_mm": r}}]`, where a frame without `sphere`
-//! is not judged, and `"radius": {"accept_range_mm": [least, most]}` beside it says what radius is right. An entry of
-//! `"quality": "poor"` only has to be seen.
+//! is not judged, and `"radius": {"accept_range_mm": [least, most]}` beside it says what radius is right.
+//!
+//! A `cylinder` may say by `"seen_side_from_to_m": [from, to]` which part of its side is seen, along `axis_dir` from
+//! `axis_point_m`; -50 to 50 mm where left out. What is `sphere_like` need not be found; who finds a sphere there is right
+//! within 20 % of its radius. An entry of `"quality": "poor"` only has to be seen: within 50 mm of its place, half of its
+//! radius and half a radian of its axis.
 
 use super::matching::{Expected, Tolerance};
 use anyhow::{Context as _, Result, bail};
@@ -27,7 +31,7 @@ pub struct RecordedTolerances {
     /// Radius of a cylinder, in metres.
     #[schemars(range(min = 0.0))]
     pub radius_m: f64,
-    /// Distance of the true point on the axis from the answer's axis, in metres.
+    /// Distance of the middle of the part that is seen from the answer's axis, in metres.
     #[schemars(range(min = 0.0))]
     pub position_m: f64,
     /// Angle between the axes, in degrees.
@@ -58,7 +62,7 @@ impl RecordedTolerances {
         Tolerance { position_m: self.center_m, radius_m, axis: 0.1, half_angle: 1e-9 }
     }
 
-    /// That something is there.
+    /// That something is there, of either shape.
     fn of_poor(radius: f64) -> Tolerance {
         Tolerance { position_m: 0.05, radius_m: [0.5 * radius, 1.5 * radius], axis: 0.5, half_angle: 1e-9 }
     }
@@ -173,12 +177,9 @@ impl Entry {
     fn expected(&self, tolerances: &RecordedTolerances) -> Result<Expected> {
         let radius = self.radius_m;
         let sphere_range = [radius - tolerances.radius_m, radius + tolerances.radius_m];
-        let (body, tolerance, required) = match (self.kind.as_str(), self.axis_point_m, self.axis_dir, self.centre_m) {
+        let (body, exact, required) = match (self.kind.as_str(), self.axis_point_m, self.axis_dir, self.centre_m) {
             ("cylinder", Some(point), Some(axis), _) => {
-                let poor = self.quality.as_deref() == Some("poor");
-                let exact = tolerances.of_cylinder(radius);
-                let tolerance = if poor { RecordedTolerances::of_poor(radius) } else { exact };
-                (self.cylinder(point, axis), tolerance, true)
+                (self.cylinder(point, axis)?, tolerances.of_cylinder(radius), true)
             }
             ("sphere", _, _, Some(center)) => (sphere(center, radius), tolerances.of_sphere(sphere_range), true),
             ("sphere_like", _, _, Some(center)) => {
@@ -191,19 +192,33 @@ impl Entry {
                 self.what
             ),
         };
+        let poor = self.quality.as_deref() == Some("poor");
+        let tolerance = if poor { RecordedTolerances::of_poor(radius) } else { exact };
         Ok(Expected { name: self.what.clone(), body, hidden: 0.0, required, tolerance })
     }
 
-    fn cylinder(&self, point: [f64; 3], axis: [f64; 3]) -> Object {
+    fn cylinder(&self, point: [f64; 3], axis: [f64; 3]) -> Result<Object> {
+        let Some(axis) = Vector3::from(axis).try_normalize(1e-9) else {
+            bail!(
+                "the `axis_dir` of `{}` is {axis:?}, which is no direction\n  hint: any length but zero will do",
+                self.what
+            );
+        };
         let [from, to] = self.seen_side_from_to_m.unwrap_or([-0.05, 0.05]);
-        Object {
+        if from >= to {
+            bail!(
+                "the `seen_side_from_to_m` of `{}` goes from {from} to {to}\n  hint: it rises along `axis_dir`",
+                self.what
+            );
+        }
+        Ok(Object {
             kind: ObjectKind::Cylinder.code(),
-            center: point,
-            axis: Vector3::from(axis).try_normalize(1e-9).unwrap_or_else(Vector3::zeros).into(),
+            center: (Vector3::from(point) + axis * (0.5 * (from + to))).into(),
+            axis: axis.into(),
             radius: self.radius_m,
             length: to - from,
             ..Object::default()
-        }
+        })
     }
 }
 
@@ -264,11 +279,26 @@ mod tests {
     #[test]
     fn one_list_can_hold_for_all_frames_and_poor_entries_only_have_to_be_seen() {
         let truth = parse(
-            r#"{"units": "m", "objects": [{"type": "cylinder", "quality": "poor", "radius_m": 0.04,
-                "axis_point_m": [0, 0, 1], "axis_dir": [0, 1, 0]}]}"#,
+            r#"{"units": "m", "objects": [
+                {"type": "cylinder", "quality": "poor", "radius_m": 0.04, "axis_point_m": [0, 0, 1], "axis_dir": [0, 1, 0]},
+                {"type": "sphere", "quality": "poor", "radius_m": 0.04, "centre_m": [0, 0, 1]}]}"#,
         )
         .unwrap();
-        assert_eq!(truth.of_frame("anything").unwrap()[0].tolerance.radius_m, [0.02, 0.06]);
+        for poor in truth.of_frame("anything").unwrap() {
+            assert_eq!((poor.tolerance.radius_m, poor.tolerance.position_m), ([0.02, 0.06], 0.05));
+        }
+    }
+
+    #[test]
+    fn the_middle_of_a_cylinder_is_that_of_the_part_that_is_seen() {
+        let truth = parse(
+            r#"{"units": "m", "objects": [{"type": "cylinder", "radius_m": 0.04, "axis_point_m": [0, 0, 1],
+                "axis_dir": [0, 2, 0], "seen_side_from_to_m": [-0.1, 0.3]}]}"#,
+        )
+        .unwrap();
+        let body = truth.of_frame("anything").unwrap()[0].body;
+        assert!((Vector3::from(body.center) - Vector3::new(0.0, 0.1, 1.0)).norm() < 1e-12, "{:?}", body.center);
+        assert!((body.length - 0.4).abs() < 1e-12);
     }
 
     #[test]
@@ -278,6 +308,16 @@ mod tests {
             (r#"{"units": "mm", "objects": []}"#, "`units`"),
             (r#"{"units": "m", "objects": [{"type": "torus", "what": "ring", "radius_m": 1}]}"#, "`torus`"),
             (r#"{"units": "m", "objects": [{"type": "cylinder"}]}"#, "radius_m"),
+            (
+                r#"{"units": "m", "objects": [{"type": "cylinder", "what": "tin", "radius_m": 1, "axis_point_m": [0, 0, 1],
+                    "axis_dir": [0, 0, 0]}]}"#,
+                "the `axis_dir` of `tin` is [0.0, 0.0, 0.0], which is no direction\n  hint: ",
+            ),
+            (
+                r#"{"units": "m", "objects": [{"type": "cylinder", "what": "tin", "radius_m": 1, "axis_point_m": [0, 0, 1],
+                    "axis_dir": [0, 1, 0], "seen_side_from_to_m": [0.1, -0.1]}]}"#,
+                "of `tin` goes from 0.1 to -0.1\n  hint: ",
+            ),
         ] {
             let error = format!("{:#}", parse(text).unwrap_err());
             assert!(error.contains(what), "{error}");

@@ -1,9 +1,11 @@
 //! Scores answers against the measured truth of a recording: what was found, what was off, and what nobody listed, frame
 //! by frame, to be looked at.
 
+use super::evaluation::FrameScore;
 use super::matching::{Comparison, Expected, Fault, compare, fault, match_up};
 use super::recorded::RecordedTruth;
 use super::score::quantile;
+use crate::spread::Spread;
 use conicflow_messages::Object;
 use std::collections::BTreeMap;
 use std::fmt::{self, Write};
@@ -27,7 +29,7 @@ pub struct RecordedScore {
     position_errors: Vec<f64>,
     axis_errors: Vec<f64>,
     /// Radii of the right answers, by the object's name.
-    radii: BTreeMap<String, Vec<f64>>,
+    radii: BTreeMap<String, Spread>,
     notes: String,
 }
 
@@ -50,21 +52,22 @@ impl RecordedScore {
         }
     }
 
-    /// Scores the answers to the frame of a file.
-    pub fn add(&mut self, source: &str, answers: &[Object]) {
+    /// Scores the answers to the frame of a file; `None` where its truth is not known.
+    pub fn add<'a>(&mut self, source: &str, answers: &'a [Object]) -> Option<FrameScore<'a>> {
         let Some(expected) = self.truth.of_frame(source).map(<[Expected]>::to_vec) else {
             self.unjudged += 1;
-            return;
+            return None;
         };
         self.frames += 1;
         self.note(format_args!("{}", source.escape_debug()));
         let matching = match_up(&expected, answers);
-        for (object, answer) in expected.iter().zip(matching.answer_of) {
+        for (object, answer) in expected.iter().zip(&matching.answer_of) {
             self.count(object, answer.map(|index| &answers[index]));
         }
-        for (index, fault) in matching.wrong {
-            self.count_wrong(&expected, &answers[index], fault);
+        for (index, fault) in &matching.wrong {
+            self.count_wrong(&expected, &answers[*index], *fault);
         }
+        Some(FrameScore { expected, answers, matching })
     }
 
     fn note(&mut self, line: fmt::Arguments) {
@@ -88,7 +91,7 @@ impl RecordedScore {
             self.radius_errors.push(errors.radius_m - object.body.radius);
             self.position_errors.push(errors.position_m);
             self.axis_errors.push(errors.axis);
-            self.radii.entry(object.name.clone()).or_default().push(answer.radius);
+            self.radii.entry(object.name.clone()).or_default().add(answer.radius);
         }
     }
 
@@ -131,9 +134,9 @@ impl RecordedScore {
             per_frame(*unlisted)
         )?;
         self.write_errors(text)?;
-        for (name, radii) in self.radii.iter().filter(|(_, radii)| radii.len() > 2) {
-            let (mean, sd) = mean_and_sd(radii);
-            writeln!(text, "{name}: radius {:.1} +- {:.1} mm in {} frames", 1e3 * mean, 1e3 * sd, radii.len())?;
+        for (name, radii) in self.radii.iter().filter(|(_, radii)| radii.count() > 2) {
+            let (mean, sd) = (1e3 * radii.mean(), 1e3 * radii.deviation());
+            writeln!(text, "{name}: radius {mean:.1} +- {sd:.1} mm in {} frames", radii.count())?;
         }
         Ok(())
     }
@@ -150,13 +153,6 @@ impl RecordedScore {
             median(&self.axis_errors).to_degrees()
         )
     }
-}
-
-fn mean_and_sd(values: &[f64]) -> (f64, f64) {
-    let count = values.len() as f64;
-    let mean = values.iter().sum::<f64>() / count;
-    let squares = values.iter().map(|value| (value - mean) * (value - mean)).sum::<f64>();
-    (mean, (squares / (count - 1.0)).sqrt())
 }
 
 /// How an answer differs from the truth.
@@ -196,15 +192,22 @@ mod tests {
         Object { kind, center: [x, 0.02, 1.0], axis, radius, length: 0.1, ..Object::default() }
     }
 
-    #[test]
-    fn found_off_and_unlisted_are_told_apart() {
+    fn score() -> RecordedScore {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("truth.json");
         std::fs::write(&path, TRUTH).unwrap();
-        let truth = RecordedTruth::load(&path, &RecordedTolerances::default()).unwrap();
-        let mut score = RecordedScore::new(truth);
-        score.add("a.pcd", &[cylinder(0.001, 0.051), cylinder(0.3, 0.097), cylinder(-0.5, 0.04)]);
-        score.add("b.pcd", &[cylinder(0.0, 0.05)]);
+        RecordedScore::new(RecordedTruth::load(&path, &RecordedTolerances::default()).unwrap())
+    }
+
+    #[test]
+    fn found_off_and_unlisted_are_told_apart() {
+        let mut score = score();
+        let answers = [cylinder(0.001, 0.051), cylinder(0.3, 0.097), cylinder(-0.5, 0.04)];
+        let frame = score.add("a.pcd", &answers).unwrap();
+        let missed: Vec<_> = frame.missed().map(|object| object.name.as_str()).collect();
+        assert_eq!(missed, ["pot"]);
+        assert_eq!(frame.matching.wrong, [(1, Fault::Radius), (2, Fault::NothingThere)]);
+        assert!(score.add("b.pcd", &[cylinder(0.0, 0.05)]).is_none());
         assert_eq!((score.frames, score.unjudged, score.required, score.found), (1, 1, 2, 1));
         assert_eq!((score.off, score.unlisted), (1, 1));
         let report = score.report();
@@ -214,7 +217,11 @@ mod tests {
     }
 
     #[test]
-    fn the_spread_of_a_radius_is_that_of_a_sample() {
-        assert_eq!(mean_and_sd(&[1.0, 2.0, 3.0]), (2.0, 1.0));
+    fn the_radii_of_an_object_are_summed_up_from_three_frames_on() {
+        let mut score = score();
+        for (radius, frames) in [(0.049, 1), (0.050, 2), (0.051, 3)] {
+            score.add("a.pcd", &[cylinder(0.0, radius)]);
+            assert_eq!(score.report().contains("tin: radius 50.0 +- 1.0 mm in 3 frames"), frames == 3);
+        }
     }
 }

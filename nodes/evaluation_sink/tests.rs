@@ -1,7 +1,6 @@
 use super::*;
 use crate::synthetic_source::random_scene::{SceneGroup, random_scene};
 use crate::synthetic_source::truth::truth_at;
-use conicflow_dataflow::pipeline::{Pipeline, SourceText};
 use conicflow_messages::{Camera, Header, ObjectSigma, Text};
 
 const CAMERA: Camera = Camera { width: 320, height: 240, fx: 262.5, fy: 262.5, cx: 159.5, cy: 119.5 };
@@ -82,8 +81,10 @@ fn honest_answers_have_honest_ratios() {
             .collect();
         evaluation.add(&header(&format!("standing/{seed}")), &answers).unwrap();
     }
-    let ratios = evaluation.score().samples.iter().filter_map(|sample| sample.errors?.sigmas.radius);
-    assert!(ratios.map(f64::abs).all(|ratio| (ratio - 1.0).abs() < 1e-6));
+    let samples = &evaluation.score().samples;
+    let ratios: Vec<f64> = samples.iter().filter_map(|sample| sample.errors?.sigmas.radius).collect();
+    assert!(samples.len() > 40 && ratios.len() == samples.len(), "{} of {}", ratios.len(), samples.len());
+    assert!(ratios.iter().all(|ratio| (ratio.abs() - 1.0).abs() < 1e-6));
 }
 
 #[test]
@@ -108,17 +109,9 @@ fn files_that_cannot_be_used_are_told_before_the_start() {
 }
 
 #[test]
-fn the_pipeline_files_of_the_experiments_are_valid() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments");
-    let read = |name: &str, overrides: &[String]| {
-        let source = SourceText { name: name.into(), text: std::fs::read_to_string(folder.join(name)).unwrap() };
-        Pipeline::read(source, &folder, overrides, crate::NODES)
-    };
-    assert!(read("detection.toml", &[]).is_ok());
-    let size = ["source.width=640", "source.height=480", "source.scenes.groups=[\"tabletop\"]"].map(String::from);
-    assert!(read("detection.toml", &size).is_ok());
-    for name in ["noise.toml", "recording.toml", "recorded_tracks.toml"] {
-        assert!(read(name, &["source.path=\".\"".into()]).is_ok(), "{name}");
-        assert!(read(name, &[]).err().unwrap().to_string().contains("is missing"), "{name} has no frames of its own");
-    }
+fn what_has_no_effect_on_the_kind_of_frames_is_idle() {
+    let keys = |config: EvaluationConfig| config.idle().into_iter().map(|fault| fault.key).collect::<Vec<_>>();
+    let recording = EvaluationConfig { truth: Some("truth.json".into()), ..EvaluationConfig::default() };
+    assert_eq!(keys(recording), ["required", "tolerance"]);
+    assert_eq!(keys(EvaluationConfig::default()), ["recorded_tolerance"]);
 }

@@ -95,3 +95,28 @@ fn prepared(base: &Path, path: &Path) -> Result<PathBuf> {
     made.with_context(|| format!("cannot make the folder of `{}`", path.display()))?;
     Ok(path)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use conicflow_dataflow::pipeline::SourceText;
+
+    #[test]
+    fn the_pipeline_files_of_the_experiments_are_valid() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments");
+        let read = |name: &str, overrides: &[String]| {
+            let source = SourceText { name: name.into(), text: std::fs::read_to_string(folder.join(name)).unwrap() };
+            Pipeline::read(source, &folder, overrides, crate::NODES)
+        };
+        assert!(read("detection.toml", &[]).is_ok());
+        let size = ["source.width=640", "source.height=480", "source.scenes.groups=[\"tabletop\"]"].map(String::from);
+        assert!(read("detection.toml", &size).is_ok());
+        for name in ["noise.toml", "recording.toml", "recorded_tracks.toml"] {
+            assert!(read(name, &["source.path=\".\"".into()]).is_ok(), "{name}");
+            assert!(
+                read(name, &[]).err().unwrap().to_string().contains("is missing"),
+                "{name} has no frames of its own"
+            );
+        }
+    }
+}

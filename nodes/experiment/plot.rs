@@ -3,6 +3,7 @@
 use super::axes::Axis;
 use super::prepared;
 use super::spec::{Experiment, Plot};
+use crate::csv;
 use crate::measurement_sink::{Figure, Row};
 use anyhow::{Context as _, Result};
 use std::fmt::{self, Write};
@@ -98,14 +99,14 @@ fn name(plot: &Plot, row: &Row, column: &str) -> String {
     column.into_iter().chain(told).collect::<Vec<_>>().join(", ")
 }
 
-/// A CSV file without quotes, as the sinks write it.
+/// A CSV file, as the sinks write it.
 fn read_csv(path: &Path) -> Result<Vec<Row>> {
     let text = std::fs::read_to_string(path).with_context(|| format!("cannot read `{}`", path.display()))?;
-    let mut lines = text.lines();
-    let titles: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();
-    let row = |line: &str| {
+    let mut records = csv::records(&text).into_iter();
+    let titles = records.next().unwrap_or_default();
+    let row = |record: Vec<String>| {
         let mut row = Row::default();
-        for (title, cell) in titles.iter().zip(line.split(',')).filter(|(_, cell)| !cell.is_empty()) {
+        for (title, cell) in titles.iter().zip(&record).filter(|(_, cell)| !cell.is_empty()) {
             match cell.parse() {
                 Ok(number) => row.number(title, number),
                 Err(_) => row.text(title, cell),
@@ -113,7 +114,7 @@ fn read_csv(path: &Path) -> Result<Vec<Row>> {
         }
         row
     };
-    Ok(lines.map(row).collect())
+    Ok(records.map(row).collect())
 }
 
 fn svg(title: &str, plot: &Plot, lines: &[Line]) -> Result<String, fmt::Error> {

@@ -2,6 +2,7 @@
 
 use super::spec::{Experiment, Exponent};
 use super::{plot, prepared};
+use crate::csv;
 use crate::measurement_sink::{Figure, Row};
 use anyhow::{Context as _, Result};
 use conicflow_dataflow::Table;
@@ -94,7 +95,8 @@ impl<'a> Results<'a> {
                 columns.push(column);
             }
         }
-        let mut text = columns.join(",") + "\n";
+        let titles: Vec<_> = columns.iter().map(|column| csv::cell(column)).collect();
+        let mut text = titles.join(",") + "\n";
         for row in &self.rows {
             let cells: Vec<String> =
                 columns.iter().map(|column| row.get(column).map_or(String::new(), exact)).collect();
@@ -104,10 +106,11 @@ impl<'a> Results<'a> {
     }
 }
 
+/// All digits.
 fn exact(figure: &Figure) -> String {
     match figure {
         Figure::Number(number) => number.to_string(),
-        Figure::Text(text) => text.clone(),
+        Figure::Text(text) => csv::cell(text).into_owned(),
     }
 }
 

@@ -13,7 +13,6 @@ mod recorded;
 mod row;
 mod section_sink;
 mod sighting;
-mod spread;
 mod tally;
 #[cfg(test)]
 mod tests;
@@ -25,6 +24,7 @@ pub use sighting::Sighted;
 
 use crate::evaluation_sink::rendered::{expected, scene_of};
 use crate::evaluation_sink::{Duties, Tolerances, load_scene};
+use crate::faults;
 use crate::json_lines::JsonLines;
 use crate::synthetic_source::scene_values::SceneTemplate;
 use anyhow::Result;
@@ -74,10 +74,8 @@ impl Default for MeasurementConfig {
 
 impl Config for MeasurementConfig {
     fn faults(&self, base: &Path) -> Vec<ConfigFault> {
-        let Some(Err(error)) = self.scene.as_ref().map(|path| load_scene(&base.join(path))) else { return Vec::new() };
-        let text = format!("{error:#}");
-        let (what, hint) = text.split_once("\n  hint: ").unwrap_or((&text, "correct the scene file"));
-        vec![ConfigFault { key: "scene", what: what.into(), hint: hint.into() }]
+        let scene = self.scene.as_ref().and_then(|path| load_scene(&base.join(path)).err());
+        scene.map(|error| faults::of_file("scene", &error)).into_iter().collect()
     }
 }
 
@@ -175,11 +173,7 @@ where
     type Output = Nothing;
 
     fn new(config: MeasurementConfig, context: &Context) -> Result<Self, StageError> {
-        if context.resume_at > 0 {
-            return Err(
-                "what was measured before this stage was started anew is lost\n  hint: run it from the start".into()
-            );
-        }
+        faults::refuse_restart(context, "measured")?;
         let scene = config.scene.as_ref().map(|path| load_scene(&context.resolve(path))).transpose()?;
         let trace = config.trace_path.as_ref().map(|path| Trace::create(&context.resolve(path))).transpose()?;
         let path = config.path.as_ref().map(|path| context.resolve(path));

@@ -3,8 +3,8 @@
 
 use super::row::Row;
 use super::sighting::{Sighted, axis};
-use super::spread::Spread;
 use crate::evaluation_sink::matching::perpendicular;
+use crate::spread::Spread;
 use conicflow_messages::Header;
 use nalgebra::Vector3;
 use std::path::Path;

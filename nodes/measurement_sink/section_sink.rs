@@ -2,8 +2,9 @@
 //! semi-axes. Its rows are those of an `[experiment]`, as the `measurement_sink`'s are.
 
 use super::row::Row;
-use super::spread::Spread;
+use crate::faults;
 use crate::json_lines::JsonLines;
+use crate::spread::Spread;
 use conicflow_dataflow::{Config, Context, Output, Sides, Stage, StageError};
 use conicflow_messages::{Ellipse, Message, Nothing};
 use schemars::JsonSchema;
@@ -91,11 +92,7 @@ impl Stage for SectionSink {
     type Output = Nothing;
 
     fn new(config: SectionConfig, context: &Context) -> Result<Self, StageError> {
-        if context.resume_at > 0 {
-            return Err(
-                "what was measured before this stage was started anew is lost\n  hint: run it from the start".into()
-            );
-        }
+        faults::refuse_restart(context, "measured")?;
         let path = config.path.as_ref().map(|path| context.resolve(path));
         Ok(Self { config, path, sections: Sections::default() })
     }

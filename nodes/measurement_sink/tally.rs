@@ -2,8 +2,8 @@
 
 use super::row::Row;
 use super::sighting::{Seen, Sighting};
-use super::spread::Spread;
 use crate::evaluation_sink::matching::perpendicular;
+use crate::spread::Spread;
 use nalgebra::Vector3;
 use std::collections::BTreeSet;
 

@@ -1,6 +1,7 @@
 //! Each frame's sights as CSV: where each object was and where it was seen, in the world frame.
 
 use super::sighting::Sighting;
+use crate::csv;
 use anyhow::{Result, anyhow};
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -34,7 +35,7 @@ impl Trace {
     pub fn write(&mut self, sightings: &[Sighting]) -> std::io::Result<()> {
         for Sighting { time_s, camera, name, truth, seen } in sightings {
             let place = truth.position;
-            write!(self.0, "{time_s:.6},{name},{:.6},{:.6},{:.6},", camera.x, camera.y, camera.z)?;
+            write!(self.0, "{time_s:.6},{},{:.6},{:.6},{:.6},", csv::cell(name), camera.x, camera.y, camera.z)?;
             write!(self.0, "{:.6},{:.6},{:.6},", place.x, place.y, place.z)?;
             let Some(seen) = seen else {
                 writeln!(self.0, ",,,,")?;
@@ -50,5 +51,26 @@ impl Trace {
     /// Hands the last lines to the system.
     pub fn flush(&mut self) -> std::io::Result<()> {
         self.0.flush()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::sighting::State;
+    use super::*;
+    use nalgebra::Vector3;
+
+    #[test]
+    fn a_name_with_a_comma_is_one_cell() {
+        let zero = Vector3::zeros();
+        let truth = State { position: zero, distance_m: 1.0, radius_m: 0.1, half_angle: 0.0, axis: zero };
+        let sighting = Sighting { time_s: 0.5, camera: zero, name: "ball, \"red\"".into(), truth, seen: None };
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("trace.csv");
+        let mut trace = Trace::create(&path).unwrap();
+        trace.write(&[sighting]).unwrap();
+        trace.flush().unwrap();
+        let records = csv::records(&std::fs::read_to_string(&path).unwrap());
+        assert_eq!((records[1].len(), records[1][1].as_str()), (records[0].len(), "ball, \"red\""));
     }
 }

@@ -4,6 +4,7 @@
 //! standard deviation is linear in floor and growth for each knee; the knee is searched on a grid. Errors count relative
 //! to the deviation, and no coefficient is negative.
 
+use crate::random::Dice;
 use anyhow::{Result, bail};
 use conicflow_messages::NoiseModel;
 use std::fmt;
@@ -14,6 +15,8 @@ const NEAREST_M: f64 = 0.05;
 const BINS: usize = 120; // up to 17 m
 /// Fewest variances of a bin.
 const FEWEST: usize = 20;
+/// Most that it keeps, far more than it takes for its full weight.
+const MOST: usize = 1 << 14;
 /// Variances above so many medians are edges, not noise.
 const OUTLIER: f64 = 9.0;
 /// Least ratio of the farthest to the nearest depth from which a growth can be told.
@@ -23,22 +26,47 @@ const KNEE_STEP_M: f64 = 0.02;
 /// Variances, by the depth at which they were seen.
 #[derive(Clone, Debug, Default)]
 pub struct Spreads {
-    /// Depth and variance, bin by bin.
-    bins: Vec<Vec<(f64, f64)>>,
+    bins: Vec<Bin>,
+}
+
+/// A fair sample of the variances at about one depth, the same in each run: any that was added is kept with the same
+/// probability, however long the recording is (algorithm R in J. S. Vitter, "Random sampling with a reservoir", ACM
+/// Transactions on Mathematical Software 11, 1985).
+#[derive(Clone, Debug, Default)]
+struct Bin {
+    /// How many were added.
+    added: u64,
+    /// Depth and variance.
+    kept: Vec<(f64, f64)>,
+}
+
+impl Bin {
+    fn add(&mut self, sample: (f64, f64)) {
+        self.added += 1;
+        if self.kept.len() < MOST {
+            self.kept.push(sample);
+            return;
+        }
+        let place = Dice::new(0, 0).uniform(self.added) * self.added as f64;
+        if let Some(kept) = self.kept.get_mut(place as usize) {
+            *kept = sample;
+        }
+    }
 }
 
 impl Spreads {
     /// Adds a variance (square metres) that was seen at a depth (metres).
     pub fn add(&mut self, depth: f64, variance: f64) {
-        self.bins.resize(BINS, Vec::new());
+        self.bins.resize(BINS, Bin::default());
         let number = (depth / NEAREST_M).ln() / BIN_RATIO.ln();
         if let Some(bin) = (number >= 0.0).then(|| self.bins.get_mut(number as usize)).flatten() {
-            bin.push((depth, variance));
+            bin.add((depth, variance));
         }
     }
 
     fn summary(&self) -> Vec<Spread> {
-        self.bins.iter().filter(|bin| bin.len() >= FEWEST).filter_map(|bin| Spread::of(bin)).collect()
+        let samples = self.bins.iter().map(|bin| bin.kept.as_slice());
+        samples.filter(|samples| samples.len() >= FEWEST).filter_map(Spread::of).collect()
     }
 }
 
@@ -49,7 +77,7 @@ pub struct Spread {
     pub depth: f64,
     /// Mean variance, in square metres.
     pub variance: f64,
-    /// Number of variances.
+    /// Number of variances that tell it.
     pub count: usize,
 }
 
@@ -151,5 +179,24 @@ impl fmt::Display for NoiseEstimate {
             "noise = {{ floor_m = {floor_m:.6}, growth_per_m = {growth_per_m:.6}, knee_m = {knee_m:.2}, step_per_m = \
              {step_per_m:.6} }}"
         )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Noise that grows throughout a long recording: a sample of its beginning or its end alone would tell another mean.
+    #[test]
+    fn a_long_recording_takes_no_more_room_and_is_sampled_fairly() {
+        let long = || {
+            let mut spreads = Spreads::default();
+            (0..20 * MOST).for_each(|number| spreads.add(2.0, 1e-6 * (1.0 + number as f64 / (20 * MOST) as f64)));
+            spreads
+        };
+        let [first, again] = [long(), long()].map(|spreads| spreads.summary());
+        assert_eq!((first.len(), first[0].count), (1, MOST));
+        assert!((first[0].variance / 1.5e-6 - 1.0).abs() < 0.01, "{:.3e}", first[0].variance);
+        assert_eq!(first, again);
     }
 }

@@ -10,10 +10,19 @@ const WIDEST: f64 = 4.5;
 /// Mean distance of gaps from whole steps, in steps, up to which they count as steps; chance would give 0.25.
 const LARGEST_FRACTION: f64 = 0.12;
 
-/// How often each depth occurred.
+/// Which depths occurred.
 #[derive(Clone, Debug, Default)]
 pub struct Levels {
-    counts: Vec<u32>,
+    /// One for each scale of the images: rounded to other units, a level has other neighbours.
+    scales: Vec<Scale>,
+}
+
+#[derive(Clone, Debug)]
+struct Scale {
+    /// Metres per unit.
+    depth_scale: f64,
+    /// For each number of units, whether it occurred.
+    occurred: Vec<bool>,
 }
 
 /// The gap between two depths that occur.
@@ -26,15 +35,20 @@ struct Gap {
 }
 
 impl Levels {
-    /// Counts the depths of an image.
-    pub fn add(&mut self, pixels: &[u16]) {
-        self.counts.resize(1 << 16, 0);
-        pixels.iter().filter(|pixel| is_measured(**pixel)).for_each(|&pixel| self.counts[usize::from(pixel)] += 1);
+    /// Notes the depths of an image of `depth_scale` metres per unit.
+    pub fn add(&mut self, pixels: &[u16], depth_scale: f64) {
+        let known = self.scales.iter().position(|scale| scale.depth_scale == depth_scale);
+        let index = known.unwrap_or_else(|| {
+            self.scales.push(Scale { depth_scale, occurred: vec![false; 1 << 16] });
+            self.scales.len() - 1
+        });
+        let occurred = &mut self.scales[index].occurred;
+        pixels.iter().filter(|pixel| is_measured(**pixel)).for_each(|&pixel| occurred[usize::from(pixel)] = true);
     }
 
     /// Depth between two neighbouring levels, divided by the squared depth, in 1/metre; 0: no steps can be told.
-    pub fn step_per_m(&self, depth_scale: f64) -> f64 {
-        let gaps = self.gaps(depth_scale);
+    pub fn step_per_m(&self) -> f64 {
+        let gaps: Vec<(usize, Gap)> = self.scales.iter().flat_map(Scale::gaps).collect();
         let mut wide: Vec<f64> = gaps.iter().filter(|(units, _)| *units >= 3).map(|(_, gap)| gap.inverse).collect();
         if wide.len() < FEWEST {
             return 0.0;
@@ -44,13 +58,15 @@ impl Levels {
         let gaps: Vec<Gap> = gaps.into_iter().map(|(_, gap)| gap).collect();
         refined(&gaps, refined(&gaps, first_guess).unwrap_or(first_guess)).unwrap_or(0.0)
     }
+}
 
+impl Scale {
     /// Gaps between depths that occur, with their widths in units.
-    fn gaps(&self, depth_scale: f64) -> Vec<(usize, Gap)> {
-        let occurring: Vec<usize> = (1..self.counts.len()).filter(|&depth| self.counts[depth] > 0).collect();
+    fn gaps(&self) -> Vec<(usize, Gap)> {
+        let occurring: Vec<usize> = (1..self.occurred.len()).filter(|&depth| self.occurred[depth]).collect();
         let gap = |pair: &[usize]| {
-            let [near, far] = [pair[0], pair[1]].map(|units| units as f64 * depth_scale);
-            let gap = Gap { inverse: 1.0 / near - 1.0 / far, units_per_step: near * far / depth_scale };
+            let [near, far] = [pair[0], pair[1]].map(|units| units as f64 * self.depth_scale);
+            let gap = Gap { inverse: 1.0 / near - 1.0 / far, units_per_step: near * far / self.depth_scale };
             (pair[1] - pair[0], gap)
         };
         occurring.windows(2).map(gap).collect()
@@ -86,8 +102,8 @@ mod tests {
     fn the_step_is_found_in_millimetres_and_in_tenths() {
         for (scale, from, to) in [(0.001, 0.8, 4.0), (0.001, 1.8, 2.2), (0.0001, 0.8, 1.2)] {
             let mut levels = Levels::default();
-            levels.add(&stepped(0.002874, scale, from, to));
-            let step = levels.step_per_m(scale);
+            levels.add(&stepped(0.002874, scale, from, to), scale);
+            let step = levels.step_per_m();
             assert!((step / 0.002874 - 1.0).abs() < 0.01, "{from} to {to} m: {step}");
         }
     }
@@ -98,18 +114,28 @@ mod tests {
         let all = stepped(0.002874, 0.001, 1.0, 3.0);
         let some: Vec<u16> =
             all.iter().enumerate().filter(|(index, _)| index % 5 != 0).map(|(_, &depth)| depth).collect();
-        levels.add(&some);
-        assert!((levels.step_per_m(0.001) / 0.002874 - 1.0).abs() < 0.02);
+        levels.add(&some, 0.001);
+        assert!((levels.step_per_m() / 0.002874 - 1.0).abs() < 0.02);
+    }
+
+    #[test]
+    fn scales_may_differ_from_image_to_image() {
+        let mut levels = Levels::default();
+        for scale in [0.0001, 0.00025, 0.0001] {
+            levels.add(&stepped(0.002874, scale, 0.8, 4.0), scale);
+        }
+        assert_eq!(levels.scales.len(), 2);
+        assert!((levels.step_per_m() / 0.002874 - 1.0).abs() < 0.01, "{}", levels.step_per_m());
     }
 
     #[test]
     fn a_sensor_without_steps_has_none() {
         let mut levels = Levels::default();
-        assert_eq!(levels.step_per_m(0.001), 0.0);
-        levels.add(&(800..4000).collect::<Vec<u16>>());
-        assert_eq!(levels.step_per_m(0.001), 0.0);
+        assert_eq!(levels.step_per_m(), 0.0);
+        levels.add(&(800..4000).collect::<Vec<u16>>(), 0.001);
+        assert_eq!(levels.step_per_m(), 0.0);
         let mut sparse = Levels::default();
-        sparse.add(&(0..60_u16).map(|i| 1000 + 7 * i + (i * i * 13) % 23).collect::<Vec<u16>>());
-        assert_eq!(sparse.step_per_m(0.001), 0.0, "gaps by chance are no steps");
+        sparse.add(&(0..60_u16).map(|i| 1000 + 7 * i + (i * i * 13) % 23).collect::<Vec<u16>>(), 0.001);
+        assert_eq!(sparse.step_per_m(), 0.0, "gaps by chance are no steps");
     }
 }

@@ -13,6 +13,7 @@ mod wall;
 
 pub use fit::{NoiseEstimate, Spread};
 
+use crate::faults;
 use anyhow::bail;
 use conicflow_dataflow::{Config, Context, Output, Sides, Stage, StageError};
 use conicflow_messages::{Header, Message, Nothing};
@@ -59,8 +60,8 @@ impl Config for NoiseEstimatorConfig {}
 /// Gathers the noise of depth images.
 pub struct NoiseEstimator {
     config: NoiseEstimatorConfig,
-    /// Of the first frame.
-    header: Option<Header>,
+    /// Width and height of the first frame.
+    size: Option<(u32, u32)>,
     levels: Levels,
     temporal: Temporal,
     spreads: Spreads,
@@ -70,27 +71,27 @@ impl NoiseEstimator {
     /// An estimator that has seen nothing.
     pub fn with(config: NoiseEstimatorConfig) -> Self {
         let (levels, temporal, spreads) = (Levels::default(), Temporal::default(), Spreads::default());
-        Self { config, header: None, levels, temporal, spreads }
+        Self { config, size: None, levels, temporal, spreads }
     }
 
-    /// Adds a depth image.
+    /// Adds a depth image. Its scale may be another than before: that of a recorded point cloud depends on its largest
+    /// depth.
     ///
     /// # Errors
-    /// It is of another size or scale than those before.
+    /// It is of another size than those before.
     pub fn add(&mut self, header: &Header, pixels: &[u16]) -> anyhow::Result<()> {
-        let first = self.header.get_or_insert(*header);
-        let measures = |header: &Header| (header.camera.width, header.camera.height, header.depth_scale);
-        if measures(first) != measures(header) {
+        let size = (header.camera.width, header.camera.height);
+        if *self.size.get_or_insert(size) != size {
             let name = header.source.as_str().unwrap_or_default().escape_debug();
             bail!(
-                "frame {} of `{name}` has another size or scale than the first one\n  hint: estimate the noise of one \
-                 sensor at a time",
+                "frame {} of `{name}` has another size than the first one\n  hint: estimate the noise of one sensor at a \
+                 time",
                 header.sequence
             );
         }
-        self.levels.add(pixels);
+        self.levels.add(pixels, header.depth_scale);
         match self.config.recorded {
-            Recorded::StaticScene => self.temporal.add(pixels),
+            Recorded::StaticScene => self.temporal.add(pixels, header.depth_scale),
             Recorded::FlatWall => wall::add(header, pixels, self.config.block_px, &mut self.spreads),
         }
         Ok(())
@@ -101,13 +102,12 @@ impl NoiseEstimator {
     /// # Errors
     /// Too little was seen.
     pub fn estimate(&self) -> anyhow::Result<NoiseEstimate> {
-        let Some(header) = &self.header else {
+        if self.size.is_none() {
             bail!("no frame was seen, so the noise cannot be estimated\n  hint: give a recording");
-        };
-        let step_per_m = self.levels.step_per_m(header.depth_scale);
-        let temporal = (self.config.recorded == Recorded::StaticScene)
-            .then(|| self.temporal.spreads(header.depth_scale, self.config.min_frames));
-        fit::fit(temporal.as_ref().unwrap_or(&self.spreads), step_per_m)
+        }
+        let is_static = self.config.recorded == Recorded::StaticScene;
+        let temporal = is_static.then(|| self.temporal.spreads(self.config.min_frames));
+        fit::fit(temporal.as_ref().unwrap_or(&self.spreads), self.levels.step_per_m())
     }
 }
 
@@ -119,11 +119,7 @@ impl Stage for NoiseEstimator {
     type Output = Nothing;
 
     fn new(config: Self::Config, context: &Context) -> Result<Self, StageError> {
-        if context.resume_at > 0 {
-            return Err(
-                "what was seen before this stage was started anew is lost\n  hint: run it from the start".into()
-            );
-        }
+        faults::refuse_restart(context, "seen")?;
         Ok(Self::with(config))
     }
 

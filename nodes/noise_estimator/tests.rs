@@ -34,12 +34,25 @@ normal = [0.1, -1, 0.1]
 ";
 
 fn estimate(scene: &str, sensor: SensorConfig, depth_scale: f64, frames: u64, recorded: Recorded) -> NoiseEstimate {
+    estimate_scaled(scene, sensor, &[depth_scale], frames, recorded)
+}
+
+/// Of frames that have these scales in turn.
+fn estimate_scaled(
+    scene: &str,
+    sensor: SensorConfig,
+    scales: &[f64],
+    frames: u64,
+    recorded: Recorded,
+) -> NoiseEstimate {
     let config = SyntheticSourceConfig { width: 160, height: 120, ..SyntheticSourceConfig::default() };
     let scene = Scene::parse(scene, "test").unwrap();
-    let mut camera = SyntheticCamera::new(scene, config.camera(), sensor, depth_scale, 30.0, 5);
+    let camera = |scale: &f64| SyntheticCamera::new(scene.clone(), config.camera(), sensor, *scale, 30.0, 5);
+    let mut cameras: Vec<_> = scales.iter().map(camera).collect();
     let mut estimator = NoiseEstimator::with(NoiseEstimatorConfig { recorded, ..NoiseEstimatorConfig::default() });
     let (mut header, mut pixels) = (Header::default(), vec![0; 160 * 120]);
     for number in 0..frames {
+        let camera = &mut cameras[number as usize % scales.len()];
         camera.shoot(number, &mut pixels);
         camera.describe(&mut header);
         estimator.add(&header, &pixels).unwrap();
@@ -61,6 +74,17 @@ fn a_static_scene_tells_the_noise_of_a_kinect() {
     assert!(estimate.grows && estimate.seen.last().unwrap().depth > 3.0, "{estimate}");
     assert!((estimate.model.step_per_m / truth.step_per_m - 1.0).abs() < 0.01, "{estimate}");
     assert!(worst(&estimate, &truth) < 0.06, "{:.3}\n{estimate}", worst(&estimate, &truth));
+}
+
+/// As frames of recorded point clouds have, one of which looks beyond 6.55 m.
+#[test]
+fn frames_of_several_scales_tell_it_as_well() {
+    for (recorded, frames, limit) in [(Recorded::StaticScene, 40, 0.06), (Recorded::FlatWall, 6, 0.1)] {
+        let estimate = estimate_scaled(FLOOR, SensorConfig::default(), &[0.0001, 0.00025], frames, recorded);
+        let truth = NoiseModel::KINECT_V1;
+        assert!((estimate.model.step_per_m / truth.step_per_m - 1.0).abs() < 0.01, "{estimate}");
+        assert!(worst(&estimate, &truth) < limit, "{estimate}");
+    }
 }
 
 #[test]
@@ -115,6 +139,6 @@ fn too_little_is_told() {
     let header = Header { camera, depth_scale: 0.001, ..Header::default() };
     estimator.add(&header, &[1000; 12]).unwrap();
     assert!(estimator.estimate().unwrap_err().to_string().contains("hint:"));
-    let other = Header { depth_scale: 0.0002, ..header };
-    assert!(estimator.add(&other, &[1000; 12]).unwrap_err().to_string().contains("another size or scale"));
+    let other = Header { camera: conicflow_messages::Camera { width: 3, height: 4, ..camera }, ..header };
+    assert!(estimator.add(&other, &[1000; 12]).unwrap_err().to_string().contains("another size"));
 }

@@ -39,10 +39,11 @@ impl Canvas {
     /// Paints a pixel; one outside of the image is not there.
     pub(super) fn dot(&mut self, x: i64, y: i64, colour: Colour) {
         let inside = (0..i64::from(self.width)).contains(&x) && (0..i64::from(self.height)).contains(&y);
-        let index = 3 * (y * i64::from(self.width) + x);
-        if inside && let Some(pixel) = self.bytes.get_mut(index as usize..index as usize + 3) {
-            pixel.copy_from_slice(&colour);
+        if !inside {
+            return;
         }
+        let index = 3 * (y * i64::from(self.width) + x) as usize;
+        self.bytes[index..index + 3].copy_from_slice(&colour);
     }
 
     /// Paints a square of `side` pixels around a point.
@@ -167,6 +168,8 @@ mod tests {
         picture.line([-1e300, -1e299], [1e300, 3e299], 1, WHITE);
         picture.begin(8, 8);
         picture.square([1e300, -1e300], 3, WHITE);
+        picture.dot(i64::MAX, i64::MAX, WHITE);
+        picture.dot(3, i64::MIN, WHITE);
         picture.text(1e300, f64::NAN, "12: cyl 98", WHITE);
         let painted = painted(&picture);
         assert!(!painted.is_empty() && painted.iter().all(|(_, y)| *y < 7), "only the text, moved inside");

@@ -93,6 +93,13 @@ fn ellipses_can_be_the_driving_input() {
 }
 
 #[test]
+fn an_ellipse_that_is_nowhere_near_has_its_arc_and_no_centre() {
+    let far = Ellipse { line: 20, first: 30, last: 50, center: [0.0, 1e15, 1.0], ..Ellipse::default() };
+    let picture = picture(&[far], Config::default(), &Sides::default());
+    assert!(picture.contains(&[240, 215, 90]) && !picture.contains(&[235, 90, 200]));
+}
+
+#[test]
 fn depth_of_another_size_is_left_out() {
     let other = Header { camera: Camera { width: 2, height: 2, ..CAMERA }, ..header(0, "") };
     let sides = Sides(vec![("depth", AnyMessage::Depth(Message { header: &other, items: &[1000; 4] }))]);

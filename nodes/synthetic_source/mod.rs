@@ -19,6 +19,7 @@ mod shadow;
 pub mod shapes;
 pub mod truth;
 
+use crate::faults;
 use crate::json_lines::JsonLines;
 use crate::noise_config::NoiseConfig;
 use crate::random::Dice;
@@ -219,12 +220,8 @@ impl SyntheticSourceConfig {
 
 impl Config for SyntheticSourceConfig {
     fn faults(&self, base: &Path) -> Vec<ConfigFault> {
-        let mut faults = Vec::new();
-        if let Err(error) = self.load_scene(base) {
-            let text = format!("{error:#}");
-            let (what, hint) = text.split_once("\n  hint: ").unwrap_or((&text, "correct the scene file"));
-            faults.push(ConfigFault { key: "scene", what: what.into(), hint: hint.into() });
-        }
+        let scene = self.load_scene(base).err();
+        let mut faults: Vec<_> = scene.map(|error| faults::of_file("scene", &error)).into_iter().collect();
         faults.extend(self.scenes.as_ref().and_then(RandomScenes::fault));
         if self.scene.is_some() && self.scenes.is_some() {
             let what = "cannot be shown together with `scene`".into();

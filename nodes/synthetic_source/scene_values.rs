@@ -2,7 +2,8 @@
 //! file or a sweep sets another. The frames' source carries what was set, so that whoever knows the file knows the truth.
 
 use super::scene::Scene;
-use anyhow::{Result, anyhow};
+use anyhow::{Result, anyhow, ensure};
+use conicflow_messages::MAX_SOURCE_BYTES;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -44,7 +45,8 @@ impl SceneTemplate {
     /// The scene with these values, and those of the file for the others.
     ///
     /// # Errors
-    /// A value that the file does not have, or what is wrong with the scene.
+    /// A value that the file does not have, a name that does not fit into a frame with its values, or what is wrong with
+    /// the scene.
     pub fn scene(&self, set: &Values) -> Result<Scene> {
         if let Some(unknown) = set.keys().find(|name| !self.defaults.contains_key(*name)) {
             let names: Vec<_> = self.defaults.keys().map(String::as_str).collect();
@@ -61,6 +63,15 @@ impl SceneTemplate {
         });
         let mut scene = Scene::parse(&text, &self.origin)?;
         values.iter().for_each(|(name, value)| scene.name += &format!(" {name}={value:?}"));
+        // Cut off, it would tell of another scene: a value of 12 in place of 12.5.
+        ensure!(
+            scene.name.len() <= MAX_SOURCE_BYTES,
+            "{}: the scene's name and values take {} bytes, expected {MAX_SOURCE_BYTES} or less: `{}`\n  hint: frames carry \
+             them as the name of their source; shorten `name` and the names under `[values]`, or have fewer values",
+            self.origin,
+            scene.name.len(),
+            scene.name
+        );
         Ok(scene)
     }
 
@@ -117,6 +128,22 @@ mod tests {
         assert_eq!((scene.name.as_str(), ball(&scene)), ("ball distance=0.4 size=0.1", (0.4, 0.1)));
         assert_eq!(ball(&template.of_source(&scene.name).unwrap().unwrap()), (0.4, 0.1));
         assert!(template.of_source("another scene").is_none());
+    }
+
+    #[test]
+    fn a_name_that_no_frame_can_carry_is_refused() {
+        let named = |length: usize| {
+            let name = format!("name = \"{}\"", "b".repeat(length));
+            SceneTemplate::new(TEXT.replacen("name = \"ball\"", &name, 1), "test".into()).scene(&Values::new())
+        };
+        let values = " distance=1.5 size=0.1".len();
+        assert_eq!(named(MAX_SOURCE_BYTES - values).unwrap().name.len(), MAX_SOURCE_BYTES);
+        let told = named(MAX_SOURCE_BYTES - values + 1).unwrap_err().to_string();
+        assert!(
+            told.starts_with("test: the scene's name and values take 257 bytes, expected 256 or less: `bbb"),
+            "{told}"
+        );
+        assert!(told.contains("\n  hint: "), "{told}");
     }
 
     #[test]

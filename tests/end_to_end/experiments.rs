@@ -313,6 +313,27 @@ fn an_experiment_takes_recorded_frames() {
     );
 }
 
+/// Of recorded frames, too, the summary counts what was missed and what was wrong, and the details tell it.
+#[test]
+fn what_is_wrong_about_recorded_frames_is_counted_and_told() {
+    let playground = playground("recording", &[]);
+    record(&playground, "scenes/basic.toml", 2);
+    let balloon = r#"{"type": "sphere", "what": "balloon", "radius_m": 0.1, "centre_m": [0, -0.5, 1]}"#;
+    playground.write("truth.json", &format!(r#"{{"units": "m", "scenes": {{"1.png": [{balloon}]}}}}"#));
+    let set = ["source.path=frames", "evaluation.truth=truth.json", "evaluation.details_path=details.jsonl"];
+    let sets = set.iter().flat_map(|set| ["--set", set]);
+    let arguments: Vec<&str> = ["run", "recording.toml"].into_iter().chain(sets).collect();
+    let ended = playground.conicflow(&arguments).expect_code(0);
+    for counted in ["evaluation: missed: 1\n", "evaluation: wrong: 3\n"] {
+        assert!(ended.stderr.contains(counted), "no `{counted}` in {}", ended.stderr);
+    }
+    let details = playground.json_lines("details.jsonl");
+    assert_eq!((details.len(), &details[0]["scene"]), (1, &"1.png".into()), "the other frame is not judged");
+    assert_eq!(details[0]["missed"][0]["name"], "balloon");
+    let wrong = details[0]["wrong"].as_array().unwrap();
+    assert_eq!((wrong.len(), &wrong[0]["why"]), (3, &"nothing there".into()));
+}
+
 /// A ball on a stick that someone carries about: one identity, seen in each of the frames.
 #[test]
 fn the_recorded_ball_has_one_identity_from_first_to_last_sight() {

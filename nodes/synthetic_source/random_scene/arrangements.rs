@@ -65,8 +65,8 @@ pub fn occluded(set: &mut Set) {
     set.look_at_things(0.3);
 }
 
-/// Hides 10 to 70 % of a thing: from the left or right by a box or a board, from below by a box, or along its middle by a
-/// post.
+/// Hides 10 to 70 % of a thing: from the left or right by a box or a board, from below by a box; or up to 40 % of it along
+/// its middle by a post.
 fn hide(set: &mut Set, thing: Thing, foot: Vector3<f64>) {
     let share = set.draws.within(0.1..=0.7);
     let nearness = set.draws.within(0.55..=0.85); // of the way from the camera to the thing
@@ -152,7 +152,7 @@ fn lying_thing(set: &mut Set) -> Thing {
 fn lay(set: &mut Set, thing: Thing, middle: Vector3<f64>) {
     let heading = set.draws.heading();
     let Thing::Round { base_radius, top_radius, length, .. } = thing else { return };
-    let droop = ((base_radius - top_radius) / length).atan();
+    let droop = libm::atan((base_radius - top_radius) / length);
     let axis = heading * libm::cos(droop) - Vector3::z() * libm::sin(droop);
     let base = middle - heading * (0.5 * length) + Vector3::z() * (base_radius * libm::cos(droop));
     set.put_along(thing, base, axis);
@@ -200,7 +200,7 @@ fn crate_under(set: &mut Set, foot: Vector3<f64>) -> f64 {
     size.z
 }
 
-/// What stands on something of a radius: a ball, a cone, a narrower can or a bucket.
+/// What stands on something of a radius: a ball, a cone or a narrower can.
 fn upper_thing(set: &mut Set, reach: f64) -> Thing {
     let radius = reach * set.draws.within(0.5..=1.0);
     match set.draws.count(0..=3) {

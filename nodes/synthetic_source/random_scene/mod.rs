@@ -21,23 +21,23 @@ use std::ops::RangeInclusive;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SceneGroup {
-    /// Trash cans, parking cones and balls on a floor before a wall, at 1 to 3 m.
+    /// Trash cans, parking cones, balls and buckets on a floor before a wall, 1 to 3 m ahead, now and then one on a plinth.
     Standing,
     /// Cylinders and cones that lean by 10 to 60 degrees to any side, also towards the camera and away from it.
     Tilted,
-    /// A standing object behind a box, a board or a post that hides 10 to 70 % of it.
+    /// One or two standing objects, each behind a box, a board or a post that hides 10 to 70 % of it.
     Occluded,
-    /// Mugs, cups with a taper of 3 to 8 degrees, cans and balls on a table, at 0.8 to 1.3 m.
+    /// Mugs, cups with a taper of 3 to 8 degrees, tins and balls on a table, 0.65 to 1.15 m ahead, often beside a box.
     Tabletop,
-    /// Pipes, rolls and cones that lie on the floor or on a table.
+    /// Pipes, cans and cones that lie on the floor, or tins that lie on a table.
     Lying,
-    /// A ball or a cup on a cylinder, a box or another cup.
+    /// A ball, a cone or a narrower can on a can, a bucket or a crate.
     Composed,
-    /// Boxes, steps and boards, and a few objects among them.
+    /// Boxes, steps and boards, and at most two objects among them.
     Clutter,
-    /// Bowls on a table, upright and upturned, and a mug or a ball beside them.
+    /// Bowls on a table, upright and upturned, and often a mug, a cup, a tin or a ball beside them.
     Bowls,
-    /// Walls, floors, boxes and steps: nothing to be found.
+    /// Walls, floors, boxes, boards, steps and tables: nothing to be found.
     Empty,
 }
 
@@ -147,7 +147,7 @@ impl Set {
     }
 
     fn scene(self, name: String) -> Scene {
-        let camera_up = Vector3::new(self.roll_deg.to_radians().tan(), 0.0, 1.0);
+        let camera_up = Vector3::new(libm::tan(self.roll_deg.to_radians()), 0.0, 1.0);
         Scene::still(name, self.bodies, self.camera, self.look_at, camera_up)
     }
 }

@@ -1,4 +1,4 @@
-//! What is to be found: cans, cones, balls, mugs and cups, of random sizes.
+//! What is to be found: cans, cones, buckets, balls, mugs, cups and tins of random sizes; and bowls, which are no objects.
 
 use super::super::shapes::{Bowl, Frustum, Shape, Sphere};
 use super::Set;
@@ -65,10 +65,10 @@ impl Set {
         Thing::Round { name: "can", base_radius: radius, top_radius: radius, length, open: self.draws.chance(0.3) }
     }
 
-    /// A parking cone, whose half-angle is 10 to 25 degrees.
+    /// A parking cone, whose half-angle is 10 to 22 degrees.
     pub fn cone(&mut self) -> Thing {
         let (top_radius, length) = (self.draws.within(0.0..=0.04), self.draws.within(0.3..=0.7));
-        let slope = self.draws.within(10.0..=22.0_f64).to_radians().tan();
+        let slope = libm::tan(self.draws.within(10.0..=22.0_f64).to_radians());
         let base_radius = top_radius + slope * length;
         Thing::Round { name: "cone", base_radius, top_radius, length, open: false }
     }
@@ -76,7 +76,7 @@ impl Set {
     /// A bucket: a cone with its wide end up, open or with a lid.
     pub fn bucket(&mut self) -> Thing {
         let (base_radius, length) = (self.draws.within(0.08..=0.16), self.draws.within(0.25..=0.4));
-        let slope = self.draws.within(6.0..=12.0_f64).to_radians().tan();
+        let slope = libm::tan(self.draws.within(6.0..=12.0_f64).to_radians());
         let top_radius = base_radius + slope * length;
         Thing::Round { name: "bucket", base_radius, top_radius, length, open: self.draws.chance(0.5) }
     }
@@ -105,7 +105,7 @@ impl Set {
     /// A cup with a taper of 3 to 8 degrees, its wide end up.
     pub fn cup(&mut self) -> Thing {
         let (base_radius, length) = (self.draws.within(0.026..=0.036), self.draws.within(0.08..=0.13));
-        let slope = self.draws.within(3.0..=8.0_f64).to_radians().tan();
+        let slope = libm::tan(self.draws.within(3.0..=8.0_f64).to_radians());
         let top_radius = base_radius + slope * length;
         Thing::Round { name: "cup", base_radius, top_radius, length, open: true }
     }

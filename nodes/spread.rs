@@ -1,4 +1,6 @@
-//! Mean and standard deviation of numbers that come one by one (Welford 1962).
+//! Mean and standard deviation of numbers that come one by one.
+//!
+//! B. P. Welford, "Note on a method for calculating corrected sums of squares and products", Technometrics 4, 1962.
 
 /// Running sums.
 #[derive(Clone, Copy, Debug, Default)]
@@ -27,9 +29,14 @@ impl Spread {
         if self.count == 0 { f64::NAN } else { self.mean }
     }
 
-    /// Their standard deviation, with n - 1; not a number below two.
+    /// Their variance, with n - 1; not a number below two.
+    pub fn variance(&self) -> f64 {
+        if self.count < 2 { f64::NAN } else { self.squares / (self.count - 1) as f64 }
+    }
+
+    /// Their standard deviation, the root of that.
     pub fn deviation(&self) -> f64 {
-        if self.count < 2 { f64::NAN } else { (self.squares / (self.count - 1) as f64).sqrt() }
+        self.variance().sqrt()
     }
 }
 
