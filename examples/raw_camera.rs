@@ -35,7 +35,7 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 /// Parameters of `raw_camera`.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct RawCameraConfig {
     /// The pipe or file that the frames come from.

@@ -9,8 +9,8 @@ use conicflow_geometry::{PlaneMoments, bulge};
 use conicflow_messages::Ellipse;
 use std::ops::Range;
 
-/// Bulge of a curved arc: noise gives as much to one straight arc in six.
-const CURVED: f64 = 1.0;
+/// Bulge of a curved arc: noise gives as much to one straight arc in 24.
+const CURVED: f64 = 3.0;
 /// Pixels beyond both ends of an arc that are looked at in the lines beside it ...
 const MARGIN_PX: u32 = 16;
 /// ... and the part of the arc's length on top of them.
