@@ -7,6 +7,15 @@ use conicflow_geometry::{
 use conicflow_messages::{Ellipse, Header};
 use std::ops::Range;
 
+/// Least variance of an arc, in square metres: surfaces are no better than a tenth of a millimetre.
+const LEAST_VARIANCE: f64 = 1e-8;
+/// Slope (depth per distance across the view) from line to line of one surface,
+const SLOPE: f64 = 5.0;
+/// how many standard deviations of their means two arcs may be apart on top of it,
+const APART: f64 = 4.0;
+/// and how much the depth of the mean may change with each pixel that one of them is longer, in pixels.
+const LONGER: f64 = 0.5;
+
 /// An arc with what the assembler needs of it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Arc {
@@ -66,7 +75,7 @@ impl Arc {
             0 => header.noise.variance(mean.z),
             _ => ellipse.sigma * ellipse.sigma,
         } * plane.stretch().powi(2);
-        let variance = variance.max(1e-8);
+        let variance = variance.max(LEAST_VARIANCE);
         Some(Self {
             scan,
             line: ellipse.line / step,
@@ -202,9 +211,9 @@ impl Arcs {
     fn touches(&self, a: &Arc, b: &Arc) -> bool {
         let shorter = (a.pixels[1] - a.pixels[0]).min(b.pixels[1] - b.pixels[0]) + 1;
         let lines = f64::from(a.line.abs_diff(b.line));
-        let step = 5.0 * lines * a.spacing + 4.0 * (a.variance / a.points.min(b.points)).sqrt();
+        let step = SLOPE * lines * a.spacing + APART * (a.variance / a.points.min(b.points)).sqrt();
         // The depth of the mean differs with the columns that an arc covers, by no more than its bulge.
-        let bulge = 0.5 * (a.pixels[1] - a.pixels[0]).abs_diff(b.pixels[1] - b.pixels[0]) as f64 * a.pitch;
+        let bulge = LONGER * (a.pixels[1] - a.pixels[0]).abs_diff(b.pixels[1] - b.pixels[0]) as f64 * a.pitch;
         2 * a.overlap(b.pixels) >= shorter && (a.mean.z - b.mean.z).abs() <= step + bulge
     }
 }

@@ -17,6 +17,11 @@ const ROUNDS: usize = 7;
 const CURVED: f64 = 5.0;
 /// Mean and variance of the bulge that noise gives a straight arc: nothing or, of one arc in two, chi squared.
 const STRAIGHT: [f64; 2] = [0.5, 1.25];
+/// Pixels on both sides of the last line's arcs, and one more for so many of theirs, where the next line is looked at.
+const MARGIN_PX: i64 = 2;
+const MARGIN_SHARE: i64 = 8;
+/// Lines that a model of few grows by at least.
+const LEAST_STEP: i64 = 4;
 /// A gap of this part of an object's lines is bridged: something stands before it.
 const GAP: f64 = 0.5;
 
@@ -167,12 +172,12 @@ fn reach(grown: &Grown, gap: i64, free: impl Fn(usize) -> bool, found: &mut Vec<
     let Grown { arcs, model, members } = grown;
     let line = |index: usize| i64::from(arcs.arcs[members[index]].line);
     let (from, to) = (line(0), line(members.len() - 1));
-    let (gap, more) = (gap.max((GAP * members.len() as f64) as i64), (to - from + 1).max(4));
+    let (gap, more) = (gap.max((GAP * members.len() as f64) as i64), (to - from + 1).max(LEAST_STEP));
     let middle = &arcs.arcs[members[members.len() / 2]];
     let (q, predictor) = (model.coefficients(), Predictor::new(model));
     let accept = |index: usize, span: [i64; 2]| {
         let arc = &arcs.arcs[index];
-        let margin = (span[1] - span[0]) / 8 + 2;
+        let margin = (span[1] - span[0]) / MARGIN_SHARE + MARGIN_PX;
         // What an exact model explains needs no look at how exact this one is.
         let bears =
             |misfit| GROWING.bears(arc, &misfit, 0.0) || GROWING.bears(arc, &misfit, predictor.variance(&arc.mean));

@@ -27,7 +27,7 @@ use growth::{Growth, Start};
 use model::Model;
 use verify::Measured;
 
-/// Most seeds that are tried in one image.
+/// Most seeds that are tried in one image, the most curved first: that bounds the time, and three times as many find no more.
 const MAX_TRIES: usize = 96;
 /// Fits to the contour, each with the points that are near the contour of the last.
 const CONTOUR_PASSES: usize = 2;
@@ -197,17 +197,22 @@ impl Candidate<'_> {
     }
 }
 
+/// What lies so many radii beyond an object's visible ends may still be part of it ...
+const SPARE_REACH: f64 = 1.5;
+/// ... if its mean square distance from the surface is less than so many variances.
+const SPARE_SQUARE: f64 = 4.0;
+
 /// Takes the arcs of an object, and all others that its surface explains, from what is left.
 fn take(candidate: &Candidate, object: &Object, taken: &mut [bool]) {
     let Candidate { grown, measured } = candidate;
     grown.members.iter().for_each(|&member| taken[member] = true);
     let q = grown.model.coefficients();
     let center = verify::middle(grown, measured);
-    let reach = 0.5 * (measured.extent[1] - measured.extent[0]) + 1.5 * object.radius;
+    let reach = 0.5 * (measured.extent[1] - measured.extent[0]) + SPARE_REACH * object.radius;
     for (taken, arc) in taken.iter_mut().zip(&grown.arcs.arcs) {
         if !*taken && (arc.mean - center).norm() < reach {
             let misfit = grown.model.misfit(&q, arc);
-            *taken = misfit.is_some_and(|misfit| misfit.square.max(misfit.mean.powi(2)) < 4.0 * arc.variance);
+            *taken = misfit.is_some_and(|misfit| misfit.square.max(misfit.mean.powi(2)) < SPARE_SQUARE * arc.variance);
         }
     }
 }

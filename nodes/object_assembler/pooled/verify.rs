@@ -238,6 +238,11 @@ fn is_between_others(grown: &Grown) -> bool {
     part(grown.arcs().map(hidden).sum()) > MOST_HIDDEN
 }
 
+/// How many standard deviations of a point what is behind a surface lies behind it at least.
+const BEHIND: f64 = 3.0;
+/// Part of an object's length at each end of which nothing is expected.
+const END_MARGIN: f64 = 0.05;
+
 /// Part of the arc ends at which something is seen behind the surface; of few ends that tell, some may be noise.
 fn seen_through(grown: &Grown, measured: &Measured) -> f64 {
     let q = grown.model.coefficients();
@@ -246,7 +251,7 @@ fn seen_through(grown: &Grown, measured: &Measured) -> f64 {
         let section = section_of(&q, &arc.plane);
         for (x, z) in arc.beyond_rays.into_iter().zip(arc.beyond).filter(|(_, z)| *z > 0.0) {
             all += 1.0;
-            let margin = 3.0 * arc.variance.sqrt();
+            let margin = BEHIND * arc.variance.sqrt();
             let through = |surface: f64| z > surface + margin && is_between(grown, measured, &arc.point(x, surface));
             seen += f64::from(u8::from(arc.hit(&section, x).is_some_and(through)));
         }
@@ -257,7 +262,7 @@ fn seen_through(grown: &Grown, measured: &Measured) -> f64 {
 /// Whether a point is surely between the ends of what is seen; of a sphere any is.
 fn is_between(grown: &Grown, measured: &Measured, point: &Vector3) -> bool {
     let along = position(&grown.model, point);
-    let margin = 0.05 * (measured.extent[1] - measured.extent[0]);
+    let margin = END_MARGIN * (measured.extent[1] - measured.extent[0]);
     let between = (measured.extent[0] + margin..measured.extent[1] - margin).contains(&along);
     grown.model.kind() == ObjectKind::Sphere || between
 }

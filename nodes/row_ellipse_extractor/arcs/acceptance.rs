@@ -23,8 +23,15 @@ const SET_OFF: usize = 6;
 const SMEARED: usize = 32;
 /// Most pixels between a contour and what is seen behind it that count: a wider gap is the shadow of the sensor.
 const MAX_GAP: f64 = 3.0;
-/// How many standard deviations the mean of a few points at an end may be off the circle through the others.
+/// How many standard deviations the mean of a few points at an end may be off the circle through the others;
 const STRAYING: f64 = 2.0;
+/// one in so many are the few, at least three,
+const FEW: usize = 8;
+/// and an end is taken off that often at most: one curve goes over into the next within that.
+const TAKEN_OFF: usize = 4;
+/// Pixels beyond an end, and one more for so many points, where what lies behind an object is looked for.
+const BEYOND: u32 = 2;
+const BEYOND_POINTS: u32 = 8;
 /// Part of what noise accounts for that an arc with its ends may be off its circle.
 const EXPLAINED: f64 = 0.5;
 /// Radius beyond which a circle is a wall, in the largest radii of an object: the circle of a short arc is uncertain.
@@ -179,8 +186,8 @@ fn trimmed(run: &Run, segment: &Segment) -> Range<usize> {
     let (starts_part, ends_part) = (from == part[0], to == part[1]);
     from += few_before;
     to = to.saturating_sub(few_behind).max(from);
-    for _ in 0..4 {
-        let few = ((to - from) / 8).max(3);
+    for _ in 0..TAKEN_OFF {
+        let few = ((to - from) / FEW).max(3);
         if to - from < 2 * FIRST_FIT + few {
             break;
         }
@@ -240,7 +247,7 @@ fn strays(run: &Run, others: Range<usize>, few: Range<usize>) -> bool {
 fn message(rays: &Rays, image: &[u16], points: Range<usize>, fit: &ArcFit, moments: &PlaneMoments) -> Ellipse {
     let [first, last] = [points.start, points.end - 1];
     let radius = fit.circle.radius;
-    let beyond = rays.view.config.trim_px + 2 + points.len() as u32 / 8;
+    let beyond = rays.view.config.trim_px + BEYOND + points.len() as u32 / BEYOND_POINTS;
     let from_front = |point: usize| {
         let [s, t] = rays.point(point);
         (s - fit.circle.center[0]).atan2(fit.circle.center[1] - t)

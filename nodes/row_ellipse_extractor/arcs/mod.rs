@@ -2,7 +2,7 @@
 //!
 //! On an arc of less than half a turn a circle is a far better judge than a free ellipse; the true shape is left to the
 //! pooled fit. Unbiased moments put the expected error of the right curve at zero, so the limit is what the noise of n
-//! points scatters: `error^2 <= sigma^2 (a sqrt(2 / n) + b)`.
+//! points scatters: `error^2 <= sigma^2 (a sqrt(2 / n) + b) + (0.1 mm)^2`.
 //!
 //! Most of a room is flat, so the image is looked at from coarse to fine: every sixth line as a whole ([`line`],
 //! [`rays`], [`run`], [`segments`], [`acceptance`]), those between only about what is curved in the coarse lines above and

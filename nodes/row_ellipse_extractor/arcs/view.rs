@@ -10,6 +10,8 @@ use std::ops::Range;
 const SCATTER: f64 = 2.5;
 /// The limit's `b`: part of the variance that the noise model may be wrong by.
 const SLACK: f64 = 0.3;
+/// What is left of any surface, in square metres: none is better than a tenth of a millimetre.
+const LEAST_SQUARE: f64 = 1e-8;
 /// Slope of a surface (depth per distance across the view) that neighbouring pixels may show ...
 const JUMP_SLOPE: f64 = 3.0;
 /// ... and those on the two sides of a hole;
@@ -141,7 +143,7 @@ impl View {
     /// Largest mean square error of `points` points that noise of this variance accounts for.
     #[inline]
     pub fn limit(&self, variance: f64, points: usize) -> f64 {
-        variance * self.limits[points] + 1e-8
+        variance * self.limits[points] + LEAST_SQUARE
     }
 }
 
