@@ -100,7 +100,8 @@ fn what_does_not_validate_or_cannot_start_leaves_the_stage_at_work() {
     let playground = Playground::with_pipeline(TRACKING);
     let mut run = start(&playground, &[]);
     wait_for_lines(&mut run, &playground);
-    let before = stages_of(run.id());
+    let (before, plan) = (stages_of(run.id()), playground.runtime().join("run/tracking/plan.json"));
+    let planned = fs::read(&plan).unwrap();
     let refused = [
         (vec!["tracker", "--set", "gatte=3"], "gatte"),
         (vec!["tracker", "--node", "row_ellipse_extractor"], "carries objects"),
@@ -113,6 +114,10 @@ fn what_does_not_validate_or_cannot_start_leaves_the_stage_at_work() {
         assert!(ended.stderr.contains(told) && ended.stderr.contains("hint: "), "{arguments:?}: {}", ended.stderr);
         wait_for_lines(&mut run, &playground);
         assert_eq!(stages_of(run.id()), before, "{arguments:?}");
+        assert!(
+            fs::read(&plan).unwrap() == planned,
+            "a stage that starts anew would not be what it was: {arguments:?}"
+        );
     }
     let ended = end(run);
     let made = ended.stage("source").messages;
@@ -134,6 +139,21 @@ fn a_source_that_cannot_begin_gives_its_place_back() {
 }
 
 /// The files in shared memory that the stages of a run use.
+#[test]
+fn an_answer_that_cannot_be_written_comes_later_and_ends_no_run() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let mut run = start(&playground, &[]);
+    wait_for_lines(&mut run, &playground);
+    let in_the_way = playground.runtime().join("run/tracking/swap.answer.new");
+    fs::create_dir(&in_the_way).unwrap();
+    let asked = playground.start(&["swap", "tracker"]);
+    run.wait_for_text("nobody can be told what became of stage `tracker`");
+    wait_for_lines(&mut run, &playground);
+    fs::remove_dir(&in_the_way).unwrap();
+    asked.wait().expect_code(0);
+    assert_eq!(end(run).stage("tracker").starts, 2);
+}
+
 fn used(stages: &BTreeMap<String, u32>) -> BTreeSet<PathBuf> {
     stages.values().flat_map(|process| shared_files(*process)).collect()
 }

@@ -13,8 +13,10 @@ use std::time::{Duration, Instant};
 /// Environment variable: the user's folder, where the default does not suit.
 pub const RUNTIME_DIR: &str = "CONICFLOW_RUNTIME_DIR";
 
-/// Name of the plan's file.
+/// Name of the plan's file, ...
 pub(crate) const PLAN: &str = "plan.json";
+/// ... and of the plan that was there before a change.
+const PLAN_BEFORE: &str = "plan.json.kept";
 
 /// Stages end by themselves within this time after their launcher was killed.
 pub(crate) const LAST_STAGES_GRACE: Duration = Duration::from_secs(5);
@@ -242,8 +244,28 @@ impl RunFolder {
     ///
     /// # Errors
     /// The folder cannot be written.
-    pub(crate) fn write_plan(&self, plan: &Plan) -> Result<(), FolderError> {
+    fn write_plan(&self, plan: &Plan) -> Result<(), FolderError> {
         self.write_whole(PLAN, plan)
+    }
+
+    /// Writes another plan, and keeps the one that is there; where it cannot be written, that one stays.
+    ///
+    /// # Errors
+    /// The folder cannot be written.
+    pub(crate) fn change_plan(&self, plan: &Plan) -> Result<(), FolderError> {
+        let (path, before) = (self.path.join(PLAN), self.path.join(PLAN_BEFORE));
+        fs::remove_file(&before).ok();
+        fs::hard_link(&path, &before).map_err(|error| FolderError::Io { path: before, error })?;
+        self.write_plan(plan)
+    }
+
+    /// Brings the plan from before the last change back, which takes no room on a disk.
+    ///
+    /// # Errors
+    /// There is none.
+    pub(crate) fn take_plan_back(&self) -> Result<(), FolderError> {
+        let (path, before) = (self.path.join(PLAN), self.path.join(PLAN_BEFORE));
+        fs::rename(before, &path).map_err(|error| FolderError::Io { path, error })
     }
 
     /// Reads the plan of the run.

@@ -159,7 +159,7 @@ impl Launcher<'_> {
         }
         while !self.stages.iter().all(Supervised::is_over) {
             self.wait_for_events();
-            self.replace()?;
+            self.replace();
             self.look_at_stages();
             self.press();
             self.progress.show(&self.summary());
@@ -182,17 +182,13 @@ impl Launcher<'_> {
     }
 
     /// Goes on with the swap that is under way, or begins one that was asked for.
-    fn replace(&mut self) -> Result<(), LaunchError> {
+    fn replace(&mut self) {
         let Self { plan, folder, options, stages, swap, phase, .. } = self;
         let mut place = Place { plan, folder, options, phase: *phase };
-        if let Some(request) = place.folder.take_request_if(swap.is_none()) {
-            *swap = Swap::begin(request, stages, &mut place)?;
-        } else if let Some(under_way) = swap.take()
-            && let Some(stage) = stages.iter_mut().find(|stage| stage.planned.name == under_way.stage())
-        {
-            *swap = under_way.go_on(stage, &mut place)?;
-        }
-        Ok(())
+        *swap = match swap.take() {
+            Some(under_way) => under_way.go_on(stages, &mut place),
+            None => place.folder.take_request().map(|request| Swap::begin(request, stages, &place)),
+        };
     }
 
     fn look_at_stages(&mut self) {

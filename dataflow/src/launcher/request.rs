@@ -66,19 +66,16 @@ impl RunFolder {
         }
     }
 
-    /// A request that was not taken yet, if it is `wanted` now.
-    pub(crate) fn take_request_if(&self, wanted: bool) -> Option<Request> {
-        if !wanted {
-            return None;
-        }
+    /// A request that was not taken yet.
+    pub(crate) fn take_request(&self) -> Option<Request> {
         let request = self.read_json("swap.request")?;
         fs::remove_file(self.path().join("swap.request")).ok();
         Some(request)
     }
 
     /// Answers the request `id`.
-    pub(crate) fn answer(&self, id: u64, outcome: Result<(), String>) -> Result<(), FolderError> {
-        self.write_whole("swap.answer", &Answer { id, fault: outcome.err() })
+    pub(crate) fn answer(&self, id: u64, outcome: &Result<(), String>) -> Result<(), FolderError> {
+        self.write_whole("swap.answer", &Answer { id, fault: outcome.as_ref().err().cloned() })
     }
 
     fn read_json<T: DeserializeOwned>(&self, name: &str) -> Option<T> {

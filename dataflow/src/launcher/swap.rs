@@ -4,7 +4,7 @@
 //! however it ended; a successor that cannot begin gives the place back.
 
 use super::child::{Supervised, command};
-use super::folder::{FolderError, RunFolder};
+use super::folder::RunFolder;
 use super::process::ProcessError;
 use super::request::Request;
 use super::{Phase, RunOptions};
@@ -12,6 +12,7 @@ use crate::plan::{Plan, PlannedStage};
 use crate::runner::handover::{Handover, SUCCESSOR};
 use crate::status::{Life, Status};
 use rustix::process::Signal;
+use std::fmt::Display;
 use std::io::{ErrorKind, Read, Write};
 use std::os::fd::OwnedFd;
 use std::os::unix::net::UnixStream;
@@ -28,7 +29,6 @@ const DISMISS_GRACE: Duration = Duration::from_secs(2);
 /// A swap under way.
 pub(crate) struct Swap {
     request: Request,
-    before: PlannedStage,
     step: Step,
     since: Instant,
 }
@@ -38,8 +38,16 @@ enum Step {
     Preparing(Successor),
     /// The stage at work was told to leave.
     Leaving(Successor),
-    /// The successor has the place, and says when it works.
-    Beginning { process: u32 },
+    /// The successor has the place, and says when it works; what the stage was before.
+    Beginning(Box<PlannedStage>),
+    /// It is over; the one who asked is still to be told, which may take until there is room on the disk.
+    Over { outcome: Result<(), String>, is_late: bool },
+}
+
+impl Step {
+    const fn over(outcome: Result<(), String>) -> Self {
+        Self::Over { outcome, is_late: false }
+    }
 }
 
 /// The process that is to take a stage's place.
@@ -98,25 +106,16 @@ pub(crate) struct Place<'a> {
 }
 
 impl Swap {
-    /// Begins a swap; `None` if it was refused, and the one who asked has been told.
-    pub(crate) fn begin(
-        request: Request,
-        stages: &[Supervised],
-        place: &mut Place<'_>,
-    ) -> Result<Option<Self>, FolderError> {
-        let (id, name) = (request.id, request.stage.clone());
-        match Self::prepare(request, stages, place) {
-            Ok(swap) => Ok(Some(swap)),
-            Err(fault) => {
-                tracing::warn!("stage `{name}` is not replaced: {fault}");
-                place.folder.write_plan(place.plan)?;
-                place.folder.answer(id, Err(fault))?;
-                Ok(None)
-            }
-        }
+    /// Begins a swap.
+    pub(crate) fn begin(request: Request, stages: &[Supervised], place: &Place<'_>) -> Self {
+        let step = match Self::prepare(&request, stages, place) {
+            Ok(successor) => Step::Preparing(successor),
+            Err(fault) => refused(&request.stage, fault),
+        };
+        Self { request, step, since: Instant::now() }
     }
 
-    fn prepare(request: Request, stages: &[Supervised], place: &mut Place<'_>) -> Result<Self, String> {
+    fn prepare(request: &Request, stages: &[Supervised], place: &Place<'_>) -> Result<Successor, String> {
         let name = &request.stage;
         let other_run = || "it was asked for another run\n  hint: try again".to_owned();
         let planned = request.plan.stage(name).filter(|_| request.plan.run == place.plan.run).ok_or_else(other_run)?;
@@ -125,10 +124,13 @@ impl Swap {
             return Err(format!("stage `{name}` is not at work\n  hint: `conicflow top` shows which stages are"));
         }
         Handover::of(place.folder.path(), name).clear();
-        place.folder.write_plan(&request.plan).map_err(|error| error.to_string())?;
-        let successor = Successor::start(planned, &request.plan, place.options).map_err(|error| error.to_string())?;
+        place.folder.change_plan(&request.plan).map_err(|error| error.to_string())?;
+        let successor = Successor::start(planned, &request.plan, place.options).map_err(|error| {
+            place.take_plan_back();
+            error.to_string()
+        })?;
         tracing::info!("stage `{name}` is being replaced");
-        Ok(Self { before: stage.planned.clone(), request, step: Step::Preparing(successor), since: Instant::now() })
+        Ok(successor)
     }
 
     /// Name of the stage.
@@ -138,23 +140,31 @@ impl Swap {
 
     /// Whether the end of the stage's process is part of the swap, rather than a matter of starting it anew.
     pub(crate) fn decides_about_exit(&self) -> bool {
-        !matches!(self.step, Step::Preparing(_))
+        matches!(self.step, Step::Leaving(_) | Step::Beginning(_))
     }
 
     /// Looks how far it is; `None` when it is over, and the one who asked has been told.
-    pub(crate) fn go_on(self, stage: &mut Supervised, place: &mut Place<'_>) -> Result<Option<Self>, FolderError> {
-        let Self { request, before, step, since } = self;
-        let on = |request, before, step, since| Ok(Some(Self { request, before, step, since }));
-        match step {
+    pub(crate) fn go_on(self, stages: &mut [Supervised], place: &mut Place<'_>) -> Option<Self> {
+        let Self { request, step, since } = self;
+        if let Step::Over { outcome, is_late } = step {
+            let error = place.folder.answer(request.id, &outcome).err()?;
+            if !is_late {
+                tracing::warn!("nobody can be told what became of stage `{}`: {error}", request.stage);
+            }
+            return Some(Self { request, step: Step::Over { outcome, is_late: true }, since });
+        }
+        let stage = stages.iter_mut().find(|stage| stage.planned.name == request.stage)?;
+        let (step, since) = match step {
             Step::Preparing(mut successor) => match look_at(&mut successor, stage, place, since) {
-                Ok(false) => on(request, before, Step::Preparing(successor), since),
+                Ok(false) => (Step::Preparing(successor), since),
                 Ok(true) => {
                     stage.signal(Signal::USR1);
-                    on(request, before, Step::Leaving(successor), Instant::now())
+                    (Step::Leaving(successor), Instant::now())
                 }
                 Err(fault) => {
                     successor.dismiss();
-                    refuse(&request, place, fault).map(|()| None)
+                    place.take_plan_back();
+                    (refused(&request.stage, fault), since)
                 }
             },
             Step::Leaving(successor) => {
@@ -162,47 +172,50 @@ impl Swap {
                     stage.signal(Signal::KILL);
                 }
                 match stage.exit() {
-                    None => on(request, before, Step::Leaving(successor), since),
+                    None => (Step::Leaving(successor), since),
                     Some(process) if came_to_its_end(place.folder, &request.stage, process) => {
                         successor.dismiss();
-                        refuse(&request, place, "the stage came to its end\n  hint: nothing is left to do")
-                            .map(|()| None)
+                        place.take_plan_back();
+                        let fault = "the stage came to its end\n  hint: nothing is left to do";
+                        (refused(&request.stage, fault), since)
                     }
-                    Some(_) => {
-                        let process = take_place(successor, stage, &request, place);
-                        on(request, before, Step::Beginning { process }, Instant::now())
-                    }
+                    Some(_) => (take_place(successor, stage, &request, place), Instant::now()),
                 }
             }
-            Step::Beginning { process } => {
+            Step::Beginning(before) => {
                 if is_at_work(place.folder, stage) {
                     tracing::info!("stage `{}` was replaced", request.stage);
-                    return place.folder.answer(request.id, Ok(())).map(|()| None);
+                    (Step::over(Ok(())), since)
+                } else if stage.exit().is_none() || matches!(place.phase, Phase::Killing) {
+                    (Step::Beginning(before), since)
+                } else {
+                    let own = place.plan.stages.iter_mut().filter(|own| own.name == before.name);
+                    own.for_each(|own| *own = (*before).clone());
+                    stage.come_back(*before);
+                    place.take_plan_back();
+                    let fault = "the new stage could not begin, and the old one comes back\n  \
+                                 hint: the launcher's log says why";
+                    (refused(&request.stage, fault), since)
                 }
-                if stage.exit().is_none() || matches!(place.phase, Phase::Killing) {
-                    return on(request, before, Step::Beginning { process }, since);
-                }
-                place
-                    .plan
-                    .stages
-                    .iter_mut()
-                    .filter(|own| own.name == before.name)
-                    .for_each(|own| *own = before.clone());
-                stage.come_back(before);
-                let fault =
-                    "the new stage could not begin, and the old one comes back\n  hint: the launcher's log says why";
-                refuse(&request, place, fault).map(|()| None)
             }
-        }
+            over @ Step::Over { .. } => (over, since),
+        };
+        Some(Self { request, step, since })
     }
 
     /// Ends what it has started, at the end of the run.
     pub(crate) fn abandon(self, folder: &RunFolder) {
-        if let Step::Preparing(successor) | Step::Leaving(successor) = self.step {
-            successor.dismiss();
-        }
-        let told = folder.answer(self.request.id, Err("the run ended\n  hint: start it anew".to_owned()));
-        told.unwrap_or_else(|error| tracing::warn!("{error}"));
+        let ended = || Err("the run ended\n  hint: start it anew".to_owned());
+        let outcome = match self.step {
+            Step::Over { outcome, .. } => outcome,
+            Step::Preparing(successor) | Step::Leaving(successor) => {
+                successor.dismiss();
+                ended()
+            }
+            Step::Beginning(_) => ended(),
+        };
+        // Where it cannot be told so, the one who asked sees that the run is over.
+        folder.answer(self.request.id, &outcome).ok();
     }
 }
 
@@ -227,26 +240,31 @@ fn look_at(
     successor.is_ready().map_err(|()| "the new stage could not be made ready\n  hint: the launcher's log says why")
 }
 
-fn take_place(successor: Successor, stage: &mut Supervised, request: &Request, place: &mut Place<'_>) -> u32 {
+fn take_place(successor: Successor, stage: &mut Supervised, request: &Request, place: &mut Place<'_>) -> Step {
+    let before = Box::new(stage.planned.clone());
     *place.plan = request.plan.clone();
     if let Some(planned) = place.plan.stage(&request.stage) {
         stage.planned = planned.clone();
     }
-    let child = successor.begin();
-    let process = child.id();
-    stage.take(child);
+    stage.take(successor.begin());
     match place.phase {
         Phase::Delivering { .. } if stage.planned.is_source() => stage.signal(Signal::INT),
         Phase::Stopping { .. } => stage.signal(Signal::TERM),
         _ => {}
     }
-    process
+    Step::Beginning(before)
 }
 
-fn refuse(request: &Request, place: &mut Place<'_>, fault: &str) -> Result<(), FolderError> {
-    tracing::warn!("stage `{}` is not replaced: {fault}", request.stage);
-    place.folder.write_plan(place.plan)?;
-    place.folder.answer(request.id, Err(format!("stage `{}` is not replaced: {fault}", request.stage)))
+fn refused(stage: &str, fault: impl Display) -> Step {
+    tracing::warn!("stage `{stage}` is not replaced: {fault}");
+    Step::over(Err(format!("stage `{stage}` is not replaced: {fault}")))
+}
+
+impl Place<'_> {
+    /// Stages that start anew find what the run was before the swap.
+    fn take_plan_back(&self) {
+        self.folder.take_plan_back().unwrap_or_else(|error| tracing::error!("{error}"));
+    }
 }
 
 /// Whether the stage's record says that its process now works, or has.
