@@ -1,4 +1,4 @@
-//! The mathematics of conicflow: scan planes, moments, conic, circle and line fits, profiles, solids.
+//! The mathematics of conicflow: scan planes, moments, conic, circle and line fits, profiles, surfaces.
 //!
 //! No input or output, double precision, SI units, angles in radians. "The paper" is Georgiev, Al-Hami, Lakaemper,
 //! "Real-time 3D scene description using Spheres, Cones and Cylinders" (2013).
@@ -14,7 +14,7 @@
 //! | centres of a sphere's sections (concyclic) | [`Regression`] of `t k` over the row's slope, see [`ScanPlane::slope`] |
 //! | `f_cylinder(z) = r`, `f_cone(z) = alpha z` | [`fit_line_profile`]; `z` of a cone counts from its apex |
 //! | `f_circle(z) = sqrt(r^2 - (z - z_i)^2)` | [`fit_circle_profile`] |
-//! | fitted 3-D model | [`Sphere`], [`Cylinder`], [`Cone`] |
+//! | fitted 3-D model | [`Sphere`], [`Conical`] |
 //!
 //! Beyond the paper: moments free of the noise's bias ([`RaySums`]), pooled over the arcs of an object
 //! ([`SpaceMoments`]), to which a [`Surface`] is fitted without seeing a point again ([`fit_surface`]).
@@ -33,7 +33,6 @@ mod regression;
 mod section;
 #[cfg(test)]
 mod simulated;
-mod solid;
 mod space;
 mod surface;
 mod unbiased;
@@ -50,9 +49,8 @@ pub use pooled::{GradientNoise, Prediction, SurfaceFit, fit_surface, fit_with_co
 pub use profile::{CircleProfile, fit_circle_profile, fit_line_profile};
 pub use regression::{Fit, Regression};
 pub use section::SectionShape;
-pub use solid::{Cone, Cylinder, Quadric, Sphere};
 pub use space::{Coefficients, QUADRIC_TERMS, QuadricMoments, SpaceMoments};
-pub use surface::{Conical, FixedSlope, FreeSlope, Surface, section_of};
+pub use surface::{Conical, FixedSlope, FreeSlope, Sphere, Surface, section_about, section_of};
 pub use unbiased::{ArcSums, LineSums, RayPart, RaySums};
 
 /// Points, directions and offsets in the camera frame, in metres.

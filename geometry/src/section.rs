@@ -70,18 +70,18 @@ impl SectionShape {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Cone, Conic, Cylinder, Pinhole, Quadric, Scan};
+    use crate::{Conical, Pinhole, Scan, section_about};
 
     const CAMERA: Pinhole = Pinhole { fx: 290.0, fy: 290.0, cx: 159.5, cy: 119.5 };
 
-    fn cut(solid: &impl Quadric, plane: &ScanPlane) -> crate::Ellipse {
-        Conic { origin: [0.0, 0.0], coefficients: solid.section(plane) }.to_ellipse().unwrap()
+    fn cut(surface: &Conical, plane: &ScanPlane) -> crate::Ellipse {
+        section_about(&surface.coefficients(), plane, [0.0, 0.0]).to_ellipse().unwrap()
     }
 
     #[test]
     fn the_extents_of_a_cut_cylinder_give_its_radius() {
         let axis = Vector3::new(0.3, 0.9, -0.5).normalize();
-        let cylinder = Cylinder { point: Vector3::new(0.1, 0.2, 2.0), axis, radius: 0.15 };
+        let cylinder = Conical { point: Vector3::new(0.1, 0.2, 2.0), axis, radius: 0.15, slope: 0.0 };
         for plane in [CAMERA.plane(Scan::Row, 20.0), CAMERA.plane(Scan::Row, 200.0), CAMERA.plane(Scan::Column, 90.0)] {
             let ellipse = cut(&cylinder, &plane);
             let shape = SectionShape::new(&plane, &axis, 0.0).unwrap();
@@ -93,13 +93,14 @@ mod tests {
     #[test]
     fn the_cut_of_a_tilted_cone_is_as_stated() {
         let axis = Vector3::new(0.1, 0.85, -0.5).normalize();
-        let cone = Cone { apex: Vector3::new(0.05, -0.3, 1.8), axis, half_angle: 0.22 };
+        let (apex, slope) = (Vector3::new(0.05, -0.3, 1.8), 0.22_f64.tan());
+        let cone = Conical { point: apex + axis * 0.3, axis, radius: 0.3 * slope, slope };
         for plane in [90.0, 120.0, 160.0].map(|line| CAMERA.plane(Scan::Row, line)) {
             let ellipse = cut(&cone, &plane);
-            let shape = SectionShape::new(&plane, &axis, cone.half_angle).unwrap();
-            let zeta = -plane.normal().dot(&cone.apex) / plane.normal().dot(&axis);
-            let pierced = plane.to_plane(&(cone.apex + axis * zeta));
-            let rho = zeta * cone.half_angle.tan();
+            let shape = SectionShape::new(&plane, &axis, 0.22).unwrap();
+            let zeta = -plane.normal().dot(&apex) / plane.normal().dot(&axis);
+            let pierced = plane.to_plane(&(apex + axis * zeta));
+            let rho = zeta * slope;
             assert!((ellipse.half_extents[0] - rho * shape.width).abs() < 1e-9);
             assert!((ellipse.half_extents[1] - rho * shape.depth).abs() < 1e-9);
             for k in [0, 1] {
@@ -111,7 +112,7 @@ mod tests {
     #[test]
     fn an_arc_of_known_shape_gives_centre_and_radius() {
         let axis = Vector3::new(0.3, 0.8, -0.5).normalize();
-        let cylinder = Cylinder { point: Vector3::new(0.1, 0.2, 2.0), axis, radius: 0.15 };
+        let cylinder = Conical { point: Vector3::new(0.1, 0.2, 2.0), axis, radius: 0.15, slope: 0.0 };
         let plane = CAMERA.plane(Scan::Row, 200.0);
         let ellipse = cut(&cylinder, &plane);
         let (sin, cos) = ellipse.angle.sin_cos();

@@ -6,7 +6,7 @@
 //!   `cos phi ((|x|^2 - (d.x)^2 - (R + tau d.x)^2) / (2 R))`; a cylinder has tau = 0. Where a cone is wider or narrower
 //!   than R by a factor g, F is too great by g: whoever pools its arcs weighs each by `1 / g^2`.
 
-use crate::{Coefficients, Scan, ScanPlane, Sphere, Vector3};
+use crate::{Coefficients, Conic, Scan, ScanPlane, Vector3};
 use nalgebra::Matrix3;
 
 /// A surface with N parameters.
@@ -28,6 +28,15 @@ pub trait Surface<const N: usize>: Copy {
 
     /// The surface, given in a frame with this origin and unit of length.
     fn to_camera(&self, origin: &Vector3, scale: f64) -> Self;
+}
+
+/// A sphere.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sphere {
+    /// Centre.
+    pub center: Vector3,
+    /// Radius.
+    pub radius: f64,
 }
 
 /// A circular cylinder (slope 0) or cone without ends.
@@ -103,6 +112,29 @@ impl Conical {
         Self { point: self.point + self.axis * along, radius: self.radius + self.slope * along, ..*self }
     }
 
+    /// The same surface, its point moved along the axis to where that pierces a scan plane; no numbers where it does not.
+    #[must_use]
+    pub fn pierced_by(&self, plane: &ScanPlane) -> Self {
+        let normal = plane.normal();
+        let along = -normal.dot(&self.point) / normal.dot(&self.axis);
+        Self { point: self.point + self.axis * along, radius: self.radius + self.slope * along, ..*self }
+    }
+
+    /// Angle between axis and surface.
+    pub fn half_angle(&self) -> f64 {
+        self.slope.atan()
+    }
+
+    /// Where the radius is zero.
+    pub fn apex(&self) -> Vector3 {
+        self.point - self.axis * (self.radius / self.slope)
+    }
+
+    /// Coefficients of F.
+    pub fn coefficients(&self) -> Coefficients {
+        self.packed(&self.form())
+    }
+
     /// Two unit vectors across the axis, perpendicular to each other.
     pub fn across(&self) -> [Vector3; 2] {
         let mut other = Vector3::zeros();
@@ -147,10 +179,6 @@ impl Conical {
         [tilt(&u), tilt(&v), shift(&u), shift(&v), by_radius, by_slope]
     }
 
-    fn quadric(&self) -> Coefficients {
-        self.packed(&self.form())
-    }
-
     fn packed(&self, (a, b, e): &(Matrix3<f64>, Vector3, f64)) -> Coefficients {
         let cosine = self.cosine();
         pack(a, b, *e).map(|q| q * cosine)
@@ -176,7 +204,7 @@ impl Conical {
 
 impl Surface<5> for FixedSlope {
     fn coefficients(&self) -> Coefficients {
-        self.0.quadric()
+        self.0.coefficients()
     }
 
     fn derivatives(&self) -> [Coefficients; 5] {
@@ -204,7 +232,7 @@ impl Surface<5> for FixedSlope {
 
 impl Surface<6> for FreeSlope {
     fn coefficients(&self) -> Coefficients {
-        self.0.quadric()
+        self.0.coefficients()
     }
 
     fn derivatives(&self) -> [Coefficients; 6] {
@@ -251,6 +279,11 @@ pub fn section_of(q: &Coefficients, plane: &ScanPlane) -> [f64; 6] {
         b * across + z * forward,
         one,
     ]
+}
+
+/// The same about a point of the plane.
+pub fn section_about(q: &Coefficients, plane: &ScanPlane, origin: [f64; 2]) -> Conic {
+    Conic { origin: [0.0, 0.0], coefficients: section_of(q, plane) }.about(origin)
 }
 
 #[cfg(test)]
@@ -304,6 +337,19 @@ mod tests {
         let sphere = Sphere { center: Vector3::new(0.1, 0.2, 2.0), radius: 0.3 };
         let outside = sphere.center + u * 0.301;
         assert!((value(&sphere.coefficients(), &outside) - 0.001).abs() < 1e-5);
+    }
+
+    #[test]
+    fn where_a_scan_plane_pierces_the_axis_the_radius_is_that_of_its_section() {
+        let camera = Pinhole { fx: 290.0, fy: 290.0, cx: 159.5, cy: 119.5 };
+        let cone = Conical { point: Vector3::new(0.1, 0.2, 2.0), ..cone() };
+        let plane = camera.plane(Scan::Row, 100.0);
+        let pierced = cone.pierced_by(&plane);
+        assert!(plane.normal().dot(&pierced.point).abs() < 1e-12);
+        assert!((pierced.radius - cone.radius_at(&pierced.point)).abs() < 1e-12);
+        assert!((pierced.apex() - cone.apex()).norm() < 1e-12);
+        let along = Conical { axis: Vector3::x(), ..cone }.pierced_by(&plane);
+        assert!(along.coefficients().iter().any(|q| q.is_nan()), "it runs along the plane");
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use crate::camera::{pinhole, scan};
 use conicflow_geometry::{
-    Coefficients, Conic, ContourPoint, Pinhole, PlaneMoments, Scan, ScanPlane, SpaceMoments, Vector3, bulge, section_of,
+    Coefficients, ContourPoint, Pinhole, PlaneMoments, Scan, ScanPlane, SpaceMoments, Vector3, bulge, section_about,
 };
 use conicflow_messages::{Ellipse, Header};
 use std::ops::Range;
@@ -100,8 +100,7 @@ impl Arc {
 
     /// How far the points are off the quadric `q`.
     pub fn misfit(&self, q: &Coefficients) -> Misfit {
-        let conic = Conic { origin: [0.0, 0.0], coefficients: section_of(q, &self.plane) };
-        let conic = conic.about(self.moments.origin());
+        let conic = section_about(q, &self.plane, self.moments.origin());
         let c = &conic.coefficients;
         let m = |p, q| self.moments.get(p, q);
         let sum = c[0] * m(2, 0) + c[1] * m(1, 1) + c[2] * m(0, 2) + c[3] * m(1, 0) + c[4] * m(0, 1) + c[5] * m(0, 0);

@@ -55,7 +55,7 @@ pub(super) fn report(grown: &Grown, measured: &Measured) -> Object {
         Model::Cone(fit) => {
             let covariance = covariance(grown, fit);
             let surface = fit.surface.0;
-            let half_angle = surface.slope.atan();
+            let half_angle = surface.half_angle();
             let as_cylinder = covariance.fixed_view::<5, 5>(0, 0).into_owned();
             let mut sigma = conical_sigma(&surface, &as_cylinder, measured, end(&surface));
             let middle = 0.5 * (measured.extent[0] + measured.extent[1]);
@@ -95,7 +95,7 @@ fn cone(object: Object, surface: &Conical, half_angle: f64, sigma: ObjectSigma, 
         half_angle,
         base_radius: radius(to),
         top_radius: radius(from),
-        apex: (surface.point - surface.axis * (surface.radius / surface.slope)).into(),
+        apex: surface.apex().into(),
         sigma,
         ..object
     }

@@ -7,7 +7,7 @@
 
 use super::Rejection;
 use super::verify::{Body, Candidate, Solid};
-use conicflow_geometry::{Cone, Cylinder, Line, PencilMoments, Regression, Vector3};
+use conicflow_geometry::{Conical, Line, PencilMoments, Regression, Vector3};
 
 /// Repetitions of the fit; each takes the error of axis and half-angle down by far more than a factor of ten.
 const PASSES: usize = 6;
@@ -126,14 +126,10 @@ fn lean(skeleton: &Skeleton, pose: &Pose, bluntest: f64) -> Result<Pose, Rejecti
 fn cylinder(candidate: &Candidate, skeleton: &Skeleton, pose: &Pose) -> Body {
     let Skeleton { line, profile } = skeleton;
     let (from, to) = candidate.extent(&line.point, &pose.axis);
-    let center = line.point + pose.axis * (0.5 * (from + to));
+    let point = line.point + pose.axis * (0.5 * (from + to));
     Body {
-        solid: Solid::Cylinder(Cylinder { point: center, axis: pose.axis, radius: profile.mean() }),
-        center,
-        axis: pose.axis,
+        solid: Solid::Cylinder(Conical { point, axis: pose.axis, radius: profile.mean(), slope: 0.0 }),
         length: to - from,
-        radius: profile.mean(),
-        slope: 0.0,
         radius_sigma: profile.deviation() / profile.count().sqrt(),
         half_angle_sigma: 0.0,
         axis_sigma: line.direction_sigma(),
@@ -152,12 +148,8 @@ fn cone(candidate: &Candidate, skeleton: &Skeleton, pose: &Pose) -> Result<Body,
     }
     let (middle, slope) = (0.5 * (from + to), half_angle.tan());
     Ok(Body {
-        solid: Solid::Cone(Cone { apex, axis, half_angle }),
-        center: apex + axis * middle,
-        axis,
+        solid: Solid::Cone(Conical { point: apex + axis * middle, axis, radius: slope * middle, slope }),
         length: to - from,
-        radius: slope * middle,
-        slope,
         radius_sigma: profile.value_sigma,
         half_angle_sigma: profile.slope_sigma * half_angle.cos().powi(2),
         axis_sigma: line.direction_sigma(),

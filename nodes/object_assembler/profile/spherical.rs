@@ -9,7 +9,7 @@ use super::Rejection;
 use super::SectionFit;
 use super::sections::Section;
 use super::verify::{Body, Candidate, Solid};
-use conicflow_geometry::{CircleProfile, PlaneMoments, Regression, ScanPlane, Sphere, Vector3, fit_circle_profile};
+use conicflow_geometry::{CircleProfile, PlaneMoments, Regression, ScanPlane, Sphere, fit_circle_profile};
 
 /// Repetitions of the fit; the first order is exact up to a few parts in a thousand.
 const PASSES: usize = 4;
@@ -77,11 +77,7 @@ fn body(candidate: &Candidate, profile: &CircleProfile, angle: f64) -> Result<Bo
     let center = plane.to_camera([sides.mean(), distances.mean()]);
     Ok(Body {
         solid: Solid::Sphere(Sphere { center, radius: profile.radius }),
-        center,
-        axis: Vector3::zeros(),
         length: 0.0,
-        radius: profile.radius,
-        slope: 0.0,
         radius_sigma: profile.radius_sigma,
         half_angle_sigma: 0.0,
         axis_sigma: 0.0,

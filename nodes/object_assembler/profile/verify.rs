@@ -2,7 +2,7 @@
 
 use super::sections::Section;
 use super::{AssemblerConfig, Rejection, Rejections, SectionFit, end_sigma};
-use conicflow_geometry::{Cone, Cylinder, Quadric, Sphere, Vector3, line_rms};
+use conicflow_geometry::{Conical, Sphere, Surface, Vector3, line_rms, section_about};
 use conicflow_messages::{NoiseModel, Object, ObjectKind, ObjectSigma};
 use std::ops::Range;
 
@@ -15,12 +15,12 @@ const ELLIPSE_RMS_RADII: f64 = 0.35;
 /// Sections this many times worse than the whole are left out.
 const OUTLIER_RMS: f64 = 1.6;
 
-/// The surface of a body.
+/// The surface of a body; the point of a cylinder or cone is its centre.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Solid {
     Sphere(Sphere),
-    Cylinder(Cylinder),
-    Cone(Cone),
+    Cylinder(Conical),
+    Cone(Conical),
 }
 
 impl Solid {
@@ -32,13 +32,39 @@ impl Solid {
         }
     }
 
-    /// Sum of the squared distances of a section's points.
-    fn square_sum(&self, section: &Section) -> f64 {
+    fn center(&self) -> Vector3 {
         match self {
-            Self::Sphere(sphere) => sphere.square_sum(&section.plane, &section.moments),
-            Self::Cylinder(cylinder) => cylinder.square_sum(&section.plane, &section.moments),
-            Self::Cone(cone) => cone.square_sum(&section.plane, &section.moments),
+            Self::Sphere(sphere) => sphere.center,
+            Self::Cylinder(surface) | Self::Cone(surface) => surface.point,
         }
+    }
+
+    /// The axis; of a sphere 0.
+    fn axis(&self) -> Vector3 {
+        match self {
+            Self::Sphere(_) => Vector3::zeros(),
+            Self::Cylinder(surface) | Self::Cone(surface) => surface.axis,
+        }
+    }
+
+    /// The radius; of a cone that at its centre.
+    fn radius(&self) -> f64 {
+        match self {
+            Self::Sphere(sphere) => sphere.radius,
+            Self::Cylinder(surface) | Self::Cone(surface) => surface.radius,
+        }
+    }
+
+    /// Sum of the squared distances of a section's points, to first order; NaN for a cone on a plane along its axis.
+    fn square_sum(&self, section: &Section) -> f64 {
+        let coefficients = match self {
+            Self::Sphere(sphere) => sphere.coefficients(),
+            Self::Cylinder(cylinder) => cylinder.coefficients(),
+            Self::Cone(cone) => cone.pierced_by(&section.plane).coefficients(),
+        };
+        let conic = section_about(&coefficients, &section.plane, section.moments.origin());
+        let sum = conic.square_sum(&section.moments);
+        if sum < 0.0 { 0.0 } else { sum }
     }
 }
 
@@ -46,12 +72,7 @@ impl Solid {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Body {
     pub solid: Solid,
-    pub center: Vector3,
-    pub axis: Vector3,
     pub length: f64,
-    pub radius: f64,
-    /// Change of the radius along the axis.
-    pub slope: f64,
     pub radius_sigma: f64,
     pub half_angle_sigma: f64,
     pub axis_sigma: f64,
@@ -139,25 +160,25 @@ impl<'a> Candidate<'a> {
 
     /// The report on a body, if it is one to be reported.
     pub fn verify(&self, body: &Body) -> Result<Object, Rejection> {
-        let shape = body.solid.shape();
+        let (shape, radius) = (body.solid.shape(), body.solid.radius());
         let rms = self.rms(&body.solid);
-        if let Some(reason) = self.config.wrong_size(shape, body.radius, body.length) {
+        if let Some(reason) = self.config.wrong_size(shape, radius, body.length) {
             Err(reason)
-        } else if shape != ObjectKind::Sphere && body.length < self.config.min_length_radii * body.radius {
+        } else if shape != ObjectKind::Sphere && body.length < self.config.min_length_radii * radius {
             Err(Rejection::Short)
-        } else if rms.is_nan() || rms > self.max_rms(body) {
+        } else if rms.is_nan() || rms > self.max_rms(radius) {
             Err(Rejection::Rms)
         } else {
             Ok(self.report(body, rms))
         }
     }
 
-    fn max_rms(&self, body: &Body) -> f64 {
+    fn max_rms(&self, radius: f64) -> f64 {
         let radii = match self.config.section_fit {
             SectionFit::Ellipse => ELLIPSE_RMS_RADII,
             SectionFit::Circle => self.config.max_rms_radii,
         };
-        self.config.max_rms_sigmas * self.noise_sigma() + radii * body.radius
+        self.config.max_rms_sigmas * self.noise_sigma() + radii * radius
     }
 
     /// Root mean square distance of all points from the surface.
@@ -199,42 +220,42 @@ impl<'a> Candidate<'a> {
     }
 
     fn report(&self, body: &Body, rms: f64) -> Object {
-        let end = |at: f64| (body.radius + body.slope * at).max(0.0);
-        let mut object = Object {
+        let solid = &body.solid;
+        let object = Object {
+            kind: solid.shape().code(),
             points: self.points().round() as u32,
             rows: self.members.len() as u32,
-            center: body.center.into(),
-            axis: body.axis.into(),
-            radius: body.radius,
+            center: solid.center().into(),
+            axis: solid.axis().into(),
+            radius: solid.radius(),
             length: body.length,
             sigma: self.sigma(body, rms),
             rms,
             arc: self.mean(|section| section.arc),
             ..Object::default()
         };
-        match body.solid {
-            Solid::Sphere(_) => object.kind = ObjectKind::Sphere.code(),
-            Solid::Cylinder(_) => object.kind = ObjectKind::Cylinder.code(),
-            Solid::Cone(cone) => {
-                object.kind = ObjectKind::Cone.code();
-                object.half_angle = cone.half_angle;
-                object.apex = cone.apex.into();
-                (object.top_radius, object.base_radius) = (end(-body.length / 2.0), end(body.length / 2.0));
-            }
+        let Solid::Cone(cone) = solid else { return object };
+        let end = |along: f64| (cone.radius + cone.slope * along).max(0.0);
+        Object {
+            half_angle: cone.half_angle(),
+            apex: cone.apex().into(),
+            top_radius: end(-body.length / 2.0),
+            base_radius: end(body.length / 2.0),
+            ..object
         }
-        object
     }
 
     /// Standard errors from the scatter of centres and radii, and never less than the points allow.
     fn sigma(&self, body: &Body, rms: f64) -> ObjectSigma {
         let floor = (rms / self.points().sqrt()).max(LEAST_SIGMA);
         let middle = self.middle();
-        let end = end_sigma(middle.spacing, &middle.plane, &body.axis);
+        let axis = body.solid.axis();
+        let end = end_sigma(middle.spacing, &middle.plane, &axis);
         let across = body.across_sigma.max(floor).powi(2);
-        let along = (end * end / 2.0 + floor * floor - across) * body.axis.norm();
+        let along = (end * end / 2.0 + floor * floor - across) * axis.norm();
         let at = |i: usize, j: usize| {
             let diagonal = if i == j { across } else { 0.0 };
-            diagonal + along * body.axis[i] * body.axis[j]
+            diagonal + along * axis[i] * axis[j]
         };
         let (is_sphere, is_cone) = (matches!(body.solid, Solid::Sphere(_)), matches!(body.solid, Solid::Cone(_)));
         let present = |present: bool, sigma: f64| if present { sigma } else { 0.0 };
