@@ -5,10 +5,11 @@ use anyhow::Result;
 use conicflow_dataflow::pipeline::{Pipeline, SourceText};
 use conicflow_messages::Header;
 use conicflow_nodes::NODES;
-use conicflow_nodes::image_source::{self, Options, Recording};
+use conicflow_nodes::camera::Intrinsics;
+use conicflow_nodes::image_source::{Options, Recording};
 use conicflow_nodes::synthetic_source::scene::Scene;
 use conicflow_nodes::synthetic_source::scene_values::{SceneTemplate, Values};
-use conicflow_nodes::synthetic_source::{self, SyntheticCamera, SyntheticSourceConfig};
+use conicflow_nodes::synthetic_source::{SyntheticCamera, SyntheticSourceConfig};
 use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
@@ -48,7 +49,7 @@ fn is_fine(outcome: Result<()>) -> bool {
 }
 
 fn render(scene: Scene) {
-    let intrinsics = Some(synthetic_source::Intrinsics { fx: 12.0, fy: 12.0, cx: 7.5, cy: 5.5 });
+    let intrinsics = Some(Intrinsics { fx: 12.0, fy: 12.0, cx: 7.5, cy: 5.5 });
     let config = SyntheticSourceConfig { width: 16, height: 12, intrinsics, ..SyntheticSourceConfig::default() };
     let camera = config.camera();
     let mut camera = SyntheticCamera::new(scene, camera, config.noise, config.depth_scale, config.rate_hz, config.seed);
@@ -66,7 +67,7 @@ fn first_frame(name: &str, bytes: &[u8]) -> Result<()> {
     }
     let path = FOLDER.with(|folder| folder.path().join(name));
     fs::write(&path, bytes)?;
-    let intrinsics = Some(image_source::Intrinsics { fx: 50.0, fy: 50.0, cx: 3.0, cy: 2.0 });
+    let intrinsics = Some(Intrinsics { fx: 50.0, fy: 50.0, cx: 3.0, cy: 2.0 });
     let mut recording = Recording::open(&path, &Options { intrinsics, ..Options::default() })?;
     recording.load(0)?;
     recording.decode(&mut vec![0; recording.pixels()])

@@ -3,6 +3,37 @@
 use conicflow_geometry::{Pinhole, Scan};
 use conicflow_messages::{self as messages, Camera, Ellipse};
 use nalgebra::{IsometryMatrix3, Matrix3, Rotation3, Translation3};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Intrinsics of a pinhole camera; pixel centres lie at whole numbers.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Intrinsics {
+    /// Focal length along x, in pixels.
+    #[schemars(range(min = 1.0))]
+    pub fx: f64,
+    /// Focal length along y, in pixels.
+    #[schemars(range(min = 1.0))]
+    pub fy: f64,
+    /// Principal point, x, in pixels.
+    pub cx: f64,
+    /// Principal point, y, in pixels.
+    pub cy: f64,
+}
+
+impl Intrinsics {
+    /// The camera with these intrinsics and images of that size.
+    pub fn camera(self, (width, height): (u32, u32)) -> Camera {
+        Camera { width, height, fx: self.fx, fy: self.fy, cx: self.cx, cy: self.cy }
+    }
+
+    /// Whether they are numbers that a camera can have.
+    pub fn are_usable(&self) -> bool {
+        let Self { fx, fy, cx, cy } = *self;
+        [fx, fy].iter().all(|focal| (1.0..f64::INFINITY).contains(focal)) && cx.is_finite() && cy.is_finite()
+    }
+}
 
 /// The rays of a camera.
 pub fn pinhole(camera: &Camera) -> Pinhole {

@@ -1,6 +1,6 @@
 //! The stages of conicflow, one file each, in the order in which a frame meets them; their table; and the command line.
 
-mod camera;
+pub mod camera;
 mod csv;
 mod faults;
 mod json_lines;

@@ -1,10 +1,9 @@
 //! The camera's intrinsics, from the pipeline file or from a JSON file beside the frames.
 
 use super::hinted;
+use crate::camera::Intrinsics;
 use anyhow::{Context as _, Result, anyhow, bail, ensure};
-use conicflow_messages::Camera;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 use std::fs::File;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
@@ -13,39 +12,6 @@ use std::path::{Path, PathBuf};
 const NAMES: [&str; 3] = ["camera.json", "camera_intrinsics.json", "camera_intrinsic.json"];
 
 const MAX_JSON_BYTES: u64 = 1 << 20;
-
-/// Intrinsics of a pinhole camera; pixel centres lie at whole numbers.
-#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
-#[serde(deny_unknown_fields)]
-pub struct Intrinsics {
-    /// Focal length along x, in pixels.
-    #[schemars(range(min = 0.0))]
-    pub fx: f64,
-    /// Focal length along y, in pixels.
-    #[schemars(range(min = 0.0))]
-    pub fy: f64,
-    /// Principal point, x, in pixels.
-    pub cx: f64,
-    /// Principal point, y, in pixels.
-    pub cy: f64,
-}
-
-impl Intrinsics {
-    /// The camera with these intrinsics and images of that size.
-    pub(super) fn camera(self, (width, height): (u32, u32)) -> Camera {
-        Camera { width, height, fx: self.fx, fy: self.fy, cx: self.cx, cy: self.cy }
-    }
-
-    /// Whether they are numbers that a camera can have.
-    pub(super) fn usable(&self) -> bool {
-        self.fx.is_normal()
-            && self.fy.is_normal()
-            && self.fx > 0.0
-            && self.fy > 0.0
-            && self.cx.is_finite()
-            && self.cy.is_finite()
-    }
-}
 
 /// What a JSON file should be like.
 const HINT: &str = "write `{\"width\": 640, \"height\": 480, \"fx\": .., \"fy\": .., \"cx\": .., \"cy\": ..}` with your camera's \
@@ -83,7 +49,10 @@ impl CameraFile {
         ensure!(text.len() as u64 <= MAX_JSON_BYTES, "it is longer than {MAX_JSON_BYTES} bytes, and no camera's");
         let json: CameraJson = serde_json::from_str(&text)?;
         let intrinsics = json.intrinsics()?;
-        ensure!(intrinsics.usable(), "focal lengths have to be positive, and all of {intrinsics:?} finite numbers");
+        ensure!(
+            intrinsics.are_usable(),
+            "focal lengths have to be at least one pixel, and all of {intrinsics:?} finite numbers"
+        );
         if let Some(scale) = json.depth_scale {
             ensure!(scale.is_normal() && scale > 0.0, "`depth_scale` is {scale}, expected a positive number");
         }
@@ -214,7 +183,7 @@ mod tests {
     fn faults_are_told() {
         assert!(told("{\n oops").contains("line 2"));
         assert!(told(&MINE.replace("\"fy\": 52.0, ", "")).starts_with("the key `fy` is missing\n  hint: write `{"));
-        assert!(told(&MINE.replace("52.0", "0")).starts_with("focal lengths have to be positive"));
+        assert!(told(&MINE.replace("52.0", "0")).starts_with("focal lengths have to be at least one pixel"));
         assert!(told(&MINE.replace("0.0002", "-1")).starts_with("`depth_scale` is -1, expected a positive number\n"));
         assert!(told(r#"{"intrinsic_matrix": [1, 2]}"#).starts_with("`intrinsic_matrix` has 2 numbers, expected 9\n"));
         let long = format!("{MINE}{}", " ".repeat(MAX_JSON_BYTES as usize));

@@ -15,9 +15,9 @@ mod tum;
 #[cfg(test)]
 mod fixtures;
 
-pub use intrinsics::Intrinsics;
 pub use recording::{Frame, Options, Recording};
 
+use crate::camera::Intrinsics;
 use crate::noise_config::NoiseConfig;
 use anyhow::{Context as _, anyhow};
 use conicflow_dataflow::{ConfigFault, Context, Next, Output, Sides, Source, StageError};
@@ -90,10 +90,10 @@ impl conicflow_dataflow::Config for Config {
         if self.depth_scale.is_some_and(|scale| !(scale.is_normal() && scale > 0.0)) {
             faults.push(fault("depth_scale", "is not above 0".to_owned(), "0.001 for millimetres"));
         }
-        if self.intrinsics.is_some_and(|intrinsics| !intrinsics.usable()) {
+        if self.intrinsics.is_some_and(|intrinsics| !intrinsics.are_usable()) {
             faults.push(fault(
                 "intrinsics",
-                "need fx and fy above 0".to_owned(),
+                "need fx and fy of at least one pixel, and finite cx and cy".to_owned(),
                 "take them from the camera's calibration",
             ));
         }

@@ -1,10 +1,11 @@
 //! A recording: the depth frames of a path with their camera, read one by one into memory that the caller has.
 
-use super::intrinsics::{self, CameraFile, Intrinsics};
+use super::intrinsics::{self, CameraFile};
 use super::layout::{Format, FrameFile, Layout, file_name};
 use super::pcd::{self, Cloud};
 use super::pinhole::{self, FAIR_RESIDUAL_PX, Pinhole};
 use super::{depth_png, hinted};
+use crate::camera::Intrinsics;
 use anyhow::{Context as _, Error, Result, bail, ensure};
 use conicflow_messages::{Camera, INVALID_FAR, MAX_SIDE_PX};
 use std::fs::File;
@@ -236,8 +237,8 @@ fn common_size(frames: &[FrameFile]) -> Result<(u32, u32)> {
 fn camera(layout: &Layout, size: (u32, u32), options: &Options, beside: Option<&CameraFile>) -> Result<Option<Camera>> {
     if let Some(intrinsics) = options.intrinsics {
         ensure!(
-            intrinsics.usable(),
-            "`intrinsics` need positive focal lengths and finite numbers, not {intrinsics:?}\n  hint: take them from the camera's calibration, in pixels"
+            intrinsics.are_usable(),
+            "`intrinsics` need focal lengths of at least one pixel, and finite numbers, not {intrinsics:?}\n  hint: take them from the camera's calibration, in pixels"
         );
         return Ok(Some(intrinsics.camera(size)));
     }

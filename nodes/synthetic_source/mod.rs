@@ -19,6 +19,7 @@ mod shadow;
 pub mod shapes;
 pub mod truth;
 
+use crate::camera::Intrinsics;
 use crate::faults;
 use crate::json_lines::JsonLines;
 use crate::noise_config::NoiseConfig;
@@ -152,22 +153,6 @@ pub struct SyntheticSourceConfig {
     pub truth_path: Option<PathBuf>,
 }
 
-/// A pinhole camera; pixel centres lie at whole numbers.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Intrinsics {
-    /// Focal length along x, in pixels.
-    #[schemars(range(min = 1.0))]
-    pub fx: f64,
-    /// Focal length along y, in pixels.
-    #[schemars(range(min = 1.0))]
-    pub fy: f64,
-    /// Principal point, x, in pixels.
-    pub cx: f64,
-    /// Principal point, y, in pixels.
-    pub cy: f64,
-}
-
 impl Default for SyntheticSourceConfig {
     fn default() -> Self {
         Self {
@@ -202,8 +187,7 @@ impl SyntheticSourceConfig {
         let focal = 525.0 * f64::from(width) / 640.0;
         let middle = |size: u32| 0.5 * (f64::from(size) - 1.0);
         let kinect = Intrinsics { fx: focal, fy: focal, cx: middle(width), cy: middle(height) };
-        let Intrinsics { fx, fy, cx, cy } = self.intrinsics.unwrap_or(kinect);
-        Camera { width, height, fx, fy, cx, cy }
+        self.intrinsics.unwrap_or(kinect).camera((width, height))
     }
 
     /// Reads the scene; a single word is the name of a built-in one.
