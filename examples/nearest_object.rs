@@ -54,6 +54,7 @@ impl Stage for NearestObject {
         self.by_depth.extend_from_slice(input.items);
         self.by_depth.sort_by(|a, b| a.center[2].total_cmp(&b.center[2]));
         self.by_depth.iter().take(self.config.max_objects).for_each(|object| output.push(*object));
+        output.count("farther objects", self.by_depth.len().saturating_sub(self.config.max_objects) as u64);
         Ok(())
     }
 }

@@ -22,17 +22,17 @@
 //! [`Stop::requested`] meanwhile.
 
 use anyhow::{Context as _, bail};
-use conicflow_dataflow::{Config, Context, Next, Output, Sides, Source, StageError, Stop, run_source};
+use conicflow_dataflow::{Config, Context, Next, Output, Sides, Source, StageError, Stop, monotonic_ns, run_source};
 use conicflow_messages::{Camera, Header, NoiseModel, Text};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::{Mode, OFlags, open};
+use rustix::io::Errno;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::fs::File;
 use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::time::Instant;
 
 /// Parameters of `raw_camera`.
 #[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
@@ -57,7 +57,6 @@ struct RawCamera {
     config: RawCameraConfig,
     path: PathBuf,
     device: Option<File>,
-    began: Instant,
     stop: Stop,
 }
 
@@ -69,7 +68,7 @@ impl Source for RawCamera {
 
     fn new(config: RawCameraConfig, context: &Context) -> Result<Self, StageError> {
         let path = context.resolve(&config.path);
-        Ok(Self { config, path, device: None, began: Instant::now(), stop: context.stop.clone() })
+        Ok(Self { config, path, device: None, stop: context.stop.clone() })
     }
 
     fn message_length(config: &RawCameraConfig, _: &Path) -> Option<usize> {
@@ -89,7 +88,7 @@ impl Source for RawCamera {
             camera: self.config.camera,
             depth_scale: self.config.depth_scale,
             noise: self.config.noise,
-            stamp_ns: self.began.elapsed().as_nanos() as u64,
+            stamp_ns: monotonic_ns(),
             source: Text::new(Self::NAME),
             ..Header::default()
         };
@@ -112,21 +111,22 @@ fn read_frame(device: &mut File, frame: &mut [u8], stop: &Stop) -> anyhow::Resul
     let mut filled = 0;
     while filled < frame.len() {
         let patience = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
-        if poll(&mut [PollFd::new(device, PollFlags::IN)], Some(&patience))? == 0 {
-            if stop.requested() {
-                return Ok(false);
-            }
+        // A signal that tells the stage to end interrupts the wait.
+        let (Ok(0) | Err(Errno::INTR)) = poll(&mut [PollFd::new(device, PollFlags::IN)], Some(&patience)) else {
+            filled += match device.read(&mut frame[filled..]) {
+                Ok(0) if filled == 0 => return Ok(false),
+                Ok(0) => bail!(
+                    "the stream ends {} bytes before the end of a frame\n  hint: `camera` may have another size than it",
+                    frame.len() - filled
+                ),
+                Ok(bytes) => bytes,
+                Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) => 0,
+                Err(error) => return Err(error.into()),
+            };
             continue;
-        }
-        match device.read(&mut frame[filled..]) {
-            Ok(0) if filled == 0 => return Ok(false),
-            Ok(0) => bail!(
-                "the stream ends {} bytes before the end of a frame\n  hint: `camera` may have another size than it",
-                frame.len() - filled
-            ),
-            Ok(bytes) => filled += bytes,
-            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) => {}
-            Err(error) => return Err(error.into()),
+        };
+        if stop.requested() {
+            return Ok(false);
         }
     }
     Ok(true)

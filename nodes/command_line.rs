@@ -10,17 +10,17 @@ use crate::topic::{self, TopicCommand};
 use anyhow::{Context, anyhow, bail};
 use clap::{Args, Parser, Subcommand};
 use conicflow_dataflow::pipeline::{Pipeline, Report, SourceText};
-use conicflow_dataflow::{LOG, LaunchError, NO_RUN, Plan, ProcessError, RunOptions, Summary};
+use conicflow_dataflow::{DEFAULT_LOG, LOG, LaunchError, NO_RUN, Plan, ProcessError, RunOptions, Summary};
+use conicflow_dataflow::{log_filter, log_to_standard_error};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use std::collections::BTreeSet;
 use std::fmt::Display;
-use std::io::{self, ErrorKind, IsTerminal, Write, stderr, stdout};
+use std::io::{self, ErrorKind, Write, stderr, stdout};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
-use tracing_subscriber::EnvFilter;
-use tracing_subscriber::filter::LevelFilter;
 
 const BUILT_IN: &str = include_str!("../pipeline.toml");
 const DEFAULT_FILE: &str = "pipeline.toml";
@@ -42,7 +42,7 @@ struct CommandLine {
         long,
         global = true,
         env = LOG,
-        default_value = "info",
+        default_value = DEFAULT_LOG,
         value_name = "LEVEL",
         value_parser = log_filter
     )]
@@ -200,25 +200,6 @@ fn is_broken_pipe(error: &anyhow::Error) -> bool {
     error.downcast_ref::<io::Error>().is_some_and(|error| error.kind() == ErrorKind::BrokenPipe)
 }
 
-/// A filter that is one: a single word has to be a level, as else it would count as the name of what alone is logged.
-fn log_filter(text: &str) -> Result<String, String> {
-    let is_named = |part: &str| part.contains(['=', '[', ']', '}']);
-    let wrong = text.split(',').map(str::trim).find(|part| !is_named(part) && part.parse::<LevelFilter>().is_err());
-    match (wrong, EnvFilter::try_new(text)) {
-        (Some(word), _) => Err(format!("`{word}` is no level\n  hint: error, warn, info, debug or trace")),
-        (None, Err(error)) => Err(error.to_string()),
-        (None, Ok(_)) => Ok(text.to_owned()),
-    }
-}
-
-fn log_to_standard_error(filter: &str) {
-    // What a link does is told by the bridge; Zenoh's own words are for `CONICFLOW_LOG=zenoh=debug`.
-    let filter = EnvFilter::new(format!("zenoh=error,{filter}"));
-    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(stderr).without_time();
-    // A log that nobody reads any more is no fault of the run.
-    builder.with_target(false).with_ansi(stderr().is_terminal()).log_internal_errors(false).init();
-}
-
 impl FileArguments {
     /// The pipeline as the machine that was named needs it; where none was, as all of them do.
     fn read_for(&self, machine: Option<&str>) -> anyhow::Result<Pipeline> {
@@ -266,7 +247,7 @@ fn validate(source: &FileArguments, machine: Option<&str>) -> anyhow::Result<Exi
         writeln!(stdout(), "{warnings}\n")?;
     }
     if let Some(json) = &pipeline.experiment {
-        for variation in Experiment::read(json)?.variations()? {
+        for variation in variations(&Experiment::read(json)?, source)? {
             source.read_with(machine, &variation.overrides)?;
         }
     }
@@ -287,6 +268,25 @@ fn run(arguments: &RunArguments, log: &str) -> anyhow::Result<ExitCode> {
     Ok(if summary.is_complete() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
+/// What an experiment varies; the command line, which has the last word, must not take that away.
+fn variations(experiment: &Experiment, source: &FileArguments) -> anyhow::Result<Vec<Variation>> {
+    let variations = experiment.variations()?;
+    let key = |set: &str| set.split_once('=').map_or(set, |(key, _)| key).trim().to_owned();
+    let is_part =
+        |part: &str, whole: &str| part.strip_prefix(whole).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'));
+    let varied: BTreeSet<_> =
+        variations.iter().flat_map(|variation| &variation.overrides).map(|set| key(set)).collect();
+    for set in source.overrides.iter().map(|set| key(set)) {
+        if let Some(varied) = varied.iter().find(|varied| is_part(varied, &set) || is_part(&set, varied)) {
+            bail!(
+                "the experiment varies `{varied}`: `--set {set}` would make all its runs the same\n  \
+                   hint: change `vary` in the file"
+            );
+        }
+    }
+    Ok(variations)
+}
+
 /// Runs a pipeline for each combination of what its experiment varies, and prints one table.
 fn run_experiment(
     pipeline: &Pipeline,
@@ -294,7 +294,7 @@ fn run_experiment(
     arguments: &RunArguments,
     log: &str,
 ) -> anyhow::Result<ExitCode> {
-    let variations = experiment.variations()?;
+    let variations = variations(experiment, &arguments.source)?;
     let (rows, mut results) = (Rows::of(pipeline)?, Results::new(experiment));
     let interrupted = Arc::new(AtomicBool::new(false));
     for signal in [SIGINT, SIGTERM, SIGHUP] {
@@ -341,6 +341,11 @@ fn options(log: &str) -> anyhow::Result<RunOptions> {
 fn check_machine(pipeline: &Pipeline, machine: Option<&str>) -> anyhow::Result<()> {
     let names: Vec<_> = pipeline.machines.keys().map(|name| format!("`{name}`")).collect();
     match machine {
+        Some(machine) if names.is_empty() => {
+            bail!(
+                "the pipeline has no machine `{machine}`, nor any\n  hint: leave --machine out: all stages run on this one"
+            )
+        }
         Some(machine) if !pipeline.machines.contains_key(machine) => {
             bail!("there is no machine `{machine}` in the pipeline\n  hint: machines: {}", names.join(", "))
         }

@@ -8,6 +8,7 @@ pub mod bridge;
 mod clock;
 mod doctor;
 mod launcher;
+mod log;
 mod needs;
 mod node;
 mod observe;
@@ -31,9 +32,10 @@ pub use bridge::{EdgeReport, LinkReport, LinkState};
 pub use clock::monotonic_ns;
 pub use doctor::{Finding, clean, examine};
 pub use launcher::{
-    FolderError, LOG, LaunchError, PIPELINE, ProcessError, RUNTIME_DIR, RunFolder, RunLock, RunOptions, StageSummary,
+    FolderError, LaunchError, PIPELINE, ProcessError, RUNTIME_DIR, RunFolder, RunLock, RunOptions, StageSummary,
     Summary, SwapError, become_stage, link_table, run, run_in_run, run_source, run_stage, user_folder,
 };
+pub use log::{DEFAULT_LOG, LOG, log_filter, log_to_standard_error};
 pub use needs::{Needs, Shortfall, TopicNeeds};
 pub use node::{Node, Variant};
 pub use observe::{InputActivity, Observation, PipelineActivity, StageActivity, TopicActivity, observe};

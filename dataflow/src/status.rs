@@ -176,6 +176,11 @@ impl Intervals {
         Some((self.durations.quantile(0.0)?, self.durations.quantile(1.0)?))
     }
 
+    /// Mean in seconds; `None` if there is none.
+    pub fn mean_s(&self) -> Option<f64> {
+        (self.count > 0).then(|| self.sum_s / self.count as f64)
+    }
+
     /// Standard deviation in seconds; `None` of fewer than two.
     pub fn standard_deviation_s(&self) -> Option<f64> {
         let count = self.count as f64;

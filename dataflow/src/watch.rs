@@ -3,6 +3,7 @@
 //! A watcher sleeps between looks instead of being woken, so that a writer does nothing for it but pass it a pointer.
 
 use crate::launcher::{FolderError, RunFolder, SwapError};
+use crate::log::Seldom;
 use crate::plan::Plan;
 use crate::ports::shared_memory::{SharedMemory, SharedTap};
 use crate::ports::{PortError, Received, Topic};
@@ -82,14 +83,14 @@ impl RunningPipeline {
     ) -> Result<(), E> {
         let told = told_to_end().map_err(WatchError::from)?;
         let (memory, mut tap) = self.tap::<T>(topic)?;
-        let mut checked = Instant::now();
+        let (mut checked, mut nonsense) = (Instant::now(), Seldom::default());
         while !told.load(Ordering::Relaxed) {
             let check = checked.elapsed() > RUN_CHECK;
             // The run is looked at first: what was sent before it was over is then sure to be found.
             let over = check && !self.still_runs();
             match tap.receive(&memory).map_err(WatchError::from)? {
                 Some(received) => {
-                    if is_sound(topic, &received) && see(message(&received))? == Watching::Enough {
+                    if is_sound(topic, &received, &mut nonsense) && see(message(&received))? == Watching::Enough {
                         return Ok(());
                     }
                 }
@@ -137,14 +138,14 @@ fn message<T: Item>(received: &impl Received<T>) -> Message<'_, T> {
 }
 
 /// Whether a message is to be seen: it makes sense, and is not the end of a stream.
-fn is_sound<T: Item>(topic: &Topic, received: &impl Received<T>) -> bool {
+fn is_sound<T: Item>(topic: &Topic, received: &impl Received<T>, nonsense: &mut Seldom) -> bool {
     let header = received.header();
     if header.ends_stream() {
         return false;
     }
     let checked = header.check(T::KIND).and_then(|()| T::check(header, received.items()));
     if let Err(error) = &checked {
-        tracing::warn!("left out a message of topic `{}`: {error}", topic.name);
+        nonsense.warn(format_args!("left out a message of topic `{}`: {error}", topic.name));
     }
     checked.is_ok()
 }

@@ -158,7 +158,7 @@ fn wrong_arguments_are_refused() {
         (&["graph", "--log", "debgu"], "`debgu` is no level\n  hint: error, warn, info, debug or trace"),
         (&["run", "--frames", "0"], "invalid value '0' for '--frames <N>'"),
         (&["run", "--for", "soon"], "invalid value 'soon' for '--for <TIME>'"),
-        (&["run", "--machine", "robot"], "there is no machine `robot` in the pipeline"),
+        (&["run", "--machine", "robot"], "the pipeline has no machine `robot`, nor any\n  hint: leave --machine out"),
         (&["node", "sourc"], "there is no stage `sourc` in this pipeline\n  hint: "),
     ] {
         let ended = playground.conicflow(arguments).expect_code(2);

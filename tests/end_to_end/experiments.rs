@@ -234,6 +234,11 @@ fn a_wrong_experiment_is_refused() {
     let playground = playground("accuracy", &[("source.values.distance", "source.values.distanse")]);
     let ended = playground.conicflow(&["validate", "accuracy.toml"]).expect_code(2);
     assert!(ended.stderr.contains("the scene has no value `distanse`"), "{}", ended.stderr);
+    let playground = self::playground("accuracy", &[]);
+    for command in ["validate", "run"] {
+        let ended = playground.conicflow(&[command, "accuracy.toml", "--set", "source.values.distance=2"]);
+        assert!(ended.expect_code(2).stderr.contains("the experiment varies `source.values.distance`"), "{command}");
+    }
 }
 
 /// The command of each frame reaches the camera before the next one; how soon is all that may differ from run to run.

@@ -2,6 +2,7 @@
 
 use super::bridge::{apart, loopback, machines, newest, start};
 use super::support::{Playground, signal, wait_until};
+use conicflow_dataflow::bridge::WIRE_VERSION;
 use rustix::process::Signal;
 use zenoh::Wait;
 
@@ -39,7 +40,7 @@ fn a_flood_of_garbage_is_counted_and_does_no_harm() {
         for length in [0, 3, 40, 700, 70_000] {
             noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
             let garbage: Vec<u8> = (0..length).map(|index| (noise >> (index % 24)) as u8).collect();
-            let prefixed = [b"CFLO\x02\x00".as_slice(), &garbage].concat();
+            let prefixed = [b"CFLO".as_slice(), &WIRE_VERSION.to_le_bytes(), &garbage].concat();
             for key in ["robot/ellipses", "@link/robot"] {
                 session.put(format!("conicflow/tracking/{key}"), garbage.clone()).wait().unwrap();
                 session.put(format!("conicflow/tracking/{key}"), prefixed.clone()).wait().unwrap();
@@ -61,10 +62,11 @@ fn a_machine_of_another_version_is_refused_by_name_and_numbers() {
     let mut base_run = start(&base, "base");
     base_run.wait_until("its port is open", || std::net::TcpStream::connect(&endpoint[4..]).is_ok());
     let session = intruder(&endpoint);
-    let expected = "refused machine `robot`: the other machine speaks version 99 of the wire, this one 2";
+    let expected =
+        format!("refused machine `robot`: the other machine speaks version 99 of the wire, this one {WIRE_VERSION}");
     wait_until("it is refused", || {
         session.put("conicflow/tracking/@link/robot", b"CFLO\x63\x00".as_slice()).wait().unwrap();
-        base_run.stderr().contains(expected)
+        base_run.stderr().contains(&expected)
     });
     signal(base_run.id(), Signal::INT);
     base_run.wait().expect_code(0);

@@ -79,6 +79,17 @@ fn its_parameters_come_from_the_pipeline_file() {
 }
 
 #[test]
+fn it_logs_as_the_other_stages_do() {
+    let ended = run(&with_nearest_object("env = { CONICFLOW_LOG = \"debug\" }")).expect_code(0);
+    let of_stages: Vec<_> = ended.stderr.lines().filter_map(|line| line.split_once("DEBUG stage `")).collect();
+    assert!(
+        !of_stages.is_empty() && of_stages.iter().all(|(_, line)| line.starts_with("nearest`")),
+        "{}",
+        ended.stderr
+    );
+}
+
+#[test]
 fn parameters_that_it_does_not_know_end_the_run() {
     let ended = run(&with_nearest_object("max_object = 2")).expect_code(1);
     assert!(ended.stderr.contains("error: unknown field `max_object`, expected `max_objects`"), "{}", ended.stderr);

@@ -285,6 +285,26 @@ restart = "never"
 }
 
 #[test]
+fn a_run_ends_by_itself_though_one_of_two_cameras_died_for_good() {
+    let camera = |name: &str, keys: &str| {
+        format!("\n[stage.{name}]\nnode = \"synthetic_source\"\noutput = \"depth\"\nwidth = 64\nheight = 48\n{keys}\n")
+    };
+    let (_, rest) = TRACKING.split_once("[stage.extractor]").unwrap();
+    let [first, second] = [camera("first", "rate_hz = 50\nframes = 100"), camera("second", "restart = \"never\"")];
+    let playground = Playground::with_pipeline(&format!("name = \"two\"\n{first}{second}\n[stage.extractor]{rest}"));
+    let mut run = playground.start(&["run"]);
+    wait_for_lines(&mut run, &playground);
+    signal(stages_of(run.id())["second"], Signal::KILL);
+    let ended = run.wait().expect_code(1);
+    assert!(
+        ended.stderr.contains("stage `second` was killed by signal 9, and is not started anew"),
+        "{}",
+        ended.stderr
+    );
+    assert_eq!(ended.stage("first").messages, 100);
+}
+
+#[test]
 fn a_stage_whose_program_is_away_comes_back_with_it_and_the_others_go_on() {
     let other = "\n[stage.other]\nnode = \"json_sink\"\ninput = \"tracks\"\npath = \"other.jsonl\"\n";
     let playground = Playground::with_pipeline(&format!("{TRACKING}{other}"));

@@ -32,6 +32,23 @@ delay_ms = {delay_ms}
 }
 
 #[test]
+fn a_run_ends_by_itself_where_one_reader_is_lossless_and_another_is_slow() {
+    let playground = slow_pipeline(60);
+    let extractor = "
+[stage.extractor]
+node   = \"row_ellipse_extractor\"
+input  = { topic = \"depth\", delivery = \"lossless\" }
+output = \"ellipses\"
+";
+    let text = playground.lines("pipeline.toml").join("\n") + extractor;
+    playground.write("pipeline.toml", &text);
+    let ended = playground.conicflow(&["run", "--frames", "200"]).expect_code(0);
+    assert_eq!(ended.stage("extractor").messages, 200);
+    let slow = ended.input("depth", "sink");
+    assert!(slow.received > 0 && slow.received < 200, "{}", ended.stderr);
+}
+
+#[test]
 fn the_default_pipeline_tracks_and_tells_of_all_its_stages() {
     let small = ["--set", "source.width=160", "--set", "source.height=120", "--set", "source.rate_hz=0"];
     let sets = [&small[..], &["--set", "source.frames=5", "--set", "console.every=1"]].concat();
@@ -155,7 +172,8 @@ fn a_name_runs_once_at_a_time() {
     assert_eq!(
         second.stderr,
         "error: a pipeline named `tracking` is running already on this machine\n  \
-         hint: end it first, or give this one another `name` in its file\n"
+         hint: end it first, give this one another `name` in its file, or, if it is another machine's part of the same \
+         pipeline, another CONICFLOW_RUNTIME_DIR\n"
     );
     assert!(!playground.path("second.jsonl").exists());
     let before = playground.lines("tracks.jsonl").len();

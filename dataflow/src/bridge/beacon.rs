@@ -10,6 +10,8 @@ pub(super) struct Beacon {
     pub stream: u64,
     /// Its clock when this was sent.
     pub sent_ns: u64,
+    /// How its messages are laid out.
+    pub layouts: String,
     /// The last beacon of each peer.
     pub echoes: Vec<Echo>,
     /// What it has received, per edge.
@@ -39,8 +41,10 @@ pub(super) struct Ack {
     pub ended: Vec<String>,
 }
 
-/// Of how many seconds exchanges are remembered: a queue on the link, which delays one direction, is rarely there for longer.
-const SECONDS: usize = 32;
+/// For how many seconds exchanges are remembered: a queue on the link, which delays one direction, is rarely there for longer.
+const SECONDS: u64 = 32;
+/// What clocks drift apart by in that time at most, in nanoseconds.
+const DRIFT_NS: i64 = 10_000_000;
 
 /// The difference between two machines' clocks, from exchanges of beacons.
 ///
@@ -70,16 +74,19 @@ impl Clock {
         let exchange = (i64::try_from((t4 - t1) - (t3 - t2)), i64::try_from(((t2 - t1) + (t3 - t4)) / 2));
         let (Ok(round_trip_ns @ 0..), Ok(offset_ns)) = exchange else { return };
         let exchange = Exchange { round_trip_ns, offset_ns };
+        if self.best().is_some_and(|best| best.contradicts(&exchange)) {
+            self.clear();
+        }
         match self.best.back_mut() {
             Some((last, best)) if *last == second => *best = quicker(*best, exchange),
             _ => self.best.push_back((second, exchange)),
         }
-        if self.best.len() > SECONDS {
+        while self.best.front().is_some_and(|(first, _)| first + SECONDS <= second) {
             self.best.pop_front();
         }
     }
 
-    /// Forgets everything: the peer may be another machine now.
+    /// Forgets everything: the peer may be another machine now, or one of the two was suspended.
     pub(super) fn clear(&mut self) {
         self.best.clear();
     }
@@ -87,6 +94,15 @@ impl Clock {
     /// The best exchange of the last seconds.
     pub(super) fn best(&self) -> Option<Exchange> {
         self.best.iter().map(|(_, exchange)| *exchange).reduce(quicker)
+    }
+}
+
+impl Exchange {
+    /// Whether no offset between two clocks that run can explain both.
+    fn contradicts(&self, other: &Self) -> bool {
+        let apart = self.offset_ns.abs_diff(other.offset_ns);
+        let explained = (self.round_trip_ns / 2).saturating_add(other.round_trip_ns / 2).saturating_add(DRIFT_NS);
+        apart > explained.unsigned_abs()
     }
 }
 
@@ -108,6 +124,17 @@ mod tests {
         assert_eq!(clock.best(), Some(Exchange { round_trip_ns: 20, offset_ns: 1000 }));
         clock.add([u64::MAX, 0, u64::MAX, 0]);
         assert_eq!(clock.best().unwrap().offset_ns, 1000);
+    }
+
+    #[test]
+    fn a_clock_that_stood_still_is_compared_anew() {
+        let mut clock = Clock::default();
+        clock.add([100, 1110, 1150, 160]);
+        // The own clock stood still for a minute; the first exchange after that is a slow one.
+        let minute = 60_000_000_000;
+        clock.add([200, minute + 1210, minute + 1250, 5_000_550]);
+        let offset = clock.best().unwrap().offset_ns;
+        assert!((offset - minute as i64).abs() < 3_000_000, "{offset}");
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! What one bridge knows of the others: who lives, what they have received, how their clocks differ.
 
 use super::beacon::{Ack, Beacon, Clock, Echo, Exchange};
-use super::wire::{WireError, decode_note};
+use super::wire::{WireError, decode_note, layouts};
 use crate::clock::monotonic_ns;
 use std::collections::BTreeMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -59,6 +59,9 @@ impl Links {
         let mut peers = lock(&self.peers);
         let Some(peer) = peers.get_mut(machine) else { return };
         match decode_note::<Beacon>(bytes) {
+            Ok(Beacon { layouts: theirs, .. }) if theirs != layouts() => {
+                refuse(machine, peer, &WireError::Layout { ours: layouts(), theirs });
+            }
             Ok(beacon) => self.take_in(machine, peer, beacon, now_ns),
             Err(error) => refuse(machine, peer, &error),
         }
@@ -102,7 +105,7 @@ impl Links {
     pub(super) fn beacon(&self, acks: Vec<Ack>) -> Beacon {
         let peers = lock(&self.peers);
         let echoes = peers.values().filter(|peer| peer.heard.is_some()).map(|peer| peer.echo.clone()).collect();
-        Beacon { stream: self.stream, sent_ns: monotonic_ns(), echoes, acks }
+        Beacon { stream: self.stream, sent_ns: monotonic_ns(), layouts: layouts(), echoes, acks }
     }
 
     /// What a peer said it has of a topic, and when it was heard of last.

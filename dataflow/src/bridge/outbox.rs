@@ -10,8 +10,10 @@ use crate::ports::Delivery;
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
-/// What was not acknowledged after this time is sent again.
+/// What was not acknowledged after this time is sent again, and then each time after twice as long, up to a limit: a slow
+/// receiver lacks it no less than a bad link.
 const RESEND_AFTER: Duration = Duration::from_millis(250);
+const LONGEST_RESEND_AFTER: Duration = Duration::from_secs(4);
 /// A machine that wants only the newest is waited for so long, to learn that the stream has ended.
 const END_PATIENCE: Duration = Duration::from_secs(5);
 
@@ -26,6 +28,7 @@ pub(super) struct Outbox {
     receivers: Vec<Remote>,
     outage: Duration,
     progress: Instant,
+    resend_after: Duration,
     lost: u64,
 }
 
@@ -73,6 +76,7 @@ impl Outbox {
             receivers: receivers.iter().map(remote).collect(),
             outage,
             progress: now,
+            resend_after: RESEND_AFTER,
             lost: 0,
         }
     }
@@ -145,7 +149,7 @@ impl Outbox {
         remote.heard = heard;
         if let Some(ack) = ack.filter(|ack| ack.stream == self.stream) {
             if ack.next > remote.next {
-                self.progress = now;
+                (self.progress, self.resend_after) = (now, RESEND_AFTER);
             }
             remote.next = remote.next.max(ack.next.min(self.next));
             remote.ended.extend(ack.ended.iter().cloned());
@@ -167,7 +171,7 @@ impl Outbox {
 
     /// What is to be sent again now, if `alive` says that the machine that lacks it can be reached.
     pub(super) fn due(&mut self, now: Instant, alive: impl Fn(&str) -> bool) -> Vec<Vec<u8>> {
-        if now.saturating_duration_since(self.progress) < RESEND_AFTER {
+        if now.saturating_duration_since(self.progress) < self.resend_after {
             return Vec::new();
         }
         self.progress = now;
@@ -182,6 +186,8 @@ impl Outbox {
         let ends = self.ends.iter().filter(|(writer, _)| untold(writer)).map(|(_, bytes)| bytes);
         let mut messages: Vec<_> = again.chain(ends).cloned().collect();
         messages.iter_mut().for_each(|bytes| set_oldest(bytes, oldest));
+        let longer = (2 * self.resend_after).min(LONGEST_RESEND_AFTER);
+        self.resend_after = if messages.is_empty() { RESEND_AFTER } else { longer };
         messages
     }
 
@@ -230,6 +236,21 @@ mod tests {
         outbox.acknowledge("base", Some(&ack(3, &[])), Some(later), later);
         assert!(outbox.is_settled(later) && outbox.due(later + RESEND_AFTER, |_| true).is_empty());
         assert_eq!((outbox.place().oldest, outbox.lost()), (3, 0));
+    }
+
+    #[test]
+    fn a_slow_receiver_is_sent_the_same_again_less_and_less_often() {
+        let start = Instant::now();
+        let mut outbox = outbox(Delivery::Lossless, start);
+        outbox.sent(&[0; 40], start);
+        let times = |outbox: &mut Outbox, range: std::ops::Range<u32>| {
+            range.filter(|tick| !outbox.due(start + *tick * FULL, |_| true).is_empty()).collect::<Vec<_>>()
+        };
+        const FULL: Duration = RESEND_AFTER;
+        assert_eq!(times(&mut outbox, 1..70), [1, 3, 7, 15, 31, 47, 63]);
+        outbox.sent(&[1; 40], start + 70 * FULL);
+        outbox.acknowledge("base", Some(&ack(1, &[])), None, start + 70 * FULL);
+        assert_eq!(times(&mut outbox, 71..75), [71, 73], "it goes on");
     }
 
     #[test]

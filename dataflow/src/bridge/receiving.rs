@@ -8,9 +8,10 @@ use super::report::EdgeCounts;
 use super::sending::Shared;
 use super::sequence::{Sequence, Verdict};
 use super::ways::Ear;
-use super::wire::{Wire, decode_message};
+use super::wire::{Place, Wire, decode_message, place_of};
 use super::{BRIDGE, BridgeError};
 use crate::clock::monotonic_ns;
+use crate::log::Seldom;
 use crate::ports::shared_memory::SharedWriter;
 use crate::ports::{Delivery, PortError, Transport};
 use crate::runner::outlet::Outlet;
@@ -29,8 +30,6 @@ const LOSSLESS_ROOM: usize = 64;
 const STALE: Duration = Duration::from_secs(1);
 /// Where datagrams come less often than this, the stream is listened to as well.
 const SILENCE: Duration = Duration::from_secs(2);
-/// Nonsense is told at most this often.
-const TELL_NONSENSE: Duration = Duration::from_secs(1);
 
 /// The thread of one edge that comes.
 pub(super) struct Receiving<'a, T: Wire> {
@@ -45,7 +44,7 @@ pub(super) struct Receiving<'a, T: Wire> {
     links: Arc<Links>,
     counts: Arc<EdgeCounts>,
     stop: Stop,
-    told: Option<Instant>,
+    nonsense: Seldom,
     ways_told: BTreeSet<&'static str>,
 }
 
@@ -75,7 +74,7 @@ impl<'a, T: Wire> Receiving<'a, T> {
             links: Arc::clone(shared.links),
             counts,
             stop: shared.stop.clone(),
-            told: None,
+            nonsense: Seldom::default(),
             ways_told: BTreeSet::new(),
         })
     }
@@ -110,17 +109,34 @@ impl<'a, T: Wire> Receiving<'a, T> {
         self.items = items;
         let (place, header) = match decoded {
             Ok(message) => message,
-            Err(error) => return self.leave_out(&error),
+            Err(error) => {
+                self.leave_out(&error);
+                // Of another stream only what can be read tells.
+                let place = place_of(bytes).ok().filter(|place| place.stream == self.sequence.expected().0);
+                place.into_iter().for_each(|place| self.pass_over(place));
+                return Ok(());
+            }
         };
         let writer = header.trace().last().map(|hop| hop.stage.to_string()).unwrap_or_default();
         if !self.edge.writers.contains(&writer) {
-            return self.leave_out(&format!("no stage `{writer}` of machine `{}` writes it", self.edge.from));
+            self.leave_out(&format!("no stage `{writer}` of machine `{}` writes it", self.edge.from));
+            self.pass_over(place);
+            return Ok(());
         }
         let repeated_end = header.ends_stream() && !self.lossless && place.stream >= self.sequence.expected().0;
         let verdict = self.sequence.judge(place, Instant::now());
         self.counts.lost.store(self.sequence.lost(), Ordering::Relaxed);
         if verdict == Verdict::Take {
-            self.pass_on(header, bytes.len())?;
+            match self.pass_on(header, bytes.len()) {
+                // It comes again where it must not be missed; there may be room by then.
+                Err(error @ PortError::NoRoom { .. }) => {
+                    self.leave_out(&error);
+                    if self.lossless {
+                        return Ok(());
+                    }
+                }
+                passed_on => passed_on?,
+            }
             self.sequence.taken();
         }
         if header.ends_stream() && (verdict == Verdict::Take || repeated_end) {
@@ -140,10 +156,11 @@ impl<'a, T: Wire> Receiving<'a, T> {
             EdgeCounts::add(&self.counts.stale, 1);
             return Ok(());
         }
+        self.outlet.relay(&header, &self.items)?;
         EdgeCounts::add(&self.counts.messages, 1);
         EdgeCounts::add(&self.counts.wire_bytes, wire_bytes as u64);
         EdgeCounts::add(&self.counts.memory_bytes, (size_of_val(&*self.items) + size_of::<Header>()) as u64);
-        self.outlet.relay(&header, &self.items)
+        Ok(())
     }
 
     /// Turns the times of the trace into times of this machine's clock, and tells how long the message was under way.
@@ -168,13 +185,17 @@ impl<'a, T: Wire> Receiving<'a, T> {
         self.links.received(Ack { from, topic, stream, next, ended });
     }
 
-    fn leave_out(&mut self, reason: &dyn std::fmt::Display) -> Result<(), PortError> {
-        EdgeCounts::add(&self.counts.malformed, 1);
-        if self.told.is_none_or(|told| told.elapsed() > TELL_NONSENSE) {
-            self.told = Some(Instant::now());
-            let (topic, from) = (&self.edge.topic.name, &self.edge.from);
-            tracing::warn!("left out a message of topic `{topic}` from machine `{from}`: {reason}");
+    /// What will never make sense would be sent again for ever, and nothing after it.
+    fn pass_over(&mut self, place: Place) {
+        if self.sequence.judge(place, Instant::now()) == Verdict::Take {
+            self.sequence.taken();
         }
-        Ok(())
+        self.acknowledge();
+    }
+
+    fn leave_out(&mut self, reason: &dyn std::fmt::Display) {
+        EdgeCounts::add(&self.counts.malformed, 1);
+        let (topic, from) = (&self.edge.topic.name, &self.edge.from);
+        self.nonsense.warn(format_args!("left out a message of topic `{topic}` from machine `{from}`: {reason}"));
     }
 }

@@ -9,6 +9,7 @@ use super::ways::{Voice, Ways};
 use super::wire::{Wire, encode_message};
 use super::{BRIDGE, BridgeError};
 use crate::clock::monotonic_ns;
+use crate::log::Seldom;
 use crate::ports::shared_memory::{SharedMemory, SharedReader};
 use crate::ports::{Delivery, Received, Transport};
 use crate::runner::inbox::Inbox;
@@ -65,6 +66,7 @@ pub(super) struct Sending<'a, T: Wire> {
     stop: Stop,
     last: Header,
     ended: BTreeSet<String>,
+    left_out: Seldom,
 }
 
 impl<'a, T: Wire> Sending<'a, T> {
@@ -89,6 +91,7 @@ impl<'a, T: Wire> Sending<'a, T> {
             stop: shared.stop.clone(),
             last: Header::default(),
             ended: BTreeSet::new(),
+            left_out: Seldom::default(),
         })
     }
 
@@ -100,8 +103,7 @@ impl<'a, T: Wire> Sending<'a, T> {
                 std::thread::sleep(FULL_TICK);
                 continue;
             }
-            if !self.forward_next()? {
-                self.forward_ends()?;
+            if !self.forward_next()? && !self.forward_ends()? {
                 self.inbox.wait(TICK)?;
             }
         }
@@ -164,9 +166,10 @@ impl<'a, T: Wire> Sending<'a, T> {
         Ok(true)
     }
 
-    fn leave_out(&self, error: &dyn std::fmt::Display) {
+    fn leave_out(&mut self, error: &dyn std::fmt::Display) {
         EdgeCounts::add(&self.counts.malformed, 1);
-        tracing::warn!("a message of topic `{}` cannot leave this machine: {error}", self.edge.topic.name);
+        let topic = &self.edge.topic.name;
+        self.left_out.warn(format_args!("a message of topic `{topic}` cannot leave this machine: {error}"));
     }
 
     fn count(&self, header: &Header, wire_bytes: usize, memory_bytes: usize) {
@@ -178,24 +181,27 @@ impl<'a, T: Wire> Sending<'a, T> {
         self.counts.age_ns.store(age, std::sync::atomic::Ordering::Relaxed);
     }
 
-    /// Passes on that writers have ended, or are gone.
-    fn forward_ends(&mut self) -> Result<(), BridgeError> {
+    /// Passes on that writers have ended, or are gone; true where one of those had sent a message before it was gone.
+    fn forward_ends(&mut self) -> Result<bool, BridgeError> {
         let gone: Vec<_> = self.edge.writers.iter().filter(|writer| self.is_gone(writer)).cloned().collect();
-        while !gone.is_empty() && self.forward_next()? {}
+        if !gone.is_empty() && self.forward_next()? {
+            return Ok(true);
+        }
         for writer in &self.edge.writers {
             let over = self.inbox.has_ended(writer) || gone.contains(writer);
             if over && self.inbox.is_idle() && self.ended.insert(writer.clone()) {
-                let end = end_of_stream(&self.last, Text::new(writer));
+                let end = end_of_stream(&self.last, &[Text::new(writer)]);
                 let bytes = encode_message::<T>(self.outbox.place(), &end, &[], self.edge.compression)?;
                 self.outbox.sent_end(writer, &bytes, Instant::now());
                 self.voice.put(bytes);
             }
         }
-        Ok(())
+        Ok(false)
     }
 
+    /// Whether a writer is over, without having said so to this process: an earlier one may have heard it.
     fn is_gone(&self, writer: &str) -> bool {
-        !self.ended.contains(writer) && self.peers.life(writer) == Some(Life::Gone)
+        !self.ended.contains(writer) && matches!(self.peers.life(writer), Some(Life::Ended | Life::Gone))
     }
 
     fn tell_what_is_lost(&self) {

@@ -43,8 +43,10 @@ pub(super) fn configurations(machine: &Machine) -> Result<(zenoh::Config, Option
     let settings = settings(machine)?;
     let mut endpoints = Vec::new();
     collect_strings(&settings["listen"]["endpoints"], &mut endpoints);
-    endpoints.iter().try_for_each(|endpoint| check_listen(endpoint, machine.insecure))?;
+    let asks_who = settings["transport"]["link"]["tls"]["enable_mtls"] == true;
+    endpoints.iter().try_for_each(|endpoint| check_listen(endpoint, asks_who, machine.insecure))?;
     collect_strings(&settings["connect"]["endpoints"], &mut endpoints);
+    endpoints.iter().try_for_each(|endpoint| check_endpoint(endpoint))?;
     let datagrams = endpoints.iter().filter(|endpoint| carries_datagrams(endpoint)).count();
     if datagrams == 0 || datagrams == endpoints.len() {
         return Ok((configuration(&settings)?, None));
@@ -153,20 +155,43 @@ fn retain_strings(value: &mut Json, wanted: fn(&str) -> bool) {
     }
 }
 
-/// A port that others can reach has to know who they are, unless the file says otherwise.
-fn check_listen(endpoint: &str, insecure: bool) -> Result<(), SettingsFault> {
+/// An endpoint that cannot be opened would be tried for ever.
+fn check_endpoint(endpoint: &str) -> Result<(), SettingsFault> {
+    let address = endpoint.split(['#', '?']).next().unwrap_or(endpoint);
+    let parts = address.split_once('/').and_then(|(protocol, address)| Some((protocol, address.rsplit_once(':')?)));
+    let is_known = |protocol| matches!(protocol, "tcp" | "udp" | "tls" | "quic");
+    match parts {
+        Some((protocol, (host, port))) if is_known(protocol) && !host.is_empty() && port.parse::<u16>().is_ok() => {
+            Ok(())
+        }
+        _ => Err(fault(
+            format!("`{endpoint}` is no endpoint"),
+            "an endpoint looks like tcp/192.168.0.2:7447; other protocols are udp, tls and quic",
+        )),
+    }
+}
+
+/// A port that others can reach has to know who they are, by certificates that it asks for, unless the file says otherwise.
+fn check_listen(endpoint: &str, asks_who: bool, insecure: bool) -> Result<(), SettingsFault> {
     let address = endpoint.split(['#', '?']).next().unwrap_or(endpoint);
     let Some((protocol, host)) = address.split_once('/') else {
         let hint = "an endpoint looks like tcp/127.0.0.1:7447";
         return Err(fault(format!("`{endpoint}` is not an endpoint to listen on"), hint));
     };
     let local = ["127.", "[::1]", "localhost:"].iter().any(|loopback| host.starts_with(loopback));
-    let secure = matches!(protocol, "tls" | "quic" | "unixsock-stream" | "unixpipe");
+    let encrypted = matches!(protocol, "tls" | "quic");
+    let secure = encrypted && asks_who;
     if local || secure || insecure {
         return Ok(());
     }
     let what = format!("`{endpoint}` would be open to everyone who can reach it");
-    Err(fault(what, "use tls/.. with certificates in a `zenoh` file, or say insecure = true"))
+    let hint = if encrypted {
+        "ask for the others' certificates, with enable_mtls: true under transport.link.tls in the `zenoh` file, or say \
+         insecure = true"
+    } else {
+        "use tls/.. with certificates in a `zenoh` file, or say insecure = true"
+    };
+    Err(fault(what, hint))
 }
 
 #[cfg(test)]
@@ -192,10 +217,11 @@ mod tests {
 
     #[test]
     fn an_open_port_has_to_be_asked_for() {
-        for closed in ["tcp/127.0.0.1:7447", "tcp/[::1]:7447", "tls/0.0.0.0:7447", "tcp/localhost:7447"] {
+        for closed in ["tcp/127.0.0.1:7447", "tcp/[::1]:7447", "tls/localhost:7447", "tcp/localhost:7447"] {
             assert_eq!(check(&listening(closed)), Ok(()), "{closed}");
         }
-        for open in ["tcp/0.0.0.0:7447", "tcp/[::]:7447", "tcp/robot.local:7447"] {
+        for open in ["tcp/0.0.0.0:7447", "tcp/[::]:7447", "tcp/robot.local:7447", "tls/0.0.0.0:7447", "quic/[::]:7447"]
+        {
             assert!(check(&listening(open)).unwrap_err().what.contains("open to everyone"), "{open}");
             assert_eq!(check(&Machine { insecure: true, ..listening(open) }), Ok(()), "{open}");
         }

@@ -15,11 +15,11 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 /// Version of the bytes between machines; machines of different versions refuse each other.
-pub const WIRE_VERSION: u16 = 2;
+pub const WIRE_VERSION: u16 = 3;
 /// No message is longer than this, in bytes.
 pub const MAX_MESSAGE: usize = 8 << 20;
-/// No image has more pixels than this.
-const MAX_PIXELS: u64 = 16 << 20;
+/// No image that goes to another machine has more pixels than this.
+const MAX_WIRE_PIXELS: u64 = 16 << 20;
 
 const MAGIC: [u8; 4] = *b"CFLO";
 const PREFIX: usize = MAGIC.len() + size_of::<u16>();
@@ -101,17 +101,15 @@ pub trait Wire: Item {
 
 impl Wire for u16 {
     fn encode_body(header: &Header, items: &[u16], how: Compression, bytes: &mut Vec<u8>) -> Result<(), WireError> {
+        check_pixels(header)?;
         bytes.push(how as u8);
         depth_codec::compress(items, header.camera.width as usize, how, bytes).map_err(WireError::Broken)
     }
 
     fn decode_body(header: &Header, bytes: &[u8], items: &mut Vec<u16>) -> Result<(), WireError> {
-        let (width, height) = (header.camera.width, header.camera.height);
-        if u64::from(width) * u64::from(height) > MAX_PIXELS {
-            return Err(WireError::Broken(format!("an image of {width}x{height}, allowed are {MAX_PIXELS} pixels")));
-        }
+        check_pixels(header)?;
         let (how, packed) = split_compression(bytes)?;
-        let size = (width as usize, height as usize);
+        let size = (header.camera.width as usize, header.camera.height as usize);
         depth_codec::decompress(packed, size, how, items).map_err(WireError::Broken)
     }
 }
@@ -155,6 +153,14 @@ impl Wire for Track {
     fn decode_body(_: &Header, bytes: &[u8], items: &mut Vec<Self>) -> Result<(), WireError> {
         decode_list(bytes, items)
     }
+}
+
+fn check_pixels(header: &Header) -> Result<(), WireError> {
+    let (width, height) = (header.camera.width, header.camera.height);
+    if u64::from(width) * u64::from(height) > MAX_WIRE_PIXELS {
+        return Err(WireError::Broken(format!("an image of {width}x{height}, allowed are {MAX_WIRE_PIXELS} pixels")));
+    }
+    Ok(())
 }
 
 /// How a body is compressed, and what follows.
@@ -233,6 +239,11 @@ fn split_place(bytes: &[u8]) -> Result<(Place, &[u8]), WireError> {
     let (numbers, rest) = bytes.split_at_checked(24).ok_or_else(|| WireError::Broken("no place".to_owned()))?;
     let number = |at: usize| numbers[at..at + 8].iter().rev().fold(0, |sum, &byte| sum << 8 | u64::from(byte));
     Ok((Place { stream: number(0), number: number(8), oldest: number(16) }, rest))
+}
+
+/// The layouts of all that can go to another machine.
+pub(super) fn layouts() -> String {
+    [HEADER_TYPE_NAME, u16::TYPE_NAME, Ellipse::TYPE_NAME, Object::TYPE_NAME, Track::TYPE_NAME].join(" ")
 }
 
 fn layout<T: Item>() -> String {

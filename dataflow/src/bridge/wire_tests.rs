@@ -90,10 +90,10 @@ fn images_that_do_not_fill_their_size_are_refused() {
         let pixels = vec![1000; 12];
         let good = bytes_of(&header(4, 3), &pixels, how);
         let short = bytes_of(&header(4, 4), &pixels, how);
-        let huge = bytes_of(&header(65_536, 65_536), &pixels, how);
+        let huge = encode_message::<u16>(place(), &header(8192, 4096), &pixels, how);
+        assert!(matches!(huge, Err(WireError::Broken(_))), "it could not be read there: {how:?}");
         assert!(decode_message::<u16>(&good, &mut Vec::new()).is_ok());
         assert!(decode_message::<u16>(&short, &mut Vec::new()).is_err(), "{how:?}");
-        assert!(decode_message::<u16>(&huge, &mut Vec::new()).is_err(), "{how:?}");
     }
 }
 

@@ -6,7 +6,7 @@ use super::process::{LAUNCHER, ProcessError, REFUSED, as_stage};
 use super::vigil::{News, Vigil};
 use crate::pipeline::Restart;
 use crate::plan::{Plan, PlannedStage, Runs};
-use crate::status::{Life, Status, StatusFile};
+use crate::status::{Life, Status};
 use rustix::process::{Pid, Signal, kill_process};
 use signal_hook::consts::SIGBUS;
 use std::collections::VecDeque;
@@ -190,12 +190,23 @@ impl Supervised {
         own.is_none_or(|status| status.life() == Life::Ended)
     }
 
+    /// Whether all that write its input are over: there is nothing to come back for.
+    fn has_heard_all(&self, plan: &Plan, folder: &RunFolder) -> bool {
+        let is_over = |stage: &String| {
+            let record = Status::read(&folder.status(stage)).filter(|record| record.run == plan.run);
+            record.is_some_and(|record| matches!(record.life(), Life::Ended | Life::Gone))
+        };
+        let writers = self.planned.wiring.input.as_ref().map(|topic| &topic.writers).filter(|all| !all.is_empty());
+        writers.is_some_and(|writers| writers.iter().all(is_over))
+    }
+
     fn ended(&mut self, process: u32, status: ExitStatus, plan: &Plan, folder: &RunFolder, ending: bool) -> Change {
         let name = self.planned.name.clone();
         let finished = status.success() && self.came_to_its_end(process, plan, folder);
-        if finished && (self.planned.restart != Restart::Always || ending) {
+        let comes_back = self.planned.restart == Restart::Always && !ending && !self.has_heard_all(plan, folder);
+        if finished && !comes_back {
             self.state = State::Done;
-            settle(folder, plan, &name, Life::Ended);
+            folder.set_life(plan.run, &name, Life::Ended);
             return Change::None;
         }
         if ending {
@@ -203,6 +214,7 @@ impl Supervised {
             return Change::None;
         }
         if status.code() == Some(i32::from(REFUSED)) {
+            tracing::error!("stage `{name}` could not be made ready, for what it told");
             return self.give_up(folder, plan, Change::Lost);
         }
         self.died(&describe(status), plan, folder)
@@ -234,7 +246,7 @@ impl Supervised {
 
     fn give_up(&mut self, folder: &RunFolder, plan: &Plan, change: Change) -> Change {
         self.state = State::Gone;
-        settle(folder, plan, &self.planned.name, Life::Gone);
+        folder.set_life(plan.run, &self.planned.name, Life::Gone);
         change
     }
 }
@@ -245,14 +257,6 @@ pub(crate) fn command(planned: &PlannedStage, plan: &Plan, options: &RunOptions)
     let mut command = as_stage(planned, plan, PLAN, options);
     command.env(LAUNCHER, std::process::id().to_string()).stdin(Stdio::null()).process_group(0);
     command
-}
-
-/// Makes it known to the other stages that one will not come back.
-fn settle(folder: &RunFolder, plan: &Plan, stage: &str, life: Life) {
-    if let Ok(mut record) = StatusFile::open(&folder.status(stage), plan.run) {
-        record.status.set_life(life);
-        record.write();
-    }
 }
 
 fn describe(status: ExitStatus) -> String {

@@ -1,7 +1,7 @@
 //! Where a run keeps its files: one folder per user, in it one per pipeline, and beside them the files of shared memory.
 
 use crate::plan::{LAYOUT, Plan};
-use crate::status::{Life, Status, status_path};
+use crate::status::{Life, Status, StatusFile, status_path};
 use serde::Deserialize;
 use std::fs::{self, File, TryLockError};
 use std::io;
@@ -47,7 +47,8 @@ pub enum FolderError {
     /// A pipeline of this name runs already.
     #[error(
         "a pipeline named `{name}` is running already on this machine\n  \
-         hint: end it first, or give this one another `name` in its file"
+         hint: end it first, give this one another `name` in its file, or, if it is another machine's part of the same \
+         pipeline, another CONICFLOW_RUNTIME_DIR"
     )]
     Running {
         /// Its name.
@@ -144,6 +145,14 @@ impl RunFolder {
         &self.path
     }
 
+    /// Makes it known to the other stages that one will not come back.
+    pub(crate) fn set_life(&self, run: u64, stage: &str, life: Life) {
+        if let Ok(mut record) = StatusFile::open(&self.status(stage), run) {
+            record.status.set_life(life);
+            record.write();
+        }
+    }
+
     /// The file of a stage's record.
     pub fn status(&self, stage: &str) -> PathBuf {
         status_path(&self.path, stage)
@@ -215,6 +224,22 @@ impl RunFolder {
     pub fn begin(&self, plan: &Plan) -> Result<(), FolderError> {
         self.remove_records()?;
         self.write_plan(plan)
+    }
+
+    /// Notes that a run is over as its launcher saw it: what is left was not cut off, and nobody comes back for it. Where
+    /// that cannot be written the next run sees to it.
+    pub(crate) fn settle(&self, plan: &Plan) {
+        for stage in &plan.stages {
+            let record = Status::read(&self.status(&stage.name)).filter(|record| record.run == plan.run);
+            if record.is_some_and(|record| matches!(record.life(), Life::Starting | Life::Running)) {
+                self.set_life(plan.run, &stage.name, Life::Gone);
+            }
+        }
+        for entry in fs::read_dir(&self.path).into_iter().flatten().flatten() {
+            if entry.path().extension().is_some_and(|extension| extension == "kept") {
+                fs::remove_file(entry.path()).ok();
+            }
+        }
     }
 
     /// Removes what a run has left that is over; the locks stay.
@@ -293,7 +318,7 @@ impl RunFolder {
 
 /// The folder of this user in which all runs have theirs, whether it is there or not.
 pub fn user_folder() -> PathBuf {
-    if let Some(path) = std::env::var_os(RUNTIME_DIR) {
+    if let Some(path) = std::env::var_os(RUNTIME_DIR).filter(|path| !path.is_empty()) {
         return path.into();
     }
     match std::env::var_os("XDG_RUNTIME_DIR") {

@@ -15,7 +15,7 @@ mod vigil;
 pub use folder::{FolderError, RUNTIME_DIR, RunFolder, RunLock, user_folder};
 pub(crate) use folder::{LAST_STAGES_GRACE, check_private};
 pub(crate) use process::{LAUNCHER, STAGE};
-pub use process::{LOG, PIPELINE, ProcessError, become_stage, run_in_run, run_source, run_stage};
+pub use process::{PIPELINE, ProcessError, become_stage, run_in_run, run_source, run_stage};
 pub use request::SwapError;
 pub use summary::{StageSummary, Summary, link_table};
 
@@ -54,7 +54,7 @@ pub struct RunOptions {
     pub duration: Option<Duration>,
     /// No progress is shown.
     pub quiet: bool,
-    /// What its stages log, as they understand [`LOG`]; `None`: what they inherit.
+    /// What its stages log, as they understand [`LOG`](crate::LOG); `None`: what they inherit.
     pub log: Option<String>,
 }
 
@@ -118,6 +118,7 @@ pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
     launcher.swap.take().into_iter().for_each(|swap| swap.abandon(&launcher.folder));
     launcher.stages.iter_mut().for_each(Supervised::kill);
     ended?;
+    launcher.folder.settle(&launcher.plan);
     drop(services);
     SharedMemory::clean(launcher.folder.shared_memory())?;
     Ok(launcher.summary())

@@ -3,6 +3,7 @@
 use super::RunOptions;
 use super::folder::{FolderError, PLAN, RunFolder};
 use crate::bridge::{self, BridgeError};
+use crate::log::{DEFAULT_LOG, LOG, log_to_standard_error};
 use crate::node::Node;
 use crate::plan::{Plan, PlannedStage, Runs};
 use crate::ports::PortError;
@@ -28,8 +29,6 @@ pub(crate) const STAGE: &str = "CONICFLOW_STAGE";
 pub(crate) const LAUNCHER: &str = "CONICFLOW_LAUNCHER";
 /// Environment variable: the file of the plan in the run's folder.
 const PLAN_FILE: &str = "CONICFLOW_PLAN";
-/// Environment variable: what is logged, as a level or a filter.
-pub const LOG: &str = "CONICFLOW_LOG";
 
 /// Exit code of a stage that could not be made ready: to start it anew would not help.
 pub(crate) const REFUSED: u8 = 2;
@@ -141,13 +140,13 @@ fn run_planned(plan: &Plan, folder: &RunFolder, name: &str, nodes: &[Node]) -> R
     }
 }
 
-/// Runs the source `S` as the stage that the launcher started this program for; for a `main` outside this repository.
+/// Runs the source `S` as the stage that the launcher started this program for; for a `main` outside this repository. It
+/// logs to standard error, as `--log` of the run says, unless this program logs somewhere already.
 pub fn run_source<S: Source>() -> ExitCode {
     exit_code(run_own(Node::source::<S>()))
 }
 
-/// Runs the stage or sink `S` as the stage that the launcher started this program for; for a `main` outside this
-/// repository.
+/// Runs the stage or sink `S` as [`run_source`] runs a source.
 pub fn run_stage<S: Stage>() -> ExitCode {
     exit_code(run_own(Node::stage::<S>()))
 }
@@ -174,6 +173,7 @@ pub fn run_in_run(nodes: &[Node]) -> Result<(), ProcessError> {
 }
 
 fn run_own(node: Node) -> Result<(), ProcessError> {
+    log_to_standard_error(&std::env::var(LOG).unwrap_or_else(|_| DEFAULT_LOG.to_owned()));
     let (mut plan, folder, stage) = own_place()?;
     die_with_launcher();
     let own = plan.stages.iter_mut().find(|planned| planned.name == stage);

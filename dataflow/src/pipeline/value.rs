@@ -60,8 +60,15 @@ impl Table {
             return;
         }
         if !matches!(self.get(first), Some(Entry { value: Value { content: Content::Table(_), .. }, .. })) {
-            self.take(first);
-            let table = Value { content: Content::Table(Self::default()), place: key_place.clone() };
+            let before = self.take(first);
+            let mut table = Self::default();
+            // `input = "depth"` is short for `input = { topic = "depth" }`.
+            if *first == "input"
+                && let Some(topic) = before.filter(|entry| entry.value.as_str().is_some())
+            {
+                table.0.push(Entry { key: "topic".to_owned(), ..topic });
+            }
+            let table = Value { content: Content::Table(table), place: key_place.clone() };
             self.0.push(Entry { key: (*first).to_owned(), key_place: key_place.clone(), value: table });
         }
         let entry = self.0.iter_mut().find(|entry| entry.key == *first);

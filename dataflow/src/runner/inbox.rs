@@ -1,6 +1,7 @@
 //! An input of a stage: decides which of the messages that came is worked on, and counts the others.
 
 use super::handover::Mark;
+use crate::log::Seldom;
 use crate::ports::{Delivery, MAX_KEPT, PortError, Reader, Received};
 use crate::status::{InputCounts, LastMessage};
 use conicflow_messages::{Header, Item, Text};
@@ -26,6 +27,7 @@ pub(crate) struct Inbox<T: Item, R: Reader<T>> {
     predecessor: Mark,
     /// Writer and number of the last message that an earlier process counted, where this one has heard it as well.
     counted: Option<(Text<32>, u64)>,
+    nonsense: Seldom,
 }
 
 impl<T: Item, R: Reader<T>> Inbox<T, R> {
@@ -43,6 +45,7 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
             worked_on: Mark::default(),
             predecessor: Mark::default(),
             counted: None,
+            nonsense: Seldom::default(),
         }
     }
 
@@ -85,7 +88,7 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
     /// Whether all messages before `first` were worked on, and none of them can come any more.
     pub(crate) fn has_passed(&self, first: &Mark) -> bool {
         first.numbers.iter().all(|(writer, first)| {
-            let seen = self.last_number.get(writer).map_or(0, |last| last + 1) >= *first;
+            let seen = self.last_number.get(writer).map_or(0, |last| last.saturating_add(1)) >= *first;
             let is_before =
                 |message: &R::Message| is_from(message.header(), writer) && message.header().number < *first;
             (seen || self.ended.contains(writer.as_str().unwrap_or_default())) && !self.pending.iter().any(is_before)
@@ -143,7 +146,7 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
     pub(crate) fn first_heard(&self) -> Mark {
         let mut first = Mark::default();
         for header in self.overheard() {
-            let number = header.number + u64::from(header.ends_stream());
+            let number = header.number.saturating_add(u64::from(header.ends_stream()));
             first.numbers.entry(ends_of_trace(header).1).or_insert(number);
         }
         first
@@ -224,12 +227,12 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
         let header = message.header();
         if let Err(error) = header.check(T::KIND).and_then(|()| check_items::<T>(header, message.items())) {
             self.counts.malformed += 1;
-            tracing::warn!("left out a message of topic `{}`: {error}", self.counts.topic);
+            self.nonsense.warn(format_args!("left out a message of topic `{}`: {error}", self.counts.topic));
             return false;
         }
         let (source, writer) = ends_of_trace(header);
         if header.ends_stream() {
-            self.ended.insert(writer.to_string());
+            self.ended.extend(header.trace().iter().map(|hop| hop.stage.to_string()));
             return false;
         }
         if self.is_known(header, writer) {
@@ -253,7 +256,7 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
     /// Counts what was lost on the way from the writer to here.
     fn count_lost(&mut self, header: &Header, writer: Text<32>) {
         if let Some(last) = self.last_number.insert(writer, header.number) {
-            self.counts.dropped += header.number.saturating_sub(last + 1);
+            self.counts.dropped += header.number.saturating_sub(last.saturating_add(1));
         }
     }
 
@@ -265,7 +268,7 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
                 self.counts.late += 1;
                 return false;
             }
-            self.counts.gaps += header.sequence.saturating_sub(sequence + 1);
+            self.counts.gaps += header.sequence.saturating_sub(sequence.saturating_add(1));
         }
         self.last_frame.insert(source, (header.epoch, header.sequence));
         true

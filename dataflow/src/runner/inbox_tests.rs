@@ -3,6 +3,7 @@
 use super::inbox::Inbox;
 use crate::ports::in_memory::InMemory;
 use crate::ports::{Delivery, MAX_KEPT, Received, Topic, TopicReader, Transport, Writer};
+use crate::runner::outlet::end_of_stream;
 use crate::status::InputCounts;
 use conicflow_messages::{Camera, END_OF_STREAM, Header, Hop, Object, Text};
 
@@ -131,4 +132,23 @@ fn nonsense_is_counted_and_left_out() {
     let broken = Header { depth_scale: f64::NAN, ..header(1) };
     let (taken, counts, _) = pass(Delivery::Lossless, &[header(0), broken]);
     assert_eq!((taken, counts.malformed), (vec![0], 1));
+}
+
+#[test]
+fn one_message_may_end_the_streams_of_several_writers() {
+    let memory = InMemory::default();
+    let topic = topic(Delivery::Latest);
+    let mut inbox = Inbox::new(memory.reader::<Object>(&topic, "reader").unwrap(), Delivery::Latest, "objects", 2);
+    let mut writer = memory.writer::<Object>(&topic).unwrap();
+    writer.send(&header(0)).unwrap();
+    writer.send(&end_of_stream(&header(0), &["writer", "other"].map(Text::new))).unwrap();
+    assert!(inbox.take().unwrap().is_some() && inbox.take().unwrap().is_none());
+    assert!(inbox.ended() && inbox.has_ended("writer") && inbox.has_ended("other"));
+}
+
+#[test]
+fn numbers_that_no_writer_reaches_do_no_harm() {
+    let broken = Header { number: u64::MAX, ..header(1) };
+    let (taken, counts, _) = pass(Delivery::Lossless, &[header(0), broken, header(2)]);
+    assert_eq!((taken.as_slice(), counts.received), ([0, 1, 2].as_slice(), 3));
 }

@@ -27,6 +27,7 @@ use outlet::Outlet;
 use peers::Peers;
 use side_ports::SidePort;
 use std::any::Any;
+use std::error::Error;
 use std::fs::File;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -49,10 +50,10 @@ pub(crate) struct Surroundings<T> {
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
     /// It could not be made ready; to start it anew would not help.
-    #[error("{0}")]
+    #[error("{}", with_causes(&**.0))]
     Refused(StageError),
     /// It failed at a frame.
-    #[error("at frame {frame}: {error}")]
+    #[error("at frame {frame}: {}", with_causes(&**.error))]
     Failed {
         /// The frame's sequence number.
         frame: u64,
@@ -62,6 +63,18 @@ pub enum RunError {
     /// Its ports failed.
     #[error(transparent)]
     Port(#[from] PortError),
+}
+
+/// An error and what caused it, but for what the text tells already.
+fn with_causes(error: &(dyn Error + 'static)) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        let told = error.to_string();
+        text = if text.contains(&told) { text } else { format!("{text}: {told}") };
+        cause = error.source();
+    }
+    text
 }
 
 impl<T: Transport + 'static> Surroundings<T> {

@@ -5,7 +5,7 @@ use crate::clock::monotonic_ns;
 use crate::ports::{Delivery, PortError, Topic, TopicReader, Writer};
 use crate::stage::{Memory, Output, StageError, Stop};
 use crate::status::{Life, Status};
-use conicflow_messages::{END_OF_STREAM, Header, Hop, Item, Text};
+use conicflow_messages::{END_OF_STREAM, Header, Hop, Item, MAX_HOPS, Text};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::{self, Display, Formatter};
 use std::time::{Duration, Instant};
@@ -14,6 +14,8 @@ use std::time::{Duration, Instant};
 const PATIENCE_WITH_LIVE_READERS: Duration = Duration::from_secs(5);
 /// How often a writer looks whether readers have come or gone.
 const LOOK: Duration = Duration::from_millis(10);
+/// How often the end is told again to those whose full queue may not have taken it.
+const TELL_END: Duration = Duration::from_millis(100);
 
 /// Writes the messages of one stage.
 pub(crate) struct Outlet<T: Item, W: Writer<T>> {
@@ -120,13 +122,20 @@ impl<T: Item, W: Writer<T>> Outlet<T, W> {
 
     /// The same in the name of other stages.
     pub(crate) fn end_as(&mut self, writers: &[Text<32>]) -> Result<(), PortError> {
-        let (mut before, mut told) = (Vec::new(), BTreeSet::new());
+        let (mut before, mut told, mut last_told) = (Vec::new(), BTreeSet::new(), None::<Instant>);
         let deadline = Instant::now() + PATIENCE_WITH_LIVE_READERS;
         while !self.stop.forced() {
-            let Some((writer, _)) = &mut self.port else { break };
+            let Some((writer, topic)) = &mut self.port else { break };
             let connected = writer.connected();
-            if connected.iter().any(|reader| !before.contains(reader)) {
-                let ends = writers.iter().map(|stage| end_of_stream(&self.last, *stage));
+            let is_new = connected.iter().any(|reader| !before.contains(reader));
+            // A queue overflows only where no reader of the topic is lossless. Where one is, the others may miss the end.
+            let may_have_missed = |reader: &String| topic.delivery_to(reader) == Delivery::Latest;
+            let is_due = topic.is_lossless()
+                && connected.iter().any(may_have_missed)
+                && last_told.is_some_and(|last| last.elapsed() > TELL_END);
+            if is_new || is_due {
+                last_told = Some(Instant::now());
+                let ends = writers.chunks(MAX_HOPS).map(|stages| end_of_stream(&self.last, stages));
                 ends.into_iter().try_for_each(|end| writer.send(&end).map(drop))?;
             }
             told.extend(connected.iter().cloned());
@@ -183,9 +192,9 @@ impl Display for Counts<'_> {
     }
 }
 
-/// The message that ends a stream: the last header, without items.
-pub(crate) fn end_of_stream(last: &Header, stage: Text<32>) -> Header {
+/// The message that ends the streams of these stages, [`MAX_HOPS`] at most: the last header, without items.
+pub(crate) fn end_of_stream(last: &Header, stages: &[Text<32>]) -> Header {
     let mut header = Header { flags: END_OF_STREAM, hop_count: 0, ..*last };
-    header.add_hop(Hop { stage, received_ns: 0, sent_ns: monotonic_ns() });
+    stages.iter().for_each(|stage| header.add_hop(Hop { stage: *stage, received_ns: 0, sent_ns: monotonic_ns() }));
     header
 }

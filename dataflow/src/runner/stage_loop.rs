@@ -105,8 +105,10 @@ impl<S: Stage, T: Transport> StageLoop<S, T> {
 
     /// Whether all stages that write the input have ended for good, be it without a word.
     fn writers_are_gone(&self) -> bool {
-        let gone = |writer: &String| matches!(self.peers.life(writer), Some(Life::Ended | Life::Gone));
-        !self.topic.writers.is_empty() && self.topic.writers.iter().all(gone)
+        let is_gone = |writer: &String| {
+            self.inbox.has_ended(writer) || matches!(self.peers.life(writer), Some(Life::Ended | Life::Gone))
+        };
+        !self.topic.writers.is_empty() && self.topic.writers.iter().all(is_gone)
     }
 
     /// Steps once and sends what came of it; false if the run ended meanwhile.

@@ -38,13 +38,17 @@ fn unused_stack(mappings: &str, here: usize) -> Option<Range<usize>> {
     (stack.contains(&here) && !unused.is_empty()).then_some(unused)
 }
 
-/// The mappings of programs and libraries that nobody can write, and of which no page was changed.
+/// The mappings of programs and libraries that nobody can write, and of which no page was changed: there is none that is
+/// in memory, nor any that was put aside.
 fn unwritten(mappings: &str) -> Vec<Range<usize>> {
-    let (mut found, mut current) = (Vec::new(), None);
+    let (mut found, mut current, mut none_here) = (Vec::new(), None, false);
     for line in mappings.lines() {
+        let mut words = line.split_whitespace();
         if let Some(mapping) = file_mapping(line) {
-            current = mapping;
-        } else if line.split_whitespace().eq(["Anonymous:", "0", "kB"]) {
+            (current, none_here) = (mapping, false);
+        } else if words.next() == Some("Anonymous:") {
+            none_here = words.next() == Some("0");
+        } else if none_here && line.split_whitespace().eq(["Swap:", "0", "kB"]) {
             found.extend(current.take());
         }
     }
@@ -76,25 +80,35 @@ mod tests {
 1000-3000 r--p 00000000 fe:00 11 /bin/program
 Rss:                   8 kB
 Anonymous:             0 kB
+Swap:                  0 kB
 VmFlags: rd mr mw me
 3000-9000 r-xp 00002000 fe:00 11 /bin/program
 Anonymous:             0 kB
+Swap:                  0 kB
 9000-a000 r--p 00008000 fe:00 11 /bin/program
 Anonymous:             4 kB
+Swap:                  0 kB
 a000-b000 rw-p 00009000 fe:00 11 /bin/program
 Anonymous:             0 kB
+Swap:                  0 kB
 b000-c000 r--p 00000000 00:00 0
 Anonymous:             0 kB
+Swap:                  0 kB
 c000-d000 r-xp 00000000 00:00 0 [vdso]
 Anonymous:             0 kB
+Swap:                  0 kB
 d000-e000 rw-s 00000000 00:1b 5 /dev/shm/segment
 Anonymous:             0 kB
+Swap:                  0 kB
+e000-f000 r--p 00000000 fe:00 12 /lib/rare
+Anonymous:             0 kB
+Swap:                  4 kB
 ";
 
     #[test]
     fn only_what_is_as_in_its_file_is_given_back() {
         assert_eq!(unwritten(MAPPINGS), [0x1000..0x3000, 0x3000..0x9000]);
-        assert!(unwritten("nonsense\nAnonymous: 0 kB\n").is_empty());
+        assert!(unwritten("nonsense\nAnonymous: 0 kB\nSwap: 0 kB\n").is_empty());
     }
 
     #[test]

@@ -81,7 +81,7 @@ impl Occupied {
         // A folder that was deleted under a live run may have left its number to this one.
         let (own, deadline) = (|name: &str| name.starts_with(&self.prefix), Instant::now() + LETTING_GO);
         for_each_entry(Path::new(SHARED_MEMORY), own, |path, _| {
-            while !remove_unused(path)? && Instant::now() < deadline {
+            while is_own(path)? && !remove_unused(path)? && Instant::now() < deadline {
                 sleep(Duration::from_millis(1));
             }
             Ok(())
@@ -101,8 +101,14 @@ pub(super) fn close_to_others(root: &Path) -> io::Result<()> {
     let prefix = prefix(root)?;
     let is_counter = |name: &str| name.starts_with(&prefix) && name.ends_with(COUNTER);
     for_each_entry(Path::new(SHARED_MEMORY), is_counter, |path, _| {
-        fs::set_permissions(path, Permissions::from_mode(0o600))
+        if is_own(path)? { fs::set_permissions(path, Permissions::from_mode(0o600)) } else { Ok(()) }
     })
+}
+
+/// Whether a file in shared memory is one of this user: anybody can put files there, under any name.
+fn is_own(path: &Path) -> io::Result<bool> {
+    let about = fs::symlink_metadata(path)?;
+    Ok(about.is_file() && about.uid() == rustix::process::getuid().as_raw())
 }
 
 /// Whether something of the folder's users is left, in it or in shared memory, and nobody uses it.
