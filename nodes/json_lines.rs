@@ -123,7 +123,10 @@ fn length(file: &File) -> io::Result<Option<u64>> {
 fn cut_torn_line(mut file: &File) -> io::Result<Option<u64>> {
     let Some(length) = length(file)? else { return Ok(None) };
     let whole = end_of_last_line(file, length)?;
-    file.set_len(whole)?;
+    if whole < length {
+        // Nobody else is to lose what it adds meanwhile: a successor looks into the file of a stage that is at work.
+        file.set_len(whole)?;
+    }
     file.seek(SeekFrom::Start(whole))?;
     Ok(Some(whole))
 }

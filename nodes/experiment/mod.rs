@@ -79,13 +79,16 @@ fn figures(line: &str) -> Result<Vec<(String, Figure)>> {
     cells.into_iter().map(|(column, cell)| Ok((column, serde_json::from_value(cell)?))).collect()
 }
 
-/// The median time of each stage's step, and the rate at which frames came through all of them.
+/// The median time of each stage's step, and the rate at which messages came through all of them: that of the slowest
+/// writer, from its first message to its last.
 fn add_times(row: &mut Row, summary: &Summary) {
+    let mut longest = f64::NAN;
     for StageSummary { planned, status } in &summary.stages {
         let median = status.as_ref().and_then(|status| status.compute.quantile(0.5));
         row.number(&format!("{}_ms", planned.name), median.map_or(f64::NAN, |time| time.as_secs_f64() * 1e3));
+        longest = longest.max(status.as_ref().and_then(|status| status.intervals.mean_s()).unwrap_or(f64::NAN));
     }
-    row.number("frames_per_s", summary.finished() as f64 / summary.elapsed.as_secs_f64());
+    row.number("frames_per_s", 1.0 / longest);
 }
 
 /// A path of the pipeline file, whose folder is made where it is missing.

@@ -11,7 +11,7 @@ mod painter;
 
 use anyhow::{Context as _, Result, ensure};
 use conicflow_dataflow::{ConfigFault, Context, Output, Pick, Side, Sides, Stage, StageError};
-use conicflow_messages::{Header, Kind, MAX_PIXELS, Message, Nothing};
+use conicflow_messages::{Header, Kind, MAX_PIXELS, Message, Nothing, Text};
 pub use painter::{Drawn, Painter};
 use png::{BitDepth, ColorType, Compression, Encoder};
 use schemars::JsonSchema;
@@ -19,6 +19,9 @@ use serde::{Deserialize, Serialize};
 use std::fs;
 use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
+
+/// Longest stem of a picture's name, in bytes: file systems take 255, and there is an ending.
+const LONGEST_NAME: usize = 200;
 
 /// Parameters of [`PictureSink`].
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
@@ -29,7 +32,8 @@ pub struct Config {
     /// Draw every so many frames.
     #[schemars(range(min = 1))]
     pub every: u64,
-    /// What pictures are called after: `sequence` (frame_000012.png) or `source` (the frame's file, where it has one).
+    /// What pictures are called after: `sequence` (frame_000012.png), `stage` (camera_000012.png, after the stage that had
+    /// the frame first: for several cameras) or `source` (the frame's file, where it has one).
     pub names: Names,
     /// Width of the outlines, in pixels.
     #[schemars(range(min = 1, max = 15))]
@@ -50,6 +54,8 @@ pub struct Config {
 pub enum Names {
     /// The frame's sequence number.
     Sequence,
+    /// The stage that had the frame first, and its sequence number.
+    Stage,
     /// The frame's file.
     Source,
 }
@@ -84,6 +90,10 @@ pub struct PictureSink<T> {
     file: Vec<u8>,
     /// Messages taken.
     taken: u64,
+    /// Whose frame the last picture is.
+    camera: Option<Text<32>>,
+    /// Whether it was said that they are of several cameras.
+    is_told: bool,
     item: PhantomData<T>,
 }
 
@@ -99,6 +109,8 @@ impl<T: Drawn> PictureSink<T> {
             painter: Painter::new(config),
             file: Vec::new(),
             taken: context.resume_at,
+            camera: None,
+            is_told: false,
             item: PhantomData,
         })
     }
@@ -111,6 +123,7 @@ impl<T: Drawn> PictureSink<T> {
             return Ok(None);
         }
         self.draw(input, sides)?;
+        self.look_for_another_camera(input.header);
         let path = self.folder.join(picture_name(input.header, self.names));
         self.write(&path).with_context(|| format!("`{}` cannot be written", path.display()))?;
         Ok(Some(path))
@@ -137,6 +150,18 @@ impl<T: Drawn> PictureSink<T> {
         Ok(())
     }
 
+    /// Says once that the pictures of several cameras overwrite each other.
+    fn look_for_another_camera(&mut self, header: &Header) {
+        let camera = camera_of(header);
+        if self.names == Names::Sequence && self.camera.is_some_and(|other| other != camera) && !self.is_told {
+            self.is_told = true;
+            tracing::warn!(
+                "pictures of several cameras overwrite each other\n  hint: `names = \"stage\"` calls them after their cameras"
+            );
+        }
+        self.camera = Some(camera);
+    }
+
     /// Writes the picture under another name first, so that nobody sees half of it.
     fn write(&mut self, path: &Path) -> Result<()> {
         self.file.clear();
@@ -153,19 +178,27 @@ impl<T: Drawn> PictureSink<T> {
     }
 }
 
-/// `frame_000012.png`, or the stem of the frame's file where the source names one.
+/// `frame_000012.png`, `camera_000012.png`, or the stem of the frame's file where the source names one.
 fn picture_name(header: &Header, names: Names) -> String {
     let source = Path::new(header.source.as_str().unwrap_or_default());
     match (names, source.extension(), source.file_stem()) {
         (Names::Source, Some(_), Some(stem)) => format!("{}.png", harmless(&stem.to_string_lossy())),
+        (Names::Stage, ..) => format!("{}_{:06}.png", harmless(&camera_of(header).to_string()), header.sequence),
         _ => format!("frame_{:06}.png", header.sequence),
     }
 }
 
-/// A name from another process, without what could lead out of the folder.
+/// The stage that had the frame first.
+fn camera_of(header: &Header) -> Text<32> {
+    header.trace().first().map(|hop| hop.stage).unwrap_or_default()
+}
+
+/// A name from another process, without what could lead out of the folder, and no longer than a file's may be.
 fn harmless(name: &str) -> String {
     let allowed = |letter: char| letter.is_alphanumeric() || "._- ".contains(letter);
-    name.chars().map(|letter| if allowed(letter) { letter } else { '_' }).collect()
+    let mut harmless: String = name.chars().map(|letter| if allowed(letter) { letter } else { '_' }).collect();
+    harmless.truncate(harmless.floor_char_boundary(LONGEST_NAME));
+    harmless
 }
 
 impl<T: Drawn> Stage for PictureSink<T> {

@@ -1,6 +1,6 @@
 use super::*;
 use conicflow_dataflow::{AnyMessage, Config as _};
-use conicflow_messages::{Camera, Ellipse, Object, ObjectKind, Text, Track, TrackState};
+use conicflow_messages::{Camera, Ellipse, Hop, Object, ObjectKind, Text, Track, TrackState};
 use std::fs::File;
 use std::io::BufReader;
 use tempfile::TempDir;
@@ -127,6 +127,11 @@ fn names_after_the_source_stay_in_the_folder() {
     assert_eq!(name("camera"), "frame_000012.png");
     assert_eq!(name("../../etc/pass:wd.x"), "pass_wd.png");
     assert_eq!(picture_name(&header(12, "scan.pcd"), Names::Sequence), "frame_000012.png");
+    let mut of_camera = header(12, "scan.pcd");
+    of_camera.add_hop(Hop { stage: Text::new("front"), ..Hop::default() });
+    assert_eq!(picture_name(&of_camera, Names::Stage), "front_000012.png");
+    let long = picture_name(&header(12, &format!("{}.png", "ä".repeat(120))), Names::Source);
+    assert_eq!(long, format!("{}.png", "ä".repeat(100)), "a file's name has 255 bytes at most");
 }
 
 #[test]
