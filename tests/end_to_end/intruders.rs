@@ -71,3 +71,18 @@ fn a_machine_of_another_version_is_refused_by_name_and_numbers() {
     signal(base_run.id(), Signal::INT);
     base_run.wait().expect_code(0);
 }
+
+#[test]
+fn a_machine_with_another_pipeline_file_is_told_what_differs() {
+    let endpoint = loopback();
+    let [robot, base] = live(&endpoint);
+    let mut base_run = start(&base, "base");
+    let sets = ["--set", "assembler.machine=robot"];
+    let mut robot_run = robot.start(&[&["run", "--machine", "robot"][..], &sets].concat());
+    base_run.wait_for_text("machine `robot` has another pipeline file; what crosses here: topic `ellipses`");
+    robot_run.wait_for_text("machine `base` has another pipeline file; what crosses here: topic `objects`");
+    for run in [base_run, robot_run] {
+        signal(run.id(), Signal::INT);
+        run.wait().expect_code(0);
+    }
+}

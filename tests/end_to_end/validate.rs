@@ -118,6 +118,12 @@ fn what_is_odd_but_works_is_a_warning() {
 
 `sound` is valid: 2 stages, 2 topics\n";
     assert_eq!(ended.stdout, expected);
+
+    let again = "\n[stage.again]\nnode = \"row_ellipse_extractor\"\ninput = \"depth\"\noutput = \"ellipses\"\n";
+    let playground = Playground::with_pipeline(&format!("{SOUND}{again}"));
+    let ended = playground.conicflow(&["validate"]).expect_code(0);
+    let told = "`extractor` and `again` write the same frames of `source` into the topic `ellipses`";
+    assert!(ended.stdout.starts_with("warning: ") && ended.stdout.contains(told), "{}", ended.stdout);
 }
 
 #[test]

@@ -12,10 +12,27 @@ pub(super) struct Beacon {
     pub sent_ns: u64,
     /// How its messages are laid out.
     pub layouts: String,
+    /// What crosses, by its pipeline file.
+    pub lanes: Vec<Lane>,
     /// The last beacon of each peer.
     pub echoes: Vec<Echo>,
     /// What it has received, per edge.
     pub acks: Vec<Ack>,
+}
+
+/// What one machine is to send to another.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Lane {
+    pub from: String,
+    pub to: String,
+    /// The topic, what it carries, who writes it, and whether any of it may be missed.
+    pub what: String,
+}
+
+impl Lane {
+    pub(super) fn is_between(&self, one: &str, other: &str) -> bool {
+        [self.from.as_str(), &self.to] == [one, other] || [self.from.as_str(), &self.to] == [other, one]
+    }
 }
 
 /// When a peer's last beacon was sent, by that peer's clock, and when it came, by the sender's.

@@ -1,6 +1,7 @@
 //! What one bridge knows of the others: who lives, what they have received, how their clocks differ.
 
-use super::beacon::{Ack, Beacon, Clock, Echo, Exchange};
+use super::beacon::{Ack, Beacon, Clock, Echo, Exchange, Lane};
+use super::plan::BridgePlan;
 use super::wire::{WireError, decode_note, layouts};
 use crate::clock::monotonic_ns;
 use std::collections::BTreeMap;
@@ -16,6 +17,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
 pub(super) struct Links {
     machine: String,
     stream: u64,
+    lanes: Vec<Lane>,
     started: Instant,
     peers: Mutex<BTreeMap<String, Peer>>,
     acks: Mutex<BTreeMap<(String, String), Ack>>,
@@ -30,6 +32,7 @@ pub(super) struct Peer {
     clock: Clock,
     acks: BTreeMap<String, Ack>,
     refused: Option<String>,
+    unlike: Vec<Lane>,
     missed: bool,
 }
 
@@ -47,10 +50,10 @@ fn lock<V>(mutex: &Mutex<V>) -> MutexGuard<'_, V> {
 }
 
 impl Links {
-    pub(super) fn new<'a>(machine: &str, stream: u64, peers: impl Iterator<Item = &'a str>) -> Self {
-        let peers = peers.map(|peer| (peer.to_owned(), Peer::default())).collect();
-        let (machine, started) = (machine.to_owned(), Instant::now());
-        Self { machine, stream, started, peers: Mutex::new(peers), acks: Mutex::default() }
+    pub(super) fn new(stream: u64, bridge: &BridgePlan) -> Self {
+        let peers = bridge.peers().into_iter().map(|peer| (peer.to_owned(), Peer::default())).collect();
+        let (machine, lanes) = (bridge.machine.clone(), bridge.lanes());
+        Self { machine, stream, lanes, started: Instant::now(), peers: Mutex::new(peers), acks: Mutex::default() }
     }
 
     /// Takes in a beacon.
@@ -78,6 +81,7 @@ impl Links {
             peer.since = Some(now);
         }
         peer.heard = Some(now);
+        self.compare(machine, peer, &beacon.lanes);
         if beacon.stream != peer.echo.stream {
             peer.clock.clear();
         }
@@ -89,6 +93,28 @@ impl Links {
             Echo { machine: machine.to_owned(), stream: beacon.stream, sent_ns: beacon.sent_ns, received_ns: now_ns };
         let acks = beacon.acks.into_iter().filter(|ack| ack.from == self.machine);
         peer.acks.extend(acks.map(|ack| (ack.topic.clone(), ack)));
+    }
+
+    /// Says once where the other machine's pipeline file is not this one's: what only one of the two expects never comes.
+    fn compare(&self, machine: &str, peer: &mut Peer, theirs: &[Lane]) {
+        let between = |lanes: &[Lane]| -> Vec<Lane> {
+            lanes.iter().filter(|lane| lane.is_between(&self.machine, machine)).cloned().collect()
+        };
+        let (ours, theirs) = (between(&self.lanes), between(theirs));
+        let only = |some: &[Lane], others: &[Lane]| {
+            let lanes = some.iter().filter(|lane| !others.contains(lane));
+            let words: Vec<_> =
+                lanes.map(|Lane { from, to, what }| format!("{what}, from `{from}` to `{to}`")).collect();
+            if words.is_empty() { "nothing more".to_owned() } else { words.join("; ") }
+        };
+        let (here, there) = (only(&ours, &theirs), only(&theirs, &ours));
+        if here != there && peer.unlike != theirs {
+            tracing::error!(
+                "machine `{machine}` has another pipeline file; what crosses here: {here}; there: {there}\n  \
+                 hint: run the same file with the same --set on all machines"
+            );
+            peer.unlike = theirs;
+        }
     }
 
     /// Notes how far an edge was received, for the next beacon to say.
@@ -105,7 +131,14 @@ impl Links {
     pub(super) fn beacon(&self, acks: Vec<Ack>) -> Beacon {
         let peers = lock(&self.peers);
         let echoes = peers.values().filter(|peer| peer.heard.is_some()).map(|peer| peer.echo.clone()).collect();
-        Beacon { stream: self.stream, sent_ns: monotonic_ns(), layouts: layouts(), echoes, acks }
+        Beacon {
+            stream: self.stream,
+            sent_ns: monotonic_ns(),
+            layouts: layouts(),
+            lanes: self.lanes.clone(),
+            echoes,
+            acks,
+        }
     }
 
     /// What a peer said it has of a topic, and when it was heard of last.

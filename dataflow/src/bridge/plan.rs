@@ -1,6 +1,7 @@
 //! The edges of one machine to and from the others, as the pipeline file places its stages.
 
 use super::Compression;
+use super::beacon::Lane;
 use crate::pipeline::{Input, Machine, Pipeline};
 use crate::ports::{Delivery, Topic};
 use conicflow_messages::Kind;
@@ -60,6 +61,11 @@ impl BridgePlan {
         crosses.then_some(plan)
     }
 
+    /// What crosses.
+    pub(super) fn lanes(&self) -> Vec<Lane> {
+        self.outgoing.iter().chain(&self.incoming).flat_map(Edge::lanes).collect()
+    }
+
     /// The machines at the other ends.
     pub fn peers(&self) -> BTreeSet<&str> {
         let receivers = self.outgoing.iter().flat_map(|edge| &edge.to).map(|receiver| receiver.machine.as_str());
@@ -68,6 +74,16 @@ impl BridgePlan {
 }
 
 impl Edge {
+    /// What it carries to each machine.
+    fn lanes(&self) -> impl Iterator<Item = Lane> {
+        self.to.iter().map(|receiver| {
+            let delivery = if receiver.delivery == Delivery::Lossless { "lossless" } else { "latest" };
+            let (topic, kind, writers) = (&self.topic.name, self.kind.name(), self.writers.join(", "));
+            let what = format!("topic `{topic}` with {kind} of {writers}, {delivery}");
+            Lane { from: self.from.clone(), to: receiver.machine.clone(), what }
+        })
+    }
+
     /// Whether its messages are mostly as short as a packet on a network: most survive where some packets are lost.
     pub(super) fn is_short(&self) -> bool {
         matches!(self.kind, Kind::Objects | Kind::Tracks)

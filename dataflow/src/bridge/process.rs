@@ -40,7 +40,7 @@ pub(crate) fn run(
 ) -> Result<(), BridgeError> {
     let (stop, settling) = (around.context.stop.clone(), Settling::of(&around));
     let stream = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as u64);
-    let links = Arc::new(Links::new(&bridge.machine, stream, bridge.peers().into_iter()));
+    let links = Arc::new(Links::new(stream, bridge));
     let mut account = Account::new(bridge, plan, folder, around.record, &links);
     account.report(false);
     let Some(ways) = Ways::open(&bridge.settings, &stop, || account.report(false))? else { return Ok(()) };

@@ -34,16 +34,19 @@ impl Ways {
     /// Opens the sessions, as soon as that works; nothing if the run ends before. `failed` is called after each attempt.
     pub(super) fn open(machine: &Machine, stop: &Stop, mut failed: impl FnMut()) -> Result<Option<Self>, BridgeError> {
         let (streams, datagrams) = settings::configurations(machine)?;
-        let open = || -> zenoh::Result<Self> {
-            let ways = Self { streams: zenoh::open(streams.clone()).wait()?, datagrams: Arc::default() };
-            datagrams.iter().try_for_each(|config| ways.open_datagrams(config, stop))?;
-            Ok(ways)
-        };
         let mut told = false;
         while !stop.requested() {
-            match open() {
-                Ok(ways) => return Ok(Some(ways)),
-                Err(error) if !told => tracing::warn!("Zenoh cannot be opened yet, and is tried again: {error}"),
+            match zenoh::open(streams.clone()).wait() {
+                Ok(streams) => {
+                    let ways = Self { streams, datagrams: Arc::default() };
+                    datagrams.iter().for_each(|config| ways.open_datagrams(config, stop));
+                    return Ok(Some(ways));
+                }
+                Err(error) if !told => tracing::warn!(
+                    "the link cannot be opened yet, and is tried again: {}\n  \
+                     hint: does another program listen there, and do the files of the `zenoh` configuration exist?",
+                    in_short(&*error)
+                ),
                 Err(_) => {}
             }
             told = true;
@@ -53,12 +56,17 @@ impl Ways {
         Ok(None)
     }
 
-    /// A peer has a session even where nobody is there; a client has one when its router answers, which is waited for
-    /// elsewhere, because the stream carries everything meanwhile.
-    fn open_datagrams(&self, config: &zenoh::Config, stop: &Stop) -> zenoh::Result<()> {
+    /// A peer has a session even where nobody is there, unless its endpoints are taken; a client has one when its router
+    /// answers. The stream carries everything meanwhile.
+    fn open_datagrams(&self, config: &zenoh::Config, stop: &Stop) {
         if !settings::is_client(config) {
-            self.datagrams.set(zenoh::open(config.clone()).wait()?).ok();
-            return Ok(());
+            match zenoh::open(config.clone()).wait() {
+                Ok(session) => return drop(self.datagrams.set(session)),
+                Err(error) => {
+                    let error = in_short(&*error);
+                    tracing::warn!("the endpoints for datagrams cannot be opened yet, and are tried again: {error}");
+                }
+            }
         }
         let (datagrams, config, stop) = (Arc::clone(&self.datagrams), config.clone(), stop.clone());
         std::thread::spawn(move || {
@@ -69,7 +77,6 @@ impl Ways {
                 }
             }
         });
-        Ok(())
     }
 
     /// Whether there is a link to any other machine, or to a router.
@@ -101,6 +108,12 @@ impl Ways {
         ear.ask_for_datagrams()?;
         Ok(ear)
     }
+}
+
+/// What Zenoh says, without the places in its source.
+fn in_short(error: &dyn std::error::Error) -> String {
+    let text = error.to_string();
+    text.split(" at /").next().unwrap_or_default().to_owned()
 }
 
 /// A key that is written.

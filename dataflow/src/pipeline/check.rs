@@ -7,6 +7,7 @@ use crate::node::Node;
 use crate::ports::Delivery;
 use crate::sides::Pick;
 use conicflow_messages::Kind;
+use std::collections::BTreeSet;
 
 /// Checks how the stages are joined.
 pub(super) fn connections(pipeline: &Pipeline, faults: &mut Vec<Diagnostic>) {
@@ -130,6 +131,33 @@ fn output(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>) 
         let hint = "add a stage with this `input`, or leave it for tools that look on";
         faults.push(Diagnostic::warning(place, format!("nobody reads the topic `{topic}`"), hint));
     }
+    let earlier = pipeline.stages.iter().take_while(|other| other.name != stage.name);
+    let mut rivals = earlier.filter(|other| other.output.as_ref() == Some(topic));
+    let own = sources(pipeline, stage);
+    if let Some((rival, source)) =
+        rivals.find_map(|other| Some((other, own.intersection(&sources(pipeline, other)).next()?.to_owned())))
+    {
+        let (name, rival) = (&stage.name, &rival.name);
+        let what = format!("`{rival}` and `{name}` write the same frames of `{source}` into the topic `{topic}`");
+        let hint = "of each frame readers take what comes first: give one of the two a topic of its own";
+        faults.push(Diagnostic::warning(place, what, hint));
+    }
+}
+
+/// The sources whose frames a stage works on.
+fn sources<'a>(pipeline: &'a Pipeline, stage: &'a StageSpec) -> BTreeSet<&'a str> {
+    let (mut found, mut seen, mut open) = (BTreeSet::new(), BTreeSet::new(), vec![stage]);
+    while let Some(stage) = open.pop() {
+        if !seen.insert(&stage.name) {
+            continue;
+        }
+        let Some(input) = &stage.input else {
+            found.insert(stage.name.as_str());
+            continue;
+        };
+        open.extend(pipeline.stages.iter().filter(|other| other.output.as_ref() == Some(&input.topic)));
+    }
+    found
 }
 
 fn machine(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>) {

@@ -143,7 +143,8 @@ impl<T: Item, R: Reader<T>> TypedSide<T, R> {
                 Some(message) => self.waiting.push_back(message),
                 None => return Ok(()),
             }
-            if self.waiting.back().is_some_and(|message| !follows(step, message.header())) {
+            // What another camera has sent meanwhile hides nothing.
+            if self.waiting.back().is_some_and(|message| reaches(message.header(), step)) {
                 return Ok(());
             }
         }
@@ -157,6 +158,11 @@ fn same_frame(a: &Header, b: &Header) -> bool {
 /// Whether `a` is a later frame of the same source than `b`.
 fn follows(a: &Header, b: &Header) -> bool {
     a.epoch == b.epoch && a.sequence > b.sequence
+}
+
+/// Whether `a` is the same frame as `b`, or a later one of the same source.
+fn reaches(a: &Header, b: &Header) -> bool {
+    same_frame(a, b) || follows(a, b)
 }
 
 impl<T: AnyItem, R: Reader<T>> SidePort for TypedSide<T, R> {
@@ -185,7 +191,7 @@ impl<T: AnyItem, R: Reader<T>> SidePort for TypedSide<T, R> {
     }
 
     fn hears(&self, step: &Header) -> bool {
-        let before = |header: &Header| same_frame(header, step) || follows(step, header);
+        let before = |header: &Header| reaches(step, header);
         self.side.pick == Pick::Latest || self.inbox.overheard().any(before)
     }
 
@@ -194,5 +200,43 @@ impl<T: AnyItem, R: Reader<T>> SidePort for TypedSide<T, R> {
         self.inbox.resume(counts);
         self.inbox.admit_overheard();
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ports::in_memory::InMemory;
+    use crate::ports::{TopicReader, Writer};
+    use conicflow_messages::{Camera, Hop, Text};
+
+    const OBJECTS: Side = Side { name: "objects", kind: Kind::Objects, pick: Pick::SameFrame };
+
+    fn frame(camera: &str, sequence: u64) -> Header {
+        let epoch = if camera == "left" { 1 } else { 2 };
+        let camera_of = Camera { width: 4, height: 3, fx: 5.0, fy: 5.0, cx: 1.5, cy: 1.0 };
+        let mut header =
+            Header { epoch, sequence, number: sequence, camera: camera_of, depth_scale: 0.001, ..Header::default() };
+        header.add_hop(Hop { stage: Text::new(camera), ..Hop::default() });
+        header
+    }
+
+    #[test]
+    fn a_step_finds_its_frame_behind_those_of_another_camera() {
+        let reader = TopicReader { stage: "sink".into(), delivery: Delivery::Latest, queue: 8 };
+        let writers = vec!["left".into(), "right".into()];
+        let topic = Topic { name: "objects".into(), kind: Some(Kind::Objects), writers, readers: vec![reader] };
+        let memory = InMemory::default();
+        let mut side = open(&memory, OBJECTS, &topic, "sink").unwrap().unwrap();
+        let mut writer = memory.writer::<Object>(&topic).unwrap();
+        for (camera, sequence) in [("left", 0), ("left", 1), ("right", 0), ("left", 2), ("right", 1)] {
+            writer.send(&frame(camera, sequence)).unwrap();
+        }
+        for (camera, sequence) in [("right", 0), ("left", 0), ("right", 1), ("left", 2)] {
+            let step = frame(camera, sequence);
+            side.find(Some(&step)).unwrap();
+            let Some(AnyMessage::Objects(found)) = side.message() else { panic!("{camera} {sequence}") };
+            assert_eq!((found.header.epoch, found.header.sequence), (step.epoch, step.sequence));
+        }
     }
 }
