@@ -71,8 +71,8 @@ def read_object(data):
 
 def read_message(content):
     magic, version = struct.unpack_from("<4sH", content)
-    if (magic, version) != (b"CFLO", 2):
-        raise ValueError(f"this script reads version 2 of the wire, got {magic!r} version {version}")
+    if (magic, version) != (b"CFLO", 3):
+        raise ValueError(f"this script reads version 3 of the wire, got {magic!r} version {version}")
     data = Bytes(content[6 + 24 :])
     layout = data.text()
     if layout != LAYOUT:

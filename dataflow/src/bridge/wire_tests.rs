@@ -116,8 +116,17 @@ fn the_corpus_of_the_fuzzer_does_no_harm() {
     let entries: Vec<_> = std::fs::read_dir(folder).unwrap().flatten().collect();
     assert!(entries.len() >= 8, "the corpus in {folder} is gone");
     for entry in entries {
-        decode_all(&std::fs::read(entry.path()).unwrap());
+        let bytes = std::fs::read(entry.path()).unwrap();
+        let read = decode_message::<Track>(&bytes, &mut Vec::new());
+        assert!(!matches!(read, Err(WireError::Version { .. })), "{} is of another version", entry.path().display());
+        decode_all(&bytes);
     }
+}
+
+#[test]
+fn the_python_example_reads_this_version() {
+    let example = include_str!("../../../examples/read_objects.py");
+    assert!(example.contains(&format!("(b\"CFLO\", {WIRE_VERSION})")));
 }
 
 /// What the fuzzer does, without what it needs to be built: `CONICFLOW_FUZZ_ROUNDS=200000000 cargo test --release -p
