@@ -79,11 +79,17 @@ impl ObjectAssembler {
 
 /// Cosine between an axis and the normal of the lines' planes below which an end is not told more exactly.
 const MOST_OBLIQUE: f64 = 0.2;
+/// How many lines the end of an object may be off: noise and rims take some.
+const END_LINES: f64 = 1.5;
 
-/// Standard deviation of an end along the axis, in metres: it lies anywhere between two neighbouring planes of lines, which
-/// are `spacing` apart across.
+/// Distance along an axis, in metres, between neighbouring planes of lines, which are `spacing` apart across.
+fn spacing_along(spacing: f64, plane: &ScanPlane, axis: &Vector3) -> f64 {
+    spacing / axis.dot(&plane.normal()).abs().max(MOST_OBLIQUE)
+}
+
+/// Standard deviation of an end along the axis, in metres.
 fn end_sigma(spacing: f64, plane: &ScanPlane, axis: &Vector3) -> f64 {
-    spacing / (12.0_f64.sqrt() * axis.dot(&plane.normal()).abs().max(MOST_OBLIQUE))
+    END_LINES * spacing_along(spacing, plane, axis)
 }
 
 impl Stage for ObjectAssembler {

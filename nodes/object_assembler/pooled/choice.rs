@@ -26,6 +26,9 @@ const SLENDER: [f64; 2] = [0.0873, 0.122];
 const GAIN_PER_POINT: f64 = 0.03;
 /// ... and at most.
 const MOST_GAIN: f64 = 45.0;
+/// Least gain of a cylinder or a cone over a sphere through the same arcs, per point and on top of [`GAIN`]: rendered bowls
+/// are between -0.15 and -0.04, all that is a cylinder or a cone is above 0.05.
+const ROUND_PER_POINT: f64 = 0.05;
 
 /// The candidate that explains most points; of those that explain about as many, the one of fewer parameters, unless
 /// the other explains them better. Of the three shapes those are `None` that did not even grow. Where none is left, the
@@ -44,6 +47,7 @@ pub(super) fn choose<'a>(
     let may_be_cone =
         cone.as_ref().is_some_and(|cone| speaks_against_cylinder(cone.as_ref().map(|(_, object)| object)));
     let [sphere, cylinder] = [sphere, cylinder].map(|found| found?.ok());
+    let taper = cone.as_ref().and_then(|cone| cone.as_ref().ok()).map_or(0.0, |(_, object)| sure_slope(object));
     // A vague cone may still show that a cylinder is none: the choice comes first.
     let cone = cone.and_then(Result::ok).filter(|(_, object)| is_cone(object, config));
     let axial = match (cylinder, cone) {
@@ -55,14 +59,27 @@ pub(super) fn choose<'a>(
         (sphere, axial) => sphere.or(axial).ok_or(reason)?,
     };
     let is_cylinder = best.grown.model.kind() == ObjectKind::Cylinder;
-    let object = best.report();
+    let mut object = best.report();
     if is_vague(&object) || is_cylinder && may_be_cone {
-        Err(Rejection::Vague)
-    } else if is_deformed(&best.grown, &best.measured) {
-        Err(Rejection::Deformed)
-    } else {
-        Ok((best, object))
+        return Err(Rejection::Vague);
     }
+    if is_deformed(&best.grown, &best.measured) || may_be_sphere(&best.grown) {
+        return Err(Rejection::Deformed);
+    }
+    if is_cylinder {
+        object.sigma.axis = object.sigma.axis.hypot(taper);
+    }
+    Ok((best, object))
+}
+
+/// Whether a sphere explains the arcs of a cylinder or a cone nearly as well: a short band of a bowl looks like either.
+fn may_be_sphere(grown: &Grown) -> bool {
+    if grown.model.kind() == ObjectKind::Sphere {
+        return false;
+    }
+    let least = GAIN + ROUND_PER_POINT * grown.points();
+    let sphere = model::fit(ObjectKind::Sphere, &grown.arcs(), None, f64::INFINITY);
+    sphere.is_some_and(|sphere| sphere.square_sum() < grown.model.square_sum() + least)
 }
 
 /// Whether the cone that grew where a cylinder did leaves open that this is none: a slope is as likely as not, or could
@@ -78,10 +95,15 @@ fn speaks_against_cylinder(cone: Result<&Object, &Rejection>) -> bool {
     }
 }
 
-/// Whether the half-angle of a cone is surely not zero.
+/// Whether the half-angle of a cone is surely not zero, and large enough for one.
 fn is_cone(object: &Object, config: &AssemblerConfig) -> bool {
-    let least = config.pooled.min_half_angle_deg.to_radians();
-    object.half_angle > least.max(SLOPE_SIGMAS * object.sigma.half_angle)
+    sure_slope(object) > config.pooled.min_half_angle_deg.to_radians()
+}
+
+/// The half-angle of a cone if it is surely not zero. The side of what tapers by less than a cone has to leans by it, and the
+/// axis of the cylinder that it is called with it.
+fn sure_slope(object: &Object) -> f64 {
+    if object.half_angle > SLOPE_SIGMAS * object.sigma.half_angle { object.half_angle } else { 0.0 }
 }
 
 /// Of a cylinder and a cone the one that explains more points, else the cone only if it explains them surely better.

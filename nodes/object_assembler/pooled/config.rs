@@ -42,7 +42,7 @@ impl Default for PooledConfig {
             max_gap_lines: 4,
             min_coverage: 0.6,
             min_arc_deg: 30.0,
-            min_length_radii: 0.4,
+            min_length_radii: 0.5,
             min_cap_radii: 0.5,
             min_half_angle_deg: 2.5,
         }

@@ -187,18 +187,78 @@ fn a_sensor_quieter_than_its_model_is_no_worse() {
     assert!((found.radius - 0.1).abs() < 1e-3 && off(&found, &center) < 2e-3, "{found:?}");
 }
 
-/// A can of radius 0.1 m, 2.6 m before the camera, as a Kinect sees it: with silhouettes that are unsure of their place.
+/// What is found of a scene as a Kinect sees it: with silhouettes that are unsure of their place.
+fn by_a_kinect(scene: &str, width: u32, seed: u64) -> Vec<Object> {
+    let config = SyntheticSourceConfig { width, height: width / 4 * 3, ..SyntheticSourceConfig::default() };
+    let scene = Scene::parse(scene, "test").unwrap();
+    let mut camera = SyntheticCamera::new(scene, config.camera(), config.noise, config.depth_scale, 30.0, seed);
+    let (mut header, mut pixels) = (Header::default(), vec![0; (config.width * config.height) as usize]);
+    camera.shoot(0, &mut pixels);
+    camera.describe(&mut header);
+    find(&header, &pixels)
+}
+
+/// A can of radius 0.1 m, 2.6 m before the camera.
 fn can_by_a_kinect(seed: u64) -> Object {
     const CAN: &str = "name = 'can'\n[camera]\nposition = [0.0, 0.0, 0.0]\nlook_at = [0.0, 1.0, 0.0]\n\
         [[cylinder]]\nname = 'can'\nbase = [0.0, 2.6, -0.35]\nradius = 0.1\nlength = 0.7\n\
         [[plane]]\nname = 'wall'\npoint = [0.0, 4.0, 0.0]\nnormal = [0.0, -1.0, 0.0]\n";
-    let config = SyntheticSourceConfig { width: 320, height: 240, ..SyntheticSourceConfig::default() };
-    let scene = Scene::parse(CAN, "can").unwrap();
-    let mut camera = SyntheticCamera::new(scene, config.camera(), config.noise, config.depth_scale, 30.0, seed);
-    let (mut header, mut pixels) = (Header::default(), vec![0; 320 * 240]);
-    camera.shoot(0, &mut pixels);
-    camera.describe(&mut header);
-    single(&find(&header, &pixels), ObjectKind::Cylinder)
+    single(&by_a_kinect(CAN, 320, seed), ObjectKind::Cylinder)
+}
+
+/// Something on a table that a camera looks down at by 35 degrees, from 0.9 m; upwards is `(0, -0.82, -0.57)` to it.
+fn on_a_table(thing: &str, seed: u64) -> Vec<Object> {
+    let table = "[[plane]]\nname = 'table'\npoint = [0.0, 0.0, 0.0]\nnormal = [0.0, 0.0, 1.0]\n";
+    let camera = "[camera]\nposition = [0.0, -0.737, 0.516]\nlook_at = [0.0, 0.0, 0.0]\n";
+    by_a_kinect(&format!("name = 'table'\n{camera}{table}{thing}"), 640, seed)
+}
+
+#[test]
+fn a_flat_tin_is_found_by_the_part_of_its_side_that_shows() {
+    // The lines run obliquely over its side, and their means cover no more than a third of the radius along the axis.
+    let tin = "[[cylinder]]\nname = 'tin'\nbase = [0.0, 0.0, 0.0]\nradius = 0.098\nlength = 0.064\n";
+    for seed in 0..8 {
+        let found = single(&on_a_table(tin, seed), ObjectKind::Cylinder);
+        assert!((found.radius - 0.098).abs() < 0.002 && (found.length - 0.064).abs() < 0.01, "{found:?}");
+        let upwards = Vector3::new(0.0, -0.819, -0.574);
+        assert!(Vector3::from(found.axis).cross(&upwards).norm() < 0.05, "{found:?}");
+    }
+}
+
+#[test]
+fn a_band_of_a_ball_is_no_cylinder() {
+    // What of it is above the table is less than a ball has to show.
+    for (seed, depth) in [(1, 0.04), (2, 0.05), (3, 0.06), (4, 0.07)] {
+        let ball = format!("[[sphere]]\nname = 'ball'\ncenter = [0.0, 0.0, {depth}]\nradius = 0.1\n");
+        let found = on_a_table(&ball, seed);
+        assert!(found.iter().all(|object| object.shape() == ObjectKind::Sphere), "{found:?}");
+    }
+}
+
+#[test]
+fn the_axis_of_what_tapers_slightly_is_not_sure() {
+    for seed in 0..4 {
+        let pot =
+            "[[cone]]\nname = 'pot'\nbase = [0.0, 0.0, 0.0]\nbase_radius = 0.07\ntop_radius = 0.0745\nlength = 0.15\n";
+        let found = single(&on_a_table(pot, seed), ObjectKind::Cylinder);
+        let off = Vector3::from(found.axis).cross(&Vector3::new(0.0, -0.819, -0.574)).norm();
+        assert!(off > 0.01 && off < 2.0 * found.sigma.axis, "{off} {found:?}");
+    }
+}
+
+#[test]
+fn lengths_are_neither_too_long_nor_too_short() {
+    // Of both ends, the last line lies half a line within the end on average.
+    let found: Vec<_> = (0..24_u64)
+        .map(|i| {
+            let center = Vector3::new(0.0, 2e-4 * i as f64, 1.5);
+            let pipe = Body::Frustum { center, axis: Vector3::y(), radius: 0.1, slope: 0.0, length: 0.5 };
+            single(&kinect(&[pipe, wall(3.0)], i), ObjectKind::Cylinder)
+        })
+        .collect();
+    let mean = found.iter().map(|object| object.length - 0.5).sum::<f64>() / 24.0;
+    let most = found.iter().map(|object| (object.length - 0.5).abs() / object.sigma.length).fold(0.0, f64::max);
+    assert!(mean.abs() < 0.002 && most < 2.0, "mean {mean} m, at most {most} sigmas off");
 }
 
 #[test]

@@ -2,6 +2,7 @@
 
 use super::super::AssemblerConfig;
 use super::super::rejection::Rejection;
+use super::super::spacing_along;
 use super::Grown;
 use super::arcs::Arc;
 use super::model::{self, Model};
@@ -10,6 +11,8 @@ use conicflow_messages::{Object, ObjectKind};
 
 /// How many standard deviations the error of the whole may scatter.
 const SCATTER: f64 = 1.0;
+/// Pixels at the ends of arcs that may already belong to a lid, or to the floor.
+const UNSURE_PX: f64 = 2.0;
 /// Part of the variance that the misfit of the whole may be on top of it,
 const SLACK: f64 = 0.07;
 /// and how much more for so many points and above: they show the faults of sensor and surface.
@@ -58,8 +61,8 @@ pub(super) struct Measured {
     pub misfit: f64,
     /// Mean visible circumference.
     pub angle: f64,
-    /// From where to where the arcs reach along the axis, counted from the surface's point; of a sphere across the scan
-    /// lines, along y of the camera frame for rows and x for columns.
+    /// From where to where the arcs and half a line beyond them reach along the axis, counted from the surface's point; of a
+    /// sphere across the scan lines, along y of the camera frame for rows and x for columns.
     pub extent: [f64; 2],
 }
 
@@ -161,20 +164,25 @@ fn measure(grown: &Grown) -> Measured {
     for arc in grown.arcs() {
         lines += u32::from(last != Some(arc.line));
         last = Some(arc.line);
-        angle += arc.points * span(arc, grown, &q);
-        let along = match (&grown.model, arc.scan) {
-            (Model::Sphere(_), Scan::Column) => arc.mean.x,
-            (model, _) => position(model, &arc.mean),
-        };
-        extent = [extent[0].min(along), extent[1].max(along)];
+        let section = section_of(&q, &arc.plane);
+        let hit = |x: f64| arc.hit(&section, x).map(|z| arc.point(x, z));
+        angle += arc.points * span(arc, grown, arc.rays.map(hit));
+        let inset = UNSURE_PX * arc.pitch / arc.mean.z;
+        let sure = [arc.rays[0] + inset, arc.rays[1] - inset].map(hit);
+        for point in sure.into_iter().flatten().chain([arc.mean]) {
+            let along = match (&grown.model, arc.scan) {
+                (Model::Sphere(_), Scan::Column) => point.x,
+                (model, _) => position(model, &point),
+            };
+            extent = [extent[0].min(along), extent[1].max(along)];
+        }
     }
-    Measured { points, lines, misfit: grown.model.square_sum() / weight(grown), angle: angle / points, extent }
-}
-
-/// Number of points in units of the fit's weights.
-fn weight(grown: &Grown) -> f64 {
-    let share = |arc: &Arc| arc.points / grown.model.excess(arc).unwrap_or(1.0).powi(2);
-    grown.arcs().map(share).sum()
+    let half_line = grown.model.conical().map_or(0.0, |surface| {
+        let first = grown.ends()[0];
+        0.5 * spacing_along(first.spacing, &first.plane, &surface.axis)
+    });
+    let extent = [extent[0] - half_line, extent[1] + half_line];
+    Measured { points, lines, misfit: grown.model.square_sum() / points, angle: angle / points, extent }
 }
 
 /// Place of a point along the axis; of a sphere, across its arcs.
@@ -185,10 +193,8 @@ fn position(model: &Model, point: &Vector3) -> f64 {
     }
 }
 
-/// Angle between the ends of an arc as seen from the axis or centre.
-fn span(arc: &Arc, grown: &Grown, q: &[f64; 10]) -> f64 {
-    let section = section_of(q, &arc.plane);
-    let ends = arc.rays.map(|x| arc.hit(&section, x).map(|z| arc.point(x, z)));
+/// Angle between the ends of an arc as seen from the axis or centre, given where the rays through them meet the surface.
+fn span(arc: &Arc, grown: &Grown, ends: [Option<Vector3>; 2]) -> f64 {
     let [Some(a), Some(b)] = ends else { return arc.angle };
     let outwards = |point: Vector3| match &grown.model {
         Model::Sphere(fit) => {
