@@ -17,10 +17,10 @@ mod scan_line;
 #[cfg(test)]
 mod tests;
 
-use arcs::Arcs;
+use arcs::{Arcs, SeenNoise};
 use conicflow_dataflow::{Config, ConfigFault, Context, Output, Sides, Stage, StageError};
 use conicflow_geometry::Scan;
-use conicflow_messages::{Ellipse, Header, Message};
+use conicflow_messages::{Ellipse, Header, Message, NoiseModel};
 use filter::Rejections;
 use scan_line::ScanLine;
 use schemars::JsonSchema;
@@ -171,8 +171,7 @@ pub struct RowEllipseExtractor {
     config: RowEllipseConfig,
     line: ScanLine,
     arcs: Arcs,
-    /// Variance of the image, in variances of its noise model.
-    noise_level: f64,
+    noise: SeenNoise,
     warned: bool,
     ellipses: Vec<Ellipse>,
     rejections: Rejections,
@@ -185,7 +184,7 @@ impl RowEllipseExtractor {
             arcs: Arcs::with(config.clone()),
             config,
             line: ScanLine::default(),
-            noise_level: 1.0,
+            noise: SeenNoise::as_told(NoiseModel::IDEAL),
             warned: false,
             ellipses: Vec::new(),
             rejections: Rejections::default(),
@@ -197,7 +196,7 @@ impl RowEllipseExtractor {
         self.ellipses.clear();
         self.rejections = Rejections::default();
         if self.config.arcs == ArcFinder::Moments {
-            self.noise_level = self.arcs.noise_level(header, pixels);
+            self.noise = self.arcs.seen_noise(header, pixels);
             self.warn_of_noise();
         }
         if self.config.scan != ScanLines::Columns {
@@ -212,15 +211,15 @@ impl RowEllipseExtractor {
 
     /// Says once that the noise model is not that of the sensor.
     fn warn_of_noise(&mut self) {
-        if self.warned || USUAL_LEVELS.contains(&self.noise_level) {
+        let [near, far] = self.noise.told.map(f64::sqrt);
+        if self.warned || self.noise.told.iter().all(|level| USUAL_LEVELS.contains(level)) {
             return;
         }
         self.warned = true;
         tracing::warn!(
-            "the depth is {:.1} times as noisy as the source's noise model says: it is taken as it is, but near and far \
-             alike\n  hint: find the sensor's own coefficients with the node `noise_estimator`, and write them into the \
-             source's `noise`",
-            self.noise_level.sqrt()
+            "what is near is {near:.1} and what is far {far:.1} times as noisy as the source's noise model says: it is \
+             taken as it is, but less will be found\n  hint: find the sensor's own coefficients with the node \
+             `noise_estimator`, and write them into the source's `noise`"
         );
     }
 
@@ -233,7 +232,7 @@ impl RowEllipseExtractor {
         match self.config.arcs {
             ArcFinder::Conic => self.conics(header, pixels, scan),
             ArcFinder::Moments => {
-                let how = (scan, self.noise_level);
+                let how = (scan, &self.noise);
                 self.arcs.find(header, pixels, how, &mut self.ellipses, &mut self.rejections);
             }
         }

@@ -11,9 +11,9 @@
 mod acceptance;
 mod coarse;
 mod line;
-mod noise_level;
 mod rays;
 mod run;
+mod seen_noise;
 mod segments;
 #[cfg(test)]
 mod tests;
@@ -28,6 +28,8 @@ use conicflow_messages::{Ellipse, Header};
 use line::RayLine;
 use rays::{RayBuffers, Rays};
 use run::{FIRST_FIT, Run};
+use seen_noise::Hints;
+pub(super) use seen_noise::SeenNoise;
 use segments::{cut, next_segment};
 use std::ops::Range;
 use view::View;
@@ -41,7 +43,7 @@ pub(super) struct Arcs {
     view: View,
     line: RayLine,
     search: LineSearch,
-    errors: Vec<f64>,
+    hints: Hints,
     coarse: CoarseLines,
 }
 
@@ -61,15 +63,15 @@ impl Arcs {
             view: View::with(config),
             line: RayLine::default(),
             search: LineSearch::default(),
-            errors: Vec::new(),
+            hints: Hints::default(),
             coarse: CoarseLines::default(),
         }
     }
 
-    /// Variance of the depths of an image, in variances of its noise model.
-    pub fn noise_level(&mut self, header: &Header, image: &[u16]) -> f64 {
-        self.view.turn(header, Scan::Row, 1.0);
-        noise_level::noise_level(&self.view, image, &mut self.line, &mut self.search, &mut self.errors)
+    /// How noisy an image is.
+    pub fn seen_noise(&mut self, header: &Header, image: &[u16]) -> SeenNoise {
+        self.view.turn(header, Scan::Row, &SeenNoise::as_told(header.noise));
+        seen_noise::seen_noise(&self.view, image, &mut self.line, &mut self.search, &mut self.hints)
     }
 
     /// Adds the arcs of the rows or columns of an image to `ellipses`, in the order of line and pixel.
@@ -77,11 +79,11 @@ impl Arcs {
         &mut self,
         header: &Header,
         image: &[u16],
-        (scan, noise_level): (Scan, f64),
+        (scan, noise): (Scan, &SeenNoise),
         ellipses: &mut Vec<Ellipse>,
         rejections: &mut Rejections,
     ) {
-        self.view.turn(header, scan, noise_level);
+        self.view.turn(header, scan, noise);
         let Self { view, line, search, coarse, .. } = self;
         let step = view.config.line_step.max(1);
         let coarse_step = step * (COARSE_STEP / step).max(1);

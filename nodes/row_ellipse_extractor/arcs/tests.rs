@@ -58,7 +58,7 @@ fn columns_are_the_rows_of_the_turned_image() {
     let found = |header: &Header, pixels: &[u16], scan| {
         let (mut ellipses, mut rejections) = (Vec::new(), Rejections::default());
         let mut arcs = Arcs::with(config(ScanLines::Both));
-        arcs.find(header, pixels, (scan, 1.0), &mut ellipses, &mut rejections);
+        arcs.find(header, pixels, (scan, &SeenNoise::as_told(header.noise)), &mut ellipses, &mut rejections);
         ellipses
     };
     let columns = found(&header, &pixels, Scan::Column);
@@ -147,7 +147,9 @@ fn the_noise_level_is_that_of_the_image() {
     let bodies = [can(0.0, 1.5, 0.2), wall(2.5)];
     let level = |noise| {
         let (header, pixels) = render(KINECT_HALF, noise, &bodies, 7);
-        Arcs::with(config(ScanLines::Rows)).noise_level(&Header { noise: NoiseModel::KINECT_V1, ..header }, &pixels)
+        Arcs::with(config(ScanLines::Rows))
+            .seen_noise(&Header { noise: NoiseModel::KINECT_V1, ..header }, &pixels)
+            .level
     };
     let (as_told, none) = (level(NoiseModel::KINECT_V1), level(NoiseModel::IDEAL));
     assert!((0.85..1.15).contains(&as_told) && none < 0.02, "{as_told} and {none}");
@@ -158,10 +160,29 @@ fn the_noise_level_is_that_of_the_image() {
 }
 
 #[test]
+fn a_model_that_grows_wrongly_is_replaced() {
+    let floor = Body::Plane { normal: Vector3::new(0.0, 0.9, 0.3).normalize(), offset: 0.9 };
+    let kinect = NoiseModel::KINECT_V1;
+    let even = NoiseModel { floor_m: 0.005, ..NoiseModel::IDEAL };
+    for (real, told) in [(kinect, even), (kinect, even.times(0.4)), (kinect, NoiseModel::IDEAL), (even, kinect)] {
+        let (header, pixels) = render(KINECT_HALF, real, &[can(0.0, 1.5, 0.2), floor, wall(3.5)], 7);
+        let seen = Arcs::with(config(ScanLines::Rows)).seen_noise(&Header { noise: told, ..header }, &pixels);
+        assert!(seen.told[0] != seen.told[1], "{seen:?}");
+        for depth in [1.5, 2.0, 2.5, 3.0] {
+            let ratio = (seen.level * seen.model.variance(depth) / real.variance(depth)).sqrt();
+            assert!((0.8..1.25).contains(&ratio), "{ratio} at {depth} m, told {told:?}");
+        }
+    }
+    let (header, pixels) = render(KINECT_HALF, kinect, &[can(0.0, 1.5, 0.2), floor, wall(3.5)], 7);
+    let seen = Arcs::with(config(ScanLines::Rows)).seen_noise(&header, &pixels);
+    assert_eq!(seen.model, kinect, "one that grows rightly is not");
+}
+
+#[test]
 fn silhouettes_and_creases_are_not_taken_for_noise() {
     for seed in 20..30 {
         let (header, pixels) = room(seed);
-        let level = Arcs::with(config(ScanLines::Rows)).noise_level(&header, &pixels);
+        let level = Arcs::with(config(ScanLines::Rows)).seen_noise(&header, &pixels).level;
         assert!((0.85..1.15).contains(&level), "{level} in room {seed}");
     }
 }
@@ -184,7 +205,8 @@ fn what_is_noisier_than_its_model_shows_nearly_the_same_arcs() {
 #[test]
 fn a_blank_image_is_as_noisy_as_its_model() {
     let (header, pixels) = room(8);
-    assert_eq!(Arcs::with(config(ScanLines::Rows)).noise_level(&header, &vec![0; pixels.len()]), 1.0);
+    let seen = Arcs::with(config(ScanLines::Rows)).seen_noise(&header, &vec![0; pixels.len()]);
+    assert_eq!(seen, SeenNoise::as_told(header.noise));
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! What all scan lines of one direction of a depth image have in common.
 
 use super::super::RowEllipseConfig;
+use super::SeenNoise;
 use crate::camera::pinhole;
 use conicflow_geometry::{Pinhole, Scan, ScanPlane};
 use conicflow_messages::{Header, NoiseModel, is_measured};
@@ -39,11 +40,12 @@ pub(super) struct View {
     pub scale: f64,
     camera: Pinhole,
     width: usize,
-    noise: NoiseModel,
+    /// Model of the sensor.
+    pub noise: NoiseModel,
     /// Variance of the sensor, in variances of its model or, where that is greater, of rounding.
     level: f64,
     /// Variance that rounding to the unit of the image makes at the least.
-    least: f64,
+    pub least: f64,
     /// The rule by which a line is split.
     pub jumps: JumpRule,
     /// Slope of the ray of each pixel.
@@ -71,18 +73,17 @@ impl View {
         }
     }
 
-    /// Turns to the rows or columns of an image; the sensor's variance is `level` times that of its model.
-    pub fn turn(&mut self, header: &Header, scan: Scan, level: f64) {
+    /// Turns to the rows or columns of an image of this noise.
+    pub fn turn(&mut self, header: &Header, scan: Scan, noise: &SeenNoise) {
         let size = [header.camera.height, header.camera.width];
         [self.lines, self.length] = if scan == Scan::Row { size } else { [size[1], size[0]] };
         (self.scan, self.camera, self.width) = (scan, pinhole(&header.camera), size[1] as usize);
-        (self.noise, self.level, self.scale) = (header.noise, level, header.depth_scale);
+        (self.noise, self.level, self.scale) = (noise.model, noise.level, header.depth_scale);
         self.least = self.scale * self.scale / 12.0;
         let pitch = self.camera.pixel_pitch(scan);
-        // A driver that smooths does so within surfaces.
-        let noise = NoiseModel { floor_m: self.noise.floor_m.max(self.least.sqrt()), ..self.noise };
-        let noise = noise.times(level.max(1.0).sqrt());
-        self.jumps = JumpRule::new(&noise, self.scale, pitch, self.config.max_hole_px);
+        let rounding = self.least.sqrt() * noise.level.max(1.0).sqrt();
+        let of_steps = NoiseModel { floor_m: noise.of_steps.floor_m.max(rounding), ..noise.of_steps };
+        self.jumps = JumpRule::new(&of_steps, self.scale, pitch, self.config.max_hole_px);
         self.slopes.clear();
         self.slopes.extend((0..self.length).map(|pixel| self.camera.ray_slope(scan, f64::from(pixel))));
         let known = self.limits.len();
@@ -263,7 +264,11 @@ mod tests {
         let camera = Camera { width: 320, height: 240, fx: 290.0, fy: 290.0, cx: 159.5, cy: 119.5 };
         let noise = NoiseModel::KINECT_V1;
         let mut view = View::with(RowEllipseConfig::default());
-        view.turn(&Header { camera, noise, depth_scale: 1e-3, ..Header::default() }, Scan::Row, 1.0);
+        view.turn(
+            &Header { camera, noise, depth_scale: 1e-3, ..Header::default() },
+            Scan::Row,
+            &SeenNoise::as_told(noise),
+        );
         view.jumps
     }
 
@@ -291,10 +296,10 @@ mod tests {
         let camera = Camera { width: 1280, height: 720, fx: 1400.0, fy: 1400.0, cx: 639.5, cy: 359.5 };
         let mut view = View::with(RowEllipseConfig::default());
         let header = Header { camera, noise: NoiseModel::IDEAL, depth_scale: 1e-3, ..Header::default() };
-        view.turn(&header, Scan::Row, 1.0);
+        view.turn(&header, Scan::Row, &SeenNoise::as_told(header.noise));
         assert!(!view.jumps.splits(300, 301, 1), "one unit on a smooth surface");
         assert!((view.variance(0.3) - 1e-6 / 12.0).abs() < 1e-20);
-        view.turn(&header, Scan::Row, 12.0);
+        view.turn(&header, Scan::Row, &SeenNoise { level: 12.0, ..SeenNoise::as_told(header.noise) });
         assert!((view.variance(0.3) - 1e-6).abs() < 1e-18, "as noisy as the image is");
     }
 
