@@ -43,7 +43,8 @@ impl Ballistic {
     /// `has_pose`: whether the frame of tracking is the world's.
     pub fn fallen(&self, mut motion: Motion, dt: f64, radius: f64, has_pose: bool) -> Motion {
         let up = upward::unit(self.up, has_pose);
-        motion.shift(&(up * (-0.5 * self.gravity_mps2 * dt * dt)), &(up * (-self.gravity_mps2 * dt)));
+        motion.acceleration = up * -self.gravity_mps2;
+        motion.shift(&(motion.acceleration * (0.5 * dt * dt)), &(motion.acceleration * dt));
         let Some(floor_m) = self.floor_m else { return motion };
         let (height, climbing) = (motion.position().dot(&up) - radius - floor_m, motion.velocity().dot(&up));
         if height >= 0.0 || climbing >= 0.0 {

@@ -15,6 +15,8 @@ pub struct Motion {
     pub state: Vector6<f64>,
     /// Its covariance.
     pub covariance: Matrix6<f64>,
+    /// The acceleration that is known for sure, in m/s^2.
+    pub acceleration: Vector3<f64>,
 }
 
 impl Motion {
@@ -25,7 +27,7 @@ impl Motion {
         let mut covariance = Matrix6::zeros();
         covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&position_covariance);
         covariance.fixed_view_mut::<3, 3>(3, 3).fill_diagonal(speed_sigma * speed_sigma);
-        Self { state, covariance }
+        Self { state, covariance, acceleration: Vector3::zeros() }
     }
 
     /// Position in metres.
@@ -48,13 +50,21 @@ impl Motion {
         self.covariance.fixed_view::<3, 3>(3, 3).into()
     }
 
-    /// Goes on by `dt` seconds, with acceleration noise of spectral density `density` in m^2/s^3.
+    /// Goes on by `dt` seconds, with acceleration noise of spectral density `density` in m^2/s^3 and no other acceleration.
     pub fn predict(&mut self, dt: f64, density: f64) {
-        let noise = blocks(dt.powi(3) / 3.0, dt.powi(2) / 2.0, dt) * density;
+        self.acceleration = Vector3::zeros();
+        self.move_in_time(dt);
+        self.covariance += blocks(dt.powi(3) / 3.0, dt.powi(2) / 2.0, dt) * density;
+    }
+
+    /// The same motion `dt` seconds later, or before where that is negative, with no more noise than it has. To measure at
+    /// an earlier time and come back is to measure with `H = [I, -dt I]` in place of `[I, 0]`.
+    pub fn move_in_time(&mut self, dt: f64) {
         let mut transition = Matrix6::identity();
         transition.fixed_view_mut::<3, 3>(0, 3).fill_diagonal(dt);
         self.state = transition * self.state;
-        self.covariance = symmetric(&(transition * self.covariance * transition.transpose() + noise));
+        self.covariance = symmetric(&(transition * self.covariance * transition.transpose()));
+        self.shift(&(self.acceleration * (0.5 * dt * dt)), &(self.acceleration * dt));
     }
 
     /// Moves on by what is known for sure, in metres and metres per second.
@@ -68,7 +78,7 @@ impl Motion {
     /// The same object had its velocity changed at the start of the last `dt` seconds, by `speed_sigma` m/s per axis.
     pub fn kicked(&self, dt: f64, speed_sigma: f64) -> Self {
         let noise = blocks(dt * dt, dt, 1.0) * (speed_sigma * speed_sigma);
-        Self { state: self.state, covariance: self.covariance + noise }
+        Self { covariance: self.covariance + noise, ..self.clone() }
     }
 
     /// Compares a measured position with the predicted one; `None` if the covariances are not positive definite.

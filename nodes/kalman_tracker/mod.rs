@@ -4,7 +4,8 @@
 //! and the camera may move; positions and velocities are given in the camera frame of the present frame, the velocity
 //! being that in the world, seen along the camera's axes. Without a pose the camera counts as standing still, in a world
 //! of its own ([`worlds`]); a frame that lacks one takes that of the frame before. Of several cameras in one world each
-//! has its pose, and only the one that saw a target last can miss it. Thrown balls may be told to fall and bounce
+//! has its pose, and only the one that saw a target last can miss it; a frame older than the
+//! newest is compared with where the targets were then. Thrown balls may be told to fall and bounce
 //! ([`ballistic`]).
 
 mod association;
@@ -71,13 +72,15 @@ impl Tracker {
         }
         let world_from_camera = self.pose(header, time.source);
         self.predict(time.elapsed_s);
+        self.move_in_time(-time.late_s);
         self.detect(objects, &world_from_camera);
-        self.associate(time.elapsed_s);
+        self.associate(&time);
         self.update_targets(&time);
-        self.give_birth(time.source);
+        self.give_birth(&time);
         let camera_from_world = world_from_camera.inverse();
         self.tracks.clear();
         self.tracks.extend(self.targets.iter().map(|target| target.track(&camera_from_world)));
+        self.move_in_time(time.late_s);
         &self.tracks
     }
 
@@ -109,6 +112,13 @@ impl Tracker {
         }
     }
 
+    /// To the time of a frame that is late, and back.
+    fn move_in_time(&mut self, seconds: f64) {
+        if seconds != 0.0 {
+            self.targets.iter_mut().for_each(|target| target.move_in_time(seconds));
+        }
+    }
+
     fn detect(&mut self, objects: &[Object], world_from_camera: &IsometryMatrix3<f64>) {
         self.detections.clear();
         let detection = |object| Detection::new(object, world_from_camera, &self.config);
@@ -116,20 +126,20 @@ impl Tracker {
     }
 
     /// Undisturbed targets choose first; then those that may have been pushed.
-    fn associate(&mut self, dt: f64) {
+    fn associate(&mut self, time: &Advance) {
         let Self { association, targets, detections, config, .. } = self;
         association.reset(targets.len(), detections.len());
         association.assign(|target, detection| targets[target].cost(&detections[detection], config));
-        association.assign(|target, detection| targets[target].cost_of_manoeuvre(&detections[detection], dt, config));
+        association.assign(|target, detection| targets[target].cost_of_manoeuvre(&detections[detection], time, config));
     }
 
-    fn update_targets(&mut self, &Advance { elapsed_s: dt, source, .. }: &Advance) {
+    fn update_targets(&mut self, time: &Advance) {
         self.confirmed.clear();
         for (target, detection) in self.targets.iter_mut().zip(self.association.detections()) {
             let was_confirmed = target.is_confirmed();
             match detection {
-                Some(detection) => target.see(&self.detections[*detection], source, dt, &self.config),
-                None => target.miss(source, dt),
+                Some(detection) => target.see(&self.detections[*detection], time, &self.config),
+                None => target.miss(time),
             }
             if target.is_confirmed() && !was_confirmed {
                 self.confirmed.push(target.kind);
@@ -139,9 +149,9 @@ impl Tracker {
         self.targets.retain(|target| !target.life.is_lost(&rules));
     }
 
-    fn give_birth(&mut self, source: usize) {
+    fn give_birth(&mut self, time: &Advance) {
         for index in self.association.unclaimed() {
-            let target = Target::born(self.next_id, &self.detections[index], source, &self.config);
+            let target = Target::born(self.next_id, &self.detections[index], time, &self.config);
             self.next_id += 1;
             if target.is_confirmed() {
                 self.confirmed.push(target.kind);

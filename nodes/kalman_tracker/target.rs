@@ -5,6 +5,7 @@ use super::config::KalmanTrackerConfig;
 use super::detection::{Detection, rotated};
 use super::filter::{Axis, Motion, Size};
 use super::life::Life;
+use super::timeline::Advance;
 use conicflow_messages::{Object, ObjectKind, ObjectSigma, Track, TrackState};
 use nalgebra::{IsometryMatrix3, Matrix3, Point3, Vector3};
 
@@ -36,8 +37,10 @@ pub struct Target {
     half_angle: Option<Size>,
     common: CommonError,
     last_seen: Object,
-    /// Which source saw it last.
+    /// Which source saw it last ...
     pub seen_by: usize,
+    /// ... and how late that frame was, in seconds.
+    seen_late_s: f64,
 }
 
 /// Covariance of the error that successive sights have in common.
@@ -66,8 +69,8 @@ impl CommonError {
 }
 
 impl Target {
-    /// A target at its first sight, by the source `seen_by`.
-    pub fn born(id: u64, first: &Detection, seen_by: usize, config: &KalmanTrackerConfig) -> Self {
+    /// A target at its first sight.
+    pub fn born(id: u64, first: &Detection, time: &Advance, config: &KalmanTrackerConfig) -> Self {
         let mut votes = [0; ObjectKind::ALL.len()];
         votes[first.kind.code() as usize] = 1;
         Self {
@@ -83,7 +86,8 @@ impl Target {
             half_angle: first.half_angle,
             common: CommonError::of(first, config.common_share),
             last_seen: first.object,
-            seen_by,
+            seen_by: time.source,
+            seen_late_s: time.late_s,
         }
     }
 
@@ -98,6 +102,14 @@ impl Target {
         }
         if let Some(half_angle) = &mut self.half_angle {
             half_angle.predict(dt, config.drift_half_angle_deg.to_radians());
+        }
+    }
+
+    /// The motions `seconds` later, or before where that is negative; the shape hardly changes.
+    pub fn move_in_time(&mut self, seconds: f64) {
+        self.motion.move_in_time(seconds);
+        if let Some(other) = &mut self.fall.other {
+            other.move_in_time(seconds);
         }
     }
 
@@ -132,16 +144,22 @@ impl Target {
         motions.filter_map(|motion| self.cost_of(motion, detection, config)).min_by(f64::total_cmp)
     }
 
-    /// The same for a target that changed its velocity when it was last seen; the frame before was `dt` seconds ago.
-    pub fn cost_of_manoeuvre(&self, detection: &Detection, dt: f64, config: &KalmanTrackerConfig) -> Option<f64> {
+    /// The same for a target that changed its velocity when it was last seen.
+    pub fn cost_of_manoeuvre(
+        &self,
+        detection: &Detection,
+        time: &Advance,
+        config: &KalmanTrackerConfig,
+    ) -> Option<f64> {
         let is_recent = self.life.misses == 0 || self.life.unseen_s <= MANOEUVRE_UNSEEN_S;
         let may_be = is_recent && self.kind == detection.kind && config.manoeuvre_mps > 0.0;
-        may_be.then(|| self.cost_of(&self.pushed(dt, config), detection, config))?
+        may_be.then(|| self.cost_of(&self.pushed(time, config), detection, config))?
     }
 
-    /// Its motion if it changed its velocity when it was last seen; the frame before was `dt` seconds ago.
-    fn pushed(&self, dt: f64, config: &KalmanTrackerConfig) -> Motion {
-        self.motion.kicked(dt + self.life.unseen_s, config.manoeuvre_mps)
+    /// Its motion if it changed its velocity when it was last seen; as of this frame, late or not.
+    fn pushed(&self, time: &Advance, config: &KalmanTrackerConfig) -> Motion {
+        let since_s = self.life.unseen_s + self.seen_late_s + time.elapsed_s - time.late_s;
+        self.motion.kicked(since_s.max(0.0), config.manoeuvre_mps)
     }
 
     fn cost_of(&self, motion: &Motion, detection: &Detection, config: &KalmanTrackerConfig) -> Option<f64> {
@@ -165,13 +183,13 @@ impl Target {
         self.life.state() != TrackState::Tentative
     }
 
-    /// Takes in a sight by the source `seen_by`, `dt` seconds after the frame before.
-    pub fn see(&mut self, detection: &Detection, seen_by: usize, dt: f64, config: &KalmanTrackerConfig) {
-        self.seen_by = seen_by;
+    /// Takes in a sight.
+    pub fn see(&mut self, detection: &Detection, time: &Advance, config: &KalmanTrackerConfig) {
         self.weigh_motions(detection);
         if self.cost(detection, config).is_none() {
-            self.motion = self.pushed(dt, config);
+            self.motion = self.pushed(time, config);
         }
+        (self.seen_by, self.seen_late_s) = (time.source, time.late_s);
         if let Some(innovation) = self.motion.innovation(&detection.position, &detection.covariance) {
             self.motion.update(&innovation, &detection.covariance);
         }
@@ -185,12 +203,12 @@ impl Target {
         self.life.seen(&config.rules());
     }
 
-    /// Goes on through a frame of `source` in which it was not seen. Where another camera saw it last, that says nothing.
-    pub fn miss(&mut self, source: usize, dt: f64) {
-        if source == self.seen_by {
-            self.life.missed(dt);
+    /// Goes on through a frame in which it was not seen. Where another camera saw it last, that says nothing.
+    pub fn miss(&mut self, time: &Advance) {
+        if time.source == self.seen_by {
+            self.life.missed(time.elapsed_s);
         } else {
-            self.life.unwatched(dt);
+            self.life.unwatched(time.elapsed_s);
         }
     }
 

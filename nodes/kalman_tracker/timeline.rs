@@ -33,6 +33,8 @@ pub struct Advance {
     pub source: usize,
     /// Seconds since the message before.
     pub elapsed_s: f64,
+    /// How many seconds the message is older than the newest one of the other sources. Only a clock that is shared tells.
+    pub late_s: f64,
     /// The source began from its first frame: what it saw before has nothing to do with it.
     pub new_run: bool,
 }
@@ -47,7 +49,8 @@ impl Timeline {
     ///
     /// A source that was started anew (another epoch) and goes on with its sequence numbers is the same run. The sources
     /// share a clock, until the stamps of one stand still or go back, or are far from those of the others: from then on those
-    /// count by their differences. A frame that is older than one of another camera takes no time.
+    /// count by their differences. Clocks less than a second apart are taken for one. A frame that is older than one of
+    /// another camera takes no time, and is late.
     pub fn advance(&mut self, header: &Header) -> Advance {
         let mut sight = Sight::of(header);
         let known = self.sources.iter().position(|known| known.stage == sight.stage);
@@ -65,7 +68,8 @@ impl Timeline {
             Some(known) => self.sources[known] = sight,
             None => self.sources.push(sight),
         }
-        Advance { source, elapsed_s: self.move_forward(sight.at_ns), new_run }
+        let elapsed_s = self.move_forward(sight.at_ns);
+        Advance { source, elapsed_s, late_s: self.late_s(&sight), new_run }
     }
 
     /// When a message is that goes on after the last one of its source.
@@ -84,6 +88,12 @@ impl Timeline {
         let now_ns = self.now_ns.unwrap_or(at_ns);
         self.now_ns = Some(now_ns.max(at_ns));
         (at_ns - now_ns).max(0) as f64 * 1e-9
+    }
+
+    /// How much older than the present a message is; nothing where its stamps are not on the clock that all share.
+    fn late_s(&self, sight: &Sight) -> f64 {
+        let is_shared = sight.at_ns == i128::from(sight.stamp_ns);
+        self.now_ns.filter(|_| is_shared).map_or(0.0, |now_ns| (now_ns - sight.at_ns) as f64 * 1e-9)
     }
 }
 
@@ -111,16 +121,29 @@ mod tests {
 
     const PERIOD: f64 = 0.04;
 
-    /// Elapsed milliseconds, and where a new run began, for messages `(stage, epoch, sequence, stamp in ms)`.
-    fn elapsed_ms(messages: &[(&str, u64, u64, u64)]) -> Vec<Option<i64>> {
+    /// What messages `(stage, epoch, sequence, stamp in ms)` mean for the time.
+    fn advances(messages: &[(&str, u64, u64, u64)]) -> Vec<Advance> {
         let mut timeline = Timeline::new(PERIOD);
         let advance = |&(stage, epoch, sequence, stamp_ms): &(&str, u64, u64, u64)| {
             let mut header = Header { epoch, sequence, stamp_ns: stamp_ms * 1_000_000, ..Header::default() };
             header.add_hop(Hop { stage: Text::new(stage), ..Hop::default() });
-            let advance = timeline.advance(&header);
-            (!advance.new_run).then_some((advance.elapsed_s * 1e3).round() as i64)
+            timeline.advance(&header)
         };
         messages.iter().map(advance).collect()
+    }
+
+    fn milliseconds(seconds: f64) -> i64 {
+        (seconds * 1e3).round() as i64
+    }
+
+    /// Elapsed milliseconds; none where a new run began.
+    fn elapsed_ms(messages: &[(&str, u64, u64, u64)]) -> Vec<Option<i64>> {
+        let elapsed = |advance: &Advance| (!advance.new_run).then_some(milliseconds(advance.elapsed_s));
+        advances(messages).iter().map(elapsed).collect()
+    }
+
+    fn late_ms(messages: &[(&str, u64, u64, u64)]) -> Vec<i64> {
+        advances(messages).iter().map(|advance| milliseconds(advance.late_s)).collect()
     }
 
     #[test]
@@ -153,6 +176,18 @@ mod tests {
         let times =
             elapsed_ms(&[("a", 1, 50, 100), ("b", 2, 3, 102), ("b", 2, 4, 135), ("a", 1, 51, 133), ("a", 1, 52, 166)]);
         assert_eq!(times, [Some(0), Some(2), Some(33), Some(0), Some(31)]);
+    }
+
+    #[test]
+    fn a_camera_that_is_behind_the_others_is_late() {
+        let times = [("a", 1, 0, 100), ("b", 2, 0, 60), ("a", 1, 1, 133), ("b", 2, 1, 93), ("b", 2, 2, 140)];
+        assert_eq!(late_ms(&times), [0, 40, 0, 40, 0]);
+    }
+
+    #[test]
+    fn a_clock_of_its_own_tells_nothing_of_how_late_it_is() {
+        let times = [("a", 1, 0, 0), ("b", 2, 0, 0), ("b", 2, 1, 0), ("a", 1, 1, 100), ("b", 2, 2, 0)];
+        assert_eq!(late_ms(&times), [0; 5]);
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! A camera that moves, and one that does not tell where it is.
 
+use super::super::ballistic::Ballistic;
 use super::super::worlds::Worlds;
 use super::*;
 use conicflow_messages::{HAS_POSE, Hop, Text};
@@ -125,4 +126,31 @@ fn cameras_that_do_not_know_where_they_are_share_nothing_but_identities() {
     assert_eq!(ids(worlds.update(&placed("left", 0.0, 10), &[sphere(place)]).tracks()), [9]);
     assert_eq!(ids(worlds.update(&placed("right", 0.0, 10), &[sphere(place)]).tracks()), [9]);
     assert_eq!(ids(worlds.update(&from("right", header(11)), &[sphere(place)]).tracks()), [9]);
+}
+
+/// The same header `late_s` seconds earlier.
+fn late(header: Header, late_s: f64) -> Header {
+    Header { stamp_ns: header.stamp_ns - (late_s * 1e9) as u64, ..header }
+}
+
+/// The frames of the right camera come a tenth of a second late.
+#[test]
+fn a_late_frame_is_compared_with_where_things_were_then() {
+    let late_s = 0.1;
+    let straight = |time: f64| Vector3::new(1.5 * time, 0.0, 2.0);
+    let thrown = |time: f64| Vector3::new(2.0 * time, 4.905 * time * time - 4.0 * time, 2.0);
+    let falls = Some(Ballistic { up: Some([0.0, -1.0, 0.0]), ..Ballistic::default() });
+    let runs: [(&dyn Fn(f64) -> Vector3<f64>, _); 2] = [(&straight, None), (&thrown, falls)];
+    for (place, ballistic) in runs {
+        let mut tracker = Tracker::new(KalmanTrackerConfig { ballistic, ..KalmanTrackerConfig::default() });
+        for frame in 3..30 {
+            let now_s = seconds(frame);
+            tracker.update(&placed("left", 0.0, frame), &[sphere(place(now_s))]);
+            let then = place(now_s - late_s);
+            let track = tracker.update(&late(placed("right", 0.0, frame), late_s), &[sphere(then)])[0];
+            let off = (Vector3::from(track.object.center) - then).norm();
+            assert_eq!(tracker.next_id, 2, "frame {frame}: a second track");
+            assert!(frame < 10 || off < 0.005, "frame {frame}: {off} m off");
+        }
+    }
 }
