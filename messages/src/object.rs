@@ -3,6 +3,10 @@
 use crate::{Header, Item, Kind, Malformed, item::finite};
 use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
+use std::f64::consts::FRAC_PI_2;
+
+/// How far the square of an axis may be from 1: numbers that were written by hand are rounded.
+const UNIT_TOLERANCE: f64 = 1e-3;
 
 /// The shapes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -121,9 +125,19 @@ impl Object {
             Some("has a number that is not finite")
         } else if self.radius < 0.0 || self.length < 0.0 {
             Some("has a negative size")
+        } else if !self.has_fitting_axis() {
+            Some("has an axis that is no unit vector, or a sphere has one")
+        } else if !(0.0..FRAC_PI_2).contains(&self.half_angle) {
+            Some("has a half-angle outside of 0 to 90 degrees")
         } else {
             None
         }
+    }
+
+    /// A unit vector; of a sphere none.
+    fn has_fitting_axis(&self) -> bool {
+        let square: f64 = self.axis.iter().map(|number| number * number).sum();
+        if self.shape() == ObjectKind::Sphere { square == 0.0 } else { (square - 1.0).abs() <= UNIT_TOLERANCE }
     }
 }
 
@@ -164,5 +178,29 @@ mod tests {
         let error = Object::check(&Header::default(), &[good, unknown]).unwrap_err();
         assert_eq!(error.to_string(), "malformed objects: item 1 is of no known shape");
         assert!(Object::check(&Header::default(), &[nan]).is_err());
+    }
+
+    #[test]
+    fn an_axis_is_a_unit_vector_and_a_half_angle_is_acute() {
+        let check = |object: Object| Object::check(&Header::default(), &[object]).map_err(|error| error.to_string());
+        let sphere = Object { radius: 0.1, ..Object::default() };
+        let can = Object { kind: ObjectKind::Cylinder.code(), axis: [0.0, -1.0, 0.0], ..sphere };
+        let cone = Object { kind: ObjectKind::Cone.code(), axis: [0.0, 0.866, 0.5], half_angle: 0.2, ..sphere };
+        for good in [sphere, can, cone] {
+            assert_eq!(check(good), Ok(()));
+        }
+        let axes = [
+            Object { axis: [0.0; 3], ..can },
+            Object { axis: [0.0, 2.0, 0.0], ..can },
+            Object { axis: [0.0, 0.0, 1.0], ..sphere },
+        ];
+        for bad in axes {
+            let told = "malformed objects: item 0 has an axis that is no unit vector, or a sphere has one";
+            assert_eq!(check(bad), Err(told.into()));
+        }
+        for half_angle in [-0.1, FRAC_PI_2, 3.0] {
+            let told = "malformed objects: item 0 has a half-angle outside of 0 to 90 degrees";
+            assert_eq!(check(Object { half_angle, ..cone }), Err(told.into()));
+        }
     }
 }

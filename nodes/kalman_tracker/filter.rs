@@ -157,6 +157,11 @@ impl Size {
         (measured.value - self.value).powi(2) / (self.variance + measured.variance)
     }
 
+    /// Becomes so uncertain that the squared difference to a measurement is at most `gate`.
+    pub fn widen(&mut self, measured: Self, gate: f64) {
+        self.variance = self.variance.max((measured.value - self.value).powi(2) / gate - measured.variance);
+    }
+
     /// Takes in a measurement.
     pub fn update(&mut self, measured: Self) {
         let gain = gain(self.variance, measured.variance);
@@ -308,6 +313,15 @@ mod tests {
         let walk: f64 = drift * drift * dt;
         let settled = ((walk * walk + 4.0 * walk * noise).sqrt() - walk) / 2.0;
         assert!((size.variance / settled - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_size_that_is_widened_is_at_the_gate() {
+        let mut size = Size::new(0.1, 1e-8);
+        size.widen(Size::new(0.1001, 1e-6), 9.0);
+        assert_eq!(size.variance, 1e-8, "inside of the gate before");
+        size.widen(Size::new(0.12, 1e-6), 9.0);
+        assert!((size.distance2(Size::new(0.12, 1e-6)) - 9.0).abs() < 1e-9);
     }
 
     #[test]

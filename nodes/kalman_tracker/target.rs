@@ -193,6 +193,8 @@ impl Target {
         if let Some(innovation) = self.motion.innovation(&detection.position, &detection.covariance) {
             self.motion.update(&innovation, &detection.covariance);
         }
+        // What `max_radius_change` let pass was no noise.
+        self.radius.widen(detection.radius, config.gate);
         self.radius.update(detection.radius);
         self.length.update(detection.length);
         self.vote(detection);

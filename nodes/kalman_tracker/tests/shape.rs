@@ -71,3 +71,16 @@ fn a_cone_fits_together() {
     assert!((last.base_radius - last.top_radius - last.length * last.half_angle.tan()).abs() < 1e-12);
     assert!((last.half_angle - 0.2).abs() < 0.01 && last.sigma.half_angle < 0.0115);
 }
+
+/// A step that `max_radius_change` lets pass, far outside of what the sigma has for noise.
+#[test]
+fn a_step_of_the_radius_leaves_an_honest_sigma() {
+    let mut tracker = Tracker::new(exact());
+    let (place, before, after) = (Vector3::new(0.0, 0.0, 1.0), 0.1, 0.115);
+    for frame in 0..60 {
+        tracker.update(&header(frame), &[Object { radius: before, ..sphere(place) }]);
+    }
+    let track = tracker.update(&header(60), &[Object { radius: after, ..sphere(place) }])[0];
+    let (error, sigma) = ((track.object.radius - after).abs(), track.object.sigma.radius);
+    assert!(track.id == 1 && error < 3.0 * sigma && error < 0.003, "{error} m off, sigma {sigma} m");
+}
