@@ -277,7 +277,7 @@ impl Target {
         };
         let Some(axis) = self.axis.filter(|_| self.kind != ObjectKind::Sphere) else { return sphere };
         let cylinder = Object {
-            axis: (rotation * axis.direction.into_inner()).into(),
+            axis: (rotation * axis.direction.into_inner()).normalize().into(), // a pose is rounded
             length: self.length.value,
             sigma: ObjectSigma {
                 axis: (2.0 * axis.variance).sqrt(),
