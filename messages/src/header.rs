@@ -154,6 +154,11 @@ impl Header {
         &self.hops[..(self.hop_count as usize).min(MAX_HOPS)]
     }
 
+    /// The stage that had the frame first: its camera.
+    pub fn origin(&self) -> Text<32> {
+        self.trace().first().map_or_else(Text::default, |hop| hop.stage)
+    }
+
     /// Records that a stage passed the message on; beyond [`MAX_HOPS`] nothing is recorded.
     pub fn add_hop(&mut self, hop: Hop) {
         if let Some(slot) = self.hops.get_mut(self.hop_count as usize) {
@@ -282,5 +287,15 @@ mod tests {
             header.add_hop(Hop::default());
         }
         assert_eq!(header.trace().len(), MAX_HOPS);
+    }
+
+    #[test]
+    fn the_first_hop_is_the_origin() {
+        let mut header = Header::default();
+        assert_eq!(header.origin(), Text::default());
+        for stage in ["camera", "extractor"] {
+            header.add_hop(Hop { stage: Text::new(stage), ..Hop::default() });
+            assert_eq!(header.origin(), Text::new("camera"));
+        }
     }
 }

@@ -97,15 +97,10 @@ impl Timeline {
     }
 }
 
-/// The name of the stage that a message first came from.
-pub fn source(header: &Header) -> Text<32> {
-    header.trace().first().map_or_else(Text::default, |hop| hop.stage)
-}
-
 impl Sight {
     fn of(header: &Header) -> Self {
         let &Header { epoch, sequence, stamp_ns, .. } = header;
-        Self { stage: source(header), epoch, sequence, stamp_ns, at_ns: i128::from(stamp_ns) }
+        Self { stage: header.origin(), epoch, sequence, stamp_ns, at_ns: i128::from(stamp_ns) }
     }
 
     /// Whether the source was started anew since, from its first frame.

@@ -1,7 +1,7 @@
 //! Which cameras share a world: those that tell their pose have one in common, each other one has its own, with its own
 //! clock, as nobody knows where it stands.
 
-use super::{KalmanTrackerConfig, Tracker, timeline};
+use super::{KalmanTrackerConfig, Tracker};
 use conicflow_messages::{Header, Object, Text};
 
 /// A tracker for each world; identities are given once among all of them.
@@ -26,7 +26,7 @@ impl Worlds {
 
     /// Takes in the objects of one frame; the tracker of its world, which knows the tracks.
     pub fn update(&mut self, header: &Header, objects: &[Object]) -> &Tracker {
-        let index = self.of(&timeline::source(header), header.pose().is_some());
+        let index = self.of(&header.origin(), header.pose().is_some());
         let tracker = &mut self.worlds[index].tracker;
         tracker.next_id = self.next_id;
         tracker.update(header, objects);

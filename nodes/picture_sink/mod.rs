@@ -152,7 +152,7 @@ impl<T: Drawn> PictureSink<T> {
 
     /// Says once that the pictures of several cameras overwrite each other.
     fn look_for_another_camera(&mut self, header: &Header) {
-        let camera = camera_of(header);
+        let camera = header.origin();
         if self.names == Names::Sequence && self.camera.is_some_and(|other| other != camera) && !self.is_told {
             self.is_told = true;
             tracing::warn!(
@@ -183,14 +183,9 @@ fn picture_name(header: &Header, names: Names) -> String {
     let source = Path::new(header.source.as_str().unwrap_or_default());
     match (names, source.extension(), source.file_stem()) {
         (Names::Source, Some(_), Some(stem)) => format!("{}.png", harmless(&stem.to_string_lossy())),
-        (Names::Stage, ..) => format!("{}_{:06}.png", harmless(&camera_of(header).to_string()), header.sequence),
+        (Names::Stage, ..) => format!("{}_{:06}.png", harmless(&header.origin().to_string()), header.sequence),
         _ => format!("frame_{:06}.png", header.sequence),
     }
-}
-
-/// The stage that had the frame first.
-fn camera_of(header: &Header) -> Text<32> {
-    header.trace().first().map(|hop| hop.stage).unwrap_or_default()
 }
 
 /// A name from another process, without what could lead out of the folder, and no longer than a file's may be.
