@@ -1,5 +1,6 @@
 //! The sink for people: what was found in each frame, as text on standard output.
 
+use crate::turns::Turns;
 use conicflow_dataflow::{Config, Context, Output, Sides, Stage, StageError, Stop};
 use conicflow_messages::{Ellipse, Item, Message, Nothing, Object, ObjectKind, Scan, Track, TrackState};
 use schemars::JsonSchema;
@@ -12,7 +13,7 @@ use std::marker::PhantomData;
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ConsoleSinkConfig {
-    /// Show one message in this many; 1 shows all.
+    /// Show one message in this many, of each camera; 1 shows all.
     #[schemars(range(min = 1))]
     pub every: u32,
     /// Show tracks that are not confirmed yet.
@@ -89,14 +90,14 @@ impl Describe for Ellipse {
 pub struct Console<W> {
     place: W,
     config: ConsoleSinkConfig,
-    messages: u64,
+    turns: Turns,
     text: String,
 }
 
 impl<W: Write> Console<W> {
     /// A console on `place`.
     pub fn new(place: W, config: ConsoleSinkConfig) -> Self {
-        Self { place, config, messages: 0, text: String::new() }
+        Self { place, turns: Turns::new(config.every.into(), 0), config, text: String::new() }
     }
 
     /// Shows a message, if it is its turn.
@@ -104,9 +105,7 @@ impl<W: Write> Console<W> {
     /// # Errors
     /// Those of the place written to.
     pub fn show<T: Describe>(&mut self, message: &Message<T>) -> io::Result<()> {
-        let turn = self.messages % u64::from(self.config.every.max(1));
-        self.messages += 1;
-        if turn != 0 {
+        if !self.turns.is_due(message.header) {
             return Ok(());
         }
         self.text.clear();

@@ -7,6 +7,7 @@ mod json_lines;
 pub mod noise_config;
 mod random;
 mod spread;
+mod turns;
 mod upward;
 
 pub mod synthetic_source;

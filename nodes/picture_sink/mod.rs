@@ -9,6 +9,7 @@ mod font;
 mod outline;
 mod painter;
 
+use crate::turns::Turns;
 use anyhow::{Context as _, Result, ensure};
 use conicflow_dataflow::{ConfigFault, Context, Output, Pick, Side, Sides, Stage, StageError};
 use conicflow_messages::{Header, Kind, MAX_PIXELS, Message, Nothing, Text};
@@ -29,7 +30,7 @@ const LONGEST_NAME: usize = 200;
 pub struct Config {
     /// Folder for the pictures; it is made if need be.
     pub path: Option<PathBuf>,
-    /// Draw every so many frames.
+    /// Draw every so many frames, of each camera.
     #[schemars(range(min = 1))]
     pub every: u64,
     /// What pictures are called after: `sequence` (frame_000012.png), `stage` (camera_000012.png, after the stage that had
@@ -84,12 +85,10 @@ impl conicflow_dataflow::Config for Config {
 /// Writes a PNG for every message, or every so many.
 pub struct PictureSink<T> {
     folder: PathBuf,
-    every: u64,
+    turns: Turns,
     names: Names,
     painter: Painter,
     file: Vec<u8>,
-    /// Messages taken.
-    taken: u64,
     /// Whose frame the last picture is.
     camera: Option<Text<32>>,
     /// Whether it was said that they are of several cameras.
@@ -104,11 +103,10 @@ impl<T: Drawn> PictureSink<T> {
         fs::create_dir_all(&folder).with_context(|| format!("the folder `{}` cannot be made", folder.display()))?;
         Ok(Self {
             folder,
-            every: config.every.max(1),
+            turns: Turns::new(config.every, context.resume_at),
             names: config.names,
             painter: Painter::new(config),
             file: Vec::new(),
-            taken: context.resume_at,
             camera: None,
             is_told: false,
             item: PhantomData,
@@ -117,9 +115,7 @@ impl<T: Drawn> PictureSink<T> {
 
     /// Draws a message and writes the picture, if it is its turn; returns the file.
     fn take(&mut self, input: &Message<T>, sides: &Sides) -> Result<Option<PathBuf>> {
-        let number = self.taken;
-        self.taken += 1;
-        if !number.is_multiple_of(self.every) {
+        if !self.turns.is_due(input.header) {
             return Ok(None);
         }
         self.draw(input, sides)?;
@@ -150,13 +146,13 @@ impl<T: Drawn> PictureSink<T> {
         Ok(())
     }
 
-    /// Says once that the pictures of several cameras overwrite each other.
+    /// Says once that the pictures of several cameras may overwrite each other.
     fn look_for_another_camera(&mut self, header: &Header) {
         let camera = header.origin();
-        if self.names == Names::Sequence && self.camera.is_some_and(|other| other != camera) && !self.is_told {
+        if self.names != Names::Stage && self.camera.is_some_and(|other| other != camera) && !self.is_told {
             self.is_told = true;
             tracing::warn!(
-                "pictures of several cameras overwrite each other\n  hint: `names = \"stage\"` calls them after their cameras"
+                "pictures of several cameras may overwrite each other\n  hint: `names = \"stage\"` calls them after their cameras"
             );
         }
         self.camera = Some(camera);

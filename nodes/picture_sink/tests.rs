@@ -157,3 +157,17 @@ fn faults_of_the_parameters() {
     let config: Config = toml::from_str("path = 'x'\nnames = 'source'\nevery = 5").unwrap();
     assert_eq!((config.names, config.every), (Names::Source, 5));
 }
+
+#[test]
+fn pictures_that_may_overwrite_each_other_are_told() {
+    for (names, is_told) in [(Names::Sequence, true), (Names::Source, true), (Names::Stage, false)] {
+        let folder = tempfile::tempdir().unwrap();
+        let mut sink = sink::<Object>(&folder, Config { names, ..Config::default() });
+        for camera in ["left", "right"] {
+            let mut header = header(0, "0.png");
+            header.add_hop(Hop { stage: Text::new(camera), ..Hop::default() });
+            sink.take(&Message { header: &header, items: &[] }, &Sides::default()).unwrap();
+        }
+        assert_eq!(sink.is_told, is_told, "{names:?}");
+    }
+}
