@@ -6,10 +6,11 @@
 
 use crate::upward;
 use conicflow_dataflow::{Config, ConfigFault, Context, Output, Sides, Stage, StageError};
-use conicflow_messages::{Header, Message, ObjectKind, Track, TrackState};
+use conicflow_messages::{Header, Message, ObjectKind, Text, Track, TrackState};
 use nalgebra::{Matrix3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// What is followed.
@@ -61,20 +62,23 @@ impl Config for FollowerConfig {
 pub struct Follower {
     config: FollowerConfig,
     followed: Option<u64>,
+    /// How each camera was turned last, `world_from_camera`.
+    rotations: BTreeMap<Text<32>, Matrix3<f64>>,
 }
 
 impl Follower {
     /// A follower that has seen nothing.
     pub fn new(config: FollowerConfig) -> Self {
-        Self { config, followed: None }
+        Self { config, followed: None, rotations: BTreeMap::new() }
     }
 
     /// The track that is followed, with the velocity that is to be taken in place of its own.
     pub fn command(&mut self, header: &Header, tracks: &[Track]) -> Option<Track> {
+        let up = self.up_in_camera(header);
         let known = tracks.iter().find(|track| Some(track.id) == self.followed);
         let track = known.or_else(|| self.nearest(tracks));
         self.followed = track.map(|track| track.id);
-        track.map(|track| Track { velocity: self.velocity(header, track).into(), ..*track })
+        track.map(|track| Track { velocity: self.velocity(&up, track).into(), ..*track })
     }
 
     fn nearest<'a>(&self, tracks: &'a [Track]) -> Option<&'a Track> {
@@ -90,20 +94,25 @@ impl Follower {
     }
 
     /// Proportional to what is too much of the distance over ground, along the camera's axes.
-    fn velocity(&self, header: &Header, track: &Track) -> Vector3<f64> {
-        let up = up_in_camera(header, self.config.up);
+    fn velocity(&self, up: &Vector3<f64>, track: &Track) -> Vector3<f64> {
         let center = Vector3::from(track.object.center);
-        let level = center - up * center.dot(&up);
+        let level = center - up * center.dot(up);
         let distance = level.norm();
         let limit = self.config.max_speed_mps;
         let speed = (self.config.gain * (distance - self.config.stop_distance_m)).clamp(-limit, limit);
         level.try_normalize(1e-9).map_or_else(Vector3::zeros, |ahead| ahead * speed)
     }
-}
 
-fn up_in_camera(header: &Header, up: Option<[f64; 3]>) -> Vector3<f64> {
-    let up = upward::unit(up, header.pose().is_some());
-    header.pose().map_or(up, |rows| Matrix3::from_fn(|row, column| rows[row][column]).tr_mul(&up))
+    /// By the camera's pose; where a frame lacks one it is that of the frame before.
+    fn up_in_camera(&mut self, header: &Header) -> Vector3<f64> {
+        let camera = header.origin();
+        if let Some(rows) = header.pose() {
+            self.rotations.insert(camera, Matrix3::from_fn(|row, column| rows[row][column]));
+        }
+        let rotation = self.rotations.get(&camera);
+        let up = upward::unit(self.config.up, rotation.is_some());
+        rotation.map_or(up, |rotation| rotation.tr_mul(&up))
+    }
 }
 
 impl Stage for Follower {
@@ -155,6 +164,16 @@ mod tests {
         let mut follower = Follower::new(FollowerConfig::default());
         let velocity = follower.command(&Header::default(), &[ball(1, 3.0)]).unwrap().velocity;
         assert!((Vector3::from(velocity) - Vector3::z() * 0.8).norm() < 1e-12, "{velocity:?}");
+    }
+
+    /// `up` is a vector in the world; of a camera that lies on its side it is another one in its own frame.
+    #[test]
+    fn a_frame_that_lacks_its_pose_has_that_of_the_frame_before() {
+        let mut follower = Follower::new(FollowerConfig { up: Some([0.0, 0.0, 1.0]), ..FollowerConfig::default() });
+        let mut velocity = |header: &Header| follower.command(header, &[ball(1, 3.0)]).unwrap().velocity;
+        let with_pose = velocity(&header());
+        assert!(with_pose[2] > 0.5);
+        assert_eq!(velocity(&Header::default()), with_pose);
     }
 
     #[test]
