@@ -39,7 +39,8 @@ pub struct KalmanTrackerConfig {
     /// Number of frames within which `confirm_hits` sights confirm a track.
     #[schemars(range(min = 1, max = 32))]
     pub confirm_window: u32,
-    /// How long a confirmed track goes on without being seen, in seconds.
+    /// How long a confirmed track goes on without being seen, in seconds; if frames are farther apart than that, from one to
+    /// the next.
     #[schemars(range(min = 0.0))]
     pub max_coast_s: f64,
     /// Frame rate to reckon with where the time stamps do not advance, in Hz.

@@ -32,6 +32,10 @@ use target::Target;
 use timeline::{Advance, Timeline};
 use worlds::Worlds;
 
+/// A gap between frames that is at most this many times as long as the one before is usual: nobody could look sooner. After
+/// a longer one no target is found again that was unseen for too long.
+const USUAL_GAP: f64 = 1.5;
+
 /// Follows objects from frame to frame, of one camera or of several that tell their poses.
 pub struct Tracker {
     config: KalmanTrackerConfig,
@@ -70,6 +74,8 @@ impl Tracker {
         if time.new_run {
             self.targets.retain(|target| target.seen_by != time.source);
         }
+        let patience_s = self.config.max_coast_s.max(USUAL_GAP * time.usual_s);
+        self.targets.retain(|target| target.life.unseen_s + time.elapsed_s <= patience_s);
         let world_from_camera = self.pose(header, time.source);
         self.predict(time.elapsed_s);
         self.move_in_time(-time.late_s);

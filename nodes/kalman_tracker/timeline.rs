@@ -24,6 +24,8 @@ struct Sight {
     stamp_ns: u64,
     /// When that was in the time that all share.
     at_ns: i128,
+    /// How long after the message before; none of the first.
+    period_ns: Option<i128>,
 }
 
 /// What a message means for the time.
@@ -35,6 +37,8 @@ pub struct Advance {
     pub elapsed_s: f64,
     /// How many seconds the message is older than the newest one of the other sources. Only a clock that is shared tells.
     pub late_s: f64,
+    /// Seconds between the two messages of this source before this one: what is usual. Infinite before there are two.
+    pub usual_s: f64,
     /// The source began from its first frame: what it saw before has nothing to do with it.
     pub new_run: bool,
 }
@@ -64,12 +68,15 @@ impl Timeline {
         };
         let is_ahead = known.is_none() && at_ns > now_ns + OTHER_CLOCK_NS;
         sight.at_ns = if is_ahead || at_ns < now_ns - OTHER_CLOCK_NS { now_ns } else { at_ns };
+        let last = known.map(|known| self.sources[known]);
+        sight.period_ns = last.map(|last| sight.at_ns - last.at_ns);
         match known {
             Some(known) => self.sources[known] = sight,
             None => self.sources.push(sight),
         }
         let elapsed_s = self.move_forward(sight.at_ns);
-        Advance { source, elapsed_s, late_s: self.late_s(&sight), new_run }
+        let usual_s = last.and_then(|last| last.period_ns).map_or(f64::INFINITY, |usual_ns| usual_ns as f64 * 1e-9);
+        Advance { source, elapsed_s, late_s: self.late_s(&sight), usual_s, new_run }
     }
 
     /// When a message is that goes on after the last one of its source.
@@ -100,7 +107,7 @@ impl Timeline {
 impl Sight {
     fn of(header: &Header) -> Self {
         let &Header { epoch, sequence, stamp_ns, .. } = header;
-        Self { stage: header.origin(), epoch, sequence, stamp_ns, at_ns: i128::from(stamp_ns) }
+        Self { stage: header.origin(), epoch, sequence, stamp_ns, at_ns: i128::from(stamp_ns), period_ns: None }
     }
 
     /// Whether the source was started anew since, from its first frame.

@@ -49,6 +49,25 @@ fn what_is_unseen_for_too_long_comes_back_as_another() {
 }
 
 #[test]
+fn a_gap_in_the_frames_hands_no_identity_to_another() {
+    let mut tracker = Tracker::new(KalmanTrackerConfig::default());
+    let [first, second] = [0.0, 2.0].map(|x| sphere(Vector3::new(x, 0.0, 2.0)));
+    for frame in 0..60 {
+        assert_eq!(ids(tracker.update(&header(frame), &[first])), [1]);
+    }
+    assert_eq!(ids(tracker.update(&header(60 + 5 * 30), &[second])), [2]);
+}
+
+#[test]
+fn a_camera_slower_than_tracks_may_coast_keeps_identities() {
+    let mut tracker = Tracker::new(KalmanTrackerConfig { max_coast_s: 1.0, ..KalmanTrackerConfig::default() });
+    for frame in [0, 61, 120, 181, 240, 300, 361] {
+        let place = Vector3::new(0.05 * seconds(frame), 0.0, 2.0);
+        assert_eq!(ids(tracker.update(&header(frame), &[sphere(place)])), [1], "frame {frame}");
+    }
+}
+
+#[test]
 fn crossing_objects_keep_their_identities() {
     for second in [cylinder, sphere] {
         let mut tracker = Tracker::new(KalmanTrackerConfig::default());
