@@ -70,5 +70,6 @@ fn first_frame(name: &str, bytes: &[u8]) -> Result<()> {
     let intrinsics = Some(Intrinsics { fx: 50.0, fy: 50.0, cx: 3.0, cy: 2.0 });
     let mut recording = Recording::open(&path, &Options { intrinsics, ..Options::default() })?;
     recording.load(0)?;
-    recording.decode(&mut vec![0; recording.pixels()])
+    recording.decode(&mut vec![0; recording.pixels()])?;
+    Ok(())
 }

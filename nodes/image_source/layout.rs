@@ -43,8 +43,8 @@ pub(super) struct Layout {
     pub(super) depth_scale: f64,
     /// In the order in which they are sent; at least one.
     pub(super) frames: Vec<FrameFile>,
-    /// Why the other frames cannot be read.
-    pub(super) unreadable: Vec<Error>,
+    /// Places of the other frames, and why they cannot be read.
+    pub(super) unreadable: Vec<(u64, Error)>,
 }
 
 impl Layout {
@@ -66,7 +66,7 @@ impl Layout {
             let Candidate { path, size, stamp_ns } = candidate;
             match size {
                 Ok(size) => layout.frames.push(FrameFile { path, size, slot, stamp_ns }),
-                Err(error) => layout.unreadable.push(error.context(format!("`{}`", path.display()))),
+                Err(error) => layout.unreadable.push((slot, error.context(format!("`{}`", path.display())))),
             }
         }
         layout
@@ -77,7 +77,7 @@ impl Layout {
             return Ok(self);
         }
         let count = self.unreadable.len();
-        let first = self.unreadable.remove(0);
+        let (_, first) = self.unreadable.remove(0);
         if path.is_file() {
             return Err(first);
         }

@@ -33,12 +33,14 @@ const USUAL_RATE_HZ: f64 = 30.0;
 const PLAUSIBLE_DEPTH_M: std::ops::Range<f64> = 0.1..20.0;
 
 const UNREADABLE: &str = "frames unreadable";
+const TOO_FAR: &str = "points too far";
 
 /// Parameters of [`ImageSource`].
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
-    /// The recording: a folder of 16-bit PNGs or organised PCD files, a TUM RGB-D folder, or a single such file.
+    /// The recording: a folder of 16-bit PNGs or organised PCD files, a TUM RGB-D folder, or a single such file. Points of PCD
+    /// beyond 16.38 m are left out.
     pub path: Option<PathBuf>,
     /// Metres per unit of the file; default: as `camera.json` says, else 0.001, for TUM 0.0002, for PCD 1.
     #[schemars(range(min = 0.0))]
@@ -53,9 +55,9 @@ pub struct Config {
     /// Whether to start again at the end; stamps go on rising.
     #[serde(rename = "loop")]
     pub repeat: bool,
-    /// Number of the first frame to send, counted from 0.
+    /// Number of the first frame to send, counted from 0, unreadable ones included.
     pub first: u64,
-    /// The most frames to send from there (in each round of a loop); default: all.
+    /// The most frames to send from there (in each round of a loop), unreadable ones included; default: all.
     #[schemars(range(min = 1))]
     pub frames: Option<u64>,
 }
@@ -115,6 +117,8 @@ pub struct ImageSource {
     /// Files found unreadable at the start that have not been counted yet.
     uncounted: u64,
     described: bool,
+    /// Whether it was said that all points of a frame are too far.
+    told_far: bool,
 }
 
 impl ImageSource {
@@ -138,6 +142,7 @@ impl ImageSource {
             misses: 0,
             uncounted: unreadable.saturating_sub(counted),
             described: false,
+            told_far: false,
             recording,
         })
     }
@@ -192,6 +197,21 @@ impl ImageSource {
     }
 }
 
+impl ImageSource {
+    /// Says once that a frame is empty for being too far away, as one in millimetres is.
+    fn look_for_wrong_unit(&mut self, frame: &Frame, pixels: &[u16], too_far: u64) {
+        if self.told_far || too_far == 0 || pixels.iter().any(|&pixel| is_measured(pixel)) {
+            return;
+        }
+        self.told_far = true;
+        tracing::warn!(
+            "`{}`: all {too_far} points are too far away and left out\n  hint: if they are in millimetres, write \
+             `depth_scale = 0.001`",
+            frame.name
+        );
+    }
+}
+
 impl Source for ImageSource {
     const NAME: &'static str = "image_source";
     const SUMMARY: &'static str =
@@ -230,13 +250,18 @@ impl Source for ImageSource {
                 }
             };
             let pixels = output.image(frame.camera.width as usize * frame.camera.height as usize)?;
-            if let Err(error) = self.recording.decode(pixels) {
-                self.pass_over(&error.context(format!("`{}`", frame.name)))?;
-                output.count(UNREADABLE, 1);
-                continue;
-            }
+            let too_far = match self.recording.decode(pixels) {
+                Ok(too_far) => too_far,
+                Err(error) => {
+                    self.pass_over(&error.context(format!("`{}`", frame.name)))?;
+                    output.count(UNREADABLE, 1);
+                    continue;
+                }
+            };
             self.misses = 0;
             self.describe(&frame, pixels);
+            self.look_for_wrong_unit(&frame, pixels, too_far);
+            output.count(TOO_FAR, too_far);
             output.header = self.header(&frame, round);
             return Ok(Next::Message);
         }
@@ -272,7 +297,8 @@ impl Clock {
         let rate_hz = if rate_hz > 0.0 { rate_hz } else { USUAL_RATE_HZ };
         let span_ns = recording.stamps_ns().map_or(0, |(first, last)| last.saturating_sub(first));
         let steps = recording.len().saturating_sub(1).max(1) as u64;
-        Self { rate_hz, slots: recording.slots(), round_ns: span_ns + span_ns / steps }
+        let round_ns = if span_ns > 0 { span_ns + span_ns / steps } else { (1e9 / rate_hz).round() as u64 };
+        Self { rate_hz, slots: recording.slots(), round_ns }
     }
 
     fn stamp_ns(&self, frame: &Frame, round: u64) -> u64 {

@@ -23,9 +23,9 @@ pub struct Options {
     pub depth_scale: Option<f64>,
     /// The camera's intrinsics.
     pub intrinsics: Option<Intrinsics>,
-    /// Number of the first frame that is used, from 0.
+    /// Number of the first frame that is used, from 0, counting unreadable ones.
     pub first: u64,
-    /// The most frames that are used.
+    /// The most frames that are used, counting unreadable ones.
     pub frames: Option<u64>,
 }
 
@@ -71,7 +71,7 @@ impl Recording {
     /// No frame can be read, frames are of different sizes, or their camera is not known.
     pub fn open(path: &Path, options: &Options) -> Result<Self> {
         let mut layout = Layout::discover(path)?;
-        select(&mut layout.frames, options)?;
+        select(&mut layout, options)?;
         let size = common_size(&layout.frames)?;
         let beside = CameraFile::find(&layout.folder)?;
         let camera = camera(&layout, size, options, beside.as_ref())?;
@@ -101,8 +101,8 @@ impl Recording {
     }
 
     /// Why files that should be frames are not among them.
-    pub fn unreadable(&self) -> &[Error] {
-        &self.layout.unreadable
+    pub fn unreadable(&self) -> impl ExactSizeIterator<Item = &Error> {
+        self.layout.unreadable.iter().map(|(_, error)| error)
     }
 
     /// Times of capture of the first and the last frame, where the recording tells.
@@ -178,37 +178,44 @@ impl Recording {
         }
     }
 
-    /// Writes the depth of the frame that was loaded last, row by row; what holds no measurement is 0 or 65535.
+    /// Writes the depth of the frame that was loaded last, row by row; what holds no measurement is 0 or 65535. Returns how many
+    /// points were left out as too far.
     ///
     /// # Errors
     /// The file is damaged.
-    pub fn decode(&self, pixels: &mut [u16]) -> Result<()> {
+    pub fn decode(&self, pixels: &mut [u16]) -> Result<u64> {
         match self.layout.format {
             Format::Png => {
-                depth_png::decode(&self.file, self.size, pixels).map_err(|error| hinted(error, depth_png::HINT))
+                depth_png::decode(&self.file, self.size, pixels).map_err(|error| hinted(error, depth_png::HINT))?;
+                Ok(0)
             }
             Format::Pcd => {
                 for (pixel, &z) in pixels.iter_mut().zip(self.cloud.depths()) {
                     *pixel = quantised(z, self.units_per_z);
                 }
-                Ok(())
+                Ok(self.cloud.depths().iter().filter(|&&z| is_too_far(z, self.units_per_z)).count() as u64)
             }
         }
     }
 }
 
-/// Drops the frames that are not asked for.
-fn select(frames: &mut Vec<FrameFile>, options: &Options) -> Result<()> {
-    let count = frames.len();
-    let first = usize::try_from(options.first).unwrap_or(usize::MAX);
+/// Drops the frames that are not asked for, readable or not.
+fn select(layout: &mut Layout, options: &Options) -> Result<()> {
+    let Options { first, frames, .. } = *options;
+    let count = (layout.frames.len() + layout.unreadable.len()) as u64;
     ensure!(
         first < count,
         "`first` is {first}, but there are {count} frames, counted from 0\n  hint: the last is {}",
         count - 1
     );
-    frames.drain(..first);
-    frames.truncate(options.frames.and_then(|frames| usize::try_from(frames).ok()).unwrap_or(usize::MAX));
-    ensure!(!frames.is_empty(), "`frames` is 0, expected 1 or more\n  hint: leave it out for all");
+    ensure!(frames != Some(0), "`frames` is 0, expected 1 or more\n  hint: leave it out for all");
+    let wanted = first..first.saturating_add(frames.unwrap_or(u64::MAX));
+    layout.frames.retain(|frame| wanted.contains(&frame.slot));
+    layout.unreadable.retain(|(slot, _)| wanted.contains(slot));
+    ensure!(
+        !layout.frames.is_empty(),
+        "none of the frames from number {first} can be read\n  hint: `first` and `frames` choose others"
+    );
     Ok(())
 }
 
@@ -261,4 +268,10 @@ fn cloud_scale(depths: &[f32], metres_per_z: f64) -> f64 {
 fn quantised(z: f32, units_per_z: f64) -> u16 {
     let units = f64::from(z) * units_per_z + 0.5;
     if units >= 1.0 && units < f64::from(INVALID_FAR) { units as u16 } else { 0 }
+}
+
+/// Whether a depth is more units than there are.
+fn is_too_far(z: f32, units_per_z: f64) -> bool {
+    let units = f64::from(z) * units_per_z + 0.5;
+    units.is_finite() && units >= f64::from(INVALID_FAR)
 }

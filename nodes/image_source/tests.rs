@@ -129,7 +129,7 @@ fn tum_folders_bring_their_stamps_and_scale() {
         assert_eq!(names(&mut recording), ["b.png", "a.png"]);
         let frame = recording.load(1).unwrap();
         assert_eq!((frame.depth_scale, frame.stamp_ns), (1.0 / 5000.0, Some(1_305_031_102_194_330_000)));
-        let reason = format!("{:#}", recording.unreadable()[0]);
+        let reason = format!("{:#}", recording.unreadable().next().unwrap());
         assert!(reason.contains("depth/gone.png`: No such file"), "{reason}");
         let clock = Clock::new(&recording, 5.0);
         assert_eq!(clock.stamp_ns(&frame, 2), 1_305_031_102_194_330_000 + 4 * 33_923_000);
@@ -185,6 +185,22 @@ fn depths_that_cannot_be_sent_hold_no_measurement() {
     let mut recording = folder.open().unwrap();
     assert_eq!(recording.load(0).unwrap().depth_scale, 0.00025);
     assert_eq!(pixels(&mut recording, 0)[500..504], [0; 4]);
+    assert_eq!(recording.decode(&mut vec![0; 48 * 36]).unwrap(), 1, "infinity is no measurement");
+}
+
+#[test]
+fn clouds_in_millimetres_are_told() {
+    let points: Vec<_> = points(&depth_m()).iter().map(|point| point.map(|x| x * 1000.0)).collect();
+    let folder = Folder::new().cloud("a.pcd", &points);
+    let mut source = source(&folder, Config::default(), 0);
+    let frame = source.recording.load(0).unwrap();
+    let mut pixels = vec![0; 48 * 36];
+    let too_far = source.recording.decode(&mut pixels).unwrap();
+    assert_eq!(too_far, 48 * 36 - 36, "all but the hole");
+    source.look_for_wrong_unit(&frame, &[1000], too_far);
+    assert!(!source.told_far, "some are measured");
+    source.look_for_wrong_unit(&frame, &pixels, too_far);
+    assert!(source.told_far);
 }
 
 #[test]
@@ -196,7 +212,7 @@ fn unreadable_frames_leave_a_gap_in_time() {
     let mut recording = folder.open().unwrap();
     assert_eq!(names(&mut recording), ["a1.pcd", "a3.pcd"]);
     assert_eq!((recording.load(1).unwrap().slot, recording.slots()), (2, 3));
-    let reasons: Vec<_> = recording.unreadable().iter().map(|error| format!("{error:#}")).collect();
+    let reasons: Vec<_> = recording.unreadable().map(|error| format!("{error:#}")).collect();
     assert!(reasons[0].contains("a2.pcd`: the cloud is not organised as an image: WIDTH 1728, HEIGHT 1\n  hint: "));
     assert!(reasons[1].contains("a4.pcd`: the header ends in line 1"));
     let only = Folder::new().file("a.pcd", &flat);
@@ -254,6 +270,29 @@ fn a_part_of_the_recording() {
         part(4, None).err().unwrap().to_string(),
         "`first` is 4, but there are 4 frames, counted from 0\n  hint: the last is 3"
     );
+}
+
+#[test]
+fn a_part_of_the_recording_counts_unreadable_frames_and_forgets_those_outside() {
+    let folder = Folder::new().depth(&["1.png", "3.png", "4.png"]);
+    let folder = folder.file("0.png", "no PNG").file("2.png", "no PNG").file("5.png", "no PNG");
+    let part = |first, frames| {
+        Recording::open(&folder.path, &Options { first, frames, intrinsics: Some(GIVEN), ..Options::default() })
+    };
+    let mut middle = part(1, Some(3)).unwrap();
+    assert_eq!(names(&mut middle), ["1.png", "3.png"]);
+    assert_eq!((middle.unreadable().len(), middle.slots()), (1, 3));
+    let told = part(5, None).err().unwrap().to_string();
+    assert_eq!(told, "none of the frames from number 5 can be read\n  hint: `first` and `frames` choose others");
+}
+
+#[test]
+fn the_stamps_of_a_single_frame_that_is_repeated_go_on_rising() {
+    let folder = Folder::new().depth(&["depth/0.png"]).file("depth.txt", "7.5 depth/0.png\n");
+    let mut source = source(&folder, Config { repeat: true, rate_hz: 10.0, ..Config::default() }, 0);
+    let frame = source.recording.load(0).unwrap();
+    let stamps = [0, 1, 2].map(|round| source.header(&frame, round).stamp_ns);
+    assert_eq!([stamps[1] - stamps[0], stamps[2] - stamps[1]], [100_000_000; 2], "{stamps:?}");
 }
 
 fn source(folder: &Folder, config: Config, resume_at: u64) -> ImageSource {
