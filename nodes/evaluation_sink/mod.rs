@@ -13,8 +13,9 @@ pub mod rendered;
 pub mod score;
 
 use crate::faults;
+use crate::json_lines::JsonLines;
 use crate::synthetic_source::scene_values::{SceneTemplate, Values};
-use anyhow::{Result, anyhow};
+use anyhow::Result;
 use conicflow_dataflow::{Config, ConfigFault, Context, Output, Sides, Stage, StageError};
 use conicflow_messages::{Item, Message, Nothing, Object, Track, TrackState};
 use evaluation::Evaluation;
@@ -22,8 +23,7 @@ use recorded::{RecordedTolerances, RecordedTruth};
 use recorded_score::RecordedScore;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::Write as _;
 use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 
@@ -41,7 +41,8 @@ pub struct EvaluationConfig {
     pub tolerance: Tolerances,
     /// The same for a recording, with `truth`.
     pub recorded_tolerance: RecordedTolerances,
-    /// File for what was missed and what was wrong, one line of JSON per frame that is judged; none: not written.
+    /// File for what was missed and what was wrong, one line of JSON per frame that is judged; its folder is made if need be;
+    /// none: not written.
     pub details_path: Option<PathBuf>,
 }
 
@@ -158,7 +159,7 @@ impl Answer for Track {
 /// Scores messages of objects or tracks.
 pub struct EvaluationSink<T> {
     judge: Judge,
-    details: Option<BufWriter<File>>,
+    details: Option<JsonLines>,
     answers: Vec<Object>,
     items: PhantomData<T>,
 }
@@ -180,14 +181,7 @@ impl<T: Answer> Stage for EvaluationSink<T> {
     fn new(config: EvaluationConfig, context: &Context) -> Result<Self, StageError> {
         faults::refuse_restart(context, "counted")?;
         let (scene, truth) = (config.load_scene(&context.base)?, config.load_truth(&context.base)?);
-        let open = |path: &PathBuf| {
-            let path = context.resolve(path);
-            let file = File::create(&path).map(BufWriter::new);
-            file.map_err(|error| {
-                let hint = "`details_path` wants a file in a folder that there is, and that you may write to";
-                anyhow!("cannot write `{}`: {error}\n  hint: {hint}", path.display())
-            })
-        };
+        let open = |path: &PathBuf| JsonLines::open(&context.resolve(path), false);
         let details = config.details_path.as_ref().map(open).transpose()?;
         let judge = match truth {
             Some(truth) => Judge::Recorded(Box::new(RecordedScore::new(truth))),
@@ -207,15 +201,12 @@ impl<T: Answer> Stage for EvaluationSink<T> {
         output.count("missed", frame.missed().count() as u64);
         output.count("wrong", frame.matching.wrong.len() as u64);
         if let Some(details) = &mut self.details {
-            writeln!(details, "{}", frame.details(input.header))?;
+            details.write(&frame.details(input.header))?;
         }
         Ok(())
     }
 
     fn finish(&mut self) -> Result<(), StageError> {
-        if let Some(details) = &mut self.details {
-            details.flush()?;
-        }
         let report = match &self.judge {
             Judge::Rendered(evaluation) => evaluation.score().report(),
             Judge::Recorded(score) => score.report(),

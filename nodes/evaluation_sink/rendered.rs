@@ -39,11 +39,11 @@ fn scene_named(header: &Header, given: Option<&SceneTemplate>) -> Result<Scene> 
     }
 }
 
-/// What a detector owes to a frame of a scene.
+/// What a detector owes to a frame of a scene. Nothing for what cannot be seen there; but a track may know of it, from
+/// another camera or from before.
 pub fn expected(header: &Header, scene: &Scene, duties: &Duties, tolerances: &Tolerances) -> Vec<Expected> {
     let truths = truth_at(scene, header.camera, header.stamp_ns as f64 * 1e-9);
-    let seen = truths.into_iter().filter(|truth| truth.object.points > 0);
-    let expected = seen.map(|truth| Expected {
+    let expected = truths.into_iter().map(|truth| Expected {
         required: is_required(&truth, duties),
         tolerance: tolerance(&truth.body, tolerances),
         name: truth.name,

@@ -87,6 +87,31 @@ fn honest_answers_have_honest_ratios() {
     assert!(ratios.iter().all(|ratio| (ratio.abs() - 1.0).abs() < 1e-6));
 }
 
+/// It stands outside of the image here, but a track that another camera sees is there.
+#[test]
+fn a_track_of_what_cannot_be_seen_here_is_not_wrong() {
+    let away = Header { camera: Camera { cx: 2000.0, ..CAMERA }, ..header("standing/3") };
+    let answers: Vec<_> = truth_at(&random_scene(SceneGroup::Standing, 3), away.camera, 0.0)
+        .into_iter()
+        .inspect(|truth| assert_eq!(truth.object.points, 0))
+        .map(|truth| truth.body)
+        .collect();
+    let mut evaluation = evaluation();
+    let frame = evaluation.add(&away, &answers).unwrap();
+    assert!(!answers.is_empty());
+    assert_eq!((frame.missed().count(), frame.matching.wrong.len()), (0, 0));
+}
+
+#[test]
+fn details_go_into_a_folder_that_is_made() {
+    let base = tempfile::tempdir().unwrap();
+    let context = Context { base: base.path().into(), ..Context::default() };
+    let config = EvaluationConfig { details_path: Some("new/details.jsonl".into()), ..EvaluationConfig::default() };
+    let inputs = vec![(Header { depth_scale: 0.001, ..header("standing/3") }, Vec::<Object>::new())];
+    conicflow_dataflow::testing::pass::<EvaluationSink<Object>>(config, context, &inputs).unwrap();
+    assert!(std::fs::read_to_string(base.path().join("new/details.jsonl")).unwrap().contains("\"missed\":[{"));
+}
+
 #[test]
 fn only_confirmed_tracks_are_answers() {
     let track = |state: TrackState| Track { state: state.code(), ..Track::default() };
