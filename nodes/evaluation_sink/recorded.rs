@@ -6,13 +6,13 @@
 //!   {"type": "sphere_like", "what": "upturned bowl", "radius_m": 0.0822, "centre_m": [x, y, z]}]}}
 //! ```
 //! Camera frame. `scenes` has a list for each frame, by its file's name; an empty one says that nothing is to be found
-//! there. In place of it `objects` is one list for all frames, and `frames` tells where one ball is in each:
+//! there; a folder before the name does not matter. In place of it `objects` is one list for all frames, and `frames` tells where one ball is in each:
 //! `[{"file": "depth/000000.png", "sphere": {"centre_mm": [x, y, z], "radius_mm": r}}]`, where a frame without `sphere`
 //! is not judged, and `"radius": {"accept_range_mm": [least, most]}` beside it says what radius is right.
 //!
 //! A `cylinder` may say by `"seen_side_from_to_m": [from, to]` which part of its side is seen, along `axis_dir` from
 //! `axis_point_m`; -50 to 50 mm where left out. What is `sphere_like` need not be found; who finds a sphere there is right
-//! within 20 % of its radius. An entry of `"quality": "poor"` only has to be seen: within 50 mm of its place, half of its
+//! within 20 % of its radius. An entry may have a `quality`: one that is `"poor"`, not `"partial"` or `"good"`, only has to be seen: within 50 mm of its place, half of its
 //! radius and half a radian of its axis.
 
 use super::matching::{Expected, Tolerance};
@@ -96,12 +96,21 @@ struct Entry {
     kind: String,
     #[serde(default)]
     what: String,
-    quality: Option<String>,
+    quality: Option<Quality>,
     radius_m: f64,
     axis_point_m: Option<[f64; 3]>,
     axis_dir: Option<[f64; 3]>,
     centre_m: Option<[f64; 3]>,
     seen_side_from_to_m: Option<[f64; 2]>,
+}
+
+/// How well it could be measured.
+#[derive(Clone, Copy, PartialEq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Quality {
+    Good,
+    Partial,
+    Poor,
 }
 
 #[derive(Deserialize)]
@@ -119,8 +128,20 @@ struct BallEntry {
 /// What is in the frames of a recording.
 #[derive(Clone, Debug)]
 pub struct RecordedTruth {
-    by_frame: BTreeMap<String, Option<Vec<Expected>>>,
+    by_frame: ByFrame,
     everywhere: Option<Vec<Expected>>,
+}
+
+/// What is in each frame, by the name of its file; nothing where that was not measured.
+type ByFrame = BTreeMap<String, Option<Vec<Expected>>>;
+
+/// Adds what is in the frame of a file, whose folder does not matter.
+fn insert(by_frame: &mut ByFrame, file: &str, expected: Option<Vec<Expected>>) -> Result<()> {
+    let name = file_name(file);
+    if by_frame.insert(name.to_owned(), expected).is_some() {
+        bail!("it has two entries for `{name}`\n  hint: folders do not count: write a truth file for each");
+    }
+    Ok(())
 }
 
 impl RecordedTruth {
@@ -143,15 +164,15 @@ impl RecordedTruth {
         let list =
             |entries: &[Entry]| entries.iter().map(|entry| entry.expected(tolerances)).collect::<Result<Vec<_>>>();
         let everywhere = file.objects.as_deref().map(list).transpose()?;
-        let mut by_frame = BTreeMap::new();
+        let mut by_frame = ByFrame::new();
         for (name, entries) in file.scenes.iter().flatten() {
             let expected = list(entries).with_context(|| format!("scene `{name}`"))?;
-            by_frame.insert(name.clone(), Some(expected));
+            insert(&mut by_frame, name, Some(expected))?;
         }
         let range = file.radius.and_then(|radius| radius.accept_range_mm);
         for frame in file.frames.iter().flatten() {
             let ball = frame.sphere.as_ref().map(|ball| vec![ball.expected(range, tolerances)]);
-            by_frame.insert(file_name(&frame.file).to_owned(), ball);
+            insert(&mut by_frame, &frame.file, ball)?;
         }
         if by_frame.is_empty() && everywhere.is_none() {
             bail!("it has none of `scenes`, `objects` and `frames`\n  hint: say what is in the frames");
@@ -192,8 +213,7 @@ impl Entry {
                 self.what
             ),
         };
-        let poor = self.quality.as_deref() == Some("poor");
-        let tolerance = if poor { RecordedTolerances::of_poor(radius) } else { exact };
+        let tolerance = if self.quality == Some(Quality::Poor) { RecordedTolerances::of_poor(radius) } else { exact };
         Ok(Expected { name: self.what.clone(), body, hidden: 0.0, required, tolerance })
     }
 
@@ -250,7 +270,7 @@ mod tests {
         let truth = parse(
             r#"{"units": "m", "how": "by hand", "scenes": {"a.pcd": [
                 {"type": "cylinder", "what": "tin", "radius_m": 0.05, "axis_point_m": [0, 0, 1], "axis_dir": [0, 2, 0]},
-                {"type": "sphere_like", "radius_m": 0.08, "centre_m": [0.1, 0, 1]}], "b.pcd": []}}"#,
+                {"type": "sphere_like", "radius_m": 0.08, "centre_m": [0.1, 0, 1]}], "b.pcd": [], "clouds/d.pcd": []}}"#,
         )
         .unwrap();
         let [tin, bowl] = truth.of_frame("a.pcd").unwrap() else { panic!() };
@@ -258,6 +278,7 @@ mod tests {
         assert!((tin.tolerance.radius_m[1] - 0.054).abs() < 1e-12);
         assert_eq!((bowl.body.shape(), bowl.required), (ObjectKind::Sphere, false));
         assert_eq!(truth.of_frame("b.pcd").map(<[Expected]>::len), Some(0));
+        assert_eq!(truth.of_frame("d.pcd").map(<[Expected]>::len), Some(0), "named with its folder");
         assert!(truth.of_frame("c.pcd").is_none());
     }
 
@@ -308,6 +329,8 @@ mod tests {
             (r#"{"units": "mm", "objects": []}"#, "`units`"),
             (r#"{"units": "m", "objects": [{"type": "torus", "what": "ring", "radius_m": 1}]}"#, "`torus`"),
             (r#"{"units": "m", "objects": [{"type": "cylinder"}]}"#, "radius_m"),
+            (r#"{"units": "m", "objects": [{"type": "sphere", "radius_m": 1, "quality": "pour"}]}"#, "`pour`"),
+            (r#"{"units": "m", "scenes": {"a/0.pcd": [], "b/0.pcd": []}}"#, "two entries for `0.pcd`"),
             (
                 r#"{"units": "m", "objects": [{"type": "cylinder", "what": "tin", "radius_m": 1, "axis_point_m": [0, 0, 1],
                     "axis_dir": [0, 0, 0]}]}"#,
