@@ -50,7 +50,7 @@ pub struct MeasurementConfig {
     pub required: Duties,
     /// How far off an answer may be and still be about an object.
     pub tolerance: Tolerances,
-    /// Frames before this time are left out, for a filter to settle, in seconds.
+    /// Frames before this time are left out, for a filter to settle, in seconds; of recorded frames since the first.
     #[schemars(range(min = 0.0))]
     pub from_s: f64,
     /// File for the rows, as lines of JSON; none: standard output.
@@ -87,6 +87,8 @@ pub struct Measurement {
     tallies: Vec<Tally>,
     total: Total,
     recorded: Recorded,
+    /// Time of the first recorded frame.
+    first_s: Option<f64>,
 }
 
 impl Measurement {
@@ -99,6 +101,7 @@ impl Measurement {
             tallies: Vec::new(),
             total: Total::default(),
             recorded: Recorded::default(),
+            first_s: None,
         }
     }
 
@@ -109,7 +112,10 @@ impl Measurement {
     pub fn add(&mut self, header: &Header, answers: &[Sighted]) -> Result<Vec<Sighting>> {
         let time_s = header.stamp_ns as f64 * 1e-9;
         if is_recorded(header) {
-            self.recorded.add(answers);
+            let first_s = *self.first_s.get_or_insert(time_s);
+            if time_s - first_s >= self.config.from_s {
+                self.recorded.add(answers);
+            }
             return Ok(Vec::new());
         }
         let scene = scene_of(header, self.scene.as_ref())?;
@@ -140,7 +146,7 @@ impl Measurement {
     /// One row for each object that was there, in the order of their first frames; of several one more for all. Of
     /// recorded frames one for each track, or each shape.
     pub fn rows(&self) -> Vec<Row> {
-        if self.recorded.frames > 0 {
+        if self.first_s.is_some() {
             return self.recorded.rows();
         }
         let mut rows: Vec<Row> = self.tallies.iter().map(Tally::row).collect();

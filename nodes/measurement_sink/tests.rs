@@ -105,3 +105,14 @@ fn of_recorded_frames_each_track_has_its_row() {
     let unknown = Header { source: Text::new("another scene"), ..header(0.0) };
     assert!(measurement.add(&unknown, &[]).is_err());
 }
+
+#[test]
+fn recorded_frames_are_left_out_by_the_time_since_the_first() {
+    let config = MeasurementConfig { from_s: 0.15, ..MeasurementConfig::default() };
+    let mut measurement = Measurement::new(config, None);
+    for time_s in [1000.0, 1000.1, 1000.2, 1000.3] {
+        let header = Header { source: Text::new("img.png"), ..header(time_s) };
+        measurement.add(&header, &[Sighted::from(&track(7, 0.0))]).unwrap();
+    }
+    assert_eq!(measurement.rows()[0].number_of("frames"), Some(2.0));
+}
