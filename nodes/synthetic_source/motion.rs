@@ -205,14 +205,7 @@ fn to_and_fro(way: f64, width: f64) -> f64 {
 
 impl Path {
     fn offset(&self, time_s: f64) -> Vector3<f64> {
-        let (first, last) = (self.points[0].t_s, self.points[self.points.len() - 1].t_s);
-        let span = last - first;
-        let since = time_s - first;
-        let time_s = match self.then {
-            Then::Repeat if since > 0.0 && span > 0.0 => first + since % span,
-            Then::Return if since > 0.0 && span > 0.0 => first + to_and_fro(since, span),
-            _ => time_s.clamp(first, last),
-        };
+        let (time_s, _) = self.on_the_way(time_s);
         let next = self.points.partition_point(|point| point.t_s <= time_s);
         match (next.checked_sub(1), self.points.get(next)) {
             (None, _) => self.points[0].offset,
@@ -225,18 +218,63 @@ impl Path {
         }
     }
 
+    /// Velocity at a time, in metres per second; from where it changes at once, that from then on.
+    pub fn velocity(&self, time_s: f64) -> Vector3<f64> {
+        let (time_s, pace) = self.on_the_way(time_s);
+        let next = self.points.partition_point(|point| point.t_s <= time_s);
+        match (next.checked_sub(1), self.points.get(next)) {
+            (Some(previous), Some(_)) if self.smooth => self.cubic_velocity(previous, time_s) * pace,
+            (Some(previous), Some(to)) => {
+                let from = self.points[previous];
+                (to.offset - from.offset) * (pace / (to.t_s - from.t_s))
+            }
+            _ => Vector3::zeros(),
+        }
+    }
+
+    /// Which time among those of the way points it is, and how fast that goes: 1, -1 on the way back, 0 where it stays.
+    fn on_the_way(&self, time_s: f64) -> (f64, f64) {
+        let (first, last) = (self.points[0].t_s, self.points[self.points.len() - 1].t_s);
+        let (span, since) = (last - first, time_s - first);
+        let is_beyond = since > 0.0 && span > 0.0;
+        match self.then {
+            Then::Repeat if is_beyond => (first + since % span, 1.0),
+            Then::Return if is_beyond => {
+                let pace = if since % (2.0 * span) < span { 1.0 } else { -1.0 };
+                (first + to_and_fro(since, span), pace)
+            }
+            _ => (time_s.clamp(first, last), if (first..last).contains(&time_s) { 1.0 } else { 0.0 }),
+        }
+    }
+
     /// Cubic Hermite spline whose velocity at a way point is that between its neighbours (Catmull and Rom, 1974); at rest
     /// at both ends.
     fn cubic(&self, previous: usize, time_s: f64) -> Vector3<f64> {
         let (from, to) = (self.points[previous], self.points[previous + 1]);
         let span = to.t_s - from.t_s;
         let s = (time_s - from.t_s) / span;
-        let (start, end) = (self.velocity(previous) * span, self.velocity(previous + 1) * span);
-        let way = to.offset - from.offset;
-        from.offset + start * s + (way * 3.0 - start * 2.0 - end) * (s * s) + (start + end - way * 2.0) * (s * s * s)
+        let [start, square, cube] = self.coefficients(previous);
+        from.offset + start * s + square * (s * s) + cube * (s * s * s)
     }
 
-    fn velocity(&self, index: usize) -> Vector3<f64> {
+    fn cubic_velocity(&self, previous: usize, time_s: f64) -> Vector3<f64> {
+        let (from, to) = (self.points[previous], self.points[previous + 1]);
+        let span = to.t_s - from.t_s;
+        let s = (time_s - from.t_s) / span;
+        let [start, square, cube] = self.coefficients(previous);
+        (start + square * (2.0 * s) + cube * (3.0 * s * s)) / span
+    }
+
+    /// Of the first, second and third power of the share of the time between two way points.
+    fn coefficients(&self, previous: usize) -> [Vector3<f64>; 3] {
+        let (from, to) = (self.points[previous], self.points[previous + 1]);
+        let span = to.t_s - from.t_s;
+        let (start, end) = (self.velocity_at_point(previous) * span, self.velocity_at_point(previous + 1) * span);
+        let way = to.offset - from.offset;
+        [start, way * 3.0 - start * 2.0 - end, start + end - way * 2.0]
+    }
+
+    fn velocity_at_point(&self, index: usize) -> Vector3<f64> {
         match (index.checked_sub(1).map(|i| self.points[i]), self.points.get(index + 1)) {
             (Some(before), Some(after)) => (after.offset - before.offset) / (after.t_s - before.t_s),
             _ => Vector3::zeros(),

@@ -90,6 +90,34 @@ fn a_path_repeats_or_returns() {
 }
 
 #[test]
+fn the_velocity_along_a_path_is_that_of_its_pieces() {
+    let path = |rest: &str| {
+        let Motion::Path(path) = motion(&format!("path = {{ {CORNER}{rest} }}")) else { panic!() };
+        path
+    };
+    let (right, up) = (Vector3::x(), Vector3::y());
+    let (stay, repeat, back) = (path(""), path(", then = 'repeat'"), path(", then = 'return'"));
+    for (path, time, expected) in [
+        (&stay, 0.9, Vector3::zeros()),
+        (&stay, 1.0, right),
+        (&stay, 2.0, up),
+        (&stay, 4.0, Vector3::zeros()),
+        (&repeat, 4.0, right),
+        (&repeat, 5.5, up),
+        (&back, 5.0, -up),
+        (&back, 6.5, -right),
+        (&back, 7.5, right),
+    ] {
+        assert!((path.velocity(time) - expected).norm() < 1e-12, "{time}: {}", path.velocity(time));
+    }
+    let smooth = path(", smooth = true, then = 'return'");
+    for time in [1.0, 1.3, 2.0, 3.7, 4.9, 6.2, 8.1] {
+        let difference = (smooth.offset(time + 1e-6) - smooth.offset(time - 1e-6)) / 2e-6;
+        assert!((smooth.velocity(time) - difference).norm() < 1e-4, "{time}");
+    }
+}
+
+#[test]
 fn way_points_out_of_order_are_refused_with_their_place() {
     let error = toml::from_str::<Motion>(
         "path = { points = [{ t_s = 1, offset = [0, 0, 0] }, { t_s = 1, offset = [0, 0, 1] }] }",

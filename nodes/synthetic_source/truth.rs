@@ -1,6 +1,7 @@
 //! What is really there: the spheres, cylinders and cones of a rendered scene as [`Object`]s in the camera's frame, with
 //! the part of each that can be seen, and their lines in the truth file.
 
+use super::motion::Motion;
 use super::raster::{Raster, Window, ray};
 use super::scene::Scene;
 use super::shapes::{Bowl, Frustum, Shape, Surface};
@@ -210,12 +211,15 @@ fn covered_outside(camera: &Camera, shape: &Shape) -> u32 {
     (around.v[0]..around.v[1]).map(row).sum()
 }
 
-/// Central difference over a millisecond.
+/// Along a path that of the path, which may begin anew at once; else a central difference over a millisecond.
 fn velocity(scene: &Scene, index: usize, time_s: f64) -> [f64; 3] {
     const HALF_STEP_S: f64 = 0.0005;
     let body = &scene.bodies[index];
     let place = |time_s: f64| scene.shape(body, time_s).anchor();
-    let over_ground = (place(time_s + HALF_STEP_S) - place(time_s - HALF_STEP_S)) / (2.0 * HALF_STEP_S);
+    let over_ground = match &body.motion {
+        Some(Motion::Path(path)) => path.velocity(time_s),
+        _ => (place(time_s + HALF_STEP_S) - place(time_s - HALF_STEP_S)) / (2.0 * HALF_STEP_S),
+    };
     scene.world_from_camera(time_s).rotation.tr_mul(&over_ground).into()
 }
 

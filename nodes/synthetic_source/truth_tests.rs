@@ -123,6 +123,18 @@ fn velocity_is_over_ground_in_the_cameras_axes() {
 }
 
 #[test]
+fn a_path_has_its_velocity_from_its_first_frame_on_and_where_it_begins_again() {
+    let points = "points = [{ t_s = 0, offset = [0, 0, 0] }, { t_s = 2, offset = [1, 0, 0] }]";
+    let text = format!(
+        "[[sphere]]\nname = 'ball'\ncenter = [0, 2, 0]\nradius = 0.2\nmotion.path = {{ {points}, then = 'repeat' }}\n"
+    );
+    for time in [0.0, 1.0, 2.0, 4.0] {
+        let velocity = Vector3::from(truth_at(&scene(&text), CAMERA, time)[0].velocity);
+        assert!((velocity - Vector3::x() * 0.5).norm() < 1e-9, "{time}: {velocity}");
+    }
+}
+
+#[test]
 fn a_line_keeps_its_numbers_and_leaves_out_what_a_shape_has_not() {
     let scene = Scene::built_in("bouncing_ball").unwrap().unwrap();
     let truths = truth_at(&scene, CAMERA, 0.0);
