@@ -14,7 +14,7 @@ if [ ! -f ca.pem ]; then
 fi
 for pair in "$@"; do
     name=${pair%%=*}; address=${pair#*=}
-    case $address in *[!0-9.:]*) san=DNS:$address ;; *) san=IP:$address ;; esac
+    case $address in *:*) san=IP:$address ;; *[!0-9.]*) san=DNS:$address ;; *) san=IP:$address ;; esac
     openssl req -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -subj "/CN=$name" -keyout "$name.key" -out "$name.csr" \
         2>/dev/null
     printf 'subjectAltName=%s\nbasicConstraints=CA:FALSE\nextendedKeyUsage=serverAuth,clientAuth\n' "$san" > "$name.ext"
