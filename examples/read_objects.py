@@ -70,7 +70,7 @@ def read_object(data):
 
 
 def read_message(content):
-    magic, version = struct.unpack_from("<4sH", content)
+    magic, version, stream, number, _ = struct.unpack_from("<4sHQQQ", content)
     if (magic, version) != (b"CFLO", 3):
         raise ValueError(f"this script reads version 3 of the wire, got {magic!r} version {version}")
     data = Bytes(content[6 + 24 :])
@@ -80,7 +80,7 @@ def read_message(content):
     header = read_header(data)
     ended = header.pop("flags") & END_OF_STREAM
     objects = [] if ended else [read_object(data) for _ in range(data.whole())]
-    return header | {"objects": objects}, bool(ended)
+    return stream, number, header | {"objects": objects}, bool(ended)
 
 
 def main(endpoint, pipeline, machine, topic):
@@ -89,9 +89,14 @@ def main(endpoint, pipeline, machine, topic):
     config.insert_json5("listen/endpoints", "[]")
     config.insert_json5("connect/endpoints", json.dumps([endpoint]))
     done = threading.Event()
+    newest = (None, 0)
 
     def receive(sample):
-        message, ended = read_message(sample.payload.to_bytes())
+        nonlocal newest
+        stream, number, message, ended = read_message(sample.payload.to_bytes())
+        if stream == newest[0] and number <= newest[1]:
+            return  # sent again: the receiver of a lossless edge had not acknowledged it
+        newest = (stream, number)
         if not ended:
             print(json.dumps(message), flush=True)
         else:
