@@ -22,7 +22,7 @@
 //! [`Stop::requested`] meanwhile.
 
 use anyhow::{Context as _, bail};
-use conicflow_dataflow::{Config, Context, Next, Output, Sides, Source, StageError, Stop, monotonic_ns, run_source};
+use conicflow_dataflow::{Config, Context, Next, Output, Sides, Source, StageError, Stop, run_source};
 use conicflow_messages::{Camera, Header, NoiseModel, Text};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::{Mode, OFlags, open};
@@ -33,6 +33,7 @@ use std::fs::File;
 use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::time::UNIX_EPOCH;
 
 /// Parameters of `raw_camera`.
 #[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
@@ -88,7 +89,7 @@ impl Source for RawCamera {
             camera: self.config.camera,
             depth_scale: self.config.depth_scale,
             noise: self.config.noise,
-            stamp_ns: monotonic_ns(),
+            stamp_ns: now_ns(),
             source: Text::new(Self::NAME),
             ..Header::default()
         };
@@ -98,6 +99,11 @@ impl Source for RawCamera {
 
 fn pixels(camera: &Camera) -> usize {
     camera.width as usize * camera.height as usize
+}
+
+/// Nanoseconds since the Unix epoch, as stamps are.
+fn now_ns() -> u64 {
+    UNIX_EPOCH.elapsed().map_or(0, |since| since.as_nanos() as u64)
 }
 
 /// Without waiting for whoever writes into a pipe.
