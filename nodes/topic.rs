@@ -44,7 +44,7 @@ pub enum TopicCommand {
 pub struct TopicArguments {
     /// Name of the topic
     topic: String,
-    /// End after so many lines
+    /// End after so many messages; hz and bw: after so many seconds
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     count: Option<u64>,
     #[command(flatten)]
@@ -162,7 +162,7 @@ fn activities(running: &RunningPipeline, only: Option<&str>) -> anyhow::Result<V
     Ok(written.filter(|activity| only.is_none_or(|name| activity.topic == name)).collect())
 }
 
-/// Prints a line per second and writer, until there are enough or the pipeline has ended.
+/// Prints a line per second and writer, until there were enough seconds or the pipeline has ended.
 fn each_second(arguments: &TopicArguments, line: fn(&TopicActivity) -> String) -> anyhow::Result<()> {
     let running = arguments.of.find()?;
     let topic = find_topic(&running, &arguments.topic)?;
