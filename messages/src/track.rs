@@ -53,9 +53,9 @@ pub struct Track {
     pub id: u64,
     /// [`TrackState::code`].
     pub state: u32,
-    /// Frames since its first sight.
+    /// Frames since its first sight; those of other cameras count only where they saw it.
     pub age: u32,
-    /// Frames since it was last seen.
+    /// Frames since it was last seen, of the camera that saw it last.
     pub misses: u32,
     /// Zero; keeps the layout free of holes.
     pub reserved: u32,

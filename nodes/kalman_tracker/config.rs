@@ -71,7 +71,7 @@ pub struct KalmanTrackerConfig {
     /// Drift of the radius, in metres per square root of a second.
     #[schemars(range(min = 0.0))]
     pub drift_radius_m: f64,
-    /// Drift of the axis, in degrees per square root of a second.
+    /// Drift of the axis in each of the two directions across it, in degrees per square root of a second.
     #[schemars(range(min = 0.0))]
     pub drift_axis_deg: f64,
     /// Drift of the half-angle, in degrees per square root of a second.

@@ -183,7 +183,7 @@ fn joseph(gain: f64, variance: f64, noise: f64) -> f64 {
 pub struct Axis {
     /// The estimate.
     pub direction: UnitVector3<f64>,
-    /// Variance of the angle, in square radians.
+    /// Variance along each of the two directions across it, in square radians: half of the mean square angle.
     pub variance: f64,
 }
 
@@ -193,7 +193,7 @@ impl Axis {
         Self { direction, variance }
     }
 
-    /// Goes on by `dt` seconds; the axis turns by `drift` radians per square root of a second.
+    /// Goes on by `dt` seconds; the axis turns by `drift` radians per square root of a second, in each direction across.
     pub fn predict(&mut self, dt: f64, drift: f64) {
         self.variance += drift * drift * dt;
     }

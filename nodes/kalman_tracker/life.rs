@@ -16,9 +16,9 @@ pub struct Rules {
 /// What became of a track so far.
 #[derive(Clone, Debug)]
 pub struct Life {
-    /// Frames since its first sight.
+    /// Frames since its first sight; those of other cameras count only where they saw it.
     pub age: u32,
-    /// Frames since it was last seen.
+    /// Frames since it was last seen, of the camera that saw it last.
     pub misses: u32,
     /// Seconds from its last sight to the last frame.
     pub unseen_s: f64,
