@@ -33,6 +33,9 @@ pub struct KalmanTrackerConfig {
     /// Difference of radius between track and detection that is let pass whatever their sigma, as a share of the radius.
     #[schemars(range(min = 0.0))]
     pub max_radius_change: f64,
+    /// Angle between the axes of track and detection that is let pass whatever their sigma, in degrees.
+    #[schemars(range(min = 0.0, max = 90.0))]
+    pub max_axis_change_deg: f64,
     /// Number of sights that confirm a track, within `confirm_window` frames.
     #[schemars(range(min = 1, max = 32))]
     pub confirm_hits: u32,
@@ -91,6 +94,7 @@ impl Default for KalmanTrackerConfig {
             ballistic: None,
             gate: 16.3,
             max_radius_change: 0.25,
+            max_axis_change_deg: 30.0,
             confirm_hits: 3,
             confirm_window: 5,
             max_coast_s: 1.0,

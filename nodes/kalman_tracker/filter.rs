@@ -198,6 +198,23 @@ impl Axis {
         self.variance += drift * drift * dt;
     }
 
+    /// Angle to a measurement as a line, in radians; the sign does not count.
+    pub fn angle(&self, measured: Self) -> f64 {
+        let (sine, cosine) =
+            (self.direction.cross(&measured.direction).norm(), self.direction.dot(&measured.direction));
+        sine.atan2(cosine.abs())
+    }
+
+    /// Squared angle to a measurement, in units of its variance: chi-square with 2 degrees of freedom.
+    pub fn distance2(&self, measured: Self) -> f64 {
+        self.angle(measured).powi(2) / (self.variance + measured.variance).max(f64::MIN_POSITIVE)
+    }
+
+    /// Becomes so uncertain that the squared distance to a measurement is at most `gate`.
+    pub fn widen(&mut self, measured: Self, gate: f64) {
+        self.variance = self.variance.max(self.angle(measured).powi(2) / gate - measured.variance);
+    }
+
     /// Takes in a measurement, turning towards it on the shortest way; a line is the same line turned around.
     pub fn update(&mut self, measured: Self, is_line: bool) {
         let gain = gain(self.variance, measured.variance);
@@ -351,6 +368,16 @@ mod tests {
         }
         assert!((line.direction.norm() - 1.0).abs() < 1e-15);
         assert!(line.direction.angle(&up) < 0.11);
+    }
+
+    #[test]
+    fn the_distance_of_two_axes_is_that_of_lines() {
+        let lean = UnitVector3::new_normalize(Vector3::new(0.1_f64.tan(), -1.0, 0.0));
+        let (mut axis, measured) = (Axis::new(Vector3::y_axis(), 0.001), Axis::new(lean, 0.001));
+        assert!((axis.angle(measured) - 0.1).abs() < 1e-12);
+        assert!((axis.distance2(measured) - 5.0).abs() < 1e-9);
+        axis.widen(measured, 2.0);
+        assert!((axis.distance2(measured) - 2.0).abs() < 1e-9);
     }
 
     #[test]

@@ -165,9 +165,10 @@ impl Target {
     fn cost_of(&self, motion: &Motion, detection: &Detection, config: &KalmanTrackerConfig) -> Option<f64> {
         let kind_cost = kind_cost(self.kind, detection.kind)?;
         let radius_cost = self.radius_cost(detection.radius, config)?;
+        let axis_cost = self.axis_cost(detection, config)?;
         let innovation = motion.innovation(&detection.position, &detection.covariance)?;
         let distance2 = innovation.distance2();
-        (distance2 < config.gate).then(|| distance2 + innovation.ln_determinant() + radius_cost + kind_cost)
+        (distance2 < config.gate).then(|| distance2 + innovation.ln_determinant() + radius_cost + axis_cost + kind_cost)
     }
 
     /// An outlier of the radius costs no more than one at the gate.
@@ -175,6 +176,15 @@ impl Target {
         let distance2 = self.radius.distance2(measured);
         let passes = (measured.value - self.radius.value).abs() <= config.max_radius_change * self.radius.value;
         let spread = (self.radius.variance + measured.variance).ln();
+        (distance2 < config.gate || passes).then(|| distance2.min(config.gate) + spread)
+    }
+
+    /// The same of the axis, for both directions across it. Nothing is known of it where one has none.
+    fn axis_cost(&self, detection: &Detection, config: &KalmanTrackerConfig) -> Option<f64> {
+        let Some((axis, seen)) = self.axis.zip(detection.axis) else { return Some(0.0) };
+        let distance2 = axis.distance2(seen);
+        let passes = axis.angle(seen) <= config.max_axis_change_deg.to_radians();
+        let spread = 2.0 * (axis.variance + seen.variance).max(f64::MIN_POSITIVE).ln();
         (distance2 < config.gate || passes).then(|| distance2.min(config.gate) + spread)
     }
 
@@ -198,7 +208,7 @@ impl Target {
         self.radius.update(detection.radius);
         self.length.update(detection.length);
         self.vote(detection);
-        self.turn(detection);
+        self.turn(detection, config.gate);
         update_or_begin(&mut self.half_angle, detection.half_angle);
         self.common = self.common.after(detection, config.common_share);
         self.last_seen = detection.object;
@@ -229,11 +239,14 @@ impl Target {
         }
     }
 
-    fn turn(&mut self, detection: &Detection) {
+    fn turn(&mut self, detection: &Detection, gate: f64) {
         let Some(seen) = detection.axis else { return };
         let is_line = self.kind != ObjectKind::Cone || detection.kind != ObjectKind::Cone;
         match &mut self.axis {
-            Some(axis) => axis.update(seen, is_line),
+            Some(axis) => {
+                axis.widen(seen, gate);
+                axis.update(seen, is_line);
+            }
             None => self.axis = Some(seen),
         }
     }

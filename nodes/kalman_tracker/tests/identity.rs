@@ -115,6 +115,28 @@ fn crossing_balls_are_not_mixed_up() {
     }
 }
 
+/// Two pipes of one radius that pass through each other, one upright and one lying.
+#[test]
+fn crossing_pipes_are_told_apart_by_their_axes() {
+    for seed in 0..20 {
+        let mut tracker = Tracker::new(KalmanTrackerConfig::default());
+        let mut noise = Noise(200 + seed);
+        for frame in 0..60 {
+            let way = 0.2 * (seconds(frame) - 1.0);
+            let pipe = |x: f64, axis, noise: &mut Noise| Object {
+                axis,
+                ..cylinder(Vector3::new(x, 0.0, 1.5) + noise.vector(SIGMA_M))
+            };
+            let upright = pipe(way, [0.0, 1.0, 0.0], &mut noise);
+            let lying = pipe(-way, [1.0, 0.0, 0.0], &mut noise);
+            let tracks = tracker.update(&header(frame), &[upright, lying]);
+            assert_eq!(ids(tracks), [1, 2], "seed {seed}, frame {frame}");
+            let leaning = tracks[0].object.axis[1].abs();
+            assert!(leaning > 0.99, "seed {seed}, frame {frame}: the first is the other one, {leaning}");
+        }
+    }
+}
+
 #[test]
 fn a_track_is_confirmed_once_and_an_identity_given_once() {
     let mut tracker = Tracker::new(KalmanTrackerConfig::default());
