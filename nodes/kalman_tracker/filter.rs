@@ -157,9 +157,9 @@ impl Size {
         (measured.value - self.value).powi(2) / (self.variance + measured.variance)
     }
 
-    /// Becomes so uncertain that the squared difference to a measurement is at most `gate`.
-    pub fn widen(&mut self, measured: Self, gate: f64) {
-        self.variance = self.variance.max((measured.value - self.value).powi(2) / gate - measured.variance);
+    /// The variance that it lacks for a squared difference to a measurement of `gate`; below 0 inside of the gate.
+    pub fn lacking(&self, measured: Self, gate: f64) -> f64 {
+        (measured.value - self.value).powi(2) / gate - measured.variance - self.variance
     }
 
     /// Takes in a measurement.
@@ -208,11 +208,6 @@ impl Axis {
     /// Squared angle to a measurement, in units of its variance: chi-square with 2 degrees of freedom.
     pub fn distance2(&self, measured: Self) -> f64 {
         self.angle(measured).powi(2) / (self.variance + measured.variance).max(f64::MIN_POSITIVE)
-    }
-
-    /// Becomes so uncertain that the squared distance to a measurement is at most `gate`.
-    pub fn widen(&mut self, measured: Self, gate: f64) {
-        self.variance = self.variance.max(self.angle(measured).powi(2) / gate - measured.variance);
     }
 
     /// Takes in a measurement, turning towards it on the shortest way; a line is the same line turned around.
@@ -333,12 +328,11 @@ mod tests {
     }
 
     #[test]
-    fn a_size_that_is_widened_is_at_the_gate() {
-        let mut size = Size::new(0.1, 1e-8);
-        size.widen(Size::new(0.1001, 1e-6), 9.0);
-        assert_eq!(size.variance, 1e-8, "inside of the gate before");
-        size.widen(Size::new(0.12, 1e-6), 9.0);
-        assert!((size.distance2(Size::new(0.12, 1e-6)) - 9.0).abs() < 1e-9);
+    fn with_what_it_lacks_a_size_is_at_the_gate() {
+        let (size, near, far) = (Size::new(0.1, 1e-8), Size::new(0.1001, 1e-6), Size::new(0.12, 1e-6));
+        assert!(size.lacking(near, 9.0) < 0.0, "inside of the gate");
+        let doubted = Size::new(0.1, size.variance + size.lacking(far, 9.0));
+        assert!((doubted.distance2(far) - 9.0).abs() < 1e-9);
     }
 
     #[test]
@@ -373,11 +367,9 @@ mod tests {
     #[test]
     fn the_distance_of_two_axes_is_that_of_lines() {
         let lean = UnitVector3::new_normalize(Vector3::new(0.1_f64.tan(), -1.0, 0.0));
-        let (mut axis, measured) = (Axis::new(Vector3::y_axis(), 0.001), Axis::new(lean, 0.001));
+        let (axis, measured) = (Axis::new(Vector3::y_axis(), 0.001), Axis::new(lean, 0.001));
         assert!((axis.angle(measured) - 0.1).abs() < 1e-12);
         assert!((axis.distance2(measured) - 5.0).abs() < 1e-9);
-        axis.widen(measured, 2.0);
-        assert!((axis.distance2(measured) - 2.0).abs() < 1e-9);
     }
 
     #[test]

@@ -203,14 +203,14 @@ impl Target {
         if let Some(innovation) = self.motion.innovation(&detection.position, &detection.covariance) {
             self.motion.update(&innovation, &detection.covariance);
         }
-        // What `max_radius_change` let pass was no noise.
-        self.radius.widen(detection.radius, config.gate);
         self.radius.update(detection.radius);
         self.length.update(detection.length);
         self.vote(detection);
-        self.turn(detection, config.gate);
+        self.turn(detection);
         update_or_begin(&mut self.half_angle, detection.half_angle);
         self.common = self.common.after(detection, config.common_share);
+        // What `max_radius_change` let pass is a step or an outlier: no noise, so the sigma has to cover it.
+        self.common.radius = self.common.radius.max(self.radius.lacking(detection.radius, config.gate));
         self.last_seen = detection.object;
         self.life.seen(&config.rules());
     }
@@ -239,12 +239,11 @@ impl Target {
         }
     }
 
-    fn turn(&mut self, detection: &Detection, gate: f64) {
+    fn turn(&mut self, detection: &Detection) {
         let Some(seen) = detection.axis else { return };
         let is_line = self.kind != ObjectKind::Cone || detection.kind != ObjectKind::Cone;
         match &mut self.axis {
             Some(axis) => {
-                axis.widen(seen, gate);
                 axis.update(seen, is_line);
             }
             None => self.axis = Some(seen),
