@@ -160,6 +160,11 @@ impl<'a> Grown<'a> {
         self.arcs().map(|arc| arc.points).sum()
     }
 
+    /// Mean variance of a point, in square metres.
+    fn variance(&self) -> f64 {
+        self.arcs().map(|arc| arc.variance * arc.points).sum::<f64>() / self.points()
+    }
+
     /// The arcs of the first and the last line.
     fn ends(&self) -> [&'a Arc; 2] {
         [self.members[0], self.members[self.members.len() - 1]].map(|index| &self.arcs.arcs[index])

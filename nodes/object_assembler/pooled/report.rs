@@ -22,13 +22,12 @@ const SYSTEMATIC_ANGLE: f64 = 0.001;
 
 pub(super) fn report(grown: &Grown, measured: &Measured) -> Object {
     let center = verify::middle(grown, measured);
-    let variance = grown.arcs().map(|arc| arc.variance * arc.points).sum::<f64>() / measured.points;
     let object = Object {
         kind: grown.model.kind().code(),
         points: measured.points.round() as u32,
         rows: measured.lines,
         center: center.into(),
-        rms: (measured.misfit.max(0.0) * variance).sqrt(),
+        rms: (measured.misfit.max(0.0) * measured.variance).sqrt(),
         arc: measured.angle,
         ..Object::default()
     };

@@ -15,9 +15,11 @@ const SCATTER: f64 = 1.0;
 const UNSURE_PX: f64 = 2.0;
 /// Part of the variance that the misfit of the whole may be on top of it,
 const SLACK: f64 = 0.07;
-/// and how much more for so many points and above: they show the faults of sensor and surface.
+/// and how much more for so many points and above: they show the faults of sensor and surface;
 const MORE_SLACK: f64 = 0.1;
 const MANY_POINTS: f64 = 3000.0;
+/// but no more than a surface that is off by this part of its radius: in much noise that is what tells a post from a can.
+const UNEVEN: f64 = 0.04;
 /// Greatest gain of another quadric, as chi squared of the noise alone ...
 const DEFORMED: f64 = 10.0;
 /// ... and as a part of the points' variance on top of it, and how much more of many points: real sensors bend what is far.
@@ -57,6 +59,8 @@ const VAGUE_SHORT_AXIS: f64 = 0.0209;
 pub(super) struct Measured {
     pub points: f64,
     pub lines: u32,
+    /// Mean variance of a point, in square metres.
+    pub variance: f64,
     /// Mean square distance over variance, free of noise.
     pub misfit: f64,
     /// Mean visible circumference.
@@ -77,7 +81,7 @@ pub(super) fn check(grown: &Grown, config: &AssemblerConfig) -> Result<Measured,
         Err(Rejection::Small)
     } else if f64::from(measured.lines) < config.pooled.min_coverage * f64::from(last.line - first.line + 1) {
         Err(Rejection::Gaps)
-    } else if measured.misfit > most_misfit(measured.points) {
+    } else if measured.misfit > most_misfit(&measured, radius) {
         Err(Rejection::Rms)
     } else if let Some(reason) = config.wrong_size(grown.model.kind(), radius, reach) {
         Err(reason)
@@ -105,8 +109,10 @@ fn height_in_view(grown: &Grown) -> f64 {
 }
 
 /// Greatest misfit of an object, in variances.
-fn most_misfit(points: f64) -> f64 {
-    SLACK + MORE_SLACK * share_of_many(points) + SCATTER * (2.0 / points).sqrt()
+fn most_misfit(measured: &Measured, radius: f64) -> f64 {
+    let &Measured { points, variance, .. } = measured;
+    let slack = SLACK + MORE_SLACK * share_of_many(points);
+    slack.min((UNEVEN * radius).powi(2) / variance) + SCATTER * (2.0 / points).sqrt()
 }
 
 fn share_of_many(points: f64) -> f64 {
@@ -182,7 +188,8 @@ fn measure(grown: &Grown) -> Measured {
         0.5 * spacing_along(first.spacing, &first.plane, &surface.axis)
     });
     let extent = [extent[0] - half_line, extent[1] + half_line];
-    Measured { points, lines, misfit: grown.model.square_sum() / points, angle: angle / points, extent }
+    let (misfit, angle) = (grown.model.square_sum() / points, angle / points);
+    Measured { points, lines, variance: grown.variance(), misfit, angle, extent }
 }
 
 /// Place of a point along the axis; of a sphere, across its arcs.
@@ -211,8 +218,7 @@ fn span(arc: &Arc, grown: &Grown, ends: [Option<Vector3>; 2]) -> f64 {
 pub(super) fn is_plane(grown: &Grown, measured: &Measured) -> bool {
     let mut pool = conicflow_geometry::SpaceMoments::default();
     grown.arcs().for_each(|arc| pool.add(&arc.space, 1.0));
-    let variance = grown.arcs().map(|arc| arc.variance * arc.points).sum::<f64>() / measured.points;
-    pool.least_variance() < variance * (PLANE + SCATTER * (2.0 / measured.points).sqrt())
+    pool.least_variance() < measured.variance * (PLANE + SCATTER * (2.0 / measured.points).sqrt())
 }
 
 /// Whether the contour that is seen is not that of a model which was fitted to it: on real frames, of most things that
