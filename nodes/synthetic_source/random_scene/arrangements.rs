@@ -286,3 +286,18 @@ pub fn empty(set: &mut Set) {
     set.room(wall);
     set.look_at_things(0.2);
 }
+
+pub fn flat_tins(set: &mut Set) {
+    let top = set.table();
+    let (near, far) = (0.5, 0.95);
+    let slope = libm::tan(set.draws.within(25.0..=45.0_f64).to_radians());
+    set.camera.z = top + 0.5 * (near + far) * slope;
+    for _ in 0..set.draws.count(1..=3) {
+        let tin = set.flat_tin();
+        let Some(foot) = set.place(&(near..=far), top, tin.reach(), 0.02) else { continue };
+        set.put(tin, foot);
+    }
+    let wall = set.draws.within(1.8..=3.5);
+    set.room(wall);
+    set.look_at_things(0.03);
+}

@@ -39,11 +39,13 @@ pub enum SceneGroup {
     Bowls,
     /// Walls, floors, boxes, boards, steps and tables: nothing to be found.
     Empty,
+    /// Tins that are half to one radius high, on a table that the camera looks down at by 25 to 45 degrees.
+    FlatTins,
 }
 
 impl SceneGroup {
-    /// All groups.
-    pub const ALL: [Self; 9] = [
+    /// Those that are shown where none are named, and that the figures are of.
+    pub const USUAL: [Self; 9] = [
         Self::Standing,
         Self::Tilted,
         Self::Occluded,
@@ -54,6 +56,14 @@ impl SceneGroup {
         Self::Bowls,
         Self::Empty,
     ];
+
+    /// The others.
+    pub const FURTHER: [Self; 1] = [Self::FlatTins];
+
+    /// All groups.
+    pub fn all() -> impl Iterator<Item = Self> {
+        Self::USUAL.into_iter().chain(Self::FURTHER)
+    }
 
     /// The word for it, as it stands in a pipeline file.
     pub const fn name(self) -> &'static str {
@@ -67,6 +77,7 @@ impl SceneGroup {
             Self::Clutter => "clutter",
             Self::Bowls => "bowls",
             Self::Empty => "empty",
+            Self::FlatTins => "flat_tins",
         }
     }
 }
@@ -84,6 +95,7 @@ pub fn random_scene(group: SceneGroup, seed: u64) -> Scene {
         SceneGroup::Clutter => arrangements::clutter(&mut set),
         SceneGroup::Bowls => arrangements::bowls(&mut set),
         SceneGroup::Empty => arrangements::empty(&mut set),
+        SceneGroup::FlatTins => arrangements::flat_tins(&mut set),
     }
     set.scene(format!("{}/{seed}", group.name()))
 }
@@ -91,7 +103,7 @@ pub fn random_scene(group: SceneGroup, seed: u64) -> Scene {
 /// The group and seed of a scene, from its name.
 pub fn parse_name(name: &str) -> Option<(SceneGroup, u64)> {
     let (group, seed) = name.split_once('/')?;
-    let group = SceneGroup::ALL.into_iter().find(|known| known.name() == group)?;
+    let group = SceneGroup::all().find(|known| known.name() == group)?;
     Some((group, seed.parse().ok()?))
 }
 

@@ -6,7 +6,7 @@ const CAMERA: Camera = Camera { width: 160, height: 120, fx: 131.25, fy: 131.25,
 
 #[test]
 fn a_scene_is_a_function_of_group_and_seed() {
-    for group in SceneGroup::ALL {
+    for group in SceneGroup::all() {
         let [one, same, other] = [7, 7, 8].map(|seed| format!("{:?}", random_scene(group, seed)));
         assert_eq!(one, same);
         assert_ne!(one.replace("/7", "/8"), other);
@@ -18,7 +18,7 @@ fn a_scene_is_a_function_of_group_and_seed() {
 
 #[test]
 fn objects_are_in_view_and_at_the_distances_of_their_group() {
-    for group in SceneGroup::ALL {
+    for group in SceneGroup::all() {
         let truths: Vec<_> = (0..40).flat_map(|seed| truth_at(&random_scene(group, seed), CAMERA, 0.0)).collect();
         assert_eq!(truths.is_empty(), group == SceneGroup::Empty, "{group:?}");
         let seen = truths.iter().filter(|truth| truth.hidden < 0.75).count();

@@ -116,6 +116,13 @@ impl Set {
         Thing::Round { name: "tin", base_radius: radius, top_radius: radius, length, open: false }
     }
 
+    /// A tin for biscuits or fish, half to one radius high.
+    pub fn flat_tin(&mut self) -> Thing {
+        let radius = self.draws.within(0.05..=0.11);
+        let length = radius * self.draws.within(0.5..=1.0);
+        Thing::Round { name: "flat tin", base_radius: radius, top_radius: radius, length, open: false }
+    }
+
     /// A tennis ball, or one somewhat larger.
     pub fn small_ball(&mut self) -> Thing {
         let radius = if self.draws.chance(0.5) { 0.0335 } else { self.draws.within(0.034..=0.06) };
