@@ -32,12 +32,10 @@ const SQUARE_WITHIN: f64 = 0.911_26;
 const SETTLED: f64 = 1.01;
 /// Scatter in variances of the model above which neighbours have no noise in common.
 const UNSMOOTHED: f64 = 0.85;
-/// Part of all threes that lies on smooth surfaces in any image, and the square below which such a part of those with the
-/// right noise is.
+/// Part of all threes that lies on smooth surfaces in any image: where less is within reach, the model is far too small. The
+/// square below which such a part of those with the right noise is.
 const SMOOTH: f64 = 0.25;
 const SQUARE_OF_SMOOTH: f64 = 0.101_53;
-/// Level by these from which on the model is so wrong that nothing would be within its reach.
-const LOST: f64 = 4.0;
 /// Ratio of the levels of what is near and what is far, and of their depths, from which on the model grows wrongly ...
 const DIFFERENT: f64 = 1.3;
 const DISTANT: f64 = 1.15;
@@ -146,7 +144,8 @@ fn of_another_growth(view: &View, halves: &[Half; 2], of_neighbors: &mut [Hint],
 fn differ([near, far]: &[Half; 2]) -> bool {
     let sigma = (2.0 / near.count + 2.0 / far.count).sqrt();
     let ratio = (near.scatter / far.scatter).ln().abs();
-    far.depth > DISTANT * near.depth && ratio > DIFFERENT.ln().max(SURE * sigma)
+    let are_told = near.count.min(far.count) >= FEWEST as f64;
+    are_told && far.depth > DISTANT * near.depth && ratio > DIFFERENT.ln().max(SURE * sigma)
 }
 
 /// A model of which the standard deviations at two depths are so many times those that belong to a variance, and which grows
@@ -177,15 +176,27 @@ fn look_at_neighbors(view: &View, image: &[u16], hints: &mut Vec<Hint>) {
     }
 }
 
-/// The nearer and the farther half, which it puts in this order.
+/// What is nearer than the mean and what is farther, which it puts in this order.
 fn halves(hints: &mut [Hint]) -> [Half; 2] {
-    let middle = hints.len() / 2;
-    hints.select_nth_unstable_by(middle, |a, b| a.depth.total_cmp(&b.depth));
-    let (near, far) = hints.split_at_mut(middle);
+    let mean = hints.iter().map(|hint| hint.depth).sum::<f64>() / hints.len() as f64;
+    let near = put_first(hints, |hint| hint.depth < mean);
+    let (near, far) = hints.split_at_mut(near);
     [near, far].map(|hints| {
         let count = hints.len() as f64;
         Half { depth: hints.iter().map(|hint| hint.depth).sum::<f64>() / count, count, scatter: scatter(hints) }
     })
+}
+
+/// Puts some of the hints before the others; how many those are.
+fn put_first(hints: &mut [Hint], is_of_them: impl Fn(&Hint) -> bool) -> usize {
+    let mut count = 0;
+    for index in 0..hints.len() {
+        if is_of_them(&hints[index]) {
+            hints.swap(count, index);
+            count += 1;
+        }
+    }
+    count
 }
 
 /// The variance that neighbours show, in variances of the model; less than there is, where they have noise in common.
@@ -194,17 +205,23 @@ fn halves(hints: &mut [Hint]) -> [Half; 2] {
 /// that of the smoothest threes, only as far as the mean square of those within reach confirms it. The order of `hints` may
 /// change.
 fn scatter(hints: &mut [Hint]) -> f64 {
-    let smooth = (SMOOTH * hints.len() as f64) as usize;
-    let (_, smooth, _) = hints.select_nth_unstable_by(smooth, |a, b| a.square.total_cmp(&b.square));
-    let least = smooth.square / SQUARE_OF_SMOOTH;
-    let mut level = if least > LOST { least } else { 1.0 };
-    loop {
+    let within = |hints: &[Hint], level: f64| {
         let limit = WITHIN * WITHIN * level;
-        let add = |(sum, count), &Hint { square, .. }: &Hint| {
-            if square <= limit { (sum + square, count + 1.0) } else { (sum, count) }
-        };
-        let (sum, count) = hints.iter().fold((0.0, 0.0_f64), add);
-        let last = std::mem::replace(&mut level, sum / (count.max(1.0) * SQUARE_WITHIN));
+        hints
+            .iter()
+            .map(|hint| hint.square)
+            .filter(|square| *square <= limit)
+            .fold((0.0, 0.0), |(sum, count), square| (sum + square, count + 1.0))
+    };
+    let mut level = 1.0;
+    let smooth = SMOOTH * hints.len() as f64;
+    if within(hints, level).1 < smooth {
+        let (_, hint, _) = hints.select_nth_unstable_by(smooth as usize, |a, b| a.square.total_cmp(&b.square));
+        level = hint.square / SQUARE_OF_SMOOTH;
+    }
+    loop {
+        let (sum, count) = within(hints, level);
+        let last = std::mem::replace(&mut level, sum / (f64::max(count, 1.0) * SQUARE_WITHIN));
         if level < last * SETTLED {
             return level;
         }
@@ -227,13 +244,7 @@ fn look_at_curves(view: &View, image: &[u16], line: &mut RayLine, search: &mut L
 
 /// The part of the model's variance, at most all, that the median of some lines and circles shows; their order may change.
 fn share(hints: &mut [Hint], is_of_them: impl Fn(&Hint) -> bool) -> f64 {
-    let mut count = 0;
-    for index in 0..hints.len() {
-        if is_of_them(&hints[index]) {
-            hints.swap(count, index);
-            count += 1;
-        }
-    }
+    let count = put_first(hints, is_of_them);
     if count == 0 {
         return 1.0;
     }
