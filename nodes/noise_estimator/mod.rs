@@ -62,6 +62,8 @@ pub struct NoiseEstimator {
     config: NoiseEstimatorConfig,
     /// Width and height of the first frame.
     size: Option<(u32, u32)>,
+    /// Number of frames.
+    frames: u32,
     levels: Levels,
     temporal: Temporal,
     spreads: Spreads,
@@ -71,7 +73,7 @@ impl NoiseEstimator {
     /// An estimator that has seen nothing.
     pub fn with(config: NoiseEstimatorConfig) -> Self {
         let (levels, temporal, spreads) = (Levels::default(), Temporal::default(), Spreads::default());
-        Self { config, size: None, levels, temporal, spreads }
+        Self { config, size: None, frames: 0, levels, temporal, spreads }
     }
 
     /// Adds a depth image. Its scale may be another than before: that of a recorded point cloud depends on its largest
@@ -89,6 +91,7 @@ impl NoiseEstimator {
                 header.sequence
             );
         }
+        self.frames += 1;
         self.levels.add(pixels, header.depth_scale);
         match self.config.recorded {
             Recorded::StaticScene => self.temporal.add(pixels, header.depth_scale),
@@ -105,8 +108,15 @@ impl NoiseEstimator {
         if self.size.is_none() {
             bail!("no frame was seen, so the noise cannot be estimated\n  hint: give a recording");
         }
+        let (frames, min_frames) = (self.frames, self.config.min_frames);
         let is_static = self.config.recorded == Recorded::StaticScene;
-        let temporal = is_static.then(|| self.temporal.spreads(self.config.min_frames));
+        if is_static && frames < min_frames {
+            bail!(
+                "the recording has {frames} frames, but a static scene needs `min_frames` = {min_frames}\n  hint: record \
+                 more frames; a few of flat walls do with `recorded = \"flat_wall\"`"
+            );
+        }
+        let temporal = is_static.then(|| self.temporal.spreads(min_frames));
         fit::fit(temporal.as_ref().unwrap_or(&self.spreads), self.levels.step_per_m())
     }
 }
@@ -128,6 +138,10 @@ impl Stage for NoiseEstimator {
     }
 
     fn finish(&mut self) -> Result<(), StageError> {
-        Ok(std::io::stdout().write_all(self.estimate()?.to_string().as_bytes())?)
+        let estimate = self.estimate()?;
+        if let Some(misfit) = estimate.misfit() {
+            tracing::warn!("{misfit}");
+        }
+        Ok(std::io::stdout().write_all(estimate.to_string().as_bytes())?)
     }
 }
