@@ -233,7 +233,7 @@ pub trait Stage: Sized {
     /// Ends its work, after the last message: closes files, prints sums.
     ///
     /// # Errors
-    /// What could not be ended.
+    /// What could not be ended; the stage is not started anew.
     fn finish(&mut self) -> Result<(), StageError> {
         Ok(())
     }

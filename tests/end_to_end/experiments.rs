@@ -294,6 +294,17 @@ fn record(playground: &Playground, scene: &str, frames: u64) {
     playground.write("frames/camera.json", &known.to_string());
 }
 
+/// What fails at the end is told once: the stage is not started anew, where it could only miss what it had seen.
+#[test]
+fn a_recording_that_is_too_short_for_the_noise_is_told_once() {
+    let playground = playground("noise", &[]);
+    record(&playground, "scenes/basic.toml", 3);
+    let ended = playground.conicflow(&["run", "noise.toml", "--set", "source.path=frames"]).expect_code(1);
+    assert!(ended.stderr.contains("the recording has 3 frames, but a static scene needs"), "{}", ended.stderr);
+    assert!(ended.stderr.contains("stage `estimator` could not end its work"), "{}", ended.stderr);
+    assert!(!ended.stderr.contains("anew"), "{}", ended.stderr);
+}
+
 /// Recorded frames take the place of the synthetic source by a few settings; of them each shape and each track has a row.
 #[test]
 fn an_experiment_takes_recorded_frames() {

@@ -190,6 +190,12 @@ impl Supervised {
         own.is_none_or(|status| status.life() == Life::Ended)
     }
 
+    /// Whether a process said itself that it could not end its work, after its last message.
+    fn is_unfinished(&self, process: u32, plan: &Plan, folder: &RunFolder) -> bool {
+        let record = Status::read(&folder.status(&self.planned.name));
+        record.is_some_and(|own| own.run == plan.run && own.process == process && own.life() == Life::Gone)
+    }
+
     /// Whether all that write its input are over: there is nothing to come back for.
     fn has_heard_all(&self, plan: &Plan, folder: &RunFolder) -> bool {
         let is_over = |stage: &String| {
@@ -208,6 +214,10 @@ impl Supervised {
             self.state = State::Done;
             folder.set_life(plan.run, &name, Life::Ended);
             return Change::None;
+        }
+        if !status.success() && self.is_unfinished(process, plan, folder) {
+            tracing::error!("stage `{name}` could not end its work, for what it told");
+            return self.give_up(folder, plan, Change::Lost);
         }
         if ending {
             self.state = State::Done;

@@ -77,7 +77,7 @@ impl ProcessError {
         match self {
             Self::Run(RunError::Port(Incompatible { .. } | PathTooLong { .. })) => REFUSED,
             Self::Bridge(error) if !error.is_final() => 1,
-            Self::Run(RunError::Failed { .. } | RunError::Port(_)) | Self::System { .. } => 1,
+            Self::Run(RunError::Failed { .. } | RunError::Unfinished(_) | RunError::Port(_)) | Self::System { .. } => 1,
             _ => REFUSED,
         }
     }

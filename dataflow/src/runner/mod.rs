@@ -60,6 +60,9 @@ pub enum RunError {
         /// What it said.
         error: StageError,
     },
+    /// It could not end its work after the last message; to start it anew would not help.
+    #[error("{}", with_causes(&**.0))]
+    Unfinished(StageError),
     /// Its ports failed.
     #[error(transparent)]
     Port(#[from] PortError),

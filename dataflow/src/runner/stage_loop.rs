@@ -154,8 +154,10 @@ impl<S: Stage, T: Transport> StageLoop<S, T> {
     /// Ends the work, and the stream; a stage that was stopped at once leaves its readers waiting for its successor.
     fn end(mut self) -> Result<(), RunError> {
         let frame = self.record.status.steps;
-        self.stage.finish().map_err(|error: StageError| RunError::Failed { frame, error })?;
         let left = self.stop.leaving() && !self.stop.requested() && self.leaves_at.is_some() && !self.inbox.ended();
+        if let Err(error) = self.stage.finish() {
+            return Err(self.unfinished(left, error));
+        }
         if let (true, Some(handover)) = (left, &self.handover) {
             let told = handover.leave(self.inbox.worked_on());
             return told.map_err(|error| RunError::Failed { frame, error: error.into() });
@@ -167,5 +169,15 @@ impl<S: Stage, T: Transport> StageLoop<S, T> {
         }
         self.record.write();
         Ok(())
+    }
+
+    /// What is told when the end of its work fails. There is nothing to be started anew for, but where a successor goes on.
+    fn unfinished(&mut self, left: bool, error: StageError) -> RunError {
+        if left {
+            return RunError::Failed { frame: self.record.status.steps, error };
+        }
+        self.record.status.set_life(Life::Gone);
+        self.record.write();
+        RunError::Unfinished(error)
     }
 }

@@ -118,3 +118,33 @@ fn what_makes_no_sense_does_not_reach_a_stage() {
     let frames = vec![(header(0), vec![1; 4]), (header(1), vec![1; 5]), (header(2), vec![1; 4])];
     assert!(pass::<Quiet>(NoConfig::default(), context("quiet"), &frames).unwrap().is_empty());
 }
+
+/// A sink that cannot end its work.
+struct Endless;
+
+impl Stage for Endless {
+    const NAME: &'static str = "endless";
+    const SUMMARY: &'static str = "Takes all, and fails at the end";
+    type Config = NoConfig;
+    type Input = u16;
+    type Output = Nothing;
+
+    fn new(_: NoConfig, _: &Context) -> Result<Self, StageError> {
+        Ok(Self)
+    }
+
+    fn step(&mut self, _: &Message<u16>, _: &Sides, _: &mut Output<Nothing>) -> Result<(), StageError> {
+        Ok(())
+    }
+
+    fn finish(&mut self) -> Result<(), StageError> {
+        Err("too little was seen".into())
+    }
+}
+
+#[test]
+fn a_failure_at_the_end_is_that_of_no_frame() {
+    let error = pass::<Endless>(NoConfig::default(), context("endless"), &[(header(0), vec![1; 4])]).unwrap_err();
+    assert!(matches!(error, RunError::Unfinished(_)));
+    assert_eq!(error.to_string(), "too little was seen");
+}
