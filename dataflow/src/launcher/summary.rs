@@ -5,6 +5,7 @@ use crate::bridge::{LinkReport, read_links};
 use crate::plan::{Plan, PlannedStage};
 use crate::status::{Durations, Status, used};
 use crate::table::Table;
+use conicflow_messages::Kind;
 use std::fmt::{self, Display};
 use std::time::Duration;
 
@@ -108,6 +109,17 @@ impl Summary {
     }
 }
 
+/// What a stage found in how many frames; `None` where it is not one that finds objects.
+fn found(planned: &PlannedStage, status: &Status) -> Option<String> {
+    let kind = planned.wiring.output.as_ref().and_then(|topic| topic.kind);
+    let finds = matches!(kind, Some(Kind::Objects | Kind::Tracks)) && !planned.is_bridge() && status.steps > 0;
+    let found: Vec<_> = used(&status.found).map(|(label, count)| format!("{label} {count}")).collect();
+    match found.is_empty() {
+        true => finds.then(|| format!("nothing in {} frames", status.steps)),
+        false => Some(format!("in {} frames: {}", status.steps, found.join(", "))),
+    }
+}
+
 /// The links to other machines, with what went over them.
 pub fn link_table(links: &[LinkReport]) -> Table {
     let mut table = Table::new(&["link", "topic", "way", "messages", "Hz", "MB/s", "lost", "resent", "age", "state"]);
@@ -149,14 +161,46 @@ impl Display for Summary {
             write!(f, "\n{}", link_table(&self.links))?;
         }
         for (planned, status) in self.statuses() {
-            let found: Vec<_> = used(&status.found).map(|(label, count)| format!("{label} {count}")).collect();
-            if !found.is_empty() {
-                writeln!(f, "\n{} found in {} frames: {}", planned.name, status.steps, found.join(", "))?;
+            if let Some(found) = found(planned, status) {
+                writeln!(f, "\n{} found {found}", planned.name)?;
             }
             for (name, count) in used(&status.counters) {
                 writeln!(f, "  {}: {name}: {count}", planned.name)?;
             }
         }
         if self.complete { Ok(()) } else { writeln!(f, "\nnot complete: a stage was lost, see above") }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pipeline::Restart;
+    use crate::plan::Runs;
+    use crate::ports::{Topic, Wiring};
+    use serde_json::Value as Json;
+
+    fn stage(kind: Kind) -> PlannedStage {
+        let output = Topic { name: "out".into(), kind: Some(kind), writers: vec![], readers: vec![] };
+        PlannedStage {
+            name: "stage".into(),
+            runs: Runs::Command(vec![]),
+            parameters: Json::Null,
+            wiring: Wiring { output: Some(output), ..Wiring::default() },
+            restart: Restart::Never,
+            hang_s: None,
+            env: vec![],
+        }
+    }
+
+    #[test]
+    fn that_nothing_was_found_is_told() {
+        let mut status = Box::new(Status::default());
+        assert_eq!(found(&stage(Kind::Objects), &status), None, "no frame came");
+        status.steps = 12;
+        assert_eq!(found(&stage(Kind::Objects), &status).as_deref(), Some("nothing in 12 frames"));
+        assert_eq!(found(&stage(Kind::Ellipses), &status), None);
+        status.count_found("cone");
+        assert_eq!(found(&stage(Kind::Tracks), &status).as_deref(), Some("in 12 frames: cone 1"));
     }
 }
