@@ -30,6 +30,20 @@ impl Content {
         Ok(Self::Depth(width, height))
     }
 
+    /// What it is, in words.
+    pub(super) fn name(self) -> String {
+        let (bits, color) = match self {
+            Self::Depth(..) => (BitDepth::Sixteen, ColorType::Grayscale),
+            Self::Picture(bits, color) => (bits, color),
+        };
+        let color = match color {
+            ColorType::Grayscale => "grey",
+            ColorType::GrayscaleAlpha => "grey and transparent",
+            ColorType::Rgb | ColorType::Rgba | ColorType::Indexed => "colour",
+        };
+        format!("{}-bit {color} PNG", bits as u8)
+    }
+
     /// The size of a depth image.
     ///
     /// # Errors
@@ -37,10 +51,10 @@ impl Content {
     pub(super) fn depth_size(self) -> Result<(u32, u32)> {
         match self {
             Self::Depth(width, height) => Ok((width, height)),
-            Self::Picture(bits, color) => bail!(
-                "{}-bit {color:?} pixels, expected 16-bit grey\n  hint: depth images are 16-bit grey PNGs; this one \
-                 may be a colour image, or a depth image that was rendered for the eye",
-                bits as u8
+            Self::Picture(..) => bail!(
+                "this is no depth image ({}), expected 16-bit grey\n  hint: depth images are 16-bit grey PNGs; this \
+                 one may be a colour image, or a depth image that was rendered for the eye",
+                self.name()
             ),
         }
     }
@@ -104,7 +118,9 @@ mod tests {
         let told = |file: &[u8], size| format!("{:#}", decode(file, size, &mut [0; 12]).unwrap_err());
         let good = png16(4, 3, &(0..12).map(|i| i * 4001).collect::<Vec<_>>());
         let rgb = png_bytes(4, 3, ColorType::Rgb, BitDepth::Eight, &[9; 36]);
-        assert!(told(&rgb, (4, 3)).starts_with("8-bit Rgb pixels, expected 16-bit grey\n  hint: "));
+        assert!(
+            told(&rgb, (4, 3)).starts_with("this is no depth image (8-bit colour PNG), expected 16-bit grey\n  hint: ")
+        );
         assert_eq!(told(&good, (4, 2)), "4x3 pixels, expected 4x2");
         assert!(told(&good[..good.len() - 20], (4, 3)).starts_with("the pixels of the PNG: "));
         assert!(told(&good[..20], (4, 3)).starts_with("the header of the PNG: "));

@@ -6,6 +6,7 @@
 use super::pcd;
 use super::{depth_png, hinted, natural, tum};
 use anyhow::{Context as _, Error, Result, anyhow, bail};
+use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
@@ -171,17 +172,18 @@ struct Listing {
     folder: PathBuf,
     png: Vec<Candidate>,
     pcd: Vec<PathBuf>,
-    pictures: usize,
+    /// Images that are no depth frames: how many, by what they are.
+    pictures: BTreeMap<String, usize>,
 }
 
 impl Listing {
     fn read(folder: &Path) -> Result<Self> {
-        let mut listing = Self { folder: folder.to_owned(), png: vec![], pcd: vec![], pictures: 0 };
+        let mut listing = Self { folder: folder.to_owned(), png: vec![], pcd: vec![], pictures: BTreeMap::new() };
         for path in sorted_files(folder).with_context(|| format!("`{}` cannot be listed", folder.display()))? {
             match kind_of(&path) {
                 Some(Kind::Png) => listing.add_png(path),
                 Some(Kind::Pcd) => listing.pcd.push(path),
-                Some(Kind::Jpeg) => listing.pictures += 1,
+                Some(Kind::Jpeg) => listing.add_picture("JPEG".to_owned()),
                 None => {}
             }
         }
@@ -191,12 +193,22 @@ impl Listing {
 
     fn add_png(&mut self, path: PathBuf) {
         match depth_png::probe(&path) {
-            Ok(depth_png::Content::Picture(..)) => self.pictures += 1,
+            Ok(picture @ depth_png::Content::Picture(..)) => self.add_picture(picture.name()),
             content => {
                 let size = content.and_then(depth_png::Content::depth_size);
                 self.png.push(Candidate { path, size, stamp_ns: None });
             }
         }
+    }
+
+    fn add_picture(&mut self, what: String) {
+        *self.pictures.entry(what).or_default() += 1;
+    }
+
+    /// The images that are no depth frames, in words.
+    fn pictures(&self) -> String {
+        let kinds: Vec<_> = self.pictures.iter().map(|(what, count)| format!("{count} of {what}")).collect();
+        if kinds.is_empty() { "no images at all".to_owned() } else { kinds.join(", ") }
     }
 
     /// Where some names say `depth`, the others are infrared images, labels or the like.
@@ -225,9 +237,9 @@ impl Listing {
                  of its own"
             ),
             (true, true) => Err(anyhow!(
-                "no depth frames in `{folder}`, only {} colour images and files of other kinds\n  hint: depth frames \
-                 are 16-bit grey PNGs or organised PCD files",
-                self.pictures
+                "no depth frames in `{folder}`, only other images and files: {}\n  hint: depth frames are 16-bit grey \
+                 PNGs or organised PCD files",
+                self.pictures()
             )),
         }
     }

@@ -21,7 +21,7 @@ use crate::camera::Intrinsics;
 use crate::noise_config::NoiseConfig;
 use anyhow::{Context as _, anyhow};
 use conicflow_dataflow::{ConfigFault, Context, Next, Output, Sides, Source, StageError};
-use conicflow_messages::{Header, MAX_PIXELS, NoiseModel, Text, is_measured};
+use conicflow_messages::{Camera, Header, MAX_PIXELS, NoiseModel, Text, is_measured};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -31,6 +31,9 @@ const USUAL_RATE_HZ: f64 = 30.0;
 
 /// Median depths outside of this, in metres, speak for a wrong `depth_scale`.
 const PLAUSIBLE_DEPTH_M: std::ops::Range<f64> = 0.1..20.0;
+
+/// A principal point farther from the middle, as a share of the image's size, speaks for intrinsics of other images.
+const MAX_OFF_CENTER: f64 = 0.25;
 
 const UNREADABLE: &str = "frames unreadable";
 const TOO_FAR: &str = "points too far";
@@ -117,8 +120,10 @@ pub struct ImageSource {
     /// Files found unreadable at the start that have not been counted yet.
     uncounted: u64,
     described: bool,
-    /// Whether it was said that all points of a frame are too far.
-    told_far: bool,
+    /// Whether it was said that a frame has no measurement.
+    told_empty: bool,
+    /// Whether the intrinsics are those of the pipeline file.
+    given_intrinsics: bool,
 }
 
 impl ImageSource {
@@ -142,7 +147,8 @@ impl ImageSource {
             misses: 0,
             uncounted: unreadable.saturating_sub(counted),
             described: false,
-            told_far: false,
+            told_empty: false,
+            given_intrinsics: intrinsics.is_some(),
             recording,
         })
     }
@@ -194,21 +200,26 @@ impl ImageSource {
                  for millimetres, 0.0002 for TUM"
             );
         }
+        if self.given_intrinsics && is_off_center(&camera) {
+            tracing::warn!(
+                "`intrinsics` have the principal point at ({}, {}), far from the middle of images of {}x{}\n  hint: are \
+                 they those of another resolution? they scale with the image",
+                camera.cx,
+                camera.cy,
+                camera.width,
+                camera.height
+            );
+        }
     }
 }
 
 impl ImageSource {
-    /// Says once that a frame is empty for being too far away, as one in millimetres is.
-    fn look_for_wrong_unit(&mut self, frame: &Frame, pixels: &[u16], too_far: u64) {
-        if self.told_far || too_far == 0 || pixels.iter().any(|&pixel| is_measured(pixel)) {
-            return;
+    /// Says once that a frame is empty.
+    fn look_for_emptiness(&mut self, frame: &Frame, pixels: &[u16], too_far: u64) {
+        if let Some(why) = emptiness(pixels, too_far).filter(|_| !self.told_empty) {
+            self.told_empty = true;
+            tracing::warn!("`{}`: {why}", frame.name);
         }
-        self.told_far = true;
-        tracing::warn!(
-            "`{}`: all {too_far} points are too far away and left out\n  hint: if they are in millimetres, write \
-             `depth_scale = 0.001`",
-            frame.name
-        );
     }
 }
 
@@ -260,7 +271,7 @@ impl Source for ImageSource {
             };
             self.misses = 0;
             self.describe(&frame, pixels);
-            self.look_for_wrong_unit(&frame, pixels, too_far);
+            self.look_for_emptiness(&frame, pixels, too_far);
             output.count(TOO_FAR, too_far);
             output.header = self.header(&frame, round);
             return Ok(Next::Message);
@@ -307,6 +318,32 @@ impl Clock {
             None => ((round * self.slots + frame.slot) as f64 * 1e9 / self.rate_hz).round() as u64,
         }
     }
+}
+
+/// Why a frame has no measurement; `None`: it has some. Points in millimetres are too far away.
+fn emptiness(pixels: &[u16], too_far: u64) -> Option<String> {
+    if pixels.iter().any(|&pixel| is_measured(pixel)) {
+        return None;
+    }
+    let why = match too_far {
+        0 => "no pixel is measured, all are 0, 65535 or not a number\n  hint: nothing can be found there; was the camera \
+              covered, or too near?"
+            .to_owned(),
+        _ => format!(
+            "all {too_far} points are too far away and left out\n  hint: if they are in millimetres, write `depth_scale = \
+             0.001`"
+        ),
+    };
+    Some(why)
+}
+
+/// Whether the principal point is farther from the middle of the image than [`MAX_OFF_CENTER`] of its size.
+fn is_off_center(camera: &Camera) -> bool {
+    let is_off = |center: f64, size: u32| {
+        let size = f64::from(size);
+        (center - 0.5 * (size - 1.0)).abs() > MAX_OFF_CENTER * size
+    };
+    is_off(camera.cx, camera.width) || is_off(camera.cy, camera.height)
 }
 
 /// The median of the measurements.

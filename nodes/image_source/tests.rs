@@ -197,10 +197,10 @@ fn clouds_in_millimetres_are_told() {
     let mut pixels = vec![0; 48 * 36];
     let too_far = source.recording.decode(&mut pixels).unwrap();
     assert_eq!(too_far, 48 * 36 - 36, "all but the hole");
-    source.look_for_wrong_unit(&frame, &[1000], too_far);
-    assert!(!source.told_far, "some are measured");
-    source.look_for_wrong_unit(&frame, &pixels, too_far);
-    assert!(source.told_far);
+    source.look_for_emptiness(&frame, &[1000], too_far);
+    assert!(!source.told_empty, "some are measured");
+    source.look_for_emptiness(&frame, &pixels, too_far);
+    assert!(source.told_empty);
 }
 
 #[test]
@@ -239,7 +239,13 @@ fn a_frame_that_turns_out_damaged_is_told_and_the_next_one_is_read() {
 fn what_cannot_be_opened_is_told_with_what_to_do() {
     assert!(Folder::new().depth(&["a.png"]).told().starts_with("no intrinsics for the frames in `"));
     let colour = Folder::new().colour(&["a.png"]).file("b.jpg", "");
-    assert!(colour.told().contains("only 2 colour images and files of other kinds\n  hint: "), "{}", colour.told());
+    assert!(
+        colour.told().contains("only other images and files: 1 of 8-bit colour PNG, 1 of JPEG\n"),
+        "{}",
+        colour.told()
+    );
+    let grey = Folder::new().file("a.png", png_bytes(4, 3, png::ColorType::Grayscale, png::BitDepth::Eight, &[9; 12]));
+    assert!(grey.told().contains("only other images and files: 1 of 8-bit grey PNG\n"), "{}", grey.told());
     let both = Folder::new().depth(&["a.png"]).cloud("a.pcd", &points(&depth_m()));
     assert!(both.told().contains("holds 16-bit PNGs and PCD files, expected one kind\n  hint: "));
     let sizes = Folder::new().depth(&["a.png"]).file("b.png", png16(4, 3, &[1; 12]));
@@ -394,4 +400,20 @@ fn how_long_its_messages_are_is_known_before_it_starts() {
     let length = |config: &Config| ImageSource::message_length(config, folder.path.parent().unwrap());
     assert_eq!(length(&config("frames")), Some((CAMERA.width * CAMERA.height) as usize));
     assert_eq!(length(&config("other")), None);
+}
+
+#[test]
+fn intrinsics_of_another_resolution_are_seen() {
+    let camera = |cx, cy| Camera { width: 640, height: 480, fx: 500.0, fy: 500.0, cx, cy };
+    assert!(!is_off_center(&camera(319.5, 239.5)) && !is_off_center(&camera(400.0, 180.0)));
+    assert!(is_off_center(&camera(639.5, 359.5)), "of 1280x720");
+    assert!(is_off_center(&camera(159.0, 119.5)), "of 320x240");
+    assert!(is_off_center(&camera(319.5, 400.0)));
+}
+
+#[test]
+fn a_frame_without_a_measurement_is_told() {
+    assert_eq!(emptiness(&[0, 1200, 65535], 0), None);
+    assert!(emptiness(&[0, 0, 65535], 0).unwrap().starts_with("no pixel is measured"));
+    assert!(emptiness(&[0, 65535], 2).unwrap().starts_with("all 2 points are too far away"));
 }
