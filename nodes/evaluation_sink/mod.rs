@@ -209,7 +209,10 @@ impl<T: Answer> Stage for EvaluationSink<T> {
     fn finish(&mut self) -> Result<(), StageError> {
         let report = match &self.judge {
             Judge::Rendered(evaluation) => evaluation.score().report(),
-            Judge::Recorded(score) => score.report(),
+            Judge::Recorded(score) => {
+                score.check()?;
+                score.report()
+            }
         };
         Ok(std::io::stdout().write_all(report.as_bytes())?)
     }

@@ -10,7 +10,10 @@
 //! `[{"file": "depth/000000.png", "sphere": {"centre_mm": [x, y, z], "radius_mm": r}}]`, where a frame without `sphere`
 //! is not judged, and `"radius": {"accept_range_mm": [least, most]}` beside it says what radius is right.
 //!
-//! A `cylinder` may say by `"seen_side_from_to_m": [from, to]` which part of its side is seen, along `axis_dir` from
+//! A `cone` is told as a cylinder is, with `axis_dir` from its apex to its base, `radius_m` at the middle of the part that
+//! is seen, and `half_angle_deg`.
+//!
+//! A `cylinder` or a `cone` may say by `"seen_side_from_to_m": [from, to]` which part of its side is seen, along `axis_dir` from
 //! `axis_point_m`; -50 to 50 mm where left out. What is `sphere_like` need not be found; who finds a sphere there is right
 //! within 20 % of its radius. An entry may have a `quality`: one that is `"poor"`, not `"partial"` or `"good"`, only has to be seen: within 50 mm of its place, half of its
 //! radius and half a radian of its axis.
@@ -28,7 +31,7 @@ use std::path::Path;
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RecordedTolerances {
-    /// Radius of a cylinder, in metres.
+    /// Radius of a cylinder or a sphere, of a cone at the middle of the part that is seen, in metres.
     #[schemars(range(min = 0.0))]
     pub radius_m: f64,
     /// Distance of the middle of the part that is seen from the answer's axis, in metres.
@@ -40,11 +43,14 @@ pub struct RecordedTolerances {
     /// Distance of the centres of spheres, in metres.
     #[schemars(range(min = 0.0))]
     pub center_m: f64,
+    /// Error of a cone's half-angle, in degrees.
+    #[schemars(range(min = 0.0, max = 90.0))]
+    pub half_angle_deg: f64,
 }
 
 impl Default for RecordedTolerances {
     fn default() -> Self {
-        Self { radius_m: 0.004, position_m: 0.005, axis_deg: 4.0, center_m: 0.03 }
+        Self { radius_m: 0.004, position_m: 0.005, axis_deg: 4.0, center_m: 0.03, half_angle_deg: 3.0 }
     }
 }
 
@@ -58,13 +64,17 @@ impl RecordedTolerances {
         }
     }
 
+    fn of_cone(&self, radius: f64) -> Tolerance {
+        Tolerance { half_angle: self.half_angle_deg.to_radians(), ..self.of_cylinder(radius) }
+    }
+
     fn of_sphere(&self, radius_m: [f64; 2]) -> Tolerance {
         Tolerance { position_m: self.center_m, radius_m, axis: 0.1, half_angle: 1e-9 }
     }
 
-    /// That something is there, of either shape.
+    /// That something is there, of any shape.
     fn of_poor(radius: f64) -> Tolerance {
-        Tolerance { position_m: 0.05, radius_m: [0.5 * radius, 1.5 * radius], axis: 0.5, half_angle: 1e-9 }
+        Tolerance { position_m: 0.05, radius_m: [0.5 * radius, 1.5 * radius], axis: 0.5, half_angle: 0.25 }
     }
 }
 
@@ -101,6 +111,7 @@ struct Entry {
     axis_point_m: Option<[f64; 3]>,
     axis_dir: Option<[f64; 3]>,
     centre_m: Option<[f64; 3]>,
+    half_angle_deg: Option<f64>,
     seen_side_from_to_m: Option<[f64; 2]>,
 }
 
@@ -180,6 +191,11 @@ impl RecordedTruth {
         Ok(Self { by_frame, everywhere })
     }
 
+    /// The name of one of the frames that it knows.
+    pub fn some_frame(&self) -> Option<&str> {
+        self.by_frame.keys().next().map(String::as_str)
+    }
+
     /// What is in the frame of a file; `None` where that was not measured.
     pub fn of_frame(&self, source: &str) -> Option<&[Expected]> {
         match self.by_frame.get(file_name(source)) {
@@ -202,19 +218,33 @@ impl Entry {
             ("cylinder", Some(point), Some(axis), _) => {
                 (self.cylinder(point, axis)?, tolerances.of_cylinder(radius), true)
             }
+            ("cone", Some(point), Some(axis), _) => (self.cone(point, axis)?, tolerances.of_cone(radius), true),
             ("sphere", _, _, Some(center)) => (sphere(center, radius), tolerances.of_sphere(sphere_range), true),
             ("sphere_like", _, _, Some(center)) => {
                 let range = [0.8 * radius, 1.2 * radius];
                 (sphere(center, radius), tolerances.of_sphere(range), false)
             }
             (kind, ..) => bail!(
-                "an entry `{}` of type `{kind}` is not understood\n  hint: a `cylinder` has `axis_point_m` and \
-                 `axis_dir`, a `sphere` or `sphere_like` has `centre_m`",
+                "an entry `{}` of type `{kind}` is not understood\n  hint: a `cylinder` or a `cone` has \
+                 `axis_point_m` and `axis_dir`, a `sphere` or `sphere_like` has `centre_m`",
                 self.what
             ),
         };
         let tolerance = if self.quality == Some(Quality::Poor) { RecordedTolerances::of_poor(radius) } else { exact };
         Ok(Expected { name: self.what.clone(), body, hidden: 0.0, required, tolerance })
+    }
+
+    /// A cylinder that widens along its axis.
+    fn cone(&self, point: [f64; 3], axis: [f64; 3]) -> Result<Object> {
+        let Some(half_angle) = self.half_angle_deg.filter(|degrees| (0.0..90.0).contains(degrees)) else {
+            bail!(
+                "the cone `{}` has no `half_angle_deg` from 0 to 90\n  hint: between its axis and its side",
+                self.what
+            );
+        };
+        let (body, half_angle) = (self.cylinder(point, axis)?, half_angle.to_radians());
+        let [top, base] = [-0.5, 0.5].map(|share| (body.radius + share * body.length * half_angle.tan()).max(0.0));
+        Ok(Object { kind: ObjectKind::Cone.code(), half_angle, top_radius: top, base_radius: base, ..body })
     }
 
     fn cylinder(&self, point: [f64; 3], axis: [f64; 3]) -> Result<Object> {
@@ -259,6 +289,7 @@ impl BallEntry {
 
 #[cfg(test)]
 mod tests {
+    use super::super::matching::{Fault, fault};
     use super::*;
 
     fn parse(text: &str) -> Result<RecordedTruth> {
@@ -320,6 +351,23 @@ mod tests {
         let body = truth.of_frame("anything").unwrap()[0].body;
         assert!((Vector3::from(body.center) - Vector3::new(0.0, 0.1, 1.0)).norm() < 1e-12, "{:?}", body.center);
         assert!((body.length - 0.4).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_cone_widens_along_its_axis() {
+        let cone = |angle: &str| {
+            parse(&format!(
+                r#"{{"units": "m", "objects": [{{"type": "cone", "what": "parking cone", "radius_m": 0.1 {angle},
+                    "axis_point_m": [0, 0, 1], "axis_dir": [0, 1, 0], "seen_side_from_to_m": [-0.2, 0.2]}}]}}"#
+            ))
+        };
+        let truth = cone(r#", "half_angle_deg": 10"#).unwrap();
+        let [expected] = truth.of_frame("any").unwrap() else { panic!() };
+        let answer = |degrees: f64| Object { half_angle: degrees.to_radians(), ..expected.body };
+        assert!((expected.body.base_radius - 0.1 - 0.2 * 10.0_f64.to_radians().tan()).abs() < 1e-12);
+        assert_eq!(fault(expected, &answer(12.0)), None);
+        assert_eq!(fault(expected, &answer(14.0)), Some(Fault::HalfAngle));
+        assert!(format!("{:#}", cone("").unwrap_err()).contains("has no `half_angle_deg` from 0 to 90\n  hint: "));
     }
 
     #[test]

@@ -6,6 +6,7 @@ use super::matching::{Comparison, Expected, Fault, compare, fault, match_up};
 use super::recorded::RecordedTruth;
 use super::score::quantile;
 use crate::spread::Spread;
+use anyhow::{Result, bail};
 use conicflow_messages::Object;
 use std::collections::BTreeMap;
 use std::fmt::{self, Write};
@@ -17,6 +18,8 @@ pub struct RecordedScore {
     pub frames: u64,
     /// Frames whose truth is not known.
     pub unjudged: u64,
+    /// Name of the first of them.
+    stranger: Option<String>,
     /// Objects that had to be found.
     pub required: u64,
     /// Right answers about them.
@@ -40,6 +43,7 @@ impl RecordedScore {
             truth,
             frames: 0,
             unjudged: 0,
+            stranger: None,
             required: 0,
             found: 0,
             off: 0,
@@ -56,6 +60,7 @@ impl RecordedScore {
     pub fn add<'a>(&mut self, source: &str, answers: &'a [Object]) -> Option<FrameScore<'a>> {
         let Some(expected) = self.truth.of_frame(source).map(<[Expected]>::to_vec) else {
             self.unjudged += 1;
+            self.stranger.get_or_insert_with(|| source.to_owned());
             return None;
         };
         self.frames += 1;
@@ -109,6 +114,21 @@ impl RecordedScore {
                 self.note(format_args!("  unlisted  {}", Told(answer)));
             }
         }
+    }
+
+    /// Makes sure that a frame could be judged.
+    ///
+    /// # Errors
+    /// Frames came, and the truth file has none of them.
+    pub fn check(&self) -> Result<()> {
+        let Some(stranger) = self.stranger.as_ref().filter(|_| self.frames == 0) else { return Ok(()) };
+        bail!(
+            "no frame of the recording is in the truth file: the first of {} is `{}`, the file has `{}`\n  hint: it names \
+             each frame as its file is named, with its ending",
+            self.unjudged,
+            stranger.escape_debug(),
+            self.truth.some_frame().unwrap_or_default().escape_debug()
+        )
     }
 
     /// What was found and what not, frame by frame, and the sums.
@@ -214,6 +234,17 @@ mod tests {
         assert!(report.contains("  found     tin: radius +1.0 mm, position 1.0 mm, axis 0.0 deg\n"), "{report}");
         assert!(report.contains("  missed    pot\n") && report.contains("radius is wrong about pot: radius +7.0 mm"));
         assert!(report.contains("1 of 2 found (50 %) in 1 frames; 1 frames not judged"), "{report}");
+    }
+
+    #[test]
+    fn a_truth_file_of_other_frames_is_told() {
+        let mut score = score();
+        assert!(score.check().is_ok(), "no frame came");
+        score.add("0001.png", &[]);
+        let error = score.check().unwrap_err().to_string();
+        assert!(error.contains("the first of 1 is `0001.png`, the file has `a.pcd`\n  hint: "), "{error}");
+        score.add("a.pcd", &[]);
+        assert!(score.check().is_ok());
     }
 
     #[test]
