@@ -2,7 +2,7 @@
 
 use crate::NODES;
 use crate::doctor::doctor;
-use crate::experiment::{Experiment, Results, Rows, Variation};
+use crate::experiment::{self, Experiment, Results, Rows, Variation};
 use crate::node_help;
 use crate::swap::{self, SwapArguments};
 use crate::top;
@@ -247,7 +247,9 @@ fn validate(source: &FileArguments, machine: Option<&str>) -> anyhow::Result<Exi
         writeln!(stdout(), "{warnings}\n")?;
     }
     if let Some(json) = &pipeline.experiment {
-        for variation in variations(&Experiment::read(json)?, source)? {
+        let experiment = Experiment::read(json)?;
+        experiment::check(&experiment, &pipeline)?;
+        for variation in variations(&experiment, source)? {
             source.read_with(machine, &variation.overrides)?;
         }
     }
@@ -294,6 +296,7 @@ fn run_experiment(
     arguments: &RunArguments,
     log: &str,
 ) -> anyhow::Result<ExitCode> {
+    experiment::check(experiment, pipeline)?;
     let variations = variations(experiment, &arguments.source)?;
     let (rows, mut results) = (Rows::of(pipeline)?, Results::new(experiment));
     let interrupted = Arc::new(AtomicBool::new(false));

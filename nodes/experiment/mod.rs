@@ -2,10 +2,12 @@
 //! what its `measurement_sink` and `section_sink` stages found becomes one table, beside the figures of the paper, a CSV file and a plot.
 
 mod axes;
+mod columns;
 mod plot;
 mod spec;
 mod table;
 
+pub use columns::check;
 pub use spec::{Experiment, Variation};
 pub use table::Results;
 

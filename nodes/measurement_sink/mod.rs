@@ -19,8 +19,11 @@ mod tests;
 mod trace;
 
 pub use row::{Figure, Row};
+pub use section_sink::COLUMNS as SECTION;
 pub use section_sink::{SectionConfig, SectionSink, Sections};
 pub use sighting::Sighted;
+pub use tally::COLUMNS as MEASURED;
+pub use trace::TITLES as TRACED;
 
 use crate::evaluation_sink::rendered::{expected, scene_of};
 use crate::evaluation_sink::{Duties, Tolerances, load_scene};

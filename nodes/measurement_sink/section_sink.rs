@@ -32,6 +32,10 @@ impl Default for SectionConfig {
 
 impl Config for SectionConfig {}
 
+/// The columns of its row.
+pub const COLUMNS: [&str; 10] =
+    ["object", "frames", "n", "others", "long_m", "long_sd_m", "short_m", "short_sd_m", "offset_m", "rms_m"];
+
 /// Figures of one section, frame by frame.
 #[derive(Clone, Debug, Default)]
 pub struct Sections {
@@ -125,6 +129,7 @@ mod tests {
         sections.add(&config, &[ellipse(0.01, 0.39)]);
         sections.add(&config, &[ellipse(0.3, 9.0)]);
         let number = |column: &str| sections.row().number_of(column).unwrap();
+        assert_eq!(sections.row().0.iter().map(|(column, _)| column.as_str()).collect::<Vec<_>>(), COLUMNS);
         assert_eq!(["frames", "n", "others"].map(number), [3.0, 2.0, 3.0]);
         assert!((number("long_m") - 0.4).abs() < 1e-12 && (number("long_sd_m") - 0.02_f64.sqrt() / 10.0).abs() < 1e-12);
     }

@@ -123,6 +123,33 @@ impl Tally {
     }
 }
 
+/// The columns of all rows of a `measurement_sink`.
+pub const COLUMNS: [&str; 23] = [
+    "object",
+    "frames",
+    "n",
+    "distance_true_m",
+    "distance_m",
+    "distance_sd_m",
+    "radius_true_m",
+    "radius_m",
+    "radius_sd_m",
+    "half_angle_true_deg",
+    "half_angle_deg",
+    "speed_true_mps",
+    "speed_mps",
+    "speed_sd_mps",
+    "position_rms_m",
+    "axis_rms_deg",
+    "radius_sigmas",
+    "center_sigmas",
+    "identities",
+    "switches",
+    "wrong",
+    "mota",
+    "motp_m",
+];
+
 /// The mean over the sights of all objects.
 fn pooled(tallies: &[Tally], of: fn(&Tally) -> &Spread) -> f64 {
     let known = || tallies.iter().map(of).filter(|spread| spread.count() > 0);

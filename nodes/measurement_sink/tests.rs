@@ -56,6 +56,8 @@ fn means_deviations_and_speeds_are_those_of_the_answers() {
     assert!((number("speed_mps") - 0.6).abs() < 1e-9 && (number("speed_true_mps") - 0.5).abs() < 1e-9);
     assert!((number("distance_true_m") - 2.0).abs() < 0.03);
     assert_eq!((rows.len(), rows[2].number_of("mota")), (3, Some(1.0)));
+    let columns = rows.iter().flat_map(|row| &row.0).map(|(column, _)| column.as_str());
+    assert_eq!(columns.filter(|column| !MEASURED.contains(column)).collect::<Vec<_>>(), [""; 0]);
 }
 
 #[test]

@@ -7,7 +7,8 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
-const TITLES: &str =
+/// The columns of the file, with commas between them.
+pub const TITLES: &str =
     "time_s,object,camera_x_m,camera_y_m,camera_z_m,x_true_m,y_true_m,z_true_m,x_m,y_m,z_m,radius_m,id";
 
 /// The file.

@@ -239,6 +239,15 @@ fn a_wrong_experiment_is_refused() {
         let ended = playground.conicflow(&[command, "accuracy.toml", "--set", "source.values.distance=2"]);
         assert!(ended.expect_code(2).stderr.contains("the experiment varies `source.values.distance`"), "{command}");
     }
+    let playground = self::playground("accuracy", &[("y = [\"radius_m\"]", "y = [\"radius\"]")]);
+    for command in ["validate", "run"] {
+        let ended = playground.conicflow(&[command, "accuracy.toml"]).expect_code(2);
+        assert!(
+            ended.stderr.contains("`experiment.plot.y`: there is no column `radius`"),
+            "{command}: {}",
+            ended.stderr
+        );
+    }
 }
 
 /// The command of each frame reaches the camera before the next one; how soon is all that may differ from run to run.
