@@ -119,7 +119,7 @@ fn the_parameters_of_a_node_in_full() {
 input   tracks | objects | ellipses
 
 every = 1   (at least 1)
-    Show one message in this many; 1 shows all.
+    Show one message in this many, of each camera; 1 shows all.
 
 tentative = false
     Show tracks that are not confirmed yet.
