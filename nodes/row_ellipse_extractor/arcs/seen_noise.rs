@@ -145,7 +145,9 @@ fn differ([near, far]: &[Half; 2]) -> bool {
     let sigma = (2.0 / near.count + 2.0 / far.count).sqrt();
     let ratio = (near.scatter / far.scatter).ln().abs();
     let are_told = near.count.min(far.count) >= FEWEST as f64;
-    are_told && far.depth > DISTANT * near.depth && ratio > DIFFERENT.ln().max(SURE * sigma)
+    // What is quieter than its model may be smoothed, and shows less noise than it has.
+    let are_smoothed = near.scatter.min(far.scatter) <= UNSMOOTHED;
+    are_told && !are_smoothed && far.depth > DISTANT * near.depth && ratio > DIFFERENT.ln().max(SURE * sigma)
 }
 
 /// A model of which the standard deviations at two depths are so many times those that belong to a variance, and which grows
