@@ -58,6 +58,9 @@ pub struct Ellipse {
     pub arc: f64,
     /// Standard deviation of a depth for which the moments were corrected, in metres.
     pub sigma: f64,
+    /// How many neighbouring pixels share their noise, as the mean of many tells: its variance is that of one times this
+    /// over their number. 1: each has its own, also where this is 0.
+    pub shared_px: f64,
     /// Depths measured `beyond_px` pixels before the first and behind the last pixel, in metres; 0: none.
     pub beyond: [f64; 2],
     /// Where along the line the surface ends on either side before something farther behind it, in pixels, between its
@@ -81,6 +84,11 @@ impl Ellipse {
         self.line_step.max(1)
     }
 
+    /// How many neighbouring pixels share their noise, at least 1.
+    pub fn shared(&self) -> f64 {
+        self.shared_px.max(1.0)
+    }
+
     /// Whether the line and the pixels lie in the image, and the codes are ones that there are.
     fn is_in(&self, header: &Header) -> bool {
         let (width, height) = (header.camera.width, header.camera.height);
@@ -91,7 +99,7 @@ impl Ellipse {
 
     /// Whether there are points, and no deviation is less than none.
     fn is_of_points(&self) -> bool {
-        self.sigma >= 0.0 && self.rms >= 0.0 && self.moments[0] > 0.0
+        self.sigma >= 0.0 && self.shared_px >= 0.0 && self.rms >= 0.0 && self.moments[0] > 0.0
     }
 
     fn numbers_are_finite(&self) -> bool {
@@ -101,7 +109,7 @@ impl Ellipse {
             && finite(&[self.angle, self.half_width, self.half_depth, self.rms, self.arc])
             && finite(&self.beyond)
             && finite(&self.contour)
-            && self.sigma.is_finite()
+            && finite(&[self.sigma, self.shared_px])
             && finite(&self.origin)
             && finite(&self.moments)
     }
@@ -109,7 +117,7 @@ impl Ellipse {
 
 impl Item for Ellipse {
     const KIND: Kind = Kind::Ellipses;
-    const TYPE_NAME: &'static str = "conicflow.Ellipse.v3";
+    const TYPE_NAME: &'static str = "conicflow.Ellipse.v4";
 
     fn check(header: &Header, items: &[Self]) -> Result<(), Malformed> {
         for (index, ellipse) in items.iter().enumerate() {
@@ -143,6 +151,7 @@ mod tests {
             |e: &mut Ellipse| e.last = 8,
             |e: &mut Ellipse| e.unbiased = 2,
             |e: &mut Ellipse| e.sigma = -1e-9,
+            |e: &mut Ellipse| e.shared_px = -1e-9,
             |e: &mut Ellipse| e.rms = -1e-9,
             |e: &mut Ellipse| e.moments[0] = 0.0,
             |e: &mut Ellipse| e.moments[14] = f64::NAN,
@@ -152,6 +161,12 @@ mod tests {
             let error = Ellipse::check(&header, &[good, spoilt]).unwrap_err();
             assert!(error.to_string().contains("item 1 "), "{error}");
         }
+    }
+
+    #[test]
+    fn noise_that_nothing_tells_of_is_not_shared() {
+        assert_eq!(Ellipse::default().shared(), 1.0);
+        assert_eq!(Ellipse { shared_px: 2.5, ..Ellipse::default() }.shared(), 2.5);
     }
 
     #[test]

@@ -6,6 +6,7 @@
 
 mod fields;
 pub mod motion;
+mod noise_field;
 pub mod pose;
 pub mod random_scene;
 pub mod random_scenes;

@@ -5,6 +5,7 @@
 //! 3D reconstruction and tracking" (2012), in the form of [`NoiseModel`]; the same paper finds the silhouettes uncertain by
 //! about 0.8 pixels at 640x480 and the noise growing beyond all bounds from 70 to 80 degrees on.
 
+use super::noise_field::NoiseField;
 use super::raster::Raster;
 use super::shadow;
 use super::shapes::{Shape, Surface};
@@ -24,8 +25,8 @@ const LEAST_GRAZE: f64 = 0.05;
 #[serde(
     untagged,
     expecting = "expected \"kinect_v1\", \"realsense_d435\", \"time_of_flight\", \"ideal\" or a table with some of the \
-                 numbers `floor_m`, `growth_per_m`, `knee_m`, `step_per_m`, `grazing_noise`, `edge_jitter_px`, \
-                 `shadow_baseline_m`, `dropout_angle_deg`, `min_range_m`, `max_range_m`"
+                 numbers `floor_m`, `growth_per_m`, `knee_m`, `step_per_m`, `noise_window_px`, `grazing_noise`, \
+                 `edge_jitter_px`, `shadow_baseline_m`, `dropout_angle_deg`, `min_range_m`, `max_range_m`"
 )]
 pub enum SensorConfig {
     /// A sensor with a name.
@@ -56,6 +57,10 @@ pub struct SensorTable {
     /// Depth between two neighbouring disparities, divided by the squared depth, in 1/metre; 0: no steps.
     #[schemars(range(min = 0.0))]
     pub step_per_m: f64,
+    /// Side of the window of the image that a depth comes from, in pixels: neighbours share their noise as far as their
+    /// windows overlap; 1: each has its own. A Kinect v1 has about 3 at 640x480.
+    #[schemars(range(min = 1, max = 15))]
+    pub noise_window_px: u32,
     /// What noise grows by where the angle a between ray and normal is large: `grazing_noise / sqrt(z) a^2 / (pi / 2 - a)^2`
     /// in metres, a in radians; 0: not at all. A Kinect v1 has 0.0001, but no header tells of it.
     #[schemars(range(min = 0.0))]
@@ -116,6 +121,7 @@ impl SensorTable {
             growth_per_m,
             knee_m,
             step_per_m,
+            noise_window_px: 1,
             grazing_noise: 0.0,
             edge_jitter_px: 0.0,
             shadow_baseline_m: 0.0,
@@ -161,6 +167,7 @@ pub struct Sensor {
     /// Two standard deviations of the jitter, in pixels.
     edge_reach: i64,
     shadow: Vec<bool>,
+    noise: NoiseField,
 }
 
 /// The random numbers of a pixel.
@@ -188,7 +195,14 @@ impl Sensor {
         let grazing = table.dropout_angle_deg < 90.0;
         let dropout_cosine = if grazing { libm::cos(table.dropout_angle_deg.to_radians()) } else { 0.0 };
         let edge_reach = (2.0 * table.edge_jitter_px).ceil() as i64;
-        Self { table, units_per_metre: 1.0 / depth_scale, dropout_cosine, edge_reach, shadow: Vec::new() }
+        Self {
+            table,
+            units_per_metre: 1.0 / depth_scale,
+            dropout_cosine,
+            edge_reach,
+            shadow: Vec::new(),
+            noise: NoiseField::default(),
+        }
     }
 
     /// The part of it that the header tells everyone downstream.
@@ -200,6 +214,10 @@ impl Sensor {
     /// Measures a rendered image of `shapes` (camera frame) into as many pixels.
     pub fn measure(&mut self, raster: &Raster, shapes: &[Shape], dice: &Dice, pixels: &mut [u16]) {
         shadow::cast(raster, shapes, self.table.shadow_baseline_m, &mut self.shadow);
+        if self.table.noise_window_px > 1 {
+            let deviate = |index: usize| dice.gaussian(Draw::Axial.counter(index));
+            self.noise.draw(&raster.camera, self.table.noise_window_px as usize, deviate);
+        }
         let (width, height) = (i64::from(raster.camera.width), i64::from(raster.camera.height));
         for v in 0..height {
             for u in 0..width {
@@ -227,7 +245,11 @@ impl Sensor {
         if self.table.grazing_noise > 0.0 {
             sigma += self.grazing_sigma(shape, &raster.point(u, v));
         }
-        let depth = self.in_steps(exact + sigma * dice.gaussian(Draw::Axial.counter(index)));
+        let deviate = match self.table.noise_window_px {
+            0 | 1 => dice.gaussian(Draw::Axial.counter(index)),
+            _ => self.noise.deviate(index),
+        };
+        let depth = self.in_steps(exact + sigma * deviate);
         (self.table.min_range_m..=self.table.max_range_m).contains(&depth).then_some(depth)
     }
 

@@ -60,6 +60,32 @@ fn noise_has_the_mean_and_the_sigma_of_the_model() {
 }
 
 #[test]
+fn neighbors_share_their_noise_as_far_as_their_windows_overlap() {
+    let sigma = 0.01;
+    for window in [1, 3, 4_u32] {
+        let sensor = only(|table| (table.floor_m, table.noise_window_px) = (sigma, window));
+        let (raster, pixels) = measure(sensor, &[wall(2.0, 0.0)], Dice::new(7, 0));
+        let error = |u: u32, v: u32| {
+            let index = raster.index(i64::from(u), i64::from(v));
+            (f64::from(pixels[index]) * FINE - raster.depth[index]) / sigma
+        };
+        let correlation = |right: u32, down: u32| {
+            let pairs = (0..230 * 310).map(|i| (i % 310, i / 310));
+            pairs.map(|(u, v)| error(u, v) * error(u + right, v + down)).sum::<f64>() / f64::from(230 * 310)
+        };
+        for (right, down) in [(0, 0), (1, 0), (0, 1), (2, 1), (3, 0), (5, 5)] {
+            let overlap =
+                f64::from(window.saturating_sub(right) * window.saturating_sub(down)) / f64::from(window * window);
+            let shared = correlation(right, down);
+            assert!(
+                (shared - overlap).abs() < 0.03,
+                "{shared} at {right}, {down} of a window of {window}, not {overlap}"
+            );
+        }
+    }
+}
+
+#[test]
 fn noise_grows_at_grazing_angles() {
     let sensor = only(|table| table.grazing_noise = 1e-4);
     for degrees in [0.0_f64, 60.0, 75.0, 82.0] {

@@ -28,6 +28,9 @@ pub(super) struct Arc {
     moments: PlaneMoments,
     /// The same in space, about the camera centre.
     pub space: SpaceMoments,
+    /// Number of points, ...
+    pub count: u32,
+    /// ... and of such as share no noise and tell as much: the moments are those of so many.
     pub points: f64,
     /// Variance of the sensor along the ray, at the depth of the arc.
     pub variance: f64,
@@ -49,6 +52,8 @@ pub(super) struct Arc {
     pub pitch: f64,
     /// ... and between neighbouring lines that were looked at.
     pub spacing: f64,
+    /// How many neighbouring lines share their noise, at least 1.
+    pub shared_lines: f64,
     /// How much better the circle is than a line, in points times variances.
     pub bulge: f64,
 }
@@ -67,7 +72,8 @@ impl Arc {
     fn new(header: &Header, ellipse: &Ellipse, step: u32) -> Option<Self> {
         let (camera, scan) = (pinhole(&header.camera), scan(ellipse));
         let plane = camera.plane(scan, f64::from(ellipse.line));
-        let moments = PlaneMoments::from_sums(ellipse.origin, ellipse.moments);
+        let shared = ellipse.shared();
+        let moments = PlaneMoments::from_sums(ellipse.origin, ellipse.moments.map(|m| m / shared));
         let mean = plane.to_camera(moments.mean()?);
         let ray = |pixel: f64| camera.ray_slope(scan, pixel);
         let (first, last, far) = (f64::from(ellipse.first), f64::from(ellipse.last), f64::from(ellipse.beyond_px));
@@ -76,6 +82,7 @@ impl Arc {
             _ => ellipse.sigma * ellipse.sigma,
         } * plane.stretch().powi(2);
         let variance = variance.max(LEAST_VARIANCE);
+        let (pitch, spacing) = (camera.pixel_pitch(scan), camera.line_pitch(scan) * f64::from(step));
         Some(Self {
             scan,
             line: ellipse.line / step,
@@ -83,6 +90,7 @@ impl Arc {
             plane,
             moments,
             space: SpaceMoments::of_arc(&plane, &moments),
+            count: ellipse.points,
             points: moments.count(),
             variance,
             mean,
@@ -92,8 +100,9 @@ impl Arc {
             beyond_rays: [ray(first - far), ray(last + far)],
             beyond: ellipse.beyond,
             contour: contour(&camera, &plane, &ellipse.contour),
-            pitch: mean.z * camera.pixel_pitch(scan),
-            spacing: mean.z * camera.line_pitch(scan) * f64::from(step),
+            pitch: mean.z * pitch,
+            spacing: mean.z * spacing,
+            shared_lines: (shared * pitch / spacing).max(1.0),
             bulge: bulge(&moments, variance),
         })
     }

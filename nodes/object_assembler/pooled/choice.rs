@@ -44,8 +44,7 @@ pub(super) fn choose<'a>(
     let reason = reason.unwrap_or(if grown().next().is_some() { Rejection::Vague } else { Rejection::NotGrown });
     let [sphere, cylinder, cone] = found;
     let cone = cone.map(|cone| cone.map(|cone| (cone, cone.report())));
-    let may_be_cone =
-        cone.as_ref().is_some_and(|cone| speaks_against_cylinder(cone.as_ref().map(|(_, object)| object)));
+    let may_be_cone = cone.as_ref().is_some_and(|cone| speaks_against_cylinder(cone.as_ref()));
     let [sphere, cylinder] = [sphere, cylinder].map(|found| found?.ok());
     let taper = cone.as_ref().and_then(|cone| cone.as_ref().ok()).map_or(0.0, |(_, object)| sure_slope(object));
     // A vague cone may still show that a cylinder is none: the choice comes first.
@@ -60,7 +59,7 @@ pub(super) fn choose<'a>(
     };
     let is_cylinder = best.grown.model.kind() == ObjectKind::Cylinder;
     let mut object = best.report();
-    if is_vague(&object) || is_cylinder && may_be_cone {
+    if is_vague(&object, best.grown.shared_lines()) || is_cylinder && may_be_cone {
         return Err(Rejection::Vague);
     }
     if is_deformed(&best.grown, &best.measured) || may_be_sphere(&best.grown) {
@@ -77,18 +76,18 @@ fn may_be_sphere(grown: &Grown) -> bool {
     if grown.model.kind() == ObjectKind::Sphere {
         return false;
     }
-    let least = GAIN + ROUND_PER_POINT * grown.points();
+    let least = GAIN * grown.shared_lines() + ROUND_PER_POINT * grown.points();
     let sphere = model::fit(ObjectKind::Sphere, &grown.arcs(), None, f64::INFINITY);
     sphere.is_some_and(|sphere| sphere.square_sum() < grown.model.square_sum() + least)
 }
 
 /// Whether the cone that grew where a cylinder did leaves open that this is none: a slope is as likely as not, or could
 /// be any; or the cone, although free to be a cylinder, does not explain as much as an object has to.
-fn speaks_against_cylinder(cone: Result<&Object, &Rejection>) -> bool {
+fn speaks_against_cylinder(cone: Result<&(Candidate, Object), &Rejection>) -> bool {
     match cone {
-        Ok(object) => {
-            let sigma = object.sigma.half_angle;
-            sigma > ANY_SLOPE || sigma > UNSURE_SLOPE && object.half_angle > UNSURE_SIGMAS * sigma
+        Ok((cone, object)) => {
+            let (sigma, wider) = (object.sigma.half_angle, cone.grown.shared_lines().sqrt());
+            sigma > wider * ANY_SLOPE || sigma > wider * UNSURE_SLOPE && object.half_angle > UNSURE_SIGMAS * sigma
         }
         Err(Rejection::Rms | Rejection::Outline | Rejection::FewRows | Rejection::Small | Rejection::Tilted) => true,
         Err(_) => false,
@@ -122,7 +121,7 @@ fn sharper<'a>(
     let members = if a > b { cylinder.grown.members } else { cone.grown.members };
     let mut cost = |candidate: &Candidate| cost(Grown { members, ..candidate.grown }, contour);
     let gain = cost(&cylinder).zip(cost(&cone)).map_or(0.0, |(cylinder, cone)| cylinder - cone);
-    if gain > least_gain(&object, a.max(b)) { cone } else { cylinder }
+    if gain > least_gain(&cone, &object, a.max(b)) { cone } else { cylinder }
 }
 
 /// What is left of the points and the contour of some members by a model that is fitted to these. What it leaves out of
@@ -133,9 +132,10 @@ fn cost(mut grown: Grown, contour: &mut Contour) -> Option<f64> {
     Some(cost + contour.least_left_out())
 }
 
-fn least_gain(cone: &Object, points: f64) -> f64 {
-    let slender =
-        if is_vague(cone) { 1.0 } else { ((SLENDER[1] - cone.half_angle) / (SLENDER[1] - SLENDER[0])).clamp(0.0, 1.0) };
+fn least_gain(cone: &Candidate, object: &Object, points: f64) -> f64 {
+    let is_vague = is_vague(object, cone.grown.shared_lines());
+    let steep = (object.half_angle - SLENDER[0]) / (SLENDER[1] - SLENDER[0]);
+    let slender = if is_vague { 1.0 } else { 1.0 - steep.clamp(0.0, 1.0) };
     GAIN.max(slender * (GAIN_PER_POINT * points).min(MOST_GAIN))
 }
 

@@ -165,6 +165,11 @@ impl<'a> Grown<'a> {
         self.arcs().map(|arc| arc.variance * arc.points).sum::<f64>() / self.points()
     }
 
+    /// How many neighbouring lines share their noise, at least 1.
+    fn shared_lines(&self) -> f64 {
+        self.ends()[0].shared_lines
+    }
+
     /// The arcs of the first and the last line.
     fn ends(&self) -> [&'a Arc; 2] {
         [self.members[0], self.members[self.members.len() - 1]].map(|index| &self.arcs.arcs[index])

@@ -24,7 +24,7 @@ pub(super) fn report(grown: &Grown, measured: &Measured) -> Object {
     let center = verify::middle(grown, measured);
     let object = Object {
         kind: grown.model.kind().code(),
-        points: measured.points.round() as u32,
+        points: measured.count,
         rows: measured.lines,
         center: center.into(),
         rms: (measured.misfit.max(0.0) * measured.variance).sqrt(),
@@ -131,7 +131,7 @@ fn covariance<S: Surface<N>, const N: usize>(grown: &Grown, fit: &SurfaceFit<S, 
         let weight = 1.0 / (arc.variance * grown.model.excess(arc).unwrap_or(1.0).powi(2));
         let along_z = arc.variance / arc.plane.stretch().powi(2);
         let section = section_of(&q, &arc.plane);
-        let share = stride as f64 * arc.points / SAMPLES as f64;
+        let share = stride as f64 * grown.shared_lines() * arc.points / SAMPLES as f64;
         for sample in 0..SAMPLES {
             let part = (sample as f64 + 0.5) / SAMPLES as f64;
             let x = arc.rays[0] + part * (arc.rays[1] - arc.rays[0]);

@@ -8,6 +8,7 @@ use crate::row_ellipse_extractor::{ArcFinder, RowEllipseConfig, RowEllipseExtrac
 use crate::synthetic_source::random_scene::{SceneGroup, random_scene};
 use crate::synthetic_source::random_scenes::RandomScenes;
 use crate::synthetic_source::scene::Scene;
+use crate::synthetic_source::sensor::{SensorConfig, SensorTable};
 use crate::synthetic_source::{SyntheticCamera, SyntheticSourceConfig};
 use conicflow_geometry::{Contour, ContourNoise, ContourPoint, Sphere, SurfaceFit, Vector3};
 use conicflow_messages::{Camera, Header, Item, NoiseModel, Object, ObjectKind};
@@ -200,7 +201,12 @@ fn a_sensor_quieter_than_its_model_is_no_worse() {
 
 /// What is found of a scene as a Kinect sees it: with silhouettes that are unsure of their place.
 fn by_a_kinect(scene: &str, width: u32, seed: u64) -> Vec<Object> {
-    let config = SyntheticSourceConfig { width, height: width / 4 * 3, ..SyntheticSourceConfig::default() };
+    by_a_sensor(SensorTable::default(), scene, width, seed)
+}
+
+fn by_a_sensor(sensor: SensorTable, scene: &str, width: u32, seed: u64) -> Vec<Object> {
+    let noise = SensorConfig::Table(sensor);
+    let config = SyntheticSourceConfig { width, height: width / 4 * 3, noise, ..SyntheticSourceConfig::default() };
     let scene = Scene::parse(scene, "test").unwrap();
     let mut camera = SyntheticCamera::new(scene, config.camera(), config.noise, config.depth_scale, 30.0, seed);
     let (mut header, mut pixels) = (Header::default(), vec![0; (config.width * config.height) as usize]);
@@ -210,11 +216,12 @@ fn by_a_kinect(scene: &str, width: u32, seed: u64) -> Vec<Object> {
 }
 
 /// A can of radius 0.1 m, 2.6 m before the camera.
-fn can_by_a_kinect(seed: u64) -> Object {
+fn can_by_a_kinect(noise_window_px: u32, seed: u64) -> Object {
     const CAN: &str = "name = 'can'\n[camera]\nposition = [0.0, 0.0, 0.0]\nlook_at = [0.0, 1.0, 0.0]\n\
         [[cylinder]]\nname = 'can'\nbase = [0.0, 2.6, -0.35]\nradius = 0.1\nlength = 0.7\n\
         [[plane]]\nname = 'wall'\npoint = [0.0, 4.0, 0.0]\nnormal = [0.0, -1.0, 0.0]\n";
-    single(&by_a_kinect(CAN, 320, seed), ObjectKind::Cylinder)
+    let kinect = SensorTable { noise_window_px, ..SensorTable::default() };
+    single(&by_a_sensor(kinect, CAN, 320, seed), ObjectKind::Cylinder)
 }
 
 /// Something on a table that a camera looks down at by 35 degrees, from 0.9 m; upwards is `(0, -0.82, -0.57)` to it.
@@ -274,7 +281,7 @@ fn lengths_are_neither_too_long_nor_too_short() {
 
 #[test]
 fn sigmas_are_about_as_large_as_the_errors() {
-    let found: Vec<_> = (0..96).map(|seed| can_by_a_kinect(100 + seed)).collect();
+    let found: Vec<_> = (0..96).map(|seed| can_by_a_kinect(1, 100 + seed)).collect();
     let scatter = |error: &dyn Fn(&Object) -> f64| {
         (found.iter().map(|object| error(object).powi(2)).sum::<f64>() / found.len() as f64).sqrt()
     };
@@ -285,6 +292,19 @@ fn sigmas_are_about_as_large_as_the_errors() {
     for (ratio, range) in [(radius, 0.6..1.3), (axis, 0.6..1.3), (side, 0.4..0.9)] {
         assert!(range.contains(&ratio), "errors over sigmas: {radius}, {axis}, {side}");
     }
+}
+
+#[test]
+fn noise_that_neighbors_share_widens_the_sigmas() {
+    let found = |window| (0..48).map(|seed| can_by_a_kinect(window, 200 + seed)).collect::<Vec<_>>();
+    let (alone, shared) = (found(1), found(3));
+    let mean_sigma = |found: &[Object]| found.iter().map(|object| object.sigma.axis).sum::<f64>() / found.len() as f64;
+    let wider = mean_sigma(&shared) / mean_sigma(&alone);
+    assert!((1.8..3.2).contains(&wider), "an axis is {wider} times as unsure");
+    let axis = |object: &Object| Vector3::from(object.axis).cross(&Vector3::y()).norm() / object.sigma.axis;
+    let ratio = (shared.iter().map(|object| axis(object).powi(2)).sum::<f64>() / 48.0).sqrt();
+    assert!((0.6..1.4).contains(&ratio), "errors over sigmas: {ratio}");
+    assert!(shared.iter().all(|object| object.points > 1000), "points are those that were measured");
 }
 
 #[test]

@@ -57,6 +57,9 @@ const VAGUE_SHORT_AXIS: f64 = 0.0209;
 /// What was measured of a grown model, for its report.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Measured {
+    /// Number of points, ...
+    pub count: u32,
+    /// ... and of such as share no noise and tell as much.
     pub points: f64,
     pub lines: u32,
     /// Mean variance of a point, in square metres.
@@ -110,19 +113,19 @@ fn height_in_view(grown: &Grown) -> f64 {
 
 /// Greatest misfit of an object, in variances.
 fn most_misfit(measured: &Measured, radius: f64) -> f64 {
-    let &Measured { points, variance, .. } = measured;
-    let slack = SLACK + MORE_SLACK * share_of_many(points);
+    let &Measured { count, points, variance, .. } = measured;
+    let slack = SLACK + MORE_SLACK * share_of_many(count);
     slack.min((UNEVEN * radius).powi(2) / variance) + SCATTER * (2.0 / points).sqrt()
 }
 
-fn share_of_many(points: f64) -> f64 {
-    (points / MANY_POINTS).min(1.0)
+fn share_of_many(count: u32) -> f64 {
+    (f64::from(count) / MANY_POINTS).min(1.0)
 }
 
 /// Whether another quadric explains the points surely better: an ellipsoid, an oval pillar, or the edge of a box.
 pub(super) fn is_deformed(grown: &Grown, measured: &Measured) -> bool {
-    let slack = DEFORMED_SLACK + MORE_DEFORMED_SLACK * share_of_many(measured.points);
-    let most = DEFORMED + measured.points * slack;
+    let slack = DEFORMED_SLACK + MORE_DEFORMED_SLACK * share_of_many(measured.count);
+    let most = DEFORMED * grown.shared_lines() + measured.points * slack;
     model::deformation_gain(grown).is_some_and(|gain| gain > most)
 }
 
@@ -163,13 +166,14 @@ pub(super) fn middle(grown: &Grown, measured: &Measured) -> Vector3 {
 
 fn measure(grown: &Grown) -> Measured {
     let points = grown.points();
-    let mut lines = 0;
+    let (mut lines, mut count) = (0, 0);
     let mut last = None;
     let (mut angle, mut extent) = (0.0, [f64::INFINITY, f64::NEG_INFINITY]);
     let q = grown.model.coefficients();
     for arc in grown.arcs() {
         lines += u32::from(last != Some(arc.line));
         last = Some(arc.line);
+        count += arc.count;
         let section = section_of(&q, &arc.plane);
         let hit = |x: f64| arc.hit(&section, x).map(|z| arc.point(x, z));
         angle += arc.points * span(arc, grown, arc.rays.map(hit));
@@ -189,7 +193,7 @@ fn measure(grown: &Grown) -> Measured {
     });
     let extent = [extent[0] - half_line, extent[1] + half_line];
     let (misfit, angle) = (grown.model.square_sum() / points, angle / points);
-    Measured { points, lines, variance: grown.variance(), misfit, angle, extent }
+    Measured { count, points, lines, variance: grown.variance(), misfit, angle, extent }
 }
 
 /// Place of a point along the axis; of a sphere, across its arcs.
@@ -279,14 +283,17 @@ fn is_between(grown: &Grown, measured: &Measured, point: &Vector3) -> bool {
     grown.model.kind() == ObjectKind::Sphere || between
 }
 
-/// Whether too little is known about the radius or the axis of an object, given their standard deviations.
-pub(super) fn is_vague(object: &Object) -> bool {
+/// Whether too little is known about the radius or the axis of an object, given their standard deviations. The
+/// limits are those of noise that no lines share; what `shared_lines` of them share makes an axis the less certain.
+pub(super) fn is_vague(object: &Object, shared_lines: f64) -> bool {
     let sigma = &object.sigma;
+    // Nothing but the radius tells a sphere from other things that are bent.
+    let wider = if object.shape() == ObjectKind::Sphere { 1.0 } else { shared_lines.sqrt() };
     let [radius, axis] = match object.shape() {
         ObjectKind::Sphere => VAGUE_SPHERE,
         ObjectKind::Cylinder => VAGUE_CYLINDER,
         ObjectKind::Cone => VAGUE_CONE,
     };
     let axis = if object.length < object.radius { axis.min(VAGUE_SHORT_AXIS) } else { axis };
-    sigma.radius > radius * object.radius || sigma.axis > axis
+    sigma.radius > wider * radius * object.radius || sigma.axis > wider * axis
 }

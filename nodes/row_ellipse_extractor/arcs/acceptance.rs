@@ -259,6 +259,7 @@ fn message(rays: &Rays, image: &[u16], points: Range<usize>, fit: &ArcFit, momen
         last: rays.pixel(last),
         points: points.len() as u32,
         sigma: rays.depth_variance((first + last) / 2).sqrt(),
+        shared_px: rays.view.shared_px,
         beyond_px: beyond,
         unbiased: 1,
         center: rays.plane().to_camera(fit.circle.center).into(),

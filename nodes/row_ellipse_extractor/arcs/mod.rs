@@ -15,6 +15,7 @@ mod rays;
 mod run;
 mod seen_noise;
 mod segments;
+mod shared_noise;
 #[cfg(test)]
 mod tests;
 mod view;
@@ -71,7 +72,9 @@ impl Arcs {
     /// How noisy an image is.
     pub fn seen_noise(&mut self, header: &Header, image: &[u16]) -> SeenNoise {
         self.view.turn(header, Scan::Row, &SeenNoise::as_told(header.noise));
-        seen_noise::seen_noise(&self.view, image, &mut self.line, &mut self.search, &mut self.hints)
+        let noise = seen_noise::seen_noise(&self.view, image, &mut self.line, &mut self.search, &mut self.hints);
+        self.view.turn(header, Scan::Row, &noise);
+        SeenNoise { shared_px: shared_noise::shared_px(&self.view, image), ..noise }
     }
 
     /// Adds the arcs of the rows or columns of an image to `ellipses`, in the order of line and pixel.

@@ -54,6 +54,8 @@ pub(in super::super) struct SeenNoise {
     pub of_steps: NoiseModel,
     /// Variances of what is near and what is far, in those that the source told.
     pub told: [f64; 2],
+    /// How many neighbouring pixels share it ([`super::shared_noise`]), at least 1.
+    pub shared_px: f64,
 }
 
 impl SeenNoise {
@@ -63,7 +65,7 @@ impl SeenNoise {
     }
 
     fn of_level(model: NoiseModel, level: f64) -> Self {
-        Self { model, level, of_steps: model.times(level.max(1.0).sqrt()), told: [level; 2] }
+        Self { model, level, of_steps: model.times(level.max(1.0).sqrt()), told: [level; 2], shared_px: 1.0 }
     }
 }
 
@@ -137,7 +139,7 @@ fn of_another_growth(view: &View, halves: &[Half; 2], of_neighbors: &mut [Hint],
     }
     let told = depths.map(|depth| model.variance(depth) / view.variance(depth));
     let of_steps = through(depths, told.map(|level| level.max(1.0).sqrt()), |depth| view.variance(depth));
-    SeenNoise { model, level: 1.0, of_steps, told }
+    SeenNoise { model, level: 1.0, of_steps, told, shared_px: 1.0 }
 }
 
 /// Whether the noise of what is near and of what is far surely differs from the model by different factors.

@@ -2,6 +2,9 @@ use super::super::rendered::{Body, KINECT_HALF, render};
 use super::super::{ArcFinder, RowEllipseConfig, RowEllipseExtractor, ScanLines};
 use super::*;
 use crate::object_assembler::{AssemblerConfig, ObjectAssembler};
+use crate::synthetic_source::random_scene::{SceneGroup, random_scene};
+use crate::synthetic_source::sensor::{SensorConfig, SensorTable};
+use crate::synthetic_source::{SyntheticCamera, SyntheticSourceConfig};
 use conicflow_geometry::Vector3;
 use conicflow_messages::{Camera, Item, NoiseModel, Object};
 
@@ -176,6 +179,31 @@ fn a_model_that_grows_wrongly_is_replaced() {
     let (header, pixels) = render(KINECT_HALF, kinect, &[can(0.0, 1.5, 0.2), floor, wall(3.5)], 7);
     let seen = Arcs::with(config(ScanLines::Rows)).seen_noise(&header, &pixels);
     assert_eq!(seen.model, kinect, "one that grows rightly is not");
+}
+
+/// How many neighbouring pixels share their noise in a room that a sensor with such windows sees.
+fn shared_px(noise_window_px: u32, width: u32, seed: u64) -> f64 {
+    let noise = SensorConfig::Table(SensorTable { noise_window_px, ..SensorTable::default() });
+    let config = SyntheticSourceConfig { width, height: width / 4 * 3, noise, ..SyntheticSourceConfig::default() };
+    let scene = random_scene(SceneGroup::Clutter, seed);
+    let mut camera = SyntheticCamera::new(scene, config.camera(), config.noise, config.depth_scale, 30.0, seed);
+    let (mut header, mut pixels) = (Header::default(), vec![0; (config.width * config.height) as usize]);
+    camera.shoot(0, &mut pixels);
+    camera.describe(&mut header);
+    Arcs::with(self::config(ScanLines::Rows)).seen_noise(&header, &pixels).shared_px
+}
+
+#[test]
+fn as_many_pixels_share_their_noise_as_do() {
+    for seed in 0..6 {
+        for (width, windows) in [(320, [1, 3]), (640, [1, 4])] {
+            let [alone, shared] = windows.map(|window| shared_px(window, width, seed));
+            assert_eq!(alone, 1.0, "{width} pixels, seed {seed}");
+            // Steps of the disparity make part of the noise each pixel's own.
+            let all = f64::from(windows[1]);
+            assert!((0.6 * all..1.1 * all).contains(&shared), "{shared} of {all}, {width} pixels, seed {seed}");
+        }
+    }
 }
 
 #[test]

@@ -44,6 +44,8 @@ pub(super) struct View {
     pub noise: NoiseModel,
     /// Variance of the sensor, in variances of its model or, where that is greater, of rounding.
     level: f64,
+    /// How many neighbouring pixels share their noise.
+    pub shared_px: f64,
     /// Variance that rounding to the unit of the image makes at the least.
     pub least: f64,
     /// The rule by which a line is split.
@@ -66,6 +68,7 @@ impl View {
             width: 0,
             noise: NoiseModel::IDEAL,
             level: 1.0,
+            shared_px: 1.0,
             least: 0.0,
             jumps: JumpRule::new(&NoiseModel::IDEAL, 1.0, 0.0, 0),
             slopes: Vec::new(),
@@ -79,6 +82,7 @@ impl View {
         [self.lines, self.length] = if scan == Scan::Row { size } else { [size[1], size[0]] };
         (self.scan, self.camera, self.width) = (scan, pinhole(&header.camera), size[1] as usize);
         (self.noise, self.level, self.scale) = (noise.model, noise.level, header.depth_scale);
+        self.shared_px = noise.shared_px;
         self.least = self.scale * self.scale / 12.0;
         let pitch = self.camera.pixel_pitch(scan);
         let rounding = self.least.sqrt() * noise.level.max(1.0).sqrt();
