@@ -37,6 +37,7 @@ rejections! {
     Outline => "candidates of another outline",
     Deformed => "candidates that are not round",
     Between => "candidates seen between other things alone",
+    Part => "spheres that are part of something longer",
     Vague => "candidates of vague radius or axis",
     Length => "candidates beyond the length limits",
     Small => "candidates that look too small",

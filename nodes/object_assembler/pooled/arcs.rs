@@ -135,6 +135,11 @@ impl Arc {
         self.plane.to_camera([x * z, self.plane.stretch() * z])
     }
 
+    /// Distance across the view between its ends, in metres.
+    pub fn width(&self) -> f64 {
+        (self.pixels[1] - self.pixels[0]) as f64 * self.pitch
+    }
+
     /// Number of pixels along the line that both have, less than zero for the gap between them.
     pub fn overlap(&self, pixels: [i64; 2]) -> i64 {
         self.pixels[1].min(pixels[1]) - self.pixels[0].max(pixels[0]) + 1

@@ -192,6 +192,9 @@ fn candidate<'a>(
     if verify::is_plane(&grown, &measured) {
         return Err(Rejection::Flat);
     }
+    if verify::goes_on(&grown, i64::from(config.pooled.max_gap_lines)) {
+        return Err(Rejection::Part);
+    }
     if let Some(model) = model::with_contour(&grown, CONTOUR_PASSES, contour) {
         if verify::has_other_outline(&model, contour) {
             return Err(Rejection::Outline);

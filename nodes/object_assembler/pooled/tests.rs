@@ -1,8 +1,9 @@
 //! Tests of the pooled method, on rendered frames.
 
 use super::super::{AssemblerConfig, Method, ObjectAssembler};
-use super::model::Model;
-use super::verify;
+use super::arcs::Arcs;
+use super::model::{self, Model};
+use super::{Grown, verify};
 use crate::row_ellipse_extractor::rendered::{Body, KINECT_HALF, render};
 use crate::row_ellipse_extractor::{ArcFinder, RowEllipseConfig, RowEllipseExtractor, ScanLines};
 use crate::synthetic_source::random_scene::{SceneGroup, random_scene};
@@ -10,9 +11,10 @@ use crate::synthetic_source::random_scenes::RandomScenes;
 use crate::synthetic_source::scene::Scene;
 use crate::synthetic_source::sensor::{SensorConfig, SensorTable};
 use crate::synthetic_source::{SyntheticCamera, SyntheticSourceConfig};
-use conicflow_geometry::{Contour, ContourNoise, ContourPoint, Sphere, SurfaceFit, Vector3};
+use conicflow_geometry::{Contour, ContourNoise, ContourPoint, Scan, Sphere, SurfaceFit, Vector3};
 use conicflow_messages::{Camera, Header, Item, NoiseModel, Object, ObjectKind};
 use nalgebra::SMatrix;
+use std::ops::Range;
 
 fn detect(camera: Camera, noise: NoiseModel, bodies: &[Body], seed: u64) -> Vec<Object> {
     let (header, pixels) = render(camera, noise, bodies, seed);
@@ -180,6 +182,34 @@ fn what_is_seen_through_a_gap_may_be_anything_but_a_dome_on_a_wall_is_a_sphere()
     let dome = Body::Sphere { center: Vector3::new(0.1, 0.05, 1.5), radius: 0.15 };
     let found = single(&kinect(&[dome, wall(1.5)], 7), ObjectKind::Sphere);
     assert!((found.radius - 0.15).abs() < 0.005, "{found:?}");
+}
+
+/// Whether a sphere through some lines of what is seen goes on beyond them.
+fn goes_on(bodies: &[Body], lines: Range<i64>) -> bool {
+    let (header, pixels) = render(KINECT_HALF, NoiseModel::KINECT_V1, bodies, 3);
+    let rows = RowEllipseConfig { scan: ScanLines::Rows, ..RowEllipseConfig::default() };
+    let mut arcs = Arcs::default();
+    arcs.read(&header, RowEllipseExtractor::with(rows).extract(&header, &pixels));
+    let members: Vec<usize> = lines.clone().flat_map(|line| arcs.on_line(Scan::Row, line)).collect();
+    assert_eq!(members.len(), lines.count(), "one arc a line");
+    let model = model::fit(ObjectKind::Sphere, &arcs.of(&members), None, f64::INFINITY).unwrap();
+    verify::goes_on(&Grown { arcs: &arcs, model, members: &members }, 2)
+}
+
+#[test]
+fn a_band_of_a_post_goes_on_on_both_sides() {
+    let post = |from: f64, to: f64| Body::Frustum {
+        center: Vector3::new(0.0, 0.5 * (from + to), 1.2),
+        axis: Vector3::y(),
+        radius: 0.06,
+        slope: 0.0,
+        length: to - from,
+    };
+    let ball = |y: f64| Body::Sphere { center: Vector3::new(0.0, y, 1.2), radius: 0.06 };
+    assert!(goes_on(&[post(-0.4, 0.4), wall(2.5)], 114..126));
+    assert!(!goes_on(&[post(-0.03, 0.4), wall(2.5)], 114..126), "a knob at its end");
+    assert!(!goes_on(&[post(-0.03, 0.03), wall(2.5)], 114..126), "nothing adjoins it");
+    assert!(!goes_on(&[ball(-0.12), ball(0.0), ball(0.12), wall(2.5)], 107..133), "what adjoins it is narrow");
 }
 
 #[test]

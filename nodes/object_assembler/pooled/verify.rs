@@ -6,7 +6,7 @@ use super::super::spacing_along;
 use super::Grown;
 use super::arcs::Arc;
 use super::model::{self, Model};
-use conicflow_geometry::{Contour, Scan, Vector3, section_of};
+use conicflow_geometry::{Contour, Scan, Sphere, Vector3, section_of};
 use conicflow_messages::{Object, ObjectKind};
 
 /// How many standard deviations the error of the whole may scatter.
@@ -252,6 +252,22 @@ fn is_between_others(grown: &Grown) -> bool {
         (0..2).filter(|&end| is_nearer(end)).count()
     };
     part(grown.arcs().map(hidden).sum()) > MOST_HIDDEN
+}
+
+/// Distance from the centre of a sphere, in radii, beyond which nothing that adjoins it belongs to it.
+const BEYOND: f64 = 1.3;
+
+/// Whether a sphere is part of something longer: its first and its last line are wider than its radius, and what adjoins
+/// them goes on beyond it on both sides.
+pub(super) fn goes_on(grown: &Grown, gap: i64) -> bool {
+    let Model::Sphere(fit) = &grown.model else { return false };
+    let Sphere { center, radius } = fit.surface;
+    let ends = [(grown.members[0], -1), (grown.members[grown.members.len() - 1], 1)];
+    ends.into_iter().all(|(end, side)| {
+        let next = |&at: &usize| grown.arcs.beside(at, side, gap, |_| true);
+        let leaves_it = |at: usize| (grown.arcs.arcs[at].mean - center).norm() > BEYOND * radius;
+        grown.arcs.arcs[end].width() > radius && std::iter::successors(Some(end), next).any(leaves_it)
+    })
 }
 
 /// How many standard deviations of a point what is behind a surface lies behind it at least.
