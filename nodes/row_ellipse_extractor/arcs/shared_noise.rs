@@ -28,21 +28,11 @@ type Stretch = [f64; STRETCH];
 /// How many neighbouring pixels share their noise, at least 1, in an image that `view` shows by its rows.
 pub(super) fn shared_px(view: &View, image: &[u16]) -> f64 {
     let parabola = parabola();
-    let mut covariances = [0.0; FARTHEST + 1];
-    let mut stretches = 0;
-    for line in (0..view.lines).step_by((view.lines / LINES).max(1) as usize) {
-        let depths = view.row(image, line).as_chunks().0.iter();
-        for errors in depths.filter_map(|depths| errors(view, depths, &parabola)) {
-            stretches += 1;
-            for (lag, covariance) in covariances.iter_mut().enumerate() {
-                *covariance += product(&errors, &errors[lag..]) / (STRETCH - lag) as f64;
-            }
-        }
-    }
-    let [variance, covariances @ ..] = covariances;
-    if stretches < FEWEST || variance == 0.0 {
+    let [variance, next] = covariances(view, image, &parabola);
+    if next <= CHANCE * variance {
         return 1.0;
     }
+    let [variance, covariances @ ..]: [f64; FARTHEST + 1] = covariances(view, image, &parabola);
     let (sum, count) = covariances
         .iter()
         .map(|covariance| covariance / variance)
@@ -52,6 +42,22 @@ pub(super) fn shared_px(view: &View, image: &[u16]) -> f64 {
     // covariance: those that are left are (c - 3 s / n) / (1 - 3 s / n). That solved for s:
     let taken = 6.0 * (count - sum) / STRETCH as f64;
     (1.0 + 2.0 * sum) / (1.0 - taken.min(MOST_TAKEN))
+}
+
+/// Sums over the stretches of the mean products of errors that are 0, 1, ... pixels apart; 0 all of too few stretches.
+fn covariances<const N: usize>(view: &View, image: &[u16], parabola: &[Stretch; 3]) -> [f64; N] {
+    let mut covariances = [0.0; N];
+    let mut stretches = 0;
+    for line in (0..view.lines).step_by((view.lines / LINES).max(1) as usize) {
+        let depths = view.row(image, line).as_chunks().0.iter();
+        for errors in depths.filter_map(|depths| errors(view, depths, parabola)) {
+            stretches += 1;
+            for (apart, covariance) in covariances.iter_mut().enumerate() {
+                *covariance += product(&errors, &errors[apart..]) / (STRETCH - apart) as f64;
+            }
+        }
+    }
+    if stretches < FEWEST { [0.0; N] } else { covariances }
 }
 
 /// What a parabola leaves of a stretch, in standard deviations of a pixel, if that is one smooth surface: along a line of the
