@@ -4,7 +4,8 @@
 //! A stream on a radio that loses packets holds back all that follows a loss until it was sent again; a datagram that is lost
 //! is lost, and the next comes in time. Nothing tells a peer that datagrams do not reach it, and Zenoh's own declarations may
 //! be among those that are lost: so a message takes both ways while the receiver listens to both, and it listens to the
-//! stream as long as no datagrams come.
+//! stream as long as no datagrams come. Where none come they are asked for anew, in a way of which no part relies on
+//! anything that may have been lost before ([`key_for_datagrams`]).
 
 use super::{BridgeError, settings};
 use crate::pipeline::Machine;
@@ -104,7 +105,7 @@ impl Ways {
     ) -> Result<Ear<'_>, BridgeError> {
         let take: Take = Arc::new(take);
         let mut ear = Ear { ways: self, key: key.to_owned(), take, silence, stream: None, datagrams: None };
-        ear.stream = Some(ear.declare(&self.streams, Arc::clone(&ear.take))?);
+        ear.stream = Some(ear.subscribe_to_stream()?);
         ear.ask_for_datagrams()?;
         Ok(ear)
     }
@@ -163,8 +164,21 @@ fn declare(session: &Session, key: &str, priority: Priority) -> Result<Publisher
     publisher.wait().map_err(|error| BridgeError::zenoh("cannot declare a key to Zenoh", error))
 }
 
+/// The expression by which a key is listened to over datagrams. To a peer Zenoh says a key but once, and from then on, in
+/// subscriptions too, a number that stands for it; where that first word was lost, no later subscription is understood. What
+/// begins with a wildcard gets no number: each subscription says it in full.
+fn key_for_datagrams(key: &str) -> String {
+    let (_, rest) = key.split_once('/').expect("keys begin with the name of this program, and a slash");
+    format!("*/{rest}")
+}
+
 fn is_heard(publisher: &Publisher) -> bool {
     publisher.matching_status().wait().is_ok_and(|status| status.matching())
+}
+
+fn subscribe(session: &Session, key: String, take: Take) -> Result<Subscriber<()>, BridgeError> {
+    let declared = session.declare_subscriber(key).callback(move |sample| take(sample.payload().clone())).wait();
+    declared.map_err(|error| BridgeError::zenoh("cannot subscribe to a key of Zenoh", error))
 }
 
 /// A key that is listened to.
@@ -194,10 +208,8 @@ impl Datagrams {
 }
 
 impl Ear<'_> {
-    fn declare(&self, session: &Session, take: Take) -> Result<Subscriber<()>, BridgeError> {
-        let declared =
-            session.declare_subscriber(&self.key).callback(move |sample| take(sample.payload().clone())).wait();
-        declared.map_err(|error| BridgeError::zenoh("cannot subscribe to a key of Zenoh", error))
+    fn subscribe_to_stream(&self) -> Result<Subscriber<()>, BridgeError> {
+        subscribe(&self.ways.streams, self.key.clone(), Arc::clone(&self.take))
     }
 
     /// Subscribes to datagrams, where they are listened to and there is a session for them.
@@ -209,7 +221,7 @@ impl Ear<'_> {
             *clock.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
             take(bytes);
         };
-        let subscriber = self.declare(session, Arc::new(note_and_take))?;
+        let subscriber = subscribe(session, key_for_datagrams(&self.key), Arc::new(note_and_take))?;
         self.datagrams = Some(Datagrams { silence, asked: Instant::now(), came, _subscriber: subscriber });
         Ok(())
     }
@@ -229,7 +241,7 @@ impl Ear<'_> {
         if self.stream.is_some() {
             return Ok(None);
         }
-        self.stream = Some(self.declare(&self.ways.streams, Arc::clone(&self.take))?);
+        self.stream = Some(self.subscribe_to_stream()?);
         Ok(Some("the stream, while no datagrams come"))
     }
 }
@@ -237,20 +249,50 @@ impl Ear<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::net::{TcpListener, UdpSocket};
+    use std::net::{SocketAddr, TcpListener, UdpSocket};
     use std::sync::mpsc::{Receiver, channel};
 
     const DEADLINE: Duration = Duration::from_secs(60);
     const KEY: &str = "conicflow/test/robot/objects";
+    const PART_OF_KEY: &[u8] = b"robot/objects";
 
-    /// Two machines that are joined by a stream and by datagrams.
-    fn joined() -> [Ways; 2] {
+    /// Two machines that are joined by a stream and by datagrams, which `between` takes from one address to the other.
+    fn joined(between: fn(SocketAddr) -> SocketAddr) -> [Ways; 2] {
         let stream = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
         let datagrams = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-        let endpoints = vec![format!("tcp/{stream}"), format!("udp/{datagrams}")];
-        let listening = Machine { listen: endpoints.clone(), ..Machine::default() };
-        let connecting = Machine { connect: endpoints, ..Machine::default() };
+        let endpoints = |datagrams| vec![format!("tcp/{stream}"), format!("udp/{datagrams}")];
+        let listening = Machine { listen: endpoints(datagrams), ..Machine::default() };
+        let connecting = Machine { connect: endpoints(between(datagrams)), ..Machine::default() };
         [listening, connecting].map(|machine| Ways::open(&machine, &Stop::default(), || ()).unwrap().unwrap())
+    }
+
+    /// A way to an address on which the first datagram with a part of the key in it is lost.
+    fn losing_the_first_with_the_key(address: SocketAddr) -> SocketAddr {
+        let (front, back) = (UdpSocket::bind("127.0.0.1:0").unwrap(), UdpSocket::bind("127.0.0.1:0").unwrap());
+        let way = front.local_addr().unwrap();
+        back.connect(address).unwrap();
+        std::thread::spawn(move || {
+            let (mut buffer, mut is_lost) = (vec![0; 65536], false);
+            let (length, client) = front.recv_from(&mut buffer).unwrap();
+            back.send(&buffer[..length]).unwrap();
+            front.connect(client).unwrap();
+            let (answers, questions) = (back.try_clone().unwrap(), front.try_clone().unwrap());
+            std::thread::spawn(move || {
+                let mut buffer = vec![0; 65536];
+                while let Ok(length) = answers.recv(&mut buffer) {
+                    questions.send(&buffer[..length]).ok();
+                }
+            });
+            while let Ok(length) = front.recv(&mut buffer) {
+                let datagram = &buffer[..length];
+                if !is_lost && datagram.windows(PART_OF_KEY.len()).any(|part| part == PART_OF_KEY) {
+                    is_lost = true;
+                } else {
+                    back.send(datagram).ok();
+                }
+            }
+        });
+        way
     }
 
     /// Speaks until a message is heard and `holds` is true of the ear.
@@ -268,7 +310,7 @@ mod tests {
 
     #[test]
     fn short_messages_come_by_datagrams_and_by_the_stream_where_no_datagrams_come() {
-        let [robot, base] = joined();
+        let [robot, base] = joined(|address| address);
         let (take, heard) = channel();
         let mut voice = robot.speak(KEY, true, Priority::InteractiveHigh).unwrap();
         let mut ear = base.listen(KEY, Some(Duration::from_secs(1)), move |bytes| drop(take.send(bytes))).unwrap();
@@ -279,8 +321,17 @@ mod tests {
     }
 
     #[test]
+    fn datagrams_come_although_the_question_for_them_was_lost() {
+        let [robot, base] = joined(losing_the_first_with_the_key);
+        let (take, heard) = channel();
+        let mut voice = robot.speak(KEY, true, Priority::InteractiveHigh).unwrap();
+        let mut ear = base.listen(KEY, Some(Duration::from_secs(1)), move |bytes| drop(take.send(bytes))).unwrap();
+        speak_until(&mut voice, &mut ear, &heard, |ear| ear.stream.is_none());
+    }
+
+    #[test]
     fn what_is_long_or_must_not_be_lost_goes_by_the_stream_alone() {
-        let [robot, base] = joined();
+        let [robot, base] = joined(|address| address);
         let (take, heard) = channel();
         let mut voice = robot.speak(KEY, false, Priority::DataLow).unwrap();
         let mut ear = base.listen(KEY, None, move |bytes| drop(take.send(bytes))).unwrap();
