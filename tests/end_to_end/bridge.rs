@@ -1,6 +1,6 @@
 //! One pipeline on two machines: two launchers on this host, each with a runtime folder of its own, joined over loopback.
 
-use super::support::{Ended, Playground, Started, TRACKING, environment, signal, wait_until};
+use super::support::{Ended, InputRow, Playground, Started, TRACKING, environment, signal, wait_until};
 use rustix::process::Signal;
 use serde_json::Value as Json;
 use std::net::TcpListener;
@@ -36,12 +36,24 @@ pub fn machines(text: &str) -> [Playground; 2] {
     [Playground::with_pipeline(text), Playground::with_pipeline(text)]
 }
 
-/// The same, with a source at 30 frames per second and inputs that want the newest only.
-fn live() -> [Playground; 2] {
+/// The frames per second of live sources: so few that even a host with much else to do works on each of them.
+pub const LIVE_RATE_HZ: f64 = 20.0;
+
+/// The pipeline with a source of that rate and inputs that want the newest only.
+pub fn live(text: &str) -> String {
+    text.replace(", delivery = \"lossless\"", "").replace("rate_hz    = 0", &format!("rate_hz = {LIVE_RATE_HZ}"))
+}
+
+/// Two machines, joined over loopback, of which each wants the newest only.
+fn live_machines() -> [Playground; 2] {
     let endpoint = loopback();
-    let text =
-        apart(&endpoint, &endpoint).replace(", delivery = \"lossless\"", "").replace("rate_hz    = 0", "rate_hz = 30");
-    machines(&text)
+    machines(&live(&apart(&endpoint, &endpoint)))
+}
+
+/// Makes sure that a stage of the robot worked on nearly every frame, whatever was wrong with what is joined to the robot:
+/// whoever waits for that loses all frames meanwhile.
+pub fn expect_unfelt(row: &InputRow) {
+    assert!(row.dropped <= row.received / 4, "the robot felt it: {row:?}");
 }
 
 pub fn start(machine: &Playground, name: &str) -> Started {
@@ -75,7 +87,7 @@ fn process_of(playground: &Playground, stage: &str) -> Option<u32> {
 }
 
 pub fn newest(playground: &Playground) -> u64 {
-    playground.sequences("tracks.jsonl").last().copied().unwrap_or(0)
+    playground.newest("tracks.jsonl")
 }
 
 /// Ends both and makes sure that nothing is left behind.
@@ -112,7 +124,7 @@ fn two_machines_find_the_same_tracks_as_one_bit_for_bit_whoever_starts_first() {
 
 #[test]
 fn what_comes_from_another_machine_is_seen_in_its_topic() {
-    let machines = live();
+    let machines = live_machines();
     let mut runs = [start(&machines[0], "robot"), start(&machines[1], "base")];
     runs[1].wait_until("tracks arrive", || newest(&machines[1]) > 60);
     let look = |arguments: &[&str]| machines[1].conicflow(&[&["topic"], arguments].concat()).expect_code(0).stdout;
@@ -134,21 +146,23 @@ fn what_comes_from_another_machine_is_seen_in_its_topic() {
 
 #[test]
 fn a_machine_that_is_killed_and_started_again_gets_what_is_new_and_the_other_feels_nothing() {
-    let machines = live();
+    let machines = live_machines();
     let [robot, base] = &machines;
     let mut robot_run = start(robot, "robot");
     let base_run = start(base, "base");
-    robot_run.wait_until("tracks arrive", || newest(base) > 30);
+    robot_run.wait_until("tracks arrive", || newest(base) > 20);
     signal(base_run.id(), Signal::KILL);
     drop(base_run);
     wait_until("no process of `base` is left", || base.processes().is_empty());
+    let made = || robot.top()["stages"][0]["messages"].as_u64().unwrap();
+    let target = made() + 80;
+    robot_run.wait_until("the robot is alone for long", || made() > target);
     let before = newest(base);
     let mut again = start(base, "base");
-    again.wait_until("new tracks arrive", || newest(base) > before + 30);
+    again.wait_until("new tracks arrive", || newest(base) > before + 20);
     signal(robot_run.id(), Signal::INT);
     let robot_ended = robot_run.wait().expect_code(0);
-    let depth = robot_ended.input("depth", "extractor");
-    assert!(depth.gaps <= depth.received / 10, "{depth:?}");
+    expect_unfelt(&robot_ended.input("depth", "extractor"));
     assert_eq!(robot_ended.stage("extractor").starts, 1);
     again.wait().expect_code(0);
     machines.iter().for_each(|machine| assert!(machine.processes().is_empty()));
@@ -156,7 +170,7 @@ fn a_machine_that_is_killed_and_started_again_gets_what_is_new_and_the_other_fee
 
 #[test]
 fn stages_and_bridges_may_die_on_either_side() {
-    let machines = live();
+    let machines = live_machines();
     let [robot, base] = &machines;
     let mut runs = [start(robot, "robot"), start(base, "base")];
     for (machine, stage) in [(robot, "extractor"), (base, "assembler"), (robot, "bridge"), (base, "bridge")] {
@@ -173,7 +187,7 @@ fn stages_and_bridges_may_die_on_either_side() {
 
 #[test]
 fn the_stages_of_two_machines_may_be_started_one_by_one() {
-    let machines = live();
+    let machines = live_machines();
     let stages = HALVES.into_iter().chain([("bridge", "robot"), ("bridge", "base")]);
     let mut runs: Vec<_> = stages
         .map(|(stage, machine)| {
@@ -189,24 +203,28 @@ fn the_stages_of_two_machines_may_be_started_one_by_one() {
 /// Kills the bridge of one of two machines again and again while lossless edges carry frames as fast as they can; the number
 /// of frames that the base has missed.
 fn kill_the_bridge_of(killed: usize) -> u64 {
-    const FRAMES: u64 = 3000;
     let endpoint = loopback();
-    let text = apart(&endpoint, &endpoint).replace("rate_hz    = 0", &format!("rate_hz = 400\nframes = {FRAMES}"));
-    let machines = machines(&text);
+    let machines = machines(&apart(&endpoint, &endpoint));
     let mut runs = [start(&machines[0], "robot"), start(&machines[1], "base")];
-    for round in 1..=4 {
-        let target = newest(&machines[1]) + 400;
+    let mut go_on = || {
+        let target = newest(&machines[1]) + 200;
         runs[1].wait_until("tracks arrive", || newest(&machines[1]) > target);
+    };
+    for round in 1..=4 {
+        go_on();
         let process = process_of(&machines[killed], "bridge").unwrap();
         signal(process, Signal::KILL);
         let successor = || process_of(&machines[killed], "bridge").is_some_and(|new| new != process);
-        runs[1].wait_until(&format!("its successor runs, round {round}"), successor);
+        wait_until(&format!("its successor runs, round {round}"), successor);
     }
-    let ended = runs.map(|run| run.wait().expect_code(0));
+    go_on();
+    signal(runs[0].id(), Signal::INT);
+    let [robot, base] = runs.map(|run| run.wait().expect_code(0));
     let sequences = machines[1].sequences("tracks.jsonl");
-    assert!(sequences.is_sorted() && sequences.last() == Some(&(FRAMES - 1)), "{:?}", sequences.last());
-    let missed = FRAMES - sequences.len() as u64;
-    eprintln!("{missed} missed, assembler: {:?}", ended[1].input("ellipses", "assembler"));
+    let made = robot.stage("source").messages;
+    assert!(sequences.is_sorted() && sequences.last() == Some(&(made - 1)), "{:?} of {made}", sequences.last());
+    let missed = made - sequences.len() as u64;
+    eprintln!("{missed} of {made} missed, assembler: {:?}", base.input("ellipses", "assembler"));
     missed
 }
 
@@ -285,9 +303,7 @@ fn a_python_program_reads_objects_by_their_key() {
 
 /// What `top` shows of the only link of a machine.
 pub fn top_link(machine: &Playground) -> Json {
-    let ended = machine.conicflow(&["top", "--once"]).expect_code(0);
-    let json: Json = serde_json::from_str(&ended.stdout).unwrap();
-    json["pipelines"][0]["links"][0].clone()
+    machine.top()["links"][0].clone()
 }
 
 /// Waits until `top` shows the only link of a machine in this state.
@@ -297,7 +313,7 @@ pub fn wait_for_link(machine: &Playground, state: &str) {
 
 #[test]
 fn top_shows_each_link() {
-    let machines = live();
+    let machines = live_machines();
     let [robot, base] = &machines;
     let base_run = start(base, "base");
     wait_for_link(base, "unreachable");
@@ -305,16 +321,22 @@ fn top_shows_each_link() {
     assert_eq!((before["machine"].as_str(), before["was_heard"].as_bool()), (Some("robot"), Some(false)), "{before}");
     assert!(top_link(base)["state_s"].as_f64() > before["state_s"].as_f64(), "{before}");
     let mut runs = [start(robot, "robot"), base_run];
-    runs[1].wait_until("tracks arrive", || newest(base) > 60);
-    let shown = top_link(base);
-    assert_eq!(shown["state"], "up", "{shown}");
-    // Both clocks are this host's.
-    assert!(shown["clock_offset_s"].as_f64().unwrap().abs() < 0.1, "{shown}");
+    runs[1].wait_until("tracks arrive", || newest(base) > 20);
+    // Rates are those of the last second, in which a busy host may have carried nothing.
+    let mut shown = Json::Null;
+    runs[1].wait_until("the link is up and carries", || {
+        shown = top_link(base);
+        let edge = &shown["edges"][0];
+        let figures = ["rate_hz", "bandwidth_mbps", "age_ms"].map(|figure| edge[figure].as_f64());
+        shown["state"] == "up" && figures.iter().all(|figure| *figure > Some(0.0))
+    });
+    // Both clocks are this host's; half of the way there and back is what an offset may be wrong by.
+    let [offset_s, round_trip_ms] = ["clock_offset_s", "round_trip_ms"].map(|figure| shown[figure].as_f64().unwrap());
+    assert!(offset_s.abs() <= round_trip_ms / 2e3 + 1e-3, "{shown}");
     let edge = &shown["edges"][0];
     assert_eq!((edge["topic"].as_str(), edge["direction"].as_str()), (Some("ellipses"), Some("in")), "{shown}");
     assert!(edge["messages"].as_u64().unwrap() > 10 && edge["wire_bytes"].as_u64().unwrap() > 1000, "{shown}");
-    let positive = ["rate_hz", "bandwidth_mbps", "age_ms"].map(|figure| edge[figure].as_f64().unwrap() > 0.0);
-    assert_eq!((positive, edge["malformed"].as_u64()), ([true; 3], Some(0)), "{shown}");
+    assert_eq!(edge["malformed"].as_u64(), Some(0), "{shown}");
     assert!(edge["lost"].is_u64() && edge["stale"].is_u64() && edge["resent"].is_u64(), "{shown}");
     let [robot_run, base_run] = runs;
     // What is killed does not say goodbye.

@@ -1,6 +1,6 @@
 //! Who gets in where links are TLS: certificates of one authority, and of those only the ones on the list.
 
-use super::bridge::{apart, loopback, machines, newest, start};
+use super::bridge::{self, apart, loopback, machines, newest, start};
 use super::support::{Playground, signal, wait_until};
 use rustix::process::Signal;
 use std::path::Path;
@@ -12,9 +12,7 @@ use zenoh::Wait;
 
 /// Both machines, live, joined by TLS with the settings in `tls/`.
 fn live(endpoint: &str) -> [Playground; 2] {
-    let text =
-        apart(endpoint, endpoint).replace(", delivery = \"lossless\"", "").replace("rate_hz    = 0", "rate_hz = 30");
-    let text = text
+    let text = bridge::live(&apart(endpoint, endpoint))
         .replace("[machine.robot]\n", "[machine.robot]\nzenoh = \"tls/robot.json5\"\n")
         .replace("[machine.base]\n", "[machine.base]\nzenoh = \"tls/base.json5\"\n");
     machines(&text)

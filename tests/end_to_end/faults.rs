@@ -3,7 +3,6 @@
 use crate::processes::{stages_of, wait_for_lines};
 use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, example, signal};
 use rustix::process::Signal;
-use serde_json::Value as Json;
 
 /// [`TRACKING`] with a stage between assembler and tracker that does wrong at one frame.
 fn with_faulty_stage(keys: &str) -> Playground {
@@ -44,7 +43,7 @@ fn expect_one_more_start(run: Started, playground: &Playground) -> String {
 }
 
 fn wait_for_frame(run: &mut Started, playground: &Playground, frame: u64) {
-    run.wait_until("it delivers again", || playground.sequences("tracks.jsonl").last() > Some(&frame));
+    run.wait_until("it delivers again", || playground.newest("tracks.jsonl") > frame);
 }
 
 #[test]
@@ -75,9 +74,8 @@ fn a_stage_that_stands_still_is_told_of_and_goes_on() {
     let tracker = stages_of(run.id())["tracker"];
     signal(tracker, Signal::STOP);
     run.wait_until("its silence is seen", || {
-        let look = playground.conicflow(&["top", "--once"]).expect_code(0);
-        let seen: Json = serde_json::from_str(&look.stdout).unwrap();
-        let stages = seen["pipelines"][0]["stages"].as_array().unwrap();
+        let seen = playground.top();
+        let stages = seen["stages"].as_array().unwrap();
         let silence = |name: &str| stages.iter().find(|stage| stage["stage"] == name).unwrap()["silent_s"].as_f64();
         assert!(silence("assembler") < Some(2.0), "a stage that waits for another is alive: {seen:#}");
         silence("tracker") > Some(3.0)
@@ -99,9 +97,8 @@ fn nonsense_in_shared_memory_is_counted_and_left_out() {
     let playground = with_faulty_stage("nonsense_at = 20");
     let mut run = start(&playground);
     wait_for_frame(&mut run, &playground, 40);
-    let look = playground.conicflow(&["top", "--once"]).expect_code(0);
-    let seen: Json = serde_json::from_str(&look.stdout).unwrap();
-    let inputs = seen["pipelines"][0]["inputs"].as_array().unwrap();
+    let seen = playground.top();
+    let inputs = seen["inputs"].as_array().unwrap();
     let malformed = |name: &str| inputs.iter().find(|input| input["reader"] == name).unwrap()["malformed"].as_u64();
     assert_eq!((malformed("faulty"), malformed("tracker"), malformed("json")), (Some(0), Some(3), Some(0)), "{seen:#}");
     signal(run.id(), Signal::INT);

@@ -1,7 +1,7 @@
 //! Two hosts as network namespaces, joined by a cable that can be pulled and made bad. Needs root and `ip netns`; where
 //! they are missing each test says so and shows nothing.
 
-use super::bridge::{apart, machines, newest, tracks};
+use super::bridge::{LIVE_RATE_HZ, apart, expect_unfelt, live, machines, newest, tracks};
 use super::support::{Playground, Started, TRACKING, signal, wait_until};
 use rustix::process::{Signal, geteuid};
 use std::io::BufRead;
@@ -16,7 +16,8 @@ const BASE: &str = "10.77.0.2";
 const OUTAGES: [Duration; 2] = [Duration::from_secs(3), Duration::from_secs(13)];
 /// A link is back after this time.
 const SOON: Duration = Duration::from_secs(3);
-const RATE_HZ: f64 = 30.0;
+/// What is older than this waited in a queue: the first outage is longer, and a busy host takes less.
+pub const STALE_MS: f64 = 2500.0;
 
 /// A network namespace, gone when this is.
 pub struct Host(String);
@@ -161,10 +162,6 @@ fn text() -> String {
     apart(&endpoint, &endpoint).replace("[machine.robot]\n", "[machine.robot]\ninsecure = true\n")
 }
 
-fn live() -> [Playground; 2] {
-    machines(&text().replace(", delivery = \"lossless\"", "").replace("rate_hz    = 0", "rate_hz = 30"))
-}
-
 pub fn end(runs: [Started; 2]) -> [super::support::Ended; 2] {
     runs.map(|run| {
         signal(run.id(), Signal::INT);
@@ -176,10 +173,10 @@ pub fn end(runs: [Started; 2]) -> [super::support::Ended; 2] {
 #[test]
 fn after_an_outage_live_edges_carry_what_is_new() {
     let Some(hosts) = Hosts::new() else { return };
-    let machines = live();
+    let machines = machines(&live(&text()));
     let base = &machines[1];
     let mut runs = hosts.start_both(&machines);
-    runs[1].wait_until("tracks arrive", || newest(base) > 30);
+    runs[1].wait_until("tracks arrive", || newest(base) > 20);
     for outage in OUTAGES {
         let (before, pulled) = (newest(base), Instant::now());
         hosts.cable("down");
@@ -190,18 +187,20 @@ fn after_an_outage_live_edges_carry_what_is_new() {
         runs[1].wait_until("tracks arrive again", || base.lines("tracks.jsonl").len() > lines);
         eprintln!("after {outage:?} without a cable tracks came again {:?} after it was back", back.elapsed());
         let fresh = newest(base);
-        runs[1].wait_until("they go on", || newest(base) > fresh + 60);
+        runs[1].wait_until("they go on", || newest(base) > fresh + 40);
         let after = &base.json_lines("tracks.jsonl")[lines..];
         // The frames tell the time, however busy this host is.
         let missed = after[0]["sequence"].as_u64().unwrap() - before;
-        assert!(missed as f64 <= RATE_HZ * (down + SOON).as_secs_f64(), "{missed} frames in an outage of {down:?}");
+        assert!(
+            missed as f64 <= LIVE_RATE_HZ * (down + SOON).as_secs_f64(),
+            "{missed} frames in an outage of {down:?}"
+        );
         for line in after {
-            assert!(line["latency_ms"].as_f64().unwrap() < 1500.0, "a stale backlog: {line}");
+            assert!(line["latency_ms"].as_f64().unwrap() < STALE_MS, "a stale backlog: {line}");
         }
     }
     let [robot_ended, _] = end(runs);
-    let depth = robot_ended.input("depth", "extractor");
-    assert!(depth.dropped <= depth.received / 10, "the robot felt it: {depth:?}");
+    expect_unfelt(&robot_ended.input("depth", "extractor"));
 }
 
 /// Lossless edges over a bad cable give, bit for bit, what one machine finds; `disturb` is told what the base has found.
@@ -249,10 +248,10 @@ fn base_lines(base: &Playground) -> usize {
 #[test]
 fn a_slow_cable_full_of_images_is_not_felt_on_the_robot() {
     let Some(hosts) = Hosts::new() else { return };
-    if !hosts.spoil("2mbit") {
+    if !hosts.spoil("0.5mbit") {
         return;
     }
-    // These images, uncompressed, are half as much again as the cable carries.
+    // These images, uncompressed, are twice what the cable carries.
     let endpoint = format!("tcp/{ROBOT}:7447");
     let text = format!(
         r#"
@@ -268,7 +267,7 @@ machine = "robot"
 output  = "depth"
 width   = 64
 height  = 48
-rate_hz = 60
+rate_hz = 20
 intrinsics = {{ fx = 200, fy = 200, cx = 31.5, cy = 23.5 }}
 [stage.local]
 node    = "row_ellipse_extractor"
@@ -289,12 +288,11 @@ path    = "tracks.jsonl"
     );
     let machines = machines(&text);
     let mut runs = hosts.start_both(&machines);
-    runs[1].wait_until("images arrive", || base_lines(&machines[1]) > 100);
+    runs[1].wait_until("images arrive", || base_lines(&machines[1]) > 60);
     let [robot, base] = end(runs);
-    let local = robot.input("depth", "local");
     for line in &machines[1].json_lines("tracks.jsonl")[5..] {
-        assert!(line["latency_ms"].as_f64().unwrap() < 1500.0, "a queue on the cable: {line}");
+        assert!(line["latency_ms"].as_f64().unwrap() < STALE_MS, "a queue on the cable: {line}");
     }
-    assert!(local.dropped <= local.received / 10, "the robot felt it: {local:?}");
+    expect_unfelt(&robot.input("depth", "local"));
     eprintln!("over a slow cable: {}", base.stderr.lines().filter(|line| line.contains(" in ")).collect::<String>());
 }

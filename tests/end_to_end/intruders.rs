@@ -1,6 +1,6 @@
 //! What others may send to a bridge: garbage, or messages of another version.
 
-use super::bridge::{apart, loopback, machines, newest, start};
+use super::bridge::{self, apart, loopback, machines, newest, start};
 use super::support::{Playground, signal, wait_until};
 use conicflow_dataflow::bridge::WIRE_VERSION;
 use rustix::process::Signal;
@@ -21,8 +21,7 @@ fn intruder(endpoint: &str) -> zenoh::Session {
 
 /// Both machines where the base listens and the newest wins.
 fn live(endpoint: &str) -> [Playground; 2] {
-    let text =
-        apart(endpoint, endpoint).replace(", delivery = \"lossless\"", "").replace("rate_hz    = 0", "rate_hz = 30");
+    let text = bridge::live(&apart(endpoint, endpoint));
     let text = text.replace("listen = [", "@").replace("connect = [", "listen = [").replace('@', "connect = [");
     machines(&text)
 }

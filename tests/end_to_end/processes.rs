@@ -49,9 +49,7 @@ fn who_looks_on_sees_the_stages_at_work() {
     let playground = Playground::with_pipeline(TRACKING);
     let mut run = start(&playground, &[]);
     wait_for_lines(&mut run, &playground);
-    let look = playground.conicflow(&["top", "--once"]).expect_code(0);
-    let seen: Json = serde_json::from_str(&look.stdout).unwrap();
-    let seen = &seen["pipelines"][0];
+    let seen = playground.top();
     assert_eq!(seen["pipeline"], "tracking", "{seen:#}");
     let processes = stages_of(run.id());
     for (index, name) in TRACKING_STAGES.into_iter().enumerate() {
@@ -59,13 +57,6 @@ fn who_looks_on_sees_the_stages_at_work() {
         assert_eq!((&stage["stage"], &stage["process"]), (&name.into(), &processes[name].into()), "{seen:#}");
         assert!(stage["messages"].as_u64().unwrap() > 0, "{seen:#}");
     }
-}
-
-/// What `top --once` shows of the only pipeline.
-fn top(playground: &Playground) -> Json {
-    let look = playground.conicflow(&["top", "--once"]).expect_code(0);
-    let seen: Json = serde_json::from_str(&look.stdout).unwrap();
-    seen["pipelines"][0].clone()
 }
 
 #[test]
@@ -80,11 +71,11 @@ fn top_and_the_summary_count_what_the_file_of_results_has() {
         seen[list].as_array().unwrap().iter().map(|row| row[key].as_u64().unwrap()).collect()
     };
     run.wait_until("all that was sent has arrived", || {
-        let worked = counts(&top(&playground), "stages", "messages");
+        let worked = counts(&playground.top(), "stages", "messages");
         let lines = playground.lines("tracks.jsonl").len() as u64;
         worked[1..] == [lines; 4] && (worked[0]..=worked[0] + 1).contains(&lines)
     });
-    let (seen, lines) = (top(&playground), playground.lines("tracks.jsonl").len() as u64);
+    let (seen, lines) = (playground.top(), playground.lines("tracks.jsonl").len() as u64);
     assert_eq!(counts(&seen, "topics", "sent")[1..], [lines; 3], "{seen:#}");
     assert_eq!(counts(&seen, "inputs", "received"), [lines; 4], "{seen:#}");
     for lost in ["dropped", "gaps", "late", "malformed"] {
@@ -108,7 +99,7 @@ fn a_reader_that_never_reads_keeps_no_run_from_ending() {
     signal(reader, Signal::STOP);
     let (mut made, mut looks) = (0, 0);
     run.wait_until("all writers wait for it", || {
-        let now = top(&playground)["stages"][0]["messages"].as_u64().unwrap();
+        let now = playground.top()["stages"][0]["messages"].as_u64().unwrap();
         looks = if now == made { looks + 1 } else { 0 };
         made = now;
         looks > 20

@@ -7,7 +7,6 @@ use conicflow_dataflow::pipeline::{Pipeline, SourceText};
 use conicflow_dataflow::{Needs, Plan};
 use conicflow_nodes::NODES;
 use rustix::process::Signal;
-use serde_json::Value as Json;
 use std::collections::BTreeSet;
 use std::fs;
 use std::os::unix::fs::MetadataExt;
@@ -59,9 +58,8 @@ fn needs(text: &str) -> Needs {
 }
 
 pub fn messages(playground: &Playground, stage: &str) -> u64 {
-    let look = playground.conicflow(&["top", "--once"]).expect_code(0);
-    let seen: Json = serde_json::from_str(&look.stdout).unwrap();
-    let stages = seen["pipelines"][0]["stages"].as_array().unwrap();
+    let seen = playground.top();
+    let stages = seen["stages"].as_array().unwrap();
     stages.iter().find(|row| row["stage"] == stage).unwrap()["messages"].as_u64().unwrap()
 }
 

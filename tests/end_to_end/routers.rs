@@ -1,6 +1,6 @@
 //! Machines that reach a Zenoh router, and not each other.
 
-use super::bridge::{HALVES, loopback, newest, placed, start, top_link, tracks, wait_for_link};
+use super::bridge::{HALVES, live, loopback, newest, placed, start, top_link, tracks, wait_for_link};
 use super::support::{Playground, Started, TRACKING, signal, wait_until};
 use rustix::process::Signal;
 use zenoh::Wait;
@@ -71,8 +71,7 @@ fn peers_that_a_router_does_not_join_are_told_so() {
 #[test]
 fn a_router_may_come_late_and_come_again() {
     let endpoint = loopback();
-    let live = TRACKING.replace(", delivery = \"lossless\"", "").replace("rate_hz    = 0", "rate_hz    = 30");
-    let machines = by_router(&live, ["client"; 2], &endpoint);
+    let machines = by_router(&live(TRACKING), ["client"; 2], &endpoint);
     let mut runs = start_both(&machines);
     for run in &runs {
         wait_until("it waits for the router", || run.stderr().contains("cannot be opened yet"));
@@ -95,8 +94,7 @@ fn a_router_may_come_late_and_come_again() {
 #[test]
 fn short_messages_take_datagrams_through_a_router_too() {
     let [stream, datagrams] = [loopback(), loopback().replace("tcp", "udp")];
-    let live = TRACKING.replace(", delivery = \"lossless\"", "").replace("rate_hz    = 0", "rate_hz    = 30");
-    let text = placed(&live, &[("source", "robot"), ("extractor", "robot"), ("assembler", "robot")]);
+    let text = placed(&live(TRACKING), &[("source", "robot"), ("extractor", "robot"), ("assembler", "robot")]);
     let text = placed(&text, &[("tracker", "base"), ("json", "base")])
         + "\n[machine.robot]\nzenoh = \"net.json5\"\n[machine.base]\nzenoh = \"net.json5\"\n";
     let machines = [(); 2].map(|()| {

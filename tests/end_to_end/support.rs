@@ -14,7 +14,7 @@ use tempfile::TempDir;
 /// Whatever a test waits for comes long before this; it has failed when this is over.
 const DEADLINE: Duration = Duration::from_secs(120);
 const GRACE: Duration = Duration::from_secs(10);
-const LOOK: Duration = Duration::from_millis(10);
+const LOOK: Duration = Duration::from_millis(20);
 
 /// Five stages that find and track a ball in small images, every frame of it, until it is told to stop.
 pub const TRACKING: &str = r#"
@@ -111,17 +111,25 @@ impl Playground {
         self.json_lines(name).iter().map(|line| line["sequence"].as_u64().unwrap()).collect()
     }
 
-    /// The same, of the last lines of a file that may have grown long.
-    pub fn sequences_at_the_end(&self, name: &str) -> Vec<u64> {
-        const LENGTH: u64 = 16 * 1024;
-        let mut file = File::open(self.path(name)).unwrap();
+    /// The sequence number in the last complete line of such a file, 0 where there is none. It reads no more than the
+    /// file's end: tests ask again and again, and what they take from the processor the stages are short of.
+    pub fn newest(&self, name: &str) -> u64 {
+        const LENGTH: u64 = 512 * 1024;
+        let Ok(mut file) = File::open(self.path(name)) else { return 0 };
         let start = file.metadata().unwrap().len().saturating_sub(LENGTH);
         file.seek(SeekFrom::Start(start)).unwrap();
         let mut text = String::new();
         file.read_to_string(&mut text).unwrap();
         let whole = text.rsplit_once('\n').map_or("", |(whole, _)| whole);
-        let lines = whole.lines().skip(usize::from(start > 0));
-        lines.map(|line| serde_json::from_str::<Json>(line).unwrap()["sequence"].as_u64().unwrap()).collect()
+        let last = whole.lines().next_back();
+        last.map_or(0, |line| serde_json::from_str::<Json>(line).unwrap()["sequence"].as_u64().unwrap())
+    }
+
+    /// What `top --once` shows of the only pipeline.
+    pub fn top(&self) -> Json {
+        let look = self.conicflow(&["top", "--once"]).expect_code(0);
+        let seen: Json = serde_json::from_str(&look.stdout).unwrap();
+        seen["pipelines"][0].clone()
     }
 
     /// `conicflow` with these arguments, in the folder of the test's files.

@@ -57,7 +57,7 @@ fn who_looks_on_costs_a_run_that_goes_flat_out_no_processor_time() {
     let playground = Playground::with_pipeline(TRACKING);
     let mut run = start(&playground, "0");
     let stages = stages_of(run.id());
-    let newest = || playground.sequences_at_the_end("tracks.jsonl").last().copied().unwrap_or(0);
+    let newest = || playground.newest("tracks.jsonl");
     let turn = |run: &mut Started| {
         let before = (newest(), processor_ns(stages.values().copied()));
         run.wait_until("frames pass", || newest() > before.0 + FRAMES);
