@@ -168,8 +168,8 @@ fn declare(session: &Session, key: &str, priority: Priority) -> Result<Publisher
 /// subscriptions too, a number that stands for it; where that first word was lost, no later subscription is understood. What
 /// begins with a wildcard gets no number: each subscription says it in full.
 fn key_for_datagrams(key: &str) -> String {
-    let (_, rest) = key.split_once('/').expect("keys begin with the name of this program, and a slash");
-    format!("*/{rest}")
+    let after_first_part = key.split_once('/').map_or(key, |(_, rest)| rest);
+    format!("*/{after_first_part}")
 }
 
 fn is_heard(publisher: &Publisher) -> bool {
