@@ -191,8 +191,9 @@ impl Contour {
     }
 
     /// What the points that were selected against for being too far off would at least add to the weighted sum of squares.
+    /// They come in stretches, such as the rim of a bucket, that are off for one reason: all of them count as one.
     pub fn least_left_out(&self) -> f64 {
-        self.far_off as f64 * GATE * GATE
+        if self.far_off > 0 { GATE * GATE } else { 0.0 }
     }
 
     /// The median of how far the points of a side are off, within what its offset may be.
@@ -357,11 +358,13 @@ mod tests {
     fn what_is_far_off_is_not_used() {
         let mut contour = contour(&cup(), 0.0);
         let [first, ..] = contour.points[..] else { panic!() };
-        contour.add(ContourPoint { ray: first.0.ray + first.0.pixel * 8.0, ..first.0 });
-        contour.select(&FreeSlope(cup()), |_| true);
-        assert_eq!((contour.used() + 1, contour.far_off()), (contour.points(), 1));
-        assert_eq!(contour.least_left_out(), GATE * GATE);
+        for far_off in 1..=3 {
+            contour.add(ContourPoint { ray: first.0.ray + first.0.pixel * 8.0, ..first.0 });
+            contour.select(&FreeSlope(cup()), |_| true);
+            assert_eq!((contour.used() + far_off, contour.far_off()), (contour.points(), far_off));
+            assert_eq!(contour.least_left_out(), GATE * GATE, "all for one reason");
+        }
         contour.select(&FreeSlope(cup()), |_| false);
-        assert_eq!((contour.used(), contour.far_off()), (0, 0));
+        assert_eq!((contour.used(), contour.far_off(), contour.least_left_out()), (0, 0, 0.0));
     }
 }
