@@ -8,7 +8,7 @@ pub mod sinks;
 pub mod sources;
 pub mod tracking;
 
-use conicflow_dataflow::{Node, Variant};
+use conicflow_dataflow::{Network, Node, Registry, Variant};
 use conicflow_messages::{Ellipse, Object, Track};
 use detection::{ObjectAssembler, RansacEllipseExtractor, RowEllipseExtractor};
 use sinks::{ConsoleSink, EvaluationSink, JsonSink, MeasurementSink, NoiseEstimator, PictureSink, SectionSink};
@@ -50,3 +50,11 @@ pub const NODES: &[Node] = &[
     Node::stage::<SectionSink>(),
     Node::stage::<NoiseEstimator>(),
 ];
+
+#[cfg(feature = "bridge")]
+const NETWORK: Option<Network> = Some(conicflow_bridge::NETWORK);
+#[cfg(not(feature = "bridge"))]
+const NETWORK: Option<Network> = None;
+
+/// What this program has built in.
+pub const REGISTRY: Registry = Registry { nodes: NODES, network: NETWORK };

@@ -12,7 +12,7 @@ use std::time::Duration;
 const MOST_AT_ONCE: usize = 64;
 
 /// Takes messages from a reader: checked, in order, the newest only where that is wanted.
-pub(crate) struct Inbox<T: Item, R: Reader<T>> {
+pub struct Inbox<T: Item, R: Reader<T>> {
     reader: R,
     delivery: Delivery,
     writers: usize,
@@ -32,7 +32,7 @@ pub(crate) struct Inbox<T: Item, R: Reader<T>> {
 
 impl<T: Item, R: Reader<T>> Inbox<T, R> {
     /// An input from `topic`, which `writers` stages write.
-    pub(crate) fn new(reader: R, delivery: Delivery, topic: &str, writers: usize) -> Self {
+    pub fn new(reader: R, delivery: Delivery, topic: &str, writers: usize) -> Self {
         Self {
             reader,
             delivery,
@@ -50,7 +50,10 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
     }
 
     /// The message to be worked on next, if one is there.
-    pub(crate) fn take(&mut self) -> Result<Option<R::Message>, PortError> {
+    ///
+    /// # Errors
+    /// The transport failed.
+    pub fn take(&mut self) -> Result<Option<R::Message>, PortError> {
         while self.delivery == Delivery::Latest || self.pending.is_empty() {
             let Some(message) = self.reader.receive()? else { break };
             if self.admit(&message) {
@@ -180,8 +183,11 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
         known
     }
 
-    /// Sleeps until a message may have come.
-    pub(crate) fn wait(&mut self, timeout: Duration) -> Result<(), PortError> {
+    /// Sleeps until a message may have come, at most for `timeout`.
+    ///
+    /// # Errors
+    /// The transport failed.
+    pub fn wait(&mut self, timeout: Duration) -> Result<(), PortError> {
         self.reader.wait(timeout)
     }
 
@@ -191,12 +197,12 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
     }
 
     /// Whether this writer has said that it sends nothing more.
-    pub(crate) fn has_ended(&self, writer: &str) -> bool {
+    pub fn has_ended(&self, writer: &str) -> bool {
         self.ended.contains(writer)
     }
 
     /// Whether nothing that came before still waits.
-    pub(crate) fn is_idle(&self) -> bool {
+    pub fn is_idle(&self) -> bool {
         self.pending.is_empty()
     }
 

@@ -4,18 +4,13 @@
 use super::account::{Account, Carried};
 use super::beacon::Ack;
 use super::links::Links;
-use super::plan::BridgePlan;
 use super::receiving::Receiving;
 use super::sending::{Sending, Shared};
 use super::ways::{Ear, Voice, Ways};
 use super::wire::encode_note;
 use super::{BridgeError, Wire};
-use crate::launcher::RunFolder;
-use crate::plan::Plan;
-use crate::ports::shared_memory::SharedMemory;
-use crate::runner::{Settling, Surroundings};
-use crate::stage::Stop;
-use crate::status::{Life, NO_RUN};
+use conicflow_dataflow::relay::{Settling, SharedMemory, Surroundings};
+use conicflow_dataflow::{BridgePlan, BridgeRun, Life, NO_RUN, Stop};
 use conicflow_messages::{Ellipse, Kind, Object, Track};
 use std::sync::Arc;
 use std::thread::{Scope, ScopedJoinHandle};
@@ -34,29 +29,28 @@ const FAREWELLS: usize = 5;
 /// Carries the edges of a plan until all have ended.
 pub(crate) fn run(
     bridge: &BridgePlan,
-    plan: &Plan,
-    folder: &RunFolder,
+    run: BridgeRun<'_>,
     around: Surroundings<SharedMemory>,
 ) -> Result<(), BridgeError> {
     let (stop, settling) = (around.context.stop.clone(), Settling::of(&around));
     let stream = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as u64);
     let links = Arc::new(Links::new(stream, bridge));
-    let mut account = Account::new(bridge, plan, folder, around.record, &links);
+    let mut account = Account::new(bridge, run, around.record, &links);
     account.report(false);
     let Some(ways) = Ways::open(&bridge.settings, &stop, || account.report(false))? else { return Ok(()) };
     let shared = Shared {
         ways: &ways,
         transport: &around.transport,
         links: &links,
-        pipeline: &plan.pipeline,
+        pipeline: run.pipeline,
         machine: &bridge.machine,
         stream,
-        kept: (plan.run != NO_RUN).then_some(folder.path()),
+        kept: (run.run != NO_RUN).then_some(run.folder),
         outage: bridge.settings.outage_s.map_or(OUTAGE, Duration::from_secs_f64),
         peers: &around.peers,
         stop: &stop,
     };
-    let voice = ways.speak(&beacon_key(&plan.pipeline, &bridge.machine), true, Priority::RealTime)?;
+    let voice = ways.speak(&beacon_key(run.pipeline, &bridge.machine), true, Priority::RealTime)?;
     let ears = listen_for_beacons(&shared, bridge)?;
     account.record.status.set_life(Life::Running);
     let sent = (Instant::now(), Vec::new());

@@ -6,10 +6,10 @@
 //! ([`depth_codec`], [`ellipse_codec`]), without compression the pixels as little-endian `u16`, and a count and the items.
 //! Nothing is believed: version, layouts, sizes, lengths, ranges and numbers are checked before a message is handed on.
 
-use super::compression::Compression;
-use super::{depth_codec, ellipse_codec};
+use super::{compression, depth_codec, ellipse_codec};
 use bincode::config::{Configuration, Limit, standard};
 use bincode::serde::{borrow_decode_from_slice, encode_into_std_write};
+use conicflow_dataflow::pipeline::Compression;
 use conicflow_messages::{Ellipse, HEADER_TYPE_NAME, Header, Item, Malformed, Object, Track};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -102,7 +102,7 @@ pub trait Wire: Item {
 impl Wire for u16 {
     fn encode_body(header: &Header, items: &[u16], how: Compression, bytes: &mut Vec<u8>) -> Result<(), WireError> {
         check_pixels(header)?;
-        bytes.push(how as u8);
+        bytes.push(compression::tag_of(how));
         depth_codec::compress(items, header.camera.width as usize, how, bytes).map_err(WireError::Broken)
     }
 
@@ -116,7 +116,7 @@ impl Wire for u16 {
 
 impl Wire for Ellipse {
     fn encode_body(header: &Header, items: &[Self], how: Compression, bytes: &mut Vec<u8>) -> Result<(), WireError> {
-        bytes.push(how as u8);
+        bytes.push(compression::tag_of(how));
         if how == Compression::None {
             return encode(&items, bytes);
         }
@@ -166,7 +166,7 @@ fn check_pixels(header: &Header) -> Result<(), WireError> {
 /// How a body is compressed, and what follows.
 fn split_compression(bytes: &[u8]) -> Result<(Compression, &[u8]), WireError> {
     let (&tag, packed) = bytes.split_first().ok_or_else(|| WireError::Broken("no body".to_owned()))?;
-    Ok((Compression::of_tag(tag).map_err(WireError::Broken)?, packed))
+    Ok((compression::of_tag(tag).map_err(WireError::Broken)?, packed))
 }
 
 /// The bytes of a message.

@@ -1,22 +1,16 @@
 //! An edge that leaves: out of shared memory, encoded, put to Zenoh, and kept until it is acknowledged where that is asked.
 
+use super::BridgeError;
+use super::counts::EdgeCounts;
 use super::kept::Kept;
 use super::links::Links;
 use super::outbox::Outbox;
-use super::plan::Edge;
-use super::report::EdgeCounts;
 use super::ways::{Voice, Ways};
 use super::wire::{Wire, encode_message};
-use super::{BRIDGE, BridgeError};
-use crate::clock::monotonic_ns;
-use crate::log::Seldom;
-use crate::ports::shared_memory::{SharedMemory, SharedReader};
-use crate::ports::{Delivery, Received, Transport};
-use crate::runner::inbox::Inbox;
-use crate::runner::outlet::end_of_stream;
-use crate::runner::peers::Peers;
-use crate::stage::Stop;
-use crate::status::Life;
+use conicflow_dataflow::pipeline::BRIDGE;
+use conicflow_dataflow::ports::{Delivery, Received, Transport};
+use conicflow_dataflow::relay::{Inbox, Peers, Seldom, SharedMemory, SharedReader, end_of_stream};
+use conicflow_dataflow::{Edge, Life, Stop, monotonic_ns};
 use conicflow_messages::{Header, Kind, Text};
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -54,6 +48,11 @@ impl Shared<'_> {
     }
 }
 
+/// Whether an edge's messages are mostly as short as a packet on a network: most survive where some packets are lost.
+pub(super) fn is_short(edge: &Edge) -> bool {
+    matches!(edge.kind, Kind::Objects | Kind::Tracks)
+}
+
 /// The thread of one edge that leaves.
 pub(super) struct Sending<'a, T: Wire> {
     edge: &'a Edge,
@@ -78,7 +77,7 @@ impl<'a, T: Wire> Sending<'a, T> {
         let wait = if images { IMAGES_WAIT } else { LISTS_WAIT };
         let priority = if images { Priority::DataLow } else { Priority::InteractiveHigh };
         let lossy = edge.to.iter().any(|receiver| receiver.delivery == Delivery::Latest);
-        let voice = shared.ways.speak(&shared.key(&edge.from, &topic.name), lossy && edge.is_short(), priority)?;
+        let voice = shared.ways.speak(&shared.key(&edge.from, &topic.name), lossy && is_short(edge), priority)?;
         let kept = shared.kept.map(|folder| Kept::in_folder(folder.to_owned(), &topic.name)).unwrap_or_default();
         Ok(Self {
             edge,

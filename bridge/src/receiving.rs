@@ -1,21 +1,18 @@
 //! An edge that comes: checked, decoded, and written into shared memory as if its writer were on this machine.
 
+use super::BridgeError;
 use super::beacon::Ack;
+use super::counts::EdgeCounts;
 use super::links::Links;
 use super::mailbox::Mailbox;
-use super::plan::Edge;
-use super::report::EdgeCounts;
-use super::sending::Shared;
+use super::sending::{Shared, is_short};
 use super::sequence::{Sequence, Verdict};
 use super::ways::Ear;
 use super::wire::{Place, Wire, decode_message, place_of};
-use super::{BRIDGE, BridgeError};
-use crate::clock::monotonic_ns;
-use crate::log::Seldom;
-use crate::ports::shared_memory::SharedWriter;
-use crate::ports::{Delivery, PortError, Transport};
-use crate::runner::outlet::Outlet;
-use crate::stage::Stop;
+use conicflow_dataflow::pipeline::BRIDGE;
+use conicflow_dataflow::ports::{Delivery, PortError, Transport};
+use conicflow_dataflow::relay::{Outlet, Seldom, SharedWriter};
+use conicflow_dataflow::{Edge, Stop, monotonic_ns};
 use conicflow_messages::{Header, MAX_HOPS, Text};
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -56,7 +53,7 @@ impl<'a, T: Wire> Receiving<'a, T> {
         let room = if lossless { LOSSLESS_ROOM } else { edge.writers.len() + 1 };
         let mailbox = Arc::new(Mailbox::new(room, !lossless));
         let letters = Arc::clone(&mailbox);
-        let silence = (!lossless && edge.is_short()).then_some(SILENCE);
+        let silence = (!lossless && is_short(edge)).then_some(SILENCE);
         let ear = shared.ways.listen(&shared.key(&edge.from, &topic.name), silence, move |bytes| {
             // What finds no room comes again, or was not the newest.
             letters.leave(bytes);
