@@ -18,8 +18,8 @@ use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
 /// Sides of an object that have an offset of their own: the first and the last pixel of rows and of columns.
 pub const SIDES: usize = 4;
-/// Contours farther off than this many standard deviations belong to something else.
-const GATE: f64 = 3.5;
+/// A contour point farther off than so many standard deviations belongs to something else.
+const GATE: f64 = 3.5; // [sigmas]
 
 /// A place where a scan line leaves a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -77,10 +77,10 @@ impl ObjectAssembler {
     }
 }
 
-/// Cosine between an axis and the normal of the lines' planes below which an end is not told more exactly.
-const MOST_OBLIQUE: f64 = 0.2;
-/// How many lines the end of an object may be off: noise and rims take some.
-const END_LINES: f64 = 1.5;
+/// Lower bound of the cosine between an axis and the normal of the scan planes: it keeps the spacing along the axis finite.
+const MOST_OBLIQUE: f64 = 0.2; // [tuned]
+/// Standard deviation of the end of an object, in scan lines: noise and rims take some lines.
+const END_LINES: f64 = 1.5; // [tuned]
 
 /// Distance along an axis, in metres, between neighbouring planes of lines, which are `spacing` apart across.
 fn spacing_along(spacing: f64, plane: &ScanPlane, axis: &Vector3) -> f64 {

@@ -27,10 +27,10 @@ use growth::{Growth, Start};
 use model::Model;
 use verify::Measured;
 
-/// Most seeds that are tried in one image, the most curved first: that bounds the time, and three times as many find no more.
-const MAX_TRIES: usize = 96;
-/// Fits to the contour, each with the points that are near the contour of the last.
-const CONTOUR_PASSES: usize = 2;
+/// Most seeds that are tried in one image, the most curved first. It bounds the time; three times as many find no more.
+const MAX_TRIES: usize = 96; // [algorithmic]
+/// Number of fits to the contour. Each uses the contour points that are near the contour of the last fit.
+const CONTOUR_PASSES: usize = 2; // [algorithmic]
 
 /// Finds objects in the arcs of an image; its buffers are used again for the next.
 #[derive(Debug, Default)]
@@ -210,10 +210,10 @@ impl Candidate<'_> {
     }
 }
 
-/// What lies so many radii beyond an object's visible ends may still be part of it ...
-const SPARE_REACH: f64 = 1.5;
-/// ... if its mean square distance from the surface is less than so many variances.
-const SPARE_SQUARE: f64 = 4.0;
+/// Arcs up to so many radii beyond the visible ends of an object are tested for belonging to it.
+const SPARE_REACH: f64 = 1.5; // [tuned]
+/// Such an arc belongs to the object if its mean square residual is less than so many variances.
+const SPARE_SQUARE: f64 = 4.0; // [sigmas]
 
 /// Takes the arcs of an object, and all others that its surface explains, from what is left.
 fn take(candidate: &Candidate, object: &Object, taken: &mut [bool]) {

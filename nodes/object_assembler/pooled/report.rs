@@ -8,17 +8,18 @@ use conicflow_geometry::{Conical, GradientNoise, Surface, SurfaceFit, section_of
 use conicflow_messages::{Object, ObjectKind, ObjectSigma};
 use nalgebra::{Matrix3, SMatrix};
 
-/// Points of an arc that stand for all of them.
-const SAMPLES: usize = 5;
-/// Arcs of an object that stand for all of them.
-const ARCS: usize = 16;
-/// What the faults of sensors add, that no number of points averages out: to radius and centre in radii ...
-const SYSTEMATIC: f64 = 0.002;
-/// ... and in pixels, as silhouettes are smeared: of a cone the more, whose slope hangs on them,
-const SYSTEMATIC_PX: f64 = 0.06;
-const SYSTEMATIC_CONE_PX: f64 = 0.09;
-/// to directions in radians.
-const SYSTEMATIC_ANGLE: f64 = 0.001;
+/// Number of points along an arc at which its noise is evaluated.
+const SAMPLES: usize = 5; // [algorithmic]
+/// Approximate number of arcs of an object at which its noise is evaluated.
+const ARCS: usize = 16; // [algorithmic]
+/// Systematic error of radius and centre, in radii. No number of points averages it out.
+const SYSTEMATIC: f64 = 0.002; // [tuned]
+/// Systematic error of radius and centre of a sphere or cylinder, in pixels: silhouettes are smeared.
+const SYSTEMATIC_PX: f64 = 0.06; // [tuned]
+/// Systematic error of radius and centre of a cone, in pixels. Its slope depends on the silhouette, so it is larger.
+const SYSTEMATIC_CONE_PX: f64 = 0.09; // [tuned]
+/// Systematic error of axis and half-angle, in radians.
+const SYSTEMATIC_ANGLE: f64 = 0.001; // [tuned]
 
 pub(super) fn report(grown: &Grown, measured: &Measured) -> Object {
     let center = verify::middle(grown, measured);

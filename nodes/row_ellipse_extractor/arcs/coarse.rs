@@ -9,12 +9,12 @@ use conicflow_geometry::{PlaneMoments, bulge};
 use conicflow_messages::Ellipse;
 use std::ops::Range;
 
-/// Bulge of a curved arc: noise gives as much to one straight arc in 24.
-const CURVED: f64 = 3.0;
-/// Pixels beyond both ends of an arc that are looked at in the lines beside it ...
-const MARGIN_PX: u32 = 16;
-/// ... and the part of the arc's length on top of them.
-const MARGIN_SHARE: u32 = 4;
+/// Least bulge of a curved arc, as a likelihood ratio (chi squared): noise gives as much to one straight arc in 24.
+const CURVED: f64 = 3.0; // [sigmas]
+/// Pixels beyond both ends of an arc that are searched in the lines beside it.
+const MARGIN_PX: u32 = 16; // [tuned]
+/// One further pixel is searched for each so many pixels of the arc.
+const MARGIN_SHARE: u32 = 4; // [tuned]
 
 /// What the coarse lines of an image show; the buffers are used again for the next.
 #[derive(Debug, Default)]

@@ -35,8 +35,8 @@ use segments::{cut, next_segment};
 use std::ops::Range;
 use view::View;
 
-/// Every how many lines one is looked at as a whole: less than the fewest lines of an object, `min_lines` of the assembler.
-const COARSE_STEP: u32 = 6;
+/// One line in so many is searched as a whole. It is less than `min_lines` of the assembler, so that no object lies between.
+const COARSE_STEP: u32 = 6; // [algorithmic]
 
 /// Finds the arcs of depth images; its buffers are used again for the next.
 #[derive(Debug)]
