@@ -37,9 +37,9 @@ pub struct Target {
     half_angle: Option<Size>,
     common: CommonError,
     last_seen: Object,
-    /// Which source saw it last ...
+    /// The source that saw it last.
     pub seen_by: usize,
-    /// ... and how late that frame was, in seconds.
+    /// How late the frame was in which it was seen last, in seconds.
     seen_late_s: f64,
 }
 
