@@ -12,9 +12,10 @@ use conicflow_dataflow::{
     Context, Next, NoConfig, Node, Output, Plan, RUNTIME_DIR, RunOptions, Sides, Source, Stage, StageError,
     monotonic_ns, observe, run, run_in_run,
 };
+use conicflow_detection::{Extractor, ExtractorParameters};
+use conicflow_lab::simulator::SimulatorParameters;
 use conicflow_messages::{Ellipse, Header, Item, Message, Nothing};
-use conicflow_nodes::row_ellipse_extractor::{RowEllipseConfig, RowEllipseExtractor};
-use conicflow_nodes::synthetic_source::{SyntheticSource, SyntheticSourceConfig};
+use conicflow_nodes::sources::SyntheticSource;
 use std::error::Error;
 use std::marker::PhantomData;
 use std::net::TcpListener;
@@ -83,10 +84,10 @@ fn compare() -> Outcome<()> {
 
 /// One frame of a cluttered scene, and its ellipses.
 fn frame() -> Outcome<(Header, Vec<u16>, Vec<Ellipse>)> {
-    let config = SyntheticSourceConfig { width: 640, height: 480, rate_hz: 0.0, ..SyntheticSourceConfig::default() };
+    let config = SimulatorParameters { width: 640, height: 480, rate_hz: 0.0, ..SimulatorParameters::default() };
     let context = Context { stage: "source".to_owned(), ..Context::default() };
     let (header, pixels) = collect::<SyntheticSource>(config, context, 1)?.pop().ok_or("the source made nothing")?;
-    let ellipses = RowEllipseExtractor::with(RowEllipseConfig::default()).extract(&header, &pixels).to_vec();
+    let ellipses = Extractor::new(ExtractorParameters::default()).extract(&header, &pixels).to_vec();
     Ok((header, pixels, ellipses))
 }
 

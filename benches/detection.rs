@@ -5,13 +5,14 @@
 //! `cargo bench --bench detection`; one thread, medians over scenes of medians over repetitions. The last column is the
 //! exponent p in `time ~ pixels^p`, fitted over all sizes: 1 is linear.
 
+use conicflow_detection::{Assembler, AssemblerParameters, Extractor, ExtractorParameters};
 use conicflow_geometry::{Pinhole, PlaneMoments, Scan, fit_ellipse};
+use conicflow_lab::paper::assembler::{ProfileAssembler, ProfileConfig};
+use conicflow_lab::paper::extractor::{ConicConfig, ConicExtractor};
+use conicflow_lab::simulator::random_scene::SceneGroup;
+use conicflow_lab::simulator::random_scenes::RandomScenes;
+use conicflow_lab::simulator::{SimulatorParameters, SyntheticCamera};
 use conicflow_messages::{Ellipse, Header, is_measured};
-use conicflow_nodes::object_assembler::{AssemblerConfig, ObjectAssembler};
-use conicflow_nodes::row_ellipse_extractor::{RowEllipseConfig, RowEllipseExtractor};
-use conicflow_nodes::synthetic_source::random_scene::SceneGroup;
-use conicflow_nodes::synthetic_source::random_scenes::RandomScenes;
-use conicflow_nodes::synthetic_source::{SyntheticCamera, SyntheticSourceConfig};
 use rustix::time::{ClockId, clock_gettime};
 use std::error::Error;
 use std::hint::black_box;
@@ -70,19 +71,16 @@ fn parts() -> [(&'static str, Work<'static>); 7] {
     ]
 }
 
-fn detector() -> (RowEllipseExtractor, ObjectAssembler) {
-    (RowEllipseExtractor::with(RowEllipseConfig::default()), ObjectAssembler::with(AssemblerConfig::default()))
+fn detector() -> (Extractor, Assembler) {
+    (Extractor::new(ExtractorParameters::default()), Assembler::new(AssemblerParameters::default()))
 }
 
-fn detector_of_the_paper() -> (RowEllipseExtractor, ObjectAssembler) {
-    (
-        RowEllipseExtractor::with(RowEllipseConfig::of_the_paper()),
-        ObjectAssembler::with(AssemblerConfig::of_the_paper()),
-    )
+fn detector_of_the_paper() -> (ConicExtractor, ProfileAssembler) {
+    (ConicExtractor::new(ConicConfig::of_the_paper()), ProfileAssembler::new(ProfileConfig::of_the_paper()))
 }
 
 fn frames((width, height): (u32, u32)) -> Result<Vec<Frame>, Box<dyn Error>> {
-    let config = SyntheticSourceConfig { width, height, ..SyntheticSourceConfig::default() };
+    let config = SimulatorParameters { width, height, ..SimulatorParameters::default() };
     let scenes = RandomScenes { groups: GROUPS.into(), seeds: SEEDS };
     let (first, _) = scenes.scene(0);
     let count = scenes.frames();

@@ -10,7 +10,7 @@
 //! max_objects = 1
 //! ```
 
-use conicflow_dataflow::{Config, Context, Output, Sides, Stage, StageError, run_stage};
+use conicflow_dataflow::{Context, Output, Sides, Stage, StageError, run_stage};
 use conicflow_messages::{Message, Object};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -29,8 +29,6 @@ impl Default for NearestObjectConfig {
         Self { max_objects: 1 }
     }
 }
-
-impl Config for NearestObjectConfig {}
 
 /// Passes on the objects that are nearest to the camera, the nearest first.
 struct NearestObject {

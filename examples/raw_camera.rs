@@ -22,7 +22,7 @@
 //! [`Stop::requested`] meanwhile.
 
 use anyhow::{Context as _, bail};
-use conicflow_dataflow::{Config, Context, Next, Output, Sides, Source, StageError, Stop, run_source};
+use conicflow_dataflow::{Context, Next, Output, Sides, Source, StageError, Stop, run_source};
 use conicflow_messages::{Camera, Header, NoiseModel, Text};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::{Mode, OFlags, open};
@@ -50,8 +50,6 @@ struct RawCameraConfig {
     #[schemars(with = "serde_json::Value")]
     noise: NoiseModel,
 }
-
-impl Config for RawCameraConfig {}
 
 /// Sends the frames of a camera.
 struct RawCamera {

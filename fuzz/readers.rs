@@ -3,13 +3,13 @@
 
 use anyhow::Result;
 use conicflow_dataflow::pipeline::{Pipeline, SourceText};
+use conicflow_detection::camera::Intrinsics;
+use conicflow_lab::simulator::scene::Scene;
+use conicflow_lab::simulator::scene_values::{SceneTemplate, Values};
+use conicflow_lab::simulator::{SimulatorParameters, SyntheticCamera};
 use conicflow_messages::Header;
 use conicflow_nodes::NODES;
-use conicflow_nodes::camera::Intrinsics;
-use conicflow_nodes::image_source::{Options, Recording};
-use conicflow_nodes::synthetic_source::scene::Scene;
-use conicflow_nodes::synthetic_source::scene_values::{SceneTemplate, Values};
-use conicflow_nodes::synthetic_source::{SyntheticCamera, SyntheticSourceConfig};
+use conicflow_nodes::sources::image_source::{Options, Recording};
 use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
@@ -50,7 +50,7 @@ fn is_fine(outcome: Result<()>) -> bool {
 
 fn render(scene: Scene) {
     let intrinsics = Some(Intrinsics { fx: 12.0, fy: 12.0, cx: 7.5, cy: 5.5 });
-    let config = SyntheticSourceConfig { width: 16, height: 12, intrinsics, ..SyntheticSourceConfig::default() };
+    let config = SimulatorParameters { width: 16, height: 12, intrinsics, ..SimulatorParameters::default() };
     let camera = config.camera();
     let mut camera = SyntheticCamera::new(scene, camera, config.noise, config.depth_scale, config.rate_hz, config.seed);
     for number in 0..2 {

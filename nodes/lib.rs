@@ -1,58 +1,19 @@
-//! The stages of conicflow, one file each, in the order in which a frame meets them; their table; and the command line.
+//! The stages of conicflow as thin adapters around the detection and the laboratory, by what they are; their table; and the
+//! command line.
 
-pub mod camera;
-mod csv;
-mod faults;
-mod json_lines;
-pub mod noise_config;
-mod random;
-mod spread;
-mod turns;
-mod upward;
-
-pub mod synthetic_source;
-
-pub mod image_source;
-
-pub mod ransac_ellipse_extractor;
-pub mod row_ellipse_extractor;
-
-pub mod object_assembler;
-
-pub mod kalman_tracker;
-
-pub mod follower;
-
-pub mod console_sink;
-pub mod evaluation_sink;
-pub mod json_sink;
-pub mod measurement_sink;
-pub mod noise_estimator;
-pub mod picture_sink;
-
-pub mod command_line;
-mod doctor;
-pub mod experiment;
-mod node_help;
-mod swap;
-mod top;
-mod topic;
+pub mod commands;
+mod config_error;
+pub mod detection;
+pub mod sinks;
+pub mod sources;
+pub mod tracking;
 
 use conicflow_dataflow::{Node, Variant};
 use conicflow_messages::{Ellipse, Object, Track};
-use console_sink::ConsoleSink;
-use evaluation_sink::EvaluationSink;
-use follower::Follower;
-use image_source::ImageSource;
-use json_sink::JsonSink;
-use kalman_tracker::KalmanTracker;
-use measurement_sink::{MeasurementSink, SectionSink};
-use noise_estimator::NoiseEstimator;
-use object_assembler::ObjectAssembler;
-use picture_sink::PictureSink;
-use ransac_ellipse_extractor::RansacEllipseExtractor;
-use row_ellipse_extractor::RowEllipseExtractor;
-use synthetic_source::SyntheticSource;
+use detection::{ObjectAssembler, RansacEllipseExtractor, RowEllipseExtractor};
+use sinks::{ConsoleSink, EvaluationSink, JsonSink, MeasurementSink, NoiseEstimator, PictureSink, SectionSink};
+use sources::{ImageSource, SyntheticSource};
+use tracking::{Follower, KalmanTracker};
 
 /// The nodes that a pipeline file may name: one row makes one available.
 pub const NODES: &[Node] = &[

@@ -3,5 +3,5 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    conicflow_nodes::command_line::main()
+    conicflow_nodes::commands::main()
 }

@@ -30,6 +30,7 @@ pub mod testing {
 
 pub use bridge::{EdgeReport, LinkReport, LinkState};
 pub use clock::monotonic_ns;
+pub use conicflow_messages::ConfigFault;
 pub use doctor::{Finding, clean, examine};
 pub use launcher::{
     FolderError, LaunchError, PIPELINE, ProcessError, RUNTIME_DIR, RunFolder, RunLock, RunOptions, StageSummary,
@@ -42,7 +43,7 @@ pub use observe::{InputActivity, Observation, PipelineActivity, StageActivity, T
 pub use plan::{Origin, Plan, PlannedStage, Runs};
 pub use runner::RunError;
 pub use sides::{AnyMessage, Pick, Side, Sides};
-pub use stage::{Config, ConfigFault, Context, Next, NoConfig, Output, Source, Stage, StageError, Stop};
+pub use stage::{Config, Context, Next, NoConfig, Output, Source, Stage, StageError, Stop};
 pub use status::{Counter, Durations, InputCounts, Intervals, Life, NO_RUN, Status, used};
 pub use table::Table;
 pub use watch::{RunningPipeline, WatchError, Watching};

@@ -5,8 +5,8 @@ use crate::runner::source_loop::run_source;
 use crate::runner::stage_loop::run_stage;
 use crate::runner::{RunError, Surroundings};
 use crate::sides::Side;
-use crate::stage::{Config, ConfigFault, Source, Stage};
-use conicflow_messages::{Item, Kind};
+use crate::stage::{Config, Source, Stage};
+use conicflow_messages::{ConfigFault, Item, Kind};
 use serde_json::Value as Json;
 use std::path::Path;
 
@@ -21,15 +21,8 @@ pub struct Node {
     pub variants: &'static [Variant],
     pub(crate) sides: fn() -> &'static [Side],
     pub(crate) schema: fn() -> Json,
-    pub(crate) check: fn(Json, &Path) -> Result<Checked, serde_json::Error>,
+    pub(crate) check: fn(Json, &Path) -> Result<Vec<ConfigFault>, serde_json::Error>,
     pub(crate) message_length: fn(Json, &Path) -> Option<usize>,
-}
-
-/// What there is to say of a node's parameters.
-pub(crate) struct Checked {
-    pub faults: Vec<ConfigFault>,
-    /// Those without effect, whether they are set or not.
-    pub idle: Vec<ConfigFault>,
 }
 
 /// A node for one kind of input.
@@ -51,7 +44,7 @@ impl Node {
             variants: const { &[Variant::source::<S>()] },
             sides: S::sides,
             schema: schema::<S::Config>,
-            check: check::<S::Config>,
+            check: |parameters, base| Ok(S::faults(&serde_json::from_value(parameters)?, base)),
             message_length: message_length::<S>,
         }
     }
@@ -69,7 +62,7 @@ impl Node {
             variants,
             sides: S::sides,
             schema: schema::<S::Config>,
-            check: check::<S::Config>,
+            check: |parameters, base| Ok(S::faults(&serde_json::from_value(parameters)?, base)),
             message_length: |_, _| None,
         }
     }
@@ -113,11 +106,6 @@ impl Variant {
 
 fn schema<C: Config>() -> Json {
     schemars::SchemaGenerator::default().into_root_schema_for::<C>().to_value()
-}
-
-fn check<C: Config>(parameters: Json, base: &Path) -> Result<Checked, serde_json::Error> {
-    let config = serde_json::from_value::<C>(parameters)?;
-    Ok(Checked { faults: config.faults(base), idle: config.idle() })
 }
 
 fn message_length<S: Source>(parameters: Json, base: &Path) -> Option<usize> {

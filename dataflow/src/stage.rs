@@ -6,7 +6,7 @@
 
 use crate::pulse::Pulse;
 use crate::sides::{Side, Sides};
-use conicflow_messages::{Header, Item, Message};
+use conicflow_messages::{ConfigFault, Header, Item, Message};
 use schemars::JsonSchema;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -23,38 +23,15 @@ pub type StageError = Box<dyn std::error::Error + Send + Sync>;
 ///
 /// Types, defaults, ranges and descriptions come from one place, the struct itself: its field types, its `Default`, its
 /// `#[schemars(range(..))]` attributes and its doc comments. Derive `Deserialize` with
-/// `#[serde(default, deny_unknown_fields)]`.
-pub trait Config: DeserializeOwned + Serialize + JsonSchema + Default {
-    /// What types and ranges cannot tell: files that are missing, values that exclude each other.
-    /// `base` is the folder of the pipeline file, against which relative paths are resolved.
-    fn faults(&self, base: &Path) -> Vec<ConfigFault> {
-        let _ = base;
-        Vec::new()
-    }
+/// `#[serde(default, deny_unknown_fields)]`. What types and ranges cannot tell is told by [`Stage::faults`].
+pub trait Config: DeserializeOwned + Serialize + JsonSchema + Default {}
 
-    /// Parameters without effect, given the values of the others. Where the file sets one all the same, it is warned of.
-    fn idle(&self) -> Vec<ConfigFault> {
-        Vec::new()
-    }
-}
-
-/// A parameter whose value cannot be used.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct ConfigFault {
-    /// Name of the parameter.
-    pub key: &'static str,
-    /// What is wrong with its value.
-    pub what: String,
-    /// What to do about it.
-    pub hint: String,
-}
+impl<T: DeserializeOwned + Serialize + JsonSchema + Default> Config for T {}
 
 /// A node without parameters.
 #[derive(Clone, Debug, Default, serde::Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct NoConfig {}
-
-impl Config for NoConfig {}
 
 /// What a stage is told when it starts.
 #[derive(Clone, Debug, Default)]
@@ -156,6 +133,13 @@ pub trait Source: Sized {
     /// A parameter or a file that cannot be used; the stage is not started anew.
     fn new(config: Self::Config, context: &Context) -> Result<Self, StageError>;
 
+    /// What is wrong with parameters that types and ranges let pass: files that are missing, values that exclude each other.
+    /// `base` is the folder of the pipeline file, against which relative paths are resolved.
+    fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
+        let _ = (config, base);
+        Vec::new()
+    }
+
     /// Inputs whose latest value it reads.
     fn sides() -> &'static [Side] {
         &[]
@@ -213,6 +197,13 @@ pub trait Stage: Sized {
     /// # Errors
     /// A parameter or a file that cannot be used; the stage is not started anew.
     fn new(config: Self::Config, context: &Context) -> Result<Self, StageError>;
+
+    /// What is wrong with parameters that types and ranges let pass: files that are missing, values that exclude each other.
+    /// `base` is the folder of the pipeline file, against which relative paths are resolved.
+    fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
+        let _ = (config, base);
+        Vec::new()
+    }
 
     /// Further inputs, which do not drive it.
     fn sides() -> &'static [Side] {
@@ -274,6 +265,11 @@ impl<'a, T: Item> Output<'a, T> {
         self.list.push(item);
     }
 
+    /// Adds items to the list that is sent.
+    pub fn extend(&mut self, items: &[T]) {
+        self.list.extend_from_slice(items);
+    }
+
     /// Memory for `length` items, to be written in place; each must be written, the content before is left over from an
     /// earlier message.
     ///
@@ -288,6 +284,13 @@ impl<'a, T: Item> Output<'a, T> {
     pub fn count(&mut self, name: &'static str, times: u64) {
         if times > 0 {
             *self.counts.entry(name).or_default() += times;
+        }
+    }
+
+    /// Adds to several counters.
+    pub fn count_all(&mut self, counts: impl Iterator<Item = (&'static str, u64)>) {
+        for (name, times) in counts {
+            self.count(name, times);
         }
     }
 

@@ -10,6 +10,7 @@
 
 mod depth;
 mod ellipse;
+mod fault;
 mod header;
 mod item;
 mod object;
@@ -18,6 +19,7 @@ mod track;
 
 pub use depth::{INVALID_FAR, INVALID_NEAR, is_measured};
 pub use ellipse::{Ellipse, MOMENTS, Scan};
+pub use fault::ConfigFault;
 pub use header::{
     Camera, END_OF_STREAM, HAS_POSE, HEADER_TYPE_NAME, Header, Hop, MAX_HOPS, MAX_PIXELS, MAX_SIDE_PX,
     MAX_SOURCE_BYTES, NoiseModel,

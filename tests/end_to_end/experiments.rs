@@ -1,8 +1,8 @@
 //! The paper's experiments, each in a short form: the files of `experiments/` as they are, fewer frames and values.
 
 use crate::support::Playground;
-use conicflow_nodes::synthetic_source::scene::Scene;
-use conicflow_nodes::synthetic_source::{SyntheticCamera, SyntheticSourceConfig};
+use conicflow_lab::simulator::scene::Scene;
+use conicflow_lab::simulator::{SimulatorParameters, SyntheticCamera};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
@@ -284,7 +284,7 @@ fn a_bouncing_ball_is_one_ball_near_its_true_way() {
 
 /// Writes frames of a scene down as a camera would: 16-bit PNGs in millimetres, and what is known of the camera.
 fn record(playground: &Playground, scene: &str, frames: u64) {
-    let config = SyntheticSourceConfig { width: 320, height: 240, ..SyntheticSourceConfig::default() };
+    let config = SimulatorParameters { width: 320, height: 240, ..SimulatorParameters::default() };
     let (scene, camera) = (Scene::load(&playground.path(scene)).unwrap(), config.camera());
     let mut synthetic = SyntheticCamera::new(scene, camera, config.noise, 0.001, 30.0, 77);
     let mut depths = vec![0; 320 * 240];

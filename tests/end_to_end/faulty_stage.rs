@@ -1,7 +1,7 @@
 //! A stage that passes on what it gets, but at one frame panics, hangs, so that it neither comes back nor listens, or writes
 //! nonsense.
 
-use conicflow_dataflow::{Config, Context, Output, Sides, Stage, StageError, run_stage};
+use conicflow_dataflow::{Context, Output, Sides, Stage, StageError, run_stage};
 use conicflow_messages::{Message, Object};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -18,8 +18,6 @@ struct FaultyStageConfig {
     /// The frame from which on, for three frames, it writes what is no object.
     nonsense_at: Option<u64>,
 }
-
-impl Config for FaultyStageConfig {}
 
 struct FaultyStage(FaultyStageConfig);
 

@@ -1,7 +1,7 @@
 //! A sink that writes, for each list of objects that it gets, its frame's number, and those of the image and of the ellipses
 //! that came with it as further inputs of the same frame.
 
-use conicflow_dataflow::{Config, Context, Output, Pick, Side, Sides, Stage, StageError, run_stage};
+use conicflow_dataflow::{Context, Output, Pick, Side, Sides, Stage, StageError, run_stage};
 use conicflow_messages::{Header, Kind, Message, Nothing, Object};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -26,8 +26,6 @@ impl Default for PairingSinkConfig {
         Self { path: "pairs.txt".into(), delay_ms: 0 }
     }
 }
-
-impl Config for PairingSinkConfig {}
 
 struct PairingSink {
     file: File,

@@ -1,7 +1,7 @@
 //! A sink that takes its time over each depth image, so that a test can be sure that frames are lost before it; it writes
 //! the sequence numbers of those that it gets.
 
-use conicflow_dataflow::{Config, Context, Output, Sides, Stage, StageError, run_stage};
+use conicflow_dataflow::{Context, Output, Sides, Stage, StageError, run_stage};
 use conicflow_messages::{Message, Nothing};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -26,8 +26,6 @@ impl Default for SlowSinkConfig {
         Self { path: "sequences.txt".into(), delay_ms: 50 }
     }
 }
-
-impl Config for SlowSinkConfig {}
 
 struct SlowSink {
     file: File,

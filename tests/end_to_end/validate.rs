@@ -162,16 +162,12 @@ fn overrides_are_checked_as_the_file_is() {
 }
 
 #[test]
-fn what_is_set_without_effect_is_warned_of() {
+fn parameters_of_the_papers_way_stand_in_tables_of_their_own() {
     let playground = Playground::with_pipeline(SOUND);
-    let sets = ["validate", "--set", "extractor.min_arc_deg=45", "--set", "extractor.scan=rows"];
-    let expected = "warning: --set:1:23: `min_arc_deg`: has no effect with `arcs = \"moments\"`\n    1 | \
-                    extractor.min_arc_deg=45\n      |                       ^^\n  hint: leave it out, or write `arcs = \
-                    \"conic\"`\n";
-    let ended = playground.conicflow(&sets).expect_code(0);
-    assert!(ended.stdout.starts_with(expected), "{}", ended.stdout);
-    let ended = playground.conicflow(&[&sets[..], &["--set", "extractor.arcs=conic"]].concat()).expect_code(0);
-    assert!(ended.stdout.starts_with("`sound` is valid"), "{}", ended.stdout);
+    let sets = ["validate", "--set", "extractor.arcs=conic", "--set", "extractor.conic.min_arc_deg=45"];
+    playground.conicflow(&sets).expect_code(0);
+    let ended = playground.conicflow(&["validate", "--set", "extractor.min_arc_deg=45"]).expect_code(2);
+    assert!(ended.stderr.contains("unknown key `min_arc_deg` in stage `extractor`"), "{}", ended.stderr);
 }
 
 #[test]

@@ -1,8 +1,7 @@
 //! The stages of a pipeline file: what each runs, what happens when it dies, and its parameters.
 
 use super::{MAX_STAGE_NAME, MAX_TOPIC_NAME, Reader};
-use crate::node::Checked;
-use crate::pipeline::diagnostic::{Diagnostic, Place, closest, suggestion};
+use crate::pipeline::diagnostic::{Place, closest, suggestion};
 use crate::pipeline::schema;
 use crate::pipeline::value::{Content, Entry, Table};
 use crate::pipeline::{Program, Restart, StageSpec};
@@ -148,16 +147,11 @@ impl Reader<'_> {
             return;
         }
         match (node.check)(table.to_json(), self.around.base) {
-            Ok(Checked { faults, idle }) => {
+            Ok(faults) => {
                 for fault in faults {
                     let at = table.get(fault.key).map_or(place, |entry| &entry.value.place);
                     self.fault(at, format!("`{}`: {}", fault.key, fault.what), fault.hint);
                 }
-                let set = idle.into_iter().filter_map(|idle| Some((table.get(idle.key)?, idle)));
-                self.faults.extend(set.map(|(entry, idle)| {
-                    let what = format!("`{}`: {}", idle.key, idle.what);
-                    Diagnostic::warning(&entry.value.place, what, idle.hint)
-                }));
             }
             Err(error) => {
                 self.fault(place, format!("the parameters of stage `{stage}` cannot be used: {error}"), "");

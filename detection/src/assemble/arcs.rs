@@ -1,0 +1,232 @@
+//! The arcs of a message, ready for pooling, and which of them lie beside each other.
+
+use crate::camera::{pinhole, scan};
+use conicflow_geometry::{
+    Coefficients, ContourPoint, Pinhole, PlaneMoments, Scan, ScanPlane, SpaceMoments, Vector3, bulge, section_about,
+};
+use conicflow_messages::{Ellipse, Header};
+use std::ops::Range;
+
+/// Least variance of an arc, in square metres: surfaces are rough by a tenth of a millimetre.
+const LEAST_VARIANCE: f64 = 1e-8; // [tuned]
+/// Steepest surface from line to line, as depth per distance across the view.
+const SLOPE: f64 = 5.0; // [tuned]
+/// Mean depths of arcs of one surface may differ by so many standard deviations more than the slope explains.
+const APART: f64 = 4.0; // [sigmas]
+/// Mean depths may differ further by this part of a pixel's width for each pixel by which one arc is longer.
+const LONGER: f64 = 0.5; // [tuned]
+
+/// An arc with what the assembler needs of it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Arc {
+    pub scan: Scan,
+    /// Number of the line among those that were looked at.
+    pub line: u32,
+    /// First and last pixel along the line.
+    pub pixels: [i64; 2],
+    pub plane: ScanPlane,
+    moments: PlaneMoments,
+    /// The same in space, about the camera centre.
+    pub space: SpaceMoments,
+    /// Number of points.
+    pub count: u32,
+    /// Effective number of points, whose noise is independent: the moments are scaled to this number.
+    pub points: f64,
+    /// Variance of the sensor along the ray, at the depth of the arc.
+    pub variance: f64,
+    /// Mean of the points.
+    pub mean: Vector3,
+    /// Centre of the circle through the points.
+    pub center: Vector3,
+    /// Angle that the points span about the centre of the circle.
+    pub angle: f64,
+    /// Slopes of the rays through the first and the last pixel.
+    pub rays: [f64; 2],
+    /// Slopes of the rays through two pixels beyond the ends.
+    pub beyond_rays: [f64; 2],
+    /// Depths that were measured on these two rays, 0 for none.
+    pub beyond: [f64; 2],
+    /// Where the surface ends before something farther, on either side.
+    pub contour: [Option<ContourPoint>; 2],
+    /// Distance at the depth of the arc between neighbouring pixels of the line, in metres.
+    pub pitch: f64,
+    /// Distance at the depth of the arc between neighbouring lines that were searched, in metres.
+    pub spacing: f64,
+    /// How many neighbouring lines share their noise, at least 1.
+    pub shared_lines: f64,
+    /// How much better the circle is than a line, in points times variances.
+    pub bulge: f64,
+}
+
+/// How far the points of an arc are off a surface.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Misfit {
+    /// Mean square distance, free of the noise.
+    pub square: f64,
+    /// Mean distance, above zero outside.
+    pub mean: f64,
+}
+
+impl Arc {
+    /// Every `step`th line of the image was looked at.
+    fn new(header: &Header, ellipse: &Ellipse, step: u32) -> Option<Self> {
+        let (camera, scan) = (pinhole(&header.camera), scan(ellipse));
+        let plane = camera.plane(scan, f64::from(ellipse.line));
+        let shared = ellipse.shared();
+        let moments = PlaneMoments::from_sums(ellipse.origin, ellipse.moments.map(|m| m / shared));
+        let mean = plane.to_camera(moments.mean()?);
+        let ray = |pixel: f64| camera.ray_slope(scan, pixel);
+        let (first, last, far) = (f64::from(ellipse.first), f64::from(ellipse.last), f64::from(ellipse.beyond_px));
+        let variance = match ellipse.unbiased {
+            0 => header.noise.variance(mean.z),
+            _ => ellipse.sigma * ellipse.sigma,
+        } * plane.stretch().powi(2);
+        let variance = variance.max(LEAST_VARIANCE);
+        let (pitch, spacing) = (camera.pixel_pitch(scan), camera.line_pitch(scan) * f64::from(step));
+        Some(Self {
+            scan,
+            line: ellipse.line / step,
+            pixels: [i64::from(ellipse.first), i64::from(ellipse.last)],
+            plane,
+            moments,
+            space: SpaceMoments::of_arc(&plane, &moments),
+            count: ellipse.points,
+            points: moments.count(),
+            variance,
+            mean,
+            center: Vector3::from(ellipse.center),
+            angle: ellipse.arc,
+            rays: [ray(first), ray(last)],
+            beyond_rays: [ray(first - far), ray(last + far)],
+            beyond: ellipse.beyond,
+            contour: contour(&camera, &plane, &ellipse.contour),
+            pitch: mean.z * pitch,
+            spacing: mean.z * spacing,
+            shared_lines: (shared * pitch / spacing).max(1.0),
+            bulge: bulge(&moments, variance),
+        })
+    }
+
+    /// How far the points are off the quadric `q`.
+    pub fn misfit(&self, q: &Coefficients) -> Misfit {
+        let conic = section_about(q, &self.plane, self.moments.origin());
+        let c = &conic.coefficients;
+        let m = |p, q| self.moments.get(p, q);
+        let sum = c[0] * m(2, 0) + c[1] * m(1, 1) + c[2] * m(0, 2) + c[3] * m(1, 0) + c[4] * m(0, 1) + c[5] * m(0, 0);
+        Misfit { square: conic.square_sum(&self.moments) / self.points, mean: sum / self.points }
+    }
+
+    /// Depth at which a ray of the scan line, of slope `x`, first meets a quadric, of which the section by the plane of
+    /// the line is given.
+    pub fn hit(&self, section: &[f64; 6], x: f64) -> Option<f64> {
+        let [ss, st, tt, s, t, one] = *section;
+        let k = self.plane.stretch();
+        let (a, b) = (ss * x * x + st * x * k + tt * k * k, s * x + t * k);
+        let discriminant = b * b - 4.0 * a * one;
+        if discriminant <= 0.0 || a.abs() < 1e-12 {
+            return None;
+        }
+        let near = (-b - discriminant.sqrt() * a.signum()) / (2.0 * a);
+        (near > 0.0).then_some(near)
+    }
+
+    /// The point of depth `z` on the ray of slope `x`.
+    pub fn point(&self, x: f64, z: f64) -> Vector3 {
+        self.plane.to_camera([x * z, self.plane.stretch() * z])
+    }
+
+    /// Distance across the view between its ends, in metres.
+    pub fn width(&self) -> f64 {
+        (self.pixels[1] - self.pixels[0]) as f64 * self.pitch
+    }
+
+    /// Number of pixels along the line that both have, less than zero for the gap between them.
+    pub fn overlap(&self, pixels: [i64; 2]) -> i64 {
+        self.pixels[1].min(pixels[1]) - self.pixels[0].max(pixels[0]) + 1
+    }
+}
+
+fn contour(camera: &Pinhole, plane: &ScanPlane, pixels: &[f64; 2]) -> [Option<ContourPoint>; 2] {
+    let scan = plane.scan();
+    let ray = |pixel: f64| plane.to_camera([camera.ray_slope(scan, pixel), plane.stretch()]);
+    let first_side = if scan == Scan::Row { 0 } else { 2 };
+    let point = |end: usize| ContourPoint {
+        ray: ray(pixels[end]),
+        pixel: ray(1.0) - ray(0.0),
+        side: first_side + end,
+        radius_px: 0.0,
+    };
+    [0, 1].map(|end| (pixels[end] > 0.0).then(|| point(end)))
+}
+
+/// The arcs of one image in the order of scan, line and pixel; the buffers are used again for the next.
+#[derive(Debug, Default)]
+pub(crate) struct Arcs {
+    pub arcs: Vec<Arc>,
+    /// For rows and columns: index of the first arc of each line, and the end.
+    starts: [Vec<usize>; 2],
+}
+
+impl Arcs {
+    pub fn read(&mut self, header: &Header, ellipses: &[Ellipse]) {
+        self.arcs.clear();
+        let step = ellipses.iter().map(Ellipse::step).min().unwrap_or(1);
+        self.arcs.extend(ellipses.iter().filter_map(|ellipse| Arc::new(header, ellipse, step)));
+        self.arcs.sort_unstable_by_key(|arc| (arc.scan == Scan::Column, arc.line, arc.pixels[0]));
+        let lines = [header.camera.height, header.camera.width].map(|lines| lines.div_ceil(step) as usize);
+        let mut next = 0;
+        for (starts, (lines, scan)) in self.starts.iter_mut().zip(lines.into_iter().zip([Scan::Row, Scan::Column])) {
+            starts.clear();
+            for line in 0..=lines {
+                while self.arcs.get(next).is_some_and(|arc| arc.scan == scan && (arc.line as usize) < line) {
+                    next += 1;
+                }
+                starts.push(next);
+            }
+        }
+    }
+
+    /// The arcs of some indices.
+    pub fn of<'a>(&'a self, indices: &'a [usize]) -> impl Iterator<Item = &'a Arc> + Clone {
+        indices.iter().map(|&index| &self.arcs[index])
+    }
+
+    /// From the first to the last pixel of some arcs.
+    pub fn span(&self, indices: &[usize]) -> Option<[i64; 2]> {
+        self.of(indices).map(|arc| arc.pixels).reduce(|[a, b], [c, d]| [a.min(c), b.max(d)])
+    }
+
+    /// Indices of the arcs of a line.
+    pub fn on_line(&self, scan: Scan, line: i64) -> Range<usize> {
+        let starts = &self.starts[usize::from(scan == Scan::Column)];
+        match usize::try_from(line) {
+            Ok(line) if line + 1 < starts.len() => starts[line]..starts[line + 1],
+            _ => 0..0,
+        }
+    }
+
+    /// The arc beside `index`, at most `gap` lines on in the direction `side` (1 or -1), that most likely is the same
+    /// surface: the one that has the most columns in common, of those at the same depth.
+    pub fn beside(&self, index: usize, side: i64, gap: i64, free: impl Fn(usize) -> bool) -> Option<usize> {
+        let arc = &self.arcs[index];
+        for distance in 1..=gap {
+            let line = i64::from(arc.line) + side * distance;
+            let near =
+                self.on_line(arc.scan, line).filter(|&other| free(other) && self.touches(arc, &self.arcs[other]));
+            if let Some(best) = near.max_by_key(|&other| arc.overlap(self.arcs[other].pixels)) {
+                return Some(best);
+            }
+        }
+        None
+    }
+
+    /// Whether two arcs of near lines may belong to one surface.
+    fn touches(&self, a: &Arc, b: &Arc) -> bool {
+        let shorter = (a.pixels[1] - a.pixels[0]).min(b.pixels[1] - b.pixels[0]) + 1;
+        let lines = f64::from(a.line.abs_diff(b.line));
+        let step = SLOPE * lines * a.spacing + APART * (a.variance / a.points.min(b.points)).sqrt();
+        // The depth of the mean differs with the columns that an arc covers, by no more than its bulge.
+        let bulge = LONGER * (a.pixels[1] - a.pixels[0]).abs_diff(b.pixels[1] - b.pixels[0]) as f64 * a.pitch;
+        2 * a.overlap(b.pixels) >= shorter && (a.mean.z - b.mean.z).abs() <= step + bulge // [tuned]
+    }
+}

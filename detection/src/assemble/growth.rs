@@ -1,0 +1,262 @@
+//! Growth of an object: from a few arcs that lie beside each other, a model takes in line after line what it explains.
+
+use super::arcs::{Arc, Arcs, Misfit};
+use super::model::{self, Model, Predictor};
+use super::parameters::AssemblerParameters;
+use super::region::Region;
+use super::rejection::Rejection;
+use conicflow_geometry::Contour;
+use conicflow_messages::ObjectKind;
+
+/// Most arcs of a chain on each side of its seed.
+const CHAIN: usize = 12; // [algorithmic]
+/// Number of arcs in the middle of a chain that are tried if no model explains the whole chain.
+const CORE: usize = 9; // [algorithmic]
+/// Fewest arcs that a model is fitted to.
+const FEWEST: usize = 5; // [algorithmic]
+/// Most rounds of growing and refitting; each round doubles the extent at most.
+const ROUNDS: usize = 7; // [algorithmic]
+/// The summed bulge of a chain has to exceed that of straight arcs by so many standard deviations.
+const CURVED: f64 = 5.0; // [sigmas]
+/// Mean and variance of the bulge that noise gives a straight arc: zero for one arc in two, else chi squared with one degree
+/// of freedom.
+const STRAIGHT: [f64; 2] = [0.5, 1.25]; // [derived] [derived]
+/// Pixels on both sides of the arcs of one line within which arcs of the next line are accepted.
+const MARGIN_PX: i64 = 2; // [tuned]
+/// One further pixel is added to that margin for each so many pixels of the arcs.
+const MARGIN_SHARE: i64 = 8; // [tuned]
+/// Number of lines by which a model of few lines may grow in one round.
+const LEAST_STEP: i64 = 4; // [algorithmic]
+/// Widest gap that is bridged, as a part of the lines of the object: something stands before it.
+const GAP: f64 = 0.5; // [tuned]
+
+/// How far an arc may be off a model and belong to it.
+struct Patience {
+    /// Standard deviations by which the mean and the mean square may scatter, given the noise and the uncertainty of the
+    /// model.
+    scatter: f64,
+    /// Slack of the mean square on top of its scatter, in variances of a point.
+    square: f64,
+    /// Slack of the mean on top of its scatter, in standard deviations of a point.
+    mean: f64,
+}
+
+/// For one more arc while a model grows.
+const GROWING: Patience = Patience { scatter: 2.5, square: 0.3, mean: 0.15 }; // [sigmas] [tuned] [tuned]
+/// For all arcs of the first fit together.
+const FIRST: Patience = Patience { scatter: 3.0, square: 0.5, mean: f64::INFINITY }; // [sigmas] [tuned]
+/// For each arc of a model that has grown.
+const SETTLED: Patience = Patience { scatter: 2.5, square: 0.15, mean: 0.15 }; // [sigmas] [tuned] [tuned]
+/// For the first and the last arcs of a model that has grown: an object meets the floor, a rim or another object there.
+const AT_ENDS: Patience = Patience { scatter: 1.2, square: 0.0, mean: 0.0 }; // [sigmas]
+/// The variance of the model counts so many times in a mean square, because it differs along an arc.
+const ALONG_ARC: f64 = 4.0; // [tuned]
+
+impl Patience {
+    /// Whether an arc may have this misfit, given the variance of the model where it lies.
+    fn bears(&self, arc: &Arc, misfit: &Misfit, uncertainty: f64) -> bool {
+        let square = arc.variance * self.square_limit(arc.points) + ALONG_ARC * uncertainty;
+        let scatter = (arc.variance / arc.points + uncertainty).sqrt();
+        misfit.square <= square && misfit.mean.abs() <= self.mean * arc.variance.sqrt() + self.scatter * scatter
+    }
+
+    /// Greatest mean square, in variances.
+    fn square_limit(&self, points: f64) -> f64 {
+        self.square + self.scatter * (2.0 / points).sqrt()
+    }
+}
+
+/// Buffers of a growth.
+#[derive(Debug, Default)]
+pub(crate) struct Growing {
+    /// The seed with its neighbours.
+    pub chain: Vec<usize>,
+    spare: Vec<usize>,
+    /// The members of each shape.
+    pub members: [Vec<usize>; ObjectKind::ALL.len()],
+    pub contour: Contour,
+}
+
+impl Growing {
+    /// The model of each shape that grows from the chain. Where a cylinder explains all of that, a sphere has to as well;
+    /// and a slope needs many lines: a cone starts from what a cylinder took for one.
+    pub fn models(&mut self, arcs: &Arcs, gap: i64, free: impl Fn(usize) -> bool + Copy) -> [Option<Model>; 3] {
+        let Self { chain, spare, members: [balls, cans, cones], .. } = self;
+        let mut grow = |start: &Start, members: &mut Vec<usize>| grow(arcs, start, gap, free, members, spare);
+        let start = Start { kind: ObjectKind::Cylinder, chain, guess: None, middle_will_do: true };
+        let Growth { model: cylinder, from_whole } = grow(&start, cans);
+        let sphere = grow(&Start { kind: ObjectKind::Sphere, middle_will_do: !from_whole, ..start }, balls).model;
+        let longer = if cylinder.is_some() && cans.len() > chain.len() { &*cans } else { &*chain };
+        let cone = Start { kind: ObjectKind::Cone, chain: longer, guess: cylinder.as_ref(), ..start };
+        [sphere, cylinder, grow(&cone, cones).model]
+    }
+}
+
+/// The seed with its neighbours on both sides, in the order of the lines.
+pub(crate) fn chain(arcs: &Arcs, seed: usize, gap: i64, free: impl Fn(usize) -> bool + Copy, chain: &mut Vec<usize>) {
+    chain.clear();
+    for side in [-1, 1] {
+        let mut at = seed;
+        for _ in 0..CHAIN {
+            let Some(next) = arcs.beside(at, side, gap, free) else { break };
+            chain.push(next);
+            at = next;
+        }
+        if side < 0 {
+            chain.reverse();
+            chain.push(seed);
+        }
+    }
+}
+
+/// Whether a chain has enough arcs, and they are surely curved, all together.
+pub(crate) fn is_promising(arcs: &Arcs, chain: &[usize], parameters: &AssemblerParameters) -> Result<(), Rejection> {
+    if chain.len() < parameters.pooled.min_lines as usize {
+        return Err(Rejection::FewRows);
+    }
+    let bulge: f64 = chain.iter().map(|&index| arcs.arcs[index].bulge).sum();
+    let [mean, variance] = STRAIGHT.map(|moment| moment * chain.len() as f64);
+    if bulge > mean + CURVED * variance.sqrt() { Ok(()) } else { Err(Rejection::Flat) }
+}
+
+/// What a growth starts from.
+#[derive(Clone, Copy)]
+struct Start<'a> {
+    pub kind: ObjectKind,
+    pub chain: &'a [usize],
+    /// A model of it, of this or another kind, if there is one.
+    pub guess: Option<&'a Model>,
+    /// Whether its middle will do, where the whole is spoilt by its ends.
+    pub middle_will_do: bool,
+}
+
+/// What came of a growth.
+struct Growth {
+    pub model: Option<Model>,
+    /// Whether its first model explained the whole chain.
+    pub from_whole: bool,
+}
+
+/// Grows a model of one kind from a chain on, and leaves the arcs that it explains in `members`, in the order of the
+/// lines; `None` where it does not explain even the chain. `spare` is a buffer.
+fn grow(
+    arcs: &Arcs,
+    start: &Start,
+    gap: i64,
+    free: impl Fn(usize) -> bool + Copy,
+    members: &mut Vec<usize>,
+    spare: &mut Vec<usize>,
+) -> Growth {
+    let first = first(arcs, start, members);
+    let from_whole = first.is_some() && members.len() == start.chain.len();
+    Growth { model: first.and_then(|first| grow_on(arcs, first, gap, free, members, spare)), from_whole }
+}
+
+/// Takes in what the model explains, and fits it again, as long as that makes more of it.
+fn grow_on(
+    arcs: &Arcs,
+    mut model: Model,
+    gap: i64,
+    free: impl Fn(usize) -> bool + Copy,
+    members: &mut Vec<usize>,
+    spare: &mut Vec<usize>,
+) -> Option<Model> {
+    let kind = model.kind();
+    for round in 0..ROUNDS {
+        reach(&Region { arcs, model, members }, gap, free, spare);
+        if spare.len() < FEWEST {
+            return None;
+        }
+        if round > 0 && spare == members {
+            break;
+        }
+        std::mem::swap(members, spare);
+        model = model::fit(kind, &arcs.of(members), Some(&model), f64::INFINITY)?;
+    }
+    for _ in 0..2 {
+        clean(arcs, &model, members);
+        if members.len() < FEWEST {
+            return None;
+        }
+        model = model::fit(kind, &arcs.of(members), Some(&model), f64::INFINITY)?;
+    }
+    Some(model)
+}
+
+/// The model of the chain, if it explains it, or else of its middle.
+fn first(arcs: &Arcs, start: &Start, members: &mut Vec<usize>) -> Option<Model> {
+    let &Start { kind, chain, guess, middle_will_do } = start;
+    let lengths = [chain.len(), CORE, FEWEST];
+    for length in if middle_will_do { &lengths[..] } else { &lengths[..1] } {
+        let start = chain.len().saturating_sub(*length) / 2;
+        members.clear();
+        members.extend(&chain[start..(start + length).min(chain.len())]);
+        let points: f64 = arcs.of(members).map(|arc| arc.points).sum();
+        let most = points * FIRST.square_limit(points);
+        let model = model::fit(kind, &arcs.of(members), guess, most);
+        if let Some(model) = model.filter(|model| model.square_sum() <= most) {
+            return Some(model);
+        }
+    }
+    None
+}
+
+/// The arcs around the members that the model explains, without too wide a gap, and not farther off than the members
+/// reach.
+fn reach(region: &Region, gap: i64, free: impl Fn(usize) -> bool, found: &mut Vec<usize>) {
+    let Region { arcs, model, members } = region;
+    let line = |index: usize| i64::from(arcs.arcs[members[index]].line);
+    let (from, to) = (line(0), line(members.len() - 1));
+    let (gap, more) = (gap.max((GAP * members.len() as f64) as i64), (to - from + 1).max(LEAST_STEP));
+    let middle = &arcs.arcs[members[members.len() / 2]];
+    let (q, predictor) = (model.coefficients(), Predictor::new(model));
+    let accept = |index: usize, span: [i64; 2]| {
+        let arc = &arcs.arcs[index];
+        let margin = (span[1] - span[0]) / MARGIN_SHARE + MARGIN_PX;
+        // What an exact model explains needs no look at how exact this one is.
+        let bears =
+            |misfit| GROWING.bears(arc, &misfit, 0.0) || GROWING.bears(arc, &misfit, predictor.variance(&arc.mean));
+        free(index)
+            && arc.overlap([span[0] - margin, span[1] + margin]) > 0
+            && faces(arc, model)
+            && model.misfit(&q, arc).is_some_and(bears)
+    };
+    found.clear();
+    for side in [-1, 1] {
+        let (mut line, mut span, mut misses) = (i64::from(middle.line), middle.pixels, 0);
+        if side > 0 {
+            line += 1;
+        }
+        while misses <= gap && line >= from - more && line <= to + more {
+            let before = found.len();
+            found.extend(arcs.on_line(middle.scan, line).filter(|&index| accept(index, span)));
+            misses = if found.len() > before { 0 } else { misses + 1 };
+            span = arcs.span(&found[before..]).unwrap_or(span);
+            line += side;
+        }
+    }
+    found.sort_unstable();
+}
+
+/// Whether an arc lies on the side of the surface that can be seen.
+fn faces(arc: &Arc, model: &Model) -> bool {
+    let outwards = match model {
+        Model::Sphere(fit) => arc.mean - fit.surface.center,
+        _ => model.conical().map_or(arc.mean, |surface| arc.mean - surface.anchored(&arc.mean).point),
+    };
+    outwards.dot(&arc.mean) < 0.0
+}
+
+/// Leaves out the members that the model explains badly, at the ends with less patience.
+fn clean(arcs: &Arcs, model: &Model, members: &mut Vec<usize>) {
+    let q = model.coefficients();
+    let bears = |patience: &Patience, index: usize| {
+        let arc = &arcs.arcs[index];
+        model.misfit(&q, arc).is_some_and(|misfit| patience.bears(arc, &misfit, 0.0))
+    };
+    members.retain(|&index| bears(&SETTLED, index));
+    let last = members.iter().rposition(|&index| bears(&AT_ENDS, index)).map_or(0, |last| last + 1);
+    members.truncate(last);
+    let first = members.iter().position(|&index| bears(&AT_ENDS, index)).unwrap_or(0);
+    members.drain(..first);
+}

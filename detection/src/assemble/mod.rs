@@ -1,0 +1,58 @@
+//! Ellipses -> objects: no ellipse has to be right on its own.
+//!
+//! The files stand in the order of the steps: the arcs with the moments of their points ([`arcs`]); which of them are tried
+//! first ([`seeds`]); how a model grows from one over the lines ([`growth`]), with the three models and their fits
+//! ([`model`]) and what they explain ([`region`]); what an object has to fulfil as a whole ([`verify`]); which of the shapes
+//! it is ([`choice`]); and what is told of it ([`report`]). The walk itself is [`Assembler::assemble`](super::method).
+
+pub(crate) mod arcs;
+pub(crate) mod choice;
+pub(crate) mod growth;
+mod model;
+mod parameters;
+mod region;
+mod rejection;
+mod report;
+pub(crate) mod seeds;
+#[cfg(test)]
+mod tests;
+pub(crate) mod verify;
+
+pub use parameters::{AssemblerParameters, AxialLimits, PooledParameters, RadiusLimits};
+pub use rejection::{Rejection, Rejections};
+pub use report::end_sigma;
+
+use arcs::Arcs;
+use conicflow_messages::Object;
+use growth::Growing;
+use seeds::Seeds;
+
+/// Finds the objects in lists of ellipses; its buffers are used again for the next.
+#[derive(Debug)]
+pub struct Assembler {
+    pub(crate) parameters: AssemblerParameters,
+    pub(crate) arcs: Arcs,
+    pub(crate) seeds: Seeds,
+    pub(crate) growing: Growing,
+    pub(crate) objects: Vec<Object>,
+    pub(crate) rejections: Rejections,
+}
+
+impl Assembler {
+    /// An assembler with these parameters.
+    pub fn new(parameters: AssemblerParameters) -> Self {
+        Self {
+            parameters,
+            arcs: Arcs::default(),
+            seeds: Seeds::default(),
+            growing: Growing::default(),
+            objects: Vec::new(),
+            rejections: Rejections::default(),
+        }
+    }
+
+    /// Why candidates of the last image were turned down, and how many of them.
+    pub fn rejections(&self) -> impl Iterator<Item = (&'static str, u64)> {
+        self.rejections.iter()
+    }
+}

@@ -1,0 +1,311 @@
+//! The three models and their fits to the pooled moments of some arcs.
+
+use super::arcs::{Arc, Misfit};
+use super::region::Region;
+use conicflow_geometry::{
+    ArcFit, Coefficients, Conical, Contour, ContourNoise, ContourPoint, FixedSlope, FreeSlope, Line, LineMoments,
+    Prediction, QuadricMoments, SpaceMoments, Sphere, Surface, SurfaceFit, Vector3, fit_surface, fit_with_contour,
+    gain_of_deformations,
+};
+use conicflow_messages::ObjectKind;
+
+/// Number of refits of a cone. Each weighs the arcs by the radius that the last fit gives them.
+const CONE_PASSES: usize = 1; // [algorithmic]
+/// Least radius at an arc of a cone, as a part of the radius in its middle. A smaller one is too near the apex.
+const LEAST_EXCESS: f64 = 0.05; // [tuned]
+/// The first fit of a cone may leave so many times the square sum of its refit: it weighs the arcs as those of a cylinder.
+const UNWEIGHTED: f64 = 2.0; // [algorithmic]
+/// Largest slope of a cone: the fit of a steeper one has diverged.
+const STEEPEST: f64 = 1.2; // [algorithmic]
+
+/// Largest radius of a starting value, in metres.
+const WIDEST: f64 = 2.0; // [algorithmic]
+
+/// A fitted model.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Model {
+    Sphere(SurfaceFit<Sphere, 4>),
+    Cylinder(SurfaceFit<FixedSlope, 5>),
+    Cone(SurfaceFit<FreeSlope, 6>),
+}
+
+impl Model {
+    pub fn kind(&self) -> ObjectKind {
+        match self {
+            Self::Sphere(_) => ObjectKind::Sphere,
+            Self::Cylinder(_) => ObjectKind::Cylinder,
+            Self::Cone(_) => ObjectKind::Cone,
+        }
+    }
+
+    pub fn coefficients(&self) -> Coefficients {
+        match self {
+            Self::Sphere(fit) => fit.surface.coefficients(),
+            Self::Cylinder(fit) => fit.surface.coefficients(),
+            Self::Cone(fit) => fit.surface.coefficients(),
+        }
+    }
+
+    /// Axis and profile of a cylinder or cone.
+    pub fn conical(&self) -> Option<Conical> {
+        match self {
+            Self::Sphere(_) => None,
+            Self::Cylinder(fit) => Some(fit.surface.0),
+            Self::Cone(fit) => Some(fit.surface.0),
+        }
+    }
+
+    /// Radius of a sphere or cylinder, and of a cone where `mean` is.
+    pub fn radius_at(&self, mean: &Vector3) -> f64 {
+        match self {
+            Self::Sphere(fit) => fit.surface.radius,
+            Self::Cylinder(fit) => fit.surface.0.radius,
+            Self::Cone(fit) => fit.surface.0.radius_at(mean),
+        }
+    }
+
+    /// By how much F is too great at an arc (see [`Conical`]); `None` beyond the apex of a cone.
+    pub fn excess(&self, arc: &Arc) -> Option<f64> {
+        match self {
+            Self::Cone(fit) => {
+                Some(fit.surface.0.radius_at(&arc.mean) / fit.surface.0.radius).filter(|g| *g > LEAST_EXCESS)
+            }
+            _ => Some(1.0),
+        }
+    }
+
+    /// Weighted sum of the squared distances.
+    pub fn square_sum(&self) -> f64 {
+        match self {
+            Self::Sphere(fit) => fit.square_sum,
+            Self::Cylinder(fit) => fit.square_sum,
+            Self::Cone(fit) => fit.square_sum,
+        }
+    }
+
+    /// Weighted sum of the squared distances of the contour.
+    pub fn contour_sum(&self) -> f64 {
+        match self {
+            Self::Sphere(fit) => fit.contour_sum,
+            Self::Cylinder(fit) => fit.contour_sum,
+            Self::Cone(fit) => fit.contour_sum,
+        }
+    }
+
+    /// Weighted sum of the squared distances of points and contour.
+    pub fn cost(&self) -> f64 {
+        self.square_sum() + self.contour_sum()
+    }
+
+    /// How far the points of an arc are off the model, of which `q` are the coefficients.
+    pub fn misfit(&self, q: &Coefficients, arc: &Arc) -> Option<Misfit> {
+        let excess = self.excess(arc)?;
+        let Misfit { square, mean } = arc.misfit(q);
+        Some(Misfit { square: square / (excess * excess), mean: mean / excess })
+    }
+}
+
+/// How well a model tells where its surface is.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Predictor {
+    Sphere(Prediction<4>),
+    Cylinder(Prediction<5>),
+    Cone(Prediction<6>),
+}
+
+impl Predictor {
+    pub fn new(model: &Model) -> Self {
+        match model {
+            Model::Sphere(fit) => Self::Sphere(Prediction::new(fit)),
+            Model::Cylinder(fit) => Self::Cylinder(Prediction::new(fit)),
+            Model::Cone(fit) => Self::Cone(Prediction::new(fit)),
+        }
+    }
+
+    /// Variance of the distance of a point from the surface.
+    pub fn variance(&self, point: &Vector3) -> f64 {
+        match self {
+            Self::Sphere(prediction) => prediction.variance(point),
+            Self::Cylinder(prediction) => prediction.variance(point),
+            Self::Cone(prediction) => prediction.variance(point),
+        }
+    }
+}
+
+/// The arcs pooled, each with the weight of one over its variance, times what `excess` asks for.
+fn pool<'a>(arcs: impl Iterator<Item = &'a Arc>, excess: impl Fn(&Arc) -> f64) -> SpaceMoments {
+    let mut pool = SpaceMoments::default();
+    arcs.for_each(|arc| pool.add(&arc.space, 1.0 / (arc.variance * excess(arc).powi(2))));
+    pool
+}
+
+/// Fits a model of a kind; starts from `last` where there is one of that kind, and is given up where the weighted sum of
+/// squares will not get below `most`.
+pub(super) fn fit<'a>(
+    kind: ObjectKind,
+    arcs: &(impl Iterator<Item = &'a Arc> + Clone),
+    last: Option<&Model>,
+    most: f64,
+) -> Option<Model> {
+    match kind {
+        ObjectKind::Sphere => fit_sphere(arcs, last, most),
+        ObjectKind::Cylinder => fit_cylinder(arcs, last, most),
+        ObjectKind::Cone => fit_cone(arcs, last, most),
+    }
+}
+
+fn fit_sphere<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Model>, most: f64) -> Option<Model> {
+    let moments = pool(arcs.clone(), |_| 1.0).normalized()?;
+    let start = match last {
+        Some(Model::Sphere(fit)) => fit.surface,
+        _ => moments.sphere()?,
+    };
+    fit_surface(&moments, &start, most).map(Model::Sphere)
+}
+
+fn fit_cylinder<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Model>, most: f64) -> Option<Model> {
+    let moments = pool(arcs.clone(), |_| 1.0).normalized()?;
+    let start = match last {
+        Some(Model::Cylinder(fit)) => fit.surface,
+        _ => FixedSlope(start(arcs.clone(), &moments)?),
+    };
+    fit_surface(&moments, &start, most).map(Model::Cylinder)
+}
+
+fn fit_cone<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Model>, most: f64) -> Option<Model> {
+    let mut fit = match last {
+        Some(Model::Cone(fit)) => *fit,
+        _ => {
+            let moments = pool(arcs.clone(), |_| 1.0).normalized()?;
+            let start = match last {
+                Some(Model::Cylinder(fit)) => fit.surface.0,
+                _ => start(arcs.clone(), &moments)?,
+            };
+            let fit = fit_surface(&moments, &FreeSlope(start), UNWEIGHTED * most)?;
+            (fit.surface.0.slope.abs() <= STEEPEST).then_some(fit)?
+        }
+    };
+    for _ in 0..CONE_PASSES {
+        let cone = fit.surface.0;
+        let moments = pool(arcs.clone(), |arc| excess(&cone, arc)).normalized()?;
+        fit = fit_surface(&moments, &fit.surface, most)?;
+    }
+    Some(Model::Cone(upright(fit)))
+}
+
+/// By how much less would be left of the arcs, were the model free to be an ellipsoid, or to have a section that is no circle.
+pub(super) fn deformation_gain(region: &Region) -> Option<f64> {
+    let evenly = || pool(region.arcs(), |_| 1.0).normalized();
+    match &region.model {
+        Model::Sphere(fit) => gain_of_deformations(&evenly()?, &fit.surface, &Sphere::deformations()),
+        Model::Cylinder(fit) => gain_of_deformations(&evenly()?, &fit.surface, &fit.surface.0.deformations()),
+        Model::Cone(fit) => {
+            let cone = &fit.surface.0;
+            let moments = pool(region.arcs(), |arc| excess(cone, arc)).normalized()?;
+            gain_of_deformations(&moments, &fit.surface, &cone.deformations())
+        }
+    }
+}
+
+/// How exact the contours of objects are. On rendered frames a contour point scatters by half a pixel and 2 % of the radius
+/// (4 % leave a margin), and a whole contour lies up to 5 % of the radius too far in.
+const CONTOUR_NOISE: ContourNoise = ContourNoise {
+    point_px: 0.5,     // [tuned]
+    point_share: 0.04, // [tuned]
+    offset_px: 1.0,    // [tuned]
+    share: 0.05,       // [tuned]
+};
+
+/// The model fitted anew, to its arcs and to the contour that they show: so many times, each with the points that are
+/// near the contour of the last. `contour` is a buffer.
+pub(super) fn with_contour(region: &Region, passes: usize, contour: &mut Contour) -> Option<Model> {
+    let arcs = region.arcs();
+    let evenly = match &region.model {
+        Model::Cone(_) => None,
+        _ => Some(pool(arcs.clone(), |_| 1.0).normalized()?),
+    };
+    let mut region = *region;
+    for _ in 0..passes {
+        gather(&region, contour);
+        let [from, to] = region.extent();
+        let seen =
+            |surface: &Conical, point: &Vector3| (from..=to).contains(&surface.axis.dot(&(point - surface.point)));
+        region.model = match (&region.model, &evenly) {
+            (Model::Sphere(fit), Some(moments)) => {
+                contour.select(&fit.surface, |_| true);
+                Model::Sphere(fit_with_contour(moments, contour, &fit.surface)?)
+            }
+            (Model::Cylinder(fit), Some(moments)) => {
+                contour.select(&fit.surface, |point| seen(&fit.surface.0, point));
+                Model::Cylinder(fit_with_contour(moments, contour, &fit.surface)?)
+            }
+            (Model::Cone(fit), None) => {
+                let moments = pool(arcs.clone(), |arc| excess(&fit.surface.0, arc)).normalized()?;
+                contour.select(&fit.surface, |point| seen(&fit.surface.0, point));
+                Model::Cone(upright(fit_with_contour(&moments, contour, &fit.surface)?))
+            }
+            _ => return None,
+        };
+    }
+    Some(region.model)
+}
+
+/// Puts the contour that a grown model shows into `contour`.
+fn gather(region: &Region, contour: &mut Contour) {
+    contour.clear(CONTOUR_NOISE);
+    for arc in region.arcs() {
+        let radius_px = region.model.radius_at(&arc.mean).max(0.0) / arc.pitch;
+        arc.contour.into_iter().flatten().for_each(|point| contour.add(ContourPoint { radius_px, ..point }));
+    }
+}
+
+/// By how much F is too great at an arc of a cone; not less than a little above zero, near and beyond the apex.
+fn excess(cone: &Conical, arc: &Arc) -> f64 {
+    (cone.radius_at(&arc.mean) / cone.radius).max(LEAST_EXCESS)
+}
+
+/// The same cone, its axis pointing away from the apex.
+fn upright(fit: SurfaceFit<FreeSlope, 6>) -> SurfaceFit<FreeSlope, 6> {
+    if fit.surface.0.slope >= 0.0 {
+        return fit;
+    }
+    let mut flipped = fit;
+    let before = fit.surface.0;
+    flipped.surface.0 = Conical { axis: -before.axis, slope: -before.slope, ..before };
+    // Parameters: tilts, shifts, radius, slope; the directions across turn with the axis.
+    let (old, new) = (before.across(), flipped.surface.0.across());
+    let turn = |i: usize| new[i].dot(&old[i]);
+    let signs = [-turn(0), -turn(1), turn(0), turn(1), 1.0, -1.0];
+    for i in 0..6 {
+        for j in 0..6 {
+            flipped.inverse[(i, j)] *= signs[i] * signs[j];
+            flipped.contour[(i, j)] *= signs[i] * signs[j];
+        }
+    }
+    flipped
+}
+
+/// A guess from the circles of the arcs, of which `moments` are those of the points: of some directions for the axis that
+/// along which the points lie best on one circle.
+fn start<'a>(arcs: impl Iterator<Item = &'a Arc> + Clone, moments: &QuadricMoments) -> Option<Conical> {
+    let first = arcs.clone().next()?;
+    let (mut centers, mut means) = (LineMoments::new(first.center), LineMoments::new(first.mean));
+    arcs.for_each(|arc| {
+        centers.add(&arc.center);
+        means.add(&arc.mean);
+    });
+    let along = |line: Option<Line>| line.map(|line| line.direction);
+    let axes = [Some(first.plane.normal()), along(centers.fit()), along(means.fit())];
+    let guesses = axes.into_iter().flatten().filter_map(|axis| round_about(moments, &axis));
+    guesses.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, guess)| guess)
+}
+
+/// The circle through all points as seen along an axis, and the mean square distance from it.
+fn round_about(moments: &QuadricMoments, axis: &Vector3) -> Option<(f64, Conical)> {
+    let frame = Conical { point: moments.origin, axis: *axis, radius: 1.0, slope: 0.0 };
+    let [u, v] = frame.across();
+    let ArcFit { circle, circle_square, .. } = moments.seen_along(&u, &v).fit();
+    let [x, y] = circle.center.map(|offset| offset * moments.scale);
+    let radius = (circle.radius * moments.scale).min(WIDEST);
+    radius.is_finite().then_some((circle_square, Conical { point: frame.point + u * x + v * y, radius, ..frame }))
+}

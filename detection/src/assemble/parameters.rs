@@ -1,0 +1,173 @@
+//! Parameters of the assembly of objects.
+
+use super::rejection::Rejection;
+use conicflow_messages::{ConfigFault, ObjectKind};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Smallest and largest radius of a shape.
+#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RadiusLimits {
+    /// Smallest radius, in metres.
+    #[schemars(range(min = 0.001, max = 100.0))]
+    pub min_m: f64,
+    /// Largest radius, in metres.
+    #[schemars(range(min = 0.001, max = 100.0))]
+    pub max_m: f64,
+}
+
+/// Smallest and largest radius and visible length of a cylinder or cone.
+#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct AxialLimits {
+    /// Smallest radius, in metres; of a cone in the middle of its visible part.
+    #[schemars(range(min = 0.001, max = 100.0))]
+    pub min_m: f64,
+    /// Largest radius, in metres.
+    #[schemars(range(min = 0.001, max = 100.0))]
+    pub max_m: f64,
+    /// Smallest visible length, in metres.
+    #[serde(default)]
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub min_length_m: f64,
+    /// Largest visible length, in metres.
+    #[serde(default = "unlimited_m")]
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub max_length_m: f64,
+}
+
+/// More than any camera sees.
+fn unlimited_m() -> f64 {
+    100.0
+}
+
+/// What an object has to be for it to be reported.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct PooledParameters {
+    /// Fewest scan lines of an object; of those that the extractor looks at, as wherever lines are counted.
+    #[schemars(range(min = 7, max = 1000))]
+    pub min_lines: u32,
+    /// Smallest visual angle of an object across its scan lines, in degrees: a finer image shows more of what is too small
+    /// to tell.
+    #[schemars(range(min = 0.0, max = 45.0))]
+    pub min_view_deg: f64,
+    /// Scan lines without a part of the object that are bridged in any case; while the first few are put together, one less.
+    #[schemars(range(min = 1, max = 64))]
+    pub max_gap_lines: u32,
+    /// Smallest part of the scan lines from first to last that support the object.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub min_coverage: f64,
+    /// Smallest visible part of the circumference, in degrees.
+    #[schemars(range(min = 0.0, max = 180.0))]
+    pub min_arc_deg: f64,
+    /// Shortest visible part of a cylinder or cone, in radii.
+    #[schemars(range(min = 0.0, max = 10.0))]
+    pub min_length_radii: f64,
+    /// Least height of the visible part of a sphere, in radii.
+    #[schemars(range(min = 0.0, max = 2.0))]
+    pub min_cap_radii: f64,
+    /// Half-angle from which on something may be a cone and not a cylinder, in degrees.
+    #[schemars(range(min = 0.0, max = 45.0))]
+    pub min_half_angle_deg: f64,
+}
+
+impl Default for PooledParameters {
+    fn default() -> Self {
+        Self {
+            min_lines: 10,
+            min_view_deg: 1.4,
+            max_gap_lines: 4,
+            min_coverage: 0.6,
+            min_arc_deg: 30.0,
+            min_length_radii: 0.5,
+            min_cap_radii: 0.5,
+            min_half_angle_deg: 2.5,
+        }
+    }
+}
+
+/// Parameters of the assembly.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(default)]
+pub struct AssemblerParameters {
+    /// Largest half-angle of a cone, in degrees.
+    #[schemars(range(min = 0.0, max = 45.0))]
+    pub max_half_angle_deg: f64,
+    /// Limits on the radius of a sphere.
+    pub sphere: RadiusLimits,
+    /// Limits on the radius and the visible length of a cylinder.
+    pub cylinder: AxialLimits,
+    /// Limits on the radius, in the middle of its visible part, and the visible length of a cone.
+    pub cone: AxialLimits,
+    /// What an object has to be for `method = "pooled"`, the default, to report it.
+    pub pooled: PooledParameters,
+}
+
+impl Default for AssemblerParameters {
+    fn default() -> Self {
+        let (min_m, max_m) = (0.015, 0.5);
+        let axial = AxialLimits { min_m, max_m, min_length_m: 0.0, max_length_m: unlimited_m() };
+        Self {
+            max_half_angle_deg: 30.0,
+            sphere: RadiusLimits { min_m, max_m },
+            cylinder: axial,
+            cone: axial,
+            pooled: PooledParameters::default(),
+        }
+    }
+}
+
+impl AssemblerParameters {
+    /// What is wrong with them although each is in its range.
+    pub fn faults(&self) -> Vec<ConfigFault> {
+        let axial = [("cylinder", &self.cylinder), ("cone", &self.cone)];
+        let mut faults: Vec<_> = fault("sphere", "m", self.sphere.min_m, self.sphere.max_m).into_iter().collect();
+        for (key, limits) in axial {
+            faults.extend(fault(key, "m", limits.min_m, limits.max_m));
+            faults.extend(fault(key, "length_m", limits.min_length_m, limits.max_length_m));
+        }
+        faults
+    }
+
+    /// What is wrong with the half-angle `min_half_angle_deg` of the table `key`, from which on something may be a cone.
+    pub fn fault_of_half_angle(&self, key: &'static str, least: f64) -> Option<ConfigFault> {
+        let most = self.max_half_angle_deg;
+        (least > most).then(|| ConfigFault {
+            key,
+            what: format!("min_half_angle_deg, {least}, is more than max_half_angle_deg, {most}"),
+            hint: "what is steeper than the one and flatter than the other is a cone".to_owned(),
+        })
+    }
+
+    /// Scan lines without a part of the object that are bridged in any case.
+    pub(crate) fn max_gap(&self) -> i64 {
+        i64::from(self.pooled.max_gap_lines)
+    }
+
+    /// Why an object of this size is not reported.
+    pub fn wrong_size(&self, shape: ObjectKind, radius: f64, length: f64) -> Option<Rejection> {
+        let axial = match shape {
+            ObjectKind::Sphere => {
+                let RadiusLimits { min_m, max_m } = self.sphere;
+                return (!(min_m..=max_m).contains(&radius)).then_some(Rejection::Radius);
+            }
+            ObjectKind::Cylinder => &self.cylinder,
+            ObjectKind::Cone => &self.cone,
+        };
+        if !(axial.min_m..=axial.max_m).contains(&radius) {
+            return Some(Rejection::Radius);
+        }
+        (!(axial.min_length_m..=axial.max_length_m).contains(&length)).then_some(Rejection::Length)
+    }
+}
+
+/// What is wrong with the limits `min_UNIT` and `max_UNIT` of a shape.
+fn fault(key: &'static str, unit: &str, min: f64, max: f64) -> Option<ConfigFault> {
+    (min > max).then(|| ConfigFault {
+        key,
+        what: format!("min_{unit}, {min}, is more than max_{unit}, {max}"),
+        hint: "both are in metres".to_owned(),
+    })
+}

@@ -1,0 +1,86 @@
+//! Seeds: the arcs of an image that nothing explains yet, the most curved first.
+
+use super::arcs::Arcs;
+use super::rejection::{Rejection, Rejections};
+use super::verify::{self, Candidate};
+use conicflow_messages::Object;
+
+/// Most seeds that are tried in one image, the most curved first. It bounds the time; three times as many find no more.
+const MAX_TRIES: usize = 96; // [algorithmic]
+/// Arcs up to so many radii beyond the visible ends of an object are tested for belonging to it.
+const SPARE_REACH: f64 = 1.5; // [tuned]
+/// Such an arc belongs to the object if its mean square residual is less than so many variances.
+const SPARE_SQUARE: f64 = 4.0; // [sigmas]
+
+/// The order in which arcs are tried; its buffers are used again for the next image.
+#[derive(Debug, Default)]
+pub(crate) struct Seeds {
+    /// How curved each arc is, and its index.
+    order: Vec<(f64, usize)>,
+    /// How many of them were looked at.
+    next: usize,
+    tries: usize,
+    taken: Vec<bool>,
+    tried: Vec<bool>,
+}
+
+impl Seeds {
+    /// Begins with the arcs of another image.
+    pub fn order(&mut self, arcs: &Arcs) {
+        let arcs = &arcs.arcs;
+        (self.next, self.tries) = (0, 0);
+        self.order.clear();
+        self.order.extend(arcs.iter().map(|arc| arc.bulge).zip(0..));
+        self.order.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        for flags in [&mut self.taken, &mut self.tried] {
+            flags.clear();
+            flags.resize(arcs.len(), false);
+        }
+    }
+
+    /// The next arc that is neither part of an object nor was tried with another.
+    pub fn next(&mut self, rejections: &mut Rejections) -> Option<usize> {
+        while let Some(&(_, seed)) = self.order.get(self.next) {
+            self.next += 1;
+            if self.taken[seed] || self.tried[seed] {
+                continue;
+            }
+            if self.tries < MAX_TRIES {
+                self.tries += 1;
+                return Some(seed);
+            }
+            rejections.count(Rejection::Untried);
+        }
+        None
+    }
+
+    /// Whether an arc is part of no object yet.
+    pub fn is_free(&self, arc: usize) -> bool {
+        !self.taken[arc]
+    }
+
+    /// None of these arcs is tried again as a seed.
+    pub fn give_up(&mut self, arcs: &[usize]) {
+        for &arc in arcs {
+            self.tried[arc] = true;
+        }
+    }
+
+    /// Takes the arcs of an object, and all others that its surface explains, from what is left.
+    pub fn take(&mut self, best: &Candidate, object: &Object) {
+        let Candidate { region, measured } = best;
+        for &member in region.members {
+            self.taken[member] = true;
+        }
+        let q = region.model.coefficients();
+        let center = verify::middle(region, measured);
+        let reach = 0.5 * (measured.extent[1] - measured.extent[0]) + SPARE_REACH * object.radius;
+        for (taken, arc) in self.taken.iter_mut().zip(&region.arcs.arcs) {
+            if !*taken && (arc.mean - center).norm() < reach {
+                let misfit = region.model.misfit(&q, arc);
+                *taken =
+                    misfit.is_some_and(|misfit| misfit.square.max(misfit.mean.powi(2)) < SPARE_SQUARE * arc.variance);
+            }
+        }
+    }
+}

@@ -1,0 +1,355 @@
+//! Tests of the pooled method, on rendered frames.
+
+use super::arcs::Arcs;
+use super::model::{self, Model};
+use super::region::Region;
+use super::{Assembler, AssemblerParameters, verify};
+use crate::extract::{Extractor, ExtractorParameters, ScanLines};
+use conicflow_geometry::{Contour, ContourNoise, ContourPoint, Scan, Sphere, SurfaceFit, Vector3};
+use conicflow_lab::rendered::{Body, KINECT_HALF, render};
+use conicflow_lab::simulator::random_scene::{SceneGroup, random_scene};
+use conicflow_lab::simulator::random_scenes::RandomScenes;
+use conicflow_lab::simulator::scene::Scene;
+use conicflow_lab::simulator::sensor::{SensorConfig, SensorTable};
+use conicflow_lab::simulator::{SimulatorParameters, SyntheticCamera};
+use conicflow_messages::{Camera, Header, Item, NoiseModel, Object, ObjectKind};
+use nalgebra::SMatrix;
+use std::ops::Range;
+
+fn detect(camera: Camera, noise: NoiseModel, bodies: &[Body], seed: u64) -> Vec<Object> {
+    let (header, pixels) = render(camera, noise, bodies, seed);
+    find(&header, &pixels)
+}
+
+fn find(header: &Header, pixels: &[u16]) -> Vec<Object> {
+    let arcs = ExtractorParameters::default();
+    let mut extractor = Extractor::new(arcs);
+    let mut assembler = Assembler::new(AssemblerParameters::default());
+    let objects = assembler.assemble(header, extractor.extract(header, pixels)).to_vec();
+    assert_eq!(Object::check(header, &objects), Ok(()));
+    objects
+}
+
+fn kinect(bodies: &[Body], seed: u64) -> Vec<Object> {
+    detect(KINECT_HALF, NoiseModel::KINECT_V1, bodies, seed)
+}
+
+fn can(distance: f64) -> Body {
+    Body::Frustum { center: Vector3::new(0.0, 0.0, distance), axis: Vector3::y(), radius: 0.2, slope: 0.0, length: 0.7 }
+}
+
+fn wall(z: f64) -> Body {
+    Body::Plane { normal: Vector3::z(), offset: z }
+}
+
+fn floor(y: f64) -> Body {
+    Body::Plane { normal: Vector3::y(), offset: y }
+}
+
+fn single(objects: &[Object], shape: ObjectKind) -> Object {
+    assert_eq!(objects.len(), 1, "{objects:?}");
+    assert_eq!(objects[0].shape(), shape, "{objects:?}");
+    objects[0]
+}
+
+fn off(object: &Object, point: &Vector3) -> f64 {
+    (Vector3::from(object.center) - point).norm()
+}
+
+#[test]
+fn a_can_keeps_its_radius_at_a_distance() {
+    for (distance, tolerance) in [(1.0, 0.001), (2.0, 0.002), (3.0, 0.006)] {
+        let found = single(&kinect(&[can(distance), wall(4.0)], 1), ObjectKind::Cylinder);
+        assert!((found.radius - 0.2).abs() < tolerance, "{} at {distance} m", found.radius);
+        assert!(Vector3::from(found.axis).y.abs() > 0.999 && off(&found, &Vector3::new(0.0, 0.0, distance)) < 0.02);
+        assert!((found.radius - 0.2).abs() < 5.0 * found.sigma.radius, "{found:?}");
+    }
+}
+
+#[test]
+fn half_a_can_is_enough() {
+    let board = Body::Block { center: Vector3::new(0.2, 0.0, 1.2), size: Vector3::new(0.4, 1.2, 0.02), turn: 0.0 };
+    let found = single(&kinect(&[can(1.6), board, wall(3.0)], 2), ObjectKind::Cylinder);
+    assert!((found.radius - 0.2).abs() < 0.006 && found.arc < 1.6, "{found:?}");
+}
+
+#[test]
+fn boxes_floor_and_wall_are_nothing() {
+    for seed in 0..6 {
+        let turn = 0.3 + 0.2 * seed as f64;
+        let near = Body::Block { center: Vector3::new(-0.3, 0.3, 1.6), size: Vector3::new(0.3, 0.6, 0.3), turn };
+        let far = Body::Block { center: Vector3::new(0.6, 0.2, 2.6), size: Vector3::new(0.4, 0.8, 0.5), turn: -turn };
+        assert_eq!(kinect(&[near, far, floor(0.6), wall(3.5)], seed), []);
+    }
+}
+
+#[test]
+fn small_boxes_far_away_are_nothing_either() {
+    // Noise leaves so little of their edges that arcs of cylinders, cones and spheres miss them by no more than chance.
+    for seed in [1211, 1521, 1676, 1852, 2118] {
+        let (first, config) = (random_scene(SceneGroup::Empty, seed), SimulatorParameters::default());
+        let scenes = RandomScenes { groups: vec![SceneGroup::Empty], seeds: [seed, seed] };
+        let mut camera = SyntheticCamera::new(first, config.camera(), config.noise, config.depth_scale, 30.0, 0);
+        camera = camera.before(scenes);
+        let (mut header, mut pixels) = (Header::default(), vec![0; 640 * 480]);
+        camera.shoot(0, &mut pixels);
+        camera.describe(&mut header);
+        assert_eq!(find(&header, &pixels), [], "seed {seed}");
+    }
+}
+
+#[test]
+fn posts_in_much_noise_are_no_cans() {
+    let camera = Camera { width: 848, height: 480, fx: 696.0, fy: 696.0, cx: 423.5, cy: 239.5 };
+    let stereo = NoiseModel { growth_per_m: 0.0038, ..NoiseModel::IDEAL };
+    for (seed, turn) in [(1, 0.6), (2, 0.7), (3, 0.8), (4, 0.7)] {
+        let post = Body::Block { center: Vector3::new(0.1, 0.2, 2.0), size: Vector3::new(0.1, 0.5, 0.1), turn };
+        let found = detect(camera, stereo, &[post, wall(3.5)], seed);
+        assert!(found.iter().all(|object| object.shape() == ObjectKind::Sphere), "turned by {turn}: {found:?}");
+    }
+}
+
+#[test]
+fn a_sphere_and_cones_of_either_sense_are_told_apart() {
+    let center = Vector3::new(0.1, 0.0, 1.5);
+    let ball = single(&kinect(&[Body::Sphere { center, radius: 0.15 }], 3), ObjectKind::Sphere);
+    assert!((ball.radius - 0.15).abs() < 0.0015 && off(&ball, &center) < 0.003, "{ball:?}");
+    for slope in [0.25_f64, -0.2, 0.55] {
+        let cone = Body::Frustum { center, axis: Vector3::y(), radius: 0.12, slope, length: 0.4 };
+        let found = single(&kinect(&[cone], 4), ObjectKind::Cone);
+        assert!((found.half_angle - slope.abs().atan()).to_degrees().abs() < 1.0, "{found:?}");
+        assert!(found.axis[1] * slope > 0.0 && found.base_radius > found.top_radius, "{found:?}");
+        let apex = center - Vector3::y() * (0.12 / slope);
+        assert!((Vector3::from(found.apex) - apex).norm() < 0.03, "{found:?}");
+    }
+}
+
+#[test]
+fn a_ball_on_a_can_is_cut_off_from_it() {
+    let axis = Vector3::y();
+    let can = Body::Frustum { center: Vector3::new(0.0, 0.25, 1.4), axis, radius: 0.1, slope: 0.0, length: 0.3 };
+    let ball = Body::Sphere { center: Vector3::new(0.0, -0.02, 1.4), radius: 0.12 };
+    let mut objects = kinect(&[can, ball, floor(0.4), wall(3.0)], 7);
+    objects.sort_by_key(|object| object.kind);
+    let shapes: Vec<_> = objects.iter().map(Object::shape).collect();
+    assert_eq!(shapes, [ObjectKind::Sphere, ObjectKind::Cylinder], "{objects:?}");
+    assert!((objects[0].radius - 0.12).abs() < 0.001 && (objects[1].radius - 0.1).abs() < 0.001, "{objects:?}");
+}
+
+#[test]
+fn what_lies_across_is_found_in_columns_and_reported_once() {
+    let center = Vector3::new(0.0, 0.1, 1.5);
+    for axis in [Vector3::x(), Vector3::new(0.8, 0.6, 0.0), Vector3::new(0.6, 0.7, -0.4).normalize()] {
+        let pipe = Body::Frustum { center, axis, radius: 0.08, slope: 0.0, length: 0.6 };
+        let found = single(&kinect(&[pipe, wall(3.0)], 8), ObjectKind::Cylinder);
+        assert!((found.radius - 0.08).abs() < 0.001, "{found:?}");
+        assert!(Vector3::from(found.axis).cross(&axis).norm() < 0.02, "{found:?}");
+    }
+}
+
+#[test]
+fn what_shows_another_outline_is_nothing() {
+    let surface = Sphere { center: Vector3::new(0.0, 0.0, 1.0), radius: 0.1 };
+    let mut contour = Contour::default();
+    // Rays that touch the ball on its left, and some that are 20 pixels off.
+    let mut look = |others: usize| {
+        contour.clear(ContourNoise { point_px: 0.5, point_share: 0.0, offset_px: 1.0, share: 0.05 });
+        for i in 0..40 {
+            let left = -0.1 / 0.99_f64.sqrt() - if i < others { 20.0 / 525.0 } else { 0.0 };
+            let (ray, pixel) = (Vector3::new(left, 0.0, 1.0), Vector3::x() / 525.0);
+            contour.add(ContourPoint { ray, pixel, side: 0, radius_px: 50.0 });
+        }
+        contour.select(&surface, |_| true);
+        let fit = |contour_sum: f64| {
+            let (inverse, of_contour) = (SMatrix::zeros(), SMatrix::zeros());
+            let square_sum = 0.0;
+            Model::Sphere(SurfaceFit { surface, square_sum, contour_sum, inverse, contour: of_contour })
+        };
+        [20.0, 60.0, 120.0].map(|sum| verify::has_other_outline(&fit(sum), &contour))
+    };
+    assert_eq!(look(0), [false, false, true], "0.5, 1.5 and 3 variances off");
+    assert_eq!(look(8), [false, false, true]);
+    assert_eq!(look(16), [true; 3]);
+}
+
+#[test]
+fn what_is_seen_through_a_gap_may_be_anything_but_a_dome_on_a_wall_is_a_sphere() {
+    let door =
+        |x: f64| Body::Block { center: Vector3::new(x, 0.0, 1.0), size: Vector3::new(0.4, 1.5, 0.02), turn: 0.0 };
+    let ajar = [can(1.5), door(-0.24), door(0.24), wall(3.0)];
+    assert_eq!(kinect(&ajar, 7), []);
+    assert_eq!(single(&kinect(&[can(1.5), door(-0.24), wall(3.0)], 7), ObjectKind::Cylinder).kind, 1);
+    let dome = Body::Sphere { center: Vector3::new(0.1, 0.05, 1.5), radius: 0.15 };
+    let found = single(&kinect(&[dome, wall(1.5)], 7), ObjectKind::Sphere);
+    assert!((found.radius - 0.15).abs() < 0.005, "{found:?}");
+}
+
+/// Whether a sphere through some lines of what is seen goes on beyond them.
+fn goes_on(bodies: &[Body], lines: Range<i64>) -> bool {
+    let (header, pixels) = render(KINECT_HALF, NoiseModel::KINECT_V1, bodies, 3);
+    let rows = ExtractorParameters { scan: ScanLines::Rows, ..ExtractorParameters::default() };
+    let mut arcs = Arcs::default();
+    arcs.read(&header, Extractor::new(rows).extract(&header, &pixels));
+    let members: Vec<usize> = lines.clone().flat_map(|line| arcs.on_line(Scan::Row, line)).collect();
+    assert_eq!(members.len(), lines.count(), "one arc a line");
+    let model = model::fit(ObjectKind::Sphere, &arcs.of(&members), None, f64::INFINITY).unwrap();
+    verify::goes_on(&Region { arcs: &arcs, model, members: &members }, 2)
+}
+
+#[test]
+fn a_band_of_a_post_goes_on_on_both_sides() {
+    let post = |from: f64, to: f64| Body::Frustum {
+        center: Vector3::new(0.0, 0.5 * (from + to), 1.2),
+        axis: Vector3::y(),
+        radius: 0.06,
+        slope: 0.0,
+        length: to - from,
+    };
+    let ball = |y: f64| Body::Sphere { center: Vector3::new(0.0, y, 1.2), radius: 0.06 };
+    assert!(goes_on(&[post(-0.4, 0.4), wall(2.5)], 114..126));
+    assert!(!goes_on(&[post(-0.03, 0.4), wall(2.5)], 114..126), "a knob at its end");
+    assert!(!goes_on(&[post(-0.03, 0.03), wall(2.5)], 114..126), "nothing adjoins it");
+    assert!(!goes_on(&[ball(-0.12), ball(0.0), ball(0.12), wall(2.5)], 107..133), "what adjoins it is narrow");
+}
+
+#[test]
+fn the_inside_of_a_bowl_is_nothing() {
+    let bowl = Body::Sphere { center: Vector3::new(0.0, 0.0, 0.2), radius: 0.5 };
+    assert_eq!(kinect(&[bowl], 9), []);
+}
+
+#[test]
+fn a_sensor_quieter_than_its_model_is_no_worse() {
+    let center = Vector3::new(0.02, 0.01, 0.8);
+    let camera = Camera { width: 160, height: 120, fx: 150.0, fy: 150.0, cx: 79.5, cy: 59.5 };
+    let ball = Body::Sphere { center, radius: 0.1 };
+    let (mut header, pixels) = render(camera, NoiseModel::IDEAL, &[ball], 12);
+    header.noise = NoiseModel::KINECT_V1;
+    let found = single(&find(&header, &pixels), ObjectKind::Sphere);
+    assert!((found.radius - 0.1).abs() < 1e-3 && off(&found, &center) < 2e-3, "{found:?}");
+}
+
+/// What is found of a scene as a Kinect sees it: with silhouettes that are unsure of their place.
+fn by_a_kinect(scene: &str, width: u32, seed: u64) -> Vec<Object> {
+    by_a_sensor(SensorTable::default(), scene, width, seed)
+}
+
+fn by_a_sensor(sensor: SensorTable, scene: &str, width: u32, seed: u64) -> Vec<Object> {
+    let noise = SensorConfig::Table(sensor);
+    let config = SimulatorParameters { width, height: width / 4 * 3, noise, ..SimulatorParameters::default() };
+    let scene = Scene::parse(scene, "test").unwrap();
+    let mut camera = SyntheticCamera::new(scene, config.camera(), config.noise, config.depth_scale, 30.0, seed);
+    let (mut header, mut pixels) = (Header::default(), vec![0; (config.width * config.height) as usize]);
+    camera.shoot(0, &mut pixels);
+    camera.describe(&mut header);
+    find(&header, &pixels)
+}
+
+/// A can of radius 0.1 m, 2.6 m before the camera.
+fn can_by_a_kinect(noise_window_px: u32, seed: u64) -> Object {
+    const CAN: &str = "name = 'can'\n[camera]\nposition = [0.0, 0.0, 0.0]\nlook_at = [0.0, 1.0, 0.0]\n\
+        [[cylinder]]\nname = 'can'\nbase = [0.0, 2.6, -0.35]\nradius = 0.1\nlength = 0.7\n\
+        [[plane]]\nname = 'wall'\npoint = [0.0, 4.0, 0.0]\nnormal = [0.0, -1.0, 0.0]\n";
+    let kinect = SensorTable { noise_window_px, ..SensorTable::default() };
+    single(&by_a_sensor(kinect, CAN, 320, seed), ObjectKind::Cylinder)
+}
+
+/// Something on a table that a camera looks down at by 35 degrees, from 0.9 m; upwards is `(0, -0.82, -0.57)` to it.
+fn on_a_table(thing: &str, seed: u64) -> Vec<Object> {
+    let table = "[[plane]]\nname = 'table'\npoint = [0.0, 0.0, 0.0]\nnormal = [0.0, 0.0, 1.0]\n";
+    let camera = "[camera]\nposition = [0.0, -0.737, 0.516]\nlook_at = [0.0, 0.0, 0.0]\n";
+    by_a_kinect(&format!("name = 'table'\n{camera}{table}{thing}"), 640, seed)
+}
+
+#[test]
+fn a_flat_tin_is_found_by_the_part_of_its_side_that_shows() {
+    // The lines run obliquely over its side, and their means cover no more than a third of the radius along the axis.
+    let tin = "[[cylinder]]\nname = 'tin'\nbase = [0.0, 0.0, 0.0]\nradius = 0.098\nlength = 0.064\n";
+    for seed in 0..8 {
+        let found = single(&on_a_table(tin, seed), ObjectKind::Cylinder);
+        assert!((found.radius - 0.098).abs() < 0.002 && (found.length - 0.064).abs() < 0.01, "{found:?}");
+        let upwards = Vector3::new(0.0, -0.819, -0.574);
+        assert!(Vector3::from(found.axis).cross(&upwards).norm() < 0.05, "{found:?}");
+    }
+}
+
+#[test]
+fn a_band_of_a_ball_is_no_cylinder() {
+    // What of it is above the table is less than a ball has to show.
+    for (seed, depth) in [(1, 0.04), (2, 0.05), (3, 0.06), (4, 0.07)] {
+        let ball = format!("[[sphere]]\nname = 'ball'\ncenter = [0.0, 0.0, {depth}]\nradius = 0.1\n");
+        let found = on_a_table(&ball, seed);
+        assert!(found.iter().all(|object| object.shape() == ObjectKind::Sphere), "{found:?}");
+    }
+}
+
+#[test]
+fn the_axis_of_what_tapers_slightly_is_not_sure() {
+    for seed in 0..4 {
+        let pot =
+            "[[cone]]\nname = 'pot'\nbase = [0.0, 0.0, 0.0]\nbase_radius = 0.07\ntop_radius = 0.0745\nlength = 0.15\n";
+        let found = single(&on_a_table(pot, seed), ObjectKind::Cylinder);
+        let off = Vector3::from(found.axis).cross(&Vector3::new(0.0, -0.819, -0.574)).norm();
+        assert!(off > 0.01 && off < 2.0 * found.sigma.axis, "{off} {found:?}");
+    }
+}
+
+#[test]
+fn lengths_are_neither_too_long_nor_too_short() {
+    // Of both ends, the last line lies half a line within the end on average.
+    let found: Vec<_> = (0..24_u64)
+        .map(|i| {
+            let center = Vector3::new(0.0, 2e-4 * i as f64, 1.5);
+            let pipe = Body::Frustum { center, axis: Vector3::y(), radius: 0.1, slope: 0.0, length: 0.5 };
+            single(&kinect(&[pipe, wall(3.0)], i), ObjectKind::Cylinder)
+        })
+        .collect();
+    let mean = found.iter().map(|object| object.length - 0.5).sum::<f64>() / 24.0;
+    let most = found.iter().map(|object| (object.length - 0.5).abs() / object.sigma.length).fold(0.0, f64::max);
+    assert!(mean.abs() < 0.002 && most < 2.0, "mean {mean} m, at most {most} sigmas off");
+}
+
+#[test]
+fn sigmas_are_about_as_large_as_the_errors() {
+    let found: Vec<_> = (0..96).map(|seed| can_by_a_kinect(1, 100 + seed)).collect();
+    let scatter = |error: &dyn Fn(&Object) -> f64| {
+        (found.iter().map(|object| error(object).powi(2)).sum::<f64>() / found.len() as f64).sqrt()
+    };
+    let radius = scatter(&|object| (object.radius - 0.1) / object.sigma.radius);
+    let axis = scatter(&|object| Vector3::from(object.axis).cross(&Vector3::y()).norm() / object.sigma.axis);
+    let side = scatter(&|object| object.center[0] / object.sigma.center[0][0].sqrt());
+    // The faults of a sensor are taken to move a centre alike in all directions; those of both sides cancel.
+    for (ratio, range) in [(radius, 0.6..1.3), (axis, 0.6..1.3), (side, 0.4..0.9)] {
+        assert!(range.contains(&ratio), "errors over sigmas: {radius}, {axis}, {side}");
+    }
+}
+
+#[test]
+fn noise_that_neighbors_share_widens_the_sigmas() {
+    let found = |window| (0..48).map(|seed| can_by_a_kinect(window, 200 + seed)).collect::<Vec<_>>();
+    let (alone, shared) = (found(1), found(3));
+    let mean_sigma = |found: &[Object]| found.iter().map(|object| object.sigma.axis).sum::<f64>() / found.len() as f64;
+    let wider = mean_sigma(&shared) / mean_sigma(&alone);
+    assert!((1.8..3.2).contains(&wider), "an axis is {wider} times as unsure");
+    let axis = |object: &Object| Vector3::from(object.axis).cross(&Vector3::y()).norm() / object.sigma.axis;
+    let ratio = (shared.iter().map(|object| axis(object).powi(2)).sum::<f64>() / 48.0).sqrt();
+    assert!((0.6..1.4).contains(&ratio), "errors over sigmas: {ratio}");
+    assert!(shared.iter().all(|object| object.points > 1000), "points are those that were measured");
+}
+
+#[test]
+fn after_two_rounds_nothing_is_allocated() {
+    let bodies = |distance| [can(distance), floor(0.6), wall(3.5)];
+    let mut extractor = Extractor::new(ExtractorParameters::default());
+    let scenes: Vec<_> = [1.0, 1.5, 2.0]
+        .map(|distance| render(KINECT_HALF, NoiseModel::KINECT_V1, &bodies(distance), 1))
+        .map(|(header, pixels)| (header, extractor.extract(&header, &pixels).to_vec()))
+        .into();
+    let mut assembler = Assembler::new(AssemblerParameters::default());
+    let mut round = || scenes.iter().map(|(header, arcs)| assembler.assemble(header, arcs).len()).sum::<usize>();
+    let first = allocation_counter::measure(|| assert!(round() >= 3));
+    round();
+    let third = allocation_counter::measure(|| assert!(round() >= 3));
+    assert!(first.count_total > 0, "the counter counts nothing");
+    assert_eq!(third.count_total, 0, "{third:?}");
+}

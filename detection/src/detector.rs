@@ -1,0 +1,204 @@
+//! The detector: a camera and its noise model, and then depth images in, objects out.
+
+use crate::assemble::{Assembler, AssemblerParameters};
+use crate::extract::{Extractor, ExtractorParameters};
+use crate::method;
+use crate::quantise::{finest_scale, quantise};
+use conicflow_messages::{Camera, Header, Kind, NoiseModel, Object};
+
+/// Finds spheres, cylinders and cones in the depth images of one camera.
+///
+/// Without [`noise`](Self::noise) the sensor is taken for a Kinect v1, as the sources of a pipeline take it. Each image
+/// tells how noisy it is, so that a model which is not quite right costs little; but no sensor is ideal.
+#[derive(Debug)]
+pub struct Detector {
+    header: Header,
+    extractor: Extractor,
+    assembler: Assembler,
+    /// An image in metres, in units.
+    units: Vec<u16>,
+}
+
+/// Why an image cannot be looked at.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum DetectError {
+    /// The image has not as many pixels as the camera.
+    #[error(
+        "the depth image has {actual} pixels, but the camera has {width}x{height}\n  hint: give it row by row and in whole, \
+         without padding, and check the camera's width and height"
+    )]
+    Size {
+        /// Pixels of the image.
+        actual: usize,
+        /// Columns of the camera.
+        width: u32,
+        /// Rows of the camera.
+        height: u32,
+    },
+    /// Numbers that no camera can have.
+    #[error(
+        "the camera, the depth scale or the noise cannot be used: {0}\n  hint: focal lengths are in pixels, the depth scale \
+         is in metres per unit (0.001 for millimetres)"
+    )]
+    Camera(String),
+}
+
+impl Detector {
+    /// A detector for the images of this camera, in millimetres, with the noise of a Kinect v1.
+    pub fn new(camera: Camera) -> Self {
+        Self {
+            header: Header { camera, depth_scale: 0.001, noise: NoiseModel::KINECT_V1, ..Header::default() },
+            extractor: Extractor::new(ExtractorParameters::default()),
+            assembler: Assembler::new(AssemblerParameters::default()),
+            units: Vec::new(),
+        }
+    }
+
+    /// The same detector for a sensor of this depth noise.
+    #[must_use]
+    pub fn noise(mut self, noise: NoiseModel) -> Self {
+        self.header.noise = noise;
+        self
+    }
+
+    /// The same detector for images whose pixels count `metres_per_unit`: 0.001 for millimetres.
+    #[must_use]
+    pub fn depth_scale(mut self, metres_per_unit: f64) -> Self {
+        self.header.depth_scale = metres_per_unit;
+        self
+    }
+
+    /// The same detector with other parameters, those of the stages `row_ellipse_extractor` and `object_assembler`.
+    #[must_use]
+    pub fn parameters(mut self, extractor: ExtractorParameters, assembler: AssemblerParameters) -> Self {
+        self.extractor = Extractor::new(extractor);
+        self.assembler = Assembler::new(assembler);
+        self
+    }
+
+    /// The objects of a depth image, in the camera frame: `width * height` pixels, row by row, in units of the depth scale;
+    /// 0 and 65535 are no measurement.
+    ///
+    /// # Panics
+    /// The image has another size than the camera, or the camera has numbers that no camera can have;
+    /// [`try_detect`](Self::try_detect) returns an error then.
+    pub fn detect(&mut self, depth: &[u16]) -> Vec<Object> {
+        let objects = self.try_detect(depth);
+        assert!(objects.is_ok(), "{}", objects.err().map(|error| error.to_string()).unwrap_or_default());
+        objects.unwrap_or_default()
+    }
+
+    /// The objects of a depth image in metres; what is not finite or not above zero is no measurement, and so is what is
+    /// farther than 16.38 m. The depth scale does not matter.
+    ///
+    /// # Panics
+    /// As [`detect`](Self::detect) does.
+    pub fn detect_f32(&mut self, depth_m: &[f32]) -> Vec<Object> {
+        let objects = self.try_detect_f32(depth_m);
+        assert!(objects.is_ok(), "{}", objects.err().map(|error| error.to_string()).unwrap_or_default());
+        objects.unwrap_or_default()
+    }
+
+    /// What [`detect`](Self::detect) returns.
+    ///
+    /// # Errors
+    /// The image has another size than the camera, or the camera has numbers that no camera can have.
+    pub fn try_detect(&mut self, depth: &[u16]) -> Result<Vec<Object>, DetectError> {
+        let header = self.header;
+        self.detect_with(&header, depth)
+    }
+
+    /// What [`detect_f32`](Self::detect_f32) returns.
+    ///
+    /// # Errors
+    /// As of [`try_detect`](Self::try_detect).
+    pub fn try_detect_f32(&mut self, depth_m: &[f32]) -> Result<Vec<Object>, DetectError> {
+        let depth_scale = finest_scale(depth_m, 1.0);
+        let mut units = std::mem::take(&mut self.units);
+        units.clear();
+        units.extend(depth_m.iter().map(|&z| quantise(z, 1.0 / depth_scale)));
+        let header = Header { depth_scale, ..self.header };
+        let objects = self.detect_with(&header, &units);
+        self.units = units;
+        objects
+    }
+
+    fn detect_with(&mut self, header: &Header, image: &[u16]) -> Result<Vec<Object>, DetectError> {
+        let Camera { width, height, .. } = header.camera;
+        header.check(Kind::Depth).map_err(|malformed| DetectError::Camera(malformed.what))?;
+        if image.len() != width as usize * height as usize {
+            return Err(DetectError::Size { actual: image.len(), width, height });
+        }
+        Ok(method::detect(&mut self.extractor, &mut self.assembler, header, image).to_vec())
+    }
+
+    /// Standard deviations of what was near and of what was far in the last image, in those of the noise model: far from 1
+    /// the model is not that of the sensor.
+    pub fn noise_ratios(&self) -> [f64; 2] {
+        self.extractor.noise_ratios()
+    }
+
+    /// Why arcs and candidates of the last image were turned down, and how many of them.
+    pub fn rejections(&self) -> impl Iterator<Item = (&'static str, u64)> {
+        self.extractor.rejections().chain(self.assembler.rejections())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use conicflow_geometry::Vector3;
+    use conicflow_lab::rendered::{Body, KINECT_HALF, render};
+
+    fn scene() -> (Header, Vec<u16>) {
+        let ball = Body::Sphere { center: Vector3::new(0.1, 0.0, 1.3), radius: 0.15 };
+        let wall = Body::Plane { normal: Vector3::z(), offset: 2.5 };
+        render(KINECT_HALF, NoiseModel::KINECT_V1, &[ball, wall], 3)
+    }
+
+    #[test]
+    fn a_detector_finds_what_the_stages_find() {
+        let (header, pixels) = scene();
+        let mut extractor = Extractor::new(ExtractorParameters::default());
+        let mut assembler = Assembler::new(AssemblerParameters::default());
+        let expected = assembler.assemble(&header, extractor.extract(&header, &pixels)).to_vec();
+        let mut detector = Detector::new(header.camera).noise(header.noise).depth_scale(header.depth_scale);
+        assert_eq!(expected.len(), 1);
+        assert_eq!(detector.detect(&pixels), expected);
+        assert_eq!(detector.detect(&pixels), expected, "its buffers leave nothing behind");
+    }
+
+    #[test]
+    fn metres_are_as_good_as_units() {
+        let (header, pixels) = scene();
+        let metres: Vec<f32> =
+            pixels.iter().map(|&z| if z == 0 { f32::NAN } else { f32::from(z) * header.depth_scale as f32 }).collect();
+        let mut detector = Detector::new(header.camera).noise(header.noise).depth_scale(header.depth_scale);
+        assert_eq!(detector.detect_f32(&metres), detector.detect(&pixels), "both are in tenths of a millimetre");
+    }
+
+    #[test]
+    fn without_a_word_on_noise_there_is_noise() {
+        let (header, pixels) = scene();
+        let objects = Detector::new(header.camera).depth_scale(header.depth_scale).detect(&pixels);
+        let radius_error = (objects[0].radius - 0.15).abs();
+        assert!(objects.len() == 1 && objects[0].sigma.radius > 1e-4 && radius_error < 0.005, "{objects:?}");
+    }
+
+    #[test]
+    fn what_is_no_image_of_the_camera_is_an_error_with_a_hint() {
+        let camera = KINECT_HALF;
+        let size = Detector::new(camera).try_detect(&[0; 12]).unwrap_err();
+        assert_eq!(size, DetectError::Size { actual: 12, width: 320, height: 240 });
+        let focal = Detector::new(Camera { fx: f64::NAN, ..camera }).try_detect_f32(&vec![1.0; 320 * 240]).unwrap_err();
+        for error in [size, focal, Detector::new(camera).depth_scale(0.0).try_detect(&[]).unwrap_err()] {
+            assert!(error.to_string().contains("\n  hint: "), "{error}");
+        }
+    }
+
+    #[test]
+    #[should_panic(expected = "has 12 pixels")]
+    fn detect_panics_where_try_detect_has_an_error() {
+        Detector::new(KINECT_HALF).detect(&[0; 12]);
+    }
+}

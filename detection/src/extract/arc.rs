@@ -1,0 +1,287 @@
+//! Which segments are arcs, and what is told of them: their ends are taken off where they may belong to something else,
+//! their curvature has to exceed the noise, and their centre has to lie behind the surface.
+
+use super::ArcRejection;
+use super::rays::Rays;
+use super::run::{FEWEST, FIRST_FIT, Run};
+use super::segments::Segment;
+use super::view::View;
+use conicflow_geometry::{ArcFit, ArcMoments, Circle, LineSums, PlaneMoments, Scan};
+use conicflow_messages::Ellipse;
+use std::ops::Range;
+
+/// For an arc that is a part of a run: its line error has to exceed its circle error by so many standard deviations.
+const CURVED: f64 = 3.0; // [sigmas]
+/// For an arc that is a whole run of at least [`WEAK`] points: its line error has to exceed its circle error by so many
+/// standard deviations. Most such runs are flat.
+const CURVED_WHOLE: f64 = 0.5; // [sigmas]
+/// A whole run of fewer points has only to be curved at all, because many weak arcs together are strong evidence.
+const WEAK: usize = 16; // [tuned]
+/// Fewest points of an arc that is kept although noise bends it the wrong way, because jumps set it off.
+const SET_OFF: usize = 6; // [tuned]
+/// Besides `trim_px`, one point in so many is taken off each end: the larger an edge is seen, the wider it is smeared.
+const SMEARED: usize = 32; // [tuned]
+/// Widest gap, in pixels, between a contour and the surface behind it. A wider gap is the shadow of the sensor.
+const MAX_GAP: f64 = 3.0; // [tuned]
+/// The mean of a few points at an end may be off the circle through the others by so many standard deviations.
+const STRAYING: f64 = 2.0; // [sigmas]
+/// The few points at an end that are tested together are one in so many of the arc, and at least three.
+const FEW: usize = 8; // [tuned]
+/// An end is shortened so many times at most: within that one curve goes over into the next.
+const TAKEN_OFF: usize = 4; // [algorithmic]
+/// Pixels beyond an end at which the depth of the background is read.
+const BEYOND: u32 = 2; // [tuned]
+/// The background is read one pixel farther away for each so many points of the arc.
+const BEYOND_POINTS: u32 = 8; // [tuned]
+/// An arc that takes its end points back may use up this part of the residual that noise accounts for.
+const EXPLAINED: f64 = 0.5; // [tuned]
+/// A circle of a larger radius, in units of `max_radius_m`, is a wall. The circle of a short arc is uncertain.
+const FLATTEST: f64 = 4.0; // [tuned]
+
+/// The arc of a run that a line explains, or why it is none; `None` where a line does not.
+///
+/// Most of an image are walls and floors: of these no more is summed than has to be.
+pub(super) fn accept_line(rays: &Rays, image: &[u16]) -> Option<Result<Ellipse, ArcRejection>> {
+    let inner = rays.inner.clone();
+    let smeared = inner.len() / SMEARED;
+    let points = inner.start + smeared..inner.end - smeared;
+    let whole = rays.line_sums(inner.clone());
+    let square = |sums: &LineSums, points: usize| sums.line_square(points as f64, rays.stretch);
+    if square(&whole, inner.len()) > rays.limit(inner.start, inner.end) {
+        return None;
+    }
+    let is_cut_off = rays.points.open != [false; 2];
+    let is_straight = || {
+        let ends = [inner.start..points.start, points.end..inner.end].map(|end| rays.line_sums(end));
+        let middle = whole.without(&ends[0]).without(&ends[1]);
+        square(&middle, points.len()) < CURVED * scatter(rays, &points)
+    };
+    let Range { start: from, end: to } = inner;
+    let segment = Segment { part: [from, to], from, to, is_curve: true };
+    Some(if points.len() < FEWEST {
+        Err(ArcRejection::FewPoints)
+    } else if rays.width() >= 2.0 * rays.view.parameters.max_radius_m || is_cut_off && is_straight() {
+        Err(ArcRejection::Line)
+    } else {
+        arc(rays, image, &segment, points.clone(), &rays.moments(points))
+    })
+}
+
+/// Standard deviation of the mean square error of a line through some points.
+fn scatter(rays: &Rays, points: &Range<usize>) -> f64 {
+    rays.variance(points.start, points.end) * (2.0 / points.len() as f64).sqrt()
+}
+
+/// The arc of a segment, or why it is none.
+pub(super) fn accept(run: &Run, image: &[u16], segment: &Segment) -> Result<Ellipse, ArcRejection> {
+    let points = trimmed(run, segment);
+    if points.len() < FEWEST {
+        return Err(ArcRejection::FewPoints);
+    }
+    arc(run, image, segment, points.clone(), &run.moments(points.start, points.end))
+}
+
+/// The arc of some points of a segment, of which the moments are known, or why it is none.
+fn arc(
+    rays: &Rays,
+    image: &[u16],
+    segment: &Segment,
+    points: Range<usize>,
+    moments: &ArcMoments,
+) -> Result<Ellipse, ArcRejection> {
+    let contour = contour(rays, segment);
+    let fit = circle(rays, segment, &points, moments).or_else(|why| {
+        if may_be_part(rays, segment, &points, contour) { Ok(nearly_flat(rays, moments)) } else { Err(why) }
+    })?;
+    let (points, fit, moments) = with_ends(rays, segment, &points, &fit.circle).unwrap_or_else(|| {
+        let moments = all_moments(rays, &points);
+        (points, fit, moments)
+    });
+    Ok(Ellipse { contour, ..message(rays, image, points, &fit, &moments) })
+}
+
+/// Moments of some points about their mean.
+fn all_moments(rays: &Rays, points: &Range<usize>) -> PlaneMoments {
+    let moments = rays.all_sums(points.clone()).moments(rays.plane().stretch());
+    moments.mean().map_or(moments, |mean| moments.about(mean))
+}
+
+/// The circle through the points of a segment, or why it is none of an object.
+fn circle(rays: &Rays, segment: &Segment, points: &Range<usize>, moments: &ArcMoments) -> Result<ArcFit, ArcRejection> {
+    let (fit, parameters) = (moments.fit(), &rays.view.parameters);
+    let sigmas = if !is_whole(rays, segment) {
+        CURVED
+    } else if points.len() >= WEAK {
+        CURVED_WHOLE
+    } else {
+        0.0
+    };
+    let bend = fit.line_square - fit.circle_square.max(0.0);
+    if !fit.circle.radius.is_finite() || bend < sigmas * scatter(rays, points) {
+        Err(ArcRejection::Line)
+    } else if fit.circle.center[1] <= moments.mean()[1] {
+        Err(ArcRejection::Concave)
+    } else if !(parameters.min_radius_m..flattest(rays)).contains(&fit.circle.radius) {
+        Err(ArcRejection::Radius)
+    } else {
+        Ok(fit)
+    }
+}
+
+/// Whether a segment may be part of an object even where the noise bends it the wrong way: it is set off by jumps.
+fn may_be_part(rays: &Rays, segment: &Segment, points: &Range<usize>, contour: [f64; 2]) -> bool {
+    is_whole(rays, segment)
+        && points.len() >= SET_OFF
+        && contour != [0.0; 2]
+        && rays.width() < 2.0 * rays.view.parameters.max_radius_m
+}
+
+/// Greatest radius of a circle, in metres.
+fn flattest(rays: &Rays) -> f64 {
+    FLATTEST * rays.view.parameters.max_radius_m
+}
+
+/// A circle as flat as any may be that touches the points.
+fn nearly_flat(rays: &Rays, moments: &ArcMoments) -> ArcFit {
+    let (mean, radius) = (moments.mean(), flattest(rays));
+    let away = 1.0 / (mean[0] * mean[0] + mean[1] * mean[1]).sqrt();
+    let circle = Circle { center: mean.map(|x| x * (1.0 + radius * away)), radius };
+    let line_square = moments.line_square();
+    ArcFit { line_square, circle_square: line_square, circle }
+}
+
+/// Where a segment ends before something behind it, on the sides on which it ends its run, in pixels. Beyond a hole may be
+/// the same surface: only a jump counts. A pixel between two jumps is of neither side.
+fn contour(rays: &Rays, segment: &Segment) -> [f64; 2] {
+    let View { jumps, parameters, .. } = rays.view;
+    let end = |is_end: bool, point: usize, [next, after]: [Option<(u32, u16)>; 2]| {
+        let (pixel, depth) = (rays.points.pixels[point], rays.points.depths[point]);
+        let (there, other) = next.filter(|_| is_end)?;
+        let is_alone = |beyond: u32, farther: u16| beyond.abs_diff(pixel) == 2 && jumps.splits(other, farther, 1);
+        let (there, other) = after.filter(|(beyond, farther)| is_alone(*beyond, *farther)).unwrap_or((there, other));
+        let is_behind =
+            other > depth && jumps.splits(depth, other, there.abs_diff(pixel).min(parameters.max_hole_px + 1));
+        is_behind.then(|| f64::from(pixel) + 0.5 * (f64::from(there) - f64::from(pixel)).clamp(-MAX_GAP, MAX_GAP))
+    };
+    let ([starts_run, ends_run], [before, behind]) = (reaches_ends(rays, segment), rays.points.neighbors);
+    [end(starts_run, 0, before), end(ends_run, rays.length - 1, behind)].map(Option::unwrap_or_default)
+}
+
+/// Whether a segment starts and ends its run.
+fn reaches_ends(rays: &Rays, segment: &Segment) -> [bool; 2] {
+    [segment.from == rays.inner.start, segment.to == rays.inner.end]
+}
+
+/// Whether a segment is all there is between two jumps or creases.
+fn is_whole(rays: &Rays, segment: &Segment) -> bool {
+    let [starts_run, ends_run] = reaches_ends(rays, segment);
+    let is_open = starts_run && rays.points.open[0] || ends_run && rays.points.open[1];
+    [segment.from, segment.to] == segment.part && !is_open
+}
+
+/// What is left of a segment when the ends that may belong to something else are taken off: pixels at a jump mix two
+/// depths, and where a curve breaks it has taken in some points of what follows.
+fn trimmed(run: &Run, segment: &Segment) -> Range<usize> {
+    let Segment { part, mut from, mut to, .. } = *segment;
+    let [few_before, few_behind] = reaches_ends(run, segment)
+        .map(|is_end| (to - from) / SMEARED + if is_end { 0 } else { run.view.parameters.trim_px as usize });
+    let (starts_part, ends_part) = (from == part[0], to == part[1]);
+    from += few_before;
+    to = to.saturating_sub(few_behind).max(from);
+    for _ in 0..TAKEN_OFF {
+        let few = ((to - from) / FEW).max(3);
+        if to - from < 2 * FIRST_FIT + few {
+            break;
+        }
+        let strays_behind = !ends_part && strays(run, from..to - few, to - few..to);
+        let strays_before = !starts_part && strays(run, from + few..to, from..from + few);
+        to -= if strays_behind { few } else { 0 };
+        from += if strays_before { few } else { 0 };
+        if !(strays_behind || strays_before) {
+            break;
+        }
+    }
+    from..to
+}
+
+/// The points with the next one on either side, where that was taken off only because pixels at a jump may mix two depths,
+/// and its ray meets the circle through the others: what it shows then is the surface, where it curves most. With their
+/// circle and moments; `None` where there is no such point, or no circle explains them all.
+fn with_ends(
+    rays: &Rays,
+    segment: &Segment,
+    points: &Range<usize>,
+    circle: &Circle,
+) -> Option<(Range<usize>, ArcFit, PlaneMoments)> {
+    let meets = |point: usize| {
+        let ([s, t], [x, y]) = (rays.point(point), circle.center);
+        (s * y - t * x).powi(2) < circle.radius * circle.radius * (s * s + t * t)
+    };
+    let [starts_run, ends_run] = reaches_ends(rays, segment);
+    let first = if starts_run { 0 } else { segment.part[0] };
+    let end = if ends_run { rays.length } else { segment.part[1] };
+    let before = segment.from == segment.part[0] && first < points.start && meets(points.start - 1);
+    let behind = segment.to == segment.part[1] && end > points.end && meets(points.end);
+    let wider = points.start - usize::from(before)..points.end + usize::from(behind);
+    if wider == *points {
+        return None;
+    }
+    let moments = all_moments(rays, &wider);
+    let sums = ArcMoments::of(&moments)?;
+    if sums.fit().circle_square > EXPLAINED * rays.limit(wider.start, wider.end) {
+        return None;
+    }
+    let fit = match self::circle(rays, segment, &wider, &sums) {
+        Err(_) if circle.radius >= flattest(rays) => nearly_flat(rays, &sums),
+        fit => fit.ok()?,
+    };
+    Some((wider, fit, moments))
+}
+
+/// Whether the points of `few` are off the circle through those of `others`.
+fn strays(run: &Run, others: Range<usize>, few: Range<usize>) -> bool {
+    let circle = run.moments(others.start, others.end).fit().circle;
+    let square = run.moments(few.start, few.end).square_from(circle.center);
+    let off = (square - circle.radius * circle.radius) / (2.0 * circle.radius);
+    off.powi(2) > STRAYING.powi(2) * run.variance(few.start, few.end) / few.len() as f64
+}
+
+fn message(rays: &Rays, image: &[u16], points: Range<usize>, fit: &ArcFit, moments: &PlaneMoments) -> Ellipse {
+    let [first, last] = [points.start, points.end - 1];
+    let radius = fit.circle.radius;
+    let beyond = rays.view.parameters.trim_px + BEYOND + points.len() as u32 / BEYOND_POINTS;
+    let from_front = |point: usize| {
+        let [s, t] = rays.point(point);
+        (s - fit.circle.center[0]).atan2(fit.circle.center[1] - t)
+    };
+    Ellipse {
+        scan: if rays.view.scan == Scan::Row { 0 } else { 1 },
+        line: rays.line.number,
+        first: rays.pixel(first),
+        last: rays.pixel(last),
+        points: points.len() as u32,
+        sigma: rays.depth_variance((first + last) / 2).sqrt(),
+        shared_px: rays.view.correlation_px,
+        beyond_px: beyond,
+        unbiased: 1,
+        center: rays.plane().to_camera(fit.circle.center).into(),
+        plane_center: fit.circle.center,
+        semi_axes: [radius; 2],
+        half_width: radius,
+        half_depth: radius,
+        rms: fit.circle_square.max(0.0).sqrt(),
+        arc: (from_front(last) - from_front(first)).abs(),
+        beyond: [
+            depth_at(rays, image, i64::from(rays.pixel(first)) - i64::from(beyond)),
+            depth_at(rays, image, i64::from(rays.pixel(last)) + i64::from(beyond)),
+        ],
+        origin: moments.origin(),
+        moments: *moments.sums(),
+        ..Ellipse::default()
+    }
+}
+
+/// The depth of a pixel of the line; 0 where there is none.
+fn depth_at(rays: &Rays, image: &[u16], pixel: i64) -> f64 {
+    rays.view.depth(image, rays.line.number, pixel).unwrap_or(0.0)
+}

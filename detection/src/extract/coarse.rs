@@ -1,0 +1,154 @@
+//! The lines that are looked at as a whole, and what they make worth a look in the lines between them.
+//!
+//! Only where something is curved: an arc opens the gap to the next coarse line if a circle explains its points better
+//! than noise lets one explain those of a straight line, or if such an arc lies beside it, above or below. Most of what is
+//! flat and narrow (legs, sides of boxes, strips of wall between other things) is thus seen in a sixth of the lines only.
+
+use conicflow_geometry::{PlaneMoments, ScanPlane, bulge};
+use conicflow_messages::Ellipse;
+use std::ops::Range;
+
+/// One line in so many is searched as a whole. It is less than `min_lines` of the assembler, so that no object lies between.
+const COARSE_STEP: u32 = 6; // [algorithmic]
+/// Bulge of a curved arc: noise gives as much to one straight arc in 24.
+const CURVED: f64 = 3.0; // [sigmas]
+/// Pixels beyond both ends of an arc that are searched in the lines beside it.
+const MARGIN_PX: u32 = 16; // [tuned]
+/// One further pixel is searched for each so many pixels of the arc.
+const MARGIN_SHARE: u32 = 4; // [tuned]
+
+/// Every how many lines one is looked at as a whole, where every `line_step`th is looked at at all.
+pub(crate) fn coarse_step(line_step: u32) -> u32 {
+    let step = line_step.max(1);
+    step * (COARSE_STEP / step).max(1)
+}
+
+/// What the coarse lines of an image show; the buffers are used again for the next.
+#[derive(Debug, Default)]
+pub(crate) struct CoarseLines {
+    /// In the order of line and pixel.
+    arcs: Vec<Ellipse>,
+    /// Whether each is curved.
+    curved: Vec<bool>,
+    /// Where the arcs of each line end.
+    ends: Vec<usize>,
+    windows: Vec<Range<u32>>,
+}
+
+impl CoarseLines {
+    pub fn clear(&mut self) {
+        self.arcs.clear();
+        self.curved.clear();
+        self.ends.clear();
+    }
+
+    /// Adds what the next line shows, which lies in `plane`, and of which `find` adds the arcs.
+    pub fn add(&mut self, plane: &ScanPlane, find: impl FnOnce(&mut Vec<Ellipse>)) {
+        find(&mut self.arcs);
+        let square_stretch = plane.stretch().powi(2);
+        let is_curved = |arc: &Ellipse| {
+            bulge(&PlaneMoments::from_sums(arc.origin, arc.moments), arc.sigma * arc.sigma * square_stretch) >= CURVED
+        };
+        self.curved.extend(self.arcs[self.curved.len()..].iter().map(is_curved));
+        self.ends.push(self.arcs.len());
+    }
+
+    /// The arcs of a line, counted from 0; none beyond the last.
+    pub fn arcs(&self, line: usize) -> &[Ellipse] {
+        &self.arcs[self.indices(line)]
+    }
+
+    /// The pixels that are worth a look in the lines between a coarse one and the one before it, in order and apart, where
+    /// a line has `length` of them.
+    pub fn windows_before(&mut self, line: usize, length: u32) -> &[Range<u32>] {
+        let mut windows = std::mem::take(&mut self.windows);
+        windows.clear();
+        for line in line.checked_sub(1).into_iter().chain([line]) {
+            let worth = self.indices(line).filter(|&index| self.is_beside_curved(index, line));
+            windows.extend(worth.map(|index| window_about(&self.arcs[index], length)));
+        }
+        unite(&mut windows);
+        self.windows = windows;
+        &self.windows
+    }
+
+    fn indices(&self, line: usize) -> Range<usize> {
+        let end = |line: usize| self.ends.get(line).copied();
+        line.checked_sub(1).map_or(Some(0), end).zip(end(line)).map_or(0..0, |(start, end)| start..end)
+    }
+
+    /// Whether an arc of a line is curved, or one that it overlaps in the line above or below.
+    fn is_beside_curved(&self, index: usize, line: usize) -> bool {
+        let overlaps = |other: &Ellipse| other.first <= self.arcs[index].last && other.last >= self.arcs[index].first;
+        let shows_curved = |line| self.indices(line).any(|other| self.curved[other] && overlaps(&self.arcs[other]));
+        self.curved[index] || line > 0 && shows_curved(line - 1) || shows_curved(line + 1)
+    }
+}
+
+/// The pixels about an arc that are worth a look in the lines beside it.
+fn window_about(arc: &Ellipse, length: u32) -> Range<u32> {
+    let margin = MARGIN_PX + (arc.last - arc.first) / MARGIN_SHARE;
+    arc.first.saturating_sub(margin)..(arc.last + 1 + margin).min(length)
+}
+
+/// Puts windows in order, and those that overlap together.
+fn unite(windows: &mut Vec<Range<u32>>) {
+    windows.sort_unstable_by_key(|window| window.start);
+    windows.dedup_by(|next, kept| {
+        let overlaps = next.start <= kept.end;
+        if overlaps {
+            kept.end = kept.end.max(next.end);
+        }
+        overlaps
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Coarse lines with arcs of these pixels, curved or not.
+    fn lines(lines: &[&[(Range<u32>, bool)]]) -> CoarseLines {
+        let mut coarse = CoarseLines::default();
+        for arcs in lines {
+            for (pixels, curved) in *arcs {
+                coarse.arcs.push(Ellipse { first: pixels.start, last: pixels.end - 1, ..Ellipse::default() });
+                coarse.curved.push(*curved);
+            }
+            coarse.ends.push(coarse.arcs.len());
+        }
+        coarse
+    }
+
+    /// First pixels and ends of the windows before a line, of 100 pixels.
+    fn windows(coarse: &mut CoarseLines, line: usize) -> Vec<[u32; 2]> {
+        coarse.windows_before(line, 100).iter().map(|window| [window.start, window.end]).collect()
+    }
+
+    #[test]
+    fn what_is_curved_opens_the_gaps_on_both_sides() {
+        let mut coarse = lines(&[&[], &[(40..60, true), (70..90, false)], &[]]);
+        let gaps = [0, 1, 2, 3].map(|line| windows(&mut coarse, line));
+        assert_eq!(gaps, [vec![], vec![[20, 80]], vec![[20, 80]], vec![]]);
+        assert_eq!((coarse.arcs(1).len(), coarse.arcs(3).len()), (2, 0));
+    }
+
+    #[test]
+    fn what_is_flat_opens_them_beside_what_is_curved() {
+        let mut coarse = lines(&[&[(40..60, false)], &[(40..60, false)], &[(58..70, true)]]);
+        assert_eq!(windows(&mut coarse, 1), [[20, 80]], "the second is beside the third");
+        assert_eq!(windows(&mut coarse, 2), [[20, 88]], "windows that overlap are one");
+        let mut apart = lines(&[&[(40..60, false)], &[(40..60, false)], &[(60..80, true)]]);
+        assert_eq!(windows(&mut apart, 1), [[0; 2]; 0]);
+    }
+
+    #[test]
+    fn windows_are_in_order_and_apart() {
+        let mut windows = vec![3..9, 20..30, 0..4, 9..12, 25..26, 40..41];
+        unite(&mut windows);
+        assert_eq!(windows, [0..12, 20..30, 40..41]);
+        windows.clear();
+        unite(&mut windows);
+        assert_eq!(windows, []);
+    }
+}

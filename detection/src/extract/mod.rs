@@ -1,0 +1,169 @@
+//! Depth image -> ellipses: a scan line is cut where neither a line nor a circle explains its points.
+//!
+//! On an arc of less than half a turn a circle is a far better judge than a free ellipse; the true shape is left to the
+//! fit of all arcs of an object together. Unbiased moments put the expected error of the right curve at zero, so the limit
+//! is what the noise of n points scatters: `error^2 <= sigma^2 (a sqrt(2 / n) + b) + (0.1 mm)^2`.
+//!
+//! The files stand in the order of the steps: how noisy the image is ([`noise_level`], [`noise_correlation`]); the rows or
+//! columns of the image as rays ([`view`]); one line, split into runs at jumps and holes ([`line`]); the rays of a run, and
+//! its running sums ([`rays`], [`run`]); the segments of a run that one curve explains ([`segments`]); the arc of a segment,
+//! with its contour ([`arc`]); and which lines between the coarse ones are worth a look ([`coarse`]). The walk itself is
+//! [`Extractor::extract`](super::method).
+
+mod arc;
+pub(crate) mod coarse;
+mod line;
+mod noise_correlation;
+mod noise_level;
+mod parameters;
+mod rays;
+mod rejection;
+mod run;
+mod segments;
+#[cfg(test)]
+mod tests;
+mod view;
+
+pub use parameters::{ExtractorParameters, ScanLines};
+pub use rejection::{ArcRejection, ArcRejections};
+
+use arc::{accept, accept_line};
+use coarse::CoarseLines;
+use conicflow_geometry::{ArcSums, Scan};
+use conicflow_messages::{Ellipse, Header, NoiseModel};
+use line::RayLine;
+use noise_level::{NoiseEstimate, NoiseSamples};
+use rays::{RayBuffers, Rays};
+use run::{FIRST_FIT, Run};
+use segments::{cut, next_segment};
+use std::ops::Range;
+use view::View;
+
+/// Finds the ellipses of depth images; its buffers are used again for the next.
+#[derive(Debug)]
+pub struct Extractor {
+    pub(crate) parameters: ExtractorParameters,
+    pub(crate) noise: NoiseEstimate,
+    pub(crate) view: View,
+    pub(crate) search: LineSearch,
+    pub(crate) coarse: CoarseLines,
+    samples: NoiseSamples,
+    pub(crate) ellipses: Vec<Ellipse>,
+    pub(crate) rejections: ArcRejections,
+}
+
+/// The search for arcs in one line.
+#[derive(Debug, Default)]
+pub(crate) struct LineSearch {
+    line: RayLine,
+    curves: CurveSearch,
+}
+
+/// The search for the curves of a line that was read.
+#[derive(Debug, Default)]
+struct CurveSearch {
+    rays: RayBuffers,
+    sums: Vec<ArcSums>,
+    /// Where a run is cut, its ends included.
+    cuts: Vec<usize>,
+    depth_sums: Vec<u32>,
+}
+
+impl Extractor {
+    /// An extractor with these parameters.
+    pub fn new(parameters: ExtractorParameters) -> Self {
+        Self {
+            view: View::with(parameters.clone()),
+            parameters,
+            noise: NoiseEstimate::nominal(NoiseModel::IDEAL),
+            search: LineSearch::default(),
+            coarse: CoarseLines::default(),
+            samples: NoiseSamples::default(),
+            ellipses: Vec::new(),
+            rejections: ArcRejections::default(),
+        }
+    }
+
+    /// Why arcs of the last image were turned down, and how many of them.
+    pub fn rejections(&self) -> impl Iterator<Item = (&'static str, u64)> {
+        self.rejections.iter()
+    }
+
+    /// Standard deviations of what is near and of what is far in the last image, in those of the nominal noise model.
+    pub fn noise_ratios(&self) -> [f64; 2] {
+        self.noise.nominal.map(f64::sqrt)
+    }
+
+    /// How noisy an image is.
+    pub(crate) fn estimate_noise(&mut self, header: &Header, image: &[u16]) -> NoiseEstimate {
+        self.view.turn(header, Scan::Row, &NoiseEstimate::nominal(header.noise));
+        let noise = noise_level::estimate(&self.view, image, &mut self.search, &mut self.samples);
+        self.view.turn(header, Scan::Row, &noise);
+        NoiseEstimate { correlation_px: noise_correlation::length_px(&self.view, image), ..noise }
+    }
+}
+
+impl LineSearch {
+    /// Cuts the pixels `window` of a scan line into arcs, which it adds to `ellipses`: the line is read and split into runs
+    /// at jumps and holes, a run is cut at its creases and where no one curve explains it, and what is round is an arc.
+    pub fn arcs_of(
+        &mut self,
+        view: &View,
+        image: &[u16],
+        (number, window): (u32, Range<u32>),
+        ellipses: &mut Vec<Ellipse>,
+        rejections: &mut ArcRejections,
+    ) {
+        let Self { line, curves } = self;
+        line.read(view, image, number, window);
+        for index in 0..line.runs() {
+            curves.arcs_of_run(view, image, (line, index), ellipses, rejections);
+        }
+    }
+}
+
+impl CurveSearch {
+    fn arcs_of_run(
+        &mut self,
+        view: &View,
+        image: &[u16],
+        (line, index): (&RayLine, usize),
+        ellipses: &mut Vec<Ellipse>,
+        rejections: &mut ArcRejections,
+    ) {
+        if line.run_length(index) < FIRST_FIT {
+            rejections.count(ArcRejection::FewPoints);
+            return;
+        }
+        let rays = Rays::new(view, line, index, &mut self.rays);
+        if let Some(arc) = accept_line(&rays, image) {
+            match arc {
+                Ok(arc) => ellipses.push(arc),
+                Err(reason) => rejections.count(reason),
+            }
+            return;
+        }
+        let run = Run::new(rays, &mut self.sums);
+        cut(&run, &mut self.cuts, &mut self.depth_sums);
+        for ends in self.cuts.windows(2) {
+            arcs_of_part(&run, image, ends[0]..ends[1], ellipses, rejections);
+        }
+    }
+}
+
+fn arcs_of_part(
+    run: &Run,
+    image: &[u16],
+    part: Range<usize>,
+    ellipses: &mut Vec<Ellipse>,
+    rejections: &mut ArcRejections,
+) {
+    let mut from = part.start;
+    while let Some(segment) = next_segment(run, &part, from) {
+        match if segment.is_curve { accept(run, image, &segment) } else { Err(ArcRejection::Line) } {
+            Ok(arc) => ellipses.push(arc),
+            Err(reason) => rejections.count(reason),
+        }
+        from = segment.to;
+    }
+}

@@ -1,0 +1,287 @@
+//! How noisy an image is, as a multiple of the variance of its noise model.
+//!
+//! All limits and the correction of the moments rest on the noise, and a sensor may well be noisier than its model says, or
+//! quieter where a driver smooths. Limits that are too narrow are the worse mistake: from a tenth more noise on, fewer
+//! and fewer surfaces would be found.
+//!
+//! Pixels that lie close together show the noise that they do not have in common, whatever the surface ([`scatter`]); that
+//! is all, unless a driver smooths. If there is less of it than the model says, the errors of lines and circles tell the
+//! whole ([`share`]): they are free of noise if the model is right, and below zero by its excess.
+
+use super::LineSearch;
+use super::rays::Rays;
+use super::run::Run;
+use super::segments::{Segment, next_segment};
+use super::view::View;
+use conicflow_messages::{NoiseModel, is_measured};
+
+/// Approximate number of lines that are sampled.
+const LINES: u32 = 12; // [algorithmic]
+/// Fewest points of a line or circle whose residual counts as a sample of the noise.
+const TELLING: usize = 12; // [algorithmic]
+/// Distance in pixels between the three pixels of a triple. Pixels farther apart lie on different surfaces too often.
+const APART: usize = 3; // [tuned]
+/// Fewest triples that give an estimate.
+const FEWEST: usize = 64; // [algorithmic]
+/// A triple whose second difference exceeds so many standard deviations does not lie on one smooth surface.
+const WITHIN: f64 = 2.5; // [sigmas]
+/// Mean square of a standard normal deviate that is truncated at [`WITHIN`].
+const SQUARE_WITHIN: f64 = 0.911_26; // [derived]
+/// The iteration ends when the noise level grows by less than this factor.
+const SETTLED: f64 = 1.01; // [algorithmic]
+/// If neighbours scatter by more than this part of the model's variance, they share no noise.
+const UNSMOOTHED: f64 = 0.85; // [tuned]
+/// At least this part of all triples lies on smooth surfaces in any image. If fewer are within [`WITHIN`], the noise model is
+/// far too small.
+const SMOOTH: f64 = 0.25; // [tuned]
+/// The quantile [`SMOOTH`] of chi squared with one degree of freedom.
+const SQUARE_OF_SMOOTH: f64 = 0.101_53; // [derived]
+/// Smallest ratio between the noise levels of the near and the far half at which the model's growth is replaced.
+const DIFFERENT: f64 = 1.3; // [tuned]
+/// Smallest ratio between the mean depths of the far and the near half at which the model's growth is replaced.
+const DISTANT: f64 = 1.15; // [tuned]
+/// The logarithm of the ratio of the noise levels has to exceed zero by so many of its standard deviations.
+const SURE: f64 = 3.5; // [sigmas]
+/// Number of times that a noise model is put through both halves; each comes closer to how the noise grows.
+const ROUNDS: usize = 4; // [algorithmic]
+
+/// The noise of an image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct NoiseEstimate {
+    /// Its variance, times `level`, is that of a depth.
+    pub model: NoiseModel,
+    pub level: f64,
+    /// That of neighbours: a driver that smooths does so within surfaces.
+    pub neighbour_model: NoiseModel,
+    /// Variances of what is near and what is far, in those that the source told.
+    pub nominal: [f64; 2],
+    /// How many neighbouring pixels share it ([`super::noise_correlation`]), at least 1.
+    pub correlation_px: f64,
+}
+
+impl NoiseEstimate {
+    /// As the source told it.
+    pub fn nominal(model: NoiseModel) -> Self {
+        Self::of_level(model, 1.0)
+    }
+
+    fn of_level(model: NoiseModel, level: f64) -> Self {
+        Self {
+            model,
+            level,
+            neighbour_model: model.times(level.max(1.0).sqrt()),
+            nominal: [level; 2],
+            correlation_px: 1.0,
+        }
+    }
+}
+
+/// What some pixels tell: their depth in metres, and a square in variances of the model.
+#[derive(Clone, Copy, Debug)]
+struct NoiseSample {
+    depth: f64,
+    square: f64,
+}
+
+/// Buffers, used again for the next image.
+#[derive(Debug, Default)]
+pub(super) struct NoiseSamples {
+    of_neighbors: Vec<NoiseSample>,
+    of_curves: Vec<NoiseSample>,
+}
+
+/// The half of an image that is nearer, or farther.
+#[derive(Clone, Copy, Debug)]
+struct Half {
+    /// Mean depth, in metres.
+    depth: f64,
+    count: f64,
+    /// Variance that neighbours show, in variances of the model.
+    scatter: f64,
+}
+
+/// The noise of an image, of which `view` takes the model as it is.
+pub(super) fn estimate(
+    view: &View,
+    image: &[u16],
+    search: &mut LineSearch,
+    samples: &mut NoiseSamples,
+) -> NoiseEstimate {
+    let NoiseSamples { of_neighbors, of_curves } = samples;
+    look_at_neighbors(view, image, of_neighbors);
+    if of_neighbors.len() < FEWEST {
+        return NoiseEstimate::nominal(view.noise);
+    }
+    let halves = halves(of_neighbors);
+    if differ(&halves) {
+        look_at_curves(view, image, search, of_curves);
+        return of_another_growth(view, &halves, of_neighbors, of_curves);
+    }
+    let scatter = scatter(of_neighbors);
+    if scatter > UNSMOOTHED {
+        return NoiseEstimate::of_level(view.noise, scatter.max(1.0));
+    }
+    look_at_curves(view, image, search, of_curves);
+    NoiseEstimate::of_level(view.noise, share(of_curves, |_| true))
+}
+
+/// The noise of an image whose halves differ: a model is put through both, until they no longer do by it.
+fn of_another_growth(
+    view: &View,
+    halves: &[Half; 2],
+    of_neighbors: &mut [NoiseSample],
+    of_curves: &mut [NoiseSample],
+) -> NoiseEstimate {
+    let depths = halves.map(|half| half.depth);
+    let border = 0.5 * (depths[0] + depths[1]);
+    let (mut model, mut halves) = (view.noise, *halves);
+    for _ in 0..ROUNDS {
+        let mut factor = |half: Half| {
+            let is_of_it = |sample: &NoiseSample| (sample.depth < border) == (half.depth < border);
+            if half.scatter > UNSMOOTHED { half.scatter } else { half.scatter.max(share(of_curves, is_of_it)) }
+        };
+        let last = |depth: f64| model.variance(depth).max(view.least);
+        let next = through(depths, halves.map(|half| factor(half).sqrt()), last);
+        for sample in of_neighbors.iter_mut().chain(&mut *of_curves) {
+            sample.square *= last(sample.depth) / next.variance(sample.depth);
+        }
+        model = next;
+        halves = self::halves(of_neighbors);
+    }
+    let nominal = depths.map(|depth| model.variance(depth) / view.variance(depth));
+    let neighbour_model = through(depths, nominal.map(|level| level.max(1.0).sqrt()), |depth| view.variance(depth));
+    NoiseEstimate { model, level: 1.0, neighbour_model, nominal, correlation_px: 1.0 }
+}
+
+/// Whether the noise of what is near and of what is far surely differs from the model by different factors.
+fn differ([near, far]: &[Half; 2]) -> bool {
+    let sigma = (2.0 / near.count + 2.0 / far.count).sqrt();
+    let ratio = (near.scatter / far.scatter).ln().abs();
+    let are_told = near.count.min(far.count) >= FEWEST as f64;
+    // What is quieter than its model may be smoothed, and shows less noise than it has.
+    let are_smoothed = near.scatter.min(far.scatter) <= UNSMOOTHED;
+    are_told && !are_smoothed && far.depth > DISTANT * near.depth && ratio > DIFFERENT.ln().max(SURE * sigma)
+}
+
+/// A model of which the standard deviations at two depths are so many times those that belong to a variance, and which grows
+/// with the square of the depth between them and beyond.
+fn through(depths: [f64; 2], factors: [f64; 2], variance: impl Fn(f64) -> f64) -> NoiseModel {
+    let [near, far] = [0, 1].map(|i| factors[i] * variance(depths[i]).sqrt());
+    let [near_square, far_square] = depths.map(|depth| depth * depth);
+    let growth = ((far - near) / (far_square - near_square)).max(0.0);
+    let floor = near.max(far) - growth * if near < far { far_square } else { 0.0 };
+    let (floor_m, growth_per_m) = if floor < 0.0 { (0.0, far / far_square) } else { (floor, growth) };
+    NoiseModel { floor_m, growth_per_m, knee_m: 0.0, step_per_m: 0.0 }
+}
+
+/// Looks at threes of pixels that lie close together.
+///
+/// Along a line of the image a plane's inverse depth is linear, so `b (b / a + b / c - 2)` of three depths in even steps is
+/// noise alone, of six times the variance of one.
+fn look_at_neighbors(view: &View, image: &[u16], samples: &mut Vec<NoiseSample>) {
+    samples.clear();
+    for line in lines(view) {
+        let depths = view.row(image, line).windows(2 * APART + 1).step_by(APART);
+        let threes = depths.map(|depths| [depths[0], depths[APART], depths[2 * APART]]);
+        samples.extend(threes.filter(|depths| depths.iter().all(|&depth| is_measured(depth))).map(|depths| {
+            let [a, b, c] = depths.map(|depth| f64::from(depth) * view.scale);
+            let off = b * (b / a + b / c - 2.0);
+            NoiseSample { depth: b, square: off * off / (6.0 * view.variance(b)) }
+        }));
+    }
+}
+
+/// What is nearer than the mean and what is farther, which it puts in this order.
+fn halves(samples: &mut [NoiseSample]) -> [Half; 2] {
+    let mean = samples.iter().map(|sample| sample.depth).sum::<f64>() / samples.len() as f64;
+    let near = put_first(samples, |sample| sample.depth < mean);
+    let (near, far) = samples.split_at_mut(near);
+    [near, far].map(|samples| {
+        let count = samples.len() as f64;
+        Half { depth: samples.iter().map(|sample| sample.depth).sum::<f64>() / count, count, scatter: scatter(samples) }
+    })
+}
+
+/// Puts some of the samples before the others; how many those are.
+fn put_first(samples: &mut [NoiseSample], is_of_them: impl Fn(&NoiseSample) -> bool) -> usize {
+    let mut count = 0;
+    for index in 0..samples.len() {
+        if is_of_them(&samples[index]) {
+            samples.swap(count, index);
+            count += 1;
+        }
+    }
+    count
+}
+
+/// The variance that neighbours show, in variances of the model; less than there is, where they have noise in common.
+///
+/// Silhouettes and creases are out of reach: the level grows from that of the model, or where this is far too small from
+/// that of the smoothest threes, only as far as the mean square of those within reach confirms it. The order of `samples` may
+/// change.
+fn scatter(samples: &mut [NoiseSample]) -> f64 {
+    let within = |samples: &[NoiseSample], level: f64| {
+        let limit = WITHIN * WITHIN * level;
+        samples
+            .iter()
+            .map(|sample| sample.square)
+            .filter(|square| *square <= limit)
+            .fold((0.0, 0.0), |(sum, count), square| (sum + square, count + 1.0))
+    };
+    let mut level = 1.0;
+    let smooth = SMOOTH * samples.len() as f64;
+    if within(samples, level).1 < smooth {
+        let (_, sample, _) = samples.select_nth_unstable_by(smooth as usize, |a, b| a.square.total_cmp(&b.square));
+        level = sample.square / SQUARE_OF_SMOOTH;
+    }
+    loop {
+        let (sum, count) = within(samples, level);
+        let last = std::mem::replace(&mut level, sum / (f64::max(count, 1.0) * SQUARE_WITHIN));
+        if level < last * SETTLED {
+            return level;
+        }
+    }
+}
+
+/// Looks at the lines and circles of whole scan lines.
+fn look_at_curves(view: &View, image: &[u16], search: &mut LineSearch, samples: &mut Vec<NoiseSample>) {
+    samples.clear();
+    let LineSearch { line, curves } = search;
+    for number in lines(view) {
+        line.read(view, image, number, 0..view.length);
+        for index in 0..line.runs() {
+            if line.run_length(index) >= TELLING {
+                let rays = Rays::new(view, line, index, &mut curves.rays);
+                add_curves(&Run::new(rays, &mut curves.sums), samples);
+            }
+        }
+    }
+}
+
+/// The part of the model's variance, at most all, that the median of some lines and circles shows; their order may change.
+fn share(samples: &mut [NoiseSample], is_of_them: impl Fn(&NoiseSample) -> bool) -> f64 {
+    let count = put_first(samples, is_of_them);
+    if count == 0 {
+        return 1.0;
+    }
+    let (_, median, _) = samples[..count].select_nth_unstable_by(count / 2, |a, b| a.square.total_cmp(&b.square));
+    median.square.clamp(0.0, 1.0)
+}
+
+fn lines(view: &View) -> impl Iterator<Item = u32> {
+    (0..view.lines).step_by((view.lines / LINES).max(1) as usize)
+}
+
+/// Adds the variances that the lines and circles of a run show.
+fn add_curves(run: &Run, samples: &mut Vec<NoiseSample>) {
+    let mut from = run.inner.start;
+    while let Some(Segment { to, .. }) = next_segment(run, &run.inner, from) {
+        if to - from >= TELLING {
+            let moments = run.moments(from, to);
+            let fit = moments.fit();
+            let excess = fit.line_square.min(fit.circle_square) / run.variance(from, to);
+            samples.push(NoiseSample { depth: moments.mean()[1], square: 1.0 + excess });
+        }
+        from = to;
+    }
+}

@@ -1,0 +1,76 @@
+//! Parameters of the extraction of ellipses.
+
+use conicflow_geometry::Scan;
+use conicflow_messages::ConfigFault;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Which scan lines are looked at.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ScanLines {
+    /// Rows: finds upright objects.
+    Rows,
+    /// Columns: finds lying ones.
+    Columns,
+    /// Rows, then columns.
+    #[default]
+    Both,
+}
+
+impl ScanLines {
+    /// The directions of these lines, in the order in which they are looked at.
+    pub fn directions(self) -> &'static [Scan] {
+        match self {
+            Self::Rows => &[Scan::Row],
+            Self::Columns => &[Scan::Column],
+            Self::Both => &[Scan::Row, Scan::Column],
+        }
+    }
+}
+
+/// Parameters of the extraction.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(default)]
+pub struct ExtractorParameters {
+    /// Scan lines to look at: `rows`, `columns` (for objects that lie) or `both`.
+    pub scan: ScanLines,
+    /// Looks at every n-th scan line.
+    #[schemars(range(min = 1, max = 64))]
+    pub line_step: u32,
+    /// Number of missing pixels that are bridged inside a run.
+    #[schemars(range(min = 0, max = 64))]
+    pub max_hole_px: u32,
+    /// Number of points taken off both ends of a run, where pixels mix two depths; `arcs = "moments"` puts the last of them
+    /// back where its ray meets the circle through the others.
+    #[schemars(range(min = 0, max = 16))]
+    pub trim_px: u32,
+    /// Smallest radius of a circle through an arc, in metres; with `arcs = "conic"` smallest semi-axis of an ellipse.
+    #[schemars(range(min = 0.001, max = 10.0))]
+    pub min_radius_m: f64,
+    /// Largest radius, in metres: what is wider than twice this is a wall. The circle through a short arc is uncertain and
+    /// may be four times as large. With `arcs = "conic"` largest semi-axis of an ellipse.
+    #[schemars(range(min = 0.001, max = 10.0))]
+    pub max_radius_m: f64,
+}
+
+impl Default for ExtractorParameters {
+    fn default() -> Self {
+        Self { scan: ScanLines::Both, line_step: 1, max_hole_px: 3, trim_px: 1, min_radius_m: 0.015, max_radius_m: 0.6 }
+    }
+}
+
+impl ExtractorParameters {
+    /// What is wrong with them although each is in its range.
+    pub fn faults(&self) -> Vec<ConfigFault> {
+        let (least, most) = (self.min_radius_m, self.max_radius_m);
+        if least < most {
+            return Vec::new();
+        }
+        vec![ConfigFault {
+            key: "min_radius_m",
+            what: format!("nothing lies between {least} m and `max_radius_m`, {most} m"),
+            hint: "set it to less than `max_radius_m`".to_owned(),
+        }]
+    }
+}

@@ -1,0 +1,126 @@
+//! Segmentation: a run is cut at its creases, and where neither a line nor a circle explains its points.
+//!
+//! Running sums give the moments of any interval by one subtraction, so an interval grows by galloping and bisection,
+//! with a handful of fits in place of one per point.
+
+use super::rays::SURROUNDINGS;
+use super::run::{FEWEST, FIRST_FIT, Run};
+use std::ops::Range;
+
+/// Number of points on each side of a crease that are compared with the three in it.
+const WING: usize = 5; // [tuned]
+/// Least depth of a crease, in standard deviations of one pixel. The mean of three less the mean of ten scatters by 0.66 of
+/// one, so that this is 5.3 of its own standard deviations.
+const CREASE: f64 = 3.5; // [sigmas]
+/// The depth of a crease is computed in whole numbers, in this part of a unit of the image: 30 is divided by 3 and by 10.
+const CREASE_UNIT: f64 = 30.0; // [derived]
+
+/// An interval of a run that one curve explains.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Segment {
+    /// The part of the run between two creases that it lies in, without the ends of the run.
+    pub part: [usize; 2],
+    pub from: usize,
+    pub to: usize,
+    /// Whether it may be an arc: no line explains it, or it is all there is and not too wide.
+    pub is_curve: bool,
+}
+
+/// Puts the ends of the parts of a run between its creases into `cuts`, where an object stands on a floor: only creases
+/// open to the camera count, and only where no circle (as the inside of a bowl) explains the whole run.
+pub(super) fn cut(run: &Run, cuts: &mut Vec<usize>, depth_sums: &mut Vec<u32>) {
+    cuts.clear();
+    let Range { start, end } = run.inner;
+    cuts.push(start);
+    if !run.is_line(start, end) && !run.is_circle(start, end) {
+        add_creases(run, cuts, depth_sums);
+    }
+    cuts.push(end);
+}
+
+/// Running sums of the depths of a run, beginning with nothing; they may wrap around, differences of them do not.
+fn sum_depths<'a>(depths: &[u16], sums: &'a mut Vec<u32>) -> &'a [u32] {
+    sums.resize(sums.len().max(depths.len() + 1), 0);
+    let mut sum = 0_u32;
+    for (known, &depth) in sums[1..].iter_mut().zip(depths) {
+        sum = sum.wrapping_add(u32::from(depth));
+        *known = sum;
+    }
+    &sums[..=depths.len()]
+}
+
+/// Adds the deepest point of each crease; `depth_sums` is a buffer.
+fn add_creases(run: &Run, creases: &mut Vec<usize>, depth_sums: &mut Vec<u32>) {
+    let depth_sums = sum_depths(run.points.depths, depth_sums);
+    let mut deepest: Option<(i32, usize)> = None;
+    let start = (WING + 1).max(run.inner.start + 1);
+    let end = run.length.saturating_sub(WING + 1).min(run.inner.end);
+    let per_sigma = CREASE_UNIT * CREASE / run.view.scale;
+    for first in (0..end).step_by(SURROUNDINGS) {
+        let block = first.max(start)..(first + SURROUNDINGS).min(end);
+        if block.is_empty() {
+            continue;
+        }
+        let least = (per_sigma * run.depth_variance(first).sqrt()) as i32;
+        let depths = crease_depths(depth_sums, block.clone());
+        if depths.clone().fold(0, i32::max) <= least {
+            creases.extend(deepest.take().map(|(_, at)| at));
+            continue;
+        }
+        for (depth, at) in depths.zip(block) {
+            if depth > least {
+                deepest = deepest.filter(|(most, _)| *most >= depth).or(Some((depth, at)));
+            } else {
+                creases.extend(deepest.take().map(|(_, at)| at));
+            }
+        }
+    }
+    creases.extend(deepest.map(|(_, at)| at));
+}
+
+/// How much deeper the three points about each of `block` are than those to both sides, in parts of a unit of the image.
+fn crease_depths(sums: &[u32], block: Range<usize>) -> impl Iterator<Item = i32> + Clone {
+    // (P[2] - P[-1]) / 3 - (P[-1] - P[-6]) / 10 - (P[7] - P[2]) / 10 of the running sums P, times 30.
+    let shifted = |by: usize| sums[block.start + by - WING - 1..].iter().take(block.len());
+    let (wings, middles) = (shifted(0).zip(shifted(2 * WING + 3)), shifted(WING).zip(shifted(WING + 3)));
+    wings.zip(middles).map(|((before, behind), (from, to))| {
+        let (wings, middle) = (behind.wrapping_sub(*before), to.wrapping_sub(*from));
+        // 13 middle - 3 wings, by what every processor does four at a time.
+        (middle << 4).wrapping_sub(middle.wrapping_add(wings).wrapping_mul(3)).cast_signed()
+    })
+}
+
+/// The segment of a part of a run between two creases that begins at `from`; `None` where too few points are left.
+pub(super) fn next_segment(run: &Run, part: &Range<usize>, from: usize) -> Option<Segment> {
+    let most = part.end - from;
+    let segment =
+        |length: usize, is_curve: bool| Segment { part: [part.start, part.end], from, to: from + length, is_curve };
+    if most < FEWEST {
+        None
+    } else if run.is_line(from, part.end) {
+        Some(segment(most, from == part.start && run.width() < 2.0 * run.view.parameters.max_radius_m))
+    } else if run.is_circle(from, part.end) {
+        Some(segment(most, true))
+    } else {
+        let line = gallop(FIRST_FIT.min(most), most, |length| run.is_line(from, from + length));
+        let circle = gallop(line, most, |length| run.is_circle(from, from + length));
+        Some(segment(circle, circle > line + line / 8 + 1)) // [tuned]
+    }
+}
+
+/// The greatest length up to `most` that is explained, from `least` on, if those explained are without gaps.
+fn gallop(least: usize, most: usize, mut explained: impl FnMut(usize) -> bool) -> usize {
+    let (mut good, mut bad) = (least.min(most), most + 1);
+    while good + 1 < bad {
+        let trial = if bad > most { (good + good / 2 + 1).min(most) } else { (good + bad) / 2 };
+        if explained(trial) {
+            good = trial;
+        } else {
+            bad = trial;
+        }
+        if good == most {
+            break;
+        }
+    }
+    good
+}

@@ -1,0 +1,291 @@
+use super::*;
+use crate::assemble::{Assembler, AssemblerParameters};
+use conicflow_geometry::Vector3;
+use conicflow_lab::rendered::{Body, KINECT_HALF, render};
+use conicflow_lab::simulator::random_scene::{SceneGroup, random_scene};
+use conicflow_lab::simulator::sensor::{SensorConfig, SensorTable};
+use conicflow_lab::simulator::{SimulatorParameters, SyntheticCamera};
+use conicflow_messages::{Camera, Item, NoiseModel, Object};
+
+fn config(scan: ScanLines) -> ExtractorParameters {
+    ExtractorParameters { scan, ..ExtractorParameters::default() }
+}
+
+fn arcs(config: ExtractorParameters, (header, pixels): &(Header, Vec<u16>)) -> Vec<Ellipse> {
+    let arcs = Extractor::new(config).extract(header, pixels).to_vec();
+    assert_eq!(Ellipse::check(header, &arcs), Ok(()));
+    arcs
+}
+
+fn can(x: f64, z: f64, radius: f64) -> Body {
+    Body::Frustum { center: Vector3::new(x, 0.0, z), axis: Vector3::y(), radius, slope: 0.0, length: 0.5 }
+}
+
+fn wall(z: f64) -> Body {
+    Body::Plane { normal: Vector3::z(), offset: z }
+}
+
+fn room(seed: u64) -> (Header, Vec<u16>) {
+    let floor = Body::Plane { normal: Vector3::y(), offset: 0.25 };
+    let ball = Body::Sphere { center: Vector3::new(0.5, 0.1, 1.4), radius: 0.15 };
+    let block = Body::Block { center: Vector3::new(-0.5, 0.1, 1.7), size: Vector3::new(0.3, 0.3, 0.3), turn: 0.4 };
+    render(KINECT_HALF, NoiseModel::KINECT_V1, &[can(0.0, 1.6, 0.12), ball, block, floor, wall(3.0)], seed)
+}
+
+#[test]
+fn lines_between_the_coarse_ones_show_as_much_as_those() {
+    let arcs = arcs(config(ScanLines::Rows), &render(KINECT_HALF, NoiseModel::KINECT_V1, &[can(0.1, 1.5, 0.2)], 1));
+    // The near side of the can is in rows 64 to 175, of which 64 and 172 are the outermost coarse ones.
+    for line in 65..175 {
+        let widest = arcs.iter().filter(|arc| arc.line == line).map(|arc| arc.points).max();
+        assert!(widest.is_some_and(|points| points > 40), "{widest:?} points in row {line}");
+    }
+}
+
+#[test]
+fn the_radius_of_an_arc_is_free_of_the_noise() {
+    let arcs = arcs(config(ScanLines::Rows), &render(KINECT_HALF, NoiseModel::KINECT_V1, &[can(0.0, 2.2, 0.2)], 2));
+    let mut radii: Vec<f64> = arcs.iter().filter(|arc| arc.points > 40).map(|arc| arc.half_width).collect();
+    radii.sort_by(f64::total_cmp);
+    assert!(radii.len() > 50 && (radii[radii.len() / 2] - 0.2).abs() < 0.01, "{radii:?}");
+}
+
+#[test]
+fn columns_are_the_rows_of_the_turned_image() {
+    let (header, pixels) = room(3);
+    let Camera { width, height, fx, fy, cx, cy } = header.camera;
+    let camera = Camera { width: height, height: width, fx: fy, fy: fx, cx: cy, cy: cx };
+    let turned: Vec<u16> = (0..width * height).map(|i| pixels[(i % height * width + i / height) as usize]).collect();
+    // At the same noise level: that of an image is taken from its rows.
+    let found = |header: &Header, pixels: &[u16], scan| {
+        let mut extractor = Extractor::new(config(ScanLines::Both));
+        extractor.noise = NoiseEstimate::nominal(header.noise);
+        extractor.look_along(header, pixels, scan);
+        extractor.ellipses
+    };
+    let columns = found(&header, &pixels, Scan::Column);
+    let rows = found(&Header { camera, ..header }, &turned, Scan::Row);
+    assert!(columns.len() > 30 && columns.len() == rows.len(), "{} and {} arcs", columns.len(), rows.len());
+    for (column, row) in columns.iter().zip(&rows) {
+        assert_eq!((column.line, column.first, column.last), (row.line, row.first, row.last));
+        assert!((column.half_width - row.half_width).abs() < 1e-9 * row.half_width);
+    }
+}
+
+#[test]
+fn arcs_come_in_the_order_of_scan_line_and_pixel() {
+    let arcs = arcs(config(ScanLines::Both), &room(4));
+    assert!(arcs.iter().any(|arc| arc.scan == 0) && arcs.iter().any(|arc| arc.scan == 1));
+    for pair in arcs.windows(2) {
+        let key = |arc: &Ellipse| (arc.scan, arc.line, arc.first);
+        assert!(key(&pair[0]) < key(&pair[1]), "{pair:?}");
+        let one_line = (pair[0].scan, pair[0].line) == (pair[1].scan, pair[1].line);
+        assert!(!one_line || pair[0].last < pair[1].first, "{pair:?}");
+    }
+}
+
+#[test]
+fn lines_that_are_stepped_over_are_not_looked_at() {
+    for line_step in [2, 3, 7] {
+        let arcs = arcs(ExtractorParameters { line_step, ..config(ScanLines::Rows) }, &room(5));
+        assert!(arcs.len() > 10 && arcs.iter().all(|arc| arc.line % line_step == 0), "every {line_step} lines");
+    }
+}
+
+/// The arc of a can before a wall in one row of an image, some pixels of which are changed.
+fn arc_in_row(row: u32, change: impl FnOnce(&mut [u16])) -> Ellipse {
+    let (header, mut pixels) = render(KINECT_HALF, NoiseModel::IDEAL, &[can(0.0, 1.5, 0.08), wall(3.0)], 9);
+    let width = header.camera.width as usize;
+    change(&mut pixels[row as usize * width..][..width]);
+    let header = Header { noise: NoiseModel::KINECT_V1, ..header };
+    *arcs(config(ScanLines::Rows), &(header, pixels)).iter().find(|arc| arc.line == row).unwrap()
+}
+
+#[test]
+fn a_pixel_between_two_jumps_is_of_neither_side() {
+    let plain = arc_in_row(120, |_| {});
+    let last = plain.contour[1] as usize;
+    assert!(plain.contour[0] > 0.0 && last > 0);
+    for units_before_the_wall in [12_000, 7_000, 1_500] {
+        let arc = arc_in_row(120, |row| row[last + 1] -= units_before_the_wall);
+        assert_eq!(arc.contour, [plain.contour[0], plain.contour[1] + 0.5], "{units_before_the_wall}");
+        assert_eq!((arc.first, arc.last), (plain.first, plain.last));
+    }
+    let hidden = arc_in_row(120, |row| row[last + 1..last + 20].fill(9000));
+    assert_eq!(hidden.contour, [plain.contour[0], 0.0]);
+}
+
+#[test]
+fn an_end_that_is_off_the_circle_is_left_off() {
+    let plain = arc_in_row(120, |_| {});
+    let last = plain.contour[1] as usize;
+    assert_eq!(plain.last as usize, last, "the outermost pixel is on the circle");
+    let arc = arc_in_row(120, |row| row[last] += 300);
+    assert_eq!((arc.first, arc.last as usize), (plain.first, last - 1));
+    assert!((arc.half_width / plain.half_width - 1.0).abs() < 0.01);
+}
+
+#[test]
+fn any_number_of_points_may_be_taken_off_the_ends() {
+    for seed in 5..8 {
+        let points = |trim_px| {
+            let arcs = arcs(ExtractorParameters { trim_px, ..config(ScanLines::Both) }, &room(seed));
+            arcs.iter().map(|arc| arc.points).sum::<u32>()
+        };
+        let left = [0, 1, 2, 4, 8, 12, 16].map(points);
+        assert!(left.iter().all(|&points| points > 0) && left[6] < left[1], "{left:?}");
+    }
+}
+
+#[test]
+fn a_floor_and_a_wall_give_next_to_nothing() {
+    let floor = Body::Plane { normal: Vector3::new(0.0, 0.9, 0.3).normalize(), offset: 0.9 };
+    let arcs = arcs(config(ScanLines::Both), &render(KINECT_HALF, NoiseModel::KINECT_V1, &[floor, wall(2.5)], 6));
+    assert!(arcs.len() < 20, "{} arcs", arcs.len());
+}
+
+#[test]
+fn the_noise_level_is_that_of_the_image() {
+    let bodies = [can(0.0, 1.5, 0.2), wall(2.5)];
+    let level = |noise| {
+        let (header, pixels) = render(KINECT_HALF, noise, &bodies, 7);
+        let header = Header { noise: NoiseModel::KINECT_V1, ..header };
+        let seen = Extractor::new(config(ScanLines::Rows)).estimate_noise(&header, &pixels);
+        seen.level * seen.model.variance(2.0) / header.noise.variance(2.0)
+    };
+    let (as_told, none) = (level(NoiseModel::KINECT_V1), level(NoiseModel::IDEAL));
+    assert!((0.85..1.15).contains(&as_told) && none < 0.1, "{as_told} and {none}");
+    for factor in [1.2, 1.5, 2.0, 3.0] {
+        let ratio = level(NoiseModel::KINECT_V1.times(factor)) / (factor * factor);
+        assert!((0.85..1.15).contains(&ratio), "{ratio} at {factor}");
+    }
+}
+
+#[test]
+fn a_model_that_grows_wrongly_is_replaced() {
+    let floor = Body::Plane { normal: Vector3::new(0.0, 0.9, 0.3).normalize(), offset: 0.9 };
+    let kinect = NoiseModel::KINECT_V1;
+    let even = NoiseModel { floor_m: 0.002, ..NoiseModel::IDEAL };
+    for told in [even, NoiseModel::IDEAL] {
+        let (header, pixels) = render(KINECT_HALF, kinect, &[can(0.0, 1.5, 0.2), floor, wall(3.5)], 7);
+        let seen = Extractor::new(config(ScanLines::Rows)).estimate_noise(&Header { noise: told, ..header }, &pixels);
+        assert!(seen.nominal[0] != seen.nominal[1], "{seen:?}");
+        for depth in [1.5, 2.0, 2.5, 3.0] {
+            let ratio = (seen.level * seen.model.variance(depth) / kinect.variance(depth)).sqrt();
+            assert!((0.8..1.25).contains(&ratio), "{ratio} at {depth} m, told {told:?}");
+        }
+    }
+    let (header, pixels) = render(KINECT_HALF, kinect, &[can(0.0, 1.5, 0.2), floor, wall(3.5)], 7);
+    let seen = Extractor::new(config(ScanLines::Rows)).estimate_noise(&header, &pixels);
+    assert_eq!(seen.model, kinect, "one that grows rightly is not");
+}
+
+/// How many neighbouring pixels share their noise in a room that a sensor with such windows sees.
+fn shared_px(noise_window_px: u32, width: u32, seed: u64) -> f64 {
+    let noise = SensorConfig::Table(SensorTable { noise_window_px, ..SensorTable::default() });
+    let config = SimulatorParameters { width, height: width / 4 * 3, noise, ..SimulatorParameters::default() };
+    let scene = random_scene(SceneGroup::Clutter, seed);
+    let mut camera = SyntheticCamera::new(scene, config.camera(), config.noise, config.depth_scale, 30.0, seed);
+    let (mut header, mut pixels) = (Header::default(), vec![0; (config.width * config.height) as usize]);
+    camera.shoot(0, &mut pixels);
+    camera.describe(&mut header);
+    Extractor::new(self::config(ScanLines::Rows)).estimate_noise(&header, &pixels).correlation_px
+}
+
+#[test]
+fn as_many_pixels_share_their_noise_as_do() {
+    for seed in 0..6 {
+        for (width, windows) in [(320, [1, 3]), (640, [1, 4])] {
+            let [alone, shared] = windows.map(|window| shared_px(window, width, seed));
+            assert_eq!(alone, 1.0, "{width} pixels, seed {seed}");
+            // Steps of the disparity make part of the noise each pixel's own.
+            let all = f64::from(windows[1]);
+            assert!((0.6 * all..1.1 * all).contains(&shared), "{shared} of {all}, {width} pixels, seed {seed}");
+        }
+    }
+}
+
+#[test]
+fn silhouettes_and_creases_are_not_taken_for_noise() {
+    for seed in 20..30 {
+        let (header, pixels) = room(seed);
+        let level = Extractor::new(config(ScanLines::Rows)).estimate_noise(&header, &pixels).level;
+        assert!((0.85..1.15).contains(&level), "{level} in room {seed}");
+    }
+}
+
+fn points_of_arcs(room: &(Header, Vec<u16>)) -> f64 {
+    arcs(config(ScanLines::Both), room).iter().map(|arc| f64::from(arc.points)).sum()
+}
+
+#[test]
+fn what_is_noisier_than_its_model_shows_nearly_the_same_arcs() {
+    for seed in 30..34 {
+        let mut room = room(seed);
+        let right = points_of_arcs(&room);
+        room.0.noise = room.0.noise.times(1.0 / 1.6);
+        let ratio = points_of_arcs(&room) / right;
+        assert!((0.9..1.1).contains(&ratio), "{ratio} in room {seed}");
+    }
+}
+
+#[test]
+fn a_blank_image_is_as_noisy_as_its_model() {
+    let (header, pixels) = room(8);
+    let seen = Extractor::new(config(ScanLines::Rows)).estimate_noise(&header, &vec![0; pixels.len()]);
+    assert_eq!(seen, NoiseEstimate::nominal(header.noise));
+}
+
+#[test]
+fn after_two_rounds_nothing_is_allocated() {
+    let rooms: Vec<_> = (10..14).map(room).collect();
+    let mut extractor = Extractor::new(config(ScanLines::Both));
+    let mut round = || rooms.iter().map(|(header, pixels)| extractor.extract(header, pixels).len()).sum::<usize>();
+    let first = allocation_counter::measure(|| assert!(round() > 100));
+    round();
+    let third = allocation_counter::measure(|| assert!(round() > 100));
+    assert!(first.count_total > 0, "the counter counts nothing");
+    assert_eq!(third.count_total, 0, "{third:?}");
+}
+
+/// An image of steps, slopes, holes and noise without sense.
+fn nonsense(seed: u64) -> (Header, Vec<u16>) {
+    let mut random = fastrand::Rng::with_seed(seed);
+    let (width, height) = (random.u32(1..90), random.u32(1..60));
+    let focal = random.f64() * 300.0 + 1.0;
+    let camera = Camera { width, height, fx: focal, fy: focal, cx: 0.5 * f64::from(width), cy: 0.0 };
+    let noise = [NoiseModel::KINECT_V1, NoiseModel::IDEAL, NoiseModel::KINECT_V1.times(0.01)][random.usize(0..3)];
+    let header = Header { camera, noise, depth_scale: [1e-4, 1e-3, 1.0][random.usize(0..3)], ..Header::default() };
+    let (mut depth, mut slope) = (random.u16(..), 0_i16);
+    let pixels = (0..width * height).map(|_| {
+        match random.u8(0..40) {
+            0 => depth = random.u16(..),
+            1..4 => slope = random.i16(-60..60),
+            4 => return 0,
+            _ => depth = depth.saturating_add_signed(slope),
+        }
+        depth.saturating_add(random.u16(0..8))
+    });
+    (header, pixels.collect())
+}
+
+#[test]
+fn nonsense_does_no_harm() {
+    let found: usize = (0..1000)
+        .map(|seed| {
+            let mut random = fastrand::Rng::with_seed(seed);
+            let config = ExtractorParameters {
+                trim_px: random.u32(0..17),
+                max_hole_px: random.u32(0..9),
+                line_step: random.u32(1..9),
+                ..config(ScanLines::Both)
+            };
+            let image = nonsense(seed);
+            let arcs = arcs(config, &image);
+            let mut assembler = Assembler::new(AssemblerParameters::default());
+            assert_eq!(Object::check(&image.0, assembler.assemble(&image.0, &arcs)), Ok(()));
+            arcs.len()
+        })
+        .sum();
+    assert!(found > 500, "{found} arcs");
+}

@@ -1,0 +1,326 @@
+//! What all scan lines of one direction of a depth image have in common.
+
+use super::{ExtractorParameters, NoiseEstimate};
+use crate::camera::pinhole;
+use conicflow_geometry::{Pinhole, Scan, ScanPlane};
+use conicflow_messages::{Header, NoiseModel, is_measured};
+use std::ops::Range;
+
+/// The limit's `a`: the mean square error of the right curve may exceed zero by so many of its standard deviations.
+const SCATTER: f64 = 2.5; // [sigmas]
+/// The limit's `b`: the noise model may be wrong by this part of its variance.
+const SLACK: f64 = 0.3; // [tuned]
+/// Mean square roughness of any surface, in square metres: a tenth of a millimetre, squared.
+const LEAST_SQUARE: f64 = 1e-8; // [tuned]
+/// Steepest surface between neighbouring pixels, as depth per distance across the view. A steeper step is a jump.
+const JUMP_SLOPE: f64 = 3.0; // [tuned]
+/// Steepest surface across a hole, as depth per distance across the view.
+const HOLE_SLOPE: f64 = 1.5; // [tuned]
+/// A step on one surface may exceed what its slope explains by so many standard deviations of the sensor.
+const JUMP_SIGMAS: f64 = 4.0; // [sigmas]
+
+/// Factor that keeps a lower bound below the exact value in spite of rounding.
+const BELOW: f64 = 0.999; // [algorithmic]
+/// The square root of one half, times 2^16, rounded down.
+const ROOT_HALF: u16 = 46_340; // [derived]
+/// Number of neighbours that are tested for jumps together.
+pub(super) const BATCH: usize = 64; // [algorithmic]
+
+/// The rows or the columns of an image; the tables are used again for the next.
+#[derive(Debug)]
+pub(crate) struct View {
+    pub parameters: ExtractorParameters,
+    pub scan: Scan,
+    /// Number of scan lines.
+    pub lines: u32,
+    /// Number of pixels of each.
+    pub length: u32,
+    /// Metres per unit of a pixel.
+    pub scale: f64,
+    camera: Pinhole,
+    width: usize,
+    /// Model of the sensor.
+    pub noise: NoiseModel,
+    /// Variance of the sensor, in variances of its model or, where that is greater, of rounding.
+    level: f64,
+    /// How many neighbouring pixels share their noise.
+    pub correlation_px: f64,
+    /// Variance that rounding to the unit of the image makes at the least.
+    pub least: f64,
+    /// The rule by which a line is split.
+    pub jumps: JumpRule,
+    /// Slope of the ray of each pixel.
+    slopes: Vec<f64>,
+    /// Largest mean square error of so many points, in variances.
+    limits: Vec<f64>,
+}
+
+impl View {
+    pub fn with(parameters: ExtractorParameters) -> Self {
+        Self {
+            parameters,
+            scan: Scan::Row,
+            lines: 0,
+            length: 0,
+            scale: 0.0,
+            camera: Pinhole { fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 },
+            width: 0,
+            noise: NoiseModel::IDEAL,
+            level: 1.0,
+            correlation_px: 1.0,
+            least: 0.0,
+            jumps: JumpRule::new(&NoiseModel::IDEAL, 1.0, 0.0, 0),
+            slopes: Vec::new(),
+            limits: Vec::new(),
+        }
+    }
+
+    /// Turns to the rows or columns of an image of this noise.
+    pub fn turn(&mut self, header: &Header, scan: Scan, noise: &NoiseEstimate) {
+        let size = [header.camera.height, header.camera.width];
+        [self.lines, self.length] = if scan == Scan::Row { size } else { [size[1], size[0]] };
+        (self.scan, self.camera, self.width) = (scan, pinhole(&header.camera), size[1] as usize);
+        (self.noise, self.level, self.scale) = (noise.model, noise.level, header.depth_scale);
+        self.correlation_px = noise.correlation_px;
+        self.least = self.scale * self.scale / 12.0;
+        let pitch = self.camera.pixel_pitch(scan);
+        let rounding = self.least.sqrt() * noise.level.max(1.0).sqrt();
+        let neighbour_model =
+            NoiseModel { floor_m: noise.neighbour_model.floor_m.max(rounding), ..noise.neighbour_model };
+        self.jumps = JumpRule::new(&neighbour_model, self.scale, pitch, self.parameters.max_hole_px);
+        self.slopes.clear();
+        self.slopes.extend((0..self.length).map(|pixel| self.camera.ray_slope(scan, f64::from(pixel))));
+        let known = self.limits.len();
+        self.limits.extend((known..=self.length as usize).map(|n| SCATTER * (2.0 / n.max(1) as f64).sqrt() + SLACK));
+    }
+
+    /// The plane of a scan line.
+    pub fn plane(&self, line: u32) -> ScanPlane {
+        self.camera.plane(self.scan, f64::from(line))
+    }
+
+    /// Slopes of the rays through some pixels; `buffer` is for those of pixels with holes between them.
+    #[inline]
+    pub fn slopes<'a>(&'a self, pixels: &[u32], buffer: &'a mut Vec<f64>) -> &'a [f64] {
+        let [first, last] = [pixels.first(), pixels.last()].map(|pixel| pixel.map_or(0, |&pixel| pixel as usize));
+        if last - first < pixels.len() {
+            return &self.slopes[first..first + pixels.len()];
+        }
+        buffer.clear();
+        buffer.extend(pixels.iter().map(|&pixel| self.slopes[pixel as usize]));
+        buffer
+    }
+
+    /// The pixels of a row, if those are the scan lines.
+    pub fn row<'a>(&self, image: &'a [u16], line: u32) -> &'a [u16] {
+        &image[line as usize * self.width..][..self.width]
+    }
+
+    /// The pixels `window` of a scan line; those of a column are copied side by side into `column`.
+    pub fn depths<'a>(&self, image: &'a [u16], line: u32, window: &Range<u32>, column: &'a mut Vec<u16>) -> &'a [u16] {
+        let (line, first, last) = (line as usize, window.start as usize, window.end as usize);
+        if self.scan == Scan::Row {
+            return &image[line * self.width + first..line * self.width + last];
+        }
+        column.resize(column.len().max(window.len()), 0);
+        let mut at = first * self.width + line;
+        for depth in &mut column[..window.len()] {
+            *depth = image[at];
+            at += self.width;
+        }
+        &column[..window.len()]
+    }
+
+    /// Depth of a pixel, in metres, if it is inside the image and measured.
+    pub fn depth(&self, image: &[u16], line: u32, pixel: i64) -> Option<f64> {
+        let pixel = u32::try_from(pixel).ok().filter(|pixel| *pixel < self.length)?;
+        let [row, column] = if self.scan == Scan::Row { [line, pixel] } else { [pixel, line] };
+        let raw = image[row as usize * self.width + column as usize];
+        is_measured(raw).then(|| f64::from(raw) * self.scale)
+    }
+
+    /// Variance of a depth, in square metres.
+    #[inline]
+    pub fn variance(&self, depth: f64) -> f64 {
+        (self.level * self.noise.variance(depth).max(self.least)).max(self.least)
+    }
+
+    /// Largest mean square error of `points` points that noise of this variance accounts for.
+    #[inline]
+    pub fn limit(&self, variance: f64, points: usize) -> f64 {
+        variance * self.limits[points] + LEAST_SQUARE
+    }
+}
+
+/// Whether two measurements in a row may lie on one surface.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct JumpRule {
+    scale: f32,
+    per_metre: f32,
+    slope: f32,
+    hole_slope: f32,
+    floor: f32,
+    growth: f32,
+    knee: f32,
+    step: f32,
+    max_pixels: u32,
+    least: LeastStep,
+}
+
+/// A lower bound of the largest step between neighbours on one surface, in whole numbers: processors compare eight at a
+/// time.
+#[derive(Clone, Copy, Debug)]
+struct LeastStep {
+    /// In units of the image.
+    floor: u16,
+    knee: u16,
+    /// Per square unit of depth, times 2^32.
+    growth: u16,
+    quantum: u16,
+    /// Per unit of depth, times 2^16.
+    slope: u16,
+}
+
+impl LeastStep {
+    fn new(noise: &NoiseModel, scale: f64, pitch: f64) -> Self {
+        let (sigmas, whole) = (BELOW * JUMP_SIGMAS, f64::from(1 << 16));
+        let per_square = sigmas * whole * whole * scale;
+        Self {
+            floor: (sigmas * noise.floor_m / scale) as u16,
+            knee: (noise.knee_m / scale).ceil() as u16,
+            growth: (per_square * noise.growth_per_m) as u16,
+            quantum: (per_square * noise.step_per_m / 12.0_f64.sqrt()) as u16,
+            slope: (BELOW * whole * JUMP_SLOPE * pitch) as u16,
+        }
+    }
+
+    #[inline]
+    fn step(&self, near: u16) -> u16 {
+        let high = |a: u16, b: u16| ((u32::from(a) * u32::from(b)) >> 16) as u16;
+        let beyond_knee = near.saturating_sub(self.knee);
+        let axial = self.floor.saturating_add(high(high(beyond_knee, beyond_knee), self.growth));
+        let quantum = high(high(near, near), self.quantum);
+        // The root of the sum of two squares is at least their sum over that of two.
+        let noise = axial.max(quantum).max(high(axial.saturating_add(quantum), ROOT_HALF));
+        noise.saturating_add(high(near, self.slope))
+    }
+}
+
+impl JumpRule {
+    /// For depths in units of `scale` metres, and pixels that lie `pitch` apart per metre of depth.
+    fn new(noise: &NoiseModel, scale: f64, pitch: f64, max_hole_px: u32) -> Self {
+        let NoiseModel { floor_m, growth_per_m, knee_m, step_per_m } = *noise;
+        Self {
+            scale: scale as f32,
+            per_metre: (1.0 / scale) as f32,
+            slope: (JUMP_SLOPE * pitch) as f32,
+            hole_slope: (HOLE_SLOPE * pitch) as f32,
+            floor: (JUMP_SIGMAS * floor_m) as f32,
+            growth: (JUMP_SIGMAS * growth_per_m) as f32,
+            knee: knee_m as f32,
+            step: (JUMP_SIGMAS * step_per_m / 12.0_f64.sqrt()) as f32,
+            max_pixels: max_hole_px + 1,
+            least: LeastStep::new(noise, scale, pitch),
+        }
+    }
+
+    /// Whether there is a jump or too large a hole between raw depths a and b that are `pixels` apart.
+    #[inline]
+    pub fn splits(&self, a: u16, b: u16, pixels: u32) -> bool {
+        (f32::from(a.abs_diff(b)) > self.largest_step(a.min(b), pixels)) | (pixels > self.max_pixels)
+    }
+
+    /// Ones where there may be a jump or a hole behind a measurement, of the first of neighbouring `pixels`: no others
+    /// have to be looked at.
+    #[inline]
+    pub fn doubtful(&self, pixels: &[u32], depths: &[u16]) -> [u8; BATCH] {
+        let mut doubtful = [0; BATCH];
+        let next = |count: usize| (BATCH + 1).min(count);
+        let (pixels, depths) = (&pixels[..next(pixels.len())], &depths[..next(depths.len())]);
+        for (doubtful, (&a, &b)) in doubtful.iter_mut().zip(depths.iter().zip(&depths[1..])) {
+            *doubtful = u8::from(a.abs_diff(b) > self.least.step(a.min(b)));
+        }
+        if (pixels[pixels.len() - 1] - pixels[0]) as usize >= pixels.len() {
+            for (doubtful, (&here, &there)) in doubtful.iter_mut().zip(pixels.iter().zip(&pixels[1..])) {
+                *doubtful |= u8::from(there - here > 1);
+            }
+        }
+        doubtful
+    }
+
+    /// The largest raw step on one surface from raw depth `near` on; it grows with the depth.
+    #[inline]
+    fn largest_step(&self, near: u16, pixels: u32) -> f32 {
+        let near = f32::from(near) * self.scale;
+        let slope = self.slope.max(self.hole_slope * pixels.cast_signed() as f32);
+        let beyond_knee = near - self.knee;
+        let (axial, quantum) = (self.floor + self.growth * beyond_knee * beyond_knee, self.step * near * near);
+        (slope * near + (axial * axial + quantum * quantum).sqrt()) * self.per_metre
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use conicflow_messages::Camera;
+
+    fn rule() -> JumpRule {
+        let camera = Camera { width: 320, height: 240, fx: 290.0, fy: 290.0, cx: 159.5, cy: 119.5 };
+        let noise = NoiseModel::KINECT_V1;
+        let mut view = View::with(ExtractorParameters::default());
+        view.turn(
+            &Header { camera, noise, depth_scale: 1e-3, ..Header::default() },
+            Scan::Row,
+            &NoiseEstimate::nominal(noise),
+        );
+        view.jumps
+    }
+
+    #[test]
+    fn a_jump_is_more_than_slope_and_noise() {
+        let (rule, noise) = (rule(), NoiseModel::KINECT_V1);
+        for near in [500_u16, 1000, 2000, 4000] {
+            let z = f64::from(near) * 1e-3;
+            let largest = 1e3 * (JUMP_SLOPE * z / 290.0 + JUMP_SIGMAS * noise.sigma(z));
+            let (within, beyond) = ((largest - 1.0) as u16, (largest + 1.0) as u16);
+            assert!(!rule.splits(near, near + within, 1) && !rule.splits(near + within, near, 1));
+            assert!(rule.splits(near, near + beyond, 1) && rule.splits(near + beyond, near, 1));
+        }
+    }
+
+    #[test]
+    fn a_hole_allows_more_and_ends_a_run_where_it_is_large() {
+        let rule = rule();
+        assert!(rule.splits(1000, 1025, 1) && !rule.splits(1000, 1025, 4));
+        assert!(!rule.splits(1000, 1000, 4) && rule.splits(1000, 1000, 5));
+    }
+
+    #[test]
+    fn rounding_is_noise_that_no_model_tells() {
+        let camera = Camera { width: 1280, height: 720, fx: 1400.0, fy: 1400.0, cx: 639.5, cy: 359.5 };
+        let mut view = View::with(ExtractorParameters::default());
+        let header = Header { camera, noise: NoiseModel::IDEAL, depth_scale: 1e-3, ..Header::default() };
+        view.turn(&header, Scan::Row, &NoiseEstimate::nominal(header.noise));
+        assert!(!view.jumps.splits(300, 301, 1), "one unit on a smooth surface");
+        assert!((view.variance(0.3) - 1e-6 / 12.0).abs() < 1e-20);
+        view.turn(&header, Scan::Row, &NoiseEstimate { level: 12.0, ..NoiseEstimate::nominal(header.noise) });
+        assert!((view.variance(0.3) - 1e-6).abs() < 1e-18, "as noisy as the image is");
+    }
+
+    #[test]
+    fn nothing_splits_but_what_is_doubtful() {
+        let (rule, pixels) = (rule(), [10, 11, 12, 13, 14, 15]);
+        let mut none = 0;
+        for seed in 0..2000_u32 {
+            let random = |i: u32| (seed * 6 + i).wrapping_mul(2_654_435_761) >> 8;
+            let depths: [u16; 6] = std::array::from_fn(|i| 1500 + (random(i as u32) % (seed / 20 + 1)) as u16);
+            let doubtful = rule.doubtful(&pixels, &depths);
+            none += usize::from(doubtful == [0; BATCH]);
+            for (pair, doubtful) in depths.windows(2).zip(doubtful) {
+                assert!(doubtful == 1 || !rule.splits(pair[0], pair[1], 1), "{depths:?}");
+            }
+        }
+        assert!((200..1800).contains(&none), "{none} without");
+        assert_eq!(rule.doubtful(&[10, 11, 13], &[1500, 1500, 1500])[..3], [0, 1, 0]);
+    }
+}

@@ -1,0 +1,130 @@
+//! The method on one page: a depth image becomes ellipses, and ellipses become objects.
+//!
+//! [`detect`] is the whole; its two halves can run in processes of their own, which exchange lists of ellipses. Each step is
+//! a call into the file that is named beside it; `docs/method.md` has the equations. What follows, objects to tracks, is
+//! [`Tracker::update`](crate::Tracker::update).
+
+use crate::assemble::arcs::Arcs;
+use crate::assemble::choice::choose;
+use crate::assemble::growth::{Growing, chain, is_promising};
+use crate::assemble::seeds::Seeds;
+use crate::assemble::verify::{Candidate, verify_all};
+use crate::assemble::{Assembler, AssemblerParameters, Rejection, Rejections};
+use crate::extract::coarse::coarse_step;
+use crate::extract::{ArcRejections, Extractor};
+use conicflow_geometry::Scan;
+use conicflow_messages::{Ellipse, Header, Object};
+
+/// The objects of a depth image, `width * height` pixels row by row.
+pub(crate) fn detect<'a>(
+    extractor: &mut Extractor,
+    assembler: &'a mut Assembler,
+    header: &Header,
+    image: &[u16],
+) -> &'a [Object] {
+    assembler.assemble(header, extractor.extract(header, image))
+}
+
+impl Extractor {
+    /// The ellipses of a depth image (`width * height` pixels row by row), in the order of the scan lines.
+    pub fn extract(&mut self, header: &Header, image: &[u16]) -> &[Ellipse] {
+        // 1. Noise: how far the depths of neighbouring pixels scatter tells how noisy this image is (`noise_level.rs`), and
+        //    how many neighbours share their noise (`noise_correlation.rs`).
+        self.noise = self.estimate_noise(header, image);
+        self.ellipses.clear();
+        self.rejections = ArcRejections::default();
+        for &scan in self.parameters.scan.directions() {
+            self.look_along(header, image, scan);
+        }
+        &self.ellipses
+    }
+
+    /// Adds the ellipses of the rows, or of the columns, of an image.
+    pub(crate) fn look_along(&mut self, header: &Header, image: &[u16], scan: Scan) {
+        let Self { parameters, noise, view, search, coarse, ellipses, rejections, .. } = self;
+
+        // 2. View: the rows, or the columns, as planes of rays; the largest step within one surface follows from the noise
+        //    (`view.rs`).
+        view.turn(header, scan, noise);
+        let (step, coarse_step) = (parameters.line_step.max(1), coarse_step(parameters.line_step));
+
+        // 3. Coarse lines: every sixth is cut into arcs as a whole. Runs end at jumps and holes (`line.rs`), running sums give
+        //    the moments of any interval (`rays.rs`, `run.rs`), segments end where neither a line nor a circle explains their
+        //    points (`segments.rs`), and what is surely curved is an arc with its contour (`arc.rs`).
+        coarse.clear();
+        for number in (0..view.lines).step_by(coarse_step as usize) {
+            let whole = (number, 0..view.length);
+            coarse.add(&view.plane(number), |arcs| search.arcs_of(view, image, whole, arcs, rejections));
+        }
+
+        // 4. The lines between them: the same, but only beside what is curved in the coarse lines (`coarse.rs`).
+        for (index, number) in (0..view.lines + coarse_step).step_by(coarse_step as usize).enumerate() {
+            let between = (number + step).saturating_sub(coarse_step)..number.min(view.lines);
+            let windows = coarse.windows_before(index, view.length);
+            for number in between.step_by(step as usize) {
+                for window in windows {
+                    search.arcs_of(view, image, (number, window.clone()), ellipses, rejections);
+                }
+            }
+            ellipses.extend_from_slice(coarse.arcs(index));
+        }
+        ellipses.iter_mut().for_each(|ellipse| ellipse.line_step = parameters.line_step);
+    }
+}
+
+impl Assembler {
+    /// The objects that the ellipses of one image form.
+    pub fn assemble(&mut self, header: &Header, ellipses: &[Ellipse]) -> &[Object] {
+        let Self { parameters, arcs, seeds, growing, objects, rejections } = self;
+        objects.clear();
+        *rejections = Rejections::default();
+
+        // 5. Arcs: each ellipse brings the moments of its points, free of the noise's bias (`arcs.rs`). The more an arc is
+        //    bent, the sooner it is a seed (`seeds.rs`).
+        arcs.read(header, ellipses);
+        seeds.order(arcs);
+
+        while let Some(seed) = seeds.next(rejections) {
+            match object_around(seed, arcs, seeds, growing, parameters) {
+                // 10. The arcs that the object explains are taken out before the next seed is tried.
+                Ok((best, object)) => {
+                    seeds.take(&best, &object);
+                    objects.push(object);
+                }
+                Err(reason) => {
+                    rejections.count(reason);
+                    seeds.give_up(&growing.chain);
+                }
+            }
+        }
+        objects
+    }
+}
+
+/// The object around a seed, or why there is none.
+fn object_around<'a>(
+    seed: usize,
+    arcs: &'a Arcs,
+    seeds: &Seeds,
+    growing: &'a mut Growing,
+    parameters: &AssemblerParameters,
+) -> Result<(Candidate<'a>, Object), Rejection> {
+    let free = |arc: usize| seeds.is_free(arc);
+
+    // 6. Chain: the seed with its neighbours in the next lines; they have to be enough, and surely curved together
+    //    (`growth.rs`).
+    chain(arcs, seed, parameters.max_gap(), free, &mut growing.chain);
+    is_promising(arcs, &growing.chain, parameters)?;
+
+    // 7. Growth: a sphere, a cylinder and a cone each take in, line after line, the arcs that they explain, and are fitted
+    //    anew to the moments of all of them (`growth.rs`, `model.rs`).
+    let models = growing.models(arcs, parameters.max_gap(), free);
+
+    // 8. Verification: each is fitted together with the contour that it shows, and has to explain its points and its
+    //    outline as a whole (`verify.rs`).
+    let verified = verify_all(arcs, models, &growing.members, parameters, &mut growing.contour);
+
+    // 9. Choice: the shape that explains most points with the fewest parameters, told with its uncertainty (`choice.rs`,
+    //    `report.rs`).
+    choose(verified, parameters, &mut growing.contour)
+}

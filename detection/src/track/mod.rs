@@ -1,0 +1,169 @@
+//! The tracker: gives the objects of successive frames an identity, a velocity and a filtered shape.
+//!
+//! Each object has a Kalman filter of constant velocity. Where the camera's pose is known, filtering happens in the world
+//! and the camera may move; positions and velocities are given in the camera frame of the present frame, the velocity
+//! being that in the world, seen along the camera's axes. Without a pose the camera counts as standing still, in a world
+//! of its own ([`worlds`]); a frame that lacks one takes that of the frame before. Of several cameras in one world each
+//! has its pose, and only the one that saw a target last can miss it; a frame older than the
+//! newest is compared with where the targets were then. Thrown balls may be told to fall and bounce
+//! ([`ballistic`]).
+
+mod association;
+mod ballistic;
+mod detection;
+mod filter;
+mod life;
+mod parameters;
+mod target;
+#[cfg(test)]
+mod tests;
+mod timeline;
+mod worlds;
+
+pub use ballistic::Ballistic;
+pub use parameters::TrackerParameters;
+pub use worlds::Worlds;
+
+use crate::camera::isometry;
+use association::Association;
+use conicflow_messages::{Header, Object, ObjectKind, Track};
+use detection::Detection;
+use nalgebra::IsometryMatrix3;
+use target::Target;
+use timeline::{Advance, Timeline};
+
+/// A gap between frames that is at most this many times as long as the one before is usual: nobody could look sooner. After
+/// a longer one no target is found again that was unseen for too long.
+const USUAL_GAP: f64 = 1.5; // [tuned]
+
+/// Follows objects from frame to frame, of one camera or of several that tell their poses.
+pub struct Tracker {
+    parameters: TrackerParameters,
+    timeline: Timeline,
+    /// Pose of each source's camera, in the order of [`Advance::source`].
+    world_from_camera: Vec<IsometryMatrix3<f64>>,
+    has_pose: bool,
+    next_id: u64,
+    targets: Vec<Target>,
+    detections: Vec<Detection>,
+    association: Association,
+    tracks: Vec<Track>,
+    confirmed: Vec<ObjectKind>,
+}
+
+impl Tracker {
+    /// A tracker that has seen nothing; the first track gets the identity 1.
+    pub fn new(parameters: TrackerParameters) -> Self {
+        Self {
+            timeline: Timeline::new(1.0 / parameters.assumed_rate_hz),
+            parameters,
+            world_from_camera: Vec::new(),
+            has_pose: false,
+            next_id: 1,
+            targets: Vec::new(),
+            detections: Vec::new(),
+            association: Association::default(),
+            tracks: Vec::new(),
+            confirmed: Vec::new(),
+        }
+    }
+
+    /// Takes in the objects of one frame, in the camera frame; the tracks that are alive, by identity.
+    pub fn update(&mut self, header: &Header, objects: &[Object]) -> &[Track] {
+        let time = self.timeline.advance(header);
+        if time.new_run {
+            self.targets.retain(|target| target.seen_by != time.source);
+        }
+        let patience_s = self.parameters.max_coast_s.max(USUAL_GAP * time.usual_s);
+        self.targets.retain(|target| target.life.unseen_s + time.elapsed_s <= patience_s);
+        let world_from_camera = self.pose(header, time.source);
+        self.predict(time.elapsed_s);
+        self.move_in_time(-time.late_s);
+        self.detect(objects, &world_from_camera);
+        self.associate(&time);
+        self.update_targets(&time);
+        self.give_birth(&time);
+        let camera_from_world = world_from_camera.inverse();
+        self.tracks.clear();
+        self.tracks.extend(self.targets.iter().map(|target| target.track(&camera_from_world)));
+        self.move_in_time(time.late_s);
+        &self.tracks
+    }
+
+    /// The shapes of the tracks that the last frame confirmed.
+    pub fn newly_confirmed(&self) -> &[ObjectKind] {
+        &self.confirmed
+    }
+
+    /// The tracks that are alive, as of the last frame, by identity.
+    pub fn tracks(&self) -> &[Track] {
+        &self.tracks
+    }
+
+    /// Where the camera of a source is: where the header says, else where it was.
+    fn pose(&mut self, header: &Header, source: usize) -> IsometryMatrix3<f64> {
+        if source >= self.world_from_camera.len() {
+            self.world_from_camera.resize(source + 1, IsometryMatrix3::identity());
+        }
+        if let Some(pose) = header.pose() {
+            self.world_from_camera[source] = isometry(pose);
+            self.has_pose = true;
+        }
+        self.world_from_camera[source]
+    }
+
+    fn predict(&mut self, dt: f64) {
+        for target in &mut self.targets {
+            target.predict(dt, self.has_pose, &self.parameters);
+        }
+    }
+
+    /// To the time of a frame that is late, and back.
+    fn move_in_time(&mut self, seconds: f64) {
+        if seconds != 0.0 {
+            self.targets.iter_mut().for_each(|target| target.move_in_time(seconds));
+        }
+    }
+
+    fn detect(&mut self, objects: &[Object], world_from_camera: &IsometryMatrix3<f64>) {
+        self.detections.clear();
+        let detection = |object| Detection::new(object, world_from_camera, &self.parameters);
+        self.detections.extend(objects.iter().map(detection));
+    }
+
+    /// Undisturbed targets choose first; then those that may have been pushed.
+    fn associate(&mut self, time: &Advance) {
+        let Self { association, targets, detections, parameters, .. } = self;
+        association.reset(targets.len(), detections.len());
+        association.assign(|target, detection| targets[target].cost(&detections[detection], parameters));
+        association
+            .assign(|target, detection| targets[target].cost_of_manoeuvre(&detections[detection], time, parameters));
+    }
+
+    fn update_targets(&mut self, time: &Advance) {
+        self.confirmed.clear();
+        for (target, detection) in self.targets.iter_mut().zip(self.association.detections()) {
+            let was_confirmed = target.is_confirmed();
+            match detection {
+                Some(detection) => target.see(&self.detections[*detection], time, &self.parameters),
+                None => target.miss(time),
+            }
+            if target.is_confirmed() && !was_confirmed {
+                self.confirmed.push(target.kind);
+            }
+        }
+        let rules = self.parameters.rules();
+        self.targets.retain(|target| !target.life.is_lost(&rules));
+    }
+
+    fn give_birth(&mut self, time: &Advance) {
+        for index in self.association.unclaimed() {
+            let target = Target::born(self.next_id, &self.detections[index], time, &self.parameters);
+            self.next_id += 1;
+            if target.is_confirmed() {
+                self.confirmed.push(target.kind);
+            }
+            self.targets.push(target);
+        }
+    }
+}

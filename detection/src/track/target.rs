@@ -1,0 +1,331 @@
+//! One object that is followed: the filters of its parameters, its shape and its life.
+
+use super::ballistic::Fall;
+use super::detection::{Detection, rotated};
+use super::filter::{Axis, Motion, Size};
+use super::life::Life;
+use super::parameters::TrackerParameters;
+use super::timeline::Advance;
+use conicflow_messages::{Object, ObjectKind, ObjectSigma, Track, TrackState};
+use nalgebra::{IsometryMatrix3, Matrix3, Point3, Vector3};
+
+/// What a cylinder that was seen as a cone, or the reverse, costs more than one seen as itself: minus twice the
+/// logarithm of one in seven.
+const KIND_CHANGE_COST: f64 = 4.0; // [tuned]
+
+/// How long a target may have been looked for in vain, in seconds, and still be found off its way by a push: after that it
+/// may be anywhere.
+const MANOEUVRE_UNSEEN_S: f64 = 0.2; // [tuned]
+
+/// The least half-angle that a cone is given, in radians: its apex stays finite.
+const MIN_HALF_ANGLE: f64 = 1e-6; // [algorithmic]
+
+/// An object that is followed, in the frame of tracking.
+#[derive(Clone, Debug)]
+pub struct Target {
+    id: u64,
+    /// What it was seen as most often.
+    pub kind: ObjectKind,
+    /// How long and how often it was seen.
+    pub life: Life,
+    votes: [u32; ObjectKind::ALL.len()],
+    motion: Motion,
+    fall: Fall,
+    radius: Size,
+    length: Size,
+    axis: Option<Axis>,
+    half_angle: Option<Size>,
+    common: CommonError,
+    last_seen: Object,
+    /// The source that saw it last.
+    pub seen_by: usize,
+    /// How late the frame was in which it was seen last, in seconds.
+    seen_late_s: f64,
+}
+
+/// Covariance of the error that successive sights have in common.
+///
+/// The filters take errors for independent. To consider one that is not (Schmidt 1966; Bar-Shalom et al., section 8.2.5) is simple
+/// here: an offset `b` of all sights is an offset `b` of the position and none of the velocity, since with the
+/// sensitivity `S = [I; 0]` an update leaves `S = (I - K H) S + K` as it is. So `P` and the covariance of `b` add up.
+#[derive(Clone, Copy, Debug)]
+struct CommonError {
+    position: Matrix3<f64>,
+    radius: f64,
+    half_angle: f64,
+}
+
+impl CommonError {
+    fn of(sight: &Detection, share: f64) -> Self {
+        let half_angle = sight.half_angle.map_or(0.0, |half_angle| half_angle.variance * share);
+        Self { position: sight.covariance * share, radius: sight.radius.variance * share, half_angle }
+    }
+
+    /// That after one more sight; one as a cylinder tells nothing of a cone's half-angle.
+    fn after(&self, sight: &Detection, share: f64) -> Self {
+        let now = Self::of(sight, share);
+        if sight.half_angle.is_some() { now } else { Self { half_angle: self.half_angle, ..now } }
+    }
+}
+
+impl Target {
+    /// A target at its first sight.
+    pub fn born(id: u64, first: &Detection, time: &Advance, config: &TrackerParameters) -> Self {
+        let mut votes = [0; ObjectKind::ALL.len()];
+        votes[first.kind.code() as usize] = 1;
+        Self {
+            id,
+            kind: first.kind,
+            life: Life::born(&config.rules()),
+            votes,
+            motion: Motion::new(first.position, first.covariance, config.initial_speed_mps),
+            fall: Fall::default(),
+            radius: first.radius,
+            length: first.length,
+            axis: first.axis,
+            half_angle: first.half_angle,
+            common: CommonError::of(first, config.common_share),
+            last_seen: first.object,
+            seen_by: time.source,
+            seen_late_s: time.late_s,
+        }
+    }
+
+    /// Goes on by `dt` seconds; `has_pose`: whether the frame of tracking is the world's.
+    pub fn predict(&mut self, dt: f64, has_pose: bool, config: &TrackerParameters) {
+        self.motion.predict(dt, config.acceleration.powi(2));
+        self.fall(dt, has_pose, config);
+        self.radius.predict(dt, config.drift_radius_m);
+        self.length.predict(dt, config.drift_length_m);
+        if let Some(axis) = &mut self.axis {
+            axis.predict(dt, config.drift_axis_deg.to_radians());
+        }
+        if let Some(half_angle) = &mut self.half_angle {
+            half_angle.predict(dt, config.drift_half_angle_deg.to_radians());
+        }
+    }
+
+    /// The motions `seconds` later, or before where that is negative; the shape hardly changes.
+    pub fn move_in_time(&mut self, seconds: f64) {
+        self.motion.move_in_time(seconds);
+        if let Some(other) = &mut self.fall.other {
+            other.move_in_time(seconds);
+        }
+    }
+
+    /// Of a ball that may fall both motions are predicted: the one that holds, and the other one.
+    fn fall(&mut self, dt: f64, has_pose: bool, config: &TrackerParameters) {
+        let Some(ballistic) = config.ballistic.filter(|_| self.kind == ObjectKind::Sphere) else { return };
+        let steady = self.motion.clone();
+        let falling = ballistic.fallen(steady.clone(), dt, self.radius.value, has_pose);
+        let (holds, other) = if self.fall.holds() { (falling, steady) } else { (steady, falling) };
+        self.motion = holds;
+        self.fall.other = Some(other);
+    }
+
+    /// Chooses between the two motions by a sight.
+    fn weigh_motions(&mut self, detection: &Detection) {
+        let Some(other) = self.fall.other.take() else { return };
+        let distance2 =
+            |motion: &Motion| Some(motion.innovation(&detection.position, &detection.covariance)?.distance2());
+        let (Some(held), Some(rival)) = (distance2(&self.motion), distance2(&other)) else { return };
+        let fell = self.fall.holds();
+        let (steady, falling) = if fell { (rival, held) } else { (held, rival) };
+        self.fall.weigh(steady, falling);
+        if self.fall.holds() != fell {
+            self.motion = other;
+        }
+    }
+
+    /// Minus twice the logarithm of the likelihood that `detection` is this target, up to a constant; `None` outside the
+    /// gate or where shape or radius do not fit.
+    pub fn cost(&self, detection: &Detection, config: &TrackerParameters) -> Option<f64> {
+        let motions = std::iter::once(&self.motion).chain(&self.fall.other);
+        motions.filter_map(|motion| self.cost_of(motion, detection, config)).min_by(f64::total_cmp)
+    }
+
+    /// The same for a target that changed its velocity when it was last seen.
+    pub fn cost_of_manoeuvre(&self, detection: &Detection, time: &Advance, config: &TrackerParameters) -> Option<f64> {
+        let is_recent = self.life.misses == 0 || self.life.unseen_s <= MANOEUVRE_UNSEEN_S;
+        let may_be = is_recent && self.kind == detection.kind && config.manoeuvre_mps > 0.0;
+        may_be.then(|| self.cost_of(&self.pushed(time, config), detection, config))?
+    }
+
+    /// Its motion if it changed its velocity when it was last seen; as of this frame, late or not.
+    fn pushed(&self, time: &Advance, config: &TrackerParameters) -> Motion {
+        let since_s = self.life.unseen_s + self.seen_late_s + time.elapsed_s - time.late_s;
+        self.motion.kicked(since_s.max(0.0), config.manoeuvre_mps)
+    }
+
+    fn cost_of(&self, motion: &Motion, detection: &Detection, config: &TrackerParameters) -> Option<f64> {
+        let kind_cost = kind_cost(self.kind, detection.kind)?;
+        let radius_cost = self.radius_cost(detection.radius, config)?;
+        let axis_cost = self.axis_cost(detection, config)?;
+        let innovation = motion.innovation(&detection.position, &detection.covariance)?;
+        let distance2 = innovation.distance2();
+        (distance2 < config.gate).then(|| distance2 + innovation.ln_determinant() + radius_cost + axis_cost + kind_cost)
+    }
+
+    /// An outlier of the radius costs no more than one at the gate.
+    fn radius_cost(&self, measured: Size, config: &TrackerParameters) -> Option<f64> {
+        let distance2 = self.radius.distance2(measured);
+        let passes = (measured.value - self.radius.value).abs() <= config.max_radius_change * self.radius.value;
+        let spread = (self.radius.variance + measured.variance).ln();
+        (distance2 < config.gate || passes).then(|| distance2.min(config.gate) + spread)
+    }
+
+    /// The same of the axis, for both directions across it. Nothing is known of it where one has none.
+    fn axis_cost(&self, detection: &Detection, config: &TrackerParameters) -> Option<f64> {
+        let Some((axis, seen)) = self.axis.zip(detection.axis) else { return Some(0.0) };
+        let distance2 = axis.distance2(seen);
+        let passes = axis.angle(seen) <= config.max_axis_change_deg.to_radians();
+        let spread = 2.0 * (axis.variance + seen.variance).max(f64::MIN_POSITIVE).ln();
+        (distance2 < config.gate || passes).then(|| distance2.min(config.gate) + spread)
+    }
+
+    /// Whether it was seen often enough to be sure of it.
+    pub fn is_confirmed(&self) -> bool {
+        self.life.state() != TrackState::Tentative
+    }
+
+    /// Takes in a sight.
+    pub fn see(&mut self, detection: &Detection, time: &Advance, config: &TrackerParameters) {
+        self.weigh_motions(detection);
+        if self.cost(detection, config).is_none() {
+            self.motion = self.pushed(time, config);
+        }
+        (self.seen_by, self.seen_late_s) = (time.source, time.late_s);
+        if let Some(innovation) = self.motion.innovation(&detection.position, &detection.covariance) {
+            self.motion.update(&innovation, &detection.covariance);
+        }
+        self.radius.update(detection.radius);
+        self.length.update(detection.length);
+        self.vote(detection);
+        self.turn(detection);
+        update_or_begin(&mut self.half_angle, detection.half_angle);
+        self.common = self.common.after(detection, config.common_share);
+        // What `max_radius_change` let pass is a step or an outlier: no noise, so the sigma has to cover it.
+        self.common.radius = self.common.radius.max(self.radius.lacking(detection.radius, config.gate));
+        self.last_seen = detection.object;
+        self.life.seen(&config.rules());
+    }
+
+    /// Goes on through a frame in which it was not seen. Where another camera saw it last, that says nothing.
+    pub fn miss(&mut self, time: &Advance) {
+        if time.source == self.seen_by {
+            self.life.missed(time.elapsed_s);
+        } else {
+            self.life.unwatched(time.elapsed_s);
+        }
+    }
+
+    /// The shape is the one seen most often; a cylinder that turns out to be a cone takes the sign of its axis.
+    fn vote(&mut self, detection: &Detection) {
+        let seen = detection.kind.code() as usize;
+        self.votes[seen] = self.votes[seen].saturating_add(1);
+        if self.votes[seen] <= self.votes[self.kind.code() as usize] || self.kind == detection.kind {
+            return;
+        }
+        self.kind = detection.kind;
+        if let (Some(axis), Some(seen)) = (&mut self.axis, detection.axis)
+            && axis.direction.dot(&seen.direction) < 0.0
+        {
+            axis.direction = -axis.direction;
+        }
+    }
+
+    fn turn(&mut self, detection: &Detection) {
+        let Some(seen) = detection.axis else { return };
+        let is_line = self.kind != ObjectKind::Cone || detection.kind != ObjectKind::Cone;
+        match &mut self.axis {
+            Some(axis) => {
+                axis.update(seen, is_line);
+            }
+            None => self.axis = Some(seen),
+        }
+    }
+
+    /// The track as it is sent, in the camera frame.
+    pub fn track(&self, camera_from_world: &IsometryMatrix3<f64>) -> Track {
+        let rotation = &camera_from_world.rotation;
+        Track {
+            id: self.id,
+            state: self.life.state().code(),
+            age: self.life.age,
+            misses: self.life.misses,
+            object: self.object(camera_from_world),
+            velocity: (rotation * self.motion.velocity()).into(),
+            velocity_covariance: rotated(&self.motion.velocity_covariance(), rotation).transpose().into(),
+            ..Track::default()
+        }
+    }
+
+    /// The filtered object. What supports it is that of its last sight, and nothing while it is unseen.
+    fn object(&self, camera_from_world: &IsometryMatrix3<f64>) -> Object {
+        let unseen = Object { points: 0, rows: 0, arc: 0.0, ..self.last_seen };
+        let seen = if self.life.misses == 0 { self.last_seen } else { unseen };
+        let rotation = &camera_from_world.rotation;
+        let center = camera_from_world * Point3::from(self.motion.position());
+        let covariance = self.motion.position_covariance() + self.common.position;
+        let sphere = Object {
+            kind: self.kind.code(),
+            points: seen.points,
+            rows: seen.rows,
+            center: center.coords.into(),
+            radius: self.radius.value,
+            sigma: ObjectSigma {
+                center: rotated(&covariance, rotation).transpose().into(),
+                radius: (self.radius.variance + self.common.radius).sqrt(),
+                ..ObjectSigma::default()
+            },
+            rms: seen.rms,
+            arc: seen.arc,
+            ..Object::default()
+        };
+        let Some(axis) = self.axis.filter(|_| self.kind != ObjectKind::Sphere) else { return sphere };
+        let cylinder = Object {
+            axis: (rotation * axis.direction.into_inner()).normalize().into(), // a pose is rounded
+            length: self.length.value,
+            sigma: ObjectSigma {
+                axis: (2.0 * axis.variance).sqrt(),
+                length: self.length.variance.sqrt(),
+                ..sphere.sigma
+            },
+            ..sphere
+        };
+        let Some(half_angle) = self.half_angle.filter(|_| self.kind == ObjectKind::Cone) else { return cylinder };
+        let variance = half_angle.variance + self.common.half_angle;
+        with_half_angle(cylinder, Size { variance, ..half_angle })
+    }
+}
+
+/// The cone whose middle is `cylinder`: apex and end radii follow from its radius there and its half-angle.
+fn with_half_angle(cylinder: Object, half_angle: Size) -> Object {
+    let slope = half_angle.value.max(MIN_HALF_ANGLE).tan();
+    let apex = Vector3::from(cylinder.center) - Vector3::from(cylinder.axis) * (cylinder.radius / slope);
+    let widening = slope * cylinder.length / 2.0;
+    Object {
+        half_angle: half_angle.value,
+        base_radius: cylinder.radius + widening,
+        top_radius: (cylinder.radius - widening).max(0.0),
+        apex: apex.into(),
+        sigma: ObjectSigma { half_angle: half_angle.variance.sqrt(), ..cylinder.sigma },
+        ..cylinder
+    }
+}
+
+/// Cost of a target of one shape being seen as another; only cylinders and cones are taken for each other.
+fn kind_cost(tracked: ObjectKind, seen: ObjectKind) -> Option<f64> {
+    if tracked == seen {
+        return Some(0.0);
+    }
+    (tracked != ObjectKind::Sphere && seen != ObjectKind::Sphere).then_some(KIND_CHANGE_COST)
+}
+
+fn update_or_begin(size: &mut Option<Size>, measured: Option<Size>) {
+    match (size.as_mut(), measured) {
+        (Some(size), Some(measured)) => size.update(measured),
+        (None, measured) => *size = measured,
+        (Some(_), None) => {}
+    }
+}

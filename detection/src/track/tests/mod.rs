@@ -1,0 +1,84 @@
+//! Tests of the tracker as a whole, on simulated detections, and what they have in common.
+
+mod camera;
+mod consistency;
+mod identity;
+mod motion;
+mod shape;
+
+use super::{Tracker, TrackerParameters};
+use conicflow_messages::{Header, Object, ObjectKind, ObjectSigma, Track, TrackState};
+use nalgebra::{Matrix3, Vector3};
+
+const PERIOD_S: f64 = 1.0 / 30.0;
+const SIGMA_M: f64 = 0.003;
+
+/// Normally distributed numbers from a seed: SplitMix64 (Steele, Lea, Flood 2014) and the transform of Box and Muller.
+struct Noise(u64);
+
+impl Noise {
+    fn uniform(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut bits = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        bits = (bits ^ (bits >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((bits ^ (bits >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    fn normal(&mut self) -> f64 {
+        let radius = (-2.0 * (1.0 - self.uniform()).ln()).sqrt();
+        radius * (std::f64::consts::TAU * self.uniform()).cos()
+    }
+
+    fn vector(&mut self, sigma: f64) -> Vector3<f64> {
+        Vector3::from_fn(|_, _| self.normal() * sigma)
+    }
+}
+
+/// Without additions to the sigma of the detections, which here is the true one, and independent of those before.
+fn exact() -> TrackerParameters {
+    TrackerParameters { floor_center_m: 1e-9, floor_along_axis: 0.0, common_share: 0.0, ..TrackerParameters::default() }
+}
+
+fn header(sequence: u64) -> Header {
+    Header { epoch: 1, sequence, stamp_ns: (sequence as f64 * PERIOD_S * 1e9) as u64, ..Header::default() }
+}
+
+fn seconds(sequence: u64) -> f64 {
+    sequence as f64 * PERIOD_S
+}
+
+fn sphere(center: Vector3<f64>) -> Object {
+    let variance = SIGMA_M * SIGMA_M;
+    let center_covariance = Matrix3::from_diagonal_element(variance).into();
+    let sigma = ObjectSigma { center: center_covariance, radius: 0.001, ..ObjectSigma::default() };
+    let kind = ObjectKind::Sphere.code();
+    Object {
+        kind,
+        points: 500,
+        rows: 30,
+        center: center.into(),
+        radius: 0.1,
+        sigma,
+        rms: 0.002,
+        arc: 2.0,
+        ..Object::default()
+    }
+}
+
+fn cylinder(center: Vector3<f64>) -> Object {
+    let sigma = ObjectSigma { axis: 0.01, length: 0.005, ..sphere(center).sigma };
+    Object { kind: ObjectKind::Cylinder.code(), axis: [0.0, -1.0, 0.0], length: 0.3, sigma, ..sphere(center) }
+}
+
+fn cone(center: Vector3<f64>) -> Object {
+    let (half_angle, sigma) = (0.2, ObjectSigma { half_angle: 0.01, ..cylinder(center).sigma });
+    Object { kind: ObjectKind::Cone.code(), axis: [0.0, 1.0, 0.0], half_angle, sigma, ..cylinder(center) }
+}
+
+fn ids(tracks: &[Track]) -> Vec<u64> {
+    tracks.iter().map(|track| track.id).collect()
+}
+
+fn states(tracks: &[Track]) -> Vec<TrackState> {
+    tracks.iter().map(Track::track_state).collect()
+}

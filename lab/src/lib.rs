@@ -1,0 +1,16 @@
+//! The laboratory: what the detection is measured with, and what it is compared with. No robot needs it.
+//!
+//! - [`simulator`]: a depth camera in scenes whose objects are known, and random scenes by the thousand;
+//! - [`paper`]: the method of Georgiev, Al-Hami and Lakaemper (2013), as the baseline: ellipses that grow point by point, and
+//!   objects section by section;
+//! - [`ransac`]: ellipses by random sample consensus, which the paper compares itself with;
+//! - [`noise_estimator`]: the noise of a sensor from a recording.
+
+pub mod csv;
+pub mod noise_estimator;
+pub mod paper;
+pub mod random;
+pub mod ransac;
+pub mod rendered;
+pub mod running_stats;
+pub mod simulator;

@@ -1,0 +1,117 @@
+//! The noise of a sensor from a recording, as the line that a pipeline file needs.
+//!
+//! Of a static scene the depth of each pixel varies from frame to frame by nothing but noise ([`temporal`]). Of flat walls
+//! and floors each block of the image is a plane up to noise ([`wall`]), also up to that which does not change with time
+//! and which a fit to a surface meets as well. Both give variances over depth, to which [`fit`] fits a noise model.
+
+mod fit;
+mod levels;
+mod temporal;
+#[cfg(test)]
+mod tests;
+mod wall;
+
+pub use fit::{NoiseEstimate, Spread};
+
+use anyhow::bail;
+use conicflow_messages::Header;
+use fit::Spreads;
+use levels::Levels;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use temporal::Temporal;
+
+/// What the recording shows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Recorded {
+    /// Anything that does not move, seen by a camera that does not move.
+    #[default]
+    StaticScene,
+    /// Flat walls and floors; camera and walls may move.
+    FlatWall,
+}
+
+/// Parameters of `noise_estimator`.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct NoiseEstimatorParameters {
+    /// What the recording shows: `static_scene` (nothing moves) or `flat_wall` (walls and floors fill most of the image).
+    pub recorded: Recorded,
+    /// Fewest measurements of a pixel of a static scene.
+    #[schemars(range(min = 3))]
+    pub min_frames: u32,
+    /// Side of the blocks in which a wall counts as flat, in pixels.
+    #[schemars(range(min = 4, max = 128))]
+    pub block_px: u32,
+}
+
+impl Default for NoiseEstimatorParameters {
+    fn default() -> Self {
+        Self { recorded: Recorded::StaticScene, min_frames: 20, block_px: 12 }
+    }
+}
+
+/// Gathers the noise of depth images.
+pub struct NoiseEstimator {
+    config: NoiseEstimatorParameters,
+    /// Width and height of the first frame.
+    size: Option<(u32, u32)>,
+    /// Number of frames.
+    frames: u32,
+    levels: Levels,
+    temporal: Temporal,
+    spreads: Spreads,
+}
+
+impl NoiseEstimator {
+    /// An estimator that has seen nothing.
+    pub fn with(config: NoiseEstimatorParameters) -> Self {
+        let (levels, temporal, spreads) = (Levels::default(), Temporal::default(), Spreads::default());
+        Self { config, size: None, frames: 0, levels, temporal, spreads }
+    }
+
+    /// Adds a depth image. Its scale may be another than before: that of a recorded point cloud depends on its largest
+    /// depth.
+    ///
+    /// # Errors
+    /// It is of another size than those before.
+    pub fn add(&mut self, header: &Header, pixels: &[u16]) -> anyhow::Result<()> {
+        let size = (header.camera.width, header.camera.height);
+        if *self.size.get_or_insert(size) != size {
+            let name = header.source.as_str().unwrap_or_default().escape_debug();
+            bail!(
+                "frame {} of `{name}` has another size than the first one\n  hint: estimate the noise of one sensor at a \
+                 time",
+                header.sequence
+            );
+        }
+        self.frames += 1;
+        self.levels.add(pixels, header.depth_scale);
+        match self.config.recorded {
+            Recorded::StaticScene => self.temporal.add(pixels, header.depth_scale),
+            Recorded::FlatWall => wall::add(header, pixels, self.config.block_px, &mut self.spreads),
+        }
+        Ok(())
+    }
+
+    /// The noise that explains what was seen.
+    ///
+    /// # Errors
+    /// Too little was seen.
+    pub fn estimate(&self) -> anyhow::Result<NoiseEstimate> {
+        if self.size.is_none() {
+            bail!("no frame was seen, so the noise cannot be estimated\n  hint: give a recording");
+        }
+        let (frames, min_frames) = (self.frames, self.config.min_frames);
+        let is_static = self.config.recorded == Recorded::StaticScene;
+        if is_static && frames < min_frames {
+            bail!(
+                "the recording has {frames} frames, but a static scene needs `min_frames` = {min_frames}\n  hint: record \
+                 more frames; a few of flat walls do with `recorded = \"flat_wall\"`"
+            );
+        }
+        let temporal = is_static.then(|| self.temporal.spreads(min_frames));
+        fit::fit(temporal.as_ref().unwrap_or(&self.spreads), self.levels.step_per_m())
+    }
+}

@@ -1,0 +1,134 @@
+//! Splits a chain where it stops being one body: the incremental tests of the paper, O(1) a section.
+//!
+//! Two hypotheses are followed side by side. Axial: the centres lie on a line, and the radius is linear in the position
+//! along it. Spherical: the centres are feet of perpendiculars from one point on the pencil of scan planes, so
+//! `t k = Cy y + Cz` is linear in the slope y of the plane and s is constant (they are concyclic with the camera, see
+//! `conicflow_geometry`), and the radii lie on a circle. As long as one of them foresees the next section, it belongs to
+//! the body; a hypothesis whose own sections scatter too much is dead, and k sections in a row that none foresees end it.
+
+use super::ProfileConfig;
+use super::sections::Section;
+use conicflow_geometry::{LineMoments, PlaneMoments, Regression, fit_circle_profile, fit_line_profile};
+
+/// How many sections are taken on trust before the hypotheses have something to foresee from.
+const TRUSTED: usize = 5;
+/// How many standard deviations a section may be off.
+const GATE_SIGMAS: f64 = 3.0;
+
+/// The bodies of a chain; the buffers are used again for the next.
+#[derive(Debug, Default)]
+pub(super) struct Sequences {
+    sequences: Vec<Vec<usize>>,
+    used: usize,
+}
+
+impl Sequences {
+    /// Splits a chain.
+    pub fn split(&mut self, sections: &[Section], chain: &[usize], config: &ProfileConfig) {
+        self.used = 0;
+        let mut rest = chain;
+        while !rest.is_empty() {
+            if self.used == self.sequences.len() {
+                self.sequences.push(Vec::new());
+            }
+            let consumed = grow(sections, rest, &mut self.sequences[self.used], config);
+            self.used += 1;
+            rest = &rest[consumed..];
+        }
+    }
+
+    /// The bodies, each a list of indices.
+    pub fn iter(&self) -> impl Iterator<Item = &[usize]> {
+        self.sequences[..self.used].iter().map(Vec::as_slice)
+    }
+}
+
+/// Fills `members` with the sections at the start of `chain` that form one body; returns where the next one starts.
+fn grow(sections: &[Section], chain: &[usize], members: &mut Vec<usize>, config: &ProfileConfig) -> usize {
+    members.clear();
+    let mut sums = Sums::new(&sections[chain[0]]);
+    let mut end = 0;
+    for (position, &index) in chain.iter().enumerate() {
+        let section = &sections[index];
+        if sums.foresees(section, config) {
+            sums.add(section);
+            members.push(index);
+            end = position + 1;
+        } else if position - end + 1 >= config.profile.neighbors as usize {
+            break;
+        }
+    }
+    end
+}
+
+/// Running sums over the sections of a body.
+#[derive(Debug)]
+struct Sums {
+    centers: LineMoments,
+    sides: Regression,
+    feet: Regression,
+    /// Pairs of position and radius. The position is an angle times a fixed distance, so that it needs no axis.
+    profile: PlaneMoments,
+    distance: f64,
+}
+
+impl Sums {
+    fn new(first: &Section) -> Self {
+        let distance = first.plane_center[1];
+        let start = [distance * first.plane.angle(), 0.0];
+        let (sides, feet) = (Regression::default(), Regression::default());
+        Self { centers: LineMoments::new(first.center), sides, feet, profile: PlaneMoments::new(start), distance }
+    }
+
+    fn add(&mut self, section: &Section) {
+        let [s, t] = section.plane_center;
+        self.centers.add(&section.center);
+        self.sides.add(section.plane.slope(), s);
+        self.feet.add(section.plane.slope(), t * section.plane.stretch());
+        self.profile.add(self.place(section));
+    }
+
+    /// Position and radius.
+    fn place(&self, section: &Section) -> [f64; 2] {
+        [self.distance * section.plane.angle(), section.radius]
+    }
+
+    fn foresees(&self, section: &Section, config: &ProfileConfig) -> bool {
+        (self.sides.count() as usize) < TRUSTED
+            || self.foresees_axial(section, config).unwrap_or(false)
+            || self.foresees_spherical(section, config).unwrap_or(false)
+    }
+
+    fn foresees_axial(&self, section: &Section, config: &ProfileConfig) -> Option<bool> {
+        let (line, profile) = (self.centers.fit()?, fit_line_profile(&self.profile)?);
+        let [position, radius] = self.place(section);
+        let scale = profile.value;
+        let center = line.distance(&section.center)
+            <= gate(line.prediction_sigma(line.position(&section.center)), config.profile.max_center_scatter * scale);
+        let residual = (radius - profile.at(position)).abs();
+        let alive = line.rms <= config.profile.max_center_scatter * scale
+            && profile.rms <= config.profile.max_radius_scatter * scale;
+        Some(
+            alive
+                && center
+                && residual <= gate(profile.prediction_sigma(position), config.profile.max_radius_scatter * scale),
+        )
+    }
+
+    fn foresees_spherical(&self, section: &Section, config: &ProfileConfig) -> Option<bool> {
+        let (feet, profile) = (self.feet.fit()?, fit_circle_profile(&self.profile)?);
+        let [position, radius] = self.place(section);
+        let [s, t] = section.plane_center;
+        let slope = section.plane.slope();
+        let limit = config.profile.max_center_scatter * profile.radius;
+        let side = (s - self.sides.mean()).abs() <= gate(self.sides.deviation(), limit);
+        let foot = (t * section.plane.stretch() - feet.at(slope)).abs() <= gate(feet.prediction_sigma(slope), limit);
+        let residual = ((position - profile.center).hypot(radius) - profile.radius).abs();
+        let alive = profile.rms <= config.profile.max_radius_scatter * profile.radius;
+        Some(alive && side && foot && residual <= gate(profile.rms, config.profile.max_radius_scatter * profile.radius))
+    }
+}
+
+fn gate(sigma: f64, floor: f64) -> f64 {
+    (GATE_SIGMAS * sigma).max(floor)
+}

@@ -1,0 +1,307 @@
+//! What a body has to fulfil to be reported, and the report.
+
+use super::sections::Section;
+use super::{ProfileConfig, Rejection, Rejections, SectionFit, end_sigma};
+use conicflow_geometry::{Conical, Sphere, Surface, Vector3, line_rms, section_about};
+use conicflow_messages::{NoiseModel, Object, ObjectKind, ObjectSigma};
+use std::ops::Range;
+
+/// Least standard deviation that is ever claimed, in metres and radians.
+const LEAST_SIGMA: f64 = 1e-6;
+
+/// What the points may be off the paper's model, in radii: on short arcs its centres are too near by a quarter.
+const ELLIPSE_RMS_RADII: f64 = 0.35;
+
+/// Sections this many times worse than the whole are left out.
+const OUTLIER_RMS: f64 = 1.6;
+
+/// The surface of a body; the point of a cylinder or cone is its centre.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Solid {
+    Sphere(Sphere),
+    Cylinder(Conical),
+    Cone(Conical),
+}
+
+impl Solid {
+    fn shape(&self) -> ObjectKind {
+        match self {
+            Self::Sphere(_) => ObjectKind::Sphere,
+            Self::Cylinder(_) => ObjectKind::Cylinder,
+            Self::Cone(_) => ObjectKind::Cone,
+        }
+    }
+
+    fn center(&self) -> Vector3 {
+        match self {
+            Self::Sphere(sphere) => sphere.center,
+            Self::Cylinder(surface) | Self::Cone(surface) => surface.point,
+        }
+    }
+
+    /// The axis; of a sphere 0.
+    fn axis(&self) -> Vector3 {
+        match self {
+            Self::Sphere(_) => Vector3::zeros(),
+            Self::Cylinder(surface) | Self::Cone(surface) => surface.axis,
+        }
+    }
+
+    /// The radius; of a cone that at its centre.
+    fn radius(&self) -> f64 {
+        match self {
+            Self::Sphere(sphere) => sphere.radius,
+            Self::Cylinder(surface) | Self::Cone(surface) => surface.radius,
+        }
+    }
+
+    /// Sum of the squared distances of a section's points, to first order; NaN for a cone on a plane along its axis.
+    fn square_sum(&self, section: &Section) -> f64 {
+        let coefficients = match self {
+            Self::Sphere(sphere) => sphere.coefficients(),
+            Self::Cylinder(cylinder) => cylinder.coefficients(),
+            Self::Cone(cone) => cone.pierced_by(&section.plane).coefficients(),
+        };
+        let conic = section_about(&coefficients, &section.plane, section.moments.origin());
+        let sum = conic.square_sum(&section.moments);
+        if sum < 0.0 { 0.0 } else { sum }
+    }
+}
+
+/// A fitted body.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Body {
+    pub solid: Solid,
+    pub length: f64,
+    pub radius_sigma: f64,
+    pub half_angle_sigma: f64,
+    pub axis_sigma: f64,
+    /// Standard error of the centre, across the axis.
+    pub across_sigma: f64,
+}
+
+/// The sections of one body, which passed the tests that need no fit.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Candidate<'a> {
+    sections: &'a [Section],
+    members: &'a [usize],
+    noise: &'a NoiseModel,
+    pub config: &'a ProfileConfig,
+}
+
+impl<'a> Candidate<'a> {
+    pub fn new(
+        sections: &'a [Section],
+        members: &'a [usize],
+        noise: &'a NoiseModel,
+        config: &'a ProfileConfig,
+    ) -> Result<Self, Rejection> {
+        if members.len() < config.profile.min_rows.max(3) as usize {
+            return Err(Rejection::FewRows);
+        }
+        let candidate = Self { sections, members, noise, config };
+        let [first, last] = candidate.ends();
+        if candidate.count() < config.profile.min_coverage * f64::from(last.line - first.line + 1) {
+            return Err(Rejection::Gaps);
+        }
+        if candidate.mean(|section| section.arc) < config.profile.min_arc_deg.to_radians() {
+            return Err(Rejection::ShortArc);
+        }
+        if candidate.bulge() < config.profile.min_bulge_sigmas * candidate.noise_sigma() {
+            return Err(Rejection::Flat);
+        }
+        Ok(candidate)
+    }
+
+    /// The members from one fraction of the sequence to another.
+    pub fn part(&self, from: f64, to: f64) -> Range<usize> {
+        let index = |fraction: f64| (fraction * self.count()).round() as usize;
+        index(from)..index(to)
+    }
+
+    /// The same with a part of the members.
+    pub fn only(&self, part: Range<usize>) -> Result<Self, Rejection> {
+        self.with(&self.members[part])
+    }
+
+    /// The same with other members.
+    pub fn with(&self, members: &'a [usize]) -> Result<Self, Rejection> {
+        Self::new(self.sections, members, self.noise, self.config)
+    }
+
+    pub fn sections(&self) -> impl Iterator<Item = &'a Section> {
+        self.members.iter().map(|&member| &self.sections[member])
+    }
+
+    /// Number of sections.
+    pub fn count(&self) -> f64 {
+        self.members.len() as f64
+    }
+
+    pub fn middle(&self) -> &'a Section {
+        &self.sections[self.members[self.members.len() / 2]]
+    }
+
+    /// The first and the last section.
+    pub fn ends(&self) -> [&'a Section; 2] {
+        [self.members[0], self.members[self.members.len() - 1]].map(|member| &self.sections[member])
+    }
+
+    /// Mean of a property of the sections.
+    pub fn mean(&self, property: impl Fn(&Section) -> f64) -> f64 {
+        self.sections().map(property).sum::<f64>() / self.count()
+    }
+
+    /// From where to where the points of the sections reach along an axis, counted from `point`.
+    pub fn extent(&self, point: &Vector3, axis: &Vector3) -> (f64, f64) {
+        let positions = self.ends().map(|section| (section.mean() - point).dot(axis));
+        (positions[0].min(positions[1]), positions[0].max(positions[1]))
+    }
+
+    /// The report on a body, if it is one to be reported.
+    pub fn verify(&self, body: &Body) -> Result<Object, Rejection> {
+        let (shape, radius) = (body.solid.shape(), body.solid.radius());
+        let rms = self.rms(&body.solid);
+        if let Some(reason) = self.config.common.wrong_size(shape, radius, body.length) {
+            Err(reason)
+        } else if shape != ObjectKind::Sphere && body.length < self.config.profile.min_length_radii * radius {
+            Err(Rejection::Short)
+        } else if rms.is_nan() || rms > self.max_rms(radius) {
+            Err(Rejection::Rms)
+        } else {
+            Ok(self.report(body, rms))
+        }
+    }
+
+    fn max_rms(&self, radius: f64) -> f64 {
+        let radii = match self.config.profile.section_fit {
+            SectionFit::Ellipse => ELLIPSE_RMS_RADII,
+            SectionFit::Circle => self.config.profile.max_rms_radii,
+        };
+        self.config.profile.max_rms_sigmas * self.noise_sigma() + radii * radius
+    }
+
+    /// Root mean square distance of all points from the surface.
+    fn rms(&self, solid: &Solid) -> f64 {
+        (self.sections().map(|section| solid.square_sum(section)).sum::<f64>() / self.points()).sqrt()
+    }
+
+    /// The members from `seed` on to both sides whose points lie on a surface, given the distance of those that it was
+    /// fitted to; sections that took in points of a floor or of a neighbour stay out, and k in a row end the body.
+    pub fn inliers(&self, solid: &Solid, rms: f64, seed: Range<usize>, inliers: &mut Vec<usize>) -> Range<usize> {
+        let limit = OUTLIER_RMS * rms;
+        let fits = |position: &usize| {
+            let section = &self.sections[self.members[*position]];
+            solid.square_sum(section) <= limit * limit * section.moments.count()
+        };
+        let last = reach(seed.start..self.members.len(), self.config.profile.neighbors, fits);
+        let first = reach((0..seed.end).rev(), self.config.profile.neighbors, fits);
+        let start = first.map_or(seed.start, |first| first.min(seed.start));
+        let end = last.map_or(seed.end, |last| seed.end.max(last + 1));
+        inliers.clear();
+        inliers.extend((start..end).filter(fits).map(|position| self.members[position]));
+        start..end
+    }
+
+    /// Root mean square distance of the points of the sections from a line each.
+    fn bulge(&self) -> f64 {
+        let square_sum =
+            |section: &Section| line_rms(&section.moments).map_or(0.0, |rms| rms * rms * section.moments.count());
+        (self.sections().map(square_sum).sum::<f64>() / self.points()).sqrt()
+    }
+
+    /// Standard deviation of the sensor at the depth of the points.
+    fn noise_sigma(&self) -> f64 {
+        self.noise.sigma(self.mean(|section| section.mean().z))
+    }
+
+    fn points(&self) -> f64 {
+        self.sections().map(|section| section.moments.count()).sum()
+    }
+
+    fn report(&self, body: &Body, rms: f64) -> Object {
+        let solid = &body.solid;
+        let object = Object {
+            kind: solid.shape().code(),
+            points: self.points().round() as u32,
+            rows: self.members.len() as u32,
+            center: solid.center().into(),
+            axis: solid.axis().into(),
+            radius: solid.radius(),
+            length: body.length,
+            sigma: self.sigma(body, rms),
+            rms,
+            arc: self.mean(|section| section.arc),
+            ..Object::default()
+        };
+        let Solid::Cone(cone) = solid else { return object };
+        let end = |along: f64| (cone.radius + cone.slope * along).max(0.0);
+        Object {
+            half_angle: cone.half_angle(),
+            apex: cone.apex().into(),
+            top_radius: end(-body.length / 2.0),
+            base_radius: end(body.length / 2.0),
+            ..object
+        }
+    }
+
+    /// Standard errors from the scatter of centres and radii, and never less than the points allow.
+    fn sigma(&self, body: &Body, rms: f64) -> ObjectSigma {
+        let floor = (rms / self.points().sqrt()).max(LEAST_SIGMA);
+        let middle = self.middle();
+        let axis = body.solid.axis();
+        let end = end_sigma(middle.spacing, &middle.plane, &axis);
+        let across = body.across_sigma.max(floor).powi(2);
+        let along = (end * end / 2.0 + floor * floor - across) * axis.norm();
+        let at = |i: usize, j: usize| {
+            let diagonal = if i == j { across } else { 0.0 };
+            diagonal + along * axis[i] * axis[j]
+        };
+        let (is_sphere, is_cone) = (matches!(body.solid, Solid::Sphere(_)), matches!(body.solid, Solid::Cone(_)));
+        let present = |present: bool, sigma: f64| if present { sigma } else { 0.0 };
+        ObjectSigma {
+            center: [0, 1, 2].map(|i| [0, 1, 2].map(|j| at(i, j))),
+            axis: present(!is_sphere, body.axis_sigma.max(LEAST_SIGMA)),
+            radius: body.radius_sigma.max(floor),
+            length: present(!is_sphere, (2.0 * end * end).sqrt().max(floor)),
+            half_angle: present(is_cone, body.half_angle_sigma.max(LEAST_SIGMA)),
+        }
+    }
+}
+
+/// The last position that fits before `patience` positions in a row that do not.
+fn reach(positions: impl Iterator<Item = usize>, patience: u32, fits: impl Fn(&usize) -> bool) -> Option<usize> {
+    let (mut last, mut misses) = (None, 0);
+    for position in positions {
+        if fits(&position) {
+            (last, misses) = (Some(position), 0);
+        } else {
+            misses += 1;
+            if misses >= patience {
+                break;
+            }
+        }
+    }
+    last
+}
+
+/// Drops objects whose centre lies inside one with more points: the same, seen along rows and along columns.
+pub(super) fn drop_doubles(objects: &mut Vec<Object>, rejections: &mut Rejections) {
+    objects.sort_by_key(|object| std::cmp::Reverse(object.points));
+    let mut kept = 0;
+    for index in 0..objects.len() {
+        let object = objects[index];
+        let inside = |other: &Object| distance(&object, other) < 0.5 * other.radius.max(object.radius);
+        if objects[..kept].iter().any(inside) {
+            rejections.count(Rejection::Double);
+        } else {
+            objects[kept] = object;
+            kept += 1;
+        }
+    }
+    objects.truncate(kept);
+}
+
+fn distance(a: &Object, b: &Object) -> f64 {
+    (Vector3::from(a.center) - Vector3::from(b.center)).norm()
+}

@@ -1,0 +1,216 @@
+//! Finds ellipses in the scan lines of a depth image by random sample consensus: what the paper compares its extractor
+//! with, and a stage to swap in for it.
+//!
+//! Fischler, Bolles, "Random sample consensus" (CACM 1981): of a line's points four are drawn at random, which determine an
+//! ellipse along the axes of the scan plane; of `k = ln(1 - p) / ln(1 - w^4)` such ellipses the one that most points lie
+//! on is fitted to all of them ([`consensus`]). Its points are taken away, and the next ellipse is looked for among the rest.
+//! Nothing knows that an arc is in one piece: points of a wall far apart may support a flat ellipse.
+
+mod consensus;
+#[cfg(test)]
+mod tests;
+
+use crate::random::CounterRng;
+use conicflow_detection::ScanLines;
+use conicflow_detection::camera::pinhole;
+use conicflow_geometry::{self as geometry, PlaneMoments, Scan, ScanPlane, fit_ellipse};
+use conicflow_messages::{Ellipse, Header, is_measured};
+use consensus::{Consensus, Draws, Point};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Parameters of `ransac_ellipse_extractor`.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct RansacParameters {
+    /// Scan lines to look at: `rows`, `columns` (for objects that lie) or `both`.
+    pub scan: ScanLines,
+    /// Looks at every n-th scan line.
+    #[schemars(range(min = 1, max = 64))]
+    pub line_step: u32,
+    /// Which random numbers are drawn; with the number of the frame it determines all of them.
+    pub seed: u64,
+    /// Probability p of drawing four points of an ellipse at least once, where there is one.
+    #[schemars(range(min = 0.01, max = 0.9999))]
+    pub confidence: f64,
+    /// Share w of a line's points that lie on an ellipse; the number of trials follows from it and `confidence`.
+    #[schemars(range(min = 0.1, max = 0.99))]
+    pub inlier_ratio: f64,
+    /// Largest distance of a point from an ellipse that it lies on, in standard deviations of the sensor ...
+    #[schemars(range(min = 0.1, max = 20.0))]
+    pub max_distance_sigmas: f64,
+    /// ... plus this, for what the noise model leaves out, in metres.
+    #[schemars(range(min = 0.0, max = 0.1))]
+    pub max_distance_floor_m: f64,
+    /// Most ellipses that are looked for in a line.
+    #[schemars(range(min = 1, max = 100))]
+    pub max_ellipses: u32,
+    /// Fewest points of an ellipse.
+    #[schemars(range(min = 6, max = 1000))]
+    pub min_points: u32,
+    /// Smallest semi-axis of an ellipse, in metres.
+    #[schemars(range(min = 0.001, max = 10.0))]
+    pub min_radius_m: f64,
+    /// Largest semi-axis of an ellipse, in metres.
+    #[schemars(range(min = 0.001, max = 10.0))]
+    pub max_radius_m: f64,
+    /// Smallest ratio of the shorter to the longer semi-axis; flatter ellipses are walls and floors.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub min_radius_ratio: f64,
+}
+
+impl Default for RansacParameters {
+    fn default() -> Self {
+        Self {
+            scan: ScanLines::Rows,
+            line_step: 1,
+            seed: 0,
+            confidence: 0.95,
+            inlier_ratio: 0.3,
+            max_distance_sigmas: 2.5,
+            max_distance_floor_m: 0.0005,
+            max_ellipses: 3,
+            min_points: 10,
+            min_radius_m: 0.015,
+            max_radius_m: 0.6,
+            min_radius_ratio: 0.4,
+        }
+    }
+}
+
+impl RansacParameters {
+    /// Number of trials: so many that with probability `confidence` one of them draws four points of an ellipse.
+    pub fn trials(&self) -> u32 {
+        let right = self.inlier_ratio.powi(consensus::SAMPLE as i32);
+        ((1.0 - self.confidence).ln() / (1.0 - right).ln()).ceil() as u32
+    }
+
+    /// Whether an ellipse is of a size and shape that is looked for.
+    fn admits(&self, ellipse: &geometry::Ellipse) -> bool {
+        let [long, short] = ellipse.semi_axes;
+        short >= self.min_radius_m && long <= self.max_radius_m && short >= self.min_radius_ratio * long
+    }
+}
+
+/// Finds the ellipses of a depth image.
+#[derive(Debug)]
+pub struct RansacEllipseExtractor {
+    config: RansacParameters,
+    points: Vec<Point>,
+    consensus: Consensus,
+    ellipses: Vec<Ellipse>,
+    rejections: BTreeMap<&'static str, u64>,
+}
+
+impl RansacEllipseExtractor {
+    /// An extractor with these parameters.
+    pub fn new(config: RansacParameters) -> Self {
+        Self {
+            config,
+            points: Vec::new(),
+            consensus: Consensus::default(),
+            ellipses: Vec::new(),
+            rejections: BTreeMap::new(),
+        }
+    }
+
+    /// The ellipses of the depth image `pixels` (row by row, `width * height` of them), in the order of the scan lines.
+    pub fn extract(&mut self, header: &Header, pixels: &[u16]) -> &[Ellipse] {
+        self.ellipses.clear();
+        self.rejections.clear();
+        let mut draws = Draws::new(CounterRng::new(self.config.seed, header.sequence));
+        if self.config.scan != ScanLines::Columns {
+            self.scan(header, pixels, Scan::Row, &mut draws);
+        }
+        if self.config.scan != ScanLines::Rows {
+            self.scan(header, pixels, Scan::Column, &mut draws);
+        }
+        self.ellipses.iter_mut().for_each(|ellipse| ellipse.line_step = self.config.line_step);
+        &self.ellipses
+    }
+
+    /// Why what most points lay on was turned down in the last image, and how often.
+    pub fn rejections(&self) -> impl Iterator<Item = (&'static str, u64)> {
+        self.rejections.iter().map(|(reason, times)| (*reason, *times))
+    }
+
+    fn scan(&mut self, header: &Header, pixels: &[u16], scan: Scan, draws: &mut Draws) {
+        let lines = if scan == Scan::Row { header.camera.height } else { header.camera.width };
+        for line in (0..lines).step_by(self.config.line_step.max(1) as usize) {
+            let plane = self.read(header, pixels, scan, line);
+            self.ellipses_of_line(&plane, line, draws);
+        }
+    }
+
+    /// Takes the measurements of a line; the plane that they lie in.
+    fn read(&mut self, header: &Header, pixels: &[u16], scan: Scan, line: u32) -> ScanPlane {
+        let camera = pinhole(&header.camera);
+        let plane = camera.plane(scan, f64::from(line));
+        let (width, line) = (header.camera.width as usize, line as usize);
+        let (first, step, length) = match scan {
+            Scan::Row => (line * width, 1, width),
+            Scan::Column => (line, width, header.camera.height as usize),
+        };
+        self.points.clear();
+        for (pixel, &raw) in (0..).zip(pixels[first..].iter().step_by(step).take(length)) {
+            if !is_measured(raw) {
+                continue;
+            }
+            let depth = f64::from(raw) * header.depth_scale;
+            let st = [depth * camera.ray_slope(scan, f64::from(pixel)), depth * plane.stretch()];
+            let limit = self.config.max_distance_floor_m + self.config.max_distance_sigmas * header.noise.sigma(depth);
+            self.points.push(Point { pixel, st, limit2: limit * limit });
+        }
+        plane
+    }
+
+    fn ellipses_of_line(&mut self, plane: &ScanPlane, line: u32, draws: &mut Draws) {
+        for _ in 0..self.config.max_ellipses {
+            if !self.consensus.find(&mut self.points, &self.config, draws) {
+                break;
+            }
+            match fitted(&self.consensus.inliers, plane, line, &self.config) {
+                Ok(ellipse) => self.ellipses.push(ellipse),
+                Err(reason) => *self.rejections.entry(reason).or_default() += 1,
+            }
+        }
+    }
+}
+
+/// The ellipse of all points of a consensus, or why it is none.
+fn fitted(points: &[Point], plane: &ScanPlane, line: u32, config: &RansacParameters) -> Result<Ellipse, &'static str> {
+    let (Some(first), Some(last)) = (points.first(), points.last()) else { return Err("consensus of no points") };
+    let moments = PlaneMoments::of(first.st, points.iter().map(|point| point.st));
+    let (Some(conic), Some([_, depth])) = (fit_ellipse(&moments), moments.mean()) else {
+        return Err("consensus without ellipse");
+    };
+    let (Some(ellipse), Some(rms)) = (conic.to_ellipse(), conic.rms(&moments)) else {
+        return Err("consensus without ellipse");
+    };
+    if !config.admits(&ellipse) {
+        return Err("fitted ellipses beyond the limits");
+    }
+    if ellipse.center[1] <= depth {
+        return Err("concave arcs");
+    }
+    let from_front = |[s, t]: [f64; 2]| (s - ellipse.center[0]).atan2(ellipse.center[1] - t);
+    Ok(Ellipse {
+        scan: if plane.scan() == Scan::Row { 0 } else { 1 },
+        line,
+        first: first.pixel,
+        last: last.pixel,
+        points: points.len() as u32,
+        center: plane.to_camera(ellipse.center).into(),
+        plane_center: ellipse.center,
+        semi_axes: ellipse.semi_axes,
+        angle: ellipse.angle,
+        half_width: ellipse.half_extents[0],
+        half_depth: ellipse.half_extents[1],
+        rms,
+        arc: (from_front(last.st) - from_front(first.st)).abs(),
+        origin: moments.origin(),
+        moments: *moments.sums(),
+        ..Ellipse::default()
+    })
+}

@@ -1,0 +1,259 @@
+//! A depth camera that is simulated exactly: rays are cut with the shapes of a scene file in closed form, a model of the
+//! sensor spoils the depth as a real one would, and the true objects are known.
+//!
+//! The walk of a frame: [`scene`] (what is where at this time, by [`motion`]) -> [`raster`] (exact depth, by [`shapes`])
+//! -> [`sensor`] (noise, silhouettes, shadow, lost points) -> pixels; and from the raster to [`truth`].
+
+mod fields;
+pub mod motion;
+mod noise_field;
+pub mod pose;
+pub mod random_scene;
+pub mod random_scenes;
+pub mod raster;
+pub mod scene;
+mod scene_file;
+pub mod scene_values;
+mod screen;
+pub mod sensor;
+mod shadow;
+pub mod shapes;
+pub mod truth;
+
+use crate::random::CounterRng;
+use anyhow::{Result, bail};
+use conicflow_detection::camera::Intrinsics;
+use conicflow_detection::noise::NoiseConfig;
+use conicflow_messages::{Camera, ConfigFault, HAS_POSE, Header, NoiseModel, Text};
+use nalgebra::Vector3;
+use random_scenes::RandomScenes;
+use raster::Raster;
+use scene::{BUILT_IN, Scene};
+use scene_values::{SceneTemplate, Values};
+use schemars::JsonSchema;
+use sensor::{Sensor, SensorConfig};
+use serde::{Deserialize, Serialize};
+use shapes::Shape;
+use std::path::{Path, PathBuf};
+use truth::{Truth, truth_of};
+
+/// Frame rate of simulated time where frames are made as fast as they are taken.
+pub const UNPACED_RATE_HZ: f64 = 30.0;
+/// A depth camera in a scene. Each frame is a function of its number, the seed and where the camera was driven to.
+#[derive(Clone, Debug)]
+pub struct SyntheticCamera {
+    scene: Scene,
+    scenes: Option<RandomScenes>,
+    sensor: Sensor,
+    told_noise: NoiseModel,
+    seed: u64,
+    rate_hz: f64,
+    depth_scale: f64,
+    raster: Raster,
+    shapes: Vec<Shape>,
+    time_s: f64,
+}
+
+impl SyntheticCamera {
+    /// A camera of `rate_hz` frames per second (above 0) whose pixels count `depth_scale` metres.
+    pub fn new(scene: Scene, camera: Camera, noise: SensorConfig, depth_scale: f64, rate_hz: f64, seed: u64) -> Self {
+        let sensor = Sensor::new(noise, depth_scale);
+        let (raster, shapes, told_noise) = (Raster::new(camera), Vec::new(), sensor.noise_model());
+        Self { scene, scenes: None, sensor, told_noise, seed, rate_hz, depth_scale, raster, shapes, time_s: 0.0 }
+    }
+
+    /// The same camera before another random scene in each frame.
+    pub fn before(self, scenes: RandomScenes) -> Self {
+        Self { scenes: Some(scenes), ..self }
+    }
+
+    /// The same camera, whose headers tell of this noise in place of what the sensor has.
+    pub fn telling(self, noise: NoiseModel) -> Self {
+        Self { told_noise: noise, ..self }
+    }
+
+    /// Moves the camera for one frame by a velocity along its axes, in m/s, besides the motion that the scene has.
+    pub fn drive(&mut self, velocity: Vector3<f64>) {
+        let rotation = self.scene.world_from_camera(self.time_s).rotation;
+        self.scene.camera_shift += rotation * velocity / self.rate_hz;
+    }
+
+    /// Takes frame `number`: writes as many pixels as the camera has, row by row.
+    pub fn shoot(&mut self, number: u64, pixels: &mut [u16]) {
+        self.time_s = number as f64 / self.rate_hz;
+        let mut noise = number;
+        if let Some(scenes) = &self.scenes {
+            (self.scene, noise) = scenes.scene(number);
+        }
+        self.scene.shapes_in_camera(self.time_s, &mut self.shapes);
+        self.raster.render(&self.shapes);
+        self.sensor.measure(&self.raster, &self.shapes, &CounterRng::new(self.seed, noise), pixels);
+    }
+
+    /// The true objects of the frame that was taken last.
+    pub fn truth(&self) -> Vec<Truth> {
+        truth_of(&self.scene, self.time_s, &self.raster, &self.shapes)
+    }
+
+    /// Name of the scene of the frame that was taken last.
+    pub fn scene_name(&self) -> &str {
+        &self.scene.name
+    }
+
+    /// When frame `number` is taken, in seconds of simulated time.
+    pub fn time_of(&self, number: u64) -> f64 {
+        number as f64 / self.rate_hz
+    }
+
+    /// The exact depth of the frame that was taken last.
+    pub fn raster(&self) -> &Raster {
+        &self.raster
+    }
+
+    /// Fills in what a header tells of the frame that was taken last.
+    pub fn describe(&self, header: &mut Header) {
+        header.camera = self.raster.camera;
+        header.depth_scale = self.depth_scale;
+        header.noise = self.told_noise;
+        header.world_from_camera = self.scene.world_from_camera(self.time_s).rows();
+        header.flags |= HAS_POSE;
+        header.source = Text::new(&self.scene.name);
+        header.stamp_ns = (self.time_s * 1e9).round() as u64;
+    }
+}
+
+/// Parameters of the simulated camera.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct SimulatorParameters {
+    /// Scene file, or the name of a built-in scene; none: `bouncing_ball`.
+    pub scene: Option<PathBuf>,
+    /// Values of the scene file, in place of those that stand under its `[values]`.
+    pub values: Values,
+    /// Another random scene in each frame: `{ groups = ["standing", ...], seeds = [first, last] }`; in place of `scene`.
+    pub scenes: Option<RandomScenes>,
+    /// Width of the image in pixels.
+    #[schemars(range(min = 1, max = 4096))]
+    pub width: u32,
+    /// Height of the image in pixels.
+    #[schemars(range(min = 1, max = 4096))]
+    pub height: u32,
+    /// Intrinsics in pixels; none: those of a Kinect v1, scaled to the width.
+    pub intrinsics: Option<Intrinsics>,
+    /// Frames per second; 0: as fast as they are taken, simulated time goes at 30 then.
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub rate_hz: f64,
+    /// Number of frames; 0: without end, of random scenes one for each.
+    pub frames: u64,
+    /// Seed of the noise.
+    pub seed: u64,
+    /// What the sensor does to the depth: "kinect_v1", "realsense_d435", "time_of_flight", "ideal" or a table.
+    pub noise: SensorConfig,
+    /// The depth noise that the frames tell of in place of that of `noise`, to see what a wrong model does.
+    pub told_noise: Option<NoiseConfig>,
+    /// Metres per unit of a depth pixel.
+    #[schemars(range(min = 1e-6, max = 1.0))]
+    pub depth_scale: f64,
+    /// File for the true objects, one line of JSON per frame; none: not written.
+    pub truth_path: Option<PathBuf>,
+}
+
+impl Default for SimulatorParameters {
+    fn default() -> Self {
+        Self {
+            scene: None,
+            values: Values::new(),
+            scenes: None,
+            width: 640,
+            height: 480,
+            intrinsics: None,
+            rate_hz: 30.0,
+            frames: 0,
+            seed: 0,
+            noise: SensorConfig::default(),
+            told_noise: None,
+            depth_scale: 0.001,
+            truth_path: None,
+        }
+    }
+}
+
+impl SimulatorParameters {
+    /// Number of frames in all, where there is an end.
+    pub fn total(&self) -> Option<u64> {
+        let wanted = (self.frames > 0).then_some(self.frames);
+        let there = self.scenes.as_ref().map(RandomScenes::frames);
+        wanted.into_iter().chain(there).min()
+    }
+
+    /// The camera that the parameters describe; a Kinect v1 has a focal length of 525 pixels at 640x480.
+    pub fn camera(&self) -> Camera {
+        let (width, height) = (self.width, self.height);
+        let focal = 525.0 * f64::from(width) / 640.0;
+        let middle = |size: u32| 0.5 * (f64::from(size) - 1.0);
+        let kinect = Intrinsics { fx: focal, fy: focal, cx: middle(width), cy: middle(height) };
+        self.intrinsics.unwrap_or(kinect).camera((width, height))
+    }
+
+    /// Reads the scene; a single word is the name of a built-in one.
+    ///
+    /// # Errors
+    /// There is no such scene, or its file cannot be used.
+    pub fn load_scene(&self, base: &Path) -> Result<Scene> {
+        let default = Path::new(BUILT_IN[0].0);
+        let path = self.scene.as_deref().unwrap_or(default);
+        match path.to_str().and_then(Scene::built_in) {
+            Some(scene) if self.values.is_empty() => scene,
+            Some(_) => bail!("a built-in scene has no values\n  hint: leave `values` out, or name a scene file"),
+            None => SceneTemplate::load(&base.join(path))?.scene(&self.values),
+        }
+    }
+}
+
+impl SimulatorParameters {
+    /// The camera in its scene.
+    ///
+    /// # Errors
+    /// The scene cannot be used.
+    pub fn open(self, base: &Path) -> Result<SyntheticCamera> {
+        let scene = self.load_scene(base)?;
+        let rate_hz = if self.rate_hz > 0.0 { self.rate_hz } else { UNPACED_RATE_HZ };
+        let mut camera = SyntheticCamera::new(scene, self.camera(), self.noise, self.depth_scale, rate_hz, self.seed);
+        if let Some(scenes) = self.scenes {
+            camera = camera.before(scenes);
+        }
+        if let Some(noise) = self.told_noise {
+            camera = camera.telling(noise.into());
+        }
+        Ok(camera)
+    }
+
+    /// What types and ranges cannot tell: values that exclude each other, files that are missing.
+    pub fn faults(&self, base: &Path) -> Vec<ConfigFault> {
+        let mut faults = Vec::new();
+        if let Err(error) = self.load_scene(base) {
+            faults.push(fault_of_file("scene", &error));
+        }
+        faults.extend(self.scenes.as_ref().and_then(RandomScenes::fault));
+        if self.scene.is_some() && self.scenes.is_some() {
+            let what = "cannot be shown together with `scene`".into();
+            faults.push(ConfigFault { key: "scenes", what, hint: "leave one of them out".into() });
+        }
+        let truth_path = self.truth_path.as_ref().map(|path| base.join(path));
+        if let Some(folder) = truth_path.filter(|path| path.is_dir()) {
+            let what = format!("`{}` is a folder, expected a file", folder.display());
+            faults.push(ConfigFault { key: "truth_path", what, hint: "add the name of a file".into() });
+        }
+        faults
+    }
+}
+
+/// What is wrong with the file that a parameter names; the error may bring its own `hint:`.
+pub fn fault_of_file(key: &'static str, error: &anyhow::Error) -> ConfigFault {
+    let text = format!("{error:#}");
+    let (what, hint) = text.split_once("\n  hint: ").unwrap_or((&text, "correct the file, or name another one"));
+    ConfigFault { key, what: what.into(), hint: hint.into() }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,86 @@
+//! Which random scene each frame of a run shows.
+
+use super::random_scene::{SceneGroup, random_scene};
+use super::scene::Scene;
+use conicflow_messages::ConfigFault;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Another random scene in each frame: for each seed in turn, one of every group.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct RandomScenes {
+    /// Groups of scenes: `standing`, `tilted`, `occluded`, `tabletop`, `lying`, `composed`, `clutter`, `bowls`, `empty`;
+    /// and `flat_tins`, only where it is named.
+    pub groups: Vec<SceneGroup>,
+    /// First and last seed.
+    pub seeds: [u64; 2],
+}
+
+impl Default for RandomScenes {
+    fn default() -> Self {
+        Self { groups: SceneGroup::USUAL.into(), seeds: [0, 9] }
+    }
+}
+
+impl RandomScenes {
+    /// How many frames that makes.
+    pub fn frames(&self) -> u64 {
+        let [first, last] = self.seeds;
+        last.saturating_sub(first).saturating_add(1).saturating_mul(self.groups.len() as u64)
+    }
+
+    /// The group and the seed of frame `number`.
+    pub fn choice(&self, number: u64) -> (SceneGroup, u64) {
+        let groups = self.groups.len().max(1) as u64;
+        let group = self.groups.get((number % groups) as usize).copied().unwrap_or(SceneGroup::Empty);
+        (group, self.seeds[0].saturating_add(number / groups))
+    }
+
+    /// The scene of frame `number`, and the number under which its noise is drawn: the same whatever else is shown.
+    pub fn scene(&self, number: u64) -> (Scene, u64) {
+        let (group, seed) = self.choice(number);
+        let groups = SceneGroup::USUAL.len() as u64;
+        (random_scene(group, seed), seed.wrapping_mul(groups).wrapping_add(group as u64))
+    }
+
+    /// What cannot be used about them.
+    pub fn fault(&self) -> Option<ConfigFault> {
+        let fault = |what: String, hint: &str| Some(ConfigFault { key: "scenes", what, hint: hint.into() });
+        let [first, last] = self.seeds;
+        if self.groups.is_empty() {
+            return fault("has no `groups`".into(), "leave the key out for all of them");
+        }
+        if first > last {
+            return fault(format!("has the seeds {first} to {last}, which is none"), "seeds = [first, last]");
+        }
+        None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_seed_shows_each_group_once() {
+        let scenes = RandomScenes { groups: vec![SceneGroup::Lying, SceneGroup::Empty], seeds: [5, 7] };
+        let names: Vec<_> = (0..scenes.frames()).map(|number| scenes.scene(number).0.name).collect();
+        assert_eq!(names, ["lying/5", "empty/5", "lying/6", "empty/6", "lying/7", "empty/7"]);
+    }
+
+    #[test]
+    fn the_noise_of_a_scene_does_not_depend_on_what_else_is_shown() {
+        let alone = RandomScenes { groups: vec![SceneGroup::Lying], seeds: [3, 3] };
+        let among_all = RandomScenes { seeds: [0, 9], ..RandomScenes::default() };
+        let number = (0..among_all.frames()).find(|number| among_all.choice(*number) == (SceneGroup::Lying, 3));
+        assert_eq!(among_all.scene(number.unwrap()).1, alone.scene(0).1);
+    }
+
+    #[test]
+    fn what_shows_nothing_is_refused() {
+        assert_eq!(RandomScenes::default().fault(), None);
+        assert!(RandomScenes { groups: Vec::new(), ..RandomScenes::default() }.fault().is_some());
+        assert!(RandomScenes { seeds: [9, 0], ..RandomScenes::default() }.fault().unwrap().what.contains("9 to 0"));
+    }
+}

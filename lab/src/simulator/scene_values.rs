@@ -1,0 +1,155 @@
+//! Scene files with values left open: `[values]` states them, `"$distance"` in place of a number uses one, and a pipeline
+//! file or a sweep sets another. The frames' source carries what was set, so that whoever knows the file knows the truth.
+
+use super::scene::Scene;
+use anyhow::{Result, anyhow, ensure};
+use conicflow_messages::MAX_SOURCE_BYTES;
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Values by their names.
+pub type Values = BTreeMap<String, f64>;
+
+/// A scene file whose values may be set.
+#[derive(Clone, Debug)]
+pub struct SceneTemplate {
+    text: String,
+    origin: String,
+    defaults: Values,
+}
+
+/// The part of a scene file that is read before the values are put in.
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct Head {
+    name: String,
+    values: Values,
+}
+
+impl SceneTemplate {
+    /// Reads a scene file; whether its text is a scene is seen when one is made of it.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn load(path: &Path) -> Result<Self> {
+        Ok(Self::new(Scene::read(path)?, path.display().to_string()))
+    }
+
+    /// A scene file's text; `origin` is what errors call it.
+    pub fn new(text: String, origin: String) -> Self {
+        let defaults = head(&text).values;
+        Self { text, origin, defaults }
+    }
+
+    /// The scene with these values, and those of the file for the others.
+    ///
+    /// # Errors
+    /// A value that the file does not have, a name that does not fit into a frame with its values, or what is wrong with
+    /// the scene.
+    pub fn scene(&self, set: &Values) -> Result<Scene> {
+        if let Some(unknown) = set.keys().find(|name| !self.defaults.contains_key(*name)) {
+            let names: Vec<_> = self.defaults.keys().map(String::as_str).collect();
+            return Err(anyhow!(
+                "{}: the scene has no value `{unknown}`\n  hint: values under `[values]`: {}",
+                self.origin,
+                if names.is_empty() { "none".to_owned() } else { names.join(", ") }
+            ));
+        }
+        let values: Values =
+            self.defaults.iter().map(|(name, value)| (name.clone(), *set.get(name).unwrap_or(value))).collect();
+        let text = values.iter().fold(self.text.clone(), |text, (name, value)| {
+            text.replace(&format!("\"${name}\""), &format!("{value:?}"))
+        });
+        let mut scene = Scene::parse(&text, &self.origin)?;
+        values.iter().for_each(|(name, value)| scene.name += &format!(" {name}={value:?}"));
+        // Cut off, it would tell of another scene: a value of 12 in place of 12.5.
+        ensure!(
+            scene.name.len() <= MAX_SOURCE_BYTES,
+            "{}: the scene's name and values take {} bytes, expected {MAX_SOURCE_BYTES} or less: `{}`\n  hint: frames carry \
+             them as the name of their source; shorten `name` and the names under `[values]`, or have fewer values",
+            self.origin,
+            scene.name.len(),
+            scene.name
+        );
+        Ok(scene)
+    }
+
+    /// The scene that a frame's source names, if it is one of this file.
+    ///
+    /// # Errors
+    /// As for [`Self::scene`].
+    pub fn of_source(&self, source: &str) -> Option<Result<Scene>> {
+        let values = source.strip_prefix(&head(&self.text).name)?;
+        let set: Option<Values> = values.split_whitespace().map(value).collect();
+        Some(self.scene(&set?))
+    }
+}
+
+fn head(text: &str) -> Head {
+    toml::from_str(text).unwrap_or_default()
+}
+
+fn value(text: &str) -> Option<(String, f64)> {
+    let (name, value) = text.split_once('=')?;
+    Some((name.to_owned(), value.parse().ok()?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simulator::shapes::Shape;
+
+    const TEXT: &str = r#"
+        name = "ball"
+        [values]
+        distance = 1.5
+        size = 0.1
+        [camera]
+        position = [0, 0, 0]
+        direction = [0, 1, 0]
+        [[sphere]]
+        name = "ball"
+        center = [0, "$distance", 0]
+        radius = "$size"
+    "#;
+
+    fn ball(scene: &Scene) -> (f64, f64) {
+        let Shape::Sphere(sphere) = scene.shape(&scene.bodies[0], 0.0) else { panic!("no sphere") };
+        (sphere.center.y, sphere.radius)
+    }
+
+    #[test]
+    fn values_are_put_in_and_told_by_the_source() {
+        let template = SceneTemplate::new(TEXT.into(), "test".into());
+        assert_eq!(ball(&template.scene(&Values::new()).unwrap()), (1.5, 0.1));
+        let set = Values::from([("distance".to_owned(), 0.3 + 0.1)]);
+        let scene = template.scene(&set).unwrap();
+        assert_eq!((scene.name.as_str(), ball(&scene)), ("ball distance=0.4 size=0.1", (0.4, 0.1)));
+        assert_eq!(ball(&template.of_source(&scene.name).unwrap().unwrap()), (0.4, 0.1));
+        assert!(template.of_source("another scene").is_none());
+    }
+
+    #[test]
+    fn a_name_that_no_frame_can_carry_is_refused() {
+        let named = |length: usize| {
+            let name = format!("name = \"{}\"", "b".repeat(length));
+            SceneTemplate::new(TEXT.replacen("name = \"ball\"", &name, 1), "test".into()).scene(&Values::new())
+        };
+        let values = " distance=1.5 size=0.1".len();
+        assert_eq!(named(MAX_SOURCE_BYTES - values).unwrap().name.len(), MAX_SOURCE_BYTES);
+        let told = named(MAX_SOURCE_BYTES - values + 1).unwrap_err().to_string();
+        assert!(
+            told.starts_with("test: the scene's name and values take 257 bytes, expected 256 or less: `bbb"),
+            "{told}"
+        );
+        assert!(told.contains("\n  hint: "), "{told}");
+    }
+
+    #[test]
+    fn a_value_that_the_file_does_not_have_is_refused() {
+        let template = SceneTemplate::new(TEXT.into(), "test".into());
+        let told = template.scene(&Values::from([("speed".to_owned(), 1.0)])).unwrap_err().to_string();
+        assert_eq!(told, "test: the scene has no value `speed`\n  hint: values under `[values]`: distance, size");
+    }
+}

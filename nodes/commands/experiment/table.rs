@@ -1,0 +1,182 @@
+//! The rows of all runs: as a table for people, as CSV, and their power laws.
+
+use super::spec::{Experiment, Exponent};
+use super::{plot, prepared};
+use crate::sinks::measurement_sink::{Figure, Row};
+use anyhow::{Context as _, Result};
+use conicflow_dataflow::Table;
+use conicflow_geometry::Regression;
+use conicflow_lab::csv;
+use std::fmt::Write;
+use std::path::Path;
+
+/// What an experiment has measured so far.
+pub struct Results<'a> {
+    experiment: &'a Experiment,
+    rows: Vec<Row>,
+}
+
+impl<'a> Results<'a> {
+    /// Nothing measured yet.
+    pub fn new(experiment: &'a Experiment) -> Self {
+        Self { experiment, rows: Vec::new() }
+    }
+
+    /// Adds the rows of a run, as far as they are asked for.
+    pub fn add(&mut self, rows: Vec<Row>) {
+        let wanted = &self.experiment.objects;
+        let is_wanted = |row: &Row| match row.get("object") {
+            Some(Figure::Text(name)) => wanted.is_empty() || wanted.contains(name),
+            _ => true,
+        };
+        self.rows.extend(rows.into_iter().filter(is_wanted));
+    }
+
+    /// The columns that tell rows apart: what is varied, and stage and object where there are several.
+    fn keys(&self) -> Vec<&str> {
+        let several = |column: &&str| self.rows.iter().any(|row| row.get(column) != self.rows[0].get(column));
+        let varied = self.experiment.vary.iter().map(|vary| vary.name.as_str());
+        varied.chain(["stage", "object"].into_iter().filter(several)).collect()
+    }
+
+    /// The table that is printed, with the paper's figures beside those that it has.
+    pub fn table(&self) -> String {
+        let paper = self.experiment.paper.as_ref();
+        let mut titles: Vec<String> = self.keys().iter().map(|&key| key.to_owned()).collect();
+        for column in &self.experiment.columns {
+            titles.push(column.clone());
+            if paper.is_some_and(|paper| paper.columns.contains(column)) {
+                titles.push(format!("paper {column}"));
+            }
+        }
+        let mut table = Table::new(&titles.iter().map(String::as_str).collect::<Vec<_>>());
+        for row in &self.rows {
+            let cell = |title: &String| match (title.strip_prefix("paper "), paper) {
+                (Some(column), Some(paper)) => paper.figure(row, column),
+                _ => row.get(title),
+            };
+            table.row(titles.iter().map(|title| cell(title).map_or("-".to_owned(), shown)));
+        }
+        format!("{}\n\n{table}", self.experiment.title)
+    }
+
+    /// One line for each power law: `y ~ x^exponent`, by least squares of the logarithms.
+    pub fn exponents(&self) -> String {
+        let mut text = String::new();
+        let Some(Exponent { x, y }) = &self.experiment.exponent else { return text };
+        for column in y {
+            let mut regression = Regression::default();
+            let pairs = self.rows.iter().filter_map(|row| Some((row.number_of(x)?, row.number_of(column)?)));
+            pairs.for_each(|(x, y)| regression.add(x.ln(), y.ln()));
+            if let Some(fit) = regression.fit() {
+                // writing to a string cannot fail
+                let _ = writeln!(text, "{column} ~ {x}^{:.2} (standard error {:.2})", fit.slope, fit.slope_sigma);
+            }
+        }
+        text
+    }
+
+    /// Writes the files that are asked for.
+    ///
+    /// # Errors
+    /// One cannot be written, or a trace that is to be drawn cannot be read.
+    pub fn write(&self, base: &Path) -> Result<()> {
+        self.write_csv(base)?;
+        plot::draw(self.experiment, &self.rows, base)
+    }
+
+    /// All columns of all rows.
+    fn write_csv(&self, base: &Path) -> Result<()> {
+        let Some(path) = &self.experiment.csv else { return Ok(()) };
+        let path = prepared(base, path)?;
+        let mut columns: Vec<&str> = Vec::new();
+        for (column, _) in self.rows.iter().flat_map(|row| &row.0) {
+            if !columns.contains(&column.as_str()) {
+                columns.push(column);
+            }
+        }
+        let titles: Vec<_> = columns.iter().map(|column| csv::cell(column)).collect();
+        let mut text = titles.join(",") + "\n";
+        for row in &self.rows {
+            let cells: Vec<String> =
+                columns.iter().map(|column| row.get(column).map_or(String::new(), exact)).collect();
+            text += &(cells.join(",") + "\n");
+        }
+        std::fs::write(&path, text).with_context(|| format!("cannot write `{}`", path.display()))
+    }
+}
+
+/// All digits.
+fn exact(figure: &Figure) -> String {
+    match figure {
+        Figure::Number(number) => number.to_string(),
+        Figure::Text(text) => csv::cell(text).into_owned(),
+    }
+}
+
+/// Four significant digits; counts as they are.
+fn shown(figure: &Figure) -> String {
+    match figure {
+        Figure::Text(text) => text.clone(),
+        Figure::Number(number) if number.fract() == 0.0 && number.abs() < 1e9 => format!("{number}"),
+        Figure::Number(number) if number.abs() < 0.01 => format!("{number:.2e}"),
+        Figure::Number(number) => {
+            let decimals = 3 - number.abs().log10().floor() as i32;
+            let text = format!("{number:.*}", decimals.clamp(0, 5) as usize);
+            let whole = number.to_string();
+            if whole.len() < text.len() { whole } else { text }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(distance: f64, radius: f64) -> Row {
+        let mut row = Row::default();
+        row.number("distance", distance);
+        row.text("object", "can");
+        row.number("radius_m", radius);
+        row
+    }
+
+    fn experiment() -> Experiment {
+        let text = r#"
+            title   = "a can"
+            columns = ["radius_m"]
+            vary    = [{ name = "distance", set = ["source.values.d"], values = [1.0, 4.0] }]
+            exponent = { x = "distance", y = ["radius_m"] }
+            [paper]
+            match   = ["distance"]
+            columns = ["radius_m"]
+            rows    = [[4.0, 0.15]]"#;
+        toml::from_str(text).unwrap()
+    }
+
+    #[test]
+    fn the_papers_figures_stand_beside_ours() {
+        let experiment = experiment();
+        let mut results = Results::new(&experiment);
+        results.add(vec![row(1.0, 0.2), row(4.0, 0.4)]);
+        let table = results.table();
+        let lines: Vec<Vec<&str>> = table.lines().skip(2).map(|line| line.split_whitespace().collect()).collect();
+        assert_eq!(lines[0], ["distance", "radius_m", "paper", "radius_m"]);
+        assert_eq!(lines[1..], [vec!["1", "0.2", "-"], vec!["4", "0.4", "0.15"]]);
+        assert_eq!(results.exponents(), "", "two points leave no standard error");
+    }
+
+    #[test]
+    fn a_power_law_is_found() {
+        let experiment = experiment();
+        let mut results = Results::new(&experiment);
+        results.add([1.0, 2.0, 4.0, 8.0_f64].map(|x| row(x, 3.0 * x.powf(1.5))).into());
+        assert!(results.exponents().starts_with("radius_m ~ distance^1.50 "), "{}", results.exponents());
+    }
+
+    #[test]
+    fn numbers_are_shown_with_four_digits() {
+        let texts = [0.19999, 12.3456, 61.0, 0.000123, 1234.56].map(|number| shown(&Figure::Number(number)));
+        assert_eq!(texts, ["0.2000", "12.35", "61", "1.23e-4", "1235"]);
+    }
+}

@@ -1,0 +1,410 @@
+//! The command line: what each command prints, and with which code it exits (0 done, 1 failed, 2 wrong file or arguments).
+
+mod doctor;
+mod experiment;
+mod node_help;
+mod swap;
+mod top;
+mod topic;
+
+use crate::NODES;
+use anyhow::{Context, anyhow, bail};
+use clap::{Args, Parser, Subcommand};
+use conicflow_dataflow::pipeline::{Pipeline, Report, SourceText};
+use conicflow_dataflow::{DEFAULT_LOG, LOG, LaunchError, NO_RUN, Plan, ProcessError, RunOptions, Summary};
+use conicflow_dataflow::{log_filter, log_to_standard_error};
+use doctor::doctor;
+use experiment::{Experiment, Results, Rows, Variation};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use std::collections::BTreeSet;
+use std::fmt::Display;
+use std::io::{self, ErrorKind, Write, stderr, stdout};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use swap::SwapArguments;
+use topic::TopicCommand;
+
+const BUILT_IN: &str = include_str!("../../pipeline.toml");
+const DEFAULT_FILE: &str = "pipeline.toml";
+
+/// Exit code for what was begun and could not be done.
+const FAILED: u8 = 1;
+/// Exit code for a wrong file or wrong arguments.
+const WRONG_INPUT: u8 = 2;
+
+/// Finds spheres, cylinders and cones in depth frames and tracks them, as a dataflow of separate processes.
+#[derive(Parser)]
+#[command(version, about, after_help = "Without a command it runs ./pipeline.toml, or else its built-in pipeline.")]
+struct CommandLine {
+    #[command(subcommand)]
+    command: Option<Command>,
+    /// What is logged, by each stage as well: error, warn, info, debug or trace; a filter such as
+    /// conicflow_dataflow=debug works too
+    #[arg(
+        long,
+        global = true,
+        env = LOG,
+        default_value = DEFAULT_LOG,
+        value_name = "LEVEL",
+        value_parser = log_filter
+    )]
+    log: String,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Run a pipeline, each stage as a process of its own
+    Run(RunArguments),
+    /// Run one stage of a pipeline in this process
+    ///
+    /// That is for a debugger, beside other stages that are run like this; what belongs in a service is `conicflow run`,
+    /// which starts a stage anew when it dies.
+    Node {
+        /// Name of the stage
+        stage: String,
+        /// The pipeline file [default: ./pipeline.toml, else the built-in one]
+        file: Option<PathBuf>,
+        /// The machine that this is; there `bridge` is a stage, too
+        #[arg(long, value_name = "NAME")]
+        machine: Option<String>,
+    },
+    /// Report everything that is wrong with a pipeline file, without starting anything
+    Validate {
+        #[command(flatten)]
+        source: FileArguments,
+        /// Look for the files and programs of this machine's stages alone [default: of each]
+        #[arg(long, value_name = "NAME")]
+        machine: Option<String>,
+    },
+    /// Print the graph of a pipeline as Mermaid text
+    Graph {
+        #[command(flatten)]
+        source: FileArguments,
+        /// Look for the files and programs of this machine's stages alone [default: of each]
+        #[arg(long, value_name = "NAME")]
+        machine: Option<String>,
+    },
+    /// Show what running pipelines do, live
+    Top {
+        /// Print one look as JSON
+        #[arg(long)]
+        once: bool,
+    },
+    /// Look at the topics of a running pipeline, with no change to it
+    #[command(subcommand)]
+    Topic(TopicCommand),
+    /// Replace a stage of a running pipeline, with other parameters or another node; the others notice nothing
+    Swap(SwapArguments),
+    /// Tell what is wrong with this machine for running a pipeline: leftovers of dead runs, limits, ports
+    Doctor {
+        #[command(flatten)]
+        source: FileArguments,
+        /// Look at what the stages of this machine need [default: of each]
+        #[arg(long, value_name = "NAME")]
+        machine: Option<String>,
+        /// Remove first what dead runs have left
+        #[arg(long)]
+        clean: bool,
+    },
+    /// List the built-in nodes, or the parameters of one
+    Nodes {
+        /// Name of a node
+        name: Option<String>,
+    },
+}
+
+#[derive(Args, Default)]
+struct FileArguments {
+    /// The pipeline file [default: ./pipeline.toml, else the built-in one]
+    file: Option<PathBuf>,
+    /// Set a parameter, as if it stood in the file; may be repeated
+    #[arg(long = "set", value_name = "STAGE.KEY=VALUE")]
+    overrides: Vec<String>,
+}
+
+#[derive(Args, Default)]
+struct RunArguments {
+    #[command(flatten)]
+    source: FileArguments,
+    /// Run the stages of this machine
+    #[arg(long, value_name = "NAME")]
+    machine: Option<String>,
+    /// End after this time, such as 10s or 2min
+    #[arg(long = "for", value_name = "TIME", value_parser = humantime::parse_duration)]
+    duration: Option<Duration>,
+    /// End after so many frames of each source
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    frames: Option<u64>,
+    /// Show no progress and no summary
+    #[arg(long)]
+    quiet: bool,
+}
+
+/// Runs the program.
+pub fn main() -> ExitCode {
+    let arguments = CommandLine::parse();
+    log_to_standard_error(&arguments.log);
+    let command = arguments.command.unwrap_or_else(|| Command::Run(RunArguments::default()));
+    match dispatch(command, &arguments.log) {
+        Ok(code) => code,
+        // Who reads the output and goes (`| head`) has seen enough.
+        Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
+        Err(error) => {
+            say(describe(&error));
+            exit_code(&error).into()
+        }
+    }
+}
+
+fn dispatch(command: Command, log: &str) -> anyhow::Result<ExitCode> {
+    match command {
+        Command::Run(arguments) => run(&arguments, log),
+        Command::Node { stage, file, machine } => {
+            node(&stage, file, machine.as_deref(), log).map(|()| ExitCode::SUCCESS)
+        }
+        Command::Validate { source, machine } => validate(&source, machine.as_deref()),
+        Command::Graph { source, machine } => {
+            write!(stdout(), "{}", source.read_for(machine.as_deref())?.mermaid())?;
+            Ok(ExitCode::SUCCESS)
+        }
+        Command::Top { once } => top::top(once).map(|()| ExitCode::SUCCESS),
+        Command::Topic(command) => topic::topic(&command).map(|()| ExitCode::SUCCESS),
+        Command::Swap(arguments) => swap::swap(&arguments).map(|()| ExitCode::SUCCESS),
+        Command::Doctor { source, machine, clean } => {
+            doctor(&source.read_for(machine.as_deref())?, machine.as_deref(), clean)
+        }
+        Command::Nodes { name } => {
+            write!(stdout(), "{}", node_help::nodes(name.as_deref())?)?;
+            Ok(ExitCode::SUCCESS)
+        }
+    }
+}
+
+/// Writes a line to standard error; that nobody reads it any more is no fault of the run.
+fn say(text: impl Display) {
+    writeln!(stderr(), "{text}").ok();
+}
+
+/// The text of an error and its causes; a report speaks for itself.
+fn describe(error: &anyhow::Error) -> String {
+    if error.is::<Report>() { error.to_string() } else { format!("error: {error:#}") }
+}
+
+/// What the system refuses, such as a place on a full disk, is no wrong input.
+fn exit_code(error: &anyhow::Error) -> u8 {
+    let refused = error.chain().any(|cause| cause.is::<io::Error>());
+    let of_stage = error.downcast_ref().map(ProcessError::exit_code);
+    let of_run = error.downcast_ref().map(LaunchError::exit_code);
+    of_stage.or(of_run).unwrap_or(if refused { FAILED } else { WRONG_INPUT })
+}
+
+fn is_broken_pipe(error: &anyhow::Error) -> bool {
+    error.downcast_ref::<io::Error>().is_some_and(|error| error.kind() == ErrorKind::BrokenPipe)
+}
+
+impl FileArguments {
+    /// The pipeline as the machine that was named needs it; where none was, as all of them do.
+    fn read_for(&self, machine: Option<&str>) -> anyhow::Result<Pipeline> {
+        let pipeline = self.read_on(machine)?;
+        machine.map_or(Ok(()), |machine| check_machine(&pipeline, Some(machine)))?;
+        Ok(pipeline)
+    }
+
+    /// The pipeline as one of its machines needs it.
+    fn read_on(&self, machine: Option<&str>) -> anyhow::Result<Pipeline> {
+        let (pipeline, warnings) = self.read_with(machine, &[])?;
+        if !warnings.0.is_empty() {
+            say(format_args!("{warnings}\n"));
+        }
+        Ok(pipeline)
+    }
+
+    /// The pipeline with further parameters set; those of the command line have the last word.
+    fn read_with(&self, machine: Option<&str>, further: &[String]) -> anyhow::Result<(Pipeline, Report)> {
+        let (source, base) = self.text()?;
+        Ok(Pipeline::read_on(machine, source, &base, &[further, &self.overrides].concat(), NODES)?)
+    }
+
+    /// The text of the file and the folder of its paths; of the built-in pipeline that is the current folder.
+    fn text(&self) -> anyhow::Result<(SourceText, PathBuf)> {
+        let default = Path::new(DEFAULT_FILE);
+        let file = self.file.as_deref().or(default.is_file().then_some(default));
+        let Some(file) = file else {
+            let source = SourceText { name: "built-in pipeline".to_owned(), text: BUILT_IN.to_owned() };
+            return Ok((source, std::env::current_dir()?));
+        };
+        let text = std::fs::read_to_string(file).map_err(|error| {
+            let hint = "without a file it is ./pipeline.toml, or else the built-in pipeline";
+            anyhow!("cannot read the pipeline file `{}`: {error}\n  hint: {hint}", file.display())
+        })?;
+        let folder = file.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
+        Ok((SourceText { name: file.display().to_string(), text }, folder.canonicalize()?))
+    }
+}
+
+fn validate(source: &FileArguments, machine: Option<&str>) -> anyhow::Result<ExitCode> {
+    let (pipeline, warnings) = source.read_with(machine, &[])?;
+    machine.map_or(Ok(()), |machine| check_machine(&pipeline, Some(machine)))?;
+    if !warnings.0.is_empty() {
+        writeln!(stdout(), "{warnings}\n")?;
+    }
+    if let Some(json) = &pipeline.experiment {
+        let experiment = Experiment::read(json)?;
+        experiment::check(&experiment, &pipeline)?;
+        for variation in variations(&experiment, source)? {
+            source.read_with(machine, &variation.overrides)?;
+        }
+    }
+    let (stages, topics) = (pipeline.stages.len(), pipeline.topics().len());
+    writeln!(stdout(), "`{}` is valid: {stages} stages, {topics} topics", pipeline.name)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn run(arguments: &RunArguments, log: &str) -> anyhow::Result<ExitCode> {
+    let pipeline = arguments.source.read_on(arguments.machine.as_deref())?;
+    if let Some(json) = &pipeline.experiment {
+        return run_experiment(&pipeline, &Experiment::read(json)?, arguments, log);
+    }
+    let summary = run_once(&pipeline, arguments, arguments.quiet, log)?;
+    if !arguments.quiet {
+        say(format_args!("\n{}", summary.to_string().trim_end()));
+    }
+    Ok(if summary.is_complete() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// What an experiment varies; the command line, which has the last word, must not take that away.
+fn variations(experiment: &Experiment, source: &FileArguments) -> anyhow::Result<Vec<Variation>> {
+    let variations = experiment.variations()?;
+    let key = |set: &str| set.split_once('=').map_or(set, |(key, _)| key).trim().to_owned();
+    let is_part =
+        |part: &str, whole: &str| part.strip_prefix(whole).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'));
+    let varied: BTreeSet<_> =
+        variations.iter().flat_map(|variation| &variation.overrides).map(|set| key(set)).collect();
+    for set in source.overrides.iter().map(|set| key(set)) {
+        if let Some(varied) = varied.iter().find(|varied| is_part(varied, &set) || is_part(&set, varied)) {
+            bail!(
+                "the experiment varies `{varied}`: `--set {set}` would make all its runs the same\n  \
+                   hint: change `vary` in the file"
+            );
+        }
+    }
+    Ok(variations)
+}
+
+/// Runs a pipeline for each combination of what its experiment varies, and prints one table.
+fn run_experiment(
+    pipeline: &Pipeline,
+    experiment: &Experiment,
+    arguments: &RunArguments,
+    log: &str,
+) -> anyhow::Result<ExitCode> {
+    experiment::check(experiment, pipeline)?;
+    let variations = variations(experiment, &arguments.source)?;
+    let (rows, mut results) = (Rows::of(pipeline)?, Results::new(experiment));
+    let interrupted = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM, SIGHUP] {
+        signal_hook::flag::register(signal, Arc::clone(&interrupted))?;
+    }
+    for (index, variation) in variations.iter().enumerate() {
+        let overrides: Vec<String> = variation.overrides.iter().cloned().chain(rows.overrides()).collect();
+        if !arguments.quiet {
+            say(format_args!("run {} of {}: {}", index + 1, variations.len(), variation.overrides.join(" ")));
+        }
+        let (pipeline, _) = arguments.source.read_with(arguments.machine.as_deref(), &overrides)?;
+        let summary = run_once(&pipeline, arguments, true, log)?;
+        if !summary.is_complete() || summary.restarts() > 0 || interrupted.load(Ordering::Relaxed) {
+            tell_incomplete(&summary, variation);
+            return Ok(ExitCode::FAILURE);
+        }
+        results.add(rows.read(variation, &summary)?);
+    }
+    let printed = write!(stdout(), "{}{}", results.table(), results.exponents());
+    results.write(&pipeline.base)?;
+    printed?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn tell_incomplete(summary: &Summary, variation: &Variation) {
+    let what = if summary.is_complete() { "was disturbed: a stage was started anew" } else { "was not finished" };
+    say(format_args!("the run with `{}` {what}:\n{summary}", variation.overrides.join(" ")));
+}
+
+fn run_once(pipeline: &Pipeline, arguments: &RunArguments, quiet: bool, log: &str) -> anyhow::Result<Summary> {
+    check_machine(pipeline, arguments.machine.as_deref())?;
+    let run = SystemTime::now().duration_since(UNIX_EPOCH)?.as_nanos() as u64;
+    let plan = Plan::of(pipeline, arguments.machine.as_deref(), arguments.frames, run);
+    let options = RunOptions { duration: arguments.duration, quiet, ..options(log)? };
+    Ok(conicflow_dataflow::run(&plan, &options)?)
+}
+
+/// How stages are run by this program.
+fn options(log: &str) -> anyhow::Result<RunOptions> {
+    let program = std::env::current_exe().context("cannot find this program's own file, which runs the stages")?;
+    Ok(RunOptions { program, nodes: NODES, log: Some(log.to_owned()), ..RunOptions::default() })
+}
+
+fn check_machine(pipeline: &Pipeline, machine: Option<&str>) -> anyhow::Result<()> {
+    let names: Vec<_> = pipeline.machines.keys().map(|name| format!("`{name}`")).collect();
+    match machine {
+        Some(machine) if names.is_empty() => {
+            bail!(
+                "the pipeline has no machine `{machine}`, nor any\n  hint: leave --machine out: all stages run on this one"
+            )
+        }
+        Some(machine) if !pipeline.machines.contains_key(machine) => {
+            bail!("there is no machine `{machine}` in the pipeline\n  hint: machines: {}", names.join(", "))
+        }
+        None if !names.is_empty() => bail!(
+            "the pipeline spans the machines {}\n  hint: say which of them this is, with --machine NAME",
+            names.join(", ")
+        ),
+        _ => {}
+    }
+    Ok(())
+}
+
+/// Runs one stage here: of the run that this process was started in, or of a file, for a debugger.
+fn node(stage: &str, file: Option<PathBuf>, machine: Option<&str>, log: &str) -> anyhow::Result<()> {
+    if file.is_none() && std::env::var_os(conicflow_dataflow::PIPELINE).is_some() {
+        return Ok(conicflow_dataflow::run_in_run(NODES)?);
+    }
+    let pipeline = FileArguments { file, overrides: Vec::new() }.read_on(machine)?;
+    check_machine(&pipeline, machine)?;
+    let placed =
+        pipeline.stages.iter().find(|placed| placed.name == stage).and_then(|placed| placed.machine.as_deref());
+    if let Some(other) = placed.filter(|placed| Some(*placed) != machine) {
+        bail!("stage `{stage}` is on another machine, `{other}`\n  hint: run it there, with --machine {other}");
+    }
+    let plan = Plan::of(&pipeline, machine, None, NO_RUN);
+    Err(conicflow_dataflow::become_stage(&plan, stage, &options(log)?).into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_level_is_a_word_that_there_is() {
+        for good in ["debug", "WARN", "off", "conicflow_dataflow=debug", "info,zenoh=debug", "warn,[step]=trace"] {
+            assert_eq!(log_filter(good).as_deref(), Ok(good));
+        }
+        for wrong in ["debgu", "info,debgu", "conicflow=debgu"] {
+            assert!(log_filter(wrong).is_err(), "{wrong}");
+        }
+        assert!(log_filter("info,debgu").is_err_and(|error| error.starts_with("`debgu` is no level\n  hint: ")));
+    }
+
+    #[test]
+    fn what_the_system_refuses_is_no_wrong_input() {
+        let full = || anyhow::Error::from(io::Error::from(ErrorKind::StorageFull));
+        assert_eq!(exit_code(&full().context("cannot write `results/table.csv`")), FAILED);
+        assert_eq!(exit_code(&anyhow!("there is no machine `moon`")), WRONG_INPUT);
+        let missing = || ProcessError::System { doing: "starting".to_owned(), error: ErrorKind::NotFound.into() };
+        assert_eq!(exit_code(&missing().into()), FAILED);
+        assert_eq!(exit_code(&LaunchError::from(missing()).into()), FAILED);
+        assert!(is_broken_pipe(&io::Error::from(ErrorKind::BrokenPipe).into()) && !is_broken_pipe(&full()));
+    }
+}

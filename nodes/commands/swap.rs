@@ -1,0 +1,54 @@
+//! `conicflow swap`: replaces one stage of a running pipeline, after the pipeline with the change in it was checked whole.
+
+use super::topic::PipelineName;
+use crate::NODES;
+use anyhow::{anyhow, bail};
+use clap::Args;
+use conicflow_dataflow::pipeline::suggestion;
+use conicflow_dataflow::{Needs, Plan, PlannedStage};
+
+/// What is to be replaced, and by what.
+#[derive(Args)]
+pub struct SwapArguments {
+    /// Name of the stage
+    stage: String,
+    /// Set a parameter of the stage; may be repeated
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    sets: Vec<String>,
+    /// Another node for the same inputs and output; the parameters of the former one go with it
+    #[arg(long, value_name = "NAME")]
+    node: Option<String>,
+    #[command(flatten)]
+    of: PipelineName,
+}
+
+/// Replaces a stage, and returns when the new one works.
+///
+/// # Errors
+/// What is wrong with the change, or why the launcher could not make it; the stage works on as it was then.
+pub fn swap(arguments: &SwapArguments) -> anyhow::Result<()> {
+    let running = arguments.of.find()?;
+    let (plan, name) = (&running.plan, &arguments.stage);
+    let stage = find_stage(plan, name)?;
+    let node = arguments.node.iter().map(|node| format!("{name}.node={node}"));
+    let sets = arguments.sets.iter().map(|set| format!("{name}.{set}"));
+    let (changed, _) = plan.with(&node.chain(sets).collect::<Vec<_>>(), NODES)?;
+    if changed.stage(name).is_none_or(|new| new.wiring != stage.wiring) {
+        bail!("a swap cannot join stage `{name}` to other topics\n  hint: end the run, and start it with the change");
+    }
+    if let Some(other) = changed.stages_unlike(plan).find(|other| other.name != *name) {
+        bail!("this would change stage `{}`, too\n  hint: end the run, and start it with the change", other.name);
+    }
+    Needs::of(&changed, NODES).look_for_successor(stage)?;
+    running.swap(name, changed)?;
+    tracing::info!("stage `{name}` was replaced");
+    Ok(())
+}
+
+fn find_stage<'a>(plan: &'a Plan, name: &str) -> anyhow::Result<&'a PlannedStage> {
+    let stages = plan.stages.iter().filter(|stage| !stage.is_bridge());
+    let names: Vec<_> = stages.map(|stage| stage.name.as_str()).collect();
+    let hint = || suggestion(name, names.iter().copied(), "stages");
+    let found = plan.stage(name).filter(|stage| !stage.is_bridge());
+    found.ok_or_else(|| anyhow!("pipeline `{}` has no stage `{name}` here\n  hint: {}", plan.pipeline, hint()))
+}

@@ -1,0 +1,94 @@
+//! `conicflow top`: what running pipelines do, as a screen that is drawn anew each second, or once as JSON.
+
+use super::topic::give_way;
+use conicflow_dataflow::{PipelineActivity, Table, link_table, observe};
+use serde_json::json;
+use std::io::{IsTerminal, Write, stdout};
+use std::thread::sleep;
+use std::time::Duration;
+
+const PERIOD: Duration = Duration::from_secs(1);
+/// A stage that has given no sign of life for this long is pointed out.
+const SILENT_S: f64 = 2.0;
+
+/// Draws the screen until it is ended; without a terminal, or if `once`, prints JSON and ends.
+///
+/// # Errors
+/// The runs cannot be read, or standard output cannot be written.
+pub fn top(once: bool) -> anyhow::Result<()> {
+    give_way();
+    let mut before = observe()?;
+    loop {
+        sleep(PERIOD);
+        let now = observe()?;
+        let activity = now.since(&before);
+        before = now;
+        if once || !stdout().is_terminal() {
+            writeln!(stdout(), "{}", serde_json::to_string_pretty(&json!({ "pipelines": activity }))?)?;
+            return Ok(());
+        }
+        write!(stdout(), "\x1b[H\x1b[2J{}", screen(&activity))?;
+        stdout().flush()?;
+    }
+}
+
+/// The tables of all pipelines, within 80 columns.
+fn screen(pipelines: &[PipelineActivity]) -> String {
+    if pipelines.is_empty() {
+        return "no pipeline runs; start one with `conicflow run`\n".to_owned();
+    }
+    let parts = pipelines.iter().map(|pipeline| {
+        let links =
+            if pipeline.links.is_empty() { String::new() } else { format!("\n{}", link_table(&pipeline.links)) };
+        let silent = silent(pipeline);
+        let tables = [stages(pipeline), topics(pipeline), inputs(pipeline)].map(|table| table.to_string());
+        format!("{}\n\n{silent}{}{links}\n", pipeline.pipeline, tables.join("\n"))
+    });
+    parts.collect()
+}
+
+/// A line for each stage that hangs, or seems to.
+fn silent(pipeline: &PipelineActivity) -> String {
+    let silent = pipeline.stages.iter().filter(|stage| stage.silent_s > SILENT_S);
+    silent.map(|stage| format!("{}: no sign of life for {:.0} s\n", clip(&stage.stage, 14), stage.silent_s)).collect()
+}
+
+fn stages(pipeline: &PipelineActivity) -> Table {
+    let mut table = Table::new(&["STAGE", "NODE", "Hz", "CPU %", "MB", "p50 ms", "p99 ms", "STARTS"]);
+    for stage in &pipeline.stages {
+        let names = [clip(&stage.stage, 14), clip(&stage.node, 22)];
+        let figures = [stage.rate_hz, stage.cpu_percent, stage.memory_mb].map(|figure| format!("{figure:.1}"));
+        let times = [stage.compute_p50_ms, stage.compute_p99_ms].map(time);
+        table.row(names.into_iter().chain(figures).chain(times).chain([stage.starts.to_string()]));
+    }
+    table
+}
+
+fn topics(pipeline: &PipelineActivity) -> Table {
+    let mut table = Table::new(&["TOPIC", "WRITER", "SENT", "Hz", "MB/s"]);
+    for topic in &pipeline.topics {
+        let names = [clip(&topic.topic, 22), clip(&topic.writer, 14), topic.sent.to_string()];
+        table.row(names.into_iter().chain([topic.rate_hz, topic.bandwidth_mbps].map(|figure| format!("{figure:.2}"))));
+    }
+    table
+}
+
+fn inputs(pipeline: &PipelineActivity) -> Table {
+    let mut table = Table::new(&["TOPIC", "READER", "RECEIVED", "DROPPED", "GAPS", "hop ms", "p99", "age ms", "p99"]);
+    for input in &pipeline.inputs {
+        let names = [clip(&input.topic, 12), clip(&input.reader, 12)];
+        let counts = [input.received, input.dropped, input.gaps].map(|count| count.to_string());
+        let times = [input.hop_p50_ms, input.hop_p99_ms, input.latency_p50_ms, input.latency_p99_ms].map(time);
+        table.row(names.into_iter().chain(counts).chain(times));
+    }
+    table
+}
+
+fn time(milliseconds: Option<f64>) -> String {
+    milliseconds.map_or_else(|| "-".to_owned(), |time| format!("{time:.2}"))
+}
+
+/// A text of at most `width` characters; one that is cut ends in a dot.
+fn clip(text: &str, width: usize) -> String {
+    if text.chars().count() <= width { text.to_owned() } else { text.chars().take(width - 1).chain(['.']).collect() }
+}

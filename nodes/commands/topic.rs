@@ -1,0 +1,247 @@
+//! `conicflow topic`: what goes through the topics of a running pipeline, seen without a change to it.
+//!
+//! `list`, `hz` and `bw` read the records that the stages keep, and attach to nothing; `echo` is a reader more, in a place
+//! that is kept free for it, for which no writer waits.
+
+use crate::NODES;
+use crate::sinks::json_sink::{Line, ToJson, latency_ms};
+use crate::sources::image_source::median;
+use anyhow::{anyhow, bail};
+use clap::{Args, Subcommand};
+use conicflow_dataflow::pipeline::suggestion;
+use conicflow_dataflow::ports::{Delivery, Topic};
+use conicflow_dataflow::{
+    Needs, PipelineActivity, RunningPipeline, Table, TopicActivity, Watching, monotonic_ns, observe, user_folder,
+};
+use conicflow_messages::{Ellipse, Item, Kind, Message, Object, Track, is_measured};
+use serde_json::json;
+use std::io::{Write, stdout};
+use std::thread::sleep;
+use std::time::Duration;
+
+const PERIOD: Duration = Duration::from_secs(1);
+/// Who looks on gives way to those at work.
+const NICENESS: i32 = 10;
+
+/// What is to be seen of topics.
+#[derive(Subcommand)]
+pub enum TopicCommand {
+    /// List the topics with what they carry, who writes and who reads them, and their rates
+    List {
+        #[command(flatten)]
+        of: PipelineName,
+    },
+    /// Print each message as a line of JSON, as json_sink does; of depth images a summary
+    Echo(TopicArguments),
+    /// Print once a second how many messages are sent, and how regularly
+    Hz(TopicArguments),
+    /// Print once a second how many bytes are sent
+    Bw(TopicArguments),
+}
+
+/// Which topic, and how much of it.
+#[derive(Args)]
+pub struct TopicArguments {
+    /// Name of the topic
+    topic: String,
+    /// End after so many messages; hz and bw: after so many seconds
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    count: Option<u64>,
+    #[command(flatten)]
+    of: PipelineName,
+}
+
+/// Which pipeline, where several run.
+#[derive(Args)]
+pub struct PipelineName {
+    /// Name of the pipeline, where several run
+    #[arg(long, value_name = "NAME")]
+    pipeline: Option<String>,
+}
+
+/// Shows what was asked for.
+///
+/// # Errors
+/// There is no such pipeline or topic, it cannot be read, or standard output cannot be written.
+pub fn topic(command: &TopicCommand) -> anyhow::Result<()> {
+    give_way();
+    match command {
+        TopicCommand::List { of } => list(&of.find()?),
+        TopicCommand::Echo(arguments) => echo(arguments),
+        TopicCommand::Hz(arguments) => each_second(arguments, rate_line),
+        TopicCommand::Bw(arguments) => each_second(arguments, bandwidth_line),
+    }
+}
+
+/// Lets the stages go first where processors are short; where that is not allowed nothing else is lost.
+pub(crate) fn give_way() {
+    rustix::process::nice(NICENESS).ok();
+}
+
+impl PipelineName {
+    /// The pipeline of this name, or the only one that runs.
+    pub(crate) fn find(&self) -> anyhow::Result<RunningPipeline> {
+        let mut running = RunningPipeline::all()?;
+        let names: Vec<_> = running.iter().map(|running| running.plan.pipeline.clone()).collect();
+        if names.is_empty() {
+            bail!(
+                "no pipeline runs that has its files in `{}`\n  \
+                 hint: start one with `conicflow run`, or set CONICFLOW_RUNTIME_DIR as it is where one runs",
+                user_folder().display()
+            );
+        }
+        let Some(name) = &self.pipeline else {
+            if names.len() > 1 {
+                bail!("several pipelines run: {}\n  hint: say which, with --pipeline NAME", names.join(", "));
+            }
+            return Ok(running.swap_remove(0));
+        };
+        let found = names.iter().position(|running| running == name);
+        let hint = || suggestion(name, names.iter().map(String::as_str), "pipelines that run");
+        let found = found.ok_or_else(|| anyhow!("no pipeline `{name}` runs\n  hint: {}", hint()))?;
+        Ok(running.swap_remove(found))
+    }
+}
+
+/// All topics of a pipeline, each once.
+fn topics(running: &RunningPipeline) -> Vec<&Topic> {
+    let mut topics: Vec<&Topic> = Vec::new();
+    for topic in running.topics() {
+        if topics.iter().all(|known| known.name != topic.name) {
+            topics.push(topic);
+        }
+    }
+    topics
+}
+
+fn find_topic<'a>(running: &'a RunningPipeline, name: &str) -> anyhow::Result<&'a Topic> {
+    let hint = || suggestion(name, topics(running).iter().map(|topic| topic.name.as_str()), "topics");
+    running
+        .topic(name)
+        .ok_or_else(|| anyhow!("pipeline `{}` has no topic `{name}`\n  hint: {}", running.plan.pipeline, hint()))
+}
+
+fn list(running: &RunningPipeline) -> anyhow::Result<()> {
+    let mut table = Table::new(&["TOPIC", "KIND", "WRITER", "Hz", "MB/s", "READERS"]);
+    let activities = activities(running, None)?;
+    for topic in topics(running) {
+        let named = [topic.name.as_str(), topic.kind.map_or("?", Kind::name)].map(str::to_owned);
+        let mut written: Vec<_> = activities.iter().filter(|activity| activity.topic == topic.name).map(row).collect();
+        if written.is_empty() {
+            written.push(["-", "-", "-"].map(str::to_owned));
+        }
+        for cells in written {
+            table.row(named.iter().cloned().chain(cells).chain([readers(topic)]));
+        }
+    }
+    write!(stdout(), "{table}")?;
+    Ok(())
+}
+
+/// Who writes a topic, how often, and how much.
+fn row(activity: &TopicActivity) -> [String; 3] {
+    let [rate, bandwidth] = [activity.rate_hz, activity.bandwidth_mbps].map(|figure| format!("{figure:.2}"));
+    [activity.writer.clone(), rate, bandwidth]
+}
+
+fn readers(topic: &Topic) -> String {
+    let readers = topic.readers.iter().map(|reader| {
+        let delivery = if reader.delivery == Delivery::Lossless { "lossless" } else { "latest" };
+        format!("{} ({delivery}, queue {})", reader.stage, reader.queue)
+    });
+    readers.collect::<Vec<_>>().join(", ")
+}
+
+/// What the writers of one topic, or of all, do in the second to come.
+fn activities(running: &RunningPipeline, only: Option<&str>) -> anyhow::Result<Vec<TopicActivity>> {
+    let before = observe()?;
+    sleep(PERIOD);
+    let seen = observe()?.since(&before);
+    let own = |seen: &PipelineActivity| seen.pipeline == running.plan.pipeline;
+    let written = seen.into_iter().filter(own).flat_map(|seen| seen.topics);
+    Ok(written.filter(|activity| only.is_none_or(|name| activity.topic == name)).collect())
+}
+
+/// Prints a line per second and writer, until there were enough seconds or the pipeline has ended.
+fn each_second(arguments: &TopicArguments, line: fn(&TopicActivity) -> String) -> anyhow::Result<()> {
+    let running = arguments.of.find()?;
+    let topic = find_topic(&running, &arguments.topic)?;
+    let mut left = arguments.count.unwrap_or(u64::MAX);
+    while left > 0 && running.still_runs() {
+        let activities = activities(&running, Some(&topic.name))?;
+        if activities.is_empty() {
+            writeln!(stdout(), "{}: nobody writes it now", topic.name)?;
+        }
+        for activity in activities {
+            let writer = if topic.writers.len() > 1 { format!(" from {}", activity.writer) } else { String::new() };
+            writeln!(stdout(), "{}{writer}: {}", topic.name, line(&activity))?;
+        }
+        left -= 1;
+    }
+    Ok(())
+}
+
+fn rate_line(activity: &TopicActivity) -> String {
+    let time = |time: Option<f64>| time.map_or_else(|| "-".to_owned(), |time| format!("{time:.2} ms"));
+    let [min, max, std] = [activity.interval_min_ms, activity.interval_max_ms, activity.interval_std_ms].map(time);
+    format!("{:.2} Hz, interval min {min}, max {max}, std {std}", activity.rate_hz)
+}
+
+fn bandwidth_line(activity: &TopicActivity) -> String {
+    format!("{:.3} MB/s, {:.2} Hz", activity.bandwidth_mbps, activity.rate_hz)
+}
+
+fn echo(arguments: &TopicArguments) -> anyhow::Result<()> {
+    let running = arguments.of.find()?;
+    let topic = find_topic(&running, &arguments.topic)?;
+    Needs::of(&running.plan, NODES).look_for_onlooker(topic)?;
+    match topic.kind {
+        Some(Kind::Depth) => echo_lines::<u16>(&running, topic, arguments.count, image_line),
+        Some(Kind::Ellipses) => echo_lines::<Ellipse>(&running, topic, arguments.count, list_line),
+        Some(Kind::Objects) => echo_lines::<Object>(&running, topic, arguments.count, list_line),
+        Some(Kind::Tracks) => echo_lines::<Track>(&running, topic, arguments.count, list_line),
+        Some(Kind::Nothing) | None => bail!(
+            "nothing tells what topic `{}` carries\n  hint: only programs write and read it; let a json_sink read it too",
+            topic.name
+        ),
+    }
+}
+
+fn echo_lines<T: Item>(
+    running: &RunningPipeline,
+    topic: &Topic,
+    count: Option<u64>,
+    line: fn(&Message<'_, T>) -> serde_json::Result<Vec<u8>>,
+) -> anyhow::Result<()> {
+    let mut left = count.unwrap_or(u64::MAX);
+    running.watch::<T, anyhow::Error>(topic, |message| {
+        let mut text = line(&message)?;
+        text.push(b'\n');
+        stdout().write_all(&text)?;
+        stdout().flush()?;
+        left -= 1;
+        Ok(if left == 0 { Watching::Enough } else { Watching::GoOn })
+    })
+}
+
+fn list_line<T: ToJson>(message: &Message<'_, T>) -> serde_json::Result<Vec<u8>> {
+    serde_json::to_vec(&Line { message: *message, latency_ms: latency_ms(message.header, monotonic_ns()) })
+}
+
+/// An image in brief: its size, how many pixels measured something, and the median of those in metres.
+fn image_line(message: &Message<'_, u16>) -> serde_json::Result<Vec<u8>> {
+    let header = message.header;
+    let measured = message.items.iter().filter(|&&depth| is_measured(depth)).count();
+    serde_json::to_vec(&json!({
+        "sequence": header.sequence,
+        "source": header.source.as_str().unwrap_or_default(),
+        "stamp_ns": header.stamp_ns,
+        "latency_ms": latency_ms(header, monotonic_ns()),
+        "depth": {
+            "width": header.camera.width,
+            "height": header.camera.height,
+            "measured": measured,
+            "median_m": median(message.items).map(|depth| f64::from(depth) * header.depth_scale),
+        },
+    }))
+}

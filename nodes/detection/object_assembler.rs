@@ -1,0 +1,107 @@
+//! Ellipses -> objects: the assembler of the detection, or the paper's, as a stage.
+
+use conicflow_dataflow::{ConfigFault, Context, Output, Sides, Stage, StageError};
+use conicflow_detection::{Assembler, AssemblerParameters};
+use conicflow_lab::paper::assembler::{ProfileAssembler, ProfileConfig, ProfileParameters};
+use conicflow_messages::{Ellipse, Message, Object};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// How objects are found in a list of ellipses.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Method {
+    /// The paper's: lines and circles through the centres, radius over position along the axis.
+    Profile,
+    /// Models fitted to the pooled moments of all arcs of an object.
+    #[default]
+    Pooled,
+}
+
+/// Parameters of the assembler.
+#[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
+#[serde(default)]
+pub struct ObjectAssemblerConfig {
+    /// How objects are found: by `pooled` moments of arcs (`arcs = "moments"` of the extractor), or by the paper's `profile`
+    /// of ellipses (`arcs = "conic"`).
+    pub method: Method,
+    /// What both methods have.
+    #[serde(flatten)]
+    pub common: AssemblerParameters,
+    /// Parameters of `method = "profile"`.
+    pub profile: ProfileParameters,
+}
+
+/// The stage.
+pub struct ObjectAssembler {
+    assembler: AnyAssembler,
+    /// Whether it was said that the ellipses are not those that the method is made for.
+    warned: bool,
+}
+
+enum AnyAssembler {
+    Pooled(Box<Assembler>),
+    Profile(Box<ProfileAssembler>),
+}
+
+impl Stage for ObjectAssembler {
+    const NAME: &'static str = "object_assembler";
+    const SUMMARY: &'static str = "Puts ellipses of neighbouring scan lines together to spheres, cylinders and cones";
+    type Config = ObjectAssemblerConfig;
+    type Input = Ellipse;
+    type Output = Object;
+
+    fn faults(config: &Self::Config, _: &Path) -> Vec<ConfigFault> {
+        let ObjectAssemblerConfig { method, common, profile } = config;
+        let (key, least) = match method {
+            Method::Pooled => ("pooled", common.pooled.min_half_angle_deg),
+            Method::Profile => ("profile", profile.min_half_angle_deg),
+        };
+        let mut faults = common.faults();
+        faults.extend(common.fault_of_half_angle(key, least));
+        faults
+    }
+
+    fn new(config: Self::Config, _: &Context) -> Result<Self, StageError> {
+        let ObjectAssemblerConfig { method, common, profile } = config;
+        let assembler = match method {
+            Method::Pooled => AnyAssembler::Pooled(Box::new(Assembler::new(common))),
+            Method::Profile => {
+                AnyAssembler::Profile(Box::new(ProfileAssembler::new(ProfileConfig { common, profile })))
+            }
+        };
+        Ok(Self { assembler, warned: false })
+    }
+
+    fn step(&mut self, input: &Message<Ellipse>, _: &Sides, output: &mut Output<Object>) -> Result<(), StageError> {
+        self.warn_of_mismatch(input.items);
+        match &mut self.assembler {
+            AnyAssembler::Pooled(assembler) => {
+                output.extend(assembler.assemble(input.header, input.items));
+                output.count_all(assembler.rejections());
+            }
+            AnyAssembler::Profile(assembler) => {
+                output.extend(assembler.assemble(input.header, input.items));
+                output.count_all(assembler.rejections());
+            }
+        }
+        Ok(())
+    }
+}
+
+impl ObjectAssembler {
+    /// Says once that the ellipses are of the other kind than the method is made for.
+    fn warn_of_mismatch(&mut self, ellipses: &[Ellipse]) {
+        let is_pooled = matches!(self.assembler, AnyAssembler::Pooled(_));
+        if self.warned || ellipses.iter().all(|ellipse| (ellipse.unbiased == 1) == is_pooled) {
+            return;
+        }
+        self.warned = true;
+        let (method, arcs) = if is_pooled { ("pooled", "moments") } else { ("profile", "conic") };
+        tracing::warn!(
+            "the ellipses are not made for `method = \"{method}\"`: fewer objects will be found, and with larger errors\n  \
+             hint: write `arcs = \"{arcs}\"` in the extractor's table"
+        );
+    }
+}

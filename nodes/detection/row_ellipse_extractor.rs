@@ -1,0 +1,101 @@
+//! Depth images -> ellipses: the extractor of the detection, or the paper's, as a stage.
+
+use conicflow_dataflow::{ConfigFault, Context, Output, Sides, Stage, StageError};
+use conicflow_detection::{Extractor, ExtractorParameters};
+use conicflow_lab::paper::extractor::{ConicConfig, ConicExtractor, ConicParameters};
+use conicflow_messages::{Ellipse, Message};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::ops::RangeInclusive;
+use std::path::Path;
+
+/// How a scan line is cut into arcs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ArcFinder {
+    /// The paper's way: an ellipse grows point by point.
+    Conic,
+    /// Lines and circles through moments that are free of the noise's bias, for the pooled fits of the assembler.
+    #[default]
+    Moments,
+}
+
+/// Parameters of the extractor.
+#[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
+#[serde(default)]
+pub struct RowEllipseConfig {
+    /// How a scan line is cut into arcs: `moments`, for `method = "pooled"` of the assembler, or `conic`, the paper's way.
+    pub arcs: ArcFinder,
+    /// What both ways have.
+    #[serde(flatten)]
+    pub common: ExtractorParameters,
+    /// Parameters of `arcs = "conic"`.
+    pub conic: ConicParameters,
+}
+
+/// Standard deviations of an image, in those of its noise model, that need not be spoken of.
+const USUAL_RATIOS: RangeInclusive<f64> = 0.32..=1.41;
+
+/// The stage.
+pub struct RowEllipseExtractor {
+    method: Method,
+    /// Whether it was said that the noise model is not that of the sensor.
+    warned: bool,
+}
+
+enum Method {
+    Moments(Box<Extractor>),
+    Conic(ConicExtractor),
+}
+
+impl Stage for RowEllipseExtractor {
+    const NAME: &'static str = "row_ellipse_extractor";
+    const SUMMARY: &'static str = "Finds ellipses in the scan lines of a depth image, with the moments of their points";
+    type Config = RowEllipseConfig;
+    type Input = u16;
+    type Output = Ellipse;
+
+    fn faults(config: &Self::Config, _: &Path) -> Vec<ConfigFault> {
+        config.common.faults()
+    }
+
+    fn new(config: Self::Config, _: &Context) -> Result<Self, StageError> {
+        let RowEllipseConfig { arcs, common, conic } = config;
+        let method = match arcs {
+            ArcFinder::Moments => Method::Moments(Box::new(Extractor::new(common))),
+            ArcFinder::Conic => Method::Conic(ConicExtractor::new(ConicConfig { common, conic })),
+        };
+        Ok(Self { method, warned: false })
+    }
+
+    fn step(&mut self, input: &Message<u16>, _: &Sides, output: &mut Output<Ellipse>) -> Result<(), StageError> {
+        match &mut self.method {
+            Method::Moments(extractor) => {
+                output.extend(extractor.extract(input.header, input.items));
+                output.count_all(extractor.rejections());
+                let ratios = extractor.noise_ratios();
+                self.warn_of_noise(ratios);
+            }
+            Method::Conic(extractor) => {
+                output.extend(extractor.extract(input.header, input.items));
+                output.count_all(extractor.rejections());
+            }
+        }
+        Ok(())
+    }
+}
+
+impl RowEllipseExtractor {
+    /// Says once that the noise model is not that of the sensor.
+    fn warn_of_noise(&mut self, [near, far]: [f64; 2]) {
+        if self.warned || (USUAL_RATIOS.contains(&near) && USUAL_RATIOS.contains(&far)) {
+            return;
+        }
+        self.warned = true;
+        tracing::warn!(
+            "what is near is {near:.1} and what is far {far:.1} times as noisy as the source's noise model says: it is \
+             taken as it is, but less will be found\n  hint: find the sensor's own coefficients with the node \
+             `noise_estimator`, and write them into the source's `noise`"
+        );
+    }
+}

@@ -1,0 +1,49 @@
+//! Which messages are shown where not all are: one in so many, of each camera.
+
+use conicflow_messages::{Header, Text};
+use std::collections::BTreeMap;
+
+/// Counts messages, those of each camera for themselves: of cameras that alternate none is left out for ever.
+pub struct Decimator {
+    every: u64,
+    resume_at: u64,
+    taken: BTreeMap<Text<32>, u64>,
+}
+
+impl Decimator {
+    /// One in `every` messages, after `resume_at` that were taken before a restart.
+    pub fn new(every: u64, resume_at: u64) -> Self {
+        Self { every: every.max(1), resume_at, taken: BTreeMap::new() }
+    }
+
+    /// Whether it is the turn of a message.
+    pub fn is_due(&mut self, header: &Header) -> bool {
+        let taken = self.taken.entry(header.origin()).or_insert(self.resume_at);
+        *taken += 1;
+        (*taken - 1).is_multiple_of(self.every)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use conicflow_messages::Hop;
+
+    #[test]
+    fn cameras_that_alternate_have_their_turns_each() {
+        let mut decimator = Decimator::new(2, 0);
+        let mut is_due = |camera| {
+            let mut header = Header::default();
+            header.add_hop(Hop { stage: Text::new(camera), ..Hop::default() });
+            decimator.is_due(&header)
+        };
+        let due = ["left", "right", "left", "right", "left", "right"].map(&mut is_due);
+        assert_eq!(due, [true, true, false, false, true, true]);
+    }
+
+    #[test]
+    fn a_restart_goes_on_counting() {
+        let mut decimator = Decimator::new(3, 4);
+        assert_eq!([(); 3].map(|()| decimator.is_due(&Header::default())), [false, false, true]);
+    }
+}

@@ -1,0 +1,125 @@
+//! The sink that writes JSON: one object per message and line, for scripts, plots and other programs.
+
+mod view;
+
+pub use view::{EllipseView, Line, ObjectView, ToJson, TrackView};
+
+use crate::sinks::json_lines::{JsonLines, Wrote};
+use conicflow_dataflow::{ConfigFault, Context, Output, Sides, Stage, StageError, Stop, monotonic_ns};
+use conicflow_messages::{Header, Message, Nothing};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::marker::PhantomData;
+use std::path::{Path, PathBuf};
+
+/// Parameters of `json_sink`.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct JsonSinkConfig {
+    /// File to write, relative to the pipeline file; "-" is standard output.
+    pub path: PathBuf,
+}
+
+impl Default for JsonSinkConfig {
+    fn default() -> Self {
+        Self { path: PathBuf::from("-") }
+    }
+}
+
+impl JsonSinkConfig {
+    /// What types and ranges cannot tell: values that exclude each other, files that are missing.
+    pub fn faults(&self, base: &Path) -> Vec<ConfigFault> {
+        let path = base.join(&self.path);
+        let what = if self.path.as_os_str().is_empty() {
+            "is empty".to_owned()
+        } else if !is_standard_output(&self.path) && path.is_dir() {
+            format!("`{}` is a folder, expected a file", path.display())
+        } else {
+            return Vec::new();
+        };
+        let hint = "give the name of a file, such as \"objects.jsonl\", or \"-\" for standard output".to_owned();
+        vec![ConfigFault { key: "path", what, hint }]
+    }
+}
+
+fn is_standard_output(path: &Path) -> bool {
+    path == Path::new("-")
+}
+
+/// Writes messages of ellipses, objects or tracks as lines of JSON.
+pub struct JsonSink<T> {
+    lines: JsonLines,
+    stop: Stop,
+    items: PhantomData<T>,
+}
+
+impl<T: ToJson> Stage for JsonSink<T> {
+    const NAME: &'static str = "json_sink";
+    const SUMMARY: &'static str = "Writes ellipses, objects or tracks as JSON, one line per message";
+    type Config = JsonSinkConfig;
+    type Input = T;
+    type Output = Nothing;
+
+    fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
+        config.faults(base)
+    }
+
+    fn new(config: JsonSinkConfig, context: &Context) -> Result<Self, StageError> {
+        let lines = if is_standard_output(&config.path) {
+            JsonLines::standard_output()
+        } else {
+            JsonLines::open(&context.resolve(&config.path), context.resume_at > 0)?
+        };
+        Ok(Self { lines, stop: context.stop.clone(), items: PhantomData })
+    }
+
+    fn step(&mut self, input: &Message<T>, _: &Sides, _: &mut Output<Nothing>) -> Result<(), StageError> {
+        let line = Line { message: *input, latency_ms: latency_ms(input.header, monotonic_ns()) };
+        if self.lines.write(&line)? == Wrote::ReaderGone {
+            self.stop.request();
+        }
+        Ok(())
+    }
+}
+
+/// Milliseconds, to the microsecond, from the moment the source had the frame until `now_ns` on the monotonic clock;
+/// `None` where the frame carries no time of this machine's clock.
+pub(crate) fn latency_ms(header: &Header, now_ns: u64) -> Option<f64> {
+    let elapsed_ns = now_ns.checked_sub(header.trace().first()?.received_ns)?;
+    Some((elapsed_ns / 1000) as f64 / 1000.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use conicflow_messages::{Hop, Object};
+
+    #[test]
+    fn latency_counts_from_when_the_source_had_the_frame() {
+        let mut header = Header::default();
+        assert_eq!(latency_ms(&header, 5_000_000), None);
+        header.add_hop(Hop { received_ns: 1_000_000, sent_ns: 2_000_000, ..Hop::default() });
+        header.add_hop(Hop { received_ns: 3_000_000, sent_ns: 4_000_000, ..Hop::default() });
+        assert_eq!(latency_ms(&header, 2_400_999), Some(1.4));
+        assert_eq!(latency_ms(&header, 999_999), None, "a clock of another machine");
+    }
+
+    #[test]
+    fn a_folder_in_place_of_a_file_is_told_before_the_start() {
+        let folder = tempfile::tempdir().unwrap();
+        let config = JsonSinkConfig { path: PathBuf::from(".") };
+        assert!(config.faults(folder.path())[0].what.contains("is a folder"));
+        let config = JsonSinkConfig { path: PathBuf::new() };
+        assert_eq!(config.faults(folder.path())[0].what, "is empty");
+        assert!(JsonSinkConfig::default().faults(folder.path()).is_empty());
+    }
+
+    #[test]
+    fn the_file_stands_relative_to_the_pipeline_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let context = Context { base: folder.path().to_owned(), ..Context::default() };
+        let config = JsonSinkConfig { path: PathBuf::from("results/objects.jsonl") };
+        JsonSink::<Object>::new(config, &context).unwrap();
+        assert!(folder.path().join("results/objects.jsonl").is_file());
+    }
+}

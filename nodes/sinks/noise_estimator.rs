@@ -1,0 +1,35 @@
+//! The noise of a sensor from a recording, printed as the line that a pipeline file needs.
+
+use crate::config_error::refuse_restart;
+use conicflow_dataflow::{Context, Output, Sides, Stage, StageError};
+use conicflow_lab::noise_estimator::{self, NoiseEstimatorParameters};
+use conicflow_messages::{Message, Nothing};
+use std::io::Write;
+
+/// The stage.
+pub struct NoiseEstimator(noise_estimator::NoiseEstimator);
+
+impl Stage for NoiseEstimator {
+    const NAME: &'static str = "noise_estimator";
+    const SUMMARY: &'static str = "Finds the depth noise of a sensor from a recording, as a line for the pipeline file";
+    type Config = NoiseEstimatorParameters;
+    type Input = u16;
+    type Output = Nothing;
+
+    fn new(config: Self::Config, context: &Context) -> Result<Self, StageError> {
+        refuse_restart(context, "seen")?;
+        Ok(Self(noise_estimator::NoiseEstimator::with(config)))
+    }
+
+    fn step(&mut self, input: &Message<u16>, _: &Sides, _: &mut Output<Nothing>) -> Result<(), StageError> {
+        Ok(self.0.add(input.header, input.items)?)
+    }
+
+    fn finish(&mut self) -> Result<(), StageError> {
+        let estimate = self.0.estimate()?;
+        if let Some(misfit) = estimate.misfit() {
+            tracing::warn!("{misfit}");
+        }
+        Ok(std::io::stdout().write_all(estimate.to_string().as_bytes())?)
+    }
+}

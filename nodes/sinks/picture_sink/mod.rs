@@ -1,0 +1,227 @@
+//! Writes pictures to look at: the depth image in grey, over it the ellipses and the outlines of objects or tracks.
+//!
+//! One sink for whatever drives it, a list of objects, tracks or ellipses; the depth image and the ellipses of the same
+//! frame come by further inputs and may be missing.
+
+mod canvas;
+mod depth_view;
+mod font;
+mod outline;
+mod painter;
+
+use crate::sinks::decimator::Decimator;
+use anyhow::{Context as _, Result, ensure};
+use conicflow_dataflow::{ConfigFault, Context, Output, Pick, Side, Sides, Stage, StageError};
+use conicflow_messages::{Header, Kind, MAX_PIXELS, Message, Nothing, Text};
+pub use painter::{Drawn, Painter};
+use png::{BitDepth, ColorType, Compression, Encoder};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::fs;
+use std::marker::PhantomData;
+use std::path::{Path, PathBuf};
+
+/// Longest stem of a picture's name, in bytes: file systems take 255, and there is an ending.
+const LONGEST_NAME: usize = 200;
+
+/// Parameters of [`PictureSink`].
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Folder for the pictures; it is made if need be.
+    pub path: Option<PathBuf>,
+    /// Draw every so many frames, of each camera.
+    #[schemars(range(min = 1))]
+    pub every: u64,
+    /// What pictures are called after: `sequence` (frame_000012.png), `stage` (camera_000012.png, after the stage that had
+    /// the frame first: for several cameras) or `source` (the frame's file, where it has one).
+    pub names: Names,
+    /// Width of the outlines, in pixels.
+    #[schemars(range(min = 1, max = 15))]
+    pub line_width_px: u32,
+    /// Whether objects are labelled with their kind and radius in millimetres, and tracks with their number.
+    pub labels: bool,
+    /// Depth of the lightest grey, in metres; default: by the frame.
+    #[schemars(range(min = 0.0))]
+    pub near_m: Option<f64>,
+    /// Depth of the darkest grey, in metres; default: by the frame.
+    #[schemars(range(min = 0.0))]
+    pub far_m: Option<f64>,
+}
+
+/// What pictures are called after.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Names {
+    /// The frame's sequence number.
+    Sequence,
+    /// The stage that had the frame first, and its sequence number.
+    Stage,
+    /// The frame's file.
+    Source,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self { path: None, every: 1, names: Names::Sequence, line_width_px: 2, labels: true, near_m: None, far_m: None }
+    }
+}
+
+impl Config {
+    /// What types and ranges cannot tell: values that exclude each other, files that are missing.
+    pub fn faults(&self, _: &Path) -> Vec<ConfigFault> {
+        let mut faults = Vec::new();
+        let mut fault =
+            |key, what: &str, hint: &str| faults.push(ConfigFault { key, what: what.into(), hint: hint.into() });
+        if self.path.is_none() {
+            fault("path", "is missing", "write `path = \"pictures/\"`");
+        }
+        if self.near_m.zip(self.far_m).is_some_and(|(near, far)| near >= far) {
+            fault("near_m", "is not below `far_m`", "near is light, far is dark: write the smaller depth here");
+        }
+        faults
+    }
+}
+
+/// Writes a PNG for every message, or every so many.
+pub struct PictureSink<T> {
+    folder: PathBuf,
+    decimator: Decimator,
+    names: Names,
+    painter: Painter,
+    file: Vec<u8>,
+    /// Whose frame the last picture is.
+    camera: Option<Text<32>>,
+    /// Whether it was said that they are of several cameras.
+    is_told: bool,
+    item: PhantomData<T>,
+}
+
+impl<T: Drawn> PictureSink<T> {
+    fn open(config: &Config, context: &Context) -> Result<Self> {
+        let path = config.path.as_ref().context("`path` is missing\n  hint: write `path = \"pictures/\"`")?;
+        let folder = context.resolve(path);
+        fs::create_dir_all(&folder).with_context(|| format!("the folder `{}` cannot be made", folder.display()))?;
+        Ok(Self {
+            folder,
+            decimator: Decimator::new(config.every, context.resume_at),
+            names: config.names,
+            painter: Painter::new(config),
+            file: Vec::new(),
+            camera: None,
+            is_told: false,
+            item: PhantomData,
+        })
+    }
+
+    /// Draws a message and writes the picture, if it is its turn; returns the file.
+    fn take(&mut self, input: &Message<T>, sides: &Sides) -> Result<Option<PathBuf>> {
+        if !self.decimator.is_due(input.header) {
+            return Ok(None);
+        }
+        self.draw(input, sides)?;
+        self.look_for_another_camera(input.header);
+        let path = self.folder.join(picture_name(input.header, self.names));
+        self.write(&path).with_context(|| format!("`{}` cannot be written", path.display()))?;
+        Ok(Some(path))
+    }
+
+    fn draw(&mut self, input: &Message<T>, sides: &Sides) -> Result<()> {
+        let camera = &input.header.camera;
+        let pixels = u64::from(camera.width) * u64::from(camera.height);
+        ensure!(
+            (1..=MAX_PIXELS).contains(&pixels),
+            "frame {} has {}x{} pixels, expected 1 to {MAX_PIXELS}\n  hint: the stage that made the message gave a wrong camera",
+            input.header.sequence,
+            camera.width,
+            camera.height
+        );
+        self.painter.begin(camera);
+        if let Some(depth) = sides.depth("depth") {
+            self.painter.depth(&depth);
+        }
+        if let Some(ellipses) = sides.ellipses("ellipses") {
+            self.painter.ellipses(ellipses.items);
+        }
+        T::draw(input.items, &mut self.painter);
+        Ok(())
+    }
+
+    /// Says once that the pictures of several cameras may overwrite each other.
+    fn look_for_another_camera(&mut self, header: &Header) {
+        let camera = header.origin();
+        if self.names != Names::Stage && self.camera.is_some_and(|other| other != camera) && !self.is_told {
+            self.is_told = true;
+            tracing::warn!(
+                "pictures of several cameras may overwrite each other\n  hint: `names = \"stage\"` calls them after their cameras"
+            );
+        }
+        self.camera = Some(camera);
+    }
+
+    /// Writes the picture under another name first, so that nobody sees half of it.
+    fn write(&mut self, path: &Path) -> Result<()> {
+        self.file.clear();
+        let (width, height) = self.painter.size();
+        let mut encoder = Encoder::new(&mut self.file, width, height);
+        encoder.set_color(ColorType::Rgb);
+        encoder.set_depth(BitDepth::Eight);
+        encoder.set_compression(Compression::Fast);
+        encoder.write_header()?.write_image_data(self.painter.bytes())?;
+        let part = path.with_extension("png.part");
+        fs::write(&part, &self.file)?;
+        fs::rename(&part, path)?;
+        Ok(())
+    }
+}
+
+/// `frame_000012.png`, `camera_000012.png`, or the stem of the frame's file where the source names one.
+fn picture_name(header: &Header, names: Names) -> String {
+    let source = Path::new(header.source.as_str().unwrap_or_default());
+    match (names, source.extension(), source.file_stem()) {
+        (Names::Source, Some(_), Some(stem)) => format!("{}.png", harmless(&stem.to_string_lossy())),
+        (Names::Stage, ..) => format!("{}_{:06}.png", harmless(&header.origin().to_string()), header.sequence),
+        _ => format!("frame_{:06}.png", header.sequence),
+    }
+}
+
+/// A name from another process, without what could lead out of the folder, and no longer than a file's may be.
+fn harmless(name: &str) -> String {
+    let allowed = |letter: char| letter.is_alphanumeric() || "._- ".contains(letter);
+    let mut harmless: String = name.chars().map(|letter| if allowed(letter) { letter } else { '_' }).collect();
+    harmless.truncate(harmless.floor_char_boundary(LONGEST_NAME));
+    harmless
+}
+
+impl<T: Drawn> Stage for PictureSink<T> {
+    const NAME: &'static str = "picture_sink";
+    const SUMMARY: &'static str = "Writes PNGs of the depth image with ellipses, objects or tracks drawn over it";
+    type Config = Config;
+    type Input = T;
+    type Output = Nothing;
+
+    fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
+        config.faults(base)
+    }
+
+    fn new(config: Config, context: &Context) -> Result<Self, StageError> {
+        Ok(Self::open(&config, context)?)
+    }
+
+    fn sides() -> &'static [Side] {
+        &[
+            Side { name: "depth", kind: Kind::Depth, pick: Pick::SameFrame },
+            Side { name: "ellipses", kind: Kind::Ellipses, pick: Pick::SameFrame },
+        ]
+    }
+
+    fn step(&mut self, input: &Message<T>, sides: &Sides, output: &mut Output<Nothing>) -> Result<(), StageError> {
+        if self.take(input, sides)?.is_some() {
+            output.count("pictures written", 1);
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests;

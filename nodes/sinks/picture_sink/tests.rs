@@ -1,0 +1,173 @@
+use super::*;
+use conicflow_dataflow::AnyMessage;
+use conicflow_messages::{Camera, Ellipse, Hop, Object, ObjectKind, Text, Track, TrackState};
+use std::fs::File;
+use std::io::BufReader;
+use tempfile::TempDir;
+
+const CAMERA: Camera = Camera { width: 160, height: 120, fx: 130.0, fy: 130.0, cx: 79.5, cy: 59.5 };
+const HOLE: [u8; 3] = [14, 20, 52];
+
+fn header(sequence: u64, source: &str) -> Header {
+    Header { sequence, camera: CAMERA, depth_scale: 0.001, source: Text::new(source), ..Header::default() }
+}
+
+fn sphere() -> Object {
+    Object { kind: ObjectKind::Sphere.code(), center: [0.0, 0.0, 1.0], radius: 0.2, ..Object::default() }
+}
+
+fn sink<T: Drawn>(folder: &TempDir, config: Config) -> PictureSink<T> {
+    let config = Config { path: Some("made/here".into()), ..config };
+    PictureSink::new(config, &Context { base: folder.path().into(), ..Context::default() }).unwrap()
+}
+
+/// Draws one message over a wall with a hole, and reads the picture back.
+fn picture<T: Drawn>(items: &[T], config: Config, sides: &Sides) -> Vec<[u8; 3]> {
+    let folder = tempfile::tempdir().unwrap();
+    let input = Message { header: &header(0, ""), items };
+    let path = sink(&folder, config).take(&input, sides).unwrap().unwrap();
+    let mut reader = png::Decoder::new(BufReader::new(File::open(path).unwrap())).read_info().unwrap();
+    let mut bytes = vec![0; reader.output_buffer_size().unwrap()];
+    let info = reader.next_frame(&mut bytes).unwrap();
+    assert_eq!((info.width, info.height, info.color_type), (160, 120, ColorType::Rgb));
+    bytes.as_chunks::<3>().0.to_vec()
+}
+
+fn pixel(picture: &[[u8; 3]], u: usize, v: usize) -> [u8; 3] {
+    picture[v * 160 + u]
+}
+
+#[test]
+fn objects_are_drawn_over_depth_and_ellipses() {
+    let mut wall = vec![2000_u16; 160 * 120];
+    wall[..160 * 10].fill(0);
+    let ellipse = Ellipse { line: 20, first: 30, last: 50, center: [0.0, 0.0, 1.0], ..Ellipse::default() };
+    let (header, ellipses) = (header(0, ""), [ellipse]);
+    let sides = Sides(vec![
+        ("depth", AnyMessage::Depth(Message { header: &header, items: &wall })),
+        ("ellipses", AnyMessage::Ellipses(Message { header: &header, items: &ellipses })),
+    ]);
+    let picture = picture(&[sphere()], Config::default(), &sides);
+    assert_eq!(pixel(&picture, 80, 5), HOLE);
+    let wall = pixel(&picture, 150, 100);
+    assert!(wall[0] == wall[1] && wall[1] == wall[2] && wall[0] > 0);
+    assert_eq!((pixel(&picture, 30, 20), pixel(&picture, 50, 20)), ([240, 215, 90], [240, 215, 90]));
+    assert_eq!(pixel(&picture, 80, 60), [235, 90, 200], "the ellipse's centre");
+    // The limb of the sphere: 130 tan(asin(0.2)) = 26.5 pixels from the centre.
+    assert!((105..=107).any(|u| pixel(&picture, u, 60) == [255, 135, 60]));
+    assert_eq!(pixel(&picture, 95, 60), wall);
+}
+
+#[test]
+fn without_depth_the_ground_is_black_and_an_empty_list_is_a_picture() {
+    let empty = picture::<Object>(&[], Config::default(), &Sides::default());
+    assert!(empty.iter().all(|pixel| *pixel == [0; 3]));
+    let plain = picture(&[sphere()], Config { labels: false, ..Config::default() }, &Sides::default());
+    let labelled = picture(&[sphere()], Config::default(), &Sides::default());
+    let painted = |picture: &[[u8; 3]]| picture.iter().filter(|pixel| **pixel != [0; 3]).count();
+    assert!(painted(&plain) > 100 && painted(&labelled) > painted(&plain) + 20);
+}
+
+#[test]
+fn tracks_have_the_colour_of_their_number_and_the_weight_of_their_state() {
+    let track = |id, state: TrackState| Track { id, state: state.code(), object: sphere(), ..Track::default() };
+    let drawn = |id, state| {
+        let config = Config { labels: false, ..Config::default() };
+        let picture = picture(&[track(id, state)], config, &Sides::default());
+        let painted: Vec<_> = picture.into_iter().filter(|pixel| *pixel != [0; 3]).collect();
+        (painted[0], painted.len())
+    };
+    let (colour, full) = drawn(1, TrackState::Confirmed);
+    assert_ne!(colour, drawn(2, TrackState::Confirmed).0);
+    assert_eq!(colour, drawn(8, TrackState::Confirmed).0);
+    assert!(drawn(1, TrackState::Tentative).1 < full);
+    assert!(drawn(1, TrackState::Coasting).0[1] < colour[1]);
+}
+
+#[test]
+fn ellipses_can_be_the_driving_input() {
+    let column = Ellipse { scan: 1, line: 20, first: 30, last: 50, center: [0.0, 0.0, -1.0], ..Ellipse::default() };
+    let picture = picture(&[column], Config::default(), &Sides::default());
+    assert_eq!((pixel(&picture, 20, 30), pixel(&picture, 20, 50)), ([240, 215, 90], [240, 215, 90]));
+    assert_eq!(pixel(&picture, 20, 29), [0; 3]);
+}
+
+#[test]
+fn an_ellipse_that_is_nowhere_near_has_its_arc_and_no_centre() {
+    let far = Ellipse { line: 20, first: 30, last: 50, center: [0.0, 1e15, 1.0], ..Ellipse::default() };
+    let picture = picture(&[far], Config::default(), &Sides::default());
+    assert!(picture.contains(&[240, 215, 90]) && !picture.contains(&[235, 90, 200]));
+}
+
+#[test]
+fn depth_of_another_size_is_left_out() {
+    let other = Header { camera: Camera { width: 2, height: 2, ..CAMERA }, ..header(0, "") };
+    let sides = Sides(vec![("depth", AnyMessage::Depth(Message { header: &other, items: &[1000; 4] }))]);
+    assert!(picture::<Object>(&[], Config::default(), &sides).iter().all(|pixel| *pixel == [0; 3]));
+}
+
+#[test]
+fn every_so_many_messages_and_going_on_after_a_restart() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut sink = sink::<Object>(&folder, Config { every: 3, ..Config::default() });
+    let mut written = |sequence| {
+        let path = sink.take(&Message { header: &header(sequence, ""), items: &[] }, &Sides::default()).unwrap();
+        path.map(|path| path.file_name().unwrap().to_string_lossy().into_owned())
+    };
+    let names: Vec<_> = (10..17).filter_map(&mut written).collect();
+    assert_eq!(names, ["frame_000010.png", "frame_000013.png", "frame_000016.png"]);
+    assert_eq!(fs::read_dir(folder.path().join("made/here")).unwrap().count(), 3, "nothing else is left behind");
+}
+
+#[test]
+fn names_after_the_source_stay_in_the_folder() {
+    let name = |source| picture_name(&header(12, source), Names::Source);
+    assert_eq!(name("frame-000001.depth.png"), "frame-000001.depth.png");
+    assert_eq!(name("scan.pcd"), "scan.png");
+    assert_eq!(name("camera"), "frame_000012.png");
+    assert_eq!(name("../../etc/pass:wd.x"), "pass_wd.png");
+    assert_eq!(picture_name(&header(12, "scan.pcd"), Names::Sequence), "frame_000012.png");
+    let mut of_camera = header(12, "scan.pcd");
+    of_camera.add_hop(Hop { stage: Text::new("front"), ..Hop::default() });
+    assert_eq!(picture_name(&of_camera, Names::Stage), "front_000012.png");
+    let long = picture_name(&header(12, &format!("{}.png", "ä".repeat(120))), Names::Source);
+    assert_eq!(long, format!("{}.png", "ä".repeat(100)), "a file's name has 255 bytes at most");
+}
+
+#[test]
+fn sizes_that_cannot_be_and_folders_that_cannot_be_made_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let camera = Camera { width: u32::MAX, height: u32::MAX, ..CAMERA };
+    let input = Message { header: &Header { camera, ..header(7, "") }, items: &[] };
+    let error = sink::<Object>(&folder, Config::default()).take(&input, &Sides::default()).unwrap_err().to_string();
+    assert!(error.starts_with("frame 7 has 4294967295x4294967295 pixels, expected 1 to 67108864\n  hint: "));
+    fs::write(folder.path().join("file"), "").unwrap();
+    let config = Config { path: Some("file/inside".into()), ..Config::default() };
+    let context = Context { base: folder.path().into(), ..Context::default() };
+    let error = format!("{:#}", PictureSink::<Object>::open(&config, &context).err().unwrap());
+    assert!(error.contains("file/inside` cannot be made: "), "{error}");
+}
+
+#[test]
+fn faults_of_the_parameters() {
+    let keys = |config: Config| config.faults(Path::new("")).iter().map(|fault| fault.key).collect::<Vec<_>>();
+    assert_eq!(keys(Config::default()), ["path"]);
+    let turned = Config { path: Some("x".into()), near_m: Some(3.0), far_m: Some(1.0), ..Config::default() };
+    assert_eq!(keys(turned), ["near_m"]);
+    let config: Config = toml::from_str("path = 'x'\nnames = 'source'\nevery = 5").unwrap();
+    assert_eq!((config.names, config.every), (Names::Source, 5));
+}
+
+#[test]
+fn pictures_that_may_overwrite_each_other_are_told() {
+    for (names, is_told) in [(Names::Sequence, true), (Names::Source, true), (Names::Stage, false)] {
+        let folder = tempfile::tempdir().unwrap();
+        let mut sink = sink::<Object>(&folder, Config { names, ..Config::default() });
+        for camera in ["left", "right"] {
+            let mut header = header(0, "0.png");
+            header.add_hop(Hop { stage: Text::new(camera), ..Hop::default() });
+            sink.take(&Message { header: &header, items: &[] }, &Sides::default()).unwrap();
+        }
+        assert_eq!(sink.is_told, is_told, "{names:?}");
+    }
+}

@@ -1,0 +1,211 @@
+//! The camera's intrinsics, from the pipeline file or from a JSON file beside the frames.
+
+use super::hinted;
+use anyhow::{Context as _, Result, anyhow, bail, ensure};
+use conicflow_detection::camera::Intrinsics;
+use serde::Deserialize;
+use std::fs::File;
+use std::io::Read as _;
+use std::path::{Path, PathBuf};
+
+/// The files that are looked for, in the folder of the frames and in the one above.
+const NAMES: [&str; 3] = ["camera.json", "camera_intrinsics.json", "camera_intrinsic.json"];
+
+const MAX_JSON_BYTES: u64 = 1 << 20;
+
+/// What a JSON file should be like.
+const HINT: &str = "write `{\"width\": 640, \"height\": 480, \"fx\": .., \"fy\": .., \"cx\": .., \"cy\": ..}` with your camera's \
+                    numbers, or give `intrinsics` in the pipeline file";
+
+/// What a JSON file beside the frames tells.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct CameraFile {
+    pub(super) path: PathBuf,
+    pub(super) intrinsics: Intrinsics,
+    /// Width and height of the images that they hold for.
+    pub(super) size: Option<(u32, u32)>,
+    pub(super) depth_scale: Option<f64>,
+}
+
+impl CameraFile {
+    /// Looks for a file beside the frames.
+    ///
+    /// # Errors
+    /// There is one, but it cannot be used.
+    pub(super) fn find(folder: &Path) -> Result<Option<Self>> {
+        let folders = [Some(folder), folder.parent()];
+        let candidates = folders.into_iter().flatten().flat_map(|folder| NAMES.map(|name| folder.join(name)));
+        let found = candidates.into_iter().find(|path| path.is_file());
+        let read = |path: PathBuf| {
+            let file = Self::read(&path).map_err(|error| hinted(error, HINT));
+            file.with_context(|| format!("`{}`", path.display()))
+        };
+        found.map(read).transpose()
+    }
+
+    fn read(path: &Path) -> Result<Self> {
+        let mut text = String::new();
+        File::open(path)?.take(MAX_JSON_BYTES + 1).read_to_string(&mut text)?;
+        ensure!(text.len() as u64 <= MAX_JSON_BYTES, "it is longer than {MAX_JSON_BYTES} bytes, and no camera's");
+        let json: CameraJson = serde_json::from_str(&text)?;
+        let intrinsics = json.intrinsics()?;
+        ensure!(
+            intrinsics.are_usable(),
+            "focal lengths have to be at least one pixel, and all of {intrinsics:?} finite numbers"
+        );
+        if let Some(scale) = json.depth_scale {
+            ensure!(scale.is_normal() && scale > 0.0, "`depth_scale` is {scale}, expected a positive number");
+        }
+        Ok(Self { path: path.to_owned(), intrinsics, size: json.width.zip(json.height), depth_scale: json.depth_scale })
+    }
+
+    /// Refuses intrinsics of images of another size.
+    ///
+    /// # Errors
+    /// The file gives a size, and it is not `frames`.
+    pub(super) fn check_size(&self, frames: (u32, u32)) -> Result<()> {
+        match self.size {
+            Some(size) if size != frames => bail!(
+                "`{}` is for images of {}x{}, but the frames are {}x{}\n  hint: intrinsics scale with the image; write \
+                 those of the frames",
+                self.path.display(),
+                size.0,
+                size.1,
+                frames.0,
+                frames.1
+            ),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Both layouts in one; keys that we do not know are passed over, since others write these files too.
+#[derive(Deserialize)]
+struct CameraJson {
+    width: Option<u32>,
+    height: Option<u32>,
+    fx: Option<f64>,
+    fy: Option<f64>,
+    cx: Option<f64>,
+    cy: Option<f64>,
+    /// Metres per unit.
+    depth_scale: Option<f64>,
+    /// Open3D's: 3x3, column-major.
+    intrinsic_matrix: Option<Vec<f64>>,
+}
+
+impl CameraJson {
+    fn intrinsics(&self) -> Result<Intrinsics> {
+        if let Some(matrix) = &self.intrinsic_matrix {
+            return from_matrix(matrix);
+        }
+        let number = |key: &str, value: Option<f64>| value.ok_or_else(|| anyhow!("the key `{key}` is missing"));
+        Ok(Intrinsics {
+            fx: number("fx", self.fx)?,
+            fy: number("fy", self.fy)?,
+            cx: number("cx", self.cx)?,
+            cy: number("cy", self.cy)?,
+        })
+    }
+}
+
+fn from_matrix(matrix: &[f64]) -> Result<Intrinsics> {
+    let &[fx, _, row_cx, _, fy, row_cy, cx, cy, _] = matrix else {
+        bail!("`intrinsic_matrix` has {} numbers, expected 9", matrix.len());
+    };
+    if (cx, cy) == (0.0, 0.0) && (row_cx, row_cy) != (0.0, 0.0) {
+        bail!(
+            "`intrinsic_matrix` is row-major, expected column-major\n  hint: write [{fx}, 0, 0, 0, {fy}, 0, {row_cx}, \
+             {row_cy}, 1]"
+        );
+    }
+    Ok(Intrinsics { fx, fy, cx, cy })
+}
+
+/// The error for frames without intrinsics, with the line to write.
+pub(super) fn missing(folder: &Path, (width, height): (u32, u32)) -> anyhow::Error {
+    let (cx, cy) = (f64::from(width.saturating_sub(1)) / 2.0, f64::from(height.saturating_sub(1)) / 2.0);
+    let focal = 525.0 * f64::from(width) / 640.0;
+    anyhow!(
+        "no intrinsics for the frames in `{}`: neither the key `intrinsics` nor a `camera.json` or \
+         `camera_intrinsics.json` beside them\n  hint: write `intrinsics = {{ fx = {focal:.1}, fy = {focal:.1}, cx = \
+         {cx:.1}, cy = {cy:.1} }}` with the numbers of your camera (these are a Kinect's at {width}x{height})",
+        folder.display()
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    const MINE: &str =
+        r#"{"width": 64, "height": 48, "fx": 52.5, "fy": 52.0, "cx": 31.5, "cy": 23.5, "depth_scale": 0.0002}"#;
+    const OPEN3D: &str = r#"{"width": 64, "height": 48, "intrinsic_matrix": [52.5, 0, 0, 0, 52.0, 0, 31.5, 23.5, 1]}"#;
+    const EXPECTED: Intrinsics = Intrinsics { fx: 52.5, fy: 52.0, cx: 31.5, cy: 23.5 };
+
+    fn found(name: &str, text: &str) -> Result<Option<CameraFile>> {
+        let parent = tempfile::tempdir().unwrap();
+        let folder = parent.path().join("frames");
+        fs::create_dir(&folder).unwrap();
+        fs::write(folder.join(name), text).unwrap();
+        CameraFile::find(&folder)
+    }
+
+    fn told(text: &str) -> String {
+        let error = format!("{:#}", found("camera.json", text).unwrap_err());
+        error.split_once("camera.json`: ").unwrap().1.to_owned()
+    }
+
+    #[test]
+    fn both_layouts_under_each_name() {
+        for name in NAMES {
+            let mine = found(name, MINE).unwrap().unwrap();
+            assert_eq!((mine.intrinsics, mine.size, mine.depth_scale), (EXPECTED, Some((64, 48)), Some(0.0002)));
+            let open3d = found(name, OPEN3D).unwrap().unwrap();
+            assert_eq!((open3d.intrinsics, open3d.size, open3d.depth_scale), (EXPECTED, Some((64, 48)), None));
+        }
+        assert_eq!(found("notes.json", MINE).unwrap(), None);
+    }
+
+    #[test]
+    fn the_folder_above_is_looked_at_last() {
+        let parent = tempfile::tempdir().unwrap();
+        let frames = parent.path().join("depth");
+        fs::create_dir(&frames).unwrap();
+        fs::write(parent.path().join("camera_intrinsics.json"), OPEN3D).unwrap();
+        assert_eq!(CameraFile::find(&frames).unwrap().unwrap().depth_scale, None);
+        fs::write(frames.join("camera.json"), MINE).unwrap();
+        assert_eq!(CameraFile::find(&frames).unwrap().unwrap().depth_scale, Some(0.0002));
+    }
+
+    #[test]
+    fn faults_are_told() {
+        assert!(told("{\n oops").contains("line 2"));
+        assert!(told(&MINE.replace("\"fy\": 52.0, ", "")).starts_with("the key `fy` is missing\n  hint: write `{"));
+        assert!(told(&MINE.replace("52.0", "0")).starts_with("focal lengths have to be at least one pixel"));
+        assert!(told(&MINE.replace("0.0002", "-1")).starts_with("`depth_scale` is -1, expected a positive number\n"));
+        assert!(told(r#"{"intrinsic_matrix": [1, 2]}"#).starts_with("`intrinsic_matrix` has 2 numbers, expected 9\n"));
+        let long = format!("{MINE}{}", " ".repeat(MAX_JSON_BYTES as usize));
+        assert!(told(&long).starts_with("it is longer than 1048576 bytes, and no camera's\n  hint: "));
+        let rows = told(r#"{"intrinsic_matrix": [52.5, 0, 31.5, 0, 52, 23.5, 0, 0, 1]}"#);
+        assert_eq!(
+            rows,
+            "`intrinsic_matrix` is row-major, expected column-major\n  hint: write [52.5, 0, 0, 0, 52, 0, 31.5, 23.5, 1]"
+        );
+    }
+
+    #[test]
+    fn another_size_is_refused() {
+        let file = found("camera.json", MINE).unwrap().unwrap();
+        assert!(file.check_size((64, 48)).is_ok());
+        let error = file.check_size((32, 24)).unwrap_err().to_string();
+        assert!(error.contains("is for images of 64x48, but the frames are 32x24\n  hint: "), "{error}");
+    }
+
+    #[test]
+    fn the_hint_shows_the_line_to_write() {
+        let error = missing(Path::new("frames"), (640, 480)).to_string();
+        assert!(error.contains("`intrinsics = { fx = 525.0, fy = 525.0, cx = 319.5, cy = 239.5 }`"), "{error}");
+    }
+}

@@ -1,0 +1,254 @@
+//! A recording: the depth frames of a path with their camera, read one by one into memory that the caller has.
+
+use super::intrinsics::{self, CameraFile};
+use super::layout::{Format, FrameFile, Layout, file_name};
+use super::pcd::{self, Cloud};
+use super::pinhole::{self, FAIR_RESIDUAL_PX, Pinhole};
+use super::{depth_png, hinted};
+use anyhow::{Context as _, Error, Result, bail, ensure};
+use conicflow_detection::camera::Intrinsics;
+use conicflow_detection::quantise::{finest_scale, is_too_far, quantise};
+use conicflow_messages::{Camera, MAX_SIDE_PX};
+use std::fs::File;
+use std::io::Read as _;
+use std::path::Path;
+
+/// What the recording itself does not tell, or tells wrongly.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Options {
+    /// Metres per unit of the file.
+    pub depth_scale: Option<f64>,
+    /// The camera's intrinsics.
+    pub intrinsics: Option<Intrinsics>,
+    /// Number of the first frame that is used, from 0, counting unreadable ones.
+    pub first: u64,
+    /// The most frames that are used, counting unreadable ones.
+    pub frames: Option<u64>,
+}
+
+/// The depth frames of a file or a folder.
+pub struct Recording {
+    layout: Layout,
+    size: (u32, u32),
+    camera: Option<Camera>,
+    depth_scale: f64,
+    file: Vec<u8>,
+    cloud: Cloud,
+    /// Depth units per unit of the cloud's z, with its sign.
+    units_per_z: f64,
+    told: Told,
+}
+
+/// What has been said once.
+#[derive(Default)]
+struct Told {
+    flipped: bool,
+    residual: bool,
+}
+
+/// A frame whose file has been read, and whose pixels can be had.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Frame {
+    /// Size and intrinsics.
+    pub camera: Camera,
+    /// Metres per unit of a pixel.
+    pub depth_scale: f64,
+    /// Name of the file.
+    pub name: String,
+    /// Its place in the recording from the first that is used, counting unreadable ones.
+    pub slot: u64,
+    /// Time of capture, where the recording tells.
+    pub stamp_ns: Option<u64>,
+}
+
+impl Recording {
+    /// Finds the frames of `path`, looks at the header of each, and finds their camera.
+    ///
+    /// # Errors
+    /// No frame can be read, frames are of different sizes, or their camera is not known.
+    pub fn open(path: &Path, options: &Options) -> Result<Self> {
+        let mut layout = Layout::discover(path)?;
+        select(&mut layout, options)?;
+        let size = common_size(&layout.frames)?;
+        let beside = CameraFile::find(&layout.folder)?;
+        let camera = camera(&layout, size, options, beside.as_ref())?;
+        let by_file = beside.and_then(|file| file.depth_scale).filter(|_| layout.format == Format::Png);
+        let depth_scale = options.depth_scale.or(by_file).unwrap_or(layout.depth_scale);
+        ensure!(
+            depth_scale.is_normal() && depth_scale > 0.0,
+            "`depth_scale` is {depth_scale}, expected more than 0\n  hint: metres per unit: 0.001 for millimetres"
+        );
+        let (cloud, told) = (Cloud::default(), Told::default());
+        Ok(Self { layout, size, camera, depth_scale, file: Vec::new(), cloud, units_per_z: 1.0, told })
+    }
+
+    /// Number of frames.
+    pub fn len(&self) -> usize {
+        self.layout.frames.len()
+    }
+
+    /// Number of pixels of each frame.
+    pub fn pixels(&self) -> usize {
+        self.size.0 as usize * self.size.1 as usize
+    }
+
+    /// Whether there is no frame; [`Recording::open`] refuses that.
+    pub fn is_empty(&self) -> bool {
+        self.layout.frames.is_empty()
+    }
+
+    /// Why files that should be frames are not among them.
+    pub fn unreadable(&self) -> impl ExactSizeIterator<Item = &Error> {
+        self.layout.unreadable.iter().map(|(_, error)| error)
+    }
+
+    /// Times of capture of the first and the last frame, where the recording tells.
+    pub fn stamps_ns(&self) -> Option<(u64, u64)> {
+        let frames = &self.layout.frames;
+        frames.first()?.stamp_ns.zip(frames.last()?.stamp_ns)
+    }
+
+    /// How many places the recording has, counting unreadable frames between the first and the last.
+    pub fn slots(&self) -> u64 {
+        let slot = |frame: Option<&FrameFile>| frame.map_or(0, |frame| frame.slot);
+        slot(self.layout.frames.last()) - slot(self.layout.frames.first()) + 1
+    }
+
+    /// Reads the file of a frame.
+    ///
+    /// # Errors
+    /// The file cannot be read, is damaged, or is a cloud that no pinhole camera saw.
+    pub fn load(&mut self, index: usize) -> Result<Frame> {
+        let file = self.layout.frames.get(index).context("no such frame")?.clone();
+        let loaded = self.load_file(&file).map_err(|error| hinted(error, self.hint()));
+        loaded.with_context(|| format!("`{}`", file.path.display()))
+    }
+
+    fn load_file(&mut self, file: &FrameFile) -> Result<Frame> {
+        self.file.clear();
+        File::open(&file.path)?.read_to_end(&mut self.file)?;
+        let (name, first) = (file_name(&file.path), self.layout.frames[0].slot);
+        let (camera, depth_scale) = match self.camera {
+            Some(camera) if self.layout.format == Format::Png => (camera, self.depth_scale),
+            _ => self.load_cloud(&name)?,
+        };
+        Ok(Frame { camera, depth_scale, name, slot: file.slot - first, stamp_ns: file.stamp_ns })
+    }
+
+    fn load_cloud(&mut self, name: &str) -> Result<(Camera, f64)> {
+        self.cloud.read(&self.file)?;
+        let (width, height) = (self.cloud.width, self.cloud.height);
+        ensure!((width, height) == self.size, "{width}x{height} points, expected {}x{}", self.size.0, self.size.1);
+        let (camera, backward) = match self.camera {
+            Some(camera) => (camera, pinhole::looks_backward(self.cloud.depths().iter().copied())),
+            None => {
+                let pinhole = pinhole::fit(width, height, self.cloud.points())?;
+                self.tell(name, &pinhole);
+                (pinhole.camera, pinhole.flipped[2])
+            }
+        };
+        let metres_per_z = if backward { -self.depth_scale } else { self.depth_scale };
+        let scale = finest_scale(self.cloud.depths(), metres_per_z);
+        self.units_per_z = metres_per_z / scale;
+        Ok((camera, scale))
+    }
+
+    /// What to do about a frame that cannot be read.
+    fn hint(&self) -> &'static str {
+        if self.layout.format == Format::Png { depth_png::HINT } else { pcd::HINT }
+    }
+
+    /// Says once what is unusual in a cloud.
+    fn tell(&mut self, name: &str, pinhole: &Pinhole) {
+        let axes = ["x points left", "y points up", "z points backward"];
+        let flipped: Vec<_> =
+            axes.into_iter().zip(pinhole.flipped).filter_map(|(axis, is)| is.then_some(axis)).collect();
+        if !flipped.is_empty() && !std::mem::replace(&mut self.told.flipped, true) {
+            let axes = flipped.join(", ");
+            tracing::warn!("`{name}`: {axes}; turned into the optical frame: x right, y down, z forward");
+        }
+        if pinhole.residual_px > FAIR_RESIDUAL_PX && !std::mem::replace(&mut self.told.residual, true) {
+            let residual = pinhole.residual_px;
+            tracing::warn!(
+                "`{name}`: points lie {residual:.2} pixels (rms) beside a pinhole camera's: rounded or distorted"
+            );
+        }
+    }
+
+    /// Writes the depth of the frame that was loaded last, row by row; what holds no measurement is 0 or 65535. Returns how many
+    /// points were left out as too far.
+    ///
+    /// # Errors
+    /// The file is damaged.
+    pub fn decode(&self, pixels: &mut [u16]) -> Result<u64> {
+        match self.layout.format {
+            Format::Png => {
+                depth_png::decode(&self.file, self.size, pixels).map_err(|error| hinted(error, depth_png::HINT))?;
+                Ok(0)
+            }
+            Format::Pcd => {
+                for (pixel, &z) in pixels.iter_mut().zip(self.cloud.depths()) {
+                    *pixel = quantise(z, self.units_per_z);
+                }
+                Ok(self.cloud.depths().iter().filter(|&&z| is_too_far(z, self.units_per_z)).count() as u64)
+            }
+        }
+    }
+}
+
+/// Drops the frames that are not asked for, readable or not.
+fn select(layout: &mut Layout, options: &Options) -> Result<()> {
+    let Options { first, frames, .. } = *options;
+    let count = (layout.frames.len() + layout.unreadable.len()) as u64;
+    ensure!(
+        first < count,
+        "`first` is {first}, but there are {count} frames, counted from 0\n  hint: the last is {}",
+        count - 1
+    );
+    ensure!(frames != Some(0), "`frames` is 0, expected 1 or more\n  hint: leave it out for all");
+    let wanted = first..first.saturating_add(frames.unwrap_or(u64::MAX));
+    layout.frames.retain(|frame| wanted.contains(&frame.slot));
+    layout.unreadable.retain(|(slot, _)| wanted.contains(slot));
+    ensure!(
+        !layout.frames.is_empty(),
+        "none of the frames from number {first} can be read\n  hint: `first` and `frames` choose others"
+    );
+    Ok(())
+}
+
+fn common_size(frames: &[FrameFile]) -> Result<(u32, u32)> {
+    let size = frames.first().context("no frames")?.size;
+    let (width, height) = size;
+    ensure!(
+        width.max(height) <= MAX_SIDE_PX,
+        "frames of {width}x{height}, expected {MAX_SIDE_PX} pixels a side or less\n  hint: cut or scale them first"
+    );
+    if let Some(other) = frames.iter().find(|frame| frame.size != size) {
+        bail!(
+            "`{}` is {}x{}, but the frames before it are {}x{}\n  hint: keep the frames of each camera in a folder of \
+             their own",
+            other.path.display(),
+            other.size.0,
+            other.size.1,
+            size.0,
+            size.1
+        );
+    }
+    Ok(size)
+}
+
+/// The camera, if something tells it; that of clouds may be left to a fit.
+fn camera(layout: &Layout, size: (u32, u32), options: &Options, beside: Option<&CameraFile>) -> Result<Option<Camera>> {
+    if let Some(intrinsics) = options.intrinsics {
+        ensure!(
+            intrinsics.are_usable(),
+            "`intrinsics` need focal lengths of at least one pixel, and finite numbers, not {intrinsics:?}\n  hint: take them from the camera's calibration, in pixels"
+        );
+        return Ok(Some(intrinsics.camera(size)));
+    }
+    if let Some(file) = beside {
+        file.check_size(size)?;
+        return Ok(Some(file.intrinsics.camera(size)));
+    }
+    if layout.format == Format::Pcd { Ok(None) } else { Err(intrinsics::missing(&layout.folder, size)) }
+}

@@ -1,0 +1,418 @@
+use super::fixtures::*;
+use super::*;
+use conicflow_dataflow::testing::collect;
+use std::fs;
+use tempfile::TempDir;
+
+const XYZ: &[(&str, char, usize, usize)] = &[("x", 'F', 4, 1), ("y", 'F', 4, 1), ("z", 'F', 4, 1)];
+const GIVEN: Intrinsics = Intrinsics { fx: 40.0, fy: 41.0, cx: 22.25, cy: 18.5 };
+
+/// A folder for frames, inside of one that holds nothing else.
+struct Folder {
+    _outer: TempDir,
+    path: PathBuf,
+}
+
+impl Folder {
+    fn new() -> Self {
+        let outer = tempfile::tempdir().unwrap();
+        let path = fs::canonicalize(outer.path()).unwrap().join("frames");
+        fs::create_dir(&path).unwrap();
+        Self { _outer: outer, path }
+    }
+
+    fn at(&self, name: &str) -> PathBuf {
+        let path = self.path.join(name);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        path
+    }
+
+    fn depth(self, names: &[&str]) -> Self {
+        names.iter().for_each(|name| write_depth_png(&self.at(name)));
+        self
+    }
+
+    fn colour(self, names: &[&str]) -> Self {
+        names.iter().for_each(|name| write_colour_png(&self.at(name)));
+        self
+    }
+
+    fn file(self, name: &str, bytes: impl AsRef<[u8]>) -> Self {
+        fs::write(self.at(name), bytes).unwrap();
+        self
+    }
+
+    fn cloud(self, name: &str, points: &[[f32; 3]]) -> Self {
+        self.file(name, pcd_file(points, XYZ, "binary_compressed"))
+    }
+
+    fn open(&self) -> anyhow::Result<Recording> {
+        Recording::open(&self.path, &Options::default())
+    }
+
+    fn open_given(&self) -> Recording {
+        Recording::open(&self.path, &Options { intrinsics: Some(GIVEN), ..Options::default() }).unwrap()
+    }
+
+    fn told(&self) -> String {
+        format!("{:#}", self.open().err().unwrap()).replace(&format!("{}/", self.path.display()), "")
+    }
+}
+
+fn names(recording: &mut Recording) -> Vec<String> {
+    (0..recording.len()).map(|index| recording.load(index).unwrap().name).collect()
+}
+
+fn pixels(recording: &mut Recording, index: usize) -> Vec<u16> {
+    let camera = recording.load(index).unwrap().camera;
+    let mut pixels = vec![7; (camera.width * camera.height) as usize];
+    recording.decode(&mut pixels).unwrap();
+    pixels
+}
+
+#[test]
+fn a_folder_of_pngs_in_natural_order() {
+    let folder =
+        Folder::new().depth(&["img10.png", "img2.png", "img1.PNG"]).file("notes.txt", "").file("._img1.png", "");
+    let mut recording = folder.open_given();
+    assert_eq!(names(&mut recording), ["img1.PNG", "img2.png", "img10.png"]);
+    assert_eq!(pixels(&mut recording, 1), units(&depth_m(), 0.001));
+    let frame = recording.load(2).unwrap();
+    assert_eq!((frame.camera, frame.depth_scale, frame.slot, frame.stamp_ns), (CAMERA, 0.001, 2, None));
+}
+
+#[test]
+fn colour_images_and_other_16_bit_images_are_passed_over() {
+    let folder = Folder::new()
+        .depth(&["frame-000001.depth.png", "frame-000000.depth.png", "frame-000000.ir.png"])
+        .colour(&["frame-000000.color.png"])
+        .file("frame-000001.jpg", "");
+    assert_eq!(names(&mut folder.open_given()), ["frame-000000.depth.png", "frame-000001.depth.png"]);
+    let folder = Folder::new().depth(&["000001-depth.png", "000003-depth.png"]).file("000001-color.jpg", "");
+    assert_eq!(names(&mut folder.open_given()), ["000001-depth.png", "000003-depth.png"]);
+}
+
+#[test]
+fn a_folder_with_a_depth_folder_or_that_folder_itself() {
+    let folder = Folder::new()
+        .depth(&["depth/0.png", "depth/1.png"])
+        .colour(&["rgb.png"])
+        .file("camera_intrinsics.json", r#"{"intrinsic_matrix": [40, 0, 0, 0, 41, 0, 22.25, 18.5, 1]}"#);
+    for path in [folder.path.clone(), folder.at("depth")] {
+        let mut recording = Recording::open(&path, &Options::default()).unwrap();
+        assert_eq!(recording.load(1).unwrap().camera, CAMERA);
+        assert_eq!(names(&mut recording), ["0.png", "1.png"]);
+    }
+}
+
+#[test]
+fn a_single_file() {
+    let folder = Folder::new().depth(&["a.png", "b.png"]);
+    let options = Options { intrinsics: Some(GIVEN), ..Options::default() };
+    let mut recording = Recording::open(&folder.at("b.png"), &options).unwrap();
+    assert_eq!(names(&mut recording), ["b.png"]);
+    let error = format!("{:#}", Recording::open(&folder.file("c.txt", "").at("c.txt"), &options).err().unwrap());
+    assert!(
+        error.ends_with("c.txt` is no depth frame\n  hint: name a 16-bit PNG, a PCD file, or a folder of them"),
+        "{error}"
+    );
+}
+
+#[test]
+fn tum_folders_bring_their_stamps_and_scale() {
+    let list =
+        "# depth maps\n1305031102.160407 depth/b.png\n1305031102.194330 depth/a.png\n1305031102.3 depth/gone.png\n";
+    let folder = Folder::new().depth(&["depth/a.png", "depth/b.png"]).file("depth.txt", list);
+    for path in [folder.path.clone(), folder.at("depth"), folder.at("depth.txt")] {
+        let options = Options { intrinsics: Some(GIVEN), ..Options::default() };
+        let mut recording = Recording::open(&path, &options).unwrap();
+        assert_eq!(names(&mut recording), ["b.png", "a.png"]);
+        let frame = recording.load(1).unwrap();
+        assert_eq!((frame.depth_scale, frame.stamp_ns), (1.0 / 5000.0, Some(1_305_031_102_194_330_000)));
+        let reason = format!("{:#}", recording.unreadable().next().unwrap());
+        assert!(reason.contains("depth/gone.png`: No such file"), "{reason}");
+        let clock = Clock::new(&recording, 5.0);
+        assert_eq!(clock.stamp_ns(&frame, 2), 1_305_031_102_194_330_000 + 4 * 33_923_000);
+    }
+}
+
+#[test]
+fn scale_and_intrinsics_come_from_the_nearest_authority() {
+    let json = r#"{"width": 48, "height": 36, "fx": 40, "fy": 41, "cx": 22.25, "cy": 18.5, "depth_scale": 0.0005}"#;
+    let folder = Folder::new().depth(&["a.png"]).file("camera.json", json);
+    let frame = folder.open().unwrap().load(0).unwrap();
+    assert_eq!((frame.camera, frame.depth_scale), (CAMERA, 0.0005));
+    let other = Intrinsics { fx: 50.0, ..GIVEN };
+    let options = Options { intrinsics: Some(other), depth_scale: Some(0.002), ..Options::default() };
+    let frame = Recording::open(&folder.path, &options).unwrap().load(0).unwrap();
+    assert_eq!((frame.camera.fx, frame.depth_scale), (50.0, 0.002));
+}
+
+#[test]
+fn clouds_bring_their_camera_and_keep_their_depth() {
+    let expected = depth_m();
+    let folder = Folder::new().cloud("a.pcd", &points(&expected)).colour(&["a.png"]);
+    let mut recording = folder.open().unwrap();
+    let frame = recording.load(0).unwrap();
+    assert_eq!((frame.camera.width, frame.camera.height, frame.depth_scale), (48, 36, 0.0001));
+    assert!((frame.camera.fx - 40.0).abs() < 1e-3 && (frame.camera.cy - 18.5).abs() < 1e-3);
+    assert_eq!(pixels(&mut recording, 0), units(&expected, 0.0001));
+}
+
+#[test]
+fn clouds_that_reach_far_turned_clouds_and_clouds_in_millimetres() {
+    let far: Vec<_> = depth_m().iter().map(|z| z * 4.0).collect();
+    let turned: Vec<_> = points(&depth_m()).iter().map(|[x, y, z]| [*x, -y, -z]).collect();
+    let folder = Folder::new().cloud("a.pcd", &points(&far)).cloud("b.pcd", &turned);
+    let mut recording = folder.open().unwrap();
+    assert_eq!(recording.load(0).unwrap().depth_scale, 0.00025);
+    assert_eq!(pixels(&mut recording, 0), units(&far, 0.00025));
+    assert_eq!(recording.load(1).unwrap().depth_scale, 0.0001);
+    assert_eq!(pixels(&mut recording, 1), units(&depth_m(), 0.0001));
+    let millimetres: Vec<_> = turned.iter().map(|point| point.map(|x| x * 1000.0)).collect();
+    let folder = Folder::new().cloud("a.pcd", &millimetres);
+    let options = Options { depth_scale: Some(0.001), intrinsics: Some(GIVEN), ..Options::default() };
+    let mut recording = Recording::open(&folder.path, &options).unwrap();
+    let worst = pixels(&mut recording, 0).into_iter().zip(units(&depth_m(), 0.0001)).map(|(a, b)| a.abs_diff(b)).max();
+    assert!(worst <= Some(1));
+}
+
+#[test]
+fn depths_that_cannot_be_sent_hold_no_measurement() {
+    let mut depths = depth_m();
+    (depths[500], depths[501], depths[502], depths[503]) = (40.0, f32::INFINITY, 0.0, -1.0);
+    let folder = Folder::new().cloud("a.pcd", &points(&depths));
+    let mut recording = folder.open().unwrap();
+    assert_eq!(recording.load(0).unwrap().depth_scale, 0.00025);
+    assert_eq!(pixels(&mut recording, 0)[500..504], [0; 4]);
+    assert_eq!(recording.decode(&mut vec![0; 48 * 36]).unwrap(), 1, "infinity is no measurement");
+}
+
+#[test]
+fn clouds_in_millimetres_are_told() {
+    let points: Vec<_> = points(&depth_m()).iter().map(|point| point.map(|x| x * 1000.0)).collect();
+    let folder = Folder::new().cloud("a.pcd", &points);
+    let mut source = source(&folder, Config::default(), 0);
+    let frame = source.recording.load(0).unwrap();
+    let mut pixels = vec![0; 48 * 36];
+    let too_far = source.recording.decode(&mut pixels).unwrap();
+    assert_eq!(too_far, 48 * 36 - 36, "all but the hole");
+    source.look_for_emptiness(&frame, &[1000], too_far);
+    assert!(!source.told_empty, "some are measured");
+    source.look_for_emptiness(&frame, &pixels, too_far);
+    assert!(source.told_empty);
+}
+
+#[test]
+fn unreadable_frames_leave_a_gap_in_time() {
+    let flat = String::from_utf8_lossy(&pcd_file(&points(&depth_m()), XYZ, "ascii")).into_owned();
+    let flat = flat.replace("WIDTH 48", "WIDTH 1728").replace("HEIGHT 36", "HEIGHT 1");
+    let cloud = points(&depth_m());
+    let folder = Folder::new().cloud("a1.pcd", &cloud).file("a2.pcd", &flat).cloud("a3.pcd", &cloud).file("a4.pcd", "");
+    let mut recording = folder.open().unwrap();
+    assert_eq!(names(&mut recording), ["a1.pcd", "a3.pcd"]);
+    assert_eq!((recording.load(1).unwrap().slot, recording.slots()), (2, 3));
+    let reasons: Vec<_> = recording.unreadable().map(|error| format!("{error:#}")).collect();
+    assert!(reasons[0].contains("a2.pcd`: the cloud is not organised as an image: WIDTH 1728, HEIGHT 1\n  hint: "));
+    assert!(reasons[1].contains("a4.pcd`: the header ends in line 1"));
+    let only = Folder::new().file("a.pcd", &flat);
+    assert!(only.told().starts_with("none of the 1 frames in"));
+    let error = format!("{:#}", Recording::open(&only.at("a.pcd"), &Options::default()).err().unwrap());
+    assert!(error.contains("a.pcd`: the cloud is not organised"), "{error}");
+}
+
+#[test]
+fn a_frame_that_turns_out_damaged_is_told_and_the_next_one_is_read() {
+    let mut damaged = png16(48, 36, &units(&depth_m(), 0.001));
+    damaged.truncate(damaged.len() / 2);
+    let folder = Folder::new().file("a.png", damaged).depth(&["b.png"]);
+    let mut recording = folder.open_given();
+    recording.load(0).unwrap();
+    let error = format!("{:#}", recording.decode(&mut vec![0; 48 * 36]).unwrap_err());
+    assert!(error.starts_with("the pixels of the PNG: "), "{error}");
+    assert_eq!(pixels(&mut recording, 1), units(&depth_m(), 0.001));
+    fs::remove_file(folder.at("b.png")).unwrap();
+    assert!(format!("{:#}", recording.load(1).unwrap_err()).contains("b.png`: No such file"));
+}
+
+#[test]
+fn what_cannot_be_opened_is_told_with_what_to_do() {
+    assert!(Folder::new().depth(&["a.png"]).told().starts_with("no intrinsics for the frames in `"));
+    let colour = Folder::new().colour(&["a.png"]).file("b.jpg", "");
+    assert!(
+        colour.told().contains("only other images and files: 1 of 8-bit colour PNG, 1 of JPEG\n"),
+        "{}",
+        colour.told()
+    );
+    let grey = Folder::new().file("a.png", png_bytes(4, 3, png::ColorType::Grayscale, png::BitDepth::Eight, &[9; 12]));
+    assert!(grey.told().contains("only other images and files: 1 of 8-bit grey PNG\n"), "{}", grey.told());
+    let both = Folder::new().depth(&["a.png"]).cloud("a.pcd", &points(&depth_m()));
+    assert!(both.told().contains("holds 16-bit PNGs and PCD files, expected one kind\n  hint: "));
+    let sizes = Folder::new().depth(&["a.png"]).file("b.png", png16(4, 3, &[1; 12]));
+    assert!(
+        sizes.told().starts_with("`b.png` is 4x3, but the frames before it are 48x36\n  hint: "),
+        "{}",
+        sizes.told()
+    );
+    let list = Folder::new().file("depth.txt", "1.0");
+    assert!(list.told().starts_with("`depth.txt`: line 1, `1.0`: expected"), "{}", list.told());
+    let error = format!("{:#}", Recording::open(Path::new("/no/such/place"), &Options::default()).err().unwrap());
+    assert!(error.starts_with("`/no/such/place` cannot be opened\n  hint: "), "{error}");
+    let json = r#"{"width": 640, "height": 480, "fx": 40, "fy": 41, "cx": 22.25, "cy": 18.5}"#;
+    let other = Folder::new().depth(&["a.png"]).file("camera.json", json);
+    assert!(other.told().starts_with("`camera.json` is for images of 640x480, but the frames are 48x36\n  hint: "));
+}
+
+#[test]
+fn a_part_of_the_recording() {
+    let folder = Folder::new().depth(&["0.png", "1.png", "2.png", "3.png"]);
+    let part = |first, frames| {
+        Recording::open(&folder.path, &Options { first, frames, intrinsics: Some(GIVEN), ..Options::default() })
+    };
+    assert_eq!(names(&mut part(1, Some(2)).unwrap()), ["1.png", "2.png"]);
+    assert_eq!(part(1, Some(2)).unwrap().load(0).unwrap().slot, 0);
+    assert_eq!(names(&mut part(3, None).unwrap()), ["3.png"]);
+    assert_eq!(
+        part(4, None).err().unwrap().to_string(),
+        "`first` is 4, but there are 4 frames, counted from 0\n  hint: the last is 3"
+    );
+}
+
+#[test]
+fn a_part_of_the_recording_counts_unreadable_frames_and_forgets_those_outside() {
+    let folder = Folder::new().depth(&["1.png", "3.png", "4.png"]);
+    let folder = folder.file("0.png", "no PNG").file("2.png", "no PNG").file("5.png", "no PNG");
+    let part = |first, frames| {
+        Recording::open(&folder.path, &Options { first, frames, intrinsics: Some(GIVEN), ..Options::default() })
+    };
+    let mut middle = part(1, Some(3)).unwrap();
+    assert_eq!(names(&mut middle), ["1.png", "3.png"]);
+    assert_eq!((middle.unreadable().len(), middle.slots()), (1, 3));
+    let told = part(5, None).err().unwrap().to_string();
+    assert_eq!(told, "none of the frames from number 5 can be read\n  hint: `first` and `frames` choose others");
+}
+
+#[test]
+fn the_stamps_of_a_single_frame_that_is_repeated_go_on_rising() {
+    let folder = Folder::new().depth(&["depth/0.png"]).file("depth.txt", "7.5 depth/0.png\n");
+    let mut source = source(&folder, Config { repeat: true, rate_hz: 10.0, ..Config::default() }, 0);
+    let frame = source.recording.load(0).unwrap();
+    let stamps = [0, 1, 2].map(|round| source.header(&frame, round).stamp_ns);
+    assert_eq!([stamps[1] - stamps[0], stamps[2] - stamps[1]], [100_000_000; 2], "{stamps:?}");
+}
+
+fn source(folder: &Folder, config: Config, resume_at: u64) -> ImageSource {
+    let config = Config { path: Some("frames".into()), intrinsics: Some(GIVEN), ..config };
+    let base = folder.path.parent().unwrap().to_owned();
+    ImageSource::new(config, &Context { base, resume_at, ..Context::default() }).unwrap()
+}
+
+#[test]
+fn the_source_ends_goes_round_or_goes_on_where_it_stopped() {
+    let folder = Folder::new().depth(&["0.png", "1.png", "2.png"]);
+    let mut once = source(&folder, Config::default(), 0);
+    assert_eq!(once.total(), Some(3));
+    let turns: Vec<_> = std::iter::from_fn(|| once.advance()).collect();
+    assert_eq!(turns, [(0, 0), (0, 1), (0, 2)]);
+    let mut resumed = source(&folder, Config { repeat: true, ..Config::default() }, 5);
+    assert_eq!(resumed.total(), None);
+    assert_eq!([resumed.advance(), resumed.advance()], [Some((1, 2)), Some((2, 0))]);
+    assert_eq!(source(&folder, Config::default(), 3).advance(), None);
+}
+
+#[test]
+fn a_restart_counts_the_frames_that_were_passed_over() {
+    let mut damaged = png16(48, 36, &units(&depth_m(), 0.001));
+    damaged.truncate(damaged.len() / 2);
+    let names = ["0.png", "2.png", "3.png", "5.png"];
+    let folder = Folder::new().depth(&names).file("1.png", &damaged).file("4.png", "no PNG at all");
+    let base = folder.path.parent().unwrap().to_owned();
+    let config = || Config { path: Some("frames".into()), intrinsics: Some(GIVEN), rate_hz: 0.0, ..Config::default() };
+    let context = |resume_at, unreadable: &[u64]| {
+        let counted = unreadable.iter().map(|times| (UNREADABLE.to_owned(), *times)).collect();
+        Context { base: base.clone(), resume_at, counted, ..Context::default() }
+    };
+    let all = collect::<ImageSource>(config(), context(0, &[]), 9).unwrap();
+    assert_eq!(all.iter().map(|(header, _)| header.source.to_string()).collect::<Vec<_>>(), names);
+    // 4.png is found unreadable at the start, 1.png when its turn comes.
+    for (resume_at, unreadable, position) in [(0, &[][..], 0), (1, &[1], 1), (2, &[2], 3), (4, &[2], 5)] {
+        let source = ImageSource::new(config(), &context(resume_at, unreadable)).unwrap();
+        assert_eq!((source.position, source.uncounted), (position, u64::from(unreadable.is_empty())), "{resume_at}");
+    }
+}
+
+#[test]
+fn stamps_follow_the_rate() {
+    let folder = Folder::new().depth(&["0.png", "1.png", "2.png"]);
+    let stamp = |rate_hz, round| {
+        let mut source = source(&folder, Config { rate_hz, ..Config::default() }, 0);
+        let frame = source.recording.load(2).unwrap();
+        source.header(&frame, round).stamp_ns
+    };
+    assert_eq!((stamp(10.0, 0), stamp(0.0, 0), stamp(10.0, 2)), (200_000_000, 66_666_667, 800_000_000));
+}
+
+#[test]
+fn the_header_says_where_the_frame_comes_from() {
+    let folder = Folder::new().depth(&["frame-000012.depth.png"]);
+    let mut source = source(&folder, Config::default(), 0);
+    let frame = source.recording.load(0).unwrap();
+    let header = source.header(&frame, 0);
+    assert_eq!(header.source.as_str(), Some("frame-000012.depth.png"));
+    assert_eq!((header.camera, header.depth_scale, header.noise), (CAMERA, 0.001, NoiseModel::KINECT_V1));
+    assert_eq!(header.check(conicflow_messages::Kind::Depth), Ok(()));
+}
+
+#[test]
+fn only_when_no_frame_can_be_read_it_is_an_error() {
+    let folder = Folder::new().depth(&["0.png", "1.png"]);
+    let mut source = source(&folder, Config::default(), 0);
+    let error = anyhow::anyhow!("gone");
+    assert!(source.pass_over(&error).is_ok());
+    let error = source.pass_over(&error).unwrap_err().to_string();
+    assert!(error.starts_with("none of the 2 frames can be read; the last: gone\n  hint: "), "{error}");
+}
+
+#[test]
+fn the_median_counts_measurements_only() {
+    assert_eq!(median(&[0, 65535, 0]), None);
+    assert_eq!(median(&[0, 900, 65535, 1000, 0, 1100]), Some(1000));
+}
+
+#[test]
+fn faults_of_the_parameters_are_found_without_opening() {
+    let keys = |config: Config| config.faults(Path::new("/no/such")).iter().map(|fault| fault.key).collect::<Vec<_>>();
+    assert_eq!(keys(Config::default()), ["path"]);
+    let bad = Intrinsics { fx: 0.0, ..GIVEN };
+    let config = Config { path: Some("x".into()), depth_scale: Some(0.0), intrinsics: Some(bad), ..Config::default() };
+    assert_eq!(keys(config), ["path", "depth_scale", "intrinsics"]);
+    let text = "path = 'x'\nloop = true\nintrinsics = { fx = 1, fy = 2, cx = 3, cy = 4 }\nnoise = 'ideal'";
+    let config: Config = toml::from_str(text).unwrap();
+    assert!(config.repeat && config.intrinsics == Some(Intrinsics { fx: 1.0, fy: 2.0, cx: 3.0, cy: 4.0 }));
+    assert!(toml::from_str::<Config>("intrinsics = { fx = 1, fy = 2, cx = 3 }").is_err());
+}
+
+#[test]
+fn how_long_its_messages_are_is_known_before_it_starts() {
+    let folder = Folder::new().depth(&["0.png", "1.png"]);
+    let config = |path: &str| Config { path: Some(path.into()), intrinsics: Some(GIVEN), ..Config::default() };
+    let length = |config: &Config| ImageSource::message_length(config, folder.path.parent().unwrap());
+    assert_eq!(length(&config("frames")), Some((CAMERA.width * CAMERA.height) as usize));
+    assert_eq!(length(&config("other")), None);
+}
+
+#[test]
+fn intrinsics_of_another_resolution_are_seen() {
+    let camera = |cx, cy| Camera { width: 640, height: 480, fx: 500.0, fy: 500.0, cx, cy };
+    assert!(!is_off_center(&camera(319.5, 239.5)) && !is_off_center(&camera(400.0, 180.0)));
+    assert!(is_off_center(&camera(639.5, 359.5)), "of 1280x720");
+    assert!(is_off_center(&camera(159.0, 119.5)), "of 320x240");
+    assert!(is_off_center(&camera(319.5, 400.0)));
+}
+
+#[test]
+fn a_frame_without_a_measurement_is_told() {
+    assert_eq!(emptiness(&[0, 1200, 65535], 0), None);
+    assert!(emptiness(&[0, 0, 65535], 0).unwrap().starts_with("no pixel is measured"));
+    assert!(emptiness(&[0, 65535], 2).unwrap().starts_with("all 2 points are too far away"));
+}

@@ -1,0 +1,203 @@
+//! The follower: turns tracks into the velocity that a robot is to take, towards an object and to a halt before it.
+//!
+//! The command travels as a track of its own: the object that is followed, with its identity, and as `velocity` the one
+//! that the camera is to take, along the camera's axes, in m/s. No track: stand still. A source closes the loop by reading
+//! it as a further input, of which it takes the latest value.
+
+use conicflow_dataflow::{ConfigFault, Context, Output, Sides, Stage, StageError};
+use conicflow_detection::gravity;
+use conicflow_messages::{Header, Message, ObjectKind, Text, Track, TrackState};
+use nalgebra::{Matrix3, Vector3};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// What is followed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Quarry {
+    /// A sphere.
+    #[default]
+    Sphere,
+    /// A cylinder.
+    Cylinder,
+    /// A cone.
+    Cone,
+}
+
+/// Parameters of `follower`.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct FollowerConfig {
+    /// The shape that is followed: the nearest of its kind, and then that one until it is lost.
+    pub quarry: Quarry,
+    /// Distance over ground at which the robot stands still, in metres.
+    #[schemars(range(min = 0.0))]
+    pub stop_distance_m: f64,
+    /// Speed for each metre of distance that is too much, in 1/s.
+    #[schemars(range(min = 0.0))]
+    pub gain: f64,
+    /// Greatest speed, in m/s.
+    #[schemars(range(min = 0.0))]
+    pub max_speed_mps: f64,
+    /// Where up is, as a vector in the world where the frames carry a pose, else in the camera's frame; none: the world's z,
+    /// [0, 0, 1], with a pose, and -y, [0, -1, 0], without. The robot does not leave the ground.
+    pub up: Option<[f64; 3]>,
+}
+
+impl Default for FollowerConfig {
+    fn default() -> Self {
+        Self { quarry: Quarry::Sphere, stop_distance_m: 1.0, gain: 1.5, max_speed_mps: 0.8, up: None }
+    }
+}
+
+impl FollowerConfig {
+    /// What types and ranges cannot tell: values that exclude each other, files that are missing.
+    pub fn faults(&self, _: &Path) -> Vec<ConfigFault> {
+        gravity::fault("up", self.up).into_iter().collect()
+    }
+}
+
+/// Follows one track.
+pub struct Follower {
+    config: FollowerConfig,
+    followed: Option<u64>,
+    /// How each camera was turned last, `world_from_camera`.
+    rotations: BTreeMap<Text<32>, Matrix3<f64>>,
+}
+
+impl Follower {
+    /// A follower that has seen nothing.
+    pub fn new(config: FollowerConfig) -> Self {
+        Self { config, followed: None, rotations: BTreeMap::new() }
+    }
+
+    /// The track that is followed, with the velocity that is to be taken in place of its own.
+    pub fn command(&mut self, header: &Header, tracks: &[Track]) -> Option<Track> {
+        let up = self.up_in_camera(header);
+        let known = tracks.iter().find(|track| Some(track.id) == self.followed);
+        let track = known.or_else(|| self.nearest(tracks));
+        self.followed = track.map(|track| track.id);
+        track.map(|track| Track { velocity: self.velocity(&up, track).into(), ..*track })
+    }
+
+    fn nearest<'a>(&self, tracks: &'a [Track]) -> Option<&'a Track> {
+        let kind = match self.config.quarry {
+            Quarry::Sphere => ObjectKind::Sphere,
+            Quarry::Cylinder => ObjectKind::Cylinder,
+            Quarry::Cone => ObjectKind::Cone,
+        };
+        let fitting = tracks.iter().filter(|track| track.object.shape() == kind);
+        let sure = fitting.filter(|track| track.track_state() == TrackState::Confirmed);
+        let distance = |track: &Track| Vector3::from(track.object.center).norm();
+        sure.min_by(|a, b| distance(a).total_cmp(&distance(b)))
+    }
+
+    /// Proportional to what is too much of the distance over ground, along the camera's axes.
+    fn velocity(&self, up: &Vector3<f64>, track: &Track) -> Vector3<f64> {
+        let center = Vector3::from(track.object.center);
+        let level = center - up * center.dot(up);
+        let distance = level.norm();
+        let limit = self.config.max_speed_mps;
+        let speed = (self.config.gain * (distance - self.config.stop_distance_m)).clamp(-limit, limit);
+        level.try_normalize(1e-9).map_or_else(Vector3::zeros, |ahead| ahead * speed)
+    }
+
+    /// By the camera's pose; where a frame lacks one it is that of the frame before.
+    fn up_in_camera(&mut self, header: &Header) -> Vector3<f64> {
+        let camera = header.origin();
+        if let Some(rows) = header.pose() {
+            self.rotations.insert(camera, Matrix3::from_fn(|row, column| rows[row][column]));
+        }
+        let rotation = self.rotations.get(&camera);
+        let up = gravity::unit(self.config.up, rotation.is_some());
+        rotation.map_or(up, |rotation| rotation.tr_mul(&up))
+    }
+}
+
+impl Stage for Follower {
+    const NAME: &'static str = "follower";
+    const SUMMARY: &'static str = "Turns tracks into a velocity command: towards an object, and to a halt before it";
+    type Config = FollowerConfig;
+    type Input = Track;
+    type Output = Track;
+
+    fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
+        config.faults(base)
+    }
+
+    fn new(config: FollowerConfig, _: &Context) -> Result<Self, StageError> {
+        Ok(Self::new(config))
+    }
+
+    fn step(&mut self, input: &Message<Track>, _: &Sides, output: &mut Output<Track>) -> Result<(), StageError> {
+        self.command(input.header, input.items).into_iter().for_each(|command| output.push(command));
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use conicflow_messages::{HAS_POSE, Object};
+
+    /// A camera that looks along the world's y, z up.
+    fn header() -> Header {
+        let world_from_camera = [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.5]];
+        Header { flags: HAS_POSE, world_from_camera, ..Header::default() }
+    }
+
+    fn ball(id: u64, z: f64) -> Track {
+        let object = Object { center: [0.0, 0.35, z], radius: 0.15, ..Object::default() };
+        Track { id, state: TrackState::Confirmed.code(), object, velocity: [9.0; 3], ..Track::default() }
+    }
+
+    #[test]
+    fn it_drives_ahead_over_ground_and_halts() {
+        let mut follower = Follower::new(FollowerConfig::default());
+        let velocity = |follower: &mut Follower, z| follower.command(&header(), &[ball(1, z)]).unwrap().velocity;
+        let close = |velocity: [f64; 3], ahead: f64| (Vector3::from(velocity) - Vector3::z() * ahead).norm() < 1e-12;
+        assert!(close(velocity(&mut follower, 3.0), 0.8), "no faster than it may");
+        assert!(close(velocity(&mut follower, 1.2), 0.3));
+        assert!(close(velocity(&mut follower, 1.0), 0.0));
+        assert!(close(velocity(&mut follower, 0.8), -0.3), "backs off from what comes too near");
+    }
+
+    #[test]
+    fn without_a_pose_it_drives_ahead_as_well() {
+        let mut follower = Follower::new(FollowerConfig::default());
+        let velocity = follower.command(&Header::default(), &[ball(1, 3.0)]).unwrap().velocity;
+        assert!((Vector3::from(velocity) - Vector3::z() * 0.8).norm() < 1e-12, "{velocity:?}");
+    }
+
+    /// `up` is a vector in the world; of a camera that lies on its side it is another one in its own frame.
+    #[test]
+    fn a_frame_that_lacks_its_pose_has_that_of_the_frame_before() {
+        let mut follower = Follower::new(FollowerConfig { up: Some([0.0, 0.0, 1.0]), ..FollowerConfig::default() });
+        let mut velocity = |header: &Header| follower.command(header, &[ball(1, 3.0)]).unwrap().velocity;
+        let with_pose = velocity(&header());
+        assert!(with_pose[2] > 0.5);
+        assert_eq!(velocity(&Header::default()), with_pose);
+    }
+
+    #[test]
+    fn no_direction_is_no_up() {
+        let config = |up| FollowerConfig { up: Some(up), ..FollowerConfig::default() };
+        assert_eq!(config([0.0; 3]).faults(Path::new(".")).len(), 1);
+        assert_eq!(config([0.0, -1.0, 0.0]).faults(Path::new(".")), []);
+    }
+
+    #[test]
+    fn it_stays_with_its_ball_until_that_is_lost() {
+        let mut follower = Follower::new(FollowerConfig::default());
+        let mut id = |tracks: &[Track]| follower.command(&header(), tracks).map(|track| track.id);
+        let tentative = Track { state: TrackState::Tentative.code(), ..ball(5, 0.5) };
+        let cylinder =
+            Track { object: Object { kind: ObjectKind::Cylinder.code(), ..ball(6, 0.4).object }, ..ball(6, 0.4) };
+        assert_eq!(id(&[ball(1, 3.0), ball(2, 2.0), tentative, cylinder]), Some(2));
+        assert_eq!(id(&[ball(1, 1.0), Track { state: TrackState::Coasting.code(), ..ball(2, 2.0) }]), Some(2));
+        assert_eq!(id(&[ball(1, 1.0)]), Some(1));
+        assert_eq!(id(&[]), None);
+    }
+}
