@@ -20,8 +20,8 @@ impl Circle {
     }
 }
 
-/// Radius, in spreads of the points, from which on they lie on a line.
-const STRAIGHT: f64 = 1e6;
+/// A circle with a larger radius, in spreads of its points, is a line.
+const STRAIGHT: f64 = 1e6; // [algorithmic]
 
 /// The circle of least distance; `None` where the points are fewer than three or on a line.
 pub fn fit_circle(moments: &PlaneMoments) -> Option<Circle> {

@@ -17,9 +17,9 @@ use crate::{Coefficients, Surface, Vector3};
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
 /// Sides of an object that have an offset of their own: the first and the last pixel of rows and of columns.
-pub const SIDES: usize = 4;
-/// Contours farther off than this many standard deviations belong to something else.
-const GATE: f64 = 3.5;
+pub const SIDES: usize = 4; // [derived]
+/// A contour point farther off than so many standard deviations belongs to something else.
+const GATE: f64 = 3.5; // [sigmas]
 
 /// A place where a scan line leaves a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,13 +37,13 @@ pub struct ContourPoint {
 /// How exact contours are: standard deviations.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ContourNoise {
-    /// Of a point, in pixels ...
+    /// Scatter of a point, in pixels.
     pub point_px: f64,
-    /// ... and, on top of it, in radii.
+    /// Further scatter of a point, in radii.
     pub point_share: f64,
-    /// Of the offset of a side, in pixels.
+    /// Scatter of the offset of a side, in pixels.
     pub offset_px: f64,
-    /// Of the share of the radius that a side is off.
+    /// Scatter of the share of the radius by which a side is off.
     pub share: f64,
 }
 
@@ -54,9 +54,9 @@ pub struct Contour {
     noise: ContourNoise,
     /// How many of the points that are seen are too far off.
     far_off: usize,
-    /// How far each point is off, ...
+    /// How far each point is off, in pixels.
     errors: Vec<f64>,
-    /// ... and those of one side.
+    /// How far the points of one side are off: a buffer.
     of_side: Vec<f64>,
 }
 

@@ -13,8 +13,9 @@ use crate::space::dot;
 use crate::{Coefficients, Conical, QuadricMoments, Sphere, Surface, Vector3};
 use nalgebra::{SMatrix, SVector};
 
-/// Part of what the clearest direction has that another needs, or noise alone decides about it.
-const CLEAR: f64 = 0.02;
+/// A deformation counts if its information is at least this part of that of the best determined one; noise alone decides
+/// about the others.
+const CLEAR: f64 = 0.02; // [tuned]
 
 impl Sphere {
     /// The ways to make a sphere an ellipsoid.

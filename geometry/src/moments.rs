@@ -4,7 +4,7 @@
 //! sets are joined by adding their sums; moving the origin is exact polynomial algebra and needs no points.
 
 /// Number of sums.
-pub const MOMENTS: usize = 15;
+pub const MOMENTS: usize = 15; // [derived]
 
 /// Place of each exponent pair `[p][q]` among the sums; beyond all of them where there is none.
 const INDEX: [[usize; 5]; 5] = [

@@ -9,16 +9,16 @@ use crate::{Coefficients, Contour, ContourTerm, QuadricMoments, Surface, Vector3
 use nalgebra::{SMatrix, SVector};
 
 /// Most steps of a fit.
-const STEPS: usize = 8;
+const STEPS: usize = 8; // [algorithmic]
 /// A step shorter than this (in spreads of the points, and radians) ends the fit.
-const SHORT: f64 = 1e-4;
+const SHORT: f64 = 1e-4; // [algorithmic]
 
-/// So does one that lowers the sum of squares by less than this: noise makes it scatter by more than one.
-const SLIGHT: f64 = 5e-2;
-/// A fit is given up at a step that gains less than this part of what it would have to; the next ones gain less still.
-const HOPELESS: f64 = 0.1;
-/// Damping up to which a step tells how much there is to gain.
-const FREE: f64 = 0.1;
+/// A step that lowers the sum of squares by less than this ends the fit: noise makes that sum scatter by more than one.
+const SLIGHT: f64 = 5e-2; // [algorithmic]
+/// A fit is given up at a step that gains less than this part of what is missing; the next steps gain less still.
+const HOPELESS: f64 = 0.1; // [algorithmic]
+/// A fit is given up only at a step of at most this damping, because a damped step does not show how much there is to gain.
+const FREE: f64 = 0.1; // [algorithmic]
 
 /// A fitted surface.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -9,10 +9,10 @@ use crate::{ArcMoments, PlaneMoments, Scan, ScanPlane, Sphere, Vector3};
 use nalgebra::{Matrix3, Matrix4, Vector4};
 
 /// Number of moments.
-const SPACE_MOMENTS: usize = 35;
+const SPACE_MOMENTS: usize = 35; // [derived]
 
 /// Number of monomials of a quadric: X2, Y2, Z2, XY, XZ, YZ, X, Y, Z, 1.
-pub const QUADRIC_TERMS: usize = 10;
+pub const QUADRIC_TERMS: usize = 10; // [derived]
 
 /// Coefficients of a quadric, in the order X2, Y2, Z2, XY, XZ, YZ, X, Y, Z, 1.
 pub type Coefficients = [f64; QUADRIC_TERMS];

@@ -7,14 +7,14 @@ use conicflow_geometry::{
 use conicflow_messages::{Ellipse, Header};
 use std::ops::Range;
 
-/// Least variance of an arc, in square metres: surfaces are no better than a tenth of a millimetre.
-const LEAST_VARIANCE: f64 = 1e-8;
-/// Slope (depth per distance across the view) from line to line of one surface,
-const SLOPE: f64 = 5.0;
-/// how many standard deviations of their means two arcs may be apart on top of it,
-const APART: f64 = 4.0;
-/// and how much the depth of the mean may change with each pixel that one of them is longer, in pixels.
-const LONGER: f64 = 0.5;
+/// Least variance of an arc, in square metres: surfaces are rough by a tenth of a millimetre.
+const LEAST_VARIANCE: f64 = 1e-8; // [tuned]
+/// Steepest surface from line to line, as depth per distance across the view.
+const SLOPE: f64 = 5.0; // [tuned]
+/// Mean depths of arcs of one surface may differ by so many standard deviations more than the slope explains.
+const APART: f64 = 4.0; // [sigmas]
+/// Mean depths may differ further by this part of a pixel's width for each pixel by which one arc is longer.
+const LONGER: f64 = 0.5; // [tuned]
 
 /// An arc with what the assembler needs of it.
 #[derive(Clone, Copy, Debug)]
@@ -28,9 +28,9 @@ pub(crate) struct Arc {
     moments: PlaneMoments,
     /// The same in space, about the camera centre.
     pub space: SpaceMoments,
-    /// Number of points, ...
+    /// Number of points.
     pub count: u32,
-    /// ... and of such as share no noise and tell as much: the moments are those of so many.
+    /// Effective number of points, whose noise is independent: the moments are scaled to this number.
     pub points: f64,
     /// Variance of the sensor along the ray, at the depth of the arc.
     pub variance: f64,
@@ -42,15 +42,15 @@ pub(crate) struct Arc {
     pub angle: f64,
     /// Slopes of the rays through the first and the last pixel.
     pub rays: [f64; 2],
-    /// Slopes of the rays through two pixels beyond the ends ...
+    /// Slopes of the rays through two pixels beyond the ends.
     pub beyond_rays: [f64; 2],
-    /// ... and the depths that were measured there, 0 for none.
+    /// Depths that were measured on these two rays, 0 for none.
     pub beyond: [f64; 2],
     /// Where the surface ends before something farther, on either side.
     pub contour: [Option<ContourPoint>; 2],
-    /// Distance at the depth of the arc between neighbouring pixels of the line, in metres, ...
+    /// Distance at the depth of the arc between neighbouring pixels of the line, in metres.
     pub pitch: f64,
-    /// ... and between neighbouring lines that were looked at.
+    /// Distance at the depth of the arc between neighbouring lines that were searched, in metres.
     pub spacing: f64,
     /// How many neighbouring lines share their noise, at least 1.
     pub shared_lines: f64,
@@ -227,6 +227,6 @@ impl Arcs {
         let step = SLOPE * lines * a.spacing + APART * (a.variance / a.points.min(b.points)).sqrt();
         // The depth of the mean differs with the columns that an arc covers, by no more than its bulge.
         let bulge = LONGER * (a.pixels[1] - a.pixels[0]).abs_diff(b.pixels[1] - b.pixels[0]) as f64 * a.pitch;
-        2 * a.overlap(b.pixels) >= shorter && (a.mean.z - b.mean.z).abs() <= step + bulge
+        2 * a.overlap(b.pixels) >= shorter && (a.mean.z - b.mean.z).abs() <= step + bulge // [tuned]
     }
 }

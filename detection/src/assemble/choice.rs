@@ -9,28 +9,28 @@ use super::verify::{Candidate, Verified, is_deformed, is_vague};
 use conicflow_geometry::Contour;
 use conicflow_messages::{Object, ObjectKind};
 
-/// Two models that explain about as many points: the smaller explains at least this part of the larger's.
-const AS_MANY: f64 = 0.9;
-/// Standard deviations by which the slope of a cone has to differ from zero.
-const SLOPE_SIGMAS: f64 = 3.0;
-/// Least gain of a cone over a cylinder: two standard deviations of one parameter.
-const GAIN: f64 = 4.0;
-/// Standard deviation of a half-angle, 4 degrees, beyond which it could be any; and that, 1.5 degrees, from which on a
-/// slope speaks against a cylinder although it is not sure, ...
-const ANY_SLOPE: f64 = 0.07;
-const UNSURE_SLOPE: f64 = 0.026;
-/// ... being so many standard deviations from zero.
-const UNSURE_SIGMAS: f64 = 2.0;
-/// Half-angles (5 and 7 degrees) up to which the faults of a sensor may make a cone of a cylinder, and from which on they
-/// do not: between them the gain that they account for falls to nothing.
-const SLENDER: [f64; 2] = [0.0873, 0.122];
-/// That gain, per point of the object ...
-const GAIN_PER_POINT: f64 = 0.03;
-/// ... and at most.
-const MOST_GAIN: f64 = 45.0;
-/// Least gain of a cylinder or a cone over a sphere through the same arcs, per point and on top of [`GAIN`]: rendered bowls
-/// are between -0.15 and -0.04, all that is a cylinder or a cone is above 0.05.
-const ROUND_PER_POINT: f64 = 0.05;
+/// Two models explain about as many points if the smaller number is at least this part of the larger.
+const AS_MANY: f64 = 0.9; // [tuned]
+/// Standard deviations by which the half-angle of a cone has to exceed zero.
+const SLOPE_SIGMAS: f64 = 3.0; // [sigmas]
+/// Least gain of a cone over a cylinder, as chi squared: two standard deviations of one parameter.
+const GAIN: f64 = 4.0; // [sigmas]
+/// A half-angle with a larger standard deviation (4 degrees) is unknown, so that the object is not surely a cylinder.
+const ANY_SLOPE: f64 = 0.07; // [tuned]
+/// A half-angle with a larger standard deviation (1.5 degrees) that exceeds zero by [`UNSURE_SIGMAS`] speaks against a
+/// cylinder, although it does not show a cone.
+const UNSURE_SLOPE: f64 = 0.026; // [tuned]
+/// Standard deviations by which such an uncertain half-angle exceeds zero.
+const UNSURE_SIGMAS: f64 = 2.0; // [sigmas]
+/// Half-angles (5 and 7 degrees) between which the gain that faults of a sensor give a cone over a cylinder falls to nothing.
+const SLENDER: [f64; 2] = [0.0873, 0.122]; // [tuned] [tuned]
+/// Gain that faults of a sensor give a slender cone over a cylinder, per point.
+const GAIN_PER_POINT: f64 = 0.03; // [tuned]
+/// Largest gain that faults of a sensor give a slender cone over a cylinder.
+const MOST_GAIN: f64 = 45.0; // [tuned]
+/// Least gain of a cylinder or a cone over a sphere through the same arcs, per point and on top of [`GAIN`]. Rendered bowls
+/// gain -0.15 to -0.04, rendered cylinders and cones more than 0.05.
+const ROUND_PER_POINT: f64 = 0.05; // [tuned]
 
 /// The candidate that explains most points; of those that explain about as many, the one of fewer parameters, unless
 /// the other explains them better. Of the three shapes those are `None` that did not even grow. Where none is left, the
@@ -83,8 +83,8 @@ fn may_be_sphere(region: &Region) -> bool {
     sphere.is_some_and(|sphere| sphere.square_sum() < region.model.square_sum() + least)
 }
 
-/// Whether the cone that grew where a cylinder did leaves open that this is none: a slope is as likely as not, or could
-/// be any; or the cone, although free to be a cylinder, does not explain as much as an object has to.
+/// Whether the cone that grew from the same arcs speaks against the cylinder. It does if its half-angle is unknown, if its
+/// half-angle may well differ from zero, or if the cone fails as an object although it is free to be a cylinder.
 fn speaks_against_cylinder(cone: Result<&(Candidate, Object), &Rejection>) -> bool {
     match cone {
         Ok((cone, object)) => {
@@ -148,7 +148,7 @@ fn rounder<'a>(sphere: Candidate<'a>, axial: Candidate<'a>) -> Candidate<'a> {
     } else if b < AS_MANY * a {
         true
     } else {
-        sphere.measured.misfit <= axial.measured.misfit + 2.0 * (2.0 / a).sqrt()
+        sphere.measured.misfit <= axial.measured.misfit + 2.0 * (2.0 / a).sqrt() // [sigmas]
     };
     if sphere_wins { sphere } else { axial }
 }

@@ -8,46 +8,49 @@ use super::rejection::Rejection;
 use conicflow_geometry::Contour;
 use conicflow_messages::ObjectKind;
 
-/// Arcs that a growth starts from, on each side of its seed.
-const CHAIN: usize = 12;
-/// Arcs of its middle, where the whole is spoilt by its ends.
-const CORE: usize = 9;
+/// Most arcs of a chain on each side of its seed.
+const CHAIN: usize = 12; // [algorithmic]
+/// Number of arcs in the middle of a chain that are tried if no model explains the whole chain.
+const CORE: usize = 9; // [algorithmic]
 /// Fewest arcs that a model is fitted to.
-const FEWEST: usize = 5;
-/// Most rounds of taking in and fitting again; each at most doubles the extent.
-const ROUNDS: usize = 7;
-/// How many standard deviations the curvature of a chain has to be above zero.
-const CURVED: f64 = 5.0;
-/// Mean and variance of the bulge that noise gives a straight arc: nothing or, of one arc in two, chi squared.
-const STRAIGHT: [f64; 2] = [0.5, 1.25];
-/// Pixels on both sides of the last line's arcs, and one more for so many of theirs, where the next line is looked at.
-const MARGIN_PX: i64 = 2;
-const MARGIN_SHARE: i64 = 8;
-/// Lines that a model of few grows by at least.
-const LEAST_STEP: i64 = 4;
-/// A gap of this part of an object's lines is bridged: something stands before it.
-const GAP: f64 = 0.5;
+const FEWEST: usize = 5; // [algorithmic]
+/// Most rounds of growing and refitting; each round doubles the extent at most.
+const ROUNDS: usize = 7; // [algorithmic]
+/// The summed bulge of a chain has to exceed that of straight arcs by so many standard deviations.
+const CURVED: f64 = 5.0; // [sigmas]
+/// Mean and variance of the bulge that noise gives a straight arc: zero for one arc in two, else chi squared with one degree
+/// of freedom.
+const STRAIGHT: [f64; 2] = [0.5, 1.25]; // [derived] [derived]
+/// Pixels on both sides of the arcs of one line within which arcs of the next line are accepted.
+const MARGIN_PX: i64 = 2; // [tuned]
+/// One further pixel is added to that margin for each so many pixels of the arcs.
+const MARGIN_SHARE: i64 = 8; // [tuned]
+/// Number of lines by which a model of few lines may grow in one round.
+const LEAST_STEP: i64 = 4; // [algorithmic]
+/// Widest gap that is bridged, as a part of the lines of the object: something stands before it.
+const GAP: f64 = 0.5; // [tuned]
 
 /// How far an arc may be off a model and belong to it.
 struct Patience {
-    /// In standard deviations of what the noise and the uncertainty of the model make it scatter,
+    /// Standard deviations by which the mean and the mean square may scatter, given the noise and the uncertainty of the
+    /// model.
     scatter: f64,
-    /// on top of that in variances of a point, for the mean square,
+    /// Slack of the mean square on top of its scatter, in variances of a point.
     square: f64,
-    /// and in standard deviations of a point, for the mean.
+    /// Slack of the mean on top of its scatter, in standard deviations of a point.
     mean: f64,
 }
 
-/// While a model grows,
-const GROWING: Patience = Patience { scatter: 2.5, square: 0.3, mean: 0.15 };
-/// for the first few arcs all together,
-const FIRST: Patience = Patience { scatter: 3.0, square: 0.5, mean: f64::INFINITY };
-/// when it has taken in all,
-const SETTLED: Patience = Patience { scatter: 2.5, square: 0.15, mean: 0.15 };
-/// and then at its ends, where an object meets the floor, a rim or another object.
-const AT_ENDS: Patience = Patience { scatter: 1.2, square: 0.0, mean: 0.0 };
-/// How many times the variance of the model counts in a mean square: it is not the same all along an arc.
-const ALONG_ARC: f64 = 4.0;
+/// For one more arc while a model grows.
+const GROWING: Patience = Patience { scatter: 2.5, square: 0.3, mean: 0.15 }; // [sigmas] [tuned] [tuned]
+/// For all arcs of the first fit together.
+const FIRST: Patience = Patience { scatter: 3.0, square: 0.5, mean: f64::INFINITY }; // [sigmas] [tuned]
+/// For each arc of a model that has grown.
+const SETTLED: Patience = Patience { scatter: 2.5, square: 0.15, mean: 0.15 }; // [sigmas] [tuned] [tuned]
+/// For the first and the last arcs of a model that has grown: an object meets the floor, a rim or another object there.
+const AT_ENDS: Patience = Patience { scatter: 1.2, square: 0.0, mean: 0.0 }; // [sigmas]
+/// The variance of the model counts so many times in a mean square, because it differs along an arc.
+const ALONG_ARC: f64 = 4.0; // [tuned]
 
 impl Patience {
     /// Whether an arc may have this misfit, given the variance of the model where it lies.

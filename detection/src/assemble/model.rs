@@ -9,17 +9,17 @@ use conicflow_geometry::{
 };
 use conicflow_messages::ObjectKind;
 
-/// Refits of a cone, each with the weights that the last one gave its arcs.
-const CONE_PASSES: usize = 1;
-/// Radius, as a part of that in the middle of a cone, below which it is too near its apex.
-const LEAST_EXCESS: f64 = 0.05;
-/// How many times what is left by its last fit the first one of a cone may leave, whose weights are those of a cylinder.
-const UNWEIGHTED: f64 = 2.0;
-/// Slope of a cone beyond which its fit has gone astray.
-const STEEPEST: f64 = 1.2;
+/// Number of refits of a cone. Each weighs the arcs by the radius that the last fit gives them.
+const CONE_PASSES: usize = 1; // [algorithmic]
+/// Least radius at an arc of a cone, as a part of the radius in its middle. A smaller one is too near the apex.
+const LEAST_EXCESS: f64 = 0.05; // [tuned]
+/// The first fit of a cone may leave so many times the square sum of its refit: it weighs the arcs as those of a cylinder.
+const UNWEIGHTED: f64 = 2.0; // [algorithmic]
+/// Largest slope of a cone: the fit of a steeper one has diverged.
+const STEEPEST: f64 = 1.2; // [algorithmic]
 
-/// Radius of a guess at most, in metres.
-const WIDEST: f64 = 2.0;
+/// Largest radius of a starting value, in metres.
+const WIDEST: f64 = 2.0; // [algorithmic]
 
 /// A fitted model.
 #[derive(Clone, Copy, Debug)]
@@ -83,7 +83,7 @@ impl Model {
         }
     }
 
-    /// The same of the contour.
+    /// Weighted sum of the squared distances of the contour.
     pub fn contour_sum(&self) -> f64 {
         match self {
             Self::Sphere(fit) => fit.contour_sum,
@@ -92,7 +92,7 @@ impl Model {
         }
     }
 
-    /// Both.
+    /// Weighted sum of the squared distances of points and contour.
     pub fn cost(&self) -> f64 {
         self.square_sum() + self.contour_sum()
     }
@@ -207,9 +207,14 @@ pub(super) fn deformation_gain(region: &Region) -> Option<f64> {
     }
 }
 
-/// How exact the contours of objects are, with a margin: on rendered frames they scatter by half a pixel and 2 % of the
-/// radius, and lie up to 5 % of it too far in.
-const CONTOUR_NOISE: ContourNoise = ContourNoise { point_px: 0.5, point_share: 0.04, offset_px: 1.0, share: 0.05 };
+/// How exact the contours of objects are. On rendered frames a contour point scatters by half a pixel and 2 % of the radius
+/// (4 % leave a margin), and a whole contour lies up to 5 % of the radius too far in.
+const CONTOUR_NOISE: ContourNoise = ContourNoise {
+    point_px: 0.5,     // [tuned]
+    point_share: 0.04, // [tuned]
+    offset_px: 1.0,    // [tuned]
+    share: 0.05,       // [tuned]
+};
 
 /// The model fitted anew, to its arcs and to the contour that they show: so many times, each with the points that are
 /// near the contour of the last. `contour` is a buffer.

@@ -7,22 +7,23 @@ use conicflow_geometry::{Conical, GradientNoise, ScanPlane, Surface, SurfaceFit,
 use conicflow_messages::{Object, ObjectKind, ObjectSigma};
 use nalgebra::{Matrix3, SMatrix};
 
-/// Points of an arc that stand for all of them.
-const SAMPLES: usize = 5;
-/// Arcs of an object that stand for all of them.
-const ARCS: usize = 16;
-/// What the faults of sensors add, that no number of points averages out: to radius and centre in radii ...
-const SYSTEMATIC: f64 = 0.002;
-/// ... and in pixels, as silhouettes are smeared: of a cone the more, whose slope hangs on them,
-const SYSTEMATIC_PX: f64 = 0.06;
-const SYSTEMATIC_CONE_PX: f64 = 0.09;
-/// to directions in radians.
-const SYSTEMATIC_ANGLE: f64 = 0.001;
+/// Number of points along an arc at which its noise is evaluated.
+const SAMPLES: usize = 5; // [algorithmic]
+/// Approximate number of arcs of an object at which its noise is evaluated.
+const ARCS: usize = 16; // [algorithmic]
+/// Systematic error of radius and centre, in radii. No number of points averages it out.
+const SYSTEMATIC: f64 = 0.002; // [tuned]
+/// Systematic error of radius and centre of a sphere or cylinder, in pixels: silhouettes are smeared.
+const SYSTEMATIC_PX: f64 = 0.06; // [tuned]
+/// Systematic error of radius and centre of a cone, in pixels. Its slope depends on the silhouette, so it is larger.
+const SYSTEMATIC_CONE_PX: f64 = 0.09; // [tuned]
+/// Systematic error of axis and half-angle, in radians.
+const SYSTEMATIC_ANGLE: f64 = 0.001; // [tuned]
 
-/// Cosine between an axis and the normal of the lines' planes below which an end is not told more exactly.
-const MOST_OBLIQUE: f64 = 0.2;
-/// How many lines the end of an object may be off: noise and rims take some.
-const END_LINES: f64 = 1.5;
+/// Lower bound of the cosine between an axis and the normal of the scan planes: it keeps the spacing along the axis finite.
+const MOST_OBLIQUE: f64 = 0.2; // [tuned]
+/// Standard deviation of the end of an object, in scan lines: noise and rims take some lines.
+const END_LINES: f64 = 1.5; // [tuned]
 
 /// Distance along an axis, in metres, between neighbouring planes of lines, which are `spacing` apart across.
 pub(super) fn spacing_along(spacing: f64, plane: &ScanPlane, axis: &Vector3) -> f64 {

@@ -5,12 +5,12 @@ use super::rejection::{Rejection, Rejections};
 use super::verify::{self, Candidate};
 use conicflow_messages::Object;
 
-/// Most seeds that are tried in one image, the most curved first: that bounds the time, and three times as many find no more.
-const MAX_TRIES: usize = 96;
-/// What lies so many radii beyond an object's visible ends may still be part of it ...
-const SPARE_REACH: f64 = 1.5;
-/// ... if its mean square distance from the surface is less than so many variances.
-const SPARE_SQUARE: f64 = 4.0;
+/// Most seeds that are tried in one image, the most curved first. It bounds the time; three times as many find no more.
+const MAX_TRIES: usize = 96; // [algorithmic]
+/// Arcs up to so many radii beyond the visible ends of an object are tested for belonging to it.
+const SPARE_REACH: f64 = 1.5; // [tuned]
+/// Such an arc belongs to the object if its mean square residual is less than so many variances.
+const SPARE_SQUARE: f64 = 4.0; // [sigmas]
 
 /// The order in which arcs are tried; its buffers are used again for the next image.
 #[derive(Debug, Default)]

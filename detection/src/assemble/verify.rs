@@ -9,59 +9,64 @@ use super::report::spacing_along;
 use conicflow_geometry::{Contour, Scan, Sphere, Vector3, section_of};
 use conicflow_messages::{Object, ObjectKind};
 
-/// Fits to the contour, each with the points that are near the contour of the last.
-const CONTOUR_PASSES: usize = 2;
-/// How many standard deviations the error of the whole may scatter.
-const SCATTER: f64 = 1.0;
-/// Pixels at the ends of arcs that may already belong to a lid, or to the floor.
-const UNSURE_PX: f64 = 2.0;
-/// Part of the variance that the misfit of the whole may be on top of it,
-const SLACK: f64 = 0.07;
-/// and how much more for so many points and above: they show the faults of sensor and surface;
-const MORE_SLACK: f64 = 0.1;
-const MANY_POINTS: f64 = 3000.0;
-/// but no more than a surface that is off by this part of its radius: in much noise that is what tells a post from a can.
-const UNEVEN: f64 = 0.04;
-/// Greatest gain of another quadric, as chi squared of the noise alone ...
-const DEFORMED: f64 = 10.0;
-/// ... and as a part of the points' variance on top of it, and how much more of many points: real sensors bend what is far.
-const DEFORMED_SLACK: f64 = 0.03;
-const MORE_DEFORMED_SLACK: f64 = 0.5;
-/// Least part of the variance that a plane has to be off the points.
-const PLANE: f64 = 0.05;
-/// Greatest part of arc ends beyond which the model would hide what was measured.
-const SEEN_THROUGH: f64 = 0.2;
-/// How many variances the contour of an object may be off on average, ...
-const OUTLINE: f64 = 1.7;
-/// ... how many standard deviations of that more, ...
-const OUTLINE_SCATTER: f64 = 2.0;
-/// ... and which part of so many points and above may belong to something else.
-const OTHERS: f64 = 0.35;
-const FEWEST_TELLING: usize = 8;
-/// Part of arc ends, followed by something farther or by nothing, that are enough of an outline; where there are less, most
-/// that may be followed by something nearer, ...
-const LEAST_OUTLINE: f64 = 0.2;
-const MOST_HIDDEN: f64 = 0.2;
-/// ... nearer by so many standard deviations and a slope of one.
-const NEARER: f64 = 4.0;
-/// Cosine of the least angle between the axis and the scan lines, 40 degrees, ...
-const ALONG_LINES: f64 = 0.766;
-/// ... and between the axis and the view, 25 degrees.
-const ALONG_VIEW: f64 = 0.906;
-/// Greatest standard deviations of a radius, as a part of it, and of an axis: much of what a sphere or a cylinder explains
-/// with less certainty is something else.
-const VAGUE_SPHERE: [f64; 2] = [0.03, f64::INFINITY];
-const VAGUE_CYLINDER: [f64; 2] = [0.05, 0.0262]; // 1.5 degrees
-const VAGUE_CONE: [f64; 2] = [0.12, 0.0524]; // 3 degrees
-/// The same of an axis, 1.2 degrees, where less than a radius of its length is seen.
-const VAGUE_SHORT_AXIS: f64 = 0.0209;
+/// Number of fits to the contour. Each uses the contour points that are near the contour of the last fit.
+const CONTOUR_PASSES: usize = 2; // [algorithmic]
+/// The mean square residual of an object may exceed zero by so many of its standard deviations.
+const SCATTER: f64 = 1.0; // [sigmas]
+/// Pixels at each end of an arc that do not count for the extent: they may belong to a lid or to the floor.
+const UNSURE_PX: f64 = 2.0; // [tuned]
+/// Slack of the mean square residual of an object on top of its scatter, in variances.
+const SLACK: f64 = 0.07; // [tuned]
+/// Further slack of the mean square residual of an object of [`MANY_POINTS`], which shows the faults of sensor and surface.
+const MORE_SLACK: f64 = 0.1; // [tuned]
+/// Number of points from which on an object gets all of [`MORE_SLACK`] and [`MORE_DEFORMED_SLACK`]; fewer get a part.
+const MANY_POINTS: f64 = 3000.0; // [tuned]
+/// The slack is at most that of a surface that is off by this part of its radius. In much noise this tells a square post from
+/// a can.
+const UNEVEN: f64 = 0.04; // [tuned]
+/// Largest gain of another quadric over the model that noise alone explains, as chi squared.
+const DEFORMED: f64 = 10.0; // [sigmas]
+/// Slack of that gain, in variances per point.
+const DEFORMED_SLACK: f64 = 0.03; // [tuned]
+/// Further slack of that gain for an object of [`MANY_POINTS`], in variances per point: real sensors bend what is far.
+const MORE_DEFORMED_SLACK: f64 = 0.5; // [tuned]
+/// Least mean square residual of a plane through the points of an object, in variances.
+const PLANE: f64 = 0.05; // [tuned]
+/// Largest part of the arc ends beyond which something is seen where the model would hide it.
+const SEEN_THROUGH: f64 = 0.2; // [tuned]
+/// Largest mean square residual of the contour, in variances of a contour point.
+const OUTLINE: f64 = 1.7; // [tuned]
+/// The mean square residual of the contour may exceed [`OUTLINE`] by so many standard deviations.
+const OUTLINE_SCATTER: f64 = 2.0; // [sigmas]
+/// Largest part of the contour points that may be far off the contour, and so belong to something else.
+const OTHERS: f64 = 0.35; // [tuned]
+/// Fewest contour points of which that part is asked.
+const FEWEST_TELLING: usize = 8; // [algorithmic]
+/// If at least this part of the arc ends is followed by something farther or by nothing, enough of the outline is seen.
+const LEAST_OUTLINE: f64 = 0.2; // [tuned]
+/// If less of the outline is seen: largest part of the arc ends that may be hidden by something nearer.
+const MOST_HIDDEN: f64 = 0.2; // [tuned]
+/// A neighbour is nearer if it is so by more than so many standard deviations and a slope of one.
+const NEARER: f64 = 4.0; // [sigmas]
+/// Largest cosine between the axis and the scan lines: that of 40 degrees.
+const ALONG_LINES: f64 = 0.766; // [tuned]
+/// Largest cosine between the axis and the view: that of 25 degrees.
+const ALONG_VIEW: f64 = 0.906; // [tuned]
+/// Largest standard deviations of the radius of a sphere, as a part of it, and of its axis, which it has not.
+const VAGUE_SPHERE: [f64; 2] = [0.03, f64::INFINITY]; // [tuned]
+/// Largest standard deviations of the radius of a cylinder, as a part of it, and of its axis (1.5 degrees).
+const VAGUE_CYLINDER: [f64; 2] = [0.05, 0.0262]; // [tuned] [tuned]
+/// Largest standard deviations of the radius of a cone, as a part of it, and of its axis (3 degrees).
+const VAGUE_CONE: [f64; 2] = [0.12, 0.0524]; // [tuned] [tuned]
+/// Largest standard deviation of an axis of which less than one radius of length is seen: 1.2 degrees.
+const VAGUE_SHORT_AXIS: f64 = 0.0209; // [tuned]
 
 /// What was measured of a grown model, for its report.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Measured {
-    /// Number of points, ...
+    /// Number of points.
     pub count: u32,
-    /// ... and of such as share no noise and tell as much.
+    /// Effective number of points, whose noise is independent.
     pub points: f64,
     pub lines: u32,
     /// Mean variance of a point, in square metres.
@@ -302,8 +307,8 @@ fn is_between_others(region: &Region) -> bool {
     part(region.arcs().map(hidden).sum()) > MOST_HIDDEN
 }
 
-/// Distance from the centre of a sphere, in radii, beyond which nothing that adjoins it belongs to it.
-const BEYOND: f64 = 1.3;
+/// An arc that adjoins a sphere and lies farther than so many radii from its centre does not belong to it.
+const BEYOND: f64 = 1.3; // [tuned]
 
 /// Whether a sphere is part of something longer: its first and its last line are wider than its radius, and what adjoins
 /// them goes on beyond it on both sides.
@@ -318,10 +323,10 @@ pub(super) fn goes_on(region: &Region, gap: i64) -> bool {
     })
 }
 
-/// How many standard deviations of a point what is behind a surface lies behind it at least.
-const BEHIND: f64 = 3.0;
-/// Part of an object's length at each end of which nothing is expected.
-const END_MARGIN: f64 = 0.05;
+/// A measurement lies behind a surface if it does so by more than so many standard deviations of a point.
+const BEHIND: f64 = 3.0; // [sigmas]
+/// Part of an object's length at each of its ends in which it need not hide anything.
+const END_MARGIN: f64 = 0.05; // [tuned]
 
 /// Part of the arc ends at which something is seen behind the surface; of few ends that tell, some may be noise.
 fn seen_through(region: &Region, measured: &Measured) -> f64 {

@@ -10,32 +10,33 @@ use conicflow_geometry::{ArcFit, ArcMoments, Circle, LineSums, PlaneMoments, Sca
 use conicflow_messages::Ellipse;
 use std::ops::Range;
 
-/// Significance that the error of a line has to exceed that of the circle by, in standard deviations, where the arc is
-/// a part of a run.
-const CURVED: f64 = 3.0;
-/// The same where it is a whole run of at least so many points: most of those are flat ...
-const CURVED_WHOLE: f64 = 0.5;
-/// ... while many weak ones of a few points make a strong one.
-const WEAK: usize = 16;
-/// Fewest points of an arc that goes on although it is not curved, because it is set off by jumps.
-const SET_OFF: usize = 6;
-/// Besides `trim_px`, one point in so many is taken off each end: edges are smeared the wider, the larger they are seen.
-const SMEARED: usize = 32;
-/// Most pixels between a contour and what is seen behind it that count: a wider gap is the shadow of the sensor.
-const MAX_GAP: f64 = 3.0;
-/// How many standard deviations the mean of a few points at an end may be off the circle through the others;
-const STRAYING: f64 = 2.0;
-/// one in so many are the few, at least three,
-const FEW: usize = 8;
-/// and an end is taken off that often at most: one curve goes over into the next within that.
-const TAKEN_OFF: usize = 4;
-/// Pixels beyond an end, and one more for so many points, where what lies behind an object is looked for.
-const BEYOND: u32 = 2;
-const BEYOND_POINTS: u32 = 8;
-/// Part of what noise accounts for that an arc with its ends may be off its circle.
-const EXPLAINED: f64 = 0.5;
-/// Radius beyond which a circle is a wall, in the largest radii of an object: the circle of a short arc is uncertain.
-const FLATTEST: f64 = 4.0;
+/// For an arc that is a part of a run: its line error has to exceed its circle error by so many standard deviations.
+const CURVED: f64 = 3.0; // [sigmas]
+/// For an arc that is a whole run of at least [`WEAK`] points: its line error has to exceed its circle error by so many
+/// standard deviations. Most such runs are flat.
+const CURVED_WHOLE: f64 = 0.5; // [sigmas]
+/// A whole run of fewer points has only to be curved at all, because many weak arcs together are strong evidence.
+const WEAK: usize = 16; // [tuned]
+/// Fewest points of an arc that is kept although noise bends it the wrong way, because jumps set it off.
+const SET_OFF: usize = 6; // [tuned]
+/// Besides `trim_px`, one point in so many is taken off each end: the larger an edge is seen, the wider it is smeared.
+const SMEARED: usize = 32; // [tuned]
+/// Widest gap, in pixels, between a contour and the surface behind it. A wider gap is the shadow of the sensor.
+const MAX_GAP: f64 = 3.0; // [tuned]
+/// The mean of a few points at an end may be off the circle through the others by so many standard deviations.
+const STRAYING: f64 = 2.0; // [sigmas]
+/// The few points at an end that are tested together are one in so many of the arc, and at least three.
+const FEW: usize = 8; // [tuned]
+/// An end is shortened so many times at most: within that one curve goes over into the next.
+const TAKEN_OFF: usize = 4; // [algorithmic]
+/// Pixels beyond an end at which the depth of the background is read.
+const BEYOND: u32 = 2; // [tuned]
+/// The background is read one pixel farther away for each so many points of the arc.
+const BEYOND_POINTS: u32 = 8; // [tuned]
+/// An arc that takes its end points back may use up this part of the residual that noise accounts for.
+const EXPLAINED: f64 = 0.5; // [tuned]
+/// A circle of a larger radius, in units of `max_radius_m`, is a wall. The circle of a short arc is uncertain.
+const FLATTEST: f64 = 4.0; // [tuned]
 
 /// The arc of a run that a line explains, or why it is none; `None` where a line does not.
 ///

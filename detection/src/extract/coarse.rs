@@ -8,14 +8,14 @@ use conicflow_geometry::{PlaneMoments, ScanPlane, bulge};
 use conicflow_messages::Ellipse;
 use std::ops::Range;
 
-/// Every how many lines one is looked at as a whole: less than the fewest lines of an object, `min_lines` of the assembler.
-const COARSE_STEP: u32 = 6;
+/// One line in so many is searched as a whole. It is less than `min_lines` of the assembler, so that no object lies between.
+const COARSE_STEP: u32 = 6; // [algorithmic]
 /// Bulge of a curved arc: noise gives as much to one straight arc in 24.
-const CURVED: f64 = 3.0;
-/// Pixels beyond both ends of an arc that are looked at in the lines beside it ...
-const MARGIN_PX: u32 = 16;
-/// ... and the part of the arc's length on top of them.
-const MARGIN_SHARE: u32 = 4;
+const CURVED: f64 = 3.0; // [sigmas]
+/// Pixels beyond both ends of an arc that are searched in the lines beside it.
+const MARGIN_PX: u32 = 16; // [tuned]
+/// One further pixel is searched for each so many pixels of the arc.
+const MARGIN_SHARE: u32 = 4; // [tuned]
 
 /// Every how many lines one is looked at as a whole, where every `line_step`th is looked at at all.
 pub(crate) fn coarse_step(line_step: u32) -> u32 {

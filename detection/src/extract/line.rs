@@ -5,8 +5,8 @@ use conicflow_geometry::{Pinhole, Scan, ScanPlane};
 use conicflow_messages::is_measured;
 use std::ops::Range;
 
-/// Pixels that are moved together where each of them is measured.
-const GATHERED: usize = 32;
+/// Number of pixels that are copied at once if all of them are measured.
+const GATHERED: usize = 32; // [algorithmic]
 
 /// A scan line; its buffers are used again for the next.
 #[derive(Debug)]
@@ -18,11 +18,11 @@ pub(super) struct RayLine {
     count: usize,
     /// The pixels of a column side by side.
     column: Vec<u16>,
-    /// Pixel of each measurement ...
+    /// Pixel of each measurement.
     pixels: Vec<u32>,
-    /// ... and its depth in units of the image.
+    /// Depth of each measurement, in units of the image.
     depths: Vec<u16>,
-    /// The same in metres.
+    /// Depth of each measurement, in metres.
     metres: Vec<f64>,
     runs: Vec<Range<usize>>,
 }
@@ -151,9 +151,9 @@ fn places(flags: &[u8; BATCH]) -> impl Iterator<Item = usize> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Points<'a> {
     pub pixels: &'a [u32],
-    /// Depths in units of the image, ...
+    /// Depths, in units of the image.
     pub depths: &'a [u16],
-    /// ... and in metres.
+    /// Depths, in metres.
     pub metres: &'a [f64],
     /// Pixel and depth of the two measurements before the run and of those behind it, the nearer first, in the window.
     pub neighbors: [[Option<(u32, u16)>; 2]; 2],

@@ -7,20 +7,20 @@
 use super::view::View;
 use conicflow_messages::is_measured;
 
-/// About how many lines are looked at.
-const LINES: u32 = 8;
-/// Pixels of a stretch.
-const STRETCH: usize = 32;
-/// Pixels beyond which none share their noise.
-const FARTHEST: usize = 10;
-/// Correlation up to which they do not: chance, or what a surface leaves that is not as smooth.
-const CHANCE: f64 = 0.05;
-/// Mean square, in variances of a pixel, from which on a stretch is no smooth surface.
-const SMOOTH: f64 = 2.0;
-/// Fewest stretches that tell anything.
-const FEWEST: usize = 24;
-/// Greatest part of the noise that a parabola may take.
-const MOST_TAKEN: f64 = 0.8;
+/// Approximate number of lines that are sampled.
+const LINES: u32 = 8; // [algorithmic]
+/// Number of pixels of a stretch.
+const STRETCH: usize = 32; // [algorithmic]
+/// Largest distance in pixels at which a correlation is computed.
+const FARTHEST: usize = 10; // [algorithmic]
+/// Correlations up to this count as zero: chance makes them, and so do surfaces that are not quite smooth.
+const CHANCE: f64 = 0.05; // [tuned]
+/// A stretch with a larger mean square residual, in variances of a pixel, is not one smooth surface.
+const SMOOTH: f64 = 2.0; // [sigmas]
+/// Fewest stretches that give an estimate.
+const FEWEST: usize = 24; // [algorithmic]
+/// Upper bound of the part of the noise that the fitted parabola takes with it; it keeps the correction finite.
+const MOST_TAKEN: f64 = 0.8; // [algorithmic]
 
 /// A number for each pixel of a stretch.
 type Stretch = [f64; STRETCH];

@@ -15,33 +15,35 @@ use super::segments::{Segment, next_segment};
 use super::view::View;
 use conicflow_messages::{NoiseModel, is_measured};
 
-/// About how many lines are looked at.
-const LINES: u32 = 12;
-/// Fewest points of a curve that tells how noisy the sensor is.
-const TELLING: usize = 12;
-/// Pixels from one of three to the next that are compared: farther ones lie on different surfaces too often.
-const APART: usize = 3;
-/// Fewest threes that tell anything.
-const FEWEST: usize = 64;
-/// Standard deviations beyond which three pixels do not lie on one smooth surface ...
-const WITHIN: f64 = 2.5;
-/// ... and the mean square of a normal deviate inside of them.
-const SQUARE_WITHIN: f64 = 0.911_26;
-/// Growth of the level below which it has settled.
-const SETTLED: f64 = 1.01;
-/// Scatter in variances of the model above which neighbours have no noise in common.
-const UNSMOOTHED: f64 = 0.85;
-/// Part of all threes that lies on smooth surfaces in any image: where less is within reach, the model is far too small. The
-/// square below which such a part of those with the right noise is.
-const SMOOTH: f64 = 0.25;
-const SQUARE_OF_SMOOTH: f64 = 0.101_53;
-/// Ratio of the levels of what is near and what is far, and of their depths, from which on the model grows wrongly ...
-const DIFFERENT: f64 = 1.3;
-const DISTANT: f64 = 1.15;
-/// ... if the former is so many standard deviations of its logarithm from none.
-const SURE: f64 = 3.5;
-/// Models that are put through both then, each closer to how the noise grows.
-const ROUNDS: usize = 4;
+/// Approximate number of lines that are sampled.
+const LINES: u32 = 12; // [algorithmic]
+/// Fewest points of a line or circle whose residual counts as a sample of the noise.
+const TELLING: usize = 12; // [algorithmic]
+/// Distance in pixels between the three pixels of a triple. Pixels farther apart lie on different surfaces too often.
+const APART: usize = 3; // [tuned]
+/// Fewest triples that give an estimate.
+const FEWEST: usize = 64; // [algorithmic]
+/// A triple whose second difference exceeds so many standard deviations does not lie on one smooth surface.
+const WITHIN: f64 = 2.5; // [sigmas]
+/// Mean square of a standard normal deviate that is truncated at [`WITHIN`].
+const SQUARE_WITHIN: f64 = 0.911_26; // [derived]
+/// The iteration ends when the noise level grows by less than this factor.
+const SETTLED: f64 = 1.01; // [algorithmic]
+/// If neighbours scatter by more than this part of the model's variance, they share no noise.
+const UNSMOOTHED: f64 = 0.85; // [tuned]
+/// At least this part of all triples lies on smooth surfaces in any image. If fewer are within [`WITHIN`], the noise model is
+/// far too small.
+const SMOOTH: f64 = 0.25; // [tuned]
+/// The quantile [`SMOOTH`] of chi squared with one degree of freedom.
+const SQUARE_OF_SMOOTH: f64 = 0.101_53; // [derived]
+/// Smallest ratio between the noise levels of the near and the far half at which the model's growth is replaced.
+const DIFFERENT: f64 = 1.3; // [tuned]
+/// Smallest ratio between the mean depths of the far and the near half at which the model's growth is replaced.
+const DISTANT: f64 = 1.15; // [tuned]
+/// The logarithm of the ratio of the noise levels has to exceed zero by so many of its standard deviations.
+const SURE: f64 = 3.5; // [sigmas]
+/// Number of times that a noise model is put through both halves; each comes closer to how the noise grows.
+const ROUNDS: usize = 4; // [algorithmic]
 
 /// The noise of an image.
 #[derive(Clone, Copy, Debug, PartialEq)]

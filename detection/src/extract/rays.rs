@@ -6,8 +6,8 @@ use super::view::View;
 use conicflow_geometry::{ArcMoments, ArcSums, LineSums, RaySums, ScanPlane};
 use std::ops::Range;
 
-/// Number of points whose mean depth tells the variance of each.
-pub(super) const SURROUNDINGS: usize = 16;
+/// Number of neighbouring points that share one variance, that at their mean depth.
+pub(super) const SURROUNDINGS: usize = 16; // [algorithmic]
 
 /// Buffers of a run, used again for the next.
 #[derive(Debug, Default)]

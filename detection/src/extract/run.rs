@@ -4,10 +4,10 @@ use super::rays::{Rays, SURROUNDINGS};
 use conicflow_geometry::{ArcMoments, ArcSums};
 use std::ops::Deref;
 
-/// Fewest points whose error means anything ...
-pub(super) const FIRST_FIT: usize = 5;
-/// ... and fewest of an arc.
-pub(super) const FEWEST: usize = 4;
+/// Fewest points to which a curve is fitted first: two more than a circle has parameters.
+pub(super) const FIRST_FIT: usize = 5; // [algorithmic]
+/// Fewest points of an arc: one more than a circle has parameters.
+pub(super) const FEWEST: usize = 4; // [algorithmic]
 
 /// A run, ready for fits.
 #[derive(Debug)]

@@ -6,25 +6,25 @@ use conicflow_geometry::{Pinhole, Scan, ScanPlane};
 use conicflow_messages::{Header, NoiseModel, is_measured};
 use std::ops::Range;
 
-/// The limit's `a`: how many standard deviations the error of a right curve may scatter.
-const SCATTER: f64 = 2.5;
-/// The limit's `b`: part of the variance that the noise model may be wrong by.
-const SLACK: f64 = 0.3;
-/// What is left of any surface, in square metres: none is better than a tenth of a millimetre.
-const LEAST_SQUARE: f64 = 1e-8;
-/// Slope of a surface (depth per distance across the view) that neighbouring pixels may show ...
-const JUMP_SLOPE: f64 = 3.0;
-/// ... and those on the two sides of a hole;
-const HOLE_SLOPE: f64 = 1.5;
-/// how many standard deviations of the sensor a step may be on top of it.
-const JUMP_SIGMAS: f64 = 4.0;
+/// The limit's `a`: the mean square error of the right curve may exceed zero by so many of its standard deviations.
+const SCATTER: f64 = 2.5; // [sigmas]
+/// The limit's `b`: the noise model may be wrong by this part of its variance.
+const SLACK: f64 = 0.3; // [tuned]
+/// Mean square roughness of any surface, in square metres: a tenth of a millimetre, squared.
+const LEAST_SQUARE: f64 = 1e-8; // [tuned]
+/// Steepest surface between neighbouring pixels, as depth per distance across the view. A steeper step is a jump.
+const JUMP_SLOPE: f64 = 3.0; // [tuned]
+/// Steepest surface across a hole, as depth per distance across the view.
+const HOLE_SLOPE: f64 = 1.5; // [tuned]
+/// A step on one surface may exceed what its slope explains by so many standard deviations of the sensor.
+const JUMP_SIGMAS: f64 = 4.0; // [sigmas]
 
-/// A little less than one, lest rounding puts a lower bound above.
-const BELOW: f64 = 0.999;
-/// The root of a half, times 2^16, rounded down.
-const ROOT_HALF: u16 = 46_340;
-/// Neighbours that are tested for jumps together.
-pub(super) const BATCH: usize = 64;
+/// Factor that keeps a lower bound below the exact value in spite of rounding.
+const BELOW: f64 = 0.999; // [algorithmic]
+/// The square root of one half, times 2^16, rounded down.
+const ROOT_HALF: u16 = 46_340; // [derived]
+/// Number of neighbours that are tested for jumps together.
+pub(super) const BATCH: usize = 64; // [algorithmic]
 
 /// The rows or the columns of an image; the tables are used again for the next.
 #[derive(Debug)]

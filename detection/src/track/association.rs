@@ -6,11 +6,11 @@ use pathfinding::matrix::Matrix;
 /// What it costs a track to stay alone. As minus twice the logarithm of a density, in 1/m^4 over place and radius, less the
 /// 4 ln 2 pi that pairs leave out, too: one new object in 6000 cubic metres for each metre of radius, so that all but the
 /// vaguest pairs are cheaper. An axis adds nothing: it may lie anywhere in 2 pi, which is what pairs leave out of it.
-const COST_ALONE: f64 = 10.0;
+const COST_ALONE: f64 = 10.0; // [tuned]
 /// The assignment is found in whole numbers, of this many to one.
-const STEPS: f64 = 1e6;
+const STEPS: f64 = 1e6; // [algorithmic]
 /// The gain of a pair that must not be: less than all others together can make good.
-const FORBIDDEN: i64 = -1_000_000_000_000_000;
+const FORBIDDEN: i64 = -1_000_000_000_000_000; // [algorithmic]
 
 /// Pairs tracks with detections, each at most once.
 ///

@@ -9,11 +9,11 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// How much of what earlier sights said is kept.
-const MEMORY: f64 = 0.6;
+const MEMORY: f64 = 0.6; // [tuned]
 /// One sight says no more than this: an outlier does not make a ball fall.
-const MOST_SAID: f64 = 4.0;
+const MOST_SAID: f64 = 4.0; // [sigmas]
 /// Standard deviation of the speed after a bounce, as a share of it: no floor is level and no ball the same all around.
-const BOUNCE_SPREAD: f64 = 0.1;
+const BOUNCE_SPREAD: f64 = 0.1; // [tuned]
 
 /// How balls fall.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]

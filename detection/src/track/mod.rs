@@ -34,7 +34,7 @@ use timeline::{Advance, Timeline};
 
 /// A gap between frames that is at most this many times as long as the one before is usual: nobody could look sooner. After
 /// a longer one no target is found again that was unseen for too long.
-const USUAL_GAP: f64 = 1.5;
+const USUAL_GAP: f64 = 1.5; // [tuned]
 
 /// Follows objects from frame to frame, of one camera or of several that tell their poses.
 pub struct Tracker {

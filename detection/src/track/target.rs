@@ -11,14 +11,14 @@ use nalgebra::{IsometryMatrix3, Matrix3, Point3, Vector3};
 
 /// What a cylinder that was seen as a cone, or the reverse, costs more than one seen as itself: minus twice the
 /// logarithm of one in seven.
-const KIND_CHANGE_COST: f64 = 4.0;
+const KIND_CHANGE_COST: f64 = 4.0; // [tuned]
 
 /// How long a target may have been looked for in vain, in seconds, and still be found off its way by a push: after that it
 /// may be anywhere.
-const MANOEUVRE_UNSEEN_S: f64 = 0.2;
+const MANOEUVRE_UNSEEN_S: f64 = 0.2; // [tuned]
 
 /// The least half-angle that a cone is given, in radians: its apex stays finite.
-const MIN_HALF_ANGLE: f64 = 1e-6;
+const MIN_HALF_ANGLE: f64 = 1e-6; // [algorithmic]
 
 /// An object that is followed, in the frame of tracking.
 #[derive(Clone, Debug)]
@@ -37,9 +37,9 @@ pub struct Target {
     half_angle: Option<Size>,
     common: CommonError,
     last_seen: Object,
-    /// Which source saw it last ...
+    /// The source that saw it last.
     pub seen_by: usize,
-    /// ... and how late that frame was, in seconds.
+    /// How late the frame was in which it was seen last, in seconds.
     seen_late_s: f64,
 }
 

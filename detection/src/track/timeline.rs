@@ -4,7 +4,7 @@ use conicflow_messages::{Header, Text};
 
 /// A source whose first stamp is farther than this from the others' time has another clock, and begins now; so does one that
 /// has fallen behind by more.
-const OTHER_CLOCK_NS: i128 = 1_000_000_000;
+const OTHER_CLOCK_NS: i128 = 1_000_000_000; // [tuned]
 
 /// Follows the time stamps of the sources, one or several, that the messages come from.
 #[derive(Clone, Debug)]
