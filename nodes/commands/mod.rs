@@ -1,5 +1,6 @@
 //! The command line: what each command prints, and with which code it exits (0 done, 1 failed, 2 wrong file or arguments).
 
+mod detect;
 mod doctor;
 mod experiment;
 mod node_help;
@@ -58,6 +59,8 @@ struct CommandLine {
 enum Command {
     /// Run a pipeline, each stage as a process of its own
     Run(RunArguments),
+    /// Find the objects of a depth image or a folder of them, without a pipeline file
+    Detect(detect::DetectArguments),
     /// Run one stage of a pipeline in this process
     ///
     /// That is for a debugger, beside other stages that are run like this; what belongs in a service is `conicflow run`,
@@ -162,6 +165,7 @@ pub fn main() -> ExitCode {
 fn dispatch(command: Command, log: &str) -> anyhow::Result<ExitCode> {
     match command {
         Command::Run(arguments) => run(&arguments, log),
+        Command::Detect(arguments) => detect::detect(&arguments).map(|()| ExitCode::SUCCESS),
         Command::Node { stage, file, machine } => {
             node(&stage, file, machine.as_deref(), log).map(|()| ExitCode::SUCCESS)
         }

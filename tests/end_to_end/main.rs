@@ -6,6 +6,7 @@
 mod bridge;
 mod certificates;
 mod commands;
+mod detect;
 #[cfg(target_os = "linux")]
 mod doctor;
 mod experiments;

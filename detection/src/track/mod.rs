@@ -26,7 +26,7 @@ pub use worlds::Worlds;
 
 use crate::camera::isometry;
 use association::Association;
-use conicflow_messages::{Header, Object, ObjectKind, Track};
+use conicflow_messages::{HAS_POSE, Header, Object, ObjectKind, Track};
 use detection::Detection;
 use nalgebra::IsometryMatrix3;
 use target::Target;
@@ -43,12 +43,20 @@ pub struct Tracker {
     /// Pose of each source's camera, in the order of [`Advance::source`].
     world_from_camera: Vec<IsometryMatrix3<f64>>,
     has_pose: bool,
+    /// How many frames were taken in.
+    frames: u64,
     next_id: u64,
     targets: Vec<Target>,
     detections: Vec<Detection>,
     association: Association,
     tracks: Vec<Track>,
     confirmed: Vec<ObjectKind>,
+}
+
+impl Default for Tracker {
+    fn default() -> Self {
+        Self::new(TrackerParameters::default())
+    }
 }
 
 impl Tracker {
@@ -59,6 +67,7 @@ impl Tracker {
             parameters,
             world_from_camera: Vec::new(),
             has_pose: false,
+            frames: 0,
             next_id: 1,
             targets: Vec::new(),
             detections: Vec::new(),
@@ -68,21 +77,50 @@ impl Tracker {
         }
     }
 
-    /// Takes in the objects of one frame, in the camera frame; the tracks that are alive, by identity.
-    pub fn update(&mut self, header: &Header, objects: &[Object]) -> &[Track] {
+    /// Takes in the objects of one frame of a camera that stands still; the tracks that are alive, by identity. `stamp_ns` is
+    /// when the frame was taken, in nanoseconds; where it does not advance, frames are taken to come at
+    /// [`TrackerParameters::assumed_rate_hz`].
+    pub fn update(&mut self, objects: &[Object], stamp_ns: u64) -> &[Track] {
+        self.update_frame(&Header { sequence: self.frames, stamp_ns, ..Header::default() }, objects)
+    }
+
+    /// The same of a camera that moves: `world_from_camera` is its pose, row-major `[R | t]` with a rotation R and t in
+    /// metres. Positions and velocities stay in the frame of the camera.
+    pub fn update_from(&mut self, objects: &[Object], stamp_ns: u64, world_from_camera: [[f64; 4]; 3]) -> &[Track] {
+        let (sequence, flags) = (self.frames, HAS_POSE);
+        self.update_frame(&Header { sequence, stamp_ns, flags, world_from_camera, ..Header::default() }, objects)
+    }
+
+    /// The method: takes in the objects of the frame that a header tells of, in the camera frame; the tracks that are alive,
+    /// by identity.
+    pub fn update_frame(&mut self, header: &Header, objects: &[Object]) -> &[Track] {
+        // T1. Time: how long since the last frame, and whether this one is late (`timeline.rs`). Who was unseen for too long
+        //     is given up.
+        self.frames += 1;
         let time = self.timeline.advance(header);
         if time.new_run {
             self.targets.retain(|target| target.seen_by != time.source);
         }
         let patience_s = self.parameters.max_coast_s.max(USUAL_GAP * time.usual_s);
         self.targets.retain(|target| target.life.unseen_s + time.elapsed_s <= patience_s);
+
+        // T2. Prediction: each target moves on by its filter, or falls and bounces (`filter.rs`, `ballistic.rs`); for a late
+        //     frame back to its time.
         let world_from_camera = self.pose(header, time.source);
         self.predict(time.elapsed_s);
         self.move_in_time(-time.late_s);
+
+        // T3. Association: the cheapest assignment of detections to targets within the gate (`detection.rs`,
+        //     `association.rs`).
         self.detect(objects, &world_from_camera);
         self.associate(&time);
+
+        // T4. Update: what was seen corrects its target, what was not seen is missed (`target.rs`), and a track is confirmed
+        //     or lost by its record of sights (`life.rs`). Detections of no target begin tracks.
         self.update_targets(&time);
         self.give_birth(&time);
+
+        // T5. Report: the tracks in the frame of the camera, and the targets back to the present.
         let camera_from_world = world_from_camera.inverse();
         self.tracks.clear();
         self.tracks.extend(self.targets.iter().map(|target| target.track(&camera_from_world)));

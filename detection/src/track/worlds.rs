@@ -29,7 +29,7 @@ impl Worlds {
         let index = self.of(&header.origin(), header.pose().is_some());
         let tracker = &mut self.worlds[index].tracker;
         tracker.next_id = self.next_id;
-        tracker.update(header, objects);
+        tracker.update_frame(header, objects);
         self.next_id = tracker.next_id;
         tracker
     }

@@ -12,7 +12,7 @@ mod painter;
 use crate::sinks::decimator::Decimator;
 use anyhow::{Context as _, Result, ensure};
 use conicflow_dataflow::{ConfigFault, Context, Output, Pick, Side, Sides, Stage, StageError};
-use conicflow_messages::{Header, Kind, MAX_PIXELS, Message, Nothing, Text};
+use conicflow_messages::{Ellipse, Header, Kind, MAX_PIXELS, Message, Nothing, Text};
 pub use painter::{Drawn, Painter};
 use png::{BitDepth, ColorType, Compression, Encoder};
 use schemars::JsonSchema;
@@ -98,13 +98,17 @@ pub struct PictureSink<T> {
 }
 
 impl<T: Drawn> PictureSink<T> {
-    fn open(config: &Config, context: &Context) -> Result<Self> {
+    /// Makes the folder of the pictures ready, relative to `base`; of `every` messages `resume_at` were taken before.
+    ///
+    /// # Errors
+    /// There is no folder in the parameters, or it cannot be made.
+    pub fn open(config: &Config, base: &Path, resume_at: u64) -> Result<Self> {
         let path = config.path.as_ref().context("`path` is missing\n  hint: write `path = \"pictures/\"`")?;
-        let folder = context.resolve(path);
+        let folder = base.join(path);
         fs::create_dir_all(&folder).with_context(|| format!("the folder `{}` cannot be made", folder.display()))?;
         Ok(Self {
             folder,
-            decimator: Decimator::new(config.every, context.resume_at),
+            decimator: Decimator::new(config.every, resume_at),
             names: config.names,
             painter: Painter::new(config),
             file: Vec::new(),
@@ -114,19 +118,32 @@ impl<T: Drawn> PictureSink<T> {
         })
     }
 
-    /// Draws a message and writes the picture, if it is its turn; returns the file.
     fn take(&mut self, input: &Message<T>, sides: &Sides) -> Result<Option<PathBuf>> {
+        let (depth, ellipses) = (sides.depth("depth"), sides.ellipses("ellipses"));
+        self.write_picture(input, depth.as_ref(), ellipses.map_or(&[], |message| message.items))
+    }
+
+    /// Draws a message and writes the picture, if it is its turn; returns the file.
+    ///
+    /// # Errors
+    /// The camera cannot be that of an image, or the file cannot be written.
+    pub fn write_picture(
+        &mut self,
+        input: &Message<T>,
+        depth: Option<&Message<u16>>,
+        ellipses: &[Ellipse],
+    ) -> Result<Option<PathBuf>> {
         if !self.decimator.is_due(input.header) {
             return Ok(None);
         }
-        self.draw(input, sides)?;
+        self.draw(input, depth, ellipses)?;
         self.look_for_another_camera(input.header);
         let path = self.folder.join(picture_name(input.header, self.names));
         self.write(&path).with_context(|| format!("`{}` cannot be written", path.display()))?;
         Ok(Some(path))
     }
 
-    fn draw(&mut self, input: &Message<T>, sides: &Sides) -> Result<()> {
+    fn draw(&mut self, input: &Message<T>, depth: Option<&Message<u16>>, ellipses: &[Ellipse]) -> Result<()> {
         let camera = &input.header.camera;
         let pixels = u64::from(camera.width) * u64::from(camera.height);
         ensure!(
@@ -137,12 +154,10 @@ impl<T: Drawn> PictureSink<T> {
             camera.height
         );
         self.painter.begin(camera);
-        if let Some(depth) = sides.depth("depth") {
-            self.painter.depth(&depth);
+        if let Some(depth) = depth {
+            self.painter.depth(depth);
         }
-        if let Some(ellipses) = sides.ellipses("ellipses") {
-            self.painter.ellipses(ellipses.items);
-        }
+        self.painter.ellipses(ellipses);
         T::draw(input.items, &mut self.painter);
         Ok(())
     }
@@ -205,7 +220,7 @@ impl<T: Drawn> Stage for PictureSink<T> {
     }
 
     fn new(config: Config, context: &Context) -> Result<Self, StageError> {
-        Ok(Self::open(&config, context)?)
+        Ok(Self::open(&config, &context.base, context.resume_at)?)
     }
 
     fn sides() -> &'static [Side] {

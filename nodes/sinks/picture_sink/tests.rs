@@ -143,8 +143,7 @@ fn sizes_that_cannot_be_and_folders_that_cannot_be_made_are_told() {
     assert!(error.starts_with("frame 7 has 4294967295x4294967295 pixels, expected 1 to 67108864\n  hint: "));
     fs::write(folder.path().join("file"), "").unwrap();
     let config = Config { path: Some("file/inside".into()), ..Config::default() };
-    let context = Context { base: folder.path().into(), ..Context::default() };
-    let error = format!("{:#}", PictureSink::<Object>::open(&config, &context).err().unwrap());
+    let error = format!("{:#}", PictureSink::<Object>::open(&config, folder.path(), 0).err().unwrap());
     assert!(error.contains("file/inside` cannot be made: "), "{error}");
 }
 

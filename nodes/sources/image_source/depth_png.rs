@@ -1,7 +1,7 @@
 //! Depth images as 16-bit grey PNGs: told from colour images by their header, decoded straight into the message.
 
-use super::MAX_PIXELS;
 use anyhow::{Context as _, Result, bail, ensure};
+use conicflow_messages::MAX_PIXELS;
 use png::{BitDepth, ColorType, Decoder, Info, Reader};
 use std::fs::File;
 use std::io::{BufRead, BufReader, Cursor, Seek};

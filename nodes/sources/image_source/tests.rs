@@ -1,6 +1,8 @@
 use super::fixtures::*;
+use super::playback::{Clock, emptiness, is_off_center};
 use super::*;
 use conicflow_dataflow::testing::collect;
+use conicflow_messages::{Camera, NoiseModel};
 use std::fs;
 use tempfile::TempDir;
 
@@ -193,14 +195,15 @@ fn clouds_in_millimetres_are_told() {
     let points: Vec<_> = points(&depth_m()).iter().map(|point| point.map(|x| x * 1000.0)).collect();
     let folder = Folder::new().cloud("a.pcd", &points);
     let mut source = source(&folder, Config::default(), 0);
-    let frame = source.recording.load(0).unwrap();
+    let playback = &mut source;
+    let frame = playback.recording.load(0).unwrap();
     let mut pixels = vec![0; 48 * 36];
-    let too_far = source.recording.decode(&mut pixels).unwrap();
+    let too_far = playback.recording.decode(&mut pixels).unwrap();
     assert_eq!(too_far, 48 * 36 - 36, "all but the hole");
-    source.look_for_emptiness(&frame, &[1000], too_far);
-    assert!(!source.told_empty, "some are measured");
-    source.look_for_emptiness(&frame, &pixels, too_far);
-    assert!(source.told_empty);
+    playback.look_for_emptiness(&frame, &[1000], too_far);
+    assert!(!playback.told_empty, "some are measured");
+    playback.look_for_emptiness(&frame, &pixels, too_far);
+    assert!(playback.told_empty);
 }
 
 #[test]
@@ -301,10 +304,10 @@ fn the_stamps_of_a_single_frame_that_is_repeated_go_on_rising() {
     assert_eq!([stamps[1] - stamps[0], stamps[2] - stamps[1]], [100_000_000; 2], "{stamps:?}");
 }
 
-fn source(folder: &Folder, config: Config, resume_at: u64) -> ImageSource {
+fn source(folder: &Folder, config: Config, resume_at: u64) -> Playback {
     let config = Config { path: Some("frames".into()), intrinsics: Some(GIVEN), ..config };
     let base = folder.path.parent().unwrap().to_owned();
-    ImageSource::new(config, &Context { base, resume_at, ..Context::default() }).unwrap()
+    Playback::open(&config, &base, resume_at, 0).unwrap()
 }
 
 #[test]
@@ -336,8 +339,9 @@ fn a_restart_counts_the_frames_that_were_passed_over() {
     assert_eq!(all.iter().map(|(header, _)| header.source.to_string()).collect::<Vec<_>>(), names);
     // 4.png is found unreadable at the start, 1.png when its turn comes.
     for (resume_at, unreadable, position) in [(0, &[][..], 0), (1, &[1], 1), (2, &[2], 3), (4, &[2], 5)] {
-        let source = ImageSource::new(config(), &context(resume_at, unreadable)).unwrap();
-        assert_eq!((source.position, source.uncounted), (position, u64::from(unreadable.is_empty())), "{resume_at}");
+        let mut playback = ImageSource::new(config(), &context(resume_at, unreadable)).unwrap().0;
+        let uncounted = playback.take_counts().find(|(what, _)| *what == UNREADABLE).unwrap().1;
+        assert_eq!((playback.position, uncounted), (position, u64::from(unreadable.is_empty())), "{resume_at}");
     }
 }
 

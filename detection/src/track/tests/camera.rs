@@ -30,7 +30,7 @@ fn a_moving_camera_does_not_move_what_stands_still() {
         let seen_at = |place: Vector3<f64>| rotation.inverse() * (place - translation);
         let still = Object { axis: (rotation.inverse() * axis_in_world).into(), ..cylinder(seen_at(start)) };
         let moving = sphere(seen_at(-start + velocity * seconds(frame)));
-        let tracks = tracker.update(&posed_header(frame), &[still, moving]);
+        let tracks = tracker.update_frame(&posed_header(frame), &[still, moving]);
         assert_eq!(ids(tracks), [1, 2]);
         for (track, object) in tracks.iter().zip([still, moving]) {
             assert!((Vector3::from(track.object.center) - Vector3::from(object.center)).norm() < 0.002);
@@ -50,7 +50,7 @@ fn without_a_pose_the_camera_is_where_it_was() {
     let center = Vector3::new(0.0, 0.0, 2.0);
     let header = |frame: u64| if frame == 0 { posed_header(40) } else { header(40 + frame) };
     for frame in 0..9 {
-        let velocity = tracker.update(&header(frame), &[sphere(center)])[0].velocity;
+        let velocity = tracker.update_frame(&header(frame), &[sphere(center)])[0].velocity;
         assert!(Vector3::from(velocity).norm() < 1e-9, "frame {frame}: {velocity:?}");
     }
 }
@@ -72,8 +72,8 @@ fn two_cameras_do_not_miss_what_only_the_other_sees() {
     let mut tracker = Tracker::new(TrackerParameters::default());
     let (left, right) = (Vector3::new(0.0, 0.0, 2.0), Vector3::new(0.3, 0.0, 2.5));
     for frame in 0..20 {
-        tracker.update(&placed("left", 0.0, frame), &[sphere(left)]);
-        let tracks = tracker.update(&placed("right", 5.0, frame), &[sphere(right)]);
+        tracker.update_frame(&placed("left", 0.0, frame), &[sphere(left)]);
+        let tracks = tracker.update_frame(&placed("right", 5.0, frame), &[sphere(right)]);
         let expected = if frame < 2 { TrackState::Tentative } else { TrackState::Confirmed };
         assert_eq!((ids(tracks), states(tracks)), (vec![1, 2], vec![expected; 2]), "frame {frame}");
         assert_eq!(tracks[0].misses, 0);
@@ -81,10 +81,10 @@ fn two_cameras_do_not_miss_what_only_the_other_sees() {
         assert!((Vector3::from(tracks[1].object.center) - right).norm() < 1e-6);
     }
     // The left one sees nothing more, then falls silent.
-    let tracks = tracker.update(&placed("left", 0.0, 20), &[]);
+    let tracks = tracker.update_frame(&placed("left", 0.0, 20), &[]);
     assert_eq!((tracks[0].misses, tracks[1].misses), (1, 0));
     for frame in 20..60 {
-        let known = ids(tracker.update(&placed("right", 5.0, frame), &[sphere(right)]));
+        let known = ids(tracker.update_frame(&placed("right", 5.0, frame), &[sphere(right)]));
         assert_eq!(known, if frame < 50 { vec![1, 2] } else { vec![2] }, "frame {frame}");
     }
 }
@@ -94,11 +94,11 @@ fn a_camera_that_begins_again_takes_no_tracks_from_the_other() {
     let mut tracker = Tracker::new(TrackerParameters::default());
     let (left, right) = (Vector3::new(0.0, 0.0, 2.0), Vector3::new(0.3, 0.0, 2.5));
     for frame in 0..9 {
-        tracker.update(&placed("left", 0.0, frame), &[sphere(left)]);
-        tracker.update(&placed("right", 5.0, frame), &[sphere(right)]);
+        tracker.update_frame(&placed("left", 0.0, frame), &[sphere(left)]);
+        tracker.update_frame(&placed("right", 5.0, frame), &[sphere(right)]);
     }
     let anew = Header { epoch: 2, ..placed("left", 0.0, 0) };
-    assert_eq!(ids(tracker.update(&anew, &[sphere(left)])), [2, 3]);
+    assert_eq!(ids(tracker.update_frame(&anew, &[sphere(left)])), [2, 3]);
 }
 
 #[test]
@@ -107,9 +107,9 @@ fn what_one_camera_hands_over_keeps_its_identity() {
     for frame in 0..40 {
         let place = Vector3::new(0.02 * frame as f64, 0.0, 2.0);
         let seen = [sphere(place)];
-        tracker.update(&placed("left", 0.0, frame), if frame < 20 { &seen } else { &[] });
+        tracker.update_frame(&placed("left", 0.0, frame), if frame < 20 { &seen } else { &[] });
         let seen = [sphere(place - Vector3::x())];
-        let tracks = tracker.update(&placed("right", 1.0, frame), if frame < 20 { &[] } else { &seen });
+        let tracks = tracker.update_frame(&placed("right", 1.0, frame), if frame < 20 { &[] } else { &seen });
         assert_eq!((ids(tracks), tracks[0].misses), (vec![1], 0), "frame {frame}");
     }
 }
@@ -148,9 +148,9 @@ fn a_late_frame_is_compared_with_where_things_were_then() {
         let mut tracker = Tracker::new(TrackerParameters { ballistic, ..TrackerParameters::default() });
         for frame in 3..30 {
             let now_s = seconds(frame);
-            tracker.update(&placed("left", 0.0, frame), &[sphere(place(now_s))]);
+            tracker.update_frame(&placed("left", 0.0, frame), &[sphere(place(now_s))]);
             let then = place(now_s - late_s);
-            let track = tracker.update(&late(placed("right", 0.0, frame), late_s), &[sphere(then)])[0];
+            let track = tracker.update_frame(&late(placed("right", 0.0, frame), late_s), &[sphere(then)])[0];
             let off = (Vector3::from(track.object.center) - then).norm();
             assert_eq!(tracker.next_id, 2, "frame {frame}: a second track");
             assert!(frame < 10 || off < 0.005, "frame {frame}: {off} m off");

@@ -95,7 +95,7 @@ fn every_parameter_of_a_track_is_right_within_its_sigma() {
             measured.length = sizes[1] + sigma.length * noise.normal();
             measured.half_angle = sizes[2] + sigma.half_angle * noise.normal();
             measured.axis = tilted(axis, sigma.axis / 2.0_f64.sqrt(), &mut noise).into();
-            last = tracker.update(&header(frame), &[measured])[0];
+            last = tracker.update_frame(&header(frame), &[measured])[0];
         }
         let square = |error: Vector3<f64>, covariance| error.dot(&Cholesky::new(covariance).unwrap().solve(&error));
         let (object, sigma) = (last.object, last.object.sigma);
@@ -145,7 +145,7 @@ fn the_velocity_is_right_within_its_sigma() {
         let mut last = Track::default();
         for frame in 0..20 {
             let center = Vector3::new(0.0, 0.0, 2.0) + velocity * seconds(frame) + noise.vector(SIGMA_M);
-            last = tracker.update(&header(frame), &[sphere(center)])[0];
+            last = tracker.update_frame(&header(frame), &[sphere(center)])[0];
         }
         let error = Vector3::from(last.velocity) - velocity;
         let spread = Cholesky::new(Matrix3::from(last.velocity_covariance)).unwrap();
@@ -164,7 +164,8 @@ fn what_stands_still_is_known_better_than_each_measurement() {
     let (mut squares, mut given) = (0.0, 0.0);
     for frame in 0..2000 {
         let radius = 0.1 + noise.normal() * 0.001;
-        let track = tracker.update(&header(frame), &[Object { radius, ..sphere(place + noise.vector(SIGMA_M)) }])[0];
+        let track =
+            tracker.update_frame(&header(frame), &[Object { radius, ..sphere(place + noise.vector(SIGMA_M)) }])[0];
         if frame >= 100 {
             squares += (Vector3::from(track.object.center) - place).norm_squared() / 3.0 / 1900.0;
             given = track.object.sigma.center[0][0];
@@ -189,7 +190,7 @@ fn what_all_sights_have_in_common_is_part_of_the_sigma() {
             for frame in 0..90 {
                 let center = place + (offset + noise.vector(SIGMA_M)) * part;
                 let radius = 0.1 + (wider + 0.001 * noise.normal()) * part;
-                last = tracker.update(&header(frame), &[Object { radius, ..sphere(center) }])[0];
+                last = tracker.update_frame(&header(frame), &[Object { radius, ..sphere(center) }])[0];
             }
             let (error, sigma) = (Vector3::from(last.object.center) - place, last.object.sigma);
             let spread = Cholesky::new(Matrix3::from(sigma.center)).unwrap();

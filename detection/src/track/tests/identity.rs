@@ -10,7 +10,7 @@ fn an_identity_survives_five_frames_unseen() {
     for frame in 0..30 {
         let seen = [sphere(place(frame) + noise.vector(SIGMA_M))];
         let unseen = (15..20).contains(&frame);
-        let track = tracker.update(&header(frame), if unseen { &[] } else { &seen })[0];
+        let track = tracker.update_frame(&header(frame), if unseen { &[] } else { &seen })[0];
         let error = (Vector3::from(track.object.center) - place(frame)).norm();
         assert_eq!((track.id, u64::from(track.age)), (1, frame));
         assert!(error < if unseen { 0.03 } else { 0.015 }, "frame {frame}: {error} m off");
@@ -30,7 +30,7 @@ fn an_identity_survives_dropped_frames() {
     let mut tracker = Tracker::new(TrackerParameters::default());
     for frame in [0, 1, 2, 3, 9, 10, 16, 22, 23] {
         let center = Vector3::new(-0.5 + 1.2 * seconds(frame), 0.1, 1.5);
-        let tracks = tracker.update(&header(frame), &[sphere(center)]);
+        let tracks = tracker.update_frame(&header(frame), &[sphere(center)]);
         assert_eq!(ids(tracks), [1], "frame {frame}");
     }
 }
@@ -41,11 +41,11 @@ fn what_is_unseen_for_too_long_comes_back_as_another() {
     let mut tracker = Tracker::new(config);
     let seen = [sphere(Vector3::new(0.0, 0.0, 1.0))];
     for frame in 0..5 {
-        tracker.update(&header(frame), &seen);
+        tracker.update_frame(&header(frame), &seen);
     }
-    let alive = (5..40).take_while(|&frame| !tracker.update(&header(frame), &[]).is_empty()).count();
+    let alive = (5..40).take_while(|&frame| !tracker.update_frame(&header(frame), &[]).is_empty()).count();
     assert_eq!(alive, 15, "frames in half a second");
-    assert_eq!(ids(tracker.update(&header(40), &seen)), [2]);
+    assert_eq!(ids(tracker.update_frame(&header(40), &seen)), [2]);
 }
 
 #[test]
@@ -53,9 +53,9 @@ fn a_gap_in_the_frames_hands_no_identity_to_another() {
     let mut tracker = Tracker::new(TrackerParameters::default());
     let [first, second] = [0.0, 2.0].map(|x| sphere(Vector3::new(x, 0.0, 2.0)));
     for frame in 0..60 {
-        assert_eq!(ids(tracker.update(&header(frame), &[first])), [1]);
+        assert_eq!(ids(tracker.update_frame(&header(frame), &[first])), [1]);
     }
-    assert_eq!(ids(tracker.update(&header(60 + 5 * 30), &[second])), [2]);
+    assert_eq!(ids(tracker.update_frame(&header(60 + 5 * 30), &[second])), [2]);
 }
 
 #[test]
@@ -63,7 +63,7 @@ fn a_camera_slower_than_tracks_may_coast_keeps_identities() {
     let mut tracker = Tracker::new(TrackerParameters { max_coast_s: 1.0, ..TrackerParameters::default() });
     for frame in [0, 61, 120, 181, 240, 300, 361] {
         let place = Vector3::new(0.05 * seconds(frame), 0.0, 2.0);
-        assert_eq!(ids(tracker.update(&header(frame), &[sphere(place)])), [1], "frame {frame}");
+        assert_eq!(ids(tracker.update_frame(&header(frame), &[sphere(place)])), [1], "frame {frame}");
     }
 }
 
@@ -78,7 +78,7 @@ fn crossing_objects_keep_their_identities() {
             let right_to_left = second(Vector3::new(-x, 0.0, 1.5) + noise.vector(SIGMA_M));
             let swapped = [right_to_left, left_to_right];
             let given = [left_to_right, right_to_left];
-            let tracks = tracker.update(&header(frame), if frame % 2 == 0 { &given } else { &swapped });
+            let tracks = tracker.update_frame(&header(frame), if frame % 2 == 0 { &given } else { &swapped });
             assert_eq!(ids(tracks), [1, 2], "frame {frame}");
             assert_eq!(tracks[1].object.kind, right_to_left.kind);
             if frame > 20 {
@@ -100,7 +100,7 @@ fn crossing_balls_are_not_mixed_up() {
             let places = [Vector3::new(way, 0.0, 1.5), Vector3::new(-way, 0.02, 1.6), Vector3::new(0.0, way, 1.7)];
             let seen = places.iter().enumerate().filter(|(index, _)| *index == 0 || way.abs() > 0.15);
             let objects: Vec<_> = seen.map(|(_, place)| sphere(place + noise.vector(SIGMA_M))).collect();
-            let tracks = tracker.update(&header(frame), &objects);
+            let tracks = tracker.update_frame(&header(frame), &objects);
             there += objects.len();
             let right = |track: &&Track| {
                 let place = places.get(track.id as usize - 1).unwrap_or(&places[0]);
@@ -129,7 +129,7 @@ fn crossing_pipes_are_told_apart_by_their_axes() {
             };
             let upright = pipe(way, [0.0, 1.0, 0.0], &mut noise);
             let lying = pipe(-way, [1.0, 0.0, 0.0], &mut noise);
-            let tracks = tracker.update(&header(frame), &[upright, lying]);
+            let tracks = tracker.update_frame(&header(frame), &[upright, lying]);
             assert_eq!(ids(tracks), [1, 2], "seed {seed}, frame {frame}");
             let leaning = tracks[0].object.axis[1].abs();
             assert!(leaning > 0.99, "seed {seed}, frame {frame}: the first is the other one, {leaning}");
@@ -149,12 +149,12 @@ fn a_track_is_confirmed_once_and_an_identity_given_once() {
             10..60 => &objects[..1],
             _ => &objects,
         };
-        let tracks = tracker.update(&header(frame), visible);
+        let tracks = tracker.update_frame(&header(frame), visible);
         assert!(ids(tracks).is_sorted());
         confirmed.extend_from_slice(tracker.newly_confirmed());
     }
     assert_eq!(confirmed, [ObjectKind::Cylinder, ObjectKind::Sphere, ObjectKind::Cylinder]);
-    assert_eq!(ids(tracker.update(&header(100), &[])), [2, 3]);
+    assert_eq!(ids(tracker.update_frame(&header(100), &[])), [2, 3]);
 }
 
 #[test]
@@ -162,7 +162,7 @@ fn a_false_alarm_is_never_confirmed() {
     let mut tracker = Tracker::new(TrackerParameters::default());
     let far_apart = |frame: u64| sphere(Vector3::new(frame as f64 * 3.0, 0.0, 2.0));
     for frame in 0..40 {
-        let tracks = tracker.update(&header(frame), &[far_apart(frame)]);
+        let tracks = tracker.update_frame(&header(frame), &[far_apart(frame)]);
         assert!(states(tracks).iter().all(|state| *state == TrackState::Tentative));
         assert!(tracks.len() <= 3, "tentative tracks go after three misses");
         assert_eq!(ids(tracks).last(), Some(&(frame + 1)), "no identity is given again");
@@ -174,12 +174,12 @@ fn a_source_started_anew_keeps_its_tracks_only_if_it_goes_on() {
     let mut tracker = Tracker::new(TrackerParameters::default());
     let seen = [sphere(Vector3::new(0.0, 0.0, 1.0))];
     for frame in 0..10 {
-        tracker.update(&header(frame), &seen);
+        tracker.update_frame(&header(frame), &seen);
     }
     let goes_on = Header { epoch: 2, stamp_ns: 0, ..header(12) };
-    assert_eq!(ids(tracker.update(&goes_on, &seen)), [1]);
+    assert_eq!(ids(tracker.update_frame(&goes_on, &seen)), [1]);
     let begins = Header { epoch: 3, ..header(0) };
-    let tracks = tracker.update(&begins, &seen);
+    let tracks = tracker.update_frame(&begins, &seen);
     assert_eq!((ids(tracks), states(tracks)), (vec![2], vec![TrackState::Tentative]));
 }
 
@@ -189,9 +189,9 @@ fn a_new_track_does_not_take_the_sights_of_an_old_one() {
     let mut tracker = Tracker::new(exact());
     let (old, new) = (Vector3::new(0.0, 0.0, 1.0), Vector3::new(0.06, 0.0, 1.0));
     for frame in 0..20 {
-        tracker.update(&header(frame), &[sphere(old)]);
+        tracker.update_frame(&header(frame), &[sphere(old)]);
     }
-    tracker.update(&header(20), &[sphere(old), sphere(new)]);
-    let tracks = tracker.update(&header(21), &[sphere(old + Vector3::new(3.0 * SIGMA_M, 0.0, 0.0))]);
+    tracker.update_frame(&header(20), &[sphere(old), sphere(new)]);
+    let tracks = tracker.update_frame(&header(21), &[sphere(old + Vector3::new(3.0 * SIGMA_M, 0.0, 0.0))]);
     assert_eq!((tracks[0].misses, tracks[1].misses), (0, 1));
 }

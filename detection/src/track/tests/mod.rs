@@ -82,3 +82,26 @@ fn ids(tracks: &[Track]) -> Vec<u64> {
 fn states(tracks: &[Track]) -> Vec<TrackState> {
     tracks.iter().map(Track::track_state).collect()
 }
+
+#[test]
+fn who_has_no_headers_gets_the_same_tracks() {
+    let (mut by_header, mut by_stamp) = (Tracker::default(), Tracker::default());
+    for sequence in 0..6 {
+        let objects = [sphere(Vector3::new(0.1 * seconds(sequence), 0.0, 1.5))];
+        let header = Header { epoch: 0, ..header(sequence) };
+        assert_eq!(by_header.update_frame(&header, &objects), by_stamp.update(&objects, header.stamp_ns));
+    }
+    assert_eq!(states(by_stamp.tracks()), [TrackState::Confirmed]);
+}
+
+#[test]
+fn a_camera_that_tells_its_pose_may_move() {
+    let mut tracker = Tracker::default();
+    for sequence in 0..30 {
+        let along = 0.5 * seconds(sequence);
+        let pose = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, along]];
+        tracker.update_from(&[sphere(Vector3::new(0.0, 0.0, 2.0 - along))], header(sequence).stamp_ns, pose);
+    }
+    let velocity = Vector3::from(tracker.tracks()[0].velocity);
+    assert!(velocity.norm() < 0.02, "the ball stands still: {velocity:?}");
+}

@@ -15,7 +15,8 @@ fn a_bounce_keeps_the_identity() {
             if height < 0.1 {
                 (height, speed) = (0.2 - height, -0.8 * speed);
             }
-            tracker.update(&header(frame), &[sphere(Vector3::new(0.0, 1.0 - height, 2.0) + noise.vector(SIGMA_M))]);
+            tracker
+                .update_frame(&header(frame), &[sphere(Vector3::new(0.0, 1.0 - height, 2.0) + noise.vector(SIGMA_M))]);
         }
         tracker.next_id - 1
     };
@@ -34,7 +35,7 @@ fn a_push_that_nobody_sees_keeps_the_identity_for_a_short_time() {
             let place = Vector3::new(-1.0 + speed_mps * seconds(frame.min(20)), 0.0, 2.0);
             let seen = [sphere(place + noise.vector(SIGMA_M))];
             let hidden = (21..21 + unseen_frames).contains(&frame);
-            tracker.update(&header(frame), if hidden { &[] } else { &seen });
+            tracker.update_frame(&header(frame), if hidden { &[] } else { &seen });
         }
         tracker.next_id - 1
     };
@@ -57,7 +58,7 @@ fn a_bounce_that_nobody_sees_keeps_the_identity_if_the_floor_is_known() {
             }
             let seen = [sphere(Vector3::new(0.5 * seconds(frame), 2.0, height) + noise.vector(SIGMA_M))];
             let hidden = (8..26).contains(&frame);
-            tracker.update(&header(frame), if hidden { &[] } else { &seen });
+            tracker.update_frame(&header(frame), if hidden { &[] } else { &seen });
         }
         tracker.next_id - 1
     };
@@ -78,7 +79,7 @@ fn a_ball_that_lies_does_not_fall() {
     for frame in 0..60 {
         let hidden = (30..50).contains(&frame);
         let seen = [sphere(place + noise.vector(SIGMA_M))];
-        let track = tracker.update(&header(frame), if hidden { &[] } else { &seen })[0];
+        let track = tracker.update_frame(&header(frame), if hidden { &[] } else { &seen })[0];
         let off = (Vector3::from(track.object.center) - place).norm();
         assert!(track.id == 1 && off < 0.06, "frame {frame}: {off} m off");
     }
@@ -92,7 +93,7 @@ fn down_is_along_the_image_where_there_is_no_pose() {
     let place = |frame: u64| Vector3::new(0.0, 4.905 * seconds(frame).powi(2) - 1.0, 2.0);
     for frame in 0..18 {
         let seen = [sphere(place(frame))];
-        let track = tracker.update(&header(frame), if frame < 10 { &seen } else { &[] })[0];
+        let track = tracker.update_frame(&header(frame), if frame < 10 { &seen } else { &[] })[0];
         let off = (Vector3::from(track.object.center) - place(frame)).norm();
         assert!(track.id == 1 && (frame < 8 || off < 0.08), "frame {frame}: {off} m off");
     }

@@ -1,0 +1,173 @@
+//! `conicflow detect`: the objects of recorded frames, in one command without a pipeline file.
+
+use crate::sinks::json_lines::{JsonLines, Wrote};
+use crate::sinks::json_sink::Line;
+use crate::sinks::picture_sink::{self, Names, PictureSink};
+use crate::sources::image_source::{self, Playback};
+use anyhow::{Context as _, Result};
+use clap::Args;
+use conicflow_detection::camera::Intrinsics;
+use conicflow_detection::noise::{NoiseConfig, NoiseName};
+use conicflow_detection::{Detector, Object, ObjectKind};
+use conicflow_messages::{Header, Message};
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Reasons that are told where nothing was found.
+const REASONS: usize = 5;
+
+/// What is looked at, and where the results go.
+#[derive(Args)]
+pub struct DetectArguments {
+    /// A depth image (16-bit PNG, organised PCD), or a folder of them, TUM RGB-D folders included
+    path: PathBuf,
+    /// Intrinsics in pixels [default: those of the file beside the frames, or fitted to the points of PCD files]
+    #[arg(long, value_name = "FX,FY,CX,CY", value_parser = intrinsics, allow_hyphen_values = true)]
+    camera: Option<Intrinsics>,
+    /// Metres per unit of depth [default: 0.001, of TUM folders 0.0002]
+    #[arg(long, value_name = "M")]
+    scale: Option<f64>,
+    /// The sensor's depth noise; each image tells how noisy it is on top of that
+    #[arg(long, value_name = "NAME", default_value = "kinect_v1", value_parser = noise)]
+    noise: NoiseName,
+    /// Writes a picture of each frame into this folder: the depth in grey, the objects over it
+    #[arg(long, value_name = "DIR")]
+    pictures: Option<PathBuf>,
+    /// Writes the lines of JSON there in place of standard output
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+}
+
+/// A sensor whose noise is known, by the words of the pipeline file.
+fn noise(text: &str) -> Result<NoiseName, String> {
+    serde_json::from_value(text.into()).map_err(|error| error.to_string())
+}
+
+/// Four numbers with commas between them.
+fn intrinsics(text: &str) -> Result<Intrinsics, String> {
+    let numbers: Vec<f64> = text
+        .split(',')
+        .map(|number| number.trim().parse())
+        .collect::<Result<_, _>>()
+        .map_err(|_| "expected four numbers such as 525,525,319.5,239.5".to_owned())?;
+    let &[fx, fy, cx, cy] = &numbers[..] else {
+        return Err(format!("expected four numbers such as 525,525,319.5,239.5, not {}", numbers.len()));
+    };
+    let intrinsics = Intrinsics { fx, fy, cx, cy };
+    if intrinsics.are_usable() {
+        Ok(intrinsics)
+    } else {
+        Err("focal lengths are at least one pixel, and all four numbers are finite".to_owned())
+    }
+}
+
+/// Finds the objects of all frames and writes them down.
+///
+/// # Errors
+/// There are no frames, their camera is not known, or something cannot be written.
+pub fn detect(arguments: &DetectArguments) -> Result<()> {
+    let here = Path::new("");
+    let mut playback = Playback::open(&source(arguments), here, 0, 0)?;
+    let mut lines = match &arguments.out {
+        Some(path) => JsonLines::open(path, false)?,
+        None => JsonLines::standard_output(),
+    };
+    let pictures = arguments.pictures.as_ref().map(|folder| picture_sink::Config {
+        path: Some(folder.clone()),
+        names: Names::Source,
+        ..picture_sink::Config::default()
+    });
+    let mut pictures = pictures.map(|config| PictureSink::<Object>::open(&config, here, 0)).transpose()?;
+    let mut detector = None;
+    let (mut pixels, mut totals) = (Vec::new(), Totals::default());
+    while let Some(loaded) = playback.load()? {
+        let start = Instant::now();
+        pixels.resize(loaded.pixels(), 0);
+        let Some(header) = playback.decode(&loaded, &mut pixels)? else { continue };
+        let header = Header { sequence: totals.frames, ..header };
+        let detector = detector_of(&mut detector, &header);
+        let objects = detector.try_detect(&pixels)?;
+        let message = Message { header: &header, items: &objects[..] };
+        let latency_ms = Some((start.elapsed().as_micros() as f64) / 1000.0);
+        if lines.write(&Line { message, latency_ms })? == Wrote::ReaderGone {
+            return Ok(());
+        }
+        if let Some(pictures) = &mut pictures {
+            let depth = Message { header: &header, items: &pixels[..] };
+            pictures.write_picture(&message, Some(&depth), &[]).context("pictures")?;
+        }
+        totals.add(&objects, detector);
+    }
+    totals.count_sources(playback.take_counts());
+    super::say(totals.text());
+    Ok(())
+}
+
+/// The detector of a frame's camera; that of a point cloud may differ from frame to frame.
+fn detector_of<'a>(detector: &'a mut Option<(Header, Detector)>, header: &Header) -> &'a mut Detector {
+    let is_other = |known: &Header| (known.camera, known.depth_scale) != (header.camera, header.depth_scale);
+    if detector.as_ref().is_some_and(|(known, _)| is_other(known)) {
+        *detector = None;
+    }
+    let new = || (*header, Detector::new(header.camera).noise(header.noise).depth_scale(header.depth_scale));
+    &mut detector.get_or_insert_with(new).1
+}
+
+fn source(arguments: &DetectArguments) -> image_source::Config {
+    image_source::Config {
+        path: Some(arguments.path.clone()),
+        depth_scale: arguments.scale,
+        intrinsics: arguments.camera,
+        noise: NoiseConfig::Named(arguments.noise),
+        ..image_source::Config::default()
+    }
+}
+
+/// What was found in all frames.
+#[derive(Default)]
+struct Totals {
+    frames: u64,
+    found: BTreeMap<&'static str, u64>,
+    rejections: BTreeMap<&'static str, u64>,
+    of_source: BTreeMap<&'static str, u64>,
+}
+
+impl Totals {
+    fn add(&mut self, objects: &[Object], detector: &Detector) {
+        self.frames += 1;
+        for object in objects {
+            *self.found.entry(object.shape().name()).or_default() += 1;
+        }
+        for (reason, times) in detector.rejections() {
+            *self.rejections.entry(reason).or_default() += times;
+        }
+    }
+
+    fn count_sources(&mut self, counts: impl Iterator<Item = (&'static str, u64)>) {
+        self.of_source.extend(counts.filter(|(_, times)| *times > 0));
+    }
+
+    /// A line on what was found; where that is nothing, why.
+    fn text(&self) -> String {
+        let mut text = format!("in {} frames: ", self.frames);
+        let found: Vec<String> = ObjectKind::ALL
+            .iter()
+            .filter_map(|kind| Some(format!("{} {}", kind.name(), self.found.get(kind.name())?)))
+            .collect();
+        text += &if found.is_empty() { "nothing was found".to_owned() } else { found.join(", ") };
+        for (what, times) in &self.of_source {
+            // Writing to a string cannot fail.
+            write!(text, "; {what}: {times}").ok();
+        }
+        if found.is_empty() {
+            let mut reasons: Vec<_> = self.rejections.iter().collect();
+            reasons.sort_by_key(|(_, times)| std::cmp::Reverse(**times));
+            for (reason, times) in reasons.into_iter().take(REASONS) {
+                write!(text, "\n  {times} {reason}").ok();
+            }
+        }
+        text
+    }
+}

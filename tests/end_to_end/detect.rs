@@ -1,0 +1,138 @@
+//! `conicflow detect`: one command on recorded frames, beside the pipeline on the same.
+
+use crate::support::Playground;
+use conicflow_lab::simulator::scene::Scene;
+use conicflow_lab::simulator::{SimulatorParameters, SyntheticCamera};
+use serde_json::Value as Json;
+use std::fs;
+
+/// Writes frames of a built-in scene down as a camera would: 16-bit PNGs in millimetres.
+fn record(playground: &Playground, frames: u64) -> String {
+    let config = SimulatorParameters { width: 320, height: 240, ..SimulatorParameters::default() };
+    let (scene, camera) = (Scene::built_in("tabletop").unwrap().unwrap(), config.camera());
+    let mut synthetic = SyntheticCamera::new(scene, camera, config.noise, 0.001, 30.0, 5);
+    let mut depths = vec![0; 320 * 240];
+    fs::create_dir(playground.path("frames")).unwrap();
+    for number in 0..frames {
+        synthetic.shoot(number, &mut depths);
+        let bytes: Vec<u8> = depths.iter().flat_map(|depth: &u16| depth.to_be_bytes()).collect();
+        write_png(playground, &format!("frames/img{number}.png"), &bytes);
+    }
+    format!("{},{},{},{}", camera.fx, camera.fy, camera.cx, camera.cy)
+}
+
+fn write_png(playground: &Playground, name: &str, bytes: &[u8]) {
+    let file = fs::File::create(playground.path(name)).unwrap();
+    let mut encoder = png::Encoder::new(file, 320, 240);
+    encoder.set_color(png::ColorType::Grayscale);
+    encoder.set_depth(png::BitDepth::Sixteen);
+    encoder.write_header().unwrap().write_image_data(bytes).unwrap();
+}
+
+/// Lines of JSON without what differs from run to run.
+fn results(text: &str) -> Vec<Json> {
+    let line = |line: &str| {
+        let mut line: Json = serde_json::from_str(line).unwrap();
+        assert!(line["latency_ms"].take().as_f64().is_some_and(|latency_ms| latency_ms > 0.0), "{line}");
+        line
+    };
+    text.lines().map(line).collect()
+}
+
+const PIPELINE: &str = r#"
+name = "recorded"
+[stage.source]
+node = "image_source"
+path = "frames"
+output = "depth"
+rate_hz = 0
+[stage.extractor]
+node = "row_ellipse_extractor"
+input = { topic = "depth", delivery = "lossless" }
+output = "ellipses"
+[stage.assembler]
+node = "object_assembler"
+input = { topic = "ellipses", delivery = "lossless" }
+output = "objects"
+[stage.json]
+node = "json_sink"
+input = { topic = "objects", delivery = "lossless" }
+path = "objects.jsonl"
+"#;
+
+#[test]
+fn detect_finds_what_the_pipeline_finds_to_the_bit() {
+    let playground = Playground::with_pipeline(PIPELINE);
+    let camera = record(&playground, 12);
+    let numbers: Vec<f64> = camera.split(',').map(|number| number.parse().unwrap()).collect();
+    let set = format!(
+        "source.intrinsics={{ fx = {:?}, fy = {:?}, cx = {:?}, cy = {:?} }}",
+        numbers[0], numbers[1], numbers[2], numbers[3]
+    );
+    playground.conicflow(&["run", "--quiet", "--set", &set]).expect_code(0);
+    let piped = results(&fs::read_to_string(playground.path("objects.jsonl")).unwrap());
+    let ended = playground.conicflow(&["detect", "frames", "--camera", &camera]).expect_code(0);
+    let detected = results(&ended.stdout);
+    assert_eq!(detected.len(), 12);
+    // The stamps follow `rate_hz`; of what nobody paces they are those of 30 frames per second in both.
+    assert_eq!(detected, piped);
+    let objects: usize = detected.iter().map(|line| line["objects"].as_array().unwrap().len()).sum();
+    assert!(objects >= 12, "{objects} objects in 12 frames");
+    assert!(ended.stderr.contains("in 12 frames: ") && ended.stderr.contains("cylinder"), "{}", ended.stderr);
+}
+
+#[test]
+fn results_and_pictures_go_where_they_are_asked_for() {
+    let playground = Playground::new();
+    let camera = record(&playground, 2);
+    let file = [
+        "detect",
+        "frames/img1.png",
+        "--camera",
+        &camera,
+        "--noise",
+        "kinect_v1",
+        "--scale",
+        "0.001",
+        "--pictures",
+        "pictures",
+        "--out",
+        "out/objects.jsonl",
+    ];
+    let ended = playground.conicflow(&file).expect_code(0);
+    assert_eq!(ended.stdout, "");
+    let lines = playground.json_lines("out/objects.jsonl");
+    assert_eq!((lines.len(), lines[0]["source"].as_str()), (1, Some("img1.png")));
+    let picture = fs::File::open(playground.path("pictures/img1.png")).unwrap();
+    let info = png::Decoder::new(std::io::BufReader::new(picture)).read_info().unwrap().info().clone();
+    assert_eq!((info.width, info.height, info.color_type), (320, 240, png::ColorType::Rgb));
+}
+
+#[test]
+fn a_frame_that_shows_nothing_has_a_line_and_why() {
+    let playground = Playground::new();
+    fs::create_dir(playground.path("frames")).unwrap();
+    write_png(&playground, "frames/wall.png", &2000_u16.to_be_bytes().repeat(320 * 240));
+    let ended = playground.conicflow(&["detect", "frames", "--camera", "290,290,159.5,119.5"]).expect_code(0);
+    assert_eq!(results(&ended.stdout)[0]["objects"], serde_json::json!([]));
+    let expected = "in 1 frames: nothing was found\n  80 arcs that a line explains\n";
+    assert!(ended.stderr.ends_with(expected), "{}", ended.stderr);
+}
+
+#[test]
+fn what_cannot_be_detected_in_is_an_error_with_a_hint() {
+    let playground = Playground::new();
+    record(&playground, 1);
+    for (arguments, what) in [
+        (&["detect", "nowhere"][..], "nowhere"),
+        (&["detect", "frames"], "intrinsics"),
+        (&["detect", "frames", "--camera", "525,525,319.5"], "expected four numbers"),
+        (&["detect", "frames", "--camera", "0,525,319.5,239.5"], "focal lengths are at least one pixel"),
+        (&["detect", "frames", "--camera", "290,290,159.5,119.5", "--scale", "0"], "depth_scale"),
+        (&["detect", "frames", "--noise", "kinect"], "unknown variant `kinect`, expected one of `kinect_v1`"),
+    ] {
+        let ended = playground.conicflow(arguments);
+        assert!(ended.stderr.contains(what), "{arguments:?}: {}", ended.stderr);
+        assert_eq!((ended.code, ended.stdout.as_str()), (Some(2), ""), "{arguments:?}");
+    }
+}
