@@ -7,8 +7,9 @@ mod listening;
 mod orphans;
 
 use crate::launcher::{RunFolder, user_folder};
-use crate::needs::{Needs, in_words};
+use crate::needs::Needs;
 use crate::plan::Plan;
+use crate::ports::capacity::in_words;
 use crate::ports::shared_memory::leftovers::{Leftover, Litter, clear, leftovers, litter};
 use crate::registry::Registry;
 use std::fmt::{self, Display};
