@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 USE = re.compile(r"^ *(?:pub(?:\(\w+\))? )?use ([^;]+);", re.MULTILINE)
-PATH = re.compile(r"\b(?:crate|super)(?:::\w+)+(?![\w:])")  # in the midst of code
+PATH = re.compile(r"(?<![\w:])[a-z_]\w*(?:::\w+)+(?![\w:])")  # in the midst of code
 
 
 def leaves(tree):
