@@ -1,38 +1,32 @@
 //! Edges between machines, over Zenoh: the only place that knows it.
 //!
-//! Where a topic is written on one machine and read on another, the launcher of each starts one bridge process. What leaves
-//! is read from shared memory, encoded ([`wire`]) and put under `conicflow/PIPELINE/MACHINE/TOPIC` ([`sending`]); what comes
-//! is checked, decoded and written into shared memory ([`receiving`]). Each bridge also puts a small beacon under
-//! `conicflow/PIPELINE/@link/MACHINE` ([`beacon`]): it acknowledges, measures the clocks, and shows that the link lives,
+//! Where a topic is written on one machine and read on another, the launcher of each starts one bridge process ([`process`]).
+//! What leaves is read from shared memory, encoded ([`wire`]) and put under `conicflow/PIPELINE/MACHINE/TOPIC` ([`sending`]);
+//! what comes is checked, decoded and written into shared memory ([`receiving`]). Each bridge also puts a small heartbeat
+//! under `conicflow/PIPELINE/@link/MACHINE` ([`peer`]): it acknowledges, measures the clocks, and shows that the link lives,
 //! because Zenoh's `put` succeeds with nobody there. What is short and may be lost goes by datagrams, where the file names
-//! endpoints for these ([`ways`]). [`outbox`] and [`sequence`] are the two ends of lossless delivery;
-//! where the newest wins, [`window`] keeps what is under way from becoming a queue.
+//! endpoints for these ([`session`]). [`reliable`] holds the two ends of lossless delivery, and the window that keeps what is
+//! under way from becoming a queue where the newest wins.
+//!
+//! Lossless delivery is written here, and not taken from `zenoh-ext` (`AdvancedPublisher`, `AdvancedSubscriber`), which has a
+//! cache, finds misses and sends again: it is marked unstable, and it has no back-pressure. A lossless edge has to let its
+//! writer wait as soon as a receiver lags, to keep what is not acknowledged for the process that takes the place of a killed
+//! one, and to say how many messages are lost in the end.
 
-mod account;
-mod beacon;
-mod compression;
-mod counts;
-mod depth_codec;
-mod ellipse_codec;
-mod kept;
-mod links;
-mod mailbox;
-mod outbox;
+mod channel;
+mod error;
+mod peer;
 mod process;
 mod receiving;
+mod reliable;
 mod sending;
-mod sequence;
+mod session;
 mod settings;
-mod ways;
-mod window;
 mod wire;
-#[cfg(test)]
-mod wire_tests;
 
 pub use wire::{MAX_MESSAGE, Place, WIRE_VERSION, Wire, WireError, decode_message, encode_message};
 
-use conicflow_dataflow::ports::PortError;
-use conicflow_dataflow::{Network, NetworkError, SettingsFault};
+use conicflow_dataflow::{Network, NetworkError};
 
 /// The network part of a program: it goes into its `Registry`.
 pub const NETWORK: Network = Network {
@@ -45,40 +39,3 @@ pub const NETWORK: Network = Network {
         })
     },
 };
-
-/// Why a bridge ended before its edges did.
-#[derive(Debug, thiserror::Error)]
-enum BridgeError {
-    /// The machine's table, or its Zenoh file.
-    #[error("{0}")]
-    Settings(#[from] SettingsFault),
-    /// Shared memory.
-    #[error(transparent)]
-    Port(#[from] PortError),
-    /// Bytes that cannot be made.
-    #[error(transparent)]
-    Wire(#[from] WireError),
-    /// Zenoh.
-    #[error("{doing}: {reason}\n  hint: are the endpoints in the machine's table right, and free?")]
-    Zenoh {
-        /// What was being done.
-        doing: String,
-        /// What Zenoh said.
-        reason: String,
-    },
-    /// A thread panicked.
-    #[error("an edge of the bridge panicked; its message stands above")]
-    Panicked,
-}
-
-impl BridgeError {
-    /// Whether starting anew would not help.
-    fn is_final(&self) -> bool {
-        use PortError::{Incompatible, PathTooLong};
-        matches!(self, Self::Settings(_) | Self::Port(Incompatible { .. } | PathTooLong { .. }))
-    }
-
-    fn zenoh(doing: &str, reason: impl std::fmt::Display) -> Self {
-        Self::Zenoh { doing: doing.to_owned(), reason: reason.to_string() }
-    }
-}

@@ -1,14 +1,14 @@
-//! The life of a bridge: opens its session, runs a thread per edge, sends beacons and keeps its records until all have
+//! The life of a bridge: opens its session, runs a thread per edge, sends heartbeats and keeps its records until all have
 //! ended.
 
-use super::account::{Account, Carried};
-use super::beacon::Ack;
-use super::links::Links;
-use super::receiving::Receiving;
-use super::sending::{Sending, Shared};
-use super::ways::{Ear, Voice, Ways};
-use super::wire::encode_note;
-use super::{BridgeError, Wire};
+use crate::error::BridgeError;
+use crate::peer::heartbeat::Ack;
+use crate::peer::links::Links;
+use crate::peer::report::{BridgeReporter, EdgeHandle};
+use crate::receiving::Receiving;
+use crate::sending::{Sending, Shared};
+use crate::session::{Publisher, Sessions, Subscriber};
+use crate::wire::{Wire, encode_note};
 use conicflow_dataflow::relay::{Settling, SharedMemory, Surroundings};
 use conicflow_dataflow::{BridgePlan, BridgeRun, Life, NO_RUN, Stop};
 use conicflow_messages::{Ellipse, Kind, Object, Track};
@@ -21,8 +21,8 @@ use zenoh::qos::Priority;
 /// How long lossless edges wait for a machine that has gone, where the file does not say.
 const OUTAGE: Duration = Duration::from_secs(30);
 const TICK: Duration = Duration::from_millis(10);
-/// Without news a beacon is sent this often.
-const BEACON_PERIOD: Duration = Duration::from_millis(200);
+/// Without news a heartbeat is sent this often.
+const HEARTBEAT_PERIOD: Duration = Duration::from_millis(200);
 /// The last acknowledgement is repeated, because nothing acknowledges that one.
 const FAREWELLS: usize = 5;
 
@@ -35,53 +35,53 @@ pub(crate) fn run(
     let (stop, settling) = (around.context.stop.clone(), Settling::of(&around));
     let stream = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as u64);
     let links = Arc::new(Links::new(stream, bridge));
-    let mut account = Account::new(bridge, run, around.record, &links);
-    account.report(false);
-    let Some(ways) = Ways::open(&bridge.settings, &stop, || account.report(false))? else { return Ok(()) };
+    let mut reporter = BridgeReporter::new(bridge, run, around.record, &links);
+    reporter.report(false);
+    let Some(sessions) = Sessions::open(&bridge.settings, &stop, || reporter.report(false))? else { return Ok(()) };
     let shared = Shared {
-        ways: &ways,
+        sessions: &sessions,
         transport: &around.transport,
         links: &links,
         pipeline: run.pipeline,
         machine: &bridge.machine,
         stream,
-        kept: (run.run != NO_RUN).then_some(run.folder),
+        log_folder: (run.run != NO_RUN).then_some(run.folder),
         outage: bridge.settings.outage_s.map_or(OUTAGE, Duration::from_secs_f64),
         peers: &around.peers,
         stop: &stop,
     };
-    let voice = ways.speak(&beacon_key(run.pipeline, &bridge.machine), true, Priority::RealTime)?;
-    let ears = listen_for_beacons(&shared, bridge)?;
-    account.record.status.set_life(Life::Running);
+    let publisher = sessions.publisher(&heartbeat_key(run.pipeline, &bridge.machine), true, Priority::RealTime)?;
+    let subscribers = subscribe_to_heartbeats(&shared, bridge)?;
+    reporter.record.status.set_life(Life::Running);
     let sent = (Instant::now(), Vec::new());
-    let mut watch = Watch { account, ways: &ways, links: &links, voice, ears, sent, settling };
+    let mut watch = Watch { reporter, sessions: &sessions, links: &links, publisher, subscribers, sent, settling };
     let result = watch.run(&shared);
     let life = if result.is_ok() && !stop.forced() { Life::Ended } else { Life::Starting };
-    watch.account.record.status.set_life(life);
-    watch.account.report(ways.reach_anybody());
+    watch.reporter.record.status.set_life(life);
+    watch.reporter.report(sessions.reach_anybody());
     result
 }
 
-fn beacon_key(pipeline: &str, machine: &str) -> String {
+fn heartbeat_key(pipeline: &str, machine: &str) -> String {
     format!("conicflow/{pipeline}/@link/{machine}")
 }
 
-fn listen_for_beacons<'a>(shared: &Shared<'a>, bridge: &BridgePlan) -> Result<Vec<Ear<'a>>, BridgeError> {
-    let listen = |peer: &str| {
+fn subscribe_to_heartbeats<'a>(shared: &Shared<'a>, bridge: &BridgePlan) -> Result<Vec<Subscriber<'a>>, BridgeError> {
+    let subscribe = |peer: &str| {
         let (links, machine) = (Arc::clone(shared.links), peer.to_owned());
         let hear = move |bytes: ZBytes| links.heard(&machine, &bytes.to_bytes());
-        shared.ways.listen(&beacon_key(shared.pipeline, peer), Some(3 * BEACON_PERIOD), hear)
+        shared.sessions.subscriber(&heartbeat_key(shared.pipeline, peer), Some(3 * HEARTBEAT_PERIOD), hear)
     };
-    bridge.peers().into_iter().map(listen).collect()
+    bridge.peers().into_iter().map(subscribe).collect()
 }
 
 /// The main thread: it starts the others, and watches.
 struct Watch<'a> {
-    account: Account<'a>,
-    ways: &'a Ways,
+    reporter: BridgeReporter<'a>,
+    sessions: &'a Sessions,
     links: &'a Links,
-    voice: Voice<'a>,
-    ears: Vec<Ear<'a>>,
+    publisher: Publisher<'a>,
+    subscribers: Vec<Subscriber<'a>>,
     sent: (Instant, Vec<Ack>),
     /// Counts seconds with a link.
     settling: Settling,
@@ -92,30 +92,33 @@ type Handle<'scope> = ScopedJoinHandle<'scope, Result<(), BridgeError>>;
 impl<'a> Watch<'a> {
     fn run(&mut self, shared: &Shared<'a>) -> Result<(), BridgeError> {
         std::thread::scope(|scope| {
-            let carried = &self.account.carried;
-            let started: Result<Vec<_>, _> = carried.iter().map(|carried| carried.start(scope, shared)).collect();
+            let edges = &self.reporter.edges;
+            let started: Result<Vec<_>, _> = edges.iter().map(|edge| edge.start(scope, shared)).collect();
             let handles = started.inspect_err(|_| shared.stop.force())?;
             let result = self.watch(handles, shared.stop);
             (0..FAREWELLS).for_each(|_| {
-                self.send_beacon(self.links.acks());
+                self.send_heartbeat(self.links.acks());
                 std::thread::sleep(TICK);
             });
             result
         })
     }
 
-    /// Sends beacons and reports until all edges have ended; one that fails ends the others.
+    /// Sends heartbeats and reports until all edges have ended; one that fails ends the others.
     fn watch(&mut self, mut handles: Vec<Handle<'_>>, stop: &Stop) -> Result<(), BridgeError> {
         let mut result = Ok(());
         while !handles.is_empty() {
             let acks = self.links.acks();
-            if acks != self.sent.1 || self.sent.0.elapsed() > BEACON_PERIOD {
-                self.send_beacon(acks);
+            if acks != self.sent.1 || self.sent.0.elapsed() > HEARTBEAT_PERIOD {
+                self.send_heartbeat(acks);
             }
-            if self.account.is_due() {
+            if self.reporter.is_due() {
                 self.report();
             }
-            self.ears.iter_mut().try_for_each(|ear| ear.choose().map(drop)).inspect_err(|_| stop.force())?;
+            self.subscribers
+                .iter_mut()
+                .try_for_each(|subscriber| subscriber.choose().map(drop))
+                .inspect_err(|_| stop.force())?;
             for ended in handles.extract_if(.., |handle| handle.is_finished()) {
                 let edge = ended.join().unwrap_or(Err(BridgeError::Panicked));
                 result = result.and(edge.inspect_err(|_| stop.force()));
@@ -126,22 +129,22 @@ impl<'a> Watch<'a> {
     }
 
     fn report(&mut self) {
-        let reachable = self.ways.reach_anybody();
-        self.account.report(reachable);
+        let reachable = self.sessions.reach_anybody();
+        self.reporter.report(reachable);
         if reachable {
             self.settling.step();
         }
     }
 
-    fn send_beacon(&mut self, acks: Vec<Ack>) {
+    fn send_heartbeat(&mut self, acks: Vec<Ack>) {
         self.sent = (Instant::now(), acks.clone());
-        if let Ok(bytes) = encode_note(&self.links.beacon(acks)) {
-            self.voice.put(bytes);
+        if let Ok(bytes) = encode_note(&self.links.heartbeat(acks)) {
+            self.publisher.put(bytes);
         }
     }
 }
 
-impl<'a> Carried<'a> {
+impl<'a> EdgeHandle<'a> {
     fn start<'scope>(
         &self,
         scope: &'scope Scope<'scope, '_>,

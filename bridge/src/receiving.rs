@@ -1,14 +1,14 @@
 //! An edge that comes: checked, decoded, and written into shared memory as if its writer were on this machine.
 
-use super::BridgeError;
-use super::beacon::Ack;
-use super::counts::EdgeCounts;
-use super::links::Links;
-use super::mailbox::Mailbox;
-use super::sending::{Shared, is_short};
-use super::sequence::{Sequence, Verdict};
-use super::ways::Ear;
-use super::wire::{Place, Wire, decode_message, place_of};
+use crate::channel::Channel;
+use crate::error::BridgeError;
+use crate::peer::counts::EdgeCounts;
+use crate::peer::heartbeat::Ack;
+use crate::peer::links::Links;
+use crate::reliable::sequence::{Sequence, Verdict};
+use crate::sending::{Shared, is_short};
+use crate::session::Subscriber;
+use crate::wire::{Place, Wire, decode_message, place_of};
 use conicflow_dataflow::pipeline::BRIDGE;
 use conicflow_dataflow::ports::{Delivery, PortError, Transport};
 use conicflow_dataflow::relay::{Outlet, Seldom, SharedWriter};
@@ -32,8 +32,8 @@ const SILENCE: Duration = Duration::from_secs(2);
 pub(super) struct Receiving<'a, T: Wire> {
     edge: &'a Edge,
     lossless: bool,
-    mailbox: Arc<Mailbox<ZBytes>>,
-    ear: Ear<'a>,
+    channel: Arc<Channel<ZBytes>>,
+    subscriber: Subscriber<'a>,
     outlet: Outlet<T, SharedWriter<T>>,
     sequence: Sequence,
     items: Vec<T>,
@@ -42,7 +42,7 @@ pub(super) struct Receiving<'a, T: Wire> {
     counts: Arc<EdgeCounts>,
     stop: Stop,
     nonsense: Seldom,
-    ways_told: BTreeSet<&'static str>,
+    told: BTreeSet<&'static str>,
 }
 
 impl<'a, T: Wire> Receiving<'a, T> {
@@ -51,19 +51,19 @@ impl<'a, T: Wire> Receiving<'a, T> {
         let topic = edge.topic.clone();
         let lossless = edge.delivery_to(shared.machine) == Some(Delivery::Lossless);
         let room = if lossless { LOSSLESS_ROOM } else { edge.writers.len() + 1 };
-        let mailbox = Arc::new(Mailbox::new(room, !lossless));
-        let letters = Arc::clone(&mailbox);
+        let channel = Arc::new(Channel::new(room, !lossless));
+        let sender = Arc::clone(&channel);
         let silence = (!lossless && is_short(edge)).then_some(SILENCE);
-        let ear = shared.ways.listen(&shared.key(&edge.from, &topic.name), silence, move |bytes| {
+        let subscriber = shared.sessions.subscriber(&shared.key(&edge.from, &topic.name), silence, move |bytes| {
             // What finds no room comes again, or was not the newest.
-            letters.leave(bytes);
+            sender.send(bytes);
         })?;
         let port = Some((shared.transport.writer::<T>(&topic)?, topic));
         Ok(Self {
             edge,
             lossless,
-            mailbox,
-            ear,
+            channel,
+            subscriber,
             outlet: Outlet::new(port, BRIDGE, 0, shared.peers.clone(), shared.stop.clone()),
             sequence: Sequence::new(lossless),
             items: Vec::new(),
@@ -72,7 +72,7 @@ impl<'a, T: Wire> Receiving<'a, T> {
             counts,
             stop: shared.stop.clone(),
             nonsense: Seldom::default(),
-            ways_told: BTreeSet::new(),
+            told: BTreeSet::new(),
         })
     }
 
@@ -80,7 +80,7 @@ impl<'a, T: Wire> Receiving<'a, T> {
     pub(super) fn run(mut self) -> Result<(), BridgeError> {
         while !self.stop.requested() && self.ended.len() < self.edge.writers.len() {
             self.choose_way()?;
-            let Some(bytes) = self.mailbox.take(TICK) else { continue };
+            let Some(bytes) = self.channel.receive(TICK) else { continue };
             match self.accept(&bytes.to_bytes()) {
                 Err(PortError::Stopped) => break,
                 result => result?,
@@ -92,7 +92,7 @@ impl<'a, T: Wire> Receiving<'a, T> {
 
     /// Sees to it that messages come, and says once by which way.
     fn choose_way(&mut self) -> Result<(), BridgeError> {
-        if let Some(way) = self.ear.choose()?.filter(|way| self.ways_told.insert(way)) {
+        if let Some(way) = self.subscriber.choose()?.filter(|way| self.told.insert(way)) {
             let (topic, from) = (&self.edge.topic.name, &self.edge.from);
             tracing::info!("topic `{topic}` of machine `{from}` comes by {way}");
         }

@@ -1,12 +1,12 @@
 //! An edge that leaves: out of shared memory, encoded, put to Zenoh, and kept until it is acknowledged where that is asked.
 
-use super::BridgeError;
-use super::counts::EdgeCounts;
-use super::kept::Kept;
-use super::links::Links;
-use super::outbox::Outbox;
-use super::ways::{Voice, Ways};
-use super::wire::{Wire, encode_message};
+use crate::error::BridgeError;
+use crate::peer::counts::EdgeCounts;
+use crate::peer::links::Links;
+use crate::reliable::retransmit_queue::RetransmitQueue;
+use crate::reliable::send_log::SendLog;
+use crate::session::{Publisher, Sessions};
+use crate::wire::{Wire, encode_message};
 use conicflow_dataflow::pipeline::BRIDGE;
 use conicflow_dataflow::ports::{Delivery, Received, Transport};
 use conicflow_dataflow::relay::{Inbox, Peers, Seldom, SharedMemory, SharedReader, end_of_stream};
@@ -23,19 +23,19 @@ const TICK: Duration = Duration::from_millis(20);
 /// Where the newest wins, messages wait on a full link for so long at most; images, waiting for less, give way to lists.
 const LISTS_WAIT: Duration = Duration::from_millis(100);
 const IMAGES_WAIT: Duration = Duration::from_millis(40);
-/// A full outbox looks for acknowledgements this often.
+/// A full queue looks for acknowledgements this often.
 const FULL_TICK: Duration = Duration::from_millis(2);
 
 /// What the threads of a bridge share.
 pub(super) struct Shared<'a> {
-    pub ways: &'a Ways,
+    pub sessions: &'a Sessions,
     pub transport: &'a SharedMemory,
     pub links: &'a Arc<Links>,
     pub pipeline: &'a str,
     pub machine: &'a str,
     pub stream: u64,
-    /// Where what is not acknowledged is kept, if anybody can come after this process.
-    pub kept: Option<&'a Path>,
+    /// Where the log of what is not acknowledged lies, if anybody can come after this process.
+    pub log_folder: Option<&'a Path>,
     pub outage: Duration,
     pub peers: &'a Peers,
     pub stop: &'a Stop,
@@ -57,8 +57,8 @@ pub(super) fn is_short(edge: &Edge) -> bool {
 pub(super) struct Sending<'a, T: Wire> {
     edge: &'a Edge,
     inbox: Inbox<T, SharedReader<T>>,
-    voice: Voice<'a>,
-    outbox: Outbox,
+    publisher: Publisher<'a>,
+    queue: RetransmitQueue,
     links: Arc<Links>,
     counts: Arc<EdgeCounts>,
     peers: Peers,
@@ -77,13 +77,15 @@ impl<'a, T: Wire> Sending<'a, T> {
         let wait = if images { IMAGES_WAIT } else { LISTS_WAIT };
         let priority = if images { Priority::DataLow } else { Priority::InteractiveHigh };
         let lossy = edge.to.iter().any(|receiver| receiver.delivery == Delivery::Latest);
-        let voice = shared.ways.speak(&shared.key(&edge.from, &topic.name), lossy && is_short(edge), priority)?;
-        let kept = shared.kept.map(|folder| Kept::in_folder(folder.to_owned(), &topic.name)).unwrap_or_default();
+        let publisher =
+            shared.sessions.publisher(&shared.key(&edge.from, &topic.name), lossy && is_short(edge), priority)?;
+        let log =
+            shared.log_folder.map(|folder| SendLog::in_folder(folder.to_owned(), &topic.name)).unwrap_or_default();
         Ok(Self {
             edge,
             inbox: Inbox::new(reader, topic.delivery_to(BRIDGE), &topic.name, topic.writers.len()),
-            voice,
-            outbox: Outbox::new(shared.stream, kept, &edge.to, [wait, shared.outage], Instant::now()),
+            publisher,
+            queue: RetransmitQueue::new(shared.stream, log, &edge.to, [wait, shared.outage], Instant::now()),
             links: Arc::clone(shared.links),
             counts,
             peers: shared.peers.clone(),
@@ -107,38 +109,38 @@ impl<'a, T: Wire> Sending<'a, T> {
             }
         }
         if !self.stop.forced() {
-            self.outbox.close();
+            self.queue.close();
         }
         self.tell_what_is_lost();
         Ok(())
     }
 
     fn is_done(&self) -> bool {
-        self.ended.len() == self.edge.writers.len() && self.outbox.is_settled(Instant::now())
+        self.ended.len() == self.edge.writers.len() && self.queue.is_settled(Instant::now())
     }
 
     fn may_send(&mut self) -> bool {
-        self.outbox.may_send(Instant::now(), |machine| self.links.round_trip(machine))
+        self.queue.may_send(Instant::now(), |machine| self.links.round_trip(machine))
     }
 
     /// Whether anybody is there: a machine of the pipeline, or another program that has subscribed.
     fn is_wanted(&self) -> bool {
-        self.outbox.is_wanted(|machine| self.links.is_connected(machine)) || self.voice.is_heard()
+        self.queue.is_wanted(|machine| self.links.is_connected(machine)) || self.publisher.is_heard()
     }
 
     /// Learns what has arrived, and sends again what has not.
     fn settle(&mut self) {
         let now = Instant::now();
-        for machine in self.outbox.machines() {
+        for machine in self.queue.machines() {
             let (ack, heard) = self.links.ack_of(&machine, &self.edge.topic.name);
-            self.outbox.acknowledge(&machine, ack.as_ref(), heard, now);
+            self.queue.acknowledge(&machine, ack.as_ref(), heard, now);
         }
         let links = Arc::clone(&self.links);
-        for bytes in self.outbox.due(now, |machine| links.is_connected(machine)) {
+        for bytes in self.queue.due(now, |machine| links.is_connected(machine)) {
             EdgeCounts::add(&self.counts.resent, 1);
-            self.voice.put(bytes);
+            self.publisher.put(bytes);
         }
-        self.counts.lost.store(self.outbox.lost(), std::sync::atomic::Ordering::Relaxed);
+        self.counts.lost.store(self.queue.lost(), std::sync::atomic::Ordering::Relaxed);
     }
 
     /// Sends the next message, if there is one and anybody to send it to. What came from another machine does not go out
@@ -150,15 +152,15 @@ impl<'a, T: Wire> Sending<'a, T> {
         if !self.is_wanted() || !self.edge.writers.contains(&writer) {
             return Ok(true);
         }
-        let encoded = encode_message(self.outbox.place(), &header, message.items(), self.edge.compression);
+        let encoded = encode_message(self.queue.place(), &header, message.items(), self.edge.compression);
         let memory_bytes = size_of_val(message.items()) + size_of::<Header>();
         drop(message);
         self.last = header;
         match encoded {
             Ok(bytes) => {
                 self.count(&header, bytes.len(), memory_bytes);
-                self.outbox.sent(&bytes, Instant::now());
-                self.voice.put(bytes);
+                self.queue.sent(&bytes, Instant::now());
+                self.publisher.put(bytes);
             }
             Err(error) => self.leave_out(&error),
         }
@@ -190,9 +192,9 @@ impl<'a, T: Wire> Sending<'a, T> {
             let over = self.inbox.has_ended(writer) || gone.contains(writer);
             if over && self.inbox.is_idle() && self.ended.insert(writer.clone()) {
                 let end = end_of_stream(&self.last, &[Text::new(writer)]);
-                let bytes = encode_message::<T>(self.outbox.place(), &end, &[], self.edge.compression)?;
-                self.outbox.sent_end(writer, &bytes, Instant::now());
-                self.voice.put(bytes);
+                let bytes = encode_message::<T>(self.queue.place(), &end, &[], self.edge.compression)?;
+                self.queue.sent_end(writer, &bytes, Instant::now());
+                self.publisher.put(bytes);
             }
         }
         Ok(false)
@@ -205,7 +207,7 @@ impl<'a, T: Wire> Sending<'a, T> {
 
     fn tell_what_is_lost(&self) {
         let lossless = self.edge.to.iter().any(|receiver| receiver.delivery == Delivery::Lossless);
-        let lost = self.outbox.lost() + self.outbox.kept();
+        let lost = self.queue.lost() + self.queue.unacknowledged();
         self.counts.lost.store(lost, std::sync::atomic::Ordering::Relaxed);
         if lossless && lost > 0 {
             let topic = &self.edge.topic.name;

@@ -1,6 +1,6 @@
 //! From a machine's table to a Zenoh configuration that is closed unless the file opens it.
 
-use super::wire::MAX_MESSAGE;
+use crate::wire::MAX_MESSAGE;
 use conicflow_dataflow::SettingsFault;
 use conicflow_dataflow::pipeline::Machine;
 use serde_json::{Value as Json, json};

@@ -2,46 +2,21 @@
 //!
 //! To look changes nothing: no folder is made, no process is touched. Each look is a file of its own, and gives findings.
 
+mod finding;
 mod folder;
 mod listening;
 mod orphans;
 
+pub use finding::Finding;
+
 use crate::launcher::{RunFolder, user_folder};
-use crate::needs::{Needs, in_words};
+use crate::needs::Needs;
 use crate::plan::Plan;
+use crate::ports::capacity::in_words;
 use crate::ports::shared_memory::leftovers::{Leftover, Litter, clear, leftovers, litter};
 use crate::registry::Registry;
-use std::fmt::{self, Display};
 use std::path::Path;
 use std::time::Duration;
-
-/// Something that is wrong, and what to do about it.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Finding {
-    /// What is wrong, and where.
-    pub what: String,
-    /// What to do about it.
-    pub hint: String,
-}
-
-impl Finding {
-    fn new(what: impl Into<String>, hint: impl Into<String>) -> Self {
-        Self { what: what.into(), hint: hint.into() }
-    }
-
-    /// An error is its text and its hint.
-    fn of(error: &impl Display) -> Self {
-        let text = error.to_string();
-        let (what, hint) = text.split_once("\n  hint: ").unwrap_or((&text, ""));
-        Self::new(what, hint)
-    }
-}
-
-impl Display for Finding {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}\n  hint: {}", self.what, self.hint)
-    }
-}
 
 /// Looks at this machine, for a pipeline with these plans: one for each machine that this may be.
 pub fn examine(plans: &[Plan], registry: &Registry) -> Vec<Finding> {

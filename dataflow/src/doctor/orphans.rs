@@ -1,6 +1,6 @@
 //! Stages that outlived their launcher, which they should not.
 
-use super::Finding;
+use super::finding::Finding;
 use crate::launcher::{LAST_STAGES_GRACE, LAUNCHER, PIPELINE, RUNTIME_DIR, STAGE};
 use rustix::process::geteuid;
 use std::fs;

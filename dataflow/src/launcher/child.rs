@@ -1,7 +1,7 @@
 //! One stage as the launcher sees it: its process, and whether it is to be started anew.
 
-use super::RunOptions;
 use super::folder::{PLAN, RunFolder};
+use super::options::RunOptions;
 use super::process::{LAUNCHER, ProcessError, REFUSED, as_stage};
 use super::vigil::{News, Vigil};
 use crate::pipeline::Restart;

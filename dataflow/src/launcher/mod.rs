@@ -5,6 +5,8 @@
 
 mod child;
 mod folder;
+mod options;
+mod phase;
 mod process;
 mod progress;
 mod request;
@@ -14,23 +16,23 @@ mod vigil;
 
 pub use folder::{FolderError, RUNTIME_DIR, RunFolder, RunLock, user_folder};
 pub(crate) use folder::{LAST_STAGES_GRACE, check_private};
+pub use options::RunOptions;
 pub(crate) use process::{LAUNCHER, STAGE};
 pub use process::{PIPELINE, ProcessError, become_stage, run_in_run, run_source, run_stage};
 pub use request::SwapError;
 pub use summary::{StageSummary, Summary, link_table};
 
 use crate::needs::{Needs, Shortfall};
-use crate::node::Node;
 use crate::plan::Plan;
 use crate::ports::PortError;
 use crate::ports::shared_memory::SharedMemory;
 use crate::stage::Stop;
 use child::{Change, Supervised};
+use phase::Phase;
 use progress::Progress;
 use rustix::process::Signal;
 use signal_hook::consts::{SIGCHLD, SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
-use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 use swap::{Place, Swap};
@@ -42,21 +44,6 @@ const LOOK_AT_SWAP: Duration = Duration::from_millis(2);
 const DELIVERY_GRACE: Duration = Duration::from_secs(5);
 /// Stages that were told to end at once are killed after this time.
 const KILL_GRACE: Duration = Duration::from_secs(5);
-
-/// How a run is to be.
-#[derive(Clone, Default)]
-pub struct RunOptions {
-    /// The program that runs stages: it has to know `node STAGE`.
-    pub program: PathBuf,
-    /// What tells how much room the messages of its sources need.
-    pub nodes: &'static [Node],
-    /// It ends after this time.
-    pub duration: Option<Duration>,
-    /// No progress is shown.
-    pub quiet: bool,
-    /// What its stages log, as they understand [`LOG`](crate::LOG); `None`: what they inherit.
-    pub log: Option<String>,
-}
 
 /// Why a run could not begin.
 #[derive(Debug, thiserror::Error)]
@@ -122,22 +109,6 @@ pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
     drop(services);
     SharedMemory::clean(launcher.folder.shared_memory())?;
     Ok(launcher.summary())
-}
-
-/// How hard the run presses for its end.
-#[derive(Clone, Copy, Debug)]
-enum Phase {
-    Running,
-    /// The sources were stopped; something was delivered last at that time.
-    Delivering {
-        delivered: u64,
-        since: Instant,
-    },
-    /// All stages were told to end at once.
-    Stopping {
-        since: Instant,
-    },
-    Killing,
 }
 
 struct Launcher<'a> {

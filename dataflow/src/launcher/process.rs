@@ -1,7 +1,7 @@
 //! A stage as a process of its own: finds its place in the plan, opens what it needs, and runs until it is done or told.
 
-use super::RunOptions;
 use super::folder::{FolderError, PLAN, RunFolder};
+use super::options::RunOptions;
 use crate::log::{DEFAULT_LOG, LOG, log_to_standard_error};
 use crate::network::{BridgeRun, NO_NETWORK, NO_NETWORK_HINT, Network, NetworkError};
 use crate::node::Node;

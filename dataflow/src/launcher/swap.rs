@@ -5,9 +5,10 @@
 
 use super::child::{Supervised, command};
 use super::folder::RunFolder;
+use super::options::RunOptions;
+use super::phase::Phase;
 use super::process::ProcessError;
 use super::request::Request;
-use super::{Phase, RunOptions};
 use crate::plan::{Plan, PlannedStage};
 use crate::runner::handover::{Handover, SUCCESSOR};
 use crate::status::{Life, Status};

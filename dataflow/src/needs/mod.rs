@@ -7,31 +7,17 @@
 mod shortfall;
 
 pub use shortfall::Shortfall;
-pub(crate) use shortfall::{SHARED_MEMORY, in_words, room};
 
 use crate::node::Node;
 use crate::plan::{Plan, PlannedStage, Runs};
-use crate::ports::{MAX_KEPT, PortError, Topic, TopicReader, Wiring};
+use crate::ports::capacity::{HELD, LOANED, ROOM_PER_PORT, message_bytes, taken};
+use crate::ports::{MAX_KEPT, Topic, TopicReader, Wiring};
 use crate::sides::{Pick, Side};
-use conicflow_messages::{Ellipse, Header, Item, Kind, Object, Track};
+use conicflow_messages::Kind;
 use shortfall::enough;
 
-/// Messages that a reader holds beside its queue: the one that is worked on, and the next.
-const HELD: usize = 2;
 /// Messages that a reader holds of a further input that waits for its frame: those that are kept, and the one in use.
 const HELD_FOR_FRAME: usize = MAX_KEPT + 1;
-/// Messages that a writer has in hand.
-const LOANED: usize = 1;
-/// Items of an image whose size nobody can tell beforehand.
-const USUAL_IMAGE: usize = 640 * 480;
-/// Arcs in an image of that size, which few exceed.
-const USUAL_ELLIPSES: usize = 1024;
-/// Things before a camera, which few exceed.
-const USUAL_OBJECTS: usize = 64;
-const PAGE: usize = 4096;
-/// What iceoryx2 keeps for each pair of a writer and a reader, and for each end of a topic.
-pub(crate) const ROOM_PER_PORT: usize = 24 * 1024;
-
 /// Open files of a stage that is joined to nothing.
 const FILES_PER_STAGE: u64 = 24;
 /// Open files for each topic that a stage is joined to, and for each stage at its other end.
@@ -146,56 +132,6 @@ fn held(plan: &Plan, topic: &Topic, reader: &TopicReader, nodes: &[Node]) -> usi
     if wired.into_iter().any(|(name, _)| waits(name)) { HELD_FOR_FRAME } else { HELD }
 }
 
-/// The bytes of a message of `length` items, or of as many as are usual.
-fn message_bytes(kind: Kind, length: Option<usize>) -> usize {
-    let item = match kind {
-        Kind::Nothing => 0,
-        Kind::Depth => size_of::<u16>(),
-        Kind::Ellipses => size_of::<Ellipse>(),
-        Kind::Objects => size_of::<Object>(),
-        Kind::Tracks => size_of::<Track>(),
-    };
-    // A message seldom begins where a page does.
-    (size_of::<Header>() + length.unwrap_or(usual_length(kind)) * item).next_multiple_of(PAGE) + PAGE
-}
-
-/// Items of a message, which few exceed.
-pub(crate) fn usual_length(kind: Kind) -> usize {
-    match kind {
-        Kind::Nothing => 0,
-        Kind::Depth => USUAL_IMAGE,
-        Kind::Ellipses => USUAL_ELLIPSES,
-        Kind::Objects | Kind::Tracks => USUAL_OBJECTS,
-    }
-}
-
-/// Bytes that a writer's messages take, of which its readers hold and keep waiting so many at most.
-fn taken(topic: &Topic, bytes: usize, with_readers: usize) -> u64 {
-    ((with_readers + LOANED) * bytes) as u64 + taken_by_ports(topic)
-}
-
-/// Bytes that iceoryx2 keeps for a writer and its readers, beside their messages.
-fn taken_by_ports(topic: &Topic) -> u64 {
-    ((topic.readers.len() + 1) * ROOM_PER_PORT) as u64
-}
-
-/// Makes sure that a topic's messages find room if they are up to `length` items long; the bytes that they take at most.
-pub(crate) fn look_for_room<T: Item>(topic: &Topic, length: usize) -> Result<u64, PortError> {
-    let with_readers = topic.readers.iter().map(|reader| reader.queue + HELD).sum();
-    let needed = taken(topic, message_bytes(T::KIND, Some(length)), with_readers);
-    match room() {
-        Ok((free, _)) if free < needed => Err(no_room(topic, length, needed)),
-        // Where there is no such folder iceoryx2 says it better.
-        _ => Ok(needed - taken_by_ports(topic)),
-    }
-}
-
-/// Why messages of `length` items have no room.
-pub(crate) fn no_room(topic: &Topic, length: usize, needed: u64) -> PortError {
-    let free = room().map_or(0, |(free, _)| free);
-    PortError::NoRoom { topic: topic.name.clone(), length, free, needed }
-}
-
 fn open_files(stage: &PlannedStage) -> u64 {
     let own = stage.wiring.input.iter().chain(&stage.wiring.output).chain(stage.wiring.sides.iter().map(|(_, t)| t));
     let of_topic =
@@ -214,6 +150,7 @@ fn open_files(stage: &PlannedStage) -> u64 {
 mod tests {
     use super::*;
     use crate::pipeline::{Pipeline, SourceText};
+    use crate::ports::capacity::USUAL_IMAGE;
     use crate::registry::Registry;
     use crate::stage::{Context, NoConfig, Output, Source, Stage, StageError};
     use crate::{Next, Sides};

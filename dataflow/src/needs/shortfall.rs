@@ -1,11 +1,8 @@
 //! What a machine has too little of for what is to run on it: what there is now, against what is needed.
 
 use super::Needs;
+use crate::ports::capacity::{SHARED_MEMORY, in_words, room};
 use rustix::process::{Resource, getrlimit};
-use std::path::Path;
-
-/// Where the system keeps shared memory.
-pub(crate) const SHARED_MEMORY: &str = "/dev/shm";
 
 /// What a machine has too little of.
 #[derive(Debug, thiserror::Error)]
@@ -86,21 +83,6 @@ impl Needs {
 pub(super) fn enough(needed: u64, purpose: impl FnOnce() -> String) -> Result<(), Shortfall> {
     let (free, _) = room().map_err(Shortfall::NoSharedMemory)?;
     if free < needed { Err(Shortfall::MoreRoom { purpose: purpose(), free, needed }) } else { Ok(()) }
-}
-
-/// Bytes of shared memory that are free, and that there are.
-pub(crate) fn room() -> std::io::Result<(u64, u64)> {
-    let about = rustix::fs::statvfs(Path::new(SHARED_MEMORY))?;
-    Ok((about.f_bavail * about.f_frsize, about.f_blocks * about.f_frsize))
-}
-
-/// A number of bytes as people read it.
-pub(crate) fn in_words(bytes: u64) -> String {
-    match bytes {
-        0..1_000_000 => format!("{:.1} kB", bytes as f64 * 1e-3),
-        1_000_000..1_000_000_000 => format!("{:.1} MB", bytes as f64 * 1e-6),
-        _ => format!("{:.1} GB", bytes as f64 * 1e-9),
-    }
 }
 
 #[cfg(test)]

@@ -2,10 +2,11 @@
 //!
 //! [`shared_memory`] is the transport between processes, [`in_memory`] its twin for tests.
 
+pub(crate) mod capacity;
 pub mod in_memory;
 pub mod shared_memory;
 
-use crate::needs::in_words;
+use capacity::in_words;
 use conicflow_messages::{Header, Item, Kind};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -52,6 +53,11 @@ impl Topic {
     /// How the messages reach the stage `reader`.
     pub fn delivery_to(&self, reader: &str) -> Delivery {
         self.readers.iter().find(|entry| entry.stage == reader).map_or(Delivery::Latest, |entry| entry.delivery)
+    }
+
+    /// The place of a reader among those of the topic: the number by which it answers.
+    pub(crate) fn place_of(&self, reader: &str) -> Option<usize> {
+        self.readers.iter().position(|entry| entry.stage == reader)
     }
 
     /// The length of the longest queue of a reader.

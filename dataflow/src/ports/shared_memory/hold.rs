@@ -3,7 +3,7 @@
 //! Processes that open a service at the same time settle who of them creates it. If that one is killed meanwhile the service
 //! is stuck, and nobody can open it any more. So the launcher creates all of them before it starts a stage.
 
-use super::{EventFactory, SharedMemory};
+use super::services::{EventFactory, SharedMemory};
 use crate::ports::{PortError, Topic};
 use conicflow_messages::{Ellipse, Item, Kind, Object, Track};
 use std::any::Any;

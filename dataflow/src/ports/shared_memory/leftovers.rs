@@ -6,22 +6,19 @@
 //! containers, but the kernel can: it grants a lease for writing only where no one, wherever it runs, has the file open or
 //! mapped.
 
-use super::sweep::{COUNTER, PREFIX, is_littered};
-use super::{Ipc, SharedMemory, configuration};
-use crate::needs::SHARED_MEMORY;
+use super::services::{Ipc, SharedMemory, configuration};
+use super::sweep::{COUNTER, PREFIX, is_littered, is_unused, open, remove_unused};
 use crate::ports::PortError;
+use crate::ports::capacity::SHARED_MEMORY;
 use iceoryx2::prelude::{CallbackProgression, LogLevel, Node, NodeState, set_log_level};
-use std::fs::{self, File, OpenOptions};
+use std::fs;
 use std::io;
-use std::os::fd::AsRawFd;
-use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
 /// A younger file may be one that is just being made, or whose owners are about to be looked after.
 const MIN_AGE: Duration = Duration::from_secs(60);
-/// From Linux's `fcntl.h`; the `libc` crate does not have it.
-const F_SETSIG: libc::c_int = 10;
 /// Digits that tell the files of one folder from those of another.
 const DIGITS: usize = 8;
 
@@ -40,14 +37,6 @@ impl Leftover {
     pub(crate) fn remove(&self) -> bool {
         remove_unused(&self.path).unwrap_or(false)
     }
-}
-
-/// Removes a file in shared memory, unless a process has it open; whether it was removed.
-pub(super) fn remove_unused(path: &Path) -> io::Result<bool> {
-    // The file is held, and with it the lease, until its name is gone.
-    let file = open(path)?;
-    let unused = is_unused(&file);
-    if unused { fs::remove_file(path).map(|()| true) } else { Ok(false) }
 }
 
 /// Files of this program and this user in shared memory, at least a minute old, that no process has open or mapped.
@@ -84,22 +73,6 @@ fn leftover(path: &Path) -> Option<Leftover> {
     let own = about.is_file() && about.uid() == rustix::process::geteuid().as_raw();
     let dead = own && age >= MIN_AGE && is_unused(&file);
     dead.then(|| Leftover { path: path.to_owned(), bytes: about.blocks() * 512, age })
-}
-
-fn open(path: &Path) -> io::Result<File> {
-    OpenOptions::new().read(true).write(true).custom_flags(libc::O_NOFOLLOW | libc::O_NONBLOCK).open(path)
-}
-
-/// Whether nobody else has the file open or mapped, in whatever container; it stays so until the file is closed here,
-/// because whoever opens it meanwhile waits for that. Where the kernel cannot tell, somebody has.
-fn is_unused(file: &File) -> bool {
-    let descriptor = file.as_raw_fd();
-    // SAFETY: the calls take an open descriptor and numbers, and touch no memory. The signal that tells of somebody who
-    // waits is one that is ignored unless asked for.
-    unsafe {
-        libc::fcntl(descriptor, F_SETSIG, libc::SIGURG) == 0
-            && libc::fcntl(descriptor, libc::F_SETLEASE, libc::F_WRLCK) == 0
-    }
 }
 
 /// What dead processes have left in a folder.
@@ -158,6 +131,7 @@ pub(crate) fn check_path(root: &Path) -> Result<(), PortError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::fs::File;
 
     #[test]
     fn a_file_that_somebody_has_open_is_not_left_over() {

@@ -12,6 +12,7 @@ pub(crate) mod leftovers;
 mod reader;
 mod reserve;
 pub(crate) mod residence;
+mod services;
 mod sweep;
 mod tap;
 #[cfg(test)]
@@ -20,200 +21,15 @@ mod writer;
 
 pub use hold::Held;
 pub use reader::{SharedMessage, SharedReader};
+pub use services::SharedMemory;
 pub use tap::SharedTap;
 pub use writer::SharedWriter;
 
-use crate::needs::{ROOM_PER_PORT, in_words, room};
-use crate::ports::{Delivery, MAX_KEPT, PortError, Topic, Transport};
-use crate::stage::Stop;
-use bytemuck::TransparentWrapper;
-use conicflow_messages::{HEADER_TYPE_NAME, Header, Item};
-use iceoryx2::node::NodeCreationFailure;
-use iceoryx2::port::listener::Listener;
-use iceoryx2::port::notifier::Notifier;
-use iceoryx2::prelude::*;
-use iceoryx2::service::builder::publish_subscribe::{PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError};
-use iceoryx2::service::port_factory::publish_subscribe::PortFactory as TopicFactory;
-use std::fmt::{Debug, Display};
-use std::path::{Path, PathBuf};
+use crate::ports::{Delivery, PortError, Topic, Transport};
+use conicflow_messages::Item;
+use iceoryx2::prelude::PortName;
+use std::fmt::Debug;
 use std::sync::Arc;
-use sweep::Occupied;
-use writer::place_of;
-
-type Ipc = ipc_threadsafe::Service;
-type Factory<T> = TopicFactory<Ipc, [WireItem<T>], WireHeader>;
-
-/// Unix sockets lie in the folder, and their names leave no more room than this for its path.
-const ROOT_LIMIT: usize = 48;
-
-/// Readers that may join beside those of the pipeline file: tools that look on.
-const SPARE_READERS: usize = 8;
-/// Messages that one reader may hold at a time: one for each source on a topic, or those that it keeps, and some in use.
-const MAX_HELD: usize = MAX_KEPT + 4;
-
-/// An item in shared memory.
-#[repr(transparent)]
-#[derive(Clone, Copy, Debug, TransparentWrapper)]
-struct WireItem<T>(T);
-
-/// The header in shared memory.
-#[repr(transparent)]
-#[derive(Clone, Copy, Debug, Default, TransparentWrapper)]
-struct WireHeader(Header);
-
-// SAFETY: an `Item` is plain old data without pointers, and its type name carries the version of its layout.
-unsafe impl<T: Item> ZeroCopySend for WireItem<T> {
-    unsafe fn type_name() -> &'static str {
-        T::TYPE_NAME
-    }
-}
-
-// SAFETY: the header is plain old data without pointers, and its type name carries the version of its layout.
-unsafe impl ZeroCopySend for WireHeader {
-    unsafe fn type_name() -> &'static str {
-        HEADER_TYPE_NAME
-    }
-}
-
-/// This process's access to the topics of one run; its readers and writers need it as long as they are at work.
-pub struct SharedMemory {
-    node: Node<Ipc>,
-    run: String,
-    stop: Stop,
-    /// Shared with the ports, and last in each: the folder is theirs until all of them have left it.
-    occupied: Arc<Occupied>,
-}
-
-impl SharedMemory {
-    /// Joins the run `run` whose files lie in the folder `root`.
-    ///
-    /// # Errors
-    /// The folder cannot be used for shared memory.
-    pub fn open(root: &Path, run: &str, stage: &str, stop: Stop) -> Result<Self, PortError> {
-        set_log_level(LogLevel::Fatal);
-        let config = configuration(root)?;
-        let fault = |reason: &dyn Debug| PortError::SharedMemory {
-            doing: format!("stage `{stage}` cannot join the shared memory"),
-            reason: format!("{reason:?}"),
-            root: root.to_owned(),
-        };
-        let occupied = Arc::new(Occupied::new(root).map_err(|error| fault(&error))?);
-        let name = NodeName::new(stage).map_err(|error| fault(&error))?;
-        let builder = NodeBuilder::new().name(&name).config(&config).signal_handling_mode(SignalHandlingMode::Disabled);
-        let node = builder.create::<Ipc>().map_err(|error: NodeCreationFailure| fault(&error))?;
-        sweep::close_to_others(root).map_err(|error| fault(&error))?;
-        Ok(Self { node, run: run.to_owned(), stop, occupied })
-    }
-
-    /// Removes what processes that died have left in shared memory.
-    ///
-    /// # Errors
-    /// The folder cannot be used for shared memory.
-    pub fn clean(root: &Path) -> Result<(), PortError> {
-        let Self { node, occupied, .. } = Self::open(root, "", "launcher", Stop::default())?;
-        node.try_cleanup_dead_nodes();
-        drop(node);
-        occupied.sweep().map_err(|error| PortError::SharedMemory {
-            doing: "what dead processes left cannot be removed".to_owned(),
-            reason: error.to_string(),
-            root: root.to_owned(),
-        })
-    }
-
-    fn fault(&self, doing: impl Display, reason: impl Debug) -> PortError {
-        PortError::SharedMemory { doing: doing.to_string(), reason: format!("{reason:?}"), root: self.root() }
-    }
-
-    fn root(&self) -> PathBuf {
-        self.occupied.root().to_owned()
-    }
-
-    fn service_name(&self, topic: &Topic, part: &str) -> Result<ServiceName, PortError> {
-        let name = format!("conicflow/{}/{}{part}", self.run, topic.name);
-        ServiceName::new(&name).map_err(|error| self.fault(format!("topic `{}` cannot be named", topic.name), error))
-    }
-
-    /// Makes sure that there is room for what iceoryx2 keeps for a port: it is written when the port is made.
-    fn look_for_room(&self, topic: &Topic) -> Result<(), PortError> {
-        match room() {
-            Ok((free, _)) if free < ROOM_PER_PORT as u64 => {
-                let doing = format!("topic `{}` cannot be joined", topic.name);
-                Err(self.fault(doing, format_args!("shared memory has {} free", in_words(free))))
-            }
-            _ => Ok(()),
-        }
-    }
-
-    fn messages<T: Item>(&self, topic: &Topic) -> Result<Factory<T>, PortError> {
-        self.look_for_room(topic)?;
-        let readers = topic.readers.len() + SPARE_READERS;
-        let writers = topic.writers.len() + 2;
-        let opened = self
-            .node
-            .service_builder(&self.service_name(topic, "")?)
-            .publish_subscribe::<[WireItem<T>]>()
-            .user_header::<WireHeader>()
-            .enable_safe_overflow(!topic.is_lossless())
-            .subscriber_max_buffer_size(topic.longest_queue())
-            .subscriber_max_borrowed_samples(MAX_HELD)
-            .max_publishers(writers)
-            .max_subscribers(readers)
-            .max_nodes(2 * (writers + readers))
-            .history_size(0)
-            .open_or_create();
-        opened.map_err(|error| match error {
-            PublishSubscribeOpenOrCreateError::PublishSubscribeOpenError(
-                PublishSubscribeOpenError::IncompatibleTypes,
-            ) => PortError::Incompatible {
-                topic: topic.name.clone(),
-                expected: format!("{HEADER_TYPE_NAME}, {}", T::TYPE_NAME),
-            },
-            other => self.fault(format!("topic `{}` cannot be opened", topic.name), other),
-        })
-    }
-
-    fn event(&self, topic: &Topic, part: &str) -> Result<EventFactory, PortError> {
-        let ports = topic.readers.len() + topic.writers.len() + SPARE_READERS;
-        let builder = self.node.service_builder(&self.service_name(topic, part)?).event();
-        let builder = builder.max_listeners(ports).max_notifiers(ports).max_nodes(2 * ports).event_id_max_value(ports);
-        builder
-            .open_or_create()
-            .map_err(|error| self.fault(format!("the wake-up of topic `{}` cannot be opened", topic.name), error))
-    }
-
-    fn listener(&self, topic: &Topic, part: &str) -> Result<Listener<Ipc>, PortError> {
-        let created = self.event(topic, part)?.listener_builder().create();
-        created.map_err(|error| self.fault(format!("topic `{}` cannot be listened to", topic.name), error))
-    }
-
-    fn notifier(&self, topic: &Topic, part: &str, event: usize) -> Result<Notifier<Ipc>, PortError> {
-        let service = self.event(topic, part)?;
-        let created = service.notifier_builder().default_event_id(EventId::new(event)).create();
-        created.map_err(|error| self.fault(format!("topic `{}` cannot wake anybody", topic.name), error))
-    }
-}
-
-type EventFactory = iceoryx2::service::port_factory::event::PortFactory<Ipc>;
-
-fn configuration(root: &Path) -> Result<Config, PortError> {
-    let length = root.as_os_str().len();
-    let too_long = || PortError::PathTooLong { path: root.to_owned(), length, limit: ROOT_LIMIT };
-    if length > ROOT_LIMIT {
-        return Err(too_long());
-    }
-    let prefix = sweep::prefix(root).map_err(|error| PortError::SharedMemory {
-        doing: "the folder of shared memory cannot be used".to_owned(),
-        reason: error.to_string(),
-        root: root.to_owned(),
-    })?;
-    let mut config = Config::default();
-    // Each is room for a connection in every reader, whose writer may have gone while it holds messages of that.
-    config.defaults.publish_subscribe.subscriber_expired_connection_buffer = MAX_HELD;
-    let path = iceoryx2::prelude::Path::new(root.as_os_str().as_encoded_bytes()).map_err(|_| too_long())?;
-    config.global.set_root_path(&path);
-    config.global.prefix = FileName::new(prefix.as_bytes()).map_err(|_| too_long())?;
-    Ok(config)
-}
 
 impl Transport for SharedMemory {
     type Reader<T: Item> = SharedReader<T>;
@@ -224,7 +40,7 @@ impl Transport for SharedMemory {
         let reader = topic.readers.iter().find(|reader| reader.stage == stage);
         let queue = reader.map_or(2, |reader| reader.queue);
         let wake = self.listener(topic, "/wake")?;
-        let room = match place_of(topic, stage) {
+        let room = match topic.place_of(stage) {
             Some(place) if topic.delivery_to(stage) == Delivery::Lossless => {
                 Some(self.notifier(topic, "/room", place)?)
             }

@@ -6,7 +6,7 @@
 //! places for messages that are free it takes the one that came back last, and a new one only where there is none.
 
 use super::sweep::for_each_entry;
-use crate::needs::SHARED_MEMORY;
+use crate::ports::capacity::SHARED_MEMORY;
 use rustix::fs::{FallocateFlags, fallocate};
 use rustix::io::{Errno, retry_on_intr};
 use std::fs::File;

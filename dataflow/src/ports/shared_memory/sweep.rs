@@ -6,13 +6,13 @@
 //! folder's users have in shared memory bears a prefix of its own, so that other users, folders and containers are never
 //! touched.
 
-use super::leftovers::remove_unused;
-use crate::needs::SHARED_MEMORY;
+use crate::ports::capacity::SHARED_MEMORY;
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
-use std::fs::{self, File, Permissions};
+use std::fs::{self, File, OpenOptions, Permissions};
 use std::io::{self, ErrorKind};
-use std::os::unix::fs::{MetadataExt, PermissionsExt};
+use std::os::fd::AsRawFd;
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
@@ -21,6 +21,9 @@ use std::time::{Duration, Instant};
 const LETTING_GO: Duration = Duration::from_millis(100);
 
 const LOCK: &str = "lock";
+
+/// From Linux's `fcntl.h`; the `libc` crate does not have it.
+const F_SETSIG: libc::c_int = 10;
 
 /// What the names of all files in shared memory begin with that this program makes.
 pub(super) const PREFIX: &str = "conicflow_";
@@ -109,6 +112,31 @@ pub(super) fn close_to_others(root: &Path) -> io::Result<()> {
 fn is_own(path: &Path) -> io::Result<bool> {
     let about = fs::symlink_metadata(path)?;
     Ok(about.is_file() && about.uid() == rustix::process::getuid().as_raw())
+}
+
+/// Removes a file in shared memory, unless a process has it open; whether it was removed.
+pub(super) fn remove_unused(path: &Path) -> io::Result<bool> {
+    // The file is held, and with it the lease, until its name is gone.
+    let file = open(path)?;
+    let unused = is_unused(&file);
+    if unused { fs::remove_file(path).map(|()| true) } else { Ok(false) }
+}
+
+/// Opens a file in shared memory, whoever may have put what under its name.
+pub(super) fn open(path: &Path) -> io::Result<File> {
+    OpenOptions::new().read(true).write(true).custom_flags(libc::O_NOFOLLOW | libc::O_NONBLOCK).open(path)
+}
+
+/// Whether nobody else has the file open or mapped, in whatever container; it stays so until the file is closed here,
+/// because whoever opens it meanwhile waits for that. Where the kernel cannot tell, somebody has.
+pub(super) fn is_unused(file: &File) -> bool {
+    let descriptor = file.as_raw_fd();
+    // SAFETY: the calls take an open descriptor and numbers, and touch no memory. The signal that tells of somebody who
+    // waits is one that is ignored unless asked for.
+    unsafe {
+        libc::fcntl(descriptor, F_SETSIG, libc::SIGURG) == 0
+            && libc::fcntl(descriptor, libc::F_SETLEASE, libc::F_WRLCK) == 0
+    }
 }
 
 /// Whether something of the folder's users is left, in it or in shared memory, and nobody uses it.

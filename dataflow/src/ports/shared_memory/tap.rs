@@ -3,7 +3,8 @@
 //! It has no place among the pipeline's readers but one of those kept free for it, and no listener. A tap that is slow,
 //! stopped or dead loses messages, and no writer notices.
 
-use super::{Ipc, SharedMemory, SharedMessage, WireHeader, WireItem};
+use super::reader::SharedMessage;
+use super::services::{Ipc, SPARE_READERS, SharedMemory, WireHeader, WireItem};
 use crate::ports::{PortError, Topic};
 use conicflow_messages::Item;
 use iceoryx2::port::subscriber::{Subscriber, SubscriberCreateError};
@@ -29,7 +30,7 @@ impl SharedMemory {
         let created = self.messages::<T>(topic)?.subscriber_builder().buffer_size(queue).name(&name).create();
         let subscriber = created.map_err(|error| match error {
             SubscriberCreateError::ExceedsMaxSupportedSubscribers => {
-                PortError::TooManyTaps { topic: topic.name.clone(), limit: super::SPARE_READERS }
+                PortError::TooManyTaps { topic: topic.name.clone(), limit: SPARE_READERS }
             }
             other => fault(format!("{other:?}")),
         })?;

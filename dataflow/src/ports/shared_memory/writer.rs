@@ -1,9 +1,9 @@
 //! The writing end of a topic in shared memory, and its waiting for readers that must not miss a message.
 
 use super::reserve::reserve;
+use super::services::{Factory, Ipc, WireHeader, WireItem};
 use super::sweep::Occupied;
-use super::{Factory, Ipc, WireHeader, WireItem};
-use crate::needs;
+use crate::ports::capacity::{look_for_room, no_room, usual_length};
 use crate::ports::{Delivery, PortError, Topic, Writer};
 use crate::stage::Stop;
 use bytemuck::TransparentWrapper;
@@ -58,11 +58,11 @@ impl<T: Item> SharedWriter<T> {
             let (longest, capacity) = match T::KIND {
                 Kind::Depth => (length.max(1), length.max(1)),
                 kind => {
-                    let longest = length.max(needs::usual_length(kind));
+                    let longest = length.max(usual_length(kind));
                     (longest, longest.next_power_of_two())
                 }
             };
-            let needed = needs::look_for_room::<T>(&self.topic, longest)?;
+            let needed = look_for_room::<T>(&self.topic, longest)?;
             self.publisher = None;
             self.attached.clear();
             let builder = self.messages.publisher_builder().max_loaned_samples(1).initial_max_slice_len(capacity);
@@ -81,7 +81,7 @@ impl<T: Item> SharedWriter<T> {
 
     fn take_memory(&self, publisher: u128, capacity: usize, needed: u64) -> Result<(), PortError> {
         reserve(self.occupied.prefix(), publisher, needed).map_err(|error| match error.kind() {
-            ErrorKind::StorageFull => needs::no_room(&self.topic, capacity, needed),
+            ErrorKind::StorageFull => no_room(&self.topic, capacity, needed),
             _ => self.fault(error),
         })
     }
@@ -140,17 +140,12 @@ impl<T: Item> SharedWriter<T> {
     }
 }
 
-/// The place of a reader among those of its topic: the number by which it answers.
-pub(super) fn place_of(topic: &Topic, stage: &str) -> Option<usize> {
-    topic.readers.iter().position(|reader| reader.stage == stage)
-}
-
 /// Port and place of the lossless readers that are there now; ports are named after their stages.
 fn lossless_readers<T: Item>(messages: &Factory<T>, topic: &Topic) -> Vec<(u128, usize)> {
     let mut found = Vec::new();
     messages.dynamic_config().list_subscribers(|reader| {
         let stage = reader.subscriber_name.as_str();
-        if let (Some(place), Delivery::Lossless) = (place_of(topic, stage), topic.delivery_to(stage)) {
+        if let (Some(place), Delivery::Lossless) = (topic.place_of(stage), topic.delivery_to(stage)) {
             found.push((reader.subscriber_id.value(), place));
         }
         CallbackProgression::Continue

@@ -1,6 +1,6 @@
 //! The receiving end of an edge's numbering: which messages are taken, and how many are gone for good.
 
-use super::wire::Place;
+use crate::wire::Place;
 use std::time::{Duration, Instant};
 
 /// Streams are numbered by the sender's clock, which may be set back: a stream that seems to be an earlier one is followed
@@ -9,7 +9,7 @@ const SILENCE: Duration = Duration::from_secs(3);
 
 /// What is done with a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Verdict {
+pub(crate) enum Verdict {
     /// It is next.
     Take,
     /// It came before.
@@ -20,7 +20,7 @@ pub(super) enum Verdict {
 
 /// What was received of an edge.
 #[derive(Debug)]
-pub(super) struct Sequence {
+pub(crate) struct Sequence {
     lossless: bool,
     stream: u64,
     next: u64,
@@ -29,22 +29,22 @@ pub(super) struct Sequence {
 }
 
 impl Sequence {
-    pub(super) fn new(lossless: bool) -> Self {
+    pub(crate) fn new(lossless: bool) -> Self {
         Self { lossless, stream: 0, next: 0, lost: 0, came: None }
     }
 
     /// The stream that is received, and the number that is expected next.
-    pub(super) fn expected(&self) -> (u64, u64) {
+    pub(crate) fn expected(&self) -> (u64, u64) {
         (self.stream, self.next)
     }
 
     /// Messages that were sent and will not come any more.
-    pub(super) fn lost(&self) -> u64 {
+    pub(crate) fn lost(&self) -> u64 {
         self.lost
     }
 
     /// Whether a message is to be taken; it counts as received only by [`Sequence::taken`].
-    pub(super) fn judge(&mut self, place: Place, now: Instant) -> Verdict {
+    pub(crate) fn judge(&mut self, place: Place, now: Instant) -> Verdict {
         let silent = self.came.is_none_or(|came| now.saturating_duration_since(came) > SILENCE);
         if place.stream < self.stream && !silent {
             return Verdict::Old;
@@ -63,7 +63,7 @@ impl Sequence {
     }
 
     /// The message that was expected has been passed on.
-    pub(super) fn taken(&mut self) {
+    pub(crate) fn taken(&mut self) {
         self.next += 1;
     }
 }

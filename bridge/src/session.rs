@@ -1,21 +1,21 @@
-//! The ways to the other machines: a Zenoh session over streams for everything, and where the file names endpoints for
-//! datagrams another over these, for short messages of which the newest wins.
+//! The Zenoh sessions of a machine: one over streams for everything, and where the file names endpoints for datagrams another
+//! over these, for short messages of which the newest wins.
 //!
 //! A stream on a radio that loses packets holds back all that follows a loss until it was sent again; a datagram that is lost
 //! is lost, and the next comes in time. Nothing tells a peer that datagrams do not reach it, and Zenoh's own declarations may
-//! be among those that are lost: so a message takes both ways while the receiver listens to both, and it listens to the
-//! stream as long as no datagrams come. Where none come they are asked for anew, in a way of which no part relies on
-//! anything that may have been lost before ([`key_for_datagrams`]).
+//! be among those that are lost: so a message goes by both sessions while the receiver listens to both, and it listens to the
+//! stream as long as no datagrams come. Where none come the receiver subscribes to them anew, and nothing in that relies on
+//! an earlier declaration, which may be lost ([`key_for_datagrams`]).
 
-use super::{BridgeError, settings};
+use crate::error::BridgeError;
+use crate::settings;
 use conicflow_dataflow::Stop;
 use conicflow_dataflow::pipeline::Machine;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 use zenoh::bytes::ZBytes;
-use zenoh::pubsub::{Publisher, Subscriber};
 use zenoh::qos::{CongestionControl, Priority};
-use zenoh::{Session, Wait};
+use zenoh::{Session, Wait, pubsub};
 
 /// A session that cannot be opened, because nobody is there yet, is tried again after this time.
 const OPEN_AGAIN: Duration = Duration::from_secs(1);
@@ -23,7 +23,7 @@ const OPEN_AGAIN: Duration = Duration::from_secs(1);
 const ASK_AGAIN: Duration = Duration::from_secs(5);
 
 /// The open sessions of a machine.
-pub(super) struct Ways {
+pub(super) struct Sessions {
     streams: Session,
     datagrams: Arc<OnceLock<Session>>,
 }
@@ -31,7 +31,7 @@ pub(super) struct Ways {
 /// What is done with what comes.
 type Take = Arc<dyn Fn(ZBytes) + Send + Sync>;
 
-impl Ways {
+impl Sessions {
     /// Opens the sessions, as soon as that works; nothing if the run ends before. `failed` is called after each attempt.
     pub(super) fn open(machine: &Machine, stop: &Stop, mut failed: impl FnMut()) -> Result<Option<Self>, BridgeError> {
         let (streams, datagrams) = settings::configurations(machine)?;
@@ -39,9 +39,9 @@ impl Ways {
         while !stop.requested() {
             match zenoh::open(streams.clone()).wait() {
                 Ok(streams) => {
-                    let ways = Self { streams, datagrams: Arc::default() };
-                    datagrams.iter().for_each(|config| ways.open_datagrams(config, stop));
-                    return Ok(Some(ways));
+                    let sessions = Self { streams, datagrams: Arc::default() };
+                    datagrams.iter().for_each(|config| sessions.open_datagrams(config, stop));
+                    return Ok(Some(sessions));
                 }
                 Err(error) if !told => tracing::warn!(
                     "the link cannot be opened yet, and is tried again: {}\n  \
@@ -90,24 +90,25 @@ impl Ways {
     }
 
     /// Makes a key ready to be written, also by datagrams if messages are `short`.
-    pub(super) fn speak(&self, key: &str, short: bool, priority: Priority) -> Result<Voice<'_>, BridgeError> {
+    pub(super) fn publisher(&self, key: &str, short: bool, priority: Priority) -> Result<Publisher<'_>, BridgeError> {
         let stream = declare(&self.streams, key, priority)?;
-        Ok(Voice { ways: self, key: key.to_owned(), short, priority, stream, datagrams: None })
+        Ok(Publisher { sessions: self, key: key.to_owned(), short, priority, stream, datagrams: None })
     }
 
     /// Listens to a key; if there is a longest `silence` between datagrams, to these alone as long as they come. `take` is
     /// called by threads of Zenoh, which must not wait.
-    pub(super) fn listen(
+    pub(super) fn subscriber(
         &self,
         key: &str,
         silence: Option<Duration>,
         take: impl Fn(ZBytes) + Send + Sync + 'static,
-    ) -> Result<Ear<'_>, BridgeError> {
+    ) -> Result<Subscriber<'_>, BridgeError> {
         let take: Take = Arc::new(take);
-        let mut ear = Ear { ways: self, key: key.to_owned(), take, silence, stream: None, datagrams: None };
-        ear.stream = Some(ear.subscribe_to_stream()?);
-        ear.ask_for_datagrams()?;
-        Ok(ear)
+        let mut subscriber =
+            Subscriber { sessions: self, key: key.to_owned(), take, silence, stream: None, datagrams: None };
+        subscriber.stream = Some(subscriber.subscribe_to_stream()?);
+        subscriber.ask_for_datagrams()?;
+        Ok(subscriber)
     }
 }
 
@@ -118,28 +119,28 @@ fn in_short(error: &dyn std::error::Error) -> String {
 }
 
 /// A key that is written.
-pub(super) struct Voice<'a> {
-    ways: &'a Ways,
+pub(super) struct Publisher<'a> {
+    sessions: &'a Sessions,
     key: String,
     short: bool,
     priority: Priority,
-    stream: Publisher<'static>,
+    stream: pubsub::Publisher<'static>,
     /// That for datagrams, and when it was declared.
-    datagrams: Option<(Publisher<'static>, Instant)>,
+    datagrams: Option<(pubsub::Publisher<'static>, Instant)>,
 }
 
-impl Voice<'_> {
-    /// Puts a message on each way on which somebody listens; whether it arrives has to be learnt otherwise.
+impl Publisher<'_> {
+    /// Puts a message into each session in which somebody listens; whether it arrives has to be learnt otherwise.
     pub(super) fn put(&mut self, bytes: Vec<u8>) {
-        self.ask_for_ears();
+        self.ask_who_listens();
         let bytes = ZBytes::from(bytes);
         self.publishers().for_each(|publisher| drop(publisher.put(bytes.clone()).wait()));
     }
 
     /// Declares the key to the session for datagrams, if there is one for it; anew where nobody answered: Zenoh asks who
     /// listens but once, and that may have been lost.
-    fn ask_for_ears(&mut self) {
-        let Some(session) = self.ways.datagrams.get().filter(|_| self.short) else { return };
+    fn ask_who_listens(&mut self) {
+        let Some(session) = self.sessions.datagrams.get().filter(|_| self.short) else { return };
         let has_answer = |(publisher, asked): &(_, Instant)| asked.elapsed() < ASK_AGAIN || is_heard(publisher);
         if !self.datagrams.as_ref().is_some_and(has_answer) {
             self.datagrams = None;
@@ -148,7 +149,7 @@ impl Voice<'_> {
         }
     }
 
-    fn publishers(&self) -> impl Iterator<Item = &Publisher<'static>> {
+    fn publishers(&self) -> impl Iterator<Item = &pubsub::Publisher<'static>> {
         std::iter::once(&self.stream).chain(self.datagrams.as_ref().map(|(publisher, _)| publisher))
     }
 
@@ -158,7 +159,7 @@ impl Voice<'_> {
     }
 }
 
-fn declare(session: &Session, key: &str, priority: Priority) -> Result<Publisher<'static>, BridgeError> {
+fn declare(session: &Session, key: &str, priority: Priority) -> Result<pubsub::Publisher<'static>, BridgeError> {
     let publisher = session.declare_publisher(key.to_owned()).priority(priority);
     let publisher = publisher.congestion_control(CongestionControl::Drop).express(priority != Priority::DataLow);
     publisher.wait().map_err(|error| BridgeError::zenoh("cannot declare a key to Zenoh", error))
@@ -172,23 +173,23 @@ fn key_for_datagrams(key: &str) -> String {
     format!("*/{after_first_part}")
 }
 
-fn is_heard(publisher: &Publisher) -> bool {
+fn is_heard(publisher: &pubsub::Publisher) -> bool {
     publisher.matching_status().wait().is_ok_and(|status| status.matching())
 }
 
-fn subscribe(session: &Session, key: String, take: Take) -> Result<Subscriber<()>, BridgeError> {
+fn subscribe(session: &Session, key: String, take: Take) -> Result<pubsub::Subscriber<()>, BridgeError> {
     let declared = session.declare_subscriber(key).callback(move |sample| take(sample.payload().clone())).wait();
     declared.map_err(|error| BridgeError::zenoh("cannot subscribe to a key of Zenoh", error))
 }
 
 /// A key that is listened to.
-pub(super) struct Ear<'a> {
-    ways: &'a Ways,
+pub(super) struct Subscriber<'a> {
+    sessions: &'a Sessions,
     key: String,
     take: Take,
     /// The longest between datagrams, if they are listened to.
     silence: Option<Duration>,
-    stream: Option<Subscriber<()>>,
+    stream: Option<pubsub::Subscriber<()>>,
     datagrams: Option<Datagrams>,
 }
 
@@ -197,7 +198,7 @@ struct Datagrams {
     silence: Duration,
     asked: Instant,
     came: Arc<Mutex<Option<Instant>>>,
-    _subscriber: Subscriber<()>,
+    _subscriber: pubsub::Subscriber<()>,
 }
 
 impl Datagrams {
@@ -207,14 +208,14 @@ impl Datagrams {
     }
 }
 
-impl Ear<'_> {
-    fn subscribe_to_stream(&self) -> Result<Subscriber<()>, BridgeError> {
-        subscribe(&self.ways.streams, self.key.clone(), Arc::clone(&self.take))
+impl Subscriber<'_> {
+    fn subscribe_to_stream(&self) -> Result<pubsub::Subscriber<()>, BridgeError> {
+        subscribe(&self.sessions.streams, self.key.clone(), Arc::clone(&self.take))
     }
 
     /// Subscribes to datagrams, where they are listened to and there is a session for them.
     fn ask_for_datagrams(&mut self) -> Result<(), BridgeError> {
-        let (Some(session), Some(silence)) = (self.ways.datagrams.get(), self.silence) else { return Ok(()) };
+        let (Some(session), Some(silence)) = (self.sessions.datagrams.get(), self.silence) else { return Ok(()) };
         let (take, came) = (Arc::clone(&self.take), Arc::<Mutex<Option<Instant>>>::default());
         let clock = Arc::clone(&came);
         let note_and_take = move |bytes| {
@@ -226,7 +227,7 @@ impl Ear<'_> {
         Ok(())
     }
 
-    /// Chooses the way anew; to be called now and then. The name of the way, if that has changed.
+    /// Chooses the session anew; to be called now and then. What it is over, if that has changed.
     pub(super) fn choose(&mut self) -> Result<Option<&'static str>, BridgeError> {
         let Some(datagrams) = &self.datagrams else {
             return self.ask_for_datagrams().map(|()| None);
@@ -257,13 +258,13 @@ mod tests {
     const PART_OF_KEY: &[u8] = b"robot/objects";
 
     /// Two machines that are joined by a stream and by datagrams, which `between` takes from one address to the other.
-    fn joined(between: fn(SocketAddr) -> SocketAddr) -> [Ways; 2] {
+    fn joined(between: fn(SocketAddr) -> SocketAddr) -> [Sessions; 2] {
         let stream = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
         let datagrams = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
         let endpoints = |datagrams| vec![format!("tcp/{stream}"), format!("udp/{datagrams}")];
         let listening = Machine { listen: endpoints(datagrams), ..Machine::default() };
         let connecting = Machine { connect: endpoints(between(datagrams)), ..Machine::default() };
-        [listening, connecting].map(|machine| Ways::open(&machine, &Stop::default(), || ()).unwrap().unwrap())
+        [listening, connecting].map(|machine| Sessions::open(&machine, &Stop::default(), || ()).unwrap().unwrap())
     }
 
     /// A way to an address on which the first datagram with a part of the key in it is lost.
@@ -295,14 +296,19 @@ mod tests {
         way
     }
 
-    /// Speaks until a message is heard and `holds` is true of the ear.
-    fn speak_until(voice: &mut Voice<'_>, ear: &mut Ear<'_>, heard: &Receiver<ZBytes>, holds: fn(&Ear<'_>) -> bool) {
+    /// Speaks until a message is heard and `holds` is true of the subscriber.
+    fn publish_until(
+        publisher: &mut Publisher<'_>,
+        subscriber: &mut Subscriber<'_>,
+        heard: &Receiver<ZBytes>,
+        holds: fn(&Subscriber<'_>) -> bool,
+    ) {
         let since = Instant::now();
         loop {
             assert!(since.elapsed() < DEADLINE, "it never came true");
-            ear.choose().unwrap();
-            voice.put(b"objects".to_vec());
-            if heard.recv_timeout(Duration::from_millis(20)).is_ok() && holds(ear) {
+            subscriber.choose().unwrap();
+            publisher.put(b"objects".to_vec());
+            if heard.recv_timeout(Duration::from_millis(20)).is_ok() && holds(subscriber) {
                 return;
             }
         }
@@ -312,30 +318,34 @@ mod tests {
     fn short_messages_come_by_datagrams_and_by_the_stream_where_no_datagrams_come() {
         let [robot, base] = joined(|address| address);
         let (take, heard) = channel();
-        let mut voice = robot.speak(KEY, true, Priority::InteractiveHigh).unwrap();
-        let mut ear = base.listen(KEY, Some(Duration::from_secs(1)), move |bytes| drop(take.send(bytes))).unwrap();
-        speak_until(&mut voice, &mut ear, &heard, |ear| ear.stream.is_none());
+        let mut publisher = robot.publisher(KEY, true, Priority::InteractiveHigh).unwrap();
+        let mut subscriber =
+            base.subscriber(KEY, Some(Duration::from_secs(1)), move |bytes| drop(take.send(bytes))).unwrap();
+        publish_until(&mut publisher, &mut subscriber, &heard, |subscriber| subscriber.stream.is_none());
         robot.datagrams.get().unwrap().close().wait().unwrap();
         while heard.try_recv().is_ok() {}
-        speak_until(&mut voice, &mut ear, &heard, |ear| ear.stream.is_some());
+        publish_until(&mut publisher, &mut subscriber, &heard, |subscriber| subscriber.stream.is_some());
     }
 
     #[test]
     fn datagrams_come_although_the_question_for_them_was_lost() {
         let [robot, base] = joined(losing_the_first_with_the_key);
         let (take, heard) = channel();
-        let mut voice = robot.speak(KEY, true, Priority::InteractiveHigh).unwrap();
-        let mut ear = base.listen(KEY, Some(Duration::from_secs(1)), move |bytes| drop(take.send(bytes))).unwrap();
-        speak_until(&mut voice, &mut ear, &heard, |ear| ear.stream.is_none());
+        let mut publisher = robot.publisher(KEY, true, Priority::InteractiveHigh).unwrap();
+        let mut subscriber =
+            base.subscriber(KEY, Some(Duration::from_secs(1)), move |bytes| drop(take.send(bytes))).unwrap();
+        publish_until(&mut publisher, &mut subscriber, &heard, |subscriber| subscriber.stream.is_none());
     }
 
     #[test]
     fn what_is_long_or_must_not_be_lost_goes_by_the_stream_alone() {
         let [robot, base] = joined(|address| address);
         let (take, heard) = channel();
-        let mut voice = robot.speak(KEY, false, Priority::DataLow).unwrap();
-        let mut ear = base.listen(KEY, None, move |bytes| drop(take.send(bytes))).unwrap();
-        speak_until(&mut voice, &mut ear, &heard, |ear| ear.stream.is_some() && ear.datagrams.is_none());
-        assert!(voice.datagrams.is_none());
+        let mut publisher = robot.publisher(KEY, false, Priority::DataLow).unwrap();
+        let mut subscriber = base.subscriber(KEY, None, move |bytes| drop(take.send(bytes))).unwrap();
+        publish_until(&mut publisher, &mut subscriber, &heard, |subscriber| {
+            subscriber.stream.is_some() && subscriber.datagrams.is_none()
+        });
+        assert!(publisher.datagrams.is_none());
     }
 }

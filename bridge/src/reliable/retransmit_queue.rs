@@ -1,10 +1,10 @@
 //! The sending end of an edge's numbering: keeps what was not acknowledged, says what is to be sent again, and gives up
 //! what a machine that stayed away for too long will not get.
 
-use super::beacon::Ack;
-use super::kept::Kept;
+use super::send_log::SendLog;
 use super::window::Window;
-use super::wire::{Place, set_oldest};
+use crate::peer::heartbeat::Ack;
+use crate::wire::{Place, set_oldest};
 use conicflow_dataflow::Receiver;
 use conicflow_dataflow::ports::Delivery;
 use std::collections::BTreeSet;
@@ -18,10 +18,10 @@ const LONGEST_RESEND_AFTER: Duration = Duration::from_secs(4);
 const END_PATIENCE: Duration = Duration::from_secs(5);
 
 /// What has left a machine by one edge and may have to leave it again.
-pub(super) struct Outbox {
+pub(crate) struct RetransmitQueue {
     stream: u64,
     next: u64,
-    kept: Kept,
+    log: SendLog,
     window: Window,
     ends: Vec<(String, Vec<u8>)>,
     ended_at: Option<Instant>,
@@ -48,12 +48,12 @@ impl Remote {
     }
 }
 
-impl Outbox {
-    /// An edge to these machines, in a new stream or in that of what an earlier process has kept; where the newest wins a
+impl RetransmitQueue {
+    /// An edge to these machines, in a new stream or in that of the log that an earlier process has left; where the newest wins a
     /// message may wait on the way for `wait`, where not a machine is waited for during `outage`.
-    pub(super) fn new(
+    pub(crate) fn new(
         stream: u64,
-        kept: Kept,
+        log: SendLog,
         receivers: &[Receiver],
         [wait, outage]: [Duration; 2],
         now: Instant,
@@ -65,11 +65,11 @@ impl Outbox {
             ended: BTreeSet::new(),
             heard: None,
         };
-        let (stream, next) = kept.last().map_or((stream, 0), |last| (last.stream, last.number + 1));
+        let (stream, next) = log.last().map_or((stream, 0), |last| (last.stream, last.number + 1));
         Self {
             stream,
             next,
-            kept,
+            log,
             window: Window::new(wait),
             ends: Vec::new(),
             ended_at: None,
@@ -82,24 +82,24 @@ impl Outbox {
     }
 
     /// The machines that receive this.
-    pub(super) fn machines(&self) -> Vec<String> {
+    pub(crate) fn machines(&self) -> Vec<String> {
         self.receivers.iter().map(|remote| remote.machine.clone()).collect()
     }
 
     /// Messages that a lossless receiver will not get.
-    pub(super) fn lost(&self) -> u64 {
+    pub(crate) fn lost(&self) -> u64 {
         self.lost
     }
 
-    /// Messages that are kept.
-    pub(super) fn kept(&self) -> u64 {
-        self.kept.len() as u64
+    /// Messages that are kept until they are acknowledged.
+    pub(crate) fn unacknowledged(&self) -> u64 {
+        self.log.len() as u64
     }
 
     /// Whether another message may be sent; `round_trip` tells of the machines that are there.
-    pub(super) fn may_send(&mut self, now: Instant, round_trip: impl Fn(&str) -> Option<Duration>) -> bool {
+    pub(crate) fn may_send(&mut self, now: Instant, round_trip: impl Fn(&str) -> Option<Duration>) -> bool {
         if self.receivers.iter().any(|remote| remote.lossless) {
-            return self.kept.has_room();
+            return self.log.has_room();
         }
         let there = self.receivers.iter().filter_map(|remote| Some((remote.next, round_trip(&remote.machine)?)));
         match there.reduce(|one, other| (one.0.min(other.0), one.1.max(other.1))) {
@@ -110,26 +110,26 @@ impl Outbox {
     }
 
     /// Whether there is anybody to send to: a machine that must not miss a message is, even where it cannot be reached.
-    pub(super) fn is_wanted(&self, alive: impl Fn(&str) -> bool) -> bool {
+    pub(crate) fn is_wanted(&self, alive: impl Fn(&str) -> bool) -> bool {
         self.receivers.iter().any(|remote| remote.lossless || alive(&remote.machine))
     }
 
     /// The place of the next message.
-    pub(super) fn place(&self) -> Place {
+    pub(crate) fn place(&self) -> Place {
         Place { stream: self.stream, number: self.next, oldest: self.oldest() }
     }
 
     fn oldest(&self) -> u64 {
-        self.kept.oldest().unwrap_or(self.next)
+        self.log.oldest().unwrap_or(self.next)
     }
 
-    /// Counts the message that was made for [`Outbox::place`], and keeps it if somebody must not miss it.
-    pub(super) fn sent(&mut self, bytes: &[u8], now: Instant) {
-        if self.kept.len() == 0 {
+    /// Counts the message that was made for [`RetransmitQueue::place`], and keeps it if somebody must not miss it.
+    pub(crate) fn sent(&mut self, bytes: &[u8], now: Instant) {
+        if self.log.len() == 0 {
             self.progress = now;
         }
         if self.receivers.iter().any(|remote| remote.lossless) {
-            self.kept.add(self.next, bytes);
+            self.log.add(self.next, bytes);
         } else {
             self.window.sent(self.next, now);
         }
@@ -137,14 +137,14 @@ impl Outbox {
     }
 
     /// The same for the end of a writer's stream, of which everybody is told until they know.
-    pub(super) fn sent_end(&mut self, writer: &str, bytes: &[u8], now: Instant) {
+    pub(crate) fn sent_end(&mut self, writer: &str, bytes: &[u8], now: Instant) {
         self.sent(bytes, now);
         self.ends.push((writer.to_owned(), bytes.to_vec()));
         self.ended_at = Some(now);
     }
 
     /// Learns what a machine has, and when it was heard of last.
-    pub(super) fn acknowledge(&mut self, machine: &str, ack: Option<&Ack>, heard: Option<Instant>, now: Instant) {
+    pub(crate) fn acknowledge(&mut self, machine: &str, ack: Option<&Ack>, heard: Option<Instant>, now: Instant) {
         let Some(remote) = self.receivers.iter_mut().find(|remote| remote.machine == machine) else { return };
         remote.heard = heard;
         if let Some(ack) = ack.filter(|ack| ack.stream == self.stream) {
@@ -163,14 +163,14 @@ impl Outbox {
         let waited_for = lossless().filter(|remote| !remote.is_gone(now, self.outage)).map(|remote| remote.next);
         let needed = waited_for.min().unwrap_or(self.next);
         let given_up: Vec<u64> = lossless().map(|remote| remote.next).collect();
-        while self.kept.oldest().is_some_and(|number| number < needed) {
-            let Some(number) = self.kept.forget_first() else { break };
+        while self.log.oldest().is_some_and(|number| number < needed) {
+            let Some(number) = self.log.forget_first() else { break };
             self.lost += u64::from(given_up.iter().any(|next| number >= *next));
         }
     }
 
     /// What is to be sent again now, if `alive` says that the machine that lacks it can be reached.
-    pub(super) fn due(&mut self, now: Instant, alive: impl Fn(&str) -> bool) -> Vec<Vec<u8>> {
+    pub(crate) fn due(&mut self, now: Instant, alive: impl Fn(&str) -> bool) -> Vec<Vec<u8>> {
         if now.saturating_duration_since(self.progress) < self.resend_after {
             return Vec::new();
         }
@@ -178,7 +178,7 @@ impl Outbox {
         let oldest = self.oldest();
         let lacking = |remote: &&Remote| remote.lossless && alive(&remote.machine);
         let from = self.receivers.iter().filter(lacking).map(|remote| remote.next).min().unwrap_or(self.next);
-        let again = self.kept.since(from);
+        let again = self.log.since(from);
         let untold = |writer: &String| {
             let unaware = |remote: &Remote| !remote.lossless && !remote.ended.contains(writer);
             self.receivers.iter().any(|remote| unaware(remote) && alive(&remote.machine))
@@ -192,15 +192,15 @@ impl Outbox {
     }
 
     /// Forgets that there was anything for a later process to send.
-    pub(super) fn close(&mut self) {
-        self.kept.remove_files();
+    pub(crate) fn close(&mut self) {
+        self.log.remove_files();
     }
 
     /// Whether everybody has what they must have, or will not get it any more.
-    pub(super) fn is_settled(&self, now: Instant) -> bool {
+    pub(crate) fn is_settled(&self, now: Instant) -> bool {
         let impatient = self.ended_at.is_some_and(|since| now.saturating_duration_since(since) > END_PATIENCE);
         self.receivers.iter().all(|remote| match remote.lossless {
-            true => remote.next >= self.next || (self.kept.len() == 0 && remote.is_gone(now, self.outage)),
+            true => remote.next >= self.next || (self.log.len() == 0 && remote.is_gone(now, self.outage)),
             false => impatient || self.ends.iter().all(|(writer, _)| remote.ended.contains(writer)),
         })
     }
@@ -209,13 +209,19 @@ impl Outbox {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::kept::MAX_KEPT;
+    use crate::reliable::send_log::CAPACITY;
 
     const OUTAGE: Duration = Duration::from_secs(10);
     const WAIT: Duration = Duration::from_millis(100);
 
-    fn outbox(delivery: Delivery, now: Instant) -> Outbox {
-        Outbox::new(1, Kept::default(), &[Receiver { machine: "base".to_owned(), delivery }], [WAIT, OUTAGE], now)
+    fn queue(delivery: Delivery, now: Instant) -> RetransmitQueue {
+        RetransmitQueue::new(
+            1,
+            SendLog::default(),
+            &[Receiver { machine: "base".to_owned(), delivery }],
+            [WAIT, OUTAGE],
+            now,
+        )
     }
 
     fn ack(next: u64, ended: &[&str]) -> Ack {
@@ -226,76 +232,76 @@ mod tests {
     #[test]
     fn what_is_not_acknowledged_is_sent_again_and_what_is_is_forgotten() {
         let start = Instant::now();
-        let mut outbox = outbox(Delivery::Lossless, start);
-        (0..3_u8).for_each(|number| outbox.sent(&[number; 40], start));
-        outbox.acknowledge("base", Some(&ack(1, &[])), Some(start), start);
-        assert!(outbox.due(start, |_| true).is_empty());
+        let mut queue = queue(Delivery::Lossless, start);
+        (0..3_u8).for_each(|number| queue.sent(&[number; 40], start));
+        queue.acknowledge("base", Some(&ack(1, &[])), Some(start), start);
+        assert!(queue.due(start, |_| true).is_empty());
         let later = start + RESEND_AFTER;
-        let first_bytes: Vec<_> = outbox.due(later, |_| true).iter().map(|bytes| bytes[0]).collect();
+        let first_bytes: Vec<_> = queue.due(later, |_| true).iter().map(|bytes| bytes[0]).collect();
         assert_eq!(first_bytes, [1, 2]);
-        outbox.acknowledge("base", Some(&ack(3, &[])), Some(later), later);
-        assert!(outbox.is_settled(later) && outbox.due(later + RESEND_AFTER, |_| true).is_empty());
-        assert_eq!((outbox.place().oldest, outbox.lost()), (3, 0));
+        queue.acknowledge("base", Some(&ack(3, &[])), Some(later), later);
+        assert!(queue.is_settled(later) && queue.due(later + RESEND_AFTER, |_| true).is_empty());
+        assert_eq!((queue.place().oldest, queue.lost()), (3, 0));
     }
 
     #[test]
     fn a_slow_receiver_is_sent_the_same_again_less_and_less_often() {
         let start = Instant::now();
-        let mut outbox = outbox(Delivery::Lossless, start);
-        outbox.sent(&[0; 40], start);
-        let times = |outbox: &mut Outbox, range: std::ops::Range<u32>| {
-            range.filter(|tick| !outbox.due(start + *tick * FULL, |_| true).is_empty()).collect::<Vec<_>>()
+        let mut queue = queue(Delivery::Lossless, start);
+        queue.sent(&[0; 40], start);
+        let times = |queue: &mut RetransmitQueue, range: std::ops::Range<u32>| {
+            range.filter(|tick| !queue.due(start + *tick * FULL, |_| true).is_empty()).collect::<Vec<_>>()
         };
         const FULL: Duration = RESEND_AFTER;
-        assert_eq!(times(&mut outbox, 1..70), [1, 3, 7, 15, 31, 47, 63]);
-        outbox.sent(&[1; 40], start + 70 * FULL);
-        outbox.acknowledge("base", Some(&ack(1, &[])), None, start + 70 * FULL);
-        assert_eq!(times(&mut outbox, 71..75), [71, 73], "it goes on");
+        assert_eq!(times(&mut queue, 1..70), [1, 3, 7, 15, 31, 47, 63]);
+        queue.sent(&[1; 40], start + 70 * FULL);
+        queue.acknowledge("base", Some(&ack(1, &[])), None, start + 70 * FULL);
+        assert_eq!(times(&mut queue, 71..75), [71, 73], "it goes on");
     }
 
     #[test]
     fn a_machine_is_waited_for_as_long_as_the_file_says_and_then_counted() {
         let start = Instant::now();
-        let mut outbox = outbox(Delivery::Lossless, start);
-        (0..MAX_KEPT).for_each(|_| outbox.sent(&[0; 40], start));
-        outbox.acknowledge("base", None, None, start + 3 * OUTAGE);
-        assert!(!outbox.kept.has_room(), "a machine that was never there is waited for");
-        outbox.acknowledge("base", None, Some(start), start + OUTAGE);
-        assert!(!outbox.kept.has_room());
+        let mut queue = queue(Delivery::Lossless, start);
+        (0..CAPACITY).for_each(|_| queue.sent(&[0; 40], start));
+        queue.acknowledge("base", None, None, start + 3 * OUTAGE);
+        assert!(!queue.log.has_room(), "a machine that was never there is waited for");
+        queue.acknowledge("base", None, Some(start), start + OUTAGE);
+        assert!(!queue.log.has_room());
         let gone = start + OUTAGE + Duration::from_millis(1);
-        outbox.acknowledge("base", None, Some(start), gone);
-        assert!(outbox.kept.has_room() && outbox.is_settled(gone));
-        assert_eq!((outbox.lost(), outbox.place().oldest), (MAX_KEPT as u64, MAX_KEPT as u64));
+        queue.acknowledge("base", None, Some(start), gone);
+        assert!(queue.log.has_room() && queue.is_settled(gone));
+        assert_eq!((queue.lost(), queue.place().oldest), (CAPACITY as u64, CAPACITY as u64));
     }
 
     #[test]
     fn where_the_newest_wins_no_queue_builds_up_on_a_slow_link() {
         let start = Instant::now();
-        let mut outbox = outbox(Delivery::Latest, start);
-        assert!(!outbox.is_wanted(|_| false) && outbox.is_wanted(|_| true));
+        let mut queue = queue(Delivery::Latest, start);
+        assert!(!queue.is_wanted(|_| false) && queue.is_wanted(|_| true));
         let (there, away) = (|_: &str| Some(Duration::ZERO), |_: &str| None);
-        assert!(outbox.may_send(start, there));
-        outbox.sent(&[1; 40], start);
-        assert!(!outbox.may_send(start, there));
-        outbox.acknowledge("base", Some(&ack(1, &[])), Some(start), start);
-        assert!(outbox.may_send(start, there));
-        outbox.sent(&[2; 40], start);
-        outbox.sent(&[3; 40], start);
-        assert!(!outbox.may_send(start, there));
-        assert!(outbox.may_send(start, away), "nobody is there to wait for");
+        assert!(queue.may_send(start, there));
+        queue.sent(&[1; 40], start);
+        assert!(!queue.may_send(start, there));
+        queue.acknowledge("base", Some(&ack(1, &[])), Some(start), start);
+        assert!(queue.may_send(start, there));
+        queue.sent(&[2; 40], start);
+        queue.sent(&[3; 40], start);
+        assert!(!queue.may_send(start, there));
+        assert!(queue.may_send(start, away), "nobody is there to wait for");
     }
 
     #[test]
     fn where_the_newest_wins_only_the_end_is_repeated_until_it_is_known() {
         let start = Instant::now();
-        let mut outbox = outbox(Delivery::Latest, start);
-        outbox.sent(&[1; 40], start);
-        outbox.sent_end("source", &[2; 40], start);
+        let mut queue = queue(Delivery::Latest, start);
+        queue.sent(&[1; 40], start);
+        queue.sent_end("source", &[2; 40], start);
         let later = start + RESEND_AFTER;
-        assert_eq!(outbox.due(later, |_| true).len(), 1);
-        assert!(outbox.due(later + RESEND_AFTER, |_| false).is_empty(), "nobody can be reached");
-        assert!(!outbox.is_settled(later));
-        outbox.acknowledge("base", Some(&ack(0, &["source"])), Some(later), later);
-        assert!(outbox.is_settled(later));
+        assert_eq!(queue.due(later, |_| true).len(), 1);
+        assert!(queue.due(later + RESEND_AFTER, |_| false).is_empty(), "nobody can be reached");
+        assert!(!queue.is_settled(later));
+        queue.acknowledge("base", Some(&ack(0, &["source"])), Some(later), later);
+        assert!(queue.is_settled(later));
     }
 }

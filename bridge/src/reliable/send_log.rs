@@ -1,7 +1,7 @@
-//! What was sent without loss and is not yet acknowledged. It also lies in files of the run's folder, so that the process that
-//! takes the place of a killed one sends it again; each message is there before it goes out.
+//! The messages of a lossless edge that were sent and are not yet acknowledged. They also lie in files of the run's folder, so that the process that
+//! takes the place of a killed one sends them again; each message is there before it goes out.
 
-use super::wire::{Place, place_of};
+use crate::wire::{Place, place_of};
 use std::collections::VecDeque;
 use std::fs::File;
 use std::io;
@@ -9,24 +9,24 @@ use std::os::unix::fs::FileExt;
 use std::path::PathBuf;
 
 /// No more than this is kept; a lossless writer waits meanwhile.
-pub(super) const MAX_KEPT: usize = 64;
-const MAX_KEPT_BYTES: usize = 16 << 20;
+pub(crate) const CAPACITY: usize = 64;
+const CAPACITY_BYTES: usize = 16 << 20;
 
 /// A file begins with the length of the message in it, which is written last.
 const LENGTH: usize = size_of::<u64>();
 
 /// Messages, the oldest first.
 #[derive(Default)]
-pub(super) struct Kept {
+pub(crate) struct SendLog {
     messages: VecDeque<(u64, Vec<u8>)>,
     files: Option<Files>,
 }
 
-impl Kept {
-    /// What an earlier process has kept of a topic in this folder; what is kept from now on lies there, too.
-    pub(super) fn in_folder(folder: PathBuf, topic: &str) -> Self {
-        let files = Files { folder, topic: topic.replace('/', "."), open: [const { None }; MAX_KEPT] };
-        let mut found: Vec<(Place, Vec<u8>)> = (0..MAX_KEPT as u64).filter_map(|slot| files.read(slot)).collect();
+impl SendLog {
+    /// The log of a topic in this folder, with what an earlier process has left in it.
+    pub(crate) fn in_folder(folder: PathBuf, topic: &str) -> Self {
+        let files = Files { folder, topic: topic.replace('/', "."), open: [const { None }; CAPACITY] };
+        let mut found: Vec<(Place, Vec<u8>)> = (0..CAPACITY as u64).filter_map(|slot| files.read(slot)).collect();
         let stream = found.iter().map(|(place, _)| place.stream).max();
         found.retain(|(place, _)| Some(place.stream) == stream);
         found.sort_by_key(|(place, _)| place.number);
@@ -35,45 +35,45 @@ impl Kept {
     }
 
     /// The place of the last message.
-    pub(super) fn last(&self) -> Option<Place> {
+    pub(crate) fn last(&self) -> Option<Place> {
         self.messages.back().and_then(|(_, bytes)| place_of(bytes).ok())
     }
 
     /// Number of the first message.
-    pub(super) fn oldest(&self) -> Option<u64> {
+    pub(crate) fn oldest(&self) -> Option<u64> {
         self.messages.front().map(|(number, _)| *number)
     }
 
-    pub(super) fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.messages.len()
     }
 
-    pub(super) fn has_room(&self) -> bool {
+    pub(crate) fn has_room(&self) -> bool {
         let bytes: usize = self.messages.iter().map(|(_, bytes)| bytes.len()).sum();
-        self.messages.len() < MAX_KEPT && bytes < MAX_KEPT_BYTES
+        self.messages.len() < CAPACITY && bytes < CAPACITY_BYTES
     }
 
     /// The messages from a number on.
-    pub(super) fn since(&self, first: u64) -> impl Iterator<Item = &Vec<u8>> {
+    pub(crate) fn since(&self, first: u64) -> impl Iterator<Item = &Vec<u8>> {
         self.messages.iter().filter(move |(number, _)| *number >= first).map(|(_, bytes)| bytes)
     }
 
-    pub(super) fn add(&mut self, number: u64, bytes: &[u8]) {
+    pub(crate) fn add(&mut self, number: u64, bytes: &[u8]) {
         self.with_files(|files| files.write(number, bytes));
         self.messages.push_back((number, bytes.to_vec()));
     }
 
     /// Forgets the first message; its number.
-    pub(super) fn forget_first(&mut self) -> Option<u64> {
+    pub(crate) fn forget_first(&mut self) -> Option<u64> {
         let (number, _) = self.messages.pop_front()?;
         self.with_files(|files| files.clear(number));
         Some(number)
     }
 
     /// Removes the files: nobody comes after this process.
-    pub(super) fn remove_files(&mut self) {
+    pub(crate) fn remove_files(&mut self) {
         if let Some(files) = self.files.take() {
-            (0..MAX_KEPT as u64).for_each(|slot| drop(std::fs::remove_file(files.path(slot))));
+            (0..CAPACITY as u64).for_each(|slot| drop(std::fs::remove_file(files.path(slot))));
         }
     }
 
@@ -90,12 +90,12 @@ impl Kept {
 struct Files {
     folder: PathBuf,
     topic: String,
-    open: [Option<File>; MAX_KEPT],
+    open: [Option<File>; CAPACITY],
 }
 
 impl Files {
     fn path(&self, number: u64) -> PathBuf {
-        self.folder.join(format!("bridge.{}.{}.kept", self.topic, number % MAX_KEPT as u64))
+        self.folder.join(format!("bridge.{}.{}.kept", self.topic, number % CAPACITY as u64))
     }
 
     /// The message in a file; nothing if it is not whole.
@@ -120,7 +120,7 @@ impl Files {
 
     fn file(&mut self, number: u64) -> io::Result<&File> {
         let path = self.path(number);
-        let slot = &mut self.open[(number % MAX_KEPT as u64) as usize];
+        let slot = &mut self.open[(number % CAPACITY as u64) as usize];
         if slot.is_none() {
             *slot = Some(File::options().write(true).create(true).truncate(false).open(path)?);
         }
@@ -143,23 +143,23 @@ mod tests {
     #[test]
     fn the_next_process_finds_what_was_not_forgotten() {
         let folder = tempfile::tempdir().unwrap();
-        let open = || Kept::in_folder(folder.path().to_owned(), "cameras/front");
-        let mut kept = open();
-        assert_eq!((kept.last(), kept.oldest()), (None, None));
-        (60..70).for_each(|number| kept.add(number, &message(number)));
-        assert_eq!([(); 3].map(|()| kept.forget_first().unwrap()), [60, 61, 62]);
-        drop(kept);
-        let mut kept = open();
-        assert_eq!((kept.last().map(|place| (place.stream, place.number)), kept.oldest()), (Some((7, 69)), Some(63)));
-        assert!(kept.since(63).eq((63..70).map(message).collect::<Vec<_>>().iter()));
-        kept.remove_files();
+        let open = || SendLog::in_folder(folder.path().to_owned(), "cameras/front");
+        let mut log = open();
+        assert_eq!((log.last(), log.oldest()), (None, None));
+        (60..70).for_each(|number| log.add(number, &message(number)));
+        assert_eq!([(); 3].map(|()| log.forget_first().unwrap()), [60, 61, 62]);
+        drop(log);
+        let mut log = open();
+        assert_eq!((log.last().map(|place| (place.stream, place.number)), log.oldest()), (Some((7, 69)), Some(63)));
+        assert!(log.since(63).eq((63..70).map(message).collect::<Vec<_>>().iter()));
+        log.remove_files();
         assert_eq!(folder.path().read_dir().unwrap().count(), 0);
     }
 
     #[test]
     fn a_message_that_was_not_written_to_its_end_is_none() {
         let folder = tempfile::tempdir().unwrap();
-        let open = || Kept::in_folder(folder.path().to_owned(), "objects");
+        let open = || SendLog::in_folder(folder.path().to_owned(), "objects");
         (0..3).for_each(|number| open().add(number, &message(number)));
         let path = folder.path().join("bridge.objects.2.kept");
         let whole = std::fs::read(&path).unwrap();

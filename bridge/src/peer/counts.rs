@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Counts of one edge, written by its thread and read by another.
 #[derive(Debug, Default)]
-pub(super) struct EdgeCounts {
+pub(crate) struct EdgeCounts {
     pub messages: AtomicU64,
     pub wire_bytes: AtomicU64,
     pub memory_bytes: AtomicU64,
@@ -17,12 +17,12 @@ pub(super) struct EdgeCounts {
 }
 
 impl EdgeCounts {
-    pub(super) fn add(counter: &AtomicU64, count: u64) {
+    pub(crate) fn add(counter: &AtomicU64, count: u64) {
         counter.fetch_add(count, Ordering::Relaxed);
     }
 
     /// The counts now; rates are those since an earlier report, `seconds` ago.
-    pub(super) fn report(&self, topic: &str, direction: &str, earlier: &EdgeReport, seconds: f64) -> EdgeReport {
+    pub(crate) fn report(&self, topic: &str, direction: &str, earlier: &EdgeReport, seconds: f64) -> EdgeReport {
         let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         let (messages, wire_bytes) = (count(&self.messages), count(&self.wire_bytes));
         let per_second = |now: u64, before: u64| now.saturating_sub(before) as f64 / seconds.max(1e-3);

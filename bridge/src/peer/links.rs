@@ -1,7 +1,8 @@
 //! What one bridge knows of the others: who lives, what they have received, how their clocks differ.
 
-use super::beacon::{Ack, Beacon, Clock, Echo, Exchange, Lane};
-use super::wire::{WireError, decode_note, layouts};
+use super::clock::{Clock, Exchange};
+use super::heartbeat::{Ack, ClockSample, Heartbeat, Route};
+use crate::wire::{WireError, decode_note, layouts};
 use conicflow_dataflow::ports::Delivery;
 use conicflow_dataflow::{BridgePlan, Edge, monotonic_ns};
 use std::collections::BTreeMap;
@@ -14,10 +15,10 @@ const SILENCE: Duration = Duration::from_millis(1500);
 const PATIENCE: Duration = Duration::from_secs(5);
 
 /// The other machines, as the threads of a bridge share them.
-pub(super) struct Links {
+pub(crate) struct Links {
     machine: String,
     stream: u64,
-    lanes: Vec<Lane>,
+    routes: Vec<Route>,
     started: Instant,
     peers: Mutex<BTreeMap<String, Peer>>,
     acks: Mutex<BTreeMap<(String, String), Ack>>,
@@ -25,19 +26,19 @@ pub(super) struct Links {
 
 /// One other machine.
 #[derive(Default)]
-pub(super) struct Peer {
+pub(crate) struct Peer {
     heard: Option<Instant>,
     since: Option<Instant>,
-    echo: Echo,
+    sample: ClockSample,
     clock: Clock,
     acks: BTreeMap<String, Ack>,
     refused: Option<String>,
-    unlike: Vec<Lane>,
+    unlike: Vec<Route>,
     missed: bool,
 }
 
 /// What is shown of a peer.
-pub(super) struct PeerState {
+pub(crate) struct PeerState {
     pub was_heard: bool,
     pub connected: bool,
     /// For how long that is so.
@@ -50,30 +51,30 @@ fn lock<V>(mutex: &Mutex<V>) -> MutexGuard<'_, V> {
 }
 
 impl Links {
-    pub(super) fn new(stream: u64, bridge: &BridgePlan) -> Self {
+    pub(crate) fn new(stream: u64, bridge: &BridgePlan) -> Self {
         let peers = bridge.peers().into_iter().map(|peer| (peer.to_owned(), Peer::default())).collect();
-        let (machine, lanes) = (bridge.machine.clone(), lanes(bridge));
-        Self { machine, stream, lanes, started: Instant::now(), peers: Mutex::new(peers), acks: Mutex::default() }
+        let (machine, routes) = (bridge.machine.clone(), routes(bridge));
+        Self { machine, stream, routes, started: Instant::now(), peers: Mutex::new(peers), acks: Mutex::default() }
     }
 
-    /// Takes in a beacon.
-    pub(super) fn heard(&self, machine: &str, bytes: &[u8]) {
+    /// Takes in a heartbeat.
+    pub(crate) fn heard(&self, machine: &str, bytes: &[u8]) {
         let now_ns = monotonic_ns();
         let mut peers = lock(&self.peers);
         let Some(peer) = peers.get_mut(machine) else { return };
-        match decode_note::<Beacon>(bytes) {
-            Ok(Beacon { layouts: theirs, .. }) if theirs != layouts() => {
+        match decode_note::<Heartbeat>(bytes) {
+            Ok(Heartbeat { layouts: theirs, .. }) if theirs != layouts() => {
                 refuse(machine, peer, &WireError::Layout { ours: layouts(), theirs });
             }
-            Ok(beacon) => self.take_in(machine, peer, beacon, now_ns),
+            Ok(heartbeat) => self.take_in(machine, peer, heartbeat, now_ns),
             Err(error) => refuse(machine, peer, &error),
         }
     }
 
-    /// Beacons may come by two ways: one that was overtaken tells nothing new.
-    fn take_in(&self, machine: &str, peer: &mut Peer, beacon: Beacon, now_ns: u64) {
+    /// Beacons may come by two sessions: one that was overtaken tells nothing new.
+    fn take_in(&self, machine: &str, peer: &mut Peer, heartbeat: Heartbeat, now_ns: u64) {
         let now = Instant::now();
-        if beacon.stream == peer.echo.stream && beacon.sent_ns <= peer.echo.sent_ns {
+        if heartbeat.stream == peer.sample.stream && heartbeat.sent_ns <= peer.sample.sent_ns {
             return;
         }
         if !is_connected(peer, now) {
@@ -81,30 +82,34 @@ impl Links {
             peer.since = Some(now);
         }
         peer.heard = Some(now);
-        self.compare(machine, peer, &beacon.lanes);
-        if beacon.stream != peer.echo.stream {
+        self.compare(machine, peer, &heartbeat.routes);
+        if heartbeat.stream != peer.sample.stream {
             peer.clock.clear();
         }
-        let own = |echo: &&Echo| echo.machine == self.machine && echo.stream == self.stream;
-        if let Some(echo) = beacon.echoes.iter().find(own) {
-            peer.clock.add([echo.sent_ns, echo.received_ns, beacon.sent_ns, now_ns]);
+        let own = |sample: &&ClockSample| sample.machine == self.machine && sample.stream == self.stream;
+        if let Some(sample) = heartbeat.samples.iter().find(own) {
+            peer.clock.add([sample.sent_ns, sample.received_ns, heartbeat.sent_ns, now_ns]);
         }
-        peer.echo =
-            Echo { machine: machine.to_owned(), stream: beacon.stream, sent_ns: beacon.sent_ns, received_ns: now_ns };
-        let acks = beacon.acks.into_iter().filter(|ack| ack.from == self.machine);
+        peer.sample = ClockSample {
+            machine: machine.to_owned(),
+            stream: heartbeat.stream,
+            sent_ns: heartbeat.sent_ns,
+            received_ns: now_ns,
+        };
+        let acks = heartbeat.acks.into_iter().filter(|ack| ack.from == self.machine);
         peer.acks.extend(acks.map(|ack| (ack.topic.clone(), ack)));
     }
 
     /// Says once where the other machine's pipeline file is not this one's: what only one of the two expects never comes.
-    fn compare(&self, machine: &str, peer: &mut Peer, theirs: &[Lane]) {
-        let between = |lanes: &[Lane]| -> Vec<Lane> {
-            lanes.iter().filter(|lane| lane.is_between(&self.machine, machine)).cloned().collect()
+    fn compare(&self, machine: &str, peer: &mut Peer, theirs: &[Route]) {
+        let between = |routes: &[Route]| -> Vec<Route> {
+            routes.iter().filter(|route| route.is_between(&self.machine, machine)).cloned().collect()
         };
-        let (ours, theirs) = (between(&self.lanes), between(theirs));
-        let only = |some: &[Lane], others: &[Lane]| {
-            let lanes = some.iter().filter(|lane| !others.contains(lane));
+        let (ours, theirs) = (between(&self.routes), between(theirs));
+        let only = |some: &[Route], others: &[Route]| {
+            let routes = some.iter().filter(|route| !others.contains(route));
             let words: Vec<_> =
-                lanes.map(|Lane { from, to, what }| format!("{what}, from `{from}` to `{to}`")).collect();
+                routes.map(|Route { from, to, what }| format!("{what}, from `{from}` to `{to}`")).collect();
             if words.is_empty() { "nothing more".to_owned() } else { words.join("; ") }
         };
         let (here, there) = (only(&ours, &theirs), only(&theirs, &ours));
@@ -117,43 +122,43 @@ impl Links {
         }
     }
 
-    /// Notes how far an edge was received, for the next beacon to say.
-    pub(super) fn received(&self, ack: Ack) {
+    /// Notes how far an edge was received, for the next heartbeat to say.
+    pub(crate) fn received(&self, ack: Ack) {
         lock(&self.acks).insert((ack.from.clone(), ack.topic.clone()), ack);
     }
 
     /// What has been received so far.
-    pub(super) fn acks(&self) -> Vec<Ack> {
+    pub(crate) fn acks(&self) -> Vec<Ack> {
         lock(&self.acks).values().cloned().collect()
     }
 
-    /// The beacon that is due now.
-    pub(super) fn beacon(&self, acks: Vec<Ack>) -> Beacon {
+    /// The heartbeat that is due now.
+    pub(crate) fn heartbeat(&self, acks: Vec<Ack>) -> Heartbeat {
         let peers = lock(&self.peers);
-        let echoes = peers.values().filter(|peer| peer.heard.is_some()).map(|peer| peer.echo.clone()).collect();
-        Beacon {
+        let samples = peers.values().filter(|peer| peer.heard.is_some()).map(|peer| peer.sample.clone()).collect();
+        Heartbeat {
             stream: self.stream,
             sent_ns: monotonic_ns(),
             layouts: layouts(),
-            lanes: self.lanes.clone(),
-            echoes,
+            routes: self.routes.clone(),
+            samples,
             acks,
         }
     }
 
     /// What a peer said it has of a topic, and when it was heard of last.
-    pub(super) fn ack_of(&self, machine: &str, topic: &str) -> (Option<Ack>, Option<Instant>) {
+    pub(crate) fn ack_of(&self, machine: &str, topic: &str) -> (Option<Ack>, Option<Instant>) {
         let peers = lock(&self.peers);
         peers.get(machine).map_or((None, None), |peer| (peer.acks.get(topic).cloned(), peer.heard))
     }
 
     /// Whether a peer was heard of just now.
-    pub(super) fn is_connected(&self, machine: &str) -> bool {
+    pub(crate) fn is_connected(&self, machine: &str) -> bool {
         lock(&self.peers).get(machine).is_some_and(|peer| is_connected(peer, Instant::now()))
     }
 
     /// The time to a peer and back, if it was heard of just now; 0 before that has been measured.
-    pub(super) fn round_trip(&self, machine: &str) -> Option<Duration> {
+    pub(crate) fn round_trip(&self, machine: &str) -> Option<Duration> {
         let peers = lock(&self.peers);
         let peer = peers.get(machine).filter(|peer| is_connected(peer, Instant::now()))?;
         let nanoseconds = peer.clock.best().map_or(0, |exchange| exchange.round_trip_ns);
@@ -161,12 +166,12 @@ impl Links {
     }
 
     /// A peer's clock less the own one, in nanoseconds.
-    pub(super) fn clock_offset(&self, machine: &str) -> Option<i64> {
+    pub(crate) fn clock_offset(&self, machine: &str) -> Option<i64> {
         lock(&self.peers).get(machine)?.clock.best().map(|exchange| exchange.offset_ns)
     }
 
     /// All peers; says which have fallen silent since the last look, and once which never came.
-    pub(super) fn look(&self) -> BTreeMap<String, PeerState> {
+    pub(crate) fn look(&self) -> BTreeMap<String, PeerState> {
         let now = Instant::now();
         let mut states = BTreeMap::new();
         for (machine, peer) in lock(&self.peers).iter_mut() {
@@ -212,16 +217,16 @@ fn refuse(machine: &str, peer: &mut Peer, error: &WireError) {
 }
 
 /// What crosses.
-fn lanes(bridge: &BridgePlan) -> Vec<Lane> {
-    bridge.outgoing.iter().chain(&bridge.incoming).flat_map(lanes_of).collect()
+fn routes(bridge: &BridgePlan) -> Vec<Route> {
+    bridge.outgoing.iter().chain(&bridge.incoming).flat_map(routes_of).collect()
 }
 
 /// What an edge carries to each machine.
-fn lanes_of(edge: &Edge) -> impl Iterator<Item = Lane> {
+fn routes_of(edge: &Edge) -> impl Iterator<Item = Route> {
     edge.to.iter().map(|receiver| {
         let delivery = if receiver.delivery == Delivery::Lossless { "lossless" } else { "latest" };
         let (topic, kind, writers) = (&edge.topic.name, edge.kind.name(), edge.writers.join(", "));
         let what = format!("topic `{topic}` with {kind} of {writers}, {delivery}");
-        Lane { from: edge.from.clone(), to: receiver.machine.clone(), what }
+        Route { from: edge.from.clone(), to: receiver.machine.clone(), what }
     })
 }

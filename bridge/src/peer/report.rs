@@ -1,4 +1,4 @@
-//! The account that a bridge gives of itself while it runs: what `top` and the summary show of its links and edges.
+//! What a bridge reports of itself while it runs: `top` and the summary show its links and edges.
 
 use super::counts::EdgeCounts;
 use super::links::{Links, PeerState};
@@ -12,14 +12,14 @@ use std::time::{Duration, Instant};
 const PERIOD: Duration = Duration::from_secs(1);
 
 /// An edge and its counts.
-pub(super) struct Carried<'a> {
+pub(crate) struct EdgeHandle<'a> {
     pub edge: &'a Edge,
     pub outgoing: bool,
     pub counts: Arc<EdgeCounts>,
     reported: EdgeReport,
 }
 
-impl Carried<'_> {
+impl EdgeHandle<'_> {
     fn reaches(&self, machine: &str) -> bool {
         if self.outgoing { self.edge.delivery_to(machine).is_some() } else { self.edge.from == machine }
     }
@@ -30,34 +30,34 @@ impl Carried<'_> {
     }
 }
 
-/// What is told, and where.
-pub(super) struct Account<'a> {
+/// Writes the record and the links of a bridge.
+pub(crate) struct BridgeReporter<'a> {
     run: BridgeRun<'a>,
     pub record: StatusFile,
     links: &'a Links,
-    pub carried: Vec<Carried<'a>>,
+    pub edges: Vec<EdgeHandle<'a>>,
     reported: Instant,
 }
 
-impl<'a> Account<'a> {
-    pub(super) fn new(bridge: &'a BridgePlan, run: BridgeRun<'a>, record: StatusFile, links: &'a Links) -> Self {
-        let carry =
-            |edge, outgoing| Carried { edge, outgoing, counts: Arc::default(), reported: EdgeReport::default() };
-        let outgoing = bridge.outgoing.iter().map(|edge| carry(edge, true));
-        let carried = outgoing.chain(bridge.incoming.iter().map(|edge| carry(edge, false))).collect();
-        Self { run, record, links, carried, reported: Instant::now() }
+impl<'a> BridgeReporter<'a> {
+    pub(crate) fn new(bridge: &'a BridgePlan, run: BridgeRun<'a>, record: StatusFile, links: &'a Links) -> Self {
+        let handle =
+            |edge, outgoing| EdgeHandle { edge, outgoing, counts: Arc::default(), reported: EdgeReport::default() };
+        let outgoing = bridge.outgoing.iter().map(|edge| handle(edge, true));
+        let edges = outgoing.chain(bridge.incoming.iter().map(|edge| handle(edge, false))).collect();
+        Self { run, record, links, edges, reported: Instant::now() }
     }
 
     /// Whether it is time to report.
-    pub(super) fn is_due(&self) -> bool {
+    pub(crate) fn is_due(&self) -> bool {
         self.reported.elapsed() > PERIOD
     }
 
     /// Writes what `top` and the summary show; `reachable` says whether there is a link to anybody.
-    pub(super) fn report(&mut self, reachable: bool) {
+    pub(crate) fn report(&mut self, reachable: bool) {
         let seconds = self.reported.elapsed().as_secs_f64();
         self.reported = Instant::now();
-        self.carried.iter_mut().for_each(|carried| carried.report(seconds));
+        self.edges.iter_mut().for_each(|edge| edge.report(seconds));
         let states = self.links.look();
         let links: Vec<_> = states.iter().map(|(machine, state)| self.link(machine, state, reachable)).collect();
         write_links(self.run.folder, self.run.run, &links).ok();
@@ -71,7 +71,7 @@ impl<'a> Account<'a> {
             (false, true, true) => LinkState::Down,
             (false, true, false) => LinkState::Never,
         };
-        let edges = self.carried.iter().filter(|carried| carried.reaches(machine));
+        let edges = self.edges.iter().filter(|edge| edge.reaches(machine));
         LinkReport {
             machine: machine.to_owned(),
             state,
@@ -79,23 +79,23 @@ impl<'a> Account<'a> {
             was_heard: peer.was_heard,
             round_trip_ms: peer.clock.map(|clock| clock.round_trip_ns as f64 / 1e6),
             clock_offset_s: peer.clock.map(|clock| clock.offset_ns as f64 / 1e9),
-            edges: edges.map(|carried| carried.reported.clone()).collect(),
+            edges: edges.map(|edge| edge.reported.clone()).collect(),
         }
     }
 
     fn keep_record(&mut self) {
         let status = &mut *self.record.status;
         let count = |outgoing: bool, counter: fn(&EdgeCounts) -> &AtomicU64| -> u64 {
-            let edges = self.carried.iter().filter(|carried| carried.outgoing == outgoing);
-            edges.map(|carried| counter(&carried.counts).load(Ordering::Relaxed)).sum()
+            let edges = self.edges.iter().filter(|edge| edge.outgoing == outgoing);
+            edges.map(|edge| counter(&edge.counts).load(Ordering::Relaxed)).sum()
         };
         status.steps = count(true, |counts| &counts.messages) + count(false, |counts| &counts.messages);
         status.sent = count(false, |counts| &counts.messages);
         status.sent_bytes = count(false, |counts| &counts.memory_bytes);
-        let outgoing = self.carried.iter().filter(|carried| carried.outgoing);
-        for (slot, carried) in status.inputs.iter_mut().zip(outgoing) {
-            let received = carried.counts.messages.load(Ordering::Relaxed);
-            *slot = InputCounts { topic: Text::new(&carried.edge.topic.name), received, ..InputCounts::default() };
+        let outgoing = self.edges.iter().filter(|edge| edge.outgoing);
+        for (slot, handle) in status.inputs.iter_mut().zip(outgoing) {
+            let received = handle.counts.messages.load(Ordering::Relaxed);
+            *slot = InputCounts { topic: Text::new(&handle.edge.topic.name), received, ..InputCounts::default() };
         }
         self.record.write();
     }

@@ -1,82 +1,26 @@
-//! The small message by which bridges tell each other that they live, what they have received, and what time it is there.
+//! The difference between two machines' clocks.
 
-use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
-
-/// What a bridge puts under its link key a few times per second.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) struct Beacon {
-    /// One number per start of the bridge.
-    pub stream: u64,
-    /// Its clock when this was sent.
-    pub sent_ns: u64,
-    /// How its messages are laid out.
-    pub layouts: String,
-    /// What crosses, by its pipeline file.
-    pub lanes: Vec<Lane>,
-    /// The last beacon of each peer.
-    pub echoes: Vec<Echo>,
-    /// What it has received, per edge.
-    pub acks: Vec<Ack>,
-}
-
-/// What one machine is to send to another.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) struct Lane {
-    pub from: String,
-    pub to: String,
-    /// The topic, what it carries, who writes it, and whether any of it may be missed.
-    pub what: String,
-}
-
-impl Lane {
-    pub(super) fn is_between(&self, one: &str, other: &str) -> bool {
-        [self.from.as_str(), &self.to] == [one, other] || [self.from.as_str(), &self.to] == [other, one]
-    }
-}
-
-/// When a peer's last beacon was sent, by that peer's clock, and when it came, by the sender's.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) struct Echo {
-    pub machine: String,
-    pub stream: u64,
-    pub sent_ns: u64,
-    pub received_ns: u64,
-}
-
-/// How far an edge was received.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) struct Ack {
-    /// The machine that sends it.
-    pub from: String,
-    pub topic: String,
-    /// The stream that is received.
-    pub stream: u64,
-    /// Number of the message that is expected next.
-    pub next: u64,
-    /// The writers whose streams have ended.
-    pub ended: Vec<String>,
-}
 
 /// For how many seconds exchanges are remembered: a queue on the link, which delays one direction, is rarely there for longer.
 const SECONDS: u64 = 32;
 /// What clocks drift apart by in that time at most, in nanoseconds.
 const DRIFT_NS: i64 = 10_000_000;
 
-/// The difference between two machines' clocks, from exchanges of beacons.
+/// The difference between two machines' clocks, from exchanges of heartbeats.
 ///
 /// As NTP does: with t1, t4 the own times of sending and receiving and t2, t3 the peer's, the offset is
 /// `((t2 - t1) + (t3 - t4)) / 2`, wrong by half the round trip's asymmetry at most; of the last seconds' exchanges the one
 /// with the shortest round trip counts.
 #[derive(Debug, Default)]
-pub(super) struct Clock {
+pub(crate) struct Clock {
     /// The second, and its best exchange.
     best: VecDeque<(u64, Exchange)>,
 }
 
 /// One exchange.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Exchange {
+pub(crate) struct Exchange {
     /// Time on the way, there and back, in nanoseconds.
     pub round_trip_ns: i64,
     /// The peer's clock less the own one, in nanoseconds.
@@ -85,7 +29,7 @@ pub(super) struct Exchange {
 
 impl Clock {
     /// Adds an exchange; times that cannot be are left out.
-    pub(super) fn add(&mut self, [t1, t2, t3, t4]: [u64; 4]) {
+    pub(crate) fn add(&mut self, [t1, t2, t3, t4]: [u64; 4]) {
         let second = t4 / 1_000_000_000;
         let [t1, t2, t3, t4] = [t1, t2, t3, t4].map(i128::from);
         let exchange = (i64::try_from((t4 - t1) - (t3 - t2)), i64::try_from(((t2 - t1) + (t3 - t4)) / 2));
@@ -104,12 +48,12 @@ impl Clock {
     }
 
     /// Forgets everything: the peer may be another machine now, or one of the two was suspended.
-    pub(super) fn clear(&mut self) {
+    pub(crate) fn clear(&mut self) {
         self.best.clear();
     }
 
     /// The best exchange of the last seconds.
-    pub(super) fn best(&self) -> Option<Exchange> {
+    pub(crate) fn best(&self) -> Option<Exchange> {
         self.best.iter().map(|(_, exchange)| *exchange).reduce(quicker)
     }
 }

@@ -6,7 +6,12 @@
 //! ([`depth_codec`], [`ellipse_codec`]), without compression the pixels as little-endian `u16`, and a count and the items.
 //! Nothing is believed: version, layouts, sizes, lengths, ranges and numbers are checked before a message is handed on.
 
-use super::{compression, depth_codec, ellipse_codec};
+mod compression;
+mod depth_codec;
+mod ellipse_codec;
+#[cfg(test)]
+mod tests;
+
 use bincode::config::{Configuration, Limit, standard};
 use bincode::serde::{borrow_decode_from_slice, encode_into_std_write};
 use conicflow_dataflow::pipeline::Compression;
@@ -212,26 +217,26 @@ pub fn decode_message<T: Wire>(bytes: &[u8], items: &mut Vec<T>) -> Result<(Plac
 }
 
 /// The bytes of something small, with the same prefix as a message.
-pub(super) fn encode_note<N: Serialize>(note: &N) -> Result<Vec<u8>, WireError> {
+pub(crate) fn encode_note<N: Serialize>(note: &N) -> Result<Vec<u8>, WireError> {
     let mut bytes = opening_bytes();
     encode(note, &mut bytes)?;
     Ok(bytes)
 }
 
 /// Reads something small.
-pub(super) fn decode_note<N: DeserializeOwned>(bytes: &[u8]) -> Result<N, WireError> {
+pub(crate) fn decode_note<N: DeserializeOwned>(bytes: &[u8]) -> Result<N, WireError> {
     decode_whole(content(bytes)?)
 }
 
 /// Tells anew, in the bytes of a message that is sent again, which is the oldest that is still kept.
-pub(super) fn set_oldest(bytes: &mut [u8], oldest: u64) {
+pub(crate) fn set_oldest(bytes: &mut [u8], oldest: u64) {
     if let Some(slot) = bytes.get_mut(PREFIX + 16..PREFIX + 24) {
         slot.copy_from_slice(&oldest.to_le_bytes());
     }
 }
 
 /// Where a message stands in its stream.
-pub(super) fn place_of(bytes: &[u8]) -> Result<Place, WireError> {
+pub(crate) fn place_of(bytes: &[u8]) -> Result<Place, WireError> {
     split_place(content(bytes)?).map(|(place, _)| place)
 }
 
@@ -242,7 +247,7 @@ fn split_place(bytes: &[u8]) -> Result<(Place, &[u8]), WireError> {
 }
 
 /// The layouts of all that can go to another machine.
-pub(super) fn layouts() -> String {
+pub(crate) fn layouts() -> String {
     [HEADER_TYPE_NAME, u16::TYPE_NAME, Ellipse::TYPE_NAME, Object::TYPE_NAME, Track::TYPE_NAME].join(" ")
 }
 

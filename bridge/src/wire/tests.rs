@@ -1,6 +1,6 @@
 //! What the wire promises: every message comes back bit for bit, and no bytes whatever do harm.
 
-use super::wire::{MAX_MESSAGE, Place, WIRE_VERSION, Wire, WireError, decode_message, encode_message};
+use super::{MAX_MESSAGE, Place, WIRE_VERSION, Wire, WireError, decode_message, encode_message};
 use conicflow_dataflow::pipeline::Compression;
 use conicflow_messages::{Camera, END_OF_STREAM, Ellipse, Header, Hop, Object, Text, Track};
 use proptest::prelude::*;
@@ -125,7 +125,7 @@ fn the_corpus_of_the_fuzzer_does_no_harm() {
 
 #[test]
 fn the_python_example_reads_this_version() {
-    let example = include_str!("../../examples/read_objects.py");
+    let example = include_str!("../../../examples/read_objects.py");
     assert!(example.contains(&format!("(b\"CFLO\", {WIRE_VERSION})")));
 }
 

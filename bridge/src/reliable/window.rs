@@ -15,7 +15,7 @@ const SURELY_LOST: Duration = Duration::from_secs(1);
 const MAX_ROUND_TRIP: Duration = Duration::from_millis(400);
 
 /// The messages of one edge that are under way.
-pub(super) struct Window {
+pub(crate) struct Window {
     under_way: VecDeque<(u64, Instant)>,
     size: usize,
     /// How long a message may wait on the way.
@@ -26,16 +26,16 @@ pub(super) struct Window {
 
 impl Window {
     /// Messages that may wait for `wait`; those that may wait for less give way to the others.
-    pub(super) fn new(wait: Duration) -> Self {
+    pub(crate) fn new(wait: Duration) -> Self {
         Self { under_way: VecDeque::new(), size: 1, wait, judged_from: 0 }
     }
 
-    pub(super) fn sent(&mut self, number: u64, now: Instant) {
+    pub(crate) fn sent(&mut self, number: u64, now: Instant) {
         self.under_way.push_back((number, now));
     }
 
     /// All messages before `next` have arrived, over a link of this round trip, or are lost.
-    pub(super) fn acknowledge(&mut self, next: u64, round_trip: Duration, now: Instant) {
+    pub(crate) fn acknowledge(&mut self, next: u64, round_trip: Duration, now: Instant) {
         let limit = 2 * round_trip.min(MAX_ROUND_TRIP) + self.wait;
         while let Some(&(number, sent)) = self.under_way.front() {
             let took = now.saturating_duration_since(sent);
@@ -57,13 +57,13 @@ impl Window {
     }
 
     /// Nobody is there: whatever is under way will not arrive.
-    pub(super) fn clear(&mut self) {
+    pub(crate) fn clear(&mut self) {
         self.under_way.clear();
         self.size = 1;
     }
 
     /// Whether another message may be sent.
-    pub(super) fn is_open(&self) -> bool {
+    pub(crate) fn is_open(&self) -> bool {
         self.under_way.len() < self.size
     }
 }

@@ -1,0 +1,42 @@
+//! What a bridge can fail of.
+
+use crate::wire::WireError;
+use conicflow_dataflow::SettingsFault;
+use conicflow_dataflow::ports::PortError;
+
+/// Why a bridge ended before its edges did.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum BridgeError {
+    /// The machine's table, or its Zenoh file.
+    #[error("{0}")]
+    Settings(#[from] SettingsFault),
+    /// Shared memory.
+    #[error(transparent)]
+    Port(#[from] PortError),
+    /// Bytes that cannot be made.
+    #[error(transparent)]
+    Wire(#[from] WireError),
+    /// Zenoh.
+    #[error("{doing}: {reason}\n  hint: are the endpoints in the machine's table right, and free?")]
+    Zenoh {
+        /// What was being done.
+        doing: String,
+        /// What Zenoh said.
+        reason: String,
+    },
+    /// A thread panicked.
+    #[error("an edge of the bridge panicked; its message stands above")]
+    Panicked,
+}
+
+impl BridgeError {
+    /// Whether starting anew would not help.
+    pub(crate) fn is_final(&self) -> bool {
+        use PortError::{Incompatible, PathTooLong};
+        matches!(self, Self::Settings(_) | Self::Port(Incompatible { .. } | PathTooLong { .. }))
+    }
+
+    pub(crate) fn zenoh(doing: &str, reason: impl std::fmt::Display) -> Self {
+        Self::Zenoh { doing: doing.to_owned(), reason: reason.to_string() }
+    }
+}

@@ -1,0 +1,58 @@
+//! The small message by which bridges tell each other that they live, what they have received, and what time it is there.
+
+use serde::{Deserialize, Serialize};
+
+/// What a bridge puts under its link key a few times per second.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Heartbeat {
+    /// One number per start of the bridge.
+    pub stream: u64,
+    /// Its clock when this was sent.
+    pub sent_ns: u64,
+    /// How its messages are laid out.
+    pub layouts: String,
+    /// What crosses, by its pipeline file.
+    pub routes: Vec<Route>,
+    /// The last heartbeat of each peer.
+    pub samples: Vec<ClockSample>,
+    /// What it has received, per edge.
+    pub acks: Vec<Ack>,
+}
+
+/// What one machine is to send to another.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Route {
+    pub from: String,
+    pub to: String,
+    /// The topic, what it carries, who writes it, and whether any of it may be missed.
+    pub what: String,
+}
+
+impl Route {
+    pub(crate) fn is_between(&self, one: &str, other: &str) -> bool {
+        [self.from.as_str(), &self.to] == [one, other] || [self.from.as_str(), &self.to] == [other, one]
+    }
+}
+
+/// When a peer's last heartbeat was sent, by that peer's clock, and when it came, by the sender's.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct ClockSample {
+    pub machine: String,
+    pub stream: u64,
+    pub sent_ns: u64,
+    pub received_ns: u64,
+}
+
+/// How far an edge was received.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Ack {
+    /// The machine that sends it.
+    pub from: String,
+    pub topic: String,
+    /// The stream that is received.
+    pub stream: u64,
+    /// Number of the message that is expected next.
+    pub next: u64,
+    /// The writers whose streams have ended.
+    pub ended: Vec<String>,
+}

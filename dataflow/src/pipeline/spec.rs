@@ -1,0 +1,204 @@
+//! A pipeline as its file describes it: the stages, where they run, and what joins them.
+
+use super::diagnostic::{Place, SourceText};
+use super::machine::{BRIDGE, Compression, Machine};
+use crate::node::Node;
+use crate::ports::{Delivery, Topic, TopicReader};
+use conicflow_messages::Kind;
+use serde::{Deserialize, Serialize};
+use serde_json::Value as Json;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+/// A pipeline, read and checked.
+pub struct Pipeline {
+    /// Its name: two pipelines of different names on one machine do not meet.
+    pub name: String,
+    /// Folder of the file; relative paths are resolved against it.
+    pub base: PathBuf,
+    /// The machines, where there is more than one.
+    pub machines: BTreeMap<String, Machine>,
+    /// The stages, in the order of the file.
+    pub stages: Vec<StageSpec>,
+    /// What the file says under `experiment`; it is for whoever runs the pipeline, none of the stages see it.
+    pub experiment: Option<Json>,
+    /// The text that it was read from, and what was set beside it.
+    pub source: (SourceText, Vec<String>),
+}
+
+/// One stage of a pipeline.
+pub struct StageSpec {
+    /// Its name.
+    pub name: String,
+    /// What runs.
+    pub program: Program,
+    /// What drives it.
+    pub input: Option<Input>,
+    /// Its further inputs, by name.
+    pub inputs: Vec<(String, Input)>,
+    /// The topic that it writes.
+    pub output: Option<String>,
+    /// Where it runs.
+    pub machine: Option<String>,
+    /// What happens when it dies.
+    pub restart: Restart,
+    /// Without a sign of life for so long, in seconds, it counts as dead; `None`: it is reported.
+    pub hang_s: Option<f64>,
+    /// Environment variables for it.
+    pub env: Vec<(String, String)>,
+    /// Parameters of its node.
+    pub parameters: Json,
+    pub(super) place: Place,
+    pub(super) input_place: Option<Place>,
+    pub(super) output_place: Option<Place>,
+    pub(super) machine_place: Option<Place>,
+}
+
+/// What a stage runs.
+pub enum Program {
+    /// A node of the table.
+    Node(Node),
+    /// A program of one's own, with its arguments.
+    Command(Vec<String>),
+    /// Neither, as the file stands; it has been reported.
+    Unknown,
+}
+
+/// One input of a stage.
+#[derive(Clone, Debug)]
+pub struct Input {
+    /// The topic that it reads.
+    pub topic: String,
+    /// Which messages it sees.
+    pub delivery: Delivery,
+    /// How many wait at most.
+    pub queue: usize,
+    /// What the topic carries, where the file says so: no node tells it of what a program of one's own writes.
+    pub kind: Option<Kind>,
+    /// How images for it are compressed on their way from another machine.
+    pub compression: Option<Compression>,
+    pub(super) place: Place,
+}
+
+/// What happens to a stage that died.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Restart {
+    /// Nothing.
+    Never,
+    /// It is started anew if it failed.
+    #[default]
+    OnFailure,
+    /// It is started anew however it ended, until the run ends.
+    Always,
+}
+
+impl Pipeline {
+    /// The stage of this name.
+    pub fn stage(&self, name: &str) -> Option<&StageSpec> {
+        self.stages.iter().find(|stage| stage.name == name)
+    }
+
+    /// What both ends of a topic have to agree on.
+    pub fn topic(&self, name: &str) -> Topic {
+        let writers = self.stages.iter().filter(|stage| stage.output.as_deref() == Some(name));
+        let readers = self.stages.iter().flat_map(|stage| {
+            let inputs = stage.all_inputs().filter(|input| input.topic == name);
+            inputs.map(|input| TopicReader { stage: stage.name.clone(), delivery: input.delivery, queue: input.queue })
+        });
+        Topic {
+            name: name.to_owned(),
+            kind: self.kind_of(name),
+            writers: writers.map(|stage| stage.name.clone()).collect(),
+            readers: readers.collect(),
+        }
+    }
+
+    /// The topic as the stages of `machine` see it: written by the same stages, here or elsewhere, and read by those that
+    /// are here, and by the bridge where one of its writers is here and one of its readers is not.
+    pub fn topic_on(&self, name: &str, machine: Option<&str>) -> Topic {
+        let mut topic = self.topic(name);
+        let Some(machine) = machine else { return topic };
+        let (here, away): (Vec<_>, Vec<_>) =
+            topic.readers.into_iter().partition(|reader| self.is_on(&reader.stage, machine));
+        topic.readers = here;
+        let leaves = topic.writers.iter().any(|writer| self.is_on(writer, machine));
+        if let (true, Some(queue)) = (leaves, away.iter().map(|reader| reader.queue).max()) {
+            let lossless = away.iter().any(|reader| reader.delivery == Delivery::Lossless);
+            let delivery = if lossless { Delivery::Lossless } else { Delivery::Latest };
+            topic.readers.push(TopicReader { stage: BRIDGE.to_owned(), delivery, queue });
+        }
+        topic
+    }
+
+    /// Whether a stage runs on a machine.
+    pub(crate) fn is_on(&self, stage: &str, machine: &str) -> bool {
+        self.stage(stage).is_some_and(|stage| stage.machine.as_deref() == Some(machine))
+    }
+
+    /// What a topic carries: by the nodes that write it; where only programs of one's own do, as an input says or because
+    /// a node that reads it takes nothing else.
+    pub fn kind_of(&self, topic: &str) -> Option<Kind> {
+        let mut writers = self.stages.iter().filter(|stage| stage.output.as_deref() == Some(topic));
+        let mut inputs = self.stages.iter().flat_map(StageSpec::all_inputs).filter(|input| input.topic == topic);
+        let said = || inputs.find_map(|input| input.kind);
+        let needed = || self.stages.iter().find_map(|stage| stage.needed_kind(topic));
+        writers.find_map(StageSpec::output_kind).or_else(said).or_else(needed)
+    }
+
+    /// The names of all topics, in the order of the stages that write them.
+    pub fn topics(&self) -> Vec<&str> {
+        let mut names: Vec<&str> = Vec::new();
+        for topic in self.stages.iter().filter_map(|stage| stage.output.as_deref()) {
+            if !names.contains(&topic) {
+                names.push(topic);
+            }
+        }
+        names
+    }
+
+    /// The topics that are written on one machine and read on another, with both machines.
+    pub fn crossings(&self) -> Vec<(&str, &str, &str)> {
+        let mut crossings = Vec::new();
+        for writer in &self.stages {
+            for reader in &self.stages {
+                let joined = reader.all_inputs().any(|input| Some(&input.topic) == writer.output.as_ref());
+                let machines = (writer.machine.as_deref(), reader.machine.as_deref());
+                if let (true, (Some(from), Some(to)), Some(topic)) = (joined, machines, writer.output.as_deref())
+                    && from != to
+                {
+                    crossings.push((topic, from, to));
+                }
+            }
+        }
+        crossings
+    }
+}
+
+impl StageSpec {
+    /// The driving input and the further ones.
+    pub fn all_inputs(&self) -> impl Iterator<Item = &Input> {
+        self.input.iter().chain(self.inputs.iter().map(|(_, input)| input))
+    }
+
+    /// What its inputs from a topic have to carry, where its node takes one kind of message there.
+    fn needed_kind(&self, topic: &str) -> Option<Kind> {
+        let Program::Node(node) = &self.program else { return None };
+        if self.input.as_ref().is_some_and(|input| input.topic == topic) {
+            let mut kinds = node.inputs();
+            return kinds.next().filter(|_| kinds.next().is_none());
+        }
+        let (name, _) = self.inputs.iter().find(|(_, input)| input.topic == topic)?;
+        node.sides().iter().find(|side| side.name == name).map(|side| side.kind)
+    }
+
+    /// What it makes; `None` if it is a program of one's own.
+    pub fn output_kind(&self) -> Option<Kind> {
+        if let Program::Node(node) = &self.program { Some(node.output()) } else { None }
+    }
+
+    /// Whether nothing drives it.
+    pub fn is_source(&self) -> bool {
+        self.input.is_none()
+    }
+}
