@@ -2,13 +2,15 @@
 //! call this, and so does the test that replays their corpora.
 
 use anyhow::Result;
+use conicflow_bridge::NETWORK;
+use conicflow_dataflow::Registry;
 use conicflow_dataflow::pipeline::{Pipeline, SourceText};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_lab::simulator::scene::Scene;
 use conicflow_lab::simulator::scene_values::{SceneTemplate, Values};
 use conicflow_lab::simulator::{SimulatorParameters, SyntheticCamera};
 use conicflow_messages::Header;
-use conicflow_nodes::REGISTRY;
+use conicflow_nodes::NODES;
 use conicflow_nodes::sources::image_source::{Options, Recording};
 use std::fs;
 use std::path::Path;
@@ -40,7 +42,9 @@ pub fn scene(bytes: &[u8]) -> bool {
 pub fn pipeline(bytes: &[u8]) -> bool {
     let source = SourceText { name: "pipeline.toml".to_owned(), text: String::from_utf8_lossy(bytes).into_owned() };
     // What is told of it has to be printable as well.
-    Pipeline::read(source, Path::new("/nowhere"), &[], &REGISTRY).map_err(|report| report.to_string()).is_ok()
+    Pipeline::read(source, Path::new("/nowhere"), &[], &Registry { nodes: NODES, network: Some(NETWORK) })
+        .map_err(|report| report.to_string())
+        .is_ok()
 }
 
 /// Whether something went well. What is told of it otherwise has to be printable.

@@ -4,11 +4,12 @@
 pub mod commands;
 mod config_error;
 pub mod detection;
+mod network;
 pub mod sinks;
 pub mod sources;
 pub mod tracking;
 
-use conicflow_dataflow::{Network, Node, Registry, Variant};
+use conicflow_dataflow::{Node, Registry, Variant};
 use conicflow_messages::{Ellipse, Object, Track};
 use detection::{ObjectAssembler, RansacEllipseExtractor, RowEllipseExtractor};
 use sinks::{ConsoleSink, EvaluationSink, JsonSink, MeasurementSink, NoiseEstimator, PictureSink, SectionSink};
@@ -51,10 +52,5 @@ pub const NODES: &[Node] = &[
     Node::stage::<NoiseEstimator>(),
 ];
 
-#[cfg(feature = "bridge")]
-const NETWORK: Option<Network> = Some(conicflow_bridge::NETWORK);
-#[cfg(not(feature = "bridge"))]
-const NETWORK: Option<Network> = None;
-
-/// What this program has built in.
-pub const REGISTRY: Registry = Registry { nodes: NODES, network: NETWORK };
+/// What this program has built in, and beside it.
+pub const REGISTRY: Registry = Registry { nodes: NODES, network: Some(network::NETWORK) };

@@ -26,16 +26,16 @@ mod wire;
 
 pub use wire::{MAX_MESSAGE, Place, WIRE_VERSION, Wire, WireError, decode_message, encode_message};
 
-use conicflow_dataflow::{Network, NetworkError};
+use conicflow_dataflow::{Carrier, Network, NetworkError};
 
 /// The network part of a program: it goes into its `Registry`.
 pub const NETWORK: Network = Network {
     check: settings::check,
     listen_endpoints: settings::listen_endpoints,
-    run: |bridge, run, around| {
+    carrier: Carrier::Here(|bridge, run, around| {
         process::run(bridge, run, around).map_err(|error| {
             let is_final = error.is_final();
             if is_final { NetworkError::Refused(error.into()) } else { NetworkError::Failed(error.into()) }
         })
-    },
+    }),
 };

@@ -53,7 +53,7 @@ pub use launcher::{
 pub use link_report::{EdgeReport, LinkReport, LinkState};
 pub use log::{DEFAULT_LOG, LOG, log_filter, log_to_standard_error};
 pub use needs::{Needs, Shortfall, TopicNeeds};
-pub use network::{BridgePlan, BridgeRun, Edge, Network, NetworkError, Receiver, SettingsFault};
+pub use network::{BridgePlan, BridgeRun, Carrier, Edge, Network, NetworkError, Receiver, SettingsFault};
 pub use node::{Node, Variant};
 pub use observe::{InputActivity, Observation, PipelineActivity, StageActivity, TopicActivity, observe};
 pub use plan::{Origin, Plan, PlannedStage, Runs};

@@ -12,11 +12,11 @@ use crate::stage::StageError;
 use conicflow_messages::Kind;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 pub(crate) const NO_NETWORK: &str = "this program was built without its network part";
 pub(crate) const NO_NETWORK_HINT: &str =
-    "build it with the cargo feature `bridge`, or let all stages run on one machine, without [machine.*]";
+    "give it a network part, as `conicflow` has one, or let all stages run on one machine, without [machine.*]";
 
 /// What carries edges between machines.
 #[derive(Clone, Copy)]
@@ -25,8 +25,17 @@ pub struct Network {
     pub check: fn(&Machine) -> Result<(), SettingsFault>,
     /// Where a machine listens.
     pub listen_endpoints: fn(&Machine) -> Result<Vec<String>, SettingsFault>,
-    /// Carries the edges of a plan, as a process of its own, until all have ended.
-    pub run: fn(&BridgePlan, BridgeRun<'_>, Surroundings<SharedMemory>) -> Result<(), NetworkError>,
+    /// What carries the edges of a plan, as a process of its own, until all have ended.
+    pub carrier: Carrier,
+}
+
+/// What carries edges.
+#[derive(Clone, Copy)]
+pub enum Carrier {
+    /// This program.
+    Here(fn(&BridgePlan, BridgeRun<'_>, Surroundings<SharedMemory>) -> Result<(), NetworkError>),
+    /// Another one, which takes the place of this process and calls [`run_in_run`](crate::run_in_run).
+    Program(fn() -> Result<PathBuf, SettingsFault>),
 }
 
 /// The run that a bridge belongs to.
@@ -41,7 +50,7 @@ pub struct BridgeRun<'a> {
 }
 
 /// Why a machine's table cannot be used.
-#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Debug, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
 #[error("{what}\n  hint: {hint}")]
 pub struct SettingsFault {
     /// What is wrong.

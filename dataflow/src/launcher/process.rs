@@ -3,7 +3,7 @@
 use super::folder::{FolderError, PLAN, RunFolder};
 use super::options::RunOptions;
 use crate::log::{DEFAULT_LOG, LOG, log_to_standard_error};
-use crate::network::{BridgeRun, NO_NETWORK, NO_NETWORK_HINT, Network, NetworkError};
+use crate::network::{BridgeRun, Carrier, NO_NETWORK, NO_NETWORK_HINT, Network, NetworkError, SettingsFault};
 use crate::node::Node;
 use crate::plan::{Plan, PlannedStage, Runs};
 use crate::ports::PortError;
@@ -49,6 +49,9 @@ pub enum ProcessError {
     /// The bridge failed.
     #[error(transparent)]
     Bridge(#[from] NetworkError),
+    /// The program that carries edges between machines.
+    #[error(transparent)]
+    Settings(#[from] SettingsFault),
     /// There is no such stage in the plan.
     #[error("there is no stage `{0}` in this pipeline\n  hint: `conicflow graph` shows its stages")]
     NoStage(String),
@@ -144,10 +147,16 @@ fn run_planned(
         }
         Runs::Command(command) => Err(become_program(plan, planned, command)),
         Runs::Bridge(edges) => {
-            let network = network.ok_or(ProcessError::NoNetwork)?;
+            let run_here = match network.ok_or(ProcessError::NoNetwork)?.carrier {
+                Carrier::Here(run) => run,
+                Carrier::Program(find) => {
+                    let program = find()?.to_string_lossy().into_owned();
+                    return Err(become_program(plan, planned, &[program]));
+                }
+            };
             let around = surroundings(plan, folder, planned)?;
             let run = BridgeRun { pipeline: &plan.pipeline, run: plan.run, folder: folder.path() };
-            Ok((network.run)(edges, run, around)?)
+            Ok(run_here(edges, run, around)?)
         }
     }
 }

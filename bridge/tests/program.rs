@@ -1,0 +1,36 @@
+//! The program as `conicflow` has it beside itself. (Where the tests of the whole workspace are built, it is built for this.)
+
+use std::io::Write as _;
+use std::process::{Command, Output, Stdio};
+
+fn ask(question: &[&str], machine: &str) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_conicflow-bridge"));
+    command.args(question).env_remove("CONICFLOW_PIPELINE");
+    let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    child.stdin.take().unwrap().write_all(machine.as_bytes()).unwrap();
+    child.wait_with_output().unwrap()
+}
+
+fn text(bytes: &[u8]) -> &str {
+    std::str::from_utf8(bytes).unwrap()
+}
+
+#[test]
+fn it_answers_what_is_asked_of_a_machine() {
+    let local =
+        r#"{"listen": ["tcp/127.0.0.1:7447"], "connect": [], "zenoh": null, "insecure": false, "outage_s": null}"#;
+    assert_eq!(text(&ask(&["check"], local).stdout), "{\"Ok\":null}\n");
+    assert_eq!(text(&ask(&["endpoints"], local).stdout), "{\"Ok\":[\"tcp/127.0.0.1:7447\"]}\n");
+    let open = local.replace("127.0.0.1", "0.0.0.0");
+    let refused = ask(&["check"], &open);
+    assert!(text(&refused.stdout).starts_with("{\"Err\":{\"what\":"), "{}", text(&refused.stdout));
+}
+
+#[test]
+fn who_starts_it_by_hand_is_told_what_it_is() {
+    for arguments in [&[][..], &["carry"]] {
+        let ended = ask(arguments, "");
+        assert_eq!(ended.status.code(), Some(2), "{arguments:?}");
+        assert!(text(&ended.stderr).contains("\n  hint: "), "{}", text(&ended.stderr));
+    }
+}

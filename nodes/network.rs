@@ -1,0 +1,51 @@
+//! The network part of the program: the program `conicflow-bridge` beside this one.
+//!
+//! What speaks to other machines is a program of its own: stages have no network in them, and who needs one machine alone
+//! builds and runs none.
+
+use conicflow_dataflow::pipeline::Machine;
+use conicflow_dataflow::{Carrier, Network, SettingsFault};
+use serde::de::DeserializeOwned;
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
+
+/// The network part, for the registry.
+pub(crate) const NETWORK: Network = Network {
+    check: |machine| ask("check", machine),
+    listen_endpoints: |machine| ask("endpoints", machine),
+    carrier: Carrier::Program(program),
+};
+
+/// Environment variable: the program that carries topics between machines, where it is not beside this one.
+const BRIDGE_PROGRAM: &str = "CONICFLOW_BRIDGE";
+
+const NAME: &str = "conicflow-bridge";
+
+/// The program that carries topics between machines.
+fn program() -> Result<PathBuf, SettingsFault> {
+    if let Some(program) = std::env::var_os(BRIDGE_PROGRAM) {
+        return Ok(program.into());
+    }
+    let here = std::env::current_exe().map_err(|error| fault(&format!("this program cannot be found: {error}")))?;
+    let program = here.with_file_name(NAME);
+    if program.is_file() { Ok(program) } else { Err(fault(&format!("there is no `{}`", program.display()))) }
+}
+
+fn fault(what: &str) -> SettingsFault {
+    let hint = "several machines need the program `conicflow-bridge` beside this one: `cargo build --release` makes both, copy \
+                both, or name it in CONICFLOW_BRIDGE";
+    SettingsFault { what: what.to_owned(), hint: hint.to_owned() }
+}
+
+/// What that program answers of a machine.
+fn ask<T: DeserializeOwned>(question: &str, machine: &Machine) -> Result<T, SettingsFault> {
+    let program = program()?;
+    let answer = || -> anyhow::Result<Result<T, SettingsFault>> {
+        let mut child = Command::new(&program).arg(question).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn()?;
+        if let Some(stdin) = child.stdin.take() {
+            serde_json::to_writer(stdin, machine)?;
+        }
+        Ok(serde_json::from_slice(&child.wait_with_output()?.stdout)?)
+    };
+    answer().unwrap_or_else(|error| Err(fault(&format!("`{}` does not answer: {error}", program.display()))))
+}
