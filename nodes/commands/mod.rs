@@ -274,7 +274,9 @@ fn run(arguments: &RunArguments, log: &str) -> anyhow::Result<ExitCode> {
     }
     let summary = run_once(&pipeline, arguments, arguments.quiet, log)?;
     if !arguments.quiet {
-        say(format_args!("\n{}", summary.to_string().trim_end()));
+        let in_detail = tracing::enabled!(tracing::Level::DEBUG);
+        let text = if in_detail { summary.in_detail().to_string() } else { summary.to_string() };
+        say(format_args!("\n{}", text.trim_end()));
     }
     Ok(if summary.is_complete() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }

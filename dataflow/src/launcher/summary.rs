@@ -146,29 +146,75 @@ fn milliseconds(seconds: f64) -> String {
     format!("{:.3} ms", seconds * 1e3)
 }
 
-impl Display for Summary {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (frames, _) = self.frames();
-        let seconds = self.elapsed.as_secs_f64();
-        let rate = frames as f64 / seconds.max(1e-9);
-        writeln!(f, "{}: {frames} frames in {seconds:.1} s ({rate:.1} Hz), {} dropped", self.pipeline, self.dropped())?;
-        for (planned, status) in self.statuses().filter(|(planned, _)| planned.is_sink() && !planned.is_bridge()) {
-            let (median, late) = (time(&status.latency, 0.5), time(&status.latency, 0.99));
-            writeln!(f, "latency from the source to `{}`: p50 {median}, p99 {late}", planned.name)?;
-        }
-        write!(f, "\n{}\n{}", self.stage_table(), self.input_table())?;
-        if !self.links.is_empty() {
-            write!(f, "\n{}", link_table(&self.links))?;
-        }
+impl Summary {
+    /// The summary with all counters, also with those that tell why stages turned candidates down.
+    pub fn in_detail(&self) -> impl Display {
+        Text { summary: self, in_detail: true }
+    }
+
+    /// Whether any message was made.
+    fn has_begun(&self) -> bool {
+        self.statuses().any(|(_, status)| status.sent + status.steps > 0)
+    }
+
+    fn links(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.links.is_empty() { Ok(()) } else { write!(f, "\n{}", link_table(&self.links)) }
+    }
+
+    /// What was found and counted. The counters of stages in the middle say why nothing came of something: without
+    /// `in_detail` they are shown only where nothing was found.
+    fn findings(&self, f: &mut fmt::Formatter<'_>, in_detail: bool) -> fmt::Result {
+        let with_reasons = in_detail || self.objects() == 0;
         for (planned, status) in self.statuses() {
             if let Some(found) = found(planned, status) {
                 writeln!(f, "\n{} found {found}", planned.name)?;
             }
-            for (name, count) in used(&status.counters) {
-                writeln!(f, "  {}: {name}: {count}", planned.name)?;
+            if planned.is_source() || planned.is_sink() || with_reasons {
+                for (name, count) in used(&status.counters) {
+                    writeln!(f, "  {}: {name}: {count}", planned.name)?;
+                }
             }
         }
-        if self.complete { Ok(()) } else { writeln!(f, "\nnot complete: a stage was lost, see above") }
+        Ok(())
+    }
+}
+
+/// A summary as text.
+struct Text<'a> {
+    summary: &'a Summary,
+    in_detail: bool,
+}
+
+impl Display for Summary {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        Text { summary: self, in_detail: false }.fmt(f)
+    }
+}
+
+impl Display for Text<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { summary, in_detail } = *self;
+        let (frames, _) = summary.frames();
+        let seconds = summary.elapsed.as_secs_f64();
+        let rate = frames as f64 / seconds.max(1e-9);
+        writeln!(
+            f,
+            "{}: {frames} frames in {seconds:.1} s ({rate:.1} Hz), {} dropped",
+            summary.pipeline,
+            summary.dropped()
+        )?;
+        if summary.has_begun() {
+            for (planned, status) in summary.statuses().filter(|(stage, _)| stage.is_sink() && !stage.is_bridge()) {
+                let (median, late) = (time(&status.latency, 0.5), time(&status.latency, 0.99));
+                writeln!(f, "latency from the source to `{}`: p50 {median}, p99 {late}", planned.name)?;
+            }
+            write!(f, "\n{}\n{}", summary.stage_table(), summary.input_table())?;
+        }
+        summary.links(f)?;
+        if summary.has_begun() {
+            summary.findings(f, in_detail)?;
+        }
+        if summary.complete { Ok(()) } else { writeln!(f, "\nnot complete: a stage was lost, see above") }
     }
 }
 
@@ -202,5 +248,31 @@ mod tests {
         assert_eq!(found(&stage(Kind::Ellipses), &status), None);
         status.count_found("cone");
         assert_eq!(found(&stage(Kind::Tracks), &status).as_deref(), Some("in 12 frames: cone 1"));
+    }
+
+    fn summary(status: Box<Status>) -> Summary {
+        let mut planned = stage(Kind::Objects);
+        let input = Topic { name: "in".into(), kind: Some(Kind::Ellipses), writers: vec![], readers: vec![] };
+        planned.wiring.input = Some(input);
+        let stages = vec![StageSummary { planned, status: Some(status) }];
+        Summary { pipeline: "test".into(), elapsed: Duration::from_secs(1), stages, links: vec![], complete: true }
+    }
+
+    #[test]
+    fn reasons_are_told_where_nothing_was_found_or_all_is_asked_for() {
+        let mut status = Box::new(Status { steps: 12, ..Status::default() });
+        status.count("candidates too short", 7);
+        let reason = "stage: candidates too short: 7";
+        assert!(summary(status.clone()).to_string().contains(reason));
+        status.count_found("cone");
+        let found = summary(status);
+        assert!(found.to_string().contains("cone 1") && !found.to_string().contains(reason), "{found}");
+        assert!(found.in_detail().to_string().contains(reason));
+    }
+
+    #[test]
+    fn a_run_that_never_began_has_no_tables() {
+        let text = summary(Box::new(Status::default())).to_string();
+        assert_eq!(text, "test: 0 frames in 1.0 s (0.0 Hz), 0 dropped\n");
     }
 }

@@ -115,12 +115,11 @@ impl Tracker {
         self.detect(objects, &world_from_camera);
         self.associate(&time);
 
-        // T4. Update: what was seen corrects its target, what was not seen is missed (`target.rs`), and a track is confirmed
-        //     or lost by its record of sights (`life.rs`). Detections of no target begin tracks.
+        // T4. Update: what was seen corrects its target, what was not seen is missed (`filter.rs`, `target.rs`).
+        // T5. Life: a track is confirmed or lost by its record of sights; detections of no target begin tracks (`life.rs`).
         self.update_targets(&time);
         self.give_birth(&time);
 
-        // T5. Report: the tracks in the frame of the camera, and the targets back to the present.
         let camera_from_world = world_from_camera.inverse();
         self.tracks.clear();
         self.tracks.extend(self.targets.iter().map(|target| target.track(&camera_from_world)));
