@@ -7,6 +7,7 @@
 pub mod bridge;
 mod clock;
 mod doctor;
+mod item_type;
 mod launcher;
 mod log;
 mod needs;
@@ -31,6 +32,7 @@ pub mod testing {
 pub use bridge::{EdgeReport, LinkReport, LinkState};
 pub use clock::monotonic_ns;
 pub use doctor::{Finding, clean, examine};
+pub use item_type::{AnyMessage, BUILT_IN, ItemType};
 pub use launcher::{
     FolderError, LaunchError, PIPELINE, ProcessError, RUNTIME_DIR, RunFolder, RunLock, RunOptions, StageSummary,
     Summary, SwapError, become_stage, link_table, run, run_in_run, run_source, run_stage, user_folder,
@@ -41,7 +43,7 @@ pub use node::{Node, Variant};
 pub use observe::{InputActivity, Observation, PipelineActivity, StageActivity, TopicActivity, observe};
 pub use plan::{Origin, Plan, PlannedStage, Runs};
 pub use runner::RunError;
-pub use sides::{AnyMessage, Pick, Side, Sides};
+pub use sides::{Pick, Side, Sides};
 pub use stage::{Config, ConfigFault, Context, Next, NoConfig, Output, Source, Stage, StageError, Stop};
 pub use status::{Counter, Durations, InputCounts, Intervals, Life, NO_RUN, Status, used};
 pub use table::Table;

@@ -11,8 +11,8 @@ mod painter;
 
 use crate::turns::Turns;
 use anyhow::{Context as _, Result, ensure};
-use conicflow_dataflow::{ConfigFault, Context, Output, Pick, Side, Sides, Stage, StageError};
-use conicflow_messages::{Header, Kind, MAX_PIXELS, Message, Nothing, Text};
+use conicflow_dataflow::{ConfigFault, Context, Output, Side, Sides, Stage, StageError};
+use conicflow_messages::{Ellipse, Header, MAX_PIXELS, Message, Nothing, Text};
 pub use painter::{Drawn, Painter};
 use png::{BitDepth, ColorType, Compression, Encoder};
 use schemars::JsonSchema;
@@ -136,10 +136,10 @@ impl<T: Drawn> PictureSink<T> {
             camera.height
         );
         self.painter.begin(camera);
-        if let Some(depth) = sides.depth("depth") {
+        if let Some(depth) = sides.get::<u16>("depth") {
             self.painter.depth(&depth);
         }
-        if let Some(ellipses) = sides.ellipses("ellipses") {
+        if let Some(ellipses) = sides.get::<Ellipse>("ellipses") {
             self.painter.ellipses(ellipses.items);
         }
         T::draw(input.items, &mut self.painter);
@@ -204,10 +204,7 @@ impl<T: Drawn> Stage for PictureSink<T> {
     }
 
     fn sides() -> &'static [Side] {
-        &[
-            Side { name: "depth", kind: Kind::Depth, pick: Pick::SameFrame },
-            Side { name: "ellipses", kind: Kind::Ellipses, pick: Pick::SameFrame },
-        ]
+        const { &[Side::same_frame::<u16>("depth"), Side::same_frame::<Ellipse>("ellipses")] }
     }
 
     fn step(&mut self, input: &Message<T>, sides: &Sides, output: &mut Output<Nothing>) -> Result<(), StageError> {

@@ -26,8 +26,8 @@ use crate::json_lines::JsonLines;
 use crate::noise_config::NoiseConfig;
 use crate::random::Dice;
 use anyhow::{Result, bail};
-use conicflow_dataflow::{Config, ConfigFault, Context, Next, Output, Pick, Side, Sides, Source, StageError};
-use conicflow_messages::{Camera, HAS_POSE, Header, Kind, NoiseModel, Text};
+use conicflow_dataflow::{Config, ConfigFault, Context, Next, Output, Side, Sides, Source, StageError};
+use conicflow_messages::{Camera, Frame, HAS_POSE, Header, NoiseModel, Text, Velocity};
 use nalgebra::Vector3;
 use random_scenes::RandomScenes;
 use raster::Raster;
@@ -78,10 +78,14 @@ impl SyntheticCamera {
         Self { told_noise: noise, ..self }
     }
 
-    /// Moves the camera for one frame by a velocity along its axes, in m/s, besides the motion that the scene has.
-    pub fn drive(&mut self, velocity: Vector3<f64>) {
-        let rotation = self.scene.world_from_camera(self.time_s).rotation;
-        self.scene.camera_shift += rotation * velocity / self.rate_hz;
+    /// Moves the camera for one frame by a velocity, besides the motion that the scene has; it does not turn.
+    pub fn drive(&mut self, velocity: &Velocity) {
+        let linear = Vector3::from(velocity.linear);
+        let in_world = match velocity.frame() {
+            Frame::Camera => self.scene.world_from_camera(self.time_s).rotation * linear,
+            Frame::World => linear,
+        };
+        self.scene.camera_shift += in_world / self.rate_hz;
     }
 
     /// Takes frame `number`: writes as many pixels as the camera has, row by row.
@@ -264,10 +268,10 @@ impl Source for SyntheticSource {
         self.total
     }
 
-    /// Who drives the camera: the first track's `velocity` is the one that it is to take; none lets it stand, as does a
-    /// command from a frame more than half a second before.
+    /// Who drives the camera: the first velocity is the one that it is to take; none lets it stand, as does a command from a
+    /// frame more than half a second before.
     fn sides() -> &'static [Side] {
-        &[Side { name: "command", kind: Kind::Tracks, pick: Pick::Latest }]
+        const { &[Side::latest::<Velocity>("command")] }
     }
 
     fn next(&mut self, sides: &Sides, output: &mut Output<u16>) -> Result<Next, StageError> {
@@ -275,7 +279,7 @@ impl Source for SyntheticSource {
             return Ok(Next::End);
         }
         if let Some(velocity) = self.command(sides) {
-            self.camera.drive(velocity);
+            self.camera.drive(&velocity);
         }
         let camera = self.camera.raster.camera;
         self.camera.shoot(self.next, output.image(camera.width as usize * camera.height as usize)?);
@@ -291,11 +295,10 @@ impl Source for SyntheticSource {
 
 impl SyntheticSource {
     /// The velocity that the camera is to take for the next frame.
-    fn command(&self, sides: &Sides) -> Option<Vector3<f64>> {
-        let command = sides.tracks("command")?;
+    fn command(&self, sides: &Sides) -> Option<Velocity> {
+        let command = sides.get::<Velocity>("command")?;
         let age_s = self.next as f64 / self.camera.rate_hz - command.header.stamp_ns as f64 * 1e-9;
-        let first = command.items.first().filter(|_| age_s <= MAX_COMMAND_AGE_S)?;
-        Some(first.velocity.into())
+        command.items.first().filter(|_| age_s <= MAX_COMMAND_AGE_S).copied()
     }
 
     /// The true objects of the frame that was shot last.

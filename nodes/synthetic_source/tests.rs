@@ -1,6 +1,5 @@
 use super::*;
-use conicflow_dataflow::AnyMessage;
-use conicflow_messages::{Kind, Message, NoiseModel, Track};
+use conicflow_messages::{Item, Message, NoiseModel};
 
 fn small() -> SyntheticSourceConfig {
     SyntheticSourceConfig { width: 80, height: 60, ..SyntheticSourceConfig::default() }
@@ -32,7 +31,7 @@ fn the_header_tells_camera_noise_pose_and_simulated_time() {
     frame(&mut camera, 45);
     let mut header = Header::default();
     camera.describe(&mut header);
-    assert_eq!(header.check(Kind::Depth), Ok(()));
+    assert_eq!(header.check(u16::NAME), Ok(()));
     assert_eq!((header.stamp_ns, header.source.as_str()), (1_500_000_000, Some("bouncing_ball")));
     assert_eq!((header.noise, header.depth_scale), (NoiseModel::KINECT_V1, 0.001));
     let pose = header.pose().unwrap();
@@ -122,19 +121,30 @@ fn the_source_knows_its_length_and_goes_on_where_it_was() {
 
 #[test]
 fn the_command_of_who_drives_no_longer_is_not_obeyed() {
-    let velocity = [0.1, 0.0, 0.5];
-    let tracks = [Track { velocity, ..Track::default() }];
+    let velocity = Velocity { linear: [0.1, 0.0, 0.5], ..Velocity::default() };
+    let velocities = [velocity];
     let mut source = SyntheticSource::new(small(), &Context::default()).unwrap();
-    let mut command = |frame: u64, stamp_ms: u64, items: &[Track]| {
+    let mut command = |frame: u64, stamp_ms: u64, items: &[Velocity]| {
         let header = Header { stamp_ns: stamp_ms * 1_000_000, ..Header::default() };
         source.next = frame;
-        source.command(&Sides(vec![("command", AnyMessage::Tracks(Message { header: &header, items }))]))
+        source.command(&Sides::default().with("command", Message { header: &header, items }))
     };
-    let obeyed = Some(velocity.into());
-    assert_eq!(command(30, 967, &tracks), obeyed);
-    assert_eq!(command(45, 1000, &tracks), obeyed, "half a second");
-    assert_eq!(command(46, 1000, &tracks), None);
-    assert_eq!(command(3, 1000, &tracks), obeyed, "of a clock that is ahead");
+    let obeyed = Some(velocity);
+    assert_eq!(command(30, 967, &velocities), obeyed);
+    assert_eq!(command(45, 1000, &velocities), obeyed, "half a second");
+    assert_eq!(command(46, 1000, &velocities), None);
+    assert_eq!(command(3, 1000, &velocities), obeyed, "of a clock that is ahead");
     assert_eq!(command(30, 967, &[]), None);
     assert_eq!(source.command(&Sides::default()), None);
+}
+
+#[test]
+fn a_velocity_is_taken_in_the_frame_that_it_is_told_in() {
+    let velocity = |frame: Frame| Velocity { linear: [0.0, 0.0, 3.0], frame: frame.code(), ..Velocity::default() };
+    for (frame, axis) in [(Frame::Camera, Vector3::<f64>::y()), (Frame::World, Vector3::z())] {
+        let mut camera = camera(&small());
+        camera.drive(&velocity(frame));
+        // The camera of the built-in scene looks along the world's y.
+        assert!((camera.scene.camera_shift - axis * 0.1).norm() < 1e-12, "{frame:?}");
+    }
 }

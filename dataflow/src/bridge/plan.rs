@@ -2,9 +2,9 @@
 
 use super::Compression;
 use super::beacon::Lane;
+use crate::item_type::ItemType;
 use crate::pipeline::{Input, Machine, Pipeline};
 use crate::ports::{Delivery, Topic};
-use conicflow_messages::Kind;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -27,7 +27,7 @@ pub struct Edge {
     /// The topic, as the stages of the machine that this plan is for see it.
     pub topic: Topic,
     /// What it carries.
-    pub kind: Kind,
+    pub item: ItemType,
     /// Where it is written.
     pub from: String,
     /// The stages there that write it.
@@ -78,7 +78,7 @@ impl Edge {
     fn lanes(&self) -> impl Iterator<Item = Lane> {
         self.to.iter().map(|receiver| {
             let delivery = if receiver.delivery == Delivery::Lossless { "lossless" } else { "latest" };
-            let (topic, kind, writers) = (&self.topic.name, self.kind.name(), self.writers.join(", "));
+            let (topic, kind, writers) = (&self.topic.name, self.item.name(), self.writers.join(", "));
             let what = format!("topic `{topic}` with {kind} of {writers}, {delivery}");
             Lane { from: self.from.clone(), to: receiver.machine.clone(), what }
         })
@@ -86,7 +86,7 @@ impl Edge {
 
     /// Whether its messages are mostly as short as a packet on a network: most survive where some packets are lost.
     pub(super) fn is_short(&self) -> bool {
-        matches!(self.kind, Kind::Objects | Kind::Tracks)
+        self.item.is_short()
     }
 
     /// How it reaches a machine, if it does.
@@ -102,8 +102,8 @@ fn edges_from(pipeline: &Pipeline, from: &str, machine: &str) -> Vec<Edge> {
         let writers: Vec<_> = topic.writers.iter().filter(|writer| pipeline.is_on(writer, from)).cloned().collect();
         let (to, compression) = receivers(pipeline, name, from);
         let crosses = !writers.is_empty() && !to.is_empty();
-        let kind = pipeline.kind_of(name).filter(|_| crosses)?;
-        Some(Edge { topic, kind, from: from.to_owned(), writers, to, compression })
+        let item = topic.item.clone().filter(|_| crosses)?;
+        Some(Edge { topic, item, from: from.to_owned(), writers, to, compression })
     };
     pipeline.topics().into_iter().filter_map(edge).collect()
 }

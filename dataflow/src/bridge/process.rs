@@ -16,7 +16,7 @@ use crate::ports::shared_memory::SharedMemory;
 use crate::runner::{Settling, Surroundings};
 use crate::stage::Stop;
 use crate::status::{Life, NO_RUN};
-use conicflow_messages::{Ellipse, Kind, Object, Track};
+use conicflow_messages::{Ellipse, Item, Object, Track};
 use std::sync::Arc;
 use std::thread::{Scope, ScopedJoinHandle};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -156,11 +156,11 @@ impl<'a> Carried<'a> {
     where
         'a: 'scope,
     {
-        match self.edge.kind {
-            Kind::Ellipses => self.start_kind::<Ellipse>(scope, shared),
-            Kind::Objects => self.start_kind::<Object>(scope, shared),
-            Kind::Tracks => self.start_kind::<Track>(scope, shared),
-            Kind::Depth | Kind::Nothing => self.start_kind::<u16>(scope, shared),
+        match self.edge.item.name() {
+            Ellipse::NAME => self.start_kind::<Ellipse>(scope, shared),
+            Object::NAME => self.start_kind::<Object>(scope, shared),
+            Track::NAME => self.start_kind::<Track>(scope, shared),
+            _ => self.start_kind::<u16>(scope, shared),
         }
     }
 

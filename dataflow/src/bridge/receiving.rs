@@ -37,7 +37,7 @@ pub(super) struct Receiving<'a, T: Wire> {
     lossless: bool,
     mailbox: Arc<Mailbox<ZBytes>>,
     ear: Ear<'a>,
-    outlet: Outlet<T, SharedWriter<T>>,
+    outlet: Outlet<SharedWriter>,
     sequence: Sequence,
     items: Vec<T>,
     ended: BTreeSet<String>,
@@ -156,7 +156,7 @@ impl<'a, T: Wire> Receiving<'a, T> {
             EdgeCounts::add(&self.counts.stale, 1);
             return Ok(());
         }
-        self.outlet.relay(&header, &self.items)?;
+        self.outlet.relay(&header, bytemuck::cast_slice(&self.items))?;
         EdgeCounts::add(&self.counts.messages, 1);
         EdgeCounts::add(&self.counts.wire_bytes, wire_bytes as u64);
         EdgeCounts::add(&self.counts.memory_bytes, (size_of_val(&*self.items) + size_of::<Header>()) as u64);

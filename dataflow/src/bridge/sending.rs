@@ -17,8 +17,9 @@ use crate::runner::outlet::end_of_stream;
 use crate::runner::peers::Peers;
 use crate::stage::Stop;
 use crate::status::Life;
-use conicflow_messages::{Header, Kind, Text};
+use conicflow_messages::{Header, Text};
 use std::collections::BTreeSet;
+use std::marker::PhantomData;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -57,7 +58,8 @@ impl Shared<'_> {
 /// The thread of one edge that leaves.
 pub(super) struct Sending<'a, T: Wire> {
     edge: &'a Edge,
-    inbox: Inbox<T, SharedReader<T>>,
+    inbox: Inbox<SharedReader>,
+    kind: PhantomData<T>,
     voice: Voice<'a>,
     outbox: Outbox,
     links: Arc<Links>,
@@ -74,7 +76,7 @@ impl<'a, T: Wire> Sending<'a, T> {
     pub(super) fn new(edge: &'a Edge, shared: &Shared<'a>, counts: Arc<EdgeCounts>) -> Result<Self, BridgeError> {
         let topic = &edge.topic;
         let reader = shared.transport.reader::<T>(topic, BRIDGE)?;
-        let images = edge.kind == Kind::Depth;
+        let images = edge.item.is_image();
         let wait = if images { IMAGES_WAIT } else { LISTS_WAIT };
         let priority = if images { Priority::DataLow } else { Priority::InteractiveHigh };
         let lossy = edge.to.iter().any(|receiver| receiver.delivery == Delivery::Latest);
@@ -82,6 +84,7 @@ impl<'a, T: Wire> Sending<'a, T> {
         let kept = shared.kept.map(|folder| Kept::in_folder(folder.to_owned(), &topic.name)).unwrap_or_default();
         Ok(Self {
             edge,
+            kind: PhantomData,
             inbox: Inbox::new(reader, topic.delivery_to(BRIDGE), &topic.name, topic.writers.len()),
             voice,
             outbox: Outbox::new(shared.stream, kept, &edge.to, [wait, shared.outage], Instant::now()),
@@ -151,8 +154,8 @@ impl<'a, T: Wire> Sending<'a, T> {
         if !self.is_wanted() || !self.edge.writers.contains(&writer) {
             return Ok(true);
         }
-        let encoded = encode_message(self.outbox.place(), &header, message.items(), self.edge.compression);
-        let memory_bytes = size_of_val(message.items()) + size_of::<Header>();
+        let encoded = encode_message(self.outbox.place(), &header, message.items::<T>(), self.edge.compression);
+        let memory_bytes = message.bytes().len() + size_of::<Header>();
         drop(message);
         self.last = header;
         match encoded {

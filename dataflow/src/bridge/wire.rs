@@ -200,7 +200,7 @@ pub fn decode_message<T: Wire>(bytes: &[u8], items: &mut Vec<T>) -> Result<(Plac
         return Err(WireError::Layout { ours, theirs: opening.layout.to_owned() });
     }
     let (header, body) = (opening.header, &content[length..]);
-    header.check(T::KIND)?;
+    header.check(T::NAME)?;
     items.clear();
     if header.ends_stream() {
         let nothing_follows = body.is_empty();

@@ -9,11 +9,12 @@ mod shortfall;
 pub use shortfall::Shortfall;
 pub(crate) use shortfall::{SHARED_MEMORY, in_words, room};
 
+use crate::item_type::ItemType;
 use crate::node::Node;
 use crate::plan::{Plan, PlannedStage, Runs};
 use crate::ports::{MAX_KEPT, PortError, Topic, TopicReader, Wiring};
 use crate::sides::{Pick, Side};
-use conicflow_messages::{Ellipse, Header, Item, Kind, Object, Track};
+use conicflow_messages::Header;
 use shortfall::enough;
 
 /// Messages that a reader holds beside its queue: the one that is worked on, and the next.
@@ -22,12 +23,6 @@ const HELD: usize = 2;
 const HELD_FOR_FRAME: usize = MAX_KEPT + 1;
 /// Messages that a writer has in hand.
 const LOANED: usize = 1;
-/// Items of an image whose size nobody can tell beforehand.
-const USUAL_IMAGE: usize = 640 * 480;
-/// Arcs in an image of that size, which few exceed.
-const USUAL_ELLIPSES: usize = 1024;
-/// Things before a camera, which few exceed.
-const USUAL_OBJECTS: usize = 64;
 const PAGE: usize = 4096;
 /// What iceoryx2 keeps for each pair of a writer and a reader, and for each end of a topic.
 pub(crate) const ROOM_PER_PORT: usize = 24 * 1024;
@@ -121,15 +116,13 @@ impl Needs {
 fn written<'a>(plan: &Plan, stage: &'a PlannedStage, nodes: &[Node]) -> Vec<(&'a Topic, usize)> {
     if let Runs::Bridge(bridge) = &stage.runs {
         let edges = bridge.incoming.iter();
-        return edges.map(|edge| (&edge.topic, message_bytes(edge.kind, None))).collect();
+        return edges.map(|edge| (&edge.topic, message_bytes(&edge.item, None))).collect();
     }
     let Some(topic) = &stage.wiring.output else { return Vec::new() };
-    let bytes = match node_of(stage, nodes) {
-        Some(node) => message_bytes(node.output(), (node.message_length)(stage.parameters.clone(), &plan.base)),
-        // Where nobody tells what a program writes, an image is the longest that it usually is.
-        None => message_bytes(topic.kind.unwrap_or(Kind::Depth), None),
-    };
-    vec![(topic, bytes)]
+    let length = node_of(stage, nodes).and_then(|node| (node.message_length)(stage.parameters.clone(), &plan.base));
+    // Where nobody tells what a program writes, an image is the longest that it usually is.
+    let item = topic.item.as_ref().unwrap_or(const { &ItemType::of::<u16>() });
+    vec![(topic, message_bytes(item, length))]
 }
 
 fn node_of<'a>(stage: &PlannedStage, nodes: &'a [Node]) -> Option<&'a Node> {
@@ -147,26 +140,10 @@ fn held(plan: &Plan, topic: &Topic, reader: &TopicReader, nodes: &[Node]) -> usi
 }
 
 /// The bytes of a message of `length` items, or of as many as are usual.
-fn message_bytes(kind: Kind, length: Option<usize>) -> usize {
-    let item = match kind {
-        Kind::Nothing => 0,
-        Kind::Depth => size_of::<u16>(),
-        Kind::Ellipses => size_of::<Ellipse>(),
-        Kind::Objects => size_of::<Object>(),
-        Kind::Tracks => size_of::<Track>(),
-    };
+fn message_bytes(item: &ItemType, length: Option<usize>) -> usize {
+    let items = length.unwrap_or(item.usual_length()) * item.size();
     // A message seldom begins where a page does.
-    (size_of::<Header>() + length.unwrap_or(usual_length(kind)) * item).next_multiple_of(PAGE) + PAGE
-}
-
-/// Items of a message, which few exceed.
-pub(crate) fn usual_length(kind: Kind) -> usize {
-    match kind {
-        Kind::Nothing => 0,
-        Kind::Depth => USUAL_IMAGE,
-        Kind::Ellipses => USUAL_ELLIPSES,
-        Kind::Objects | Kind::Tracks => USUAL_OBJECTS,
-    }
+    (size_of::<Header>() + items).next_multiple_of(PAGE) + PAGE
 }
 
 /// Bytes that a writer's messages take, of which its readers hold and keep waiting so many at most.
@@ -180,9 +157,9 @@ fn taken_by_ports(topic: &Topic) -> u64 {
 }
 
 /// Makes sure that a topic's messages find room if they are up to `length` items long; the bytes that they take at most.
-pub(crate) fn look_for_room<T: Item>(topic: &Topic, length: usize) -> Result<u64, PortError> {
+pub(crate) fn look_for_room(item: &ItemType, topic: &Topic, length: usize) -> Result<u64, PortError> {
     let with_readers = topic.readers.iter().map(|reader| reader.queue + HELD).sum();
-    let needed = taken(topic, message_bytes(T::KIND, Some(length)), with_readers);
+    let needed = taken(topic, message_bytes(item, Some(length)), with_readers);
     match room() {
         Ok((free, _)) if free < needed => Err(no_room(topic, length, needed)),
         // Where there is no such folder iceoryx2 says it better.
@@ -216,7 +193,7 @@ mod tests {
     use crate::pipeline::{Pipeline, SourceText};
     use crate::stage::{Context, NoConfig, Output, Source, Stage, StageError};
     use crate::{Next, Sides};
-    use conicflow_messages::{Message, Nothing};
+    use conicflow_messages::{Item, Message, Nothing};
     use std::path::Path;
 
     const PIXELS: usize = 1_000_000;
@@ -256,7 +233,7 @@ mod tests {
         }
 
         fn sides() -> &'static [Side] {
-            &[Side { name: "other", kind: Kind::Depth, pick: Pick::SameFrame }]
+            const { &[Side::same_frame::<u16>("other")] }
         }
 
         fn step(&mut self, _: &Message<u16>, _: &Sides, _: &mut Output<Nothing>) -> Result<(), StageError> {
@@ -303,6 +280,6 @@ mod tests {
         let program = SOURCE.replace("node = \"camera\"", "program = [\"sh\"]");
         let (known, usual) = (needs(&format!("{SOURCE}{sink}")), needs(&format!("{program}{sink}")));
         let ratio = known.shared_memory() as f64 / usual.shared_memory() as f64;
-        assert!((ratio / (PIXELS as f64 / USUAL_IMAGE as f64) - 1.0).abs() < 0.05, "{ratio}");
+        assert!((ratio / (PIXELS as f64 / u16::USUAL_LENGTH as f64) - 1.0).abs() < 0.05, "{ratio}");
     }
 }

@@ -16,6 +16,7 @@ mod sweep;
 mod tap;
 #[cfg(test)]
 mod tests;
+mod untyped;
 mod writer;
 
 pub use hold::Held;
@@ -23,25 +24,25 @@ pub use reader::{SharedMessage, SharedReader};
 pub use tap::SharedTap;
 pub use writer::SharedWriter;
 
+use crate::item_type::ItemType;
 use crate::needs::{ROOM_PER_PORT, in_words, room};
-use crate::ports::{Delivery, MAX_KEPT, PortError, Topic, Transport};
+use crate::ports::{Delivery, MAX_KEPT, OTHER_BUILD, PortError, Topic, Transport};
 use crate::stage::Stop;
-use bytemuck::TransparentWrapper;
-use conicflow_messages::{HEADER_TYPE_NAME, Header, Item};
+use conicflow_messages::HEADER_TYPE_NAME;
 use iceoryx2::node::NodeCreationFailure;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::prelude::*;
 use iceoryx2::service::builder::publish_subscribe::{PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError};
-use iceoryx2::service::port_factory::publish_subscribe::PortFactory as TopicFactory;
+use iceoryx2::service::marker::{CustomHeaderMarker, CustomPayloadMarker};
 use std::fmt::{Debug, Display};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use sweep::Occupied;
+use untyped::{Factory, with_types};
 use writer::place_of;
 
 type Ipc = ipc_threadsafe::Service;
-type Factory<T> = TopicFactory<Ipc, [WireItem<T>], WireHeader>;
 
 /// Unix sockets lie in the folder, and their names leave no more room than this for its path.
 const ROOT_LIMIT: usize = 48;
@@ -50,30 +51,6 @@ const ROOT_LIMIT: usize = 48;
 const SPARE_READERS: usize = 8;
 /// Messages that one reader may hold at a time: one for each source on a topic, or those that it keeps, and some in use.
 const MAX_HELD: usize = MAX_KEPT + 4;
-
-/// An item in shared memory.
-#[repr(transparent)]
-#[derive(Clone, Copy, Debug, TransparentWrapper)]
-struct WireItem<T>(T);
-
-/// The header in shared memory.
-#[repr(transparent)]
-#[derive(Clone, Copy, Debug, Default, TransparentWrapper)]
-struct WireHeader(Header);
-
-// SAFETY: an `Item` is plain old data without pointers, and its type name carries the version of its layout.
-unsafe impl<T: Item> ZeroCopySend for WireItem<T> {
-    unsafe fn type_name() -> &'static str {
-        T::TYPE_NAME
-    }
-}
-
-// SAFETY: the header is plain old data without pointers, and its type name carries the version of its layout.
-unsafe impl ZeroCopySend for WireHeader {
-    unsafe fn type_name() -> &'static str {
-        HEADER_TYPE_NAME
-    }
-}
 
 /// This process's access to the topics of one run; its readers and writers need it as long as they are at work.
 pub struct SharedMemory {
@@ -144,31 +121,35 @@ impl SharedMemory {
         }
     }
 
-    fn messages<T: Item>(&self, topic: &Topic) -> Result<Factory<T>, PortError> {
+    fn messages(&self, item: &ItemType, topic: &Topic) -> Result<Factory, PortError> {
+        topic.expect(item)?;
         self.look_for_room(topic)?;
+        let fault = |reason: &dyn Debug| self.fault(format!("topic `{}` cannot be opened", topic.name), reason);
         let readers = topic.readers.len() + SPARE_READERS;
         let writers = topic.writers.len() + 2;
-        let opened = self
+        let service = self
             .node
             .service_builder(&self.service_name(topic, "")?)
-            .publish_subscribe::<[WireItem<T>]>()
-            .user_header::<WireHeader>()
+            .publish_subscribe::<[CustomPayloadMarker]>()
+            .user_header::<CustomHeaderMarker>()
             .enable_safe_overflow(!topic.is_lossless())
             .subscriber_max_buffer_size(topic.longest_queue())
             .subscriber_max_borrowed_samples(MAX_HELD)
             .max_publishers(writers)
             .max_subscribers(readers)
             .max_nodes(2 * (writers + readers))
-            .history_size(0)
-            .open_or_create();
+            .history_size(0);
+        let opened = with_types(service, item).map_err(|reason| fault(&reason))?.open_or_create();
         opened.map_err(|error| match error {
             PublishSubscribeOpenOrCreateError::PublishSubscribeOpenError(
                 PublishSubscribeOpenError::IncompatibleTypes,
             ) => PortError::Incompatible {
                 topic: topic.name.clone(),
-                expected: format!("{HEADER_TYPE_NAME}, {}", T::TYPE_NAME),
+                own: format!("{item}, behind a header `{HEADER_TYPE_NAME}`"),
+                said: String::new(),
+                hint: OTHER_BUILD.to_owned(),
             },
-            other => self.fault(format!("topic `{}` cannot be opened", topic.name), other),
+            other => fault(&other),
         })
     }
 
@@ -216,10 +197,10 @@ fn configuration(root: &Path) -> Result<Config, PortError> {
 }
 
 impl Transport for SharedMemory {
-    type Reader<T: Item> = SharedReader<T>;
-    type Writer<T: Item> = SharedWriter<T>;
+    type Reader = SharedReader;
+    type Writer = SharedWriter;
 
-    fn reader<T: Item>(&self, topic: &Topic, stage: &str) -> Result<SharedReader<T>, PortError> {
+    fn reader_of(&self, item: &ItemType, topic: &Topic, stage: &str) -> Result<SharedReader, PortError> {
         let fault = |error: &dyn Debug| self.fault(format!("topic `{}` cannot be read", topic.name), error);
         let reader = topic.readers.iter().find(|reader| reader.stage == stage);
         let queue = reader.map_or(2, |reader| reader.queue);
@@ -231,22 +212,24 @@ impl Transport for SharedMemory {
             _ => None,
         };
         let name = PortName::new(stage).map_err(|error| fault(&error))?;
-        let messages = self.messages::<T>(topic)?;
+        let messages = self.messages(item, topic)?;
         let subscriber = messages.subscriber_builder().buffer_size(queue).name(&name).create();
         let subscriber = subscriber.map_err(|error| fault(&error))?;
-        Ok(SharedReader { subscriber, wake, room, topic: topic.name.clone(), occupied: Arc::clone(&self.occupied) })
+        let (item, topic, occupied) = (item.clone(), topic.name.clone(), Arc::clone(&self.occupied));
+        Ok(SharedReader { subscriber, wake, room, item, topic, occupied })
     }
 
-    fn writer<T: Item>(&self, topic: &Topic) -> Result<SharedWriter<T>, PortError> {
+    fn writer_of(&self, item: &ItemType, topic: &Topic) -> Result<SharedWriter, PortError> {
         Ok(SharedWriter {
             loan: None,
             publisher: None,
             capacity: 0,
-            messages: Arc::new(self.messages(topic)?),
+            messages: Arc::new(self.messages(item, topic)?),
             wake: self.notifier(topic, "/wake", 0)?,
             room: Arc::new(self.listener(topic, "/room")?),
             answers: Arc::default(),
             attached: Vec::new(),
+            item: item.clone(),
             topic: topic.clone(),
             config: self.node.config().clone(),
             stop: self.stop.clone(),
