@@ -5,11 +5,11 @@
 //! sessions of one process. Ellipses and frames of 640x480 of one cluttered scene; milliseconds, megabytes and per cent of a
 //! core in each of the two bridges.
 
-use conicflow_dataflow::bridge::{Compression, Place, Wire, encode_message};
-use conicflow_dataflow::pipeline::{Pipeline, SourceText};
+use conicflow_bridge::{NETWORK, Place, Wire, encode_message};
+use conicflow_dataflow::pipeline::{Compression, Pipeline, SourceText};
 use conicflow_dataflow::testing::collect;
 use conicflow_dataflow::{
-    Context, Next, NoConfig, Node, Output, Plan, RUNTIME_DIR, RunOptions, Sides, Source, Stage, StageError,
+    Context, Next, NoConfig, Node, Output, Plan, RUNTIME_DIR, Registry, RunOptions, Sides, Source, Stage, StageError,
     monotonic_ns, observe, run, run_in_run,
 };
 use conicflow_messages::{Ellipse, Header, Item, Message, Nothing};
@@ -38,8 +38,9 @@ const WARM_UP: usize = 60;
 const SETTLED: Duration = Duration::from_secs(4);
 const OBSERVED: Duration = Duration::from_secs(8);
 const FOLDER: &str = "BRIDGE_BENCH_FOLDER";
-const NODES: [Node; 4] =
-    [Node::source::<Frames>(), Node::source::<Lists>(), Node::stage::<Ages<u16>>(), Node::stage::<Ages<Ellipse>>()];
+const NODES: &[Node] =
+    &[Node::source::<Frames>(), Node::source::<Lists>(), Node::stage::<Ages<u16>>(), Node::stage::<Ages<Ellipse>>()];
+const REGISTRY: Registry = Registry { nodes: NODES, network: Some(NETWORK) };
 /// Name, source, sink, compression.
 const CASES: [(&str, &str, &str, Compression); 6] = [
     ("ellipses, none", "lists", "list_ages", Compression::None),
@@ -53,7 +54,7 @@ const CASES: [(&str, &str, &str, Compression); 6] = [
 fn main() -> Outcome<()> {
     let arguments: Vec<String> = std::env::args().collect();
     match arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
-        [_, "node", _] => Ok(run_in_run(&NODES)?),
+        [_, "node", _] => Ok(run_in_run(&REGISTRY)?),
         [_, "machine", name, folder] => machine(name, Path::new(folder)),
         _ => compare(),
     }
@@ -236,11 +237,11 @@ fn start_machine(name: &str, folder: &Path) -> Outcome<Child> {
 fn machine(name: &str, folder: &Path) -> Outcome<()> {
     let text = std::fs::read_to_string(folder.join("pipeline.toml"))?;
     let source = SourceText { name: "pipeline.toml".to_owned(), text };
-    let (pipeline, _) = Pipeline::read(source, folder, &[], &NODES).map_err(|report| report.to_string())?;
+    let (pipeline, _) = Pipeline::read(source, folder, &[], &REGISTRY).map_err(|report| report.to_string())?;
     let plan = Plan::of(&pipeline, Some(name), Some(MESSAGES as u64), monotonic_ns());
     let cost_file = folder.join(format!("{name}.cpu"));
     let looking = std::thread::spawn(move || std::fs::write(cost_file, bridge_cpu().unwrap_or(f64::NAN).to_string()));
-    let options = RunOptions { program: std::env::current_exe()?, quiet: true, nodes: &NODES, ..RunOptions::default() };
+    let options = RunOptions { program: std::env::current_exe()?, quiet: true, nodes: NODES, ..RunOptions::default() };
     let summary = run(&plan, &options)?;
     looking.join().map_err(|_| "the observer panicked")??;
     if summary.is_complete() { Ok(()) } else { Err("the run was not finished".into()) }

@@ -4,7 +4,7 @@
 use anyhow::Result;
 use conicflow_dataflow::pipeline::{Pipeline, SourceText};
 use conicflow_messages::Header;
-use conicflow_nodes::NODES;
+use conicflow_nodes::REGISTRY;
 use conicflow_nodes::camera::Intrinsics;
 use conicflow_nodes::image_source::{Options, Recording};
 use conicflow_nodes::synthetic_source::scene::Scene;
@@ -40,7 +40,7 @@ pub fn scene(bytes: &[u8]) -> bool {
 pub fn pipeline(bytes: &[u8]) -> bool {
     let source = SourceText { name: "pipeline.toml".to_owned(), text: String::from_utf8_lossy(bytes).into_owned() };
     // What is told of it has to be printable as well.
-    Pipeline::read(source, Path::new("/nowhere"), &[], NODES).map_err(|report| report.to_string()).is_ok()
+    Pipeline::read(source, Path::new("/nowhere"), &[], &REGISTRY).map_err(|report| report.to_string()).is_ok()
 }
 
 /// Whether something went well. What is told of it otherwise has to be printable.

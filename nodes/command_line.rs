@@ -1,12 +1,12 @@
 //! The command line: what each command prints, and with which code it exits (0 done, 1 failed, 2 wrong file or arguments).
 
-use crate::NODES;
 use crate::doctor::doctor;
 use crate::experiment::{self, Experiment, Results, Rows, Variation};
 use crate::node_help;
 use crate::swap::{self, SwapArguments};
 use crate::top;
 use crate::topic::{self, TopicCommand};
+use crate::{NODES, REGISTRY};
 use anyhow::{Context, anyhow, bail};
 use clap::{Args, Parser, Subcommand};
 use conicflow_dataflow::pipeline::{Pipeline, Report, SourceText};
@@ -220,7 +220,7 @@ impl FileArguments {
     /// The pipeline with further parameters set; those of the command line have the last word.
     fn read_with(&self, machine: Option<&str>, further: &[String]) -> anyhow::Result<(Pipeline, Report)> {
         let (source, base) = self.text()?;
-        Ok(Pipeline::read_on(machine, source, &base, &[further, &self.overrides].concat(), NODES)?)
+        Ok(Pipeline::read_on(machine, source, &base, &[further, &self.overrides].concat(), &REGISTRY)?)
     }
 
     /// The text of the file and the folder of its paths; of the built-in pipeline that is the current folder.
@@ -364,7 +364,7 @@ fn check_machine(pipeline: &Pipeline, machine: Option<&str>) -> anyhow::Result<(
 /// Runs one stage here: of the run that this process was started in, or of a file, for a debugger.
 fn node(stage: &str, file: Option<PathBuf>, machine: Option<&str>, log: &str) -> anyhow::Result<()> {
     if file.is_none() && std::env::var_os(conicflow_dataflow::PIPELINE).is_some() {
-        return Ok(conicflow_dataflow::run_in_run(NODES)?);
+        return Ok(conicflow_dataflow::run_in_run(&REGISTRY)?);
     }
     let pipeline = FileArguments { file, overrides: Vec::new() }.read_on(machine)?;
     check_machine(&pipeline, machine)?;

@@ -1,6 +1,6 @@
 //! `conicflow doctor`: tells what is wrong with this machine for running a pipeline, and removes what dead runs have left.
 
-use crate::NODES;
+use crate::{NODES, REGISTRY};
 use conicflow_dataflow::pipeline::Pipeline;
 use conicflow_dataflow::{NO_RUN, Needs, Plan, clean, examine};
 use std::io::{Write, stdout};
@@ -20,7 +20,7 @@ pub fn doctor(pipeline: &Pipeline, machine: Option<&str>, remove: bool) -> anyho
         machine => vec![machine],
     };
     let plans: Vec<_> = machines.into_iter().map(|machine| Plan::of(pipeline, machine, None, NO_RUN)).collect();
-    let findings = examine(&plans, NODES);
+    let findings = examine(&plans, &REGISTRY);
     for (index, finding) in findings.iter().enumerate() {
         writeln!(output, "{}problem: {finding}", if index == 0 { "" } else { "\n" })?;
     }

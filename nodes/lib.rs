@@ -38,7 +38,7 @@ mod swap;
 mod top;
 mod topic;
 
-use conicflow_dataflow::{Node, Variant};
+use conicflow_dataflow::{Network, Node, Registry, Variant};
 use conicflow_messages::{Ellipse, Object, Track};
 use console_sink::ConsoleSink;
 use evaluation_sink::EvaluationSink;
@@ -85,3 +85,11 @@ pub const NODES: &[Node] = &[
     Node::stage::<SectionSink>(),
     Node::stage::<NoiseEstimator>(),
 ];
+
+#[cfg(feature = "bridge")]
+const NETWORK: Option<Network> = Some(conicflow_bridge::NETWORK);
+#[cfg(not(feature = "bridge"))]
+const NETWORK: Option<Network> = None;
+
+/// What this program has built in.
+pub const REGISTRY: Registry = Registry { nodes: NODES, network: NETWORK };

@@ -1,7 +1,7 @@
 //! `conicflow swap`: replaces one stage of a running pipeline, after the pipeline with the change in it was checked whole.
 
-use crate::NODES;
 use crate::topic::PipelineName;
+use crate::{NODES, REGISTRY};
 use anyhow::{anyhow, bail};
 use clap::Args;
 use conicflow_dataflow::pipeline::suggestion;
@@ -32,7 +32,7 @@ pub fn swap(arguments: &SwapArguments) -> anyhow::Result<()> {
     let stage = find_stage(plan, name)?;
     let node = arguments.node.iter().map(|node| format!("{name}.node={node}"));
     let sets = arguments.sets.iter().map(|set| format!("{name}.{set}"));
-    let (changed, _) = plan.with(&node.chain(sets).collect::<Vec<_>>(), NODES)?;
+    let (changed, _) = plan.with(&node.chain(sets).collect::<Vec<_>>(), &REGISTRY)?;
     if changed.stage(name).is_none_or(|new| new.wiring != stage.wiring) {
         bail!("a swap cannot join stage `{name}` to other topics\n  hint: end the run, and start it with the change");
     }

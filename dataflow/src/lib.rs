@@ -4,19 +4,22 @@
 //! the row that [`Node`] makes of it ([`pipeline`]); the [`Plan`] settles what each process has to know; [`run`] starts
 //! them; each runs its loop over [`ports`], which lead through shared memory; and [`Status`] records tell how it goes.
 
-pub mod bridge;
+mod bridge_plan;
 mod clock;
 mod doctor;
 mod item_type;
 mod launcher;
+mod link_report;
 mod log;
 mod needs;
+mod network;
 mod node;
 mod observe;
 pub mod pipeline;
 mod plan;
 pub mod ports;
 mod pulse;
+mod registry;
 mod runner;
 mod sides;
 mod stage;
@@ -29,7 +32,18 @@ pub mod testing {
     pub use crate::runner::alone::{Owned, collect, pass};
 }
 
-pub use bridge::{EdgeReport, LinkReport, LinkState};
+/// What the network part of a program is built of: the ends of topics as a stage has them, and what it tells of itself.
+pub mod relay {
+    pub use crate::link_report::write_links;
+    pub use crate::log::Seldom;
+    pub use crate::ports::shared_memory::{SharedMemory, SharedReader, SharedWriter};
+    pub use crate::runner::inbox::Inbox;
+    pub use crate::runner::outlet::{Outlet, end_of_stream};
+    pub use crate::runner::peers::Peers;
+    pub use crate::runner::{Settling, Surroundings};
+    pub use crate::status::StatusFile;
+}
+
 pub use clock::monotonic_ns;
 pub use doctor::{Finding, clean, examine};
 pub use item_type::{AnyMessage, BUILT_IN, ItemType};
@@ -37,11 +51,14 @@ pub use launcher::{
     FolderError, LaunchError, PIPELINE, ProcessError, RUNTIME_DIR, RunFolder, RunLock, RunOptions, StageSummary,
     Summary, SwapError, become_stage, link_table, run, run_in_run, run_source, run_stage, user_folder,
 };
+pub use link_report::{EdgeReport, LinkReport, LinkState};
 pub use log::{DEFAULT_LOG, LOG, log_filter, log_to_standard_error};
 pub use needs::{Needs, Shortfall, TopicNeeds};
+pub use network::{BridgePlan, BridgeRun, Edge, Network, NetworkError, Receiver, SettingsFault};
 pub use node::{Node, Variant};
 pub use observe::{InputActivity, Observation, PipelineActivity, StageActivity, TopicActivity, observe};
 pub use plan::{Origin, Plan, PlannedStage, Runs};
+pub use registry::Registry;
 pub use runner::RunError;
 pub use sides::{Pick, Side, Sides};
 pub use stage::{Config, ConfigFault, Context, Next, NoConfig, Output, Source, Stage, StageError, Stop};

@@ -41,13 +41,14 @@ const SELDOM: Duration = Duration::from_secs(1);
 
 /// Warns of what may happen with each message, no more often than one can read.
 #[derive(Debug, Default)]
-pub(crate) struct Seldom {
+pub struct Seldom {
     told: Option<Instant>,
     untold: u64,
 }
 
 impl Seldom {
-    pub(crate) fn warn(&mut self, what: impl Display) {
+    /// Warns of it now, or counts it for the next time.
+    pub fn warn(&mut self, what: impl Display) {
         if self.told.is_some_and(|told| told.elapsed() < SELDOM) {
             self.untold += 1;
             return;

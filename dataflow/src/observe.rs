@@ -2,9 +2,10 @@
 //!
 //! Nothing is attached to, so that nothing is slowed down and no queue gets another reader.
 
-use crate::bridge::{BRIDGE, EdgeReport, LinkReport, read_links};
 use crate::clock::monotonic_ns;
 use crate::launcher::{FolderError, RunFolder};
+use crate::link_report::{EdgeReport, LinkReport, read_links};
+use crate::pipeline::BRIDGE;
 use crate::plan::{Plan, PlannedStage};
 use crate::status::{Durations, Life, Status};
 use serde::Serialize;

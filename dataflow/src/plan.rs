@@ -2,10 +2,11 @@
 //!
 //! The launcher writes it once; all stages of a run read the same plan, whatever becomes of the pipeline file meanwhile.
 
-use crate::bridge::{BRIDGE, BridgePlan};
-use crate::node::Node;
-use crate::pipeline::{Pipeline, Program, Report, Restart, SourceText, StageSpec};
+use crate::bridge_plan::bridge_plan;
+use crate::network::BridgePlan;
+use crate::pipeline::{BRIDGE, Pipeline, Program, Report, Restart, SourceText, StageSpec};
 use crate::ports::{Topic, Wiring};
+use crate::registry::Registry;
 use conicflow_messages::{Item, Nothing};
 use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
@@ -98,7 +99,7 @@ impl Plan {
         let here = |stage: &&StageSpec| machine.is_none() || stage.machine.as_deref() == machine;
         let stages = pipeline.stages.iter().filter(here);
         let mut stages: Vec<_> = stages.map(|stage| PlannedStage::of(pipeline, stage, machine, frames)).collect();
-        stages.extend(machine.and_then(|machine| BridgePlan::of(pipeline, machine)).map(PlannedStage::bridge));
+        stages.extend(machine.and_then(|machine| bridge_plan(pipeline, machine)).map(PlannedStage::bridge));
         let (source, overrides) = pipeline.source.clone();
         let origin = Origin { source, overrides, machine: machine.map(str::to_owned), frames };
         Self { layout: LAYOUT, pipeline: pipeline.name.clone(), base: pipeline.base.clone(), run, stages, origin }
@@ -108,11 +109,11 @@ impl Plan {
     ///
     /// # Errors
     /// All that is wrong with it then, at once.
-    pub fn with(&self, further: &[String], nodes: &[Node]) -> Result<(Self, Report), Report> {
+    pub fn with(&self, further: &[String], registry: &Registry) -> Result<(Self, Report), Report> {
         let Origin { source, overrides, machine, frames } = &self.origin;
         let overrides = [overrides.as_slice(), further].concat();
         let (pipeline, warnings) =
-            Pipeline::read_on(machine.as_deref(), source.clone(), &self.base, &overrides, nodes)?;
+            Pipeline::read_on(machine.as_deref(), source.clone(), &self.base, &overrides, registry)?;
         Ok((Self::of(&pipeline, machine.as_deref(), *frames, self.run), warnings))
     }
 

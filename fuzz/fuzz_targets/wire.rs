@@ -4,7 +4,8 @@
 
 #![no_main]
 
-use conicflow_dataflow::bridge::{Compression, Wire, decode_message, encode_message};
+use conicflow_bridge::{Wire, decode_message, encode_message};
+use conicflow_dataflow::pipeline::Compression;
 use conicflow_messages::{Ellipse, Object, Track};
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {

@@ -76,7 +76,7 @@ mod tests {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments");
         let text = std::fs::read_to_string(folder.join(name)).unwrap().replace(replaced.0, replaced.1);
         let source = SourceText { name: name.into(), text };
-        let (pipeline, _) = Pipeline::read(source, &folder, &[], crate::NODES).unwrap();
+        let (pipeline, _) = Pipeline::read(source, &folder, &[], &crate::REGISTRY).unwrap();
         check(&Experiment::read(pipeline.experiment.as_ref().unwrap()).unwrap(), &pipeline)
     }
 

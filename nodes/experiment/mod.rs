@@ -111,7 +111,7 @@ mod tests {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments");
         let read = |name: &str, overrides: &[String]| {
             let source = SourceText { name: name.into(), text: std::fs::read_to_string(folder.join(name)).unwrap() };
-            Pipeline::read(source, &folder, overrides, crate::NODES)
+            Pipeline::read(source, &folder, overrides, &crate::REGISTRY)
         };
         assert!(read("detection.toml", &[]).is_ok());
         let size = ["source.width=640", "source.height=480", "source.scenes.groups=[\"tabletop\"]"].map(String::from);

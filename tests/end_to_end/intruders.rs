@@ -2,7 +2,7 @@
 
 use super::bridge::{self, apart, loopback, machines, newest, start};
 use super::support::{Playground, signal, wait_until};
-use conicflow_dataflow::bridge::WIRE_VERSION;
+use conicflow_bridge::WIRE_VERSION;
 use rustix::process::Signal;
 use zenoh::Wait;
 

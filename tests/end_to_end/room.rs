@@ -5,7 +5,7 @@ use super::processes::{shared_files, stages_of};
 use super::support::{Playground, Started, signal};
 use conicflow_dataflow::pipeline::{Pipeline, SourceText};
 use conicflow_dataflow::{Needs, Plan};
-use conicflow_nodes::NODES;
+use conicflow_nodes::{NODES, REGISTRY};
 use rustix::process::Signal;
 use std::collections::BTreeSet;
 use std::fs;
@@ -53,7 +53,7 @@ const TOPICS: [(&str, &str, &str); 4] = [
 
 fn needs(text: &str) -> Needs {
     let source = SourceText { name: "pipeline.toml".to_owned(), text: text.to_owned() };
-    let (pipeline, _) = Pipeline::read(source, &std::env::temp_dir(), &[], NODES).unwrap();
+    let (pipeline, _) = Pipeline::read(source, &std::env::temp_dir(), &[], &REGISTRY).unwrap();
     Needs::of(&Plan::of(&pipeline, None, None, 1), NODES)
 }
 

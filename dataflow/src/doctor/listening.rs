@@ -1,18 +1,18 @@
 //! Whether the ports that a pipeline listens on are free.
 
 use super::Finding;
-use crate::bridge::settings::listen_endpoints;
+use crate::network::Network;
 use crate::plan::{Plan, Runs};
 use std::io::{self, ErrorKind};
 use std::net::{TcpListener, UdpSocket};
 
 /// The ports that these plans need and cannot have. Addresses of other machines tell nothing here.
-pub(super) fn examine(plans: &[&Plan]) -> Vec<Finding> {
+pub(super) fn examine(plans: &[&Plan], network: &Network) -> Vec<Finding> {
     let bridges = plans.iter().flat_map(|plan| &plan.stages).filter_map(|stage| match &stage.runs {
         Runs::Bridge(bridge) => Some(bridge),
         _ => None,
     });
-    let endpoints = bridges.flat_map(|bridge| match listen_endpoints(&bridge.settings) {
+    let endpoints = bridges.flat_map(|bridge| match (network.listen_endpoints)(&bridge.settings) {
         Ok(endpoints) => endpoints.into_iter().map(|endpoint| Ok((bridge.machine.clone(), endpoint))).collect(),
         Err(fault) => vec![Err(fault)],
     });

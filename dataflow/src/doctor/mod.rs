@@ -8,9 +8,9 @@ mod orphans;
 
 use crate::launcher::{RunFolder, user_folder};
 use crate::needs::{Needs, in_words};
-use crate::node::Node;
 use crate::plan::Plan;
 use crate::ports::shared_memory::leftovers::{Leftover, Litter, clear, leftovers, litter};
+use crate::registry::Registry;
 use std::fmt::{self, Display};
 use std::path::Path;
 use std::time::Duration;
@@ -44,12 +44,16 @@ impl Display for Finding {
 }
 
 /// Looks at this machine, for a pipeline with these plans: one for each machine that this may be.
-pub fn examine(plans: &[Plan], nodes: &[Node]) -> Vec<Finding> {
+pub fn examine(plans: &[Plan], registry: &Registry) -> Vec<Finding> {
     let mut findings = folder::examine();
     let usable = findings.is_empty();
     let idle: Vec<_> = plans.iter().filter(|plan| !is_running(&plan.pipeline)).collect();
-    findings.extend(idle.iter().flat_map(|plan| Needs::of(plan, nodes).shortfalls()).map(|short| Finding::of(&short)));
-    findings.extend(listening::examine(&idle));
+    findings.extend(
+        idle.iter().flat_map(|plan| Needs::of(plan, registry.nodes).shortfalls()).map(|short| Finding::of(&short)),
+    );
+    if let Some(network) = &registry.network {
+        findings.extend(listening::examine(&idle, network));
+    }
     findings.extend(orphans::examine());
     if usable {
         findings.extend(dead_in_folder());

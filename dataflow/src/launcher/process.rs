@@ -2,12 +2,13 @@
 
 use super::RunOptions;
 use super::folder::{FolderError, PLAN, RunFolder};
-use crate::bridge::{self, BridgeError};
 use crate::log::{DEFAULT_LOG, LOG, log_to_standard_error};
+use crate::network::{BridgeRun, NO_NETWORK, NO_NETWORK_HINT, Network, NetworkError};
 use crate::node::Node;
 use crate::plan::{Plan, PlannedStage, Runs};
 use crate::ports::PortError;
 use crate::ports::shared_memory::SharedMemory;
+use crate::registry::Registry;
 use crate::runner::handover::{Handover, Successor};
 use crate::runner::peers::Peers;
 use crate::runner::{RunError, Surroundings};
@@ -47,13 +48,16 @@ pub enum ProcessError {
     Run(#[from] RunError),
     /// The bridge failed.
     #[error(transparent)]
-    Bridge(#[from] BridgeError),
+    Bridge(#[from] NetworkError),
     /// There is no such stage in the plan.
     #[error("there is no stage `{0}` in this pipeline\n  hint: `conicflow graph` shows its stages")]
     NoStage(String),
     /// The plan names a node that this program does not have.
     #[error("this program has no node `{0}`\n  hint: it was built from another version than the launcher")]
     NoNode(String),
+    /// The plan has edges to other machines.
+    #[error("{NO_NETWORK}\n  hint: {NO_NETWORK_HINT}")]
+    NoNetwork,
     /// Something of the operating system.
     #[error("{doing}: {error}\n  hint: is the program there, and may this user run it?")]
     System {
@@ -76,7 +80,7 @@ impl ProcessError {
         use PortError::{Incompatible, PathTooLong};
         match self {
             Self::Run(RunError::Port(Incompatible { .. } | PathTooLong { .. })) => REFUSED,
-            Self::Bridge(error) if !error.is_final() => 1,
+            Self::Bridge(NetworkError::Failed(_)) => 1,
             Self::Run(RunError::Failed { .. } | RunError::Unfinished(_) | RunError::Port(_)) | Self::System { .. } => 1,
             _ => REFUSED,
         }
@@ -122,7 +126,13 @@ fn alone(plan: &Plan, name: &str, options: &RunOptions) -> Result<Command, Proce
 }
 
 /// Runs the stage `name` of a plan in this process: a node of the table, or a program that takes the place of this one.
-fn run_planned(plan: &Plan, folder: &RunFolder, name: &str, nodes: &[Node]) -> Result<(), ProcessError> {
+fn run_planned(
+    plan: &Plan,
+    folder: &RunFolder,
+    name: &str,
+    nodes: &[Node],
+    network: Option<Network>,
+) -> Result<(), ProcessError> {
     let planned = plan.stage(name).ok_or_else(|| ProcessError::NoStage(name.to_owned()))?;
     match &planned.runs {
         Runs::Node { node, input } => {
@@ -134,8 +144,10 @@ fn run_planned(plan: &Plan, folder: &RunFolder, name: &str, nodes: &[Node]) -> R
         }
         Runs::Command(command) => Err(become_program(plan, planned, command)),
         Runs::Bridge(edges) => {
+            let network = network.ok_or(ProcessError::NoNetwork)?;
             let around = surroundings(plan, folder, planned)?;
-            Ok(bridge::run(edges, plan, folder, around)?)
+            let run = BridgeRun { pipeline: &plan.pipeline, run: plan.run, folder: folder.path() };
+            Ok((network.run)(edges, run, around)?)
         }
     }
 }
@@ -166,10 +178,10 @@ fn exit_code(ended: Result<(), ProcessError>) -> ExitCode {
 ///
 /// # Errors
 /// What kept the stage from beginning, or ended it; or this process is not part of a run.
-pub fn run_in_run(nodes: &[Node]) -> Result<(), ProcessError> {
+pub fn run_in_run(registry: &Registry) -> Result<(), ProcessError> {
     let (plan, folder, stage) = own_place()?;
     die_with_launcher();
-    run_planned(&plan, &folder, &stage, nodes)
+    run_planned(&plan, &folder, &stage, registry.nodes, registry.network)
 }
 
 fn run_own(node: Node) -> Result<(), ProcessError> {
@@ -180,7 +192,7 @@ fn run_own(node: Node) -> Result<(), ProcessError> {
     if let (Some(planned), Some(variant)) = (own, node.variants.first()) {
         planned.runs = Runs::Node { node: node.name.to_owned(), input: variant.input.to_owned() };
     }
-    run_planned(&plan, &folder, &stage, &[node])
+    run_planned(&plan, &folder, &stage, &[node], None)
 }
 
 fn own_place() -> Result<(Plan, RunFolder, String), ProcessError> {

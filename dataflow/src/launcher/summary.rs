@@ -1,8 +1,8 @@
 //! What a run did: read from the records of its stages, while it runs for its progress, and at its end for people.
 
 use super::folder::RunFolder;
-use crate::bridge::{LinkReport, read_links};
 use crate::item_type::ItemType;
+use crate::link_report::{LinkReport, read_links};
 use crate::plan::{Plan, PlannedStage};
 use crate::status::{Durations, Status, used};
 use crate::table::Table;

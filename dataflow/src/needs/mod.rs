@@ -32,8 +32,8 @@ const FILES_PER_STAGE: u64 = 24;
 /// Open files for each topic that a stage is joined to, and for each stage at its other end.
 const FILES_PER_TOPIC: u64 = 14;
 const FILES_PER_PEER: u64 = 4;
-/// Open files of Zenoh, and for each machine that it talks with.
-const FILES_OF_ZENOH: u64 = 64;
+/// Open files of the network part, beside those for each machine that it talks with.
+const FILES_OF_NETWORK: u64 = 64;
 
 /// What a plan needs of the machine that it runs on.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -180,7 +180,7 @@ fn open_files(stage: &PlannedStage) -> u64 {
     let bridged = match &stage.runs {
         Runs::Bridge(plan) => {
             let edges = plan.incoming.iter().chain(&plan.outgoing);
-            FILES_OF_ZENOH + edges.map(|edge| of_topic(&edge.topic)).sum::<u64>() + 8 * plan.peers().len() as u64
+            FILES_OF_NETWORK + edges.map(|edge| of_topic(&edge.topic)).sum::<u64>() + 8 * plan.peers().len() as u64
         }
         _ => 0,
     };
@@ -191,6 +191,7 @@ fn open_files(stage: &PlannedStage) -> u64 {
 mod tests {
     use super::*;
     use crate::pipeline::{Pipeline, SourceText};
+    use crate::registry::Registry;
     use crate::stage::{Context, NoConfig, Output, Source, Stage, StageError};
     use crate::{Next, Sides};
     use conicflow_messages::{Item, Message, Nothing};
@@ -242,11 +243,12 @@ mod tests {
     }
 
     const NODES: &[Node] = &[Node::source::<Camera>(), Node::stage::<Overlay>()];
+    const REGISTRY: Registry = Registry { nodes: NODES, network: None };
 
     fn needs(stages: &str) -> Needs {
         let text = format!("name = \"test\"\n{stages}");
         let source = SourceText { name: "test.toml".to_owned(), text };
-        let (pipeline, _) = Pipeline::read(source, Path::new("/"), &[], NODES).unwrap();
+        let (pipeline, _) = Pipeline::read(source, Path::new("/"), &[], &REGISTRY).unwrap();
         Needs::of(&Plan::of(&pipeline, None, None, 1), NODES)
     }
 

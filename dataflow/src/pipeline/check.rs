@@ -1,8 +1,7 @@
 //! The stages of a pipeline checked against each other: topics, kinds of message, cycles, machines.
 
 use super::diagnostic::{Diagnostic, suggestion};
-use super::{Input, Pipeline, Program, StageSpec};
-use crate::bridge::BRIDGE;
+use super::{BRIDGE, Input, Pipeline, Program, StageSpec};
 use crate::item_type::ItemType;
 use crate::node::Node;
 use crate::ports::Delivery;

@@ -6,17 +6,18 @@
 mod check;
 mod diagnostic;
 mod graph;
+mod machine;
 mod read;
 mod schema;
 mod value;
 
 pub use diagnostic::{Diagnostic, Report, Severity, SourceText, suggestion};
+pub use machine::{BRIDGE, Compression, Machine};
 
-use crate::bridge::BRIDGE;
-use crate::bridge::Compression;
 use crate::item_type::{BUILT_IN, ItemType};
 use crate::node::Node;
 use crate::ports::{Delivery, Topic, TopicReader};
+use crate::registry::Registry;
 use conicflow_messages::{AnyByte, Item};
 use diagnostic::Place;
 use read::Surroundings;
@@ -42,21 +43,6 @@ pub struct Pipeline {
     pub experiment: Option<Json>,
     /// The text that it was read from, and what was set beside it.
     pub source: (SourceText, Vec<String>),
-}
-
-/// A machine of a pipeline that spans several.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Machine {
-    /// Zenoh endpoints that it listens on.
-    pub listen: Vec<String>,
-    /// Zenoh endpoints that it connects to.
-    pub connect: Vec<String>,
-    /// A file with a Zenoh configuration of one's own, which adds to this one and overrides it.
-    pub zenoh: Option<PathBuf>,
-    /// Endpoints that others can reach may be open to everyone.
-    pub insecure: bool,
-    /// Lossless edges from here wait so long for a machine that has gone; `None`: the default, in seconds.
-    pub outage_s: Option<f64>,
 }
 
 /// One stage of a pipeline.
@@ -131,7 +117,7 @@ pub enum Restart {
 impl Pipeline {
     /// Reads and checks a pipeline.
     ///
-    /// `base` is the folder against which its paths are resolved, `overrides` are `STAGE.KEY=VALUE`, `nodes` the table.
+    /// `base` is the folder against which its paths are resolved, `overrides` are `STAGE.KEY=VALUE`, `registry` what it may use.
     /// The report beside the pipeline holds warnings only.
     ///
     /// # Errors
@@ -140,9 +126,9 @@ impl Pipeline {
         source: SourceText,
         base: &Path,
         overrides: &[String],
-        nodes: &[Node],
+        registry: &Registry,
     ) -> Result<(Self, Report), Report> {
-        Self::read_on(None, source, base, overrides, nodes)
+        Self::read_on(None, source, base, overrides, registry)
     }
 
     /// The same on one of its machines: what the others need of files and programs need not be here.
@@ -154,7 +140,7 @@ impl Pipeline {
         source: SourceText,
         base: &Path,
         overrides: &[String],
-        nodes: &[Node],
+        registry: &Registry,
     ) -> Result<(Self, Report), Report> {
         let source = Arc::new(source);
         let mut faults = Vec::new();
@@ -165,7 +151,7 @@ impl Pipeline {
         for text in overrides {
             value::apply_override(&mut document, text, &mut faults);
         }
-        let mut pipeline = read::pipeline(document, &source, &Surroundings { base, machine, nodes }, &mut faults);
+        let mut pipeline = read::pipeline(document, &source, &Surroundings { base, machine, registry }, &mut faults);
         pipeline.source = (SourceText::clone(&source), overrides.to_vec());
         check::connections(&pipeline, &mut faults);
         let report = Report::in_order(faults);

@@ -13,7 +13,7 @@ use std::time::Duration;
 const MOST_AT_ONCE: usize = 64;
 
 /// Takes messages from a reader: checked, in order, the newest only where that is wanted.
-pub(crate) struct Inbox<R: Reader> {
+pub struct Inbox<R: Reader> {
     reader: R,
     delivery: Delivery,
     writers: usize,
@@ -33,7 +33,7 @@ pub(crate) struct Inbox<R: Reader> {
 
 impl<R: Reader> Inbox<R> {
     /// An input from `topic`, which `writers` stages write.
-    pub(crate) fn new(reader: R, delivery: Delivery, topic: &str, writers: usize) -> Self {
+    pub fn new(reader: R, delivery: Delivery, topic: &str, writers: usize) -> Self {
         Self {
             reader,
             delivery,
@@ -56,7 +56,10 @@ impl<R: Reader> Inbox<R> {
     }
 
     /// The message to be worked on next, if one is there.
-    pub(crate) fn take(&mut self) -> Result<Option<R::Message>, PortError> {
+    ///
+    /// # Errors
+    /// The transport failed.
+    pub fn take(&mut self) -> Result<Option<R::Message>, PortError> {
         while self.delivery == Delivery::Latest || self.pending.is_empty() {
             let Some(message) = self.reader.receive()? else { break };
             if self.admit(&message) {
@@ -186,8 +189,11 @@ impl<R: Reader> Inbox<R> {
         known
     }
 
-    /// Sleeps until a message may have come.
-    pub(crate) fn wait(&mut self, timeout: Duration) -> Result<(), PortError> {
+    /// Sleeps until a message may have come, at most for `timeout`.
+    ///
+    /// # Errors
+    /// The transport failed.
+    pub fn wait(&mut self, timeout: Duration) -> Result<(), PortError> {
         self.reader.wait(timeout)
     }
 
@@ -197,12 +203,12 @@ impl<R: Reader> Inbox<R> {
     }
 
     /// Whether this writer has said that it sends nothing more.
-    pub(crate) fn has_ended(&self, writer: &str) -> bool {
+    pub fn has_ended(&self, writer: &str) -> bool {
         self.ended.contains(writer)
     }
 
     /// Whether nothing that came before still waits.
-    pub(crate) fn is_idle(&self) -> bool {
+    pub fn is_idle(&self) -> bool {
         self.pending.is_empty()
     }
 

@@ -32,12 +32,16 @@ use std::fs::File;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// All that a stage runs with, but itself.
-pub(crate) struct Surroundings<T> {
-    pub(crate) transport: T,
+pub struct Surroundings<T> {
+    /// What leads to the other stages.
+    pub transport: T,
     pub(crate) wiring: Wiring,
-    pub(crate) context: Context,
-    pub(crate) peers: Peers,
-    pub(crate) record: StatusFile,
+    /// What it is told when it starts.
+    pub context: Context,
+    /// The other stages of its run.
+    pub peers: Peers,
+    /// Its record.
+    pub record: StatusFile,
     /// How it leaves its place to another process; nowhere where it is alone.
     pub(crate) handover: Option<Handover>,
     /// Set where this process replaces another of the same stage.
@@ -124,18 +128,19 @@ impl<T: Transport + 'static> Surroundings<T> {
 }
 
 /// Gives back, when a process is at work, what only its start needed.
-pub(crate) struct Settling(Option<u64>);
+pub struct Settling(Option<u64>);
 
 impl Settling {
     /// The steps after which it does: soon, and when what is seldom done has been done as well.
     const STEPS: [u64; 2] = [10, 100];
 
     /// For a stage that is a process of its own; others leave their process as it is.
-    pub(crate) fn of<T>(around: &Surroundings<T>) -> Self {
+    pub fn of<T>(around: &Surroundings<T>) -> Self {
         Self(around.lock.as_ref().map(|_| 0))
     }
 
-    pub(crate) fn step(&mut self) {
+    /// Counts a step.
+    pub fn step(&mut self) {
         self.0 = self.0.map(|steps| steps + 1);
         if self.0.is_some_and(|steps| Self::STEPS.contains(&steps)) {
             residence::give_back();

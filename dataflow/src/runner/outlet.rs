@@ -18,7 +18,7 @@ const LOOK: Duration = Duration::from_millis(10);
 const TELL_END: Duration = Duration::from_millis(100);
 
 /// Writes the messages of one stage.
-pub(crate) struct Outlet<W: Writer> {
+pub struct Outlet<W: Writer> {
     port: Option<(W, Topic)>,
     stage: Text<32>,
     counts: BTreeMap<&'static str, u64>,
@@ -42,7 +42,7 @@ impl<T: Item, W: Writer> Memory<T> for Option<(W, Topic)> {
 
 impl<W: Writer> Outlet<W> {
     /// The output of `stage` into a topic, if it is wired to one; `number` messages were sent before.
-    pub(crate) fn new(port: Option<(W, Topic)>, stage: &str, number: u64, peers: Peers, stop: Stop) -> Self {
+    pub fn new(port: Option<(W, Topic)>, stage: &str, number: u64, peers: Peers, stop: Stop) -> Self {
         Self {
             port,
             stage: Text::new(stage),
@@ -107,7 +107,10 @@ impl<W: Writer> Outlet<W> {
     }
 
     /// Sends on what a stage on another machine wrote, as that stage wrote it.
-    pub(crate) fn relay(&mut self, header: &Header, bytes: &[u8]) -> Result<(), PortError> {
+    ///
+    /// # Errors
+    /// The transport failed, or the run ended while it waited.
+    pub fn relay(&mut self, header: &Header, bytes: &[u8]) -> Result<(), PortError> {
         self.await_readers()?;
         let Some((writer, _)) = &mut self.port else { return Ok(()) };
         let length = bytes.len() / writer.item().size();
@@ -125,7 +128,10 @@ impl<W: Writer> Outlet<W> {
     }
 
     /// The same in the name of other stages.
-    pub(crate) fn end_as(&mut self, writers: &[Text<32>]) -> Result<(), PortError> {
+    ///
+    /// # Errors
+    /// The transport failed.
+    pub fn end_as(&mut self, writers: &[Text<32>]) -> Result<(), PortError> {
         let (mut before, mut told, mut last_told) = (Vec::new(), BTreeSet::new(), None::<Instant>);
         let deadline = Instant::now() + PATIENCE_WITH_LIVE_READERS;
         while !self.stop.forced() {
@@ -197,7 +203,7 @@ impl Display for Counts<'_> {
 }
 
 /// The message that ends the streams of these stages, [`MAX_HOPS`] at most: the last header, without items.
-pub(crate) fn end_of_stream(last: &Header, stages: &[Text<32>]) -> Header {
+pub fn end_of_stream(last: &Header, stages: &[Text<32>]) -> Header {
     let mut header = Header { flags: END_OF_STREAM, hop_count: 0, ..*last };
     stages.iter().for_each(|stage| header.add_hop(Hop { stage: *stage, received_ns: 0, sent_ns: monotonic_ns() }));
     header

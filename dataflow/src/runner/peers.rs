@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 /// The other stages of a run, by the records in its folder.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Peers {
+pub struct Peers {
     run: Option<(PathBuf, u64)>,
 }
 
@@ -16,7 +16,7 @@ impl Peers {
     }
 
     /// Where a stage is in its life; `None` if nothing is known of it.
-    pub(crate) fn life(&self, stage: &str) -> Option<Life> {
+    pub fn life(&self, stage: &str) -> Option<Life> {
         let (folder, run) = self.run.as_ref()?;
         let status = Status::read(&status_path(folder, stage))?;
         (status.run == *run).then(|| status.life())

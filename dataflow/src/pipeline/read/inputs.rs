@@ -1,10 +1,9 @@
 //! The inputs of a stage in a pipeline file.
 
 use super::Reader;
-use crate::bridge::Compression;
 use crate::pipeline::diagnostic::{Place, suggestion};
 use crate::pipeline::value::{Content, Entry, Table, Value};
-use crate::pipeline::{Input, Program};
+use crate::pipeline::{Compression, Input, Program};
 use crate::ports::Delivery;
 use crate::sides::Pick;
 

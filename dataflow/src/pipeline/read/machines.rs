@@ -1,7 +1,7 @@
 //! The machines of a pipeline file, and how they reach each other.
 
 use super::{MAX_STAGE_NAME, Reader};
-use crate::bridge::settings;
+use crate::network::{NO_NETWORK, NO_NETWORK_HINT};
 use crate::pipeline::Machine;
 use crate::pipeline::value::Entry;
 use std::collections::BTreeMap;
@@ -15,6 +15,9 @@ const OUTAGE_HINT: &str = "how long lossless edges wait for a machine that has g
 impl Reader<'_> {
     pub(super) fn machines(&mut self, entry: Entry) -> BTreeMap<String, Machine> {
         let table = self.table(entry, "[machine.robot]").unwrap_or_default();
+        if let (None, Some(first)) = (&self.around.registry.network, table.0.first()) {
+            self.fault(&first.key_place, NO_NETWORK, NO_NETWORK_HINT);
+        }
         table.0.into_iter().map(|entry| (entry.key.clone(), self.machine(entry))).collect()
     }
 
@@ -31,7 +34,9 @@ impl Reader<'_> {
         let outage_s = table.take("outage_s").and_then(|entry| self.seconds(&entry, OUTAGE_S, OUTAGE_HINT));
         self.unknown_keys(&table, &MACHINE_KEYS, &owner);
         let machine = Machine { listen, connect, zenoh, insecure, outage_s };
-        if let Err(error) = settings::check(&machine) {
+        if let Some(network) = &self.around.registry.network
+            && let Err(error) = (network.check)(&machine)
+        {
             self.fault(&place, format!("{owner}: {}", error.what), error.hint);
         }
         machine

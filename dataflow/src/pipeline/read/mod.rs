@@ -9,7 +9,7 @@ use super::Pipeline;
 use super::diagnostic::{Diagnostic, Place, SourceText, closest, suggestion};
 use super::value::{Content, Entry, Table};
 use crate::item_type::{BUILT_IN, ItemType};
-use crate::node::Node;
+use crate::registry::Registry;
 use std::ops::RangeInclusive;
 use std::path::Path;
 use std::sync::Arc;
@@ -47,8 +47,8 @@ pub(super) struct Surroundings<'a> {
     pub base: &'a Path,
     /// The machine, where that is known.
     pub machine: Option<&'a str>,
-    /// What stages can run.
-    pub nodes: &'a [Node],
+    /// What stages can run, and how they reach other machines.
+    pub registry: &'a Registry,
 }
 
 struct Reader<'a> {

@@ -95,10 +95,10 @@ impl Reader<'_> {
 
     fn node(&mut self, entry: &Entry) -> Program {
         let Some(name) = self.string(entry) else { return Program::Unknown };
-        if let Some(node) = self.around.nodes.iter().find(|node| node.name == name) {
+        if let Some(node) = self.around.registry.nodes.iter().find(|node| node.name == name) {
             return Program::Node(*node);
         }
-        let hint = suggestion(&name, self.around.nodes.iter().map(|node| node.name), "nodes");
+        let hint = suggestion(&name, self.around.registry.nodes.iter().map(|node| node.name), "nodes");
         self.fault(&entry.value.place, format!("there is no node `{name}`"), hint);
         Program::Unknown
     }

@@ -1,9 +1,9 @@
 //! What one bridge knows of the others: who lives, what they have received, how their clocks differ.
 
 use super::beacon::{Ack, Beacon, Clock, Echo, Exchange, Lane};
-use super::plan::BridgePlan;
 use super::wire::{WireError, decode_note, layouts};
-use crate::clock::monotonic_ns;
+use conicflow_dataflow::ports::Delivery;
+use conicflow_dataflow::{BridgePlan, Edge, monotonic_ns};
 use std::collections::BTreeMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -52,7 +52,7 @@ fn lock<V>(mutex: &Mutex<V>) -> MutexGuard<'_, V> {
 impl Links {
     pub(super) fn new(stream: u64, bridge: &BridgePlan) -> Self {
         let peers = bridge.peers().into_iter().map(|peer| (peer.to_owned(), Peer::default())).collect();
-        let (machine, lanes) = (bridge.machine.clone(), bridge.lanes());
+        let (machine, lanes) = (bridge.machine.clone(), lanes(bridge));
         Self { machine, stream, lanes, started: Instant::now(), peers: Mutex::new(peers), acks: Mutex::default() }
     }
 
@@ -209,4 +209,20 @@ fn refuse(machine: &str, peer: &mut Peer, error: &WireError) {
         tracing::error!("refused machine `{machine}`: {reason}");
         peer.refused = Some(reason);
     }
+}
+
+/// What crosses.
+fn lanes(bridge: &BridgePlan) -> Vec<Lane> {
+    bridge.outgoing.iter().chain(&bridge.incoming).flat_map(lanes_of).collect()
+}
+
+/// What an edge carries to each machine.
+fn lanes_of(edge: &Edge) -> impl Iterator<Item = Lane> {
+    edge.to.iter().map(|receiver| {
+        let delivery = if receiver.delivery == Delivery::Lossless { "lossless" } else { "latest" };
+        let (topic, writers) = (&edge.topic.name, edge.writers.join(", "));
+        let kind = if edge.item.is_built_in() { edge.item.name().to_owned() } else { edge.item.layout() };
+        let what = format!("topic `{topic}` with {kind} of {writers}, {delivery}");
+        Lane { from: edge.from.clone(), to: receiver.machine.clone(), what }
+    })
 }

@@ -3,7 +3,6 @@
 use serde::{Deserialize, Serialize};
 use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
 
 /// The link to one other machine.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
@@ -93,52 +92,15 @@ struct Report {
     links: Vec<LinkReport>,
 }
 
-/// Counts of one edge, written by its thread and read by another.
-#[derive(Debug, Default)]
-pub(super) struct EdgeCounts {
-    pub messages: AtomicU64,
-    pub wire_bytes: AtomicU64,
-    pub memory_bytes: AtomicU64,
-    pub lost: AtomicU64,
-    pub resent: AtomicU64,
-    pub stale: AtomicU64,
-    pub malformed: AtomicU64,
-    pub age_ns: AtomicU64,
-}
-
-impl EdgeCounts {
-    pub(super) fn add(counter: &AtomicU64, count: u64) {
-        counter.fetch_add(count, Ordering::Relaxed);
-    }
-
-    /// The counts now; rates are those since an earlier report, `seconds` ago.
-    pub(super) fn report(&self, topic: &str, direction: &str, earlier: &EdgeReport, seconds: f64) -> EdgeReport {
-        let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
-        let (messages, wire_bytes) = (count(&self.messages), count(&self.wire_bytes));
-        let per_second = |now: u64, before: u64| now.saturating_sub(before) as f64 / seconds.max(1e-3);
-        EdgeReport {
-            topic: topic.to_owned(),
-            direction: direction.to_owned(),
-            messages,
-            rate_hz: per_second(messages, earlier.messages),
-            bandwidth_mbps: per_second(wire_bytes, earlier.wire_bytes) / 1e6,
-            wire_bytes,
-            memory_bytes: count(&self.memory_bytes),
-            lost: count(&self.lost),
-            resent: count(&self.resent),
-            stale: count(&self.stale),
-            malformed: count(&self.malformed),
-            age_ms: count(&self.age_ns) as f64 / 1e6,
-        }
-    }
-}
-
 fn path(folder: &Path) -> PathBuf {
     folder.join("bridge.links")
 }
 
 /// Writes the report of a run, whole or not at all.
-pub(super) fn write(folder: &Path, run: u64, links: &[LinkReport]) -> io::Result<()> {
+///
+/// # Errors
+/// The files cannot be written.
+pub fn write_links(folder: &Path, run: u64, links: &[LinkReport]) -> io::Result<()> {
     let text = serde_json::to_vec(&Report { run, links: links.to_vec() })?;
     let new = folder.join("bridge.links.new");
     std::fs::write(&new, text)?;
@@ -146,7 +108,7 @@ pub(super) fn write(folder: &Path, run: u64, links: &[LinkReport]) -> io::Result
 }
 
 /// Reads the report of a run; empty if there is none.
-pub(crate) fn read(folder: &Path, run: u64) -> Vec<LinkReport> {
+pub(crate) fn read_links(folder: &Path, run: u64) -> Vec<LinkReport> {
     let text = std::fs::read(path(folder)).unwrap_or_default();
     let report = serde_json::from_slice::<Report>(&text).ok().filter(|report| report.run == run);
     report.map(|report| report.links).unwrap_or_default()

@@ -1,14 +1,15 @@
 //! Depth images in fewer bytes, without loss: neighbouring pixels differ by little, so the differences along each row are
 //! stored, small numbers first whatever their sign, their low bytes before their high ones, and that is compressed.
 
-use super::compression::Compression;
+use super::compression::{pack, unpack};
+use conicflow_dataflow::pipeline::Compression;
 
 /// Appends the pixels of an image of `width` columns to `bytes`.
 pub(super) fn compress(pixels: &[u16], width: usize, how: Compression, bytes: &mut Vec<u8>) -> Result<(), String> {
     if how == Compression::None {
         bytes.extend(pixels.iter().flat_map(|pixel| pixel.to_le_bytes()));
     } else {
-        bytes.extend(how.pack(&split(pixels, width))?);
+        bytes.extend(pack(how, &split(pixels, width))?);
     }
     Ok(())
 }
@@ -20,7 +21,7 @@ pub(super) fn decompress(
     how: Compression,
     pixels: &mut Vec<u16>,
 ) -> Result<(), String> {
-    let unpacked = how.unpack(bytes, 2 * width * height)?;
+    let unpacked = unpack(how, bytes, 2 * width * height)?;
     pixels.clear();
     if how == Compression::None {
         pixels.extend(unpacked.chunks_exact(2).map(|pair| u16::from_le_bytes([pair[0], pair[1]])));

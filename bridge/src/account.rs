@@ -1,11 +1,9 @@
 //! The account that a bridge gives of itself while it runs: what `top` and the summary show of its links and edges.
 
+use super::counts::EdgeCounts;
 use super::links::{Links, PeerState};
-use super::plan::{BridgePlan, Edge};
-use super::report::{self, EdgeCounts, EdgeReport, LinkReport, LinkState};
-use crate::launcher::RunFolder;
-use crate::plan::Plan;
-use crate::status::{InputCounts, StatusFile};
+use conicflow_dataflow::relay::{StatusFile, write_links};
+use conicflow_dataflow::{BridgePlan, BridgeRun, Edge, EdgeReport, InputCounts, LinkReport, LinkState};
 use conicflow_messages::Text;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -34,8 +32,7 @@ impl Carried<'_> {
 
 /// What is told, and where.
 pub(super) struct Account<'a> {
-    plan: &'a Plan,
-    folder: &'a RunFolder,
+    run: BridgeRun<'a>,
     pub record: StatusFile,
     links: &'a Links,
     pub carried: Vec<Carried<'a>>,
@@ -43,18 +40,12 @@ pub(super) struct Account<'a> {
 }
 
 impl<'a> Account<'a> {
-    pub(super) fn new(
-        bridge: &'a BridgePlan,
-        plan: &'a Plan,
-        folder: &'a RunFolder,
-        record: StatusFile,
-        links: &'a Links,
-    ) -> Self {
+    pub(super) fn new(bridge: &'a BridgePlan, run: BridgeRun<'a>, record: StatusFile, links: &'a Links) -> Self {
         let carry =
             |edge, outgoing| Carried { edge, outgoing, counts: Arc::default(), reported: EdgeReport::default() };
         let outgoing = bridge.outgoing.iter().map(|edge| carry(edge, true));
         let carried = outgoing.chain(bridge.incoming.iter().map(|edge| carry(edge, false))).collect();
-        Self { plan, folder, record, links, carried, reported: Instant::now() }
+        Self { run, record, links, carried, reported: Instant::now() }
     }
 
     /// Whether it is time to report.
@@ -69,7 +60,7 @@ impl<'a> Account<'a> {
         self.carried.iter_mut().for_each(|carried| carried.report(seconds));
         let states = self.links.look();
         let links: Vec<_> = states.iter().map(|(machine, state)| self.link(machine, state, reachable)).collect();
-        report::write(self.folder.path(), self.plan.run, &links).ok();
+        write_links(self.run.folder, self.run.run, &links).ok();
         self.keep_record();
     }
 

@@ -8,8 +8,8 @@
 //! anything that may have been lost before ([`key_for_datagrams`]).
 
 use super::{BridgeError, settings};
-use crate::pipeline::Machine;
-use crate::stage::Stop;
+use conicflow_dataflow::Stop;
+use conicflow_dataflow::pipeline::Machine;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 use zenoh::bytes::ZBytes;

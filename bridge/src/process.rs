@@ -1,22 +1,16 @@
 //! The life of a bridge: opens its session, runs a thread per edge, sends beacons and keeps its records until all have
 //! ended.
 
+use super::BridgeError;
 use super::account::{Account, Carried};
 use super::beacon::Ack;
 use super::links::Links;
-use super::plan::BridgePlan;
 use super::receiving::Receiving;
 use super::sending::{Sending, Shared};
 use super::ways::{Ear, Voice, Ways};
 use super::wire::encode_note;
-use super::{BridgeError, Wire};
-use crate::launcher::RunFolder;
-use crate::plan::Plan;
-use crate::ports::shared_memory::SharedMemory;
-use crate::runner::{Settling, Surroundings};
-use crate::stage::Stop;
-use crate::status::{Life, NO_RUN};
-use conicflow_messages::{Ellipse, Item, Object, Track};
+use conicflow_dataflow::relay::{Settling, SharedMemory, Surroundings};
+use conicflow_dataflow::{BridgePlan, BridgeRun, Life, NO_RUN, Stop};
 use std::sync::Arc;
 use std::thread::{Scope, ScopedJoinHandle};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -34,29 +28,28 @@ const FAREWELLS: usize = 5;
 /// Carries the edges of a plan until all have ended.
 pub(crate) fn run(
     bridge: &BridgePlan,
-    plan: &Plan,
-    folder: &RunFolder,
+    run: BridgeRun<'_>,
     around: Surroundings<SharedMemory>,
 ) -> Result<(), BridgeError> {
     let (stop, settling) = (around.context.stop.clone(), Settling::of(&around));
     let stream = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as u64);
     let links = Arc::new(Links::new(stream, bridge));
-    let mut account = Account::new(bridge, plan, folder, around.record, &links);
+    let mut account = Account::new(bridge, run, around.record, &links);
     account.report(false);
     let Some(ways) = Ways::open(&bridge.settings, &stop, || account.report(false))? else { return Ok(()) };
     let shared = Shared {
         ways: &ways,
         transport: &around.transport,
         links: &links,
-        pipeline: &plan.pipeline,
+        pipeline: run.pipeline,
         machine: &bridge.machine,
         stream,
-        kept: (plan.run != NO_RUN).then_some(folder.path()),
+        kept: (run.run != NO_RUN).then_some(run.folder),
         outage: bridge.settings.outage_s.map_or(OUTAGE, Duration::from_secs_f64),
         peers: &around.peers,
         stop: &stop,
     };
-    let voice = ways.speak(&beacon_key(&plan.pipeline, &bridge.machine), true, Priority::RealTime)?;
+    let voice = ways.speak(&beacon_key(run.pipeline, &bridge.machine), true, Priority::RealTime)?;
     let ears = listen_for_beacons(&shared, bridge)?;
     account.record.status.set_life(Life::Running);
     let sent = (Instant::now(), Vec::new());
@@ -156,28 +149,12 @@ impl<'a> Carried<'a> {
     where
         'a: 'scope,
     {
-        match self.edge.item.name() {
-            Ellipse::NAME => self.start_kind::<Ellipse>(scope, shared),
-            Object::NAME => self.start_kind::<Object>(scope, shared),
-            Track::NAME => self.start_kind::<Track>(scope, shared),
-            _ => self.start_kind::<u16>(scope, shared),
-        }
-    }
-
-    fn start_kind<'scope, T: Wire>(
-        &self,
-        scope: &'scope Scope<'scope, '_>,
-        shared: &Shared<'a>,
-    ) -> Result<Handle<'scope>, BridgeError>
-    where
-        'a: 'scope,
-    {
         let counts = Arc::clone(&self.counts);
         if self.outgoing {
-            let sending = Sending::<T>::new(self.edge, shared, counts)?;
+            let sending = Sending::new(self.edge, shared, counts)?;
             Ok(scope.spawn(move || sending.run()))
         } else {
-            let receiving = Receiving::<T>::new(self.edge, shared, counts)?;
+            let receiving = Receiving::new(self.edge, shared, counts)?;
             Ok(scope.spawn(move || receiving.run()))
         }
     }

@@ -10,42 +10,47 @@
 
 mod account;
 mod beacon;
+mod codec;
 mod compression;
+mod counts;
 mod depth_codec;
 mod ellipse_codec;
 mod kept;
 mod links;
 mod mailbox;
 mod outbox;
-mod plan;
 mod process;
 mod receiving;
-mod report;
 mod sending;
 mod sequence;
-pub(crate) mod settings;
+mod settings;
 mod ways;
 mod window;
 mod wire;
 #[cfg(test)]
 mod wire_tests;
 
-pub use compression::Compression;
-pub use plan::{BridgePlan, Edge, Receiver};
-pub(crate) use process::run;
-pub(crate) use report::read as read_links;
-pub use report::{EdgeReport, LinkReport, LinkState};
-pub use settings::SettingsFault;
-pub use wire::{MAX_MESSAGE, Place, WIRE_VERSION, Wire, WireError, decode_message, encode_message};
+pub use codec::Wire;
+pub use wire::{MAX_MESSAGE, Place, WIRE_VERSION, WireError, decode_message, encode_message};
 
-use crate::ports::PortError;
+use conicflow_dataflow::ports::PortError;
+use conicflow_dataflow::{Network, NetworkError, SettingsFault};
 
-/// Name of the bridge among the stages of a machine.
-pub const BRIDGE: &str = "bridge";
+/// The network part of a program: it goes into its `Registry`.
+pub const NETWORK: Network = Network {
+    check: settings::check,
+    listen_endpoints: settings::listen_endpoints,
+    run: |bridge, run, around| {
+        process::run(bridge, run, around).map_err(|error| {
+            let is_final = error.is_final();
+            if is_final { NetworkError::Refused(error.into()) } else { NetworkError::Failed(error.into()) }
+        })
+    },
+};
 
 /// Why a bridge ended before its edges did.
 #[derive(Debug, thiserror::Error)]
-pub enum BridgeError {
+enum BridgeError {
     /// The machine's table, or its Zenoh file.
     #[error("{0}")]
     Settings(#[from] SettingsFault),
@@ -70,7 +75,7 @@ pub enum BridgeError {
 
 impl BridgeError {
     /// Whether starting anew would not help.
-    pub fn is_final(&self) -> bool {
+    fn is_final(&self) -> bool {
         use PortError::{Incompatible, PathTooLong};
         matches!(self, Self::Settings(_) | Self::Port(Incompatible { .. } | PathTooLong { .. }))
     }

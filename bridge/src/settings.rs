@@ -1,7 +1,8 @@
 //! From a machine's table to a Zenoh configuration that is closed unless the file opens it.
 
 use super::wire::MAX_MESSAGE;
-use crate::pipeline::Machine;
+use conicflow_dataflow::SettingsFault;
+use conicflow_dataflow::pipeline::Machine;
 use serde_json::{Value as Json, json};
 use std::path::Path;
 
@@ -9,16 +10,6 @@ use std::path::Path;
 const LEASE_MS: u64 = 2000;
 /// A frame on a slow link may take so long, in microseconds, before Zenoh drops it.
 const MAX_FRAME_WAIT_US: u64 = 1_000_000;
-
-/// Why a machine's table cannot be used.
-#[derive(Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{what}\n  hint: {hint}")]
-pub struct SettingsFault {
-    /// What is wrong.
-    pub what: String,
-    /// What to do about it.
-    pub hint: String,
-}
 
 fn fault(what: String, hint: &str) -> SettingsFault {
     SettingsFault { what, hint: hint.to_owned() }

@@ -131,7 +131,8 @@ impl Files {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bridge::{Compression, encode_message};
+    use crate::wire::encode_message;
+    use conicflow_dataflow::pipeline::Compression;
     use conicflow_messages::{Header, Object};
 
     fn message(number: u64) -> Vec<u8> {

@@ -3,10 +3,10 @@
 
 use super::beacon::Ack;
 use super::kept::Kept;
-use super::plan::Receiver;
 use super::window::Window;
 use super::wire::{Place, set_oldest};
-use crate::ports::Delivery;
+use conicflow_dataflow::Receiver;
+use conicflow_dataflow::ports::Delivery;
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
@@ -209,7 +209,7 @@ impl Outbox {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bridge::kept::MAX_KEPT;
+    use crate::kept::MAX_KEPT;
 
     const OUTAGE: Duration = Duration::from_secs(10);
     const WAIT: Duration = Duration::from_millis(100);

@@ -8,9 +8,10 @@
 //! how many ellipses there are, then for each of the eight significances, the highest first, a `u32` of its length and its
 //! bytes, all little-endian.
 
-use super::compression::Compression;
+use super::compression::{pack, unpack};
 use super::wire::MAX_MESSAGE;
 use bytemuck::{Pod, Zeroable};
+use conicflow_dataflow::pipeline::Compression;
 use conicflow_messages::{Ellipse, Header, Scan};
 use std::mem::offset_of;
 use std::ops::Range;
@@ -54,7 +55,7 @@ pub(super) fn compress(
         let plane: Vec<u8> = (0..WHOLE + REAL)
             .flat_map(|column| words.iter().map(move |words| (words[column] >> (8 * level)) as u8))
             .collect();
-        let packed = how.pack(&plane)?;
+        let packed = pack(how, &plane)?;
         bytes.extend(length_of(&packed)?);
         bytes.extend(packed);
     }
@@ -80,7 +81,7 @@ pub(super) fn decompress(
     for level in (0..LEVELS).rev() {
         let length = take_length(&mut bytes)?;
         let (packed, rest) = bytes.split_at_checked(length).ok_or("less bytes than a list claims to have")?;
-        let plane = how.unpack(packed, count * (WHOLE + REAL))?;
+        let plane = unpack(how, packed, count * (WHOLE + REAL))?;
         for (column, bytes) in plane.chunks(count.max(1)).enumerate() {
             words.iter_mut().zip(bytes).for_each(|(words, &byte)| words[column] |= u64::from(byte) << (8 * level));
         }

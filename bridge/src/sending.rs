@@ -1,25 +1,19 @@
 //! An edge that leaves: out of shared memory, encoded, put to Zenoh, and kept until it is acknowledged where that is asked.
 
+use super::BridgeError;
+use super::codec::{Codec, codec_of};
+use super::counts::EdgeCounts;
 use super::kept::Kept;
 use super::links::Links;
 use super::outbox::Outbox;
-use super::plan::Edge;
-use super::report::EdgeCounts;
 use super::ways::{Voice, Ways};
-use super::wire::{Wire, encode_message};
-use super::{BRIDGE, BridgeError};
-use crate::clock::monotonic_ns;
-use crate::log::Seldom;
-use crate::ports::shared_memory::{SharedMemory, SharedReader};
-use crate::ports::{Delivery, Received, Transport};
-use crate::runner::inbox::Inbox;
-use crate::runner::outlet::end_of_stream;
-use crate::runner::peers::Peers;
-use crate::stage::Stop;
-use crate::status::Life;
+use super::wire::message_bytes;
+use conicflow_dataflow::pipeline::BRIDGE;
+use conicflow_dataflow::ports::{Delivery, Received, Transport};
+use conicflow_dataflow::relay::{Inbox, Peers, Seldom, SharedMemory, SharedReader, end_of_stream};
+use conicflow_dataflow::{Edge, Life, Stop, monotonic_ns};
 use conicflow_messages::{Header, Text};
 use std::collections::BTreeSet;
-use std::marker::PhantomData;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -56,10 +50,11 @@ impl Shared<'_> {
 }
 
 /// The thread of one edge that leaves.
-pub(super) struct Sending<'a, T: Wire> {
+pub(super) struct Sending<'a> {
     edge: &'a Edge,
     inbox: Inbox<SharedReader>,
-    kind: PhantomData<T>,
+    codec: Box<dyn Codec>,
+    layout: String,
     voice: Voice<'a>,
     outbox: Outbox,
     links: Arc<Links>,
@@ -71,20 +66,21 @@ pub(super) struct Sending<'a, T: Wire> {
     left_out: Seldom,
 }
 
-impl<'a, T: Wire> Sending<'a, T> {
+impl<'a> Sending<'a> {
     /// Joins the topic and declares the key.
     pub(super) fn new(edge: &'a Edge, shared: &Shared<'a>, counts: Arc<EdgeCounts>) -> Result<Self, BridgeError> {
         let topic = &edge.topic;
-        let reader = shared.transport.reader::<T>(topic, BRIDGE)?;
+        let reader = shared.transport.reader_of(&edge.item, topic, BRIDGE)?;
         let images = edge.item.is_image();
         let wait = if images { IMAGES_WAIT } else { LISTS_WAIT };
         let priority = if images { Priority::DataLow } else { Priority::InteractiveHigh };
         let lossy = edge.to.iter().any(|receiver| receiver.delivery == Delivery::Latest);
-        let voice = shared.ways.speak(&shared.key(&edge.from, &topic.name), lossy && edge.is_short(), priority)?;
+        let voice = shared.ways.speak(&shared.key(&edge.from, &topic.name), lossy && edge.item.is_short(), priority)?;
         let kept = shared.kept.map(|folder| Kept::in_folder(folder.to_owned(), &topic.name)).unwrap_or_default();
         Ok(Self {
             edge,
-            kind: PhantomData,
+            codec: codec_of(&edge.item),
+            layout: edge.item.layout(),
             inbox: Inbox::new(reader, topic.delivery_to(BRIDGE), &topic.name, topic.writers.len()),
             voice,
             outbox: Outbox::new(shared.stream, kept, &edge.to, [wait, shared.outage], Instant::now()),
@@ -154,7 +150,9 @@ impl<'a, T: Wire> Sending<'a, T> {
         if !self.is_wanted() || !self.edge.writers.contains(&writer) {
             return Ok(true);
         }
-        let encoded = encode_message(self.outbox.place(), &header, message.items::<T>(), self.edge.compression);
+        let encoded = message_bytes(self.outbox.place(), &self.layout, &header, |bytes| {
+            self.codec.encode(&header, message.bytes(), self.edge.compression, bytes)
+        });
         let memory_bytes = message.bytes().len() + size_of::<Header>();
         drop(message);
         self.last = header;
@@ -194,7 +192,7 @@ impl<'a, T: Wire> Sending<'a, T> {
             let over = self.inbox.has_ended(writer) || gone.contains(writer);
             if over && self.inbox.is_idle() && self.ended.insert(writer.clone()) {
                 let end = end_of_stream(&self.last, &[Text::new(writer)]);
-                let bytes = encode_message::<T>(self.outbox.place(), &end, &[], self.edge.compression)?;
+                let bytes = message_bytes(self.outbox.place(), &self.layout, &end, |_| Ok(()))?;
                 self.outbox.sent_end(writer, &bytes, Instant::now());
                 self.voice.put(bytes);
             }

@@ -1,0 +1,44 @@
+//! The compressors that an edge between machines may ask for. On the wire each has a number.
+
+use conicflow_dataflow::pipeline::Compression;
+
+const ZSTD_LEVEL: i32 = 1;
+
+/// The number of a method.
+pub(super) fn tag_of(how: Compression) -> u8 {
+    match how {
+        Compression::None => 0,
+        Compression::Lz4 => 1,
+        Compression::Zstd => 2,
+    }
+}
+
+/// The method of a number.
+pub(super) fn of_tag(tag: u8) -> Result<Compression, String> {
+    match tag {
+        0 => Ok(Compression::None),
+        1 => Ok(Compression::Lz4),
+        2 => Ok(Compression::Zstd),
+        _ => Err(format!("compression number {tag}, known are 0 to 2")),
+    }
+}
+
+/// The bytes, packed.
+pub(super) fn pack(how: Compression, bytes: &[u8]) -> Result<Vec<u8>, String> {
+    match how {
+        Compression::None => Ok(bytes.to_vec()),
+        Compression::Lz4 => Ok(lz4_flex::block::compress(bytes)),
+        Compression::Zstd => zstd::bulk::compress(bytes, ZSTD_LEVEL).map_err(|error| error.to_string()),
+    }
+}
+
+/// The `length` bytes that were packed.
+pub(super) fn unpack(how: Compression, packed: &[u8], length: usize) -> Result<Vec<u8>, String> {
+    let unpacked = match how {
+        Compression::None => packed.to_vec(),
+        Compression::Lz4 => lz4_flex::block::decompress(packed, length).map_err(|error| error.to_string())?,
+        Compression::Zstd => zstd::bulk::decompress(packed, length).map_err(|error| error.to_string())?,
+    };
+    let came = unpacked.len();
+    if came == length { Ok(unpacked) } else { Err(format!("{came} bytes unpacked, expected {length}")) }
+}

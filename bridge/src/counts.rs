@@ -1,0 +1,44 @@
+//! What is counted of an edge while it carries messages.
+
+use conicflow_dataflow::EdgeReport;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Counts of one edge, written by its thread and read by another.
+#[derive(Debug, Default)]
+pub(super) struct EdgeCounts {
+    pub messages: AtomicU64,
+    pub wire_bytes: AtomicU64,
+    pub memory_bytes: AtomicU64,
+    pub lost: AtomicU64,
+    pub resent: AtomicU64,
+    pub stale: AtomicU64,
+    pub malformed: AtomicU64,
+    pub age_ns: AtomicU64,
+}
+
+impl EdgeCounts {
+    pub(super) fn add(counter: &AtomicU64, count: u64) {
+        counter.fetch_add(count, Ordering::Relaxed);
+    }
+
+    /// The counts now; rates are those since an earlier report, `seconds` ago.
+    pub(super) fn report(&self, topic: &str, direction: &str, earlier: &EdgeReport, seconds: f64) -> EdgeReport {
+        let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        let (messages, wire_bytes) = (count(&self.messages), count(&self.wire_bytes));
+        let per_second = |now: u64, before: u64| now.saturating_sub(before) as f64 / seconds.max(1e-3);
+        EdgeReport {
+            topic: topic.to_owned(),
+            direction: direction.to_owned(),
+            messages,
+            rate_hz: per_second(messages, earlier.messages),
+            bandwidth_mbps: per_second(wire_bytes, earlier.wire_bytes) / 1e6,
+            wire_bytes,
+            memory_bytes: count(&self.memory_bytes),
+            lost: count(&self.lost),
+            resent: count(&self.resent),
+            stale: count(&self.stale),
+            malformed: count(&self.malformed),
+            age_ms: count(&self.age_ns) as f64 / 1e6,
+        }
+    }
+}

@@ -1,0 +1,116 @@
+//! What the program's network part is told, and what it has to do. Nothing else here knows how machines reach each other.
+//!
+//! Where a topic is written on one machine and read on another, the launcher of each starts one bridge process, which carries
+//! the [`Edge`]s of its [`BridgePlan`]. The functions of [`Network`] check the machine's table in the pipeline file, and run
+//! that process.
+
+use crate::item_type::ItemType;
+use crate::pipeline::{Compression, Machine};
+use crate::ports::shared_memory::SharedMemory;
+use crate::ports::{Delivery, Topic};
+use crate::runner::Surroundings;
+use crate::stage::StageError;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+use std::path::Path;
+
+pub(crate) const NO_NETWORK: &str = "this program was built without its network part";
+pub(crate) const NO_NETWORK_HINT: &str =
+    "build it with the cargo feature `bridge`, or let all stages run on one machine, without [machine.*]";
+
+/// What carries edges between machines.
+#[derive(Clone, Copy)]
+pub struct Network {
+    /// Whether a machine's table can be used; a file that is not there is reported elsewhere.
+    pub check: fn(&Machine) -> Result<(), SettingsFault>,
+    /// Where a machine listens.
+    pub listen_endpoints: fn(&Machine) -> Result<Vec<String>, SettingsFault>,
+    /// Carries the edges of a plan, as a process of its own, until all have ended.
+    pub run: fn(&BridgePlan, BridgeRun<'_>, Surroundings<SharedMemory>) -> Result<(), NetworkError>,
+}
+
+/// The run that a bridge belongs to.
+#[derive(Clone, Copy, Debug)]
+pub struct BridgeRun<'a> {
+    /// Name of the pipeline.
+    pub pipeline: &'a str,
+    /// The number of the run.
+    pub run: u64,
+    /// The folder of its records.
+    pub folder: &'a Path,
+}
+
+/// Why a machine's table cannot be used.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{what}\n  hint: {hint}")]
+pub struct SettingsFault {
+    /// What is wrong.
+    pub what: String,
+    /// What to do about it.
+    pub hint: String,
+}
+
+/// Why a bridge ended before its edges did.
+#[derive(Debug, thiserror::Error)]
+pub enum NetworkError {
+    /// To start it anew would not help.
+    #[error("{0}")]
+    Refused(StageError),
+    /// Started anew it may go on.
+    #[error("{0}")]
+    Failed(StageError),
+}
+
+/// What the bridge of one machine carries.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct BridgePlan {
+    /// The machine's name.
+    pub machine: String,
+    /// Its table in the file.
+    pub settings: Machine,
+    /// What leaves.
+    pub outgoing: Vec<Edge>,
+    /// What comes.
+    pub incoming: Vec<Edge>,
+}
+
+/// What one machine writes into a topic that others read.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Edge {
+    /// The topic, as the stages of the machine that this plan is for see it.
+    pub topic: Topic,
+    /// What it carries.
+    pub item: ItemType,
+    /// Where it is written.
+    pub from: String,
+    /// The stages there that write it.
+    pub writers: Vec<String>,
+    /// The machines that read it.
+    pub to: Vec<Receiver>,
+    /// How images are compressed.
+    pub compression: Compression,
+}
+
+/// A machine that reads a topic from elsewhere.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Receiver {
+    /// Its name.
+    pub machine: String,
+    /// Lossless if any of its stages wants every message.
+    pub delivery: Delivery,
+}
+
+impl BridgePlan {
+    /// The machines at the other ends.
+    pub fn peers(&self) -> BTreeSet<&str> {
+        let receivers = self.outgoing.iter().flat_map(|edge| &edge.to).map(|receiver| receiver.machine.as_str());
+        receivers.chain(self.incoming.iter().map(|edge| edge.from.as_str())).collect()
+    }
+}
+
+impl Edge {
+    /// How it reaches a machine, if it does.
+    pub fn delivery_to(&self, machine: &str) -> Option<Delivery> {
+        self.to.iter().find(|receiver| receiver.machine == machine).map(|receiver| receiver.delivery)
+    }
+}

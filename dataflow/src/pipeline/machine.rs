@@ -1,0 +1,36 @@
+//! What a pipeline file says of its machines and of the edges between them.
+
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// Name of the bridge among the stages of a machine.
+pub const BRIDGE: &str = "bridge";
+
+/// A machine of a pipeline that spans several.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Machine {
+    /// Zenoh endpoints that it listens on.
+    pub listen: Vec<String>,
+    /// Zenoh endpoints that it connects to.
+    pub connect: Vec<String>,
+    /// A file with a Zenoh configuration of one's own, which adds to this one and overrides it.
+    pub zenoh: Option<PathBuf>,
+    /// Endpoints that others can reach may be open to everyone.
+    pub insecure: bool,
+    /// Lossless edges from here wait so long for a machine that has gone; `None`: the default, in seconds.
+    pub outage_s: Option<f64>,
+}
+
+/// How the bytes of depth images and of lists of ellipses are compressed on their way to another machine, always without
+/// loss; other lists are too short to gain by it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Compression {
+    /// Not at all: a link that is faster than the processor.
+    None,
+    /// LZ4: a half to a quarter of an image's bytes at the least cost.
+    Lz4,
+    /// Zstandard, level 1: a third to a sixth of an image's bytes, half of a list's.
+    #[default]
+    Zstd,
+}
