@@ -1,13 +1,12 @@
 //! The table of nodes: what the pipeline file may name, and how each is checked and run.
 
-use crate::item_type::ItemType;
 use crate::ports::shared_memory::SharedMemory;
 use crate::runner::source_loop::run_source;
 use crate::runner::stage_loop::run_stage;
 use crate::runner::{RunError, Surroundings};
 use crate::sides::Side;
 use crate::stage::{Config, ConfigFault, Source, Stage};
-use conicflow_messages::{AnyByte, Item, Nothing};
+use conicflow_messages::{Item, Nothing};
 use serde_json::Value as Json;
 use std::path::Path;
 
@@ -83,11 +82,6 @@ impl Node {
     /// What it makes, the same whatever drives it.
     pub fn output(&self) -> &'static str {
         self.variants.first().map_or(Nothing::NAME, |variant| variant.output)
-    }
-
-    /// Whether something that a topic carries may drive it.
-    pub fn takes(&self, item: &ItemType) -> bool {
-        self.inputs().any(|kind| kind == item.name() || (kind == AnyByte::NAME && !item.is_image()))
     }
 
     /// Whether nothing drives it.

@@ -3,7 +3,7 @@
 use crate::bridge::{link, loopback, machines, placed, start, without_times};
 use crate::support::{Playground, TRACKING, example, signal};
 use rustix::process::Signal;
-use serde_json::{Value as Json, json};
+use serde_json::Value as Json;
 
 const FIELDS: &str = r#"{ position = "f64[3]", width = "f64", id = "u32", shape = "text[12]" }"#;
 
@@ -39,25 +39,48 @@ path  = "grasps.jsonl"
     )
 }
 
-/// What the planner makes of a line of objects.
-fn grasps_of(line: &Json) -> Json {
-    let objects = line["objects"].as_array().unwrap().iter().enumerate();
-    let grasps = objects.map(|(id, object)| {
-        let width = 2.0 * object["radius"].as_f64().unwrap();
-        json!({ "position": object["center"], "width": width, "id": id, "shape": object["kind"] })
-    });
-    grasps.collect()
+/// A grasp in words: the frame, its number and shape; and its numbers.
+type Told = (String, Vec<f64>);
+
+fn number(value: &Json) -> f64 {
+    value.as_f64().unwrap()
 }
 
-/// What the gripper notes of a line of grasps.
-fn notes_of(line: &Json) -> Vec<String> {
-    let note = |grasp: &Json| {
-        let words = [&grasp["id"], &grasp["shape"]].map(|value| value.to_string().replace('"', ""));
-        let numbers = grasp["position"].as_array().unwrap().iter().chain([&grasp["width"]]);
-        let numbers: Vec<_> = numbers.map(|number| number.as_f64().unwrap().to_string()).collect();
-        format!("{} {} {}", line["sequence"], words.join(" "), numbers.join(" "))
+fn told(line: &Json, id: &Json, shape: &Json, place: &Json, width: f64) -> Told {
+    let words = format!("{} {id} {}", line["sequence"], shape.as_str().unwrap());
+    (words, place.as_array().unwrap().iter().map(number).chain([width]).collect())
+}
+
+/// What the planner makes of a line of objects.
+fn planned(line: &Json) -> Vec<Told> {
+    let objects = line["objects"].as_array().unwrap().iter().enumerate();
+    let plan = |(id, object): (usize, &Json)| {
+        told(line, &id.into(), &object["kind"], &object["center"], 2.0 * number(&object["radius"]))
     };
-    line["grasps"].as_array().unwrap().iter().map(note).collect()
+    objects.map(plan).collect()
+}
+
+/// What a line of grasps says.
+fn written(line: &Json) -> Vec<Told> {
+    let grasps = line["grasps"].as_array().unwrap().iter();
+    let tell = |grasp: &Json| told(line, &grasp["id"], &grasp["shape"], &grasp["position"], number(&grasp["width"]));
+    grasps.map(tell).collect()
+}
+
+/// What the gripper noted: the frame, number, shape, and four numbers.
+fn noted(line: &str) -> Told {
+    let words: Vec<_> = line.split(' ').collect();
+    (words[..3].join(" "), words[3..].iter().map(|number| number.parse().unwrap()).collect())
+}
+
+/// Makes sure that these are the same, but for what reading a number from JSON changes in its last digit.
+fn expect_same(some: &[Told], others: &[Told]) {
+    assert_eq!(some.len(), others.len());
+    for ((words, numbers), (other_words, other_numbers)) in some.iter().zip(others) {
+        assert_eq!((words, numbers.len()), (other_words, other_numbers.len()));
+        let close = numbers.iter().zip(other_numbers).all(|(number, other)| (number - other).abs() < 1e-12);
+        assert!(close, "{numbers:?} {other_numbers:?}");
+    }
 }
 
 #[test]
@@ -68,11 +91,11 @@ fn a_type_of_ones_own_is_checked_carried_and_written_with_its_fields() {
     let (objects, grasps) = (playground.json_lines("objects.jsonl"), playground.json_lines("grasps.jsonl"));
     assert_eq!((objects.len(), grasps.len()), (20, 20));
     assert!(grasps.iter().any(|line| line["grasps"][0]["shape"] == "sphere"), "{grasps:?}");
-    for (line, made) in objects.iter().zip(&grasps) {
-        assert_eq!((&made["sequence"], &made["grasps"]), (&line["sequence"], &grasps_of(line)));
-    }
-    let notes: Vec<_> = grasps.iter().flat_map(notes_of).collect();
-    assert_eq!(playground.lines("taken.txt"), notes);
+    assert_eq!(playground.sequences("grasps.jsonl"), (0..20).collect::<Vec<_>>());
+    let of_all = |lines: &[Json], tell: fn(&Json) -> Vec<Told>| lines.iter().flat_map(tell).collect::<Vec<_>>();
+    expect_same(&of_all(&grasps, written), &of_all(&objects, planned));
+    let notes: Vec<_> = playground.lines("taken.txt").iter().map(|line| noted(line)).collect();
+    expect_same(&notes, &of_all(&grasps, written));
 }
 
 #[test]
@@ -86,10 +109,10 @@ fn who_looks_on_sees_it_as_well() {
     let seen: Vec<Json> = echo.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     signal(run.id(), Signal::INT);
     run.wait().expect_code(0);
-    let written = playground.json_lines("grasps.jsonl");
+    let lines = playground.json_lines("grasps.jsonl");
     assert_eq!(seen.len(), 3);
     for line in seen {
-        let same = written.iter().find(|written| written["sequence"] == line["sequence"]).unwrap();
+        let same = lines.iter().find(|written| written["sequence"] == line["sequence"]).unwrap();
         assert_eq!(same["grasps"], line["grasps"]);
     }
 }

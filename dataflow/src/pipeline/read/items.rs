@@ -37,13 +37,15 @@ impl Reader<'_> {
     fn item(&mut self, entry: Entry) -> Option<ItemType> {
         let (name, place) = (entry.key.clone(), entry.key_place.clone());
         let owner = format!("item `{name}`");
-        self.check_name(&name, &place, "item type", MAX_NAME, "_");
+        let faults = self.faults.len();
+        self.check_name(&name, &place, "type of item", MAX_NAME, "_");
         if BUILT_IN.iter().any(|row| row.name() == name) {
             self.fault(&place, format!("`{name}` is a built-in item type"), "choose another name");
         }
         if LINE_KEYS.contains(&name.as_str()) || [Nothing::NAME, AnyByte::NAME].contains(&name.as_str()) {
             self.fault(&place, format!("`{name}` has another meaning"), "choose another name");
         }
+        let is_name = self.faults.len() == faults;
         let mut table = self.table(entry, "[item.grasps]")?;
         let type_name = table.take("type").map(|entry| self.type_name(&entry));
         let layout = table.take("fields").map(|entry| self.layout(entry));
@@ -63,7 +65,7 @@ impl Reader<'_> {
             self.fault(&place, what, format!("{MAX_USUAL_BYTES} bytes are allowed: lower `usual_length`"));
             return None;
         }
-        Some(ItemType::described(&name, &type_name, layout, usual_length))
+        if is_name { Some(ItemType::described(&name, &type_name, layout, usual_length)) } else { None }
     }
 
     fn type_name(&mut self, entry: &Entry) -> Option<String> {
