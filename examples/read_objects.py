@@ -16,7 +16,7 @@ import threading
 
 import zenoh
 
-LAYOUT = "conicflow.Header.v1 conicflow.Object.v1"
+LAYOUT = "conicflow.Header.v2 conicflow.Object.v1"
 KINDS = {0: "sphere", 1: "cylinder", 2: "cone"}
 END_OF_STREAM = 1
 

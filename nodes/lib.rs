@@ -30,11 +30,7 @@ pub const NODES: &[Node] = &[
         Variant::stage::<ConsoleSink<Object>>(),
         Variant::stage::<ConsoleSink<Ellipse>>(),
     ]),
-    Node::stages::<JsonSink<Track>>(&[
-        Variant::stage::<JsonSink<Track>>(),
-        Variant::stage::<JsonSink<Object>>(),
-        Variant::stage::<JsonSink<Ellipse>>(),
-    ]),
+    Node::stage::<JsonSink>(),
     Node::stages::<PictureSink<Track>>(&[
         Variant::stage::<PictureSink<Track>>(),
         Variant::stage::<PictureSink<Object>>(),

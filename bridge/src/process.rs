@@ -8,10 +8,9 @@ use crate::peer::report::{BridgeReporter, EdgeHandle};
 use crate::receiving::Receiving;
 use crate::sending::{Sending, Shared};
 use crate::session::{Publisher, Sessions, Subscriber};
-use crate::wire::{Wire, encode_note};
+use crate::wire::encode_note;
 use conicflow_dataflow::relay::{Settling, SharedMemory, Surroundings};
 use conicflow_dataflow::{BridgePlan, BridgeRun, Life, NO_RUN, Stop};
-use conicflow_messages::{Ellipse, Kind, Object, Track};
 use std::sync::Arc;
 use std::thread::{Scope, ScopedJoinHandle};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -153,28 +152,12 @@ impl<'a> EdgeHandle<'a> {
     where
         'a: 'scope,
     {
-        match self.edge.kind {
-            Kind::Ellipses => self.start_kind::<Ellipse>(scope, shared),
-            Kind::Objects => self.start_kind::<Object>(scope, shared),
-            Kind::Tracks => self.start_kind::<Track>(scope, shared),
-            Kind::Depth | Kind::Nothing => self.start_kind::<u16>(scope, shared),
-        }
-    }
-
-    fn start_kind<'scope, T: Wire>(
-        &self,
-        scope: &'scope Scope<'scope, '_>,
-        shared: &Shared<'a>,
-    ) -> Result<Handle<'scope>, BridgeError>
-    where
-        'a: 'scope,
-    {
         let counts = Arc::clone(&self.counts);
         if self.outgoing {
-            let sending = Sending::<T>::new(self.edge, shared, counts)?;
+            let sending = Sending::new(self.edge, shared, counts)?;
             Ok(scope.spawn(move || sending.run()))
         } else {
-            let receiving = Receiving::<T>::new(self.edge, shared, counts)?;
+            let receiving = Receiving::new(self.edge, shared, counts)?;
             Ok(scope.spawn(move || receiving.run()))
         }
     }

@@ -6,9 +6,10 @@ use crate::peer::counts::EdgeCounts;
 use crate::peer::heartbeat::Ack;
 use crate::peer::links::Links;
 use crate::reliable::sequence::{Sequence, Verdict};
-use crate::sending::{Shared, is_short};
+use crate::sending::Shared;
 use crate::session::Subscriber;
-use crate::wire::{Place, Wire, decode_message, place_of};
+use crate::wire::codec::{Codec, codec_of};
+use crate::wire::{Place, WireError, open_message, place_of};
 use conicflow_dataflow::pipeline::BRIDGE;
 use conicflow_dataflow::ports::{Delivery, PortError, Transport};
 use conicflow_dataflow::relay::{Outlet, Seldom, SharedWriter};
@@ -29,14 +30,15 @@ const STALE: Duration = Duration::from_secs(1);
 const SILENCE: Duration = Duration::from_secs(2);
 
 /// The thread of one edge that comes.
-pub(super) struct Receiving<'a, T: Wire> {
+pub(super) struct Receiving<'a> {
     edge: &'a Edge,
     lossless: bool,
     channel: Arc<Channel<ZBytes>>,
     subscriber: Subscriber<'a>,
-    outlet: Outlet<T, SharedWriter<T>>,
+    outlet: Outlet<SharedWriter>,
     sequence: Sequence,
-    items: Vec<T>,
+    codec: Box<dyn Codec>,
+    layout: String,
     ended: BTreeSet<String>,
     links: Arc<Links>,
     counts: Arc<EdgeCounts>,
@@ -45,7 +47,7 @@ pub(super) struct Receiving<'a, T: Wire> {
     told: BTreeSet<&'static str>,
 }
 
-impl<'a, T: Wire> Receiving<'a, T> {
+impl<'a> Receiving<'a> {
     /// Joins the topic and subscribes to the key.
     pub(super) fn new(edge: &'a Edge, shared: &Shared<'a>, counts: Arc<EdgeCounts>) -> Result<Self, BridgeError> {
         let topic = edge.topic.clone();
@@ -53,12 +55,12 @@ impl<'a, T: Wire> Receiving<'a, T> {
         let room = if lossless { LOSSLESS_ROOM } else { edge.writers.len() + 1 };
         let channel = Arc::new(Channel::new(room, !lossless));
         let sender = Arc::clone(&channel);
-        let silence = (!lossless && is_short(edge)).then_some(SILENCE);
+        let silence = (!lossless && edge.item.is_short()).then_some(SILENCE);
         let subscriber = shared.sessions.subscriber(&shared.key(&edge.from, &topic.name), silence, move |bytes| {
             // What finds no room comes again, or was not the newest.
             sender.send(bytes);
         })?;
-        let port = Some((shared.transport.writer::<T>(&topic)?, topic));
+        let port = Some((shared.transport.writer_of(&edge.item, &topic)?, topic));
         Ok(Self {
             edge,
             lossless,
@@ -66,7 +68,8 @@ impl<'a, T: Wire> Receiving<'a, T> {
             subscriber,
             outlet: Outlet::new(port, BRIDGE, 0, shared.peers.clone(), shared.stop.clone()),
             sequence: Sequence::new(lossless),
-            items: Vec::new(),
+            codec: codec_of(&edge.item),
+            layout: edge.item.layout(),
             ended: BTreeSet::new(),
             links: Arc::clone(shared.links),
             counts,
@@ -101,10 +104,7 @@ impl<'a, T: Wire> Receiving<'a, T> {
 
     /// Checks a message, and passes it on if it is the next.
     fn accept(&mut self, bytes: &[u8]) -> Result<(), PortError> {
-        let mut items = std::mem::take(&mut self.items);
-        let decoded = decode_message(bytes, &mut items);
-        self.items = items;
-        let (place, header) = match decoded {
+        let (place, header) = match self.decode(bytes) {
             Ok(message) => message,
             Err(error) => {
                 self.leave_out(&error);
@@ -143,6 +143,15 @@ impl<'a, T: Wire> Receiving<'a, T> {
         Ok(())
     }
 
+    /// Reads a message; its items stay with the codec.
+    fn decode(&mut self, bytes: &[u8]) -> Result<(Place, Header), WireError> {
+        let (place, header, body) = open_message(bytes, &self.layout, self.edge.item.name())?;
+        if let Some(body) = body {
+            self.codec.decode(&header, body)?;
+        }
+        Ok((place, header))
+    }
+
     fn pass_on(&mut self, mut header: Header, wire_bytes: usize) -> Result<(), PortError> {
         if header.ends_stream() {
             return Ok(());
@@ -153,10 +162,10 @@ impl<'a, T: Wire> Receiving<'a, T> {
             EdgeCounts::add(&self.counts.stale, 1);
             return Ok(());
         }
-        self.outlet.relay(&header, &self.items)?;
+        self.outlet.relay(&header, self.codec.items())?;
         EdgeCounts::add(&self.counts.messages, 1);
         EdgeCounts::add(&self.counts.wire_bytes, wire_bytes as u64);
-        EdgeCounts::add(&self.counts.memory_bytes, (size_of_val(&*self.items) + size_of::<Header>()) as u64);
+        EdgeCounts::add(&self.counts.memory_bytes, (self.codec.items().len() + size_of::<Header>()) as u64);
         Ok(())
     }
 

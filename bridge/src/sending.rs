@@ -6,12 +6,13 @@ use crate::peer::links::Links;
 use crate::reliable::retransmit_queue::RetransmitQueue;
 use crate::reliable::send_log::SendLog;
 use crate::session::{Publisher, Sessions};
-use crate::wire::{Wire, encode_message};
+use crate::wire::codec::{Codec, codec_of};
+use crate::wire::message_bytes;
 use conicflow_dataflow::pipeline::BRIDGE;
 use conicflow_dataflow::ports::{Delivery, Received, Transport};
 use conicflow_dataflow::relay::{Inbox, Peers, Seldom, SharedMemory, SharedReader, end_of_stream};
 use conicflow_dataflow::{Edge, Life, Stop, monotonic_ns};
-use conicflow_messages::{Header, Kind, Text};
+use conicflow_messages::{Header, Text};
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
@@ -48,15 +49,12 @@ impl Shared<'_> {
     }
 }
 
-/// Whether an edge's messages are mostly as short as a packet on a network: most survive where some packets are lost.
-pub(super) fn is_short(edge: &Edge) -> bool {
-    matches!(edge.kind, Kind::Objects | Kind::Tracks)
-}
-
 /// The thread of one edge that leaves.
-pub(super) struct Sending<'a, T: Wire> {
+pub(super) struct Sending<'a> {
     edge: &'a Edge,
-    inbox: Inbox<T, SharedReader<T>>,
+    inbox: Inbox<SharedReader>,
+    codec: Box<dyn Codec>,
+    layout: String,
     publisher: Publisher<'a>,
     queue: RetransmitQueue,
     links: Arc<Links>,
@@ -68,21 +66,23 @@ pub(super) struct Sending<'a, T: Wire> {
     left_out: Seldom,
 }
 
-impl<'a, T: Wire> Sending<'a, T> {
+impl<'a> Sending<'a> {
     /// Joins the topic and declares the key.
     pub(super) fn new(edge: &'a Edge, shared: &Shared<'a>, counts: Arc<EdgeCounts>) -> Result<Self, BridgeError> {
         let topic = &edge.topic;
-        let reader = shared.transport.reader::<T>(topic, BRIDGE)?;
-        let images = edge.kind == Kind::Depth;
+        let reader = shared.transport.reader_of(&edge.item, topic, BRIDGE)?;
+        let images = edge.item.is_image();
         let wait = if images { IMAGES_WAIT } else { LISTS_WAIT };
         let priority = if images { Priority::DataLow } else { Priority::InteractiveHigh };
         let lossy = edge.to.iter().any(|receiver| receiver.delivery == Delivery::Latest);
         let publisher =
-            shared.sessions.publisher(&shared.key(&edge.from, &topic.name), lossy && is_short(edge), priority)?;
+            shared.sessions.publisher(&shared.key(&edge.from, &topic.name), lossy && edge.item.is_short(), priority)?;
         let log =
             shared.log_folder.map(|folder| SendLog::in_folder(folder.to_owned(), &topic.name)).unwrap_or_default();
         Ok(Self {
             edge,
+            codec: codec_of(&edge.item),
+            layout: edge.item.layout(),
             inbox: Inbox::new(reader, topic.delivery_to(BRIDGE), &topic.name, topic.writers.len()),
             publisher,
             queue: RetransmitQueue::new(shared.stream, log, &edge.to, [wait, shared.outage], Instant::now()),
@@ -152,8 +152,10 @@ impl<'a, T: Wire> Sending<'a, T> {
         if !self.is_wanted() || !self.edge.writers.contains(&writer) {
             return Ok(true);
         }
-        let encoded = encode_message(self.queue.place(), &header, message.items(), self.edge.compression);
-        let memory_bytes = size_of_val(message.items()) + size_of::<Header>();
+        let encoded = message_bytes(self.queue.place(), &self.layout, &header, |bytes| {
+            self.codec.encode(&header, message.bytes(), self.edge.compression, bytes)
+        });
+        let memory_bytes = message.bytes().len() + size_of::<Header>();
         drop(message);
         self.last = header;
         match encoded {
@@ -192,7 +194,7 @@ impl<'a, T: Wire> Sending<'a, T> {
             let over = self.inbox.has_ended(writer) || gone.contains(writer);
             if over && self.inbox.is_idle() && self.ended.insert(writer.clone()) {
                 let end = end_of_stream(&self.last, &[Text::new(writer)]);
-                let bytes = encode_message::<T>(self.queue.place(), &end, &[], self.edge.compression)?;
+                let bytes = message_bytes(self.queue.place(), &self.layout, &end, |_| Ok(()))?;
                 self.queue.sent_end(writer, &bytes, Instant::now());
                 self.publisher.put(bytes);
             }

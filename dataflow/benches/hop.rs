@@ -198,7 +198,7 @@ fn ages(wait: impl Fn() -> Outcome<()>, mut receive: impl FnMut() -> Outcome<Opt
 
 fn topic() -> Topic {
     let reader = TopicReader { stage: "reader".into(), delivery: Delivery::Latest, queue: QUEUE };
-    Topic { name: "hop".into(), kind: None, writers: vec!["writer".into()], readers: vec![reader] }
+    Topic { name: "hop".into(), item: None, writers: vec!["writer".into()], readers: vec![reader] }
 }
 
 fn send_by_topic(bytes: usize, folder: &Folder) -> Outcome<[f64; 2]> {
@@ -220,7 +220,7 @@ fn read_topic(folder: &Path) -> Outcome<Vec<u64>> {
     let wait = || Ok(reader.borrow_mut().wait(PAUSE * 10)?);
     ages(wait, || {
         let message = reader.borrow_mut().receive()?;
-        Ok(message.map(|message| black_box(message.header().stamp_ns + u64::from(message.items()[0]) - 7)))
+        Ok(message.map(|message| black_box(message.header().stamp_ns + u64::from(message.items::<u16>()[0]) - 7)))
     })
 }
 

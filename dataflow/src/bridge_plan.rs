@@ -25,8 +25,8 @@ fn edges_from(pipeline: &Pipeline, from: &str, machine: &str) -> Vec<Edge> {
         let writers: Vec<_> = topic.writers.iter().filter(|writer| pipeline.is_on(writer, from)).cloned().collect();
         let (to, compression) = receivers(pipeline, name, from);
         let crosses = !writers.is_empty() && !to.is_empty();
-        let kind = pipeline.kind_of(name).filter(|_| crosses)?;
-        Some(Edge { topic, kind, from: from.to_owned(), writers, to, compression })
+        let item = topic.item.clone().filter(|_| crosses)?;
+        Some(Edge { topic, item, from: from.to_owned(), writers, to, compression })
     };
     pipeline.topics().into_iter().filter_map(edge).collect()
 }

@@ -7,6 +7,7 @@
 mod bridge_plan;
 mod clock;
 mod doctor;
+mod item_type;
 mod launcher;
 mod link_report;
 mod log;
@@ -46,6 +47,7 @@ pub mod relay {
 pub use clock::monotonic_ns;
 pub use conicflow_messages::ConfigFault;
 pub use doctor::{Finding, clean, examine};
+pub use item_type::{AnyMessage, BUILT_IN, ItemType};
 pub use launcher::{
     FolderError, LaunchError, PIPELINE, ProcessError, RUNTIME_DIR, RunFolder, RunLock, RunOptions, StageSummary,
     Summary, SwapError, become_stage, link_table, run, run_in_run, run_source, run_stage, user_folder,
@@ -59,7 +61,7 @@ pub use observe::{InputActivity, Observation, PipelineActivity, StageActivity, T
 pub use plan::{Origin, Plan, PlannedStage, Runs};
 pub use registry::Registry;
 pub use runner::RunError;
-pub use sides::{AnyMessage, Pick, Side, Sides};
+pub use sides::{Pick, Side, Sides};
 pub use stage::{Config, Context, Next, NoConfig, Output, Source, Stage, StageError, Stop};
 pub use status::{Counter, Durations, InputCounts, Intervals, Life, NO_RUN, Status, used};
 pub use table::Table;

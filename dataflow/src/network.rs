@@ -4,12 +4,12 @@
 //! the [`Edge`]s of its [`BridgePlan`]. The functions of [`Network`] check the machine's table in the pipeline file, and run
 //! that process.
 
+use crate::item_type::ItemType;
 use crate::pipeline::{Compression, Machine};
 use crate::ports::shared_memory::SharedMemory;
 use crate::ports::{Delivery, Topic};
 use crate::runner::Surroundings;
 use crate::stage::StageError;
-use conicflow_messages::Kind;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -89,7 +89,7 @@ pub struct Edge {
     /// The topic, as the stages of the machine that this plan is for see it.
     pub topic: Topic,
     /// What it carries.
-    pub kind: Kind,
+    pub item: ItemType,
     /// Where it is written.
     pub from: String,
     /// The stages there that write it.

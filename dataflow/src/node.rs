@@ -6,7 +6,7 @@ use crate::runner::stage_loop::run_stage;
 use crate::runner::{RunError, Surroundings};
 use crate::sides::Side;
 use crate::stage::{Config, Source, Stage};
-use conicflow_messages::{ConfigFault, Item, Kind};
+use conicflow_messages::{ConfigFault, Item, Nothing};
 use serde_json::Value as Json;
 use std::path::Path;
 
@@ -28,10 +28,10 @@ pub struct Node {
 /// A node for one kind of input.
 #[derive(Clone, Copy)]
 pub struct Variant {
-    /// What drives it; [`Kind::Nothing`] for a source.
-    pub input: Kind,
-    /// What it makes; [`Kind::Nothing`] for a sink.
-    pub output: Kind,
+    /// What drives it, by [`Item::NAME`]; [`Nothing`] for a source.
+    pub input: &'static str,
+    /// What it makes; [`Nothing`] for a sink.
+    pub output: &'static str,
     pub(crate) run: fn(Json, Surroundings<SharedMemory>) -> Result<(), RunError>,
 }
 
@@ -68,13 +68,13 @@ impl Node {
     }
 
     /// What may drive it.
-    pub fn inputs(&self) -> impl Iterator<Item = Kind> {
-        self.variants.iter().map(|variant| variant.input).filter(|kind| *kind != Kind::Nothing)
+    pub fn inputs(&self) -> impl Iterator<Item = &'static str> {
+        self.variants.iter().map(|variant| variant.input).filter(|kind| *kind != Nothing::NAME)
     }
 
     /// What it makes, the same whatever drives it.
-    pub fn output(&self) -> Kind {
-        self.variants.first().map_or(Kind::Nothing, |variant| variant.output)
+    pub fn output(&self) -> &'static str {
+        self.variants.first().map_or(Nothing::NAME, |variant| variant.output)
     }
 
     /// Whether nothing drives it.
@@ -95,12 +95,12 @@ impl Node {
 
 impl Variant {
     const fn source<S: Source>() -> Self {
-        Self { input: Kind::Nothing, output: S::Output::KIND, run: start_source::<S> }
+        Self { input: Nothing::NAME, output: S::Output::NAME, run: start_source::<S> }
     }
 
     /// A stage for its kind of input.
     pub const fn stage<S: Stage>() -> Self {
-        Self { input: S::Input::KIND, output: S::Output::KIND, run: start_stage::<S> }
+        Self { input: S::Input::NAME, output: S::Output::NAME, run: start_stage::<S> }
     }
 }
 

@@ -7,13 +7,13 @@ use crate::network::BridgePlan;
 use crate::pipeline::{BRIDGE, Pipeline, Program, Report, Restart, SourceText, StageSpec};
 use crate::ports::{Topic, Wiring};
 use crate::registry::Registry;
-use conicflow_messages::Kind;
+use conicflow_messages::{Item, Nothing};
 use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
 use std::path::PathBuf;
 
 /// Raised with each change of what launcher and stages agree on: the plan, records, names in shared memory.
-pub(crate) const LAYOUT: u32 = 1;
+pub(crate) const LAYOUT: u32 = 2;
 
 /// The plan of a run on one machine.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -72,7 +72,7 @@ pub enum Runs {
     Node {
         /// Name of the node.
         node: String,
-        /// [`Kind::name`] of what drives it.
+        /// What drives it, by [`Item::NAME`].
         input: String,
     },
     /// A program with its arguments.
@@ -145,8 +145,8 @@ impl PlannedStage {
         let input_kind = stage.input.as_ref().and_then(|input| pipeline.kind_of(&input.topic));
         let runs = match &stage.program {
             Program::Node(node) => {
-                let input = input_kind.or_else(|| node.inputs().next()).unwrap_or(Kind::Nothing);
-                Runs::Node { node: node.name.to_owned(), input: input.name().to_owned() }
+                let input = input_kind.or_else(|| node.inputs().next()).unwrap_or(Nothing::NAME);
+                Runs::Node { node: node.name.to_owned(), input: input.to_owned() }
             }
             Program::Command(command) => Runs::Command(command.clone()),
             Program::Unknown => Runs::Command(Vec::new()),

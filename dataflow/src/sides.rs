@@ -1,16 +1,31 @@
 //! Further inputs of a stage: read when a message of the driving input is there, without waking the stage themselves.
 
-use conicflow_messages::{Ellipse, Kind, Message, Object, Track};
+use crate::item_type::{AnyMessage, ItemType};
+use bytemuck::cast_slice;
+use conicflow_messages::{Item, Message};
 
 /// A further input that a node takes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug)]
 pub struct Side {
     /// Its name in `inputs = { name = "topic" }`.
     pub name: &'static str,
-    /// What it carries.
-    pub kind: Kind,
+    /// What it carries: [`Item::NAME`].
+    pub kind: &'static str,
     /// Which of its messages is wanted.
     pub pick: Pick,
+    pub(crate) item: fn() -> ItemType,
+}
+
+impl Side {
+    /// An input of which the newest message is read.
+    pub const fn latest<T: Item>(name: &'static str) -> Self {
+        Self { name, kind: T::NAME, pick: Pick::Latest, item: ItemType::of::<T> }
+    }
+
+    /// An input of which that message is read which was made from the same frame as the driving one.
+    pub const fn same_frame<T: Item>(name: &'static str) -> Self {
+        Self { name, kind: T::NAME, pick: Pick::SameFrame, item: ItemType::of::<T> }
+    }
 }
 
 /// Which message of a further input goes with a message of the driving one.
@@ -22,45 +37,22 @@ pub enum Pick {
     SameFrame,
 }
 
-/// A message of any kind.
-#[derive(Clone, Copy, Debug)]
-pub enum AnyMessage<'a> {
-    /// A depth image.
-    Depth(Message<'a, u16>),
-    /// A list of ellipses.
-    Ellipses(Message<'a, Ellipse>),
-    /// A list of objects.
-    Objects(Message<'a, Object>),
-    /// A list of tracks.
-    Tracks(Message<'a, Track>),
-}
-
 /// The messages of the further inputs that go with one step; each may be missing.
 #[derive(Clone, Debug, Default)]
-pub struct Sides<'a>(pub Vec<(&'static str, AnyMessage<'a>)>);
+pub struct Sides<'a>(pub(crate) Vec<(&'static str, AnyMessage<'a>)>);
 
 impl<'a> Sides<'a> {
-    fn find(&self, name: &str) -> Option<AnyMessage<'a>> {
-        self.0.iter().find(|(side, _)| *side == name).map(|(_, message)| *message)
+    /// The same with a message of the input `name`.
+    #[must_use]
+    pub fn with<T: Item>(mut self, name: &'static str, message: Message<'a, T>) -> Self {
+        let (header, bytes) = (message.header, cast_slice(message.items));
+        self.0.push((name, AnyMessage { header, item: const { &ItemType::of::<T>() }, bytes }));
+        self
     }
 
-    /// The depth image of the input `name`.
-    pub fn depth(&self, name: &str) -> Option<Message<'a, u16>> {
-        if let Some(AnyMessage::Depth(message)) = self.find(name) { Some(message) } else { None }
-    }
-
-    /// The ellipses of the input `name`.
-    pub fn ellipses(&self, name: &str) -> Option<Message<'a, Ellipse>> {
-        if let Some(AnyMessage::Ellipses(message)) = self.find(name) { Some(message) } else { None }
-    }
-
-    /// The objects of the input `name`.
-    pub fn objects(&self, name: &str) -> Option<Message<'a, Object>> {
-        if let Some(AnyMessage::Objects(message)) = self.find(name) { Some(message) } else { None }
-    }
-
-    /// The tracks of the input `name`.
-    pub fn tracks(&self, name: &str) -> Option<Message<'a, Track>> {
-        if let Some(AnyMessage::Tracks(message)) = self.find(name) { Some(message) } else { None }
+    /// The message of the input `name`, which carries items of this type.
+    pub fn get<T: Item>(&self, name: &str) -> Option<Message<'a, T>> {
+        let (_, message) = self.0.iter().find(|(side, _)| *side == name)?;
+        message.typed()
     }
 }

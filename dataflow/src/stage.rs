@@ -4,6 +4,7 @@
 //! [`Nothing`](conicflow_messages::Nothing). None of them knows who is up- or downstream, on which machine, or whether it
 //! is a test.
 
+use crate::item_type::ItemType;
 use crate::pulse::Pulse;
 use crate::sides::{Side, Sides};
 use conicflow_messages::{ConfigFault, Header, Item, Message};
@@ -42,6 +43,8 @@ pub struct Context {
     pub base: PathBuf,
     /// Number of messages that this stage sent or took before it was started anew in the same run; 0 at first.
     pub resume_at: u64,
+    /// What drives it. A stage that takes lists of any type, as [`AnyByte`](conicflow_messages::AnyByte), learns it here.
+    pub input: Option<ItemType>,
     /// What this stage had counted by then (see [`Output::count`]).
     pub counted: BTreeMap<String, u64>,
     /// Raised when the run is to end.

@@ -2,13 +2,13 @@
 //!
 //! A watcher sleeps between looks instead of being woken, so that a writer does nothing for it but pass it a pointer.
 
+use crate::item_type::{AnyMessage, ItemType};
 use crate::launcher::{FolderError, RunFolder, SwapError};
 use crate::log::Seldom;
 use crate::plan::Plan;
 use crate::ports::shared_memory::{SharedMemory, SharedTap};
 use crate::ports::{PortError, Received, Topic};
 use crate::stage::Stop;
-use conicflow_messages::{Item, Message};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use std::io;
 use std::sync::Arc;
@@ -71,18 +71,19 @@ impl RunningPipeline {
         self.plan.topics()
     }
 
-    /// Calls `see` with each message of `topic` from now on, until it has seen enough, the run is over, or this process
+    /// Calls `see` with each message of `topic`, which has these items, from now on, until it has seen enough, the run is over, or this process
     /// is told to end. Messages that make no sense are left out, with a warning.
     ///
     /// # Errors
     /// The topic cannot be read, or `see` failed.
-    pub fn watch<T: Item, E: From<WatchError>>(
+    pub fn watch<E: From<WatchError>>(
         &self,
+        item: &ItemType,
         topic: &Topic,
-        mut see: impl FnMut(Message<'_, T>) -> Result<Watching, E>,
+        mut see: impl FnMut(AnyMessage<'_>) -> Result<Watching, E>,
     ) -> Result<(), E> {
         let told = told_to_end().map_err(WatchError::from)?;
-        let (memory, mut tap) = self.tap::<T>(topic)?;
+        let (memory, mut tap) = self.tap(item, topic)?;
         let (mut checked, mut nonsense) = (Instant::now(), Seldom::default());
         while !told.load(Ordering::Relaxed) {
             let check = checked.elapsed() > RUN_CHECK;
@@ -90,7 +91,8 @@ impl RunningPipeline {
             let over = check && !self.still_runs();
             match tap.receive(&memory).map_err(WatchError::from)? {
                 Some(received) => {
-                    if is_sound(topic, &received, &mut nonsense) && see(message(&received))? == Watching::Enough {
+                    let message = AnyMessage { header: received.header(), item, bytes: received.bytes() };
+                    if is_sound(topic, &message, &mut nonsense) && see(message)? == Watching::Enough {
                         return Ok(());
                     }
                 }
@@ -104,9 +106,9 @@ impl RunningPipeline {
         Ok(())
     }
 
-    fn tap<T: Item>(&self, topic: &Topic) -> Result<(SharedMemory, SharedTap<T>), WatchError> {
+    fn tap(&self, item: &ItemType, topic: &Topic) -> Result<(SharedMemory, SharedTap), WatchError> {
         let memory = SharedMemory::open(self.folder.shared_memory(), &self.plan.namespace(), "(tap)", Stop::default())?;
-        let tap = memory.tap::<T>(topic)?;
+        let tap = memory.tap(item, topic)?;
         Ok((memory, tap))
     }
 
@@ -133,17 +135,12 @@ fn told_to_end() -> io::Result<Arc<AtomicBool>> {
     Ok(told)
 }
 
-fn message<T: Item>(received: &impl Received<T>) -> Message<'_, T> {
-    Message { header: received.header(), items: received.items() }
-}
-
 /// Whether a message is to be seen: it makes sense, and is not the end of a stream.
-fn is_sound<T: Item>(topic: &Topic, received: &impl Received<T>, nonsense: &mut Seldom) -> bool {
-    let header = received.header();
-    if header.ends_stream() {
+fn is_sound(topic: &Topic, message: &AnyMessage<'_>, nonsense: &mut Seldom) -> bool {
+    if message.header.ends_stream() {
         return false;
     }
-    let checked = header.check(T::KIND).and_then(|()| T::check(header, received.items()));
+    let checked = message.item.check(message.header, message.bytes);
     if let Err(error) = &checked {
         nonsense.warn(format_args!("left out a message of topic `{}`: {error}", topic.name));
     }

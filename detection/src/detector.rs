@@ -4,7 +4,7 @@ use crate::assemble::{Assembler, AssemblerParameters};
 use crate::extract::{Extractor, ExtractorParameters};
 use crate::method;
 use crate::quantise::{finest_scale, quantise};
-use conicflow_messages::{Camera, Header, Kind, NoiseModel, Object};
+use conicflow_messages::{Camera, Header, Item, NoiseModel, Object};
 
 /// Finds spheres, cylinders and cones in the depth images of one camera.
 ///
@@ -125,7 +125,7 @@ impl Detector {
 
     fn detect_with(&mut self, header: &Header, image: &[u16]) -> Result<Vec<Object>, DetectError> {
         let Camera { width, height, .. } = header.camera;
-        header.check(Kind::Depth).map_err(|malformed| DetectError::Camera(malformed.what))?;
+        header.check(u16::NAME).map_err(|malformed| DetectError::Camera(malformed.what))?;
         if image.len() != width as usize * height as usize {
             return Err(DetectError::Size { actual: image.len(), width, height });
         }

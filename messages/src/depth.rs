@@ -1,6 +1,7 @@
 //! Depth images: one `u16` per pixel, row by row, in units of the header's `depth_scale`.
 
-use crate::{Header, Item, Kind, Malformed};
+use crate::{Header, Item, Malformed, Message, ToJson};
+use serde::Serialize;
 
 /// The pixel holds no measurement.
 pub const INVALID_NEAR: u16 = 0;
@@ -13,18 +14,55 @@ pub fn is_measured(pixel: u16) -> bool {
     pixel != INVALID_NEAR && pixel != INVALID_FAR
 }
 
+/// The median of the measurements, in units of the header's `depth_scale`.
+pub fn median_depth(pixels: &[u16]) -> Option<u16> {
+    let mut measured: Vec<_> = pixels.iter().copied().filter(|&pixel| is_measured(pixel)).collect();
+    if measured.is_empty() {
+        return None;
+    }
+    let middle = measured.len() / 2;
+    Some(*measured.select_nth_unstable(middle).1)
+}
+
 impl Item for u16 {
-    const KIND: Kind = Kind::Depth;
+    const NAME: &'static str = "depth";
     const TYPE_NAME: &'static str = "conicflow.DepthPixel.v1";
+    const USUAL_LENGTH: usize = 640 * 480;
+    const IS_IMAGE: bool = true;
 
     fn check(header: &Header, items: &[Self]) -> Result<(), Malformed> {
         let (width, height) = (header.camera.width, header.camera.height);
         if width == 0 || height == 0 || items.len() as u64 != u64::from(width) * u64::from(height) {
             let what = format!("{} pixels in a frame of {width}x{height}", items.len());
-            return Err(Malformed::new(Kind::Depth, what));
+            return Err(Malformed::new(Self::NAME, what));
         }
         Ok(())
     }
+}
+
+impl ToJson for u16 {
+    fn to_json(&self) -> impl Serialize {
+        *self
+    }
+
+    fn message_to_json(message: &Message<'_, Self>) -> impl Serialize {
+        let Header { camera, depth_scale, .. } = message.header;
+        ImageSummary {
+            width: camera.width,
+            height: camera.height,
+            measured: message.items.iter().filter(|&&pixel| is_measured(pixel)).count(),
+            median_m: median_depth(message.items).map(|depth| f64::from(depth) * depth_scale),
+        }
+    }
+}
+
+/// An image in JSON: its size, how many pixels measured something, and the median of those in metres.
+#[derive(Serialize)]
+struct ImageSummary {
+    width: u32,
+    height: u32,
+    measured: usize,
+    median_m: Option<f64>,
 }
 
 #[cfg(test)]

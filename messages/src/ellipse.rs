@@ -1,6 +1,6 @@
 //! Ellipses: what the extractor finds in one scan line, with the moments of the points that it was fitted to.
 
-use crate::{Header, Item, Kind, Malformed, item::finite};
+use crate::{Header, Item, Malformed, item::finite};
 use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
 
@@ -116,12 +116,14 @@ impl Ellipse {
 }
 
 impl Item for Ellipse {
-    const KIND: Kind = Kind::Ellipses;
+    const NAME: &'static str = "ellipses";
     const TYPE_NAME: &'static str = "conicflow.Ellipse.v4";
+    /// Arcs in an image of 640x480 pixels, which few exceed.
+    const USUAL_LENGTH: usize = 1024;
 
     fn check(header: &Header, items: &[Self]) -> Result<(), Malformed> {
         for (index, ellipse) in items.iter().enumerate() {
-            let fault = |what: &str| Err(Malformed::new(Kind::Ellipses, format!("item {index} {what}")));
+            let fault = |what: &str| Err(Malformed::new(Self::NAME, format!("item {index} {what}")));
             if !(ellipse.is_in(header) && ellipse.numbers_are_finite()) {
                 return fault("is out of range or not finite");
             }

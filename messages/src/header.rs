@@ -1,16 +1,18 @@
 //! The header that every message carries: which frame, seen by which camera, and when it passed which stage.
 
-use crate::{Kind, Malformed, Text, item::finite};
+use crate::{Malformed, Text, item::finite};
 use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
 
 /// Name and version of [`Header`]'s memory layout.
-pub const HEADER_TYPE_NAME: &str = "conicflow.Header.v1";
+pub const HEADER_TYPE_NAME: &str = "conicflow.Header.v2";
 
 /// Flag: the writer has nothing more to send; such a message carries no items.
 pub const END_OF_STREAM: u32 = 1;
 /// Flag: [`Header::world_from_camera`] is known.
 pub const HAS_POSE: u32 = 2;
+/// Flag: the frame comes from a recording; [`Header::source`] is the name of its file.
+pub const RECORDED: u32 = 4;
 
 /// Most bytes of the name of a source; what is longer is cut.
 pub const MAX_SOURCE_BYTES: usize = 256;
@@ -45,7 +47,7 @@ pub struct Header {
     pub world_from_camera: [[f64; 4]; 3],
     /// Name of the frame's file, or of the source.
     pub source: Text<MAX_SOURCE_BYTES>,
-    /// [`END_OF_STREAM`], [`HAS_POSE`].
+    /// [`END_OF_STREAM`], [`HAS_POSE`], [`RECORDED`].
     pub flags: u32,
     /// How many entries of `hops` are in use.
     pub hop_count: u32,
@@ -149,6 +151,11 @@ impl Header {
         (self.flags & HAS_POSE != 0).then_some(&self.world_from_camera)
     }
 
+    /// Whether the frame was read from a file that a sensor filled.
+    pub fn is_recorded(&self) -> bool {
+        self.flags & RECORDED != 0
+    }
+
     /// The hops so far, the source first.
     pub fn trace(&self) -> &[Hop] {
         &self.hops[..(self.hop_count as usize).min(MAX_HOPS)]
@@ -171,11 +178,11 @@ impl Header {
     ///
     /// # Errors
     /// What is wrong with it; `kind` names the message in the error.
-    pub fn check(&self, kind: Kind) -> Result<(), Malformed> {
+    pub fn check(&self, kind: &str) -> Result<(), Malformed> {
         let fault = |what: &str| Err(Malformed::new(kind, what));
         let camera = &self.camera;
         let noise = &self.noise;
-        if self.flags & !(END_OF_STREAM | HAS_POSE) != 0 {
+        if self.flags & !(END_OF_STREAM | HAS_POSE | RECORDED) != 0 {
             return fault("unknown flags in the header");
         }
         if self.hop_count as usize > MAX_HOPS || self.trace().iter().any(|hop| hop.stage.as_str().is_none()) {
@@ -239,7 +246,7 @@ mod tests {
     fn a_header_of_garbage_is_refused() {
         let mut header = Header { depth_scale: 0.001, ..Header::default() };
         header.camera = Camera { width: 2, height: 1, fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 };
-        assert_eq!(header.check(Kind::Depth), Ok(()));
+        assert_eq!(header.check("depth"), Ok(()));
         for spoil in [
             |h: &mut Header| h.camera.fx = f64::NAN,
             |h: &mut Header| h.camera.width = 0,
@@ -254,7 +261,7 @@ mod tests {
         ] {
             let mut spoilt = header;
             spoil(&mut spoilt);
-            assert!(spoilt.check(Kind::Depth).is_err());
+            assert!(spoilt.check("depth").is_err());
         }
     }
 
@@ -263,7 +270,7 @@ mod tests {
         let camera = Camera { width: 2, height: 1, fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 };
         let check = |flags: u32, rows: [[f64; 3]; 3]| {
             let world_from_camera = rows.map(|[x, y, z]| [x, y, z, 7.0]);
-            Header { depth_scale: 0.001, camera, flags, world_from_camera, ..Header::default() }.check(Kind::Depth)
+            Header { depth_scale: 0.001, camera, flags, world_from_camera, ..Header::default() }.check("depth")
         };
         let turned = [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]];
         let rounded = [[0.866, 0.0, 0.5], [0.0, 1.0, 0.0], [-0.5, 0.0, 0.866]];

@@ -1,51 +1,25 @@
-//! The kinds of message, and what an item of one has to fulfil to cross a process border.
+//! What an item of a message has to be to cross a process border, and how it looks in JSON.
 
 use crate::Header;
 use bytemuck::{Pod, Zeroable};
-use serde::{Deserialize, Serialize};
+use serde::{Serialize, Serializer};
 use std::fmt;
 
-/// What a topic carries.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Kind {
-    /// No message at all: the input of a source, the output of a sink.
-    Nothing,
-    /// Depth images.
-    Depth,
-    /// Lists of [`crate::Ellipse`].
-    Ellipses,
-    /// Lists of [`crate::Object`].
-    Objects,
-    /// Lists of [`crate::Track`].
-    Tracks,
-}
-
-impl Kind {
-    /// The word for it in the pipeline file, in JSON and in errors.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Nothing => "nothing",
-            Self::Depth => "depth",
-            Self::Ellipses => "ellipses",
-            Self::Objects => "objects",
-            Self::Tracks => "tracks",
-        }
-    }
-}
-
-impl fmt::Display for Kind {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
-    }
-}
-
 /// One item of a message: plain old data with a name and a version.
+///
+/// A program of one's own can have item types of its own: it implements this, and the pipeline file describes the same
+/// layout under `[item.NAME]`, so that programs which do not know the type can check, show and carry it.
 pub trait Item: Pod + fmt::Debug + Send + Sync + 'static {
-    /// The kind of message that is made of these items.
-    const KIND: Kind;
+    /// What a topic with such items carries: the word in the pipeline file, in JSON and in errors.
+    const NAME: &'static str;
     /// Name and version of the memory layout; two processes exchange items only if theirs are the same.
     const TYPE_NAME: &'static str;
+    /// Items of a message, which few exceed: room is made for as many.
+    const USUAL_LENGTH: usize = 64;
+    /// Whether a message is an image: as many items as the header's camera has pixels.
+    const IS_IMAGE: bool = false;
+    /// Whether items are counted by their [`Item::label`]; a run then also tells that there was none.
+    const IS_COUNTED: bool = false;
 
     /// Whether items that came from another process make sense: length, enum values, finite numbers.
     ///
@@ -59,19 +33,39 @@ pub trait Item: Pod + fmt::Debug + Send + Sync + 'static {
     }
 }
 
+/// An item that has a form in JSON.
+pub trait ToJson: Item {
+    /// The item as it is written, keys in order.
+    fn to_json(&self) -> impl Serialize;
+
+    /// What is written of a message: its list, or of an image a summary.
+    fn message_to_json(message: &Message<'_, Self>) -> impl Serialize {
+        List(message.items)
+    }
+}
+
+struct List<'a, T>(&'a [T]);
+
+impl<T: ToJson> Serialize for List<'_, T> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq(self.0.iter().map(ToJson::to_json))
+    }
+}
+
 /// Why a message from another process was refused.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("malformed {kind}: {what}")]
 pub struct Malformed {
-    /// The kind of message.
-    pub kind: Kind,
+    /// What the message should carry: [`Item::NAME`].
+    pub kind: String,
     /// What is wrong with it.
     pub what: String,
 }
 
 impl Malformed {
-    pub(crate) fn new(kind: Kind, what: impl Into<String>) -> Self {
-        Self { kind, what: what.into() }
+    /// A fault of a message that should carry `kind`.
+    pub fn new(kind: &str, what: impl Into<String>) -> Self {
+        Self { kind: kind.to_owned(), what: what.into() }
     }
 }
 
@@ -81,11 +75,26 @@ impl Malformed {
 pub struct Nothing;
 
 impl Item for Nothing {
-    const KIND: Kind = Kind::Nothing;
+    const NAME: &'static str = "nothing";
     const TYPE_NAME: &'static str = "conicflow.Nothing.v1";
 
     fn check(_: &Header, _: &[Self]) -> Result<(), Malformed> {
-        Err(Malformed::new(Kind::Nothing, "such a message does not exist"))
+        Err(Malformed::new(Self::NAME, "such a message does not exist"))
+    }
+}
+
+/// A byte of an item whose type is known only when the program runs: the input of a stage that takes a list of any type.
+#[repr(transparent)]
+#[derive(Clone, Copy, Debug, Pod, Zeroable, PartialEq, Eq)]
+pub struct AnyByte(pub u8);
+
+impl Item for AnyByte {
+    const NAME: &'static str = "any list";
+    const TYPE_NAME: &'static str = "conicflow.AnyByte.v1";
+
+    /// Whoever knows the type has checked them.
+    fn check(_: &Header, _: &[Self]) -> Result<(), Malformed> {
+        Ok(())
     }
 }
 

@@ -1,9 +1,10 @@
 //! What travels between stages: one fixed [`Header`] and a flat slice of items.
 //!
-//! Four kinds of message exist, in the order in which a frame meets them: depth images (`u16` pixels),
-//! [`Ellipse`] lists, [`Object`] lists and [`Track`] lists. All of them are plain old data with an explicit,
-//! versioned type name, so that they can be written and read in place in shared memory by processes that were
-//! built apart. Whatever arrives from another process is checked by [`Item::check`] before a stage sees it.
+//! In the order in which a frame meets them these are depth images (`u16` pixels), [`Ellipse`] lists, [`Object`] lists,
+//! [`Track`] lists and [`Velocity`] commands; programs may have further types of their own ([`Layout`]). All of them are
+//! plain old data with an explicit, versioned type name, so that they can be written and read in place in shared memory by
+//! processes that were built apart. Whatever arrives from another process is checked by [`Item::check`] before a stage sees
+//! it.
 //!
 //! Units are SI: metres, radians, seconds; times in nanoseconds. The camera frame is the optical frame:
 //! x right, y down, z forward.
@@ -13,18 +14,24 @@ mod ellipse;
 mod fault;
 mod header;
 mod item;
+mod json;
+mod layout;
 mod object;
 mod text;
 mod track;
+mod velocity;
 
-pub use depth::{INVALID_FAR, INVALID_NEAR, is_measured};
+pub use depth::{INVALID_FAR, INVALID_NEAR, is_measured, median_depth};
 pub use ellipse::{Ellipse, MOMENTS, Scan};
 pub use fault::ConfigFault;
 pub use header::{
     Camera, END_OF_STREAM, HAS_POSE, HEADER_TYPE_NAME, Header, Hop, MAX_HOPS, MAX_PIXELS, MAX_SIDE_PX,
-    MAX_SOURCE_BYTES, NoiseModel,
+    MAX_SOURCE_BYTES, NoiseModel, RECORDED,
 };
-pub use item::{Item, Kind, Malformed, Message, Nothing};
+pub use item::{AnyByte, Item, Malformed, Message, Nothing, ToJson};
+pub use json::{LINE_KEYS, Line};
+pub use layout::{Field, Layout, LayoutFault, MAX_ITEM_BYTES};
 pub use object::{Object, ObjectKind, ObjectSigma};
 pub use text::Text;
 pub use track::{Track, TrackState};
+pub use velocity::{Frame, Velocity};

@@ -1,6 +1,6 @@
 //! Objects: spheres, cylinders and cones found in one frame, with their uncertainty.
 
-use crate::{Header, Item, Kind, Malformed, item::finite};
+use crate::{Header, Item, Malformed, item::finite};
 use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::FRAC_PI_2;
@@ -142,12 +142,13 @@ impl Object {
 }
 
 impl Item for Object {
-    const KIND: Kind = Kind::Objects;
+    const NAME: &'static str = "objects";
     const TYPE_NAME: &'static str = "conicflow.Object.v1";
+    const IS_COUNTED: bool = true;
 
     fn check(_: &Header, items: &[Self]) -> Result<(), Malformed> {
         match items.iter().enumerate().find_map(|(index, object)| Some((index, object.fault()?))) {
-            Some((index, fault)) => Err(Malformed::new(Kind::Objects, format!("item {index} {fault}"))),
+            Some((index, fault)) => Err(Malformed::new(Self::NAME, format!("item {index} {fault}"))),
             None => Ok(()),
         }
     }

@@ -1,6 +1,6 @@
 //! Tracks: objects with an identity and a velocity, followed from frame to frame.
 
-use crate::{Header, Item, Kind, Malformed, Object, item::finite};
+use crate::{Header, Item, Malformed, Object, item::finite};
 use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
 
@@ -86,12 +86,13 @@ impl Track {
 }
 
 impl Item for Track {
-    const KIND: Kind = Kind::Tracks;
+    const NAME: &'static str = "tracks";
     const TYPE_NAME: &'static str = "conicflow.Track.v1";
+    const IS_COUNTED: bool = true;
 
     fn check(_: &Header, items: &[Self]) -> Result<(), Malformed> {
         match items.iter().enumerate().find_map(|(index, track)| Some((index, track.fault()?))) {
-            Some((index, fault)) => Err(Malformed::new(Kind::Tracks, format!("item {index} {fault}"))),
+            Some((index, fault)) => Err(Malformed::new(Self::NAME, format!("item {index} {fault}"))),
             None => Ok(()),
         }
     }

@@ -1,11 +1,11 @@
 //! `conicflow detect`: the objects of recorded frames, in one command without a pipeline file.
 
 use crate::sinks::json_lines::{JsonLines, Wrote};
-use crate::sinks::json_sink::Line;
 use crate::sinks::picture_sink::{self, Names, PictureSink};
 use crate::sources::image_source::{self, Playback};
 use anyhow::{Context as _, Result};
 use clap::Args;
+use conicflow_dataflow::{AnyMessage, ItemType};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::{NoiseConfig, NoiseName};
 use conicflow_detection::{Detector, Object, ObjectKind};
@@ -15,6 +15,8 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+/// What the lines consist of.
+const OBJECTS: ItemType = ItemType::of::<Object>();
 /// Reasons that are told where nothing was found.
 const REASONS: usize = 5;
 
@@ -91,7 +93,8 @@ pub fn detect(arguments: &DetectArguments) -> Result<()> {
         let objects = detector.try_detect(&pixels)?;
         let message = Message { header: &header, items: &objects[..] };
         let latency_ms = Some((start.elapsed().as_micros() as f64) / 1000.0);
-        if lines.write(&Line { message, latency_ms })? == Wrote::ReaderGone {
+        let line = AnyMessage { header: &header, item: &OBJECTS, bytes: bytemuck::cast_slice(&objects) };
+        if lines.write_with(|text| line.write_json(latency_ms, text))? == Wrote::ReaderGone {
             return Ok(());
         }
         if let Some(pictures) = &mut pictures {

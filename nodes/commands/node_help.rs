@@ -4,7 +4,7 @@ use crate::NODES;
 use anyhow::bail;
 use conicflow_dataflow::pipeline::suggestion;
 use conicflow_dataflow::{Node, Pick};
-use conicflow_messages::Kind;
+use conicflow_messages::{Item, Nothing};
 use serde_json::Value as Json;
 use std::fmt::Write;
 
@@ -28,7 +28,7 @@ pub fn nodes(name: Option<&str>) -> anyhow::Result<String> {
 
 fn describe(node: &Node) -> Result<String, std::fmt::Error> {
     let mut text = format!("{}: {}\n\n", node.name, node.summary);
-    let inputs: Vec<_> = node.inputs().map(Kind::name).collect();
+    let inputs: Vec<_> = node.inputs().collect();
     if !inputs.is_empty() {
         writeln!(text, "input   {}", inputs.join(" | "))?;
     }
@@ -36,7 +36,7 @@ fn describe(node: &Node) -> Result<String, std::fmt::Error> {
         let pick = if side.pick == Pick::Latest { "the latest" } else { "of the same frame" };
         writeln!(text, "inputs  {} = {}, {pick}", side.name, side.kind)?;
     }
-    if node.output() != Kind::Nothing {
+    if node.output() != Nothing::NAME {
         writeln!(text, "output  {}", node.output())?;
     }
     let schema = node.schema();

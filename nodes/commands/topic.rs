@@ -4,8 +4,7 @@
 //! that is kept free for it, for which no writer waits.
 
 use crate::NODES;
-use crate::sinks::json_sink::{Line, ToJson, latency_ms};
-use crate::sources::image_source::median;
+use crate::sinks::json_sink::latency_ms;
 use anyhow::{anyhow, bail};
 use clap::{Args, Subcommand};
 use conicflow_dataflow::pipeline::suggestion;
@@ -13,8 +12,6 @@ use conicflow_dataflow::ports::{Delivery, Topic};
 use conicflow_dataflow::{
     Needs, PipelineActivity, RunningPipeline, Table, TopicActivity, Watching, monotonic_ns, observe, user_folder,
 };
-use conicflow_messages::{Ellipse, Item, Kind, Message, Object, Track, is_measured};
-use serde_json::json;
 use std::io::{Write, stdout};
 use std::thread::sleep;
 use std::time::Duration;
@@ -125,7 +122,7 @@ fn list(running: &RunningPipeline) -> anyhow::Result<()> {
     let mut table = Table::new(&["TOPIC", "KIND", "WRITER", "Hz", "MB/s", "READERS"]);
     let activities = activities(running, None)?;
     for topic in topics(running) {
-        let named = [topic.name.as_str(), topic.kind.map_or("?", Kind::name)].map(str::to_owned);
+        let named = [topic.name.as_str(), topic.kind().unwrap_or("?")].map(str::to_owned);
         let mut written: Vec<_> = activities.iter().filter(|activity| activity.topic == topic.name).map(row).collect();
         if written.is_empty() {
             written.push(["-", "-", "-"].map(str::to_owned));
@@ -195,53 +192,21 @@ fn echo(arguments: &TopicArguments) -> anyhow::Result<()> {
     let running = arguments.of.find()?;
     let topic = find_topic(&running, &arguments.topic)?;
     Needs::of(&running.plan, NODES).look_for_onlooker(topic)?;
-    match topic.kind {
-        Some(Kind::Depth) => echo_lines::<u16>(&running, topic, arguments.count, image_line),
-        Some(Kind::Ellipses) => echo_lines::<Ellipse>(&running, topic, arguments.count, list_line),
-        Some(Kind::Objects) => echo_lines::<Object>(&running, topic, arguments.count, list_line),
-        Some(Kind::Tracks) => echo_lines::<Track>(&running, topic, arguments.count, list_line),
-        Some(Kind::Nothing) | None => bail!(
-            "nothing tells what topic `{}` carries\n  hint: only programs write and read it; let a json_sink read it too",
+    let Some(item) = &topic.item else {
+        bail!(
+            "nothing tells what topic `{}` carries\n  \
+             hint: say it where a program writes it, such as output = {{ topic = \"{0}\", kind = \"objects\" }}",
             topic.name
-        ),
-    }
-}
-
-fn echo_lines<T: Item>(
-    running: &RunningPipeline,
-    topic: &Topic,
-    count: Option<u64>,
-    line: fn(&Message<'_, T>) -> serde_json::Result<Vec<u8>>,
-) -> anyhow::Result<()> {
-    let mut left = count.unwrap_or(u64::MAX);
-    running.watch::<T, anyhow::Error>(topic, |message| {
-        let mut text = line(&message)?;
-        text.push(b'\n');
-        stdout().write_all(&text)?;
+        )
+    };
+    let mut left = arguments.count.unwrap_or(u64::MAX);
+    running.watch::<anyhow::Error>(item, topic, |message| {
+        let mut line = Vec::new();
+        message.write_json(latency_ms(message.header, monotonic_ns()), &mut line)?;
+        line.push(b'\n');
+        stdout().write_all(&line)?;
         stdout().flush()?;
         left -= 1;
         Ok(if left == 0 { Watching::Enough } else { Watching::GoOn })
     })
-}
-
-fn list_line<T: ToJson>(message: &Message<'_, T>) -> serde_json::Result<Vec<u8>> {
-    serde_json::to_vec(&Line { message: *message, latency_ms: latency_ms(message.header, monotonic_ns()) })
-}
-
-/// An image in brief: its size, how many pixels measured something, and the median of those in metres.
-fn image_line(message: &Message<'_, u16>) -> serde_json::Result<Vec<u8>> {
-    let header = message.header;
-    let measured = message.items.iter().filter(|&&depth| is_measured(depth)).count();
-    serde_json::to_vec(&json!({
-        "sequence": header.sequence,
-        "source": header.source.as_str().unwrap_or_default(),
-        "stamp_ns": header.stamp_ns,
-        "latency_ms": latency_ms(header, monotonic_ns()),
-        "depth": {
-            "width": header.camera.width,
-            "height": header.camera.height,
-            "measured": measured,
-            "median_m": median(message.items).map(|depth| f64::from(depth) * header.depth_scale),
-        },
-    }))
 }

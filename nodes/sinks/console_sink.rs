@@ -116,7 +116,7 @@ impl<W: Write> Console<W> {
         let tentative = self.config.tentative;
         let shown = || message.items.iter().filter(|item| tentative || !item.is_tentative());
         let (sequence, source) = (message.header.sequence, message.header.source.as_str().unwrap_or_default());
-        writeln!(self.text, "frame {sequence}  {}  {}: {}", source.escape_debug(), T::KIND, shown().count())?;
+        writeln!(self.text, "frame {sequence}  {}  {}: {}", source.escape_debug(), T::NAME, shown().count())?;
         for item in shown() {
             self.text.push_str("  ");
             item.describe(&mut self.text)?;

@@ -65,8 +65,19 @@ impl JsonLines {
     /// # Errors
     /// The line cannot be written, such as on a full disk; no part of it remains in a file.
     pub fn write(&mut self, value: &impl Serialize) -> anyhow::Result<Wrote> {
+        self.write_with(|line| serde_json::to_writer(line, value))
+    }
+
+    /// Writes what `express` appends as one line.
+    ///
+    /// # Errors
+    /// The line cannot be expressed or written; no part of it remains in a file.
+    pub fn write_with(
+        &mut self,
+        express: impl FnOnce(&mut Vec<u8>) -> serde_json::Result<()>,
+    ) -> anyhow::Result<Wrote> {
         self.line.clear();
-        serde_json::to_writer(&mut self.line, value).context("cannot express the message as JSON")?;
+        express(&mut self.line).context("cannot express the message as JSON")?;
         self.line.push(b'\n');
         match self.place.write(&self.line) {
             Ok(()) => Ok(Wrote::Line),

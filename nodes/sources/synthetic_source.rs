@@ -1,11 +1,10 @@
 //! The simulated camera of the laboratory as a source of frames.
 
 use crate::sinks::json_lines::JsonLines;
-use conicflow_dataflow::{ConfigFault, Context, Next, Output, Pick, Side, Sides, Source, StageError};
+use conicflow_dataflow::{ConfigFault, Context, Next, Output, Side, Sides, Source, StageError};
 use conicflow_lab::simulator::truth::TruthLine;
 use conicflow_lab::simulator::{SimulatorParameters, SyntheticCamera};
-use conicflow_messages::{Header, Kind};
-use nalgebra::Vector3;
+use conicflow_messages::{Header, Velocity};
 use std::path::Path;
 
 /// Commands made from frames that are older than this are no longer obeyed: whoever drives has gone.
@@ -50,10 +49,10 @@ impl Source for SyntheticSource {
         self.total
     }
 
-    /// Who drives the camera: the first track's `velocity` is the one that it is to take; none lets it stand, as does a
-    /// command from a frame more than half a second before.
+    /// Who drives the camera: the first velocity is the one that it is to take; none lets it stand, as does a command from a
+    /// frame more than half a second before.
     fn sides() -> &'static [Side] {
-        &[Side { name: "command", kind: Kind::Tracks, pick: Pick::Latest }]
+        const { &[Side::latest::<Velocity>("command")] }
     }
 
     fn next(&mut self, sides: &Sides, output: &mut Output<u16>) -> Result<Next, StageError> {
@@ -61,7 +60,7 @@ impl Source for SyntheticSource {
             return Ok(Next::End);
         }
         if let Some(velocity) = self.command(sides) {
-            self.camera.drive(velocity);
+            self.camera.drive(&velocity);
         }
         let camera = self.camera.raster().camera;
         self.camera.shoot(self.next, output.image(camera.width as usize * camera.height as usize)?);
@@ -77,11 +76,10 @@ impl Source for SyntheticSource {
 
 impl SyntheticSource {
     /// The velocity that the camera is to take for the next frame.
-    fn command(&self, sides: &Sides) -> Option<Vector3<f64>> {
-        let command = sides.tracks("command")?;
+    fn command(&self, sides: &Sides) -> Option<Velocity> {
+        let command = sides.get::<Velocity>("command")?;
         let age_s = self.camera.time_of(self.next) - command.header.stamp_ns as f64 * 1e-9;
-        let first = command.items.first().filter(|_| age_s <= MAX_COMMAND_AGE_S)?;
-        Some(first.velocity.into())
+        command.items.first().filter(|_| age_s <= MAX_COMMAND_AGE_S).copied()
     }
 
     /// The true objects of the frame that was shot last.
@@ -101,8 +99,7 @@ impl SyntheticSource {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use conicflow_dataflow::AnyMessage;
-    use conicflow_messages::{Message, Track};
+    use conicflow_messages::Message;
 
     fn small() -> SimulatorParameters {
         SimulatorParameters { width: 80, height: 60, ..SimulatorParameters::default() }
@@ -144,19 +141,19 @@ mod tests {
 
     #[test]
     fn the_command_of_who_drives_no_longer_is_not_obeyed() {
-        let velocity = [0.1, 0.0, 0.5];
-        let tracks = [Track { velocity, ..Track::default() }];
+        let velocity = Velocity { linear: [0.1, 0.0, 0.5], ..Velocity::default() };
+        let velocities = [velocity];
         let mut source = SyntheticSource::new(small(), &Context::default()).unwrap();
-        let mut command = |frame: u64, stamp_ms: u64, items: &[Track]| {
+        let mut command = |frame: u64, stamp_ms: u64, items: &[Velocity]| {
             let header = Header { stamp_ns: stamp_ms * 1_000_000, ..Header::default() };
             source.next = frame;
-            source.command(&Sides(vec![("command", AnyMessage::Tracks(Message { header: &header, items }))]))
+            source.command(&Sides::default().with("command", Message { header: &header, items }))
         };
-        let obeyed = Some(velocity.into());
-        assert_eq!(command(30, 967, &tracks), obeyed);
-        assert_eq!(command(45, 1000, &tracks), obeyed, "half a second");
-        assert_eq!(command(46, 1000, &tracks), None);
-        assert_eq!(command(3, 1000, &tracks), obeyed, "of a clock that is ahead");
+        let obeyed = Some(velocity);
+        assert_eq!(command(30, 967, &velocities), obeyed);
+        assert_eq!(command(45, 1000, &velocities), obeyed, "half a second");
+        assert_eq!(command(46, 1000, &velocities), None);
+        assert_eq!(command(3, 1000, &velocities), obeyed, "of a clock that is ahead");
         assert_eq!(command(30, 967, &[]), None);
         assert_eq!(source.command(&Sides::default()), None);
     }

@@ -1,12 +1,11 @@
 //! The follower: turns tracks into the velocity that a robot is to take, towards an object and to a halt before it.
 //!
-//! The command travels as a track of its own: the object that is followed, with its identity, and as `velocity` the one
-//! that the camera is to take, along the camera's axes, in m/s. No track: stand still. A source closes the loop by reading
-//! it as a further input, of which it takes the latest value.
+//! The command is a velocity that the camera is to take, along its own axes. None: stand still. A source closes the loop by
+//! reading it as a further input, of which it takes the latest value.
 
 use conicflow_dataflow::{ConfigFault, Context, Output, Sides, Stage, StageError};
 use conicflow_detection::gravity;
-use conicflow_messages::{Header, Message, ObjectKind, Text, Track, TrackState};
+use conicflow_messages::{Frame, Header, Message, ObjectKind, Text, Track, TrackState, Velocity};
 use nalgebra::{Matrix3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -73,13 +72,14 @@ impl Follower {
         Self { config, followed: None, rotations: BTreeMap::new() }
     }
 
-    /// The track that is followed, with the velocity that is to be taken in place of its own.
-    pub fn command(&mut self, header: &Header, tracks: &[Track]) -> Option<Track> {
+    /// The velocity towards the track that is followed, if there is one.
+    pub fn command(&mut self, header: &Header, tracks: &[Track]) -> Option<Velocity> {
         let up = self.up_in_camera(header);
         let known = tracks.iter().find(|track| Some(track.id) == self.followed);
         let track = known.or_else(|| self.nearest(tracks));
         self.followed = track.map(|track| track.id);
-        track.map(|track| Track { velocity: self.velocity(&up, track).into(), ..*track })
+        let linear = self.velocity(&up, track?).into();
+        Some(Velocity { linear, frame: Frame::Camera.code(), ..Velocity::default() })
     }
 
     fn nearest<'a>(&self, tracks: &'a [Track]) -> Option<&'a Track> {
@@ -121,7 +121,7 @@ impl Stage for Follower {
     const SUMMARY: &'static str = "Turns tracks into a velocity command: towards an object, and to a halt before it";
     type Config = FollowerConfig;
     type Input = Track;
-    type Output = Track;
+    type Output = Velocity;
 
     fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
         config.faults(base)
@@ -131,8 +131,10 @@ impl Stage for Follower {
         Ok(Self::new(config))
     }
 
-    fn step(&mut self, input: &Message<Track>, _: &Sides, output: &mut Output<Track>) -> Result<(), StageError> {
-        self.command(input.header, input.items).into_iter().for_each(|command| output.push(command));
+    fn step(&mut self, input: &Message<Track>, _: &Sides, output: &mut Output<Velocity>) -> Result<(), StageError> {
+        if let Some(command) = self.command(input.header, input.items) {
+            output.push(command);
+        }
         Ok(())
     }
 }
@@ -156,7 +158,7 @@ mod tests {
     #[test]
     fn it_drives_ahead_over_ground_and_halts() {
         let mut follower = Follower::new(FollowerConfig::default());
-        let velocity = |follower: &mut Follower, z| follower.command(&header(), &[ball(1, z)]).unwrap().velocity;
+        let velocity = |follower: &mut Follower, z| follower.command(&header(), &[ball(1, z)]).unwrap().linear;
         let close = |velocity: [f64; 3], ahead: f64| (Vector3::from(velocity) - Vector3::z() * ahead).norm() < 1e-12;
         assert!(close(velocity(&mut follower, 3.0), 0.8), "no faster than it may");
         assert!(close(velocity(&mut follower, 1.2), 0.3));
@@ -167,7 +169,7 @@ mod tests {
     #[test]
     fn without_a_pose_it_drives_ahead_as_well() {
         let mut follower = Follower::new(FollowerConfig::default());
-        let velocity = follower.command(&Header::default(), &[ball(1, 3.0)]).unwrap().velocity;
+        let velocity = follower.command(&Header::default(), &[ball(1, 3.0)]).unwrap().linear;
         assert!((Vector3::from(velocity) - Vector3::z() * 0.8).norm() < 1e-12, "{velocity:?}");
     }
 
@@ -175,7 +177,7 @@ mod tests {
     #[test]
     fn a_frame_that_lacks_its_pose_has_that_of_the_frame_before() {
         let mut follower = Follower::new(FollowerConfig { up: Some([0.0, 0.0, 1.0]), ..FollowerConfig::default() });
-        let mut velocity = |header: &Header| follower.command(header, &[ball(1, 3.0)]).unwrap().velocity;
+        let mut velocity = |header: &Header| follower.command(header, &[ball(1, 3.0)]).unwrap().linear;
         let with_pose = velocity(&header());
         assert!(with_pose[2] > 0.5);
         assert_eq!(velocity(&Header::default()), with_pose);
@@ -191,7 +193,11 @@ mod tests {
     #[test]
     fn it_stays_with_its_ball_until_that_is_lost() {
         let mut follower = Follower::new(FollowerConfig::default());
-        let mut id = |tracks: &[Track]| follower.command(&header(), tracks).map(|track| track.id);
+        let mut id = |tracks: &[Track]| {
+            let command = follower.command(&header(), tracks);
+            assert_eq!(command.is_some(), follower.followed.is_some());
+            follower.followed
+        };
         let tentative = Track { state: TrackState::Tentative.code(), ..ball(5, 0.5) };
         let cylinder =
             Track { object: Object { kind: ObjectKind::Cylinder.code(), ..ball(6, 0.4).object }, ..ball(6, 0.4) };

@@ -25,6 +25,7 @@ mod node;
 mod outside_stage;
 #[cfg(target_os = "linux")]
 mod own_memory;
+mod own_types;
 #[cfg(target_os = "linux")]
 mod processes;
 #[cfg(target_os = "linux")]

@@ -124,7 +124,7 @@ fn a_stage_of_another_version_than_its_launcher_says_so() {
     command.envs(variables).env("CONICFLOW_RUNTIME_DIR", playground.runtime());
     let ended = Started::new(command).wait().expect_code(2);
     assert!(
-        ended.stderr.contains("were built from different versions of conicflow (layout 1, 99)\n  hint: "),
+        ended.stderr.contains("were built from different versions of conicflow (layout 2, 99)\n  hint: "),
         "{ended:?}"
     );
 }

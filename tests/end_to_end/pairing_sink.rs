@@ -1,8 +1,8 @@
 //! A sink that writes, for each list of objects that it gets, its frame's number, and those of the image and of the ellipses
 //! that came with it as further inputs of the same frame.
 
-use conicflow_dataflow::{Context, Output, Pick, Side, Sides, Stage, StageError, run_stage};
-use conicflow_messages::{Header, Kind, Message, Nothing, Object};
+use conicflow_dataflow::{Context, Output, Side, Sides, Stage, StageError, run_stage};
+use conicflow_messages::{Ellipse, Header, Message, Nothing, Object};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::fs::File;
@@ -45,15 +45,12 @@ impl Stage for PairingSink {
     }
 
     fn sides() -> &'static [Side] {
-        &[
-            Side { name: "depth", kind: Kind::Depth, pick: Pick::SameFrame },
-            Side { name: "ellipses", kind: Kind::Ellipses, pick: Pick::SameFrame },
-        ]
+        const { &[Side::same_frame::<u16>("depth"), Side::same_frame::<Ellipse>("ellipses")] }
     }
 
     fn step(&mut self, input: &Message<Object>, sides: &Sides, _: &mut Output<Nothing>) -> Result<(), StageError> {
         let number = |header: Option<&Header>| header.map_or("-".to_owned(), |header| header.sequence.to_string());
-        let (depth, ellipses) = (sides.depth("depth"), sides.ellipses("ellipses"));
+        let (depth, ellipses) = (sides.get::<u16>("depth"), sides.get::<Ellipse>("ellipses"));
         let sides = [number(depth.map(|image| image.header)), number(ellipses.map(|list| list.header))];
         writeln!(self.file, "{} {}", input.header.sequence, sides.join(" "))?;
         std::thread::sleep(self.delay);

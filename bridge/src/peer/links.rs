@@ -225,7 +225,8 @@ fn routes(bridge: &BridgePlan) -> Vec<Route> {
 fn routes_of(edge: &Edge) -> impl Iterator<Item = Route> {
     edge.to.iter().map(|receiver| {
         let delivery = if receiver.delivery == Delivery::Lossless { "lossless" } else { "latest" };
-        let (topic, kind, writers) = (&edge.topic.name, edge.kind.name(), edge.writers.join(", "));
+        let (topic, writers) = (&edge.topic.name, edge.writers.join(", "));
+        let kind = if edge.item.is_built_in() { edge.item.name().to_owned() } else { edge.item.layout() };
         let what = format!("topic `{topic}` with {kind} of {writers}, {delivery}");
         Route { from: edge.from.clone(), to: receiver.machine.clone(), what }
     })

@@ -1,11 +1,13 @@
 //! The bytes of a message between machines, and the border where bytes from another machine become a message.
 //!
 //! `CFLO`, the wire's version as a little-endian `u16`, the place in the link's stream as three little-endian `u64`, then in
-//! bincode 2 (`config::standard()`): the names of the memory layouts, the header, and the body: of objects and tracks a count
-//! and the items; of images and ellipses a byte for the compression (0 none, 1 LZ4, 2 Zstandard), and what it has made
-//! ([`depth_codec`], [`ellipse_codec`]), without compression the pixels as little-endian `u16`, and a count and the items.
+//! bincode 2 (`config::standard()`): the names of the memory layouts, the header, and the body ([`codec`]): of
+//! objects and tracks a count and the items; of images and ellipses a byte for the compression (0 none, 1 LZ4, 2 Zstandard),
+//! and what it has made, without compression the pixels as little-endian `u16`, and a count and the items; of all others a byte
+//! for the compression, a count and the items as they lie in memory.
 //! Nothing is believed: version, layouts, sizes, lengths, ranges and numbers are checked before a message is handed on.
 
+pub(crate) mod codec;
 mod compression;
 mod depth_codec;
 mod ellipse_codec;
@@ -14,8 +16,10 @@ mod tests;
 
 use bincode::config::{Configuration, Limit, standard};
 use bincode::serde::{borrow_decode_from_slice, encode_into_std_write};
+use codec::Wire;
 use conicflow_dataflow::pipeline::Compression;
-use conicflow_messages::{Ellipse, HEADER_TYPE_NAME, Header, Item, Malformed, Object, Track};
+use conicflow_dataflow::{BUILT_IN, ItemType};
+use conicflow_messages::{HEADER_TYPE_NAME, Header, Malformed};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
@@ -23,9 +27,6 @@ use serde::{Deserialize, Serialize};
 pub const WIRE_VERSION: u16 = 3;
 /// No message is longer than this, in bytes.
 pub const MAX_MESSAGE: usize = 8 << 20;
-/// No image that goes to another machine has more pixels than this.
-const MAX_WIRE_PIXELS: u64 = 16 << 20;
-
 const MAGIC: [u8; 4] = *b"CFLO";
 const PREFIX: usize = MAGIC.len() + size_of::<u16>();
 
@@ -89,91 +90,6 @@ struct Opening<'a> {
     header: Header,
 }
 
-/// A kind of item that can go to another machine.
-pub trait Wire: Item {
-    /// Appends the body of a message.
-    ///
-    /// # Errors
-    /// It cannot be encoded.
-    fn encode_body(header: &Header, items: &[Self], how: Compression, bytes: &mut Vec<u8>) -> Result<(), WireError>;
-
-    /// Reads the body of a message into `items`.
-    ///
-    /// # Errors
-    /// It cannot be decoded.
-    fn decode_body(header: &Header, bytes: &[u8], items: &mut Vec<Self>) -> Result<(), WireError>;
-}
-
-impl Wire for u16 {
-    fn encode_body(header: &Header, items: &[u16], how: Compression, bytes: &mut Vec<u8>) -> Result<(), WireError> {
-        check_pixels(header)?;
-        bytes.push(compression::tag_of(how));
-        depth_codec::compress(items, header.camera.width as usize, how, bytes).map_err(WireError::Broken)
-    }
-
-    fn decode_body(header: &Header, bytes: &[u8], items: &mut Vec<u16>) -> Result<(), WireError> {
-        check_pixels(header)?;
-        let (how, packed) = split_compression(bytes)?;
-        let size = (header.camera.width as usize, header.camera.height as usize);
-        depth_codec::decompress(packed, size, how, items).map_err(WireError::Broken)
-    }
-}
-
-impl Wire for Ellipse {
-    fn encode_body(header: &Header, items: &[Self], how: Compression, bytes: &mut Vec<u8>) -> Result<(), WireError> {
-        bytes.push(compression::tag_of(how));
-        if how == Compression::None {
-            return encode(&items, bytes);
-        }
-        if size_of_val(items) > MAX_MESSAGE {
-            return Err(WireError::TooLong { bytes: size_of_val(items) });
-        }
-        ellipse_codec::compress(header, items, how, bytes).map_err(WireError::Broken)
-    }
-
-    fn decode_body(header: &Header, bytes: &[u8], items: &mut Vec<Self>) -> Result<(), WireError> {
-        let (how, packed) = split_compression(bytes)?;
-        if how == Compression::None {
-            return decode_list(packed, items);
-        }
-        ellipse_codec::decompress(header, packed, how, items).map_err(WireError::Broken)
-    }
-}
-
-impl Wire for Object {
-    fn encode_body(_: &Header, items: &[Self], _: Compression, bytes: &mut Vec<u8>) -> Result<(), WireError> {
-        encode(&items, bytes)
-    }
-
-    fn decode_body(_: &Header, bytes: &[u8], items: &mut Vec<Self>) -> Result<(), WireError> {
-        decode_list(bytes, items)
-    }
-}
-
-impl Wire for Track {
-    fn encode_body(_: &Header, items: &[Self], _: Compression, bytes: &mut Vec<u8>) -> Result<(), WireError> {
-        encode(&items, bytes)
-    }
-
-    fn decode_body(_: &Header, bytes: &[u8], items: &mut Vec<Self>) -> Result<(), WireError> {
-        decode_list(bytes, items)
-    }
-}
-
-fn check_pixels(header: &Header) -> Result<(), WireError> {
-    let (width, height) = (header.camera.width, header.camera.height);
-    if u64::from(width) * u64::from(height) > MAX_WIRE_PIXELS {
-        return Err(WireError::Broken(format!("an image of {width}x{height}, allowed are {MAX_WIRE_PIXELS} pixels")));
-    }
-    Ok(())
-}
-
-/// How a body is compressed, and what follows.
-fn split_compression(bytes: &[u8]) -> Result<(Compression, &[u8]), WireError> {
-    let (&tag, packed) = bytes.split_first().ok_or_else(|| WireError::Broken("no body".to_owned()))?;
-    Ok((compression::of_tag(tag).map_err(WireError::Broken)?, packed))
-}
-
 /// The bytes of a message.
 ///
 /// # Errors
@@ -184,11 +100,21 @@ pub fn encode_message<T: Wire>(
     items: &[T],
     how: Compression,
 ) -> Result<Vec<u8>, WireError> {
+    message_bytes(place, T::TYPE_NAME, header, |bytes| T::encode_body(header, items, how, bytes))
+}
+
+/// The bytes of a message, of which `body` appends those behind the header; of the end of a stream there are none.
+pub(crate) fn message_bytes(
+    place: Place,
+    items_layout: &str,
+    header: &Header,
+    body: impl FnOnce(&mut Vec<u8>) -> Result<(), WireError>,
+) -> Result<Vec<u8>, WireError> {
     let mut bytes = opening_bytes();
     bytes.extend([place.stream, place.number, place.oldest].iter().flat_map(|number| number.to_le_bytes()));
-    encode(&Opening { layout: &layout::<T>(), header: *header }, &mut bytes)?;
+    encode(&Opening { layout: &layout(items_layout), header: *header }, &mut bytes)?;
     if !header.ends_stream() {
-        T::encode_body(header, items, how, &mut bytes)?;
+        body(&mut bytes)?;
     }
     if bytes.len() > MAX_MESSAGE { Err(WireError::TooLong { bytes: bytes.len() }) } else { Ok(bytes) }
 }
@@ -198,22 +124,33 @@ pub fn encode_message<T: Wire>(
 /// # Errors
 /// What is wrong with the bytes; `items` is then of no use.
 pub fn decode_message<T: Wire>(bytes: &[u8], items: &mut Vec<T>) -> Result<(Place, Header), WireError> {
+    let (place, header, body) = open_message(bytes, T::TYPE_NAME, T::NAME)?;
+    items.clear();
+    if let Some(body) = body {
+        T::decode_body(&header, body, items)?;
+        T::check(&header, items)?;
+    }
+    Ok((place, header))
+}
+
+/// The place and the header of a message, checked, and the bytes behind them; the end of a stream has none.
+pub(crate) fn open_message<'a>(
+    bytes: &'a [u8],
+    items_layout: &str,
+    kind: &str,
+) -> Result<(Place, Header, Option<&'a [u8]>), WireError> {
     let (place, content) = split_place(content(bytes)?)?;
     let (opening, length) = decode_start::<Opening<'_>>(content)?;
-    let ours = layout::<T>();
+    let ours = layout(items_layout);
     if opening.layout != ours {
         return Err(WireError::Layout { ours, theirs: opening.layout.to_owned() });
     }
     let (header, body) = (opening.header, &content[length..]);
-    header.check(T::KIND)?;
-    items.clear();
-    if header.ends_stream() {
-        let nothing_follows = body.is_empty();
-        return nothing_follows.then_some((place, header)).ok_or_else(trailing);
+    header.check(kind)?;
+    if !header.ends_stream() {
+        return Ok((place, header, Some(body)));
     }
-    T::decode_body(&header, body, items)?;
-    T::check(&header, items)?;
-    Ok((place, header))
+    if body.is_empty() { Ok((place, header, None)) } else { Err(trailing()) }
 }
 
 /// The bytes of something small, with the same prefix as a message.
@@ -246,13 +183,14 @@ fn split_place(bytes: &[u8]) -> Result<(Place, &[u8]), WireError> {
     Ok((Place { stream: number(0), number: number(8), oldest: number(16) }, rest))
 }
 
-/// The layouts of all that can go to another machine.
+/// The layouts of what every program knows.
 pub(crate) fn layouts() -> String {
-    [HEADER_TYPE_NAME, u16::TYPE_NAME, Ellipse::TYPE_NAME, Object::TYPE_NAME, Track::TYPE_NAME].join(" ")
+    let names: Vec<_> = BUILT_IN.iter().map(ItemType::type_name).collect();
+    layout(&names.join(" "))
 }
 
-fn layout<T: Item>() -> String {
-    format!("{HEADER_TYPE_NAME} {}", T::TYPE_NAME)
+fn layout(items: &str) -> String {
+    format!("{HEADER_TYPE_NAME} {items}")
 }
 
 fn opening_bytes() -> Vec<u8> {
@@ -275,7 +213,7 @@ fn bounded() -> Bounded {
     standard().with_limit::<MAX_MESSAGE>()
 }
 
-fn encode<V: Serialize>(value: &V, bytes: &mut Vec<u8>) -> Result<(), WireError> {
+pub(super) fn encode<V: Serialize>(value: &V, bytes: &mut Vec<u8>) -> Result<(), WireError> {
     let written = encode_into_std_write(value, bytes, bounded());
     written.map(drop).map_err(|error| WireError::Broken(error.to_string()))
 }
@@ -290,7 +228,7 @@ fn decode_whole<V: DeserializeOwned>(bytes: &[u8]) -> Result<V, WireError> {
     if length == bytes.len() { Ok(value) } else { Err(trailing()) }
 }
 
-fn decode_list<T: DeserializeOwned>(bytes: &[u8], items: &mut Vec<T>) -> Result<(), WireError> {
+pub(super) fn decode_list<T: DeserializeOwned>(bytes: &[u8], items: &mut Vec<T>) -> Result<(), WireError> {
     *items = decode_whole(bytes)?;
     Ok(())
 }

@@ -141,7 +141,7 @@ fn run_planned(
         Runs::Node { node, input } => {
             let row = nodes.iter().find(|row| row.name == *node);
             let variants = row.into_iter().flat_map(|row| row.variants);
-            let fitting = variants.clone().find(|variant| variant.input.name() == *input).or(variants.clone().next());
+            let fitting = variants.clone().find(|variant| variant.input == input).or(variants.clone().next());
             let run = fitting.ok_or_else(|| ProcessError::NoNode(node.clone()))?.run;
             Ok(run(planned.parameters.clone(), surroundings(plan, folder, planned)?)?)
         }
@@ -199,7 +199,7 @@ fn run_own(node: Node) -> Result<(), ProcessError> {
     die_with_launcher();
     let own = plan.stages.iter_mut().find(|planned| planned.name == stage);
     if let (Some(planned), Some(variant)) = (own, node.variants.first()) {
-        planned.runs = Runs::Node { node: node.name.to_owned(), input: variant.input.name().to_owned() };
+        planned.runs = Runs::Node { node: node.name.to_owned(), input: variant.input.to_owned() };
     }
     run_planned(&plan, &folder, &stage, &[node], None)
 }

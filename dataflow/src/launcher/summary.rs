@@ -1,11 +1,11 @@
 //! What a run did: read from the records of its stages, while it runs for its progress, and at its end for people.
 
 use super::folder::RunFolder;
+use crate::item_type::ItemType;
 use crate::link_report::{LinkReport, read_links};
 use crate::plan::{Plan, PlannedStage};
 use crate::status::{Durations, Status, used};
 use crate::table::Table;
-use conicflow_messages::Kind;
 use std::fmt::{self, Display};
 use std::time::Duration;
 
@@ -111,8 +111,8 @@ impl Summary {
 
 /// What a stage found in how many frames; `None` where it is not one that finds objects.
 fn found(planned: &PlannedStage, status: &Status) -> Option<String> {
-    let kind = planned.wiring.output.as_ref().and_then(|topic| topic.kind);
-    let finds = matches!(kind, Some(Kind::Objects | Kind::Tracks)) && !planned.is_bridge() && status.steps > 0;
+    let item = planned.wiring.output.as_ref().and_then(|topic| topic.item.as_ref());
+    let finds = item.is_some_and(ItemType::is_counted) && !planned.is_bridge() && status.steps > 0;
     let found: Vec<_> = used(&status.found).map(|(label, count)| format!("{label} {count}")).collect();
     match found.is_empty() {
         true => finds.then(|| format!("nothing in {} frames", status.steps)),
@@ -224,10 +224,11 @@ mod tests {
     use crate::pipeline::Restart;
     use crate::plan::Runs;
     use crate::ports::{Topic, Wiring};
+    use conicflow_messages::{Ellipse, Item, Object, Track};
     use serde_json::Value as Json;
 
-    fn stage(kind: Kind) -> PlannedStage {
-        let output = Topic { name: "out".into(), kind: Some(kind), writers: vec![], readers: vec![] };
+    fn stage<T: Item>() -> PlannedStage {
+        let output = Topic { name: "out".into(), item: Some(ItemType::of::<T>()), writers: vec![], readers: vec![] };
         PlannedStage {
             name: "stage".into(),
             runs: Runs::Command(vec![]),
@@ -242,17 +243,18 @@ mod tests {
     #[test]
     fn that_nothing_was_found_is_told() {
         let mut status = Box::new(Status::default());
-        assert_eq!(found(&stage(Kind::Objects), &status), None, "no frame came");
+        assert_eq!(found(&stage::<Object>(), &status), None, "no frame came");
         status.steps = 12;
-        assert_eq!(found(&stage(Kind::Objects), &status).as_deref(), Some("nothing in 12 frames"));
-        assert_eq!(found(&stage(Kind::Ellipses), &status), None);
+        assert_eq!(found(&stage::<Object>(), &status).as_deref(), Some("nothing in 12 frames"));
+        assert_eq!(found(&stage::<Ellipse>(), &status), None);
         status.count_found("cone");
-        assert_eq!(found(&stage(Kind::Tracks), &status).as_deref(), Some("in 12 frames: cone 1"));
+        assert_eq!(found(&stage::<Track>(), &status).as_deref(), Some("in 12 frames: cone 1"));
     }
 
     fn summary(status: Box<Status>) -> Summary {
-        let mut planned = stage(Kind::Objects);
-        let input = Topic { name: "in".into(), kind: Some(Kind::Ellipses), writers: vec![], readers: vec![] };
+        let mut planned = stage::<Object>();
+        let input =
+            Topic { name: "in".into(), item: Some(ItemType::of::<Ellipse>()), writers: vec![], readers: vec![] };
         planned.wiring.input = Some(input);
         let stages = vec![StageSummary { planned, status: Some(status) }];
         Summary { pipeline: "test".into(), elapsed: Duration::from_secs(1), stages, links: vec![], complete: true }
@@ -260,7 +262,8 @@ mod tests {
 
     #[test]
     fn reasons_are_told_where_nothing_was_found_or_all_is_asked_for() {
-        let mut status = Box::new(Status { steps: 12, ..Status::default() });
+        let mut status = Box::new(Status::default());
+        status.steps = 12;
         status.count("candidates too short", 7);
         let reason = "stage: candidates too short: 7";
         assert!(summary(status.clone()).to_string().contains(reason));

@@ -8,12 +8,12 @@ mod shortfall;
 
 pub use shortfall::Shortfall;
 
+use crate::item_type::ItemType;
 use crate::node::Node;
 use crate::plan::{Plan, PlannedStage, Runs};
 use crate::ports::capacity::{HELD, LOANED, ROOM_PER_PORT, message_bytes, taken};
 use crate::ports::{MAX_KEPT, Topic, TopicReader, Wiring};
 use crate::sides::{Pick, Side};
-use conicflow_messages::Kind;
 use shortfall::enough;
 
 /// Messages that a reader holds of a further input that waits for its frame: those that are kept, and the one in use.
@@ -107,15 +107,13 @@ impl Needs {
 fn written<'a>(plan: &Plan, stage: &'a PlannedStage, nodes: &[Node]) -> Vec<(&'a Topic, usize)> {
     if let Runs::Bridge(bridge) = &stage.runs {
         let edges = bridge.incoming.iter();
-        return edges.map(|edge| (&edge.topic, message_bytes(edge.kind, None))).collect();
+        return edges.map(|edge| (&edge.topic, message_bytes(&edge.item, None))).collect();
     }
     let Some(topic) = &stage.wiring.output else { return Vec::new() };
-    let bytes = match node_of(stage, nodes) {
-        Some(node) => message_bytes(node.output(), (node.message_length)(stage.parameters.clone(), &plan.base)),
-        // Where nobody tells what a program writes, an image is the longest that it usually is.
-        None => message_bytes(topic.kind.unwrap_or(Kind::Depth), None),
-    };
-    vec![(topic, bytes)]
+    let length = node_of(stage, nodes).and_then(|node| (node.message_length)(stage.parameters.clone(), &plan.base));
+    // Where nobody tells what a program writes, an image is the longest that it usually is.
+    let item = topic.item.as_ref().unwrap_or(const { &ItemType::of::<u16>() });
+    vec![(topic, message_bytes(item, length))]
 }
 
 fn node_of<'a>(stage: &PlannedStage, nodes: &'a [Node]) -> Option<&'a Node> {
@@ -154,7 +152,7 @@ mod tests {
     use crate::registry::Registry;
     use crate::stage::{Context, NoConfig, Output, Source, Stage, StageError};
     use crate::{Next, Sides};
-    use conicflow_messages::{Message, Nothing};
+    use conicflow_messages::{Item, Message, Nothing};
     use std::path::Path;
 
     const PIXELS: usize = 1_000_000;
@@ -194,7 +192,7 @@ mod tests {
         }
 
         fn sides() -> &'static [Side] {
-            &[Side { name: "other", kind: Kind::Depth, pick: Pick::SameFrame }]
+            const { &[Side::same_frame::<u16>("other")] }
         }
 
         fn step(&mut self, _: &Message<u16>, _: &Sides, _: &mut Output<Nothing>) -> Result<(), StageError> {
@@ -242,6 +240,6 @@ mod tests {
         let program = SOURCE.replace("node = \"camera\"", "program = [\"sh\"]");
         let (known, usual) = (needs(&format!("{SOURCE}{sink}")), needs(&format!("{program}{sink}")));
         let ratio = known.shared_memory() as f64 / usual.shared_memory() as f64;
-        assert!((ratio / (PIXELS as f64 / USUAL_IMAGE as f64) - 1.0).abs() < 0.05, "{ratio}");
+        assert!((ratio / (PIXELS as f64 / u16::USUAL_LENGTH as f64) - 1.0).abs() < 0.05, "{ratio}");
     }
 }

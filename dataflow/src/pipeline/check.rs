@@ -2,10 +2,11 @@
 
 use super::diagnostic::{Diagnostic, suggestion};
 use super::{BRIDGE, Input, Pipeline, Program, StageSpec};
+use crate::item_type::ItemType;
 use crate::node::Node;
 use crate::ports::Delivery;
 use crate::sides::Pick;
-use conicflow_messages::Kind;
+use conicflow_messages::{AnyByte, Item, Nothing, Object};
 use std::collections::BTreeSet;
 
 /// Checks how the stages are joined.
@@ -34,11 +35,11 @@ fn ends(stage: &StageSpec, faults: &mut Vec<Diagnostic>) {
     }
     let makes = node.output();
     match &stage.output_place {
-        Some(place) if makes == Kind::Nothing => {
+        Some(place) if makes == Nothing::NAME => {
             let what = format!("stage `{name}` has an `output`, but `{}` is a sink", node.name);
             faults.push(Diagnostic::error(place, what, "remove the line"));
         }
-        None if makes != Kind::Nothing => {
+        None if makes != Nothing::NAME => {
             let hint = format!("add `output = \"{makes}\"`, the topic that it writes");
             faults.push(Diagnostic::error(&stage.place, format!("stage `{name}` has no `output`"), hint));
         }
@@ -47,8 +48,7 @@ fn ends(stage: &StageSpec, faults: &mut Vec<Diagnostic>) {
 }
 
 fn kinds(node: &Node) -> String {
-    let names: Vec<_> = node.inputs().map(Kind::name).collect();
-    names.join(" or ")
+    node.inputs().collect::<Vec<_>>().join(" or ")
 }
 
 fn inputs(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>) {
@@ -59,6 +59,14 @@ fn inputs(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>) 
             faults.push(Diagnostic::error(&input.place, what, hint));
         }
     }
+    for input in stage.all_inputs() {
+        if let (Some(said), Some(kind)) = (&input.kind, pipeline.kind_of(&input.topic))
+            && said != kind
+        {
+            let what = format!("the topic `{}` carries {kind}, not {said}", input.topic);
+            faults.push(Diagnostic::error(&input.place, what, "remove `kind`: the stage that writes it tells"));
+        }
+    }
     for (index, input) in stage.all_inputs().enumerate() {
         if stage.all_inputs().take(index).any(|earlier| earlier.topic == input.topic) {
             let what = format!("stage `{}` reads the topic `{}` twice", stage.name, input.topic);
@@ -67,7 +75,7 @@ fn inputs(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>) 
     }
     let Program::Node(node) = &stage.program else { return };
     if let Some(input) = &stage.input {
-        let accepted: Vec<Kind> = node.inputs().collect();
+        let accepted: Vec<_> = node.inputs().collect();
         fits(pipeline, node, input, &accepted, faults);
     }
     for (name, input) in &stage.inputs {
@@ -77,23 +85,20 @@ fn inputs(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>) 
     }
 }
 
-fn fits(pipeline: &Pipeline, node: &Node, input: &Input, accepted: &[Kind], faults: &mut Vec<Diagnostic>) {
+fn fits(pipeline: &Pipeline, node: &Node, input: &Input, accepted: &[&str], faults: &mut Vec<Diagnostic>) {
     let Some(kind) = pipeline.kind_of(&input.topic) else {
         return kind_is_known(pipeline, node, input, accepted, faults);
     };
-    if let Some(said) = input.kind.filter(|said| *said != kind) {
-        let what = format!("the topic `{}` carries {kind}, not {said}", input.topic);
-        faults.push(Diagnostic::error(&input.place, what, "remove `kind`: the stage that writes it tells"));
-    }
-    if accepted.is_empty() || kind == Kind::Nothing || accepted.contains(&kind) {
+    let takes = |kind: &str| accepted.iter().any(|accepted| accepts(pipeline, accepted, kind));
+    if accepted.is_empty() || kind == Nothing::NAME || takes(kind) {
         return;
     }
-    let names: Vec<_> = accepted.iter().map(|kind| kind.name()).collect();
-    let what = format!("the topic `{}` carries {kind}, `{}` takes {} here", input.topic, node.name, names.join(" or "));
+    let names = accepted.join(" or ");
+    let what = format!("the topic `{}` carries {kind}, `{}` takes {names} here", input.topic, node.name);
     let fitting: Vec<_> = pipeline
         .topics()
         .into_iter()
-        .filter(|topic| pipeline.kind_of(topic).is_some_and(|kind| accepted.contains(&kind)))
+        .filter(|topic| pipeline.kind_of(topic).is_some_and(takes))
         .map(|topic| format!("`{topic}`"))
         .collect();
     let hint = if fitting.is_empty() {
@@ -104,29 +109,45 @@ fn fits(pipeline: &Pipeline, node: &Node, input: &Input, accepted: &[Kind], faul
     faults.push(Diagnostic::error(&input.place, what, hint));
 }
 
+/// Whether an input that takes `accepted` takes what a topic with `kind` carries: the same, or a list of any type.
+fn accepts(pipeline: &Pipeline, accepted: &str, kind: &str) -> bool {
+    accepted == kind || (accepted == AnyByte::NAME && pipeline.item(kind).is_some_and(|item| !item.is_image()))
+}
+
 /// Whether a node that takes several kinds of message can tell which of them it gets.
-fn kind_is_known(pipeline: &Pipeline, node: &Node, input: &Input, accepted: &[Kind], faults: &mut Vec<Diagnostic>) {
+fn kind_is_known(pipeline: &Pipeline, node: &Node, input: &Input, accepted: &[&str], faults: &mut Vec<Diagnostic>) {
     let topic = &input.topic;
     let mut writers = pipeline.stages.iter().filter(|stage| stage.output.as_ref() == Some(topic));
-    if let [first, _, ..] = accepted
+    let example = match accepted {
+        [AnyByte::NAME] => Some(Object::NAME),
+        [first, _, ..] => Some(*first),
+        _ => None,
+    };
+    if let Some(example) = example
         && writers.any(|writer| matches!(writer.program, Program::Command(_)))
     {
         let what = format!("nobody says what the topic `{topic}` carries, `{}` takes {}", node.name, kinds(node));
-        let hint = format!("say it here, such as input = {{ topic = \"{topic}\", kind = \"{first}\" }}");
+        let hint = format!("say it here, such as input = {{ topic = \"{topic}\", kind = \"{example}\" }}");
         faults.push(Diagnostic::error(&input.place, what, hint));
     }
 }
 
 fn output(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>) {
     let (Some(topic), Some(place)) = (&stage.output, &stage.output_place) else { return };
+    if let (Some(said), Program::Node(node)) = (&stage.output_said, &stage.program)
+        && said != node.output()
+    {
+        let what = format!("`{}` writes {}, not {said}", node.name, node.output());
+        faults.push(Diagnostic::error(place, what, "remove `kind`: the node tells"));
+    }
     if let (Some(kind), Some(first)) = (stage.output_kind(), pipeline.kind_of(topic))
         && kind != first
-        && kind != Kind::Nothing
+        && kind != Nothing::NAME
     {
         let what = format!("the topic `{topic}` carries {first}, stage `{}` would write {kind} into it", stage.name);
         faults.push(Diagnostic::error(place, what, "give it a topic of its own"));
     }
-    if stage.output_kind() != Some(Kind::Nothing) && pipeline.topic(topic).readers.is_empty() {
+    if stage.output_kind() != Some(Nothing::NAME) && pipeline.topic(topic).readers.is_empty() {
         let hint = "add a stage with this `input`, or leave it for tools that look on";
         faults.push(Diagnostic::warning(place, format!("nobody reads the topic `{topic}`"), hint));
     }
@@ -190,10 +211,9 @@ fn bridged(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>)
             "that is the process that carries them: choose another name",
         ));
     }
-    let short =
-        |input: &Input| pipeline.kind_of(&input.topic).filter(|kind| !matches!(kind, Kind::Depth | Kind::Ellipses));
+    let short = |kind: &&str| pipeline.item(kind).is_some_and(ItemType::is_short);
     for input in stage.all_inputs().filter(|input| input.compression.is_some()) {
-        let Some(kind) = short(input) else { continue };
+        let Some(kind) = pipeline.kind_of(&input.topic).filter(short) else { continue };
         let what = format!("`compression` is for images and ellipses, the topic `{}` carries {kind}", input.topic);
         faults.push(Diagnostic::error(&input.place, what, "remove `compression`"));
     }

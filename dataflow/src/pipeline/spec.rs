@@ -2,9 +2,10 @@
 
 use super::diagnostic::{Place, SourceText};
 use super::machine::{BRIDGE, Compression, Machine};
+use crate::item_type::{BUILT_IN, ItemType};
 use crate::node::Node;
 use crate::ports::{Delivery, Topic, TopicReader};
-use conicflow_messages::Kind;
+use conicflow_messages::{AnyByte, Item};
 use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
 use std::collections::BTreeMap;
@@ -18,6 +19,8 @@ pub struct Pipeline {
     pub base: PathBuf,
     /// The machines, where there is more than one.
     pub machines: BTreeMap<String, Machine>,
+    /// The item types that the file describes, in its order.
+    pub items: Vec<ItemType>,
     /// The stages, in the order of the file.
     pub stages: Vec<StageSpec>,
     /// What the file says under `experiment`; it is for whoever runs the pipeline, none of the stages see it.
@@ -38,6 +41,8 @@ pub struct StageSpec {
     pub inputs: Vec<(String, Input)>,
     /// The topic that it writes.
     pub output: Option<String>,
+    /// What it writes there, where the file says so: of a program of one's own no node tells it.
+    pub output_said: Option<String>,
     /// Where it runs.
     pub machine: Option<String>,
     /// What happens when it dies.
@@ -74,7 +79,7 @@ pub struct Input {
     /// How many wait at most.
     pub queue: usize,
     /// What the topic carries, where the file says so: no node tells it of what a program of one's own writes.
-    pub kind: Option<Kind>,
+    pub kind: Option<String>,
     /// How images for it are compressed on their way from another machine.
     pub compression: Option<Compression>,
     pub(super) place: Place,
@@ -108,7 +113,7 @@ impl Pipeline {
         });
         Topic {
             name: name.to_owned(),
-            kind: self.kind_of(name),
+            item: self.kind_of(name).and_then(|kind| self.item(kind)).cloned(),
             writers: writers.map(|stage| stage.name.clone()).collect(),
             readers: readers.collect(),
         }
@@ -136,12 +141,17 @@ impl Pipeline {
         self.stage(stage).is_some_and(|stage| stage.machine.as_deref() == Some(machine))
     }
 
-    /// What a topic carries: by the nodes that write it; where only programs of one's own do, as an input says or because
-    /// a node that reads it takes nothing else.
-    pub fn kind_of(&self, topic: &str) -> Option<Kind> {
+    /// The item type of this name: a row of the table, or one that the file describes.
+    pub fn item(&self, name: &str) -> Option<&ItemType> {
+        BUILT_IN.iter().chain(&self.items).find(|item| item.name() == name)
+    }
+
+    /// What a topic carries, by name: by the nodes that write it; where only programs of one's own do, as one of them or an
+    /// input says, or because a node that reads it takes nothing else.
+    pub fn kind_of(&self, topic: &str) -> Option<&str> {
         let mut writers = self.stages.iter().filter(|stage| stage.output.as_deref() == Some(topic));
         let mut inputs = self.stages.iter().flat_map(StageSpec::all_inputs).filter(|input| input.topic == topic);
-        let said = || inputs.find_map(|input| input.kind);
+        let said = || inputs.find_map(|input| input.kind.as_deref());
         let needed = || self.stages.iter().find_map(|stage| stage.needed_kind(topic));
         writers.find_map(StageSpec::output_kind).or_else(said).or_else(needed)
     }
@@ -182,19 +192,19 @@ impl StageSpec {
     }
 
     /// What its inputs from a topic have to carry, where its node takes one kind of message there.
-    fn needed_kind(&self, topic: &str) -> Option<Kind> {
+    fn needed_kind(&self, topic: &str) -> Option<&'static str> {
         let Program::Node(node) = &self.program else { return None };
         if self.input.as_ref().is_some_and(|input| input.topic == topic) {
             let mut kinds = node.inputs();
-            return kinds.next().filter(|_| kinds.next().is_none());
+            return kinds.next().filter(|kind| kinds.next().is_none() && *kind != AnyByte::NAME);
         }
         let (name, _) = self.inputs.iter().find(|(_, input)| input.topic == topic)?;
         node.sides().iter().find(|side| side.name == name).map(|side| side.kind)
     }
 
-    /// What it makes; `None` if it is a program of one's own.
-    pub fn output_kind(&self) -> Option<Kind> {
-        if let Program::Node(node) = &self.program { Some(node.output()) } else { None }
+    /// What it makes, by name; `None` if it is a program of one's own of which the file does not say it.
+    pub fn output_kind(&self) -> Option<&str> {
+        if let Program::Node(node) = &self.program { Some(node.output()) } else { self.output_said.as_deref() }
     }
 
     /// Whether nothing drives it.

@@ -3,8 +3,9 @@
 //! A writer uses again what came back to it last. So a topic takes as many messages as its readers can keep waiting and hold
 //! at once.
 
+use crate::item_type::ItemType;
 use crate::ports::{PortError, Topic};
-use conicflow_messages::{Ellipse, Header, Item, Kind, Object, Track};
+use conicflow_messages::Header;
 use std::path::Path;
 
 /// Where the system keeps shared memory.
@@ -14,12 +15,6 @@ pub(crate) const SHARED_MEMORY: &str = "/dev/shm";
 pub(crate) const HELD: usize = 2;
 /// Messages that a writer has in hand.
 pub(crate) const LOANED: usize = 1;
-/// Items of an image whose size nobody can tell beforehand.
-pub(crate) const USUAL_IMAGE: usize = 640 * 480;
-/// Arcs in an image of that size, which few exceed.
-const USUAL_ELLIPSES: usize = 1024;
-/// Things before a camera, which few exceed.
-const USUAL_OBJECTS: usize = 64;
 const PAGE: usize = 4096;
 /// What iceoryx2 keeps for each pair of a writer and a reader, and for each end of a topic.
 pub(crate) const ROOM_PER_PORT: usize = 24 * 1024;
@@ -40,26 +35,10 @@ pub(crate) fn in_words(bytes: u64) -> String {
 }
 
 /// The bytes of a message of `length` items, or of as many as are usual.
-pub(crate) fn message_bytes(kind: Kind, length: Option<usize>) -> usize {
-    let item = match kind {
-        Kind::Nothing => 0,
-        Kind::Depth => size_of::<u16>(),
-        Kind::Ellipses => size_of::<Ellipse>(),
-        Kind::Objects => size_of::<Object>(),
-        Kind::Tracks => size_of::<Track>(),
-    };
+pub(crate) fn message_bytes(item: &ItemType, length: Option<usize>) -> usize {
+    let items = length.unwrap_or(item.usual_length()) * item.size();
     // A message seldom begins where a page does.
-    (size_of::<Header>() + length.unwrap_or(usual_length(kind)) * item).next_multiple_of(PAGE) + PAGE
-}
-
-/// Items of a message, which few exceed.
-pub(crate) fn usual_length(kind: Kind) -> usize {
-    match kind {
-        Kind::Nothing => 0,
-        Kind::Depth => USUAL_IMAGE,
-        Kind::Ellipses => USUAL_ELLIPSES,
-        Kind::Objects | Kind::Tracks => USUAL_OBJECTS,
-    }
+    (size_of::<Header>() + items).next_multiple_of(PAGE) + PAGE
 }
 
 /// Bytes that a writer's messages take, of which its readers hold and keep waiting so many at most.
@@ -73,9 +52,9 @@ fn taken_by_ports(topic: &Topic) -> u64 {
 }
 
 /// Makes sure that a topic's messages find room if they are up to `length` items long; the bytes that they take at most.
-pub(crate) fn look_for_room<T: Item>(topic: &Topic, length: usize) -> Result<u64, PortError> {
+pub(crate) fn look_for_room(item: &ItemType, topic: &Topic, length: usize) -> Result<u64, PortError> {
     let with_readers = topic.readers.iter().map(|reader| reader.queue + HELD).sum();
-    let needed = taken(topic, message_bytes(T::KIND, Some(length)), with_readers);
+    let needed = taken(topic, message_bytes(item, Some(length)), with_readers);
     match room() {
         Ok((free, _)) if free < needed => Err(no_room(topic, length, needed)),
         // Where there is no such folder iceoryx2 says it better.

@@ -1,9 +1,10 @@
 //! The twin of shared memory inside one process: the same queues and the same waiting, for tests.
 
+use crate::item_type::ItemType;
 use crate::ports::{Delivery, PortError, Reader, Received, Topic, Transport, Writer};
 use crate::stage::Stop;
-use conicflow_messages::{Header, Item};
-use std::any::Any;
+use bytemuck::{cast_slice, cast_slice_mut};
+use conicflow_messages::Header;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -11,7 +12,7 @@ use std::time::Duration;
 /// All topics of one pipeline, inside this process.
 #[derive(Clone, Default)]
 pub struct InMemory {
-    topics: Arc<Mutex<BTreeMap<String, Arc<dyn Any + Send + Sync>>>>,
+    topics: Arc<Mutex<BTreeMap<String, Arc<Channel>>>>,
     stop: Stop,
 }
 
@@ -21,10 +22,8 @@ impl InMemory {
         Self { topics: Arc::default(), stop }
     }
 
-    fn channel<T: Item>(&self, name: &str) -> Arc<Channel<T>> {
-        let mut topics = lock(&self.topics);
-        let channel = topics.entry(name.to_owned()).or_insert_with(|| Arc::new(Channel::<T>::default()));
-        Arc::clone(channel).downcast().unwrap_or_default()
+    fn channel(&self, name: &str) -> Arc<Channel> {
+        Arc::clone(lock(&self.topics).entry(name.to_owned()).or_default())
     }
 }
 
@@ -32,56 +31,77 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-struct Channel<T> {
-    queues: Mutex<Vec<Queue<T>>>,
+#[derive(Default)]
+struct Channel {
+    queues: Mutex<Vec<Queue>>,
     changed: Condvar,
 }
 
-impl<T> Default for Channel<T> {
-    fn default() -> Self {
-        Self { queues: Mutex::default(), changed: Condvar::new() }
-    }
-}
-
-struct Queue<T> {
+struct Queue {
     stage: String,
     delivery: Delivery,
     capacity: usize,
-    messages: VecDeque<Arc<Held<T>>>,
+    messages: VecDeque<Arc<Held>>,
+}
+
+/// Bytes that lie as any item has to.
+#[derive(Debug, Default)]
+struct Aligned {
+    words: Vec<u64>,
+    length: usize,
+}
+
+impl Aligned {
+    fn new(length: usize) -> Self {
+        Self { words: vec![0; length.div_ceil(size_of::<u64>())], length }
+    }
+
+    fn bytes(&self) -> &[u8] {
+        &cast_slice(&self.words)[..self.length]
+    }
+
+    fn bytes_mut(&mut self) -> &mut [u8] {
+        &mut cast_slice_mut(&mut self.words)[..self.length]
+    }
 }
 
 /// A message in this process.
 #[derive(Debug)]
-pub struct Held<T> {
+pub struct Held {
     header: Header,
-    items: Vec<T>,
+    items: Aligned,
 }
 
-impl<T: Item> Received<T> for Arc<Held<T>> {
+impl Received for Arc<Held> {
     fn header(&self) -> &Header {
         &self.header
     }
 
-    fn items(&self) -> &[T] {
-        &self.items
+    fn bytes(&self) -> &[u8] {
+        self.items.bytes()
     }
 }
 
 /// Reads a topic of [`InMemory`].
-pub struct MemoryReader<T> {
-    channel: Arc<Channel<T>>,
+pub struct MemoryReader {
+    item: ItemType,
+    channel: Arc<Channel>,
     stage: String,
 }
 
-impl<T> Drop for MemoryReader<T> {
+impl Drop for MemoryReader {
     fn drop(&mut self) {
         lock(&self.channel.queues).retain(|queue| queue.stage != self.stage);
         self.channel.changed.notify_all();
     }
 }
 
-impl<T: Item> Reader<T> for MemoryReader<T> {
-    type Message = Arc<Held<T>>;
+impl Reader for MemoryReader {
+    type Message = Arc<Held>;
+
+    fn item(&self) -> &ItemType {
+        &self.item
+    }
 
     fn receive(&mut self) -> Result<Option<Self::Message>, PortError> {
         let mut queues = lock(&self.channel.queues);
@@ -93,7 +113,7 @@ impl<T: Item> Reader<T> for MemoryReader<T> {
 
     fn wait(&mut self, timeout: Duration) -> Result<(), PortError> {
         let queues = lock(&self.channel.queues);
-        let empty = |queue: &Queue<T>| queue.stage == self.stage && queue.messages.is_empty();
+        let empty = |queue: &Queue| queue.stage == self.stage && queue.messages.is_empty();
         if queues.iter().any(empty) {
             drop(self.channel.changed.wait_timeout(queues, timeout));
         }
@@ -102,22 +122,27 @@ impl<T: Item> Reader<T> for MemoryReader<T> {
 }
 
 /// Writes a topic of [`InMemory`].
-pub struct MemoryWriter<T> {
-    channel: Arc<Channel<T>>,
-    loan: Vec<T>,
+pub struct MemoryWriter {
+    item: ItemType,
+    channel: Arc<Channel>,
+    loan: Aligned,
     stop: Stop,
 }
 
-impl<T: Item> Writer<T> for MemoryWriter<T> {
-    fn loan(&mut self, length: usize) -> Result<&mut [T], PortError> {
-        self.loan = vec![T::zeroed(); length];
-        Ok(&mut self.loan)
+impl Writer for MemoryWriter {
+    fn item(&self) -> &ItemType {
+        &self.item
+    }
+
+    fn loan_bytes(&mut self, length: usize) -> Result<&mut [u8], PortError> {
+        self.loan = Aligned::new(length * self.item.size());
+        Ok(self.loan.bytes_mut())
     }
 
     fn send(&mut self, header: &Header) -> Result<usize, PortError> {
         let message = Arc::new(Held { header: *header, items: std::mem::take(&mut self.loan) });
         let mut queues = lock(&self.channel.queues);
-        let full = |queue: &Queue<T>| queue.delivery == Delivery::Lossless && queue.messages.len() >= queue.capacity;
+        let full = |queue: &Queue| queue.delivery == Delivery::Lossless && queue.messages.len() >= queue.capacity;
         while queues.iter().any(full) {
             if self.stop.forced() {
                 return Err(PortError::Stopped);
@@ -132,7 +157,7 @@ impl<T: Item> Writer<T> for MemoryWriter<T> {
             queue.messages.push_back(Arc::clone(&message));
         }
         self.channel.changed.notify_all();
-        Ok(message.items.len())
+        Ok(message.items.length / self.item.size())
     }
 
     fn connected(&self) -> Vec<String> {
@@ -141,19 +166,22 @@ impl<T: Item> Writer<T> for MemoryWriter<T> {
 }
 
 impl Transport for InMemory {
-    type Reader<T: Item> = MemoryReader<T>;
-    type Writer<T: Item> = MemoryWriter<T>;
+    type Reader = MemoryReader;
+    type Writer = MemoryWriter;
 
-    fn reader<T: Item>(&self, topic: &Topic, stage: &str) -> Result<MemoryReader<T>, PortError> {
-        let channel = self.channel::<T>(&topic.name);
+    fn reader_of(&self, item: &ItemType, topic: &Topic, stage: &str) -> Result<MemoryReader, PortError> {
+        topic.expect(item)?;
+        let channel = self.channel(&topic.name);
         let reader = topic.readers.iter().find(|reader| reader.stage == stage);
         let (delivery, capacity) = reader.map_or((Delivery::Latest, 2), |reader| (reader.delivery, reader.queue));
         let queue = Queue { stage: stage.to_owned(), delivery, capacity, messages: VecDeque::new() };
         lock(&channel.queues).push(queue);
-        Ok(MemoryReader { channel, stage: stage.to_owned() })
+        Ok(MemoryReader { item: item.clone(), channel, stage: stage.to_owned() })
     }
 
-    fn writer<T: Item>(&self, topic: &Topic) -> Result<MemoryWriter<T>, PortError> {
-        Ok(MemoryWriter { channel: self.channel(&topic.name), loan: Vec::new(), stop: self.stop.clone() })
+    fn writer_of(&self, item: &ItemType, topic: &Topic) -> Result<MemoryWriter, PortError> {
+        topic.expect(item)?;
+        let channel = self.channel(&topic.name);
+        Ok(MemoryWriter { item: item.clone(), channel, loan: Aligned::default(), stop: self.stop.clone() })
     }
 }

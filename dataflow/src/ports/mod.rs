@@ -1,19 +1,27 @@
 //! What a stage's runner needs of a transport: to take messages out of a topic and to write messages into one.
 //!
-//! [`shared_memory`] is the transport between processes, [`in_memory`] its twin for tests.
+//! Ports carry bytes of an [`ItemType`], so that a process can carry what it does not know; whoever knows the type reads and
+//! writes items by [`Received::items`] and [`Writer::loan`]. [`shared_memory`] is the transport between processes,
+//! [`in_memory`] its twin for tests.
 
 pub(crate) mod capacity;
 pub mod in_memory;
 pub mod shared_memory;
 
+use crate::item_type::ItemType;
+use bytemuck::{try_cast_slice, try_cast_slice_mut};
 use capacity::in_words;
-use conicflow_messages::{Header, Item, Kind};
+use conicflow_messages::{Header, Item};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::time::Duration;
 
 /// Messages that a stage keeps of one input at most until their frame has come, or its own turn.
 pub(crate) const MAX_KEPT: usize = 12;
+
+/// What to do about a topic that carries another type of message.
+const OTHER_BUILD: &str =
+    "its stages were built from different versions of conicflow, or one of them is no stage for this topic";
 
 /// Which messages an input sees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -31,7 +39,7 @@ pub struct Topic {
     /// Its name in the pipeline file.
     pub name: String,
     /// What it carries, where that is known.
-    pub kind: Option<Kind>,
+    pub item: Option<ItemType>,
     /// Names of the stages that write it.
     pub writers: Vec<String>,
     /// The stages that read it, and how.
@@ -63,6 +71,30 @@ impl Topic {
     /// The length of the longest queue of a reader.
     pub(crate) fn longest_queue(&self) -> usize {
         self.readers.iter().map(|reader| reader.queue).max().unwrap_or(2)
+    }
+
+    /// The word for what it carries.
+    pub fn kind(&self) -> Option<&str> {
+        self.item.as_ref().map(ItemType::name)
+    }
+
+    /// Makes sure that a stage which has `item` may read or write it.
+    ///
+    /// # Errors
+    /// The pipeline file says otherwise.
+    fn expect(&self, item: &ItemType) -> Result<(), PortError> {
+        match &self.item {
+            Some(said) if !said.fits(item) => {
+                let hint = if said.is_built_in() {
+                    OTHER_BUILD.to_owned()
+                } else {
+                    format!("let `type` and `fields` under [item.{}] be those of the program", said.name())
+                };
+                let said = format!(": the pipeline file says {said}");
+                Err(PortError::Incompatible { topic: self.name.clone(), own: item.to_string(), said, hint })
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Whether any reader wants every message.
@@ -100,16 +132,17 @@ pub enum PortError {
         /// The longest that works.
         limit: usize,
     },
-    /// Somebody wrote this topic with other types.
-    #[error(
-        "topic `{topic}` carries another type of message than `{expected}`\n  \
-         hint: its stages were built from different versions of conicflow, or one of them is no stage for this topic"
-    )]
+    /// Another type of message goes through this topic.
+    #[error("topic `{topic}` carries another type of message than {own}{said}\n  hint: {hint}")]
     Incompatible {
         /// The topic.
         topic: String,
-        /// Type names of header and item that this stage uses.
-        expected: String,
+        /// The type that this stage has.
+        own: String,
+        /// What says otherwise.
+        said: String,
+        /// What to do about it.
+        hint: String,
     },
     /// All places for those who look on are taken.
     #[error(
@@ -156,17 +189,25 @@ pub enum PortError {
 }
 
 /// A message taken out of a topic, kept in the writer's memory as long as this lives.
-pub trait Received<T: Item> {
+pub trait Received {
     /// Its header.
     fn header(&self) -> &Header;
-    /// Its items.
-    fn items(&self) -> &[T];
+    /// Its items, as bytes that lie as the items have to.
+    fn bytes(&self) -> &[u8];
+
+    /// Its items; none where these are no bytes of whole items.
+    fn items<T: Item>(&self) -> &[T] {
+        try_cast_slice(self.bytes()).unwrap_or_default()
+    }
 }
 
 /// Takes messages out of a topic.
-pub trait Reader<T: Item> {
+pub trait Reader {
     /// A message in the writer's memory.
-    type Message: Received<T>;
+    type Message: Received;
+
+    /// What the items of its messages are.
+    fn item(&self) -> &ItemType;
 
     /// The oldest message that waits, if any.
     ///
@@ -182,13 +223,24 @@ pub trait Reader<T: Item> {
 }
 
 /// Writes messages into a topic.
-pub trait Writer<T: Item> {
+pub trait Writer {
+    /// What the items of its messages are.
+    fn item(&self) -> &ItemType;
+
     /// Memory for a message of `length` items, with the content of an earlier one. It is sent by [`Writer::send`];
     /// a loan that follows another replaces it.
     ///
     /// # Errors
     /// The transport failed.
-    fn loan(&mut self, length: usize) -> Result<&mut [T], PortError>;
+    fn loan_bytes(&mut self, length: usize) -> Result<&mut [u8], PortError>;
+
+    /// The same for who knows the type of the items; no memory where they are of another.
+    ///
+    /// # Errors
+    /// The transport failed.
+    fn loan<T: Item>(&mut self, length: usize) -> Result<&mut [T], PortError> {
+        Ok(try_cast_slice_mut(self.loan_bytes(length)?).unwrap_or_default())
+    }
 
     /// Sends the loaned memory, or an empty message without one, and tells how many items that were. Waits for room where
     /// a reader wants every message.
@@ -204,19 +256,35 @@ pub trait Writer<T: Item> {
 /// Opens the ends of topics.
 pub trait Transport {
     /// How it reads.
-    type Reader<T: Item>: Reader<T>;
+    type Reader: Reader;
     /// How it writes.
-    type Writer<T: Item>: Writer<T>;
+    type Writer: Writer;
 
-    /// Opens a topic for `stage` to read.
+    /// Opens a topic of these items for `stage` to read.
     ///
     /// # Errors
-    /// The transport failed.
-    fn reader<T: Item>(&self, topic: &Topic, stage: &str) -> Result<Self::Reader<T>, PortError>;
+    /// The transport failed, or the topic carries something else.
+    fn reader_of(&self, item: &ItemType, topic: &Topic, stage: &str) -> Result<Self::Reader, PortError>;
 
-    /// Opens a topic to write.
+    /// Opens a topic of these items to write.
     ///
     /// # Errors
-    /// The transport failed.
-    fn writer<T: Item>(&self, topic: &Topic) -> Result<Self::Writer<T>, PortError>;
+    /// The transport failed, or the topic carries something else.
+    fn writer_of(&self, item: &ItemType, topic: &Topic) -> Result<Self::Writer, PortError>;
+
+    /// Opens a topic of items that this program knows for `stage` to read.
+    ///
+    /// # Errors
+    /// The transport failed, or the topic carries something else.
+    fn reader<T: Item>(&self, topic: &Topic, stage: &str) -> Result<Self::Reader, PortError> {
+        self.reader_of(const { &ItemType::of::<T>() }, topic, stage)
+    }
+
+    /// Opens a topic of items that this program knows to write.
+    ///
+    /// # Errors
+    /// The transport failed, or the topic carries something else.
+    fn writer<T: Item>(&self, topic: &Topic) -> Result<Self::Writer, PortError> {
+        self.writer_of(const { &ItemType::of::<T>() }, topic)
+    }
 }

@@ -70,7 +70,7 @@ where
 
 fn topic(name: &str, writer: &str, reader: &str, queue: usize) -> Topic {
     let reader = TopicReader { stage: reader.to_owned(), delivery: Delivery::Lossless, queue };
-    Topic { name: name.to_owned(), kind: None, writers: vec![writer.to_owned()], readers: vec![reader] }
+    Topic { name: name.to_owned(), item: None, writers: vec![writer.to_owned()], readers: vec![reader] }
 }
 
 fn from_upstream(header: Header) -> Header {
@@ -105,7 +105,7 @@ fn run_alone<T: Item>(
 }
 
 /// All messages up to the end of the stream, or until nobody is left to send more.
-fn gather<T: Item>(reader: &mut MemoryReader<T>, is_over: impl Fn() -> bool) -> Result<Vec<Owned<T>>, PortError> {
+fn gather<T: Item>(reader: &mut MemoryReader, is_over: impl Fn() -> bool) -> Result<Vec<Owned<T>>, PortError> {
     let mut messages = Vec::new();
     loop {
         let over = is_over();

@@ -1,10 +1,11 @@
 //! An input of a stage: decides which of the messages that came is worked on, and counts the others.
 
 use super::handover::Mark;
+use crate::item_type::ItemType;
 use crate::log::Seldom;
 use crate::ports::{Delivery, MAX_KEPT, PortError, Reader, Received};
 use crate::status::{InputCounts, LastMessage};
-use conicflow_messages::{Header, Item, Text};
+use conicflow_messages::{Header, Text};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
@@ -12,7 +13,7 @@ use std::time::Duration;
 const MOST_AT_ONCE: usize = 64;
 
 /// Takes messages from a reader: checked, in order, the newest only where that is wanted.
-pub struct Inbox<T: Item, R: Reader<T>> {
+pub struct Inbox<R: Reader> {
     reader: R,
     delivery: Delivery,
     writers: usize,
@@ -30,7 +31,7 @@ pub struct Inbox<T: Item, R: Reader<T>> {
     nonsense: Seldom,
 }
 
-impl<T: Item, R: Reader<T>> Inbox<T, R> {
+impl<R: Reader> Inbox<R> {
     /// An input from `topic`, which `writers` stages write.
     pub fn new(reader: R, delivery: Delivery, topic: &str, writers: usize) -> Self {
         Self {
@@ -47,6 +48,11 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
             counted: None,
             nonsense: Seldom::default(),
         }
+    }
+
+    /// What the items of its messages are.
+    pub(crate) fn item(&self) -> &ItemType {
+        self.reader.item()
     }
 
     /// The message to be worked on next, if one is there.
@@ -231,7 +237,7 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
     /// Whether a message is to be worked on: it makes sense, is news, and is not the end of a stream.
     fn admit(&mut self, message: &R::Message) -> bool {
         let header = message.header();
-        if let Err(error) = header.check(T::KIND).and_then(|()| check_items::<T>(header, message.items())) {
+        if let Err(error) = self.reader.item().check(header, message.bytes()) {
             self.counts.malformed += 1;
             self.nonsense.warn(format_args!("left out a message of topic `{}`: {error}", self.counts.topic));
             return false;
@@ -292,10 +298,6 @@ impl<T: Item, R: Reader<T>> Inbox<T, R> {
         }
         self.pending.push_back(message);
     }
-}
-
-fn check_items<T: Item>(header: &Header, items: &[T]) -> Result<(), conicflow_messages::Malformed> {
-    if header.ends_stream() { Ok(()) } else { T::check(header, items) }
 }
 
 fn is_from(header: &Header, writer: &Text<32>) -> bool {

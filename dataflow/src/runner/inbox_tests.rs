@@ -9,7 +9,7 @@ use conicflow_messages::{Camera, END_OF_STREAM, Header, Hop, Object, Text};
 
 fn topic(delivery: Delivery) -> Topic {
     let reader = TopicReader { stage: "reader".into(), delivery, queue: 8 };
-    Topic { name: "objects".into(), kind: None, writers: vec!["writer".into()], readers: vec![reader] }
+    Topic { name: "objects".into(), item: None, writers: vec!["writer".into()], readers: vec![reader] }
 }
 
 fn header(sequence: u64) -> Header {

@@ -21,7 +21,7 @@ use crate::ports::{PortError, Transport, Wiring};
 use crate::sides::Side;
 use crate::stage::{Context, StageError};
 use crate::status::{Life, StatusFile};
-use conicflow_messages::{Item, Kind, Text};
+use conicflow_messages::{Item, Nothing, Text};
 use handover::{Handover, Successor};
 use outlet::Outlet;
 use peers::Peers;
@@ -48,6 +48,11 @@ pub struct Surroundings<T> {
     pub(crate) successor: Option<Successor>,
     /// Held while the stage lives, where it is a process of its own.
     pub(crate) lock: Option<File>,
+}
+
+/// Whether there are no messages of these items: the output of a sink.
+fn is_nothing<T: Item>() -> bool {
+    T::TYPE_NAME == Nothing::TYPE_NAME
 }
 
 /// Why a stage ended before its stream did.
@@ -85,8 +90,8 @@ fn with_causes(error: &(dyn Error + 'static)) -> String {
 }
 
 impl<T: Transport + 'static> Surroundings<T> {
-    pub(crate) fn outlet<O: Item>(&mut self) -> Result<Outlet<O, T::Writer<O>>, PortError> {
-        let wired = self.wiring.output.take().filter(|_| O::KIND != Kind::Nothing);
+    pub(crate) fn outlet<O: Item>(&mut self) -> Result<Outlet<T::Writer>, PortError> {
+        let wired = self.wiring.output.take().filter(|_| !is_nothing::<O>());
         let port = wired.map(|topic| Ok::<_, PortError>((self.transport.writer::<O>(&topic)?, topic))).transpose()?;
         let (stop, sent) = (self.context.stop.clone(), self.record.status.sent);
         Ok(Outlet::new(port, &self.context.stage, sent, self.peers.clone(), stop))
@@ -96,7 +101,7 @@ impl<T: Transport + 'static> Surroundings<T> {
         let mut ports = Vec::new();
         for side in declared {
             if let Some((_, topic)) = self.wiring.sides.iter().find(|(name, _)| name == side.name) {
-                ports.extend(side_ports::open(&self.transport, *side, topic, &self.context.stage)?);
+                ports.push(side_ports::open(&self.transport, *side, topic, &self.context.stage)?);
             }
         }
         Ok(ports)

@@ -18,10 +18,9 @@ const LOOK: Duration = Duration::from_millis(10);
 const TELL_END: Duration = Duration::from_millis(100);
 
 /// Writes the messages of one stage.
-pub struct Outlet<T: Item, W: Writer<T>> {
+pub struct Outlet<W: Writer> {
     port: Option<(W, Topic)>,
     stage: Text<32>,
-    list: Vec<T>,
     counts: BTreeMap<&'static str, u64>,
     number: u64,
     bytes: u64,
@@ -32,7 +31,7 @@ pub struct Outlet<T: Item, W: Writer<T>> {
     stop: Stop,
 }
 
-impl<T: Item, W: Writer<T>> Memory<T> for Option<(W, Topic)> {
+impl<T: Item, W: Writer> Memory<T> for Option<(W, Topic)> {
     fn loan(&mut self, length: usize) -> Result<&mut [T], StageError> {
         match self {
             Some((writer, _)) => Ok(writer.loan(length)?),
@@ -41,13 +40,12 @@ impl<T: Item, W: Writer<T>> Memory<T> for Option<(W, Topic)> {
     }
 }
 
-impl<T: Item, W: Writer<T>> Outlet<T, W> {
+impl<W: Writer> Outlet<W> {
     /// The output of `stage` into a topic, if it is wired to one; `number` messages were sent before.
     pub fn new(port: Option<(W, Topic)>, stage: &str, number: u64, peers: Peers, stop: Stop) -> Self {
         Self {
             port,
             stage: Text::new(stage),
-            list: Vec::new(),
             counts: BTreeMap::new(),
             number,
             bytes: 0,
@@ -64,20 +62,25 @@ impl<T: Item, W: Writer<T>> Outlet<T, W> {
         self.number = number;
     }
 
-    /// A place to write a message with this header.
-    pub(crate) fn place(&mut self, header: Header) -> Output<'_, T> {
-        Output::new(header, &mut self.port, &mut self.list, &mut self.counts)
+    /// A place to write a message with this header; a list is gathered in `list`.
+    pub(crate) fn place<'a, T: Item>(&'a mut self, header: Header, list: &'a mut Vec<T>) -> Output<'a, T> {
+        Output::new(header, &mut self.port, list, &mut self.counts)
     }
 
-    /// Sends what was written: an image where it is, a list after it was copied into shared memory.
-    pub(crate) fn send(&mut self, mut header: Header, received_ns: u64, is_image: bool) -> Result<(), PortError> {
+    /// Sends what was written: a list after it was copied into shared memory; `None`: an image, where it is.
+    pub(crate) fn send<T: Item>(
+        &mut self,
+        mut header: Header,
+        received_ns: u64,
+        list: Option<&[T]>,
+    ) -> Result<(), PortError> {
         if self.port.is_none() {
             return Ok(());
         }
         self.await_readers()?;
         let Some((writer, _)) = &mut self.port else { return Ok(()) };
-        if !is_image {
-            writer.loan(self.list.len())?.copy_from_slice(&self.list);
+        if let Some(list) = list {
+            writer.loan(list.len())?.copy_from_slice(list);
         }
         header.number = self.number;
         let sent_ns = monotonic_ns();
@@ -85,13 +88,13 @@ impl<T: Item, W: Writer<T>> Outlet<T, W> {
         let length = writer.send(&header)?;
         self.number += 1;
         self.interval_ns = self.sent_ns.replace(sent_ns).map(|before| sent_ns.saturating_sub(before));
-        self.bytes += (length * size_of::<T>() + size_of::<Header>()) as u64;
+        self.bytes += (length * writer.item().size() + size_of::<Header>()) as u64;
         self.last = header;
         Ok(())
     }
 
-    /// Adds what the last step, which met `frame`, counted, and what it sent by label, to the record.
-    pub(crate) fn tally(&mut self, status: &mut Status, frame: u64) {
+    /// Adds what the last step, which met `frame`, counted, and the list that it sent by label, to the record.
+    pub(crate) fn tally<T: Item>(&mut self, status: &mut Status, frame: u64, list: &[T]) {
         status.sent = self.number;
         status.sent_bytes += std::mem::take(&mut self.bytes);
         self.interval_ns.take().into_iter().for_each(|ns| status.intervals.add(ns));
@@ -100,20 +103,21 @@ impl<T: Item, W: Writer<T>> Outlet<T, W> {
             tracing::debug!("stage `{}`, frame {frame}: {}", self.stage, Counts(&self.counts));
         }
         self.counts.clear();
-        self.list.iter().filter_map(Item::label).for_each(|label| status.count_found(label));
+        list.iter().filter_map(Item::label).for_each(|label| status.count_found(label));
     }
 
     /// Sends on what a stage on another machine wrote, as that stage wrote it.
     ///
     /// # Errors
     /// The transport failed, or the run ended while it waited.
-    pub fn relay(&mut self, header: &Header, items: &[T]) -> Result<(), PortError> {
+    pub fn relay(&mut self, header: &Header, bytes: &[u8]) -> Result<(), PortError> {
         self.await_readers()?;
         let Some((writer, _)) = &mut self.port else { return Ok(()) };
-        writer.loan(items.len())?.copy_from_slice(items);
+        let length = bytes.len() / writer.item().size();
+        writer.loan_bytes(length)?.copy_from_slice(bytes);
         writer.send(header)?;
         self.number += 1;
-        self.bytes += (size_of_val(items) + size_of::<Header>()) as u64;
+        self.bytes += (bytes.len() + size_of::<Header>()) as u64;
         self.last = *header;
         Ok(())
     }

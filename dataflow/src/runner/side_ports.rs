@@ -1,10 +1,11 @@
 //! The further inputs of a running stage: finds for each step the message that goes with it.
 
 use super::inbox::Inbox;
+use crate::item_type::AnyMessage;
 use crate::ports::{Delivery, MAX_KEPT, PortError, Reader, Received, Topic, Transport};
-use crate::sides::{AnyMessage, Pick, Side, Sides};
+use crate::sides::{Pick, Side, Sides};
 use crate::status::InputCounts;
-use conicflow_messages::{Ellipse, Header, Item, Kind, Message, Object, Track};
+use conicflow_messages::Header;
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
@@ -35,20 +36,21 @@ pub(crate) fn open<T: Transport>(
     side: Side,
     topic: &Topic,
     stage: &str,
-) -> Result<Option<Box<dyn SidePort + 'static>>, PortError>
+) -> Result<Box<dyn SidePort>, PortError>
 where
-    T::Reader<u16>: 'static,
-    T::Reader<Ellipse>: 'static,
-    T::Reader<Object>: 'static,
-    T::Reader<Track>: 'static,
+    T::Reader: 'static,
 {
-    Ok(match side.kind {
-        Kind::Nothing => None,
-        Kind::Depth => Some(typed(transport.reader::<u16>(topic, stage)?, side, topic, stage)),
-        Kind::Ellipses => Some(typed(transport.reader::<Ellipse>(topic, stage)?, side, topic, stage)),
-        Kind::Objects => Some(typed(transport.reader::<Object>(topic, stage)?, side, topic, stage)),
-        Kind::Tracks => Some(typed(transport.reader::<Track>(topic, stage)?, side, topic, stage)),
-    })
+    let reader = transport.reader_of(&(side.item)(), topic, stage)?;
+    let wired = topic.readers.iter().find(|reader| reader.stage == stage);
+    let lossless = wired.is_some_and(|reader| reader.delivery == Delivery::Lossless);
+    let taking = if side.pick == Pick::Latest { Delivery::Latest } else { Delivery::Lossless };
+    Ok(Box::new(WiredSide {
+        inbox: Inbox::new(reader, taking, &topic.name, topic.writers.len()),
+        side,
+        patience: if lossless { ON_ITS_WAY } else { Duration::ZERO },
+        waiting: VecDeque::new(),
+        found: None,
+    }))
 }
 
 /// The messages that were found, to be handed to a step.
@@ -56,57 +58,15 @@ pub(crate) fn found(ports: &[Box<dyn SidePort>]) -> Sides<'_> {
     Sides(ports.iter().filter_map(|port| Some((port.name(), port.message()?))).collect())
 }
 
-fn typed<T: AnyItem, R: Reader<T> + 'static>(reader: R, side: Side, topic: &Topic, stage: &str) -> Box<dyn SidePort> {
-    let wired = topic.readers.iter().find(|reader| reader.stage == stage);
-    let lossless = wired.is_some_and(|reader| reader.delivery == Delivery::Lossless);
-    let taking = if side.pick == Pick::Latest { Delivery::Latest } else { Delivery::Lossless };
-    Box::new(TypedSide {
-        inbox: Inbox::new(reader, taking, &topic.name, topic.writers.len()),
-        side,
-        patience: if lossless { ON_ITS_WAY } else { Duration::ZERO },
-        waiting: VecDeque::new(),
-        found: None,
-    })
-}
-
-/// An item that has its place in [`AnyMessage`].
-trait AnyItem: Item {
-    fn any(message: Message<'_, Self>) -> AnyMessage<'_>;
-}
-
-impl AnyItem for u16 {
-    fn any(message: Message<'_, Self>) -> AnyMessage<'_> {
-        AnyMessage::Depth(message)
-    }
-}
-
-impl AnyItem for Ellipse {
-    fn any(message: Message<'_, Self>) -> AnyMessage<'_> {
-        AnyMessage::Ellipses(message)
-    }
-}
-
-impl AnyItem for Object {
-    fn any(message: Message<'_, Self>) -> AnyMessage<'_> {
-        AnyMessage::Objects(message)
-    }
-}
-
-impl AnyItem for Track {
-    fn any(message: Message<'_, Self>) -> AnyMessage<'_> {
-        AnyMessage::Tracks(message)
-    }
-}
-
-struct TypedSide<T: Item, R: Reader<T>> {
-    inbox: Inbox<T, R>,
+struct WiredSide<R: Reader> {
+    inbox: Inbox<R>,
     side: Side,
     patience: Duration,
     waiting: VecDeque<R::Message>,
     found: Option<R::Message>,
 }
 
-impl<T: Item, R: Reader<T>> TypedSide<T, R> {
+impl<R: Reader> WiredSide<R> {
     fn find_latest(&mut self) -> Result<(), PortError> {
         while let Some(message) = self.inbox.take()? {
             self.found = Some(message);
@@ -165,7 +125,7 @@ fn reaches(a: &Header, b: &Header) -> bool {
     same_frame(a, b) || follows(a, b)
 }
 
-impl<T: AnyItem, R: Reader<T>> SidePort for TypedSide<T, R> {
+impl<R: Reader> SidePort for WiredSide<R> {
     fn name(&self) -> &'static str {
         self.side.name
     }
@@ -179,7 +139,7 @@ impl<T: AnyItem, R: Reader<T>> SidePort for TypedSide<T, R> {
 
     fn message(&self) -> Option<AnyMessage<'_>> {
         let message = self.found.as_ref()?;
-        Some(T::any(Message { header: message.header(), items: message.items() }))
+        Some(AnyMessage { header: message.header(), item: self.inbox.item(), bytes: message.bytes() })
     }
 
     fn counts(&self) -> InputCounts {
@@ -206,11 +166,12 @@ impl<T: AnyItem, R: Reader<T>> SidePort for TypedSide<T, R> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::item_type::ItemType;
     use crate::ports::in_memory::InMemory;
     use crate::ports::{TopicReader, Writer};
-    use conicflow_messages::{Camera, Hop, Text};
+    use conicflow_messages::{Camera, Hop, Object, Text};
 
-    const OBJECTS: Side = Side { name: "objects", kind: Kind::Objects, pick: Pick::SameFrame };
+    const OBJECTS: Side = Side::same_frame::<Object>("objects");
 
     fn frame(camera: &str, sequence: u64) -> Header {
         let epoch = if camera == "left" { 1 } else { 2 };
@@ -225,9 +186,10 @@ mod tests {
     fn a_step_finds_its_frame_behind_those_of_another_camera() {
         let reader = TopicReader { stage: "sink".into(), delivery: Delivery::Latest, queue: 8 };
         let writers = vec!["left".into(), "right".into()];
-        let topic = Topic { name: "objects".into(), kind: Some(Kind::Objects), writers, readers: vec![reader] };
+        let topic =
+            Topic { name: "objects".into(), item: Some(ItemType::of::<Object>()), writers, readers: vec![reader] };
         let memory = InMemory::default();
-        let mut side = open(&memory, OBJECTS, &topic, "sink").unwrap().unwrap();
+        let mut side = open(&memory, OBJECTS, &topic, "sink").unwrap();
         let mut writer = memory.writer::<Object>(&topic).unwrap();
         for (camera, sequence) in [("left", 0), ("left", 1), ("right", 0), ("left", 2), ("right", 1)] {
             writer.send(&frame(camera, sequence)).unwrap();
@@ -235,7 +197,8 @@ mod tests {
         for (camera, sequence) in [("right", 0), ("left", 0), ("right", 1), ("left", 2)] {
             let step = frame(camera, sequence);
             side.find(Some(&step)).unwrap();
-            let Some(AnyMessage::Objects(found)) = side.message() else { panic!("{camera} {sequence}") };
+            let Some(found) = side.message() else { panic!("{camera} {sequence}") };
+            assert_eq!(found.item.name(), "objects");
             assert_eq!((found.header.epoch, found.header.sequence), (step.epoch, step.sequence));
         }
     }

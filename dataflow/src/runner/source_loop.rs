@@ -15,7 +15,8 @@ use std::time::{Instant, SystemTime, UNIX_EPOCH};
 struct SourceLoop<S: Source, T: Transport> {
     source: S,
     sides: Vec<Box<dyn SidePort>>,
-    outlet: Outlet<S::Output, T::Writer<S::Output>>,
+    outlet: Outlet<T::Writer>,
+    list: Vec<S::Output>,
     record: StatusFile,
     stop: Stop,
     epoch: u64,
@@ -28,7 +29,7 @@ pub(crate) fn run_source<S: Source, T: Transport + 'static>(
     config: S::Config,
     mut around: Surroundings<T>,
 ) -> Result<(), RunError> {
-    let (mut sides, mut outlet) = (around.sides(S::sides())?, around.outlet()?);
+    let (mut sides, mut outlet) = (around.sides(S::sides())?, around.outlet::<S::Output>()?);
     if !takes_place(&mut around)? {
         return Ok(());
     }
@@ -42,7 +43,8 @@ pub(crate) fn run_source<S: Source, T: Transport + 'static>(
     let (frames, settling) = (around.wiring.frames, Settling::of(&around));
     let mut pace = Pace::new(source.rate_hz(), stop.clone());
     let (record, epoch) = (around.record, new_epoch());
-    let mut running = SourceLoop::<S, T> { source, sides, outlet, record, stop, epoch, sequence, settling };
+    let list = Vec::new();
+    let mut running = SourceLoop::<S, T> { source, sides, outlet, list, record, stop, epoch, sequence, settling };
     while frames.is_none_or(|frames| running.sequence < frames) {
         pace.wait();
         if running.stop.requested() || !running.make_one()? {
@@ -76,7 +78,7 @@ impl<S: Source, T: Transport> SourceLoop<S, T> {
         }
         let started = Instant::now();
         let sides = side_ports::found(&self.sides);
-        let mut output = self.outlet.place(Header::default());
+        let mut output = self.outlet.place(Header::default(), &mut self.list);
         let next = guarded(self.sequence, || self.source.next(&sides, &mut output))?;
         let header = Header { epoch: self.epoch, sequence: self.sequence, ..output.header };
         let is_image = output.is_image();
@@ -85,7 +87,8 @@ impl<S: Source, T: Transport> SourceLoop<S, T> {
             return Ok(false);
         }
         self.record.status.compute.add(started.elapsed().as_nanos() as u64);
-        if is_stopped(self.outlet.send(header, monotonic_ns(), is_image))? {
+        let list = (!is_image).then_some(&*self.list);
+        if is_stopped(self.outlet.send(header, monotonic_ns(), list))? {
             return Ok(false);
         }
         self.sequence += 1;
@@ -97,7 +100,7 @@ impl<S: Source, T: Transport> SourceLoop<S, T> {
 
     fn keep_record(&mut self, frame: u64) {
         let status = &mut *self.record.status;
-        self.outlet.tally(status, frame);
+        self.outlet.tally(status, frame, &self.list);
         for (slot, side) in status.inputs.iter_mut().zip(&self.sides) {
             *slot = side.counts();
         }

@@ -8,22 +8,24 @@ use super::side_ports::{self, SidePort};
 use super::succession::{made_early, takes_place};
 use super::{RunError, Settling, Surroundings, guarded, is_stopped};
 use crate::clock::monotonic_ns;
+use crate::item_type::ItemType;
 use crate::ports::{PortError, Reader, Received, Topic, Transport};
 use crate::stage::{Stage, StageError, Stop};
 use crate::status::{Life, StatusFile};
-use conicflow_messages::{Header, Message};
+use conicflow_messages::{AnyByte, Header, Item, Message};
 use std::time::{Duration, Instant};
 
 /// A stage that nobody wakes looks around this often.
 const TICK: Duration = Duration::from_millis(100);
 
-type MessageOf<S, T> = <<T as Transport>::Reader<<S as Stage>::Input> as Reader<<S as Stage>::Input>>::Message;
+type MessageOf<T> = <<T as Transport>::Reader as Reader>::Message;
 
 struct StageLoop<S: Stage, T: Transport> {
     stage: S,
-    inbox: Inbox<S::Input, T::Reader<S::Input>>,
+    inbox: Inbox<T::Reader>,
     sides: Vec<Box<dyn SidePort>>,
-    outlet: Outlet<S::Output, T::Writer<S::Output>>,
+    outlet: Outlet<T::Writer>,
+    list: Vec<S::Output>,
     record: StatusFile,
     stop: Stop,
     topic: Topic,
@@ -42,14 +44,16 @@ pub(crate) fn run_stage<S: Stage, T: Transport + 'static>(
     // A successor is not the first, even if it is ready before any message was worked on.
     around.context.resume_at = around.record.status.steps.max(u64::from(around.successor.is_some()));
     let topic = around.wiring.input.take().ok_or_else(|| RunError::Refused("a stage needs an `input`".into()))?;
+    let item = input_of::<S>(&topic)?;
     let mut sides = around.sides(S::sides())?;
     let mut inbox = Inbox::new(
-        around.transport.reader(&topic, &around.context.stage)?,
+        around.transport.reader_of(&item, &topic, &around.context.stage)?,
         topic.delivery_to(&around.context.stage),
         &topic.name,
         topic.writers.len(),
     );
-    let mut outlet = around.outlet()?;
+    let mut outlet = around.outlet::<S::Output>()?;
+    around.context.input = Some(item);
     let early = if around.successor.is_some() { Some(made_early::<S>(&config, &around)?) } else { None };
     if let Some(successor) = around.successor.take()
         && !takes_place(successor, &mut inbox, &mut sides, &mut around, &topic)?
@@ -68,9 +72,21 @@ pub(crate) fn run_stage<S: Stage, T: Transport + 'static>(
     around.begin(None);
     let settling = Settling::of(&around);
     let Surroundings { context, peers, record, handover, lock: _lock, .. } = around;
-    let (stop, leaves_at) = (context.stop, None);
-    let mut running =
-        StageLoop::<S, T> { stage, inbox, sides, outlet, record, stop, topic, peers, handover, settling, leaves_at };
+    let (stop, leaves_at, list) = (context.stop, None, Vec::new());
+    let mut running = StageLoop::<S, T> {
+        stage,
+        inbox,
+        sides,
+        outlet,
+        list,
+        record,
+        stop,
+        topic,
+        peers,
+        handover,
+        settling,
+        leaves_at,
+    };
     while let Some(message) = running.next_message()? {
         if !running.work_on(message)? {
             break;
@@ -79,9 +95,18 @@ pub(crate) fn run_stage<S: Stage, T: Transport + 'static>(
     running.end()
 }
 
+/// What the items of a stage's input are: its own, or those of the topic, where it takes lists of any type.
+fn input_of<S: Stage>(topic: &Topic) -> Result<ItemType, RunError> {
+    if S::Input::TYPE_NAME != AnyByte::TYPE_NAME {
+        return Ok(ItemType::of::<S::Input>());
+    }
+    let unknown = || RunError::Refused(format!("nothing tells what topic `{}` carries", topic.name).into());
+    topic.item.clone().ok_or_else(unknown)
+}
+
 impl<S: Stage, T: Transport> StageLoop<S, T> {
     /// Waits for the next message; `None` when no more will come, or the run is to end.
-    fn next_message(&mut self) -> Result<Option<MessageOf<S, T>>, PortError> {
+    fn next_message(&mut self) -> Result<Option<MessageOf<T>>, PortError> {
         while !self.stop.requested() && !self.may_leave() {
             // The writers are looked at first: what they sent before they were gone is then sure to be found.
             let last_call = self.inbox.is_idle() && self.writers_are_gone();
@@ -112,7 +137,7 @@ impl<S: Stage, T: Transport> StageLoop<S, T> {
     }
 
     /// Steps once and sends what came of it; false if the run ended meanwhile.
-    fn work_on(&mut self, message: MessageOf<S, T>) -> Result<bool, RunError> {
+    fn work_on(&mut self, message: MessageOf<T>) -> Result<bool, RunError> {
         let received_ns = monotonic_ns();
         let header = *message.header();
         for side in &mut self.sides {
@@ -120,13 +145,14 @@ impl<S: Stage, T: Transport> StageLoop<S, T> {
         }
         let started = Instant::now();
         let sides = side_ports::found(&self.sides);
-        let mut output = self.outlet.place(header);
+        let mut output = self.outlet.place(header, &mut self.list);
         let input = Message { header: &header, items: message.items() };
         guarded(header.sequence, || self.stage.step(&input, &sides, &mut output))?;
         let (made, is_image) = (output.header, output.is_image());
         drop(message);
         self.keep_times(&header, received_ns, started.elapsed());
-        let stopped = is_stopped(self.outlet.send(made, received_ns, is_image))?;
+        let list = (!is_image).then_some(&*self.list);
+        let stopped = is_stopped(self.outlet.send(made, received_ns, list))?;
         self.keep_counts(header.sequence);
         self.settling.step();
         Ok(!stopped)
@@ -145,7 +171,7 @@ impl<S: Stage, T: Transport> StageLoop<S, T> {
     fn keep_counts(&mut self, frame: u64) {
         let status = &mut *self.record.status;
         status.steps += 1;
-        self.outlet.tally(status, frame);
+        self.outlet.tally(status, frame, &self.list);
         let counts = std::iter::once(self.inbox.counts()).chain(self.sides.iter().map(|side| side.counts()));
         status.inputs.iter_mut().zip(counts).for_each(|(slot, counts)| *slot = counts);
         self.record.write();

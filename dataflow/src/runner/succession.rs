@@ -4,11 +4,10 @@
 use super::handover::Successor;
 use super::inbox::Inbox;
 use super::side_ports::SidePort;
-use super::{RunError, Surroundings};
+use super::{RunError, Surroundings, is_nothing};
 use crate::ports::{Delivery, Topic, Transport};
 use crate::stage::Stage;
 use crate::status::Life;
-use conicflow_messages::{Item, Kind};
 use std::time::{Duration, Instant};
 
 /// A successor waits so long for the first message of writers whose loss of one would be no fault.
@@ -23,13 +22,13 @@ pub(crate) fn made_early<S: Stage>(
     let copied = serde_json::to_value(config).and_then(serde_json::from_value);
     let copy = copied.map_err(|error| RunError::Refused(error.into()))?;
     let stage = S::new(copy, &around.context).map_err(RunError::Refused)?;
-    Ok(Some(stage).filter(|_| S::Output::KIND != Kind::Nothing))
+    Ok(Some(stage).filter(|_| !is_nothing::<S::Output>()))
 }
 
 /// Hears each writer once, says so, and waits until the process that it replaces is gone; whether its turn came.
-pub(crate) fn takes_place<I: Item, T: Transport + 'static>(
+pub(crate) fn takes_place<T: Transport + 'static>(
     mut successor: Successor,
-    inbox: &mut Inbox<I, T::Reader<I>>,
+    inbox: &mut Inbox<T::Reader>,
     sides: &mut [Box<dyn SidePort>],
     around: &mut Surroundings<T>,
     topic: &Topic,
@@ -49,9 +48,9 @@ pub(crate) fn takes_place<I: Item, T: Transport + 'static>(
 }
 
 /// Waits until each writer was heard once, and the further inputs with it; false if that is not wanted any more.
-fn hears_all<I: Item, T: Transport>(
+fn hears_all<T: Transport>(
     successor: &mut Successor,
-    inbox: &mut Inbox<I, T::Reader<I>>,
+    inbox: &mut Inbox<T::Reader>,
     sides: &mut [Box<dyn SidePort>],
     around: &Surroundings<T>,
     topic: &Topic,

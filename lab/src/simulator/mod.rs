@@ -24,7 +24,7 @@ use crate::random::CounterRng;
 use anyhow::{Result, bail};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::NoiseConfig;
-use conicflow_messages::{Camera, ConfigFault, HAS_POSE, Header, NoiseModel, Text};
+use conicflow_messages::{Camera, ConfigFault, Frame, HAS_POSE, Header, NoiseModel, Text, Velocity};
 use nalgebra::Vector3;
 use random_scenes::RandomScenes;
 use raster::Raster;
@@ -72,10 +72,14 @@ impl SyntheticCamera {
         Self { told_noise: noise, ..self }
     }
 
-    /// Moves the camera for one frame by a velocity along its axes, in m/s, besides the motion that the scene has.
-    pub fn drive(&mut self, velocity: Vector3<f64>) {
-        let rotation = self.scene.world_from_camera(self.time_s).rotation;
-        self.scene.camera_shift += rotation * velocity / self.rate_hz;
+    /// Moves the camera for one frame by a velocity, besides the motion that the scene has; it does not turn.
+    pub fn drive(&mut self, velocity: &Velocity) {
+        let linear = Vector3::from(velocity.linear);
+        let in_world = match velocity.frame() {
+            Frame::Camera => self.scene.world_from_camera(self.time_s).rotation * linear,
+            Frame::World => linear,
+        };
+        self.scene.camera_shift += in_world / self.rate_hz;
     }
 
     /// Takes frame `number`: writes as many pixels as the camera has, row by row.

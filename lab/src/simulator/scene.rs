@@ -29,6 +29,8 @@ pub const BUILT_IN: [(&str, &str); 8] = [
 pub struct Scene {
     /// What the frames call their source.
     pub name: String,
+    /// The group of a random scene: those that are drawn alike.
+    pub group: Option<&'static str>,
     /// What can be seen; solids first, in the order of the file's tables.
     pub bodies: Vec<Body>,
     /// How far the camera is from where the file would have it, in metres: who drives it adds to it.
@@ -122,14 +124,15 @@ impl Scene {
         camera_up: Vector3<f64>,
     ) -> Self {
         let view = View { position, gaze: Gaze::At(look_at), up: camera_up, motion: None, gaze_motion: None };
-        Self { name, bodies, camera_shift: Vector3::zeros(), view, up: Vector3::z(), gravity: earth() }
+        let (group, up) = (None, Vector3::z());
+        Self { name, group, bodies, camera_shift: Vector3::zeros(), view, up, gravity: earth() }
     }
 
     fn from_file(file: SceneFile, origin: &str) -> Result<Self> {
         let (name, up, gravity) = (file.name.clone(), file.up, file.gravity);
         let (bodies, camera, screens) = file.bodies().with_context(|| origin.to_owned())?;
         let view = camera.view(&up).with_context(|| origin.to_owned())?;
-        let mut scene = Self { name, bodies, camera_shift: Vector3::zeros(), view, up, gravity };
+        let mut scene = Self { name, group: None, bodies, camera_shift: Vector3::zeros(), view, up, gravity };
         screens.iter().try_for_each(|entry| scene.put_up(entry)).with_context(|| origin.to_owned())?;
         scene.check().with_context(|| origin.to_owned())?;
         Ok(scene)

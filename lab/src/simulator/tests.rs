@@ -1,6 +1,6 @@
 use super::*;
 use anyhow::anyhow;
-use conicflow_messages::{Kind, NoiseModel};
+use conicflow_messages::{Item, NoiseModel};
 
 fn small() -> SimulatorParameters {
     SimulatorParameters { width: 80, height: 60, ..SimulatorParameters::default() }
@@ -32,7 +32,7 @@ fn the_header_tells_camera_noise_pose_and_simulated_time() {
     frame(&mut camera, 45);
     let mut header = Header::default();
     camera.describe(&mut header);
-    assert_eq!(header.check(Kind::Depth), Ok(()));
+    assert_eq!(header.check(u16::NAME), Ok(()));
     assert_eq!((header.stamp_ns, header.source.as_str()), (1_500_000_000, Some("bouncing_ball")));
     assert_eq!((header.noise, header.depth_scale), (NoiseModel::KINECT_V1, 0.001));
     let pose = header.pose().unwrap();
@@ -95,4 +95,15 @@ fn the_hint_of_an_error_is_that_of_the_fault() {
     let error = anyhow!("no such file\n  hint: name another").context("truth file `a`");
     assert_eq!(told(error), "scene: truth file `a`: no such file; name another");
     assert_eq!(told(anyhow!("line 3")), "scene: line 3; correct the file, or name another one");
+}
+
+#[test]
+fn a_velocity_is_taken_in_the_frame_that_it_is_told_in() {
+    let velocity = |frame: Frame| Velocity { linear: [0.0, 0.0, 3.0], frame: frame.code(), ..Velocity::default() };
+    for (frame, axis) in [(Frame::Camera, Vector3::<f64>::y()), (Frame::World, Vector3::z())] {
+        let mut camera = camera(&small());
+        camera.drive(&velocity(frame));
+        // The camera of the built-in scene looks along the world's y.
+        assert!((camera.scene.camera_shift - axis * 0.1).norm() < 1e-12, "{frame:?}");
+    }
 }

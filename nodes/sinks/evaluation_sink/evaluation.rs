@@ -42,7 +42,7 @@ impl Evaluation {
         let scene = rendered::scene_of(header, self.scene.as_ref())?;
         let expected = rendered::expected(header, &scene, &self.config.required, &self.config.tolerance);
         let matching = match_up(&expected, answers);
-        let group = self.score.group(scene.name.split_once('/').map_or(scene.name.as_str(), |(group, _)| group));
+        let group = self.score.group(scene.group.unwrap_or(&scene.name));
         self.score.frames += 1;
         for (object, answer) in expected.iter().zip(&matching.answer_of) {
             self.count(group, object, answer.map(|index| &answers[index]));

@@ -1,15 +1,12 @@
 //! The sink that writes JSON: one object per message and line, for scripts, plots and other programs.
 
-mod view;
-
-pub use view::{EllipseView, Line, ObjectView, ToJson, TrackView};
-
 use crate::sinks::json_lines::{JsonLines, Wrote};
-use conicflow_dataflow::{ConfigFault, Context, Output, Sides, Stage, StageError, Stop, monotonic_ns};
-use conicflow_messages::{Header, Message, Nothing};
+use conicflow_dataflow::{
+    AnyMessage, ConfigFault, Context, ItemType, Output, Sides, Stage, StageError, Stop, monotonic_ns,
+};
+use conicflow_messages::{AnyByte, Header, Message, Nothing};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 
 /// Parameters of `json_sink`.
@@ -46,18 +43,19 @@ fn is_standard_output(path: &Path) -> bool {
     path == Path::new("-")
 }
 
-/// Writes messages of ellipses, objects or tracks as lines of JSON.
-pub struct JsonSink<T> {
+/// Writes messages with lists of any type as lines of JSON.
+pub struct JsonSink {
     lines: JsonLines,
     stop: Stop,
-    items: PhantomData<T>,
+    /// What the lists consist of.
+    item: ItemType,
 }
 
-impl<T: ToJson> Stage for JsonSink<T> {
+impl Stage for JsonSink {
     const NAME: &'static str = "json_sink";
-    const SUMMARY: &'static str = "Writes ellipses, objects or tracks as JSON, one line per message";
+    const SUMMARY: &'static str = "Writes ellipses, objects, tracks or other lists as JSON, one line per message";
     type Config = JsonSinkConfig;
-    type Input = T;
+    type Input = AnyByte;
     type Output = Nothing;
 
     fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
@@ -70,12 +68,14 @@ impl<T: ToJson> Stage for JsonSink<T> {
         } else {
             JsonLines::open(&context.resolve(&config.path), context.resume_at > 0)?
         };
-        Ok(Self { lines, stop: context.stop.clone(), items: PhantomData })
+        let item = context.input.clone().ok_or("nothing tells what this sink is to write")?;
+        Ok(Self { lines, stop: context.stop.clone(), item })
     }
 
-    fn step(&mut self, input: &Message<T>, _: &Sides, _: &mut Output<Nothing>) -> Result<(), StageError> {
-        let line = Line { message: *input, latency_ms: latency_ms(input.header, monotonic_ns()) };
-        if self.lines.write(&line)? == Wrote::ReaderGone {
+    fn step(&mut self, input: &Message<AnyByte>, _: &Sides, _: &mut Output<Nothing>) -> Result<(), StageError> {
+        let message = AnyMessage { header: input.header, item: &self.item, bytes: bytemuck::cast_slice(input.items) };
+        let latency_ms = latency_ms(input.header, monotonic_ns());
+        if self.lines.write_with(|line| message.write_json(latency_ms, line))? == Wrote::ReaderGone {
             self.stop.request();
         }
         Ok(())
@@ -117,9 +117,10 @@ mod tests {
     #[test]
     fn the_file_stands_relative_to_the_pipeline_file() {
         let folder = tempfile::tempdir().unwrap();
-        let context = Context { base: folder.path().to_owned(), ..Context::default() };
+        let input = Some(ItemType::of::<Object>());
+        let context = Context { base: folder.path().to_owned(), input, ..Context::default() };
         let config = JsonSinkConfig { path: PathBuf::from("results/objects.jsonl") };
-        JsonSink::<Object>::new(config, &context).unwrap();
+        JsonSink::new(config, &context).unwrap();
         assert!(folder.path().join("results/objects.jsonl").is_file());
     }
 }

@@ -34,7 +34,7 @@ use conicflow_dataflow::{ConfigFault, Context, Output, Sides, Stage, StageError}
 use conicflow_lab::simulator::scene_values::SceneTemplate;
 use conicflow_messages::{Header, Message, Nothing};
 use matching::Matcher;
-use recorded::{Recorded, is_recorded};
+use recorded::Recorded;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sighting::{Sighting, world_from_camera};
@@ -115,7 +115,7 @@ impl Measurement {
     /// The frame shows a scene that is not known.
     pub fn add(&mut self, header: &Header, answers: &[Sighted]) -> Result<Vec<Sighting>> {
         let time_s = header.stamp_ns as f64 * 1e-9;
-        if is_recorded(header) {
+        if header.is_recorded() {
             let first_s = *self.first_s.get_or_insert(time_s);
             if time_s - first_s >= self.config.from_s {
                 self.recorded.add(answers);

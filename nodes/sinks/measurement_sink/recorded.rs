@@ -5,16 +5,7 @@ use super::row::Row;
 use super::sighting::{Sighted, axis};
 use crate::sinks::evaluation_sink::matching::perpendicular;
 use conicflow_lab::running_stats::RunningStats;
-use conicflow_messages::Header;
 use nalgebra::Vector3;
-use std::path::Path;
-
-/// Whether a frame was recorded: its source is then the name of a file.
-pub fn is_recorded(header: &Header) -> bool {
-    let name = header.source.as_str().unwrap_or_default();
-    let extension = Path::new(name).extension().and_then(|extension| extension.to_str()).unwrap_or_default();
-    ["png", "pcd"].iter().any(|known| extension.eq_ignore_ascii_case(known))
-}
 
 /// What was seen in recorded frames, one tally for each track, of objects without identity for each shape.
 #[derive(Clone, Debug, Default)]

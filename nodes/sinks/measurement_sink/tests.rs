@@ -1,7 +1,7 @@
 //! Measurements of a scene whose answers are made up.
 
 use super::*;
-use conicflow_messages::{Camera, Object, ObjectKind, Text, Track, TrackState};
+use conicflow_messages::{Camera, Object, ObjectKind, RECORDED, Text, Track, TrackState};
 
 const SCENE: &str = r#"
     name = "two balls"
@@ -94,7 +94,8 @@ fn frames_before_the_filter_has_settled_are_left_out() {
 fn of_recorded_frames_each_track_has_its_row() {
     let mut measurement = Measurement::new(MeasurementConfig::default(), None);
     for number in 0..4_u64 {
-        let header = Header { source: Text::new(&format!("img{number}.PNG")), ..header(0.0) };
+        let source = Text::new(&format!("img{number}.PNG"));
+        let header = Header { source, flags: RECORDED, ..header(0.0) };
         let tracks = [track(7, 0.0), track(8, 0.5)];
         let answers: Vec<_> = tracks[..if number < 3 { 2 } else { 1 }].iter().map(Sighted::from).collect();
         measurement.add(&header, &answers).unwrap();
@@ -104,8 +105,10 @@ fn of_recorded_frames_each_track_has_its_row() {
     let numbers = |row: &Row| ["frames", "n", "distance_m", "radius_m"].map(|column| row.number_of(column).unwrap());
     assert_eq!((rows.len(), numbers(&rows[0])), (2, [4.0, 4.0, 2.0, 0.1]));
     assert_eq!(numbers(&rows[1])[1], 3.0);
-    let unknown = Header { source: Text::new("another scene"), ..header(0.0) };
-    assert!(measurement.add(&unknown, &[]).is_err());
+    for name in ["another scene", "img.png"] {
+        let unknown = Header { source: Text::new(name), ..header(0.0) };
+        assert!(measurement.add(&unknown, &[]).is_err(), "the name of a file makes no recording");
+    }
 }
 
 #[test]
@@ -113,7 +116,7 @@ fn recorded_frames_are_left_out_by_the_time_since_the_first() {
     let config = MeasurementConfig { from_s: 0.15, ..MeasurementConfig::default() };
     let mut measurement = Measurement::new(config, None);
     for time_s in [1000.0, 1000.1, 1000.2, 1000.3] {
-        let header = Header { source: Text::new("img.png"), ..header(time_s) };
+        let header = Header { flags: RECORDED, ..header(time_s) };
         measurement.add(&header, &[Sighted::from(&track(7, 0.0))]).unwrap();
     }
     assert_eq!(measurement.rows()[0].number_of("frames"), Some(2.0));

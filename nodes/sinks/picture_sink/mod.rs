@@ -11,8 +11,8 @@ mod painter;
 
 use crate::sinks::decimator::Decimator;
 use anyhow::{Context as _, Result, ensure};
-use conicflow_dataflow::{ConfigFault, Context, Output, Pick, Side, Sides, Stage, StageError};
-use conicflow_messages::{Ellipse, Header, Kind, MAX_PIXELS, Message, Nothing, Text};
+use conicflow_dataflow::{ConfigFault, Context, Output, Side, Sides, Stage, StageError};
+use conicflow_messages::{Ellipse, Header, MAX_PIXELS, Message, Nothing, Text};
 pub use painter::{Drawn, Painter};
 use png::{BitDepth, ColorType, Compression, Encoder};
 use schemars::JsonSchema;
@@ -119,7 +119,7 @@ impl<T: Drawn> PictureSink<T> {
     }
 
     fn take(&mut self, input: &Message<T>, sides: &Sides) -> Result<Option<PathBuf>> {
-        let (depth, ellipses) = (sides.depth("depth"), sides.ellipses("ellipses"));
+        let (depth, ellipses) = (sides.get::<u16>("depth"), sides.get::<Ellipse>("ellipses"));
         self.write_picture(input, depth.as_ref(), ellipses.map_or(&[], |message| message.items))
     }
 
@@ -224,10 +224,7 @@ impl<T: Drawn> Stage for PictureSink<T> {
     }
 
     fn sides() -> &'static [Side] {
-        &[
-            Side { name: "depth", kind: Kind::Depth, pick: Pick::SameFrame },
-            Side { name: "ellipses", kind: Kind::Ellipses, pick: Pick::SameFrame },
-        ]
+        const { &[Side::same_frame::<u16>("depth"), Side::same_frame::<Ellipse>("ellipses")] }
     }
 
     fn step(&mut self, input: &Message<T>, sides: &Sides, output: &mut Output<Nothing>) -> Result<(), StageError> {

@@ -1,5 +1,4 @@
 use super::*;
-use conicflow_dataflow::AnyMessage;
 use conicflow_messages::{Camera, Ellipse, Hop, Object, ObjectKind, Text, Track, TrackState};
 use std::fs::File;
 use std::io::BufReader;
@@ -43,10 +42,9 @@ fn objects_are_drawn_over_depth_and_ellipses() {
     wall[..160 * 10].fill(0);
     let ellipse = Ellipse { line: 20, first: 30, last: 50, center: [0.0, 0.0, 1.0], ..Ellipse::default() };
     let (header, ellipses) = (header(0, ""), [ellipse]);
-    let sides = Sides(vec![
-        ("depth", AnyMessage::Depth(Message { header: &header, items: &wall })),
-        ("ellipses", AnyMessage::Ellipses(Message { header: &header, items: &ellipses })),
-    ]);
+    let sides = Sides::default()
+        .with("depth", Message { header: &header, items: &*wall })
+        .with("ellipses", Message { header: &header, items: &ellipses });
     let picture = picture(&[sphere()], Config::default(), &sides);
     assert_eq!(pixel(&picture, 80, 5), HOLE);
     let wall = pixel(&picture, 150, 100);
@@ -102,7 +100,7 @@ fn an_ellipse_that_is_nowhere_near_has_its_arc_and_no_centre() {
 #[test]
 fn depth_of_another_size_is_left_out() {
     let other = Header { camera: Camera { width: 2, height: 2, ..CAMERA }, ..header(0, "") };
-    let sides = Sides(vec![("depth", AnyMessage::Depth(Message { header: &other, items: &[1000; 4] }))]);
+    let sides = Sides::default().with("depth", Message { header: &other, items: &[1000_u16; 4] });
     assert!(picture::<Object>(&[], Config::default(), &sides).iter().all(|pixel| *pixel == [0; 3]));
 }
 

@@ -17,7 +17,6 @@ mod tum;
 mod fixtures;
 
 pub use playback::Playback;
-pub(crate) use playback::median;
 pub use recording::{Options, Recording};
 
 use anyhow::anyhow;

@@ -3,7 +3,7 @@
 use super::recording::{Frame, Options, Recording};
 use super::{Config, hinted};
 use anyhow::{Context as _, Result, anyhow};
-use conicflow_messages::{Camera, Header, NoiseModel, Text, is_measured};
+use conicflow_messages::{Camera, Header, NoiseModel, RECORDED, Text, is_measured, median_depth};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -148,7 +148,7 @@ impl Playback {
 
     /// Says once what the frames are like, so that a wrong scale is seen.
     fn describe(&mut self, frame: &Frame, pixels: &[u16]) {
-        let Some(median) = median(pixels).filter(|_| !self.described) else { return };
+        let Some(median) = median_depth(pixels).filter(|_| !self.described) else { return };
         self.described = true;
         let median_m = f64::from(median) * frame.depth_scale;
         let (name, count, camera) = (&frame.name, self.recording.len(), frame.camera);
@@ -194,6 +194,7 @@ impl Playback {
             noise: self.noise,
             stamp_ns: self.clock.stamp_ns(frame, round),
             source: Text::new(&frame.name),
+            flags: RECORDED,
             ..Header::default()
         }
     }
@@ -263,11 +264,4 @@ pub(super) fn is_off_center(camera: &Camera) -> bool {
         (center - 0.5 * (size - 1.0)).abs() > MAX_OFF_CENTER * size
     };
     is_off(camera.cx, camera.width) || is_off(camera.cy, camera.height)
-}
-
-/// The median of the measurements.
-pub(crate) fn median(pixels: &[u16]) -> Option<u16> {
-    let mut measured: Vec<_> = pixels.iter().copied().filter(|&pixel| is_measured(pixel)).collect();
-    let middle = measured.len() / 2;
-    (!measured.is_empty()).then(|| *measured.select_nth_unstable(middle).1)
 }

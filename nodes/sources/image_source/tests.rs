@@ -364,7 +364,7 @@ fn the_header_says_where_the_frame_comes_from() {
     let header = source.header(&frame, 0);
     assert_eq!(header.source.as_str(), Some("frame-000012.depth.png"));
     assert_eq!((header.camera, header.depth_scale, header.noise), (CAMERA, 0.001, NoiseModel::KINECT_V1));
-    assert_eq!(header.check(conicflow_messages::Kind::Depth), Ok(()));
+    assert_eq!(header.check("depth"), Ok(()));
 }
 
 #[test]
@@ -379,8 +379,8 @@ fn only_when_no_frame_can_be_read_it_is_an_error() {
 
 #[test]
 fn the_median_counts_measurements_only() {
-    assert_eq!(median(&[0, 65535, 0]), None);
-    assert_eq!(median(&[0, 900, 65535, 1000, 0, 1100]), Some(1000));
+    assert_eq!(median_depth(&[0, 65535, 0]), None);
+    assert_eq!(median_depth(&[0, 900, 65535, 1000, 0, 1100]), Some(1000));
 }
 
 #[test]

@@ -6,12 +6,10 @@ use crate::pipeline::value::{Content, Entry, Table, Value};
 use crate::pipeline::{Compression, Input, Program};
 use crate::ports::Delivery;
 use crate::sides::Pick;
-use conicflow_messages::Kind;
 
 const INPUT_KEYS: [&str; 5] = ["topic", "delivery", "queue", "kind", "compression"];
 const COMPRESSIONS: [(&str, Compression); 3] =
     [("none", Compression::None), ("lz4", Compression::Lz4), ("zstd", Compression::Zstd)];
-const KINDS: [Kind; 4] = [Kind::Depth, Kind::Ellipses, Kind::Objects, Kind::Tracks];
 const DELIVERIES: [(&str, Delivery); 2] = [("latest", Delivery::Latest), ("lossless", Delivery::Lossless)];
 
 const QUEUE_LATEST: usize = 2;
@@ -25,7 +23,7 @@ struct SaidInput {
     topic: String,
     delivery: Option<Delivery>,
     queue: Option<usize>,
-    kind: Option<Kind>,
+    kind: Option<String>,
     compression: Option<Compression>,
 }
 
@@ -58,7 +56,7 @@ impl Reader<'_> {
         let topic = table.take("topic").and_then(|entry| self.string(&entry));
         let delivery = table.take("delivery").and_then(|entry| self.word(&entry, DELIVERIES));
         let queue = table.take("queue").and_then(|entry| self.queue(&entry));
-        let kind = table.take("kind").and_then(|entry| self.word(&entry, KINDS.map(|kind| (kind.name(), kind))));
+        let kind = table.take("kind").and_then(|entry| self.kind(&entry));
         let compression = table.take("compression").and_then(|entry| self.word(&entry, COMPRESSIONS));
         self.unknown_keys(&table, &INPUT_KEYS, "the input");
         if topic.is_none() {

@@ -1,12 +1,14 @@
 //! The tree of a pipeline file into stages: keys, types, nodes and their parameters.
 
 mod inputs;
+mod items;
 mod machines;
 mod stages;
 
 use super::Pipeline;
 use super::diagnostic::{Diagnostic, Place, SourceText, closest, suggestion};
 use super::value::{Content, Entry, Table};
+use crate::item_type::{BUILT_IN, ItemType};
 use crate::registry::Registry;
 use std::ops::RangeInclusive;
 use std::path::Path;
@@ -24,18 +26,19 @@ pub(super) fn pipeline(
     faults: &mut Vec<Diagnostic>,
 ) -> Pipeline {
     let start = Place { source: Arc::clone(source), span: 0..0 };
-    let mut reader = Reader { around, elsewhere: false, faults };
+    let mut reader = Reader { around, elsewhere: false, items: Vec::new(), faults };
     let name = reader.name(&mut document, &start);
+    reader.items = document.take("item").map(|entry| reader.items(entry)).unwrap_or_default();
     let machines = document.take("machine").map(|entry| reader.machines(entry)).unwrap_or_default();
     let experiment = document.take("experiment").map(|entry| entry.value.to_json());
     let stages = document.take("stage").map(|entry| reader.stages(entry));
-    reader.unknown_keys(&document, &["name", "machine", "stage", "experiment"], "the pipeline");
+    reader.unknown_keys(&document, &["name", "machine", "item", "stage", "experiment"], "the pipeline");
     let stages = stages.unwrap_or_else(|| {
         reader.no_stages(&document, &start);
         Vec::new()
     });
-    let source = Default::default();
-    Pipeline { name, base: around.base.to_owned(), machines, stages, experiment, source }
+    let (items, source) = (reader.items, Default::default());
+    Pipeline { name, base: around.base.to_owned(), machines, items, stages, experiment, source }
 }
 
 /// Where a file is read.
@@ -52,6 +55,8 @@ struct Reader<'a> {
     around: &'a Surroundings<'a>,
     /// What is read now belongs to another machine: whether its files are there shows there.
     elsewhere: bool,
+    /// The item types that the file describes.
+    items: Vec<ItemType>,
     faults: &'a mut Vec<Diagnostic>,
 }
 
@@ -116,6 +121,18 @@ impl Reader<'_> {
         let what = format!("`{}` wants seconds, from {} to {}", entry.key, range.start(), range.end());
         self.fault(&entry.value.place, what, what_for);
         None
+    }
+
+    /// The name of an item type.
+    fn kind(&mut self, entry: &Entry) -> Option<String> {
+        let kind = self.string(entry)?;
+        let names: Vec<_> = BUILT_IN.iter().chain(&self.items).map(|item| item.name().to_owned()).collect();
+        if !names.contains(&kind) {
+            let hint = suggestion(&kind, names.iter().map(String::as_str), "allowed");
+            self.fault(&entry.value.place, format!("`{}` cannot be `{kind}`", entry.key), hint);
+            return None;
+        }
+        Some(kind)
     }
 
     /// The meaning of one of a few words.

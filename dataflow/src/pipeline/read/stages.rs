@@ -15,6 +15,7 @@ const RESTARTS: [(&str, Restart); 3] =
     [("never", Restart::Never), ("on_failure", Restart::OnFailure), ("always", Restart::Always)];
 /// Stages that wait give a sign of life ten times a second.
 const HANG_S: RangeInclusive<f64> = 1.0..=86_400.0;
+const OUTPUT_EXAMPLE: &str = "output = { topic = \"found\", kind = \"objects\" }";
 const HANG_HINT: &str = "a stage without a sign of life for so long counts as dead";
 
 impl Reader<'_> {
@@ -34,7 +35,7 @@ impl Reader<'_> {
         let input = table.take("input").and_then(|entry| self.input(&entry.value, Pick::Latest, Delivery::Latest));
         let driving = input.as_ref().map_or(Delivery::Latest, |input| input.delivery);
         let inputs = table.take("inputs").map(|entry| self.inputs(entry, &program, driving)).unwrap_or_default();
-        let output = table.take("output").and_then(|entry| self.topic_name(&entry));
+        let (output, output_said) = table.take("output").map(|entry| self.output(entry)).unwrap_or_default();
         let machine = table.take("machine").and_then(|entry| self.string(&entry));
         let (restart, hang_s) = table.take("restart").map(|entry| self.restart(entry)).unwrap_or_default();
         let env = table.take("env").map(|entry| self.env(entry)).unwrap_or_default();
@@ -46,6 +47,7 @@ impl Reader<'_> {
             input,
             inputs,
             output,
+            output_said,
             machine,
             restart,
             hang_s,
@@ -122,6 +124,22 @@ impl Reader<'_> {
             }
         }
         Program::Command(command)
+    }
+
+    /// An output in its short or its long form: the topic, and what the stage writes there.
+    fn output(&mut self, entry: Entry) -> (Option<String>, Option<String>) {
+        if !matches!(entry.value.content, Content::Table(_)) {
+            return (self.topic_name(&entry), None);
+        }
+        let place = entry.value.place.clone();
+        let mut table = self.table(entry, OUTPUT_EXAMPLE).unwrap_or_default();
+        let topic = table.take("topic").map(|entry| self.topic_name(&entry));
+        let kind = table.take("kind").and_then(|entry| self.kind(&entry));
+        self.unknown_keys(&table, &["topic", "kind"], "the output");
+        if topic.is_none() {
+            self.fault(&place, "the output has no topic", format!("for example {OUTPUT_EXAMPLE}"));
+        }
+        (topic.flatten(), kind)
     }
 
     fn topic_name(&mut self, entry: &Entry) -> Option<String> {

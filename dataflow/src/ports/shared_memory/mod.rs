@@ -17,6 +17,7 @@ mod sweep;
 mod tap;
 #[cfg(test)]
 mod tests;
+mod untyped;
 mod writer;
 
 pub use hold::Held;
@@ -25,17 +26,17 @@ pub use services::SharedMemory;
 pub use tap::SharedTap;
 pub use writer::SharedWriter;
 
+use crate::item_type::ItemType;
 use crate::ports::{Delivery, PortError, Topic, Transport};
-use conicflow_messages::Item;
 use iceoryx2::prelude::PortName;
 use std::fmt::Debug;
 use std::sync::Arc;
 
 impl Transport for SharedMemory {
-    type Reader<T: Item> = SharedReader<T>;
-    type Writer<T: Item> = SharedWriter<T>;
+    type Reader = SharedReader;
+    type Writer = SharedWriter;
 
-    fn reader<T: Item>(&self, topic: &Topic, stage: &str) -> Result<SharedReader<T>, PortError> {
+    fn reader_of(&self, item: &ItemType, topic: &Topic, stage: &str) -> Result<SharedReader, PortError> {
         let fault = |error: &dyn Debug| self.fault(format!("topic `{}` cannot be read", topic.name), error);
         let reader = topic.readers.iter().find(|reader| reader.stage == stage);
         let queue = reader.map_or(2, |reader| reader.queue);
@@ -47,22 +48,24 @@ impl Transport for SharedMemory {
             _ => None,
         };
         let name = PortName::new(stage).map_err(|error| fault(&error))?;
-        let messages = self.messages::<T>(topic)?;
+        let messages = self.messages(item, topic)?;
         let subscriber = messages.subscriber_builder().buffer_size(queue).name(&name).create();
         let subscriber = subscriber.map_err(|error| fault(&error))?;
-        Ok(SharedReader { subscriber, wake, room, topic: topic.name.clone(), occupied: Arc::clone(&self.occupied) })
+        let (item, topic, occupied) = (item.clone(), topic.name.clone(), Arc::clone(&self.occupied));
+        Ok(SharedReader { subscriber, wake, room, item, topic, occupied })
     }
 
-    fn writer<T: Item>(&self, topic: &Topic) -> Result<SharedWriter<T>, PortError> {
+    fn writer_of(&self, item: &ItemType, topic: &Topic) -> Result<SharedWriter, PortError> {
         Ok(SharedWriter {
             loan: None,
             publisher: None,
             capacity: 0,
-            messages: Arc::new(self.messages(topic)?),
+            messages: Arc::new(self.messages(item, topic)?),
             wake: self.notifier(topic, "/wake", 0)?,
             room: Arc::new(self.listener(topic, "/room")?),
             answers: Arc::default(),
             attached: Vec::new(),
+            item: item.clone(),
             topic: topic.clone(),
             config: self.node.config().clone(),
             stop: self.stop.clone(),

@@ -1,44 +1,48 @@
 //! The reading end of a topic in shared memory.
 
-use super::services::{Ipc, WireHeader, WireItem};
+use super::services::Ipc;
 use super::sweep::Occupied;
+use super::untyped::{Sample, Subscriber, header_of, items_of};
+use crate::item_type::ItemType;
 use crate::ports::{PortError, Reader, Received};
-use bytemuck::TransparentWrapper;
-use conicflow_messages::{Header, Item};
+use conicflow_messages::Header;
 use iceoryx2::port::listener::{Listener, ListenerWaitError};
 use iceoryx2::port::notifier::Notifier;
-use iceoryx2::port::subscriber::Subscriber;
-use iceoryx2::sample::Sample;
 use std::sync::Arc;
 use std::time::Duration;
 
 /// Reads a topic in shared memory.
-pub struct SharedReader<T: Item> {
-    pub(super) subscriber: Subscriber<Ipc, [WireItem<T>], WireHeader>,
+pub struct SharedReader {
+    pub(super) subscriber: Subscriber,
     pub(super) wake: Listener<Ipc>,
     pub(super) room: Option<Notifier<Ipc>>,
+    pub(super) item: ItemType,
     pub(super) topic: String,
     pub(super) occupied: Arc<Occupied>,
 }
 
 /// A message in shared memory.
 #[derive(Debug)]
-pub struct SharedMessage<T: Item>(pub(super) Sample<Ipc, [WireItem<T>], WireHeader>);
+pub struct SharedMessage(pub(super) Sample);
 
-impl<T: Item> Received<T> for SharedMessage<T> {
+impl Received for SharedMessage {
     fn header(&self) -> &Header {
-        WireHeader::peel_ref(self.0.user_header())
+        header_of(&self.0)
     }
 
-    fn items(&self) -> &[T] {
-        WireItem::peel_slice(self.0.payload())
+    fn bytes(&self) -> &[u8] {
+        items_of(&self.0)
     }
 }
 
-impl<T: Item> Reader<T> for SharedReader<T> {
-    type Message = SharedMessage<T>;
+impl Reader for SharedReader {
+    type Message = SharedMessage;
 
-    fn receive(&mut self) -> Result<Option<SharedMessage<T>>, PortError> {
+    fn item(&self) -> &ItemType {
+        &self.item
+    }
+
+    fn receive(&mut self) -> Result<Option<SharedMessage>, PortError> {
         let received = self.subscriber.receive().map_err(|error| PortError::SharedMemory {
             doing: format!("topic `{}` cannot be read", self.topic),
             reason: format!("{error:?}"),

@@ -1,23 +1,23 @@
 //! This process's part in the services of a run: it creates or opens those of a topic, and knows where their files lie.
 
 use super::sweep::{self, Occupied};
+use super::untyped::{Factory, with_types};
+use crate::item_type::ItemType;
 use crate::ports::capacity::{ROOM_PER_PORT, in_words, room};
-use crate::ports::{MAX_KEPT, PortError, Topic};
+use crate::ports::{MAX_KEPT, OTHER_BUILD, PortError, Topic};
 use crate::stage::Stop;
-use bytemuck::TransparentWrapper;
-use conicflow_messages::{HEADER_TYPE_NAME, Header, Item};
+use conicflow_messages::HEADER_TYPE_NAME;
 use iceoryx2::node::NodeCreationFailure;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::prelude::*;
 use iceoryx2::service::builder::publish_subscribe::{PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError};
-use iceoryx2::service::port_factory::publish_subscribe::PortFactory as TopicFactory;
+use iceoryx2::service::marker::{CustomHeaderMarker, CustomPayloadMarker};
 use std::fmt::{Debug, Display};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 pub(super) type Ipc = ipc_threadsafe::Service;
-pub(super) type Factory<T> = TopicFactory<Ipc, [WireItem<T>], WireHeader>;
 
 /// Unix sockets lie in the folder, and their names leave no more room than this for its path.
 const ROOT_LIMIT: usize = 48;
@@ -26,30 +26,6 @@ const ROOT_LIMIT: usize = 48;
 pub(super) const SPARE_READERS: usize = 8;
 /// Messages that one reader may hold at a time: one for each source on a topic, or those that it keeps, and some in use.
 const MAX_HELD: usize = MAX_KEPT + 4;
-
-/// An item in shared memory.
-#[repr(transparent)]
-#[derive(Clone, Copy, Debug, TransparentWrapper)]
-pub(super) struct WireItem<T>(T);
-
-/// The header in shared memory.
-#[repr(transparent)]
-#[derive(Clone, Copy, Debug, Default, TransparentWrapper)]
-pub(super) struct WireHeader(Header);
-
-// SAFETY: an `Item` is plain old data without pointers, and its type name carries the version of its layout.
-unsafe impl<T: Item> ZeroCopySend for WireItem<T> {
-    unsafe fn type_name() -> &'static str {
-        T::TYPE_NAME
-    }
-}
-
-// SAFETY: the header is plain old data without pointers, and its type name carries the version of its layout.
-unsafe impl ZeroCopySend for WireHeader {
-    unsafe fn type_name() -> &'static str {
-        HEADER_TYPE_NAME
-    }
-}
 
 /// This process's access to the topics of one run; its readers and writers need it as long as they are at work.
 pub struct SharedMemory {
@@ -120,31 +96,35 @@ impl SharedMemory {
         }
     }
 
-    pub(super) fn messages<T: Item>(&self, topic: &Topic) -> Result<Factory<T>, PortError> {
+    pub(super) fn messages(&self, item: &ItemType, topic: &Topic) -> Result<Factory, PortError> {
+        topic.expect(item)?;
         self.look_for_room(topic)?;
+        let fault = |reason: &dyn Debug| self.fault(format!("topic `{}` cannot be opened", topic.name), reason);
         let readers = topic.readers.len() + SPARE_READERS;
         let writers = topic.writers.len() + 2;
-        let opened = self
+        let service = self
             .node
             .service_builder(&self.service_name(topic, "")?)
-            .publish_subscribe::<[WireItem<T>]>()
-            .user_header::<WireHeader>()
+            .publish_subscribe::<[CustomPayloadMarker]>()
+            .user_header::<CustomHeaderMarker>()
             .enable_safe_overflow(!topic.is_lossless())
             .subscriber_max_buffer_size(topic.longest_queue())
             .subscriber_max_borrowed_samples(MAX_HELD)
             .max_publishers(writers)
             .max_subscribers(readers)
             .max_nodes(2 * (writers + readers))
-            .history_size(0)
-            .open_or_create();
+            .history_size(0);
+        let opened = with_types(service, item).map_err(|reason| fault(&reason))?.open_or_create();
         opened.map_err(|error| match error {
             PublishSubscribeOpenOrCreateError::PublishSubscribeOpenError(
                 PublishSubscribeOpenError::IncompatibleTypes,
             ) => PortError::Incompatible {
                 topic: topic.name.clone(),
-                expected: format!("{HEADER_TYPE_NAME}, {}", T::TYPE_NAME),
+                own: format!("{item}, behind a header `{HEADER_TYPE_NAME}`"),
+                said: String::new(),
+                hint: OTHER_BUILD.to_owned(),
             },
-            other => self.fault(format!("topic `{}` cannot be opened", topic.name), other),
+            other => fault(&other),
         })
     }
 

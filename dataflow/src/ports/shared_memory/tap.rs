@@ -4,30 +4,31 @@
 //! stopped or dead loses messages, and no writer notices.
 
 use super::reader::SharedMessage;
-use super::services::{Ipc, SPARE_READERS, SharedMemory, WireHeader, WireItem};
+use super::services::{SPARE_READERS, SharedMemory};
+use super::untyped::Subscriber;
+use crate::item_type::ItemType;
 use crate::ports::{PortError, Topic};
-use conicflow_messages::Item;
-use iceoryx2::port::subscriber::{Subscriber, SubscriberCreateError};
+use iceoryx2::port::subscriber::SubscriberCreateError;
 use iceoryx2::prelude::PortName;
 
 /// No stage can have this name.
 const NAME: &str = "(tap)";
 
 /// Reads a topic that others read.
-pub struct SharedTap<T: Item> {
-    subscriber: Subscriber<Ipc, [WireItem<T>], WireHeader>,
+pub struct SharedTap {
+    subscriber: Subscriber,
 }
 
 impl SharedMemory {
-    /// Looks into a topic of which this process is no part.
+    /// Looks into a topic of these items, of which this process is no part.
     ///
     /// # Errors
     /// The topic carries something else, too many look on already, or shared memory failed.
-    pub fn tap<T: Item>(&self, topic: &Topic) -> Result<SharedTap<T>, PortError> {
+    pub fn tap(&self, item: &ItemType, topic: &Topic) -> Result<SharedTap, PortError> {
         let fault = |reason: String| self.fault(format!("topic `{}` cannot be looked into", topic.name), reason);
         let name = PortName::new(NAME).map_err(|error| fault(format!("{error:?}")))?;
         let queue = topic.longest_queue();
-        let created = self.messages::<T>(topic)?.subscriber_builder().buffer_size(queue).name(&name).create();
+        let created = self.messages(item, topic)?.subscriber_builder().buffer_size(queue).name(&name).create();
         let subscriber = created.map_err(|error| match error {
             SubscriberCreateError::ExceedsMaxSupportedSubscribers => {
                 PortError::TooManyTaps { topic: topic.name.clone(), limit: SPARE_READERS }
@@ -38,12 +39,12 @@ impl SharedMemory {
     }
 }
 
-impl<T: Item> SharedTap<T> {
+impl SharedTap {
     /// The oldest message that waits, if any.
     ///
     /// # Errors
     /// Shared memory failed.
-    pub fn receive(&mut self, around: &SharedMemory) -> Result<Option<SharedMessage<T>>, PortError> {
+    pub fn receive(&mut self, around: &SharedMemory) -> Result<Option<SharedMessage>, PortError> {
         let received =
             self.subscriber.receive().map_err(|error| around.fault("a topic cannot be looked into", error))?;
         Ok(received.map(SharedMessage))

@@ -10,19 +10,19 @@ use std::time::Duration;
 
 fn topic(delivery: Delivery, queue: usize) -> Topic {
     let reader = TopicReader { stage: "reader".into(), delivery, queue };
-    Topic { name: "things".into(), kind: None, writers: vec!["writer".into()], readers: vec![reader] }
+    Topic { name: "things".into(), item: None, writers: vec!["writer".into()], readers: vec![reader] }
 }
 
 fn open(root: &Path, stage: &str) -> SharedMemory {
     SharedMemory::open(root, "test", stage, Stop::default()).unwrap()
 }
 
-fn send<T: conicflow_messages::Item>(writer: &mut impl Writer<T>, sequence: u64, items: &[T]) {
+fn send<T: conicflow_messages::Item>(writer: &mut impl Writer, sequence: u64, items: &[T]) {
     writer.loan(items.len()).unwrap().copy_from_slice(items);
     writer.send(&Header { sequence, ..Header::default() }).unwrap();
 }
 
-fn sequences(reader: &mut impl Reader<u16>) -> Vec<u64> {
+fn sequences(reader: &mut impl Reader) -> Vec<u64> {
     std::iter::from_fn(|| reader.receive().unwrap().map(|message| message.header().sequence)).collect()
 }
 
@@ -42,7 +42,7 @@ fn a_slow_lossless_reader_loses_nothing_not_even_before_its_first_look() {
         let mut taken = Vec::new();
         while taken.len() < 50 {
             if let Some(message) = reader.receive().unwrap() {
-                assert!(message.items().iter().all(|&pixel| u64::from(pixel) == message.header().sequence));
+                assert!(message.items::<u16>().iter().all(|&pixel| u64::from(pixel) == message.header().sequence));
                 taken.push(message.header().sequence);
             } else {
                 reader.wait(Duration::from_millis(100)).unwrap();
@@ -74,9 +74,12 @@ fn lists_grow_and_may_be_empty() {
         send(&mut writer, sequence, &vec![length as u16; length]);
         held.extend(reader.receive().unwrap());
     }
-    let lengths: Vec<_> = held.iter().map(|message| message.items().len()).collect();
+    let lengths: Vec<_> = held.iter().map(|message| message.items::<u16>().len()).collect();
     assert_eq!(lengths, [3, 0, 5000, 7, 60_000]);
-    let own = |message: &SharedMessage<u16>| message.items().iter().all(|&item| item as usize == message.items().len());
+    let own = |message: &SharedMessage| {
+        let items = message.items::<u16>();
+        items.iter().all(|&item| item as usize == items.len())
+    };
     assert!(held.iter().all(own), "what is held stays as it was");
 }
 
@@ -98,7 +101,9 @@ fn a_lossless_reader_misses_nothing_while_lists_grow() {
         let mut taken = Vec::new();
         while taken.len() < 60 {
             reader.wait(Duration::from_millis(100)).unwrap();
-            taken.extend(reader.receive().unwrap().map(|message| (message.header().sequence, message.items().len())));
+            taken.extend(
+                reader.receive().unwrap().map(|message| (message.header().sequence, message.items::<Object>().len())),
+            );
         }
         assert!(taken.into_iter().eq((0..).zip(lengths())));
         drop(reader);
@@ -111,7 +116,7 @@ fn a_message_for_which_there_is_no_room_is_told_rather_than_written() {
     let mut topic = topic(Delivery::Latest, 2);
     topic.readers[0].queue = 1 << 30;
     let mut writer = open(folder.path(), "writer").writer::<Track>(&topic).unwrap();
-    let error = writer.loan(5).err().unwrap();
+    let error = writer.loan::<Track>(5).err().unwrap();
     assert!(matches!(error, PortError::NoRoom { .. }), "{error}");
     assert!(error.to_string().starts_with("topic `things` has a message of 64 items: shared memory has "), "{error}");
 }

@@ -1,19 +1,18 @@
 //! The writing end of a topic in shared memory, and its waiting for readers that must not miss a message.
 
 use super::reserve::reserve;
-use super::services::{Factory, Ipc, WireHeader, WireItem};
+use super::services::Ipc;
 use super::sweep::Occupied;
-use crate::ports::capacity::{look_for_room, no_room, usual_length};
+use super::untyped::{self, Factory, Loan, Publisher};
+use crate::item_type::ItemType;
+use crate::ports::capacity::{look_for_room, no_room};
 use crate::ports::{Delivery, PortError, Topic, Writer};
 use crate::stage::Stop;
-use bytemuck::TransparentWrapper;
-use conicflow_messages::{Header, Item, Kind};
+use conicflow_messages::Header;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
-use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::{BackpressureAction, BackpressureInfo};
 use iceoryx2::prelude::{AllocationStrategy, CallbackProgression, Config, Node, NodeState, PortFactory};
-use iceoryx2::sample_mut::SampleMut;
 use std::fmt::Debug;
 use std::io::ErrorKind;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -23,25 +22,26 @@ use std::time::Duration;
 const DEAD_READER_CHECK: Duration = Duration::from_millis(100);
 
 /// Writes a topic in shared memory.
-pub struct SharedWriter<T: Item> {
-    pub(super) loan: Option<SampleMut<Ipc, [WireItem<T>], WireHeader>>,
-    pub(super) publisher: Option<Publisher<Ipc, [WireItem<T>], WireHeader>>,
+pub struct SharedWriter {
+    pub(super) loan: Option<Loan>,
+    pub(super) publisher: Option<Publisher>,
     /// Items of the longest message that the publisher has room for.
     pub(super) capacity: usize,
-    pub(super) messages: Arc<Factory<T>>,
+    pub(super) messages: Arc<Factory>,
     pub(super) wake: Notifier<Ipc>,
     pub(super) room: Arc<Listener<Ipc>>,
     /// Places of readers that have taken something since the last message was sent, whoever of this writer waited then.
     pub(super) answers: Arc<Mutex<Vec<usize>>>,
     /// Ports of lossless readers that have taken their first message.
     pub(super) attached: Vec<u128>,
+    pub(super) item: ItemType,
     pub(super) topic: Topic,
     pub(super) config: Config,
     pub(super) stop: Stop,
     pub(super) occupied: Arc<Occupied>,
 }
 
-impl<T: Item> SharedWriter<T> {
+impl SharedWriter {
     fn fault(&self, reason: impl Debug) -> PortError {
         PortError::SharedMemory {
             doing: format!("topic `{}` cannot be written", self.topic.name),
@@ -53,16 +53,15 @@ impl<T: Item> SharedWriter<T> {
     /// The publisher, made when the length of the first message is known, and anew for messages that have no room in it.
     /// What the former one sent stays with its readers, who take it before what the new one sends. A segment that grows by
     /// itself would need no second publisher, but takes a megabyte of each process that has a part in it.
-    fn publisher(&mut self, length: usize) -> Result<&Publisher<Ipc, [WireItem<T>], WireHeader>, PortError> {
+    fn publisher(&mut self, length: usize) -> Result<&Publisher, PortError> {
         if self.publisher.is_none() || length > self.capacity {
-            let (longest, capacity) = match T::KIND {
-                Kind::Depth => (length.max(1), length.max(1)),
-                kind => {
-                    let longest = length.max(usual_length(kind));
-                    (longest, longest.next_power_of_two())
-                }
+            let (longest, capacity) = if self.item.is_image() {
+                (length.max(1), length.max(1))
+            } else {
+                let longest = length.max(self.item.usual_length());
+                (longest, longest.next_power_of_two())
             };
-            let needed = look_for_room::<T>(&self.topic, longest)?;
+            let needed = look_for_room(&self.item, &self.topic, longest)?;
             self.publisher = None;
             self.attached.clear();
             let builder = self.messages.publisher_builder().max_loaned_samples(1).initial_max_slice_len(capacity);
@@ -70,7 +69,7 @@ impl<T: Item> SharedWriter<T> {
             let builder = builder.set_backpressure_handler(self.wait_for_room());
             let publisher = builder.create().map_err(|error| self.fault(error))?;
             // A list seldom fills its place; to take all of that would be many times what lists need.
-            if T::KIND == Kind::Depth {
+            if self.item.is_image() {
                 self.take_memory(publisher.id().value(), capacity, needed)?;
             }
             self.publisher = Some(publisher);
@@ -88,7 +87,7 @@ impl<T: Item> SharedWriter<T> {
 
     /// What a full queue leads to: for a lossless reader of the pipeline to waiting, until it has room or is dead; for any
     /// other to its loss of this message.
-    fn wait_for_room(&self) -> impl Fn(&BackpressureInfo) -> BackpressureAction + Send + use<T> + 'static {
+    fn wait_for_room(&self) -> impl Fn(&BackpressureInfo) -> BackpressureAction + Send + use<> + 'static {
         let (messages, topic, room) = (Arc::clone(&self.messages), self.topic.clone(), Arc::clone(&self.room));
         let (config, stop, answers) = (self.config.clone(), self.stop.clone(), Arc::clone(&self.answers));
         move |full| {
@@ -108,7 +107,7 @@ impl<T: Item> SharedWriter<T> {
     }
 }
 
-impl<T: Item> SharedWriter<T> {
+impl SharedWriter {
     /// Lossless readers that have not taken a message yet; what their predecessors answered is forgotten.
     fn new_lossless_readers(&mut self) -> Vec<(u128, usize)> {
         let mut readers = lossless_readers(&self.messages, &self.topic);
@@ -141,7 +140,7 @@ impl<T: Item> SharedWriter<T> {
 }
 
 /// Port and place of the lossless readers that are there now; ports are named after their stages.
-fn lossless_readers<T: Item>(messages: &Factory<T>, topic: &Topic) -> Vec<(u128, usize)> {
+fn lossless_readers(messages: &Factory, topic: &Topic) -> Vec<(u128, usize)> {
     let mut found = Vec::new();
     messages.dynamic_config().list_subscribers(|reader| {
         let stage = reader.subscriber_name.as_str();
@@ -164,24 +163,25 @@ fn clean_dead_nodes(config: &Config) {
     .ok();
 }
 
-impl<T: Item> Writer<T> for SharedWriter<T> {
-    fn loan(&mut self, length: usize) -> Result<&mut [T], PortError> {
+impl Writer for SharedWriter {
+    fn item(&self) -> &ItemType {
+        &self.item
+    }
+
+    fn loan_bytes(&mut self, length: usize) -> Result<&mut [u8], PortError> {
         self.loan = None;
-        let loaned = self.publisher(length)?.loan_slice_uninit(length);
+        let loaned = untyped::loan(self.publisher(length)?, length);
         let loaned = loaned.map_err(|error| self.fault(error))?;
-        // SAFETY: `Item` is valid for all bit patterns, and the bytes of a shared segment are those that the kernel zeroed
-        // or an earlier message wrote.
-        let sample = unsafe { loaned.assume_init() };
-        Ok(WireItem::peel_slice_mut(self.loan.insert(sample).payload_mut()))
+        Ok(untyped::items_of_loan(self.loan.insert(loaned)))
     }
 
     fn send(&mut self, header: &Header) -> Result<usize, PortError> {
         if self.loan.is_none() {
-            self.loan(0)?;
+            self.loan_bytes(0)?;
         }
         let Some(mut sample) = self.loan.take() else { return Err(PortError::Stopped) };
-        let length = sample.payload().len();
-        *WireHeader::peel_mut(sample.user_header_mut()) = *header;
+        let length = untyped::items_of_loan(&mut sample).len() / self.item.size();
+        untyped::set_header(&mut sample, header);
         let new = self.new_lossless_readers();
         sample.send().map_err(|error| if self.stop.forced() { PortError::Stopped } else { self.fault(error) })?;
         // A reader that is not woken looks by itself at its next tick.

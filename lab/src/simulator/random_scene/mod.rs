@@ -97,7 +97,7 @@ pub fn random_scene(group: SceneGroup, seed: u64) -> Scene {
         SceneGroup::Empty => arrangements::empty(&mut set),
         SceneGroup::FlatTins => arrangements::flat_tins(&mut set),
     }
-    set.scene(format!("{}/{seed}", group.name()))
+    set.scene(group, seed)
 }
 
 /// The group and seed of a scene, from its name.
@@ -158,9 +158,12 @@ impl Set {
         self.look_at = middle + Vector3::new(shake(), shake(), height + shake());
     }
 
-    fn scene(self, name: String) -> Scene {
+    fn scene(self, group: SceneGroup, seed: u64) -> Scene {
+        let name = format!("{}/{seed}", group.name());
         let camera_up = Vector3::new(libm::tan(self.roll_deg.to_radians()), 0.0, 1.0);
-        Scene::still(name, self.bodies, self.camera, self.look_at, camera_up)
+        let mut scene = Scene::still(name, self.bodies, self.camera, self.look_at, camera_up);
+        scene.group = Some(group.name());
+        scene
     }
 }
 

@@ -1,14 +1,8 @@
 //! How messages look in JSON: the keys, their order, and which of them a shape has.
 
-use conicflow_messages::{Ellipse, Item, Message, Object, ObjectKind, Scan, Track};
+use crate::{Ellipse, Header, Object, ObjectKind, Scan, ToJson, Track};
 use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
-
-/// An item that has a form in JSON.
-pub trait ToJson: Item {
-    /// The item as it is written, keys in order.
-    fn to_json(&self) -> impl Serialize;
-}
 
 impl ToJson for Object {
     fn to_json(&self) -> impl Serialize {
@@ -28,38 +22,37 @@ impl ToJson for Ellipse {
     }
 }
 
-/// One line of the output: a message, with the list under the name of its kind.
-pub struct Line<'a, T> {
-    /// The message.
-    pub message: Message<'a, T>,
+/// One line of JSON: a message, with its content under the name of what it carries.
+pub struct Line<'a, C> {
+    /// The header of the message.
+    pub header: &'a Header,
     /// From the moment the source had the frame until now, if known.
     pub latency_ms: Option<f64>,
+    /// What it carries: [`Item::NAME`](crate::Item::NAME).
+    pub kind: &'a str,
+    /// The list, or what stands for it: [`ToJson::message_to_json`].
+    pub content: C,
 }
 
-impl<T: ToJson> Serialize for Line<'_, T> {
+impl<C: Serialize> Serialize for Line<'_, C> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let header = self.message.header;
+        let header = self.header;
         let mut line = serializer.serialize_map(Some(5))?;
         line.serialize_entry("sequence", &header.sequence)?;
         line.serialize_entry("source", header.source.as_str().unwrap_or_default())?;
         line.serialize_entry("stamp_ns", &header.stamp_ns)?;
         line.serialize_entry("latency_ms", &self.latency_ms)?;
-        line.serialize_entry(T::KIND.name(), &List(self.message.items))?;
+        line.serialize_entry(self.kind, &self.content)?;
         line.end()
     }
 }
 
-struct List<'a, T>(&'a [T]);
-
-impl<T: ToJson> Serialize for List<'_, T> {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_seq(self.0.iter().map(ToJson::to_json))
-    }
-}
+/// Keys of a [`Line`] beside that of its content.
+pub const LINE_KEYS: [&str; 4] = ["sequence", "source", "stamp_ns", "latency_ms"];
 
 /// An [`Object`] in JSON; a key that the shape does not have is left out.
 #[derive(Clone, Debug, Serialize)]
-pub struct ObjectView {
+struct ObjectView {
     kind: &'static str,
     #[serde(skip_serializing_if = "Option::is_none")]
     apex: Option<[f64; 3]>,
@@ -144,7 +137,7 @@ fn deviations(covariance: &[[f64; 3]; 3]) -> [f64; 3] {
 
 /// A [`Track`] in JSON: its object, its identity and its motion.
 #[derive(Clone, Debug, Serialize)]
-pub struct TrackView {
+struct TrackView {
     #[serde(flatten)]
     object: ObjectView,
     id: u64,
@@ -171,7 +164,7 @@ impl From<&Track> for TrackView {
 
 /// An [`Ellipse`] in JSON, without its moments.
 #[derive(Clone, Debug, Serialize)]
-pub struct EllipseView {
+struct EllipseView {
     scan: &'static str,
     line: u32,
     first: u32,
@@ -204,7 +197,7 @@ impl From<&Ellipse> for EllipseView {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use conicflow_messages::{Header, ObjectSigma, Text, TrackState};
+    use crate::{Message, ObjectSigma, Text, TrackState};
 
     fn object(kind: ObjectKind) -> Object {
         Object {
@@ -236,7 +229,8 @@ mod tests {
         let header =
             Header { sequence: 12, stamp_ns: 7, source: Text::new("frame-000012.depth.png"), ..Header::default() };
         let message = Message { header: &header, items };
-        serde_json::to_string(&Line { message, latency_ms: Some(1.4) }).unwrap()
+        let content = T::message_to_json(&message);
+        serde_json::to_string(&Line { header: &header, latency_ms: Some(1.4), kind: T::NAME, content }).unwrap()
     }
 
     const HEAD: &str = r#"{"sequence":12,"source":"frame-000012.depth.png","stamp_ns":7,"latency_ms":1.4,"#;

@@ -1,0 +1,236 @@
+//! How the items of each type go over the wire, behind the header of their message ([`wire`](super)).
+//!
+//! Images and ellipses have compressors of their own ([`depth_codec`], [`ellipse_codec`]), objects and tracks go in bincode. Items
+//! of any other type go as they lie in memory: a byte for the compression, how many there are as a little-endian `u32`, and
+//! their bytes, of long lists compressed. Their layout has no holes, and both machines have the same.
+
+use super::compression::{of_tag, pack, tag_of, unpack};
+use super::{MAX_MESSAGE, WireError, decode_list, depth_codec, ellipse_codec, encode};
+use bytemuck::{cast_slice, try_cast_slice};
+use conicflow_dataflow::ItemType;
+use conicflow_dataflow::pipeline::Compression;
+use conicflow_messages::{Ellipse, Header, Item, Object, Track};
+
+#[cfg(target_endian = "big")]
+compile_error!("items go over the wire as they lie in memory, with the lowest byte of a number first");
+
+/// No image that goes to another machine has more pixels than this.
+const MAX_WIRE_PIXELS: u64 = 16 << 20;
+
+/// A kind of item that can go to another machine.
+pub trait Wire: Item {
+    /// Appends the body of a message.
+    ///
+    /// # Errors
+    /// It cannot be encoded.
+    fn encode_body(header: &Header, items: &[Self], how: Compression, bytes: &mut Vec<u8>) -> Result<(), WireError>;
+
+    /// Reads the body of a message into `items`.
+    ///
+    /// # Errors
+    /// It cannot be decoded.
+    fn decode_body(header: &Header, bytes: &[u8], items: &mut Vec<Self>) -> Result<(), WireError>;
+}
+
+impl Wire for u16 {
+    fn encode_body(header: &Header, items: &[u16], how: Compression, bytes: &mut Vec<u8>) -> Result<(), WireError> {
+        check_pixels(header)?;
+        bytes.push(tag_of(how));
+        depth_codec::compress(items, header.camera.width as usize, how, bytes).map_err(WireError::Broken)
+    }
+
+    fn decode_body(header: &Header, bytes: &[u8], items: &mut Vec<u16>) -> Result<(), WireError> {
+        check_pixels(header)?;
+        let (how, packed) = split_compression(bytes)?;
+        let size = (header.camera.width as usize, header.camera.height as usize);
+        depth_codec::decompress(packed, size, how, items).map_err(WireError::Broken)
+    }
+}
+
+impl Wire for Ellipse {
+    fn encode_body(header: &Header, items: &[Self], how: Compression, bytes: &mut Vec<u8>) -> Result<(), WireError> {
+        bytes.push(tag_of(how));
+        if how == Compression::None {
+            return encode(&items, bytes);
+        }
+        if size_of_val(items) > MAX_MESSAGE {
+            return Err(WireError::TooLong { bytes: size_of_val(items) });
+        }
+        ellipse_codec::compress(header, items, how, bytes).map_err(WireError::Broken)
+    }
+
+    fn decode_body(header: &Header, bytes: &[u8], items: &mut Vec<Self>) -> Result<(), WireError> {
+        let (how, packed) = split_compression(bytes)?;
+        if how == Compression::None {
+            return decode_list(packed, items);
+        }
+        ellipse_codec::decompress(header, packed, how, items).map_err(WireError::Broken)
+    }
+}
+
+impl Wire for Object {
+    fn encode_body(_: &Header, items: &[Self], _: Compression, bytes: &mut Vec<u8>) -> Result<(), WireError> {
+        encode(&items, bytes)
+    }
+
+    fn decode_body(_: &Header, bytes: &[u8], items: &mut Vec<Self>) -> Result<(), WireError> {
+        decode_list(bytes, items)
+    }
+}
+
+impl Wire for Track {
+    fn encode_body(_: &Header, items: &[Self], _: Compression, bytes: &mut Vec<u8>) -> Result<(), WireError> {
+        encode(&items, bytes)
+    }
+
+    fn decode_body(_: &Header, bytes: &[u8], items: &mut Vec<Self>) -> Result<(), WireError> {
+        decode_list(bytes, items)
+    }
+}
+
+fn check_pixels(header: &Header) -> Result<(), WireError> {
+    let (width, height) = (header.camera.width, header.camera.height);
+    if u64::from(width) * u64::from(height) > MAX_WIRE_PIXELS {
+        return Err(WireError::Broken(format!("an image of {width}x{height}, allowed are {MAX_WIRE_PIXELS} pixels")));
+    }
+    Ok(())
+}
+
+/// How a body is compressed, and what follows.
+fn split_compression(bytes: &[u8]) -> Result<(Compression, &[u8]), WireError> {
+    let (&tag, packed) = bytes.split_first().ok_or_else(|| WireError::Broken("no body".to_owned()))?;
+    Ok((of_tag(tag).map_err(WireError::Broken)?, packed))
+}
+
+/// Makes bytes for the wire of the items of one type, and items of such bytes.
+pub(crate) trait Codec: Send {
+    /// Appends the body of a message with these items, as they lie in memory.
+    fn encode(&self, header: &Header, items: &[u8], how: Compression, bytes: &mut Vec<u8>) -> Result<(), WireError>;
+
+    /// Reads and checks the items in the body of a message.
+    fn decode(&mut self, header: &Header, bytes: &[u8]) -> Result<(), WireError>;
+
+    /// The items that were read last, as they lie in memory.
+    fn items(&self) -> &[u8];
+}
+
+/// The codec of a type.
+pub(crate) fn codec_of(item: &ItemType) -> Box<dyn Codec> {
+    match item.name() {
+        u16::NAME => Box::new(Known::<u16>(Vec::new())),
+        Ellipse::NAME => Box::new(Known::<Ellipse>(Vec::new())),
+        Object::NAME => Box::new(Known::<Object>(Vec::new())),
+        Track::NAME => Box::new(Known::<Track>(Vec::new())),
+        _ => Box::new(AsInMemory { item: item.clone(), items: Vec::new() }),
+    }
+}
+
+/// Items with a form of their own on the wire.
+struct Known<T>(Vec<T>);
+
+impl<T: Wire> Codec for Known<T> {
+    fn encode(&self, header: &Header, items: &[u8], how: Compression, bytes: &mut Vec<u8>) -> Result<(), WireError> {
+        let items = try_cast_slice(items).map_err(|error| WireError::Broken(error.to_string()))?;
+        T::encode_body(header, items, how, bytes)
+    }
+
+    fn decode(&mut self, header: &Header, bytes: &[u8]) -> Result<(), WireError> {
+        T::decode_body(header, bytes, &mut self.0)?;
+        Ok(T::check(header, &self.0)?)
+    }
+
+    fn items(&self) -> &[u8] {
+        cast_slice(&self.0)
+    }
+}
+
+/// Items as they lie in memory.
+struct AsInMemory {
+    item: ItemType,
+    items: Vec<u8>,
+}
+
+impl Codec for AsInMemory {
+    fn encode(&self, _: &Header, items: &[u8], how: Compression, bytes: &mut Vec<u8>) -> Result<(), WireError> {
+        let how = if self.item.is_short() { Compression::None } else { how };
+        if items.len() > MAX_MESSAGE {
+            return Err(WireError::TooLong { bytes: items.len() });
+        }
+        let count = (items.len() / self.item.size()) as u32;
+        bytes.push(tag_of(how));
+        bytes.extend(count.to_le_bytes());
+        bytes.extend(pack(how, items).map_err(WireError::Broken)?);
+        Ok(())
+    }
+
+    fn decode(&mut self, header: &Header, bytes: &[u8]) -> Result<(), WireError> {
+        let (how, rest) = split_compression(bytes)?;
+        let broken = |what: &str| WireError::Broken(what.to_owned());
+        let (count, packed) = rest.split_first_chunk::<4>().ok_or_else(|| broken("a list without its length"))?;
+        let length = (u32::from_le_bytes(*count) as usize).checked_mul(self.item.size());
+        let length = length.filter(|length| *length <= MAX_MESSAGE);
+        let length = length.ok_or_else(|| broken("a list that claims to be longer than a message may be"))?;
+        self.items = unpack(how, packed, length).map_err(WireError::Broken)?;
+        Ok(self.item.check(header, &self.items)?)
+    }
+
+    fn items(&self) -> &[u8] {
+        &self.items
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use conicflow_messages::{Camera, Velocity};
+
+    fn header() -> Header {
+        let camera = Camera { width: 4, height: 3, fx: 5.0, fy: 5.0, cx: 1.5, cy: 1.0 };
+        Header { camera, depth_scale: 0.001, ..Header::default() }
+    }
+
+    /// What comes back of items, as they lie in memory.
+    fn sent(item: &ItemType, items: &[u8]) -> Result<Vec<u8>, WireError> {
+        let (mut codec, mut bytes) = (codec_of(item), Vec::new());
+        codec.encode(&header(), items, Compression::Zstd, &mut bytes)?;
+        codec.decode(&header(), &bytes)?;
+        Ok(codec.items().to_vec())
+    }
+
+    #[test]
+    fn items_without_a_form_of_their_own_come_back_as_they_were() {
+        let item = ItemType::of::<Velocity>();
+        for count in [0, 1, 7] {
+            let items: Vec<_> =
+                (0..count).map(|index| Velocity { linear: [f64::from(index); 3], ..Velocity::default() }).collect();
+            assert_eq!(sent(&item, cast_slice(&items)).unwrap(), cast_slice::<_, u8>(&items));
+        }
+        let nonsense = [Velocity { linear: [f64::NAN; 3], ..Velocity::default() }];
+        assert!(matches!(sent(&item, cast_slice(&nonsense)), Err(WireError::Malformed(_))));
+    }
+
+    #[test]
+    fn a_list_that_is_not_what_it_claims_is_refused() {
+        let (mut codec, mut good) = (codec_of(&ItemType::of::<Velocity>()), Vec::new());
+        codec.encode(&header(), cast_slice(&[Velocity::default(); 2]), Compression::Zstd, &mut good).unwrap();
+        assert_eq!(codec.decode(&header(), &good), Ok(()));
+        for claim in [0, 1, 3, 1_000_000, u32::MAX] {
+            let claimed = [&good[..1], &claim.to_le_bytes(), &good[5..]].concat();
+            assert!(matches!(codec.decode(&header(), &claimed), Err(WireError::Broken(_))), "{claim}");
+        }
+        for cut in [0, 1, 4, 5, good.len() - 1] {
+            assert!(codec.decode(&header(), &good[..cut]).is_err(), "{cut}");
+        }
+        let unknown = [&[9], &good[1..]].concat();
+        assert!(codec.decode(&header(), &unknown).is_err());
+    }
+
+    #[test]
+    fn what_the_typed_functions_write_the_codecs_read() {
+        let objects = [Object { radius: 0.1, ..Object::default() }; 3];
+        let (mut codec, mut bytes) = (codec_of(&ItemType::of::<Object>()), Vec::new());
+        Object::encode_body(&header(), &objects, Compression::None, &mut bytes).unwrap();
+        codec.decode(&header(), &bytes).unwrap();
+        assert_eq!(codec.items(), cast_slice::<_, u8>(&objects));
+    }
+}

@@ -1,0 +1,369 @@
+//! Item types as those see them who carry items without knowing what they are: name, size, and how to check and show bytes.
+//!
+//! A type that this program knows has a row in [`BUILT_IN`]: that makes it available to the pipeline file, the service
+//! keeper, `topic`, `json_sink` and the bridge. Any other type is described in the pipeline file, under `[item.NAME]`.
+
+use bytemuck::{cast_slice_mut, try_cast_slice};
+use conicflow_messages::{
+    AnyByte, Ellipse, Header, Item, Layout, LayoutFault, Line, Malformed, Message, Object, ToJson, Track, Velocity,
+};
+use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
+use std::fmt::{self, Display, Formatter};
+use std::sync::Arc;
+
+/// The item types that every program knows, in the order in which a frame meets them.
+pub static BUILT_IN: [ItemType; 5] = [
+    ItemType::built_in::<u16>(),
+    ItemType::built_in::<Ellipse>(),
+    ItemType::built_in::<Object>(),
+    ItemType::built_in::<Track>(),
+    ItemType::built_in::<Velocity>(),
+];
+
+/// Items are aligned to no more than this; shared memory and buffers are to as much.
+pub(crate) const MAX_ALIGN: usize = align_of::<u64>();
+/// A list that is usually no longer than this, in bytes, counts as short: it crosses a network in a few packets.
+const SHORT_LIST: usize = 64 * 1024;
+
+type Check = fn(&Header, &[u8]) -> Result<(), Malformed>;
+type Json = fn(&AnyMessage<'_>, Option<f64>, &mut Vec<u8>) -> serde_json::Result<()>;
+
+/// An item type.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(try_from = "Told", into = "Told")]
+pub struct ItemType {
+    name: Cow<'static, str>,
+    type_name: Cow<'static, str>,
+    size: usize,
+    align: usize,
+    usual_length: usize,
+    is_image: bool,
+    is_counted: bool,
+    form: Form,
+}
+
+/// How the bytes of items are checked and shown.
+#[derive(Clone, Debug)]
+enum Form {
+    /// By a program that has the type; it may be unable to show them.
+    Known(Check, Option<Json>),
+    /// By the description in the pipeline file.
+    Described(Arc<Layout>),
+}
+
+impl ItemType {
+    /// A type that this program has.
+    pub const fn of<T: Item>() -> Self {
+        Self::known::<T>(None)
+    }
+
+    /// A type that this program has and can show.
+    const fn built_in<T: ToJson>() -> Self {
+        Self::known::<T>(Some(json::<T>))
+    }
+
+    const fn known<T: Item>(json: Option<Json>) -> Self {
+        const { assert!(align_of::<T>() <= MAX_ALIGN, "items are aligned to 8 bytes at most") };
+        Self {
+            name: Cow::Borrowed(T::NAME),
+            type_name: Cow::Borrowed(T::TYPE_NAME),
+            size: size_of::<T>(),
+            align: align_of::<T>(),
+            usual_length: T::USUAL_LENGTH,
+            is_image: T::IS_IMAGE,
+            is_counted: T::IS_COUNTED,
+            form: Form::Known(check::<T>, json),
+        }
+    }
+
+    /// A type of which messages with more than `usual_length` items are rare.
+    pub(crate) fn described(name: &str, type_name: &str, layout: Layout, usual_length: usize) -> Self {
+        Self {
+            name: Cow::Owned(name.to_owned()),
+            type_name: Cow::Owned(type_name.to_owned()),
+            size: layout.size(),
+            align: layout.align(),
+            usual_length,
+            is_image: false,
+            is_counted: false,
+            form: Form::Described(Arc::new(layout)),
+        }
+    }
+
+    /// What a topic with such items carries: the word in the pipeline file, in JSON and in errors.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Name and version of the memory layout.
+    pub fn type_name(&self) -> &str {
+        &self.type_name
+    }
+
+    /// Bytes of an item.
+    pub fn size(&self) -> usize {
+        self.size
+    }
+
+    /// What the place of an item in memory is a multiple of.
+    pub fn align(&self) -> usize {
+        self.align
+    }
+
+    /// Items of a message, which few exceed.
+    pub fn usual_length(&self) -> usize {
+        self.usual_length
+    }
+
+    /// Whether a message is an image: as many items as the header's camera has pixels.
+    pub fn is_image(&self) -> bool {
+        self.is_image
+    }
+
+    /// Whether a run tells how many of its items there were, and that there was none.
+    pub fn is_counted(&self) -> bool {
+        self.is_counted
+    }
+
+    /// Whether messages are mostly short lists, not worth compressing: most cross a network where some packets are lost.
+    pub fn is_short(&self) -> bool {
+        !self.is_image && self.size * self.usual_length <= SHORT_LIST
+    }
+
+    /// Whether this is the row of a type that every program knows.
+    pub fn is_built_in(&self) -> bool {
+        BUILT_IN.iter().any(|row| row.type_name == self.type_name)
+    }
+
+    /// The layout in words, for two machines to compare: the type's name, and the fields where the pipeline file tells them.
+    pub fn layout(&self) -> String {
+        match &self.form {
+            Form::Known(..) => self.type_name.clone().into_owned(),
+            Form::Described(layout) => format!("{}{{{layout}}}", self.type_name),
+        }
+    }
+
+    /// Whether two processes that have these types can exchange items.
+    pub fn fits(&self, other: &Self) -> bool {
+        (&self.type_name, self.size, self.align) == (&other.type_name, other.size, other.align)
+    }
+
+    /// Whether a message from another process makes sense; of the end of a stream there is nothing to check but the header.
+    ///
+    /// # Errors
+    /// What is wrong with the header, or with the first faulty item.
+    pub fn check(&self, header: &Header, bytes: &[u8]) -> Result<(), Malformed> {
+        header.check(&self.name)?;
+        if header.ends_stream() {
+            return Ok(());
+        }
+        match &self.form {
+            Form::Known(check, _) => check(header, bytes),
+            Form::Described(layout) => layout.check(&self.name, bytes),
+        }
+    }
+}
+
+impl PartialEq for ItemType {
+    fn eq(&self, other: &Self) -> bool {
+        let told = |item: &Self| (item.name.clone(), item.layout(), item.size, item.align, item.usual_length);
+        told(self) == told(other)
+    }
+}
+
+impl Eq for ItemType {}
+
+/// "`acme.Grasp.v1`, 40 bytes, aligned to 8".
+impl Display for ItemType {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        write!(f, "`{}`, {} bytes, aligned to {}", self.type_name, self.size, self.align)
+    }
+}
+
+fn check<T: Item>(header: &Header, bytes: &[u8]) -> Result<(), Malformed> {
+    match try_cast_slice(bytes) {
+        Ok(items) => T::check(header, items),
+        // What came over a network may lie anywhere.
+        Err(_) if bytes.len().is_multiple_of(size_of::<T>()) => {
+            let mut items = vec![T::zeroed(); bytes.len() / size_of::<T>()];
+            cast_slice_mut(&mut items).copy_from_slice(bytes);
+            T::check(header, &items)
+        }
+        Err(_) => {
+            let what = format!("{} bytes, an item has {}", bytes.len(), size_of::<T>());
+            Err(Malformed::new(T::NAME, what))
+        }
+    }
+}
+
+fn json<T: ToJson>(message: &AnyMessage<'_>, latency_ms: Option<f64>, line: &mut Vec<u8>) -> serde_json::Result<()> {
+    let items = message.items::<T>().unwrap_or_default();
+    let typed = Message { header: message.header, items };
+    let content = T::message_to_json(&typed);
+    serde_json::to_writer(line, &Line { header: message.header, latency_ms, kind: T::NAME, content })
+}
+
+/// A message with items of a type that is known only when the program runs.
+#[derive(Clone, Copy, Debug)]
+pub struct AnyMessage<'a> {
+    /// Frame, camera and times.
+    pub header: &'a Header,
+    /// What its items are.
+    pub item: &'a ItemType,
+    /// The items.
+    pub bytes: &'a [u8],
+}
+
+impl<'a> AnyMessage<'a> {
+    /// The items as those of a type that this program has; `None` if they are of another.
+    pub fn items<T: Item>(&self) -> Option<&'a [T]> {
+        let same = self.item.fits(const { &ItemType::of::<T>() }) || T::TYPE_NAME == AnyByte::TYPE_NAME;
+        if same { try_cast_slice(self.bytes).ok() } else { None }
+    }
+
+    /// The message with items of a type that this program has; `None` if they are of another.
+    pub fn typed<T: Item>(&self) -> Option<Message<'a, T>> {
+        Some(Message { header: self.header, items: self.items()? })
+    }
+
+    /// Appends the message as JSON, of an image a summary.
+    ///
+    /// # Errors
+    /// It cannot be expressed, or this program has the type but cannot show it.
+    pub fn write_json(&self, latency_ms: Option<f64>, line: &mut Vec<u8>) -> serde_json::Result<()> {
+        match &self.item.form {
+            Form::Known(_, Some(json)) => json(self, latency_ms, line),
+            Form::Known(_, None) => {
+                Err(serde::ser::Error::custom(format_args!("items of {} have no form in JSON", self.item)))
+            }
+            Form::Described(layout) => {
+                let content = layout.to_json(self.bytes);
+                let line_of = Line { header: self.header, latency_ms, kind: &self.item.name, content };
+                serde_json::to_writer(line, &line_of)
+            }
+        }
+    }
+}
+
+/// An item type in a plan: a row by its name, another as the pipeline file describes it.
+#[derive(Serialize, Deserialize)]
+struct Told {
+    name: String,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    described: Option<Description>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Description {
+    type_name: String,
+    fields: Vec<(String, String)>,
+    usual_length: usize,
+}
+
+impl From<ItemType> for Told {
+    fn from(item: ItemType) -> Self {
+        let described = match &item.form {
+            Form::Known(..) => None,
+            Form::Described(layout) => {
+                let fields = layout.fields().iter().map(|field| (field.name.clone(), field.type_text.clone()));
+                let (type_name, usual_length) = (item.type_name.into_owned(), item.usual_length);
+                Some(Description { type_name, fields: fields.collect(), usual_length })
+            }
+        };
+        Self { name: item.name.into_owned(), described }
+    }
+}
+
+/// Why a plan's item type is none.
+#[derive(Debug, thiserror::Error)]
+enum ToldFault {
+    #[error("no item type is called `{0}`")]
+    Unknown(String),
+    #[error(transparent)]
+    Layout(#[from] LayoutFault),
+}
+
+impl TryFrom<Told> for ItemType {
+    type Error = ToldFault;
+
+    fn try_from(told: Told) -> Result<Self, ToldFault> {
+        let Some(Description { type_name, fields, usual_length }) = told.described else {
+            let row = BUILT_IN.iter().find(|row| row.name == told.name);
+            return row.cloned().ok_or(ToldFault::Unknown(told.name));
+        };
+        Ok(Self::described(&told.name, &type_name, Layout::new(&fields)?, usual_length))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use conicflow_messages::Camera;
+
+    fn grasps() -> ItemType {
+        let fields = [("position", "f64[3]"), ("id", "u64")].map(|(name, text)| (name.to_owned(), text.to_owned()));
+        ItemType::described("grasps", "acme.Grasp.v1", Layout::new(&fields).unwrap(), 16)
+    }
+
+    fn header() -> Header {
+        let camera = Camera { width: 2, height: 1, fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 };
+        Header { camera, depth_scale: 0.001, ..Header::default() }
+    }
+
+    #[test]
+    fn names_of_rows_differ() {
+        for (index, row) in BUILT_IN.iter().enumerate() {
+            let others = BUILT_IN[..index].iter();
+            assert!(others.into_iter().all(|other| other.name != row.name && other.type_name != row.type_name));
+        }
+    }
+
+    #[test]
+    fn a_plan_tells_rows_by_name_and_others_by_their_fields() {
+        let text = serde_json::to_string(&BUILT_IN[2]).unwrap();
+        assert_eq!(text, r#"{"name":"objects"}"#);
+        for item in BUILT_IN.iter().cloned().chain([grasps()]) {
+            let back: ItemType = serde_json::from_str(&serde_json::to_string(&item).unwrap()).unwrap();
+            assert_eq!(back, item);
+        }
+        let unknown = serde_json::from_str::<ItemType>(r#"{"name":"things"}"#).unwrap_err();
+        assert!(unknown.to_string().contains("no item type is called `things`"), "{unknown}");
+    }
+
+    #[test]
+    fn bytes_are_items_of_their_own_type_only() {
+        let (header, objects) = (header(), [Object::default(); 2]);
+        let message = AnyMessage { header: &header, item: &BUILT_IN[2], bytes: bytemuck::cast_slice(&objects) };
+        assert_eq!(message.items::<Object>(), Some(&objects[..]));
+        assert!(message.items::<Velocity>().is_none() && message.typed::<Track>().is_none());
+    }
+
+    #[test]
+    fn what_is_cut_within_an_item_is_refused() {
+        let object = Object::default();
+        let bytes = bytemuck::bytes_of(&object);
+        assert_eq!(BUILT_IN[2].check(&header(), bytes), Ok(()));
+        for bytes in [&bytes[..bytes.len() - 1], &bytes[..bytes.len() - 8]] {
+            assert!(BUILT_IN[2].check(&header(), bytes).is_err());
+        }
+        assert!(grasps().check(&header(), &[0; 33]).is_err());
+    }
+
+    #[test]
+    fn types_of_the_file_are_shown_with_their_fields() {
+        let (header, mut line) = (header(), Vec::new());
+        let bytes: Vec<u8> =
+            [1.0_f64, 2.0, 3.0].iter().flat_map(|x| x.to_le_bytes()).chain(7_u64.to_le_bytes()).collect();
+        AnyMessage { header: &header, item: &grasps(), bytes: &bytes }.write_json(None, &mut line).unwrap();
+        let expected = r#""latency_ms":null,"grasps":[{"position":[1.0,2.0,3.0],"id":7}]}"#;
+        assert!(String::from_utf8(line).unwrap().ends_with(expected));
+    }
+
+    #[test]
+    fn long_lists_and_images_are_not_short() {
+        let short: Vec<_> = BUILT_IN.iter().filter(|row| row.is_short()).map(ItemType::name).collect();
+        assert_eq!(short, ["objects", "tracks", "velocities"]);
+        assert!(grasps().is_short());
+    }
+}

@@ -1,0 +1,128 @@
+//! Velocity commands: how a robot, or a camera, is to move from now on.
+
+use crate::{Header, Item, Malformed, ToJson, item::finite};
+use bytemuck::{Pod, Zeroable};
+use serde::{Deserialize, Serialize};
+
+/// Along which axes a velocity is told.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Frame {
+    /// The camera's: x right, y down, z forward.
+    Camera,
+    /// The world's, in which [`Header::pose`] tells where the camera is.
+    World,
+}
+
+impl Frame {
+    /// The number that stands for it in a message.
+    pub const fn code(self) -> u32 {
+        match self {
+            Self::Camera => 0,
+            Self::World => 1,
+        }
+    }
+
+    /// The frame that a number stands for.
+    pub const fn from_code(code: u32) -> Option<Self> {
+        match code {
+            0 => Some(Self::Camera),
+            1 => Some(Self::World),
+            _ => None,
+        }
+    }
+
+    /// The word for it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Camera => "camera",
+            Self::World => "world",
+        }
+    }
+}
+
+/// The velocity that is to be taken. A message carries one; none: stand still.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq, Serialize, Deserialize)]
+pub struct Velocity {
+    /// Along the axes, in metres per second.
+    pub linear: [f64; 3],
+    /// Around the axes, right-handed, in radians per second.
+    pub angular: [f64; 3],
+    /// [`Frame::code`].
+    pub frame: u32,
+    /// Zero; keeps the layout free of holes.
+    pub reserved: u32,
+}
+
+impl Velocity {
+    /// Along which axes it is told; a code that stands for none is refused at the border, by [`Item::check`].
+    pub fn frame(&self) -> Frame {
+        Frame::from_code(self.frame).unwrap_or(Frame::Camera)
+    }
+}
+
+impl Item for Velocity {
+    const NAME: &'static str = "velocities";
+    const TYPE_NAME: &'static str = "conicflow.Velocity.v1";
+
+    fn check(_: &Header, items: &[Self]) -> Result<(), Malformed> {
+        for (index, velocity) in items.iter().enumerate() {
+            if Frame::from_code(velocity.frame).is_none() {
+                return Err(Malformed::new(Self::NAME, format!("item {index} is told in no known frame")));
+            }
+            if !(finite(&velocity.linear) && finite(&velocity.angular)) {
+                return Err(Malformed::new(Self::NAME, format!("item {index} has a number that is not finite")));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl ToJson for Velocity {
+    fn to_json(&self) -> impl Serialize {
+        VelocityView { linear: self.linear, angular: self.angular, frame: self.frame().name() }
+    }
+}
+
+/// A [`Velocity`] in JSON.
+#[derive(Serialize)]
+struct VelocityView {
+    linear: [f64; 3],
+    angular: [f64; 3],
+    frame: &'static str,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn codes_and_frames_match() {
+        for frame in [Frame::Camera, Frame::World] {
+            assert_eq!(Frame::from_code(frame.code()), Some(frame));
+        }
+        assert_eq!(Frame::from_code(2), None);
+    }
+
+    #[test]
+    fn a_velocity_in_no_frame_or_without_end_is_refused() {
+        let good = Velocity { linear: [0.0, 0.0, 0.8], ..Velocity::default() };
+        let check =
+            |velocity| Velocity::check(&Header::default(), &[good, velocity]).map_err(|error| error.to_string());
+        assert_eq!(check(Velocity { frame: Frame::World.code(), ..good }), Ok(()));
+        let told = check(Velocity { frame: 7, ..good });
+        assert_eq!(told, Err("malformed velocities: item 1 is told in no known frame".into()));
+        for spoilt in
+            [Velocity { linear: [0.0, f64::NAN, 0.0], ..good }, Velocity { angular: [f64::INFINITY, 0.0, 0.0], ..good }]
+        {
+            assert_eq!(check(spoilt), Err("malformed velocities: item 1 has a number that is not finite".into()));
+        }
+    }
+
+    #[test]
+    fn in_json_the_frame_is_a_word() {
+        let velocity = Velocity { linear: [0.5, 0.0, 1.0], ..Velocity::default() };
+        let text = serde_json::to_string(&velocity.to_json()).unwrap();
+        assert_eq!(text, r#"{"linear":[0.5,0.0,1.0],"angular":[0.0,0.0,0.0],"frame":"camera"}"#);
+    }
+}

@@ -1,0 +1,150 @@
+//! Item types of programs of one's own, which the pipeline file describes and `conicflow` itself does not know.
+
+use crate::bridge::{link, loopback, machines, placed, start, without_times};
+use crate::support::{Playground, TRACKING, example, signal};
+use rustix::process::Signal;
+use serde_json::Value as Json;
+
+const FIELDS: &str = r#"{ position = "f64[3]", width = "f64", id = "u32", shape = "text[12]" }"#;
+
+/// [`TRACKING`] up to the objects, which the program `grasps` turns into items of its own type, of these fields, and reads.
+fn with_grasps(fields: &str) -> String {
+    let (before, _) = TRACKING.split_once("[stage.tracker]").unwrap();
+    let program = example("grasps");
+    format!(
+        r#"{before}
+[item.grasps]
+type   = "acme.Grasp.v1"
+fields = {fields}
+
+[stage.planner]
+program = ["{program}", "plan"]
+input   = {{ topic = "objects", delivery = "lossless" }}
+output  = {{ topic = "grasps", kind = "grasps" }}
+
+[stage.gripper]
+program = ["{program}", "take"]
+input   = {{ topic = "grasps", delivery = "lossless" }}
+
+[stage.objects]
+node  = "json_sink"
+input = {{ topic = "objects", delivery = "lossless" }}
+path  = "objects.jsonl"
+
+[stage.json]
+node  = "json_sink"
+input = {{ topic = "grasps", delivery = "lossless" }}
+path  = "grasps.jsonl"
+"#
+    )
+}
+
+/// A grasp in words: the frame, its number and shape; and its numbers.
+type Told = (String, Vec<f64>);
+
+fn number(value: &Json) -> f64 {
+    value.as_f64().unwrap()
+}
+
+fn told(line: &Json, id: &Json, shape: &Json, place: &Json, width: f64) -> Told {
+    let words = format!("{} {id} {}", line["sequence"], shape.as_str().unwrap());
+    (words, place.as_array().unwrap().iter().map(number).chain([width]).collect())
+}
+
+/// What the planner makes of a line of objects.
+fn planned(line: &Json) -> Vec<Told> {
+    let objects = line["objects"].as_array().unwrap().iter().enumerate();
+    let plan = |(id, object): (usize, &Json)| {
+        told(line, &id.into(), &object["kind"], &object["center"], 2.0 * number(&object["radius"]))
+    };
+    objects.map(plan).collect()
+}
+
+/// What a line of grasps says.
+fn written(line: &Json) -> Vec<Told> {
+    let grasps = line["grasps"].as_array().unwrap().iter();
+    let tell = |grasp: &Json| told(line, &grasp["id"], &grasp["shape"], &grasp["position"], number(&grasp["width"]));
+    grasps.map(tell).collect()
+}
+
+/// What the gripper noted: the frame, number, shape, and four numbers.
+fn noted(line: &str) -> Told {
+    let words: Vec<_> = line.split(' ').collect();
+    (words[..3].join(" "), words[3..].iter().map(|number| number.parse().unwrap()).collect())
+}
+
+/// Makes sure that these are the same, but for what reading a number from JSON changes in its last digit.
+fn expect_same(some: &[Told], others: &[Told]) {
+    assert_eq!(some.len(), others.len());
+    for ((words, numbers), (other_words, other_numbers)) in some.iter().zip(others) {
+        assert_eq!((words, numbers.len()), (other_words, other_numbers.len()));
+        let close = numbers.iter().zip(other_numbers).all(|(number, other)| (number - other).abs() < 1e-12);
+        assert!(close, "{numbers:?} {other_numbers:?}");
+    }
+}
+
+#[test]
+fn a_type_of_ones_own_is_checked_carried_and_written_with_its_fields() {
+    let playground = Playground::with_pipeline(&with_grasps(FIELDS));
+    playground.conicflow(&["validate"]).expect_code(0);
+    playground.conicflow(&["run", "--frames", "20"]).expect_code(0);
+    let (objects, grasps) = (playground.json_lines("objects.jsonl"), playground.json_lines("grasps.jsonl"));
+    assert_eq!((objects.len(), grasps.len()), (20, 20));
+    assert!(grasps.iter().any(|line| line["grasps"][0]["shape"] == "sphere"), "{grasps:?}");
+    assert_eq!(playground.sequences("grasps.jsonl"), (0..20).collect::<Vec<_>>());
+    let of_all = |lines: &[Json], tell: fn(&Json) -> Vec<Told>| lines.iter().flat_map(tell).collect::<Vec<_>>();
+    expect_same(&of_all(&grasps, written), &of_all(&objects, planned));
+    let notes: Vec<_> = playground.lines("taken.txt").iter().map(|line| noted(line)).collect();
+    expect_same(&notes, &of_all(&grasps, written));
+}
+
+#[test]
+fn who_looks_on_sees_it_as_well() {
+    let playground = Playground::with_pipeline(&with_grasps(FIELDS));
+    let mut run = playground.start(&["run", "--set", "source.rate_hz=50"]);
+    run.wait_until("it delivers", || !playground.lines("grasps.jsonl").is_empty());
+    let list = playground.conicflow(&["topic", "list"]).expect_code(0).stdout;
+    assert!(list.lines().any(|line| line.starts_with("grasps ") && line.contains(" grasps ")), "{list}");
+    let echo = playground.conicflow(&["topic", "echo", "grasps", "--count", "3"]).expect_code(0).stdout;
+    let seen: Vec<Json> = echo.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    signal(run.id(), Signal::INT);
+    run.wait().expect_code(0);
+    let lines = playground.json_lines("grasps.jsonl");
+    assert_eq!(seen.len(), 3);
+    for line in seen {
+        let same = lines.iter().find(|written| written["sequence"] == line["sequence"]).unwrap();
+        assert_eq!(same["grasps"], line["grasps"]);
+    }
+}
+
+#[test]
+fn it_crosses_to_another_machine_bit_for_bit() {
+    let alone = Playground::with_pipeline(&with_grasps(FIELDS));
+    alone.conicflow(&["run", "--frames", "100"]).expect_code(0);
+    let expected = without_times(&alone, "grasps.jsonl");
+    let (on_robot, on_base) = (["source", "extractor", "assembler", "planner", "objects"], ["gripper", "json"]);
+    let places: Vec<_> =
+        on_robot.map(|stage| (stage, "robot")).into_iter().chain(on_base.map(|stage| (stage, "base"))).collect();
+    let endpoint = loopback();
+    let text = placed(&with_grasps(FIELDS), &places);
+    let text =
+        format!("{text}\n[machine.robot]\nlisten = [\"{endpoint}\"]\n[machine.base]\nconnect = [\"{endpoint}\"]\n");
+    let [robot, base] = machines(&text);
+    let receiving = start(&base, "base");
+    let sent = robot.conicflow(&["run", "--machine", "robot", "--frames", "100"]).expect_code(0);
+    receiving.wait().expect_code(0);
+    assert_eq!(link(&sent, "base", "grasps")[..2], [100, 0]);
+    assert_eq!(without_times(&base, "grasps.jsonl"), expected);
+    assert_eq!(base.lines("taken.txt"), alone.lines("taken.txt"));
+}
+
+#[test]
+fn fields_that_are_not_those_of_the_program_end_the_run() {
+    let other = r#"{ position = "f32[3]", width = "f32", id = "u32", shape = "text[12]" }"#;
+    let playground = Playground::with_pipeline(&with_grasps(other));
+    let ended = playground.conicflow(&["run", "--frames", "3"]).expect_code(1);
+    let told = "topic `grasps` carries another type of message than `acme.Grasp.v1`, 48 bytes, aligned to 8: the pipeline \
+                file says `acme.Grasp.v1`, 32 bytes, aligned to 4\n  hint: let `type` and `fields` under [item.grasps] be \
+                those of the program";
+    assert!(ended.stderr.contains(told), "{}", ended.stderr);
+}
