@@ -20,7 +20,7 @@
 //! ```
 
 use bytemuck::{Pod, Zeroable};
-use conicflow_dataflow::{Config, Context, NoConfig, Output, Sides, Stage, StageError, run_stage};
+use conicflow_dataflow::{Context, NoConfig, Output, Sides, Stage, StageError, run_stage};
 use conicflow_messages::{Header, Item, Malformed, Message, Nothing, Object, Text};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -70,8 +70,6 @@ impl Default for PlannerConfig {
         Self { max_width: 1.0 }
     }
 }
-
-impl Config for PlannerConfig {}
 
 /// Tells where a gripper may take each object.
 struct Planner {

@@ -2,7 +2,6 @@
 
 use super::codec::{Wire, codec_of};
 use super::{MAX_MESSAGE, Place, WIRE_VERSION, WireError, decode_message, encode_message, message_bytes, open_message};
-use bytemuck::cast_slice;
 use conicflow_dataflow::ItemType;
 use conicflow_dataflow::pipeline::Compression;
 use conicflow_messages::{Camera, END_OF_STREAM, Ellipse, Header, Hop, Object, Text, Track, Velocity};
@@ -215,7 +214,7 @@ fn begin_the_corpus() {
     write("cut", &lists[..lists.len() / 2]);
     write("objects", &bytes_of::<Object>(&header(64, 48), &[Object::default()], Compression::None));
     write("tracks", &bytes_of::<Track>(&header(64, 48), &[Track::default()], Compression::None));
-    let velocities = as_in_memory(place(), &header(64, 48), cast_slice(&[Velocity::default(); 3]));
+    let velocities = as_in_memory(place(), &header(64, 48), bytemuck::cast_slice(&[Velocity::default(); 3]));
     write("velocities", &velocities);
     let end = Header { flags: END_OF_STREAM, ..header(0, 0) };
     write("end", &bytes_of::<Track>(&end, &[], Compression::None));

@@ -2,7 +2,7 @@ use super::fixtures::*;
 use super::playback::{Clock, emptiness, is_off_center};
 use super::*;
 use conicflow_dataflow::testing::collect;
-use conicflow_messages::{Camera, NoiseModel};
+use conicflow_messages::{Camera, NoiseModel, median_depth};
 use std::fs;
 use tempfile::TempDir;
 
