@@ -34,6 +34,7 @@ fn the_graph_of_the_default_pipeline() {
 }
 
 #[test]
+#[cfg(feature = "bridge")]
 fn a_graph_with_machines_further_inputs_and_programs() {
     let playground = Playground::with_pipeline(
         r#"
@@ -203,6 +204,7 @@ fn files_that_are_missing_are_named() {
 }
 
 #[test]
+#[cfg(feature = "bridge")]
 fn machines_have_to_be_chosen() {
     let text = TRACKING.replace("node ", "machine = \"robot\"\nnode ");
     let playground = Playground::with_pipeline(&format!("{text}\n[machine.robot]\n[machine.base]\n"));

@@ -145,6 +145,7 @@ fn a_run_that_would_need_more_open_files_than_it_may_have_does_not_begin() {
 }
 
 #[test]
+#[cfg(feature = "bridge")]
 fn a_port_that_is_taken_is_told_with_the_machine_that_needs_it() {
     let holder = TcpListener::bind("127.0.0.1:0").unwrap();
     let endpoint = format!("tcp/{}", holder.local_addr().unwrap());

@@ -25,6 +25,9 @@ fn the_corpora_of_the_fuzzers_do_no_harm() {
         assert!(files.keys().any(|name| name.starts_with("good")), "{kind}: {:?}", files.keys());
         assert!(files.keys().any(|name| name.starts_with("bad")), "{kind}: {:?}", files.keys());
         for (name, bytes) in files {
+            if cfg!(not(feature = "bridge")) && name == "good_machines" {
+                continue;
+            }
             let accepted = accepts(&bytes);
             assert!(accepted || !name.starts_with("good"), "{kind}/{name} was refused");
             assert!(!accepted || !name.starts_with("bad"), "{kind}/{name} was accepted");

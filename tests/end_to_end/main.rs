@@ -3,7 +3,9 @@
 #![allow(missing_docs)] // a test's name says what it shows
 #![allow(clippy::unwrap_used, clippy::panic)] // what a test cannot go on from is its failure
 
+#[cfg(feature = "bridge")]
 mod bridge;
+#[cfg(feature = "bridge")]
 mod certificates;
 mod commands;
 #[cfg(target_os = "linux")]
@@ -14,11 +16,11 @@ mod faults;
 #[cfg(target_os = "linux")]
 mod full_memory;
 mod hostile_files;
-#[cfg(target_os = "linux")]
+#[cfg(all(feature = "bridge", target_os = "linux"))]
 mod hosts;
 #[cfg(target_os = "linux")]
 mod identities;
-#[cfg(target_os = "linux")]
+#[cfg(all(feature = "bridge", target_os = "linux"))]
 mod intruders;
 mod node;
 mod outside_stage;
@@ -26,12 +28,14 @@ mod outside_stage;
 mod own_memory;
 #[cfg(target_os = "linux")]
 mod processes;
-#[cfg(target_os = "linux")]
+#[cfg(all(feature = "bridge", target_os = "linux"))]
 mod radio;
 #[cfg(target_os = "linux")]
 mod room;
+#[cfg(feature = "bridge")]
 mod routers;
 mod run;
+#[cfg(feature = "bridge")]
 mod several_machines;
 #[cfg(target_os = "linux")]
 mod soak;
@@ -40,9 +44,9 @@ mod stress;
 mod support;
 #[cfg(target_os = "linux")]
 mod swap;
-#[cfg(target_os = "linux")]
+#[cfg(all(feature = "bridge", target_os = "linux"))]
 mod swap_joined;
-#[cfg(target_os = "linux")]
+#[cfg(all(feature = "bridge", target_os = "linux"))]
 mod three_hosts;
 #[cfg(target_os = "linux")]
 mod top;

@@ -32,6 +32,9 @@ fn folder() -> PathBuf {
 fn faulty_files() -> Vec<PathBuf> {
     let entries = fs::read_dir(folder()).unwrap().map(|entry| entry.unwrap().path());
     let mut files: Vec<_> = entries.filter(|path| path.extension().is_some_and(|end| end == "toml")).collect();
+    // Without the network part all that is told of a file with machines is that.
+    let is_for_one_machine = |path: &PathBuf| !fs::read_to_string(path).unwrap().contains("[machine");
+    files.retain(|path| cfg!(feature = "bridge") || is_for_one_machine(path));
     files.sort();
     assert!(!files.is_empty());
     files
