@@ -7,7 +7,7 @@
 use crate::pipeline::{Compression, Machine};
 use crate::ports::shared_memory::SharedMemory;
 use crate::ports::{Delivery, Topic};
-use crate::runner::Surroundings;
+use crate::runner::StageRuntime;
 use crate::stage::StageError;
 use conicflow_messages::Kind;
 use serde::{Deserialize, Serialize};
@@ -26,7 +26,7 @@ pub struct Network {
     /// Where a machine listens.
     pub listen_endpoints: fn(&Machine) -> Result<Vec<String>, SettingsFault>,
     /// Carries the edges of a plan, as a process of its own, until all have ended.
-    pub run: fn(&BridgePlan, BridgeRun<'_>, Surroundings<SharedMemory>) -> Result<(), NetworkError>,
+    pub run: fn(&BridgePlan, BridgeRun<'_>, StageRuntime<SharedMemory>) -> Result<(), NetworkError>,
 }
 
 /// The run that a bridge belongs to.

@@ -3,7 +3,7 @@
 use crate::ports::shared_memory::SharedMemory;
 use crate::runner::source_loop::run_source;
 use crate::runner::stage_loop::run_stage;
-use crate::runner::{RunError, Surroundings};
+use crate::runner::{RunError, StageRuntime};
 use crate::sides::Side;
 use crate::stage::{Config, ConfigFault, Source, Stage};
 use conicflow_messages::{Item, Kind};
@@ -39,7 +39,7 @@ pub struct Variant {
     pub input: Kind,
     /// What it makes; [`Kind::Nothing`] for a sink.
     pub output: Kind,
-    pub(crate) run: fn(Json, Surroundings<SharedMemory>) -> Result<(), RunError>,
+    pub(crate) run: fn(Json, StageRuntime<SharedMemory>) -> Result<(), RunError>,
 }
 
 impl Node {
@@ -124,11 +124,11 @@ fn message_length<S: Source>(parameters: Json, base: &Path) -> Option<usize> {
     S::message_length(&serde_json::from_value(parameters).ok()?, base)
 }
 
-fn start_source<S: Source>(parameters: Json, around: Surroundings<SharedMemory>) -> Result<(), RunError> {
+fn start_source<S: Source>(parameters: Json, around: StageRuntime<SharedMemory>) -> Result<(), RunError> {
     run_source::<S, _>(configuration(parameters)?, around)
 }
 
-fn start_stage<S: Stage>(parameters: Json, around: Surroundings<SharedMemory>) -> Result<(), RunError> {
+fn start_stage<S: Stage>(parameters: Json, around: StageRuntime<SharedMemory>) -> Result<(), RunError> {
     run_stage::<S, _>(configuration(parameters)?, around)
 }
 

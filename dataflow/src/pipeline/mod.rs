@@ -17,7 +17,7 @@ pub use machine::{BRIDGE, Compression, Machine};
 pub use spec::{Input, Pipeline, Program, Restart, StageSpec};
 
 use crate::registry::Registry;
-use read::Surroundings;
+use read::ReadContext;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -58,7 +58,7 @@ impl Pipeline {
         for text in overrides {
             value::apply_override(&mut document, text, &mut faults);
         }
-        let mut pipeline = read::pipeline(document, &source, &Surroundings { base, machine, registry }, &mut faults);
+        let mut pipeline = read::pipeline(document, &source, &ReadContext { base, machine, registry }, &mut faults);
         pipeline.source = (SourceText::clone(&source), overrides.to_vec());
         check::connections(&pipeline, &mut faults);
         let report = Report::in_order(faults);

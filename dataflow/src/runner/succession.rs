@@ -4,7 +4,7 @@
 use super::handover::Successor;
 use super::inbox::Inbox;
 use super::side_ports::SidePort;
-use super::{RunError, Surroundings};
+use super::{RunError, StageRuntime};
 use crate::ports::{Delivery, Topic, Transport};
 use crate::stage::Stage;
 use crate::status::Life;
@@ -18,7 +18,7 @@ const PATIENCE_WITH_WRITERS: Duration = Duration::from_secs(1);
 /// is made on trial, and anew in its place: two that are at work on one file would spoil it.
 pub(crate) fn made_early<S: Stage>(
     config: &S::Config,
-    around: &Surroundings<impl Transport>,
+    around: &StageRuntime<impl Transport>,
 ) -> Result<Option<S>, RunError> {
     let copied = serde_json::to_value(config).and_then(serde_json::from_value);
     let copy = copied.map_err(|error| RunError::Refused(error.into()))?;
@@ -31,7 +31,7 @@ pub(crate) fn takes_place<I: Item, T: Transport + 'static>(
     mut successor: Successor,
     inbox: &mut Inbox<I, T::Reader<I>>,
     sides: &mut [Box<dyn SidePort>],
-    around: &mut Surroundings<T>,
+    around: &mut StageRuntime<T>,
     topic: &Topic,
 ) -> Result<bool, RunError> {
     if !hears_all(&mut successor, inbox, sides, around, topic)? {
@@ -53,7 +53,7 @@ fn hears_all<I: Item, T: Transport>(
     successor: &mut Successor,
     inbox: &mut Inbox<I, T::Reader<I>>,
     sides: &mut [Box<dyn SidePort>],
-    around: &Surroundings<T>,
+    around: &StageRuntime<T>,
     topic: &Topic,
 ) -> Result<bool, RunError> {
     let deadline = Instant::now() + PATIENCE_WITH_WRITERS;

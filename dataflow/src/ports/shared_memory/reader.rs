@@ -1,7 +1,7 @@
 //! The reading end of a topic in shared memory.
 
+use super::cleanup::Occupied;
 use super::services::{Ipc, WireHeader, WireItem};
-use super::sweep::Occupied;
 use crate::ports::{PortError, Reader, Received};
 use bytemuck::TransparentWrapper;
 use conicflow_messages::{Header, Item};

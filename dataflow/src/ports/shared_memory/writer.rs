@@ -1,8 +1,8 @@
 //! The writing end of a topic in shared memory, and its waiting for readers that must not miss a message.
 
+use super::cleanup::Occupied;
 use super::reserve::reserve;
 use super::services::{Factory, Ipc, WireHeader, WireItem};
-use super::sweep::Occupied;
 use crate::ports::capacity::{look_for_room, no_room, usual_length};
 use crate::ports::{Delivery, PortError, Topic, Writer};
 use crate::stage::Stop;
