@@ -4,7 +4,7 @@
     pip install eclipse-zenoh
     read_objects.py tcp/127.0.0.1:7447 PIPELINE MACHINE TOPIC
 
-The key is conicflow/PIPELINE/MACHINE/TOPIC, where MACHINE writes TOPIC. The bytes (dataflow/src/bridge/wire.rs): `CFLO`, the
+The key is conicflow/PIPELINE/MACHINE/TOPIC, where MACHINE writes TOPIC. The bytes (bridge/src/wire/mod.rs): `CFLO`, the
 version as u16, stream, number and oldest number as u64, all little-endian; then bincode 2, standard configuration: the names
 of the layouts, the header, the list.
 """

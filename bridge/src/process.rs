@@ -9,7 +9,7 @@ use crate::receiving::Receiving;
 use crate::sending::{Sending, Shared};
 use crate::session::{Publisher, Sessions, Subscriber};
 use crate::wire::encode_note;
-use conicflow_dataflow::relay::{Settling, SharedMemory, Surroundings};
+use conicflow_dataflow::relay::{Settling, SharedMemory, StageRuntime};
 use conicflow_dataflow::{BridgePlan, BridgeRun, Life, NO_RUN, Stop};
 use std::sync::Arc;
 use std::thread::{Scope, ScopedJoinHandle};
@@ -29,7 +29,7 @@ const FAREWELLS: usize = 5;
 pub(crate) fn run(
     bridge: &BridgePlan,
     run: BridgeRun<'_>,
-    around: Surroundings<SharedMemory>,
+    around: StageRuntime<SharedMemory>,
 ) -> Result<(), BridgeError> {
     let (stop, settling) = (around.context.stop.clone(), Settling::of(&around));
     let stream = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as u64);

@@ -3,10 +3,13 @@
 //! In the order in which one meets them: a stage is written against [`Stage`] or [`Source`]; the pipeline file names it by
 //! the row that [`Node`] makes of it ([`pipeline`]); the [`Plan`] settles what each process has to know; [`run`] starts
 //! them; each runs its loop over [`ports`], which lead through shared memory; and [`Status`] records tell how it goes.
+//! What carries topics to other machines is no part of this: a program hands it in as a [`Network`], beside its nodes, in its
+//! [`Registry`].
 
 mod bridge_plan;
 mod clock;
 mod doctor;
+mod heartbeat;
 mod item_type;
 mod launcher;
 mod link_report;
@@ -18,7 +21,6 @@ mod observe;
 pub mod pipeline;
 mod plan;
 pub mod ports;
-mod pulse;
 mod registry;
 mod runner;
 mod sides;
@@ -40,7 +42,7 @@ pub mod relay {
     pub use crate::runner::inbox::Inbox;
     pub use crate::runner::outlet::{Outlet, end_of_stream};
     pub use crate::runner::peers::Peers;
-    pub use crate::runner::{Settling, Surroundings};
+    pub use crate::runner::{Settling, StageRuntime};
     pub use crate::status::StatusFile;
 }
 

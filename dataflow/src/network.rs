@@ -8,7 +8,7 @@ use crate::item_type::ItemType;
 use crate::pipeline::{Compression, Machine};
 use crate::ports::shared_memory::SharedMemory;
 use crate::ports::{Delivery, Topic};
-use crate::runner::Surroundings;
+use crate::runner::StageRuntime;
 use crate::stage::StageError;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
@@ -33,7 +33,7 @@ pub struct Network {
 #[derive(Clone, Copy)]
 pub enum Carrier {
     /// This program.
-    Here(fn(&BridgePlan, BridgeRun<'_>, Surroundings<SharedMemory>) -> Result<(), NetworkError>),
+    Here(fn(&BridgePlan, BridgeRun<'_>, StageRuntime<SharedMemory>) -> Result<(), NetworkError>),
     /// Another one, which takes the place of this process and calls [`run_in_run`](crate::run_in_run).
     Program(fn() -> Result<PathBuf, SettingsFault>),
 }

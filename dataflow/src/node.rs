@@ -3,7 +3,7 @@
 use crate::ports::shared_memory::SharedMemory;
 use crate::runner::source_loop::run_source;
 use crate::runner::stage_loop::run_stage;
-use crate::runner::{RunError, Surroundings};
+use crate::runner::{RunError, StageRuntime};
 use crate::sides::Side;
 use crate::stage::{Config, Source, Stage};
 use conicflow_messages::{ConfigFault, Item, Nothing};
@@ -32,7 +32,7 @@ pub struct Variant {
     pub input: &'static str,
     /// What it makes; [`Nothing`] for a sink.
     pub output: &'static str,
-    pub(crate) run: fn(Json, Surroundings<SharedMemory>) -> Result<(), RunError>,
+    pub(crate) run: fn(Json, StageRuntime<SharedMemory>) -> Result<(), RunError>,
 }
 
 impl Node {
@@ -112,11 +112,11 @@ fn message_length<S: Source>(parameters: Json, base: &Path) -> Option<usize> {
     S::message_length(&serde_json::from_value(parameters).ok()?, base)
 }
 
-fn start_source<S: Source>(parameters: Json, around: Surroundings<SharedMemory>) -> Result<(), RunError> {
+fn start_source<S: Source>(parameters: Json, around: StageRuntime<SharedMemory>) -> Result<(), RunError> {
     run_source::<S, _>(configuration(parameters)?, around)
 }
 
-fn start_stage<S: Stage>(parameters: Json, around: Surroundings<SharedMemory>) -> Result<(), RunError> {
+fn start_stage<S: Stage>(parameters: Json, around: StageRuntime<SharedMemory>) -> Result<(), RunError> {
     run_stage::<S, _>(configuration(parameters)?, around)
 }
 

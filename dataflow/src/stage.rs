@@ -4,8 +4,8 @@
 //! [`Nothing`](conicflow_messages::Nothing). None of them knows who is up- or downstream, on which machine, or whether it
 //! is a test.
 
+use crate::heartbeat::Heartbeat;
 use crate::item_type::ItemType;
-use crate::pulse::Pulse;
 use crate::sides::{Side, Sides};
 use conicflow_messages::{ConfigFault, Header, Item, Message};
 use schemars::JsonSchema;
@@ -69,7 +69,7 @@ pub struct Stop(Arc<Flags>);
 struct Flags {
     end: AtomicU8,
     leave: AtomicBool,
-    pulse: OnceLock<Pulse>,
+    heartbeat: OnceLock<Heartbeat>,
 }
 
 const IN_ORDER: u8 = 1;
@@ -99,13 +99,13 @@ impl Stop {
     }
 
     fn show_life(&self) {
-        self.0.pulse.get().into_iter().for_each(Pulse::beat);
+        self.0.heartbeat.get().into_iter().for_each(Heartbeat::beat);
     }
 
     /// From now on signs of life go there.
-    pub(crate) fn show_life_by(&self, pulse: Pulse) {
+    pub(crate) fn show_life_by(&self, heartbeat: Heartbeat) {
         // A process has one stage, and one record.
-        self.0.pulse.set(pulse).ok();
+        self.0.heartbeat.set(heartbeat).ok();
     }
 
     /// Whether this stage is to leave its place to another process.

@@ -4,7 +4,7 @@
 //! Durations are counted in a histogram of fixed size with logarithmic buckets, because the record must have one.
 
 use crate::clock::monotonic_ns;
-use crate::pulse::Pulse;
+use crate::heartbeat::Heartbeat;
 use bytemuck::{Pod, Zeroable};
 use conicflow_messages::Text;
 use std::fs::{File, OpenOptions};
@@ -333,9 +333,9 @@ impl StatusFile {
     }
 
     /// Signs of life of this process between the times that the record is written.
-    pub(crate) fn pulse(&self) -> Option<Pulse> {
+    pub(crate) fn heartbeat(&self) -> Option<Heartbeat> {
         let file = self.file.as_ref()?.try_clone().ok()?;
-        Some(Pulse::new(file, offset_of!(Status, alive_ns)))
+        Some(Heartbeat::new(file, offset_of!(Status, alive_ns)))
     }
 
     /// Makes the record seen by others, and is a sign of life. A file that cannot be written (a full disk) only hides the counts.

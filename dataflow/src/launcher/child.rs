@@ -3,7 +3,7 @@
 use super::folder::{PLAN, RunFolder};
 use super::options::RunOptions;
 use super::process::{LAUNCHER, ProcessError, REFUSED, as_stage};
-use super::vigil::{News, Vigil};
+use super::watchdog::{News, Watchdog};
 use crate::pipeline::Restart;
 use crate::plan::{Plan, PlannedStage, Runs};
 use crate::status::{Life, Status};
@@ -44,7 +44,7 @@ pub(crate) enum Change {
 pub(crate) struct Supervised {
     pub(crate) planned: PlannedStage,
     state: State,
-    vigil: Vigil,
+    watchdog: Watchdog,
     deaths: VecDeque<Instant>,
 }
 
@@ -55,8 +55,8 @@ impl Supervised {
             doing: format!("stage `{}` cannot be started", planned.name),
             error,
         })?;
-        let vigil = Vigil::new(0, Instant::now());
-        Ok(Self { planned, state: State::Running(child), vigil, deaths: VecDeque::new() })
+        let watchdog = Watchdog::new(0, Instant::now());
+        Ok(Self { planned, state: State::Running(child), watchdog, deaths: VecDeque::new() })
     }
 
     /// Its process, if there is one.
@@ -157,7 +157,7 @@ impl Supervised {
         }
         let limit = self.planned.hang_s.map(Duration::from_secs_f64);
         let steps = own.as_ref().map_or(0, |status| status.steps);
-        let news = self.vigil.look(process, own.map(|status| status.alive_ns), limit, Instant::now());
+        let news = self.watchdog.look(process, own.map(|status| status.alive_ns), limit, Instant::now());
         news.into_iter().for_each(|news| self.tell(news, steps));
         if let (Some(News::Hangs(_)), Some(_), State::Running(child)) = (news, limit, &mut self.state) {
             child.kill().ok();

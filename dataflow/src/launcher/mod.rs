@@ -12,7 +12,7 @@ mod progress;
 mod request;
 mod summary;
 mod swap;
-mod vigil;
+mod watchdog;
 
 pub use folder::{FolderError, RUNTIME_DIR, RunFolder, RunLock, user_folder};
 pub(crate) use folder::{LAST_STAGES_GRACE, check_private};

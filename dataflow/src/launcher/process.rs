@@ -11,7 +11,7 @@ use crate::ports::shared_memory::SharedMemory;
 use crate::registry::Registry;
 use crate::runner::handover::{Handover, Successor};
 use crate::runner::peers::Peers;
-use crate::runner::{RunError, Surroundings};
+use crate::runner::{RunError, StageRuntime};
 use crate::stage::{Context, Source, Stage, Stop};
 use crate::status::StatusFile;
 use rustix::process::{Signal, getppid, set_parent_process_death_signal};
@@ -143,7 +143,7 @@ fn run_planned(
             let variants = row.into_iter().flat_map(|row| row.variants);
             let fitting = variants.clone().find(|variant| variant.input == input).or(variants.clone().next());
             let run = fitting.ok_or_else(|| ProcessError::NoNode(node.clone()))?.run;
-            Ok(run(planned.parameters.clone(), surroundings(plan, folder, planned)?)?)
+            Ok(run(planned.parameters.clone(), stage_runtime(plan, folder, planned)?)?)
         }
         Runs::Command(command) => Err(become_program(plan, planned, command)),
         Runs::Bridge(edges) => {
@@ -154,7 +154,7 @@ fn run_planned(
                     return Err(become_program(plan, planned, &[program]));
                 }
             };
-            let around = surroundings(plan, folder, planned)?;
+            let around = stage_runtime(plan, folder, planned)?;
             let run = BridgeRun { pipeline: &plan.pipeline, run: plan.run, folder: folder.path() };
             Ok(run_here(edges, run, around)?)
         }
@@ -237,11 +237,11 @@ fn become_program(plan: &Plan, planned: &PlannedStage, command: &[String]) -> Pr
     ProcessError::System { doing: format!("stage `{}` cannot run `{program}`", planned.name), error }
 }
 
-fn surroundings(
+fn stage_runtime(
     plan: &Plan,
     folder: &RunFolder,
     planned: &PlannedStage,
-) -> Result<Surroundings<SharedMemory>, ProcessError> {
+) -> Result<StageRuntime<SharedMemory>, ProcessError> {
     let lock = Some(folder.join()?);
     let stop = Stop::default();
     listen_for_signals(stop.clone(), planned.is_source())?;
@@ -253,7 +253,7 @@ fn surroundings(
     let record = StatusFile::open(&path, plan.run).map_err(|error| FolderError::Io { path, error })?;
     let context = Context { stage: planned.name.clone(), base: plan.base.clone(), stop, ..Context::default() };
     let peers = Peers::in_folder(folder.path().to_owned(), plan.run);
-    let mut around = Surroundings {
+    let mut around = StageRuntime {
         transport: transport.map_err(RunError::from)?,
         wiring: planned.wiring.clone(),
         context,

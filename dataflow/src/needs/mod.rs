@@ -148,7 +148,6 @@ fn open_files(stage: &PlannedStage) -> u64 {
 mod tests {
     use super::*;
     use crate::pipeline::{Pipeline, SourceText};
-    use crate::ports::capacity::USUAL_IMAGE;
     use crate::registry::Registry;
     use crate::stage::{Context, NoConfig, Output, Source, Stage, StageError};
     use crate::{Next, Sides};

@@ -17,7 +17,7 @@ pub use machine::{BRIDGE, Compression, Machine};
 pub use spec::{Input, Pipeline, Program, Restart, StageSpec};
 
 use crate::registry::Registry;
-use read::Surroundings;
+use read::ReadContext;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -58,10 +58,27 @@ impl Pipeline {
         for text in overrides {
             value::apply_override(&mut document, text, &mut faults);
         }
-        let mut pipeline = read::pipeline(document, &source, &Surroundings { base, machine, registry }, &mut faults);
+        let mut pipeline = read::pipeline(document, &source, &ReadContext { base, machine, registry }, &mut faults);
         pipeline.source = (SourceText::clone(&source), overrides.to_vec());
         check::connections(&pipeline, &mut faults);
         let report = Report::in_order(faults);
         if report.has_errors() { Err(report) } else { Ok((pipeline, report)) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn without_a_network_part_a_pipeline_has_no_machines() {
+        let text =
+            "name = \"two\"\n[machine.robot]\n[machine.base]\n[stage.a]\nprogram = [\"sh\"]\noutput = \"depth\"\n";
+        let source = SourceText { name: "two.toml".to_owned(), text: text.to_owned() };
+        let registry = Registry { nodes: &[], network: None };
+        let Err(report) = Pipeline::read(source, Path::new("/"), &[], &registry) else { panic!("it was accepted") };
+        let told = report.to_string();
+        assert_eq!(told.matches("this program was built without its network part").count(), 1, "{told}");
+        assert!(told.contains("two.toml:2:") && told.contains("cargo feature `bridge`"), "{told}");
     }
 }

@@ -3,7 +3,7 @@
 use super::peers::Peers;
 use super::source_loop::run_source;
 use super::stage_loop::run_stage;
-use super::{RunError, Surroundings};
+use super::{RunError, StageRuntime};
 use crate::ports::in_memory::{InMemory, MemoryReader};
 use crate::ports::{Delivery, PortError, Reader, Received, Topic, TopicReader, Transport, Wiring, Writer};
 use crate::stage::{Context, Source, Stage};
@@ -85,14 +85,14 @@ fn run_alone<T: Item>(
     wiring: Wiring,
     context: Context,
     output: &Topic,
-    run: impl FnOnce(Surroundings<InMemory>) -> Result<(), RunError> + Send,
+    run: impl FnOnce(StageRuntime<InMemory>) -> Result<(), RunError> + Send,
     feed: impl FnOnce(&dyn Fn() -> bool) -> Result<(), PortError>,
 ) -> Result<Vec<Owned<T>>, RunError> {
     let mut reader = memory.reader::<T>(output, DOWNSTREAM)?;
     let record = StatusFile::nowhere();
     let (transport, peers) = (memory.clone(), Peers::default());
     let around =
-        Surroundings { transport, wiring, context, peers, record, handover: None, successor: None, lock: None };
+        StageRuntime { transport, wiring, context, peers, record, handover: None, successor: None, lock: None };
     thread::scope(|scope| {
         let running = scope.spawn(|| run(around));
         let fed = feed(&|| running.is_finished());

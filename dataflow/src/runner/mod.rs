@@ -32,7 +32,7 @@ use std::fs::File;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// All that a stage runs with, but itself.
-pub struct Surroundings<T> {
+pub struct StageRuntime<T> {
     /// What leads to the other stages.
     pub transport: T,
     pub(crate) wiring: Wiring,
@@ -89,7 +89,7 @@ fn with_causes(error: &(dyn Error + 'static)) -> String {
     text
 }
 
-impl<T: Transport + 'static> Surroundings<T> {
+impl<T: Transport + 'static> StageRuntime<T> {
     pub(crate) fn outlet<O: Item>(&mut self) -> Result<Outlet<T::Writer>, PortError> {
         let wired = self.wiring.output.take().filter(|_| !is_nothing::<O>());
         let port = wired.map(|topic| Ok::<_, PortError>((self.transport.writer::<O>(&topic)?, topic))).transpose()?;
@@ -116,7 +116,7 @@ impl<T: Transport + 'static> Surroundings<T> {
         status.starts += 1;
         status.set_life(Life::Starting);
         self.record.write();
-        self.record.pulse().into_iter().for_each(|pulse| self.context.stop.show_life_by(pulse));
+        self.record.heartbeat().into_iter().for_each(|heartbeat| self.context.stop.show_life_by(heartbeat));
     }
 
     pub(crate) fn begin(&mut self, total: Option<u64>) {
@@ -135,7 +135,7 @@ impl Settling {
     const STEPS: [u64; 2] = [10, 100];
 
     /// For a stage that is a process of its own; others leave their process as it is.
-    pub fn of<T>(around: &Surroundings<T>) -> Self {
+    pub fn of<T>(around: &StageRuntime<T>) -> Self {
         Self(around.lock.as_ref().map(|_| 0))
     }
 

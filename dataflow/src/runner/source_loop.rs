@@ -3,7 +3,7 @@
 use super::handover::Mark;
 use super::outlet::Outlet;
 use super::side_ports::{self, SidePort};
-use super::{RunError, Settling, Surroundings, guarded, is_stopped};
+use super::{RunError, Settling, StageRuntime, guarded, is_stopped};
 use crate::clock::monotonic_ns;
 use crate::ports::Transport;
 use crate::stage::{Next, Pace, Source, Stop};
@@ -27,7 +27,7 @@ struct SourceLoop<S: Source, T: Transport> {
 /// Runs the source `S` to its end.
 pub(crate) fn run_source<S: Source, T: Transport + 'static>(
     config: S::Config,
-    mut around: Surroundings<T>,
+    mut around: StageRuntime<T>,
 ) -> Result<(), RunError> {
     let (mut sides, mut outlet) = (around.sides(S::sides())?, around.outlet::<S::Output>()?);
     if !takes_place(&mut around)? {
@@ -59,7 +59,7 @@ fn counted(status: &Status) -> BTreeMap<String, u64> {
 }
 
 /// Waits, where this process replaces another, until that is gone: a device is never opened twice. Whether its turn came.
-fn takes_place<T: Transport + 'static>(around: &mut Surroundings<T>) -> Result<bool, RunError> {
+fn takes_place<T: Transport + 'static>(around: &mut StageRuntime<T>) -> Result<bool, RunError> {
     let Some(mut successor) = around.successor.take() else { return Ok(true) };
     successor.is_ready(&Mark::default()).map_err(|error| RunError::Refused(error.into()))?;
     let stop = around.context.stop.clone();

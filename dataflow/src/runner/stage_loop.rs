@@ -6,7 +6,7 @@ use super::outlet::Outlet;
 use super::peers::Peers;
 use super::side_ports::{self, SidePort};
 use super::succession::{made_early, takes_place};
-use super::{RunError, Settling, Surroundings, guarded, is_stopped};
+use super::{RunError, Settling, StageRuntime, guarded, is_stopped};
 use crate::clock::monotonic_ns;
 use crate::item_type::ItemType;
 use crate::ports::{PortError, Reader, Received, Topic, Transport};
@@ -39,7 +39,7 @@ struct StageLoop<S: Stage, T: Transport> {
 /// Runs the stage `S` until its input ends.
 pub(crate) fn run_stage<S: Stage, T: Transport + 'static>(
     config: S::Config,
-    mut around: Surroundings<T>,
+    mut around: StageRuntime<T>,
 ) -> Result<(), RunError> {
     // A successor is not the first, even if it is ready before any message was worked on.
     around.context.resume_at = around.record.status.steps.max(u64::from(around.successor.is_some()));
@@ -71,7 +71,7 @@ pub(crate) fn run_stage<S: Stage, T: Transport + 'static>(
     outlet.resume(around.record.status.sent);
     around.begin(None);
     let settling = Settling::of(&around);
-    let Surroundings { context, peers, record, handover, lock: _lock, .. } = around;
+    let StageRuntime { context, peers, record, handover, lock: _lock, .. } = around;
     let (stop, leaves_at, list) = (context.stop, None, Vec::new());
     let mut running = StageLoop::<S, T> {
         stage,

@@ -4,7 +4,7 @@
 use super::handover::Successor;
 use super::inbox::Inbox;
 use super::side_ports::SidePort;
-use super::{RunError, Surroundings, is_nothing};
+use super::{RunError, StageRuntime, is_nothing};
 use crate::ports::{Delivery, Topic, Transport};
 use crate::stage::Stage;
 use crate::status::Life;
@@ -17,7 +17,7 @@ const PATIENCE_WITH_WRITERS: Duration = Duration::from_secs(1);
 /// is made on trial, and anew in its place: two that are at work on one file would spoil it.
 pub(crate) fn made_early<S: Stage>(
     config: &S::Config,
-    around: &Surroundings<impl Transport>,
+    around: &StageRuntime<impl Transport>,
 ) -> Result<Option<S>, RunError> {
     let copied = serde_json::to_value(config).and_then(serde_json::from_value);
     let copy = copied.map_err(|error| RunError::Refused(error.into()))?;
@@ -30,7 +30,7 @@ pub(crate) fn takes_place<T: Transport + 'static>(
     mut successor: Successor,
     inbox: &mut Inbox<T::Reader>,
     sides: &mut [Box<dyn SidePort>],
-    around: &mut Surroundings<T>,
+    around: &mut StageRuntime<T>,
     topic: &Topic,
 ) -> Result<bool, RunError> {
     if !hears_all(&mut successor, inbox, sides, around, topic)? {
@@ -52,7 +52,7 @@ fn hears_all<T: Transport>(
     successor: &mut Successor,
     inbox: &mut Inbox<T::Reader>,
     sides: &mut [Box<dyn SidePort>],
-    around: &Surroundings<T>,
+    around: &StageRuntime<T>,
     topic: &Topic,
 ) -> Result<bool, RunError> {
     let deadline = Instant::now() + PATIENCE_WITH_WRITERS;

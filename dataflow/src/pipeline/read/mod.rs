@@ -22,7 +22,7 @@ const MAX_TOPIC_NAME: usize = 63;
 pub(super) fn pipeline(
     mut document: Table,
     source: &Arc<SourceText>,
-    around: &Surroundings<'_>,
+    around: &ReadContext<'_>,
     faults: &mut Vec<Diagnostic>,
 ) -> Pipeline {
     let start = Place { source: Arc::clone(source), span: 0..0 };
@@ -42,7 +42,7 @@ pub(super) fn pipeline(
 }
 
 /// Where a file is read.
-pub(super) struct Surroundings<'a> {
+pub(super) struct ReadContext<'a> {
     /// Folder of the file.
     pub base: &'a Path,
     /// The machine, where that is known.
@@ -52,7 +52,7 @@ pub(super) struct Surroundings<'a> {
 }
 
 struct Reader<'a> {
-    around: &'a Surroundings<'a>,
+    around: &'a ReadContext<'a>,
     /// What is read now belongs to another machine: whether its files are there shows there.
     elsewhere: bool,
     /// The item types that the file describes.

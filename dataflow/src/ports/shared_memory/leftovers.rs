@@ -6,8 +6,8 @@
 //! containers, but the kernel can: it grants a lease for writing only where no one, wherever it runs, has the file open or
 //! mapped.
 
+use super::cleanup::{COUNTER, PREFIX, is_littered, is_unused, open, remove_unused};
 use super::services::{Ipc, SharedMemory, configuration};
-use super::sweep::{COUNTER, PREFIX, is_littered, is_unused, open, remove_unused};
 use crate::ports::PortError;
 use crate::ports::capacity::SHARED_MEMORY;
 use iceoryx2::prelude::{CallbackProgression, LogLevel, Node, NodeState, set_log_level};

@@ -7,13 +7,13 @@
 
 #![allow(unsafe_code)] // layouts in shared memory, loans whose content is left over, leases on files, pages given back
 
+mod cleanup;
 mod hold;
 pub(crate) mod leftovers;
 mod reader;
 mod reserve;
 pub(crate) mod residence;
 mod services;
-mod sweep;
 mod tap;
 #[cfg(test)]
 mod tests;

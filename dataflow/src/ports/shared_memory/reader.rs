@@ -1,7 +1,7 @@
 //! The reading end of a topic in shared memory.
 
+use super::cleanup::Occupied;
 use super::services::Ipc;
-use super::sweep::Occupied;
 use super::untyped::{Sample, Subscriber, header_of, items_of};
 use crate::item_type::ItemType;
 use crate::ports::{PortError, Reader, Received};

@@ -5,7 +5,7 @@
 //! soon as the segment is there, when it can still be told that there are too few. They are the first of the segment: of the
 //! places for messages that are free it takes the one that came back last, and a new one only where there is none.
 
-use super::sweep::for_each_entry;
+use super::cleanup::for_each_entry;
 use crate::ports::capacity::SHARED_MEMORY;
 use rustix::fs::{FallocateFlags, fallocate};
 use rustix::io::{Errno, retry_on_intr};

@@ -1,6 +1,6 @@
 //! This process's part in the services of a run: it creates or opens those of a topic, and knows where their files lie.
 
-use super::sweep::{self, Occupied};
+use super::cleanup::{self, Occupied};
 use super::untyped::{Factory, with_types};
 use crate::item_type::ItemType;
 use crate::ports::capacity::{ROOM_PER_PORT, in_words, room};
@@ -53,7 +53,7 @@ impl SharedMemory {
         let name = NodeName::new(stage).map_err(|error| fault(&error))?;
         let builder = NodeBuilder::new().name(&name).config(&config).signal_handling_mode(SignalHandlingMode::Disabled);
         let node = builder.create::<Ipc>().map_err(|error: NodeCreationFailure| fault(&error))?;
-        sweep::close_to_others(root).map_err(|error| fault(&error))?;
+        cleanup::close_to_others(root).map_err(|error| fault(&error))?;
         Ok(Self { node, run: run.to_owned(), stop, occupied })
     }
 
@@ -65,7 +65,7 @@ impl SharedMemory {
         let Self { node, occupied, .. } = Self::open(root, "", "launcher", Stop::default())?;
         node.try_cleanup_dead_nodes();
         drop(node);
-        occupied.sweep().map_err(|error| PortError::SharedMemory {
+        occupied.clean_up().map_err(|error| PortError::SharedMemory {
             doing: "what dead processes left cannot be removed".to_owned(),
             reason: error.to_string(),
             root: root.to_owned(),
@@ -157,7 +157,7 @@ pub(super) fn configuration(root: &Path) -> Result<Config, PortError> {
     if length > ROOT_LIMIT {
         return Err(too_long());
     }
-    let prefix = sweep::prefix(root).map_err(|error| PortError::SharedMemory {
+    let prefix = cleanup::prefix(root).map_err(|error| PortError::SharedMemory {
         doing: "the folder of shared memory cannot be used".to_owned(),
         reason: error.to_string(),
         root: root.to_owned(),

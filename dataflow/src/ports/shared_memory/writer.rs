@@ -1,8 +1,8 @@
 //! The writing end of a topic in shared memory, and its waiting for readers that must not miss a message.
 
+use super::cleanup::Occupied;
 use super::reserve::reserve;
 use super::services::Ipc;
-use super::sweep::Occupied;
 use super::untyped::{self, Factory, Loan, Publisher};
 use crate::item_type::ItemType;
 use crate::ports::capacity::{look_for_room, no_room};

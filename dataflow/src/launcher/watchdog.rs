@@ -9,7 +9,7 @@ const LONGEST_LOOK: Duration = Duration::from_secs(1);
 
 /// What the launcher knows of one process's signs of life.
 #[derive(Debug)]
-pub(crate) struct Vigil {
+pub(crate) struct Watchdog {
     process: u32,
     sign: Option<u64>,
     silent: Duration,
@@ -26,7 +26,7 @@ pub(crate) enum News {
     GoesOn(Duration),
 }
 
-impl Vigil {
+impl Watchdog {
     /// Begins with a process that was just started, or has just taken the place.
     pub(crate) fn new(process: u32, now: Instant) -> Self {
         Self { process, sign: None, silent: Duration::ZERO, looked: now, reported: false }
@@ -66,10 +66,10 @@ mod tests {
     /// The news of looks at these signs, a tenth of a second apart, with their number.
     fn news(signs: impl IntoIterator<Item = Option<u64>>) -> Vec<(usize, News)> {
         let begin = Instant::now();
-        let mut vigil = Vigil::new(7, begin);
+        let mut watchdog = Watchdog::new(7, begin);
         let looks = signs.into_iter().enumerate();
         let seen = looks.filter_map(|(look, sign)| {
-            let news = vigil.look(7, sign, Some(Duration::from_secs(2)), begin + LOOK * look as u32);
+            let news = watchdog.look(7, sign, Some(Duration::from_secs(2)), begin + LOOK * look as u32);
             Some((look, news?))
         });
         seen.collect()
@@ -92,21 +92,21 @@ mod tests {
     #[test]
     fn time_in_which_nobody_looked_does_not_count() {
         let begin = Instant::now();
-        let mut vigil = Vigil::new(7, begin);
+        let mut watchdog = Watchdog::new(7, begin);
         let limit = Some(Duration::from_secs(2));
-        assert_eq!(vigil.look(7, Some(1), limit, begin), None);
-        assert_eq!(vigil.look(7, Some(1), limit, begin + Duration::from_secs(3600)), None);
+        assert_eq!(watchdog.look(7, Some(1), limit, begin), None);
+        assert_eq!(watchdog.look(7, Some(1), limit, begin + Duration::from_secs(3600)), None);
     }
 
     #[test]
     fn another_process_begins_anew() {
         let begin = Instant::now();
-        let mut vigil = Vigil::new(7, begin);
+        let mut watchdog = Watchdog::new(7, begin);
         let second = |count: u32| begin + Duration::from_secs(count.into());
         for count in 0..3 {
-            assert_eq!(vigil.look(7, None, Some(Duration::from_secs(3)), second(count)), None);
+            assert_eq!(watchdog.look(7, None, Some(Duration::from_secs(3)), second(count)), None);
         }
-        assert_eq!(vigil.look(8, None, Some(Duration::from_secs(3)), second(4)), None);
-        assert!(vigil.look(8, None, Some(Duration::from_millis(500)), second(5)).is_some());
+        assert_eq!(watchdog.look(8, None, Some(Duration::from_secs(3)), second(4)), None);
+        assert!(watchdog.look(8, None, Some(Duration::from_millis(500)), second(5)).is_some());
     }
 }

@@ -10,13 +10,13 @@ const PERIOD_NS: u64 = 100_000_000;
 
 /// Gives signs of life in the record of this process's stage.
 #[derive(Debug)]
-pub(crate) struct Pulse {
+pub(crate) struct Heartbeat {
     record: File,
     offset: u64,
     given_ns: AtomicU64,
 }
 
-impl Pulse {
+impl Heartbeat {
     /// Signs of life that go to this place in a stage's record.
     pub(crate) fn new(record: File, offset: usize) -> Self {
         Self { record, offset: offset as u64, given_ns: AtomicU64::new(0) }

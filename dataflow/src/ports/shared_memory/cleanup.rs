@@ -74,7 +74,7 @@ impl Occupied {
 
     /// Removes all that users of the folder have left in it and in shared memory, if no other uses it: for one that is about
     /// to leave, because it may have lost its lock afterwards.
-    pub(super) fn sweep(&self) -> io::Result<()> {
+    pub(super) fn clean_up(&self) -> io::Result<()> {
         match flock(&self.lock, FlockOperation::NonBlockingLockExclusive) {
             Err(Errno::WOULDBLOCK) => return Ok(()),
             locked => locked?,
@@ -95,7 +95,7 @@ impl Occupied {
 impl Drop for Occupied {
     fn drop(&mut self) {
         // What cannot be removed is found by the next run, or by `doctor`.
-        self.sweep().ok();
+        self.clean_up().ok();
     }
 }
 
