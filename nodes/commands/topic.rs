@@ -5,7 +5,6 @@
 
 use crate::NODES;
 use crate::sinks::json_sink::{Line, ToJson, latency_ms};
-use crate::sources::image_source::median;
 use anyhow::{anyhow, bail};
 use clap::{Args, Subcommand};
 use conicflow_dataflow::pipeline::suggestion;
@@ -13,6 +12,7 @@ use conicflow_dataflow::ports::{Delivery, Topic};
 use conicflow_dataflow::{
     Needs, PipelineActivity, RunningPipeline, Table, TopicActivity, Watching, monotonic_ns, observe, user_folder,
 };
+use conicflow_lab::quantile::median_depth;
 use conicflow_messages::{Ellipse, Item, Kind, Message, Object, Track, is_measured};
 use serde_json::json;
 use std::io::{Write, stdout};
@@ -241,7 +241,7 @@ fn image_line(message: &Message<'_, u16>) -> serde_json::Result<Vec<u8>> {
             "width": header.camera.width,
             "height": header.camera.height,
             "measured": measured,
-            "median_m": median(message.items).map(|depth| f64::from(depth) * header.depth_scale),
+            "median_m": median_depth(message.items).map(|depth| f64::from(depth) * header.depth_scale),
         },
     }))
 }

@@ -21,6 +21,7 @@ use anyhow::{Context as _, anyhow};
 use conicflow_dataflow::{ConfigFault, Context, Next, Output, Sides, Source, StageError};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::NoiseConfig;
+use conicflow_lab::quantile::median_depth;
 use conicflow_messages::{Camera, Header, MAX_PIXELS, NoiseModel, Text, is_measured};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -182,7 +183,7 @@ impl ImageSource {
 
     /// Says once what the frames are like, so that a wrong scale is seen.
     fn describe(&mut self, frame: &Frame, pixels: &[u16]) {
-        let Some(median) = median(pixels).filter(|_| !self.described) else { return };
+        let Some(median) = median_depth(pixels).filter(|_| !self.described) else { return };
         self.described = true;
         let median_m = f64::from(median) * frame.depth_scale;
         let (name, count, camera) = (&frame.name, self.recording.len(), frame.camera);
@@ -349,13 +350,6 @@ fn is_off_center(camera: &Camera) -> bool {
         (center - 0.5 * (size - 1.0)).abs() > MAX_OFF_CENTER * size
     };
     is_off(camera.cx, camera.width) || is_off(camera.cy, camera.height)
-}
-
-/// The median of the measurements.
-pub(crate) fn median(pixels: &[u16]) -> Option<u16> {
-    let mut measured: Vec<_> = pixels.iter().copied().filter(|&pixel| is_measured(pixel)).collect();
-    let middle = measured.len() / 2;
-    (!measured.is_empty()).then(|| *measured.select_nth_unstable(middle).1)
 }
 
 /// An error with what to do about it, where it does not say so itself.

@@ -375,8 +375,8 @@ fn only_when_no_frame_can_be_read_it_is_an_error() {
 
 #[test]
 fn the_median_counts_measurements_only() {
-    assert_eq!(median(&[0, 65535, 0]), None);
-    assert_eq!(median(&[0, 900, 65535, 1000, 0, 1100]), Some(1000));
+    assert_eq!(median_depth(&[0, 65535, 0]), None);
+    assert_eq!(median_depth(&[0, 900, 65535, 1000, 0, 1100]), Some(1000));
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! How far a right answer is off, and how that compares with the standard deviations it came with.
 
-use super::matching::{Expected, compare, perpendicular, radius_at};
+use super::matching::{compare, perpendicular, radius_at};
 use conicflow_messages::{Object, ObjectKind};
 use nalgebra::{Matrix3, Vector3};
 
@@ -9,6 +9,8 @@ use nalgebra::{Matrix3, Vector3};
 pub struct Errors {
     /// Radius (of a cone at its true middle) minus the true one, as a share of the true one.
     pub radius: f64,
+    /// The same in metres.
+    pub radius_m: f64,
     /// Distance of the centres of spheres, else of the true middle from the axis, in metres.
     pub position_m: f64,
     /// Angle between the axes, in radians.
@@ -34,8 +36,7 @@ pub struct Sigmas {
 
 impl Errors {
     /// The errors of an answer that has the true shape.
-    pub fn of(expected: &Expected, answer: &Object) -> Self {
-        let truth = &expected.body;
+    pub fn of(truth: &Object, answer: &Object) -> Self {
         let comparison = compare(truth, answer);
         let shape = truth.shape();
         let axis = (shape != ObjectKind::Sphere).then_some(comparison.axis);
@@ -44,6 +45,7 @@ impl Errors {
         let radius_there = radius_at(truth, &answer.center.into());
         Self {
             radius: comparison.radius_m / truth.radius - 1.0,
+            radius_m: comparison.radius_m - truth.radius,
             position_m: comparison.position_m,
             axis,
             half_angle,
@@ -83,7 +85,7 @@ fn mahalanobis_squared(covariance: &Matrix3<f64>, offset: &Vector3<f64>) -> Opti
 
 #[cfg(test)]
 mod tests {
-    use super::super::matching::tests::{cone, expected, sphere};
+    use super::super::matching::tests::{cone, sphere};
     use super::*;
     use conicflow_messages::ObjectSigma;
 
@@ -95,7 +97,7 @@ mod tests {
     fn a_sphere_has_no_axis_and_its_errors_are_weighed() {
         let sigma = ObjectSigma { center: variances([1e-4, 1e-6, 1e-6]), radius: 0.002, ..ObjectSigma::default() };
         let answer = Object { center: [0.02, 0.001, 1.0], radius: 0.101, sigma, ..sphere(0.0) };
-        let errors = Errors::of(&expected(sphere(0.0)), &answer);
+        let errors = Errors::of(&sphere(0.0), &answer);
         assert!((errors.radius - 0.01).abs() < 1e-12);
         assert!((errors.sigmas.radius.unwrap() - 0.5).abs() < 1e-12);
         assert!((errors.sigmas.center.unwrap() - ((4.0 + 1.0) / 3.0_f64).sqrt()).abs() < 1e-12);
@@ -107,7 +109,7 @@ mod tests {
         let sigma =
             ObjectSigma { center: variances([4e-6, 1.0, 1e-6]), radius: 0.001, axis: 0.01, ..Default::default() };
         let answer = Object { center: [0.002, 0.05, 1.001], radius: 0.107, sigma, ..cone() };
-        let errors = Errors::of(&expected(cone()), &answer);
+        let errors = Errors::of(&cone(), &answer);
         assert!((errors.radius - 0.02).abs() < 1e-12, "0.107 - 0.05 * 0.1 is 2 % above 0.1");
         assert!((errors.sigmas.radius.unwrap() - 2.0).abs() < 1e-9);
         assert!((errors.sigmas.center.unwrap() - 1.0).abs() < 1e-9);
@@ -117,6 +119,6 @@ mod tests {
 
     #[test]
     fn an_answer_without_covariance_is_not_judged_by_it() {
-        assert_eq!(Errors::of(&expected(sphere(0.0)), &sphere(0.01)).sigmas.center, None);
+        assert_eq!(Errors::of(&sphere(0.0), &sphere(0.01)).sigmas.center, None);
     }
 }

@@ -1,48 +1,23 @@
-//! What one frame says of one true object.
+//! What one frame says of one object: the sample that a measurement sums up.
 
-use crate::sinks::evaluation_sink::errors::{Errors, Sigmas};
-use crate::sinks::evaluation_sink::matching::{Expected, perpendicular, radius_at};
+use super::errors::{Errors, Sigmas};
+use super::matching::{Answer, perpendicular, radius_at};
+use super::truth::TrueObject;
 use conicflow_detection::camera::isometry;
-use conicflow_messages::{Header, Object, ObjectKind, Track, TrackState};
+use conicflow_messages::{Header, Object, ObjectKind};
 use nalgebra::{IsometryMatrix3, Point3, Vector3};
 
-/// An answer: an object, and where it is a track its identity and velocity.
-#[derive(Clone, Copy, Debug)]
-pub struct Sighted {
-    /// The object, in the camera frame.
-    pub object: Object,
-    /// Identity of a track.
-    pub id: Option<u64>,
-    /// Velocity of a track, in m/s along the camera's axes.
-    pub velocity: Option<Vector3<f64>>,
-    /// Whether it is claimed to be seen in this frame.
-    pub is_meant: bool,
-}
-
-impl From<&Object> for Sighted {
-    fn from(object: &Object) -> Self {
-        Self { object: *object, id: None, velocity: None, is_meant: true }
-    }
-}
-
-impl From<&Track> for Sighted {
-    fn from(track: &Track) -> Self {
-        let is_meant = track.track_state() == TrackState::Confirmed;
-        Self { object: track.object, id: Some(track.id), velocity: Some(track.velocity.into()), is_meant }
-    }
-}
-
-/// A true object in one frame, in the world frame, with what was seen of it.
+/// An object in one frame, in the world frame, with what was seen of it.
 #[derive(Clone, Debug)]
-pub struct Sighting {
+pub struct Observation {
     /// Time of the frame in seconds.
     pub time_s: f64,
     /// Place of the camera, in metres.
     pub camera: Vector3<f64>,
     /// Name of the object.
     pub name: String,
-    /// The truth.
-    pub truth: State,
+    /// The truth, where it is known.
+    pub truth: Option<State>,
     /// What was seen, if it was.
     pub seen: Option<Seen>,
 }
@@ -75,37 +50,52 @@ pub struct Seen {
     pub sigmas: Sigmas,
 }
 
-impl Sighting {
+impl Observation {
     /// The answer to a true object, both in the camera frame.
-    pub fn new(time_s: f64, truth: &Expected, answer: Option<&Sighted>, pose: &IsometryMatrix3<f64>) -> Self {
-        let middle = Vector3::from(truth.body.center);
-        let state = |object: &Object| State::of(object, &middle, pose);
-        let seen = answer.map(|answer| Seen {
-            state: state(&answer.object),
-            id: answer.id,
-            speed_mps: answer.velocity.map(|velocity| perpendicular(&velocity, &axis(&answer.object)).norm()),
-            sigmas: Errors::of(truth, &answer.object).sigmas,
+    pub fn new(
+        time_s: f64,
+        truth: &TrueObject,
+        answer: Option<&Answer>,
+        world_from_camera: &IsometryMatrix3<f64>,
+    ) -> Self {
+        let state = |object: &Object| State::of(object, &truth.body.center.into(), world_from_camera);
+        let seen = answer.map(|Answer { object, id, velocity }| Seen {
+            state: state(object),
+            id: *id,
+            speed_mps: velocity.map(|velocity| perpendicular(&velocity, &axis(object)).norm()),
+            sigmas: Errors::of(&truth.body, object).sigmas,
         });
-        Self { time_s, camera: pose.translation.vector, name: truth.name.clone(), truth: state(&truth.body), seen }
+        let camera = world_from_camera.translation.vector;
+        Self { time_s, camera, name: truth.name.clone(), truth: Some(state(&truth.body)), seen }
+    }
+
+    /// An answer about something of which nobody knows the truth; tracks are told apart by their identities.
+    pub fn without_truth(time_s: f64, answer: &Answer) -> Self {
+        let Answer { object, id, .. } = answer;
+        let kind = object.shape().name();
+        let name = id.map_or_else(|| kind.to_owned(), |id| format!("{kind} {id}"));
+        let state = State::of(object, &object.center.into(), &IsometryMatrix3::identity());
+        let seen = Some(Seen { state, id: *id, speed_mps: None, sigmas: Sigmas::default() });
+        Self { time_s, camera: Vector3::zeros(), name, truth: None, seen }
     }
 }
 
 impl State {
-    fn of(object: &Object, middle: &Vector3<f64>, pose: &IsometryMatrix3<f64>) -> Self {
+    fn of(object: &Object, middle: &Vector3<f64>, world_from_camera: &IsometryMatrix3<f64>) -> Self {
         let (center, axis) = (Vector3::from(object.center), axis(object));
         let foot = center + axis * (middle - center).dot(&axis);
         Self {
-            position: (pose * Point3::from(foot)).coords,
+            position: (world_from_camera * Point3::from(foot)).coords,
             distance_m: perpendicular(&center, &axis).norm(),
             radius_m: if axis == Vector3::zeros() { object.radius } else { radius_at(object, middle) },
             half_angle: object.half_angle,
-            axis: pose.rotation * axis,
+            axis: world_from_camera.rotation * axis,
         }
     }
 }
 
 /// Unit vector along the axis of an object; zero for a sphere.
-pub fn axis(object: &Object) -> Vector3<f64> {
+fn axis(object: &Object) -> Vector3<f64> {
     if object.shape() == ObjectKind::Sphere { Vector3::zeros() } else { object.axis.into() }
 }
 

@@ -1,0 +1,39 @@
+//! Quantiles of numbers: the one place that says which of the values that is.
+
+use conicflow_messages::is_measured;
+use std::cmp::Ordering;
+
+/// The value below which a share (0 to 1) of the values lies: the one at the nearest rank, of two the larger one. `None` of no
+/// values; their order changes.
+pub fn quantile<T: Copy>(values: &mut [T], share: f64, compare: impl FnMut(&T, &T) -> Ordering) -> Option<T> {
+    if values.is_empty() {
+        return None;
+    }
+    let rank = ((values.len() - 1) as f64 * share).round() as usize;
+    Some(*values.select_nth_unstable_by(rank, compare).1)
+}
+
+/// The median of numbers.
+pub fn median(mut values: Vec<f64>) -> Option<f64> {
+    quantile(&mut values, 0.5, f64::total_cmp)
+}
+
+/// The median of the measurements of a depth image.
+pub fn median_depth(pixels: &[u16]) -> Option<u16> {
+    let mut measured: Vec<_> = pixels.iter().copied().filter(|&pixel| is_measured(pixel)).collect();
+    quantile(&mut measured, 0.5, u16::cmp)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_quantile_is_one_of_the_values() {
+        assert_eq!(median(vec![3.0, 1.0, 2.0]), Some(2.0));
+        assert_eq!(median(vec![3.0, 1.0]), Some(3.0), "of two in the middle the larger one");
+        assert_eq!(quantile(&mut [3.0, 1.0], 1.0, f64::total_cmp), Some(3.0));
+        assert_eq!(quantile(&mut [5, 1, 4, 2, 3], 0.25, i32::cmp), Some(2));
+        assert_eq!(median(Vec::new()), None);
+    }
+}
