@@ -1,6 +1,6 @@
-//! Experiments: what a pipeline file says under `[experiment]`. The pipeline is run once for each combination of the values that
-//! it varies, and what its measuring stages found becomes one table beside the figures of the paper, a CSV file and a plot
-//! ([`Results`]).
+//! Experiments: what a pipeline file says under `[experiment]`. The pipeline is run once for each combination of the values
+//! that it varies, and what its measuring stages found becomes one table beside the figures of the paper, a CSV file and a
+//! plot ([`Results`]).
 //!
 //! ```toml
 //! [experiment]

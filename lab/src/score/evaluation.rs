@@ -1,13 +1,13 @@
 //! Scores answers frame by frame: what was found, how well, what was missed and what was wrong.
 
-use super::errors::Errors;
-use super::matching::{Answer, Fault, MatchedFrame, Matcher};
+use super::matching::{Answer, Comparison, Fault, MatchedFrame, Matcher, compare};
 use super::notes::Notes;
 use super::recorded::RecordedTruth;
+use super::sigmas::Sigmas;
 use super::tables;
 use super::truth::RenderedTruth;
 use anyhow::Result;
-use conicflow_messages::{Header, ObjectKind};
+use conicflow_messages::{Header, Object, ObjectKind};
 use nalgebra::Vector3;
 
 /// Where the truth comes from.
@@ -47,32 +47,20 @@ pub struct Sample {
     pub shape: ObjectKind,
     /// Distance of its middle from the camera, in metres.
     pub distance: f64,
+    /// Its radius, in metres.
+    pub radius_m: f64,
     /// Hidden share of a true object.
     pub hidden: Option<f64>,
-    /// What came of it.
-    pub outcome: Outcome,
-}
-
-/// What came of a true object, or of an answer.
-#[derive(Clone, Copy, Debug)]
-pub enum Outcome {
-    /// The object was found; errors of the answer that is right about it.
-    Found(Errors),
-    /// The object was not found.
-    Missed,
-    /// The answer is wrong; what comes nearest to it.
-    Wrong(Fault),
+    /// How the answer compares that is right about a true object, and its errors in standard deviations.
+    pub found: Option<(Comparison, Sigmas)>,
+    /// Of a wrong answer what comes nearest to it.
+    pub fault: Option<Fault>,
 }
 
 impl Sample {
-    /// The errors of what was found.
-    pub fn errors(&self) -> Option<&Errors> {
-        if let Outcome::Found(errors) = &self.outcome { Some(errors) } else { None }
-    }
-
-    /// What is wrong with a wrong answer.
-    pub fn fault(&self) -> Option<Fault> {
-        if let Outcome::Wrong(fault) = self.outcome { Some(fault) } else { None }
+    fn of(group: usize, object: &Object) -> Self {
+        let (shape, distance) = (object.shape(), Vector3::from(object.center).norm());
+        Self { group, shape, distance, radius_m: object.radius, hidden: None, found: None, fault: None }
     }
 }
 
@@ -87,21 +75,18 @@ impl Score {
     fn add(&mut self, group: &str, frame: &MatchedFrame) {
         let group = self.group(group);
         self.frames += 1;
-        for (truth, answer) in frame.pairs() {
+        for (truth, answer) in &frame.pairs {
             if !truth.required {
                 self.extra += u64::from(answer.is_some());
                 continue;
             }
-            let outcome = match answer {
-                Some(answer) => Outcome::Found(Errors::of(&truth.body, &answer.object)),
-                None => Outcome::Missed,
-            };
-            let (shape, distance) = (truth.body.shape(), Vector3::from(truth.body.center).norm());
-            self.samples.push(Sample { group, shape, distance, hidden: Some(truth.hidden), outcome });
+            let found = answer
+                .as_ref()
+                .map(|Answer { object, .. }| (compare(&truth.body, object), Sigmas::of(&truth.body, object)));
+            self.samples.push(Sample { hidden: Some(truth.hidden), found, ..Sample::of(group, &truth.body) });
         }
-        for (object, fault) in frame.wrong() {
-            let (shape, distance) = (object.shape(), Vector3::from(object.center).norm());
-            self.samples.push(Sample { group, shape, distance, hidden: None, outcome: Outcome::Wrong(fault) });
+        for (object, fault) in &frame.wrong {
+            self.samples.push(Sample { fault: Some(*fault), ..Sample::of(group, object) });
         }
     }
 }
@@ -116,7 +101,7 @@ impl Evaluation {
     ///
     /// # Errors
     /// The frame shows a scene that is not known.
-    pub fn add<'a>(&mut self, header: &Header, answers: &'a [Answer]) -> Result<Option<MatchedFrame<'a>>> {
+    pub fn add(&mut self, header: &Header, answers: &[Answer]) -> Result<Option<MatchedFrame>> {
         let mut matcher = Matcher::default();
         match &self.truth {
             TruthSource::Rendered(truth) => {

@@ -1,5 +1,6 @@
 //! Evaluations of scenes and recordings whose answers are made up.
 
+use super::evaluation::Sample;
 use super::matching::{Fault, MatchedFrame};
 use super::*;
 use crate::simulator::random_scene::{SceneGroup, random_scene};
@@ -50,8 +51,8 @@ fn the_truth_itself_is_faultless() {
     let score = evaluation.score();
     assert!(score.samples.len() > 100, "{}", score.samples.len());
     assert_eq!(score.groups.len(), SceneGroup::USUAL.len());
-    let worst = score.samples.iter().map(|sample| sample.errors().unwrap().radius.abs());
-    assert!(worst.fold(0.0, f64::max) < 1e-9);
+    let error = |sample: &Sample| (sample.found.unwrap().0.radius_m - sample.radius_m).abs();
+    assert!(score.samples.iter().map(error).fold(0.0, f64::max) < 1e-9);
 }
 
 #[test]
@@ -81,7 +82,7 @@ fn an_object_that_cannot_be_asked_for_is_neither_missed_nor_wrong() {
 #[test]
 fn built_in_scenes_are_known_by_name_and_others_are_asked_for() {
     let mut evaluation = evaluation();
-    assert!(!evaluation.add(&header("bouncing_ball"), &[]).unwrap().unwrap().truths.is_empty());
+    assert!(!evaluation.add(&header("bouncing_ball"), &[]).unwrap().unwrap().pairs.is_empty());
     let error = evaluation.add(&header("img12.png"), &[]).err().unwrap().to_string();
     assert!(error.contains("`img12.png`") && error.contains("hint:"), "{error}");
 }
@@ -96,7 +97,7 @@ fn honest_answers_have_honest_ratios() {
         evaluation.add(&header(&format!("standing/{seed}")), &answers(&objects)).unwrap();
     }
     let samples = &evaluation.score().samples;
-    let ratios: Vec<f64> = samples.iter().filter_map(|sample| sample.errors()?.sigmas.radius).collect();
+    let ratios: Vec<f64> = samples.iter().filter_map(|sample| sample.found?.1.radius).collect();
     assert!(samples.len() > 40 && ratios.len() == samples.len(), "{} of {}", ratios.len(), samples.len());
     assert!(ratios.iter().all(|ratio| (ratio.abs() - 1.0).abs() < 1e-6));
 }
@@ -138,7 +139,7 @@ fn what_has_to_be_found_is_no_less_than_what_is_seen() {
     let mut evaluation = evaluation_of(RenderedTruth { scene, ..RenderedTruth::default() });
     let header = header("balls and bowl");
     let frame = evaluation.add(&header, &[]).unwrap().unwrap();
-    let far = frame.truths.iter().find(|truth| truth.name == "far").unwrap();
+    let (far, _) = frame.pairs.iter().find(|(truth, _)| truth.name == "far").unwrap();
     assert!((0.45..0.74).contains(&far.hidden), "{}", far.hidden);
     let missed: Vec<_> = frame.missed().map(|truth| truth.name.as_str()).collect();
     assert_eq!(missed, ["near", "far"]);
@@ -170,7 +171,8 @@ fn found_off_and_unlisted_are_told_apart() {
     let frame = evaluation.add(&header("a.pcd"), &answers).unwrap().unwrap();
     let missed: Vec<_> = frame.missed().map(|truth| truth.name.as_str()).collect();
     assert_eq!(missed, ["pot"]);
-    assert_eq!(frame.wrong, [(1, Fault::Radius), (2, Fault::NothingThere)]);
+    let wrong: Vec<_> = frame.wrong.iter().map(|(object, fault)| (object.center[0], *fault)).collect();
+    assert_eq!(wrong, [(0.3, Fault::Radius), (-0.5, Fault::NothingThere)]);
     assert!(evaluation.add(&header("b.pcd"), &answers).unwrap().is_none());
     let report = evaluation.report().unwrap();
     assert!(report.contains("  found     tin: radius +1.0 mm, position 1.0 mm, axis 0.0 deg\n"), "{report}");

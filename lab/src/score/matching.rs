@@ -154,15 +154,11 @@ fn is_near(truth: &Object, answer: &Object) -> bool {
 
 /// A frame whose answers and true objects are matched.
 #[derive(Clone, Debug)]
-pub struct MatchedFrame<'a> {
-    /// What is there.
-    pub truths: Vec<TrueObject>,
-    /// What was answered.
-    pub answers: &'a [Answer],
-    /// For each true object the index of the answer that is right about it.
-    pub answer_of: Vec<Option<usize>>,
+pub struct MatchedFrame {
+    /// Each true object with the answer that is right about it.
+    pub pairs: Vec<(TrueObject, Option<Answer>)>,
     /// The answers that are right about nothing, and what is wrong as compared with the object that each comes nearest to.
-    pub wrong: Vec<(usize, Fault)>,
+    pub wrong: Vec<(Object, Fault)>,
 }
 
 /// Matches answers and true objects, and remembers the identity that each object had.
@@ -173,30 +169,30 @@ pub struct Matcher {
 
 impl Matcher {
     /// Matches the answers to a frame with what is there.
-    pub fn match_up<'a>(&mut self, truths: Vec<TrueObject>, answers: &'a [Answer]) -> MatchedFrame<'a> {
-        let mut pairs = Vec::new();
+    pub fn match_up(&mut self, truths: Vec<TrueObject>, answers: &[Answer]) -> MatchedFrame {
+        let mut right = Vec::new();
         for (index, truth) in truths.iter().enumerate() {
             let known = self.identities.get(&truth.name).copied();
             for (number, answer) in answers.iter().enumerate() {
                 if fault(truth, &answer.object).is_none() {
                     let is_new = answer.id.is_none() || answer.id != known;
-                    pairs.push((is_new, compare(&truth.body, &answer.object).position_m, index, number));
+                    right.push((is_new, compare(&truth.body, &answer.object).position_m, index, number));
                 }
             }
         }
-        pairs.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then((a.2, a.3).cmp(&(b.2, b.3))));
+        right.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then((a.2, a.3).cmp(&(b.2, b.3))));
         let (mut answer_of, mut used) = (vec![None; truths.len()], vec![false; answers.len()]);
-        for (_, _, index, number) in pairs {
+        for (_, _, index, number) in right {
             if answer_of[index].is_none() && !used[number] {
-                (answer_of[index], used[number]) = (Some(number), true);
+                (answer_of[index], used[number]) = (Some(answers[number]), true);
                 if let Some(id) = answers[number].id {
                     self.identities.insert(truths[index].name.clone(), id);
                 }
             }
         }
-        let unused = (0..answers.len()).filter(|number| !used[*number]);
-        let wrong = unused.map(|number| (number, mildest_fault(&truths, &answers[number].object))).collect();
-        MatchedFrame { truths, answers, answer_of, wrong }
+        let unused = answers.iter().zip(used).filter(|(_, used)| !used).map(|(answer, _)| answer.object);
+        let wrong = unused.map(|object| (object, mildest_fault(&truths, &object))).collect();
+        MatchedFrame { pairs: truths.into_iter().zip(answer_of).collect(), wrong }
     }
 }
 
@@ -206,20 +202,10 @@ fn mildest_fault(truths: &[TrueObject], answer: &Object) -> Fault {
     faults.min().unwrap_or(Fault::NothingThere)
 }
 
-impl MatchedFrame<'_> {
-    /// Each true object with the answer that is right about it.
-    pub fn pairs(&self) -> impl Iterator<Item = (&TrueObject, Option<&Answer>)> {
-        self.truths.iter().zip(&self.answer_of).map(|(truth, answer)| (truth, answer.map(|index| &self.answers[index])))
-    }
-
+impl MatchedFrame {
     /// The objects that had to be found and were not.
     pub fn missed(&self) -> impl Iterator<Item = &TrueObject> {
-        self.pairs().filter(|(truth, answer)| truth.required && answer.is_none()).map(|(truth, _)| truth)
-    }
-
-    /// The answers that are right about nothing.
-    pub fn wrong(&self) -> impl Iterator<Item = (&Object, Fault)> {
-        self.wrong.iter().map(|(index, fault)| (&self.answers[*index].object, *fault))
+        self.pairs.iter().filter(|(truth, answer)| truth.required && answer.is_none()).map(|(truth, _)| truth)
     }
 
     /// What was missed and what was wrong, as one object of JSON.
@@ -231,12 +217,12 @@ impl MatchedFrame<'_> {
             })
         };
         let missed = |truth: &TrueObject| json!({"name": truth.name, "hidden": truth.hidden, "is": tell(&truth.body)});
-        let wrong = |(object, fault): (&Object, Fault)| json!({"why": fault.name(), "is": tell(object)});
+        let wrong = |(object, fault): &(Object, Fault)| json!({"why": fault.name(), "is": tell(object)});
         json!({
             "sequence": header.sequence,
             "scene": header.source.as_str(),
             "missed": self.missed().map(missed).collect::<Vec<_>>(),
-            "wrong": self.wrong().map(wrong).collect::<Vec<_>>(),
+            "wrong": self.wrong.iter().map(wrong).collect::<Vec<_>>(),
         })
     }
 }
@@ -271,6 +257,12 @@ pub(super) mod tests {
     /// The answers of a detector that says these objects.
     pub fn answers(objects: &[Object]) -> Vec<Answer> {
         objects.iter().filter_map(Claim::answer).collect()
+    }
+
+    /// Where the answers are that are right about each object, and those that are wrong.
+    fn places(frame: &MatchedFrame) -> (Vec<Option<f64>>, Vec<(f64, Fault)>) {
+        let right = frame.pairs.iter().map(|(_, answer)| Some(answer.as_ref()?.object.center[0]));
+        (right.collect(), frame.wrong.iter().map(|(object, fault)| (object.center[0], *fault)).collect())
     }
 
     #[test]
@@ -322,8 +314,9 @@ pub(super) mod tests {
         let truths = vec![expected(sphere(0.0)), expected(sphere(0.06))];
         let answers = answers(&[sphere(0.045), sphere(0.03), sphere(0.061), sphere(0.5)]);
         let matched = Matcher::default().match_up(truths, &answers);
-        assert_eq!(matched.answer_of, [Some(1), Some(2)]);
-        assert_eq!(matched.wrong, [(0, Fault::Second), (3, Fault::NothingThere)]);
+        let (right, wrong) = places(&matched);
+        assert_eq!(right, [Some(0.03), Some(0.061)]);
+        assert_eq!(wrong, [(0.045, Fault::Second), (0.5, Fault::NothingThere)]);
     }
 
     #[test]
@@ -331,14 +324,15 @@ pub(super) mod tests {
         let truths = vec![expected(sphere(0.0)), expected(sphere(0.06))];
         let answers = answers(&[sphere(0.035)]);
         let matched = Matcher::default().match_up(truths, &answers);
-        assert_eq!(matched.answer_of, [None, Some(0)]);
-        assert_eq!((matched.missed().count(), matched.wrong.len()), (1, 0));
+        assert_eq!(places(&matched), (vec![None, Some(0.035)], vec![]));
+        assert_eq!(matched.missed().count(), 1);
     }
 
     #[test]
     fn all_is_wrong_where_nothing_is() {
         let answers = answers(&[sphere(0.0)]);
-        assert_eq!(Matcher::default().match_up(Vec::new(), &answers).wrong, [(0, Fault::NothingThere)]);
+        let matched = Matcher::default().match_up(Vec::new(), &answers);
+        assert_eq!(places(&matched), (vec![], vec![(0.0, Fault::NothingThere)]));
     }
 
     #[test]

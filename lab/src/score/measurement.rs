@@ -58,10 +58,12 @@ impl Measurement {
         }
         self.wrong += frame.wrong.len() as u64;
         let pose = world_from_camera(header);
-        let required = frame.pairs().filter(|(truth, _)| truth.required);
-        let observations: Vec<_> =
-            required.map(|(truth, answer)| Observation::new(time_s, truth, answer, &pose)).collect();
-        observations.iter().for_each(|observation| self.object(&observation.name).add(observation));
+        let mut observations = Vec::new();
+        for (truth, answer) in frame.pairs.iter().filter(|(truth, _)| truth.required) {
+            let mut observation = Observation::new(time_s, truth, answer.as_ref(), &pose);
+            self.object(&truth.name).add(&mut observation);
+            observations.push(observation);
+        }
         Ok(observations)
     }
 
@@ -72,8 +74,8 @@ impl Measurement {
         }
         recording.frames += 1;
         for answer in answers {
-            let observation = Observation::without_truth(time_s, answer);
-            self.object(&observation.name).add(&observation);
+            let mut observation = Observation::without_truth(time_s, answer);
+            self.object(&observation.name.clone()).add(&mut observation);
         }
     }
 

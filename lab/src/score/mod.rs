@@ -1,11 +1,10 @@
 //! The scorer: what is really there, what a detector or a tracker answered, and how good that is.
 //!
 //! In the order of the way: what is there and what is owed to it ([`truth`], [`recorded`]); which answer is right about what
-//! ([`matching`]); how far off it is ([`Errors`]). An [`evaluation`] counts that and tells it in tables, or in notes of a recording. A
-//! [`measurement`] takes an [`observation`] of each object from each frame, sums these up and gives each
-//! object a [`row`] of figures; [`sections`] do so for ellipses, and a [`trace`] keeps each observation.
+//! ([`matching`]); how its errors compare with its standard deviations ([`sigmas`]). An [`evaluation`] counts that and tells it
+//! in tables, or in notes on a recording. A [`measurement`] takes an [`observation`] of each object from each frame, sums these
+//! up and gives each object a [`row`] of figures; [`sections`] do so for ellipses, and a [`trace`] keeps each observation.
 
-mod errors;
 pub mod evaluation;
 pub mod matching;
 pub mod measurement;
@@ -15,11 +14,11 @@ pub mod observation;
 pub mod recorded;
 pub mod row;
 pub mod sections;
+pub mod sigmas;
 mod tables;
 pub mod trace;
 pub mod truth;
 
-pub use errors::{Errors, Sigmas};
 pub use evaluation::{Evaluation, TruthSource};
 pub use matching::{Answer, Claim};
 pub use measurement::Measurement;
@@ -27,6 +26,7 @@ pub use object_stats::columns as measured_columns;
 pub use recorded::{RecordedTolerances, RecordedTruth};
 pub use row::{Figure, Row};
 pub use sections::Sections;
+pub use sigmas::Sigmas;
 pub use trace::Trace;
 pub use truth::{RenderedTruth, Tolerances, VisibilityCriteria};
 

@@ -1,6 +1,6 @@
 //! What was found in a recording, what was off, and what nobody listed, frame by frame, to be looked at; and the sums.
 
-use super::evaluation::{Sample, Score};
+use super::evaluation::Score;
 use super::matching::{Comparison, Fault, MatchedFrame, compare, fault};
 use super::recorded::RecordedTruth;
 use super::truth::TrueObject;
@@ -31,7 +31,7 @@ impl Notes {
     /// Notes what came of a frame.
     pub fn add(&mut self, source: &str, frame: &MatchedFrame) {
         self.text += &format!("{}\n", source.escape_debug());
-        for (truth, answer) in frame.pairs() {
+        for (truth, answer) in &frame.pairs {
             let name = &truth.name;
             let Some(answer) = answer else {
                 if truth.required {
@@ -45,8 +45,9 @@ impl Notes {
                 self.radii.entry(name.clone()).or_default().add(answer.object.radius);
             }
         }
-        for (object, worst) in frame.wrong() {
-            self.text += &wrong(&frame.truths, object, worst);
+        for (object, worst) in &frame.wrong {
+            let is_about = |truth: &&TrueObject| fault(truth, object).unwrap_or(Fault::Second) == *worst;
+            self.text += &wrong(frame.pairs.iter().map(|(truth, _)| truth).find(is_about), object, *worst);
         }
     }
 
@@ -81,10 +82,9 @@ fn differences(truth: &TrueObject, answer: &Object) -> String {
 }
 
 /// A wrong answer, and what it is wrong about: what is listed there, or nothing.
-fn wrong(truths: &[TrueObject], answer: &Object, worst: Fault) -> String {
+fn wrong(about: Option<&TrueObject>, answer: &Object, worst: Fault) -> String {
     let Object { center: [x, y, z], radius, .. } = answer;
     let told = format!("{} at ({x:.3}, {y:.3}, {z:.3}) m, radius {:.1} mm", answer.shape().name(), 1e3 * radius);
-    let about = truths.iter().find(|truth| fault(truth, answer).unwrap_or(Fault::Second) == worst);
     match about.filter(|_| worst != Fault::NothingThere) {
         Some(truth) => {
             let (name, differences) = (&truth.name, differences(truth, answer));
@@ -97,22 +97,25 @@ fn wrong(truths: &[TrueObject], answer: &Object, worst: Fault) -> String {
 fn sums(score: &Score, unjudged: u64) -> String {
     let frames = score.frames;
     let per_frame = |count: usize| count as f64 / frames.max(1) as f64;
-    let faults: Vec<Fault> = score.samples.iter().filter_map(Sample::fault).collect();
-    let errors: Vec<_> = score.samples.iter().filter_map(Sample::errors).collect();
-    let (found, required) = (errors.len(), score.samples.len() - faults.len());
+    let faults: Vec<Fault> = score.samples.iter().filter_map(|sample| sample.fault).collect();
+    let found = score.samples.iter().filter(|sample| sample.found.is_some()).count();
+    let required = score.samples.len() - faults.len();
     let unlisted = faults.iter().filter(|fault| **fault == Fault::NothingThere).count();
     let off = faults.len() - unlisted;
     let share = 100.0 * found as f64 / required.max(1) as f64;
-    let median = |values: Vec<f64>| median(values).unwrap_or(0.0);
+    let median_of = |number: fn(f64, &Comparison) -> f64| {
+        let numbers = score.samples.iter().filter_map(|sample| Some(number(sample.radius_m, &sample.found?.0)));
+        median(numbers.collect()).unwrap_or(0.0)
+    };
     format!(
         "\n{found} of {required} found ({share:.0} %) in {frames} frames; {unjudged} frames not judged\n\
          {off} answers off ({:.2} per frame), {unlisted} about what is not listed ({:.2} per frame)\n\
          medians of those found: |radius| {:.1} mm, radius {:+.1} mm, position {:.1} mm, axis {:.1} deg\n",
         per_frame(off),
         per_frame(unlisted),
-        1e3 * median(errors.iter().map(|errors| errors.radius_m.abs()).collect()),
-        1e3 * median(errors.iter().map(|errors| errors.radius_m).collect()),
-        1e3 * median(errors.iter().map(|errors| errors.position_m).collect()),
-        median(errors.iter().map(|errors| errors.axis.unwrap_or(0.0)).collect()).to_degrees()
+        1e3 * median_of(|radius_m, found| (found.radius_m - radius_m).abs()),
+        1e3 * median_of(|radius_m, found| found.radius_m - radius_m),
+        1e3 * median_of(|_, found| found.position_m),
+        median_of(|_, found| found.axis).to_degrees()
     )
 }

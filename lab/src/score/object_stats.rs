@@ -1,56 +1,45 @@
 //! What the frames say of one object, summed up.
 
 use super::matching::perpendicular;
-use super::observation::{Observation, Seen, State};
+use super::observation::Observation;
 use super::row::Statistic::{Deviation, Mean, MeanDegrees, RootMean, RootMeanDegrees};
 use super::row::{Column, Row, Sums};
 use crate::running_stats::RunningStats;
 use nalgebra::Vector3;
 use std::collections::BTreeSet;
 
-/// What a frame adds to the sums: an observation, and the speeds since the frame before.
-#[derive(Clone, Copy)]
-struct Sample {
-    truth: Option<State>,
-    seen: Option<Seen>,
-    true_speed_mps: Option<f64>,
-    speed_mps: Option<f64>,
+/// Distance between where an object is and where it was seen, in metres.
+fn error_m(observation: &Observation) -> Option<f64> {
+    Some((observation.seen?.state.position - observation.truth?.position).norm())
 }
 
-impl Sample {
-    /// Distance between where an object is and where it was seen, in metres.
-    fn error_m(&self) -> Option<f64> {
-        Some((self.seen?.state.position - self.truth?.position).norm())
-    }
-
-    /// Angle between the axis as it is and as it was seen, in radians; 0 where one has no direction.
-    fn axis_error(&self) -> Option<f64> {
-        let (truth, seen) = (self.truth?.axis, self.seen?.state.axis);
-        let (sine, cosine) = (truth.cross(&seen).norm(), truth.dot(&seen).abs());
-        if sine == 0.0 { Some(0.0) } else { Some(sine.atan2(cosine)) }
-    }
+/// Angle between the axis as it is and as it was seen, in radians; 0 where one has no direction.
+fn axis_error(observation: &Observation) -> Option<f64> {
+    let (truth, seen) = (observation.truth?.axis, observation.seen?.state.axis);
+    let (sine, cosine) = (truth.cross(&seen).norm(), truth.dot(&seen).abs());
+    if sine == 0.0 { Some(0.0) } else { Some(sine.atan2(cosine)) }
 }
 
 fn squared(number: Option<f64>) -> Option<f64> {
     number.map(|number| number * number)
 }
 
-const FIGURES: &[Column<Sample>] = &[
-    Column("distance_true_m", Mean, |sample| Some(sample.truth?.distance_m)),
-    Column("distance_m", Mean, |sample| Some(sample.seen?.state.distance_m)),
-    Column("distance_sd_m", Deviation, |sample| Some(sample.seen?.state.distance_m)),
-    Column("radius_true_m", Mean, |sample| Some(sample.truth?.radius_m)),
-    Column("radius_m", Mean, |sample| Some(sample.seen?.state.radius_m)),
-    Column("radius_sd_m", Deviation, |sample| Some(sample.seen?.state.radius_m)),
-    Column("half_angle_true_deg", MeanDegrees, |sample| Some(sample.truth?.half_angle)),
-    Column("half_angle_deg", MeanDegrees, |sample| Some(sample.seen?.state.half_angle)),
-    Column("speed_true_mps", Mean, |sample| sample.true_speed_mps),
-    Column("speed_mps", Mean, |sample| sample.speed_mps),
-    Column("speed_sd_mps", Deviation, |sample| sample.speed_mps),
-    Column("position_rms_m", RootMean, |sample| squared(sample.error_m())),
-    Column("axis_rms_deg", RootMeanDegrees, |sample| squared(sample.axis_error())),
-    Column("radius_sigmas", RootMean, |sample| squared(sample.seen?.sigmas.radius)),
-    Column("center_sigmas", RootMean, |sample| squared(sample.seen?.sigmas.center)),
+const FIGURES: &[Column<Observation>] = &[
+    Column("distance_true_m", Mean, |it| Some(it.truth?.distance_m)),
+    Column("distance_m", Mean, |it| Some(it.seen?.state.distance_m)),
+    Column("distance_sd_m", Deviation, |it| Some(it.seen?.state.distance_m)),
+    Column("radius_true_m", Mean, |it| Some(it.truth?.radius_m)),
+    Column("radius_m", Mean, |it| Some(it.seen?.state.radius_m)),
+    Column("radius_sd_m", Deviation, |it| Some(it.seen?.state.radius_m)),
+    Column("half_angle_true_deg", MeanDegrees, |it| Some(it.truth?.half_angle)),
+    Column("half_angle_deg", MeanDegrees, |it| Some(it.seen?.state.half_angle)),
+    Column("speed_true_mps", Mean, |it| it.true_speed_mps),
+    Column("speed_mps", Mean, |it| it.speed_mps),
+    Column("speed_sd_mps", Deviation, |it| it.speed_mps),
+    Column("position_rms_m", RootMean, |it| squared(error_m(it))),
+    Column("axis_rms_deg", RootMeanDegrees, |it| squared(axis_error(it))),
+    Column("radius_sigmas", RootMean, |it| squared(it.seen?.sigmas.radius)),
+    Column("center_sigmas", RootMean, |it| squared(it.seen?.sigmas.center)),
 ];
 
 /// The names of all columns that a row of an object, or of all of them, can have.
@@ -66,7 +55,7 @@ pub struct ObjectStats {
     pub name: String,
     frames: u64,
     found: u64,
-    sums: Sums<Sample>,
+    sums: Sums<Observation>,
     error: RunningStats,
     identities: BTreeSet<u64>,
     switches: u64,
@@ -98,40 +87,37 @@ impl ObjectStats {
         }
     }
 
-    /// Takes in one frame.
-    pub fn add(&mut self, observation: &Observation) {
-        let sample = self.sample(observation);
-        self.sums.add(&sample);
+    /// Takes in one frame, and tells it the speeds since the frame before.
+    pub fn add(&mut self, observation: &mut Observation) {
+        self.tell_speeds(observation);
+        self.sums.add(observation);
         self.frames += 1;
-        self.found += u64::from(sample.seen.is_some());
-        if let Some(error_m) = sample.error_m() {
+        if let Some(error_m) = error_m(observation) {
             self.error.add(error_m);
         }
-        if let Some(id) = sample.seen.and_then(|seen| seen.id) {
+        let Observation { time_s, truth, seen, .. } = *observation;
+        self.found += u64::from(seen.is_some());
+        if let Some(id) = seen.and_then(|seen| seen.id) {
             self.switches += u64::from(self.last_id.is_some_and(|last| last != id));
             self.identities.insert(id);
             self.last_id = Some(id);
         }
-        if let Some(truth) = sample.truth {
-            let seen = sample.seen.map(|seen| seen.state.position);
-            self.last = Some(Last { time_s: observation.time_s, truth: truth.position, seen });
+        if let Some(truth) = truth {
+            self.last = Some(Last { time_s, truth: truth.position, seen: seen.map(|seen| seen.state.position) });
         }
     }
 
     /// Speeds: as a track states them, else the way since the frame before over the time, across the axis.
-    fn sample(&self, observation: &Observation) -> Sample {
-        let Observation { time_s, truth, seen, .. } = *observation;
-        let mut sample = Sample { truth, seen, true_speed_mps: None, speed_mps: None };
-        let (Some(last), Some(truth)) = (self.last, truth) else { return sample };
-        let dt = time_s - last.time_s;
+    fn tell_speeds(&self, observation: &mut Observation) {
+        let (Some(last), Some(truth)) = (self.last, observation.truth) else { return };
+        let (dt, seen) = (observation.time_s - last.time_s, observation.seen);
         let speed = |from: Vector3<f64>, to: Vector3<f64>| perpendicular(&(to - from), &truth.axis).norm() / dt;
         // frames of one time tell no speed
         if dt > 0.0 {
-            sample.true_speed_mps = Some(speed(last.truth, truth.position));
-            sample.speed_mps = last.seen.zip(seen).map(|(from, seen)| speed(from, seen.state.position));
+            observation.true_speed_mps = Some(speed(last.truth, truth.position));
+            observation.speed_mps = last.seen.zip(seen).map(|(from, seen)| speed(from, seen.state.position));
         }
-        sample.speed_mps = seen.and_then(|seen| seen.speed_mps).or(sample.speed_mps);
-        sample
+        observation.speed_mps = seen.and_then(|seen| seen.stated_speed_mps).or(observation.speed_mps);
     }
 
     /// The figures of the object.
@@ -178,6 +164,7 @@ pub fn all(objects: &[ObjectStats], wrong: u64) -> Row {
 
 #[cfg(test)]
 mod tests {
+    use super::super::observation::State;
     use super::*;
 
     #[test]
@@ -186,7 +173,7 @@ mod tests {
         for (time_s, x) in [(0.0, 0.0), (0.0, 0.1), (0.5, 0.2)] {
             let (position, axis) = (Vector3::new(x, 0.0, 2.0), Vector3::zeros());
             let truth = Some(State { position, distance_m: 2.0, radius_m: 0.1, half_angle: 0.0, axis });
-            ball.add(&Observation { time_s, camera: Vector3::zeros(), name: "ball".into(), truth, seen: None });
+            ball.add(&mut Observation { time_s, truth, ..Observation::default() });
         }
         assert!((ball.row().number_of("speed_true_mps").unwrap() - 0.2).abs() < 1e-12, "{:?}", ball.row());
     }

@@ -1,14 +1,14 @@
 //! What one frame says of one object: the sample that a measurement sums up.
 
-use super::errors::{Errors, Sigmas};
 use super::matching::{Answer, perpendicular, radius_at};
+use super::sigmas::Sigmas;
 use super::truth::TrueObject;
 use conicflow_detection::camera::isometry;
 use conicflow_messages::{Header, Object, ObjectKind};
 use nalgebra::{IsometryMatrix3, Point3, Vector3};
 
 /// An object in one frame, in the world frame, with what was seen of it.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Observation {
     /// Time of the frame in seconds.
     pub time_s: f64,
@@ -20,6 +20,10 @@ pub struct Observation {
     pub truth: Option<State>,
     /// What was seen, if it was.
     pub seen: Option<Seen>,
+    /// True speed across its axis since the frame before, in m/s.
+    pub true_speed_mps: Option<f64>,
+    /// The speed that was measured.
+    pub speed_mps: Option<f64>,
 }
 
 /// An object as measured or as it is.
@@ -45,7 +49,7 @@ pub struct Seen {
     /// Identity of the track.
     pub id: Option<u64>,
     /// Speed that a track states, across its axis, in m/s.
-    pub speed_mps: Option<f64>,
+    pub stated_speed_mps: Option<f64>,
     /// Errors in units of the standard deviations that came with them.
     pub sigmas: Sigmas,
 }
@@ -62,11 +66,11 @@ impl Observation {
         let seen = answer.map(|Answer { object, id, velocity }| Seen {
             state: state(object),
             id: *id,
-            speed_mps: velocity.map(|velocity| perpendicular(&velocity, &axis(object)).norm()),
-            sigmas: Errors::of(&truth.body, object).sigmas,
+            stated_speed_mps: velocity.map(|velocity| perpendicular(&velocity, &axis(object)).norm()),
+            sigmas: Sigmas::of(&truth.body, object),
         });
-        let camera = world_from_camera.translation.vector;
-        Self { time_s, camera, name: truth.name.clone(), truth: Some(state(&truth.body)), seen }
+        let (camera, name) = (world_from_camera.translation.vector, truth.name.clone());
+        Self { time_s, camera, name, truth: Some(state(&truth.body)), seen, ..Self::default() }
     }
 
     /// An answer about something of which nobody knows the truth; tracks are told apart by their identities.
@@ -75,8 +79,8 @@ impl Observation {
         let kind = object.shape().name();
         let name = id.map_or_else(|| kind.to_owned(), |id| format!("{kind} {id}"));
         let state = State::of(object, &object.center.into(), &IsometryMatrix3::identity());
-        let seen = Some(Seen { state, id: *id, speed_mps: None, sigmas: Sigmas::default() });
-        Self { time_s, camera: Vector3::zeros(), name, truth: None, seen }
+        let seen = Some(Seen { state, id: *id, stated_speed_mps: None, sigmas: Sigmas::default() });
+        Self { time_s, name, seen, ..Self::default() }
     }
 }
 

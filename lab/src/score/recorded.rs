@@ -6,7 +6,8 @@
 //!   {"type": "sphere_like", "what": "upturned bowl", "radius_m": 0.0822, "centre_m": [x, y, z]}]}}
 //! ```
 //! Camera frame. `scenes` has a list for each frame, by its file's name; an empty one says that nothing is to be found
-//! there; a folder before the name does not matter. In place of it `objects` is one list for all frames, and `frames` tells where one ball is in each:
+//! there; a folder before the name does not matter. In place of it `objects` is one list for all frames, and `frames` tells
+//! where one ball is in each:
 //! `[{"file": "depth/000000.png", "sphere": {"centre_mm": [x, y, z], "radius_mm": r}}]`, where a frame without `sphere`
 //! is not judged, and `"radius": {"accept_range_mm": [least, most]}` beside it says what radius is right.
 //!
@@ -15,8 +16,8 @@
 //!
 //! A `cylinder` or a `cone` may say by `"seen_side_from_to_m": [from, to]` which part of its side is seen, along `axis_dir` from
 //! `axis_point_m`; -50 to 50 mm where left out. What is `sphere_like` need not be found; who finds a sphere there is right
-//! within 20 % of its radius. An entry may have a `quality`: one that is `"poor"`, not `"partial"` or `"good"`, only has to be seen: within 50 mm of its place, half of its
-//! radius and half a radian of its axis.
+//! within 20 % of its radius. An entry may have a `quality`: one that is `"poor"`, not `"partial"` or `"good"`, only has to be
+//! seen: within 50 mm of its place, half of its radius and half a radian of its axis.
 
 use super::truth::{Tolerance, TrueObject};
 use anyhow::{Context as _, Result, bail};
@@ -130,7 +131,7 @@ struct BallEntry {
 }
 
 /// What is in the frames of a recording.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct RecordedTruth {
     /// What is in each frame, by the name of its file; nothing where that was not measured.
     by_frame: BTreeMap<String, Option<Vec<TrueObject>>>,
@@ -155,8 +156,8 @@ impl RecordedTruth {
             bail!("`units` is not what the keys of its entries say\n  hint: metres for objects, mm for `frames`");
         }
         let list = |entries: &[Entry]| entries.iter().map(|entry| entry.truth(tolerances)).collect::<Result<Vec<_>>>();
-        let mut truth = Self::default();
-        truth.everywhere = file.objects.as_deref().map(list).transpose()?;
+        let everywhere = file.objects.as_deref().map(list).transpose()?;
+        let mut truth = Self { by_frame: BTreeMap::new(), everywhere };
         for (name, entries) in file.scenes.iter().flatten() {
             truth.insert(name, Some(list(entries).with_context(|| format!("scene `{name}`"))?))?;
         }

@@ -1,35 +1,45 @@
 //! The tables of a score: counts and errors by shape, group, distance and hidden share, how honest the standard deviations
 //! are, and what is wrong with the wrong answers.
 
-use super::errors::{Errors, Sigmas};
 use super::evaluation::{Sample, Score};
 use super::matching::Fault;
 use crate::quantile::{median, quantile};
 use conicflow_messages::ObjectKind;
 use std::collections::BTreeSet;
+use std::fmt::Display;
 
-/// The titles of the counts and errors with the widths of their columns.
-const COLUMNS: [(&str, usize); 11] = [
-    ("truth", 6),
-    ("found", 6),
-    ("wrong", 6),
-    ("recall", 8),
-    ("prec.", 7),
-    ("F1", 7),
-    ("radius %", 10),
-    ("bias %", 8),
-    ("pos. mm", 9),
-    ("axis deg", 10),
-    ("half deg", 10),
+/// A number of those samples that have it.
+type Pick = fn(&Sample) -> Option<f64>;
+
+/// The titles of the counts with the widths of their columns.
+const COUNTS: [(&str, usize); 6] = [("truth", 6), ("found", 6), ("wrong", 6), ("recall", 8), ("prec.", 7), ("F1", 7)];
+
+/// The errors whose medians stand behind the counts.
+const ERRORS: [(&str, usize, Pick); 5] = [
+    ("radius %", 10, |sample| Some(radius_error(sample)?.abs())),
+    ("bias %", 8, radius_error),
+    ("pos. mm", 9, |sample| Some(1e3 * sample.found?.0.position_m)),
+    ("axis deg", 10, |sample| {
+        let axis = sample.found?.0.axis.to_degrees();
+        if sample.shape == ObjectKind::Sphere { None } else { Some(axis) }
+    }),
+    ("half deg", 10, |sample| {
+        let half_angle = sample.found?.0.half_angle.abs().to_degrees();
+        if sample.shape == ObjectKind::Cone { Some(half_angle) } else { None }
+    }),
 ];
 
-/// The standard deviations that are judged, by the titles of their columns.
-const SIGMAS: [(&str, fn(&Sigmas) -> Option<f64>); 4] = [
-    ("radius", |sigmas| sigmas.radius),
-    ("centre", |sigmas| sigmas.center),
-    ("axis", |sigmas| sigmas.axis),
-    ("half-angle", |sigmas| sigmas.half_angle),
+/// The standard deviations that are judged.
+const SIGMAS: [(&str, Pick); 4] = [
+    ("radius", |sample| sample.found?.1.radius),
+    ("centre", |sample| sample.found?.1.center),
+    ("axis", |sample| sample.found?.1.axis),
+    ("half-angle", |sample| sample.found?.1.half_angle),
 ];
+
+fn radius_error(sample: &Sample) -> Option<f64> {
+    Some(100.0 * (sample.found?.0.radius_m / sample.radius_m - 1.0))
+}
 
 /// All tables.
 pub fn report(score: &Score) -> String {
@@ -46,9 +56,11 @@ pub fn report(score: &Score) -> String {
         ("shape and distance", by_distance(score)),
         ("hidden", by_hidden(score)),
     ] {
-        text += &line(title, COLUMNS.map(|(title, width)| (title.to_owned(), width)));
+        text += &line(title, COUNTS.into_iter().chain(ERRORS.map(|(title, width, _)| (title, width))));
         for (label, samples) in parts.iter().filter(|(_, samples)| !samples.is_empty()) {
-            text += &line(label, figures(samples, title != "hidden").into_iter().zip(COLUMNS.map(|(_, width)| width)));
+            let counts = counts(samples, title != "hidden").into_iter().zip(COUNTS.map(|(_, width)| width));
+            let medians = ERRORS.map(|(_, width, pick)| (number(median(values(samples, pick))), width));
+            text += &line(label, counts.chain(medians));
         }
         text += "\n";
     }
@@ -56,7 +68,7 @@ pub fn report(score: &Score) -> String {
 }
 
 /// A line of a table: a label and cells with their widths.
-fn line(label: &str, cells: impl IntoIterator<Item = (String, usize)>) -> String {
+fn line(label: &str, cells: impl IntoIterator<Item = (impl Display, usize)>) -> String {
     let mut text = format!("{label:<24}");
     for (cell, width) in cells {
         text += &format!("{cell:>width$}");
@@ -107,19 +119,18 @@ fn by_hidden(score: &Score) -> Vec<Part<'_>> {
 }
 
 fn count_wrong(samples: &[&Sample]) -> usize {
-    samples.iter().filter(|sample| sample.fault().is_some()).count()
+    samples.iter().filter(|sample| sample.fault.is_some()).count()
 }
 
 fn count_found(samples: &[&Sample]) -> usize {
-    samples.iter().filter(|sample| sample.errors().is_some()).count()
+    samples.iter().filter(|sample| sample.found.is_some()).count()
 }
 
-/// The cells of a line, of which those that count wrong answers may stay empty.
-fn figures(samples: &[&Sample], tells_wrong: bool) -> [String; 11] {
+/// The counts of a line, of which those that count wrong answers may stay empty.
+fn counts(samples: &[&Sample], tells_wrong: bool) -> [String; 6] {
     let (wrong, found) = (count_wrong(samples), count_found(samples));
     let truth = samples.len() - wrong;
     let told = |text: String| if tells_wrong { text } else { String::new() };
-    let median_of = |pick: &dyn Fn(&Errors) -> Option<f64>| number(median(values(samples, pick)));
     [
         truth.to_string(),
         found.to_string(),
@@ -127,16 +138,11 @@ fn figures(samples: &[&Sample], tells_wrong: bool) -> [String; 11] {
         share(found, truth),
         told(share(found, found + wrong)),
         told(share(2 * found, truth + found + wrong)),
-        median_of(&|errors| Some((100.0 * errors.radius).abs())),
-        median_of(&|errors| Some(100.0 * errors.radius)),
-        median_of(&|errors| Some(1e3 * errors.position_m)),
-        median_of(&|errors| errors.axis.map(f64::to_degrees)),
-        median_of(&|errors| errors.half_angle.map(|angle| angle.abs().to_degrees())),
     ]
 }
 
-fn values(samples: &[&Sample], pick: impl Fn(&Errors) -> Option<f64>) -> Vec<f64> {
-    samples.iter().filter_map(|sample| pick(sample.errors()?)).collect()
+fn values(samples: &[&Sample], pick: Pick) -> Vec<f64> {
+    samples.iter().filter_map(|sample| pick(sample)).collect()
 }
 
 /// A part of a whole; nothing of nothing tells nothing.
@@ -149,10 +155,9 @@ fn number(number: Option<f64>) -> String {
 }
 
 fn honesty_table(score: &Score) -> String {
-    let mut text = line("error / sigma", SIGMAS.map(|(title, _)| (title.to_owned(), 16)));
+    let mut text = line("error / sigma", SIGMAS.map(|(title, _)| (title, 16)));
     for (label, samples) in by_shape(score) {
-        let honesty_of = |pick: fn(&Sigmas) -> Option<f64>| honesty(&values(&samples, |errors| pick(&errors.sigmas)));
-        text += &line(&label, SIGMAS.map(|(_, pick)| (honesty_of(pick), 16)));
+        text += &line(&label, SIGMAS.map(|(_, pick)| (honesty(&values(&samples, pick)), 16)));
     }
     text + "root mean square (and the 68th percentile of the magnitude); 1 is honest\n\n"
 }
@@ -166,41 +171,43 @@ fn honesty(values: &[f64]) -> String {
 
 /// Nothing where nothing is wrong.
 fn fault_table(score: &Score) -> String {
-    let faults: BTreeSet<Fault> = score.samples.iter().filter_map(Sample::fault).collect();
+    let faults: BTreeSet<Fault> = score.samples.iter().filter_map(|sample| sample.fault).collect();
     if faults.is_empty() {
         return String::new();
     }
-    let mut text = line("wrong answers", ObjectKind::ALL.map(|shape| (shape.name().to_owned(), 10)));
+    let mut text = line("wrong answers", ObjectKind::ALL.map(|shape| (shape.name(), 10)));
     for fault in faults {
-        let is_it = |sample: &&Sample, shape| sample.fault() == Some(fault) && sample.shape == shape;
+        let is_it = |sample: &&Sample, shape| sample.fault == Some(fault) && sample.shape == shape;
         let count = |shape| score.samples.iter().filter(|sample| is_it(sample, shape)).count();
-        text += &line(fault.name(), ObjectKind::ALL.map(|shape| (count(shape).to_string(), 10)));
+        text += &line(fault.name(), ObjectKind::ALL.map(|shape| (count(shape), 10)));
     }
     text
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::evaluation::Outcome;
+    use super::super::matching::Comparison;
+    use super::super::sigmas::Sigmas;
     use super::*;
 
-    fn found(radius: f64) -> Outcome {
-        let sigmas = Sigmas { radius: Some(radius * 100.0), ..Sigmas::default() };
-        Outcome::Found(Errors { radius, radius_m: 0.0, position_m: 0.002, axis: None, half_angle: None, sigmas })
-    }
-
     fn score() -> Score {
-        let sphere =
-            |outcome| Sample { group: 0, shape: ObjectKind::Sphere, distance: 1.5, hidden: Some(0.2), outcome };
-        let wrong = Sample {
+        let sphere = Sample {
             group: 0,
-            shape: ObjectKind::Cone,
-            distance: 2.2,
-            hidden: None,
-            outcome: Outcome::Wrong(Fault::NothingThere),
+            shape: ObjectKind::Sphere,
+            distance: 1.5,
+            radius_m: 1.0,
+            hidden: Some(0.2),
+            found: None,
+            fault: None,
         };
-        let spheres = [found(0.01), found(-0.02), found(-0.03), Outcome::Missed].map(sphere);
-        let samples = spheres.into_iter().chain([wrong]).collect();
+        let found = |off: f64| {
+            let comparison = Comparison { position_m: 0.002, radius_m: 1.0 + off, axis: 0.0, half_angle: 0.0 };
+            let sigmas = Sigmas { radius: Some(100.0 * off), ..Sigmas::default() };
+            Sample { found: Some((comparison, sigmas)), ..sphere }
+        };
+        let (shape, fault) = (ObjectKind::Cone, Some(Fault::NothingThere));
+        let wrong = Sample { shape, distance: 2.2, hidden: None, fault, ..sphere };
+        let samples = vec![found(0.01), found(-0.02), found(-0.03), sphere, wrong];
         Score { frames: 3, groups: vec!["standing".into()], samples, extra: 0 }
     }
 

@@ -37,7 +37,7 @@ impl Trace {
     /// # Errors
     /// A line cannot be written.
     pub fn write(&mut self, observations: &[Observation]) -> std::io::Result<()> {
-        for Observation { time_s, camera, name, truth, seen } in observations {
+        for Observation { time_s, camera, name, truth, seen, .. } in observations {
             let Some(State { position: place, .. }) = truth else { continue };
             write!(self.0, "{time_s:.6},{},{:.6},{:.6},{:.6},", csv::cell(name), camera.x, camera.y, camera.z)?;
             write!(self.0, "{:.6},{:.6},{:.6},", place.x, place.y, place.z)?;
@@ -70,7 +70,7 @@ mod tests {
     fn a_name_with_a_comma_is_one_cell() {
         let zero = Vector3::zeros();
         let truth = Some(State { position: zero, distance_m: 1.0, radius_m: 0.1, half_angle: 0.0, axis: zero });
-        let observation = Observation { time_s: 0.5, camera: zero, name: "ball, \"red\"".into(), truth, seen: None };
+        let observation = Observation { time_s: 0.5, name: "ball, \"red\"".into(), truth, ..Observation::default() };
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("trace.csv");
         let mut trace = Trace::create(&path).unwrap();

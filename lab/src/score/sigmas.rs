@@ -1,27 +1,11 @@
-//! How far a right answer is off, and how that compares with the standard deviations it came with.
+//! Errors of an answer in units of the standard deviations that it came with.
 
 use super::matching::{compare, perpendicular, radius_at};
 use conicflow_messages::{Object, ObjectKind};
 use nalgebra::{Matrix3, Vector3};
 
-/// Errors of an answer; those of parameters that a shape does not have are `None`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Errors {
-    /// Radius (of a cone at its true middle) minus the true one, as a share of the true one.
-    pub radius: f64,
-    /// The same in metres.
-    pub radius_m: f64,
-    /// Distance of the centres of spheres, else of the true middle from the axis, in metres.
-    pub position_m: f64,
-    /// Angle between the axes, in radians.
-    pub axis: Option<f64>,
-    /// Difference of the half-angles, in radians.
-    pub half_angle: Option<f64>,
-    /// Errors in units of their standard deviations.
-    pub sigmas: Sigmas,
-}
-
-/// Errors in units of the standard deviations that came with the answer: each has the mean square 1 if these are honest.
+/// Errors in units of their standard deviations: each has the mean square 1 if these are honest. What a shape does not
+/// have, and what came without a standard deviation, is `None`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Sigmas {
     /// Of the radius, of a cone at the middle of its visible part.
@@ -34,28 +18,22 @@ pub struct Sigmas {
     pub half_angle: Option<f64>,
 }
 
-impl Errors {
+impl Sigmas {
     /// The errors of an answer that has the true shape.
     pub fn of(truth: &Object, answer: &Object) -> Self {
-        let comparison = compare(truth, answer);
-        let shape = truth.shape();
-        let axis = (shape != ObjectKind::Sphere).then_some(comparison.axis);
-        let half_angle = (shape == ObjectKind::Cone).then_some(comparison.half_angle);
-        let sigma = &answer.sigma;
-        let radius_there = radius_at(truth, &answer.center.into());
-        Self {
-            radius: comparison.radius_m / truth.radius - 1.0,
-            radius_m: comparison.radius_m - truth.radius,
-            position_m: comparison.position_m,
-            axis,
-            half_angle,
-            sigmas: Sigmas {
-                radius: ratio(answer.radius - radius_there, sigma.radius),
-                center: center_ratio(truth, answer),
-                axis: axis.and_then(|angle| ratio(angle, sigma.axis)),
-                half_angle: half_angle.and_then(|angle| ratio(angle, sigma.half_angle)),
-            },
+        let (errors, sigma, shape) = (compare(truth, answer), &answer.sigma, truth.shape());
+        let mut sigmas = Self {
+            radius: ratio(answer.radius - radius_at(truth, &answer.center.into()), sigma.radius),
+            center: center_ratio(truth, answer),
+            ..Self::default()
+        };
+        if shape != ObjectKind::Sphere {
+            sigmas.axis = ratio(errors.axis, sigma.axis);
         }
+        if shape == ObjectKind::Cone {
+            sigmas.half_angle = ratio(errors.half_angle, sigma.half_angle);
+        }
+        sigmas
     }
 }
 
@@ -97,11 +75,11 @@ mod tests {
     fn a_sphere_has_no_axis_and_its_errors_are_weighed() {
         let sigma = ObjectSigma { center: variances([1e-4, 1e-6, 1e-6]), radius: 0.002, ..ObjectSigma::default() };
         let answer = Object { center: [0.02, 0.001, 1.0], radius: 0.101, sigma, ..sphere(0.0) };
-        let errors = Errors::of(&sphere(0.0), &answer);
-        assert!((errors.radius - 0.01).abs() < 1e-12);
-        assert!((errors.sigmas.radius.unwrap() - 0.5).abs() < 1e-12);
-        assert!((errors.sigmas.center.unwrap() - ((4.0 + 1.0) / 3.0_f64).sqrt()).abs() < 1e-12);
-        assert_eq!((errors.axis, errors.half_angle, errors.sigmas.axis), (None, None, None));
+        assert!((compare(&sphere(0.0), &answer).radius_m - 0.101).abs() < 1e-12);
+        let sigmas = Sigmas::of(&sphere(0.0), &answer);
+        assert!((sigmas.radius.unwrap() - 0.5).abs() < 1e-12);
+        assert!((sigmas.center.unwrap() - ((4.0 + 1.0) / 3.0_f64).sqrt()).abs() < 1e-12);
+        assert_eq!((sigmas.axis, sigmas.half_angle), (None, None));
     }
 
     #[test]
@@ -109,16 +87,16 @@ mod tests {
         let sigma =
             ObjectSigma { center: variances([4e-6, 1.0, 1e-6]), radius: 0.001, axis: 0.01, ..Default::default() };
         let answer = Object { center: [0.002, 0.05, 1.001], radius: 0.107, sigma, ..cone() };
-        let errors = Errors::of(&cone(), &answer);
-        assert!((errors.radius - 0.02).abs() < 1e-12, "0.107 - 0.05 * 0.1 is 2 % above 0.1");
-        assert!((errors.sigmas.radius.unwrap() - 2.0).abs() < 1e-9);
-        assert!((errors.sigmas.center.unwrap() - 1.0).abs() < 1e-9);
-        assert_eq!(errors.sigmas.axis, Some(0.0));
-        assert_eq!(errors.sigmas.half_angle, None, "no standard deviation came with it");
+        assert!((compare(&cone(), &answer).radius_m - 0.102).abs() < 1e-12, "0.107 - 0.05 * 0.1");
+        let sigmas = Sigmas::of(&cone(), &answer);
+        assert!((sigmas.radius.unwrap() - 2.0).abs() < 1e-9);
+        assert!((sigmas.center.unwrap() - 1.0).abs() < 1e-9);
+        assert_eq!(sigmas.axis, Some(0.0));
+        assert_eq!(sigmas.half_angle, None, "no standard deviation came with it");
     }
 
     #[test]
     fn an_answer_without_covariance_is_not_judged_by_it() {
-        assert_eq!(Errors::of(&sphere(0.0), &sphere(0.01)).sigmas.center, None);
+        assert_eq!(Sigmas::of(&sphere(0.0), &sphere(0.01)).center, None);
     }
 }
