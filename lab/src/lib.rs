@@ -4,13 +4,17 @@
 //! - [`paper`]: the method of Georgiev, Al-Hami and Lakaemper (2013), as the baseline: ellipses that grow point by point, and
 //!   objects section by section;
 //! - [`ransac`]: ellipses by random sample consensus, which the paper compares itself with;
-//! - [`noise_estimator`]: the noise of a sensor from a recording.
+//! - [`noise_estimator`]: the noise of a sensor from a recording;
+//! - [`score`]: what was found of what is there, and how well; [`experiment`]: tables and plots of that.
 
 pub mod csv;
+pub mod experiment;
 pub mod noise_estimator;
 pub mod paper;
+pub mod quantile;
 pub mod random;
 pub mod ransac;
 pub mod rendered;
 pub mod running_stats;
+pub mod score;
 pub mod simulator;

@@ -14,8 +14,9 @@ use clap::{Args, Parser, Subcommand};
 use conicflow_dataflow::pipeline::{Pipeline, Report, SourceText};
 use conicflow_dataflow::{DEFAULT_LOG, LOG, LaunchError, NO_RUN, Plan, ProcessError, RunOptions, Summary};
 use conicflow_dataflow::{log_filter, log_to_standard_error};
+use conicflow_lab::experiment::{Experiment, Results, Variation};
 use doctor::doctor;
-use experiment::{Experiment, Results, Rows, Variation};
+use experiment::Rows;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use std::collections::BTreeSet;
 use std::fmt::Display;
@@ -327,7 +328,7 @@ fn run_experiment(
         }
         results.add(rows.read(variation, &summary)?);
     }
-    let printed = write!(stdout(), "{}{}", results.table(), results.exponents());
+    let printed = write!(stdout(), "{}{}", experiment::table(experiment, &results), results.exponents());
     results.write(&pipeline.base)?;
     printed?;
     Ok(ExitCode::SUCCESS)

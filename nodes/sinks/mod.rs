@@ -8,10 +8,12 @@ pub mod json_sink;
 pub mod measurement_sink;
 mod noise_estimator;
 pub mod picture_sink;
+pub mod section_sink;
 
 pub use console_sink::ConsoleSink;
 pub use evaluation_sink::EvaluationSink;
 pub use json_sink::JsonSink;
-pub use measurement_sink::{MeasurementSink, SectionSink};
+pub use measurement_sink::MeasurementSink;
 pub use noise_estimator::NoiseEstimator;
 pub use picture_sink::PictureSink;
+pub use section_sink::SectionSink;

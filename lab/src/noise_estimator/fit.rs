@@ -4,6 +4,7 @@
 //! standard deviation is linear in floor and growth for each knee; the knee is searched on a grid. Errors count relative
 //! to the deviation, and no coefficient is negative.
 
+use crate::quantile::median;
 use crate::random::CounterRng;
 use anyhow::{Result, bail};
 use conicflow_messages::NoiseModel;
@@ -95,9 +96,7 @@ pub struct Spread {
 impl Spread {
     /// Edges, which vary far more than noise does, are left out. `None`: there is no noise at all.
     fn of(samples: &[(f64, f64)]) -> Option<Self> {
-        let mut variances: Vec<f64> = samples.iter().map(|(_, variance)| *variance).collect();
-        let middle = variances.len() / 2;
-        let median = *variances.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let median = median(samples.iter().map(|(_, variance)| *variance).collect())?;
         let limit = if median > 0.0 { OUTLIER * median } else { f64::INFINITY };
         let noise: Vec<_> = samples.iter().filter(|(_, variance)| *variance <= limit).collect();
         let count = noise.len() as f64;

@@ -1,24 +1,25 @@
 //! Paints a depth image in grey: near is light, far is dark, and what holds no measurement is dark blue.
 
 use super::canvas::{Canvas, Colour};
+use conicflow_lab::quantile::at_rank;
 use conicflow_messages::is_measured;
 
 const HOLE: Colour = [14, 20, 52];
 const LIGHTEST: f64 = 225.0;
 const DARKEST: f64 = 38.0;
 
-/// Paints depth images; keeps its histogram from frame to frame.
+/// Paints depth images; keeps room for a frame's depths.
 #[derive(Debug, Default)]
 pub(super) struct DepthView {
     near_m: Option<f64>,
     far_m: Option<f64>,
-    histogram: Vec<u32>,
+    measured: Vec<u16>,
 }
 
 impl DepthView {
     /// Paints with the depths of the lightest and the darkest grey in metres; those not given follow each frame.
     pub(super) fn new(near_m: Option<f64>, far_m: Option<f64>) -> Self {
-        Self { near_m, far_m, histogram: Vec::new() }
+        Self { near_m, far_m, measured: Vec::new() }
     }
 
     /// Paints all of the canvas; `scale` is in metres per unit.
@@ -38,20 +39,11 @@ impl DepthView {
         if self.near_m.is_some() && self.far_m.is_some() {
             return (0.0, 1.0);
         }
-        self.histogram.clear();
-        self.histogram.resize(1 << 16, 0);
-        pixels.iter().filter(|&&depth| is_measured(depth)).for_each(|&depth| self.histogram[usize::from(depth)] += 1);
-        let count: u64 = self.histogram.iter().map(|&count| u64::from(count)).sum();
-        (self.quantile(count / 100), self.quantile(count - count / 33))
-    }
-
-    fn quantile(&self, rank: u64) -> f64 {
-        let mut below = 0;
-        let reached = self.histogram.iter().position(|&count| {
-            below += u64::from(count);
-            below > rank
-        });
-        reached.map_or(65535.0, |depth| depth as f64)
+        self.measured.clear();
+        self.measured.extend(pixels.iter().filter(|&&depth| is_measured(depth)));
+        let count = self.measured.len();
+        let mut at = |rank| at_rank(&mut self.measured, rank, u16::cmp).map_or(65535.0, f64::from);
+        (at(count / 100), at(count - count / 33))
     }
 }
 

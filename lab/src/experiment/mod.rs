@@ -1,4 +1,6 @@
-//! What a pipeline file says under `[experiment]`.
+//! Experiments: what a pipeline file says under `[experiment]`. The pipeline is run once for each combination of the values
+//! that it varies, and what its measuring stages found becomes one table beside the figures of the paper, a CSV file and a
+//! plot ([`Results`]).
 //!
 //! ```toml
 //! [experiment]
@@ -16,12 +18,19 @@
 //! rows    = [[1.0, 0.20], [1.5, 0.17]]
 //! ```
 
-use crate::sinks::measurement_sink::{Figure, Row};
-use anyhow::{Context as _, Result, ensure};
+mod axes;
+mod plot;
+mod results;
+
+pub use results::Results;
+
+use crate::score::trace::TITLES;
+use crate::score::{Figure, Row};
+use anyhow::{Context as _, Result, bail, ensure};
 use serde::Deserialize;
 use serde_json::Value as Json;
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// An experiment.
 #[derive(Clone, Debug, Default, Deserialize)]
@@ -155,6 +164,29 @@ impl Experiment {
         Ok(experiment)
     }
 
+    /// Refuses columns that no row will have, those that are not `known`.
+    ///
+    /// # Errors
+    /// The key that names such a column, with those that there are.
+    pub fn check_columns(&self, known: &[String]) -> Result<()> {
+        let mut wanted: Vec<(&str, Vec<&String>)> = vec![("columns", self.columns.iter().collect())];
+        if let Some(paper) = &self.paper {
+            wanted.push(("paper.match", paper.r#match.iter().collect()));
+            wanted.push(("paper.columns", paper.columns.iter().collect()));
+        }
+        if let Some(exponent) = &self.exponent {
+            wanted.push(("exponent.x", vec![&exponent.x]));
+            wanted.push(("exponent.y", exponent.y.iter().collect()));
+        }
+        look(&wanted, known)?;
+        let Some(plot) = &self.plot else { return Ok(()) };
+        let traced: Vec<String> = TITLES.split(',').map(str::to_owned).collect();
+        let drawn = if plot.trace.is_some() { &traced } else { known };
+        let lines = plot.lines.iter().collect();
+        look(&[("plot.x", vec![&plot.x]), ("plot.y", plot.y.iter().collect()), ("plot.lines", lines)], drawn)?;
+        look(&[("plot.only", plot.only.keys().collect())], known)
+    }
+
     /// All combinations of what is varied; one without anything where nothing is.
     ///
     /// # Errors
@@ -168,6 +200,18 @@ impl Experiment {
         }
         Ok(variations)
     }
+}
+
+fn look(wanted: &[(&str, Vec<&String>)], known: &[String]) -> Result<()> {
+    for (key, columns) in wanted {
+        for column in columns {
+            if !known.contains(column) {
+                let known: Vec<_> = known.iter().map(|column| format!("`{column}`")).collect();
+                bail!("`experiment.{key}`: there is no column `{column}`\n  hint: columns: {}", known.join(", "));
+            }
+        }
+    }
+    Ok(())
 }
 
 impl Vary {
@@ -210,6 +254,14 @@ impl Reference {
         };
         self.rows.iter().find(goes_with)?.get(index)
     }
+}
+
+/// A path of the pipeline file, whose folder is made where it is missing.
+fn prepared(base: &Path, path: &Path) -> Result<PathBuf> {
+    let path = base.join(path);
+    let made = path.parent().map_or(Ok(()), std::fs::create_dir_all);
+    made.with_context(|| format!("cannot make the folder of `{}`", path.display()))?;
+    Ok(path)
 }
 
 #[cfg(test)]

@@ -1,8 +1,8 @@
-//! Each frame's sights as CSV: where each object was and where it was seen, in the world frame.
+//! Each frame's observations as CSV: where each object was and where it was seen, in the world frame.
 
-use super::sighting::Sighting;
+use super::observation::{Observation, State};
+use crate::csv;
 use anyhow::{Result, anyhow};
-use conicflow_lab::csv;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
@@ -33,9 +33,12 @@ impl Trace {
     }
 
     /// Writes a frame, one line for each object that was there; what was not seen leaves its cells empty.
-    pub fn write(&mut self, sightings: &[Sighting]) -> std::io::Result<()> {
-        for Sighting { time_s, camera, name, truth, seen } in sightings {
-            let place = truth.position;
+    ///
+    /// # Errors
+    /// A line cannot be written.
+    pub fn write(&mut self, observations: &[Observation]) -> std::io::Result<()> {
+        for Observation { time_s, camera, name, truth, seen, .. } in observations {
+            let Some(State { position: place, .. }) = truth else { continue };
             write!(self.0, "{time_s:.6},{},{:.6},{:.6},{:.6},", csv::cell(name), camera.x, camera.y, camera.z)?;
             write!(self.0, "{:.6},{:.6},{:.6},", place.x, place.y, place.z)?;
             let Some(seen) = seen else {
@@ -50,6 +53,9 @@ impl Trace {
     }
 
     /// Hands the last lines to the system.
+    ///
+    /// # Errors
+    /// They cannot be written.
     pub fn flush(&mut self) -> std::io::Result<()> {
         self.0.flush()
     }
@@ -57,19 +63,18 @@ impl Trace {
 
 #[cfg(test)]
 mod tests {
-    use super::super::sighting::State;
     use super::*;
     use nalgebra::Vector3;
 
     #[test]
     fn a_name_with_a_comma_is_one_cell() {
         let zero = Vector3::zeros();
-        let truth = State { position: zero, distance_m: 1.0, radius_m: 0.1, half_angle: 0.0, axis: zero };
-        let sighting = Sighting { time_s: 0.5, camera: zero, name: "ball, \"red\"".into(), truth, seen: None };
+        let truth = Some(State { position: zero, distance_m: 1.0, radius_m: 0.1, half_angle: 0.0, axis: zero });
+        let observation = Observation { time_s: 0.5, name: "ball, \"red\"".into(), truth, ..Observation::default() };
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("trace.csv");
         let mut trace = Trace::create(&path).unwrap();
-        trace.write(&[sighting]).unwrap();
+        trace.write(&[observation]).unwrap();
         trace.flush().unwrap();
         let records = csv::records(&std::fs::read_to_string(&path).unwrap());
         assert_eq!((records[1].len(), records[1][1].as_str()), (records[0].len(), "ball, \"red\""));

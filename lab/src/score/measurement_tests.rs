@@ -1,7 +1,8 @@
 //! Measurements of a scene whose answers are made up.
 
 use super::*;
-use conicflow_messages::{Camera, Object, ObjectKind, RECORDED, Text, Track, TrackState};
+use crate::simulator::scene_values::SceneTemplate;
+use conicflow_messages::{Camera, Header, Object, ObjectKind, RECORDED, Text, Track, TrackState};
 
 const SCENE: &str = r#"
     name = "two balls"
@@ -33,9 +34,20 @@ fn track(id: u64, x: f64) -> Track {
     Track { id, state: TrackState::Confirmed.code(), object: ball(x, 0.1), ..Track::default() }
 }
 
-fn measure(config: MeasurementConfig, frames: &[(f64, Vec<Sighted>)]) -> Vec<Row> {
-    let scene = SceneTemplate::new(SCENE.into(), "test".into());
-    let mut measurement = Measurement::new(config, Some(scene));
+fn answer(claim: impl Claim) -> Answer {
+    claim.answer().unwrap()
+}
+
+/// What a `measurement_sink` asks for by default.
+fn truth(scene: Option<SceneTemplate>) -> RenderedTruth {
+    let required =
+        VisibilityCriteria { max_hidden: 0.95, min_extent_px: 4, min_arc_deg: 5.0, min_view_angle_deg: 10.0 };
+    let tolerance = Tolerances { position_m: 0.3, radius: 0.8, axis_deg: 30.0, half_angle_deg: 15.0 };
+    RenderedTruth { scene, required, tolerance }
+}
+
+fn measure(from_s: f64, frames: &[(f64, Vec<Answer>)]) -> Vec<Row> {
+    let mut measurement = Measurement::new(truth(Some(SceneTemplate::new(SCENE.into(), "test".into()))), from_s);
     for (time_s, answers) in frames {
         measurement.add(&header(*time_s), answers).unwrap();
     }
@@ -44,10 +56,9 @@ fn measure(config: MeasurementConfig, frames: &[(f64, Vec<Sighted>)]) -> Vec<Row
 
 #[test]
 fn means_deviations_and_speeds_are_those_of_the_answers() {
-    let frame = |time_s: f64, radius: f64| {
-        (time_s, vec![Sighted::from(&ball(-0.3 + 0.6 * time_s, radius)), Sighted::from(&ball(0.3, 0.1))])
-    };
-    let rows = measure(MeasurementConfig::default(), &[frame(0.0, 0.08), frame(0.1, 0.09), frame(0.2, 0.10)]);
+    let frame =
+        |time_s: f64, radius: f64| (time_s, vec![answer(ball(-0.3 + 0.6 * time_s, radius)), answer(ball(0.3, 0.1))]);
+    let rows = measure(0.0, &[frame(0.0, 0.08), frame(0.1, 0.09), frame(0.2, 0.10)]);
     let left = &rows[0];
     let number = |column: &str| left.number_of(column).unwrap();
     assert_eq!(left.get("object"), Some(&Figure::Text("left".into())));
@@ -57,17 +68,17 @@ fn means_deviations_and_speeds_are_those_of_the_answers() {
     assert!((number("distance_true_m") - 2.0).abs() < 0.03);
     assert_eq!((rows.len(), rows[2].number_of("mota")), (3, Some(1.0)));
     let columns = rows.iter().flat_map(|row| &row.0).map(|(column, _)| column.as_str());
-    assert_eq!(columns.filter(|column| !MEASURED.contains(column)).collect::<Vec<_>>(), [""; 0]);
+    assert_eq!(columns.filter(|column| !measured_columns().any(|known| known == *column)).collect::<Vec<_>>(), [""; 0]);
 }
 
 #[test]
 fn misses_wrong_answers_and_switches_count_against_mota() {
     let frames = [
-        (0.0, vec![Sighted::from(&track(1, -0.3)), Sighted::from(&track(2, 0.3))]),
-        (0.1, vec![Sighted::from(&track(1, -0.25)), Sighted::from(&track(3, 0.3)), Sighted::from(&track(4, 2.0))]),
-        (0.2, vec![Sighted::from(&track(1, -0.2))]),
+        (0.0, vec![answer(track(1, -0.3)), answer(track(2, 0.3))]),
+        (0.1, vec![answer(track(1, -0.25)), answer(track(3, 0.3)), answer(track(4, 2.0))]),
+        (0.2, vec![answer(track(1, -0.2))]),
     ];
-    let rows = measure(MeasurementConfig::default(), &frames);
+    let rows = measure(0.0, &frames);
     let all = rows.last().unwrap();
     let number = |column: &str| all.number_of(column).unwrap();
     assert_eq!(["frames", "n", "switches", "wrong", "identities"].map(number), [6.0, 5.0, 1.0, 1.0, 3.0]);
@@ -76,28 +87,27 @@ fn misses_wrong_answers_and_switches_count_against_mota() {
 
 #[test]
 fn an_identity_that_is_still_right_is_kept() {
-    let near = |id, x| Sighted::from(&track(id, x));
+    let near = |id, x| answer(track(id, x));
     let frames = [(0.0, vec![near(1, -0.3), near(2, 0.3)]), (0.0, vec![near(1, -0.2), near(2, 0.3), near(5, -0.3)])];
-    let rows = measure(MeasurementConfig::default(), &frames);
+    let rows = measure(0.0, &frames);
     assert_eq!(rows[0].number_of("switches"), Some(0.0), "another track is nearer, but the first is still right");
 }
 
 #[test]
 fn frames_before_the_filter_has_settled_are_left_out() {
-    let config = MeasurementConfig { from_s: 0.15, ..MeasurementConfig::default() };
-    let frames = [0.0, 0.1, 0.2].map(|time_s| (time_s, vec![Sighted::from(&ball(0.3, 0.1))]));
-    let rows = measure(config, &frames);
+    let frames = [0.0, 0.1, 0.2].map(|time_s| (time_s, vec![answer(ball(0.3, 0.1))]));
+    let rows = measure(0.15, &frames);
     assert_eq!(rows.last().unwrap().number_of("frames"), Some(2.0));
 }
 
 #[test]
 fn of_recorded_frames_each_track_has_its_row() {
-    let mut measurement = Measurement::new(MeasurementConfig::default(), None);
+    let mut measurement = Measurement::new(truth(None), 0.0);
     for number in 0..4_u64 {
         let source = Text::new(&format!("img{number}.PNG"));
         let header = Header { source, flags: RECORDED, ..header(0.0) };
         let tracks = [track(7, 0.0), track(8, 0.5)];
-        let answers: Vec<_> = tracks[..if number < 3 { 2 } else { 1 }].iter().map(Sighted::from).collect();
+        let answers: Vec<_> = tracks[..if number < 3 { 2 } else { 1 }].iter().filter_map(Claim::answer).collect();
         measurement.add(&header, &answers).unwrap();
     }
     let rows = measurement.rows();
@@ -113,11 +123,10 @@ fn of_recorded_frames_each_track_has_its_row() {
 
 #[test]
 fn recorded_frames_are_left_out_by_the_time_since_the_first() {
-    let config = MeasurementConfig { from_s: 0.15, ..MeasurementConfig::default() };
-    let mut measurement = Measurement::new(config, None);
+    let mut measurement = Measurement::new(truth(None), 0.15);
     for time_s in [1000.0, 1000.1, 1000.2, 1000.3] {
         let header = Header { flags: RECORDED, ..header(time_s) };
-        measurement.add(&header, &[Sighted::from(&track(7, 0.0))]).unwrap();
+        measurement.add(&header, &[answer(track(7, 0.0))]).unwrap();
     }
     assert_eq!(measurement.rows()[0].number_of("frames"), Some(2.0));
 }

@@ -1,12 +1,10 @@
-//! The rows of all runs: as a table for people, as CSV, and their power laws.
+//! The rows of all runs: as a table for people, as CSV, as a plot, and their power laws.
 
-use super::spec::{Experiment, Exponent};
-use super::{plot, prepared};
-use crate::sinks::measurement_sink::{Figure, Row};
+use super::{Experiment, Exponent, plot, prepared};
+use crate::csv;
+use crate::score::{Figure, Row};
 use anyhow::{Context as _, Result};
-use conicflow_dataflow::Table;
 use conicflow_geometry::Regression;
-use conicflow_lab::csv;
 use std::fmt::Write;
 use std::path::Path;
 
@@ -39,8 +37,8 @@ impl<'a> Results<'a> {
         varied.chain(["stage", "object"].into_iter().filter(several)).collect()
     }
 
-    /// The table that is printed, with the paper's figures beside those that it has.
-    pub fn table(&self) -> String {
+    /// The titles and the rows of the table that is printed, with the paper's figures beside those that it has.
+    pub fn table(&self) -> (Vec<String>, Vec<Vec<String>>) {
         let paper = self.experiment.paper.as_ref();
         let mut titles: Vec<String> = self.keys().iter().map(|&key| key.to_owned()).collect();
         for column in &self.experiment.columns {
@@ -49,15 +47,15 @@ impl<'a> Results<'a> {
                 titles.push(format!("paper {column}"));
             }
         }
-        let mut table = Table::new(&titles.iter().map(String::as_str).collect::<Vec<_>>());
-        for row in &self.rows {
-            let cell = |title: &String| match (title.strip_prefix("paper "), paper) {
-                (Some(column), Some(paper)) => paper.figure(row, column),
-                _ => row.get(title),
+        let cell = |row: &Row, title: &String| {
+            let figure = match (title.strip_prefix("paper "), paper) {
+                (Some(column), Some(paper)) => paper.figure(row, column).cloned(),
+                _ => row.get(title).cloned(),
             };
-            table.row(titles.iter().map(|title| cell(title).map_or("-".to_owned(), shown)));
-        }
-        format!("{}\n\n{table}", self.experiment.title)
+            figure.map_or("-".to_owned(), |figure| shown(&figure))
+        };
+        let rows = self.rows.iter().map(|row| titles.iter().map(|title| cell(row, title)).collect()).collect();
+        (titles, rows)
     }
 
     /// One line for each power law: `y ~ x^exponent`, by least squares of the logarithms.
@@ -96,13 +94,12 @@ impl<'a> Results<'a> {
             }
         }
         let titles: Vec<_> = columns.iter().map(|column| csv::cell(column)).collect();
-        let mut text = titles.join(",") + "\n";
+        let mut lines = vec![titles.join(",")];
         for row in &self.rows {
-            let cells: Vec<String> =
-                columns.iter().map(|column| row.get(column).map_or(String::new(), exact)).collect();
-            text += &(cells.join(",") + "\n");
+            let cells: Vec<_> = columns.iter().map(|column| row.get(column).map_or(String::new(), exact)).collect();
+            lines.push(cells.join(","));
         }
-        std::fs::write(&path, text).with_context(|| format!("cannot write `{}`", path.display()))
+        std::fs::write(&path, lines.join("\n") + "\n").with_context(|| format!("cannot write `{}`", path.display()))
     }
 }
 
@@ -159,10 +156,9 @@ mod tests {
         let experiment = experiment();
         let mut results = Results::new(&experiment);
         results.add(vec![row(1.0, 0.2), row(4.0, 0.4)]);
-        let table = results.table();
-        let lines: Vec<Vec<&str>> = table.lines().skip(2).map(|line| line.split_whitespace().collect()).collect();
-        assert_eq!(lines[0], ["distance", "radius_m", "paper", "radius_m"]);
-        assert_eq!(lines[1..], [vec!["1", "0.2", "-"], vec!["4", "0.4", "0.15"]]);
+        let (titles, rows) = results.table();
+        assert_eq!(titles, ["distance", "radius_m", "paper radius_m"]);
+        assert_eq!(rows, [["1", "0.2", "-"], ["4", "0.4", "0.15"]]);
         assert_eq!(results.exponents(), "", "two points leave no standard error");
     }
 

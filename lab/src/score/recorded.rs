@@ -6,7 +6,8 @@
 //!   {"type": "sphere_like", "what": "upturned bowl", "radius_m": 0.0822, "centre_m": [x, y, z]}]}}
 //! ```
 //! Camera frame. `scenes` has a list for each frame, by its file's name; an empty one says that nothing is to be found
-//! there; a folder before the name does not matter. In place of it `objects` is one list for all frames, and `frames` tells where one ball is in each:
+//! there; a folder before the name does not matter. In place of it `objects` is one list for all frames, and `frames` tells
+//! where one ball is in each:
 //! `[{"file": "depth/000000.png", "sphere": {"centre_mm": [x, y, z], "radius_mm": r}}]`, where a frame without `sphere`
 //! is not judged, and `"radius": {"accept_range_mm": [least, most]}` beside it says what radius is right.
 //!
@@ -15,10 +16,10 @@
 //!
 //! A `cylinder` or a `cone` may say by `"seen_side_from_to_m": [from, to]` which part of its side is seen, along `axis_dir` from
 //! `axis_point_m`; -50 to 50 mm where left out. What is `sphere_like` need not be found; who finds a sphere there is right
-//! within 20 % of its radius. An entry may have a `quality`: one that is `"poor"`, not `"partial"` or `"good"`, only has to be seen: within 50 mm of its place, half of its
-//! radius and half a radian of its axis.
+//! within 20 % of its radius. An entry may have a `quality`: one that is `"poor"`, not `"partial"` or `"good"`, only has to be
+//! seen: within 50 mm of its place, half of its radius and half a radian of its axis.
 
-use super::matching::{Expected, Tolerance};
+use super::truth::{Tolerance, TrueObject};
 use anyhow::{Context as _, Result, bail};
 use conicflow_messages::{Object, ObjectKind};
 use nalgebra::Vector3;
@@ -55,27 +56,20 @@ impl Default for RecordedTolerances {
 }
 
 impl RecordedTolerances {
-    fn of_cylinder(&self, radius: f64) -> Tolerance {
-        Tolerance {
-            position_m: self.position_m,
-            radius_m: [radius - self.radius_m, radius + self.radius_m],
-            axis: self.axis_deg.to_radians(),
-            half_angle: 1e-9,
+    fn of(&self, body: &Object) -> Tolerance {
+        let radius_m = [body.radius - self.radius_m, body.radius + self.radius_m];
+        let (position_m, axis) = (self.position_m, self.axis_deg.to_radians());
+        match body.shape() {
+            ObjectKind::Sphere => Tolerance { position_m: self.center_m, radius_m, axis: 0.1, half_angle: 1e-9 },
+            ObjectKind::Cylinder => Tolerance { position_m, radius_m, axis, half_angle: 1e-9 },
+            ObjectKind::Cone => Tolerance { position_m, radius_m, axis, half_angle: self.half_angle_deg.to_radians() },
         }
     }
+}
 
-    fn of_cone(&self, radius: f64) -> Tolerance {
-        Tolerance { half_angle: self.half_angle_deg.to_radians(), ..self.of_cylinder(radius) }
-    }
-
-    fn of_sphere(&self, radius_m: [f64; 2]) -> Tolerance {
-        Tolerance { position_m: self.center_m, radius_m, axis: 0.1, half_angle: 1e-9 }
-    }
-
-    /// That something is there, of any shape.
-    fn of_poor(radius: f64) -> Tolerance {
-        Tolerance { position_m: 0.05, radius_m: [0.5 * radius, 1.5 * radius], axis: 0.5, half_angle: 0.25 }
-    }
+/// Tolerance of what only has to be seen.
+fn of_poor(radius: f64) -> Tolerance {
+    Tolerance { position_m: 0.05, radius_m: [0.5 * radius, 1.5 * radius], axis: 0.5, half_angle: 0.25 }
 }
 
 #[derive(Deserialize)]
@@ -139,20 +133,9 @@ struct BallEntry {
 /// What is in the frames of a recording.
 #[derive(Clone, Debug)]
 pub struct RecordedTruth {
-    by_frame: ByFrame,
-    everywhere: Option<Vec<Expected>>,
-}
-
-/// What is in each frame, by the name of its file; nothing where that was not measured.
-type ByFrame = BTreeMap<String, Option<Vec<Expected>>>;
-
-/// Adds what is in the frame of a file, whose folder does not matter.
-fn insert(by_frame: &mut ByFrame, file: &str, expected: Option<Vec<Expected>>) -> Result<()> {
-    let name = file_name(file);
-    if by_frame.insert(name.to_owned(), expected).is_some() {
-        bail!("it has two entries for `{name}`\n  hint: folders do not count: write a truth file for each");
-    }
-    Ok(())
+    /// What is in each frame, by the name of its file; nothing where that was not measured.
+    by_frame: BTreeMap<String, Option<Vec<TrueObject>>>,
+    everywhere: Option<Vec<TrueObject>>,
 }
 
 impl RecordedTruth {
@@ -172,23 +155,30 @@ impl RecordedTruth {
         if file.units != wanted {
             bail!("`units` is not what the keys of its entries say\n  hint: metres for objects, mm for `frames`");
         }
-        let list =
-            |entries: &[Entry]| entries.iter().map(|entry| entry.expected(tolerances)).collect::<Result<Vec<_>>>();
+        let list = |entries: &[Entry]| entries.iter().map(|entry| entry.truth(tolerances)).collect::<Result<Vec<_>>>();
         let everywhere = file.objects.as_deref().map(list).transpose()?;
-        let mut by_frame = ByFrame::new();
+        let mut truth = Self { by_frame: BTreeMap::new(), everywhere };
         for (name, entries) in file.scenes.iter().flatten() {
-            let expected = list(entries).with_context(|| format!("scene `{name}`"))?;
-            insert(&mut by_frame, name, Some(expected))?;
+            truth.insert(name, Some(list(entries).with_context(|| format!("scene `{name}`"))?))?;
         }
-        let range = file.radius.and_then(|radius| radius.accept_range_mm);
+        let range_mm = file.radius.and_then(|radius| radius.accept_range_mm);
         for frame in file.frames.iter().flatten() {
-            let ball = frame.sphere.as_ref().map(|ball| vec![ball.expected(range, tolerances)]);
-            insert(&mut by_frame, &frame.file, ball)?;
+            let ball = frame.sphere.as_ref().map(|ball| vec![ball.truth(range_mm, tolerances)]);
+            truth.insert(&frame.file, ball)?;
         }
-        if by_frame.is_empty() && everywhere.is_none() {
+        if truth.by_frame.is_empty() && truth.everywhere.is_none() {
             bail!("it has none of `scenes`, `objects` and `frames`\n  hint: say what is in the frames");
         }
-        Ok(Self { by_frame, everywhere })
+        Ok(truth)
+    }
+
+    /// Adds what is in the frame of a file, whose folder does not matter.
+    fn insert(&mut self, file: &str, truths: Option<Vec<TrueObject>>) -> Result<()> {
+        let name = file_name(file);
+        if self.by_frame.insert(name.to_owned(), truths).is_some() {
+            bail!("it has two entries for `{name}`\n  hint: folders do not count: write a truth file for each");
+        }
+        Ok(())
     }
 
     /// The name of one of the frames that it knows.
@@ -197,7 +187,7 @@ impl RecordedTruth {
     }
 
     /// What is in the frame of a file; `None` where that was not measured.
-    pub fn of_frame(&self, source: &str) -> Option<&[Expected]> {
+    pub fn objects(&self, source: &str) -> Option<&[TrueObject]> {
         match self.by_frame.get(file_name(source)) {
             Some(frame) => frame.as_deref(),
             None => self.everywhere.as_deref(),
@@ -211,27 +201,27 @@ fn file_name(path: &str) -> &str {
 }
 
 impl Entry {
-    fn expected(&self, tolerances: &RecordedTolerances) -> Result<Expected> {
+    fn truth(&self, tolerances: &RecordedTolerances) -> Result<TrueObject> {
         let radius = self.radius_m;
-        let sphere_range = [radius - tolerances.radius_m, radius + tolerances.radius_m];
-        let (body, exact, required) = match (self.kind.as_str(), self.axis_point_m, self.axis_dir, self.centre_m) {
-            ("cylinder", Some(point), Some(axis), _) => {
-                (self.cylinder(point, axis)?, tolerances.of_cylinder(radius), true)
-            }
-            ("cone", Some(point), Some(axis), _) => (self.cone(point, axis)?, tolerances.of_cone(radius), true),
-            ("sphere", _, _, Some(center)) => (sphere(center, radius), tolerances.of_sphere(sphere_range), true),
-            ("sphere_like", _, _, Some(center)) => {
-                let range = [0.8 * radius, 1.2 * radius];
-                (sphere(center, radius), tolerances.of_sphere(range), false)
-            }
+        let body = match (self.kind.as_str(), self.axis_point_m, self.axis_dir, self.centre_m) {
+            ("cylinder", Some(point), Some(axis), _) => self.cylinder(point, axis)?,
+            ("cone", Some(point), Some(axis), _) => self.cone(point, axis)?,
+            ("sphere" | "sphere_like", _, _, Some(center)) => sphere(center, radius),
             (kind, ..) => bail!(
                 "an entry `{}` of type `{kind}` is not understood\n  hint: a `cylinder` or a `cone` has \
                  `axis_point_m` and `axis_dir`, a `sphere` or `sphere_like` has `centre_m`",
                 self.what
             ),
         };
-        let tolerance = if self.quality == Some(Quality::Poor) { RecordedTolerances::of_poor(radius) } else { exact };
-        Ok(Expected { name: self.what.clone(), body, hidden: 0.0, required, tolerance })
+        let required = self.kind != "sphere_like";
+        let mut tolerance = tolerances.of(&body);
+        if !required {
+            tolerance.radius_m = [0.8 * radius, 1.2 * radius];
+        }
+        if self.quality == Some(Quality::Poor) {
+            tolerance = of_poor(radius);
+        }
+        Ok(TrueObject { name: self.what.clone(), body, hidden: 0.0, required, tolerance })
     }
 
     /// A cylinder that widens along its axis.
@@ -277,13 +267,13 @@ fn sphere(center: [f64; 3], radius: f64) -> Object {
 }
 
 impl BallEntry {
-    fn expected(&self, range_mm: Option<[f64; 2]>, tolerances: &RecordedTolerances) -> Expected {
-        let radius = 1e-3 * self.radius_mm;
-        let around = [radius - tolerances.radius_m, radius + tolerances.radius_m];
-        let range = range_mm.map_or(around, |range| range.map(|limit| 1e-3 * limit));
-        let center = self.centre_mm.map(|coordinate| 1e-3 * coordinate);
-        let tolerance = tolerances.of_sphere(range);
-        Expected { name: "ball".into(), body: sphere(center, radius), hidden: 0.0, required: true, tolerance }
+    fn truth(&self, range_mm: Option<[f64; 2]>, tolerances: &RecordedTolerances) -> TrueObject {
+        let body = sphere(self.centre_mm.map(|coordinate| 1e-3 * coordinate), 1e-3 * self.radius_mm);
+        let mut tolerance = tolerances.of(&body);
+        if let Some(range_mm) = range_mm {
+            tolerance.radius_m = range_mm.map(|limit| 1e-3 * limit);
+        }
+        TrueObject { name: "ball".into(), body, hidden: 0.0, required: true, tolerance }
     }
 }
 
@@ -304,13 +294,13 @@ mod tests {
                 {"type": "sphere_like", "radius_m": 0.08, "centre_m": [0.1, 0, 1]}], "b.pcd": [], "clouds/d.pcd": []}}"#,
         )
         .unwrap();
-        let [tin, bowl] = truth.of_frame("a.pcd").unwrap() else { panic!() };
+        let [tin, bowl] = truth.objects("a.pcd").unwrap() else { panic!() };
         assert_eq!((tin.name.as_str(), tin.body.axis, tin.required), ("tin", [0.0, 1.0, 0.0], true));
         assert!((tin.tolerance.radius_m[1] - 0.054).abs() < 1e-12);
         assert_eq!((bowl.body.shape(), bowl.required), (ObjectKind::Sphere, false));
-        assert_eq!(truth.of_frame("b.pcd").map(<[Expected]>::len), Some(0));
-        assert_eq!(truth.of_frame("d.pcd").map(<[Expected]>::len), Some(0), "named with its folder");
-        assert!(truth.of_frame("c.pcd").is_none());
+        assert_eq!(truth.objects("b.pcd").map(<[TrueObject]>::len), Some(0));
+        assert_eq!(truth.objects("d.pcd").map(<[TrueObject]>::len), Some(0), "named with its folder");
+        assert!(truth.objects("c.pcd").is_none());
     }
 
     #[test]
@@ -321,11 +311,11 @@ mod tests {
                 {"frame": 1, "file": "depth/000001.png"}]}"#,
         )
         .unwrap();
-        let [ball] = truth.of_frame("000000.png").unwrap() else { panic!() };
+        let [ball] = truth.objects("000000.png").unwrap() else { panic!() };
         assert!((Vector3::from(ball.body.center) - Vector3::new(0.5, -0.5, 2.3)).norm() < 1e-12);
         let [least, most] = ball.tolerance.radius_m;
         assert!((least - 0.195).abs() < 1e-12 && (most - 0.222).abs() < 1e-12);
-        assert!(truth.of_frame("000001.png").is_none());
+        assert!(truth.objects("000001.png").is_none());
     }
 
     #[test]
@@ -336,7 +326,7 @@ mod tests {
                 {"type": "sphere", "quality": "poor", "radius_m": 0.04, "centre_m": [0, 0, 1]}]}"#,
         )
         .unwrap();
-        for poor in truth.of_frame("anything").unwrap() {
+        for poor in truth.objects("anything").unwrap() {
             assert_eq!((poor.tolerance.radius_m, poor.tolerance.position_m), ([0.02, 0.06], 0.05));
         }
     }
@@ -348,7 +338,7 @@ mod tests {
                 "axis_dir": [0, 2, 0], "seen_side_from_to_m": [-0.1, 0.3]}]}"#,
         )
         .unwrap();
-        let body = truth.of_frame("anything").unwrap()[0].body;
+        let body = truth.objects("anything").unwrap()[0].body;
         assert!((Vector3::from(body.center) - Vector3::new(0.0, 0.1, 1.0)).norm() < 1e-12, "{:?}", body.center);
         assert!((body.length - 0.4).abs() < 1e-12);
     }
@@ -362,7 +352,7 @@ mod tests {
             ))
         };
         let truth = cone(r#", "half_angle_deg": 10"#).unwrap();
-        let [expected] = truth.of_frame("any").unwrap() else { panic!() };
+        let [expected] = truth.objects("any").unwrap() else { panic!() };
         let answer = |degrees: f64| Object { half_angle: degrees.to_radians(), ..expected.body };
         assert!((expected.body.base_radius - 0.1 - 0.2 * 10.0_f64.to_radians().tan()).abs() < 1e-12);
         assert_eq!(fault(expected, &answer(12.0)), None);

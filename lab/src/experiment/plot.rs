@@ -1,11 +1,10 @@
 //! Plots as SVG: lines of the rows of an experiment, or of a trace, with the paper's figures as open circles.
 
 use super::axes::Axis;
-use super::prepared;
-use super::spec::{Experiment, Plot};
-use crate::sinks::measurement_sink::{Figure, Row};
+use super::{Experiment, Plot, prepared};
+use crate::csv;
+use crate::score::{Figure, Row};
 use anyhow::{Context as _, Result};
-use conicflow_lab::csv;
 use std::fmt::{self, Write};
 use std::path::Path;
 

@@ -1,0 +1,345 @@
+//! Which answer is right about which true object: the one rule by which everything is scored.
+//!
+//! An answer is right if its shape is the true one and position, radius, axis and half-angle are within the tolerance: of a
+//! sphere the distance of the centres; else the distance of the true middle from the answer's axis, and the radii there.
+//! Pairs are taken one to one. The identity that an object had stays with it where it is still right, as CLEAR-MOT has it
+//! (Bernardin and Stiefelhagen 2008); then the nearest pair goes first.
+
+use super::truth::{Tolerance, TrueObject};
+use conicflow_messages::{Header, Item, Object, ObjectKind, Track, TrackState};
+use nalgebra::Vector3;
+use serde_json::json;
+use std::collections::BTreeMap;
+
+/// What a detector or a tracker says of a frame: an object is there.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Answer {
+    /// The object, in the camera frame.
+    pub object: Object,
+    /// Identity of a track.
+    pub id: Option<u64>,
+    /// Velocity of a track, in m/s along the camera's axes.
+    pub velocity: Option<Vector3<f64>>,
+}
+
+/// An item that may claim that an object is there.
+pub trait Claim: Item {
+    /// The claim, if it is meant.
+    fn answer(&self) -> Option<Answer>;
+}
+
+impl Claim for Object {
+    fn answer(&self) -> Option<Answer> {
+        Some(Answer { object: *self, id: None, velocity: None })
+    }
+}
+
+impl Claim for Track {
+    /// A track that is tentative or coasting does not say that it is seen in this frame.
+    fn answer(&self) -> Option<Answer> {
+        if self.track_state() != TrackState::Confirmed {
+            return None;
+        }
+        Some(Answer { object: self.object, id: Some(self.id), velocity: Some(self.velocity.into()) })
+    }
+}
+
+/// What an answer and a true object have to do with each other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Comparison {
+    /// Distance in metres: of the centres of spheres, else of the true middle from the answer's axis.
+    pub position_m: f64,
+    /// Radius of the answer, of a cone at the true middle.
+    pub radius_m: f64,
+    /// Angle between the axes, in radians; 0 of spheres.
+    pub axis: f64,
+    /// Half-angle of the answer minus the true one, in radians.
+    pub half_angle: f64,
+}
+
+/// Why an answer is not right about an object, the mildest reason first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Fault {
+    /// It is right, but another answer was nearer.
+    Second,
+    /// The half-angle is off.
+    HalfAngle,
+    /// The radius is off.
+    Radius,
+    /// The axis is off.
+    Axis,
+    /// Another shape is there.
+    Shape,
+    /// An object is there, but its middle is elsewhere.
+    Position,
+    /// There is no such object.
+    NothingThere,
+}
+
+impl Fault {
+    /// The words for it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Second => "second answer",
+            Self::HalfAngle => "half-angle",
+            Self::Radius => "radius",
+            Self::Axis => "axis",
+            Self::Shape => "other shape",
+            Self::Position => "position",
+            Self::NothingThere => "nothing there",
+        }
+    }
+}
+
+fn vector(numbers: [f64; 3]) -> Vector3<f64> {
+    numbers.into()
+}
+
+/// Radius of an object at the foot of a point on its axis.
+pub fn radius_at(object: &Object, point: &Vector3<f64>) -> f64 {
+    let along = (point - vector(object.center)).dot(&vector(object.axis));
+    object.radius + along * object.half_angle.tan()
+}
+
+/// The part of an offset that is perpendicular to a unit vector.
+pub fn perpendicular(offset: &Vector3<f64>, axis: &Vector3<f64>) -> Vector3<f64> {
+    offset - axis * offset.dot(axis)
+}
+
+/// Compares an answer with the truth; shapes may differ.
+pub fn compare(truth: &Object, answer: &Object) -> Comparison {
+    let (middle, center) = (vector(truth.center), vector(answer.center));
+    let (true_axis, axis) = (vector(truth.axis), vector(answer.axis));
+    let cosine = true_axis.dot(&axis);
+    // the axis of a cone has a sense, that of a cylinder has none
+    let both_cones = truth.shape() == ObjectKind::Cone && answer.shape() == ObjectKind::Cone;
+    let cosine = if both_cones { cosine } else { cosine.abs() };
+    let sine = true_axis.cross(&axis).norm();
+    Comparison {
+        position_m: perpendicular(&(middle - center), &axis).norm(),
+        radius_m: radius_at(answer, &middle),
+        axis: if sine == 0.0 && cosine == 0.0 { 0.0 } else { sine.atan2(cosine) },
+        half_angle: answer.half_angle - truth.half_angle,
+    }
+}
+
+/// Why an answer is not right about a true object; `None`: it is right.
+pub fn fault(truth: &TrueObject, answer: &Object) -> Option<Fault> {
+    let Tolerance { position_m, radius_m: [least, most], axis, half_angle } = truth.tolerance;
+    let comparison = compare(&truth.body, answer);
+    let wrong_shape = answer.shape() != truth.body.shape();
+    if wrong_shape || comparison.position_m >= position_m {
+        let fault = if wrong_shape { Fault::Shape } else { Fault::Position };
+        Some(if is_near(&truth.body, answer) { fault } else { Fault::NothingThere })
+    } else if comparison.axis >= axis {
+        Some(Fault::Axis)
+    } else if !(least..=most).contains(&comparison.radius_m) {
+        Some(Fault::Radius)
+    } else if comparison.half_angle.abs() >= half_angle {
+        Some(Fault::HalfAngle)
+    } else {
+        None
+    }
+}
+
+/// Whether the middle of an answer lies within a true object, or next to it.
+fn is_near(truth: &Object, answer: &Object) -> bool {
+    const MARGIN_M: f64 = 0.05;
+    let offset = vector(answer.center) - vector(truth.center);
+    let axis = vector(truth.axis);
+    let beyond_end = offset.dot(&axis).abs() - 0.5 * truth.length;
+    let widest = truth.radius.max(truth.base_radius);
+    perpendicular(&offset, &axis).norm() < widest + MARGIN_M && beyond_end < MARGIN_M
+}
+
+/// A frame whose answers and true objects are matched.
+#[derive(Clone, Debug)]
+pub struct MatchedFrame {
+    /// Each true object with the answer that is right about it.
+    pub pairs: Vec<(TrueObject, Option<Answer>)>,
+    /// The answers that are right about nothing, and what is wrong as compared with the object that each comes nearest to.
+    pub wrong: Vec<(Object, Fault)>,
+}
+
+/// Matches answers and true objects, and remembers the identity that each object had.
+#[derive(Clone, Debug, Default)]
+pub struct Matcher {
+    identities: BTreeMap<String, u64>,
+}
+
+impl Matcher {
+    /// Matches the answers to a frame with what is there.
+    pub fn match_up(&mut self, truths: Vec<TrueObject>, answers: &[Answer]) -> MatchedFrame {
+        let mut right = Vec::new();
+        for (index, truth) in truths.iter().enumerate() {
+            let known = self.identities.get(&truth.name).copied();
+            for (number, answer) in answers.iter().enumerate() {
+                if fault(truth, &answer.object).is_none() {
+                    let is_new = answer.id.is_none() || answer.id != known;
+                    right.push((is_new, compare(&truth.body, &answer.object).position_m, index, number));
+                }
+            }
+        }
+        right.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then((a.2, a.3).cmp(&(b.2, b.3))));
+        let (mut answer_of, mut used) = (vec![None; truths.len()], vec![false; answers.len()]);
+        for (_, _, index, number) in right {
+            if answer_of[index].is_none() && !used[number] {
+                (answer_of[index], used[number]) = (Some(answers[number]), true);
+                if let Some(id) = answers[number].id {
+                    self.identities.insert(truths[index].name.clone(), id);
+                }
+            }
+        }
+        let unused = answers.iter().zip(used).filter(|(_, used)| !used).map(|(answer, _)| answer.object);
+        let wrong = unused.map(|object| (object, mildest_fault(&truths, &object))).collect();
+        MatchedFrame { pairs: truths.into_iter().zip(answer_of).collect(), wrong }
+    }
+}
+
+/// What is wrong with an answer as compared with the object that it comes nearest to.
+fn mildest_fault(truths: &[TrueObject], answer: &Object) -> Fault {
+    let faults = truths.iter().map(|truth| fault(truth, answer).unwrap_or(Fault::Second));
+    faults.min().unwrap_or(Fault::NothingThere)
+}
+
+impl MatchedFrame {
+    /// The objects that had to be found and were not.
+    pub fn missed(&self) -> impl Iterator<Item = &TrueObject> {
+        self.pairs.iter().filter(|(truth, answer)| truth.required && answer.is_none()).map(|(truth, _)| truth)
+    }
+
+    /// What was missed and what was wrong, as one object of JSON.
+    pub fn details(&self, header: &Header) -> serde_json::Value {
+        let tell = |object: &Object| {
+            json!({
+                "kind": object.shape().name(), "center": object.center, "radius": object.radius, "axis": object.axis,
+                "half_angle_deg": object.half_angle.to_degrees(), "length": object.length, "rows": object.rows,
+            })
+        };
+        let missed = |truth: &TrueObject| json!({"name": truth.name, "hidden": truth.hidden, "is": tell(&truth.body)});
+        let wrong = |(object, fault): &(Object, Fault)| json!({"why": fault.name(), "is": tell(object)});
+        json!({
+            "sequence": header.sequence,
+            "scene": header.source.as_str(),
+            "missed": self.missed().map(missed).collect::<Vec<_>>(),
+            "wrong": self.wrong.iter().map(wrong).collect::<Vec<_>>(),
+        })
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+
+    const WIDE: Tolerance = Tolerance { position_m: 0.05, radius_m: [0.08, 0.12], axis: 0.35, half_angle: 0.14 };
+
+    pub fn expected(body: Object) -> TrueObject {
+        TrueObject { name: "thing".into(), body, hidden: 0.0, required: true, tolerance: WIDE }
+    }
+
+    pub fn sphere(x: f64) -> Object {
+        Object { kind: ObjectKind::Sphere.code(), center: [x, 0.0, 1.0], radius: 0.1, ..Object::default() }
+    }
+
+    pub fn cone() -> Object {
+        Object {
+            kind: ObjectKind::Cone.code(),
+            center: [0.0, 0.0, 1.0],
+            axis: [0.0, 1.0, 0.0],
+            radius: 0.1,
+            base_radius: 0.12,
+            length: 0.2,
+            half_angle: 0.1_f64.atan(),
+            ..Object::default()
+        }
+    }
+
+    /// The answers of a detector that says these objects.
+    pub fn answers(objects: &[Object]) -> Vec<Answer> {
+        objects.iter().filter_map(Claim::answer).collect()
+    }
+
+    /// Where the answers are that are right about each object, and those that are wrong.
+    fn places(frame: &MatchedFrame) -> (Vec<Option<f64>>, Vec<(f64, Fault)>) {
+        let right = frame.pairs.iter().map(|(_, answer)| Some(answer.as_ref()?.object.center[0]));
+        (right.collect(), frame.wrong.iter().map(|(object, fault)| (object.center[0], *fault)).collect())
+    }
+
+    #[test]
+    fn a_cone_seen_at_another_height_is_compared_at_its_middle() {
+        let lower = Object { center: [0.0, 0.08, 1.0], radius: 0.108, ..cone() };
+        let comparison = compare(&cone(), &lower);
+        assert!((comparison.radius_m - 0.1).abs() < 1e-12 && comparison.position_m < 1e-12);
+        assert_eq!(fault(&expected(cone()), &lower), None);
+    }
+
+    #[test]
+    fn each_tolerance_is_kept_on_both_sides() {
+        let truth = expected(cone());
+        let tilted = |angle: f64| [0.0, angle.cos(), angle.sin()];
+        let half_angle = |off: f64| 0.1_f64.atan() + off;
+        for (answer, expected) in [
+            (Object { center: [0.049, 0.0, 1.0], ..cone() }, None),
+            (Object { center: [0.051, 0.0, 1.0], ..cone() }, Some(Fault::Position)),
+            (Object { center: [-0.051, 0.0, 1.0], ..cone() }, Some(Fault::Position)),
+            (Object { center: [0.9, 0.0, 1.0], ..cone() }, Some(Fault::NothingThere)),
+            (Object { axis: tilted(0.34), ..cone() }, None),
+            (Object { axis: tilted(0.36), ..cone() }, Some(Fault::Axis)),
+            (Object { axis: tilted(-0.36), ..cone() }, Some(Fault::Axis)),
+            (Object { axis: [0.0, -1.0, 0.0], ..cone() }, Some(Fault::Axis)),
+            (Object { radius: 0.119, ..cone() }, None),
+            (Object { radius: 0.121, ..cone() }, Some(Fault::Radius)),
+            (Object { radius: 0.081, ..cone() }, None),
+            (Object { radius: 0.079, ..cone() }, Some(Fault::Radius)),
+            (Object { radius: 0.0, ..cone() }, Some(Fault::Radius)),
+            (Object { half_angle: half_angle(0.13), ..cone() }, None),
+            (Object { half_angle: half_angle(0.15), ..cone() }, Some(Fault::HalfAngle)),
+            (Object { half_angle: half_angle(-0.09), ..cone() }, None),
+            (Object { half_angle: half_angle(-0.15), ..cone() }, Some(Fault::HalfAngle)),
+            (Object { kind: ObjectKind::Cylinder.code(), ..cone() }, Some(Fault::Shape)),
+        ] {
+            assert_eq!(fault(&truth, &answer), expected, "{answer:?}");
+        }
+    }
+
+    #[test]
+    fn a_cylinder_has_no_sense_and_its_place_along_the_axis_is_free() {
+        let cylinder = Object { kind: ObjectKind::Cylinder.code(), half_angle: 0.0, base_radius: 0.0, ..cone() };
+        let answer = Object { axis: [0.0, -1.0, 0.0], center: [0.0, 0.3, 1.0], ..cylinder };
+        assert_eq!(fault(&expected(cylinder), &answer), None);
+    }
+
+    #[test]
+    fn pairs_are_one_to_one_and_the_nearest_wins() {
+        let truths = vec![expected(sphere(0.0)), expected(sphere(0.06))];
+        let answers = answers(&[sphere(0.045), sphere(0.03), sphere(0.061), sphere(0.5)]);
+        let matched = Matcher::default().match_up(truths, &answers);
+        let (right, wrong) = places(&matched);
+        assert_eq!(right, [Some(0.03), Some(0.061)]);
+        assert_eq!(wrong, [(0.045, Fault::Second), (0.5, Fault::NothingThere)]);
+    }
+
+    #[test]
+    fn an_answer_that_is_right_about_two_objects_has_found_the_nearer_one_only() {
+        let truths = vec![expected(sphere(0.0)), expected(sphere(0.06))];
+        let answers = answers(&[sphere(0.035)]);
+        let matched = Matcher::default().match_up(truths, &answers);
+        assert_eq!(places(&matched), (vec![None, Some(0.035)], vec![]));
+        assert_eq!(matched.missed().count(), 1);
+    }
+
+    #[test]
+    fn all_is_wrong_where_nothing_is() {
+        let answers = answers(&[sphere(0.0)]);
+        let matched = Matcher::default().match_up(Vec::new(), &answers);
+        assert_eq!(places(&matched), (vec![], vec![(0.0, Fault::NothingThere)]));
+    }
+
+    #[test]
+    fn only_confirmed_tracks_are_answers() {
+        let track = |state: TrackState| Track { state: state.code(), ..Track::default() };
+        assert!(track(TrackState::Confirmed).answer().is_some());
+        assert!(track(TrackState::Tentative).answer().is_none());
+        assert!(track(TrackState::Coasting).answer().is_none());
+    }
+}

@@ -1,0 +1,94 @@
+//! Measures what was found of each true object of a rendered scene, in mean and standard deviation, and how well identities
+//! were kept. Each object gives one row of figures. Of recorded frames nobody knows the truth here: of them each track, or each
+//! shape, gives a row.
+
+use super::matching::{Answer, Matcher};
+use super::object_stats::{ObjectStats, all};
+use super::observation::{Observation, world_from_camera};
+use super::row::Row;
+use super::truth::RenderedTruth;
+use anyhow::Result;
+use conicflow_messages::Header;
+
+/// Measures objects or tracks.
+pub struct Measurement {
+    truth: RenderedTruth,
+    from_s: f64,
+    matcher: Matcher,
+    objects: Vec<ObjectStats>,
+    /// Answers that were about nothing.
+    wrong: u64,
+    recording: Option<Recording>,
+}
+
+/// Frames without a known truth.
+struct Recording {
+    first_s: f64,
+    frames: u64,
+}
+
+impl Measurement {
+    /// A measurement that leaves out the frames before `from_s`: simulated time, of recorded frames since the first.
+    pub fn new(truth: RenderedTruth, from_s: f64) -> Self {
+        Self { truth, from_s, matcher: Matcher::default(), objects: Vec::new(), wrong: 0, recording: None }
+    }
+
+    /// Takes in the answers to a frame; what was seen of each true object that had to be.
+    ///
+    /// # Errors
+    /// The frame shows a scene that is not known.
+    pub fn add(&mut self, header: &Header, answers: &[Answer]) -> Result<Vec<Observation>> {
+        let time_s = header.stamp_ns as f64 * 1e-9;
+        if header.is_recorded() {
+            self.add_recorded(time_s, answers);
+            return Ok(Vec::new());
+        }
+        let truths = self.truth.objects(header, &self.truth.scene_of(header)?);
+        let frame = self.matcher.match_up(truths, answers);
+        if time_s < self.from_s {
+            return Ok(Vec::new());
+        }
+        self.wrong += frame.wrong.len() as u64;
+        let pose = world_from_camera(header);
+        let mut observations = Vec::new();
+        for (truth, answer) in frame.pairs.iter().filter(|(truth, _)| truth.required) {
+            let mut observation = Observation::new(time_s, truth, answer.as_ref(), &pose);
+            self.object(&truth.name).add(&mut observation);
+            observations.push(observation);
+        }
+        Ok(observations)
+    }
+
+    fn add_recorded(&mut self, time_s: f64, answers: &[Answer]) {
+        let recording = self.recording.get_or_insert(Recording { first_s: time_s, frames: 0 });
+        if time_s - recording.first_s < self.from_s {
+            return;
+        }
+        recording.frames += 1;
+        for answer in answers {
+            let mut observation = Observation::without_truth(time_s, answer);
+            self.object(&observation.name.clone()).add(&mut observation);
+        }
+    }
+
+    fn object(&mut self, name: &str) -> &mut ObjectStats {
+        let index = self.objects.iter().position(|object| object.name == name).unwrap_or_else(|| {
+            self.objects.push(ObjectStats::new(name));
+            self.objects.len() - 1
+        });
+        &mut self.objects[index]
+    }
+
+    /// One row for each object that was there, in the order of their first frames; of several one more for all. Of
+    /// recorded frames one for each track, or each shape.
+    pub fn rows(&self) -> Vec<Row> {
+        if let Some(Recording { frames, .. }) = self.recording {
+            return self.objects.iter().map(|object| object.row_of_recording(frames)).collect();
+        }
+        let mut rows: Vec<Row> = self.objects.iter().map(ObjectStats::row).collect();
+        if rows.len() != 1 {
+            rows.push(all(&self.objects, self.wrong));
+        }
+        rows
+    }
+}

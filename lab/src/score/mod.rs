@@ -1,0 +1,36 @@
+//! The scorer: what is really there, what a detector or a tracker answered, and how good that is.
+//!
+//! In the order of the way: what is there and what is owed to it ([`truth`], [`recorded`]); which answer is right about what
+//! ([`matching`]); how its errors compare with its standard deviations ([`sigmas`]). An [`evaluation`] counts that and tells it
+//! in tables, or in notes on a recording. A [`measurement`] takes an [`observation`] of each object from each frame, sums these
+//! up and gives each object a [`row`] of figures; [`sections`] do so for ellipses, and a [`trace`] keeps each observation.
+
+pub mod evaluation;
+pub mod matching;
+pub mod measurement;
+mod notes;
+mod object_stats;
+pub mod observation;
+pub mod recorded;
+pub mod row;
+pub mod sections;
+pub mod sigmas;
+mod tables;
+pub mod trace;
+pub mod truth;
+
+pub use evaluation::{Evaluation, TruthSource};
+pub use matching::{Answer, Claim};
+pub use measurement::Measurement;
+pub use object_stats::columns as measured_columns;
+pub use recorded::{RecordedTolerances, RecordedTruth};
+pub use row::{Figure, Row};
+pub use sections::Sections;
+pub use sigmas::Sigmas;
+pub use trace::Trace;
+pub use truth::{RenderedTruth, Tolerances, VisibilityCriteria};
+
+#[cfg(test)]
+mod evaluation_tests;
+#[cfg(test)]
+mod measurement_tests;

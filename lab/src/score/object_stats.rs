@@ -1,0 +1,180 @@
+//! What the frames say of one object, summed up.
+
+use super::matching::perpendicular;
+use super::observation::Observation;
+use super::row::Statistic::{Deviation, Mean, MeanDegrees, RootMean, RootMeanDegrees};
+use super::row::{Column, Row, Sums};
+use crate::running_stats::RunningStats;
+use nalgebra::Vector3;
+use std::collections::BTreeSet;
+
+/// Distance between where an object is and where it was seen, in metres.
+fn error_m(observation: &Observation) -> Option<f64> {
+    Some((observation.seen?.state.position - observation.truth?.position).norm())
+}
+
+/// Angle between the axis as it is and as it was seen, in radians; 0 where one has no direction.
+fn axis_error(observation: &Observation) -> Option<f64> {
+    let (truth, seen) = (observation.truth?.axis, observation.seen?.state.axis);
+    let (sine, cosine) = (truth.cross(&seen).norm(), truth.dot(&seen).abs());
+    if sine == 0.0 { Some(0.0) } else { Some(sine.atan2(cosine)) }
+}
+
+fn squared(number: Option<f64>) -> Option<f64> {
+    number.map(|number| number * number)
+}
+
+const FIGURES: &[Column<Observation>] = &[
+    Column("distance_true_m", Mean, |it| Some(it.truth?.distance_m)),
+    Column("distance_m", Mean, |it| Some(it.seen?.state.distance_m)),
+    Column("distance_sd_m", Deviation, |it| Some(it.seen?.state.distance_m)),
+    Column("radius_true_m", Mean, |it| Some(it.truth?.radius_m)),
+    Column("radius_m", Mean, |it| Some(it.seen?.state.radius_m)),
+    Column("radius_sd_m", Deviation, |it| Some(it.seen?.state.radius_m)),
+    Column("half_angle_true_deg", MeanDegrees, |it| Some(it.truth?.half_angle)),
+    Column("half_angle_deg", MeanDegrees, |it| Some(it.seen?.state.half_angle)),
+    Column("speed_true_mps", Mean, |it| it.true_speed_mps),
+    Column("speed_mps", Mean, |it| it.speed_mps),
+    Column("speed_sd_mps", Deviation, |it| it.speed_mps),
+    Column("position_rms_m", RootMean, |it| squared(error_m(it))),
+    Column("axis_rms_deg", RootMeanDegrees, |it| squared(axis_error(it))),
+    Column("radius_sigmas", RootMean, |it| squared(it.seen?.sigmas.radius)),
+    Column("center_sigmas", RootMean, |it| squared(it.seen?.sigmas.center)),
+];
+
+/// The names of all columns that a row of an object, or of all of them, can have.
+pub fn columns() -> impl Iterator<Item = &'static str> {
+    let figures = FIGURES.iter().map(|Column(name, ..)| *name);
+    let counts = ["identities", "switches", "wrong", "mota", "motp_m"];
+    ["object", "frames", "n"].into_iter().chain(figures).chain(counts)
+}
+
+/// Sums over the frames in which an object had to be found.
+pub struct ObjectStats {
+    /// Name of the object.
+    pub name: String,
+    frames: u64,
+    found: u64,
+    sums: Sums<Observation>,
+    error: RunningStats,
+    identities: BTreeSet<u64>,
+    switches: u64,
+    last: Option<Last>,
+    last_id: Option<u64>,
+}
+
+/// The frame before.
+#[derive(Clone, Copy)]
+struct Last {
+    time_s: f64,
+    truth: Vector3<f64>,
+    seen: Option<Vector3<f64>>,
+}
+
+impl ObjectStats {
+    /// An object that was not seen yet.
+    pub fn new(name: &str) -> Self {
+        Self {
+            name: name.to_owned(),
+            frames: 0,
+            found: 0,
+            sums: Sums::new(FIGURES),
+            error: RunningStats::default(),
+            identities: BTreeSet::new(),
+            switches: 0,
+            last: None,
+            last_id: None,
+        }
+    }
+
+    /// Takes in one frame, and tells it the speeds since the frame before.
+    pub fn add(&mut self, observation: &mut Observation) {
+        self.tell_speeds(observation);
+        self.sums.add(observation);
+        self.frames += 1;
+        if let Some(error_m) = error_m(observation) {
+            self.error.add(error_m);
+        }
+        let Observation { time_s, truth, seen, .. } = *observation;
+        self.found += u64::from(seen.is_some());
+        if let Some(id) = seen.and_then(|seen| seen.id) {
+            self.switches += u64::from(self.last_id.is_some_and(|last| last != id));
+            self.identities.insert(id);
+            self.last_id = Some(id);
+        }
+        if let Some(truth) = truth {
+            self.last = Some(Last { time_s, truth: truth.position, seen: seen.map(|seen| seen.state.position) });
+        }
+    }
+
+    /// Speeds: as a track states them, else the way since the frame before over the time, across the axis.
+    fn tell_speeds(&self, observation: &mut Observation) {
+        let (Some(last), Some(truth)) = (self.last, observation.truth) else { return };
+        let (dt, seen) = (observation.time_s - last.time_s, observation.seen);
+        let speed = |from: Vector3<f64>, to: Vector3<f64>| perpendicular(&(to - from), &truth.axis).norm() / dt;
+        // frames of one time tell no speed
+        if dt > 0.0 {
+            observation.true_speed_mps = Some(speed(last.truth, truth.position));
+            observation.speed_mps = last.seen.zip(seen).map(|(from, seen)| speed(from, seen.state.position));
+        }
+        observation.speed_mps = seen.and_then(|seen| seen.stated_speed_mps).or(observation.speed_mps);
+    }
+
+    /// The figures of the object.
+    pub fn row(&self) -> Row {
+        let mut row = self.row_of_recording(self.frames);
+        row.count("identities", self.identities.len() as u64);
+        row.count("switches", self.switches);
+        row
+    }
+
+    /// The figures of an object that was seen in so many recorded frames.
+    pub fn row_of_recording(&self, frames: u64) -> Row {
+        let mut row = Row::about(&self.name, frames, self.found);
+        self.sums.write(&mut row);
+        row
+    }
+}
+
+/// The mean over the sights of all objects.
+fn pooled(objects: &[ObjectStats], of: impl Fn(&ObjectStats) -> RunningStats) -> f64 {
+    let known: Vec<_> = objects.iter().map(of).filter(|sum| sum.count() > 0).collect();
+    let sum: f64 = known.iter().map(|sum| sum.mean() * sum.count() as f64).sum();
+    sum / known.iter().map(RunningStats::count).sum::<u64>() as f64
+}
+
+/// The row of all objects; so many answers were about nothing. CLEAR-MOT: `MOTA = 1 - (missed + wrong + switches) / objects`,
+/// MOTP is the mean distance of what was found.
+pub fn all(objects: &[ObjectStats], wrong: u64) -> Row {
+    let sum = |count: fn(&ObjectStats) -> u64| objects.iter().map(count).sum::<u64>();
+    let (frames, found) = (sum(|object| object.frames), sum(|object| object.found));
+    let switches = sum(|object| object.switches);
+    let faults = frames - found + wrong + switches;
+    let mut row = Row::about("all", frames, found);
+    row.count("identities", sum(|object| object.identities.len() as u64));
+    row.count("switches", switches);
+    row.count("wrong", wrong);
+    row.number("mota", 1.0 - faults as f64 / frames as f64);
+    row.number("motp_m", pooled(objects, |object| object.error));
+    for column in ["radius_sigmas", "center_sigmas"] {
+        row.number(column, pooled(objects, |object| object.sums.of(column)).sqrt());
+    }
+    row
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::observation::State;
+    use super::*;
+
+    #[test]
+    fn frames_of_one_time_tell_no_speed() {
+        let mut ball = ObjectStats::new("ball");
+        for (time_s, x) in [(0.0, 0.0), (0.0, 0.1), (0.5, 0.2)] {
+            let (position, axis) = (Vector3::new(x, 0.0, 2.0), Vector3::zeros());
+            let truth = Some(State { position, distance_m: 2.0, radius_m: 0.1, half_angle: 0.0, axis });
+            ball.add(&mut Observation { time_s, truth, ..Observation::default() });
+        }
+        assert!((ball.row().number_of("speed_true_mps").unwrap() - 0.2).abs() < 1e-12, "{:?}", ball.row());
+    }
+}

@@ -1,0 +1,123 @@
+//! Rows of figures with the names of their columns: what experiments make tables of. A column is one row of a table, which
+//! names it, says what is summed up and how.
+
+use crate::running_stats::RunningStats;
+use serde::{Deserialize, Serialize};
+
+/// One cell.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum Figure {
+    /// A number, or a count.
+    Number(f64),
+    /// A name.
+    Text(String),
+}
+
+/// Cells in the order in which they were added; what is not known has none.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Row(pub Vec<(String, Figure)>);
+
+impl Row {
+    /// A row that begins with the name of what it is about, in how many frames that was looked for, and in how many found.
+    pub fn about(name: &str, frames: u64, found: u64) -> Self {
+        let mut row = Self::default();
+        row.text("object", name);
+        row.count("frames", frames);
+        row.count("n", found);
+        row
+    }
+
+    /// Adds a name.
+    pub fn text(&mut self, column: &str, text: &str) {
+        self.0.push((column.to_owned(), Figure::Text(text.to_owned())));
+    }
+
+    /// Adds a number, if it is one.
+    pub fn number(&mut self, column: &str, number: f64) {
+        if number.is_finite() {
+            self.0.push((column.to_owned(), Figure::Number(number)));
+        }
+    }
+
+    /// Adds a count.
+    pub fn count(&mut self, column: &str, count: u64) {
+        self.number(column, count as f64);
+    }
+
+    /// The cell of a column.
+    pub fn get(&self, column: &str) -> Option<&Figure> {
+        self.0.iter().find(|(name, _)| name == column).map(|(_, figure)| figure)
+    }
+
+    /// The number in a column.
+    pub fn number_of(&self, column: &str) -> Option<f64> {
+        if let Some(Figure::Number(number)) = self.get(column) { Some(*number) } else { None }
+    }
+}
+
+impl Serialize for Row {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_map(self.0.iter().map(|(column, figure)| (column, figure)))
+    }
+}
+
+/// What stands in a column of all that was summed up there.
+#[derive(Clone, Copy, Debug)]
+pub enum Statistic {
+    /// The mean.
+    Mean,
+    /// The mean of angles in radians, in degrees.
+    MeanDegrees,
+    /// The standard deviation.
+    Deviation,
+    /// The root of the mean of squares.
+    RootMean,
+    /// The root of the mean of squared angles in radians, in degrees.
+    RootMeanDegrees,
+}
+
+/// A column: its name, its statistic, and the number that a sample adds to it, if it has one.
+pub struct Column<S>(pub &'static str, pub Statistic, pub fn(&S) -> Option<f64>);
+
+/// The sums of some columns.
+pub struct Sums<S: 'static> {
+    columns: &'static [Column<S>],
+    sums: Vec<RunningStats>,
+}
+
+impl<S> Sums<S> {
+    /// Sums of nothing.
+    pub fn new(columns: &'static [Column<S>]) -> Self {
+        Self { columns, sums: vec![RunningStats::default(); columns.len()] }
+    }
+
+    /// Takes in a sample.
+    pub fn add(&mut self, sample: &S) {
+        for (Column(_, _, number), sum) in self.columns.iter().zip(&mut self.sums) {
+            if let Some(number) = number(sample) {
+                sum.add(number);
+            }
+        }
+    }
+
+    /// The sum of a column.
+    pub fn of(&self, name: &str) -> RunningStats {
+        let index = self.columns.iter().position(|Column(known, ..)| *known == name);
+        index.map_or_else(RunningStats::default, |index| self.sums[index])
+    }
+
+    /// Adds the figures of all columns to a row.
+    pub fn write(&self, row: &mut Row) {
+        for (Column(name, statistic, _), sum) in self.columns.iter().zip(&self.sums) {
+            let number = match statistic {
+                Statistic::Mean => sum.mean(),
+                Statistic::MeanDegrees => sum.mean().to_degrees(),
+                Statistic::Deviation => sum.deviation(),
+                Statistic::RootMean => sum.mean().sqrt(),
+                Statistic::RootMeanDegrees => sum.mean().sqrt().to_degrees(),
+            };
+            row.number(name, number);
+        }
+    }
+}

@@ -1,0 +1,236 @@
+//! The tables of a score: counts and errors by shape, group, distance and hidden share, how honest the standard deviations
+//! are, and what is wrong with the wrong answers.
+
+use super::evaluation::{Sample, Score};
+use super::matching::Fault;
+use crate::quantile::{median, quantile};
+use conicflow_messages::ObjectKind;
+use std::collections::BTreeSet;
+use std::fmt::Display;
+
+/// A number of those samples that have it.
+type Pick = fn(&Sample) -> Option<f64>;
+
+/// The titles of the counts with the widths of their columns.
+const COUNTS: [(&str, usize); 6] = [("truth", 6), ("found", 6), ("wrong", 6), ("recall", 8), ("prec.", 7), ("F1", 7)];
+
+/// The errors whose medians stand behind the counts.
+const ERRORS: [(&str, usize, Pick); 5] = [
+    ("radius %", 10, |sample| Some(radius_error(sample)?.abs())),
+    ("bias %", 8, radius_error),
+    ("pos. mm", 9, |sample| Some(1e3 * sample.found?.0.position_m)),
+    ("axis deg", 10, |sample| {
+        let axis = sample.found?.0.axis.to_degrees();
+        if sample.shape == ObjectKind::Sphere { None } else { Some(axis) }
+    }),
+    ("half deg", 10, |sample| {
+        let half_angle = sample.found?.0.half_angle.abs().to_degrees();
+        if sample.shape == ObjectKind::Cone { Some(half_angle) } else { None }
+    }),
+];
+
+/// The standard deviations that are judged.
+const SIGMAS: [(&str, Pick); 4] = [
+    ("radius", |sample| sample.found?.1.radius),
+    ("centre", |sample| sample.found?.1.center),
+    ("axis", |sample| sample.found?.1.axis),
+    ("half-angle", |sample| sample.found?.1.half_angle),
+];
+
+fn radius_error(sample: &Sample) -> Option<f64> {
+    Some(100.0 * (sample.found?.0.radius_m / sample.radius_m - 1.0))
+}
+
+/// All tables.
+pub fn report(score: &Score) -> String {
+    let all: Vec<&Sample> = score.samples.iter().collect();
+    let (wrong, found) = (count_wrong(&all), count_found(&all));
+    let (frames, objects, extra) = (score.frames, all.len() - wrong, score.extra);
+    let mut text = format!(
+        "{frames} frames, {objects} objects to be found: {found} found, {wrong} wrong answers, {extra} right ones about \
+         others\n\n"
+    );
+    for (title, parts) in [
+        ("shape", by_shape(score)),
+        ("group", by_group(score)),
+        ("shape and distance", by_distance(score)),
+        ("hidden", by_hidden(score)),
+    ] {
+        text += &line(title, COUNTS.into_iter().chain(ERRORS.map(|(title, width, _)| (title, width))));
+        for (label, samples) in parts.iter().filter(|(_, samples)| !samples.is_empty()) {
+            let counts = counts(samples, title != "hidden").into_iter().zip(COUNTS.map(|(_, width)| width));
+            let medians = ERRORS.map(|(_, width, pick)| (number(median(values(samples, pick))), width));
+            text += &line(label, counts.chain(medians));
+        }
+        text += "\n";
+    }
+    text + &honesty_table(score) + &fault_table(score)
+}
+
+/// A line of a table: a label and cells with their widths.
+fn line(label: &str, cells: impl IntoIterator<Item = (impl Display, usize)>) -> String {
+    let mut text = format!("{label:<24}");
+    for (cell, width) in cells {
+        text += &format!("{cell:>width$}");
+    }
+    text + "\n"
+}
+
+/// What a line of a table is about.
+type Part<'a> = (String, Vec<&'a Sample>);
+
+fn part(score: &Score, label: impl Into<String>, is_of_it: impl Fn(&Sample) -> bool) -> Part<'_> {
+    (label.into(), score.samples.iter().filter(|sample| is_of_it(sample)).collect())
+}
+
+fn by_shape(score: &Score) -> Vec<Part<'_>> {
+    let mut parts: Vec<_> =
+        ObjectKind::ALL.map(|shape| part(score, shape.name(), |sample| sample.shape == shape)).into();
+    parts.push(part(score, "all", |_| true));
+    parts
+}
+
+fn by_group(score: &Score) -> Vec<Part<'_>> {
+    let groups = score.groups.iter().enumerate();
+    groups.map(|(number, name)| part(score, name, |sample| sample.group == number)).collect()
+}
+
+fn by_distance(score: &Score) -> Vec<Part<'_>> {
+    const LIMITS_M: [f64; 5] = [0.0, 1.25, 2.0, 2.5, f64::INFINITY];
+    let mut parts = Vec::new();
+    for shape in ObjectKind::ALL {
+        for limits in LIMITS_M.windows(2) {
+            let label = format!("{} from {:.2} m", shape.name(), limits[0]);
+            let is_within = |sample: &Sample| (limits[0]..limits[1]).contains(&sample.distance);
+            parts.push(part(score, label, |sample| sample.shape == shape && is_within(sample)));
+        }
+    }
+    parts
+}
+
+/// Wrong answers cannot be told apart like this.
+fn by_hidden(score: &Score) -> Vec<Part<'_>> {
+    const LIMITS: [f64; 6] = [-1.0, 0.1, 0.3, 0.45, 0.6, 1.0];
+    let of = |limits: &[f64]| {
+        let label = format!("{:.0} to {:.0} %", 100.0 * limits[0].max(0.0), 100.0 * limits[1]);
+        part(score, label, |sample| sample.hidden.is_some_and(|hidden| (limits[0]..limits[1]).contains(&hidden)))
+    };
+    LIMITS.windows(2).map(of).collect()
+}
+
+fn count_wrong(samples: &[&Sample]) -> usize {
+    samples.iter().filter(|sample| sample.fault.is_some()).count()
+}
+
+fn count_found(samples: &[&Sample]) -> usize {
+    samples.iter().filter(|sample| sample.found.is_some()).count()
+}
+
+/// The counts of a line, of which those that count wrong answers may stay empty.
+fn counts(samples: &[&Sample], tells_wrong: bool) -> [String; 6] {
+    let (wrong, found) = (count_wrong(samples), count_found(samples));
+    let truth = samples.len() - wrong;
+    let told = |text: String| if tells_wrong { text } else { String::new() };
+    [
+        truth.to_string(),
+        found.to_string(),
+        told(wrong.to_string()),
+        share(found, truth),
+        told(share(found, found + wrong)),
+        told(share(2 * found, truth + found + wrong)),
+    ]
+}
+
+fn values(samples: &[&Sample], pick: Pick) -> Vec<f64> {
+    samples.iter().filter_map(|sample| pick(sample)).collect()
+}
+
+/// A part of a whole; nothing of nothing tells nothing.
+fn share(part: usize, whole: usize) -> String {
+    if whole == 0 { "-".to_owned() } else { format!("{:.3}", part as f64 / whole as f64) }
+}
+
+fn number(number: Option<f64>) -> String {
+    number.map_or_else(|| "-".to_owned(), |number| format!("{number:.2}"))
+}
+
+fn honesty_table(score: &Score) -> String {
+    let mut text = line("error / sigma", SIGMAS.map(|(title, _)| (title, 16)));
+    for (label, samples) in by_shape(score) {
+        text += &line(&label, SIGMAS.map(|(_, pick)| (honesty(&values(&samples, pick)), 16)));
+    }
+    text + "root mean square (and the 68th percentile of the magnitude); 1 is honest\n\n"
+}
+
+fn honesty(values: &[f64]) -> String {
+    let mean_square = values.iter().map(|value| value * value).sum::<f64>() / values.len().max(1) as f64;
+    let mut magnitudes: Vec<f64> = values.iter().map(|value| value.abs()).collect();
+    let usual = quantile(&mut magnitudes, 0.68, f64::total_cmp);
+    usual.map_or_else(|| "-".to_owned(), |usual| format!("{:.2} ({usual:.2})", mean_square.sqrt()))
+}
+
+/// Nothing where nothing is wrong.
+fn fault_table(score: &Score) -> String {
+    let faults: BTreeSet<Fault> = score.samples.iter().filter_map(|sample| sample.fault).collect();
+    if faults.is_empty() {
+        return String::new();
+    }
+    let mut text = line("wrong answers", ObjectKind::ALL.map(|shape| (shape.name(), 10)));
+    for fault in faults {
+        let is_it = |sample: &&Sample, shape| sample.fault == Some(fault) && sample.shape == shape;
+        let count = |shape| score.samples.iter().filter(|sample| is_it(sample, shape)).count();
+        text += &line(fault.name(), ObjectKind::ALL.map(|shape| (count(shape), 10)));
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::matching::Comparison;
+    use super::super::sigmas::Sigmas;
+    use super::*;
+
+    fn score() -> Score {
+        let sphere = Sample {
+            group: 0,
+            shape: ObjectKind::Sphere,
+            distance: 1.5,
+            radius_m: 1.0,
+            hidden: Some(0.2),
+            found: None,
+            fault: None,
+        };
+        let found = |off: f64| {
+            let comparison = Comparison { position_m: 0.002, radius_m: 1.0 + off, axis: 0.0, half_angle: 0.0 };
+            let sigmas = Sigmas { radius: Some(100.0 * off), ..Sigmas::default() };
+            Sample { found: Some((comparison, sigmas)), ..sphere }
+        };
+        let (shape, fault) = (ObjectKind::Cone, Some(Fault::NothingThere));
+        let wrong = Sample { shape, distance: 2.2, hidden: None, fault, ..sphere };
+        let samples = vec![found(0.01), found(-0.02), found(-0.03), sphere, wrong];
+        Score { frames: 3, groups: vec!["standing".into()], samples, extra: 0 }
+    }
+
+    fn line<'a>(report: &'a str, label: &str) -> Vec<&'a str> {
+        report.lines().find(|line| line.starts_with(label)).unwrap().split_whitespace().collect()
+    }
+
+    #[test]
+    fn counts_and_medians_stand_in_the_tables() {
+        let report = report(&score());
+        assert_eq!(
+            line(&report, "sphere "),
+            ["sphere", "4", "3", "0", "0.750", "1.000", "0.857", "2.00", "-2.00", "2.00", "-", "-"]
+        );
+        assert_eq!(line(&report, "standing")[3..7], ["1", "0.750", "0.750", "0.750"]);
+        assert_eq!(line(&report, "cone from 2.00 m")[4..7], ["0", "0", "1"]);
+        assert_eq!(line(&report, "10 to 30 %")[4..7], ["4", "3", "0.750"]);
+        assert_eq!(line(&report, "nothing there"), ["nothing", "there", "0", "0", "1"]);
+        assert!(report.contains("2.16 (2.00)"), "root of (1 + 4 + 9) / 3\n{report}");
+    }
+
+    #[test]
+    fn nothing_to_find_and_nothing_found_is_a_report_all_the_same() {
+        assert!(report(&Score::default()).starts_with("0 frames"));
+    }
+}

@@ -1,0 +1,197 @@
+//! Runs experiments: a pipeline file with an `[experiment]` is run once for each combination of the values that it varies, and
+//! what its `measurement_sink` and `section_sink` stages found becomes one table.
+
+use anyhow::{Context as _, Result, ensure};
+use conicflow_dataflow::pipeline::{Pipeline, Program};
+use conicflow_dataflow::{StageSummary, Summary, Table};
+use conicflow_lab::experiment::{Experiment, Results, Variation};
+use conicflow_lab::score::{Figure, Row, Sections, measured_columns};
+use std::path::PathBuf;
+
+/// The sinks that leave rows.
+const SINKS: [&str; 2] = ["measurement_sink", "section_sink"];
+
+/// Refuses columns that no row will have, and an experiment without a stage that leaves rows.
+///
+/// # Errors
+/// The key that names such a column, with those that there are.
+pub fn check(experiment: &Experiment, pipeline: &Pipeline) -> Result<()> {
+    experiment.check_columns(&columns(experiment, pipeline)?)
+}
+
+/// What is varied, what the sinks leave, and the times of all stages.
+fn columns(experiment: &Experiment, pipeline: &Pipeline) -> Result<Vec<String>> {
+    let mut measured: Vec<&str> = Vec::new();
+    for stage in &pipeline.stages {
+        match &stage.program {
+            Program::Node(node) if node.name == SINKS[0] => measured.extend(measured_columns()),
+            Program::Node(node) if node.name == SINKS[1] => measured.extend(Sections::columns()),
+            _ => {}
+        }
+    }
+    ensure!(
+        !measured.is_empty(),
+        "the experiment has no stage that leaves rows for its table\n  hint: measure with a `measurement_sink` or a \
+         `section_sink`; an `evaluation_sink` prints its own tables, without `[experiment]`"
+    );
+    let varied = experiment.vary.iter().map(|vary| vary.name.clone());
+    let times = pipeline.stages.iter().map(|stage| format!("{}_ms", stage.name));
+    let fixed = ["stage"].into_iter().chain(measured).chain(["frames_per_s"]).map(str::to_owned);
+    let mut columns: Vec<String> = Vec::new();
+    for column in varied.chain(fixed).chain(times) {
+        if !columns.contains(&column) {
+            columns.push(column);
+        }
+    }
+    Ok(columns)
+}
+
+/// The table that is printed.
+pub fn table(experiment: &Experiment, results: &Results) -> String {
+    let (titles, rows) = results.table();
+    let mut table = Table::new(&titles.iter().map(String::as_str).collect::<Vec<_>>());
+    rows.into_iter().for_each(|row| table.row(row.into_iter()));
+    format!("{}\n\n{table}", experiment.title)
+}
+
+/// Where the sinks of one run leave their rows.
+pub struct Rows {
+    folder: PathBuf,
+    stages: Vec<String>,
+}
+
+impl Rows {
+    /// Rows of the pipeline's measuring stages, in a folder of their own.
+    ///
+    /// # Errors
+    /// The folder cannot be made.
+    pub fn of(pipeline: &Pipeline) -> Result<Self> {
+        let folder = std::env::temp_dir().join(format!("conicflow-{}-{}", pipeline.name, std::process::id()));
+        std::fs::create_dir_all(&folder).with_context(|| format!("cannot make `{}`", folder.display()))?;
+        let measures = |program: &Program| matches!(program, Program::Node(node) if SINKS.contains(&node.name));
+        let stages = pipeline.stages.iter().filter(|stage| measures(&stage.program));
+        Ok(Self { folder, stages: stages.map(|stage| stage.name.clone()).collect() })
+    }
+
+    fn path(&self, stage: &str) -> PathBuf {
+        self.folder.join(format!("{stage}.jsonl"))
+    }
+
+    /// What has to be set for the sinks to leave them there.
+    pub fn overrides(&self) -> impl Iterator<Item = String> {
+        self.stages.iter().map(|stage| format!("{stage}.path={:?}", self.path(stage).display().to_string()))
+    }
+
+    /// Reads the rows of a run: what was varied, the stage, its figures, and the times of all stages.
+    ///
+    /// # Errors
+    /// A sink left none, or something else.
+    pub fn read(&self, variation: &Variation, summary: &Summary) -> Result<Vec<Row>> {
+        let mut rows = Vec::new();
+        for stage in &self.stages {
+            let path = self.path(stage);
+            let text = std::fs::read_to_string(&path).with_context(|| format!("the stage `{stage}` left no rows"))?;
+            for line in text.lines() {
+                let mut row = Row(variation.names.clone());
+                row.text("stage", stage);
+                row.0.extend(figures(line).with_context(|| format!("the rows of the stage `{stage}`"))?);
+                add_times(&mut row, summary);
+                rows.push(row);
+            }
+        }
+        Ok(rows)
+    }
+}
+
+impl Drop for Rows {
+    fn drop(&mut self) {
+        // what is left in the folder for temporary files harms nobody
+        let _ = std::fs::remove_dir_all(&self.folder);
+    }
+}
+
+fn figures(line: &str) -> Result<Vec<(String, Figure)>> {
+    let cells: serde_json::Map<String, serde_json::Value> = serde_json::from_str(line)?;
+    cells.into_iter().map(|(column, cell)| Ok((column, serde_json::from_value(cell)?))).collect()
+}
+
+/// The median time of each stage's step, and the rate at which messages came through all of them: that of the slowest
+/// writer, from its first message to its last.
+fn add_times(row: &mut Row, summary: &Summary) {
+    let mut longest = f64::NAN;
+    for StageSummary { planned, status } in &summary.stages {
+        let median = status.as_ref().and_then(|status| status.compute.quantile(0.5));
+        row.number(&format!("{}_ms", planned.name), median.map_or(f64::NAN, |time| time.as_secs_f64() * 1e3));
+        longest = longest.max(status.as_ref().and_then(|status| status.intervals.mean_s()).unwrap_or(f64::NAN));
+    }
+    row.number("frames_per_s", 1.0 / longest);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use conicflow_dataflow::pipeline::SourceText;
+    use std::path::Path;
+
+    #[test]
+    fn the_pipeline_files_of_the_experiments_are_valid() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments");
+        let read = |name: &str, overrides: &[String]| {
+            let source = SourceText { name: name.into(), text: std::fs::read_to_string(folder.join(name)).unwrap() };
+            Pipeline::read(source, &folder, overrides, &crate::REGISTRY)
+        };
+        assert!(read("detection.toml", &[]).is_ok());
+        let size = ["source.width=640", "source.height=480", "source.scenes.groups=[\"tabletop\"]"].map(String::from);
+        assert!(read("detection.toml", &size).is_ok());
+        for name in ["noise.toml", "recording.toml", "recorded_tracks.toml"] {
+            assert!(read(name, &["source.path=\".\"".into()]).is_ok(), "{name}");
+            assert!(
+                read(name, &[]).err().unwrap().to_string().contains("is missing"),
+                "{name} has no frames of its own"
+            );
+        }
+    }
+
+    fn checked(name: &str, replaced: (&str, &str)) -> Result<()> {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments");
+        let text = std::fs::read_to_string(folder.join(name)).unwrap().replace(replaced.0, replaced.1);
+        let source = SourceText { name: name.into(), text };
+        let (pipeline, _) = Pipeline::read(source, &folder, &[], &crate::REGISTRY).unwrap();
+        check(&Experiment::read(pipeline.experiment.as_ref().unwrap()).unwrap(), &pipeline)
+    }
+
+    #[test]
+    fn the_columns_of_the_experiments_are_known() {
+        for name in [
+            "accuracy",
+            "basic",
+            "bouncing_ball",
+            "cost",
+            "crossing_balls",
+            "ellipse_noise",
+            "follow",
+            "occlusion",
+            "ransac",
+        ] {
+            checked(&format!("{name}.toml"), ("", "")).unwrap_or_else(|error| panic!("{name}: {error}"));
+        }
+    }
+
+    #[test]
+    fn a_column_that_is_not_known_is_refused_with_those_that_are() {
+        for (name, replaced, told) in [
+            ("accuracy.toml", ("\"radius_sd_m\"]", "\"radius_std_m\"]"), "columns`: there is no column `radius_std_m`"),
+            ("accuracy.toml", ("x = \"distance\"", "x = \"distanse\""), "plot.x`: there is no column `distanse`"),
+            ("follow.toml", ("x = \"time_s\"", "x = \"n\""), "plot.x`: there is no column `n`"),
+            ("cost.toml", ("[\"extractor_ms\", \"assembler_ms\"]", "[\"extract_ms\"]"), "no column `extract_ms`"),
+        ] {
+            let error = checked(name, replaced).unwrap_err().to_string();
+            assert!(error.contains(told) && error.contains("\n  hint: columns: `"), "{error}");
+        }
+        let section =
+            "\"section_sink\"\ninput  = { topic = \"ellipses\", delivery = \"lossless\" }\ncenter = [0.0, 2.0]";
+        let json = "\"json_sink\"\ninput  = { topic = \"ellipses\", delivery = \"lossless\" }";
+        let error = checked("ellipse_noise.toml", (section, json)).unwrap_err().to_string();
+        assert!(error.starts_with("the experiment has no stage that leaves rows"), "{error}");
+    }
+}

@@ -1,0 +1,142 @@
+//! The sink that scores a detector: objects or tracks against what was really there, as tables on standard output. The
+//! scoring itself is [`conicflow_lab::score`].
+
+use super::json_lines::JsonLines;
+use crate::config_error;
+use anyhow::Result;
+use conicflow_dataflow::{ConfigFault, Context, Output, Sides, Stage, StageError};
+use conicflow_lab::score::truth::load_scene;
+use conicflow_lab::score::{
+    Answer, Claim, Evaluation, RecordedTolerances, RecordedTruth, RenderedTruth, Tolerances, TruthSource,
+    VisibilityCriteria,
+};
+use conicflow_messages::{Message, Nothing};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::io::Write as _;
+use std::marker::PhantomData;
+use std::path::{Path, PathBuf};
+
+/// Parameters of `evaluation_sink`.
+#[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct EvaluationConfig {
+    /// Scene file that the source shows; random and built-in scenes are known by the names in the frames.
+    pub scene: Option<PathBuf>,
+    /// Truth file of a recording: what was measured in its frames; none: the frames are rendered.
+    pub truth: Option<PathBuf>,
+    /// Which true objects of rendered frames have to be found; right answers about others are not counted.
+    pub required: VisibilityCriteria,
+    /// How far off an answer about a rendered frame may be and still be right.
+    pub tolerance: Tolerances,
+    /// The same for a recording, with `truth`.
+    pub recorded_tolerance: RecordedTolerances,
+    /// File for what was missed and what was wrong, one line of JSON per frame that is judged; its folder is made if need be;
+    /// none: not written.
+    pub details_path: Option<PathBuf>,
+}
+
+impl EvaluationConfig {
+    fn rendered(&self, base: &Path) -> Result<RenderedTruth> {
+        let scene = self.scene.as_ref().map(|path| load_scene(&base.join(path))).transpose()?;
+        Ok(RenderedTruth { scene, required: self.required, tolerance: self.tolerance })
+    }
+
+    fn recorded(&self, base: &Path) -> Result<Option<RecordedTruth>> {
+        let load = |path: &PathBuf| RecordedTruth::load(&base.join(path), &self.recorded_tolerance);
+        self.truth.as_ref().map(load).transpose()
+    }
+}
+
+/// Scores messages of objects or tracks.
+pub struct EvaluationSink<T> {
+    evaluation: Evaluation,
+    details: Option<JsonLines>,
+    answers: Vec<Answer>,
+    items: PhantomData<T>,
+}
+
+impl<T: Claim> Stage for EvaluationSink<T> {
+    const NAME: &'static str = "evaluation_sink";
+    const SUMMARY: &'static str =
+        "Scores objects or tracks against the truth of rendered or recorded frames, as tables";
+    type Config = EvaluationConfig;
+    type Input = T;
+    type Output = Nothing;
+
+    /// What types and ranges cannot tell: values that exclude each other, files that are missing.
+    fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
+        let mut faults = Vec::new();
+        if let Err(error) = config.rendered(base) {
+            faults.push(config_error::of_file("scene", &error));
+        }
+        if let Err(error) = config.recorded(base) {
+            faults.push(config_error::of_file("truth", &error));
+        }
+        if config.scene.is_some() && config.truth.is_some() {
+            let (what, hint) = ("cannot be used together with `scene`", "leave one of them out");
+            faults.push(ConfigFault { key: "truth", what: what.into(), hint: hint.into() });
+        }
+        faults
+    }
+
+    fn new(config: EvaluationConfig, context: &Context) -> Result<Self, StageError> {
+        config_error::refuse_restart(context, "counted")?;
+        let rendered = config.rendered(&context.base)?;
+        let truth = match config.recorded(&context.base)? {
+            Some(truth) => TruthSource::Recorded(truth),
+            None => TruthSource::Rendered(Box::new(rendered)),
+        };
+        let open = |path: &PathBuf| JsonLines::open(&context.resolve(path), false);
+        let details = config.details_path.as_ref().map(open).transpose()?;
+        Ok(Self { evaluation: Evaluation::new(truth), details, answers: Vec::new(), items: PhantomData })
+    }
+
+    fn step(&mut self, input: &Message<T>, _: &Sides, output: &mut Output<Nothing>) -> Result<(), StageError> {
+        self.answers.clear();
+        self.answers.extend(input.items.iter().filter_map(Claim::answer));
+        let Some(frame) = self.evaluation.add(input.header, &self.answers)? else { return Ok(()) };
+        output.count("missed", frame.missed().count() as u64);
+        output.count("wrong", frame.wrong.len() as u64);
+        if let Some(details) = &mut self.details {
+            details.write(&frame.details(input.header))?;
+        }
+        Ok(())
+    }
+
+    fn finish(&mut self) -> Result<(), StageError> {
+        Ok(std::io::stdout().write_all(self.evaluation.report()?.as_bytes())?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use conicflow_messages::{Camera, Header, Object, Text};
+
+    #[test]
+    fn details_go_into_a_folder_that_is_made() {
+        let base = tempfile::tempdir().unwrap();
+        let context = Context { base: base.path().into(), ..Context::default() };
+        let config = EvaluationConfig { details_path: Some("new/details.jsonl".into()), ..EvaluationConfig::default() };
+        let camera = Camera { width: 320, height: 240, fx: 262.5, fy: 262.5, cx: 159.5, cy: 119.5 };
+        let header = Header { camera, source: Text::new("standing/3"), depth_scale: 0.001, ..Header::default() };
+        let inputs = vec![(header, Vec::<Object>::new())];
+        conicflow_dataflow::testing::pass::<EvaluationSink<Object>>(config, context, &inputs).unwrap();
+        assert!(std::fs::read_to_string(base.path().join("new/details.jsonl")).unwrap().contains("\"missed\":[{"));
+    }
+
+    #[test]
+    fn files_that_cannot_be_used_are_told_before_the_start() {
+        let base = tempfile::tempdir().unwrap();
+        let config = EvaluationConfig {
+            scene: Some("garden.toml".into()),
+            truth: Some("truth.json".into()),
+            ..EvaluationConfig::default()
+        };
+        let faults = |config| EvaluationSink::<Object>::faults(config, base.path());
+        let keys: Vec<_> = faults(&config).into_iter().map(|fault| fault.key).collect();
+        assert_eq!(keys, ["scene", "truth", "truth"]);
+        assert!(faults(&EvaluationConfig::default()).is_empty());
+    }
+}
