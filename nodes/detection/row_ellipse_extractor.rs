@@ -45,7 +45,7 @@ pub struct RowEllipseExtractor {
 
 enum Method {
     Moments(Box<Extractor>),
-    Conic(ConicExtractor),
+    Conic(Box<ConicExtractor>),
 }
 
 impl Stage for RowEllipseExtractor {
@@ -63,7 +63,7 @@ impl Stage for RowEllipseExtractor {
         let RowEllipseConfig { arcs, common, conic } = config;
         let method = match arcs {
             ArcFinder::Moments => Method::Moments(Box::new(Extractor::new(common))),
-            ArcFinder::Conic => Method::Conic(ConicExtractor::new(ConicConfig { common, conic })),
+            ArcFinder::Conic => Method::Conic(Box::new(ConicExtractor::new(ConicConfig { common, conic }))),
         };
         Ok(Self { method, warned: false })
     }

@@ -74,7 +74,7 @@ impl Consensus {
 
 /// The ellipse that most points lie on, the first of several.
 fn best_ellipse(points: &[Point], config: &RansacParameters, draws: &mut Draws) -> Option<Conic> {
-    let (mut best, mut most) = (None, config.min_points as usize - 1);
+    let (mut best, mut most) = (None, config.conic.min_points as usize - 1);
     if points.len() <= most.max(SAMPLE) {
         return None;
     }

@@ -46,18 +46,32 @@ pub struct RansacParameters {
     /// Most ellipses that are looked for in a line.
     #[schemars(range(min = 1, max = 100))]
     pub max_ellipses: u32,
-    /// Fewest points of an ellipse.
-    #[schemars(range(min = 6, max = 1000))]
-    pub min_points: u32,
     /// Smallest semi-axis of an ellipse, in metres.
     #[schemars(range(min = 0.001, max = 10.0))]
     pub min_radius_m: f64,
     /// Largest semi-axis of an ellipse, in metres.
     #[schemars(range(min = 0.001, max = 10.0))]
     pub max_radius_m: f64,
+    /// What an ellipse has to be; the same table as of `row_ellipse_extractor`.
+    pub conic: EllipseLimits,
+}
+
+/// What an ellipse has to be.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct EllipseLimits {
+    /// Fewest points of an ellipse.
+    #[schemars(range(min = 6, max = 1000))]
+    pub min_points: u32,
     /// Smallest ratio of the shorter to the longer semi-axis; flatter ellipses are walls and floors.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub min_radius_ratio: f64,
+}
+
+impl Default for EllipseLimits {
+    fn default() -> Self {
+        Self { min_points: 10, min_radius_ratio: 0.4 }
+    }
 }
 
 impl Default for RansacParameters {
@@ -71,10 +85,9 @@ impl Default for RansacParameters {
             max_distance_sigmas: 2.5,
             max_distance_floor_m: 0.0005,
             max_ellipses: 3,
-            min_points: 10,
             min_radius_m: 0.015,
             max_radius_m: 0.6,
-            min_radius_ratio: 0.4,
+            conic: EllipseLimits::default(),
         }
     }
 }
@@ -89,7 +102,7 @@ impl RansacParameters {
     /// Whether an ellipse is of a size and shape that is looked for.
     fn admits(&self, ellipse: &geometry::Ellipse) -> bool {
         let [long, short] = ellipse.semi_axes;
-        short >= self.min_radius_m && long <= self.max_radius_m && short >= self.min_radius_ratio * long
+        short >= self.min_radius_m && long <= self.max_radius_m && short >= self.conic.min_radius_ratio * long
     }
 }
 

@@ -40,7 +40,7 @@ fn rows_of_a_cylinder_give_its_sections() {
 #[test]
 fn without_a_limit_of_the_ratio_walls_are_ellipses() {
     let config = |min_radius_ratio| RansacParameters {
-        min_radius_ratio,
+        conic: EllipseLimits { min_radius_ratio, ..EllipseLimits::default() },
         max_radius_m: 2.0,
         max_ellipses: 1,
         line_step: 8,
