@@ -54,7 +54,7 @@ def circles(root):
     return [sorted(files[module] for module in circle) for circle in joined if circle]
 
 
-found = [circle for folder in sys.argv[1:] or ["messages", "geometry", "dataflow", "bridge"] for circle in circles(Path(folder) / "src")]
+found = [circle for folder in sys.argv[1:] or ["messages", "geometry", "detection", "dataflow", "bridge"] for circle in circles(Path(folder) / "src")]
 large = [circle for circle in found if len(circle) > 2 or len({path.parent for path in circle}) > 1]
 print(*[" ".join(["circle:" if circle in large else "pair:", *map(str, circle)]) for circle in found], sep="\n")
 sys.exit(bool(large))

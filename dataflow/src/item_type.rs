@@ -14,11 +14,11 @@ use std::sync::Arc;
 
 /// The item types that every program knows, in the order in which a frame meets them.
 pub static BUILT_IN: [ItemType; 5] = [
-    ItemType::built_in::<u16>(),
-    ItemType::built_in::<Ellipse>(),
-    ItemType::built_in::<Object>(),
-    ItemType::built_in::<Track>(),
-    ItemType::built_in::<Velocity>(),
+    ItemType::shown::<u16>(),
+    ItemType::shown::<Ellipse>(),
+    ItemType::shown::<Object>(),
+    ItemType::shown::<Track>(),
+    ItemType::shown::<Velocity>(),
 ];
 
 /// Items are aligned to no more than this; shared memory and buffers are to as much.
@@ -59,7 +59,7 @@ impl ItemType {
     }
 
     /// A type that this program has and can show.
-    const fn built_in<T: ToJson>() -> Self {
+    pub const fn shown<T: ToJson>() -> Self {
         Self::known::<T>(Some(json::<T>))
     }
 

@@ -34,7 +34,7 @@ pub struct Network {
 pub enum Carrier {
     /// This program.
     Here(fn(&BridgePlan, BridgeRun<'_>, StageRuntime<SharedMemory>) -> Result<(), NetworkError>),
-    /// Another one, which takes the place of this process and calls [`run_in_run`](crate::run_in_run).
+    /// Another one, which takes the place of this process and calls `run_in_run`.
     Program(fn() -> Result<PathBuf, SettingsFault>),
 }
 

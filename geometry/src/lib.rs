@@ -36,6 +36,7 @@ mod simulated;
 mod space;
 mod surface;
 mod unbiased;
+mod vector;
 
 pub use arc_fit::{ArcFit, ArcMoments, bulge};
 pub use camera::{Pinhole, Scan, ScanPlane};
@@ -52,6 +53,4 @@ pub use section::SectionShape;
 pub use space::{Coefficients, QUADRIC_TERMS, QuadricMoments, SpaceMoments};
 pub use surface::{Conical, FixedSlope, FreeSlope, Sphere, Surface, section_about, section_of};
 pub use unbiased::{ArcSums, LineSums, RayPart, RaySums};
-
-/// Points, directions and offsets in the camera frame, in metres.
-pub type Vector3 = nalgebra::Vector3<f64>;
+pub use vector::Vector3;

@@ -3,7 +3,7 @@
 use crate::sinks::json_lines::{JsonLines, Wrote};
 use crate::sinks::picture_sink::{self, Names, PictureSink};
 use crate::sources::image_source::{self, Playback};
-use anyhow::{Context as _, Result};
+use anyhow::{Context as _, Result, bail};
 use clap::Args;
 use conicflow_dataflow::{AnyMessage, ItemType};
 use conicflow_detection::camera::Intrinsics;
@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// What the lines consist of.
-const OBJECTS: ItemType = ItemType::of::<Object>();
+const OBJECTS: ItemType = ItemType::shown::<Object>();
 /// Reasons that are told where nothing was found.
 const REASONS: usize = 5;
 
@@ -71,6 +71,9 @@ fn intrinsics(text: &str) -> Result<Intrinsics, String> {
 /// There are no frames, their camera is not known, or something cannot be written.
 pub fn detect(arguments: &DetectArguments) -> Result<()> {
     let here = Path::new("");
+    if !arguments.path.exists() {
+        bail!("`{}` does not exist\n  hint: name a depth image, or a folder of them", arguments.path.display());
+    }
     let mut playback = Playback::open(&source(arguments), here, 0, 0)?;
     let mut lines = match &arguments.out {
         Some(path) => JsonLines::open(path, false)?,

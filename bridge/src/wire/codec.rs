@@ -5,7 +5,8 @@
 //! their bytes, of long lists compressed. Their layout has no holes, and both machines have the same.
 
 use super::compression::{of_tag, pack, tag_of, unpack};
-use super::{MAX_MESSAGE, WireError, decode_list, depth_codec, ellipse_codec, encode};
+use super::encoding::{MAX_MESSAGE, WireError, decode_list, encode};
+use super::{depth_codec, ellipse_codec};
 use bytemuck::{cast_slice, try_cast_slice};
 use conicflow_dataflow::ItemType;
 use conicflow_dataflow::pipeline::Compression;

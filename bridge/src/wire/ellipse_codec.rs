@@ -8,8 +8,8 @@
 //! how many ellipses there are, then for each of the eight significances, the highest first, a `u32` of its length and its
 //! bytes, all little-endian.
 
-use super::MAX_MESSAGE;
 use super::compression::{pack, unpack};
+use super::encoding::MAX_MESSAGE;
 use bytemuck::{Pod, Zeroable};
 use conicflow_dataflow::pipeline::Compression;
 use conicflow_messages::{Ellipse, Header, Scan};

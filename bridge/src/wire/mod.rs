@@ -11,66 +11,24 @@ pub(crate) mod codec;
 mod compression;
 mod depth_codec;
 mod ellipse_codec;
+mod encoding;
 #[cfg(test)]
 mod tests;
 
-use bincode::config::{Configuration, Limit, standard};
-use bincode::serde::{borrow_decode_from_slice, encode_into_std_write};
+pub use encoding::{MAX_MESSAGE, WireError};
+
 use codec::Wire;
 use conicflow_dataflow::pipeline::Compression;
 use conicflow_dataflow::{BUILT_IN, ItemType};
-use conicflow_messages::{HEADER_TYPE_NAME, Header, Malformed};
+use conicflow_messages::{HEADER_TYPE_NAME, Header};
+use encoding::{decode_start, decode_whole, encode};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 /// Version of the bytes between machines; machines of different versions refuse each other.
 pub const WIRE_VERSION: u16 = 3;
-/// No message is longer than this, in bytes.
-pub const MAX_MESSAGE: usize = 8 << 20;
 const MAGIC: [u8; 4] = *b"CFLO";
 const PREFIX: usize = MAGIC.len() + size_of::<u16>();
-
-/// Why bytes from another machine are not a message.
-#[derive(Debug, PartialEq, Eq, thiserror::Error)]
-pub enum WireError {
-    /// They are something else.
-    #[error("bytes that do not come from conicflow\n  hint: who else publishes under this key?")]
-    Foreign,
-    /// The other side speaks another version.
-    #[error(
-        "the other machine speaks version {theirs} of the wire, this one {ours}\n  \
-         hint: install the same conicflow on both"
-    )]
-    Version {
-        /// This side's.
-        ours: u16,
-        /// The other's.
-        theirs: u16,
-    },
-    /// The other side's types have another layout.
-    #[error(
-        "the other machine sends messages laid out as `{theirs}`, this one reads `{ours}`\n  \
-         hint: install the same conicflow on both"
-    )]
-    Layout {
-        /// This side's.
-        ours: String,
-        /// The other's.
-        theirs: String,
-    },
-    /// They are too many.
-    #[error("a message of {bytes} bytes, allowed are {MAX_MESSAGE}\n  hint: send smaller images, or lists")]
-    TooLong {
-        /// How many they are.
-        bytes: usize,
-    },
-    /// They cannot be read, or written.
-    #[error("broken bytes: {0}")]
-    Broken(String),
-    /// They can be read, but make no sense.
-    #[error(transparent)]
-    Malformed(#[from] Malformed),
-}
 
 /// Where a message stands in the stream of its link.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -205,34 +163,4 @@ fn content(bytes: &[u8]) -> Result<&[u8], WireError> {
     let rest = bytes.strip_prefix(&MAGIC).filter(|_| bytes.len() >= PREFIX).ok_or(WireError::Foreign)?;
     let theirs = u16::from_le_bytes([rest[0], rest[1]]);
     if theirs == WIRE_VERSION { Ok(&bytes[PREFIX..]) } else { Err(WireError::Version { ours: WIRE_VERSION, theirs }) }
-}
-
-type Bounded = Configuration<bincode::config::LittleEndian, bincode::config::Varint, Limit<MAX_MESSAGE>>;
-
-fn bounded() -> Bounded {
-    standard().with_limit::<MAX_MESSAGE>()
-}
-
-pub(super) fn encode<V: Serialize>(value: &V, bytes: &mut Vec<u8>) -> Result<(), WireError> {
-    let written = encode_into_std_write(value, bytes, bounded());
-    written.map(drop).map_err(|error| WireError::Broken(error.to_string()))
-}
-
-/// A value at the start of the bytes, and how many it took.
-fn decode_start<'a, V: Deserialize<'a>>(bytes: &'a [u8]) -> Result<(V, usize), WireError> {
-    borrow_decode_from_slice(bytes, bounded()).map_err(|error| WireError::Broken(error.to_string()))
-}
-
-fn decode_whole<V: DeserializeOwned>(bytes: &[u8]) -> Result<V, WireError> {
-    let (value, length) = decode_start(bytes)?;
-    if length == bytes.len() { Ok(value) } else { Err(trailing()) }
-}
-
-pub(super) fn decode_list<T: DeserializeOwned>(bytes: &[u8], items: &mut Vec<T>) -> Result<(), WireError> {
-    *items = decode_whole(bytes)?;
-    Ok(())
-}
-
-fn trailing() -> WireError {
-    WireError::Broken("more bytes than the message needs".to_owned())
 }

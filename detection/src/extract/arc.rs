@@ -1,8 +1,8 @@
 //! Which segments are arcs, and what is told of them: their ends are taken off where they may belong to something else,
 //! their curvature has to exceed the noise, and their centre has to lie behind the surface.
 
-use super::ArcRejection;
 use super::rays::Rays;
+use super::rejection::ArcRejection;
 use super::run::{FEWEST, FIRST_FIT, Run};
 use super::segments::Segment;
 use super::view::View;

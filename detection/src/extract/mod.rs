@@ -8,17 +8,19 @@
 //! columns of the image as rays ([`view`]); one line, split into runs at jumps and holes ([`line`]); the rays of a run, and
 //! its running sums ([`rays`], [`run`]); the segments of a run that one curve explains ([`segments`]); the arc of a segment,
 //! with its contour ([`arc`]); and which lines between the coarse ones are worth a look ([`coarse`]). The walk itself is
-//! [`Extractor::extract`](super::method).
+//! `Extractor::extract` in `method.rs`.
 
 mod arc;
 pub(crate) mod coarse;
 mod line;
 mod noise_correlation;
+mod noise_estimate;
 mod noise_level;
 mod parameters;
 mod rays;
 mod rejection;
 mod run;
+mod search;
 mod segments;
 #[cfg(test)]
 mod tests;
@@ -27,16 +29,12 @@ mod view;
 pub use parameters::{ExtractorParameters, ScanLines};
 pub use rejection::{ArcRejection, ArcRejections};
 
-use arc::{accept, accept_line};
 use coarse::CoarseLines;
-use conicflow_geometry::{ArcSums, Scan};
+use conicflow_geometry::Scan;
 use conicflow_messages::{Ellipse, Header, NoiseModel};
-use line::RayLine;
-use noise_level::{NoiseEstimate, NoiseSamples};
-use rays::{RayBuffers, Rays};
-use run::{FIRST_FIT, Run};
-use segments::{cut, next_segment};
-use std::ops::Range;
+use noise_estimate::NoiseEstimate;
+use noise_level::NoiseSamples;
+use search::LineSearch;
 use view::View;
 
 /// Finds the ellipses of depth images; its buffers are used again for the next.
@@ -50,23 +48,6 @@ pub struct Extractor {
     samples: NoiseSamples,
     pub(crate) ellipses: Vec<Ellipse>,
     pub(crate) rejections: ArcRejections,
-}
-
-/// The search for arcs in one line.
-#[derive(Debug, Default)]
-pub(crate) struct LineSearch {
-    line: RayLine,
-    curves: CurveSearch,
-}
-
-/// The search for the curves of a line that was read.
-#[derive(Debug, Default)]
-struct CurveSearch {
-    rays: RayBuffers,
-    sums: Vec<ArcSums>,
-    /// Where a run is cut, its ends included.
-    cuts: Vec<usize>,
-    depth_sums: Vec<u32>,
 }
 
 impl Extractor {
@@ -100,70 +81,5 @@ impl Extractor {
         let noise = noise_level::estimate(&self.view, image, &mut self.search, &mut self.samples);
         self.view.turn(header, Scan::Row, &noise);
         NoiseEstimate { correlation_px: noise_correlation::length_px(&self.view, image), ..noise }
-    }
-}
-
-impl LineSearch {
-    /// Cuts the pixels `window` of a scan line into arcs, which it adds to `ellipses`: the line is read and split into runs
-    /// at jumps and holes, a run is cut at its creases and where no one curve explains it, and what is round is an arc.
-    pub fn arcs_of(
-        &mut self,
-        view: &View,
-        image: &[u16],
-        (number, window): (u32, Range<u32>),
-        ellipses: &mut Vec<Ellipse>,
-        rejections: &mut ArcRejections,
-    ) {
-        let Self { line, curves } = self;
-        line.read(view, image, number, window);
-        for index in 0..line.runs() {
-            curves.arcs_of_run(view, image, (line, index), ellipses, rejections);
-        }
-    }
-}
-
-impl CurveSearch {
-    fn arcs_of_run(
-        &mut self,
-        view: &View,
-        image: &[u16],
-        (line, index): (&RayLine, usize),
-        ellipses: &mut Vec<Ellipse>,
-        rejections: &mut ArcRejections,
-    ) {
-        if line.run_length(index) < FIRST_FIT {
-            rejections.count(ArcRejection::FewPoints);
-            return;
-        }
-        let rays = Rays::new(view, line, index, &mut self.rays);
-        if let Some(arc) = accept_line(&rays, image) {
-            match arc {
-                Ok(arc) => ellipses.push(arc),
-                Err(reason) => rejections.count(reason),
-            }
-            return;
-        }
-        let run = Run::new(rays, &mut self.sums);
-        cut(&run, &mut self.cuts, &mut self.depth_sums);
-        for ends in self.cuts.windows(2) {
-            arcs_of_part(&run, image, ends[0]..ends[1], ellipses, rejections);
-        }
-    }
-}
-
-fn arcs_of_part(
-    run: &Run,
-    image: &[u16],
-    part: Range<usize>,
-    ellipses: &mut Vec<Ellipse>,
-    rejections: &mut ArcRejections,
-) {
-    let mut from = part.start;
-    while let Some(segment) = next_segment(run, &part, from) {
-        match if segment.is_curve { accept(run, image, &segment) } else { Err(ArcRejection::Line) } {
-            Ok(arc) => ellipses.push(arc),
-            Err(reason) => rejections.count(reason),
-        }
-        from = segment.to;
     }
 }

@@ -8,9 +8,10 @@
 //! is all, unless a driver smooths. If there is less of it than the model says, the errors of lines and circles tell the
 //! whole ([`share`]): they are free of noise if the model is right, and below zero by its excess.
 
-use super::LineSearch;
+use super::noise_estimate::NoiseEstimate;
 use super::rays::Rays;
 use super::run::Run;
+use super::search::LineSearch;
 use super::segments::{Segment, next_segment};
 use super::view::View;
 use conicflow_messages::{NoiseModel, is_measured};
@@ -44,37 +45,6 @@ const DISTANT: f64 = 1.15; // [tuned]
 const SURE: f64 = 3.5; // [sigmas]
 /// Number of times that a noise model is put through both halves; each comes closer to how the noise grows.
 const ROUNDS: usize = 4; // [algorithmic]
-
-/// The noise of an image.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct NoiseEstimate {
-    /// Its variance, times `level`, is that of a depth.
-    pub model: NoiseModel,
-    pub level: f64,
-    /// That of neighbours: a driver that smooths does so within surfaces.
-    pub neighbour_model: NoiseModel,
-    /// Variances of what is near and what is far, in those that the source told.
-    pub nominal: [f64; 2],
-    /// How many neighbouring pixels share it ([`super::noise_correlation`]), at least 1.
-    pub correlation_px: f64,
-}
-
-impl NoiseEstimate {
-    /// As the source told it.
-    pub fn nominal(model: NoiseModel) -> Self {
-        Self::of_level(model, 1.0)
-    }
-
-    fn of_level(model: NoiseModel, level: f64) -> Self {
-        Self {
-            model,
-            level,
-            neighbour_model: model.times(level.max(1.0).sqrt()),
-            nominal: [level; 2],
-            correlation_px: 1.0,
-        }
-    }
-}
 
 /// What some pixels tell: their depth in metres, and a square in variances of the model.
 #[derive(Clone, Copy, Debug)]

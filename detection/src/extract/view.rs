@@ -1,6 +1,7 @@
 //! What all scan lines of one direction of a depth image have in common.
 
-use super::{ExtractorParameters, NoiseEstimate};
+use super::noise_estimate::NoiseEstimate;
+use super::parameters::ExtractorParameters;
 use crate::camera::pinhole;
 use conicflow_geometry::{Pinhole, Scan, ScanPlane};
 use conicflow_messages::{Header, NoiseModel, is_measured};

@@ -1,0 +1,35 @@
+//! What is known of the noise of an image.
+
+use conicflow_messages::NoiseModel;
+
+/// The noise of an image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct NoiseEstimate {
+    /// Its variance, times `level`, is that of a depth.
+    pub model: NoiseModel,
+    pub level: f64,
+    /// That of neighbours: a driver that smooths does so within surfaces.
+    pub neighbour_model: NoiseModel,
+    /// Variances of what is near and what is far, in those that the source told.
+    pub nominal: [f64; 2],
+    /// How many neighbouring pixels share it (`noise_correlation.rs`), at least 1.
+    pub correlation_px: f64,
+}
+
+impl NoiseEstimate {
+    /// As the source told it.
+    pub fn nominal(model: NoiseModel) -> Self {
+        Self::of_level(model, 1.0)
+    }
+
+    /// A model whose variances are `level` times as large.
+    pub fn of_level(model: NoiseModel, level: f64) -> Self {
+        Self {
+            model,
+            level,
+            neighbour_model: model.times(level.max(1.0).sqrt()),
+            nominal: [level; 2],
+            correlation_px: 1.0,
+        }
+    }
+}

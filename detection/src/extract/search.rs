@@ -1,0 +1,94 @@
+//! The search for arcs along one scan line: its runs, their segments, and what of these is round.
+
+use super::arc::{accept, accept_line};
+use super::line::RayLine;
+use super::rays::{RayBuffers, Rays};
+use super::rejection::{ArcRejection, ArcRejections};
+use super::run::{FIRST_FIT, Run};
+use super::segments::{cut, next_segment};
+use super::view::View;
+use conicflow_geometry::ArcSums;
+use conicflow_messages::Ellipse;
+use std::ops::Range;
+
+/// The search for arcs in one line.
+#[derive(Debug, Default)]
+pub(crate) struct LineSearch {
+    pub line: RayLine,
+    pub curves: CurveSearch,
+}
+
+/// The search for the curves of a line that was read.
+#[derive(Debug, Default)]
+pub(crate) struct CurveSearch {
+    pub rays: RayBuffers,
+    pub sums: Vec<ArcSums>,
+    /// Where a run is cut, its ends included.
+    cuts: Vec<usize>,
+    depth_sums: Vec<u32>,
+}
+
+impl LineSearch {
+    /// Cuts the pixels `window` of a scan line into arcs, which it adds to `ellipses`: the line is read and split into runs
+    /// at jumps and holes, a run is cut at its creases and where no one curve explains it, and what is round is an arc.
+    pub fn arcs_of(
+        &mut self,
+        view: &View,
+        image: &[u16],
+        (number, window): (u32, Range<u32>),
+        ellipses: &mut Vec<Ellipse>,
+        rejections: &mut ArcRejections,
+    ) {
+        let Self { line, curves } = self;
+        line.read(view, image, number, window);
+        for index in 0..line.runs() {
+            curves.arcs_of_run(view, image, (line, index), ellipses, rejections);
+        }
+    }
+}
+
+impl CurveSearch {
+    fn arcs_of_run(
+        &mut self,
+        view: &View,
+        image: &[u16],
+        (line, index): (&RayLine, usize),
+        ellipses: &mut Vec<Ellipse>,
+        rejections: &mut ArcRejections,
+    ) {
+        if line.run_length(index) < FIRST_FIT {
+            rejections.count(ArcRejection::FewPoints);
+            return;
+        }
+        let rays = Rays::new(view, line, index, &mut self.rays);
+        if let Some(arc) = accept_line(&rays, image) {
+            match arc {
+                Ok(arc) => ellipses.push(arc),
+                Err(reason) => rejections.count(reason),
+            }
+            return;
+        }
+        let run = Run::new(rays, &mut self.sums);
+        cut(&run, &mut self.cuts, &mut self.depth_sums);
+        for ends in self.cuts.windows(2) {
+            arcs_of_part(&run, image, ends[0]..ends[1], ellipses, rejections);
+        }
+    }
+}
+
+fn arcs_of_part(
+    run: &Run,
+    image: &[u16],
+    part: Range<usize>,
+    ellipses: &mut Vec<Ellipse>,
+    rejections: &mut ArcRejections,
+) {
+    let mut from = part.start;
+    while let Some(segment) = next_segment(run, &part, from) {
+        match if segment.is_curve { accept(run, image, &segment) } else { Err(ArcRejection::Line) } {
+            Ok(arc) => ellipses.push(arc),
+            Err(reason) => rejections.count(reason),
+        }
+        from = segment.to;
+    }
+}
