@@ -1,5 +1,7 @@
 //! The program as `conicflow` has it beside itself. (Where the tests of the whole workspace are built, it is built for this.)
 
+#![allow(clippy::unwrap_used)] // what a test cannot go on from is its failure
+
 use std::io::Write as _;
 use std::process::{Command, Output, Stdio};
 

@@ -77,6 +77,6 @@ pub(super) fn decode_list<T: DeserializeOwned>(bytes: &[u8], items: &mut Vec<T>)
     Ok(())
 }
 
-fn trailing() -> WireError {
+pub(super) fn trailing() -> WireError {
     WireError::Broken("more bytes than the message needs".to_owned())
 }

@@ -21,7 +21,7 @@ use codec::Wire;
 use conicflow_dataflow::pipeline::Compression;
 use conicflow_dataflow::{BUILT_IN, ItemType};
 use conicflow_messages::{HEADER_TYPE_NAME, Header};
-use encoding::{decode_start, decode_whole, encode};
+use encoding::{decode_start, decode_whole, encode, trailing};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 

@@ -10,7 +10,7 @@ const GATHERED: usize = 32; // [algorithmic]
 
 /// A scan line; its buffers are used again for the next.
 #[derive(Debug)]
-pub(crate) struct RayLine {
+pub(super) struct RayLine {
     pub number: u32,
     pub plane: ScanPlane,
     window: Range<u32>,

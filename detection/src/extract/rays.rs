@@ -11,7 +11,7 @@ pub(super) const SURROUNDINGS: usize = 16; // [algorithmic]
 
 /// Buffers of a run, used again for the next.
 #[derive(Debug, Default)]
-pub(crate) struct RayBuffers {
+pub(super) struct RayBuffers {
     slopes: Vec<f64>,
     variances: Vec<f64>,
 }

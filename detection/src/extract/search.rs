@@ -14,15 +14,15 @@ use std::ops::Range;
 /// The search for arcs in one line.
 #[derive(Debug, Default)]
 pub(crate) struct LineSearch {
-    pub line: RayLine,
-    pub curves: CurveSearch,
+    pub(super) line: RayLine,
+    pub(super) curves: CurveSearch,
 }
 
 /// The search for the curves of a line that was read.
 #[derive(Debug, Default)]
-pub(crate) struct CurveSearch {
-    pub rays: RayBuffers,
-    pub sums: Vec<ArcSums>,
+pub(super) struct CurveSearch {
+    pub(super) rays: RayBuffers,
+    pub(super) sums: Vec<ArcSums>,
     /// Where a run is cut, its ends included.
     cuts: Vec<usize>,
     depth_sums: Vec<u32>,

@@ -43,7 +43,7 @@ fn objects_are_drawn_over_depth_and_ellipses() {
     let ellipse = Ellipse { line: 20, first: 30, last: 50, center: [0.0, 0.0, 1.0], ..Ellipse::default() };
     let (header, ellipses) = (header(0, ""), [ellipse]);
     let sides = Sides::default()
-        .with("depth", Message { header: &header, items: &*wall })
+        .with("depth", Message { header: &header, items: &wall })
         .with("ellipses", Message { header: &header, items: &ellipses });
     let picture = picture(&[sphere()], Config::default(), &sides);
     assert_eq!(pixel(&picture, 80, 5), HOLE);
