@@ -275,7 +275,7 @@ mod tests {
 
     #[test]
     fn a_run_that_never_began_has_no_tables() {
-        let text = summary(Box::new(Status::default())).to_string();
+        let text = summary(Box::default()).to_string();
         assert_eq!(text, "test: 0 frames in 1.0 s (0.0 Hz), 0 dropped\n");
     }
 }
