@@ -1,5 +1,6 @@
 //! The detector: a camera and its noise model, and then depth images in, objects out.
 
+use crate::assemble::odds::Evidence;
 use crate::assemble::{Assembler, AssemblerParameters};
 use crate::extract::{Extractor, ExtractorParameters};
 use crate::method;
@@ -136,6 +137,11 @@ impl Detector {
     /// the model is not that of the sensor.
     pub fn noise_ratios(&self) -> [f64; 2] {
         self.extractor.noise_ratios()
+    }
+
+    /// All candidates of the last image, reported or not, with what spoke for each and against it.
+    pub fn candidates(&self) -> &[(Object, Evidence)] {
+        self.assembler.candidates()
     }
 
     /// Why arcs and candidates of the last image were turned down, and how many of them.

@@ -5,10 +5,10 @@
 //! [`Tracker::update`](crate::Tracker::update).
 
 use crate::assemble::arcs::Arcs;
-use crate::assemble::choice::choose;
+use crate::assemble::choice::{Chosen, choose};
 use crate::assemble::growth::{Growing, chain, is_promising};
 use crate::assemble::seeds::Seeds;
-use crate::assemble::verify::{Candidate, verify_all};
+use crate::assemble::verify::verify_all;
 use crate::assemble::{Assembler, AssemblerParameters, Rejection, Rejections};
 use crate::extract::coarse::coarse_step;
 use crate::extract::{ArcRejections, Extractor};
@@ -75,8 +75,9 @@ impl Extractor {
 impl Assembler {
     /// The objects that the ellipses of one image form.
     pub fn assemble(&mut self, header: &Header, ellipses: &[Ellipse]) -> &[Object] {
-        let Self { parameters, arcs, seeds, growing, objects, rejections } = self;
+        let Self { parameters, arcs, seeds, growing, objects, candidates, rejections } = self;
         objects.clear();
+        candidates.clear();
         *rejections = Rejections::default();
 
         // 5. Arcs: each ellipse brings the moments of its points, free of the noise's bias (`arcs.rs`). The more an arc is
@@ -86,16 +87,20 @@ impl Assembler {
 
         while let Some(seed) = seeds.next(rejections) {
             match object_around(seed, arcs, seeds, growing, parameters) {
-                // 10. The arcs that the object explains are taken out before the next seed is tried.
-                Ok((best, object)) => {
-                    seeds.take(&best, &object);
-                    objects.push(object);
+                // 10. Decision: how probable it is that this is an object tells all evidence together (`odds.rs`). The arcs that
+                //     it explains are taken out before the next seed is tried.
+                Ok(Chosen { candidate, object, evidence }) => {
+                    candidates.push((object, evidence));
+                    if f64::from(object.confidence) >= parameters.min_confidence {
+                        seeds.take(&candidate, &object);
+                        objects.push(object);
+                        continue;
+                    }
+                    rejections.count(Rejection::Odds);
                 }
-                Err(reason) => {
-                    rejections.count(reason);
-                    seeds.give_up(&growing.chain);
-                }
+                Err(reason) => rejections.count(reason),
             }
+            seeds.give_up(&growing.chain);
         }
         objects
     }
@@ -108,7 +113,7 @@ fn object_around<'a>(
     seeds: &Seeds,
     growing: &'a mut Growing,
     parameters: &AssemblerParameters,
-) -> Result<(Candidate<'a>, Object), Rejection> {
+) -> Result<Chosen<'a>, Rejection> {
     let free = |arc: usize| seeds.is_free(arc);
 
     // 6. Chain: the seed with its neighbours in the next lines; they have to be enough, and surely curved together

@@ -61,6 +61,8 @@ pub struct Ellipse {
     /// How many neighbouring pixels share their noise, as the mean of many tells: its variance is that of one times this
     /// over their number. 1: each has its own, also where this is 0.
     pub shared_px: f64,
+    /// The same of neighbouring lines of the image; 0 stands for 1.
+    pub shared_lines: f64,
     /// Depths measured `beyond_px` pixels before the first and behind the last pixel, in metres; 0: none.
     pub beyond: [f64; 2],
     /// Where along the line the surface ends on either side before something farther behind it, in pixels, between its
@@ -86,7 +88,8 @@ impl Ellipse {
 
     /// How many neighbouring pixels share their noise, at least 1.
     pub fn shared(&self) -> f64 {
-        self.shared_px.max(1.0)
+        let points = f64::from(self.points.max(1));
+        points / ((points - 1.0) / self.shared_px.max(1.0) + 1.0)
     }
 
     /// Whether the line and the pixels lie in the image, and the codes are ones that there are.
@@ -99,7 +102,7 @@ impl Ellipse {
 
     /// Whether there are points, and no deviation is less than none.
     fn is_of_points(&self) -> bool {
-        self.sigma >= 0.0 && self.shared_px >= 0.0 && self.rms >= 0.0 && self.moments[0] > 0.0
+        self.sigma >= 0.0 && self.shared_px >= 0.0 && self.shared_lines >= 0.0 && self.rms >= 0.0 && self.moments[0] > 0.0
     }
 
     fn numbers_are_finite(&self) -> bool {
@@ -109,7 +112,7 @@ impl Ellipse {
             && finite(&[self.angle, self.half_width, self.half_depth, self.rms, self.arc])
             && finite(&self.beyond)
             && finite(&self.contour)
-            && finite(&[self.sigma, self.shared_px])
+            && finite(&[self.sigma, self.shared_px, self.shared_lines])
             && finite(&self.origin)
             && finite(&self.moments)
     }
@@ -117,7 +120,7 @@ impl Ellipse {
 
 impl Item for Ellipse {
     const NAME: &'static str = "ellipses";
-    const TYPE_NAME: &'static str = "conicflow.Ellipse.v4";
+    const TYPE_NAME: &'static str = "conicflow.Ellipse.v5";
     /// Arcs in an image of 640x480 pixels, which few exceed.
     const USUAL_LENGTH: usize = 1024;
 

@@ -62,8 +62,8 @@ pub struct Object {
     pub points: u32,
     /// Number of scan lines that support it.
     pub rows: u32,
-    /// Zero; keeps the layout free of holes.
-    pub reserved: u32,
+    /// Probability that it is an object of this shape; 0 where the method does not tell.
+    pub confidence: f32,
     /// Centre of a sphere; of a cylinder or cone the middle of its visible part, on the axis. Metres.
     pub center: [f64; 3],
     /// Unit vector along the axis, of a cone from the apex to the base.
@@ -143,7 +143,7 @@ impl Object {
 
 impl Item for Object {
     const NAME: &'static str = "objects";
-    const TYPE_NAME: &'static str = "conicflow.Object.v1";
+    const TYPE_NAME: &'static str = "conicflow.Object.v2";
     const IS_COUNTED: bool = true;
 
     fn check(_: &Header, items: &[Self]) -> Result<(), Malformed> {

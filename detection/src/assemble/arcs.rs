@@ -42,10 +42,6 @@ pub(crate) struct Arc {
     pub angle: f64,
     /// Slopes of the rays through the first and the last pixel.
     pub rays: [f64; 2],
-    /// Slopes of the rays through two pixels beyond the ends.
-    pub beyond_rays: [f64; 2],
-    /// Depths that were measured on these two rays, 0 for none.
-    pub beyond: [f64; 2],
     /// Where the surface ends before something farther, on either side.
     pub contour: [Option<ContourPoint>; 2],
     /// Distance at the depth of the arc between neighbouring pixels of the line, in metres.
@@ -76,7 +72,7 @@ impl Arc {
         let moments = PlaneMoments::from_sums(ellipse.origin, ellipse.moments.map(|m| m / shared));
         let mean = plane.to_camera(moments.mean()?);
         let ray = |pixel: f64| camera.ray_slope(scan, pixel);
-        let (first, last, far) = (f64::from(ellipse.first), f64::from(ellipse.last), f64::from(ellipse.beyond_px));
+        let (first, last) = (f64::from(ellipse.first), f64::from(ellipse.last));
         let variance = match ellipse.unbiased {
             0 => header.noise.variance(mean.z),
             _ => ellipse.sigma * ellipse.sigma,
@@ -97,12 +93,10 @@ impl Arc {
             center: Vector3::from(ellipse.center),
             angle: ellipse.arc,
             rays: [ray(first), ray(last)],
-            beyond_rays: [ray(first - far), ray(last + far)],
-            beyond: ellipse.beyond,
             contour: contour(&camera, &plane, &ellipse.contour),
             pitch: mean.z * pitch,
             spacing: mean.z * spacing,
-            shared_lines: (shared * pitch / spacing).max(1.0),
+            shared_lines: (ellipse.shared_lines / f64::from(step)).max(1.0),
             bulge: bulge(&moments, variance),
         })
     }
@@ -133,11 +127,6 @@ impl Arc {
     /// The point of depth `z` on the ray of slope `x`.
     pub fn point(&self, x: f64, z: f64) -> Vector3 {
         self.plane.to_camera([x * z, self.plane.stretch() * z])
-    }
-
-    /// Distance across the view between its ends, in metres.
-    pub fn width(&self) -> f64 {
-        (self.pixels[1] - self.pixels[0]) as f64 * self.pitch
     }
 
     /// Number of pixels along the line that both have, less than zero for the gap between them.

@@ -1,11 +1,12 @@
 //! Which shape an object has, where more than one explains it.
 
 use super::model;
+use super::odds::Evidence;
 use super::parameters::AssemblerParameters;
 use super::region::Region;
 use super::rejection::Rejection;
 use super::report::report;
-use super::verify::{Candidate, Verified, is_deformed, is_vague};
+use super::verify::{Candidate, Verified};
 use conicflow_geometry::Contour;
 use conicflow_messages::{Object, ObjectKind};
 
@@ -22,15 +23,13 @@ const ANY_SLOPE: f64 = 0.07; // [tuned]
 const UNSURE_SLOPE: f64 = 0.026; // [tuned]
 /// Standard deviations by which such an uncertain half-angle exceeds zero.
 const UNSURE_SIGMAS: f64 = 2.0; // [sigmas]
-/// Half-angles (5 and 7 degrees) between which the gain that faults of a sensor give a cone over a cylinder falls to nothing.
-const SLENDER: [f64; 2] = [0.0873, 0.122]; // [tuned] [tuned]
-/// Gain that faults of a sensor give a slender cone over a cylinder, per point.
-const GAIN_PER_POINT: f64 = 0.03; // [tuned]
-/// Largest gain that faults of a sensor give a slender cone over a cylinder.
-const MOST_GAIN: f64 = 45.0; // [tuned]
-/// Least gain of a cylinder or a cone over a sphere through the same arcs, per point and on top of [`GAIN`]. Rendered bowls
-/// gain -0.15 to -0.04, rendered cylinders and cones more than 0.05.
-const ROUND_PER_POINT: f64 = 0.05; // [tuned]
+
+/// The shape that was chosen.
+pub(crate) struct Chosen<'a> {
+    pub candidate: Candidate<'a>,
+    pub object: Object,
+    pub evidence: Evidence,
+}
 
 /// The candidate that explains most points; of those that explain about as many, the one of fewer parameters, unless
 /// the other explains them better. Of the three shapes those are `None` that did not even grow. Where none is left, the
@@ -39,21 +38,21 @@ pub(crate) fn choose<'a>(
     found: Verified<'a>,
     parameters: &AssemblerParameters,
     contour: &mut Contour,
-) -> Result<(Candidate<'a>, Object), Rejection> {
+) -> Result<Chosen<'a>, Rejection> {
     let grown = || found.iter().flatten();
     let reason = grown().filter_map(|found| found.as_ref().err()).next_back().copied();
     // Where a cone alone is an object, its slope is not sure.
-    let reason = reason.unwrap_or(if grown().next().is_some() { Rejection::Vague } else { Rejection::NotGrown });
+    let reason = reason.unwrap_or(if grown().next().is_some() { Rejection::Odds } else { Rejection::NotGrown });
     let [sphere, cylinder, cone] = found;
     let cone = cone.map(|cone| cone.map(|cone| (cone, report(&cone.region, &cone.measured))));
     let may_be_cone = cone.as_ref().is_some_and(|cone| speaks_against_cylinder(cone.as_ref()));
     let [sphere, cylinder] = [sphere, cylinder].map(|found| found?.ok());
     let taper = cone.as_ref().and_then(|cone| cone.as_ref().ok()).map_or(0.0, |(_, object)| sure_slope(object));
     // A vague cone may still show that a cylinder is none: the choice comes first.
-    let cone = cone.and_then(Result::ok).filter(|(_, object)| is_cone(object, parameters));
+    let cone = cone.and_then(Result::ok).filter(|(_, object)| is_cone(object, parameters)).map(|(cone, _)| cone);
     let axial = match (cylinder, cone) {
-        (Some(cylinder), Some(cone)) => Some(sharper(cylinder, &cone, contour)),
-        (cylinder, cone) => cylinder.or(cone.map(|(cone, _)| cone)),
+        (Some(cylinder), Some(cone)) => Some(sharper(cylinder, cone, contour)),
+        (cylinder, cone) => cylinder.or(cone),
     };
     let best = match (sphere, axial) {
         (Some(sphere), Some(axial)) => rounder(sphere, axial),
@@ -61,26 +60,12 @@ pub(crate) fn choose<'a>(
     };
     let is_cylinder = best.region.model.kind() == ObjectKind::Cylinder;
     let mut object = report(&best.region, &best.measured);
-    if is_vague(&object, best.region.shared_lines()) || is_cylinder && may_be_cone {
-        return Err(Rejection::Vague);
-    }
-    if is_deformed(&best.region, &best.measured) || may_be_sphere(&best.region) {
-        return Err(Rejection::Deformed);
-    }
+    let evidence = Evidence::of(&best, &object, is_cylinder && may_be_cone);
+    object.confidence = evidence.probability() as f32;
     if is_cylinder {
         object.sigma.axis = object.sigma.axis.hypot(taper);
     }
-    Ok((best, object))
-}
-
-/// Whether a sphere explains the arcs of a cylinder or a cone nearly as well: a short band of a bowl looks like either.
-fn may_be_sphere(region: &Region) -> bool {
-    if region.model.kind() == ObjectKind::Sphere {
-        return false;
-    }
-    let least = GAIN * region.shared_lines() + ROUND_PER_POINT * region.points();
-    let sphere = model::fit(ObjectKind::Sphere, &region.arcs(), None, f64::INFINITY);
-    sphere.is_some_and(|sphere| sphere.square_sum() < region.model.square_sum() + least)
+    Ok(Chosen { candidate: best, object, evidence })
 }
 
 /// Whether the cone that grew from the same arcs speaks against the cylinder. It does if its half-angle is unknown, if its
@@ -91,7 +76,7 @@ fn speaks_against_cylinder(cone: Result<&(Candidate, Object), &Rejection>) -> bo
             let (sigma, wider) = (object.sigma.half_angle, cone.region.shared_lines().sqrt());
             sigma > wider * ANY_SLOPE || sigma > wider * UNSURE_SLOPE && object.half_angle > UNSURE_SIGMAS * sigma
         }
-        Err(Rejection::Rms | Rejection::Outline | Rejection::FewRows | Rejection::Small | Rejection::Tilted) => true,
+        Err(Rejection::FewRows | Rejection::Small | Rejection::Tilted) => true,
         Err(_) => false,
     }
 }
@@ -108,11 +93,7 @@ fn sure_slope(object: &Object) -> f64 {
 }
 
 /// Of a cylinder and a cone the one that explains more points, else the cone only if it explains them surely better.
-fn sharper<'a>(
-    cylinder: Candidate<'a>,
-    &(cone, object): &(Candidate<'a>, Object),
-    contour: &mut Contour,
-) -> Candidate<'a> {
+fn sharper<'a>(cylinder: Candidate<'a>, cone: Candidate<'a>, contour: &mut Contour) -> Candidate<'a> {
     let (a, b) = (cylinder.measured.points, cone.measured.points);
     if a < AS_MANY * b {
         return cone;
@@ -123,7 +104,7 @@ fn sharper<'a>(
     let members = if a > b { cylinder.region.members } else { cone.region.members };
     let mut cost = |candidate: &Candidate| cost(Region { members, ..candidate.region }, contour);
     let gain = cost(&cylinder).zip(cost(&cone)).map_or(0.0, |(cylinder, cone)| cylinder - cone);
-    if gain > least_gain(&cone, &object, a.max(b)) { cone } else { cylinder }
+    if gain > GAIN { cone } else { cylinder }
 }
 
 /// What is left of the points and the contour of some members by a model that is fitted to these. What it leaves out of
@@ -132,13 +113,6 @@ fn cost(mut region: Region, contour: &mut Contour) -> Option<f64> {
     region.model = model::fit(region.model.kind(), &region.arcs(), Some(&region.model), f64::INFINITY)?;
     let cost = model::with_contour(&region, 1, contour)?.cost();
     Some(cost + contour.least_left_out())
-}
-
-fn least_gain(cone: &Candidate, object: &Object, points: f64) -> f64 {
-    let is_vague = is_vague(object, cone.region.shared_lines());
-    let steep = (object.half_angle - SLENDER[0]) / (SLENDER[1] - SLENDER[0]);
-    let slender = if is_vague { 1.0 } else { 1.0 - steep.clamp(0.0, 1.0) };
-    GAIN.max(slender * (GAIN_PER_POINT * points).min(MOST_GAIN))
 }
 
 fn rounder<'a>(sphere: Candidate<'a>, axial: Candidate<'a>) -> Candidate<'a> {

@@ -17,7 +17,7 @@ const FEWEST: usize = 5; // [algorithmic]
 /// Most rounds of growing and refitting; each round doubles the extent at most.
 const ROUNDS: usize = 7; // [algorithmic]
 /// The summed bulge of a chain has to exceed that of straight arcs by so many standard deviations.
-const CURVED: f64 = 5.0; // [sigmas]
+const CURVED: f64 = 3.0; // [sigmas]
 /// Mean and variance of the bulge that noise gives a straight arc: zero for one arc in two, else chi squared with one degree
 /// of freedom.
 const STRAIGHT: [f64; 2] = [0.5, 1.25]; // [derived] [derived]
@@ -42,11 +42,11 @@ struct Patience {
 }
 
 /// For one more arc while a model grows.
-const GROWING: Patience = Patience { scatter: 2.5, square: 0.3, mean: 0.15 }; // [sigmas] [tuned] [tuned]
+const GROWING: Patience = Patience { scatter: 2.5, square: 0.3, mean: 0.5 }; // [sigmas] [tuned] [tuned]
 /// For all arcs of the first fit together.
 const FIRST: Patience = Patience { scatter: 3.0, square: 0.5, mean: f64::INFINITY }; // [sigmas] [tuned]
 /// For each arc of a model that has grown.
-const SETTLED: Patience = Patience { scatter: 2.5, square: 0.15, mean: 0.15 }; // [sigmas] [tuned] [tuned]
+const SETTLED: Patience = Patience { scatter: 2.5, square: 0.15, mean: 0.5 }; // [sigmas] [tuned] [tuned]
 /// For the first and the last arcs of a model that has grown: an object meets the floor, a rim or another object there.
 const AT_ENDS: Patience = Patience { scatter: 1.2, square: 0.0, mean: 0.0 }; // [sigmas]
 /// The variance of the model counts so many times in a mean square, because it differs along an arc.
@@ -115,7 +115,9 @@ pub(crate) fn is_promising(arcs: &Arcs, chain: &[usize], parameters: &AssemblerP
         return Err(Rejection::FewRows);
     }
     let bulge: f64 = chain.iter().map(|&index| arcs.arcs[index].bulge).sum();
+    let shared_lines = arcs.arcs[chain[0]].shared_lines;
     let [mean, variance] = STRAIGHT.map(|moment| moment * chain.len() as f64);
+    let variance = variance * shared_lines;
     if bulge > mean + CURVED * variance.sqrt() { Ok(()) } else { Err(Rejection::Flat) }
 }
 

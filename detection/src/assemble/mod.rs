@@ -3,12 +3,13 @@
 //! The files stand in the order of the steps: the arcs with the moments of their points ([`arcs`]); which of them are tried
 //! first ([`seeds`]); how a model grows from one over the lines ([`growth`]), with the three models and their fits
 //! ([`model`]) and what they explain ([`region`]); what an object has to fulfil as a whole ([`verify`]); which of the shapes
-//! it is ([`choice`]); and what is told of it ([`report`]). The walk itself is `Assembler::assemble` in `method.rs`.
+//! it is ([`choice`]); what is told of it ([`report`]); and how probable it is that it is one ([`odds`]). The walk itself is `Assembler::assemble` in `method.rs`.
 
 pub(crate) mod arcs;
 pub(crate) mod choice;
 pub(crate) mod growth;
 mod model;
+pub mod odds;
 mod parameters;
 mod region;
 mod rejection;
@@ -25,6 +26,7 @@ pub use report::end_sigma;
 use arcs::Arcs;
 use conicflow_messages::Object;
 use growth::Growing;
+use odds::Evidence;
 use seeds::Seeds;
 
 /// Finds the objects in lists of ellipses; its buffers are used again for the next.
@@ -35,6 +37,7 @@ pub struct Assembler {
     pub(crate) seeds: Seeds,
     pub(crate) growing: Growing,
     pub(crate) objects: Vec<Object>,
+    pub(crate) candidates: Vec<(Object, Evidence)>,
     pub(crate) rejections: Rejections,
 }
 
@@ -47,8 +50,14 @@ impl Assembler {
             seeds: Seeds::default(),
             growing: Growing::default(),
             objects: Vec::new(),
+            candidates: Vec::new(),
             rejections: Rejections::default(),
         }
+    }
+
+    /// All candidates of the last image, reported or not, with what spoke for each and against it.
+    pub fn candidates(&self) -> &[(Object, Evidence)] {
+        &self.candidates
     }
 
     /// Why candidates of the last image were turned down, and how many of them.

@@ -5,7 +5,6 @@ use super::region::Region;
 use conicflow_geometry::{
     ArcFit, Coefficients, Conical, Contour, ContourNoise, ContourPoint, FixedSlope, FreeSlope, Line, LineMoments,
     Prediction, QuadricMoments, SpaceMoments, Sphere, Surface, SurfaceFit, Vector3, fit_surface, fit_with_contour,
-    gain_of_deformations,
 };
 use conicflow_messages::ObjectKind;
 
@@ -191,20 +190,6 @@ fn fit_cone<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Mo
         fit = fit_surface(&moments, &fit.surface, most)?;
     }
     Some(Model::Cone(upright(fit)))
-}
-
-/// By how much less would be left of the arcs, were the model free to be an ellipsoid, or to have a section that is no circle.
-pub(super) fn deformation_gain(region: &Region) -> Option<f64> {
-    let evenly = || pool(region.arcs(), |_| 1.0).normalized();
-    match &region.model {
-        Model::Sphere(fit) => gain_of_deformations(&evenly()?, &fit.surface, &Sphere::deformations()),
-        Model::Cylinder(fit) => gain_of_deformations(&evenly()?, &fit.surface, &fit.surface.0.deformations()),
-        Model::Cone(fit) => {
-            let cone = &fit.surface.0;
-            let moments = pool(region.arcs(), |arc| excess(cone, arc)).normalized()?;
-            gain_of_deformations(&moments, &fit.surface, &cone.deformations())
-        }
-    }
 }
 
 /// How exact the contours of objects are. On rendered frames a contour point scatters by half a pixel and 2 % of the radius

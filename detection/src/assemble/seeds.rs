@@ -68,7 +68,7 @@ impl Seeds {
 
     /// Takes the arcs of an object, and all others that its surface explains, from what is left.
     pub fn take(&mut self, best: &Candidate, object: &Object) {
-        let Candidate { region, measured } = best;
+        let Candidate { region, measured, .. } = best;
         for &member in region.members {
             self.taken[member] = true;
         }

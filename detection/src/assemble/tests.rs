@@ -1,11 +1,8 @@
 //! Tests of the pooled method, on rendered frames.
 
-use super::arcs::Arcs;
-use super::model::{self, Model};
-use super::region::Region;
-use super::{Assembler, AssemblerParameters, verify};
-use crate::extract::{Extractor, ExtractorParameters, ScanLines};
-use conicflow_geometry::{Contour, ContourNoise, ContourPoint, Scan, Sphere, SurfaceFit, Vector3};
+use super::{Assembler, AssemblerParameters};
+use crate::extract::{Extractor, ExtractorParameters};
+use conicflow_geometry::Vector3;
 use conicflow_lab::rendered::{Body, KINECT_HALF, render};
 use conicflow_lab::simulator::random_scene::{SceneGroup, random_scene};
 use conicflow_lab::simulator::random_scenes::RandomScenes;
@@ -13,8 +10,6 @@ use conicflow_lab::simulator::scene::Scene;
 use conicflow_lab::simulator::sensor::{SensorConfig, SensorTable};
 use conicflow_lab::simulator::{SimulatorParameters, SyntheticCamera};
 use conicflow_messages::{Camera, Header, Item, NoiseModel, Object, ObjectKind};
-use nalgebra::SMatrix;
-use std::ops::Range;
 
 fn detect(camera: Camera, noise: NoiseModel, bodies: &[Body], seed: u64) -> Vec<Object> {
     let (header, pixels) = render(camera, noise, bodies, seed);
@@ -148,31 +143,6 @@ fn what_lies_across_is_found_in_columns_and_reported_once() {
 }
 
 #[test]
-fn what_shows_another_outline_is_nothing() {
-    let surface = Sphere { center: Vector3::new(0.0, 0.0, 1.0), radius: 0.1 };
-    let mut contour = Contour::default();
-    // Rays that touch the ball on its left, and some that are 20 pixels off.
-    let mut look = |others: usize| {
-        contour.clear(ContourNoise { point_px: 0.5, point_share: 0.0, offset_px: 1.0, share: 0.05 });
-        for i in 0..40 {
-            let left = -0.1 / 0.99_f64.sqrt() - if i < others { 20.0 / 525.0 } else { 0.0 };
-            let (ray, pixel) = (Vector3::new(left, 0.0, 1.0), Vector3::x() / 525.0);
-            contour.add(ContourPoint { ray, pixel, side: 0, radius_px: 50.0 });
-        }
-        contour.select(&surface, |_| true);
-        let fit = |contour_sum: f64| {
-            let (inverse, of_contour) = (SMatrix::zeros(), SMatrix::zeros());
-            let square_sum = 0.0;
-            Model::Sphere(SurfaceFit { surface, square_sum, contour_sum, inverse, contour: of_contour })
-        };
-        [20.0, 60.0, 120.0].map(|sum| verify::has_other_outline(&fit(sum), &contour))
-    };
-    assert_eq!(look(0), [false, false, true], "0.5, 1.5 and 3 variances off");
-    assert_eq!(look(8), [false, false, true]);
-    assert_eq!(look(16), [true; 3]);
-}
-
-#[test]
 fn what_is_seen_through_a_gap_may_be_anything_but_a_dome_on_a_wall_is_a_sphere() {
     let door =
         |x: f64| Body::Block { center: Vector3::new(x, 0.0, 1.0), size: Vector3::new(0.4, 1.5, 0.02), turn: 0.0 };
@@ -182,34 +152,6 @@ fn what_is_seen_through_a_gap_may_be_anything_but_a_dome_on_a_wall_is_a_sphere()
     let dome = Body::Sphere { center: Vector3::new(0.1, 0.05, 1.5), radius: 0.15 };
     let found = single(&kinect(&[dome, wall(1.5)], 7), ObjectKind::Sphere);
     assert!((found.radius - 0.15).abs() < 0.005, "{found:?}");
-}
-
-/// Whether a sphere through some lines of what is seen goes on beyond them.
-fn goes_on(bodies: &[Body], lines: Range<i64>) -> bool {
-    let (header, pixels) = render(KINECT_HALF, NoiseModel::KINECT_V1, bodies, 3);
-    let rows = ExtractorParameters { scan: ScanLines::Rows, ..ExtractorParameters::default() };
-    let mut arcs = Arcs::default();
-    arcs.read(&header, Extractor::new(rows).extract(&header, &pixels));
-    let members: Vec<usize> = lines.clone().flat_map(|line| arcs.on_line(Scan::Row, line)).collect();
-    assert_eq!(members.len(), lines.count(), "one arc a line");
-    let model = model::fit(ObjectKind::Sphere, &arcs.of(&members), None, f64::INFINITY).unwrap();
-    verify::goes_on(&Region { arcs: &arcs, model, members: &members }, 2)
-}
-
-#[test]
-fn a_band_of_a_post_goes_on_on_both_sides() {
-    let post = |from: f64, to: f64| Body::Frustum {
-        center: Vector3::new(0.0, 0.5 * (from + to), 1.2),
-        axis: Vector3::y(),
-        radius: 0.06,
-        slope: 0.0,
-        length: to - from,
-    };
-    let ball = |y: f64| Body::Sphere { center: Vector3::new(0.0, y, 1.2), radius: 0.06 };
-    assert!(goes_on(&[post(-0.4, 0.4), wall(2.5)], 114..126));
-    assert!(!goes_on(&[post(-0.03, 0.4), wall(2.5)], 114..126), "a knob at its end");
-    assert!(!goes_on(&[post(-0.03, 0.03), wall(2.5)], 114..126), "nothing adjoins it");
-    assert!(!goes_on(&[ball(-0.12), ball(0.0), ball(0.12), wall(2.5)], 107..133), "what adjoins it is narrow");
 }
 
 #[test]

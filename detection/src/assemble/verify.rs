@@ -2,64 +2,23 @@
 
 use super::arcs::{Arc, Arcs};
 use super::model::{self, Model};
+use super::odds::Outline;
 use super::parameters::AssemblerParameters;
 use super::region::Region;
 use super::rejection::Rejection;
 use super::report::spacing_along;
-use conicflow_geometry::{Contour, Scan, Sphere, Vector3, section_of};
-use conicflow_messages::{Object, ObjectKind};
+use conicflow_geometry::{Contour, ContourNoise, Scan, SpaceMoments, Vector3, section_of};
 
 /// Number of fits to the contour. Each uses the contour points that are near the contour of the last fit.
 const CONTOUR_PASSES: usize = 2; // [algorithmic]
-/// The mean square residual of an object may exceed zero by so many of its standard deviations.
-const SCATTER: f64 = 1.0; // [sigmas]
 /// Pixels at each end of an arc that do not count for the extent: they may belong to a lid or to the floor.
 const UNSURE_PX: f64 = 2.0; // [tuned]
-/// Slack of the mean square residual of an object on top of its scatter, in variances.
-const SLACK: f64 = 0.07; // [tuned]
-/// Further slack of the mean square residual of an object of [`MANY_POINTS`], which shows the faults of sensor and surface.
-const MORE_SLACK: f64 = 0.1; // [tuned]
-/// Number of points from which on an object gets all of [`MORE_SLACK`] and [`MORE_DEFORMED_SLACK`]; fewer get a part.
-const MANY_POINTS: f64 = 3000.0; // [tuned]
-/// The slack is at most that of a surface that is off by this part of its radius. In much noise this tells a square post from
-/// a can.
-const UNEVEN: f64 = 0.04; // [tuned]
-/// Largest gain of another quadric over the model that noise alone explains, as chi squared.
-const DEFORMED: f64 = 10.0; // [sigmas]
-/// Slack of that gain, in variances per point.
-const DEFORMED_SLACK: f64 = 0.03; // [tuned]
-/// Further slack of that gain for an object of [`MANY_POINTS`], in variances per point: real sensors bend what is far.
-const MORE_DEFORMED_SLACK: f64 = 0.5; // [tuned]
-/// Least mean square residual of a plane through the points of an object, in variances.
-const PLANE: f64 = 0.05; // [tuned]
-/// Largest part of the arc ends beyond which something is seen where the model would hide it.
-const SEEN_THROUGH: f64 = 0.2; // [tuned]
-/// Largest mean square residual of the contour, in variances of a contour point.
-const OUTLINE: f64 = 1.7; // [tuned]
-/// The mean square residual of the contour may exceed [`OUTLINE`] by so many standard deviations.
-const OUTLINE_SCATTER: f64 = 2.0; // [sigmas]
-/// Largest part of the contour points that may be far off the contour, and so belong to something else.
-const OTHERS: f64 = 0.35; // [tuned]
-/// Fewest contour points of which that part is asked.
-const FEWEST_TELLING: usize = 8; // [algorithmic]
-/// If at least this part of the arc ends is followed by something farther or by nothing, enough of the outline is seen.
-const LEAST_OUTLINE: f64 = 0.2; // [tuned]
-/// If less of the outline is seen: largest part of the arc ends that may be hidden by something nearer.
-const MOST_HIDDEN: f64 = 0.2; // [tuned]
-/// A neighbour is nearer if it is so by more than so many standard deviations and a slope of one.
-const NEARER: f64 = 4.0; // [sigmas]
 /// Largest cosine between the axis and the scan lines: that of 40 degrees.
 const ALONG_LINES: f64 = 0.766; // [tuned]
 /// Largest cosine between the axis and the view: that of 25 degrees.
 const ALONG_VIEW: f64 = 0.906; // [tuned]
-/// Largest standard deviations of the radius of a sphere, as a part of it, and of its axis, which it has not.
-const VAGUE_SPHERE: [f64; 2] = [0.03, f64::INFINITY]; // [tuned]
-/// Largest standard deviations of the radius of a cylinder, as a part of it, and of its axis (1.5 degrees).
-const VAGUE_CYLINDER: [f64; 2] = [0.05, 0.0262]; // [tuned] [tuned]
-/// Largest standard deviations of the radius of a cone, as a part of it, and of its axis (3 degrees).
-const VAGUE_CONE: [f64; 2] = [0.12, 0.0524]; // [tuned] [tuned]
-/// Largest standard deviation of an axis of which less than one radius of length is seen: 1.2 degrees.
-const VAGUE_SHORT_AXIS: f64 = 0.0209; // [tuned]
+/// The curvature of an object has to exceed that of a plane by so many standard deviations.
+const CURVED: f64 = 4.0; // [sigmas]
 
 /// What was measured of a grown model, for its report.
 #[derive(Clone, Copy, Debug)]
@@ -85,6 +44,7 @@ pub(crate) struct Measured {
 pub(crate) struct Candidate<'a> {
     pub region: Region<'a>,
     pub measured: Measured,
+    pub outline: Outline,
 }
 
 /// What became of the shapes that grew: sphere, cylinder and cone; none where the shape did not even grow.
@@ -104,26 +64,20 @@ pub(crate) fn verify_all<'a>(
     })
 }
 
-/// What has region, fitted together with its contour, if it is an object.
+/// A region fitted together with the contour that it shows, if what is seen of it is enough for an object.
 fn verify<'a>(
     mut region: Region<'a>,
     parameters: &AssemblerParameters,
     contour: &mut Contour,
 ) -> Result<Candidate<'a>, Rejection> {
-    let measured = check(&region, parameters)?;
-    if is_plane(&region, &measured) {
-        return Err(Rejection::Flat);
-    }
-    if goes_on(&region, parameters.max_gap()) {
-        return Err(Rejection::Part);
-    }
+    check(&region, parameters)?;
     if let Some(model) = model::with_contour(&region, CONTOUR_PASSES, contour) {
-        if has_other_outline(&model, contour) {
-            return Err(Rejection::Outline);
-        }
         region.model = model;
+    } else {
+        contour.clear(ContourNoise::default());
     }
-    Ok(Candidate { region, measured: check(&region, parameters)? })
+    let outline = Outline::of(&region, contour);
+    Ok(Candidate { region, measured: check(&region, parameters)?, outline })
 }
 
 fn check(region: &Region, parameters: &AssemblerParameters) -> Result<Measured, Rejection> {
@@ -137,8 +91,6 @@ fn check(region: &Region, parameters: &AssemblerParameters) -> Result<Measured, 
         Err(Rejection::Small)
     } else if f64::from(measured.lines) < parameters.pooled.min_coverage * f64::from(last.line - first.line + 1) {
         Err(Rejection::Gaps)
-    } else if measured.misfit > most_misfit(&measured, radius) {
-        Err(Rejection::Rms)
     } else if let Some(reason) = parameters.wrong_size(region.model.kind(), radius, reach) {
         Err(reason)
     } else if !is_sharp(region, parameters) {
@@ -149,10 +101,8 @@ fn check(region: &Region, parameters: &AssemblerParameters) -> Result<Measured, 
         Err(Rejection::Tilted)
     } else if measured.angle < parameters.pooled.min_arc_deg.to_radians() {
         Err(Rejection::ShortArc)
-    } else if is_between_others(region) {
-        Err(Rejection::Between)
-    } else if seen_through(region, &measured) > SEEN_THROUGH {
-        Err(Rejection::SeenThrough)
+    } else if is_plane(region, &measured) {
+        Err(Rejection::Flat)
     } else {
         Ok(measured)
     }
@@ -162,24 +112,6 @@ fn check(region: &Region, parameters: &AssemblerParameters) -> Result<Measured, 
 fn height_in_view(region: &Region) -> f64 {
     let [first, last] = region.ends();
     f64::from(last.line - first.line + 1) * first.spacing / first.mean.z
-}
-
-/// Greatest misfit of an object, in variances.
-fn most_misfit(measured: &Measured, radius: f64) -> f64 {
-    let &Measured { count, points, variance, .. } = measured;
-    let slack = SLACK + MORE_SLACK * share_of_many(count);
-    slack.min((UNEVEN * radius).powi(2) / variance) + SCATTER * (2.0 / points).sqrt()
-}
-
-fn share_of_many(count: u32) -> f64 {
-    (f64::from(count) / MANY_POINTS).min(1.0)
-}
-
-/// Whether another quadric explains the points surely better: an ellipsoid, an oval pillar, or the edge of a box.
-pub(super) fn is_deformed(region: &Region, measured: &Measured) -> bool {
-    let slack = DEFORMED_SLACK + MORE_DEFORMED_SLACK * share_of_many(measured.count);
-    let most = DEFORMED * region.shared_lines() + measured.points * slack;
-    model::deformation_gain(region).is_some_and(|gain| gain > most)
 }
 
 /// Whether the axis lies so nearly along the scan lines that these hardly show the curvature, or so nearly along the view
@@ -271,98 +203,12 @@ fn span(arc: &Arc, region: &Region, ends: [Option<Vector3>; 2]) -> f64 {
     outwards(a).angle(&outwards(b))
 }
 
-/// Whether a plane explains the points nearly as well.
+/// Whether a plane explains the points about as well: the evidence against it, as chi squared of independent points in units of
+/// what the points of the model really scatter, is less than that of so many standard deviations.
 fn is_plane(region: &Region, measured: &Measured) -> bool {
-    let mut pool = conicflow_geometry::SpaceMoments::default();
+    let mut pool = SpaceMoments::default();
     region.arcs().for_each(|arc| pool.add(&arc.space, 1.0));
-    pool.least_variance() < measured.variance * (PLANE + SCATTER * (2.0 / measured.points).sqrt())
-}
-
-/// Whether the contour that is seen is not that of a model which was fitted to it: on real frames, of most things that
-/// are neither sphere, cylinder nor cone.
-pub(super) fn has_other_outline(model: &Model, contour: &Contour) -> bool {
-    let (used, others) = (contour.used() as f64, contour.far_off() as f64);
-    let differs = model.contour_sum() > used * OUTLINE + OUTLINE_SCATTER * (2.0 * used).sqrt();
-    differs || contour.points() >= FEWEST_TELLING && others > OTHERS * contour.points() as f64
-}
-
-/// Whether hardly any of an object's own outline is seen, and something nearer hides it: what is seen between other things
-/// may be a part of anything.
-fn is_between_others(region: &Region) -> bool {
-    let part = |ends: usize| 0.5 * ends as f64 / region.members.len() as f64;
-    let may_end = |arc: &Arc| (0..2).filter(|&end| arc.contour[end].is_some() || arc.beyond[end] == 0.0).count();
-    if part(region.arcs().map(may_end).sum()) >= LEAST_OUTLINE {
-        return false;
-    }
-    let q = region.model.coefficients();
-    let hidden = |arc: &Arc| {
-        let section = section_of(&q, &arc.plane);
-        let is_nearer = |end: usize| {
-            let (x, there, z) = (arc.rays[end], arc.beyond_rays[end], arc.beyond[end]);
-            let nearer = |here: f64| z < here - NEARER * arc.variance.sqrt() - (there - x).abs() * here;
-            z > 0.0 && arc.hit(&section, x).is_some_and(nearer)
-        };
-        (0..2).filter(|&end| is_nearer(end)).count()
-    };
-    part(region.arcs().map(hidden).sum()) > MOST_HIDDEN
-}
-
-/// An arc that adjoins a sphere and lies farther than so many radii from its centre does not belong to it.
-const BEYOND: f64 = 1.3; // [tuned]
-
-/// Whether a sphere is part of something longer: its first and its last line are wider than its radius, and what adjoins
-/// them goes on beyond it on both sides.
-pub(super) fn goes_on(region: &Region, gap: i64) -> bool {
-    let Model::Sphere(fit) = &region.model else { return false };
-    let Sphere { center, radius } = fit.surface;
-    let ends = [(region.members[0], -1), (region.members[region.members.len() - 1], 1)];
-    ends.into_iter().all(|(end, side)| {
-        let next = |&at: &usize| region.arcs.beside(at, side, gap, |_| true);
-        let leaves_it = |at: usize| (region.arcs.arcs[at].mean - center).norm() > BEYOND * radius;
-        region.arcs.arcs[end].width() > radius && std::iter::successors(Some(end), next).any(leaves_it)
-    })
-}
-
-/// A measurement lies behind a surface if it does so by more than so many standard deviations of a point.
-const BEHIND: f64 = 3.0; // [sigmas]
-/// Part of an object's length at each of its ends in which it need not hide anything.
-const END_MARGIN: f64 = 0.05; // [tuned]
-
-/// Part of the arc ends at which something is seen behind the surface; of few ends that tell, some may be noise.
-fn seen_through(region: &Region, measured: &Measured) -> f64 {
-    let q = region.model.coefficients();
-    let (mut seen, mut all) = (0.0, 0.0_f64);
-    for arc in region.arcs() {
-        let section = section_of(&q, &arc.plane);
-        for (x, z) in arc.beyond_rays.into_iter().zip(arc.beyond).filter(|(_, z)| *z > 0.0) {
-            all += 1.0;
-            let margin = BEHIND * arc.variance.sqrt();
-            let through = |surface: f64| z > surface + margin && is_between(region, measured, &arc.point(x, surface));
-            seen += f64::from(u8::from(arc.hit(&section, x).is_some_and(through)));
-        }
-    }
-    seen / all.max(1.0).max(0.5 * region.members.len() as f64)
-}
-
-/// Whether a point is surely between the ends of what is seen; of a sphere any is.
-fn is_between(region: &Region, measured: &Measured, point: &Vector3) -> bool {
-    let along = position(&region.model, point);
-    let margin = END_MARGIN * (measured.extent[1] - measured.extent[0]);
-    let between = (measured.extent[0] + margin..measured.extent[1] - margin).contains(&along);
-    region.model.kind() == ObjectKind::Sphere || between
-}
-
-/// Whether too little is known about the radius or the axis of an object, given their standard deviations. The
-/// limits are those of noise that no lines share; what `shared_lines` of them share makes an axis the less certain.
-pub(super) fn is_vague(object: &Object, shared_lines: f64) -> bool {
-    let sigma = &object.sigma;
-    // Nothing but the radius tells a sphere from other things that are bent.
-    let wider = if object.shape() == ObjectKind::Sphere { 1.0 } else { shared_lines.sqrt() };
-    let [radius, axis] = match object.shape() {
-        ObjectKind::Sphere => VAGUE_SPHERE,
-        ObjectKind::Cylinder => VAGUE_CYLINDER,
-        ObjectKind::Cone => VAGUE_CONE,
-    };
-    let axis = if object.length < object.radius { axis.min(VAGUE_SHORT_AXIS) } else { axis };
-    sigma.radius > wider * radius * object.radius || sigma.axis > wider * axis
+    let independent = measured.points / region.shared_lines();
+    let (plane, shape) = (pool.least_variance() / measured.variance, measured.misfit);
+    independent * (plane - shape) < CURVED * CURVED * (1.0 + shape.max(0.0))
 }

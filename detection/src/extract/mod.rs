@@ -4,7 +4,7 @@
 //! fit of all arcs of an object together. Unbiased moments put the expected error of the right curve at zero, so the limit
 //! is what the noise of n points scatters: `error^2 <= sigma^2 (a sqrt(2 / n) + b) + (0.1 mm)^2`.
 //!
-//! The files stand in the order of the steps: how noisy the image is ([`noise_level`], [`noise_correlation`]); the rows or
+//! The files stand in the order of the steps: how noisy the image is ([`noise_level`], [`noise_planes`]); the rows or
 //! columns of the image as rays ([`view`]); one line, split into runs at jumps and holes ([`line`]); the rays of a run, and
 //! its running sums ([`rays`], [`run`]); the segments of a run that one curve explains ([`segments`]); the arc of a segment,
 //! with its contour ([`arc`]); and which lines between the coarse ones are worth a look ([`coarse`]). The walk itself is
@@ -13,9 +13,9 @@
 mod arc;
 pub(crate) mod coarse;
 mod line;
-mod noise_correlation;
 mod noise_estimate;
 mod noise_level;
+mod noise_planes;
 mod parameters;
 mod rays;
 mod rejection;
@@ -34,6 +34,7 @@ use conicflow_geometry::Scan;
 use conicflow_messages::{Ellipse, Header, NoiseModel};
 use noise_estimate::NoiseEstimate;
 use noise_level::NoiseSamples;
+use noise_planes::{PlaneSquares, UNSEEN};
 use search::LineSearch;
 use view::View;
 
@@ -46,6 +47,7 @@ pub struct Extractor {
     pub(crate) search: LineSearch,
     pub(crate) coarse: CoarseLines,
     samples: NoiseSamples,
+    squares: PlaneSquares,
     pub(crate) ellipses: Vec<Ellipse>,
     pub(crate) rejections: ArcRejections,
 }
@@ -60,6 +62,7 @@ impl Extractor {
             search: LineSearch::default(),
             coarse: CoarseLines::default(),
             samples: NoiseSamples::default(),
+            squares: PlaneSquares::default(),
             ellipses: Vec::new(),
             rejections: ArcRejections::default(),
         }
@@ -80,6 +83,7 @@ impl Extractor {
         self.view.turn(header, Scan::Row, &NoiseEstimate::nominal(header.noise));
         let noise = noise_level::estimate(&self.view, image, &mut self.search, &mut self.samples);
         self.view.turn(header, Scan::Row, &noise);
-        NoiseEstimate { correlation_px: noise_correlation::length_px(&self.view, image), ..noise }
+        let correlation_px = noise_planes::correlation_px(&self.view, image, &mut self.squares).unwrap_or(UNSEEN);
+        NoiseEstimate { correlation_px, ..noise }
     }
 }

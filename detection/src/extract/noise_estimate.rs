@@ -12,8 +12,8 @@ pub(crate) struct NoiseEstimate {
     pub neighbour_model: NoiseModel,
     /// Variances of what is near and what is far, in those that the source told.
     pub nominal: [f64; 2],
-    /// How many neighbouring pixels share it (`noise_correlation.rs`), at least 1.
-    pub correlation_px: f64,
+    /// How many neighbours in a row, and in a column, share it (`noise_planes.rs`), at least 1.
+    pub correlation_px: [f64; 2],
 }
 
 impl NoiseEstimate {
@@ -29,7 +29,7 @@ impl NoiseEstimate {
             level,
             neighbour_model: model.times(level.max(1.0).sqrt()),
             nominal: [level; 2],
-            correlation_px: 1.0,
+            correlation_px: [1.0; 2],
         }
     }
 }

@@ -120,7 +120,7 @@ fn of_another_growth(
     }
     let nominal = depths.map(|depth| model.variance(depth) / view.variance(depth));
     let neighbour_model = through(depths, nominal.map(|level| level.max(1.0).sqrt()), |depth| view.variance(depth));
-    NoiseEstimate { model, level: 1.0, neighbour_model, nominal, correlation_px: 1.0 }
+    NoiseEstimate { model, level: 1.0, neighbour_model, nominal, correlation_px: [1.0; 2] }
 }
 
 /// Whether the noise of what is near and of what is far surely differs from the model by different factors.

@@ -10,7 +10,7 @@ use std::ops::Range;
 /// The limit's `a`: the mean square error of the right curve may exceed zero by so many of its standard deviations.
 const SCATTER: f64 = 2.5; // [sigmas]
 /// The limit's `b`: the noise model may be wrong by this part of its variance.
-const SLACK: f64 = 0.3; // [tuned]
+const SLACK: f64 = 0.6; // [tuned]
 /// Mean square roughness of any surface, in square metres: a tenth of a millimetre, squared.
 const LEAST_SQUARE: f64 = 1e-8; // [tuned]
 /// Steepest surface between neighbouring pixels, as depth per distance across the view. A steeper step is a jump.
@@ -45,7 +45,7 @@ pub(crate) struct View {
     /// Variance of the sensor, in variances of its model or, where that is greater, of rounding.
     level: f64,
     /// How many neighbouring pixels share their noise.
-    pub correlation_px: f64,
+    pub correlation_px: [f64; 2],
     /// Variance that rounding to the unit of the image makes at the least.
     pub least: f64,
     /// The rule by which a line is split.
@@ -68,7 +68,7 @@ impl View {
             width: 0,
             noise: NoiseModel::IDEAL,
             level: 1.0,
-            correlation_px: 1.0,
+            correlation_px: [1.0; 2],
             least: 0.0,
             jumps: JumpRule::new(&NoiseModel::IDEAL, 1.0, 0.0, 0),
             slopes: Vec::new(),
@@ -82,7 +82,8 @@ impl View {
         [self.lines, self.length] = if scan == Scan::Row { size } else { [size[1], size[0]] };
         (self.scan, self.camera, self.width) = (scan, pinhole(&header.camera), size[1] as usize);
         (self.noise, self.level, self.scale) = (noise.model, noise.level, header.depth_scale);
-        self.correlation_px = noise.correlation_px;
+        let [rows, columns] = noise.correlation_px;
+        self.correlation_px = if scan == Scan::Row { [rows, columns] } else { [columns, rows] };
         self.least = self.scale * self.scale / 12.0;
         let pitch = self.camera.pixel_pitch(scan);
         let rounding = self.least.sqrt() * noise.level.max(1.0).sqrt();
@@ -91,8 +92,9 @@ impl View {
         self.jumps = JumpRule::new(&neighbour_model, self.scale, pitch, self.parameters.max_hole_px);
         self.slopes.clear();
         self.slopes.extend((0..self.length).map(|pixel| self.camera.ray_slope(scan, f64::from(pixel))));
-        let known = self.limits.len();
-        self.limits.extend((known..=self.length as usize).map(|n| SCATTER * (2.0 / n.max(1) as f64).sqrt() + SLACK));
+        let independent = |points: usize| points.saturating_sub(1) as f64 / self.correlation_px[0] + 1.0;
+        self.limits.clear();
+        self.limits.extend((0..=self.length as usize).map(|n| SCATTER * (2.0 / independent(n)).sqrt() + SLACK));
     }
 
     /// The plane of a scan line.

@@ -1,0 +1,117 @@
+//! The one decision: how probable it is that a candidate is an object of its shape, and not a part of anything else.
+//!
+//! Noise that neighbours share, creased cloth, edges of boxes and limbs give candidates that some sphere, cylinder or cone
+//! explains. What tells them from objects is not one limit that they miss but all of their [`Evidence`] together: the
+//! logarithm of the odds is a weighted sum of it (logistic regression; Hastie, Tibshirani and Friedman, "The Elements of
+//! Statistical Learning", section 4.4). `cargo bench --bench odds` fits the weights to candidates in simulated scenes and
+//! prints how often candidates of each confidence are right.
+
+use super::region::Region;
+use super::verify::Candidate;
+use conicflow_geometry::Contour;
+use conicflow_messages::{Object, ObjectKind};
+
+/// Upper bound of the mean square error of the outline that counts, in variances: what is farther off is no worse.
+const MOST_OUTLINE: f64 = 5.0; // [algorithmic]
+/// Upper bound of the visible length that counts, in radii.
+const MOST_LENGTH: f64 = 3.0; // [algorithmic]
+/// Added to the relative standard deviation of the radius, so that its logarithm stays finite.
+const LEAST_SIGMA: f64 = 0.003; // [algorithmic]
+
+/// How well the outline that is seen fits.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Outline {
+    /// Mean square distance of the contour points that fit, in variances of one.
+    square: f64,
+    /// Share of the contour points that are far off, and so belong to something else.
+    far_off: f64,
+    /// Share of the ends of all arcs behind which something farther is seen.
+    free: f64,
+}
+
+impl Outline {
+    /// That of a region that was fitted together with its contour.
+    pub fn of(region: &Region, contour: &Contour) -> Self {
+        let ends = 2.0 * region.members.len() as f64;
+        let free = region.arcs().flat_map(|arc| arc.contour).flatten().count() as f64 / ends;
+        let share = |part: usize, all: usize| part as f64 / all.max(1) as f64;
+        let square = region.model.contour_sum() / contour.used().max(1) as f64;
+        Self { square, far_off: share(contour.far_off(), contour.points()), free }
+    }
+}
+
+/// What speaks for a candidate and against it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Evidence {
+    /// Share of the ends of its arcs at which it stands free before something farther.
+    pub free_ends: f64,
+    /// Standard deviation of its radius, as a part of it.
+    pub radius_sigma: f64,
+    /// Part of its mean square residual that the noise does not explain, less than 1.
+    pub unexplained: f64,
+    /// Mean square distance of its outline from where the shape has one, in variances of an outline's point.
+    pub outline_square: f64,
+    /// Share of its outline that is far from where the shape has one.
+    pub outline_far_off: f64,
+    /// Visible length in radii; of a sphere 0.
+    pub length_radii: f64,
+    /// Number of scan lines that show it.
+    pub lines: f64,
+    /// Part of the scan lines between the first and the last that show it.
+    pub coverage: f64,
+    /// Whether what is called a cylinder may as well taper.
+    pub may_taper: bool,
+    /// Whether it is a sphere, which has fewer parameters to bend to anything.
+    pub is_sphere: bool,
+}
+
+/// Number of terms of the sum, the constant included.
+pub const TERMS: usize = 11;
+
+/// Weights of the terms, in their order: `cargo bench --bench odds`.
+const WEIGHTS: [f64; TERMS] = [-13.76, 4.64, -1.32, -11.88, -0.86, -3.59, 0.70, 1.21, 2.48, -1.99, 2.54]; // [measured]
+
+impl Evidence {
+    /// That of a candidate of which `object` is the report.
+    pub(crate) fn of(candidate: &Candidate, object: &Object, may_taper: bool) -> Self {
+        let Candidate { region, measured, outline } = candidate;
+        let [first, last] = region.ends();
+        let misfit = measured.misfit.max(0.0);
+        Self {
+            free_ends: outline.free,
+            radius_sigma: object.sigma.radius / object.radius,
+            unexplained: misfit / (1.0 + misfit),
+            outline_square: outline.square,
+            outline_far_off: outline.far_off,
+            length_radii: object.length / object.radius,
+            lines: f64::from(measured.lines),
+            coverage: f64::from(measured.lines) / f64::from(last.line - first.line + 1),
+            may_taper,
+            is_sphere: object.shape() == ObjectKind::Sphere,
+        }
+    }
+
+    /// The terms of the sum: a constant and what the evidence makes of each of its parts.
+    pub fn terms(&self) -> [f64; TERMS] {
+        let one_if = |condition: bool| f64::from(u8::from(condition));
+        [
+            1.0,
+            self.free_ends,
+            (self.radius_sigma + LEAST_SIGMA).ln(),
+            self.unexplained,
+            self.outline_square.min(MOST_OUTLINE),
+            self.outline_far_off,
+            self.length_radii.min(MOST_LENGTH),
+            self.lines.ln(),
+            self.coverage,
+            one_if(self.may_taper),
+            one_if(self.is_sphere),
+        ]
+    }
+
+    /// The probability that the candidate is an object of its shape.
+    pub fn probability(&self) -> f64 {
+        let log_odds: f64 = self.terms().iter().zip(WEIGHTS).map(|(term, weight)| term * weight).sum();
+        1.0 / (1.0 + (-log_odds).exp())
+    }
+}

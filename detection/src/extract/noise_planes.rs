@@ -1,0 +1,172 @@
+//! How many neighbouring pixels share their noise, along rows and along columns, as the planes in the image show it.
+//!
+//! A camera that compares windows of two images, or a driver that smooths, gives neighbours the same errors, over blobs of
+//! up to 20 pixels. Pixels that lie close together do not show these; what the plane leaves of a square of the image does:
+//! the inverse depth of a plane is linear in the pixel. The autocorrelation along rows and columns, of which all counts
+//! before it vanishes (Geyer, "Practical Markov chain Monte Carlo", 1992), tells how many pixels count as one.
+
+use super::view::View;
+use conicflow_messages::is_measured;
+use nalgebra::{Matrix3, Vector3};
+
+/// A square has so many pixels along its side, in an image of [`USUAL_WIDTH`]: three of the longest blobs.
+const SIDE: u32 = 64; // [algorithmic]
+const USUAL_WIDTH: u32 = 640; // [algorithmic]
+/// Fewest pixels along the side of a square.
+const LEAST_SIDE: u32 = 24; // [algorithmic]
+/// The plane of a square is fitted to so many pixels along each of its sides.
+const SAMPLES: u32 = 16; // [algorithmic]
+/// A square is looked at if this part of its samples is measured.
+const MEASURED: f64 = 0.9; // [algorithmic]
+/// The flattest of all squares is this part of them: at least these show nothing but planes.
+const FLAT: f64 = 0.15; // [tuned]
+/// A square whose mean square residual exceeds that of the flat ones by this factor shows no plane: 20 blobs to a square
+/// scatter by a third.
+const WITHIN: f64 = 2.0; // [sigmas]
+/// Fewest planes that tell the noise.
+const FEWEST: usize = 4; // [algorithmic]
+/// Number of rows and of columns of a square of which the correlation is computed.
+const LINES: u32 = 4; // [algorithmic]
+/// Largest distance in pixels at which a correlation is computed.
+const FARTHEST: usize = 32; // [algorithmic]
+/// Correlations up to this count as zero: chance makes them, and so do surfaces that are not quite even.
+const CHANCE: f64 = 0.1; // [tuned]
+/// Largest number of squares of which the correlation is computed.
+const MOST: usize = 16; // [algorithmic]
+/// Upper bound of the part of the noise that the plane takes with it; it keeps the correction finite.
+const MOST_TAKEN: f64 = 0.5; // [algorithmic]
+/// Where no plane is seen: what a Kinect v1 shows at 1 to 3 m.
+pub(super) const UNSEEN: [f64; 2] = [6.0, 4.0]; // [tuned]
+
+/// A square of the image with the plane through it.
+#[derive(Clone, Copy, Debug)]
+struct Square {
+    corner: [u32; 2],
+    /// Inverse depth at the corner, and its growth along u and v, per pixel.
+    plane: Vector3<f64>,
+    depth: f64,
+    /// Mean square residual of the depth, in variances of the model.
+    square: f64,
+}
+
+/// Buffers, used again for the next image.
+#[derive(Debug, Default)]
+pub(super) struct PlaneSquares {
+    squares: Vec<Square>,
+    residuals: Vec<f64>,
+}
+
+/// Sums of products of residuals that are 0, 1, ... pixels apart, and how many.
+type Covariances = [[f64; 2]; FARTHEST + 1];
+
+/// How many neighbours along rows, and along columns, count as one in an image that `view` shows by its rows with the noise
+/// that it has: the mean of many has the variance of one, times these, over their number. `None` where too few planes are seen.
+///
+/// Waves that are longer than what the level of the noise was taken from make planes uneven by more than that: they widen what
+/// counts as one.
+pub(super) fn correlation_px(view: &View, image: &[u16], buffers: &mut PlaneSquares) -> Option<[f64; 2]> {
+    let PlaneSquares { squares, residuals } = buffers;
+    let side = (SIDE * view.length / USUAL_WIDTH).clamp(LEAST_SIDE, SIDE);
+    collect(view, image, side, squares);
+    let planes = planes(squares)?;
+    let shared = [0, 1].map(|direction| {
+        let mut covariances: Covariances = [[0.0; 2]; FARTHEST + 1];
+        for square in planes.iter().step_by(planes.len().div_ceil(MOST)) {
+            add_lines(view, image, square, (side, direction), residuals, &mut covariances);
+        }
+        shared(&covariances)
+    });
+    // The plane has three parameters, and takes as much of the noise with it as of so many independent points.
+    let independent = f64::from(side * side) / (shared[0] * shared[1]);
+    let kept = 1.0 - (3.0 / independent).min(MOST_TAKEN);
+    let level = planes.iter().map(|square| square.square).sum::<f64>() / (kept * planes.len() as f64);
+    Some(shared.map(|px| px * level.max(1.0).sqrt()))
+}
+
+/// The squares of the image that are measured.
+fn collect(view: &View, image: &[u16], side: u32, squares: &mut Vec<Square>) {
+    squares.clear();
+    for v in (0..(view.lines + 1).saturating_sub(side)).step_by(side as usize / 2) {
+        for u in (0..(view.length + 1).saturating_sub(side)).step_by(side as usize / 2) {
+            squares.extend(fit(view, image, [u, v], side));
+        }
+    }
+}
+
+/// The plane through a square.
+fn fit(view: &View, image: &[u16], corner: [u32; 2], side: u32) -> Option<Square> {
+    let (step, middle) = ((side / SAMPLES) as usize, 0.5 * f64::from(side));
+    let (mut matrix, mut right, mut squares) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
+    for y in (step / 2..side as usize).step_by(step) {
+        let row = &view.row(image, corner[1] + y as u32)[corner[0] as usize..][..side as usize];
+        let (mut x_sums, mut sums) = ([0.0; 3], [0.0; 3]);
+        for (x, &depth) in (0..).zip(row).skip(step / 2).step_by(step).filter(|(_, depth)| is_measured(**depth)) {
+            let (x, nearness) = (f64::from(x) - middle, 1.0 / f64::from(depth));
+            x_sums = [x_sums[0] + 1.0, x_sums[1] + x, x_sums[2] + x * x];
+            sums = [sums[0] + nearness, sums[1] + x * nearness, sums[2] + nearness * nearness];
+        }
+        let y = y as f64 - middle;
+        let [n, sx, sxx] = x_sums;
+        matrix += Matrix3::new(n, sx, y * n, sx, sxx, y * sx, y * n, y * sx, y * y * n);
+        right += Vector3::new(sums[0], sums[1], y * sums[0]);
+        squares += sums[2];
+    }
+    let count = matrix[(0, 0)];
+    if count < MEASURED * f64::from(SAMPLES * SAMPLES) {
+        return None;
+    }
+    let plane = matrix.cholesky()?.solve(&right);
+    let residual = (squares - plane.dot(&right)).max(0.0) / count;
+    let plane = plane / view.scale;
+    let depth = 1.0 / plane[0];
+    let square = residual / (view.scale * view.scale) * depth.powi(4) / view.variance(depth);
+    let plane = Vector3::new(plane[0] - middle * (plane[1] + plane[2]), plane[1], plane[2]);
+    (depth > 0.0).then_some(Square { corner, plane, depth, square })
+}
+
+/// Those of the squares that show nothing but a plane.
+fn planes(squares: &mut [Square]) -> Option<&[Square]> {
+    squares.sort_unstable_by(|a, b| a.square.total_cmp(&b.square));
+    let flattest = squares.get(..FEWEST.max((FLAT * squares.len() as f64) as usize))?;
+    let mean = flattest.iter().map(|square| square.square).sum::<f64>() / flattest.len() as f64;
+    Some(&squares[..squares.partition_point(|square| square.square <= WITHIN * mean)])
+}
+
+/// Adds what some rows, or columns, of a square show that are measured in whole.
+fn add_lines(
+    view: &View,
+    image: &[u16],
+    square: &Square,
+    (side, direction): (u32, usize),
+    residuals: &mut Vec<f64>,
+    covariances: &mut Covariances,
+) {
+    let scale = square.depth.powi(2) / view.variance(square.depth).sqrt();
+    for line in (0..LINES).map(|line| (2 * line + 1) * side / (2 * LINES)) {
+        residuals.clear();
+        residuals.extend((0..side).map_while(|along| {
+            let [x, y] = if direction == 0 { [along, line] } else { [line, along] };
+            let depth = view.row(image, square.corner[1] + y)[(square.corner[0] + x) as usize];
+            let plane = square.plane.dot(&Vector3::new(1.0, f64::from(x), f64::from(y)));
+            is_measured(depth).then(|| (1.0 / (f64::from(depth) * view.scale) - plane) * scale)
+        }));
+        if residuals.len() < side as usize {
+            continue;
+        }
+        for (apart, [sum, count]) in covariances.iter_mut().enumerate().take(residuals.len() / 2) {
+            *sum += residuals.iter().zip(&residuals[apart..]).map(|(a, b)| a * b).sum::<f64>();
+            *count += (residuals.len() - apart) as f64;
+        }
+    }
+}
+
+/// How many neighbours count as one, given their covariances.
+fn shared(covariances: &Covariances) -> f64 {
+    let mean = |[sum, count]: [f64; 2]| if count > 0.0 { sum / count } else { 0.0 };
+    let variance = mean(covariances[0]);
+    if variance <= 0.0 {
+        return 1.0;
+    }
+    let correlations = covariances[1..].iter().map(|sums| mean(*sums) / variance);
+    1.0 + 2.0 * correlations.take_while(|correlation| *correlation > CHANCE).sum::<f64>()
+}
