@@ -31,11 +31,11 @@ use crate::random::CounterRng;
 use anyhow::{Result, bail};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::NoiseConfig;
-use conicflow_messages::{Camera, ConfigFault, Frame, HAS_POSE, Header, NoiseModel, Text, Velocity};
+use conicflow_messages::{Camera, ConfigFault, Frame, HAS_POSE, Header, INVALID_NEAR, NoiseModel, Text, Velocity};
 use nalgebra::Vector3;
 use random_scenes::RandomScenes;
 use raster::Raster;
-use scene::{BUILT_IN, Scene};
+use scene::{BUILT_IN, Role, Scene};
 use scene_values::{SceneTemplate, Values};
 use schemars::JsonSchema;
 use sensor::{Sensor, SensorConfig};
@@ -123,6 +123,19 @@ impl SyntheticCamera {
         match &mut self.simulation {
             Some(sensor) => sensor.measure(&self.raster, &self.shapes, &dice, pixels),
             None => self.sensor.measure(&self.raster, &self.shapes, &dice, pixels),
+        }
+        self.see_through_glass(pixels);
+    }
+
+    /// Glass gives no depth.
+    fn see_through_glass(&self, pixels: &mut [u16]) {
+        if self.scene.bodies.iter().all(|body| body.role != Role::Glass) {
+            return;
+        }
+        for (pixel, owner) in pixels.iter_mut().zip(&self.raster.owner) {
+            if self.scene.bodies.get(usize::from(*owner)).is_some_and(|body| body.role == Role::Glass) {
+                *pixel = INVALID_NEAR;
+            }
         }
     }
 
