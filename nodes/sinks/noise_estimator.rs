@@ -26,10 +26,12 @@ impl Stage for NoiseEstimator {
     }
 
     fn finish(&mut self) -> Result<(), StageError> {
+        let mut out = std::io::stdout();
+        out.write_all(self.0.planes().to_string().as_bytes())?;
         let estimate = self.0.estimate()?;
         if let Some(misfit) = estimate.misfit() {
             tracing::warn!("{misfit}");
         }
-        Ok(std::io::stdout().write_all(estimate.to_string().as_bytes())?)
+        Ok(out.write_all(estimate.to_string().as_bytes())?)
     }
 }

@@ -3,15 +3,18 @@
 //! Of a static scene the depth of each pixel varies from frame to frame by nothing but noise ([`temporal`]). Of flat walls
 //! and floors each block of the image is a plane up to noise ([`wall`]), also up to that which does not change with time
 //! and which a fit to a surface meets as well. Both give variances over depth, to which [`fit`] fits a noise model.
+//! Beside it [`planes`] tells how alike the noise of neighbouring pixels is, of recorded and of simulated frames alike.
 
 mod fit;
 mod levels;
+mod planes;
 mod temporal;
 #[cfg(test)]
 mod tests;
 mod wall;
 
 pub use fit::{NoiseEstimate, Spread};
+pub use planes::Planes;
 
 use anyhow::bail;
 use conicflow_messages::Header;
@@ -62,13 +65,14 @@ pub struct NoiseEstimator {
     levels: Levels,
     temporal: Temporal,
     spreads: Spreads,
+    planes: Planes,
 }
 
 impl NoiseEstimator {
     /// An estimator that has seen nothing.
     pub fn with(config: NoiseEstimatorParameters) -> Self {
         let (levels, temporal, spreads) = (Levels::default(), Temporal::default(), Spreads::default());
-        Self { config, size: None, frames: 0, levels, temporal, spreads }
+        Self { config, size: None, frames: 0, levels, temporal, spreads, planes: Planes::default() }
     }
 
     /// Adds a depth image. Its scale may be another than before: that of a recorded point cloud depends on its largest
@@ -88,11 +92,17 @@ impl NoiseEstimator {
         }
         self.frames += 1;
         self.levels.add(pixels, header.depth_scale);
+        self.planes.add(header, pixels, self.config.recorded == Recorded::StaticScene);
         match self.config.recorded {
             Recorded::StaticScene => self.temporal.add(pixels, header.depth_scale),
             Recorded::FlatWall => wall::add(header, pixels, self.config.block_px, &mut self.spreads),
         }
         Ok(())
+    }
+
+    /// How alike the noise of neighbours is on the planes that were seen.
+    pub fn planes(&self) -> &Planes {
+        &self.planes
     }
 
     /// The noise that explains what was seen.

@@ -69,6 +69,7 @@ impl VisibilityCriteria {
     fn are_met_by(&self, truth: &Truth) -> bool {
         let [columns, rows] = truth.extent_px;
         !truth.bowl
+            && !truth.part
             && truth.hidden <= self.max_hidden
             && columns.min(rows) >= self.min_extent_px
             && truth.object.arc >= self.min_arc_deg.to_radians()
@@ -233,6 +234,7 @@ mod tests {
             hidden: 0.0,
             extent_px: [100, 100],
             bowl: false,
+            part: false,
             velocity: [0.0; 3],
         }
     }
@@ -257,5 +259,6 @@ mod tests {
         assert!(!of(|truth| truth.object.arc = 29.9_f64.to_radians()));
         assert!(of(|truth| truth.body.axis = leaning(64.9)) && !of(|truth| truth.body.axis = leaning(65.1)));
         assert!(!of(|truth| truth.bowl = true), "its inside is no sphere");
+        assert!(!of(|truth| truth.part = true), "it belongs to something that is no object");
     }
 }

@@ -2,9 +2,13 @@
 //! sensor spoils the depth as a real one would, and the true objects are known.
 //!
 //! The walk of a frame: [`scene`] (what is where at this time, by [`motion`]) -> [`raster`] (exact depth, by [`shapes`])
-//! -> [`sensor`] (noise, silhouettes, shadow, lost points) -> pixels; and from the raster to [`truth`].
+//! -> [`sensor`] (noise, silhouettes, shadow, lost points), or [`simulated_sensor`] (what the sensor itself sees and makes of
+//! it) -> pixels; and from the raster to [`truth`].
 
+mod block_matching;
+mod dot_pattern;
 mod fields;
+mod matching_camera;
 pub mod motion;
 mod noise_field;
 pub mod pose;
@@ -18,22 +22,26 @@ mod screen;
 pub mod sensor;
 mod shadow;
 pub mod shapes;
+pub mod simulated_sensor;
+mod time_of_flight;
 pub mod truth;
+mod waves;
 
 use crate::random::CounterRng;
 use anyhow::{Result, bail};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::NoiseConfig;
-use conicflow_messages::{Camera, ConfigFault, Frame, HAS_POSE, Header, NoiseModel, Text, Velocity};
+use conicflow_messages::{Camera, ConfigFault, Frame, HAS_POSE, Header, INVALID_NEAR, NoiseModel, Text, Velocity};
 use nalgebra::Vector3;
 use random_scenes::RandomScenes;
 use raster::Raster;
-use scene::{BUILT_IN, Scene};
+use scene::{BUILT_IN, Role, Scene};
 use scene_values::{SceneTemplate, Values};
 use schemars::JsonSchema;
 use sensor::{Sensor, SensorConfig};
 use serde::{Deserialize, Serialize};
 use shapes::Shape;
+use simulated_sensor::{SensorSimulation, SimulatedSensor};
 use std::path::{Path, PathBuf};
 use truth::{Truth, truth_of};
 
@@ -45,6 +53,7 @@ pub struct SyntheticCamera {
     scene: Scene,
     scenes: Option<RandomScenes>,
     sensor: Sensor,
+    simulation: Option<SensorSimulation>,
     told_noise: NoiseModel,
     seed: u64,
     rate_hz: f64,
@@ -59,12 +68,31 @@ impl SyntheticCamera {
     pub fn new(scene: Scene, camera: Camera, noise: SensorConfig, depth_scale: f64, rate_hz: f64, seed: u64) -> Self {
         let sensor = Sensor::new(noise, depth_scale);
         let (raster, shapes, told_noise) = (Raster::new(camera), Vec::new(), sensor.noise_model());
-        Self { scene, scenes: None, sensor, told_noise, seed, rate_hz, depth_scale, raster, shapes, time_s: 0.0 }
+        Self {
+            scene,
+            scenes: None,
+            sensor,
+            simulation: None,
+            told_noise,
+            seed,
+            rate_hz,
+            depth_scale,
+            raster,
+            shapes,
+            time_s: 0.0,
+        }
     }
 
     /// The same camera before another random scene in each frame.
     pub fn before(self, scenes: RandomScenes) -> Self {
         Self { scenes: Some(scenes), ..self }
+    }
+
+    /// The same camera with a sensor that is simulated, in place of its noise alone.
+    pub fn with_sensor(self, sensor: SimulatedSensor) -> Self {
+        let camera = self.raster.camera;
+        let simulation = SensorSimulation::new(sensor, &camera, self.depth_scale, self.seed);
+        Self { told_noise: simulation.noise_model(&camera), simulation: Some(simulation), ..self }
     }
 
     /// The same camera, whose headers tell of this noise in place of what the sensor has.
@@ -91,7 +119,24 @@ impl SyntheticCamera {
         }
         self.scene.shapes_in_camera(self.time_s, &mut self.shapes);
         self.raster.render(&self.shapes);
-        self.sensor.measure(&self.raster, &self.shapes, &CounterRng::new(self.seed, noise), pixels);
+        let dice = CounterRng::new(self.seed, noise);
+        match &mut self.simulation {
+            Some(sensor) => sensor.measure(&self.raster, &self.shapes, &dice, pixels),
+            None => self.sensor.measure(&self.raster, &self.shapes, &dice, pixels),
+        }
+        self.see_through_glass(pixels);
+    }
+
+    /// Glass gives no depth.
+    fn see_through_glass(&self, pixels: &mut [u16]) {
+        if self.scene.bodies.iter().all(|body| body.role != Role::Glass) {
+            return;
+        }
+        for (pixel, owner) in pixels.iter_mut().zip(&self.raster.owner) {
+            if self.scene.bodies.get(usize::from(*owner)).is_some_and(|body| body.role == Role::Glass) {
+                *pixel = INVALID_NEAR;
+            }
+        }
     }
 
     /// The true objects of the frame that was taken last.
@@ -153,6 +198,9 @@ pub struct SimulatorParameters {
     pub seed: u64,
     /// What the sensor does to the depth: "kinect_v1", "realsense_d435", "time_of_flight", "ideal" or a table.
     pub noise: SensorConfig,
+    /// The sensor itself in place of its noise: "stereo" (as a RealSense D400), "structured_light" (as a Kinect v1), both by
+    /// matching blocks of rendered images, "time_of_flight", or a table such as `{ stereo = { baseline_m = 0.05 } }`.
+    pub sensor: Option<SimulatedSensor>,
     /// The depth noise that the frames tell of in place of that of `noise`, to see what a wrong model does.
     pub told_noise: Option<NoiseConfig>,
     /// Metres per unit of a depth pixel.
@@ -175,6 +223,7 @@ impl Default for SimulatorParameters {
             frames: 0,
             seed: 0,
             noise: SensorConfig::default(),
+            sensor: None,
             told_noise: None,
             depth_scale: 0.001,
             truth_path: None,
@@ -226,6 +275,9 @@ impl SimulatorParameters {
         if let Some(scenes) = self.scenes {
             camera = camera.before(scenes);
         }
+        if let Some(sensor) = self.sensor {
+            camera = camera.with_sensor(sensor);
+        }
         if let Some(noise) = self.told_noise {
             camera = camera.telling(noise.into());
         }
@@ -238,6 +290,7 @@ impl SimulatorParameters {
         if let Err(error) = self.load_scene(base) {
             faults.push(fault_of_file("scene", &error));
         }
+        faults.extend(self.sensor.and_then(SimulatedSensor::fault));
         faults.extend(self.scenes.as_ref().and_then(RandomScenes::fault));
         if self.scene.is_some() && self.scenes.is_some() {
             let what = "cannot be shown together with `scene`".into();

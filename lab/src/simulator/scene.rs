@@ -47,12 +47,31 @@ pub struct Body {
     pub name: String,
     pub(super) shape: Shape,
     pub(super) motion: Option<Motion>,
+    pub(super) role: Role,
+}
+
+/// What a body is to who looks for objects.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Role {
+    /// A thing of its own.
+    #[default]
+    Object,
+    /// A part of something that is none: a limb, a leg of a chair. It need not be found, nor is it wrong to find it if it is
+    /// round.
+    Part,
+    /// A part that gives no depth.
+    Glass,
 }
 
 impl Body {
     /// Something that stands still.
     pub fn still(name: impl Into<String>, shape: Shape) -> Self {
-        Self { name: name.into(), shape, motion: None }
+        Self { name: name.into(), shape, motion: None, role: Role::Object }
+    }
+
+    /// The same body in another role.
+    pub fn as_a(self, role: Role) -> Self {
+        Self { role, ..self }
     }
 }
 

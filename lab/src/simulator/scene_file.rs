@@ -24,7 +24,7 @@
 use super::fields::*;
 use super::motion::Motion;
 use super::pose::{from_quaternion, looking_along};
-use super::scene::{Body, Gaze, View};
+use super::scene::{Body, Gaze, Role, View};
 use super::scene_values::Values;
 use super::shapes::{Block, Bowl, Frustum, Plane, Shape, Sphere};
 use anyhow::{Context as _, Result, bail};
@@ -146,7 +146,7 @@ struct SphereEntry {
 impl SphereEntry {
     fn body(self) -> Body {
         let shape = Shape::Sphere(Sphere { center: self.center, radius: self.radius });
-        Body { name: self.name, shape, motion: self.motion }
+        Body { name: self.name, shape, motion: self.motion, role: Role::Object }
     }
 }
 
@@ -174,7 +174,7 @@ impl CylinderEntry {
         let (base_radius, top_radius) = (self.radius, self.radius);
         let (length, open) = (self.length, self.open);
         let shape = Shape::Frustum(Frustum { base, axis, length, base_radius, top_radius, open });
-        Body { name: self.name, shape, motion: self.motion }
+        Body { name: self.name, shape, motion: self.motion, role: Role::Object }
     }
 }
 
@@ -202,7 +202,12 @@ impl ConeEntry {
     fn body(self, up: &Vector3<f64>) -> Body {
         let Self { name, base, base_radius, top_radius, length, open, motion, .. } = self;
         let axis = self.axis.unwrap_or(*up);
-        Body { name, shape: Shape::Frustum(Frustum { base, axis, length, base_radius, top_radius, open }), motion }
+        Body {
+            name,
+            shape: Shape::Frustum(Frustum { base, axis, length, base_radius, top_radius, open }),
+            motion,
+            role: Role::Object,
+        }
     }
 }
 
@@ -227,7 +232,12 @@ impl BowlEntry {
     fn body(self, up: &Vector3<f64>) -> Body {
         let sphere = Sphere { center: self.center, radius: self.radius };
         let (axis, depth) = (self.axis.unwrap_or(*up), self.depth.unwrap_or(self.radius));
-        Body { name: self.name, shape: Shape::Bowl(Bowl { sphere, axis, depth }), motion: self.motion }
+        Body {
+            name: self.name,
+            shape: Shape::Bowl(Bowl { sphere, axis, depth }),
+            motion: self.motion,
+            role: Role::Object,
+        }
     }
 }
 
@@ -249,7 +259,7 @@ impl BoxEntry {
     fn body(self) -> Body {
         let axes = self.orientation.map_or_else(Matrix3::identity, from_quaternion);
         let shape = Shape::Block(Block { center: self.center, axes, half: self.size * 0.5 });
-        Body { name: self.name, shape, motion: self.motion }
+        Body { name: self.name, shape, motion: self.motion, role: Role::Object }
     }
 }
 
@@ -282,7 +292,7 @@ impl PlaneEntry {
             bail!("`along` and `normal` of `{}` are parallel\n  hint: `along` lies in the plane", self.name);
         };
         let plane = Plane { point: self.point, normal: self.normal, sides: [second.cross(&self.normal), second], half };
-        Ok(Body { name: self.name, shape: Shape::Plane(plane), motion: self.motion })
+        Ok(Body { name: self.name, shape: Shape::Plane(plane), motion: self.motion, role: Role::Object })
     }
 }
 

@@ -3,7 +3,7 @@
 
 use super::motion::Motion;
 use super::raster::{Raster, Window, ray};
-use super::scene::Scene;
+use super::scene::{Role, Scene};
 use super::shapes::{Bowl, Frustum, Shape, Surface};
 use conicflow_messages::{Camera, Object, ObjectKind};
 use nalgebra::Vector3;
@@ -26,6 +26,8 @@ pub struct Truth {
     pub extent_px: [u32; 2],
     /// Whether it is a bowl: its outside is a part of a sphere and may be called one, its inside may not.
     pub bowl: bool,
+    /// Whether it is a part of something that is no object.
+    pub part: bool,
     /// Velocity over ground, in the camera's axes, in m/s.
     pub velocity: [f64; 3],
 }
@@ -54,6 +56,7 @@ pub fn truth_of(scene: &Scene, time_s: f64, raster: &Raster, shapes: &[Shape]) -
             hidden: 1.0 - visible,
             extent_px: seen[index].extent_px(),
             bowl: matches!(shape, Shape::Bowl(_)),
+            part: body.role != Role::Object,
             velocity: velocity(scene, index, time_s),
         });
     }
@@ -243,6 +246,9 @@ pub struct TruthObject {
     pub name: String,
     /// `sphere`, `cylinder`, `cone`, or `bowl`: a shell whose outside is a part of the sphere given.
     pub kind: String,
+    /// Whether it is a part of something that is no object: a limb, the leg of a chair.
+    #[serde(skip_serializing_if = "std::ops::Not::not", default)]
+    pub part: bool,
     /// Apex of a cone.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub apex: Option<[f64; 3]>,
@@ -290,6 +296,7 @@ impl From<&Truth> for TruthObject {
         let of_cone = |number: f64| is_cone.then_some(number);
         Self {
             name: truth.name.clone(),
+            part: truth.part,
             kind: if truth.bowl { "bowl".into() } else { shape.name().into() },
             apex: is_cone.then_some(object.apex),
             center: object.center,

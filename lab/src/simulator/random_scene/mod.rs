@@ -7,9 +7,10 @@
 mod arrangements;
 mod draws;
 mod furniture;
+mod rooms;
 mod things;
 
-use super::scene::{Body, Scene};
+use super::scene::{Body, Role, Scene};
 use super::shapes::Shape;
 use draws::Draws;
 use nalgebra::Vector3;
@@ -41,6 +42,10 @@ pub enum SceneGroup {
     Empty,
     /// Tins that are half to one radius high, on a table that the camera looks down at by 25 to 45 degrees.
     FlatTins,
+    /// A room with chairs, a cupboard with handles, rounded posts, people and curved walls, and at most two objects in it.
+    Furnished,
+    /// A table with cups that have handles and a dark inside, bottles whose glass gives no depth, bowls, tins and boxes.
+    Kitchen,
 }
 
 impl SceneGroup {
@@ -58,7 +63,7 @@ impl SceneGroup {
     ];
 
     /// The others.
-    pub const FURTHER: [Self; 1] = [Self::FlatTins];
+    pub const FURTHER: [Self; 3] = [Self::FlatTins, Self::Furnished, Self::Kitchen];
 
     /// All groups.
     pub fn all() -> impl Iterator<Item = Self> {
@@ -78,6 +83,8 @@ impl SceneGroup {
             Self::Bowls => "bowls",
             Self::Empty => "empty",
             Self::FlatTins => "flat_tins",
+            Self::Furnished => "furnished",
+            Self::Kitchen => "kitchen",
         }
     }
 }
@@ -96,6 +103,8 @@ pub fn random_scene(group: SceneGroup, seed: u64) -> Scene {
         SceneGroup::Bowls => arrangements::bowls(&mut set),
         SceneGroup::Empty => arrangements::empty(&mut set),
         SceneGroup::FlatTins => arrangements::flat_tins(&mut set),
+        SceneGroup::Furnished => rooms::furnished(&mut set),
+        SceneGroup::Kitchen => rooms::kitchen(&mut set),
     }
     set.scene(group, seed)
 }
@@ -130,6 +139,11 @@ impl Set {
     fn add(&mut self, name: &str, shape: Shape) {
         let name = format!("{name} {}", self.bodies.len());
         self.bodies.push(Body::still(name, shape));
+    }
+
+    fn add_as(&mut self, role: Role, name: &str, shape: Shape) {
+        let name = format!("{name} {}", self.bodies.len());
+        self.bodies.push(Body::still(name, shape).as_a(role));
     }
 
     /// A free place for something of a radius on a level, within the view; `None` where it is too crowded.

@@ -1,0 +1,263 @@
+//! Disparities of two rectified images by block matching: for each pixel the shift at which the window about it differs
+//! least from the other image, by the sum of absolute differences.
+//!
+//! All shifts are tried, and the sums run on along rows and columns, so that the time does not depend on the window's size
+//! (as in K. Konolige, "Small vision systems: hardware and implementation", 1998, of which also the check from right to left
+//! and that for a unique minimum are). What is found is averaged with its neighbours of the same surface, which lengthens the
+//! noise and does not blur silhouettes. Sums are of whole numbers: the same bits everywhere.
+
+/// Greatest brightness of a pixel.
+pub const BRIGHTEST: i16 = 63;
+
+/// Most pixels of a window, so that a sum of differences stays within 16 bits.
+pub const LARGEST_WINDOW: u32 = i16::MAX as u32 / BRIGHTEST as u32;
+
+/// Two images, row by row; the second one reaches farther to the left, as far as a shift may.
+#[derive(Clone, Debug, Default)]
+pub struct ImagePair {
+    /// Width and height of the first.
+    pub size: [usize; 2],
+    /// Pixels that the second has more, at its left end.
+    pub reach: usize,
+    /// The first image.
+    pub left: Vec<i16>,
+    /// The second image, each row from its right end to its left: shifts ascend with the places in memory.
+    pub right: Vec<i16>,
+}
+
+impl ImagePair {
+    /// Place in `right` of a pixel of the second image; `u` is from `-reach` up.
+    #[inline]
+    pub fn right_index(&self, u: i64, v: usize) -> usize {
+        v * (self.size[0] + self.reach) + (self.size[0] as i64 - 1 - u) as usize
+    }
+}
+
+/// How it is matched.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Matching {
+    /// Columns and rows of the window.
+    pub window: [usize; 2],
+    /// Least and greatest shift.
+    pub shifts: [usize; 2],
+    /// By what share the least difference has to be below that of all shifts but its neighbours.
+    pub uniqueness: f64,
+    /// By how much the shift may differ from that which the other image's window has; none: it is not asked.
+    pub left_right_px: Option<usize>,
+    /// Regions of fewer pixels are removed.
+    pub smallest_region_px: usize,
+    /// Columns and rows of the window over which disparities of one surface are averaged; `[1, 1]`: they are not.
+    pub smoothing: [usize; 2],
+}
+
+/// Neighbours whose disparities differ by no more are of one surface, in pixels.
+const ONE_SURFACE_PX: f32 = 1.0;
+
+/// Matches images; keeps its buffers.
+#[derive(Clone, Debug, Default)]
+pub struct BlockMatcher {
+    /// For each column and shift the differences of the window's rows.
+    columns: Vec<i16>,
+    /// The same of the window.
+    sums: Vec<i16>,
+    /// For each pixel of the second image's row the least difference and its shift.
+    least_right: Vec<i16>,
+    shift_right: Vec<i16>,
+    region: Vec<usize>,
+    seen: Vec<bool>,
+    rough: Vec<f32>,
+}
+
+impl BlockMatcher {
+    /// Writes the disparity of each pixel; not a number where there is none.
+    pub fn disparities(&mut self, images: &ImagePair, matching: &Matching, disparities: &mut Vec<f32>) {
+        let [width, height] = images.size;
+        disparities.clear();
+        disparities.resize(width * height, f32::NAN);
+        for (v, row) in disparities.chunks_exact_mut(width).enumerate() {
+            self.sum_columns(images, matching, v);
+            self.sum_windows(matching, width);
+            if matching.left_right_px.is_some() {
+                self.look_from_the_right(images, matching);
+            }
+            for (u, disparity) in row.iter_mut().enumerate() {
+                *disparity = self.best(matching, width, u).unwrap_or(f32::NAN);
+            }
+        }
+        self.remove_small_regions(images.size, matching.smallest_region_px, disparities);
+        if matching.smoothing != [1, 1] {
+            self.smooth(width, matching.smoothing, disparities);
+        }
+    }
+
+    /// Brings the sums of the window's rows about row `v` up to date; at the image's border the last row counts again.
+    fn sum_columns(&mut self, images: &ImagePair, matching: &Matching, v: usize) {
+        let [width, height] = images.size;
+        let rows = matching.window[1] as i64;
+        let row = |offset: i64| (v as i64 - rows / 2 + offset).clamp(0, height as i64 - 1) as usize;
+        if v == 0 {
+            self.columns.clear();
+            self.columns.resize(width * shift_count(matching), 0);
+            (0..rows).for_each(|offset| self.add_row(images, matching, row(offset), None));
+        } else {
+            self.add_row(images, matching, row(rows - 1), Some(row(-1)));
+        }
+    }
+
+    /// Adds the differences of one row, and takes those of another off.
+    fn add_row(&mut self, images: &ImagePair, matching: &Matching, added: usize, removed: Option<usize>) {
+        let (width, count) = (images.size[0], shift_count(matching));
+        let place = |u: usize, v: usize| images.right_index(u as i64 - matching.shifts[0] as i64, v);
+        for (u, sums) in self.columns.chunks_exact_mut(count).enumerate() {
+            let (one, others) = (images.left[added * width + u], &images.right[place(u, added)..][..count]);
+            match removed {
+                None => sums.iter_mut().zip(others).for_each(|(sum, other)| *sum += (one - other).abs()),
+                Some(removed) => {
+                    let old = images.left[removed * width + u];
+                    let olds = &images.right[place(u, removed)..][..count];
+                    for ((sum, other), old_other) in sums.iter_mut().zip(others).zip(olds) {
+                        *sum += (one - other).abs() - (old - old_other).abs();
+                    }
+                }
+            }
+        }
+    }
+
+    /// Sums the columns of each window of the row.
+    fn sum_windows(&mut self, matching: &Matching, width: usize) {
+        let count = shift_count(matching);
+        let columns = matching.window[0] as i64;
+        let Self { columns: of_column, sums, .. } = self;
+        let column = |u: i64| &of_column[u.clamp(0, width as i64 - 1) as usize * count..][..count];
+        sums.clear();
+        sums.resize(width * count, 0);
+        for offset in -(columns / 2)..columns - columns / 2 {
+            sums[..count].iter_mut().zip(column(offset)).for_each(|(sum, added)| *sum += added);
+        }
+        for u in 1..width as i64 {
+            let (before, here) = sums.split_at_mut(u as usize * count);
+            let last = &before[(u as usize - 1) * count..];
+            let (added, removed) = (column(u + columns - 1 - columns / 2), column(u - 1 - columns / 2));
+            for (((sum, last), added), removed) in here[..count].iter_mut().zip(last).zip(added).zip(removed) {
+                *sum = last + added - removed;
+            }
+        }
+    }
+
+    /// The best shift of each pixel of the second image.
+    fn look_from_the_right(&mut self, images: &ImagePair, matching: &Matching) {
+        let (width, count) = (images.size[0], shift_count(matching));
+        let Self { sums, least_right, shift_right, .. } = self;
+        least_right.clear();
+        least_right.resize(width + images.reach, i16::MAX);
+        shift_right.clear();
+        shift_right.resize(width + images.reach, 0);
+        for (u, sums) in sums.chunks_exact(count).enumerate() {
+            let first = images.right_index(u as i64 - matching.shifts[0] as i64, 0);
+            let others = least_right[first..].iter_mut().zip(&mut shift_right[first..]);
+            for ((shift, sum), (least, best)) in (0..).zip(sums).zip(others) {
+                let better = sum < least;
+                *least = if better { *sum } else { *least };
+                *best = if better { shift } else { *best };
+            }
+        }
+    }
+
+    /// The shift of a pixel of the row to a fraction of a pixel.
+    fn best(&self, matching: &Matching, width: usize, u: usize) -> Option<f32> {
+        let count = shift_count(matching);
+        let sums = &self.sums[u * count..][..count];
+        let least = least_of(sums);
+        let best = sums.iter().position(|sum| *sum == least)?;
+        if best == 0 || best + 1 == count {
+            return None;
+        }
+        let second = least_of(&sums[..best - 1]).min(least_of(sums.get(best + 2..).unwrap_or(&[])));
+        if f64::from(least) > (1.0 - matching.uniqueness) * f64::from(second) {
+            return None;
+        }
+        if let Some(limit) = matching.left_right_px {
+            let back = self.shift_right[width - 1 - u + best + matching.shifts[0]] as usize;
+            if back.abs_diff(best) > limit {
+                return None;
+            }
+        }
+        Some((best + matching.shifts[0]) as f32 + between(sums[best - 1], least, sums[best + 1]))
+    }
+
+    /// Takes for each disparity the mean of those about it that are of the same surface.
+    fn smooth(&mut self, width: usize, [columns, rows]: [usize; 2], disparities: &mut [f32]) {
+        self.rough.clear();
+        self.rough.extend_from_slice(disparities);
+        let (rough, height) = (&self.rough, disparities.len() / width);
+        let near = |at: usize, side: usize, size: usize| at.saturating_sub(side / 2)..(at + side - side / 2).min(size);
+        for (index, disparity) in disparities.iter_mut().enumerate().filter(|(_, disparity)| !disparity.is_nan()) {
+            let (mut sum, mut count) = (0.0, 0.0);
+            for v in near(index / width, rows, height) {
+                for other in &rough[v * width..][near(index % width, columns, width)] {
+                    if (other - rough[index]).abs() <= ONE_SURFACE_PX {
+                        sum += other;
+                        count += 1.0;
+                    }
+                }
+            }
+            *disparity = sum / count;
+        }
+    }
+
+    /// Removes regions of few pixels: what agrees with no neighbour is a chance match.
+    fn remove_small_regions(&mut self, [width, height]: [usize; 2], smallest: usize, disparities: &mut [f32]) {
+        self.seen.clear();
+        self.seen.resize(disparities.len(), false);
+        for start in 0..disparities.len() {
+            if self.seen[start] || disparities[start].is_nan() {
+                continue;
+            }
+            self.seen[start] = true;
+            self.region.clear();
+            self.region.push(start);
+            let mut next = 0;
+            while let Some(&index) = self.region.get(next) {
+                next += 1;
+                let (u, v) = (index % width, index / width);
+                let sides = [
+                    (u > 0).then(|| index - 1),
+                    (u + 1 < width).then_some(index + 1),
+                    (v > 0).then(|| index - width),
+                    (v + 1 < height).then_some(index + width),
+                ];
+                for side in sides.into_iter().flatten() {
+                    if !self.seen[side] && (disparities[side] - disparities[index]).abs() <= ONE_SURFACE_PX {
+                        self.seen[side] = true;
+                        self.region.push(side);
+                    }
+                }
+            }
+            if self.region.len() < smallest {
+                self.region.iter().for_each(|&index| disparities[index] = f32::NAN);
+            }
+        }
+    }
+}
+
+fn shift_count(matching: &Matching) -> usize {
+    matching.shifts[1] + 1 - matching.shifts[0]
+}
+
+/// The least of the sums; the greatest number of none.
+#[inline]
+fn least_of(sums: &[i16]) -> i16 {
+    sums.iter().fold(i16::MAX, |least, sum| least.min(*sum))
+}
+
+/// Where between the neighbours of the least sum the minimum lies, in pixels from it. The parabola through the three is drawn to
+/// whole shifts, two straight lines of opposite slopes are drawn to halves: the mean of both is drawn to neither by much.
+fn between(before: i16, least: i16, after: i16) -> f32 {
+    let (before, least, after) = (f32::from(before), f32::from(least), f32::from(after));
+    let (curvature, slope) = (before + after - 2.0 * least, before.max(after) - least);
+    if slope > 0.0 { 0.25 * (before - after) * (1.0 / curvature + 1.0 / slope) } else { 0.0 }
+}
+
+#[cfg(test)]
+#[path = "block_matching_tests.rs"]
+mod tests;

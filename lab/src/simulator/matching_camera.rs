@@ -1,0 +1,431 @@
+//! A depth camera that compares two images of a projected dot pattern: those of two eyes (stereo), or that of one eye with
+//! the pattern itself, which it has stored (structured light).
+//!
+//! Both are rendered from the scene and matched block by block. Noise that neighbours share, silhouettes that grow by half a
+//! window, the band that the second eye or the projector does not see, and holes where a surface is too steep or too thin
+//! come from that alone. What matching cannot make is added: a bend of the lens that stays ([`waves`]), and whole steps of
+//! the disparity.
+
+use super::block_matching::{BRIGHTEST, BlockMatcher, ImagePair, LARGEST_WINDOW, Matching};
+use super::dot_pattern::DotPattern;
+use super::pose::Pose;
+use super::raster::{NOBODY, Raster};
+use super::shadow;
+use super::shapes::{Shape, Surface};
+use super::waves::waves;
+use crate::quantile::median;
+use crate::random::CounterRng;
+use conicflow_messages::{Camera, NoiseModel};
+use nalgebra::Vector3;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Brightness of an image where no dot falls, so that its noise is not cut off at black.
+const AMBIENT: f32 = 8.0;
+/// Brightness that a full dot adds; two that meet may be too bright.
+const DOT: f32 = 44.0;
+/// Depths of how many pixels tell the exposure: every so many of a prime number.
+const EXPOSED_EVERY: usize = 997;
+/// Standard deviation of the disparity on planes that the frames tell of, in pixels: that of real cameras of both kinds.
+const TOLD_NOISE_PX: f64 = 0.075;
+/// What the dice of the camera itself are drawn under, apart from those of its frames.
+const OF_THE_CAMERA: u64 = u64::MAX;
+
+/// Two eyes and a projector; one that is left out is that of a camera of the RealSense D400 series.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Stereo {
+    /// Place of the second eye to the right of the first, whose depth image it is, in metres.
+    #[schemars(range(min = 0.001, max = 1.0))]
+    pub baseline_m: f64,
+    /// Place of the projector to the right of the first eye, in metres.
+    #[schemars(range(min = -1.0, max = 1.0))]
+    pub projector_m: f64,
+    /// Columns and rows of the window that is compared, in pixels of the image; at most 520 in all.
+    pub window_px: [u32; 2],
+    /// Columns and rows of the window over which the camera averages disparities of one surface, in pixels of the image.
+    pub smoothing_px: [u32; 2],
+    /// Steps of the disparity to a pixel; 0: none.
+    #[schemars(range(max = 256))]
+    pub steps_per_px: u32,
+    /// Dots of the pattern to a pixel of the image.
+    #[schemars(range(min = 0.001, max = 1.0))]
+    pub dots_per_px: f64,
+    /// Size of a dot, as the standard deviation of its brightness, in pixels.
+    #[schemars(range(min = 0.4, max = 4.0))]
+    pub dot_sigma_px: f64,
+    /// Noise of the images, of a dot's brightness.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub image_noise: f64,
+    /// By what share the best match has to be better than all others, else nothing is measured.
+    #[schemars(range(min = 0.0, max = 0.9))]
+    pub uniqueness: f64,
+    /// By how many pixels the match from the second eye back may differ, else nothing is measured.
+    #[schemars(range(max = 64))]
+    pub left_right_px: u32,
+    /// Regions of fewer pixels are not measured.
+    pub smallest_region_px: u32,
+    /// Bend of the lens that stays from frame to frame, as a standard deviation of the disparity in pixels.
+    #[schemars(range(min = 0.0, max = 4.0))]
+    pub bend_px: f64,
+    /// How far the bend's waves reach, in pixels of the image.
+    #[schemars(range(min = 4.0, max = 1000.0))]
+    pub bend_length_px: f64,
+    /// Least depth that is measured, in metres.
+    #[schemars(range(min = 0.05))]
+    pub min_range_m: f64,
+    /// Greatest depth that is measured, in metres.
+    #[schemars(range(min = 0.1, max = 60.0))]
+    pub max_range_m: f64,
+}
+
+/// Window, smoothing, noise and bend give planes the sigma and the autocorrelation of the recordings of a table by a camera of
+/// this class (`conicflow run experiments/planes.toml`, and `experiments/noise.toml` for recordings).
+impl Default for Stereo {
+    fn default() -> Self {
+        Self {
+            baseline_m: 0.055,
+            projector_m: 0.03,
+            window_px: [11, 11],
+            smoothing_px: [19, 1],
+            steps_per_px: 32,
+            dots_per_px: 0.05,
+            dot_sigma_px: 0.9,
+            image_noise: 0.08,
+            uniqueness: 0.1,
+            left_right_px: 1,
+            smallest_region_px: 100,
+            bend_px: 0.05,
+            bend_length_px: 30.0,
+            min_range_m: 0.28,
+            max_range_m: 10.0,
+        }
+    }
+}
+
+/// One eye and a projector; one that is left out is that of a Kinect v1.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct StructuredLight {
+    /// Place of the projector to the right of the camera, in metres.
+    #[schemars(range(min = 0.001, max = 1.0))]
+    pub baseline_m: f64,
+    /// Columns and rows of the window that is compared, in pixels of the image; at most 520 in all.
+    pub window_px: [u32; 2],
+    /// Columns and rows of the window over which the camera averages disparities of one surface, in pixels of the image.
+    pub smoothing_px: [u32; 2],
+    /// Steps of the disparity to a pixel; 0: none.
+    #[schemars(range(max = 256))]
+    pub steps_per_px: u32,
+    /// Dots of the pattern to a pixel of the image.
+    #[schemars(range(min = 0.001, max = 1.0))]
+    pub dots_per_px: f64,
+    /// Size of a dot, as the standard deviation of its brightness, in pixels.
+    #[schemars(range(min = 0.4, max = 4.0))]
+    pub dot_sigma_px: f64,
+    /// Noise of the image, of a dot's brightness.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub image_noise: f64,
+    /// By what share the best match has to be better than all others, else nothing is measured.
+    #[schemars(range(min = 0.0, max = 0.9))]
+    pub uniqueness: f64,
+    /// Regions of fewer pixels are not measured.
+    pub smallest_region_px: u32,
+    /// Bend of the lens that stays from frame to frame, as a standard deviation of the disparity in pixels.
+    #[schemars(range(min = 0.0, max = 4.0))]
+    pub bend_px: f64,
+    /// How far the bend's waves reach, in pixels of the image.
+    #[schemars(range(min = 4.0, max = 1000.0))]
+    pub bend_length_px: f64,
+    /// Least depth that is measured, in metres.
+    #[schemars(range(min = 0.05))]
+    pub min_range_m: f64,
+    /// Greatest depth that is measured, in metres.
+    #[schemars(range(min = 0.1, max = 60.0))]
+    pub max_range_m: f64,
+}
+
+/// Window, smoothing, noise and bend as for [`Stereo`], from recordings of three cameras of this kind.
+impl Default for StructuredLight {
+    fn default() -> Self {
+        Self {
+            baseline_m: 0.075,
+            window_px: [7, 7],
+            smoothing_px: [3, 3],
+            steps_per_px: 8,
+            dots_per_px: 0.1,
+            dot_sigma_px: 0.8,
+            image_noise: 0.09,
+            uniqueness: 0.1,
+            smallest_region_px: 100,
+            bend_px: 0.03,
+            bend_length_px: 24.0,
+            min_range_m: 0.4,
+            max_range_m: 8.0,
+        }
+    }
+}
+
+/// What both kinds have, and what only one has.
+#[derive(Clone, Copy, Debug)]
+struct Parts {
+    baseline_m: f64,
+    projector_m: f64,
+    /// Whether the second image is a second eye's, not the stored pattern.
+    second_eye: bool,
+    window: [usize; 2],
+    steps_per_px: f64,
+    dots_per_px: f64,
+    dot_sigma_px: f64,
+    image_noise: f64,
+    uniqueness: f64,
+    left_right_px: Option<usize>,
+    smallest_region_px: usize,
+    smoothing: [usize; 2],
+    bend_px: f64,
+    bend_length_px: f64,
+    range_m: [f64; 2],
+}
+
+impl From<Stereo> for Parts {
+    fn from(table: Stereo) -> Self {
+        Self {
+            baseline_m: table.baseline_m,
+            projector_m: table.projector_m,
+            second_eye: true,
+            window: table.window_px.map(|side| side as usize),
+            steps_per_px: f64::from(table.steps_per_px),
+            dots_per_px: table.dots_per_px,
+            dot_sigma_px: table.dot_sigma_px,
+            image_noise: table.image_noise,
+            uniqueness: table.uniqueness,
+            left_right_px: Some(table.left_right_px as usize),
+            smallest_region_px: table.smallest_region_px as usize,
+            smoothing: table.smoothing_px.map(|side| side as usize),
+            bend_px: table.bend_px,
+            bend_length_px: table.bend_length_px,
+            range_m: [table.min_range_m, table.max_range_m],
+        }
+    }
+}
+
+impl From<StructuredLight> for Parts {
+    fn from(table: StructuredLight) -> Self {
+        Self {
+            baseline_m: table.baseline_m,
+            projector_m: table.baseline_m,
+            second_eye: false,
+            window: table.window_px.map(|side| side as usize),
+            steps_per_px: f64::from(table.steps_per_px),
+            dots_per_px: table.dots_per_px,
+            dot_sigma_px: table.dot_sigma_px,
+            image_noise: table.image_noise,
+            uniqueness: table.uniqueness,
+            left_right_px: None,
+            smallest_region_px: table.smallest_region_px as usize,
+            smoothing: table.smoothing_px.map(|side| side as usize),
+            bend_px: table.bend_px,
+            bend_length_px: table.bend_length_px,
+            range_m: [table.min_range_m, table.max_range_m],
+        }
+    }
+}
+
+/// What is wrong with windows or a range.
+pub fn fault(window_px: [u32; 2], smoothing_px: [u32; 2], range_m: [f64; 2]) -> Option<String> {
+    for [columns, rows] in [window_px, smoothing_px] {
+        if columns == 0 || rows == 0 || columns.saturating_mul(rows) > LARGEST_WINDOW {
+            return Some(format!(
+                "has a window of {columns} times {rows} pixels, expected 1 to {LARGEST_WINDOW} in all"
+            ));
+        }
+    }
+    let [least, most] = range_m;
+    (least >= most).then(|| format!("measures from {least} to {most} m, which is nothing"))
+}
+
+/// The camera.
+#[derive(Clone, Debug)]
+pub struct MatchingCamera {
+    parts: Parts,
+    matching: Matching,
+    pattern: DotPattern,
+    /// Bend of the disparity, in pixels.
+    bend: Vec<f64>,
+    /// What the second eye sees; wider than the image.
+    second: Raster,
+    second_shapes: Vec<Shape>,
+    shadow: Vec<bool>,
+    images: ImagePair,
+    matcher: BlockMatcher,
+    disparities: Vec<f32>,
+}
+
+impl MatchingCamera {
+    /// A camera of two eyes; its pattern and its bend are those of a seed.
+    pub fn stereo(table: Stereo, camera: &Camera, seed: u64) -> Self {
+        Self::new(table.into(), camera, seed)
+    }
+
+    /// A camera of one eye that knows the pattern.
+    pub fn structured_light(table: StructuredLight, camera: &Camera, seed: u64) -> Self {
+        Self::new(table.into(), camera, seed)
+    }
+
+    fn new(parts: Parts, camera: &Camera, seed: u64) -> Self {
+        let shift = |depth: f64| camera.fx * parts.baseline_m / depth;
+        let shifts = [shift(parts.range_m[1]) as usize, shift(parts.range_m[0]).ceil() as usize];
+        let matching = Matching {
+            window: parts.window,
+            shifts: [shifts[0].saturating_sub(1), shifts[1] + 1],
+            uniqueness: parts.uniqueness,
+            left_right_px: parts.left_right_px,
+            smallest_region_px: parts.smallest_region_px,
+            smoothing: parts.smoothing,
+        };
+        let reach = matching.shifts[1];
+        let size = [camera.width as usize, camera.height as usize];
+        let wide = Camera { width: camera.width + reach as u32, cx: camera.cx + reach as f64, ..*camera };
+        let pattern = DotPattern::new(parts.dots_per_px, parts.dot_sigma_px, &CounterRng::new(seed, OF_THE_CAMERA));
+        let bend = match parts.bend_px {
+            0.0 => vec![0.0; size[0] * size[1]],
+            bend_px => {
+                let dice = CounterRng::new(seed, OF_THE_CAMERA - 1);
+                let deviates = waves([camera.width, camera.height], parts.bend_length_px, &dice);
+                deviates.into_iter().map(|deviate| bend_px * deviate).collect()
+            }
+        };
+        let images =
+            ImagePair { size, reach, left: vec![0; size[0] * size[1]], right: vec![0; (size[0] + reach) * size[1]] };
+        let mut this = Self {
+            parts,
+            matching,
+            pattern,
+            bend,
+            second: Raster::new(wide),
+            second_shapes: Vec::new(),
+            shadow: Vec::new(),
+            images,
+            matcher: BlockMatcher::default(),
+            disparities: Vec::new(),
+        };
+        if !parts.second_eye {
+            this.store_the_pattern();
+        }
+        this
+    }
+
+    /// The depth noise that the frames tell of, for a focal length in pixels.
+    pub fn noise_model(&self, fx: f64) -> NoiseModel {
+        let step_per_m = match self.parts.steps_per_px {
+            0.0 => 0.0,
+            steps => 1.0 / (steps * fx * self.parts.baseline_m),
+        };
+        NoiseModel { floor_m: 0.0, growth_per_m: TOLD_NOISE_PX / (fx * self.parts.baseline_m), knee_m: 0.0, step_per_m }
+    }
+
+    /// Measures a rendered image of `shapes` (camera frame): the depth of each pixel in metres, not a number where there is
+    /// none.
+    pub fn measure(&mut self, raster: &Raster, shapes: &[Shape], dice: &CounterRng, depths: &mut Vec<f64>) {
+        self.look(raster, shapes, dice);
+        self.matcher.disparities(&self.images, &self.matching, &mut self.disparities);
+        let [near, far] = self.parts.range_m;
+        let scale = raster.camera.fx * self.parts.baseline_m;
+        let depth = |(disparity, bend): (&f32, &f64)| {
+            let disparity = self.in_steps(f64::from(*disparity) + bend);
+            let depth = scale / disparity;
+            if (near..=far).contains(&depth) { depth } else { f64::NAN }
+        };
+        depths.clear();
+        depths.extend(self.disparities.iter().zip(&self.bend).map(depth));
+    }
+
+    fn in_steps(&self, disparity: f64) -> f64 {
+        match self.parts.steps_per_px {
+            0.0 => disparity,
+            steps => (disparity * steps).round() / steps,
+        }
+    }
+
+    /// Takes the images.
+    fn look(&mut self, raster: &Raster, shapes: &[Shape], dice: &CounterRng) {
+        let projector = self.parts.projector_m;
+        shadow::cast(raster, shapes, projector, &mut self.shadow);
+        let [width, height] = self.images.size;
+        let exposure_m = self.parts.second_eye.then(|| exposure(raster));
+        for index in 0..width * height {
+            let light = light(&self.pattern, raster, &self.shadow, index, projector, exposure_m);
+            self.images.left[index] = exposed(light, self.parts.image_noise, dice, index as u64);
+        }
+        if !self.parts.second_eye {
+            return;
+        }
+        let place = self.parts.baseline_m;
+        let moved = Pose::shift(Vector3::new(-place, 0.0, 0.0));
+        self.second_shapes.clear();
+        self.second_shapes.extend(shapes.iter().map(|shape| shape.transformed(&moved)));
+        self.second.render(&self.second_shapes);
+        shadow::cast(&self.second, &self.second_shapes, projector - place, &mut self.shadow);
+        let (wide, count) = (width + self.images.reach, (width * height) as u64);
+        for index in 0..wide * height {
+            let light = light(&self.pattern, &self.second, &self.shadow, index, projector - place, exposure_m);
+            let (v, from_right) = (index / wide, wide - 1 - index % wide);
+            self.images.right[v * wide + from_right] =
+                exposed(light, self.parts.image_noise, dice, count + index as u64);
+        }
+    }
+
+    /// The second image of a camera that knows its pattern.
+    fn store_the_pattern(&mut self) {
+        let [width, height] = self.images.size;
+        let camera = &self.second.camera;
+        let cx = camera.cx - self.images.reach as f64;
+        for v in 0..height {
+            for u in -(self.images.reach as i64)..width as i64 {
+                let light = pattern_at(&self.pattern, camera, u as f64 - cx, v);
+                let index = self.images.right_index(u, v);
+                self.images.right[index] = (AMBIENT + DOT * light).min(f32::from(BRIGHTEST)) as i16;
+            }
+        }
+    }
+}
+
+/// Light of the pattern that a pixel sees, from a projector at a place to the right of it. Where the exposure suits a depth,
+/// nearer surfaces are brighter and win in windows that see both; by how much is a compromise: light falls with the squared
+/// distance, but depth does not get noisier by as much, since real cameras compare contrasts. A camera that compares with
+/// its stored pattern evens all of it out.
+fn light(
+    pattern: &DotPattern,
+    raster: &Raster,
+    shadow: &[bool],
+    index: usize,
+    projector_m: f64,
+    exposure_m: Option<f64>,
+) -> f32 {
+    if raster.owner[index] == NOBODY || shadow[index] {
+        return 0.0;
+    }
+    let camera = &raster.camera;
+    let width = camera.width as usize;
+    let (u, v) = ((index % width) as f64, index / width);
+    let shift = camera.fx * projector_m / raster.depth[index];
+    pattern_at(pattern, camera, u - camera.cx - shift, v)
+        * exposure_m.map_or(1.0, |exposure_m| exposure_m / raster.depth[index]) as f32
+}
+
+/// The depth that the exposure suits: the median of what is seen.
+fn exposure(raster: &Raster) -> f64 {
+    let seen = raster.depth.iter().step_by(EXPOSED_EVERY).copied().filter(|depth| depth.is_finite());
+    median(seen.collect()).unwrap_or(1.0)
+}
+
+/// The pattern so many pixels to the right of the projector's axis; rows count in the unit of columns, so that dots are round.
+fn pattern_at(pattern: &DotPattern, camera: &Camera, x: f64, v: usize) -> f32 {
+    pattern.at(x, (v as f64 - camera.cy) * (camera.fx / camera.fy))
+}
+
+/// The brightness that an eye makes of light.
+fn exposed(light: f32, noise: f64, dice: &CounterRng, counter: u64) -> i16 {
+    let noisy = light + (noise * dice.gaussian(counter)) as f32;
+    (AMBIENT + DOT * noisy + 0.5).clamp(0.0, f32::from(BRIGHTEST)) as i16
+}

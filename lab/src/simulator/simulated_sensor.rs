@@ -1,0 +1,127 @@
+//! Sensors that are simulated and not only their noise: cameras that match blocks of images, and such that measure the time
+//! of flight.
+
+use super::matching_camera::{self, MatchingCamera, Stereo, StructuredLight};
+use super::raster::Raster;
+use super::shapes::Shape;
+use super::time_of_flight::{TimeOfFlight, TimeOfFlightCamera};
+use crate::random::CounterRng;
+use conicflow_messages::{Camera, ConfigFault, INVALID_FAR, INVALID_NEAR, NoiseModel};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Which sensor: a word for one of the usual numbers, or a table with some of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(
+    untagged,
+    expecting = "expected \"stereo\", \"structured_light\", \"time_of_flight\" or a table such as \
+                 `{ stereo = { baseline_m = 0.05 } }`"
+)]
+pub enum SimulatedSensor {
+    /// A sensor as it usually is.
+    Named(SensorKind),
+    /// One with numbers of its own.
+    Table(SensorNumbers),
+}
+
+/// A kind of sensor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum SensorKind {
+    /// Two eyes and a dot pattern, as a RealSense of the D400 series.
+    Stereo,
+    /// One eye and a dot pattern that it knows, as a Kinect v1.
+    StructuredLight,
+    /// Time of flight, as an Azure Kinect.
+    TimeOfFlight,
+}
+
+/// The numbers of one kind; those that are left out are the usual ones.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum SensorNumbers {
+    /// Two eyes and a dot pattern.
+    Stereo(Stereo),
+    /// One eye and a dot pattern that it knows.
+    StructuredLight(StructuredLight),
+    /// Time of flight.
+    TimeOfFlight(TimeOfFlight),
+}
+
+impl SimulatedSensor {
+    fn numbers(self) -> SensorNumbers {
+        match self {
+            Self::Named(SensorKind::Stereo) => SensorNumbers::Stereo(Stereo::default()),
+            Self::Named(SensorKind::StructuredLight) => SensorNumbers::StructuredLight(StructuredLight::default()),
+            Self::Named(SensorKind::TimeOfFlight) => SensorNumbers::TimeOfFlight(TimeOfFlight::default()),
+            Self::Table(numbers) => numbers,
+        }
+    }
+
+    /// What cannot be used about it.
+    pub fn fault(self) -> Option<ConfigFault> {
+        let what = match self.numbers() {
+            SensorNumbers::Stereo(table) => {
+                matching_camera::fault(table.window_px, table.smoothing_px, [table.min_range_m, table.max_range_m])
+            }
+            SensorNumbers::StructuredLight(table) => {
+                matching_camera::fault(table.window_px, table.smoothing_px, [table.min_range_m, table.max_range_m])
+            }
+            SensorNumbers::TimeOfFlight(_) => None,
+        };
+        let hint = "leave the numbers out, for the usual ones".into();
+        what.map(|what| ConfigFault { key: "sensor", what, hint })
+    }
+}
+
+#[derive(Clone, Debug)]
+enum Kind {
+    Matching(Box<MatchingCamera>),
+    TimeOfFlight(TimeOfFlightCamera),
+}
+
+/// A simulated sensor; turns scenes into pixels.
+#[derive(Clone, Debug)]
+pub struct SensorSimulation {
+    kind: Kind,
+    units_per_metre: f64,
+    depths: Vec<f64>,
+}
+
+impl SensorSimulation {
+    /// A sensor whose pixels count `depth_scale` metres; what is random about the thing itself comes from the seed.
+    pub fn new(sensor: SimulatedSensor, camera: &Camera, depth_scale: f64, seed: u64) -> Self {
+        let matching = |camera: MatchingCamera| Kind::Matching(Box::new(camera));
+        let kind = match sensor.numbers() {
+            SensorNumbers::Stereo(table) => matching(MatchingCamera::stereo(table, camera, seed)),
+            SensorNumbers::StructuredLight(table) => matching(MatchingCamera::structured_light(table, camera, seed)),
+            SensorNumbers::TimeOfFlight(table) => Kind::TimeOfFlight(TimeOfFlightCamera::new(table)),
+        };
+        Self { kind, units_per_metre: 1.0 / depth_scale, depths: Vec::new() }
+    }
+
+    /// The noise that the frames tell of.
+    pub fn noise_model(&self, camera: &Camera) -> NoiseModel {
+        match &self.kind {
+            Kind::Matching(matching) => matching.noise_model(camera.fx),
+            Kind::TimeOfFlight(time_of_flight) => time_of_flight.noise_model(),
+        }
+    }
+
+    /// Measures a rendered image of `shapes` (camera frame) into as many pixels.
+    pub fn measure(&mut self, raster: &Raster, shapes: &[Shape], dice: &CounterRng, pixels: &mut [u16]) {
+        match &mut self.kind {
+            Kind::Matching(camera) => camera.measure(raster, shapes, dice, &mut self.depths),
+            Kind::TimeOfFlight(camera) => camera.measure(raster, shapes, dice, &mut self.depths),
+        }
+        for (pixel, depth) in pixels.iter_mut().zip(&self.depths) {
+            // not a number becomes 0, which is no measurement
+            let units = (depth * self.units_per_metre + 0.5) as u32;
+            *pixel = u16::try_from(units).ok().filter(|units| *units != INVALID_FAR).unwrap_or(INVALID_NEAR);
+        }
+    }
+}
+
+#[cfg(test)]
+#[path = "simulated_sensor_tests.rs"]
+mod tests;

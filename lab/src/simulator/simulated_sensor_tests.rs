@@ -1,0 +1,130 @@
+use super::super::shapes::Plane;
+use super::*;
+use nalgebra::Vector3;
+
+const CAMERA: Camera = Camera { width: 320, height: 160, fx: 525.0, fy: 525.0, cx: 159.5, cy: 79.5 };
+/// A tenth of a millimetre, so that the pixels' rounding is far below the noise.
+const FINE: f64 = 1e-4;
+const STEREO: SimulatedSensor = SimulatedSensor::Named(SensorKind::Stereo);
+const STRUCTURED_LIGHT: SimulatedSensor = SimulatedSensor::Named(SensorKind::StructuredLight);
+const TIME_OF_FLIGHT: SimulatedSensor = SimulatedSensor::Named(SensorKind::TimeOfFlight);
+
+fn board(z: f64, half: f64) -> Shape {
+    let sides = [Vector3::x(), Vector3::y()];
+    let (point, normal) = (Vector3::new(0.0, 0.0, z), -Vector3::z());
+    Shape::Plane(Plane { point, normal, sides, half: [half, f64::INFINITY].map(|half| half.min(10.0)) })
+}
+
+/// The depths in metres of a frame, row by row; 0 where nothing is measured.
+fn shot(sensor: SimulatedSensor, shapes: &[Shape], seed: u64, frame: u64) -> Vec<f64> {
+    let mut raster = Raster::new(CAMERA);
+    raster.render(shapes);
+    let mut pixels = vec![7; raster.depth.len()];
+    let mut simulation = SensorSimulation::new(sensor, &CAMERA, FINE, seed);
+    simulation.measure(&raster, shapes, &CounterRng::new(seed, frame), &mut pixels);
+    pixels.into_iter().map(|pixel| f64::from(pixel) * FINE).collect()
+}
+
+/// Share of a column's pixels for which something holds.
+fn share(depths: &[f64], column: usize, holds: impl Fn(f64) -> bool) -> f64 {
+    let width = CAMERA.width as usize;
+    let column = depths.chunks_exact(width).map(|row| row[column]);
+    column.filter(|depth| holds(*depth)).count() as f64 / f64::from(CAMERA.height)
+}
+
+fn is_near(depth: f64) -> bool {
+    (0.9..1.1).contains(&depth)
+}
+
+fn is_far(depth: f64) -> bool {
+    (1.8..2.2).contains(&depth)
+}
+
+#[test]
+fn a_frame_is_a_function_of_seed_and_number() {
+    let shapes = [board(1.0, 0.1), board(2.0, 10.0)];
+    for sensor in [STEREO, STRUCTURED_LIGHT, TIME_OF_FLIGHT] {
+        let one = shot(sensor, &shapes, 3, 5);
+        assert_eq!(one, shot(sensor, &shapes, 3, 5));
+        assert_ne!(one, shot(sensor, &shapes, 3, 6), "other noise");
+        assert_ne!(one, shot(sensor, &shapes, 4, 5), "another camera");
+    }
+}
+
+/// A board at 1 m before a wall at 2 m: the band of the wall that the second eye or the projector does not see is a hole,
+/// left of the board, as wide as the difference of the disparities.
+#[test]
+fn what_the_second_eye_or_the_projector_does_not_see_is_a_hole() {
+    let shapes = [board(1.0, 0.1), board(2.0, 10.0)];
+    let left_edge = 159.5 - 525.0 * 0.1;
+    for (sensor, baseline_m) in [(STEREO, 0.055), (STRUCTURED_LIGHT, 0.075)] {
+        let depths = shot(sensor, &shapes, 1, 1);
+        let band = 525.0 * baseline_m * 0.5;
+        let hole = (0..160).filter(|&u| share(&depths, u, |depth| depth == 0.0) > 0.5).collect::<Vec<_>>();
+        assert!(!hole.is_empty() && (hole.len() as f64 - band).abs() < 4.0, "{sensor:?}: {hole:?}, expected {band}");
+        assert!(hole.iter().all(|&u| (u as f64) < left_edge + 2.0), "{sensor:?}: {hole:?}");
+        let beyond = left_edge - band - 8.0;
+        assert!(share(&depths, beyond as usize, is_far) > 0.9, "{sensor:?}: the wall beside the hole");
+        assert!(share(&depths, 159, is_near) > 0.95 && share(&depths, 300, is_far) > 0.95, "{sensor:?}");
+    }
+}
+
+/// The nearer surface is brighter and wins in windows that see both, so that its silhouette grows by a part of half a window
+/// where both eyes see both surfaces, to the right; to the left is the hole, and nothing grows into it. A camera that knows its
+/// pattern evens brightness out, and nothing grows.
+#[test]
+fn a_silhouette_grows_on_the_side_that_both_eyes_see() {
+    let shapes = [board(1.0, 0.1), board(2.0, 10.0)];
+    let (left, right) = (107, 212); // the first and the last column of the board
+    for (sensor, grows) in [(STEREO, 0.8..5.5), (STRUCTURED_LIGHT, -2.0..0.8)] {
+        let depths = shot(sensor, &shapes, 1, 1);
+        let near = |u: usize| share(&depths, u, is_near);
+        let grown_left = (80..left).map(near).sum::<f64>() - (left..160).map(|u| 1.0 - near(u)).sum::<f64>();
+        let grown_right = (right + 1..240).map(near).sum::<f64>() - (160..=right).map(|u| 1.0 - near(u)).sum::<f64>();
+        assert!(grows.contains(&grown_right), "{sensor:?}: {grown_right} px to the right");
+        assert!((-2.0..0.8).contains(&grown_left), "{sensor:?}: {grown_left} px to the left");
+    }
+}
+
+#[test]
+fn pixels_of_time_of_flight_fly_between_two_surfaces() {
+    let half = 0.1 + 0.25 / 525.0; // the edge crosses a pixel
+    let shapes = [board(1.0, half), board(2.0, 10.0)];
+    let depths = shot(TIME_OF_FLIGHT, &shapes, 1, 1);
+    let flying = |u: usize| share(&depths, u, |depth| (1.1..1.9).contains(&depth));
+    let columns: Vec<usize> = (0..320).filter(|&u| flying(u) > 0.5).collect();
+    assert!((2..=6).contains(&columns.len()), "{columns:?}");
+    assert!(columns.iter().all(|&u| ((u as f64 - 159.5).abs() - 525.0 * half).abs() < 2.0), "{columns:?}");
+    assert!(depths.iter().all(|depth| *depth > 0.0), "it sees from where it lights");
+}
+
+#[test]
+fn too_little_light_comes_back_from_what_is_seen_at_a_flat_angle() {
+    let steep = |tilt: f64| {
+        let normal = Vector3::new(0.0, libm::sin(tilt), -libm::cos(tilt));
+        let sides = [Vector3::x(), normal.cross(&Vector3::x())];
+        Shape::Plane(Plane { point: Vector3::new(0.0, 0.0, 1.0), normal, sides, half: [f64::INFINITY; 2] })
+    };
+    let middle = |tilt: f64| shot(TIME_OF_FLIGHT, &[steep(tilt)], 1, 1)[80 * 320 + 160];
+    assert!((middle(1.2) - 1.0).abs() < 0.02 && middle(1.5) == 0.0);
+}
+
+#[derive(Deserialize)]
+struct Stage {
+    sensor: SimulatedSensor,
+}
+
+#[test]
+fn words_and_tables_are_understood_and_windows_checked() {
+    let sensor = |text: &str| toml::from_str::<Stage>(text).map(|stage| stage.sensor);
+    assert_eq!(sensor("sensor = 'structured_light'").unwrap(), STRUCTURED_LIGHT);
+    let table = sensor("sensor = { stereo = { baseline_m = 0.1 } }").unwrap();
+    assert_eq!(table.numbers(), SensorNumbers::Stereo(Stereo { baseline_m: 0.1, ..Stereo::default() }));
+    assert_eq!(table.fault(), None);
+    let wide = sensor("sensor = { structured_light = { window_px = [100, 9] } }").unwrap();
+    assert!(wide.fault().unwrap().what.contains("100 times 9"));
+    for text in ["sensor = 'lidar'", "sensor = { stereo = { base = 1 } }", "sensor = 3"] {
+        let error = sensor(text).err().unwrap().to_string();
+        assert!(error.contains("\"structured_light\""), "{error}");
+    }
+}

@@ -1,0 +1,184 @@
+//! A time-of-flight camera: a pixel measures the mean depth of all that it sees, by how much light comes back from it. At a
+//! silhouette that is a depth between the two surfaces, where nothing is: a flying pixel. Noise is that of the light, and
+//! neighbours share it as far as they are smoothed together.
+//!
+//! Light comes back as `cos(a) / z^2`, a the angle between ray and normal; noise grows with what is missing of it.
+
+use super::noise_field::NoiseField;
+use super::raster::Raster;
+use super::shapes::{Shape, Surface};
+use crate::random::CounterRng;
+use conicflow_detection::noise::TIME_OF_FLIGHT;
+use conicflow_messages::NoiseModel;
+use nalgebra::Vector3;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Samples of a pixel at a silhouette, along each side.
+const SAMPLES: i64 = 5;
+/// Depths of neighbours that differ by a larger share are of two surfaces.
+const JUMP: f64 = 0.02;
+
+/// Light that comes back; a number that is left out is that of a camera of the Azure Kinect's class.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct TimeOfFlight {
+    /// Noise at the knee, in metres.
+    #[schemars(range(min = 0.0))]
+    pub floor_m: f64,
+    /// Growth of the noise with the squared distance from the knee, in 1/metre.
+    #[schemars(range(min = 0.0))]
+    pub growth_per_m: f64,
+    /// Depth of least noise, in metres.
+    #[schemars(range(min = 0.0))]
+    pub knee_m: f64,
+    /// Side of the window over which the noise is smoothed, in pixels of the image.
+    #[schemars(range(min = 1, max = 15))]
+    pub noise_window_px: u32,
+    /// Side of the square that a pixel sees, in pixels: above 1 where the lens is not sharp.
+    #[schemars(range(min = 0.1, max = 5.0))]
+    pub footprint_px: f64,
+    /// Angle between ray and normal from which on too little light comes back, in degrees.
+    #[schemars(range(min = 0.0, max = 90.0))]
+    pub dropout_angle_deg: f64,
+    /// Least depth that is measured, in metres.
+    #[schemars(range(min = 0.0))]
+    pub min_range_m: f64,
+    /// Greatest depth that is measured, in metres.
+    #[schemars(range(min = 0.0))]
+    pub max_range_m: f64,
+}
+
+impl Default for TimeOfFlight {
+    fn default() -> Self {
+        let NoiseModel { floor_m, growth_per_m, knee_m, .. } = TIME_OF_FLIGHT;
+        Self {
+            floor_m,
+            growth_per_m,
+            knee_m,
+            noise_window_px: 5,
+            footprint_px: 1.5,
+            dropout_angle_deg: 80.0,
+            min_range_m: 0.25,
+            max_range_m: 5.5,
+        }
+    }
+}
+
+/// The camera.
+#[derive(Clone, Debug)]
+pub struct TimeOfFlightCamera {
+    table: TimeOfFlight,
+    noise: NoiseField,
+    /// The surfaces about a pixel.
+    owners: Vec<u16>,
+}
+
+/// What of the light of a pixel comes back, and from where.
+#[derive(Clone, Copy, Default)]
+struct Light {
+    amount: f64,
+    /// Sum of depth times amount.
+    moment: f64,
+}
+
+impl Light {
+    fn add(&mut self, shape: &Shape, point: &Vector3<f64>) {
+        let amount = cosine(shape, point) / (point.z * point.z);
+        self.amount += amount;
+        self.moment += amount * point.z;
+    }
+}
+
+/// Cosine of the angle between the ray to a point and the normal there.
+fn cosine(shape: &Shape, point: &Vector3<f64>) -> f64 {
+    shape.normal(point).dot(point).abs() / point.norm()
+}
+
+impl TimeOfFlightCamera {
+    /// A camera that has seen nothing.
+    pub fn new(table: TimeOfFlight) -> Self {
+        Self { table, noise: NoiseField::default(), owners: Vec::new() }
+    }
+
+    /// The depth noise that the frames tell of.
+    pub fn noise_model(&self) -> NoiseModel {
+        let TimeOfFlight { floor_m, growth_per_m, knee_m, .. } = self.table;
+        NoiseModel { floor_m, growth_per_m, knee_m, step_per_m: 0.0 }
+    }
+
+    /// Measures a rendered image of `shapes` (camera frame): the depth of each pixel in metres, not a number where there is
+    /// none.
+    pub fn measure(&mut self, raster: &Raster, shapes: &[Shape], dice: &CounterRng, depths: &mut Vec<f64>) {
+        let window = self.table.noise_window_px.max(1) as usize;
+        self.noise.draw(&raster.camera, window, |index| dice.gaussian(index as u64));
+        depths.clear();
+        for v in 0..i64::from(raster.camera.height) {
+            for u in 0..i64::from(raster.camera.width) {
+                depths.push(self.depth(raster, shapes, [u, v]).unwrap_or(f64::NAN));
+            }
+        }
+    }
+
+    fn depth(&mut self, raster: &Raster, shapes: &[Shape], at: [i64; 2]) -> Option<f64> {
+        let light = if self.is_edge(raster, at) { self.mixed(raster, shapes, at) } else { plain(raster, shapes, at) };
+        let exact = light.moment / light.amount;
+        let returned = light.amount * exact * exact;
+        if returned.is_nan() || returned < libm::cos(self.table.dropout_angle_deg.to_radians()) {
+            return None;
+        }
+        let sigma = self.noise_model().sigma(exact) / returned.min(1.0);
+        let depth = exact + sigma * self.noise.deviate(raster.index(at[0], at[1]));
+        (self.table.min_range_m..=self.table.max_range_m).contains(&depth).then_some(depth)
+    }
+
+    /// Whether several surfaces may be seen in a pixel; notes them.
+    fn is_edge(&mut self, raster: &Raster, [u, v]: [i64; 2]) -> bool {
+        let reach = (0.5 * self.table.footprint_px).ceil() as i64;
+        let (width, height) = (i64::from(raster.camera.width), i64::from(raster.camera.height));
+        let here = raster.depth[raster.index(u, v)];
+        self.owners.clear();
+        let mut jumps = false;
+        for row in (v - reach).max(0)..=(v + reach).min(height - 1) {
+            for column in (u - reach).max(0)..=(u + reach).min(width - 1) {
+                let index = raster.index(column, row);
+                let depth = raster.depth[index];
+                jumps |= depth.is_finite() != here.is_finite() || (depth - here).abs() > JUMP * here.min(depth);
+                if !self.owners.contains(&raster.owner[index]) {
+                    self.owners.push(raster.owner[index]);
+                }
+            }
+        }
+        jumps || self.owners.len() > 1
+    }
+
+    /// The light of all that a pixel sees, of the surfaces noted; the mean of its samples.
+    fn mixed(&self, raster: &Raster, shapes: &[Shape], [u, v]: [i64; 2]) -> Light {
+        let camera = &raster.camera;
+        let offset = |i: i64| self.table.footprint_px * ((i as f64 + 0.5) / SAMPLES as f64 - 0.5);
+        let seen = || self.owners.iter().filter_map(|owner| shapes.get(usize::from(*owner)));
+        let mut light = Light::default();
+        for j in 0..SAMPLES {
+            for i in 0..SAMPLES {
+                let x = (u as f64 + offset(i) - camera.cx) / camera.fx;
+                let y = (v as f64 + offset(j) - camera.cy) / camera.fy;
+                let ray = Vector3::new(x, y, 1.0);
+                let hits = seen().map(|shape| (shape, shape.hit(&Vector3::zeros(), &ray)));
+                if let Some((shape, z)) = hits.min_by(|a, b| a.1.total_cmp(&b.1)).filter(|(_, z)| z.is_finite()) {
+                    light.add(shape, &(ray * z));
+                }
+            }
+        }
+        let count = (SAMPLES * SAMPLES) as f64;
+        Light { amount: light.amount / count, moment: light.moment / count }
+    }
+}
+
+/// The light of a pixel that sees one surface.
+fn plain(raster: &Raster, shapes: &[Shape], [u, v]: [i64; 2]) -> Light {
+    let mut light = Light::default();
+    if let Some(shape) = shapes.get(usize::from(raster.owner[raster.index(u, v)])) {
+        light.add(shape, &raster.point(u, v));
+    }
+    light
+}
