@@ -1,15 +1,15 @@
 //! Runs experiments: a pipeline file with an `[experiment]` is run once for each combination of the values that it varies, and
-//! what its `measurement_sink` and `section_sink` stages found becomes one table.
+//! what its measuring sinks found becomes one table.
 
 use anyhow::{Context as _, Result, ensure};
 use conicflow_dataflow::pipeline::{Pipeline, Program};
 use conicflow_dataflow::{StageSummary, Summary, Table};
 use conicflow_lab::experiment::{Experiment, Results, Variation};
-use conicflow_lab::score::{Figure, Row, Sections, measured_columns};
+use conicflow_lab::score::{Figure, Row, Sections, measured_columns, summary};
 use std::path::PathBuf;
 
 /// The sinks that leave rows.
-const SINKS: [&str; 2] = ["measurement_sink", "section_sink"];
+const SINKS: [&str; 3] = ["measurement_sink", "section_sink", "evaluation_sink"];
 
 /// Refuses columns that no row will have, and an experiment without a stage that leaves rows.
 ///
@@ -26,13 +26,14 @@ fn columns(experiment: &Experiment, pipeline: &Pipeline) -> Result<Vec<String>> 
         match &stage.program {
             Program::Node(node) if node.name == SINKS[0] => measured.extend(measured_columns()),
             Program::Node(node) if node.name == SINKS[1] => measured.extend(Sections::columns()),
+            Program::Node(node) if node.name == SINKS[2] => measured.extend(summary::columns()),
             _ => {}
         }
     }
     ensure!(
         !measured.is_empty(),
-        "the experiment has no stage that leaves rows for its table\n  hint: measure with a `measurement_sink` or a \
-         `section_sink`; an `evaluation_sink` prints its own tables, without `[experiment]`"
+        "the experiment has no stage that leaves rows for its table\n  hint: measure with a `measurement_sink`, a \
+         `section_sink` or an `evaluation_sink`"
     );
     let varied = experiment.vary.iter().map(|vary| vary.name.clone());
     let times = pipeline.stages.iter().map(|stage| format!("{}_ms", stage.name));
