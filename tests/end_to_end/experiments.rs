@@ -393,6 +393,29 @@ fn the_recordings_are_one_table() {
     assert!(playground.path("pictures/b/1.png").is_file());
 }
 
+/// The judge itself in short: two of its configurations. What nobody can beat nobody beats, but for chance.
+#[test]
+fn no_detector_is_better_than_the_bound() {
+    let wanted = ["\"sphere 10 cm, 1 m\"", "\"cylinder 10 cm, 2 m\"", "cases = ["];
+    let text = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments/limit.toml")).unwrap();
+    let cases = text.lines().filter(|line| line.trim_start().starts_with("{ name = "));
+    let others = cases.filter(|line| !wanted.iter().any(|wanted| line.contains(wanted)));
+    let table = Table::of("limit", &others.map(|line| (line, "")).collect::<Vec<_>>(), 60);
+    let quantities = ["radius mm", "position mm", "axis deg"];
+    for (configuration, quantities) in [("sphere 10 cm, 1 m", &quantities[..2]), ("cylinder 10 cm, 2 m", &quantities)] {
+        for quantity in quantities {
+            let cell = |column| table.number(&[("configuration", configuration), ("quantity", quantity)], column);
+            let what = format!("{quantity} of {configuration}");
+            assert_eq!((cell("frames"), cell("found"), cell("wrong")), (60.0, 1.0, 0.0), "{what}");
+            assert!(0.0 < cell("bound_b") && cell("bound_b") <= cell("bound_a"), "{what}");
+            // the scatter of 60 frames is known to a tenth
+            assert!((0.1..1.4).contains(&cell("efficiency_b")), "{what}: {}", cell("efficiency_b"));
+            assert!((0.3..3.0).contains(&cell("sigma_over_scatter")), "{what}: {}", cell("sigma_over_scatter"));
+        }
+    }
+    assert_eq!(table.0.len(), 5);
+}
+
 /// A ball on a stick that someone carries about: one identity, seen in each of the frames.
 #[test]
 fn the_recorded_ball_has_one_identity_from_first_to_last_sight() {
