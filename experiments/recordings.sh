@@ -1,23 +1,65 @@
 #!/bin/sh
-# Scores the detector on the recordings in the folder CONICFLOW_DATA, and the tracker on the sequence among them; arguments are
-# passed on to `conicflow run`:
-#   CONICFLOW_DATA=~/frames experiments/recordings.sh --set extractor.scan='"both"'
+# Scores the tracker on the sequence among the recordings in the folder CONICFLOW_DATA, then the detector on all of them, one
+# folder for each. Lists what was found, missed and wrong in each frame, then one table with a row for each recording. In recordings
+# without a truth.json nothing is to be found. `--pictures DIR` draws every frame with its answers into DIR/RECORDING; other
+# arguments are passed on to `conicflow run`:
+#   CONICFLOW_DATA=~/frames experiments/recordings.sh --pictures /tmp/pictures --set extractor.scan='"both"'
 set -eu
-: "${CONICFLOW_DATA:?names the folder with the recordings, one folder with a truth.json for each}"
-here=$(dirname "$0")
+: "${CONICFLOW_DATA:?names the folder with the recordings}"
+here=$(cd "$(dirname "$0")" && pwd)
+data=$(cd "$CONICFLOW_DATA" && pwd)
 conicflow=${CONICFLOW:-conicflow}
+pictures=
+if [ "${1-}" = --pictures ]; then
+    mkdir -p "${2:?--pictures wants a folder}"
+    pictures=$(cd "$2" && pwd)
+    shift 2
+fi
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
 
-score() { # EXPERIMENT FOLDER FRAMES [ARGUMENT]...
-    experiment=$1 folder=$CONICFLOW_DATA/$2 frames=$CONICFLOW_DATA/$3
-    shift 3
-    printf '\n== %s: %s\n' "$experiment" "$folder"
-    "$conicflow" run --quiet "$here/$experiment.toml" \
-        --set "source.path=\"$frames\"" --set "evaluation.truth=\"$folder/truth.json\"" "$@"
+# What image_source has to be told of a recording that does not tell itself.
+camera_of() {
+    case $1 in
+    ycb-xtion) echo ', "source.depth_scale" = 0.0001, "source.intrinsics" = { fx = 1066.778, fy = 1067.487, cx = 312.9869, cy = 241.3109 }' ;;
+    esac
 }
 
-score recording osd-tabletop osd-tabletop "$@"
-score recording pcl-table-mug pcl-table-mug "$@"
-score recording ycb-xtion ycb-xtion --set source.depth_scale=0.0001 \
-    --set 'source.intrinsics={ fx = 1066.778, fy = 1067.487, cx = 312.9869, cy = 241.3109 }' "$@"
-score recording ball-kinect-cam1 ball-kinect-cam1/depth "$@"
-score recorded_tracks ball-kinect-cam1 ball-kinect-cam1/depth "$@"
+# One case of the experiment for each folder that has frames.
+cases() {
+    for folder in "$data"/*/; do
+        folder=${folder%/}
+        name=${folder##*/}
+        frames=$folder truth=$folder/truth.json
+        [ ! -d "$folder/depth" ] || frames=$folder/depth
+        [ -e "$truth" ] || truth=$here/nothing_to_find.json
+        ls "$frames" | grep -qiE '\.(png|pcd)$' || continue
+        printf '    { name = "%s", set = { "source.path" = "%s", "evaluation.truth" = "%s"%s%s } },\n' "$name" "$frames" "$truth" \
+            "$(camera_of "$name")" "${pictures:+, \"pictures.path\" = \"$pictures/$name\"}"
+    done
+}
+
+# Its list comes before those of the detector, so that the table stands at the end.
+ball=$data/ball-kinect-cam1
+[ ! -d "$ball" ] || {
+    printf '== tracks in %s\n' "$ball"
+    "$conicflow" run --quiet "$here/recorded_tracks.toml" --set "source.path=\"$ball/depth\"" \
+        --set "evaluation.truth=\"$ball/truth.json\"" "$@"
+}
+
+{
+    # the file has no path of its own, and one has to be there before the cases set theirs
+    sed "/\"image_source\"/a\\
+path    = \"$data\"
+" "$here/recording.toml"
+    if [ -n "$pictures" ]; then
+        printf '\n[stage.pictures]\nnode   = "picture_sink"\ninput  = { topic = "objects", delivery = "lossless" }\n'
+        printf 'inputs = { depth = { topic = "depth", delivery = "lossless" } }\nnames  = "source"\npath   = "%s"\n' \
+            "$pictures"
+    fi
+    printf '\n[experiment]\ntitle   = "detection on recorded frames"\ncsv     = "%s/results/recordings.csv"\n' "$here"
+    printf 'columns = ["frames", "to_find", "found", "wrong", "wrong_per_frame", "neither", "radius_error_mm", "radius_bias_mm", '
+    printf '"position_error_mm", "axis_error_deg"]\nvary    = [{ name = "recording", cases = [\n%s\n] }]\n' "$(cases)"
+} >"$work/recordings.toml"
+"$conicflow" run "$work/recordings.toml" "$@"
+

@@ -12,7 +12,9 @@ pub mod tracking;
 use conicflow_dataflow::{Node, Registry, Variant};
 use conicflow_messages::{Ellipse, Object, Track};
 use detection::{ObjectAssembler, RansacEllipseExtractor, RowEllipseExtractor};
-use sinks::{ConsoleSink, EvaluationSink, JsonSink, MeasurementSink, NoiseEstimator, PictureSink, SectionSink};
+use sinks::{
+    ConsoleSink, EvaluationSink, JsonSink, LimitSink, MeasurementSink, NoiseEstimator, PictureSink, SectionSink,
+};
 use sources::{ImageSource, SyntheticSource};
 use tracking::{Follower, KalmanTracker};
 
@@ -45,6 +47,7 @@ pub const NODES: &[Node] = &[
         Variant::stage::<MeasurementSink<Track>>(),
     ]),
     Node::stage::<SectionSink>(),
+    Node::stage::<LimitSink>(),
     Node::stage::<NoiseEstimator>(),
 ];
 

@@ -5,8 +5,10 @@
 //!   objects section by section;
 //! - [`ransac`]: ellipses by random sample consensus, which the paper compares itself with;
 //! - [`noise_estimator`]: the noise of a sensor from a recording;
+//! - [`bound`]: how well an object can be measured at all;
 //! - [`score`]: what was found of what is there, and how well; [`experiment`]: tables and plots of that.
 
+pub mod bound;
 pub mod csv;
 pub mod experiment;
 pub mod noise_estimator;

@@ -218,7 +218,7 @@ impl Header {
 
 /// Whether the left 3x3 part of `[R | t]` is a rotation, up to the rounding of numbers that were written by hand: rows of
 /// length 1, perpendicular and right-handed. Stages invert it by transposing.
-fn is_rotation(rows: &[[f64; 4]; 3]) -> bool {
+pub fn is_rotation(rows: &[[f64; 4]; 3]) -> bool {
     const TOLERANCE: f64 = 1e-3;
     let dot = |a: &[f64; 4], b: &[f64; 4]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
     let [x, y, z] = rows;

@@ -26,7 +26,7 @@ pub use ellipse::{Ellipse, MOMENTS, Scan};
 pub use fault::ConfigFault;
 pub use header::{
     Camera, END_OF_STREAM, HAS_POSE, HEADER_TYPE_NAME, Header, Hop, MAX_HOPS, MAX_PIXELS, MAX_SIDE_PX,
-    MAX_SOURCE_BYTES, NoiseModel, RECORDED,
+    MAX_SOURCE_BYTES, NoiseModel, RECORDED, is_rotation,
 };
 pub use item::{AnyByte, Item, Malformed, Message, Nothing, ToJson};
 pub use json::{LINE_KEYS, Line};

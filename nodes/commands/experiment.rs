@@ -1,15 +1,15 @@
 //! Runs experiments: a pipeline file with an `[experiment]` is run once for each combination of the values that it varies, and
-//! what its `measurement_sink` and `section_sink` stages found becomes one table.
+//! what its measuring sinks found becomes one table.
 
 use anyhow::{Context as _, Result, ensure};
 use conicflow_dataflow::pipeline::{Pipeline, Program};
 use conicflow_dataflow::{StageSummary, Summary, Table};
 use conicflow_lab::experiment::{Experiment, Results, Variation};
-use conicflow_lab::score::{Figure, Row, Sections, measured_columns};
+use conicflow_lab::score::{Figure, Row, Sections, limit, measured_columns, summary};
 use std::path::PathBuf;
 
 /// The sinks that leave rows.
-const SINKS: [&str; 2] = ["measurement_sink", "section_sink"];
+const SINKS: [&str; 4] = ["measurement_sink", "section_sink", "evaluation_sink", "limit_sink"];
 
 /// Refuses columns that no row will have, and an experiment without a stage that leaves rows.
 ///
@@ -26,13 +26,15 @@ fn columns(experiment: &Experiment, pipeline: &Pipeline) -> Result<Vec<String>> 
         match &stage.program {
             Program::Node(node) if node.name == SINKS[0] => measured.extend(measured_columns()),
             Program::Node(node) if node.name == SINKS[1] => measured.extend(Sections::columns()),
+            Program::Node(node) if node.name == SINKS[2] => measured.extend(summary::columns()),
+            Program::Node(node) if node.name == SINKS[3] => measured.extend(limit::columns()),
             _ => {}
         }
     }
     ensure!(
         !measured.is_empty(),
-        "the experiment has no stage that leaves rows for its table\n  hint: measure with a `measurement_sink` or a \
-         `section_sink`; an `evaluation_sink` prints its own tables, without `[experiment]`"
+        "the experiment has no stage that leaves rows for its table\n  hint: measure with a `measurement_sink`, a \
+         `section_sink`, an `evaluation_sink` or a `limit_sink`"
     );
     let varied = experiment.vary.iter().map(|vary| vary.name.clone());
     let times = pipeline.stages.iter().map(|stage| format!("{}_ms", stage.name));
@@ -51,7 +53,15 @@ pub fn table(experiment: &Experiment, results: &Results) -> String {
     let (titles, rows) = results.table();
     let mut table = Table::new(&titles.iter().map(String::as_str).collect::<Vec<_>>());
     rows.into_iter().for_each(|row| table.row(row.into_iter()));
-    format!("{}\n\n{table}", experiment.title)
+    format!("{}\n\n{table}{}", experiment.title, spread(results))
+}
+
+/// The table of the least, the middle and the greatest figures, if one is asked for.
+fn spread(results: &Results) -> String {
+    let Some((titles, rows)) = results.spread() else { return String::new() };
+    let mut table = Table::new(&titles.iter().map(String::as_str).collect::<Vec<_>>());
+    rows.into_iter().for_each(|row| table.row(row.into_iter()));
+    format!("\n{table}")
 }
 
 /// Where the sinks of one run leave their rows.
@@ -170,6 +180,7 @@ mod tests {
             "crossing_balls",
             "ellipse_noise",
             "follow",
+            "limit",
             "occlusion",
             "ransac",
         ] {

@@ -1,7 +1,9 @@
-//! The sink that scores a detector: objects or tracks against what was really there, as tables on standard output. The
-//! scoring itself is [`conicflow_lab::score`].
+//! The sink that scores a detector: objects or tracks against what was really there, as tables on standard output, and in one
+//! row, which `conicflow run` makes a table of where the pipeline file has an `[experiment]`. The scoring itself is
+//! [`conicflow_lab::score`].
 
 use super::json_lines::JsonLines;
+use super::measurement_sink::write_rows;
 use crate::config_error;
 use anyhow::Result;
 use conicflow_dataflow::{ConfigFault, Context, Output, Sides, Stage, StageError};
@@ -31,6 +33,9 @@ pub struct EvaluationConfig {
     pub tolerance: Tolerances,
     /// The same for a recording, with `truth`.
     pub recorded_tolerance: RecordedTolerances,
+    /// File for the counts and medians of all frames, as one line of JSON, which an experiment makes a table of; none: not
+    /// written.
+    pub path: Option<PathBuf>,
     /// File for what was missed and what was wrong, one line of JSON per frame that is judged; its folder is made if need be;
     /// none: not written.
     pub details_path: Option<PathBuf>,
@@ -52,6 +57,7 @@ impl EvaluationConfig {
 pub struct EvaluationSink<T> {
     evaluation: Evaluation,
     details: Option<JsonLines>,
+    path: Option<PathBuf>,
     answers: Vec<Answer>,
     items: PhantomData<T>,
 }
@@ -89,7 +95,8 @@ impl<T: Claim> Stage for EvaluationSink<T> {
         };
         let open = |path: &PathBuf| JsonLines::open(&context.resolve(path), false);
         let details = config.details_path.as_ref().map(open).transpose()?;
-        Ok(Self { evaluation: Evaluation::new(truth), details, answers: Vec::new(), items: PhantomData })
+        let (evaluation, path) = (Evaluation::new(truth), config.path.as_ref().map(|path| context.resolve(path)));
+        Ok(Self { evaluation, details, path, answers: Vec::new(), items: PhantomData })
     }
 
     fn step(&mut self, input: &Message<T>, _: &Sides, output: &mut Output<Nothing>) -> Result<(), StageError> {
@@ -105,7 +112,8 @@ impl<T: Claim> Stage for EvaluationSink<T> {
     }
 
     fn finish(&mut self) -> Result<(), StageError> {
-        Ok(std::io::stdout().write_all(self.evaluation.report()?.as_bytes())?)
+        std::io::stdout().write_all(self.evaluation.report()?.as_bytes())?;
+        Ok(self.path.as_deref().map_or(Ok(()), |path| write_rows(Some(path), &[self.evaluation.row()]))?)
     }
 }
 

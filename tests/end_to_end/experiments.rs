@@ -1,6 +1,6 @@
 //! The paper's experiments, each in a short form: the files of `experiments/` as they are, fewer frames and values.
 
-use crate::support::Playground;
+use crate::support::{Playground, Started};
 use conicflow_lab::simulator::scene::Scene;
 use conicflow_lab::simulator::{SimulatorParameters, SyntheticCamera};
 use std::collections::BTreeMap;
@@ -357,6 +357,63 @@ fn what_is_wrong_about_recorded_frames_is_counted_and_told() {
     assert_eq!(details[0]["missed"][0]["name"], "balloon");
     let wrong = details[0]["wrong"].as_array().unwrap();
     assert_eq!((wrong.len(), &wrong[0]["why"]), (3, &"nothing there".into()));
+}
+
+/// The script runs over all folders that have frames, and one table tells of each; where there is no truth nothing is right.
+#[test]
+fn the_recordings_are_one_table() {
+    let playground = playground("recording", &[]);
+    record(&playground, "scenes/basic.toml", 2);
+    let experiments = Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments");
+    for file in ["recordings.sh", "nothing_to_find.json"] {
+        fs::copy(experiments.join(file), playground.path(file)).unwrap();
+    }
+    let truth = r#"{"units": "m", "scenes": {"0.png": [], "1.png": []}, "visible_unmeasured": {
+        "1.png": [{"what": "all of it", "box": [0, 0, 319, 239]}]}}"#;
+    for name in ["a", "b"] {
+        fs::create_dir_all(playground.path(&format!("data/{name}/depth"))).unwrap();
+        for file in ["0.png", "1.png", "camera.json"] {
+            let copy = playground.path(&format!("data/{name}/depth/{file}"));
+            fs::copy(playground.path(&format!("frames/{file}")), copy).unwrap();
+        }
+    }
+    fs::create_dir(playground.path("data/notes")).unwrap();
+    playground.write("data/a/truth.json", truth);
+    let mut command = playground.command_of(Path::new("sh"), &["recordings.sh", "--pictures", "pictures", "--quiet"]);
+    command.env("CONICFLOW", env!("CARGO_BIN_EXE_conicflow")).env("CONICFLOW_DATA", "data");
+    let ended = Started::new(command).wait().expect_code(0);
+    assert!(
+        ended.stdout.contains("  neither   sphere at ") && ended.stdout.contains("\ndetection on recorded frames\n")
+    );
+    let table = Table::read(&playground, "results/recordings.csv");
+    let cells = ["frames", "to_find", "found", "wrong", "neither", "wrong_per_frame"];
+    let row = |name| cells.map(|column| table.number(&[("recording", name)], column));
+    assert_eq!((row("a"), row("b")), ([2.0, 0.0, 0.0, 3.0, 3.0, 1.5], [2.0, 0.0, 0.0, 6.0, 0.0, 3.0]));
+    assert_eq!(table.0.len(), 2, "a folder without frames is none");
+    assert!(playground.path("pictures/b/1.png").is_file());
+}
+
+/// The judge itself in short: two of its configurations. What nobody can beat nobody beats, but for chance.
+#[test]
+fn no_detector_is_better_than_the_bound() {
+    let wanted = ["\"sphere 10 cm, 1 m\"", "\"cylinder 10 cm, 2 m\"", "cases = ["];
+    let text = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments/limit.toml")).unwrap();
+    let cases = text.lines().filter(|line| line.trim_start().starts_with("{ name = "));
+    let others = cases.filter(|line| !wanted.iter().any(|wanted| line.contains(wanted)));
+    let table = Table::of("limit", &others.map(|line| (line, "")).collect::<Vec<_>>(), 60);
+    let quantities = ["radius mm", "position mm", "axis deg"];
+    for (configuration, quantities) in [("sphere 10 cm, 1 m", &quantities[..2]), ("cylinder 10 cm, 2 m", &quantities)] {
+        for quantity in quantities {
+            let cell = |column| table.number(&[("configuration", configuration), ("quantity", quantity)], column);
+            let what = format!("{quantity} of {configuration}");
+            assert_eq!((cell("frames"), cell("found"), cell("wrong")), (60.0, 1.0, 0.0), "{what}");
+            assert!(0.0 < cell("bound_b") && cell("bound_b") <= cell("bound_a"), "{what}");
+            // the scatter of 60 frames is known to a tenth
+            assert!((0.1..1.4).contains(&cell("efficiency_b")), "{what}: {}", cell("efficiency_b"));
+            assert!((0.3..3.0).contains(&cell("sigma_over_scatter")), "{what}: {}", cell("sigma_over_scatter"));
+        }
+    }
+    assert_eq!(table.0.len(), 5);
 }
 
 /// A ball on a stick that someone carries about: one identity, seen in each of the frames.

@@ -42,6 +42,8 @@ pub(crate) struct Arc {
     pub angle: f64,
     /// Slopes of the rays through the first and the last pixel.
     pub rays: [f64; 2],
+    /// Whether nothing was measured beyond the end, on either side.
+    pub unseen: [bool; 2],
     /// Where the surface ends before something farther, on either side.
     pub contour: [Option<ContourPoint>; 2],
     /// Distance at the depth of the arc between neighbouring pixels of the line, in metres.
@@ -93,6 +95,7 @@ impl Arc {
             center: Vector3::from(ellipse.center),
             angle: ellipse.arc,
             rays: [ray(first), ray(last)],
+            unseen: ellipse.beyond.map(|depth| depth == 0.0),
             contour: contour(&camera, &plane, &ellipse.contour),
             pitch: mean.z * pitch,
             spacing: mean.z * spacing,

@@ -32,6 +32,8 @@ pub(crate) struct Measured {
     pub variance: f64,
     /// Mean square distance over variance, free of noise.
     pub misfit: f64,
+    /// How much worse a plane explains the points, as chi squared of independent points.
+    pub curvature: f64,
     /// Mean visible circumference.
     pub angle: f64,
     /// From where to where the arcs and half a line beyond them reach along the axis, counted from the surface's point; of a
@@ -101,7 +103,7 @@ fn check(region: &Region, parameters: &AssemblerParameters) -> Result<Measured, 
         Err(Rejection::Tilted)
     } else if measured.angle < parameters.pooled.min_arc_deg.to_radians() {
         Err(Rejection::ShortArc)
-    } else if is_plane(region, &measured) {
+    } else if measured.curvature < CURVED * CURVED {
         Err(Rejection::Flat)
     } else {
         Ok(measured)
@@ -178,7 +180,9 @@ fn measure(region: &Region) -> Measured {
     });
     let extent = [extent[0] - half_line, extent[1] + half_line];
     let (misfit, angle) = (region.model.square_sum() / points, angle / points);
-    Measured { count, points, lines, variance: region.variance(), misfit, angle, extent }
+    let variance = region.variance();
+    let curvature = curvature(region, variance, misfit);
+    Measured { count, points, lines, variance, misfit, curvature, angle, extent }
 }
 
 /// Place of a point along the axis; of a sphere, across its arcs.
@@ -203,12 +207,11 @@ fn span(arc: &Arc, region: &Region, ends: [Option<Vector3>; 2]) -> f64 {
     outwards(a).angle(&outwards(b))
 }
 
-/// Whether a plane explains the points about as well: the evidence against it, as chi squared of independent points in units of
-/// what the points of the model really scatter, is less than that of so many standard deviations.
-fn is_plane(region: &Region, measured: &Measured) -> bool {
+/// How much worse than the model a plane explains the points: chi squared of independent points, in units of what the points
+/// really scatter about the model.
+fn curvature(region: &Region, variance: f64, misfit: f64) -> f64 {
     let mut pool = SpaceMoments::default();
     region.arcs().for_each(|arc| pool.add(&arc.space, 1.0));
-    let independent = measured.points / region.shared_lines();
-    let (plane, shape) = (pool.least_variance() / measured.variance, measured.misfit);
-    independent * (plane - shape) < CURVED * CURVED * (1.0 + shape.max(0.0))
+    let independent = region.points() / region.shared_lines();
+    independent * (pool.least_variance() / variance - misfit) / (1.0 + misfit.max(0.0))
 }

@@ -7,6 +7,7 @@
 //! title   = "a cylinder by distance"
 //! columns = ["n", "radius_m", "radius_sd_m"]         # of the rows that the measuring stages make
 //! csv     = "results/accuracy.csv"
+//! spread  = { by = "object", columns = ["radius_sd_m"] }          # least, median and greatest, below the table
 //! plot    = { path = "results/accuracy.svg", x = "distance", y = ["radius_m"], lines = ["stage"] }
 //! vary    = [
 //!     { name = "distance", set = ["source.values.distance"], values = [1.0, 1.5] },
@@ -52,6 +53,8 @@ pub struct Experiment {
     pub plot: Option<Plot>,
     /// The exponents of columns as powers of another one.
     pub exponent: Option<Exponent>,
+    /// Columns whose least, median and greatest figures are shown below the table.
+    pub spread: Option<Spread>,
 }
 
 /// Something that is varied: one parameter, or several at a time.
@@ -125,6 +128,16 @@ pub struct Exponent {
     pub y: Vec<String>,
 }
 
+/// A second table: the least, median and greatest figures of columns, over all rows that are alike in another.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Spread {
+    /// The column that tells the groups of rows apart.
+    pub by: String,
+    /// The columns.
+    pub columns: Vec<String>,
+}
+
 /// One combination of what is varied.
 #[derive(Clone, Debug, Default)]
 pub struct Variation {
@@ -177,6 +190,10 @@ impl Experiment {
         if let Some(exponent) = &self.exponent {
             wanted.push(("exponent.x", vec![&exponent.x]));
             wanted.push(("exponent.y", exponent.y.iter().collect()));
+        }
+        if let Some(spread) = &self.spread {
+            wanted.push(("spread.by", vec![&spread.by]));
+            wanted.push(("spread.columns", spread.columns.iter().collect()));
         }
         look(&wanted, known)?;
         let Some(plot) = &self.plot else { return Ok(()) };

@@ -1,7 +1,8 @@
 //! The rows of all runs: as a table for people, as CSV, as a plot, and their power laws.
 
-use super::{Experiment, Exponent, plot, prepared};
+use super::{Experiment, Exponent, Spread, plot, prepared};
 use crate::csv;
+use crate::quantile::quantile;
 use crate::score::{Figure, Row};
 use anyhow::{Context as _, Result};
 use conicflow_geometry::Regression;
@@ -56,6 +57,36 @@ impl<'a> Results<'a> {
         };
         let rows = self.rows.iter().map(|row| titles.iter().map(|title| cell(row, title)).collect()).collect();
         (titles, rows)
+    }
+
+    /// The titles and the rows of the table of least, median and greatest figures, where one is asked for; rows without a
+    /// figure do not count.
+    pub fn spread(&self) -> Option<(Vec<String>, Vec<Vec<String>>)> {
+        let Spread { by, columns } = self.experiment.spread.as_ref()?;
+        let mut groups: Vec<&Figure> = Vec::new();
+        for group in self.rows.iter().filter_map(|row| row.get(by)) {
+            if !groups.contains(&group) {
+                groups.push(group);
+            }
+        }
+        let cell = |group: &Figure, share: f64, column: &String| {
+            let rows = self.rows.iter().filter(|row| row.get(by) == Some(group));
+            let mut numbers: Vec<f64> = rows.filter_map(|row| row.number_of(column)).collect();
+            quantile(&mut numbers, share, f64::total_cmp)
+                .map_or("-".to_owned(), |number| shown(&Figure::Number(number)))
+        };
+        let titles = [by.as_str(), "of all rows"]
+            .into_iter()
+            .chain(columns.iter().map(String::as_str))
+            .map(str::to_owned)
+            .collect();
+        let rows = groups.iter().flat_map(|group| {
+            [("least", 0.0), ("median", 0.5), ("greatest", 1.0)].map(|(name, share)| {
+                let names = [shown(group), name.to_owned()].into_iter();
+                names.chain(columns.iter().map(|column| cell(group, share, column))).collect()
+            })
+        });
+        Some((titles, rows.collect()))
     }
 
     /// One line for each power law: `y ~ x^exponent`, by least squares of the logarithms.
@@ -160,6 +191,23 @@ mod tests {
         assert_eq!(titles, ["distance", "radius_m", "paper radius_m"]);
         assert_eq!(rows, [["1", "0.2", "-"], ["4", "0.4", "0.15"]]);
         assert_eq!(results.exponents(), "", "two points leave no standard error");
+    }
+
+    #[test]
+    fn the_spread_of_a_column_is_told_group_by_group() {
+        let spread = Some(Spread { by: "object".into(), columns: vec!["radius_m".into(), "sd".into()] });
+        let experiment = Experiment { spread, ..experiment() };
+        let mut results = Results::new(&experiment);
+        let mut ball = Row::default();
+        ball.text("object", "ball");
+        results.add([0.4, 0.1, 0.2].map(|radius| row(1.0, radius)).into());
+        results.add(vec![ball]);
+        let (titles, rows) = results.spread().unwrap();
+        assert_eq!(titles, ["object", "of all rows", "radius_m", "sd"]);
+        let expected = [["least", "0.1"], ["median", "0.2"], ["greatest", "0.4"]];
+        assert_eq!(rows[..3], expected.map(|[name, radius]| ["can", name, radius, "-"]));
+        assert_eq!(rows[4], ["ball", "median", "-", "-"]);
+        assert!(Results::new(&Experiment::default()).spread().is_none());
     }
 
     #[test]

@@ -3,9 +3,10 @@
 use super::matching::{Answer, Comparison, Fault, MatchedFrame, Matcher, compare};
 use super::notes::Notes;
 use super::recorded::RecordedTruth;
+use super::row::Row;
 use super::sigmas::Sigmas;
-use super::tables;
 use super::truth::RenderedTruth;
+use super::{summary, tables};
 use anyhow::Result;
 use conicflow_messages::{Header, Object, ObjectKind};
 use nalgebra::Vector3;
@@ -36,6 +37,8 @@ pub struct Score {
     pub samples: Vec<Sample>,
     /// Number of right answers about objects that need not be found.
     pub extra: u64,
+    /// Number of answers about what nobody measured.
+    pub neither: u64,
 }
 
 /// A true object that had to be found, or a wrong answer.
@@ -75,6 +78,7 @@ impl Score {
     fn add(&mut self, group: &str, frame: &MatchedFrame) {
         let group = self.group(group);
         self.frames += 1;
+        self.neither += frame.neither.len() as u64;
         for (truth, answer) in &frame.pairs {
             if !truth.required {
                 self.extra += u64::from(answer.is_some());
@@ -117,9 +121,10 @@ impl Evaluation {
                     self.notes.add_unjudged(source);
                     return Ok(None);
                 };
-                let frame = matcher.match_up(truths.to_vec(), answers);
+                let mut frame = matcher.match_up(truths.to_vec(), answers);
+                frame.excuse(|object| truth.unmeasured_at(source, &header.camera, object));
                 self.score.add("", &frame);
-                self.notes.add(source, &frame);
+                self.notes.add(source, &frame, |object| truth.not_wanted_at(source, &header.camera, object));
                 Ok(Some(frame))
             }
         }
@@ -128,6 +133,11 @@ impl Evaluation {
     /// All that was counted.
     pub fn score(&self) -> &Score {
         &self.score
+    }
+
+    /// All that was counted, in one row.
+    pub fn row(&self) -> Row {
+        summary::row(&self.score)
     }
 
     /// What came of all frames: tables of rendered ones; of recorded ones what was found and what not, frame by frame.

@@ -158,9 +158,13 @@ fn cylinder(x: f64, radius: f64) -> Object {
 }
 
 fn recording() -> Evaluation {
+    recording_of(TRUTH)
+}
+
+fn recording_of(truth: &str) -> Evaluation {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("truth.json");
-    std::fs::write(&path, TRUTH).unwrap();
+    std::fs::write(&path, truth).unwrap();
     Evaluation::new(TruthSource::Recorded(RecordedTruth::load(&path, &RecordedTolerances::default()).unwrap()))
 }
 
@@ -176,9 +180,51 @@ fn found_off_and_unlisted_are_told_apart() {
     assert!(evaluation.add(&header("b.pcd"), &answers).unwrap().is_none());
     let report = evaluation.report().unwrap();
     assert!(report.contains("  found     tin: radius +1.0 mm, position 1.0 mm, axis 0.0 deg\n"), "{report}");
-    assert!(report.contains("  missed    pot\n") && report.contains("radius is wrong about pot: radius +7.0 mm"));
+    assert!(
+        report.contains("  missed    pot: cylinder at (0.300, 0.000, 1.000) m, radius 90.0 mm\n")
+            && report.contains("radius is wrong about pot: radius +7.0 mm")
+    );
     assert!(report.contains("1 of 2 found (50 %) in 1 frames; 1 frames not judged"), "{report}");
     assert!(report.contains("1 answers off (1.00 per frame), 1 about what is not listed (1.00 per frame)"), "{report}");
+}
+
+/// A tin whose handle was not measured, before a carton: the boxes are those of the handle and of the carton behind both.
+#[test]
+fn what_was_not_measured_counts_neither_way_and_what_is_not_wanted_is_wrong() {
+    let boxes = r#", "visible_unmeasured": {"a.pcd": [{"what": "handle", "box": [10, 110, 60, 130]}]},
+        "not_wanted": {"a.pcd": [{"what": "carton", "box": [0, 90, 220, 150]}]}}"#;
+    let mut evaluation = recording_of(&TRUTH.replace("]}}", &format!("]}}{boxes}")));
+    // seen at u = 160, 28, 107 and 291 of 320
+    let [right, on_handle, on_carton, nowhere] =
+        [(0.001, 0.051), (-0.5, 0.01), (-0.2, 0.04), (0.5, 0.04)].map(|(x, radius)| cylinder(x, radius));
+    let answers = answers(&[right, on_handle, on_carton, nowhere]);
+    let frame = evaluation.add(&header("a.pcd"), &answers).unwrap().unwrap();
+    let places = |objects: Vec<&Object>| objects.into_iter().map(|object| object.center[0]).collect::<Vec<_>>();
+    assert_eq!(places(frame.wrong.iter().map(|(object, _)| object).collect()), [-0.2, 0.5]);
+    assert_eq!(places(frame.neither.iter().map(|(object, _)| object).collect()), [-0.5]);
+    assert_eq!(frame.details(&header("a.pcd"))["neither"][0]["on"], "handle");
+    let (score, row) = (evaluation.score(), evaluation.row());
+    let number = |column| row.number_of(column).unwrap();
+    assert_eq!((score.neither, score.samples.len()), (1, 4), "two tins and two wrong answers");
+    assert_eq!((number("found"), number("to_find"), number("wrong"), number("precision")), (1.0, 2.0, 2.0, 1.0 / 3.0));
+    let report = evaluation.report().unwrap();
+    assert!(report.contains("  found     tin"), "right is right in any box: {report}");
+    assert!(
+        report.contains("  unlisted  cylinder at (-0.200, 0.020, 1.000) m, radius 40.0 mm, on carton\n"),
+        "{report}"
+    );
+    assert!(report.contains("  unlisted  cylinder at (0.500, 0.020, 1.000) m, radius 40.0 mm\n"), "{report}");
+    assert!(report.contains("radius 10.0 mm; on what was not measured: handle\n"), "{report}");
+}
+
+/// A box about what was not measured is no place to hide a miss: what has to be found there is missed all the same.
+#[test]
+fn a_miss_in_a_box_is_a_miss() {
+    let boxes = r#", "visible_unmeasured": {"a.pcd": [{"what": "inside of the tin", "box": [100, 90, 220, 150]}]}}"#;
+    let mut evaluation = recording_of(&TRUTH.replace("]}}", &format!("]}}{boxes}")));
+    let frame = evaluation.add(&header("a.pcd"), &answers(&[cylinder(0.0, 0.2)])).unwrap().unwrap();
+    assert_eq!(faults(&frame), (2, 0));
+    assert_eq!((frame.neither.len(), evaluation.row().number_of("found")), (1, Some(0.0)));
 }
 
 #[test]

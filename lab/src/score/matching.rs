@@ -1,6 +1,6 @@
 //! Which answer is right about which true object: the one rule by which everything is scored.
 //!
-//! An answer is right if its shape is the true one and position, radius, axis and half-angle are within the tolerance: of a
+//! An answer is right if its shape is the true one (or another that is allowed) and position, radius, axis and half-angle are within the tolerance: of a
 //! sphere the distance of the centres; else the distance of the true middle from the answer's axis, and the radii there.
 //! Pairs are taken one to one. The identity that an object had stays with it where it is still right, as CLEAR-MOT has it
 //! (Bernardin and Stiefelhagen 2008); then the nearest pair goes first.
@@ -125,9 +125,11 @@ pub fn compare(truth: &Object, answer: &Object) -> Comparison {
 
 /// Why an answer is not right about a true object; `None`: it is right.
 pub fn fault(truth: &TrueObject, answer: &Object) -> Option<Fault> {
-    let Tolerance { position_m, radius_m: [least, most], axis, half_angle } = truth.tolerance;
+    let Tolerance { shapes, position_m, radius_m: [least, most], axis, half_angle } = truth.tolerance;
     let comparison = compare(&truth.body, answer);
-    let wrong_shape = answer.shape() != truth.body.shape();
+    let wrong_shape = !shapes.contains(&answer.shape());
+    // another shape that is allowed has another half-angle
+    let same_shape = answer.shape() == truth.body.shape();
     if wrong_shape || comparison.position_m >= position_m {
         let fault = if wrong_shape { Fault::Shape } else { Fault::Position };
         Some(if is_near(&truth.body, answer) { fault } else { Fault::NothingThere })
@@ -135,7 +137,7 @@ pub fn fault(truth: &TrueObject, answer: &Object) -> Option<Fault> {
         Some(Fault::Axis)
     } else if !(least..=most).contains(&comparison.radius_m) {
         Some(Fault::Radius)
-    } else if comparison.half_angle.abs() >= half_angle {
+    } else if same_shape && comparison.half_angle.abs() >= half_angle {
         Some(Fault::HalfAngle)
     } else {
         None
@@ -159,6 +161,8 @@ pub struct MatchedFrame {
     pub pairs: Vec<(TrueObject, Option<Answer>)>,
     /// The answers that are right about nothing, and what is wrong as compared with the object that each comes nearest to.
     pub wrong: Vec<(Object, Fault)>,
+    /// The answers about what nobody measured, and what that is: they are neither right nor wrong.
+    pub neither: Vec<(Object, String)>,
 }
 
 /// Matches answers and true objects, and remembers the identity that each object had.
@@ -192,7 +196,7 @@ impl Matcher {
         }
         let unused = answers.iter().zip(used).filter(|(_, used)| !used).map(|(answer, _)| answer.object);
         let wrong = unused.map(|object| (object, mildest_fault(&truths, &object))).collect();
-        MatchedFrame { pairs: truths.into_iter().zip(answer_of).collect(), wrong }
+        MatchedFrame { pairs: truths.into_iter().zip(answer_of).collect(), wrong, neither: Vec::new() }
     }
 }
 
@@ -203,6 +207,15 @@ fn mildest_fault(truths: &[TrueObject], answer: &Object) -> Fault {
 }
 
 impl MatchedFrame {
+    /// Counts those wrong answers neither way whose place shows something that nobody measured, which `unmeasured` names.
+    pub fn excuse<'a>(&mut self, unmeasured: impl Fn(&Object) -> Option<&'a str>) {
+        self.wrong.retain(|(object, _)| {
+            let what = unmeasured(object);
+            self.neither.extend(what.map(|what| (*object, what.to_owned())));
+            what.is_none()
+        });
+    }
+
     /// The objects that had to be found and were not.
     pub fn missed(&self) -> impl Iterator<Item = &TrueObject> {
         self.pairs.iter().filter(|(truth, answer)| truth.required && answer.is_none()).map(|(truth, _)| truth)
@@ -218,23 +231,26 @@ impl MatchedFrame {
         };
         let missed = |truth: &TrueObject| json!({"name": truth.name, "hidden": truth.hidden, "is": tell(&truth.body)});
         let wrong = |(object, fault): &(Object, Fault)| json!({"why": fault.name(), "is": tell(object)});
+        let neither = |(object, what): &(Object, String)| json!({"on": what, "is": tell(object)});
         json!({
             "sequence": header.sequence,
             "scene": header.source.as_str(),
             "missed": self.missed().map(missed).collect::<Vec<_>>(),
             "wrong": self.wrong.iter().map(wrong).collect::<Vec<_>>(),
+            "neither": self.neither.iter().map(neither).collect::<Vec<_>>(),
         })
     }
 }
 
 #[cfg(test)]
 pub(super) mod tests {
+    use super::super::truth::only;
     use super::*;
 
-    const WIDE: Tolerance = Tolerance { position_m: 0.05, radius_m: [0.08, 0.12], axis: 0.35, half_angle: 0.14 };
-
     pub fn expected(body: Object) -> TrueObject {
-        TrueObject { name: "thing".into(), body, hidden: 0.0, required: true, tolerance: WIDE }
+        let shapes = only(body.shape());
+        let tolerance = Tolerance { shapes, position_m: 0.05, radius_m: [0.08, 0.12], axis: 0.35, half_angle: 0.14 };
+        TrueObject { name: "thing".into(), body, hidden: 0.0, required: true, tolerance }
     }
 
     pub fn sphere(x: f64) -> Object {
@@ -300,6 +316,18 @@ pub(super) mod tests {
         ] {
             assert_eq!(fault(&truth, &answer), expected, "{answer:?}");
         }
+    }
+
+    /// A bowl may be called a cone; what a sphere has not, half-angle and axis, is not compared, but place and radius are.
+    #[test]
+    fn another_shape_that_is_allowed_is_right_where_place_and_radius_are() {
+        let mut bowl = expected(sphere(0.0));
+        assert_eq!(fault(&bowl, &cone()), Some(Fault::Shape));
+        bowl.tolerance.shapes = &[ObjectKind::Sphere, ObjectKind::Cone];
+        assert_eq!(fault(&bowl, &cone()), None);
+        assert_eq!(fault(&bowl, &Object { radius: 0.13, ..cone() }), Some(Fault::Radius));
+        assert_eq!(fault(&bowl, &Object { center: [0.06, 0.0, 1.0], ..cone() }), Some(Fault::Position));
+        assert_eq!(fault(&bowl, &Object { kind: ObjectKind::Cylinder.code(), ..cone() }), Some(Fault::Shape));
     }
 
     #[test]

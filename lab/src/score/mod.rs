@@ -2,24 +2,29 @@
 //!
 //! In the order of the way: what is there and what is owed to it ([`truth`], [`recorded`]); which answer is right about what
 //! ([`matching`]); how its errors compare with its standard deviations ([`sigmas`]). An [`evaluation`] counts that and tells it
-//! in tables, or in notes on a recording. A [`measurement`] takes an [`observation`] of each object from each frame, sums these
-//! up and gives each object a [`row`] of figures; [`sections`] do so for ellipses, and a [`trace`] keeps each observation.
+//! in tables, in notes on a recording, and in one row, the [`summary`]. A [`measurement`] takes an [`observation`] of each
+//! object from each frame, sums these up and gives each object a [`row`] of figures; [`sections`] do so for ellipses, and a
+//! [`trace`] keeps each observation. A [`limit`] holds the scatter of an object's answers against the least that is possible.
 
 pub mod evaluation;
+pub mod limit;
 pub mod matching;
 pub mod measurement;
 mod notes;
 mod object_stats;
 pub mod observation;
+mod pixel_box;
 pub mod recorded;
 pub mod row;
 pub mod sections;
 pub mod sigmas;
+pub mod summary;
 mod tables;
 pub mod trace;
 pub mod truth;
 
 pub use evaluation::{Evaluation, TruthSource};
+pub use limit::Limit;
 pub use matching::{Answer, Claim};
 pub use measurement::Measurement;
 pub use object_stats::columns as measured_columns;

@@ -3,8 +3,8 @@
 use super::evaluation::Score;
 use super::matching::{Comparison, Fault, MatchedFrame, compare, fault};
 use super::recorded::RecordedTruth;
+use super::summary;
 use super::truth::TrueObject;
-use crate::quantile::median;
 use crate::running_stats::RunningStats;
 use anyhow::{Result, bail};
 use conicflow_messages::Object;
@@ -28,14 +28,14 @@ impl Notes {
         self.stranger.get_or_insert_with(|| source.to_owned());
     }
 
-    /// Notes what came of a frame.
-    pub fn add(&mut self, source: &str, frame: &MatchedFrame) {
+    /// Notes what came of a frame; `not_wanted` tells what an answer sits on that is no right one.
+    pub fn add<'a>(&mut self, source: &str, frame: &MatchedFrame, not_wanted: impl Fn(&Object) -> Option<&'a str>) {
         self.text += &format!("{}\n", source.escape_debug());
         for (truth, answer) in &frame.pairs {
             let name = &truth.name;
             let Some(answer) = answer else {
                 if truth.required {
-                    self.text += &format!("  missed    {name}\n");
+                    self.text += &format!("  missed    {name}: {}\n", told(&truth.body));
                 }
                 continue;
             };
@@ -47,7 +47,11 @@ impl Notes {
         }
         for (object, worst) in &frame.wrong {
             let is_about = |truth: &&TrueObject| fault(truth, object).unwrap_or(Fault::Second) == *worst;
-            self.text += &wrong(frame.pairs.iter().map(|(truth, _)| truth).find(is_about), object, *worst);
+            let about = frame.pairs.iter().map(|(truth, _)| truth).find(is_about);
+            self.text += &wrong(about, object, *worst, not_wanted(object));
+        }
+        for (object, what) in &frame.neither {
+            self.text += &format!("  neither   {}; on what was not measured: {what}\n", told(object));
         }
     }
 
@@ -65,7 +69,7 @@ impl Notes {
                 truth.some_frame().unwrap_or_default().escape_debug()
             );
         }
-        let mut text = self.text.clone() + &sums(score, self.unjudged);
+        let mut text = format!("\n== by {}\n\n{}", truth.origin(), self.text) + &sums(score, self.unjudged);
         for (name, radii) in self.radii.iter().filter(|(_, radii)| radii.count() > 2) {
             let (mean, sd) = (1e3 * radii.mean(), 1e3 * radii.deviation());
             text += &format!("{name}: radius {mean:.1} +- {sd:.1} mm in {} frames\n", radii.count());
@@ -81,10 +85,15 @@ fn differences(truth: &TrueObject, answer: &Object) -> String {
     format!("radius {radius:+.1} mm, position {position:.1} mm, axis {axis:.1} deg")
 }
 
-/// A wrong answer, and what it is wrong about: what is listed there, or nothing.
-fn wrong(about: Option<&TrueObject>, answer: &Object, worst: Fault) -> String {
-    let Object { center: [x, y, z], radius, .. } = answer;
-    let told = format!("{} at ({x:.3}, {y:.3}, {z:.3}) m, radius {:.1} mm", answer.shape().name(), 1e3 * radius);
+/// Kind, place and radius of an object.
+fn told(object: &Object) -> String {
+    let Object { center: [x, y, z], radius, .. } = object;
+    format!("{} at ({x:.3}, {y:.3}, {z:.3}) m, radius {:.1} mm", object.shape().name(), 1e3 * radius)
+}
+
+/// A wrong answer, and what it is wrong about: what is listed there, or nothing; and what it sits on that is not wanted.
+fn wrong(about: Option<&TrueObject>, answer: &Object, worst: Fault, not_wanted: Option<&str>) -> String {
+    let told = told(answer) + &not_wanted.map_or_else(String::new, |what| format!(", on {what}"));
     match about.filter(|_| worst != Fault::NothingThere) {
         Some(truth) => {
             let (name, differences) = (&truth.name, differences(truth, answer));
@@ -95,27 +104,26 @@ fn wrong(about: Option<&TrueObject>, answer: &Object, worst: Fault) -> String {
 }
 
 fn sums(score: &Score, unjudged: u64) -> String {
-    let frames = score.frames;
-    let per_frame = |count: usize| count as f64 / frames.max(1) as f64;
-    let faults: Vec<Fault> = score.samples.iter().filter_map(|sample| sample.fault).collect();
-    let found = score.samples.iter().filter(|sample| sample.found.is_some()).count();
-    let required = score.samples.len() - faults.len();
-    let unlisted = faults.iter().filter(|fault| **fault == Fault::NothingThere).count();
-    let off = faults.len() - unlisted;
-    let share = 100.0 * found as f64 / required.max(1) as f64;
-    let median_of = |number: fn(f64, &Comparison) -> f64| {
-        let numbers = score.samples.iter().filter_map(|sample| Some(number(sample.radius_m, &sample.found?.0)));
-        median(numbers.collect()).unwrap_or(0.0)
-    };
+    let row = summary::row(score);
+    let number = |column| row.number_of(column).unwrap_or(0.0);
+    let faults = score.samples.iter().filter_map(|sample| sample.fault);
+    let unlisted = faults.filter(|fault| *fault == Fault::NothingThere).count() as f64;
+    let (frames, off) = (number("frames"), number("wrong") - unlisted);
+    let per_frame = |count: f64| count / frames.max(1.0);
     format!(
-        "\n{found} of {required} found ({share:.0} %) in {frames} frames; {unjudged} frames not judged\n\
-         {off} answers off ({:.2} per frame), {unlisted} about what is not listed ({:.2} per frame)\n\
+        "\n{} of {} found ({:.0} %) in {frames} frames; {unjudged} frames not judged\n\
+         {off} answers off ({:.2} per frame), {unlisted} about what is not listed ({:.2} per frame), {} about what was not \
+         measured\n\
          medians of those found: |radius| {:.1} mm, radius {:+.1} mm, position {:.1} mm, axis {:.1} deg\n",
+        number("found"),
+        number("to_find"),
+        100.0 * number("recall"),
         per_frame(off),
         per_frame(unlisted),
-        1e3 * median_of(|radius_m, found| (found.radius_m - radius_m).abs()),
-        1e3 * median_of(|radius_m, found| found.radius_m - radius_m),
-        1e3 * median_of(|_, found| found.position_m),
-        median_of(|_, found| found.axis).to_degrees()
+        number("neither"),
+        number("radius_error_mm"),
+        number("radius_bias_mm"),
+        number("position_error_mm"),
+        number("axis_error_deg")
     )
 }

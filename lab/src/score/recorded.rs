@@ -11,17 +11,31 @@
 //! `[{"file": "depth/000000.png", "sphere": {"centre_mm": [x, y, z], "radius_mm": r}}]`, where a frame without `sphere`
 //! is not judged, and `"radius": {"accept_range_mm": [least, most]}` beside it says what radius is right.
 //!
-//! A `cone` is told as a cylinder is, with `axis_dir` from its apex to its base, `radius_m` at the middle of the part that
-//! is seen, and `half_angle_deg`.
+//! A `cone` or `cone_frustum` is told as a cylinder is, with `axis_dir` from its apex to its base, `radius_m` at the middle of
+//! the part that is seen, and `half_angle_deg`.
 //!
-//! A `cylinder` or a `cone` may say by `"seen_side_from_to_m": [from, to]` which part of its side is seen, along `axis_dir` from
+//! A `cylinder` or a cone may say by `"seen_side_from_to_m": [from, to]` which part of its side is seen, along `axis_dir` from
 //! `axis_point_m`; -50 to 50 mm where left out. What is `sphere_like` need not be found; who finds a sphere there is right
-//! within 20 % of its radius. An entry may have a `quality`: one that is `"poor"`, not `"partial"` or `"good"`, only has to be
-//! seen: within 50 mm of its place, half of its radius and half a radian of its axis.
+//! within 20 % of its radius.
+//!
+//! An entry may have a `quality`: one that is `"poor"`, not `"fair"`, `"partial"` or `"good"`, only has to be seen: within 50 mm
+//! of its place, half of its radius and half a radian of its axis. Some shapes are none exactly: a `sphere_like` that is
+//! `"fair"` or `"poor"` may be called a cone, a `cone_frustum` that is `"poor"` anything.
+//!
+//! Beside `scenes` two tables tell of what nobody measured, by pixels `[x0, y0, x1, y1]` of the frame:
+//!
+//! ```json
+//! {"visible_unmeasured": {"learn34.pcd": [{"what": "handle", "box": [376, 195, 428, 300]}]},
+//!  "not_wanted":         {"learn34.pcd": [{"what": "carton", "box": [345, 50, 515, 330]}]}}
+//! ```
+//! What is round there but was not measured: an answer whose centre is seen in such a box, and that is right about nothing,
+//! is neither right nor wrong. What is not wanted tempts a detector: an answer there is wrong, as is one in no box at all, and
+//! the report says on what it sits. A place in boxes of both sorts is what is round: handles stand before cartons.
 
-use super::truth::{Tolerance, TrueObject};
+use super::pixel_box::{BoxEntry, PixelBox};
+use super::truth::{Tolerance, TrueObject, only};
 use anyhow::{Context as _, Result, bail};
-use conicflow_messages::{Object, ObjectKind};
+use conicflow_messages::{Camera, Object, ObjectKind};
 use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -58,18 +72,20 @@ impl Default for RecordedTolerances {
 impl RecordedTolerances {
     fn of(&self, body: &Object) -> Tolerance {
         let radius_m = [body.radius - self.radius_m, body.radius + self.radius_m];
-        let (position_m, axis) = (self.position_m, self.axis_deg.to_radians());
+        let (shapes, axis) = (only(body.shape()), self.axis_deg.to_radians());
+        let alike = Tolerance { shapes, position_m: self.position_m, radius_m, axis, half_angle: 1e-9 };
         match body.shape() {
-            ObjectKind::Sphere => Tolerance { position_m: self.center_m, radius_m, axis: 0.1, half_angle: 1e-9 },
-            ObjectKind::Cylinder => Tolerance { position_m, radius_m, axis, half_angle: 1e-9 },
-            ObjectKind::Cone => Tolerance { position_m, radius_m, axis, half_angle: self.half_angle_deg.to_radians() },
+            ObjectKind::Sphere => Tolerance { position_m: self.center_m, axis: 0.1, ..alike },
+            ObjectKind::Cylinder => alike,
+            ObjectKind::Cone => Tolerance { half_angle: self.half_angle_deg.to_radians(), ..alike },
         }
     }
 }
 
 /// Tolerance of what only has to be seen.
-fn of_poor(radius: f64) -> Tolerance {
-    Tolerance { position_m: 0.05, radius_m: [0.5 * radius, 1.5 * radius], axis: 0.5, half_angle: 0.25 }
+fn of_poor(body: &Object) -> Tolerance {
+    let radius_m = [0.5 * body.radius, 1.5 * body.radius];
+    Tolerance { shapes: only(body.shape()), position_m: 0.05, radius_m, axis: 0.5, half_angle: 0.25 }
 }
 
 #[derive(Deserialize)]
@@ -79,6 +95,10 @@ struct TruthFile {
     objects: Option<Vec<Entry>>,
     frames: Option<Vec<FrameEntry>>,
     radius: Option<RadiusNote>,
+    #[serde(default)]
+    visible_unmeasured: BTreeMap<String, Vec<BoxEntry>>,
+    #[serde(default)]
+    not_wanted: BTreeMap<String, Vec<BoxEntry>>,
 }
 
 /// The keys of the entries tell the units, too; the file has to agree with them.
@@ -106,6 +126,7 @@ struct Entry {
     axis_dir: Option<[f64; 3]>,
     centre_m: Option<[f64; 3]>,
     half_angle_deg: Option<f64>,
+    widens: Option<String>,
     seen_side_from_to_m: Option<[f64; 2]>,
 }
 
@@ -114,6 +135,7 @@ struct Entry {
 #[serde(rename_all = "snake_case")]
 enum Quality {
     Good,
+    Fair,
     Partial,
     Poor,
 }
@@ -133,9 +155,15 @@ struct BallEntry {
 /// What is in the frames of a recording.
 #[derive(Clone, Debug)]
 pub struct RecordedTruth {
+    /// The file.
+    origin: String,
     /// What is in each frame, by the name of its file; nothing where that was not measured.
     by_frame: BTreeMap<String, Option<Vec<TrueObject>>>,
     everywhere: Option<Vec<TrueObject>>,
+    /// By the name of the frame's file: what is round and was not measured, ...
+    unmeasured: BTreeMap<String, Vec<PixelBox>>,
+    /// ... and what tempts and is no right answer.
+    not_wanted: BTreeMap<String, Vec<PixelBox>>,
 }
 
 impl RecordedTruth {
@@ -146,7 +174,8 @@ impl RecordedTruth {
     pub fn load(path: &Path, tolerances: &RecordedTolerances) -> Result<Self> {
         let place = || format!("truth file `{}`", path.display());
         let text = std::fs::read_to_string(path).with_context(place)?;
-        Self::parse(&text, tolerances).with_context(place)
+        let truth = Self::parse(&text, tolerances).with_context(place)?;
+        Ok(Self { origin: path.display().to_string(), ..truth })
     }
 
     fn parse(text: &str, tolerances: &RecordedTolerances) -> Result<Self> {
@@ -157,7 +186,9 @@ impl RecordedTruth {
         }
         let list = |entries: &[Entry]| entries.iter().map(|entry| entry.truth(tolerances)).collect::<Result<Vec<_>>>();
         let everywhere = file.objects.as_deref().map(list).transpose()?;
-        let mut truth = Self { by_frame: BTreeMap::new(), everywhere };
+        let (unmeasured, not_wanted) = (boxes(&file.visible_unmeasured)?, boxes(&file.not_wanted)?);
+        let (origin, by_frame) = (String::new(), BTreeMap::new());
+        let mut truth = Self { origin, by_frame, everywhere, unmeasured, not_wanted };
         for (name, entries) in file.scenes.iter().flatten() {
             truth.insert(name, Some(list(entries).with_context(|| format!("scene `{name}`"))?))?;
         }
@@ -169,6 +200,13 @@ impl RecordedTruth {
         if truth.by_frame.is_empty() && truth.everywhere.is_none() {
             bail!("it has none of `scenes`, `objects` and `frames`\n  hint: say what is in the frames");
         }
+        let named = truth.unmeasured.keys().chain(truth.not_wanted.keys());
+        if let Some(stranger) = named.into_iter().find(|name| truth.objects(name).is_none()) {
+            bail!(
+                "`visible_unmeasured` or `not_wanted` has boxes of `{stranger}`, of which it does not say what is to be \
+                 found\n  hint: `scenes` has a list for each frame, an empty one where nothing is to be found"
+            );
+        }
         Ok(truth)
     }
 
@@ -179,6 +217,21 @@ impl RecordedTruth {
             bail!("it has two entries for `{name}`\n  hint: folders do not count: write a truth file for each");
         }
         Ok(())
+    }
+
+    /// The file that tells it.
+    pub fn origin(&self) -> &str {
+        &self.origin
+    }
+
+    /// What is round and was not measured where the centre of an answer is seen, if anything is.
+    pub fn unmeasured_at(&self, source: &str, camera: &Camera, answer: &Object) -> Option<&str> {
+        what_at(&self.unmeasured, source, camera, answer)
+    }
+
+    /// What tempts and is no right answer where the centre of an answer is seen, if anything is known.
+    pub fn not_wanted_at(&self, source: &str, camera: &Camera, answer: &Object) -> Option<&str> {
+        what_at(&self.not_wanted, source, camera, answer)
     }
 
     /// The name of one of the frames that it knows.
@@ -195,6 +248,25 @@ impl RecordedTruth {
     }
 }
 
+/// The boxes of each frame; what has none is told of in words only.
+fn boxes(entries: &BTreeMap<String, Vec<BoxEntry>>) -> Result<BTreeMap<String, Vec<PixelBox>>> {
+    let of_frame = |(name, entries): (&String, &Vec<BoxEntry>)| {
+        let boxes = entries.iter().filter_map(|entry| entry.pixel_box().transpose()).collect::<Result<_>>();
+        Ok((file_name(name).to_owned(), boxes.with_context(|| format!("boxes of `{name}`"))?))
+    };
+    entries.iter().map(of_frame).collect()
+}
+
+fn what_at<'a>(
+    boxes: &'a BTreeMap<String, Vec<PixelBox>>,
+    source: &str,
+    camera: &Camera,
+    answer: &Object,
+) -> Option<&'a str> {
+    let boxes = boxes.get(file_name(source))?;
+    boxes.iter().find(|known| known.shows(camera, &answer.center)).map(|known| known.what.as_str())
+}
+
 /// The last part of a path, with `/` as separator on every system.
 fn file_name(path: &str) -> &str {
     path.rsplit('/').next().unwrap_or(path)
@@ -205,11 +277,11 @@ impl Entry {
         let radius = self.radius_m;
         let body = match (self.kind.as_str(), self.axis_point_m, self.axis_dir, self.centre_m) {
             ("cylinder", Some(point), Some(axis), _) => self.cylinder(point, axis)?,
-            ("cone", Some(point), Some(axis), _) => self.cone(point, axis)?,
+            ("cone" | "cone_frustum", Some(point), Some(axis), _) => self.cone(point, axis)?,
             ("sphere" | "sphere_like", _, _, Some(center)) => sphere(center, radius),
             (kind, ..) => bail!(
-                "an entry `{}` of type `{kind}` is not understood\n  hint: a `cylinder` or a `cone` has \
-                 `axis_point_m` and `axis_dir`, a `sphere` or `sphere_like` has `centre_m`",
+                "an entry `{}` of type `{kind}` is not understood\n  hint: a `cylinder`, a `cone` or a \
+                 `cone_frustum` has `axis_point_m` and `axis_dir`, a `sphere` or `sphere_like` has `centre_m`",
                 self.what
             ),
         };
@@ -219,8 +291,13 @@ impl Entry {
             tolerance.radius_m = [0.8 * radius, 1.2 * radius];
         }
         if self.quality == Some(Quality::Poor) {
-            tolerance = of_poor(radius);
+            tolerance = of_poor(&body);
         }
+        tolerance.shapes = match (self.kind.as_str(), self.quality) {
+            ("sphere_like", Some(Quality::Fair | Quality::Poor)) => &[ObjectKind::Sphere, ObjectKind::Cone],
+            ("cone_frustum", Some(Quality::Poor)) => &ObjectKind::ALL,
+            _ => tolerance.shapes,
+        };
         Ok(TrueObject { name: self.what.clone(), body, hidden: 0.0, required, tolerance })
     }
 
@@ -232,6 +309,9 @@ impl Entry {
                 self.what
             );
         };
+        if self.widens.as_ref().is_some_and(|widens| !widens.starts_with("along axis_dir")) {
+            bail!("the cone `{}` does not widen along its `axis_dir`\n  hint: turn `axis_dir` about", self.what);
+        }
         let (body, half_angle) = (self.cylinder(point, axis)?, half_angle.to_radians());
         let [top, base] = [-0.5, 0.5].map(|share| (body.radius + share * body.length * half_angle.tan()).max(0.0));
         Ok(Object { kind: ObjectKind::Cone.code(), half_angle, top_radius: top, base_radius: base, ..body })
@@ -361,6 +441,59 @@ mod tests {
     }
 
     #[test]
+    fn what_is_no_shape_exactly_may_be_called_another_and_a_good_cone_may_not() {
+        let entry = |kind: &str, quality: &str| {
+            let quality = if quality.is_empty() { String::new() } else { format!(r#""quality": "{quality}","#) };
+            let text = format!(
+                r#"{{"units": "m", "objects": [{{"type": "{kind}", {quality} "radius_m": 0.07, "half_angle_deg": 28,
+                    "widens": "along axis_dir (upwards)", "axis_point_m": [0, 0, 1], "axis_dir": [0, -1, 0],
+                    "centre_m": [0, 0, 1]}}]}}"#
+            );
+            parse(&text).unwrap().objects("any").unwrap()[0].clone()
+        };
+        let is_right = |truth: &TrueObject| {
+            ObjectKind::ALL.map(|shape| fault(truth, &Object { kind: shape.code(), ..truth.body }).is_none())
+        };
+        let [sphere, cylinder, cone] = ObjectKind::ALL.map(|shape| ObjectKind::ALL.map(|other| other == shape));
+        let (bowl, any) = ([true, false, true], [true; 3]);
+        for (kind, quality, right, required) in [
+            ("cylinder", "good", cylinder, true),
+            ("cylinder", "poor", cylinder, true),
+            ("cone_frustum", "", cone, true),
+            ("cone_frustum", "fair", cone, true),
+            ("cone_frustum", "poor", any, true),
+            ("sphere", "poor", sphere, true),
+            ("sphere_like", "", sphere, false),
+            ("sphere_like", "fair", bowl, false),
+            ("sphere_like", "poor", bowl, false),
+        ] {
+            let truth = entry(kind, quality);
+            assert_eq!((is_right(&truth), truth.required), (right, required), "{quality} {kind}");
+        }
+        let fair = entry("sphere_like", "fair").tolerance.radius_m;
+        assert!((fair[1] - fair[0]) / 2.0 >= 0.008, "no tighter than 8 mm: {fair:?}");
+    }
+
+    #[test]
+    fn boxes_are_those_of_their_frame() {
+        let camera = Camera { width: 640, height: 480, fx: 600.0, fy: 600.0, cx: 320.0, cy: 240.0 };
+        let truth = parse(
+            r#"{"units": "m", "scenes": {"a.png": [], "b.png": []},
+                "visible_unmeasured": {"a.png": [{"kind": "other_round", "what": "handle", "box": [370, 190, 430, 300]}]},
+                "not_wanted": {"b.png": [{"what": "rock"}, {"what": "carton", "box": [0, 0, 639, 479]}]}}"#,
+        )
+        .unwrap();
+        let answer = |x: f64, z: f64| Object { center: [x, 0.0, z], radius: 0.01, ..Object::default() };
+        let unmeasured = |source, x, z| truth.unmeasured_at(source, &camera, &answer(x, z));
+        assert_eq!(unmeasured("depth/a.png", 0.1, 1.0), Some("handle"), "seen at u = 380");
+        assert_eq!(unmeasured("a.png", 0.08, 1.0), None, "seen at u = 368");
+        assert_eq!(unmeasured("a.png", -0.1, -1.0), None, "behind the camera");
+        assert_eq!(unmeasured("b.png", 0.1, 1.0), None, "the box of another frame");
+        assert_eq!(truth.not_wanted_at("b.png", &camera, &answer(0.1, 1.0)), Some("carton"));
+        assert_eq!(truth.not_wanted_at("a.png", &camera, &answer(0.1, 1.0)), None);
+    }
+
+    #[test]
     fn what_is_not_understood_is_told() {
         for (text, what) in [
             (r#"{"units": "m"}"#, "none of `scenes`"),
@@ -369,6 +502,19 @@ mod tests {
             (r#"{"units": "m", "objects": [{"type": "cylinder"}]}"#, "radius_m"),
             (r#"{"units": "m", "objects": [{"type": "sphere", "radius_m": 1, "quality": "pour"}]}"#, "`pour`"),
             (r#"{"units": "m", "scenes": {"a/0.pcd": [], "b/0.pcd": []}}"#, "two entries for `0.pcd`"),
+            (
+                r#"{"units": "m", "scenes": {"0.png": []}, "visible_unmeasured": {"1.png": []}}"#,
+                "has boxes of `1.png`, of which it does not say what is to be found\n  hint: ",
+            ),
+            (
+                r#"{"units": "m", "scenes": {"0.png": []}, "not_wanted": {"0.png": [{"what": "carton", "box": [9, 0, 3, 5]}]}}"#,
+                "boxes of `0.png`: the box [9.0, 0.0, 3.0, 5.0] of `carton` has no inside\n  hint: ",
+            ),
+            (
+                r#"{"units": "m", "objects": [{"type": "cone_frustum", "what": "mug", "radius_m": 1, "axis_point_m": [0, 0, 1],
+                    "axis_dir": [0, 1, 0], "half_angle_deg": 7, "widens": "downwards"}]}"#,
+                "the cone `mug` does not widen along its `axis_dir`\n  hint: ",
+            ),
             (
                 r#"{"units": "m", "objects": [{"type": "cylinder", "what": "tin", "radius_m": 1, "axis_point_m": [0, 0, 1],
                     "axis_dir": [0, 0, 0]}]}"#,

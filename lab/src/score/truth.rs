@@ -30,6 +30,8 @@ pub struct TrueObject {
 /// How far an answer about one object may be off.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tolerance {
+    /// The shapes that it may be taken for.
+    pub shapes: &'static [ObjectKind],
     /// Distance, in metres.
     pub position_m: f64,
     /// Least and greatest radius, in metres; of a cone at its true middle.
@@ -38,6 +40,15 @@ pub struct Tolerance {
     pub axis: f64,
     /// Difference of the half-angles, in radians.
     pub half_angle: f64,
+}
+
+/// The one shape of an object that is taken for nothing else.
+pub const fn only(shape: ObjectKind) -> &'static [ObjectKind] {
+    match shape {
+        ObjectKind::Sphere => &[ObjectKind::Sphere],
+        ObjectKind::Cylinder => &[ObjectKind::Cylinder],
+        ObjectKind::Cone => &[ObjectKind::Cone],
+    }
 }
 
 /// Which true objects have to be found.
@@ -113,6 +124,7 @@ impl Default for Tolerances {
 impl Tolerances {
     fn of(&self, body: &Object) -> Tolerance {
         Tolerance {
+            shapes: only(body.shape()),
             position_m: self.position_m,
             radius_m: [body.radius * (1.0 - self.radius), body.radius * (1.0 + self.radius)],
             axis: self.axis_deg.to_radians(),

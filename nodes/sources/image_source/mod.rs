@@ -10,13 +10,16 @@ mod natural;
 mod pcd;
 mod pinhole;
 mod playback;
+mod poses;
 mod recording;
+mod trajectory;
 mod tum;
 
 #[cfg(test)]
 mod fixtures;
 
 pub use playback::Playback;
+pub use poses::PosesConfig;
 pub use recording::{Options, Recording};
 
 use anyhow::anyhow;
@@ -43,6 +46,9 @@ pub struct Config {
     /// Frames per second; 0: as fast as the pipeline takes them, stamped as at 30 Hz. Recorded time stamps are kept.
     #[schemars(range(min = 0.0))]
     pub rate_hz: f64,
+    /// Where the camera was in each frame, for tracking in the world: `auto` (7-Scenes `*.pose.txt`, TUM `groundtruth.txt` or an
+    /// Open3D trajectory `*.log` beside the frames or above them, else none), `none`, or the path of such a file or folder.
+    pub poses: PosesConfig,
     /// Depth noise of the sensor: a name (`kinect_v1`, `realsense_d435`, `time_of_flight`, `ideal`) or a table.
     pub noise: NoiseConfig,
     /// Whether to start again at the end; stamps go on rising.
@@ -61,6 +67,7 @@ impl Default for Config {
             path: None,
             depth_scale: None,
             intrinsics: None,
+            poses: PosesConfig::Auto,
             rate_hz: USUAL_RATE_HZ,
             noise: NoiseConfig::default(),
             repeat: false,
@@ -82,6 +89,12 @@ impl Config {
                 faults.push(fault("path", what, "relative paths start at the pipeline file's folder"));
             }
             Some(_) => {}
+        }
+        if let PosesConfig::Path(path) = &self.poses
+            && !base.join(path).exists()
+        {
+            let what = format!("`{}` does not exist", base.join(path).display());
+            faults.push(fault("poses", what, "`auto`, `none`, or a path that starts at the pipeline file's folder"));
         }
         if self.depth_scale.is_some_and(|scale| !(scale.is_normal() && scale > 0.0)) {
             faults.push(fault("depth_scale", "is not above 0".to_owned(), "0.001 for millimetres"));

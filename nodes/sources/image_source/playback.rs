@@ -1,9 +1,10 @@
 //! The frames of a recording one by one, with what is said of them once: unreadable ones are passed over and counted.
 
+use super::poses::Poses;
 use super::recording::{Frame, Options, Recording};
 use super::{Config, hinted};
 use anyhow::{Context as _, Result, anyhow};
-use conicflow_messages::{Camera, Header, NoiseModel, RECORDED, Text, is_measured, median_depth};
+use conicflow_messages::{Camera, HAS_POSE, Header, NoiseModel, RECORDED, Text, is_measured, median_depth};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -18,10 +19,12 @@ const MAX_OFF_CENTER: f64 = 0.25;
 
 pub(super) const UNREADABLE: &str = "frames unreadable";
 const TOO_FAR: &str = "points too far";
+const WITHOUT_POSE: &str = "frames without pose";
 
 /// Plays a recording back.
 pub struct Playback {
     pub(super) recording: Recording,
+    poses: Poses,
     clock: Clock,
     noise: NoiseModel,
     rate_hz: f64,
@@ -50,6 +53,7 @@ impl Playback {
         let Config { depth_scale, intrinsics, first, frames, .. } = *config;
         let options = Options { depth_scale, intrinsics, first, frames };
         let recording = Recording::open(&base.join(path), &options)?;
+        let poses = Poses::find(&config.poses, base, &recording)?;
         for error in recording.unreadable() {
             tracing::warn!("passed over: {error:#}");
         }
@@ -66,6 +70,7 @@ impl Playback {
             described: false,
             told_empty: false,
             given_intrinsics: intrinsics.is_some(),
+            poses,
             recording,
         })
     }
@@ -101,7 +106,10 @@ impl Playback {
         self.describe(frame, pixels);
         self.look_for_emptiness(frame, pixels, too_far);
         *self.counts.entry(TOO_FAR).or_default() += too_far;
-        Ok(Some(self.header(frame, *round)))
+        let header = self.header(frame, *round);
+        let lacks_pose = self.poses.are_known() && header.pose().is_none();
+        *self.counts.entry(WITHOUT_POSE).or_default() += u64::from(lacks_pose);
+        Ok(Some(header))
     }
 
     /// What was counted since this was asked last.
@@ -188,13 +196,15 @@ impl Playback {
     }
 
     pub(super) fn header(&self, frame: &Frame, round: u64) -> Header {
+        let world_from_camera = self.poses.of_frame(frame);
         Header {
             camera: frame.camera,
             depth_scale: frame.depth_scale,
             noise: self.noise,
             stamp_ns: self.clock.stamp_ns(frame, round),
             source: Text::new(&frame.name),
-            flags: RECORDED,
+            world_from_camera: world_from_camera.unwrap_or_default(),
+            flags: if world_from_camera.is_some() { RECORDED | HAS_POSE } else { RECORDED },
             ..Header::default()
         }
     }

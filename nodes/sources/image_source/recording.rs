@@ -30,6 +30,8 @@ pub struct Options {
 pub struct Recording {
     layout: Layout,
     size: (u32, u32),
+    /// Number of frames of the whole recording, readable or not, also of those that are not used.
+    places: u64,
     camera: Option<Camera>,
     depth_scale: f64,
     file: Vec<u8>,
@@ -57,6 +59,8 @@ pub struct Frame {
     pub name: String,
     /// Its place in the recording from the first that is used, counting unreadable ones.
     pub slot: u64,
+    /// Its place in the whole recording, counting unreadable frames and those that are not used.
+    pub place: u64,
     /// Time of capture, where the recording tells.
     pub stamp_ns: Option<u64>,
 }
@@ -68,6 +72,7 @@ impl Recording {
     /// No frame can be read, frames are of different sizes, or their camera is not known.
     pub fn open(path: &Path, options: &Options) -> Result<Self> {
         let mut layout = Layout::discover(path)?;
+        let places = (layout.frames.len() + layout.unreadable.len()) as u64;
         select(&mut layout, options)?;
         let size = common_size(&layout.frames)?;
         let beside = CameraFile::find(&layout.folder)?;
@@ -79,12 +84,27 @@ impl Recording {
             "`depth_scale` is {depth_scale}, expected more than 0\n  hint: metres per unit: 0.001 for millimetres"
         );
         let (cloud, told) = (Cloud::default(), Told::default());
-        Ok(Self { layout, size, camera, depth_scale, file: Vec::new(), cloud, units_per_z: 1.0, told })
+        Ok(Self { layout, size, places, camera, depth_scale, file: Vec::new(), cloud, units_per_z: 1.0, told })
     }
 
     /// Number of frames.
     pub fn len(&self) -> usize {
         self.layout.frames.len()
+    }
+
+    /// The files of the frames.
+    pub(super) fn frames(&self) -> impl Iterator<Item = &FrameFile> {
+        self.layout.frames.iter()
+    }
+
+    /// The folder of the frames.
+    pub(super) fn folder(&self) -> &Path {
+        &self.layout.folder
+    }
+
+    /// Number of frames of the whole recording, readable or not, also of those that are not used.
+    pub(super) fn places(&self) -> u64 {
+        self.places
     }
 
     /// Number of pixels of each frame.
@@ -132,7 +152,7 @@ impl Recording {
             Some(camera) if self.layout.format == Format::Png => (camera, self.depth_scale),
             _ => self.load_cloud(&name)?,
         };
-        Ok(Frame { camera, depth_scale, name, slot: file.slot - first, stamp_ns: file.stamp_ns })
+        Ok(Frame { camera, depth_scale, name, slot: file.slot - first, place: file.slot, stamp_ns: file.stamp_ns })
     }
 
     fn load_cloud(&mut self, name: &str) -> Result<(Camera, f64)> {

@@ -390,8 +390,12 @@ fn faults_of_the_parameters_are_found_without_opening() {
     let bad = Intrinsics { fx: 0.0, ..GIVEN };
     let config = Config { path: Some("x".into()), depth_scale: Some(0.0), intrinsics: Some(bad), ..Config::default() };
     assert_eq!(keys(config), ["path", "depth_scale", "intrinsics"]);
-    let text = "path = 'x'\nloop = true\nintrinsics = { fx = 1, fy = 2, cx = 3, cy = 4 }\nnoise = 'ideal'";
+    let config = Config { path: Some(".".into()), poses: PosesConfig::Path("no/such.log".into()), ..Config::default() };
+    assert_eq!(config.faults(Path::new("/")).iter().map(|fault| fault.key).collect::<Vec<_>>(), ["poses"]);
+    let text =
+        "path = 'x'\nloop = true\nintrinsics = { fx = 1, fy = 2, cx = 3, cy = 4 }\nnoise = 'ideal'\nposes = 'a.log'";
     let config: Config = toml::from_str(text).unwrap();
+    assert_eq!(config.poses, PosesConfig::Path("a.log".into()));
     assert!(config.repeat && config.intrinsics == Some(Intrinsics { fx: 1.0, fy: 2.0, cx: 3.0, cy: 4.0 }));
     assert!(toml::from_str::<Config>("intrinsics = { fx = 1, fy = 2, cx = 3 }").is_err());
 }
@@ -419,4 +423,121 @@ fn a_frame_without_a_measurement_is_told() {
     assert_eq!(emptiness(&[0, 1200, 65535], 0), None);
     assert!(emptiness(&[0, 0, 65535], 0).unwrap().starts_with("no pixel is measured"));
     assert!(emptiness(&[0, 65535], 2).unwrap().starts_with("all 2 points are too far away"));
+}
+
+/// The camera at (x, 2, 3), looking along the world's x with z upwards.
+fn matrix(x: f64) -> String {
+    format!("0 0 1 {x}\n-1 0 0 2\n0 -1 0 3\n0 0 0 1\n")
+}
+
+/// The camera's x in the world in each frame, where it is known.
+fn places(folder: &Folder, poses: PosesConfig) -> Vec<Option<f64>> {
+    let base = folder.path.parent().unwrap().to_owned();
+    let config =
+        Config { path: Some("frames".into()), intrinsics: Some(GIVEN), poses, rate_hz: 0.0, ..Config::default() };
+    let sent = collect::<ImageSource>(config, Context { base, ..Context::default() }, 99).unwrap();
+    assert!(sent.iter().all(|(header, _)| header.check("depth").is_ok()));
+    sent.iter().map(|(header, _)| header.pose().map(|rows| rows[0][3])).collect()
+}
+
+fn poses_told(folder: &Folder, poses: &str) -> String {
+    let base = folder.path.parent().unwrap();
+    let poses = poses.to_owned().into();
+    let config = Config { path: Some("frames".into()), intrinsics: Some(GIVEN), poses, ..Config::default() };
+    let error = format!("{:#}", Playback::open(&config, base, 0, 0).err().unwrap());
+    assert_eq!(error.matches("\n  hint: ").count(), 1, "{error}");
+    error.replace(&format!("{}/", base.display()), "")
+}
+
+#[test]
+fn seven_scenes_have_a_pose_beside_each_frame() {
+    let folder = Folder::new()
+        .depth(&["frame-000000.depth.png", "frame-000001.depth.png", "frame-000002.depth.png"])
+        .colour(&["frame-000000.color.png"])
+        .file("frame-000000.pose.txt", matrix(0.5))
+        .file("frame-000002.pose.txt", matrix(2.5).replace(' ', "\t "));
+    assert_eq!(places(&folder, PosesConfig::Auto), [Some(0.5), None, Some(2.5)]);
+    assert_eq!(places(&folder, PosesConfig::None), [None; 3]);
+    assert_eq!(places(&folder, PosesConfig::Path("frames".into())), [Some(0.5), None, Some(2.5)]);
+    let mut source = source(&folder, Config::default(), 0);
+    let loaded = source.load().unwrap().unwrap();
+    let header = source.decode(&loaded, &mut vec![0; 48 * 36]).unwrap().unwrap();
+    assert_eq!(header.pose().unwrap()[1], [-1.0, 0.0, 0.0, 2.0], "camera to world, not the other way");
+    let lost = folder.file("frame-000002.pose.txt", matrix(2.5).replace("-1", "nan"));
+    assert_eq!(places(&lost, PosesConfig::Auto), [Some(0.5), None, None]);
+    let broken = lost.file("frame-000001.pose.txt", matrix(1.5).replace(" 3", ""));
+    let told = poses_told(&broken, "auto");
+    assert!(told.starts_with("the poses of `frames`: `frame-000001.pose.txt`: line 3, `0 -1 0`: expected 4"), "{told}");
+    assert_eq!(places(&broken, PosesConfig::None), [None; 3]);
+}
+
+#[test]
+fn a_folder_of_poses_may_lie_elsewhere() {
+    let folder =
+        Folder::new().depth(&["0.png", "1.png"]).file("../pose/0.txt", matrix(0.5)).file("../pose/1.txt", matrix(1.5));
+    assert_eq!(places(&folder, PosesConfig::Auto), [None; 2]);
+    assert_eq!(places(&folder, PosesConfig::Path("pose".into())), [Some(0.5), Some(1.5)]);
+    let other = Folder::new().depth(&["0.png"]).file("../pose/7.txt", matrix(0.5));
+    let told = poses_told(&other, "pose");
+    assert!(
+        told.starts_with("the poses of `pose`: none of its poses belongs to any of the frames, of which `0.png`"),
+        "{told}"
+    );
+    assert!(poses_told(&Folder::new().depth(&["0.png"]).file("../pose/7.dat", ""), "pose").contains("nor any `*.txt`"));
+    let several = Folder::new().depth(&["0.png"]).file("../pose/0.txt", "0 0 1\n".to_owned() + &matrix(0.5));
+    assert!(poses_told(&several, "pose").contains("`0.txt` has several poses, expected one"));
+}
+
+#[test]
+fn tum_folders_have_poses_by_time() {
+    let list = "1.00 depth/a.png\n1.05 depth/b.png\n2.00 depth/c.png\n";
+    let truth = "# timestamp tx ty tz qx qy qz qw\n1.00 1 2 3 -0.5 0.5 -0.5 0.5\n1.10 2 2 3 -0.5 0.5 -0.5 0.5\n";
+    let folder = Folder::new().depth(&["depth/a.png", "depth/b.png", "depth/c.png"]).file("depth.txt", list);
+    assert_eq!(places(&folder, PosesConfig::Auto), [None; 3]);
+    let folder = folder.file("groundtruth.txt", truth);
+    assert_eq!(places(&folder, PosesConfig::Auto), [Some(1.0), Some(1.5), None], "the last is later than all poses");
+    let mut source = source(&folder, Config::default(), 0);
+    let frame = source.recording.load(0).unwrap();
+    let turned = source.header(&frame, 0).world_from_camera;
+    let expected = [[0.0, 0.0, 1.0, 1.0], [-1.0, 0.0, 0.0, 2.0], [0.0, -1.0, 0.0, 3.0]];
+    assert!(turned.iter().flatten().zip(expected.iter().flatten()).all(|(a, b)| (a - b).abs() < 1e-12), "{turned:?}");
+    let folder = folder.file("groundtruth.txt", truth.replace("1.10 2", "1.10 x"));
+    let told = poses_told(&folder, "auto");
+    assert!(told.starts_with("the poses of `frames/groundtruth.txt`: line 3, `1.10 x 2 3"), "{told}");
+    let folder = folder.file("groundtruth.txt", "9.0 1 2 3 0 0 0 1\n");
+    assert!(poses_told(&folder, "frames/groundtruth.txt").contains("none of its poses belongs to any of the frames"));
+    assert_eq!(places(&folder, PosesConfig::Auto), [None; 3], "one that does not go with the frames is left alone");
+    let stampless = Folder::new().depth(&["a.png"]).file("groundtruth.txt", truth);
+    assert!(
+        poses_told(&stampless, "frames/groundtruth.txt").contains("its poses have times, and the frames have none")
+    );
+    assert_eq!(places(&stampless, PosesConfig::Auto), [None]);
+}
+
+#[test]
+fn open3d_trajectories_are_in_the_order_of_the_frames() {
+    let blocks =
+        |count: usize| (0..count).map(|n| format!("{n} {n} {}\n{}", n + 1, matrix(n as f64))).collect::<String>();
+    let folder = Folder::new().depth(&["depth/0.png", "depth/2.png", "depth/10.png"]).file("depth/1.png", "no PNG");
+    let folder = folder.file("run.log", "it began\nit ended\n").file("trajectory.log", blocks(4));
+    assert_eq!(
+        places(&folder, PosesConfig::Auto),
+        [Some(0.0), Some(2.0), Some(3.0)],
+        "an unreadable frame has one, too"
+    );
+    let mut part = source(&folder, Config { first: 2, ..Config::default() }, 0);
+    let frame = part.recording.load(0).unwrap();
+    assert_eq!(part.header(&frame, 0).pose().map(|rows| rows[0][3]), Some(2.0), "counted from the first of all");
+    let folder = folder.file("trajectory.log", blocks(3));
+    let told = poses_told(&folder, "frames/trajectory.log");
+    assert!(told.contains("the poses of `frames/trajectory.log`: 3 poses for 4 frames\n  hint: "), "{told}");
+    assert_eq!(places(&folder, PosesConfig::Auto), [None; 3]);
+    let folder = folder.file("other.log", blocks(4));
+    assert!(poses_told(&folder, "auto").contains("has several trajectories, such as `other.log` and `trajectory.log`"));
+    assert_eq!(places(&folder, PosesConfig::Path("frames/other.log".into()))[1], Some(2.0));
+    let folder = folder.file("trajectory.log", blocks(4).replacen("-1", "1", 1));
+    assert!(
+        poses_told(&folder, "frames/trajectory.log").contains("from line 2 on is no pose: its left 3x3 part is no")
+    );
+    assert!(poses_told(&folder.file("empty.log", ""), "frames/empty.log").contains("there is nothing in it"));
 }

@@ -45,7 +45,7 @@ fn entry(line: &str) -> Result<Entry<'_>> {
 }
 
 /// Decimal seconds to nanoseconds, without rounding to a double; digits beyond the ninth are dropped.
-fn nanoseconds(text: &str) -> Option<u64> {
+pub(super) fn nanoseconds(text: &str) -> Option<u64> {
     let (seconds, fraction) = text.split_once('.').unwrap_or((text, ""));
     let digits = fraction.get(..fraction.len().min(9))?;
     let all_digits = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());

@@ -1,0 +1,468 @@
+//! How well an object can be measured at all: the bound of Cramer and Rao, from a rendered image and the sensor's noise.
+//!
+//! Depths are independent and normal about `z_i(theta)`, so that the information about the parameters theta is
+//! `I = sum_i w_i J_i' J_i / sigma(z_i)^2` with `J_i = dz_i / dtheta`, and no unbiased estimate scatters less than `I^-1`
+//! (Rao 1945, Cramer 1946; for example Kay, "Fundamentals of Statistical Signal Processing: Estimation Theory", 1993, chapter
+//! 3). On the surface `F(z r, theta) = 0` of a ray r that is `J = -(dF / dtheta) / (grad F . r)`. The weight w is the chance
+//! that a pixel is measured: 1 up to an angle between ray and normal, then falling linearly in its cosine to 0, as in
+//! [`super::simulator::sensor`]. Bound A has the depths of the visible side alone: without flat ends, and without the pixels
+//! beside which something else is seen, whose depth may be either's and tells of the silhouette.
+//!
+//! Bound B has the silhouettes as well: where a scan line leaves the side of the object for something farther away, its
+//! discriminant `D(u, theta) = b^2 - 4 a c` of `F(z r) = a z^2 + b z + c` is zero, so `du / dtheta = -(dD / dtheta) / (dD /
+//! du)`, and u is known with a variance of `1/12 + jitter^2` square pixels. Each piece of the contour counts once: rows count
+//! where it is steeper than 45 degrees, columns where it is flatter.
+
+use crate::simulator::raster::{NOBODY, Raster, ray};
+use conicflow_geometry::{Coefficients, Conical, FixedSlope, FreeSlope, Sphere, Surface, gradient};
+use conicflow_messages::{NoiseModel, Object, ObjectKind};
+use nalgebra::{SMatrix, SVector, Vector3};
+
+/// Least standard deviations of an unbiased estimate; what a shape does not have is `None`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bound {
+    /// Of the radius at the object's middle, in metres.
+    pub radius_m: f64,
+    /// Of the middle's place, root mean square distance in metres: of spheres in space, else across the axis.
+    pub position_m: f64,
+    /// Of the axis, root mean square angle in radians.
+    pub axis: Option<f64>,
+    /// Of the half-angle, in radians.
+    pub half_angle: Option<f64>,
+}
+
+/// Both bounds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bounds {
+    /// A: from depths alone.
+    pub depths: Bound,
+    /// B: from depths and silhouettes.
+    pub contour: Bound,
+}
+
+/// The sensor, as far as it limits what can be known.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Measuring {
+    /// Noise of each depth, independent of all others.
+    pub noise: NoiseModel,
+    /// Angle between ray and normal from which on points get lost, in radians.
+    pub dropout_angle: f64,
+    /// Standard deviation of a silhouette's place besides that of a pixel, in pixels.
+    pub edge_jitter_px: f64,
+}
+
+/// The bounds of an object that is seen in an image as the shape number `owner`, in the camera's frame: all of it, `center`
+/// being its middle. `None` where too little of it is seen to tell all of its parameters.
+pub fn bounds(raster: &Raster, owner: u16, body: &Object, measuring: &Measuring) -> Option<Bounds> {
+    let (point, axis) = (Vector3::from(body.center), Vector3::from(body.axis));
+    let conical = Conical { point, axis, radius: body.radius, slope: body.half_angle.tan() };
+    let view = View { raster, owner, measuring };
+    match body.shape() {
+        ObjectKind::Sphere => view.bounds(&Sphere { center: point, radius: body.radius }, |covariance| Bound {
+            radius_m: covariance[(3, 3)].sqrt(),
+            position_m: root_of_sum(covariance, [0, 1, 2]),
+            axis: None,
+            half_angle: None,
+        }),
+        ObjectKind::Cylinder => view.bounds(&FixedSlope(conical), |covariance| Bound {
+            radius_m: covariance[(4, 4)].sqrt(),
+            position_m: root_of_sum(covariance, [2, 3]),
+            axis: Some(root_of_sum(covariance, [0, 1])),
+            half_angle: None,
+        }),
+        ObjectKind::Cone => view.bounds(&FreeSlope(conical), |covariance| Bound {
+            radius_m: covariance[(4, 4)].sqrt(),
+            position_m: root_of_sum(covariance, [2, 3]),
+            axis: Some(root_of_sum(covariance, [0, 1])),
+            // d atan(slope) = cos^2 d slope
+            half_angle: Some(covariance[(5, 5)].sqrt() * body.half_angle.cos().powi(2)),
+        }),
+    }
+}
+
+fn root_of_sum<const N: usize, const M: usize>(covariance: &SMatrix<f64, N, N>, indices: [usize; M]) -> f64 {
+    indices.iter().map(|&index| covariance[(index, index)]).sum::<f64>().sqrt()
+}
+
+/// The steps to the pixels beside one.
+const BESIDE: [[i64; 2]; 4] = [[1, 0], [-1, 0], [0, 1], [0, -1]];
+
+/// An object in an image.
+struct View<'a> {
+    raster: &'a Raster,
+    owner: u16,
+    measuring: &'a Measuring,
+}
+
+impl View<'_> {
+    fn bounds<S: Surface<N>, const N: usize>(
+        &self,
+        surface: &S,
+        of: impl Fn(&SMatrix<f64, N, N>) -> Bound,
+    ) -> Option<Bounds> {
+        let depths = self.of_depths(surface);
+        let both = depths + self.of_silhouettes(surface);
+        Some(Bounds { depths: of(&inverse(&depths)?), contour: of(&inverse(&both)?) })
+    }
+
+    fn pixels(&self) -> impl Iterator<Item = [i64; 2]> {
+        let (width, height) = (i64::from(self.raster.camera.width), i64::from(self.raster.camera.height));
+        (0..height).flat_map(move |v| (0..width).map(move |u| [u, v]))
+    }
+
+    /// Information of the depths of the side.
+    fn of_depths<S: Surface<N>, const N: usize>(&self, surface: &S) -> SMatrix<f64, N, N> {
+        let (q, derivatives) = (surface.coefficients(), surface.derivatives());
+        let dropout_cosine = self.measuring.dropout_angle.cos();
+        let mut information = SMatrix::zeros();
+        for [u, v] in self.pixels().filter(|pixel| self.is_within(&q, *pixel)) {
+            let (point, direction) = (self.raster.point(u, v), ray(&self.raster.camera, u, v));
+            let normal = gradient(&q, &point);
+            let along = normal.dot(&direction);
+            let cosine = along.abs() / (normal.norm() * direction.norm());
+            let weight = (cosine / dropout_cosine).min(1.0) / self.measuring.noise.variance(point.z);
+            let slopes = SVector::<f64, N>::from_fn(|i, _| -value(&derivatives[i], &point) / along);
+            information += slopes * slopes.transpose() * weight;
+        }
+        information
+    }
+
+    /// Whether the outer side of the object is seen in a pixel: not another thing, nor its inside, nor one of its ends.
+    fn is_side(&self, q: &Coefficients, [u, v]: [i64; 2]) -> bool {
+        /// Of the depth: a point that is farther off lies on an end.
+        const OFF: f64 = 1e-6;
+        if self.raster.owner[self.raster.index(u, v)] != self.owner {
+            return false;
+        }
+        let point = self.raster.point(u, v);
+        gradient(q, &point).dot(&point) < 0.0 && value(q, &point).abs() < OFF * point.z
+    }
+
+    /// Whether the outer side is seen in a pixel, and the same object in those beside it.
+    fn is_within(&self, q: &Coefficients, [u, v]: [i64; 2]) -> bool {
+        let is_own = |[u, v]: [i64; 2]| self.raster.owner[self.raster.index(u, v)] == self.owner;
+        let beside = BESIDE.map(|[step_u, step_v]| [u + step_u, v + step_v]);
+        self.is_side(q, [u, v]) && beside.into_iter().all(|pixel| !self.is_in_image(pixel) || is_own(pixel))
+    }
+
+    fn is_in_image(&self, [u, v]: [i64; 2]) -> bool {
+        let camera = &self.raster.camera;
+        (0..i64::from(camera.width)).contains(&u) && (0..i64::from(camera.height)).contains(&v)
+    }
+
+    /// Information of the places where scan lines leave the side for something farther away.
+    fn of_silhouettes<S: Surface<N>, const N: usize>(&self, surface: &S) -> SMatrix<f64, N, N> {
+        let (q, derivatives) = (surface.coefficients(), surface.derivatives());
+        let variance = 1.0 / 12.0 + self.measuring.edge_jitter_px.powi(2);
+        let mut information = SMatrix::zeros();
+        for [u, v] in self.pixels().filter(|pixel| self.is_side(&q, *pixel)) {
+            for [step_u, step_v] in BESIDE {
+                if !self.is_farther([u, v], [u + step_u, v + step_v]) {
+                    continue;
+                }
+                if let Some(tangent) = self.tangent(&q, [u, v], [step_u, step_v]) {
+                    let slopes = SVector::<f64, N>::from_fn(|i, _| tangent.shift(&q, &derivatives[i]));
+                    information += slopes * slopes.transpose() / variance;
+                }
+            }
+        }
+        information
+    }
+
+    /// Whether a pixel is in the image and shows something farther away than another one does, or nothing.
+    fn is_farther(&self, here: [i64; 2], there: [i64; 2]) -> bool {
+        if !self.is_in_image(there) {
+            return false;
+        }
+        let [here, there] = [here, there].map(|[u, v]| self.raster.index(u, v));
+        let owner = self.raster.owner[there];
+        owner != self.owner && (owner == NOBODY || self.raster.depth[there] > self.raster.depth[here])
+    }
+
+    /// Where the ray that moves from a pixel to its neighbour touches the surface; none: it leaves the object at an end, or the
+    /// contour is so much along the scan line that the others count.
+    fn tangent(&self, q: &Coefficients, [u, v]: [i64; 2], [step_u, step_v]: [i64; 2]) -> Option<Tangent> {
+        let camera = &self.raster.camera;
+        let start = ray(camera, u, v);
+        let [across_u, across_v] = [Vector3::new(1.0 / camera.fx, 0.0, 0.0), Vector3::new(0.0, 1.0 / camera.fy, 0.0)];
+        let [pixel, other] = if step_u != 0 { [across_u, across_v] } else { [across_v, across_u] };
+        let pixel = pixel * (step_u + step_v) as f64;
+        let discriminant = |share: f64| Along::new(q, &(start + pixel * share)).discriminant();
+        // beyond half a pixel more the contour is not the edge that was seen
+        let (mut seen, mut unseen) = (0.0, 1.5);
+        if discriminant(seen) < 0.0 || discriminant(unseen) >= 0.0 {
+            return None;
+        }
+        const HALVINGS: u32 = 40;
+        for _ in 0..HALVINGS {
+            let middle = 0.5 * (seen + unseen);
+            *(if discriminant(middle) < 0.0 { &mut unseen } else { &mut seen }) = middle;
+        }
+        let ray = start + pixel * seen;
+        let along = Along::new(q, &ray);
+        let per_pixel = along.change(&Along::change_of_ray(q, &ray, &pixel));
+        let per_other = along.change(&Along::change_of_ray(q, &ray, &other));
+        // of two pieces at 45 degrees, rows have the one and columns the other
+        let is_steep = if step_u != 0 { per_pixel.abs() >= per_other.abs() } else { per_pixel.abs() > per_other.abs() };
+        is_steep.then_some(Tangent { ray, per_pixel })
+    }
+}
+
+fn inverse<const N: usize>(information: &SMatrix<f64, N, N>) -> Option<SMatrix<f64, N, N>> {
+    // parameters of different units: angles beside metres
+    let scale = SVector::<f64, N>::from_fn(|i, _| information[(i, i)].sqrt().recip());
+    if !scale.iter().all(|number| number.is_finite()) {
+        return None;
+    }
+    let scaling = SMatrix::from_diagonal(&scale);
+    Some(scaling * (scaling * information * scaling).cholesky()?.inverse() * scaling)
+}
+
+/// `F` at a point, or its derivative by a parameter.
+fn value(q: &Coefficients, p: &Vector3<f64>) -> f64 {
+    let Along { a, b, c } = Along::new(q, p);
+    a + b + c
+}
+
+/// `F(z r) = a z^2 + b z + c` along a ray.
+#[derive(Clone, Copy)]
+struct Along {
+    a: f64,
+    b: f64,
+    c: f64,
+}
+
+impl Along {
+    fn new([xx, yy, zz, xy, xz, yz, x, y, z, c]: &Coefficients, r: &Vector3<f64>) -> Self {
+        let a = xx * r.x * r.x + yy * r.y * r.y + zz * r.z * r.z + xy * r.x * r.y + xz * r.x * r.z + yz * r.y * r.z;
+        Self { a, b: x * r.x + y * r.y + z * r.z, c: *c }
+    }
+
+    /// Its change where the ray moves by a step: `F` is quadratic, so the difference of two steps is exact.
+    fn change_of_ray(q: &Coefficients, ray: &Vector3<f64>, step: &Vector3<f64>) -> Self {
+        let [forth, back] = [Self::new(q, &(ray + step)), Self::new(q, &(ray - step))];
+        Self { a: 0.5 * (forth.a - back.a), b: 0.5 * (forth.b - back.b), c: 0.0 }
+    }
+
+    fn discriminant(&self) -> f64 {
+        self.b * self.b - 4.0 * self.a * self.c
+    }
+
+    /// Change of the discriminant.
+    fn change(&self, by: &Self) -> f64 {
+        2.0 * self.b * by.b - 4.0 * (by.a * self.c + self.a * by.c)
+    }
+}
+
+/// A ray that touches a surface.
+struct Tangent {
+    ray: Vector3<f64>,
+    /// Change of the discriminant per pixel along the scan line.
+    per_pixel: f64,
+}
+
+impl Tangent {
+    /// How far it moves along the scan line by a change of the surface, in pixels.
+    fn shift(&self, q: &Coefficients, change: &Coefficients) -> f64 {
+        -Along::new(q, &self.ray).change(&Along::new(change, &self.ray)) / self.per_pixel
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simulator::shapes::{self, Frustum, Plane, Shape};
+    use conicflow_messages::Camera;
+    use nalgebra::DMatrix;
+    use std::f64::consts::PI;
+
+    const SIGMA_M: f64 = 0.002;
+    const JITTER_PX: f64 = 0.5;
+
+    fn measuring(dropout_deg: f64) -> Measuring {
+        let noise = NoiseModel { floor_m: SIGMA_M, ..NoiseModel::IDEAL };
+        Measuring { noise, dropout_angle: f64::to_radians(dropout_deg), edge_jitter_px: JITTER_PX }
+    }
+
+    fn wall(z: f64, half: f64, x: f64) -> Shape {
+        let (point, sides) = (Vector3::new(x, 0.0, z), [Vector3::x(), Vector3::y()]);
+        Shape::Plane(Plane { point, normal: -Vector3::z(), sides, half: [half; 2] })
+    }
+
+    fn sphere(z: f64, radius: f64) -> (Shape, Object) {
+        let center = Vector3::new(0.0, 0.0, z);
+        let body = Object { kind: ObjectKind::Sphere.code(), center: center.into(), radius, ..Object::default() };
+        (Shape::Sphere(shapes::Sphere { center, radius }), body)
+    }
+
+    fn frustum(middle: Vector3<f64>, axis: Vector3<f64>, radius: f64, slope: f64, length: f64) -> (Shape, Object) {
+        let axis = axis.normalize();
+        let radius_at = |share: f64| radius + slope * share * length;
+        let shape = Shape::Frustum(Frustum {
+            base: middle - axis * (0.5 * length),
+            axis,
+            length,
+            base_radius: radius_at(-0.5),
+            top_radius: radius_at(0.5),
+            open: false,
+        });
+        let kind = if slope == 0.0 { ObjectKind::Cylinder } else { ObjectKind::Cone };
+        let (center, axis) = (middle.into(), axis.into());
+        let body =
+            Object { kind: kind.code(), center, axis, radius, length, half_angle: slope.atan(), ..Object::default() };
+        (shape, body)
+    }
+
+    fn rendered(camera: Camera, shapes: &[Shape]) -> Raster {
+        let mut raster = Raster::new(camera);
+        raster.render(shapes);
+        raster
+    }
+
+    /// So far away that all rays are parallel: 120 pixels of radius.
+    const FAR: Camera = Camera { width: 400, height: 400, fx: 40_000.0, fy: 40_000.0, cx: 199.7, cy: 199.6 };
+
+    fn assert_near(what: &str, number: f64, expected: f64, share: f64) {
+        assert!((number / expected - 1.0).abs() < share, "{what}: {number}, expected {expected}");
+    }
+
+    /// Under parallel rays with white noise, over the disc of the sphere with c the cosine between ray and normal, and w the
+    /// weight: `dz/dR = -1/c`, `dz/dcz = 1`, `dz/dcx = tan cos(phi)`, and pixels are `2 pi R^2 c dc`. With
+    /// `W0, W1, W2 = integral of w c, w, w / c` the variances follow in closed form. The pixels at the rim, `max(|cos phi|,
+    /// |sin phi|)` wide, end the integrals at `c1 = sqrt(2 width / R)`.
+    #[test]
+    fn the_bounds_of_a_sphere_are_those_of_the_formula() {
+        const RADIUS_PX: f64 = 120.0;
+        let (shape, body) = sphere(100.0, 0.3);
+        let raster = rendered(FAR, &[shape]);
+        let c0 = 70_f64.to_radians().cos();
+        let mean_of_rim = |power: f64| {
+            let widths = (0..1000).map(|step| (f64::from(step) / 1000.0 * PI / 4.0).cos());
+            widths.map(|width| (2.0 * width / RADIUS_PX).powf(0.5 * power)).sum::<f64>() / 1000.0
+        };
+        let w0 = (1.0 - c0 * c0) / 2.0 + c0 * c0 / 3.0 - mean_of_rim(3.0) / (3.0 * c0);
+        let w1 = 1.0 - c0 + c0 / 2.0 - mean_of_rim(2.0) / (2.0 * c0);
+        let w2 = 1.0 - c0.ln() - mean_of_rim(1.0) / c0;
+        let (pixels, per_metre) = (2.0 * PI * RADIUS_PX * RADIUS_PX, FAR.fx / 100.0);
+        let variance = |information: f64| SIGMA_M * SIGMA_M / (pixels * information);
+        let bounds = bounds(&raster, 0, &body, &measuring(70.0)).unwrap();
+        assert_near("radius by depths", bounds.depths.radius_m, variance(w2 - w1 * w1 / w0).sqrt(), 0.02);
+        let across = variance(0.5 * (w2 - w0));
+        let along = variance(w0 - w1 * w1 / w2);
+        assert_near("position by depths", bounds.depths.position_m, (2.0 * across + along).sqrt(), 0.02);
+        // each of four quarters of the circle has scan lines R cos phi d phi, along which it moves by 1 / cos phi
+        let edges = 8.0 * RADIUS_PX * (1.0 + 2_f64.sqrt()).ln() / (1.0 / 12.0 + JITTER_PX * JITTER_PX);
+        let by_depths = pixels / (SIGMA_M * SIGMA_M);
+        let information = by_depths * (w2 - w1 * w1 / w0) + edges * per_metre * per_metre;
+        assert_near("radius by both", bounds.contour.radius_m, information.sqrt().recip(), 0.02);
+        assert_eq!((bounds.depths.axis, bounds.depths.half_angle), (None, None));
+    }
+
+    /// A board before the left half takes its depths and its silhouette: half of the information about the radius that comes
+    /// from the contour, and a contour of the board that tells nothing.
+    #[test]
+    fn what_is_hidden_tells_nothing() {
+        let (shape, body) = sphere(100.0, 0.3);
+        let of = |shapes: &[Shape]| bounds(&rendered(FAR, shapes), 0, &body, &measuring(70.0)).unwrap();
+        let (free, hidden) = (of(&[shape, wall(101.0, 5.0, 0.0)]), of(&[shape, wall(99.0, 0.6, -0.6)]));
+        assert_eq!(free, of(&[shape]), "before a wall or before nothing");
+        // half of the information, and of that a part goes into telling depth from place across
+        for (hidden, free) in [(hidden.depths, free.depths), (hidden.contour, free.contour)] {
+            assert!(hidden.radius_m > 1.4 * free.radius_m, "{hidden:?} {free:?}");
+            assert!(hidden.position_m > 1.4 * free.position_m, "{hidden:?} {free:?}");
+        }
+        assert_eq!(bounds(&rendered(FAR, &[shape, wall(99.0, 5.0, 0.0)]), 0, &body, &measuring(70.0)), None);
+    }
+
+    const NEAR: Camera = Camera { width: 160, height: 120, fx: 131.0, fy: 133.0, cx: 80.3, cy: 58.7 };
+
+    /// Depths of the side, and the silhouette's places in the rows and columns, as the simulator's ray tracing has them.
+    fn traced(shape: &Shape, pixels: &[[i64; 2]], edges: &[([i64; 2], [i64; 2])]) -> Vec<f64> {
+        use crate::simulator::shapes::Surface as _;
+        let depth = |[u, v]: &[i64; 2]| shape.hit(&Vector3::zeros(), &ray(&NEAR, *u, *v));
+        let edge = |([u, v], [step_u, step_v]): &([i64; 2], [i64; 2])| {
+            let (start, pixel) =
+                (ray(&NEAR, *u, *v), Vector3::new(*step_u as f64 / NEAR.fx, *step_v as f64 / NEAR.fy, 0.0));
+            let (mut seen, mut unseen) = (0.0, 1.5);
+            for _ in 0..45 {
+                let middle = 0.5 * (seen + unseen);
+                let hits = shape.hit(&Vector3::zeros(), &(start + pixel * middle)).is_finite();
+                *(if hits { &mut seen } else { &mut unseen }) = middle;
+            }
+            seen
+        };
+        pixels.iter().map(depth).chain(edges.iter().map(edge)).collect()
+    }
+
+    /// The information by brute force: each parameter is moved a little forth and back, and all rays are traced anew.
+    fn by_differences(view: &View, conical: &Conical, length: f64) -> [DMatrix<f64>; 2] {
+        const STEP: f64 = 1e-6;
+        let q = conical.coefficients();
+        let pixels: Vec<_> = view.pixels().filter(|pixel| view.is_within(&q, *pixel)).collect();
+        let sides = view.pixels().filter(|pixel| view.is_side(&q, *pixel));
+        let edges: Vec<_> = sides
+            .flat_map(|[u, v]| BESIDE.map(|step| ([u, v], step)))
+            .filter(|([u, v], step)| view.is_farther([*u, *v], [u + step[0], v + step[1]]))
+            .filter(|(pixel, step)| view.tangent(&q, *pixel, *step).is_some())
+            .collect();
+        assert!(pixels.len() > 800 && edges.len() > 60, "{} pixels, {} edges", pixels.len(), edges.len());
+        let moved = |parameter: usize, step: f64| {
+            let Conical { point: mut middle, mut axis, mut radius, mut slope } = *conical;
+            let [across, other] = conical.across();
+            match parameter {
+                0 => axis += across * step,
+                1 => axis += other * step,
+                2 => middle += across * step,
+                3 => middle += other * step,
+                4 => radius += step,
+                _ => slope += step,
+            }
+            // longer than it is, so that rays to its ends meet the side in all cases
+            traced(&frustum(middle, axis, radius, slope, 1.2 * length).0, &pixels, &edges)
+        };
+        let count = if conical.slope == 0.0 { 5 } else { 6 };
+        let slopes = |parameter| {
+            let (forth, back) = (moved(parameter, STEP), moved(parameter, -STEP));
+            forth.iter().zip(back).map(|(a, b)| (a - b) / (2.0 * STEP)).collect()
+        };
+        let slopes: Vec<Vec<f64>> = (0..count).map(slopes).collect();
+        let weight = |&[u, v]: &[i64; 2]| {
+            let (point, normal) = (view.raster.point(u, v), gradient(&q, &view.raster.point(u, v)));
+            let cosine = -normal.dot(&point) / (normal.norm() * point.norm());
+            (cosine / view.measuring.dropout_angle.cos()).min(1.0) / (SIGMA_M * SIGMA_M)
+        };
+        let of_edges = edges.iter().map(|_| 1.0 / (1.0 / 12.0 + JITTER_PX * JITTER_PX));
+        let weights: Vec<f64> = pixels.iter().map(weight).chain(of_edges).collect();
+        let information = |to: usize| {
+            let sum = |i: usize, j: usize| (0..to).map(|n| weights[n] * slopes[i][n] * slopes[j][n]).sum();
+            DMatrix::from_fn(count, count, sum)
+        };
+        [information(pixels.len()), information(weights.len())]
+    }
+
+    #[test]
+    fn cylinder_and_cone_agree_with_differences_of_traced_rays() {
+        for slope in [0.0, 0.15] {
+            let (point, axis) = (Vector3::new(0.1, -0.05, 1.5), Vector3::new(0.35, 0.9, 0.4).normalize());
+            let (radius, length) = (0.15, 0.5);
+            let (shape, body) = frustum(point, axis, radius, slope, length);
+            let raster = rendered(NEAR, &[shape, wall(3.0, 9.0, 0.0)]);
+            let measuring = measuring(70.0);
+            let view = View { raster: &raster, owner: 0, measuring: &measuring };
+            let [depths, both] = by_differences(&view, &Conical { point, axis, radius, slope }, length);
+            let bounds = bounds(&raster, 0, &body, &measuring).unwrap();
+            for (name, information, bound) in [("A", depths, bounds.depths), ("B", both, bounds.contour)] {
+                let covariance = information.try_inverse().unwrap();
+                let root = |indices: &[usize]| indices.iter().map(|&i| covariance[(i, i)]).sum::<f64>().sqrt();
+                assert_near(&format!("{name} radius"), bound.radius_m, root(&[4]), 0.02);
+                assert_near(&format!("{name} position"), bound.position_m, root(&[2, 3]), 0.02);
+                assert_near(&format!("{name} axis"), bound.axis.unwrap(), root(&[0, 1]), 0.02);
+                assert_eq!(bound.half_angle.is_some(), slope != 0.0);
+                if let Some(half_angle) = bound.half_angle {
+                    let cosine_squared = 1.0 / (1.0 + slope * slope);
+                    assert_near(&format!("{name} half-angle"), half_angle, root(&[5]) * cosine_squared, 0.02);
+                }
+            }
+        }
+    }
+}

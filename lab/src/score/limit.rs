@@ -1,0 +1,339 @@
+//! How near a detector comes to what can be known: scatter, bias and reported standard deviations of its answers about one
+//! object that stands still, frame by frame with other noise, beside the bounds of Cramer and Rao ([`crate::bound`]).
+
+use super::matching::{Answer, Matcher, compare, perpendicular};
+use super::row::Row;
+use super::truth::{RenderedTruth, TrueObject};
+use crate::bound::{Bound, Bounds, Measuring, bounds};
+use crate::running_stats::RunningStats;
+use crate::simulator::raster::Raster;
+use anyhow::Result;
+use conicflow_messages::{Header, Object, ObjectKind};
+use nalgebra::{Matrix3, Vector3};
+
+/// Fewer answers tell no scatter: that of so many is known to a quarter.
+const FEWEST: u64 = 10;
+
+/// What is told of a quantity, and of how many answers.
+const COLUMNS: [&str; 14] = [
+    "object",
+    "quantity",
+    "frames",
+    "found",
+    "wrong",
+    "bound_a",
+    "bound_b",
+    "scatter",
+    "bias",
+    "sigma",
+    "efficiency_a",
+    "efficiency_b",
+    "bias_over_scatter",
+    "sigma_over_scatter",
+];
+
+/// The names of all columns that a row can have.
+pub fn columns() -> impl Iterator<Item = &'static str> {
+    COLUMNS.into_iter()
+}
+
+/// One of the things that are measured.
+struct Quantity {
+    /// Its name and unit.
+    name: &'static str,
+    /// In how many of these units one metre or radian is.
+    units: f64,
+    /// The bound, where the shape has such a thing.
+    bound: fn(&Bound) -> Option<f64>,
+    /// By how much an answer is off: a number in x, or a vector.
+    error: fn(&Object, &Object) -> Vector3<f64>,
+    /// The variance that the answer tells, of all components together.
+    variance: fn(&Object) -> f64,
+}
+
+const MILLI: f64 = 1e3;
+const DEGREES: f64 = 180.0 / std::f64::consts::PI;
+
+const QUANTITIES: [Quantity; 4] = [
+    Quantity {
+        name: "radius mm",
+        units: MILLI,
+        bound: |bound| Some(bound.radius_m),
+        error: |truth, answer| Vector3::x() * (compare(truth, answer).radius_m - truth.radius),
+        variance: |answer| answer.sigma.radius.powi(2),
+    },
+    Quantity {
+        name: "position mm",
+        units: MILLI,
+        bound: |bound| Some(bound.position_m),
+        // of a sphere the axis is zero
+        error: |truth, answer| perpendicular(&(vector(answer.center) - vector(truth.center)), &vector(answer.axis)),
+        variance: |answer| {
+            let (covariance, axis) = (Matrix3::from(answer.sigma.center), vector(answer.axis));
+            covariance.trace() - (covariance * axis).dot(&axis)
+        },
+    },
+    Quantity {
+        name: "axis deg",
+        units: DEGREES,
+        bound: |bound| bound.axis,
+        error: |truth, answer| {
+            let (truth, axis) = (vector(truth.axis), vector(answer.axis));
+            perpendicular(&(axis * axis.dot(&truth).signum()), &truth)
+        },
+        variance: |answer| answer.sigma.axis.powi(2),
+    },
+    Quantity {
+        name: "half-angle deg",
+        units: DEGREES,
+        bound: |bound| bound.half_angle,
+        error: |truth, answer| Vector3::x() * compare(truth, answer).half_angle,
+        variance: |answer| answer.sigma.half_angle.powi(2),
+    },
+];
+
+fn vector(numbers: [f64; 3]) -> Vector3<f64> {
+    numbers.into()
+}
+
+/// Measures objects of a scene in which nothing moves.
+pub struct Limit {
+    truth: RenderedTruth,
+    dropout_angle: f64,
+    edge_jitter_px: f64,
+    matcher: Matcher,
+    frames: u64,
+    wrong: u64,
+    objects: Vec<Sights>,
+}
+
+/// The answers about one object.
+struct Sights {
+    truth: TrueObject,
+    bounds: Option<Bounds>,
+    found: u64,
+    sums: [Sums; QUANTITIES.len()],
+}
+
+/// Sums over the answers.
+#[derive(Clone, Copy, Default)]
+struct Sums {
+    error: [RunningStats; 3],
+    variance: RunningStats,
+}
+
+impl Limit {
+    /// A measurement of a sensor that loses points from an angle (radians) between ray and normal on, and whose silhouettes
+    /// scatter by so many pixels; its noise is what the frames tell.
+    pub fn new(truth: RenderedTruth, dropout_angle: f64, edge_jitter_px: f64) -> Self {
+        let (matcher, objects) = (Matcher::default(), Vec::new());
+        Self { truth, dropout_angle, edge_jitter_px, matcher, frames: 0, wrong: 0, objects }
+    }
+
+    /// Takes in the answers to a frame; how many objects were missed.
+    ///
+    /// # Errors
+    /// The frame shows a scene that is not known.
+    pub fn add(&mut self, header: &Header, answers: &[Answer]) -> Result<u64> {
+        if self.frames == 0 {
+            self.look(header)?;
+        }
+        self.frames += 1;
+        let truths = self.objects.iter().map(|sights| sights.truth.clone()).collect();
+        let frame = self.matcher.match_up(truths, answers);
+        self.wrong += frame.wrong.len() as u64;
+        for (sights, (_, answer)) in self.objects.iter_mut().zip(&frame.pairs) {
+            if let Some(answer) = answer {
+                sights.add(&answer.object);
+            }
+        }
+        Ok(frame.pairs.iter().filter(|(_, answer)| answer.is_none()).count() as u64)
+    }
+
+    /// What is there in the first frame, and how well it could be known.
+    fn look(&mut self, header: &Header) -> Result<()> {
+        let scene = self.truth.scene_of(header)?;
+        let time_s = header.stamp_ns as f64 * 1e-9;
+        let (mut raster, mut shapes) = (Raster::new(header.camera), Vec::new());
+        scene.shapes_in_camera(time_s, &mut shapes);
+        raster.render(&shapes);
+        let (dropout_angle, edge_jitter_px) = (self.dropout_angle, self.edge_jitter_px);
+        let measuring = Measuring { noise: header.noise, dropout_angle, edge_jitter_px };
+        for truth in self.truth.objects(header, &scene) {
+            let owner = scene.bodies.iter().position(|body| body.name == truth.name);
+            let owner = owner.and_then(|index| u16::try_from(index).ok());
+            let bounds = owner.and_then(|owner| bounds(&raster, owner, &truth.body, &measuring));
+            self.objects.push(Sights { truth, bounds, found: 0, sums: Default::default() });
+        }
+        Ok(())
+    }
+
+    /// One row for each quantity of each object.
+    pub fn rows(&self) -> Vec<Row> {
+        self.objects.iter().flat_map(|sights| sights.rows(self.frames, self.wrong)).collect()
+    }
+}
+
+impl Sights {
+    fn add(&mut self, answer: &Object) {
+        self.found += 1;
+        for (quantity, sums) in QUANTITIES.iter().zip(&mut self.sums) {
+            let error = (quantity.error)(&self.truth.body, answer);
+            sums.error.iter_mut().zip(error.iter()).for_each(|(sum, component)| sum.add(*component));
+            sums.variance.add((quantity.variance)(answer));
+        }
+    }
+
+    fn rows(&self, frames: u64, wrong: u64) -> Vec<Row> {
+        let quantities = QUANTITIES.iter().zip(&self.sums).filter(|(quantity, _)| self.has(quantity));
+        quantities.map(|(quantity, sums)| self.row(quantity, sums, frames, wrong)).collect()
+    }
+
+    /// Whether the shape has such a thing.
+    fn has(&self, quantity: &Quantity) -> bool {
+        match quantity.name {
+            "axis deg" => self.truth.body.shape() != ObjectKind::Sphere,
+            "half-angle deg" => self.truth.body.shape() == ObjectKind::Cone,
+            _ => true,
+        }
+    }
+
+    fn row(&self, quantity: &Quantity, sums: &Sums, frames: u64, wrong: u64) -> Row {
+        let mut row = Row::default();
+        row.text("object", &self.truth.name);
+        row.text("quantity", quantity.name);
+        row.count("frames", frames);
+        row.number("found", self.found as f64 / frames as f64);
+        row.number("wrong", wrong as f64 / frames as f64);
+        let bound = |of: fn(&Bounds) -> &Bound| {
+            let bound = self.bounds.as_ref().and_then(|bounds| (quantity.bound)(of(bounds)));
+            bound.map_or(f64::NAN, |bound| bound * quantity.units)
+        };
+        let (depths, contour) = (bound(|bounds| &bounds.depths), bound(|bounds| &bounds.contour));
+        row.number("bound_a", depths);
+        row.number("bound_b", contour);
+        if self.found < FEWEST {
+            return row;
+        }
+        let scatter = sums.error.iter().map(RunningStats::variance).sum::<f64>().sqrt() * quantity.units;
+        let mean = Vector3::from(sums.error.map(|sum| sum.mean())) * quantity.units;
+        // a vector's has no sign
+        let bias = if mean.yz() == nalgebra::Vector2::zeros() { mean.x } else { mean.norm() };
+        let sigma = sums.variance.mean().sqrt() * quantity.units;
+        for (column, number) in [
+            ("scatter", scatter),
+            ("bias", bias),
+            ("sigma", sigma),
+            ("efficiency_a", depths / scatter),
+            ("efficiency_b", contour / scatter),
+            ("bias_over_scatter", bias.abs() / scatter),
+            ("sigma_over_scatter", sigma / scatter),
+        ] {
+            row.number(column, number);
+        }
+        row
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::matching::Claim;
+    use super::super::truth::load_scene;
+    use super::*;
+    use crate::random::CounterRng;
+    use conicflow_messages::{Camera, NoiseModel, ObjectSigma, Text};
+
+    const SCENE: &str = r#"
+        name = "mug"
+        [camera]
+        position  = [0, 0, 0]
+        direction = [0, 1, 0]
+        [[cone]]
+        name        = "mug"
+        base        = [0.02, 1.0, -0.1]
+        base_radius = 0.05
+        top_radius  = 0.07
+        length      = 0.2
+        [[plane]]
+        name   = "wall"
+        point  = [0, 3, 0]
+        normal = [0, -1, 0]
+    "#;
+
+    fn limit() -> (Limit, Header) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scene.toml");
+        std::fs::write(&path, SCENE).unwrap();
+        let truth = RenderedTruth { scene: Some(load_scene(&path).unwrap()), ..RenderedTruth::default() };
+        let camera = Camera { width: 320, height: 240, fx: 262.5, fy: 262.5, cx: 159.5, cy: 119.5 };
+        let noise = NoiseModel::KINECT_V1;
+        let header = Header { camera, noise, depth_scale: 0.001, source: Text::new("mug"), ..Header::default() };
+        (Limit::new(truth, 70_f64.to_radians(), 0.5), header)
+    }
+
+    /// Answers that scatter by 2 mm in radius, 1 mm in each direction and 0.02 in each tilt about errors of 3 mm and 0.01, and
+    /// that claim to scatter twice as much.
+    #[test]
+    fn scatter_bias_and_sigma_are_those_of_the_answers() {
+        let (mut limit, header) = limit();
+        limit.look(&header).unwrap();
+        let truth = limit.objects.remove(0).truth.body;
+        assert!(limit.objects.is_empty(), "a wall is no object");
+        let across = [Vector3::x(), vector(truth.axis).cross(&Vector3::x())];
+        let dice = CounterRng::new(1, 2);
+        for number in 0..4000 {
+            let [a, b, c, d, e, f] = std::array::from_fn(|k| dice.gaussian(6 * number + k as u64));
+            let axis = (vector(truth.axis) + across[0] * (0.02 * a) + across[1] * (0.02 * b)).normalize();
+            let center = vector(truth.center) + across[0] * (0.001 * c) + across[1] * (0.001 * d);
+            let sigma = ObjectSigma {
+                radius: 0.004,
+                center: [[4e-6, 0.0, 0.0], [0.0, 4e-6, 0.0], [0.0, 0.0, 4e-6]],
+                axis: 2.0 * 0.02 * 2_f64.sqrt(),
+                half_angle: 0.02,
+                ..ObjectSigma::default()
+            };
+            let (radius, half_angle) = (truth.radius + 0.003 + 0.002 * e, truth.half_angle + 0.01 + 0.01 * f);
+            let answer = Object { center: center.into(), axis: axis.into(), radius, half_angle, sigma, ..truth };
+            let ghost = Object { center: [2.0, 0.0, 2.0], ..answer };
+            let answers = [answer, ghost].map(|object| object.answer().unwrap());
+            let answers = if number % 4 == 0 { &answers[1..] } else { &answers[..] };
+            assert_eq!(limit.add(&header, answers).unwrap(), u64::from(number % 4 == 0));
+        }
+        let rows = limit.rows();
+        let names: Vec<_> = rows.iter().map(|row| row.get("quantity").cloned()).collect();
+        assert_eq!(names, QUANTITIES.map(|quantity| Some(super::super::Figure::Text(quantity.name.into()))));
+        let near = |row: usize, column: &str, expected: f64, off: f64| {
+            let number = rows[row].number_of(column).unwrap();
+            assert!((number - expected).abs() <= off, "{column} of row {row}: {number}, expected {expected}");
+        };
+        for row in 0..4 {
+            near(row, "found", 0.75, 1e-12);
+            near(row, "wrong", 1.0, 1e-12);
+            near(row, "sigma_over_scatter", 2.0, 0.1);
+            let [a, b] = ["bound_a", "bound_b"].map(|column| rows[row].number_of(column).unwrap());
+            assert!(0.0 < b && b < a, "the contour tells something: {a} {b}");
+            near(row, "efficiency_b", b / rows[row].number_of("scatter").unwrap(), 1e-12);
+        }
+        near(0, "scatter", 2.0, 0.1);
+        near(0, "bias", 3.0, 0.15);
+        near(0, "bias_over_scatter", 1.5, 0.1);
+        near(1, "scatter", 2_f64.sqrt(), 0.05);
+        near(1, "bias", 0.0, 0.1);
+        near(2, "scatter", (0.02 * 2_f64.sqrt()).to_degrees(), 0.05);
+        near(3, "bias", 0.01_f64.to_degrees(), 0.03);
+        assert!(rows.iter().all(|row| row.0.iter().all(|(column, _)| columns().any(|known| known == column))));
+    }
+
+    #[test]
+    fn too_few_answers_tell_no_scatter() {
+        let (mut limit, header) = limit();
+        limit.look(&header).unwrap();
+        let truth = limit.objects.remove(0).truth.body.answer().unwrap();
+        for number in 0..FEWEST {
+            limit.add(&header, if number > 0 { std::slice::from_ref(&truth) } else { &[] }).unwrap();
+        }
+        let row = &limit.rows()[0];
+        assert_eq!((row.number_of("found"), row.get("scatter"), row.get("efficiency_a")), (Some(0.9), None, None));
+        assert!(row.number_of("bound_a").is_some());
+    }
+}

@@ -1,0 +1,78 @@
+//! The sink that holds a detector against what can be known at all: its scatter beside the bounds of Cramer and Rao. Each quantity
+//! of each object gives one row of an `[experiment]`. The measuring itself is [`conicflow_lab::score::limit`].
+
+use super::measurement_sink::write_rows;
+use crate::config_error;
+use conicflow_dataflow::{ConfigFault, Context, Output, Sides, Stage, StageError};
+use conicflow_lab::score::truth::load_scene;
+use conicflow_lab::score::{Answer, Claim, Limit, RenderedTruth, Tolerances};
+use conicflow_messages::{Message, Nothing, Object};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// Parameters of `limit_sink`.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct LimitConfig {
+    /// Scene file that the source shows, in which nothing moves; random and built-in scenes are known by the names in the frames.
+    pub scene: Option<PathBuf>,
+    /// How far off an answer may be and still be right.
+    pub tolerance: Tolerances,
+    /// Angle between ray and normal from which on the sensor loses points, in degrees: that of the source's noise.
+    #[schemars(range(min = 0.0, max = 90.0))]
+    pub dropout_angle_deg: f64,
+    /// Standard deviation of a silhouette's place, in pixels: that of the source's noise.
+    #[schemars(range(min = 0.0, max = 8.0))]
+    pub edge_jitter_px: f64,
+    /// File for the rows, as lines of JSON; none: standard output.
+    pub path: Option<PathBuf>,
+}
+
+impl Default for LimitConfig {
+    /// Those of the simulated Kinect v1.
+    fn default() -> Self {
+        Self { scene: None, tolerance: Tolerances::default(), dropout_angle_deg: 70.0, edge_jitter_px: 0.5, path: None }
+    }
+}
+
+/// The stage around a [`Limit`].
+pub struct LimitSink {
+    limit: Limit,
+    answers: Vec<Answer>,
+    path: Option<PathBuf>,
+}
+
+impl Stage for LimitSink {
+    const NAME: &'static str = "limit_sink";
+    const SUMMARY: &'static str = "Measures how near objects come to the least scatter that is possible";
+    type Config = LimitConfig;
+    type Input = Object;
+    type Output = Nothing;
+
+    /// What types and ranges cannot tell: files that are missing.
+    fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
+        let scene = config.scene.as_ref().and_then(|path| load_scene(&base.join(path)).err());
+        scene.map(|error| config_error::of_file("scene", &error)).into_iter().collect()
+    }
+
+    fn new(config: LimitConfig, context: &Context) -> Result<Self, StageError> {
+        config_error::refuse_restart(context, "measured")?;
+        let scene = config.scene.as_ref().map(|path| load_scene(&context.resolve(path))).transpose()?;
+        let truth = RenderedTruth { scene, tolerance: config.tolerance, ..RenderedTruth::default() };
+        let limit = Limit::new(truth, config.dropout_angle_deg.to_radians(), config.edge_jitter_px);
+        let path = config.path.as_ref().map(|path| context.resolve(path));
+        Ok(Self { limit, answers: Vec::new(), path })
+    }
+
+    fn step(&mut self, input: &Message<Object>, _: &Sides, output: &mut Output<Nothing>) -> Result<(), StageError> {
+        self.answers.clear();
+        self.answers.extend(input.items.iter().filter_map(Claim::answer));
+        output.count("missed", self.limit.add(input.header, &self.answers)?);
+        Ok(())
+    }
+
+    fn finish(&mut self) -> Result<(), StageError> {
+        Ok(write_rows(self.path.as_deref(), &self.limit.rows())?)
+    }
+}

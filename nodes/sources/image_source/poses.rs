@@ -1,0 +1,299 @@
+//! Where the camera was in each frame of a recording: which file tells it, and which of its poses belongs to a frame.
+//!
+//! A pose belongs to a frame by its name (7-Scenes: `frame-000012.pose.txt` to `frame-000012.depth.png`), by its time (TUM), or
+//! by its place in the order of the files (Open3D). Between two times a pose is interpolated: its place along a line, its
+//! rotation about one axis (Shoemake, "Animating rotation with quaternion curves", 1985).
+
+use super::layout::file_name;
+use super::recording::{Frame, Recording};
+use super::trajectory::{self, Known, Trajectory};
+use super::{hinted, natural};
+use anyhow::{Context as _, Error, Result, anyhow, bail, ensure};
+use nalgebra::Isometry3;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io::Read as _;
+use std::path::{Path, PathBuf};
+
+/// A pose of another time, alone, belongs to a frame up to so much later or earlier, as in the tools of the TUM benchmark ...
+const MAX_APART_NS: u64 = 20_000_000;
+/// ... and two are interpolated where no more lies between them: a hand moves a camera evenly over a tenth of a second.
+const MAX_GAP_NS: u64 = 100_000_000;
+
+/// A longer file is none of poses: a day of 30 Hz has a tenth of it.
+const MAX_BYTES: u64 = 1 << 30;
+
+/// What the files of 7-Scenes end in, and TUM's is called.
+const OF_FRAME: &str = ".pose.txt";
+const OF_TIMES: &str = "groundtruth.txt";
+
+/// What the pipeline file says of poses: `auto`, `none`, or a path.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(from = "String", into = "String")]
+#[schemars(with = "String")]
+pub enum PosesConfig {
+    /// Those beside the frames, if there are any.
+    #[default]
+    Auto,
+    /// None, also where there are some.
+    None,
+    /// Those of a file, or of a folder with a file for each frame.
+    Path(PathBuf),
+}
+
+impl From<String> for PosesConfig {
+    fn from(text: String) -> Self {
+        match text.as_str() {
+            "auto" => Self::Auto,
+            "none" => Self::None,
+            _ => Self::Path(text.into()),
+        }
+    }
+}
+
+impl From<PosesConfig> for String {
+    fn from(config: PosesConfig) -> Self {
+        match config {
+            PosesConfig::Auto => "auto".into(),
+            PosesConfig::None => "none".into(),
+            PosesConfig::Path(path) => path.to_string_lossy().into_owned(),
+        }
+    }
+}
+
+/// The poses of a recording.
+#[derive(Debug, Default)]
+pub(super) enum Poses {
+    /// Nobody knows any.
+    #[default]
+    Unknown,
+    /// By the stem of the frame's name.
+    Named(BTreeMap<String, Known>),
+    /// By the frame's place in the recording.
+    InOrder(Vec<Known>),
+    /// By the frame's time, ascending.
+    Timed(Vec<(u64, Isometry3<f64>)>),
+}
+
+impl Poses {
+    /// The poses that a pipeline file in `base` asks for. Files that lie beside the frames and are not of them are left alone.
+    ///
+    /// # Errors
+    /// A file cannot be read; one that was asked for does not go with the frames.
+    pub(super) fn find(config: &PosesConfig, base: &Path, recording: &Recording) -> Result<Self> {
+        let path = match config {
+            PosesConfig::None => return Ok(Self::Unknown),
+            PosesConfig::Path(path) => Some(base.join(path)),
+            PosesConfig::Auto => beside(recording.folder())?,
+        };
+        let Some(path) = path else { return Ok(Self::Unknown) };
+        let named =
+            |error: Error| hinted(error, trajectory::HINT).context(format!("the poses of `{}`", path.display()));
+        let poses = if path.is_dir() { Self::of_folder(&path) } else { Self::of_file(&path) }.map_err(named)?;
+        match poses.check(recording).map_err(named) {
+            Ok(()) => {
+                tracing::info!("the camera's poses come from `{}`", path.display());
+                Ok(poses)
+            }
+            Err(error) if *config == PosesConfig::Auto => {
+                tracing::warn!("left alone: {error:#}");
+                Ok(Self::Unknown)
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    fn of_file(path: &Path) -> Result<Self> {
+        Ok(match trajectory::parse(&text_of(path)?)? {
+            Trajectory::InOrder(poses) => Self::InOrder(poses),
+            Trajectory::Timed(poses) => Self::Timed(poses),
+            Trajectory::Single(pose) => Self::Named(BTreeMap::from([(stem(&file_name(path)).to_owned(), pose)])),
+        })
+    }
+
+    /// A file for each frame: `*.pose.txt`, or any `*.txt` where there is none of these.
+    fn of_folder(folder: &Path) -> Result<Self> {
+        let of_frames = files(folder, OF_FRAME)?;
+        let paths = if of_frames.is_empty() { files(folder, ".txt")? } else { of_frames };
+        ensure!(!paths.is_empty(), "it has no `*{OF_FRAME}`, nor any `*.txt`");
+        let pose = |path: &PathBuf| {
+            let name = file_name(path);
+            let Trajectory::Single(pose) = trajectory::parse(&text_of(path)?).with_context(|| format!("`{name}`"))?
+            else {
+                bail!("`{name}` has several poses, expected one: the folder has a file for each frame");
+            };
+            Ok((stem(&name).to_owned(), pose))
+        };
+        Ok(Self::Named(paths.iter().map(pose).collect::<Result<_>>()?))
+    }
+
+    /// Refuses poses that do not go with the frames.
+    fn check(&self, recording: &Recording) -> Result<()> {
+        let first = recording.frames().next().map(|frame| file_name(&frame.path)).unwrap_or_default();
+        match self {
+            Self::InOrder(poses) if poses.len() as u64 != recording.places() => bail!(
+                "{} poses for {} frames\n  hint: a trajectory has one for each frame, in their order",
+                poses.len(),
+                recording.places()
+            ),
+            Self::Timed(_) if recording.stamps_ns().is_none() => bail!(
+                "its poses have times, and the frames have none\n  hint: those of a TUM RGB-D folder stand in its `depth.txt`"
+            ),
+            _ => {
+                let has_pose = recording.frames().any(|frame| {
+                    let name = file_name(&frame.path);
+                    self.of(&name, frame.slot, frame.stamp_ns).is_some()
+                });
+                ensure!(
+                    matches!(self, Self::Unknown) || has_pose,
+                    "none of its poses belongs to any of the frames, of which `{first}` is the first\n  hint: they go \
+                     together by name (7-Scenes) or by time (TUM: not more than {} s between two poses)",
+                    MAX_GAP_NS as f64 * 1e-9
+                );
+                Ok(())
+            }
+        }
+    }
+
+    /// Whether there are poses at all.
+    pub(super) fn are_known(&self) -> bool {
+        !matches!(self, Self::Unknown)
+    }
+
+    /// `world_from_camera` of a frame, `[R | t]`, if it is known.
+    pub(super) fn of_frame(&self, frame: &Frame) -> Option<[[f64; 4]; 3]> {
+        let matrix = self.of(&frame.name, frame.place, frame.stamp_ns)?.to_homogeneous();
+        Some(std::array::from_fn(|row| std::array::from_fn(|column| matrix[(row, column)])))
+    }
+
+    fn of(&self, name: &str, place: u64, stamp_ns: Option<u64>) -> Known {
+        match self {
+            Self::Unknown => None,
+            Self::Named(poses) => *poses.get(stem(name))?,
+            Self::InOrder(poses) => *poses.get(usize::try_from(place).ok()?)?,
+            Self::Timed(poses) => at_time(poses, stamp_ns?),
+        }
+    }
+}
+
+/// The pose at a time: interpolated between its neighbours, else that of the nearest.
+fn at_time(poses: &[(u64, Isometry3<f64>)], stamp_ns: u64) -> Known {
+    let next = poses.partition_point(|(known, _)| *known < stamp_ns);
+    let (before, after) = (next.checked_sub(1).and_then(|index| poses.get(index)), poses.get(next));
+    if let (Some((from, first)), Some((to, second))) = (before, after) {
+        if to - from <= MAX_GAP_NS {
+            let share = (stamp_ns - from) as f64 / (to - from) as f64;
+            // between opposite rotations there is no shortest way
+            return first.try_lerp_slerp(second, share, f64::EPSILON);
+        }
+    }
+    let near = [before, after].into_iter().flatten().map(|(known, pose)| (known.abs_diff(stamp_ns), *pose));
+    let nearest = near.min_by_key(|(apart_ns, _)| *apart_ns);
+    nearest.filter(|(apart_ns, _)| *apart_ns <= MAX_APART_NS).map(|(_, pose)| pose)
+}
+
+/// What a frame and its pose have in common: the name up to its first dot, without the word for depth.
+fn stem(name: &str) -> &str {
+    let stem = name.split('.').next().unwrap_or(name);
+    ["-depth", "_depth"].iter().find_map(|word| stem.strip_suffix(word)).unwrap_or(stem)
+}
+
+/// The file or folder of poses that lies beside the frames or above them, if there is one.
+fn beside(folder: &Path) -> Result<Option<PathBuf>> {
+    for folder in [Some(folder), folder.parent()].into_iter().flatten() {
+        // of a folder that may not be listed nothing is known
+        let files = |ending| files(folder, ending).unwrap_or_default();
+        if !files(OF_FRAME).is_empty() {
+            return Ok(Some(folder.to_owned()));
+        }
+        if folder.join(OF_TIMES).is_file() {
+            return Ok(Some(folder.join(OF_TIMES)));
+        }
+        // others write logs, too
+        let mut logs = files(".log");
+        logs.retain(|path| beginning(path).is_ok_and(|text| trajectory::begins_in_order(&text)));
+        match &logs[..] {
+            [] => {}
+            [log] => return Ok(Some(log.clone())),
+            [one, other, ..] => {
+                let (one, other) = (file_name(one), file_name(other));
+                return Err(anyhow!(
+                    "`{}` has several trajectories, such as `{one}` and `{other}`\n  hint: write `poses = \"{one}\"`, with \
+                     its folder, or `poses = \"none\"`",
+                    folder.display()
+                ));
+            }
+        }
+    }
+    Ok(None)
+}
+
+/// The files of a folder whose names end so, in natural order.
+fn files(folder: &Path, ending: &str) -> Result<Vec<PathBuf>> {
+    let listed = || format!("`{}` cannot be listed", folder.display());
+    let mut paths: Vec<PathBuf> =
+        fs::read_dir(folder).with_context(listed)?.flatten().map(|entry| entry.path()).collect();
+    paths.retain(|path| file_name(path).ends_with(ending) && !file_name(path).starts_with('.') && path.is_file());
+    paths.sort_by(|a, b| natural::compare(&file_name(a), &file_name(b)));
+    Ok(paths)
+}
+
+fn text_of(path: &Path) -> Result<String> {
+    let mut text = String::new();
+    File::open(path)?.take(MAX_BYTES).read_to_string(&mut text)?;
+    ensure!((text.len() as u64) < MAX_BYTES, "it is longer than {MAX_BYTES} bytes");
+    Ok(text)
+}
+
+/// As much of a file as tells what it is.
+fn beginning(path: &Path) -> Result<String> {
+    const BYTES: u64 = 512;
+    let mut bytes = Vec::new();
+    File::open(path)?.take(BYTES).read_to_end(&mut bytes)?;
+    Ok(String::from_utf8_lossy(&bytes).into_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{Translation3, UnitQuaternion, Vector3};
+
+    fn pose(x: f64, angle: f64) -> Isometry3<f64> {
+        Isometry3::from_parts(Translation3::new(x, 0.0, 0.0), UnitQuaternion::from_scaled_axis(Vector3::y() * angle))
+    }
+
+    #[test]
+    fn a_time_between_two_is_interpolated_and_one_beside_them_is_the_nearest() {
+        let poses = [(1_000_000_000, pose(0.0, 0.0)), (1_010_000_000, pose(0.1, 0.2)), (2_000_000_000, pose(5.0, 1.0))];
+        let x = |stamp_ns| at_time(&poses, stamp_ns).map(|pose| (pose.translation.x, pose.rotation.angle()));
+        let (place, angle) = x(1_002_500_000).unwrap();
+        assert!((place - 0.025).abs() < 1e-12 && (angle - 0.05).abs() < 1e-12, "{place} {angle}");
+        assert_eq!(x(1_010_000_000), Some((0.1, poses[1].1.rotation.angle())));
+        assert_eq!(x(1_030_000_000).map(|it| it.0), Some(0.1), "20 ms after, and nothing until 2 s");
+        assert_eq!(x(1_030_000_001), None);
+        assert_eq!(x(1_979_999_999), None);
+        assert_eq!(x(1_980_000_000).map(|it| it.0), Some(5.0));
+        assert_eq!((x(980_000_000).map(|it| it.0), x(979_999_999), x(2_020_000_001)), (Some(0.0), None, None));
+        assert_eq!(at_time(&[], 5), None);
+    }
+
+    #[test]
+    fn names_belong_together_by_what_stands_before_the_first_dot() {
+        for name in
+            ["frame-000012.depth.png", "frame-000012.pose.txt", "frame-000012-depth.png", "frame-000012_depth.png"]
+        {
+            assert_eq!(stem(name), "frame-000012");
+        }
+    }
+
+    #[test]
+    fn the_words_of_the_file_are_read_and_written() {
+        for (text, config) in
+            [("auto", PosesConfig::Auto), ("none", PosesConfig::None), ("a/b.log", PosesConfig::Path("a/b.log".into()))]
+        {
+            assert_eq!((PosesConfig::from(text.to_owned()), String::from(config.clone())), (config, text.to_owned()));
+        }
+    }
+}
