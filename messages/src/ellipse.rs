@@ -102,7 +102,11 @@ impl Ellipse {
 
     /// Whether there are points, and no deviation is less than none.
     fn is_of_points(&self) -> bool {
-        self.sigma >= 0.0 && self.shared_px >= 0.0 && self.shared_lines >= 0.0 && self.rms >= 0.0 && self.moments[0] > 0.0
+        self.sigma >= 0.0
+            && self.shared_px >= 0.0
+            && self.shared_lines >= 0.0
+            && self.rms >= 0.0
+            && self.moments[0] > 0.0
     }
 
     fn numbers_are_finite(&self) -> bool {

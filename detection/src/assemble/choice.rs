@@ -16,6 +16,10 @@ const AS_MANY: f64 = 0.9; // [tuned]
 const SLOPE_SIGMAS: f64 = 3.0; // [sigmas]
 /// Least gain of a cone over a cylinder, as chi squared: two standard deviations of one parameter.
 const GAIN: f64 = 4.0; // [sigmas]
+/// That of a slender cone: sensors make cylinders taper by faults that are no noise.
+const SLENDER_GAIN: f64 = 25.0; // [sigmas]
+/// Half-angle of a cone that is not slender: 7 degrees.
+const SLENDER: f64 = 0.122; // [tuned]
 /// A half-angle with a larger standard deviation (4 degrees) is unknown, so that the object is not surely a cylinder.
 const ANY_SLOPE: f64 = 0.07; // [tuned]
 /// A half-angle with a larger standard deviation (1.5 degrees) that exceeds zero by [`UNSURE_SIGMAS`] speaks against a
@@ -104,7 +108,8 @@ fn sharper<'a>(cylinder: Candidate<'a>, cone: Candidate<'a>, contour: &mut Conto
     let members = if a > b { cylinder.region.members } else { cone.region.members };
     let mut cost = |candidate: &Candidate| cost(Region { members, ..candidate.region }, contour);
     let gain = cost(&cylinder).zip(cost(&cone)).map_or(0.0, |(cylinder, cone)| cylinder - cone);
-    if gain > GAIN { cone } else { cylinder }
+    let slope = cone.region.model.conical().map_or(0.0, |surface| surface.half_angle());
+    if gain > if slope < SLENDER { SLENDER_GAIN } else { GAIN } { cone } else { cylinder }
 }
 
 /// What is left of the points and the contour of some members by a model that is fitted to these. What it leaves out of

@@ -6,6 +6,7 @@
 //! Statistical Learning", section 4.4). `cargo bench --bench odds` fits the weights to candidates in simulated scenes and
 //! prints how often candidates of each confidence are right.
 
+use super::arcs::Arc;
 use super::region::Region;
 use super::verify::Candidate;
 use conicflow_geometry::Contour;
@@ -25,7 +26,7 @@ pub(crate) struct Outline {
     square: f64,
     /// Share of the contour points that are far off, and so belong to something else.
     far_off: f64,
-    /// Share of the ends of all arcs behind which something farther is seen.
+    /// Share of the ends of all arcs beyond which something farther is seen, or nothing is measured.
     free: f64,
 }
 
@@ -33,7 +34,9 @@ impl Outline {
     /// That of a region that was fitted together with its contour.
     pub fn of(region: &Region, contour: &Contour) -> Self {
         let ends = 2.0 * region.members.len() as f64;
-        let free = region.arcs().flat_map(|arc| arc.contour).flatten().count() as f64 / ends;
+        let is_free = |arc: &Arc, end: usize| arc.unseen[end] || arc.contour[end].is_some();
+        let free: usize = region.arcs().map(|arc| (0..2).filter(|&end| is_free(arc, end)).count()).sum();
+        let free = free as f64 / ends;
         let share = |part: usize, all: usize| part as f64 / all.max(1) as f64;
         let square = region.model.contour_sum() / contour.used().max(1) as f64;
         Self { square, far_off: share(contour.far_off(), contour.points()), free }
@@ -43,12 +46,12 @@ impl Outline {
 /// What speaks for a candidate and against it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Evidence {
-    /// Share of the ends of its arcs at which it stands free before something farther.
+    /// Share of the ends of its arcs at which it stands free: before something farther, or before what is not measured.
     pub free_ends: f64,
     /// Standard deviation of its radius, as a part of it.
     pub radius_sigma: f64,
-    /// Part of its mean square residual that the noise does not explain, less than 1.
-    pub unexplained: f64,
+    /// Root mean square distance of its points from the surface, without the noise, in radii.
+    pub residual_radii: f64,
     /// Mean square distance of its outline from where the shape has one, in variances of an outline's point.
     pub outline_square: f64,
     /// Share of its outline that is far from where the shape has one.
@@ -69,18 +72,17 @@ pub struct Evidence {
 pub const TERMS: usize = 11;
 
 /// Weights of the terms, in their order: `cargo bench --bench odds`.
-const WEIGHTS: [f64; TERMS] = [-13.76, 4.64, -1.32, -11.88, -0.86, -3.59, 0.70, 1.21, 2.48, -1.99, 2.54]; // [measured]
+const WEIGHTS: [f64; TERMS] = [-9.67, 2.56, -1.14, -19.22, -0.66, -3.87, 0.45, 0.31, 3.22, -2.60, 2.37]; // [measured]
 
 impl Evidence {
     /// That of a candidate of which `object` is the report.
     pub(crate) fn of(candidate: &Candidate, object: &Object, may_taper: bool) -> Self {
         let Candidate { region, measured, outline } = candidate;
         let [first, last] = region.ends();
-        let misfit = measured.misfit.max(0.0);
         Self {
             free_ends: outline.free,
             radius_sigma: object.sigma.radius / object.radius,
-            unexplained: misfit / (1.0 + misfit),
+            residual_radii: object.rms / object.radius,
             outline_square: outline.square,
             outline_far_off: outline.far_off,
             length_radii: object.length / object.radius,
@@ -98,7 +100,7 @@ impl Evidence {
             1.0,
             self.free_ends,
             (self.radius_sigma + LEAST_SIGMA).ln(),
-            self.unexplained,
+            self.residual_radii,
             self.outline_square.min(MOST_OUTLINE),
             self.outline_far_off,
             self.length_radii.min(MOST_LENGTH),
