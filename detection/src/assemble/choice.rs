@@ -16,10 +16,12 @@ const AS_MANY: f64 = 0.9; // [tuned]
 const SLOPE_SIGMAS: f64 = 3.0; // [sigmas]
 /// Least gain of a cone over a cylinder, as chi squared: two standard deviations of one parameter.
 const GAIN: f64 = 4.0; // [sigmas]
-/// That of a slender cone: sensors make cylinders taper by faults that are no noise.
-const SLENDER_GAIN: f64 = 25.0; // [sigmas]
-/// Half-angle of a cone that is not slender: 7 degrees.
-const SLENDER: f64 = 0.122; // [tuned]
+/// Half-angles (5 and 7 degrees) between which the gain that faults of a sensor give a cone over a cylinder falls to nothing.
+const SLENDER: [f64; 2] = [0.0873, 0.122]; // [tuned] [tuned]
+/// Gain that faults of a sensor give a slender cone over a cylinder, per point.
+const GAIN_PER_POINT: f64 = 0.03; // [tuned]
+/// Largest gain that faults of a sensor give a slender cone over a cylinder.
+const MOST_GAIN: f64 = 20.0; // [tuned]
 /// A half-angle with a larger standard deviation (4 degrees) is unknown, so that the object is not surely a cylinder.
 const ANY_SLOPE: f64 = 0.07; // [tuned]
 /// A half-angle with a larger standard deviation (1.5 degrees) that exceeds zero by [`UNSURE_SIGMAS`] speaks against a
@@ -63,8 +65,11 @@ pub(crate) fn choose<'a>(
         (sphere, axial) => sphere.or(axial).ok_or(reason)?,
     };
     let is_cylinder = best.region.model.kind() == ObjectKind::Cylinder;
+    if is_cylinder && may_be_cone {
+        return Err(Rejection::Taper);
+    }
     let mut object = report(&best.region, &best.measured);
-    let evidence = Evidence::of(&best, &object, is_cylinder && may_be_cone);
+    let evidence = Evidence::of(&best, &object);
     object.confidence = evidence.probability() as f32;
     if is_cylinder {
         object.sigma.axis = object.sigma.axis.hypot(taper);
@@ -108,8 +113,14 @@ fn sharper<'a>(cylinder: Candidate<'a>, cone: Candidate<'a>, contour: &mut Conto
     let members = if a > b { cylinder.region.members } else { cone.region.members };
     let mut cost = |candidate: &Candidate| cost(Region { members, ..candidate.region }, contour);
     let gain = cost(&cylinder).zip(cost(&cone)).map_or(0.0, |(cylinder, cone)| cylinder - cone);
-    let slope = cone.region.model.conical().map_or(0.0, |surface| surface.half_angle());
-    if gain > if slope < SLENDER { SLENDER_GAIN } else { GAIN } { cone } else { cylinder }
+    if gain > least_gain(&cone, a.max(b)) { cone } else { cylinder }
+}
+
+/// Least gain of a cone of so many points over a cylinder.
+fn least_gain(cone: &Candidate, points: f64) -> f64 {
+    let half_angle = cone.region.model.conical().map_or(0.0, |surface| surface.half_angle());
+    let slender = 1.0 - ((half_angle - SLENDER[0]) / (SLENDER[1] - SLENDER[0])).clamp(0.0, 1.0);
+    GAIN.max(slender * (GAIN_PER_POINT * points).min(MOST_GAIN))
 }
 
 /// What is left of the points and the contour of some members by a model that is fitted to these. What it leaves out of

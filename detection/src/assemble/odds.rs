@@ -62,21 +62,19 @@ pub struct Evidence {
     pub lines: f64,
     /// Part of the scan lines between the first and the last that show it.
     pub coverage: f64,
-    /// Whether what is called a cylinder may as well taper.
-    pub may_taper: bool,
     /// Whether it is a sphere, which has fewer parameters to bend to anything.
     pub is_sphere: bool,
 }
 
 /// Number of terms of the sum, the constant included.
-pub const TERMS: usize = 11;
+pub const TERMS: usize = 10;
 
 /// Weights of the terms, in their order: `cargo bench --bench odds`.
-const WEIGHTS: [f64; TERMS] = [-9.67, 2.56, -1.14, -19.22, -0.66, -3.87, 0.45, 0.31, 3.22, -2.60, 2.37]; // [measured]
+const WEIGHTS: [f64; TERMS] = [-9.94, 2.53, -1.16, -19.05, -0.67, -3.89, 0.40, 0.36, 3.38, 2.28]; // [measured]
 
 impl Evidence {
     /// That of a candidate of which `object` is the report.
-    pub(crate) fn of(candidate: &Candidate, object: &Object, may_taper: bool) -> Self {
+    pub(crate) fn of(candidate: &Candidate, object: &Object) -> Self {
         let Candidate { region, measured, outline } = candidate;
         let [first, last] = region.ends();
         Self {
@@ -88,14 +86,12 @@ impl Evidence {
             length_radii: object.length / object.radius,
             lines: f64::from(measured.lines),
             coverage: f64::from(measured.lines) / f64::from(last.line - first.line + 1),
-            may_taper,
             is_sphere: object.shape() == ObjectKind::Sphere,
         }
     }
 
     /// The terms of the sum: a constant and what the evidence makes of each of its parts.
     pub fn terms(&self) -> [f64; TERMS] {
-        let one_if = |condition: bool| f64::from(u8::from(condition));
         [
             1.0,
             self.free_ends,
@@ -106,8 +102,7 @@ impl Evidence {
             self.length_radii.min(MOST_LENGTH),
             self.lines.ln(),
             self.coverage,
-            one_if(self.may_taper),
-            one_if(self.is_sphere),
+            f64::from(u8::from(self.is_sphere)),
         ]
     }
 

@@ -33,6 +33,7 @@ rejections! {
     Short => "candidates too short",
     Rms => "candidates that miss their points",
     Double => "objects seen twice",
+    Taper => "cylinders that may taper",
     Odds => "candidates that are more probably something else",
     Length => "candidates beyond the length limits",
     Small => "candidates that look too small",
