@@ -1,7 +1,7 @@
 //! A depth camera that compares two images of a projected dot pattern: those of two eyes (stereo), or that of one eye with
 //! the pattern itself, which it has stored (structured light).
 //!
-//! Both are rendered from the scene and matched block by block. Noise that neighbours share, silhouettes that grow by half a
+//! Both are rendered from the scene and matched block by block. Noise that neighbours share, silhouettes off by a part of a
 //! window, the band that the second eye or the projector does not see, and holes where a surface is too steep or too thin
 //! come from that alone. What matching cannot make is added: a bend of the lens that stays ([`waves`]), and whole steps of
 //! the disparity.
