@@ -2,7 +2,7 @@
 
 use crate::sinks::json_lines::{JsonLines, Wrote};
 use crate::sinks::picture_sink::{self, Names, PictureSink};
-use crate::sources::image_source::{self, Playback, PosesConfig};
+use crate::sources::image_source::{self, Playback};
 use anyhow::{Context as _, Result, bail};
 use clap::Args;
 use conicflow_dataflow::{AnyMessage, ItemType};
@@ -11,7 +11,6 @@ use conicflow_detection::noise::{NoiseConfig, NoiseName};
 use conicflow_detection::{Detector, Object, ObjectKind};
 use conicflow_messages::{Header, Message};
 use std::collections::BTreeMap;
-use std::convert::Infallible;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -33,8 +32,8 @@ pub struct DetectArguments {
     #[arg(long, value_name = "M")]
     scale: Option<f64>,
     /// Where the camera was: `auto` (7-Scenes, TUM or Open3D poses beside the frames), `none`, or a path
-    #[arg(long, value_name = "PATH", default_value = "auto", value_parser = poses)]
-    poses: PosesConfig,
+    #[arg(long, value_name = "PATH", default_value = "auto")]
+    poses: String,
     /// The sensor's depth noise; each image tells how noisy it is on top of that
     #[arg(long, value_name = "NAME", default_value = "kinect_v1", value_parser = noise)]
     noise: NoiseName,
@@ -49,12 +48,6 @@ pub struct DetectArguments {
 /// A sensor whose noise is known, by the words of the pipeline file.
 fn noise(text: &str) -> Result<NoiseName, String> {
     serde_json::from_value(text.into()).map_err(|error| error.to_string())
-}
-
-/// The words of the pipeline file, or a path.
-#[expect(clippy::unnecessary_wraps, reason = "the parser of the command line wants a result")]
-fn poses(text: &str) -> Result<PosesConfig, Infallible> {
-    Ok(text.to_owned().into())
 }
 
 /// Four numbers with commas between them.
@@ -136,7 +129,7 @@ fn source(arguments: &DetectArguments) -> image_source::Config {
         path: Some(arguments.path.clone()),
         depth_scale: arguments.scale,
         intrinsics: arguments.camera,
-        poses: arguments.poses.clone(),
+        poses: arguments.poses.clone().into(),
         noise: NoiseConfig::Named(arguments.noise),
         ..image_source::Config::default()
     }

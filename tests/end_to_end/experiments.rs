@@ -396,13 +396,15 @@ fn the_recordings_are_one_table() {
 /// The judge itself in short: two of its configurations. What nobody can beat nobody beats, but for chance.
 #[test]
 fn no_detector_is_better_than_the_bound() {
-    let wanted = ["\"sphere 10 cm, 1 m\"", "\"cylinder 10 cm, 2 m\"", "cases = ["];
+    let wanted = ["\"sphere 10 cm at 1 m\"", "\"cylinder 10 cm at 2 m\"", "cases = ["];
     let text = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments/limit.toml")).unwrap();
     let cases = text.lines().filter(|line| line.trim_start().starts_with("{ name = "));
     let others = cases.filter(|line| !wanted.iter().any(|wanted| line.contains(wanted)));
     let table = Table::of("limit", &others.map(|line| (line, "")).collect::<Vec<_>>(), 60);
     let quantities = ["radius mm", "position mm", "axis deg"];
-    for (configuration, quantities) in [("sphere 10 cm, 1 m", &quantities[..2]), ("cylinder 10 cm, 2 m", &quantities)] {
+    for (configuration, quantities) in
+        [("sphere 10 cm at 1 m", &quantities[..2]), ("cylinder 10 cm at 2 m", &quantities)]
+    {
         for quantity in quantities {
             let cell = |column| table.number(&[("configuration", configuration), ("quantity", quantity)], column);
             let what = format!("{quantity} of {configuration}");

@@ -306,13 +306,13 @@ mod tests {
             let number = rows[row].number_of(column).unwrap();
             assert!((number - expected).abs() <= off, "{column} of row {row}: {number}, expected {expected}");
         };
-        for row in 0..4 {
-            near(row, "found", 0.75, 1e-12);
-            near(row, "wrong", 1.0, 1e-12);
-            near(row, "sigma_over_scatter", 2.0, 0.1);
-            let [a, b] = ["bound_a", "bound_b"].map(|column| rows[row].number_of(column).unwrap());
+        for (index, row) in rows.iter().enumerate() {
+            near(index, "found", 0.75, 1e-12);
+            near(index, "wrong", 1.0, 1e-12);
+            near(index, "sigma_over_scatter", 2.0, 0.1);
+            let [a, b, scatter] = ["bound_a", "bound_b", "scatter"].map(|column| row.number_of(column).unwrap());
             assert!(0.0 < b && b < a, "the contour tells something: {a} {b}");
-            near(row, "efficiency_b", b / rows[row].number_of("scatter").unwrap(), 1e-12);
+            near(index, "efficiency_b", b / scatter, 1e-12);
         }
         near(0, "scatter", 2.0, 0.1);
         near(0, "bias", 3.0, 0.15);

@@ -182,12 +182,12 @@ impl Poses {
 fn at_time(poses: &[(u64, Isometry3<f64>)], stamp_ns: u64) -> Known {
     let next = poses.partition_point(|(known, _)| *known < stamp_ns);
     let (before, after) = (next.checked_sub(1).and_then(|index| poses.get(index)), poses.get(next));
-    if let (Some((from, first)), Some((to, second))) = (before, after) {
-        if to - from <= MAX_GAP_NS {
-            let share = (stamp_ns - from) as f64 / (to - from) as f64;
-            // between opposite rotations there is no shortest way
-            return first.try_lerp_slerp(second, share, f64::EPSILON);
-        }
+    if let (Some((from, first)), Some((to, second))) = (before, after)
+        && to - from <= MAX_GAP_NS
+    {
+        let share = (stamp_ns - from) as f64 / (to - from) as f64;
+        // between opposite rotations there is no shortest way
+        return first.try_lerp_slerp(second, share, f64::EPSILON);
     }
     let near = [before, after].into_iter().flatten().map(|(known, pose)| (known.abs_diff(stamp_ns), *pose));
     let nearest = near.min_by_key(|(apart_ns, _)| *apart_ns);
