@@ -1,6 +1,7 @@
 //! Runs from their start to their end: what comes out, in which order, and what the summary says of it.
 
-use crate::support::{InputRow, Playground, Started, TRACKING, TRACKING_STAGES, example};
+use crate::programs::program;
+use crate::support::{InputRow, Playground, Started, TRACKING, TRACKING_STAGES};
 use serde_json::Value as Json;
 use std::fs::{self, File};
 use std::io::{BufRead, BufReader, BufWriter};
@@ -10,7 +11,7 @@ use std::time::{Duration, Instant};
 
 /// A source and a sink that takes its time over each frame, without lossless delivery between them.
 fn slow_pipeline(delay_ms: u64) -> Playground {
-    let program = example("slow_sink");
+    let program = program("slow_sink");
     Playground::with_pipeline(&format!(
         r#"
 name = "slow"
@@ -23,9 +24,9 @@ height  = 24
 rate_hz = 0
 
 [stage.sink]
-program  = ["{program}"]
+program  = {program}
 input    = "depth"
-path     = "sequences.txt"
+path     = "numbers.txt"
 delay_ms = {delay_ms}
 "#
     ))
@@ -105,7 +106,7 @@ fn lossless_delivers_each_frame_once_in_order_and_the_same_bits_each_time() {
 fn a_slow_reader_loses_frames_and_each_of_them_is_counted() {
     let playground = slow_pipeline(20);
     let ended = playground.conicflow(&["run", "--frames", "300"]).expect_code(0);
-    let taken: Vec<u64> = playground.lines("sequences.txt").iter().map(|line| line.parse().unwrap()).collect();
+    let taken: Vec<u64> = playground.lines("numbers.txt").iter().map(|line| line.parse().unwrap()).collect();
     let input = ended.input("depth", "sink");
     assert_eq!(input.received, taken.len() as u64);
     assert!(input.dropped > 0, "nothing was lost, so that nothing is shown");
@@ -123,7 +124,7 @@ fn a_slow_reader_holds_a_lossless_writer_back() {
     let playground = slow_pipeline(5);
     let lossless = "sink.input={ topic = \"depth\", delivery = \"lossless\", queue = 2 }";
     playground.conicflow(&["run", "--frames", "60", "--set", lossless]).expect_code(0);
-    assert!(playground.lines("sequences.txt").into_iter().eq((0..60).map(|number: u64| number.to_string())));
+    assert!(playground.lines("numbers.txt").into_iter().eq((0..60).map(|number: u64| number.to_string())));
 }
 
 #[test]

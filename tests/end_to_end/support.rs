@@ -206,7 +206,7 @@ pub fn signal(process: u32, signal: Signal) {
 /// A program of `examples/`, built beside the program under test.
 pub fn example(name: &str) -> String {
     let path = Path::new(env!("CARGO_BIN_EXE_conicflow")).with_file_name("examples").join(name);
-    assert!(path.is_file(), "there is no `{}`; `cargo build --examples` makes it", path.display());
+    assert!(path.is_file(), "there is no `{}`; `cargo test` and `cargo build --examples` make it", path.display());
     path.to_str().unwrap().to_owned()
 }
 
