@@ -47,7 +47,7 @@ pub mod relay {
 }
 
 pub use clock::monotonic_ns;
-pub use conicflow_messages::ConfigFault;
+pub use conicflow_messages::{ConfigFault, Hinted};
 pub use doctor::{Finding, clean, examine};
 pub use item_type::{AnyMessage, BUILT_IN, ItemType};
 pub use launcher::{
@@ -57,7 +57,7 @@ pub use launcher::{
 pub use link_report::{EdgeReport, LinkReport, LinkState};
 pub use log::{DEFAULT_LOG, LOG, log_filter, log_to_standard_error};
 pub use needs::{Needs, Shortfall, TopicNeeds};
-pub use network::{BridgePlan, BridgeRun, Carrier, Edge, Network, NetworkError, Receiver, SettingsFault};
+pub use network::{BridgePlan, BridgeRun, Carrier, Edge, Network, NetworkError, Receiver};
 pub use node::{Node, Variant};
 pub use observe::{InputActivity, Observation, PipelineActivity, StageActivity, TopicActivity, observe};
 pub use plan::{Origin, Plan, PlannedStage, Runs};

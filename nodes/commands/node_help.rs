@@ -4,7 +4,7 @@ use crate::NODES;
 use anyhow::bail;
 use conicflow_dataflow::pipeline::suggestion;
 use conicflow_dataflow::{Node, Pick};
-use conicflow_messages::{Item, Nothing};
+use conicflow_messages::{Hinted, Item, Nothing};
 use serde_json::Value as Json;
 use std::fmt::Write;
 
@@ -21,7 +21,7 @@ pub fn nodes(name: Option<&str>) -> anyhow::Result<String> {
         Some(node) => Ok(describe(node)?),
         None => {
             let hint = suggestion(name, NODES.iter().map(|node| node.name), "nodes");
-            bail!("there is no node `{name}`\n  hint: {hint}")
+            bail!(Hinted::new(format!("there is no node `{name}`"), hint))
         }
     }
 }

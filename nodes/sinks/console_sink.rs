@@ -2,7 +2,7 @@
 
 use crate::sinks::decimator::Decimator;
 use conicflow_dataflow::{Context, Output, Sides, Stage, StageError, Stop};
-use conicflow_messages::{Ellipse, Item, Message, Nothing, Object, ObjectKind, Scan, Track, TrackState};
+use conicflow_messages::{Ellipse, Hinted, Item, Message, Nothing, Object, ObjectKind, Scan, Track, TrackState};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::fmt::{self, Write as _};
@@ -155,10 +155,9 @@ impl<T: Describe> Stage for ConsoleSink<T> {
     }
 }
 
-fn unwritable(error: &io::Error) -> String {
-    format!(
-        "cannot write to standard output: {error}\n  hint: send it elsewhere, such as `> /dev/null`, or leave the sink out"
-    )
+fn unwritable(error: &io::Error) -> Hinted {
+    let what = format!("cannot write to standard output: {error}");
+    Hinted::new(what, "send it elsewhere, such as `> /dev/null`, or leave the sink out")
 }
 
 #[cfg(test)]

@@ -68,10 +68,10 @@ impl<T: Claim> Stage for EvaluationSink<T> {
     fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
         let mut faults = Vec::new();
         if let Err(error) = config.rendered(base) {
-            faults.push(config_error::of_file("scene", &error));
+            faults.push(ConfigFault::of_file("scene", error.as_ref()));
         }
         if let Err(error) = config.recorded(base) {
-            faults.push(config_error::of_file("truth", &error));
+            faults.push(ConfigFault::of_file("truth", error.as_ref()));
         }
         if config.scene.is_some() && config.truth.is_some() {
             let (what, hint) = ("cannot be used together with `scene`", "leave one of them out");

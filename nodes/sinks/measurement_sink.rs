@@ -74,7 +74,7 @@ impl<T: Claim> Stage for MeasurementSink<T> {
     /// What types and ranges cannot tell: files that are missing.
     fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
         let scene = config.scene.as_ref().and_then(|path| load_scene(&base.join(path)).err());
-        scene.map(|error| config_error::of_file("scene", &error)).into_iter().collect()
+        scene.map(|error| ConfigFault::of_file("scene", error.as_ref())).into_iter().collect()
     }
 
     fn new(config: MeasurementConfig, context: &Context) -> Result<Self, StageError> {

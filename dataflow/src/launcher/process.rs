@@ -3,7 +3,7 @@
 use super::folder::{FolderError, PLAN, RunFolder};
 use super::options::RunOptions;
 use crate::log::{DEFAULT_LOG, LOG, log_to_standard_error};
-use crate::network::{BridgeRun, Carrier, NO_NETWORK, NO_NETWORK_HINT, Network, NetworkError, SettingsFault};
+use crate::network::{BridgeRun, Carrier, NO_NETWORK, NO_NETWORK_HINT, Network, NetworkError};
 use crate::node::Node;
 use crate::plan::{Plan, PlannedStage, Runs};
 use crate::ports::PortError;
@@ -14,6 +14,7 @@ use crate::runner::peers::Peers;
 use crate::runner::{RunError, StageRuntime};
 use crate::stage::{Context, Source, Stage, Stop};
 use crate::status::StatusFile;
+use conicflow_messages::Hinted;
 use rustix::process::{Signal, getppid, set_parent_process_death_signal};
 use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1};
 use signal_hook::iterator::Signals;
@@ -51,7 +52,7 @@ pub enum ProcessError {
     Bridge(#[from] NetworkError),
     /// The program that carries edges between machines.
     #[error(transparent)]
-    Settings(#[from] SettingsFault),
+    Settings(#[from] Hinted),
     /// There is no such stage in the plan.
     #[error("there is no stage `{0}` in this pipeline\n  hint: `conicflow graph` shows its stages")]
     NoStage(String),

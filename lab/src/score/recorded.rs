@@ -21,7 +21,7 @@
 
 use super::truth::{Tolerance, TrueObject};
 use anyhow::{Context as _, Result, bail};
-use conicflow_messages::{Object, ObjectKind};
+use conicflow_messages::{Hinted, Object, ObjectKind};
 use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -153,7 +153,10 @@ impl RecordedTruth {
         let file: TruthFile = serde_json::from_str(text)?;
         let wanted = if file.frames.is_some() { Units::Mm } else { Units::M };
         if file.units != wanted {
-            bail!("`units` is not what the keys of its entries say\n  hint: metres for objects, mm for `frames`");
+            bail!(Hinted::new(
+                "`units` is not what the keys of its entries say",
+                "metres for objects, mm for `frames`"
+            ));
         }
         let list = |entries: &[Entry]| entries.iter().map(|entry| entry.truth(tolerances)).collect::<Result<Vec<_>>>();
         let everywhere = file.objects.as_deref().map(list).transpose()?;
@@ -167,7 +170,7 @@ impl RecordedTruth {
             truth.insert(&frame.file, ball)?;
         }
         if truth.by_frame.is_empty() && truth.everywhere.is_none() {
-            bail!("it has none of `scenes`, `objects` and `frames`\n  hint: say what is in the frames");
+            bail!(Hinted::new("it has none of `scenes`, `objects` and `frames`", "say what is in the frames"));
         }
         Ok(truth)
     }
@@ -176,7 +179,10 @@ impl RecordedTruth {
     fn insert(&mut self, file: &str, truths: Option<Vec<TrueObject>>) -> Result<()> {
         let name = file_name(file);
         if self.by_frame.insert(name.to_owned(), truths).is_some() {
-            bail!("it has two entries for `{name}`\n  hint: folders do not count: write a truth file for each");
+            bail!(Hinted::new(
+                format!("it has two entries for `{name}`"),
+                "folders do not count: write a truth file for each"
+            ));
         }
         Ok(())
     }
@@ -207,11 +213,11 @@ impl Entry {
             ("cylinder", Some(point), Some(axis), _) => self.cylinder(point, axis)?,
             ("cone", Some(point), Some(axis), _) => self.cone(point, axis)?,
             ("sphere" | "sphere_like", _, _, Some(center)) => sphere(center, radius),
-            (kind, ..) => bail!(
-                "an entry `{}` of type `{kind}` is not understood\n  hint: a `cylinder` or a `cone` has \
-                 `axis_point_m` and `axis_dir`, a `sphere` or `sphere_like` has `centre_m`",
-                self.what
-            ),
+            (kind, ..) => bail!(Hinted::new(
+                format!("an entry `{}` of type `{kind}` is not understood", self.what),
+                "a `cylinder` or a `cone` has `axis_point_m` and `axis_dir`, a `sphere` or `sphere_like` has \
+                 `centre_m`"
+            )),
         };
         let required = self.kind != "sphere_like";
         let mut tolerance = tolerances.of(&body);
@@ -227,10 +233,10 @@ impl Entry {
     /// A cylinder that widens along its axis.
     fn cone(&self, point: [f64; 3], axis: [f64; 3]) -> Result<Object> {
         let Some(half_angle) = self.half_angle_deg.filter(|degrees| (0.0..90.0).contains(degrees)) else {
-            bail!(
-                "the cone `{}` has no `half_angle_deg` from 0 to 90\n  hint: between its axis and its side",
-                self.what
-            );
+            bail!(Hinted::new(
+                format!("the cone `{}` has no `half_angle_deg` from 0 to 90", self.what),
+                "between its axis and its side"
+            ));
         };
         let (body, half_angle) = (self.cylinder(point, axis)?, half_angle.to_radians());
         let [top, base] = [-0.5, 0.5].map(|share| (body.radius + share * body.length * half_angle.tan()).max(0.0));
@@ -239,17 +245,17 @@ impl Entry {
 
     fn cylinder(&self, point: [f64; 3], axis: [f64; 3]) -> Result<Object> {
         let Some(axis) = Vector3::from(axis).try_normalize(1e-9) else {
-            bail!(
-                "the `axis_dir` of `{}` is {axis:?}, which is no direction\n  hint: any length but zero will do",
-                self.what
-            );
+            bail!(Hinted::new(
+                format!("the `axis_dir` of `{}` is {axis:?}, which is no direction", self.what),
+                "any length but zero will do"
+            ));
         };
         let [from, to] = self.seen_side_from_to_m.unwrap_or([-0.05, 0.05]);
         if from >= to {
-            bail!(
-                "the `seen_side_from_to_m` of `{}` goes from {from} to {to}\n  hint: it rises along `axis_dir`",
-                self.what
-            );
+            bail!(Hinted::new(
+                format!("the `seen_side_from_to_m` of `{}` goes from {from} to {to}", self.what),
+                "it rises along `axis_dir`"
+            ));
         }
         Ok(Object {
             kind: ObjectKind::Cylinder.code(),

@@ -12,7 +12,7 @@ mod painter;
 use crate::sinks::decimator::Decimator;
 use anyhow::{Context as _, Result, ensure};
 use conicflow_dataflow::{ConfigFault, Context, Output, Side, Sides, Stage, StageError};
-use conicflow_messages::{Ellipse, Header, MAX_PIXELS, Message, Nothing, Text};
+use conicflow_messages::{Ellipse, Header, Hinted, MAX_PIXELS, Message, Nothing, Text};
 pub use painter::{Drawn, Painter};
 use png::{BitDepth, ColorType, Compression, Encoder};
 use schemars::JsonSchema;
@@ -103,7 +103,8 @@ impl<T: Drawn> PictureSink<T> {
     /// # Errors
     /// There is no folder in the parameters, or it cannot be made.
     pub fn open(config: &Config, base: &Path, resume_at: u64) -> Result<Self> {
-        let path = config.path.as_ref().context("`path` is missing\n  hint: write `path = \"pictures/\"`")?;
+        let path =
+            config.path.as_ref().ok_or_else(|| Hinted::new("`path` is missing", "write `path = \"pictures/\"`"))?;
         let folder = base.join(path);
         fs::create_dir_all(&folder).with_context(|| format!("the folder `{}` cannot be made", folder.display()))?;
         Ok(Self {
@@ -148,10 +149,13 @@ impl<T: Drawn> PictureSink<T> {
         let pixels = u64::from(camera.width) * u64::from(camera.height);
         ensure!(
             (1..=MAX_PIXELS).contains(&pixels),
-            "frame {} has {}x{} pixels, expected 1 to {MAX_PIXELS}\n  hint: the stage that made the message gave a wrong camera",
-            input.header.sequence,
-            camera.width,
-            camera.height
+            Hinted::new(
+                format!(
+                    "frame {} has {}x{} pixels, expected 1 to {MAX_PIXELS}",
+                    input.header.sequence, camera.width, camera.height
+                ),
+                "the stage that made the message gave a wrong camera"
+            )
         );
         self.painter.begin(camera);
         if let Some(depth) = depth {
