@@ -9,8 +9,8 @@ use conicflow_bridge::{NETWORK, Place, Wire, encode_message};
 use conicflow_dataflow::pipeline::{Compression, Pipeline, SourceText};
 use conicflow_dataflow::testing::collect;
 use conicflow_dataflow::{
-    Context, Next, NoConfig, Node, Output, Plan, RUNTIME_DIR, Registry, RunOptions, Sides, Source, Stage, StageError,
-    monotonic_ns, observe, run, run_in_run,
+    Context, Next, NoConfig, Node, Output, Plan, RUNTIME_DIR, Registry, RunOptions, SideInputs, Source, Stage,
+    StageError, monotonic_ns, observe, run, run_in_run,
 };
 use conicflow_detection::{Extractor, ExtractorParameters};
 use conicflow_lab::simulator::SimulatorParameters;
@@ -122,7 +122,7 @@ impl Source for Frames {
         RATE_HZ
     }
 
-    fn next(&mut self, _: &Sides, output: &mut Output<u16>) -> Result<Next, StageError> {
+    fn next(&mut self, _: &SideInputs, output: &mut Output<u16>) -> Result<Next, StageError> {
         output.image(self.1.len())?.copy_from_slice(&self.1);
         output.header = Header { stamp_ns: monotonic_ns(), ..with_own_sequence(&self.0, &output.header) };
         Ok(Next::Message)
@@ -147,7 +147,7 @@ impl Source for Lists {
         RATE_HZ
     }
 
-    fn next(&mut self, _: &Sides, output: &mut Output<Ellipse>) -> Result<Next, StageError> {
+    fn next(&mut self, _: &SideInputs, output: &mut Output<Ellipse>) -> Result<Next, StageError> {
         self.1.iter().for_each(|ellipse| output.push(*ellipse));
         output.header = Header { stamp_ns: monotonic_ns(), ..with_own_sequence(&self.0, &output.header) };
         Ok(Next::Message)
@@ -186,7 +186,7 @@ impl<T: Aged> Stage for Ages<T> {
         Ok(Self(Vec::new(), PhantomData))
     }
 
-    fn step(&mut self, input: &Message<T>, _: &Sides, _: &mut Output<Nothing>) -> Result<(), StageError> {
+    fn step(&mut self, input: &Message<T>, _: &SideInputs, _: &mut Output<Nothing>) -> Result<(), StageError> {
         self.0.push(monotonic_ns().saturating_sub(input.header.stamp_ns));
         Ok(())
     }

@@ -3,7 +3,7 @@
 use crate::NODES;
 use anyhow::bail;
 use conicflow_dataflow::pipeline::suggestion;
-use conicflow_dataflow::{Node, Pick};
+use conicflow_dataflow::{Node, Pairing};
 use conicflow_messages::{Hinted, Item, Nothing};
 use serde_json::Value as Json;
 use std::fmt::Write;
@@ -32,9 +32,9 @@ fn describe(node: &Node) -> Result<String, std::fmt::Error> {
     if !inputs.is_empty() {
         writeln!(text, "input   {}", inputs.join(" | "))?;
     }
-    for side in node.sides() {
-        let pick = if side.pick == Pick::Latest { "the latest" } else { "of the same frame" };
-        writeln!(text, "inputs  {} = {}, {pick}", side.name, side.kind)?;
+    for side in node.side_inputs() {
+        let pairing = if side.pairing == Pairing::Latest { "the latest" } else { "of the same frame" };
+        writeln!(text, "inputs  {} = {}, {pairing}", side.name, side.kind)?;
     }
     if node.output() != Nothing::NAME {
         writeln!(text, "output  {}", node.output())?;

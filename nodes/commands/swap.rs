@@ -5,7 +5,7 @@ use crate::{NODES, REGISTRY};
 use anyhow::{anyhow, bail};
 use clap::Args;
 use conicflow_dataflow::pipeline::suggestion;
-use conicflow_dataflow::{Needs, Plan, PlannedStage};
+use conicflow_dataflow::{Plan, PlannedStage, Requirements};
 use conicflow_messages::Hinted;
 
 /// What is to be replaced, and by what.
@@ -46,7 +46,7 @@ pub fn swap(arguments: &SwapArguments) -> anyhow::Result<()> {
             "end the run, and start it with the change"
         ));
     }
-    Needs::of(&changed, NODES).look_for_successor(stage)?;
+    Requirements::of(&changed, NODES).look_for_successor(stage)?;
     running.swap(name, changed)?;
     tracing::info!("stage `{name}` was replaced");
     Ok(())

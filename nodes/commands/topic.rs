@@ -10,7 +10,7 @@ use clap::{Args, Subcommand};
 use conicflow_dataflow::pipeline::suggestion;
 use conicflow_dataflow::ports::{Delivery, Topic};
 use conicflow_dataflow::{
-    Needs, PipelineActivity, RunningPipeline, Table, TopicActivity, Watching, monotonic_ns, observe, user_folder,
+    PipelineActivity, Requirements, RunningPipeline, Table, TopicActivity, Watching, monotonic_ns, observe, user_folder,
 };
 use conicflow_messages::Hinted;
 use std::io::{Write, stdout};
@@ -194,7 +194,7 @@ fn bandwidth_line(activity: &TopicActivity) -> String {
 fn echo(arguments: &TopicArguments) -> anyhow::Result<()> {
     let running = arguments.of.find()?;
     let topic = find_topic(&running, &arguments.topic)?;
-    Needs::of(&running.plan, NODES).look_for_onlooker(topic)?;
+    Requirements::of(&running.plan, NODES).look_for_onlooker(topic)?;
     let Some(item) = &topic.item else {
         let name = &topic.name;
         let hint =

@@ -4,7 +4,7 @@
 use super::json_lines::JsonLines;
 use crate::config_error;
 use anyhow::Result;
-use conicflow_dataflow::{ConfigFault, Context, Output, Sides, Stage, StageError};
+use conicflow_dataflow::{ConfigFault, Context, Output, SideInputs, Stage, StageError};
 use conicflow_lab::score::truth::load_scene;
 use conicflow_lab::score::{
     Answer, Claim, Evaluation, RecordedTolerances, RecordedTruth, RenderedTruth, Tolerances, TruthSource,
@@ -92,7 +92,7 @@ impl<T: Claim> Stage for EvaluationSink<T> {
         Ok(Self { evaluation: Evaluation::new(truth), details, answers: Vec::new(), items: PhantomData })
     }
 
-    fn step(&mut self, input: &Message<T>, _: &Sides, output: &mut Output<Nothing>) -> Result<(), StageError> {
+    fn step(&mut self, input: &Message<T>, _: &SideInputs, output: &mut Output<Nothing>) -> Result<(), StageError> {
         self.answers.clear();
         self.answers.extend(input.items.iter().filter_map(Claim::answer));
         let Some(frame) = self.evaluation.add(input.header, &self.answers)? else { return Ok(()) };

@@ -1,7 +1,7 @@
 //! Programs that the tests start beside `conicflow`: stages from outside and a router. Each is this test binary, run again
 //! with nothing but the one test whose body is the program; so there is nothing to build but the tests.
 
-use conicflow_dataflow::{Context, Output, Side, Sides, Stage, StageError, run_stage};
+use conicflow_dataflow::{Context, Output, SideInput, SideInputs, Stage, StageError, run_stage};
 use conicflow_messages::{Ellipse, Header, Message, Nothing, Object};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -99,7 +99,7 @@ impl Stage for FaultyStage {
         Ok(Self(config))
     }
 
-    fn step(&mut self, input: &Message<Object>, _: &Sides, output: &mut Output<Object>) -> Result<(), StageError> {
+    fn step(&mut self, input: &Message<Object>, _: &SideInputs, output: &mut Output<Object>) -> Result<(), StageError> {
         let frame = Some(input.header.sequence);
         assert!(frame != self.0.panic_at, "this frame is too much");
         if frame == self.0.hang_at {
@@ -177,12 +177,12 @@ impl Stage for SlowSink {
         Numbers::new(&config, context).map(Self)
     }
 
-    fn step(&mut self, input: &Message<u16>, _: &Sides, _: &mut Output<Nothing>) -> Result<(), StageError> {
+    fn step(&mut self, input: &Message<u16>, _: &SideInputs, _: &mut Output<Nothing>) -> Result<(), StageError> {
         self.0.write(&input.header.sequence.to_string())
     }
 }
 
-/// Writes the number of each list of objects, and those of the image and of the ellipses that came with it as further inputs
+/// Writes the number of each list of objects, and those of the image and of the ellipses that came with it as side inputs
 /// of the same frame.
 struct PairingSink(Numbers);
 
@@ -197,14 +197,19 @@ impl Stage for PairingSink {
         Numbers::new(&config, context).map(Self)
     }
 
-    fn sides() -> &'static [Side] {
-        const { &[Side::same_frame::<u16>("depth"), Side::same_frame::<Ellipse>("ellipses")] }
+    fn side_inputs() -> &'static [SideInput] {
+        const { &[SideInput::same_frame::<u16>("depth"), SideInput::same_frame::<Ellipse>("ellipses")] }
     }
 
-    fn step(&mut self, input: &Message<Object>, sides: &Sides, _: &mut Output<Nothing>) -> Result<(), StageError> {
+    fn step(
+        &mut self,
+        input: &Message<Object>,
+        side_inputs: &SideInputs,
+        _: &mut Output<Nothing>,
+    ) -> Result<(), StageError> {
         let number = |header: Option<&Header>| header.map_or("-".to_owned(), |header| header.sequence.to_string());
-        let depth = number(sides.get::<u16>("depth").map(|image| image.header));
-        let ellipses = number(sides.get::<Ellipse>("ellipses").map(|list| list.header));
+        let depth = number(side_inputs.get::<u16>("depth").map(|image| image.header));
+        let ellipses = number(side_inputs.get::<Ellipse>("ellipses").map(|list| list.header));
         self.0.write(&format!("{} {depth} {ellipses}", input.header.sequence))
     }
 }

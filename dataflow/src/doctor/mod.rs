@@ -7,10 +7,10 @@ mod listening;
 mod orphans;
 
 use crate::launcher::{RunFolder, user_folder};
-use crate::needs::Needs;
 use crate::plan::Plan;
 use crate::ports::capacity::in_words;
 use crate::ports::shared_memory::leftovers::{Leftover, Litter, clear, leftovers, litter};
+use crate::preflight::Requirements;
 use crate::registry::Registry;
 use conicflow_messages::Hinted;
 use std::collections::HashSet;
@@ -26,8 +26,9 @@ pub fn examine(plans: &[Plan], registry: &Registry) -> Vec<Finding> {
     let mut findings = folder::examine();
     let usable = findings.is_empty();
     let idle: Vec<_> = plans.iter().filter(|plan| !is_running(&plan.pipeline)).collect();
-    findings
-        .extend(idle.iter().flat_map(|plan| Needs::of(plan, registry.nodes).shortfalls()).map(|short| short.into()));
+    findings.extend(
+        idle.iter().flat_map(|plan| Requirements::of(plan, registry.nodes).insufficient()).map(|short| short.into()),
+    );
     if let Some(network) = &registry.network {
         findings.extend(listening::examine(&idle, network));
     }

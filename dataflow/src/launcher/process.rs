@@ -155,9 +155,9 @@ fn run_planned(
                     return Err(become_program(plan, planned, &[program]));
                 }
             };
-            let around = stage_runtime(plan, folder, planned)?;
+            let runtime = stage_runtime(plan, folder, planned)?;
             let run = BridgeRun { pipeline: &plan.pipeline, run: plan.run, folder: folder.path() };
-            Ok(run_here(edges, run, around)?)
+            Ok(run_here(edges, run, runtime)?)
         }
     }
 }
@@ -254,7 +254,7 @@ fn stage_runtime(
     let record = StatusFile::open(&path, plan.run).map_err(|error| FolderError::Io { path, error })?;
     let context = Context { stage: planned.name.clone(), base: plan.base.clone(), stop, ..Context::default() };
     let peers = Peers::in_folder(folder.path().to_owned(), plan.run);
-    let mut around = StageRuntime {
+    let mut runtime = StageRuntime {
         transport: transport.map_err(RunError::from)?,
         wiring: planned.wiring.clone(),
         context,
@@ -265,10 +265,10 @@ fn stage_runtime(
         lock,
     };
     // The record is that of the predecessor until its successor's turn comes.
-    if around.successor.is_none() {
-        around.enter();
+    if runtime.successor.is_none() {
+        runtime.enter();
     }
-    Ok(around)
+    Ok(runtime)
 }
 
 fn system(doing: &str, error: io::Error) -> ProcessError {

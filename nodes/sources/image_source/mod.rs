@@ -19,7 +19,7 @@ mod fixtures;
 pub use playback::Playback;
 pub use recording::{Options, Recording};
 
-use conicflow_dataflow::{ConfigFault, Context, Next, Output, Sides, Source, StageError};
+use conicflow_dataflow::{ConfigFault, Context, Next, Output, SideInputs, Source, StageError};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::NoiseConfig;
 use conicflow_messages::Hinted;
@@ -131,7 +131,7 @@ impl Source for ImageSource {
         self.0.total()
     }
 
-    fn next(&mut self, _: &Sides, output: &mut Output<u16>) -> Result<Next, StageError> {
+    fn next(&mut self, _: &SideInputs, output: &mut Output<u16>) -> Result<Next, StageError> {
         while let Some(loaded) = self.0.load()? {
             let header = self.0.decode(&loaded, output.image(loaded.pixels())?)?;
             output.count_all(self.0.take_counts());
