@@ -5,12 +5,13 @@
 //! sessions of one process. Ellipses and frames of 640x480 of one cluttered scene; milliseconds, megabytes and per cent of a
 //! core in each of the two bridges.
 
-use conicflow_bridge::{NETWORK, Place, Wire, encode_message};
+use bytemuck::cast_slice;
+use conicflow_bridge::{NETWORK, Place, encode_message};
 use conicflow_dataflow::pipeline::{Compression, Pipeline, SourceText};
 use conicflow_dataflow::testing::collect;
 use conicflow_dataflow::{
-    Context, Next, NoConfig, Node, Output, Plan, RUNTIME_DIR, Registry, RunOptions, SideInputs, Source, Stage,
-    StageError, monotonic_ns, observe, run, run_in_run,
+    Context, ItemType, Next, NoConfig, Node, Output, Plan, RUNTIME_DIR, Registry, RunOptions, SideInputs, Source,
+    Stage, StageError, monotonic_ns, observe, run, run_in_run,
 };
 use conicflow_detection::{Extractor, ExtractorParameters};
 use conicflow_lab::simulator::SimulatorParameters;
@@ -92,8 +93,8 @@ fn frame() -> Outcome<(Header, Vec<u16>, Vec<Ellipse>)> {
     Ok((header, pixels, ellipses))
 }
 
-fn encoded<T: Wire>(header: &Header, items: &[T], how: Compression) -> Outcome<Vec<u8>> {
-    Ok(encode_message(Place::default(), header, items, how)?)
+fn encoded<T: Item>(header: &Header, items: &[T], how: Compression) -> Outcome<Vec<u8>> {
+    Ok(encode_message(Place::default(), &ItemType::of::<T>(), header, cast_slice(items), how)?)
 }
 
 /// The times in milliseconds at a half and at 99 of 100.

@@ -24,7 +24,6 @@ mod session;
 mod settings;
 mod wire;
 
-pub use wire::codec::Wire;
 pub use wire::{MAX_MESSAGE, Place, WIRE_VERSION, WireError, decode_message, encode_message};
 
 use conicflow_dataflow::{Carrier, Network, NetworkError};

@@ -1,4 +1,4 @@
-//! Two hosts as network namespaces, joined by a cable that can be pulled and made bad. Requirements root and `ip netns`; where
+//! Two hosts as network namespaces, joined by a cable that can be pulled and made bad. Needs root and `ip netns`; where
 //! they are missing each test says so and shows nothing.
 
 use super::bridge::{LIVE_RATE_HZ, apart, expect_unfelt, live, machines, newest, tracks};

@@ -10,9 +10,8 @@ use std::io::Write;
 use std::path::PathBuf;
 use std::process::{Command, ExitCode};
 use std::time::Duration;
-use zenoh::Wait;
 
-/// Environment variable: the endpoints that the router listens on, as Zenoh writes a list of them.
+/// Environment variable: the endpoints that the router listens on, with `", "` between them.
 const ROUTER: &str = "CONICFLOW_TEST_ROUTER";
 
 /// The command of a program of this file, as a pipeline file writes it after `program =`.
@@ -25,7 +24,7 @@ pub fn program(name: &str) -> String {
 pub fn router(endpoints: &[String]) -> Command {
     let mut command = Command::new(std::env::current_exe().unwrap());
     command.args(["--ignored", "--nocapture", "--exact", "programs::run_router"]);
-    command.env(ROUTER, format!("{endpoints:?}"));
+    command.env(ROUTER, endpoints.join("\", \""));
     command
 }
 
@@ -58,16 +57,7 @@ fn slow_sink() {
 #[ignore = "a program that other tests start"]
 fn run_router() {
     let Ok(endpoints) = std::env::var(ROUTER) else { return };
-    let mut config = zenoh::Config::default();
-    for (key, value) in [
-        ("mode", "\"router\""),
-        ("scouting/multicast/enabled", "false"),
-        ("listen/endpoints", &endpoints),
-        ("connect/endpoints", "[]"),
-    ] {
-        config.insert_json5(key, value).unwrap();
-    }
-    let _router = zenoh::open(config).wait().unwrap();
+    let _router = crate::routers::router(&endpoints);
     loop {
         std::thread::park();
     }

@@ -1,5 +1,5 @@
 //! Two hosts joined by a bad radio, as in the field: what stays on the robot does not feel it, lists come before images, and
-//! nothing that was asked for without loss is lost. Requirements root, `ip netns`, python3 and /dev/net/tun; where they are missing
+//! nothing that was asked for without loss is lost. Needs root, `ip netns`, python3 and /dev/net/tun; where they are missing
 //! each test says so and shows nothing.
 
 use super::bridge::machines;

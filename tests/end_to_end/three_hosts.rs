@@ -1,4 +1,4 @@
-//! Three hosts as network namespaces: two that cannot reach each other, and one between them that both reach. Requirements root and
+//! Three hosts as network namespaces: two that cannot reach each other, and one between them that both reach. Needs root and
 //! `ip netns`; where they are missing each test says so and shows nothing.
 
 use super::bridge::{HALVES, placed, tracks};

@@ -1,6 +1,6 @@
 //! Whether a run could have its folder: private, writable, and with a path that is short enough for sockets.
 
-use super::Finding;
+use super::finding::Finding;
 use crate::launcher::{FolderError, check_private, user_folder};
 use crate::ports::shared_memory::leftovers::check_path;
 use rustix::fs::{Access, access};

@@ -1,6 +1,6 @@
 //! Whether the ports that a pipeline listens on are free.
 
-use super::Finding;
+use super::finding::Finding;
 use crate::network::Network;
 use crate::plan::{Plan, Runs};
 use conicflow_messages::Hinted;

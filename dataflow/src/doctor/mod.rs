@@ -2,9 +2,12 @@
 //!
 //! To look changes nothing: no folder is made, no process is touched. Each look is a file of its own, and gives findings.
 
+mod finding;
 mod folder;
 mod listening;
 mod orphans;
+
+pub use finding::Finding;
 
 use crate::launcher::{RunFolder, user_folder};
 use crate::plan::Plan;
@@ -14,12 +17,8 @@ use crate::preflight::Requirements;
 use crate::registry::Registry;
 use conicflow_messages::Hinted;
 use std::collections::HashSet;
-use std::error::Error;
 use std::path::Path;
 use std::time::Duration;
-
-/// Something that is wrong: an error that says what to do about it.
-pub type Finding = Box<dyn Error>;
 
 /// Looks at this machine, for a pipeline with these plans: one for each machine that this may be.
 pub fn examine(plans: &[Plan], registry: &Registry) -> Vec<Finding> {

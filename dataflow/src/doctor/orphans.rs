@@ -1,6 +1,6 @@
 //! Stages that outlived their launcher, which they should not.
 
-use super::Finding;
+use super::finding::Finding;
 use crate::launcher::{LAST_STAGES_GRACE, LAUNCHER, PIPELINE, RUNTIME_DIR, STAGE};
 use conicflow_messages::Hinted;
 use rustix::process::geteuid;
