@@ -7,7 +7,7 @@
 use super::compression::{of_tag, pack, tag_of, unpack};
 use super::encoding::{MAX_MESSAGE, WireError, decode_whole, encode};
 use super::{depth_codec, ellipse_codec};
-use bytemuck::{cast_slice, pod_collect_to_vec, try_cast_slice};
+use bytemuck::{cast_slice, cast_slice_mut, try_cast_slice};
 use conicflow_dataflow::ItemType;
 use conicflow_dataflow::pipeline::Compression;
 use conicflow_messages::{Ellipse, Header, Item, Object, Track};
@@ -117,11 +117,14 @@ struct Known<T>(Vec<T>);
 
 impl<T: Form> Codec for Known<T> {
     fn encode(&self, header: &Header, items: &[u8], how: Compression, bytes: &mut Vec<u8>) -> Result<(), WireError> {
-        match try_cast_slice(items) {
-            Ok(items) => T::encode_body(header, items, how, bytes),
-            // They lie as bytes do.
-            Err(_) => T::encode_body(header, &pod_collect_to_vec::<u8, T>(items), how, bytes),
+        if let Ok(items) = try_cast_slice(items) {
+            return T::encode_body(header, items, how, bytes);
         }
+        // They lie where bytes may.
+        let whole = items.len() / size_of::<T>();
+        let mut aligned = vec![T::zeroed(); whole];
+        cast_slice_mut(&mut aligned).copy_from_slice(&items[..whole * size_of::<T>()]);
+        T::encode_body(header, &aligned, how, bytes)
     }
 
     fn decode(&mut self, header: &Header, bytes: &[u8]) -> Result<(), WireError> {
