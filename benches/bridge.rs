@@ -194,7 +194,7 @@ impl<T: Aged> Stage for Ages<T> {
 
     fn finish(&mut self) -> Result<(), StageError> {
         let folder = std::env::var(FOLDER)?;
-        Ok(std::fs::write(Path::new(&folder).join("ages"), bytemuck::cast_slice(&self.0))?)
+        Ok(std::fs::write(Path::new(&folder).join("ages"), cast_slice(&self.0))?)
     }
 }
 
