@@ -5,12 +5,13 @@
 //! sessions of one process. Ellipses and frames of 640x480 of one cluttered scene; milliseconds, megabytes and per cent of a
 //! core in each of the two bridges.
 
-use conicflow_bridge::{NETWORK, Place, Wire, encode_message};
+use bytemuck::cast_slice;
+use conicflow_bridge::{NETWORK, Place, encode_message};
 use conicflow_dataflow::pipeline::{Compression, Pipeline, SourceText};
 use conicflow_dataflow::testing::collect;
 use conicflow_dataflow::{
-    Context, Next, NoConfig, Node, Output, Plan, RUNTIME_DIR, Registry, RunOptions, Sides, Source, Stage, StageError,
-    monotonic_ns, observe, run, run_in_run,
+    Context, ItemType, Next, NoConfig, Node, Output, Plan, RUNTIME_DIR, Registry, RunOptions, SideInputs, Source,
+    Stage, StageError, monotonic_ns, observe, run, run_in_run,
 };
 use conicflow_detection::{Extractor, ExtractorParameters};
 use conicflow_lab::simulator::SimulatorParameters;
@@ -92,8 +93,8 @@ fn frame() -> Outcome<(Header, Vec<u16>, Vec<Ellipse>)> {
     Ok((header, pixels, ellipses))
 }
 
-fn encoded<T: Wire>(header: &Header, items: &[T], how: Compression) -> Outcome<Vec<u8>> {
-    Ok(encode_message(Place::default(), header, items, how)?)
+fn encoded<T: Item>(header: &Header, items: &[T], how: Compression) -> Outcome<Vec<u8>> {
+    Ok(encode_message(Place::default(), &ItemType::of::<T>(), header, cast_slice(items), how)?)
 }
 
 /// The times in milliseconds at a half and at 99 of 100.
@@ -122,7 +123,7 @@ impl Source for Frames {
         RATE_HZ
     }
 
-    fn next(&mut self, _: &Sides, output: &mut Output<u16>) -> Result<Next, StageError> {
+    fn next(&mut self, _: &SideInputs, output: &mut Output<u16>) -> Result<Next, StageError> {
         output.image(self.1.len())?.copy_from_slice(&self.1);
         output.header = Header { stamp_ns: monotonic_ns(), ..with_own_sequence(&self.0, &output.header) };
         Ok(Next::Message)
@@ -147,7 +148,7 @@ impl Source for Lists {
         RATE_HZ
     }
 
-    fn next(&mut self, _: &Sides, output: &mut Output<Ellipse>) -> Result<Next, StageError> {
+    fn next(&mut self, _: &SideInputs, output: &mut Output<Ellipse>) -> Result<Next, StageError> {
         self.1.iter().for_each(|ellipse| output.push(*ellipse));
         output.header = Header { stamp_ns: monotonic_ns(), ..with_own_sequence(&self.0, &output.header) };
         Ok(Next::Message)
@@ -186,14 +187,14 @@ impl<T: Aged> Stage for Ages<T> {
         Ok(Self(Vec::new(), PhantomData))
     }
 
-    fn step(&mut self, input: &Message<T>, _: &Sides, _: &mut Output<Nothing>) -> Result<(), StageError> {
+    fn step(&mut self, input: &Message<T>, _: &SideInputs, _: &mut Output<Nothing>) -> Result<(), StageError> {
         self.0.push(monotonic_ns().saturating_sub(input.header.stamp_ns));
         Ok(())
     }
 
     fn finish(&mut self) -> Result<(), StageError> {
         let folder = std::env::var(FOLDER)?;
-        Ok(std::fs::write(Path::new(&folder).join("ages"), bytemuck::cast_slice(&self.0))?)
+        Ok(std::fs::write(Path::new(&folder).join("ages"), cast_slice(&self.0))?)
     }
 }
 

@@ -20,7 +20,7 @@
 //! ```
 
 use bytemuck::{Pod, Zeroable};
-use conicflow_dataflow::{Context, NoConfig, Output, Sides, Stage, StageError, run_stage};
+use conicflow_dataflow::{Context, NoConfig, Output, SideInputs, Stage, StageError, run_stage};
 use conicflow_messages::{Header, Item, Malformed, Message, Nothing, Object, Text};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -87,7 +87,7 @@ impl Stage for Planner {
         Ok(Self { config })
     }
 
-    fn step(&mut self, input: &Message<Object>, _: &Sides, output: &mut Output<Grasp>) -> Result<(), StageError> {
+    fn step(&mut self, input: &Message<Object>, _: &SideInputs, output: &mut Output<Grasp>) -> Result<(), StageError> {
         for (id, object) in (0..).zip(input.items) {
             let (width, shape) = (2.0 * object.radius, Text::new(object.shape().name()));
             if width <= self.config.max_width {
@@ -115,7 +115,7 @@ impl Stage for Gripper {
         Ok(Self { file: File::options().create(true).append(true).open(path)? })
     }
 
-    fn step(&mut self, input: &Message<Grasp>, _: &Sides, _: &mut Output<Nothing>) -> Result<(), StageError> {
+    fn step(&mut self, input: &Message<Grasp>, _: &SideInputs, _: &mut Output<Nothing>) -> Result<(), StageError> {
         for grasp in input.items {
             let [x, y, z] = grasp.position;
             writeln!(self.file, "{} {} {} {x} {y} {z} {}", input.header.sequence, grasp.id, grasp.shape, grasp.width)?;

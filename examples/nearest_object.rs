@@ -10,7 +10,7 @@
 //! max_objects = 1
 //! ```
 
-use conicflow_dataflow::{Context, Output, Sides, Stage, StageError, run_stage};
+use conicflow_dataflow::{Context, Output, SideInputs, Stage, StageError, run_stage};
 use conicflow_messages::{Message, Object};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -47,7 +47,7 @@ impl Stage for NearestObject {
         Ok(Self { config, by_depth: Vec::new() })
     }
 
-    fn step(&mut self, input: &Message<Object>, _: &Sides, output: &mut Output<Object>) -> Result<(), StageError> {
+    fn step(&mut self, input: &Message<Object>, _: &SideInputs, output: &mut Output<Object>) -> Result<(), StageError> {
         self.by_depth.clear();
         self.by_depth.extend_from_slice(input.items);
         self.by_depth.sort_by(|a, b| a.center[2].total_cmp(&b.center[2]));

@@ -22,7 +22,7 @@
 //! [`Stop::requested`] meanwhile.
 
 use anyhow::{Context as _, bail};
-use conicflow_dataflow::{Context, Next, Output, Sides, Source, StageError, Stop, run_source};
+use conicflow_dataflow::{Context, Next, Output, SideInputs, Source, StageError, Stop, run_source};
 use conicflow_messages::{Camera, Header, NoiseModel, Text};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::{Mode, OFlags, open};
@@ -74,7 +74,7 @@ impl Source for RawCamera {
         Some(pixels(&config.camera))
     }
 
-    fn next(&mut self, _: &Sides, output: &mut Output<u16>) -> Result<Next, StageError> {
+    fn next(&mut self, _: &SideInputs, output: &mut Output<u16>) -> Result<Next, StageError> {
         let device = match &mut self.device {
             Some(device) => device,
             none => none.insert(open_device(&self.path)?),

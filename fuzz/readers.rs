@@ -1,26 +1,46 @@
-//! Files that others wrote, read as the stages of a pipeline read them: none may do harm, whatever is in it. The fuzz targets
-//! call this, and so does the test that replays their corpora.
+//! Bytes that others wrote, read as a pipeline reads them: messages from other machines and files. None may do harm, whatever
+//! is in them. The fuzz targets call this, and so does the test that replays their corpora.
 
 use anyhow::Result;
-use conicflow_bridge::NETWORK;
-use conicflow_dataflow::Registry;
-use conicflow_dataflow::pipeline::{Pipeline, SourceText};
+use conicflow_bridge::{NETWORK, decode_message, encode_message};
+use conicflow_dataflow::pipeline::{Compression, Pipeline, SourceText};
+use conicflow_dataflow::{AnyMessage, BUILT_IN, ItemType, Registry};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_lab::simulator::scene::Scene;
 use conicflow_lab::simulator::scene_values::{SceneTemplate, Values};
 use conicflow_lab::simulator::{SimulatorParameters, SyntheticCamera};
-use conicflow_messages::Header;
+use conicflow_messages::{Header, Layout};
 use conicflow_nodes::NODES;
 use conicflow_nodes::sources::image_source::{Options, Recording};
 use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
 
-/// One kind of file: its name, and what reads it; whether it was accepted.
+/// One kind of bytes: its name, and what reads it; whether it was accepted.
 pub type Reader = (&'static str, fn(&[u8]) -> bool);
 
-/// All kinds of files, named as their corpora.
-pub const READERS: [Reader; 4] = [("pcd", pcd), ("png", png), ("scene", scene), ("pipeline", pipeline)];
+/// All kinds of bytes, named as their corpora.
+pub const READERS: [Reader; 5] = [("wire", wire), ("pcd", pcd), ("png", png), ("scene", scene), ("pipeline", pipeline)];
+
+/// A type of one's own, as a pipeline file describes it.
+pub fn grasps() -> ItemType {
+    let fields = [("position", "f64[3]"), ("label", "text[12]"), ("width_m", "f32"), ("id", "u16"), ("tries", "i8[6]")];
+    let fields = fields.map(|(name, kind)| (name.to_owned(), kind.to_owned()));
+    ItemType::described("grasps", "acme.Grasp.v1", Layout::new(&fields).unwrap(), 16)
+}
+
+/// A message from another machine, as items of each type: what is accepted can be shown, and survives being sent on.
+pub fn wire(bytes: &[u8]) -> bool {
+    let accepts = |item: &ItemType| {
+        let Ok((place, header, items)) = decode_message(bytes, item) else { return false };
+        let message = AnyMessage { header: &header, item, bytes: &items };
+        message.write_json(None, &mut Vec::new()).unwrap();
+        let again = encode_message(place, item, &header, &items, Compression::Lz4).unwrap();
+        assert_eq!(decode_message(&again, item), Ok((place, header, items)));
+        true
+    };
+    BUILT_IN.iter().chain([&grasps()]).any(accepts)
+}
 
 /// A point cloud, as the only frame of a recording.
 pub fn pcd(bytes: &[u8]) -> bool {

@@ -1,7 +1,7 @@
-//! What goes wrong in the same way with several stages: a parameter names a file that cannot be used, a restart has lost sums.
+//! What goes wrong in the same way with several stages: a restart has lost sums.
 
 use conicflow_dataflow::{Context, StageError};
-pub use conicflow_lab::simulator::fault_of_file as of_file;
+use conicflow_messages::Hinted;
 
 /// Refuses the restart of a stage that keeps its sums in memory; `summed` says what it did with its input ("counted").
 ///
@@ -11,7 +11,8 @@ pub fn refuse_restart(context: &Context, summed: &str) -> Result<(), StageError>
     if context.resume_at == 0 {
         return Ok(());
     }
-    Err(format!("what was {summed} before this stage was started anew is lost\n  hint: run it from the start").into())
+    Err(Hinted::new(format!("what was {summed} before this stage was started anew is lost"), "run it from the start")
+        .into())
 }
 
 #[cfg(test)]

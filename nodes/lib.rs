@@ -3,11 +3,63 @@
 
 pub mod commands;
 mod config_error;
-pub mod detection;
 mod network;
-pub mod sinks;
-pub mod sources;
-pub mod tracking;
+
+pub mod sources {
+    //! Where frames come from.
+
+    pub mod image_source;
+    mod synthetic_source;
+
+    pub use image_source::ImageSource;
+    pub use synthetic_source::SyntheticSource;
+}
+
+pub mod detection {
+    //! Depth images to ellipses, ellipses to objects.
+
+    mod object_assembler;
+    mod ransac_ellipse_extractor;
+    mod row_ellipse_extractor;
+
+    pub use object_assembler::{Method, ObjectAssembler, ObjectAssemblerConfig};
+    pub use ransac_ellipse_extractor::RansacEllipseExtractor;
+    pub use row_ellipse_extractor::{ArcFinder, RowEllipseConfig, RowEllipseExtractor};
+}
+
+pub mod tracking {
+    //! Objects to tracks, and tracks to commands.
+
+    mod follower;
+    mod kalman_tracker;
+
+    pub use follower::{Follower, FollowerConfig};
+    pub use kalman_tracker::KalmanTracker;
+}
+
+pub mod sinks {
+    //! Where results go: to people, files, pictures, and what is measured of them.
+
+    mod console_sink;
+    mod decimator;
+    pub mod evaluation_sink;
+    pub(crate) mod json_lines;
+    pub mod json_sink;
+    pub mod limit_sink;
+    pub mod measurement_sink;
+    mod noise_estimator;
+    pub mod picture_sink;
+    pub mod section_sink;
+
+    pub use console_sink::ConsoleSink;
+    pub use evaluation_sink::EvaluationSink;
+    pub use json_sink::JsonSink;
+    pub use limit_sink::LimitSink;
+    pub use measurement_sink::MeasurementSink;
+    pub use noise_estimator::NoiseEstimator;
+    pub use picture_sink::PictureSink;
+    pub use section_sink::SectionSink;
+}
 
 use conicflow_dataflow::{Node, Registry, Variant};
 use conicflow_messages::{Ellipse, Object, Track};

@@ -4,7 +4,7 @@
 //! builds and runs none.
 
 use conicflow_dataflow::pipeline::Machine;
-use conicflow_dataflow::{Carrier, Network, SettingsFault};
+use conicflow_dataflow::{Carrier, Hinted, Network};
 use serde::de::DeserializeOwned;
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
@@ -22,7 +22,7 @@ const BRIDGE_PROGRAM: &str = "CONICFLOW_BRIDGE";
 const NAME: &str = "conicflow-bridge";
 
 /// The program that carries topics between machines.
-fn program() -> Result<PathBuf, SettingsFault> {
+fn program() -> Result<PathBuf, Hinted> {
     if let Some(program) = std::env::var_os(BRIDGE_PROGRAM) {
         return Ok(program.into());
     }
@@ -31,16 +31,16 @@ fn program() -> Result<PathBuf, SettingsFault> {
     if program.is_file() { Ok(program) } else { Err(fault(&format!("there is no `{}`", program.display()))) }
 }
 
-fn fault(what: &str) -> SettingsFault {
+fn fault(what: &str) -> Hinted {
     let hint = "several machines need the program `conicflow-bridge` beside this one: `cargo build --release` makes both, copy \
                 both, or name it in CONICFLOW_BRIDGE";
-    SettingsFault { what: what.to_owned(), hint: hint.to_owned() }
+    Hinted::new(what, hint)
 }
 
 /// What that program answers of a machine.
-fn ask<T: DeserializeOwned>(question: &str, machine: &Machine) -> Result<T, SettingsFault> {
+fn ask<T: DeserializeOwned>(question: &str, machine: &Machine) -> Result<T, Hinted> {
     let program = program()?;
-    let answer = || -> anyhow::Result<Result<T, SettingsFault>> {
+    let answer = || -> anyhow::Result<Result<T, Hinted>> {
         let mut child = Command::new(&program).arg(question).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn()?;
         if let Some(stdin) = child.stdin.take() {
             serde_json::to_writer(stdin, machine)?;

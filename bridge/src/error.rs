@@ -1,7 +1,7 @@
 //! What a bridge can fail of.
 
 use crate::wire::WireError;
-use conicflow_dataflow::SettingsFault;
+use conicflow_dataflow::Hinted;
 use conicflow_dataflow::ports::PortError;
 
 /// Why a bridge ended before its edges did.
@@ -9,7 +9,7 @@ use conicflow_dataflow::ports::PortError;
 pub(crate) enum BridgeError {
     /// The machine's table, or its Zenoh file.
     #[error("{0}")]
-    Settings(#[from] SettingsFault),
+    Settings(#[from] Hinted),
     /// Shared memory.
     #[error(transparent)]
     Port(#[from] PortError),

@@ -24,7 +24,6 @@ mod session;
 mod settings;
 mod wire;
 
-pub use wire::codec::Wire;
 pub use wire::{MAX_MESSAGE, Place, WIRE_VERSION, WireError, decode_message, encode_message};
 
 use conicflow_dataflow::{Carrier, Network, NetworkError};
@@ -33,8 +32,8 @@ use conicflow_dataflow::{Carrier, Network, NetworkError};
 pub const NETWORK: Network = Network {
     check: settings::check,
     listen_endpoints: settings::listen_endpoints,
-    carrier: Carrier::Here(|bridge, run, around| {
-        process::run(bridge, run, around).map_err(|error| {
+    carrier: Carrier::Here(|bridge, run, runtime| {
+        process::run(bridge, run, runtime).map_err(|error| {
             let is_final = error.is_final();
             if is_final { NetworkError::Refused(error.into()) } else { NetworkError::Failed(error.into()) }
         })

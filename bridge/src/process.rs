@@ -9,7 +9,7 @@ use crate::receiving::Receiving;
 use crate::sending::{Sending, Shared};
 use crate::session::{Publisher, Sessions, Subscriber};
 use crate::wire::encode_note;
-use conicflow_dataflow::relay::{Settling, SharedMemory, StageRuntime};
+use conicflow_dataflow::relay::{MemoryTrim, SharedMemory, StageRuntime};
 use conicflow_dataflow::{BridgePlan, BridgeRun, Life, NO_RUN, Stop};
 use std::sync::Arc;
 use std::thread::{Scope, ScopedJoinHandle};
@@ -29,31 +29,31 @@ const FAREWELLS: usize = 5;
 pub(crate) fn run(
     bridge: &BridgePlan,
     run: BridgeRun<'_>,
-    around: StageRuntime<SharedMemory>,
+    runtime: StageRuntime<SharedMemory>,
 ) -> Result<(), BridgeError> {
-    let (stop, settling) = (around.context.stop.clone(), Settling::of(&around));
+    let (stop, memory_trim) = (runtime.context.stop.clone(), MemoryTrim::of(&runtime));
     let stream = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as u64);
     let links = Arc::new(Links::new(stream, bridge));
-    let mut reporter = BridgeReporter::new(bridge, run, around.record, &links);
+    let mut reporter = BridgeReporter::new(bridge, run, runtime.record, &links);
     reporter.report(false);
     let Some(sessions) = Sessions::open(&bridge.settings, &stop, || reporter.report(false))? else { return Ok(()) };
     let shared = Shared {
         sessions: &sessions,
-        transport: &around.transport,
+        transport: &runtime.transport,
         links: &links,
         pipeline: run.pipeline,
         machine: &bridge.machine,
         stream,
         log_folder: (run.run != NO_RUN).then_some(run.folder),
         outage: bridge.settings.outage_s.map_or(OUTAGE, Duration::from_secs_f64),
-        peers: &around.peers,
+        peers: &runtime.peers,
         stop: &stop,
     };
     let publisher = sessions.publisher(&heartbeat_key(run.pipeline, &bridge.machine), true, Priority::RealTime)?;
     let subscribers = subscribe_to_heartbeats(&shared, bridge)?;
     reporter.record.status.set_life(Life::Running);
     let sent = (Instant::now(), Vec::new());
-    let mut watch = Watch { reporter, sessions: &sessions, links: &links, publisher, subscribers, sent, settling };
+    let mut watch = Watch { reporter, sessions: &sessions, links: &links, publisher, subscribers, sent, memory_trim };
     let result = watch.run(&shared);
     let life = if result.is_ok() && !stop.forced() { Life::Ended } else { Life::Starting };
     watch.reporter.record.status.set_life(life);
@@ -83,7 +83,7 @@ struct Watch<'a> {
     subscribers: Vec<Subscriber<'a>>,
     sent: (Instant, Vec<Ack>),
     /// Counts seconds with a link.
-    settling: Settling,
+    memory_trim: MemoryTrim,
 }
 
 type Handle<'scope> = ScopedJoinHandle<'scope, Result<(), BridgeError>>;
@@ -131,7 +131,7 @@ impl<'a> Watch<'a> {
         let reachable = self.sessions.reach_anybody();
         self.reporter.report(reachable);
         if reachable {
-            self.settling.step();
+            self.memory_trim.step();
         }
     }
 

@@ -12,7 +12,7 @@ use crate::wire::codec::{Codec, codec_of};
 use crate::wire::{Place, WireError, open_message, place_of};
 use conicflow_dataflow::pipeline::BRIDGE;
 use conicflow_dataflow::ports::{Delivery, PortError, Transport};
-use conicflow_dataflow::relay::{Outlet, Seldom, SharedWriter};
+use conicflow_dataflow::relay::{OutputPort, SharedWriter, ThrottledWarning};
 use conicflow_dataflow::{Edge, Stop, monotonic_ns};
 use conicflow_messages::{Header, MAX_HOPS, Text};
 use std::collections::BTreeSet;
@@ -35,7 +35,7 @@ pub(super) struct Receiving<'a> {
     lossless: bool,
     channel: Arc<Channel<ZBytes>>,
     subscriber: Subscriber<'a>,
-    outlet: Outlet<SharedWriter>,
+    output_port: OutputPort<SharedWriter>,
     sequence: Sequence,
     codec: Box<dyn Codec>,
     layout: String,
@@ -43,7 +43,7 @@ pub(super) struct Receiving<'a> {
     links: Arc<Links>,
     counts: Arc<EdgeCounts>,
     stop: Stop,
-    nonsense: Seldom,
+    nonsense: ThrottledWarning,
     told: BTreeSet<&'static str>,
 }
 
@@ -66,7 +66,7 @@ impl<'a> Receiving<'a> {
             lossless,
             channel,
             subscriber,
-            outlet: Outlet::new(port, BRIDGE, 0, shared.peers.clone(), shared.stop.clone()),
+            output_port: OutputPort::new(port, BRIDGE, 0, shared.peers.clone(), shared.stop.clone()),
             sequence: Sequence::new(lossless),
             codec: codec_of(&edge.item),
             layout: edge.item.layout(),
@@ -74,7 +74,7 @@ impl<'a> Receiving<'a> {
             links: Arc::clone(shared.links),
             counts,
             stop: shared.stop.clone(),
-            nonsense: Seldom::default(),
+            nonsense: ThrottledWarning::default(),
             told: BTreeSet::new(),
         })
     }
@@ -90,7 +90,7 @@ impl<'a> Receiving<'a> {
             }
         }
         let writers: Vec<_> = self.edge.writers.iter().map(|writer| Text::new(writer)).collect();
-        Ok(self.outlet.end_as(&writers)?)
+        Ok(self.output_port.end_as(&writers)?)
     }
 
     /// Sees to it that messages come, and says once by which way.
@@ -162,7 +162,7 @@ impl<'a> Receiving<'a> {
             EdgeCounts::add(&self.counts.stale, 1);
             return Ok(());
         }
-        self.outlet.relay(&header, self.codec.items())?;
+        self.output_port.relay(&header, self.codec.items())?;
         EdgeCounts::add(&self.counts.messages, 1);
         EdgeCounts::add(&self.counts.wire_bytes, wire_bytes as u64);
         EdgeCounts::add(&self.counts.memory_bytes, (self.codec.items().len() + size_of::<Header>()) as u64);

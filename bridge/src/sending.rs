@@ -10,7 +10,7 @@ use crate::wire::codec::{Codec, codec_of};
 use crate::wire::message_bytes;
 use conicflow_dataflow::pipeline::BRIDGE;
 use conicflow_dataflow::ports::{Delivery, Received, Transport};
-use conicflow_dataflow::relay::{Inbox, Peers, Seldom, SharedMemory, SharedReader, end_of_stream};
+use conicflow_dataflow::relay::{InputPort, Peers, SharedMemory, SharedReader, ThrottledWarning, end_of_stream};
 use conicflow_dataflow::{Edge, Life, Stop, monotonic_ns};
 use conicflow_messages::{Header, Text};
 use std::collections::BTreeSet;
@@ -52,7 +52,7 @@ impl Shared<'_> {
 /// The thread of one edge that leaves.
 pub(super) struct Sending<'a> {
     edge: &'a Edge,
-    inbox: Inbox<SharedReader>,
+    input_port: InputPort<SharedReader>,
     codec: Box<dyn Codec>,
     layout: String,
     publisher: Publisher<'a>,
@@ -63,7 +63,7 @@ pub(super) struct Sending<'a> {
     stop: Stop,
     last: Header,
     ended: BTreeSet<String>,
-    left_out: Seldom,
+    left_out: ThrottledWarning,
 }
 
 impl<'a> Sending<'a> {
@@ -83,7 +83,7 @@ impl<'a> Sending<'a> {
             edge,
             codec: codec_of(&edge.item),
             layout: edge.item.layout(),
-            inbox: Inbox::new(reader, topic.delivery_to(BRIDGE), &topic.name, topic.writers.len()),
+            input_port: InputPort::new(reader, topic.delivery_to(BRIDGE), &topic.name, topic.writers.len()),
             publisher,
             queue: RetransmitQueue::new(shared.stream, log, &edge.to, [wait, shared.outage], Instant::now()),
             links: Arc::clone(shared.links),
@@ -92,7 +92,7 @@ impl<'a> Sending<'a> {
             stop: shared.stop.clone(),
             last: Header::default(),
             ended: BTreeSet::new(),
-            left_out: Seldom::default(),
+            left_out: ThrottledWarning::default(),
         })
     }
 
@@ -105,7 +105,7 @@ impl<'a> Sending<'a> {
                 continue;
             }
             if !self.forward_next()? && !self.forward_ends()? {
-                self.inbox.wait(TICK)?;
+                self.input_port.wait(TICK)?;
             }
         }
         if !self.stop.forced() {
@@ -146,7 +146,7 @@ impl<'a> Sending<'a> {
     /// Sends the next message, if there is one and anybody to send it to. What came from another machine does not go out
     /// again.
     fn forward_next(&mut self) -> Result<bool, BridgeError> {
-        let Some(message) = self.inbox.take()? else { return Ok(false) };
+        let Some(message) = self.input_port.take()? else { return Ok(false) };
         let header = *message.header();
         let writer = header.trace().last().map(|hop| hop.stage.to_string()).unwrap_or_default();
         if !self.is_wanted() || !self.edge.writers.contains(&writer) {
@@ -191,8 +191,8 @@ impl<'a> Sending<'a> {
             return Ok(true);
         }
         for writer in &self.edge.writers {
-            let over = self.inbox.has_ended(writer) || gone.contains(writer);
-            if over && self.inbox.is_idle() && self.ended.insert(writer.clone()) {
+            let over = self.input_port.has_ended(writer) || gone.contains(writer);
+            if over && self.input_port.is_idle() && self.ended.insert(writer.clone()) {
                 let end = end_of_stream(&self.last, &[Text::new(writer)]);
                 let bytes = message_bytes(self.queue.place(), &self.layout, &end, |_| Ok(()))?;
                 self.queue.sent_end(writer, &bytes, Instant::now());

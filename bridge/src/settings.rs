@@ -1,7 +1,7 @@
 //! From a machine's table to a Zenoh configuration that is closed unless the file opens it.
 
 use crate::wire::MAX_MESSAGE;
-use conicflow_dataflow::SettingsFault;
+use conicflow_dataflow::Hinted;
 use conicflow_dataflow::pipeline::Machine;
 use serde_json::{Value as Json, json};
 use std::path::Path;
@@ -11,18 +11,14 @@ const LEASE_MS: u64 = 2000;
 /// A frame on a slow link may take so long, in microseconds, before Zenoh drops it.
 const MAX_FRAME_WAIT_US: u64 = 1_000_000;
 
-fn fault(what: String, hint: &str) -> SettingsFault {
-    SettingsFault { what, hint: hint.to_owned() }
-}
-
 /// Whether a machine's table can be used; a file that is not there is reported elsewhere.
-pub(crate) fn check(machine: &Machine) -> Result<(), SettingsFault> {
+pub(crate) fn check(machine: &Machine) -> Result<(), Hinted> {
     let missing = machine.zenoh.as_ref().is_some_and(|file| !file.is_file());
     if missing { Ok(()) } else { configurations(machine).map(drop) }
 }
 
 /// Where a machine listens.
-pub(crate) fn listen_endpoints(machine: &Machine) -> Result<Vec<String>, SettingsFault> {
+pub(crate) fn listen_endpoints(machine: &Machine) -> Result<Vec<String>, Hinted> {
     let mut endpoints = Vec::new();
     collect_strings(&settings(machine)?["listen"]["endpoints"], &mut endpoints);
     Ok(endpoints)
@@ -30,7 +26,7 @@ pub(crate) fn listen_endpoints(machine: &Machine) -> Result<Vec<String>, Setting
 
 /// The Zenoh configurations of a machine's sessions: of the one that carries everything, and, where endpoints of both sorts
 /// are named, of one for datagrams.
-pub(super) fn configurations(machine: &Machine) -> Result<(zenoh::Config, Option<zenoh::Config>), SettingsFault> {
+pub(super) fn configurations(machine: &Machine) -> Result<(zenoh::Config, Option<zenoh::Config>), Hinted> {
     let settings = settings(machine)?;
     let mut endpoints = Vec::new();
     collect_strings(&settings["listen"]["endpoints"], &mut endpoints);
@@ -50,9 +46,9 @@ pub(super) fn configurations(machine: &Machine) -> Result<(zenoh::Config, Option
     Ok((only(|endpoint| !carries_datagrams(endpoint))?, Some(only(carries_datagrams)?)))
 }
 
-fn configuration(settings: &Json) -> Result<zenoh::Config, SettingsFault> {
+fn configuration(settings: &Json) -> Result<zenoh::Config, Hinted> {
     zenoh::Config::from_json5(&settings.to_string()).map_err(|error| {
-        fault(format!("Zenoh cannot use its settings: {error}"), "endpoints look like tcp/192.168.0.2:7447")
+        Hinted::new(format!("Zenoh cannot use its settings: {error}"), "endpoints look like tcp/192.168.0.2:7447")
     })
 }
 
@@ -70,7 +66,7 @@ fn carries_datagrams(endpoint: &str) -> bool {
     }
 }
 
-fn settings(machine: &Machine) -> Result<Json, SettingsFault> {
+fn settings(machine: &Machine) -> Result<Json, Hinted> {
     let mut settings = json!({
         "mode": "peer",
         "scouting": { "multicast": { "enabled": false }, "gossip": { "enabled": false } },
@@ -96,12 +92,12 @@ fn settings(machine: &Machine) -> Result<Json, SettingsFault> {
     Ok(settings)
 }
 
-fn read_file(path: &Path) -> Result<Json, SettingsFault> {
+fn read_file(path: &Path) -> Result<Json, Hinted> {
     let hint = "it is a Zenoh configuration in JSON5, such as { mode: \"client\" }";
     let text = std::fs::read_to_string(path)
-        .map_err(|error| fault(format!("cannot read `{}`: {error}", path.display()), hint))?;
+        .map_err(|error| Hinted::new(format!("cannot read `{}`: {error}", path.display()), hint))?;
     let mut settings: Json = json5::from_str(&text)
-        .map_err(|error| fault(format!("cannot understand `{}`: {error}", path.display()), hint))?;
+        .map_err(|error| Hinted::new(format!("cannot understand `{}`: {error}", path.display()), hint))?;
     let folder = path.parent().unwrap_or(Path::new("."));
     if let Some(Json::Object(tls)) = settings.pointer_mut("/transport/link/tls") {
         let files = tls.iter_mut().filter(|(key, _)| key.ends_with("_certificate") || key.ends_with("_key"));
@@ -147,7 +143,7 @@ fn retain_strings(value: &mut Json, wanted: fn(&str) -> bool) {
 }
 
 /// An endpoint that cannot be opened would be tried for ever.
-fn check_endpoint(endpoint: &str) -> Result<(), SettingsFault> {
+fn check_endpoint(endpoint: &str) -> Result<(), Hinted> {
     let address = endpoint.split(['#', '?']).next().unwrap_or(endpoint);
     let parts = address.split_once('/').and_then(|(protocol, address)| Some((protocol, address.rsplit_once(':')?)));
     let is_known = |protocol| matches!(protocol, "tcp" | "udp" | "tls" | "quic");
@@ -155,7 +151,7 @@ fn check_endpoint(endpoint: &str) -> Result<(), SettingsFault> {
         Some((protocol, (host, port))) if is_known(protocol) && !host.is_empty() && port.parse::<u16>().is_ok() => {
             Ok(())
         }
-        _ => Err(fault(
+        _ => Err(Hinted::new(
             format!("`{endpoint}` is no endpoint"),
             "an endpoint looks like tcp/192.168.0.2:7447; other protocols are udp, tls and quic",
         )),
@@ -163,11 +159,11 @@ fn check_endpoint(endpoint: &str) -> Result<(), SettingsFault> {
 }
 
 /// A port that others can reach has to know who they are, by certificates that it asks for, unless the file says otherwise.
-fn check_listen(endpoint: &str, asks_who: bool, insecure: bool) -> Result<(), SettingsFault> {
+fn check_listen(endpoint: &str, asks_who: bool, insecure: bool) -> Result<(), Hinted> {
     let address = endpoint.split(['#', '?']).next().unwrap_or(endpoint);
     let Some((protocol, host)) = address.split_once('/') else {
         let hint = "an endpoint looks like tcp/127.0.0.1:7447";
-        return Err(fault(format!("`{endpoint}` is not an endpoint to listen on"), hint));
+        return Err(Hinted::new(format!("`{endpoint}` is not an endpoint to listen on"), hint));
     };
     let local = ["127.", "[::1]", "localhost:"].iter().any(|loopback| host.starts_with(loopback));
     let encrypted = matches!(protocol, "tls" | "quic");
@@ -182,7 +178,7 @@ fn check_listen(endpoint: &str, asks_who: bool, insecure: bool) -> Result<(), Se
     } else {
         "use tls/.. with certificates in a `zenoh` file, or say insecure = true"
     };
-    Err(fault(what, hint))
+    Err(Hinted::new(what, hint))
 }
 
 #[cfg(test)]

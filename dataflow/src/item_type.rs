@@ -77,8 +77,8 @@ impl ItemType {
         }
     }
 
-    /// A type of which messages with more than `usual_length` items are rare.
-    pub(crate) fn described(name: &str, type_name: &str, layout: Layout, usual_length: usize) -> Self {
+    /// A type that no program has to know, by its fields; messages with more than `usual_length` items are rare.
+    pub fn described(name: &str, type_name: &str, layout: Layout, usual_length: usize) -> Self {
         Self {
             name: Cow::Owned(name.to_owned()),
             type_name: Cow::Owned(type_name.to_owned()),

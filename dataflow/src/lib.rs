@@ -14,16 +14,16 @@ mod item_type;
 mod launcher;
 mod link_report;
 mod log;
-mod needs;
 mod network;
 mod node;
 mod observe;
 pub mod pipeline;
 mod plan;
 pub mod ports;
+mod preflight;
 mod registry;
 mod runner;
-mod sides;
+mod side_inputs;
 mod stage;
 mod status;
 mod table;
@@ -37,17 +37,17 @@ pub mod testing {
 /// What the network part of a program is built of: the ends of topics as a stage has them, and what it tells of itself.
 pub mod relay {
     pub use crate::link_report::write_links;
-    pub use crate::log::Seldom;
+    pub use crate::log::ThrottledWarning;
     pub use crate::ports::shared_memory::{SharedMemory, SharedReader, SharedWriter};
-    pub use crate::runner::inbox::Inbox;
-    pub use crate::runner::outlet::{Outlet, end_of_stream};
+    pub use crate::runner::input_port::InputPort;
+    pub use crate::runner::output_port::{OutputPort, end_of_stream};
     pub use crate::runner::peers::Peers;
-    pub use crate::runner::{Settling, StageRuntime};
+    pub use crate::runner::{MemoryTrim, StageRuntime};
     pub use crate::status::StatusFile;
 }
 
 pub use clock::monotonic_ns;
-pub use conicflow_messages::ConfigFault;
+pub use conicflow_messages::{ConfigFault, Hinted};
 pub use doctor::{Finding, clean, examine};
 pub use item_type::{AnyMessage, BUILT_IN, ItemType};
 pub use launcher::{
@@ -56,14 +56,14 @@ pub use launcher::{
 };
 pub use link_report::{EdgeReport, LinkReport, LinkState};
 pub use log::{DEFAULT_LOG, LOG, log_filter, log_to_standard_error};
-pub use needs::{Needs, Shortfall, TopicNeeds};
-pub use network::{BridgePlan, BridgeRun, Carrier, Edge, Network, NetworkError, Receiver, SettingsFault};
+pub use network::{BridgePlan, BridgeRun, Carrier, Edge, Network, NetworkError, Receiver};
 pub use node::{Node, Variant};
 pub use observe::{InputActivity, Observation, PipelineActivity, StageActivity, TopicActivity, observe};
 pub use plan::{Origin, Plan, PlannedStage, Runs};
+pub use preflight::{InsufficientResource, Requirements, TopicRequirements};
 pub use registry::Registry;
 pub use runner::RunError;
-pub use sides::{Pick, Side, Sides};
+pub use side_inputs::{Pairing, SideInput, SideInputs};
 pub use stage::{Config, Context, Next, NoConfig, Output, Source, Stage, StageError, Stop};
 pub use status::{Counter, Durations, InputCounts, Intervals, Life, NO_RUN, Status, used};
 pub use table::Table;

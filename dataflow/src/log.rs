@@ -41,12 +41,12 @@ const SELDOM: Duration = Duration::from_secs(1);
 
 /// Warns of what may happen with each message, no more often than one can read.
 #[derive(Debug, Default)]
-pub struct Seldom {
+pub struct ThrottledWarning {
     told: Option<Instant>,
     untold: u64,
 }
 
-impl Seldom {
+impl ThrottledWarning {
     /// Warns of it now, or counts it for the next time.
     pub fn warn(&mut self, what: impl Display) {
         if self.told.is_some_and(|told| told.elapsed() < SELDOM) {

@@ -10,6 +10,7 @@ use crate::ports::shared_memory::SharedMemory;
 use crate::ports::{Delivery, Topic};
 use crate::runner::StageRuntime;
 use crate::stage::StageError;
+use conicflow_messages::Hinted;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -22,9 +23,9 @@ pub(crate) const NO_NETWORK_HINT: &str =
 #[derive(Clone, Copy)]
 pub struct Network {
     /// Whether a machine's table can be used; a file that is not there is reported elsewhere.
-    pub check: fn(&Machine) -> Result<(), SettingsFault>,
+    pub check: fn(&Machine) -> Result<(), Hinted>,
     /// Where a machine listens.
-    pub listen_endpoints: fn(&Machine) -> Result<Vec<String>, SettingsFault>,
+    pub listen_endpoints: fn(&Machine) -> Result<Vec<String>, Hinted>,
     /// What carries the edges of a plan, as a process of its own, until all have ended.
     pub carrier: Carrier,
 }
@@ -35,7 +36,7 @@ pub enum Carrier {
     /// This program.
     Here(fn(&BridgePlan, BridgeRun<'_>, StageRuntime<SharedMemory>) -> Result<(), NetworkError>),
     /// Another one, which takes the place of this process and calls `run_in_run`.
-    Program(fn() -> Result<PathBuf, SettingsFault>),
+    Program(fn() -> Result<PathBuf, Hinted>),
 }
 
 /// The run that a bridge belongs to.
@@ -47,16 +48,6 @@ pub struct BridgeRun<'a> {
     pub run: u64,
     /// The folder of its records.
     pub folder: &'a Path,
-}
-
-/// Why a machine's table cannot be used.
-#[derive(Debug, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
-#[error("{what}\n  hint: {hint}")]
-pub struct SettingsFault {
-    /// What is wrong.
-    pub what: String,
-    /// What to do about it.
-    pub hint: String,
 }
 
 /// Why a bridge ended before its edges did.

@@ -4,7 +4,7 @@ use crate::ports::shared_memory::SharedMemory;
 use crate::runner::source_loop::run_source;
 use crate::runner::stage_loop::run_stage;
 use crate::runner::{RunError, StageRuntime};
-use crate::sides::Side;
+use crate::side_inputs::SideInput;
 use crate::stage::{Config, Source, Stage};
 use conicflow_messages::{ConfigFault, Item, Nothing};
 use serde_json::Value as Json;
@@ -19,7 +19,7 @@ pub struct Node {
     pub summary: &'static str,
     /// What it can be driven by and makes of it; the first is what its documentation shows.
     pub variants: &'static [Variant],
-    pub(crate) sides: fn() -> &'static [Side],
+    pub(crate) side_inputs: fn() -> &'static [SideInput],
     pub(crate) schema: fn() -> Json,
     pub(crate) check: fn(Json, &Path) -> Result<Vec<ConfigFault>, serde_json::Error>,
     pub(crate) message_length: fn(Json, &Path) -> Option<usize>,
@@ -42,7 +42,7 @@ impl Node {
             name: S::NAME,
             summary: S::SUMMARY,
             variants: const { &[Variant::source::<S>()] },
-            sides: S::sides,
+            side_inputs: S::side_inputs,
             schema: schema::<S::Config>,
             check: |parameters, base| Ok(S::faults(&serde_json::from_value(parameters)?, base)),
             message_length: message_length::<S>,
@@ -60,7 +60,7 @@ impl Node {
             name: S::NAME,
             summary: S::SUMMARY,
             variants,
-            sides: S::sides,
+            side_inputs: S::side_inputs,
             schema: schema::<S::Config>,
             check: |parameters, base| Ok(S::faults(&serde_json::from_value(parameters)?, base)),
             message_length: |_, _| None,
@@ -82,9 +82,9 @@ impl Node {
         self.inputs().next().is_none()
     }
 
-    /// Its further inputs.
-    pub fn sides(&self) -> &'static [Side] {
-        (self.sides)()
+    /// Its side inputs.
+    pub fn side_inputs(&self) -> &'static [SideInput] {
+        (self.side_inputs)()
     }
 
     /// Its parameters as a JSON schema: names, types, ranges, defaults and descriptions.
@@ -112,12 +112,12 @@ fn message_length<S: Source>(parameters: Json, base: &Path) -> Option<usize> {
     S::message_length(&serde_json::from_value(parameters).ok()?, base)
 }
 
-fn start_source<S: Source>(parameters: Json, around: StageRuntime<SharedMemory>) -> Result<(), RunError> {
-    run_source::<S, _>(configuration(parameters)?, around)
+fn start_source<S: Source>(parameters: Json, runtime: StageRuntime<SharedMemory>) -> Result<(), RunError> {
+    run_source::<S, _>(configuration(parameters)?, runtime)
 }
 
-fn start_stage<S: Stage>(parameters: Json, around: StageRuntime<SharedMemory>) -> Result<(), RunError> {
-    run_stage::<S, _>(configuration(parameters)?, around)
+fn start_stage<S: Stage>(parameters: Json, runtime: StageRuntime<SharedMemory>) -> Result<(), RunError> {
+    run_stage::<S, _>(configuration(parameters)?, runtime)
 }
 
 fn configuration<C: Config>(parameters: Json) -> Result<C, RunError> {

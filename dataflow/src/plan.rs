@@ -13,7 +13,7 @@ use serde_json::Value as Json;
 use std::path::PathBuf;
 
 /// Raised with each change of what launcher and stages agree on: the plan, records, names in shared memory.
-pub(crate) const LAYOUT: u32 = 2;
+pub(crate) const LAYOUT: u32 = 3;
 
 /// The plan of a run on one machine.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -125,7 +125,9 @@ impl Plan {
     /// All topics, once for each stage that writes or reads one.
     pub fn topics(&self) -> impl Iterator<Item = &Topic> {
         let wirings = self.stages.iter().map(|stage| &stage.wiring);
-        wirings.flat_map(|wiring| wiring.output.iter().chain(&wiring.input).chain(wiring.sides.iter().map(|(_, t)| t)))
+        wirings.flat_map(|wiring| {
+            wiring.output.iter().chain(&wiring.input).chain(wiring.side_inputs.iter().map(|(_, t)| t))
+        })
     }
 
     /// What keeps the topics of this run apart from those of others, whatever those have left behind.
@@ -151,10 +153,10 @@ impl PlannedStage {
             Program::Command(command) => Runs::Command(command.clone()),
             Program::Unknown => Runs::Command(Vec::new()),
         };
-        let sides = stage.inputs.iter().map(|(name, input)| (name.clone(), topic(&input.topic)));
+        let side_inputs = stage.inputs.iter().map(|(name, input)| (name.clone(), topic(&input.topic)));
         let wiring = Wiring {
             input: stage.input.as_ref().map(|input| topic(&input.topic)),
-            sides: sides.collect(),
+            side_inputs: side_inputs.collect(),
             output: stage.output.as_ref().map(topic),
             frames: frames.filter(|_| stage.is_source()),
         };

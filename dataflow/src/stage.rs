@@ -6,7 +6,7 @@
 
 use crate::heartbeat::Heartbeat;
 use crate::item_type::ItemType;
-use crate::sides::{Side, Sides};
+use crate::side_inputs::{SideInput, SideInputs};
 use conicflow_messages::{ConfigFault, Header, Item, Message};
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -144,7 +144,7 @@ pub trait Source: Sized {
     }
 
     /// Inputs whose latest value it reads.
-    fn sides() -> &'static [Side] {
+    fn side_inputs() -> &'static [SideInput] {
         &[]
     }
 
@@ -170,7 +170,7 @@ pub trait Source: Sized {
     ///
     /// # Errors
     /// A device or a file that failed; the stage is started anew, as the pipeline file says.
-    fn next(&mut self, sides: &Sides, output: &mut Output<Self::Output>) -> Result<Next, StageError>;
+    fn next(&mut self, side_inputs: &SideInputs, output: &mut Output<Self::Output>) -> Result<Next, StageError>;
 }
 
 /// What a source has to offer.
@@ -208,8 +208,8 @@ pub trait Stage: Sized {
         Vec::new()
     }
 
-    /// Further inputs, which do not drive it.
-    fn sides() -> &'static [Side] {
+    /// Side inputs, which do not drive it.
+    fn side_inputs() -> &'static [SideInput] {
         &[]
     }
 
@@ -220,7 +220,7 @@ pub trait Stage: Sized {
     fn step(
         &mut self,
         input: &Message<Self::Input>,
-        sides: &Sides,
+        side_inputs: &SideInputs,
         output: &mut Output<Self::Output>,
     ) -> Result<(), StageError>;
 

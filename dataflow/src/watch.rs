@@ -4,9 +4,9 @@
 
 use crate::item_type::{AnyMessage, ItemType};
 use crate::launcher::{FolderError, RunFolder, SwapError};
-use crate::log::Seldom;
+use crate::log::ThrottledWarning;
 use crate::plan::Plan;
-use crate::ports::shared_memory::{SharedMemory, SharedTap};
+use crate::ports::shared_memory::{SharedMemory, SharedOnlooker};
 use crate::ports::{PortError, Received, Topic};
 use crate::stage::Stop;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
@@ -83,13 +83,13 @@ impl RunningPipeline {
         mut see: impl FnMut(AnyMessage<'_>) -> Result<Watching, E>,
     ) -> Result<(), E> {
         let told = told_to_end().map_err(WatchError::from)?;
-        let (memory, mut tap) = self.tap(item, topic)?;
-        let (mut checked, mut nonsense) = (Instant::now(), Seldom::default());
+        let (memory, mut onlooker) = self.onlooker(item, topic)?;
+        let (mut checked, mut nonsense) = (Instant::now(), ThrottledWarning::default());
         while !told.load(Ordering::Relaxed) {
             let check = checked.elapsed() > RUN_CHECK;
             // The run is looked at first: what was sent before it was over is then sure to be found.
             let over = check && !self.still_runs();
-            match tap.receive(&memory).map_err(WatchError::from)? {
+            match onlooker.receive(&memory).map_err(WatchError::from)? {
                 Some(received) => {
                     let message = AnyMessage { header: received.header(), item, bytes: received.bytes() };
                     if is_sound(topic, &message, &mut nonsense) && see(message)? == Watching::Enough {
@@ -106,10 +106,11 @@ impl RunningPipeline {
         Ok(())
     }
 
-    fn tap(&self, item: &ItemType, topic: &Topic) -> Result<(SharedMemory, SharedTap), WatchError> {
-        let memory = SharedMemory::open(self.folder.shared_memory(), &self.plan.namespace(), "(tap)", Stop::default())?;
-        let tap = memory.tap(item, topic)?;
-        Ok((memory, tap))
+    fn onlooker(&self, item: &ItemType, topic: &Topic) -> Result<(SharedMemory, SharedOnlooker), WatchError> {
+        let memory =
+            SharedMemory::open(self.folder.shared_memory(), &self.plan.namespace(), "(onlooker)", Stop::default())?;
+        let onlooker = memory.onlooker(item, topic)?;
+        Ok((memory, onlooker))
     }
 
     /// Replaces `stage` by what stands in `plan`, which differs from the plan of this run in nothing else.
@@ -136,7 +137,7 @@ fn told_to_end() -> io::Result<Arc<AtomicBool>> {
 }
 
 /// Whether a message is to be seen: it makes sense, and is not the end of a stream.
-fn is_sound(topic: &Topic, message: &AnyMessage<'_>, nonsense: &mut Seldom) -> bool {
+fn is_sound(topic: &Topic, message: &AnyMessage<'_>, nonsense: &mut ThrottledWarning) -> bool {
     if message.header.ends_stream() {
         return false;
     }

@@ -16,7 +16,7 @@ use crate::space::dot;
 use crate::{Coefficients, Surface, Vector3};
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
-/// Sides of an object that have an offset of their own: the first and the last pixel of rows and of columns.
+/// SideInputs of an object that have an offset of their own: the first and the last pixel of rows and of columns.
 pub const SIDES: usize = 4; // [derived]
 /// A contour point farther off than so many standard deviations belongs to something else.
 const GATE: f64 = 3.5; // [sigmas]

@@ -23,7 +23,7 @@ mod velocity;
 
 pub use depth::{INVALID_FAR, INVALID_NEAR, is_measured, median_depth};
 pub use ellipse::{Ellipse, MOMENTS, Scan};
-pub use fault::ConfigFault;
+pub use fault::{ConfigFault, Hinted};
 pub use header::{
     Camera, END_OF_STREAM, HAS_POSE, HEADER_TYPE_NAME, Header, Hop, MAX_HOPS, MAX_PIXELS, MAX_SIDE_PX,
     MAX_SOURCE_BYTES, NoiseModel, RECORDED, is_rotation,

@@ -9,7 +9,7 @@ use conicflow_dataflow::{AnyMessage, ItemType};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::{NoiseConfig, NoiseName};
 use conicflow_detection::{Detector, Object, ObjectKind};
-use conicflow_messages::{Header, Message};
+use conicflow_messages::{Header, Hinted, Message};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -75,7 +75,10 @@ fn intrinsics(text: &str) -> Result<Intrinsics, String> {
 pub fn detect(arguments: &DetectArguments) -> Result<()> {
     let here = Path::new("");
     if !arguments.path.exists() {
-        bail!("`{}` does not exist\n  hint: name a depth image, or a folder of them", arguments.path.display());
+        bail!(Hinted::new(
+            format!("`{}` does not exist", arguments.path.display()),
+            "name a depth image, or a folder of them"
+        ));
     }
     let mut playback = Playback::open(&source(arguments), here, 0, 0)?;
     let mut lines = match &arguments.out {

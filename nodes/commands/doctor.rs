@@ -2,7 +2,7 @@
 
 use crate::{NODES, REGISTRY};
 use conicflow_dataflow::pipeline::Pipeline;
-use conicflow_dataflow::{NO_RUN, Needs, Plan, clean, examine};
+use conicflow_dataflow::{NO_RUN, Plan, Requirements, clean, examine};
 use std::io::{Write, stdout};
 use std::process::ExitCode;
 
@@ -28,7 +28,7 @@ pub fn doctor(pipeline: &Pipeline, machine: Option<&str>, remove: bool) -> anyho
         return Ok(ExitCode::FAILURE);
     }
     let megabytes =
-        plans.iter().map(|plan| Needs::of(plan, NODES).shared_memory()).max().unwrap_or(0).div_ceil(1 << 20);
+        plans.iter().map(|plan| Requirements::of(plan, NODES).shared_memory()).max().unwrap_or(0).div_ceil(1 << 20);
     writeln!(output, "nothing is wrong; `{}` needs up to {megabytes} MB of shared memory", pipeline.name)?;
     Ok(ExitCode::SUCCESS)
 }

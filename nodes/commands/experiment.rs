@@ -6,6 +6,7 @@ use conicflow_dataflow::pipeline::{Pipeline, Program};
 use conicflow_dataflow::{StageSummary, Summary, Table};
 use conicflow_lab::experiment::{Experiment, Results, Variation};
 use conicflow_lab::score::{Figure, Row, Sections, limit, measured_columns, summary};
+use conicflow_messages::Hinted;
 use std::path::PathBuf;
 
 /// The sinks that leave rows.
@@ -33,8 +34,10 @@ fn columns(experiment: &Experiment, pipeline: &Pipeline) -> Result<Vec<String>> 
     }
     ensure!(
         !measured.is_empty(),
-        "the experiment has no stage that leaves rows for its table\n  hint: measure with a `measurement_sink`, a \
-         `section_sink`, an `evaluation_sink` or a `limit_sink`"
+        Hinted::new(
+            "the experiment has no stage that leaves rows for its table",
+            "measure with a `measurement_sink`, a `section_sink`, an `evaluation_sink` or a `limit_sink`"
+        )
     );
     let varied = experiment.vary.iter().map(|vary| vary.name.clone());
     let times = pipeline.stages.iter().map(|stage| format!("{}_ms", stage.name));

@@ -15,6 +15,7 @@ use conicflow_dataflow::pipeline::{Pipeline, Report, SourceText};
 use conicflow_dataflow::{DEFAULT_LOG, LOG, LaunchError, NO_RUN, Plan, ProcessError, RunOptions, Summary};
 use conicflow_dataflow::{log_filter, log_to_standard_error};
 use conicflow_lab::experiment::{Experiment, Results, Variation};
+use conicflow_messages::Hinted;
 use doctor::doctor;
 use experiment::Rows;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
@@ -243,7 +244,7 @@ impl FileArguments {
         };
         let text = std::fs::read_to_string(file).map_err(|error| {
             let hint = "without a file it is ./pipeline.toml, or else the built-in pipeline";
-            anyhow!("cannot read the pipeline file `{}`: {error}\n  hint: {hint}", file.display())
+            anyhow!(Hinted::new(format!("cannot read the pipeline file `{}`: {error}", file.display()), hint))
         })?;
         let folder = file.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
         Ok((SourceText { name: file.display().to_string(), text }, folder.canonicalize()?))
@@ -292,10 +293,10 @@ fn variations(experiment: &Experiment, source: &FileArguments) -> anyhow::Result
         variations.iter().flat_map(|variation| &variation.overrides).map(|set| key(set)).collect();
     for set in source.overrides.iter().map(|set| key(set)) {
         if let Some(varied) = varied.iter().find(|varied| is_part(varied, &set) || is_part(&set, varied)) {
-            bail!(
-                "the experiment varies `{varied}`: `--set {set}` would make all its runs the same\n  \
-                   hint: change `vary` in the file"
-            );
+            bail!(Hinted::new(
+                format!("the experiment varies `{varied}`: `--set {set}` would make all its runs the same"),
+                "change `vary` in the file"
+            ));
         }
     }
     Ok(variations)
@@ -357,17 +358,21 @@ fn check_machine(pipeline: &Pipeline, machine: Option<&str>) -> anyhow::Result<(
     let names: Vec<_> = pipeline.machines.keys().map(|name| format!("`{name}`")).collect();
     match machine {
         Some(machine) if names.is_empty() => {
-            bail!(
-                "the pipeline has no machine `{machine}`, nor any\n  hint: leave --machine out: all stages run on this one"
-            )
+            bail!(Hinted::new(
+                format!("the pipeline has no machine `{machine}`, nor any"),
+                "leave --machine out: all stages run on this one"
+            ))
         }
         Some(machine) if !pipeline.machines.contains_key(machine) => {
-            bail!("there is no machine `{machine}` in the pipeline\n  hint: machines: {}", names.join(", "))
+            bail!(Hinted::new(
+                format!("there is no machine `{machine}` in the pipeline"),
+                format!("machines: {}", names.join(", "))
+            ))
         }
-        None if !names.is_empty() => bail!(
-            "the pipeline spans the machines {}\n  hint: say which of them this is, with --machine NAME",
-            names.join(", ")
-        ),
+        None if !names.is_empty() => bail!(Hinted::new(
+            format!("the pipeline spans the machines {}", names.join(", ")),
+            "say which of them this is, with --machine NAME"
+        )),
         _ => {}
     }
     Ok(())
@@ -383,7 +388,10 @@ fn node(stage: &str, file: Option<PathBuf>, machine: Option<&str>, log: &str) ->
     let placed =
         pipeline.stages.iter().find(|placed| placed.name == stage).and_then(|placed| placed.machine.as_deref());
     if let Some(other) = placed.filter(|placed| Some(*placed) != machine) {
-        bail!("stage `{stage}` is on another machine, `{other}`\n  hint: run it there, with --machine {other}");
+        bail!(Hinted::new(
+            format!("stage `{stage}` is on another machine, `{other}`"),
+            format!("run it there, with --machine {other}")
+        ));
     }
     let plan = Plan::of(&pipeline, machine, None, NO_RUN);
     Err(conicflow_dataflow::become_stage(&plan, stage, &options(log)?).into())

@@ -3,8 +3,8 @@
 use crate::NODES;
 use anyhow::bail;
 use conicflow_dataflow::pipeline::suggestion;
-use conicflow_dataflow::{Node, Pick};
-use conicflow_messages::{Item, Nothing};
+use conicflow_dataflow::{Node, Pairing};
+use conicflow_messages::{Hinted, Item, Nothing};
 use serde_json::Value as Json;
 use std::fmt::Write;
 
@@ -21,7 +21,7 @@ pub fn nodes(name: Option<&str>) -> anyhow::Result<String> {
         Some(node) => Ok(describe(node)?),
         None => {
             let hint = suggestion(name, NODES.iter().map(|node| node.name), "nodes");
-            bail!("there is no node `{name}`\n  hint: {hint}")
+            bail!(Hinted::new(format!("there is no node `{name}`"), hint))
         }
     }
 }
@@ -32,9 +32,9 @@ fn describe(node: &Node) -> Result<String, std::fmt::Error> {
     if !inputs.is_empty() {
         writeln!(text, "input   {}", inputs.join(" | "))?;
     }
-    for side in node.sides() {
-        let pick = if side.pick == Pick::Latest { "the latest" } else { "of the same frame" };
-        writeln!(text, "inputs  {} = {}, {pick}", side.name, side.kind)?;
+    for side in node.side_inputs() {
+        let pairing = if side.pairing == Pairing::Latest { "the latest" } else { "of the same frame" };
+        writeln!(text, "inputs  {} = {}, {pairing}", side.name, side.kind)?;
     }
     if node.output() != Nothing::NAME {
         writeln!(text, "output  {}", node.output())?;

@@ -5,7 +5,8 @@ use crate::{NODES, REGISTRY};
 use anyhow::{anyhow, bail};
 use clap::Args;
 use conicflow_dataflow::pipeline::suggestion;
-use conicflow_dataflow::{Needs, Plan, PlannedStage};
+use conicflow_dataflow::{Plan, PlannedStage, Requirements};
+use conicflow_messages::Hinted;
 
 /// What is to be replaced, and by what.
 #[derive(Args)]
@@ -34,12 +35,18 @@ pub fn swap(arguments: &SwapArguments) -> anyhow::Result<()> {
     let sets = arguments.sets.iter().map(|set| format!("{name}.{set}"));
     let (changed, _) = plan.with(&node.chain(sets).collect::<Vec<_>>(), &REGISTRY)?;
     if changed.stage(name).is_none_or(|new| new.wiring != stage.wiring) {
-        bail!("a swap cannot join stage `{name}` to other topics\n  hint: end the run, and start it with the change");
+        bail!(Hinted::new(
+            format!("a swap cannot join stage `{name}` to other topics"),
+            "end the run, and start it with the change"
+        ));
     }
     if let Some(other) = changed.stages_unlike(plan).find(|other| other.name != *name) {
-        bail!("this would change stage `{}`, too\n  hint: end the run, and start it with the change", other.name);
+        bail!(Hinted::new(
+            format!("this would change stage `{}`, too", other.name),
+            "end the run, and start it with the change"
+        ));
     }
-    Needs::of(&changed, NODES).look_for_successor(stage)?;
+    Requirements::of(&changed, NODES).look_for_successor(stage)?;
     running.swap(name, changed)?;
     tracing::info!("stage `{name}` was replaced");
     Ok(())
@@ -50,5 +57,6 @@ fn find_stage<'a>(plan: &'a Plan, name: &str) -> anyhow::Result<&'a PlannedStage
     let names: Vec<_> = stages.map(|stage| stage.name.as_str()).collect();
     let hint = || suggestion(name, names.iter().copied(), "stages");
     let found = plan.stage(name).filter(|stage| !stage.is_bridge());
-    found.ok_or_else(|| anyhow!("pipeline `{}` has no stage `{name}` here\n  hint: {}", plan.pipeline, hint()))
+    found
+        .ok_or_else(|| anyhow!(Hinted::new(format!("pipeline `{}` has no stage `{name}` here", plan.pipeline), hint())))
 }

@@ -10,8 +10,9 @@ use clap::{Args, Subcommand};
 use conicflow_dataflow::pipeline::suggestion;
 use conicflow_dataflow::ports::{Delivery, Topic};
 use conicflow_dataflow::{
-    Needs, PipelineActivity, RunningPipeline, Table, TopicActivity, Watching, monotonic_ns, observe, user_folder,
+    PipelineActivity, Requirements, RunningPipeline, Table, TopicActivity, Watching, monotonic_ns, observe, user_folder,
 };
+use conicflow_messages::Hinted;
 use std::io::{Write, stdout};
 use std::thread::sleep;
 use std::time::Duration;
@@ -81,21 +82,23 @@ impl PipelineName {
         let mut running = RunningPipeline::all()?;
         let names: Vec<_> = running.iter().map(|running| running.plan.pipeline.clone()).collect();
         if names.is_empty() {
-            bail!(
-                "no pipeline runs that has its files in `{}`\n  \
-                 hint: start one with `conicflow run`, or set CONICFLOW_RUNTIME_DIR as it is where one runs",
-                user_folder().display()
-            );
+            bail!(Hinted::new(
+                format!("no pipeline runs that has its files in `{}`", user_folder().display()),
+                "start one with `conicflow run`, or set CONICFLOW_RUNTIME_DIR as it is where one runs"
+            ));
         }
         let Some(name) = &self.pipeline else {
             if names.len() > 1 {
-                bail!("several pipelines run: {}\n  hint: say which, with --pipeline NAME", names.join(", "));
+                bail!(Hinted::new(
+                    format!("several pipelines run: {}", names.join(", ")),
+                    "say which, with --pipeline NAME"
+                ));
             }
             return Ok(running.swap_remove(0));
         };
         let found = names.iter().position(|running| running == name);
         let hint = || suggestion(name, names.iter().map(String::as_str), "pipelines that run");
-        let found = found.ok_or_else(|| anyhow!("no pipeline `{name}` runs\n  hint: {}", hint()))?;
+        let found = found.ok_or_else(|| Hinted::new(format!("no pipeline `{name}` runs"), hint()))?;
         Ok(running.swap_remove(found))
     }
 }
@@ -113,9 +116,9 @@ fn topics(running: &RunningPipeline) -> Vec<&Topic> {
 
 fn find_topic<'a>(running: &'a RunningPipeline, name: &str) -> anyhow::Result<&'a Topic> {
     let hint = || suggestion(name, topics(running).iter().map(|topic| topic.name.as_str()), "topics");
-    running
-        .topic(name)
-        .ok_or_else(|| anyhow!("pipeline `{}` has no topic `{name}`\n  hint: {}", running.plan.pipeline, hint()))
+    running.topic(name).ok_or_else(|| {
+        anyhow!(Hinted::new(format!("pipeline `{}` has no topic `{name}`", running.plan.pipeline), hint()))
+    })
 }
 
 fn list(running: &RunningPipeline) -> anyhow::Result<()> {
@@ -191,13 +194,12 @@ fn bandwidth_line(activity: &TopicActivity) -> String {
 fn echo(arguments: &TopicArguments) -> anyhow::Result<()> {
     let running = arguments.of.find()?;
     let topic = find_topic(&running, &arguments.topic)?;
-    Needs::of(&running.plan, NODES).look_for_onlooker(topic)?;
+    Requirements::of(&running.plan, NODES).look_for_onlooker(topic)?;
     let Some(item) = &topic.item else {
-        bail!(
-            "nothing tells what topic `{}` carries\n  \
-             hint: say it where a program writes it, such as output = {{ topic = \"{0}\", kind = \"objects\" }}",
-            topic.name
-        )
+        let name = &topic.name;
+        let hint =
+            format!("say it where a program writes it, such as output = {{ topic = \"{name}\", kind = \"objects\" }}");
+        bail!(Hinted::new(format!("nothing tells what topic `{name}` carries"), hint))
     };
     let mut left = arguments.count.unwrap_or(u64::MAX);
     running.watch::<anyhow::Error>(item, topic, |message| {

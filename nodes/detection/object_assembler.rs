@@ -1,6 +1,6 @@
 //! Ellipses -> objects: the assembler of the detection, or the paper's, as a stage.
 
-use conicflow_dataflow::{ConfigFault, Context, Output, Sides, Stage, StageError};
+use conicflow_dataflow::{ConfigFault, Context, Output, SideInputs, Stage, StageError};
 use conicflow_detection::{Assembler, AssemblerParameters};
 use conicflow_lab::paper::assembler::{ProfileAssembler, ProfileConfig, ProfileParameters};
 use conicflow_messages::{Ellipse, Message, Object};
@@ -74,7 +74,12 @@ impl Stage for ObjectAssembler {
         Ok(Self { assembler, warned: false })
     }
 
-    fn step(&mut self, input: &Message<Ellipse>, _: &Sides, output: &mut Output<Object>) -> Result<(), StageError> {
+    fn step(
+        &mut self,
+        input: &Message<Ellipse>,
+        _: &SideInputs,
+        output: &mut Output<Object>,
+    ) -> Result<(), StageError> {
         self.warn_of_mismatch(input.items);
         match &mut self.assembler {
             AnyAssembler::Pooled(assembler) => {

@@ -1,6 +1,6 @@
 //! Depth images -> ellipses by random sample consensus: a stage to swap in, for comparison.
 
-use conicflow_dataflow::{Context, Output, Sides, Stage, StageError};
+use conicflow_dataflow::{Context, Output, SideInputs, Stage, StageError};
 use conicflow_lab::ransac::{self, RansacParameters};
 use conicflow_messages::{Ellipse, Message};
 
@@ -19,7 +19,7 @@ impl Stage for RansacEllipseExtractor {
         Ok(Self(ransac::RansacEllipseExtractor::new(config)))
     }
 
-    fn step(&mut self, input: &Message<u16>, _: &Sides, output: &mut Output<Ellipse>) -> Result<(), StageError> {
+    fn step(&mut self, input: &Message<u16>, _: &SideInputs, output: &mut Output<Ellipse>) -> Result<(), StageError> {
         output.extend(self.0.extract(input.header, input.items));
         output.count_all(self.0.rejections());
         Ok(())

@@ -1,6 +1,6 @@
 //! Depth images -> ellipses: the extractor of the detection, or the paper's, as a stage.
 
-use conicflow_dataflow::{ConfigFault, Context, Output, Sides, Stage, StageError};
+use conicflow_dataflow::{ConfigFault, Context, Output, SideInputs, Stage, StageError};
 use conicflow_detection::{Extractor, ExtractorParameters};
 use conicflow_lab::paper::extractor::{ConicConfig, ConicExtractor, ConicParameters};
 use conicflow_messages::{Ellipse, Message};
@@ -68,7 +68,7 @@ impl Stage for RowEllipseExtractor {
         Ok(Self { method, warned: false })
     }
 
-    fn step(&mut self, input: &Message<u16>, _: &Sides, output: &mut Output<Ellipse>) -> Result<(), StageError> {
+    fn step(&mut self, input: &Message<u16>, _: &SideInputs, output: &mut Output<Ellipse>) -> Result<(), StageError> {
         match &mut self.method {
             Method::Moments(extractor) => {
                 output.extend(extractor.extract(input.header, input.items));

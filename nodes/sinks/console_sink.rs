@@ -1,8 +1,8 @@
 //! The sink for people: what was found in each frame, as text on standard output.
 
 use crate::sinks::decimator::Decimator;
-use conicflow_dataflow::{Context, Output, Sides, Stage, StageError, Stop};
-use conicflow_messages::{Ellipse, Item, Message, Nothing, Object, ObjectKind, Scan, Track, TrackState};
+use conicflow_dataflow::{Context, Output, SideInputs, Stage, StageError, Stop};
+use conicflow_messages::{Ellipse, Hinted, Item, Message, Nothing, Object, ObjectKind, Scan, Track, TrackState};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::fmt::{self, Write as _};
@@ -145,7 +145,7 @@ impl<T: Describe> Stage for ConsoleSink<T> {
         Ok(Self { console, stop: context.stop.clone(), items: PhantomData })
     }
 
-    fn step(&mut self, input: &Message<T>, _: &Sides, _: &mut Output<Nothing>) -> Result<(), StageError> {
+    fn step(&mut self, input: &Message<T>, _: &SideInputs, _: &mut Output<Nothing>) -> Result<(), StageError> {
         match self.console.show(input) {
             Err(error) if error.kind() == ErrorKind::BrokenPipe => self.stop.request(),
             Err(error) => return Err(unwritable(&error).into()),
@@ -155,10 +155,9 @@ impl<T: Describe> Stage for ConsoleSink<T> {
     }
 }
 
-fn unwritable(error: &io::Error) -> String {
-    format!(
-        "cannot write to standard output: {error}\n  hint: send it elsewhere, such as `> /dev/null`, or leave the sink out"
-    )
+fn unwritable(error: &io::Error) -> Hinted {
+    let what = format!("cannot write to standard output: {error}");
+    Hinted::new(what, "send it elsewhere, such as `> /dev/null`, or leave the sink out")
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use super::json_lines::JsonLines;
 use super::measurement_sink::write_rows;
 use crate::config_error;
 use anyhow::Result;
-use conicflow_dataflow::{ConfigFault, Context, Output, Sides, Stage, StageError};
+use conicflow_dataflow::{ConfigFault, Context, Output, SideInputs, Stage, StageError};
 use conicflow_lab::score::truth::load_scene;
 use conicflow_lab::score::{
     Answer, Claim, Evaluation, RecordedTolerances, RecordedTruth, RenderedTruth, Tolerances, TruthSource,
@@ -74,10 +74,10 @@ impl<T: Claim> Stage for EvaluationSink<T> {
     fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
         let mut faults = Vec::new();
         if let Err(error) = config.rendered(base) {
-            faults.push(config_error::of_file("scene", &error));
+            faults.push(ConfigFault::of_file("scene", error.as_ref()));
         }
         if let Err(error) = config.recorded(base) {
-            faults.push(config_error::of_file("truth", &error));
+            faults.push(ConfigFault::of_file("truth", error.as_ref()));
         }
         if config.scene.is_some() && config.truth.is_some() {
             let (what, hint) = ("cannot be used together with `scene`", "leave one of them out");
@@ -99,7 +99,7 @@ impl<T: Claim> Stage for EvaluationSink<T> {
         Ok(Self { evaluation, details, path, answers: Vec::new(), items: PhantomData })
     }
 
-    fn step(&mut self, input: &Message<T>, _: &Sides, output: &mut Output<Nothing>) -> Result<(), StageError> {
+    fn step(&mut self, input: &Message<T>, _: &SideInputs, output: &mut Output<Nothing>) -> Result<(), StageError> {
         self.answers.clear();
         self.answers.extend(input.items.iter().filter_map(Claim::answer));
         let Some(frame) = self.evaluation.add(input.header, &self.answers)? else { return Ok(()) };

@@ -2,6 +2,7 @@
 //! finished and leaves none torn for the next start.
 
 use anyhow::{Context as _, anyhow};
+use conicflow_messages::Hinted;
 use serde::Serialize;
 use std::fs::{File, OpenOptions};
 use std::io::{self, ErrorKind, Read, Seek, SeekFrom, Write};
@@ -52,7 +53,7 @@ impl JsonLines {
         };
         open().map(Self::to).map_err(|error| {
             let hint = hint(&error);
-            anyhow!("cannot open `{}` for writing: {error}\n  hint: {hint}", path.display())
+            anyhow!(Hinted::new(format!("cannot open `{}` for writing: {error}", path.display()), hint))
         })
     }
 
@@ -92,7 +93,7 @@ impl JsonLines {
             Place::File { path, .. } => path,
         };
         let hint = hint(error);
-        anyhow!("cannot write to `{}`: {error}\n  hint: {hint}", path.display())
+        anyhow!(Hinted::new(format!("cannot write to `{}`: {error}", path.display()), hint))
     }
 }
 

@@ -3,7 +3,7 @@
 
 use super::measurement_sink::write_rows;
 use crate::config_error;
-use conicflow_dataflow::{ConfigFault, Context, Output, Sides, Stage, StageError};
+use conicflow_dataflow::{ConfigFault, Context, Output, SideInputs, Stage, StageError};
 use conicflow_lab::score::truth::load_scene;
 use conicflow_lab::score::{Answer, Claim, Limit, RenderedTruth, Tolerances};
 use conicflow_messages::{Message, Nothing, Object};
@@ -53,7 +53,7 @@ impl Stage for LimitSink {
     /// What types and ranges cannot tell: files that are missing.
     fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
         let scene = config.scene.as_ref().and_then(|path| load_scene(&base.join(path)).err());
-        scene.map(|error| config_error::of_file("scene", &error)).into_iter().collect()
+        scene.map(|error| ConfigFault::of_file("scene", error.as_ref())).into_iter().collect()
     }
 
     fn new(config: LimitConfig, context: &Context) -> Result<Self, StageError> {
@@ -65,7 +65,12 @@ impl Stage for LimitSink {
         Ok(Self { limit, answers: Vec::new(), path })
     }
 
-    fn step(&mut self, input: &Message<Object>, _: &Sides, output: &mut Output<Nothing>) -> Result<(), StageError> {
+    fn step(
+        &mut self,
+        input: &Message<Object>,
+        _: &SideInputs,
+        output: &mut Output<Nothing>,
+    ) -> Result<(), StageError> {
         self.answers.clear();
         self.answers.extend(input.items.iter().filter_map(Claim::answer));
         output.count("missed", self.limit.add(input.header, &self.answers)?);

@@ -8,7 +8,7 @@
 use super::json_lines::JsonLines;
 use crate::config_error;
 use anyhow::Result;
-use conicflow_dataflow::{ConfigFault, Context, Output, Sides, Stage, StageError};
+use conicflow_dataflow::{ConfigFault, Context, Output, SideInputs, Stage, StageError};
 use conicflow_lab::score::truth::load_scene;
 use conicflow_lab::score::{Answer, Claim, Measurement, RenderedTruth, Row, Tolerances, Trace, VisibilityCriteria};
 use conicflow_messages::{Message, Nothing};
@@ -74,7 +74,7 @@ impl<T: Claim> Stage for MeasurementSink<T> {
     /// What types and ranges cannot tell: files that are missing.
     fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
         let scene = config.scene.as_ref().and_then(|path| load_scene(&base.join(path)).err());
-        scene.map(|error| config_error::of_file("scene", &error)).into_iter().collect()
+        scene.map(|error| ConfigFault::of_file("scene", error.as_ref())).into_iter().collect()
     }
 
     fn new(config: MeasurementConfig, context: &Context) -> Result<Self, StageError> {
@@ -87,7 +87,7 @@ impl<T: Claim> Stage for MeasurementSink<T> {
         Ok(Self { measurement, answers: Vec::new(), trace, path, items: PhantomData })
     }
 
-    fn step(&mut self, input: &Message<T>, _: &Sides, output: &mut Output<Nothing>) -> Result<(), StageError> {
+    fn step(&mut self, input: &Message<T>, _: &SideInputs, output: &mut Output<Nothing>) -> Result<(), StageError> {
         self.answers.clear();
         self.answers.extend(input.items.iter().filter_map(Claim::answer));
         let observations = self.measurement.add(input.header, &self.answers)?;

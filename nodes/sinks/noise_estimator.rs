@@ -1,7 +1,7 @@
 //! The noise of a sensor from a recording, printed as the line that a pipeline file needs.
 
 use crate::config_error::refuse_restart;
-use conicflow_dataflow::{Context, Output, Sides, Stage, StageError};
+use conicflow_dataflow::{Context, Output, SideInputs, Stage, StageError};
 use conicflow_lab::noise_estimator::{self, NoiseEstimatorParameters};
 use conicflow_messages::{Message, Nothing};
 use std::io::Write;
@@ -21,7 +21,7 @@ impl Stage for NoiseEstimator {
         Ok(Self(noise_estimator::NoiseEstimator::with(config)))
     }
 
-    fn step(&mut self, input: &Message<u16>, _: &Sides, _: &mut Output<Nothing>) -> Result<(), StageError> {
+    fn step(&mut self, input: &Message<u16>, _: &SideInputs, _: &mut Output<Nothing>) -> Result<(), StageError> {
         Ok(self.0.add(input.header, input.items)?)
     }
 

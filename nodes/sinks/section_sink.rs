@@ -3,7 +3,7 @@
 
 use super::measurement_sink::write_rows;
 use crate::config_error;
-use conicflow_dataflow::{Context, Output, Sides, Stage, StageError};
+use conicflow_dataflow::{Context, Output, SideInputs, Stage, StageError};
 use conicflow_lab::score::Sections;
 use conicflow_messages::{Ellipse, Message, Nothing};
 use schemars::JsonSchema;
@@ -48,7 +48,7 @@ impl Stage for SectionSink {
         Ok(Self { sections: Sections::new(config.center, config.max_offset_m), path })
     }
 
-    fn step(&mut self, input: &Message<Ellipse>, _: &Sides, _: &mut Output<Nothing>) -> Result<(), StageError> {
+    fn step(&mut self, input: &Message<Ellipse>, _: &SideInputs, _: &mut Output<Nothing>) -> Result<(), StageError> {
         self.sections.add(input.items);
         Ok(())
     }

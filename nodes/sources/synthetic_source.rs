@@ -1,7 +1,7 @@
 //! The simulated camera of the laboratory as a source of frames.
 
 use crate::sinks::json_lines::JsonLines;
-use conicflow_dataflow::{ConfigFault, Context, Next, Output, Side, Sides, Source, StageError};
+use conicflow_dataflow::{ConfigFault, Context, Next, Output, SideInput, SideInputs, Source, StageError};
 use conicflow_lab::simulator::truth::TruthLine;
 use conicflow_lab::simulator::{SimulatorParameters, SyntheticCamera};
 use conicflow_messages::{Header, Velocity};
@@ -51,15 +51,15 @@ impl Source for SyntheticSource {
 
     /// Who drives the camera: the first velocity is the one that it is to take; none lets it stand, as does a command from a
     /// frame more than half a second before.
-    fn sides() -> &'static [Side] {
-        const { &[Side::latest::<Velocity>("command")] }
+    fn side_inputs() -> &'static [SideInput] {
+        const { &[SideInput::latest::<Velocity>("command")] }
     }
 
-    fn next(&mut self, sides: &Sides, output: &mut Output<u16>) -> Result<Next, StageError> {
+    fn next(&mut self, side_inputs: &SideInputs, output: &mut Output<u16>) -> Result<Next, StageError> {
         if self.total.is_some_and(|total| self.next >= total) {
             return Ok(Next::End);
         }
-        if let Some(velocity) = self.command(sides) {
+        if let Some(velocity) = self.command(side_inputs) {
             self.camera.drive(&velocity);
         }
         let camera = self.camera.raster().camera;
@@ -76,8 +76,8 @@ impl Source for SyntheticSource {
 
 impl SyntheticSource {
     /// The velocity that the camera is to take for the next frame.
-    fn command(&self, sides: &Sides) -> Option<Velocity> {
-        let command = sides.get::<Velocity>("command")?;
+    fn command(&self, side_inputs: &SideInputs) -> Option<Velocity> {
+        let command = side_inputs.get::<Velocity>("command")?;
         let age_s = self.camera.time_of(self.next) - command.header.stamp_ns as f64 * 1e-9;
         command.items.first().filter(|_| age_s <= MAX_COMMAND_AGE_S).copied()
     }
@@ -147,7 +147,7 @@ mod tests {
         let mut command = |frame: u64, stamp_ms: u64, items: &[Velocity]| {
             let header = Header { stamp_ns: stamp_ms * 1_000_000, ..Header::default() };
             source.next = frame;
-            source.command(&Sides::default().with("command", Message { header: &header, items }))
+            source.command(&SideInputs::default().with("command", Message { header: &header, items }))
         };
         let obeyed = Some(velocity);
         assert_eq!(command(30, 967, &velocities), obeyed);
@@ -155,6 +155,6 @@ mod tests {
         assert_eq!(command(46, 1000, &velocities), None);
         assert_eq!(command(3, 1000, &velocities), obeyed, "of a clock that is ahead");
         assert_eq!(command(30, 967, &[]), None);
-        assert_eq!(source.command(&Sides::default()), None);
+        assert_eq!(source.command(&SideInputs::default()), None);
     }
 }

@@ -1,9 +1,9 @@
 //! The follower: turns tracks into the velocity that a robot is to take, towards an object and to a halt before it.
 //!
 //! The command is a velocity that the camera is to take, along its own axes. None: stand still. A source closes the loop by
-//! reading it as a further input, of which it takes the latest value.
+//! reading it as a side input, of which it takes the latest value.
 
-use conicflow_dataflow::{ConfigFault, Context, Output, Sides, Stage, StageError};
+use conicflow_dataflow::{ConfigFault, Context, Output, SideInputs, Stage, StageError};
 use conicflow_detection::gravity;
 use conicflow_messages::{Frame, Header, Message, ObjectKind, Text, Track, TrackState, Velocity};
 use nalgebra::{Matrix3, Vector3};
@@ -15,7 +15,7 @@ use std::path::Path;
 /// What is followed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
-pub enum Quarry {
+pub enum TargetShape {
     /// A sphere.
     #[default]
     Sphere,
@@ -30,7 +30,7 @@ pub enum Quarry {
 #[serde(default, deny_unknown_fields)]
 pub struct FollowerConfig {
     /// The shape that is followed: the nearest of its kind, and then that one until it is lost.
-    pub quarry: Quarry,
+    pub quarry: TargetShape,
     /// Distance over ground at which the robot stands still, in metres.
     #[schemars(range(min = 0.0))]
     pub stop_distance_m: f64,
@@ -47,7 +47,7 @@ pub struct FollowerConfig {
 
 impl Default for FollowerConfig {
     fn default() -> Self {
-        Self { quarry: Quarry::Sphere, stop_distance_m: 1.0, gain: 1.5, max_speed_mps: 0.8, up: None }
+        Self { quarry: TargetShape::Sphere, stop_distance_m: 1.0, gain: 1.5, max_speed_mps: 0.8, up: None }
     }
 }
 
@@ -84,9 +84,9 @@ impl Follower {
 
     fn nearest<'a>(&self, tracks: &'a [Track]) -> Option<&'a Track> {
         let kind = match self.config.quarry {
-            Quarry::Sphere => ObjectKind::Sphere,
-            Quarry::Cylinder => ObjectKind::Cylinder,
-            Quarry::Cone => ObjectKind::Cone,
+            TargetShape::Sphere => ObjectKind::Sphere,
+            TargetShape::Cylinder => ObjectKind::Cylinder,
+            TargetShape::Cone => ObjectKind::Cone,
         };
         let fitting = tracks.iter().filter(|track| track.object.shape() == kind);
         let sure = fitting.filter(|track| track.track_state() == TrackState::Confirmed);
@@ -131,7 +131,12 @@ impl Stage for Follower {
         Ok(Self::new(config))
     }
 
-    fn step(&mut self, input: &Message<Track>, _: &Sides, output: &mut Output<Velocity>) -> Result<(), StageError> {
+    fn step(
+        &mut self,
+        input: &Message<Track>,
+        _: &SideInputs,
+        output: &mut Output<Velocity>,
+    ) -> Result<(), StageError> {
         if let Some(command) = self.command(input.header, input.items) {
             output.push(command);
         }

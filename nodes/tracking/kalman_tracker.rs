@@ -1,6 +1,6 @@
 //! Objects -> tracks: the tracker of the detection as a stage.
 
-use conicflow_dataflow::{ConfigFault, Context, Output, Sides, Stage, StageError};
+use conicflow_dataflow::{ConfigFault, Context, Output, SideInputs, Stage, StageError};
 use conicflow_detection::TrackerParameters;
 use conicflow_detection::track::Worlds;
 use conicflow_messages::{Message, Object, ObjectKind, Track};
@@ -25,7 +25,7 @@ impl Stage for KalmanTracker {
         Ok(Self(Worlds::with_first_id(config, first_id(context.resume_at))))
     }
 
-    fn step(&mut self, input: &Message<Object>, _: &Sides, output: &mut Output<Track>) -> Result<(), StageError> {
+    fn step(&mut self, input: &Message<Object>, _: &SideInputs, output: &mut Output<Track>) -> Result<(), StageError> {
         let tracker = self.0.update(input.header, input.items);
         output.extend(tracker.tracks());
         for kind in tracker.newly_confirmed() {

@@ -1,32 +1,14 @@
 //! `conicflow detect`: one command on recorded frames, beside the pipeline on the same.
 
-use crate::support::Playground;
+use crate::support::{Playground, RECORDING};
 use conicflow_lab::simulator::scene::Scene;
-use conicflow_lab::simulator::{SimulatorParameters, SyntheticCamera};
 use serde_json::Value as Json;
 use std::fs;
 
-/// Writes frames of a built-in scene down as a camera would: 16-bit PNGs in millimetres.
+/// Writes frames of a built-in scene down, and returns what `--camera` has to say.
 fn record(playground: &Playground, frames: u64) -> String {
-    let config = SimulatorParameters { width: 320, height: 240, ..SimulatorParameters::default() };
-    let (scene, camera) = (Scene::built_in("tabletop").unwrap().unwrap(), config.camera());
-    let mut synthetic = SyntheticCamera::new(scene, camera, config.noise, 0.001, 30.0, 5);
-    let mut depths = vec![0; 320 * 240];
-    fs::create_dir(playground.path("frames")).unwrap();
-    for number in 0..frames {
-        synthetic.shoot(number, &mut depths);
-        let bytes: Vec<u8> = depths.iter().flat_map(|depth: &u16| depth.to_be_bytes()).collect();
-        write_png(playground, &format!("frames/img{number}.png"), &bytes);
-    }
+    let camera = playground.record(Scene::built_in("tabletop").unwrap().unwrap(), 5, frames);
     format!("{},{},{},{}", camera.fx, camera.fy, camera.cx, camera.cy)
-}
-
-fn write_png(playground: &Playground, name: &str, bytes: &[u8]) {
-    let file = fs::File::create(playground.path(name)).unwrap();
-    let mut encoder = png::Encoder::new(file, 320, 240);
-    encoder.set_color(png::ColorType::Grayscale);
-    encoder.set_depth(png::BitDepth::Sixteen);
-    encoder.write_header().unwrap().write_image_data(bytes).unwrap();
 }
 
 /// Lines of JSON without what differs from run to run.
@@ -39,30 +21,9 @@ fn results(text: &str) -> Vec<Json> {
     text.lines().map(line).collect()
 }
 
-const PIPELINE: &str = r#"
-name = "recorded"
-[stage.source]
-node = "image_source"
-path = "frames"
-output = "depth"
-rate_hz = 0
-[stage.extractor]
-node = "row_ellipse_extractor"
-input = { topic = "depth", delivery = "lossless" }
-output = "ellipses"
-[stage.assembler]
-node = "object_assembler"
-input = { topic = "ellipses", delivery = "lossless" }
-output = "objects"
-[stage.json]
-node = "json_sink"
-input = { topic = "objects", delivery = "lossless" }
-path = "objects.jsonl"
-"#;
-
 #[test]
 fn detect_finds_what_the_pipeline_finds_to_the_bit() {
-    let playground = Playground::with_pipeline(PIPELINE);
+    let playground = Playground::with_pipeline(&RECORDING.replace("noise   = \"ideal\"\n", ""));
     let camera = record(&playground, 12);
     let numbers: Vec<f64> = camera.split(',').map(|number| number.parse().unwrap()).collect();
     let set = format!(
@@ -85,25 +46,13 @@ fn detect_finds_what_the_pipeline_finds_to_the_bit() {
 fn results_and_pictures_go_where_they_are_asked_for() {
     let playground = Playground::new();
     let camera = record(&playground, 2);
-    let file = [
-        "detect",
-        "frames/img1.png",
-        "--camera",
-        &camera,
-        "--noise",
-        "kinect_v1",
-        "--scale",
-        "0.001",
-        "--pictures",
-        "pictures",
-        "--out",
-        "out/objects.jsonl",
-    ];
-    let ended = playground.conicflow(&file).expect_code(0);
+    let what = ["detect", "frames/1.png", "--camera", &camera, "--noise", "kinect_v1", "--scale", "0.001"];
+    let places = ["--pictures", "pictures", "--out", "out/objects.jsonl"];
+    let ended = playground.conicflow(&[&what[..], &places].concat()).expect_code(0);
     assert_eq!(ended.stdout, "");
     let lines = playground.json_lines("out/objects.jsonl");
-    assert_eq!((lines.len(), lines[0]["source"].as_str()), (1, Some("img1.png")));
-    let picture = fs::File::open(playground.path("pictures/img1.png")).unwrap();
+    assert_eq!((lines.len(), lines[0]["source"].as_str()), (1, Some("1.png")));
+    let picture = fs::File::open(playground.path("pictures/1.png")).unwrap();
     let info = png::Decoder::new(std::io::BufReader::new(picture)).read_info().unwrap().info().clone();
     assert_eq!((info.width, info.height, info.color_type), (320, 240, png::ColorType::Rgb));
 }
@@ -112,7 +61,7 @@ fn results_and_pictures_go_where_they_are_asked_for() {
 fn a_frame_that_shows_nothing_has_a_line_and_why() {
     let playground = Playground::new();
     fs::create_dir(playground.path("frames")).unwrap();
-    write_png(&playground, "frames/wall.png", &2000_u16.to_be_bytes().repeat(320 * 240));
+    playground.write_depth_png("frames/wall.png", 320, &[2000; 320 * 240]);
     let ended = playground.conicflow(&["detect", "frames", "--camera", "290,290,159.5,119.5"]).expect_code(0);
     assert_eq!(results(&ended.stdout)[0]["objects"], serde_json::json!([]));
     let (_, why) = ended.stderr.split_once("in 1 frames: nothing was found\n  ").unwrap();

@@ -2,7 +2,6 @@
 
 use crate::support::{Playground, Started};
 use conicflow_lab::simulator::scene::Scene;
-use conicflow_lab::simulator::{SimulatorParameters, SyntheticCamera};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
@@ -282,22 +281,9 @@ fn a_bouncing_ball_is_one_ball_near_its_true_way() {
     assert_honest(&table, "ball");
 }
 
-/// Writes frames of a scene down as a camera would: 16-bit PNGs in millimetres, and what is known of the camera.
+/// Writes frames of a scene down, and what is known of the camera.
 fn record(playground: &Playground, scene: &str, frames: u64) {
-    let config = SimulatorParameters { width: 320, height: 240, ..SimulatorParameters::default() };
-    let (scene, camera) = (Scene::load(&playground.path(scene)).unwrap(), config.camera());
-    let mut synthetic = SyntheticCamera::new(scene, camera, config.noise, 0.001, 30.0, 77);
-    let mut depths = vec![0; 320 * 240];
-    fs::create_dir(playground.path("frames")).unwrap();
-    for number in 0..frames {
-        synthetic.shoot(number, &mut depths);
-        let file = fs::File::create(playground.path(&format!("frames/{number}.png"))).unwrap();
-        let mut encoder = png::Encoder::new(file, 320, 240);
-        encoder.set_color(png::ColorType::Grayscale);
-        encoder.set_depth(png::BitDepth::Sixteen);
-        let bytes: Vec<u8> = depths.iter().flat_map(|depth| depth.to_be_bytes()).collect();
-        encoder.write_header().unwrap().write_image_data(&bytes).unwrap();
-    }
+    let camera = playground.record(Scene::load(&playground.path(scene)).unwrap(), 77, frames);
     let (fx, fy, cx, cy) = (camera.fx, camera.fy, camera.cx, camera.cy);
     let known = serde_json::json!({ "width": 320, "height": 240, "fx": fx, "fy": fy, "cx": cx, "cy": cy, "depth_scale": 0.001 });
     playground.write("frames/camera.json", &known.to_string());

@@ -1,17 +1,18 @@
 //! Stages that panic, hang or are stopped: they are told of, started anew where that is asked for, and harm no other.
 
 use crate::processes::{stages_of, wait_for_lines};
-use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, example, signal};
+use crate::programs::program;
+use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, signal};
 use rustix::process::Signal;
 
 /// [`TRACKING`] with a stage between assembler and tracker that does wrong at one frame.
 fn with_faulty_stage(keys: &str) -> Playground {
     let (before, after) = TRACKING.split_once("[stage.tracker]").unwrap();
-    let (program, after) = (example("faulty_stage"), after.replacen("\"objects\"", "\"passed_on\"", 1));
+    let (program, after) = (program("faulty_stage"), after.replacen("\"objects\"", "\"passed_on\"", 1));
     Playground::with_pipeline(&format!(
         r#"{before}
 [stage.faulty]
-program = ["{program}"]
+program = {program}
 input   = {{ topic = "objects", delivery = "lossless" }}
 output  = "passed_on"
 {keys}

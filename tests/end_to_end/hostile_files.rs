@@ -3,7 +3,11 @@
 #[path = "../../fuzz/readers.rs"]
 mod readers;
 
-use readers::{READERS, Reader};
+use conicflow_bridge::{Place, WIRE_VERSION, encode_message};
+use conicflow_dataflow::pipeline::Compression;
+use conicflow_dataflow::{BUILT_IN, ItemType};
+use conicflow_messages::{Camera, END_OF_STREAM, Ellipse, Header, Hop, Item, Text};
+use readers::{READERS, Reader, grasps};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::PathBuf;
@@ -29,6 +33,37 @@ fn the_corpora_of_the_fuzzers_do_no_harm() {
             assert!(accepted || !name.starts_with("good"), "{kind}/{name} was refused");
             assert!(!accepted || !name.starts_with("bad"), "{kind}/{name} was accepted");
         }
+    }
+}
+
+/// Writes what the fuzzer of messages begins with, after each change of the wire: `cargo test --test end_to_end
+/// begin_the_corpus -- --ignored`.
+#[test]
+#[ignore = "writes into the repository"]
+fn begin_the_corpus_of_messages() {
+    let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus/wire");
+    let camera = Camera { width: 4, height: 3, fx: 5.0, fy: 5.0, cx: 1.5, cy: 1.0 };
+    let mut header = Header { camera, depth_scale: 0.001, source: Text::new("frame-000012.png"), ..Header::default() };
+    header.add_hop(Hop { stage: Text::new("source"), received_ns: 1, sent_ns: u64::MAX });
+    let write = |item: &ItemType, name: &str, header: &Header, items: &[u8], how| {
+        let message = encode_message(Place::default(), item, header, items, how).unwrap();
+        fs::write(folder.join(name), message).unwrap();
+    };
+    let mut ellipse = Ellipse { line: 2, first: 1, last: 3, center: [-0.0, 0.1, 2.0], ..Ellipse::default() };
+    ellipse.moments[0] = 4.0;
+    let ellipses = bytemuck::cast_slice(&[ellipse; 12]).to_vec();
+    for item in BUILT_IN.iter().chain([&grasps()]) {
+        for how in [Compression::None, Compression::Lz4, Compression::Zstd] {
+            let name = format!("good_{}_{how:?}", item.name()).to_lowercase();
+            let items = if item.name() == Ellipse::NAME { ellipses.clone() } else { vec![0; 12 * item.size()] };
+            write(item, &name, &header, &items, how);
+        }
+    }
+    write(&BUILT_IN[3], "good_end", &Header { flags: END_OF_STREAM, ..header }, &[], Compression::None);
+    for bad in ["bad_cut", "bad_huge"] {
+        let mut bytes = fs::read(folder.join(bad)).unwrap();
+        bytes[4..6].copy_from_slice(&WIRE_VERSION.to_le_bytes());
+        fs::write(folder.join(bad), bytes).unwrap();
     }
 }
 

@@ -7,46 +7,31 @@ mod bridge;
 mod certificates;
 mod commands;
 mod detect;
-#[cfg(target_os = "linux")]
 mod doctor;
 mod experiments;
-#[cfg(target_os = "linux")]
 mod faults;
-#[cfg(target_os = "linux")]
 mod full_memory;
 mod hostile_files;
-#[cfg(target_os = "linux")]
 mod hosts;
-#[cfg(target_os = "linux")]
 mod identities;
-#[cfg(target_os = "linux")]
 mod intruders;
 mod node;
 mod outside_stage;
-#[cfg(target_os = "linux")]
 mod own_memory;
 mod own_types;
-#[cfg(target_os = "linux")]
 mod processes;
-#[cfg(target_os = "linux")]
+mod programs;
 mod radio;
-#[cfg(target_os = "linux")]
 mod room;
 mod routers;
 mod run;
 mod several_machines;
-#[cfg(target_os = "linux")]
 mod soak;
-#[cfg(target_os = "linux")]
 mod stress;
 mod support;
-#[cfg(target_os = "linux")]
 mod swap;
-#[cfg(target_os = "linux")]
 mod swap_joined;
-#[cfg(target_os = "linux")]
 mod three_hosts;
-#[cfg(target_os = "linux")]
 mod top;
 mod topic;
 mod validate;

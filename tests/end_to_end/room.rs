@@ -4,7 +4,7 @@
 use super::processes::{shared_files, stages_of};
 use super::support::{Playground, Started, signal};
 use conicflow_dataflow::pipeline::{Pipeline, SourceText};
-use conicflow_dataflow::{Needs, Plan, Registry};
+use conicflow_dataflow::{Plan, Registry, Requirements};
 use conicflow_nodes::NODES;
 use rustix::process::Signal;
 use std::collections::BTreeSet;
@@ -51,11 +51,11 @@ const TOPICS: [(&str, &str, &str); 4] = [
     ("tracks", "tracker", "json"),
 ];
 
-fn needs(text: &str) -> Needs {
+fn needs(text: &str) -> Requirements {
     let source = SourceText { name: "pipeline.toml".to_owned(), text: text.to_owned() };
     let (pipeline, _) =
         Pipeline::read(source, &std::env::temp_dir(), &[], &Registry { nodes: NODES, network: None }).unwrap();
-    Needs::of(&Plan::of(&pipeline, None, None, 1), NODES)
+    Requirements::of(&Plan::of(&pipeline, None, None, 1), NODES)
 }
 
 pub fn messages(playground: &Playground, stage: &str) -> u64 {

@@ -6,7 +6,7 @@ use rustix::process::Signal;
 use zenoh::Wait;
 
 /// A Zenoh router of this process that listens on an endpoint, or on several with `", "` between them.
-fn router(endpoint: &str) -> zenoh::Session {
+pub fn router(endpoint: &str) -> zenoh::Session {
     let mut config = zenoh::Config::default();
     for (key, value) in [
         ("mode", "\"router\""),

@@ -1,16 +1,17 @@
 //! Runs from their start to their end: what comes out, in which order, and what the summary says of it.
 
-use crate::support::{InputRow, Playground, Started, TRACKING, TRACKING_STAGES, example};
+use crate::programs::program;
+use crate::support::{InputRow, Playground, RECORDING, Started, TRACKING, TRACKING_STAGES};
 use serde_json::Value as Json;
 use std::fs::{self, File};
-use std::io::{BufRead, BufReader, BufWriter};
+use std::io::{BufRead, BufReader};
 use std::ops::Range;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
 /// A source and a sink that takes its time over each frame, without lossless delivery between them.
 fn slow_pipeline(delay_ms: u64) -> Playground {
-    let program = example("slow_sink");
+    let program = program("slow_sink");
     Playground::with_pipeline(&format!(
         r#"
 name = "slow"
@@ -23,9 +24,9 @@ height  = 24
 rate_hz = 0
 
 [stage.sink]
-program  = ["{program}"]
+program  = {program}
 input    = "depth"
-path     = "sequences.txt"
+path     = "numbers.txt"
 delay_ms = {delay_ms}
 "#
     ))
@@ -105,7 +106,7 @@ fn lossless_delivers_each_frame_once_in_order_and_the_same_bits_each_time() {
 fn a_slow_reader_loses_frames_and_each_of_them_is_counted() {
     let playground = slow_pipeline(20);
     let ended = playground.conicflow(&["run", "--frames", "300"]).expect_code(0);
-    let taken: Vec<u64> = playground.lines("sequences.txt").iter().map(|line| line.parse().unwrap()).collect();
+    let taken: Vec<u64> = playground.lines("numbers.txt").iter().map(|line| line.parse().unwrap()).collect();
     let input = ended.input("depth", "sink");
     assert_eq!(input.received, taken.len() as u64);
     assert!(input.dropped > 0, "nothing was lost, so that nothing is shown");
@@ -123,7 +124,7 @@ fn a_slow_reader_holds_a_lossless_writer_back() {
     let playground = slow_pipeline(5);
     let lossless = "sink.input={ topic = \"depth\", delivery = \"lossless\", queue = 2 }";
     playground.conicflow(&["run", "--frames", "60", "--set", lossless]).expect_code(0);
-    assert!(playground.lines("sequences.txt").into_iter().eq((0..60).map(|number: u64| number.to_string())));
+    assert!(playground.lines("numbers.txt").into_iter().eq((0..60).map(|number: u64| number.to_string())));
 }
 
 #[test]
@@ -228,32 +229,6 @@ fn shades(path: &Path) -> Vec<u8> {
     pixels.map(|pixel| pixel[0]).collect()
 }
 
-const RECORDING: &str = r#"
-name = "recording"
-
-[stage.source]
-node    = "image_source"
-output  = "depth"
-path    = "frames/"
-rate_hz = 0
-noise   = "ideal"
-
-[stage.extractor]
-node   = "row_ellipse_extractor"
-input  = { topic = "depth", delivery = "lossless" }
-output = "ellipses"
-
-[stage.assembler]
-node   = "object_assembler"
-input  = { topic = "ellipses", delivery = "lossless" }
-output = "objects"
-
-[stage.json]
-node  = "json_sink"
-input = { topic = "objects", delivery = "lossless" }
-path  = "objects.jsonl"
-"#;
-
 const WIDTH: u32 = 160;
 const HEIGHT: u32 = 120;
 const FOCAL: f64 = 150.0;
@@ -274,15 +249,6 @@ fn ball(distance: f64) -> Vec<u16> {
     (0..HEIGHT).flat_map(|row| (0..WIDTH).map(move |column| pixel(column, row))).collect()
 }
 
-fn write_depth_png(playground: &Playground, name: &str, pixels: &[u16]) {
-    let file = BufWriter::new(File::create(playground.path("frames").join(name)).unwrap());
-    let mut encoder = png::Encoder::new(file, WIDTH, HEIGHT);
-    encoder.set_color(png::ColorType::Grayscale);
-    encoder.set_depth(png::BitDepth::Sixteen);
-    let bytes: Vec<u8> = pixels.iter().flat_map(|pixel| pixel.to_be_bytes()).collect();
-    encoder.write_header().unwrap().write_image_data(&bytes).unwrap();
-}
-
 /// A recording of a ball that comes nearer, frame by frame, with its camera beside it.
 fn recording(numbers: Range<u32>) -> Playground {
     let playground = Playground::with_pipeline(RECORDING);
@@ -293,7 +259,7 @@ fn recording(numbers: Range<u32>) -> Playground {
     });
     playground.write("frames/camera.json", &camera.to_string());
     for number in numbers {
-        write_depth_png(&playground, &format!("img{number}.png"), &ball(distance(number)));
+        playground.write_depth_png(&format!("frames/img{number}.png"), WIDTH, &ball(distance(number)));
     }
     playground
 }

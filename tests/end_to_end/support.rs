@@ -1,10 +1,13 @@
 //! What the end-to-end tests stand on: a playground of its own for each test, runs that cannot outlive it, and waiting for
 //! conditions instead of for time.
 
+use conicflow_lab::simulator::scene::Scene;
+use conicflow_lab::simulator::{SimulatorParameters, SyntheticCamera};
+use conicflow_messages::Camera;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value as Json;
 use std::fs::{self, File, Permissions};
-use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::io::{BufReader, BufWriter, Read, Seek, SeekFrom};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, Stdio};
@@ -52,6 +55,33 @@ path  = "tracks.jsonl"
 /// The names of its stages.
 pub const TRACKING_STAGES: [&str; 5] = ["source", "extractor", "assembler", "tracker", "json"];
 
+/// Three stages that find the objects in the recorded frames of the folder `frames`, until its end.
+pub const RECORDING: &str = r#"
+name = "recording"
+
+[stage.source]
+node    = "image_source"
+output  = "depth"
+path    = "frames/"
+rate_hz = 0
+noise   = "ideal"
+
+[stage.extractor]
+node   = "row_ellipse_extractor"
+input  = { topic = "depth", delivery = "lossless" }
+output = "ellipses"
+
+[stage.assembler]
+node   = "object_assembler"
+input  = { topic = "ellipses", delivery = "lossless" }
+output = "objects"
+
+[stage.json]
+node  = "json_sink"
+input = { topic = "objects", delivery = "lossless" }
+path  = "objects.jsonl"
+"#;
+
 /// A folder for a test's files and another, with a short path, for what runs need; nothing outside of them is met.
 pub struct Playground {
     files: TempDir,
@@ -92,6 +122,30 @@ impl Playground {
 
     pub fn write(&self, name: &str, text: &str) {
         fs::write(self.path(name), text).unwrap();
+    }
+
+    /// Writes frames of a scene down as a camera of 320x240 would, in millimetres: `frames/0.png` and so on.
+    pub fn record(&self, scene: Scene, seed: u64, frames: u64) -> Camera {
+        let config = SimulatorParameters { width: 320, height: 240, ..SimulatorParameters::default() };
+        let camera = config.camera();
+        let mut synthetic = SyntheticCamera::new(scene, camera, config.noise, 0.001, 30.0, seed);
+        let mut depths = vec![0; 320 * 240];
+        fs::create_dir(self.path("frames")).unwrap();
+        for number in 0..frames {
+            synthetic.shoot(number, &mut depths);
+            self.write_depth_png(&format!("frames/{number}.png"), 320, &depths);
+        }
+        camera
+    }
+
+    /// Writes a depth image as a camera would, a 16-bit PNG.
+    pub fn write_depth_png(&self, name: &str, width: u32, pixels: &[u16]) {
+        let file = BufWriter::new(File::create(self.path(name)).unwrap());
+        let mut encoder = png::Encoder::new(file, width, pixels.len() as u32 / width);
+        encoder.set_color(png::ColorType::Grayscale);
+        encoder.set_depth(png::BitDepth::Sixteen);
+        let bytes: Vec<u8> = pixels.iter().flat_map(|pixel| pixel.to_be_bytes()).collect();
+        encoder.write_header().unwrap().write_image_data(&bytes).unwrap();
     }
 
     /// The complete lines of a file; none if there is no file yet.
@@ -206,7 +260,7 @@ pub fn signal(process: u32, signal: Signal) {
 /// A program of `examples/`, built beside the program under test.
 pub fn example(name: &str) -> String {
     let path = Path::new(env!("CARGO_BIN_EXE_conicflow")).with_file_name("examples").join(name);
-    assert!(path.is_file(), "there is no `{}`; `cargo build --examples` makes it", path.display());
+    assert!(path.is_file(), "there is no `{}`; `cargo test` and `cargo build --examples` make it", path.display());
     path.to_str().unwrap().to_owned()
 }
 

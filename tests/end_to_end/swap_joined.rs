@@ -2,7 +2,8 @@
 //! several writers, and on both sides of a bridge between machines.
 
 use super::bridge::{apart, loopback, machines, newest, start};
-use super::support::{Playground, Started, TRACKING, TRACKING_STAGES, example};
+use super::programs::program;
+use super::support::{Playground, Started, TRACKING, TRACKING_STAGES};
 use super::swap::{end, replace};
 
 /// So many images may wait for what is made of them: more than there are frames on the way.
@@ -16,8 +17,8 @@ fn paired(delivery: &str) -> String {
     let (depth, ellipses) = (topic("depth"), topic("ellipses"));
     let objects = format!("{{ topic = \"objects\", delivery = \"{delivery}\" }}");
     let inputs = format!("{{ depth = {depth}, ellipses = {ellipses} }}");
-    let program = example("pairing_sink");
-    let sink = format!("[stage.pairs]\nprogram = [\"{program}\"]\ninput = {objects}\ninputs = {inputs}\n");
+    let program = program("pairing_sink");
+    let sink = format!("[stage.pairs]\nprogram = {program}\ninput = {objects}\ninputs = {inputs}\n");
     format!("{}\n{sink}", TRACKING.replace("lossless", delivery))
 }
 
@@ -27,7 +28,7 @@ fn pairs(playground: &Playground) -> Vec<[Option<u64>; 3]> {
         let numbers: Vec<_> = line.split(' ').map(|word| word.parse().ok()).collect();
         numbers.try_into().unwrap()
     };
-    playground.lines("pairs.txt").iter().map(row).collect()
+    playground.lines("numbers.txt").iter().map(row).collect()
 }
 
 fn wait_for_pairs(run: &mut Started, playground: &Playground) {

@@ -3,8 +3,8 @@
 
 use super::bridge::{HALVES, placed, tracks};
 use super::hosts::{Host, ip};
-use super::support::{Playground, Started, TRACKING, example, wait_until};
-use std::process::Command;
+use super::programs::router;
+use super::support::{Playground, Started, TRACKING, wait_until};
 use std::time::Duration;
 
 /// The addresses of the host between the others, towards each.
@@ -75,9 +75,8 @@ fn three_hosts_share_a_pipeline_and_lose_nothing_with_a_cable_that_is_pulled() {
 #[test]
 fn two_sites_that_reach_nothing_but_a_router_lose_nothing() {
     let Some(star) = Star::new() else { return };
-    let mut router = Command::new(example("router"));
     let endpoints = HUB.map(|address| format!("tcp/{address}:7447"));
-    router.args(&endpoints);
+    let router = router(&endpoints);
     let text = placed(&finite(), &HALVES)
         + "\n[machine.robot]\nzenoh = \"net.json5\"\n[machine.base]\nzenoh = \"net.json5\"\n";
     let machines = endpoints.map(|endpoint| {

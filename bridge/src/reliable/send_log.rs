@@ -132,12 +132,13 @@ impl Files {
 mod tests {
     use super::*;
     use crate::wire::encode_message;
+    use conicflow_dataflow::ItemType;
     use conicflow_dataflow::pipeline::Compression;
     use conicflow_messages::{Header, Object};
 
     fn message(number: u64) -> Vec<u8> {
         let place = Place { stream: 7, number, oldest: 0 };
-        encode_message::<Object>(place, &Header::default(), &[], Compression::None).unwrap()
+        encode_message(place, &ItemType::of::<Object>(), &Header::default(), &[], Compression::None).unwrap()
     }
 
     #[test]

@@ -72,11 +72,6 @@ pub(super) fn decode_whole<V: DeserializeOwned>(bytes: &[u8]) -> Result<V, WireE
     if length == bytes.len() { Ok(value) } else { Err(trailing()) }
 }
 
-pub(super) fn decode_list<T: DeserializeOwned>(bytes: &[u8], items: &mut Vec<T>) -> Result<(), WireError> {
-    *items = decode_whole(bytes)?;
-    Ok(())
-}
-
 pub(super) fn trailing() -> WireError {
     WireError::Broken("more bytes than the message needs".to_owned())
 }

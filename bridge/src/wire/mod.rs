@@ -17,7 +17,7 @@ mod tests;
 
 pub use encoding::{MAX_MESSAGE, WireError};
 
-use codec::Wire;
+use codec::codec_of;
 use conicflow_dataflow::pipeline::Compression;
 use conicflow_dataflow::{BUILT_IN, ItemType};
 use conicflow_messages::{HEADER_TYPE_NAME, Header};
@@ -48,17 +48,18 @@ struct Opening<'a> {
     header: Header,
 }
 
-/// The bytes of a message.
+/// The bytes of a message whose items of this type lie in memory as `items`.
 ///
 /// # Errors
 /// It is longer than [`MAX_MESSAGE`], or holds text that is none.
-pub fn encode_message<T: Wire>(
+pub fn encode_message(
     place: Place,
+    item: &ItemType,
     header: &Header,
-    items: &[T],
+    items: &[u8],
     how: Compression,
 ) -> Result<Vec<u8>, WireError> {
-    message_bytes(place, T::TYPE_NAME, header, |bytes| T::encode_body(header, items, how, bytes))
+    message_bytes(place, &item.layout(), header, |bytes| codec_of(item).encode(header, items, how, bytes))
 }
 
 /// The bytes of a message, of which `body` appends those behind the header; of the end of a stream there are none.
@@ -77,18 +78,15 @@ pub(crate) fn message_bytes(
     if bytes.len() > MAX_MESSAGE { Err(WireError::TooLong { bytes: bytes.len() }) } else { Ok(bytes) }
 }
 
-/// Reads a message; its items overwrite `items`. The message of an ended stream has none.
+/// Reads a message of items of this type; they come as they lie in memory. The message of an ended stream has none.
 ///
 /// # Errors
-/// What is wrong with the bytes; `items` is then of no use.
-pub fn decode_message<T: Wire>(bytes: &[u8], items: &mut Vec<T>) -> Result<(Place, Header), WireError> {
-    let (place, header, body) = open_message(bytes, T::TYPE_NAME, T::NAME)?;
-    items.clear();
-    if let Some(body) = body {
-        T::decode_body(&header, body, items)?;
-        T::check(&header, items)?;
-    }
-    Ok((place, header))
+/// What is wrong with the bytes.
+pub fn decode_message(bytes: &[u8], item: &ItemType) -> Result<(Place, Header, Vec<u8>), WireError> {
+    let (place, header, body) = open_message(bytes, &item.layout(), item.name())?;
+    let mut codec = codec_of(item);
+    body.map_or(Ok(()), |body| codec.decode(&header, body))?;
+    Ok((place, header, codec.items().to_vec()))
 }
 
 /// The place and the header of a message, checked, and the bytes behind them; the end of a stream has none.

@@ -11,9 +11,9 @@ use std::path::{Path, PathBuf};
 pub(super) fn examine() -> Vec<Finding> {
     let user = user_folder();
     let parts = [user.clone(), user.join("run"), user.join("shm")];
-    let faults = parts.into_iter().filter_map(|path| fault(path).as_ref().map(Finding::of));
+    let faults = parts.into_iter().filter_map(|path| fault(path).map(Finding::from));
     let too_long = check_path(&user.join("shm")).err();
-    let mut findings: Vec<_> = too_long.iter().map(Finding::of).chain(faults).collect();
+    let mut findings: Vec<_> = too_long.into_iter().map(Finding::from).chain(faults).collect();
     // What keeps this user out of the first folder keeps it out of those within.
     findings.truncate(1);
     findings

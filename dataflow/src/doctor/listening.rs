@@ -3,6 +3,7 @@
 use super::finding::Finding;
 use crate::network::Network;
 use crate::plan::{Plan, Runs};
+use conicflow_messages::Hinted;
 use std::io::{self, ErrorKind};
 use std::net::{TcpListener, UdpSocket};
 
@@ -17,13 +18,13 @@ pub(super) fn examine(plans: &[&Plan], network: &Network) -> Vec<Finding> {
         Err(fault) => vec![Err(fault)],
     });
     let found = endpoints.filter_map(|endpoint| match endpoint {
-        Ok((machine, endpoint)) => taken(&machine, &endpoint),
-        Err(fault) => Some(Finding::of(&fault)),
+        Ok((machine, endpoint)) => taken(&machine, &endpoint).map(Finding::from),
+        Err(fault) => Some(fault.into()),
     });
     found.collect()
 }
 
-fn taken(machine: &str, endpoint: &str) -> Option<Finding> {
+fn taken(machine: &str, endpoint: &str) -> Option<Hinted> {
     let address = endpoint.split(['#', '?']).next()?;
     let (protocol, address) = address.split_once('/')?;
     let error = bind(protocol, address).err()?;
@@ -33,7 +34,7 @@ fn taken(machine: &str, endpoint: &str) -> Option<Finding> {
         ErrorKind::PermissionDenied => "choose a port above 1023".to_owned(),
         _ => return None,
     };
-    Some(Finding::new(format!("machine `{machine}` cannot listen on `{endpoint}`: {error}"), hint))
+    Some(Hinted::new(format!("machine `{machine}` cannot listen on `{endpoint}`: {error}"), hint))
 }
 
 fn bind(protocol: &str, address: &str) -> io::Result<()> {

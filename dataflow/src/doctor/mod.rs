@@ -10,11 +10,13 @@ mod orphans;
 pub use finding::Finding;
 
 use crate::launcher::{RunFolder, user_folder};
-use crate::needs::Needs;
 use crate::plan::Plan;
 use crate::ports::capacity::in_words;
 use crate::ports::shared_memory::leftovers::{Leftover, Litter, clear, leftovers, litter};
+use crate::preflight::Requirements;
 use crate::registry::Registry;
+use conicflow_messages::Hinted;
+use std::collections::HashSet;
 use std::path::Path;
 use std::time::Duration;
 
@@ -24,7 +26,7 @@ pub fn examine(plans: &[Plan], registry: &Registry) -> Vec<Finding> {
     let usable = findings.is_empty();
     let idle: Vec<_> = plans.iter().filter(|plan| !is_running(&plan.pipeline)).collect();
     findings.extend(
-        idle.iter().flat_map(|plan| Needs::of(plan, registry.nodes).shortfalls()).map(|short| Finding::of(&short)),
+        idle.iter().flat_map(|plan| Requirements::of(plan, registry.nodes).insufficient()).map(|short| short.into()),
     );
     if let Some(network) = &registry.network {
         findings.extend(listening::examine(&idle, network));
@@ -40,13 +42,8 @@ pub fn examine(plans: &[Plan], registry: &Registry) -> Vec<Finding> {
 
 /// What holds for several plans is told once.
 fn without_repetition(findings: Vec<Finding>) -> Vec<Finding> {
-    let mut told = Vec::new();
-    for finding in findings {
-        if !told.contains(&finding) {
-            told.push(finding);
-        }
-    }
-    told
+    let mut told = HashSet::new();
+    findings.into_iter().filter(|finding| told.insert(finding.to_string())).collect()
 }
 
 /// Removes what dead runs of this user have left, and tells what that was. What a live process uses stays, whoever's it is.
@@ -90,14 +87,14 @@ fn dead_in_folder() -> Option<Finding> {
     let folder = user_folder().join("shm");
     let left = describe(litter(&folder), &folder)?;
     let what = format!("{left} was not removed");
-    Some(Finding::new(what, "the next run removes it, or now `conicflow doctor --clean`"))
+    Some(Hinted::new(what, "the next run removes it, or now `conicflow doctor --clean`").into())
 }
 
 fn cut_off_runs() -> Vec<Finding> {
     let cut_off = RunFolder::all().unwrap_or_default().into_iter().filter(|folder| folder.cut_off().is_some());
     let finding = |folder: RunFolder| {
         let what = format!("the run whose records are in `{}` was cut off", folder.path().display());
-        Finding::new(what, "the next run of this pipeline removes them, or now `conicflow doctor --clean`")
+        Hinted::new(what, "the next run of this pipeline removes them, or now `conicflow doctor --clean`").into()
     };
     cut_off.map(finding).collect()
 }
@@ -107,7 +104,7 @@ fn files() -> Option<Finding> {
     let oldest = found.iter().map(|file| file.age).max().unwrap_or_default();
     let what = format!("{} of dead runs in /dev/shm that nobody has open, up to {} old", several(&found), age(oldest));
     let hint = "`conicflow doctor --clean` removes them; no run finds them any more if its runtime folder was deleted";
-    Some(Finding::new(what, hint))
+    Some(Hinted::new(what, hint).into())
 }
 
 fn several(files: &[Leftover]) -> String {

@@ -2,6 +2,7 @@
 
 use super::finding::Finding;
 use crate::launcher::{LAST_STAGES_GRACE, LAUNCHER, PIPELINE, RUNTIME_DIR, STAGE};
+use conicflow_messages::Hinted;
 use rustix::process::geteuid;
 use std::fs;
 use std::os::unix::fs::MetadataExt;
@@ -44,7 +45,7 @@ fn orphan(process: u32) -> Option<Finding> {
     let lost = same_folder && parent != launcher && !started_by_stage(&parent);
     let what = format!("stage `{stage}` of pipeline `{pipeline}` runs on without its launcher, as process {process}");
     let hint = format!("`kill {process}` ends it, or `kill -9 {process}` if it does not listen");
-    lost.then(|| Finding::new(what, hint))
+    lost.then(|| Hinted::new(what, hint).into())
 }
 
 /// Whether its numbers of processes are ours: those of a container say nothing here.

@@ -22,10 +22,10 @@ pub use process::{PIPELINE, ProcessError, become_stage, run_in_run, run_source, 
 pub use request::SwapError;
 pub use summary::{StageSummary, Summary, link_table};
 
-use crate::needs::{Needs, Shortfall};
 use crate::plan::Plan;
 use crate::ports::PortError;
 use crate::ports::shared_memory::SharedMemory;
+use crate::preflight::{InsufficientResource, Requirements};
 use crate::stage::Stop;
 use child::{Change, Supervised};
 use phase::Phase;
@@ -59,7 +59,7 @@ pub enum LaunchError {
     Port(#[from] PortError),
     /// The machine has too little of something.
     #[error(transparent)]
-    Shortfall(#[from] Shortfall),
+    InsufficientResource(#[from] InsufficientResource),
     /// Signals.
     #[error("signals cannot be received: {0}")]
     Signals(std::io::Error),
@@ -72,7 +72,7 @@ impl LaunchError {
         match self {
             Self::Process(error) => error.exit_code(),
             Self::Signals(_) => 1,
-            Self::Folder(_) | Self::Port(_) | Self::Shortfall(_) => 2,
+            Self::Folder(_) | Self::Port(_) | Self::InsufficientResource(_) => 2,
         }
     }
 }
@@ -85,10 +85,10 @@ pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
     let folder = RunFolder::open(&plan.pipeline)?;
     let _lock = folder.lock(&plan.pipeline)?;
     SharedMemory::clean(folder.shared_memory())?;
-    Needs::of(plan, options.nodes).shortfalls().into_iter().try_for_each(Err)?;
+    Requirements::of(plan, options.nodes).insufficient().into_iter().try_for_each(Err)?;
     folder.begin(plan)?;
     let memory = SharedMemory::open(folder.shared_memory(), &plan.namespace(), "launcher", Stop::default())?;
-    let services = memory.hold(plan.topics())?;
+    let services = memory.keep_services(plan.topics())?;
     let mut launcher = Launcher {
         plan: plan.clone(),
         folder,

@@ -3,7 +3,7 @@
 use super::folder::{FolderError, PLAN, RunFolder};
 use super::options::RunOptions;
 use crate::log::{DEFAULT_LOG, LOG, log_to_standard_error};
-use crate::network::{BridgeRun, Carrier, NO_NETWORK, NO_NETWORK_HINT, Network, NetworkError, SettingsFault};
+use crate::network::{BridgeRun, Carrier, NO_NETWORK, NO_NETWORK_HINT, Network, NetworkError};
 use crate::node::Node;
 use crate::plan::{Plan, PlannedStage, Runs};
 use crate::ports::PortError;
@@ -14,6 +14,7 @@ use crate::runner::peers::Peers;
 use crate::runner::{RunError, StageRuntime};
 use crate::stage::{Context, Source, Stage, Stop};
 use crate::status::StatusFile;
+use conicflow_messages::Hinted;
 use rustix::process::{Signal, getppid, set_parent_process_death_signal};
 use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1};
 use signal_hook::iterator::Signals;
@@ -51,7 +52,7 @@ pub enum ProcessError {
     Bridge(#[from] NetworkError),
     /// The program that carries edges between machines.
     #[error(transparent)]
-    Settings(#[from] SettingsFault),
+    Settings(#[from] Hinted),
     /// There is no such stage in the plan.
     #[error("there is no stage `{0}` in this pipeline\n  hint: `conicflow graph` shows its stages")]
     NoStage(String),
@@ -154,9 +155,9 @@ fn run_planned(
                     return Err(become_program(plan, planned, &[program]));
                 }
             };
-            let around = stage_runtime(plan, folder, planned)?;
+            let runtime = stage_runtime(plan, folder, planned)?;
             let run = BridgeRun { pipeline: &plan.pipeline, run: plan.run, folder: folder.path() };
-            Ok(run_here(edges, run, around)?)
+            Ok(run_here(edges, run, runtime)?)
         }
     }
 }
@@ -253,7 +254,7 @@ fn stage_runtime(
     let record = StatusFile::open(&path, plan.run).map_err(|error| FolderError::Io { path, error })?;
     let context = Context { stage: planned.name.clone(), base: plan.base.clone(), stop, ..Context::default() };
     let peers = Peers::in_folder(folder.path().to_owned(), plan.run);
-    let mut around = StageRuntime {
+    let mut runtime = StageRuntime {
         transport: transport.map_err(RunError::from)?,
         wiring: planned.wiring.clone(),
         context,
@@ -264,10 +265,10 @@ fn stage_runtime(
         lock,
     };
     // The record is that of the predecessor until its successor's turn comes.
-    if around.successor.is_none() {
-        around.enter();
+    if runtime.successor.is_none() {
+        runtime.enter();
     }
-    Ok(around)
+    Ok(runtime)
 }
 
 fn system(doing: &str, error: io::Error) -> ProcessError {

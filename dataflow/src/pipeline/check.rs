@@ -5,7 +5,7 @@ use super::{BRIDGE, Input, Pipeline, Program, StageSpec};
 use crate::item_type::ItemType;
 use crate::node::Node;
 use crate::ports::Delivery;
-use crate::sides::Pick;
+use crate::side_inputs::Pairing;
 use conicflow_messages::{AnyByte, Item, Nothing, Object};
 use std::collections::BTreeSet;
 
@@ -79,7 +79,7 @@ fn inputs(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>) 
         fits(pipeline, node, input, &accepted, faults);
     }
     for (name, input) in &stage.inputs {
-        if let Some(side) = node.sides().iter().find(|side| side.name == name) {
+        if let Some(side) = node.side_inputs().iter().find(|side| side.name == name) {
             fits(pipeline, node, input, &[side.kind], faults);
         }
     }
@@ -276,8 +276,8 @@ fn find_cycle(pipeline: &Pipeline, path: &mut Vec<usize>, done: &mut [bool]) -> 
 }
 
 fn waits_for(pipeline: &Pipeline, stage: &StageSpec) -> Vec<usize> {
-    let sides = if let Program::Node(node) = &stage.program { node.sides() } else { &[] };
-    let latest = |name: &str| sides.iter().all(|side| side.name != name || side.pick == Pick::Latest);
+    let side_inputs = if let Program::Node(node) = &stage.program { node.side_inputs() } else { &[] };
+    let latest = |name: &str| side_inputs.iter().all(|side| side.name != name || side.pairing == Pairing::Latest);
     let awaited = stage.inputs.iter().filter(|(name, input)| !latest(name) || input.delivery == Delivery::Lossless);
     let topics: Vec<_> = stage.input.iter().chain(awaited.map(|(_, input)| input)).map(|input| &input.topic).collect();
     let writes = |stage: &StageSpec| stage.output.as_ref().is_some_and(|output| topics.contains(&output));

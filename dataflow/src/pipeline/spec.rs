@@ -37,7 +37,7 @@ pub struct StageSpec {
     pub program: Program,
     /// What drives it.
     pub input: Option<Input>,
-    /// Its further inputs, by name.
+    /// Its side inputs, by name.
     pub inputs: Vec<(String, Input)>,
     /// The topic that it writes.
     pub output: Option<String>,
@@ -199,7 +199,7 @@ impl StageSpec {
             return kinds.next().filter(|kind| kinds.next().is_none() && *kind != AnyByte::NAME);
         }
         let (name, _) = self.inputs.iter().find(|(_, input)| input.topic == topic)?;
-        node.sides().iter().find(|side| side.name == name).map(|side| side.kind)
+        node.side_inputs().iter().find(|side| side.name == name).map(|side| side.kind)
     }
 
     /// What it makes, by name; `None` if it is a program of one's own of which the file does not say it.

@@ -41,7 +41,7 @@ struct Queue {
     stage: String,
     delivery: Delivery,
     capacity: usize,
-    messages: VecDeque<Arc<Held>>,
+    messages: VecDeque<Arc<MemoryMessage>>,
 }
 
 /// Bytes that lie as any item has to.
@@ -67,12 +67,12 @@ impl Aligned {
 
 /// A message in this process.
 #[derive(Debug)]
-pub struct Held {
+pub struct MemoryMessage {
     header: Header,
     items: Aligned,
 }
 
-impl Received for Arc<Held> {
+impl Received for Arc<MemoryMessage> {
     fn header(&self) -> &Header {
         &self.header
     }
@@ -97,7 +97,7 @@ impl Drop for MemoryReader {
 }
 
 impl Reader for MemoryReader {
-    type Message = Arc<Held>;
+    type Message = Arc<MemoryMessage>;
 
     fn item(&self) -> &ItemType {
         &self.item
@@ -140,7 +140,7 @@ impl Writer for MemoryWriter {
     }
 
     fn send(&mut self, header: &Header) -> Result<usize, PortError> {
-        let message = Arc::new(Held { header: *header, items: std::mem::take(&mut self.loan) });
+        let message = Arc::new(MemoryMessage { header: *header, items: std::mem::take(&mut self.loan) });
         let mut queues = lock(&self.channel.queues);
         let full = |queue: &Queue| queue.delivery == Delivery::Lossless && queue.messages.len() >= queue.capacity;
         while queues.iter().any(full) {

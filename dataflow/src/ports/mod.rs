@@ -108,8 +108,8 @@ impl Topic {
 pub struct Wiring {
     /// The topic that drives it, if it is no source.
     pub input: Option<Topic>,
-    /// Its further inputs, by their names.
-    pub sides: Vec<(String, Topic)>,
+    /// Its side inputs, by their names.
+    pub side_inputs: Vec<(String, Topic)>,
     /// The topic that it writes.
     pub output: Option<Topic>,
     /// A source ends after so many messages.
@@ -149,7 +149,7 @@ pub enum PortError {
         "topic `{topic}` has {limit} onlookers already, there is no place for another\n  \
          hint: end one of them (`pgrep -af \"conicflow topic\"` lists them)"
     )]
-    TooManyTaps {
+    TooManyOnlookers {
         /// The topic.
         topic: String,
         /// How many it has places for.

@@ -40,7 +40,7 @@ where
         wiring,
         context,
         &output,
-        |around| run_stage::<S, _>(config, around),
+        |runtime| run_stage::<S, _>(config, runtime),
         |is_over| {
             while writer.connected().is_empty() && !is_over() {
                 thread::yield_now();
@@ -65,7 +65,7 @@ where
     let memory = InMemory::new(context.stop.clone());
     let output = topic("output", &context.stage, DOWNSTREAM, 4);
     let wiring = Wiring { output: Some(output.clone()), frames: Some(frames), ..Wiring::default() };
-    run_alone(&memory, wiring, context, &output, |around| run_source::<S, _>(config, around), |_| Ok(()))
+    run_alone(&memory, wiring, context, &output, |runtime| run_source::<S, _>(config, runtime), |_| Ok(()))
 }
 
 fn topic(name: &str, writer: &str, reader: &str, queue: usize) -> Topic {
@@ -91,10 +91,10 @@ fn run_alone<T: Item>(
     let mut reader = memory.reader::<T>(output, DOWNSTREAM)?;
     let record = StatusFile::nowhere();
     let (transport, peers) = (memory.clone(), Peers::default());
-    let around =
+    let runtime =
         StageRuntime { transport, wiring, context, peers, record, handover: None, successor: None, lock: None };
     thread::scope(|scope| {
-        let running = scope.spawn(|| run(around));
+        let running = scope.spawn(|| run(runtime));
         let fed = feed(&|| running.is_finished());
         let sent = gather(&mut reader, || running.is_finished());
         drop(reader);

@@ -1,7 +1,7 @@
 //! How a stage that is replaced hands over to its successor, so that no message is lost and none is worked on twice.
 //!
-//! The successor opens its inputs while its predecessor works, waits until it has heard each writer once, and says from
-//! which messages on it hears everything (`STAGE.first` in the run's folder). The predecessor goes on until it has worked
+//! The successor opens its inputs while its predecessor works, waits until it has received a message of each writer, and says
+//! from which messages on it receives everything (`STAGE.first` in the run's folder). The predecessor goes on until it has worked
 //! on all before those, and leaves at that message, without an end of stream, saying how far it came (`STAGE.last`). The
 //! successor begins when its launcher says that the predecessor is gone. It speaks with the launcher through a socket on
 //! its standard input: a byte each way, and the end of one of the two ends the other's waiting.
@@ -23,7 +23,7 @@ const LOOK: Duration = Duration::from_millis(20);
 
 /// A place in the streams that a stage reads.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub(crate) struct Mark {
+pub(crate) struct Watermark {
     /// By writer: the number of a message.
     pub(crate) numbers: BTreeMap<Text<32>, u64>,
     /// By source: epoch and sequence number of the last frame.
@@ -53,27 +53,27 @@ impl Handover {
         }
     }
 
-    /// From which messages on the successor hears everything; all, if it did not say.
-    pub(crate) fn first(&self) -> Mark {
+    /// From which messages on the successor receives everything; all, if it did not say.
+    pub(crate) fn first(&self) -> Watermark {
         read(&self.first).unwrap_or_default()
     }
 
     /// How far the predecessor came; `None` if it died before it could tell.
-    pub(crate) fn last(&self) -> Option<Mark> {
+    pub(crate) fn last(&self) -> Option<Watermark> {
         read(&self.last)
     }
 
     /// Says how far this stage came.
-    pub(crate) fn leave(&self, mark: &Mark) -> io::Result<()> {
+    pub(crate) fn leave(&self, mark: &Watermark) -> io::Result<()> {
         write(&self.last, mark)
     }
 }
 
-fn read(path: &Path) -> Option<Mark> {
+fn read(path: &Path) -> Option<Watermark> {
     serde_json::from_slice(&fs::read(path).ok()?).ok()
 }
 
-fn write(path: &Path, mark: &Mark) -> io::Result<()> {
+fn write(path: &Path, mark: &Watermark) -> io::Result<()> {
     fs::write(path, serde_json::to_vec(mark)?)
 }
 
@@ -95,8 +95,8 @@ impl Successor {
         Ok(Some(Self { handover: handover.clone(), launcher }))
     }
 
-    /// Says that it is ready, and hears everything from `first` on.
-    pub(crate) fn is_ready(&mut self, first: &Mark) -> io::Result<()> {
+    /// Says that it is ready, and receives everything from `first` on.
+    pub(crate) fn is_ready(&mut self, first: &Watermark) -> io::Result<()> {
         write(&self.handover.first, first)?;
         self.launcher.write_all(b"r")
     }

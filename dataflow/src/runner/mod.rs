@@ -4,26 +4,26 @@
 
 pub(crate) mod alone;
 pub(crate) mod handover;
-pub(crate) mod inbox;
+pub(crate) mod input_port;
 #[cfg(test)]
-mod inbox_tests;
-pub(crate) mod outlet;
+mod input_port_tests;
+pub(crate) mod output_port;
 pub(crate) mod peers;
 mod side_ports;
 pub(crate) mod source_loop;
 pub(crate) mod stage_loop;
-mod succession;
+mod takeover;
 #[cfg(test)]
 mod tests;
 
-use crate::ports::shared_memory::residence;
+use crate::ports::shared_memory::trim_rss;
 use crate::ports::{PortError, Transport, Wiring};
-use crate::sides::Side;
+use crate::side_inputs::SideInput;
 use crate::stage::{Context, StageError};
 use crate::status::{Life, StatusFile};
 use conicflow_messages::{Item, Nothing, Text};
 use handover::{Handover, Successor};
-use outlet::Outlet;
+use output_port::OutputPort;
 use peers::Peers;
 use side_ports::SidePort;
 use std::any::Any;
@@ -90,17 +90,17 @@ fn with_causes(error: &(dyn Error + 'static)) -> String {
 }
 
 impl<T: Transport + 'static> StageRuntime<T> {
-    pub(crate) fn outlet<O: Item>(&mut self) -> Result<Outlet<T::Writer>, PortError> {
+    pub(crate) fn output_port<O: Item>(&mut self) -> Result<OutputPort<T::Writer>, PortError> {
         let wired = self.wiring.output.take().filter(|_| !is_nothing::<O>());
         let port = wired.map(|topic| Ok::<_, PortError>((self.transport.writer::<O>(&topic)?, topic))).transpose()?;
         let (stop, sent) = (self.context.stop.clone(), self.record.status.sent);
-        Ok(Outlet::new(port, &self.context.stage, sent, self.peers.clone(), stop))
+        Ok(OutputPort::new(port, &self.context.stage, sent, self.peers.clone(), stop))
     }
 
-    pub(crate) fn sides(&self, declared: &'static [Side]) -> Result<Vec<Box<dyn SidePort>>, PortError> {
+    pub(crate) fn side_inputs(&self, declared: &'static [SideInput]) -> Result<Vec<Box<dyn SidePort>>, PortError> {
         let mut ports = Vec::new();
         for side in declared {
-            if let Some((_, topic)) = self.wiring.sides.iter().find(|(name, _)| name == side.name) {
+            if let Some((_, topic)) = self.wiring.side_inputs.iter().find(|(name, _)| name == side.name) {
                 ports.push(side_ports::open(&self.transport, *side, topic, &self.context.stage)?);
             }
         }
@@ -128,22 +128,22 @@ impl<T: Transport + 'static> StageRuntime<T> {
 }
 
 /// Gives back, when a process is at work, what only its start needed.
-pub struct Settling(Option<u64>);
+pub struct MemoryTrim(Option<u64>);
 
-impl Settling {
+impl MemoryTrim {
     /// The steps after which it does: soon, and when what is seldom done has been done as well.
     const STEPS: [u64; 2] = [10, 100];
 
     /// For a stage that is a process of its own; others leave their process as it is.
-    pub fn of<T>(around: &StageRuntime<T>) -> Self {
-        Self(around.lock.as_ref().map(|_| 0))
+    pub fn of<T>(runtime: &StageRuntime<T>) -> Self {
+        Self(runtime.lock.as_ref().map(|_| 0))
     }
 
     /// Counts a step.
     pub fn step(&mut self) {
         self.0 = self.0.map(|steps| steps + 1);
         if self.0.is_some_and(|steps| Self::STEPS.contains(&steps)) {
-            residence::give_back();
+            trim_rss::trim();
         }
     }
 }

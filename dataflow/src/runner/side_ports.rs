@@ -1,9 +1,9 @@
-//! The further inputs of a running stage: finds for each step the message that goes with it.
+//! The side inputs of a running stage: finds for each step the message that goes with it.
 
-use super::inbox::Inbox;
+use super::input_port::InputPort;
 use crate::item_type::AnyMessage;
 use crate::ports::{Delivery, MAX_KEPT, PortError, Reader, Received, Topic, Transport};
-use crate::sides::{Pick, Side, Sides};
+use crate::side_inputs::{Pairing, SideInput, SideInputs};
 use crate::status::InputCounts;
 use conicflow_messages::Header;
 use std::collections::VecDeque;
@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 /// How long a step waits for a message of its frame that is still on its way.
 const ON_ITS_WAY: Duration = Duration::from_millis(500);
 
-/// A further input, opened.
+/// A side input, opened.
 pub(crate) trait SidePort {
     /// Its name in the pipeline file.
     fn name(&self) -> &'static str;
@@ -23,17 +23,17 @@ pub(crate) trait SidePort {
     /// What came and what was lost.
     fn counts(&self) -> InputCounts;
     /// Keeps what has come, for when this process's turn has come.
-    fn overhear(&mut self) -> Result<(), PortError>;
-    /// Whether what goes with this step, and with all that follow, was or will be overheard.
-    fn hears(&self, step: &Header) -> bool;
-    /// Goes on where an earlier process of the same stage left, with what was overheard meanwhile.
+    fn buffer_ahead(&mut self) -> Result<(), PortError>;
+    /// Whether what goes with this step, and with all that follow, is or will be buffered.
+    fn covers(&self, step: &Header) -> bool;
+    /// Goes on where an earlier process of the same stage left, with what was buffered meanwhile.
     fn resume(&mut self, counts: InputCounts) -> Result<(), PortError>;
 }
 
-/// Opens a further input that is wired to `topic`.
+/// Opens a side input that is wired to `topic`.
 pub(crate) fn open<T: Transport>(
     transport: &T,
-    side: Side,
+    side: SideInput,
     topic: &Topic,
     stage: &str,
 ) -> Result<Box<dyn SidePort>, PortError>
@@ -43,9 +43,9 @@ where
     let reader = transport.reader_of(&(side.item)(), topic, stage)?;
     let wired = topic.readers.iter().find(|reader| reader.stage == stage);
     let lossless = wired.is_some_and(|reader| reader.delivery == Delivery::Lossless);
-    let taking = if side.pick == Pick::Latest { Delivery::Latest } else { Delivery::Lossless };
-    Ok(Box::new(WiredSide {
-        inbox: Inbox::new(reader, taking, &topic.name, topic.writers.len()),
+    let taking = if side.pairing == Pairing::Latest { Delivery::Latest } else { Delivery::Lossless };
+    Ok(Box::new(WiredInput {
+        input_port: InputPort::new(reader, taking, &topic.name, topic.writers.len()),
         side,
         patience: if lossless { ON_ITS_WAY } else { Duration::ZERO },
         waiting: VecDeque::new(),
@@ -54,21 +54,21 @@ where
 }
 
 /// The messages that were found, to be handed to a step.
-pub(crate) fn found(ports: &[Box<dyn SidePort>]) -> Sides<'_> {
-    Sides(ports.iter().filter_map(|port| Some((port.name(), port.message()?))).collect())
+pub(crate) fn found(ports: &[Box<dyn SidePort>]) -> SideInputs<'_> {
+    SideInputs(ports.iter().filter_map(|port| Some((port.name(), port.message()?))).collect())
 }
 
-struct WiredSide<R: Reader> {
-    inbox: Inbox<R>,
-    side: Side,
+struct WiredInput<R: Reader> {
+    input_port: InputPort<R>,
+    side: SideInput,
     patience: Duration,
     waiting: VecDeque<R::Message>,
     found: Option<R::Message>,
 }
 
-impl<R: Reader> WiredSide<R> {
+impl<R: Reader> WiredInput<R> {
     fn find_latest(&mut self) -> Result<(), PortError> {
-        while let Some(message) = self.inbox.take()? {
+        while let Some(message) = self.input_port.take()? {
             self.found = Some(message);
         }
         Ok(())
@@ -85,10 +85,10 @@ impl<R: Reader> WiredSide<R> {
             }
             let left = deadline.saturating_duration_since(Instant::now());
             let overtaken = self.waiting.iter().any(|message| follows(message.header(), step));
-            if overtaken || left.is_zero() || self.inbox.ended() {
+            if overtaken || left.is_zero() || self.input_port.ended() {
                 return Ok(());
             }
-            self.inbox.wait(left)?;
+            self.input_port.wait(left)?;
         }
     }
 
@@ -99,7 +99,7 @@ impl<R: Reader> WiredSide<R> {
             if self.waiting.len() >= MAX_KEPT {
                 self.waiting.pop_front();
             }
-            match self.inbox.take()? {
+            match self.input_port.take()? {
                 Some(message) => self.waiting.push_back(message),
                 None => return Ok(()),
             }
@@ -125,40 +125,40 @@ fn reaches(a: &Header, b: &Header) -> bool {
     same_frame(a, b) || follows(a, b)
 }
 
-impl<R: Reader> SidePort for WiredSide<R> {
+impl<R: Reader> SidePort for WiredInput<R> {
     fn name(&self) -> &'static str {
         self.side.name
     }
 
     fn find(&mut self, step: Option<&Header>) -> Result<(), PortError> {
-        match (self.side.pick, step) {
-            (Pick::SameFrame, Some(header)) => self.find_same_frame(header),
+        match (self.side.pairing, step) {
+            (Pairing::SameFrame, Some(header)) => self.find_same_frame(header),
             _ => self.find_latest(),
         }
     }
 
     fn message(&self) -> Option<AnyMessage<'_>> {
         let message = self.found.as_ref()?;
-        Some(AnyMessage { header: message.header(), item: self.inbox.item(), bytes: message.bytes() })
+        Some(AnyMessage { header: message.header(), item: self.input_port.item(), bytes: message.bytes() })
     }
 
     fn counts(&self) -> InputCounts {
-        self.inbox.counts()
+        self.input_port.counts()
     }
 
-    fn overhear(&mut self) -> Result<(), PortError> {
-        self.inbox.overhear()
+    fn buffer_ahead(&mut self) -> Result<(), PortError> {
+        self.input_port.buffer_ahead()
     }
 
-    fn hears(&self, step: &Header) -> bool {
+    fn covers(&self, step: &Header) -> bool {
         let before = |header: &Header| reaches(step, header);
-        self.side.pick == Pick::Latest || self.inbox.overheard().any(before)
+        self.side.pairing == Pairing::Latest || self.input_port.buffered().any(before)
     }
 
     fn resume(&mut self, counts: InputCounts) -> Result<(), PortError> {
-        self.inbox.overhear()?;
-        self.inbox.resume(counts);
-        self.inbox.admit_overheard();
+        self.input_port.buffer_ahead()?;
+        self.input_port.resume(counts);
+        self.input_port.admit_buffered();
         Ok(())
     }
 }
@@ -171,7 +171,7 @@ mod tests {
     use crate::ports::{TopicReader, Writer};
     use conicflow_messages::{Camera, Hop, Object, Text};
 
-    const OBJECTS: Side = Side::same_frame::<Object>("objects");
+    const OBJECTS: SideInput = SideInput::same_frame::<Object>("objects");
 
     fn frame(camera: &str, sequence: u64) -> Header {
         let epoch = if camera == "left" { 1 } else { 2 };

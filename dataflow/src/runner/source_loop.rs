@@ -1,9 +1,9 @@
 //! The life of a source: it makes messages at its pace, until it has no more, has made enough, or the run ends.
 
-use super::handover::Mark;
-use super::outlet::Outlet;
+use super::handover::Watermark;
+use super::output_port::OutputPort;
 use super::side_ports::{self, SidePort};
-use super::{RunError, Settling, StageRuntime, guarded, is_stopped};
+use super::{MemoryTrim, RunError, StageRuntime, guarded, is_stopped};
 use crate::clock::monotonic_ns;
 use crate::ports::Transport;
 use crate::stage::{Next, Pace, Source, Stop};
@@ -14,37 +14,39 @@ use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 struct SourceLoop<S: Source, T: Transport> {
     source: S,
-    sides: Vec<Box<dyn SidePort>>,
-    outlet: Outlet<T::Writer>,
+    side_inputs: Vec<Box<dyn SidePort>>,
+    output_port: OutputPort<T::Writer>,
     list: Vec<S::Output>,
     record: StatusFile,
     stop: Stop,
     epoch: u64,
     sequence: u64,
-    settling: Settling,
+    memory_trim: MemoryTrim,
 }
 
 /// Runs the source `S` to its end.
 pub(crate) fn run_source<S: Source, T: Transport + 'static>(
     config: S::Config,
-    mut around: StageRuntime<T>,
+    mut runtime: StageRuntime<T>,
 ) -> Result<(), RunError> {
-    let (mut sides, mut outlet) = (around.sides(S::sides())?, around.outlet::<S::Output>()?);
-    if !takes_place(&mut around)? {
+    let (mut side_inputs, mut output_port) =
+        (runtime.side_inputs(S::side_inputs())?, runtime.output_port::<S::Output>()?);
+    if !takes_place(&mut runtime)? {
         return Ok(());
     }
-    around.context.resume_at = around.record.status.sent;
-    around.context.counted = counted(&around.record.status);
-    outlet.resume(around.record.status.sent);
-    sides.iter_mut().zip(around.record.status.inputs).try_for_each(|(side, counts)| side.resume(counts))?;
-    let source = S::new(config, &around.context).map_err(RunError::Refused)?;
-    around.begin(source.total());
-    let (stop, sequence) = (around.context.stop.clone(), around.context.resume_at);
-    let (frames, settling) = (around.wiring.frames, Settling::of(&around));
+    runtime.context.resume_at = runtime.record.status.sent;
+    runtime.context.counted = counted(&runtime.record.status);
+    output_port.resume(runtime.record.status.sent);
+    side_inputs.iter_mut().zip(runtime.record.status.inputs).try_for_each(|(side, counts)| side.resume(counts))?;
+    let source = S::new(config, &runtime.context).map_err(RunError::Refused)?;
+    runtime.begin(source.total());
+    let (stop, sequence) = (runtime.context.stop.clone(), runtime.context.resume_at);
+    let (frames, memory_trim) = (runtime.wiring.frames, MemoryTrim::of(&runtime));
     let mut pace = Pace::new(source.rate_hz(), stop.clone());
-    let (record, epoch) = (around.record, new_epoch());
+    let (record, epoch) = (runtime.record, new_epoch());
     let list = Vec::new();
-    let mut running = SourceLoop::<S, T> { source, sides, outlet, list, record, stop, epoch, sequence, settling };
+    let mut running =
+        SourceLoop::<S, T> { source, side_inputs, output_port, list, record, stop, epoch, sequence, memory_trim };
     while frames.is_none_or(|frames| running.sequence < frames) {
         pace.wait();
         if running.stop.requested() || !running.make_one()? {
@@ -59,13 +61,13 @@ fn counted(status: &Status) -> BTreeMap<String, u64> {
 }
 
 /// Waits, where this process replaces another, until that is gone: a device is never opened twice. Whether its turn came.
-fn takes_place<T: Transport + 'static>(around: &mut StageRuntime<T>) -> Result<bool, RunError> {
-    let Some(mut successor) = around.successor.take() else { return Ok(true) };
-    successor.is_ready(&Mark::default()).map_err(|error| RunError::Refused(error.into()))?;
-    let stop = around.context.stop.clone();
+fn takes_place<T: Transport + 'static>(runtime: &mut StageRuntime<T>) -> Result<bool, RunError> {
+    let Some(mut successor) = runtime.successor.take() else { return Ok(true) };
+    successor.is_ready(&Watermark::default()).map_err(|error| RunError::Refused(error.into()))?;
+    let stop = runtime.context.stop.clone();
     let turn = successor.await_turn(|| stop.forced());
     if turn {
-        around.enter();
+        runtime.enter();
     }
     Ok(turn)
 }
@@ -73,13 +75,13 @@ fn takes_place<T: Transport + 'static>(around: &mut StageRuntime<T>) -> Result<b
 impl<S: Source, T: Transport> SourceLoop<S, T> {
     /// Makes and sends one message; false if there is none any more.
     fn make_one(&mut self) -> Result<bool, RunError> {
-        for side in &mut self.sides {
+        for side in &mut self.side_inputs {
             side.find(None)?;
         }
         let started = Instant::now();
-        let sides = side_ports::found(&self.sides);
-        let mut output = self.outlet.place(Header::default(), &mut self.list);
-        let next = guarded(self.sequence, || self.source.next(&sides, &mut output))?;
+        let side_inputs = side_ports::found(&self.side_inputs);
+        let mut output = self.output_port.place(Header::default(), &mut self.list);
+        let next = guarded(self.sequence, || self.source.next(&side_inputs, &mut output))?;
         let header = Header { epoch: self.epoch, sequence: self.sequence, ..output.header };
         let is_image = output.is_image();
         if next == Next::End {
@@ -88,20 +90,20 @@ impl<S: Source, T: Transport> SourceLoop<S, T> {
         }
         self.record.status.compute.add(started.elapsed().as_nanos() as u64);
         let list = (!is_image).then_some(&*self.list);
-        if is_stopped(self.outlet.send(header, monotonic_ns(), list))? {
+        if is_stopped(self.output_port.send(header, monotonic_ns(), list))? {
             return Ok(false);
         }
         self.sequence += 1;
         self.record.status.steps += 1;
         self.keep_record(header.sequence);
-        self.settling.step();
+        self.memory_trim.step();
         Ok(true)
     }
 
     fn keep_record(&mut self, frame: u64) {
         let status = &mut *self.record.status;
-        self.outlet.tally(status, frame, &self.list);
-        for (slot, side) in status.inputs.iter_mut().zip(&self.sides) {
+        self.output_port.tally(status, frame, &self.list);
+        for (slot, side) in status.inputs.iter_mut().zip(&self.side_inputs) {
             *slot = side.counts();
         }
         self.record.write();
@@ -109,9 +111,9 @@ impl<S: Source, T: Transport> SourceLoop<S, T> {
 
     /// Ends the stream; a source that was stopped at once, or replaced, leaves its readers waiting for its successor.
     fn end(mut self) -> Result<(), RunError> {
-        drop(self.sides);
+        drop(self.side_inputs);
         if !self.stop.forced() && !self.stop.leaving() {
-            self.outlet.end()?;
+            self.output_port.end()?;
             self.record.status.set_life(Life::Ended);
         }
         self.record.write();

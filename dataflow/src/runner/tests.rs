@@ -1,7 +1,7 @@
 //! Tests of the two loops, over the in-memory twin of shared memory.
 
 use super::alone::{Owned, collect, pass};
-use crate::{Context, Next, NoConfig, Output, RunError, Sides, Source, Stage, StageError};
+use crate::{Context, Next, NoConfig, Output, RunError, SideInputs, Source, Stage, StageError};
 use conicflow_messages::{Camera, Header, Message, Nothing, Object, ObjectKind};
 
 fn context(stage: &str) -> Context {
@@ -31,7 +31,7 @@ impl Stage for Large {
         Ok(Self)
     }
 
-    fn step(&mut self, input: &Message<Object>, _: &Sides, output: &mut Output<Object>) -> Result<(), StageError> {
+    fn step(&mut self, input: &Message<Object>, _: &SideInputs, output: &mut Output<Object>) -> Result<(), StageError> {
         assert!(input.items.iter().all(|object| object.radius < 9.0), "an object of a giant");
         if input.items.iter().any(|object| object.radius == 0.0) {
             return Err("an object without a size".into());
@@ -54,7 +54,7 @@ impl Source for Counting {
         Ok(Self(u16::try_from(context.resume_at)?))
     }
 
-    fn next(&mut self, _: &Sides, output: &mut Output<u16>) -> Result<Next, StageError> {
+    fn next(&mut self, _: &SideInputs, output: &mut Output<u16>) -> Result<Next, StageError> {
         if self.0 == 3 {
             return Ok(Next::End);
         }
@@ -108,7 +108,7 @@ impl Stage for Quiet {
         Ok(Self)
     }
 
-    fn step(&mut self, input: &Message<u16>, _: &Sides, _: &mut Output<Nothing>) -> Result<(), StageError> {
+    fn step(&mut self, input: &Message<u16>, _: &SideInputs, _: &mut Output<Nothing>) -> Result<(), StageError> {
         if input.items.len() == 4 { Ok(()) } else { Err("not four pixels".into()) }
     }
 }
@@ -133,7 +133,7 @@ impl Stage for Endless {
         Ok(Self)
     }
 
-    fn step(&mut self, _: &Message<u16>, _: &Sides, _: &mut Output<Nothing>) -> Result<(), StageError> {
+    fn step(&mut self, _: &Message<u16>, _: &SideInputs, _: &mut Output<Nothing>) -> Result<(), StageError> {
         Ok(())
     }
 

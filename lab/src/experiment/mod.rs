@@ -28,6 +28,7 @@ pub use results::Results;
 use crate::score::trace::TITLES;
 use crate::score::{Figure, Row};
 use anyhow::{Context as _, Result, bail, ensure};
+use conicflow_messages::Hinted;
 use serde::Deserialize;
 use serde_json::Value as Json;
 use std::collections::BTreeMap;
@@ -153,15 +154,18 @@ impl Experiment {
     /// # Errors
     /// What is wrong with it.
     pub fn read(json: &Json) -> Result<Self> {
-        let experiment: Self = serde_json::from_value(json.clone())
-            .context("`[experiment]` cannot be read\n  hint: the files of experiments/ show what it may hold")?;
+        let experiment: Self = serde_json::from_value(json.clone()).map_err(|error| {
+            let what = format!("`[experiment]` cannot be read: {error}");
+            Hinted::new(what, "the files of experiments/ show what it may hold")
+        })?;
         for vary in &experiment.vary {
             let either = vary.cases.is_empty() != (vary.values.is_empty() || vary.set.is_empty());
             ensure!(
                 !vary.name.is_empty() && either,
-                "`vary` wants a `name` and either `set` and `values` or `cases`, got `{}`\n  hint: for example \
-                 {{ name = \"distance\", set = [\"source.values.distance\"], values = [1.0, 2.0] }}",
-                vary.name
+                Hinted::new(
+                    format!("`vary` wants a `name` and either `set` and `values` or `cases`, got `{}`", vary.name),
+                    "for example { name = \"distance\", set = [\"source.values.distance\"], values = [1.0, 2.0] }"
+                )
             );
         }
         if let Some(paper) = &experiment.paper {
@@ -169,9 +173,10 @@ impl Experiment {
             let odd = paper.rows.iter().position(|row| row.len() != width);
             ensure!(
                 odd.is_none(),
-                "row {} of `experiment.paper` has not {width} cells\n  hint: first those of \
-                     `match`, then those of `columns`",
-                odd.unwrap_or_default() + 1
+                Hinted::new(
+                    format!("row {} of `experiment.paper` has not {width} cells", odd.unwrap_or_default() + 1),
+                    "first those of `match`, then those of `columns`"
+                )
             );
         }
         Ok(experiment)
@@ -224,7 +229,10 @@ fn look(wanted: &[(&str, Vec<&String>)], known: &[String]) -> Result<()> {
         for column in columns {
             if !known.contains(column) {
                 let known: Vec<_> = known.iter().map(|column| format!("`{column}`")).collect();
-                bail!("`experiment.{key}`: there is no column `{column}`\n  hint: columns: {}", known.join(", "));
+                bail!(Hinted::new(
+                    format!("`experiment.{key}`: there is no column `{column}`"),
+                    format!("columns: {}", known.join(", "))
+                ));
             }
         }
     }

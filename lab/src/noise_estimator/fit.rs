@@ -7,7 +7,7 @@
 use crate::quantile::median;
 use crate::random::CounterRng;
 use anyhow::{Result, bail};
-use conicflow_messages::NoiseModel;
+use conicflow_messages::{Hinted, NoiseModel};
 use std::fmt;
 
 /// Ratio of the depths at which a bin ends and begins.
@@ -139,10 +139,10 @@ pub struct NoiseEstimate {
 /// There are too few variances, or most of them do not fit.
 pub fn fit(spreads: &Spreads, step_per_m: f64) -> Result<NoiseEstimate> {
     let Some(all) = spreads.summary() else {
-        bail!(
-            "too little was measured to tell the noise\n  hint: a static scene has to be measured in most of the frames, \
-             a flat wall has to fill a good part of the image"
-        );
+        bail!(Hinted::new(
+            "too little was measured to tell the noise",
+            "a static scene has to be measured in most of the frames, a flat wall has to fill a good part of the image"
+        ));
     };
     let (mut seen, kept) = without_outliers(all);
     let (Some(nearest), Some(farthest)) = (kept.first(), kept.last()) else {
@@ -170,13 +170,14 @@ fn without_outliers(all: Vec<Spread>) -> (Vec<Spread>, Vec<Spread>) {
 
 impl NoiseEstimate {
     /// What the model does not explain, with a hint.
-    pub fn misfit(&self) -> Option<String> {
+    pub fn misfit(&self) -> Option<Hinted> {
         let misfits = self.seen.iter().filter(|spread| !spread.fits).count();
         (misfits > 0).then(|| {
-            format!(
-                "{misfits} of {} depths do not fit the coefficients: did something move?\n  hint: pixels at edges do so as \
-                 well and do no harm while few; else record a scene in which nothing moves, the camera neither",
-                self.seen.len()
+            let depths = self.seen.len();
+            Hinted::new(
+                format!("{misfits} of {depths} depths do not fit the coefficients: did something move?"),
+                "pixels at edges do so as well and do no harm while few; else record a scene in which nothing moves, the \
+                 camera neither",
             )
         })
     }
@@ -186,7 +187,9 @@ impl NoiseEstimate {
         let count = |fits: bool| self.seen.iter().filter(|spread| spread.fits == fits).map(|spread| spread.count).sum();
         let (good, bad): (usize, usize) = (count(true), count(false));
         match self.misfit().filter(|_| bad > good) {
-            Some(misfit) => bail!("no coefficients explain most of what was measured: {misfit}"),
+            Some(Hinted { what, hint }) => {
+                bail!(Hinted::new(format!("no coefficients explain most of what was measured: {what}"), hint))
+            }
             None => Ok(()),
         }
     }
@@ -308,7 +311,7 @@ mod tests {
         add(&mut spreads, 3.6, 60.0, 100);
         let flying = fit(&spreads, 0.0).unwrap();
         assert_eq!(flying.model, clean.model, "{flying}");
-        assert!(flying.misfit().unwrap().starts_with("11 of 14 depths do not fit the coefficients"), "{flying}");
+        assert!(flying.misfit().unwrap().what.starts_with("11 of 14 depths do not fit the coefficients"), "{flying}");
         assert_eq!(flying.to_string().matches("does not fit").count(), 11);
     }
 

@@ -17,7 +17,7 @@ pub use fit::{NoiseEstimate, Spread};
 pub use planes::Planes;
 
 use anyhow::bail;
-use conicflow_messages::Header;
+use conicflow_messages::{Header, Hinted};
 use fit::Spreads;
 use levels::Levels;
 use schemars::JsonSchema;
@@ -44,7 +44,7 @@ pub struct NoiseEstimatorParameters {
     /// Fewest measurements of a pixel of a static scene.
     #[schemars(range(min = 3))]
     pub min_frames: u32,
-    /// Side of the blocks in which a wall counts as flat, in pixels.
+    /// SideInput of the blocks in which a wall counts as flat, in pixels.
     #[schemars(range(min = 4, max = 128))]
     pub block_px: u32,
 }
@@ -84,11 +84,10 @@ impl NoiseEstimator {
         let size = (header.camera.width, header.camera.height);
         if *self.size.get_or_insert(size) != size {
             let name = header.source.as_str().unwrap_or_default().escape_debug();
-            bail!(
-                "frame {} of `{name}` has another size than the first one\n  hint: estimate the noise of one sensor at a \
-                 time",
-                header.sequence
-            );
+            bail!(Hinted::new(
+                format!("frame {} of `{name}` has another size than the first one", header.sequence),
+                "estimate the noise of one sensor at a time"
+            ));
         }
         self.frames += 1;
         self.levels.add(pixels, header.depth_scale);
@@ -111,15 +110,15 @@ impl NoiseEstimator {
     /// Too little was seen.
     pub fn estimate(&self) -> anyhow::Result<NoiseEstimate> {
         if self.size.is_none() {
-            bail!("no frame was seen, so the noise cannot be estimated\n  hint: give a recording");
+            bail!(Hinted::new("no frame was seen, so the noise cannot be estimated", "give a recording"));
         }
         let (frames, min_frames) = (self.frames, self.config.min_frames);
         let is_static = self.config.recorded == Recorded::StaticScene;
         if is_static && frames < min_frames {
-            bail!(
-                "the recording has {frames} frames, but a static scene needs `min_frames` = {min_frames}\n  hint: record \
-                 more frames; a few of flat walls do with `recorded = \"flat_wall\"`"
-            );
+            bail!(Hinted::new(
+                format!("the recording has {frames} frames, but a static scene needs `min_frames` = {min_frames}"),
+                "record more frames; a few of flat walls do with `recorded = \"flat_wall\"`"
+            ));
         }
         let temporal = is_static.then(|| self.temporal.spreads(min_frames));
         fit::fit(temporal.as_ref().unwrap_or(&self.spreads), self.levels.step_per_m())

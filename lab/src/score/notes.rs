@@ -7,7 +7,7 @@ use super::summary;
 use super::truth::TrueObject;
 use crate::running_stats::RunningStats;
 use anyhow::{Result, bail};
-use conicflow_messages::Object;
+use conicflow_messages::{Hinted, Object};
 use std::collections::BTreeMap;
 
 /// Notes on a recording.
@@ -61,13 +61,15 @@ impl Notes {
     /// Frames came, and the truth file has none of them.
     pub fn report(&self, score: &Score, truth: &RecordedTruth) -> Result<String> {
         if let (Some(stranger), 0) = (&self.stranger, score.frames) {
-            bail!(
-                "no frame of the recording is in the truth file: the first of {} is `{}`, the file has `{}`\n  hint: it \
-                 names each frame as its file is named, with its ending",
-                self.unjudged,
-                stranger.escape_debug(),
-                truth.some_frame().unwrap_or_default().escape_debug()
-            );
+            bail!(Hinted::new(
+                format!(
+                    "no frame of the recording is in the truth file: the first of {} is `{}`, the file has `{}`",
+                    self.unjudged,
+                    stranger.escape_debug(),
+                    truth.some_frame().unwrap_or_default().escape_debug()
+                ),
+                "it names each frame as its file is named, with its ending"
+            ));
         }
         let mut text = format!("\n== by {}\n\n{}", truth.origin(), self.text) + &sums(score, self.unjudged);
         for (name, radii) in self.radii.iter().filter(|(_, radii)| radii.count() > 2) {

@@ -1,7 +1,7 @@
 //! Boxes in the image of a recorded frame that someone drew by hand, about what was not measured.
 
 use anyhow::{Result, bail};
-use conicflow_messages::Camera;
+use conicflow_messages::{Camera, Hinted};
 use serde::Deserialize;
 
 /// A box as it stands in a truth file.
@@ -30,7 +30,10 @@ impl BoxEntry {
     pub fn pixel_box(&self) -> Result<Option<PixelBox>> {
         let Some(corners @ [left, top, right, bottom]) = self.corners else { return Ok(None) };
         if !(left < right && top < bottom) {
-            bail!("the box {corners:?} of `{}` has no inside\n  hint: write [left, top, right, bottom]", self.what);
+            bail!(Hinted::new(
+                format!("the box {corners:?} of `{}` has no inside", self.what),
+                "write [left, top, right, bottom]"
+            ));
         }
         Ok(Some(PixelBox { what: self.what.clone(), corners }))
     }

@@ -35,7 +35,7 @@
 use super::pixel_box::{BoxEntry, PixelBox};
 use super::truth::{Tolerance, TrueObject, only};
 use anyhow::{Context as _, Result, bail};
-use conicflow_messages::{Camera, Object, ObjectKind};
+use conicflow_messages::{Camera, Hinted, Object, ObjectKind};
 use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -182,7 +182,10 @@ impl RecordedTruth {
         let file: TruthFile = serde_json::from_str(text)?;
         let wanted = if file.frames.is_some() { Units::Mm } else { Units::M };
         if file.units != wanted {
-            bail!("`units` is not what the keys of its entries say\n  hint: metres for objects, mm for `frames`");
+            bail!(Hinted::new(
+                "`units` is not what the keys of its entries say",
+                "metres for objects, mm for `frames`"
+            ));
         }
         let list = |entries: &[Entry]| entries.iter().map(|entry| entry.truth(tolerances)).collect::<Result<Vec<_>>>();
         let everywhere = file.objects.as_deref().map(list).transpose()?;
@@ -198,14 +201,17 @@ impl RecordedTruth {
             truth.insert(&frame.file, ball)?;
         }
         if truth.by_frame.is_empty() && truth.everywhere.is_none() {
-            bail!("it has none of `scenes`, `objects` and `frames`\n  hint: say what is in the frames");
+            bail!(Hinted::new("it has none of `scenes`, `objects` and `frames`", "say what is in the frames"));
         }
         let named = truth.unmeasured.keys().chain(truth.not_wanted.keys());
         if let Some(stranger) = named.into_iter().find(|name| truth.objects(name).is_none()) {
-            bail!(
-                "`visible_unmeasured` or `not_wanted` has boxes of `{stranger}`, of which it does not say what is to be \
-                 found\n  hint: `scenes` has a list for each frame, an empty one where nothing is to be found"
-            );
+            bail!(Hinted::new(
+                format!(
+                    "`visible_unmeasured` or `not_wanted` has boxes of `{stranger}`, of which it does not say what is to be \
+                     found"
+                ),
+                "`scenes` has a list for each frame, an empty one where nothing is to be found"
+            ));
         }
         Ok(truth)
     }
@@ -214,7 +220,10 @@ impl RecordedTruth {
     fn insert(&mut self, file: &str, truths: Option<Vec<TrueObject>>) -> Result<()> {
         let name = file_name(file);
         if self.by_frame.insert(name.to_owned(), truths).is_some() {
-            bail!("it has two entries for `{name}`\n  hint: folders do not count: write a truth file for each");
+            bail!(Hinted::new(
+                format!("it has two entries for `{name}`"),
+                "folders do not count: write a truth file for each"
+            ));
         }
         Ok(())
     }
@@ -279,11 +288,11 @@ impl Entry {
             ("cylinder", Some(point), Some(axis), _) => self.cylinder(point, axis)?,
             ("cone" | "cone_frustum", Some(point), Some(axis), _) => self.cone(point, axis)?,
             ("sphere" | "sphere_like", _, _, Some(center)) => sphere(center, radius),
-            (kind, ..) => bail!(
-                "an entry `{}` of type `{kind}` is not understood\n  hint: a `cylinder`, a `cone` or a \
-                 `cone_frustum` has `axis_point_m` and `axis_dir`, a `sphere` or `sphere_like` has `centre_m`",
-                self.what
-            ),
+            (kind, ..) => bail!(Hinted::new(
+                format!("an entry `{}` of type `{kind}` is not understood", self.what),
+                "a `cylinder`, a `cone` or a `cone_frustum` has `axis_point_m` and `axis_dir`, a `sphere` or `sphere_like` has \
+                 `centre_m`"
+            )),
         };
         let required = self.kind != "sphere_like";
         let mut tolerance = tolerances.of(&body);
@@ -304,13 +313,16 @@ impl Entry {
     /// A cylinder that widens along its axis.
     fn cone(&self, point: [f64; 3], axis: [f64; 3]) -> Result<Object> {
         let Some(half_angle) = self.half_angle_deg.filter(|degrees| (0.0..90.0).contains(degrees)) else {
-            bail!(
-                "the cone `{}` has no `half_angle_deg` from 0 to 90\n  hint: between its axis and its side",
-                self.what
-            );
+            bail!(Hinted::new(
+                format!("the cone `{}` has no `half_angle_deg` from 0 to 90", self.what),
+                "between its axis and its side"
+            ));
         };
         if self.widens.as_ref().is_some_and(|widens| !widens.starts_with("along axis_dir")) {
-            bail!("the cone `{}` does not widen along its `axis_dir`\n  hint: turn `axis_dir` about", self.what);
+            bail!(Hinted::new(
+                format!("the cone `{}` does not widen along its `axis_dir`", self.what),
+                "turn `axis_dir` about"
+            ));
         }
         let (body, half_angle) = (self.cylinder(point, axis)?, half_angle.to_radians());
         let [top, base] = [-0.5, 0.5].map(|share| (body.radius + share * body.length * half_angle.tan()).max(0.0));
@@ -319,17 +331,17 @@ impl Entry {
 
     fn cylinder(&self, point: [f64; 3], axis: [f64; 3]) -> Result<Object> {
         let Some(axis) = Vector3::from(axis).try_normalize(1e-9) else {
-            bail!(
-                "the `axis_dir` of `{}` is {axis:?}, which is no direction\n  hint: any length but zero will do",
-                self.what
-            );
+            bail!(Hinted::new(
+                format!("the `axis_dir` of `{}` is {axis:?}, which is no direction", self.what),
+                "any length but zero will do"
+            ));
         };
         let [from, to] = self.seen_side_from_to_m.unwrap_or([-0.05, 0.05]);
         if from >= to {
-            bail!(
-                "the `seen_side_from_to_m` of `{}` goes from {from} to {to}\n  hint: it rises along `axis_dir`",
-                self.what
-            );
+            bail!(Hinted::new(
+                format!("the `seen_side_from_to_m` of `{}` goes from {from} to {to}", self.what),
+                "it rises along `axis_dir`"
+            ));
         }
         Ok(Object {
             kind: ObjectKind::Cylinder.code(),

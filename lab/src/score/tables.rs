@@ -9,13 +9,13 @@ use std::collections::BTreeSet;
 use std::fmt::Display;
 
 /// A number of those samples that have it.
-type Pick = fn(&Sample) -> Option<f64>;
+type Pairing = fn(&Sample) -> Option<f64>;
 
 /// The titles of the counts with the widths of their columns.
 const COUNTS: [(&str, usize); 6] = [("truth", 6), ("found", 6), ("wrong", 6), ("recall", 8), ("prec.", 7), ("F1", 7)];
 
 /// The errors whose medians stand behind the counts.
-const ERRORS: [(&str, usize, Pick); 5] = [
+const ERRORS: [(&str, usize, Pairing); 5] = [
     ("radius %", 10, |sample| Some(radius_error(sample)?.abs())),
     ("bias %", 8, radius_error),
     ("pos. mm", 9, |sample| Some(1e3 * sample.found?.0.position_m)),
@@ -30,7 +30,7 @@ const ERRORS: [(&str, usize, Pick); 5] = [
 ];
 
 /// The standard deviations that are judged.
-const SIGMAS: [(&str, Pick); 4] = [
+const SIGMAS: [(&str, Pairing); 4] = [
     ("radius", |sample| sample.found?.1.radius),
     ("centre", |sample| sample.found?.1.center),
     ("axis", |sample| sample.found?.1.axis),
@@ -141,7 +141,7 @@ fn counts(samples: &[&Sample], tells_wrong: bool) -> [String; 6] {
     ]
 }
 
-fn values(samples: &[&Sample], pick: Pick) -> Vec<f64> {
+fn values(samples: &[&Sample], pick: Pairing) -> Vec<f64> {
     samples.iter().filter_map(|sample| pick(sample)).collect()
 }
 

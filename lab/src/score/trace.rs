@@ -3,6 +3,7 @@
 use super::observation::{Observation, State};
 use crate::csv;
 use anyhow::{Result, anyhow};
+use conicflow_messages::Hinted;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
@@ -28,7 +29,7 @@ impl Trace {
         };
         create().map_err(|error| {
             let hint = "`trace_path` wants a file in a place that you may write to";
-            anyhow!("cannot write `{}`: {error}\n  hint: {hint}", path.display())
+            anyhow!(Hinted::new(format!("cannot write `{}`: {error}", path.display()), hint))
         })
     }
 

@@ -6,7 +6,7 @@ use crate::simulator::scene::Scene;
 use crate::simulator::scene_values::{SceneTemplate, Values};
 use crate::simulator::truth::{Truth, truth_at};
 use anyhow::{Result, bail};
-use conicflow_messages::{Header, Object, ObjectKind};
+use conicflow_messages::{Header, Hinted, Object, ObjectKind};
 use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -177,11 +177,10 @@ impl RenderedTruth {
         }
         match Scene::built_in(name) {
             Some(scene) => scene,
-            None => bail!(
-                "the truth of the frames of `{}` is not known\n  hint: `scene` names the scene file of the \
-                 synthetic_source, `truth` the truth file of a recording",
-                name.escape_debug()
-            ),
+            None => bail!(Hinted::new(
+                format!("the truth of the frames of `{}` is not known", name.escape_debug()),
+                "`scene` names the scene file of the synthetic_source, `truth` the truth file of a recording"
+            )),
         }
     }
 

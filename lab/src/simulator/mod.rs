@@ -31,7 +31,9 @@ use crate::random::CounterRng;
 use anyhow::{Result, bail};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::NoiseConfig;
-use conicflow_messages::{Camera, ConfigFault, Frame, HAS_POSE, Header, INVALID_NEAR, NoiseModel, Text, Velocity};
+use conicflow_messages::{
+    Camera, ConfigFault, Frame, HAS_POSE, Header, Hinted, INVALID_NEAR, NoiseModel, Text, Velocity,
+};
 use nalgebra::Vector3;
 use random_scenes::RandomScenes;
 use raster::Raster;
@@ -257,7 +259,7 @@ impl SimulatorParameters {
         let path = self.scene.as_deref().unwrap_or(default);
         match path.to_str().and_then(Scene::built_in) {
             Some(scene) if self.values.is_empty() => scene,
-            Some(_) => bail!("a built-in scene has no values\n  hint: leave `values` out, or name a scene file"),
+            Some(_) => bail!(Hinted::new("a built-in scene has no values", "leave `values` out, or name a scene file")),
             None => SceneTemplate::load(&base.join(path))?.scene(&self.values),
         }
     }
@@ -288,7 +290,7 @@ impl SimulatorParameters {
     pub fn faults(&self, base: &Path) -> Vec<ConfigFault> {
         let mut faults = Vec::new();
         if let Err(error) = self.load_scene(base) {
-            faults.push(fault_of_file("scene", &error));
+            faults.push(ConfigFault::of_file("scene", error.as_ref()));
         }
         faults.extend(self.sensor.and_then(SimulatedSensor::fault));
         faults.extend(self.scenes.as_ref().and_then(RandomScenes::fault));
@@ -303,13 +305,6 @@ impl SimulatorParameters {
         }
         faults
     }
-}
-
-/// What is wrong with the file that a parameter names; the error may bring its own `hint:`.
-pub fn fault_of_file(key: &'static str, error: &anyhow::Error) -> ConfigFault {
-    let text = format!("{error:#}");
-    let (what, hint) = text.split_once("\n  hint: ").unwrap_or((&text, "correct the file, or name another one"));
-    ConfigFault { key, what: what.into(), hint: hint.into() }
 }
 
 #[cfg(test)]

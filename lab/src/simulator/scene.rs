@@ -9,6 +9,7 @@ use super::scene_values::{SceneTemplate, Values};
 use super::screen::screen;
 use super::shapes::{Shape, Surface};
 use anyhow::{Context as _, Result, anyhow, bail};
+use conicflow_messages::Hinted;
 use nalgebra::{Matrix3, Vector3};
 use std::path::Path;
 
@@ -107,7 +108,10 @@ impl Scene {
         std::fs::read_to_string(path).map_err(|error| {
             let names = BUILT_IN.map(|(name, _)| name).join("`, `");
             let place = path.display();
-            anyhow!("cannot read the scene file `{place}`: {error}\n  hint: a built-in scene is one of `{names}`")
+            anyhow!(Hinted::new(
+                format!("cannot read the scene file `{place}`: {error}"),
+                format!("a built-in scene is one of `{names}`")
+            ))
         })
     }
 
@@ -124,11 +128,11 @@ impl Scene {
     pub fn parse(text: &str, origin: &str) -> Result<Self> {
         let file: SceneFile = toml::from_str(text).map_err(|error| {
             let place = error.span().map(|span| line_and_column(text, span.start)).unwrap_or_default();
-            anyhow!(
-                "{origin}{place}: {}\n  hint: a scene file has `name`, `up`, `gravity`, `[camera]` and any number of \
-                 `[[sphere]]`, `[[cylinder]]`, `[[cone]]`, `[[bowl]]`, `[[box]]`, `[[plane]]` and `[[screen]]`",
-                error.to_string().trim_end()
-            )
+            anyhow!(Hinted::new(
+                format!("{origin}{place}: {}", error.to_string().trim_end()),
+                "a scene file has `name`, `up`, `gravity`, `[camera]` and any number of `[[sphere]]`, \
+                 `[[cylinder]]`, `[[cone]]`, `[[bowl]]`, `[[box]]`, `[[plane]]` and `[[screen]]`"
+            ))
         })?;
         Self::from_file(file, origin)
     }
@@ -163,18 +167,14 @@ impl Scene {
             return Ok(());
         }
         let body = self.bodies.iter().find(|body| body.name == entry.before);
-        let body = body.with_context(|| {
-            format!(
-                "`{}` stands before `{}`, which is not there\n  hint: name a body of the scene",
-                entry.name, entry.before
-            )
+        let body = body.ok_or_else(|| {
+            let what = format!("`{}` stands before `{}`, which is not there", entry.name, entry.before);
+            Hinted::new(what, "name a body of the scene")
         })?;
         let shape = screen(&self.shape(body, 0.0), &self.world_from_camera(0.0), entry.distance_m, entry.hides);
-        let shape = shape.with_context(|| {
-            format!(
-                "`{}` cannot hide `{}` at {} m\n  hint: the camera has to look at it, from farther away",
-                entry.name, entry.before, entry.distance_m
-            )
+        let shape = shape.ok_or_else(|| {
+            let what = format!("`{}` cannot hide `{}` at {} m", entry.name, entry.before, entry.distance_m);
+            Hinted::new(what, "the camera has to look at it, from farther away")
         })?;
         self.bodies.push(Body::still(entry.name.clone(), shape));
         Ok(())
@@ -183,16 +183,22 @@ impl Scene {
     fn check(&self) -> Result<()> {
         for (index, body) in self.bodies.iter().enumerate() {
             if self.bodies[..index].iter().any(|other| other.name == body.name) {
-                bail!("two things are named `{}`\n  hint: give each a name of its own", body.name);
+                bail!(Hinted::new(format!("two things are named `{}`", body.name), "give each a name of its own"));
             }
             let fault = body.motion.as_ref().and_then(|motion| motion.fault(&self.setting(&body.shape)));
             if let Some(fault) = fault {
-                bail!("`{}` cannot move like this: {fault}\n  hint: move it, or change its motion", body.name);
+                bail!(Hinted::new(
+                    format!("`{}` cannot move like this: {fault}", body.name),
+                    "move it, or change its motion"
+                ));
             }
         }
         match self.bodies.len() < usize::from(u16::MAX) {
             true => Ok(()),
-            false => bail!("{} things in one scene\n  hint: at most {} are possible", self.bodies.len(), u16::MAX - 1),
+            false => bail!(Hinted::new(
+                format!("{} things in one scene", self.bodies.len()),
+                format!("at most {} are possible", u16::MAX - 1)
+            )),
         }
     }
 

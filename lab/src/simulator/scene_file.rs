@@ -27,7 +27,8 @@ use super::pose::{from_quaternion, looking_along};
 use super::scene::{Body, Gaze, Role, View};
 use super::scene_values::Values;
 use super::shapes::{Block, Bowl, Frustum, Plane, Shape, Sphere};
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Result, bail};
+use conicflow_messages::Hinted;
 use nalgebra::{Matrix3, Vector3};
 use serde::Deserialize;
 
@@ -112,24 +113,25 @@ impl CameraEntry {
             (Some(point), None, None) => Gaze::At(point),
             (None, Some(forward), None) => Gaze::Fixed(upright(&forward, &up)?),
             (None, None, Some(quaternion)) => Gaze::Fixed(from_quaternion(quaternion)),
-            _ => bail!(
-                "the camera needs exactly one of `look_at`, `direction` and `orientation`\n  hint: `look_at = [x, y, z]` \
-                 is a point that it keeps in the middle of the image"
-            ),
+            _ => bail!(Hinted::new(
+                "the camera needs exactly one of `look_at`, `direction` and `orientation`",
+                "`look_at = [x, y, z]` is a point that it keeps in the middle of the image"
+            )),
         };
         if let Gaze::At(point) = gaze {
             upright(&(point - self.position), &up)?;
         } else if self.look_at_motion.is_some() {
-            bail!("the camera has a `look_at_motion` and no `look_at`\n  hint: give the point that moves");
+            bail!(Hinted::new("the camera has a `look_at_motion` and no `look_at`", "give the point that moves"));
         }
         Ok(View { position: self.position, gaze, up, motion: self.motion, gaze_motion: self.look_at_motion })
     }
 }
 
 fn upright(forward: &Vector3<f64>, up: &Vector3<f64>) -> Result<Matrix3<f64>> {
-    let fault =
-        "the camera looks straight along `up`, so it has no upright image\n  hint: give the camera another `up`";
-    looking_along(forward, up).context(fault)
+    let fault = || {
+        Hinted::new("the camera looks straight along `up`, so it has no upright image", "give the camera another `up`")
+    };
+    looking_along(forward, up).ok_or_else(|| fault().into())
 }
 
 #[derive(Deserialize)]
@@ -282,14 +284,17 @@ impl PlaneEntry {
     fn body(self) -> Result<Body> {
         let half = self.size.map_or([f64::INFINITY; 2], |size| size.map(|side| 0.5 * side));
         if !(half[0] > 0.0 && half[1] > 0.0) {
-            bail!(
-                "the `size` of `{}` is not two numbers above zero\n  hint: without it the plane has no end",
-                self.name
-            );
+            bail!(Hinted::new(
+                format!("the `size` of `{}` is not two numbers above zero", self.name),
+                "without it the plane has no end"
+            ));
         }
         let across = self.normal.cross(&self.along.unwrap_or_else(|| some_other(&self.normal)));
         let Some(second) = across.try_normalize(1e-9) else {
-            bail!("`along` and `normal` of `{}` are parallel\n  hint: `along` lies in the plane", self.name);
+            bail!(Hinted::new(
+                format!("`along` and `normal` of `{}` are parallel", self.name),
+                "`along` lies in the plane"
+            ));
         };
         let plane = Plane { point: self.point, normal: self.normal, sides: [second.cross(&self.normal), second], half };
         Ok(Body { name: self.name, shape: Shape::Plane(plane), motion: self.motion, role: Role::Object })

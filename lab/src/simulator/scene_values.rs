@@ -2,8 +2,8 @@
 //! file or a sweep sets another. The frames' source carries what was set, so that whoever knows the file knows the truth.
 
 use super::scene::Scene;
-use anyhow::{Result, anyhow, ensure};
-use conicflow_messages::MAX_SOURCE_BYTES;
+use anyhow::{Result, bail, ensure};
+use conicflow_messages::{Hinted, MAX_SOURCE_BYTES};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -50,11 +50,9 @@ impl SceneTemplate {
     pub fn scene(&self, set: &Values) -> Result<Scene> {
         if let Some(unknown) = set.keys().find(|name| !self.defaults.contains_key(*name)) {
             let names: Vec<_> = self.defaults.keys().map(String::as_str).collect();
-            return Err(anyhow!(
-                "{}: the scene has no value `{unknown}`\n  hint: values under `[values]`: {}",
-                self.origin,
-                if names.is_empty() { "none".to_owned() } else { names.join(", ") }
-            ));
+            let names = if names.is_empty() { "none".to_owned() } else { names.join(", ") };
+            let hint = format!("values under `[values]`: {names}");
+            bail!(Hinted::new(format!("{}: the scene has no value `{unknown}`", self.origin), hint));
         }
         let values: Values =
             self.defaults.iter().map(|(name, value)| (name.clone(), *set.get(name).unwrap_or(value))).collect();
@@ -66,11 +64,16 @@ impl SceneTemplate {
         // Cut off, it would tell of another scene: a value of 12 in place of 12.5.
         ensure!(
             scene.name.len() <= MAX_SOURCE_BYTES,
-            "{}: the scene's name and values take {} bytes, expected {MAX_SOURCE_BYTES} or less: `{}`\n  hint: frames carry \
-             them as the name of their source; shorten `name` and the names under `[values]`, or have fewer values",
-            self.origin,
-            scene.name.len(),
-            scene.name
+            Hinted::new(
+                format!(
+                    "{}: the scene's name and values take {} bytes, expected {MAX_SOURCE_BYTES} or less: `{}`",
+                    self.origin,
+                    scene.name.len(),
+                    scene.name
+                ),
+                "frames carry them as the name of their source; shorten `name` and the names under `[values]`, or \
+                 have fewer values"
+            )
         );
         Ok(scene)
     }

@@ -1,5 +1,4 @@
 use super::*;
-use anyhow::anyhow;
 use conicflow_messages::{Item, NoiseModel};
 
 fn small() -> SimulatorParameters {
@@ -84,17 +83,6 @@ fn what_cannot_be_used_is_told_before_the_start() {
     std::fs::write(base.path().join("garden.toml"), "name = 'garden'\ncamera = 3\n").unwrap();
     let faults = config.faults(base.path());
     assert!(faults[0].what.contains("garden.toml:2:10") && faults[0].hint.contains("[[sphere]]"), "{faults:?}");
-}
-
-#[test]
-fn the_hint_of_an_error_is_that_of_the_fault() {
-    let told = |error: anyhow::Error| {
-        let ConfigFault { key, what, hint } = fault_of_file("scene", &error);
-        format!("{key}: {what}; {hint}")
-    };
-    let error = anyhow!("no such file\n  hint: name another").context("truth file `a`");
-    assert_eq!(told(error), "scene: truth file `a`: no such file; name another");
-    assert_eq!(told(anyhow!("line 3")), "scene: line 3; correct the file, or name another one");
 }
 
 #[test]

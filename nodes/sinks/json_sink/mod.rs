@@ -2,7 +2,7 @@
 
 use crate::sinks::json_lines::{JsonLines, Wrote};
 use conicflow_dataflow::{
-    AnyMessage, ConfigFault, Context, ItemType, Output, Sides, Stage, StageError, Stop, monotonic_ns,
+    AnyMessage, ConfigFault, Context, ItemType, Output, SideInputs, Stage, StageError, Stop, monotonic_ns,
 };
 use conicflow_messages::{AnyByte, Header, Message, Nothing};
 use schemars::JsonSchema;
@@ -72,7 +72,7 @@ impl Stage for JsonSink {
         Ok(Self { lines, stop: context.stop.clone(), item })
     }
 
-    fn step(&mut self, input: &Message<AnyByte>, _: &Sides, _: &mut Output<Nothing>) -> Result<(), StageError> {
+    fn step(&mut self, input: &Message<AnyByte>, _: &SideInputs, _: &mut Output<Nothing>) -> Result<(), StageError> {
         let message = AnyMessage { header: input.header, item: &self.item, bytes: bytemuck::cast_slice(input.items) };
         let latency_ms = latency_ms(input.header, monotonic_ns());
         if self.lines.write_with(|line| message.write_json(latency_ms, line))? == Wrote::ReaderGone {

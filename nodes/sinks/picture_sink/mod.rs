@@ -1,7 +1,7 @@
 //! Writes pictures to look at: the depth image in grey, over it the ellipses and the outlines of objects or tracks.
 //!
 //! One sink for whatever drives it, a list of objects, tracks or ellipses; the depth image and the ellipses of the same
-//! frame come by further inputs and may be missing.
+//! frame come by side inputs and may be missing.
 
 mod canvas;
 mod depth_view;
@@ -11,8 +11,8 @@ mod painter;
 
 use crate::sinks::decimator::Decimator;
 use anyhow::{Context as _, Result, ensure};
-use conicflow_dataflow::{ConfigFault, Context, Output, Side, Sides, Stage, StageError};
-use conicflow_messages::{Ellipse, Header, MAX_PIXELS, Message, Nothing, Text};
+use conicflow_dataflow::{ConfigFault, Context, Output, SideInput, SideInputs, Stage, StageError};
+use conicflow_messages::{Ellipse, Header, Hinted, MAX_PIXELS, Message, Nothing, Text};
 pub use painter::{Drawn, Painter};
 use png::{BitDepth, ColorType, Compression, Encoder};
 use schemars::JsonSchema;
@@ -103,7 +103,8 @@ impl<T: Drawn> PictureSink<T> {
     /// # Errors
     /// There is no folder in the parameters, or it cannot be made.
     pub fn open(config: &Config, base: &Path, resume_at: u64) -> Result<Self> {
-        let path = config.path.as_ref().context("`path` is missing\n  hint: write `path = \"pictures/\"`")?;
+        let path =
+            config.path.as_ref().ok_or_else(|| Hinted::new("`path` is missing", "write `path = \"pictures/\"`"))?;
         let folder = base.join(path);
         fs::create_dir_all(&folder).with_context(|| format!("the folder `{}` cannot be made", folder.display()))?;
         Ok(Self {
@@ -118,8 +119,8 @@ impl<T: Drawn> PictureSink<T> {
         })
     }
 
-    fn take(&mut self, input: &Message<T>, sides: &Sides) -> Result<Option<PathBuf>> {
-        let (depth, ellipses) = (sides.get::<u16>("depth"), sides.get::<Ellipse>("ellipses"));
+    fn take(&mut self, input: &Message<T>, side_inputs: &SideInputs) -> Result<Option<PathBuf>> {
+        let (depth, ellipses) = (side_inputs.get::<u16>("depth"), side_inputs.get::<Ellipse>("ellipses"));
         self.write_picture(input, depth.as_ref(), ellipses.map_or(&[], |message| message.items))
     }
 
@@ -148,10 +149,13 @@ impl<T: Drawn> PictureSink<T> {
         let pixels = u64::from(camera.width) * u64::from(camera.height);
         ensure!(
             (1..=MAX_PIXELS).contains(&pixels),
-            "frame {} has {}x{} pixels, expected 1 to {MAX_PIXELS}\n  hint: the stage that made the message gave a wrong camera",
-            input.header.sequence,
-            camera.width,
-            camera.height
+            Hinted::new(
+                format!(
+                    "frame {} has {}x{} pixels, expected 1 to {MAX_PIXELS}",
+                    input.header.sequence, camera.width, camera.height
+                ),
+                "the stage that made the message gave a wrong camera"
+            )
         );
         self.painter.begin(camera);
         if let Some(depth) = depth {
@@ -223,12 +227,17 @@ impl<T: Drawn> Stage for PictureSink<T> {
         Ok(Self::open(&config, &context.base, context.resume_at)?)
     }
 
-    fn sides() -> &'static [Side] {
-        const { &[Side::same_frame::<u16>("depth"), Side::same_frame::<Ellipse>("ellipses")] }
+    fn side_inputs() -> &'static [SideInput] {
+        const { &[SideInput::same_frame::<u16>("depth"), SideInput::same_frame::<Ellipse>("ellipses")] }
     }
 
-    fn step(&mut self, input: &Message<T>, sides: &Sides, output: &mut Output<Nothing>) -> Result<(), StageError> {
-        if self.take(input, sides)?.is_some() {
+    fn step(
+        &mut self,
+        input: &Message<T>,
+        side_inputs: &SideInputs,
+        output: &mut Output<Nothing>,
+    ) -> Result<(), StageError> {
+        if self.take(input, side_inputs)?.is_some() {
             output.count("pictures written", 1);
         }
         Ok(())

@@ -65,12 +65,7 @@ fn dark(colour: Colour) -> Colour {
 
 /// `cyl 98`: the kind and the radius in millimetres.
 fn object_label(object: &Object) -> String {
-    let kind = match object.shape() {
-        ObjectKind::Sphere => "sph",
-        ObjectKind::Cylinder => "cyl",
-        ObjectKind::Cone => "con",
-    };
-    format!("{kind} {:.0}", object.radius.min(99.0) * 1000.0)
+    format!("{:.3} {:.0}", object.shape().name(), object.radius.min(99.0) * 1000.0)
 }
 
 /// How an outline is drawn.

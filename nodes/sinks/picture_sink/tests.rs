@@ -21,10 +21,10 @@ fn sink<T: Drawn>(folder: &TempDir, config: Config) -> PictureSink<T> {
 }
 
 /// Draws one message over a wall with a hole, and reads the picture back.
-fn picture<T: Drawn>(items: &[T], config: Config, sides: &Sides) -> Vec<[u8; 3]> {
+fn picture<T: Drawn>(items: &[T], config: Config, side_inputs: &SideInputs) -> Vec<[u8; 3]> {
     let folder = tempfile::tempdir().unwrap();
     let input = Message { header: &header(0, ""), items };
-    let path = sink(&folder, config).take(&input, sides).unwrap().unwrap();
+    let path = sink(&folder, config).take(&input, side_inputs).unwrap().unwrap();
     let mut reader = png::Decoder::new(BufReader::new(File::open(path).unwrap())).read_info().unwrap();
     let mut bytes = vec![0; reader.output_buffer_size().unwrap()];
     let info = reader.next_frame(&mut bytes).unwrap();
@@ -42,10 +42,10 @@ fn objects_are_drawn_over_depth_and_ellipses() {
     wall[..160 * 10].fill(0);
     let ellipse = Ellipse { line: 20, first: 30, last: 50, center: [0.0, 0.0, 1.0], ..Ellipse::default() };
     let (header, ellipses) = (header(0, ""), [ellipse]);
-    let sides = Sides::default()
+    let side_inputs = SideInputs::default()
         .with("depth", Message { header: &header, items: &wall })
         .with("ellipses", Message { header: &header, items: &ellipses });
-    let picture = picture(&[sphere()], Config::default(), &sides);
+    let picture = picture(&[sphere()], Config::default(), &side_inputs);
     assert_eq!(pixel(&picture, 80, 5), HOLE);
     let wall = pixel(&picture, 150, 100);
     assert!(wall[0] == wall[1] && wall[1] == wall[2] && wall[0] > 0);
@@ -58,10 +58,10 @@ fn objects_are_drawn_over_depth_and_ellipses() {
 
 #[test]
 fn without_depth_the_ground_is_black_and_an_empty_list_is_a_picture() {
-    let empty = picture::<Object>(&[], Config::default(), &Sides::default());
+    let empty = picture::<Object>(&[], Config::default(), &SideInputs::default());
     assert!(empty.iter().all(|pixel| *pixel == [0; 3]));
-    let plain = picture(&[sphere()], Config { labels: false, ..Config::default() }, &Sides::default());
-    let labelled = picture(&[sphere()], Config::default(), &Sides::default());
+    let plain = picture(&[sphere()], Config { labels: false, ..Config::default() }, &SideInputs::default());
+    let labelled = picture(&[sphere()], Config::default(), &SideInputs::default());
     let painted = |picture: &[[u8; 3]]| picture.iter().filter(|pixel| **pixel != [0; 3]).count();
     assert!(painted(&plain) > 100 && painted(&labelled) > painted(&plain) + 20);
 }
@@ -71,7 +71,7 @@ fn tracks_have_the_colour_of_their_number_and_the_weight_of_their_state() {
     let track = |id, state: TrackState| Track { id, state: state.code(), object: sphere(), ..Track::default() };
     let drawn = |id, state| {
         let config = Config { labels: false, ..Config::default() };
-        let picture = picture(&[track(id, state)], config, &Sides::default());
+        let picture = picture(&[track(id, state)], config, &SideInputs::default());
         let painted: Vec<_> = picture.into_iter().filter(|pixel| *pixel != [0; 3]).collect();
         (painted[0], painted.len())
     };
@@ -85,7 +85,7 @@ fn tracks_have_the_colour_of_their_number_and_the_weight_of_their_state() {
 #[test]
 fn ellipses_can_be_the_driving_input() {
     let column = Ellipse { scan: 1, line: 20, first: 30, last: 50, center: [0.0, 0.0, -1.0], ..Ellipse::default() };
-    let picture = picture(&[column], Config::default(), &Sides::default());
+    let picture = picture(&[column], Config::default(), &SideInputs::default());
     assert_eq!((pixel(&picture, 20, 30), pixel(&picture, 20, 50)), ([240, 215, 90], [240, 215, 90]));
     assert_eq!(pixel(&picture, 20, 29), [0; 3]);
 }
@@ -93,15 +93,15 @@ fn ellipses_can_be_the_driving_input() {
 #[test]
 fn an_ellipse_that_is_nowhere_near_has_its_arc_and_no_centre() {
     let far = Ellipse { line: 20, first: 30, last: 50, center: [0.0, 1e15, 1.0], ..Ellipse::default() };
-    let picture = picture(&[far], Config::default(), &Sides::default());
+    let picture = picture(&[far], Config::default(), &SideInputs::default());
     assert!(picture.contains(&[240, 215, 90]) && !picture.contains(&[235, 90, 200]));
 }
 
 #[test]
 fn depth_of_another_size_is_left_out() {
     let other = Header { camera: Camera { width: 2, height: 2, ..CAMERA }, ..header(0, "") };
-    let sides = Sides::default().with("depth", Message { header: &other, items: &[1000_u16; 4] });
-    assert!(picture::<Object>(&[], Config::default(), &sides).iter().all(|pixel| *pixel == [0; 3]));
+    let side_inputs = SideInputs::default().with("depth", Message { header: &other, items: &[1000_u16; 4] });
+    assert!(picture::<Object>(&[], Config::default(), &side_inputs).iter().all(|pixel| *pixel == [0; 3]));
 }
 
 #[test]
@@ -109,7 +109,7 @@ fn every_so_many_messages_and_going_on_after_a_restart() {
     let folder = tempfile::tempdir().unwrap();
     let mut sink = sink::<Object>(&folder, Config { every: 3, ..Config::default() });
     let mut written = |sequence| {
-        let path = sink.take(&Message { header: &header(sequence, ""), items: &[] }, &Sides::default()).unwrap();
+        let path = sink.take(&Message { header: &header(sequence, ""), items: &[] }, &SideInputs::default()).unwrap();
         path.map(|path| path.file_name().unwrap().to_string_lossy().into_owned())
     };
     let names: Vec<_> = (10..17).filter_map(&mut written).collect();
@@ -137,7 +137,8 @@ fn sizes_that_cannot_be_and_folders_that_cannot_be_made_are_told() {
     let folder = tempfile::tempdir().unwrap();
     let camera = Camera { width: u32::MAX, height: u32::MAX, ..CAMERA };
     let input = Message { header: &Header { camera, ..header(7, "") }, items: &[] };
-    let error = sink::<Object>(&folder, Config::default()).take(&input, &Sides::default()).unwrap_err().to_string();
+    let error =
+        sink::<Object>(&folder, Config::default()).take(&input, &SideInputs::default()).unwrap_err().to_string();
     assert!(error.starts_with("frame 7 has 4294967295x4294967295 pixels, expected 1 to 67108864\n  hint: "));
     fs::write(folder.path().join("file"), "").unwrap();
     let config = Config { path: Some("file/inside".into()), ..Config::default() };
@@ -163,7 +164,7 @@ fn pictures_that_may_overwrite_each_other_are_told() {
         for camera in ["left", "right"] {
             let mut header = header(0, "0.png");
             header.add_hop(Hop { stage: Text::new(camera), ..Hop::default() });
-            sink.take(&Message { header: &header, items: &[] }, &Sides::default()).unwrap();
+            sink.take(&Message { header: &header, items: &[] }, &SideInputs::default()).unwrap();
         }
         assert_eq!(sink.is_told, is_told, "{names:?}");
     }

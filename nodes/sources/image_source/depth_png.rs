@@ -1,7 +1,7 @@
 //! Depth images as 16-bit grey PNGs: told from colour images by their header, decoded straight into the message.
 
 use anyhow::{Context as _, Result, bail, ensure};
-use conicflow_messages::MAX_PIXELS;
+use conicflow_messages::{Hinted, MAX_PIXELS};
 use png::{BitDepth, ColorType, Decoder, Info, Reader};
 use std::fs::File;
 use std::io::{BufRead, BufReader, Cursor, Seek};
@@ -51,11 +51,11 @@ impl Content {
     pub(super) fn depth_size(self) -> Result<(u32, u32)> {
         match self {
             Self::Depth(width, height) => Ok((width, height)),
-            Self::Picture(..) => bail!(
-                "this is no depth image ({}), expected 16-bit grey\n  hint: depth images are 16-bit grey PNGs; this \
-                 one may be a colour image, or a depth image that was rendered for the eye",
-                self.name()
-            ),
+            Self::Picture(..) => bail!(Hinted::new(
+                format!("this is no depth image ({}), expected 16-bit grey", self.name()),
+                "depth images are 16-bit grey PNGs; this one may be a colour image, or a depth image that was \
+                 rendered for the eye"
+            )),
         }
     }
 }

@@ -3,6 +3,7 @@
 use super::hinted;
 use anyhow::{Context as _, Result, anyhow, bail, ensure};
 use conicflow_detection::camera::Intrinsics;
+use conicflow_messages::Hinted;
 use serde::Deserialize;
 use std::fs::File;
 use std::io::Read as _;
@@ -65,15 +66,17 @@ impl CameraFile {
     /// The file gives a size, and it is not `frames`.
     pub(super) fn check_size(&self, frames: (u32, u32)) -> Result<()> {
         match self.size {
-            Some(size) if size != frames => bail!(
-                "`{}` is for images of {}x{}, but the frames are {}x{}\n  hint: intrinsics scale with the image; write \
-                 those of the frames",
-                self.path.display(),
-                size.0,
-                size.1,
-                frames.0,
-                frames.1
-            ),
+            Some(size) if size != frames => bail!(Hinted::new(
+                format!(
+                    "`{}` is for images of {}x{}, but the frames are {}x{}",
+                    self.path.display(),
+                    size.0,
+                    size.1,
+                    frames.0,
+                    frames.1
+                ),
+                "intrinsics scale with the image; write those of the frames"
+            )),
             _ => Ok(()),
         }
     }
@@ -114,10 +117,10 @@ fn from_matrix(matrix: &[f64]) -> Result<Intrinsics> {
         bail!("`intrinsic_matrix` has {} numbers, expected 9", matrix.len());
     };
     if (cx, cy) == (0.0, 0.0) && (row_cx, row_cy) != (0.0, 0.0) {
-        bail!(
-            "`intrinsic_matrix` is row-major, expected column-major\n  hint: write [{fx}, 0, 0, 0, {fy}, 0, {row_cx}, \
-             {row_cy}, 1]"
-        );
+        bail!(Hinted::new(
+            "`intrinsic_matrix` is row-major, expected column-major",
+            format!("write [{fx}, 0, 0, 0, {fy}, 0, {row_cx}, {row_cy}, 1]")
+        ));
     }
     Ok(Intrinsics { fx, fy, cx, cy })
 }
@@ -126,12 +129,17 @@ fn from_matrix(matrix: &[f64]) -> Result<Intrinsics> {
 pub(super) fn missing(folder: &Path, (width, height): (u32, u32)) -> anyhow::Error {
     let (cx, cy) = (f64::from(width.saturating_sub(1)) / 2.0, f64::from(height.saturating_sub(1)) / 2.0);
     let focal = 525.0 * f64::from(width) / 640.0;
-    anyhow!(
-        "no intrinsics for the frames in `{}`: neither the key `intrinsics` nor a `camera.json` or \
-         `camera_intrinsics.json` beside them\n  hint: write `intrinsics = {{ fx = {focal:.1}, fy = {focal:.1}, cx = \
-         {cx:.1}, cy = {cy:.1} }}` with the numbers of your camera (these are a Kinect's at {width}x{height})",
-        folder.display()
-    )
+    anyhow!(Hinted::new(
+        format!(
+            "no intrinsics for the frames in `{}`: neither the key `intrinsics` nor a `camera.json` or \
+             `camera_intrinsics.json` beside them",
+            folder.display()
+        ),
+        format!(
+            "write `intrinsics = {{ fx = {focal:.1}, fy = {focal:.1}, cx = {cx:.1}, cy = {cy:.1} }}` with the \
+             numbers of your camera (these are a Kinect's at {width}x{height})"
+        )
+    ))
 }
 
 #[cfg(test)]

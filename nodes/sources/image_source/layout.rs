@@ -6,6 +6,7 @@
 use super::pcd;
 use super::{depth_png, hinted, natural, tum};
 use anyhow::{Context as _, Error, Result, anyhow, bail};
+use conicflow_messages::Hinted;
 use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::Read as _;
@@ -54,8 +55,9 @@ impl Layout {
     /// # Errors
     /// There is nothing there, or no frame that can be read.
     pub(super) fn discover(path: &Path) -> Result<Self> {
-        let path = fs::canonicalize(path).with_context(|| {
-            format!("`{}` cannot be opened\n  hint: relative paths start at the pipeline file's folder", path.display())
+        let path = fs::canonicalize(path).map_err(|error| {
+            let what = format!("`{}` cannot be opened: {error}", path.display());
+            Hinted::new(what, "relative paths start at the pipeline file's folder")
         })?;
         let layout = if path.is_file() { single_file(&path) } else { folder(&path) };
         layout?.readable(&path)
@@ -101,7 +103,10 @@ fn single_file(path: &Path) -> Result<Layout> {
         Some(Kind::Png) => (Format::Png, 0.001),
         Some(Kind::Pcd) => (Format::Pcd, 1.0),
         _ => {
-            bail!("`{}` is no depth frame\n  hint: name a 16-bit PNG, a PCD file, or a folder of them", path.display())
+            bail!(Hinted::new(
+                format!("`{}` is no depth frame", path.display()),
+                "name a 16-bit PNG, a PCD file, or a folder of them"
+            ))
         }
     };
     let size = if format == Format::Png { png_size(path) } else { pcd_size(path) };
@@ -232,15 +237,14 @@ impl Listing {
                 let candidates = self.pcd.into_iter().map(candidate).collect();
                 Ok(Layout::new(Format::Pcd, &self.folder, 1.0, candidates))
             }
-            (false, false) => bail!(
-                "`{folder}` holds 16-bit PNGs and PCD files, expected one kind\n  hint: move one of them to a folder \
-                 of its own"
-            ),
-            (true, true) => Err(anyhow!(
-                "no depth frames in `{folder}`, only other images and files: {}\n  hint: depth frames are 16-bit grey \
-                 PNGs or organised PCD files",
-                self.pictures()
+            (false, false) => bail!(Hinted::new(
+                format!("`{folder}` holds 16-bit PNGs and PCD files, expected one kind"),
+                "move one of them to a folder of its own"
             )),
+            (true, true) => Err(anyhow!(Hinted::new(
+                format!("no depth frames in `{folder}`, only other images and files: {}", self.pictures()),
+                "depth frames are 16-bit grey PNGs or organised PCD files"
+            ))),
         }
     }
 }

@@ -22,10 +22,10 @@ pub use playback::Playback;
 pub use poses::PosesConfig;
 pub use recording::{Options, Recording};
 
-use anyhow::anyhow;
-use conicflow_dataflow::{ConfigFault, Context, Next, Output, Sides, Source, StageError};
+use conicflow_dataflow::{ConfigFault, Context, Next, Output, SideInputs, Source, StageError};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::NoiseConfig;
+use conicflow_messages::Hinted;
 use playback::{UNREADABLE, USUAL_RATE_HZ};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -144,7 +144,7 @@ impl Source for ImageSource {
         self.0.total()
     }
 
-    fn next(&mut self, _: &Sides, output: &mut Output<u16>) -> Result<Next, StageError> {
+    fn next(&mut self, _: &SideInputs, output: &mut Output<u16>) -> Result<Next, StageError> {
         while let Some(loaded) = self.0.load()? {
             let header = self.0.decode(&loaded, output.image(loaded.pixels())?)?;
             output.count_all(self.0.take_counts());
@@ -160,8 +160,8 @@ impl Source for ImageSource {
 
 /// An error with what to do about it, where it does not say so itself.
 fn hinted(error: anyhow::Error, hint: &str) -> anyhow::Error {
-    let text = format!("{error:#}");
-    if text.contains("\n  hint: ") { error } else { anyhow!("{text}\n  hint: {hint}") }
+    let has_hint = error.chain().any(|cause| cause.is::<Hinted>());
+    if has_hint { error } else { Hinted::new(format!("{error:#}"), hint).into() }
 }
 
 /// The beginning of a line, for an error.

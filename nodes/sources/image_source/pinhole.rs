@@ -5,7 +5,7 @@
 //! the axes lie: z may point backward, x to the left, y upward; a depth image needs to know z only.
 
 use anyhow::{Result, bail, ensure};
-use conicflow_messages::Camera;
+use conicflow_messages::{Camera, Hinted};
 
 /// The largest root mean square residual of a cloud that passes as a pinhole image, in pixels.
 pub(super) const MAX_RESIDUAL_PX: f64 = 0.5;
@@ -112,11 +112,14 @@ fn fit_lines(samples: impl Iterator<Item = Sample> + Clone) -> Result<(Line, Lin
     let (u, v, kept) = fit_where(samples, near)?;
     let residual = ((u.variance + v.variance) / 2.0).sqrt();
     if residual > MAX_RESIDUAL_PX || kept < MIN_INLIER_SHARE * all {
-        bail!(
-            "the cloud is no image of a pinhole camera: its points lie {residual:.2} pixels (rms) beside the best fit, \
-             expected {MAX_RESIDUAL_PX} or less\n  hint: the points have to be in the camera's optical frame (x right, \
-             y down, z forward) and free of lens distortion; transform them back before saving"
-        );
+        bail!(Hinted::new(
+            format!(
+                "the cloud is no image of a pinhole camera: its points lie {residual:.2} pixels (rms) beside the \
+                 best fit, expected {MAX_RESIDUAL_PX} or less"
+            ),
+            "the points have to be in the camera's optical frame (x right, y down, z forward) and free of lens \
+             distortion; transform them back before saving"
+        ));
     }
     Ok((u, v))
 }
@@ -129,13 +132,16 @@ fn fit_where(samples: impl Iterator<Item = Sample>, keep: impl Fn(&Sample) -> bo
     }
     ensure!(
         u.n >= MIN_POINTS,
-        "{} points with a measurement, expected {MIN_POINTS} or more to fit the camera\n  hint: give `intrinsics`",
-        u.n
+        Hinted::new(
+            format!("{} points with a measurement, expected {MIN_POINTS} or more to fit the camera", u.n),
+            "give `intrinsics`"
+        )
     );
     let (Some(line_u), Some(line_v)) = (u.line(), v.line()) else {
-        bail!(
-            "the points lie in one row, one column or one ray, so that no camera can be fitted to them\n  hint: give `intrinsics`"
-        );
+        bail!(Hinted::new(
+            "the points lie in one row, one column or one ray, so that no camera can be fitted to them",
+            "give `intrinsics`"
+        ));
     };
     Ok((line_u, line_v, u.n))
 }

@@ -3,8 +3,8 @@
 use super::poses::Poses;
 use super::recording::{Frame, Options, Recording};
 use super::{Config, hinted};
-use anyhow::{Context as _, Result, anyhow};
-use conicflow_messages::{Camera, HAS_POSE, Header, NoiseModel, RECORDED, Text, is_measured, median_depth};
+use anyhow::{Result, anyhow};
+use conicflow_messages::{Camera, HAS_POSE, Header, Hinted, NoiseModel, RECORDED, Text, is_measured, median_depth};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -49,7 +49,8 @@ impl Playback {
     /// # Errors
     /// There is none, or its camera is not known.
     pub fn open(config: &Config, base: &Path, resume_at: u64, counted: u64) -> Result<Self> {
-        let path = config.path.as_ref().context("`path` is missing\n  hint: write `path = \"folder/\"`")?;
+        let path =
+            config.path.as_ref().ok_or_else(|| Hinted::new("`path` is missing", "write `path = \"folder/\"`"))?;
         let Config { depth_scale, intrinsics, first, frames, .. } = *config;
         let options = Options { depth_scale, intrinsics, first, frames };
         let recording = Recording::open(&base.join(path), &options)?;

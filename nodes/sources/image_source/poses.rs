@@ -8,7 +8,8 @@ use super::layout::file_name;
 use super::recording::{Frame, Recording};
 use super::trajectory::{self, Known, Trajectory};
 use super::{hinted, natural};
-use anyhow::{Context as _, Error, Result, anyhow, bail, ensure};
+use anyhow::{Context as _, Error, Result, bail, ensure};
+use conicflow_messages::Hinted;
 use nalgebra::Isometry3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -133,14 +134,14 @@ impl Poses {
     fn check(&self, recording: &Recording) -> Result<()> {
         let first = recording.frames().next().map(|frame| file_name(&frame.path)).unwrap_or_default();
         match self {
-            Self::InOrder(poses) if poses.len() as u64 != recording.places() => bail!(
-                "{} poses for {} frames\n  hint: a trajectory has one for each frame, in their order",
-                poses.len(),
-                recording.places()
-            ),
-            Self::Timed(_) if recording.stamps_ns().is_none() => bail!(
-                "its poses have times, and the frames have none\n  hint: those of a TUM RGB-D folder stand in its `depth.txt`"
-            ),
+            Self::InOrder(poses) if poses.len() as u64 != recording.places() => bail!(Hinted::new(
+                format!("{} poses for {} frames", poses.len(), recording.places()),
+                "a trajectory has one for each frame, in their order"
+            )),
+            Self::Timed(_) if recording.stamps_ns().is_none() => bail!(Hinted::new(
+                "its poses have times, and the frames have none",
+                "those of a TUM RGB-D folder stand in its `depth.txt`"
+            )),
             _ => {
                 let has_pose = recording.frames().any(|frame| {
                     let name = file_name(&frame.path);
@@ -148,9 +149,13 @@ impl Poses {
                 });
                 ensure!(
                     matches!(self, Self::Unknown) || has_pose,
-                    "none of its poses belongs to any of the frames, of which `{first}` is the first\n  hint: they go \
-                     together by name (7-Scenes) or by time (TUM: not more than {} s between two poses)",
-                    MAX_GAP_NS as f64 * 1e-9
+                    Hinted::new(
+                        format!("none of its poses belongs to any of the frames, of which `{first}` is the first"),
+                        format!(
+                            "they go together by name (7-Scenes) or by time (TUM: not more than {} s between two poses)",
+                            MAX_GAP_NS as f64 * 1e-9
+                        )
+                    )
                 );
                 Ok(())
             }
@@ -219,11 +224,11 @@ fn beside(folder: &Path) -> Result<Option<PathBuf>> {
             [log] => return Ok(Some(log.clone())),
             [one, other, ..] => {
                 let (one, other) = (file_name(one), file_name(other));
-                return Err(anyhow!(
-                    "`{}` has several trajectories, such as `{one}` and `{other}`\n  hint: write `poses = \"{one}\"`, with \
-                     its folder, or `poses = \"none\"`",
-                    folder.display()
-                ));
+                return Err(Hinted::new(
+                    format!("`{}` has several trajectories, such as `{one}` and `{other}`", folder.display()),
+                    format!("write `poses = \"{one}\"`, with its folder, or `poses = \"none\"`"),
+                )
+                .into());
             }
         }
     }

@@ -8,7 +8,7 @@ use super::{depth_png, hinted};
 use anyhow::{Context as _, Error, Result, bail, ensure};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::quantise::{finest_scale, is_too_far, quantise};
-use conicflow_messages::{Camera, MAX_SIDE_PX};
+use conicflow_messages::{Camera, Hinted, MAX_SIDE_PX};
 use std::fs::File;
 use std::io::Read as _;
 use std::path::Path;
@@ -81,7 +81,10 @@ impl Recording {
         let depth_scale = options.depth_scale.or(by_file).unwrap_or(layout.depth_scale);
         ensure!(
             depth_scale.is_normal() && depth_scale > 0.0,
-            "`depth_scale` is {depth_scale}, expected more than 0\n  hint: metres per unit: 0.001 for millimetres"
+            Hinted::new(
+                format!("`depth_scale` is {depth_scale}, expected more than 0"),
+                "metres per unit: 0.001 for millimetres"
+            )
         );
         let (cloud, told) = (Cloud::default(), Told::default());
         Ok(Self { layout, size, places, camera, depth_scale, file: Vec::new(), cloud, units_per_z: 1.0, told })
@@ -222,16 +225,21 @@ fn select(layout: &mut Layout, options: &Options) -> Result<()> {
     let count = (layout.frames.len() + layout.unreadable.len()) as u64;
     ensure!(
         first < count,
-        "`first` is {first}, but there are {count} frames, counted from 0\n  hint: the last is {}",
-        count - 1
+        Hinted::new(
+            format!("`first` is {first}, but there are {count} frames, counted from 0"),
+            format!("the last is {}", count - 1)
+        )
     );
-    ensure!(frames != Some(0), "`frames` is 0, expected 1 or more\n  hint: leave it out for all");
+    ensure!(frames != Some(0), Hinted::new("`frames` is 0, expected 1 or more", "leave it out for all"));
     let wanted = first..first.saturating_add(frames.unwrap_or(u64::MAX));
     layout.frames.retain(|frame| wanted.contains(&frame.slot));
     layout.unreadable.retain(|(slot, _)| wanted.contains(slot));
     ensure!(
         !layout.frames.is_empty(),
-        "none of the frames from number {first} can be read\n  hint: `first` and `frames` choose others"
+        Hinted::new(
+            format!("none of the frames from number {first} can be read"),
+            "`first` and `frames` choose others"
+        )
     );
     Ok(())
 }
@@ -241,18 +249,23 @@ fn common_size(frames: &[FrameFile]) -> Result<(u32, u32)> {
     let (width, height) = size;
     ensure!(
         width.max(height) <= MAX_SIDE_PX,
-        "frames of {width}x{height}, expected {MAX_SIDE_PX} pixels a side or less\n  hint: cut or scale them first"
+        Hinted::new(
+            format!("frames of {width}x{height}, expected {MAX_SIDE_PX} pixels a side or less"),
+            "cut or scale them first"
+        )
     );
     if let Some(other) = frames.iter().find(|frame| frame.size != size) {
-        bail!(
-            "`{}` is {}x{}, but the frames before it are {}x{}\n  hint: keep the frames of each camera in a folder of \
-             their own",
-            other.path.display(),
-            other.size.0,
-            other.size.1,
-            size.0,
-            size.1
-        );
+        bail!(Hinted::new(
+            format!(
+                "`{}` is {}x{}, but the frames before it are {}x{}",
+                other.path.display(),
+                other.size.0,
+                other.size.1,
+                size.0,
+                size.1
+            ),
+            "keep the frames of each camera in a folder of their own"
+        ));
     }
     Ok(size)
 }
@@ -262,7 +275,12 @@ fn camera(layout: &Layout, size: (u32, u32), options: &Options, beside: Option<&
     if let Some(intrinsics) = options.intrinsics {
         ensure!(
             intrinsics.are_usable(),
-            "`intrinsics` need focal lengths of at least one pixel, and finite numbers, not {intrinsics:?}\n  hint: take them from the camera's calibration, in pixels"
+            Hinted::new(
+                format!(
+                    "`intrinsics` need focal lengths of at least one pixel, and finite numbers, not {intrinsics:?}"
+                ),
+                "take them from the camera's calibration, in pixels"
+            )
         );
         return Ok(Some(intrinsics.camera(size)));
     }

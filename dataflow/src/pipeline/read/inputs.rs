@@ -5,7 +5,7 @@ use crate::pipeline::diagnostic::{Place, suggestion};
 use crate::pipeline::value::{Content, Entry, Table, Value};
 use crate::pipeline::{Compression, Input, Program};
 use crate::ports::Delivery;
-use crate::sides::Pick;
+use crate::side_inputs::Pairing;
 
 const INPUT_KEYS: [&str; 5] = ["topic", "delivery", "queue", "kind", "compression"];
 const COMPRESSIONS: [(&str, Compression); 3] =
@@ -29,7 +29,7 @@ struct SaidInput {
 
 impl Reader<'_> {
     /// An input in its short or its long form; `pick` and `delivery` set what is not said.
-    pub(super) fn input(&mut self, value: &Value, pick: Pick, delivery: Delivery) -> Option<Input> {
+    pub(super) fn input(&mut self, value: &Value, pairing: Pairing, delivery: Delivery) -> Option<Input> {
         let place = value.place.clone();
         let said = match &value.content {
             Content::String(topic) => SaidInput { topic: topic.clone(), ..SaidInput::default() },
@@ -41,10 +41,10 @@ impl Reader<'_> {
             }
         };
         let delivery = said.delivery.unwrap_or(delivery);
-        let default_queue = match (delivery, pick) {
+        let default_queue = match (delivery, pairing) {
             (Delivery::Lossless, _) => QUEUE_LOSSLESS,
-            (Delivery::Latest, Pick::SameFrame) => QUEUE_SAME_FRAME,
-            (Delivery::Latest, Pick::Latest) => QUEUE_LATEST,
+            (Delivery::Latest, Pairing::SameFrame) => QUEUE_SAME_FRAME,
+            (Delivery::Latest, Pairing::Latest) => QUEUE_LATEST,
         };
         // Two places keep the last frame beside the message that ends the stream.
         let queue = said.queue.unwrap_or(default_queue).max(2);
@@ -83,21 +83,21 @@ impl Reader<'_> {
         let table = self.table(entry, "inputs = { depth = \"depth\" }").unwrap_or_default();
         let mut inputs = Vec::new();
         for entry in table.0 {
-            let pick = self.pick_of(&entry, program);
-            let default = if pick == Pick::SameFrame { driving } else { Delivery::Latest };
-            inputs.extend(self.input(&entry.value, pick, default).map(|input| (entry.key, input)));
+            let pairing = self.pick_of(&entry, program);
+            let default = if pairing == Pairing::SameFrame { driving } else { Delivery::Latest };
+            inputs.extend(self.input(&entry.value, pairing, default).map(|input| (entry.key, input)));
         }
         inputs
     }
 
-    /// Which message of a further input a node wants; a fault if it has no such input.
-    fn pick_of(&mut self, entry: &Entry, program: &Program) -> Pick {
-        let Program::Node(node) = program else { return Pick::Latest };
-        if let Some(side) = node.sides().iter().find(|side| side.name == entry.key) {
-            return side.pick;
+    /// Which message of a side input a node wants; a fault if it has no such input.
+    fn pick_of(&mut self, entry: &Entry, program: &Program) -> Pairing {
+        let Program::Node(node) = program else { return Pairing::Latest };
+        if let Some(side) = node.side_inputs().iter().find(|side| side.name == entry.key) {
+            return side.pairing;
         }
-        let hint = suggestion(&entry.key, node.sides().iter().map(|side| side.name), "further inputs");
-        self.fault(&entry.key_place, format!("node `{}` has no further input `{}`", node.name, entry.key), hint);
-        Pick::Latest
+        let hint = suggestion(&entry.key, node.side_inputs().iter().map(|side| side.name), "side inputs");
+        self.fault(&entry.key_place, format!("node `{}` has no side input `{}`", node.name, entry.key), hint);
+        Pairing::Latest
     }
 }

@@ -15,7 +15,7 @@ const OUTAGE_HINT: &str = "how long lossless edges wait for a machine that has g
 impl Reader<'_> {
     pub(super) fn machines(&mut self, entry: Entry) -> BTreeMap<String, Machine> {
         let table = self.table(entry, "[machine.robot]").unwrap_or_default();
-        if let (None, Some(first)) = (&self.around.registry.network, table.0.first()) {
+        if let (None, Some(first)) = (&self.context.registry.network, table.0.first()) {
             self.fault(&first.key_place, NO_NETWORK, NO_NETWORK_HINT);
         }
         table.0.into_iter().map(|entry| (entry.key.clone(), self.machine(entry))).collect()
@@ -34,7 +34,7 @@ impl Reader<'_> {
         let outage_s = table.take("outage_s").and_then(|entry| self.seconds(&entry, OUTAGE_S, OUTAGE_HINT));
         self.unknown_keys(&table, &MACHINE_KEYS, &owner);
         let machine = Machine { listen, connect, zenoh, insecure, outage_s };
-        if let Some(network) = &self.around.registry.network
+        if let Some(network) = &self.context.registry.network
             && let Err(error) = (network.check)(&machine)
         {
             self.fault(&place, format!("{owner}: {}", error.what), error.hint);
@@ -43,7 +43,7 @@ impl Reader<'_> {
     }
 
     fn existing_file(&mut self, entry: &Entry) -> Option<PathBuf> {
-        let path = self.around.base.join(self.string(entry)?);
+        let path = self.context.base.join(self.string(entry)?);
         if !path.is_file() && !self.elsewhere {
             let hint = "paths are relative to the pipeline file";
             self.fault(&entry.value.place, format!("there is no file `{}`", path.display()), hint);

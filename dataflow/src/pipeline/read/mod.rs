@@ -22,11 +22,11 @@ const MAX_TOPIC_NAME: usize = 63;
 pub(super) fn pipeline(
     mut document: Table,
     source: &Arc<SourceText>,
-    around: &ReadContext<'_>,
+    context: &ReadContext<'_>,
     faults: &mut Vec<Diagnostic>,
 ) -> Pipeline {
     let start = Place { source: Arc::clone(source), span: 0..0 };
-    let mut reader = Reader { around, elsewhere: false, items: Vec::new(), faults };
+    let mut reader = Reader { context, elsewhere: false, items: Vec::new(), faults };
     let name = reader.name(&mut document, &start);
     reader.items = document.take("item").map(|entry| reader.items(entry)).unwrap_or_default();
     let machines = document.take("machine").map(|entry| reader.machines(entry)).unwrap_or_default();
@@ -38,7 +38,7 @@ pub(super) fn pipeline(
         Vec::new()
     });
     let (items, source) = (reader.items, Default::default());
-    Pipeline { name, base: around.base.to_owned(), machines, items, stages, experiment, source }
+    Pipeline { name, base: context.base.to_owned(), machines, items, stages, experiment, source }
 }
 
 /// Where a file is read.
@@ -52,7 +52,7 @@ pub(super) struct ReadContext<'a> {
 }
 
 struct Reader<'a> {
-    around: &'a ReadContext<'a>,
+    context: &'a ReadContext<'a>,
     /// What is read now belongs to another machine: whether its files are there shows there.
     elsewhere: bool,
     /// The item types that the file describes.
@@ -63,7 +63,7 @@ struct Reader<'a> {
 impl Reader<'_> {
     /// Notes to which machine belongs what is read next.
     fn go_to(&mut self, machine: Option<&str>) {
-        self.elsewhere = self.around.machine.is_some() && self.around.machine != machine;
+        self.elsewhere = self.context.machine.is_some() && self.context.machine != machine;
     }
 
     fn fault(&mut self, place: &Place, what: impl Into<String>, hint: impl Into<String>) {

@@ -6,7 +6,7 @@ use crate::pipeline::schema;
 use crate::pipeline::value::{Content, Entry, Table};
 use crate::pipeline::{Program, Restart, StageSpec};
 use crate::ports::Delivery;
-use crate::sides::Pick;
+use crate::side_inputs::Pairing;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
@@ -32,7 +32,7 @@ impl Reader<'_> {
         let [input_place, output_place, machine_place] = ["input", "output", "machine"].map(place_of);
         self.go_to(table.get("machine").and_then(|entry| entry.value.as_str()));
         let program = self.program(&mut table, &name, &place);
-        let input = table.take("input").and_then(|entry| self.input(&entry.value, Pick::Latest, Delivery::Latest));
+        let input = table.take("input").and_then(|entry| self.input(&entry.value, Pairing::Latest, Delivery::Latest));
         let driving = input.as_ref().map_or(Delivery::Latest, |input| input.delivery);
         let inputs = table.take("inputs").map(|entry| self.inputs(entry, &program, driving)).unwrap_or_default();
         let (output, output_said) = table.take("output").map(|entry| self.output(entry)).unwrap_or_default();
@@ -94,10 +94,10 @@ impl Reader<'_> {
 
     fn node(&mut self, entry: &Entry) -> Program {
         let Some(name) = self.string(entry) else { return Program::Unknown };
-        if let Some(node) = self.around.registry.nodes.iter().find(|node| node.name == name) {
+        if let Some(node) = self.context.registry.nodes.iter().find(|node| node.name == name) {
             return Program::Node(*node);
         }
-        let hint = suggestion(&name, self.around.registry.nodes.iter().map(|node| node.name), "nodes");
+        let hint = suggestion(&name, self.context.registry.nodes.iter().map(|node| node.name), "nodes");
         self.fault(&entry.value.place, format!("there is no node `{name}`"), hint);
         Program::Unknown
     }
@@ -110,7 +110,7 @@ impl Reader<'_> {
         };
         let place =
             if let Content::Array(values) = &entry.value.content { &values[0].place } else { &entry.value.place };
-        match find_program(self.around.base, program) {
+        match find_program(self.context.base, program) {
             Some(path) if is_executable(&path) => *program = path.to_string_lossy().into_owned(),
             _ if self.elsewhere => {}
             Some(_) => {
@@ -164,7 +164,7 @@ impl Reader<'_> {
         if self.elsewhere {
             return;
         }
-        match (node.check)(table.to_json(), self.around.base) {
+        match (node.check)(table.to_json(), self.context.base) {
             Ok(faults) => {
                 for fault in faults {
                     let at = table.get(fault.key).map_or(place, |entry| &entry.value.place);

@@ -8,22 +8,22 @@
 #![allow(unsafe_code)] // layouts in shared memory, loans whose content is left over, leases on files, pages given back
 
 mod cleanup;
-mod hold;
 pub(crate) mod leftovers;
+mod onlooker;
 mod reader;
 mod reserve;
-pub(crate) mod residence;
+mod service_keeper;
 mod services;
-mod tap;
 #[cfg(test)]
 mod tests;
+pub(crate) mod trim_rss;
 mod untyped;
 mod writer;
 
-pub use hold::Held;
+pub use onlooker::SharedOnlooker;
 pub use reader::{SharedMessage, SharedReader};
+pub use service_keeper::ServiceKeeper;
 pub use services::SharedMemory;
-pub use tap::SharedTap;
 pub use writer::SharedWriter;
 
 use crate::item_type::ItemType;

@@ -5,7 +5,7 @@
 
 use super::super::excerpt;
 use anyhow::{Context as _, Result, anyhow, bail, ensure};
-use conicflow_messages::MAX_PIXELS;
+use conicflow_messages::{Hinted, MAX_PIXELS};
 use std::str::SplitAsciiWhitespace;
 
 /// The longest header that is read.
@@ -95,8 +95,9 @@ impl Header {
     }
 }
 
-fn no_end(line: usize) -> String {
-    format!("the header ends in line {line} without a `DATA` line\n  hint: is this a PCD file, and is it complete?")
+fn no_end(line: usize) -> Hinted {
+    let what = format!("the header ends in line {line} without a `DATA` line");
+    Hinted::new(what, "is this a PCD file, and is it complete?")
 }
 
 #[derive(PartialEq, Eq)]
@@ -135,7 +136,7 @@ impl Draft {
                 return Ok(Entry::Data);
             }
             Some(comment) if comment.starts_with('#') => {}
-            Some(_) => bail!("no key of a PCD header\n  hint: is this a PCD file?"),
+            Some(_) => bail!(Hinted::new("no key of a PCD header", "is this a PCD file?")),
         }
         Ok(Entry::Other)
     }
@@ -179,10 +180,11 @@ fn size(width: u64, height: u64, points: Option<u64>) -> Result<(u32, u32)> {
     };
     ensure!(pixels > 0, "an empty cloud: WIDTH {width}, HEIGHT {height}");
     if width == 1 || height == 1 {
-        bail!(
-            "the cloud is not organised as an image: WIDTH {width}, HEIGHT {height}\n  hint: save the cloud as the \
-             camera gave it; filters that drop points instead of setting them to NaN lose the rows and columns"
-        );
+        bail!(Hinted::new(
+            format!("the cloud is not organised as an image: WIDTH {width}, HEIGHT {height}"),
+            "save the cloud as the camera gave it; filters that drop points instead of setting them to NaN lose the \
+             rows and columns"
+        ));
     }
     if let Some(points) = points.filter(|&points| points != pixels) {
         bail!("POINTS {points}, but WIDTH {width} times HEIGHT {height} is {pixels}");

@@ -6,6 +6,7 @@ mod lzf;
 pub(super) use header::Header;
 
 use anyhow::{Context as _, Result, anyhow, bail, ensure};
+use conicflow_messages::Hinted;
 use header::{Encoding, Scalar};
 
 /// What to do about a file that cannot be read.
@@ -101,7 +102,10 @@ impl Cloud {
             }
             read += 1;
         }
-        ensure!(read == points, "{read} points, expected {points}\n  hint: the file seems to be cut off");
+        ensure!(
+            read == points,
+            Hinted::new(format!("{read} points, expected {points}"), "the file seems to be cut off")
+        );
         Ok(())
     }
 }
@@ -137,7 +141,10 @@ fn check_length(header: &Header, data: &[u8]) -> Result<()> {
         Encoding::BinaryCompressed => 8 + whole / lzf::MAX_RATIO,
     };
     let got = data.len();
-    ensure!(got >= needed, "{got} bytes of points, expected {needed} or more\n  hint: the file seems to be cut off");
+    ensure!(
+        got >= needed,
+        Hinted::new(format!("{got} bytes of points, expected {needed} or more"), "the file seems to be cut off")
+    );
     Ok(())
 }
 
@@ -152,8 +159,9 @@ fn packed_block<'a>(header: &Header, data: &'a [u8]) -> Result<&'a [u8]> {
     ensure!(unpacked == expected, "{unpacked} bytes when decompressed, expected {expected} by the header");
     let got = data.len() - 8;
     let block = data.get(8..8 + packed);
-    block.with_context(|| {
-        format!("{got} bytes of compressed points, expected {packed}\n  hint: the file seems to be cut off")
+    block.ok_or_else(|| {
+        let what = format!("{got} bytes of compressed points, expected {packed}");
+        Hinted::new(what, "the file seems to be cut off").into()
     })
 }
 

@@ -1,9 +1,9 @@
 //! Tests of an input: what is taken, what is left out, and how both are counted.
 
-use super::inbox::Inbox;
+use super::input_port::InputPort;
 use crate::ports::in_memory::InMemory;
 use crate::ports::{Delivery, MAX_KEPT, Received, Topic, TopicReader, Transport, Writer};
-use crate::runner::outlet::end_of_stream;
+use crate::runner::output_port::end_of_stream;
 use crate::status::InputCounts;
 use conicflow_messages::{Camera, END_OF_STREAM, Header, Hop, Object, Text};
 
@@ -28,9 +28,9 @@ fn pass(delivery: Delivery, headers: &[Header]) -> (Vec<u64>, InputCounts, bool)
     for header in headers {
         writer.send(header).unwrap();
     }
-    let mut inbox = Inbox::new(reader, delivery, "objects", 1);
-    let taken = std::iter::from_fn(|| inbox.take().unwrap().map(|message| message.header().sequence)).collect();
-    (taken, inbox.counts(), inbox.ended())
+    let mut input_port = InputPort::new(reader, delivery, "objects", 1);
+    let taken = std::iter::from_fn(|| input_port.take().unwrap().map(|message| message.header().sequence)).collect();
+    (taken, input_port.counts(), input_port.ended())
 }
 
 #[test]
@@ -71,11 +71,11 @@ fn what_was_lost_with_an_earlier_process_is_counted() {
     let memory = InMemory::default();
     let topic = topic(Delivery::Lossless);
     let reader = memory.reader::<Object>(&topic, "reader").unwrap();
-    let mut inbox = Inbox::new(reader, Delivery::Lossless, "objects", 1);
-    inbox.resume(earlier);
+    let mut input_port = InputPort::new(reader, Delivery::Lossless, "objects", 1);
+    input_port.resume(earlier);
     memory.writer::<Object>(&topic).unwrap().send(&header(5)).unwrap();
-    assert_eq!(inbox.take().unwrap().map(|message| message.header().sequence), Some(5));
-    let counts = inbox.counts();
+    assert_eq!(input_port.take().unwrap().map(|message| message.header().sequence), Some(5));
+    let counts = input_port.counts();
     assert_eq!((counts.received, counts.dropped, counts.gaps), (3, 3, 3));
 }
 
@@ -93,11 +93,11 @@ fn a_successor_hears_a_rare_writer_beside_one_that_sends_a_lot() {
     topic.readers[0].queue = 64;
     let reader = memory.reader::<Object>(&topic, "reader").unwrap();
     let mut writer = memory.writer::<Object>(&topic).unwrap();
-    let mut inbox = Inbox::new(reader, Delivery::Lossless, "objects", 2);
+    let mut input_port = InputPort::new(reader, Delivery::Lossless, "objects", 2);
     (0..40).for_each(|sequence| _ = writer.send(&written_by("often", sequence)).unwrap());
     writer.send(&written_by("rare", 3)).unwrap();
-    inbox.hear_on().unwrap();
-    let numbers = inbox.first_heard().numbers;
+    input_port.buffer_newest().unwrap();
+    let numbers = input_port.first_buffered().numbers;
     assert_eq!(numbers[&Text::new("rare")], 3);
     assert_eq!(numbers[&Text::new("often")], 40 + 2 - MAX_KEPT as u64, "older ones are the predecessor's");
 }
@@ -109,13 +109,14 @@ fn what_predecessor_and_successor_both_heard_is_counted_once() {
     let topic = topic(Delivery::Lossless);
     let reader = memory.reader::<Object>(&topic, "reader").unwrap();
     let mut writer = memory.writer::<Object>(&topic).unwrap();
-    let mut inbox = Inbox::new(reader, Delivery::Lossless, "objects", 1);
+    let mut input_port = InputPort::new(reader, Delivery::Lossless, "objects", 1);
     (1..5).for_each(|sequence| _ = writer.send(&header(sequence)).unwrap());
-    inbox.overhear().unwrap();
-    inbox.resume(earlier);
-    inbox.admit_overheard();
-    let taken: Vec<_> = std::iter::from_fn(|| inbox.take().unwrap().map(|message| message.header().number)).collect();
-    let counts = inbox.counts();
+    input_port.buffer_ahead().unwrap();
+    input_port.resume(earlier);
+    input_port.admit_buffered();
+    let taken: Vec<_> =
+        std::iter::from_fn(|| input_port.take().unwrap().map(|message| message.header().number)).collect();
+    let counts = input_port.counts();
     assert_eq!(taken, [1, 2, 3, 4], "what belongs to a later frame is still needed");
     assert_eq!((counts.received, counts.dropped, counts.gaps, counts.late), (5, 0, 0, 0));
 }
@@ -138,12 +139,13 @@ fn nonsense_is_counted_and_left_out() {
 fn one_message_may_end_the_streams_of_several_writers() {
     let memory = InMemory::default();
     let topic = topic(Delivery::Latest);
-    let mut inbox = Inbox::new(memory.reader::<Object>(&topic, "reader").unwrap(), Delivery::Latest, "objects", 2);
+    let mut input_port =
+        InputPort::new(memory.reader::<Object>(&topic, "reader").unwrap(), Delivery::Latest, "objects", 2);
     let mut writer = memory.writer::<Object>(&topic).unwrap();
     writer.send(&header(0)).unwrap();
     writer.send(&end_of_stream(&header(0), &["writer", "other"].map(Text::new))).unwrap();
-    assert!(inbox.take().unwrap().is_some() && inbox.take().unwrap().is_none());
-    assert!(inbox.ended() && inbox.has_ended("writer") && inbox.has_ended("other"));
+    assert!(input_port.take().unwrap().is_some() && input_port.take().unwrap().is_none());
+    assert!(input_port.ended() && input_port.has_ended("writer") && input_port.has_ended("other"));
 }
 
 #[test]

@@ -1,19 +1,19 @@
 //! An input of a stage: decides which of the messages that came is worked on, and counts the others.
 
-use super::handover::Mark;
+use super::handover::Watermark;
 use crate::item_type::ItemType;
-use crate::log::Seldom;
+use crate::log::ThrottledWarning;
 use crate::ports::{Delivery, MAX_KEPT, PortError, Reader, Received};
 use crate::status::{InputCounts, LastMessage};
 use conicflow_messages::{Header, Text};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
-/// Messages that are heard at a time before something else is looked at.
+/// Messages that are taken at a time before something else is looked at.
 const MOST_AT_ONCE: usize = 64;
 
 /// Takes messages from a reader: checked, in order, the newest only where that is wanted.
-pub struct Inbox<R: Reader> {
+pub struct InputPort<R: Reader> {
     reader: R,
     delivery: Delivery,
     writers: usize,
@@ -23,15 +23,15 @@ pub struct Inbox<R: Reader> {
     last_number: BTreeMap<Text<32>, u64>,
     counts: InputCounts,
     /// How far this process came.
-    worked_on: Mark,
+    worked_on: Watermark,
     /// How far its predecessor came.
-    predecessor: Mark,
-    /// Writer and number of the last message that an earlier process counted, where this one has heard it as well.
+    predecessor: Watermark,
+    /// Writer and number of the last message that an earlier process counted, where this one has received it as well.
     counted: Option<(Text<32>, u64)>,
-    nonsense: Seldom,
+    nonsense: ThrottledWarning,
 }
 
-impl<R: Reader> Inbox<R> {
+impl<R: Reader> InputPort<R> {
     /// An input from `topic`, which `writers` stages write.
     pub fn new(reader: R, delivery: Delivery, topic: &str, writers: usize) -> Self {
         Self {
@@ -43,10 +43,10 @@ impl<R: Reader> Inbox<R> {
             last_frame: BTreeMap::new(),
             last_number: BTreeMap::new(),
             counts: InputCounts { topic: Text::new(topic), ..InputCounts::default() },
-            worked_on: Mark::default(),
-            predecessor: Mark::default(),
+            worked_on: Watermark::default(),
+            predecessor: Watermark::default(),
             counted: None,
-            nonsense: Seldom::default(),
+            nonsense: ThrottledWarning::default(),
         }
     }
 
@@ -89,13 +89,13 @@ impl<R: Reader> Inbox<R> {
     }
 
     /// How far this process came.
-    pub(crate) fn worked_on(&mut self) -> &Mark {
+    pub(crate) fn worked_on(&mut self) -> &Watermark {
         self.worked_on.ended.clone_from(&self.ended);
         &self.worked_on
     }
 
     /// Whether all messages before `first` were worked on, and none of them can come any more.
-    pub(crate) fn has_passed(&self, first: &Mark) -> bool {
+    pub(crate) fn has_passed(&self, first: &Watermark) -> bool {
         first.numbers.iter().all(|(writer, first)| {
             let seen = self.last_number.get(writer).map_or(0, |last| last.saturating_add(1)) >= *first;
             let is_before =
@@ -105,7 +105,7 @@ impl<R: Reader> Inbox<R> {
     }
 
     /// Keeps what has come, for when this process's turn has come.
-    pub(crate) fn overhear(&mut self) -> Result<(), PortError> {
+    pub(crate) fn buffer_ahead(&mut self) -> Result<(), PortError> {
         while self.pending.len() < MAX_KEPT {
             let Some(message) = self.reader.receive()? else { break };
             self.pending.push_back(message);
@@ -113,9 +113,9 @@ impl<R: Reader> Inbox<R> {
         Ok(())
     }
 
-    /// Hears all that has come, so that no writer waits for another one to be heard: where there is no room for more, the
-    /// first message of a writer that was heard again is left to the predecessor.
-    pub(crate) fn hear_on(&mut self) -> Result<(), PortError> {
+    /// Takes all that has come, so that no writer waits for room while another one has not sent yet: where there is no room
+    /// for more, the first message of a writer of which a later one is buffered is left to the predecessor.
+    pub(crate) fn buffer_newest(&mut self) -> Result<(), PortError> {
         for _ in 0..MOST_AT_ONCE {
             let Some(message) = self.reader.receive()? else { break };
             self.pending.push_back(message);
@@ -127,52 +127,52 @@ impl<R: Reader> Inbox<R> {
         Ok(())
     }
 
-    /// The first message whose writer was heard again after it.
+    /// The first message of whose writer a later one is buffered.
     fn dispensable(&self) -> Option<usize> {
-        let headers: Vec<_> = self.overheard().collect();
+        let headers: Vec<_> = self.buffered().collect();
         (0..headers.len()).find(|&index| {
             let writer = ends_of_trace(headers[index]).1;
             !headers[index].ends_stream() && headers[index + 1..].iter().any(|later| is_from(later, &writer))
         })
     }
 
-    /// The headers of what was overheard.
-    pub(crate) fn overheard(&self) -> impl Iterator<Item = &Header> {
+    /// The headers of what is buffered.
+    pub(crate) fn buffered(&self) -> impl Iterator<Item = &Header> {
         self.pending.iter().map(Received::header)
     }
 
-    /// Leaves messages that were overheard to the predecessor; never the end of a stream.
-    pub(crate) fn forget_overheard(&mut self, forget: impl Fn(&Header) -> bool) {
+    /// Leaves buffered messages to the predecessor; never the end of a stream.
+    pub(crate) fn drop_buffered(&mut self, forget: impl Fn(&Header) -> bool) {
         self.pending.retain(|message| message.header().ends_stream() || !forget(message.header()));
     }
 
-    /// Whether a message of this writer was overheard.
-    pub(crate) fn has_heard(&self, writer: &str) -> bool {
+    /// Whether a message of this writer is buffered.
+    pub(crate) fn has_buffered(&self, writer: &str) -> bool {
         self.pending.iter().any(|message| is_from(message.header(), &Text::new(writer)))
     }
 
-    /// By writer, the number of the first message that was overheard; of an end the number that would follow.
-    pub(crate) fn first_heard(&self) -> Mark {
-        let mut first = Mark::default();
-        for header in self.overheard() {
+    /// By writer, the number of the first message that is buffered; of an end the number that would follow.
+    pub(crate) fn first_buffered(&self) -> Watermark {
+        let mut first = Watermark::default();
+        for header in self.buffered() {
             let number = header.number.saturating_add(u64::from(header.ends_stream()));
             first.numbers.entry(ends_of_trace(header).1).or_insert(number);
         }
         first
     }
 
-    /// Goes on after the last message that the predecessor has worked on, with what was overheard meanwhile.
-    pub(crate) fn begin_after(&mut self, last: Mark) {
+    /// Goes on after the last message that the predecessor has worked on, with what was buffered meanwhile.
+    pub(crate) fn begin_after(&mut self, last: Watermark) {
         self.last_number.clone_from(&last.numbers);
         self.last_frame.clone_from(&last.frames);
         self.ended.clone_from(&last.ended);
         self.worked_on = last.clone();
         self.predecessor = last;
-        self.admit_overheard();
+        self.admit_buffered();
     }
 
-    /// Queues what was overheard.
-    pub(crate) fn admit_overheard(&mut self) {
+    /// Queues what was buffered.
+    pub(crate) fn admit_buffered(&mut self) {
         for message in std::mem::take(&mut self.pending) {
             if self.admit(&message) {
                 self.enqueue(message);
@@ -226,7 +226,7 @@ impl<R: Reader> Inbox<R> {
         let LastMessage { writer, number, source, epoch, sequence } = counts.last;
         if self.writers == 1 && writer != Text::default() {
             self.last_number.entry(writer).or_insert(number);
-            if self.overheard().any(|header| is_from(header, &writer) && header.number <= number) {
+            if self.buffered().any(|header| is_from(header, &writer) && header.number <= number) {
                 self.counted = Some((writer, number));
             } else {
                 self.last_frame.entry(source).or_insert((epoch, sequence));

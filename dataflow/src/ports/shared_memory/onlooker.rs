@@ -1,6 +1,6 @@
 //! A look into a topic from outside the pipeline: one reader more, which nobody waits for and which wakes nobody.
 //!
-//! It has no place among the pipeline's readers but one of those kept free for it, and no listener. A tap that is slow,
+//! It has no place among the pipeline's readers but one of those kept free for it, and no listener. An onlooker that is slow,
 //! stopped or dead loses messages, and no writer notices.
 
 use super::reader::SharedMessage;
@@ -12,10 +12,10 @@ use iceoryx2::port::subscriber::SubscriberCreateError;
 use iceoryx2::prelude::PortName;
 
 /// No stage can have this name.
-const NAME: &str = "(tap)";
+const NAME: &str = "(onlooker)";
 
 /// Reads a topic that others read.
-pub struct SharedTap {
+pub struct SharedOnlooker {
     subscriber: Subscriber,
 }
 
@@ -24,29 +24,29 @@ impl SharedMemory {
     ///
     /// # Errors
     /// The topic carries something else, too many look on already, or shared memory failed.
-    pub fn tap(&self, item: &ItemType, topic: &Topic) -> Result<SharedTap, PortError> {
+    pub fn onlooker(&self, item: &ItemType, topic: &Topic) -> Result<SharedOnlooker, PortError> {
         let fault = |reason: String| self.fault(format!("topic `{}` cannot be looked into", topic.name), reason);
         let name = PortName::new(NAME).map_err(|error| fault(format!("{error:?}")))?;
         let queue = topic.longest_queue();
         let created = self.messages(item, topic)?.subscriber_builder().buffer_size(queue).name(&name).create();
         let subscriber = created.map_err(|error| match error {
             SubscriberCreateError::ExceedsMaxSupportedSubscribers => {
-                PortError::TooManyTaps { topic: topic.name.clone(), limit: SPARE_READERS }
+                PortError::TooManyOnlookers { topic: topic.name.clone(), limit: SPARE_READERS }
             }
             other => fault(format!("{other:?}")),
         })?;
-        Ok(SharedTap { subscriber })
+        Ok(SharedOnlooker { subscriber })
     }
 }
 
-impl SharedTap {
+impl SharedOnlooker {
     /// The oldest message that waits, if any.
     ///
     /// # Errors
     /// Shared memory failed.
-    pub fn receive(&mut self, around: &SharedMemory) -> Result<Option<SharedMessage>, PortError> {
+    pub fn receive(&mut self, memory: &SharedMemory) -> Result<Option<SharedMessage>, PortError> {
         let received =
-            self.subscriber.receive().map_err(|error| around.fault("a topic cannot be looked into", error))?;
+            self.subscriber.receive().map_err(|error| memory.fault("a topic cannot be looked into", error))?;
         Ok(received.map(SharedMessage))
     }
 }

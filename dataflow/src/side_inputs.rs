@@ -1,47 +1,47 @@
-//! Further inputs of a stage: read when a message of the driving input is there, without waking the stage themselves.
+//! Side inputs of a stage: read when a message of the driving input is there, without waking the stage themselves.
 
 use crate::item_type::{AnyMessage, ItemType};
 use bytemuck::cast_slice;
 use conicflow_messages::{Item, Message};
 
-/// A further input that a node takes.
+/// A side input that a node takes.
 #[derive(Clone, Copy, Debug)]
-pub struct Side {
+pub struct SideInput {
     /// Its name in `inputs = { name = "topic" }`.
     pub name: &'static str,
     /// What it carries: [`Item::NAME`].
     pub kind: &'static str,
     /// Which of its messages is wanted.
-    pub pick: Pick,
+    pub pairing: Pairing,
     pub(crate) item: fn() -> ItemType,
 }
 
-impl Side {
+impl SideInput {
     /// An input of which the newest message is read.
     pub const fn latest<T: Item>(name: &'static str) -> Self {
-        Self { name, kind: T::NAME, pick: Pick::Latest, item: ItemType::of::<T> }
+        Self { name, kind: T::NAME, pairing: Pairing::Latest, item: ItemType::of::<T> }
     }
 
     /// An input of which that message is read which was made from the same frame as the driving one.
     pub const fn same_frame<T: Item>(name: &'static str) -> Self {
-        Self { name, kind: T::NAME, pick: Pick::SameFrame, item: ItemType::of::<T> }
+        Self { name, kind: T::NAME, pairing: Pairing::SameFrame, item: ItemType::of::<T> }
     }
 }
 
-/// Which message of a further input goes with a message of the driving one.
+/// Which message of a side input goes with a message of the driving one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Pick {
+pub enum Pairing {
     /// The newest there is.
     Latest,
     /// The one made from the same frame.
     SameFrame,
 }
 
-/// The messages of the further inputs that go with one step; each may be missing.
+/// The messages of the side inputs that go with one step; each may be missing.
 #[derive(Clone, Debug, Default)]
-pub struct Sides<'a>(pub(crate) Vec<(&'static str, AnyMessage<'a>)>);
+pub struct SideInputs<'a>(pub(crate) Vec<(&'static str, AnyMessage<'a>)>);
 
-impl<'a> Sides<'a> {
+impl<'a> SideInputs<'a> {
     /// The same with a message of the input `name`.
     #[must_use]
     pub fn with<T: Item>(mut self, name: &'static str, message: Message<'a, T>) -> Self {

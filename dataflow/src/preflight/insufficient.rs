@@ -1,12 +1,12 @@
 //! What a machine has too little of for what is to run on it: what there is now, against what is needed.
 
-use super::Needs;
+use super::Requirements;
 use crate::ports::capacity::{SHARED_MEMORY, in_words, room};
 use rustix::process::{Resource, getrlimit};
 
 /// What a machine has too little of.
 #[derive(Debug, thiserror::Error)]
-pub enum Shortfall {
+pub enum InsufficientResource {
     /// Shared memory is not there.
     #[error(
         "there is no shared memory in {SHARED_MEMORY}: {0}\n  hint: mount it: \
@@ -59,46 +59,47 @@ pub enum Shortfall {
     },
 }
 
-impl Needs {
+impl Requirements {
     /// What this machine has too little of, now.
-    pub fn shortfalls(&self) -> Vec<Shortfall> {
+    pub fn insufficient(&self) -> Vec<InsufficientResource> {
         let limit = getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX);
-        let files = (limit < self.open_files).then_some(Shortfall::OpenFiles { limit, needed: self.open_files });
+        let files =
+            (limit < self.open_files).then_some(InsufficientResource::OpenFiles { limit, needed: self.open_files });
         let room = match room() {
             Ok((free, size)) => self.short_of_room(free, size),
-            Err(error) => Some(Shortfall::NoSharedMemory(error)),
+            Err(error) => Some(InsufficientResource::NoSharedMemory(error)),
         };
         room.into_iter().chain(files).collect()
     }
 
-    fn short_of_room(&self, free: u64, size: u64) -> Option<Shortfall> {
+    fn short_of_room(&self, free: u64, size: u64) -> Option<InsufficientResource> {
         let needed = self.shared_memory();
-        let topic = &self.topics.iter().max_by_key(|needs| needs.bytes)?.name;
+        let topic = &self.topics.iter().max_by_key(|requirements| requirements.bytes)?.name;
         let wanted = (size.saturating_sub(free) + needed).div_ceil(1 << 20).next_power_of_two();
-        (free < needed).then(|| Shortfall::Room { free, size, needed, topic: topic.clone(), wanted })
+        (free < needed).then(|| InsufficientResource::Room { free, size, needed, topic: topic.clone(), wanted })
     }
 }
 
 /// Makes sure that so many bytes of shared memory are free.
-pub(super) fn enough(needed: u64, purpose: impl FnOnce() -> String) -> Result<(), Shortfall> {
-    let (free, _) = room().map_err(Shortfall::NoSharedMemory)?;
-    if free < needed { Err(Shortfall::MoreRoom { purpose: purpose(), free, needed }) } else { Ok(()) }
+pub(super) fn enough(needed: u64, purpose: impl FnOnce() -> String) -> Result<(), InsufficientResource> {
+    let (free, _) = room().map_err(InsufficientResource::NoSharedMemory)?;
+    if free < needed { Err(InsufficientResource::MoreRoom { purpose: purpose(), free, needed }) } else { Ok(()) }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::TopicNeeds;
+    use super::super::TopicRequirements;
     use super::*;
 
     #[test]
     fn a_shortfall_names_the_topic_and_what_would_do() {
-        let topic = |name: &str, bytes| TopicNeeds { name: name.to_owned(), bytes, longest_message: 1 };
+        let topic = |name: &str, bytes| TopicRequirements { name: name.to_owned(), bytes, longest_message: 1 };
         let topics = vec![topic("small", 1 << 20), topic("large", 70 << 20)];
-        let needs = Needs { topics, ..Needs::default() };
-        assert!(needs.short_of_room(71 << 20, 80 << 20).is_none(), "just enough");
-        let shortfall = needs.short_of_room((71 << 20) - 1, 80 << 20).unwrap().to_string();
-        assert!(shortfall.starts_with("shared memory has 74.4 MB of 83.9 MB free"), "{shortfall}");
-        assert!(shortfall.contains("needs up to 74.4 MB, most of it for the topic `large`\n"), "{shortfall}");
-        assert!(shortfall.contains("size=128M"), "80 MB less 71 are taken, 71 are needed: {shortfall}");
+        let requirements = Requirements { topics, ..Requirements::default() };
+        assert!(requirements.short_of_room(71 << 20, 80 << 20).is_none(), "just enough");
+        let insufficient = requirements.short_of_room((71 << 20) - 1, 80 << 20).unwrap().to_string();
+        assert!(insufficient.starts_with("shared memory has 74.4 MB of 83.9 MB free"), "{insufficient}");
+        assert!(insufficient.contains("needs up to 74.4 MB, most of it for the topic `large`\n"), "{insufficient}");
+        assert!(insufficient.contains("size=128M"), "80 MB less 71 are taken, 71 are needed: {insufficient}");
     }
 }

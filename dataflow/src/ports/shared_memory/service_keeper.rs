@@ -8,7 +8,7 @@ use super::untyped::Factory;
 use crate::ports::{PortError, Topic};
 
 /// The services of topics, for as long as this is held.
-pub struct Held {
+pub struct ServiceKeeper {
     _messages: Vec<Factory>,
     _events: Vec<EventFactory>,
     _memory: SharedMemory,
@@ -20,7 +20,7 @@ impl SharedMemory {
     ///
     /// # Errors
     /// Shared memory failed.
-    pub fn hold<'a>(self, topics: impl Iterator<Item = &'a Topic>) -> Result<Held, PortError> {
+    pub fn keep_services<'a>(self, topics: impl Iterator<Item = &'a Topic>) -> Result<ServiceKeeper, PortError> {
         let (mut messages, mut events) = (Vec::new(), Vec::new());
         for topic in topics {
             if let Some(item) = &topic.item {
@@ -28,6 +28,6 @@ impl SharedMemory {
             }
             events.extend([self.event(topic, "/wake")?, self.event(topic, "/room")?]);
         }
-        Ok(Held { _messages: messages, _events: events, _memory: self })
+        Ok(ServiceKeeper { _messages: messages, _events: events, _memory: self })
     }
 }

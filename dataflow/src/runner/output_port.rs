@@ -18,7 +18,7 @@ const LOOK: Duration = Duration::from_millis(10);
 const TELL_END: Duration = Duration::from_millis(100);
 
 /// Writes the messages of one stage.
-pub struct Outlet<W: Writer> {
+pub struct OutputPort<W: Writer> {
     port: Option<(W, Topic)>,
     stage: Text<32>,
     counts: BTreeMap<&'static str, u64>,
@@ -40,7 +40,7 @@ impl<T: Item, W: Writer> Memory<T> for Option<(W, Topic)> {
     }
 }
 
-impl<W: Writer> Outlet<W> {
+impl<W: Writer> OutputPort<W> {
     /// The output of `stage` into a topic, if it is wired to one; `number` messages were sent before.
     pub fn new(port: Option<(W, Topic)>, stage: &str, number: u64, peers: Peers, stop: Stop) -> Self {
         Self {

@@ -14,7 +14,7 @@ const PAGE: usize = 64 * 1024;
 
 /// Gives back pages of the program and its libraries that are as they are in their files, stack that was needed once, and
 /// memory that is free. Where the system cannot tell which pages those are, or does not take them, they stay.
-pub(crate) fn give_back() {
+pub(crate) fn trim() {
     let mappings = fs::read_to_string("/proc/self/smaps").unwrap_or_default();
     let here = std::ptr::from_ref(&mappings).addr();
     for range in unwritten(&mappings).into_iter().chain(unused_stack(&mappings, here)) {
@@ -122,7 +122,7 @@ Swap:                  4 kB
     #[test]
     fn the_program_goes_on_afterwards() {
         let kept: Vec<u64> = (0..100_000).collect();
-        give_back();
+        trim();
         assert_eq!(kept.iter().sum::<u64>(), 4_999_950_000);
     }
 }

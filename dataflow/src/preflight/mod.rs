@@ -4,19 +4,19 @@
 //! at once, each of the length that its source names. What is not certain beforehand is looked at when it comes: a list
 //! that is longer than usual, somebody who looks on, a stage that is replaced.
 
-mod shortfall;
+mod insufficient;
 
-pub use shortfall::Shortfall;
+pub use insufficient::InsufficientResource;
 
 use crate::item_type::ItemType;
 use crate::node::Node;
 use crate::plan::{Plan, PlannedStage, Runs};
 use crate::ports::capacity::{HELD, LOANED, ROOM_PER_PORT, message_bytes, taken};
 use crate::ports::{MAX_KEPT, Topic, TopicReader, Wiring};
-use crate::sides::{Pick, Side};
-use shortfall::enough;
+use crate::side_inputs::{Pairing, SideInput};
+use insufficient::enough;
 
-/// Messages that a reader holds of a further input that waits for its frame: those that are kept, and the one in use.
+/// Messages that a reader holds of a side input that waits for its frame: those that are kept, and the one in use.
 const HELD_FOR_FRAME: usize = MAX_KEPT + 1;
 /// Open files of a stage that is joined to nothing.
 const FILES_PER_STAGE: u64 = 24;
@@ -28,16 +28,16 @@ const FILES_OF_NETWORK: u64 = 64;
 
 /// What a plan needs of the machine that it runs on.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Needs {
+pub struct Requirements {
     /// What its topics need of shared memory.
-    pub topics: Vec<TopicNeeds>,
+    pub topics: Vec<TopicRequirements>,
     /// Files that one process has open at once.
     pub open_files: u64,
 }
 
 /// What a topic needs of shared memory.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct TopicNeeds {
+pub struct TopicRequirements {
     /// Name of the topic.
     pub name: String,
     /// Bytes that it takes at most.
@@ -46,21 +46,21 @@ pub struct TopicNeeds {
     pub longest_message: u64,
 }
 
-impl Needs {
+impl Requirements {
     /// What a plan needs whose nodes stand in the table `nodes`.
     pub fn of(plan: &Plan, nodes: &[Node]) -> Self {
-        let mut topics: Vec<TopicNeeds> = Vec::new();
+        let mut topics: Vec<TopicRequirements> = Vec::new();
         for stage in &plan.stages {
             for (topic, bytes) in written(plan, stage, nodes) {
                 let readers = topic.readers.iter();
                 let with_readers = readers.map(|reader| reader.queue + held(plan, topic, reader, nodes)).sum();
                 let (taken, longest_message) = (taken(topic, bytes, with_readers), bytes as u64);
-                match topics.iter_mut().find(|needs| needs.name == topic.name) {
-                    Some(needs) => {
-                        needs.bytes += taken;
-                        needs.longest_message = needs.longest_message.max(longest_message);
+                match topics.iter_mut().find(|requirements| requirements.name == topic.name) {
+                    Some(requirements) => {
+                        requirements.bytes += taken;
+                        requirements.longest_message = requirements.longest_message.max(longest_message);
                     }
-                    None => topics.push(TopicNeeds { name: topic.name.clone(), bytes: taken, longest_message }),
+                    None => topics.push(TopicRequirements { name: topic.name.clone(), bytes: taken, longest_message }),
                 }
             }
         }
@@ -71,7 +71,7 @@ impl Needs {
     ///
     /// # Errors
     /// How much is missing.
-    pub fn look_for_onlooker(&self, topic: &Topic) -> Result<(), Shortfall> {
+    pub fn look_for_onlooker(&self, topic: &Topic) -> Result<(), InsufficientResource> {
         let needed = self.with_another_reader(topic, topic.longest_queue(), 1);
         enough(needed, || format!("look into topic `{}`", topic.name))
     }
@@ -80,11 +80,11 @@ impl Needs {
     ///
     /// # Errors
     /// How much is missing.
-    pub fn look_for_successor(&self, stage: &PlannedStage) -> Result<(), Shortfall> {
-        let Wiring { input, sides, output, .. } = &stage.wiring;
+    pub fn look_for_successor(&self, stage: &PlannedStage) -> Result<(), InsufficientResource> {
+        let Wiring { input, side_inputs, output, .. } = &stage.wiring;
         let queue =
             |topic: &Topic| topic.readers.iter().find(|reader| reader.stage == stage.name).map_or(0, |r| r.queue);
-        let read = input.iter().chain(sides.iter().map(|(_, topic)| topic));
+        let read = input.iter().chain(side_inputs.iter().map(|(_, topic)| topic));
         let read: u64 = read.map(|topic| self.with_another_reader(topic, queue(topic), HELD_FOR_FRAME)).sum();
         let waiting = |topic: &Topic| topic.readers.iter().map(|reader| reader.queue + HELD).sum();
         let written: u64 = output.iter().map(|topic| self.with_another_reader(topic, waiting(topic), LOANED)).sum();
@@ -93,13 +93,13 @@ impl Needs {
 
     /// Bytes that a topic takes more, with so many messages more that wait and are held.
     fn with_another_reader(&self, topic: &Topic, queue: usize, held: usize) -> u64 {
-        let own = self.topics.iter().find(|needs| needs.name == topic.name);
-        own.map_or(0, |needs| needs.longest_message) * (queue + held) as u64 + ROOM_PER_PORT as u64
+        let own = self.topics.iter().find(|requirements| requirements.name == topic.name);
+        own.map_or(0, |requirements| requirements.longest_message) * (queue + held) as u64 + ROOM_PER_PORT as u64
     }
 
     /// Bytes of shared memory.
     pub fn shared_memory(&self) -> u64 {
-        self.topics.iter().map(|needs| needs.bytes).sum()
+        self.topics.iter().map(|requirements| requirements.bytes).sum()
     }
 }
 
@@ -124,14 +124,15 @@ fn node_of<'a>(stage: &PlannedStage, nodes: &'a [Node]) -> Option<&'a Node> {
 /// Messages of a topic that a reader holds at once, beside those in its queue.
 fn held(plan: &Plan, topic: &Topic, reader: &TopicReader, nodes: &[Node]) -> usize {
     let Some(stage) = plan.stage(&reader.stage) else { return HELD };
-    let sides = node_of(stage, nodes).map_or(&[] as &[Side], Node::sides);
-    let wired = stage.wiring.sides.iter().filter(|(_, wired)| wired.name == topic.name);
-    let waits = |name: &str| sides.iter().any(|side| side.name == name && side.pick == Pick::SameFrame);
+    let side_inputs = node_of(stage, nodes).map_or(&[] as &[SideInput], Node::side_inputs);
+    let wired = stage.wiring.side_inputs.iter().filter(|(_, wired)| wired.name == topic.name);
+    let waits = |name: &str| side_inputs.iter().any(|side| side.name == name && side.pairing == Pairing::SameFrame);
     if wired.into_iter().any(|(name, _)| waits(name)) { HELD_FOR_FRAME } else { HELD }
 }
 
 fn open_files(stage: &PlannedStage) -> u64 {
-    let own = stage.wiring.input.iter().chain(&stage.wiring.output).chain(stage.wiring.sides.iter().map(|(_, t)| t));
+    let own =
+        stage.wiring.input.iter().chain(&stage.wiring.output).chain(stage.wiring.side_inputs.iter().map(|(_, t)| t));
     let of_topic =
         |topic: &Topic| FILES_PER_TOPIC + FILES_PER_PEER * (topic.readers.len() + topic.writers.len()) as u64;
     let bridged = match &stage.runs {
@@ -150,7 +151,7 @@ mod tests {
     use crate::pipeline::{Pipeline, SourceText};
     use crate::registry::Registry;
     use crate::stage::{Context, NoConfig, Output, Source, Stage, StageError};
-    use crate::{Next, Sides};
+    use crate::{Next, SideInputs};
     use conicflow_messages::{Item, Message, Nothing};
     use std::path::Path;
 
@@ -172,7 +173,7 @@ mod tests {
             Some(PIXELS)
         }
 
-        fn next(&mut self, _: &Sides, _: &mut Output<u16>) -> Result<Next, StageError> {
+        fn next(&mut self, _: &SideInputs, _: &mut Output<u16>) -> Result<Next, StageError> {
             Ok(Next::End)
         }
     }
@@ -190,11 +191,11 @@ mod tests {
             Ok(Self)
         }
 
-        fn sides() -> &'static [Side] {
-            const { &[Side::same_frame::<u16>("other")] }
+        fn side_inputs() -> &'static [SideInput] {
+            const { &[SideInput::same_frame::<u16>("other")] }
         }
 
-        fn step(&mut self, _: &Message<u16>, _: &Sides, _: &mut Output<Nothing>) -> Result<(), StageError> {
+        fn step(&mut self, _: &Message<u16>, _: &SideInputs, _: &mut Output<Nothing>) -> Result<(), StageError> {
             Ok(())
         }
     }
@@ -202,16 +203,16 @@ mod tests {
     const NODES: &[Node] = &[Node::source::<Camera>(), Node::stage::<Overlay>()];
     const REGISTRY: Registry = Registry { nodes: NODES, network: None };
 
-    fn needs(stages: &str) -> Needs {
+    fn requirements(stages: &str) -> Requirements {
         let text = format!("name = \"test\"\n{stages}");
         let source = SourceText { name: "test.toml".to_owned(), text };
         let (pipeline, _) = Pipeline::read(source, Path::new("/"), &[], &REGISTRY).unwrap();
-        Needs::of(&Plan::of(&pipeline, None, None, 1), NODES)
+        Requirements::of(&Plan::of(&pipeline, None, None, 1), NODES)
     }
 
     /// Images of which there is room in the shared memory that a topic needs.
-    fn images(needs: &Needs, topic: &str) -> u64 {
-        needs.topics.iter().find(|needs| needs.name == topic).unwrap().bytes / (2 * PIXELS as u64)
+    fn images(requirements: &Requirements, topic: &str) -> u64 {
+        requirements.topics.iter().find(|requirements| requirements.name == topic).unwrap().bytes / (2 * PIXELS as u64)
     }
 
     const SOURCE: &str = "[stage.source]\nnode = \"camera\"\noutput = \"depth\"\n";
@@ -220,9 +221,9 @@ mod tests {
     fn a_topic_needs_as_many_messages_as_can_wait_and_be_held() {
         let one = format!("{SOURCE}[stage.a]\nnode = \"overlay\"\ninput = {{ topic = \"depth\", queue = 5 }}\n");
         let two = format!("{one}[stage.b]\nnode = \"overlay\"\ninput = {{ topic = \"depth\", queue = 9 }}\n");
-        assert_eq!(images(&needs(&one), "depth"), (5 + 2) + 1);
-        assert_eq!(images(&needs(&two), "depth"), (5 + 2) + (9 + 2) + 1);
-        assert!(needs(&two).open_files > needs(&one).open_files);
+        assert_eq!(images(&requirements(&one), "depth"), (5 + 2) + 1);
+        assert_eq!(images(&requirements(&two), "depth"), (5 + 2) + (9 + 2) + 1);
+        assert!(requirements(&two).open_files > requirements(&one).open_files);
     }
 
     #[test]
@@ -230,14 +231,14 @@ mod tests {
         let second = SOURCE.replace("source", "second").replace("depth", "more");
         let other = "{ topic = \"more\", queue = 5 }";
         let stage = format!("[stage.a]\nnode = \"overlay\"\ninput = \"depth\"\ninputs = {{ other = {other} }}\n");
-        assert_eq!(images(&needs(&format!("{SOURCE}{second}{stage}")), "more"), (5 + 13) + 1);
+        assert_eq!(images(&requirements(&format!("{SOURCE}{second}{stage}")), "more"), (5 + 13) + 1);
     }
 
     #[test]
     fn what_a_program_writes_is_taken_for_a_usual_image() {
         let sink = "[stage.a]\nnode = \"overlay\"\ninput = { topic = \"depth\", queue = 5 }\n";
         let program = SOURCE.replace("node = \"camera\"", "program = [\"sh\"]");
-        let (known, usual) = (needs(&format!("{SOURCE}{sink}")), needs(&format!("{program}{sink}")));
+        let (known, usual) = (requirements(&format!("{SOURCE}{sink}")), requirements(&format!("{program}{sink}")));
         let ratio = known.shared_memory() as f64 / usual.shared_memory() as f64;
         assert!((ratio / (PIXELS as f64 / u16::USUAL_LENGTH as f64) - 1.0).abs() < 0.05, "{ratio}");
     }

@@ -1,0 +1,115 @@
+//! Fits the weights of `detection/src/assemble/odds.rs` to candidates in simulated scenes, and prints how often candidates of
+//! each confidence are right: `cargo bench --bench odds`.
+//!
+//! Each sensor shows scenes that no other one shows. A candidate is right if it is about a true object as the evaluation of an
+//! experiment asks for, whether it had to be found or not. Takes some minutes.
+
+use conicflow_detection::Detector;
+use conicflow_detection::assemble::odds::TERMS;
+use conicflow_lab::score::RenderedTruth;
+use conicflow_lab::score::matching::fault;
+use conicflow_lab::simulator::SimulatorParameters;
+use conicflow_messages::Header;
+use nalgebra::{SMatrix, SVector};
+use std::path::Path;
+
+/// Name, first and last seed, and parameters of the source.
+const SENSORS: [(&str, [u64; 2], &str); 10] = [
+    ("Kinect v1, 320x240", [500, 529], "width = 320\nheight = 240"),
+    ("Kinect v1", [500, 511], ""),
+    ("Kinect v1, blobs of 5 px", [515, 526], "noise = { noise_window_px = 5 }"),
+    ("stereo, own noise", [570, 577], "noise = \"realsense_d435\""),
+    (
+        "stereo, blobs of 9 px",
+        [530, 541],
+        "noise = { noise_window_px = 9, growth_per_m = 0.0025, floor_m = 0, step_per_m = 0 }",
+    ),
+    (
+        "stereo, blobs of 13 px",
+        [545, 552],
+        "noise = { noise_window_px = 13, growth_per_m = 0.0025, floor_m = 0, step_per_m = 0 }",
+    ),
+    ("stereo, simulated", [600, 607], "sensor = \"stereo\"\ndepth_scale = 0.0002"),
+    ("structured light, simulated", [610, 617], "sensor = \"structured_light\""),
+    ("time of flight", [560, 564], "noise = \"time_of_flight\""),
+    ("time of flight, simulated", [565, 569], "sensor = \"time_of_flight\""),
+];
+/// All but `flat_tins`, which the other groups have among others.
+const GROUPS: &str = "\"standing\", \"tilted\", \"occluded\", \"tabletop\", \"lying\", \"composed\", \"clutter\", \"bowls\", \
+                      \"empty\", \"furnished\", \"kitchen\"";
+/// Strength of the prior that keeps the weights finite: the standard deviation of each is 2.
+const PRIOR: f64 = 0.25;
+/// Rounds of Newton's method; it settles in less than ten.
+const ROUNDS: usize = 30;
+/// Borders of the classes of confidence in the table.
+const CLASSES: [f64; 8] = [0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 0.97, 1.0];
+
+/// The terms of a candidate, and whether it is right.
+struct Sample {
+    terms: SVector<f64, TERMS>,
+    is_right: bool,
+    confidence: f64,
+}
+
+fn main() -> anyhow::Result<()> {
+    let mut all = Vec::new();
+    println!("{:28} {:>10} {:>6}", "sensor", "candidates", "right");
+    for (name, seeds, parameters) in SENSORS {
+        let samples = look(seeds, parameters)?;
+        let right = samples.iter().filter(|sample| sample.is_right).count();
+        println!("{name:28} {:>10} {right:>6}", samples.len());
+        all.extend(samples);
+    }
+    let weights = fit(&all);
+    println!("\nweights: {:?}", weights.iter().map(|weight| (weight * 100.0).round() / 100.0).collect::<Vec<_>>());
+    println!("\n{:>12} {:>10} {:>12}", "confidence", "candidates", "share right");
+    for class in CLASSES.windows(2) {
+        let of_it = |sample: &&Sample| class[0] <= sample.confidence && sample.confidence < class[1];
+        let (count, right) = all
+            .iter()
+            .filter(of_it)
+            .fold((0, 0), |(count, right), sample| (count + 1, right + usize::from(sample.is_right)));
+        println!("{:>5} to {:<4} {count:>10} {:>12.2}", class[0], class[1], right as f64 / f64::from(count));
+    }
+    Ok(())
+}
+
+/// The candidates in the scenes of some seeds.
+fn look(seeds: [u64; 2], parameters: &str) -> anyhow::Result<Vec<Sample>> {
+    let parameters = format!("{parameters}\nscenes = {{ seeds = {seeds:?}, groups = [{GROUPS}] }}");
+    let parameters: SimulatorParameters = toml::from_str(&parameters)?;
+    let (camera, frames) = (parameters.camera(), parameters.total().unwrap_or_default());
+    let mut simulator = parameters.open(Path::new("."))?;
+    let mut pixels = vec![0; camera.width as usize * camera.height as usize];
+    let (truth, mut samples) = (RenderedTruth::default(), Vec::new());
+    for number in 0..frames {
+        let mut header = Header::default();
+        simulator.shoot(number, &mut pixels);
+        simulator.describe(&mut header);
+        let mut detector = Detector::new(camera).noise(header.noise).depth_scale(header.depth_scale);
+        detector.detect(&pixels);
+        let truths = truth.objects(&header, &truth.scene_of(&header)?);
+        samples.extend(detector.candidates().iter().map(|(object, evidence)| Sample {
+            terms: SVector::from(evidence.terms()),
+            is_right: truths.iter().any(|truth| fault(truth, object).is_none()),
+            confidence: f64::from(object.confidence),
+        }));
+    }
+    Ok(samples)
+}
+
+/// Logistic regression by Newton's method.
+fn fit(samples: &[Sample]) -> SVector<f64, TERMS> {
+    let mut weights = SVector::<f64, TERMS>::zeros();
+    for _ in 0..ROUNDS {
+        let (mut gradient, mut curvature) = (-PRIOR * weights, SMatrix::<f64, TERMS, TERMS>::identity() * PRIOR);
+        for Sample { terms, is_right, .. } in samples {
+            let probability = 1.0 / (1.0 + (-weights.dot(terms)).exp());
+            gradient += terms * (f64::from(u8::from(*is_right)) - probability);
+            curvature += terms * terms.transpose() * (probability * (1.0 - probability));
+        }
+        let Some(curvature) = curvature.cholesky() else { break };
+        weights += curvature.solve(&gradient);
+    }
+    weights
+}

@@ -1,0 +1,81 @@
+//! How a stage takes the place of another process of the same stage: made ready beside it, it buffers what each writer sends, with all
+//! that goes with a message in its side inputs, and begins when the other is gone.
+
+use super::handover::Successor;
+use super::input_port::InputPort;
+use super::side_ports::SidePort;
+use super::{RunError, StageRuntime, is_nothing};
+use crate::ports::{Delivery, Topic, Transport};
+use crate::stage::Stage;
+use crate::status::Life;
+use std::time::{Duration, Instant};
+
+/// A successor waits so long for the first message of writers whose loss of one would be no fault.
+const PATIENCE_WITH_WRITERS: Duration = Duration::from_secs(1);
+
+/// Makes the stage ready while the one that it replaces is at work, so that what cannot begin never takes a place. A sink
+/// is made on trial, and anew in its place: two that are at work on one file would spoil it.
+pub(crate) fn made_early<S: Stage>(
+    config: &S::Config,
+    runtime: &StageRuntime<impl Transport>,
+) -> Result<Option<S>, RunError> {
+    let copied = serde_json::to_value(config).and_then(serde_json::from_value);
+    let copy = copied.map_err(|error| RunError::Refused(error.into()))?;
+    let stage = S::new(copy, &runtime.context).map_err(RunError::Refused)?;
+    Ok(Some(stage).filter(|_| !is_nothing::<S::Output>()))
+}
+
+/// Buffers a message of each writer, says so, and waits until the process that it replaces is gone; whether its turn came.
+pub(crate) fn takes_place<T: Transport + 'static>(
+    mut successor: Successor,
+    input_port: &mut InputPort<T::Reader>,
+    side_inputs: &mut [Box<dyn SidePort>],
+    runtime: &mut StageRuntime<T>,
+    topic: &Topic,
+) -> Result<bool, RunError> {
+    if !buffers_all(&mut successor, input_port, side_inputs, runtime, topic)? {
+        return Ok(false);
+    }
+    let fault = |error: std::io::Error| RunError::Refused(error.into());
+    successor.is_ready(&input_port.first_buffered()).map_err(fault)?;
+    let stop = runtime.context.stop.clone();
+    if !successor.await_turn(|| stop.forced()) {
+        return Ok(false);
+    }
+    runtime.enter();
+    input_port.begin_after(successor.handover.last().unwrap_or_default());
+    Ok(true)
+}
+
+/// Waits until a message of each writer is buffered, and what goes with it; false if that is not wanted any more.
+fn buffers_all<T: Transport>(
+    successor: &mut Successor,
+    input_port: &mut InputPort<T::Reader>,
+    side_inputs: &mut [Box<dyn SidePort>],
+    runtime: &StageRuntime<T>,
+    topic: &Topic,
+) -> Result<bool, RunError> {
+    let deadline = Instant::now() + PATIENCE_WITH_WRITERS;
+    let lossless = |topic: &Topic| topic.delivery_to(&runtime.context.stage) == Delivery::Lossless;
+    let is_over = |writer: &String| matches!(runtime.peers.life(writer), Some(Life::Ended | Life::Gone));
+    loop {
+        // The side inputs last: what a message was made of came before it.
+        input_port.buffer_newest()?;
+        side_inputs.iter_mut().try_for_each(|side| side.buffer_ahead())?;
+        let late = Instant::now() > deadline;
+        let needed = |side: &dyn SidePort| {
+            let wired = runtime.wiring.side_inputs.iter().find(|(name, _)| name == side.name()).map(|(_, topic)| topic);
+            wired.is_some_and(|topic| (lossless(topic) || !late) && !topic.writers.iter().all(is_over))
+        };
+        let needed: Vec<_> = side_inputs.iter().filter(|side| needed(side.as_ref())).collect();
+        input_port.drop_buffered(|header| !needed.iter().all(|side| side.covers(header)));
+        if topic.writers.iter().all(|writer| input_port.has_buffered(writer) || is_over(writer))
+            || (late && !lossless(topic))
+        {
+            return Ok(true);
+        }
+        if successor.is_dismissed() || runtime.context.stop.forced() {
+            return Ok(false);
+        }
+    }
+}
