@@ -200,7 +200,7 @@ fn echo(arguments: &TopicArguments) -> anyhow::Result<()> {
         )
     };
     let mut left = arguments.count.unwrap_or(u64::MAX);
-    running.watch::<anyhow::Error>(item, topic, |message| {
+    running.watch::<anyhow::Error>(&[(item, topic)], |_, message| {
         let mut line = Vec::new();
         message.write_json(latency_ms(message.header, monotonic_ns()), &mut line)?;
         line.push(b'\n');

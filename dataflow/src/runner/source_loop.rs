@@ -20,6 +20,9 @@ struct SourceLoop<S: Source, T: Transport> {
     record: StatusFile,
     stop: Stop,
     epoch: u64,
+    /// Messages that were made, also before it was started anew.
+    made: u64,
+    /// Number of the next frame, where the source has none of its own.
     sequence: u64,
     settling: Settling,
 }
@@ -29,6 +32,7 @@ pub(crate) fn run_source<S: Source, T: Transport + 'static>(
     config: S::Config,
     mut around: StageRuntime<T>,
 ) -> Result<(), RunError> {
+    around.context.output = around.wiring.output.as_ref().and_then(|topic| topic.item.clone());
     let (mut sides, mut outlet) = (around.sides(S::sides())?, around.outlet::<S::Output>()?);
     if !takes_place(&mut around)? {
         return Ok(());
@@ -39,13 +43,13 @@ pub(crate) fn run_source<S: Source, T: Transport + 'static>(
     sides.iter_mut().zip(around.record.status.inputs).try_for_each(|(side, counts)| side.resume(counts))?;
     let source = S::new(config, &around.context).map_err(RunError::Refused)?;
     around.begin(source.total());
-    let (stop, sequence) = (around.context.stop.clone(), around.context.resume_at);
+    let (stop, made) = (around.context.stop.clone(), around.context.resume_at);
     let (frames, settling) = (around.wiring.frames, Settling::of(&around));
     let mut pace = Pace::new(source.rate_hz(), stop.clone());
     let (record, epoch) = (around.record, new_epoch());
     let list = Vec::new();
-    let mut running = SourceLoop::<S, T> { source, sides, outlet, list, record, stop, epoch, sequence, settling };
-    while frames.is_none_or(|frames| running.sequence < frames) {
+    let mut running = SourceLoop::<S, T> { source, sides, outlet, list, record, stop, epoch, made, sequence: made, settling };
+    while frames.is_none_or(|frames| running.made < frames) {
         pace.wait();
         if running.stop.requested() || !running.make_one()? {
             break;
@@ -80,7 +84,9 @@ impl<S: Source, T: Transport> SourceLoop<S, T> {
         let sides = side_ports::found(&self.sides);
         let mut output = self.outlet.place(Header::default(), &mut self.list);
         let next = guarded(self.sequence, || self.source.next(&sides, &mut output))?;
-        let header = Header { epoch: self.epoch, sequence: self.sequence, ..output.header };
+        // Frames of a recording keep their numbers, as long as these rise.
+        let sequence = self.sequence.max(output.header.sequence);
+        let header = Header { epoch: self.epoch, sequence, ..output.header };
         let is_image = output.is_image();
         if next == Next::End {
             self.keep_record(header.sequence);
@@ -91,7 +97,7 @@ impl<S: Source, T: Transport> SourceLoop<S, T> {
         if is_stopped(self.outlet.send(header, monotonic_ns(), list))? {
             return Ok(false);
         }
-        self.sequence += 1;
+        (self.made, self.sequence) = (self.made + 1, sequence.saturating_add(1));
         self.record.status.steps += 1;
         self.keep_record(header.sequence);
         self.settling.step();
