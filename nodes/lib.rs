@@ -5,21 +5,25 @@ pub mod commands;
 mod config_error;
 pub mod detection;
 mod network;
+pub mod recording;
 pub mod sinks;
 pub mod sources;
 pub mod tracking;
 
 use conicflow_dataflow::{Node, Registry, Variant};
-use conicflow_messages::{Ellipse, Object, Track};
+use conicflow_messages::{AnyByte, Ellipse, Object, Track};
 use detection::{ObjectAssembler, RansacEllipseExtractor, RowEllipseExtractor};
-use sinks::{ConsoleSink, EvaluationSink, JsonSink, MeasurementSink, NoiseEstimator, PictureSink, SectionSink};
-use sources::{ImageSource, SyntheticSource};
+use sinks::{
+    ConsoleSink, EvaluationSink, JsonSink, McapSink, MeasurementSink, NoiseEstimator, PictureSink, SectionSink,
+};
+use sources::{ImageSource, McapSource, SyntheticSource};
 use tracking::{Follower, KalmanTracker};
 
 /// The nodes that a pipeline file may name: one row makes one available.
 pub const NODES: &[Node] = &[
     Node::source::<SyntheticSource>(),
     Node::source::<ImageSource>(),
+    Node::source::<McapSource>(),
     Node::stage::<RowEllipseExtractor>(),
     Node::stage::<RansacEllipseExtractor>(),
     Node::stage::<ObjectAssembler>(),
@@ -31,6 +35,7 @@ pub const NODES: &[Node] = &[
         Variant::stage::<ConsoleSink<Ellipse>>(),
     ]),
     Node::stage::<JsonSink>(),
+    Node::stages::<McapSink<AnyByte>>(&[Variant::stage::<McapSink<AnyByte>>(), Variant::stage::<McapSink<u16>>()]),
     Node::stages::<PictureSink<Track>>(&[
         Variant::stage::<PictureSink<Track>>(),
         Variant::stage::<PictureSink<Object>>(),

@@ -10,7 +10,8 @@ use clap::{Args, Subcommand};
 use conicflow_dataflow::pipeline::suggestion;
 use conicflow_dataflow::ports::{Delivery, Topic};
 use conicflow_dataflow::{
-    Needs, PipelineActivity, RunningPipeline, Table, TopicActivity, Watching, monotonic_ns, observe, user_folder,
+    ItemType, Needs, PipelineActivity, RunningPipeline, Table, TopicActivity, Watching, monotonic_ns, observe,
+    user_folder,
 };
 use std::io::{Write, stdout};
 use std::thread::sleep;
@@ -101,7 +102,7 @@ impl PipelineName {
 }
 
 /// All topics of a pipeline, each once.
-fn topics(running: &RunningPipeline) -> Vec<&Topic> {
+pub(crate) fn topics(running: &RunningPipeline) -> Vec<&Topic> {
     let mut topics: Vec<&Topic> = Vec::new();
     for topic in running.topics() {
         if topics.iter().all(|known| known.name != topic.name) {
@@ -111,7 +112,7 @@ fn topics(running: &RunningPipeline) -> Vec<&Topic> {
     topics
 }
 
-fn find_topic<'a>(running: &'a RunningPipeline, name: &str) -> anyhow::Result<&'a Topic> {
+pub(crate) fn find_topic<'a>(running: &'a RunningPipeline, name: &str) -> anyhow::Result<&'a Topic> {
     let hint = || suggestion(name, topics(running).iter().map(|topic| topic.name.as_str()), "topics");
     running
         .topic(name)
@@ -188,17 +189,22 @@ fn bandwidth_line(activity: &TopicActivity) -> String {
     format!("{:.3} MB/s, {:.2} Hz", activity.bandwidth_mbps, activity.rate_hz)
 }
 
-fn echo(arguments: &TopicArguments) -> anyhow::Result<()> {
-    let running = arguments.of.find()?;
-    let topic = find_topic(&running, &arguments.topic)?;
-    Needs::of(&running.plan, NODES).look_for_onlooker(topic)?;
-    let Some(item) = &topic.item else {
-        bail!(
+/// What the items of a topic are.
+pub(crate) fn item_of(topic: &Topic) -> anyhow::Result<&ItemType> {
+    topic.item.as_ref().ok_or_else(|| {
+        anyhow!(
             "nothing tells what topic `{}` carries\n  \
              hint: say it where a program writes it, such as output = {{ topic = \"{0}\", kind = \"objects\" }}",
             topic.name
         )
-    };
+    })
+}
+
+fn echo(arguments: &TopicArguments) -> anyhow::Result<()> {
+    let running = arguments.of.find()?;
+    let topic = find_topic(&running, &arguments.topic)?;
+    Needs::of(&running.plan, NODES).look_for_onlooker(topic)?;
+    let item = item_of(topic)?;
     let mut left = arguments.count.unwrap_or(u64::MAX);
     running.watch::<anyhow::Error>(&[(item, topic)], |_, message| {
         let mut line = Vec::new();

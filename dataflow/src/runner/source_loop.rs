@@ -48,7 +48,8 @@ pub(crate) fn run_source<S: Source, T: Transport + 'static>(
     let mut pace = Pace::new(source.rate_hz(), stop.clone());
     let (record, epoch) = (around.record, new_epoch());
     let list = Vec::new();
-    let mut running = SourceLoop::<S, T> { source, sides, outlet, list, record, stop, epoch, made, sequence: made, settling };
+    let mut running =
+        SourceLoop::<S, T> { source, sides, outlet, list, record, stop, epoch, made, sequence: made, settling };
     while frames.is_none_or(|frames| running.made < frames) {
         pace.wait();
         if running.stop.requested() || !running.make_one()? {
