@@ -4,13 +4,14 @@
 
 use super::zstd::Zstd;
 use crate::sources::image_source::natural;
-use anyhow::{Context as _, Result, anyhow, bail};
+use anyhow::{Context as _, Result, bail};
 use mcap::sans_io::linear_reader::LinearReaderOptions;
 use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader};
 use mcap::{Channel, McapError, McapResult, Message, Summary};
 use std::collections::BTreeMap;
+use std::fmt::Display;
 use std::fs::{self, File};
-use std::io::{BufReader, Read, Seek};
+use std::io::{BufReader, ErrorKind, Read, Seek};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -78,14 +79,21 @@ impl Files {
         for path in &self.0 {
             // Where the file says what it has, it need not be read to its end.
             let topics = summary(path).ok().flatten().map(|summary| topics_with_messages(&summary));
-            for message in OpenFile::open(path)? {
+            for (count, message) in (0..).zip(OpenFile::open(path)?) {
                 if topics.as_ref().is_some_and(|topics| topics.iter().all(|topic| seen.contains_key(topic))) {
                     break;
                 }
-                // What is wrong with the file is told when it is played.
-                let Ok(Message { channel, data, .. }) = message else { break };
-                let topic = channel.topic.clone();
-                seen.entry(topic).or_insert_with(|| Seen { channel, first: data.into_owned() });
+                match message {
+                    Ok(Message { channel, data, .. }) => {
+                        let topic = channel.topic.clone();
+                        seen.entry(topic).or_insert_with(|| Seen { channel, first: data.into_owned() });
+                    }
+                    // It is said when the file is played.
+                    Err(error) => {
+                        damage(&error, &path.display(), count, self.0.len() == 1)?;
+                        break;
+                    }
+                }
             }
         }
         Ok(seen.into_values().collect())
@@ -94,7 +102,8 @@ impl Files {
     /// The messages of some topics.
     pub fn messages(&self, topics: &[&str]) -> Messages {
         let topics = topics.iter().map(|&topic| topic.to_owned()).collect();
-        Messages { left: self.0.clone().into_iter(), open: None, topics, is_told: false }
+        let is_only = self.0.len() == 1;
+        Messages { left: self.0.clone().into_iter(), open: None, topics, is_only, is_told: false }
     }
 
     /// The same, with not a word on files that end in the middle.
@@ -192,6 +201,8 @@ pub struct Messages {
     left: std::vec::IntoIter<PathBuf>,
     open: Option<(OpenFile, u64)>,
     topics: Vec<String>,
+    /// Whether there is but one file.
+    is_only: bool,
     /// Whether it was said that a file ends in the middle.
     is_told: bool,
 }
@@ -213,8 +224,10 @@ impl Messages {
                 }
                 None => self.open = None,
                 Some(Err(error)) => {
-                    let (path, count) = (file.path.display(), *count);
-                    tell_damage(&error, &path, count, self.is_told)?;
+                    let damage = damage(&error, &file.path.display(), *count, self.is_only)?;
+                    if !self.is_told {
+                        tracing::warn!("{damage}");
+                    }
                     self.open = None;
                 }
             }
@@ -230,14 +243,15 @@ impl Iterator for Messages {
     }
 }
 
-/// Says that a file ends or is broken in the middle; it is an error where nothing could be read.
-fn tell_damage(error: &McapError, path: &impl std::fmt::Display, count: u64, is_told: bool) -> Result<()> {
+/// What is said of a file that ends or is broken in the middle; it is an error where it is no MCAP, or the only one and nothing
+/// of it can be read.
+fn damage(error: &McapError, path: &impl Display, count: u64, is_only: bool) -> Result<String> {
     let what = match error {
         McapError::BadMagic if count == 0 => {
             bail!("`{path}` is no MCAP file\n  hint: does its name say what it is?")
         }
-        McapError::Io(error) if error.kind() != std::io::ErrorKind::UnexpectedEof => {
-            bail!("`{path}` cannot be read: {error}")
+        McapError::Io(error) if error.kind() != ErrorKind::UnexpectedEof => {
+            bail!("`{path}` cannot be read: {error}\n  hint: may this user read it?")
         }
         McapError::UnsupportedCompression(name) => {
             bail!(
@@ -249,11 +263,9 @@ fn tell_damage(error: &McapError, path: &impl std::fmt::Display, count: u64, is_
         }
         other => format!("is damaged ({other})"),
     };
-    if count == 0 {
-        return Err(anyhow!("`{path}` {what}, before its first message\n  hint: record it anew, or copy it again"));
+    match count {
+        0 if is_only => bail!("`{path}` {what}, before its first message\n  hint: record it anew, or copy it again"),
+        0 => Ok(format!("`{path}` {what}, before its first message: it is left out")),
+        _ => Ok(format!("`{path}` {what}: its first {count} messages are used")),
     }
-    if !is_told {
-        tracing::warn!("`{path}` {what}: its first {count} messages are used");
-    }
-    Ok(())
 }

@@ -6,8 +6,11 @@ use conicflow_dataflow::ItemType;
 use conicflow_messages::{HEADER_TYPE_NAME, Header};
 use serde::{Deserialize, Serialize};
 
-/// What the encoding of such messages, and of their schemas, is called.
+/// What the encoding of such messages is called.
 pub const ENCODING: &str = "conicflow";
+/// The key of a channel's metadata under which its schema stands. As a schema of MCAP it would be in the way of readers that know
+/// only those of ROS 2, such as `rosbags`.
+pub const SCHEMA: &str = "conicflow";
 /// The last part of such a channel's topic.
 pub const MESSAGE: &str = "message";
 /// Of the channel with the pixels of depth images.
@@ -66,8 +69,8 @@ pub fn read(message: &[u8]) -> Result<(Header, &[u8])> {
 ///
 /// # Errors
 /// They were written by another version, or are of another type.
-pub fn check_schema(schema: &[u8], item: &ItemType) -> Result<()> {
-    let recorded: Schema = serde_json::from_slice(schema).context("the schema of our own messages is damaged")?;
+pub fn check_schema(schema: &str, item: &ItemType) -> Result<()> {
+    let recorded: Schema = serde_json::from_str(schema).context("the schema of our own messages is damaged")?;
     let expected = Schema::of(item);
     ensure!(
         recorded == expected,
@@ -108,7 +111,7 @@ mod tests {
 
     #[test]
     fn other_layouts_are_refused() {
-        let schema = serde_json::to_vec(&Schema::of(&BUILT_IN[1])).unwrap();
+        let schema = serde_json::to_string(&Schema::of(&BUILT_IN[1])).unwrap();
         assert!(check_schema(&schema, &BUILT_IN[1]).is_ok());
         let told = check_schema(&schema, &BUILT_IN[2]).unwrap_err().to_string();
         assert!(told.starts_with("they are `conicflow.Ellipse.v4` of") && told.contains("\n  hint: "), "{told}");

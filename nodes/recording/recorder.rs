@@ -12,7 +12,7 @@
 //! and `/tf` has the pose of the camera. All messages of a frame have its stamp. What was written is in the file after a second
 //! at most, in chunks that are whole: who reads the file of a recorder that was killed finds all until then.
 
-use super::own::{self, ENCODING, IMAGE, MESSAGE};
+use super::own::{self, ENCODING, IMAGE, MESSAGE, SCHEMA};
 use anyhow::{Context as _, Error, Result, anyhow};
 use conicflow_dataflow::{AnyMessage, ItemType};
 use conicflow_messages::{Header, INVALID_FAR, INVALID_NEAR, Object, Text, Track};
@@ -40,6 +40,8 @@ const LOOK: Duration = Duration::from_millis(100);
 const WORLD: &str = "world";
 /// Of frames that no stage has put its name to.
 const NAMELESS: &str = "camera";
+/// The schema of a channel that has none.
+const NO_SCHEMA: u16 = 0;
 /// The unit of whole numbers in images of ROS.
 const MILLIMETRE: f64 = 0.001;
 
@@ -338,7 +340,7 @@ impl OpenFile {
             memory.clear();
             // A type that cannot be shown is recorded as it is.
             if message.write_json(latency_ms, &mut memory).is_ok() {
-                self.put_json(&of("json"), item, header, &memory)?;
+                self.put_json(&of("json"), header, &memory)?;
             }
         }
         if let Some(pose) = header.pose()
@@ -352,29 +354,22 @@ impl OpenFile {
     }
 
     fn put_ros(&mut self, channel: &str, definition: Definition, header: &Header, data: &[u8]) -> Result<()> {
-        self.put(channel, "cdr", header, data, || {
-            (definition.name.to_owned(), "ros2msg", definition.text.as_bytes().to_vec())
+        self.put(channel, header, data, |writer| {
+            let schema = writer.add_schema(definition.name, "ros2msg", definition.text.as_bytes())?;
+            Ok(writer.add_channel(schema, channel, "cdr", &BTreeMap::new())?)
         })
     }
 
     fn put_own(&mut self, channel: &str, item: &ItemType, header: &Header, data: &[u8]) -> Result<()> {
-        let schema = serde_json::to_vec(&own::Schema::of(item))?;
-        self.put(channel, ENCODING, header, data, || (item.type_name().to_owned(), ENCODING, schema))
+        self.put(channel, header, data, |writer| {
+            let schema = serde_json::to_string(&own::Schema::of(item))?;
+            Ok(writer.add_channel(NO_SCHEMA, channel, ENCODING, &BTreeMap::from([(SCHEMA.to_owned(), schema)]))?)
+        })
     }
 
-    fn put_json(&mut self, channel: &str, item: &ItemType, header: &Header, data: &[u8]) -> Result<()> {
-        self.put(channel, "json", header, data, || {
-            let schema = serde_json::json!({
-                "type": "object",
-                "properties": {
-                    "sequence": { "type": "integer" },
-                    "source": { "type": "string" },
-                    "stamp_ns": { "type": "integer" },
-                    "latency_ms": { "type": ["number", "null"] },
-                    item.name(): { "type": "array", "items": { "type": "object" } },
-                },
-            });
-            (format!("conicflow.{}", item.name()), "jsonschema", schema.to_string().into_bytes())
+    fn put_json(&mut self, channel: &str, header: &Header, data: &[u8]) -> Result<()> {
+        self.put(channel, header, data, |writer| {
+            Ok(writer.add_channel(NO_SCHEMA, channel, "json", &BTreeMap::new())?)
         })
     }
 
@@ -382,17 +377,14 @@ impl OpenFile {
     fn put(
         &mut self,
         channel: &str,
-        encoding: &str,
         header: &Header,
         data: &[u8],
-        schema: impl FnOnce() -> (String, &'static str, Vec<u8>),
+        make: impl FnOnce(&mut Writer<NoSeek<Counted>>) -> Result<u16>,
     ) -> Result<()> {
         let channel_id = match self.channels.get(channel) {
             Some(id) => *id,
             None => {
-                let (name, schema_encoding, text) = schema();
-                let schema = self.writer.add_schema(&name, schema_encoding, &text)?;
-                let id = self.writer.add_channel(schema, channel, encoding, &BTreeMap::new())?;
+                let id = make(&mut self.writer)?;
                 self.channels.insert(channel.to_owned(), id);
                 id
             }

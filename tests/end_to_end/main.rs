@@ -31,6 +31,8 @@ mod processes;
 #[cfg(target_os = "linux")]
 mod radio;
 #[cfg(target_os = "linux")]
+mod recordings;
+#[cfg(target_os = "linux")]
 mod room;
 mod routers;
 mod run;

@@ -34,18 +34,19 @@ impl Chosen {
         if !item.is_image() {
             let fitting: Vec<_> = channels.iter().filter(own).collect();
             let chosen = choose(channels, &fitting, config.topic.as_deref(), item.name())?;
-            let schema = chosen.channel.schema.as_ref().map_or(&[][..], |schema| &schema.data);
-            own::check_schema(schema, item).with_context(|| format!("the messages of `{}`", chosen.channel.topic))?;
+            own::check_schema(own_schema(chosen), item)
+                .with_context(|| format!("the messages of `{}`", chosen.channel.topic))?;
             return Ok(Self::Items { topic: chosen.channel.topic.clone() });
         }
         let fitting: Vec<_> = channels.iter().filter(|channel| is_depth(channel, config.topic.as_deref())).collect();
-        let chosen = choose(channels, &without_doubles(&fitting), config.topic.as_deref(), "depth images")?;
+        let is_named = fitting.iter().any(|channel| Some(&channel.channel.topic) == config.topic.as_ref());
+        let fitting = if is_named { fitting } else { without_doubles(&fitting) };
+        let chosen = choose(channels, &fitting, config.topic.as_deref(), "depth images")?;
         let topic = chosen.channel.topic.clone();
         let headers = own::header_channel(&topic);
         let headers = channels.iter().filter(own).find(|channel| Some(&channel.channel.topic) == headers.as_ref());
         if let Some(headers) = headers {
-            let schema = headers.channel.schema.as_ref().map_or(&[][..], |schema| &schema.data);
-            own::check_schema(schema, item).with_context(|| format!("the headers of `{topic}`"))?;
+            own::check_schema(own_schema(headers), item).with_context(|| format!("the headers of `{topic}`"))?;
             return Ok(Self::OwnImages { topic, headers: headers.channel.topic.clone() });
         }
         let camera = camera(channels, chosen, config)?;
@@ -55,9 +56,13 @@ impl Chosen {
 
 /// Whether a channel carries our own messages with such items, of whatever version.
 fn is_own(channel: &Seen, item: &ItemType) -> bool {
-    let schema = channel.channel.schema.as_ref().filter(|schema| schema.encoding == own::ENCODING);
-    let read = schema.and_then(|schema| serde_json::from_slice::<own::Schema>(&schema.data).ok());
-    read.is_some_and(|schema| schema.kind == item.name())
+    let schema = serde_json::from_str::<own::Schema>(own_schema(channel));
+    channel.channel.message_encoding == own::ENCODING && schema.is_ok_and(|schema| schema.kind == item.name())
+}
+
+/// What a channel of ours says of its messages.
+fn own_schema(channel: &Seen) -> &str {
+    channel.channel.metadata.get(own::SCHEMA).map_or("", String::as_str)
 }
 
 fn is(channel: &Seen, schema: &str) -> bool {
