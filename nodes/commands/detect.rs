@@ -131,7 +131,7 @@ fn detector_of<'a>(detector: &'a mut Option<(Header, Detector)>, header: &Header
 /// The frames that are looked at.
 enum Frames {
     Images(Playback),
-    Recording(Replay),
+    Recording(Box<Replay>),
 }
 
 impl Frames {
@@ -142,7 +142,8 @@ impl Frames {
         if looks_like_recording(&arguments.path) {
             let topic = arguments.topic.clone();
             let config = mcap_source::Config { path, topic, depth_scale, intrinsics, noise, ..Default::default() };
-            return Ok(Self::Recording(Replay::open(&config, here, &ItemType::of::<u16>(), 0)?));
+            let replay = Replay::open(&config, here, &ItemType::of::<u16>(), 0)?;
+            return Ok(Self::Recording(Box::new(replay)));
         }
         let noise = noise.unwrap_or_default();
         let config = image_source::Config { path, depth_scale, intrinsics, noise, ..Default::default() };
