@@ -130,7 +130,7 @@ fn detector_of<'a>(detector: &'a mut Option<(Header, Detector)>, header: &Header
 
 /// The frames that are looked at.
 enum Frames {
-    Images(Playback),
+    Images(Box<Playback>),
     Recording(Box<Replay>),
 }
 
@@ -147,7 +147,7 @@ impl Frames {
         }
         let noise = noise.unwrap_or_default();
         let config = image_source::Config { path, depth_scale, intrinsics, noise, ..Default::default() };
-        Ok(Self::Images(Playback::open(&config, here, 0, 0)?))
+        Ok(Self::Images(Box::new(Playback::open(&config, here, 0, 0)?)))
     }
 
     /// The header of the next frame that can be read, whose pixels are written, and when its file was read.

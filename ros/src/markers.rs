@@ -246,7 +246,7 @@ mod tests {
             let (namespace, numbers) = (reader.text().unwrap(), [(); 3].map(|()| reader.i32().unwrap()));
             let (place, _, scale) =
                 (reader.f64s::<3>().unwrap(), reader.f64s::<4>().unwrap(), reader.f64s::<3>().unwrap());
-            (0..6).for_each(|_| drop(reader.u32().unwrap()));
+            (0..6).for_each(|_| assert!(reader.u32().is_ok()));
             assert_eq!((reader.u8().unwrap(), reader.u32().unwrap(), reader.u32().unwrap()), (0, 0, 0));
             assert_eq!((reader.text().unwrap(), reader.stamped().unwrap()), ("", Stamped::default()));
             assert_eq!((reader.text().unwrap(), reader.u32().unwrap(), reader.u32().unwrap()), ("", 0, 0));
