@@ -4,14 +4,17 @@
 pub mod commands;
 mod config_error;
 mod network;
+pub mod recording;
 
 pub mod sources {
     //! Where frames come from.
 
     pub mod image_source;
+    pub mod mcap_source;
     mod synthetic_source;
 
     pub use image_source::ImageSource;
+    pub use mcap_source::McapSource;
     pub use synthetic_source::SyntheticSource;
 }
 
@@ -46,6 +49,7 @@ pub mod sinks {
     pub(crate) mod json_lines;
     pub mod json_sink;
     pub mod limit_sink;
+    pub mod mcap_sink;
     pub mod measurement_sink;
     mod noise_estimator;
     pub mod picture_sink;
@@ -55,6 +59,7 @@ pub mod sinks {
     pub use evaluation_sink::EvaluationSink;
     pub use json_sink::JsonSink;
     pub use limit_sink::LimitSink;
+    pub use mcap_sink::McapSink;
     pub use measurement_sink::MeasurementSink;
     pub use noise_estimator::NoiseEstimator;
     pub use picture_sink::PictureSink;
@@ -62,18 +67,20 @@ pub mod sinks {
 }
 
 use conicflow_dataflow::{Node, Registry, Variant};
-use conicflow_messages::{Ellipse, Object, Track};
+use conicflow_messages::{AnyByte, Ellipse, Object, Track};
 use detection::{ObjectAssembler, RansacEllipseExtractor, RowEllipseExtractor};
 use sinks::{
-    ConsoleSink, EvaluationSink, JsonSink, LimitSink, MeasurementSink, NoiseEstimator, PictureSink, SectionSink,
+    ConsoleSink, EvaluationSink, JsonSink, LimitSink, McapSink, MeasurementSink, NoiseEstimator, PictureSink,
+    SectionSink,
 };
-use sources::{ImageSource, SyntheticSource};
+use sources::{ImageSource, McapSource, SyntheticSource};
 use tracking::{Follower, KalmanTracker};
 
 /// The nodes that a pipeline file may name: one row makes one available.
 pub const NODES: &[Node] = &[
     Node::source::<SyntheticSource>(),
     Node::source::<ImageSource>(),
+    Node::source::<McapSource>(),
     Node::stage::<RowEllipseExtractor>(),
     Node::stage::<RansacEllipseExtractor>(),
     Node::stage::<ObjectAssembler>(),
@@ -85,6 +92,7 @@ pub const NODES: &[Node] = &[
         Variant::stage::<ConsoleSink<Ellipse>>(),
     ]),
     Node::stage::<JsonSink>(),
+    Node::stages::<McapSink<AnyByte>>(&[Variant::stage::<McapSink<AnyByte>>(), Variant::stage::<McapSink<u16>>()]),
     Node::stages::<PictureSink<Track>>(&[
         Variant::stage::<PictureSink<Track>>(),
         Variant::stage::<PictureSink<Object>>(),

@@ -6,7 +6,7 @@ use crate::runner::stage_loop::run_stage;
 use crate::runner::{RunError, StageRuntime};
 use crate::side_inputs::SideInput;
 use crate::stage::{Config, Source, Stage};
-use conicflow_messages::{ConfigFault, Item, Nothing};
+use conicflow_messages::{AnyByte, ConfigFault, Item, Nothing};
 use serde_json::Value as Json;
 use std::path::Path;
 
@@ -75,6 +75,11 @@ impl Node {
     /// What it makes, the same whatever drives it.
     pub fn output(&self) -> &'static str {
         self.variants.first().map_or(Nothing::NAME, |variant| variant.output)
+    }
+
+    /// Whether it writes items of whatever type its readers take: the source is a recording of them.
+    pub fn writes_any(&self) -> bool {
+        self.output() == AnyByte::NAME
     }
 
     /// Whether nothing drives it.

@@ -45,6 +45,8 @@ pub struct Context {
     pub resume_at: u64,
     /// What drives it. A stage that takes lists of any type, as [`AnyByte`](conicflow_messages::AnyByte), learns it here.
     pub input: Option<ItemType>,
+    /// What a source makes. One that makes lists of any type learns it here.
+    pub output: Option<ItemType>,
     /// What this stage had counted by then (see [`Output::count`]).
     pub counted: BTreeMap<String, u64>,
     /// Raised when the run is to end.
@@ -166,7 +168,8 @@ pub trait Source: Sized {
     }
 
     /// Makes the next message: fills `output.header` (camera, scale, noise, stamp, source) and writes the items. A
-    /// source that waits for a device looks at [`Context::stop`] meanwhile.
+    /// source that waits for a device looks at [`Context::stop`] meanwhile. Frames that have numbers of their own keep them by
+    /// `output.header.sequence`, as long as these rise; others are numbered from 0.
     ///
     /// # Errors
     /// A device or a file that failed; the stage is started anew, as the pipeline file says.
@@ -274,7 +277,7 @@ impl<'a, T: Item> Output<'a, T> {
     }
 
     /// Memory for `length` items, to be written in place; each must be written, the content before is left over from an
-    /// earlier message.
+    /// earlier message. Where these are of any type, it is the bytes of so many.
     ///
     /// # Errors
     /// There is no memory left.

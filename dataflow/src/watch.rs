@@ -1,4 +1,4 @@
-//! Watches a topic of a running pipeline from outside: every message that comes, checked, until the run is over.
+//! Watches topics of a running pipeline from outside: every message that comes, checked, until the run is over.
 //!
 //! A watcher sleeps between looks instead of being woken, so that a writer does nothing for it but pass it a pointer.
 
@@ -71,33 +71,36 @@ impl RunningPipeline {
         self.plan.topics()
     }
 
-    /// Calls `see` with each message of `topic`, which has these items, from now on, until it has seen enough, the run is over, or this process
-    /// is told to end. Messages that make no sense are left out, with a warning.
+    /// Calls `see` with each message of these topics, which have these items, from now on, until it has seen enough, the run is
+    /// over, or this process is told to end. Messages that make no sense are left out, with a warning.
     ///
     /// # Errors
-    /// The topic cannot be read, or `see` failed.
-    pub fn watch<E: From<WatchError>>(
+    /// A topic cannot be read, or `see` failed.
+    pub fn watch<'a, E: From<WatchError>>(
         &self,
-        item: &ItemType,
-        topic: &Topic,
-        mut see: impl FnMut(AnyMessage<'_>) -> Result<Watching, E>,
+        topics: &[(&'a ItemType, &'a Topic)],
+        mut see: impl FnMut(&'a Topic, AnyMessage<'_>) -> Result<Watching, E>,
     ) -> Result<(), E> {
         let told = told_to_end().map_err(WatchError::from)?;
-        let (memory, mut onlooker) = self.onlooker(item, topic)?;
+        let (memory, mut onlookers) = self.onlookers(topics)?;
         let (mut checked, mut nonsense) = (Instant::now(), ThrottledWarning::default());
         while !told.load(Ordering::Relaxed) {
             let check = checked.elapsed() > RUN_CHECK;
             // The run is looked at first: what was sent before it was over is then sure to be found.
             let over = check && !self.still_runs();
-            match onlooker.receive(&memory).map_err(WatchError::from)? {
-                Some(received) => {
-                    let message = AnyMessage { header: received.header(), item, bytes: received.bytes() };
-                    if is_sound(topic, &message, &mut nonsense) && see(message)? == Watching::Enough {
-                        return Ok(());
-                    }
+            let mut is_idle = true;
+            for ((item, topic), onlooker) in topics.iter().zip(&mut onlookers) {
+                let Some(received) = onlooker.receive(&memory).map_err(WatchError::from)? else { continue };
+                is_idle = false;
+                let message = AnyMessage { header: received.header(), item, bytes: received.bytes() };
+                if is_sound(topic, &message, &mut nonsense) && see(topic, message)? == Watching::Enough {
+                    return Ok(());
                 }
-                None if over => return Ok(()),
-                None => sleep(LOOK),
+            }
+            match is_idle {
+                true if over => return Ok(()),
+                true => sleep(LOOK),
+                false => {}
             }
             if check {
                 checked = Instant::now();
@@ -106,11 +109,11 @@ impl RunningPipeline {
         Ok(())
     }
 
-    fn onlooker(&self, item: &ItemType, topic: &Topic) -> Result<(SharedMemory, SharedOnlooker), WatchError> {
+    fn onlookers(&self, topics: &[(&ItemType, &Topic)]) -> Result<(SharedMemory, Vec<SharedOnlooker>), WatchError> {
         let memory =
             SharedMemory::open(self.folder.shared_memory(), &self.plan.namespace(), "(onlooker)", Stop::default())?;
-        let onlooker = memory.onlooker(item, topic)?;
-        Ok((memory, onlooker))
+        let onlookers = topics.iter().map(|(item, topic)| memory.onlooker(item, topic)).collect::<Result<_, _>>()?;
+        Ok((memory, onlookers))
     }
 
     /// Replaces `stage` by what stands in `plan`, which differs from the plan of this run in nothing else.

@@ -31,7 +31,7 @@ pub const MAX_PIXELS: u64 = 1 << 26;
 pub struct Header {
     /// One number per start of a source: a source that starts anew is told from one that goes on.
     pub epoch: u64,
-    /// Number of the frame, from 0, without gaps as the source sent them.
+    /// Number of the frame, from 0, without gaps as the source sent them; of a recording replayed, as it was recorded.
     pub sequence: u64,
     /// Number of this message among those of the stage that wrote it, from 0: a gap tells what this edge lost.
     pub number: u64,

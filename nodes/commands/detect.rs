@@ -1,8 +1,10 @@
 //! `conicflow detect`: the objects of recorded frames, in one command without a pipeline file.
 
+use crate::recording::files::looks_like_recording;
 use crate::sinks::json_lines::{JsonLines, Wrote};
 use crate::sinks::picture_sink::{self, Names, PictureSink};
 use crate::sources::image_source::{self, Playback};
+use crate::sources::mcap_source::{self, Replay};
 use anyhow::{Context as _, Result, bail};
 use clap::Args;
 use conicflow_dataflow::{AnyMessage, ItemType};
@@ -23,20 +25,25 @@ const REASONS: usize = 5;
 /// What is looked at, and where the results go.
 #[derive(Args)]
 pub struct DetectArguments {
-    /// A depth image (16-bit PNG, organised PCD), or a folder of them, TUM RGB-D folders included
+    /// A depth image (16-bit PNG, organised PCD), a folder of them, TUM RGB-D folders included, or an MCAP recording
     path: PathBuf,
-    /// Intrinsics in pixels [default: those of the file beside the frames, or fitted to the points of PCD files]
+    /// Intrinsics in pixels [default: those of the file beside the frames or of the recording, or fitted to the points of PCD
+    /// files]
     #[arg(long, value_name = "FX,FY,CX,CY", value_parser = intrinsics, allow_hyphen_values = true)]
     camera: Option<Intrinsics>,
-    /// Metres per unit of depth [default: 0.001, of TUM folders 0.0002]
+    /// Metres per unit of depth [default: 0.001, of TUM folders 0.0002, of recordings as they say]
     #[arg(long, value_name = "M")]
     scale: Option<f64>,
     /// Where the camera was: `auto` (7-Scenes, TUM or Open3D poses beside the frames), `none`, or a path
     #[arg(long, value_name = "PATH", default_value = "auto")]
     poses: String,
-    /// The sensor's depth noise; each image tells how noisy it is on top of that
-    #[arg(long, value_name = "NAME", default_value = "kinect_v1", value_parser = noise)]
-    noise: NoiseName,
+    /// The topic of a recording [default: the only one with depth images]
+    #[arg(long, value_name = "TOPIC")]
+    topic: Option<String>,
+    /// The sensor's depth noise; each image tells how noisy it is on top of that [default: kinect_v1, of recordings by conicflow
+    /// as recorded]
+    #[arg(long, value_name = "NAME", value_parser = noise)]
+    noise: Option<NoiseName>,
     /// Writes a picture of each frame into this folder: the depth in grey, the objects over it
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
@@ -77,10 +84,10 @@ pub fn detect(arguments: &DetectArguments) -> Result<()> {
     if !arguments.path.exists() {
         bail!(Hinted::new(
             format!("`{}` does not exist", arguments.path.display()),
-            "name a depth image, or a folder of them"
+            "name a depth image, a folder of them, or a recording"
         ));
     }
-    let mut playback = Playback::open(&source(arguments), here, 0, 0)?;
+    let mut frames = Frames::open(arguments)?;
     let mut lines = match &arguments.out {
         Some(path) => JsonLines::open(path, false)?,
         None => JsonLines::standard_output(),
@@ -93,10 +100,7 @@ pub fn detect(arguments: &DetectArguments) -> Result<()> {
     let mut pictures = pictures.map(|config| PictureSink::<Object>::open(&config, here, 0)).transpose()?;
     let mut detector = None;
     let (mut pixels, mut totals) = (Vec::new(), Totals::default());
-    while let Some(loaded) = playback.load()? {
-        let start = Instant::now();
-        pixels.resize(loaded.pixels(), 0);
-        let Some(header) = playback.decode(&loaded, &mut pixels)? else { continue };
+    while let Some((start, header)) = frames.next(&mut pixels)? {
         let header = Header { sequence: totals.frames, ..header };
         let detector = detector_of(&mut detector, &header);
         let objects = detector.try_detect(&pixels)?;
@@ -112,7 +116,7 @@ pub fn detect(arguments: &DetectArguments) -> Result<()> {
         }
         totals.add(&objects, detector);
     }
-    totals.count_sources(playback.take_counts());
+    totals.count_sources(&frames.take_counts());
     super::say(totals.text());
     Ok(())
 }
@@ -127,14 +131,58 @@ fn detector_of<'a>(detector: &'a mut Option<(Header, Detector)>, header: &Header
     &mut detector.get_or_insert_with(new).1
 }
 
-fn source(arguments: &DetectArguments) -> image_source::Config {
-    image_source::Config {
-        path: Some(arguments.path.clone()),
-        depth_scale: arguments.scale,
-        intrinsics: arguments.camera,
-        poses: arguments.poses.clone().into(),
-        noise: NoiseConfig::Named(arguments.noise),
-        ..image_source::Config::default()
+/// The frames that are looked at.
+enum Frames {
+    Images(Box<Playback>),
+    Recording(Box<Replay>),
+}
+
+impl Frames {
+    fn open(arguments: &DetectArguments) -> Result<Self> {
+        let (here, path, noise) =
+            (Path::new(""), Some(arguments.path.clone()), arguments.noise.map(NoiseConfig::Named));
+        let (depth_scale, intrinsics) = (arguments.scale, arguments.camera);
+        if looks_like_recording(&arguments.path) {
+            let topic = arguments.topic.clone();
+            let config = mcap_source::Config { path, topic, depth_scale, intrinsics, noise, ..Default::default() };
+            let replay = Replay::open(&config, here, &ItemType::of::<u16>(), 0)?;
+            return Ok(Self::Recording(Box::new(replay)));
+        }
+        let noise = noise.unwrap_or_default();
+        let poses = arguments.poses.clone().into();
+        let config = image_source::Config { path, depth_scale, intrinsics, poses, noise, ..Default::default() };
+        Ok(Self::Images(Box::new(Playback::open(&config, here, 0, 0)?)))
+    }
+
+    /// The header of the next frame that can be read, whose pixels are written, and when its file was read.
+    fn next(&mut self, pixels: &mut Vec<u16>) -> Result<Option<(Instant, Header)>> {
+        match self {
+            Self::Images(playback) => {
+                while let Some(loaded) = playback.load()? {
+                    let start = Instant::now();
+                    pixels.resize(loaded.pixels(), 0);
+                    if let Some(header) = playback.decode(&loaded, pixels)? {
+                        return Ok(Some((start, header)));
+                    }
+                }
+                Ok(None)
+            }
+            Self::Recording(replay) => {
+                let start = Instant::now();
+                let Some(replayed) = replay.next_message()? else { return Ok(None) };
+                pixels.clear();
+                pixels.extend(replayed.items.as_chunks().0.iter().map(|pixel| u16::from_ne_bytes(*pixel)));
+                Ok(Some((start, replayed.header)))
+            }
+        }
+    }
+
+    /// What was counted on the way.
+    fn take_counts(&mut self) -> BTreeMap<&'static str, u64> {
+        match self {
+            Self::Images(playback) => playback.take_counts().collect(),
+            Self::Recording(replay) => replay.take_counts().collect(),
+        }
     }
 }
 
@@ -158,8 +206,8 @@ impl Totals {
         }
     }
 
-    fn count_sources(&mut self, counts: impl Iterator<Item = (&'static str, u64)>) {
-        self.of_source.extend(counts.filter(|(_, times)| *times > 0));
+    fn count_sources(&mut self, counts: &BTreeMap<&'static str, u64>) {
+        self.of_source.extend(counts.iter().filter(|(_, times)| **times > 0));
     }
 
     /// A line on what was found; where that is nothing, why.

@@ -4,6 +4,7 @@ mod detect;
 mod doctor;
 mod experiment;
 mod node_help;
+mod record;
 mod swap;
 mod top;
 mod topic;
@@ -61,7 +62,7 @@ struct CommandLine {
 enum Command {
     /// Run a pipeline, each stage as a process of its own
     Run(RunArguments),
-    /// Find the objects of a depth image or a folder of them, without a pipeline file
+    /// Find the objects of a depth image, a folder of them or an MCAP recording, without a pipeline file
     Detect(detect::DetectArguments),
     /// Run one stage of a pipeline in this process
     ///
@@ -101,6 +102,10 @@ enum Command {
     /// Look at the topics of a running pipeline, with no change to it
     #[command(subcommand)]
     Topic(TopicCommand),
+    /// Record topics of a running pipeline into an MCAP file, with no change to it
+    ///
+    /// Foxglove, Rerun and ROS 2 read the file; mcap_source replays it.
+    Record(record::RecordArguments),
     /// Replace a stage of a running pipeline, with other parameters or another node; the others notice nothing
     Swap(SwapArguments),
     /// Tell what is wrong with this machine for running a pipeline: leftovers of dead runs, limits, ports
@@ -178,6 +183,7 @@ fn dispatch(command: Command, log: &str) -> anyhow::Result<ExitCode> {
         }
         Command::Top { once } => top::top(once).map(|()| ExitCode::SUCCESS),
         Command::Topic(command) => topic::topic(&command).map(|()| ExitCode::SUCCESS),
+        Command::Record(arguments) => record::record(&arguments).map(|()| ExitCode::SUCCESS),
         Command::Swap(arguments) => swap::swap(&arguments).map(|()| ExitCode::SUCCESS),
         Command::Doctor { source, machine, clean } => {
             doctor(&source.read_for(machine.as_deref())?, machine.as_deref(), clean)

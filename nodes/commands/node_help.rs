@@ -36,7 +36,9 @@ fn describe(node: &Node) -> Result<String, std::fmt::Error> {
         let pairing = if side.pairing == Pairing::Latest { "the latest" } else { "of the same frame" };
         writeln!(text, "inputs  {} = {}, {pairing}", side.name, side.kind)?;
     }
-    if node.output() != Nothing::NAME {
+    if node.writes_any() {
+        writeln!(text, "output  depth, or what the readers of its topic take")?;
+    } else if node.output() != Nothing::NAME {
         writeln!(text, "output  {}", node.output())?;
     }
     let schema = node.schema();

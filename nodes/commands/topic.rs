@@ -10,7 +10,8 @@ use clap::{Args, Subcommand};
 use conicflow_dataflow::pipeline::suggestion;
 use conicflow_dataflow::ports::{Delivery, Topic};
 use conicflow_dataflow::{
-    PipelineActivity, Requirements, RunningPipeline, Table, TopicActivity, Watching, monotonic_ns, observe, user_folder,
+    ItemType, PipelineActivity, Requirements, RunningPipeline, Table, TopicActivity, Watching, monotonic_ns, observe,
+    user_folder,
 };
 use conicflow_messages::Hinted;
 use std::io::{Write, stdout};
@@ -104,7 +105,7 @@ impl PipelineName {
 }
 
 /// All topics of a pipeline, each once.
-fn topics(running: &RunningPipeline) -> Vec<&Topic> {
+pub(crate) fn topics(running: &RunningPipeline) -> Vec<&Topic> {
     let mut topics: Vec<&Topic> = Vec::new();
     for topic in running.topics() {
         if topics.iter().all(|known| known.name != topic.name) {
@@ -114,7 +115,7 @@ fn topics(running: &RunningPipeline) -> Vec<&Topic> {
     topics
 }
 
-fn find_topic<'a>(running: &'a RunningPipeline, name: &str) -> anyhow::Result<&'a Topic> {
+pub(crate) fn find_topic<'a>(running: &'a RunningPipeline, name: &str) -> anyhow::Result<&'a Topic> {
     let hint = || suggestion(name, topics(running).iter().map(|topic| topic.name.as_str()), "topics");
     running.topic(name).ok_or_else(|| {
         anyhow!(Hinted::new(format!("pipeline `{}` has no topic `{name}`", running.plan.pipeline), hint()))
@@ -191,18 +192,23 @@ fn bandwidth_line(activity: &TopicActivity) -> String {
     format!("{:.3} MB/s, {:.2} Hz", activity.bandwidth_mbps, activity.rate_hz)
 }
 
+/// What the items of a topic are.
+pub(crate) fn item_of(topic: &Topic) -> anyhow::Result<&ItemType> {
+    topic.item.as_ref().ok_or_else(|| {
+        let name = &topic.name;
+        let hint =
+            format!("say it where a program writes it, such as output = {{ topic = \"{name}\", kind = \"objects\" }}");
+        anyhow!(Hinted::new(format!("nothing tells what topic `{name}` carries"), hint))
+    })
+}
+
 fn echo(arguments: &TopicArguments) -> anyhow::Result<()> {
     let running = arguments.of.find()?;
     let topic = find_topic(&running, &arguments.topic)?;
     Requirements::of(&running.plan, NODES).look_for_onlooker(topic)?;
-    let Some(item) = &topic.item else {
-        let name = &topic.name;
-        let hint =
-            format!("say it where a program writes it, such as output = {{ topic = \"{name}\", kind = \"objects\" }}");
-        bail!(Hinted::new(format!("nothing tells what topic `{name}` carries"), hint))
-    };
+    let item = item_of(topic)?;
     let mut left = arguments.count.unwrap_or(u64::MAX);
-    running.watch::<anyhow::Error>(item, topic, |message| {
+    running.watch::<anyhow::Error>(&[(item, topic)], |_, message| {
         let mut line = Vec::new();
         message.write_json(latency_ms(message.header, monotonic_ns()), &mut line)?;
         line.push(b'\n');

@@ -22,6 +22,7 @@ mod own_types;
 mod processes;
 mod programs;
 mod radio;
+mod recordings;
 mod room;
 mod routers;
 mod run;

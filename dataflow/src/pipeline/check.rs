@@ -40,7 +40,8 @@ fn ends(stage: &StageSpec, faults: &mut Vec<Diagnostic>) {
             faults.push(Diagnostic::error(place, what, "remove the line"));
         }
         None if makes != Nothing::NAME => {
-            let hint = format!("add `output = \"{makes}\"`, the topic that it writes");
+            let example = if node.writes_any() { u16::NAME } else { makes };
+            let hint = format!("add `output = \"{example}\"`, the topic that it writes");
             faults.push(Diagnostic::error(&stage.place, format!("stage `{name}` has no `output`"), hint));
         }
         _ => {}
@@ -136,6 +137,7 @@ fn output(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>) 
     let (Some(topic), Some(place)) = (&stage.output, &stage.output_place) else { return };
     if let (Some(said), Program::Node(node)) = (&stage.output_said, &stage.program)
         && said != node.output()
+        && !node.writes_any()
     {
         let what = format!("`{}` writes {}, not {said}", node.name, node.output());
         faults.push(Diagnostic::error(place, what, "remove `kind`: the node tells"));

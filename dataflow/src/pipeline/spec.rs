@@ -146,14 +146,16 @@ impl Pipeline {
         BUILT_IN.iter().chain(&self.items).find(|item| item.name() == name)
     }
 
-    /// What a topic carries, by name: by the nodes that write it; where only programs of one's own do, as one of them or an
-    /// input says, or because a node that reads it takes nothing else.
+    /// What a topic carries, by name: by the nodes that write it; where only programs of one's own do, or nodes that write
+    /// any type, as one of them or an input says, or because a node that reads it takes nothing else. A node that writes any
+    /// type, of which nothing tells, writes depth.
     pub fn kind_of(&self, topic: &str) -> Option<&str> {
-        let mut writers = self.stages.iter().filter(|stage| stage.output.as_deref() == Some(topic));
+        let writers = self.stages.iter().filter(|stage| stage.output.as_deref() == Some(topic));
         let mut inputs = self.stages.iter().flat_map(StageSpec::all_inputs).filter(|input| input.topic == topic);
         let said = || inputs.find_map(|input| input.kind.as_deref());
         let needed = || self.stages.iter().find_map(|stage| stage.needed_kind(topic));
-        writers.find_map(StageSpec::output_kind).or_else(said).or_else(needed)
+        let replayed = || writers.clone().any(StageSpec::writes_any).then_some(u16::NAME);
+        writers.clone().find_map(StageSpec::output_kind).or_else(said).or_else(needed).or_else(replayed)
     }
 
     /// The names of all topics, in the order of the stages that write them.
@@ -202,9 +204,18 @@ impl StageSpec {
         node.side_inputs().iter().find(|side| side.name == name).map(|side| side.kind)
     }
 
-    /// What it makes, by name; `None` if it is a program of one's own of which the file does not say it.
+    /// What it makes, by name; `None` if it is a program of one's own or a node that writes any type, and the file does not
+    /// say it.
     pub fn output_kind(&self) -> Option<&str> {
-        if let Program::Node(node) = &self.program { Some(node.output()) } else { self.output_said.as_deref() }
+        match &self.program {
+            Program::Node(node) if !node.writes_any() => Some(node.output()),
+            _ => self.output_said.as_deref(),
+        }
+    }
+
+    /// Whether it is a node that writes what its readers take.
+    fn writes_any(&self) -> bool {
+        matches!(&self.program, Program::Node(node) if node.writes_any())
     }
 
     /// Whether nothing drives it.

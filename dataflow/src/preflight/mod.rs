@@ -110,9 +110,11 @@ fn written<'a>(plan: &Plan, stage: &'a PlannedStage, nodes: &[Node]) -> Vec<(&'a
         return edges.map(|edge| (&edge.topic, message_bytes(&edge.item, None))).collect();
     }
     let Some(topic) = &stage.wiring.output else { return Vec::new() };
-    let length = node_of(stage, nodes).and_then(|node| (node.message_length)(stage.parameters.clone(), &plan.base));
     // Where nobody tells what a program writes, an image is the longest that it usually is.
     let item = topic.item.as_ref().unwrap_or(const { &ItemType::of::<u16>() });
+    // A recording tells of its images; how long its lists are, nobody knows before.
+    let node = node_of(stage, nodes).filter(|node| item.is_image() || !node.writes_any());
+    let length = node.and_then(|node| (node.message_length)(stage.parameters.clone(), &plan.base));
     vec![(topic, message_bytes(item, length))]
 }
 

@@ -4,6 +4,7 @@ use super::peers::Peers;
 use super::source_loop::run_source;
 use super::stage_loop::run_stage;
 use super::{RunError, StageRuntime};
+use crate::item_type::ItemType;
 use crate::ports::in_memory::{InMemory, MemoryReader};
 use crate::ports::{Delivery, PortError, Reader, Received, Topic, TopicReader, Transport, Wiring, Writer};
 use crate::stage::{Context, Source, Stage};
@@ -54,7 +55,8 @@ where
     )
 }
 
-/// Runs the source `S` until it has made `frames` messages, or has no more, and returns them.
+/// Runs the source `S` until it has made `frames` messages, or has no more, and returns them. What a source makes that makes
+/// lists of any type stands in `context.output`.
 ///
 /// # Errors
 /// What the source refused or failed at.
@@ -63,7 +65,7 @@ where
     S::Config: Send,
 {
     let memory = InMemory::new(context.stop.clone());
-    let output = topic("output", &context.stage, DOWNSTREAM, 4);
+    let output = Topic { item: context.output.clone(), ..topic("output", &context.stage, DOWNSTREAM, 4) };
     let wiring = Wiring { output: Some(output.clone()), frames: Some(frames), ..Wiring::default() };
     run_alone(&memory, wiring, context, &output, |runtime| run_source::<S, _>(config, runtime), |_| Ok(()))
 }
@@ -88,7 +90,8 @@ fn run_alone<T: Item>(
     run: impl FnOnce(StageRuntime<InMemory>) -> Result<(), RunError> + Send,
     feed: impl FnOnce(&dyn Fn() -> bool) -> Result<(), PortError>,
 ) -> Result<Vec<Owned<T>>, RunError> {
-    let mut reader = memory.reader::<T>(output, DOWNSTREAM)?;
+    let item = output.item.clone().unwrap_or(const { ItemType::of::<T>() });
+    let mut reader = memory.reader_of(&item, output, DOWNSTREAM)?;
     let record = StatusFile::nowhere();
     let (transport, peers) = (memory.clone(), Peers::default());
     let runtime =

@@ -17,11 +17,11 @@ mod takeover;
 mod tests;
 
 use crate::ports::shared_memory::trim_rss;
-use crate::ports::{PortError, Transport, Wiring};
+use crate::ports::{PortError, Topic, Transport, Wiring};
 use crate::side_inputs::SideInput;
 use crate::stage::{Context, StageError};
 use crate::status::{Life, StatusFile};
-use conicflow_messages::{Item, Nothing, Text};
+use conicflow_messages::{AnyByte, Item, Nothing, Text};
 use handover::{Handover, Successor};
 use output_port::OutputPort;
 use peers::Peers;
@@ -92,9 +92,17 @@ fn with_causes(error: &(dyn Error + 'static)) -> String {
 impl<T: Transport + 'static> StageRuntime<T> {
     pub(crate) fn output_port<O: Item>(&mut self) -> Result<OutputPort<T::Writer>, PortError> {
         let wired = self.wiring.output.take().filter(|_| !is_nothing::<O>());
-        let port = wired.map(|topic| Ok::<_, PortError>((self.transport.writer::<O>(&topic)?, topic))).transpose()?;
+        let port = wired.map(|topic| Ok::<_, PortError>((self.writer_of::<O>(&topic)?, topic))).transpose()?;
         let (stop, sent) = (self.context.stop.clone(), self.record.status.sent);
         Ok(OutputPort::new(port, &self.context.stage, sent, self.peers.clone(), stop))
+    }
+
+    /// The end of a topic for items of this type, or of the topic's own, where the stage writes lists of any type.
+    fn writer_of<O: Item>(&self, topic: &Topic) -> Result<T::Writer, PortError> {
+        match &topic.item {
+            Some(item) if O::TYPE_NAME == AnyByte::TYPE_NAME => self.transport.writer_of(item, topic),
+            _ => self.transport.writer::<O>(topic),
+        }
     }
 
     pub(crate) fn side_inputs(&self, declared: &'static [SideInput]) -> Result<Vec<Box<dyn SidePort>>, PortError> {

@@ -20,6 +20,9 @@ struct SourceLoop<S: Source, T: Transport> {
     record: StatusFile,
     stop: Stop,
     epoch: u64,
+    /// Messages that were made, also before it was started anew.
+    made: u64,
+    /// Number of the next frame, where the source has none of its own.
     sequence: u64,
     memory_trim: MemoryTrim,
 }
@@ -29,6 +32,7 @@ pub(crate) fn run_source<S: Source, T: Transport + 'static>(
     config: S::Config,
     mut runtime: StageRuntime<T>,
 ) -> Result<(), RunError> {
+    runtime.context.output = runtime.wiring.output.as_ref().and_then(|topic| topic.item.clone());
     let (mut side_inputs, mut output_port) =
         (runtime.side_inputs(S::side_inputs())?, runtime.output_port::<S::Output>()?);
     if !takes_place(&mut runtime)? {
@@ -40,14 +44,24 @@ pub(crate) fn run_source<S: Source, T: Transport + 'static>(
     side_inputs.iter_mut().zip(runtime.record.status.inputs).try_for_each(|(side, counts)| side.resume(counts))?;
     let source = S::new(config, &runtime.context).map_err(RunError::Refused)?;
     runtime.begin(source.total());
-    let (stop, sequence) = (runtime.context.stop.clone(), runtime.context.resume_at);
+    let (stop, made) = (runtime.context.stop.clone(), runtime.context.resume_at);
     let (frames, memory_trim) = (runtime.wiring.frames, MemoryTrim::of(&runtime));
     let mut pace = Pace::new(source.rate_hz(), stop.clone());
     let (record, epoch) = (runtime.record, new_epoch());
     let list = Vec::new();
-    let mut running =
-        SourceLoop::<S, T> { source, side_inputs, output_port, list, record, stop, epoch, sequence, memory_trim };
-    while frames.is_none_or(|frames| running.sequence < frames) {
+    let mut running = SourceLoop::<S, T> {
+        source,
+        side_inputs,
+        output_port,
+        list,
+        record,
+        stop,
+        epoch,
+        made,
+        sequence: made,
+        memory_trim,
+    };
+    while frames.is_none_or(|frames| running.made < frames) {
         pace.wait();
         if running.stop.requested() || !running.make_one()? {
             break;
@@ -82,7 +96,9 @@ impl<S: Source, T: Transport> SourceLoop<S, T> {
         let side_inputs = side_ports::found(&self.side_inputs);
         let mut output = self.output_port.place(Header::default(), &mut self.list);
         let next = guarded(self.sequence, || self.source.next(&side_inputs, &mut output))?;
-        let header = Header { epoch: self.epoch, sequence: self.sequence, ..output.header };
+        // Frames of a recording keep their numbers, as long as these rise.
+        let sequence = self.sequence.max(output.header.sequence);
+        let header = Header { epoch: self.epoch, sequence, ..output.header };
         let is_image = output.is_image();
         if next == Next::End {
             self.keep_record(header.sequence);
@@ -93,7 +109,7 @@ impl<S: Source, T: Transport> SourceLoop<S, T> {
         if is_stopped(self.output_port.send(header, monotonic_ns(), list))? {
             return Ok(false);
         }
-        self.sequence += 1;
+        (self.made, self.sequence) = (self.made + 1, sequence.saturating_add(1));
         self.record.status.steps += 1;
         self.keep_record(header.sequence);
         self.memory_trim.step();

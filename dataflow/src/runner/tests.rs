@@ -1,8 +1,8 @@
 //! Tests of the two loops, over the in-memory twin of shared memory.
 
 use super::alone::{Owned, collect, pass};
-use crate::{Context, Next, NoConfig, Output, RunError, SideInputs, Source, Stage, StageError};
-use conicflow_messages::{Camera, Header, Message, Nothing, Object, ObjectKind};
+use crate::{Context, ItemType, Next, NoConfig, Output, RunError, SideInputs, Source, Stage, StageError};
+use conicflow_messages::{AnyByte, Camera, Header, Message, Nothing, Object, ObjectKind};
 
 fn context(stage: &str) -> Context {
     Context { stage: stage.to_owned(), ..Context::default() }
@@ -147,4 +147,37 @@ fn a_failure_at_the_end_is_that_of_no_frame() {
     let error = pass::<Endless>(NoConfig::default(), context("endless"), &[(header(0), vec![1; 4])]).unwrap_err();
     assert!(matches!(error, RunError::Unfinished(_)));
     assert_eq!(error.to_string(), "too little was seen");
+}
+
+/// Plays objects back that were recorded, with the numbers of their frames.
+struct Replay(std::vec::IntoIter<(u64, f64)>);
+
+impl Source for Replay {
+    const NAME: &'static str = "replay";
+    const SUMMARY: &'static str = "Sends what was recorded";
+    type Config = NoConfig;
+    type Output = AnyByte;
+
+    fn new(_: NoConfig, context: &Context) -> Result<Self, StageError> {
+        assert_eq!(context.output.as_ref().map(ItemType::name), Some("objects"));
+        Ok(Self(vec![(4, 0.1), (5, 0.2), (9, 0.3), (2, 0.4)].into_iter()))
+    }
+
+    fn next(&mut self, _: &SideInputs, output: &mut Output<AnyByte>) -> Result<Next, StageError> {
+        let Some((sequence, radius)) = self.0.next() else { return Ok(Next::End) };
+        output.header = header(sequence);
+        bytemuck::cast_slice_mut(output.image(1)?).copy_from_slice(bytemuck::bytes_of(&ball(radius)));
+        Ok(Next::Message)
+    }
+}
+
+#[test]
+fn a_recording_keeps_its_items_and_the_numbers_of_its_frames_as_long_as_they_rise() {
+    let context = Context { output: Some(ItemType::of::<Object>()), ..context("replay") };
+    let sent: Vec<Owned<AnyByte>> = collect::<Replay>(NoConfig::default(), context, 4).unwrap();
+    let told = |(header, bytes): &Owned<AnyByte>| {
+        let object: Object = bytemuck::pod_read_unaligned(bytemuck::cast_slice(bytes));
+        (header.sequence, header.number, object.radius)
+    };
+    assert_eq!(sent.iter().map(told).collect::<Vec<_>>(), [(4, 0, 0.1), (5, 1, 0.2), (9, 2, 0.3), (10, 3, 0.4)]);
 }

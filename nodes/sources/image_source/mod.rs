@@ -6,10 +6,10 @@
 mod depth_png;
 mod intrinsics;
 mod layout;
-mod natural;
+pub(crate) mod natural;
 mod pcd;
 mod pinhole;
-mod playback;
+pub(crate) mod playback;
 mod poses;
 mod recording;
 mod trajectory;

@@ -3,7 +3,7 @@
 use std::cmp::Ordering;
 
 /// Orders two names; numbers of any length are compared without overflow, and equal numbers by their leading zeros.
-pub(super) fn compare(left: &str, right: &str) -> Ordering {
+pub(crate) fn compare(left: &str, right: &str) -> Ordering {
     let (mut a, mut b) = (left.as_bytes(), right.as_bytes());
     while !a.is_empty() && !b.is_empty() {
         let (head_a, rest_a) = split_run(a);

@@ -160,22 +160,9 @@ impl Playback {
         let Some(median) = median_depth(pixels).filter(|_| !self.described) else { return };
         self.described = true;
         let median_m = f64::from(median) * frame.depth_scale;
-        let (name, count, camera) = (&frame.name, self.recording.len(), frame.camera);
-        tracing::info!(
-            "{count} frames of {}x{}, fx {:.2} fy {:.2} cx {:.2} cy {:.2}; `{name}` has a median depth of {median_m:.3} m",
-            camera.width,
-            camera.height,
-            camera.fx,
-            camera.fy,
-            camera.cx,
-            camera.cy
-        );
-        if !PLAUSIBLE_DEPTH_M.contains(&median_m) {
-            tracing::warn!(
-                "a median depth of {median_m:.3} m is not plausible\n  hint: `depth_scale` is in metres per unit: 0.001 \
-                 for millimetres, 0.0002 for TUM"
-            );
-        }
+        let what = format!("{} frames", self.recording.len());
+        tell_median(&what, &frame.name, &frame.camera, median_m);
+        let camera = frame.camera;
         if self.given_intrinsics && is_off_center(&camera) {
             tracing::warn!(
                 "`intrinsics` have the principal point at ({}, {}), far from the middle of images of {}x{}\n  hint: are \
@@ -266,6 +253,25 @@ pub(super) fn emptiness(pixels: &[u16], too_far: u64) -> Option<String> {
         ),
     };
     Some(why)
+}
+
+/// Says what frames are like, by their camera and the median depth of one of them, so that a wrong scale is seen.
+pub(crate) fn tell_median(what: &str, name: &str, camera: &Camera, median_m: f64) {
+    tracing::info!(
+        "{what} of {}x{}, fx {:.2} fy {:.2} cx {:.2} cy {:.2}; `{name}` has a median depth of {median_m:.3} m",
+        camera.width,
+        camera.height,
+        camera.fx,
+        camera.fy,
+        camera.cx,
+        camera.cy
+    );
+    if !PLAUSIBLE_DEPTH_M.contains(&median_m) {
+        tracing::warn!(
+            "a median depth of {median_m:.3} m is not plausible\n  hint: `depth_scale` is in metres per unit: 0.001 \
+             for millimetres, 0.0002 for TUM"
+        );
+    }
 }
 
 /// Whether the principal point is farther from the middle of the image than [`MAX_OFF_CENTER`] of its size.

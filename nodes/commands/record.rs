@@ -1,0 +1,129 @@
+//! `conicflow record`: topics of a running pipeline into a recording, by an onlooker for whom no stage waits.
+
+use super::topic::{PipelineName, find_topic, give_way, item_of, topics};
+use crate::NODES;
+use crate::recording::recorder::{Recorded, Recorder};
+use crate::sinks::json_sink::latency_ms;
+use crate::sinks::mcap_sink;
+use anyhow::{Context as _, Result, bail};
+use clap::Args;
+use conicflow_dataflow::{Requirements, Watching, monotonic_ns};
+use conicflow_messages::{Header, Text};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+/// What is recorded, and where.
+#[derive(Args)]
+pub struct RecordArguments {
+    /// Names of topics [default: all of the pipeline]
+    topics: Vec<String>,
+    /// The file to write
+    #[arg(long, short, value_name = "FILE.mcap")]
+    out: PathBuf,
+    /// Begin another file, FILE_1.mcap and so on, after so many megabytes
+    #[arg(long, value_name = "MB")]
+    split_mb: Option<f64>,
+    /// Begin another file after so many seconds, by the stamps of the frames
+    #[arg(long, value_name = "S")]
+    split_s: Option<f64>,
+    /// Most megabytes of all files: the oldest is removed, or where there is but one the recording ends
+    #[arg(long, value_name = "MB")]
+    limit_mb: Option<f64>,
+    #[command(flatten)]
+    of: PipelineName,
+}
+
+/// Records until the pipeline ends, or this program is told to.
+///
+/// # Errors
+/// There is no such pipeline or topic, it cannot be read, or the file cannot be written.
+pub fn record(arguments: &RecordArguments) -> Result<()> {
+    give_way();
+    if arguments.out.exists() {
+        bail!("`{}` is there already\n  hint: record into another file, or remove it", arguments.out.display());
+    }
+    for (option, number) in
+        [("split-mb", arguments.split_mb), ("split-s", arguments.split_s), ("limit-mb", arguments.limit_mb)]
+    {
+        if number.is_some_and(|number| number.is_nan() || number < 1.0) {
+            bail!("`--{option}` is less than 1");
+        }
+    }
+    let running = arguments.of.find()?;
+    let mut recorded = match &arguments.topics[..] {
+        // What nothing is told of can only be recorded where it is asked for, and then that is said.
+        [] => topics(&running).into_iter().filter(|topic| topic.item.is_some()).collect(),
+        named => named.iter().map(|name| find_topic(&running, name)).collect::<Result<Vec<_>>>()?,
+    };
+    recorded.dedup_by(|a, b| a.name == b.name);
+    let needs = Requirements::of(&running.plan, NODES);
+    recorded.iter().try_for_each(|topic| needs.look_for_onlooker(topic))?;
+    let watched = recorded.iter().map(|topic| Ok((item_of(topic)?, *topic))).collect::<Result<Vec<_>>>()?;
+    let limits = mcap_sink::Config {
+        split_mb: arguments.split_mb,
+        split_s: arguments.split_s,
+        limit_mb: arguments.limit_mb,
+        ..mcap_sink::Config::default()
+    };
+    let recorder = Recorder::create(&arguments.out, limits.limits(), false)?;
+    let names: Vec<_> = recorded.iter().map(|topic| format!("`{}`", topic.name)).collect();
+    tracing::info!("records {} into `{}`; Ctrl-C ends it", names.join(", "), arguments.out.display());
+    let mut tally = Tally::default();
+    let watched = running.watch::<anyhow::Error>(&watched, |topic, message| {
+        tally.count(&topic.name, message.header);
+        let written = recorder.write(&topic.name, &message, latency_ms(message.header, monotonic_ns()))?;
+        Ok(if written == Recorded::Full { Watching::Enough } else { Watching::GoOn })
+    });
+    // What came before an error is kept.
+    let bytes = recorder.finish();
+    watched.context("recording")?;
+    super::say(tally.text(bytes?));
+    Ok(())
+}
+
+/// What came, and what was lost because this program was too slow.
+#[derive(Default)]
+struct Tally {
+    topics: BTreeMap<String, (u64, u64)>,
+    /// The number of the last message of each writer of a topic.
+    last: BTreeMap<(String, Text<32>), u64>,
+}
+
+impl Tally {
+    fn count(&mut self, topic: &str, header: &Header) {
+        let (messages, lost) = self.topics.entry(topic.to_owned()).or_default();
+        *messages += 1;
+        let writer = header.trace().last().map(|hop| hop.stage).unwrap_or_default();
+        if let Some(last) = self.last.insert((topic.to_owned(), writer), header.number) {
+            *lost += header.number.saturating_sub(last.saturating_add(1));
+        }
+    }
+
+    fn text(&self, bytes: u64) -> String {
+        let topics = self.topics.iter().map(|(topic, (messages, lost))| {
+            let lost = if *lost > 0 { format!(" ({lost} missed)") } else { String::new() };
+            format!("{topic} {messages}{lost}")
+        });
+        let topics: Vec<_> = topics.collect();
+        let topics = if topics.is_empty() { "nothing came".to_owned() } else { topics.join(", ") };
+        format!("recorded {:.1} MB: {topics}", bytes as f64 / 1e6)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use conicflow_messages::Hop;
+
+    #[test]
+    fn what_was_missed_shows_in_the_numbers_of_each_writer() {
+        let mut tally = Tally::default();
+        for (writer, number) in [("left", 4), ("right", 0), ("left", 5), ("left", 8), ("right", 1)] {
+            let mut header = Header { number, ..Header::default() };
+            header.add_hop(Hop { stage: Text::new(writer), ..Hop::default() });
+            tally.count("depth", &header);
+        }
+        assert_eq!(tally.text(1_250_000), "recorded 1.2 MB: depth 5 (2 missed)");
+        assert_eq!(Tally::default().text(0), "recorded 0.0 MB: nothing came");
+    }
+}

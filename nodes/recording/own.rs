@@ -1,0 +1,128 @@
+//! Our own messages in a recording: the header and the items as they lie in memory, in channels of their own. Of a depth image
+//! only the header, beside a `sensor_msgs/Image` with its pixels.
+
+use anyhow::{Context as _, Result, ensure};
+use conicflow_dataflow::ItemType;
+use conicflow_messages::{HEADER_TYPE_NAME, Header};
+use serde::{Deserialize, Serialize};
+
+/// What the encoding of such messages is called.
+pub const ENCODING: &str = "conicflow";
+/// The key of a channel's metadata under which its schema stands. As a schema of MCAP it would be in the way of readers that know
+/// only those of ROS 2, such as `rosbags`.
+pub const SCHEMA: &str = "conicflow";
+/// The last part of such a channel's topic.
+pub const MESSAGE: &str = "message";
+/// Of the channel with the pixels of depth images.
+pub const IMAGE: &str = "image_rect_raw";
+
+/// The schema of such a channel: what the bytes are.
+#[derive(Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Schema {
+    header: String,
+    header_bytes: usize,
+    /// [`ItemType::name`].
+    pub kind: String,
+    /// [`ItemType::type_name`].
+    item: String,
+    item_bytes: usize,
+    /// [`ItemType::layout`].
+    layout: String,
+    is_big_endian: bool,
+}
+
+impl Schema {
+    /// The schema of messages with such items, as this program writes them.
+    pub fn of(item: &ItemType) -> Self {
+        Self {
+            header: HEADER_TYPE_NAME.to_owned(),
+            header_bytes: size_of::<Header>(),
+            kind: item.name().to_owned(),
+            item: item.type_name().to_owned(),
+            item_bytes: item.size(),
+            layout: item.layout(),
+            is_big_endian: cfg!(target_endian = "big"),
+        }
+    }
+}
+
+/// A message: the header, and the items where there are any.
+pub fn write(header: &Header, items: &[u8], mut memory: Vec<u8>) -> Vec<u8> {
+    memory.clear();
+    memory.extend(bytemuck::bytes_of(header));
+    memory.extend(items);
+    memory
+}
+
+/// The header and the items of a message; nothing of it is checked yet.
+///
+/// # Errors
+/// It is too short.
+pub fn read(message: &[u8]) -> Result<(Header, &[u8])> {
+    let whole = message.len() >= size_of::<Header>();
+    ensure!(whole, "{} bytes, a header has {}", message.len(), size_of::<Header>());
+    let (header, items) = message.split_at(size_of::<Header>());
+    Ok((bytemuck::pod_read_unaligned(header), items))
+}
+
+/// Makes sure that this program can read the messages of a channel with this schema as those of `item`.
+///
+/// # Errors
+/// They were written by another version, or are of another type.
+pub fn check_schema(schema: &str, item: &ItemType) -> Result<()> {
+    let recorded: Schema = serde_json::from_str(schema).context("the schema of our own messages is damaged")?;
+    let expected = Schema::of(item);
+    ensure!(
+        recorded == expected,
+        "they are `{}` of {} bytes with `{}`, expected `{}` of {} bytes with `{}`\n  hint: replay them with the version of \
+         conicflow that recorded them, or replay what they were made of",
+        recorded.layout,
+        recorded.item_bytes,
+        recorded.header,
+        expected.layout,
+        expected.item_bytes,
+        expected.header
+    );
+    Ok(())
+}
+
+/// The name of a channel: what `topic` of the pipeline carries of the frames that the stage `origin` had first.
+pub fn channel(origin: &str, topic: &str, part: &str) -> String {
+    format!("/{origin}/{topic}/{part}")
+}
+
+/// The channel with the headers that go with images of this topic.
+pub fn header_channel(image_topic: &str) -> Option<String> {
+    Some(format!("{}{MESSAGE}", image_topic.strip_suffix(IMAGE)?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use conicflow_dataflow::BUILT_IN;
+
+    #[test]
+    fn messages_come_back() {
+        let header = Header { sequence: 7, depth_scale: 0.25, ..Header::default() };
+        let written = write(&header, &[1, 2, 3], vec![9; 5]);
+        assert_eq!(read(&written).unwrap(), (header, &[1, 2, 3][..]));
+        assert!(read(&written[..800]).is_err());
+    }
+
+    #[test]
+    fn other_layouts_are_refused() {
+        let schema = serde_json::to_string(&Schema::of(&BUILT_IN[1])).unwrap();
+        assert!(check_schema(&schema, &BUILT_IN[1]).is_ok());
+        let told = check_schema(&schema, &BUILT_IN[2]).unwrap_err().to_string();
+        assert!(told.starts_with("they are `conicflow.Ellipse.v4` of") && told.contains("\n  hint: "), "{told}");
+        assert!(check_schema(&schema[1..], &BUILT_IN[1]).is_err());
+    }
+
+    #[test]
+    fn images_and_their_headers_lie_side_by_side() {
+        let image = channel("camera", "depth", IMAGE);
+        assert_eq!(image, "/camera/depth/image_rect_raw");
+        assert_eq!(header_channel(&image), Some(channel("camera", "depth", MESSAGE)));
+        assert_eq!(header_channel("/camera/depth/image"), None);
+    }
+}

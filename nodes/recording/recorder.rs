@@ -1,0 +1,413 @@
+//! Writes a recording: each message so that other programs show it, and as it is, byte by byte.
+//!
+//! Of what `topic` carries of the frames that the stage `origin` had first, `/origin/topic/...` has
+//!
+//! | channel | content |
+//! |---|---|
+//! | `message` | our own message, of a depth image the header alone |
+//! | `image_rect_raw`, `camera_info` | the depth image, in millimetres where these are its units, else in metres |
+//! | `markers` | objects and tracks as RViz and Foxglove draw them |
+//! | `json` | short lists as the lines of `json_sink` |
+//!
+//! and `/tf` has the pose of the camera. All messages of a frame have its stamp. What was written is in the file after a second
+//! at most, in chunks that are whole: who reads the file of a recorder that was killed finds all until then.
+
+use super::own::{self, ENCODING, IMAGE, MESSAGE, SCHEMA};
+use anyhow::{Context as _, Error, Result, anyhow};
+use conicflow_dataflow::{AnyMessage, ItemType};
+use conicflow_messages::{Header, INVALID_FAR, INVALID_NEAR, Object, Text, Track};
+use conicflow_ros::{
+    CAMERA_INFO, CameraInfo, Definition, IMAGE as IMAGE_TYPE, MARKER_ARRAY, Stamped, TF_MESSAGE, markers, write_metres,
+    write_transform, write_units,
+};
+use mcap::records::MessageHeader;
+use mcap::write::NoSeek;
+use mcap::{Compression, McapError, WriteOptions, Writer};
+use std::collections::{BTreeMap, VecDeque};
+use std::fs::{self, File};
+use std::io::{self, ErrorKind, Write};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// What was written is in the file after this time.
+const FLUSH: Duration = Duration::from_millis(900);
+/// How often is looked for something that is to be in the file.
+const LOOK: Duration = Duration::from_millis(100);
+/// The frame of coordinates in which poses are.
+const WORLD: &str = "world";
+/// Of frames that no stage has put its name to.
+const NAMELESS: &str = "camera";
+/// The schema of a channel that has none.
+const NO_SCHEMA: u16 = 0;
+/// The unit of whole numbers in images of ROS.
+const MILLIMETRE: f64 = 0.001;
+
+/// How long and how large files become.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Limits {
+    /// A file ends after so many bytes, and another begins.
+    pub split_bytes: Option<u64>,
+    /// A file ends after so much time of the frames' stamps, and another begins.
+    pub split_ns: Option<u64>,
+    /// All files together: the oldest is removed, or where there is but one the recording ends.
+    pub total_bytes: Option<u64>,
+}
+
+/// What became of a message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Recorded {
+    /// It was written.
+    Written,
+    /// The recording has reached its limit.
+    Full,
+}
+
+/// Writes a recording.
+pub struct Recorder {
+    files: Arc<Mutex<Files>>,
+}
+
+/// The files of a recording.
+struct Files {
+    path: PathBuf,
+    limits: Limits,
+    open: Option<OpenFile>,
+    /// Number of the next file, from 0.
+    next: u64,
+    /// Files that are complete, and their sizes.
+    complete: VecDeque<(PathBuf, u64)>,
+    is_full: bool,
+    /// What went wrong when nobody was there to be told.
+    failure: Option<Error>,
+    memory: Vec<u8>,
+}
+
+/// A file that is being written.
+struct OpenFile {
+    path: PathBuf,
+    writer: Writer<NoSeek<Counted>>,
+    bytes: Arc<AtomicU64>,
+    channels: BTreeMap<String, u16>,
+    /// Stamp of its first frame.
+    begin_ns: Option<u64>,
+    /// The frame of each origin whose pose was written last.
+    placed: BTreeMap<Text<32>, (u64, u64)>,
+    /// Since when something waits to be in the file.
+    waits: Option<Instant>,
+}
+
+/// A file, and how much was written into it.
+struct Counted {
+    file: File,
+    bytes: Arc<AtomicU64>,
+}
+
+impl Write for Counted {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let written = self.file.write(bytes)?;
+        self.bytes.fetch_add(written as u64, Ordering::Relaxed);
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+impl Recorder {
+    /// A recording at `path`, whose folder is made where it is missing: anew, or beside the files that an earlier process of the
+    /// same run has left there, if `goes_on`.
+    ///
+    /// # Errors
+    /// It cannot be made or written.
+    pub fn create(path: &Path, limits: Limits, goes_on: bool) -> Result<Self> {
+        let next = if goes_on { (0..).find(|number| !numbered(path, *number).exists()).unwrap_or(0) } else { 0 };
+        let mut files = Files {
+            path: path.to_owned(),
+            limits,
+            open: None,
+            next,
+            complete: (0..next).map(|number| sized(numbered(path, number))).collect(),
+            is_full: false,
+            failure: None,
+            memory: Vec::new(),
+        };
+        files.open_next().map_err(|error| told(error, path))?;
+        let files = Arc::new(Mutex::new(files));
+        let flushed = Arc::downgrade(&files);
+        thread::Builder::new().name("recorder".to_owned()).spawn(move || keep_flushed(&flushed))?;
+        Ok(Self { files })
+    }
+
+    /// Writes a message of a topic.
+    ///
+    /// # Errors
+    /// It cannot be written, such as on a full disk; what was written before is there.
+    pub fn write(&self, topic: &str, message: &AnyMessage<'_>, latency_ms: Option<f64>) -> Result<Recorded> {
+        let mut files = lock(&self.files);
+        let path = files.path.clone();
+        files.write(topic, message, latency_ms).map_err(|error| told(error, &path))
+    }
+
+    /// Completes the file; how many bytes all of them have.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn finish(&self) -> Result<u64> {
+        let mut files = lock(&self.files);
+        let path = files.path.clone();
+        files.complete_open().map_err(|error| told(error, &path))?;
+        files.failure.take().map_or(Ok(()), |error| Err(told(error, &path)))?;
+        Ok(files.complete.iter().map(|(_, bytes)| bytes).sum())
+    }
+}
+
+fn lock(files: &Mutex<Files>) -> MutexGuard<'_, Files> {
+    files.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Sees to it, as long as there is a recorder, that what was written is in the file soon, also when nothing follows.
+fn keep_flushed(files: &Weak<Mutex<Files>>) {
+    while let Some(files) = files.upgrade() {
+        lock(&files).flush_if_due();
+        drop(files);
+        thread::sleep(LOOK);
+    }
+}
+
+/// An error of writing, with what to do about it.
+fn told(error: Error, path: &Path) -> Error {
+    let io = error.chain().find_map(|cause| match cause.downcast_ref::<McapError>() {
+        Some(McapError::Io(error)) => Some(error.kind()),
+        _ => cause.downcast_ref::<io::Error>().map(io::Error::kind),
+    });
+    let hint = match io {
+        Some(ErrorKind::StorageFull | ErrorKind::QuotaExceeded) => {
+            "free some space, write to another disk, or set `limit_mb`"
+        }
+        Some(ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem) => "choose a place that you may write to",
+        Some(ErrorKind::IsADirectory) => "name a file, not a folder",
+        Some(ErrorKind::NotADirectory | ErrorKind::AlreadyExists) => "a part of the path before the last is a file",
+        _ => "name a file that can be written",
+    };
+    anyhow!("cannot write the recording `{}`: {error:#}\n  hint: {hint}", path.display())
+}
+
+/// The name of a file: `run.mcap`, `run_1.mcap`, ..
+fn numbered(path: &Path, number: u64) -> PathBuf {
+    if number == 0 {
+        return path.to_owned();
+    }
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let extension = path.extension().map(|extension| format!(".{}", extension.to_string_lossy())).unwrap_or_default();
+    path.with_file_name(format!("{stem}_{number}{extension}"))
+}
+
+/// A file and its size.
+fn sized(path: PathBuf) -> (PathBuf, u64) {
+    let bytes = path.metadata().map_or(0, |about| about.len());
+    (path, bytes)
+}
+
+impl Files {
+    fn open_next(&mut self) -> Result<()> {
+        let path = numbered(&self.path, self.next);
+        self.open = Some(OpenFile::create(&path)?);
+        self.next += 1;
+        Ok(())
+    }
+
+    fn write(&mut self, topic: &str, message: &AnyMessage<'_>, latency_ms: Option<f64>) -> Result<Recorded> {
+        if let Some(error) = self.failure.take() {
+            return Err(error);
+        }
+        if self.is_full {
+            return Ok(Recorded::Full);
+        }
+        self.split(message.header.stamp_ns)?;
+        let Some(open) = &mut self.open else { return Ok(Recorded::Full) };
+        self.memory = open.write(topic, message, latency_ms, std::mem::take(&mut self.memory))?;
+        self.flush_if_due();
+        self.failure.take().map_or(Ok(Recorded::Written), Err)
+    }
+
+    /// Begins another file where this one is long or large enough, and keeps to the limit of all.
+    fn split(&mut self, stamp_ns: u64) -> Result<()> {
+        let Some(open) = &mut self.open else { return Ok(()) };
+        let begin_ns = *open.begin_ns.get_or_insert(stamp_ns);
+        let is_long = self.limits.split_ns.is_some_and(|split_ns| stamp_ns.saturating_sub(begin_ns) >= split_ns);
+        let is_large = self.limits.split_bytes.is_some_and(|split_bytes| open.size() >= split_bytes);
+        if is_long || is_large {
+            self.complete_open()?;
+            self.open_next()?;
+            if let Some(open) = &mut self.open {
+                open.begin_ns = Some(stamp_ns);
+            }
+        }
+        self.keep_to_limit()
+    }
+
+    fn keep_to_limit(&mut self) -> Result<()> {
+        let Some(limit) = self.limits.total_bytes else { return Ok(()) };
+        loop {
+            let complete: u64 = self.complete.iter().map(|(_, bytes)| bytes).sum();
+            if complete + self.open.as_ref().map_or(0, OpenFile::size) < limit {
+                return Ok(());
+            }
+            let Some((oldest, _)) = self.complete.pop_front() else { break };
+            fs::remove_file(&oldest).with_context(|| format!("the oldest file, `{}`", oldest.display()))?;
+        }
+        self.is_full = true;
+        self.complete_open()
+    }
+
+    fn complete_open(&mut self) -> Result<()> {
+        let Some(mut open) = self.open.take() else { return Ok(()) };
+        open.writer.finish()?;
+        self.complete.push_back((open.path.clone(), open.size()));
+        Ok(())
+    }
+
+    fn flush_if_due(&mut self) {
+        let Some(open) = &mut self.open else { return };
+        if open.waits.is_none_or(|since| since.elapsed() < FLUSH) {
+            return;
+        }
+        open.waits = None;
+        if let Err(error) = open.writer.flush() {
+            self.failure = Some(error.into());
+        }
+    }
+}
+
+impl OpenFile {
+    fn create(path: &Path) -> Result<Self> {
+        path.parent().map_or(Ok(()), fs::create_dir_all)?;
+        let (file, bytes) = (File::create(path)?, Arc::new(AtomicU64::new(0)));
+        // A chunk is written at once, when it is whole.
+        let options = WriteOptions::new()
+            .profile("ros2")
+            .library(concat!("conicflow ", env!("CARGO_PKG_VERSION")))
+            .compression(Some(Compression::Lz4))
+            .disable_seeking(true);
+        let counted = Counted { file, bytes: Arc::clone(&bytes) };
+        Ok(Self {
+            path: path.to_owned(),
+            writer: Writer::with_options(NoSeek::new(counted), options)?,
+            bytes,
+            channels: BTreeMap::new(),
+            begin_ns: None,
+            placed: BTreeMap::new(),
+            waits: None,
+        })
+    }
+
+    /// Bytes in the file.
+    fn size(&self) -> u64 {
+        self.bytes.load(Ordering::Relaxed)
+    }
+
+    /// Writes a message in all its forms, in memory that was used before and is given back.
+    fn write(
+        &mut self,
+        topic: &str,
+        message: &AnyMessage<'_>,
+        latency_ms: Option<f64>,
+        mut memory: Vec<u8>,
+    ) -> Result<Vec<u8>> {
+        let &AnyMessage { header, item, bytes } = message;
+        let origin = header.origin();
+        let frame_id = origin.as_str().filter(|name| !name.is_empty()).unwrap_or(NAMELESS);
+        let stamped = Stamped { stamp_ns: header.stamp_ns, frame_id };
+        let of = |part: &str| own::channel(frame_id, topic, part);
+        memory = own::write(header, if item.is_image() { &[] } else { bytes }, memory);
+        self.put_own(&of(MESSAGE), item, header, &memory)?;
+        if let Some(pixels) = message.items::<u16>() {
+            memory = CameraInfo::write(stamped, &header.camera, memory);
+            self.put_ros(&of("camera_info"), CAMERA_INFO, header, &memory)?;
+            memory = image(stamped, header, pixels, memory);
+            self.put_ros(&of(IMAGE), IMAGE_TYPE, header, &memory)?;
+        }
+        let drawn = message.items::<Object>().map(|objects| markers(stamped, objects, Vec::new()));
+        let drawn = drawn.or_else(|| message.items::<Track>().map(|tracks| markers(stamped, tracks, Vec::new())));
+        if let Some(drawn) = drawn {
+            self.put_ros(&of("markers"), MARKER_ARRAY, header, &drawn)?;
+        }
+        if item.is_short() {
+            memory.clear();
+            // A type that cannot be shown is recorded as it is.
+            if message.write_json(latency_ms, &mut memory).is_ok() {
+                self.put_json(&of("json"), header, &memory)?;
+            }
+        }
+        if let Some(pose) = header.pose()
+            && self.placed.insert(origin, (header.epoch, header.sequence)) != Some((header.epoch, header.sequence))
+        {
+            let in_world = Stamped { stamp_ns: header.stamp_ns, frame_id: WORLD };
+            memory = write_transform(in_world, frame_id, pose, memory);
+            self.put_ros("/tf", TF_MESSAGE, header, &memory)?;
+        }
+        Ok(memory)
+    }
+
+    fn put_ros(&mut self, channel: &str, definition: Definition, header: &Header, data: &[u8]) -> Result<()> {
+        self.put(channel, header, data, |writer| {
+            let schema = writer.add_schema(definition.name, "ros2msg", definition.text.as_bytes())?;
+            Ok(writer.add_channel(schema, channel, "cdr", &BTreeMap::new())?)
+        })
+    }
+
+    fn put_own(&mut self, channel: &str, item: &ItemType, header: &Header, data: &[u8]) -> Result<()> {
+        self.put(channel, header, data, |writer| {
+            let schema = serde_json::to_string(&own::Schema::of(item))?;
+            Ok(writer.add_channel(NO_SCHEMA, channel, ENCODING, &BTreeMap::from([(SCHEMA.to_owned(), schema)]))?)
+        })
+    }
+
+    fn put_json(&mut self, channel: &str, header: &Header, data: &[u8]) -> Result<()> {
+        self.put(channel, header, data, |writer| {
+            Ok(writer.add_channel(NO_SCHEMA, channel, "json", &BTreeMap::new())?)
+        })
+    }
+
+    /// Writes a message into a channel, which is made where it is new.
+    fn put(
+        &mut self,
+        channel: &str,
+        header: &Header,
+        data: &[u8],
+        make: impl FnOnce(&mut Writer<NoSeek<Counted>>) -> Result<u16>,
+    ) -> Result<()> {
+        let channel_id = match self.channels.get(channel) {
+            Some(id) => *id,
+            None => {
+                let id = make(&mut self.writer)?;
+                self.channels.insert(channel.to_owned(), id);
+                id
+            }
+        };
+        let (log_time, publish_time) = (header.stamp_ns, header.stamp_ns);
+        let header = MessageHeader { channel_id, sequence: header.sequence as u32, log_time, publish_time };
+        self.writer.write_to_known_channel(&header, data)?;
+        self.waits.get_or_insert_with(Instant::now);
+        Ok(())
+    }
+}
+
+/// A depth image: in millimetres where these are its units, else in metres, where no measurement is not a number, and one that is
+/// too far is infinite.
+fn image(stamped: Stamped<'_>, header: &Header, pixels: &[u16], memory: Vec<u8>) -> Vec<u8> {
+    let size = (header.camera.width, header.camera.height);
+    if header.depth_scale == MILLIMETRE {
+        return write_units(stamped, size, pixels, memory);
+    }
+    let metres = |pixel: &u16| match *pixel {
+        INVALID_NEAR => f32::NAN,
+        INVALID_FAR => f32::INFINITY,
+        units => (f64::from(units) * header.depth_scale) as f32,
+    };
+    write_metres(stamped, size, pixels.iter().map(metres), memory)
+}

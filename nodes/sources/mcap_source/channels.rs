@@ -1,0 +1,227 @@
+//! Which channels of a recording are played back: the depth images with what tells their camera, or a list of ours.
+
+use super::Config;
+use crate::recording::files::Seen;
+use crate::recording::own;
+use anyhow::{Context as _, Result, anyhow, bail, ensure};
+use conicflow_dataflow::ItemType;
+use conicflow_messages::Camera;
+use conicflow_ros::{CAMERA_INFO, COMPRESSED_IMAGE, CameraInfo, CompressedImage, Encoding, IMAGE, Image};
+
+/// What the messages of ROS 2 are encoded in.
+const CDR: &str = "cdr";
+/// What the recordings of ROS 1 are encoded in.
+const ROS1: &str = "ros1";
+
+/// What is played back.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Chosen {
+    /// A list, or other items, as conicflow recorded them.
+    Items { topic: String },
+    /// Images whose headers conicflow recorded beside them.
+    OwnImages { topic: String, headers: String },
+    /// Images of another program.
+    Images { topic: String, is_compressed: bool, camera: Camera },
+}
+
+impl Chosen {
+    /// Chooses what fits `item` and what the parameters say.
+    ///
+    /// # Errors
+    /// Nothing does, or several do, or the camera is not known.
+    pub(super) fn of(channels: &[Seen], config: &Config, item: &ItemType) -> Result<Self> {
+        let own = |channel: &&Seen| is_own(channel, item);
+        if !item.is_image() {
+            let fitting: Vec<_> = channels.iter().filter(own).collect();
+            let chosen = choose(channels, &fitting, config.topic.as_deref(), item.name())?;
+            own::check_schema(own_schema(chosen), item)
+                .with_context(|| format!("the messages of `{}`", chosen.channel.topic))?;
+            return Ok(Self::Items { topic: chosen.channel.topic.clone() });
+        }
+        let fitting: Vec<_> = channels.iter().filter(|channel| is_depth(channel, config.topic.as_deref())).collect();
+        let is_named = fitting.iter().any(|channel| Some(&channel.channel.topic) == config.topic.as_ref());
+        let fitting = if is_named { fitting } else { without_doubles(&fitting) };
+        let chosen = choose(channels, &fitting, config.topic.as_deref(), "depth images")?;
+        let topic = chosen.channel.topic.clone();
+        let headers = own::header_channel(&topic);
+        let headers = channels.iter().filter(own).find(|channel| Some(&channel.channel.topic) == headers.as_ref());
+        if let Some(headers) = headers {
+            own::check_schema(own_schema(headers), item).with_context(|| format!("the headers of `{topic}`"))?;
+            return Ok(Self::OwnImages { topic, headers: headers.channel.topic.clone() });
+        }
+        let camera = camera(channels, chosen, config)?;
+        Ok(Self::Images { topic, is_compressed: is(chosen, COMPRESSED_IMAGE.name), camera })
+    }
+}
+
+/// Whether a channel carries our own messages with such items, of whatever version.
+fn is_own(channel: &Seen, item: &ItemType) -> bool {
+    let schema = serde_json::from_str::<own::Schema>(own_schema(channel));
+    channel.channel.message_encoding == own::ENCODING && schema.is_ok_and(|schema| schema.kind == item.name())
+}
+
+/// What a channel of ours says of its messages.
+fn own_schema(channel: &Seen) -> &str {
+    channel.channel.metadata.get(own::SCHEMA).map_or("", String::as_str)
+}
+
+fn is(channel: &Seen, schema: &str) -> bool {
+    channel.channel.message_encoding == CDR && channel.schema() == schema
+}
+
+/// Whether a channel carries depth images: by their encoding; gray images of 16 bits only where their name says so.
+fn is_depth(channel: &Seen, wanted: Option<&str>) -> bool {
+    let topic = &channel.channel.topic;
+    if is(channel, COMPRESSED_IMAGE.name) {
+        return CompressedImage::read(&channel.first).is_ok_and(|image| image.is_depth());
+    }
+    let encoding = if is(channel, IMAGE.name) { Image::read(&channel.first).ok() } else { None };
+    match encoding.and_then(|image| Encoding::of(image.encoding)) {
+        Some(Encoding::Mono) => topic.to_lowercase().contains("depth") || wanted == Some(topic),
+        Some(Encoding::Units | Encoding::Metres) => true,
+        None => false,
+    }
+}
+
+/// The channels but those that carry the images of another one once more, compressed.
+fn without_doubles<'a>(channels: &[&'a Seen]) -> Vec<&'a Seen> {
+    let is_double = |channel: &Seen| {
+        let raw = channel.channel.topic.strip_suffix("/compressedDepth");
+        raw.is_some_and(|raw| channels.iter().any(|other| other.channel.topic == raw))
+    };
+    channels.iter().filter(|channel| !is_double(channel)).copied().collect()
+}
+
+/// The channel that was named, in whole or but for its last part, or the only one.
+fn choose<'a>(all: &'a [Seen], fitting: &[&'a Seen], wanted: Option<&str>, what: &str) -> Result<&'a Seen> {
+    let names = |channels: &[&Seen]| {
+        let named = channels.iter().map(|channel| format!("`{}`", channel.channel.topic));
+        named.collect::<Vec<_>>().join(", ")
+    };
+    let Some(wanted) = wanted else {
+        return match fitting {
+            [] => Err(nothing_fits(all, what)),
+            [only] => Ok(only),
+            several => {
+                let example = &several[0].channel.topic;
+                bail!(
+                    "several topics carry {what}: {}\n  hint: say which, such as topic = \"{example}\"",
+                    names(several)
+                )
+            }
+        };
+    };
+    let is_wanted = |channel: &&Seen| {
+        let rest = channel.channel.topic.strip_prefix(wanted.trim_end_matches('/'));
+        rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('/') && !rest[1..].contains('/'))
+    };
+    // A raw image, where there is also the same compressed.
+    let found = all.iter().find(|channel| channel.channel.topic == wanted);
+    let found = found.filter(|found| fitting.iter().any(|channel| channel.channel.topic == found.channel.topic));
+    let found = found.or_else(|| fitting.iter().copied().find(is_wanted));
+    found.ok_or_else(|| {
+        let exists = all.iter().find(|channel| channel.channel.topic == wanted);
+        let is = exists.map_or_else(
+            || "is not in the recording, or has no messages".to_owned(),
+            |channel| format!("carries `{}` in `{}`", channel.schema(), channel.channel.message_encoding),
+        );
+        let there = if fitting.is_empty() { "there are none".to_owned() } else { names(fitting) };
+        anyhow!("the topic `{wanted}` {is}; expected {what}\n  hint: topics with such: {there}")
+    })
+}
+
+fn nothing_fits(all: &[Seen], what: &str) -> anyhow::Error {
+    if all.iter().any(|channel| channel.channel.message_encoding == ROS1) {
+        let hint = "play them into ROS 2 and record them there, or convert the .bag by `rosbags-convert` of rosbags";
+        return anyhow!("the recording has messages of ROS 1, expected those of ROS 2\n  hint: {hint}");
+    }
+    let topics: Vec<_> = all
+        .iter()
+        .map(|channel| {
+            format!(
+                "\n    `{}` with `{}` in {}",
+                channel.channel.topic,
+                channel.schema(),
+                channel.channel.message_encoding
+            )
+        })
+        .collect();
+    let there = if topics.is_empty() { " no messages at all".to_owned() } else { topics.concat() };
+    anyhow!("the recording has no {what}; it has{there}\n  hint: was the right topic recorded?")
+}
+
+/// The camera of the images: by the parameters, or by the CameraInfo beside them.
+fn camera(channels: &[Seen], images: &Seen, config: &Config) -> Result<Camera> {
+    let topic = &images.channel.topic;
+    let size = size_of(images).with_context(|| format!("the first image of `{topic}`"))?;
+    if let Some(intrinsics) = config.intrinsics {
+        return Ok(intrinsics.camera(size));
+    }
+    let infos: Vec<_> = channels.iter().filter(|channel| is(channel, CAMERA_INFO.name)).collect();
+    let beside = beside(topic);
+    let info = beside.iter().find_map(|name| infos.iter().find(|info| info.channel.topic == *name));
+    let info = match (info, &infos[..]) {
+        (Some(info), _) => info,
+        (None, [only]) => only,
+        (None, others) => {
+            let there: Vec<_> = others.iter().map(|info| format!("`{}`", info.channel.topic)).collect();
+            let there = if there.is_empty() { "there is none in the recording".to_owned() } else { there.join(", ") };
+            bail!(
+                "no CameraInfo beside `{topic}`, expected at `{}`; {there}\n  hint: write `intrinsics = {{ fx = .., fy = .., \
+                 cx = .., cy = .. }}` with the numbers of your camera",
+                beside[0]
+            );
+        }
+    };
+    let name = &info.channel.topic;
+    let read = CameraInfo::read(&info.first).with_context(|| format!("the first message of `{name}`"))?;
+    let expected = [read.width, read.height].map(|pixels| pixels.max(1));
+    let binned = [0, 1].map(|axis| expected[axis] / read.binning[axis].max(1));
+    ensure!(
+        size.0 <= binned[0] && size.1 <= binned[1],
+        "`{name}` is for images of {}x{}, those of `{topic}` have {}x{}\n  hint: intrinsics scale with the image; write \
+         `intrinsics` of these",
+        binned[0],
+        binned[1],
+        size.0,
+        size.1
+    );
+    let camera = read.camera(size, is_rectified(topic)).map_err(|unrectified| {
+        let others = channels.iter().filter(|channel| is_depth(channel, None) && is_rectified(&channel.channel.topic));
+        let hint = others.map(|other| format!("topic = \"{}\" is rectified", other.channel.topic)).next();
+        let hint = hint.unwrap_or_else(|| "rectify them by image_proc of ROS, and record that topic".to_owned());
+        anyhow!(
+            "the images of `{topic}` are distorted (`{name}`: {:?}), expected those of a pinhole camera\n  hint: {hint}",
+            unrectified.distortion
+        )
+    })?;
+    let is_usable = [camera.fx, camera.fy].iter().all(|focal| (1.0..f64::INFINITY).contains(focal));
+    ensure!(
+        is_usable && camera.cx.is_finite() && camera.cy.is_finite(),
+        "`{name}` has no intrinsics: the camera was not calibrated\n  hint: write `intrinsics = {{ fx = .., fy = .., cx = .., \
+         cy = .. }}` with the numbers of your camera"
+    );
+    Ok(camera)
+}
+
+/// Width and height of the first image.
+fn size_of(images: &Seen) -> Result<(u32, u32)> {
+    if is(images, COMPRESSED_IMAGE.name) {
+        return Ok(CompressedImage::read(&images.first)?.depths()?.0);
+    }
+    let image = Image::read(&images.first)?;
+    Ok((image.width, image.height))
+}
+
+/// Where the CameraInfo of an image topic is looked for: beside the images, also of those that a compressed one was made of, and
+/// below them.
+fn beside(topic: &str) -> [String; 3] {
+    let above = |topic: &str| topic.rsplit_once('/').map_or("", |(above, _)| above).to_owned();
+    let folder = above(topic);
+    [format!("{folder}/camera_info"), format!("{}/camera_info", above(&folder)), format!("{topic}/camera_info")]
+}
+
+/// Whether the name of a topic says that its images are rectified, as by custom of image_proc and drivers.
+fn is_rectified(topic: &str) -> bool {
+    topic.split('/').any(|part| part.contains("rect"))
+}

@@ -1,0 +1,152 @@
+//! Plays back recordings of robots: MCAP files with ROS 2 messages, whoever wrote them, and those of `mcap_sink` and `conicflow
+//! record`, whose frames and lists come back to the bit.
+//!
+//! A frame that cannot be read is reported, counted as `frames unreadable` and passed over.
+
+mod channels;
+mod replay;
+#[cfg(test)]
+mod tests;
+
+pub use replay::Replay;
+
+use conicflow_dataflow::{ConfigFault, Context, ItemType, Next, Output, SideInputs, Source, StageError, Stop};
+use conicflow_detection::camera::Intrinsics;
+use conicflow_detection::noise::NoiseConfig;
+use conicflow_messages::{AnyByte, Header};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// What a source sends where nothing else is asked for.
+const DEPTH: ItemType = ItemType::of::<u16>();
+/// A source that waits looks this often whether the run is to end.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// Parameters of [`McapSource`].
+#[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// The recording: an MCAP file, or a folder of them.
+    pub path: Option<PathBuf>,
+    /// The topic to play back, in the recording; default: the only one that fits.
+    pub topic: Option<String>,
+    /// Metres per unit of depth; default: as recorded by conicflow, else 0.001, for depths in single precision 1.
+    #[schemars(range(min = 0.0))]
+    pub depth_scale: Option<f64>,
+    /// fx, fy, cx, cy in pixels; default: those of the CameraInfo beside the images.
+    pub intrinsics: Option<Intrinsics>,
+    /// Depth noise of the sensor: a name (`kinect_v1`, `realsense_d435`, `time_of_flight`, `ideal`) or a table; default: as
+    /// recorded by conicflow, else `kinect_v1`.
+    pub noise: Option<NoiseConfig>,
+    /// The frame of coordinates in which the camera's pose is wanted, such as `map`: looked for in /tf and /tf_static; default:
+    /// as recorded by conicflow, else none.
+    pub world: Option<String>,
+    /// Messages per second; 0: as fast as the pipeline takes them; default: as recorded.
+    #[schemars(range(min = 0.0))]
+    pub rate_hz: Option<f64>,
+    /// Whether to start again at the end; stamps and numbers go on rising.
+    #[serde(rename = "loop")]
+    pub repeat: bool,
+    /// Seconds of the recording to leave out at its beginning.
+    #[schemars(range(min = 0.0))]
+    pub from_s: f64,
+    /// Where to end, in seconds from the beginning of the recording; default: at its end.
+    #[schemars(range(min = 0.0))]
+    pub to_s: Option<f64>,
+}
+
+impl Config {
+    /// What types and ranges cannot tell: values that exclude each other, files that are missing.
+    pub fn faults(&self, base: &Path) -> Vec<ConfigFault> {
+        let fault = |key, what: &str, hint: &str| ConfigFault { key, what: what.to_owned(), hint: hint.to_owned() };
+        let mut faults = Vec::new();
+        match self.path.as_ref().map(|path| base.join(path)) {
+            None => faults.push(fault("path", "is missing", "write `path = \"run.mcap\"`")),
+            Some(path) if !path.exists() => {
+                let what = format!("`{}` does not exist", path.display());
+                faults.push(fault("path", &what, "relative paths start at the pipeline file's folder"));
+            }
+            Some(_) => {}
+        }
+        if self.depth_scale.is_some_and(|scale| !(scale.is_normal() && scale > 0.0)) {
+            faults.push(fault("depth_scale", "is not above 0", "0.001 for millimetres"));
+        }
+        if self.intrinsics.is_some_and(|intrinsics| !intrinsics.are_usable()) {
+            let what = "need fx and fy of at least one pixel, and finite cx and cy";
+            faults.push(fault("intrinsics", what, "take them from the camera's calibration"));
+        }
+        if self.to_s.is_some_and(|to_s| to_s <= self.from_s) {
+            faults.push(fault("to_s", "is not after `from_s`", "both count from the beginning of the recording"));
+        }
+        faults
+    }
+}
+
+/// Sends the messages of a recording.
+pub struct McapSource {
+    replay: Replay,
+    rate_hz: Option<f64>,
+    /// When which stamp was sent, where the recording sets the pace.
+    anchor: Option<(Instant, u64)>,
+    stop: Stop,
+}
+
+impl Source for McapSource {
+    const NAME: &'static str = "mcap_source";
+    const SUMMARY: &'static str = "Plays back MCAP recordings: depth images of ROS 2, and what conicflow has recorded";
+    type Config = Config;
+    type Output = AnyByte;
+
+    fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
+        config.faults(base)
+    }
+
+    fn new(config: Config, context: &Context) -> Result<Self, StageError> {
+        let item = context.output.clone().unwrap_or(DEPTH);
+        let replay = Replay::open(&config, &context.base, &item, context.resume_at)?;
+        Ok(Self { replay, rate_hz: config.rate_hz, anchor: None, stop: context.stop.clone() })
+    }
+
+    fn message_length(config: &Config, base: &Path) -> Option<usize> {
+        // What cannot be opened is told when the stage starts.
+        Replay::open(config, base, &DEPTH, 0).ok()?.pixels()
+    }
+
+    fn rate_hz(&self) -> f64 {
+        self.rate_hz.unwrap_or(0.0)
+    }
+
+    fn next(&mut self, _: &SideInputs, output: &mut Output<AnyByte>) -> Result<Next, StageError> {
+        let next = self.replay.next_message();
+        output.count_all(self.replay.take_counts());
+        let Some(message) = next? else { return Ok(Next::End) };
+        if self.rate_hz.is_none() {
+            self.wait_until_due(&message.header);
+        }
+        let place = output.image(message.items.len() / self.replay.item().size())?;
+        bytemuck::cast_slice_mut(place).copy_from_slice(&message.items);
+        output.header = message.header;
+        Ok(Next::Message)
+    }
+}
+
+impl McapSource {
+    /// Waits as long as passed between this frame and the one before when they were recorded. One that is late does not make the
+    /// others hurry.
+    fn wait_until_due(&mut self, header: &Header) {
+        let now = Instant::now();
+        let (start, stamp_ns) = self.anchor.unwrap_or((now, header.stamp_ns));
+        let after = Duration::from_nanos(header.stamp_ns.saturating_sub(stamp_ns));
+        let due = start.checked_add(after).filter(|due| *due > now).unwrap_or(now);
+        self.anchor = Some((due, header.stamp_ns));
+        while !self.stop.requested() {
+            let left = due.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return;
+            }
+            std::thread::sleep(left.min(LOOK));
+        }
+    }
+}

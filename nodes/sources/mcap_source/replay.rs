@@ -1,0 +1,336 @@
+//! The messages of a recording one by one, with the headers that they had, or those that their camera gives them.
+
+use super::Config;
+use super::channels::Chosen;
+use crate::recording::files::{Files, Messages, Seen};
+use crate::recording::own;
+use crate::sources::image_source::playback::tell_median;
+use anyhow::{Context as _, Result, anyhow, bail, ensure};
+use conicflow_dataflow::ItemType;
+use conicflow_detection::quantise::{finest_scale, quantise};
+use conicflow_messages::{
+    Camera, HAS_POSE, Header, Hop, INVALID_FAR, INVALID_NEAR, MAX_HOPS, RECORDED, Text, median_depth,
+};
+use conicflow_ros::{CompressedImage, Depths, Image, Stamped, TF_MESSAGE, Transforms};
+use mcap::Message;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+const UNREADABLE: &str = "frames unreadable";
+const WITHOUT_POSE: &str = "frames without pose";
+/// Millimetres, as ROS has depth in whole numbers (REP 118).
+const UNIT_M: f64 = 0.001;
+
+/// A message of a recording.
+#[derive(Clone, Debug)]
+pub struct Replayed {
+    /// Its header.
+    pub header: Header,
+    /// Its items as bytes, in the order of this machine.
+    pub items: Vec<u8>,
+}
+
+/// Plays a recording back.
+pub struct Replay {
+    files: Files,
+    chosen: Chosen,
+    item: ItemType,
+    config: Config,
+    transforms: Option<Transforms>,
+    messages: Messages,
+    /// The header that was read last, of images that have theirs in another channel.
+    header: Option<Header>,
+    round: Round,
+    counts: BTreeMap<&'static str, u64>,
+    is_told: bool,
+}
+
+/// Where in a recording, and in which repetition of it.
+#[derive(Clone, Copy, Debug, Default)]
+struct Round {
+    /// When the first message was written, by the file.
+    begin_ns: Option<u64>,
+    /// What is added to stamps and numbers in this round.
+    stamp_ns: u64,
+    sequence: u64,
+    /// Stamps and numbers that were sent: the first, the last, and how many.
+    first: Option<(u64, u64)>,
+    last: (u64, u64),
+    sent: u64,
+}
+
+impl Replay {
+    /// Opens the recording that `config` names, relative to `base`, to send messages of `item`, the first `resume_at` of which
+    /// were sent before.
+    ///
+    /// # Errors
+    /// There is none, or nothing in it fits.
+    pub fn open(config: &Config, base: &Path, item: &ItemType, resume_at: u64) -> Result<Self> {
+        let path = config.path.as_ref().context("`path` is missing\n  hint: write `path = \"run.mcap\"`")?;
+        let path = base.join(path);
+        let files = Files::find(&path)?;
+        let channels = files.survey()?;
+        let chosen = Chosen::of(&channels, config, item).with_context(|| format!("`{}`", path.display()))?;
+        let transforms = config.world.as_deref().map(|world| transforms(&files, &channels, world)).transpose()?;
+        let mut replay = Self {
+            messages: files.messages(&chosen.topics()),
+            files,
+            chosen,
+            item: item.clone(),
+            config: config.clone(),
+            transforms,
+            header: None,
+            round: Round::default(),
+            counts: BTreeMap::new(),
+            is_told: resume_at > 0,
+        };
+        for _ in 0..resume_at {
+            if replay.next_message()?.is_none() {
+                break;
+            }
+        }
+        replay.counts.clear();
+        Ok(replay)
+    }
+
+    /// What is sent.
+    pub fn item(&self) -> &ItemType {
+        &self.item
+    }
+
+    /// Number of pixels of an image, where the recording tells before it is played.
+    pub fn pixels(&self) -> Option<usize> {
+        let camera = match &self.chosen {
+            Chosen::Images { camera, .. } => *camera,
+            Chosen::OwnImages { headers, .. } => {
+                let first = self.files.messages_again(&[headers]).next()?.ok()?;
+                own::read(&first.data).ok()?.0.camera
+            }
+            Chosen::Items { .. } => return None,
+        };
+        Some(camera.width as usize * camera.height as usize)
+    }
+
+    /// What was counted since this was asked last.
+    pub fn take_counts(&mut self) -> impl Iterator<Item = (&'static str, u64)> + use<> {
+        std::mem::take(&mut self.counts).into_iter()
+    }
+
+    /// The next message that can be read; none: there is none left.
+    ///
+    /// # Errors
+    /// A file cannot be read, or none of the messages can.
+    pub fn next_message(&mut self) -> Result<Option<Replayed>> {
+        loop {
+            let Some(message) = self.messages.next().transpose()? else {
+                if self.begins_again()? {
+                    continue;
+                }
+                return Ok(None);
+            };
+            if !self.is_in_time(&message) {
+                continue;
+            }
+            match self.decode(&message) {
+                Ok(Some(replayed)) => return Ok(Some(self.in_round(replayed))),
+                Ok(None) => {}
+                Err(error) => {
+                    let topic = &message.channel.topic;
+                    if !self.counts.contains_key(UNREADABLE) {
+                        tracing::warn!("passed over a message of `{topic}`: {error:#}");
+                    }
+                    *self.counts.entry(UNREADABLE).or_default() += 1;
+                }
+            }
+        }
+    }
+
+    /// Starts from the beginning where that is wanted; it is an error where no message could be read.
+    fn begins_again(&mut self) -> Result<bool> {
+        let Round { first, last, sent, begin_ns, .. } = self.round;
+        let Some((stamp_ns, sequence)) = first else {
+            bail!(
+                "none of the messages of `{}` can be read, or is between `from_s` and `to_s`\n  hint: look at the recording \
+                 with another program, such as `mcap info`",
+                self.chosen.topics().join("` or `")
+            );
+        };
+        if !self.config.repeat {
+            return Ok(false);
+        }
+        // As long after the last message as messages are apart.
+        let span = last.0.saturating_sub(stamp_ns);
+        self.round = Round {
+            begin_ns,
+            stamp_ns: self.round.stamp_ns.saturating_add(span + span / (sent - 1).max(1)),
+            sequence: self.round.sequence.saturating_add(last.1.saturating_sub(sequence) + 1),
+            ..Round::default()
+        };
+        self.messages = self.files.messages_again(&self.chosen.topics());
+        Ok(true)
+    }
+
+    fn is_in_time(&mut self, message: &Message) -> bool {
+        let begin_ns = *self.round.begin_ns.get_or_insert(message.log_time);
+        let at_s = message.log_time.saturating_sub(begin_ns) as f64 * 1e-9;
+        at_s >= self.config.from_s && self.config.to_s.is_none_or(|to_s| at_s < to_s)
+    }
+
+    /// A message as it is sent in this round.
+    fn in_round(&mut self, mut replayed: Replayed) -> Replayed {
+        let header = &mut replayed.header;
+        let now = (header.stamp_ns, header.sequence);
+        self.round.first.get_or_insert(now);
+        (self.round.last, self.round.sent) = (now, self.round.sent + 1);
+        header.stamp_ns = header.stamp_ns.saturating_add(self.round.stamp_ns);
+        header.sequence = header.sequence.saturating_add(self.round.sequence);
+        replayed
+    }
+
+    /// What a message holds; none of a header, whose image follows.
+    fn decode(&mut self, message: &Message) -> Result<Option<Replayed>> {
+        let replayed = match &self.chosen {
+            Chosen::Items { .. } => {
+                let (header, items) = own::read(&message.data)?;
+                self.own(header, items.to_vec())?
+            }
+            Chosen::OwnImages { headers, .. } if message.channel.topic == *headers => {
+                self.header = Some(own::read(&message.data)?.0);
+                return Ok(None);
+            }
+            Chosen::OwnImages { .. } => {
+                let header = self.header.take().filter(|header| header.sequence as u32 == message.sequence);
+                let header = header.context("its header is missing")?;
+                let items = own_pixels(&Image::read(&message.data)?.depths()?, header.depth_scale);
+                self.own(header, items)?
+            }
+            Chosen::Images { is_compressed, camera, .. } => self.image(message, *is_compressed, *camera)?,
+        };
+        if self.item.is_image() {
+            self.tell(&replayed);
+        }
+        Ok(Some(replayed))
+    }
+
+    /// A message of ours, checked, with what the parameters say in place of what was recorded.
+    fn own(&self, recorded: Header, items: Vec<u8>) -> Result<Replayed> {
+        self.item.check(&recorded, &items)?;
+        ensure!(!recorded.ends_stream(), "it is the end of a stream");
+        let mut header = Header { hop_count: 0, hops: [Hop::default(); MAX_HOPS], ..recorded };
+        if let Some(intrinsics) = self.config.intrinsics {
+            header.camera = intrinsics.camera((header.camera.width, header.camera.height));
+        }
+        header.depth_scale = self.config.depth_scale.unwrap_or(header.depth_scale);
+        header.noise = self.config.noise.map_or(header.noise, Into::into);
+        Ok(Replayed { header, items })
+    }
+
+    /// An image of another program.
+    fn image(&mut self, message: &Message, is_compressed: bool, camera: Camera) -> Result<Replayed> {
+        let (stamped, size, depths) = if is_compressed {
+            let image = CompressedImage::read(&message.data)?;
+            let (size, depths) = image.depths()?;
+            (image.stamped, size, depths)
+        } else {
+            let image = Image::read(&message.data)?;
+            (image.stamped, (image.width, image.height), image.depths()?)
+        };
+        let expected = (camera.width, camera.height);
+        ensure!(size == expected, "{}x{} pixels, expected {}x{}", size.0, size.1, expected.0, expected.1);
+        let (pixels, depth_scale) = pixels(depths, self.config.depth_scale);
+        // A driver that knows no time leaves it at zero.
+        let stamp_ns = if stamped.stamp_ns > 0 { stamped.stamp_ns } else { message.log_time };
+        let noise = self.config.noise.unwrap_or_default().into();
+        let source = Text::new(&message.channel.topic);
+        let mut header = Header { camera, depth_scale, noise, stamp_ns, source, flags: RECORDED, ..Header::default() };
+        header.sequence = self.round.sent;
+        self.place(&mut header, &Stamped { stamp_ns, ..stamped });
+        let items = bytemuck::cast_slice(&pixels).to_vec();
+        self.item.check(&header, &items)?;
+        Ok(Replayed { header, items })
+    }
+
+    /// Tells where the camera is, if that is wanted and known.
+    fn place(&mut self, header: &mut Header, stamped: &Stamped<'_>) {
+        let (Some(transforms), Some(world)) = (&self.transforms, &self.config.world) else { return };
+        match transforms.pose(world, stamped.frame_id, stamped.stamp_ns) {
+            Some(pose) => {
+                header.world_from_camera = pose;
+                header.flags |= HAS_POSE;
+            }
+            None => *self.counts.entry(WITHOUT_POSE).or_default() += 1,
+        }
+    }
+
+    /// Says once what the images are like, so that a wrong scale is seen.
+    fn tell(&mut self, replayed: &Replayed) {
+        if self.is_told {
+            return;
+        }
+        let pixels: Vec<_> = replayed.items.as_chunks().0.iter().map(|pixel| u16::from_ne_bytes(*pixel)).collect();
+        let Some(median) = median_depth(&pixels) else { return };
+        self.is_told = true;
+        let Header { camera, depth_scale, .. } = replayed.header;
+        let topic = self.chosen.topics()[0].to_owned();
+        tell_median("frames", &topic, &camera, f64::from(median) * depth_scale);
+    }
+}
+
+impl Chosen {
+    /// The topics that are read.
+    fn topics(&self) -> Vec<&str> {
+        match self {
+            Self::Items { topic } | Self::Images { topic, .. } => vec![topic],
+            Self::OwnImages { topic, headers } => vec![topic, headers],
+        }
+    }
+}
+
+/// All that is told of frames of coordinates, in which `world` has to be one.
+fn transforms(files: &Files, channels: &[Seen], world: &str) -> Result<Transforms> {
+    let topics: Vec<_> = channels
+        .iter()
+        .filter(|channel| channel.schema() == TF_MESSAGE.name)
+        .map(|channel| channel.channel.topic.as_str())
+        .collect();
+    let mut transforms = Transforms::default();
+    for message in files.messages_again(&topics) {
+        let message = message?;
+        let topic = &message.channel.topic;
+        let is_fixed = topic.ends_with("tf_static");
+        transforms.add(&message.data, is_fixed).with_context(|| format!("a message of `{topic}`"))?;
+    }
+    let names = transforms.names();
+    if !names.contains(world.trim_start_matches('/')) {
+        let there: Vec<_> = names.into_iter().map(|name| format!("`{name}`")).collect();
+        let there = if there.is_empty() { "nothing tells of any".to_owned() } else { there.join(", ") };
+        return Err(anyhow!("`world`: the recording has no frame `{world}`\n  hint: frames: {there}"));
+    }
+    Ok(transforms)
+}
+
+/// Pixels and their scale, of images of another program.
+fn pixels(depths: Depths, depth_scale: Option<f64>) -> (Vec<u16>, f64) {
+    match depths {
+        Depths::Units(pixels) => (pixels, depth_scale.unwrap_or(UNIT_M)),
+        Depths::Metres(depths) => {
+            let metres_per_z = depth_scale.unwrap_or(1.0);
+            let scale = finest_scale(&depths, metres_per_z);
+            (depths.iter().map(|&z| quantise(z, metres_per_z / scale)).collect(), scale)
+        }
+    }
+}
+
+/// The bytes of pixels that `mcap_sink` has written: the same that it was given.
+fn own_pixels(depths: &Depths, depth_scale: f64) -> Vec<u8> {
+    let unit = |z: &f32| match *z {
+        z if z.is_nan() => INVALID_NEAR,
+        z if z.is_infinite() => INVALID_FAR,
+        // Single precision tells 65,535 steps apart: rounded, this is the very unit.
+        z => (f64::from(z) / depth_scale).round() as u16,
+    };
+    match depths {
+        Depths::Units(pixels) => bytemuck::cast_slice(pixels).to_vec(),
+        Depths::Metres(depths) => bytemuck::cast_slice(&depths.iter().map(unit).collect::<Vec<_>>()).to_vec(),
+    }
+}

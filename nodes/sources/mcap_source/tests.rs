@@ -1,0 +1,600 @@
+//! Tests over recordings that are made here as other programs make them, and over those of our own recorder.
+
+use super::replay::Replayed;
+use super::*;
+use crate::recording::files::Files;
+use crate::recording::own;
+use crate::recording::recorder::{Limits, Recorded, Recorder};
+use conicflow_dataflow::{AnyMessage, BUILT_IN};
+use conicflow_messages::{Camera, HAS_POSE, Hop, NoiseModel, Object, RECORDED, Text};
+use conicflow_ros::{
+    CAMERA_INFO, COMPRESSED_IMAGE, CameraInfo, Definition, IMAGE, Stamped, TF_MESSAGE, Writer, write_metres,
+    write_transform, write_units,
+};
+use mcap::records::MessageHeader;
+use mcap::{Compression, WriteOptions};
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::Cursor;
+
+const CAMERA: Camera = Camera { width: 4, height: 3, fx: 50.0, fy: 51.0, cx: 1.5, cy: 1.0 };
+const SIZE: (u32, u32) = (4, 3);
+const IMAGES: &str = "/camera/depth/image_rect_raw";
+const INFO: &str = "/camera/depth/camera_info";
+/// When the first message of these recordings was written; the frames are a tenth of a second apart.
+const BEGIN_NS: u64 = 1_700_000_000_000_000_000;
+
+fn stamp_ns(frame: u64) -> u64 {
+    BEGIN_NS + frame * 100_000_000
+}
+
+fn stamped(frame: u64) -> Stamped<'static> {
+    Stamped { stamp_ns: stamp_ns(frame), frame_id: "optical" }
+}
+
+fn pixels(frame: u64) -> Vec<u16> {
+    (0..12).map(|pixel| if pixel == 3 { 0 } else { 1000 + 10 * frame as u16 + pixel }).collect()
+}
+
+/// A recording as another program makes it.
+struct Foreign(mcap::Writer<Cursor<Vec<u8>>>);
+
+impl Foreign {
+    fn new(compression: Option<Compression>) -> Self {
+        let options = WriteOptions::new().compression(compression).chunk_size(Some(300)).profile("ros2");
+        Self(mcap::Writer::with_options(Cursor::new(Vec::new()), options).unwrap())
+    }
+
+    fn put_as(&mut self, topic: &str, (name, encoding): (&str, &str), frame: u64, data: &[u8]) -> &mut Self {
+        let schema = self.0.add_schema(name, "ros2msg", b"").unwrap();
+        let channel_id = self.0.add_channel(schema, topic, encoding, &BTreeMap::new()).unwrap();
+        let (log_time, publish_time) = (stamp_ns(frame), stamp_ns(frame));
+        let header = MessageHeader { channel_id, sequence: frame as u32, log_time, publish_time };
+        self.0.write_to_known_channel(&header, data).unwrap();
+        self
+    }
+
+    fn put(&mut self, topic: &str, definition: Definition, frame: u64, data: &[u8]) -> &mut Self {
+        self.put_as(topic, (definition.name, "cdr"), frame, data)
+    }
+
+    fn info(&mut self, topic: &str) -> &mut Self {
+        self.put(topic, CAMERA_INFO, 0, &CameraInfo::write(stamped(0), &CAMERA, Vec::new()))
+    }
+
+    /// Frames from the first of these to before the last.
+    fn images(&mut self, topic: &str, frames: std::ops::Range<u64>) -> &mut Self {
+        for frame in frames {
+            self.put(topic, IMAGE, frame, &write_units(stamped(frame), SIZE, &pixels(frame), Vec::new()));
+        }
+        self
+    }
+
+    fn bytes(&mut self) -> Vec<u8> {
+        self.0.finish().unwrap();
+        let writer = std::mem::replace(&mut self.0, mcap::Writer::new(Cursor::new(Vec::new())).unwrap());
+        writer.into_inner().into_inner()
+    }
+}
+
+/// Five frames with their camera.
+fn usual(compression: Option<Compression>) -> Vec<u8> {
+    Foreign::new(compression).info(INFO).images(IMAGES, 0..5).bytes()
+}
+
+struct Place(tempfile::TempDir);
+
+impl Place {
+    fn of(bytes: &[u8]) -> Self {
+        let place = Self(tempfile::tempdir().unwrap());
+        fs::write(place.0.path().join("run.mcap"), bytes).unwrap();
+        place
+    }
+
+    fn open(&self, config: Config) -> anyhow::Result<Replay> {
+        let path = config.path.clone().unwrap_or_else(|| "run.mcap".into());
+        Replay::open(&Config { path: Some(path), ..config }, self.0.path(), &DEPTH, 0)
+    }
+
+    fn play(&self, config: Config) -> anyhow::Result<Vec<(Header, Vec<u16>)>> {
+        all(&mut self.open(config)?)
+    }
+}
+
+fn all(replay: &mut Replay) -> anyhow::Result<Vec<(Header, Vec<u16>)>> {
+    let mut messages = Vec::new();
+    while let Some(Replayed { header, items }) = replay.next_message()? {
+        messages.push((header, items.as_chunks().0.iter().map(|pixel| u16::from_ne_bytes(*pixel)).collect()));
+    }
+    Ok(messages)
+}
+
+fn play(bytes: &[u8], config: Config) -> anyhow::Result<Vec<(Header, Vec<u16>)>> {
+    Place::of(bytes).play(config)
+}
+
+fn told(bytes: &[u8], config: Config) -> String {
+    format!("{:#}", play(bytes, config).unwrap_err())
+}
+
+fn topic(topic: &str) -> Config {
+    Config { topic: Some(topic.to_owned()), ..Config::default() }
+}
+
+#[test]
+fn frames_come_with_their_camera_stamp_and_numbers() {
+    let frames = play(&usual(None), Config::default()).unwrap();
+    assert_eq!(frames.len(), 5);
+    for (number, (header, depths)) in (0..).zip(&frames) {
+        assert_eq!((header.sequence, header.stamp_ns, header.camera), (number, stamp_ns(number), CAMERA));
+        assert_eq!((header.depth_scale, header.noise, header.flags), (0.001, NoiseModel::KINECT_V1, RECORDED));
+        assert_eq!((header.source, depths), (Text::new(IMAGES), &pixels(number)));
+    }
+}
+
+#[test]
+fn what_the_parameters_say_has_the_last_word() {
+    let intrinsics = Intrinsics { fx: 40.0, fy: 41.0, cx: 2.0, cy: 1.0 };
+    let noise = Some(serde_json::from_value("ideal".into()).unwrap());
+    let config = Config { depth_scale: Some(0.0002), intrinsics: Some(intrinsics), noise, ..Config::default() };
+    let header = play(&usual(None), config).unwrap()[0].0;
+    assert_eq!((header.camera, header.depth_scale), (intrinsics.camera(SIZE), 0.0002));
+    assert_eq!(header.noise, NoiseModel::IDEAL);
+}
+
+#[test]
+fn chunks_may_be_compressed() {
+    let plain = play(&usual(None), Config::default()).unwrap();
+    for file in [usual(Some(Compression::Lz4)), with_zstd(&usual(None))] {
+        assert_eq!(play(&file, Config::default()).unwrap(), plain);
+    }
+    let other = replace(&with_zstd(&usual(None)), b"zstd", b"zpaq");
+    assert!(told(&other, Config::default()).contains("compressed by `zpaq`, expected `lz4` or `zstd`\n  hint: "));
+}
+
+/// The bytes with each occurrence of `from` changed.
+fn replace(bytes: &[u8], from: &[u8], to: &[u8]) -> Vec<u8> {
+    let mut changed = bytes.to_vec();
+    for at in 0..bytes.len() - from.len() {
+        if bytes[at..].starts_with(from) {
+            changed[at..at + to.len()].copy_from_slice(to);
+        }
+    }
+    changed
+}
+
+/// The same file, its chunks compressed by zstd, and without an index.
+fn with_zstd(file: &[u8]) -> Vec<u8> {
+    const CHUNK: u8 = 0x06;
+    const DATA_END: u8 = 0x0f;
+    /// Before the chunk's compression: its times, size and check sum.
+    const BEGIN: usize = 28;
+    let (mut changed, mut at) = (file[..8].to_vec(), 8);
+    loop {
+        let (kind, length) = (file[at], u64::from_le_bytes(file[at + 1..at + 9].try_into().unwrap()) as usize);
+        let record = &file[at + 9..at + 9 + length];
+        at += 9 + length;
+        if kind == CHUNK {
+            assert_eq!(record[BEGIN..BEGIN + 4], [0; 4], "a chunk that is not compressed");
+            let records = &record[BEGIN + 12..];
+            let small = ruzstd::encoding::compress_to_vec(records, ruzstd::encoding::CompressionLevel::Fastest);
+            let chunk = [&record[..BEGIN], &4_u32.to_le_bytes(), b"zstd", &(small.len() as u64).to_le_bytes(), &small];
+            let chunk = chunk.concat();
+            changed.push(CHUNK);
+            changed.extend((chunk.len() as u64).to_le_bytes());
+            changed.extend(chunk);
+        } else if kind == DATA_END {
+            changed.extend([DATA_END, 4, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0x02, 20, 0, 0, 0, 0, 0, 0, 0]);
+            changed.extend([0; 20]);
+            changed.extend(mcap::MAGIC);
+            return changed;
+        } else if kind == 0x01 {
+            changed.extend(&file[at - 9 - length..at]);
+        }
+    }
+}
+
+#[test]
+fn a_file_that_was_cut_is_played_up_to_its_last_whole_message() {
+    let whole = play(&usual(None), Config::default()).unwrap();
+    for file in [usual(None), usual(Some(Compression::Lz4)), with_zstd(&usual(None))] {
+        let mut most = 0;
+        for length in (0..file.len()).rev().step_by(7) {
+            match play(&file[..length], Config::default()) {
+                Ok(frames) => {
+                    assert_eq!(frames, whole[..frames.len()]);
+                    most = most.max(frames.len());
+                }
+                Err(error) => {
+                    let told = format!("{error:#}");
+                    assert!(told.contains("\n  hint: "), "{told}");
+                }
+            }
+        }
+        assert_eq!(most, 5);
+    }
+    // Half a chunk: what is whole in it counts.
+    let mut file = Foreign::new(None).info(INFO).images(IMAGES, 0..3).bytes();
+    let second = write_units(stamped(1), SIZE, &pixels(1), Vec::new());
+    let at = file.windows(second.len()).position(|bytes| bytes == second).unwrap();
+    file.truncate(at + second.len());
+    assert_eq!(play(&file, Config::default()).unwrap(), whole[..2]);
+}
+
+#[test]
+fn what_is_damaged_is_an_error_or_the_end_and_never_a_panic() {
+    let file = usual(Some(Compression::Lz4));
+    let rounds = std::env::var("CONICFLOW_MUTATIONS").ok().and_then(|rounds| rounds.parse().ok()).unwrap_or(300);
+    let mut random = fastrand::Rng::with_seed(1);
+    for _ in 0..rounds {
+        let mut damaged = file.clone();
+        for _ in 0..random.usize(1..4) {
+            let at = random.usize(..damaged.len());
+            damaged[at] = random.u8(..);
+        }
+        if let Ok(frames) = play(&damaged, Config::default()) {
+            assert!(frames.iter().all(|(_, depths)| depths.len() == 12));
+        }
+    }
+}
+
+#[test]
+fn metres_become_units_of_the_finest_scale() {
+    let depths = [1.0, 2.0, f32::NAN, 0.0, 6.5, -1.0, f32::INFINITY, 0.5, 0.5, 0.5, 0.5, 0.5];
+    let image = write_metres(stamped(0), SIZE, depths.into_iter(), Vec::new());
+    let file = Foreign::new(None).info(INFO).put(IMAGES, IMAGE, 0, &image).bytes();
+    let (header, units) = play(&file, Config::default()).unwrap().remove(0);
+    assert_eq!((header.depth_scale, &units[..8]), (0.0001, &[10_000, 20_000, 0, 0, 65_000, 0, 0, 5_000][..]));
+}
+
+/// A message of `compressedDepth`, as a PNG.
+fn compressed(frame: u64) -> Vec<u8> {
+    let mut file = vec![0; 12];
+    let mut encoder = png::Encoder::new(&mut file, SIZE.0, SIZE.1);
+    encoder.set_color(png::ColorType::Grayscale);
+    encoder.set_depth(png::BitDepth::Sixteen);
+    let bytes: Vec<u8> = pixels(frame).into_iter().flat_map(u16::to_be_bytes).collect();
+    encoder.write_header().unwrap().write_image_data(&bytes).unwrap();
+    let mut writer = Writer::new(Vec::new());
+    writer.stamped(stamped(frame)).text("16UC1; compressedDepth png").bytes(file.len(), file.iter().copied());
+    writer.finish()
+}
+
+#[test]
+fn compressed_depth_has_the_camera_of_the_raw_images() {
+    let name = format!("{IMAGES}/compressedDepth");
+    let mut file = Foreign::new(None);
+    for frame in 0..2 {
+        file.put(&name, COMPRESSED_IMAGE, frame, &compressed(frame)).info(INFO);
+    }
+    let file = file.bytes();
+    let frames = play(&file, Config::default()).unwrap();
+    assert_eq!((frames.len(), &frames[1].1, frames[1].0.camera), (2, &pixels(1), CAMERA));
+    assert_eq!(play(&file, topic(IMAGES)).unwrap(), frames, "named without its last part");
+    // The same images twice: the raw ones are taken.
+    let both =
+        Foreign::new(None).info(INFO).put(&name, COMPRESSED_IMAGE, 0, &compressed(0)).images(IMAGES, 0..3).bytes();
+    assert_eq!(play(&both, Config::default()).unwrap().len(), 3);
+    assert_eq!(play(&both, topic(&name)).unwrap().len(), 1);
+}
+
+#[test]
+fn of_several_topics_one_has_to_be_named() {
+    let mut file = Foreign::new(None);
+    file.info(INFO).images(IMAGES, 0..1).info("/left/camera_info").images("/left/depth", 0..2);
+    let mut infrared = Writer::new(Vec::new());
+    infrared.stamped(stamped(0)).u32(3).u32(4).text("mono16").u8(0).u32(8).bytes(24, [0; 24].into_iter());
+    file.put("/left/infra", IMAGE, 0, &infrared.finish());
+    let file = file.bytes();
+    assert_eq!(
+        told(&file, Config::default()).split_once("`: ").unwrap().1,
+        format!(
+            "several topics carry depth images: `{IMAGES}`, `/left/depth`\n  hint: say which, such as topic = \"{IMAGES}\""
+        )
+    );
+    assert_eq!(play(&file, topic("/left/depth")).unwrap().len(), 2);
+    assert_eq!(play(&file, topic("/left/infra")).unwrap().len(), 1, "named, it is taken for depth");
+    let wrong = told(&file, topic("/right/depth"));
+    assert!(wrong.contains("the topic `/right/depth` is not in the recording, or has no messages"), "{wrong}");
+    assert!(wrong.ends_with(&format!("\n  hint: topics with such: `{IMAGES}`, `/left/depth`")), "{wrong}");
+    assert!(told(&file, topic(INFO)).contains("carries `sensor_msgs/msg/CameraInfo` in `cdr`; expected depth images"));
+}
+
+#[test]
+fn a_recording_without_depth_tells_what_it_has() {
+    let other = Foreign::new(None).info(INFO).bytes();
+    let text = told(&other, Config::default());
+    assert!(
+        text.contains(&format!("has no depth images; it has\n    `{INFO}` with `sensor_msgs/msg/CameraInfo` in cdr"))
+    );
+    let ros1 = Foreign::new(None).put_as(IMAGES, ("sensor_msgs/Image", "ros1"), 0, &[0; 8]).bytes();
+    assert!(told(&ros1, Config::default()).contains("messages of ROS 1, expected those of ROS 2\n  hint: "));
+    assert!(told(&Foreign::new(None).bytes(), Config::default()).contains("no messages at all"));
+    assert!(told(b"no MCAP at all, but long enough", Config::default()).contains("\n  hint: "));
+}
+
+#[test]
+fn a_distorted_image_is_refused_and_the_rectified_one_named() {
+    let mut distorted = Writer::new(Vec::new());
+    distorted.stamped(stamped(0)).u32(3).u32(4).text("plumb_bob").u32(2).f64s(&[0.1, 0.0]);
+    distorted.f64s(&[50.0, 0.0, 1.5, 0.0, 51.0, 1.0, 0.0, 0.0, 1.0]).f64s(&[0.0; 9]);
+    distorted.f64s(&[45.0, 0.0, 1.5, 0.0, 0.0, 46.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]);
+    let info = (0..7).fold(distorted, |mut info, _| info.u32(0).clone()).finish();
+    let raw = "/camera/depth/image_raw";
+    let mut file = Foreign::new(None);
+    file.put(INFO, CAMERA_INFO, 0, &info).images(raw, 0..1);
+    let only_raw = told(&file.bytes(), Config::default());
+    assert!(only_raw.contains(&format!("the images of `{raw}` are distorted (`{INFO}`: [0.1, 0.0])")), "{only_raw}");
+    assert!(only_raw.ends_with("hint: rectify them by image_proc of ROS, and record that topic"), "{only_raw}");
+    let mut file = Foreign::new(None);
+    let file = file.put(INFO, CAMERA_INFO, 0, &info).images(raw, 0..1).images("/camera/depth/image_rect", 0..1).bytes();
+    assert!(told(&file, topic(raw)).ends_with("hint: topic = \"/camera/depth/image_rect\" is rectified"));
+    assert_eq!(play(&file, topic("/camera/depth/image_rect")).unwrap()[0].0.camera.fx, 45.0, "the projection's");
+}
+
+#[test]
+fn without_a_camera_there_are_no_frames() {
+    let none = Foreign::new(None).images(IMAGES, 0..1).bytes();
+    let text = told(&none, Config::default());
+    assert!(
+        text.contains(&format!(
+            "no CameraInfo beside `{IMAGES}`, expected at `{INFO}`; there is none in the recording"
+        ))
+    );
+    assert!(text.contains("hint: write `intrinsics = "), "{text}");
+    let elsewhere = Foreign::new(None).info("/calibration").images(IMAGES, 0..1).bytes();
+    assert_eq!(play(&elsewhere, Config::default()).unwrap()[0].0.camera, CAMERA, "the only one");
+    let small = Foreign::new(None)
+        .info(INFO)
+        .put(IMAGES, IMAGE, 0, &write_units(stamped(0), (6, 2), &pixels(0), Vec::new()))
+        .bytes();
+    assert!(told(&small, Config::default()).contains("is for images of 4x3, those of"));
+}
+
+#[test]
+fn an_image_that_cannot_be_read_is_passed_over_and_counted() {
+    let mut file = Foreign::new(None);
+    file.info(INFO).images(IMAGES, 0..2).put(IMAGES, IMAGE, 2, &[0, 1, 0, 0, 9]);
+    file.put(IMAGES, IMAGE, 3, &write_units(stamped(3), (3, 4), &pixels(3), Vec::new())).images(IMAGES, 4..5);
+    let place = Place::of(&file.bytes());
+    let mut replay = place.open(Config::default()).unwrap();
+    let stamps: Vec<_> = all(&mut replay).unwrap().iter().map(|(header, _)| header.stamp_ns).collect();
+    assert_eq!(stamps, [0, 1, 4].map(stamp_ns));
+    assert_eq!(replay.take_counts().collect::<Vec<_>>(), [("frames unreadable", 2)]);
+    let none = Foreign::new(None).info(INFO).images(IMAGES, 0..1).bytes();
+    let late = Config { from_s: 5.0, ..Config::default() };
+    assert!(told(&none, late).starts_with(&format!("none of the messages of `{IMAGES}` can be read, or is between")));
+}
+
+#[test]
+fn poses_come_from_tf_where_they_are_asked_for() {
+    let pose = |x: f64| [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
+    let moved = |frame, x| {
+        write_transform(Stamped { stamp_ns: stamp_ns(frame), frame_id: "map" }, "base", &pose(x), Vec::new())
+    };
+    let fixed = write_transform(Stamped { stamp_ns: 0, frame_id: "base" }, "optical", &pose(0.5), Vec::new());
+    let mut file = Foreign::new(None);
+    file.info(INFO).images(IMAGES, 0..4).put("/tf_static", TF_MESSAGE, 0, &fixed);
+    file.put("/tf", TF_MESSAGE, 1, &moved(0, 1.0)).put("/tf", TF_MESSAGE, 2, &moved(2, 3.0));
+    let place = Place::of(&file.bytes());
+    let mut replay = place.open(Config { world: Some("map".to_owned()), ..Config::default() }).unwrap();
+    let x: Vec<_> = all(&mut replay).unwrap().iter().map(|(header, _)| header.pose().map(|pose| pose[0][3])).collect();
+    assert_eq!(x, [Some(1.5), Some(2.5), Some(3.5), None]);
+    assert_eq!(replay.take_counts().collect::<Vec<_>>(), [("frames without pose", 1)]);
+    assert_eq!(place.play(Config::default()).unwrap()[0].0.flags & HAS_POSE, 0, "nobody asked");
+    let unknown = place.play(Config { world: Some("moon".to_owned()), ..Config::default() }).unwrap_err().to_string();
+    assert_eq!(unknown, "`world`: the recording has no frame `moon`\n  hint: frames: `base`, `map`, `optical`");
+}
+
+#[test]
+fn a_part_is_played_and_played_again() {
+    let place = Place::of(&usual(None));
+    let part = Config { from_s: 0.1, to_s: Some(0.35), ..Config::default() };
+    let stamps = |frames: &[(Header, Vec<u16>)]| {
+        frames.iter().map(|(header, _)| (header.sequence, (header.stamp_ns - BEGIN_NS) / 1_000_000)).collect::<Vec<_>>()
+    };
+    assert_eq!(stamps(&place.play(part.clone()).unwrap()), [(0, 100), (1, 200), (2, 300)]);
+    let mut replay = place.open(Config { repeat: true, ..part.clone() }).unwrap();
+    let twice: Vec<_> = (0..5).map(|_| replay.next_message().unwrap().unwrap().header).collect();
+    let numbers: Vec<_> =
+        twice.iter().map(|header| (header.sequence, (header.stamp_ns - BEGIN_NS) / 1_000_000)).collect();
+    assert_eq!(numbers, [(0, 100), (1, 200), (2, 300), (3, 400), (4, 500)]);
+    let config = Config { path: Some("run.mcap".into()), repeat: true, ..part };
+    let mut resumed = Replay::open(&config, place.0.path(), &DEPTH, 4).unwrap();
+    assert_eq!(resumed.next_message().unwrap().unwrap().header, twice[4], "after a restart");
+}
+
+#[test]
+fn a_folder_is_played_in_natural_order_and_other_formats_tell_how_they_are_converted() {
+    let place = Place(tempfile::tempdir().unwrap());
+    let folder = place.0.path().join("bag");
+    fs::create_dir(&folder).unwrap();
+    fs::write(folder.join("metadata.yaml"), "").unwrap();
+    fs::write(folder.join("bag_10.mcap"), Foreign::new(None).info(INFO).images(IMAGES, 3..5).bytes()).unwrap();
+    fs::write(folder.join("bag_9.mcap"), Foreign::new(None).info(INFO).images(IMAGES, 0..3).bytes()).unwrap();
+    let config = |path: &str| Config { path: Some(path.into()), ..Config::default() };
+    let stamps: Vec<_> = place.play(config("bag")).unwrap().iter().map(|(header, _)| header.stamp_ns).collect();
+    assert_eq!(stamps, [0, 1, 2, 3, 4].map(stamp_ns));
+    fs::write(folder.join("bag_11.mcap"), &usual(None)[..40]).unwrap();
+    assert_eq!(place.play(config("bag")).unwrap().len(), 5, "a file that has nothing yet is left out");
+    let told = |path: &str| format!("{:#}", place.play(config(path)).unwrap_err());
+    assert!(
+        told("run.bag")
+            .contains("is a ROS 1 recording, expected MCAP\n  hint: pip install rosbags && rosbags-convert --src ")
+    );
+    fs::create_dir(place.0.path().join("old")).unwrap();
+    assert!(told("old").contains("no MCAP files in"));
+    fs::write(place.0.path().join("old/old_0.db3"), "").unwrap();
+    let converted = told("old");
+    assert!(
+        converted.contains("is a rosbag2 recording in SQLite") && converted.contains("/old' --dst '"),
+        "{converted}"
+    );
+    assert!(told("run.mcap.zstd").contains("is compressed as a whole\n  hint: zstd -d '"));
+}
+
+/// The header of a frame as a pipeline has it behind two stages.
+fn header(number: u64, depth_scale: f64) -> Header {
+    let mut header = Header {
+        epoch: 9,
+        sequence: 3 + 2 * number,
+        number,
+        stamp_ns: 33_333_333 * number,
+        camera: CAMERA,
+        depth_scale,
+        noise: NoiseModel { floor_m: 0.1, growth_per_m: 0.2, knee_m: 0.3, step_per_m: 0.4 },
+        world_from_camera: [[0.0, 0.0, 1.0, 0.1], [-1.0, 0.0, 0.0, 0.2], [0.0, -1.0, 0.0, 0.3]],
+        source: Text::new("frame-7.png"),
+        flags: HAS_POSE | RECORDED,
+        ..Header::default()
+    };
+    header.add_hop(Hop { stage: Text::new("left"), received_ns: 1, sent_ns: 2 });
+    header
+}
+
+/// What a replay makes of a header: all but the way that the message went.
+fn replayed(header: Header) -> Header {
+    Header { hop_count: 0, hops: Default::default(), ..header }
+}
+
+const ANY: [u16; 12] = [0, 1, 2, 65534, 65535, 1000, 0x1234, 30_000, 7, 65535, 0, 9];
+
+fn record(path: &Path, limits: Limits, depth_scale: f64, frames: std::ops::Range<u64>) -> Recorded {
+    let recorder = Recorder::create(path, limits, false).unwrap();
+    let objects = [Object { radius: 0.1, ..Object::default() }; 2];
+    let mut last = Recorded::Written;
+    for number in frames {
+        let header = header(number, depth_scale);
+        let depth = AnyMessage { header: &header, item: &BUILT_IN[0], bytes: bytemuck::cast_slice(&ANY) };
+        recorder.write("depth", &depth, None).unwrap();
+        let items = bytemuck::cast_slice(&objects[..number as usize % 3]);
+        let list = AnyMessage { header: &header, item: &BUILT_IN[2], bytes: items };
+        last = recorder.write("objects", &list, Some(1.5)).unwrap();
+    }
+    recorder.finish().unwrap();
+    last
+}
+
+#[test]
+fn what_conicflow_records_comes_back_to_the_bit() {
+    for depth_scale in [0.001, 0.0002, 0.000_25, 0.000_123_456_7] {
+        let place = Place(tempfile::tempdir().unwrap());
+        record(&place.0.path().join("run.mcap"), Limits::default(), depth_scale, 0..3);
+        let frames = place.play(Config::default()).unwrap();
+        assert_eq!(frames.len(), 3);
+        for (number, (read, depths)) in (0..).zip(frames) {
+            assert_eq!((read, &depths[..]), (replayed(header(number, depth_scale)), &ANY[..]), "{depth_scale}");
+        }
+        let config = Config { path: Some("run.mcap".into()), ..Config::default() };
+        let mut lists = Replay::open(&config, place.0.path(), &BUILT_IN[2], 0).unwrap();
+        for number in 0..3 {
+            let Replayed { header: read, items } = lists.next_message().unwrap().unwrap();
+            let expected = [Object { radius: 0.1, ..Object::default() }; 2];
+            assert_eq!(items, bytemuck::cast_slice::<_, u8>(&expected[..number as usize % 3]));
+            assert_eq!(read, replayed(header(number, depth_scale)));
+        }
+        assert!(lists.next_message().unwrap().is_none());
+        let none = Replay::open(&config, place.0.path(), &BUILT_IN[1], 0).err().unwrap();
+        assert!(format!("{none:#}").contains("has no ellipses; it has"), "{none:#}");
+    }
+}
+
+#[test]
+fn what_a_killed_recorder_has_written_is_there_after_a_second() {
+    let place = tempfile::tempdir().unwrap();
+    let path = place.path().join("run.mcap");
+    let recorder = Recorder::create(&path, Limits::default(), false).unwrap();
+    let header = header(0, 0.001);
+    let depth = AnyMessage { header: &header, item: &BUILT_IN[0], bytes: bytemuck::cast_slice(&ANY) };
+    recorder.write("depth", &depth, None).unwrap();
+    // Nothing follows, and the recorder is not asked to finish: its thread sees to it.
+    let deadline = Instant::now() + Duration::from_secs(60);
+    while Files::find(&path).unwrap().survey().map_or(0, |seen| seen.len()) < 4 {
+        assert!(Instant::now() < deadline, "it never came into the file");
+        std::thread::yield_now();
+    }
+    let copy = Place::of(&fs::read(&path).unwrap());
+    assert_eq!(copy.play(Config::default()).unwrap(), [(replayed(header), ANY.to_vec())]);
+}
+
+#[test]
+fn recordings_are_split_and_kept_to_a_limit() {
+    let place = tempfile::tempdir().unwrap();
+    let path = place.path().join("new/run.mcap");
+    let names = || {
+        let mut names: Vec<_> =
+            fs::read_dir(place.path().join("new")).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+        names.sort();
+        names.into_iter().map(|name| name.into_string().unwrap()).collect::<Vec<_>>()
+    };
+    let by_time = Limits { split_ns: Some(100_000_000), ..Limits::default() };
+    assert_eq!(record(&path, by_time, 0.001, 0..7), Recorded::Written);
+    assert_eq!(names(), ["run.mcap", "run_1.mcap"]);
+    let config = Config { path: Some("new".into()), ..Config::default() };
+    assert_eq!(all(&mut Replay::open(&config, place.path(), &DEPTH, 0).unwrap()).unwrap().len(), 7);
+    fs::remove_dir_all(place.path().join("new")).unwrap();
+    // A file that is complete has an index, and some kilobytes.
+    let limited = Limits { total_bytes: Some(40_000), ..by_time };
+    assert_eq!(record(&path, limited, 0.001, 0..30), Recorded::Written);
+    let left = names();
+    assert!(left.len() >= 2 && left.len() < 7 && !left.contains(&"run.mcap".to_owned()), "{left:?}");
+    fs::remove_dir_all(place.path().join("new")).unwrap();
+    let full = Limits { total_bytes: Some(1), ..Limits::default() };
+    assert_eq!(record(&path, full, 0.001, 0..2), Recorded::Full);
+    assert_eq!(names(), ["run.mcap"]);
+}
+
+#[test]
+fn a_restart_records_beside_what_was_recorded() {
+    let place = tempfile::tempdir().unwrap();
+    let path = place.path().join("run.mcap");
+    record(&path, Limits::default(), 0.001, 0..2);
+    drop(Recorder::create(&path, Limits::default(), true).unwrap());
+    assert!(place.path().join("run_1.mcap").is_file());
+    assert!(fs::metadata(&path).unwrap().len() > 1000, "it is left as it was");
+    drop(Recorder::create(&path, Limits::default(), false).unwrap());
+    assert!(fs::metadata(&path).unwrap().len() < 1000, "a new run begins anew");
+}
+
+#[test]
+fn what_cannot_be_written_is_told() {
+    let place = tempfile::tempdir().unwrap();
+    fs::write(place.path().join("file"), "").unwrap();
+    let told = |path: &Path| {
+        let written = Recorder::create(path, Limits::default(), false).and_then(|recorder| {
+            let header = header(0, 0.001);
+            recorder.write(
+                "depth",
+                &AnyMessage { header: &header, item: &BUILT_IN[0], bytes: bytemuck::cast_slice(&ANY) },
+                None,
+            )?;
+            recorder.finish()
+        });
+        written.unwrap_err().to_string()
+    };
+    assert!(told(&place.path().join("file/run.mcap")).contains("cannot write the recording"));
+    assert!(told(place.path()).contains("cannot write the recording"));
+    if Path::new("/dev/full").exists() {
+        let full = told(Path::new("/dev/full"));
+        assert!(full.contains("hint: free some space") && full.contains("No space left"), "{full}");
+    } else {
+        eprintln!("SKIPPED: this system has no /dev/full");
+    }
+}
+
+#[test]
+fn own_headers_of_another_version_are_refused() {
+    let other = serde_json::to_string(&own::Schema::of(&BUILT_IN[2])).unwrap().replace("Object.v1", "Object.v0");
+    let mut file = Foreign::new(None);
+    let schema = BTreeMap::from([(own::SCHEMA.to_owned(), other)]);
+    let channel_id = file.0.add_channel(0, "/left/objects/message", own::ENCODING, &schema).unwrap();
+    let message = MessageHeader { channel_id, sequence: 0, log_time: 0, publish_time: 0 };
+    file.0.write_to_known_channel(&message, &[0; 900]).unwrap();
+    let place = Place::of(&file.bytes());
+    let config = Config { path: Some("run.mcap".into()), ..Config::default() };
+    let told = format!("{:#}", Replay::open(&config, place.0.path(), &BUILT_IN[2], 0).err().unwrap());
+    assert!(
+        told.contains("they are `conicflow.Object.v0`") && told.contains("hint: replay them with the version"),
+        "{told}"
+    );
+}

@@ -1,0 +1,135 @@
+//! `sensor_msgs/CameraInfo`: the intrinsics of a camera, of its raw image and of the rectified one.
+
+use crate::{Reader, Stamped, Undecodable, Writer};
+use conicflow_messages::Camera;
+
+/// What a camera tells of itself.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CameraInfo {
+    /// Size of the full image, in pixels.
+    pub width: u32,
+    /// Size of the full image, in pixels.
+    pub height: u32,
+    /// Coefficients of the distortion of the raw image.
+    pub distortion: Vec<f64>,
+    /// Intrinsics of the raw image, row-major: fx 0 cx, 0 fy cy, 0 0 1.
+    pub k: [f64; 9],
+    /// Projection to the rectified image, row-major 3x4: fx 0 cx .., 0 fy cy .., 0 0 1 ..
+    pub p: [f64; 12],
+    /// Pixels of the full image in one of the image, across and down; 0 stands for 1.
+    pub binning: [u32; 2],
+    /// Where in the full image the image begins: x, y.
+    pub offset: [u32; 2],
+}
+
+/// An image that is distorted, so that it is not that of a pinhole.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Unrectified {
+    /// The coefficients.
+    pub distortion: Vec<f64>,
+}
+
+impl CameraInfo {
+    /// Most coefficients of a distortion; ROS knows models with 4, 5, 8 and, of OpenCV, 14.
+    const MOST_COEFFICIENTS: u32 = 64;
+
+    /// Reads a message.
+    ///
+    /// # Errors
+    /// It is none.
+    pub fn read(message: &[u8]) -> Result<Self, Undecodable> {
+        let mut reader = Reader::new(message)?;
+        reader.stamped()?;
+        let (height, width) = (reader.u32()?, reader.u32()?);
+        reader.text()?;
+        let coefficients = reader.u32()?;
+        if coefficients > Self::MOST_COEFFICIENTS {
+            return Err(Undecodable(format!("a distortion of {coefficients} coefficients")));
+        }
+        let distortion = (0..coefficients).map(|_| reader.f64()).collect::<Result<_, _>>()?;
+        let (k, _, p) = (reader.f64s()?, reader.f64s::<9>()?, reader.f64s()?);
+        let binning = [reader.u32()?, reader.u32()?];
+        let offset = [reader.u32()?, reader.u32()?];
+        Ok(Self { width, height, distortion, k, p, binning, offset })
+    }
+
+    /// The camera of images of this size: of rectified ones by the projection, of raw ones by the intrinsics, if these have no
+    /// distortion.
+    ///
+    /// # Errors
+    /// The raw image is distorted.
+    pub fn camera(&self, (width, height): (u32, u32), is_rectified: bool) -> Result<Camera, Unrectified> {
+        let [fx, _, cx, _, _, fy, cy, ..] = self.p;
+        let has_projection = fx != 0.0 && fy != 0.0;
+        let [fx, fy, cx, cy] = if is_rectified && has_projection {
+            [fx, fy, cx, cy]
+        } else if self.distortion.iter().all(|coefficient| *coefficient == 0.0) {
+            [self.k[0], self.k[4], self.k[2], self.k[5]]
+        } else {
+            return Err(Unrectified { distortion: self.distortion.clone() });
+        };
+        let [bin_x, bin_y] = self.binning.map(|pixels| f64::from(pixels.max(1)));
+        let [x, y] = self.offset.map(f64::from);
+        // As `image_geometry` of ROS has it, which everybody uses: a bin is told by its first pixel.
+        Ok(Camera { width, height, fx: fx / bin_x, fy: fy / bin_y, cx: (cx - x) / bin_x, cy: (cy - y) / bin_y })
+    }
+
+    /// A message for the rectified image of a camera.
+    pub fn write(stamped: Stamped<'_>, camera: &Camera, memory: Vec<u8>) -> Vec<u8> {
+        let &Camera { width, height, fx, fy, cx, cy } = camera;
+        let mut writer = Writer::new(memory);
+        writer.stamped(stamped).u32(height).u32(width).text("plumb_bob").length(5).f64s(&[0.0; 5]);
+        writer.f64s(&[fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]);
+        writer.f64s(&[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
+        writer.f64s(&[fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]);
+        // Neither binning nor a region of interest.
+        writer.u32(0).u32(0).u32(0).u32(0).u32(0).u32(0).u8(0);
+        writer.finish()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const CAMERA: Camera = Camera { width: 64, height: 48, fx: 52.5, fy: 52.0, cx: 31.5, cy: 23.25 };
+
+    fn info() -> CameraInfo {
+        CameraInfo::read(&CameraInfo::write(Stamped::default(), &CAMERA, Vec::new())).unwrap()
+    }
+
+    #[test]
+    fn what_is_written_is_read() {
+        let info = info();
+        assert_eq!((info.width, info.height, info.distortion.len()), (64, 48, 5));
+        for is_rectified in [false, true] {
+            assert_eq!(info.camera((64, 48), is_rectified), Ok(CAMERA));
+        }
+    }
+
+    #[test]
+    fn a_distorted_image_has_no_camera_but_the_rectified_one_has() {
+        let mut info = CameraInfo { distortion: vec![0.0, 0.1], ..info() };
+        info.p[0] = 50.0;
+        assert_eq!(info.camera((64, 48), false), Err(Unrectified { distortion: vec![0.0, 0.1] }));
+        assert_eq!(info.camera((64, 48), true), Ok(Camera { fx: 50.0, ..CAMERA }));
+        info.p = [0.0; 12];
+        assert!(info.camera((64, 48), true).is_err(), "a camera that was not calibrated for rectification");
+    }
+
+    #[test]
+    fn bins_and_regions_move_the_principal_point() {
+        let info = CameraInfo { binning: [2, 0], offset: [4, 8], ..info() };
+        let expected = Camera { width: 30, height: 40, fx: 26.25, fy: 52.0, cx: 13.75, cy: 15.25 };
+        assert_eq!(info.camera((30, 40), false), Ok(expected));
+    }
+
+    #[test]
+    fn what_is_none_is_refused() {
+        let message = CameraInfo::write(Stamped::default(), &CAMERA, Vec::new());
+        assert!(CameraInfo::read(&message[..message.len() - 10]).is_err());
+        let mut writer = Writer::new(Vec::new());
+        writer.stamped(Stamped::default()).u32(1).u32(1).text("").u32(u32::MAX);
+        assert_eq!(CameraInfo::read(&writer.finish()).unwrap_err().0, "a distortion of 4294967295 coefficients");
+    }
+}

@@ -1,0 +1,227 @@
+//! `sensor_msgs/Image` with a depth image in it: whole numbers of 16 bits, or metres.
+
+use crate::{Reader, Stamped, Undecodable, Writer};
+use conicflow_messages::{MAX_PIXELS, MAX_SIDE_PX};
+
+/// How a pixel is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Encoding {
+    /// `16UC1`: whole numbers, by custom millimetres (REP 118); 0: no measurement.
+    Units,
+    /// `mono16`: the same bytes, but as often the brightness of an infrared image.
+    Mono,
+    /// `32FC1`: metres; not a number: no measurement.
+    Metres,
+}
+
+impl Encoding {
+    /// What an image with these words in its message is; none: no depth image.
+    pub fn of(words: &str) -> Option<Self> {
+        match words {
+            "16UC1" => Some(Self::Units),
+            "mono16" => Some(Self::Mono),
+            "32FC1" => Some(Self::Metres),
+            _ => None,
+        }
+    }
+
+    fn bytes(self) -> usize {
+        if self == Self::Metres { 4 } else { 2 }
+    }
+}
+
+/// The pixels of a depth image, row by row.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Depths {
+    /// In whole units of some length.
+    Units(Vec<u16>),
+    /// In metres.
+    Metres(Vec<f32>),
+}
+
+/// A `sensor_msgs/Image`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Image<'a> {
+    /// Time of capture and frame of the camera.
+    pub stamped: Stamped<'a>,
+    /// In pixels.
+    pub width: u32,
+    /// In pixels.
+    pub height: u32,
+    /// How pixels are written, in ROS's words.
+    pub encoding: &'a str,
+    is_big_endian: bool,
+    /// Bytes of a row, padding included.
+    step: u32,
+    data: &'a [u8],
+}
+
+impl<'a> Image<'a> {
+    /// Reads a message; its pixels are not looked at yet.
+    ///
+    /// # Errors
+    /// It is none, or too large to be one.
+    pub fn read(message: &'a [u8]) -> Result<Self, Undecodable> {
+        let mut reader = Reader::new(message)?;
+        let stamped = reader.stamped()?;
+        let (height, width) = (reader.u32()?, reader.u32()?);
+        check_size(width, height)?;
+        let (encoding, is_big_endian, step) = (reader.text()?, reader.u8()? != 0, reader.u32()?);
+        Ok(Self { stamped, width, height, encoding, is_big_endian, step, data: reader.bytes()? })
+    }
+
+    /// The depths of the pixels.
+    ///
+    /// # Errors
+    /// This is no depth image, or it has too few bytes.
+    pub fn depths(&self) -> Result<Depths, Undecodable> {
+        let Some(encoding) = Encoding::of(self.encoding) else {
+            let what = format!("pixels are `{}`, expected `16UC1`, `32FC1` or `mono16`", self.encoding);
+            return Err(Undecodable::hinted(&what, "name the topic of a depth image"));
+        };
+        let (row, step) = (self.width as usize * encoding.bytes(), self.step as usize);
+        // The padding of the last row may be missing.
+        if step < row || self.data.len() < step * (self.height as usize - 1) + row {
+            return Err(Undecodable(format!(
+                "{} bytes of pixels in rows of {step}, expected {}x{} pixels of {} bytes",
+                self.data.len(),
+                self.width,
+                self.height,
+                encoding.bytes()
+            )));
+        }
+        let rows = self.data.chunks(step).take(self.height as usize).map(|padded| &padded[..row]);
+        Ok(match encoding {
+            Encoding::Metres => Depths::Metres(numbers(rows, self.is_big_endian, f32::from_le_bytes)),
+            Encoding::Units | Encoding::Mono => Depths::Units(numbers(rows, self.is_big_endian, u16::from_le_bytes)),
+        })
+    }
+}
+
+/// Whether an image can be so large.
+///
+/// # Errors
+/// It cannot.
+pub(crate) fn check_size(width: u32, height: u32) -> Result<(), Undecodable> {
+    let side = |pixels| (1..=MAX_SIDE_PX).contains(&pixels);
+    if side(width) && side(height) && u64::from(width) * u64::from(height) <= MAX_PIXELS {
+        return Ok(());
+    }
+    Err(Undecodable(format!(
+        "an image of {width}x{height} pixels, expected 1 to {MAX_SIDE_PX} a side and {MAX_PIXELS} at most"
+    )))
+}
+
+fn numbers<'a, const N: usize, T>(
+    rows: impl Iterator<Item = &'a [u8]>,
+    is_big_endian: bool,
+    from_le_bytes: fn([u8; N]) -> T,
+) -> Vec<T> {
+    let pixels = rows.flat_map(|row| row.as_chunks::<N>().0);
+    pixels
+        .map(|&(mut bytes)| {
+            if is_big_endian {
+                bytes.reverse();
+            }
+            from_le_bytes(bytes)
+        })
+        .collect()
+}
+
+/// A message with a depth image in whole millimetres.
+pub fn write_units(stamped: Stamped<'_>, (width, height): (u32, u32), pixels: &[u16], memory: Vec<u8>) -> Vec<u8> {
+    let data = pixels.iter().flat_map(|pixel| pixel.to_le_bytes());
+    write(stamped, (width, height), "16UC1", (2, data), memory)
+}
+
+/// A message with a depth image in metres.
+pub fn write_metres(
+    stamped: Stamped<'_>,
+    (width, height): (u32, u32),
+    depths: impl Iterator<Item = f32>,
+    memory: Vec<u8>,
+) -> Vec<u8> {
+    let data = depths.flat_map(f32::to_le_bytes);
+    write(stamped, (width, height), "32FC1", (4, data), memory)
+}
+
+fn write(
+    stamped: Stamped<'_>,
+    (width, height): (u32, u32),
+    encoding: &str,
+    (pixel_bytes, data): (u32, impl Iterator<Item = u8>),
+    memory: Vec<u8>,
+) -> Vec<u8> {
+    let mut writer = Writer::new(memory);
+    writer.stamped(stamped).u32(height).u32(width).text(encoding).u8(0).u32(pixel_bytes * width);
+    writer.bytes(pixel_bytes as usize * width as usize * height as usize, data);
+    writer.finish()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const STAMPED: Stamped<'_> = Stamped { stamp_ns: 7, frame_id: "camera" };
+
+    /// An image of 3x2 pixels in rows of `step` bytes.
+    fn message(encoding: &str, is_big_endian: bool, step: u32, data: &[u8]) -> Vec<u8> {
+        let mut writer = Writer::new(Vec::new());
+        writer.stamped(STAMPED).u32(2).u32(3).text(encoding).u8(is_big_endian.into()).u32(step);
+        writer.bytes(data.len(), data.iter().copied());
+        writer.finish()
+    }
+
+    fn depths(message: &[u8]) -> Result<Depths, Undecodable> {
+        Image::read(message)?.depths()
+    }
+
+    #[test]
+    fn units_of_both_byte_orders_with_padding() {
+        let expected = Depths::Units(vec![1, 2, 0x0304, 5, 6, 65535]);
+        let little = [1, 0, 2, 0, 4, 3, 9, 9, 5, 0, 6, 0, 255, 255, 9, 9];
+        let big = [0, 1, 0, 2, 3, 4, 9, 9, 0, 5, 0, 6, 255, 255];
+        for encoding in ["16UC1", "mono16"] {
+            assert_eq!(depths(&message(encoding, false, 8, &little)).unwrap(), expected);
+            assert_eq!(depths(&message(encoding, true, 8, &big)).unwrap(), expected, "without padding at the end");
+        }
+    }
+
+    #[test]
+    fn metres_of_both_byte_orders() {
+        let numbers = [0.5_f32, 1.0, f32::INFINITY, 2.0, 3.25, 4.0];
+        let bytes = |of: fn(f32) -> [u8; 4]| numbers.into_iter().flat_map(of).collect::<Vec<u8>>();
+        for (is_big_endian, data) in [(false, bytes(f32::to_le_bytes)), (true, bytes(f32::to_be_bytes))] {
+            assert_eq!(depths(&message("32FC1", is_big_endian, 12, &data)).unwrap(), Depths::Metres(numbers.to_vec()));
+        }
+    }
+
+    #[test]
+    fn what_is_written_is_read() {
+        let pixels = [0, 1, 65535, 4, 5, 6];
+        let written = write_units(STAMPED, (3, 2), &pixels, Vec::new());
+        let image = Image::read(&written).unwrap();
+        assert_eq!((image.stamped, image.width, image.height, image.encoding), (STAMPED, 3, 2, "16UC1"));
+        assert_eq!(image.depths().unwrap(), Depths::Units(pixels.to_vec()));
+        let metres = [0.5, 1.0, 1.5, 2.0, 3.25, 4.0];
+        let written = write_metres(STAMPED, (3, 2), metres.into_iter(), written);
+        assert_eq!(depths(&written).unwrap(), Depths::Metres(metres.to_vec()));
+    }
+
+    #[test]
+    fn what_is_no_depth_image_is_refused() {
+        let told = |message: &[u8]| depths(message).unwrap_err().0;
+        assert!(told(&message("rgb8", false, 9, &[0; 18])).starts_with("pixels are `rgb8`, expected `16UC1`"));
+        let short = "13 bytes of pixels in rows of 8, expected 3x2 pixels of 2 bytes";
+        assert_eq!(told(&message("16UC1", false, 8, &[0; 13])), short);
+        assert!(told(&message("16UC1", false, 5, &[0; 12])).contains("in rows of 5"));
+        assert!(told(&message("16UC1", false, 0, &[0; 12])).contains("in rows of 0"));
+        let mut huge = message("16UC1", false, 6, &[0; 12]);
+        let at = 4 + 8 + 4 + 7 + 1;
+        assert_eq!(&huge[at..at + 8], [2, 0, 0, 0, 3, 0, 0, 0]);
+        huge[at + 2] = 0xff;
+        assert!(told(&huge).starts_with("an image of 3x16711682 pixels"));
+        huge[at..at + 4].fill(0);
+        assert!(told(&huge).starts_with("an image of 3x0 pixels"));
+    }
+}

@@ -1,0 +1,155 @@
+//! Recordings: what a run records is replayed to the bit, from any stage on, also what a recorder that was killed has left; and
+//! onlookers record without a change to the run.
+
+use crate::processes::stages_of;
+use crate::support::{Playground, TRACKING, signal, wait_until};
+use rustix::process::Signal;
+use serde_json::Value as Json;
+use std::fs;
+
+/// Frames of the runs.
+const FRAMES: &str = "60";
+
+/// A run that records all it makes, and writes the tracks as lines.
+fn recording() -> String {
+    format!(
+        r#"{TRACKING}
+[stage.objects_json]
+node  = "json_sink"
+input = {{ topic = "objects", delivery = "lossless" }}
+path  = "objects.jsonl"
+
+[stage.recorder]
+node   = "mcap_sink"
+input  = {{ topic = "tracks", delivery = "lossless" }}
+inputs = {{ depth = "depth", ellipses = "ellipses", objects = "objects" }}
+path   = "run.mcap"
+"#
+    )
+}
+
+/// The same with a recording for its camera.
+fn replay(text: &str) -> String {
+    let (before, after) = text.split_once("[stage.source]").unwrap();
+    let rest = after.split_once("[stage.extractor]").unwrap().1;
+    let source = "node = \"mcap_source\"\noutput = \"depth\"\npath = \"run.mcap\"\nrate_hz = 0\n";
+    format!("{before}[stage.source]\n{source}\n[stage.extractor]{rest}")
+}
+
+/// The stages behind the extractor, fed by recorded ellipses.
+const FROM_ELLIPSES: &str = r#"
+name = "again"
+
+[stage.replay]
+node    = "mcap_source"
+output  = "ellipses"
+path    = "run.mcap"
+rate_hz = 0
+
+[stage.assembler]
+node   = "object_assembler"
+input  = { topic = "ellipses", delivery = "lossless" }
+output = "objects"
+
+[stage.json]
+node  = "json_sink"
+input = { topic = "objects", delivery = "lossless" }
+path  = "again.jsonl"
+"#;
+
+/// Lines without the time that they took.
+fn results(playground: &Playground, name: &str) -> Vec<Json> {
+    let mut lines = playground.json_lines(name);
+    lines.iter_mut().for_each(|line| drop(line["latency_ms"].take()));
+    lines
+}
+
+#[test]
+fn a_run_that_was_recorded_is_replayed_to_the_bit_from_any_stage_on() {
+    let playground = Playground::with_pipeline(&recording());
+    playground.conicflow(&["run", "--frames", FRAMES]).expect_code(0);
+    let (objects, tracks) = (results(&playground, "objects.jsonl"), results(&playground, "tracks.jsonl"));
+    assert_eq!((objects.len(), tracks.len()), (60, 60));
+    assert!(objects.iter().filter(|line| !line["objects"].as_array().unwrap().is_empty()).count() > 30, "{objects:?}");
+
+    let again = replay(TRACKING).replace("tracks.jsonl", "again.jsonl");
+    playground.write("replay.toml", &again);
+    let ended = playground.conicflow(&["run", "replay.toml"]).expect_code(0);
+    assert_eq!(ended.stage("source").messages, 60);
+    assert_eq!(results(&playground, "again.jsonl"), tracks);
+
+    playground.write("ellipses.toml", FROM_ELLIPSES);
+    playground.conicflow(&["run", "ellipses.toml"]).expect_code(0);
+    assert_eq!(results(&playground, "again.jsonl"), objects);
+
+    let detected = playground.conicflow(&["detect", "run.mcap"]).expect_code(0);
+    let mut detected: Vec<Json> = detected.stdout.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    detected.iter_mut().for_each(|line| drop(line["latency_ms"].take()));
+    assert_eq!(detected, objects);
+}
+
+#[test]
+fn what_a_killed_recorder_has_written_is_replayed() {
+    let playground = Playground::with_pipeline(&recording());
+    let run = playground.start(&["run", "--set", "source.rate_hz=100", "--set", "recorder.split_s=1000"]);
+    let size = || fs::metadata(playground.path("run.mcap")).map_or(0, |about| about.len());
+    // Chunks come into the file as they become whole, or after a second.
+    wait_until("some of it is in the file", || size() > 50_000);
+    signal(stages_of(run.id())["recorder"], Signal::KILL);
+    // It is started anew, and goes on beside what it has left.
+    wait_until("it records again", || playground.path("run_1.mcap").exists());
+    signal(run.id(), Signal::INT);
+    run.wait();
+    playground.write("replay.toml", &replay(TRACKING).replace("tracks.jsonl", "again.jsonl"));
+    let ended = playground.conicflow(&["run", "replay.toml"]).expect_code(0);
+    let (tracks, again) = (results(&playground, "tracks.jsonl"), results(&playground, "again.jsonl"));
+    assert!(!again.is_empty() && !tracks.is_empty(), "{}", ended.stderr);
+    let both = again.len().min(tracks.len());
+    assert_eq!(again[..both], tracks[..both]);
+    assert!(ended.stderr.contains("ends in the middle: its first "), "{}", ended.stderr);
+}
+
+#[test]
+fn an_onlooker_records_a_running_pipeline_until_it_ends() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let mut run = playground.start(&["run", "--set", "source.rate_hz=50"]);
+    run.wait_until("it delivers", || !playground.lines("tracks.jsonl").is_empty());
+    let mut recorder = playground.start(&["record", "depth", "objects", "-o", "part.mcap"]);
+    recorder.wait_for_text("records `depth`, `objects` into `part.mcap`");
+    let there = playground.conicflow(&["record", "-o", "part.mcap"]).expect_code(2);
+    assert!(there.stderr.contains("`part.mcap` is there already\n  hint: "), "{}", there.stderr);
+    let unknown = playground.conicflow(&["record", "object", "-o", "other.mcap"]).expect_code(2);
+    assert!(unknown.stderr.contains("has no topic `object`\n  hint: did you mean `objects`?"), "{}", unknown.stderr);
+    let newest = playground.newest("tracks.jsonl");
+    run.wait_until("frames pass", || playground.newest("tracks.jsonl") > newest + 100);
+    signal(run.id(), Signal::INT);
+    let made = run.wait().expect_code(0).stage("source").messages;
+    let ended = recorder.wait().expect_code(0);
+    assert!(ended.stderr.contains("recorded ") && ended.stderr.contains("MB: depth "), "{}", ended.stderr);
+
+    // The numbers of the frames are those of the run, in which the recording begins in the middle.
+    let part = FROM_ELLIPSES.replace("ellipses", "objects").replace("run.mcap", "part.mcap");
+    let assembler = part.find("[stage.assembler]").unwrap()..part.find("[stage.json]").unwrap();
+    let mut part = part;
+    part.replace_range(assembler, "");
+    let part = part.replace("output  = \"objects\"", "output = { topic = \"objects\", kind = \"objects\" }");
+    playground.write("part.toml", &part);
+    playground.conicflow(&["run", "part.toml"]).expect_code(0);
+    let sequences = playground.sequences("again.jsonl");
+    assert!(sequences.len() > 50 && sequences[0] > 0, "{sequences:?}");
+    assert!(sequences.is_sorted() && *sequences.last().unwrap() < made, "{sequences:?}");
+}
+
+#[test]
+fn what_cannot_be_replayed_is_told() {
+    let playground = Playground::with_pipeline(&replay(TRACKING));
+    let none = playground.conicflow(&["validate"]).expect_code(2);
+    assert!(none.stderr.contains("run.mcap` does not exist"), "{}", none.stderr);
+    playground.write("run.mcap", "this is no recording, for all its name says");
+    let wrong = playground.conicflow(&["run"]).expect_code(1);
+    assert!(wrong.stderr.contains("run.mcap") && wrong.stderr.contains("hint: "), "{}", wrong.stderr);
+    playground.write("old.bag", "#ROSBAG V2.0\n");
+    let bag = playground.conicflow(&["detect", "old.bag"]).expect_code(2);
+    let command = "hint: pip install rosbags && rosbags-convert --src 'old.bag' --dst 'old' --dst-storage mcap";
+    assert!(bag.stderr.contains(command), "{}", bag.stderr);
+}
