@@ -16,7 +16,7 @@ import threading
 
 import zenoh
 
-LAYOUT = "conicflow.Header.v2 conicflow.Object.v1"
+LAYOUT = "conicflow.Header.v2 conicflow.Object.v2"
 KINDS = {0: "sphere", 1: "cylinder", 2: "cone"}
 END_OF_STREAM = 1
 
@@ -55,13 +55,15 @@ def read_header(data):
 
 
 def read_object(data):
-    kind, points, rows, _ = (data.whole() for _ in range(4))
+    kind, points, rows = (data.whole() for _ in range(3))
+    (confidence,) = data.take("f")
     center, axis = data.reals(3), data.reals(3)
     radius, length, half_angle, base_radius, top_radius = data.reals(5)
     apex = data.reals(3)
     data.reals(9 + 4)  # covariance of the centre; sigma of axis, radius, length, half angle
     rms, arc = data.reals(2)
     item = {"kind": KINDS[kind], "center": center, "points": points, "rows": rows, "rms": rms, "arc": arc}
+    item["confidence"] = confidence
     if item["kind"] != "sphere":
         item |= {"axis": axis, "length": length}
     if item["kind"] == "cone":

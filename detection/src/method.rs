@@ -29,7 +29,7 @@ impl Extractor {
     /// The ellipses of a depth image (`width * height` pixels row by row), in the order of the scan lines.
     pub fn extract(&mut self, header: &Header, image: &[u16]) -> &[Ellipse] {
         // 1. Noise: how far the depths of neighbouring pixels scatter tells how noisy this image is (`noise_level.rs`), and
-        //    how many neighbours share their noise (`noise_correlation.rs`).
+        //    how many neighbours share their noise (`noise_planes.rs`).
         self.noise = self.estimate_noise(header, image);
         self.ellipses.clear();
         self.rejections = ArcRejections::default();

@@ -74,6 +74,8 @@ struct ObjectView {
     points: u32,
     rows: u32,
     arc: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    confidence: Option<f32>,
 }
 
 impl From<&Object> for ObjectView {
@@ -96,6 +98,7 @@ impl From<&Object> for ObjectView {
             points: object.points,
             rows: object.rows,
             arc: object.arc,
+            confidence: (object.confidence > 0.0).then_some(object.confidence),
         }
     }
 }
@@ -221,6 +224,7 @@ mod tests {
             },
             rms: 0.0005,
             arc: 2.5,
+            confidence: 0.75,
             ..Object::default()
         }
     }
@@ -234,7 +238,7 @@ mod tests {
     }
 
     const HEAD: &str = r#"{"sequence":12,"source":"frame-000012.depth.png","stamp_ns":7,"latency_ms":1.4,"#;
-    const TAIL: &str = r#""rms":0.0005,"points":900,"rows":40,"arc":2.5"#;
+    const TAIL: &str = r#""rms":0.0005,"points":900,"rows":40,"arc":2.5,"confidence":0.75"#;
 
     #[test]
     fn a_sphere_has_no_axis() {

@@ -125,6 +125,8 @@ impl Object {
             Some("has a number that is not finite")
         } else if self.radius < 0.0 || self.length < 0.0 {
             Some("has a negative size")
+        } else if !(0.0..=1.0).contains(&self.confidence) {
+            Some("has a confidence that is no probability")
         } else if !self.has_fitting_axis() {
             Some("has an axis that is no unit vector, or a sphere has one")
         } else if !(0.0..FRAC_PI_2).contains(&self.half_angle) {

@@ -87,7 +87,7 @@ impl Track {
 
 impl Item for Track {
     const NAME: &'static str = "tracks";
-    const TYPE_NAME: &'static str = "conicflow.Track.v1";
+    const TYPE_NAME: &'static str = "conicflow.Track.v2";
     const IS_COUNTED: bool = true;
 
     fn check(_: &Header, items: &[Self]) -> Result<(), Malformed> {

@@ -72,8 +72,8 @@ fn the_end_of_a_stream_has_no_items_and_nothing_behind_it() {
 fn another_version_and_another_layout_are_named() {
     let mut bytes = bytes_of::<Object>(&header(4, 3), &[], Compression::None);
     let error = decoded::<Track>(&bytes).unwrap_err().to_string();
-    assert!(error.contains("`conicflow.Header.v2 conicflow.Object.v1`, this one reads"), "{error}");
-    assert!(error.contains("`conicflow.Header.v2 conicflow.Track.v1`"), "{error}");
+    assert!(error.contains("`conicflow.Header.v2 conicflow.Object.v2`, this one reads"), "{error}");
+    assert!(error.contains("`conicflow.Header.v2 conicflow.Track.v2`"), "{error}");
     bytes[4] = 0x63;
     let error = decoded::<Object>(&bytes).unwrap_err();
     assert_eq!(error, WireError::Version { ours: WIRE_VERSION, theirs: 0x63 });

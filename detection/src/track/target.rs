@@ -280,6 +280,7 @@ impl Target {
             },
             rms: seen.rms,
             arc: seen.arc,
+            confidence: seen.confidence,
             ..Object::default()
         };
         let Some(axis) = self.axis.filter(|_| self.kind != ObjectKind::Sphere) else { return sphere };

@@ -584,7 +584,7 @@ fn what_cannot_be_written_is_told() {
 
 #[test]
 fn own_headers_of_another_version_are_refused() {
-    let other = serde_json::to_string(&own::Schema::of(&BUILT_IN[2])).unwrap().replace("Object.v1", "Object.v0");
+    let other = serde_json::to_string(&own::Schema::of(&BUILT_IN[2])).unwrap().replace("Object.v2", "Object.v0");
     let mut file = Foreign::new(None);
     let schema = BTreeMap::from([(own::SCHEMA.to_owned(), other)]);
     let channel_id = file.0.add_channel(0, "/left/objects/message", own::ENCODING, &schema).unwrap();

@@ -129,7 +129,7 @@ fn another_type_of_message_is_refused_by_name() {
     let error = open(folder.path(), "reader").reader::<Track>(&topic, "reader").err().unwrap();
     let text = error.to_string();
     assert!(matches!(error, PortError::Incompatible { .. }), "{text}");
-    assert!(text.contains("conicflow.Track.v1") && text.contains("hint:"), "{text}");
+    assert!(text.contains("conicflow.Track.v2") && text.contains("hint:"), "{text}");
 }
 
 #[test]
