@@ -8,7 +8,7 @@ use crate::sinks::mcap_sink;
 use anyhow::{Context as _, Result, bail};
 use clap::Args;
 use conicflow_dataflow::{Requirements, Watching, monotonic_ns};
-use conicflow_messages::{Header, Text};
+use conicflow_messages::{Header, Hinted, Text};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
@@ -40,7 +40,8 @@ pub struct RecordArguments {
 pub fn record(arguments: &RecordArguments) -> Result<()> {
     give_way();
     if arguments.out.exists() {
-        bail!("`{}` is there already\n  hint: record into another file, or remove it", arguments.out.display());
+        let what = format!("`{}` is there already", arguments.out.display());
+        bail!(Hinted::new(what, "record into another file, or remove it"));
     }
     for (option, number) in
         [("split-mb", arguments.split_mb), ("split-s", arguments.split_s), ("limit-mb", arguments.limit_mb)]

@@ -5,6 +5,7 @@
 use super::zstd::Zstd;
 use crate::sources::image_source::natural;
 use anyhow::{Context as _, Result, bail};
+use conicflow_messages::Hinted;
 use mcap::sans_io::linear_reader::LinearReaderOptions;
 use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader};
 use mcap::{Channel, McapError, McapResult, Message, Summary};
@@ -62,10 +63,10 @@ impl Files {
         let recordings: Vec<_> = paths.iter().filter(|path| is_recording(path)).cloned().collect();
         if recordings.is_empty() {
             paths.iter().try_for_each(|path| refuse_other_formats(path))?;
-            bail!(
-                "no MCAP files in `{}`\n  hint: name a file, or a folder that `ros2 bag record -s mcap` wrote",
-                path.display()
-            );
+            bail!(Hinted::new(
+                format!("no MCAP files in `{}`", path.display()),
+                "name a file, or a folder that `ros2 bag record -s mcap` wrote"
+            ));
         }
         Ok(Self(recordings))
     }
@@ -131,17 +132,19 @@ fn refuse_other_formats(path: &Path) -> Result<()> {
         Some("db3") => ("a rosbag2 recording in SQLite", folder.unwrap_or(Path::new("."))),
         Some("bag") => ("a ROS 1 recording", path),
         Some(code) if COMPRESSED.contains(&code) && is_recording(&stem) => {
-            bail!("`{shown}` is compressed as a whole\n  hint: {code} -d '{shown}'");
+            bail!(Hinted::new(format!("`{shown}` is compressed as a whole"), format!("{code} -d '{shown}'")));
         }
         _ => return Ok(()),
     };
     let to = if kind.contains("rosbag2") { from.with_extension("mcap") } else { stem };
-    bail!(
-        "`{shown}` is {kind}, expected MCAP\n  hint: pip install rosbags && rosbags-convert --src '{}' --dst '{}' \
-         --dst-storage mcap",
-        from.display(),
-        to.display()
-    )
+    bail!(Hinted::new(
+        format!("`{shown}` is {kind}, expected MCAP"),
+        format!(
+            "pip install rosbags && rosbags-convert --src '{}' --dst '{}' --dst-storage mcap",
+            from.display(),
+            to.display()
+        )
+    ))
 }
 
 /// What the end of a file tells of it; none where it tells nothing.
@@ -248,15 +251,16 @@ impl Iterator for Messages {
 fn damage(error: &McapError, path: &impl Display, count: u64, is_only: bool) -> Result<String> {
     let what = match error {
         McapError::BadMagic if count == 0 => {
-            bail!("`{path}` is no MCAP file\n  hint: does its name say what it is?")
+            bail!(Hinted::new(format!("`{path}` is no MCAP file"), "does its name say what it is?"))
         }
         McapError::Io(error) if error.kind() != ErrorKind::UnexpectedEof => {
-            bail!("`{path}` cannot be read: {error}\n  hint: may this user read it?")
+            bail!(Hinted::new(format!("`{path}` cannot be read: {error}"), "may this user read it?"))
         }
         McapError::UnsupportedCompression(name) => {
-            bail!(
-                "`{path}` is compressed by `{name}`, expected `lz4` or `zstd`\n  hint: mcap compress --compression zstd"
-            )
+            bail!(Hinted::new(
+                format!("`{path}` is compressed by `{name}`, expected `lz4` or `zstd`"),
+                "mcap compress --compression zstd"
+            ))
         }
         McapError::UnexpectedEof | McapError::UnexpectedEoc | McapError::Io(_) | McapError::BadMagic => {
             "ends in the middle".to_owned()
@@ -264,7 +268,9 @@ fn damage(error: &McapError, path: &impl Display, count: u64, is_only: bool) -> 
         other => format!("is damaged ({other})"),
     };
     match count {
-        0 if is_only => bail!("`{path}` {what}, before its first message\n  hint: record it anew, or copy it again"),
+        0 if is_only => {
+            bail!(Hinted::new(format!("`{path}` {what}, before its first message"), "record it anew, or copy it again"))
+        }
         0 => Ok(format!("`{path}` {what}, before its first message: it is left out")),
         _ => Ok(format!("`{path}` {what}: its first {count} messages are used")),
     }

@@ -3,7 +3,7 @@
 
 use anyhow::{Context as _, Result, ensure};
 use conicflow_dataflow::ItemType;
-use conicflow_messages::{HEADER_TYPE_NAME, Header};
+use conicflow_messages::{HEADER_TYPE_NAME, Header, Hinted};
 use serde::{Deserialize, Serialize};
 
 /// What the encoding of such messages is called.
@@ -74,14 +74,18 @@ pub fn check_schema(schema: &str, item: &ItemType) -> Result<()> {
     let expected = Schema::of(item);
     ensure!(
         recorded == expected,
-        "they are `{}` of {} bytes with `{}`, expected `{}` of {} bytes with `{}`\n  hint: replay them with the version of \
-         conicflow that recorded them, or replay what they were made of",
-        recorded.layout,
-        recorded.item_bytes,
-        recorded.header,
-        expected.layout,
-        expected.item_bytes,
-        expected.header
+        Hinted::new(
+            format!(
+                "they are `{}` of {} bytes with `{}`, expected `{}` of {} bytes with `{}`",
+                recorded.layout,
+                recorded.item_bytes,
+                recorded.header,
+                expected.layout,
+                expected.item_bytes,
+                expected.header
+            ),
+            "replay them with the version of conicflow that recorded them, or replay what they were made of"
+        )
     );
     Ok(())
 }

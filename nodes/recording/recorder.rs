@@ -13,9 +13,9 @@
 //! at most, in chunks that are whole: who reads the file of a recorder that was killed finds all until then.
 
 use super::own::{self, ENCODING, IMAGE, MESSAGE, SCHEMA};
-use anyhow::{Context as _, Error, Result, anyhow};
+use anyhow::{Context as _, Error, Result};
 use conicflow_dataflow::{AnyMessage, ItemType};
-use conicflow_messages::{Header, INVALID_FAR, INVALID_NEAR, Object, Text, Track};
+use conicflow_messages::{Header, Hinted, INVALID_FAR, INVALID_NEAR, Object, Text, Track};
 use conicflow_ros::{
     CAMERA_INFO, CameraInfo, Definition, IMAGE as IMAGE_TYPE, MARKER_ARRAY, Stamped, TF_MESSAGE, markers, write_metres,
     write_transform, write_units,
@@ -193,7 +193,7 @@ fn told(error: Error, path: &Path) -> Error {
         Some(ErrorKind::NotADirectory | ErrorKind::AlreadyExists) => "a part of the path before the last is a file",
         _ => "name a file that can be written",
     };
-    anyhow!("cannot write the recording `{}`: {error:#}\n  hint: {hint}", path.display())
+    Hinted::new(format!("cannot write the recording `{}`: {error:#}", path.display()), hint).into()
 }
 
 /// The name of a file: `run.mcap`, `run_1.mcap`, ..

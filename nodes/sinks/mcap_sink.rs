@@ -6,7 +6,7 @@ use conicflow_dataflow::{
     AnyMessage, BUILT_IN, ConfigFault, Context, ItemType, Output, SideInput, SideInputs, Stage, StageError,
     monotonic_ns,
 };
-use conicflow_messages::{Ellipse, Item, Message, Nothing, Object};
+use conicflow_messages::{Ellipse, Hinted, Item, Message, Nothing, Object};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::marker::PhantomData;
@@ -81,7 +81,8 @@ impl<T: Item> Stage for McapSink<T> {
     }
 
     fn new(config: Config, context: &Context) -> Result<Self, StageError> {
-        let path = config.path.as_ref().ok_or("`path` is missing\n  hint: write `path = \"run.mcap\"`")?;
+        let path = config.path.as_ref();
+        let path = path.ok_or_else(|| Hinted::new("`path` is missing", "write `path = \"run.mcap\"`"))?;
         let recorder = Recorder::create(&context.resolve(path), config.limits(), context.resume_at > 0)?;
         let item = context.input.clone().unwrap_or(const { ItemType::of::<T>() });
         Ok(Self { recorder, item: shown(item), is_told: false, items: PhantomData })

@@ -3,15 +3,18 @@
 use super::Config;
 use crate::recording::files::Seen;
 use crate::recording::own;
-use anyhow::{Context as _, Result, anyhow, bail, ensure};
+use anyhow::{Context as _, Result, bail, ensure};
 use conicflow_dataflow::ItemType;
-use conicflow_messages::Camera;
+use conicflow_messages::{Camera, Hinted};
 use conicflow_ros::{CAMERA_INFO, COMPRESSED_IMAGE, CameraInfo, CompressedImage, Encoding, IMAGE, Image};
 
 /// What the messages of ROS 2 are encoded in.
 const CDR: &str = "cdr";
 /// What the recordings of ROS 1 are encoded in.
 const ROS1: &str = "ros1";
+/// What to do where the recording does not tell the camera.
+const WRITE_INTRINSICS: &str =
+    "write `intrinsics = { fx = .., fy = .., cx = .., cy = .. }` with the numbers of your camera";
 
 /// What is played back.
 #[derive(Clone, Debug, PartialEq)]
@@ -100,14 +103,14 @@ fn choose<'a>(all: &'a [Seen], fitting: &[&'a Seen], wanted: Option<&str>, what:
     };
     let Some(wanted) = wanted else {
         return match fitting {
-            [] => Err(nothing_fits(all, what)),
+            [] => Err(nothing_fits(all, what).into()),
             [only] => Ok(only),
             several => {
                 let example = &several[0].channel.topic;
-                bail!(
-                    "several topics carry {what}: {}\n  hint: say which, such as topic = \"{example}\"",
-                    names(several)
-                )
+                bail!(Hinted::new(
+                    format!("several topics carry {what}: {}", names(several)),
+                    format!("say which, such as topic = \"{example}\"")
+                ))
             }
         };
     };
@@ -126,14 +129,15 @@ fn choose<'a>(all: &'a [Seen], fitting: &[&'a Seen], wanted: Option<&str>, what:
             |channel| format!("carries `{}` in `{}`", channel.schema(), channel.channel.message_encoding),
         );
         let there = if fitting.is_empty() { "there are none".to_owned() } else { names(fitting) };
-        anyhow!("the topic `{wanted}` {is}; expected {what}\n  hint: topics with such: {there}")
+        let what = format!("the topic `{wanted}` {is}; expected {what}");
+        Hinted::new(what, format!("topics with such: {there}")).into()
     })
 }
 
-fn nothing_fits(all: &[Seen], what: &str) -> anyhow::Error {
+fn nothing_fits(all: &[Seen], what: &str) -> Hinted {
     if all.iter().any(|channel| channel.channel.message_encoding == ROS1) {
         let hint = "play them into ROS 2 and record them there, or convert the .bag by `rosbags-convert` of rosbags";
-        return anyhow!("the recording has messages of ROS 1, expected those of ROS 2\n  hint: {hint}");
+        return Hinted::new("the recording has messages of ROS 1, expected those of ROS 2", hint);
     }
     let topics: Vec<_> = all
         .iter()
@@ -147,7 +151,7 @@ fn nothing_fits(all: &[Seen], what: &str) -> anyhow::Error {
         })
         .collect();
     let there = if topics.is_empty() { " no messages at all".to_owned() } else { topics.concat() };
-    anyhow!("the recording has no {what}; it has{there}\n  hint: was the right topic recorded?")
+    Hinted::new(format!("the recording has no {what}; it has{there}"), "was the right topic recorded?")
 }
 
 /// The camera of the images: by the parameters, or by the CameraInfo beside them.
@@ -166,11 +170,10 @@ fn camera(channels: &[Seen], images: &Seen, config: &Config) -> Result<Camera> {
         (None, others) => {
             let there: Vec<_> = others.iter().map(|info| format!("`{}`", info.channel.topic)).collect();
             let there = if there.is_empty() { "there is none in the recording".to_owned() } else { there.join(", ") };
-            bail!(
-                "no CameraInfo beside `{topic}`, expected at `{}`; {there}\n  hint: write `intrinsics = {{ fx = .., fy = .., \
-                 cx = .., cy = .. }}` with the numbers of your camera",
-                beside[0]
-            );
+            bail!(Hinted::new(
+                format!("no CameraInfo beside `{topic}`, expected at `{}`; {there}", beside[0]),
+                WRITE_INTRINSICS
+            ));
         }
     };
     let name = &info.channel.topic;
@@ -179,27 +182,28 @@ fn camera(channels: &[Seen], images: &Seen, config: &Config) -> Result<Camera> {
     let binned = [0, 1].map(|axis| expected[axis] / read.binning[axis].max(1));
     ensure!(
         size.0 <= binned[0] && size.1 <= binned[1],
-        "`{name}` is for images of {}x{}, those of `{topic}` have {}x{}\n  hint: intrinsics scale with the image; write \
-         `intrinsics` of these",
-        binned[0],
-        binned[1],
-        size.0,
-        size.1
+        Hinted::new(
+            format!(
+                "`{name}` is for images of {}x{}, those of `{topic}` have {}x{}",
+                binned[0], binned[1], size.0, size.1
+            ),
+            "intrinsics scale with the image; write `intrinsics` of these"
+        )
     );
     let camera = read.camera(size, is_rectified(topic)).map_err(|unrectified| {
         let others = channels.iter().filter(|channel| is_depth(channel, None) && is_rectified(&channel.channel.topic));
         let hint = others.map(|other| format!("topic = \"{}\" is rectified", other.channel.topic)).next();
         let hint = hint.unwrap_or_else(|| "rectify them by image_proc of ROS, and record that topic".to_owned());
-        anyhow!(
-            "the images of `{topic}` are distorted (`{name}`: {:?}), expected those of a pinhole camera\n  hint: {hint}",
-            unrectified.distortion
-        )
+        let distortion = unrectified.distortion;
+        let what = format!(
+            "the images of `{topic}` are distorted (`{name}`: {distortion:?}), expected those of a pinhole camera"
+        );
+        Hinted::new(what, hint)
     })?;
     let is_usable = [camera.fx, camera.fy].iter().all(|focal| (1.0..f64::INFINITY).contains(focal));
     ensure!(
         is_usable && camera.cx.is_finite() && camera.cy.is_finite(),
-        "`{name}` has no intrinsics: the camera was not calibrated\n  hint: write `intrinsics = {{ fx = .., fy = .., cx = .., \
-         cy = .. }}` with the numbers of your camera"
+        Hinted::new(format!("`{name}` has no intrinsics: the camera was not calibrated"), WRITE_INTRINSICS)
     );
     Ok(camera)
 }

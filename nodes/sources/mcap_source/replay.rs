@@ -5,11 +5,11 @@ use super::channels::Chosen;
 use crate::recording::files::{Files, Messages, Seen};
 use crate::recording::own;
 use crate::sources::image_source::playback::tell_median;
-use anyhow::{Context as _, Result, anyhow, bail, ensure};
+use anyhow::{Context as _, Result, bail, ensure};
 use conicflow_dataflow::ItemType;
 use conicflow_detection::quantise::{finest_scale, quantise};
 use conicflow_messages::{
-    Camera, HAS_POSE, Header, Hop, INVALID_FAR, INVALID_NEAR, MAX_HOPS, RECORDED, Text, median_depth,
+    Camera, HAS_POSE, Header, Hinted, Hop, INVALID_FAR, INVALID_NEAR, MAX_HOPS, RECORDED, Text, median_depth,
 };
 use conicflow_ros::{CompressedImage, Depths, Image, Stamped, TF_MESSAGE, Transforms};
 use mcap::Message;
@@ -66,7 +66,8 @@ impl Replay {
     /// # Errors
     /// There is none, or nothing in it fits.
     pub fn open(config: &Config, base: &Path, item: &ItemType, resume_at: u64) -> Result<Self> {
-        let path = config.path.as_ref().context("`path` is missing\n  hint: write `path = \"run.mcap\"`")?;
+        let path = config.path.as_ref();
+        let path = path.ok_or_else(|| Hinted::new("`path` is missing", "write `path = \"run.mcap\"`"))?;
         let path = base.join(path);
         let files = Files::find(&path)?;
         let channels = files.survey()?;
@@ -149,11 +150,11 @@ impl Replay {
     fn begins_again(&mut self) -> Result<bool> {
         let Round { first, last, sent, begin_ns, .. } = self.round;
         let Some((stamp_ns, sequence)) = first else {
-            bail!(
-                "none of the messages of `{}` can be read, or is between `from_s` and `to_s`\n  hint: look at the recording \
-                 with another program, such as `mcap info`",
-                self.chosen.topics().join("` or `")
-            );
+            let topics = self.chosen.topics().join("` or `");
+            bail!(Hinted::new(
+                format!("none of the messages of `{topics}` can be read, or is between `from_s` and `to_s`"),
+                "look at the recording with another program, such as `mcap info`"
+            ));
         };
         if !self.config.repeat {
             return Ok(false);
@@ -304,7 +305,8 @@ fn transforms(files: &Files, channels: &[Seen], world: &str) -> Result<Transform
     if !names.contains(world.trim_start_matches('/')) {
         let there: Vec<_> = names.into_iter().map(|name| format!("`{name}`")).collect();
         let there = if there.is_empty() { "nothing tells of any".to_owned() } else { there.join(", ") };
-        return Err(anyhow!("`world`: the recording has no frame `{world}`\n  hint: frames: {there}"));
+        let what = format!("`world`: the recording has no frame `{world}`");
+        bail!(Hinted::new(what, format!("frames: {there}")));
     }
     Ok(transforms)
 }
