@@ -96,11 +96,12 @@ fn small_boxes_far_away_are_nothing_either() {
 #[test]
 fn posts_in_much_noise_are_no_cans() {
     let camera = Camera { width: 848, height: 480, fx: 696.0, fy: 696.0, cx: 423.5, cy: 239.5 };
-    let stereo = NoiseModel { growth_per_m: 0.0038, ..NoiseModel::IDEAL };
+    // As cameras of the RealSense D400 class show it on tables.
+    let stereo = NoiseModel { growth_per_m: 0.0022, ..NoiseModel::IDEAL };
     for (seed, turn) in [(1, 0.6), (2, 0.7), (3, 0.8), (4, 0.7)] {
         let post = Body::Block { center: Vector3::new(0.1, 0.2, 2.0), size: Vector3::new(0.1, 0.5, 0.1), turn };
         let found = detect(camera, stereo, &[post, wall(3.5)], seed);
-        assert!(found.iter().all(|object| object.shape() == ObjectKind::Sphere), "turned by {turn}: {found:?}");
+        assert_eq!(found, [], "turned by {turn}");
     }
 }
 

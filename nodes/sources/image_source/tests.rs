@@ -260,7 +260,10 @@ fn what_cannot_be_opened_is_told_with_what_to_do() {
     let list = Folder::new().file("depth.txt", "1.0");
     assert!(list.told().starts_with("`depth.txt`: line 1, `1.0`: expected"), "{}", list.told());
     let error = format!("{:#}", Recording::open(Path::new("/no/such/place"), &Options::default()).err().unwrap());
-    assert!(error.starts_with("`/no/such/place` cannot be opened\n  hint: "), "{error}");
+    assert!(
+        error.starts_with("`/no/such/place` cannot be opened: No such file") && error.contains("\n  hint: "),
+        "{error}"
+    );
     let json = r#"{"width": 640, "height": 480, "fx": 40, "fy": 41, "cx": 22.25, "cy": 18.5}"#;
     let other = Folder::new().depth(&["a.png"]).file("camera.json", json);
     assert!(other.told().starts_with("`camera.json` is for images of 640x480, but the frames are 48x36\n  hint: "));
