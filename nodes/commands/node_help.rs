@@ -50,7 +50,9 @@ fn describe(node: &Node) -> Result<String, std::fmt::Error> {
 fn parameters(schema: &Json, object: &Json, prefix: &str) -> String {
     let mut text = String::new();
     for (name, parameter) in object.get("properties").and_then(Json::as_object).into_iter().flatten() {
-        let description = field(parameter, "description").replace('\n', " ");
+        // What one of several tables is stands with the choice.
+        let descriptions = [parameter, object].map(|described| field(described, "description"));
+        let description = descriptions.into_iter().find(|text| !text.is_empty()).unwrap_or("").replace('\n', " ");
         let (default, range) = (default_of(parameter), range_of(parameter));
         text.push_str(&format!("\n{prefix}{name} = {default}{range}\n    {description}\n"));
         let words = choices(schema, parameter);

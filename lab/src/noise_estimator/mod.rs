@@ -44,7 +44,7 @@ pub struct NoiseEstimatorParameters {
     /// Fewest measurements of a pixel of a static scene.
     #[schemars(range(min = 3))]
     pub min_frames: u32,
-    /// SideInput of the blocks in which a wall counts as flat, in pixels.
+    /// Side of the blocks in which a wall counts as flat, in pixels.
     #[schemars(range(min = 4, max = 128))]
     pub block_px: u32,
 }

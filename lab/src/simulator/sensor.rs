@@ -57,7 +57,7 @@ pub struct SensorTable {
     /// Depth between two neighbouring disparities, divided by the squared depth, in 1/metre; 0: no steps.
     #[schemars(range(min = 0.0))]
     pub step_per_m: f64,
-    /// SideInput of the window of the image that a depth comes from, in pixels: neighbours share their noise as far as their
+    /// Side of the window of the image that a depth comes from, in pixels: neighbours share their noise as far as their
     /// windows overlap; 1: each has its own. A Kinect v1 has about 3 at 640x480.
     #[schemars(range(min = 1, max = 15))]
     pub noise_window_px: u32,
