@@ -86,7 +86,7 @@ impl Ellipse {
         self.line_step.max(1)
     }
 
-    /// How many neighbouring pixels share their noise, at least 1.
+    /// How many of its points count as one whose noise is its own, at least 1: of few points hardly any share it with others.
     pub fn shared(&self) -> f64 {
         let points = f64::from(self.points.max(1));
         points / ((points - 1.0) / self.shared_px.max(1.0) + 1.0)
@@ -175,7 +175,9 @@ mod tests {
     #[test]
     fn noise_that_nothing_tells_of_is_not_shared() {
         assert_eq!(Ellipse::default().shared(), 1.0);
-        assert_eq!(Ellipse { shared_px: 2.5, ..Ellipse::default() }.shared(), 2.5);
+        let shared = |points| Ellipse { shared_px: 2.5, points, ..Ellipse::default() }.shared();
+        assert_eq!((shared(1), shared(0)), (1.0, 1.0), "there is none to share it with");
+        assert!((shared(10_000) - 2.5).abs() < 1e-3 && shared(6) == 2.0, "{} and {}", shared(10_000), shared(6));
     }
 
     #[test]
