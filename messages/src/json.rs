@@ -225,7 +225,6 @@ mod tests {
             rms: 0.0005,
             arc: 2.5,
             confidence: 0.75,
-            ..Object::default()
         }
     }
 

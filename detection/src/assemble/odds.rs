@@ -6,10 +6,7 @@
 //! Statistical Learning", section 4.4). `cargo bench --bench odds` fits the weights to candidates in simulated scenes and
 //! prints how often candidates of each confidence are right.
 
-use super::arcs::Arc;
-use super::region::Region;
 use super::verify::Candidate;
-use conicflow_geometry::Contour;
 use conicflow_messages::{Object, ObjectKind};
 
 /// Upper bound of the mean square error of the outline that counts, in variances: what is farther off is no worse.
@@ -18,30 +15,6 @@ const MOST_OUTLINE: f64 = 5.0; // [algorithmic]
 const MOST_LENGTH: f64 = 3.0; // [algorithmic]
 /// Added to the relative standard deviation of the radius, so that its logarithm stays finite.
 const LEAST_SIGMA: f64 = 0.003; // [algorithmic]
-
-/// How well the outline that is seen fits.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Outline {
-    /// Mean square distance of the contour points that fit, in variances of one.
-    square: f64,
-    /// Share of the contour points that are far off, and so belong to something else.
-    far_off: f64,
-    /// Share of the ends of all arcs beyond which something farther is seen, or nothing is measured.
-    free: f64,
-}
-
-impl Outline {
-    /// That of a region that was fitted together with its contour.
-    pub fn of(region: &Region, contour: &Contour) -> Self {
-        let ends = 2.0 * region.members.len() as f64;
-        let is_free = |arc: &Arc, end: usize| arc.unseen[end] || arc.contour[end].is_some();
-        let free: usize = region.arcs().map(|arc| (0..2).filter(|&end| is_free(arc, end)).count()).sum();
-        let free = free as f64 / ends;
-        let share = |part: usize, all: usize| part as f64 / all.max(1) as f64;
-        let square = region.model.contour_sum() / contour.used().max(1) as f64;
-        Self { square, far_off: share(contour.far_off(), contour.points()), free }
-    }
-}
 
 /// What speaks for a candidate and against it.
 #[derive(Clone, Copy, Debug, PartialEq)]

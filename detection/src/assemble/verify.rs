@@ -2,7 +2,6 @@
 
 use super::arcs::{Arc, Arcs};
 use super::model::{self, Model};
-use super::odds::Outline;
 use super::parameters::AssemblerParameters;
 use super::region::Region;
 use super::rejection::Rejection;
@@ -44,6 +43,30 @@ pub(crate) struct Measured {
     /// From where to where the arcs and half a line beyond them reach along the axis, counted from the surface's point; of a
     /// sphere across the scan lines, along y of the camera frame for rows and x for columns.
     pub extent: [f64; 2],
+}
+
+/// How well the outline that is seen fits.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Outline {
+    /// Mean square distance of the contour points that fit, in variances of one.
+    pub square: f64,
+    /// Share of the contour points that are far off, and so belong to something else.
+    pub far_off: f64,
+    /// Share of the ends of all arcs beyond which something farther is seen, or nothing is measured.
+    pub free: f64,
+}
+
+impl Outline {
+    /// That of a region that was fitted together with its contour.
+    fn of(region: &Region, contour: &Contour) -> Self {
+        let ends = 2.0 * region.members.len() as f64;
+        let is_free = |arc: &Arc, end: usize| arc.unseen[end] || arc.contour[end].is_some();
+        let free: usize = region.arcs().map(|arc| (0..2).filter(|&end| is_free(arc, end)).count()).sum();
+        let free = free as f64 / ends;
+        let share = |part: usize, all: usize| part as f64 / all.max(1) as f64;
+        let square = region.model.contour_sum() / contour.used().max(1) as f64;
+        Self { square, far_off: share(contour.far_off(), contour.points()), free }
+    }
 }
 
 /// A region that was verified.
