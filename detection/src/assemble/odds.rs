@@ -43,7 +43,7 @@ pub struct Evidence {
 pub const TERMS: usize = 10;
 
 /// Weights of the terms, in their order: `cargo bench --bench odds`.
-const WEIGHTS: [f64; TERMS] = [-9.94, 2.53, -1.16, -19.05, -0.67, -3.89, 0.40, 0.36, 3.38, 2.28]; // [measured]
+const WEIGHTS: [f64; TERMS] = [-8.46, 2.02, -1.40, -20.40, -0.64, -4.36, 0.47, -0.14, 3.28, 1.91]; // [measured]
 
 impl Evidence {
     /// That of a candidate of which `object` is the report.

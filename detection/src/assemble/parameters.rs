@@ -101,8 +101,7 @@ pub struct AssemblerParameters {
     pub cylinder: AxialLimits,
     /// Limits on the radius, in the middle of its visible part, and the visible length of a cone.
     pub cone: AxialLimits,
-    /// Least probability of an answer: what is less sure to be an object is not reported. Tenths of a percent of all answers
-    /// of 0.99 are wrong, and half of those of 0.5.
+    /// Least `confidence` of an object, the probability that it is one: what is less probable is not reported.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub min_confidence: f64,
     /// What an object has to be for `method = "pooled"`, the default, to report it.
