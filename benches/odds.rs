@@ -2,7 +2,7 @@
 //! each confidence are right: `cargo bench --bench odds`.
 //!
 //! Each sensor shows scenes that no other one shows. A candidate is right if it is about a true object as the evaluation of an
-//! experiment asks for, whether it had to be found or not. Takes some minutes.
+//! experiment asks for, whether it had to be found or not. Takes one to two minutes.
 
 use conicflow_detection::Detector;
 use conicflow_detection::assemble::odds::TERMS;

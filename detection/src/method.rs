@@ -87,8 +87,8 @@ impl Assembler {
 
         while let Some(seed) = seeds.next(rejections) {
             match object_around(seed, arcs, seeds, growing, parameters) {
-                // 10. Decision: how probable it is that this is an object tells all evidence together (`odds.rs`). The arcs that
-                //     it explains are taken out before the next seed is tried.
+                // 10. Decision: all evidence together tells how probable it is that this is an object (`odds.rs`). The arcs that
+                //     an object explains are taken out before the next seed is tried.
                 Ok(Chosen { candidate, object, evidence }) => {
                     candidates.push((object, evidence));
                     if f64::from(object.confidence) >= parameters.min_confidence {
@@ -125,8 +125,8 @@ fn object_around<'a>(
     //    anew to the moments of all of them (`growth.rs`, `model.rs`).
     let models = growing.models(arcs, parameters.max_gap(), free);
 
-    // 8. Verification: each is fitted together with the contour that it shows, and has to explain its points and its
-    //    outline as a whole (`verify.rs`).
+    // 8. Verification: each is fitted together with the contour that it shows; enough of it has to be seen, surely curved and
+    //    near its surface, for it to be a candidate (`verify.rs`).
     let verified = verify_all(arcs, models, &growing.members, parameters, &mut growing.contour);
 
     // 9. Choice: the shape that explains most points with the fewest parameters, told with its uncertainty (`choice.rs`,

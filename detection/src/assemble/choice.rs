@@ -47,8 +47,8 @@ pub(crate) fn choose<'a>(
 ) -> Result<Chosen<'a>, Rejection> {
     let grown = || found.iter().flatten();
     let reason = grown().filter_map(|found| found.as_ref().err()).next_back().copied();
-    // Where a cone alone is an object, its slope is not sure.
-    let reason = reason.unwrap_or(if grown().next().is_some() { Rejection::Odds } else { Rejection::NotGrown });
+    // Where a cone alone is a candidate, its slope is not sure.
+    let reason = reason.unwrap_or(if grown().next().is_some() { Rejection::Taper } else { Rejection::NotGrown });
     let [sphere, cylinder, cone] = found;
     let cone = cone.map(|cone| cone.map(|cone| (cone, report(&cone.region, &cone.measured))));
     let may_be_cone = cone.as_ref().is_some_and(|cone| speaks_against_cylinder(cone.as_ref()));

@@ -40,10 +40,10 @@ pub struct Evidence {
 }
 
 /// Number of terms of the sum, the constant included.
-pub const TERMS: usize = 10;
+pub const TERMS: usize = 10; // [derived]
 
-/// Weights of the terms, in their order: `cargo bench --bench odds`.
-const WEIGHTS: [f64; TERMS] = [-8.46, 2.02, -1.40, -20.40, -0.64, -4.36, 0.47, -0.14, 3.28, 1.91]; // [measured]
+/// Weights of the terms, in their order, as `cargo bench --bench odds` prints them.
+const WEIGHTS: [f64; TERMS] = [-8.46, 2.02, -1.40, -20.40, -0.64, -4.36, 0.47, -0.14, 3.28, 1.91]; // [fitted]
 
 impl Evidence {
     /// That of a candidate of which `object` is the report.

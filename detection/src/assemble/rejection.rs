@@ -33,7 +33,7 @@ rejections! {
     Short => "candidates too short",
     Rms => "candidates that miss their points",
     Double => "objects seen twice",
-    Taper => "cylinders that may taper",
+    Taper => "candidates that may taper or not",
     Odds => "candidates that are more probably something else",
     Length => "candidates beyond the length limits",
     Small => "candidates that look too small",

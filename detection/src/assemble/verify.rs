@@ -1,4 +1,4 @@
-//! What a grown model has to fulfil as a whole to be an object.
+//! What has to be seen of a grown model for it to be a candidate; whether the candidate is an object is asked in `odds.rs`.
 
 use super::arcs::{Arc, Arcs};
 use super::model::{self, Model};

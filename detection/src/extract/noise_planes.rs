@@ -11,17 +11,18 @@ use nalgebra::{Matrix3, Vector3};
 
 /// A square has so many pixels along its side, in an image of [`USUAL_WIDTH`]: three of the longest blobs.
 const SIDE: u32 = 64; // [algorithmic]
+/// Width of an image, in pixels, in which blobs are as long as said.
 const USUAL_WIDTH: u32 = 640; // [algorithmic]
 /// Fewest pixels along the side of a square.
 const LEAST_SIDE: u32 = 24; // [algorithmic]
-/// The plane of a square is fitted to so many pixels along each of its sides.
+/// The plane of a square is fitted to so many pixels along each of its sides, or a few more.
 const SAMPLES: u32 = 16; // [algorithmic]
 /// A square is looked at if this part of its samples is measured.
 const MEASURED: f64 = 0.9; // [algorithmic]
 /// The flattest of all squares is this part of them: at least these show nothing but planes.
 const FLAT: f64 = 0.15; // [tuned]
-/// A square whose mean square residual exceeds that of the flat ones by this factor shows no plane: 20 blobs to a square
-/// scatter by a third.
+/// A square whose mean square residual exceeds that of the flat ones by this factor shows no plane. With 20 blobs to a square it
+/// scatters by a third: these are three standard deviations.
 const WITHIN: f64 = 2.0; // [sigmas]
 /// Fewest planes that tell the noise.
 const FEWEST: usize = 4; // [algorithmic]
@@ -112,7 +113,8 @@ fn fit(view: &View, image: &[u16], corner: [u32; 2], side: u32) -> Option<Square
         squares += sums[2];
     }
     let count = matrix[(0, 0)];
-    if count < MEASURED * f64::from(SAMPLES * SAMPLES) {
+    let samples = (step / 2..side as usize).step_by(step).len();
+    if count < MEASURED * (samples * samples) as f64 {
         return None;
     }
     let plane = matrix.cholesky()?.solve(&right);
