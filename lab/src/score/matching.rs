@@ -3,7 +3,8 @@
 //! An answer is right if its shape is the true one (or another that is allowed) and position, radius, axis and half-angle are within the tolerance: of a
 //! sphere the distance of the centres; else the distance of the true middle from the answer's axis, and the radii there.
 //! Pairs are taken one to one. The identity that an object had stays with it where it is still right, as CLEAR-MOT has it
-//! (Bernardin and Stiefelhagen 2008); then the nearest pair goes first.
+//! (Bernardin and Stiefelhagen 2008); then objects that have to be found go before those that need not, as a label before the
+//! glass that it sticks to; then the nearest pair goes first.
 
 use super::truth::{Tolerance, TrueObject};
 use conicflow_messages::{Header, Item, Object, ObjectKind, Track, TrackState};
@@ -180,7 +181,8 @@ impl Matcher {
             for (number, answer) in answers.iter().enumerate() {
                 if fault(truth, &answer.object).is_none() {
                     let is_new = answer.id.is_none() || answer.id != known;
-                    right.push((is_new, compare(&truth.body, &answer.object).position_m, index, number));
+                    let position_m = compare(&truth.body, &answer.object).position_m;
+                    right.push(((is_new, !truth.required), position_m, index, number));
                 }
             }
         }
