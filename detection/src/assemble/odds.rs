@@ -31,19 +31,19 @@ pub struct Evidence {
     pub outline_far_off: f64,
     /// Visible length in radii; of a sphere 0.
     pub length_radii: f64,
-    /// Number of scan lines that show it.
-    pub lines: f64,
     /// Part of the scan lines between the first and the last that show it.
     pub coverage: f64,
+    /// Share of its two ends across the scan lines beyond which its surface goes on.
+    pub continued: f64,
     /// Whether it is a sphere, which has fewer parameters to bend to anything.
     pub is_sphere: bool,
 }
 
 /// Number of terms of the sum, the constant included.
-pub const TERMS: usize = 10; // [derived]
+pub const TERMS: usize = 11; // [derived]
 
 /// Weights of the terms, in their order, as `cargo bench --bench odds` prints them.
-const WEIGHTS: [f64; TERMS] = [-8.46, 2.02, -1.40, -20.40, -0.64, -4.36, 0.47, -0.14, 3.28, 1.91]; // [fitted]
+const WEIGHTS: [f64; TERMS] = [-6.60, 1.96, -1.07, -26.86, -0.59, -5.00, 0.42, 2.61, 2.66, -0.75, -1.60]; // [fitted]
 
 impl Evidence {
     /// That of a candidate of which `object` is the report.
@@ -57,8 +57,8 @@ impl Evidence {
             outline_square: outline.square,
             outline_far_off: outline.far_off,
             length_radii: object.length / object.radius,
-            lines: f64::from(measured.lines),
             coverage: f64::from(measured.lines) / f64::from(last.line - first.line + 1),
+            continued: outline.continued,
             is_sphere: object.shape() == ObjectKind::Sphere,
         }
     }
@@ -73,9 +73,10 @@ impl Evidence {
             self.outline_square.min(MOST_OUTLINE),
             self.outline_far_off,
             self.length_radii.min(MOST_LENGTH),
-            self.lines.ln(),
             self.coverage,
             f64::from(u8::from(self.is_sphere)),
+            self.continued,
+            self.continued * f64::from(u8::from(self.is_sphere)),
         ]
     }
 

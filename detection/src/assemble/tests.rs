@@ -1,5 +1,6 @@
 //! Tests of the pooled method, on rendered frames.
 
+use super::odds::Evidence;
 use super::{Assembler, AssemblerParameters};
 use crate::extract::{Extractor, ExtractorParameters};
 use conicflow_geometry::Vector3;
@@ -130,6 +131,24 @@ fn a_ball_on_a_can_is_cut_off_from_it() {
     let shapes: Vec<_> = objects.iter().map(Object::shape).collect();
     assert_eq!(shapes, [ObjectKind::Sphere, ObjectKind::Cylinder], "{objects:?}");
     assert!((objects[0].radius - 0.12).abs() < 0.001 && (objects[1].radius - 0.1).abs() < 0.001, "{objects:?}");
+}
+
+#[test]
+fn where_a_surface_goes_on_it_is_told_and_speaks_against_a_sphere() {
+    let ball = Body::Sphere { center: Vector3::new(0.0, -0.02, 1.4), radius: 0.12 };
+    let axis = Vector3::y();
+    let post = Body::Frustum { center: Vector3::new(0.0, 0.22, 1.4), axis, radius: 0.11, slope: 0.0, length: 0.4 };
+    let evidence = |bodies: &[Body]| {
+        let (header, pixels) = render(KINECT_HALF, NoiseModel::KINECT_V1, bodies, 7);
+        let mut extractor = Extractor::new(ExtractorParameters::default());
+        let mut assembler = Assembler::new(AssemblerParameters::default());
+        assembler.assemble(&header, extractor.extract(&header, &pixels));
+        let spheres = assembler.candidates().iter().filter(|(object, _)| object.shape() == ObjectKind::Sphere);
+        *spheres.map(|(_, evidence)| evidence).next().unwrap()
+    };
+    let (free, on_a_post) = (evidence(&[ball, wall(3.0)]), evidence(&[ball, post, wall(3.0)]));
+    assert_eq!((free.continued, on_a_post.continued), (0.0, 0.5));
+    assert!(Evidence { continued: 1.0, ..free }.probability() < free.probability());
 }
 
 #[test]

@@ -21,6 +21,8 @@ const ALONG_VIEW: f64 = 0.906; // [tuned]
 const UNEVEN: f64 = 0.05; // [tuned]
 /// They may be off by more, as far as their mean square scatters by noise, by so many of its standard deviations.
 const SCATTER: f64 = 2.5; // [sigmas]
+/// Lines beyond the ends of a region in which its surface may go on.
+const BEYOND_LINES: i64 = 4; // [algorithmic]
 /// The curvature of an object has to exceed that of a plane by so many standard deviations.
 const CURVED: f64 = 4.0; // [sigmas]
 
@@ -54,6 +56,8 @@ pub(crate) struct Outline {
     pub far_off: f64,
     /// Share of the ends of all arcs beyond which something farther is seen, or nothing is measured.
     pub free: f64,
+    /// Share of its two ends across the scan lines beyond which another arc goes on as if it were the same surface.
+    pub continued: f64,
 }
 
 impl Outline {
@@ -65,8 +69,18 @@ impl Outline {
         let free = free as f64 / ends;
         let share = |part: usize, all: usize| part as f64 / all.max(1) as f64;
         let square = region.model.contour_sum() / contour.used().max(1) as f64;
-        Self { square, far_off: share(contour.far_off(), contour.points()), free }
+        let continued = continued(region);
+        Self { square, far_off: share(contour.far_off(), contour.points()), free, continued }
     }
+}
+
+/// Share of the ends of a region, before its first line and behind its last, at which the surface goes on.
+fn continued(region: &Region) -> f64 {
+    let Region { arcs, members, .. } = region;
+    let is_other = |arc: usize| members.binary_search(&arc).is_err();
+    let goes_on = |member: usize, side: i64| arcs.beside(member, side, BEYOND_LINES, is_other).is_some();
+    let ends = [(members[0], -1), (members[members.len() - 1], 1)];
+    0.5 * ends.into_iter().filter(|&(member, side)| goes_on(member, side)).count() as f64
 }
 
 /// A region that was verified.

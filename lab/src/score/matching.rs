@@ -359,6 +359,15 @@ pub(super) mod tests {
     }
 
     #[test]
+    fn what_has_to_be_found_goes_before_what_need_not() {
+        let glass = TrueObject { required: false, ..expected(sphere(0.0)) };
+        let truths = vec![glass, expected(sphere(0.04))];
+        let found = |answers: &[Object]| places(&Matcher::default().match_up(truths.clone(), &self::answers(answers)));
+        assert_eq!(found(&[sphere(0.01)]), (vec![None, Some(0.01)], vec![]));
+        assert_eq!(found(&[sphere(0.01), sphere(0.02)]), (vec![Some(0.01), Some(0.02)], vec![]));
+    }
+
+    #[test]
     fn all_is_wrong_where_nothing_is() {
         let answers = answers(&[sphere(0.0)]);
         let matched = Matcher::default().match_up(Vec::new(), &answers);
