@@ -137,6 +137,7 @@ impl<'a> Receiving<'a> {
             self.sequence.taken();
         }
         if header.ends_stream() && (verdict == Verdict::Take || repeated_end) {
+            self.output_port.expect(Text::new(&writer), header.number);
             self.ended.insert(writer);
         }
         self.acknowledge();

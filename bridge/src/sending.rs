@@ -193,7 +193,7 @@ impl<'a> Sending<'a> {
         for writer in &self.edge.writers {
             let over = self.input_port.has_ended(writer) || gone.contains(writer);
             if over && self.input_port.is_idle() && self.ended.insert(writer.clone()) {
-                let end = end_of_stream(&self.last, &[Text::new(writer)]);
+                let end = end_of_stream(&self.last, Text::new(writer), self.input_port.count_of(writer));
                 let bytes = message_bytes(self.queue.place(), &self.layout, &end, |_| Ok(()))?;
                 self.queue.sent_end(writer, &bytes, Instant::now());
                 self.publisher.put(bytes);

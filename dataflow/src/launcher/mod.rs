@@ -98,6 +98,7 @@ pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
         signals: signals()?,
         phase: Phase::Running,
         lost: false,
+        hurried: false,
         progress: Progress::new(options.quiet),
         started: Instant::now(),
     };
@@ -120,6 +121,8 @@ struct Launcher<'a> {
     signals: Receiver<i32>,
     phase: Phase,
     lost: bool,
+    /// Asked a second time to end: what is under way need not be delivered.
+    hurried: bool,
     progress: Progress,
     started: Instant,
 }
@@ -145,11 +148,14 @@ impl Launcher<'_> {
         let look = if self.swap.is_some() { LOOK_AT_SWAP } else { LOOK };
         match self.signals.recv_timeout(look) {
             Ok(SIGCHLD) | Err(RecvTimeoutError::Timeout) => {}
-            Ok(_) | Err(RecvTimeoutError::Disconnected) => match self.phase {
-                Phase::Running => self.stop_sources(),
-                Phase::Delivering { .. } => self.stop_all(),
-                Phase::Stopping { .. } | Phase::Killing => self.kill_all(),
-            },
+            Ok(_) | Err(RecvTimeoutError::Disconnected) => {
+                self.hurried = !matches!(self.phase, Phase::Running);
+                match self.phase {
+                    Phase::Running => self.stop_sources(),
+                    Phase::Delivering { .. } => self.stop_all(),
+                    Phase::Stopping { .. } | Phase::Killing => self.kill_all(),
+                }
+            }
         }
     }
 
@@ -228,7 +234,7 @@ impl Launcher<'_> {
 
     fn summary(&self) -> Summary {
         let lost = self.lost || self.stages.iter().any(Supervised::is_gone);
-        Summary::read(&self.plan, &self.folder, self.started.elapsed(), !lost)
+        Summary::read(&self.plan, &self.folder, self.started.elapsed(), !lost, self.hurried)
     }
 }
 

@@ -4,7 +4,8 @@ use super::folder::RunFolder;
 use crate::item_type::ItemType;
 use crate::link_report::{LinkReport, read_links};
 use crate::plan::{Plan, PlannedStage};
-use crate::status::{Durations, Status, used};
+use crate::ports::Delivery;
+use crate::status::{Durations, InputCounts, Status, used};
 use crate::table::Table;
 use std::fmt::{self, Display};
 use std::time::Duration;
@@ -20,6 +21,26 @@ pub struct Summary {
     /// The links to other machines.
     pub links: Vec<LinkReport>,
     complete: bool,
+    /// Whether somebody did not want to wait for what was under way.
+    hurried: bool,
+}
+
+/// Messages that a reader which wants all of them did not get.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LostMessages {
+    /// Name of the topic.
+    pub topic: String,
+    /// Name of the stage that reads it.
+    pub reader: String,
+    /// How many were lost, and of how many.
+    pub count: [u64; 2],
+}
+
+impl Display for LostMessages {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { topic, reader, count: [lost, sent] } = self;
+        write!(f, "`{reader}` lost {lost} of {sent} messages of the lossless topic `{topic}`")
+    }
 }
 
 /// A stage and its record.
@@ -31,19 +52,43 @@ pub struct StageSummary {
 }
 
 impl Summary {
-    pub(crate) fn read(plan: &Plan, folder: &RunFolder, elapsed: Duration, complete: bool) -> Self {
+    pub(crate) fn read(plan: &Plan, folder: &RunFolder, elapsed: Duration, complete: bool, hurried: bool) -> Self {
         let of_run = |status: &Status| status.run == plan.run;
         let stages = plan.stages.iter().map(|planned| StageSummary {
             planned: planned.clone(),
             status: Status::read(&folder.status(&planned.name)).filter(of_run).map(Box::new),
         });
         let links = read_links(folder.path(), plan.run);
-        Self { pipeline: plan.pipeline.clone(), elapsed, stages: stages.collect(), links, complete }
+        Self { pipeline: plan.pipeline.clone(), elapsed, stages: stages.collect(), links, complete, hurried }
     }
 
-    /// Whether no stage was lost.
+    /// Whether no stage was lost, and no message where all are wanted.
     pub fn is_complete(&self) -> bool {
-        self.complete
+        self.complete && self.lost().is_empty()
+    }
+
+    /// What readers lost of topics of which they want all, in a run that has ended; nothing where somebody ended the run
+    /// before all was delivered. A stage that is killed loses what waited for it.
+    pub fn lost(&self) -> Vec<LostMessages> {
+        let lost = self.statuses().filter_map(|(planned, status)| {
+            let topic = planned.wiring.input.as_ref()?;
+            if self.hurried || topic.delivery_to(&planned.name) != Delivery::Lossless {
+                return None;
+            }
+            let InputCounts { received, dropped, late, malformed, .. } = status.inputs[0];
+            // What a stage of another machine has sent is known by the numbers of its messages alone.
+            let sent = topic.writers.iter().map(|writer| self.sent_by(writer)).sum::<Option<u64>>();
+            let sent = sent.unwrap_or(0).max(received + dropped);
+            let lost = sent.saturating_sub(received + late + malformed).max(dropped);
+            let (topic, reader) = (topic.name.clone(), planned.name.clone());
+            if lost > 0 { Some(LostMessages { topic, reader, count: [lost, sent] }) } else { None }
+        });
+        lost.collect()
+    }
+
+    /// How many messages a stage has sent; `None` where it has no record here.
+    fn sent_by(&self, stage: &str) -> Option<u64> {
+        self.statuses().find(|(planned, _)| planned.name == stage).map(|(_, status)| status.sent)
     }
 
     /// Frames that the sources have made, and how many they will have made in the end where all of them know.
@@ -214,6 +259,7 @@ impl Display for Text<'_> {
         if summary.has_begun() {
             summary.findings(f, in_detail)?;
         }
+        summary.lost().iter().try_for_each(|lost| writeln!(f, "\nnot complete: {lost}"))?;
         if summary.complete { Ok(()) } else { writeln!(f, "\nnot complete: a stage was lost, see above") }
     }
 }
@@ -223,7 +269,7 @@ mod tests {
     use super::*;
     use crate::pipeline::Restart;
     use crate::plan::Runs;
-    use crate::ports::{Topic, Wiring};
+    use crate::ports::{Topic, TopicReader, Wiring};
     use conicflow_messages::{Ellipse, Item, Object, Track};
     use serde_json::Value as Json;
 
@@ -257,7 +303,14 @@ mod tests {
             Topic { name: "in".into(), item: Some(ItemType::of::<Ellipse>()), writers: vec![], readers: vec![] };
         planned.wiring.input = Some(input);
         let stages = vec![StageSummary { planned, status: Some(status) }];
-        Summary { pipeline: "test".into(), elapsed: Duration::from_secs(1), stages, links: vec![], complete: true }
+        Summary {
+            pipeline: "test".into(),
+            elapsed: Duration::from_secs(1),
+            stages,
+            links: vec![],
+            complete: true,
+            hurried: false,
+        }
     }
 
     #[test]
@@ -271,6 +324,34 @@ mod tests {
         let found = summary(status);
         assert!(found.to_string().contains("cone 1") && !found.to_string().contains(reason), "{found}");
         assert!(found.in_detail().to_string().contains(reason));
+    }
+
+    /// A run in which `reader` has these counts of a lossless topic of which another stage sent 40 messages.
+    fn lossless(counts: InputCounts, writer: &str) -> Summary {
+        let (mut reading, mut writing) = (Box::new(Status::default()), Box::new(Status::default()));
+        (reading.inputs[0], writing.sent) = (counts, 40);
+        let mut run = summary(reading);
+        let readers = vec![TopicReader { stage: "stage".into(), delivery: Delivery::Lossless, queue: 4 }];
+        let topic = Topic { name: "in".into(), item: None, writers: vec![writer.to_owned()], readers };
+        run.stages[0].planned.wiring.input = Some(topic);
+        let planned = PlannedStage { name: "writer".into(), ..stage::<Ellipse>() };
+        run.stages.push(StageSummary { planned, status: Some(writing) });
+        run
+    }
+
+    #[test]
+    fn what_a_lossless_reader_did_not_get_makes_a_run_incomplete() {
+        let counts = |received: u64, dropped: u64| InputCounts { received, dropped, ..InputCounts::default() };
+        let lost = |run: Summary| run.lost().into_iter().map(|lost| lost.count).collect::<Vec<_>>();
+        assert_eq!(lost(lossless(counts(40, 0), "writer")), [[0; 2]; 0]);
+        assert_eq!(lost(lossless(counts(37, 0), "writer")), [[3, 40]]);
+        assert_eq!(lost(lossless(counts(37, 3), "writer")), [[3, 40]]);
+        assert_eq!(lost(lossless(InputCounts { late: 3, ..counts(37, 0) }, "writer")), [[0; 2]; 0], "they came twice");
+        assert_eq!(lost(lossless(counts(37, 2), "elsewhere")), [[2, 39]], "its record is on another machine");
+        let run = lossless(counts(37, 0), "writer");
+        let sentence = "not complete: `stage` lost 3 of 40 messages of the lossless topic `in`";
+        assert!(!run.is_complete() && run.to_string().contains(sentence), "{run}");
+        assert_eq!(lost(Summary { hurried: true, ..run }), [[0; 2]; 0], "nobody waited for them");
     }
 
     #[test]

@@ -1,11 +1,12 @@
 //! The twin of shared memory inside one process: the same queues and the same waiting, for tests.
 
 use crate::item_type::ItemType;
-use crate::ports::{Delivery, PortError, Reader, Received, Topic, Transport, Writer};
+use crate::ports::{ConnectedReader, Delivery, PortError, Reader, Received, Topic, Transport, Writer};
 use crate::stage::Stop;
 use bytemuck::{cast_slice, cast_slice_mut};
 use conicflow_messages::Header;
 use std::collections::{BTreeMap, VecDeque};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -34,10 +35,13 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 #[derive(Default)]
 struct Channel {
     queues: Mutex<Vec<Queue>>,
+    /// How many readers there have been.
+    opened: AtomicU64,
     changed: Condvar,
 }
 
 struct Queue {
+    port: u64,
     stage: String,
     delivery: Delivery,
     capacity: usize,
@@ -160,8 +164,9 @@ impl Writer for MemoryWriter {
         Ok(message.items.length / self.item.size())
     }
 
-    fn connected(&self) -> Vec<String> {
-        lock(&self.channel.queues).iter().map(|queue| queue.stage.clone()).collect()
+    fn connected(&self) -> Vec<ConnectedReader> {
+        let reader = |queue: &Queue| ConnectedReader { port: queue.port.into(), stage: queue.stage.clone() };
+        lock(&self.channel.queues).iter().map(reader).collect()
     }
 }
 
@@ -174,7 +179,8 @@ impl Transport for InMemory {
         let channel = self.channel(&topic.name);
         let reader = topic.readers.iter().find(|reader| reader.stage == stage);
         let (delivery, capacity) = reader.map_or((Delivery::Latest, 2), |reader| (reader.delivery, reader.queue));
-        let queue = Queue { stage: stage.to_owned(), delivery, capacity, messages: VecDeque::new() };
+        let port = channel.opened.fetch_add(1, Ordering::Relaxed);
+        let queue = Queue { port, stage: stage.to_owned(), delivery, capacity, messages: VecDeque::new() };
         lock(&channel.queues).push(queue);
         Ok(MemoryReader { item: item.clone(), channel, stage: stage.to_owned() })
     }

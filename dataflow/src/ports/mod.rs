@@ -249,8 +249,17 @@ pub trait Writer {
     /// The transport failed, or the run ended while it waited.
     fn send(&mut self, header: &Header) -> Result<usize, PortError>;
 
-    /// The stages of the pipeline that read this topic now.
-    fn connected(&self) -> Vec<String>;
+    /// The readers of the pipeline that are there now.
+    fn connected(&self) -> Vec<ConnectedReader>;
+}
+
+/// A reader that is there: a stage that was started anew is another one.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ConnectedReader {
+    /// The number of its end of the topic, which no other has.
+    pub port: u128,
+    /// Name of the stage.
+    pub stage: String,
 }
 
 /// Opens the ends of topics.

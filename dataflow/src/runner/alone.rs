@@ -50,7 +50,8 @@ where
                 writer.loan(items.len())?.copy_from_slice(items);
                 writer.send(&from_upstream(*header))?;
             }
-            writer.send(&from_upstream(Header { flags: END_OF_STREAM, ..Header::default() })).map(drop)
+            let number = messages.last().map_or(0, |(header, _)| header.number.saturating_add(1));
+            writer.send(&from_upstream(Header { flags: END_OF_STREAM, number, ..Header::default() })).map(drop)
         },
     )
 }

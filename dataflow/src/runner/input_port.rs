@@ -151,12 +151,11 @@ impl<R: Reader> InputPort<R> {
         self.pending.iter().any(|message| is_from(message.header(), &Text::new(writer)))
     }
 
-    /// By writer, the number of the first message that is buffered; of an end the number that would follow.
+    /// By writer, the number of the first message that is buffered; an end has the number that would follow.
     pub(crate) fn first_buffered(&self) -> Watermark {
         let mut first = Watermark::default();
         for header in self.buffered() {
-            let number = header.number.saturating_add(u64::from(header.ends_stream()));
-            first.numbers.entry(ends_of_trace(header).1).or_insert(number);
+            first.numbers.entry(ends_of_trace(header).1).or_insert(header.number);
         }
         first
     }
@@ -244,7 +243,7 @@ impl<R: Reader> InputPort<R> {
         }
         let (source, writer) = ends_of_trace(header);
         if header.ends_stream() {
-            self.ended.extend(header.trace().iter().map(|hop| hop.stage.to_string()));
+            self.note_end(header, writer);
             return false;
         }
         if self.is_known(header, writer) {
@@ -263,6 +262,26 @@ impl<R: Reader> InputPort<R> {
     fn is_repeated(&self, header: &Header, source: Text<32>, writer: Text<32>) -> bool {
         let is_same_frame = |(_, sequence): &(u64, u64)| *sequence == header.sequence;
         self.last_number.get(&writer) == Some(&header.number) && self.last_frame.get(&source).is_some_and(is_same_frame)
+    }
+
+    /// Notes that a writer has ended, and counts what it had sent last and never came.
+    fn note_end(&mut self, end: &Header, writer: Text<32>) {
+        self.ended.insert(writer.to_string());
+        let last = self.last_number.get(&writer).copied();
+        // Where several write, an earlier process of this stage may have had what this one knows nothing of.
+        let first = if self.writers == 1 && self.delivery == Delivery::Lossless { Some(0) } else { None };
+        let Some(next) = last.map(|last| last.saturating_add(1)).or(first) else { return };
+        let lost = end.number.saturating_sub(next);
+        if lost > 0 {
+            self.counts.dropped = self.counts.dropped.saturating_add(lost);
+            self.counts.gaps = self.counts.gaps.saturating_add(lost);
+            self.last_number.insert(writer, end.number - 1);
+        }
+    }
+
+    /// How many messages a writer has sent, as far as is known here.
+    pub fn count_of(&self, writer: &str) -> u64 {
+        self.last_number.get(&Text::new(writer)).map_or(0, |last| last.saturating_add(1))
     }
 
     /// Counts what was lost on the way from the writer to here.

@@ -136,16 +136,32 @@ fn nonsense_is_counted_and_left_out() {
 }
 
 #[test]
-fn one_message_may_end_the_streams_of_several_writers() {
+fn a_stream_has_ended_when_each_of_its_writers_has() {
     let memory = InMemory::default();
     let topic = topic(Delivery::Latest);
     let mut input_port =
         InputPort::new(memory.reader::<Object>(&topic, "reader").unwrap(), Delivery::Latest, "objects", 2);
     let mut writer = memory.writer::<Object>(&topic).unwrap();
     writer.send(&header(0)).unwrap();
-    writer.send(&end_of_stream(&header(0), &["writer", "other"].map(Text::new))).unwrap();
+    writer.send(&end_of_stream(&header(0), Text::new("writer"), 1)).unwrap();
     assert!(input_port.take().unwrap().is_some() && input_port.take().unwrap().is_none());
-    assert!(input_port.ended() && input_port.has_ended("writer") && input_port.has_ended("other"));
+    assert!(input_port.has_ended("writer") && !input_port.has_ended("other") && !input_port.ended());
+    writer.send(&end_of_stream(&header(0), Text::new("other"), 0)).unwrap();
+    assert!(input_port.take().unwrap().is_none() && input_port.ended());
+}
+
+#[test]
+fn what_is_missing_at_the_end_is_counted_once() {
+    let end = end_of_stream(&header(1), Text::new("writer"), 5);
+    for (sent, lost) in [(&[header(0), header(1), end][..], 3), (&[header(0), header(1), end, end], 3), (&[end], 5)] {
+        let (_, counts, ended) = pass(Delivery::Lossless, sent);
+        assert_eq!((counts.dropped, counts.gaps, ended), (lost, lost, true));
+    }
+    let complete = end_of_stream(&header(1), Text::new("writer"), 2);
+    assert_eq!(pass(Delivery::Lossless, &[header(0), header(1), complete]).1.dropped, 0);
+    assert_eq!(pass(Delivery::Latest, &[end]).1.dropped, 0, "who came late to a live stream has lost nothing");
+    let forged = end_of_stream(&header(1), Text::new("writer"), u64::MAX);
+    assert_eq!(pass(Delivery::Lossless, &[header(0), forged]).1.received, 1);
 }
 
 #[test]

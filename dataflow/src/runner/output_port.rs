@@ -2,10 +2,10 @@
 
 use super::peers::Peers;
 use crate::clock::monotonic_ns;
-use crate::ports::{Delivery, PortError, Topic, TopicReader, Writer};
+use crate::ports::{ConnectedReader, Delivery, PortError, Topic, TopicReader, Writer};
 use crate::stage::{Memory, Output, StageError, Stop};
 use crate::status::{Life, Status};
-use conicflow_messages::{END_OF_STREAM, Header, Hop, Item, MAX_HOPS, Text};
+use conicflow_messages::{END_OF_STREAM, Header, Hop, Item, Text};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::{self, Display, Formatter};
 use std::time::{Duration, Instant};
@@ -27,6 +27,8 @@ pub struct OutputPort<W: Writer> {
     sent_ns: Option<u64>,
     interval_ns: Option<u64>,
     last: Header,
+    /// By stage of another machine, how many messages it has sent as far as is known here.
+    relayed: BTreeMap<Text<32>, u64>,
     peers: Peers,
     stop: Stop,
 }
@@ -52,6 +54,7 @@ impl<W: Writer> OutputPort<W> {
             sent_ns: None,
             interval_ns: None,
             last: Header::default(),
+            relayed: BTreeMap::new(),
             peers,
             stop,
         }
@@ -119,36 +122,49 @@ impl<W: Writer> OutputPort<W> {
         self.number += 1;
         self.bytes += (bytes.len() + size_of::<Header>()) as u64;
         self.last = *header;
+        let writer = header.trace().last().map(|hop| hop.stage).unwrap_or_default();
+        self.expect(writer, header.number.saturating_add(1));
         Ok(())
+    }
+
+    /// Notes how many messages a stage of another machine has sent.
+    pub fn expect(&mut self, writer: Text<32>, count: u64) {
+        self.relayed.insert(writer, count);
     }
 
     /// Tells all readers that nothing more will come, and stays until they have taken all.
     pub(crate) fn end(&mut self) -> Result<(), PortError> {
-        self.end_as(&[self.stage])
+        self.end_each(&[end_of_stream(&self.last, self.stage, self.number)])
     }
 
-    /// The same in the name of other stages.
+    /// The same in the name of stages of another machine.
     ///
     /// # Errors
     /// The transport failed.
     pub fn end_as(&mut self, writers: &[Text<32>]) -> Result<(), PortError> {
+        let count = |writer: &Text<32>| self.relayed.get(writer).copied().unwrap_or_default();
+        let ends: Vec<_> = writers.iter().map(|writer| end_of_stream(&self.last, *writer, count(writer))).collect();
+        self.end_each(&ends)
+    }
+
+    fn end_each(&mut self, ends: &[Header]) -> Result<(), PortError> {
         let (mut before, mut told, mut last_told) = (Vec::new(), BTreeSet::new(), None::<Instant>);
         let deadline = Instant::now() + PATIENCE_WITH_LIVE_READERS;
         while !self.stop.forced() {
             let Some((writer, topic)) = &mut self.port else { break };
             let connected = writer.connected();
+            // A stage that was started anew between two looks has not been told, whatever its name.
             let is_new = connected.iter().any(|reader| !before.contains(reader));
             // A queue overflows only where no reader of the topic is lossless. Where one is, the others may miss the end.
-            let may_have_missed = |reader: &String| topic.delivery_to(reader) == Delivery::Latest;
+            let may_have_missed = |reader: &ConnectedReader| topic.delivery_to(&reader.stage) == Delivery::Latest;
             let is_due = topic.is_lossless()
                 && connected.iter().any(may_have_missed)
                 && last_told.is_some_and(|last| last.elapsed() > TELL_END);
             if is_new || is_due {
                 last_told = Some(Instant::now());
-                let ends = writers.chunks(MAX_HOPS).map(|stages| end_of_stream(&self.last, stages));
-                ends.into_iter().try_for_each(|end| writer.send(&end).map(drop))?;
+                ends.iter().try_for_each(|end| writer.send(end).map(drop))?;
             }
-            told.extend(connected.iter().cloned());
+            told.extend(connected.iter().map(|reader| reader.stage.clone()));
             let all_told = self.absent_readers(false).all(|reader| told.contains(&reader.stage));
             if connected.is_empty() && (all_told || Instant::now() > deadline) {
                 break;
@@ -182,10 +198,11 @@ impl<W: Writer> OutputPort<W> {
     /// Readers of the pipeline that are not there and still to come; only the lossless ones, or all.
     fn absent_readers(&self, only_lossless: bool) -> impl Iterator<Item = &TopicReader> {
         let (connected, topic) = self.port.as_ref().map(|(writer, topic)| (writer.connected(), topic)).unzip();
-        let connected: Vec<String> = connected.unwrap_or_default();
+        let connected: Vec<ConnectedReader> = connected.unwrap_or_default();
         let readers = topic.into_iter().flat_map(|topic| &topic.readers);
         let wanted = readers.filter(move |reader| !only_lossless || reader.delivery == Delivery::Lossless);
-        let absent = wanted.filter(move |reader| !connected.contains(&reader.stage));
+        let is_there = move |stage: &str| connected.iter().any(|reader| reader.stage == stage);
+        let absent = wanted.filter(move |reader| !is_there(&reader.stage));
         absent.filter(|reader| !matches!(self.peers.life(&reader.stage), Some(Life::Ended | Life::Gone)))
     }
 }
@@ -202,9 +219,10 @@ impl Display for Counts<'_> {
     }
 }
 
-/// The message that ends the streams of these stages, [`MAX_HOPS`] at most: the last header, without items.
-pub fn end_of_stream(last: &Header, stages: &[Text<32>]) -> Header {
-    let mut header = Header { flags: END_OF_STREAM, hop_count: 0, ..*last };
-    stages.iter().for_each(|stage| header.add_hop(Hop { stage: *stage, received_ns: 0, sent_ns: monotonic_ns() }));
+/// The message that ends the stream of a stage: a header like the last one, without items, whose number tells how many messages
+/// there were.
+pub fn end_of_stream(last: &Header, stage: Text<32>, count: u64) -> Header {
+    let mut header = Header { flags: END_OF_STREAM, number: count, hop_count: 0, ..*last };
+    header.add_hop(Hop { stage, received_ns: 0, sent_ns: monotonic_ns() });
     header
 }

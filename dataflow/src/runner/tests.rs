@@ -1,8 +1,15 @@
 //! Tests of the two loops, over the in-memory twin of shared memory.
 
 use super::alone::{Owned, collect, pass};
+use super::output_port::OutputPort;
+use super::peers::Peers;
+use crate::ports::in_memory::{InMemory, MemoryReader};
+use crate::ports::{Delivery, Reader, Received, Topic, TopicReader, Transport};
+use crate::stage::Stop;
 use crate::{Context, ItemType, Next, NoConfig, Output, RunError, SideInputs, Source, Stage, StageError};
 use conicflow_messages::{AnyByte, Camera, Header, Message, Nothing, Object, ObjectKind};
+use std::thread;
+use std::time::{Duration, Instant};
 
 fn context(stage: &str) -> Context {
     Context { stage: stage.to_owned(), ..Context::default() }
@@ -74,6 +81,34 @@ fn a_stage_makes_one_message_of_each_and_keeps_its_header() {
     assert_eq!((first.epoch, first.sequence, first.number), (7, 4, 0));
     let stages: Vec<_> = first.trace().iter().map(|hop| hop.stage.to_string()).collect();
     assert_eq!(stages, ["upstream", "large"]);
+}
+
+#[test]
+fn a_reader_that_comes_anew_between_two_looks_is_told_the_end_too() {
+    let memory = InMemory::default();
+    let readers = vec![TopicReader { stage: "sink".into(), delivery: Delivery::Lossless, queue: 4 }];
+    let topic = Topic { name: "objects".into(), item: None, writers: vec!["stage".into()], readers };
+    let writer = memory.writer::<Object>(&topic).unwrap();
+    let peers = Peers::default();
+    let mut output_port = OutputPort::new(Some((writer, topic.clone())), "stage", 3, peers, Stop::default());
+    let until_the_end = |mut reader: MemoryReader| {
+        let deadline = Instant::now() + Duration::from_secs(20);
+        while Instant::now() < deadline {
+            match reader.receive().unwrap() {
+                Some(message) if message.header().ends_stream() => return message.header().number,
+                _ => reader.wait(Duration::from_millis(1)).unwrap(),
+            }
+        }
+        panic!("the end is not told");
+    };
+    let first = memory.reader::<Object>(&topic, "sink").unwrap();
+    thread::scope(|scope| {
+        let ending = scope.spawn(move || output_port.end());
+        assert_eq!(until_the_end(first), 3, "so many messages there were");
+        // The next process of the same stage is there before the writer looks again.
+        assert_eq!(until_the_end(memory.reader::<Object>(&topic, "sink").unwrap()), 3);
+        ending.join().unwrap().unwrap();
+    });
 }
 
 #[test]

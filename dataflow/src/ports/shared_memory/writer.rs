@@ -6,7 +6,7 @@ use super::services::Ipc;
 use super::untyped::{self, Factory, Loan, Publisher};
 use crate::item_type::ItemType;
 use crate::ports::capacity::{look_for_room, no_room};
-use crate::ports::{Delivery, PortError, Topic, Writer};
+use crate::ports::{ConnectedReader, Delivery, PortError, Topic, Writer};
 use crate::stage::Stop;
 use conicflow_messages::Header;
 use iceoryx2::port::listener::Listener;
@@ -190,13 +190,14 @@ impl Writer for SharedWriter {
         Ok(length)
     }
 
-    fn connected(&self) -> Vec<String> {
-        let mut stages = Vec::new();
+    fn connected(&self) -> Vec<ConnectedReader> {
+        let mut readers = Vec::new();
         self.messages.dynamic_config().list_subscribers(|reader| {
-            stages.push(reader.subscriber_name.as_str().to_owned());
+            let (port, stage) = (reader.subscriber_id.value(), reader.subscriber_name.as_str().to_owned());
+            readers.push(ConnectedReader { port, stage });
             CallbackProgression::Continue
         });
-        stages.retain(|stage| self.topic.readers.iter().any(|reader| reader.stage == *stage));
-        stages
+        readers.retain(|reader| self.topic.place_of(&reader.stage).is_some());
+        readers
     }
 }
