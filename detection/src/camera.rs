@@ -11,14 +11,16 @@ use serde::{Deserialize, Serialize};
 #[serde(deny_unknown_fields)]
 pub struct Intrinsics {
     /// Focal length along x, in pixels.
-    #[schemars(range(min = 1.0))]
+    #[schemars(range(min = 1.0, max = 1e6))]
     pub fx: f64,
     /// Focal length along y, in pixels.
-    #[schemars(range(min = 1.0))]
+    #[schemars(range(min = 1.0, max = 1e6))]
     pub fy: f64,
     /// Principal point, x, in pixels.
+    #[schemars(range(min = -1e6, max = 1e6))]
     pub cx: f64,
     /// Principal point, y, in pixels.
+    #[schemars(range(min = -1e6, max = 1e6))]
     pub cy: f64,
 }
 
@@ -30,8 +32,7 @@ impl Intrinsics {
 
     /// Whether they are numbers that a camera can have.
     pub fn are_usable(&self) -> bool {
-        let Self { fx, fy, cx, cy } = *self;
-        [fx, fy].iter().all(|focal| (1.0..f64::INFINITY).contains(focal)) && cx.is_finite() && cy.is_finite()
+        self.camera((1, 1)).has_intrinsics()
     }
 }
 

@@ -25,8 +25,8 @@ pub use depth::{INVALID_FAR, INVALID_NEAR, is_measured, median_depth};
 pub use ellipse::{Ellipse, MOMENTS, Scan};
 pub use fault::{ConfigFault, Hinted};
 pub use header::{
-    Camera, END_OF_STREAM, HAS_POSE, HEADER_TYPE_NAME, Header, Hop, MAX_HOPS, MAX_PIXELS, MAX_SIDE_PX,
-    MAX_SOURCE_BYTES, NoiseModel, RECORDED, is_rotation,
+    Camera, DEPTH_SCALES_M, END_OF_STREAM, FARTHEST_PRINCIPAL_POINT_PX, FOCAL_LENGTHS_PX, HAS_POSE, HEADER_TYPE_NAME,
+    Header, Hop, MAX_HOPS, MAX_PIXELS, MAX_SIDE_PX, MAX_SOURCE_BYTES, NoiseModel, RECORDED, is_rotation,
 };
 pub use item::{AnyByte, Item, Malformed, Message, Nothing, ToJson};
 pub use json::{LINE_KEYS, Line};

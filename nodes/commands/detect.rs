@@ -71,7 +71,7 @@ fn intrinsics(text: &str) -> Result<Intrinsics, String> {
     if intrinsics.are_usable() {
         Ok(intrinsics)
     } else {
-        Err("focal lengths are at least one pixel, and all four numbers are finite".to_owned())
+        Err("focal lengths are 1 to 1,000,000 pixels, and the principal point is no farther away".to_owned())
     }
 }
 

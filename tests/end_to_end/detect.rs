@@ -77,7 +77,7 @@ fn what_cannot_be_detected_in_is_an_error_with_a_hint() {
         (&["detect", "nowhere"][..], "nowhere"),
         (&["detect", "frames"], "intrinsics"),
         (&["detect", "frames", "--camera", "525,525,319.5"], "expected four numbers"),
-        (&["detect", "frames", "--camera", "0,525,319.5,239.5"], "focal lengths are at least one pixel"),
+        (&["detect", "frames", "--camera", "0,525,319.5,239.5"], "focal lengths are 1 to 1,000,000 pixels"),
         (&["detect", "frames", "--camera", "290,290,159.5,119.5", "--scale", "0"], "depth_scale"),
         (&["detect", "frames", "--noise", "kinect"], "unknown variant `kinect`, expected one of `kinect_v1`"),
     ] {

@@ -101,6 +101,7 @@ fn with_faults(mut object: Object, pixel: f64) -> Object {
 
 fn cone(object: Object, surface: &Conical, half_angle: f64, sigma: ObjectSigma, measured: &Measured) -> Object {
     let [from, to] = measured.extent;
+    // At the apex rounding may make it a little less than nothing.
     let radius = |along: f64| (surface.radius + surface.slope * along).max(0.0);
     Object {
         kind: ObjectKind::Cone.code(),

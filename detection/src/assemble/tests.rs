@@ -122,6 +122,21 @@ fn a_sphere_and_cones_of_either_sense_are_told_apart() {
 }
 
 #[test]
+fn a_cone_ends_at_its_apex() {
+    let center = Vector3::new(0.0, 0.0, 1.2);
+    let whole = Body::Frustum { center, axis: Vector3::y(), radius: 0.05, slope: 0.45, length: 2.0 * 0.05 / 0.45 };
+    for seed in 0..8 {
+        for found in kinect(&[whole, wall(3.0)], seed) {
+            let (axis, middle) = (Vector3::from(found.axis), Vector3::from(found.center));
+            let top = middle - axis * (0.5 * found.length);
+            let beyond = (Vector3::from(found.apex) - top).dot(&axis);
+            assert!(beyond < 1e-9, "{found:?} begins {beyond} m before its apex");
+            assert!((found.top_radius + found.length * found.half_angle.tan() - found.base_radius).abs() < 1e-9);
+        }
+    }
+}
+
+#[test]
 fn a_ball_on_a_can_is_cut_off_from_it() {
     let axis = Vector3::y();
     let can = Body::Frustum { center: Vector3::new(0.0, 0.25, 1.4), axis, radius: 0.1, slope: 0.0, length: 0.3 };

@@ -222,11 +222,19 @@ fn measure(region: &Region) -> Measured {
         let first = region.ends()[0];
         0.5 * spacing_along(first.spacing, &first.plane, &surface.axis)
     });
-    let extent = [extent[0] - half_line, extent[1] + half_line];
+    let extent = [(extent[0] - half_line).max(apex(&region.model)), extent[1] + half_line];
     let (misfit, angle) = (region.model.square_sum() / points, angle / points);
     let variance = region.variance();
     let curvature = curvature(region, variance, misfit);
     Measured { count, points, lines, variance, misfit, curvature, angle, extent }
+}
+
+/// Place of the apex of a cone along its axis, beyond which there is nothing of it; other shapes have none.
+fn apex(model: &Model) -> f64 {
+    match model {
+        Model::Cone(fit) if fit.surface.0.slope > 0.0 => -fit.surface.0.radius / fit.surface.0.slope,
+        _ => f64::NEG_INFINITY,
+    }
 }
 
 /// Place of a point along the axis; of a sphere, across its arcs.

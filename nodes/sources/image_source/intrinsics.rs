@@ -3,7 +3,7 @@
 use super::hinted;
 use anyhow::{Context as _, Result, anyhow, bail, ensure};
 use conicflow_detection::camera::Intrinsics;
-use conicflow_messages::Hinted;
+use conicflow_messages::{DEPTH_SCALES_M, Hinted};
 use serde::Deserialize;
 use std::fs::File;
 use std::io::Read as _;
@@ -52,10 +52,10 @@ impl CameraFile {
         let intrinsics = json.intrinsics()?;
         ensure!(
             intrinsics.are_usable(),
-            "focal lengths have to be at least one pixel, and all of {intrinsics:?} finite numbers"
+            "focal lengths are 1 to 1,000,000 pixels, and a principal point is no farther away, not {intrinsics:?}"
         );
         if let Some(scale) = json.depth_scale {
-            ensure!(scale.is_normal() && scale > 0.0, "`depth_scale` is {scale}, expected a positive number");
+            ensure!(DEPTH_SCALES_M.contains(&scale), "`depth_scale` is {scale}, expected more than 0 and at most 1");
         }
         Ok(Self { path: path.to_owned(), intrinsics, size: json.width.zip(json.height), depth_scale: json.depth_scale })
     }
@@ -191,8 +191,11 @@ mod tests {
     fn faults_are_told() {
         assert!(told("{\n oops").contains("line 2"));
         assert!(told(&MINE.replace("\"fy\": 52.0, ", "")).starts_with("the key `fy` is missing\n  hint: write `{"));
-        assert!(told(&MINE.replace("52.0", "0")).starts_with("focal lengths have to be at least one pixel"));
-        assert!(told(&MINE.replace("0.0002", "-1")).starts_with("`depth_scale` is -1, expected a positive number\n"));
+        assert!(told(&MINE.replace("52.0", "0")).starts_with("focal lengths are 1 to 1,000,000 pixels"));
+        assert!(
+            told(&MINE.replace("0.0002", "-1"))
+                .starts_with("`depth_scale` is -1, expected more than 0 and at most 1\n")
+        );
         assert!(told(r#"{"intrinsic_matrix": [1, 2]}"#).starts_with("`intrinsic_matrix` has 2 numbers, expected 9\n"));
         let long = format!("{MINE}{}", " ".repeat(MAX_JSON_BYTES as usize));
         assert!(told(&long).starts_with("it is longer than 1048576 bytes, and no camera's\n  hint: "));

@@ -25,7 +25,7 @@ pub use recording::{Options, Recording};
 use conicflow_dataflow::{ConfigFault, Context, Next, Output, SideInputs, Source, StageError};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::NoiseConfig;
-use conicflow_messages::Hinted;
+use conicflow_messages::{DEPTH_SCALES_M, Hinted};
 use playback::{UNREADABLE, USUAL_RATE_HZ};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -96,13 +96,13 @@ impl Config {
             let what = format!("`{}` does not exist", base.join(path).display());
             faults.push(fault("poses", what, "`auto`, `none`, or a path that starts at the pipeline file's folder"));
         }
-        if self.depth_scale.is_some_and(|scale| !(scale.is_normal() && scale > 0.0)) {
-            faults.push(fault("depth_scale", "is not above 0".to_owned(), "0.001 for millimetres"));
+        if self.depth_scale.is_some_and(|scale| !DEPTH_SCALES_M.contains(&scale)) {
+            faults.push(fault("depth_scale", "is not above 0 and at most 1".to_owned(), "0.001 for millimetres"));
         }
         if self.intrinsics.is_some_and(|intrinsics| !intrinsics.are_usable()) {
             faults.push(fault(
                 "intrinsics",
-                "need fx and fy of at least one pixel, and finite cx and cy".to_owned(),
+                "need fx and fy of 1 to 1,000,000 pixels, and no larger cx and cy".to_owned(),
                 "take them from the camera's calibration",
             ));
         }

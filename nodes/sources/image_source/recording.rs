@@ -8,7 +8,7 @@ use super::{depth_png, hinted};
 use anyhow::{Context as _, Error, Result, bail, ensure};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::quantise::{finest_scale, is_too_far, quantise};
-use conicflow_messages::{Camera, Hinted, MAX_SIDE_PX};
+use conicflow_messages::{Camera, DEPTH_SCALES_M, Hinted, MAX_SIDE_PX};
 use std::fs::File;
 use std::io::Read as _;
 use std::path::Path;
@@ -80,9 +80,9 @@ impl Recording {
         let by_file = beside.and_then(|file| file.depth_scale).filter(|_| layout.format == Format::Png);
         let depth_scale = options.depth_scale.or(by_file).unwrap_or(layout.depth_scale);
         ensure!(
-            depth_scale.is_normal() && depth_scale > 0.0,
+            DEPTH_SCALES_M.contains(&depth_scale),
             Hinted::new(
-                format!("`depth_scale` is {depth_scale}, expected more than 0"),
+                format!("`depth_scale` is {depth_scale}, expected more than 0 and at most 1"),
                 "metres per unit: 0.001 for millimetres"
             )
         );
@@ -277,7 +277,7 @@ fn camera(layout: &Layout, size: (u32, u32), options: &Options, beside: Option<&
             intrinsics.are_usable(),
             Hinted::new(
                 format!(
-                    "`intrinsics` need focal lengths of at least one pixel, and finite numbers, not {intrinsics:?}"
+                    "`intrinsics` need focal lengths of 1 to 1,000,000 pixels and a principal point no farther away, not {intrinsics:?}"
                 ),
                 "take them from the camera's calibration, in pixels"
             )

@@ -13,7 +13,7 @@ pub use replay::Replay;
 use conicflow_dataflow::{ConfigFault, Context, ItemType, Next, Output, SideInputs, Source, StageError, Stop};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::NoiseConfig;
-use conicflow_messages::{AnyByte, Header};
+use conicflow_messages::{AnyByte, DEPTH_SCALES_M, Header};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -70,11 +70,11 @@ impl Config {
             }
             Some(_) => {}
         }
-        if self.depth_scale.is_some_and(|scale| !(scale.is_normal() && scale > 0.0)) {
-            faults.push(fault("depth_scale", "is not above 0", "0.001 for millimetres"));
+        if self.depth_scale.is_some_and(|scale| !DEPTH_SCALES_M.contains(&scale)) {
+            faults.push(fault("depth_scale", "is not above 0 and at most 1", "0.001 for millimetres"));
         }
         if self.intrinsics.is_some_and(|intrinsics| !intrinsics.are_usable()) {
-            let what = "need fx and fy of at least one pixel, and finite cx and cy";
+            let what = "need fx and fy of 1 to 1,000,000 pixels, and no larger cx and cy";
             faults.push(fault("intrinsics", what, "take them from the camera's calibration"));
         }
         if self.to_s.is_some_and(|to_s| to_s <= self.from_s) {
