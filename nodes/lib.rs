@@ -5,6 +5,7 @@ pub mod commands;
 mod config_error;
 mod network;
 pub mod recording;
+mod viewing;
 
 pub mod sources {
     //! Where frames come from.
