@@ -2,6 +2,7 @@
 
 use super::topic::give_way;
 use crate::viewing::live::Live;
+use crate::viewing::player::Player;
 use anyhow::Result;
 use clap::Args;
 use conicflow_view::{Display, Listen, Server};
@@ -42,10 +43,21 @@ pub fn view(arguments: &ViewArguments) -> Result<()> {
     }
     let display = Arc::new(Display::default());
     let listen = Listen::read(arguments.listen.as_deref(), arguments.token.as_deref())?;
-    let server = Server::start(&listen, Arc::clone(&display))?;
-    let live = Live::start(display, arguments.pipeline.clone())?;
+    if let Some(file) = &arguments.file {
+        let mut player = Player::open(file, arguments.topic.as_deref(), Arc::clone(&display))?;
+        let _server = offer(&listen, display)?;
+        return player.play(&told);
+    }
+    let live = Live::start(Arc::clone(&display), arguments.pipeline.clone())?;
+    let _server = offer(&listen, display)?;
+    live.show(&told)
+}
+
+/// Offers the page, and prints where.
+fn offer(listen: &Listen, display: Arc<Display>) -> Result<Server> {
+    let server = Server::start(listen, display)?;
     writeln!(stdout(), "{}", server.url())?;
     stdout().flush()?;
-    tracing::info!("open {} in a browser; Ctrl-C ends it", server.url());
-    live.show(&told)
+    tracing::info!("open this address in a browser; Ctrl-C ends it");
+    Ok(server)
 }

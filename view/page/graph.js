@@ -3,7 +3,10 @@
 
 import { count, milliseconds } from "./words.js";
 
-const [WIDTH, BOX, HIGH, GAP] = [620, 290, 50, 64];
+/** Height of a stage, and of the room below it. */
+const [HIGH, GAP] = [50, 56];
+/** Width of a stage, and of the room that what is told beside an arrow needs. */
+const [BOX, BESIDE] = [300, 320];
 
 const svg = (tag, attributes, ...children) => {
     const element = document.createElementNS("http://www.w3.org/2000/svg", tag);
@@ -63,13 +66,15 @@ export class GraphView {
     #draw({ stages, activity }, before, seconds) {
         const levels = rows(stages);
         const widest = Math.max(...levels.map((level) => level.length));
-        const width = Math.max(WIDTH, widest * (BOX + 24));
+        // A unit is a pixel where there is room: text is as large as elsewhere.
+        const width = Math.max(this.#place.clientWidth - 24, BESIDE, widest * (BOX + 24));
+        const lone = Math.max(Math.min((width - BOX) / 2, width - BOX - 130), 4);
         const place = new Map();
         levels.forEach((level, row) => {
             level.forEach((stage, column) => {
                 const x = width * ((column + 0.5) / level.length) - BOX / 2;
-                // A single column stands on the left, so that what is lost has room beside the arrows.
-                place.set(stage.name, { x: widest === 1 ? (width - BOX) / 2 - 60 : x, y: row * (HIGH + GAP) + 2, row });
+                // A single column leaves room on its right for what is told beside the arrows.
+                place.set(stage.name, { x: widest === 1 ? lone : x, y: row * (HIGH + GAP) + 2, row });
             });
         });
         const drawing = svg("svg", { viewBox: `0 0 ${width} ${levels.length * (HIGH + GAP) - GAP + 6}`, role: "img" });
@@ -88,8 +93,8 @@ export class GraphView {
         const [from, to] = [place.get(writer.name), place.get(reader.name)];
         const drives = reader.drives > 0 && reader.inputs[0] === topic;
         const isNext = to.row === from.row + 1;
-        const [x1, y1, x2, y2] = [from.x + (isNext ? 40 : 12), from.y + HIGH, to.x + (isNext ? 40 : 12), to.y - 6];
-        const bend = isNext ? 0 : -46 - 10 * (to.row - from.row);
+        const [x1, y1, x2, y2] = [from.x + 16, from.y + HIGH, to.x + 16, to.y - 6];
+        const bend = -40 - 10 * (to.row - from.row);
         const middle = (y1 + y2) / 2;
         const line = isNext
             ? `M${x1},${y1} C${x1},${middle} ${x2},${middle} ${x2},${y2}`
@@ -102,12 +107,12 @@ export class GraphView {
         const written = activity.topics.find((seen) => seen.topic === topic && seen.writer === writer.name);
         const same = (seen) => seen.topic === topic && seen.reader === reader.name;
         const [read, earlier] = [activity.inputs.find(same), before?.inputs.find(same)];
-        const label = svg("text", { x: x2 + 14, y: middle - 5 }, svg("tspan", { class: "topic" }, topic));
+        const label = svg("text", { x: x2 + 14, y: middle - 3 }, svg("tspan", { class: "topic" }, topic));
         const rate = written ? `  ${written.rate_hz.toFixed(1)} Hz · ${written.bandwidth_mbps.toFixed(written.bandwidth_mbps < 1 ? 3 : 1)} MB/s` : "";
         label.append(svg("tspan", { class: "figure" }, rate));
-        const line2 = svg("text", { x: x2 + 14, y: middle + 11, class: "figure" });
+        const line2 = svg("text", { x: x2 + 14, y: middle + 12, class: "figure" });
         if (read) {
-            const hop = read.hop_p50_ms === null ? "" : `hop ${milliseconds(read.hop_p50_ms)} · age ${milliseconds(read.latency_p50_ms)}, p99 ${milliseconds(read.latency_p99_ms)} · `;
+            const hop = read.hop_p50_ms === null ? "" : `age ${milliseconds(read.latency_p50_ms)}, p99 ${milliseconds(read.latency_p99_ms)} · `;
             line2.append(hop, svg("tspan", read.dropped + read.gaps > 0 ? { class: "warn" } : {}, lost(read, earlier, seconds)));
         }
         return [...drawn, label, line2];

@@ -5,6 +5,8 @@ import { name, percent, size, sureness } from "./words.js";
 
 const LINE = 15;
 const PAD = 5;
+/** Where there is less room than this, labels have one line. */
+const NARROW = 460;
 
 /** The lines of an item's label. */
 export function lines(item) {
@@ -15,12 +17,15 @@ export function lines(item) {
 
 const overlaps = (a, b) => a.x < b.x + b.width && b.x < a.x + a.width && a.y < b.y + b.height && b.y < a.y + a.height;
 
+const rectangle = ({ left, top, right, bottom }) => ({ x: left, y: top, width: right - left, height: bottom - top });
+
 /** Where a label of this size may stand around a box, the best place first. */
 function places({ left, top, right, bottom }, width, height) {
     const middle = (left + right - width) / 2;
     const beside = (top + bottom - height) / 2;
+    const above = [0, -0.3, 0.3, -0.55, 0.55].map((shift) => [middle + shift * width, top - height - 6]);
     const around = [
-        [middle, top - height - 6], [right + 6, beside], [left - width - 6, beside], [middle, bottom + 6],
+        ...above, [right + 6, beside], [left - width - 6, beside], [middle, bottom + 6],
         [right + 6, top - height], [left - width - 6, top - height], [right + 6, bottom], [left - width - 6, bottom],
     ];
     const farther = [];
@@ -38,12 +43,14 @@ export function drawLabels(context, named, width, height, chosen) {
     const taken = [];
     const order = [...named].sort((a, b) => (b.item.id === chosen) - (a.item.id === chosen) || sureness(b.item) - sureness(a.item));
     for (const { item, box } of order) {
-        const texts = lines(item);
-        const size = { width: Math.max(...texts.map((text) => context.measureText(text).width)) + 2 * PAD + 5, height: texts.length * LINE + PAD };
+        const texts = lines(item).slice(0, width < NARROW ? 1 : 2);
+        const size = { width: Math.max(...texts.map((text) => context.measureText(text).width)) + 2 * PAD + 8, height: texts.length * LINE + PAD };
         const clamp = ([x, y]) => ({
             x: Math.min(Math.max(x, 2), width - size.width - 2), y: Math.min(Math.max(y, 2), height - size.height - 2), ...size,
         });
-        const place = places(box, size.width, size.height).map(clamp).find((at) => !taken.some((other) => overlaps(at, other)));
+        const free = places(box, size.width, size.height).map(clamp).filter((at) => !taken.some((other) => overlaps(at, other)));
+        const others = named.filter((other) => other.item !== item).map((other) => rectangle(other.box));
+        const place = free.find((at) => !others.some((other) => overlaps(at, other))) ?? free[0];
         if (place) {
             taken.push(place);
             drawLabel(context, item, texts, place, box);

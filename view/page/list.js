@@ -53,23 +53,22 @@ function row(item, isChosen) {
     const away = Math.max(...item.sigma.center) * 1000;
     const radius = item.kind === "cone" ? item.base_radius : item.radius;
     const [mm, sigma] = millimetres(radius, item.sigma.radius).split(" ± ");
-    const angle = item.half_angle === undefined ? "" : degrees(item.half_angle, item.sigma.half_angle);
+    const angle = item.half_angle === undefined ? "" : `, ${degrees(item.half_angle)}`;
     const speed = item.velocity ? `${norm(item.velocity).toFixed(2)} m/s` : "";
     row.append(
         first(item),
-        cell("at", `${x}  ${y}  ${z} m`, `${away.toFixed(away < 1.95 ? 1 : 0)} mm`),
-        cell(item.kind === "cone" ? "base radius" : "radius", mm, sigma),
-        cell("length", item.length === undefined ? "" : millimetres(item.length)),
-        cell("half-angle", angle),
-        cell("speed", speed, item.velocity ? norm(item.sigma.velocity).toFixed(2) : ""),
         confidence(item),
-        cell("points", String(item.points)),
+        cell("at", `${x}, ${y}, ${z} m`, `${away.toFixed(away < 1.95 ? 1 : 0)} mm`),
+        cell(item.kind === "cone" ? "base radius" : "radius", mm, sigma),
+        cell("length", item.length === undefined ? "" : `${millimetres(item.length)}${angle}`),
+        cell("speed", speed, item.velocity ? norm(item.sigma.velocity).toFixed(2) : ""),
     );
+    row.title = `${item.points} points in ${item.rows} scan lines, ${(item.rms * 1000).toFixed(1)} mm from the surface`;
     row.classList.toggle("on", isChosen);
     return row;
 }
 
-const HEADS = ["", "x  y  z in the camera's frame", "radius", "length", "half-angle", "speed", "confidence", "points"];
+const HEADS = ["", "confidence", "x, y, z from the camera", "radius", "length, half-angle", "speed"];
 
 export class ListView {
     #table;

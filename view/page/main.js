@@ -108,7 +108,9 @@ function showAbout(about, isRecording) {
     by("latency-vital").hidden = isRecording;
     fill(by("pipeline"), about.pipelines, title);
     fill(by("depth-topic"), about.depth_topics, about.depth_topic);
-    graph.show(about.graph, isRecording ? "A recording tells nothing of stages." : "No stages are seen yet.");
+    // A recording tells nothing of stages.
+    document.body.classList.toggle("recording", isRecording);
+    graph.show(about.graph, "No stages are seen yet.");
 }
 
 function tell(state, text) {

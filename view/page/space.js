@@ -37,6 +37,9 @@ void main() {
 /** Camera coordinates (x right, y down, z forward) in those of the drawing (y up, z backward). */
 const FROM_CAMERA = new Matrix4().set(1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1);
 
+/** Without a graphics card space is drawn no more often than this: the robot has better things to do. */
+const SLOW_MS = 250;
+
 export class SpaceView {
     #renderer;
     #text;
@@ -52,6 +55,9 @@ export class SpaceView {
     #trails;
     #asked = false;
     #isPlaced = false;
+    #wantsPoints = true;
+    #isSlow = false;
+    #drawn = 0;
     #upright = new Matrix4();
     /** In whose coordinates it is drawn. */
     coordinates = "camera";
@@ -62,6 +68,7 @@ export class SpaceView {
     constructor(canvas, text) {
         this.#renderer = new WebGLRenderer({ canvas, antialias: true, powerPreference: "low-power" });
         this.#renderer.setClearColor(0x07090d);
+        this.#isSlow = isDrawnBySoftware(this.#renderer.getContext());
         this.#text = text.getContext("2d");
         this.#cloud = cloud();
         this.#seen.matrixAutoUpdate = false;
@@ -74,8 +81,9 @@ export class SpaceView {
         new ResizeObserver(() => this.#ask()).observe(canvas);
     }
 
-    set points(shown) {
-        this.#cloud.visible = shown;
+    set points(wanted) {
+        this.#wantsPoints = wanted;
+        this.#cloud.visible = wanted && Boolean(this.#frame?.pixels);
         this.#ask();
     }
 
@@ -85,7 +93,7 @@ export class SpaceView {
         if (frame.pixels) {
             this.#fill(frame, range);
         }
-        this.#cloud.visible &&= Boolean(frame.pixels);
+        this.#cloud.visible = this.#wantsPoints && Boolean(frame.pixels);
         this.redraw();
         if (!this.#isPlaced) {
             this.look("free");
@@ -130,10 +138,10 @@ export class SpaceView {
         const middle = this.#middle();
         const away = middle.z;
         const places = {
-            free: [0.75 * away, -0.55 * away, 0.05 * away],
+            free: [0.7 * away, -0.6 * away, 0.1 * away],
             eye: [0, 0, -0.02],
             side: [1.35 * away, 0, middle.z],
-            top: [0.001, -1.5 * away, middle.z - 0.001],
+            top: [0, -1.5 * away, middle.z - 0.001],
         };
         const place = (point) => new Vector3(...point).applyMatrix4(this.#seen.matrix);
         this.#eye.fov = from === "eye" ? (2 * Math.atan(camera.height / 2 / camera.fy) * 180) / Math.PI : 50;
@@ -143,14 +151,17 @@ export class SpaceView {
         this.#ask();
     }
 
-    /** About the middle of what is measured, on the camera's axis. */
+    /** About the middle of what was found, or else of what is measured, on the camera's axis. */
     #middle() {
         const { pixels, image, items } = this.#frame;
+        if (items.length > 0) {
+            return new Vector3(0, 0, items.reduce((sum, item) => sum + item.center[2], 0) / items.length);
+        }
         const measured = pixels ? [...pixels.filter((depth, i) => i % 97 === 0 && depth > 0 && depth < 65535)].sort((a, b) => a - b) : [];
         if (measured.length > 0) {
             return new Vector3(0, 0, measured[Math.floor(measured.length / 2)] * image.scale);
         }
-        return new Vector3(0, 0, items.length > 0 ? Math.max(...items.map((item) => item.center[2])) : 2);
+        return new Vector3(0, 0, 2);
     }
 
     #fill({ image, pixels, camera }, { near, far }) {
@@ -198,12 +209,13 @@ export class SpaceView {
     #ask() {
         if (!this.#asked) {
             this.#asked = true;
-            requestAnimationFrame(() => this.#draw());
+            const wait = this.#isSlow ? Math.max(0, this.#drawn + SLOW_MS - performance.now()) : 0;
+            setTimeout(() => requestAnimationFrame(() => this.#draw()), wait);
         }
     }
 
     #draw() {
-        this.#asked = false;
+        [this.#asked, this.#drawn] = [false, performance.now()];
         const canvas = this.#renderer.domElement;
         const [width, height] = [canvas.clientWidth, canvas.clientHeight];
         if (width === 0) {
@@ -247,6 +259,13 @@ export class SpaceView {
         const inside = x > 0 && y > 0 && x < width && y < height;
         return inside ? { left: x - size, right: x + size, top: y - size, bottom: y + size } : null;
     }
+}
+
+/** Whether there is no graphics card, as far as the browser tells. */
+function isDrawnBySoftware(gl) {
+    const told = gl.getExtension("WEBGL_debug_#rendererinfo");
+    const name = gl.getParameter(told ? told.UNMASKED_RENDERER_WEBGL : gl.RENDERER);
+    return /swiftshader|llvmpipe|software|basic render/i.test(name);
 }
 
 function cloud() {

@@ -2,6 +2,9 @@
 
 import { wish } from "./server.js";
 
+const PLAY = "M4 2.5v11l9-5.5z";
+const PAUSE = "M3.5 3h3v10h-3zM9.5 3h3v10h-3z";
+
 export class Timeline {
     #parts;
     #player;
@@ -33,7 +36,7 @@ export class Timeline {
         }
         at.textContent = `${player.at_s.toFixed(2)} s`;
         length.textContent = `${player.length_s.toFixed(2)} s`;
-        play.textContent = player.plays ? "⏸" : "▶";
+        play.querySelector("path").setAttribute("d", player.plays ? PAUSE : PLAY);
         play.setAttribute("aria-label", player.plays ? "Pause" : "Play");
         if (!this.#isHeld) {
             position.value = String(Math.round((1000 * player.at_s) / Math.max(player.length_s, 1e-9)));

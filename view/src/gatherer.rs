@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 const MAX_PIXELS: usize = 1 << 25;
 /// ... and there are no more of them.
 const MAX_IMAGES: usize = 32;
-/// Where no list has come for so long, depth images are shown without.
+/// Where no list has come for so long, depth images are shown without, and the other way round.
 const PATIENCE: Duration = Duration::from_millis(700);
 /// Nobody sees more images than one in so long: others are not copied.
 const SHORTEST_INTERVAL: Duration = Duration::from_millis(20);
@@ -62,7 +62,8 @@ impl Gatherer {
     /// Takes what was found in a frame; the frame to be shown, unless its depth image was another camera's or has gone.
     pub fn list(&mut self, header: &Header, list: List, latency_ms: Option<f64>, now: Instant) -> Option<Frame> {
         let found = self.depths.iter().position(|depth| key(&depth.header) == key(header));
-        if found.is_none() && !self.depths.is_empty() {
+        let has_images = self.taken.is_some_and(|taken| now.saturating_duration_since(taken) < PATIENCE);
+        if found.is_none() && has_images {
             return None;
         }
         self.listed = Some(now);
@@ -95,6 +96,11 @@ mod tests {
         assert!(gatherer.list(&header("left", 1), List::default(), None, now).is_none(), "it is older");
         assert!(gatherer.list(&header("right", 3), List::default(), None, now).is_none(), "it is another camera's");
         assert!(gatherer.list(&header("left", 3), List::default(), None, now).is_some());
+        assert!(gatherer.list(&header("left", 9), List::default(), None, now).is_none(), "its image was left out");
+        assert!(
+            gatherer.list(&header("left", 99), List::default(), None, now + 5 * PATIENCE).is_some(),
+            "no images come"
+        );
     }
 
     #[test]
