@@ -111,7 +111,7 @@ impl Drop for Browser {
     fn drop(&mut self) {
         if let Ok(mut stream) = TcpStream::connect(format!("127.0.0.1:{}", self.port)) {
             write!(stream, "DELETE {} HTTP/1.1\r\nHost: localhost\r\n\r\n", self.session).ok();
-            stream.read(&mut [0; 64]).ok();
+            stream.read_exact(&mut [0]).ok();
         }
     }
 }

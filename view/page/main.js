@@ -10,8 +10,10 @@ import { Timeline } from "./timeline.js";
 import { Trails } from "./trails.js";
 import { metres, milliseconds } from "./words.js";
 
-/** The list is written anew no more often than this. */
-const LIST_MS = 120;
+/** Texts are written anew no more often than this. */
+const TEXT_MS = 200;
+/** Without a graphics card frames are asked for no more often than this: the robot has better things to do. */
+const SLOW_MS = 200;
 
 const by = (id) => document.getElementById(id);
 
@@ -23,7 +25,8 @@ const list = new ListView(by("list"), choose);
 const graph = new GraphView(by("graph"), by("counters"));
 const timeline = new Timeline(by("timeline"));
 let frame = null;
-let listed = 0;
+let written = 0;
+let isWriting = false;
 let title = "";
 const shown = [];
 
@@ -50,15 +53,18 @@ function choose(id) {
     list.show(frame, image.chosen);
 }
 
-/** How often a second frames were shown in the last two. */
-function showRate() {
-    const now = performance.now();
-    shown.push(now);
-    while (shown[0] < now - 2000) {
+/** Counts the frames that were shown in the last two seconds. */
+function countShown() {
+    shown.push(performance.now());
+    while (shown[0] < shown.at(-1) - 2000) {
         shown.shift();
     }
-    const span = now - shown[0];
-    by("rate").textContent = shown.length > 1 ? `${((1000 * (shown.length - 1)) / span).toFixed(1)} Hz` : "–";
+}
+
+/** How often a second frames are shown. */
+function rate() {
+    const span = shown.at(-1) - shown[0];
+    return span > 0 ? `${((1000 * (shown.length - 1)) / span).toFixed(1)} Hz` : "–";
 }
 
 function showFrame(next) {
@@ -69,17 +75,24 @@ function showFrame(next) {
     trails.follow(frame);
     image.show(frame, range);
     space?.show(frame, range, trails);
+    countShown();
+    if (!isWriting) {
+        isWriting = true;
+        setTimeout(writeTexts, Math.max(0, written + TEXT_MS - performance.now()));
+    }
+}
+
+/** Writes what is told in words: more seldom than frames come, for nobody reads that fast. */
+function writeTexts() {
+    [isWriting, written] = [false, performance.now()];
+    by("rate").textContent = rate();
     [by("near").textContent, by("far").textContent] = range.far > 0 ? [metres(range.near), metres(range.far)] : ["", ""];
     by("sequence").textContent = String(frame.sequence);
     by("stamp").textContent = frame.stamp_s > 1e8 ? new Date(frame.stamp_s * 1000).toLocaleTimeString() : `${frame.stamp_s.toFixed(2)} s`;
     by("latency").textContent = milliseconds(frame.latency_ms);
-    showRate();
-    if (performance.now() - listed > LIST_MS) {
-        listed = performance.now();
-        list.show(frame, image.chosen);
-        by("list-title").textContent = { tracks: "Tracks", objects: "Objects" }[frame.kind] ?? "Objects";
-        by("list-note").textContent = `${frame.items.length} in ${frame.source || `frame ${frame.sequence}`}`;
-    }
+    list.show(frame, image.chosen);
+    by("list-title").textContent = { tracks: "Tracks", objects: "Objects" }[frame.kind] ?? "Objects";
+    by("list-note").textContent = `${frame.items.length} in ${frame.source || `frame ${frame.sequence}`}`;
     const hasPose = Boolean(frame.pose);
     by("frames").querySelectorAll("button").forEach((button) => {
         button.disabled = button.dataset.frame === "world" && !hasPose;
@@ -174,4 +187,5 @@ follow({
         }
     },
     tell,
+    rest: () => (space === null || space.isSlow ? SLOW_MS : 0),
 });

@@ -2,6 +2,8 @@
 
 const browser = Array.from(crypto.getRandomValues(new Uint8Array(8)), (byte) => byte.toString(16).padStart(2, "0")).join("");
 const AGAIN_MS = 1500;
+/** Who draws a frame in less is fast: two pictures of a screen. */
+const SLOW_MS = 34;
 
 const sleep = (ms) => new Promise((done) => setTimeout(done, ms));
 
@@ -24,8 +26,11 @@ function read(buffer) {
     return answer;
 }
 
-/** Asks for ever; `wanted` tells how many pixels along a row, `show` draws an answer, `tell` says how it goes. */
-export async function follow({ wanted, show, tell }) {
+/**
+ * Asks for ever; `wanted` tells how many pixels along a row, `show` draws an answer, `tell` says how it goes, `rest` how many
+ * milliseconds there are between two questions at least.
+ */
+export async function follow({ wanted, show, tell, rest }) {
     let [frames, told] = [0, 0];
     for (;;) {
         await visible();
@@ -41,7 +46,12 @@ export async function follow({ wanted, show, tell }) {
             [frames, told] = [answer.frames, answer.told];
             tell("good", "");
             await new Promise(requestAnimationFrame);
+            const begin = performance.now();
             show(answer);
+            // The next one comes when this one is drawn. Who takes long for it rests as long: it may be on the robot.
+            await new Promise(requestAnimationFrame);
+            const took = performance.now() - begin;
+            await sleep(Math.max(took > SLOW_MS ? took : 0, rest() - took));
         } catch (error) {
             if (!(error instanceof TypeError)) {
                 throw error;

@@ -154,5 +154,4 @@ export function dispose(object) {
         part.geometry?.dispose();
         part.material?.dispose();
     });
-    object.removeFromParent();
 }

@@ -38,7 +38,9 @@ void main() {
 const FROM_CAMERA = new Matrix4().set(1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1);
 
 /** Without a graphics card space is drawn no more often than this: the robot has better things to do. */
-const SLOW_MS = 250;
+const SLOW_MS = 2000;
+/** ... but when it is turned. */
+const TURNED_MS = 300;
 
 export class SpaceView {
     #renderer;
@@ -48,16 +50,22 @@ export class SpaceView {
     #seen = new Group();
     #cloud;
     #parts = new Group();
+    /** What is no longer drawn, and not given back yet. */
+    #old = [];
     #grid = new GridHelper(12, 24, 0x33405a, 0x1d2533);
     #eye = new PerspectiveCamera(50, 4 / 3, 0.02, 200);
     #controls;
     #frame;
     #trails;
-    #asked = false;
+    /** When it is drawn next, by which timer; and when it was drawn last. */
+    #due = Infinity;
+    #timer;
     #isPlaced = false;
     #wantsPoints = true;
-    #isSlow = false;
-    #drawn = 0;
+    /** Whether there is no graphics card. */
+    isSlow = false;
+    #drawn = -Infinity;
+    #size = "";
     #upright = new Matrix4();
     /** In whose coordinates it is drawn. */
     coordinates = "camera";
@@ -66,10 +74,10 @@ export class SpaceView {
     chosen;
 
     constructor(canvas, text) {
-        this.#renderer = new WebGLRenderer({ canvas, antialias: true, powerPreference: "low-power" });
+        this.isSlow = isDrawnBySoftware();
+        this.#renderer = new WebGLRenderer({ canvas, antialias: !this.isSlow, powerPreference: "low-power" });
         this.#renderer.setClearColor(0x07090d);
-        this.#isSlow = isDrawnBySoftware(this.#renderer.getContext());
-        this.#text = text.getContext("2d");
+        this.#text = text.getContext("2d", { willReadFrequently: true });
         this.#cloud = cloud();
         this.#seen.matrixAutoUpdate = false;
         this.#seen.add(this.#cloud);
@@ -77,7 +85,7 @@ export class SpaceView {
         sun.position.set(2, 4, 3);
         this.#scene.add(new HemisphereLight(0xdfe8ff, 0x30343c, 1.5), sun, this.#seen, this.#parts, this.#grid);
         this.#controls = new OrbitControls(this.#eye, canvas);
-        this.#controls.addEventListener("change", () => this.#ask());
+        this.#controls.addEventListener("change", () => this.#ask(TURNED_MS));
         new ResizeObserver(() => this.#ask()).observe(canvas);
     }
 
@@ -113,8 +121,9 @@ export class SpaceView {
             this.#upright = uprightFrom(pose);
             this.#seen.matrix.copy(this.#upright).multiply(new Matrix4().set(...flat, 0, 0, 0, 1));
         }
-        [...this.#parts.children].forEach(dispose);
-        [...this.#seen.children].filter((part) => part !== this.#cloud).forEach(dispose);
+        const old = [...this.#parts.children, ...this.#seen.children].filter((part) => part !== this.#cloud);
+        old.forEach((part) => part.removeFromParent());
+        this.#old.push(...old);
         items.forEach((item) => this.#seen.add(shape(item, this.halo, item.id !== undefined && item.id === this.chosen)));
         this.#seen.add(frustum(camera, 0.22));
         for (const item of items) {
@@ -189,6 +198,7 @@ export class SpaceView {
     #layFloor(pixels, { columns, step, scale }, camera) {
         const heights = [];
         const e = this.#seen.matrix.elements;
+        [this.#grid.position.x, this.#grid.position.z] = [e[12], e[14]];
         for (let i = 0; i < pixels.length; i += 211) {
             if (pixels[i] > 0 && pixels[i] < 65535) {
                 const z = pixels[i] * scale;
@@ -206,24 +216,29 @@ export class SpaceView {
     }
 
     /** Draws soon, once for all that has changed until then. */
-    #ask() {
-        if (!this.#asked) {
-            this.#asked = true;
-            const wait = this.#isSlow ? Math.max(0, this.#drawn + SLOW_MS - performance.now()) : 0;
-            setTimeout(() => requestAnimationFrame(() => this.#draw()), wait);
+    #ask(slow = SLOW_MS) {
+        const due = this.isSlow ? this.#drawn + slow : 0;
+        if (due < this.#due) {
+            clearTimeout(this.#timer);
+            this.#due = due;
+            this.#timer = setTimeout(() => requestAnimationFrame(() => this.#draw()), Math.max(0, due - performance.now()));
         }
     }
 
     #draw() {
-        [this.#asked, this.#drawn] = [false, performance.now()];
+        [this.#due, this.#drawn] = [Infinity, performance.now()];
         const canvas = this.#renderer.domElement;
         const [width, height] = [canvas.clientWidth, canvas.clientHeight];
         if (width === 0) {
             return;
         }
-        const ratio = Math.min(window.devicePixelRatio || 1, 2);
-        this.#renderer.setPixelRatio(ratio);
-        this.#renderer.setSize(width, height, false);
+        const ratio = this.isSlow ? 1 : Math.min(window.devicePixelRatio || 1, 2);
+        const size = [width, height, ratio].join();
+        if (size !== this.#size) {
+            this.#size = size;
+            this.#renderer.setPixelRatio(ratio);
+            this.#renderer.setSize(width, height, false);
+        }
         this.#eye.aspect = width / height;
         this.#eye.updateProjectionMatrix();
         if (this.#frame?.image) {
@@ -231,6 +246,8 @@ export class SpaceView {
             this.#cloud.material.uniforms.size.value = (1.25 * perMetre * this.#frame.image.step) / this.#frame.camera.fx;
         }
         this.#renderer.render(this.#scene, this.#eye);
+        // Not before: what is drawn next uses their shaders, which would have to be made anew.
+        this.#old.splice(0).forEach(dispose);
         this.#write(width, height, ratio);
     }
 
@@ -262,9 +279,14 @@ export class SpaceView {
 }
 
 /** Whether there is no graphics card, as far as the browser tells. */
-function isDrawnBySoftware(gl) {
+function isDrawnBySoftware() {
+    const gl = document.createElement("canvas").getContext("webgl2");
+    if (!gl) {
+        return true;
+    }
     const told = gl.getExtension("WEBGL_debug_#rendererinfo");
     const name = gl.getParameter(told ? told.UNMASKED_RENDERER_WEBGL : gl.RENDERER);
+    gl.getExtension("WEBGL_lose_context")?.loseContext();
     return /swiftshader|llvmpipe|software|basic render/i.test(name);
 }
 
