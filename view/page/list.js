@@ -68,7 +68,7 @@ function row(item, isChosen) {
     return row;
 }
 
-const HEADS = ["", "confidence", "x, y, z from the camera", "radius", "length, half-angle", "speed"];
+const HEADS = ["", "confidence", "x, y, z from the camera", "radius", "length", "speed"];
 
 export class ListView {
     #table;

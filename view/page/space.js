@@ -146,16 +146,19 @@ export class SpaceView {
         this.#isPlaced = true;
         const middle = this.#middle();
         const away = middle.z;
-        const places = {
-            free: [0.7 * away, -0.6 * away, 0.1 * away],
-            eye: [0, 0, -0.02],
-            side: [1.35 * away, 0, middle.z],
-            top: [0, -1.5 * away, middle.z - 0.001],
-        };
         const place = (point) => new Vector3(...point).applyMatrix4(this.#seen.matrix);
+        const [target, lens] = [place(from === "eye" ? [0, 0, away] : middle.toArray()), place([0, 0, 0])];
+        // From above, what is far from the camera is at the top of the drawing.
+        const back = lens.clone().sub(target).setY(0).normalize().multiplyScalar(0.01);
+        const places = {
+            free: place([0.7 * away, -0.6 * away, 0.1 * away]),
+            eye: place([0, 0, -0.02]),
+            side: place([1.35 * away, 0, middle.z]),
+            top: target.clone().add(new Vector3(0, 1.5 * away, 0)).add(back),
+        };
         this.#eye.fov = from === "eye" ? (2 * Math.atan(camera.height / 2 / camera.fy) * 180) / Math.PI : 50;
-        this.#eye.position.copy(place(places[from]));
-        this.#controls.target.copy(place(from === "eye" ? [0, 0, away] : middle.toArray()));
+        this.#eye.position.copy(places[from]);
+        this.#controls.target.copy(target);
         this.#controls.update();
         this.#ask();
     }

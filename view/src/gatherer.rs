@@ -11,7 +11,7 @@ const MAX_PIXELS: usize = 1 << 25;
 /// ... and there are no more of them.
 const MAX_IMAGES: usize = 32;
 /// Where no list has come for so long, depth images are shown without, and the other way round.
-const PATIENCE: Duration = Duration::from_millis(700);
+const PATIENCE: Duration = Duration::from_secs(2);
 /// Nobody sees more images than one in so long: others are not copied.
 const SHORTEST_INTERVAL: Duration = Duration::from_millis(20);
 
