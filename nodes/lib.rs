@@ -5,6 +5,7 @@ pub mod commands;
 mod config_error;
 mod network;
 pub mod recording;
+mod viewing;
 
 pub mod sources {
     //! Where frames come from.
@@ -54,6 +55,7 @@ pub mod sinks {
     mod noise_estimator;
     pub mod picture_sink;
     pub mod section_sink;
+    pub mod view_sink;
 
     pub use console_sink::ConsoleSink;
     pub use evaluation_sink::EvaluationSink;
@@ -64,6 +66,7 @@ pub mod sinks {
     pub use noise_estimator::NoiseEstimator;
     pub use picture_sink::PictureSink;
     pub use section_sink::SectionSink;
+    pub use view_sink::ViewSink;
 }
 
 use conicflow_dataflow::{Node, Registry, Variant};
@@ -71,7 +74,7 @@ use conicflow_messages::{AnyByte, Ellipse, Object, Track};
 use detection::{ObjectAssembler, RansacEllipseExtractor, RowEllipseExtractor};
 use sinks::{
     ConsoleSink, EvaluationSink, JsonSink, LimitSink, McapSink, MeasurementSink, NoiseEstimator, PictureSink,
-    SectionSink,
+    SectionSink, ViewSink,
 };
 use sources::{ImageSource, McapSource, SyntheticSource};
 use tracking::{Follower, KalmanTracker};
@@ -97,6 +100,11 @@ pub const NODES: &[Node] = &[
         Variant::stage::<PictureSink<Track>>(),
         Variant::stage::<PictureSink<Object>>(),
         Variant::stage::<PictureSink<Ellipse>>(),
+    ]),
+    Node::stages::<ViewSink<Track>>(&[
+        Variant::stage::<ViewSink<Track>>(),
+        Variant::stage::<ViewSink<Object>>(),
+        Variant::stage::<ViewSink<u16>>(),
     ]),
     Node::stages::<EvaluationSink<Object>>(&[
         Variant::stage::<EvaluationSink<Object>>(),

@@ -7,8 +7,9 @@ use crate::launcher::{FolderError, RunFolder};
 use crate::link_report::{EdgeReport, LinkReport, read_links};
 use crate::pipeline::BRIDGE;
 use crate::plan::{Plan, PlannedStage};
-use crate::status::{Durations, Life, Status};
+use crate::status::{Durations, Life, Status, used};
 use serde::Serialize;
+use std::collections::BTreeMap;
 use std::fs;
 use std::time::{Duration, Instant};
 
@@ -66,6 +67,10 @@ pub struct StageActivity {
     pub compute_p50_ms: Option<f64>,
     /// Time of a step, 99 of 100, since the run began.
     pub compute_p99_ms: Option<f64>,
+    /// Items sent since the run began, by what they are called.
+    pub found: BTreeMap<String, u64>,
+    /// What it has counted itself since the run began, such as why something was not found.
+    pub counters: BTreeMap<String, u64>,
 }
 
 /// What went into a topic between two moments.
@@ -230,6 +235,8 @@ impl Span<'_> {
             silent_s: self.now.silent.as_secs_f64(),
             compute_p50_ms: milliseconds(&status.compute, 0.5),
             compute_p99_ms: milliseconds(&status.compute, 0.99),
+            found: used(&status.found).map(|(name, count)| (name.to_owned(), count)).collect(),
+            counters: used(&status.counters).map(|(name, count)| (name.to_owned(), count)).collect(),
         }
     }
 

@@ -79,6 +79,19 @@ impl RunningPipeline {
     pub fn watch<'a, E: From<WatchError>>(
         &self,
         topics: &[(&'a ItemType, &'a Topic)],
+        see: impl FnMut(&'a Topic, AnyMessage<'_>) -> Result<Watching, E>,
+    ) -> Result<(), E> {
+        self.watch_while(topics, || Watching::GoOn, see)
+    }
+
+    /// The same, where the watcher is asked from time to time, also when no message comes, whether it wants more.
+    ///
+    /// # Errors
+    /// A topic cannot be read, or `see` failed.
+    pub fn watch_while<'a, E: From<WatchError>>(
+        &self,
+        topics: &[(&'a ItemType, &'a Topic)],
+        mut wants: impl FnMut() -> Watching,
         mut see: impl FnMut(&'a Topic, AnyMessage<'_>) -> Result<Watching, E>,
     ) -> Result<(), E> {
         let told = told_to_end().map_err(WatchError::from)?;
@@ -103,6 +116,9 @@ impl RunningPipeline {
                 false => {}
             }
             if check {
+                if wants() == Watching::Enough {
+                    return Ok(());
+                }
                 checked = Instant::now();
             }
         }

@@ -8,6 +8,7 @@ mod record;
 mod swap;
 mod top;
 mod topic;
+mod view;
 
 use crate::{NODES, REGISTRY};
 use anyhow::{Context, anyhow, bail};
@@ -106,6 +107,10 @@ enum Command {
     ///
     /// Foxglove, Rerun and ROS 2 read the file; mcap_source replays it.
     Record(record::RecordArguments),
+    /// Show what runs, or a recording, on a page for the browser: the depth image, the objects in space, the stages
+    ///
+    /// The address of the page is printed. It is seen on this machine alone, unless `--listen` says otherwise.
+    View(view::ViewArguments),
     /// Replace a stage of a running pipeline, with other parameters or another node; the others notice nothing
     Swap(SwapArguments),
     /// Tell what is wrong with this machine for running a pipeline: leftovers of dead runs, limits, ports
@@ -184,6 +189,7 @@ fn dispatch(command: Command, log: &str) -> anyhow::Result<ExitCode> {
         Command::Top { once } => top::top(once).map(|()| ExitCode::SUCCESS),
         Command::Topic(command) => topic::topic(&command).map(|()| ExitCode::SUCCESS),
         Command::Record(arguments) => record::record(&arguments).map(|()| ExitCode::SUCCESS),
+        Command::View(arguments) => view::view(&arguments).map(|()| ExitCode::SUCCESS),
         Command::Swap(arguments) => swap::swap(&arguments).map(|()| ExitCode::SUCCESS),
         Command::Doctor { source, machine, clean } => {
             doctor(&source.read_for(machine.as_deref())?, machine.as_deref(), clean)

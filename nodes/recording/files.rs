@@ -2,6 +2,7 @@
 //!
 //! A file that ends in the middle, because who wrote it was killed, is read up to its last whole message, and that is said.
 
+use super::indexed::Indexed;
 use super::zstd::Zstd;
 use crate::sources::image_source::natural;
 use anyhow::{Context as _, Result, bail};
@@ -104,7 +105,42 @@ impl Files {
     pub fn messages(&self, topics: &[&str]) -> Messages {
         let topics = topics.iter().map(|&topic| topic.to_owned()).collect();
         let is_only = self.0.len() == 1;
-        Messages { left: self.0.clone().into_iter(), open: None, topics, is_only, is_told: false }
+        Messages { left: self.0.clone().into_iter(), open: None, topics, from_ns: None, is_only, is_told: false }
+    }
+
+    /// Those that were written at `from_ns` or later, with not a word on files that end in the middle. Of a file whose end tells
+    /// where its messages are no more is read than is needed, and they come in the order of their times.
+    pub fn messages_from(&self, topics: &[&str], from_ns: u64) -> Messages {
+        Messages { from_ns: Some(from_ns), ..self.messages_again(topics) }
+    }
+
+    /// When the first and the last message were written; none where there are no messages.
+    ///
+    /// # Errors
+    /// A file cannot be read, or holds no MCAP.
+    pub fn span_ns(&self) -> Result<Option<(u64, u64)>> {
+        let mut span: Option<(u64, u64)> = None;
+        let mut reach = |begin: u64, end: u64| {
+            let (first, last) = span.unwrap_or((begin, end));
+            span = Some((first.min(begin), last.max(end)));
+        };
+        for path in &self.0 {
+            let stats = summary(path).ok().flatten().and_then(|summary| summary.stats);
+            if let Some(stats) = stats.filter(|stats| stats.message_count > 0) {
+                reach(stats.message_start_time, stats.message_end_time);
+                continue;
+            }
+            for (count, message) in (0..).zip(OpenFile::open(path)?) {
+                match message {
+                    Ok(message) => reach(message.log_time, message.log_time),
+                    Err(error) => {
+                        damage(&error, &path.display(), count, self.0.len() == 1)?;
+                        break;
+                    }
+                }
+            }
+        }
+        Ok(span)
     }
 
     /// The same, with not a word on files that end in the middle.
@@ -171,31 +207,57 @@ fn topics_with_messages(summary: &Summary) -> Vec<String> {
 /// A file that is being read.
 struct OpenFile {
     path: PathBuf,
-    reader: mcap::io::MessageReader<BufReader<File>>,
+    reader: Reader,
+}
+
+/// How a file is read.
+enum Reader {
+    /// From its beginning to its end.
+    Whole(Box<mcap::io::MessageReader<BufReader<File>>>),
+    /// From some time on, by its index.
+    Indexed(Box<Indexed>),
 }
 
 impl OpenFile {
     fn open(path: &Path) -> Result<Self> {
         let open = || {
             let file = File::open(path)?;
-            let limit = (file.metadata()?.len().saturating_mul(MAX_EXPANSION)).min(MAX_RECORD_BYTES);
             let options = LinearReaderOptions::default()
                 .with_validate_chunk_crcs(true)
-                .with_record_length_limit(usize::try_from(limit).unwrap_or(usize::MAX));
+                .with_record_length_limit(longest_record(&file)?);
             let source = BufReader::with_capacity(BUFFER_BYTES, file);
             let mut reader = mcap::io::MessageReader::new_with_options(source, options);
             reader.add_decompressor(Zstd::default())?;
-            Ok::<_, McapError>(Self { path: path.to_owned(), reader })
+            Ok::<_, McapError>(Self { path: path.to_owned(), reader: Reader::Whole(Box::new(reader)) })
         };
         open().with_context(|| format!("`{}`", path.display()))
     }
+
+    /// The messages of some topics from `from_ns` on; where nothing tells where they are, all there are.
+    fn open_from(path: &Path, topics: &[String], from_ns: u64) -> Result<Self> {
+        let indexed = summary(path).ok().flatten().filter(|summary| !summary.chunk_indexes.is_empty());
+        let Some(summary) = indexed else { return Self::open(path) };
+        let limit = longest_record(&File::open(path)?)?;
+        let reader = Indexed::open(path, summary, topics, from_ns, limit);
+        let reader = reader.with_context(|| format!("`{}`", path.display()))?;
+        Ok(Self { path: path.to_owned(), reader: Reader::Indexed(Box::new(reader)) })
+    }
+}
+
+/// A record that is longer is none.
+fn longest_record(file: &File) -> std::io::Result<usize> {
+    let limit = (file.metadata()?.len().saturating_mul(MAX_EXPANSION)).min(MAX_RECORD_BYTES);
+    Ok(usize::try_from(limit).unwrap_or(usize::MAX))
 }
 
 impl Iterator for OpenFile {
     type Item = McapResult<Message<'static>>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        self.reader.next()
+        match &mut self.reader {
+            Reader::Whole(reader) => reader.next(),
+            Reader::Indexed(reader) => reader.next(),
+        }
     }
 }
 
@@ -204,6 +266,8 @@ pub struct Messages {
     left: std::vec::IntoIter<PathBuf>,
     open: Option<(OpenFile, u64)>,
     topics: Vec<String>,
+    /// Messages that were written earlier are left out.
+    from_ns: Option<u64>,
     /// Whether there is but one file.
     is_only: bool,
     /// Whether it was said that a file ends in the middle.
@@ -215,13 +279,18 @@ impl Messages {
         loop {
             let Some((file, count)) = &mut self.open else {
                 let Some(path) = self.left.next() else { return Ok(None) };
-                self.open = Some((OpenFile::open(&path)?, 0));
+                let file = match self.from_ns {
+                    Some(from_ns) => OpenFile::open_from(&path, &self.topics, from_ns)?,
+                    None => OpenFile::open(&path)?,
+                };
+                self.open = Some((file, 0));
                 continue;
             };
             match file.next() {
                 Some(Ok(message)) => {
                     *count += 1;
-                    if self.topics.contains(&message.channel.topic) {
+                    let is_early = self.from_ns.is_some_and(|from_ns| message.log_time < from_ns);
+                    if !is_early && self.topics.contains(&message.channel.topic) {
                         return Ok(Some(message));
                     }
                 }

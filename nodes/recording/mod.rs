@@ -2,6 +2,7 @@
 //! byte by byte, so that a run that was recorded can be replayed to the bit.
 
 pub mod files;
+mod indexed;
 pub mod own;
 pub mod recorder;
 mod zstd;

@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::panic)] // what a test cannot go on from is its failure
 
 mod bridge;
+mod browser;
 mod certificates;
 mod commands;
 mod detect;
@@ -36,3 +37,4 @@ mod three_hosts;
 mod top;
 mod topic;
 mod validate;
+mod view;

@@ -6,7 +6,6 @@
 mod canvas;
 mod depth_view;
 mod font;
-mod outline;
 mod painter;
 
 use crate::sinks::decimator::Decimator;

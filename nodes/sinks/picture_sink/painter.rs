@@ -3,8 +3,8 @@
 use super::Config;
 use super::canvas::{Canvas, Colour};
 use super::depth_view::DepthView;
-use super::outline::{self, Segment};
 use conicflow_messages::{Camera, Ellipse, Item, Message, Object, ObjectKind, Scan, Track, TrackState};
+use conicflow_view::outline::{self, Segment};
 
 const ARC: Colour = [240, 215, 90];
 const ARC_CENTER: Colour = [235, 90, 200];

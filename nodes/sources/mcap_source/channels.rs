@@ -57,6 +57,11 @@ impl Chosen {
     }
 }
 
+/// Whether conicflow has recorded such items, in whatever version.
+pub fn has_own(channels: &[Seen], item: &ItemType) -> bool {
+    channels.iter().any(|channel| is_own(channel, item))
+}
+
 /// Whether a channel carries our own messages with such items, of whatever version.
 fn is_own(channel: &Seen, item: &ItemType) -> bool {
     let schema = serde_json::from_str::<own::Schema>(own_schema(channel));

@@ -8,7 +8,8 @@ mod replay;
 #[cfg(test)]
 mod tests;
 
-pub use replay::Replay;
+pub use channels::has_own;
+pub use replay::{Replay, Replayed};
 
 use conicflow_dataflow::{ConfigFault, Context, ItemType, Next, Output, SideInputs, Source, StageError, Stop};
 use conicflow_detection::camera::Intrinsics;

@@ -26,6 +26,8 @@ const UNIT_M: f64 = 0.001;
 pub struct Replayed {
     /// Its header.
     pub header: Header,
+    /// When it was written, by the file.
+    pub written_ns: u64,
     /// Its items as bytes, in the order of this machine.
     pub items: Vec<u8>,
 }
@@ -117,6 +119,12 @@ impl Replay {
         std::mem::take(&mut self.counts).into_iter()
     }
 
+    /// Goes to the first message that was written at `from_ns` or later.
+    pub fn seek(&mut self, from_ns: u64) {
+        self.messages = self.files.messages_from(&self.chosen.topics(), from_ns);
+        self.header = None;
+    }
+
     /// The next message that can be read; none: there is none left.
     ///
     /// # Errors
@@ -193,7 +201,7 @@ impl Replay {
         let replayed = match &self.chosen {
             Chosen::Items { .. } => {
                 let (header, items) = own::read(&message.data)?;
-                self.own(header, items.to_vec())?
+                self.own(message, header, items.to_vec())?
             }
             Chosen::OwnImages { headers, .. } if message.channel.topic == *headers => {
                 self.header = Some(own::read(&message.data)?.0);
@@ -203,7 +211,7 @@ impl Replay {
                 let header = self.header.take().filter(|header| header.sequence as u32 == message.sequence);
                 let header = header.context("its header is missing")?;
                 let items = own_pixels(&Image::read(&message.data)?.depths()?, header.depth_scale);
-                self.own(header, items)?
+                self.own(message, header, items)?
             }
             Chosen::Images { is_compressed, camera, .. } => self.image(message, *is_compressed, *camera)?,
         };
@@ -214,7 +222,7 @@ impl Replay {
     }
 
     /// A message of ours, checked, with what the parameters say in place of what was recorded.
-    fn own(&self, recorded: Header, items: Vec<u8>) -> Result<Replayed> {
+    fn own(&self, message: &Message, recorded: Header, items: Vec<u8>) -> Result<Replayed> {
         self.item.check(&recorded, &items)?;
         ensure!(!recorded.ends_stream(), "it is the end of a stream");
         let mut header = Header { hop_count: 0, hops: [Hop::default(); MAX_HOPS], ..recorded };
@@ -223,7 +231,7 @@ impl Replay {
         }
         header.depth_scale = self.config.depth_scale.unwrap_or(header.depth_scale);
         header.noise = self.config.noise.map_or(header.noise, Into::into);
-        Ok(Replayed { header, items })
+        Ok(Replayed { header, written_ns: message.log_time, items })
     }
 
     /// An image of another program.
@@ -248,7 +256,7 @@ impl Replay {
         self.place(&mut header, &Stamped { stamp_ns, ..stamped });
         let items = bytemuck::cast_slice(&pixels).to_vec();
         self.item.check(&header, &items)?;
-        Ok(Replayed { header, items })
+        Ok(Replayed { header, written_ns: message.log_time, items })
     }
 
     /// Tells where the camera is, if that is wanted and known.

@@ -103,7 +103,7 @@ impl Place {
 
 fn all(replay: &mut Replay) -> anyhow::Result<Vec<(Header, Vec<u16>)>> {
     let mut messages = Vec::new();
-    while let Some(Replayed { header, items }) = replay.next_message()? {
+    while let Some(Replayed { header, items, .. }) = replay.next_message()? {
         messages.push((header, items.as_chunks().0.iter().map(|pixel| u16::from_ne_bytes(*pixel)).collect()));
     }
     Ok(messages)
@@ -488,7 +488,7 @@ fn what_conicflow_records_comes_back_to_the_bit() {
         let config = Config { path: Some("run.mcap".into()), ..Config::default() };
         let mut lists = Replay::open(&config, place.0.path(), &BUILT_IN[2], 0).unwrap();
         for number in 0..3 {
-            let Replayed { header: read, items } = lists.next_message().unwrap().unwrap();
+            let Replayed { header: read, items, .. } = lists.next_message().unwrap().unwrap();
             let expected = [Object { radius: 0.1, ..Object::default() }; 2];
             assert_eq!(items, bytemuck::cast_slice::<_, u8>(&expected[..number as usize % 3]));
             assert_eq!(read, replayed(header(number, depth_scale)));

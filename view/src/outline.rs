@@ -17,15 +17,17 @@ type Point = Vector3<f64>;
 
 /// A piece of an outline in the image, from pixel to pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Segment {
-    pub(super) from: [f64; 2],
-    pub(super) to: [f64; 2],
+pub struct Segment {
+    /// Where it begins, in pixels (u, v).
+    pub from: [f64; 2],
+    /// Where it ends.
+    pub to: [f64; 2],
     /// Whether it lies on the far side of the object.
-    pub(super) hidden: bool,
+    pub hidden: bool,
 }
 
 /// The outline of an object; `segments` is cleared first.
-pub(super) fn trace(object: &Object, camera: &Camera, segments: &mut Vec<Segment>) {
+pub fn trace(object: &Object, camera: &Camera, segments: &mut Vec<Segment>) {
     segments.clear();
     let mut tracer = Tracer { camera, segments };
     match object.shape() {
@@ -36,7 +38,7 @@ pub(super) fn trace(object: &Object, camera: &Camera, segments: &mut Vec<Segment
 }
 
 /// A pixel of the point, if it lies in front of the camera.
-pub(super) fn project(camera: &Camera, point: &Point) -> Option<[f64; 2]> {
+pub fn project(camera: &Camera, point: &Point) -> Option<[f64; 2]> {
     let [x, y, z] = [point.x, point.y, point.z];
     (z > NEAREST_M).then(|| [camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy])
 }

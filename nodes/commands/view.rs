@@ -1,0 +1,63 @@
+//! `conicflow view`: a page for the browser that shows what runs, or a recording.
+
+use super::topic::give_way;
+use crate::viewing::live::Live;
+use crate::viewing::player::Player;
+use anyhow::Result;
+use clap::Args;
+use conicflow_view::{Display, Listen, Server};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use std::io::{Write, stdout};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+/// What is shown, and where.
+#[derive(Args)]
+pub struct ViewArguments {
+    /// A recording: an MCAP file, or a folder of them [default: what runs]
+    file: Option<PathBuf>,
+    /// Where the page is offered; one that other machines reach asks for a token [default: 127.0.0.1:8760, else another port]
+    #[arg(long, value_name = "ADDRESS[:PORT]")]
+    listen: Option<String>,
+    /// What has to be known to see the page [default: at an address that other machines reach one that is made and printed]
+    #[arg(long, value_name = "TEXT")]
+    token: Option<String>,
+    /// Name of the pipeline, where several run; another one can be chosen on the page
+    #[arg(long, value_name = "NAME", conflicts_with = "file")]
+    pipeline: Option<String>,
+    /// The recording's topic with depth images, where it has several
+    #[arg(long, value_name = "TOPIC", requires = "file")]
+    topic: Option<String>,
+}
+
+/// Offers the page until this program is told to end.
+///
+/// # Errors
+/// The address cannot be listened at, or there is no such recording.
+pub fn view(arguments: &ViewArguments) -> Result<()> {
+    give_way();
+    let told = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM, SIGHUP] {
+        signal_hook::flag::register(signal, Arc::clone(&told))?;
+    }
+    let display = Arc::new(Display::default());
+    let listen = Listen::read(arguments.listen.as_deref(), arguments.token.as_deref())?;
+    if let Some(file) = &arguments.file {
+        let mut player = Player::open(file, arguments.topic.as_deref(), Arc::clone(&display))?;
+        let _server = offer(&listen, display)?;
+        return player.play(&told);
+    }
+    let live = Live::start(Arc::clone(&display), arguments.pipeline.clone())?;
+    let _server = offer(&listen, display)?;
+    live.show(&told)
+}
+
+/// Offers the page, and prints where.
+fn offer(listen: &Listen, display: Arc<Display>) -> Result<Server> {
+    let server = Server::start(listen, display)?;
+    writeln!(stdout(), "{}", server.url())?;
+    stdout().flush()?;
+    tracing::info!("open this address in a browser; Ctrl-C ends it");
+    Ok(server)
+}

@@ -1,0 +1,163 @@
+//! The sink that shows what comes on a page for the browser, as `conicflow view` does from outside, as a part of the run.
+//!
+//! A step costs a copy of the frame while somebody looks, and nothing else; the page is served by threads that give way.
+
+use crate::sinks::json_sink::latency_ms;
+use crate::viewing::graph::GraphWatch;
+use conicflow_dataflow::{ConfigFault, Context, Output, SideInput, SideInputs, Stage, StageError, monotonic_ns};
+use conicflow_messages::{Hinted, Item, Message, Nothing, Object, Track};
+use conicflow_view::{Depth, Display, Frame, List, Listen, ListenFault, Server};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::marker::PhantomData;
+use std::path::Path;
+use std::sync::{Arc, Weak};
+use std::thread;
+use std::time::Duration;
+
+/// How often the stages are looked at.
+const PERIOD: Duration = Duration::from_secs(1);
+/// The page gives way to those at work.
+const NICENESS: i32 = 10;
+
+/// Parameters of `view_sink`.
+#[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct ViewSinkConfig {
+    /// Where the page is offered, as ADDRESS or ADDRESS:PORT; default: 127.0.0.1:8760, or another port where that is taken.
+    pub listen: Option<String>,
+    /// What has to be known to see the page; default: nothing at 127.0.0.1, and where other machines may come a token that is made
+    /// and logged.
+    pub token: Option<String>,
+}
+
+impl ViewSinkConfig {
+    fn read(&self) -> Result<Listen, ListenFault> {
+        Listen::read(self.listen.as_deref(), self.token.as_deref())
+    }
+}
+
+/// Items that the page shows.
+pub trait Shown: Item {
+    /// As a list, where they were found.
+    fn list(items: &[Self]) -> List;
+
+    /// As pixels, where they are measured.
+    fn pixels(items: &[Self]) -> Option<&[u16]> {
+        let _ = items;
+        None
+    }
+}
+
+impl Shown for Track {
+    fn list(items: &[Self]) -> List {
+        List::Tracks(items.to_vec())
+    }
+}
+
+impl Shown for Object {
+    fn list(items: &[Self]) -> List {
+        List::Objects(items.to_vec())
+    }
+}
+
+impl Shown for u16 {
+    fn list(_: &[Self]) -> List {
+        List::None
+    }
+
+    fn pixels(items: &[Self]) -> Option<&[u16]> {
+        Some(items)
+    }
+}
+
+/// Shows each message, with the depth image of the same frame.
+pub struct ViewSink<T> {
+    display: Arc<Display>,
+    _server: Server,
+    item: PhantomData<T>,
+}
+
+impl<T: Shown> Stage for ViewSink<T> {
+    const NAME: &'static str = "view_sink";
+    const SUMMARY: &'static str = "Shows depth images and what was found in them on a page for the browser";
+    type Config = ViewSinkConfig;
+    type Input = T;
+    type Output = Nothing;
+
+    fn faults(config: &Self::Config, _: &Path) -> Vec<ConfigFault> {
+        match config.read() {
+            Err(ListenFault::Text(Hinted { what, hint })) => {
+                let key = if what.contains("token") { "token" } else { "listen" };
+                vec![ConfigFault { key, what, hint }]
+            }
+            Err(ListenFault::Token(_)) | Ok(_) => Vec::new(),
+        }
+    }
+
+    fn new(config: ViewSinkConfig, context: &Context) -> Result<Self, StageError> {
+        let display = Arc::new(Display::default());
+        let server = Server::start(&config.read()?, Arc::clone(&display))?;
+        tracing::info!("{}: open {} in a browser", context.stage, server.url());
+        let shown = Arc::downgrade(&display);
+        thread::Builder::new().name("graph".to_owned()).spawn(move || show_graph(&shown))?;
+        Ok(Self { display, _server: server, item: PhantomData })
+    }
+
+    fn side_inputs() -> &'static [SideInput] {
+        const { &[SideInput::same_frame::<u16>("depth")] }
+    }
+
+    fn step(&mut self, input: &Message<T>, sides: &SideInputs, output: &mut Output<Nothing>) -> Result<(), StageError> {
+        if !self.display.is_watched() {
+            return Ok(());
+        }
+        let header = *input.header;
+        let beside = sides.get::<u16>("depth");
+        let depth = match (T::pixels(input.items), &beside) {
+            (Some(pixels), _) => Some(Depth { header, pixels: pixels.to_vec() }),
+            (None, Some(beside)) => Some(Depth { header: *beside.header, pixels: beside.items.to_vec() }),
+            (None, None) => None,
+        };
+        let latency_ms = latency_ms(&header, monotonic_ns());
+        self.display.show(Frame { header, depth: depth.map(Arc::new), list: T::list(input.items), latency_ms });
+        output.count("frames shown", 1);
+        Ok(())
+    }
+}
+
+/// Tells once a second, while somebody looks, what the stages of the run do that this process is one of.
+fn show_graph(shown: &Weak<Display>) {
+    // On Linux each thread has a niceness of its own.
+    rustix::process::nice(NICENESS).ok();
+    let mut watch = GraphWatch::default();
+    while let Some(display) = shown.upgrade() {
+        if display.is_watched() {
+            let own = std::process::id();
+            if let Some(graph) = watch.look(|activity| activity.stages.iter().any(|stage| stage.process == own)) {
+                let name = graph["activity"]["pipeline"].as_str().unwrap_or_default().to_owned();
+                display.tell(|about| (about.title, about.graph) = (name, graph));
+            }
+        } else {
+            watch.rest();
+        }
+        drop(display);
+        thread::sleep(PERIOD);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_that_is_none_is_told_before_the_start() {
+        let fault = |listen: &str, token: Option<&str>| {
+            let config = ViewSinkConfig { listen: Some(listen.to_owned()), token: token.map(str::to_owned) };
+            ViewSink::<Track>::faults(&config, Path::new("")).first().map(|fault| fault.key)
+        };
+        assert_eq!(fault("127.0.0.1:9000", None), None);
+        assert_eq!(fault("robot.local", None), Some("listen"));
+        assert_eq!(fault("0.0.0.0", Some("short")), Some("token"));
+    }
+}

@@ -1,0 +1,281 @@
+//! Plays a recording on the page, as its time line says: on, paused, frame by frame, from anywhere, faster or slower.
+//!
+//! Where the recording has depth images, each is a frame, with what was recorded of the same stamp and number; else each list is.
+
+use crate::recording::files::Files;
+use crate::sources::mcap_source::{Config, Replay, Replayed, has_own};
+use anyhow::{Context as _, Result};
+use conicflow_dataflow::{BUILT_IN, ItemType};
+use conicflow_messages::{Item, Object, Track};
+use conicflow_view::{Command, Depth, Display, Frame, List, Player as Told};
+use std::collections::VecDeque;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+/// How often is looked whether the program is to end, and whether somebody looks.
+const LOOK: Duration = Duration::from_millis(100);
+/// A frame that is later than this does not make those behind it hurry.
+const LATE: Duration = Duration::from_millis(250);
+/// So far back is looked for the frame before, at first.
+const BACK_NS: u64 = 100_000_000;
+/// The slowest and the fastest that a recording is played.
+const SPEEDS: (f64, f64) = (0.01, 100.0);
+/// Lists of a frame are looked for among so many that come after it, at most.
+const MOST_LISTS: usize = 64;
+
+/// A recording and where it is.
+pub struct Player {
+    display: Arc<Display>,
+    /// What sets the pace: the depth images, or where there are none, the lists.
+    frames: Replay,
+    /// The lists beside the depth images.
+    lists: Option<Replay>,
+    /// Lists that were read, for this frame and those that follow.
+    read: VecDeque<Replayed>,
+    begin_ns: u64,
+    end_ns: u64,
+    /// When the frame that is shown was written.
+    at_ns: u64,
+    next: Option<Replayed>,
+    plays: bool,
+    speed: f64,
+    /// When a frame of which time was, or is to be, shown.
+    anchor: Option<(Instant, u64)>,
+}
+
+fn built_in<T: Item>() -> Result<&'static ItemType> {
+    BUILT_IN.iter().find(|item| item.name() == T::NAME).with_context(|| format!("no item type `{}`", T::NAME))
+}
+
+impl Player {
+    /// Opens a recording, with the depth images of `topic` where it has several, and shows its first frame.
+    ///
+    /// # Errors
+    /// There is none, or it has neither depth images nor objects nor tracks.
+    pub fn open(path: &Path, topic: Option<&str>, display: Arc<Display>) -> Result<Self> {
+        let files = Files::find(path)?;
+        let channels = files.survey()?;
+        let config = Config { path: Some(path.to_owned()), topic: topic.map(str::to_owned), ..Config::default() };
+        let here = Path::new("");
+        let depths = Replay::open(&config, here, built_in::<u16>()?, 0);
+        let of_lists = Config { topic: None, ..config };
+        let kind = [built_in::<Track>()?, built_in::<Object>()?].into_iter().find(|item| has_own(&channels, item));
+        let lists = kind.map(|item| Replay::open(&of_lists, here, item, 0)).transpose();
+        let (frames, lists, notice) = match (depths, lists) {
+            (Ok(depths), Ok(Some(lists))) => (depths, Some(lists), None),
+            (Ok(depths), Ok(None)) => {
+                let notice = "the recording has depth images alone; `conicflow detect` finds what is in them";
+                (depths, None, Some(notice.to_owned()))
+            }
+            (Ok(depths), Err(error)) => (depths, None, Some(format!("{error:#}"))),
+            (Err(error), Ok(Some(lists))) if topic.is_none() => {
+                (lists, None, Some(format!("no depth images: {error:#}")))
+            }
+            (Err(error), _) => return Err(error),
+        };
+        let (begin_ns, end_ns) = files.span_ns()?.unwrap_or_default();
+        let title = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
+        display.tell(|about| (about.title, about.notice) = (title, notice));
+        let (read, speed) = (VecDeque::new(), 1.0);
+        let mut player = Self {
+            display,
+            frames,
+            lists,
+            read,
+            begin_ns,
+            end_ns,
+            at_ns: begin_ns,
+            next: None,
+            plays: true,
+            speed,
+            anchor: None,
+        };
+        player.next = player.frames.next_message()?;
+        player.advance()?;
+        Ok(player)
+    }
+
+    /// Plays until this program is told to end.
+    ///
+    /// # Errors
+    /// The recording cannot be read any more.
+    pub fn play(&mut self, told: &AtomicBool) -> Result<()> {
+        while !told.load(Ordering::Relaxed) {
+            let due = self.due();
+            let left = due.map_or(LOOK, |due| due.saturating_duration_since(Instant::now()).min(LOOK));
+            if let Some(command) = self.display.next_command(left) {
+                self.obey(&command)?;
+            } else if due.is_some_and(|due| due <= Instant::now()) && !self.advance()? {
+                self.plays = false;
+                self.tell();
+            }
+        }
+        Ok(())
+    }
+
+    /// When the next frame is to be shown; never while the recording is paused, or nobody looks.
+    fn due(&mut self) -> Option<Instant> {
+        if !self.plays || !self.display.is_watched() {
+            self.anchor = None;
+            return None;
+        }
+        let now = Instant::now();
+        let next_ns = self.next.as_ref().map_or(self.at_ns, |next| next.written_ns);
+        let (start, start_ns) = *self.anchor.get_or_insert((now, self.at_ns));
+        let after = Duration::from_nanos(next_ns.saturating_sub(start_ns)).div_f64(self.speed);
+        let due = start.checked_add(after).unwrap_or(now);
+        if due + LATE < now {
+            self.anchor = Some((now, next_ns));
+        }
+        Some(due)
+    }
+
+    fn obey(&mut self, command: &Command) -> Result<()> {
+        self.anchor = None;
+        match command {
+            Command::Play => {
+                if self.next.is_none() {
+                    self.go_to(self.begin_ns)?;
+                }
+                self.plays = true;
+            }
+            Command::Pause => self.plays = false,
+            Command::Step { by } => {
+                self.plays = false;
+                self.step(*by)?;
+            }
+            Command::Seek { at_s } => {
+                let length_s = self.end_ns.saturating_sub(self.begin_ns) as f64 * 1e-9;
+                let after_ns = (at_s.clamp(0.0, length_s) * 1e9) as u64;
+                self.go_to((self.begin_ns + after_ns).min(self.end_ns))?;
+            }
+            Command::Speed { factor } => self.speed = factor.clamp(SPEEDS.0, SPEEDS.1),
+            Command::Pipeline { .. } | Command::DepthTopic { .. } => {}
+        }
+        self.tell();
+        Ok(())
+    }
+
+    /// Shows the next frame; false where there is none.
+    fn advance(&mut self) -> Result<bool> {
+        let Some(frame) = self.next.take() else { return Ok(false) };
+        self.next = self.frames.next_message()?;
+        self.show(frame)?;
+        Ok(true)
+    }
+
+    fn step(&mut self, by: i32) -> Result<()> {
+        for _ in 0..by.max(0) {
+            if !self.advance()? {
+                break;
+            }
+        }
+        for _ in by.min(0)..0 {
+            self.go_back()?;
+        }
+        Ok(())
+    }
+
+    /// Shows the first frame that was written at `at_ns` or later, or the last of all.
+    fn go_to(&mut self, at_ns: u64) -> Result<()> {
+        self.seek(at_ns)?;
+        if !self.advance()? {
+            self.at_ns = at_ns.saturating_add(1);
+            self.go_back()?;
+        }
+        Ok(())
+    }
+
+    /// Shows the frame before the one that is shown, if there is one: looks for it ever farther back.
+    fn go_back(&mut self) -> Result<()> {
+        let (at_ns, mut back_ns) = (self.at_ns, BACK_NS);
+        loop {
+            let from_ns = at_ns.saturating_sub(back_ns).max(self.begin_ns);
+            self.seek(from_ns)?;
+            let mut before = None;
+            while self.next.as_ref().is_some_and(|next| next.written_ns < at_ns) {
+                before = self.next.take();
+                self.next = self.frames.next_message()?;
+            }
+            if let Some(before) = before {
+                return self.show(before);
+            }
+            if from_ns == self.begin_ns {
+                return Ok(());
+            }
+            back_ns = back_ns.saturating_mul(4);
+        }
+    }
+
+    fn seek(&mut self, from_ns: u64) -> Result<()> {
+        self.frames.seek(from_ns);
+        self.read.clear();
+        if let Some(lists) = &mut self.lists {
+            lists.seek(from_ns);
+        }
+        self.next = self.frames.next_message()?;
+        Ok(())
+    }
+
+    fn show(&mut self, shown: Replayed) -> Result<()> {
+        self.at_ns = shown.written_ns;
+        let frame = if self.frames.item().is_image() {
+            let pixels = items_of(&shown.items);
+            let found = self.list_of(&shown)?;
+            let header = found.as_ref().map_or(shown.header, |found| found.header);
+            let list = match (&found, &self.lists) {
+                (Some(found), Some(lists)) => list(lists.item(), &found.items),
+                _ => List::None,
+            };
+            let depth = Some(Arc::new(Depth { header: shown.header, pixels }));
+            Frame { header, depth, list, latency_ms: None }
+        } else {
+            Frame { header: shown.header, depth: None, list: list(self.frames.item(), &shown.items), latency_ms: None }
+        };
+        // Where it is goes with the frame.
+        self.tell();
+        self.display.show(frame);
+        Ok(())
+    }
+
+    /// What was found in a frame, where that was recorded; lists of frames before it are passed over.
+    fn list_of(&mut self, frame: &Replayed) -> Result<Option<Replayed>> {
+        let Some(lists) = &mut self.lists else { return Ok(None) };
+        let key = |replayed: &Replayed| (replayed.header.stamp_ns, replayed.header.epoch, replayed.header.sequence);
+        while self.read.back().is_none_or(|last| key(last) < key(frame)) && self.read.len() < MOST_LISTS {
+            match lists.next_message()? {
+                Some(list) => self.read.push_back(list),
+                None => break,
+            }
+            while self.read.front().is_some_and(|first| key(first) < key(frame)) {
+                self.read.pop_front();
+            }
+        }
+        while self.read.front().is_some_and(|first| key(first) < key(frame)) {
+            self.read.pop_front();
+        }
+        let found = self.read.front().is_some_and(|first| key(first) == key(frame));
+        Ok(if found { self.read.pop_front() } else { None })
+    }
+
+    fn tell(&self) {
+        let seconds = |ns: u64| ns.saturating_sub(self.begin_ns) as f64 * 1e-9;
+        let (at_s, length_s) = (seconds(self.at_ns), seconds(self.end_ns));
+        self.display.tell_player(Told { at_s, length_s, plays: self.plays, speed: self.speed });
+    }
+}
+
+/// What a message of a list says was found.
+fn list(item: &ItemType, items: &[u8]) -> List {
+    if item.name() == Track::NAME {
+        return List::Tracks(items_of(items));
+    }
+    List::Objects(items_of(items))
+}
+
+/// Bytes as items, wherever in memory they lie.
+fn items_of<T: Item>(bytes: &[u8]) -> Vec<T> {
+    bytes.chunks_exact(size_of::<T>()).map(bytemuck::pod_read_unaligned).collect()
+}

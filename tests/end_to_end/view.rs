@@ -1,0 +1,339 @@
+//! The page of `conicflow view`, asked over plain sockets: what it shows of runs and recordings, who is refused, and that many who
+//! look, or leave in the middle, cost a run nothing. What a browser makes of it is in `browser.rs`.
+
+use crate::support::{Playground, Started, TRACKING, wait_until};
+use serde_json::{Value as Json, json};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::process::ChildStdout;
+use std::time::Duration;
+
+/// A run that goes on until it is ended, at a pace that leaves room for others.
+pub const SLOWLY: [&str; 3] = ["run", "--set", "source.rate_hz=30"];
+/// No answer takes so long.
+const PATIENCE: Duration = Duration::from_secs(90);
+
+/// A page that is offered, and where.
+pub struct Page {
+    /// `127.0.0.1:PORT`.
+    pub host: String,
+    _program: Option<(Started, BufReader<ChildStdout>)>,
+}
+
+/// What was answered.
+pub struct Answer {
+    pub status: u16,
+    pub head: String,
+    pub body: Vec<u8>,
+}
+
+/// Sends a request as it is to `host`, and reads the answer.
+pub fn exchange(host: &str, request: &str) -> Answer {
+    let mut stream = TcpStream::connect(host).unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    stream.write_all(request.as_bytes()).unwrap();
+    let mut reader = BufReader::new(stream);
+    let (mut head, mut length) = (String::new(), 0);
+    loop {
+        let mut line = String::new();
+        reader.read_line(&mut line).unwrap();
+        if line.trim().is_empty() {
+            break;
+        }
+        if let Some(told) = line.to_ascii_lowercase().strip_prefix("content-length:") {
+            length = told.trim().parse().unwrap();
+        }
+        head.push_str(&line);
+    }
+    let mut body = vec![0; length];
+    reader.read_exact(&mut body).unwrap();
+    Answer { status: head.split(' ').nth(1).unwrap().parse().unwrap(), head, body }
+}
+
+impl Answer {
+    pub fn text(&self) -> String {
+        String::from_utf8_lossy(&self.body).into_owned()
+    }
+
+    /// The JSON text of an answer to `/look`, and its pixels.
+    fn look(&self) -> (Json, Vec<u16>) {
+        assert_eq!(self.status, 200, "{}", self.text());
+        let (length, rest) = self.body.split_at(4);
+        let length = u32::from_le_bytes(length.try_into().unwrap()) as usize;
+        assert!(length.is_multiple_of(4), "the pixels of an answer are aligned");
+        let pixels = rest[length..].as_chunks().0.iter().map(|pixel| u16::from_le_bytes(*pixel)).collect();
+        (serde_json::from_slice(&rest[..length]).unwrap(), pixels)
+    }
+}
+
+impl Page {
+    /// Starts `conicflow view` with these arguments at a port of its own, and waits until it says where it is.
+    pub fn open(playground: &Playground, arguments: &[&str]) -> Self {
+        let arguments = [&["view", "--listen", "127.0.0.1:0"], arguments].concat();
+        let (program, mut output) = Started::piped(playground.command(&arguments));
+        let mut line = String::new();
+        output.read_line(&mut line).unwrap();
+        let host = line.trim().strip_prefix("http://").unwrap_or_else(|| panic!("`{line}`: {}", program.stderr()));
+        let host = host.split('/').next().unwrap().to_owned();
+        Self { host, _program: Some((program, output)) }
+    }
+
+    /// The page that a stage offers, as its log says.
+    fn of_stage(log: &str) -> Self {
+        let (_, address) = log.split_once("http://").unwrap();
+        Self { host: address.split('/').next().unwrap().to_owned(), _program: None }
+    }
+
+    /// Sends a request as it is, and reads the answer.
+    pub fn send(&self, request: &str) -> Answer {
+        exchange(&self.host, request)
+    }
+
+    /// Asks for a path, as a browser on this machine does.
+    pub fn get(&self, path: &str) -> Answer {
+        self.send(&format!("GET {path} HTTP/1.1\r\nHost: {}\r\n\r\n", self.host))
+    }
+
+    /// Asks as the browser `name` for what is newer than `frames` frames.
+    fn look(&self, name: &str, frames: u64) -> (Json, Vec<u16>) {
+        self.get(&format!("/look?browser={name}&frames={frames}&columns=32")).look()
+    }
+
+    /// The next frame for which this holds.
+    fn frame(&self, what: &str, holds: impl Fn(&Json) -> bool) -> (Json, Vec<u16>) {
+        let (mut frames, mut found) = (0, None);
+        wait_until(what, || {
+            let (json, pixels) = self.look("test", frames);
+            frames = json["frames"].as_u64().unwrap();
+            found = Some((json, pixels)).filter(|(json, _)| !json["frame"].is_null() && holds(json));
+            found.is_some()
+        });
+        found.unwrap()
+    }
+
+    /// Tells a wish.
+    fn wish(&self, command: &Json) -> u16 {
+        let (host, body) = (&self.host, command.to_string());
+        let head = format!(
+            "POST /command HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\nContent-Type: application/json"
+        );
+        self.send(&format!("{head}\r\nContent-Length: {}\r\n\r\n{body}", body.len())).status
+    }
+}
+
+fn items(json: &Json) -> &[Json] {
+    json["frame"]["items"].as_array().map_or(&[], Vec::as_slice)
+}
+
+#[test]
+fn a_run_is_shown_as_it_goes_on_and_waited_for_before_and_after() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let page = Page::open(&playground, &[]);
+    let (waiting, _) = page.look("test", 0);
+    assert!(waiting["frame"].is_null() && waiting["about"]["notice"].as_str().unwrap().contains("no pipeline runs"));
+
+    let run = playground.start(&SLOWLY);
+    let (json, pixels) = page.frame("a frame with tracks", |json| !items(json).is_empty());
+    let frame = &json["frame"];
+    assert_eq!((frame["kind"].as_str(), frame["image"]["columns"].as_u64()), (Some("tracks"), Some(32)));
+    assert_eq!(pixels.len(), 32 * 24, "every second pixel of every second row of 64x48");
+    assert!(pixels.iter().filter(|pixel| **pixel > 0).count() > 300, "most of them measure something");
+    let track = &items(&json)[0];
+    assert!(track["id"].is_u64() && track["sigma"]["radius"].as_f64().unwrap() > 0.0, "{track}");
+    assert!(!track["seen"].as_array().unwrap().is_empty(), "it has an outline: {track}");
+
+    // Told once a second: what the stages do, and what they count.
+    let (json, _) = page.frame("the graph", |json| !json["about"]["graph"].is_null());
+    let graph = &json["about"]["graph"];
+    assert_eq!((graph["stages"].as_array().unwrap().len(), json["about"]["title"].as_str()), (5, Some("tracking")));
+    let stages = graph["activity"]["stages"].as_array().unwrap();
+    assert!(stages.iter().any(|stage| !stage["counters"].as_object().unwrap().is_empty()), "{stages:?}");
+
+    drop(run);
+    wait_until("the page tells that the run is over", || {
+        let (json, _) = page.look("another", u64::MAX);
+        json["about"]["notice"].as_str().is_some_and(|notice| notice.contains("no pipeline runs"))
+    });
+}
+
+#[test]
+fn several_pipelines_are_offered_and_another_one_can_be_chosen() {
+    let playground = Playground::with_pipeline(TRACKING);
+    playground
+        .write("second.toml", &TRACKING.replace("\"tracking\"", "\"second\"").replace("tracks.jsonl", "second.jsonl"));
+    let _runs = [playground.start(&SLOWLY), playground.start(&["run", "second.toml", "--set", "source.rate_hz=30"])];
+    let page = Page::open(&playground, &["--pipeline", "tracking"]);
+    let both = json!(["second", "tracking"]);
+    let (json, _) = page.frame("both", |json| json["about"]["pipelines"] == both);
+    assert_eq!(json["about"]["title"], "tracking");
+    assert_eq!(page.wish(&json!({ "do": "pipeline", "name": "second" })), 204);
+    page.frame("the other one", |json| json["about"]["title"] == "second" && !items(json).is_empty());
+}
+
+#[test]
+fn who_comes_from_elsewhere_is_refused_and_what_makes_no_sense_is_told() {
+    let playground = Playground::new();
+    let page = Page::open(&playground, &[]);
+    let own = page.host.clone();
+    let status = |request: &str| page.send(request).status;
+    assert_eq!(page.get("/").status, 200);
+    assert!(page.get("/").head.contains("Content-Security-Policy: default-src 'none'"));
+    assert_eq!(status("GET / HTTP/1.1\r\nHost: robot.example\r\n\r\n"), 403, "a name that leads here");
+    assert_eq!(
+        status(&format!("GET /look?browser=a HTTP/1.1\r\nHost: {own}\r\nOrigin: http://robot.example\r\n\r\n")),
+        403
+    );
+    assert_eq!(status(&format!("GET /../Cargo.toml HTTP/1.1\r\nHost: {own}\r\n\r\n")), 404);
+    assert_eq!(status(&format!("GET /etc/passwd HTTP/1.1\r\nHost: {own}\r\n\r\n")), 404);
+    assert_eq!(status(&format!("DELETE / HTTP/1.1\r\nHost: {own}\r\n\r\n")), 405);
+    assert_eq!(status(&format!("GET /look HTTP/1.1\r\nHost: {own}\r\n\r\n")), 400, "a browser without a name");
+    assert_eq!(status("rubbish\r\n\r\n"), 400);
+    assert_eq!(status(&format!("GET /{} HTTP/1.1\r\n", "a".repeat(9000))), 431);
+    assert_eq!(page.wish(&json!({ "do": "stop" })), 400);
+    let post = format!("POST /command HTTP/1.1\r\nHost: {own}\r\n");
+    assert_eq!(status(&format!("{post}Content-Length: 2\r\n\r\n{{}}")), 415, "a form of another page");
+    assert_eq!(status(&format!("{post}Content-Type: application/json\r\nContent-Length: 999999999\r\n\r\n")), 413);
+}
+
+#[test]
+fn other_machines_need_the_token() {
+    let playground = Playground::new();
+    let (mut program, mut output) = Started::piped(playground.command(&["view", "--listen", "0.0.0.0:0"]));
+    let mut line = String::new();
+    output.read_line(&mut line).unwrap();
+    let (address, token) = line.trim().split_once("/?token=").unwrap();
+    assert_eq!(token.len(), 32, "{line}");
+    let port = address.rsplit_once(':').unwrap().1;
+    let page = Page { host: format!("127.0.0.1:{port}"), _program: None };
+    assert_eq!((page.get("/").status, page.get("/look?browser=a").status), (401, 401));
+    assert_eq!(page.get(&format!("/?token={}", "0".repeat(32))).status, 401);
+    let entered = page.get(&format!("/?token={token}"));
+    assert_eq!(entered.status, 303);
+    let cookie = entered.head.lines().find_map(|line| line.strip_prefix("Set-Cookie: ")).unwrap();
+    assert!(cookie.contains("HttpOnly") && cookie.contains("SameSite=Strict"), "{cookie}");
+    let cookie = cookie.split(';').next().unwrap();
+    let with = format!("GET / HTTP/1.1\r\nHost: 192.168.7.7:{port}\r\nCookie: {cookie}\r\n\r\n");
+    assert_eq!(page.send(&with).status, 200);
+    program.wait_until("it is at work", || true);
+
+    let refused = playground.conicflow(&["view", "--listen", "0.0.0.0:0", "--token", "short"]).expect_code(2);
+    assert!(refused.stderr.contains("the token is not at least 12 letters"), "{}", refused.stderr);
+    let refused = playground.conicflow(&["view", "--listen", &format!("127.0.0.1:{port}")]).expect_code(2);
+    assert!(refused.stderr.contains("another program is there"), "{}", refused.stderr);
+}
+
+#[test]
+fn a_hundred_browsers_and_those_that_leave_in_the_middle_cost_the_run_nothing() {
+    const FRAMES: &str = "240";
+    let playground = Playground::with_pipeline(TRACKING);
+    let page = Page::open(&playground, &[]);
+    let mut run = playground.start(&["run", "--set", "source.rate_hz=60", "--frames", FRAMES]);
+    run.wait_until("it delivers", || !playground.lines("tracks.jsonl").is_empty());
+    // Half of them ask and never read; they stay until the run is over.
+    let silent: Vec<_> = (0..50)
+        .map(|number| {
+            let mut stream = TcpStream::connect(&page.host).unwrap();
+            let request = format!("GET /look?browser=s{number}&columns=1280 HTTP/1.1\r\nHost: {}\r\n\r\n", page.host);
+            stream.write_all(request.repeat(4).as_bytes()).ok();
+            stream
+        })
+        .collect();
+    let mut refused = 0;
+    for number in 0..50 {
+        let mut stream = TcpStream::connect(&page.host).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        write!(stream, "GET /look?browser=l{number} HTTP/1.1\r\nHost: {}\r\n\r\n", page.host).ok();
+        let mut begin = [0; 12];
+        // Who leaves when a few bytes have come leaves in the middle.
+        if stream.read_exact(&mut begin).is_ok() && begin.ends_with(b"503") {
+            refused += 1;
+        }
+    }
+    assert!(refused > 0, "there is room for so many only, and the others are told");
+    let ended = run.wait().expect_code(0);
+    drop(silent);
+    assert_eq!(playground.sequences("tracks.jsonl"), (0..FRAMES.parse().unwrap()).collect::<Vec<u64>>());
+    assert_eq!(ended.input("depth", "extractor").dropped + ended.input("tracks", "json").dropped, 0);
+    // And who comes after them is shown something.
+    wait_until("a browser is served again", || page.get("/look?browser=late").status == 200);
+}
+
+/// A run that records what it makes.
+pub fn recording(playground: &Playground, frames: &str) {
+    let recorder = "[stage.recorder]\nnode = \"mcap_sink\"\ninput = { topic = \"tracks\", delivery = \"lossless\" }\n\
+                    inputs = { depth = \"depth\" }\npath = \"run.mcap\"\n";
+    playground.write("record.toml", &format!("{TRACKING}\n{recorder}"));
+    playground.conicflow(&["run", "record.toml", "--frames", frames]).expect_code(0);
+}
+
+#[test]
+fn a_recording_is_played_paused_stepped_and_sought() {
+    let playground = Playground::new();
+    recording(&playground, "90");
+    let recorded = playground.json_lines("tracks.jsonl");
+    let page = Page::open(&playground, &["run.mcap"]);
+    page.frame("it plays by itself", |json| json["frame"]["sequence"].as_u64() > Some(2));
+    assert_eq!(page.wish(&json!({ "do": "pause" })), 204);
+    let at =
+        |sequence: u64| move |json: &Json| json["frame"]["sequence"] == sequence && json["player"]["plays"] == false;
+    // 30 frames in a second, the first at 0.
+    assert_eq!(page.wish(&json!({ "do": "seek", "at_s": 1.99 })), 204);
+    let (json, pixels) = page.frame("the frame at two seconds", at(60));
+    assert_eq!(pixels.len(), 32 * 24);
+    let ids = |items: &[Json]| items.iter().map(|item| item["id"].clone()).collect::<Vec<_>>();
+    let expected = recorded[60]["tracks"].as_array().unwrap();
+    assert_eq!(ids(items(&json)), ids(expected), "the tracks of this frame");
+    assert_eq!(items(&json)[0]["center"], expected[0]["center"]);
+    let length_s = json["player"]["length_s"].as_f64().unwrap();
+    assert!((length_s - 89.0 / 30.0).abs() < 1e-3, "{length_s}");
+    for (by, sequence) in [(-1, 59), (-1, 58), (1, 59), (3, 62), (-60, 2), (-9, 0), (500, 89)] {
+        assert_eq!(page.wish(&json!({ "do": "step", "by": by })), 204);
+        page.frame("the frame that was stepped to", at(sequence));
+    }
+    page.wish(&json!({ "do": "seek", "at_s": 1e300 }));
+    page.frame("the last", at(89));
+    page.wish(&json!({ "do": "speed", "factor": 10.0 }));
+    page.wish(&json!({ "do": "play" }));
+    page.frame("it plays again from the beginning, to its end", at(89));
+}
+
+#[test]
+fn a_recording_that_ends_in_the_middle_and_one_of_depth_alone_are_shown() {
+    let playground = Playground::new();
+    recording(&playground, "60");
+    let whole = std::fs::read(playground.path("run.mcap")).unwrap();
+    std::fs::write(playground.path("torn.mcap"), &whole[..whole.len() * 3 / 4]).unwrap();
+    let page = Page::open(&playground, &["torn.mcap"]);
+    page.wish(&json!({ "do": "seek", "at_s": 0.3 }));
+    page.wish(&json!({ "do": "pause" }));
+    page.wish(&json!({ "do": "step", "by": -1 }));
+    page.frame("a frame of the part that is there", |json| {
+        json["player"]["plays"] == false && !items(json).is_empty() && json["frame"]["sequence"].as_u64() < Some(30)
+    });
+
+    let recorder = "[stage.recorder]\nnode = \"mcap_sink\"\ninput = { topic = \"depth\", delivery = \"lossless\" }\npath = \"depth.mcap\"\n";
+    let source = TRACKING.split("[stage.extractor]").next().unwrap();
+    playground.write("depth.toml", &format!("{source}\n{recorder}"));
+    playground.conicflow(&["run", "depth.toml", "--frames", "5"]).expect_code(0);
+    let page = Page::open(&playground, &["depth.mcap"]);
+    let (json, pixels) = page.frame("depth alone", |_| true);
+    assert!(json["frame"]["kind"].is_null() && !pixels.is_empty());
+    assert!(json["about"]["notice"].as_str().unwrap().contains("depth images alone"));
+
+    let refused = playground.conicflow(&["view", "none.mcap"]);
+    assert!(refused.code != Some(0) && refused.stderr.contains("none.mcap"), "{}", refused.stderr);
+}
+
+#[test]
+fn a_sink_shows_the_run_that_it_is_part_of() {
+    let playground = Playground::new();
+    let sink = "[stage.page]\nnode = \"view_sink\"\ninput = \"tracks\"\ninputs = { depth = \"depth\" }\nlisten = \"127.0.0.1:0\"\n";
+    playground.write("pipeline.toml", &format!("{TRACKING}\n{sink}"));
+    let mut run = playground.start(&SLOWLY);
+    run.wait_for_text("in a browser");
+    let page = Page::of_stage(&run.stderr());
+    let (json, pixels) = page.frame("a frame with tracks", |json| !items(json).is_empty());
+    assert!(pixels.len() == 32 * 24 && json["frame"]["latency_ms"].as_f64().is_some());
+    let (json, _) = page.frame("the graph", |json| !json["about"]["graph"].is_null());
+    assert_eq!(json["about"]["graph"]["stages"].as_array().unwrap().len(), 6);
+}

@@ -1,0 +1,170 @@
+// The graph of stages from top to bottom: what each does and how fast, what goes from one to the next and what is lost; and what
+// they count.
+
+import { count, milliseconds } from "./words.js";
+
+/** Height of a stage, and of the room below it. */
+const [HIGH, GAP] = [50, 56];
+/** Width of a stage, and of the room that what is told beside an arrow needs. */
+const [BOX, BESIDE] = [300, 320];
+
+const svg = (tag, attributes, ...children) => {
+    const element = document.createElementNS("http://www.w3.org/2000/svg", tag);
+    Object.entries(attributes).forEach(([key, value]) => element.setAttribute(key, value));
+    element.append(...children);
+    return element;
+};
+
+const text = (x, y, name, content) => svg("text", { x, y, class: name }, content);
+
+/** The stages in rows: each below all whose topics it reads. */
+function rows(stages) {
+    const depth = new Map(stages.map(({ name }) => [name, 0]));
+    for (let round = 0; round < stages.length; round += 1) {
+        for (const reader of stages) {
+            for (const writer of stages.filter(({ outputs }) => outputs.some((topic) => reader.inputs.includes(topic)))) {
+                if (writer !== reader) {
+                    depth.set(reader.name, Math.max(depth.get(reader.name), Math.min(depth.get(writer.name) + 1, stages.length)));
+                }
+            }
+        }
+    }
+    const levels = [...new Set(depth.values())].sort((a, b) => a - b);
+    return levels.map((level) => stages.filter(({ name }) => depth.get(name) === level));
+}
+
+/** Counts of two looks as lists of { name, count, rate }; the largest first. */
+function counted(now, before, seconds) {
+    const entries = Object.entries(now ?? {});
+    const rated = entries.map(([name, value]) => ({ name, value, rate: Math.max(0, value - (before?.[name] ?? value)) / seconds }));
+    return rated.sort((a, b) => b.value - a.value);
+}
+
+export class GraphView {
+    #place;
+    #counters;
+    #before = { at: 0, activity: null };
+
+    constructor(place, counters) {
+        [this.#place, this.#counters] = [place, counters];
+    }
+
+    /** Shows the stages, or in `instead` why there are none. */
+    show(graph, instead) {
+        if (!graph) {
+            this.#place.replaceChildren(none(instead));
+            this.#counters.replaceChildren(none(instead));
+            return;
+        }
+        const seconds = Math.max((performance.now() - this.#before.at) / 1000, 0.5);
+        const before = this.#before.activity?.pipeline === graph.activity.pipeline ? this.#before.activity : null;
+        this.#draw(graph, before, seconds);
+        this.#count(graph.activity, before, seconds);
+        this.#before = { at: performance.now(), activity: graph.activity };
+    }
+
+    #draw({ stages, activity }, before, seconds) {
+        const levels = rows(stages);
+        const widest = Math.max(...levels.map((level) => level.length));
+        // A unit is a pixel where there is room: text is as large as elsewhere.
+        const width = Math.max(this.#place.clientWidth - 24, BESIDE, widest * (BOX + 24));
+        const lone = Math.max(Math.min((width - BOX) / 2, width - BOX - 130), 4);
+        const place = new Map();
+        levels.forEach((level, row) => {
+            level.forEach((stage, column) => {
+                const x = width * ((column + 0.5) / level.length) - BOX / 2;
+                // A single column leaves room on its right for what is told beside the arrows.
+                place.set(stage.name, { x: widest === 1 ? lone : x, y: row * (HIGH + GAP) + 2, row });
+            });
+        });
+        const drawing = svg("svg", { viewBox: `0 0 ${width} ${levels.length * (HIGH + GAP) - GAP + 6}`, role: "img" });
+        for (const reader of stages) {
+            for (const writer of stages) {
+                for (const topic of writer.outputs.filter((topic) => reader.inputs.includes(topic))) {
+                    drawing.append(...this.#edge(writer, reader, topic, place, { activity, before, seconds }));
+                }
+            }
+        }
+        stages.forEach((stage) => drawing.append(...box(stage, place.get(stage.name), activity)));
+        this.#place.replaceChildren(drawing);
+    }
+
+    #edge(writer, reader, topic, place, { activity, before, seconds }) {
+        const [from, to] = [place.get(writer.name), place.get(reader.name)];
+        const drives = reader.drives > 0 && reader.inputs[0] === topic;
+        const isNext = to.row === from.row + 1;
+        const [x1, y1, x2, y2] = [from.x + 16, from.y + HIGH, to.x + 16, to.y - 6];
+        const bend = -40 - 10 * (to.row - from.row);
+        const middle = (y1 + y2) / 2;
+        const line = isNext
+            ? `M${x1},${y1} C${x1},${middle} ${x2},${middle} ${x2},${y2}`
+            : `M${from.x},${from.y + HIGH / 2} C${from.x + bend},${from.y + HIGH} ${to.x + bend},${to.y} ${to.x - 6},${to.y + HIGH / 2}`;
+        const head = isNext ? `M${x2 - 5},${y2 - 2} h10 l-5,8 z` : `M${to.x - 8},${to.y + HIGH / 2 - 5} v10 l8,-5 z`;
+        const drawn = [svg("path", { d: line, class: drives ? "edge" : "edge side" }), svg("path", { d: head, class: "arrow" })];
+        if (!isNext) {
+            return drawn;
+        }
+        const written = activity.topics.find((seen) => seen.topic === topic && seen.writer === writer.name);
+        const same = (seen) => seen.topic === topic && seen.reader === reader.name;
+        const [read, earlier] = [activity.inputs.find(same), before?.inputs.find(same)];
+        const label = svg("text", { x: x2 + 14, y: middle - 3 }, svg("tspan", { class: "topic" }, topic));
+        const rate = written ? `  ${written.rate_hz.toFixed(1)} Hz · ${written.bandwidth_mbps.toFixed(written.bandwidth_mbps < 1 ? 3 : 1)} MB/s` : "";
+        label.append(svg("tspan", { class: "figure" }, rate));
+        const line2 = svg("text", { x: x2 + 14, y: middle + 12, class: "figure" });
+        if (read) {
+            const hop = read.hop_p50_ms === null ? "" : `age ${milliseconds(read.latency_p50_ms)}, p99 ${milliseconds(read.latency_p99_ms)} · `;
+            line2.append(hop, svg("tspan", read.dropped + read.gaps > 0 ? { class: "warn" } : {}, lost(read, earlier, seconds)));
+        }
+        return [...drawn, label, line2];
+    }
+
+    #count(activity, before, seconds) {
+        const parts = activity.stages.flatMap((stage) => {
+            const earlier = before?.stages.find((other) => other.stage === stage.stage);
+            const found = counted(stage.found, earlier?.found, seconds);
+            const reasons = counted(stage.counters, earlier?.counters, seconds);
+            if (found.length + reasons.length === 0) {
+                return [];
+            }
+            const most = Math.max(...[...found, ...reasons].map(({ value }) => value), 1);
+            const part = document.createElement("div");
+            part.append(Object.assign(document.createElement("h3"), { textContent: stage.stage }));
+            part.append(...found.map((entry) => bar(entry, most, "count found")), ...reasons.map((entry) => bar(entry, most, "count")));
+            return [part];
+        });
+        this.#counters.replaceChildren(...(parts.length > 0 ? parts : [none("no stage has counted anything")]));
+    }
+}
+
+function lost(now, before, seconds) {
+    const rate = before ? (now.dropped - before.dropped) / seconds : 0;
+    const dropped = `${count(now.dropped)} dropped${rate >= 0.05 ? ` (${rate.toFixed(1)}/s)` : ""}`;
+    return now.gaps > now.dropped ? `${dropped}, ${count(now.gaps)} missing` : dropped;
+}
+
+function box({ name, node, drives }, { x, y }, activity) {
+    const stage = activity.stages.find((seen) => seen.stage === name);
+    const drawn = [
+        svg("rect", { x, y, width: BOX, height: HIGH, rx: 8, class: stage && stage.silent_s < 2 ? "box" : "box silent" }),
+        svg("text", { x: x + 12, y: y + 20 }, svg("tspan", { class: "name" }, name), svg("tspan", { class: "node", dx: 8 }, node)),
+    ];
+    if (!stage) {
+        return [...drawn, text(x + 12, y + 39, "warn", "does not run")];
+    }
+    const starts = stage.starts > 1 ? ` · ${stage.starts} starts` : "";
+    const time = drives > 0 || stage.compute_p50_ms !== null ? ` · ${milliseconds(stage.compute_p50_ms)}, p99 ${milliseconds(stage.compute_p99_ms)}` : "";
+    const figures = svg("text", { x: x + 12, y: y + 39, class: "figure" }, svg("tspan", { class: "strong" }, `${stage.rate_hz.toFixed(1)} Hz`));
+    figures.append(`${time} · ${stage.cpu_percent.toFixed(0)} % CPU${starts}`);
+    return [...drawn, figures];
+}
+
+function bar({ name, value, rate }, most, kind) {
+    const row = Object.assign(document.createElement("div"), { className: kind });
+    const line = document.createElement("i");
+    line.style.width = `${(100 * value) / most}%`;
+    const texts = [["span", name], ["b", count(value)], ["span", rate > 0 ? `${rate.toFixed(rate < 10 ? 1 : 0)}/s` : ""]];
+    row.append(...texts.map(([tag, content]) => Object.assign(document.createElement(tag), { textContent: content })), line);
+    return row;
+}
+
+const none = (content) => Object.assign(document.createElement("p"), { className: "none", textContent: content });

@@ -1,0 +1,191 @@
+// The page: hands each answer of the server to the views.
+
+import { DepthRange, SCALE } from "./colours.js";
+import { GraphView } from "./graph.js";
+import { ImageView } from "./image.js";
+import { ListView } from "./list.js";
+import { follow, wish } from "./server.js";
+import { SpaceView } from "./space.js";
+import { Timeline } from "./timeline.js";
+import { Trails } from "./trails.js";
+import { metres, milliseconds } from "./words.js";
+
+/** Texts are written anew no more often than this. */
+const TEXT_MS = 200;
+/** Without a graphics card frames are asked for no more often than this: the robot has better things to do. */
+const SLOW_MS = 200;
+
+const by = (id) => document.getElementById(id);
+
+const range = new DepthRange();
+const trails = new Trails();
+const image = new ImageView(by("image"), by("probe"));
+const space = openSpace();
+const list = new ListView(by("list"), choose);
+const graph = new GraphView(by("graph"), by("counters"));
+const timeline = new Timeline(by("timeline"));
+let frame = null;
+let written = 0;
+let isWriting = false;
+let title = "";
+const shown = [];
+
+/** The view of space; where the browser cannot draw it, that is said. */
+function openSpace() {
+    try {
+        return new SpaceView(by("space-image"), by("space-text"));
+    } catch (error) {
+        const empty = Object.assign(document.createElement("div"), { className: "empty" });
+        empty.textContent = "This browser has no WebGL 2, or it is switched off: space cannot be drawn.";
+        by("space").append(empty);
+        return null;
+    }
+}
+
+/** Marks a track in all views, or no longer. */
+function choose(id) {
+    image.chosen = image.chosen === id ? undefined : id;
+    if (space) {
+        space.chosen = image.chosen;
+        space.redraw();
+    }
+    image.draw();
+    list.show(frame, image.chosen);
+}
+
+/** Counts the frames that were shown in the last two seconds. */
+function countShown() {
+    shown.push(performance.now());
+    while (shown[0] < shown.at(-1) - 2000) {
+        shown.shift();
+    }
+}
+
+/** How often a second frames are shown. */
+function rate() {
+    const span = shown.at(-1) - shown[0];
+    return span > 0 ? `${((1000 * (shown.length - 1)) / span).toFixed(1)} Hz` : "–";
+}
+
+function showFrame(next) {
+    frame = next;
+    if (frame.pixels) {
+        range.follow(frame.pixels, frame.image.scale);
+    }
+    trails.follow(frame);
+    image.show(frame, range);
+    space?.show(frame, range, trails);
+    countShown();
+    if (!isWriting) {
+        isWriting = true;
+        setTimeout(writeTexts, Math.max(0, written + TEXT_MS - performance.now()));
+    }
+}
+
+/** Writes what is told in words: more seldom than frames come, for nobody reads that fast. */
+function writeTexts() {
+    [isWriting, written] = [false, performance.now()];
+    by("rate").textContent = rate();
+    [by("near").textContent, by("far").textContent] = range.far > 0 ? [metres(range.near), metres(range.far)] : ["", ""];
+    by("sequence").textContent = String(frame.sequence);
+    by("stamp").textContent = frame.stamp_s > 1e8 ? new Date(frame.stamp_s * 1000).toLocaleTimeString() : `${frame.stamp_s.toFixed(2)} s`;
+    by("latency").textContent = milliseconds(frame.latency_ms);
+    list.show(frame, image.chosen);
+    by("list-title").textContent = { tracks: "Tracks", objects: "Objects" }[frame.kind] ?? "Objects";
+    by("list-note").textContent = `${frame.items.length} in ${frame.source || `frame ${frame.sequence}`}`;
+    const hasPose = Boolean(frame.pose);
+    by("frames").querySelectorAll("button").forEach((button) => {
+        button.disabled = button.dataset.frame === "world" && !hasPose;
+        button.title = button.disabled ? "the pose of the camera is not known" : "";
+    });
+}
+
+/** Fills a choice with names, and hides it where there is none. */
+function fill(select, names, chosen) {
+    select.hidden = names.length < 2 && (names.length === 0 || names[0] === chosen);
+    if ([...select.options].map(({ value }) => value).join("\n") !== names.join("\n")) {
+        select.replaceChildren(...names.map((name) => new Option(name, name)));
+    }
+    if (document.activeElement !== select) {
+        select.value = chosen;
+    }
+}
+
+function showAbout(about, isRecording) {
+    title = about.title;
+    document.title = title ? `${title} – conicflow` : "conicflow";
+    by("title").textContent = title;
+    by("title").hidden = about.pipelines.length > 1;
+    by("notice").hidden = !about.notice;
+    by("notice").textContent = about.notice ?? "";
+    by("latency-vital").hidden = isRecording;
+    fill(by("pipeline"), about.pipelines, title);
+    fill(by("depth-topic"), about.depth_topics, about.depth_topic);
+    // A recording tells nothing of stages.
+    document.body.classList.toggle("recording", isRecording);
+    graph.show(about.graph, "No stages are seen yet.");
+}
+
+function tell(state, text) {
+    by("link").dataset.state = state;
+    by("link").textContent = state === "bad" ? "no answer" : timeline.isShown ? "recording" : "live";
+    if (state === "bad") {
+        by("notice").hidden = false;
+        by("notice").textContent = text;
+        told = false;
+    } else if (!told) {
+        told = true;
+        by("notice").hidden = true;
+    }
+}
+let told = true;
+
+function listen() {
+    const redraw = () => {
+        image.draw();
+        space?.redraw();
+    };
+    by("image-labels").addEventListener("change", ({ target }) => { image.labels = target.checked; redraw(); });
+    by("pipeline").addEventListener("change", ({ target }) => wish({ do: "pipeline", name: target.value }));
+    by("depth-topic").addEventListener("change", ({ target }) => wish({ do: "depth_topic", name: target.value }));
+    if (!space) {
+        return;
+    }
+    by("space-labels").addEventListener("change", ({ target }) => { space.labels = target.checked; redraw(); });
+    by("space-points").addEventListener("change", ({ target }) => { space.points = target.checked; });
+    by("halo").addEventListener("change", ({ target }) => { space.halo = Number(target.value); redraw(); });
+    by("views").addEventListener("click", ({ target }) => { if (target.dataset.view) { space.look(target.dataset.view); } });
+    by("frames").addEventListener("click", ({ target }) => {
+        if (target.dataset.frame) {
+            space.coordinates = target.dataset.frame;
+            by("frames").querySelectorAll("button").forEach((button) => button.classList.toggle("on", button === target));
+            redraw();
+            space.look("free");
+        }
+    });
+}
+
+function drawScale() {
+    const context = by("scale-bar").getContext("2d");
+    const data = context.createImageData(256, 1);
+    data.data.set(SCALE);
+    context.putImageData(data, 0, 0);
+}
+
+drawScale();
+listen();
+// The image is as fine as is asked for; a phone begins with the same as a screen.
+follow({
+    wanted: () => by("detail").value,
+    show: (answer) => {
+        timeline.show(answer.player);
+        if (answer.about) {
+            showAbout(answer.about, Boolean(answer.player));
+        }
+        if (answer.frame) {
+            showFrame(answer.frame);
+        }
+    },
+    tell,
+    rest: () => (space === null || space.isSlow ? SLOW_MS : 0),
+});

@@ -1,0 +1,51 @@
+// Numbers in words: with units, with standard deviations, as short as they can be read.
+
+/** A length in metres. */
+export const metres = (value, places = 2) => `${value.toFixed(places)} m`;
+
+/** A length of metres in millimetres, as exactly as its standard deviation tells: "98.2 ± 0.4 mm". */
+export function millimetres(value, sigma) {
+    const mm = value * 1000;
+    if (!(sigma > 0)) {
+        return `${mm.toFixed(mm < 100 ? 1 : 0)} mm`;
+    }
+    const places = sigma * 1000 < 1.95 ? 1 : 0;
+    return `${mm.toFixed(places)} ± ${(sigma * 1000).toFixed(places)} mm`;
+}
+
+/** An angle of radians in degrees. */
+export function degrees(value, sigma) {
+    const deg = (value * 180) / Math.PI;
+    const of = sigma > 0 ? ` ± ${((sigma * 180) / Math.PI).toFixed(1)}` : "";
+    return `${deg.toFixed(1)}${of}°`;
+}
+
+/** A probability. */
+export const percent = (value) => `${Math.round(value * 100)} %`;
+
+/** A time in milliseconds; nothing where it is not known. */
+export const milliseconds = (value) => (value === null || value === undefined ? "–" : `${value.toFixed(value < 10 ? 2 : 1)} ms`);
+
+/** A count, in groups of three digits. */
+export const count = (value) => value.toLocaleString("en-US").replaceAll(",", "\u202f");
+
+/** Length of a vector. */
+export const norm = (vector) => Math.hypot(...vector);
+
+/** What an item is called: its number where it has one, and its kind. */
+export const name = (item) => (item.id === undefined ? item.kind : `#${item.id} ${item.kind}`);
+
+/** How big it is, in a line. */
+export function size(item) {
+    if (item.kind === "cone") {
+        return `base r ${millimetres(item.base_radius)}, ${degrees(item.half_angle, item.sigma.half_angle)}`;
+    }
+    return `r ${millimetres(item.radius, item.sigma.radius)}`;
+}
+
+/** How sure one may be of it, from 0 to 1: its confidence, less where it was not seen. */
+export function sureness(item) {
+    const confidence = item.confidence ?? 0.8;
+    const seen = { tentative: 0.55, coasting: 0.6 }[item.state] ?? 1;
+    return confidence * seen;
+}

@@ -1,0 +1,168 @@
+//! A frame to be looked at, and the bytes in which it goes to a browser: a JSON text, and the depths of as many pixels as are
+//! wanted.
+
+use crate::outline::{Segment, trace};
+use conicflow_messages::{Camera, Header, Object, ToJson, Track};
+use serde_json::{Value as Json, json};
+use std::sync::Arc;
+
+/// A browser is given no more pixels than this along a row, however many it asks for.
+const MAX_WIDTH: u32 = 1280;
+/// Of an outline's pixels as many decimal places are told: 1 / this.
+const PLACES: f64 = 10.0;
+
+/// A depth image.
+#[derive(Clone, Debug)]
+pub struct Depth {
+    /// Its header.
+    pub header: Header,
+    /// Its pixels, row by row.
+    pub pixels: Vec<u16>,
+}
+
+/// What was found in a frame.
+#[derive(Clone, Debug, Default)]
+pub enum List {
+    /// Nothing has looked for anything.
+    #[default]
+    None,
+    /// Objects.
+    Objects(Vec<Object>),
+    /// Tracks.
+    Tracks(Vec<Track>),
+}
+
+/// A frame to be looked at; either part may be missing.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    /// The header of the list, or else of the depth image.
+    pub header: Header,
+    /// The depth image.
+    pub depth: Option<Arc<Depth>>,
+    /// What was found in it.
+    pub list: List,
+    /// From the moment the source had the frame until the list was there, if known.
+    pub latency_ms: Option<f64>,
+}
+
+impl Frame {
+    /// The frame in JSON; its depth image is told as one of which each `step`th pixel of each `step`th row is sent.
+    pub(crate) fn to_json(&self, step: u32) -> Json {
+        let header = &self.header;
+        let (kind, items) = match &self.list {
+            List::None => (None, Vec::new()),
+            List::Objects(objects) => {
+                (Some("objects"), objects.iter().map(|o| item(o.to_json(), o, &header.camera)).collect())
+            }
+            List::Tracks(tracks) => {
+                (Some("tracks"), tracks.iter().map(|t| item(t.to_json(), &t.object, &header.camera)).collect())
+            }
+        };
+        let image = self.depth.as_ref().map(|depth| {
+            let Camera { width, height, .. } = depth.header.camera;
+            let (columns, rows) = (width.div_ceil(step), height.div_ceil(step));
+            json!({ "columns": columns, "rows": rows, "step": step, "scale": depth.header.depth_scale })
+        });
+        json!({
+            "epoch": header.epoch.to_string(),
+            "sequence": header.sequence,
+            "stamp_s": header.stamp_ns as f64 * 1e-9,
+            "source": header.source.as_str(),
+            "origin": header.origin().as_str(),
+            "latency_ms": self.latency_ms,
+            "camera": header.camera,
+            "pose": header.pose(),
+            "image": image,
+            "kind": kind,
+            "items": items,
+        })
+    }
+
+    /// Every how many pixels one is sent to who asks for `columns` of them.
+    pub(crate) fn step(&self, columns: u32) -> u32 {
+        let width = self.depth.as_ref().map_or(1, |depth| depth.header.camera.width);
+        width.div_ceil(columns.clamp(1, MAX_WIDTH)).max(1)
+    }
+
+    /// Appends each `step`th pixel of each `step`th row, the lower byte first.
+    pub(crate) fn write_pixels(&self, step: u32, bytes: &mut Vec<u8>) {
+        let Some(depth) = &self.depth else { return };
+        let (width, step) = (depth.header.camera.width as usize, step as usize);
+        bytes.reserve(2 * depth.pixels.len() / (step * step) + 2 * width);
+        for row in depth.pixels.chunks_exact(width.max(1)).step_by(step) {
+            bytes.extend(row.iter().step_by(step).flat_map(|pixel| pixel.to_le_bytes()));
+        }
+    }
+}
+
+/// An item as in the lines of JSON, with its outline in the image and the covariance of its centre.
+fn item(told: impl serde::Serialize, object: &Object, camera: &Camera) -> Json {
+    let mut json = serde_json::to_value(told).unwrap_or_default();
+    let mut segments = Vec::new();
+    trace(object, camera, &mut segments);
+    json["covariance"] = json!(object.sigma.center);
+    json["seen"] = json!(lines(segments.iter().filter(|segment| !segment.hidden)));
+    json["hidden"] = json!(lines(segments.iter().filter(|segment| segment.hidden)));
+    json["radius_at_center"] = json!(object.radius);
+    json
+}
+
+/// Segments that follow each other joined to lines: u0, v0, u1, v1, ..
+fn lines<'a>(segments: impl Iterator<Item = &'a Segment>) -> Vec<Vec<f64>> {
+    let place = |pixel: f64| (pixel * PLACES).round() / PLACES;
+    let mut lines: Vec<Vec<f64>> = Vec::new();
+    let mut end = None;
+    for segment in segments {
+        let [from, to] = [segment.from, segment.to].map(|pixel| pixel.map(place));
+        match lines.last_mut() {
+            Some(line) if end == Some(from) => line.extend(to),
+            _ => lines.push([from, to].concat()),
+        }
+        end = Some(to);
+    }
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use conicflow_messages::ObjectKind;
+
+    fn frame() -> Frame {
+        let camera = Camera { width: 5, height: 3, fx: 5.0, fy: 5.0, cx: 2.0, cy: 1.0 };
+        let header = Header { sequence: 7, depth_scale: 0.001, camera, ..Header::default() };
+        let depth = Some(Arc::new(Depth { header, pixels: (0..15).collect() }));
+        Frame { header, depth, list: List::None, latency_ms: None }
+    }
+
+    #[test]
+    fn every_second_pixel_of_every_second_row_is_sent() {
+        let frame = frame();
+        let mut bytes = Vec::new();
+        frame.write_pixels(2, &mut bytes);
+        let pixels: Vec<_> = bytes.as_chunks().0.iter().map(|pixel| u16::from_le_bytes(*pixel)).collect();
+        assert_eq!(pixels, [0, 2, 4, 10, 12, 14]);
+        let json = frame.to_json(2);
+        assert_eq!(json["image"], json!({ "columns": 3, "rows": 2, "step": 2, "scale": 0.001 }));
+        assert_eq!((json["sequence"].as_u64(), &json["kind"]), (Some(7), &Json::Null));
+    }
+
+    #[test]
+    fn no_more_pixels_are_sent_than_asked_for() {
+        let frame = frame();
+        assert_eq!([u32::MAX, 5, 4, 2, 1, 0].map(|columns| frame.step(columns)), [1, 1, 2, 3, 5, 5]);
+    }
+
+    #[test]
+    fn an_item_has_an_outline_of_joined_lines() {
+        let ball =
+            Object { kind: ObjectKind::Sphere.code(), center: [0.0, 0.0, 2.0], radius: 0.1, ..Object::default() };
+        let frame = Frame { list: List::Objects(vec![ball]), ..frame() };
+        let json = frame.to_json(1);
+        let item = &json["items"][0];
+        assert_eq!(item["kind"], "sphere");
+        let seen = item["seen"].as_array().unwrap();
+        assert_eq!((seen.len(), seen[0].as_array().unwrap().len()), (1, 2 * 73), "a closed line of 72 steps: {seen:?}");
+        assert_eq!(item["hidden"], json!([]));
+    }
+}

@@ -1,0 +1,135 @@
+//! Brings together what belongs to one frame: its depth image comes first, and what was found in it some milliseconds later.
+
+use crate::frame::{Depth, Frame, List};
+use conicflow_messages::{Header, Text};
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// Depth images wait for their lists as long as they have no more pixels than this together ...
+const MAX_PIXELS: usize = 1 << 25;
+/// ... and there are no more of them.
+const MAX_IMAGES: usize = 32;
+/// Where no list has come for so long, depth images are shown without, and the other way round.
+const PATIENCE: Duration = Duration::from_secs(2);
+/// Nobody sees more images than one in so long: others are not copied.
+const SHORTEST_INTERVAL: Duration = Duration::from_millis(20);
+
+/// Brings depth images and lists of the same frame together.
+#[derive(Debug)]
+pub struct Gatherer {
+    depths: VecDeque<Arc<Depth>>,
+    expects_lists: bool,
+    /// When a list came, or the first was expected.
+    listed: Option<Instant>,
+    /// When the last image was taken.
+    taken: Option<Instant>,
+}
+
+/// What a frame is told by: the stage that had it first, its start, its number.
+type Key = (Text<32>, u64, u64);
+
+fn key(header: &Header) -> Key {
+    (header.origin(), header.epoch, header.sequence)
+}
+
+impl Gatherer {
+    /// One that shows depth images at once, or with the lists that are made of them.
+    pub fn new(expects_lists: bool) -> Self {
+        Self { depths: VecDeque::new(), expects_lists, listed: None, taken: None }
+    }
+
+    /// Takes a depth image; a frame to be shown if it is to be shown without a list.
+    pub fn depth(&mut self, header: &Header, pixels: &[u16], now: Instant) -> Option<Frame> {
+        if self.taken.is_some_and(|taken| now.saturating_duration_since(taken) < SHORTEST_INTERVAL) {
+            return None;
+        }
+        self.taken = Some(now);
+        let depth = Arc::new(Depth { header: *header, pixels: pixels.to_vec() });
+        let waited = now.saturating_duration_since(*self.listed.get_or_insert(now));
+        if !self.expects_lists || waited > PATIENCE {
+            self.depths.clear();
+            return Some(Frame { header: *header, depth: Some(depth), list: List::None, latency_ms: None });
+        }
+        self.depths.push_back(depth);
+        let pixels = |depths: &VecDeque<Arc<Depth>>| depths.iter().map(|depth| depth.pixels.len()).sum::<usize>();
+        while self.depths.len() > MAX_IMAGES || (self.depths.len() > 1 && pixels(&self.depths) > MAX_PIXELS) {
+            self.depths.pop_front();
+        }
+        None
+    }
+
+    /// Takes what was found in a frame; the frame to be shown, unless its depth image was another camera's or has gone.
+    pub fn list(&mut self, header: &Header, list: List, latency_ms: Option<f64>, now: Instant) -> Option<Frame> {
+        let found = self.depths.iter().position(|depth| key(&depth.header) == key(header));
+        let has_images = self.taken.is_some_and(|taken| now.saturating_duration_since(taken) < PATIENCE);
+        if found.is_none() && has_images {
+            return None;
+        }
+        self.listed = Some(now);
+        let depth = found.and_then(|found| self.depths.drain(..=found).next_back());
+        Some(Frame { header: *header, depth, list, latency_ms })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use conicflow_messages::Hop;
+
+    fn header(origin: &str, sequence: u64) -> Header {
+        let mut header = Header { sequence, ..Header::default() };
+        header.add_hop(Hop { stage: Text::new(origin), ..Hop::default() });
+        header
+    }
+
+    #[test]
+    fn a_list_finds_the_image_that_it_was_made_of() {
+        let (mut gatherer, now) = (Gatherer::new(true), Instant::now());
+        for number in 0..4 {
+            let then = now + SHORTEST_INTERVAL * number as u32;
+            assert!(gatherer.depth(&header("left", number), &[number as u16], then).is_none());
+        }
+        assert!(gatherer.depth(&header("left", 4), &[4], now + SHORTEST_INTERVAL * 3).is_none(), "it comes too soon");
+        let frame = gatherer.list(&header("left", 2), List::default(), Some(4.5), now).unwrap();
+        assert_eq!((frame.depth.unwrap().pixels[0], frame.latency_ms), (2, Some(4.5)));
+        assert!(gatherer.list(&header("left", 1), List::default(), None, now).is_none(), "it is older");
+        assert!(gatherer.list(&header("right", 3), List::default(), None, now).is_none(), "it is another camera's");
+        assert!(gatherer.list(&header("left", 3), List::default(), None, now).is_some());
+        assert!(gatherer.list(&header("left", 9), List::default(), None, now).is_none(), "its image was left out");
+        assert!(
+            gatherer.list(&header("left", 99), List::default(), None, now + 5 * PATIENCE).is_some(),
+            "no images come"
+        );
+    }
+
+    #[test]
+    fn images_are_shown_without_lists_where_none_come() {
+        let now = Instant::now();
+        assert!(Gatherer::new(false).depth(&header("left", 0), &[1], now).is_some());
+        let mut gatherer = Gatherer::new(true);
+        assert!(gatherer.depth(&header("left", 0), &[1], now).is_none());
+        let later = now + 2 * PATIENCE;
+        let frame = gatherer.depth(&header("left", 1), &[7], later).unwrap();
+        assert_eq!((frame.depth.unwrap().pixels[0], frame.header.sequence), (7, 1));
+    }
+
+    #[test]
+    fn lists_without_images_are_shown() {
+        let mut gatherer = Gatherer::new(true);
+        let frame = gatherer.list(&header("left", 2), List::Objects(Vec::new()), None, Instant::now());
+        assert!(frame.is_some_and(|frame| frame.depth.is_none()));
+    }
+
+    #[test]
+    fn no_more_is_kept_than_there_is_room_for() {
+        let (mut gatherer, now) = (Gatherer::new(true), Instant::now());
+        for number in 0..100 {
+            // Lists come, but of another camera.
+            let then = now + SHORTEST_INTERVAL * number as u32;
+            gatherer.listed = Some(then);
+            gatherer.depth(&header("left", number), &[0], then);
+        }
+        assert_eq!(gatherer.depths.len(), MAX_IMAGES);
+    }
+}
