@@ -1,4 +1,4 @@
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Literal, Optional, Union
 
 import numpy as np
@@ -147,3 +147,134 @@ class Tracker:
     def update(
         self, objects: Iterable[Object], stamp_ns: int, world_from_camera: Optional[npt.ArrayLike] = None
     ) -> list[Track]: ...
+
+def dtype(kind: Literal["depth", "ellipses", "objects", "tracks", "velocities"]) -> np.dtype[Any]:
+    """The layout of items, for `numpy.zeros(n, dtype=..)`."""
+
+class Message:
+    """One message of a topic: when and by which camera its frame was taken, and its items."""
+
+    @property
+    def topic(self) -> str: ...
+    @property
+    def kind(self) -> str:
+        """What the topic carries: "depth", "objects", .."""
+    @property
+    def sequence(self) -> int:
+        """Number of the frame."""
+    @property
+    def stamp_ns(self) -> int:
+        """When the frame was taken, in nanoseconds."""
+    @property
+    def source(self) -> str:
+        """Name of the frame's file, or of its source."""
+    @property
+    def latency_ms(self) -> Optional[float]:
+        """From the moment the source had the frame until the message came."""
+    @property
+    def camera(self) -> tuple[float, float, float, float]:
+        """`(fx, fy, cx, cy)` in pixels."""
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the camera's images, in pixels."""
+    @property
+    def scale(self) -> float:
+        """Metres per unit of a depth pixel."""
+    @property
+    def noise(self) -> dict[str, float]: ...
+    @property
+    def world_from_camera(self) -> Optional[list[list[float]]]:
+        """The camera's pose, three rows of `[R | t]`, in metres."""
+    @property
+    def inputs(self) -> dict[str, "Message"]:
+        """Of a message that drives a stage: what goes with it, by the names of the further inputs; each may be missing."""
+    @property
+    def items(self) -> list[Any]:
+        """Records: `Object`, `Track`, `Ellipse`, `Velocity`, or `Record` for a type of the pipeline file."""
+    @property
+    def array(self) -> npt.NDArray[Any]:
+        """The items as an array of their layout, which cannot be written."""
+    @property
+    def image(self) -> npt.NDArray[np.uint16]:
+        """A depth image in units of `scale`, lent by shared memory: it is not copied and cannot be written."""
+    def to_dict(self) -> dict[str, Any]:
+        """The line that `json_sink` writes."""
+    def __len__(self) -> int: ...
+
+class Reader:
+    """Messages of topics of a running pipeline, until the run is over."""
+
+    def __iter__(self) -> Iterator[Message]: ...
+    def __next__(self) -> Message: ...
+    def __enter__(self) -> "Reader": ...
+    def __exit__(self, *exception: object) -> None: ...
+    def close(self) -> None:
+        """Leaves; messages that were received stay."""
+
+def read(*topics: str, pipeline: Optional[str] = None) -> Reader:
+    """Messages of topics of a pipeline that runs on this machine, as an onlooker for whom no writer waits."""
+
+Items = Union[Iterable[Record], npt.NDArray[Any], Message]
+
+class _Joined:
+    @property
+    def name(self) -> str:
+        """Name of the stage in the pipeline file."""
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """All keys of its table in the pipeline file that are not conicflow's own."""
+    @property
+    def base(self) -> str:
+        """Folder of the pipeline file."""
+    @property
+    def resume_at(self) -> int:
+        """Messages that were taken (of a source: sent) before it was started anew in the same run; 0 at first."""
+    @property
+    def stopping(self) -> bool:
+        """Whether the run is to end; who asks gives a sign of life."""
+    @property
+    def dtype(self) -> Optional[np.dtype[Any]]:
+        """The layout of the items that it sends."""
+    def count(self, name: str, times: int = 1) -> None:
+        """Adds to a counter that the summary of the run shows."""
+    def send(
+        self,
+        items: Items,
+        *,
+        camera: Optional[Camera] = None,
+        scale: Optional[float] = None,
+        noise: Optional[Noise] = None,
+        stamp_ns: Optional[int] = None,
+        source: Optional[str] = None,
+        sequence: Optional[int] = None,
+        world_from_camera: Optional[npt.ArrayLike] = None,
+    ) -> None:
+        """Sends a message; waits where a reader must not miss one and has no room."""
+
+class Stage(_Joined):
+    """A stage of a pipeline: `with conicflow.stage() as stage: for message in stage: stage.send(..)`."""
+
+    def __iter__(self) -> Iterator[Message]: ...
+    def __next__(self) -> Message: ...
+    def __enter__(self) -> "Stage": ...
+    def __exit__(self, *exception: object) -> None: ...
+
+class Source(_Joined):
+    """A source of a pipeline: `with conicflow.source() as source: for number in source: source.send(..)`."""
+
+    @property
+    def counted(self) -> dict[str, int]:
+        """What it had counted before it was started anew."""
+    @property
+    def inputs(self) -> dict[str, Message]:
+        """The latest messages of the further inputs."""
+    def __iter__(self) -> Iterator[int]: ...
+    def __next__(self) -> int: ...
+    def __enter__(self) -> "Source": ...
+    def __exit__(self, *exception: object) -> None: ...
+
+def stage(*, same_frame: Sequence[str] = ()) -> Stage:
+    """Takes the place of the stage in whose `program` this process was started."""
+
+def source(*, total: Optional[int] = None) -> Source:
+    """Takes the place of the source in whose `program` this process was started."""

@@ -2,7 +2,7 @@
 
 use conicflow_messages::Hinted;
 use pyo3::PyErr;
-use pyo3::exceptions::{PyTypeError, PyValueError};
+use pyo3::exceptions::{PyRuntimeError, PyTypeError, PyValueError};
 use std::error::Error;
 
 /// A value that cannot be used.
@@ -18,4 +18,9 @@ pub(crate) fn kind(what: impl Into<String>, hint: impl Into<String>) -> PyErr {
 /// An error of the library, which tells itself what to do.
 pub(crate) fn told(error: &dyn Error) -> PyErr {
     PyValueError::new_err(error.to_string())
+}
+
+/// What goes wrong with a pipeline; it tells itself what to do.
+pub(crate) fn run(error: &dyn Error) -> PyErr {
+    PyRuntimeError::new_err(error.to_string())
 }

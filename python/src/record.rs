@@ -75,6 +75,11 @@ impl Record {
         })
     }
 
+    /// What it is.
+    pub(crate) fn item(&self) -> &ItemType {
+        &self.item
+    }
+
     /// Its bytes.
     pub(crate) fn bytes(&self) -> &[u8] {
         &cast_slice(&self.words)[..self.item.size()]

@@ -3,9 +3,16 @@
 import os
 import shutil
 import subprocess
+import sys
+import tempfile
+import time
 import warnings
+from pathlib import Path
 
 import pytest
+
+DEADLINE_S = 120
+"""Whatever a test waits for comes long before."""
 
 
 @pytest.fixture(scope="session")
@@ -14,19 +21,57 @@ def conicflow_program():
     if not program:
         warnings.warn("SKIPPED: no program conicflow; name it in CONICFLOW", stacklevel=1)
         pytest.skip("no program conicflow; name it in CONICFLOW")
-    return program
+    return str(Path(program).resolve())
+
+
+class Playground:
+    """A folder for a pipeline, with shared memory of its own."""
+
+    def __init__(self, program, folder):
+        self.program, self.folder, self.running = program, folder, []
+
+    def write(self, name, text):
+        (self.folder / name).write_text(text)
+
+    def script(self, name, text):
+        """Writes a program in Python; what stands in a pipeline file for it."""
+        self.write(name, text)
+        return f'["{sys.executable}", "{name}"]'
+
+    def start(self, *arguments):
+        process = subprocess.Popen(
+            [self.program, *map(str, arguments)],
+            cwd=self.folder,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        self.running.append(process)
+        return process
+
+    def end(self, process, code=0):
+        out, err = process.communicate(timeout=DEADLINE_S)
+        self.running.remove(process)
+        assert process.returncode == code, err
+        return out, err
+
+    def run(self, *arguments, code=0):
+        return self.end(self.start(*arguments), code)
+
+    def wait_until(self, what, condition):
+        deadline = time.monotonic() + DEADLINE_S
+        while not condition():
+            assert time.monotonic() < deadline, f"waited in vain until {what}"
+            time.sleep(0.02)
 
 
 @pytest.fixture
-def run(conicflow_program, tmp_path, monkeypatch):
-    """Runs the program to its end, in a folder and with shared memory of its own; what it wrote."""
-    monkeypatch.setenv("CONICFLOW_RUNTIME_DIR", str(tmp_path / "r"))
-
-    def run(*arguments, code=0):
-        ended = subprocess.run(
-            [conicflow_program, *map(str, arguments)], cwd=tmp_path, capture_output=True, text=True, timeout=300
-        )
-        assert ended.returncode == code, ended.stderr
-        return ended
-
-    return run
+def playground(conicflow_program, tmp_path, monkeypatch):
+    # Its path has to be short: sockets lie there.
+    with tempfile.TemporaryDirectory(prefix="cf") as memory:
+        monkeypatch.setenv("CONICFLOW_RUNTIME_DIR", memory)
+        playground = Playground(conicflow_program, tmp_path)
+        yield playground
+        for process in playground.running:
+            process.kill()
+            process.communicate()

@@ -17,20 +17,20 @@ def shown(objects):
     return [each.to_dict() for each in objects]
 
 
-def test_the_objects_are_those_of_the_program_to_the_bit(run, tmp_path):
+def test_the_objects_are_those_of_the_program_to_the_bit(playground, tmp_path):
     (tmp_path / "frames").mkdir()
     frames = [scenes.millimetres(seed) for seed in range(4)]
     for number, frame in enumerate(frames):
         scenes.write_png(tmp_path / f"frames/{number}.png", frame)
-    ended = run("detect", "frames", "--camera", ",".join(map(str, CAMERA)))
-    expected = [json.loads(line)["objects"] for line in ended.stdout.splitlines()]
+    lines, _ = playground.run("detect", "frames", "--camera", ",".join(map(str, CAMERA)))
+    expected = [json.loads(line)["objects"] for line in lines.splitlines()]
     assert len(expected) == 4 and {each["kind"] for each in expected[0]} == {"sphere", "cylinder", "cone"}
     assert [shown(conicflow.detect(frame, camera=CAMERA)) for frame in frames] == expected
     detector = conicflow.Detector(CAMERA, noise="kinect_v1")
     assert [shown(detector.detect(frame)) for frame in frames] == expected
 
 
-def test_metres_are_as_good_as_units(run, tmp_path):
+def test_metres_are_as_good_as_units():
     found = conicflow.detect(scenes.metres().astype(np.float32), camera=CAMERA)
     assert sorted(each.kind for each in found) == ["cone", "cylinder", "sphere"]
     ball = next(each for each in found if each.kind == "sphere")
