@@ -7,23 +7,23 @@ import numpy.typing as npt
 __version__: str
 __all__: list[str]
 
-Depth = Union[npt.NDArray[np.uint16], npt.NDArray[np.float32]]
+_Depth = Union[npt.NDArray[np.uint16], npt.NDArray[np.float32]]
 """Rows and columns: `uint16` in units of the scale, 0 and 65535 not measured; or `float32` in metres, NaN not measured."""
 
-Camera = Union[tuple[float, float, float, float], Sequence[float], npt.NDArray[np.floating[Any]]]
+_Camera = Union[tuple[float, float, float, float], Sequence[float], npt.NDArray[np.floating[Any]]]
 """`(fx, fy, cx, cy)` in pixels; pixel centres lie at whole numbers."""
 
-NoiseName = Literal["kinect_v1", "realsense_d435", "time_of_flight", "ideal"]
-Noise = Union[NoiseName, Mapping[str, float]]
+_NoiseName = Literal["kinect_v1", "realsense_d435", "time_of_flight", "ideal"]
+_Noise = Union[_NoiseName, Mapping[str, float]]
 """The depth noise of a sensor: a word, or some of `floor_m`, `growth_per_m`, `knee_m`, `step_per_m`."""
 
-Vector = list[float]
+_Vector = list[float]
 """Three numbers."""
 
-class Sigma:
+class _Sigma:
     """Standard deviations; `None` where the shape has no such parameter."""
 
-    center: Vector
+    center: _Vector
     """Of the centre along x, y and z, in metres."""
     axis: Optional[float]
     """Of the angle between the axis and the true one, in radians; `None` for a sphere."""
@@ -33,7 +33,7 @@ class Sigma:
     """In metres; of a cone that of its radius at `center`."""
     length: Optional[float]
     """In metres; `None` for a sphere."""
-    velocity: Optional[Vector]
+    velocity: Optional[_Vector]
     """In metres per second; of a track."""
 
 class Record:
@@ -48,11 +48,11 @@ class Record:
 
 class _Shape(Record):
     kind: Literal["sphere", "cylinder", "cone"]
-    center: Vector
+    center: _Vector
     """In metres; of a cylinder or cone the middle of its visible part, on the axis."""
-    apex: Optional[Vector]
+    apex: Optional[_Vector]
     """In metres; of a cone."""
-    axis: Optional[Vector]
+    axis: Optional[_Vector]
     """Unit vector, of a cone from the apex to the base; `None` for a sphere."""
     half_angle: Optional[float]
     """In radians; of a cone."""
@@ -64,7 +64,7 @@ class _Shape(Record):
     """In metres; of a cone."""
     length: Optional[float]
     """Of the visible part along the axis, in metres; `None` for a sphere."""
-    sigma: Sigma
+    sigma: _Sigma
     rms: float
     """Root mean square distance of the points from the surface, in metres."""
     points: int
@@ -83,7 +83,7 @@ class Track(_Shape):
     """A tracked object in the camera frame."""
 
     id: int
-    velocity: Vector
+    velocity: _Vector
     """In metres per second."""
     age: int
     """Frames since its first sight."""
@@ -99,7 +99,7 @@ class Ellipse(Record):
     first: int
     last: int
     points: int
-    center: Vector
+    center: _Vector
     """In metres."""
     semi_axes: list[float]
     """The longer first, in metres."""
@@ -113,13 +113,13 @@ class Ellipse(Record):
 class Velocity(Record):
     """A velocity that is to be taken."""
 
-    linear: Vector
+    linear: _Vector
     """In metres per second."""
-    angular: Vector
+    angular: _Vector
     """In radians per second."""
     frame: Literal["camera", "world"]
 
-def detect(depth: Depth, camera: Camera, scale: float = 0.001, noise: Optional[Noise] = None) -> list[Object]:
+def detect(depth: _Depth, camera: _Camera, scale: float = 0.001, noise: Optional[_Noise] = None) -> list[Object]:
     """Spheres, cylinders and cones in one depth image, in the camera frame."""
 
 class Detector:
@@ -127,14 +127,14 @@ class Detector:
 
     def __init__(
         self,
-        camera: Camera,
+        camera: _Camera,
         scale: float = 0.001,
-        noise: Optional[Noise] = None,
+        noise: Optional[_Noise] = None,
         *,
         extractor: Optional[Mapping[str, Any]] = None,
         assembler: Optional[Mapping[str, Any]] = None,
     ) -> None: ...
-    def detect(self, depth: Depth) -> list[Object]: ...
+    def detect(self, depth: _Depth) -> list[Object]: ...
     @property
     def noise_ratios(self) -> tuple[float, float]: ...
     @property
@@ -214,7 +214,7 @@ class Reader:
 def read(*topics: str, pipeline: Optional[str] = None) -> Reader:
     """Messages of topics of a pipeline that runs on this machine, as an onlooker for whom no writer waits."""
 
-Items = Union[Iterable[Record], npt.NDArray[Any], Message]
+_Items = Union[Iterable[Record], npt.NDArray[Any], Message]
 
 class _Joined:
     @property
@@ -239,11 +239,11 @@ class _Joined:
         """Adds to a counter that the summary of the run shows."""
     def send(
         self,
-        items: Items,
+        items: _Items,
         *,
-        camera: Optional[Camera] = None,
+        camera: Optional[_Camera] = None,
         scale: Optional[float] = None,
-        noise: Optional[Noise] = None,
+        noise: Optional[_Noise] = None,
         stamp_ns: Optional[int] = None,
         source: Optional[str] = None,
         sequence: Optional[int] = None,

@@ -26,13 +26,12 @@ pipeline = subprocess.Popen([program, "run", "--quiet", "--for", "20s"], stdout=
 
 
 def topic(name):
-    """The messages of a topic, as soon as the pipeline runs."""
+    """The messages of a topic, as soon as the pipeline runs and as long as it does."""
     while pipeline.poll() is None:
         try:
-            return conicflow.read(name)
+            yield from conicflow.read(name)
         except RuntimeError:
             time.sleep(0.1)
-    raise SystemExit("the pipeline did not start")
 
 
 # %% [markdown]
