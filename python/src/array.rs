@@ -4,11 +4,12 @@
 
 use crate::fault;
 use crate::message::Message;
+use bytemuck::try_cast_slice;
 use conicflow_dataflow::pipeline::suggestion;
 use conicflow_dataflow::{BUILT_IN, ItemType};
 use conicflow_messages::{Ellipse, Item, Object, ObjectSigma, Track, Velocity};
-use numpy::PyArray1;
-use numpy::ndarray::ArrayView1;
+use numpy::ndarray::{ArrayView, ArrayView1, ArrayView2, Dimension};
+use numpy::{Element, PyArray, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use std::mem::offset_of;
@@ -16,20 +17,29 @@ use std::mem::offset_of;
 /// The items of a message as an array of their layout, an image with its rows and columns. It cannot be written, and keeps the
 /// message alive as long as it, or any view of it, lives.
 pub(crate) fn of_message<'py>(message: &Bound<'py, Message>) -> PyResult<Bound<'py, PyAny>> {
-    let py = message.py();
-    let bytes = ArrayView1::from(message.get().bytes());
-    // SAFETY: the message is the base of the array, which holds it; its bytes neither move nor change before it is gone. Without a
-    // buffer of its own to write it gives NumPy no leave to make the array writable again.
-    let array = unsafe { PyArray1::borrow_from_array(&bytes, message.clone().into_any()) };
-    let flags = PyDict::new(py);
-    flags.set_item("write", false)?;
-    array.call_method("setflags", (), Some(&flags))?;
-    let items = array.call_method1("view", (dtype(py, message.get().item())?,))?;
-    if message.get().item().is_image() {
+    let (item, bytes) = (message.get().item(), message.get().bytes());
+    if item.is_image() {
         let camera = &message.get().header().camera;
-        return items.call_method1("reshape", (camera.height, camera.width));
+        let shape = (camera.height as usize, camera.width as usize);
+        let pixels = try_cast_slice::<_, u16>(bytes).unwrap_or_default();
+        let pixels = ArrayView2::from_shape(shape, pixels).map_err(|error| fault::told(&error))?;
+        return Ok(lent(&pixels, message)?.into_any());
     }
-    Ok(items)
+    let bytes = lent(&ArrayView1::from(bytes), message)?;
+    bytes.call_method1("view", (dtype(message.py(), item)?,))
+}
+
+/// What lies in a message as an array that cannot be written.
+fn lent<'py, T: Element, D: Dimension>(
+    items: &ArrayView<'_, T, D>,
+    message: &Bound<'py, Message>,
+) -> PyResult<Bound<'py, PyArray<T, D>>> {
+    // SAFETY: the items are those of the message, which is the base of the array, which holds it; they neither move nor change
+    // before it is gone. Without a buffer of its own to write it gives NumPy no leave to make the array writable again.
+    let array = unsafe { PyArray::borrow_from_array(items, message.clone().into_any()) };
+    let locked = array.try_readwrite().map_err(|error| fault::told(&error))?;
+    drop(locked.make_nonwriteable());
+    Ok(array)
 }
 
 /// The layout of the items "depth", "ellipses", "objects", "tracks" or "velocities", for numpy.zeros(n, dtype=..); metres, radians

@@ -35,32 +35,24 @@ impl About {
     }
 }
 
+/// What was found in a further input: its name, the message, and what that carries.
+pub(crate) type Found = (String, KeptMessage, ItemType);
+
+/// What was found, to be shown when the stage is free again: Python may let another thread at it.
+pub(crate) fn found<'a>(inputs: impl Iterator<Item = (&'a str, KeptMessage, &'a ItemType)>) -> Vec<Found> {
+    inputs.map(|(name, message, item)| (name.to_owned(), message, item.clone())).collect()
+}
+
 /// Lends the images of further inputs.
 #[derive(Default)]
 pub(crate) struct Inputs(Mutex<BTreeMap<String, Lender>>);
 
 impl Inputs {
-    /// Adds to a message what goes with it.
-    pub(crate) fn add_to<'a>(
-        &self,
-        message: &Bound<'_, Message>,
-        found: impl Iterator<Item = (&'a str, KeptMessage, &'a ItemType)>,
-        received_ns: u64,
-    ) -> PyResult<()> {
-        self.add_all(message.get().inputs(message.py()), found, received_ns)
-    }
-
     /// Adds what was found to a dictionary, by the names of the inputs.
-    pub(crate) fn add_all<'a>(
-        &self,
-        all: &Bound<'_, PyDict>,
-        found: impl Iterator<Item = (&'a str, KeptMessage, &'a ItemType)>,
-        received_ns: u64,
-    ) -> PyResult<()> {
-        let mut lenders = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+    pub(crate) fn add_all(&self, all: &Bound<'_, PyDict>, found: Vec<Found>, received_ns: u64) -> PyResult<()> {
         for (name, message, item) in found {
-            let lender = lenders.entry(name.to_owned()).or_default();
-            all.set_item(name, Message::new(all.py(), name, item, message, received_ns, lender)?)?;
+            let lender = self.0.lock().unwrap_or_else(PoisonError::into_inner).entry(name.clone()).or_default().clone();
+            all.set_item(&name, Message::new(all.py(), &name, &item, message, received_ns, &lender)?)?;
         }
         Ok(())
     }

@@ -5,30 +5,49 @@
 use crate::{array, fault, record};
 use bytemuck::{cast_slice, cast_slice_mut};
 use conicflow_dataflow::{AnyMessage, ItemType, KeptMessage};
-use conicflow_messages::Header;
+use conicflow_messages::{Header, Hinted};
 use pyo3::exceptions::PyBufferError;
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyBytes, PyDict, PyList};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Images of one topic that a program may have at once, the one that it asks for included.
 const MOST_LENT: usize = 4;
 
 /// Lends the images of one topic.
+#[derive(Clone, Default)]
+pub(crate) struct Lender(Arc<Lent>);
+
+/// How many images are lent now.
 #[derive(Default)]
-pub(crate) struct Lender(Arc<()>);
+struct Lent(AtomicUsize);
+
+/// Counts for one image as long as it is lent.
+struct Loan(Arc<Lent>);
+
+impl Drop for Loan {
+    fn drop(&mut self) {
+        self.0.0.fetch_sub(1, Ordering::Relaxed);
+    }
+}
 
 impl Lender {
     /// Makes sure that one image more can be lent.
     pub(crate) fn look(&self, topic: &str) -> PyResult<()> {
-        let lent = Arc::strong_count(&self.0) - 1;
+        let lent = self.0.0.load(Ordering::Relaxed);
         if lent < MOST_LENT {
             return Ok(());
         }
         let what = format!("{lent} images of topic `{topic}` are still held, which is as many as can be");
         let hint = "keep copies (message.image.copy()), and let go of messages and arrays that you are done with";
-        Err(PyBufferError::new_err(conicflow_messages::Hinted::new(what, hint).to_string()))
+        Err(PyBufferError::new_err(Hinted::new(what, hint).to_string()))
+    }
+
+    fn lend(&self) -> Loan {
+        self.0.0.fetch_add(1, Ordering::Relaxed);
+        Loan(Arc::clone(&self.0))
     }
 }
 
@@ -56,7 +75,7 @@ pub(crate) struct Message {
 /// The bytes of a message.
 enum Content {
     /// In the memory of its writer.
-    Lent { message: KeptMessage, _lent: Arc<()> },
+    Lent { message: KeptMessage, _loan: Loan },
     /// In this process, as the items have to lie.
     Own { words: Box<[u64]>, length: usize },
 }
@@ -74,7 +93,7 @@ impl Message {
         let header = *message.header();
         let content = if item.is_image() {
             lender.look(topic)?;
-            Content::Lent { message, _lent: Arc::clone(&lender.0) }
+            Content::Lent { message, _loan: lender.lend() }
         } else {
             let length = message.bytes().len();
             let mut words = vec![0_u64; length.div_ceil(size_of::<u64>())];

@@ -104,11 +104,10 @@ impl Source {
     /// The latest messages of the further inputs, by their names, as of the present frame; each may be missing.
     #[getter]
     fn inputs<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let found = PyDict::new(py);
-        if let Some(pulled) = &*self.pulled() {
-            self.inputs.add_all(&found, pulled.side_inputs(), monotonic_ns())?;
-        }
-        Ok(found)
+        let found = self.pulled().as_ref().map(|pulled| joined::found(pulled.side_inputs())).unwrap_or_default();
+        let inputs = PyDict::new(py);
+        self.inputs.add_all(&inputs, found, monotonic_ns())?;
+        Ok(inputs)
     }
 
     fn __iter__(slf: Py<Self>) -> Py<Self> {

@@ -114,9 +114,8 @@ impl Stage {
                 (Pulled::Nothing, _) => {}
                 (Pulled::Message(message, received_ns), Some(item)) => {
                     let message = Message::new(py, &self.topic, item, message, received_ns, &self.lender)?;
-                    if let Some(pulled) = &*self.pulled() {
-                        self.inputs.add_to(&message, pulled.side_inputs(), received_ns)?;
-                    }
+                    let found = self.pulled().as_ref().map(|pulled| joined::found(pulled.side_inputs()));
+                    self.inputs.add_all(message.get().inputs(py), found.unwrap_or_default(), received_ns)?;
                     return Ok(Some(message));
                 }
                 _ => return Ok(None),
