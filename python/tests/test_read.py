@@ -160,8 +160,11 @@ def test_ctrl_c_ends_a_reader_that_waits(playground):
     program = (
         "import conicflow, os, signal, threading\n"
         "reader = conicflow.read('objects')\n"
-        "threading.Timer(0.3, lambda: os.kill(os.getpid(), signal.SIGINT)).start()\n"
-        "try:\n    next(reader)\nexcept KeyboardInterrupt:\n    print('interrupted')\n"
+        "try:\n"
+        "    threading.Timer(0.3, lambda: os.kill(os.getpid(), signal.SIGINT)).start()\n"
+        "    for _ in reader: pass\n"
+        "except KeyboardInterrupt:\n"
+        "    print('interrupted')\n"
     )
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
     assert ended.stdout == "interrupted\n", ended.stderr
