@@ -28,6 +28,7 @@ const SHORT_LIST: usize = 64 * 1024;
 
 type Check = fn(&Header, &[u8]) -> Result<(), Malformed>;
 type Json = fn(&AnyMessage<'_>, Option<f64>, &mut Vec<u8>) -> serde_json::Result<()>;
+type Labels = fn(&AnyMessage<'_>) -> Vec<&'static str>;
 
 /// An item type.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -47,7 +48,7 @@ pub struct ItemType {
 #[derive(Clone, Debug)]
 enum Form {
     /// By a program that has the type; it may be unable to show them.
-    Known(Check, Option<Json>),
+    Known(Check, Labels, Option<Json>),
     /// By the description in the pipeline file.
     Described(Arc<Layout>),
 }
@@ -73,7 +74,7 @@ impl ItemType {
             usual_length: T::USUAL_LENGTH,
             is_image: T::IS_IMAGE,
             is_counted: T::IS_COUNTED,
-            form: Form::Known(check::<T>, json),
+            form: Form::Known(check::<T>, labels::<T>, json),
         }
     }
 
@@ -126,6 +127,14 @@ impl ItemType {
         self.is_counted
     }
 
+    /// The fields, where the pipeline file tells them.
+    pub fn described_layout(&self) -> Option<&Layout> {
+        match &self.form {
+            Form::Known(..) => None,
+            Form::Described(layout) => Some(layout),
+        }
+    }
+
     /// Whether messages are mostly short lists, not worth compressing: most cross a network where some packets are lost.
     pub fn is_short(&self) -> bool {
         !self.is_image && self.size * self.usual_length <= SHORT_LIST
@@ -159,7 +168,7 @@ impl ItemType {
             return Ok(());
         }
         match &self.form {
-            Form::Known(check, _) => check(header, bytes),
+            Form::Known(check, ..) => check(header, bytes),
             Form::Described(layout) => layout.check(&self.name, bytes),
         }
     }
@@ -197,6 +206,10 @@ fn check<T: Item>(header: &Header, bytes: &[u8]) -> Result<(), Malformed> {
     }
 }
 
+fn labels<T: Item>(message: &AnyMessage<'_>) -> Vec<&'static str> {
+    message.items::<T>().unwrap_or_default().iter().filter_map(Item::label).collect()
+}
+
 fn json<T: ToJson>(message: &AnyMessage<'_>, latency_ms: Option<f64>, line: &mut Vec<u8>) -> serde_json::Result<()> {
     let items = message.items::<T>().unwrap_or_default();
     let typed = Message { header: message.header, items };
@@ -227,14 +240,22 @@ impl<'a> AnyMessage<'a> {
         Some(Message { header: self.header, items: self.items()? })
     }
 
+    /// What its items are called when they are counted.
+    pub(crate) fn labels(&self) -> Vec<&'static str> {
+        match &self.item.form {
+            Form::Known(_, labels, _) if self.item.is_counted => labels(self),
+            _ => Vec::new(),
+        }
+    }
+
     /// Appends the message as JSON, of an image a summary.
     ///
     /// # Errors
     /// It cannot be expressed, or this program has the type but cannot show it.
     pub fn write_json(&self, latency_ms: Option<f64>, line: &mut Vec<u8>) -> serde_json::Result<()> {
         match &self.item.form {
-            Form::Known(_, Some(json)) => json(self, latency_ms, line),
-            Form::Known(_, None) => {
+            Form::Known(_, _, Some(json)) => json(self, latency_ms, line),
+            Form::Known(_, _, None) => {
                 Err(serde::ser::Error::custom(format_args!("items of {} have no form in JSON", self.item)))
             }
             Form::Described(layout) => {

@@ -52,7 +52,8 @@ pub use doctor::{Finding, clean, examine};
 pub use item_type::{AnyMessage, BUILT_IN, ItemType};
 pub use launcher::{
     FolderError, LaunchError, PIPELINE, ProcessError, RUNTIME_DIR, RunFolder, RunLock, RunOptions, StageSummary,
-    Summary, SwapError, become_stage, link_table, run, run_in_run, run_source, run_stage, user_folder,
+    Summary, SwapError, become_stage, join_as_source, join_as_stage, link_table, run, run_in_run, run_source,
+    run_stage, user_folder,
 };
 pub use link_report::{EdgeReport, LinkReport, LinkState};
 pub use log::{DEFAULT_LOG, LOG, log_filter, log_to_standard_error};
@@ -63,8 +64,11 @@ pub use plan::{Origin, Plan, PlannedStage, Runs};
 pub use preflight::{InsufficientResource, Requirements, TopicRequirements};
 pub use registry::Registry;
 pub use runner::RunError;
+pub use runner::pulled_source::PulledSource;
+pub use runner::pulled_stage::{Pulled, PulledStage};
+pub use runner::side_ports::KeptMessage;
 pub use side_inputs::{Pairing, SideInput, SideInputs};
 pub use stage::{Config, Context, Next, NoConfig, Output, Source, Stage, StageError, Stop};
 pub use status::{Counter, Durations, InputCounts, Intervals, Life, NO_RUN, Status, used};
 pub use table::Table;
-pub use watch::{RunningPipeline, WatchError, Watching};
+pub use watch::{RunningPipeline, Seen, WatchError, Watcher, Watching};

@@ -39,12 +39,12 @@ pub enum Pairing {
 
 /// The messages of the side inputs that go with one step; each may be missing.
 #[derive(Clone, Debug, Default)]
-pub struct SideInputs<'a>(pub(crate) Vec<(&'static str, AnyMessage<'a>)>);
+pub struct SideInputs<'a>(pub(crate) Vec<(&'a str, AnyMessage<'a>)>);
 
 impl<'a> SideInputs<'a> {
     /// The same with a message of the input `name`.
     #[must_use]
-    pub fn with<T: Item>(mut self, name: &'static str, message: Message<'a, T>) -> Self {
+    pub fn with<T: Item>(mut self, name: &'a str, message: Message<'a, T>) -> Self {
         let (header, bytes) = (message.header, cast_slice(message.items));
         self.0.push((name, AnyMessage { header, item: const { &ItemType::of::<T>() }, bytes }));
         self

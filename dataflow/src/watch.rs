@@ -3,12 +3,14 @@
 //! A watcher sleeps between looks instead of being woken, so that a writer does nothing for it but pass it a pointer.
 
 use crate::item_type::{AnyMessage, ItemType};
-use crate::launcher::{FolderError, RunFolder, SwapError};
+use crate::launcher::{FolderError, RunFolder, SwapError, user_folder};
 use crate::log::ThrottledWarning;
+use crate::pipeline::suggestion;
 use crate::plan::Plan;
-use crate::ports::shared_memory::{SharedMemory, SharedOnlooker};
+use crate::ports::shared_memory::{SharedMemory, SharedMessage, SharedOnlooker};
 use crate::ports::{PortError, Received, Topic};
 use crate::stage::Stop;
+use conicflow_messages::Hinted;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use std::io;
 use std::sync::Arc;
@@ -31,6 +33,9 @@ pub struct RunningPipeline {
 /// Why a topic could not be watched.
 #[derive(Debug, thiserror::Error)]
 pub enum WatchError {
+    /// Which pipeline or topic is meant.
+    #[error(transparent)]
+    Unclear(Hinted),
     /// The run's folder.
     #[error(transparent)]
     Folder(#[from] FolderError),
@@ -40,6 +45,74 @@ pub enum WatchError {
     /// Signals.
     #[error("signals cannot be received: {0}")]
     Signals(#[from] io::Error),
+}
+
+/// What a look at the topics brought.
+pub enum Seen<M> {
+    /// A message of the topic with this number, in the order in which they were named.
+    Message(usize, M),
+    /// None yet; the next look is worth while after a millisecond.
+    Nothing,
+    /// None, and none will come: the run is over.
+    Over,
+}
+
+/// Looks into topics of a running pipeline.
+pub struct Watcher {
+    topics: Vec<(ItemType, String, SharedOnlooker)>,
+    /// The topic that is looked into next.
+    next: usize,
+    memory: SharedMemory,
+    folder: RunFolder,
+    run: u64,
+    checked: Instant,
+    nonsense: ThrottledWarning,
+}
+
+impl Watcher {
+    /// Looks into these topics, which have these items, from now on.
+    ///
+    /// # Errors
+    /// A topic cannot be read.
+    pub fn new(running: &RunningPipeline, topics: &[(&ItemType, &Topic)]) -> Result<Self, WatchError> {
+        let (folder, run) = (running.folder.clone(), running.plan.run);
+        let memory =
+            SharedMemory::open(folder.shared_memory(), &running.plan.namespace(), "(onlooker)", Stop::default())?;
+        let onlooker = |(item, topic): &(&ItemType, &Topic)| {
+            Ok::<_, PortError>(((*item).clone(), topic.name.clone(), memory.onlooker(item, topic)?))
+        };
+        let topics = topics.iter().map(onlooker).collect::<Result<_, _>>()?;
+        let (checked, nonsense) = (Instant::now(), ThrottledWarning::default());
+        Ok(Self { topics, next: 0, memory, folder, run, checked, nonsense })
+    }
+
+    /// The next message, checked; one that makes no sense is left out, with a warning.
+    ///
+    /// # Errors
+    /// A topic cannot be read.
+    pub fn look(&mut self) -> Result<Seen<SharedMessage>, WatchError> {
+        let check = self.checked.elapsed() > RUN_CHECK;
+        if check {
+            self.checked = Instant::now();
+        }
+        // The run is looked at first: what was sent before it was over is then sure to be found.
+        let over = check && !still_runs(&self.folder, self.run);
+        let number = self.topics.len();
+        for index in (0..number).map(|offset| (self.next + offset) % number) {
+            let (item, topic, onlooker) = &mut self.topics[index];
+            while let Some(received) = onlooker.receive(&self.memory)? {
+                if is_sound(topic, item, &received, &mut self.nonsense) {
+                    self.next = (index + 1) % number;
+                    return Ok(Seen::Message(index, received));
+                }
+            }
+        }
+        Ok(if over { Seen::Over } else { Seen::Nothing })
+    }
+}
+
+fn still_runs(folder: &RunFolder, run: u64) -> bool {
+    folder.is_running() && folder.plan().is_ok_and(|plan| plan.run == run)
 }
 
 /// Whether a watcher wants more.
@@ -61,9 +134,50 @@ impl RunningPipeline {
         Ok(running.filter_map(|folder| Some(Self { plan: folder.plan().ok()?, folder })).collect())
     }
 
+    /// The pipeline of this name, or the only one that runs; `how` says in an error how to tell which.
+    ///
+    /// # Errors
+    /// There is none, or there are several.
+    pub fn find(name: Option<&str>, how: &str) -> Result<Self, WatchError> {
+        let mut running = Self::all()?;
+        let names: Vec<_> = running.iter().map(|running| running.plan.pipeline.clone()).collect();
+        let unclear = |what: String, hint: String| WatchError::Unclear(Hinted::new(what, hint));
+        if names.is_empty() {
+            let what = format!("no pipeline runs that has its files in `{}`", user_folder().display());
+            let hint = "start one with `conicflow run`, or set CONICFLOW_RUNTIME_DIR as it is where one runs";
+            return Err(unclear(what, hint.to_owned()));
+        }
+        let Some(name) = name else {
+            if names.len() > 1 {
+                let what = format!("several pipelines run: {}", names.join(", "));
+                return Err(unclear(what, format!("say which, with {how}")));
+            }
+            return Ok(running.swap_remove(0));
+        };
+        let found = names.iter().position(|running| running == name).ok_or_else(|| {
+            let hint = suggestion(name, names.iter().map(String::as_str), "pipelines that run");
+            unclear(format!("no pipeline `{name}` runs"), hint)
+        })?;
+        Ok(running.swap_remove(found))
+    }
+
     /// What both ends of a topic agreed on, if a stage writes or reads one of this name.
     pub fn topic(&self, name: &str) -> Option<&Topic> {
         self.topics().find(|topic| topic.name == name)
+    }
+
+    /// The topic of this name.
+    ///
+    /// # Errors
+    /// There is none.
+    pub fn expect_topic(&self, name: &str) -> Result<&Topic, WatchError> {
+        self.topic(name).ok_or_else(|| {
+            let mut names: Vec<_> = self.topics().map(|topic| topic.name.as_str()).collect();
+            names.sort_unstable();
+            names.dedup();
+            let what = format!("pipeline `{}` has no topic `{name}`", self.plan.pipeline);
+            WatchError::Unclear(Hinted::new(what, suggestion(name, names, "topics")))
+        })
     }
 
     /// All topics, once for each stage that writes or reads one.
@@ -95,41 +209,27 @@ impl RunningPipeline {
         mut see: impl FnMut(&'a Topic, AnyMessage<'_>) -> Result<Watching, E>,
     ) -> Result<(), E> {
         let told = told_to_end().map_err(WatchError::from)?;
-        let (memory, mut onlookers) = self.onlookers(topics)?;
-        let (mut checked, mut nonsense) = (Instant::now(), ThrottledWarning::default());
+        let (mut watcher, mut asked) = (Watcher::new(self, topics)?, Instant::now());
         while !told.load(Ordering::Relaxed) {
-            let check = checked.elapsed() > RUN_CHECK;
-            // The run is looked at first: what was sent before it was over is then sure to be found.
-            let over = check && !self.still_runs();
-            let mut is_idle = true;
-            for ((item, topic), onlooker) in topics.iter().zip(&mut onlookers) {
-                let Some(received) = onlooker.receive(&memory).map_err(WatchError::from)? else { continue };
-                is_idle = false;
-                let message = AnyMessage { header: received.header(), item, bytes: received.bytes() };
-                if is_sound(topic, &message, &mut nonsense) && see(topic, message)? == Watching::Enough {
-                    return Ok(());
-                }
-            }
-            match is_idle {
-                true if over => return Ok(()),
-                true => sleep(LOOK),
-                false => {}
-            }
-            if check {
+            if asked.elapsed() > RUN_CHECK {
                 if wants() == Watching::Enough {
                     return Ok(());
                 }
-                checked = Instant::now();
+                asked = Instant::now();
+            }
+            match watcher.look()? {
+                Seen::Message(index, received) => {
+                    let (item, topic) = topics[index];
+                    let message = AnyMessage { header: received.header(), item, bytes: received.bytes() };
+                    if see(topic, message)? == Watching::Enough {
+                        return Ok(());
+                    }
+                }
+                Seen::Nothing => sleep(LOOK),
+                Seen::Over => return Ok(()),
             }
         }
         Ok(())
-    }
-
-    fn onlookers(&self, topics: &[(&ItemType, &Topic)]) -> Result<(SharedMemory, Vec<SharedOnlooker>), WatchError> {
-        let memory =
-            SharedMemory::open(self.folder.shared_memory(), &self.plan.namespace(), "(onlooker)", Stop::default())?;
-        let onlookers = topics.iter().map(|(item, topic)| memory.onlooker(item, topic)).collect::<Result<_, _>>()?;
-        Ok((memory, onlookers))
     }
 
     /// Replaces `stage` by what stands in `plan`, which differs from the plan of this run in nothing else.
@@ -142,7 +242,7 @@ impl RunningPipeline {
 
     /// Whether this run has not ended yet.
     pub fn still_runs(&self) -> bool {
-        self.folder.is_running() && self.folder.plan().is_ok_and(|plan| plan.run == self.plan.run)
+        still_runs(&self.folder, self.plan.run)
     }
 }
 
@@ -156,13 +256,13 @@ fn told_to_end() -> io::Result<Arc<AtomicBool>> {
 }
 
 /// Whether a message is to be seen: it makes sense, and is not the end of a stream.
-fn is_sound(topic: &Topic, message: &AnyMessage<'_>, nonsense: &mut ThrottledWarning) -> bool {
-    if message.header.ends_stream() {
+fn is_sound(topic: &str, item: &ItemType, message: &SharedMessage, nonsense: &mut ThrottledWarning) -> bool {
+    if message.header().ends_stream() {
         return false;
     }
-    let checked = message.item.check(message.header, message.bytes);
+    let checked = item.check(message.header(), message.bytes());
     if let Err(error) = &checked {
-        nonsense.warn(format_args!("left out a message of topic `{}`: {error}", topic.name));
+        nonsense.warn(format_args!("left out a message of topic `{topic}`: {error}"));
     }
     checked.is_ok()
 }

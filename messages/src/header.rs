@@ -180,6 +180,13 @@ impl Header {
         &self.hops[..(self.hop_count as usize).min(MAX_HOPS)]
     }
 
+    /// Milliseconds, to the microsecond, from the moment the source had the frame until `now_ns` on the monotonic clock of
+    /// this machine; `None` where the frame carries no time of that.
+    pub fn latency_ms(&self, now_ns: u64) -> Option<f64> {
+        let elapsed_ns = now_ns.checked_sub(self.trace().first()?.received_ns)?;
+        Some((elapsed_ns / 1000) as f64 / 1000.0)
+    }
+
     /// The stage that had the frame first: its camera.
     pub fn origin(&self) -> Text<32> {
         self.trace().first().map_or_else(Text::default, |hop| hop.stage)
@@ -331,5 +338,15 @@ mod tests {
             header.add_hop(Hop { stage: Text::new(stage), ..Hop::default() });
             assert_eq!(header.origin(), Text::new("camera"));
         }
+    }
+
+    #[test]
+    fn latency_counts_from_when_the_source_had_the_frame() {
+        let mut header = Header::default();
+        assert_eq!(header.latency_ms(5_000_000), None);
+        header.add_hop(Hop { received_ns: 1_000_000, sent_ns: 2_000_000, ..Hop::default() });
+        header.add_hop(Hop { received_ns: 3_000_000, sent_ns: 4_000_000, ..Hop::default() });
+        assert_eq!(header.latency_ms(2_400_999), Some(1.4));
+        assert_eq!(header.latency_ms(999_999), None, "a clock of another machine");
     }
 }

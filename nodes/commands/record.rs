@@ -1,9 +1,8 @@
 //! `conicflow record`: topics of a running pipeline into a recording, by an onlooker for whom no stage waits.
 
-use super::topic::{PipelineName, find_topic, give_way, item_of, topics};
+use super::topic::{PipelineName, give_way, topics};
 use crate::NODES;
 use crate::recording::recorder::{Recorded, Recorder};
-use crate::sinks::json_sink::latency_ms;
 use crate::sinks::mcap_sink;
 use anyhow::{Context as _, Result, bail};
 use clap::Args;
@@ -54,12 +53,12 @@ pub fn record(arguments: &RecordArguments) -> Result<()> {
     let mut recorded = match &arguments.topics[..] {
         // What nothing is told of can only be recorded where it is asked for, and then that is said.
         [] => topics(&running).into_iter().filter(|topic| topic.item.is_some()).collect(),
-        named => named.iter().map(|name| find_topic(&running, name)).collect::<Result<Vec<_>>>()?,
+        named => named.iter().map(|name| running.expect_topic(name)).collect::<Result<Vec<_>, _>>()?,
     };
     recorded.dedup_by(|a, b| a.name == b.name);
     let needs = Requirements::of(&running.plan, NODES);
     recorded.iter().try_for_each(|topic| needs.look_for_onlooker(topic))?;
-    let watched = recorded.iter().map(|topic| Ok((item_of(topic)?, *topic))).collect::<Result<Vec<_>>>()?;
+    let watched = recorded.iter().map(|topic| Ok((topic.expect_item()?, *topic))).collect::<Result<Vec<_>>>()?;
     let limits = mcap_sink::Config {
         split_mb: arguments.split_mb,
         split_s: arguments.split_s,
@@ -72,7 +71,7 @@ pub fn record(arguments: &RecordArguments) -> Result<()> {
     let mut tally = Tally::default();
     let watched = running.watch::<anyhow::Error>(&watched, |topic, message| {
         tally.count(&topic.name, message.header);
-        let written = recorder.write(&topic.name, &message, latency_ms(message.header, monotonic_ns()))?;
+        let written = recorder.write(&topic.name, &message, message.header.latency_ms(monotonic_ns()))?;
         Ok(if written == Recorded::Full { Watching::Enough } else { Watching::GoOn })
     });
     // What came before an error is kept.

@@ -4,16 +4,11 @@
 //! that is kept free for it, for which no writer waits.
 
 use crate::NODES;
-use crate::sinks::json_sink::latency_ms;
-use anyhow::{anyhow, bail};
 use clap::{Args, Subcommand};
-use conicflow_dataflow::pipeline::suggestion;
 use conicflow_dataflow::ports::{Delivery, Topic};
 use conicflow_dataflow::{
-    ItemType, PipelineActivity, Requirements, RunningPipeline, Table, TopicActivity, Watching, monotonic_ns, observe,
-    user_folder,
+    PipelineActivity, Requirements, RunningPipeline, Table, TopicActivity, WatchError, Watching, monotonic_ns, observe,
 };
-use conicflow_messages::Hinted;
 use std::io::{Write, stdout};
 use std::thread::sleep;
 use std::time::Duration;
@@ -79,28 +74,8 @@ pub(crate) fn give_way() {
 
 impl PipelineName {
     /// The pipeline of this name, or the only one that runs.
-    pub(crate) fn find(&self) -> anyhow::Result<RunningPipeline> {
-        let mut running = RunningPipeline::all()?;
-        let names: Vec<_> = running.iter().map(|running| running.plan.pipeline.clone()).collect();
-        if names.is_empty() {
-            bail!(Hinted::new(
-                format!("no pipeline runs that has its files in `{}`", user_folder().display()),
-                "start one with `conicflow run`, or set CONICFLOW_RUNTIME_DIR as it is where one runs"
-            ));
-        }
-        let Some(name) = &self.pipeline else {
-            if names.len() > 1 {
-                bail!(Hinted::new(
-                    format!("several pipelines run: {}", names.join(", ")),
-                    "say which, with --pipeline NAME"
-                ));
-            }
-            return Ok(running.swap_remove(0));
-        };
-        let found = names.iter().position(|running| running == name);
-        let hint = || suggestion(name, names.iter().map(String::as_str), "pipelines that run");
-        let found = found.ok_or_else(|| Hinted::new(format!("no pipeline `{name}` runs"), hint()))?;
-        Ok(running.swap_remove(found))
+    pub(crate) fn find(&self) -> Result<RunningPipeline, WatchError> {
+        RunningPipeline::find(self.pipeline.as_deref(), "--pipeline NAME")
     }
 }
 
@@ -113,13 +88,6 @@ pub(crate) fn topics(running: &RunningPipeline) -> Vec<&Topic> {
         }
     }
     topics
-}
-
-pub(crate) fn find_topic<'a>(running: &'a RunningPipeline, name: &str) -> anyhow::Result<&'a Topic> {
-    let hint = || suggestion(name, topics(running).iter().map(|topic| topic.name.as_str()), "topics");
-    running.topic(name).ok_or_else(|| {
-        anyhow!(Hinted::new(format!("pipeline `{}` has no topic `{name}`", running.plan.pipeline), hint()))
-    })
 }
 
 fn list(running: &RunningPipeline) -> anyhow::Result<()> {
@@ -166,7 +134,7 @@ fn activities(running: &RunningPipeline, only: Option<&str>) -> anyhow::Result<V
 /// Prints a line per second and writer, until there were enough seconds or the pipeline has ended.
 fn each_second(arguments: &TopicArguments, line: fn(&TopicActivity) -> String) -> anyhow::Result<()> {
     let running = arguments.of.find()?;
-    let topic = find_topic(&running, &arguments.topic)?;
+    let topic = running.expect_topic(&arguments.topic)?;
     let mut left = arguments.count.unwrap_or(u64::MAX);
     while left > 0 && running.still_runs() {
         let activities = activities(&running, Some(&topic.name))?;
@@ -192,25 +160,15 @@ fn bandwidth_line(activity: &TopicActivity) -> String {
     format!("{:.3} MB/s, {:.2} Hz", activity.bandwidth_mbps, activity.rate_hz)
 }
 
-/// What the items of a topic are.
-pub(crate) fn item_of(topic: &Topic) -> anyhow::Result<&ItemType> {
-    topic.item.as_ref().ok_or_else(|| {
-        let name = &topic.name;
-        let hint =
-            format!("say it where a program writes it, such as output = {{ topic = \"{name}\", kind = \"objects\" }}");
-        anyhow!(Hinted::new(format!("nothing tells what topic `{name}` carries"), hint))
-    })
-}
-
 fn echo(arguments: &TopicArguments) -> anyhow::Result<()> {
     let running = arguments.of.find()?;
-    let topic = find_topic(&running, &arguments.topic)?;
+    let topic = running.expect_topic(&arguments.topic)?;
     Requirements::of(&running.plan, NODES).look_for_onlooker(topic)?;
-    let item = item_of(topic)?;
+    let item = topic.expect_item()?;
     let mut left = arguments.count.unwrap_or(u64::MAX);
     running.watch::<anyhow::Error>(&[(item, topic)], |_, message| {
         let mut line = Vec::new();
-        message.write_json(latency_ms(message.header, monotonic_ns()), &mut line)?;
+        message.write_json(message.header.latency_ms(monotonic_ns()), &mut line)?;
         line.push(b'\n');
         stdout().write_all(&line)?;
         stdout().flush()?;

@@ -2,7 +2,6 @@
 //!
 //! A step costs a copy of the frame while somebody looks, and nothing else; the page is served by threads that give way.
 
-use crate::sinks::json_sink::latency_ms;
 use crate::viewing::graph::GraphWatch;
 use conicflow_dataflow::{ConfigFault, Context, Output, SideInput, SideInputs, Stage, StageError, monotonic_ns};
 use conicflow_messages::{Hinted, Item, Message, Nothing, Object, Track};
@@ -119,7 +118,7 @@ impl<T: Shown> Stage for ViewSink<T> {
             (None, Some(beside)) => Some(Depth { header: *beside.header, pixels: beside.items.to_vec() }),
             (None, None) => None,
         };
-        let latency_ms = latency_ms(&header, monotonic_ns());
+        let latency_ms = header.latency_ms(monotonic_ns());
         self.display.show(Frame { header, depth: depth.map(Arc::new), list: T::list(input.items), latency_ms });
         output.count("frames shown", 1);
         Ok(())

@@ -2,7 +2,6 @@
 
 use super::graph::GraphWatch;
 use crate::NODES;
-use crate::sinks::json_sink::latency_ms;
 use anyhow::Result;
 use conicflow_dataflow::ports::Topic;
 use conicflow_dataflow::{ItemType, Requirements, RunningPipeline, Watching, monotonic_ns};
@@ -120,7 +119,7 @@ impl Live {
             let list = message.items::<Track>().map(|tracks| List::Tracks(tracks.to_vec()));
             let list = list.or_else(|| message.items::<Object>().map(|objects| List::Objects(objects.to_vec())));
             let frame = match (list, message.items::<u16>()) {
-                (Some(list), _) => gatherer.list(header, list, latency_ms(header, monotonic_ns()), now),
+                (Some(list), _) => gatherer.list(header, list, header.latency_ms(monotonic_ns()), now),
                 (None, Some(pixels)) => gatherer.depth(header, pixels, now),
                 (None, None) => None,
             };

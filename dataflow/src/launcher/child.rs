@@ -6,6 +6,7 @@ use super::process::{LAUNCHER, ProcessError, REFUSED, as_stage};
 use super::watchdog::{News, Watchdog};
 use crate::pipeline::Restart;
 use crate::plan::{Plan, PlannedStage, Runs};
+use crate::ports::{Delivery, Wiring};
 use crate::status::{Life, Status};
 use rustix::process::{Pid, Signal, kill_process};
 use signal_hook::consts::SIGBUS;
@@ -20,6 +21,12 @@ const MAX_RESTARTS_PER_MINUTE: usize = 10;
 const MINUTE: Duration = Duration::from_secs(60);
 const FIRST_BACK_OFF: Duration = Duration::from_millis(100);
 const LONGEST_BACK_OFF: Duration = Duration::from_secs(5);
+
+/// A program that has not joined the run so long after its start is named: a stage joins when it has loaded what it needs.
+const TIME_TO_JOIN: Duration = Duration::from_secs(2);
+/// What to do about a program that does not.
+const HOW_TO_JOIN: &str = "a program joins by `run_stage` or `run_source` of conicflow-dataflow, in Python by conicflow.stage() \
+                           or conicflow.source()";
 
 /// Where a stage's process is.
 enum State {
@@ -46,6 +53,9 @@ pub(crate) struct Supervised {
     state: State,
     watchdog: Watchdog,
     deaths: VecDeque<Instant>,
+    /// The program that was named for not having joined the run.
+    outsider: Option<u32>,
+    started: Instant,
 }
 
 impl Supervised {
@@ -56,7 +66,8 @@ impl Supervised {
             error,
         })?;
         let watchdog = Watchdog::new(0, Instant::now());
-        Ok(Self { planned, state: State::Running(child), watchdog, deaths: VecDeque::new() })
+        let (state, deaths, started) = (State::Running(child), VecDeque::new(), Instant::now());
+        Ok(Self { planned, state, watchdog, deaths, outsider: None, started })
     }
 
     /// Its process, if there is one.
@@ -73,7 +84,7 @@ impl Supervised {
 
     /// Gives its place to another process, which is there already.
     pub(crate) fn take(&mut self, child: Child) {
-        self.state = State::Running(child);
+        (self.state, self.started) = (State::Running(child), Instant::now());
     }
 
     /// Starts it anew at the next look, as `planned`.
@@ -140,7 +151,7 @@ impl Supervised {
     fn start_anew(&mut self, plan: &Plan, folder: &RunFolder, options: &RunOptions) -> Change {
         match command(&self.planned, plan, options).spawn() {
             Ok(child) => {
-                self.state = State::Running(child);
+                (self.state, self.started) = (State::Running(child), Instant::now());
                 Change::None
             }
             Err(error) => self.died(&format!("cannot be started ({error})"), plan, folder),
@@ -152,8 +163,21 @@ impl Supervised {
         let Some(process) = self.process() else { return };
         let record = Status::read(&folder.status(&self.planned.name)).filter(|status| status.run == plan.run);
         let own = record.filter(|status| status.process == process);
-        if own.is_none() && matches!(self.planned.runs, Runs::Command(_)) {
+        if let (None, Runs::Command(command)) = (&own, &self.planned.runs) {
+            if self.started.elapsed() > TIME_TO_JOIN && self.outsider != Some(process) {
+                self.outsider = Some(process);
+                let (name, command) = (&self.planned.name, command.join(" "));
+                let waits = self.lossless_topic().map(|topic| format!(", and topic `{topic}` waits for it"));
+                let waits = waits.unwrap_or_default();
+                tracing::warn!(
+                    "stage `{name}` has not joined the run: `{command}` has no part in it{waits}\n  hint: {HOW_TO_JOIN}"
+                );
+            }
             return;
+        }
+        if self.outsider.take_if(|outsider| *outsider == process).is_some() {
+            let seconds = self.started.elapsed().as_secs_f64();
+            tracing::info!("stage `{}` has joined the run, {seconds:.1} s after its start", self.planned.name);
         }
         let limit = self.planned.hang_s.map(Duration::from_secs_f64);
         let steps = own.as_ref().map_or(0, |status| status.steps);
@@ -180,6 +204,21 @@ impl Supervised {
                  hint: with restart = {{ when = \"on_failure\", hang_s = 5 }} it would be started anew"
             ),
         }
+    }
+
+    /// A topic at which it must not miss a message, or its readers must not.
+    fn lossless_topic(&self) -> Option<&str> {
+        let Wiring { input, side_inputs, output, .. } = &self.planned.wiring;
+        let read = input.iter().chain(side_inputs.iter().map(|(_, topic)| topic));
+        let mut lossless = read.filter(|topic| topic.delivery_to(&self.planned.name) == Delivery::Lossless);
+        let topic = lossless.next().or_else(|| output.as_ref().filter(|topic| topic.is_lossless()));
+        topic.map(|topic| topic.name.as_str())
+    }
+
+    /// Whether a process took part in the run, as its record tells.
+    fn has_joined(&self, process: u32, plan: &Plan, folder: &RunFolder) -> bool {
+        let record = Status::read(&folder.status(&self.planned.name));
+        record.is_some_and(|own| own.run == plan.run && own.process == process)
     }
 
     /// Whether a process that exited well had done all its work, rather than having been told to go. A program that keeps
@@ -209,6 +248,17 @@ impl Supervised {
     fn ended(&mut self, process: u32, status: ExitStatus, plan: &Plan, folder: &RunFolder, ending: bool) -> Change {
         let name = self.planned.name.clone();
         let finished = status.success() && self.came_to_its_end(process, plan, folder);
+        if finished
+            && !ending
+            && !self.has_joined(process, plan, folder)
+            && let Some(topic) = self.lossless_topic()
+        {
+            tracing::error!(
+                "stage `{name}` has ended without having joined the run: nobody took part in topic `{topic}` for it, which is \
+                 lossless\n  hint: {HOW_TO_JOIN}"
+            );
+            return self.give_up(folder, plan, Change::Lost);
+        }
         let comes_back = self.planned.restart == Restart::Always && !ending && !self.has_heard_all(plan, folder);
         if finished && !comes_back {
             self.state = State::Done;

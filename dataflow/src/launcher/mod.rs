@@ -18,7 +18,9 @@ pub use folder::{FolderError, RUNTIME_DIR, RunFolder, RunLock, user_folder};
 pub(crate) use folder::{LAST_STAGES_GRACE, check_private};
 pub use options::RunOptions;
 pub(crate) use process::{LAUNCHER, STAGE};
-pub use process::{PIPELINE, ProcessError, become_stage, run_in_run, run_source, run_stage};
+pub use process::{
+    PIPELINE, ProcessError, become_stage, join_as_source, join_as_stage, run_in_run, run_source, run_stage,
+};
 pub use request::SwapError;
 pub use summary::{StageSummary, Summary, link_table};
 

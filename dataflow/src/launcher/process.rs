@@ -11,11 +11,14 @@ use crate::ports::shared_memory::SharedMemory;
 use crate::registry::Registry;
 use crate::runner::handover::{Handover, Successor};
 use crate::runner::peers::Peers;
+use crate::runner::pulled_source::PulledSource;
+use crate::runner::pulled_stage::PulledStage;
 use crate::runner::{RunError, StageRuntime};
 use crate::stage::{Context, Source, Stage, Stop};
 use crate::status::StatusFile;
 use conicflow_messages::Hinted;
 use rustix::process::{Signal, getppid, set_parent_process_death_signal};
+use serde_json::Value as Json;
 use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1};
 use signal_hook::iterator::Signals;
 use std::io::{self, Write};
@@ -171,6 +174,35 @@ pub fn run_source<S: Source>() -> ExitCode {
 /// Runs the stage or sink `S` as [`run_source`] runs a source.
 pub fn run_stage<S: Stage>() -> ExitCode {
     exit_code(run_own(Node::stage::<S>()))
+}
+
+/// Takes the place of the stage that the launcher started this program for, to ask for its messages; see [`PulledStage`]. It logs
+/// as [`run_stage`] does. `None`: it is a successor that is not wanted any more.
+///
+/// # Errors
+/// What keeps it from its place, or this process is not part of a run.
+pub fn join_as_stage(same_frame: &[String]) -> Result<Option<PulledStage>, ProcessError> {
+    let (parameters, runtime) = join()?;
+    Ok(PulledStage::open(runtime, parameters, same_frame)?)
+}
+
+/// Takes the place of a source as [`join_as_stage`] takes that of a stage; see [`PulledSource`]. It makes `total` messages in all,
+/// where that is known, and no more in a second than its parameter `rate_hz` says, where it has one.
+///
+/// # Errors
+/// What keeps it from its place, or this process is not part of a run.
+pub fn join_as_source(total: Option<u64>) -> Result<Option<PulledSource>, ProcessError> {
+    let (parameters, runtime) = join()?;
+    Ok(PulledSource::open(runtime, parameters, total)?)
+}
+
+/// The parameters of the stage that this process was started for, and all that it runs with.
+fn join() -> Result<(Json, StageRuntime<SharedMemory>), ProcessError> {
+    let (plan, folder, stage) = own_place()?;
+    log_to_standard_error(&std::env::var(LOG).unwrap_or_else(|_| DEFAULT_LOG.to_owned()));
+    die_with_launcher();
+    let planned = plan.stage(&stage).ok_or(ProcessError::NoStage(stage))?;
+    Ok((planned.parameters.clone(), stage_runtime(&plan, &folder, planned)?))
 }
 
 fn exit_code(ended: Result<(), ProcessError>) -> ExitCode {

@@ -11,7 +11,7 @@ pub mod shared_memory;
 use crate::item_type::ItemType;
 use bytemuck::{try_cast_slice, try_cast_slice_mut};
 use capacity::in_words;
-use conicflow_messages::{Header, Item};
+use conicflow_messages::{Header, Hinted, Item};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::time::Duration;
@@ -76,6 +76,20 @@ impl Topic {
     /// The word for what it carries.
     pub fn kind(&self) -> Option<&str> {
         self.item.as_ref().map(ItemType::name)
+    }
+
+    /// What it carries.
+    ///
+    /// # Errors
+    /// Nothing in the pipeline file tells.
+    pub fn expect_item(&self) -> Result<&ItemType, Hinted> {
+        self.item.as_ref().ok_or_else(|| {
+            let name = &self.name;
+            let hint = format!(
+                "say it where a program writes it, such as output = {{ topic = \"{name}\", kind = \"objects\" }}"
+            );
+            Hinted::new(format!("nothing tells what topic `{name}` carries"), hint)
+        })
     }
 
     /// Makes sure that a stage which has `item` may read or write it.
@@ -196,7 +210,10 @@ pub trait Received {
     fn bytes(&self) -> &[u8];
 
     /// Its items; none where these are no bytes of whole items.
-    fn items<T: Item>(&self) -> &[T] {
+    fn items<T: Item>(&self) -> &[T]
+    where
+        Self: Sized,
+    {
         try_cast_slice(self.bytes()).unwrap_or_default()
     }
 }
@@ -204,7 +221,7 @@ pub trait Received {
 /// Takes messages out of a topic.
 pub trait Reader {
     /// A message in the writer's memory.
-    type Message: Received;
+    type Message: Received + Send + Sync + 'static;
 
     /// What the items of its messages are.
     fn item(&self) -> &ItemType;
@@ -265,9 +282,9 @@ pub struct ConnectedReader {
 /// Opens the ends of topics.
 pub trait Transport {
     /// How it reads.
-    type Reader: Reader;
+    type Reader: Reader + Send + 'static;
     /// How it writes.
-    type Writer: Writer;
+    type Writer: Writer + Send + 'static;
 
     /// Opens a topic of these items for `stage` to read.
     ///

@@ -9,19 +9,24 @@ pub(crate) mod input_port;
 mod input_port_tests;
 pub(crate) mod output_port;
 pub(crate) mod peers;
-mod side_ports;
+pub(crate) mod pulled_source;
+pub(crate) mod pulled_stage;
+pub(crate) mod side_ports;
 pub(crate) mod source_loop;
 pub(crate) mod stage_loop;
+mod stage_place;
 mod takeover;
 #[cfg(test)]
 mod tests;
 
+use crate::item_type::ItemType;
+use crate::pipeline::suggestion;
 use crate::ports::shared_memory::trim_rss;
 use crate::ports::{PortError, Topic, Transport, Wiring};
-use crate::side_inputs::SideInput;
+use crate::side_inputs::{Pairing, SideInput};
 use crate::stage::{Context, StageError};
 use crate::status::{Life, StatusFile};
-use conicflow_messages::{AnyByte, Item, Nothing, Text};
+use conicflow_messages::{AnyByte, Hinted, Item, Nothing, Text};
 use handover::{Handover, Successor};
 use output_port::OutputPort;
 use peers::Peers;
@@ -109,10 +114,33 @@ impl<T: Transport + 'static> StageRuntime<T> {
         let mut ports = Vec::new();
         for side in declared {
             if let Some((_, topic)) = self.wiring.side_inputs.iter().find(|(name, _)| name == side.name) {
-                ports.push(side_ports::open(&self.transport, *side, topic, &self.context.stage)?);
+                let (named, item) = ((side.name, side.pairing), (side.item)());
+                ports.push(side_ports::open(&self.transport, named, &item, topic, &self.context.stage)?);
             }
         }
         Ok(ports)
+    }
+
+    /// All side inputs of the pipeline file, whatever they carry: those in `same_frame` of the frame of each step, of the others
+    /// the latest.
+    pub(crate) fn side_inputs_of(&self, same_frame: &[String]) -> Result<Vec<Box<dyn SidePort>>, RunError> {
+        let wired = &self.wiring.side_inputs;
+        if let Some(missing) = same_frame.iter().find(|name| wired.iter().all(|(wired, _)| wired != *name)) {
+            let what = format!("this stage has no `{missing}` among its `inputs` in the pipeline file");
+            let hint = suggestion(missing, wired.iter().map(|(name, _)| name.as_str()), "further inputs");
+            return Err(RunError::Refused(Hinted::new(what, hint).into()));
+        }
+        let open = |(name, topic): &(String, Topic)| {
+            let pairing = if same_frame.contains(name) { Pairing::SameFrame } else { Pairing::Latest };
+            let item = stage_place::item_of(topic)?;
+            Ok(side_ports::open(&self.transport, (name, pairing), &item, topic, &self.context.stage)?)
+        };
+        wired.iter().map(open).collect()
+    }
+
+    /// What the output carries, by the pipeline file; `None` where there is no output.
+    pub(crate) fn output_of_any(&self) -> Result<Option<ItemType>, RunError> {
+        self.wiring.output.as_ref().map(stage_place::item_of).transpose()
     }
 
     /// Writes this process into the stage's record, which goes on from where a process of the same run before it came.

@@ -2,6 +2,7 @@
 
 use super::peers::Peers;
 use crate::clock::monotonic_ns;
+use crate::item_type::ItemType;
 use crate::ports::{ConnectedReader, Delivery, PortError, Topic, TopicReader, Writer};
 use crate::stage::{Memory, Output, StageError, Stop};
 use crate::status::{Life, Status};
@@ -94,6 +95,19 @@ impl<W: Writer> OutputPort<W> {
         self.bytes += (length * writer.item().size() + size_of::<Header>()) as u64;
         self.last = header;
         Ok(())
+    }
+
+    /// Writes the bytes of items where the next message is sent from, by [`Self::send`] without a list.
+    pub(crate) fn write(&mut self, bytes: &[u8]) -> Result<(), PortError> {
+        let Some((writer, _)) = &mut self.port else { return Ok(()) };
+        let length = bytes.len() / writer.item().size();
+        writer.loan_bytes(length)?.copy_from_slice(bytes);
+        Ok(())
+    }
+
+    /// What the items of its messages are; `None` where nothing is wired to it.
+    pub(crate) fn item(&self) -> Option<&ItemType> {
+        self.port.as_ref().map(|(writer, _)| writer.item())
     }
 
     /// Adds what the last step, which met `frame`, counted, and the list that it sent by label, to the record.

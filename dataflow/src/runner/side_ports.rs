@@ -1,25 +1,31 @@
 //! The side inputs of a running stage: finds for each step the message that goes with it.
 
 use super::input_port::InputPort;
-use crate::item_type::AnyMessage;
+use crate::item_type::{AnyMessage, ItemType};
 use crate::ports::{Delivery, MAX_KEPT, PortError, Reader, Received, Topic, Transport};
-use crate::side_inputs::{Pairing, SideInput, SideInputs};
+use crate::side_inputs::{Pairing, SideInputs};
 use crate::status::InputCounts;
 use conicflow_messages::Header;
 use std::collections::VecDeque;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// How long a step waits for a message of its frame that is still on its way.
 const ON_ITS_WAY: Duration = Duration::from_millis(500);
 
+/// A message that whoever has it may keep; its writer's memory is not used for another one as long.
+pub type KeptMessage = Arc<dyn Received + Send + Sync>;
+
 /// A side input, opened.
-pub(crate) trait SidePort {
+pub(crate) trait SidePort: Send {
     /// Its name in the pipeline file.
-    fn name(&self) -> &'static str;
+    fn name(&self) -> &str;
     /// Finds the message that goes with a step, or with no frame at all.
     fn find(&mut self, step: Option<&Header>) -> Result<(), PortError>;
     /// The message that was found.
     fn message(&self) -> Option<AnyMessage<'_>>;
+    /// The same to keep, with what its items are.
+    fn kept(&self) -> Option<(KeptMessage, &ItemType)>;
     /// What came and what was lost.
     fn counts(&self) -> InputCounts;
     /// Keeps what has come, for when this process's turn has come.
@@ -30,23 +36,22 @@ pub(crate) trait SidePort {
     fn resume(&mut self, counts: InputCounts) -> Result<(), PortError>;
 }
 
-/// Opens a side input that is wired to `topic`.
+/// Opens the side input `name`, which is wired to `topic` and carries these items.
 pub(crate) fn open<T: Transport>(
     transport: &T,
-    side: SideInput,
+    (name, pairing): (&str, Pairing),
+    item: &ItemType,
     topic: &Topic,
     stage: &str,
-) -> Result<Box<dyn SidePort>, PortError>
-where
-    T::Reader: 'static,
-{
-    let reader = transport.reader_of(&(side.item)(), topic, stage)?;
+) -> Result<Box<dyn SidePort>, PortError> {
+    let reader = transport.reader_of(item, topic, stage)?;
     let wired = topic.readers.iter().find(|reader| reader.stage == stage);
     let lossless = wired.is_some_and(|reader| reader.delivery == Delivery::Lossless);
-    let taking = if side.pairing == Pairing::Latest { Delivery::Latest } else { Delivery::Lossless };
+    let taking = if pairing == Pairing::Latest { Delivery::Latest } else { Delivery::Lossless };
     Ok(Box::new(WiredInput {
         input_port: InputPort::new(reader, taking, &topic.name, topic.writers.len()),
-        side,
+        name: name.to_owned(),
+        pairing,
         patience: if lossless { ON_ITS_WAY } else { Duration::ZERO },
         waiting: VecDeque::new(),
         found: None,
@@ -60,16 +65,17 @@ pub(crate) fn found(ports: &[Box<dyn SidePort>]) -> SideInputs<'_> {
 
 struct WiredInput<R: Reader> {
     input_port: InputPort<R>,
-    side: SideInput,
+    name: String,
+    pairing: Pairing,
     patience: Duration,
     waiting: VecDeque<R::Message>,
-    found: Option<R::Message>,
+    found: Option<Arc<R::Message>>,
 }
 
 impl<R: Reader> WiredInput<R> {
     fn find_latest(&mut self) -> Result<(), PortError> {
         while let Some(message) = self.input_port.take()? {
-            self.found = Some(message);
+            self.found = Some(Arc::new(message));
         }
         Ok(())
     }
@@ -80,7 +86,7 @@ impl<R: Reader> WiredInput<R> {
         loop {
             self.gather(step)?;
             if let Some(index) = self.waiting.iter().position(|message| same_frame(message.header(), step)) {
-                self.found = self.waiting.remove(index);
+                self.found = self.waiting.remove(index).map(Arc::new);
                 return Ok(());
             }
             let left = deadline.saturating_duration_since(Instant::now());
@@ -125,13 +131,13 @@ fn reaches(a: &Header, b: &Header) -> bool {
     same_frame(a, b) || follows(a, b)
 }
 
-impl<R: Reader> SidePort for WiredInput<R> {
-    fn name(&self) -> &'static str {
-        self.side.name
+impl<R: Reader + Send> SidePort for WiredInput<R> {
+    fn name(&self) -> &str {
+        &self.name
     }
 
     fn find(&mut self, step: Option<&Header>) -> Result<(), PortError> {
-        match (self.side.pairing, step) {
+        match (self.pairing, step) {
             (Pairing::SameFrame, Some(header)) => self.find_same_frame(header),
             _ => self.find_latest(),
         }
@@ -140,6 +146,11 @@ impl<R: Reader> SidePort for WiredInput<R> {
     fn message(&self) -> Option<AnyMessage<'_>> {
         let message = self.found.as_ref()?;
         Some(AnyMessage { header: message.header(), item: self.input_port.item(), bytes: message.bytes() })
+    }
+
+    fn kept(&self) -> Option<(KeptMessage, &ItemType)> {
+        let message = self.found.clone()?;
+        Some((message, self.input_port.item()))
     }
 
     fn counts(&self) -> InputCounts {
@@ -152,7 +163,7 @@ impl<R: Reader> SidePort for WiredInput<R> {
 
     fn covers(&self, step: &Header) -> bool {
         let before = |header: &Header| reaches(step, header);
-        self.side.pairing == Pairing::Latest || self.input_port.buffered().any(before)
+        self.pairing == Pairing::Latest || self.input_port.buffered().any(before)
     }
 
     fn resume(&mut self, counts: InputCounts) -> Result<(), PortError> {
@@ -166,12 +177,9 @@ impl<R: Reader> SidePort for WiredInput<R> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::item_type::ItemType;
     use crate::ports::in_memory::InMemory;
     use crate::ports::{TopicReader, Writer};
     use conicflow_messages::{Camera, Hop, Object, Text};
-
-    const OBJECTS: SideInput = SideInput::same_frame::<Object>("objects");
 
     fn frame(camera: &str, sequence: u64) -> Header {
         let epoch = if camera == "left" { 1 } else { 2 };
@@ -189,7 +197,8 @@ mod tests {
         let topic =
             Topic { name: "objects".into(), item: Some(ItemType::of::<Object>()), writers, readers: vec![reader] };
         let memory = InMemory::default();
-        let mut side = open(&memory, OBJECTS, &topic, "sink").unwrap();
+        let side = ("objects", Pairing::SameFrame);
+        let mut side = open(&memory, side, &ItemType::of::<Object>(), &topic, "sink").unwrap();
         let mut writer = memory.writer::<Object>(&topic).unwrap();
         for (camera, sequence) in [("left", 0), ("left", 1), ("right", 0), ("left", 2), ("right", 1)] {
             writer.send(&frame(camera, sequence)).unwrap();

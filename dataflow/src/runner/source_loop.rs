@@ -5,25 +5,36 @@ use super::output_port::OutputPort;
 use super::side_ports::{self, SidePort};
 use super::{MemoryTrim, RunError, StageRuntime, guarded, is_stopped};
 use crate::clock::monotonic_ns;
-use crate::ports::Transport;
+use crate::ports::{PortError, Transport};
 use crate::stage::{Next, Pace, Source, Stop};
 use crate::status::{Life, Status, StatusFile, used};
-use conicflow_messages::Header;
+use conicflow_messages::{Header, Item};
 use std::collections::BTreeMap;
-use std::time::{Instant, SystemTime, UNIX_EPOCH};
+use std::fs::File;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-struct SourceLoop<S: Source, T: Transport> {
-    source: S,
-    side_inputs: Vec<Box<dyn SidePort>>,
-    output_port: OutputPort<T::Writer>,
-    list: Vec<S::Output>,
-    record: StatusFile,
-    stop: Stop,
+/// What a source works with, but what it does.
+pub(crate) struct SourcePlace<T: Transport> {
+    pub(crate) side_inputs: Vec<Box<dyn SidePort>>,
+    pub(crate) output_port: OutputPort<T::Writer>,
+    pub(crate) record: StatusFile,
+    pub(crate) stop: Stop,
     epoch: u64,
     /// Messages that were made, also before it was started anew.
     made: u64,
     /// Number of the next frame, where the source has none of its own.
-    sequence: u64,
+    pub(crate) sequence: u64,
+    /// It ends after so many messages.
+    frames: Option<u64>,
+    pace: Pace,
+    /// Held as long as the place is taken.
+    _lock: Option<File>,
+}
+
+struct SourceLoop<S: Source, T: Transport> {
+    source: S,
+    place: SourcePlace<T>,
+    list: Vec<S::Output>,
     memory_trim: MemoryTrim,
 }
 
@@ -33,41 +44,24 @@ pub(crate) fn run_source<S: Source, T: Transport + 'static>(
     mut runtime: StageRuntime<T>,
 ) -> Result<(), RunError> {
     runtime.context.output = runtime.wiring.output.as_ref().and_then(|topic| topic.item.clone());
-    let (mut side_inputs, mut output_port) =
-        (runtime.side_inputs(S::side_inputs())?, runtime.output_port::<S::Output>()?);
+    let (side_inputs, output_port) = (runtime.side_inputs(S::side_inputs())?, runtime.output_port::<S::Output>()?);
     if !takes_place(&mut runtime)? {
         return Ok(());
     }
+    resume(&mut runtime);
+    let source = S::new(config, &runtime.context).map_err(RunError::Refused)?;
+    let memory_trim = MemoryTrim::of(&runtime);
+    let (total, rate_hz) = (source.total(), source.rate_hz());
+    let place = SourcePlace::begin(runtime, side_inputs, output_port, total, rate_hz)?;
+    let mut running = SourceLoop::<S, T> { source, place, list: Vec::new(), memory_trim };
+    while running.place.is_due() && running.make_one()? {}
+    running.place.end()
+}
+
+/// Tells what an earlier process of the same source came to.
+pub(crate) fn resume<T>(runtime: &mut StageRuntime<T>) {
     runtime.context.resume_at = runtime.record.status.sent;
     runtime.context.counted = counted(&runtime.record.status);
-    output_port.resume(runtime.record.status.sent);
-    side_inputs.iter_mut().zip(runtime.record.status.inputs).try_for_each(|(side, counts)| side.resume(counts))?;
-    let source = S::new(config, &runtime.context).map_err(RunError::Refused)?;
-    runtime.begin(source.total());
-    let (stop, made) = (runtime.context.stop.clone(), runtime.context.resume_at);
-    let (frames, memory_trim) = (runtime.wiring.frames, MemoryTrim::of(&runtime));
-    let mut pace = Pace::new(source.rate_hz(), stop.clone());
-    let (record, epoch) = (runtime.record, new_epoch());
-    let list = Vec::new();
-    let mut running = SourceLoop::<S, T> {
-        source,
-        side_inputs,
-        output_port,
-        list,
-        record,
-        stop,
-        epoch,
-        made,
-        sequence: made,
-        memory_trim,
-    };
-    while frames.is_none_or(|frames| running.made < frames) {
-        pace.wait();
-        if running.stop.requested() || !running.make_one()? {
-            break;
-        }
-    }
-    running.end()
 }
 
 fn counted(status: &Status) -> BTreeMap<String, u64> {
@@ -75,7 +69,7 @@ fn counted(status: &Status) -> BTreeMap<String, u64> {
 }
 
 /// Waits, where this process replaces another, until that is gone: a device is never opened twice. Whether its turn came.
-fn takes_place<T: Transport + 'static>(runtime: &mut StageRuntime<T>) -> Result<bool, RunError> {
+pub(crate) fn takes_place<T: Transport + 'static>(runtime: &mut StageRuntime<T>) -> Result<bool, RunError> {
     let Some(mut successor) = runtime.successor.take() else { return Ok(true) };
     successor.is_ready(&Watermark::default()).map_err(|error| RunError::Refused(error.into()))?;
     let stop = runtime.context.stop.clone();
@@ -86,47 +80,73 @@ fn takes_place<T: Transport + 'static>(runtime: &mut StageRuntime<T>) -> Result<
     Ok(turn)
 }
 
-impl<S: Source, T: Transport> SourceLoop<S, T> {
-    /// Makes and sends one message; false if there is none any more.
-    fn make_one(&mut self) -> Result<bool, RunError> {
-        for side in &mut self.side_inputs {
-            side.find(None)?;
+impl<T: Transport + 'static> SourcePlace<T> {
+    /// Begins the work, where an earlier process of the same source left it.
+    pub(crate) fn begin(
+        mut runtime: StageRuntime<T>,
+        mut side_inputs: Vec<Box<dyn SidePort>>,
+        mut output_port: OutputPort<T::Writer>,
+        total: Option<u64>,
+        rate_hz: f64,
+    ) -> Result<Self, PortError> {
+        let status = &runtime.record.status;
+        output_port.resume(status.sent);
+        side_inputs.iter_mut().zip(status.inputs).try_for_each(|(side, counts)| side.resume(counts))?;
+        runtime.begin(total);
+        let StageRuntime { context, wiring, record, lock, .. } = runtime;
+        let (stop, made) = (context.stop, context.resume_at);
+        let pace = Pace::new(rate_hz, stop.clone());
+        let (epoch, frames) = (new_epoch(), wiring.frames);
+        Ok(Self { side_inputs, output_port, record, stop, epoch, made, sequence: made, frames, pace, _lock: lock })
+    }
+}
+
+impl<T: Transport> SourcePlace<T> {
+    /// Waits until the next message is due; false if there is to be none.
+    pub(crate) fn is_due(&mut self) -> bool {
+        if self.frames.is_some_and(|frames| self.made >= frames) {
+            return false;
         }
-        let started = Instant::now();
-        let side_inputs = side_ports::found(&self.side_inputs);
-        let mut output = self.output_port.place(Header::default(), &mut self.list);
-        let next = guarded(self.sequence, || self.source.next(&side_inputs, &mut output))?;
-        // Frames of a recording keep their numbers, as long as these rise.
-        let sequence = self.sequence.max(output.header.sequence);
-        let header = Header { epoch: self.epoch, sequence, ..output.header };
-        let is_image = output.is_image();
-        if next == Next::End {
-            self.keep_record(header.sequence);
-            return Ok(false);
-        }
-        self.record.status.compute.add(started.elapsed().as_nanos() as u64);
-        let list = (!is_image).then_some(&*self.list);
+        self.pace.wait();
+        !self.stop.requested()
+    }
+
+    /// Finds the latest messages of the side inputs.
+    pub(crate) fn find_side_inputs(&mut self) -> Result<(), PortError> {
+        self.side_inputs.iter_mut().try_for_each(|side| side.find(None))
+    }
+
+    /// The header as the frame is sent with it. Frames of a recording keep their numbers, as long as these rise.
+    pub(crate) fn numbered(&self, header: Header) -> Header {
+        Header { epoch: self.epoch, sequence: self.sequence.max(header.sequence), ..header }
+    }
+
+    /// Sends what was written, a list or, where there is none, an image; false if the run ended meanwhile.
+    pub(crate) fn send<O: Item>(
+        &mut self,
+        header: Header,
+        making: Duration,
+        list: Option<&[O]>,
+    ) -> Result<bool, PortError> {
+        self.record.status.compute.add(making.as_nanos() as u64);
         if is_stopped(self.output_port.send(header, monotonic_ns(), list))? {
             return Ok(false);
         }
-        (self.made, self.sequence) = (self.made + 1, sequence.saturating_add(1));
+        (self.made, self.sequence) = (self.made + 1, header.sequence.saturating_add(1));
         self.record.status.steps += 1;
-        self.keep_record(header.sequence);
-        self.memory_trim.step();
         Ok(true)
     }
 
-    fn keep_record(&mut self, frame: u64) {
-        let status = &mut *self.record.status;
-        self.output_port.tally(status, frame, &self.list);
-        for (slot, side) in status.inputs.iter_mut().zip(&self.side_inputs) {
+    /// Keeps what was counted.
+    pub(crate) fn keep_counts(&mut self) {
+        for (slot, side) in self.record.status.inputs.iter_mut().zip(&self.side_inputs) {
             *slot = side.counts();
         }
         self.record.write();
     }
 
     /// Ends the stream; a source that was stopped at once, or replaced, leaves its readers waiting for its successor.
-    fn end(mut self) -> Result<(), RunError> {
+    pub(crate) fn end(mut self) -> Result<(), RunError> {
         drop(self.side_inputs);
         if !self.stop.forced() && !self.stop.leaving() {
             self.output_port.end()?;
@@ -134,6 +154,28 @@ impl<S: Source, T: Transport> SourceLoop<S, T> {
         }
         self.record.write();
         Ok(())
+    }
+}
+
+impl<S: Source, T: Transport> SourceLoop<S, T> {
+    /// Makes and sends one message; false if there is none any more.
+    fn make_one(&mut self) -> Result<bool, RunError> {
+        let place = &mut self.place;
+        place.find_side_inputs()?;
+        let started = Instant::now();
+        let side_inputs = side_ports::found(&place.side_inputs);
+        let mut output = place.output_port.place(Header::default(), &mut self.list);
+        let next = guarded(place.sequence, || self.source.next(&side_inputs, &mut output))?;
+        let (made, is_image) = (output.header, output.is_image());
+        let header = place.numbered(made);
+        let list = (!is_image).then_some(&*self.list);
+        let sent = next == Next::Message && place.send(header, started.elapsed(), list)?;
+        if sent || next == Next::End {
+            place.output_port.tally(&mut place.record.status, header.sequence, &self.list);
+            place.keep_counts();
+            self.memory_trim.step();
+        }
+        Ok(sent)
     }
 }
 

@@ -4,7 +4,7 @@ use crate::sinks::json_lines::{JsonLines, Wrote};
 use conicflow_dataflow::{
     AnyMessage, ConfigFault, Context, ItemType, Output, SideInputs, Stage, StageError, Stop, monotonic_ns,
 };
-use conicflow_messages::{AnyByte, Header, Message, Nothing};
+use conicflow_messages::{AnyByte, Message, Nothing};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -74,7 +74,7 @@ impl Stage for JsonSink {
 
     fn step(&mut self, input: &Message<AnyByte>, _: &SideInputs, _: &mut Output<Nothing>) -> Result<(), StageError> {
         let message = AnyMessage { header: input.header, item: &self.item, bytes: bytemuck::cast_slice(input.items) };
-        let latency_ms = latency_ms(input.header, monotonic_ns());
+        let latency_ms = input.header.latency_ms(monotonic_ns());
         if self.lines.write_with(|line| message.write_json(latency_ms, line))? == Wrote::ReaderGone {
             self.stop.request();
         }
@@ -82,27 +82,10 @@ impl Stage for JsonSink {
     }
 }
 
-/// Milliseconds, to the microsecond, from the moment the source had the frame until `now_ns` on the monotonic clock;
-/// `None` where the frame carries no time of this machine's clock.
-pub(crate) fn latency_ms(header: &Header, now_ns: u64) -> Option<f64> {
-    let elapsed_ns = now_ns.checked_sub(header.trace().first()?.received_ns)?;
-    Some((elapsed_ns / 1000) as f64 / 1000.0)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use conicflow_messages::{Hop, Object};
-
-    #[test]
-    fn latency_counts_from_when_the_source_had_the_frame() {
-        let mut header = Header::default();
-        assert_eq!(latency_ms(&header, 5_000_000), None);
-        header.add_hop(Hop { received_ns: 1_000_000, sent_ns: 2_000_000, ..Hop::default() });
-        header.add_hop(Hop { received_ns: 3_000_000, sent_ns: 4_000_000, ..Hop::default() });
-        assert_eq!(latency_ms(&header, 2_400_999), Some(1.4));
-        assert_eq!(latency_ms(&header, 999_999), None, "a clock of another machine");
-    }
+    use conicflow_messages::Object;
 
     #[test]
     fn a_folder_in_place_of_a_file_is_told_before_the_start() {

@@ -29,6 +29,7 @@ pub use writer::SharedWriter;
 use crate::item_type::ItemType;
 use crate::ports::{Delivery, PortError, Topic, Transport};
 use iceoryx2::prelude::PortName;
+use reader::ReadingPort;
 use std::fmt::Debug;
 use std::sync::Arc;
 
@@ -52,7 +53,8 @@ impl Transport for SharedMemory {
         let subscriber = messages.subscriber_builder().buffer_size(queue).name(&name).create();
         let subscriber = subscriber.map_err(|error| fault(&error))?;
         let (item, topic, occupied) = (item.clone(), topic.name.clone(), Arc::clone(&self.occupied));
-        Ok(SharedReader { subscriber, wake, room, item, topic, occupied })
+        let port = ReadingPort::new(subscriber, &self.occupied);
+        Ok(SharedReader { port, wake, room, item, topic, occupied })
     }
 
     fn writer_of(&self, item: &ItemType, topic: &Topic) -> Result<SharedWriter, PortError> {

@@ -3,20 +3,20 @@
 //! It has no place among the pipeline's readers but one of those kept free for it, and no listener. An onlooker that is slow,
 //! stopped or dead loses messages, and no writer notices.
 
-use super::reader::SharedMessage;
+use super::reader::{ReadingPort, SharedMessage};
 use super::services::{SPARE_READERS, SharedMemory};
-use super::untyped::Subscriber;
 use crate::item_type::ItemType;
 use crate::ports::{PortError, Topic};
 use iceoryx2::port::subscriber::SubscriberCreateError;
 use iceoryx2::prelude::PortName;
+use std::sync::Arc;
 
 /// No stage can have this name.
 const NAME: &str = "(onlooker)";
 
 /// Reads a topic that others read.
 pub struct SharedOnlooker {
-    subscriber: Subscriber,
+    port: Arc<ReadingPort>,
 }
 
 impl SharedMemory {
@@ -35,7 +35,7 @@ impl SharedMemory {
             }
             other => fault(format!("{other:?}")),
         })?;
-        Ok(SharedOnlooker { subscriber })
+        Ok(SharedOnlooker { port: ReadingPort::new(subscriber, &self.occupied) })
     }
 }
 
@@ -45,8 +45,6 @@ impl SharedOnlooker {
     /// # Errors
     /// Shared memory failed.
     pub fn receive(&mut self, memory: &SharedMemory) -> Result<Option<SharedMessage>, PortError> {
-        let received =
-            self.subscriber.receive().map_err(|error| memory.fault("a topic cannot be looked into", error))?;
-        Ok(received.map(SharedMessage))
+        self.port.receive().map_err(|error| memory.fault("a topic cannot be looked into", error))
     }
 }

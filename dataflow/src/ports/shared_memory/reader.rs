@@ -6,6 +6,7 @@ use super::untyped::{Sample, Subscriber, header_of, items_of};
 use crate::item_type::ItemType;
 use crate::ports::{PortError, Reader, Received};
 use conicflow_messages::Header;
+use iceoryx2::port::ReceiveError;
 use iceoryx2::port::listener::{Listener, ListenerWaitError};
 use iceoryx2::port::notifier::Notifier;
 use std::sync::Arc;
@@ -13,7 +14,7 @@ use std::time::Duration;
 
 /// Reads a topic in shared memory.
 pub struct SharedReader {
-    pub(super) subscriber: Subscriber,
+    pub(super) port: Arc<ReadingPort>,
     pub(super) wake: Listener<Ipc>,
     pub(super) room: Option<Notifier<Ipc>>,
     pub(super) item: ItemType,
@@ -21,17 +22,44 @@ pub struct SharedReader {
     pub(super) occupied: Arc<Occupied>,
 }
 
-/// A message in shared memory.
-#[derive(Debug)]
-pub struct SharedMessage(pub(super) Sample);
+/// What messages come through. A writer takes the memory of messages back when the port through which they went is gone, so each
+/// message keeps its port.
+pub(super) struct ReadingPort {
+    subscriber: Subscriber,
+    /// Last: the folder is this process's until its ports have left it.
+    _occupied: Arc<Occupied>,
+}
+
+impl ReadingPort {
+    pub(super) fn new(subscriber: Subscriber, occupied: &Arc<Occupied>) -> Arc<Self> {
+        Arc::new(Self { subscriber, _occupied: Arc::clone(occupied) })
+    }
+
+    /// The oldest message that waits, if any.
+    pub(super) fn receive(self: &Arc<Self>) -> Result<Option<SharedMessage>, ReceiveError> {
+        let received = self.subscriber.receive()?;
+        Ok(received.map(|sample| SharedMessage { sample, _port: Arc::clone(self) }))
+    }
+}
+
+/// A message in shared memory, which is not used for another one as long as this lives.
+pub struct SharedMessage {
+    sample: Sample,
+    /// After the message.
+    _port: Arc<ReadingPort>,
+}
+
+// SAFETY: who shares it reads header and items, which nobody writes as long as it lives; it is given back once, by its last
+// owner, to a service that is safe for threads, which makes it `Send`.
+unsafe impl Sync for SharedMessage {}
 
 impl Received for SharedMessage {
     fn header(&self) -> &Header {
-        header_of(&self.0)
+        header_of(&self.sample)
     }
 
     fn bytes(&self) -> &[u8] {
-        items_of(&self.0)
+        items_of(&self.sample)
     }
 }
 
@@ -43,7 +71,7 @@ impl Reader for SharedReader {
     }
 
     fn receive(&mut self) -> Result<Option<SharedMessage>, PortError> {
-        let received = self.subscriber.receive().map_err(|error| PortError::SharedMemory {
+        let received = self.port.receive().map_err(|error| PortError::SharedMemory {
             doing: format!("topic `{}` cannot be read", self.topic),
             reason: format!("{error:?}"),
             root: self.occupied.root().to_owned(),
@@ -52,7 +80,7 @@ impl Reader for SharedReader {
             // A writer that is not woken looks again by itself after `DEAD_READER_CHECK`.
             room.notify().ok();
         }
-        Ok(received.map(SharedMessage))
+        Ok(received)
     }
 
     fn wait(&mut self, timeout: Duration) -> Result<(), PortError> {

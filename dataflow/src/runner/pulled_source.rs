@@ -1,0 +1,127 @@
+//! A source whose program makes its messages in a loop of its own, in place of being called for them: what a binding to another
+//! language stands on. It has the rights and duties of a [`Source`](crate::Source).
+
+use super::side_ports::KeptMessage;
+use super::source_loop::{SourcePlace, resume, takes_place};
+use super::{RunError, StageRuntime};
+use crate::item_type::{AnyMessage, ItemType};
+use crate::ports::shared_memory::SharedMemory;
+use crate::stage::Context;
+use conicflow_messages::{AnyByte, Header, Hinted};
+use serde_json::Value as Json;
+use std::time::{Duration, Instant};
+
+/// A source that makes its messages by itself.
+pub struct PulledSource {
+    place: SourcePlace<SharedMemory>,
+    context: Context,
+    parameters: Json,
+    /// When the making of the present frame began.
+    started: Option<Instant>,
+    /// The run ended while a message was to be sent.
+    is_over: bool,
+}
+
+impl PulledSource {
+    /// Takes the place of a source that makes `total` messages in all, where that is known, and no more in a second than its
+    /// parameter `rate_hz` says, where it has one; `None` where a successor is not wanted any more.
+    pub(crate) fn open(
+        mut runtime: StageRuntime<SharedMemory>,
+        parameters: Json,
+        total: Option<u64>,
+    ) -> Result<Option<Self>, RunError> {
+        let fault = |what: &str, hint: &str| RunError::Refused(Hinted::new(what, hint).into());
+        if runtime.wiring.input.is_some() {
+            return Err(fault(
+                "this stage has an `input` in the pipeline file",
+                "let the program be a stage, not a source",
+            ));
+        }
+        let output = runtime.output_of_any()?;
+        let output =
+            output.ok_or_else(|| fault("this source has no `output` in the pipeline file", "name a topic there"))?;
+        runtime.context.output = Some(output);
+        let (side_inputs, output_port) = (runtime.side_inputs_of(&[])?, runtime.output_port::<AnyByte>()?);
+        if !takes_place(&mut runtime)? {
+            return Ok(None);
+        }
+        resume(&mut runtime);
+        let context = runtime.context.clone();
+        let rate_hz = parameters.get("rate_hz").and_then(Json::as_f64).unwrap_or(0.0);
+        let place = SourcePlace::begin(runtime, side_inputs, output_port, total, rate_hz)?;
+        Ok(Some(Self { place, context, parameters, started: None, is_over: false }))
+    }
+
+    /// What it was told when it started.
+    pub fn context(&self) -> &Context {
+        &self.context
+    }
+
+    /// Its parameters, as the pipeline file has them.
+    pub fn parameters(&self) -> &Json {
+        &self.parameters
+    }
+
+    /// Waits until the next message is due; its number, or `None` where the source is to end.
+    ///
+    /// # Errors
+    /// Its ports failed.
+    pub fn next_number(&mut self) -> Result<Option<u64>, RunError> {
+        if self.is_over || !self.place.is_due() {
+            return Ok(None);
+        }
+        self.place.find_side_inputs()?;
+        self.started = Some(Instant::now());
+        Ok(Some(self.place.sequence))
+    }
+
+    /// The latest messages of the side inputs, by their names; each may be missing.
+    pub fn side_inputs(&self) -> impl Iterator<Item = (&str, KeptMessage, &ItemType)> {
+        self.place.side_inputs.iter().filter_map(|side| side.kept().map(|(message, item)| (side.name(), message, item)))
+    }
+
+    /// Sends a message; a number in the header counts where it rises.
+    ///
+    /// # Errors
+    /// Items that no reader would take, or its ports failed.
+    pub fn send(&mut self, header: Header, bytes: &[u8]) -> Result<(), RunError> {
+        let place = &mut self.place;
+        let Some(item) = place.output_port.item().cloned() else { return Ok(()) };
+        let header = place.numbered(header);
+        item.check(&header, bytes).map_err(|error| RunError::Refused(error.into()))?;
+        place.output_port.write(bytes)?;
+        let making = self.started.replace(Instant::now()).map_or(Duration::ZERO, |started| started.elapsed());
+        self.is_over |= !place.send::<AnyByte>(header, making, None)?;
+        for label in (AnyMessage { header: &header, item: &item, bytes }).labels() {
+            place.record.status.count_found(label);
+        }
+        place.output_port.tally::<AnyByte>(&mut place.record.status, header.sequence, &[]);
+        place.keep_counts();
+        Ok(())
+    }
+
+    /// The frame that is being made, if one is.
+    pub fn frame(&self) -> Option<u64> {
+        self.started.map(|_| self.place.sequence)
+    }
+
+    /// Whether it has asked for a number: what goes wrong before is a fault of making it ready.
+    pub fn has_begun(&self) -> bool {
+        self.started.is_some()
+    }
+
+    /// Adds to a counter that the summary and `top` show.
+    pub fn count(&mut self, name: &str, times: u64) {
+        if times > 0 {
+            self.place.record.status.count(name, times);
+        }
+    }
+
+    /// Ends the work and the stream.
+    ///
+    /// # Errors
+    /// Its ports failed.
+    pub fn end(self) -> Result<(), RunError> {
+        self.place.end()
+    }
+}

@@ -1,0 +1,190 @@
+//! A stage whose program asks for its messages, in place of being called with them: what a binding to another language
+//! stands on. It has the rights and duties of a [`Stage`](crate::Stage), and sends exactly one message for each that it takes.
+
+use super::side_ports::KeptMessage;
+use super::stage_place::{Look, StagePlace, item_of, open_input};
+use super::takeover::takes_place;
+use super::{RunError, StageRuntime, is_stopped};
+use crate::clock::monotonic_ns;
+use crate::item_type::{AnyMessage, ItemType};
+use crate::ports::Received;
+use crate::ports::shared_memory::SharedMemory;
+use crate::stage::Context;
+use conicflow_messages::{AnyByte, Header, Hinted};
+use serde_json::Value as Json;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// A stage, a sink included, that asks for its messages.
+pub struct PulledStage {
+    place: StagePlace<SharedMemory>,
+    context: Context,
+    parameters: Json,
+    step: Option<Step>,
+    /// The run ended while a message was to be sent.
+    is_over: bool,
+    has_begun: bool,
+}
+
+/// What is made of one message.
+struct Step {
+    header: Header,
+    received_ns: u64,
+    started: Instant,
+    /// Time in which its readers had no room.
+    waited: Duration,
+    has_sent: bool,
+}
+
+/// What asking for a message brought.
+pub enum Pulled {
+    /// The next message, and when it came (see [`monotonic_ns`]).
+    Message(KeptMessage, u64),
+    /// None yet.
+    Nothing,
+    /// None, and none will come: the stage is to end.
+    Over,
+}
+
+impl PulledStage {
+    /// Takes the place of a stage, whose side inputs in `same_frame` are to be of the frame of each step, the others the latest;
+    /// `None` where a successor is not wanted any more.
+    pub(crate) fn open(
+        mut runtime: StageRuntime<SharedMemory>,
+        parameters: Json,
+        same_frame: &[String],
+    ) -> Result<Option<Self>, RunError> {
+        runtime.context.resume_at = runtime.record.status.steps.max(u64::from(runtime.successor.is_some()));
+        let none = "this stage has no `input` in the pipeline file";
+        let none = || RunError::Refused(Hinted::new(none, "give it one, or let the program be a source").into());
+        let topic = runtime.wiring.input.take().ok_or_else(none)?;
+        let item = item_of(&topic)?;
+        let mut side_inputs = runtime.side_inputs_of(same_frame)?;
+        let mut input_port = open_input(&runtime, &item, &topic)?;
+        runtime.context.output = runtime.output_of_any()?;
+        let output_port = runtime.output_port::<AnyByte>()?;
+        runtime.context.input = Some(item);
+        if let Some(successor) = runtime.successor.take()
+            && !takes_place(successor, &mut input_port, &mut side_inputs, &mut runtime, &topic)?
+        {
+            return Ok(None);
+        }
+        runtime.context.resume_at = runtime.context.resume_at.max(runtime.record.status.steps);
+        let context = runtime.context.clone();
+        let place = StagePlace::begin(runtime, topic, input_port, side_inputs, output_port)?;
+        Ok(Some(Self { place, context, parameters, step: None, is_over: false, has_begun: false }))
+    }
+
+    /// What it was told when it started.
+    pub fn context(&self) -> &Context {
+        &self.context
+    }
+
+    /// Its parameters, as the pipeline file has them.
+    pub fn parameters(&self) -> &Json {
+        &self.parameters
+    }
+
+    /// The topic that drives it, and what that carries.
+    pub fn input(&self) -> (&str, &ItemType) {
+        (self.place.input_topic(), self.place.input_item())
+    }
+
+    /// Ends the step with the last message, and takes the next one; waits for it, at most for `patience`.
+    ///
+    /// # Errors
+    /// Its ports failed.
+    pub fn pull(&mut self, patience: Duration) -> Result<Pulled, RunError> {
+        self.has_begun = true;
+        self.end_step()?;
+        if self.is_over {
+            return Ok(Pulled::Over);
+        }
+        match self.place.look(patience)? {
+            Look::Over => Ok(Pulled::Over),
+            Look::Nothing => Ok(Pulled::Nothing),
+            Look::Message(message) => {
+                let (header, received_ns) = (*message.header(), monotonic_ns());
+                self.place.find_side_inputs(&header)?;
+                let (started, waited) = (Instant::now(), Duration::ZERO);
+                self.step = Some(Step { header, received_ns, started, waited, has_sent: false });
+                Ok(Pulled::Message(Arc::new(message), received_ns))
+            }
+        }
+    }
+
+    /// The messages of the side inputs that go with the step, by their names; each may be missing.
+    pub fn side_inputs(&self) -> impl Iterator<Item = (&str, KeptMessage, &ItemType)> {
+        self.place.side_inputs.iter().filter_map(|side| side.kept().map(|(message, item)| (side.name(), message, item)))
+    }
+
+    /// The frame of the step, if there is one.
+    pub fn frame(&self) -> Option<u64> {
+        self.step.as_ref().map(|step| step.header.sequence)
+    }
+
+    /// Whether it has asked for a message: what goes wrong before is a fault of making it ready.
+    pub fn has_begun(&self) -> bool {
+        self.has_begun
+    }
+
+    /// Sends what came of the step, with the header of its message, to be changed by `change` where need be.
+    ///
+    /// # Errors
+    /// There is no step, it has sent already, or there is no output, or its ports failed; items that no reader would take.
+    pub fn send(&mut self, change: impl FnOnce(&mut Header), bytes: &[u8]) -> Result<(), RunError> {
+        let fault = |what: &str, hint: &str| RunError::Refused(Hinted::new(what, hint).into());
+        let Some(item) = self.place.output_port.item().cloned() else {
+            return Err(fault(
+                "this stage has no `output` in the pipeline file",
+                "name a topic there, with what it carries",
+            ));
+        };
+        let step = self.step.as_mut().filter(|step| !step.has_sent).ok_or_else(|| {
+            fault("a stage sends one message for each that it takes", "send all items of a frame as one list")
+        })?;
+        let mut header = step.header;
+        change(&mut header);
+        item.check(&header, bytes).map_err(|error| RunError::Refused(error.into()))?;
+        let started = Instant::now();
+        self.place.output_port.write(bytes)?;
+        self.is_over |= is_stopped(self.place.output_port.send::<AnyByte>(header, step.received_ns, None))?;
+        step.waited = started.elapsed();
+        step.has_sent = true;
+        for label in (AnyMessage { header: &header, item: &item, bytes }).labels() {
+            self.place.record.status.count_found(label);
+        }
+        Ok(())
+    }
+
+    /// Adds to a counter that the summary and `top` show.
+    pub fn count(&mut self, name: &str, times: u64) {
+        if times > 0 {
+            self.place.record.status.count(name, times);
+        }
+    }
+
+    /// Counts the step, which sends an empty list where it has sent nothing.
+    fn end_step(&mut self) -> Result<(), RunError> {
+        if self.step.as_ref().is_some_and(|step| !step.has_sent)
+            && self.place.output_port.item().is_some_and(|item| !item.is_image())
+        {
+            self.send(|_| {}, &[])?;
+        }
+        let Some(step) = self.step.take() else { return Ok(()) };
+        self.place.keep_times(&step.header, step.received_ns, step.started.elapsed().saturating_sub(step.waited));
+        let place = &mut self.place;
+        place.output_port.tally::<AnyByte>(&mut place.record.status, step.header.sequence, &[]);
+        place.keep_counts();
+        Ok(())
+    }
+
+    /// Ends the last step, the work, and the stream.
+    ///
+    /// # Errors
+    /// Its ports failed.
+    pub fn end(mut self) -> Result<(), RunError> {
+        self.end_step()?;
+        self.place.end(|| Ok(()))
+    }
+}

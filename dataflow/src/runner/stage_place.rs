@@ -1,0 +1,204 @@
+//! The place of a stage in its run: where its messages come from and go to, its record, and whether it is to leave.
+
+use super::handover::{Handover, Watermark};
+use super::input_port::InputPort;
+use super::output_port::OutputPort;
+use super::peers::Peers;
+use super::side_ports::SidePort;
+use super::{RunError, StageRuntime};
+use crate::item_type::ItemType;
+use crate::ports::{PortError, Reader, Topic, Transport};
+use crate::stage::{StageError, Stop};
+use crate::status::{Life, StatusFile};
+use conicflow_messages::Header;
+use std::fs::File;
+use std::time::Duration;
+
+/// A stage that nobody wakes looks around this often.
+const TICK: Duration = Duration::from_millis(100);
+
+pub(crate) type MessageOf<T> = <<T as Transport>::Reader as Reader>::Message;
+
+/// What a stage works with, but what it does.
+pub(crate) struct StagePlace<T: Transport> {
+    input_port: InputPort<T::Reader>,
+    pub(crate) side_inputs: Vec<Box<dyn SidePort>>,
+    pub(crate) output_port: OutputPort<T::Writer>,
+    pub(crate) record: StatusFile,
+    pub(crate) stop: Stop,
+    topic: Topic,
+    peers: Peers,
+    handover: Option<Handover>,
+    /// Asked to leave its place: from there on its successor receives everything.
+    leaves_at: Option<Watermark>,
+    /// Held as long as the place is taken.
+    _lock: Option<File>,
+}
+
+/// What a look at the input brought.
+pub(crate) enum Look<M> {
+    /// The next message.
+    Message(M),
+    /// None yet.
+    Nothing,
+    /// None, and none will come, or the run is to end.
+    Over,
+}
+
+/// What the items of a topic are, for a stage that takes or sends lists of any type.
+pub(crate) fn item_of(topic: &Topic) -> Result<ItemType, RunError> {
+    topic.expect_item().cloned().map_err(|error| RunError::Refused(error.into()))
+}
+
+/// Opens what drives a stage.
+pub(crate) fn open_input<T: Transport + 'static>(
+    runtime: &StageRuntime<T>,
+    item: &ItemType,
+    topic: &Topic,
+) -> Result<InputPort<T::Reader>, PortError> {
+    let stage = &runtime.context.stage;
+    let reader = runtime.transport.reader_of(item, topic, stage)?;
+    Ok(InputPort::new(reader, topic.delivery_to(stage), &topic.name, topic.writers.len()))
+}
+
+impl<T: Transport + 'static> StagePlace<T> {
+    /// Begins the work, where an earlier process of the same stage left it.
+    pub(crate) fn begin(
+        mut runtime: StageRuntime<T>,
+        topic: Topic,
+        mut input_port: InputPort<T::Reader>,
+        mut side_inputs: Vec<Box<dyn SidePort>>,
+        mut output_port: OutputPort<T::Writer>,
+    ) -> Result<Self, PortError> {
+        let (own, of_sides) = runtime.record.status.inputs.split_at(1);
+        input_port.resume(own[0]);
+        side_inputs.iter_mut().zip(of_sides).try_for_each(|(side, counts)| side.resume(*counts))?;
+        output_port.resume(runtime.record.status.sent);
+        runtime.begin(None);
+        let StageRuntime { context, peers, record, handover, lock, .. } = runtime;
+        Ok(Self {
+            input_port,
+            side_inputs,
+            output_port,
+            record,
+            stop: context.stop,
+            topic,
+            peers,
+            handover,
+            leaves_at: None,
+            _lock: lock,
+        })
+    }
+}
+
+impl<T: Transport> StagePlace<T> {
+    /// Waits for the next message; `None` when no more will come, or the run is to end.
+    pub(crate) fn next_message(&mut self) -> Result<Option<MessageOf<T>>, PortError> {
+        loop {
+            match self.look(TICK)? {
+                Look::Message(message) => return Ok(Some(message)),
+                Look::Over => return Ok(None),
+                Look::Nothing => {}
+            }
+        }
+    }
+
+    /// Looks for the next message, and where there is none waits for one, at most for `patience`.
+    pub(crate) fn look(&mut self, patience: Duration) -> Result<Look<MessageOf<T>>, PortError> {
+        if self.stop.requested() || self.may_leave() {
+            return Ok(Look::Over);
+        }
+        // The writers are looked at first: what they sent before they were gone is then sure to be found.
+        let last_call = self.input_port.is_idle() && self.writers_are_gone();
+        if let Some(message) = self.input_port.take()? {
+            return Ok(Look::Message(message));
+        }
+        if last_call || self.input_port.ended() {
+            return Ok(Look::Over);
+        }
+        self.input_port.wait(patience)?;
+        Ok(Look::Nothing)
+    }
+
+    /// What the items of its messages are.
+    pub(crate) fn input_item(&self) -> &ItemType {
+        self.input_port.item()
+    }
+
+    /// The topic that drives it.
+    pub(crate) fn input_topic(&self) -> &str {
+        &self.topic.name
+    }
+
+    /// Whether it was asked to leave its place, and its successor has received all that it has not worked on.
+    fn may_leave(&mut self) -> bool {
+        let (true, Some(handover)) = (self.stop.leaving(), &self.handover) else { return false };
+        let leaves_at = self.leaves_at.get_or_insert_with(|| handover.first());
+        self.input_port.has_passed(leaves_at)
+    }
+
+    /// Whether all stages that write the input have ended for good, be it without a word.
+    fn writers_are_gone(&self) -> bool {
+        let is_gone = |writer: &String| {
+            self.input_port.has_ended(writer) || matches!(self.peers.life(writer), Some(Life::Ended | Life::Gone))
+        };
+        !self.topic.writers.is_empty() && self.topic.writers.iter().all(is_gone)
+    }
+
+    /// Finds what goes with a step in the side inputs.
+    pub(crate) fn find_side_inputs(&mut self, step: &Header) -> Result<(), PortError> {
+        self.side_inputs.iter_mut().try_for_each(|side| side.find(Some(step)))
+    }
+
+    /// Keeps how long a step took, and the way of its message to here.
+    pub(crate) fn keep_times(&mut self, header: &Header, received_ns: u64, step: Duration) {
+        let status = &mut *self.record.status;
+        status.compute.add(step.as_nanos() as u64);
+        let trace = header.trace();
+        if let (Some(source), Some(writer)) = (trace.first(), trace.last()) {
+            status.hop.add(received_ns.saturating_sub(writer.sent_ns));
+            status.latency.add(received_ns.saturating_sub(source.received_ns));
+        }
+    }
+
+    /// Counts a step, and keeps what its inputs count.
+    pub(crate) fn keep_counts(&mut self) {
+        let status = &mut *self.record.status;
+        status.steps += 1;
+        let counts = std::iter::once(self.input_port.counts()).chain(self.side_inputs.iter().map(|side| side.counts()));
+        status.inputs.iter_mut().zip(counts).for_each(|(slot, counts)| *slot = counts);
+        self.record.write();
+    }
+
+    /// Ends the work by `finish`, and the stream; a stage that was stopped at once leaves its readers waiting for its
+    /// successor.
+    pub(crate) fn end(mut self, finish: impl FnOnce() -> Result<(), StageError>) -> Result<(), RunError> {
+        let frame = self.record.status.steps;
+        let left =
+            self.stop.leaving() && !self.stop.requested() && self.leaves_at.is_some() && !self.input_port.ended();
+        if let Err(error) = finish() {
+            return Err(self.unfinished(left, error));
+        }
+        if let (true, Some(handover)) = (left, &self.handover) {
+            let told = handover.leave(self.input_port.worked_on());
+            return told.map_err(|error| RunError::Failed { frame, error: error.into() });
+        }
+        drop((self.input_port, self.side_inputs));
+        if !self.stop.forced() {
+            self.output_port.end()?;
+            self.record.status.set_life(Life::Ended);
+        }
+        self.record.write();
+        Ok(())
+    }
+
+    /// What is told when the end of its work fails. There is nothing to be started anew for, but where a successor goes on.
+    fn unfinished(&mut self, left: bool, error: StageError) -> RunError {
+        if left {
+            return RunError::Failed { frame: self.record.status.steps, error };
+        }
+        self.record.status.set_life(Life::Gone);
+        self.record.write();
+        RunError::Unfinished(error)
+    }
+}

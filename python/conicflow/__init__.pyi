@@ -1,0 +1,280 @@
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, Literal, Optional, Union
+
+import numpy as np
+import numpy.typing as npt
+
+__version__: str
+__all__: list[str]
+
+_Depth = Union[npt.NDArray[np.uint16], npt.NDArray[np.float32]]
+"""Rows and columns: `uint16` in units of the scale, 0 and 65535 not measured; or `float32` in metres, NaN not measured."""
+
+_Camera = Union[tuple[float, float, float, float], Sequence[float], npt.NDArray[np.floating[Any]]]
+"""`(fx, fy, cx, cy)` in pixels; pixel centres lie at whole numbers."""
+
+_NoiseName = Literal["kinect_v1", "realsense_d435", "time_of_flight", "ideal"]
+_Noise = Union[_NoiseName, Mapping[str, float]]
+"""The depth noise of a sensor: a word, or some of `floor_m`, `growth_per_m`, `knee_m`, `step_per_m`."""
+
+_Vector = list[float]
+"""Three numbers."""
+
+class _Sigma:
+    """Standard deviations; `None` where the shape has no such parameter."""
+
+    center: _Vector
+    """Of the centre along x, y and z, in metres."""
+    axis: Optional[float]
+    """Of the angle between the axis and the true one, in radians; `None` for a sphere."""
+    half_angle: Optional[float]
+    """In radians; of a cone."""
+    radius: float
+    """In metres; of a cone that of its radius at `center`."""
+    length: Optional[float]
+    """In metres; `None` for a sphere."""
+    velocity: Optional[_Vector]
+    """In metres per second; of a track."""
+
+class Record:
+    """One item of a message. Its attributes are the keys that `json_sink` writes."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """What `json_sink` writes for this item, to the last digit."""
+    def __getattr__(self, name: str) -> Any: ...
+    def __eq__(self, other: object) -> bool: ...
+    def __hash__(self) -> int: ...
+    def __dir__(self) -> list[str]: ...
+
+class _Shape(Record):
+    kind: Literal["sphere", "cylinder", "cone"]
+    center: _Vector
+    """In metres; of a cylinder or cone the middle of its visible part, on the axis."""
+    apex: Optional[_Vector]
+    """In metres; of a cone."""
+    axis: Optional[_Vector]
+    """Unit vector, of a cone from the apex to the base; `None` for a sphere."""
+    half_angle: Optional[float]
+    """In radians; of a cone."""
+    radius: Optional[float]
+    """In metres; `None` for a cone."""
+    base_radius: Optional[float]
+    """In metres; of a cone."""
+    top_radius: Optional[float]
+    """In metres; of a cone."""
+    length: Optional[float]
+    """Of the visible part along the axis, in metres; `None` for a sphere."""
+    sigma: _Sigma
+    rms: float
+    """Root mean square distance of the points from the surface, in metres."""
+    points: int
+    """Measurements that support it."""
+    rows: int
+    """Scan lines that support it."""
+    arc: float
+    """Visible circumference, in radians."""
+    confidence: Optional[float]
+    """Probability that it is an object of this shape; `None` where the method does not tell."""
+
+class Object(_Shape):
+    """A sphere, cylinder or cone in the camera frame; `None` is what another shape has."""
+
+class Track(_Shape):
+    """A tracked object in the camera frame."""
+
+    id: int
+    velocity: _Vector
+    """In metres per second."""
+    age: int
+    """Frames since its first sight."""
+    misses: int
+    """Frames since it was last seen."""
+    state: Literal["tentative", "confirmed", "coasting"]
+
+class Ellipse(Record):
+    """An arc of a scan line."""
+
+    scan: Literal["row", "column"]
+    line: int
+    first: int
+    last: int
+    points: int
+    center: _Vector
+    """In metres."""
+    semi_axes: list[float]
+    """The longer first, in metres."""
+    angle: float
+    """In radians."""
+    rms: float
+    """In metres."""
+    arc: float
+    """In radians."""
+
+class Velocity(Record):
+    """A velocity that is to be taken."""
+
+    linear: _Vector
+    """In metres per second."""
+    angular: _Vector
+    """In radians per second."""
+    frame: Literal["camera", "world"]
+
+def detect(depth: _Depth, camera: _Camera, scale: float = 0.001, noise: Optional[_Noise] = None) -> list[Object]:
+    """Spheres, cylinders and cones in one depth image, in the camera frame."""
+
+class Detector:
+    """Finds objects in the images of one camera; all have one size."""
+
+    def __init__(
+        self,
+        camera: _Camera,
+        scale: float = 0.001,
+        noise: Optional[_Noise] = None,
+        *,
+        extractor: Optional[Mapping[str, Any]] = None,
+        assembler: Optional[Mapping[str, Any]] = None,
+    ) -> None: ...
+    def detect(self, depth: _Depth) -> list[Object]: ...
+    @property
+    def noise_ratios(self) -> tuple[float, float]: ...
+    @property
+    def rejections(self) -> dict[str, int]: ...
+
+class Tracker:
+    """Gives the objects of successive frames an identity, a velocity and a filtered shape."""
+
+    def __init__(self, parameters: Optional[Mapping[str, Any]] = None) -> None: ...
+    def update(
+        self, objects: Iterable[Object], stamp_ns: int, world_from_camera: Optional[npt.ArrayLike] = None
+    ) -> list[Track]: ...
+
+def dtype(kind: Literal["depth", "ellipses", "objects", "tracks", "velocities"]) -> np.dtype[Any]:
+    """The layout of items, for `numpy.zeros(n, dtype=..)`."""
+
+class Message:
+    """One message of a topic: when and by which camera its frame was taken, and its items."""
+
+    @property
+    def topic(self) -> str: ...
+    @property
+    def kind(self) -> str:
+        """What the topic carries: "depth", "objects", .."""
+    @property
+    def sequence(self) -> int:
+        """Number of the frame."""
+    @property
+    def stamp_ns(self) -> int:
+        """When the frame was taken, in nanoseconds."""
+    @property
+    def source(self) -> str:
+        """Name of the frame's file, or of its source."""
+    @property
+    def latency_ms(self) -> Optional[float]:
+        """From the moment the source had the frame until the message came."""
+    @property
+    def camera(self) -> tuple[float, float, float, float]:
+        """`(fx, fy, cx, cy)` in pixels."""
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the camera's images, in pixels."""
+    @property
+    def scale(self) -> float:
+        """Metres per unit of a depth pixel."""
+    @property
+    def noise(self) -> dict[str, float]: ...
+    @property
+    def world_from_camera(self) -> Optional[list[list[float]]]:
+        """The camera's pose, three rows of `[R | t]`, in metres."""
+    @property
+    def inputs(self) -> dict[str, "Message"]:
+        """Of a message that drives a stage: what goes with it, by the names of the further inputs; each may be missing."""
+    @property
+    def items(self) -> list[Any]:
+        """Records: `Object`, `Track`, `Ellipse`, `Velocity`, or `Record` for a type of the pipeline file."""
+    @property
+    def array(self) -> npt.NDArray[Any]:
+        """The items as an array of their layout, which cannot be written."""
+    @property
+    def image(self) -> npt.NDArray[np.uint16]:
+        """A depth image in units of `scale`, lent by shared memory: it is not copied and cannot be written."""
+    def to_dict(self) -> dict[str, Any]:
+        """The line that `json_sink` writes."""
+    def __len__(self) -> int: ...
+
+class Reader:
+    """Messages of topics of a running pipeline, until the run is over."""
+
+    def __iter__(self) -> Iterator[Message]: ...
+    def __next__(self) -> Message: ...
+    def __enter__(self) -> "Reader": ...
+    def __exit__(self, *exception: object) -> None: ...
+    def close(self) -> None:
+        """Leaves; messages that were received stay."""
+
+def read(*topics: str, pipeline: Optional[str] = None) -> Reader:
+    """Messages of topics of a pipeline that runs on this machine, as an onlooker for whom no writer waits."""
+
+_Items = Union[Iterable[Record], npt.NDArray[Any], Message]
+
+class _Joined:
+    @property
+    def name(self) -> str:
+        """Name of the stage in the pipeline file."""
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """All keys of its table in the pipeline file that are not conicflow's own."""
+    @property
+    def base(self) -> str:
+        """Folder of the pipeline file."""
+    @property
+    def resume_at(self) -> int:
+        """Messages that were taken (of a source: sent) before it was started anew in the same run; 0 at first."""
+    @property
+    def stopping(self) -> bool:
+        """Whether the run is to end; who asks gives a sign of life."""
+    @property
+    def dtype(self) -> Optional[np.dtype[Any]]:
+        """The layout of the items that it sends."""
+    def count(self, name: str, times: int = 1) -> None:
+        """Adds to a counter that the summary of the run shows."""
+    def send(
+        self,
+        items: _Items,
+        *,
+        camera: Optional[_Camera] = None,
+        scale: Optional[float] = None,
+        noise: Optional[_Noise] = None,
+        stamp_ns: Optional[int] = None,
+        source: Optional[str] = None,
+        sequence: Optional[int] = None,
+        world_from_camera: Optional[npt.ArrayLike] = None,
+    ) -> None:
+        """Sends a message; waits where a reader must not miss one and has no room."""
+
+class Stage(_Joined):
+    """A stage of a pipeline: `with conicflow.stage() as stage: for message in stage: stage.send(..)`."""
+
+    def __iter__(self) -> Iterator[Message]: ...
+    def __next__(self) -> Message: ...
+    def __enter__(self) -> "Stage": ...
+    def __exit__(self, *exception: object) -> None: ...
+
+class Source(_Joined):
+    """A source of a pipeline: `with conicflow.source() as source: for number in source: source.send(..)`."""
+
+    @property
+    def counted(self) -> dict[str, int]:
+        """What it had counted before it was started anew."""
+    @property
+    def inputs(self) -> dict[str, Message]:
+        """The latest messages of the further inputs."""
+    def __iter__(self) -> Iterator[int]: ...
+    def __next__(self) -> int: ...
+    def __enter__(self) -> "Source": ...
+    def __exit__(self, *exception: object) -> None: ...
+
+def stage(*, same_frame: Sequence[str] = ()) -> Stage:
+    """Takes the place of the stage in whose `program` this process was started."""
+
+def source(*, total: Optional[int] = None) -> Source:
+    """Takes the place of the source in whose `program` this process was started."""

@@ -1,0 +1,69 @@
+//! Depth images as NumPy has them: two dimensions of `uint16` or `float32`, of any stride. What lies row by row without gaps
+//! is read where it is; anything else is copied once.
+
+use crate::fault;
+use numpy::{PyArrayDescrMethods, PyReadonlyArray2, PyUntypedArray, PyUntypedArrayMethods, dtype};
+use pyo3::prelude::*;
+
+/// What is expected.
+const EXPECTED: &str = "expected a NumPy array of two dimensions, (rows, columns), of uint16 (in units of `scale`) or of \
+                        float32 (in metres, NaN: not measured)";
+
+/// A depth image.
+pub(crate) enum DepthArray<'py> {
+    /// In units of the depth scale.
+    Units(PyReadonlyArray2<'py, u16>),
+    /// In metres.
+    Metres(PyReadonlyArray2<'py, f32>),
+}
+
+impl<'py> DepthArray<'py> {
+    /// The image that lies in `depth`.
+    pub(crate) fn new(depth: &Bound<'py, PyAny>) -> PyResult<Self> {
+        let py = depth.py();
+        let Ok(array) = depth.cast::<PyUntypedArray>() else {
+            let came = depth.get_type().name()?;
+            return Err(fault::kind(format!("`depth` is of type {came}, {EXPECTED}"), "numpy.asarray(depth) may do"));
+        };
+        if array.hasattr("mask")? {
+            return Err(fault::kind(
+                format!("`depth` is a masked array, {EXPECTED}"),
+                "pass depth.filled(0): 0 means that nothing was measured",
+            ));
+        }
+        if array.ndim() != 2 {
+            let hint = "of an image with channels pass the one with the depth: depth[:, :, 0]";
+            return Err(fault::value(format!("`depth` has the shape {:?}, {EXPECTED}", array.shape()), hint));
+        }
+        let of_units = array.dtype().is_equiv_to(&dtype::<u16>(py));
+        if !of_units && !array.dtype().is_equiv_to(&dtype::<f32>(py)) {
+            let hint =
+                "depth.astype(numpy.float32) for metres, depth.astype(numpy.uint16) for millimetres and other units";
+            return Err(fault::kind(format!("`depth` has the type {}, {EXPECTED}", array.dtype()), hint));
+        }
+        let whole = whole(array)?;
+        Ok(if of_units { Self::Units(whole.extract()?) } else { Self::Metres(whole.extract()?) })
+    }
+
+    /// Columns and rows.
+    pub(crate) fn size(&self) -> PyResult<(u32, u32)> {
+        let shape = match self {
+            Self::Units(array) => array.shape(),
+            Self::Metres(array) => array.shape(),
+        };
+        match [shape[1], shape[0]].map(u32::try_from) {
+            [Ok(width), Ok(height)] => Ok((width, height)),
+            _ => Err(fault::value(format!("`depth` has the shape {shape:?}"), "no camera has so many pixels")),
+        }
+    }
+}
+
+/// The array itself where its pixels lie row by row, or a copy in which they do.
+fn whole<'py>(array: &Bound<'py, PyUntypedArray>) -> PyResult<Bound<'py, PyAny>> {
+    let is_aligned: bool = array.getattr("flags")?.getattr("aligned")?.extract()?;
+    if array.is_c_contiguous() && is_aligned {
+        Ok(array.clone().into_any())
+    } else {
+        array.call_method1("copy", ("C",))
+    }
+}

@@ -1,0 +1,184 @@
+//! The detector: depth images in, objects out, without a pipeline. While it works other threads of Python go on.
+
+use crate::depth_array::DepthArray;
+use crate::record::{self, Record};
+use crate::{fault, settings};
+use conicflow_detection::camera::Intrinsics;
+use conicflow_detection::{AssemblerParameters, DetectError, Detector, ExtractorParameters};
+use conicflow_messages::{Camera, NoiseModel, Object};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyList};
+use std::cell::RefCell;
+use std::sync::{Mutex, PoisonError};
+
+/// What the images of a camera need to be understood.
+#[derive(Clone, Copy, PartialEq)]
+struct Sensor {
+    intrinsics: Intrinsics,
+    scale: f64,
+    noise: NoiseModel,
+}
+
+impl Sensor {
+    fn new(camera: &Bound<'_, PyAny>, scale: f64, noise: Option<&Bound<'_, PyAny>>) -> PyResult<Self> {
+        if !(scale.is_normal() && scale > 0.0) {
+            let hint = "0.001 for millimetres, 0.0002 for TUM RGB-D";
+            return Err(fault::value(format!("`scale` is {scale}, expected metres per unit of a pixel"), hint));
+        }
+        Ok(Self { intrinsics: settings::intrinsics(camera)?, scale, noise: settings::noise(noise)? })
+    }
+
+    fn detector(&self, size: (u32, u32)) -> Detector {
+        Detector::new(self.intrinsics.camera(size)).noise(self.noise).depth_scale(self.scale)
+    }
+}
+
+/// A detector, and what it was made for.
+struct Made {
+    sensor: Sensor,
+    size: (u32, u32),
+    detector: Detector,
+}
+
+thread_local! {
+    /// What the last call of [`detect`] on this thread used: its buffers serve the next image of the same camera.
+    static LAST: RefCell<Option<Made>> = const { RefCell::new(None) };
+}
+
+/// Spheres, cylinders and cones in one depth image, in the camera frame (x right, y down, z forward).
+///
+/// depth: NumPy array (rows, columns). `uint16` counts units of `scale`, 0 and 65535 are not measured; `float32` is in
+///     metres, and what is not finite, not above zero or beyond 16.38 m is not measured. Any stride will do; an array that
+///     lies row by row without gaps is not copied.
+/// camera: (fx, fy, cx, cy) in pixels; pixel centres lie at whole numbers.
+/// scale: metres per unit of a `uint16` pixel.
+/// noise: the sensor's depth noise, "kinect_v1", "realsense_d435", "time_of_flight", "ideal", or a dictionary with some of
+///     floor_m, growth_per_m, knee_m, step_per_m. None: "kinect_v1".
+///
+/// Returns a list of `Object`; nothing found is an empty list. Raises TypeError or ValueError with a hint.
+#[pyfunction]
+#[pyo3(signature = (depth, camera, scale = 0.001, noise = None))]
+pub(crate) fn detect<'py>(
+    py: Python<'py>,
+    depth: &Bound<'py, PyAny>,
+    camera: &Bound<'py, PyAny>,
+    scale: f64,
+    noise: Option<&Bound<'py, PyAny>>,
+) -> PyResult<Bound<'py, PyList>> {
+    let image = DepthArray::new(depth)?;
+    let (sensor, size) = (Sensor::new(camera, scale, noise)?, image.size()?);
+    let found = look(py, &image, |look| {
+        LAST.with_borrow_mut(|last| {
+            let made = last.take().filter(|made| (made.sensor, made.size) == (sensor, size));
+            let made = made.unwrap_or_else(|| Made { sensor, size, detector: sensor.detector(size) });
+            look(&mut last.insert(made).detector)
+        })
+    })?;
+    record::list_of(py, &found)
+}
+
+/// Looks at an image with the detector that `with` hands out, while other threads of Python go on.
+fn look(
+    py: Python<'_>,
+    image: &DepthArray<'_>,
+    with: impl FnOnce(&dyn Fn(&mut Detector) -> Result<Vec<Object>, DetectError>) -> Result<Vec<Object>, DetectError> + Send,
+) -> PyResult<Vec<Object>> {
+    let found = match image {
+        DepthArray::Units(array) => {
+            let pixels = array.as_slice()?;
+            py.detach(|| with(&|detector| detector.try_detect(pixels)))
+        }
+        DepthArray::Metres(array) => {
+            let metres = array.as_slice()?;
+            py.detach(|| with(&|detector| detector.try_detect_f32(metres)))
+        }
+    };
+    found.map_err(|error| fault::told(&error))
+}
+
+/// Finds objects in the images of one camera; all of them have the size of the first.
+///
+/// camera, scale, noise: as of `detect`.
+/// extractor, assembler: dictionaries with parameters of the nodes `row_ellipse_extractor` and `object_assembler`; those that
+///     are left out have their defaults.
+#[pyclass(frozen, name = "Detector", module = "conicflow")]
+pub(crate) struct PyDetector {
+    sensor: Sensor,
+    parameters: (ExtractorParameters, AssemblerParameters),
+    made: Mutex<Option<(Camera, Detector)>>,
+}
+
+#[pymethods]
+impl PyDetector {
+    #[new]
+    #[pyo3(signature = (camera, scale = 0.001, noise = None, *, extractor = None, assembler = None))]
+    fn new(
+        camera: &Bound<'_, PyAny>,
+        scale: f64,
+        noise: Option<&Bound<'_, PyAny>>,
+        extractor: Option<&Bound<'_, PyAny>>,
+        assembler: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Self> {
+        let extractor = settings::parameters("extractor", extractor, ExtractorParameters::faults)?;
+        let assembler = settings::parameters("assembler", assembler, AssemblerParameters::faults)?;
+        let sensor = Sensor::new(camera, scale, noise)?;
+        Ok(Self { sensor, parameters: (extractor, assembler), made: Mutex::default() })
+    }
+
+    /// The objects of a depth image, as `detect` returns them.
+    fn detect<'py>(&self, py: Python<'py>, depth: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyList>> {
+        let image = DepthArray::new(depth)?;
+        let size = image.size()?;
+        let found = look(py, &image, |look| {
+            let mut made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
+            let (camera, detector) = made.get_or_insert_with(|| self.make(size));
+            let actual = size.0 as usize * size.1 as usize;
+            let &mut Camera { width, height, .. } = camera;
+            if (width, height) == size { look(detector) } else { Err(DetectError::Size { actual, width, height }) }
+        })?;
+        record::list_of(py, &found)
+    }
+
+    /// How noisy the last image was, near and far, in standard deviations of the noise model: far from 1 the model is not that of
+    /// the sensor.
+    #[getter]
+    fn noise_ratios(&self) -> (f64, f64) {
+        let made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
+        made.as_ref().map_or((1.0, 1.0), |(_, detector)| detector.noise_ratios().into())
+    }
+
+    /// Why arcs and candidates of the last image were turned down, and how many of them.
+    #[getter]
+    fn rejections<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
+        let counts = PyDict::new(py);
+        for (reason, times) in made.iter().flat_map(|(_, detector)| detector.rejections()) {
+            counts.set_item(reason, times)?;
+        }
+        Ok(counts)
+    }
+}
+
+impl PyDetector {
+    /// The detector for images of this size, that of the first.
+    fn make(&self, size: (u32, u32)) -> (Camera, Detector) {
+        let (extractor, assembler) = self.parameters.clone();
+        (self.sensor.intrinsics.camera(size), self.sensor.detector(size).parameters(extractor, assembler))
+    }
+}
+
+/// The objects among some records.
+pub(crate) fn objects(given: &Bound<'_, PyAny>) -> PyResult<Vec<Object>> {
+    let mut objects = Vec::new();
+    for (index, each) in given.try_iter()?.enumerate() {
+        let each = each?;
+        let record = each.cast::<Record>().ok().map(|record| record.get());
+        let object = record.and_then(|record| record.item_as::<Object>());
+        objects.push(object.ok_or_else(|| {
+            let came = each.get_type().name().map_or_else(|_| String::new(), |name| name.to_string());
+            let what = format!("`objects` has a {came} at {index}, expected conicflow.Object");
+            fault::kind(what, "pass what detect() returned, or the items of a message with objects")
+        })?);
+    }
+    Ok(objects)
+}

@@ -1,0 +1,97 @@
+//! What stages and sources in Python have in common: what they are told, their further inputs, and how they fail.
+
+use crate::fault;
+use crate::message::{Lender, Message};
+use conicflow_dataflow::{Context, ItemType, KeptMessage, ProcessError};
+use pyo3::exceptions::PySystemExit;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::collections::BTreeMap;
+use std::io::{Write, stderr};
+use std::sync::{Mutex, PoisonError};
+
+/// Exit code of a stage that could not be made ready: to start it anew would not help.
+const REFUSED: i32 = 2;
+
+/// What a stage is told when it starts.
+pub(crate) struct About {
+    pub(crate) context: Context,
+    pub(crate) name: String,
+    pub(crate) base: String,
+    pub(crate) parameters: Py<PyAny>,
+}
+
+impl About {
+    pub(crate) fn new(py: Python<'_>, context: &Context, parameters: &serde_json::Value) -> PyResult<Self> {
+        let parameters = py.import("json")?.call_method1("loads", (parameters.to_string(),))?.unbind();
+        let base = context.base.to_string_lossy().into_owned();
+        Ok(Self { context: context.clone(), name: context.stage.clone(), base, parameters })
+    }
+
+    /// Of one that is not wanted any more.
+    pub(crate) fn nobody(py: Python<'_>) -> Self {
+        let parameters = PyDict::new(py).into_any().unbind();
+        Self { context: Context::default(), name: String::new(), base: String::new(), parameters }
+    }
+}
+
+/// What was found in a further input: its name, the message, and what that carries.
+pub(crate) type Found = (String, KeptMessage, ItemType);
+
+/// What was found, to be shown when the stage is free again: Python may let another thread at it.
+pub(crate) fn found<'a>(inputs: impl Iterator<Item = (&'a str, KeptMessage, &'a ItemType)>) -> Vec<Found> {
+    inputs.map(|(name, message, item)| (name.to_owned(), message, item.clone())).collect()
+}
+
+/// Lends the images of further inputs.
+#[derive(Default)]
+pub(crate) struct Inputs(Mutex<BTreeMap<String, Lender>>);
+
+impl Inputs {
+    /// Adds what was found to a dictionary, by the names of the inputs.
+    pub(crate) fn add_all(&self, all: &Bound<'_, PyDict>, found: Vec<Found>, received_ns: u64) -> PyResult<()> {
+        for (name, message, item) in found {
+            let lender = self.0.lock().unwrap_or_else(PoisonError::into_inner).entry(name.clone()).or_default().clone();
+            all.set_item(&name, Message::new(all.py(), &name, &item, message, received_ns, &lender)?)?;
+        }
+        Ok(())
+    }
+}
+
+/// From now on the run tells this process when to end. Python would raise KeyboardInterrupt in the midst of a step.
+pub(crate) fn leave_signals_to_the_run(py: Python<'_>) {
+    let ignore = || {
+        let signal = py.import("signal")?;
+        signal.call_method1("signal", (signal.getattr("SIGINT")?, signal.getattr("SIG_DFL")?))
+    };
+    // Signals reach only the main thread; where this is another, somebody else has a say in them.
+    ignore().ok();
+}
+
+/// How a process learns that it has no place: outside of a run by an exception, within one it ends as any stage does.
+pub(crate) fn refusal(py: Python<'_>, error: &ProcessError) -> PyErr {
+    if matches!(error, ProcessError::NoRun(_)) {
+        return fault::run(error);
+    }
+    say(py, &format!("error: {error}"));
+    PySystemExit::new_err(i32::from(error.exit_code()))
+}
+
+/// Tells of an exception at which frame it was raised; one before the first frame ends the process as one that could not be made
+/// ready.
+pub(crate) fn failed(py: Python<'_>, exception: &Bound<'_, PyAny>, frame: Option<u64>, begun: bool) -> PyResult<()> {
+    if let Some(frame) = frame {
+        say(py, &format!("error: at frame {frame}:"));
+    }
+    if begun || exception.is_instance_of::<PySystemExit>() {
+        return Ok(());
+    }
+    py.import("traceback")?
+        .call_method1("print_exception", (exception.get_type(), exception, exception.getattr("__traceback__")?))?;
+    Err(PySystemExit::new_err(REFUSED))
+}
+
+/// Writes a line where errors go; whether anybody reads it is not the stage's concern.
+fn say(py: Python<'_>, line: &str) {
+    py.detach(|| writeln!(stderr(), "{line}").ok());
+}

@@ -1,0 +1,39 @@
+//! The Python module `conicflow`: the detector and the tracker on NumPy arrays, the topics of running pipelines, and stages
+//! and sources written in Python.
+//!
+//! Each of these doors is a file: [`detector`], [`tracker`], [`read`], [`stage`], [`source`]. What goes through them are [`record`]s,
+//! [`message`]s and [`depth_array`]s. Nothing of a pipeline is opened before it is asked for.
+
+mod array;
+mod depth_array;
+mod detector;
+mod fault;
+mod joined;
+mod message;
+mod payload;
+mod read;
+mod record;
+mod settings;
+mod source;
+mod stage;
+mod tracker;
+
+use pyo3::prelude::*;
+
+/// The compiled part of `conicflow`.
+#[pymodule]
+fn _conicflow(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    module.add_function(wrap_pyfunction!(detector::detect, module)?)?;
+    module.add_class::<detector::PyDetector>()?;
+    module.add_class::<tracker::PyTracker>()?;
+    module.add_function(wrap_pyfunction!(read::read, module)?)?;
+    module.add_class::<read::Reader>()?;
+    module.add_class::<message::Message>()?;
+    module.add_function(wrap_pyfunction!(stage::stage, module)?)?;
+    module.add_class::<stage::Stage>()?;
+    module.add_function(wrap_pyfunction!(source::source, module)?)?;
+    module.add_class::<source::Source>()?;
+    module.add_function(wrap_pyfunction!(array::dtype_of, module)?)?;
+    record::add_to(module)
+}

@@ -1,0 +1,242 @@
+//! Messages as Python sees them. A list is copied when it comes, for it is short; an image is lent where it lies in shared
+//! memory, as long as the message or any array of it lives. Of images only so many can be lent at once: a writer's memory is
+//! bounded.
+
+use crate::{array, fault, record};
+use bytemuck::{cast_slice, cast_slice_mut};
+use conicflow_dataflow::{AnyMessage, ItemType, KeptMessage};
+use conicflow_messages::{Header, Hinted};
+use pyo3::exceptions::PyBufferError;
+use pyo3::prelude::*;
+use pyo3::sync::PyOnceLock;
+use pyo3::types::{PyBytes, PyDict, PyList};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Images of one topic that a program may have at once, the one that it asks for included.
+const MOST_LENT: usize = 4;
+
+/// Lends the images of one topic.
+#[derive(Clone, Default)]
+pub(crate) struct Lender(Arc<Lent>);
+
+/// How many images are lent now.
+#[derive(Default)]
+struct Lent(AtomicUsize);
+
+/// Counts for one image as long as it is lent.
+struct Loan(Arc<Lent>);
+
+impl Drop for Loan {
+    fn drop(&mut self) {
+        self.0.0.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+impl Lender {
+    /// Makes sure that one image more can be lent.
+    pub(crate) fn look(&self, topic: &str) -> PyResult<()> {
+        let lent = self.0.0.load(Ordering::Relaxed);
+        if lent < MOST_LENT {
+            return Ok(());
+        }
+        let what = format!("{lent} images of topic `{topic}` are still held, which is as many as can be");
+        let hint = "keep copies (message.image.copy()), and let go of messages and arrays that you are done with";
+        Err(PyBufferError::new_err(Hinted::new(what, hint).to_string()))
+    }
+
+    fn lend(&self) -> Loan {
+        self.0.0.fetch_add(1, Ordering::Relaxed);
+        Loan(Arc::clone(&self.0))
+    }
+}
+
+/// One message of a topic: when and by which camera its frame was taken, and its items.
+///
+/// A list is copied. An image is lent: `image` lies in shared memory, cannot be written, and may be kept as long as few
+/// others are; whoever wants to keep more copies it.
+#[pyclass(frozen, module = "conicflow")]
+pub(crate) struct Message {
+    header: Header,
+    item: ItemType,
+    /// The name of its topic.
+    #[pyo3(get)]
+    topic: String,
+    /// From the moment the source had the frame until the message came, in milliseconds; None where that is not known.
+    #[pyo3(get)]
+    latency_ms: Option<f64>,
+    content: Content,
+    /// Of a message that drives a stage: what goes with it, by the names of the further inputs; each may be missing.
+    #[pyo3(get)]
+    inputs: Py<PyDict>,
+    items: PyOnceLock<Py<PyList>>,
+}
+
+/// The bytes of a message.
+enum Content {
+    /// In the memory of its writer.
+    Lent { message: KeptMessage, _loan: Loan },
+    /// In this process, as the items have to lie.
+    Own { words: Box<[u64]>, length: usize },
+}
+
+impl Message {
+    /// A message of `topic` that came at `received_ns` on the monotonic clock.
+    pub(crate) fn new<'py>(
+        py: Python<'py>,
+        topic: &str,
+        item: &ItemType,
+        message: KeptMessage,
+        received_ns: u64,
+        lender: &Lender,
+    ) -> PyResult<Bound<'py, Self>> {
+        let header = *message.header();
+        let content = if item.is_image() {
+            lender.look(topic)?;
+            Content::Lent { message, _loan: lender.lend() }
+        } else {
+            let length = message.bytes().len();
+            let mut words = vec![0_u64; length.div_ceil(size_of::<u64>())];
+            cast_slice_mut(&mut words)[..length].copy_from_slice(message.bytes());
+            Content::Own { words: words.into(), length }
+        };
+        let (item, topic) = (item.clone(), topic.to_owned());
+        let latency_ms = header.latency_ms(received_ns);
+        let inputs = PyDict::new(py).unbind();
+        Bound::new(py, Self { header, item, topic, latency_ms, content, inputs, items: PyOnceLock::new() })
+    }
+
+    pub(crate) fn header(&self) -> &Header {
+        &self.header
+    }
+
+    pub(crate) fn item(&self) -> &ItemType {
+        &self.item
+    }
+
+    pub(crate) fn bytes(&self) -> &[u8] {
+        match &self.content {
+            Content::Lent { message, .. } => message.bytes(),
+            Content::Own { words, length } => &cast_slice(words)[..*length],
+        }
+    }
+
+    /// What goes with it.
+    pub(crate) fn inputs<'a, 'py>(&'a self, py: Python<'py>) -> &'a Bound<'py, PyDict> {
+        self.inputs.bind(py)
+    }
+}
+
+#[pymethods]
+impl Message {
+    /// What the topic carries: "depth", "ellipses", "objects", "tracks", "velocities", or the name of an item type of the file.
+    #[getter]
+    fn kind(&self) -> &str {
+        self.item.name()
+    }
+
+    /// Number of the frame.
+    #[getter]
+    fn sequence(&self) -> u64 {
+        self.header.sequence
+    }
+
+    /// When the frame was taken, in nanoseconds.
+    #[getter]
+    fn stamp_ns(&self) -> u64 {
+        self.header.stamp_ns
+    }
+
+    /// Name of the frame's file, or of its source.
+    #[getter]
+    fn source(&self) -> &str {
+        self.header.source.as_str().unwrap_or_default()
+    }
+
+    /// Intrinsics of the camera: (fx, fy, cx, cy) in pixels.
+    #[getter]
+    fn camera(&self) -> (f64, f64, f64, f64) {
+        let camera = &self.header.camera;
+        (camera.fx, camera.fy, camera.cx, camera.cy)
+    }
+
+    /// (width, height) of the camera's images, in pixels.
+    #[getter]
+    fn size(&self) -> (u32, u32) {
+        (self.header.camera.width, self.header.camera.height)
+    }
+
+    /// Metres per unit of a depth pixel.
+    #[getter]
+    fn scale(&self) -> f64 {
+        self.header.depth_scale
+    }
+
+    /// The depth noise of the sensor: floor_m, growth_per_m, knee_m, step_per_m.
+    #[getter]
+    fn noise<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let noise = &self.header.noise;
+        let coefficients = PyDict::new(py);
+        for (name, value) in [
+            ("floor_m", noise.floor_m),
+            ("growth_per_m", noise.growth_per_m),
+            ("knee_m", noise.knee_m),
+            ("step_per_m", noise.step_per_m),
+        ] {
+            coefficients.set_item(name, value)?;
+        }
+        Ok(coefficients)
+    }
+
+    /// The camera's pose, three rows of `[R | t]` with t in metres; None where it is not known.
+    #[getter]
+    fn world_from_camera(&self) -> Option<[[f64; 4]; 3]> {
+        self.header.pose().copied()
+    }
+
+    /// The items as records; of an image there are none.
+    #[getter]
+    fn items<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
+        let items = self.items.get_or_try_init(py, || {
+            let bytes = if self.item.is_image() { &[] } else { self.bytes() };
+            Ok::<_, PyErr>(record::list(py, &self.item, bytes)?.unbind())
+        })?;
+        Ok(items.bind(py).clone())
+    }
+
+    /// The items as a NumPy array of their layout, which cannot be written; an image as `image` has it.
+    #[getter]
+    fn array<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        array::of_message(slf)
+    }
+
+    /// A depth image, rows and columns of `uint16` in units of `scale` metres; 0 and 65535 are not measured. It is not copied,
+    /// and cannot be written.
+    #[getter]
+    fn image<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        if slf.get().item.is_image() {
+            return array::of_message(slf);
+        }
+        let what = format!("topic `{}` carries {}, no images", slf.get().topic, slf.get().item.name());
+        Err(fault::kind(what, "its items are message.items, and message.array for NumPy"))
+    }
+
+    /// The line that `json_sink` writes for this message; of an image a summary.
+    fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let mut line = Vec::new();
+        AnyMessage { header: &self.header, item: &self.item, bytes: self.bytes() }
+            .write_json(self.latency_ms, &mut line)
+            .map_err(|error| fault::told(&error))?;
+        py.import("json")?.call_method1("loads", (PyBytes::new(py, &line),))
+    }
+
+    /// Number of items, of an image its pixels.
+    fn __len__(&self) -> usize {
+        self.bytes().len() / self.item.size()
+    }
+
+    fn __repr__(&self) -> String {
+        let (number, kind) = (self.__len__(), self.item.name());
+        format!("Message(topic='{}', sequence={}, {number} of {kind})", self.topic, self.header.sequence)
+    }
+}

@@ -1,0 +1,156 @@
+//! What a stage or source in Python sends: records, arrays of the layout of the items, a message as it came, or a depth image;
+//! and what of the header it sets.
+
+use crate::depth_array::DepthArray;
+use crate::message::Message;
+use crate::record::Record;
+use crate::tracker::pose;
+use crate::{array, fault, settings};
+use conicflow_dataflow::ItemType;
+use conicflow_detection::quantise::{finest_scale, quantise};
+use conicflow_messages::{HAS_POSE, Header, NoiseModel, Text};
+use numpy::{PyUntypedArray, PyUntypedArrayMethods};
+use pyo3::prelude::*;
+use pyo3::types::{PyBytes, PyDict};
+
+/// The bytes of items, and what they tell of the header.
+pub(crate) struct Payload {
+    pub(crate) bytes: Vec<u8>,
+    /// Columns and rows of an image.
+    size: Option<(u32, u32)>,
+    /// Metres per unit, where the image was in metres.
+    scale: Option<f64>,
+}
+
+impl Payload {
+    /// The items that were given.
+    pub(crate) fn new(item: &ItemType, given: &Bound<'_, PyAny>) -> PyResult<Self> {
+        if let Ok(message) = given.cast::<Message>() {
+            let message = message.get();
+            expect(item, message.item())?;
+            let camera = &message.header().camera;
+            let size = item.is_image().then_some((camera.width, camera.height));
+            return Ok(Self { bytes: message.bytes().to_vec(), size, scale: None });
+        }
+        if item.is_image() {
+            return Self::image(given);
+        }
+        let bytes = match given.cast::<PyUntypedArray>() {
+            Ok(array) => structured(item, array)?,
+            Err(_) => records(item, given)?,
+        };
+        Ok(Self { bytes, size: None, scale: None })
+    }
+
+    fn image(given: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let image = DepthArray::new(given)?;
+        let size = Some(image.size()?);
+        match &image {
+            DepthArray::Units(pixels) => {
+                Ok(Self { bytes: bytemuck::cast_slice(pixels.as_slice()?).to_vec(), size, scale: None })
+            }
+            DepthArray::Metres(metres) => {
+                let metres = metres.as_slice()?;
+                let scale = finest_scale(metres, 1.0);
+                let units: Vec<u16> = metres.iter().map(|&z| quantise(z, 1.0 / scale)).collect();
+                Ok(Self { bytes: bytemuck::cast_slice(&units).to_vec(), size, scale: Some(scale) })
+            }
+        }
+    }
+}
+
+/// Makes sure that items which come as one type can go as another.
+fn expect(item: &ItemType, came: &ItemType) -> PyResult<()> {
+    if item.fits(came) {
+        return Ok(());
+    }
+    let what = format!("the output carries {}, but {} were to be sent", item.name(), came.name());
+    Err(fault::kind(what, "the pipeline file says what it carries: output = { topic = \"..\", kind = \"..\" }"))
+}
+
+fn records(item: &ItemType, given: &Bound<'_, PyAny>) -> PyResult<Vec<u8>> {
+    let mut bytes = Vec::new();
+    for each in given.try_iter()? {
+        let each = each?;
+        let Ok(record) = each.cast::<Record>() else {
+            let what = format!("a {} is no item of {}", each.get_type().name()?, item.name());
+            return Err(fault::kind(what, "send records of conicflow, or a NumPy array of the type `dtype`"));
+        };
+        expect(item, record.get().item())?;
+        bytes.extend_from_slice(record.get().bytes());
+    }
+    Ok(bytes)
+}
+
+fn structured(item: &ItemType, array: &Bound<'_, PyUntypedArray>) -> PyResult<Vec<u8>> {
+    let expected = array::dtype(array.py(), item)?;
+    if array.ndim() != 1 || !array.dtype().eq(&expected)? {
+        let what =
+            format!("the array has {} dimensions of {}, expected one of {expected}", array.ndim(), array.dtype());
+        let hint =
+            format!("make it by numpy.zeros(n, dtype=conicflow.dtype(\"{}\")), or that of the stage", item.name());
+        return Err(fault::kind(what, hint));
+    }
+    let bytes = array.call_method0("tobytes")?;
+    Ok(bytes.cast::<PyBytes>()?.as_bytes().to_vec())
+}
+
+/// What of a header a program sets, by the names of its arguments.
+#[derive(Default)]
+pub(crate) struct HeaderChange {
+    camera: Option<(f64, f64, f64, f64)>,
+    scale: Option<f64>,
+    noise: Option<NoiseModel>,
+    stamp_ns: Option<u64>,
+    source: Option<String>,
+    sequence: Option<u64>,
+    pose: Option<[[f64; 4]; 3]>,
+}
+
+impl HeaderChange {
+    /// The named arguments of `send`.
+    pub(crate) fn new(arguments: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+        let mut change = Self::default();
+        for (name, value) in arguments.into_iter().flat_map(|arguments| arguments.iter()) {
+            match name.extract::<String>()?.as_str() {
+                _ if value.is_none() => {}
+                "camera" => {
+                    let of = settings::intrinsics(&value)?;
+                    change.camera = Some((of.fx, of.fy, of.cx, of.cy));
+                }
+                "scale" => change.scale = Some(value.extract()?),
+                "noise" => change.noise = Some(settings::noise(Some(&value))?),
+                "stamp_ns" => change.stamp_ns = Some(value.extract()?),
+                "source" => change.source = Some(value.extract()?),
+                "sequence" => change.sequence = Some(value.extract()?),
+                "world_from_camera" => change.pose = Some(pose(&value)?),
+                other => {
+                    let known = "camera, scale, noise, stamp_ns, source, sequence, world_from_camera";
+                    return Err(fault::kind(format!("send() has no argument `{other}`"), format!("it has {known}")));
+                }
+            }
+        }
+        Ok(change)
+    }
+
+    /// Sets in the header what was given, and what the payload tells.
+    pub(crate) fn apply(self, header: &mut Header, payload: &Payload) {
+        if let Some((width, height)) = payload.size {
+            (header.camera.width, header.camera.height) = (width, height);
+        }
+        if let Some((fx, fy, cx, cy)) = self.camera {
+            (header.camera.fx, header.camera.fy, header.camera.cx, header.camera.cy) = (fx, fy, cx, cy);
+        }
+        // An image in metres was put into units of its own.
+        header.depth_scale = payload.scale.or(self.scale).unwrap_or(header.depth_scale);
+        header.noise = self.noise.unwrap_or(header.noise);
+        header.stamp_ns = self.stamp_ns.unwrap_or(header.stamp_ns);
+        header.sequence = self.sequence.unwrap_or(header.sequence);
+        if let Some(source) = &self.source {
+            header.source = Text::new(source);
+        }
+        if let Some(pose) = self.pose {
+            (header.world_from_camera, header.flags) = (pose, header.flags | HAS_POSE);
+        }
+    }
+}

@@ -1,0 +1,108 @@
+//! Live topics of a pipeline that runs on this machine, as an onlooker, for whom no writer waits.
+
+use crate::fault;
+use crate::message::{Lender, Message};
+use conicflow_dataflow::{
+    DEFAULT_LOG, ItemType, LOG, Requirements, RunningPipeline, Seen, Watcher, log_to_standard_error, monotonic_ns,
+};
+use pyo3::prelude::*;
+use pyo3::types::PyTuple;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+/// Between two looks without a message.
+const LOOK: Duration = Duration::from_millis(1);
+/// So long it looks at most before Python may raise KeyboardInterrupt.
+const PATIENCE: Duration = Duration::from_millis(50);
+
+/// Messages of topics of a running pipeline, from now on, until the run is over.
+#[pyclass(frozen, module = "conicflow")]
+pub(crate) struct Reader {
+    watcher: Mutex<Option<Watcher>>,
+    topics: Vec<(String, ItemType, Lender)>,
+}
+
+/// The messages of topics of a pipeline that runs on this machine, from now on, until the run is over.
+///
+/// topics: one name or several; `conicflow topic list` shows them.
+/// pipeline: the name of the pipeline, where several run.
+///
+/// It looks on: no stage waits for it or does more for it than pass it a pointer, and who is slow loses messages. Iterating gives
+/// each as a `Message`. Raises RuntimeError with a hint where there is no such pipeline or topic.
+#[pyfunction]
+#[pyo3(signature = (*topics, pipeline = None))]
+pub(crate) fn read(py: Python<'_>, topics: &Bound<'_, PyTuple>, pipeline: Option<&str>) -> PyResult<Reader> {
+    let names: Vec<String> = topics.extract()?;
+    if names.is_empty() {
+        return Err(fault::kind("read() got no topic", "name one, such as read(\"objects\")"));
+    }
+    log_to_standard_error(&std::env::var(LOG).unwrap_or_else(|_| DEFAULT_LOG.to_owned()));
+    py.detach(|| {
+        let running = RunningPipeline::find(pipeline, "pipeline=\"NAME\"").map_err(|error| fault::run(&error))?;
+        let requirements = Requirements::of(&running.plan, &[]);
+        let mut watched = Vec::new();
+        for name in &names {
+            let topic = running.expect_topic(name).map_err(|error| fault::run(&error))?;
+            requirements.look_for_onlooker(topic).map_err(|error| fault::run(&error))?;
+            watched.push((topic.expect_item().map_err(|error| fault::run(&error))?, topic));
+        }
+        let watcher = Watcher::new(&running, &watched).map_err(|error| fault::run(&error))?;
+        let topics = watched.iter().map(|(item, topic)| (topic.name.clone(), (*item).clone(), Lender::default()));
+        Ok(Reader { topics: topics.collect(), watcher: Mutex::new(Some(watcher)) })
+    })
+}
+
+#[pymethods]
+impl Reader {
+    fn __iter__(slf: Py<Self>) -> Py<Self> {
+        slf
+    }
+
+    fn __next__<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, Message>>> {
+        for (topic, item, lender) in &self.topics {
+            if item.is_image() {
+                lender.look(topic)?;
+            }
+        }
+        loop {
+            py.check_signals()?;
+            let seen = py.detach(|| {
+                let mut watcher = self.watcher.lock().unwrap_or_else(PoisonError::into_inner);
+                let Some(watcher) = &mut *watcher else { return Ok(Seen::Over) };
+                let deadline = Instant::now() + PATIENCE;
+                loop {
+                    match watcher.look().map_err(|error| fault::run(&error))? {
+                        Seen::Nothing if Instant::now() < deadline => sleep(LOOK),
+                        seen => return Ok::<_, PyErr>(seen),
+                    }
+                }
+            })?;
+            match seen {
+                Seen::Nothing => {}
+                Seen::Over => {
+                    self.close();
+                    return Ok(None);
+                }
+                Seen::Message(index, message) => {
+                    let (topic, item, lender) = &self.topics[index];
+                    return Message::new(py, topic, item, Arc::new(message), monotonic_ns(), lender).map(Some);
+                }
+            }
+        }
+    }
+
+    /// Leaves its place among the onlookers; messages that were received stay.
+    fn close(&self) {
+        self.watcher.lock().unwrap_or_else(PoisonError::into_inner).take();
+    }
+
+    fn __enter__(slf: Py<Self>) -> Py<Self> {
+        slf
+    }
+
+    #[pyo3(signature = (*_exception))]
+    fn __exit__(&self, _exception: &Bound<'_, PyTuple>) {
+        self.close();
+    }
+}

@@ -1,0 +1,196 @@
+//! Items as Python sees them: what was found or came, with the keys of its line of JSON as attributes.
+//!
+//! A record keeps the item itself, so that it can be tracked or sent on to the bit. What it shows of it is what
+//! [`AnyMessage::write_json`] writes, read by Python's own reader.
+
+use crate::fault;
+use bytemuck::{bytes_of, cast_slice, cast_slice_mut, pod_read_unaligned};
+use conicflow_dataflow::{AnyMessage, ItemType};
+use conicflow_messages::{Ellipse, Header, Item, Object, ObjectKind, ToJson, Track, Velocity};
+use pyo3::exceptions::PyAttributeError;
+use pyo3::prelude::*;
+use pyo3::sync::PyOnceLock;
+use pyo3::types::{PyBytes, PyDict, PyList, PyString};
+
+/// One item of a message. Its attributes are the keys that `json_sink` writes; what only other shapes have is None.
+#[pyclass(frozen, subclass, module = "conicflow")]
+pub(crate) struct Record {
+    item: ItemType,
+    /// Its bytes, as it has to lie in memory.
+    words: Box<[u64]>,
+    shown: PyOnceLock<Py<PyDict>>,
+}
+
+/// A sphere, cylinder or cone in the camera frame, in metres and radians.
+#[pyclass(frozen, extends = Record, name = "Object", module = "conicflow")]
+struct PyObjectRecord;
+
+/// A tracked object in the camera frame, in metres, radians and metres per second.
+#[pyclass(frozen, extends = Record, name = "Track", module = "conicflow")]
+struct PyTrack;
+
+/// An arc of a scan line.
+#[pyclass(frozen, extends = Record, name = "Ellipse", module = "conicflow")]
+struct PyEllipse;
+
+/// A velocity that is to be taken.
+#[pyclass(frozen, extends = Record, name = "Velocity", module = "conicflow")]
+struct PyVelocity;
+
+/// Makes the classes of records known.
+pub(crate) fn add_to(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<Record>()?;
+    module.add_class::<PyObjectRecord>()?;
+    module.add_class::<PyTrack>()?;
+    module.add_class::<PyEllipse>()?;
+    module.add_class::<PyVelocity>()
+}
+
+/// Items that this program knows, as a list of records.
+pub(crate) fn list_of<'py, T: ToJson>(py: Python<'py>, items: &[T]) -> PyResult<Bound<'py, PyList>> {
+    list(py, &ItemType::shown::<T>(), cast_slice(items))
+}
+
+/// The items in `bytes` as a list of records.
+pub(crate) fn list<'py>(py: Python<'py>, item: &ItemType, bytes: &[u8]) -> PyResult<Bound<'py, PyList>> {
+    let records = bytes.chunks_exact(item.size()).map(|bytes| Record::new(item, bytes).into_python(py));
+    PyList::new(py, records.collect::<PyResult<Vec<_>>>()?)
+}
+
+impl Record {
+    fn new(item: &ItemType, bytes: &[u8]) -> Self {
+        let mut words = vec![0_u64; bytes.len().div_ceil(size_of::<u64>())];
+        cast_slice_mut(&mut words)[..bytes.len()].copy_from_slice(bytes);
+        Self { item: item.clone(), words: words.into(), shown: PyOnceLock::new() }
+    }
+
+    /// In the class of its items.
+    fn into_python(self, py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
+        Ok(match self.item.name() {
+            Object::NAME => Bound::new(py, (PyObjectRecord, self))?.into_any(),
+            Track::NAME => Bound::new(py, (PyTrack, self))?.into_any(),
+            Ellipse::NAME => Bound::new(py, (PyEllipse, self))?.into_any(),
+            Velocity::NAME => Bound::new(py, (PyVelocity, self))?.into_any(),
+            _ => Bound::new(py, self)?.into_any(),
+        })
+    }
+
+    /// What it is.
+    pub(crate) fn item(&self) -> &ItemType {
+        &self.item
+    }
+
+    /// Its bytes.
+    pub(crate) fn bytes(&self) -> &[u8] {
+        &cast_slice(&self.words)[..self.item.size()]
+    }
+
+    /// The item, if it is of this type.
+    pub(crate) fn item_as<T: Item>(&self) -> Option<T> {
+        self.item.fits(const { &ItemType::of::<T>() }).then(|| pod_read_unaligned(self.bytes()))
+    }
+
+    /// What JSON says of it, read once.
+    fn shown<'py>(&self, py: Python<'py>) -> PyResult<&Bound<'py, PyDict>> {
+        Ok(self.shown.get_or_try_init(py, || Ok::<_, PyErr>(self.to_dict(py)?.unbind()))?.bind(py))
+    }
+}
+
+#[pymethods]
+impl Record {
+    /// What `json_sink` writes for this item, to the last digit.
+    fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let message = AnyMessage { header: &Header::default(), item: &self.item, bytes: self.bytes() };
+        let mut line = Vec::new();
+        message.write_json(None, &mut line).map_err(|error| fault::told(&error))?;
+        let line = py.import("json")?.call_method1("loads", (PyBytes::new(py, &line),))?;
+        Ok(line.get_item(self.item.name())?.get_item(0)?.cast_into()?)
+    }
+
+    fn __getattr__<'py>(&self, py: Python<'py>, name: &Bound<'py, PyString>) -> PyResult<Bound<'py, PyAny>> {
+        let known = keys(py, &self.item)?;
+        let shown = self.shown(py)?;
+        match shown.get_item(name)? {
+            Some(value) => with_attributes(py, value, known.map(|known| known.get_item(name)).transpose()?.flatten()),
+            // What this shape does not have, another has.
+            None if known.is_some_and(|known| known.contains(name).unwrap_or(false)) => Ok(py.None().into_bound(py)),
+            None => Err(PyAttributeError::new_err(format!(
+                "an item of {} has no `{name}`\n  hint: it has {}",
+                self.item.name(),
+                shown.keys().str()?
+            ))),
+        }
+    }
+
+    fn __dir__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
+        let names = self.shown(py)?.keys();
+        names.append("to_dict")?;
+        Ok(names)
+    }
+
+    fn __eq__(&self, other: &Bound<'_, PyAny>) -> bool {
+        other.cast::<Self>().is_ok_and(|other| self.item.fits(&other.get().item) && self.words == other.get().words)
+    }
+
+    fn __hash__(&self) -> u64 {
+        use std::hash::{DefaultHasher, Hash, Hasher};
+        let mut hasher = DefaultHasher::new();
+        self.words.hash(&mut hasher);
+        hasher.finish()
+    }
+
+    fn __repr__(slf: &Bound<'_, Self>) -> PyResult<String> {
+        let shown = slf.get().shown(slf.py())?;
+        let fields: PyResult<Vec<String>> =
+            shown.iter().map(|(key, value)| Ok(format!("{key}={}", value.repr()?))).collect();
+        Ok(format!("{}({})", slf.get_type().name()?, fields?.join(", ")))
+    }
+}
+
+/// All keys that items of a type can have, those of another shape included, each with `None` or with the keys below it.
+fn keys<'py>(py: Python<'py>, item: &ItemType) -> PyResult<Option<Bound<'py, PyDict>>> {
+    static KEYS: PyOnceLock<[(&str, Py<PyDict>); 2]> = PyOnceLock::new();
+    let known = KEYS.get_or_try_init(py, || {
+        let shapes = ObjectKind::ALL.map(|kind| Object { kind: kind.code(), confidence: 1.0, ..Object::default() });
+        let tracks = shapes.map(|object| Track { object, ..Track::default() });
+        Ok::<_, PyErr>([(Object::NAME, keys_of(py, &shapes)?.unbind()), (Track::NAME, keys_of(py, &tracks)?.unbind())])
+    })?;
+    let found = known.iter().find(|(name, _)| *name == item.name());
+    Ok(found.map(|(_, keys)| keys.bind(py).clone()))
+}
+
+/// The keys of all these examples together.
+fn keys_of<'py, T: ToJson>(py: Python<'py>, examples: &[T]) -> PyResult<Bound<'py, PyDict>> {
+    let keys = PyDict::new(py);
+    for example in examples {
+        for (key, value) in Record::new(const { &ItemType::shown::<T>() }, bytes_of(example)).to_dict(py)?.iter() {
+            let Ok(nested) = value.cast_into::<PyDict>() else {
+                keys.set_item(key, py.None())?;
+                continue;
+            };
+            if !keys.contains(&key)? {
+                keys.set_item(&key, PyDict::new(py))?;
+            }
+            let below = keys.as_any().get_item(&key)?;
+            for name in nested.keys() {
+                below.set_item(name, py.None())?;
+            }
+        }
+    }
+    Ok(keys)
+}
+
+/// A value with attributes in place of keys, where it has keys; those that only other shapes have are `None`.
+fn with_attributes<'py>(
+    py: Python<'py>,
+    value: Bound<'py, PyAny>,
+    keys: Option<Bound<'py, PyAny>>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let Ok(fields) = value.cast::<PyDict>() else { return Ok(value) };
+    let all = PyDict::new(py);
+    if let Some(keys) = keys.as_ref().and_then(|keys| keys.cast::<PyDict>().ok()) {
+        all.update(keys.as_mapping())?;
+    }
+    all.update(fields.as_mapping())?;
+    py.import("types")?.getattr("SimpleNamespace")?.call((), Some(&all))
+}

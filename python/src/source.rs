@@ -1,0 +1,168 @@
+//! Sources in Python: the program makes its messages in a loop of its own, and has the rights and duties of a source in Rust.
+
+use crate::fault;
+use crate::joined::{self, Inputs};
+use crate::payload::{HeaderChange, Payload};
+use conicflow_dataflow::{PulledSource, join_as_source, monotonic_ns};
+use conicflow_messages::{Header, NoiseModel, Text};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::UNIX_EPOCH;
+
+/// A source of a pipeline; `conicflow.source()` makes it.
+///
+/// with conicflow.source() as source:
+///     for number in source:
+///         source.send(camera.read(), camera=(fx, fy, cx, cy), scale=0.001, noise="realsense_d435")
+///
+/// Iterating gives the numbers of the frames, when each is due by the parameter `rate_hz`, where there is one. It ends by itself
+/// when the run ends, when as many frames are made as are wanted, and when it is replaced; the stream ends where the loop does.
+#[pyclass(frozen, module = "conicflow")]
+pub(crate) struct Source {
+    pulled: Mutex<Option<PulledSource>>,
+    about: joined::About,
+    inputs: Inputs,
+}
+
+/// Takes the place of the source in whose `program` this process was started by `conicflow run`.
+///
+/// total: number of messages that it will make in all, where that is known.
+#[pyfunction]
+#[pyo3(signature = (*, total = None))]
+pub(crate) fn source(py: Python<'_>, total: Option<u64>) -> PyResult<Source> {
+    joined::leave_signals_to_the_run(py);
+    let pulled = py.detach(|| join_as_source(total)).map_err(|error| joined::refusal(py, &error))?;
+    let about = match &pulled {
+        Some(pulled) => joined::About::new(py, pulled.context(), pulled.parameters())?,
+        None => joined::About::nobody(py),
+    };
+    Ok(Source { pulled: Mutex::new(pulled), about, inputs: Inputs::default() })
+}
+
+impl Source {
+    fn pulled(&self) -> MutexGuard<'_, Option<PulledSource>> {
+        self.pulled.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The header of a frame of which nothing was said.
+    fn header(&self) -> Header {
+        let stamp_ns = UNIX_EPOCH.elapsed().map_or(0, |since| since.as_nanos() as u64);
+        let (noise, source) = (NoiseModel::KINECT_V1, Text::new(&self.about.name));
+        Header { depth_scale: 0.001, noise, stamp_ns, source, ..Header::default() }
+    }
+}
+
+#[pymethods]
+impl Source {
+    /// Its name in the pipeline file.
+    #[getter]
+    fn name(&self) -> &str {
+        &self.about.name
+    }
+
+    /// Its parameters: all keys of its table in the pipeline file that are not conicflow's own.
+    #[getter]
+    fn parameters<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+        self.about.parameters.bind(py).clone()
+    }
+
+    /// Folder of the pipeline file, against which relative paths are meant.
+    #[getter]
+    fn base(&self) -> &str {
+        &self.about.base
+    }
+
+    /// Messages that this source sent before it was started anew in the same run; 0 at first.
+    #[getter]
+    fn resume_at(&self) -> u64 {
+        self.about.context.resume_at
+    }
+
+    /// What this source had counted by then.
+    #[getter]
+    fn counted<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let counted = PyDict::new(py);
+        for (name, times) in &self.about.context.counted {
+            counted.set_item(name, times)?;
+        }
+        Ok(counted)
+    }
+
+    /// Whether the run is to end. A source that waits for a device asks now and then: who asks lives.
+    #[getter]
+    fn stopping(&self) -> bool {
+        self.about.context.stop.requested()
+    }
+
+    /// The layout of the items that it sends.
+    #[getter]
+    fn dtype<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
+        self.about.context.output.as_ref().map(|item| crate::array::dtype(py, item)).transpose()
+    }
+
+    /// The latest messages of the further inputs, by their names, as of the present frame; each may be missing.
+    #[getter]
+    fn inputs<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let found = self.pulled().as_ref().map(|pulled| joined::found(pulled.side_inputs())).unwrap_or_default();
+        let inputs = PyDict::new(py);
+        self.inputs.add_all(&inputs, found, monotonic_ns())?;
+        Ok(inputs)
+    }
+
+    fn __iter__(slf: Py<Self>) -> Py<Self> {
+        slf
+    }
+
+    fn __next__(&self, py: Python<'_>) -> PyResult<Option<u64>> {
+        py.check_signals()?;
+        py.detach(|| match &mut *self.pulled() {
+            Some(pulled) => pulled.next_number().map_err(|error| fault::run(&error)),
+            None => Ok(None),
+        })
+    }
+
+    /// Sends a message: an image of depths, a list of records, or a NumPy array of `dtype`.
+    ///
+    /// By name: camera (fx, fy, cx, cy), which depth images need; scale, metres per unit, default 0.001; noise, default "kinect_v1";
+    /// stamp_ns, default now; source, its name; sequence, a number of the frame's own, which has to rise; world_from_camera. Waits
+    /// where a reader must not miss a message and has no room. Raises ValueError for items that no reader would take.
+    #[pyo3(signature = (items, **header))]
+    fn send(&self, py: Python<'_>, items: &Bound<'_, PyAny>, header: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
+        let Some(output) = &self.about.context.output else { return Ok(()) };
+        let (payload, change) = (Payload::new(output, items)?, HeaderChange::new(header)?);
+        let mut header = self.header();
+        change.apply(&mut header, &payload);
+        py.detach(|| match &mut *self.pulled() {
+            Some(pulled) => pulled.send(header, &payload.bytes).map_err(|error| fault::told(&error)),
+            None => Ok(()),
+        })
+    }
+
+    /// Adds to a counter that the summary of the run shows.
+    #[pyo3(signature = (name, times = 1))]
+    fn count(&self, name: &str, times: u64) {
+        if let Some(pulled) = &mut *self.pulled() {
+            pulled.count(name, times);
+        }
+    }
+
+    fn __enter__(slf: Py<Self>) -> Py<Self> {
+        slf
+    }
+
+    #[pyo3(signature = (kind, exception, _traceback))]
+    fn __exit__(
+        &self,
+        py: Python<'_>,
+        kind: &Bound<'_, PyAny>,
+        exception: &Bound<'_, PyAny>,
+        _traceback: &Bound<'_, PyAny>,
+    ) -> PyResult<()> {
+        let Some(pulled) = self.pulled().take() else { return Ok(()) };
+        if kind.is_none() {
+            return py.detach(|| pulled.end()).map_err(|error| fault::run(&error));
+        }
+        joined::failed(py, exception, pulled.frame(), pulled.has_begun())
+    }
+}

@@ -1,0 +1,171 @@
+//! Stages in Python: the program asks for its messages in a loop of its own, and has the rights and duties of a stage in Rust.
+
+use crate::fault;
+use crate::joined::{self, Inputs};
+use crate::message::{Lender, Message};
+use crate::payload::{HeaderChange, Payload};
+use conicflow_dataflow::{ItemType, Pulled, PulledStage, join_as_stage};
+use pyo3::prelude::*;
+use pyo3::types::{PyAny, PyDict};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+/// So long it waits at most before it looks around.
+const PATIENCE: Duration = Duration::from_millis(100);
+
+/// A stage of a pipeline; `conicflow.stage()` makes it.
+///
+/// with conicflow.stage() as stage:
+///     for message in stage:
+///         stage.send([each for each in message.items if each.kind == "sphere"])
+///
+/// It ends by itself at the end of its input, when the run ends, and when it is replaced. What raises an exception in its loop is
+/// started anew, as the pipeline file says; what does so before its first message ends the run. A message that is not answered by
+/// `send` gives an empty list.
+#[pyclass(frozen, module = "conicflow")]
+pub(crate) struct Stage {
+    pulled: Mutex<Option<PulledStage>>,
+    about: joined::About,
+    topic: String,
+    item: Option<ItemType>,
+    lender: Lender,
+    inputs: Inputs,
+}
+
+/// Takes the place of the stage in whose `program` this process was started by `conicflow run`.
+///
+/// same_frame: those of the further `inputs` of which the message of the same frame is wanted; of the others it is the latest.
+#[pyfunction]
+#[pyo3(signature = (*, same_frame = Vec::new()))]
+pub(crate) fn stage(py: Python<'_>, same_frame: Vec<String>) -> PyResult<Stage> {
+    joined::leave_signals_to_the_run(py);
+    let pulled = py.detach(|| join_as_stage(&same_frame)).map_err(|error| joined::refusal(py, &error))?;
+    let about = match &pulled {
+        Some(pulled) => joined::About::new(py, pulled.context(), pulled.parameters())?,
+        None => joined::About::nobody(py),
+    };
+    let (topic, item) = pulled
+        .as_ref()
+        .map(|pulled| pulled.input())
+        .map_or((String::new(), None), |(topic, item)| (topic.to_owned(), Some(item.clone())));
+    let (lender, inputs) = (Lender::default(), Inputs::default());
+    Ok(Stage { pulled: Mutex::new(pulled), about, topic, item, lender, inputs })
+}
+
+impl Stage {
+    fn pulled(&self) -> MutexGuard<'_, Option<PulledStage>> {
+        self.pulled.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[pymethods]
+impl Stage {
+    /// Its name in the pipeline file.
+    #[getter]
+    fn name(&self) -> &str {
+        &self.about.name
+    }
+
+    /// Its parameters: all keys of its table in the pipeline file that are not conicflow's own.
+    #[getter]
+    fn parameters<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+        self.about.parameters.bind(py).clone()
+    }
+
+    /// Folder of the pipeline file, against which relative paths are meant.
+    #[getter]
+    fn base(&self) -> &str {
+        &self.about.base
+    }
+
+    /// Messages that this stage took before it was started anew in the same run; 0 at first.
+    #[getter]
+    fn resume_at(&self) -> u64 {
+        self.about.context.resume_at
+    }
+
+    /// Whether the run is to end. A step that may take seconds asks now and then: who asks lives.
+    #[getter]
+    fn stopping(&self) -> bool {
+        self.about.context.stop.requested()
+    }
+
+    /// The layout of the items that it sends, for numpy.zeros(n, dtype=stage.dtype); None where it has no output.
+    #[getter]
+    fn dtype<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
+        self.about.context.output.as_ref().map(|item| crate::array::dtype(py, item)).transpose()
+    }
+
+    fn __iter__(slf: Py<Self>) -> Py<Self> {
+        slf
+    }
+
+    fn __next__<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, Message>>> {
+        if self.item.as_ref().is_some_and(ItemType::is_image) {
+            self.lender.look(&self.topic)?;
+        }
+        loop {
+            py.check_signals()?;
+            let pulled = py.detach(|| match &mut *self.pulled() {
+                Some(pulled) => pulled.pull(PATIENCE).map_err(|error| fault::run(&error)),
+                None => Ok(Pulled::Over),
+            })?;
+            match (pulled, &self.item) {
+                (Pulled::Nothing, _) => {}
+                (Pulled::Message(message, received_ns), Some(item)) => {
+                    let message = Message::new(py, &self.topic, item, message, received_ns, &self.lender)?;
+                    let found = self.pulled().as_ref().map(|pulled| joined::found(pulled.side_inputs()));
+                    self.inputs.add_all(message.get().inputs(py), found.unwrap_or_default(), received_ns)?;
+                    return Ok(Some(message));
+                }
+                _ => return Ok(None),
+            }
+        }
+    }
+
+    /// Sends what came of the message: a list of records, a NumPy array of `dtype`, a message as it came, or an image of depths.
+    ///
+    /// The header is that of the message, but for what is given by name: camera, scale, noise, stamp_ns, source, sequence,
+    /// world_from_camera. Waits where a reader must not miss a message and has no room. Raises ValueError for items that no reader
+    /// would take.
+    #[pyo3(signature = (items, **header))]
+    fn send(&self, py: Python<'_>, items: &Bound<'_, PyAny>, header: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
+        let Some(output) = &self.about.context.output else {
+            return Err(fault::value("this stage has no `output` in the pipeline file", "name a topic there"));
+        };
+        let (payload, change) = (Payload::new(output, items)?, HeaderChange::new(header)?);
+        py.detach(|| match &mut *self.pulled() {
+            Some(pulled) => pulled
+                .send(|header| change.apply(header, &payload), &payload.bytes)
+                .map_err(|error| fault::told(&error)),
+            None => Ok(()),
+        })
+    }
+
+    /// Adds to a counter that the summary of the run shows.
+    #[pyo3(signature = (name, times = 1))]
+    fn count(&self, name: &str, times: u64) {
+        if let Some(pulled) = &mut *self.pulled() {
+            pulled.count(name, times);
+        }
+    }
+
+    fn __enter__(slf: Py<Self>) -> Py<Self> {
+        slf
+    }
+
+    #[pyo3(signature = (kind, exception, _traceback))]
+    fn __exit__(
+        &self,
+        py: Python<'_>,
+        kind: &Bound<'_, PyAny>,
+        exception: &Bound<'_, PyAny>,
+        _traceback: &Bound<'_, PyAny>,
+    ) -> PyResult<()> {
+        let Some(pulled) = self.pulled().take() else { return Ok(()) };
+        if kind.is_none() {
+            return py.detach(|| pulled.end()).map_err(|error| fault::run(&error));
+        }
+        joined::failed(py, exception, pulled.frame(), pulled.has_begun())
+    }
+}
