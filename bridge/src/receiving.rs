@@ -37,6 +37,8 @@ pub(super) struct Receiving<'a> {
     subscriber: Subscriber<'a>,
     output_port: OutputPort<SharedWriter>,
     sequence: Sequence,
+    /// How many forged numbers were told of.
+    forged: u64,
     codec: Box<dyn Codec>,
     layout: String,
     ended: BTreeSet<String>,
@@ -68,6 +70,7 @@ impl<'a> Receiving<'a> {
             subscriber,
             output_port: OutputPort::new(port, BRIDGE, 0, shared.peers.clone(), shared.stop.clone()),
             sequence: Sequence::new(lossless),
+            forged: 0,
             codec: codec_of(&edge.item),
             layout: edge.item.layout(),
             ended: BTreeSet::new(),
@@ -121,7 +124,11 @@ impl<'a> Receiving<'a> {
             return Ok(());
         }
         let repeated_end = header.ends_stream() && !self.lossless && place.stream >= self.sequence.expected().0;
-        let verdict = self.sequence.judge(place, Instant::now());
+        let verdict = self.sequence.judge(place, header.ends_stream(), Instant::now());
+        if self.sequence.forged() > self.forged {
+            self.forged = self.sequence.forged();
+            self.leave_out(&"one before it had a number that its sender has not reached: somebody else sent it");
+        }
         self.counts.lost.store(self.sequence.lost(), Ordering::Relaxed);
         if verdict == Verdict::Take {
             match self.pass_on(header, bytes.len()) {
@@ -194,7 +201,7 @@ impl<'a> Receiving<'a> {
 
     /// What will never make sense would be sent again for ever, and nothing after it.
     fn pass_over(&mut self, place: Place) {
-        if self.sequence.judge(place, Instant::now()) == Verdict::Take {
+        if self.sequence.judge(place, true, Instant::now()) == Verdict::Take {
             self.sequence.taken();
         }
         self.acknowledge();

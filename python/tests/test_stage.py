@@ -160,9 +160,10 @@ with conicflow.stage() as stage:
 """,
     )
     pipeline(playground, stage(program) + sink("passed", "passed", "objects"), rate_hz=50)
-    _, told = playground.run("run", "--frames", 40)
+    _, told = playground.run("run", "--frames", 40, code=1)
     passed = numbers(playground, "passed")
     assert passed[:7] == list(range(7)) and 7 not in passed and passed[-1] == 39 and len(passed) > 20
+    assert "not complete: `python` lost" in told and "of 40 messages of the lossless topic `objects`" in told
     assert "at frame 7" in told and "ValueError: not this one" in told
     assert {line["source"] for line in lines(playground, "passed")} == {"after 0", "after 7"}
 

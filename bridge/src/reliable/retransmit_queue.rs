@@ -147,11 +147,12 @@ impl RetransmitQueue {
     pub(crate) fn acknowledge(&mut self, machine: &str, ack: Option<&Ack>, heard: Option<Instant>, now: Instant) {
         let Some(remote) = self.receivers.iter_mut().find(|remote| remote.machine == machine) else { return };
         remote.heard = heard;
-        if let Some(ack) = ack.filter(|ack| ack.stream == self.stream) {
+        // A machine that has more than was sent was told of by somebody else, or took a message that is not from here.
+        if let Some(ack) = ack.filter(|ack| ack.stream == self.stream && ack.next <= self.next) {
             if ack.next > remote.next {
                 (self.progress, self.resend_after) = (now, RESEND_AFTER);
             }
-            remote.next = remote.next.max(ack.next.min(self.next));
+            remote.next = remote.next.max(ack.next);
             remote.ended.extend(ack.ended.iter().cloned());
         }
         self.forget(now);
@@ -242,6 +243,19 @@ mod tests {
         queue.acknowledge("base", Some(&ack(3, &[])), Some(later), later);
         assert!(queue.is_settled(later) && queue.due(later + RESEND_AFTER, |_| true).is_empty());
         assert_eq!((queue.place().oldest, queue.lost()), (3, 0));
+    }
+
+    #[test]
+    fn who_says_to_have_more_than_was_sent_is_not_believed() {
+        let start = Instant::now();
+        let mut queue = queue(Delivery::Lossless, start);
+        (0..3_u8).for_each(|number| queue.sent(&[number; 40], start));
+        for next in [4, 1 << 63, u64::MAX] {
+            queue.acknowledge("base", Some(&ack(next, &["source"])), Some(start), start);
+            assert_eq!((queue.unacknowledged(), queue.is_settled(start)), (3, false));
+        }
+        queue.acknowledge("base", Some(&ack(3, &[])), Some(start), start);
+        assert_eq!((queue.unacknowledged(), queue.is_settled(start)), (0, true));
     }
 
     #[test]

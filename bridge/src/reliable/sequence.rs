@@ -1,11 +1,16 @@
 //! The receiving end of an edge's numbering: which messages are taken, and how many are gone for good.
 
+use super::send_log::CAPACITY;
 use crate::wire::Place;
 use std::time::{Duration, Instant};
 
 /// Streams are numbered by the sender's clock, which may be set back: a stream that seems to be an earlier one is followed
 /// when nothing has come of the current one for so long.
 const SILENCE: Duration = Duration::from_secs(3);
+
+/// A sender sends nothing again that is older than what it keeps: a message that is farther behind shows that one was taken
+/// before which that sender has not made.
+const FARTHEST_BEHIND: u64 = CAPACITY as u64;
 
 /// What is done with a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,12 +30,13 @@ pub(crate) struct Sequence {
     stream: u64,
     next: u64,
     lost: u64,
+    forged: u64,
     came: Option<Instant>,
 }
 
 impl Sequence {
     pub(crate) fn new(lossless: bool) -> Self {
-        Self { lossless, stream: 0, next: 0, lost: 0, came: None }
+        Self { lossless, stream: 0, next: 0, lost: 0, forged: 0, came: None }
     }
 
     /// The stream that is received, and the number that is expected next.
@@ -43,8 +49,13 @@ impl Sequence {
         self.lost
     }
 
-    /// Whether a message is to be taken; it counts as received only by [`Sequence::taken`].
-    pub(crate) fn judge(&mut self, place: Place, now: Instant) -> Verdict {
+    /// How often a message was taken whose number its sender cannot have reached.
+    pub(crate) fn forged(&self) -> u64 {
+        self.forged
+    }
+
+    /// Whether a message is to be taken; it counts as received only by [`Sequence::taken`]. An end may be sent again at any time.
+    pub(crate) fn judge(&mut self, place: Place, is_end: bool, now: Instant) -> Verdict {
         let silent = self.came.is_none_or(|came| now.saturating_duration_since(came) > SILENCE);
         if place.stream < self.stream && !silent {
             return Verdict::Old;
@@ -54,17 +65,23 @@ impl Sequence {
         if place.stream != self.stream {
             (self.stream, self.next) = (place.stream, oldest);
         }
+        if self.next.saturating_sub(place.number) > FARTHEST_BEHIND && !is_end {
+            // What seemed to be lost up to that number has not been sent yet.
+            self.lost = self.lost.saturating_sub(self.next - oldest);
+            self.forged += 1;
+            self.next = oldest;
+        }
         if place.number < self.next {
             return Verdict::Old;
         }
-        self.lost += oldest.saturating_sub(self.next);
+        self.lost = self.lost.saturating_add(oldest.saturating_sub(self.next));
         self.next = self.next.max(oldest);
         if place.number == self.next { Verdict::Take } else { Verdict::Early }
     }
 
     /// The message that was expected has been passed on.
     pub(crate) fn taken(&mut self) {
-        self.next += 1;
+        self.next = self.next.saturating_add(1);
     }
 }
 
@@ -77,7 +94,7 @@ mod tests {
     }
 
     fn take_at(sequence: &mut Sequence, place: Place, now: Instant) -> Verdict {
-        let verdict = sequence.judge(place, now);
+        let verdict = sequence.judge(place, false, now);
         if verdict == Verdict::Take {
             sequence.taken();
         }
@@ -118,6 +135,29 @@ mod tests {
             assert_eq!(take(&mut sequence, 5, 8, 8), Verdict::Old);
             assert_eq!((sequence.expected(), sequence.lost()), ((6, 1), 0));
         }
+    }
+
+    #[test]
+    fn a_number_that_the_sender_never_reached_stops_nothing() {
+        for (lossless, forged) in [(true, 1 << 63), (false, 1 << 63), (true, u64::MAX), (false, 100_000)] {
+            let mut sequence = Sequence::new(lossless);
+            assert_eq!([0, 1, 2].map(|number| take(&mut sequence, 1, number, 0)), [Verdict::Take; 3]);
+            assert_eq!(take(&mut sequence, 1, forged, forged), Verdict::Take);
+            assert_eq!([3, 4].map(|number| take(&mut sequence, 1, number, 3)), [Verdict::Take; 2]);
+            assert_eq!((sequence.expected(), sequence.forged()), ((1, 5), 1));
+            assert!(sequence.lost() <= 1, "{} messages seem to be lost", sequence.lost());
+        }
+    }
+
+    #[test]
+    fn what_is_sent_again_because_its_acknowledgement_was_lost_is_old() {
+        let mut sequence = Sequence::new(true);
+        take(&mut sequence, 1, FARTHEST_BEHIND, FARTHEST_BEHIND);
+        assert_eq!(take(&mut sequence, 1, 1, 1), Verdict::Old);
+        take(&mut sequence, 1, FARTHEST_BEHIND + 1, FARTHEST_BEHIND + 1);
+        let end = Place { stream: 1, number: 0, oldest: 0 };
+        assert_eq!(sequence.judge(end, true, Instant::now()), Verdict::Old, "an end is told until everybody knows it");
+        assert_eq!((sequence.expected(), sequence.forged()), ((1, FARTHEST_BEHIND + 2), 0));
     }
 
     #[test]
