@@ -219,7 +219,7 @@ fn kill_the_bridge_of(killed: usize) -> u64 {
     }
     go_on();
     signal(runs[0].id(), Signal::INT);
-    let [robot, base] = runs.map(|run| run.wait().expect_code(0));
+    let [robot, base] = runs.map(|run| run.wait().expect_survived());
     let sequences = machines[1].sequences("tracks.jsonl");
     let made = robot.stage("source").messages;
     assert!(sequences.is_sorted() && sequences.last() == Some(&(made - 1)), "{:?} of {made}", sequences.last());
@@ -254,7 +254,7 @@ fn what_waits_for_a_machine_is_not_lost_with_a_sending_bridge_that_is_killed() {
     wait_until("its successor runs", || process_of(&robot, "bridge").is_some_and(|new| new != process));
     let base_run = start(&base, "base");
     robot_run.wait().expect_code(0);
-    base_run.wait().expect_code(0);
+    base_run.wait().expect_survived();
     let sequences = base.sequences("tracks.jsonl");
     assert!(sequences.starts_with(&(0..64).collect::<Vec<_>>()), "{sequences:?}");
     assert!(sequences.len() as u64 >= FRAMES - LOST_WITH_A_SENDER, "{sequences:?}");

@@ -28,7 +28,7 @@ fn start(playground: &Playground) -> Started {
 /// Ends a run, in which the faulty stage was started twice and all others once, and frames came on in order.
 fn expect_one_more_start(run: Started, playground: &Playground) -> String {
     signal(run.id(), Signal::INT);
-    let ended = run.wait().expect_code(0);
+    let ended = run.wait().expect_code(1);
     assert_eq!(ended.stage("faulty").starts, 2, "{}", ended.stderr);
     for stage in TRACKING_STAGES {
         assert_eq!(ended.stage(stage).starts, 1, "{stage}: {}", ended.stderr);
@@ -39,6 +39,9 @@ fn expect_one_more_start(run: Started, playground: &Playground) -> String {
     let missing = ended.stage("assembler").messages - sequences.len() as u64;
     assert!((1..=8).contains(&missing), "{missing} frames are missing: {}", ended.stderr);
     assert_eq!((lost.dropped, lost.gaps), (missing, missing), "{}", ended.stderr);
+    let sent = ended.stage("assembler").messages;
+    let told = format!("not complete: `faulty` lost {missing} of {sent} messages of the lossless topic `objects`");
+    assert!(ended.stderr.contains(&told), "{}", ended.stderr);
     assert_eq!(ended.input("passed_on", "tracker").gaps, missing, "{}", ended.stderr);
     ended.stderr
 }

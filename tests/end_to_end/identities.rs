@@ -55,7 +55,7 @@ fn restart_what_comes_before(delivery: &str) {
     let later = || confirmed(&playground.json_lines("tracks.jsonl")).into_iter().max();
     run.wait_until("the new tracker confirms", || later() > confirmed(&frames).into_iter().max());
     signal(run.id(), Signal::INT);
-    let ended = run.wait().expect_code(0);
+    let ended = run.wait().expect_survived();
     for stage in ["source", "extractor", "assembler"] {
         assert_eq!(ended.stage(stage).starts, 3, "{}", ended.stderr);
     }

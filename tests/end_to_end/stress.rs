@@ -99,7 +99,7 @@ fn round(moment: Moment, victims: Victims, playground: &Playground, random: &mut
     }
     let ended = run.wait();
     if goes_on {
-        let ended = ended.expect_code(0);
+        let ended = ended.expect_survived();
         assert!(playground.sequences("tracks.jsonl").is_sorted(), "frames went back: {}", ended.stderr);
     }
     swap.map(Started::wait);

@@ -386,6 +386,12 @@ impl Ended {
         self
     }
 
+    /// Makes sure that it ended well, or said what a lossless reader has lost, with exit code 1.
+    pub fn expect_survived(self) -> Self {
+        let told = self.stderr.contains(" messages of the lossless topic `");
+        self.expect_code(i32::from(told))
+    }
+
     /// The words of the summary's table that begins with `title`.
     fn table(&self, title: &str) -> impl Iterator<Item = Vec<&str>> {
         let rows = self.stderr.lines().skip_while(move |line| line.split_whitespace().next() != Some(title));

@@ -79,7 +79,7 @@ impl Summary {
             // What a stage of another machine has sent is known by the numbers of its messages alone.
             let sent = topic.writers.iter().map(|writer| self.sent_by(writer)).sum::<Option<u64>>();
             let sent = sent.unwrap_or(0).max(received + dropped);
-            let lost = sent.saturating_sub(received + late + malformed).max(dropped);
+            let lost = sent.saturating_sub(received + late + malformed).max(dropped.saturating_sub(malformed));
             let (topic, reader) = (topic.name.clone(), planned.name.clone());
             if lost > 0 { Some(LostMessages { topic, reader, count: [lost, sent] }) } else { None }
         });
