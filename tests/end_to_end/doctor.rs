@@ -284,7 +284,7 @@ fn a_stage_that_finds_shared_memory_full_is_named_and_comes_back_when_there_is_r
     fs::remove_file(&filler).unwrap();
     wait_for_lines(&mut run, &playground);
     signal(run.id(), Signal::INT);
-    run.wait().expect_code(0);
+    run.wait().expect_survived();
 }
 
 #[test]
