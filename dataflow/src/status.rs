@@ -211,6 +211,8 @@ pub struct Status {
     pub sent_bytes: u64,
     /// How often the stage was started in this run.
     pub starts: u64,
+    /// Not 0 where it ended before its input did, because it or somebody else wanted no more.
+    pub had_enough: u64,
     /// Last sign of life of its process, on the monotonic clock.
     pub alive_ns: u64,
     /// Counts per input, the driving one first.

@@ -68,11 +68,12 @@ impl Summary {
     }
 
     /// What readers lost of topics of which they want all, in a run that has ended; nothing where somebody ended the run
-    /// before all was delivered. A stage that is killed loses what waited for it.
+    /// before all was delivered, or the reader wanted no more. A stage that is killed loses what waited for it.
     pub fn lost(&self) -> Vec<LostMessages> {
         let lost = self.statuses().filter_map(|(planned, status)| {
             let topic = planned.wiring.input.as_ref()?;
-            if self.hurried || topic.delivery_to(&planned.name) != Delivery::Lossless {
+            let wants_all = topic.delivery_to(&planned.name) == Delivery::Lossless && status.had_enough == 0;
+            if self.hurried || !wants_all {
                 return None;
             }
             let InputCounts { received, dropped, late, malformed, .. } = status.inputs[0];
@@ -351,6 +352,9 @@ mod tests {
         let run = lossless(counts(37, 0), "writer");
         let sentence = "not complete: `stage` lost 3 of 40 messages of the lossless topic `in`";
         assert!(!run.is_complete() && run.to_string().contains(sentence), "{run}");
+        let mut sated = lossless(counts(37, 0), "writer");
+        sated.stages[0].status.as_mut().unwrap().had_enough = 1;
+        assert_eq!(lost(sated), [[0; 2]; 0], "it wanted no more");
         assert_eq!(lost(Summary { hurried: true, ..run }), [[0; 2]; 0], "nobody waited for them");
     }
 

@@ -183,6 +183,7 @@ impl<T: Transport> StagePlace<T> {
             let told = handover.leave(self.input_port.worked_on());
             return told.map_err(|error| RunError::Failed { frame, error: error.into() });
         }
+        self.record.status.had_enough = u64::from(self.stop.requested() && !self.input_port.ended());
         drop((self.input_port, self.side_inputs));
         if !self.stop.forced() {
             self.output_port.end()?;
