@@ -24,7 +24,7 @@ pub const MAX_COUNTERS: usize = 40;
 /// The run of stages that were started one by one, without a launcher.
 pub const NO_RUN: u64 = 0;
 
-const LAYOUT: u64 = 0x636f_6e69_6366_0004;
+const LAYOUT: u64 = 0x636f_6e69_6366_0005;
 /// Each octave of time is cut into this many buckets: a percentile is right within 3 %.
 const STEPS: usize = 16;
 /// 1 microsecond to 69 seconds.
