@@ -37,8 +37,6 @@ pub(super) struct Receiving<'a> {
     subscriber: Subscriber<'a>,
     output_port: OutputPort<SharedWriter>,
     sequence: Sequence,
-    /// How many forged numbers were told of.
-    forged: u64,
     codec: Box<dyn Codec>,
     layout: String,
     ended: BTreeSet<String>,
@@ -70,7 +68,6 @@ impl<'a> Receiving<'a> {
             subscriber,
             output_port: OutputPort::new(port, BRIDGE, 0, shared.peers.clone(), shared.stop.clone()),
             sequence: Sequence::new(lossless),
-            forged: 0,
             codec: codec_of(&edge.item),
             layout: edge.item.layout(),
             ended: BTreeSet::new(),
@@ -125,9 +122,8 @@ impl<'a> Receiving<'a> {
         }
         let repeated_end = header.ends_stream() && !self.lossless && place.stream >= self.sequence.expected().0;
         let verdict = self.sequence.judge(place, header.ends_stream(), Instant::now());
-        if self.sequence.forged() > self.forged {
-            self.forged = self.sequence.forged();
-            self.leave_out(&"one before it had a number that its sender has not reached: somebody else sent it");
+        if self.sequence.was_misled() {
+            self.warn_of_forgery();
         }
         self.counts.lost.store(self.sequence.lost(), Ordering::Relaxed);
         if verdict == Verdict::Take {
@@ -144,7 +140,7 @@ impl<'a> Receiving<'a> {
             self.sequence.taken();
         }
         if header.ends_stream() && (verdict == Verdict::Take || repeated_end) {
-            self.output_port.expect(Text::new(&writer), header.number);
+            self.output_port.note_count(Text::new(&writer), header.number);
             self.ended.insert(writer);
         }
         self.acknowledge();
@@ -205,6 +201,15 @@ impl<'a> Receiving<'a> {
             self.sequence.taken();
         }
         self.acknowledge();
+    }
+
+    fn warn_of_forgery(&mut self) {
+        EdgeCounts::add(&self.counts.malformed, 1);
+        let (topic, from) = (&self.edge.topic.name, &self.edge.from);
+        self.nonsense.warn(format_args!(
+            "took a message of topic `{topic}` that machine `{from}` has not sent: its number was one that has not been reached\n  \
+             hint: whoever can connect can send; with `tls/` and certificates only the machines of the pipeline can"
+        ));
     }
 
     fn leave_out(&mut self, reason: &dyn std::fmt::Display) {

@@ -147,7 +147,7 @@ impl RetransmitQueue {
     pub(crate) fn acknowledge(&mut self, machine: &str, ack: Option<&Ack>, heard: Option<Instant>, now: Instant) {
         let Some(remote) = self.receivers.iter_mut().find(|remote| remote.machine == machine) else { return };
         remote.heard = heard;
-        // A machine that has more than was sent was told of by somebody else, or took a message that is not from here.
+        // Nobody has more than was sent: such an acknowledgement is forged, or its machine has taken a forged message.
         if let Some(ack) = ack.filter(|ack| ack.stream == self.stream && ack.next <= self.next) {
             if ack.next > remote.next {
                 (self.progress, self.resend_after) = (now, RESEND_AFTER);

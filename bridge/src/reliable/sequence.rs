@@ -8,8 +8,8 @@ use std::time::{Duration, Instant};
 /// when nothing has come of the current one for so long.
 const SILENCE: Duration = Duration::from_secs(3);
 
-/// A sender sends nothing again that is older than what it keeps: a message that is farther behind shows that one was taken
-/// before which that sender has not made.
+/// A sender keeps so many messages, and sends nothing older again: what is farther behind shows that a message was taken before
+/// it whose number the sender has not reached.
 const FARTHEST_BEHIND: u64 = CAPACITY as u64;
 
 /// What is done with a message.
@@ -30,13 +30,16 @@ pub(crate) struct Sequence {
     stream: u64,
     next: u64,
     lost: u64,
-    forged: u64,
+    misled: bool,
+    /// When something came of the stream.
     came: Option<Instant>,
+    /// When something came that was new.
+    new_came: Option<Instant>,
 }
 
 impl Sequence {
     pub(crate) fn new(lossless: bool) -> Self {
-        Self { lossless, stream: 0, next: 0, lost: 0, forged: 0, came: None }
+        Self { lossless, stream: 0, next: 0, lost: 0, misled: false, came: None, new_came: None }
     }
 
     /// The stream that is received, and the number that is expected next.
@@ -49,15 +52,17 @@ impl Sequence {
         self.lost
     }
 
-    /// How often a message was taken whose number its sender cannot have reached.
-    pub(crate) fn forged(&self) -> u64 {
-        self.forged
+    /// Whether it has turned out, since this was asked last, that a message was taken whose number its sender had not reached.
+    pub(crate) fn was_misled(&mut self) -> bool {
+        std::mem::take(&mut self.misled)
     }
 
-    /// Whether a message is to be taken; it counts as received only by [`Sequence::taken`]. An end may be sent again at any time.
-    pub(crate) fn judge(&mut self, place: Place, is_end: bool, now: Instant) -> Verdict {
-        let silent = self.came.is_none_or(|came| now.saturating_duration_since(came) > SILENCE);
-        if place.stream < self.stream && !silent {
+    /// Whether a message is to be taken; it counts as received only by [`Sequence::taken`]. What `may_be_repeated`, as an end is
+    /// until everybody knows it, tells nothing by being old.
+    pub(crate) fn judge(&mut self, place: Place, may_be_repeated: bool, now: Instant) -> Verdict {
+        let is_silent =
+            |since: Option<Instant>| since.is_none_or(|since| now.saturating_duration_since(since) > SILENCE);
+        if place.stream < self.stream && !is_silent(self.came) {
             return Verdict::Old;
         }
         self.came = Some(now);
@@ -65,15 +70,17 @@ impl Sequence {
         if place.stream != self.stream {
             (self.stream, self.next) = (place.stream, oldest);
         }
-        if self.next.saturating_sub(place.number) > FARTHEST_BEHIND && !is_end {
+        let is_far_behind = self.next.saturating_sub(place.number) > FARTHEST_BEHIND;
+        // Where the newest wins, one way may be much slower than another: there nothing new must have come as well.
+        if is_far_behind && !may_be_repeated && (self.lossless || is_silent(self.new_came)) {
             // What seemed to be lost up to that number has not been sent yet.
             self.lost = self.lost.saturating_sub(self.next - oldest);
-            self.forged += 1;
-            self.next = oldest;
+            (self.next, self.misled) = (oldest, true);
         }
         if place.number < self.next {
             return Verdict::Old;
         }
+        self.new_came = Some(now);
         self.lost = self.lost.saturating_add(oldest.saturating_sub(self.next));
         self.next = self.next.max(oldest);
         if place.number == self.next { Verdict::Take } else { Verdict::Early }
@@ -140,13 +147,33 @@ mod tests {
     #[test]
     fn a_number_that_the_sender_never_reached_stops_nothing() {
         for (lossless, forged) in [(true, 1 << 63), (false, 1 << 63), (true, u64::MAX), (false, 100_000)] {
-            let mut sequence = Sequence::new(lossless);
-            assert_eq!([0, 1, 2].map(|number| take(&mut sequence, 1, number, 0)), [Verdict::Take; 3]);
-            assert_eq!(take(&mut sequence, 1, forged, forged), Verdict::Take);
-            assert_eq!([3, 4].map(|number| take(&mut sequence, 1, number, 3)), [Verdict::Take; 2]);
-            assert_eq!((sequence.expected(), sequence.forged()), ((1, 5), 1));
+            let (mut sequence, start) = (Sequence::new(lossless), Instant::now());
+            let mut take = |number: u64, oldest: u64, now: Instant| {
+                take_at(&mut sequence, Place { stream: 1, number, oldest }, now)
+            };
+            assert_eq!([0, 1, 2].map(|number| take(number, 0, start)), [Verdict::Take; 3]);
+            assert_eq!(take(forged, forged, start), Verdict::Take);
+            if !lossless {
+                assert_eq!(take(3, 3, start + SILENCE), Verdict::Old, "it may have come by a slow way");
+            }
+            let later = start + SILENCE + Duration::from_millis(1);
+            assert_eq!([3, 4].map(|number| take(number, 3, later)), [Verdict::Take; 2]);
+            assert_eq!([sequence.was_misled(), sequence.was_misled()], [true, false], "it is told once");
+            assert_eq!(sequence.expected(), (1, 5));
             assert!(sequence.lost() <= 1, "{} messages seem to be lost", sequence.lost());
         }
+    }
+
+    #[test]
+    fn what_comes_late_by_a_slow_way_is_old_as_long_as_new_ones_come() {
+        let (mut sequence, start) = (Sequence::new(false), Instant::now());
+        for number in 0..300_u64 {
+            let now = start + Duration::from_millis(33 * number);
+            assert_eq!(take_at(&mut sequence, Place { stream: 1, number, oldest: number }, now), Verdict::Take);
+            let late = Place { stream: 1, number: number.saturating_sub(100), oldest: 0 };
+            assert_eq!(take_at(&mut sequence, late, now), Verdict::Old);
+        }
+        assert_eq!((sequence.was_misled(), sequence.lost()), (false, 0));
     }
 
     #[test]
@@ -157,7 +184,7 @@ mod tests {
         take(&mut sequence, 1, FARTHEST_BEHIND + 1, FARTHEST_BEHIND + 1);
         let end = Place { stream: 1, number: 0, oldest: 0 };
         assert_eq!(sequence.judge(end, true, Instant::now()), Verdict::Old, "an end is told until everybody knows it");
-        assert_eq!((sequence.expected(), sequence.forged()), ((1, FARTHEST_BEHIND + 2), 0));
+        assert_eq!((sequence.expected(), sequence.was_misled()), ((1, FARTHEST_BEHIND + 2), false));
     }
 
     #[test]

@@ -77,10 +77,11 @@ impl Summary {
                 return None;
             }
             let InputCounts { received, dropped, late, malformed, .. } = status.inputs[0];
-            // What a stage of another machine has sent is known by the numbers of its messages alone.
+            // What a stage of another machine has sent is known by the numbers of its messages alone. These come from outside.
             let sent = topic.writers.iter().map(|writer| self.sent_by(writer)).sum::<Option<u64>>();
-            let sent = sent.unwrap_or(0).max(received + dropped);
-            let lost = sent.saturating_sub(received + late + malformed).max(dropped.saturating_sub(malformed));
+            let sent = sent.unwrap_or(0).max(received.saturating_add(dropped));
+            let came = received + late + malformed;
+            let lost = sent.saturating_sub(came).max(dropped.saturating_sub(malformed));
             let (topic, reader) = (topic.name.clone(), planned.name.clone());
             if lost > 0 { Some(LostMessages { topic, reader, count: [lost, sent] }) } else { None }
         });
@@ -111,7 +112,8 @@ impl Summary {
 
     /// Messages that inputs lost to newer ones.
     pub fn dropped(&self) -> u64 {
-        self.statuses().flat_map(|(_, status)| status.used_inputs()).map(|input| input.dropped).sum()
+        let inputs = self.statuses().flat_map(|(_, status)| status.used_inputs());
+        inputs.fold(0, |sum, input| sum.saturating_add(input.dropped))
     }
 
     /// How often stages were started anew.
@@ -349,6 +351,7 @@ mod tests {
         assert_eq!(lost(lossless(counts(37, 3), "writer")), [[3, 40]]);
         assert_eq!(lost(lossless(InputCounts { late: 3, ..counts(37, 0) }, "writer")), [[0; 2]; 0], "they came twice");
         assert_eq!(lost(lossless(counts(37, 2), "elsewhere")), [[2, 39]], "its record is on another machine");
+        assert_eq!(lost(lossless(counts(37, u64::MAX), "writer")), [[u64::MAX; 2]], "a number from outside");
         let run = lossless(counts(37, 0), "writer");
         let sentence = "not complete: `stage` lost 3 of 40 messages of the lossless topic `in`";
         assert!(!run.is_complete() && run.to_string().contains(sentence), "{run}");

@@ -287,7 +287,8 @@ impl<R: Reader> InputPort<R> {
     /// Counts what was lost on the way from the writer to here.
     fn count_lost(&mut self, header: &Header, writer: Text<32>) {
         if let Some(last) = self.last_number.insert(writer, header.number) {
-            self.counts.dropped += header.number.saturating_sub(last.saturating_add(1));
+            let lost = header.number.saturating_sub(last.saturating_add(1));
+            self.counts.dropped = self.counts.dropped.saturating_add(lost);
         }
     }
 
@@ -299,7 +300,8 @@ impl<R: Reader> InputPort<R> {
                 self.counts.late += 1;
                 return false;
             }
-            self.counts.gaps += header.sequence.saturating_sub(sequence.saturating_add(1));
+            let missing = header.sequence.saturating_sub(sequence.saturating_add(1));
+            self.counts.gaps = self.counts.gaps.saturating_add(missing);
         }
         self.last_frame.insert(source, (header.epoch, header.sequence));
         true

@@ -137,12 +137,12 @@ impl<W: Writer> OutputPort<W> {
         self.bytes += (bytes.len() + size_of::<Header>()) as u64;
         self.last = *header;
         let writer = header.trace().last().map(|hop| hop.stage).unwrap_or_default();
-        self.expect(writer, header.number.saturating_add(1));
+        self.note_count(writer, header.number.saturating_add(1));
         Ok(())
     }
 
     /// Notes how many messages a stage of another machine has sent.
-    pub fn expect(&mut self, writer: Text<32>, count: u64) {
+    pub fn note_count(&mut self, writer: Text<32>, count: u64) {
         self.relayed.insert(writer, count);
     }
 

@@ -21,8 +21,6 @@ const ALONG_VIEW: f64 = 0.906; // [tuned]
 const UNEVEN: f64 = 0.05; // [tuned]
 /// They may be off by more, as far as their mean square scatters by noise, by so many of its standard deviations.
 const SCATTER: f64 = 2.5; // [sigmas]
-/// Lines beyond the ends of a region in which its surface may go on.
-const BEYOND_LINES: i64 = 4; // [algorithmic]
 /// The curvature of an object has to exceed that of a plane by so many standard deviations.
 const CURVED: f64 = 4.0; // [sigmas]
 
@@ -62,23 +60,24 @@ pub(crate) struct Outline {
 
 impl Outline {
     /// That of a region that was fitted together with its contour.
-    fn of(region: &Region, contour: &Contour) -> Self {
+    fn of(region: &Region, contour: &Contour, gap: i64) -> Self {
         let ends = 2.0 * region.members.len() as f64;
         let is_free = |arc: &Arc, end: usize| arc.unseen[end] || arc.contour[end].is_some();
         let free: usize = region.arcs().map(|arc| (0..2).filter(|&end| is_free(arc, end)).count()).sum();
         let free = free as f64 / ends;
         let share = |part: usize, all: usize| part as f64 / all.max(1) as f64;
         let square = region.model.contour_sum() / contour.used().max(1) as f64;
-        let continued = continued(region);
+        let continued = continued(region, gap);
         Self { square, far_off: share(contour.far_off(), contour.points()), free, continued }
     }
 }
 
-/// Share of the ends of a region, before its first line and behind its last, at which the surface goes on.
-fn continued(region: &Region) -> f64 {
+/// Share of the ends of a region, before its first line and behind its last, at which the surface goes on, be it behind a gap
+/// of as many lines as growth bridges.
+fn continued(region: &Region, gap: i64) -> f64 {
     let Region { arcs, members, .. } = region;
     let is_other = |arc: usize| members.binary_search(&arc).is_err();
-    let goes_on = |member: usize, side: i64| arcs.beside(member, side, BEYOND_LINES, is_other).is_some();
+    let goes_on = |member: usize, side: i64| arcs.beside(member, side, gap, is_other).is_some();
     let ends = [(members[0], -1), (members[members.len() - 1], 1)];
     0.5 * ends.into_iter().filter(|&(member, side)| goes_on(member, side)).count() as f64
 }
@@ -120,7 +119,7 @@ fn verify<'a>(
     } else {
         contour.clear(ContourNoise::default());
     }
-    let outline = Outline::of(&region, contour);
+    let outline = Outline::of(&region, contour, parameters.max_gap());
     Ok(Candidate { region, measured: check(&region, parameters)?, outline })
 }
 
