@@ -124,9 +124,10 @@ impl<const N: usize> GradientNoise<N> {
         add_square(&mut self.matrix, &j, weight * slope * slope);
     }
 
-    /// Covariance of the parameters of a fit; its contour scatters as it counts.
-    pub fn covariance<S>(&self, fit: &SurfaceFit<S, N>) -> SMatrix<f64, N, N> {
-        fit.inverse * (self.matrix + fit.contour) * fit.inverse
+    /// Covariance of the parameters of a fit. Its contour scatters as it counts, but that so many neighbouring lines share
+    /// where they see it.
+    pub fn covariance<S>(&self, fit: &SurfaceFit<S, N>, shared_lines: f64) -> SMatrix<f64, N, N> {
+        fit.inverse * (self.matrix + fit.contour * shared_lines) * fit.inverse
     }
 }
 

@@ -110,11 +110,20 @@ fn the_covariance_is_that_of_the_errors() {
                 scatter.add(&plane.to_camera([x * z, plane.stretch() * z]), noise * noise);
             }
         }
-        ratios.push((found.surface.radius - 0.15) / scatter.covariance(&found)[(3, 3)].sqrt());
+        ratios.push((found.surface.radius - 0.15) / scatter.covariance(&found, 1.0)[(3, 3)].sqrt());
         square_sums.push(found.square_sum / (pool.matrix[9][9] * noise * noise));
     }
     let scatter = (ratios.iter().map(|x| x * x).sum::<f64>() / ratios.len() as f64).sqrt();
     let mean_square = square_sums.iter().sum::<f64>() / square_sums.len() as f64;
     assert!((0.75..1.3).contains(&scatter), "{scatter}");
     assert!(mean_square.abs() < 0.02, "{mean_square}");
+}
+
+#[test]
+fn lines_that_share_where_they_see_the_contour_count_as_one() {
+    let surface = Sphere { center: Vector3::new(0.0, 0.0, 1.5), radius: 0.15 };
+    let (inverse, contour) = (SMatrix::identity() * 0.1, SMatrix::identity() * 4.0);
+    let fit = SurfaceFit { surface, square_sum: 0.0, contour_sum: 0.0, inverse, contour };
+    let variance = |shared_lines: f64| GradientNoise::new(&surface).covariance(&fit, shared_lines)[(3, 3)];
+    assert!((variance(1.0) - 0.04).abs() < 1e-12 && (variance(5.0) - 0.2).abs() < 1e-12);
 }

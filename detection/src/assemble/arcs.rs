@@ -50,7 +50,9 @@ pub(crate) struct Arc {
     pub pitch: f64,
     /// Distance at the depth of the arc between neighbouring lines that were searched, in metres.
     pub spacing: f64,
-    /// How many neighbouring lines share their noise, at least 1.
+    /// How many neighbouring pixels of the line share their noise, at least 1.
+    pub shared_px: f64,
+    /// The same of neighbouring lines.
     pub shared_lines: f64,
     /// How much better the circle is than a line, in points times variances.
     pub bulge: f64,
@@ -99,6 +101,7 @@ impl Arc {
             contour: contour(&camera, &plane, &ellipse.contour),
             pitch: mean.z * pitch,
             spacing: mean.z * spacing,
+            shared_px: ellipse.shared_px.max(1.0),
             shared_lines: (ellipse.shared_lines / f64::from(step)).max(1.0),
             bulge: bulge(&moments, variance),
         })

@@ -5,7 +5,7 @@ use super::odds::Evidence;
 use super::parameters::AssemblerParameters;
 use super::region::Region;
 use super::rejection::Rejection;
-use super::report::report;
+use super::report::{add_flattening, report};
 use super::verify::{Candidate, Verified};
 use conicflow_geometry::Contour;
 use conicflow_messages::{Object, ObjectKind};
@@ -74,6 +74,8 @@ pub(crate) fn choose<'a>(
     if is_cylinder {
         object.sigma.axis = object.sigma.axis.hypot(taper);
     }
+    // All shapes are flattened alike: that speaks neither for nor against one.
+    add_flattening(&mut object, best.region.ends()[0]);
     Ok(Chosen { candidate: best, object, evidence })
 }
 

@@ -43,7 +43,7 @@ pub struct Evidence {
 pub const TERMS: usize = 11; // [derived]
 
 /// Weights of the terms, in their order, as `cargo bench --bench odds` prints them.
-const WEIGHTS: [f64; TERMS] = [-6.60, 1.96, -1.07, -26.86, -0.59, -5.00, 0.42, 2.61, 2.66, -0.75, -1.60]; // [fitted]
+const WEIGHTS: [f64; TERMS] = [-5.66, 2.10, -0.81, -27.15, -0.50, -5.12, 0.43, 2.61, 2.75, -0.86, -1.63]; // [fitted]
 
 impl Evidence {
     /// That of a candidate of which `object` is the report.
