@@ -21,19 +21,23 @@ const BRIDGE_PROGRAM: &str = "CONICFLOW_BRIDGE";
 
 const NAME: &str = "conicflow-bridge";
 
-/// The program that carries topics between machines.
-fn program() -> Result<PathBuf, Hinted> {
-    if let Some(program) = std::env::var_os(BRIDGE_PROGRAM) {
-        return Ok(program.into());
-    }
-    let here = std::env::current_exe().map_err(|error| fault(&format!("this program cannot be found: {error}")))?;
-    let program = here.with_file_name(NAME);
-    if program.is_file() { Ok(program) } else { Err(fault(&format!("there is no `{}`", program.display()))) }
+/// The program that carries topics between machines, and runs the nodes that speak to others.
+pub(crate) fn program() -> Result<PathBuf, Hinted> {
+    let program: PathBuf = match std::env::var_os(BRIDGE_PROGRAM) {
+        Some(program) => program.into(),
+        None => {
+            let here = std::env::current_exe();
+            here.map_err(|error| fault(&format!("this program cannot be found: {error}")))?.with_file_name(NAME)
+        }
+    };
+    // A name without a folder is looked for in PATH.
+    let is_name = program.components().count() == 1;
+    if is_name || program.is_file() { Ok(program) } else { Err(fault(&format!("there is no `{}`", program.display()))) }
 }
 
 fn fault(what: &str) -> Hinted {
-    let hint = "several machines need the program `conicflow-bridge` beside this one: `cargo build --release` makes both, copy \
-                both, or name it in CONICFLOW_BRIDGE";
+    let hint = "several machines and ROS 2 need the program `conicflow-bridge` beside this one: `cargo build --release` makes both, \
+                copy both, or name it in CONICFLOW_BRIDGE";
     Hinted::new(what, hint)
 }
 

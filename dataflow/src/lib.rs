@@ -9,6 +9,7 @@
 mod bridge_plan;
 mod clock;
 mod doctor;
+mod first_frame;
 mod heartbeat;
 mod item_type;
 mod launcher;
@@ -49,6 +50,7 @@ pub mod relay {
 pub use clock::monotonic_ns;
 pub use conicflow_messages::{ConfigFault, Hinted};
 pub use doctor::{Finding, clean, examine};
+pub use first_frame::tell_median;
 pub use item_type::{AnyMessage, BUILT_IN, ItemType};
 pub use launcher::{
     FolderError, LaunchError, PIPELINE, ProcessError, RUNTIME_DIR, RunFolder, RunLock, RunOptions, StageSummary,

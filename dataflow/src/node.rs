@@ -6,9 +6,9 @@ use crate::runner::stage_loop::run_stage;
 use crate::runner::{RunError, StageRuntime};
 use crate::side_inputs::SideInput;
 use crate::stage::{Config, Source, Stage};
-use conicflow_messages::{AnyByte, ConfigFault, Item, Nothing};
+use conicflow_messages::{AnyByte, ConfigFault, Hinted, Item, Nothing};
 use serde_json::Value as Json;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// One row of the table: a node that stages of a pipeline file can be.
 #[derive(Clone, Copy)]
@@ -23,6 +23,8 @@ pub struct Node {
     pub(crate) schema: fn() -> Json,
     pub(crate) check: fn(Json, &Path) -> Result<Vec<ConfigFault>, serde_json::Error>,
     pub(crate) message_length: fn(Json, &Path) -> Option<usize>,
+    /// The program that runs it, which has the same row; `None`: this one.
+    pub(crate) program: Option<fn() -> Result<PathBuf, Hinted>>,
 }
 
 /// A node for one kind of input.
@@ -46,6 +48,7 @@ impl Node {
             schema: schema::<S::Config>,
             check: |parameters, base| Ok(S::faults(&serde_json::from_value(parameters)?, base)),
             message_length: message_length::<S>,
+            program: None,
         }
     }
 
@@ -64,7 +67,15 @@ impl Node {
             schema: schema::<S::Config>,
             check: |parameters, base| Ok(S::faults(&serde_json::from_value(parameters)?, base)),
             message_length: |_, _| None,
+            program: None,
         }
+    }
+
+    /// The row of a node that another program runs, which takes the place of this one in the stage's process; that has the row
+    /// too, and calls `run_in_run`.
+    #[must_use]
+    pub const fn run_by(self, program: fn() -> Result<PathBuf, Hinted>) -> Self {
+        Self { program: Some(program), ..self }
     }
 
     /// What may drive it.

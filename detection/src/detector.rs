@@ -4,8 +4,7 @@ use crate::assemble::odds::Evidence;
 use crate::assemble::{Assembler, AssemblerParameters};
 use crate::extract::{Extractor, ExtractorParameters};
 use crate::method;
-use crate::quantise::{finest_scale, quantise};
-use conicflow_messages::{Camera, Header, Item, NoiseModel, Object};
+use conicflow_messages::{Camera, Header, Item, NoiseModel, Object, finest_scale, quantise};
 
 /// Finds spheres, cylinders and cones in the depth images of one camera.
 ///

@@ -25,7 +25,6 @@ pub mod extract;
 pub mod gravity;
 mod method;
 pub mod noise;
-pub mod quantise;
 pub mod track;
 
 pub use assemble::{Assembler, AssemblerParameters};

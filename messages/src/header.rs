@@ -46,7 +46,7 @@ pub struct Header {
     pub noise: NoiseModel,
     /// Pose of the camera, row-major `[R | t]` with a rotation R and t in metres, where [`HAS_POSE`] is set.
     pub world_from_camera: [[f64; 4]; 3],
-    /// Name of the frame's file, or of the source.
+    /// Name of the frame's file, or of the source; of a robot's camera that of its frame of coordinates.
     pub source: Text<MAX_SOURCE_BYTES>,
     /// [`END_OF_STREAM`], [`HAS_POSE`], [`RECORDED`].
     pub flags: u32,

@@ -17,8 +17,8 @@ use anyhow::{Context as _, Error, Result};
 use conicflow_dataflow::{AnyMessage, ItemType};
 use conicflow_messages::{Header, Hinted, INVALID_FAR, INVALID_NEAR, Object, Text, Track};
 use conicflow_ros::{
-    CAMERA_INFO, CameraInfo, Definition, IMAGE as IMAGE_TYPE, MARKER_ARRAY, Stamped, TF_MESSAGE, markers, write_metres,
-    write_transform, write_units,
+    CAMERA_INFO, CameraInfo, Definition, IMAGE as IMAGE_TYPE, MARKER_ARRAY, Markers, Stamped, TF_MESSAGE, markers,
+    write_metres, write_transform, write_units,
 };
 use mcap::records::MessageHeader;
 use mcap::write::NoSeek;
@@ -331,8 +331,9 @@ impl OpenFile {
             memory = image(stamped, header, pixels, memory);
             self.put_ros(&of(IMAGE), IMAGE_TYPE, header, &memory)?;
         }
-        let drawn = message.items::<Object>().map(|objects| markers(stamped, objects, Vec::new()));
-        let drawn = drawn.or_else(|| message.items::<Track>().map(|tracks| markers(stamped, tracks, Vec::new())));
+        let drawn = message.items::<Object>().map(|objects| markers(stamped, objects, Markers::Replace, Vec::new()));
+        let drawn = drawn
+            .or_else(|| message.items::<Track>().map(|tracks| markers(stamped, tracks, Markers::Replace, Vec::new())));
         if let Some(drawn) = drawn {
             self.put_ros(&of("markers"), MARKER_ARRAY, header, &drawn)?;
         }

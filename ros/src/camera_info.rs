@@ -74,6 +74,16 @@ impl CameraInfo {
         Ok(Camera { width, height, fx: fx / bin_x, fy: fy / bin_y, cx: (cx - x) / bin_x, cy: (cy - y) / bin_y })
     }
 
+    /// Whether images of this size can be those of the camera, a region of the full image at most.
+    ///
+    /// # Errors
+    /// They are larger; width and height of the full image, in its bins.
+    pub fn fits(&self, (width, height): (u32, u32)) -> Result<(), (u32, u32)> {
+        let [full_width, full_height] = [(self.width, self.binning[0]), (self.height, self.binning[1])]
+            .map(|(pixels, bin)| pixels.max(1) / bin.max(1));
+        if width <= full_width && height <= full_height { Ok(()) } else { Err((full_width, full_height)) }
+    }
+
     /// A message for the rectified image of a camera.
     pub fn write(stamped: Stamped<'_>, camera: &Camera, memory: Vec<u8>) -> Vec<u8> {
         let &Camera { width, height, fx, fy, cx, cy } = camera;
@@ -86,6 +96,19 @@ impl CameraInfo {
         writer.u32(0).u32(0).u32(0).u32(0).u32(0).u32(0).u8(0);
         writer.finish()
     }
+}
+
+/// Where the CameraInfo of an image topic is looked for: beside the images, also of those that a compressed one was made of, and
+/// below them.
+pub fn camera_info_topics(topic: &str) -> [String; 3] {
+    let above = |topic: &str| topic.rsplit_once('/').map_or("", |(above, _)| above).to_owned();
+    let folder = above(topic);
+    [format!("{folder}/camera_info"), format!("{}/camera_info", above(&folder)), format!("{topic}/camera_info")]
+}
+
+/// Whether the name of a topic says that its images are rectified, as by custom of image_proc and drivers.
+pub fn is_rectified(topic: &str) -> bool {
+    topic.split('/').any(|part| part.contains("rect"))
 }
 
 #[cfg(test)]
@@ -122,6 +145,7 @@ mod tests {
         let info = CameraInfo { binning: [2, 0], offset: [4, 8], ..info() };
         let expected = Camera { width: 30, height: 40, fx: 26.25, fy: 52.0, cx: 13.75, cy: 15.25 };
         assert_eq!(info.camera((30, 40), false), Ok(expected));
+        assert_eq!((info.fits((32, 48)), info.fits((33, 48))), (Ok(()), Err((32, 48))));
     }
 
     #[test]

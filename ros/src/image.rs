@@ -1,7 +1,10 @@
 //! `sensor_msgs/Image` with a depth image in it: whole numbers of 16 bits, or metres.
 
 use crate::{Reader, Stamped, Undecodable, Writer};
-use conicflow_messages::{MAX_PIXELS, MAX_SIDE_PX};
+use conicflow_messages::{MAX_PIXELS, MAX_SIDE_PX, finest_scale, quantise};
+
+/// Millimetres, as ROS has depth in whole numbers (REP 118).
+const UNIT_M: f64 = 0.001;
 
 /// How a pixel is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,6 +40,21 @@ pub enum Depths {
     Units(Vec<u16>),
     /// In metres.
     Metres(Vec<f32>),
+}
+
+impl Depths {
+    /// The pixels as depth images travel, and their unit in metres. `depth_scale` is the length of a whole unit, or of one in
+    /// single precision; by custom a millimetre, or a metre.
+    pub fn in_units(self, depth_scale: Option<f64>) -> (Vec<u16>, f64) {
+        match self {
+            Self::Units(pixels) => (pixels, depth_scale.unwrap_or(UNIT_M)),
+            Self::Metres(depths) => {
+                let metres_per_z = depth_scale.unwrap_or(1.0);
+                let scale = finest_scale(&depths, metres_per_z);
+                (depths.iter().map(|&z| quantise(z, metres_per_z / scale)).collect(), scale)
+            }
+        }
+    }
 }
 
 /// A `sensor_msgs/Image`.

@@ -27,6 +27,8 @@ pub trait Marked {
     fn label(&self) -> String;
     /// From 0, not to be seen, to 1: what is less sure is paler.
     fn opacity(&self) -> f32;
+    /// Its number from frame to frame, if it has one.
+    fn id(&self) -> Option<u64>;
 }
 
 impl Marked for Object {
@@ -41,6 +43,10 @@ impl Marked for Object {
 
     fn opacity(&self) -> f32 {
         0.8
+    }
+
+    fn id(&self) -> Option<u64> {
+        None
     }
 }
 
@@ -60,19 +66,44 @@ impl Marked for Track {
             TrackState::Tentative => 0.3,
         }
     }
+
+    fn id(&self) -> Option<u64> {
+        Some(self.id)
+    }
 }
 
-/// A message that replaces all markers of its topic by these.
-pub fn markers<T: Marked>(stamped: Stamped<'_>, items: &[T], memory: Vec<u8>) -> Vec<u8> {
+/// What becomes of the markers that a message does not name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Markers {
+    /// They go at once: wherever one begins to read, one sees no more than what is there.
+    Replace,
+    /// They stay until they are so old, in nanoseconds; those of the same number move without being drawn anew.
+    Expire(u64),
+}
+
+/// A message that draws these items in its topic.
+pub fn markers<T: Marked>(stamped: Stamped<'_>, items: &[T], others: Markers, memory: Vec<u8>) -> Vec<u8> {
     let mut writer = Writer::new(memory);
-    writer.length(1 + 2 * items.len());
-    Marker { action: DELETE_ALL, ..Marker::default() }.write(stamped, &mut writer);
-    for (id, item) in (0..).zip(items) {
+    let lifetime_ns = match others {
+        Markers::Replace => {
+            writer.length(1 + 2 * items.len());
+            Marker { action: DELETE_ALL, ..Marker::default() }.write(stamped, &mut writer);
+            0
+        }
+        Markers::Expire(lifetime_ns) => {
+            writer.length(2 * items.len());
+            lifetime_ns
+        }
+    };
+    for (place, item) in (0..).zip(items) {
+        let kept = item.id().filter(|_| others != Markers::Replace);
+        // Of a number that a marker cannot have, its last 31 bits.
+        let id = kept.map_or(place, |id| (id & 0x7fff_ffff) as i32);
         let [red, green, blue] = color(item.object().shape());
-        let shape = Marker { id, color: [red, green, blue, item.opacity()], ..shape(item.object()) };
-        shape.write(stamped, &mut writer);
-        let label = Marker { id, color: [1.0; 4], ..label(item.object(), item.label()) };
-        label.write(stamped, &mut writer);
+        let color = [red, green, blue, item.opacity()];
+        Marker { id, color, lifetime_ns, ..shape(item.object()) }.write(stamped, &mut writer);
+        let label = label(item.object(), item.label());
+        Marker { id, color: [1.0; 4], lifetime_ns, ..label }.write(stamped, &mut writer);
     }
     writer.finish()
 }
@@ -96,6 +127,8 @@ struct Marker {
     rotation: UnitQuaternion<f64>,
     scale: [f64; 3],
     color: [f32; 4],
+    /// 0: it stays until another message takes it away.
+    lifetime_ns: u64,
     points: Vec<Vector3<f64>>,
     text: String,
 }
@@ -111,6 +144,7 @@ impl Default for Marker {
             rotation: UnitQuaternion::identity(),
             scale: [1.0; 3],
             color: [0.0; 4],
+            lifetime_ns: 0,
             points: Vec::new(),
             text: String::new(),
         }
@@ -138,7 +172,7 @@ fn label(object: &Object, text: String) -> Marker {
 }
 
 /// Turns z to the axis of an object.
-fn turned_to(object: &Object) -> UnitQuaternion<f64> {
+pub(crate) fn turned_to(object: &Object) -> UnitQuaternion<f64> {
     let axis = Vector3::from(object.axis);
     // Against z any half turn across it does.
     UnitQuaternion::rotation_between(&Vector3::z(), &axis)
@@ -174,8 +208,7 @@ impl Marker {
     fn write(&self, stamped: Stamped<'_>, writer: &mut Writer) {
         writer.stamped(stamped).text(self.namespace).i32(self.id).i32(self.kind).i32(self.action);
         write_pose(writer, self.place, &self.rotation);
-        // They stay until the next message replaces them.
-        writer.f64s(&self.scale).f32s(&self.color).i32(0).u32(0).u8(0);
+        writer.f64s(&self.scale).f32s(&self.color).stamp_ns(self.lifetime_ns).u8(0);
         writer.length(self.points.len());
         for point in &self.points {
             writer.f64s(point.as_slice());
@@ -238,7 +271,7 @@ mod tests {
         let sphere = Object { center: [0.1, 0.2, 1.5], radius: 0.1, ..Object::default() };
         let track = Track { id: 7, object: sphere, ..Track::default() };
         let stamped = Stamped { stamp_ns: 3, frame_id: "camera" };
-        let message = markers(stamped, &[track], Vec::new());
+        let message = markers(stamped, &[track], Markers::Replace, Vec::new());
         let mut reader = Reader::new(&message).unwrap();
         assert_eq!(reader.u32().unwrap(), 3);
         let mut marker = || {
@@ -260,5 +293,23 @@ mod tests {
         let (namespace, numbers, _, _, text) = marker();
         assert_eq!((namespace, numbers, text), ("label", [0, TEXT, ADD], "7 sphere 100 ± 0.0 mm"));
         assert!(reader.u8().is_err(), "nothing follows");
+    }
+
+    #[test]
+    fn markers_that_expire_keep_the_numbers_of_their_tracks() {
+        let track = Track { id: (1 << 31) + 7, ..Track::default() };
+        let stamped = Stamped { stamp_ns: 3, frame_id: "camera" };
+        let message = markers(stamped, &[track], Markers::Expire(1_500_000_000), Vec::new());
+        let mut reader = Reader::new(&message).unwrap();
+        assert_eq!(reader.u32().unwrap(), 2, "none that takes others away");
+        assert_eq!((reader.stamped().unwrap(), reader.text().unwrap()), (stamped, "sphere"));
+        assert_eq!([(); 3].map(|()| reader.i32().unwrap()), [7, SPHERE, ADD]);
+        assert!(reader.f64s::<10>().is_ok());
+        (0..4).for_each(|_| assert!(reader.u32().is_ok()));
+        assert_eq!((reader.i32().unwrap(), reader.u32().unwrap()), (1, 500_000_000));
+        let of_object = markers(stamped, &[track.object; 2], Markers::Expire(1), Vec::new());
+        let mut reader = Reader::new(&of_object).unwrap();
+        assert_eq!(reader.u32().unwrap(), 4);
+        assert_eq!((reader.stamped().unwrap(), reader.text().unwrap(), reader.i32().unwrap()), (stamped, "sphere", 0));
     }
 }

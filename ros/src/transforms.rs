@@ -7,13 +7,18 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// Most transforms of a message; robots have some hundred frames.
 const MOST_TRANSFORMS: u32 = 65_536;
+/// Frames that are known at most, and poses that each has at most: of a thousand a second those of four.
+const MOST_FRAMES: usize = 65_536;
+const MOST_LIVE_POSES: usize = 4096;
 /// A quaternion's square may be so far from 1: single precision and hands round.
 const UNIT_TOLERANCE: f64 = 1e-2;
 
-/// What is known of the frames of a recording.
+/// What is known of the frames of a recording, or of a robot.
 #[derive(Clone, Debug, Default)]
 pub struct Transforms {
     frames: BTreeMap<String, Known>,
+    /// Older poses are forgotten.
+    is_live: bool,
 }
 
 /// A frame and where it lies in the one above it.
@@ -26,6 +31,11 @@ struct Known {
 }
 
 impl Transforms {
+    /// What is known of a robot: of each frame the newest poses.
+    pub fn live() -> Self {
+        Self { is_live: true, ..Self::default() }
+    }
+
     /// Takes in a message of `/tf`, or of `/tf_static`, whose transforms hold for ever.
     ///
     /// # Errors
@@ -47,6 +57,9 @@ impl Transforms {
                 return Err(Undecodable(format!("the transform of `{child}` in `{frame_id}` is none")));
             }
             let pose = Isometry3::from_parts(Translation3::new(x, y, z), UnitQuaternion::new_normalize(rotation));
+            if self.frames.len() >= MOST_FRAMES && !self.frames.contains_key(&name(child)) {
+                return Err(Undecodable(format!("`{child}` is more than {MOST_FRAMES} frames of coordinates")));
+            }
             self.insert(child, frame_id, (stamp_ns, pose), is_fixed);
         }
         Ok(())
@@ -60,6 +73,9 @@ impl Transforms {
             *known = new();
         }
         known.poses.insert(stamp_ns, pose);
+        if self.is_live && known.poses.len() > MOST_LIVE_POSES {
+            known.poses.pop_first();
+        }
     }
 
     /// The frames that there are.
@@ -190,6 +206,21 @@ mod tests {
         }
         add(&mut transforms, ("optical", "map"), 0, &NONE, true);
         assert_eq!(transforms.pose("map", "optical", 150), None, "a circle");
+    }
+
+    #[test]
+    fn of_a_robot_the_newest_poses_are_known() {
+        let mut transforms = Transforms::live();
+        for stamp_ns in 0..MOST_LIVE_POSES as u64 + 1 {
+            add(&mut transforms, ("map", "base"), stamp_ns, &at(stamp_ns as f64), false);
+        }
+        assert_eq!(transforms.pose("map", "base", 0), None);
+        assert_eq!(transforms.pose("map", "base", MOST_LIVE_POSES as u64).unwrap()[0][3], MOST_LIVE_POSES as f64);
+        let many = (0..=MOST_FRAMES).map(|number| {
+            let message = write_transform(Stamped::default(), &number.to_string(), &NONE, Vec::new());
+            transforms.add(&message, false)
+        });
+        assert!(many.last().unwrap().unwrap_err().0.contains("more than 65536 frames"));
     }
 
     #[test]

@@ -143,10 +143,13 @@ fn run_planned(
     let planned = plan.stage(name).ok_or_else(|| ProcessError::NoStage(name.to_owned()))?;
     match &planned.runs {
         Runs::Node { node, input } => {
-            let row = nodes.iter().find(|row| row.name == *node);
-            let variants = row.into_iter().flat_map(|row| row.variants);
-            let fitting = variants.clone().find(|variant| variant.input == input).or(variants.clone().next());
-            let run = fitting.ok_or_else(|| ProcessError::NoNode(node.clone()))?.run;
+            let none = || ProcessError::NoNode(node.clone());
+            let row = nodes.iter().find(|row| row.name == *node).ok_or_else(none)?;
+            if let Some(find) = row.program {
+                return Err(become_program(plan, planned, &[find()?.to_string_lossy().into_owned()]));
+            }
+            let fitting = row.variants.iter().find(|variant| variant.input == input).or(row.variants.first());
+            let run = fitting.ok_or_else(none)?.run;
             Ok(run(planned.parameters.clone(), stage_runtime(plan, folder, planned)?)?)
         }
         Runs::Command(command) => Err(become_program(plan, planned, command)),

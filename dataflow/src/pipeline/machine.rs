@@ -1,5 +1,6 @@
 //! What a pipeline file says of its machines and of the edges between them.
 
+use conicflow_messages::Hinted;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -33,4 +34,23 @@ pub enum Compression {
     /// Zstandard, level 1: a third to a sixth of an image's bytes, half of a list's.
     #[default]
     Zstd,
+}
+
+/// Whether something can be an endpoint: one that cannot be opened would be tried for ever.
+///
+/// # Errors
+/// It cannot.
+pub fn check_endpoint(endpoint: &str) -> Result<(), Hinted> {
+    let address = endpoint.split(['#', '?']).next().unwrap_or(endpoint);
+    let parts = address.split_once('/').and_then(|(protocol, address)| Some((protocol, address.rsplit_once(':')?)));
+    let is_known = |protocol| matches!(protocol, "tcp" | "udp" | "tls" | "quic");
+    match parts {
+        Some((protocol, (host, port))) if is_known(protocol) && !host.is_empty() && port.parse::<u16>().is_ok() => {
+            Ok(())
+        }
+        _ => Err(Hinted::new(
+            format!("`{endpoint}` is no endpoint"),
+            "an endpoint looks like tcp/192.168.0.2:7447; other protocols are udp, tls and quic",
+        )),
+    }
 }

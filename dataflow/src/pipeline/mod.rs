@@ -13,7 +13,7 @@ mod spec;
 mod value;
 
 pub use diagnostic::{Diagnostic, Report, Severity, SourceText, suggestion};
-pub use machine::{BRIDGE, Compression, Machine};
+pub use machine::{BRIDGE, Compression, Machine, check_endpoint};
 pub use spec::{Input, Pipeline, Program, Restart, StageSpec};
 
 use crate::registry::Registry;

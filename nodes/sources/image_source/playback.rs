@@ -4,15 +4,13 @@ use super::poses::Poses;
 use super::recording::{Frame, Options, Recording};
 use super::{Config, hinted};
 use anyhow::{Result, anyhow};
+use conicflow_dataflow::tell_median;
 use conicflow_messages::{Camera, HAS_POSE, Header, Hinted, NoiseModel, RECORDED, Text, is_measured, median_depth};
 use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Frames per second by which frames without time stamps are stamped when `rate_hz` is 0.
 pub(super) const USUAL_RATE_HZ: f64 = 30.0;
-
-/// Median depths outside of this, in metres, speak for a wrong `depth_scale`.
-const PLAUSIBLE_DEPTH_M: std::ops::Range<f64> = 0.1..20.0;
 
 /// A principal point farther from the middle, as a share of the image's size, speaks for intrinsics of other images.
 const MAX_OFF_CENTER: f64 = 0.25;
@@ -253,25 +251,6 @@ pub(super) fn emptiness(pixels: &[u16], too_far: u64) -> Option<String> {
         ),
     };
     Some(why)
-}
-
-/// Says what frames are like, by their camera and the median depth of one of them, so that a wrong scale is seen.
-pub(crate) fn tell_median(what: &str, name: &str, camera: &Camera, median_m: f64) {
-    tracing::info!(
-        "{what} of {}x{}, fx {:.2} fy {:.2} cx {:.2} cy {:.2}; `{name}` has a median depth of {median_m:.3} m",
-        camera.width,
-        camera.height,
-        camera.fx,
-        camera.fy,
-        camera.cx,
-        camera.cy
-    );
-    if !PLAUSIBLE_DEPTH_M.contains(&median_m) {
-        tracing::warn!(
-            "a median depth of {median_m:.3} m is not plausible\n  hint: `depth_scale` is in metres per unit: 0.001 \
-             for millimetres, 0.0002 for TUM"
-        );
-    }
 }
 
 /// Whether the principal point is farther from the middle of the image than [`MAX_OFF_CENTER`] of its size.

@@ -6,7 +6,10 @@ use crate::recording::own;
 use anyhow::{Context as _, Result, bail, ensure};
 use conicflow_dataflow::ItemType;
 use conicflow_messages::{Camera, Hinted};
-use conicflow_ros::{CAMERA_INFO, COMPRESSED_IMAGE, CameraInfo, CompressedImage, Encoding, IMAGE, Image};
+use conicflow_ros::{
+    CAMERA_INFO, COMPRESSED_IMAGE, CameraInfo, CompressedImage, Encoding, IMAGE, Image, camera_info_topics,
+    is_rectified,
+};
 
 /// What the messages of ROS 2 are encoded in.
 const CDR: &str = "cdr";
@@ -167,7 +170,7 @@ fn camera(channels: &[Seen], images: &Seen, config: &Config) -> Result<Camera> {
         return Ok(intrinsics.camera(size));
     }
     let infos: Vec<_> = channels.iter().filter(|channel| is(channel, CAMERA_INFO.name)).collect();
-    let beside = beside(topic);
+    let beside = camera_info_topics(topic);
     let info = beside.iter().find_map(|name| infos.iter().find(|info| info.channel.topic == *name));
     let info = match (info, &infos[..]) {
         (Some(info), _) => info,
@@ -183,18 +186,12 @@ fn camera(channels: &[Seen], images: &Seen, config: &Config) -> Result<Camera> {
     };
     let name = &info.channel.topic;
     let read = CameraInfo::read(&info.first).with_context(|| format!("the first message of `{name}`"))?;
-    let expected = [read.width, read.height].map(|pixels| pixels.max(1));
-    let binned = [0, 1].map(|axis| expected[axis] / read.binning[axis].max(1));
-    ensure!(
-        size.0 <= binned[0] && size.1 <= binned[1],
-        Hinted::new(
-            format!(
-                "`{name}` is for images of {}x{}, those of `{topic}` have {}x{}",
-                binned[0], binned[1], size.0, size.1
-            ),
+    if let Err((width, height)) = read.fits(size) {
+        bail!(Hinted::new(
+            format!("`{name}` is for images of {width}x{height}, those of `{topic}` have {}x{}", size.0, size.1),
             "intrinsics scale with the image; write `intrinsics` of these"
-        )
-    );
+        ));
+    }
     let camera = read.camera(size, is_rectified(topic)).map_err(|unrectified| {
         let others = channels.iter().filter(|channel| is_depth(channel, None) && is_rectified(&channel.channel.topic));
         let hint = others.map(|other| format!("topic = \"{}\" is rectified", other.channel.topic)).next();
@@ -220,17 +217,4 @@ fn size_of(images: &Seen) -> Result<(u32, u32)> {
     }
     let image = Image::read(&images.first)?;
     Ok((image.width, image.height))
-}
-
-/// Where the CameraInfo of an image topic is looked for: beside the images, also of those that a compressed one was made of, and
-/// below them.
-fn beside(topic: &str) -> [String; 3] {
-    let above = |topic: &str| topic.rsplit_once('/').map_or("", |(above, _)| above).to_owned();
-    let folder = above(topic);
-    [format!("{folder}/camera_info"), format!("{}/camera_info", above(&folder)), format!("{topic}/camera_info")]
-}
-
-/// Whether the name of a topic says that its images are rectified, as by custom of image_proc and drivers.
-fn is_rectified(topic: &str) -> bool {
-    topic.split('/').any(|part| part.contains("rect"))
 }

@@ -4,10 +4,8 @@ use super::Config;
 use super::channels::Chosen;
 use crate::recording::files::{Files, Messages, Seen};
 use crate::recording::own;
-use crate::sources::image_source::playback::tell_median;
 use anyhow::{Context as _, Result, bail, ensure};
-use conicflow_dataflow::ItemType;
-use conicflow_detection::quantise::{finest_scale, quantise};
+use conicflow_dataflow::{ItemType, tell_median};
 use conicflow_messages::{
     Camera, HAS_POSE, Header, Hinted, Hop, INVALID_FAR, INVALID_NEAR, MAX_HOPS, RECORDED, Text, median_depth,
 };
@@ -18,8 +16,6 @@ use std::path::Path;
 
 const UNREADABLE: &str = "frames unreadable";
 const WITHOUT_POSE: &str = "frames without pose";
-/// Millimetres, as ROS has depth in whole numbers (REP 118).
-const UNIT_M: f64 = 0.001;
 
 /// A message of a recording.
 #[derive(Clone, Debug)]
@@ -246,7 +242,7 @@ impl Replay {
         };
         let expected = (camera.width, camera.height);
         ensure!(size == expected, "{}x{} pixels, expected {}x{}", size.0, size.1, expected.0, expected.1);
-        let (pixels, depth_scale) = pixels(depths, self.config.depth_scale);
+        let (pixels, depth_scale) = depths.in_units(self.config.depth_scale);
         // A driver that knows no time leaves it at zero.
         let stamp_ns = if stamped.stamp_ns > 0 { stamped.stamp_ns } else { message.log_time };
         let noise = self.config.noise.unwrap_or_default().into();
@@ -317,18 +313,6 @@ fn transforms(files: &Files, channels: &[Seen], world: &str) -> Result<Transform
         bail!(Hinted::new(what, format!("frames: {there}")));
     }
     Ok(transforms)
-}
-
-/// Pixels and their scale, of images of another program.
-fn pixels(depths: Depths, depth_scale: Option<f64>) -> (Vec<u16>, f64) {
-    match depths {
-        Depths::Units(pixels) => (pixels, depth_scale.unwrap_or(UNIT_M)),
-        Depths::Metres(depths) => {
-            let metres_per_z = depth_scale.unwrap_or(1.0);
-            let scale = finest_scale(&depths, metres_per_z);
-            (depths.iter().map(|&z| quantise(z, metres_per_z / scale)).collect(), scale)
-        }
-    }
 }
 
 /// The bytes of pixels that `mcap_sink` has written: the same that it was given.

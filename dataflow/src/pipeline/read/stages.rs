@@ -7,6 +7,7 @@ use crate::pipeline::value::{Content, Entry, Table};
 use crate::pipeline::{Program, Restart, StageSpec};
 use crate::ports::Delivery;
 use crate::side_inputs::Pairing;
+use conicflow_messages::Hinted;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
@@ -163,6 +164,9 @@ impl Reader<'_> {
         }
         if self.elsewhere {
             return;
+        }
+        if let Some(Err(Hinted { what, hint })) = node.program.map(|find| find()) {
+            self.fault(place, format!("stage `{stage}` cannot be run: {what}"), hint);
         }
         match (node.check)(table.to_json(), self.context.base) {
             Ok(faults) => {

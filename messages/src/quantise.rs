@@ -1,6 +1,6 @@
-//! Depths in metres as whole units of 16 bits, in which the detection takes its images.
+//! Depths in metres as whole units of 16 bits, in which depth images travel.
 
-use conicflow_messages::{INVALID_FAR, INVALID_NEAR};
+use crate::{INVALID_FAR, INVALID_NEAR};
 
 /// Metres per unit: a tenth of a millimetre, which is finer than any sensor and reaches to 6.5 m; and where that does not
 /// reach, a quarter of a millimetre, to 16.38 m.

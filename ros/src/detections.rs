@@ -1,0 +1,120 @@
+//! `vision_msgs/Detection3DArray`: what was found, with its pose, how sure that is, and a box around it.
+
+use crate::markers::turned_to;
+use crate::transforms::write_pose;
+use crate::{Marked, Stamped, Writer};
+use conicflow_messages::{Object, ObjectKind};
+use std::f64::consts::PI;
+
+/// Variance of an angle of which nothing is known: all of a turn are alike.
+const UNKNOWN_ANGLE: f64 = PI * PI / 3.0;
+
+/// A message that tells these items. Of each it has the shape's name with its confidence, the pose of its middle with z along
+/// the axis and a covariance, the box around it that lies as it does, and its number where it has one.
+pub fn detections<T: Marked>(stamped: Stamped<'_>, items: &[T], memory: Vec<u8>) -> Vec<u8> {
+    let mut writer = Writer::new(memory);
+    writer.stamped(stamped).length(items.len());
+    for item in items {
+        let object = item.object();
+        let (center, rotation) = (object.center, turned_to(object));
+        writer.stamped(stamped).length(1).text(object.shape().name()).f64s(&[f64::from(object.confidence)]);
+        write_pose(&mut writer, center, &rotation);
+        writer.f64s(covariance(object).as_flattened());
+        write_pose(&mut writer, center, &rotation);
+        writer.f64s(&size(object)).text(&item.id().map_or_else(String::new, |id| id.to_string()));
+    }
+    writer.finish()
+}
+
+/// Covariance of x, y, z and of small turns about these axes, row-major. Across the axis an angle is known by half of the
+/// square of the angle between the axis and the true one; of the turn about the axis, and of all turns of a sphere, nothing is.
+fn covariance(object: &Object) -> [[f64; 6]; 6] {
+    let mut covariance = [[0.0; 6]; 6];
+    let across = 0.5 * object.sigma.axis * object.sigma.axis;
+    for row in 0..3 {
+        covariance[row][..3].copy_from_slice(&object.sigma.center[row]);
+        for column in 0..3 {
+            let unit = f64::from(u8::from(row == column));
+            covariance[3 + row][3 + column] = if object.shape() == ObjectKind::Sphere {
+                unit * UNKNOWN_ANGLE
+            } else {
+                let along = object.axis[row] * object.axis[column];
+                across * (unit - along) + UNKNOWN_ANGLE * along
+            };
+        }
+    }
+    covariance
+}
+
+/// Size of the box around an object, whose z is its axis.
+fn size(object: &Object) -> [f64; 3] {
+    let width = 2.0 * object.radius;
+    match object.shape() {
+        ObjectKind::Sphere => [width; 3],
+        ObjectKind::Cylinder => [width, width, object.length],
+        ObjectKind::Cone => [2.0 * object.base_radius, 2.0 * object.base_radius, object.length],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Reader;
+    use conicflow_messages::{ObjectSigma, Track};
+
+    const STAMPED: Stamped<'_> = Stamped { stamp_ns: 3_000_000_004, frame_id: "camera" };
+
+    fn can() -> Object {
+        let center = [[1e-6, 2e-7, 0.0], [2e-7, 2e-6, 0.0], [0.0, 0.0, 4e-6]];
+        Object {
+            kind: ObjectKind::Cylinder.code(),
+            center: [0.1, 0.2, 1.5],
+            axis: [0.6, 0.0, -0.8],
+            radius: 0.05,
+            length: 0.3,
+            confidence: 0.75,
+            sigma: ObjectSigma { center, axis: 0.02, ..ObjectSigma::default() },
+            ..Object::default()
+        }
+    }
+
+    #[test]
+    fn a_track_is_told_with_its_pose_its_box_and_its_number() {
+        let track = Track { id: 7, object: can(), ..Track::default() };
+        let message = detections(STAMPED, &[track], Vec::new());
+        let mut reader = Reader::new(&message).unwrap();
+        assert_eq!((reader.stamped().unwrap(), reader.u32().unwrap()), (STAMPED, 1));
+        assert_eq!((reader.stamped().unwrap(), reader.u32().unwrap()), (STAMPED, 1));
+        assert_eq!((reader.text().unwrap(), reader.f64().unwrap()), ("cylinder", 0.75));
+        let pose = reader.f64s::<7>().unwrap();
+        assert_eq!(pose[..3], [0.1, 0.2, 1.5]);
+        let covariance = reader.f64s::<36>().unwrap();
+        assert_eq!((covariance[0], covariance[1], covariance[14]), (1e-6, 2e-7, 4e-6));
+        assert_eq!(reader.f64s::<7>().unwrap(), pose, "of the box");
+        assert_eq!(reader.f64s::<3>().unwrap(), [0.1, 0.1, 0.3]);
+        assert_eq!(reader.text().unwrap(), "7");
+        assert!(reader.u8().is_err(), "nothing follows");
+    }
+
+    #[test]
+    fn an_axis_is_known_across_and_a_turn_about_it_is_not() {
+        let covariance = covariance(&can());
+        let variance = |turn: [f64; 3]| {
+            let pairs = (0..3).flat_map(|row| (0..3).map(move |column| (row, column)));
+            pairs.map(|(row, column)| turn[row] * covariance[3 + row][3 + column] * turn[column]).sum::<f64>()
+        };
+        for across in [[0.0, 1.0, 0.0], [0.8, 0.0, 0.6]] {
+            assert!((variance(across) - 2e-4).abs() < 1e-12, "{across:?}");
+        }
+        assert!((variance([0.6, 0.0, -0.8]) - UNKNOWN_ANGLE).abs() < 1e-12);
+    }
+
+    #[test]
+    fn boxes_hold_their_objects() {
+        let ball = Object { radius: 0.1, ..Object::default() };
+        assert_eq!(size(&ball), [0.2; 3]);
+        let cone = Object { kind: ObjectKind::Cone.code(), base_radius: 0.2, length: 0.3, ..ball };
+        assert_eq!(size(&cone), [0.4, 0.4, 0.3]);
+        assert_eq!(covariance(&ball)[4][4], UNKNOWN_ANGLE);
+    }
+}
