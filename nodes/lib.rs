@@ -71,6 +71,7 @@ pub mod sinks {
 
 use conicflow_dataflow::{Node, Registry, Variant};
 use conicflow_messages::{AnyByte, Ellipse, Object, Track};
+use conicflow_ros2::{Elsewhere, Ros2Sink, Ros2Source};
 use detection::{ObjectAssembler, RansacEllipseExtractor, RowEllipseExtractor};
 use sinks::{
     ConsoleSink, EvaluationSink, JsonSink, LimitSink, McapSink, MeasurementSink, NoiseEstimator, PictureSink,
@@ -84,6 +85,7 @@ pub const NODES: &[Node] = &[
     Node::source::<SyntheticSource>(),
     Node::source::<ImageSource>(),
     Node::source::<McapSource>(),
+    Node::source::<Ros2Source<Elsewhere>>().run_by(network::program),
     Node::stage::<RowEllipseExtractor>(),
     Node::stage::<RansacEllipseExtractor>(),
     Node::stage::<ObjectAssembler>(),
@@ -96,6 +98,11 @@ pub const NODES: &[Node] = &[
     ]),
     Node::stage::<JsonSink>(),
     Node::stages::<McapSink<AnyByte>>(&[Variant::stage::<McapSink<AnyByte>>(), Variant::stage::<McapSink<u16>>()]),
+    Node::stages::<Ros2Sink<Track, Elsewhere>>(&[
+        Variant::stage::<Ros2Sink<Track, Elsewhere>>(),
+        Variant::stage::<Ros2Sink<Object, Elsewhere>>(),
+    ])
+    .run_by(network::program),
     Node::stages::<PictureSink<Track>>(&[
         Variant::stage::<PictureSink<Track>>(),
         Variant::stage::<PictureSink<Object>>(),

@@ -1,4 +1,4 @@
-//! Edges between machines, over Zenoh: the only place that knows it.
+//! Edges between machines, over Zenoh, and taking part in ROS 2 ([`ros2`]): the only place that knows Zenoh.
 //!
 //! Where a topic is written on one machine and read on another, the launcher of each starts one bridge process ([`process`]).
 //! What leaves is read from shared memory, encoded ([`wire`]) and put under `conicflow/PIPELINE/MACHINE/TOPIC` ([`sending`]);
@@ -19,11 +19,13 @@ mod peer;
 mod process;
 mod receiving;
 mod reliable;
+mod ros2;
 mod sending;
 mod session;
 mod settings;
 mod wire;
 
+pub use ros2::NODES;
 pub use wire::{MAX_MESSAGE, Place, WIRE_VERSION, WireError, decode_message, encode_message};
 
 use conicflow_dataflow::{Carrier, Network, NetworkError};

@@ -1,10 +1,11 @@
 //! The program `conicflow-bridge`: carries topics between machines, as a stage that `conicflow run` starts where the pipeline
-//! file has several. It is a program of its own so that no other stage has the network in it.
+//! file has several, and runs the nodes that take part in ROS 2. It is a program of its own so that no other stage has the
+//! network in it.
 //!
 //! `conicflow-bridge check` and `conicflow-bridge endpoints` answer what `conicflow` asks of a machine's table: they read it
 //! as JSON and write what is wrong with it, or where it listens.
 
-use conicflow_bridge::NETWORK;
+use conicflow_bridge::{NETWORK, NODES};
 use conicflow_dataflow::pipeline::Machine;
 use conicflow_dataflow::{DEFAULT_LOG, LOG, ProcessError, Registry, log_to_standard_error, run_in_run};
 use std::io::{self, Write};
@@ -18,7 +19,7 @@ fn main() -> ExitCode {
     let question = std::env::args().nth(1);
     let (ended, code) = match question.as_deref() {
         None => {
-            let ended = run_in_run(&Registry { nodes: &[], network: Some(NETWORK) });
+            let ended = run_in_run(&Registry { nodes: NODES, network: Some(NETWORK) });
             let code = ended.as_ref().err().map_or(0, ProcessError::exit_code);
             (ended.map_err(Into::into), code)
         }

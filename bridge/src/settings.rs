@@ -2,7 +2,7 @@
 
 use crate::wire::MAX_MESSAGE;
 use conicflow_dataflow::Hinted;
-use conicflow_dataflow::pipeline::Machine;
+use conicflow_dataflow::pipeline::{Machine, check_endpoint};
 use serde_json::{Value as Json, json};
 use std::path::Path;
 
@@ -10,6 +10,8 @@ use std::path::Path;
 const LEASE_MS: u64 = 2000;
 /// A frame on a slow link may take so long, in microseconds, before Zenoh drops it.
 const MAX_FRAME_WAIT_US: u64 = 1_000_000;
+/// Largest message of ROS 2, in bytes: a point cloud of 1280x720 has 30 million.
+const MAX_CLOUD: usize = 64 << 20;
 
 /// Whether a machine's table can be used; a file that is not there is reported elsewhere.
 pub(crate) fn check(machine: &Machine) -> Result<(), Hinted> {
@@ -44,6 +46,15 @@ pub(super) fn configurations(machine: &Machine) -> Result<(zenoh::Config, Option
         configuration(&settings)
     };
     Ok((only(|endpoint| !carries_datagrams(endpoint))?, Some(only(carries_datagrams)?)))
+}
+
+/// The Zenoh configuration of a client of one of these routers. What comes may be as large as an organised point cloud.
+pub(super) fn client(connect: &[String]) -> Result<zenoh::Config, Hinted> {
+    connect.iter().try_for_each(|endpoint| check_endpoint(endpoint))?;
+    let mut settings = settings(&Machine { connect: connect.to_vec(), ..Machine::default() })?;
+    settings["mode"] = json!("client");
+    settings["transport"]["link"]["rx"]["max_message_size"] = json!(MAX_CLOUD);
+    configuration(&settings)
 }
 
 fn configuration(settings: &Json) -> Result<zenoh::Config, Hinted> {
@@ -142,22 +153,6 @@ fn retain_strings(value: &mut Json, wanted: fn(&str) -> bool) {
     }
 }
 
-/// An endpoint that cannot be opened would be tried for ever.
-fn check_endpoint(endpoint: &str) -> Result<(), Hinted> {
-    let address = endpoint.split(['#', '?']).next().unwrap_or(endpoint);
-    let parts = address.split_once('/').and_then(|(protocol, address)| Some((protocol, address.rsplit_once(':')?)));
-    let is_known = |protocol| matches!(protocol, "tcp" | "udp" | "tls" | "quic");
-    match parts {
-        Some((protocol, (host, port))) if is_known(protocol) && !host.is_empty() && port.parse::<u16>().is_ok() => {
-            Ok(())
-        }
-        _ => Err(Hinted::new(
-            format!("`{endpoint}` is no endpoint"),
-            "an endpoint looks like tcp/192.168.0.2:7447; other protocols are udp, tls and quic",
-        )),
-    }
-}
-
 /// A port that others can reach has to know who they are, by certificates that it asks for, unless the file says otherwise.
 fn check_listen(endpoint: &str, asks_who: bool, insecure: bool) -> Result<(), Hinted> {
     let address = endpoint.split(['#', '?']).next().unwrap_or(endpoint);
@@ -200,6 +195,21 @@ mod tests {
         ] {
             assert_eq!(config.get_json(key).unwrap(), expected, "{key}");
         }
+    }
+
+    #[test]
+    fn a_client_of_a_router_listens_nowhere() {
+        let config = client(&["tcp/robot:7447".to_owned()]).unwrap();
+        for (key, expected) in [
+            ("mode", "\"client\""),
+            ("listen/endpoints", "[]"),
+            ("connect/endpoints", r#"["tcp/robot:7447"]"#),
+            ("scouting/multicast/enabled", "false"),
+            ("scouting/gossip/enabled", "false"),
+        ] {
+            assert_eq!(config.get_json(key).unwrap(), expected, "{key}");
+        }
+        assert!(client(&["robot:7447".to_owned()]).is_err());
     }
 
     #[test]

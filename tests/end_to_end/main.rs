@@ -25,6 +25,7 @@ mod programs;
 mod radio;
 mod recordings;
 mod room;
+mod ros2;
 mod routers;
 mod run;
 mod several_machines;

@@ -1,0 +1,198 @@
+//! How ROS 2 names its topics, nodes and ends of topics in Zenoh: the key of a topic's messages, and the liveliness tokens by
+//! which the others know who is there.
+//!
+//! | | `rmw_zenoh_cpp` | `zenoh-plugin-ros2dds` |
+//! |---|---|---|
+//! | key | `DOMAIN/TOPIC/TYPE/HASH` | `TOPIC` |
+//! | token of a node | `@ros2_lv/DOMAIN/ZID/NODE/NODE/NN/%/%/NAME` | none |
+//! | token of an end | `@ros2_lv/DOMAIN/ZID/NODE/END/MP/%/%/NAME/TOPIC/TYPE/HASH/QOS` | `@/ZID/@ros2_lv/MP/TOPIC/TYPE/QOS` |
+//!
+//! A topic stands in a key without its first slash, and in a token with `%` or `§` in place of all; `MP` publishes, `MS`
+//! subscribes. Sources: ros2/rmw_zenoh `docs/design.md`, `liveliness_utils.cpp`; zenoh-plugin-ros2dds `liveliness_mgt.rs`.
+
+use conicflow_ros::Definition;
+use conicflow_ros2::{Distro, End, Participant, Published, Via, Way};
+
+/// What stands in place of an empty namespace or enclave.
+const EMPTY: &str = "%";
+/// What Humble has in place of the number of a type.
+const NO_HASH: &str = "TypeHashNotSupported";
+/// The number of our node in its session.
+const NODE: usize = 0;
+
+/// The names of a participant in Zenoh.
+pub(super) struct Keys<'a>(pub &'a Participant);
+
+impl Keys<'_> {
+    /// The key by which messages are sent or taken at an end. Those with any number of the type are taken: whether we can read
+    /// them they tell themselves.
+    pub(super) fn key(&self, End { topic, definition, way }: &End) -> String {
+        let topic = topic.trim_matches('/');
+        if self.0.via == Via::Ros2dds {
+            return topic.to_owned();
+        }
+        let hash = if *way == Way::Publish { self.hash(definition) } else { "*".to_owned() };
+        format!("{}/{topic}/{}/{hash}", self.0.domain, dds_name(definition.name))
+    }
+
+    /// The tokens of the node and its ends, in a session that is called `zid`.
+    pub(super) fn tokens(&self, zid: &str) -> Vec<String> {
+        let Participant { domain, name, ends, .. } = self.0;
+        if self.0.via == Via::Ros2dds {
+            return ends.iter().map(|end| self.ros2dds_token(zid, end)).collect();
+        }
+        let node = format!("@ros2_lv/{domain}/{zid}/{NODE}");
+        let ends = ends.iter().zip(NODE + 1..).map(|(End { topic, definition, way }, number)| {
+            let (topic, kind, hash) = (topic.replace('/', "%"), dds_name(definition.name), self.hash(definition));
+            let letters = letters(*way);
+            format!("{node}/{number}/{letters}/{EMPTY}/{EMPTY}/{name}/{topic}/{kind}/{hash}/{}", quality(*way))
+        });
+        std::iter::once(format!("{node}/{NODE}/NN/{EMPTY}/{EMPTY}/{name}")).chain(ends).collect()
+    }
+
+    fn ros2dds_token(&self, zid: &str, End { topic, definition, way }: &End) -> String {
+        let (topic, kind) = (topic.trim_matches('/').replace('/', "§"), definition.name.replace('/', "§"));
+        // Keyless; 1 reliable or 0 at best; 0 volatile or 1 transient local; the last of so many.
+        let quality = match way {
+            Way::Publish => ":1:0:0,10",
+            Way::Subscribe(_) => ":0:0:0,10",
+            Way::SubscribeLatched(_) => ":1:1:0,10",
+        };
+        let user_data = match self.0.distro {
+            Distro::Humble => String::new(),
+            _ => format!(":typehash={};", self.hash(definition)),
+        };
+        format!("@/{zid}/@ros2_lv/{}/{topic}/{kind}/{quality}{user_data}", letters(*way))
+    }
+
+    /// The tokens of all who publish.
+    pub(super) fn tokens_of_publishers(&self) -> String {
+        match self.0.via {
+            Via::RmwZenoh => format!("@ros2_lv/{}/*/*/*/MP/**", self.0.domain),
+            Via::Ros2dds => "@/*/@ros2_lv/MP/**".to_owned(),
+        }
+    }
+
+    /// What the token of a publisher tells.
+    pub(super) fn published(&self, token: &str) -> Option<Published> {
+        let parts: Vec<_> = token.split('/').collect();
+        match (self.0.via, &parts[..]) {
+            (Via::RmwZenoh, [_, _, _, _, _, "MP", _, _, _, topic, kind, ..]) => {
+                Some((topic.replace('%', "/"), ros_name(kind)))
+            }
+            (Via::Ros2dds, ["@", _, "@ros2_lv", "MP", topic, kind, ..]) => {
+                Some((format!("/{}", topic.replace('§', "/")), kind.replace('§', "/")))
+            }
+            _ => None,
+        }
+    }
+
+    fn hash(&self, definition: &Definition) -> String {
+        if self.0.distro == Distro::Humble { NO_HASH.to_owned() } else { format!("RIHS01_{}", definition.rihs01) }
+    }
+}
+
+/// What the caches of publishers answer to, of messages that were sent before.
+pub(super) fn key_of_caches(key: &str) -> String {
+    format!("{key}/@adv/**")
+}
+
+fn letters(way: Way) -> &'static str {
+    if way == Way::Publish { "MP" } else { "MS" }
+}
+
+/// How well an end delivers: reliability, durability, depth, deadline, lifespan, liveliness; what is usual is left out. 2 stands
+/// for at best, 1 for transient local.
+fn quality(way: Way) -> &'static str {
+    match way {
+        Way::Publish => "::,10:,:,:,,",
+        Way::Subscribe(_) => "2::,10:,:,:,,",
+        Way::SubscribeLatched(_) => ":1:,10:,:,:,,",
+    }
+}
+
+/// `sensor_msgs/msg/Image` as DDS has it: `sensor_msgs::msg::dds_::Image_`.
+fn dds_name(name: &str) -> String {
+    let (package, kind) = name.rsplit_once('/').unwrap_or(("", name));
+    format!("{}::dds_::{kind}_", package.replace('/', "::"))
+}
+
+/// The reverse.
+fn ros_name(name: &str) -> String {
+    name.replace("dds_::", "").replace("::", "/").trim_end_matches('_').to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use conicflow_ros::{DETECTION_ARRAY, IMAGE, TF_MESSAGE};
+
+    const ZID: &str = "1234567890abcdef1234567890abcdef";
+    const DETECTIONS_HASH: &str = "RIHS01_793f5eab9595ac1c0da07873cc859db42eae51f0ee76056db8562515d830e018";
+    const IMAGE_HASH: &str = "RIHS01_d31d41a9a4c4bc8eae9be757b0beed306564f7526c88ea6a4588fb9582527d47";
+
+    fn end(topic: &str, definition: Definition, way: Way) -> End {
+        End { topic: topic.to_owned(), definition, way }
+    }
+
+    fn participant(via: Via, distro: Distro) -> Participant {
+        let ends = vec![
+            end("/camera/depth/image", IMAGE, Way::Subscribe(4)),
+            end("/tf_static", TF_MESSAGE, Way::SubscribeLatched(4)),
+            end("/conicflow/tracks", DETECTION_ARRAY, Way::Publish),
+        ];
+        Participant { connect: Vec::new(), domain: 7, distro, via, name: "conicflow_ros".to_owned(), ends }
+    }
+
+    #[test]
+    fn keys_and_tokens_of_rmw_zenoh() {
+        let participant = participant(Via::RmwZenoh, Distro::Jazzy);
+        let keys = Keys(&participant);
+        let told: Vec<_> = participant.ends.iter().map(|end| keys.key(end)).collect();
+        let detections = "vision_msgs::msg::dds_::Detection3DArray_";
+        assert_eq!(told[0], "7/camera/depth/image/sensor_msgs::msg::dds_::Image_/*");
+        assert_eq!(told[1], "7/tf_static/tf2_msgs::msg::dds_::TFMessage_/*");
+        assert_eq!(told[2], format!("7/conicflow/tracks/{detections}/{DETECTIONS_HASH}"));
+        let node = format!("@ros2_lv/7/{ZID}/0");
+        let tf = "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087";
+        let expected = [
+            format!("{node}/0/NN/%/%/conicflow_ros"),
+            format!(
+                "{node}/1/MS/%/%/conicflow_ros/%camera%depth%image/sensor_msgs::msg::dds_::Image_/{IMAGE_HASH}/2::,10:,:,:,,"
+            ),
+            format!("{node}/2/MS/%/%/conicflow_ros/%tf_static/tf2_msgs::msg::dds_::TFMessage_/{tf}/:1:,10:,:,:,,"),
+            format!("{node}/3/MP/%/%/conicflow_ros/%conicflow%tracks/{detections}/{DETECTIONS_HASH}/::,10:,:,:,,"),
+        ];
+        assert_eq!(keys.tokens(ZID), expected);
+        let published = ("/conicflow/tracks".to_owned(), DETECTION_ARRAY.name.to_owned());
+        assert_eq!(keys.published(&expected[3]), Some(published));
+        assert_eq!(expected[..3].iter().find_map(|token| keys.published(token)), None);
+    }
+
+    #[test]
+    fn humble_has_no_numbers_of_types() {
+        let participant = participant(Via::RmwZenoh, Distro::Humble);
+        let key = Keys(&participant).key(&participant.ends[2]);
+        assert_eq!(key, "7/conicflow/tracks/vision_msgs::msg::dds_::Detection3DArray_/TypeHashNotSupported");
+        let tokens = Keys(&participant).tokens(ZID);
+        assert!(tokens[1..].iter().all(|token| token.contains("_/TypeHashNotSupported/")), "{tokens:?}");
+    }
+
+    #[test]
+    fn keys_and_tokens_of_ros2dds() {
+        let participant = participant(Via::Ros2dds, Distro::Humble);
+        let keys = Keys(&participant);
+        let told: Vec<_> = participant.ends.iter().map(|end| keys.key(end)).collect();
+        assert_eq!(told, ["camera/depth/image", "tf_static", "conicflow/tracks"]);
+        let expected = [
+            format!("@/{ZID}/@ros2_lv/MS/camera§depth§image/sensor_msgs§msg§Image/:0:0:0,10"),
+            format!("@/{ZID}/@ros2_lv/MS/tf_static/tf2_msgs§msg§TFMessage/:1:1:0,10"),
+            format!("@/{ZID}/@ros2_lv/MP/conicflow§tracks/vision_msgs§msg§Detection3DArray/:1:0:0,10"),
+        ];
+        assert_eq!(keys.tokens(ZID), expected);
+        let published = ("/conicflow/tracks".to_owned(), DETECTION_ARRAY.name.to_owned());
+        assert_eq!(keys.published(&expected[2]), Some(published));
+        let newer = Participant { distro: Distro::Kilted, ..participant.clone() };
+        assert!(Keys(&newer).tokens(ZID)[0].ends_with(&format!("/:0:0:0,10:typehash={IMAGE_HASH};")));
+    }
+}

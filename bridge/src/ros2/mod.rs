@@ -1,0 +1,270 @@
+//! Taking part in ROS 2 over Zenoh, as `rmw_zenoh_cpp` and `zenoh-plugin-ros2dds` speak it ([`keys`], [`attachment`]).
+//!
+//! The session is a client of the robot's router: it listens nowhere, and reaches nobody but the router that the file names. It
+//! is opened in a thread, tried again until that works, and Zenoh opens its link again where that was lost.
+
+mod attachment;
+mod keys;
+
+use crate::channel::Channel;
+use crate::settings;
+use attachment::Attachment;
+use conicflow_dataflow::{Node, StageError, Variant};
+use conicflow_messages::{Object, Track};
+use conicflow_ros2::{Middleware, Participant, Published, Ros2Sink, Ros2Source, Way};
+use keys::{Keys, key_of_caches};
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use zenoh::bytes::ZBytes;
+use zenoh::liveliness::LivelinessToken;
+use zenoh::pubsub::{Publisher, Subscriber};
+use zenoh::qos::CongestionControl;
+use zenoh::query::{ConsolidationMode, QueryTarget};
+use zenoh::sample::Sample;
+use zenoh::{Session, Wait};
+
+/// The nodes that this program runs for the one that lists them.
+pub const NODES: &[Node] = &[
+    Node::source::<Ros2Source<ZenohMiddleware>>(),
+    Node::stages::<Ros2Sink<Track, ZenohMiddleware>>(&[
+        Variant::stage::<Ros2Sink<Track, ZenohMiddleware>>(),
+        Variant::stage::<Ros2Sink<Object, ZenohMiddleware>>(),
+    ]),
+];
+
+/// A session that cannot be opened is tried again after this time.
+const OPEN_AGAIN: Duration = Duration::from_secs(1);
+/// How often is looked whether the router is still reached.
+const LOOK: Duration = Duration::from_millis(100);
+/// How long an answer is waited for, of those who publish.
+const ANSWER: Duration = Duration::from_secs(1);
+/// Publishers of a topic whose numbers are compared; others are taken as they come.
+const MOST_COMPARED: usize = 64;
+/// A publisher that leaves out more numbers than this has not lost as many messages: it counts otherwise.
+const LONGEST_STEP: u64 = 100_000;
+/// So many tokens are looked at.
+const MOST_TOKENS: usize = 10_000;
+
+/// A participant's messages over Zenoh.
+pub struct ZenohMiddleware {
+    participant: Arc<Participant>,
+    inboxes: Arc<Vec<Inbox>>,
+    joined: Arc<Joined>,
+}
+
+/// The session, as soon as there is one.
+#[derive(Default)]
+struct Joined {
+    session: OnceLock<Ends>,
+    is_reached: AtomicBool,
+}
+
+/// What a session holds for its participant. The session is the last that is dropped, and closed by that.
+struct Ends {
+    publishers: Vec<Option<Outbox>>,
+    _subscribers: Vec<Subscriber<()>>,
+    _tokens: Vec<LivelinessToken>,
+    session: Session,
+}
+
+/// The end of a topic that is published.
+struct Outbox {
+    publisher: Publisher<'static>,
+    sequence: AtomicI64,
+    end: [u8; 16],
+}
+
+/// What has come at an end.
+struct Inbox {
+    messages: Channel<ZBytes>,
+    lost: AtomicU64,
+    /// The number of the last message of each publisher.
+    numbers: Mutex<BTreeMap<[u8; 16], i64>>,
+}
+
+impl Inbox {
+    fn new(way: Way) -> Self {
+        let (Way::Subscribe(capacity) | Way::SubscribeLatched(capacity)) = way else { return Self::with_room(1) };
+        Self::with_room(capacity)
+    }
+
+    fn with_room(capacity: usize) -> Self {
+        Self { messages: Channel::new(capacity, true), lost: AtomicU64::new(0), numbers: Mutex::default() }
+    }
+
+    /// Called by threads of Zenoh, which must not wait.
+    fn take(&self, sample: &Sample) {
+        let attachment = sample.attachment().and_then(|bytes| Attachment::read(&bytes.to_bytes()));
+        let missing = attachment.map_or(0, |attachment| self.missing_before(attachment));
+        let is_overwritten = !self.messages.send(sample.payload().clone());
+        self.lost.fetch_add(missing + u64::from(is_overwritten), Ordering::Relaxed);
+    }
+
+    /// Messages that the same publisher has sent since the last that came.
+    fn missing_before(&self, Attachment { sequence, end, .. }: Attachment) -> u64 {
+        let mut numbers = self.numbers.lock().unwrap_or_else(PoisonError::into_inner);
+        if numbers.len() >= MOST_COMPARED && !numbers.contains_key(&end) {
+            return 0;
+        }
+        let last = numbers.insert(end, sequence);
+        let step = last.and_then(|last| sequence.checked_sub(last)).and_then(|step| u64::try_from(step).ok());
+        step.filter(|step| *step <= LONGEST_STEP).map_or(0, |step| step.saturating_sub(1))
+    }
+}
+
+impl Middleware for ZenohMiddleware {
+    fn join(participant: Participant) -> Result<Self, StageError> {
+        let config = settings::client(&participant.connect)?;
+        let participant = Arc::new(participant);
+        let inboxes: Vec<_> = participant.ends.iter().map(|end| Inbox::new(end.way)).collect();
+        let (inboxes, joined) = (Arc::new(inboxes), Arc::<Joined>::default());
+        let keeper = Keeper {
+            participant: Arc::clone(&participant),
+            inboxes: Arc::clone(&inboxes),
+            joined: Arc::downgrade(&joined),
+        };
+        std::thread::Builder::new().name("ros2".to_owned()).spawn(move || keeper.keep(&config))?;
+        Ok(Self { participant, inboxes, joined })
+    }
+
+    fn is_joined(&self) -> bool {
+        self.joined.is_reached.load(Ordering::Relaxed)
+    }
+
+    fn receive(&self, end: usize, timeout: Duration) -> Option<Vec<u8>> {
+        Some(self.inboxes[end].messages.receive(timeout)?.to_bytes().into_owned())
+    }
+
+    fn take_lost(&self, end: usize) -> u64 {
+        self.inboxes[end].lost.swap(0, Ordering::Relaxed)
+    }
+
+    fn publish(&self, end: usize, message: Vec<u8>) {
+        let ends = self.joined.session.get();
+        let Some(outbox) = ends.and_then(|ends| ends.publishers[end].as_ref()) else { return };
+        let sequence = outbox.sequence.fetch_add(1, Ordering::Relaxed);
+        let sent_ns = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as i64);
+        let attachment = Attachment { sequence, sent_ns, end: outbox.end };
+        // It succeeds with nobody there; that the session is closed is told by `is_joined`.
+        outbox.publisher.put(message).attachment(attachment.to_bytes()).wait().ok();
+    }
+
+    fn published(&self) -> Vec<Published> {
+        let Some(ends) = self.joined.session.get() else { return Vec::new() };
+        let keys = Keys(&self.participant);
+        let answers = ends.session.liveliness().get(keys.tokens_of_publishers()).timeout(ANSWER).wait();
+        let Ok(answers) = answers else { return Vec::new() };
+        let tokens = answers.iter().take(MOST_TOKENS).filter_map(|answer| {
+            let token = answer.into_result().ok()?.key_expr().as_str().to_owned();
+            keys.published(&token)
+        });
+        tokens.collect()
+    }
+}
+
+/// Opens the session and looks after it, as long as anybody needs it.
+struct Keeper {
+    participant: Arc<Participant>,
+    inboxes: Arc<Vec<Inbox>>,
+    joined: Weak<Joined>,
+}
+
+impl Keeper {
+    fn keep(&self, config: &zenoh::Config) {
+        while let Some(joined) = self.joined.upgrade() {
+            if let Some(ends) = joined.session.get() {
+                self.look(&joined, ends);
+            } else {
+                match zenoh::open(config.clone()).wait().and_then(|session| self.declare(session)) {
+                    Ok(ends) => drop(joined.session.set(ends)),
+                    Err(error) => {
+                        tracing::debug!("the session is not open: {error}");
+                        drop(joined);
+                        std::thread::sleep(OPEN_AGAIN);
+                    }
+                }
+                continue;
+            }
+            drop(joined);
+            std::thread::sleep(LOOK);
+        }
+    }
+
+    /// Looks whether the router is reached; when it is there anew, asks for what was sent before.
+    fn look(&self, joined: &Joined, ends: &Ends) {
+        let info = ends.session.info();
+        let is_reached = info.routers_zid().wait().next().is_some() || info.peers_zid().wait().next().is_some();
+        if is_reached && !joined.is_reached.load(Ordering::Relaxed) {
+            self.ask_for_latched(&ends.session);
+        }
+        joined.is_reached.store(is_reached, Ordering::Relaxed);
+    }
+
+    fn declare(&self, session: Session) -> zenoh::Result<Ends> {
+        let (keys, zid) = (Keys(&self.participant), session.zid());
+        let (mut publishers, mut subscribers, mut tokens) = (Vec::new(), Vec::new(), Vec::new());
+        for (number, end) in self.participant.ends.iter().enumerate() {
+            let key = keys.key(end);
+            if end.way == Way::Publish {
+                let publisher = session.declare_publisher(key).congestion_control(CongestionControl::Drop).wait()?;
+                let mut end = zid.to_le_bytes();
+                end[0] ^= number as u8 + 1;
+                publishers.push(Some(Outbox { publisher, sequence: AtomicI64::new(1), end }));
+            } else {
+                let inboxes = Arc::clone(&self.inboxes);
+                let take = move |sample: Sample| inboxes[number].take(&sample);
+                subscribers.push(session.declare_subscriber(key).callback(take).wait()?);
+                publishers.push(None);
+            }
+        }
+        for token in keys.tokens(&zid.to_string()) {
+            tokens.push(session.liveliness().declare_token(token).wait()?);
+        }
+        Ok(Ends { publishers, _subscribers: subscribers, _tokens: tokens, session })
+    }
+
+    /// Asks the caches of publishers for what they sent before we came.
+    fn ask_for_latched(&self, session: &Session) {
+        for (number, end) in self.participant.ends.iter().enumerate() {
+            if !matches!(end.way, Way::SubscribeLatched(_)) {
+                continue;
+            }
+            let inboxes = Arc::clone(&self.inboxes);
+            let key = key_of_caches(&Keys(&self.participant).key(end));
+            let query = session.get(key).target(QueryTarget::All).consolidation(ConsolidationMode::None);
+            let asked = query.timeout(ANSWER).callback(move |reply| {
+                if let Ok(sample) = reply.into_result() {
+                    inboxes[number].take(&sample);
+                }
+            });
+            // What answers nothing is as one that was not asked: new messages come by themselves.
+            asked.wait().ok();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn numbered(sequence: i64, end: u8) -> Attachment {
+        Attachment { sequence, sent_ns: 0, end: [end; 16] }
+    }
+
+    #[test]
+    fn numbers_that_a_publisher_leaves_out_are_missing() {
+        let inbox = Inbox::new(Way::Subscribe(1));
+        let missing = [(5, 1), (6, 1), (9, 1), (1, 2), (2, 2), (9, 1), (3, 1), (4, 1)];
+        let told = missing.map(|(sequence, end)| inbox.missing_before(numbered(sequence, end)));
+        assert_eq!(told, [0, 0, 2, 0, 0, 0, 0, 0]);
+        for forged in [i64::MAX, i64::MIN, 0, i64::MAX] {
+            assert_eq!(inbox.missing_before(numbered(forged, 1)), 0, "{forged}");
+        }
+        for end in 0..=u8::MAX {
+            inbox.missing_before(numbered(1, end));
+        }
+        assert_eq!(inbox.numbers.lock().unwrap().len(), MOST_COMPARED);
+    }
+}

@@ -1,0 +1,41 @@
+//! Whether the router is reached, as a stage tells it.
+
+use crate::Middleware;
+use std::time::{Duration, Instant};
+
+/// So long a router may take to answer before that is told.
+const PATIENCE: Duration = Duration::from_secs(1);
+
+/// Looks after the link to the router.
+pub(crate) struct Link {
+    connect: String,
+    /// Since when it is not reached.
+    missing: Option<Instant>,
+    is_told: bool,
+}
+
+impl Link {
+    pub(crate) fn new(connect: &[String]) -> Self {
+        Self { connect: connect.join("`, `"), missing: None, is_told: false }
+    }
+
+    /// Tells what has changed; whether the router is reached.
+    pub(crate) fn look(&mut self, middleware: &impl Middleware) -> bool {
+        let connect = &self.connect;
+        if middleware.is_joined() {
+            self.missing = None;
+            if std::mem::take(&mut self.is_told) {
+                tracing::info!("the router at `{connect}` is reached");
+            }
+            return true;
+        }
+        if self.missing.get_or_insert_with(Instant::now).elapsed() > PATIENCE && !self.is_told {
+            self.is_told = true;
+            tracing::warn!(
+                "no router of ROS 2 is reached at `{connect}`; it is tried again\n  \
+                 hint: start one on the robot, `ros2 run rmw_zenoh_cpp rmw_zenohd` or `zenohd`; does `connect` name its address?"
+            );
+        }
+        false
+    }
+}

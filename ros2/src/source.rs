@@ -1,0 +1,359 @@
+//! The source that takes depth images from a topic of ROS 2, as they come.
+//!
+//! What cannot be used is counted, told once, and passed over; the stage goes on, because the robot may come to send better.
+
+use crate::cameras::{Cameras, WRITE_INTRINSICS};
+use crate::link::Link;
+use crate::notices::{Fault, Notices, unreadable};
+use crate::participant::topic_fault;
+use crate::picture::{Kind, Picture};
+use crate::{Distro, End, Middleware, Participant, Via, Way};
+use conicflow_dataflow::{ConfigFault, Context, Next, Output, SideInputs, Source, StageError, Stop, tell_median};
+use conicflow_detection::camera::Intrinsics;
+use conicflow_detection::noise::NoiseConfig;
+use conicflow_messages::{Camera, DEPTH_SCALES_M, HAS_POSE, Header, Hinted, Text, median_depth};
+use conicflow_ros::{CAMERA_INFO, Stamped, TF_MESSAGE, Transforms, camera_info_topics};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+const UNREADABLE: &str = "frames unreadable";
+const LOST: &str = "frames lost";
+const WITHOUT_CAMERA: &str = "frames without camera";
+const WITHOUT_POSE: &str = "frames without pose";
+const INFOS_UNREADABLE: &str = "CameraInfo unreadable";
+const TRANSFORMS_UNREADABLE: &str = "transforms unreadable";
+
+/// Images that wait at most: the pipeline takes them at once, unless it is lossless and slow.
+const IMAGES_WAITING: usize = 4;
+/// Transforms that wait at most: those of some seconds.
+const TRANSFORMS_WAITING: usize = 4096;
+/// An image waits so long for what tells its camera, and for the transforms of its time.
+const PATIENCE_WITH_CAMERA: Duration = Duration::from_secs(1);
+const PATIENCE_WITH_POSE: Duration = Duration::from_millis(200);
+/// After so long without an image that is told.
+const SILENCE: Duration = Duration::from_secs(5);
+/// How often is looked for something while nothing comes, and while an image waits.
+const LOOK: Duration = Duration::from_millis(50);
+const LOOK_AGAIN: Duration = Duration::from_millis(5);
+/// So many topics are named in a hint.
+const MOST_NAMED: usize = 8;
+
+/// Where the images come.
+const IMAGES: usize = 0;
+
+/// Parameters of [`Ros2Source`].
+#[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct SourceConfig {
+    /// The topic with the depth images, such as `/camera/depth/image_rect_raw`.
+    pub topic: Option<String>,
+    /// What it carries; default: as its name says: `points`, `compressedDepth`, else an image.
+    pub message: Option<Kind>,
+    /// The topic with the CameraInfo; default: `camera_info` beside the images.
+    pub camera_info: Option<String>,
+    /// fx, fy, cx, cy in pixels; default: those of the CameraInfo.
+    pub intrinsics: Option<Intrinsics>,
+    /// Metres per unit of depth; default: 0.001, for depths in single precision 1.
+    #[schemars(range(min = 0.0))]
+    pub depth_scale: Option<f64>,
+    /// Depth noise of the sensor: a name (`kinect_v1`, `realsense_d435`, `time_of_flight`, `ideal`) or a table; default:
+    /// `kinect_v1`.
+    pub noise: Option<NoiseConfig>,
+    /// The frame of coordinates in which the camera's pose is wanted, such as `map`: looked for in /tf and /tf_static; default:
+    /// none.
+    pub world: Option<String>,
+    /// Zenoh endpoints of the robot's router, such as `["tcp/192.168.0.2:7447"]`; of several the first that answers.
+    pub connect: Vec<String>,
+    /// The domain of ROS 2, as `ROS_DOMAIN_ID` on the robot.
+    #[schemars(range(max = 232))]
+    pub domain: u32,
+    /// The distribution of ROS 2 on the robot.
+    pub distro: Distro,
+    /// What carries messages from ROS 2 to Zenoh.
+    pub via: Via,
+}
+
+impl SourceConfig {
+    fn faults(&self) -> Vec<ConfigFault> {
+        let fault = |key, what: &str, hint: &str| ConfigFault { key, what: what.to_owned(), hint: hint.to_owned() };
+        let mut faults = Participant::faults(&self.connect, self.domain);
+        if self.topic.is_none() {
+            faults.push(fault("topic", "is missing", "write `topic = \"/camera/depth/image_rect_raw\"`"));
+        }
+        for (key, topic) in [("topic", &self.topic), ("camera_info", &self.camera_info)] {
+            faults.extend(topic.as_deref().and_then(|topic| topic_fault(key, topic)));
+        }
+        if self.depth_scale.is_some_and(|scale| !DEPTH_SCALES_M.contains(&scale)) {
+            faults.push(fault("depth_scale", "is not above 0 and at most 1", "0.001 for millimetres"));
+        }
+        if self.intrinsics.is_some_and(|intrinsics| !intrinsics.are_usable()) {
+            let what = "need fx and fy of 1 to 1,000,000 pixels, and no larger cx and cy";
+            faults.push(fault("intrinsics", what, "take them from the camera's calibration"));
+        }
+        faults
+    }
+
+    /// The end that tells the camera, unless the file does.
+    fn camera_end(&self, topic: &str, kind: Kind) -> Option<End> {
+        let [beside, above, _] = camera_info_topics(topic);
+        let usual = if kind == Kind::CompressedDepth { above } else { beside };
+        let topic = self.camera_info.clone().unwrap_or(usual);
+        self.intrinsics.is_none().then_some(End { topic, definition: CAMERA_INFO, way: Way::Subscribe(1) })
+    }
+
+    /// The ends that tell where the camera is, if that is wanted.
+    fn transform_ends(&self) -> Vec<End> {
+        let end = |topic: &str, way| End { topic: topic.to_owned(), definition: TF_MESSAGE, way };
+        let wanted = self.world.iter();
+        wanted
+            .flat_map(|_| {
+                [
+                    end("/tf_static", Way::SubscribeLatched(TRANSFORMS_WAITING)),
+                    end("/tf", Way::Subscribe(TRANSFORMS_WAITING)),
+                ]
+            })
+            .collect()
+    }
+}
+
+/// Takes depth images from a topic of ROS 2.
+pub struct Ros2Source<M> {
+    middleware: M,
+    link: Link,
+    /// The first is that of the images.
+    ends: Vec<End>,
+    kind: Kind,
+    config: SourceConfig,
+    cameras: Cameras,
+    transforms: Transforms,
+    /// An image that came, and when.
+    waiting: Option<(Vec<u8>, Instant)>,
+    /// The camera whose clouds were found to be its own.
+    checked: Option<Camera>,
+    notices: Notices,
+    /// When the last image came, and whether that it was the last was told.
+    heard: (Instant, bool),
+    is_told: bool,
+    stop: Stop,
+}
+
+impl<M: Middleware> Source for Ros2Source<M> {
+    const NAME: &'static str = "ros2_source";
+    const SUMMARY: &'static str = "Takes depth images or organised point clouds from a topic of ROS 2, over Zenoh";
+    type Config = SourceConfig;
+    type Output = u16;
+
+    fn faults(config: &SourceConfig, _: &Path) -> Vec<ConfigFault> {
+        config.faults()
+    }
+
+    fn new(config: SourceConfig, context: &Context) -> Result<Self, StageError> {
+        let topic = config.topic.clone();
+        let topic = topic.ok_or_else(|| Hinted::new("`topic` is missing", "write `topic = \"/camera/depth/..\"`"))?;
+        let kind = config.message.unwrap_or_else(|| Kind::of(&topic));
+        let images = End { topic: topic.clone(), definition: kind.definition(), way: Way::Subscribe(IMAGES_WAITING) };
+        let camera = config.camera_end(&topic, kind);
+        let ends: Vec<_> = std::iter::once(images).chain(camera).chain(config.transform_ends()).collect();
+        let participant = Participant {
+            connect: config.connect.clone(),
+            domain: config.domain,
+            distro: config.distro,
+            via: config.via,
+            name: Participant::name_of(&context.stage),
+            ends: ends.clone(),
+        };
+        Ok(Self {
+            link: Link::new(&config.connect),
+            middleware: M::join(participant)?,
+            ends,
+            kind,
+            cameras: Cameras::new(&topic, config.intrinsics),
+            config,
+            transforms: Transforms::live(),
+            waiting: None,
+            checked: None,
+            notices: Notices::default(),
+            heard: (Instant::now(), false),
+            is_told: context.resume_at > 0,
+            stop: context.stop.clone(),
+        })
+    }
+
+    fn next(&mut self, _: &SideInputs, output: &mut Output<u16>) -> Result<Next, StageError> {
+        while !self.stop.requested() {
+            let is_joined = self.link.look(&self.middleware);
+            self.take_image(output);
+            self.learn(output);
+            let Some((message, came)) = self.waiting.take() else {
+                self.tell_silence(is_joined);
+                continue;
+            };
+            match self.frame(&message, came.elapsed()) {
+                Ok(Some((header, pixels))) => {
+                    output.header = header;
+                    output.image(pixels.len())?.copy_from_slice(&pixels);
+                    output.count(WITHOUT_POSE, u64::from(self.config.world.is_some() && header.pose().is_none()));
+                    return Ok(Next::Message);
+                }
+                Ok(None) => self.waiting = Some((message, came)),
+                Err(fault) => self.notice(&fault, output),
+            }
+        }
+        Ok(Next::End)
+    }
+}
+
+impl<M: Middleware> Ros2Source<M> {
+    /// Takes the next image, as soon as there is one; one that still waits makes room.
+    fn take_image(&mut self, output: &mut Output<u16>) {
+        let look = if self.waiting.is_some() { LOOK_AGAIN } else { LOOK };
+        let came = self.middleware.receive(IMAGES, look).map(|message| (message, Instant::now()));
+        output.count(LOST, self.middleware.take_lost(IMAGES));
+        if came.is_none() {
+            return;
+        }
+        if std::mem::replace(&mut self.heard, (Instant::now(), false)).1 {
+            tracing::info!("images come on `{}`", self.ends[IMAGES].topic);
+        }
+        output.count(LOST, u64::from(self.waiting.is_some()));
+        self.waiting = came;
+    }
+
+    /// Takes in what has come of cameras and frames of coordinates.
+    fn learn(&mut self, output: &mut Output<u16>) {
+        for end in 1..self.ends.len() {
+            while let Some(message) = self.middleware.receive(end, Duration::ZERO) {
+                let End { topic, definition, way } = &self.ends[end];
+                let (sort, learnt) = if *definition == CAMERA_INFO {
+                    (INFOS_UNREADABLE, self.cameras.learn(topic, &message))
+                } else {
+                    let is_fixed = matches!(way, Way::SubscribeLatched(_));
+                    (TRANSFORMS_UNREADABLE, self.transforms.add(&message, is_fixed))
+                };
+                if let Err(error) = learnt {
+                    let fault = unreadable(sort, topic, &error);
+                    self.notice(&fault, output);
+                }
+            }
+        }
+    }
+
+    /// The frame of a message that came so long ago; none while something that tells of it may still come.
+    fn frame(&mut self, message: &[u8], age: Duration) -> Result<Option<(Header, Vec<u16>)>, Fault> {
+        let topic = self.ends[IMAGES].topic.clone();
+        let picture = Picture::read(self.kind, message).map_err(|error| unreadable(UNREADABLE, &topic, &error))?;
+        if !self.cameras.are_known() && age < PATIENCE_WITH_CAMERA {
+            return Ok(None);
+        }
+        // A driver that knows no time leaves it at zero.
+        let stamped = picture.stamped();
+        let stamp_ns = if stamped.stamp_ns > 0 { stamped.stamp_ns } else { now_ns() };
+        let pose = self.pose(&Stamped { stamp_ns, ..stamped });
+        if pose.is_none() && self.config.world.is_some() && age < PATIENCE_WITH_POSE {
+            return Ok(None);
+        }
+        let (size, depths) = picture.depths().map_err(|error| unreadable(UNREADABLE, &topic, &error))?;
+        let camera = self.cameras.of(size).map_err(|hinted| (WITHOUT_CAMERA, hinted))?;
+        self.check_cloud(&picture, &camera)?;
+        let (pixels, depth_scale) = depths.in_units(self.config.depth_scale);
+        let noise = self.config.noise.unwrap_or_default().into();
+        let source = Text::new(stamped.frame_id);
+        let mut header = Header { camera, depth_scale, noise, stamp_ns, source, ..Header::default() };
+        if let Some(pose) = pose {
+            header.world_from_camera = pose;
+            header.flags |= HAS_POSE;
+        }
+        header.check(&topic).map_err(|error| {
+            (
+                UNREADABLE,
+                Hinted::new(error.to_string(), "are the numbers of /tf and of the CameraInfo those of a robot?"),
+            )
+        })?;
+        self.tell(&header, &pixels);
+        Ok(Some((header, pixels)))
+    }
+
+    /// Whether the points of a cloud lie where the camera sees its pixels; looked at when the camera is new.
+    fn check_cloud(&mut self, picture: &Picture<'_>, camera: &Camera) -> Result<(), Fault> {
+        let Picture::Cloud(cloud) = picture else { return Ok(()) };
+        if self.checked != Some(*camera) {
+            if !cloud.is_of(camera) {
+                let topic = &self.ends[IMAGES].topic;
+                let what = format!("the points of `{topic}` do not lie where the camera sees its pixels");
+                return Err((WITHOUT_CAMERA, Hinted::new(what, WRITE_INTRINSICS)));
+            }
+            self.checked = Some(*camera);
+        }
+        Ok(())
+    }
+
+    /// Where the camera is, if that is wanted and known.
+    fn pose(&self, stamped: &Stamped<'_>) -> Option<[[f64; 4]; 3]> {
+        self.transforms.pose(self.config.world.as_deref()?, stamped.frame_id, stamped.stamp_ns)
+    }
+
+    fn notice(&mut self, fault: &Fault, output: &mut Output<u16>) {
+        output.count(fault.0, 1);
+        self.notices.tell(fault);
+    }
+
+    /// Says once what the images are like, so that a wrong scale is seen.
+    fn tell(&mut self, header: &Header, pixels: &[u16]) {
+        if self.is_told {
+            return;
+        }
+        if let Some(median) = median_depth(pixels) {
+            self.is_told = true;
+            let median_m = f64::from(median) * header.depth_scale;
+            tell_median("images", &self.ends[IMAGES].topic, &header.camera, median_m);
+        }
+    }
+
+    /// Tells that no images come, and what there is instead.
+    fn tell_silence(&mut self, is_joined: bool) {
+        if !is_joined {
+            self.heard.0 = Instant::now();
+        }
+        if self.heard.0.elapsed() > SILENCE && !self.heard.1 {
+            self.heard.1 = true;
+            let Hinted { what, hint } = self.explain_silence();
+            tracing::warn!("{what}\n  hint: {hint}");
+        }
+    }
+
+    fn explain_silence(&self) -> Hinted {
+        let End { topic, definition, .. } = &self.ends[IMAGES];
+        let published = self.middleware.published();
+        let types: Vec<_> = published.iter().filter(|(name, _)| name == topic).map(|(_, kind)| kind.as_str()).collect();
+        if types.contains(&definition.name) {
+            let what = format!("nothing comes on `{topic}`, which somebody publishes");
+            return Hinted::new(what, "does the camera run? `ros2 topic hz` tells");
+        }
+        let other_kind = types.iter().find_map(|name| Some((name, Kind::of_type(name)?)));
+        if let Some((name, kind)) = other_kind {
+            let what = format!("`{topic}` carries {name}, expected {}", definition.name);
+            return Hinted::new(what, format!("write `message = \"{}\"`", kind.word()));
+        }
+        // What is no name of ROS is not repeated.
+        let is_fitting = |name: &&String| topic_fault("topic", name).is_none();
+        let fitting = published.iter().filter(|(_, kind)| Kind::of_type(kind).is_some()).map(|(name, _)| name);
+        let there: Vec<_> = fitting.filter(is_fitting).take(MOST_NAMED).map(|name| format!("`{name}`")).collect();
+        let hint = if there.is_empty() {
+            format!(
+                "nobody publishes images or clouds: does the camera's node run, in domain {}, with \
+                 RMW_IMPLEMENTATION=rmw_zenoh_cpp or a bridge (`via`)?",
+                self.config.domain
+            )
+        } else {
+            format!("topics with images or clouds: {}", there.join(", "))
+        };
+        Hinted::new(format!("nobody publishes `{topic}`"), hint)
+    }
+}
+
+/// Nanoseconds since the Unix epoch.
+fn now_ns() -> u64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as u64)
+}

@@ -1,0 +1,391 @@
+//! The nodes that take part in ROS 2, with a Zenoh router and a bare Zenoh session in place of a robot: keys, attachments and
+//! tokens are those of `rmw_zenoh_cpp`, written down here a second time.
+
+use crate::bridge::loopback;
+use crate::routers::router;
+use crate::support::{Playground, RECORDING, Started, TRACKING, signal, wait_until};
+use conicflow_lab::simulator::scene::Scene;
+use conicflow_messages::Camera;
+use conicflow_ros::{CameraInfo, Image, Stamped, write_transform, write_units};
+use rustix::process::Signal;
+use serde_json::Value as Json;
+use std::fs;
+use std::process::{Command, Stdio};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use zenoh::Wait;
+use zenoh::qos::CongestionControl;
+use zenoh::sample::SampleKind;
+
+const IMAGE_HASH: &str = "RIHS01_d31d41a9a4c4bc8eae9be757b0beed306564f7526c88ea6a4588fb9582527d47";
+const INFO_HASH: &str = "RIHS01_b3dfd68ff46c9d56c80fd3bd4ed22c7a4ddce8c8348f2f59c299e73118e7e275";
+const DETECTIONS_HASH: &str = "RIHS01_793f5eab9595ac1c0da07873cc859db42eae51f0ee76056db8562515d830e018";
+const MARKERS_HASH: &str = "RIHS01_86cb8800b6fb05b5eff1abd7a56f62a5641d3ae9a1c29e78e67e704f1d067dcf";
+const FRAME: &str = "camera_depth_optical_frame";
+
+/// A session of a robot, which reaches the router.
+fn robot(endpoint: &str) -> zenoh::Session {
+    let mut config = zenoh::Config::default();
+    for (key, value) in [
+        ("mode", "\"client\""),
+        ("scouting/multicast/enabled", "false"),
+        ("connect/endpoints", &format!("[\"{endpoint}\"]")),
+    ] {
+        config.insert_json5(key, value).unwrap();
+    }
+    zenoh::open(config).wait().unwrap()
+}
+
+/// A message with its key and its attachment.
+type Heard = (String, Vec<u8>, Vec<u8>);
+
+/// The end of a topic as a robot's node has it.
+struct RobotsTopic {
+    session: zenoh::Session,
+    key: String,
+    sequence: i64,
+}
+
+impl RobotsTopic {
+    fn new(session: &zenoh::Session, key: &str) -> Self {
+        Self { session: session.clone(), key: key.to_owned(), sequence: 0 }
+    }
+
+    fn publish(&mut self, message: Vec<u8>) {
+        self.sequence += 1;
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_nanos() as i64;
+        let attachment = [&self.sequence.to_le_bytes()[..], &now.to_le_bytes(), &[16], &[3; 16]].concat();
+        // A test must not lose what a busy machine is slow to take.
+        let put = self.session.put(&self.key, message).congestion_control(CongestionControl::Block);
+        put.attachment(attachment).wait().unwrap();
+    }
+}
+
+/// The depth topic of a camera, with what tells of it.
+fn camera_topics(session: &zenoh::Session) -> [RobotsTopic; 2] {
+    let image = format!("0/camera/depth/image_rect_raw/sensor_msgs::msg::dds_::Image_/{IMAGE_HASH}");
+    let info = format!("0/camera/depth/camera_info/sensor_msgs::msg::dds_::CameraInfo_/{INFO_HASH}");
+    [image, info].map(|key| RobotsTopic::new(session, &key))
+}
+
+/// The tokens of those who take part.
+fn tokens(session: &zenoh::Session) -> Vec<String> {
+    let answers = session.liveliness().get("@ros2_lv/0/**").wait().unwrap();
+    answers.iter().filter_map(|answer| Some(answer.into_result().ok()?.key_expr().to_string())).collect()
+}
+
+fn wait_for_token(session: &zenoh::Session, part: &str) -> String {
+    let mut found = None;
+    wait_until(part, || {
+        found = tokens(session).into_iter().find(|token| token.contains(part));
+        found.is_some()
+    });
+    found.unwrap()
+}
+
+/// The same stages with a camera of ROS 2.
+fn by_ros(text: &str, endpoint: &str) -> String {
+    let (before, after) = text.split_once("[stage.source]").unwrap();
+    let rest = after.split_once("[stage.extractor]").unwrap().1;
+    format!(
+        "{before}[stage.source]\nnode = \"ros2_source\"\noutput = \"depth\"\nnoise = \"ideal\"\n\
+         topic = \"/camera/depth/image_rect_raw\"\nconnect = [\"{endpoint}\"]\n\n[stage.extractor]{rest}"
+    )
+}
+
+/// A pipeline that tells its tracks to ROS 2.
+fn to_ros(endpoint: &str) -> String {
+    let text = TRACKING.replace("rate_hz    = 0", "rate_hz    = 50");
+    format!("{text}\n[stage.ros]\nnode = \"ros2_sink\"\ninput = \"tracks\"\nconnect = [\"{endpoint}\"]\n")
+}
+
+/// Depth images of a scene, their camera, and where they are as files.
+fn recorded(text: &str, frames: u64) -> (Playground, Camera, Vec<Vec<u16>>) {
+    let playground = Playground::with_pipeline(text);
+    let camera = playground.record(Scene::built_in("tabletop").unwrap().unwrap(), 5, frames);
+    let Camera { width, height, fx, fy, cx, cy } = camera;
+    let json = serde_json::json!({ "width": width, "height": height, "fx": fx, "fy": fy, "cx": cx, "cy": cy });
+    playground.write("frames/camera.json", &json.to_string());
+    let pixels = |number: u64| {
+        let file = fs::File::open(playground.path(&format!("frames/{number}.png"))).unwrap();
+        let mut reader = png::Decoder::new(std::io::BufReader::new(file)).read_info().unwrap();
+        let mut bytes = vec![0; reader.output_buffer_size().unwrap()];
+        reader.next_frame(&mut bytes).unwrap();
+        bytes.as_chunks().0.iter().map(|pixel| u16::from_be_bytes(*pixel)).collect()
+    };
+    let images = (0..frames).map(pixels).collect();
+    (playground, camera, images)
+}
+
+/// The numbers and the objects of all lines.
+fn found(playground: &Playground) -> Vec<(Json, Json)> {
+    let lines = playground.json_lines("objects.jsonl");
+    lines.iter().map(|line| (line["sequence"].clone(), line["objects"].clone())).collect()
+}
+
+#[test]
+fn images_of_ros_give_the_objects_that_the_same_files_give() {
+    const FRAMES: u64 = 60;
+    let (files, camera, images) = recorded(RECORDING, FRAMES);
+    files.conicflow(&["run"]).expect_code(0);
+    let endpoint = loopback();
+    let _router = router(&endpoint);
+    let session = robot(&endpoint);
+    let by_topic = Playground::with_pipeline(&by_ros(RECORDING, &endpoint));
+    let mut run = by_topic.start(&["run", "--frames", &FRAMES.to_string()]);
+    wait_for_token(&session, "/MS/%/%/conicflow_source/%camera%depth%image_rect_raw/");
+    let [mut topic, mut info] = camera_topics(&session);
+    for (number, image) in images.iter().enumerate() {
+        let stamped = Stamped { stamp_ns: 1_700_000_000_000_000_000 + number as u64, frame_id: FRAME };
+        info.publish(CameraInfo::write(stamped, &camera, Vec::new()));
+        topic.publish(write_units(stamped, (camera.width, camera.height), image, Vec::new()));
+        // As fast as the pipeline takes them: a topic of ROS waits for nobody.
+        run.wait_until("its objects are written", || by_topic.lines("objects.jsonl").len() + 2 > number);
+    }
+    run.wait().expect_code(0);
+    let (of_files, of_topic) = (found(&files), found(&by_topic));
+    assert!(of_files.iter().any(|(_, objects)| !objects.as_array().unwrap().is_empty()), "something is found");
+    assert_eq!(of_topic.len() as u64, FRAMES);
+    assert!(of_topic == of_files);
+    let last = by_topic.json_lines("objects.jsonl").pop().unwrap();
+    assert_eq!((last["stamp_ns"].as_u64(), last["source"].as_str()), (Some(1_700_000_000_000_000_059), Some(FRAME)));
+}
+
+#[test]
+fn tracks_reach_ros_and_the_node_is_seen() {
+    let endpoint = loopback();
+    let _router = router(&endpoint);
+    let session = robot(&endpoint);
+    let heard = Arc::<Mutex<Vec<Heard>>>::default();
+    let take = Arc::clone(&heard);
+    let _subscriber = session
+        .declare_subscriber("0/conicflow/**")
+        .callback(move |sample| {
+            let attachment = sample.attachment().map(|bytes| bytes.to_bytes().into_owned()).unwrap_or_default();
+            let message = sample.payload().to_bytes().into_owned();
+            take.lock().unwrap().push((sample.key_expr().to_string(), message, attachment));
+        })
+        .wait()
+        .unwrap();
+    let gone = Arc::<Mutex<Vec<String>>>::default();
+    let take = Arc::clone(&gone);
+    let _graph = session
+        .liveliness()
+        .declare_subscriber("@ros2_lv/0/**")
+        .callback(move |sample| {
+            if sample.kind() == SampleKind::Delete {
+                take.lock().unwrap().push(sample.key_expr().to_string());
+            }
+        })
+        .wait()
+        .unwrap();
+    let playground = Playground::with_pipeline(&to_ros(&endpoint));
+    let mut run = playground.start(&["run"]);
+    run.wait_until("tracks are heard", || heard.lock().unwrap().len() > 40);
+    let node = wait_for_token(&session, "/NN/%/%/conicflow_ros");
+    let zid = node.split('/').nth(2).unwrap().to_owned();
+    assert_eq!(node, format!("@ros2_lv/0/{zid}/0/0/NN/%/%/conicflow_ros"));
+    let ends = [
+        format!("1/MP/%/%/conicflow_ros/%conicflow%tracks/vision_msgs::msg::dds_::Detection3DArray_/{DETECTIONS_HASH}"),
+        format!(
+            "2/MP/%/%/conicflow_ros/%conicflow%tracks%markers/visualization_msgs::msg::dds_::MarkerArray_/{MARKERS_HASH}"
+        ),
+    ];
+    let there = tokens(&session);
+    for end in ends {
+        assert!(there.contains(&format!("@ros2_lv/0/{zid}/0/{end}/::,10:,:,:,,")), "{end} in {there:?}");
+    }
+    swap_and_go_on(&playground, &mut run, &heard);
+    signal(run.id(), Signal::INT);
+    run.wait().expect_code(0);
+    wait_until("the node is gone", || gone.lock().unwrap().len() >= 6);
+    check_heard(&heard.lock().unwrap());
+}
+
+/// The sink is replaced while it runs, and more is heard.
+fn swap_and_go_on(playground: &Playground, run: &mut Started, heard: &Mutex<Vec<Heard>>) {
+    playground.conicflow(&["swap", "ros", "--set", "frame_id=optical"]).expect_code(0);
+    let is_new = |message: &[u8]| message.windows(7).any(|bytes| bytes == b"optical");
+    run.wait_until("the successor is heard", || {
+        heard.lock().unwrap().iter().filter(|(_, message, _)| is_new(message)).count() > 20
+    });
+    let top = playground.top();
+    let ros = top["stages"].as_array().unwrap().iter().find(|stage| stage["stage"] == "ros").unwrap().clone();
+    assert!(ros["counters"]["messages sent"].as_u64().unwrap() > 20, "{ros}");
+}
+
+/// Each message has its key, and an attachment whose numbers rise by one.
+fn check_heard(heard: &[Heard]) {
+    let detections = format!("0/conicflow/tracks/vision_msgs::msg::dds_::Detection3DArray_/{DETECTIONS_HASH}");
+    let markers = format!("0/conicflow/tracks/markers/visualization_msgs::msg::dds_::MarkerArray_/{MARKERS_HASH}");
+    assert!(heard.iter().all(|(key, ..)| [&detections, &markers].contains(&key)), "nothing else");
+    for key in [detections, markers] {
+        let of_key: Vec<_> = heard.iter().filter(|(heard, ..)| *heard == key).collect();
+        assert!(of_key.len() > 20, "{} on {key}", of_key.len());
+        let (mut last, mut ends) = (None, 0);
+        for (_, message, attachment) in of_key {
+            assert_eq!((message[..4].to_vec(), attachment.len(), attachment[16]), (vec![0, 1, 0, 0], 33, 16));
+            let number = i64::from_le_bytes(attachment[..8].try_into().unwrap());
+            let end = attachment[17..].to_vec();
+            match last.replace((end.clone(), number)) {
+                Some((same, before)) if same == end => assert_eq!(number, before + 1),
+                _ => ends += 1,
+            }
+        }
+        assert_eq!(ends, 2, "one for each process of the stage");
+    }
+}
+
+#[test]
+fn hostile_messages_are_passed_over_and_told_once() {
+    let endpoint = loopback();
+    let _router = router(&endpoint);
+    let session = robot(&endpoint);
+    let playground = Playground::with_pipeline(&by_ros(RECORDING, &endpoint));
+    let mut run = playground.start(&["run", "--frames", "3"]);
+    wait_for_token(&session, "/MS/%/%/conicflow_source/%camera%depth%image_rect_raw/");
+    let [mut topic, mut info] = camera_topics(&session);
+    let stamped = Stamped { stamp_ns: 1, frame_id: FRAME };
+    let camera = Camera { width: 64, height: 48, fx: 50.0, fy: 50.0, cx: 31.5, cy: 23.5 };
+    let good = || write_units(stamped, (64, 48), &[1000; 64 * 48], Vec::new());
+    info.publish(CameraInfo::write(stamped, &camera, Vec::new()));
+    let mut damaged: Vec<Vec<u8>> = vec![Vec::new(), vec![0; 5], vec![0xff; 70_000], b"\0\x01\0\0".to_vec()];
+    let mut random = fastrand::Rng::with_seed(7);
+    damaged.extend((0..200).map(|_| {
+        let mut message = good();
+        // Lengths and sizes stand in the first hundred bytes.
+        (0..4).for_each(|_| message[random.usize(..100)] = random.u8(..));
+        message.truncate(random.usize(..message.len()));
+        message
+    }));
+    for message in damaged {
+        topic.publish(message.clone());
+        info.publish(message);
+        // A malformed attachment, and none.
+        session.put(&topic.key, vec![1; 9]).attachment(vec![7; 20]).wait().unwrap();
+        session.put(&info.key, vec![1; 9]).wait().unwrap();
+    }
+    run.wait_for_text("is counted as `frames unreadable`");
+    let mut sent = 0;
+    run.wait_until("good ones are taken", || {
+        info.publish(CameraInfo::write(stamped, &camera, Vec::new()));
+        topic.publish(good());
+        sent += 1;
+        playground.lines("objects.jsonl").len() == 3 || sent > 1000
+    });
+    let ended = run.wait().expect_code(0);
+    assert_eq!(ended.stderr.matches("is counted as `frames unreadable`").count(), 1, "{}", ended.stderr);
+    assert_eq!(ended.stage("source").starts, 1);
+    assert!(ended.stderr.contains("frames unreadable"), "{}", ended.stderr);
+}
+
+#[test]
+fn a_router_of_ros_may_come_late_and_come_again() {
+    let endpoint = loopback();
+    let playground = Playground::with_pipeline(&to_ros(&endpoint));
+    let mut run = playground.start(&["run"]);
+    run.wait_for_text(&format!("no router of ROS 2 is reached at `{endpoint}`"));
+    for round in 1..=2 {
+        let router = router(&endpoint);
+        let session = robot(&endpoint);
+        let heard = session.declare_subscriber("0/conicflow/**").wait().unwrap();
+        wait_for_token(&session, "/MP/%/%/conicflow_ros/%conicflow%tracks/");
+        assert!(heard.recv_timeout(Duration::from_secs(60)).unwrap().is_some());
+        session.close().wait().unwrap();
+        router.close().wait().unwrap();
+        run.wait_until("the loss is counted", || is_without_router(&playground, round));
+    }
+    signal(run.id(), Signal::INT);
+    let ended = run.wait().expect_code(0);
+    assert!(ended.stderr.matches("no router of ROS 2 is reached").count() >= 2, "{}", ended.stderr);
+    assert!(ended.stderr.contains("is reached\n"), "{}", ended.stderr);
+    assert_eq!(ended.stage("ros").starts, 1);
+}
+
+/// Whether twenty messages in each round found no router.
+fn is_without_router(playground: &Playground, round: u64) -> bool {
+    let top = playground.top();
+    let stages = top["stages"].as_array().cloned().unwrap_or_default();
+    let ros = stages.into_iter().find(|stage| stage["stage"] == "ros").unwrap_or_default();
+    ros["counters"]["messages without a router"].as_u64().unwrap_or(0) > 20 * round
+}
+
+#[test]
+fn silence_is_told_with_what_there_is_instead() {
+    let endpoint = loopback();
+    let _router = router(&endpoint);
+    let session = robot(&endpoint);
+    let token = format!(
+        "@ros2_lv/0/{}/0/1/MP/%/%/driver/%camera%depth%points/sensor_msgs::msg::dds_::PointCloud2_/RIHS01_0/::,10:,:,:,,",
+        session.zid()
+    );
+    let _token = session.liveliness().declare_token(token).wait().unwrap();
+    let playground = Playground::with_pipeline(&by_ros(RECORDING, &endpoint));
+    let mut run = playground.start(&["run"]);
+    run.wait_for_text("nobody publishes `/camera/depth/image_rect_raw`");
+    run.wait_for_text("hint: topics with images or clouds: `/camera/depth/points`");
+    signal(run.id(), Signal::INT);
+    run.wait().expect_code(0);
+}
+
+#[test]
+fn messages_are_those_of_an_independent_reader() {
+    let python = std::env::var("CONICFLOW_TEST_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    let has_rosbags = Command::new(&python).args(["-c", "import rosbags"]).stderr(Stdio::null()).status();
+    if !has_rosbags.is_ok_and(|status| status.success()) {
+        eprintln!("SKIPPED: `{python}` has no rosbags; nothing was shown");
+        return;
+    }
+    let endpoint = loopback();
+    let _router = router(&endpoint);
+    let session = robot(&endpoint);
+    let heard = session.declare_subscriber("0/conicflow/**").wait().unwrap();
+    let playground = Playground::with_pipeline(&to_ros(&endpoint));
+    let run = playground.start(&["run"]);
+    for number in 0..20 {
+        let sample = heard.recv_timeout(Duration::from_secs(60)).unwrap().unwrap();
+        let kind = sample.key_expr().as_str().split('/').rev().nth(1).unwrap().to_owned();
+        let (package, name) = kind.split_once("::msg::dds_::").unwrap();
+        let file = format!("{number}.{package}.{}", name.trim_end_matches('_'));
+        fs::write(playground.path(&file), sample.payload().to_bytes()).unwrap();
+    }
+    drop(run);
+    let stamped = Stamped { stamp_ns: 5_000_000_006, frame_id: FRAME };
+    let camera = Camera { width: 3, height: 2, fx: 52.5, fy: 52.0, cx: 1.0, cy: 0.5 };
+    let pose = [[0.0, 0.0, 1.0, 4.0], [-1.0, 0.0, 0.0, 5.0], [0.0, -1.0, 0.0, 6.0]];
+    let image = write_units(stamped, (3, 2), &[0, 1, 65535, 4, 5, 6], Vec::new());
+    assert!(Image::read(&image).is_ok());
+    for (file, message) in [
+        ("image.sensor_msgs.Image", image),
+        ("info.sensor_msgs.CameraInfo", CameraInfo::write(stamped, &camera, Vec::new())),
+        ("tf.tf2_msgs.TFMessage", write_transform(stamped, "camera", &pose, Vec::new())),
+    ] {
+        fs::write(playground.path(file), message).unwrap();
+    }
+    let mut script = Command::new(python);
+    script.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/end_to_end/ros2_messages.py"));
+    script.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/ros")).arg(playground.path("."));
+    let printed = Started::new(script).wait().expect_code(0).stdout;
+    assert!(printed.contains("7 types, 23 messages"), "{printed}");
+}
+
+#[test]
+fn the_example_is_valid_and_can_be_pointed_at_a_robot() {
+    let playground = Playground::new();
+    let example = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/ros2.toml");
+    let robot = r#"connect=["tcp/192.168.0.2:7447"]"#;
+    let set = ["source", "ros"].map(|stage| format!("{stage}.{robot}"));
+    playground.conicflow(&["validate", example, "--set", &set[0], "--set", &set[1]]).expect_code(0);
+    let wrong =
+        playground.conicflow(&["validate", example, "--set", "ros.connect=[]", "--set", "source.topic=\"a b\""]);
+    let told = wrong.expect_code(2);
+    let told = told.stdout + &told.stderr;
+    assert!(told.contains("`connect`: is missing") && told.contains("`a b` is no name of a topic"), "{told}");
+    let mut command = playground.command(&["validate", example]);
+    let away = Started::new({
+        command.env("CONICFLOW_BRIDGE", playground.path("no-such-program"));
+        command
+    });
+    let told = away.wait().expect_code(2);
+    assert!((told.stdout + &told.stderr).contains("no-such-program"));
+}
