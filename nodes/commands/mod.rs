@@ -5,6 +5,8 @@ mod doctor;
 mod experiment;
 mod node_help;
 mod record;
+#[cfg(test)]
+mod schema_tests;
 mod swap;
 mod top;
 mod topic;
@@ -13,7 +15,7 @@ mod view;
 use crate::{NODES, REGISTRY};
 use anyhow::{Context, anyhow, bail};
 use clap::{Args, Parser, Subcommand};
-use conicflow_dataflow::pipeline::{Pipeline, Report, SourceText};
+use conicflow_dataflow::pipeline::{Pipeline, Report, SourceText, file_schema};
 use conicflow_dataflow::{DEFAULT_LOG, LOG, LaunchError, NO_RUN, Plan, ProcessError, RunOptions, Summary};
 use conicflow_dataflow::{log_filter, log_to_standard_error};
 use conicflow_lab::experiment::{Experiment, Results, Variation};
@@ -124,6 +126,8 @@ enum Command {
         #[arg(long)]
         clean: bool,
     },
+    /// Print the JSON schema of pipeline files, by which editors complete and check them
+    Schema,
     /// List the built-in nodes, or the parameters of one
     Nodes {
         /// Name of a node
@@ -193,6 +197,10 @@ fn dispatch(command: Command, log: &str) -> anyhow::Result<ExitCode> {
         Command::Swap(arguments) => swap::swap(&arguments).map(|()| ExitCode::SUCCESS),
         Command::Doctor { source, machine, clean } => {
             doctor(&source.read_for(machine.as_deref())?, machine.as_deref(), clean)
+        }
+        Command::Schema => {
+            writeln!(stdout(), "{:#}", file_schema(REGISTRY.nodes))?;
+            Ok(ExitCode::SUCCESS)
         }
         Command::Nodes { name } => {
             write!(stdout(), "{}", node_help::nodes(name.as_deref())?)?;

@@ -5,6 +5,7 @@
 
 mod check;
 mod diagnostic;
+mod file_schema;
 mod graph;
 mod machine;
 mod read;
@@ -13,6 +14,7 @@ mod spec;
 mod value;
 
 pub use diagnostic::{Diagnostic, Report, Severity, SourceText, suggestion};
+pub use file_schema::file_schema;
 pub use machine::{BRIDGE, Compression, Machine, check_endpoint};
 pub use spec::{Input, Pipeline, Program, Restart, StageSpec};
 

@@ -1,0 +1,227 @@
+//! The JSON schema of a pipeline file, by which editors complete and check it.
+//!
+//! What a node's parameters are comes from the types of their configurations; what stands here are the keys that the file itself
+//! has. `conicflow validate` sees more: whether topics fit together, files are there, and endpoints can be used.
+
+use crate::item_type::BUILT_IN;
+use crate::node::Node;
+use conicflow_messages::{Item, Nothing};
+use serde_json::{Map, Value as Json, json};
+
+/// Where the schema keeps what it refers to, and where those of nodes do.
+const DEFINITIONS: &str = "definitions";
+const OF_NODE: &str = "$defs";
+
+/// The schema of files whose stages may be these nodes.
+pub fn file_schema<'a>(nodes: impl IntoIterator<Item = &'a Node>) -> Json {
+    let mut definitions = Map::new();
+    let mut stages: Vec<Json> = nodes.into_iter().map(|node| of_node(node, &mut definitions)).collect();
+    stages.push(of_program());
+    definitions.insert("input".to_owned(), input());
+    json!({
+        "$schema": "http://json-schema.org/draft-07/schema#",
+        "title": "pipeline of conicflow",
+        "type": "object",
+        "required": ["name", "stage"],
+        "additionalProperties": false,
+        "properties": {
+            "name": {
+                "description": "Two pipelines of different names on one machine do not meet.",
+                "type": "string", "pattern": "^[A-Za-z0-9_-]{1,31}$",
+            },
+            "stage": { "description": "The stages, each a process.", "type": "object", "additionalProperties": { "oneOf": stages } },
+            "machine": {
+                "description": "The machines, where there is more than one.",
+                "type": "object", "additionalProperties": machine(),
+            },
+            "item": {
+                "description": "Item types that only programs of one's own know.",
+                "type": "object", "additionalProperties": item(),
+            },
+            "experiment": { "description": "What `conicflow run` varies and plots; stages do not see it.", "type": "object" },
+        },
+        DEFINITIONS: definitions,
+    })
+}
+
+/// A stage that is a node; what its schema refers to goes into `definitions`, under names that begin with the node's.
+fn of_node(node: &Node, definitions: &mut Map<String, Json>) -> Json {
+    let mut schema = node.schema();
+    let prefix = format!("#/{DEFINITIONS}/{}.", node.name);
+    refer(&mut schema, &format!("#/{OF_NODE}/"), &prefix);
+    if let Some(Json::Object(own)) = schema.get_mut(OF_NODE).map(Json::take) {
+        definitions.extend(own.into_iter().map(|(name, schema)| (format!("{}.{name}", node.name), schema)));
+    }
+    let mut properties = Map::new();
+    properties.insert("node".to_owned(), json!({ "description": node.summary, "const": node.name }));
+    if !node.is_source() {
+        properties.insert("input".to_owned(), reference("input", "What drives the stage."));
+    }
+    let side_inputs: Map<_, _> =
+        node.side_inputs().iter().map(|side| (side.name.to_owned(), reference("input", side.kind))).collect();
+    if !side_inputs.is_empty() {
+        let inputs = json!({ "type": "object", "properties": side_inputs, "additionalProperties": false });
+        properties.insert("inputs".to_owned(), inputs);
+    }
+    if node.output() != Nothing::NAME {
+        properties.insert("output".to_owned(), output());
+    }
+    add_common(&mut properties);
+    if let Some(Json::Object(parameters)) = schema.get_mut("properties").map(Json::take) {
+        properties.extend(parameters);
+    }
+    let title = node.name;
+    json!({ "title": title, "type": "object", "required": ["node"], "properties": properties, "additionalProperties": false })
+}
+
+/// A stage that is a program of one's own: further keys are its own.
+fn of_program() -> Json {
+    let mut properties = Map::new();
+    let program = json!({
+        "description": "The program with its arguments; with a slash its path is relative to the file.",
+        "type": "array", "items": { "type": "string" }, "minItems": 1,
+    });
+    properties.insert("program".to_owned(), program);
+    properties.insert("input".to_owned(), reference("input", "What drives the stage."));
+    let inputs = json!({ "description": "Side inputs.", "type": "object", "additionalProperties": { "$ref": "#/definitions/input" } });
+    properties.insert("inputs".to_owned(), inputs);
+    properties.insert("output".to_owned(), output());
+    add_common(&mut properties);
+    json!({ "title": "program", "type": "object", "required": ["program"], "properties": properties, "not": { "required": ["node"] } })
+}
+
+/// The keys that each stage has.
+fn add_common(properties: &mut Map<String, Json>) {
+    let when = json!({ "enum": ["never", "on_failure", "always"], "default": "on_failure" });
+    let common = [
+        ("machine", json!({ "description": "The machine on which it runs.", "type": "string" })),
+        (
+            "restart",
+            json!({
+                "description": "When it is started anew; with `hang_s` also after so many seconds without a sign of life.",
+                "anyOf": [
+                    when,
+                    {
+                        "type": "object", "additionalProperties": false,
+                        "properties": { "when": when, "hang_s": { "type": "number", "minimum": 1, "maximum": 86_400 } },
+                    },
+                ],
+            }),
+        ),
+        (
+            "env",
+            json!({
+                "description": "Environment variables of its process.",
+                "type": "object", "additionalProperties": { "type": "string" },
+            }),
+        ),
+    ];
+    properties.extend(common.map(|(key, schema)| (key.to_owned(), schema)));
+}
+
+fn input() -> Json {
+    let kinds: Vec<_> = BUILT_IN.iter().map(|item| item.name()).collect();
+    json!({
+        "description": "A topic, or a table that also says how it is read.",
+        "anyOf": [
+            { "type": "string" },
+            {
+                "type": "object", "required": ["topic"], "additionalProperties": false,
+                "properties": {
+                    "topic": { "type": "string" },
+                    "delivery": {
+                        "description": "The newest message, or all of them: then the writer waits.",
+                        "enum": ["latest", "lossless"], "default": "latest",
+                    },
+                    "queue": {
+                        "description": "How many messages wait at most.",
+                        "type": "integer", "minimum": 1, "maximum": 64,
+                    },
+                    "kind": {
+                        "description": "What a program of one's own writes there.",
+                        "type": "string", "examples": kinds,
+                    },
+                    "compression": {
+                        "description": "Of images and long lists from another machine.",
+                        "enum": ["none", "lz4", "zstd"], "default": "zstd",
+                    },
+                },
+            },
+        ],
+    })
+}
+
+fn output() -> Json {
+    json!({
+        "description": "The topic that it writes; of a program of one's own also what it writes there.",
+        "anyOf": [
+            { "type": "string" },
+            {
+                "type": "object", "required": ["topic"], "additionalProperties": false,
+                "properties": { "topic": { "type": "string" }, "kind": { "type": "string" } },
+            },
+        ],
+    })
+}
+
+fn machine() -> Json {
+    let endpoints = |what: &str| json!({ "description": what, "type": "array", "items": { "type": "string" } });
+    json!({
+        "type": "object", "additionalProperties": false,
+        "properties": {
+            "listen": endpoints("Zenoh endpoints to listen on, such as `tcp/192.168.0.2:7447`; none: nothing listens."),
+            "connect": endpoints("Zenoh endpoints to connect to."),
+            "zenoh": { "description": "A Zenoh configuration that adds to ours.", "type": "string" },
+            "insecure": {
+                "description": "Whether an endpoint that others can reach may be open to everyone.",
+                "type": "boolean", "default": false,
+            },
+            "outage_s": {
+                "description": "Seconds that lossless edges from here wait for a machine that has gone.",
+                "type": "number", "minimum": 0, "maximum": 86_400, "default": 30,
+            },
+        },
+    })
+}
+
+fn item() -> Json {
+    json!({
+        "type": "object", "required": ["type", "fields"], "additionalProperties": false,
+        "properties": {
+            "type": { "description": "Name and version of the layout, such as `acme.Grasp.v1`.", "type": "string" },
+            "fields": {
+                "description": "Fields in their order, such as `position = \"f64[3]\"`.",
+                "type": "object", "additionalProperties": { "type": "string" }, "minProperties": 1,
+            },
+            "usual_length": {
+                "description": "Items of a message, which few exceed.",
+                "type": "integer", "minimum": 1, "maximum": 1 << 24,
+            },
+        },
+    })
+}
+
+fn reference(name: &str, description: &str) -> Json {
+    // What stands beside a reference is passed over; in a list of all it is not.
+    json!({ "description": description, "allOf": [{ "$ref": format!("#/{DEFINITIONS}/{name}") }] })
+}
+
+/// Lets all references that begin with `old` begin with `new`.
+fn refer(schema: &mut Json, old: &str, new: &str) {
+    match schema {
+        Json::Object(entries) => {
+            for (key, value) in entries {
+                match value {
+                    Json::String(target) if key == "$ref" => {
+                        if let Some(name) = target.strip_prefix(old) {
+                            *target = format!("{new}{name}");
+                        }
+                    }
+                    _ => refer(value, old, new),
+                }
+            }
+        }
+        Json::Array(values) => values.iter_mut().for_each(|value| refer(value, old, new)),
+        _ => {}
+    }
+}

@@ -1,0 +1,82 @@
+//! Tests of the JSON schema of pipeline files.
+
+use crate::NODES;
+use conicflow_dataflow::pipeline::file_schema;
+use jsonschema::Validator;
+use serde_json::{Value as Json, json};
+use std::path::{Path, PathBuf};
+
+fn validator() -> Validator {
+    let schema = file_schema(&NODES);
+    assert!(jsonschema::draft7::meta::is_valid(&schema), "the schema itself is one");
+    jsonschema::draft7::new(&schema).unwrap()
+}
+
+/// The pipeline files of the repository.
+fn files() -> Vec<PathBuf> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let of_folder = |folder: &str| std::fs::read_dir(root.join(folder)).unwrap().map(|entry| entry.unwrap().path());
+    let files = ["examples", "experiments"].into_iter().flat_map(of_folder).chain([root.join("pipeline.toml")]);
+    files.filter(|path| path.extension().is_some_and(|extension| extension == "toml")).collect()
+}
+
+fn read(text: &str) -> Json {
+    serde_json::to_value(toml::from_str::<toml::Value>(text).unwrap()).unwrap()
+}
+
+#[test]
+fn every_pipeline_file_here_fits_the_schema() {
+    let (validator, files) = (validator(), files());
+    assert!(files.len() > 20, "{} files", files.len());
+    for file in files {
+        let pipeline = read(&std::fs::read_to_string(&file).unwrap());
+        let faults: Vec<_> = validator.iter_errors(&pipeline).map(|fault| fault.to_string()).collect();
+        assert!(faults.is_empty(), "{}: {faults:#?}", file.display());
+    }
+}
+
+#[test]
+fn faults_do_not_fit_the_schema() {
+    let validator = validator();
+    let with = |pointer: &str, key: &str, value: Json| {
+        let mut pipeline = read(include_str!("../../pipeline.toml"));
+        pipeline.pointer_mut(pointer).unwrap()[key] = value;
+        validator.is_valid(&pipeline)
+    };
+    assert!(with("/stage/source", "rate_hz", json!(15.0)) && with("/stage/source", "restart", json!({ "hang_s": 5 })));
+    for (pointer, key, value) in [
+        ("", "stages", json!({})),
+        ("", "name", json!("two words")),
+        ("", "machine", json!({ "robot": { "listens": [] } })),
+        ("/stage/source", "rate", json!(15.0)),
+        ("/stage/source", "rate_hz", json!("15")),
+        ("/stage/source", "width", json!(-1)),
+        ("/stage/source", "input", json!("depth")),
+        ("/stage/source", "node", json!("no_such_node")),
+        ("/stage/source", "restart", json!("sometimes")),
+        ("/stage/extractor", "input", json!({ "topic": "depth", "delivery": "some" })),
+        ("/stage/extractor", "input", json!({ "topic": "depth", "queue": 65 })),
+        ("/stage/extractor", "inputs", json!({ "depth": "depth" })),
+        ("/stage/assembler", "min_confidence", json!(1.5)),
+        ("/stage/tracker", "env", json!({ "LEVEL": 3 })),
+    ] {
+        assert!(!with(pointer, key, value.clone()), "{pointer}/{key} = {value}");
+    }
+}
+
+#[test]
+fn the_keys_of_the_file_are_those_that_are_read() {
+    let mut pipeline = read(include_str!("../../pipeline.toml"));
+    pipeline["machine"]["robot"] =
+        json!({ "listen": ["tcp/127.0.0.1:7447"], "connect": [], "zenoh": "z.json5", "insecure": true, "outage_s": 3 });
+    pipeline["item"]["grasps"] = json!({ "type": "acme.Grasp.v1", "fields": { "width": "f64" }, "usual_length": 4 });
+    let input =
+        json!({ "topic": "objects", "kind": "objects", "delivery": "latest", "queue": 2, "compression": "lz4" });
+    pipeline["stage"]["own"] = json!({
+        "program": ["./own", "--fast"], "input": input, "inputs": { "depth": "depth" }, "machine": "robot",
+        "output": { "topic": "grasps", "kind": "grasps" }, "restart": "never", "env": { "LEVEL": "3" }, "speed": 3,
+    });
+    assert!(validator().is_valid(&pipeline));
+    pipeline["stage"]["own"]["node"] = json!("console_sink");
+    assert!(!validator().is_valid(&pipeline), "either a node or a program");
+}
