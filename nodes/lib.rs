@@ -5,6 +5,7 @@ pub mod commands;
 mod config_error;
 mod network;
 pub mod recording;
+mod stage_error;
 mod viewing;
 
 pub mod sources {

@@ -7,7 +7,7 @@
 
 use conicflow_bridge::{NETWORK, NODES};
 use conicflow_dataflow::pipeline::Machine;
-use conicflow_dataflow::{DEFAULT_LOG, LOG, ProcessError, Registry, log_to_standard_error, run_in_run};
+use conicflow_dataflow::{DEFAULT_LOG, LOG, ProcessError, Registry, error_text, log_to_standard_error, run_in_run};
 use std::io::{self, Write};
 use std::process::ExitCode;
 
@@ -29,7 +29,7 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             // Whether anybody reads it is not the bridge's concern.
-            writeln!(io::stderr(), "error: {error}").ok();
+            writeln!(io::stderr(), "{}", error_text(&error)).ok();
             code.into()
         }
     }

@@ -26,6 +26,7 @@ mod registry;
 mod runner;
 mod side_inputs;
 mod stage;
+mod standstill;
 mod status;
 mod table;
 mod watch;
@@ -58,7 +59,7 @@ pub use launcher::{
     run_stage, user_folder,
 };
 pub use link_report::{EdgeReport, LinkReport, LinkState};
-pub use log::{DEFAULT_LOG, LOG, log_filter, log_to_standard_error};
+pub use log::{DEFAULT_LOG, LOG, error_text, log_filter, log_to_standard_error};
 pub use network::{BridgePlan, BridgeRun, Carrier, Edge, Network, NetworkError, Receiver};
 pub use node::{Node, Variant};
 pub use observe::{InputActivity, Observation, PipelineActivity, StageActivity, TopicActivity, observe};

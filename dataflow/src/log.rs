@@ -1,10 +1,14 @@
 //! What the processes of a run log, and where: to standard error, as a level or a filter says.
 
-use std::fmt::Display;
+use conicflow_messages::plain;
+use std::fmt::{self, Debug, Display};
 use std::io::{IsTerminal, stderr};
 use std::time::{Duration, Instant};
+use tracing::field::Field;
 use tracing_subscriber::EnvFilter;
+use tracing_subscriber::field::MakeExt;
 use tracing_subscriber::filter::LevelFilter;
+use tracing_subscriber::fmt::format::{Writer, debug_fn};
 use tracing_subscriber::util::SubscriberInitExt;
 
 /// Environment variable: what is logged, as a level or a filter.
@@ -33,7 +37,18 @@ pub fn log_to_standard_error(filter: &str) {
     let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(stderr).without_time();
     // A log that nobody reads any more is no fault of the run.
     let builder = builder.with_target(false).with_ansi(stderr().is_terminal()).log_internal_errors(false);
-    builder.finish().try_init().ok();
+    builder.fmt_fields(debug_fn(write_field).delimited(" ")).finish().try_init().ok();
+}
+
+/// Writes what is logged as a terminal can show it.
+fn write_field(log: &mut Writer<'_>, field: &Field, value: &dyn Debug) -> fmt::Result {
+    let text = plain(&format!("{value:?}"));
+    if field.name() == "message" { log.write_str(&text) } else { write!(log, "{field}={text}") }
+}
+
+/// The text of an error as a terminal can show it.
+pub fn error_text(error: impl Display) -> String {
+    plain(&format!("error: {error}"))
 }
 
 /// What comes as often as others like is told once in this time.

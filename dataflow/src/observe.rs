@@ -63,6 +63,8 @@ pub struct StageActivity {
     pub memory_mb: f64,
     /// Time since its last sign of life, in seconds; of a stage that waits at most about 0.1.
     pub silent_s: f64,
+    /// The stage that it waits for to take its messages, if it has waited for a tenth of a second.
+    pub waits_for: Option<String>,
     /// Time of a step, median, since the run began.
     pub compute_p50_ms: Option<f64>,
     /// Time of a step, 99 of 100, since the run began.
@@ -233,6 +235,7 @@ impl Span<'_> {
             cpu_percent: cpu.as_secs_f64() / self.seconds * 100.0,
             memory_mb: self.now.resident_bytes as f64 / 1e6,
             silent_s: self.now.silent.as_secs_f64(),
+            waits_for: Some(status.waits_for.to_string()).filter(|stage| !stage.is_empty()),
             compute_p50_ms: milliseconds(&status.compute, 0.5),
             compute_p99_ms: milliseconds(&status.compute, 0.99),
             found: used(&status.found).map(|(name, count)| (name.to_owned(), count)).collect(),

@@ -104,6 +104,11 @@ impl Stop {
         self.0.heartbeat.get().into_iter().for_each(Heartbeat::beat);
     }
 
+    /// Says that this stage waits for another one to take its messages.
+    pub(crate) fn wait_for(&self, stage: &str) {
+        self.0.heartbeat.get().into_iter().for_each(|heartbeat| heartbeat.wait_for(stage));
+    }
+
     /// From now on signs of life go there.
     pub(crate) fn show_life_by(&self, heartbeat: Heartbeat) {
         // A process has one stage, and one record.

@@ -24,7 +24,7 @@ pub const MAX_COUNTERS: usize = 40;
 /// The run of stages that were started one by one, without a launcher.
 pub const NO_RUN: u64 = 0;
 
-const LAYOUT: u64 = 0x636f_6e69_6366_0005;
+const LAYOUT: u64 = 0x636f_6e69_6366_0006;
 /// Each octave of time is cut into this many buckets: a percentile is right within 3 %.
 const STEPS: usize = 16;
 /// 1 microsecond to 69 seconds.
@@ -215,6 +215,8 @@ pub struct Status {
     pub had_enough: u64,
     /// Last sign of life of its process, on the monotonic clock.
     pub alive_ns: u64,
+    /// The stage that it waits for to take its messages, if it has waited for a tenth of a second.
+    pub waits_for: Text<32>,
     /// Counts per input, the driving one first.
     pub inputs: [InputCounts; MAX_INPUTS],
     /// Items sent, by what they are called.
@@ -337,7 +339,7 @@ impl StatusFile {
     /// Signs of life of this process between the times that the record is written.
     pub(crate) fn heartbeat(&self) -> Option<Heartbeat> {
         let file = self.file.as_ref()?.try_clone().ok()?;
-        Some(Heartbeat::new(file, offset_of!(Status, alive_ns)))
+        Some(Heartbeat::new(file, offset_of!(Status, alive_ns), offset_of!(Status, waits_for)))
     }
 
     /// Makes the record seen by others, and is a sign of life. A file that cannot be written (a full disk) only hides the counts.

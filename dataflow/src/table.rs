@@ -1,5 +1,6 @@
 //! Tables of plain text, for summaries and live views.
 
+use conicflow_messages::plain;
 use std::fmt::{self, Display, Write};
 
 /// Columns of text, the first two to the left and the others to the right.
@@ -15,7 +16,7 @@ impl Table {
 
     /// Adds a row; it has as many cells as there are titles.
     pub fn row(&mut self, cells: impl Iterator<Item = String>) {
-        self.rows.push(cells.collect());
+        self.rows.push(cells.map(|cell| plain(&cell)).collect());
     }
 }
 

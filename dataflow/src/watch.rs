@@ -63,6 +63,8 @@ pub struct Watcher {
     /// The topic that is looked into next.
     next: usize,
     memory: SharedMemory,
+    /// Forced when the run is over: whoever leaves last then sees to it that nothing is left.
+    stop: Stop,
     folder: RunFolder,
     run: u64,
     checked: Instant,
@@ -76,14 +78,14 @@ impl Watcher {
     /// A topic cannot be read.
     pub fn new(running: &RunningPipeline, topics: &[(&ItemType, &Topic)]) -> Result<Self, WatchError> {
         let (folder, run) = (running.folder.clone(), running.plan.run);
-        let memory =
-            SharedMemory::open(folder.shared_memory(), &running.plan.namespace(), "(onlooker)", Stop::default())?;
+        let (stop, shared) = (Stop::default(), folder.shared_memory());
+        let memory = SharedMemory::open(shared, &running.plan.namespace(), "(onlooker)", stop.clone())?;
         let onlooker = |(item, topic): &(&ItemType, &Topic)| {
             Ok::<_, PortError>(((*item).clone(), topic.name.clone(), memory.onlooker(item, topic)?))
         };
         let topics = topics.iter().map(onlooker).collect::<Result<_, _>>()?;
         let (checked, nonsense) = (Instant::now(), ThrottledWarning::default());
-        Ok(Self { topics, next: 0, memory, folder, run, checked, nonsense })
+        Ok(Self { topics, next: 0, memory, stop, folder, run, checked, nonsense })
     }
 
     /// The next message, checked; one that makes no sense is left out, with a warning.
@@ -106,6 +108,9 @@ impl Watcher {
                     return Ok(Seen::Message(index, received));
                 }
             }
+        }
+        if over {
+            self.stop.force();
         }
         Ok(if over { Seen::Over } else { Seen::Nothing })
     }

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 use std::error::Error;
+use std::io::{self, ErrorKind};
 
 /// An error and what to do about it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
@@ -11,12 +12,33 @@ pub struct Hinted {
     pub what: String,
     /// What to do about it.
     pub hint: String,
+    /// Whether it would come again if the work were tried again.
+    #[serde(default)]
+    pub lasts: bool,
 }
 
 impl Hinted {
     /// An error with its hint.
     pub fn new(what: impl Into<String>, hint: impl Into<String>) -> Self {
-        Self { what: what.into(), hint: hint.into() }
+        Self { what: what.into(), hint: hint.into(), lasts: false }
+    }
+
+    /// An error that would come again if the work were tried again.
+    pub fn lasting(what: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self { lasts: true, ..Self::new(what, hint) }
+    }
+
+    /// What keeps a file from being written, with what to do about that.
+    pub fn of_writing(what: impl Into<String>, error: &io::Error) -> Self {
+        let hint = match error.kind() {
+            ErrorKind::StorageFull | ErrorKind::QuotaExceeded => "free some space, or write to another disk",
+            ErrorKind::FileTooLarge => "raise the limit of a file's size (`ulimit -f`), or write less",
+            ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem => "choose a place that you may write to",
+            ErrorKind::IsADirectory => "name a file, not a folder",
+            ErrorKind::NotADirectory | ErrorKind::AlreadyExists => "a part of the path before the last is a file",
+            _ => "name a file that can be written",
+        };
+        Self { lasts: has_no_room(error), ..Self::new(what, hint) }
     }
 
     /// An error and its causes in one line, with the hint that one of them brings, or else this one.
@@ -36,6 +58,19 @@ impl Hinted {
     }
 }
 
+/// Whether a file has no room to be written in, or may not be written at all.
+fn has_no_room(error: &io::Error) -> bool {
+    use ErrorKind::{FileTooLarge, QuotaExceeded, ReadOnlyFilesystem, StorageFull};
+    matches!(error.kind(), StorageFull | QuotaExceeded | FileTooLarge | ReadOnlyFilesystem)
+}
+
+/// Whether an error would come again if the work were tried again, as it or one of its causes says: a disk that is full stays
+/// so.
+pub fn lasts(error: &(dyn Error + 'static)) -> bool {
+    let own = error.downcast_ref::<Hinted>().is_some_and(|hinted| hinted.lasts);
+    own || error.downcast_ref().is_some_and(has_no_room) || error.source().is_some_and(lasts)
+}
+
 /// A parameter whose value cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ConfigFault {
@@ -50,7 +85,7 @@ pub struct ConfigFault {
 impl ConfigFault {
     /// The parameter `key` names a file that cannot be used.
     pub fn of_file(key: &'static str, error: &(dyn Error + 'static)) -> Self {
-        let Hinted { what, hint } = Hinted::of(error, "correct the file, or name another one");
+        let Hinted { what, hint, .. } = Hinted::of(error, "correct the file, or name another one");
         Self { key, what, hint }
     }
 }
@@ -62,6 +97,15 @@ mod tests {
     #[derive(Debug, thiserror::Error)]
     #[error("truth file `a`")]
     struct Outer<E: Error>(#[source] E);
+
+    #[test]
+    fn a_full_disk_lasts_and_a_file_that_is_gone_may_come_back() {
+        let full = || io::Error::from(ErrorKind::StorageFull);
+        assert!(lasts(&full()) && lasts(&Outer(full())) && lasts(&Outer(Hinted::of_writing("a", &full()))));
+        assert!(lasts(&Outer(Hinted::lasting("a", "b"))));
+        let gone = || io::Error::from(ErrorKind::NotFound);
+        assert!(!lasts(&gone()) && !lasts(&Outer(Hinted::of_writing("a", &gone()))) && !lasts(&Hinted::new("a", "b")));
+    }
 
     #[test]
     fn the_hint_of_a_cause_is_that_of_the_fault() {

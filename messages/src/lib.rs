@@ -17,6 +17,7 @@ mod item;
 mod json;
 mod layout;
 mod object;
+mod plain;
 mod quantise;
 mod text;
 mod track;
@@ -24,7 +25,7 @@ mod velocity;
 
 pub use depth::{INVALID_FAR, INVALID_NEAR, is_measured, median_depth};
 pub use ellipse::{Ellipse, MOMENTS, Scan};
-pub use fault::{ConfigFault, Hinted};
+pub use fault::{ConfigFault, Hinted, lasts};
 pub use header::{
     Camera, DEPTH_SCALES_M, END_OF_STREAM, FARTHEST_PRINCIPAL_POINT_PX, FOCAL_LENGTHS_PX, HAS_POSE, HEADER_TYPE_NAME,
     Header, Hop, MAX_HOPS, MAX_PIXELS, MAX_SIDE_PX, MAX_SOURCE_BYTES, NoiseModel, RECORDED, is_rotation,
@@ -33,6 +34,7 @@ pub use item::{AnyByte, Item, Malformed, Message, Nothing, ToJson};
 pub use json::{LINE_KEYS, Line};
 pub use layout::{Field, Layout, LayoutFault, MAX_ITEM_BYTES};
 pub use object::{Object, ObjectKind, ObjectSigma};
+pub use plain::{is_harmless, plain};
 pub use quantise::{finest_scale, is_too_far, quantise};
 pub use text::Text;
 pub use track::{Track, TrackState};

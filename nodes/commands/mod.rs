@@ -17,7 +17,7 @@ use anyhow::{Context, anyhow, bail};
 use clap::{Args, Parser, Subcommand};
 use conicflow_dataflow::pipeline::{Pipeline, Report, SourceText, file_schema};
 use conicflow_dataflow::{DEFAULT_LOG, LOG, LaunchError, NO_RUN, Plan, ProcessError, RunOptions, Summary};
-use conicflow_dataflow::{log_filter, log_to_standard_error};
+use conicflow_dataflow::{error_text, log_filter, log_to_standard_error};
 use conicflow_lab::experiment::{Experiment, Results, Variation};
 use conicflow_messages::Hinted;
 use doctor::doctor;
@@ -216,7 +216,7 @@ fn say(text: impl Display) {
 
 /// The text of an error and its causes; a report speaks for itself.
 fn describe(error: &anyhow::Error) -> String {
-    if error.is::<Report>() { error.to_string() } else { format!("error: {error:#}") }
+    if error.is::<Report>() { error.to_string() } else { error_text(format_args!("{error:#}")) }
 }
 
 /// What the system refuses, such as a place on a full disk, is no wrong input.

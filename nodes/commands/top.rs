@@ -1,7 +1,7 @@
 //! `conicflow top`: what running pipelines do, as a screen that is drawn anew each second, or once as JSON.
 
 use super::topic::give_way;
-use conicflow_dataflow::{PipelineActivity, Table, link_table, observe};
+use conicflow_dataflow::{PipelineActivity, StageActivity, Table, link_table, observe};
 use serde_json::json;
 use std::io::{IsTerminal, Write, stdout};
 use std::thread::sleep;
@@ -40,17 +40,22 @@ fn screen(pipelines: &[PipelineActivity]) -> String {
     let parts = pipelines.iter().map(|pipeline| {
         let links =
             if pipeline.links.is_empty() { String::new() } else { format!("\n{}", link_table(&pipeline.links)) };
-        let silent = silent(pipeline);
+        let standing = standing(pipeline);
         let tables = [stages(pipeline), topics(pipeline), inputs(pipeline)].map(|table| table.to_string());
-        format!("{}\n\n{silent}{}{links}\n", pipeline.pipeline, tables.join("\n"))
+        format!("{}\n\n{standing}{}{links}\n", pipeline.pipeline, tables.join("\n"))
     });
     parts.collect()
 }
 
-/// A line for each stage that hangs, or seems to.
-fn silent(pipeline: &PipelineActivity) -> String {
-    let silent = pipeline.stages.iter().filter(|stage| stage.silent_s > SILENT_S);
-    silent.map(|stage| format!("{}: no sign of life for {:.0} s\n", clip(&stage.stage, 14), stage.silent_s)).collect()
+/// A line for each stage that hangs, or seems to, and for each that another one holds up.
+fn standing(pipeline: &PipelineActivity) -> String {
+    let line = |stage: &StageActivity| match &stage.waits_for {
+        _ if stage.silent_s > SILENT_S => Some(format!("no sign of life for {:.0} s", stage.silent_s)),
+        Some(reader) if stage.rate_hz == 0.0 => Some(format!("waits for {} to take its messages", clip(reader, 14))),
+        _ => None,
+    };
+    let lines = pipeline.stages.iter().filter_map(|stage| Some((clip(&stage.stage, 14), line(stage)?)));
+    lines.map(|(stage, line)| format!("{stage}: {line}\n")).collect()
 }
 
 fn stages(pipeline: &PipelineActivity) -> Table {

@@ -27,7 +27,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -89,7 +89,11 @@ struct Files {
 struct OpenFile {
     path: PathBuf,
     writer: Writer<NoSeek<Counted>>,
+    file: Arc<File>,
     bytes: Arc<AtomicU64>,
+    /// How much of it is whole chunks.
+    whole: u64,
+    torn: Arc<AtomicBool>,
     channels: BTreeMap<String, u16>,
     /// Stamp of its first frame.
     begin_ns: Option<u64>,
@@ -101,19 +105,24 @@ struct OpenFile {
 
 /// A file, and how much was written into it.
 struct Counted {
-    file: File,
+    file: Arc<File>,
     bytes: Arc<AtomicU64>,
+    /// Set when something could not be written: nothing may follow it.
+    torn: Arc<AtomicBool>,
 }
 
 impl Write for Counted {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let written = self.file.write(bytes)?;
+        if self.torn.load(Ordering::Relaxed) {
+            return Err(ErrorKind::WriteZero.into());
+        }
+        let written = (&*self.file).write(bytes)?;
         self.bytes.fetch_add(written as u64, Ordering::Relaxed);
         Ok(written)
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        self.file.flush()
+        (&*self.file).flush()
     }
 }
 
@@ -181,19 +190,14 @@ fn keep_flushed(files: &Weak<Mutex<Files>>) {
 /// An error of writing, with what to do about it.
 fn told(error: Error, path: &Path) -> Error {
     let io = error.chain().find_map(|cause| match cause.downcast_ref::<McapError>() {
-        Some(McapError::Io(error)) => Some(error.kind()),
-        _ => cause.downcast_ref::<io::Error>().map(io::Error::kind),
+        Some(McapError::Io(error)) => Some(error),
+        _ => cause.downcast_ref::<io::Error>(),
     });
-    let hint = match io {
-        Some(ErrorKind::StorageFull | ErrorKind::QuotaExceeded) => {
-            "free some space, write to another disk, or set `limit_mb`"
-        }
-        Some(ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem) => "choose a place that you may write to",
-        Some(ErrorKind::IsADirectory) => "name a file, not a folder",
-        Some(ErrorKind::NotADirectory | ErrorKind::AlreadyExists) => "a part of the path before the last is a file",
-        _ => "name a file that can be written",
-    };
-    Hinted::new(format!("cannot write the recording `{}`: {error:#}", path.display()), hint).into()
+    let what = format!("cannot write the recording `{}`: {error:#}", path.display());
+    match io {
+        Some(io) => Hinted::of_writing(what, io).into(),
+        None => Hinted::new(what, "name a file that can be written").into(),
+    }
 }
 
 /// The name of a file: `run.mcap`, `run_1.mcap`, ..
@@ -229,7 +233,8 @@ impl Files {
         }
         self.split(message.header.stamp_ns)?;
         let Some(open) = &mut self.open else { return Ok(Recorded::Full) };
-        self.memory = open.write(topic, message, latency_ms, std::mem::take(&mut self.memory))?;
+        let written = open.write(topic, message, latency_ms, std::mem::take(&mut self.memory));
+        self.memory = open.settle(written)?;
         self.flush_if_due();
         self.failure.take().map_or(Ok(Recorded::Written), Err)
     }
@@ -266,7 +271,8 @@ impl Files {
 
     fn complete_open(&mut self) -> Result<()> {
         let Some(mut open) = self.open.take() else { return Ok(()) };
-        open.writer.finish()?;
+        let finished = open.writer.finish().map(drop).map_err(Error::from);
+        open.settle(finished)?;
         self.complete.push_back((open.path.clone(), open.size()));
         Ok(())
     }
@@ -277,27 +283,31 @@ impl Files {
             return;
         }
         open.waits = None;
-        if let Err(error) = open.writer.flush() {
-            self.failure = Some(error.into());
-        }
+        let flushed = open.writer.flush().map_err(Error::from);
+        self.failure = open.settle(flushed).err();
     }
 }
 
 impl OpenFile {
     fn create(path: &Path) -> Result<Self> {
         path.parent().map_or(Ok(()), fs::create_dir_all)?;
-        let (file, bytes) = (File::create(path)?, Arc::new(AtomicU64::new(0)));
+        let (file, bytes, torn) = (Arc::new(File::create(path)?), Arc::new(AtomicU64::new(0)), Arc::default());
         // A chunk is written at once, when it is whole.
         let options = WriteOptions::new()
             .profile("ros2")
             .library(concat!("conicflow ", env!("CARGO_PKG_VERSION")))
             .compression(Some(Compression::Lz4))
             .disable_seeking(true);
-        let counted = Counted { file, bytes: Arc::clone(&bytes) };
+        let counted = Counted { file: Arc::clone(&file), bytes: Arc::clone(&bytes), torn: Arc::clone(&torn) };
+        let writer = Writer::with_options(NoSeek::new(counted), options)?;
+        let whole = bytes.load(Ordering::Relaxed);
         Ok(Self {
             path: path.to_owned(),
-            writer: Writer::with_options(NoSeek::new(counted), options)?,
+            writer,
+            file,
             bytes,
+            whole,
+            torn,
             channels: BTreeMap::new(),
             begin_ns: None,
             placed: BTreeMap::new(),
@@ -308,6 +318,18 @@ impl OpenFile {
     /// Bytes in the file.
     fn size(&self) -> u64 {
         self.bytes.load(Ordering::Relaxed)
+    }
+
+    /// Ends an attempt to write into the file: what was written of one that failed is taken back, so that the file ends with
+    /// a whole chunk, and nothing follows.
+    fn settle<T>(&mut self, written: Result<T>) -> Result<T> {
+        if written.is_ok() {
+            self.whole = self.size();
+        } else if !self.torn.swap(true, Ordering::Relaxed) {
+            // Where not even that is possible, whoever reads the file leaves out the piece at its end.
+            self.file.set_len(self.whole).ok();
+        }
+        written
     }
 
     /// Writes a message in all its forms, in memory that was used before and is given back.

@@ -157,7 +157,8 @@ impl<T: Describe> Stage for ConsoleSink<T> {
 
 fn unwritable(error: &io::Error) -> Hinted {
     let what = format!("cannot write to standard output: {error}");
-    Hinted::new(what, "send it elsewhere, such as `> /dev/null`, or leave the sink out")
+    let hint = "send it elsewhere, such as `> /dev/null`, or leave the sink out".to_owned();
+    Hinted { hint, ..Hinted::of_writing(what, error) }
 }
 
 #[cfg(test)]

@@ -5,6 +5,7 @@
 use super::json_lines::JsonLines;
 use super::measurement_sink::write_rows;
 use crate::config_error;
+use crate::stage_error::stage_error;
 use anyhow::Result;
 use conicflow_dataflow::{ConfigFault, Context, Output, SideInputs, Stage, StageError};
 use conicflow_lab::score::truth::load_scene;
@@ -106,7 +107,7 @@ impl<T: Claim> Stage for EvaluationSink<T> {
         output.count("missed", frame.missed().count() as u64);
         output.count("wrong", frame.wrong.len() as u64);
         if let Some(details) = &mut self.details {
-            details.write(&frame.details(input.header))?;
+            details.write(&frame.details(input.header)).map_err(stage_error)?;
         }
         Ok(())
     }

@@ -52,8 +52,7 @@ impl JsonLines {
             Ok(Place::File { file, path: path.to_owned(), whole })
         };
         open().map(Self::to).map_err(|error| {
-            let hint = hint(&error);
-            anyhow!(Hinted::new(format!("cannot open `{}` for writing: {error}", path.display()), hint))
+            anyhow!(Hinted::of_writing(format!("cannot open `{}` for writing: {error}", path.display()), &error))
         })
     }
 
@@ -92,8 +91,7 @@ impl JsonLines {
             Place::StandardOutput => Path::new("standard output"),
             Place::File { path, .. } => path,
         };
-        let hint = hint(error);
-        anyhow!(Hinted::new(format!("cannot write to `{}`: {error}", path.display()), hint))
+        anyhow!(Hinted::of_writing(format!("cannot write to `{}`: {error}", path.display()), error))
     }
 }
 
@@ -158,17 +156,6 @@ fn end_of_last_line(mut file: &File, length: u64) -> io::Result<u64> {
         end = start;
     }
     Ok(0)
-}
-
-/// What to do about a file that cannot be written.
-fn hint(error: &io::Error) -> &'static str {
-    match error.kind() {
-        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => "free some space, or write to another disk",
-        ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem => "choose a place that you may write to",
-        ErrorKind::IsADirectory => "name a file, not a folder",
-        ErrorKind::NotADirectory | ErrorKind::AlreadyExists => "a part of the path before the last is a file",
-        _ => "name a file that can be written",
-    }
 }
 
 #[cfg(test)]

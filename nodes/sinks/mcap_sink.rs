@@ -1,6 +1,7 @@
 //! The sink that records: what drives it and what goes with it, into an MCAP file that others read and that `mcap_source` replays.
 
 use crate::recording::recorder::{Limits, Recorded, Recorder};
+use crate::stage_error::stage_error;
 use conicflow_dataflow::{
     AnyMessage, BUILT_IN, ConfigFault, Context, ItemType, Output, SideInput, SideInputs, Stage, StageError,
     monotonic_ns,
@@ -129,7 +130,7 @@ impl<T> McapSink<T> {
     }
 
     fn record(&self, topic: &str, message: &AnyMessage<'_>) -> Result<Recorded, StageError> {
-        Ok(self.recorder.write(topic, message, message.header.latency_ms(monotonic_ns()))?)
+        self.recorder.write(topic, message, message.header.latency_ms(monotonic_ns())).map_err(stage_error)
     }
 }
 

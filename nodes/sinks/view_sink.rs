@@ -86,7 +86,7 @@ impl<T: Shown> Stage for ViewSink<T> {
 
     fn faults(config: &Self::Config, _: &Path) -> Vec<ConfigFault> {
         match config.read() {
-            Err(ListenFault::Text(Hinted { what, hint })) => {
+            Err(ListenFault::Text(Hinted { what, hint, .. })) => {
                 let key = if what.contains("token") { "token" } else { "listen" };
                 vec![ConfigFault { key, what, hint }]
             }

@@ -11,6 +11,7 @@ mod detect;
 mod doctor;
 mod experiments;
 mod faults;
+mod full_disk;
 mod full_memory;
 mod hostile_files;
 mod hosts;

@@ -104,9 +104,18 @@ fn a_reader_that_never_reads_keeps_no_run_from_ending() {
         made = now;
         looks > 20
     });
+    let waits = |stages: [&str; 2]| format!("`{}` waits for `{}` to take its messages", stages[0], stages[1]);
+    assert_eq!(playground.top()["stages"][0]["waits_for"], "extractor");
+    run.wait_for_text("nothing has moved for 10 s: ");
+    for pair in [["source", "extractor"], ["extractor", "assembler"], ["assembler", "tracker"]] {
+        assert!(run.stderr().contains(&waits(pair)), "{}", run.stderr());
+    }
     signal(run.id(), Signal::INT);
-    let ended = run.wait();
+    let ended = run.wait().expect_code(1);
     assert!(ended.stderr.contains("\ntracking: "), "no summary: {}", ended.stderr);
+    let why = "\nnot complete: nothing was delivered any more for 7 s: waited for `source`, `extractor`, `assembler`, ";
+    let summary = ended.stderr.split_once(why).unwrap_or_else(|| panic!("{}", ended.stderr)).1;
+    assert!(summary.contains("`tracker` has given no sign of life for "), "{summary}");
     assert!(playground.sequences("tracks.jsonl").into_iter().eq(0..ended.stage("json").messages), "{}", ended.stderr);
     expect_nothing_lives(&playground);
 }

@@ -301,6 +301,11 @@ impl Started {
         self.child.id()
     }
 
+    /// Whether it has not ended.
+    pub fn is_running(&mut self) -> bool {
+        self.child.try_wait().unwrap().is_none()
+    }
+
     /// What it has written to standard error so far.
     pub fn stderr(&self) -> String {
         self.text("stderr")

@@ -182,3 +182,12 @@ fn overrides_take_the_place_of_what_the_file_says() {
     assert_eq!(playground.lines("other.jsonl").len(), 7);
     assert!(!playground.path("ellipses.jsonl").exists());
 }
+
+#[test]
+fn more_stages_than_a_run_can_start_are_refused() {
+    let source = |index: usize| format!("\n[stage.s{index}]\nnode = \"synthetic_source\"\noutput = \"depth{index}\"\n");
+    let with = |stages: usize| format!("name = \"many\"\n{}", (0..stages).map(source).collect::<String>());
+    let ended = Playground::with_pipeline(&with(501)).conicflow(&["validate"]).expect_code(2);
+    assert!(ended.stderr.contains("the pipeline has 501 stages, at most 500 can run"), "{}", ended.stderr);
+    Playground::with_pipeline(&with(500)).conicflow(&["validate"]).expect_code(0);
+}

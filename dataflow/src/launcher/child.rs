@@ -229,8 +229,8 @@ impl Supervised {
         own.is_none_or(|status| status.life() == Life::Ended)
     }
 
-    /// Whether a process said itself that it could not end its work, after its last message.
-    fn is_unfinished(&self, process: u32, plan: &Plan, folder: &RunFolder) -> bool {
+    /// Whether a process said itself that it would be of no use to start it anew.
+    fn gave_up(&self, process: u32, plan: &Plan, folder: &RunFolder) -> bool {
         let record = Status::read(&folder.status(&self.planned.name));
         record.is_some_and(|own| own.run == plan.run && own.process == process && own.life() == Life::Gone)
     }
@@ -265,7 +265,7 @@ impl Supervised {
             folder.set_life(plan.run, &name, Life::Ended);
             return Change::None;
         }
-        if !status.success() && self.is_unfinished(process, plan, folder) {
+        if !status.success() && self.gave_up(process, plan, folder) {
             tracing::error!("stage `{name}` could not end its work, for what it told");
             return self.give_up(folder, plan, Change::Lost);
         }

@@ -22,6 +22,7 @@ pub use process::{
     PIPELINE, ProcessError, become_stage, join_as_source, join_as_stage, run_in_run, run_source, run_stage,
 };
 pub use request::SwapError;
+use summary::Ending;
 pub use summary::{StageSummary, Summary, link_table};
 
 use crate::plan::Plan;
@@ -42,8 +43,11 @@ use swap::{Place, Swap};
 const LOOK: Duration = Duration::from_millis(100);
 /// How often the launcher looks while a stage is being replaced.
 const LOOK_AT_SWAP: Duration = Duration::from_millis(2);
-/// An ending run in which nothing is delivered any more for this long is ended at once.
-const DELIVERY_GRACE: Duration = Duration::from_secs(5);
+/// An ending run in which nothing is delivered any more, and no stage ends, for this long is ended at once. A writer waits five
+/// seconds for readers that may still come, before it ends.
+const DELIVERY_GRACE: Duration = Duration::from_secs(7);
+/// A run in which nothing moves for this long, while a stage waits for another, is told of.
+const STANDSTILL: Duration = Duration::from_secs(10);
 /// Stages that were told to end at once are killed after this time.
 const KILL_GRACE: Duration = Duration::from_secs(5);
 
@@ -101,6 +105,8 @@ pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
         phase: Phase::Running,
         lost: false,
         hurried: false,
+        stalled: None,
+        moved: None,
         progress: Progress::new(options.quiet),
         started: Instant::now(),
     };
@@ -125,8 +131,22 @@ struct Launcher<'a> {
     lost: bool,
     /// Asked a second time to end: what is under way need not be delivered.
     hurried: bool,
+    /// Why the stages were told to end although not all was delivered.
+    stalled: Option<String>,
+    /// When something last moved.
+    moved: Option<Movement>,
     progress: Progress,
     started: Instant,
+}
+
+/// When something last moved in a run.
+#[derive(Clone, Copy)]
+struct Movement {
+    /// How many messages had been worked on by then, by all stages together.
+    worked_on: u64,
+    since: Instant,
+    /// Whether it was told that nothing has since.
+    is_told: bool,
 }
 
 impl Launcher<'_> {
@@ -139,7 +159,9 @@ impl Launcher<'_> {
             self.replace();
             self.look_at_stages();
             self.press();
-            self.progress.show(&self.summary());
+            let summary = self.summary();
+            self.look_for_standstill(&summary);
+            self.progress.show(&summary);
         }
         self.progress.clear();
         Ok(())
@@ -205,12 +227,40 @@ impl Launcher<'_> {
                 if now_delivered > delivered {
                     self.phase = Phase::Delivering { delivered: now_delivered, since: Instant::now() };
                 } else if since.elapsed() > DELIVERY_GRACE {
-                    self.stop_all();
+                    self.end_stalled();
                 }
             }
             Phase::Stopping { since } if since.elapsed() > KILL_GRACE => self.kill_all(),
             _ => {}
         }
+    }
+
+    /// Tells, once each time that it happens, who waits for whom in a run that stands still.
+    fn look_for_standstill(&mut self, summary: &Summary) {
+        let now = Movement { worked_on: summary.worked_on(), since: Instant::now(), is_told: false };
+        let stands = matches!(self.phase, Phase::Running) && summary.is_held_up();
+        let before = self.moved.get_or_insert(now);
+        if !stands || before.worked_on != now.worked_on {
+            *before = now;
+        } else if !before.is_told && before.since.elapsed() > STANDSTILL {
+            before.is_told = true;
+            let waits = summary.who_waits().join(", ");
+            tracing::warn!("nothing has moved for {} s: {waits}", STANDSTILL.as_secs());
+        }
+    }
+
+    /// Ends at once a run that no longer comes to its end by itself.
+    fn end_stalled(&mut self) {
+        let left = self.stages.iter().filter(|stage| !stage.is_over());
+        let left: Vec<_> = left.map(|stage| format!("`{}`", stage.planned.name)).collect();
+        if left.is_empty() {
+            return;
+        }
+        let reasons = [vec![format!("waited for {}", left.join(", "))], self.summary().who_waits()].concat();
+        let seconds = DELIVERY_GRACE.as_secs();
+        self.stalled = Some(format!("nothing was delivered any more for {seconds} s: {}", reasons.join(", ")));
+        self.stalled.iter().for_each(|why| tracing::error!("the run is ended at once: {why}"));
+        self.stop_all();
     }
 
     fn stop_sources(&mut self) {
@@ -228,15 +278,15 @@ impl Launcher<'_> {
         self.stages.iter_mut().for_each(Supervised::kill);
     }
 
-    /// How many messages have been worked on, by all stages together.
+    /// How far the delivery is: messages that have been worked on, and stages that are over.
     fn delivered(&self) -> u64 {
-        let summary = self.summary();
-        summary.stages.iter().filter_map(|stage| stage.status.as_ref()).map(|status| status.steps).sum()
+        self.summary().worked_on() + self.stages.iter().filter(|stage| stage.is_over()).count() as u64
     }
 
     fn summary(&self) -> Summary {
         let lost = self.lost || self.stages.iter().any(Supervised::is_gone);
-        Summary::read(&self.plan, &self.folder, self.started.elapsed(), !lost, self.hurried)
+        let ending = Ending { complete: !lost, hurried: self.hurried, stalled: self.stalled.clone() };
+        Summary::read(&self.plan, &self.folder, self.started.elapsed(), ending)
     }
 }
 

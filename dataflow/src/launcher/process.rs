@@ -2,7 +2,7 @@
 
 use super::folder::{FolderError, PLAN, RunFolder};
 use super::options::RunOptions;
-use crate::log::{DEFAULT_LOG, LOG, log_to_standard_error};
+use crate::log::{DEFAULT_LOG, LOG, error_text, log_to_standard_error};
 use crate::network::{BridgeRun, Carrier, NO_NETWORK, NO_NETWORK_HINT, Network, NetworkError};
 use crate::node::Node;
 use crate::plan::{Plan, PlannedStage, Runs};
@@ -19,7 +19,7 @@ use crate::status::StatusFile;
 use conicflow_messages::Hinted;
 use rustix::process::{Signal, getppid, set_parent_process_death_signal};
 use serde_json::Value as Json;
-use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1};
+use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1, SIGXFSZ};
 use signal_hook::iterator::Signals;
 use std::io::{self, Write};
 use std::os::unix::process::CommandExt;
@@ -88,7 +88,10 @@ impl ProcessError {
         match self {
             Self::Run(RunError::Port(Incompatible { .. } | PathTooLong { .. })) => REFUSED,
             Self::Bridge(NetworkError::Failed(_)) => 1,
-            Self::Run(RunError::Failed { .. } | RunError::Unfinished(_) | RunError::Port(_)) | Self::System { .. } => 1,
+            Self::Run(
+                RunError::Failed { .. } | RunError::Lasting { .. } | RunError::Unfinished(_) | RunError::Port(_),
+            )
+            | Self::System { .. } => 1,
             _ => REFUSED,
         }
     }
@@ -213,7 +216,7 @@ fn exit_code(ended: Result<(), ProcessError>) -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             // Whether anybody reads it is not the stage's concern.
-            writeln!(io::stderr(), "error: {error}").ok();
+            writeln!(io::stderr(), "{}", error_text(&error)).ok();
             error.exit_code().into()
         }
     }
@@ -311,10 +314,11 @@ fn system(doing: &str, error: io::Error) -> ProcessError {
 }
 
 /// SIGINT ends the stage in order, SIGTERM at once; the thread that listens sees to the latter. SIGUSR1 makes it leave its
-/// place to another process; a source then makes no further message.
+/// place to another process; a source then makes no further message. That a file may not become larger (SIGXFSZ) is told by the
+/// error of who writes it.
 fn listen_for_signals(stop: Stop, is_source: bool) -> Result<(), ProcessError> {
     let fault = |error| system("signals cannot be received", error);
-    let mut signals = Signals::new([SIGINT, SIGTERM, SIGUSR1]).map_err(fault)?;
+    let mut signals = Signals::new([SIGINT, SIGTERM, SIGUSR1, SIGXFSZ]).map_err(fault)?;
     let listen = move || {
         for signal in signals.forever() {
             if signal == SIGUSR1 {

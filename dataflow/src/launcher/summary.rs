@@ -5,8 +5,10 @@ use crate::item_type::ItemType;
 use crate::link_report::{LinkReport, read_links};
 use crate::plan::{Plan, PlannedStage};
 use crate::ports::Delivery;
+use crate::standstill;
 use crate::status::{Durations, InputCounts, Status, used};
 use crate::table::Table;
+use conicflow_messages::plain;
 use std::fmt::{self, Display};
 use std::time::Duration;
 
@@ -20,9 +22,18 @@ pub struct Summary {
     pub stages: Vec<StageSummary>,
     /// The links to other machines.
     pub links: Vec<LinkReport>,
-    complete: bool,
+    ending: Ending,
+}
+
+/// What a launcher knows of the end of a run beside its records.
+#[derive(Clone, Debug)]
+pub(crate) struct Ending {
+    /// Whether no stage was lost.
+    pub(crate) complete: bool,
     /// Whether somebody did not want to wait for what was under way.
-    hurried: bool,
+    pub(crate) hurried: bool,
+    /// Why the stages were told to end although not all was delivered.
+    pub(crate) stalled: Option<String>,
 }
 
 /// Messages that a reader which wants all of them did not get.
@@ -52,19 +63,34 @@ pub struct StageSummary {
 }
 
 impl Summary {
-    pub(crate) fn read(plan: &Plan, folder: &RunFolder, elapsed: Duration, complete: bool, hurried: bool) -> Self {
+    pub(crate) fn read(plan: &Plan, folder: &RunFolder, elapsed: Duration, ending: Ending) -> Self {
         let of_run = |status: &Status| status.run == plan.run;
         let stages = plan.stages.iter().map(|planned| StageSummary {
             planned: planned.clone(),
             status: Status::read(&folder.status(&planned.name)).filter(of_run).map(Box::new),
         });
         let links = read_links(folder.path(), plan.run);
-        Self { pipeline: plan.pipeline.clone(), elapsed, stages: stages.collect(), links, complete, hurried }
+        Self { pipeline: plan.pipeline.clone(), elapsed, stages: stages.collect(), links, ending }
     }
 
-    /// Whether no stage was lost, and no message where all are wanted.
+    /// Whether no stage was lost, no message where all are wanted, and the run came to its end by itself.
     pub fn is_complete(&self) -> bool {
-        self.complete && self.lost().is_empty()
+        self.ending.complete && self.ending.stalled.is_none() && self.lost().is_empty()
+    }
+
+    /// How many messages have been worked on, by all stages together.
+    pub(crate) fn worked_on(&self) -> u64 {
+        self.statuses().map(|(_, status)| status.steps).sum()
+    }
+
+    /// What keeps each stage that is not over from going on.
+    pub(crate) fn who_waits(&self) -> Vec<String> {
+        standstill::who_waits(&self.statuses().collect::<Vec<_>>())
+    }
+
+    /// Whether any stage waits for another one to take what it has sent.
+    pub(crate) fn is_held_up(&self) -> bool {
+        standstill::is_held_up(&self.statuses().collect::<Vec<_>>())
     }
 
     /// What readers lost of topics of which they want all, in a run that has ended; nothing where somebody ended the run
@@ -73,7 +99,7 @@ impl Summary {
         let lost = self.statuses().filter_map(|(planned, status)| {
             let topic = planned.wiring.input.as_ref()?;
             let wants_all = topic.delivery_to(&planned.name) == Delivery::Lossless && status.had_enough == 0;
-            if self.hurried || !wants_all {
+            if self.ending.hurried || !wants_all {
                 return None;
             }
             let InputCounts { received, dropped, late, malformed, .. } = status.inputs[0];
@@ -161,7 +187,7 @@ impl Summary {
 fn found(planned: &PlannedStage, status: &Status) -> Option<String> {
     let item = planned.wiring.output.as_ref().and_then(|topic| topic.item.as_ref());
     let finds = item.is_some_and(ItemType::is_counted) && !planned.is_bridge() && status.steps > 0;
-    let found: Vec<_> = used(&status.found).map(|(label, count)| format!("{label} {count}")).collect();
+    let found: Vec<_> = used(&status.found).map(|(label, count)| format!("{} {count}", plain(label))).collect();
     match found.is_empty() {
         true => finds.then(|| format!("nothing in {} frames", status.steps)),
         false => Some(format!("in {} frames: {}", status.steps, found.join(", "))),
@@ -219,7 +245,7 @@ impl Summary {
             }
             if planned.is_source() || planned.is_sink() || with_reasons {
                 for (name, count) in used(&status.counters) {
-                    writeln!(f, "  {}: {name}: {count}", planned.name)?;
+                    writeln!(f, "  {}: {}: {count}", planned.name, plain(name))?;
                 }
             }
         }
@@ -263,7 +289,8 @@ impl Display for Text<'_> {
             summary.findings(f, in_detail)?;
         }
         summary.lost().iter().try_for_each(|lost| writeln!(f, "\nnot complete: {lost}"))?;
-        if summary.complete { Ok(()) } else { writeln!(f, "\nnot complete: a stage was lost, see above") }
+        summary.ending.stalled.iter().try_for_each(|why| writeln!(f, "\nnot complete: {why}"))?;
+        if summary.ending.complete { Ok(()) } else { writeln!(f, "\nnot complete: a stage was lost, see above") }
     }
 }
 
@@ -311,8 +338,7 @@ mod tests {
             elapsed: Duration::from_secs(1),
             stages,
             links: vec![],
-            complete: true,
-            hurried: false,
+            ending: Ending { complete: true, hurried: false, stalled: None },
         }
     }
 
@@ -358,7 +384,17 @@ mod tests {
         let mut sated = lossless(counts(37, 0), "writer");
         sated.stages[0].status.as_mut().unwrap().had_enough = 1;
         assert_eq!(lost(sated), [[0; 2]; 0], "it wanted no more");
-        assert_eq!(lost(Summary { hurried: true, ..run }), [[0; 2]; 0], "nobody waited for them");
+        let ending = Ending { hurried: true, ..run.ending.clone() };
+        assert_eq!(lost(Summary { ending, ..run }), [[0; 2]; 0], "nobody waited for them");
+    }
+
+    #[test]
+    fn a_run_that_was_ended_where_it_stood_still_is_not_complete() {
+        let run = summary(Box::default());
+        assert!(run.is_complete());
+        let ending = Ending { stalled: Some("waited for `a`".into()), ..run.ending.clone() };
+        let run = Summary { ending, ..run };
+        assert!(!run.is_complete() && run.to_string().contains("\nnot complete: waited for `a`"), "{run}");
     }
 
     #[test]

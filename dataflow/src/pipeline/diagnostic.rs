@@ -1,5 +1,6 @@
 //! What is wrong with a pipeline file: where, what, and what to do about it.
 
+use conicflow_messages::{is_harmless, plain};
 use serde::{Deserialize, Serialize};
 use std::fmt::{self, Display};
 use std::ops::Range;
@@ -32,6 +33,9 @@ impl Place {
         (number, text[line_start..start].chars().count() + 1, line)
     }
 }
+
+/// More of a line is not shown, in characters.
+const WIDEST_LINE: usize = 300;
 
 /// How bad it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -74,12 +78,16 @@ impl Display for Diagnostic {
             let first_line = piece.lines().next().unwrap_or("");
             first_line.chars().count().max(1)
         });
-        writeln!(f, "{severity}: {}:{line}:{column}: {}", self.place.source.name, self.what)?;
+        writeln!(f, "{severity}: {}:{line}:{column}: {}", plain(&self.place.source.name), plain(&self.what))?;
+        // Of a line that is far too long the piece around the place is shown, of a letter that steers a terminal that it is there.
+        let first = (column - 1).saturating_sub(WIDEST_LINE / 2);
+        let shown = |letter| if is_harmless(letter) { letter } else { char::REPLACEMENT_CHARACTER };
+        let text: String = text.chars().skip(first).take(WIDEST_LINE).map(shown).collect();
         writeln!(f, "{}", format!("{line:>5} | {text}").trim_end())?;
         let blank = |letter| if letter == '\t' { '\t' } else { ' ' };
-        let before: String = text.chars().take(column - 1).map(blank).collect();
-        write!(f, "      | {before}{}", "^".repeat(length))?;
-        if self.hint.is_empty() { Ok(()) } else { write!(f, "\n  hint: {}", self.hint) }
+        let before: String = text.chars().take(column - 1 - first).map(blank).collect();
+        write!(f, "      | {before}{}", "^".repeat(length.min(WIDEST_LINE / 2)))?;
+        if self.hint.is_empty() { Ok(()) } else { write!(f, "\n  hint: {}", plain(&self.hint)) }
     }
 }
 

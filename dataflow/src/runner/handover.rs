@@ -95,10 +95,14 @@ impl Successor {
         Ok(Some(Self { handover: handover.clone(), launcher }))
     }
 
-    /// Says that it is ready, and receives everything from `first` on.
+    /// Says that it is ready, and receives everything from `first` on. A launcher that wants it no more does not listen; who
+    /// then waits for its turn learns that.
     pub(crate) fn is_ready(&mut self, first: &Watermark) -> io::Result<()> {
         write(&self.handover.first, first)?;
-        self.launcher.write_all(b"r")
+        match self.launcher.write_all(b"r") {
+            Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
+            told => told,
+        }
     }
 
     /// Waits for its turn, unless it is `stopped` or the launcher wants it no more; whether the turn came.
@@ -122,4 +126,19 @@ impl Successor {
 
 fn is_timeout(error: &io::Error) -> bool {
     matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_successor_that_is_wanted_no_more_ends_without_a_word() {
+        let folder = tempfile::tempdir().unwrap();
+        let (launcher, end) = UnixStream::pair().unwrap();
+        let mut successor = Successor { handover: Handover::of(folder.path(), "a"), launcher: end };
+        drop(launcher);
+        successor.is_ready(&Watermark::default()).unwrap();
+        assert!(!successor.await_turn(|| false));
+    }
 }

@@ -26,7 +26,7 @@ use crate::ports::{PortError, Topic, Transport, Wiring};
 use crate::side_inputs::{Pairing, SideInput};
 use crate::stage::{Context, StageError};
 use crate::status::{Life, StatusFile};
-use conicflow_messages::{AnyByte, Hinted, Item, Nothing, Text};
+use conicflow_messages::{AnyByte, Hinted, Item, Nothing, Text, lasts};
 use handover::{Handover, Successor};
 use output_port::OutputPort;
 use peers::Peers;
@@ -69,6 +69,14 @@ pub enum RunError {
     /// It failed at a frame.
     #[error("at frame {frame}: {}", with_causes(&**.error))]
     Failed {
+        /// The frame's sequence number.
+        frame: u64,
+        /// What it said.
+        error: StageError,
+    },
+    /// It failed at a frame, and would at the next one; to start it anew would not help.
+    #[error("at frame {frame}: {}", with_causes(&**.error))]
+    Lasting {
         /// The frame's sequence number.
         frame: u64,
         /// What it said.
@@ -150,6 +158,7 @@ impl<T: Transport + 'static> StageRuntime<T> {
         status.process = std::process::id();
         status.stage = Text::new(&self.context.stage);
         status.starts += 1;
+        status.waits_for = Text::default();
         status.set_life(Life::Starting);
         self.record.write();
         self.record.heartbeat().into_iter().for_each(|heartbeat| self.context.stop.show_life_by(heartbeat));
@@ -184,10 +193,20 @@ impl MemoryTrim {
     }
 }
 
-/// Calls a step; an error or a panic is told with the number of the frame that it met.
-pub(crate) fn guarded<R>(frame: u64, step: impl FnOnce() -> Result<R, StageError>) -> Result<R, RunError> {
+/// Calls a step; an error or a panic is told with the number of the frame that it met. One that would come again is noted in
+/// the record, so that nobody starts the stage anew.
+pub(crate) fn guarded<R>(
+    record: &mut StatusFile,
+    frame: u64,
+    step: impl FnOnce() -> Result<R, StageError>,
+) -> Result<R, RunError> {
     let failed = |error| RunError::Failed { frame, error };
     match catch_unwind(AssertUnwindSafe(step)) {
+        Ok(Err(error)) if lasts(&*error) => {
+            record.status.set_life(Life::Gone);
+            record.write();
+            Err(RunError::Lasting { frame, error })
+        }
         Ok(result) => result.map_err(failed),
         Err(panic) => Err(failed(format!("panicked: {}", panic_text(&*panic)).into())),
     }

@@ -183,6 +183,7 @@ impl<W: Writer> OutputPort<W> {
             if connected.is_empty() && (all_told || Instant::now() > deadline) {
                 break;
             }
+            connected.iter().for_each(|reader| self.stop.wait_for(&reader.stage));
             before = connected;
             std::thread::sleep(LOOK);
         }
@@ -195,14 +196,13 @@ impl<W: Writer> OutputPort<W> {
         let mut said = false;
         loop {
             let first = self.number == 0 && Instant::now() < deadline;
-            if self.absent_readers(!first).next().is_none() {
-                return Ok(());
-            }
+            let Some(absent) = self.absent_readers(!first).next() else { return Ok(()) };
+            self.stop.wait_for(&absent.stage);
             if self.stop.requested() {
                 return Err(PortError::Stopped);
             }
             if Instant::now() > deadline && !said {
-                tracing::warn!("waiting for a reader that must not miss a message");
+                tracing::warn!("waiting for `{}`, which must not miss a message", absent.stage);
                 said = true;
             }
             std::thread::sleep(LOOK);

@@ -165,7 +165,7 @@ impl<S: Source, T: Transport> SourceLoop<S, T> {
         let started = Instant::now();
         let side_inputs = side_ports::found(&place.side_inputs);
         let mut output = place.output_port.place(Header::default(), &mut self.list);
-        let next = guarded(place.sequence, || self.source.next(&side_inputs, &mut output))?;
+        let next = guarded(&mut place.record, place.sequence, || self.source.next(&side_inputs, &mut output))?;
         let (made, is_image) = (output.header, output.is_image());
         let header = place.numbered(made);
         let list = (!is_image).then_some(&*self.list);

@@ -65,7 +65,7 @@ impl<S: Stage, T: Transport> StageLoop<S, T> {
         let side_inputs = side_ports::found(&place.side_inputs);
         let mut output = place.output_port.place(header, &mut self.list);
         let input = Message { header: &header, items: message.items() };
-        guarded(header.sequence, || self.stage.step(&input, &side_inputs, &mut output))?;
+        guarded(&mut place.record, header.sequence, || self.stage.step(&input, &side_inputs, &mut output))?;
         let (made, is_image) = (output.header, output.is_image());
         drop(message);
         place.keep_times(&header, received_ns, started.elapsed());

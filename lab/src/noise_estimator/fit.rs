@@ -187,7 +187,7 @@ impl NoiseEstimate {
         let count = |fits: bool| self.seen.iter().filter(|spread| spread.fits == fits).map(|spread| spread.count).sum();
         let (good, bad): (usize, usize) = (count(true), count(false));
         match self.misfit().filter(|_| bad > good) {
-            Some(Hinted { what, hint }) => {
+            Some(Hinted { what, hint, .. }) => {
                 bail!(Hinted::new(format!("no coefficients explain most of what was measured: {what}"), hint))
             }
             None => Ok(()),

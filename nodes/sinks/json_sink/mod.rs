@@ -1,6 +1,7 @@
 //! The sink that writes JSON: one object per message and line, for scripts, plots and other programs.
 
 use crate::sinks::json_lines::{JsonLines, Wrote};
+use crate::stage_error::stage_error;
 use conicflow_dataflow::{
     AnyMessage, ConfigFault, Context, ItemType, Output, SideInputs, Stage, StageError, Stop, monotonic_ns,
 };
@@ -75,7 +76,8 @@ impl Stage for JsonSink {
     fn step(&mut self, input: &Message<AnyByte>, _: &SideInputs, _: &mut Output<Nothing>) -> Result<(), StageError> {
         let message = AnyMessage { header: input.header, item: &self.item, bytes: bytemuck::cast_slice(input.items) };
         let latency_ms = input.header.latency_ms(monotonic_ns());
-        if self.lines.write_with(|line| message.write_json(latency_ms, line))? == Wrote::ReaderGone {
+        let wrote = self.lines.write_with(|line| message.write_json(latency_ms, line)).map_err(stage_error)?;
+        if wrote == Wrote::ReaderGone {
             self.stop.request();
         }
         Ok(())

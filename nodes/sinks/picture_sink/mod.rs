@@ -9,6 +9,7 @@ mod font;
 mod painter;
 
 use crate::sinks::decimator::Decimator;
+use crate::stage_error::stage_error;
 use anyhow::{Context as _, Result, ensure};
 use conicflow_dataflow::{ConfigFault, Context, Output, SideInput, SideInputs, Stage, StageError};
 use conicflow_messages::{Ellipse, Header, Hinted, MAX_PIXELS, Message, Nothing, Text};
@@ -139,7 +140,7 @@ impl<T: Drawn> PictureSink<T> {
         self.draw(input, depth, ellipses)?;
         self.look_for_another_camera(input.header);
         let path = self.folder.join(picture_name(input.header, self.names));
-        self.write(&path).with_context(|| format!("`{}` cannot be written", path.display()))?;
+        self.write(&path)?;
         Ok(Some(path))
     }
 
@@ -187,9 +188,11 @@ impl<T: Drawn> PictureSink<T> {
         encoder.set_compression(Compression::Fast);
         encoder.write_header()?.write_image_data(self.painter.bytes())?;
         let part = path.with_extension("png.part");
-        fs::write(&part, &self.file)?;
-        fs::rename(&part, path)?;
-        Ok(())
+        fs::write(&part, &self.file).and_then(|()| fs::rename(&part, path)).map_err(|error| {
+            // What cannot be removed either is left as a part.
+            fs::remove_file(&part).ok();
+            Hinted::of_writing(format!("`{}` cannot be written: {error}", path.display()), &error).into()
+        })
     }
 }
 
@@ -236,7 +239,7 @@ impl<T: Drawn> Stage for PictureSink<T> {
         side_inputs: &SideInputs,
         output: &mut Output<Nothing>,
     ) -> Result<(), StageError> {
-        if self.take(input, side_inputs)?.is_some() {
+        if self.take(input, side_inputs).map_err(stage_error)?.is_some() {
             output.count("pictures written", 1);
         }
         Ok(())

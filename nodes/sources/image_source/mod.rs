@@ -22,6 +22,7 @@ pub use playback::Playback;
 pub use poses::PosesConfig;
 pub use recording::{Options, Recording};
 
+use crate::stage_error::stage_error;
 use conicflow_dataflow::{ConfigFault, Context, Next, Output, SideInputs, Source, StageError};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::NoiseConfig;
@@ -145,8 +146,9 @@ impl Source for ImageSource {
     }
 
     fn next(&mut self, _: &SideInputs, output: &mut Output<u16>) -> Result<Next, StageError> {
-        while let Some(loaded) = self.0.load()? {
-            let header = self.0.decode(&loaded, output.image(loaded.pixels())?)?;
+        while let Some(loaded) = self.0.load().map_err(stage_error)? {
+            let place = output.image(loaded.pixels())?;
+            let header = self.0.decode(&loaded, place).map_err(stage_error)?;
             output.count_all(self.0.take_counts());
             if let Some(header) = header {
                 output.header = header;

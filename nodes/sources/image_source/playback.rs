@@ -1,9 +1,9 @@
 //! The frames of a recording one by one, with what is said of them once: unreadable ones are passed over and counted.
 
+use super::Config;
 use super::poses::Poses;
 use super::recording::{Frame, Options, Recording};
-use super::{Config, hinted};
-use anyhow::{Result, anyhow};
+use anyhow::Result;
 use conicflow_dataflow::tell_median;
 use conicflow_messages::{Camera, HAS_POSE, Header, Hinted, NoiseModel, RECORDED, Text, is_measured, median_depth};
 use std::collections::BTreeMap;
@@ -140,11 +140,10 @@ impl Playback {
         self.misses += 1;
         *self.counts.entry(UNREADABLE).or_default() += 1;
         if self.misses >= self.recording.len() {
-            let none = format!("none of the {} frames can be read; the last: {error:#}", self.misses);
-            return Err(hinted(
-                anyhow!(none),
-                "look at one with another program; record them anew, or copy them again",
-            ));
+            let hint = "look at one with another program; record them anew, or copy them again";
+            let Hinted { what, hint, .. } = Hinted::of(error.as_ref(), hint);
+            let none = format!("none of the {} frames can be read; the last: {what}", self.misses);
+            return Err(Hinted::lasting(none, hint).into());
         }
         // Once is enough for a file that a loop meets in every round.
         if self.position <= self.recording.len() as u64 {

@@ -11,6 +11,7 @@ mod tests;
 pub use channels::has_own;
 pub use replay::{Replay, Replayed};
 
+use crate::stage_error::stage_error;
 use conicflow_dataflow::{ConfigFault, Context, ItemType, Next, Output, SideInputs, Source, StageError, Stop};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::NoiseConfig;
@@ -122,7 +123,7 @@ impl Source for McapSource {
     fn next(&mut self, _: &SideInputs, output: &mut Output<AnyByte>) -> Result<Next, StageError> {
         let next = self.replay.next_message();
         output.count_all(self.replay.take_counts());
-        let Some(message) = next? else { return Ok(Next::End) };
+        let Some(message) = next.map_err(stage_error)? else { return Ok(Next::End) };
         if self.rate_hz.is_none() {
             self.wait_until_due(&message.header);
         }

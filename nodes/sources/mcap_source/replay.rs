@@ -155,7 +155,7 @@ impl Replay {
         let Round { first, last, sent, begin_ns, .. } = self.round;
         let Some((stamp_ns, sequence)) = first else {
             let topics = self.chosen.topics().join("` or `");
-            bail!(Hinted::new(
+            bail!(Hinted::lasting(
                 format!("none of the messages of `{topics}` can be read, or is between `from_s` and `to_s`"),
                 "look at the recording with another program, such as `mcap info`"
             ));

@@ -1,6 +1,7 @@
 //! The stages of a pipeline file: what each runs, what happens when it dies, and its parameters.
 
 use super::{MAX_STAGE_NAME, MAX_TOPIC_NAME, Reader};
+use crate::log::LOG;
 use crate::pipeline::diagnostic::{Place, closest, suggestion};
 use crate::pipeline::schema;
 use crate::pipeline::value::{Content, Entry, Table};
@@ -14,6 +15,10 @@ use std::path::{Path, PathBuf};
 const STAGE_KEYS: [&str; 8] = ["node", "program", "input", "inputs", "output", "machine", "restart", "env"];
 const RESTARTS: [(&str, Restart); 3] =
     [("never", Restart::Never), ("on_failure", Restart::OnFailure), ("always", Restart::Always)];
+/// A run starts some fifty stages in a second, and a stage without a sign of life for ten seconds counts as one that hangs.
+const MAX_STAGES: usize = 500;
+/// What the names of the variables begin with by which a stage finds its place in a run.
+const OWN_VARIABLES: &str = "CONICFLOW_";
 /// Stages that wait give a sign of life ten times a second.
 const HANG_S: RangeInclusive<f64> = 1.0..=86_400.0;
 const OUTPUT_EXAMPLE: &str = "output = { topic = \"found\", kind = \"objects\" }";
@@ -22,6 +27,11 @@ const HANG_HINT: &str = "a stage without a sign of life for so long counts as de
 impl Reader<'_> {
     pub(super) fn stages(&mut self, entry: Entry) -> Vec<StageSpec> {
         let table = self.table(entry, "[stage.source]").unwrap_or_default();
+        if let Some(further) = table.0.get(MAX_STAGES) {
+            let what = format!("the pipeline has {} stages, at most {MAX_STAGES} can run", table.0.len());
+            self.fault(&further.key_place, what, "each is a process; let fewer of them do more");
+            return Vec::new();
+        }
         table.0.into_iter().filter_map(|entry| self.stage(entry)).collect()
     }
 
@@ -105,6 +115,10 @@ impl Reader<'_> {
 
     fn command(&mut self, entry: &Entry) -> Program {
         let Some(mut command) = self.strings(entry) else { return Program::Unknown };
+        if command.iter().any(|part| part.contains('\0')) {
+            self.fault(&entry.value.place, "`program` has a zero byte in it", "an argument is a text without one");
+            return Program::Unknown;
+        }
         let Some(program) = command.first_mut() else {
             self.fault(&entry.value.place, "`program` is empty", "for example program = [\"./my_stage\", \"--flag\"]");
             return Program::Unknown;
@@ -151,7 +165,27 @@ impl Reader<'_> {
 
     fn env(&mut self, entry: Entry) -> Vec<(String, String)> {
         let table = self.table(entry, "env = { RUST_LOG = \"debug\" }").unwrap_or_default();
-        table.0.iter().filter_map(|entry| Some((entry.key.clone(), self.string(entry)?))).collect()
+        table.0.iter().filter_map(|entry| self.variable(entry)).collect()
+    }
+
+    /// A variable of a stage's environment that can be one, and that does not take its place in the run from it.
+    fn variable(&mut self, entry: &Entry) -> Option<(String, String)> {
+        let (name, value) = (&entry.key, self.string(entry)?);
+        let (what, hint) = if name.is_empty() || name.contains(['=', '\0']) {
+            (
+                format!("`{name}` cannot be the name of a variable"),
+                "it may be neither empty nor have `=` or a zero byte in it",
+            )
+        } else if value.contains('\0') {
+            (format!("the value of `{name}` has a zero byte in it"), "a variable is a text without one")
+        } else if name.starts_with(OWN_VARIABLES) && name != LOG {
+            let hint = "by such variables a stage finds its place; of these only `CONICFLOW_LOG` is free";
+            (format!("`{name}` is set by the run itself"), hint)
+        } else {
+            return Some((name.clone(), value));
+        };
+        self.fault(&entry.key_place, what, hint);
+        None
     }
 
     /// Checks the keys that are left: those of the node; what it makes of their values only where it runs.

@@ -7,6 +7,7 @@
 //! touched.
 
 use crate::ports::capacity::SHARED_MEMORY;
+use crate::stage::Stop;
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
 use std::fs::{self, File, OpenOptions, Permissions};
@@ -17,8 +18,8 @@ use std::path::{Path, PathBuf};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-/// Of a process that was killed the system may end the lock before it lets go of the files.
-const LETTING_GO: Duration = Duration::from_millis(100);
+/// A process that was killed still has its locks and its files for so long, on a machine with much to do.
+const LETTING_GO: Duration = Duration::from_secs(1);
 
 const LOCK: &str = "lock";
 
@@ -52,14 +53,16 @@ pub(super) struct Occupied {
     root: PathBuf,
     prefix: String,
     lock: File,
+    stop: Stop,
 }
 
 impl Occupied {
-    /// Says that this process uses the folder.
-    pub(super) fn new(root: &Path) -> io::Result<Self> {
+    /// Says that this process uses the folder. Where `stop` is forced by the time that it leaves, those who use the folder then
+    /// may have been killed, and would leave nothing in order any more: it waits until they are gone.
+    pub(super) fn new(root: &Path, stop: Stop) -> io::Result<Self> {
         let lock = File::create(root.join(LOCK))?;
         lock.lock_shared()?;
-        Ok(Self { root: root.to_owned(), prefix: prefix(root)?, lock })
+        Ok(Self { root: root.to_owned(), prefix: prefix(root)?, lock, stop })
     }
 
     /// The folder.
@@ -75,9 +78,14 @@ impl Occupied {
     /// Removes all that users of the folder have left in it and in shared memory, if no other uses it: for one that is about
     /// to leave, because it may have lost its lock afterwards.
     pub(super) fn clean_up(&self) -> io::Result<()> {
-        match flock(&self.lock, FlockOperation::NonBlockingLockExclusive) {
-            Err(Errno::WOULDBLOCK) => return Ok(()),
-            locked => locked?,
+        let patience = if self.stop.forced() { LETTING_GO } else { Duration::ZERO };
+        let deadline = Instant::now() + patience;
+        loop {
+            match flock(&self.lock, FlockOperation::NonBlockingLockExclusive) {
+                Err(Errno::WOULDBLOCK) if Instant::now() < deadline => sleep(Duration::from_millis(5)),
+                Err(Errno::WOULDBLOCK) => return Ok(()),
+                locked => break locked?,
+            }
         }
         let remove = |path: &Path, is_folder| if is_folder { fs::remove_dir_all(path) } else { fs::remove_file(path) };
         for_each_entry(&self.root, |name| name != LOCK, remove)?;
@@ -191,7 +199,10 @@ mod tests {
     #[test]
     fn what_nothing_leads_to_goes_with_the_last_one_who_uses_the_folder() {
         let folder = tempfile::tempdir().unwrap();
-        let (first, last) = (Occupied::new(folder.path()).unwrap(), Occupied::new(folder.path()).unwrap());
+        let (first, last) = (
+            Occupied::new(folder.path(), Stop::default()).unwrap(),
+            Occupied::new(folder.path(), Stop::default()).unwrap(),
+        );
         let left = litter(folder.path());
         drop(first);
         assert!(left.iter().all(|path| path.exists()), "somebody uses the folder");
@@ -202,21 +213,42 @@ mod tests {
     }
 
     #[test]
+    fn who_leaves_a_run_that_is_over_waits_for_those_who_are_just_killed() {
+        let folder = tempfile::tempdir().unwrap();
+        let stop = Stop::default();
+        let (killed, last) = (
+            Occupied::new(folder.path(), Stop::default()).unwrap(),
+            Occupied::new(folder.path(), stop.clone()).unwrap(),
+        );
+        let left = litter(folder.path());
+        // It ends a moment later, and removes nothing.
+        let dying = std::thread::spawn(move || {
+            sleep(Duration::from_millis(50));
+            flock(&killed.lock, FlockOperation::Unlock).unwrap();
+            std::mem::forget(killed);
+        });
+        stop.force();
+        drop(last);
+        assert!(left.iter().all(|path| !path.exists()));
+        dying.join().unwrap();
+    }
+
+    #[test]
     fn what_is_left_in_shared_memory_alone_is_litter_too() {
         let folder = tempfile::tempdir().unwrap();
-        drop(Occupied::new(folder.path()).unwrap());
+        drop(Occupied::new(folder.path(), Stop::default()).unwrap());
         assert!(!is_littered(folder.path()));
         let [_, segment] = litter(folder.path());
         fs::remove_dir_all(folder.path().join("nodes")).unwrap();
         assert!(is_littered(folder.path()));
-        drop(Occupied::new(folder.path()).unwrap());
+        drop(Occupied::new(folder.path(), Stop::default()).unwrap());
         assert!(!is_littered(folder.path()) && !segment.exists());
     }
 
     #[test]
     fn who_leaves_a_folder_that_was_deleted_leaves_nothing_in_shared_memory() {
         let folder = tempfile::tempdir().unwrap();
-        let occupied = Occupied::new(folder.path()).unwrap();
+        let occupied = Occupied::new(folder.path(), Stop::default()).unwrap();
         let [_, segment] = litter(folder.path());
         drop(folder);
         drop(occupied);

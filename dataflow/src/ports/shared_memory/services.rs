@@ -49,7 +49,7 @@ impl SharedMemory {
             reason: format!("{reason:?}"),
             root: root.to_owned(),
         };
-        let occupied = Arc::new(Occupied::new(root).map_err(|error| fault(&error))?);
+        let occupied = Arc::new(Occupied::new(root, stop.clone()).map_err(|error| fault(&error))?);
         let name = NodeName::new(stage).map_err(|error| fault(&error))?;
         let builder = NodeBuilder::new().name(&name).config(&config).signal_handling_mode(SignalHandlingMode::Disabled);
         let node = builder.create::<Ipc>().map_err(|error: NodeCreationFailure| fault(&error))?;

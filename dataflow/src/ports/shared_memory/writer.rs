@@ -94,12 +94,14 @@ impl SharedWriter {
             if stop.forced() {
                 return BackpressureAction::DiscardDataAndFail;
             }
-            if !lossless_readers(&messages, &topic).iter().any(|(port, _)| *port == full.receiver_port_id) {
+            let readers = lossless_readers(&messages, &topic);
+            let Some((_, place)) = readers.iter().find(|(port, _)| *port == full.receiver_port_id) else {
                 return BackpressureAction::DiscardData;
-            }
+            };
             let mut answers = answers.lock().unwrap_or_else(PoisonError::into_inner);
             let woken = room.timed_wait(|event| answers.push(event.id.as_value()), DEAD_READER_CHECK);
             if !woken.is_ok_and(|events| events > 0) {
+                stop.wait_for(&topic.readers[*place].stage);
                 clean_dead_nodes(&config);
             }
             BackpressureAction::Retry
@@ -131,6 +133,7 @@ impl SharedWriter {
             let seen = new.extract_if(.., |(_, place)| answers.contains(place));
             self.attached.extend(seen.map(|(port, _)| port));
             if answers.is_empty() {
+                new.iter().for_each(|(_, place)| self.stop.wait_for(&self.topic.readers[*place].stage));
                 clean_dead_nodes(&self.config);
             }
             let there = lossless_readers(&self.messages, &self.topic);

@@ -1,0 +1,124 @@
+//! Disks that are full and files that cannot be read: the stage fails for good, with exit code 1 and one sentence that says why.
+
+use crate::support::{Ended, Playground, Started, TRACKING};
+use conicflow_lab::simulator::scene::Scene;
+use rustix::process::geteuid;
+use std::fs::{self, File};
+use std::process::{Command, Stdio};
+
+/// Makes sure that a run ended because of one stage, which said once why and was not started anew.
+fn expect_failed_for_good(ended: Ended, stage: &str, why: &str) -> Ended {
+    let ended = ended.expect_code(1);
+    let told = ended.stderr.lines().filter(|line| line.starts_with("error: ") && line.contains(why));
+    assert_eq!(told.count(), 1, "{}", ended.stderr);
+    assert!(ended.stderr.contains(&format!("stage `{stage}` could not end its work, for what it told")));
+    assert!(!ended.stderr.contains("is started anew"), "{}", ended.stderr);
+    assert!(ended.stderr.contains("\nnot complete: a stage was lost, see above"), "{}", ended.stderr);
+    ended
+}
+
+#[test]
+fn lines_that_find_no_room_end_the_run() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let ended = playground.conicflow(&["run", "--for", "10min", "--set", "json.path=/dev/full"]);
+    let ended = expect_failed_for_good(ended, "json", "cannot write to `/dev/full`: No space left on device");
+    assert!(ended.stderr.contains("\n  hint: free some space, or write to another disk\n"), "{}", ended.stderr);
+}
+
+/// [`TRACKING`] with one more sink, which writes to a disk of its own of this size; what is in it when the run is over, in
+/// the folder `left`. `None`, said loudly, where this user cannot make one.
+fn on_a_small_disk(size: &str, sink: &str) -> Option<(Playground, Ended)> {
+    let playground = Playground::with_pipeline(&format!("{TRACKING}{sink}"));
+    fs::create_dir(playground.path("disk")).unwrap();
+    let script =
+        format!("mount -t tmpfs -o size={size} tmpfs disk && {{ \"$@\"; code=$?; cp -a disk left; exit $code; }}");
+    let inner = playground.command(&["run", "--for", "10min"]);
+    let mut command = Command::new("unshare");
+    command.args(["--mount", "sh", "-c", &script, "sh"]).arg(inner.get_program()).args(inner.get_args());
+    command.current_dir(inner.get_current_dir().unwrap()).stdin(Stdio::null());
+    command.env("CONICFLOW_RUNTIME_DIR", playground.runtime());
+    let may_mount = || Command::new("unshare").args(["--mount", "mount", "-t", "tmpfs", "tmpfs", "/mnt"]).status();
+    if !geteuid().is_root() || !may_mount().is_ok_and(|status| status.success()) {
+        eprintln!("SKIPPED: a small disk of one's own needs root and `unshare`; nothing was shown");
+        return None;
+    }
+    let ended = Started::new(command).wait();
+    Some((playground, ended))
+}
+
+fn names(playground: &Playground) -> Vec<String> {
+    let entries = fs::read_dir(playground.path("left")).unwrap();
+    entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect()
+}
+
+#[test]
+fn pictures_that_find_no_room_end_the_run_and_those_that_are_there_are_whole() {
+    let sink = r#"
+[stage.pictures]
+node  = "picture_sink"
+input = { topic = "tracks", delivery = "lossless" }
+inputs = { depth = "depth" }
+path  = "disk"
+"#;
+    let Some((playground, ended)) = on_a_small_disk("256k", sink) else { return };
+    let ended = expect_failed_for_good(ended, "pictures", "cannot be written: No space left on device");
+    assert!(ended.stderr.contains("\n  hint: free some space, or write to another disk\n"), "{}", ended.stderr);
+    let names = names(&playground);
+    assert!(!names.is_empty());
+    for name in names {
+        assert!(name.ends_with(".png"), "{name} is left behind");
+        let file = std::io::BufReader::new(File::open(playground.path("left").join(&name)).unwrap());
+        let mut picture = png::Decoder::new(file).read_info().unwrap();
+        let mut pixels = vec![0; picture.output_buffer_size().unwrap()];
+        picture.next_frame(&mut pixels).unwrap_or_else(|error| panic!("{name}: {error}"));
+    }
+}
+
+#[test]
+fn a_recording_that_finds_no_room_ends_the_run_and_holds_what_was_written_before() {
+    let sink = r#"
+[stage.recorder]
+node  = "mcap_sink"
+input = { topic = "tracks", delivery = "lossless" }
+inputs = { depth = "depth" }
+path  = "disk/run.mcap"
+"#;
+    let Some((playground, ended)) = on_a_small_disk("2m", sink) else { return };
+    expect_failed_for_good(ended, "recorder", "No space left on device");
+    assert_eq!(names(&playground), ["run.mcap"]);
+    let found = playground.conicflow(&["detect", "left/run.mcap", "--out", "found.jsonl"]).expect_code(0);
+    assert!(!playground.lines("found.jsonl").is_empty(), "{}", found.stderr);
+}
+
+#[test]
+fn a_recording_of_which_no_frame_can_be_read_ends_the_run_at_once() {
+    let playground = Playground::with_pipeline(crate::support::RECORDING);
+    playground.record(Scene::built_in("tabletop").unwrap().unwrap(), 1, 3);
+    for number in 0..3 {
+        let path = playground.path(&format!("frames/{number}.png"));
+        let bytes = fs::read(&path).unwrap();
+        fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
+    }
+    let camera = "source.intrinsics={ fx = 300, fy = 300, cx = 159.5, cy = 119.5 }";
+    let ended = playground.conicflow(&["run", "--for", "10min", "--set", camera]);
+    expect_failed_for_good(ended, "source", "none of the 3 frames can be read; the last: ");
+}
+
+#[test]
+fn text_from_outside_reaches_a_terminal_written_out_and_short() {
+    let playground = Playground::new();
+    fs::create_dir_all(playground.path("frames/depth")).unwrap();
+    let long = "x".repeat(20_000_000);
+    playground.write("frames/depth.txt", &format!("1.0 \u{1b}[2J\u{9b}31m{long}\nERROR forged\n"));
+    let ended = playground.conicflow(&["detect", "frames", "--camera", "300,300,159.5,119.5"]);
+    assert!(ended.code != Some(0) && !ended.stderr.contains(['\u{1b}', '\u{9b}']), "{}", &ended.stderr[..2000]);
+    assert!(ended.stderr.len() < 5000, "{} bytes", ended.stderr.len());
+    assert!(!ended.stderr.lines().any(|line| line.starts_with("ERROR forged")), "{}", ended.stderr);
+    playground.write("long.toml", &format!("name = \"a\"\n{long} \u{1b}[31m = 3\n"));
+    let ended = playground.conicflow(&["validate", "long.toml"]).expect_code(2);
+    assert!(ended.stderr.len() < 5000, "{} bytes", ended.stderr.len());
+    let name = "frames/a\nERROR forged\u{1b}[31m.png";
+    let ended = playground.conicflow(&["detect", name, "--camera", "300,300,159.5,119.5"]);
+    assert!(ended.code != Some(0) && !ended.stderr.contains('\u{1b}'), "{}", ended.stderr);
+    assert!(!ended.stderr.lines().any(|line| line.starts_with("ERROR forged")), "{}", ended.stderr);
+}
