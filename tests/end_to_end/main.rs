@@ -3,6 +3,7 @@
 #![allow(missing_docs)] // a test's name says what it shows
 #![allow(clippy::unwrap_used, clippy::panic)] // what a test cannot go on from is its failure
 
+mod attack;
 mod bridge;
 mod browser;
 mod certificates;
