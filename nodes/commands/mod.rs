@@ -7,6 +7,7 @@ mod node_help;
 mod record;
 #[cfg(test)]
 mod schema_tests;
+mod shell;
 mod swap;
 mod top;
 mod topic;
@@ -133,6 +134,13 @@ enum Command {
         /// Name of a node
         name: Option<String>,
     },
+    /// Print what a shell completes these commands by
+    Completions {
+        /// The shell
+        shell: clap_complete::Shell,
+    },
+    /// Print manual pages of all commands, for `man`
+    Man,
 }
 
 #[derive(Args, Default)]
@@ -206,6 +214,8 @@ fn dispatch(command: Command, log: &str) -> anyhow::Result<ExitCode> {
             write!(stdout(), "{}", node_help::nodes(name.as_deref())?)?;
             Ok(ExitCode::SUCCESS)
         }
+        Command::Completions { shell } => shell::completions(shell).map(|()| ExitCode::SUCCESS),
+        Command::Man => shell::manual().map(|()| ExitCode::SUCCESS),
     }
 }
 

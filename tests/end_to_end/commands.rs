@@ -228,3 +228,16 @@ fn machines_have_to_be_chosen() {
     playground.conicflow(&["run", "--machine", "robot", "--frames", "3"]).expect_code(0);
     assert_eq!(playground.sequences("tracks.jsonl"), [0, 1, 2]);
 }
+
+#[test]
+fn a_shell_and_man_know_every_command() {
+    let playground = Playground::new();
+    let script = playground.conicflow(&["completions", "bash"]).expect_code(0).stdout;
+    let pages = playground.conicflow(&["man"]).expect_code(0).stdout;
+    for command in ["run", "detect", "validate", "top", "swap", "view", "record", "doctor", "completions", "man"] {
+        assert!(script.contains(&format!("conicflow,{command})")), "{command}: {script}");
+        assert!(pages.contains(&format!(".TH conicflow-{command} 1")), "{command}: {pages}");
+    }
+    assert!(script.contains("--frames") && pages.contains("frames"), "arguments are known, too");
+    playground.conicflow(&["completions", "cmd"]).expect_code(2);
+}
