@@ -6,7 +6,7 @@ use crate::link_report::{LinkReport, read_links};
 use crate::plan::{Plan, PlannedStage};
 use crate::ports::Delivery;
 use crate::standstill;
-use crate::status::{Durations, InputCounts, Status, used};
+use crate::status::{Durations, InputCounts, Life, Status, used};
 use crate::table::Table;
 use conicflow_messages::plain;
 use std::fmt::{self, Display};
@@ -97,21 +97,34 @@ impl Summary {
     /// before all was delivered, or the reader wanted no more. A stage that is killed loses what waited for it.
     pub fn lost(&self) -> Vec<LostMessages> {
         let lost = self.statuses().filter_map(|(planned, status)| {
-            let topic = planned.wiring.input.as_ref()?;
-            let wants_all = topic.delivery_to(&planned.name) == Delivery::Lossless && status.had_enough == 0;
-            if self.ending.hurried || !wants_all {
-                return None;
-            }
-            let InputCounts { received, dropped, late, malformed, .. } = status.inputs[0];
-            // What a stage of another machine has sent is known by the numbers of its messages alone. These come from outside.
-            let sent = topic.writers.iter().map(|writer| self.sent_by(writer)).sum::<Option<u64>>();
-            let sent = sent.unwrap_or(0).max(received.saturating_add(dropped));
-            let came = received + late + malformed;
-            let lost = sent.saturating_sub(came).max(dropped.saturating_sub(malformed));
-            let (topic, reader) = (topic.name.clone(), planned.name.clone());
-            if lost > 0 { Some(LostMessages { topic, reader, count: [lost, sent] }) } else { None }
+            let count = self.lost_by(planned, status).filter(|[lost, _]| *lost > 0)?;
+            let topic = planned.wiring.input.as_ref()?.name.clone();
+            Some(LostMessages { topic, reader: planned.name.clone(), count })
         });
         lost.collect()
+    }
+
+    /// How many messages of its driving input a stage that wants all of them did not get, and of how many.
+    fn lost_by(&self, planned: &PlannedStage, status: &Status) -> Option<[u64; 2]> {
+        let topic = planned.wiring.input.as_ref()?;
+        let wants_all = topic.delivery_to(&planned.name) == Delivery::Lossless && status.had_enough == 0;
+        if self.ending.hurried || !wants_all {
+            return None;
+        }
+        let InputCounts { received, dropped, late, malformed, .. } = status.inputs[0];
+        // What a stage of another machine has sent is known by the numbers of its messages alone. These come from outside.
+        let sent = topic.writers.iter().map(|writer| self.sent_by(writer)).sum::<Option<u64>>();
+        let sent = sent.unwrap_or(0).max(received.saturating_add(dropped));
+        let came = received + late + malformed;
+        Some([sent.saturating_sub(came).max(dropped.saturating_sub(malformed)), sent])
+    }
+
+    /// What an input has lost: what its stage has counted, and of one that is over also what came to nobody, because the stage was
+    /// killed when its writers had ended.
+    fn dropped_by(&self, planned: &PlannedStage, status: &Status, index: usize) -> u64 {
+        let is_over = matches!(status.life(), Life::Ended | Life::Gone);
+        let lost = self.lost_by(planned, status).filter(|_| is_over && index == 0);
+        status.inputs[index].dropped.max(lost.map_or(0, |[lost, _]| lost))
     }
 
     /// How many messages a stage has sent; `None` where it has no record here.
@@ -138,8 +151,11 @@ impl Summary {
 
     /// Messages that inputs lost to newer ones.
     pub fn dropped(&self) -> u64 {
-        let inputs = self.statuses().flat_map(|(_, status)| status.used_inputs());
-        inputs.fold(0, |sum, input| sum.saturating_add(input.dropped))
+        let inputs = self.statuses().flat_map(|(planned, status)| {
+            let used = status.used_inputs().enumerate();
+            used.map(move |(index, _)| self.dropped_by(planned, status, index))
+        });
+        inputs.fold(0, u64::saturating_add)
     }
 
     /// How often stages were started anew.
@@ -174,7 +190,8 @@ impl Summary {
             for (index, input) in status.used_inputs().enumerate() {
                 let driving = index == 0 && !planned.is_source();
                 let hop = |quantile| if driving { time(&status.hop, quantile) } else { String::new() };
-                let counts = [input.received, input.dropped, input.gaps, input.late].map(|count| count.to_string());
+                let dropped = self.dropped_by(planned, status, index);
+                let counts = [input.received, dropped, input.gaps, input.late].map(|count| count.to_string());
                 let names = [input.topic.to_string(), planned.name.clone()];
                 table.row(names.into_iter().chain(counts).chain([hop(0.5), hop(0.99)]));
             }
@@ -381,6 +398,10 @@ mod tests {
         let run = lossless(counts(37, 0), "writer");
         let sentence = "not complete: `stage` lost 3 of 40 messages of the lossless topic `in`";
         assert!(!run.is_complete() && run.to_string().contains(sentence), "{run}");
+        assert_eq!(run.dropped(), 0, "they may be under way");
+        let mut over = lossless(InputCounts { topic: conicflow_messages::Text::new("in"), ..counts(37, 0) }, "writer");
+        over.stages[0].status.as_mut().unwrap().set_life(Life::Gone);
+        assert_eq!(over.dropped(), 3, "nobody is left to count them");
         let mut sated = lossless(counts(37, 0), "writer");
         sated.stages[0].status.as_mut().unwrap().had_enough = 1;
         assert_eq!(lost(sated), [[0; 2]; 0], "it wanted no more");
