@@ -9,18 +9,20 @@ use conicflow_detection::camera::Intrinsics;
 use conicflow_lab::simulator::scene::Scene;
 use conicflow_lab::simulator::scene_values::{SceneTemplate, Values};
 use conicflow_lab::simulator::{SimulatorParameters, SyntheticCamera};
-use conicflow_messages::{Header, Layout};
+use conicflow_messages::{Header, Layout, Object};
 use conicflow_nodes::NODES;
 use conicflow_nodes::sources::image_source::{Options, Recording};
+use conicflow_nodes::sources::mcap_source::{Config, Replay};
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
 /// One kind of bytes: its name, and what reads it; whether it was accepted.
 pub type Reader = (&'static str, fn(&[u8]) -> bool);
 
 /// All kinds of bytes, named as their corpora.
-pub const READERS: [Reader; 5] = [("wire", wire), ("pcd", pcd), ("png", png), ("scene", scene), ("pipeline", pipeline)];
+pub const READERS: [Reader; 6] =
+    [("wire", wire), ("pcd", pcd), ("png", png), ("mcap", mcap), ("scene", scene), ("pipeline", pipeline)];
 
 /// A type of one's own, as a pipeline file describes it.
 pub fn grasps() -> ItemType {
@@ -50,6 +52,12 @@ pub fn pcd(bytes: &[u8]) -> bool {
 /// A depth image, as the only frame of a recording.
 pub fn png(bytes: &[u8]) -> bool {
     is_fine(first_frame("depth.png", bytes))
+}
+
+/// A recording, of which each depth image is read, and each list of objects that conicflow wrote.
+pub fn mcap(bytes: &[u8]) -> bool {
+    let objects = is_fine(replayed(bytes, &ItemType::of::<Object>()));
+    is_fine(replayed(bytes, &ItemType::of::<u16>())) || objects
 }
 
 /// A scene, of which two small frames are rendered.
@@ -84,16 +92,32 @@ fn render(scene: Scene) {
     }
 }
 
-/// Reads a recording of one frame. Fuzzers do it so often that the folder stays, and lies in memory where there is such.
+/// Reads a recording of one frame.
 fn first_frame(name: &str, bytes: &[u8]) -> Result<()> {
-    thread_local! {
-        static FOLDER: TempDir = TempDir::new_in("/dev/shm").or_else(|_| TempDir::new()).unwrap();
-    }
-    let path = FOLDER.with(|folder| folder.path().join(name));
-    fs::write(&path, bytes)?;
+    let path = written(name, bytes)?;
     let intrinsics = Some(Intrinsics { fx: 50.0, fy: 50.0, cx: 3.0, cy: 2.0 });
     let mut recording = Recording::open(&path, &Options { intrinsics, ..Options::default() })?;
     recording.load(0)?;
     recording.decode(&mut vec![0; recording.pixels()])?;
     Ok(())
+}
+
+/// Replays all messages with such items.
+fn replayed(bytes: &[u8], item: &ItemType) -> Result<()> {
+    let config = Config { path: Some(written("run.mcap", bytes)?), ..Config::default() };
+    let mut replay = Replay::open(&config, Path::new(""), item, 0)?;
+    while let Some(message) = replay.next_message()? {
+        item.check(&message.header, &message.items)?;
+    }
+    Ok(())
+}
+
+/// Writes a file. Fuzzers do it so often that the folder stays, and lies in memory where there is such.
+fn written(name: &str, bytes: &[u8]) -> Result<PathBuf> {
+    thread_local! {
+        static FOLDER: TempDir = TempDir::new_in("/dev/shm").or_else(|_| TempDir::new()).unwrap();
+    }
+    let path = FOLDER.with(|folder| folder.path().join(name));
+    fs::write(&path, bytes)?;
+    Ok(path)
 }
