@@ -44,9 +44,15 @@ pub struct DetectArguments {
     /// as recorded]
     #[arg(long, value_name = "NAME", value_parser = noise)]
     noise: Option<NoiseName>,
-    /// Writes a picture of each frame into this folder: the depth in grey, the objects over it
+    /// Writes a picture of each frame into this folder: the depth in colours, the objects over it
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
+    /// How many times as large as the frames the pictures are
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=8))]
+    zoom: u32,
+    /// Puts so many pictures, smaller, onto one contact sheet each, in the same folder
+    #[arg(long, value_name = "N", requires = "pictures", value_parser = clap::value_parser!(u64).range(1..=100))]
+    sheet: Option<u64>,
     /// Writes the lines of JSON there in place of standard output
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
@@ -95,6 +101,8 @@ pub fn detect(arguments: &DetectArguments) -> Result<()> {
     let pictures = arguments.pictures.as_ref().map(|folder| picture_sink::Config {
         path: Some(folder.clone()),
         names: Names::Source,
+        zoom: arguments.zoom,
+        sheet: arguments.sheet.unwrap_or(0) as usize,
         ..picture_sink::Config::default()
     });
     let mut pictures = pictures.map(|config| PictureSink::<Object>::open(&config, here, 0)).transpose()?;
@@ -116,6 +124,7 @@ pub fn detect(arguments: &DetectArguments) -> Result<()> {
         }
         totals.add(&objects, detector);
     }
+    pictures.as_mut().map_or(Ok(()), PictureSink::write_sheet)?;
     totals.count_sources(&frames.take_counts());
     super::say(totals.text());
     Ok(())

@@ -1,22 +1,25 @@
-//! Writes pictures to look at: the depth image in grey, over it the ellipses and the outlines of objects or tracks.
+//! Writes pictures to look at: the depth image in colours, over it the ellipses and the outlines of objects or tracks.
 //!
 //! One sink for whatever drives it, a list of objects, tracks or ellipses; the depth image and the ellipses of the same
 //! frame come by side inputs and may be missing.
 
 mod canvas;
 mod depth_view;
-mod font;
+mod labels;
 mod painter;
+mod sheet;
 
 use crate::sinks::decimator::Decimator;
 use crate::stage_error::stage_error;
 use anyhow::{Context as _, Result, ensure};
+use canvas::{Box2, Canvas};
 use conicflow_dataflow::{ConfigFault, Context, Output, SideInput, SideInputs, Stage, StageError};
 use conicflow_messages::{Ellipse, Header, Hinted, MAX_PIXELS, Message, Nothing, Text};
 pub use painter::{Drawn, Painter};
 use png::{BitDepth, ColorType, Compression, Encoder};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use sheet::Sheet;
 use std::fs;
 use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
@@ -39,12 +42,21 @@ pub struct Config {
     /// Width of the outlines, in pixels.
     #[schemars(range(min = 1, max = 15))]
     pub line_width_px: u32,
-    /// Whether objects are labelled with their kind and radius in millimetres, and tracks with their number.
+    /// Whether objects are labelled with their kind, confidence and radius with its standard deviation, and tracks with their
+    /// number.
     pub labels: bool,
-    /// Depth of the lightest grey, in metres; default: by the frame.
+    /// Whether the lowest lines of the picture tell the frame, its time, and the scale of the depth.
+    pub legend: bool,
+    /// How many pixels of the picture, along either side, stand for one of the frame.
+    #[schemars(range(min = 1, max = 8))]
+    pub zoom: u32,
+    /// Put so many pictures, smaller, onto one contact sheet each (sheet_0001.png); 0: no sheets.
+    #[schemars(range(min = 0, max = 100))]
+    pub sheet: usize,
+    /// Depth of the warmest colour, in metres; default: by the frame.
     #[schemars(range(min = 0.0))]
     pub near_m: Option<f64>,
-    /// Depth of the darkest grey, in metres; default: by the frame.
+    /// Depth of the coldest colour, in metres; default: by the frame.
     #[schemars(range(min = 0.0))]
     pub far_m: Option<f64>,
 }
@@ -63,7 +75,18 @@ pub enum Names {
 
 impl Default for Config {
     fn default() -> Self {
-        Self { path: None, every: 1, names: Names::Sequence, line_width_px: 2, labels: true, near_m: None, far_m: None }
+        Self {
+            path: None,
+            every: 1,
+            names: Names::Sequence,
+            line_width_px: 2,
+            labels: true,
+            legend: true,
+            zoom: 1,
+            sheet: 0,
+            near_m: None,
+            far_m: None,
+        }
     }
 }
 
@@ -77,7 +100,7 @@ impl Config {
             fault("path", "is missing", "write `path = \"pictures/\"`");
         }
         if self.near_m.zip(self.far_m).is_some_and(|(near, far)| near >= far) {
-            fault("near_m", "is not below `far_m`", "near is light, far is dark: write the smaller depth here");
+            fault("near_m", "is not below `far_m`", "near is warm, far is cold: write the smaller depth here");
         }
         faults
     }
@@ -89,6 +112,8 @@ pub struct PictureSink<T> {
     decimator: Decimator,
     names: Names,
     painter: Painter,
+    zoom: u32,
+    sheet: Option<Sheet>,
     file: Vec<u8>,
     /// Whose frame the last picture is.
     camera: Option<Text<32>>,
@@ -112,6 +137,8 @@ impl<T: Drawn> PictureSink<T> {
             decimator: Decimator::new(config.every, resume_at),
             names: config.names,
             painter: Painter::new(config),
+            zoom: config.zoom,
+            sheet: (config.sheet > 0).then(|| Sheet::new(config.sheet, resume_at / config.every / config.sheet as u64)),
             file: Vec::new(),
             camera: None,
             is_told: false,
@@ -140,8 +167,24 @@ impl<T: Drawn> PictureSink<T> {
         self.draw(input, depth, ellipses)?;
         self.look_for_another_camera(input.header);
         let path = self.folder.join(picture_name(input.header, self.names));
-        self.write(&path)?;
+        write_png(self.painter.canvas(), &mut self.file, &path)?;
+        if let Some(sheet) = &mut self.sheet {
+            sheet.add(self.painter.canvas());
+            if sheet.is_full() {
+                self.write_sheet()?;
+            }
+        }
         Ok(Some(path))
+    }
+
+    /// Writes the contact sheet that is not full yet, if there is something on it.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn write_sheet(&mut self) -> Result<()> {
+        let Some(sheet) = self.sheet.as_mut().filter(|sheet| !sheet.is_empty()) else { return Ok(()) };
+        let path = self.folder.join(format!("sheet_{:04}.png", sheet.number()));
+        write_png(&sheet.take(), &mut self.file, &path)
     }
 
     fn draw(&mut self, input: &Message<T>, depth: Option<&Message<u16>>, ellipses: &[Ellipse]) -> Result<()> {
@@ -157,12 +200,20 @@ impl<T: Drawn> PictureSink<T> {
                 "the stage that made the message gave a wrong camera"
             )
         );
+        ensure!(
+            pixels * u64::from(self.zoom * self.zoom) <= MAX_PIXELS,
+            Hinted::new(
+                format!("a picture {} times as wide as {}x{} is too large", self.zoom, camera.width, camera.height),
+                "write a smaller `zoom`"
+            )
+        );
         self.painter.begin(camera);
         if let Some(depth) = depth {
             self.painter.depth(depth);
         }
         self.painter.ellipses(ellipses);
         T::draw(input.items, &mut self.painter);
+        self.painter.finish(input.header);
         Ok(())
     }
 
@@ -177,23 +228,42 @@ impl<T: Drawn> PictureSink<T> {
         }
         self.camera = Some(camera);
     }
+}
 
-    /// Writes the picture under another name first, so that nobody sees half of it.
-    fn write(&mut self, path: &Path) -> Result<()> {
-        self.file.clear();
-        let (width, height) = self.painter.size();
-        let mut encoder = Encoder::new(&mut self.file, width, height);
-        encoder.set_color(ColorType::Rgb);
-        encoder.set_depth(BitDepth::Eight);
-        encoder.set_compression(Compression::Fast);
-        encoder.write_header()?.write_image_data(self.painter.bytes())?;
-        let part = path.with_extension("png.part");
-        fs::write(&part, &self.file).and_then(|()| fs::rename(&part, path)).map_err(|error| {
-            // What cannot be removed either is left as a part.
-            fs::remove_file(&part).ok();
-            Hinted::of_writing(format!("`{}` cannot be written: {error}", path.display()), &error).into()
-        })
-    }
+/// Writes a PNG under another name first, so that nobody sees half of it; `file` is room for its bytes.
+///
+/// # Errors
+/// It cannot be written.
+fn write_png(canvas: &Canvas, file: &mut Vec<u8>, path: &Path) -> Result<()> {
+    file.clear();
+    let (width, height) = canvas.size();
+    let mut encoder = Encoder::new(&mut *file, width, height);
+    encoder.set_color(ColorType::Rgb);
+    encoder.set_depth(BitDepth::Eight);
+    encoder.set_compression(Compression::Fast);
+    encoder.write_header()?.write_image_data(canvas.bytes())?;
+    let part = path.with_extension("png.part");
+    fs::write(&part, &*file).and_then(|()| fs::rename(&part, path)).map_err(|error| {
+        // What cannot be removed either is left as a part.
+        fs::remove_file(&part).ok();
+        Hinted::of_writing(format!("`{}` cannot be written: {error}", path.display()), &error).into()
+    })
+}
+
+/// Writes the pictures of two painters side by side into one PNG; `file` is room for its bytes.
+///
+/// # Errors
+/// It cannot be written.
+pub fn write_beside(painters: [&Painter; 2], file: &mut Vec<u8>, path: &Path) -> Result<()> {
+    const GAP: u32 = 4;
+    let [left, right] = painters.map(Painter::canvas);
+    let ((width, height), (other_width, other_height)) = (left.size(), right.size());
+    let mut both = Canvas::default();
+    both.begin(width + GAP + other_width, height.max(other_height));
+    left.shrink_into(&mut both, Box2 { left: 0, top: 0, width: width.into(), height: height.into() });
+    let begin = i64::from(width + GAP);
+    right.shrink_into(&mut both, Box2 { left: begin, top: 0, width: other_width.into(), height: other_height.into() });
+    write_png(&both, file, path)
 }
 
 /// `frame_000012.png`, `camera_000012.png`, or the stem of the frame's file where the source names one.
@@ -243,6 +313,10 @@ impl<T: Drawn> Stage for PictureSink<T> {
             output.count("pictures written", 1);
         }
         Ok(())
+    }
+
+    fn finish(&mut self) -> Result<(), StageError> {
+        Ok(self.write_sheet()?)
     }
 }
 

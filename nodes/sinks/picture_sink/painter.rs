@@ -1,15 +1,24 @@
-//! What a picture shows and in which colours: shapes by their kind, tracks by their number.
+//! What a picture shows, and how: shapes in the colour of their kind, tracks in that of their number; what is surer is stronger,
+//! what is tentative dotted, what coasts broken; and below what frame it is and how far the colours are.
 
 use super::Config;
-use super::canvas::{Canvas, Colour};
+use super::canvas::{Box2, Canvas, Colour, Line, Size, dashes};
 use super::depth_view::DepthView;
-use conicflow_messages::{Camera, Ellipse, Item, Message, Object, ObjectKind, Scan, Track, TrackState};
+use super::labels::{self, Label};
+use conicflow_messages::{Camera, Ellipse, Header, Item, Message, Object, ObjectKind, Scan, Track, TrackState};
 use conicflow_view::outline::{self, Segment};
 
 const ARC: Colour = [240, 215, 90];
 const ARC_CENTER: Colour = [235, 90, 200];
 /// Every so many pixels of an arc are dotted.
 const ARC_STEP: u32 = 4;
+/// What lies under outlines and text, so that they are seen on any ground.
+const SHADOW: Colour = [5, 7, 10];
+const PALE: Colour = [228, 233, 242];
+/// From this height on text is large.
+const LARGE_FROM_PX: u32 = 960;
+/// How sure a method is that does not tell.
+const USUALLY_SURE: f64 = 0.8;
 
 /// Colours of tracks, told apart also by the colour-blind (after Okabe and Ito 2008, lightened for a dark ground).
 const TRACK_COLOURS: [Colour; 7] =
@@ -23,24 +32,24 @@ pub trait Drawn: Item {
 
 impl Drawn for Object {
     fn draw(items: &[Self], painter: &mut Painter) {
-        for object in items {
-            let pen = Pen { colour: kind_colour(object.shape()), width: painter.line_width };
-            painter.object(object, pen, || object_label(object));
-        }
+        items.iter().for_each(|object| painter.object(object, None));
     }
 }
 
 impl Drawn for Track {
-    /// Tentative tracks are drawn thin, coasting ones dark.
     fn draw(items: &[Self], painter: &mut Painter) {
         for track in items {
-            let colour = TRACK_COLOURS[(track.id % TRACK_COLOURS.len() as u64) as usize];
-            let pen = match track.track_state() {
-                TrackState::Tentative => Pen { colour, width: 1 },
-                TrackState::Confirmed => Pen { colour, width: painter.line_width },
-                TrackState::Coasting => Pen { colour: dark(colour), width: painter.line_width },
+            let (seen, dash) = match track.track_state() {
+                TrackState::Tentative => (0.55, Some([2.0, 4.0])),
+                TrackState::Confirmed => (1.0, None),
+                TrackState::Coasting => (0.6, Some([9.0, 6.0])),
             };
-            painter.object(&track.object, pen, || format!("{}: {}", track.id, object_label(&track.object)));
+            let colour = TRACK_COLOURS[(track.id % TRACK_COLOURS.len() as u64) as usize];
+            let name = format!("#{} {}", track.id, track.object.shape().name());
+            let state = track.track_state();
+            let note = (state != TrackState::Confirmed).then(|| state.name());
+            let look = Look { colour, sure: seen * sureness(&track.object), dash };
+            painter.shape(&track.object, look, labels::lines(&name, &track.object, note));
         }
     }
 }
@@ -59,20 +68,18 @@ fn kind_colour(kind: ObjectKind) -> Colour {
     }
 }
 
-fn dark(colour: Colour) -> Colour {
-    colour.map(|part| part / 5 * 2)
-}
-
-/// `cyl 98`: the kind and the radius in millimetres.
-fn object_label(object: &Object) -> String {
-    format!("{:.3} {:.0}", object.shape().name(), object.radius.min(99.0) * 1000.0)
+/// How sure one may be of an object, from 0 to 1.
+fn sureness(object: &Object) -> f64 {
+    if object.confidence > 0.0 { f64::from(object.confidence) } else { USUALLY_SURE }
 }
 
 /// How an outline is drawn.
 #[derive(Clone, Copy, Debug)]
-struct Pen {
+struct Look {
     colour: Colour,
-    width: u32,
+    sure: f64,
+    /// Length of dashes and gaps, if it is broken.
+    dash: Option<[f64; 2]>,
 }
 
 /// Draws one picture after the other; its buffers are kept.
@@ -81,52 +88,66 @@ pub struct Painter {
     canvas: Canvas,
     view: DepthView,
     outline: Vec<Segment>,
-    line_width: u32,
-    labels: bool,
+    labels: Vec<Label>,
+    line_width: f64,
+    zoom: u32,
+    shows_labels: bool,
+    shows_legend: bool,
+    title: Option<String>,
 }
 
 impl Painter {
-    pub(super) fn new(config: &Config) -> Self {
+    /// A painter by the parameters of the sink.
+    pub fn new(config: &Config) -> Self {
         Self {
             camera: Camera::default(),
             canvas: Canvas::default(),
             view: DepthView::new(config.near_m, config.far_m),
             outline: Vec::new(),
-            line_width: config.line_width_px,
-            labels: config.labels,
+            labels: Vec::new(),
+            line_width: config.line_width_px.into(),
+            zoom: config.zoom,
+            shows_labels: config.labels,
+            shows_legend: config.legend,
+            title: None,
         }
     }
 
-    /// Begins a black picture as large as the camera's.
-    pub(super) fn begin(&mut self, camera: &Camera) {
+    /// The same with a title above each picture.
+    #[must_use]
+    pub fn titled(self, title: String) -> Self {
+        Self { title: Some(title), ..self }
+    }
+
+    /// Begins a black picture as large as the camera's, or so many times as large as was asked for.
+    pub fn begin(&mut self, camera: &Camera) {
         self.camera = *camera;
-        self.canvas.begin(camera.width, camera.height);
+        self.canvas.begin(camera.width * self.zoom, camera.height * self.zoom);
+        self.view.begin();
+        self.labels.clear();
     }
 
-    pub(super) fn size(&self) -> (u32, u32) {
-        self.canvas.size()
-    }
-
-    pub(super) fn bytes(&self) -> &[u8] {
-        self.canvas.bytes()
+    pub(super) fn canvas(&self) -> &Canvas {
+        &self.canvas
     }
 
     /// Paints the depth image, unless it is of another size.
-    pub(super) fn depth(&mut self, depth: &Message<u16>) {
+    pub fn depth(&mut self, depth: &Message<u16>) {
         let camera = &depth.header.camera;
-        if (camera.width, camera.height) == self.canvas.size() {
-            self.view.paint(depth.items, depth.header.depth_scale, &mut self.canvas);
+        if (camera.width, camera.height) == (self.camera.width, self.camera.height) {
+            let target = (self.zoom, &mut self.canvas);
+            self.view.paint(depth.items, camera.width, depth.header.depth_scale, target);
         }
     }
 
     /// Dots the arcs of ellipses, and their centres.
-    pub(super) fn ellipses(&mut self, ellipses: &[Ellipse]) {
+    pub fn ellipses(&mut self, ellipses: &[Ellipse]) {
         for ellipse in ellipses {
             self.arc(ellipse);
         }
         for ellipse in ellipses {
-            if let Some(center) = outline::project(&self.camera, &ellipse.center.into()) {
-                self.canvas.square(center, 1, ARC_CENTER);
+            if let Some([x, y]) = outline::project(&self.camera, &ellipse.center.into()) {
+                self.canvas.dot(x.round() as i64, y.round() as i64, self.zoom, ARC_CENTER);
             }
         }
     }
@@ -137,31 +158,91 @@ impl Painter {
         for pixel in inner.chain([ellipse.first, ellipse.last]) {
             let (line, pixel) = (i64::from(ellipse.line), i64::from(pixel));
             match ellipse.direction() {
-                Scan::Row => self.canvas.dot(pixel, line, ARC),
-                Scan::Column => self.canvas.dot(line, pixel, ARC),
+                Scan::Row => self.canvas.dot(pixel, line, self.zoom, ARC),
+                Scan::Column => self.canvas.dot(line, pixel, self.zoom, ARC),
             }
         }
     }
 
-    fn object(&mut self, object: &Object, pen: Pen, label: impl FnOnce() -> String) {
+    /// Draws an object in the colour of its kind, with a word on it if there is one.
+    pub fn object(&mut self, object: &Object, note: Option<&str>) {
+        let look = Look { colour: kind_colour(object.shape()), sure: sureness(object), dash: None };
+        self.shape(object, look, labels::lines(object.shape().name(), object, note));
+    }
+
+    fn shape(&mut self, object: &Object, look: Look, lines: [String; 2]) {
         outline::trace(object, &self.camera, &mut self.outline);
-        self.outline.sort_by_key(|segment| !segment.hidden);
-        for segment in &self.outline {
-            let (colour, width) = if segment.hidden { (dark(pen.colour), 1) } else { (pen.colour, pen.width) };
-            self.canvas.line(segment.from, segment.to, width, colour);
+        let Look { colour, sure, dash } = look;
+        let width = self.line_width * (0.6 + 0.6 * sure);
+        let (hidden, seen) = (self.lines(true), self.lines(false));
+        self.canvas.stroke(seen.iter().copied(), width + 2.4, SHADOW, 0.75);
+        self.canvas.stroke(dashes(hidden.into_iter(), 3.0, 3.0).into_iter(), 1.0, colour, 0.25 + 0.4 * sure);
+        let strength = 0.4 + 0.6 * sure;
+        match dash {
+            Some([on, off]) => {
+                self.canvas.stroke(dashes(seen.iter().copied(), on, off).into_iter(), width, colour, strength);
+            }
+            None => self.canvas.stroke(seen.iter().copied(), width, colour, strength),
         }
-        if self.labels
-            && let Some([x, y]) = label_place(&self.outline)
+        if self.shows_labels
+            && let Some(around) = around(&seen)
         {
-            self.canvas.text(x, y, &label(), pen.colour);
+            self.labels.push(Label { lines, colour, sure, around });
+        }
+    }
+
+    /// The lines of the outline that are hidden or not, in the pixels of the picture, as far as they lie in it.
+    fn lines(&self, hidden: bool) -> Vec<Line> {
+        let zoom = f64::from(self.zoom);
+        let at = |point: [f64; 2]| point.map(|pixel| (pixel + 0.5) * zoom - 0.5);
+        let segments = self.outline.iter().filter(|segment| segment.hidden == hidden);
+        segments
+            .filter_map(|segment| self.canvas.clipped(at(segment.from), at(segment.to), 2.0 * self.line_width))
+            .collect()
+    }
+
+    /// Finishes the picture: puts the labels where none lies over another, and the legend below.
+    pub fn finish(&mut self, header: &Header) {
+        let (width, height) = self.canvas.size();
+        let size = if height >= LARGE_FROM_PX { Size::Large } else { Size::Small };
+        let [title, legend] = [self.title.is_some(), self.shows_legend].map(|shown| i64::from(shown) * size.line());
+        let (width, height) = (i64::from(width), i64::from(height));
+        let room = Box2 { left: 0, top: title, width, height: height - title - legend };
+        labels::draw(&mut self.labels, room, size, &mut self.canvas);
+        if let Some(title) = &self.title {
+            self.canvas.fill(Box2 { left: 0, top: 0, width, height: size.line() }, SHADOW, 0.75);
+            self.canvas.text((size.width(" ") / 2, 0), title, (size, true, PALE, 1.0));
+        }
+        if self.shows_legend {
+            self.draw_legend(header, height - legend, size);
+        }
+    }
+
+    /// Draws the number and the time of the frame, and the scale of the depth as far as there is room.
+    fn draw_legend(&mut self, header: &Header, top: i64, size: Size) {
+        let width = i64::from(self.canvas.size().0);
+        self.canvas.fill(Box2 { left: 0, top, width, height: size.line() }, SHADOW, 0.75);
+        let gap = size.width(" ");
+        let begin = self.view.draw_scale(&mut self.canvas, (width - gap / 2, top), size);
+        let (source, seconds) = (header.source.as_str().unwrap_or_default(), header.stamp_ns as f64 * 1e-9);
+        let frame = format!("frame {}", header.sequence);
+        let texts = [format!("{frame}  {seconds:.3} s  {source}"), format!("{frame}  {seconds:.3} s"), frame];
+        if let Some(text) = texts.iter().find(|text| gap + size.width(text) < begin) {
+            self.canvas.text((gap / 2, top), text.trim_end(), (size, false, PALE, 1.0));
         }
     }
 }
 
-/// Above the upper left of an outline.
-fn label_place(outline: &[Segment]) -> Option<[f64; 2]> {
-    let corner = |[x, y]: [f64; 2], segment: &Segment| [x.min(segment.from[0]), y.min(segment.from[1])];
-    let first = outline.first()?.from;
-    let [x, y] = outline.iter().fold(first, corner);
-    Some([x, y - 4.0])
+/// The rectangle around lines.
+fn around(lines: &[Line]) -> Option<Box2> {
+    let first = lines.first()?.0;
+    let (mut low, mut high) = (first, first);
+    for point in lines.iter().flat_map(|line| [line.0, line.1]) {
+        for axis in 0..2 {
+            (low[axis], high[axis]) = (low[axis].min(point[axis]), high[axis].max(point[axis]));
+        }
+    }
+    let [left, top] = low.map(|edge| edge.floor() as i64);
+    let [right, bottom] = high.map(|edge| edge.ceil() as i64);
+    Some(Box2 { left, top, width: right - left + 1, height: bottom - top + 1 })
 }

@@ -5,14 +5,16 @@ use std::io::BufReader;
 use tempfile::TempDir;
 
 const CAMERA: Camera = Camera { width: 160, height: 120, fx: 130.0, fy: 130.0, cx: 79.5, cy: 59.5 };
-const HOLE: [u8; 3] = [14, 20, 52];
+const HOLE: [u8; 3] = [10, 13, 19];
+const ORANGE: [u8; 3] = [255, 135, 60];
 
 fn header(sequence: u64, source: &str) -> Header {
     Header { sequence, camera: CAMERA, depth_scale: 0.001, source: Text::new(source), ..Header::default() }
 }
 
 fn sphere() -> Object {
-    Object { kind: ObjectKind::Sphere.code(), center: [0.0, 0.0, 1.0], radius: 0.2, ..Object::default() }
+    let kind = ObjectKind::Sphere.code();
+    Object { kind, center: [0.0, 0.0, 1.0], radius: 0.2, confidence: 1.0, ..Object::default() }
 }
 
 fn sink<T: Drawn>(folder: &TempDir, config: Config) -> PictureSink<T> {
@@ -25,11 +27,18 @@ fn picture<T: Drawn>(items: &[T], config: Config, side_inputs: &SideInputs) -> V
     let folder = tempfile::tempdir().unwrap();
     let input = Message { header: &header(0, ""), items };
     let path = sink(&folder, config).take(&input, side_inputs).unwrap().unwrap();
+    let (size, pixels) = read(&path);
+    assert_eq!(size, (160, 120));
+    pixels
+}
+
+/// Size and pixels of a PNG.
+fn read(path: &Path) -> ((u32, u32), Vec<[u8; 3]>) {
     let mut reader = png::Decoder::new(BufReader::new(File::open(path).unwrap())).read_info().unwrap();
     let mut bytes = vec![0; reader.output_buffer_size().unwrap()];
     let info = reader.next_frame(&mut bytes).unwrap();
-    assert_eq!((info.width, info.height, info.color_type), (160, 120, ColorType::Rgb));
-    bytes.as_chunks::<3>().0.to_vec()
+    assert_eq!(info.color_type, ColorType::Rgb);
+    ((info.width, info.height), bytes.as_chunks::<3>().0.to_vec())
 }
 
 fn pixel(picture: &[[u8; 3]], u: usize, v: usize) -> [u8; 3] {
@@ -45,41 +54,116 @@ fn objects_are_drawn_over_depth_and_ellipses() {
     let side_inputs = SideInputs::default()
         .with("depth", Message { header: &header, items: &wall })
         .with("ellipses", Message { header: &header, items: &ellipses });
-    let picture = picture(&[sphere()], Config::default(), &side_inputs);
+    let picture = picture(&[sphere()], plain(), &side_inputs);
     assert_eq!(pixel(&picture, 80, 5), HOLE);
-    let wall = pixel(&picture, 150, 100);
-    assert!(wall[0] == wall[1] && wall[1] == wall[2] && wall[0] > 0);
+    let wall = pixel(&picture, 150, 80);
+    assert!(wall != HOLE && wall != [0; 3]);
     assert_eq!((pixel(&picture, 30, 20), pixel(&picture, 50, 20)), ([240, 215, 90], [240, 215, 90]));
     assert_eq!(pixel(&picture, 80, 60), [235, 90, 200], "the ellipse's centre");
     // The limb of the sphere: 130 tan(asin(0.2)) = 26.5 pixels from the centre.
-    assert!((105..=107).any(|u| pixel(&picture, u, 60) == [255, 135, 60]));
+    assert!((105..=107).any(|u| pixel(&picture, u, 60) == ORANGE));
     assert_eq!(pixel(&picture, 95, 60), wall);
+}
+
+/// A sink that draws outlines alone.
+fn plain() -> Config {
+    Config { labels: false, legend: false, ..Config::default() }
+}
+
+fn painted(picture: &[[u8; 3]]) -> usize {
+    picture.iter().filter(|pixel| **pixel != [0; 3]).count()
+}
+
+/// The strongest orange there is.
+fn strength(picture: &[[u8; 3]]) -> u8 {
+    picture.iter().map(|pixel| pixel[0]).max().unwrap()
 }
 
 #[test]
 fn without_depth_the_ground_is_black_and_an_empty_list_is_a_picture() {
-    let empty = picture::<Object>(&[], Config::default(), &SideInputs::default());
+    let empty = picture::<Object>(&[], plain(), &SideInputs::default());
     assert!(empty.iter().all(|pixel| *pixel == [0; 3]));
-    let plain = picture(&[sphere()], Config { labels: false, ..Config::default() }, &SideInputs::default());
-    let labelled = picture(&[sphere()], Config::default(), &SideInputs::default());
-    let painted = |picture: &[[u8; 3]]| picture.iter().filter(|pixel| **pixel != [0; 3]).count();
-    assert!(painted(&plain) > 100 && painted(&labelled) > painted(&plain) + 20);
+    let outline = picture(&[sphere()], plain(), &SideInputs::default());
+    let labelled = picture(&[sphere()], Config { legend: false, ..Config::default() }, &SideInputs::default());
+    assert!(painted(&outline) > 100 && painted(&labelled) > painted(&outline) + 20);
 }
 
 #[test]
-fn tracks_have_the_colour_of_their_number_and_the_weight_of_their_state() {
+fn the_legend_takes_the_lowest_lines_and_tells_the_frame() {
+    let picture = picture::<Object>(&[], Config::default(), &SideInputs::default());
+    let rows: Vec<_> = (0..120).filter(|row| picture[row * 160..][..160].iter().any(|pixel| pixel[0] > 200)).collect();
+    assert!(rows.first().is_some_and(|row| *row >= 104) && rows.len() > 8, "{rows:?}");
+}
+
+#[test]
+fn what_is_surer_looks_surer() {
+    let of = |confidence| picture(&[Object { confidence, ..sphere() }], plain(), &SideInputs::default());
+    let (sure, vague, unsaid) = (of(1.0), of(0.3), of(0.0));
+    assert_eq!(strength(&sure), 255);
+    assert!(strength(&vague) < strength(&unsaid) && strength(&unsaid) < 255, "who does not tell stands between");
+    assert!(painted(&vague) < painted(&sure), "and thinner");
+}
+
+#[test]
+fn tracks_have_the_colour_of_their_number_and_the_look_of_their_state() {
     let track = |id, state: TrackState| Track { id, state: state.code(), object: sphere(), ..Track::default() };
     let drawn = |id, state| {
-        let config = Config { labels: false, ..Config::default() };
-        let picture = picture(&[track(id, state)], config, &SideInputs::default());
-        let painted: Vec<_> = picture.into_iter().filter(|pixel| *pixel != [0; 3]).collect();
-        (painted[0], painted.len())
+        let picture = picture(&[track(id, state)], plain(), &SideInputs::default());
+        let strongest = picture.iter().max_by_key(|pixel| pixel.iter().map(|part| u32::from(*part)).sum::<u32>());
+        let strongest = *strongest.unwrap();
+        (strongest, picture.iter().filter(|pixel| pixel[2] > 100).count())
     };
     let (colour, full) = drawn(1, TrackState::Confirmed);
+    assert_eq!(colour, [95, 190, 245]);
     assert_ne!(colour, drawn(2, TrackState::Confirmed).0);
     assert_eq!(colour, drawn(8, TrackState::Confirmed).0);
-    assert!(drawn(1, TrackState::Tentative).1 < full);
-    assert!(drawn(1, TrackState::Coasting).0[1] < colour[1]);
+    let (tentative, coasting) = (drawn(1, TrackState::Tentative), drawn(1, TrackState::Coasting));
+    assert!(tentative.1 < coasting.1 && coasting.1 < full, "dotted, broken, whole");
+    assert!(tentative.0[1] < colour[1] && coasting.0[1] < colour[1], "and paler");
+}
+
+#[test]
+fn a_picture_is_as_many_times_as_large_as_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut sink = sink::<Object>(&folder, Config { zoom: 3, ..plain() });
+    let header = header(0, "");
+    let wall = vec![2000_u16; 160 * 120];
+    let depth = Message { header: &header, items: &wall[..] };
+    let items = [sphere()];
+    let path = sink.write_picture(&Message { header: &header, items: &items }, Some(&depth), &[]).unwrap().unwrap();
+    let (size, pixels) = read(&path);
+    assert_eq!(size, (480, 360));
+    assert_eq!(pixels[0], pixels[480 * 360 - 1], "the wall is everywhere");
+    // The limb of the sphere, at 79.5 + 26.5 pixels of the frame.
+    assert!((318..=319).any(|u| pixels[179 * 480 + u] == ORANGE));
+    sink.zoom = 8;
+    let camera = Camera { width: 8192, height: 8192, ..CAMERA };
+    let large = Message { header: &Header { camera, ..header }, items: &items[..] };
+    let error = sink.take(&large, &SideInputs::default()).unwrap_err().to_string();
+    assert!(error.starts_with("a picture 8 times as wide as 8192x8192 is too large\n  hint: "), "{error}");
+}
+
+#[test]
+fn contact_sheets_hold_so_many_pictures_each_and_the_last_one_the_rest() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut sink = sink::<Object>(&folder, Config { sheet: 4, ..plain() });
+    for sequence in 0..5 {
+        let items = if sequence == 1 { vec![sphere()] } else { Vec::new() };
+        sink.take(&Message { header: &header(sequence, ""), items: &items }, &SideInputs::default()).unwrap();
+    }
+    sink.write_sheet().unwrap();
+    let sheet = |number| read(&folder.path().join(format!("made/here/sheet_000{number}.png")));
+    let (size, pixels) = sheet(1);
+    assert_eq!(size, (2 * 324 + 4, 2 * 244 + 4));
+    let quarter = |x: bool, y: bool| {
+        let place = |(index, _): &(usize, &[u8; 3])| ((index % 652 > 326) == x) && ((index / 652 > 246) == y);
+        pixels.iter().enumerate().filter(place).filter(|(_, pixel)| **pixel != [0; 3]).count()
+    };
+    assert!(quarter(true, false) > 100, "the second picture");
+    assert_eq!([quarter(false, false), quarter(false, true), quarter(true, true)], [0; 3]);
+    assert_eq!(sheet(2).0, (328, 248), "no larger than it has to be");
+    sink.write_sheet().unwrap();
+    assert_eq!(fs::read_dir(folder.path().join("made/here")).unwrap().count(), 7, "no sheet of nothing");
 }
 
 #[test]
@@ -101,7 +185,7 @@ fn an_ellipse_that_is_nowhere_near_has_its_arc_and_no_centre() {
 fn depth_of_another_size_is_left_out() {
     let other = Header { camera: Camera { width: 2, height: 2, ..CAMERA }, ..header(0, "") };
     let side_inputs = SideInputs::default().with("depth", Message { header: &other, items: &[1000_u16; 4] });
-    assert!(picture::<Object>(&[], Config::default(), &side_inputs).iter().all(|pixel| *pixel == [0; 3]));
+    assert!(picture::<Object>(&[], plain(), &side_inputs).iter().all(|pixel| *pixel == [0; 3]));
 }
 
 #[test]
