@@ -71,6 +71,8 @@ pub struct StageActivity {
     pub compute_p99_ms: Option<f64>,
     /// Items sent since the run began, by what they are called.
     pub found: BTreeMap<String, u64>,
+    /// The same for each message that it worked on between the two moments.
+    pub found_per_message: BTreeMap<String, f64>,
     /// What it has counted itself since the run began, such as why something was not found.
     pub counters: BTreeMap<String, u64>,
 }
@@ -222,6 +224,18 @@ impl Span<'_> {
         counted as f64 / self.seconds
     }
 
+    /// What was found in a message, on average.
+    fn found_per_message(&self) -> BTreeMap<String, f64> {
+        let Some(before) = self.before else { return BTreeMap::new() };
+        let messages = self.now.status.steps.saturating_sub(before.status.steps);
+        let count_before =
+            |name: &str| used(&before.status.found).find(|(known, _)| *known == name).map_or(0, |(_, n)| n);
+        let found = used(&self.now.status.found).filter(|_| messages > 0);
+        found
+            .map(|(name, n)| (name.to_owned(), n.saturating_sub(count_before(name)) as f64 / messages as f64))
+            .collect()
+    }
+
     fn stage(&self, planned: &PlannedStage) -> StageActivity {
         let status = &self.now.status;
         let cpu = self.before.map_or(Duration::ZERO, |before| self.now.cpu.saturating_sub(before.cpu));
@@ -239,6 +253,7 @@ impl Span<'_> {
             compute_p50_ms: milliseconds(&status.compute, 0.5),
             compute_p99_ms: milliseconds(&status.compute, 0.99),
             found: used(&status.found).map(|(name, count)| (name.to_owned(), count)).collect(),
+            found_per_message: self.found_per_message(),
             counters: used(&status.counters).map(|(name, count)| (name.to_owned(), count)).collect(),
         }
     }

@@ -42,9 +42,19 @@ fn screen(pipelines: &[PipelineActivity]) -> String {
             if pipeline.links.is_empty() { String::new() } else { format!("\n{}", link_table(&pipeline.links)) };
         let standing = standing(pipeline);
         let tables = [stages(pipeline), topics(pipeline), inputs(pipeline)].map(|table| table.to_string());
-        format!("{}\n\n{standing}{}{links}\n", pipeline.pipeline, tables.join("\n"))
+        format!("{}\n{}\n{standing}{}{links}\n", pipeline.pipeline, found(pipeline), tables.join("\n"))
     });
     parts.collect()
+}
+
+/// A line on what the last stage that finds something finds in a frame now.
+fn found(pipeline: &PipelineActivity) -> String {
+    let Some(stage) = pipeline.stages.iter().rev().find(|stage| !stage.found_per_message.is_empty()) else {
+        return String::new();
+    };
+    let found = stage.found_per_message.iter().map(|(name, count)| format!("{name} {count:.1}"));
+    let line = format!("{}, in a frame: {}", clip(&stage.stage, 14), found.collect::<Vec<_>>().join(", "));
+    format!("{}\n", clip(&line, 80))
 }
 
 /// A line for each stage that hangs, or seems to, and for each that another one holds up.

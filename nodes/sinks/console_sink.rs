@@ -1,13 +1,17 @@
-//! The sink for people: what was found in each frame, as text on standard output.
+//! The sink for people: what was found in each frame, as text on standard output; in colours where that is a terminal.
 
 use crate::sinks::decimator::Decimator;
 use conicflow_dataflow::{Context, Output, SideInputs, Stage, StageError, Stop};
-use conicflow_messages::{Ellipse, Hinted, Item, Message, Nothing, Object, ObjectKind, Scan, Track, TrackState};
+use conicflow_messages::{
+    Ellipse, Header, Hinted, Item, Message, Nothing, Object, ObjectKind, Scan, Text, Track, TrackState,
+};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::fmt::{self, Write as _};
-use std::io::{self, ErrorKind, Stdout, Write};
+use std::io::{self, ErrorKind, IsTerminal as _, Stdout, Write};
 use std::marker::PhantomData;
+use std::time::Instant;
 
 /// Parameters of `console_sink`.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
@@ -18,11 +22,16 @@ pub struct ConsoleSinkConfig {
     pub every: u32,
     /// Show tracks that are not confirmed yet.
     pub tentative: bool,
+    /// Show each message in one line.
+    pub brief: bool,
+    /// Show no more than one message in so many seconds, of each camera; 0 shows all.
+    #[schemars(range(min = 0.0, max = 3600.0))]
+    pub period_s: f64,
 }
 
 impl Default for ConsoleSinkConfig {
     fn default() -> Self {
-        Self { every: 1, tentative: false }
+        Self { every: 1, tentative: false, brief: false, period_s: 0.0 }
     }
 }
 
@@ -34,13 +43,43 @@ pub trait Describe: Item {
     /// Those of the place written to.
     fn describe(&self, text: &mut impl fmt::Write) -> fmt::Result;
 
+    /// Writes what it is and how large, as short as can be.
+    ///
+    /// # Errors
+    /// Those of the place written to.
+    fn sketch(&self, text: &mut impl fmt::Write) -> fmt::Result;
+
+    /// How it is coloured on a terminal: the parameters of an escape sequence.
+    fn colour(&self) -> &'static str;
+
     /// Whether it is too uncertain to be shown by default.
     fn is_tentative(&self) -> bool {
         false
     }
 }
 
+/// The colours that shapes have in pictures, as near as 256 colours come; what is less likely than not is faint.
+fn colour_of(object: &Object) -> &'static str {
+    let is_doubtful = object.confidence > 0.0 && object.confidence < 0.5;
+    match object.shape() {
+        _ if is_doubtful => "2",
+        ObjectKind::Sphere => "38;5;208",
+        ObjectKind::Cylinder => "38;5;78",
+        ObjectKind::Cone => "38;5;75",
+    }
+}
+
 impl Describe for Object {
+    fn sketch(&self, text: &mut impl fmt::Write) -> fmt::Result {
+        let [x, y, z] = self.center;
+        let distance_m = x.hypot(y).hypot(z);
+        write!(text, "{} r {:.0} mm at {distance_m:.2} m", self.shape().name(), self.radius * 1e3)
+    }
+
+    fn colour(&self) -> &'static str {
+        colour_of(self)
+    }
+
     fn describe(&self, text: &mut impl fmt::Write) -> fmt::Result {
         let [x, y, z] = self.center;
         write!(text, "{:<8} at ({x:6.3}, {y:6.3}, {z:6.3}) m", self.shape().name())?;
@@ -62,6 +101,17 @@ impl Describe for Object {
 }
 
 impl Describe for Track {
+    fn sketch(&self, text: &mut impl fmt::Write) -> fmt::Result {
+        write!(text, "#{} ", self.id)?;
+        self.object.sketch(text)?;
+        let state = self.track_state();
+        if state == TrackState::Confirmed { Ok(()) } else { write!(text, " {}", state.name()) }
+    }
+
+    fn colour(&self) -> &'static str {
+        if self.track_state() == TrackState::Confirmed { colour_of(&self.object) } else { "2" }
+    }
+
     fn describe(&self, text: &mut impl fmt::Write) -> fmt::Result {
         write!(text, "#{:<4}", self.id)?;
         self.object.describe(text)?;
@@ -75,6 +125,16 @@ impl Describe for Track {
 }
 
 impl Describe for Ellipse {
+    fn sketch(&self, text: &mut impl fmt::Write) -> fmt::Result {
+        let [long, short] = self.semi_axes.map(|axis| axis * 1e3);
+        let scan = if self.direction() == Scan::Row { "row" } else { "column" };
+        write!(text, "{scan} {} {long:.0} x {short:.0} mm", self.line)
+    }
+
+    fn colour(&self) -> &'static str {
+        "0"
+    }
+
     fn describe(&self, text: &mut impl fmt::Write) -> fmt::Result {
         let [x, y, z] = self.center;
         let [long, short] = self.semi_axes.map(|axis| axis * 1e3);
@@ -84,18 +144,23 @@ impl Describe for Ellipse {
     }
 }
 
-/// Writes messages as text: one line for the frame and one, indented, for each item.
+/// Writes messages as text: one line that tells what was found and in which frame, and one, indented, for each item; or all of
+/// it in one line.
 pub struct Console<W> {
     place: W,
     config: ConsoleSinkConfig,
+    in_colours: bool,
     decimator: Decimator,
+    /// When a message of each camera was shown last.
+    shown: BTreeMap<Text<32>, Instant>,
     text: String,
 }
 
 impl<W: Write> Console<W> {
-    /// A console on `place`.
-    pub fn new(place: W, config: ConsoleSinkConfig) -> Self {
-        Self { place, decimator: Decimator::new(config.every.into(), 0), config, text: String::new() }
+    /// A console on `place`, in colours or without.
+    pub fn new(place: W, config: ConsoleSinkConfig, in_colours: bool) -> Self {
+        let decimator = Decimator::new(config.every.into(), 0);
+        Self { place, decimator, config, in_colours, shown: BTreeMap::new(), text: String::new() }
     }
 
     /// Shows a message, if it is its turn.
@@ -103,7 +168,7 @@ impl<W: Write> Console<W> {
     /// # Errors
     /// Those of the place written to.
     pub fn show<T: Describe>(&mut self, message: &Message<T>) -> io::Result<()> {
-        if !self.decimator.is_due(message.header) {
+        if !self.decimator.is_due(message.header) || !self.is_time(message.header) {
             return Ok(());
         }
         self.text.clear();
@@ -112,18 +177,59 @@ impl<W: Write> Console<W> {
         self.place.flush()
     }
 
+    /// Whether the last message of the same camera was shown long enough ago.
+    fn is_time(&mut self, header: &Header) -> bool {
+        let now = Instant::now();
+        let last = self.shown.get(&header.origin());
+        let is_time = last.is_none_or(|last| (now - *last).as_secs_f64() >= self.config.period_s);
+        if is_time && self.config.period_s > 0.0 {
+            self.shown.insert(header.origin(), now);
+        }
+        is_time
+    }
+
     fn describe<T: Describe>(&mut self, message: &Message<T>) -> fmt::Result {
-        let tentative = self.config.tentative;
+        let (tentative, brief) = (self.config.tentative, self.config.brief);
         let shown = || message.items.iter().filter(|item| tentative || !item.is_tentative());
         let (sequence, source) = (message.header.sequence, message.header.source.as_str().unwrap_or_default());
-        writeln!(self.text, "frame {sequence}  {}  {}: {}", source.escape_debug(), T::NAME, shown().count())?;
+        let frame = format!("frame {sequence}  {}", source.escape_debug());
+        if brief {
+            for (index, item) in shown().enumerate() {
+                self.text.push_str(if index == 0 { "" } else { ", " });
+                self.coloured(item.colour(), |text| item.sketch(text))?;
+            }
+            self.text.push_str(if shown().next().is_none() { "nothing" } else { "" });
+            self.text.push_str("  ");
+            self.coloured("2", |text| write!(text, "{frame}"))?;
+            self.text.push('\n');
+            return Ok(());
+        }
+        write!(self.text, "{}: {}  ", T::NAME, shown().count())?;
+        self.coloured("2", |text| write!(text, "{frame}"))?;
+        self.text.push('\n');
         for item in shown() {
             self.text.push_str("  ");
-            item.describe(&mut self.text)?;
+            self.coloured(item.colour(), |text| item.describe(text))?;
             self.text.push('\n');
         }
         Ok(())
     }
+
+    /// Writes something between the escape sequences of a colour, where there are colours.
+    fn coloured(&mut self, colour: &str, write: impl FnOnce(&mut String) -> fmt::Result) -> fmt::Result {
+        if !self.in_colours {
+            return write(&mut self.text);
+        }
+        write!(self.text, "\x1b[{colour}m")?;
+        write(&mut self.text)?;
+        self.text.push_str("\x1b[0m");
+        Ok(())
+    }
+}
+
+/// Whether standard output shows colours: a terminal does, unless `NO_COLOR` asks for none (no-color.org).
+fn shows_colours() -> bool {
+    io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
 }
 
 /// Shows messages of ellipses, objects or tracks on standard output.
@@ -141,7 +247,7 @@ impl<T: Describe> Stage for ConsoleSink<T> {
     type Output = Nothing;
 
     fn new(config: ConsoleSinkConfig, context: &Context) -> Result<Self, StageError> {
-        let console = Console::new(io::stdout(), config);
+        let console = Console::new(io::stdout(), config, shows_colours());
         Ok(Self { console, stop: context.stop.clone(), items: PhantomData })
     }
 
@@ -164,10 +270,9 @@ fn unwritable(error: &io::Error) -> Hinted {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use conicflow_messages::{Header, Text};
 
     fn shown<T: Describe>(config: ConsoleSinkConfig, messages: &[&[T]]) -> String {
-        let mut console = Console::new(Vec::new(), config);
+        let mut console = Console::new(Vec::new(), config, false);
         for (sequence, items) in (12..).zip(messages) {
             let header = Header { sequence, source: Text::new("img12.png"), ..Header::default() };
             console.show(&Message { header: &header, items }).unwrap();
@@ -190,10 +295,10 @@ mod tests {
     #[test]
     fn objects_are_told_in_metres_and_millimetres() {
         let sphere = Object { kind: ObjectKind::Sphere.code(), center: [0.0, 0.0, 1.0], radius: 0.1, ..cone() };
-        let expected = "frame 12  img12.png  objects: 2
+        let expected = "objects: 2  frame 12  img12.png
   sphere   at ( 0.000,  0.000,  1.000) m  radius 100.0 mm
   cone     at ( 0.100, -0.200,  1.500) m  radius 25.0 to 50.0 mm  half-angle 22.5 deg  length 200 mm
-frame 13  img12.png  objects: 0
+objects: 0  frame 13  img12.png
 ";
         assert_eq!(shown(ConsoleSinkConfig::default(), &[&[sphere, cone()], &[]]), expected);
     }
@@ -207,20 +312,58 @@ frame 13  img12.png  objects: 0
         let text = shown(ConsoleSinkConfig::default(), &[&[track, tentative]]);
         assert_eq!(
             text,
-            "frame 12  img12.png  tracks: 1
+            "tracks: 1  frame 12  img12.png
   #7   cylinder at ( 0.100, -0.200,  1.500) m  radius 40.0 mm  length 200 mm  velocity ( 0.000,  0.500,  0.000) m/s  coasting
 "
         );
         let text = shown(ConsoleSinkConfig { tentative: true, ..ConsoleSinkConfig::default() }, &[&[track, tentative]]);
-        assert!(text.starts_with("frame 12  img12.png  tracks: 2\n") && text.contains("#8   cylinder"), "{text}");
+        assert!(text.starts_with("tracks: 2  frame 12  img12.png\n") && text.contains("#8   cylinder"), "{text}");
     }
 
     #[test]
     fn one_message_in_many_is_shown() {
         let config = ConsoleSinkConfig { every: 3, ..ConsoleSinkConfig::default() };
         let text = shown::<Ellipse>(config, &[[].as_slice(); 7]);
-        let frames: Vec<_> = text.lines().map(|line| line.split_whitespace().nth(1).unwrap()).collect();
+        let frames: Vec<_> = text.lines().map(|line| line.split_whitespace().nth(3).unwrap()).collect();
         assert_eq!(frames, ["12", "15", "18"]);
+    }
+
+    #[test]
+    fn a_brief_line_tells_what_and_where() {
+        let sphere = Object { kind: ObjectKind::Sphere.code(), center: [0.0, 0.6, 0.8], radius: 0.0995, ..cone() };
+        let track = Track { id: 7, state: TrackState::Coasting.code(), object: sphere, ..Track::default() };
+        let config = || ConsoleSinkConfig { brief: true, ..ConsoleSinkConfig::default() };
+        let text = shown(config(), &[&[sphere, cone()], &[]]);
+        let expected =
+            "sphere r 100 mm at 1.00 m, cone r 0 mm at 1.52 m  frame 12  img12.png\nnothing  frame 13  img12.png\n";
+        assert_eq!(text, expected);
+        assert_eq!(shown(config(), &[&[track]]), "#7 sphere r 100 mm at 1.00 m coasting  frame 12  img12.png\n");
+    }
+
+    #[test]
+    fn colours_are_those_of_the_kinds_and_what_is_doubtful_is_faint() {
+        let mut console = Console::new(Vec::new(), ConsoleSinkConfig::default(), true);
+        let sphere = |confidence| Object { kind: ObjectKind::Sphere.code(), confidence, ..Object::default() };
+        let items = [sphere(0.9), sphere(0.4), sphere(0.0)];
+        console.show(&Message { header: &Header::default(), items: &items }).unwrap();
+        let text = String::from_utf8(console.place).unwrap();
+        let lines: Vec<_> = text.lines().collect();
+        assert!(lines[0].starts_with("objects: 3  \x1b[2mframe 0") && lines[0].ends_with("\x1b[0m"), "{text:?}");
+        let begins =
+            |line: &str, with: &str| line.starts_with(&format!("  \x1b[{with}msphere ")) && line.ends_with("\x1b[0m");
+        assert!(begins(lines[1], "38;5;208") && begins(lines[2], "2") && begins(lines[3], "38;5;208"), "{text:?}");
+    }
+
+    #[test]
+    fn each_camera_is_shown_once_in_a_period() {
+        let mut console = Console::new(Vec::new(), ConsoleSinkConfig { period_s: 3600.0, ..Default::default() }, false);
+        for camera in ["left", "right", "left", "right"] {
+            let mut header = Header { source: Text::new(camera), ..Header::default() };
+            header.add_hop(conicflow_messages::Hop { stage: Text::new(camera), ..Default::default() });
+            console.show(&Message::<Object> { header: &header, items: &[] }).unwrap();
+        }
+        let text = String::from_utf8(console.place).unwrap();
+        assert_eq!(text, "objects: 0  frame 0  left\nobjects: 0  frame 0  right\n");
     }
 
     #[test]
@@ -244,7 +387,7 @@ frame 13  img12.png  objects: 0
                 Ok(())
             }
         }
-        let mut console = Console::new(Gone, ConsoleSinkConfig::default());
+        let mut console = Console::new(Gone, ConsoleSinkConfig::default(), false);
         let message = Message::<Object> { header: &Header::default(), items: &[] };
         assert_eq!(console.show(&message).unwrap_err().kind(), ErrorKind::BrokenPipe);
     }

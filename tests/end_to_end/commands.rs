@@ -123,6 +123,12 @@ every = 1   (at least 1)
 
 tentative = false
     Show tracks that are not confirmed yet.
+
+brief = false
+    Show each message in one line.
+
+period_s = 0.0   (0.0 to 3600.0)
+    Show no more than one message in so many seconds, of each camera; 0 shows all.
 "#;
     assert_eq!(Playground::new().conicflow(&["nodes", "console_sink"]).expect_code(0).stdout, expected);
 }

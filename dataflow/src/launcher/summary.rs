@@ -258,7 +258,7 @@ impl Summary {
         let with_reasons = in_detail || self.objects() == 0;
         for (planned, status) in self.statuses() {
             if let Some(found) = found(planned, status) {
-                writeln!(f, "\n{} found {found}", planned.name)?;
+                writeln!(f, "{} found {found}", planned.name)?;
             }
             if planned.is_source() || planned.is_sink() || with_reasons {
                 for (name, count) in used(&status.counters) {
@@ -295,6 +295,8 @@ impl Display for Text<'_> {
             summary.dropped()
         )?;
         if summary.has_begun() {
+            summary.findings(f, in_detail)?;
+            writeln!(f)?;
             for (planned, status) in summary.statuses().filter(|(stage, _)| stage.is_sink() && !stage.is_bridge()) {
                 let (median, late) = (time(&status.latency, 0.5), time(&status.latency, 0.99));
                 writeln!(f, "latency from the source to `{}`: p50 {median}, p99 {late}", planned.name)?;
@@ -302,9 +304,6 @@ impl Display for Text<'_> {
             write!(f, "\n{}\n{}", summary.stage_table(), summary.input_table())?;
         }
         summary.links(f)?;
-        if summary.has_begun() {
-            summary.findings(f, in_detail)?;
-        }
         summary.lost().iter().try_for_each(|lost| writeln!(f, "\nnot complete: {lost}"))?;
         summary.ending.stalled.iter().try_for_each(|why| writeln!(f, "\nnot complete: {why}"))?;
         if summary.ending.complete { Ok(()) } else { writeln!(f, "\nnot complete: a stage was lost, see above") }
@@ -370,6 +369,15 @@ mod tests {
         let found = summary(status);
         assert!(found.to_string().contains("cone 1") && !found.to_string().contains(reason), "{found}");
         assert!(found.in_detail().to_string().contains(reason));
+    }
+
+    #[test]
+    fn what_was_found_comes_first() {
+        let mut status = Box::new(Status::default());
+        status.steps = 12;
+        status.count_found("cone");
+        let text = summary(status).to_string();
+        assert_eq!(text.lines().nth(1), Some("stage found in 12 frames: cone 1"), "{text}");
     }
 
     /// A run in which `reader` has these counts of a lossless topic of which another stage sent 40 messages.
