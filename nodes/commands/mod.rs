@@ -1,5 +1,6 @@
 //! The command line: what each command prints, and with which code it exits (0 done, 1 failed, 2 wrong file or arguments).
 
+mod compare;
 mod detect;
 mod doctor;
 mod experiment;
@@ -68,6 +69,11 @@ enum Command {
     Run(RunArguments),
     /// Find the objects of a depth image, a folder of them or an MCAP recording, without a pipeline file
     Detect(detect::DetectArguments),
+    /// Run two variants of a pipeline on the same frames, and tell how their answers and their times differ
+    ///
+    /// Objects are matched one to one, frame by frame. Each variant runs as `conicflow run` would run it, but without a loss and
+    /// without its sinks, one after the other; the times of its stages are those from taking a message until sending one.
+    Compare(compare::CompareArguments),
     /// Run one stage of a pipeline in this process
     ///
     /// That is for a debugger, beside other stages that are run like this; what belongs in a service is `conicflow run`,
@@ -190,6 +196,7 @@ fn dispatch(command: Command, log: &str) -> anyhow::Result<ExitCode> {
     match command {
         Command::Run(arguments) => run(&arguments, log),
         Command::Detect(arguments) => detect::detect(&arguments).map(|()| ExitCode::SUCCESS),
+        Command::Compare(arguments) => compare::compare(&arguments, log),
         Command::Node { stage, file, machine } => {
             node(&stage, file, machine.as_deref(), log).map(|()| ExitCode::SUCCESS)
         }
@@ -342,10 +349,7 @@ fn run_experiment(
     experiment::check(experiment, pipeline)?;
     let variations = variations(experiment, &arguments.source)?;
     let (rows, mut results) = (Rows::of(pipeline)?, Results::new(experiment));
-    let interrupted = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM, SIGHUP] {
-        signal_hook::flag::register(signal, Arc::clone(&interrupted))?;
-    }
+    let interrupted = interruption()?;
     for (index, variation) in variations.iter().enumerate() {
         let overrides: Vec<String> = variation.overrides.iter().cloned().chain(rows.overrides()).collect();
         if !arguments.quiet {
@@ -363,6 +367,15 @@ fn run_experiment(
     results.write(&pipeline.base)?;
     printed?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// Becomes true as soon as this process is asked to end: then no further run is begun.
+fn interruption() -> io::Result<Arc<AtomicBool>> {
+    let interrupted = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM, SIGHUP] {
+        signal_hook::flag::register(signal, Arc::clone(&interrupted))?;
+    }
+    Ok(interrupted)
 }
 
 fn tell_incomplete(summary: &Summary, variation: &Variation) {

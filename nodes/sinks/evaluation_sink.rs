@@ -52,6 +52,16 @@ impl EvaluationConfig {
         let load = |path: &PathBuf| RecordedTruth::load(&base.join(path), &self.recorded_tolerance);
         self.truth.as_ref().map(load).transpose()
     }
+
+    /// An evaluation against the truth that they name, relative to `base`.
+    ///
+    /// # Errors
+    /// A file cannot be read.
+    pub fn open(&self, base: &Path) -> Result<Evaluation> {
+        let rendered = self.rendered(base)?;
+        let recorded = self.recorded(base)?.map(TruthSource::Recorded);
+        Ok(Evaluation::new(recorded.unwrap_or_else(|| TruthSource::Rendered(Box::new(rendered)))))
+    }
 }
 
 /// Scores messages of objects or tracks.
@@ -89,14 +99,9 @@ impl<T: Claim> Stage for EvaluationSink<T> {
 
     fn new(config: EvaluationConfig, context: &Context) -> Result<Self, StageError> {
         config_error::refuse_restart(context, "counted")?;
-        let rendered = config.rendered(&context.base)?;
-        let truth = match config.recorded(&context.base)? {
-            Some(truth) => TruthSource::Recorded(truth),
-            None => TruthSource::Rendered(Box::new(rendered)),
-        };
         let open = |path: &PathBuf| JsonLines::open(&context.resolve(path), false);
         let details = config.details_path.as_ref().map(open).transpose()?;
-        let (evaluation, path) = (Evaluation::new(truth), config.path.as_ref().map(|path| context.resolve(path)));
+        let (evaluation, path) = (config.open(&context.base)?, config.path.as_ref().map(|path| context.resolve(path)));
         Ok(Self { evaluation, details, path, answers: Vec::new(), items: PhantomData })
     }
 

@@ -8,6 +8,7 @@ mod bridge;
 mod browser;
 mod certificates;
 mod commands;
+mod compare;
 mod detect;
 mod doctor;
 mod experiments;

@@ -146,7 +146,7 @@ pub fn fault(truth: &TrueObject, answer: &Object) -> Option<Fault> {
 }
 
 /// Whether the middle of an answer lies within a true object, or next to it.
-fn is_near(truth: &Object, answer: &Object) -> bool {
+pub fn is_near(truth: &Object, answer: &Object) -> bool {
     const MARGIN_M: f64 = 0.05;
     let offset = vector(answer.center) - vector(truth.center);
     let axis = vector(truth.axis);

@@ -5,6 +5,7 @@
 //! in tables, in notes on a recording, and in one row, the [`summary`]. A [`measurement`] takes an [`observation`] of each
 //! object from each frame, sums these up and gives each object a [`row`] of figures; [`sections`] do so for ellipses, and a
 //! [`trace`] keeps each observation. A [`limit`] holds the scatter of an object's answers against the least that is possible.
+//! [`pairing`] holds two answers to a frame against each other where there is no truth.
 
 pub mod evaluation;
 pub mod limit;
@@ -13,6 +14,7 @@ pub mod measurement;
 mod notes;
 mod object_stats;
 pub mod observation;
+pub mod pairing;
 mod pixel_box;
 pub mod recorded;
 pub mod row;

@@ -92,6 +92,12 @@ impl Replay {
         Ok(replay)
     }
 
+    /// The same, which does not say what its images are like.
+    #[must_use]
+    pub fn silent(self) -> Self {
+        Self { is_told: true, ..self }
+    }
+
     /// What is sent.
     pub fn item(&self) -> &ItemType {
         &self.item

@@ -1,0 +1,135 @@
+//! Which objects of two answers to the same frame are the same thing, so that two variants of a detector can be compared where
+//! nobody knows the truth.
+//!
+//! Two objects are the same thing if the middle of one lies within the other, or next to it, and neither is more than twice as
+//! wide: whether they agree is for their differences to tell. Pairs are taken one to one. Those of one kind go before those of
+//! two, then the nearest pair goes first.
+
+use super::matching::{Comparison, compare, is_near};
+use conicflow_messages::Object;
+
+/// Wider than so many times the other is another thing: a ball before a wall is not the wall.
+const WIDEST: f64 = 2.0;
+
+/// What two answers to one frame have in common, by their numbers in the lists.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Paired {
+    /// What both have.
+    pub both: Vec<(usize, usize)>,
+    /// What only the first has.
+    pub only_a: Vec<usize>,
+    /// What only the second has.
+    pub only_b: Vec<usize>,
+}
+
+/// How the second object differs from the first, of the same kind.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Difference {
+    /// Distance in metres: of the centres of spheres, else of the first's middle from the second's axis.
+    pub position_m: f64,
+    /// Radius of the second minus that of the first, at the first's middle.
+    pub radius_m: f64,
+    /// Angle between the axes, in radians; 0 of spheres.
+    pub axis: f64,
+    /// Half-angle of the second minus that of the first, in radians.
+    pub half_angle: f64,
+    /// Standard deviation of the radius as a share of the first's; not a number where the first has none.
+    pub radius_sigma: f64,
+}
+
+impl Difference {
+    /// Compares two objects.
+    pub fn of(a: &Object, b: &Object) -> Self {
+        let Comparison { position_m, radius_m, axis, half_angle } = compare(a, b);
+        let radius_sigma = if a.sigma.radius > 0.0 { b.sigma.radius / a.sigma.radius } else { f64::NAN };
+        Self { position_m, radius_m: radius_m - a.radius, axis, half_angle, radius_sigma }
+    }
+}
+
+/// Pairs the objects of two lists.
+pub fn pair_up(a: &[Object], b: &[Object]) -> Paired {
+    let mut pairs = Vec::new();
+    for (first, one) in a.iter().enumerate() {
+        for (second, other) in b.iter().enumerate() {
+            if is_same_thing(one, other) {
+                let distance = compare(one, other).position_m + compare(other, one).position_m;
+                pairs.push((one.kind != other.kind, distance, first, second));
+            }
+        }
+    }
+    pairs.sort_by(|p, q| p.0.cmp(&q.0).then(p.1.total_cmp(&q.1)).then((p.2, p.3).cmp(&(q.2, q.3))));
+    let (mut free_a, mut free_b) = (vec![true; a.len()], vec![true; b.len()]);
+    let mut both = Vec::new();
+    for (_, _, first, second) in pairs {
+        if free_a[first] && free_b[second] {
+            (free_a[first], free_b[second]) = (false, false);
+            both.push((first, second));
+        }
+    }
+    both.sort_unstable();
+    let left = |free: Vec<bool>| (0..free.len()).filter(|number| free[*number]).collect();
+    Paired { both, only_a: left(free_a), only_b: left(free_b) }
+}
+
+fn is_same_thing(a: &Object, b: &Object) -> bool {
+    let widths = [a, b].map(|object| object.radius.max(object.base_radius));
+    let are_alike = widths[0] <= WIDEST * widths[1] && widths[1] <= WIDEST * widths[0];
+    are_alike && (is_near(a, b) || is_near(b, a))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::matching::tests::{cone, sphere};
+    use super::*;
+    use conicflow_messages::{ObjectKind, ObjectSigma};
+
+    fn wide(x: f64, radius: f64) -> Object {
+        Object { radius, ..sphere(x) }
+    }
+
+    #[test]
+    fn pairs_are_one_to_one_and_the_nearest_goes_first() {
+        let (a, b) = ([sphere(0.0), sphere(0.1), sphere(1.0)], [sphere(0.08), sphere(2.0)]);
+        let expected = Paired { both: vec![(1, 0)], only_a: vec![0, 2], only_b: vec![1] };
+        assert_eq!(pair_up(&a, &b), expected);
+        let turned = Paired { both: vec![(0, 1)], only_a: vec![1], only_b: vec![0, 2] };
+        assert_eq!(pair_up(&b, &a), turned, "whoever is asked first");
+        assert_eq!(pair_up(&[], &b).only_b, [0, 1]);
+    }
+
+    #[test]
+    fn one_of_the_same_kind_goes_before_a_nearer_one_of_another() {
+        let (a, b) = ([sphere(0.0)], [cone(), sphere(0.05)]);
+        assert_eq!(pair_up(&a, &b).both, [(0, 1)]);
+        assert_eq!(pair_up(&a, &b[..1]).both, [(0, 0)], "alone, the other kind is the same thing");
+    }
+
+    #[test]
+    fn what_is_far_wider_is_another_thing() {
+        assert_eq!(pair_up(&[wide(0.0, 0.1)], &[wide(0.0, 0.199)]).both, [(0, 0)]);
+        assert_eq!(pair_up(&[wide(0.0, 0.1)], &[wide(0.0, 0.201)]).both, []);
+        assert_eq!(pair_up(&[wide(0.0, 0.201)], &[wide(0.0, 0.1)]).both, []);
+    }
+
+    /// A ball on a can lies on its axis, but above its end.
+    #[test]
+    fn a_ball_on_a_can_is_not_the_can() {
+        let can = Object { kind: ObjectKind::Cylinder.code(), half_angle: 0.0, base_radius: 0.0, ..cone() };
+        let ball = Object { center: [0.0, -0.2, 1.0], ..sphere(0.0) };
+        assert_eq!(pair_up(&[can], &[ball]).both, []);
+    }
+
+    #[test]
+    fn differences_are_those_of_the_second_from_the_first() {
+        let sigma = |radius: f64| ObjectSigma { radius, ..ObjectSigma::default() };
+        let a = Object { sigma: sigma(0.002), ..sphere(0.0) };
+        let b = Object { sigma: sigma(0.003), radius: 0.09, ..sphere(0.01) };
+        let difference = Difference::of(&a, &b);
+        let close = |number: f64, expected: f64| (number - expected).abs() < 1e-12;
+        assert!(close(difference.position_m, 0.01) && close(difference.radius_m, -0.01));
+        assert!(close(difference.radius_sigma, 1.5) && Difference::of(&sphere(0.0), &b).radius_sigma.is_nan());
+        // Seen lower, where it is wider: the same cone.
+        let lower = Object { center: [0.0, 0.08, 1.0], radius: 0.108, ..cone() };
+        assert!(close(Difference::of(&cone(), &lower).radius_m, 0.0));
+    }
+}

@@ -1,0 +1,132 @@
+//! `conicflow compare`: two variants of a pipeline on the same frames, and how their answers and their times differ.
+//!
+//! Both run as they are, one after the other, without losing a frame; what each finds is recorded and then matched frame by
+//! frame ([`variant`]), counted ([`tally`]) and told ([`report`]).
+
+mod pictures;
+mod report;
+mod tally;
+mod variant;
+
+use super::{FileArguments, interruption, options};
+use anyhow::{Result, anyhow, bail, ensure};
+use clap::Args;
+use conicflow_dataflow::pipeline::{Pipeline, Report};
+use conicflow_messages::Hinted;
+use report::Variants;
+use std::io::{Write as _, stdout};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use tally::Tally;
+use variant::{How, Variant};
+
+/// What is compared, and what is told of it.
+#[derive(Args)]
+pub struct CompareArguments {
+    #[command(flatten)]
+    source: FileArguments,
+    /// What the first variant sets [default: nothing, it is the file as it stands]
+    #[arg(long, value_name = "STAGE.KEY=VALUE", num_args = 1..)]
+    a: Vec<String>,
+    /// What the second variant sets [default: nothing, it is the file as it stands]
+    #[arg(long, value_name = "STAGE.KEY=VALUE", num_args = 1..)]
+    b: Vec<String>,
+    /// The topic with the answers, objects or tracks [default: the only one with objects, else with tracks]
+    #[arg(long, value_name = "TOPIC")]
+    topic: Option<String>,
+    /// End after so many frames of each source [default: when the sources end]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    frames: Option<u64>,
+    /// Writes a picture of each frame into this folder: what A found beside what B found
+    #[arg(long, value_name = "DIR")]
+    pictures: Option<PathBuf>,
+    /// How many times as large as the frames each half of a picture is
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=8))]
+    zoom: u32,
+    /// Print JSON in place of the tables, with the objects of each frame in which the variants differ
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs both variants and prints how they differ.
+///
+/// # Errors
+/// A variant cannot run, or their frames are not the same.
+pub fn compare(arguments: &CompareArguments, log: &str) -> Result<ExitCode> {
+    ensure!(
+        arguments.a != arguments.b,
+        Hinted::new(
+            "the variants are the same",
+            "say what one of them sets, such as --b extractor.scan=rows; the other may be the file as it stands"
+        )
+    );
+    let (a, b) = read(arguments)?;
+    let topic = answers(&a, arguments.topic.as_deref())?;
+    let (frames, with_depth) = (arguments.frames, arguments.pictures.is_some());
+    let how = How { frames, with_depth, interrupted: interruption()?, options: options(log)? };
+    let mut variants = Vec::new();
+    for (letter, pipeline, set) in [("a", a, &arguments.a), ("b", b, &arguments.b)] {
+        super::say(format_args!("variant {letter}: {}", report::words(set)));
+        match Variant::run(letter, pipeline, &topic, &how)? {
+            Ok(variant) => variants.push(variant),
+            Err(summary) => {
+                super::say(format_args!("variant {letter} was disturbed, or not finished:\n{summary}"));
+                return Ok(ExitCode::FAILURE);
+            }
+        }
+    }
+    let [a, b] = &mut variants[..] else { bail!("two variants were to be run") };
+    let tally = Tally::of(a, b)?;
+    let both = Variants { topic: &topic, sets: [&arguments.a, &arguments.b], tally: &tally };
+    if let Some(folder) = &arguments.pictures {
+        pictures::write(folder, arguments.zoom, [a, b], both.sets)?;
+    }
+    if arguments.json {
+        writeln!(stdout(), "{}", serde_json::to_string_pretty(&both.json())?)?;
+    } else {
+        write!(stdout(), "{both}")?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Both variants of the file. What is wrong with both is told as it is of any file, what is wrong with one by its letter.
+fn read(arguments: &CompareArguments) -> Result<(Pipeline, Pipeline)> {
+    let source = &arguments.source;
+    let read = |set: &Vec<String>| {
+        let all = FileArguments { file: source.file.clone(), overrides: [&source.overrides[..], set].concat() };
+        all.read_with(None, &[])
+    };
+    let told = |letter: &str, set: &[String], error: anyhow::Error| {
+        if error.is::<Report>() { anyhow!("variant {letter}, {}:\n{error}", report::words(set)) } else { error }
+    };
+    match (read(&arguments.a), read(&arguments.b)) {
+        (Ok((a, _)), Ok((b, _))) => Ok((a, b)),
+        (Err(a), Err(b)) if a.to_string() == b.to_string() => Err(a),
+        (Err(a), _) => Err(told("a", &arguments.a, a)),
+        (_, Err(b)) => Err(told("b", &arguments.b, b)),
+    }
+}
+
+/// The topic whose messages are compared.
+fn answers(pipeline: &Pipeline, wanted: Option<&str>) -> Result<String> {
+    let with = |kind: &str| -> Vec<&str> {
+        pipeline.topics().into_iter().filter(|topic| pipeline.kind_of(topic) == Some(kind)).collect()
+    };
+    let (objects, tracks) = (with("objects"), with("tracks"));
+    let all: Vec<&str> = objects.iter().chain(&tracks).copied().collect();
+    let named = all.iter().map(|topic| format!("`{topic}`")).collect::<Vec<_>>().join(", ");
+    let usual = if objects.is_empty() { &tracks } else { &objects };
+    match (wanted, &usual[..]) {
+        (Some(wanted), _) if all.contains(&wanted) => Ok(wanted.to_owned()),
+        (Some(wanted), _) => bail!(Hinted::new(
+            format!("no stage writes objects or tracks to a topic `{wanted}`"),
+            format!("topics with such: {}", if named.is_empty() { "there are none" } else { &named })
+        )),
+        (None, [only]) => Ok((*only).to_owned()),
+        (None, []) => bail!(Hinted::new(
+            format!("pipeline `{}` has no topic with objects or tracks", pipeline.name),
+            "compare a pipeline that finds something"
+        )),
+        (None, _) => bail!(Hinted::new(format!("several topics carry answers: {named}"), "choose one with --topic")),
+    }
+}

@@ -1,0 +1,175 @@
+//! `conicflow compare`: two variants of a pipeline on the same frames.
+
+use crate::support::{Playground, signal};
+use conicflow_lab::simulator::scene::Scene;
+use rustix::process::Signal;
+use serde_json::Value as Json;
+use std::fs;
+
+/// A simulated tabletop, whose sinks must not run, and a stage that takes only what is newest.
+const SIMULATED: &str = r#"
+name = "simulated"
+
+[stage.source]
+node    = "synthetic_source"
+output  = "depth"
+scene   = "tabletop"
+width   = 320
+height  = 240
+rate_hz = 0
+frames  = 8
+
+[stage.extractor]
+node   = "row_ellipse_extractor"
+input  = "depth"
+output = "ellipses"
+
+[stage.assembler]
+node   = "object_assembler"
+input  = "ellipses"
+output = "objects"
+
+[stage.tracker]
+node   = "kalman_tracker"
+input  = "objects"
+output = "tracks"
+
+[stage.json]
+node  = "json_sink"
+input = "tracks"
+path  = "tracks.jsonl"
+"#;
+
+/// The paper's way, which each of the tests can name.
+const PAPER: [&str; 3] = ["extractor.arcs=conic", "extractor.scan=rows", "assembler.method=profile"];
+
+fn compared(playground: &Playground, arguments: &[&str]) -> Json {
+    let ended = playground.conicflow(&[&["compare", "--json"], arguments].concat()).expect_code(0);
+    serde_json::from_str(&ended.stdout).unwrap_or_else(|error| panic!("{error}: {}", ended.stdout))
+}
+
+/// Objects of all kinds in one column of what was found.
+fn sum(compared: &Json, column: &str) -> u64 {
+    compared["found"].as_object().unwrap().values().map(|counts| counts[column].as_u64().unwrap()).sum()
+}
+
+#[test]
+fn the_same_variant_under_another_name_is_the_same_to_the_bit() {
+    let playground = Playground::with_pipeline(SIMULATED);
+    let compared = compared(&playground, &["--b", "extractor.scan=both"]);
+    assert_eq!((compared["frames"].as_u64(), compared["same_frames"].as_u64()), (Some(8), Some(8)));
+    assert_eq!((sum(&compared, "a"), sum(&compared, "both")), (sum(&compared, "b"), sum(&compared, "a")));
+    assert!(sum(&compared, "a") >= 8, "{compared}");
+    assert_eq!(compared["differences"]["position_mm"]["greatest"], 0.0);
+    assert!(compared["unlike"].as_array().unwrap().is_empty());
+    assert!(!playground.path("tracks.jsonl").exists(), "the sinks of the file do not run");
+}
+
+#[test]
+fn the_paper_s_way_differs_and_both_are_scored_as_an_evaluation_sink_scores_them() {
+    let playground = Playground::with_pipeline(SIMULATED);
+    let compared = compared(&playground, &[&["--a"], &PAPER[..], &["--b", "extractor.scan=rows"]].concat());
+    assert_eq!(compared["same_frames"], 0);
+    for [variant, alone] in [["a", "only_a"], ["b", "only_b"]] {
+        let of_other_kind: u64 =
+            compared["other_kind"].as_array().unwrap().iter().map(|row| row["times"].as_u64().unwrap()).sum();
+        let counted = sum(&compared, "both") + sum(&compared, alone) + of_other_kind;
+        assert_eq!(sum(&compared, variant), counted, "{compared}");
+    }
+    assert!(compared["differences"]["position_mm"]["greatest"].as_f64().unwrap() > 0.1);
+    assert!(["extractor", "assembler"].iter().all(|stage| {
+        ["a", "b"].iter().all(|variant| compared[variant]["times_ms"][stage]["p50"].as_f64().unwrap() > 0.0)
+    }));
+    let scored =
+        SIMULATED.replace("delivery", "") + "[stage.score]\nnode = \"evaluation_sink\"\npath = \"score.jsonl\"\n";
+    let lossless = |topic: &str| format!("input = {{ topic = \"{topic}\", delivery = \"lossless\" }}");
+    let scored = scored
+        .replace("input  = \"depth\"", &lossless("depth"))
+        .replace("input  = \"ellipses\"", &lossless("ellipses"));
+    playground.write("scored.toml", &(scored + &lossless("objects") + "\n"));
+    playground.conicflow(&["run", "scored.toml", "--quiet", "--set", "extractor.scan=rows"]).expect_code(0);
+    let score = playground.json_lines("score.jsonl").remove(0);
+    for column in ["to_find", "found", "wrong", "f1", "radius_error_mm"] {
+        assert!(score[column].is_number(), "{score}");
+        assert_eq!(compared["b"]["score"][column], score[column], "{column}");
+    }
+    assert_ne!(compared["a"]["score"]["radius_error_mm"], score["radius_error_mm"]);
+}
+
+#[test]
+fn recorded_frames_without_a_truth_are_compared_in_tables_and_pictures() {
+    let playground = Playground::with_pipeline(
+        &SIMULATED
+            .replace("synthetic_source", "image_source")
+            .replace("scene   = \"tabletop\"", "path = \"frames\"")
+            .replace("width   = 320\nheight  = 240\n", "")
+            .replace("frames  = 8\n", "poses = \"none\"\n"),
+    );
+    let camera = playground.record(Scene::built_in("tabletop").unwrap().unwrap(), 5, 3);
+    let intrinsics = format!(
+        "source.intrinsics={{ fx = {:?}, fy = {:?}, cx = {:?}, cy = {:?} }}",
+        camera.fx, camera.fy, camera.cx, camera.cy
+    );
+    let what = ["compare", "--set", &intrinsics, "--b", "extractor.node=ransac_ellipse_extractor", "--frames", "2"];
+    let ended = playground.conicflow(&[&what[..], &["--pictures", "pictures", "--zoom", "2"]].concat()).expect_code(0);
+    let text = &ended.stdout;
+    assert!(
+        text.starts_with("a: the file as it stands\nb: extractor.node=ransac_ellipse_extractor\n2 frames, "),
+        "{text}"
+    );
+    assert!(text.contains("\nFOUND ") && text.contains("\nTIME ") && !text.contains("TRUTH"), "{text}");
+    let names: Vec<_> = fs::read_dir(playground.path("pictures")).unwrap().map(|entry| entry.unwrap().path()).collect();
+    assert_eq!(names.len(), 2);
+    let picture = png::Decoder::new(std::io::BufReader::new(fs::File::open(&names[0]).unwrap())).read_info().unwrap();
+    assert_eq!((picture.info().width, picture.info().height), (2 * 640 + 4, 480));
+}
+
+#[test]
+fn tracks_are_compared_where_they_are_asked_for() {
+    let playground = Playground::with_pipeline(SIMULATED);
+    let compared = compared(&playground, &["--topic", "tracks", "--b", "tracker.acceleration=9.0"]);
+    assert_eq!(compared["topic"], "tracks");
+    assert!(compared["b"]["times_ms"]["tracker"]["p50"].is_number() && sum(&compared, "both") > 0, "{compared}");
+}
+
+#[test]
+fn what_is_wrong_is_told_with_the_variant_that_it_is_wrong_in() {
+    let playground = Playground::with_pipeline(SIMULATED);
+    let told = |arguments: &[&str], code: i32| {
+        let ended = playground.conicflow(&[&["compare"], arguments].concat()).expect_code(code);
+        assert_eq!(ended.stdout, "");
+        ended.stderr
+    };
+    let wrong_b = told(&["--a", "extractor.scan=rows", "--b", "extractor.scna=rows"], 2);
+    assert!(
+        wrong_b.starts_with("error: variant b, extractor.scna=rows:\n") && wrong_b.contains("`scan`?"),
+        "{wrong_b}"
+    );
+    let wrong_both = told(&["--set", "extractor.scna=rows", "--b", "extractor.line_step=2"], 2);
+    assert!(wrong_both.starts_with("error: --set:1:1: unknown key `scna`"), "{wrong_both}");
+    assert!(told(&[], 2).starts_with("error: the variants are the same\n  hint: "));
+    let topic = told(&["--topic", "cones", "--b", "extractor.scan=rows"], 2);
+    assert!(
+        topic.contains("no stage writes objects or tracks to a topic `cones`") && topic.contains("`tracks`"),
+        "{topic}"
+    );
+    let other_frames = told(&["--b", "source.scene=bouncing_ball"], 2);
+    assert!(other_frames.contains("did not see the same frames: a has frame 0 of `tabletop`"), "{other_frames}");
+}
+
+#[test]
+fn who_ends_it_early_is_told_that_there_is_nothing_to_compare() {
+    let playground = Playground::with_pipeline(SIMULATED);
+    let paced = ["--set", "source.rate_hz=20", "--set", "source.frames=100000"];
+    let mut compare = playground.start(&[&["compare", "--b", "extractor.scan=rows"][..], &paced].concat());
+    // The program itself, and the four stages of its first run.
+    compare.wait_until("the first variant runs", || playground.processes().len() >= 5);
+    signal(compare.id(), Signal::INT);
+    let ended = compare.wait().expect_code(1);
+    assert!(
+        ended.stdout.is_empty() && ended.stderr.contains("variant a was disturbed, or not finished"),
+        "{}",
+        ended.stderr
+    );
+    assert!(!ended.stderr.contains("variant b"), "{}", ended.stderr);
+}
