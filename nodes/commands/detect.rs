@@ -25,7 +25,7 @@ const REASONS: usize = 5;
 /// What is looked at, and where the results go.
 #[derive(Args)]
 pub struct DetectArguments {
-    /// A depth image (16-bit PNG, organised PCD), a folder of them, TUM RGB-D folders included, or an MCAP recording
+    /// A depth image (16-bit PNG, TIFF, NPY, organised PCD), a folder of them, TUM RGB-D folders included, or an MCAP recording
     path: PathBuf,
     /// Intrinsics in pixels [default: those of the file beside the frames or of the recording, or fitted to the points of PCD
     /// files]

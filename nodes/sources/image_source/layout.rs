@@ -1,10 +1,11 @@
-//! Which files of a path are depth frames, and in which order: single files, folders of PNG or PCD, TUM RGB-D folders.
+//! Which files of a path are depth frames, and in which order: single files, folders of PNG, TIFF, NPY or PCD, TUM
+//! RGB-D folders.
 //!
 //! Every file's header is looked at before the first frame is sent, so that what is no depth frame is passed over, what
 //! is unreadable is known, and the number of frames and their size are certain.
 
 use super::pcd;
-use super::{depth_png, hinted, natural, tum};
+use super::{depth_png, hinted, natural, raster, tum};
 use anyhow::{Context as _, Error, Result, anyhow, bail};
 use conicflow_messages::Hinted;
 use std::collections::BTreeMap;
@@ -15,12 +16,58 @@ use std::path::{Path, PathBuf};
 const PCD_HEADER_BYTES: u64 = 64 * 1024;
 
 /// How the frames are stored.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Format {
     /// 16-bit grey PNG.
     Png,
+    /// TIFF of one channel, 16-bit or floating point.
+    Tiff,
+    /// NumPy array, 16-bit or floating point.
+    Npy,
     /// Organised point cloud.
     Pcd,
+}
+
+impl Format {
+    /// Several such files, in words.
+    fn files(self) -> &'static str {
+        match self {
+            Self::Png => "16-bit PNGs",
+            Self::Tiff => "TIFF files",
+            Self::Npy => "NPY files",
+            Self::Pcd => "PCD files",
+        }
+    }
+
+    /// What to do about a file that cannot be read.
+    pub(super) fn hint(self) -> &'static str {
+        match self {
+            Self::Png => depth_png::HINT,
+            Self::Tiff => raster::TIFF_HINT,
+            Self::Npy => raster::NPY_HINT,
+            Self::Pcd => pcd::HINT,
+        }
+    }
+
+    /// Metres per unit by custom, of whole numbers; of points metres.
+    fn depth_scale(self) -> f64 {
+        if self == Self::Pcd { 1.0 } else { 0.001 }
+    }
+
+    /// Width and height of a frame, by the header of its file.
+    fn size(self, path: &Path) -> Result<(u32, u32)> {
+        let size = match self {
+            Self::Png => depth_png::probe(path).and_then(depth_png::Content::depth_size),
+            Self::Tiff => File::open(path).map_err(Error::from).and_then(raster::tiff_size),
+            Self::Npy => File::open(path).map_err(Error::from).and_then(raster::npy_size),
+            Self::Pcd => pcd_size(path),
+        };
+        size.map_err(|error| hinted(error, self.hint()))
+    }
+
+    fn candidate(self, path: PathBuf) -> Candidate {
+        Candidate { size: self.size(&path), path, stamp_ns: None }
+    }
 }
 
 /// One depth frame.
@@ -99,19 +146,13 @@ fn single_file(path: &Path) -> Result<Layout> {
     if path.file_name().is_some_and(|name| name == tum::LIST) {
         return tum_folder(folder_of(path));
     }
-    let (format, scale) = match kind_of(path) {
-        Some(Kind::Png) => (Format::Png, 0.001),
-        Some(Kind::Pcd) => (Format::Pcd, 1.0),
-        _ => {
-            bail!(Hinted::new(
-                format!("`{}` is no depth frame", path.display()),
-                "name a 16-bit PNG, a PCD file, or a folder of them"
-            ))
-        }
+    let Some(Kind::Depth(format)) = kind_of(path) else {
+        bail!(Hinted::new(
+            format!("`{}` is no depth frame", path.display()),
+            "name a 16-bit PNG, a TIFF, NPY or PCD file, or a folder of them"
+        ))
     };
-    let size = if format == Format::Png { png_size(path) } else { pcd_size(path) };
-    let candidate = Candidate { path: path.to_owned(), size, stamp_ns: None };
-    Ok(Layout::new(format, folder_of(path), scale, vec![candidate]))
+    Ok(Layout::new(format, folder_of(path), format.depth_scale(), vec![format.candidate(path.to_owned())]))
 }
 
 fn folder_of(path: &Path) -> &Path {
@@ -139,34 +180,30 @@ fn tum_folder(folder: &Path) -> Result<Layout> {
     let entries = tum::parse(&text).map_err(named)?;
     let candidates = entries.into_iter().map(|entry| {
         let path = folder.join(entry.name);
-        Candidate { size: png_size(&path), path, stamp_ns: Some(entry.stamp_ns) }
+        Candidate { stamp_ns: Some(entry.stamp_ns), ..Format::Png.candidate(path) }
     });
     Ok(Layout::new(Format::Png, folder, tum::DEPTH_SCALE, candidates.collect()))
-}
-
-fn png_size(path: &Path) -> Result<(u32, u32)> {
-    let size = depth_png::probe(path).and_then(depth_png::Content::depth_size);
-    size.map_err(|error| hinted(error, depth_png::HINT))
 }
 
 fn pcd_size(path: &Path) -> Result<(u32, u32)> {
     let mut head = Vec::new();
     File::open(path)?.take(PCD_HEADER_BYTES).read_to_end(&mut head)?;
-    let header = pcd::Header::parse(&head).map_err(|error| hinted(error, pcd::HINT))?;
+    let header = pcd::Header::parse(&head)?;
     Ok((header.width, header.height))
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Kind {
-    Png,
-    Pcd,
+    Depth(Format),
     Jpeg,
 }
 
 fn kind_of(path: &Path) -> Option<Kind> {
     match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
-        "png" => Some(Kind::Png),
-        "pcd" => Some(Kind::Pcd),
+        "png" => Some(Kind::Depth(Format::Png)),
+        "tif" | "tiff" => Some(Kind::Depth(Format::Tiff)),
+        "npy" => Some(Kind::Depth(Format::Npy)),
+        "pcd" => Some(Kind::Depth(Format::Pcd)),
         "jpg" | "jpeg" => Some(Kind::Jpeg),
         _ => None,
     }
@@ -175,19 +212,17 @@ fn kind_of(path: &Path) -> Option<Kind> {
 /// The files of a folder, sorted by what they hold.
 struct Listing {
     folder: PathBuf,
-    png: Vec<Candidate>,
-    pcd: Vec<PathBuf>,
+    frames: BTreeMap<Format, Vec<Candidate>>,
     /// Images that are no depth frames: how many, by what they are.
     pictures: BTreeMap<String, usize>,
 }
 
 impl Listing {
     fn read(folder: &Path) -> Result<Self> {
-        let mut listing = Self { folder: folder.to_owned(), png: vec![], pcd: vec![], pictures: BTreeMap::new() };
+        let mut listing = Self { folder: folder.to_owned(), frames: BTreeMap::new(), pictures: BTreeMap::new() };
         for path in sorted_files(folder).with_context(|| format!("`{}` cannot be listed", folder.display()))? {
             match kind_of(&path) {
-                Some(Kind::Png) => listing.add_png(path),
-                Some(Kind::Pcd) => listing.pcd.push(path),
+                Some(Kind::Depth(format)) => listing.add(format, path),
                 Some(Kind::Jpeg) => listing.add_picture("JPEG".to_owned()),
                 None => {}
             }
@@ -196,14 +231,13 @@ impl Listing {
         Ok(listing)
     }
 
-    fn add_png(&mut self, path: PathBuf) {
-        match depth_png::probe(&path) {
-            Ok(picture @ depth_png::Content::Picture(..)) => self.add_picture(picture.name()),
-            content => {
-                let size = content.and_then(depth_png::Content::depth_size);
-                self.png.push(Candidate { path, size, stamp_ns: None });
-            }
+    fn add(&mut self, format: Format, path: PathBuf) {
+        if format == Format::Png
+            && let Ok(picture @ depth_png::Content::Picture(..)) = depth_png::probe(&path)
+        {
+            return self.add_picture(picture.name());
         }
+        self.frames.entry(format).or_default().push(format.candidate(path));
     }
 
     fn add_picture(&mut self, what: String) {
@@ -218,34 +252,34 @@ impl Listing {
 
     /// Where some names say `depth`, the others are infrared images, labels or the like.
     fn keep_those_called_depth(&mut self) {
-        let called_depth = |png: &Candidate| file_name(&png.path).to_lowercase().contains("depth");
-        if self.png.iter().any(called_depth) {
-            self.png.retain(called_depth);
+        let called_depth = |frame: &Candidate| file_name(&frame.path).to_lowercase().contains("depth");
+        for (_, frames) in self.frames.iter_mut().filter(|(format, _)| **format != Format::Pcd) {
+            if frames.iter().any(called_depth) {
+                frames.retain(called_depth);
+            }
         }
     }
 
     fn has_frames(&self) -> bool {
-        !self.png.is_empty() || !self.pcd.is_empty()
+        !self.frames.is_empty()
     }
 
-    fn into_layout(self) -> Result<Layout> {
+    fn into_layout(mut self) -> Result<Layout> {
+        let formats: Vec<_> = self.frames.keys().map(|format| format.files()).collect();
         let folder = self.folder.display();
-        match (self.png.is_empty(), self.pcd.is_empty()) {
-            (false, true) => Ok(Layout::new(Format::Png, &self.folder, 0.001, self.png)),
-            (true, false) => {
-                let candidate = |path: PathBuf| Candidate { size: pcd_size(&path), path, stamp_ns: None };
-                let candidates = self.pcd.into_iter().map(candidate).collect();
-                Ok(Layout::new(Format::Pcd, &self.folder, 1.0, candidates))
-            }
-            (false, false) => bail!(Hinted::new(
-                format!("`{folder}` holds 16-bit PNGs and PCD files, expected one kind"),
+        if formats.len() > 1 {
+            bail!(Hinted::new(
+                format!("`{folder}` holds {}, expected one kind", formats.join(" and ")),
                 "move one of them to a folder of its own"
-            )),
-            (true, true) => Err(anyhow!(Hinted::new(
-                format!("no depth frames in `{folder}`, only other images and files: {}", self.pictures()),
-                "depth frames are 16-bit grey PNGs or organised PCD files"
-            ))),
+            ));
         }
+        let Some((format, frames)) = self.frames.pop_first() else {
+            return Err(anyhow!(Hinted::new(
+                format!("no depth frames in `{folder}`, only other images and files: {}", self.pictures()),
+                "depth frames are 16-bit grey PNGs, TIFF or NPY files, or organised PCD files"
+            )));
+        };
+        Ok(Layout::new(format, &self.folder, format.depth_scale(), frames))
     }
 }
 

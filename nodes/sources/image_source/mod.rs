@@ -1,4 +1,5 @@
-//! Plays back recorded depth frames: folders of 16-bit PNGs, TUM RGB-D folders, organised PCD files.
+//! Plays back recorded depth frames: folders of 16-bit PNGs, TIFF or NPY files, TUM RGB-D folders, organised PCD
+//! files.
 //!
 //! A frame that cannot be read is reported, counted as `frames unreadable` and passed over; its place in time is kept.
 //! It is an error when none can be read, and when frames are of different sizes.
@@ -11,6 +12,7 @@ mod pcd;
 mod pinhole;
 pub(crate) mod playback;
 mod poses;
+mod raster;
 mod recording;
 mod trajectory;
 mod tum;
@@ -36,10 +38,11 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
-    /// The recording: a folder of 16-bit PNGs or organised PCD files, a TUM RGB-D folder, or a single such file. Points of PCD
-    /// beyond 16.38 m are left out.
+    /// The recording: a folder of 16-bit PNGs, of TIFF or NPY files (16-bit whole numbers, floating point) or organised PCD files,
+    /// a TUM RGB-D folder, or a single such file. Points of PCD and floating-point depths beyond 16.38 m are left out.
     pub path: Option<PathBuf>,
-    /// Metres per unit of the file; default: as `camera.json` says, else 0.001, for TUM 0.0002, for PCD 1.
+    /// Metres per unit of the file; default: as `camera.json` says, else 0.001, for TUM 0.0002, for PCD and
+    /// floating point 1.
     #[schemars(range(min = 0.0))]
     pub depth_scale: Option<f64>,
     /// fx, fy, cx, cy in pixels; default: from a JSON file beside the frames, for PCD else fitted to the points.
@@ -117,7 +120,7 @@ pub struct ImageSource(Playback);
 impl Source for ImageSource {
     const NAME: &'static str = "image_source";
     const SUMMARY: &'static str =
-        "Plays back recorded depth frames: 16-bit PNGs, TUM RGB-D folders, organised PCD files";
+        "Plays back recorded depth frames: 16-bit PNGs, TIFF, NPY, TUM RGB-D folders, organised PCD files";
     type Config = Config;
     type Output = u16;
 

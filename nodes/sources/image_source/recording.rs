@@ -2,8 +2,9 @@
 
 use super::intrinsics::{self, CameraFile};
 use super::layout::{Format, FrameFile, Layout, file_name};
-use super::pcd::{self, Cloud};
+use super::pcd::Cloud;
 use super::pinhole::{self, FAIR_RESIDUAL_PX, Pinhole};
+use super::raster::{self, Depths};
 use super::{depth_png, hinted};
 use anyhow::{Context as _, Error, Result, bail, ensure};
 use conicflow_detection::camera::Intrinsics;
@@ -35,7 +36,10 @@ pub struct Recording {
     depth_scale: f64,
     file: Vec<u8>,
     cloud: Cloud,
-    /// Depth units per unit of the cloud's z, with its sign.
+    raster: Depths,
+    /// Metres per unit of depths in floating point.
+    metres_per_number: f64,
+    /// Depth units per unit of the cloud's z, with its sign, or of depths in floating point.
     units_per_z: f64,
     told: Told,
 }
@@ -76,8 +80,9 @@ impl Recording {
         let size = common_size(&layout.frames)?;
         let beside = CameraFile::find(&layout.folder)?;
         let camera = camera(&layout, size, options, beside.as_ref())?;
-        let by_file = beside.and_then(|file| file.depth_scale).filter(|_| layout.format == Format::Png);
-        let depth_scale = options.depth_scale.or(by_file).unwrap_or(layout.depth_scale);
+        let by_file = beside.and_then(|file| file.depth_scale).filter(|_| layout.format != Format::Pcd);
+        let told = options.depth_scale.or(by_file);
+        let depth_scale = told.unwrap_or(layout.depth_scale);
         ensure!(
             DEPTH_SCALES_M.contains(&depth_scale),
             Hinted::new(
@@ -85,8 +90,19 @@ impl Recording {
                 "metres per unit: 0.001 for millimetres"
             )
         );
-        let (cloud, told) = (Cloud::default(), Told::default());
-        Ok(Self { layout, size, places, camera, depth_scale, file: Vec::new(), cloud, units_per_z: 1.0, told })
+        Ok(Self {
+            layout,
+            size,
+            places,
+            camera,
+            depth_scale,
+            file: Vec::new(),
+            cloud: Cloud::default(),
+            raster: Depths::Units(Vec::new()),
+            metres_per_number: told.unwrap_or(1.0),
+            units_per_z: 1.0,
+            told: Told::default(),
+        })
     }
 
     /// Number of frames.
@@ -142,7 +158,7 @@ impl Recording {
     /// The file cannot be read, is damaged, or is a cloud that no pinhole camera saw.
     pub fn load(&mut self, index: usize) -> Result<Frame> {
         let file = self.layout.frames.get(index).context("no such frame")?.clone();
-        let loaded = self.load_file(&file).map_err(|error| hinted(error, self.hint()));
+        let loaded = self.load_file(&file).map_err(|error| hinted(error, self.layout.format.hint()));
         loaded.with_context(|| format!("`{}`", file.path.display()))
     }
 
@@ -150,11 +166,22 @@ impl Recording {
         self.file.clear();
         File::open(&file.path)?.read_to_end(&mut self.file)?;
         let (name, first) = (file_name(&file.path), self.layout.frames[0].slot);
-        let (camera, depth_scale) = match self.camera {
-            Some(camera) if self.layout.format == Format::Png => (camera, self.depth_scale),
+        let (camera, depth_scale) = match (self.layout.format, self.camera) {
+            (Format::Png, Some(camera)) => (camera, self.depth_scale),
+            (Format::Tiff | Format::Npy, Some(camera)) => (camera, self.load_raster()?),
             _ => self.load_cloud(&name)?,
         };
         Ok(Frame { camera, depth_scale, name, slot: file.slot - first, place: file.slot, stamp_ns: file.stamp_ns })
+    }
+
+    /// Reads a TIFF or NPY file, and returns the metres per unit.
+    fn load_raster(&mut self) -> Result<f64> {
+        let decode = if self.layout.format == Format::Tiff { raster::decode_tiff } else { raster::decode_npy };
+        self.raster = decode(&self.file, self.size)?;
+        let Depths::Metres(depths) = &self.raster else { return Ok(self.depth_scale) };
+        let scale = finest_scale(depths, self.metres_per_number);
+        self.units_per_z = self.metres_per_number / scale;
+        Ok(scale)
     }
 
     fn load_cloud(&mut self, name: &str) -> Result<(Camera, f64)> {
@@ -173,11 +200,6 @@ impl Recording {
         let scale = finest_scale(self.cloud.depths(), metres_per_z);
         self.units_per_z = metres_per_z / scale;
         Ok((camera, scale))
-    }
-
-    /// What to do about a frame that cannot be read.
-    fn hint(&self) -> &'static str {
-        if self.layout.format == Format::Png { depth_png::HINT } else { pcd::HINT }
     }
 
     /// Says once what is unusual in a cloud.
@@ -203,18 +225,26 @@ impl Recording {
     /// # Errors
     /// The file is damaged.
     pub fn decode(&self, pixels: &mut [u16]) -> Result<u64> {
-        match self.layout.format {
-            Format::Png => {
+        match (self.layout.format, &self.raster) {
+            (Format::Png, _) => {
                 depth_png::decode(&self.file, self.size, pixels).map_err(|error| hinted(error, depth_png::HINT))?;
                 Ok(0)
             }
-            Format::Pcd => {
-                for (pixel, &z) in pixels.iter_mut().zip(self.cloud.depths()) {
-                    *pixel = quantise(z, self.units_per_z);
-                }
-                Ok(self.cloud.depths().iter().filter(|&&z| is_too_far(z, self.units_per_z)).count() as u64)
+            (Format::Tiff | Format::Npy, Depths::Units(depths)) => {
+                pixels.copy_from_slice(depths);
+                Ok(0)
             }
+            (Format::Tiff | Format::Npy, Depths::Metres(depths)) => Ok(self.quantise(depths, pixels)),
+            (Format::Pcd, _) => Ok(self.quantise(self.cloud.depths(), pixels)),
         }
+    }
+
+    /// Writes depths in units, and returns how many were left out as too far.
+    fn quantise(&self, depths: &[f32], pixels: &mut [u16]) -> u64 {
+        for (pixel, &z) in pixels.iter_mut().zip(depths) {
+            *pixel = quantise(z, self.units_per_z);
+        }
+        depths.iter().filter(|&&z| is_too_far(z, self.units_per_z)).count() as u64
     }
 }
 

@@ -115,7 +115,9 @@ fn a_single_file() {
     assert_eq!(names(&mut recording), ["b.png"]);
     let error = format!("{:#}", Recording::open(&folder.file("c.txt", "").at("c.txt"), &options).err().unwrap());
     assert!(
-        error.ends_with("c.txt` is no depth frame\n  hint: name a 16-bit PNG, a PCD file, or a folder of them"),
+        error.ends_with(
+            "c.txt` is no depth frame\n  hint: name a 16-bit PNG, a TIFF, NPY or PCD file, or a folder of them"
+        ),
         "{error}"
     );
 }

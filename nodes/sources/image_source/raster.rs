@@ -1,0 +1,235 @@
+//! Depth images as TIFF and NPY files: whole numbers of 16 bits, or floating-point numbers. Single images of one channel, without
+//! a camera in them.
+
+use anyhow::{Context as _, Result, bail, ensure};
+use conicflow_messages::{Hinted, MAX_PIXELS};
+use npyz::{NpyFile, NpyHeader, Order};
+use std::io::Cursor;
+use tiff::ColorType;
+use tiff::decoder::{Decoder, DecodingResult};
+
+/// What to do about a TIFF that cannot be read.
+pub(super) const TIFF_HINT: &str =
+    "depth images are TIFFs with one channel of 16-bit whole numbers or 32-bit floating point; write this one anew";
+/// What to do about an NPY file that cannot be read.
+pub(super) const NPY_HINT: &str = "depth images are arrays of rows and columns, of uint16 or float32; `np.save(path, np.ascontiguousarray(depth))` writes one";
+
+/// The depths of an image, row by row.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Depths {
+    /// In units of some size.
+    Units(Vec<u16>),
+    /// In metres, or as many of them as the scale says; not a number where there is no measurement.
+    Metres(Vec<f32>),
+}
+
+impl Depths {
+    fn len(&self) -> usize {
+        match self {
+            Self::Units(depths) => depths.len(),
+            Self::Metres(depths) => depths.len(),
+        }
+    }
+}
+
+/// Decodes a TIFF of this size.
+///
+/// # Errors
+/// It is damaged, of another size, or no depth image.
+pub(super) fn decode_tiff(file: &[u8], size: (u32, u32)) -> Result<Depths> {
+    let mut decoder = open_tiff(Cursor::new(file))?;
+    expect_size(tiff_size_of(&mut decoder)?, size)?;
+    let depths = match decoder.read_image().context("the pixels of the TIFF")? {
+        DecodingResult::U16(depths) => Depths::Units(depths),
+        DecodingResult::F32(depths) => Depths::Metres(depths),
+        DecodingResult::F64(depths) => Depths::Metres(depths.into_iter().map(|depth| depth as f32).collect()),
+        _ => bail!(Hinted::new("the TIFF holds numbers of another kind", TIFF_HINT)),
+    };
+    expect_all(depths, size)
+}
+
+/// Width and height of a TIFF that holds a depth image.
+///
+/// # Errors
+/// It is no TIFF, or one of something else.
+pub(super) fn tiff_size<R: std::io::Read + std::io::Seek>(file: R) -> Result<(u32, u32)> {
+    tiff_size_of(&mut open_tiff(file)?)
+}
+
+fn open_tiff<R: std::io::Read + std::io::Seek>(file: R) -> Result<Decoder<R>> {
+    Decoder::new(file).context("the header of the TIFF")
+}
+
+fn tiff_size_of<R: std::io::Read + std::io::Seek>(decoder: &mut Decoder<R>) -> Result<(u32, u32)> {
+    let color = decoder.colortype().context("the header of the TIFF")?;
+    ensure!(
+        matches!(color, ColorType::Gray(16 | 32 | 64)),
+        Hinted::new(format!("this is no depth image ({color:?}), expected one channel"), TIFF_HINT)
+    );
+    let size = decoder.dimensions().context("the header of the TIFF")?;
+    few_enough(size)
+}
+
+/// Decodes an NPY file of this size.
+///
+/// # Errors
+/// It is damaged, of another size, or no depth image.
+pub(super) fn decode_npy(file: &[u8], size: (u32, u32)) -> Result<Depths> {
+    let array = NpyFile::new(file).context("the header of the NPY file")?;
+    expect_size(npy_size_of(array.header())?, size)?;
+    let depths = match (array.dtype().descr().trim_matches('\''), array) {
+        (number, array) if number.ends_with("u2") => Depths::Units(array.into_vec()?),
+        (number, array) if number.ends_with("f4") => Depths::Metres(array.into_vec()?),
+        (_, array) => Depths::Metres(array.into_vec::<f64>()?.into_iter().map(|depth| depth as f32).collect()),
+    };
+    expect_all(depths, size)
+}
+
+/// Width and height of an NPY file that holds a depth image.
+///
+/// # Errors
+/// It is no NPY file, or one of something else.
+pub(super) fn npy_size(mut file: impl std::io::Read) -> Result<(u32, u32)> {
+    npy_size_of(&NpyHeader::from_reader(&mut file).context("the header of the NPY file")?)
+}
+
+fn npy_size_of(header: &NpyHeader) -> Result<(u32, u32)> {
+    let (shape, number) = (header.shape(), header.dtype().descr());
+    let &[rows, columns] = shape else {
+        bail!(Hinted::new(format!("an array of shape {shape:?}, expected rows and columns"), NPY_HINT));
+    };
+    let is_depth = ["u2", "f4", "f8"].iter().any(|known| number.trim_matches('\'').ends_with(known));
+    ensure!(is_depth, Hinted::new(format!("an array of {number}, expected uint16 or float32"), NPY_HINT));
+    let is_by_columns = header.order() == Order::Fortran && rows > 1 && columns > 1;
+    ensure!(!is_by_columns, Hinted::new("an array that lies column by column, expected row by row", NPY_HINT));
+    let side = |length: u64| u32::try_from(length).context("too many pixels");
+    few_enough((side(columns)?, side(rows)?))
+}
+
+fn few_enough(size: (u32, u32)) -> Result<(u32, u32)> {
+    let pixels = u64::from(size.0) * u64::from(size.1);
+    ensure!((1..=MAX_PIXELS).contains(&pixels), "{}x{} pixels, expected 1 to {MAX_PIXELS} of them", size.0, size.1);
+    Ok(size)
+}
+
+fn expect_size(got: (u32, u32), size: (u32, u32)) -> Result<()> {
+    ensure!(got == size, "{}x{} pixels, expected {}x{}", got.0, got.1, size.0, size.1);
+    Ok(())
+}
+
+fn expect_all(depths: Depths, size: (u32, u32)) -> Result<Depths> {
+    let expected = size.0 as usize * size.1 as usize;
+    ensure!(depths.len() == expected, "{} numbers for {}x{} pixels", depths.len(), size.0, size.1);
+    Ok(depths)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::fixtures::{CAMERA, depth_m, units};
+    use super::super::{Options, Recording};
+    use super::*;
+    use conicflow_detection::camera::Intrinsics;
+    use conicflow_messages::Camera;
+    use std::fs;
+    use tempfile::TempDir;
+    use tiff::encoder::{Compression, TiffEncoder, colortype};
+
+    const SIZE: (u32, u32) = (CAMERA.width, CAMERA.height);
+
+    /// An NPY file of version 1.
+    fn npy(number: &str, order: &str, shape: &str, numbers: &[u8]) -> Vec<u8> {
+        let header = format!("{{'descr': '{number}', 'fortran_order': {order}, 'shape': {shape}, }}");
+        let length = (10 + header.len() + 1).next_multiple_of(64) - 10;
+        let header = format!("{header:<width$}\n", width = length - 1);
+        [b"\x93NUMPY\x01\x00", &(length as u16).to_le_bytes()[..], header.as_bytes(), numbers].concat()
+    }
+
+    fn tiff<C: colortype::ColorType>(numbers: &[C::Inner], how: Compression) -> Vec<u8>
+    where
+        [C::Inner]: tiff::encoder::TiffValue,
+    {
+        let mut file = Cursor::new(Vec::new());
+        let mut encoder = TiffEncoder::new(&mut file).unwrap().with_compression(how);
+        encoder.write_image::<C>(SIZE.0, SIZE.1, numbers).unwrap();
+        file.into_inner()
+    }
+
+    /// Writes frames into a folder, and returns the scale and the pixels of the first one.
+    fn recorded(files: &[(&str, Vec<u8>)], depth_scale: Option<f64>) -> Result<(f64, Vec<u16>)> {
+        let folder = TempDir::new().unwrap();
+        files.iter().for_each(|(name, bytes)| fs::write(folder.path().join(name), bytes).unwrap());
+        let Camera { fx, fy, cx, cy, .. } = CAMERA;
+        let intrinsics = Some(Intrinsics { fx, fy, cx, cy });
+        let mut recording = Recording::open(folder.path(), &Options { intrinsics, depth_scale, ..Options::default() })?;
+        let frame = recording.load(0)?;
+        let mut pixels = vec![0; recording.pixels()];
+        recording.decode(&mut pixels)?;
+        Ok((frame.depth_scale, pixels))
+    }
+
+    fn told(files: &[(&str, Vec<u8>)]) -> String {
+        format!("{:#}", recorded(files, None).unwrap_err())
+    }
+
+    #[test]
+    fn whole_numbers_are_units_as_in_a_png() {
+        let expected = units(&depth_m(), 0.001);
+        let bytes = |to: fn(u16) -> [u8; 2]| expected.iter().flat_map(|unit| to(*unit)).collect::<Vec<u8>>();
+        let shape = format!("({}, {})", SIZE.1, SIZE.0);
+        for (name, file) in [
+            ("1.tiff", tiff::<colortype::Gray16>(&expected, Compression::Uncompressed)),
+            ("1.tif", tiff::<colortype::Gray16>(&expected, Compression::Lzw)),
+            ("1.TIF", tiff::<colortype::Gray16>(&expected, Compression::Deflate(Default::default()))),
+            ("1.npy", npy("<u2", "False", &shape, &bytes(u16::to_le_bytes))),
+            ("1.npy", npy(">u2", "False", &shape, &bytes(u16::to_be_bytes))),
+        ] {
+            assert_eq!(recorded(&[(name, file)], None).unwrap(), (0.001, expected.clone()), "{name}");
+        }
+    }
+
+    #[test]
+    fn floating_point_is_metres_unless_a_scale_says_otherwise() {
+        let metres = depth_m();
+        let expected = units(&metres, 0.0001);
+        let millimetres: Vec<f32> = metres.iter().map(|depth| depth * 1000.0).collect();
+        let shape = format!("({}, {})", SIZE.1, SIZE.0);
+        let singles: Vec<u8> = metres.iter().flat_map(|depth| depth.to_le_bytes()).collect();
+        let doubles: Vec<u8> = metres.iter().flat_map(|depth| f64::from(*depth).to_be_bytes()).collect();
+        let near = |got: &[u16]| got.iter().zip(&expected).all(|(got, expected)| got.abs_diff(*expected) <= 1);
+        for (name, file, scale) in [
+            ("1.tiff", tiff::<colortype::Gray32Float>(&metres, Compression::Deflate(Default::default())), None),
+            ("1.tiff", tiff::<colortype::Gray32Float>(&millimetres, Compression::Uncompressed), Some(0.001)),
+            ("1.npy", npy("<f4", "False", &shape, &singles), None),
+            ("1.npy", npy(">f8", "False", &shape, &doubles), None),
+        ] {
+            let (scale, pixels) = recorded(&[(name, file)], scale).unwrap();
+            assert_eq!(scale, 0.0001, "{name}");
+            assert!(near(&pixels) && pixels.contains(&0) && pixels.iter().any(|pixel| *pixel > 10_000), "{name}");
+        }
+    }
+
+    #[test]
+    fn what_is_no_depth_image_is_refused_with_what_it_is() {
+        let colour = vec![7_u8; 3 * (SIZE.0 * SIZE.1) as usize];
+        let told_of_colour = told(&[("1.tiff", tiff::<colortype::RGB8>(&colour, Compression::Uncompressed))]);
+        assert!(told_of_colour.contains("no depth image (RGB(8))"), "{told_of_colour}");
+        let wide = vec![7_u32; (SIZE.0 * SIZE.1) as usize];
+        let told_of_wide = told(&[("1.tiff", tiff::<colortype::Gray32>(&wide, Compression::Uncompressed))]);
+        assert!(told_of_wide.contains("numbers of another kind"), "{told_of_wide}");
+        let array = |number: &str, order: &str, shape: &str| told(&[("1.npy", npy(number, order, shape, &[0; 64]))]);
+        assert!(array("<u2", "False", "(2, 4, 4)").contains("shape [2, 4, 4], expected rows and columns\n  hint: "));
+        assert!(array("<i8", "False", "(2, 4)").contains("an array of '<i8', expected uint16 or float32\n  hint: "));
+        assert!(array("<u2", "True", "(4, 8)").contains("column by column"));
+        assert!(array("<u2", "False", "(40, 80)").contains("1.npy"), "cut");
+        assert!(array("<u2", "False", "(4000000, 8000000)").contains("4000000"));
+        assert!(told(&[("1.npy", b"no array".to_vec())]).contains("the header of the NPY file"));
+        assert!(told(&[("1.tif", b"no image".to_vec())]).contains("the header of the TIFF"));
+    }
+
+    #[test]
+    fn frames_of_two_kinds_are_not_one_recording() {
+        let unit = npy("<u2", "False", "(2, 4)", &[0; 16]);
+        let both = told(&[("1.npy", unit.clone()), ("2.tiff", unit)]);
+        assert!(both.contains("holds TIFF files and NPY files, expected one kind\n  hint: "), "{both}");
+    }
+}
