@@ -7,7 +7,7 @@ use serde_json::{Value as Json, json};
 use std::path::{Path, PathBuf};
 
 fn validator() -> Validator {
-    let schema = file_schema(&NODES);
+    let schema = file_schema(NODES);
     assert!(jsonschema::draft7::meta::is_valid(&schema), "the schema itself is one");
     jsonschema::draft7::new(&schema).unwrap()
 }

@@ -13,7 +13,7 @@ pub(crate) struct Notices(BTreeSet<&'static str>);
 
 impl Notices {
     /// Tells it, unless something of its sort was told before.
-    pub(crate) fn tell(&mut self, (sort, Hinted { what, hint }): &Fault) {
+    pub(crate) fn tell(&mut self, (sort, Hinted { what, hint, .. }): &Fault) {
         if self.0.insert(sort) {
             tracing::warn!("{what}; more of that is counted as `{sort}`\n  hint: {hint}");
         }

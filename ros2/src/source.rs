@@ -318,7 +318,7 @@ impl<M: Middleware> Ros2Source<M> {
         }
         if self.heard.0.elapsed() > SILENCE && !self.heard.1 {
             self.heard.1 = true;
-            let Hinted { what, hint } = self.explain_silence();
+            let Hinted { what, hint, .. } = self.explain_silence();
             tracing::warn!("{what}\n  hint: {hint}");
         }
     }

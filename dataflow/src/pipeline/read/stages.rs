@@ -199,7 +199,7 @@ impl Reader<'_> {
         if self.elsewhere {
             return;
         }
-        if let Some(Err(Hinted { what, hint })) = node.program.map(|find| find()) {
+        if let Some(Err(Hinted { what, hint, .. })) = node.program.map(|find| find()) {
             self.fault(place, format!("stage `{stage}` cannot be run: {what}"), hint);
         }
         match (node.check)(table.to_json(), self.context.base) {
