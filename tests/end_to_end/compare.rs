@@ -142,7 +142,7 @@ fn what_is_wrong_is_told_with_the_variant_that_it_is_wrong_in() {
     };
     let wrong_b = told(&["--a", "extractor.scan=rows", "--b", "extractor.scna=rows"], 2);
     assert!(
-        wrong_b.starts_with("error: variant b, extractor.scna=rows:\n") && wrong_b.contains("`scan`?"),
+        wrong_b.starts_with("variant b, extractor.scna=rows:\nerror: --set:1:1: ") && wrong_b.contains("`scan`?"),
         "{wrong_b}"
     );
     let wrong_both = told(&["--set", "extractor.scna=rows", "--b", "extractor.line_step=2"], 2);

@@ -9,7 +9,7 @@ mod tally;
 mod variant;
 
 use super::{FileArguments, interruption, options};
-use anyhow::{Result, anyhow, bail, ensure};
+use anyhow::{Result, bail, ensure};
 use clap::Args;
 use conicflow_dataflow::pipeline::{Pipeline, Report};
 use conicflow_messages::Hinted;
@@ -97,7 +97,10 @@ fn read(arguments: &CompareArguments) -> Result<(Pipeline, Pipeline)> {
         all.read_with(None, &[])
     };
     let told = |letter: &str, set: &[String], error: anyhow::Error| {
-        if error.is::<Report>() { anyhow!("variant {letter}, {}:\n{error}", report::words(set)) } else { error }
+        if error.is::<Report>() {
+            super::say(format_args!("variant {letter}, {}:", report::words(set)));
+        }
+        error
     };
     match (read(&arguments.a), read(&arguments.b)) {
         (Ok((a, _)), Ok((b, _))) => Ok((a, b)),

@@ -316,7 +316,7 @@ impl<T: Drawn> Stage for PictureSink<T> {
     }
 
     fn finish(&mut self) -> Result<(), StageError> {
-        Ok(self.write_sheet().map_err(stage_error)?)
+        self.write_sheet().map_err(stage_error)
     }
 }
 
