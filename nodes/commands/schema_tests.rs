@@ -65,7 +65,7 @@ fn faults_do_not_fit_the_schema() {
 }
 
 #[test]
-fn the_keys_of_the_file_are_those_that_are_read() {
+fn all_keys_of_the_file_fit_the_schema() {
     let mut pipeline = read(include_str!("../../pipeline.toml"));
     pipeline["machine"]["robot"] =
         json!({ "listen": ["tcp/127.0.0.1:7447"], "connect": [], "zenoh": "z.json5", "insecure": true, "outage_s": 3 });

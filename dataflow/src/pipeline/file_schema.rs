@@ -3,6 +3,11 @@
 //! What a node's parameters are comes from the types of their configurations; what stands here are the keys that the file itself
 //! has. `conicflow validate` sees more: whether topics fit together, files are there, and endpoints can be used.
 
+use super::read::MAX_STAGE_NAME;
+use super::read::inputs::{COMPRESSIONS, DELIVERIES, MAX_QUEUE};
+use super::read::items::USUAL_LENGTH;
+use super::read::machines::OUTAGE_S;
+use super::read::stages::{HANG_S, RESTARTS};
 use crate::item_type::BUILT_IN;
 use crate::node::Node;
 use conicflow_messages::{Item, Nothing};
@@ -27,7 +32,7 @@ pub fn file_schema<'a>(nodes: impl IntoIterator<Item = &'a Node>) -> Json {
         "properties": {
             "name": {
                 "description": "Two pipelines of different names on one machine do not meet.",
-                "type": "string", "pattern": "^[A-Za-z0-9_-]{1,31}$",
+                "type": "string", "pattern": format!("^[A-Za-z0-9_-]{{1,{MAX_STAGE_NAME}}}$"),
             },
             "stage": { "description": "The stages, each a process.", "type": "object", "additionalProperties": { "oneOf": stages } },
             "machine": {
@@ -92,7 +97,7 @@ fn of_program() -> Json {
 
 /// The keys that each stage has.
 fn add_common(properties: &mut Map<String, Json>) {
-    let when = json!({ "enum": ["never", "on_failure", "always"], "default": "on_failure" });
+    let when = json!({ "enum": RESTARTS.map(|(word, _)| word), "default": "on_failure" });
     let common = [
         ("machine", json!({ "description": "The machine on which it runs.", "type": "string" })),
         (
@@ -103,7 +108,7 @@ fn add_common(properties: &mut Map<String, Json>) {
                     when,
                     {
                         "type": "object", "additionalProperties": false,
-                        "properties": { "when": when, "hang_s": { "type": "number", "minimum": 1, "maximum": 86_400 } },
+                        "properties": { "when": when, "hang_s": { "type": "number", "minimum": HANG_S.start(), "maximum": HANG_S.end() } },
                     },
                 ],
             }),
@@ -131,11 +136,11 @@ fn input() -> Json {
                     "topic": { "type": "string" },
                     "delivery": {
                         "description": "The newest message, or all of them: then the writer waits.",
-                        "enum": ["latest", "lossless"], "default": "latest",
+                        "enum": DELIVERIES.map(|(word, _)| word), "default": "latest",
                     },
                     "queue": {
                         "description": "How many messages wait at most.",
-                        "type": "integer", "minimum": 1, "maximum": 64,
+                        "type": "integer", "minimum": 1, "maximum": MAX_QUEUE,
                     },
                     "kind": {
                         "description": "What a program of one's own writes there.",
@@ -143,7 +148,7 @@ fn input() -> Json {
                     },
                     "compression": {
                         "description": "Of images and long lists from another machine.",
-                        "enum": ["none", "lz4", "zstd"], "default": "zstd",
+                        "enum": COMPRESSIONS.map(|(word, _)| word), "default": "zstd",
                     },
                 },
             },
@@ -178,7 +183,7 @@ fn machine() -> Json {
             },
             "outage_s": {
                 "description": "Seconds that lossless edges from here wait for a machine that has gone.",
-                "type": "number", "minimum": 0, "maximum": 86_400, "default": 30,
+                "type": "number", "minimum": OUTAGE_S.start(), "maximum": OUTAGE_S.end(), "default": 30,
             },
         },
     })
@@ -195,14 +200,14 @@ fn item() -> Json {
             },
             "usual_length": {
                 "description": "Items of a message, which few exceed.",
-                "type": "integer", "minimum": 1, "maximum": 1 << 24,
+                "type": "integer", "minimum": USUAL_LENGTH.start(), "maximum": USUAL_LENGTH.end(),
             },
         },
     })
 }
 
 fn reference(name: &str, description: &str) -> Json {
-    // What stands beside a reference is passed over; in a list of all it is not.
+    // Readers of a schema pass over what stands beside a `$ref`, but not beside a list that has one.
     json!({ "description": description, "allOf": [{ "$ref": format!("#/{DEFINITIONS}/{name}") }] })
 }
 
@@ -223,5 +228,31 @@ fn refer(schema: &mut Json, old: &str, new: &str) {
         }
         Json::Array(values) => values.iter_mut().for_each(|value| refer(value, old, new)),
         _ => {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::read::inputs::INPUT_KEYS;
+    use super::super::read::items::ITEM_KEYS;
+    use super::super::read::machines::MACHINE_KEYS;
+    use super::super::read::stages::STAGE_KEYS;
+    use super::*;
+    use std::collections::BTreeSet;
+
+    fn keys(schema: &Json, pointer: &str) -> BTreeSet<String> {
+        schema.pointer(pointer).and_then(Json::as_object).unwrap().keys().cloned().collect()
+    }
+
+    #[test]
+    fn the_keys_of_the_schema_are_those_that_are_read() {
+        let schema = file_schema([]);
+        let of = |keys: &[&str]| keys.iter().map(|key| (*key).to_owned()).collect::<BTreeSet<_>>();
+        assert_eq!(keys(&schema, "/properties/machine/additionalProperties/properties"), of(&MACHINE_KEYS));
+        assert_eq!(keys(&schema, "/properties/item/additionalProperties/properties"), of(&ITEM_KEYS));
+        assert_eq!(keys(&schema, "/definitions/input/anyOf/1/properties"), of(&INPUT_KEYS));
+        let mut of_program = keys(&schema, "/properties/stage/additionalProperties/oneOf/0/properties");
+        assert!(of_program.insert("node".to_owned()));
+        assert_eq!(of_program, of(&STAGE_KEYS));
     }
 }

@@ -16,6 +16,7 @@ mod value;
 pub use diagnostic::{Diagnostic, Report, Severity, SourceText, suggestion};
 pub use file_schema::file_schema;
 pub use machine::{BRIDGE, Compression, Machine, check_endpoint};
+pub use read::MAX_STAGE_NAME;
 pub use spec::{Input, Pipeline, Program, Restart, StageSpec};
 
 use crate::registry::Registry;

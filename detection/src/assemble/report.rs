@@ -20,7 +20,8 @@ const SYSTEMATIC_PX: f64 = 0.06; // [tuned]
 /// Systematic error of radius and centre of a cone, in pixels. Its slope depends on the silhouette, so it is larger.
 const SYSTEMATIC_CONE_PX: f64 = 0.09; // [tuned]
 /// Systematic error of radius and centre for each further pixel that shares its noise, in pixels: what compares windows flattens
-/// what is round at its silhouettes. Structured light and stereo, simulated, and a recorded ball show 0.06 to 0.12.
+/// what is round at its silhouettes. With it errors over sigmas in `experiments/simulated_sensors.toml` are near 1 for stereo and
+/// structured light.
 const FLATTENED_PX: f64 = 0.08; // [measured]
 /// Systematic error of axis and half-angle, in radians.
 const SYSTEMATIC_ANGLE: f64 = 0.001; // [tuned]

@@ -8,7 +8,7 @@ use crate::sinks::{EvaluationSink, McapSink};
 use crate::sources::SyntheticSource;
 use crate::sources::mcap_source::{self, Replay, has_own};
 use anyhow::{Context as _, Result, ensure};
-use conicflow_dataflow::pipeline::{Input, Pipeline, Program, StageSpec};
+use conicflow_dataflow::pipeline::{Input, MAX_STAGE_NAME, Pipeline, Program, StageSpec};
 use conicflow_dataflow::ports::{Delivery, Topic, TopicReader, Wiring};
 use conicflow_dataflow::{ItemType, Pairing, Plan, PlannedStage, RunOptions, Runs, Source as _, Stage as _, Summary};
 use conicflow_lab::score::{Answer, Claim, Evaluation};
@@ -97,9 +97,8 @@ impl Variant {
 
 /// The name of a variant's run: no longer than that of a pipeline may be, and not that of one that runs.
 fn name_of(pipeline: &str, letter: &str) -> String {
-    const LONGEST: usize = 31;
     let ending = format!("-{letter}");
-    format!("{}{ending}", &pipeline[..pipeline.len().min(LONGEST - ending.len())])
+    format!("{}{ending}", &pipeline[..pipeline.len().min(MAX_STAGE_NAME - ending.len())])
 }
 
 /// How the answers are scored: as an `evaluation_sink` of the file says, else against the scene of a simulated camera.

@@ -2,20 +2,21 @@
 
 use super::Reader;
 use crate::pipeline::diagnostic::{Place, suggestion};
+use crate::pipeline::machine::Compression;
+use crate::pipeline::spec::{Input, Program};
 use crate::pipeline::value::{Content, Entry, Table, Value};
-use crate::pipeline::{Compression, Input, Program};
 use crate::ports::Delivery;
 use crate::side_inputs::Pairing;
 
-const INPUT_KEYS: [&str; 5] = ["topic", "delivery", "queue", "kind", "compression"];
-const COMPRESSIONS: [(&str, Compression); 3] =
+pub const INPUT_KEYS: [&str; 5] = ["topic", "delivery", "queue", "kind", "compression"];
+pub const COMPRESSIONS: [(&str, Compression); 3] =
     [("none", Compression::None), ("lz4", Compression::Lz4), ("zstd", Compression::Zstd)];
-const DELIVERIES: [(&str, Delivery); 2] = [("latest", Delivery::Latest), ("lossless", Delivery::Lossless)];
+pub const DELIVERIES: [(&str, Delivery); 2] = [("latest", Delivery::Latest), ("lossless", Delivery::Lossless)];
 
 const QUEUE_LATEST: usize = 2;
 const QUEUE_SAME_FRAME: usize = 8;
 const QUEUE_LOSSLESS: usize = 4;
-const MAX_QUEUE: i64 = 64;
+pub const MAX_QUEUE: i64 = 64;
 
 /// What the file says of an input.
 #[derive(Default)]

@@ -7,10 +7,10 @@ use crate::pipeline::value::{Content, Entry};
 use conicflow_messages::{AnyByte, Item, LINE_KEYS, Layout, Nothing};
 use std::ops::RangeInclusive;
 
-const ITEM_KEYS: [&str; 3] = ["type", "fields", "usual_length"];
+pub const ITEM_KEYS: [&str; 3] = ["type", "fields", "usual_length"];
 const MAX_NAME: usize = 31;
 const MAX_TYPE_NAME: usize = 127;
-const USUAL_LENGTH: RangeInclusive<i64> = 1..=1 << 24;
+pub const USUAL_LENGTH: RangeInclusive<i64> = 1..=1 << 24;
 /// More is no item list, but an image or a file.
 const MAX_USUAL_BYTES: usize = 256 << 20;
 const EXAMPLE: &str = "fields = { position = \"f64[3]\", width = \"f64\", id = \"u64\" }";

@@ -2,14 +2,14 @@
 
 use super::{MAX_STAGE_NAME, Reader};
 use crate::network::{NO_NETWORK, NO_NETWORK_HINT};
-use crate::pipeline::Machine;
+use crate::pipeline::machine::Machine;
 use crate::pipeline::value::Entry;
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
-const MACHINE_KEYS: [&str; 5] = ["listen", "connect", "zenoh", "insecure", "outage_s"];
-const OUTAGE_S: RangeInclusive<f64> = 0.0..=86_400.0;
+pub const MACHINE_KEYS: [&str; 5] = ["listen", "connect", "zenoh", "insecure", "outage_s"];
+pub const OUTAGE_S: RangeInclusive<f64> = 0.0..=86_400.0;
 const OUTAGE_HINT: &str = "how long lossless edges wait for a machine that has gone";
 
 impl Reader<'_> {

@@ -1,12 +1,12 @@
 //! The tree of a pipeline file into stages: keys, types, nodes and their parameters.
 
-mod inputs;
-mod items;
-mod machines;
-mod stages;
+pub(super) mod inputs;
+pub(super) mod items;
+pub(super) mod machines;
+pub(super) mod stages;
 
-use super::Pipeline;
 use super::diagnostic::{Diagnostic, Place, SourceText, closest, suggestion};
+use super::spec::Pipeline;
 use super::value::{Content, Entry, Table};
 use crate::item_type::{BUILT_IN, ItemType};
 use crate::registry::Registry;
@@ -14,8 +14,9 @@ use std::ops::RangeInclusive;
 use std::path::Path;
 use std::sync::Arc;
 
-/// Names travel in headers of fixed size, as far as the terminating zero.
-const MAX_STAGE_NAME: usize = 31;
+/// Longest name of a pipeline, a stage or a machine, in bytes: names travel in headers of fixed size, as far as the terminating
+/// zero.
+pub const MAX_STAGE_NAME: usize = 31;
 const MAX_TOPIC_NAME: usize = 63;
 
 /// Reads a document; what cannot be read is reported and left out.

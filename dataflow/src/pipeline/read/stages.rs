@@ -4,23 +4,23 @@ use super::{MAX_STAGE_NAME, MAX_TOPIC_NAME, Reader};
 use crate::log::LOG;
 use crate::pipeline::diagnostic::{Place, closest, suggestion};
 use crate::pipeline::schema;
+use crate::pipeline::spec::{Program, Restart, StageSpec};
 use crate::pipeline::value::{Content, Entry, Table};
-use crate::pipeline::{Program, Restart, StageSpec};
 use crate::ports::Delivery;
 use crate::side_inputs::Pairing;
 use conicflow_messages::Hinted;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
-const STAGE_KEYS: [&str; 8] = ["node", "program", "input", "inputs", "output", "machine", "restart", "env"];
-const RESTARTS: [(&str, Restart); 3] =
+pub const STAGE_KEYS: [&str; 8] = ["node", "program", "input", "inputs", "output", "machine", "restart", "env"];
+pub const RESTARTS: [(&str, Restart); 3] =
     [("never", Restart::Never), ("on_failure", Restart::OnFailure), ("always", Restart::Always)];
-/// A run starts some fifty stages in a second, and a stage without a sign of life for ten seconds counts as one that hangs.
+/// Each is a process: on two cores 100 stages start, see a frame and end in 5 s, 400 in 42 s; 500 that run for 20 s take 147 s.
 const MAX_STAGES: usize = 500;
 /// What the names of the variables begin with by which a stage finds its place in a run.
 const OWN_VARIABLES: &str = "CONICFLOW_";
 /// Stages that wait give a sign of life ten times a second.
-const HANG_S: RangeInclusive<f64> = 1.0..=86_400.0;
+pub const HANG_S: RangeInclusive<f64> = 1.0..=86_400.0;
 const OUTPUT_EXAMPLE: &str = "output = { topic = \"found\", kind = \"objects\" }";
 const HANG_HINT: &str = "a stage without a sign of life for so long counts as dead";
 
