@@ -76,6 +76,7 @@ impl Assembler {
     /// The objects that the ellipses of one image form.
     pub fn assemble(&mut self, header: &Header, ellipses: &[Ellipse]) -> &[Object] {
         let Self { parameters, arcs, seeds, growing, objects, candidates, rejections } = self;
+        let deadline = parameters.deadline();
         objects.clear();
         candidates.clear();
         *rejections = Rejections::default();
@@ -83,7 +84,7 @@ impl Assembler {
         // 5. Arcs: each ellipse brings the moments of its points, free of the noise's bias (`arcs.rs`). The more an arc is
         //    bent, the sooner it is a seed (`seeds.rs`).
         arcs.read(header, ellipses);
-        seeds.order(arcs);
+        seeds.order(arcs, deadline);
 
         while let Some(seed) = seeds.next(rejections) {
             match object_around(seed, arcs, seeds, growing, parameters) {
@@ -122,12 +123,12 @@ fn object_around<'a>(
     is_promising(arcs, &growing.chain, parameters)?;
 
     // 7. Growth: a sphere, a cylinder and a cone each take in, line after line, the arcs that they explain, and are fitted
-    //    anew to the moments of all of them (`growth.rs`, `model.rs`).
-    let models = growing.models(arcs, parameters.max_gap(), free);
+    //    anew to the moments of all of them, until it is surely larger than objects are (`growth.rs`, `model.rs`).
+    let grown = growing.models(arcs, parameters, free);
 
     // 8. Verification: each is fitted together with the contour that it shows; enough of it has to be seen, surely curved and
     //    near its surface, for it to be a candidate (`verify.rs`).
-    let verified = verify_all(arcs, models, &growing.members, parameters, &mut growing.contour);
+    let verified = verify_all(arcs, grown, &growing.members, parameters, &mut growing.contour);
 
     // 9. Choice: the shape that explains most points with the fewest parameters, told with its uncertainty (`choice.rs`,
     //    `report.rs`).

@@ -30,6 +30,9 @@ const LEAST_STEP: i64 = 4; // [algorithmic]
 /// Widest gap that is bridged, as a part of the lines of the object: something stands before it.
 const GAP: f64 = 0.5; // [tuned]
 
+/// A radius that exceeds its limit by so many standard deviations is that of a wall.
+const TOO_LARGE: f64 = 4.0; // [sigmas]
+
 /// How far an arc may be off a model and belong to it.
 struct Patience {
     /// Standard deviations by which the mean and the mean square may scatter, given the noise and the uncertainty of the
@@ -66,6 +69,9 @@ impl Patience {
     }
 }
 
+/// What became of a growth; `None` where the shape does not explain even the chain.
+pub(crate) type Grown = Option<Result<Model, Rejection>>;
+
 /// Buffers of a growth.
 #[derive(Debug, Default)]
 pub(crate) struct Growing {
@@ -78,17 +84,23 @@ pub(crate) struct Growing {
 }
 
 impl Growing {
-    /// The model of each shape that grows from the chain. Where a cylinder explains all of that, a sphere has to as well;
+    /// What grows of each shape from the chain. Where a cylinder explains all of that, a sphere has to as well;
     /// and a slope needs many lines: a cone starts from what a cylinder took for one.
-    pub fn models(&mut self, arcs: &Arcs, gap: i64, free: impl Fn(usize) -> bool + Copy) -> [Option<Model>; 3] {
+    pub fn models(
+        &mut self,
+        arcs: &Arcs,
+        parameters: &AssemblerParameters,
+        free: impl Fn(usize) -> bool + Copy,
+    ) -> [Grown; 3] {
         let Self { chain, spare, members: [balls, cans, cones], .. } = self;
-        let mut grow = |start: &Start, members: &mut Vec<usize>| grow(arcs, start, gap, free, members, spare);
+        let mut grow = |start: &Start, members: &mut Vec<usize>| grow(arcs, start, parameters, free, members, spare);
         let start = Start { kind: ObjectKind::Cylinder, chain, guess: None, middle_will_do: true };
-        let Growth { model: cylinder, from_whole } = grow(&start, cans);
-        let sphere = grow(&Start { kind: ObjectKind::Sphere, middle_will_do: !from_whole, ..start }, balls).model;
-        let longer = if cylinder.is_some() && cans.len() > chain.len() { &*cans } else { &*chain };
-        let cone = Start { kind: ObjectKind::Cone, chain: longer, guess: cylinder.as_ref(), ..start };
-        [sphere, cylinder, grow(&cone, cones).model]
+        let Growth { grown: cylinder, from_whole } = grow(&start, cans);
+        let sphere = grow(&Start { kind: ObjectKind::Sphere, middle_will_do: !from_whole, ..start }, balls).grown;
+        let guess = cylinder.as_ref().and_then(|grown| grown.as_ref().ok());
+        let longer = if guess.is_some() && cans.len() > chain.len() { &*cans } else { &*chain };
+        let cone = grow(&Start { kind: ObjectKind::Cone, chain: longer, guess, ..start }, cones).grown;
+        [sphere, cylinder, cone]
     }
 }
 
@@ -134,38 +146,38 @@ struct Start<'a> {
 
 /// What came of a growth.
 struct Growth {
-    pub model: Option<Model>,
+    pub grown: Grown,
     /// Whether its first model explained the whole chain.
     pub from_whole: bool,
 }
 
 /// Grows a model of one kind from a chain on, and leaves the arcs that it explains in `members`, in the order of the
-/// lines; `None` where it does not explain even the chain. `spare` is a buffer.
+/// lines. `spare` is a buffer.
 fn grow(
     arcs: &Arcs,
     start: &Start,
-    gap: i64,
+    parameters: &AssemblerParameters,
     free: impl Fn(usize) -> bool + Copy,
     members: &mut Vec<usize>,
     spare: &mut Vec<usize>,
 ) -> Growth {
     let first = first(arcs, start, members);
     let from_whole = first.is_some() && members.len() == start.chain.len();
-    Growth { model: first.and_then(|first| grow_on(arcs, first, gap, free, members, spare)), from_whole }
+    Growth { grown: first.and_then(|first| grow_on(arcs, first, parameters, free, members, spare)), from_whole }
 }
 
-/// Takes in what the model explains, and fits it again, as long as that makes more of it.
+/// Takes in what the model explains, and fits it again, as long as that makes more of it, and it is no wall.
 fn grow_on(
     arcs: &Arcs,
     mut model: Model,
-    gap: i64,
+    parameters: &AssemblerParameters,
     free: impl Fn(usize) -> bool + Copy,
     members: &mut Vec<usize>,
     spare: &mut Vec<usize>,
-) -> Option<Model> {
+) -> Grown {
     let kind = model.kind();
     for round in 0..ROUNDS {
-        reach(&Region { arcs, model, members }, gap, free, spare);
+        reach(&Region { arcs, model, members }, parameters.max_gap(), free, spare);
         if spare.len() < FEWEST {
             return None;
         }
@@ -174,6 +186,11 @@ fn grow_on(
         }
         std::mem::swap(members, spare);
         model = model::fit(kind, &arcs.of(members), Some(&model), f64::INFINITY)?;
+        let (radius, variance) = model.radius();
+        let sigma = (variance * arcs.arcs[members[0]].shared_lines).sqrt();
+        if radius - TOO_LARGE * sigma > parameters.max_radius_m(kind) {
+            return Some(Err(Rejection::Radius));
+        }
     }
     for _ in 0..2 {
         clean(arcs, &model, members);
@@ -182,7 +199,7 @@ fn grow_on(
         }
         model = model::fit(kind, &arcs.of(members), Some(&model), f64::INFINITY)?;
     }
-    Some(model)
+    Some(Ok(model))
 }
 
 /// The model of the chain, if it explains it, or else of its middle.

@@ -54,6 +54,15 @@ impl Model {
         }
     }
 
+    /// Radius, and its variance were the noise of each line its own.
+    pub fn radius(&self) -> (f64, f64) {
+        match self {
+            Self::Sphere(fit) => (fit.surface.radius, fit.inverse[(3, 3)]),
+            Self::Cylinder(fit) => (fit.surface.0.radius, fit.inverse[(4, 4)]),
+            Self::Cone(fit) => (fit.surface.0.radius, fit.inverse[(4, 4)]),
+        }
+    }
+
     /// Radius of a sphere or cylinder, and of a cone where `mean` is.
     pub fn radius_at(&self, mean: &Vector3) -> f64 {
         match self {
@@ -201,6 +210,10 @@ const CONTOUR_NOISE: ContourNoise = ContourNoise {
     share: 0.05,       // [tuned]
 };
 
+/// Standard deviation by which a whole side may be off further for each pixel that shares the noise of one: what compares
+/// windows puts a contour anywhere within half a window of where it is.
+const WINDOW_OFFSET_PX: f64 = 0.288_675; // [derived]
+
 /// The model fitted anew, to its arcs and to the contour that they show: so many times, each with the points that are
 /// near the contour of the last. `contour` is a buffer.
 pub(super) fn with_contour(region: &Region, passes: usize, contour: &mut Contour) -> Option<Model> {
@@ -237,7 +250,8 @@ pub(super) fn with_contour(region: &Region, passes: usize, contour: &mut Contour
 
 /// Puts the contour that a grown model shows into `contour`.
 fn gather(region: &Region, contour: &mut Contour) {
-    contour.clear(CONTOUR_NOISE);
+    let window = region.ends()[0].shared_px - 1.0;
+    contour.clear(ContourNoise { offset_px: CONTOUR_NOISE.offset_px + WINDOW_OFFSET_PX * window, ..CONTOUR_NOISE });
     for arc in region.arcs() {
         let radius_px = region.model.radius_at(&arc.mean).max(0.0) / arc.pitch;
         arc.contour.into_iter().flatten().for_each(|point| contour.add(ContourPoint { radius_px, ..point }));

@@ -44,7 +44,7 @@ pub const TERMS: usize = 11; // [derived]
 
 /// Weights of the terms, in their order, as `cargo bench --bench odds` printed them; with these in place it prints the same
 /// within 0.13.
-const WEIGHTS: [f64; TERMS] = [-5.66, 2.10, -0.81, -27.15, -0.50, -5.12, 0.43, 2.61, 2.75, -0.86, -1.63]; // [fitted]
+const WEIGHTS: [f64; TERMS] = [-6.54, 2.09, -0.90, -25.90, -0.49, -4.77, 0.49, 3.06, 2.80, -1.05, -1.60]; // [fitted]
 
 impl Evidence {
     /// That of a candidate of which `object` is the report.

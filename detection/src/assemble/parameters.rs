@@ -4,6 +4,7 @@ use super::rejection::Rejection;
 use conicflow_messages::{ConfigFault, ObjectKind};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::time::{Duration, Instant};
 
 /// Smallest and largest radius of a shape.
 #[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
@@ -71,6 +72,10 @@ pub struct PooledParameters {
     /// Half-angle from which on something may be a cone and not a cylinder, in degrees.
     #[schemars(range(min = 0.0, max = 45.0))]
     pub min_half_angle_deg: f64,
+    /// Time for the ellipses of one image, in milliseconds of the clock, after which nothing further is looked for; 0: no
+    /// limit. What is most curved comes first. With a limit the same image may give other objects on a busy machine.
+    #[schemars(range(min = 0.0, max = 10_000.0))]
+    pub budget_ms: f64,
 }
 
 impl Default for PooledParameters {
@@ -84,6 +89,7 @@ impl Default for PooledParameters {
             min_length_radii: 0.5,
             min_cap_radii: 0.5,
             min_half_angle_deg: 2.5,
+            budget_ms: 0.0,
         }
     }
 }
@@ -150,6 +156,21 @@ impl AssemblerParameters {
     /// Scan lines without a part of the object that are bridged in any case.
     pub(crate) fn max_gap(&self) -> i64 {
         i64::from(self.pooled.max_gap_lines)
+    }
+
+    /// Largest radius of a shape, in metres.
+    pub(crate) fn max_radius_m(&self, shape: ObjectKind) -> f64 {
+        match shape {
+            ObjectKind::Sphere => self.sphere.max_m,
+            ObjectKind::Cylinder => self.cylinder.max_m,
+            ObjectKind::Cone => self.cone.max_m,
+        }
+    }
+
+    /// When an image is given up that is begun now; `None`: never.
+    pub(crate) fn deadline(&self) -> Option<Instant> {
+        let budget = Duration::try_from_secs_f64(self.pooled.budget_ms / 1e3).unwrap_or_default();
+        (!budget.is_zero()).then(|| Instant::now() + budget)
     }
 
     /// Why an object of this size is not reported.

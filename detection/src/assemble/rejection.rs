@@ -39,6 +39,7 @@ rejections! {
     Small => "candidates that look too small",
     NotGrown => "candidates that no shape explains",
     Untried => "arcs left untried",
+    Late => "images cut short by budget_ms",
 }
 
 /// How often each reason occurred.

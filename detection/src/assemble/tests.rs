@@ -1,16 +1,19 @@
 //! Tests of the pooled method, on rendered frames.
 
+use super::arcs::Arcs;
+use super::growth::{Growing, chain};
 use super::odds::Evidence;
-use super::{Assembler, AssemblerParameters};
+use super::seeds::{MAX_VAIN, Seeds};
+use super::{Assembler, AssemblerParameters, Rejection, Rejections};
 use crate::extract::{Extractor, ExtractorParameters};
-use conicflow_geometry::Vector3;
+use conicflow_geometry::{Scan, Vector3};
 use conicflow_lab::rendered::{Body, KINECT_HALF, render};
 use conicflow_lab::simulator::random_scene::{SceneGroup, random_scene};
 use conicflow_lab::simulator::random_scenes::RandomScenes;
 use conicflow_lab::simulator::scene::Scene;
 use conicflow_lab::simulator::sensor::{SensorConfig, SensorTable};
 use conicflow_lab::simulator::{SimulatorParameters, SyntheticCamera};
-use conicflow_messages::{Camera, Header, Item, NoiseModel, Object, ObjectKind};
+use conicflow_messages::{Camera, Ellipse, Header, Item, NoiseModel, Object, ObjectKind};
 
 fn detect(camera: Camera, noise: NoiseModel, bodies: &[Body], seed: u64) -> Vec<Object> {
     let (header, pixels) = render(camera, noise, bodies, seed);
@@ -329,4 +332,76 @@ fn after_two_rounds_nothing_is_allocated() {
     let third = allocation_counter::measure(|| assert!(round() >= 3));
     assert!(first.count_total > 0, "the counter counts nothing");
     assert_eq!(third.count_total, 0, "{third:?}");
+}
+
+/// The ellipses of a can before a wall.
+fn ellipses_of_a_can() -> (Header, Vec<Ellipse>) {
+    let (header, pixels) = render(KINECT_HALF, NoiseModel::KINECT_V1, &[can(2.0), wall(4.0)], 1);
+    let ellipses = Extractor::new(ExtractorParameters::default()).extract(&header, &pixels).to_vec();
+    (header, ellipses)
+}
+
+#[test]
+fn what_is_surely_larger_than_its_limit_does_not_grow_on() {
+    let (header, ellipses) = ellipses_of_a_can();
+    let mut parameters = AssemblerParameters::default();
+    let mut grown = |max_m: f64| {
+        (parameters.sphere.max_m, parameters.cylinder.max_m, parameters.cone.max_m) = (max_m, max_m, max_m);
+        let (mut arcs, mut growing) = (Arcs::default(), Growing::default());
+        arcs.read(&header, &ellipses);
+        let seed = arcs.arcs.iter().position(|arc| arc.scan == Scan::Row && arc.line == 120).unwrap();
+        chain(&arcs, seed, parameters.max_gap(), |_| true, &mut growing.chain);
+        growing.models(&arcs, &parameters, |_| true)[1]
+    };
+    assert!(matches!(grown(0.5), Some(Ok(_))));
+    assert!(matches!(grown(0.1), Some(Err(Rejection::Radius))), "its radius is 0.2 m");
+}
+
+#[test]
+fn after_the_budget_nothing_further_is_looked_for_and_that_is_counted() {
+    let (header, ellipses) = ellipses_of_a_can();
+    let found = |budget_ms: f64| {
+        let mut parameters = AssemblerParameters::default();
+        parameters.pooled.budget_ms = budget_ms;
+        let mut assembler = Assembler::new(parameters);
+        let objects = assembler.assemble(&header, &ellipses).len();
+        (objects, assembler.rejections().filter(|(words, _)| words.contains("budget_ms")).map(|(_, times)| times).sum())
+    };
+    assert_eq!([found(0.0), found(1e4), found(1e-6)], [(1, 0), (1, 0), (0, 1)]);
+}
+
+#[test]
+fn seeds_that_were_tried_in_vain_come_to_an_end_and_objects_do_not_count() {
+    let (header, ellipses) = ellipses_of_a_can();
+    let mut arcs = Arcs::default();
+    arcs.read(&header, &ellipses);
+    let (mut seeds, mut rejections) = (Seeds::default(), Rejections::default());
+    seeds.order(&arcs, None);
+    let (mut tries, mut untried) = (0, 0);
+    while let Some(seed) = seeds.next(&mut rejections) {
+        seeds.give_up(&[seed]);
+        tries += 1;
+    }
+    rejections.iter().for_each(|(_, times)| untried += times);
+    assert_eq!(tries, MAX_VAIN);
+    assert_eq!(tries + untried as usize, arcs.arcs.len());
+}
+
+#[test]
+fn a_window_of_the_sensor_may_move_the_outline() {
+    let (header, ellipses) = ellipses_of_a_can();
+    // As a sensor sees it that loses what it sees at a slant: eight pixels too far in, on both sides.
+    let far_off = |shared_px: f64| {
+        let inwards = |ellipse: &Ellipse| {
+            let [before, behind] = ellipse.contour;
+            let contour =
+                [if before > 0.0 { before + 8.0 } else { 0.0 }, if behind > 0.0 { behind - 8.0 } else { 0.0 }];
+            Ellipse { contour, shared_px, ..*ellipse }
+        };
+        let moved: Vec<Ellipse> = ellipses.iter().filter(|ellipse| ellipse.scan == 0).map(inwards).collect();
+        let mut assembler = Assembler::new(AssemblerParameters::default());
+        assembler.assemble(&header, &moved);
+        assembler.candidates()[0].1.outline_far_off
+    };
+    assert!(far_off(1.0) > 0.9 && far_off(20.0) < 0.1, "{} and {}", far_off(1.0), far_off(20.0));
 }

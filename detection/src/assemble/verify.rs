@@ -1,6 +1,7 @@
 //! What has to be seen of a grown model for it to be a candidate; whether the candidate is an object is asked in `odds.rs`.
 
 use super::arcs::{Arc, Arcs};
+use super::growth::Grown;
 use super::model::{self, Model};
 use super::parameters::AssemblerParameters;
 use super::region::Region;
@@ -96,14 +97,14 @@ pub(crate) type Verified<'a> = [Option<Result<Candidate<'a>, Rejection>>; 3];
 /// Verifies what grew of each shape.
 pub(crate) fn verify_all<'a>(
     arcs: &'a Arcs,
-    models: [Option<Model>; 3],
+    grown: [Grown; 3],
     members: &'a [Vec<usize>; 3],
     parameters: &AssemblerParameters,
     contour: &mut Contour,
 ) -> Verified<'a> {
     std::array::from_fn(|kind| {
-        let region = Region { arcs, model: models[kind]?, members: &members[kind] };
-        Some(verify(region, parameters, contour))
+        let region = |model| Region { arcs, model, members: &members[kind] };
+        Some(grown[kind]?.and_then(|model| verify(region(model), parameters, contour)))
     })
 }
 
