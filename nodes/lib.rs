@@ -86,7 +86,7 @@ pub const NODES: &[Node] = &[
     Node::source::<SyntheticSource>(),
     Node::source::<ImageSource>(),
     Node::source::<McapSource>(),
-    Node::source::<Ros2Source<Elsewhere>>().run_by(network::program),
+    Node::source::<Ros2Source<Elsewhere>>().run_by(network::HOST),
     Node::stage::<RowEllipseExtractor>(),
     Node::stage::<RansacEllipseExtractor>(),
     Node::stage::<ObjectAssembler>(),
@@ -103,7 +103,7 @@ pub const NODES: &[Node] = &[
         Variant::stage::<Ros2Sink<Track, Elsewhere>>(),
         Variant::stage::<Ros2Sink<Object, Elsewhere>>(),
     ])
-    .run_by(network::program),
+    .run_by(network::HOST),
     Node::stages::<PictureSink<Track>>(&[
         Variant::stage::<PictureSink<Track>>(),
         Variant::stage::<PictureSink<Object>>(),

@@ -4,7 +4,7 @@
 //! builds and runs none.
 
 use conicflow_dataflow::pipeline::Machine;
-use conicflow_dataflow::{Carrier, Hinted, Network};
+use conicflow_dataflow::{Carrier, Hinted, Host, Network};
 use serde::de::DeserializeOwned;
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
@@ -15,6 +15,10 @@ pub(crate) const NETWORK: Network = Network {
     listen_endpoints: |machine| ask("endpoints", machine),
     carrier: Carrier::Program(program),
 };
+
+/// What runs the nodes that speak to others.
+pub(crate) const HOST: Host =
+    Host { command: |_, _| Ok(vec![program()?.to_string_lossy().into_owned()]), check: |_, _, _| program().map(drop) };
 
 /// Environment variable: the program that carries topics between machines, where it is not beside this one.
 const BRIDGE_PROGRAM: &str = "CONICFLOW_BRIDGE";
@@ -52,4 +56,22 @@ fn ask<T: DeserializeOwned>(question: &str, machine: &Machine) -> Result<T, Hint
         Ok(serde_json::from_slice(&child.wait_with_output()?.stdout)?)
     };
     answer().unwrap_or_else(|error| Err(fault(&format!("`{}` does not answer: {error}", program.display()))))
+}
+
+#[cfg(test)]
+mod tests {
+    use conicflow_ros2::{SinkConfig, SourceConfig};
+    use serde::Serialize;
+    use serde::de::DeserializeOwned;
+    use serde_json::to_value;
+
+    #[test]
+    fn settled_parameters_are_read_as_they_were_written() {
+        fn check<C: Default + Serialize + DeserializeOwned>() {
+            let settled = to_value(C::default()).unwrap();
+            assert_eq!(to_value(serde_json::from_value::<C>(settled.clone()).unwrap()).unwrap(), settled);
+        }
+        check::<SourceConfig>();
+        check::<SinkConfig>();
+    }
 }

@@ -8,7 +8,7 @@ use crate::side_inputs::SideInput;
 use crate::stage::{Config, Source, Stage};
 use conicflow_messages::{AnyByte, ConfigFault, Hinted, Item, Nothing};
 use serde_json::Value as Json;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// One row of the table: a node that stages of a pipeline file can be.
 #[derive(Clone, Copy)]
@@ -23,9 +23,22 @@ pub struct Node {
     pub(crate) schema: fn() -> Json,
     pub(crate) check: fn(Json, &Path) -> Result<Vec<ConfigFault>, serde_json::Error>,
     pub(crate) message_length: fn(Json, &Path) -> Option<usize>,
-    /// The program that runs it, which has the same row; `None`: this one.
-    pub(crate) program: Option<fn() -> Result<PathBuf, Hinted>>,
+    pub(crate) settle: fn(Json) -> Result<Json, serde_json::Error>,
+    /// The program that runs it; `None`: this one.
+    pub(crate) host: Option<Host>,
 }
+
+/// The program that runs a node in place of the one that has it in its table.
+#[derive(Clone, Copy)]
+pub struct Host {
+    /// Its command with its arguments, by the parameters of the stage and the folder of the pipeline file.
+    pub command: fn(&Json, &Path) -> Result<Vec<String>, Hinted>,
+    /// What keeps it from running the stage here, with these variables in its environment.
+    pub check: fn(&Json, &Path, &Variables) -> Result<(), Hinted>,
+}
+
+/// Variables of a stage's environment: names and values.
+pub type Variables = [(String, String)];
 
 /// A node for one kind of input.
 #[derive(Clone, Copy)]
@@ -48,7 +61,8 @@ impl Node {
             schema: schema::<S::Config>,
             check: |parameters, base| Ok(S::faults(&serde_json::from_value(parameters)?, base)),
             message_length: message_length::<S>,
-            program: None,
+            settle: settle::<S::Config>,
+            host: None,
         }
     }
 
@@ -67,15 +81,16 @@ impl Node {
             schema: schema::<S::Config>,
             check: |parameters, base| Ok(S::faults(&serde_json::from_value(parameters)?, base)),
             message_length: |_, _| None,
-            program: None,
+            settle: settle::<S::Config>,
+            host: None,
         }
     }
 
-    /// The row of a node that another program runs, which takes the place of this one in the stage's process; that has the row
-    /// too, and calls `run_in_run`.
+    /// The row of a node that another program runs, which takes the place of this one in the stage's process. That joins the run as
+    /// any program does, or has the row too and calls `run_in_run`; its parameters come with all defaults settled.
     #[must_use]
-    pub const fn run_by(self, program: fn() -> Result<PathBuf, Hinted>) -> Self {
-        Self { program: Some(program), ..self }
+    pub const fn run_by(self, host: Host) -> Self {
+        Self { host: Some(host), ..self }
     }
 
     /// What may drive it.
@@ -122,6 +137,10 @@ impl Variant {
 
 fn schema<C: Config>() -> Json {
     schemars::SchemaGenerator::default().into_root_schema_for::<C>().to_value()
+}
+
+fn settle<C: Config>(parameters: Json) -> Result<Json, serde_json::Error> {
+    serde_json::to_value(serde_json::from_value::<C>(parameters)?)
 }
 
 fn message_length<S: Source>(parameters: Json, base: &Path) -> Option<usize> {

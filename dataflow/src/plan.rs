@@ -153,6 +153,12 @@ impl PlannedStage {
             Program::Command(command) => Runs::Command(command.clone()),
             Program::Unknown => Runs::Command(Vec::new()),
         };
+        let parameters = stage.parameters.clone();
+        let parameters = match &stage.program {
+            // Another program may not know the defaults.
+            Program::Node(node) if node.host.is_some() => (node.settle)(parameters.clone()).unwrap_or(parameters),
+            _ => parameters,
+        };
         let side_inputs = stage.inputs.iter().map(|(name, input)| (name.clone(), topic(&input.topic)));
         let wiring = Wiring {
             input: stage.input.as_ref().map(|input| topic(&input.topic)),
@@ -163,7 +169,7 @@ impl PlannedStage {
         Self {
             name: stage.name.clone(),
             runs,
-            parameters: stage.parameters.clone(),
+            parameters,
             wiring,
             restart: stage.restart,
             hang_s: stage.hang_s,

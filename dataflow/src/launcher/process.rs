@@ -148,8 +148,9 @@ fn run_planned(
         Runs::Node { node, input } => {
             let none = || ProcessError::NoNode(node.clone());
             let row = nodes.iter().find(|row| row.name == *node).ok_or_else(none)?;
-            if let Some(find) = row.program {
-                return Err(become_program(plan, planned, &[find()?.to_string_lossy().into_owned()]));
+            if let Some(host) = row.host {
+                let command = (host.command)(&planned.parameters, &plan.base)?;
+                return Err(become_program(plan, planned, &command));
             }
             let fitting = row.variants.iter().find(|variant| variant.input == input).or(row.variants.first());
             let run = fitting.ok_or_else(none)?.run;

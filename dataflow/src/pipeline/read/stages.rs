@@ -2,6 +2,7 @@
 
 use super::{MAX_STAGE_NAME, MAX_TOPIC_NAME, Reader};
 use crate::log::LOG;
+use crate::node::Variables;
 use crate::pipeline::diagnostic::{Place, closest, suggestion};
 use crate::pipeline::schema;
 use crate::pipeline::spec::{Program, Restart, StageSpec};
@@ -50,7 +51,7 @@ impl Reader<'_> {
         let machine = table.take("machine").and_then(|entry| self.string(&entry));
         let (restart, hang_s) = table.take("restart").map(|entry| self.restart(entry)).unwrap_or_default();
         let env = table.take("env").map(|entry| self.env(entry)).unwrap_or_default();
-        self.parameters(&table, &program, &name, &place);
+        self.parameters(&table, &program, &name, &place, &env);
         let parameters = table.to_json();
         Some(StageSpec {
             name,
@@ -189,7 +190,7 @@ impl Reader<'_> {
     }
 
     /// Checks the keys that are left: those of the node; what it makes of their values only where it runs.
-    fn parameters(&mut self, table: &Table, program: &Program, stage: &str, place: &Place) {
+    fn parameters(&mut self, table: &Table, program: &Program, stage: &str, place: &Place, env: &Variables) {
         let Program::Node(node) = program else { return };
         let found = schema::check_table(table, &node.schema(), &STAGE_KEYS, &format!("stage `{stage}`"));
         if !found.is_empty() {
@@ -199,7 +200,8 @@ impl Reader<'_> {
         if self.elsewhere {
             return;
         }
-        if let Some(Err(Hinted { what, hint, .. })) = node.program.map(|find| find()) {
+        let hosted = node.host.map_or(Ok(()), |host| (host.check)(&table.to_json(), self.context.base, env));
+        if let Err(Hinted { what, hint, .. }) = hosted {
             self.fault(place, format!("stage `{stage}` cannot be run: {what}"), hint);
         }
         match (node.check)(table.to_json(), self.context.base) {
