@@ -13,6 +13,7 @@ pub mod sources {
 
     pub mod image_source;
     pub mod mcap_source;
+    pub mod sdk_camera;
     mod synthetic_source;
 
     pub use image_source::ImageSource;
@@ -78,6 +79,7 @@ use sinks::{
     ConsoleSink, EvaluationSink, JsonSink, LimitSink, McapSink, MeasurementSink, NoiseEstimator, PictureSink,
     SectionSink, ViewSink,
 };
+use sources::sdk_camera::{AzureKinect, OakD, Orbbec, RealSense, SdkCamera};
 use sources::{ImageSource, McapSource, SyntheticSource};
 use tracking::{Follower, KalmanTracker};
 
@@ -87,6 +89,10 @@ pub const NODES: &[Node] = &[
     Node::source::<ImageSource>(),
     Node::source::<McapSource>(),
     Node::source::<Ros2Source<Elsewhere>>().run_by(network::HOST),
+    Node::source::<SdkCamera<RealSense>>().run_by(SdkCamera::<RealSense>::HOST),
+    Node::source::<SdkCamera<Orbbec>>().run_by(SdkCamera::<Orbbec>::HOST),
+    Node::source::<SdkCamera<OakD>>().run_by(SdkCamera::<OakD>::HOST),
+    Node::source::<SdkCamera<AzureKinect>>().run_by(SdkCamera::<AzureKinect>::HOST),
     Node::stage::<RowEllipseExtractor>(),
     Node::stage::<RansacEllipseExtractor>(),
     Node::stage::<ObjectAssembler>(),

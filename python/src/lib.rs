@@ -35,5 +35,16 @@ fn _conicflow(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(source::source, module)?)?;
     module.add_class::<source::Source>()?;
     module.add_function(wrap_pyfunction!(array::dtype_of, module)?)?;
+    module.add_function(wrap_pyfunction!(log, module)?)?;
     record::add_to(module)
+}
+
+/// Logs a text as a stage in Rust does: "error", "warn" or "info".
+#[pyfunction]
+fn log(py: Python<'_>, level: &str, text: &str) {
+    py.detach(|| match level {
+        "error" => tracing::error!("{text}"),
+        "warn" => tracing::warn!("{text}"),
+        _ => tracing::info!("{text}"),
+    });
 }

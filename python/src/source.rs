@@ -3,10 +3,11 @@
 use crate::fault;
 use crate::joined::{self, Inputs};
 use crate::payload::{HeaderChange, Payload};
-use conicflow_dataflow::{PulledSource, join_as_source, monotonic_ns};
-use conicflow_messages::{Header, NoiseModel, Text};
+use conicflow_dataflow::{PulledSource, join_as_source, monotonic_ns, tell_median};
+use conicflow_messages::{Header, NoiseModel, Text, median_depth};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::UNIX_EPOCH;
 
@@ -23,6 +24,8 @@ pub(crate) struct Source {
     pulled: Mutex<Option<PulledSource>>,
     about: joined::About,
     inputs: Inputs,
+    /// Whether it was told what the images are like.
+    is_told: AtomicBool,
 }
 
 /// Takes the place of the source in whose `program` this process was started by `conicflow run`.
@@ -37,7 +40,8 @@ pub(crate) fn source(py: Python<'_>, total: Option<u64>) -> PyResult<Source> {
         Some(pulled) => joined::About::new(py, pulled.context(), pulled.parameters())?,
         None => joined::About::nobody(py),
     };
-    Ok(Source { pulled: Mutex::new(pulled), about, inputs: Inputs::default() })
+    let is_told = AtomicBool::new(about.context.resume_at > 0);
+    Ok(Source { pulled: Mutex::new(pulled), about, inputs: Inputs::default(), is_told })
 }
 
 impl Source {
@@ -50,6 +54,14 @@ impl Source {
         let stamp_ns = UNIX_EPOCH.elapsed().map_or(0, |since| since.as_nanos() as u64);
         let (noise, source) = (NoiseModel::KINECT_V1, Text::new(&self.about.name));
         Header { depth_scale: 0.001, noise, stamp_ns, source, ..Header::default() }
+    }
+
+    /// Says once what the images are like, so that a wrong scale is seen.
+    fn tell(&self, header: &Header, pixels: &[u16]) {
+        if let Some(median) = median_depth(pixels) {
+            self.is_told.store(true, Ordering::Relaxed);
+            tell_median("images", &self.about.name, &header.camera, f64::from(median) * header.depth_scale);
+        }
     }
 }
 
@@ -134,7 +146,13 @@ impl Source {
         let mut header = self.header();
         change.apply(&mut header, &payload);
         py.detach(|| match &mut *self.pulled() {
-            Some(pulled) => pulled.send(header, &payload.bytes).map_err(|error| fault::told(&error)),
+            Some(pulled) => {
+                pulled.send(header, &payload.bytes).map_err(|error| fault::told(&error))?;
+                if output.is_image() && !self.is_told.load(Ordering::Relaxed) {
+                    self.tell(&header, bytemuck::cast_slice(&payload.bytes));
+                }
+                Ok(())
+            }
             None => Ok(()),
         })
     }

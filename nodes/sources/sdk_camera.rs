@@ -1,0 +1,256 @@
+//! Cameras over the SDKs of their makers, which come as Python packages: RealSense, Orbbec, OAK-D, Azure Kinect.
+//!
+//! Here stand their parameters, which Python runs them, and whether that has what they need. The sources themselves are
+//! `conicflow.cameras` in `python/`.
+
+use conicflow_dataflow::{ConfigFault, Context, Hinted, Host, Next, Output, SideInputs, Source, StageError, Variables};
+use conicflow_detection::noise::NoiseConfig;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::Value as Json;
+use std::convert::Infallible;
+use std::marker::PhantomData;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+/// Parameters of a camera over the SDK of its maker.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Serial number of the camera; default: the first that is found.
+    pub serial: Option<String>,
+    /// A recording of the SDK, played back in place of a camera.
+    pub path: Option<PathBuf>,
+    /// Columns of the depth images; default: as the camera chooses.
+    #[schemars(range(min = 1, max = 16384))]
+    pub width: Option<u32>,
+    /// Rows of the depth images; default: as the camera chooses.
+    #[schemars(range(min = 1, max = 16384))]
+    pub height: Option<u32>,
+    /// Images per second that are asked of the camera; default: as it chooses.
+    #[schemars(range(min = 1, max = 1000))]
+    pub fps: Option<u32>,
+    /// Depth noise of the sensor: a name (`kinect_v1`, `realsense_d435`, `time_of_flight`, `ideal`) or a table; default: as
+    /// the SDK tells the base line and the focal length of a stereo camera, or what kind of camera it is.
+    pub noise: Option<NoiseConfig>,
+    /// After so many seconds without an image the camera is opened anew.
+    #[schemars(range(min = 0.1, max = 3600.0))]
+    pub stall_s: f64,
+    /// The Python that has the SDK and the package conicflow: a program in PATH or a path; default: that of the virtual
+    /// environment (VIRTUAL_ENV), else `python3`.
+    pub python: Option<PathBuf>,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self { serial: None, path: None, width: None, height: None, fps: None, noise: None, stall_s: 3.0, python: None }
+    }
+}
+
+/// A maker of cameras.
+pub trait Maker {
+    /// The node's name.
+    const NODE: &'static str;
+    /// The name of its adapter in `conicflow.cameras`, and of the extra of the package conicflow that brings the SDK.
+    const ADAPTER: &'static str;
+    /// What the node does, and how far that was tried.
+    const SUMMARY: &'static str;
+    /// Whether the SDK plays recordings back without a camera.
+    const PLAYS_BACK: bool = true;
+}
+
+/// Intel RealSense.
+pub struct RealSense;
+
+impl Maker for RealSense {
+    const NODE: &'static str = "realsense_source";
+    const ADAPTER: &'static str = "realsense";
+    const SUMMARY: &'static str = "Takes depth images from an Intel RealSense by its SDK (pip install pyrealsense2); tried \
+                                   with the SDK's software device and recordings, not with a camera";
+}
+
+/// Orbbec Femto, Gemini, Astra 2.
+pub struct Orbbec;
+
+impl Maker for Orbbec {
+    const NODE: &'static str = "orbbec_source";
+    const ADAPTER: &'static str = "orbbec";
+    const SUMMARY: &'static str = "Takes depth images from an Orbbec camera by its SDK (pip install pyorbbecsdk2); tried with \
+                                   stand-ins for the SDK's classes, not with a camera";
+}
+
+/// Luxonis OAK-D.
+pub struct OakD;
+
+impl Maker for OakD {
+    const NODE: &'static str = "oakd_source";
+    const ADAPTER: &'static str = "oakd";
+    const SUMMARY: &'static str = "Takes depth images from a Luxonis OAK-D by its SDK (pip install depthai); tried with \
+                                   stand-ins for the SDK's classes, not with a camera";
+    const PLAYS_BACK: bool = false;
+}
+
+/// Microsoft Azure Kinect.
+pub struct AzureKinect;
+
+impl Maker for AzureKinect {
+    const NODE: &'static str = "azure_kinect_source";
+    const ADAPTER: &'static str = "azure_kinect";
+    const SUMMARY: &'static str = "Takes depth images from an Azure Kinect by its SDK (libk4a and pip install pyk4a), and \
+                                   rectifies them; tried with stand-ins for the SDK's classes, not with a camera";
+}
+
+/// The row of a camera; there is none of it in this program.
+pub struct SdkCamera<M>(Infallible, PhantomData<M>);
+
+impl<M: Maker> Source for SdkCamera<M> {
+    const NAME: &'static str = M::NODE;
+    const SUMMARY: &'static str = M::SUMMARY;
+    type Config = Config;
+    type Output = u16;
+
+    fn faults(config: &Config, base: &Path) -> Vec<ConfigFault> {
+        let fault = |key, what: String, hint: &str| ConfigFault { key, what, hint: hint.to_owned() };
+        let mut faults = Vec::new();
+        let path = config.path.as_ref().map(|path| base.join(path));
+        if path.is_some() && !M::PLAYS_BACK {
+            let what = "its SDK plays nothing back without a camera".to_owned();
+            faults.push(fault("path", what, "record with `mcap_sink`, and play back with `mcap_source`"));
+        } else if let Some(path) = path.filter(|path| !path.exists()) {
+            let what = format!("`{}` does not exist", path.display());
+            faults.push(fault("path", what, "relative paths start at the pipeline file's folder"));
+        }
+        if config.width.is_some() != config.height.is_some() {
+            let key = if config.width.is_some() { "width" } else { "height" };
+            faults.push(fault(key, "is one of two".to_owned(), "give both `width` and `height`, or none"));
+        }
+        faults
+    }
+
+    fn new(_: Config, _: &Context) -> Result<Self, StageError> {
+        Err(Hinted::new(format!("`{}` runs in Python", M::NODE), "start it by `conicflow run`").into())
+    }
+
+    fn message_length(config: &Config, _: &Path) -> Option<usize> {
+        Some(config.width? as usize * config.height? as usize)
+    }
+
+    fn next(&mut self, _: &SideInputs, _: &mut Output<u16>) -> Result<Next, StageError> {
+        match self.0 {}
+    }
+}
+
+impl<M: Maker> SdkCamera<M> {
+    /// The Python that runs it.
+    pub const HOST: Host = Host { command: command::<M>, check: check::<M> };
+}
+
+fn command<M: Maker>(parameters: &Json, base: &Path) -> Result<Vec<String>, Hinted> {
+    Ok(vec![python(parameters, base), "-m".to_owned(), "conicflow.cameras".to_owned(), M::ADAPTER.to_owned()])
+}
+
+/// The Python that the parameters name, else that of the virtual environment, else the first in PATH.
+fn python(parameters: &Json, base: &Path) -> String {
+    let environment = || std::env::var_os("VIRTUAL_ENV").map(|folder| Path::new(&folder).join("bin/python"));
+    let python = match parameters.get("python").and_then(Json::as_str) {
+        Some(program) if program.contains('/') => Some(base.join(program)),
+        Some(program) => Some(program.into()),
+        None => environment().filter(|python| python.is_file()),
+    };
+    python.unwrap_or_else(|| "python3".into()).to_string_lossy().into_owned()
+}
+
+/// Asks that Python whether it has what the camera needs; it has to import it for that.
+fn check<M: Maker>(parameters: &Json, base: &Path, env: &Variables) -> Result<(), Hinted> {
+    let python = python(parameters, base);
+    let mut command = Command::new(&python);
+    command.args(["-m", "conicflow.cameras", M::ADAPTER, "--check"]).current_dir(base).stdin(Stdio::null());
+    command.envs(env.iter().map(|(key, value)| (key, value)));
+    let output = command.output().map_err(|error| {
+        let hint = "install Python 3, or name one: `python = \"/path/to/python3\"`";
+        Hinted::new(format!("there is no Python to run it (`{python}`: {error})"), hint)
+    })?;
+    if output.status.success() {
+        return Ok(());
+    }
+    // What it says itself of the SDK comes as JSON; anything else says that the package is not there.
+    Err(serde_json::from_slice(&output.stdout).unwrap_or_else(|_| {
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        let last = stderr.trim_end().lines().last().unwrap_or("it says nothing").to_owned();
+        let hint = format!(
+            "in the folder of conicflow: `{python} -m pip install \"./python[{}]\"`; or name a Python that has it: `python = \
+             \"venv/bin/python\"`",
+            M::ADAPTER
+        );
+        Hinted::new(format!("`{python}` cannot import conicflow.cameras ({last})"), hint)
+    }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use conicflow_dataflow::pipeline::{Pipeline, SourceText};
+    use conicflow_dataflow::{NO_RUN, Plan};
+    use serde_json::json;
+    use std::fs::Permissions;
+    use std::os::unix::fs::PermissionsExt;
+
+    /// A program that stands in for Python, and what is said of it.
+    fn told(script: &str) -> Result<(), Hinted> {
+        let folder = tempfile::tempdir().unwrap();
+        let program = folder.path().join("python");
+        std::fs::write(&program, format!("#!/bin/sh\n{script}\n")).unwrap();
+        std::fs::set_permissions(&program, Permissions::from_mode(0o755)).unwrap();
+        let env = [("SDK".to_owned(), "there".to_owned())];
+        check::<RealSense>(&json!({"python": "./python"}), folder.path(), &env)
+    }
+
+    #[test]
+    fn python_is_asked_and_its_answer_is_told() {
+        assert_eq!(told("test \"$*\" = '-m conicflow.cameras realsense --check' && test $SDK = there"), Ok(()));
+        let answer = r#"echo '{"what": "no SDK", "hint": "install it"}'; exit 2"#;
+        assert_eq!(told(answer), Err(Hinted::new("no SDK", "install it")));
+        let silent = told("echo noise; echo 'No module named conicflow' >&2; exit 1").unwrap_err();
+        assert!(silent.what.ends_with("cannot import conicflow.cameras (No module named conicflow)"), "{silent}");
+        assert!(silent.hint.contains("/./python -m pip install \"./python[realsense]\"`"), "{silent}");
+        let none = check::<OakD>(&json!({"python": "no/python"}), Path::new("/nowhere"), &[]).unwrap_err();
+        assert!(none.what.starts_with("there is no Python to run it (`/nowhere/no/python`: "), "{none}");
+    }
+
+    #[test]
+    fn the_parameters_name_the_python() {
+        let base = Path::new("/robot");
+        assert_eq!(python(&json!({"python": "venv/bin/python"}), base), "/robot/venv/bin/python");
+        assert_eq!(python(&json!({"python": "python3.13"}), base), "python3.13");
+        let command = (SdkCamera::<Orbbec>::HOST.command)(&json!({"python": "python3"}), base).unwrap();
+        assert_eq!(command, ["python3", "-m", "conicflow.cameras", "orbbec"]);
+    }
+
+    #[test]
+    fn faults_are_told() {
+        fn faults<M: Maker>(config: &Config) -> Vec<String> {
+            let faults = SdkCamera::<M>::faults(config, Path::new("/nowhere"));
+            faults.into_iter().map(|fault| format!("{}: {}", fault.key, fault.what)).collect()
+        }
+        assert!(faults::<OakD>(&Config::default()).is_empty());
+        let wrong = Config { path: Some("a.mkv".into()), height: Some(576), ..Config::default() };
+        assert_eq!(faults::<AzureKinect>(&wrong), ["path: `/nowhere/a.mkv` does not exist", "height: is one of two"]);
+        let told = faults::<OakD>(&Config { path: Some("a".into()), ..Config::default() });
+        assert_eq!(told, ["path: its SDK plays nothing back without a camera"]);
+    }
+
+    #[test]
+    fn python_gets_its_parameters_with_all_defaults() {
+        let camera =
+            "node = \"realsense_source\"\noutput = \"depth\"\npython = \"true\"\nfps = 15\nnoise = \"ideal\"\n";
+        let text = format!("name = \"a\"\n[stage.camera]\n{camera}");
+        let source = SourceText { name: "a.toml".to_owned(), text };
+        let (pipeline, _) = Pipeline::read_on(None, source, Path::new("."), &[], &crate::REGISTRY).unwrap();
+        let plan = Plan::of(&pipeline, None, None, NO_RUN);
+        let expected = json!({
+            "serial": null, "path": null, "width": null, "height": null, "fps": 15, "noise": "ideal", "stall_s": 3.0,
+            "python": "true",
+        });
+        assert_eq!(plan.stage("camera").unwrap().parameters, expected);
+    }
+}

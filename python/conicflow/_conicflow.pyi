@@ -1,0 +1,3 @@
+"""The compiled part; what is for everybody is typed in `__init__.pyi`."""
+
+def log(level: str, text: str) -> None: ...

@@ -1,0 +1,186 @@
+"""What an adapter makes of an image of its SDK: depths, the lens that saw them, scale, noise, time; and how it fails."""
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Optional, Protocol, Union
+
+import numpy as np
+import numpy.typing as npt
+
+Noise = Union[str, Mapping[str, float]]
+"""A word of the pipeline file or coefficients of it."""
+
+SUBPIXEL_PX = 0.08
+"""The usual error of a stereo camera's disparity in pixels, that of the noise model `realsense_d435`."""
+
+
+class Fault(Exception):
+    """Something went wrong; it says what, and what to do."""
+
+    def __init__(self, what: str, hint: str) -> None:
+        super().__init__(f"{what}\n  hint: {hint}")
+        self.what, self.hint = what, hint
+
+
+class Refused(Fault):
+    """It would come again if it were tried again: a parameter that the camera cannot take, a file that cannot be read."""
+
+
+class NotThere(Fault):
+    """The camera is not there, and may come."""
+
+
+class EndOfRecording(Exception):
+    """There are no more frames."""
+
+
+class Lens(NamedTuple):
+    """A pinhole camera in pixels, centres of pixels at whole numbers; and its distortion in the order of OpenCV: k1, k2, p1, p2,
+    k3, k4, k5, k6. None: its images are rectified."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...] = ()
+
+    @property
+    def is_distorted(self) -> bool:
+        return any(self.distortion)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A depth image."""
+
+    depth: npt.NDArray[Any]
+    """Rows and columns: `uint16` in units of the scale."""
+    lens: Lens
+    scale: float
+    """Metres per unit."""
+    noise: Noise
+    stamp_ns: int
+    """When it was taken, in nanoseconds since the Unix epoch; of a recording as it says."""
+    number: Optional[int] = None
+    """Number that the camera gave it: where one is left out, a frame was lost."""
+
+
+class Settings(NamedTuple):
+    """The parameters of the node, with all defaults settled."""
+
+    serial: Optional[str]
+    path: Optional[str]
+    width: Optional[int]
+    height: Optional[int]
+    fps: Optional[int]
+    noise: Optional[Noise]
+    stall_s: float
+
+    def profile(self) -> str:
+        """What is asked of the camera, in words."""
+        size = f"{self.width}x{self.height}" if self.width else "any size"
+        return f"{size} at {self.fps} Hz" if self.fps else size
+
+    def fits(self, width: int, height: int, fps: int) -> bool:
+        """Whether a format of the camera is one that is asked for."""
+        return self.width in (None, width) and self.height in (None, height) and self.fps in (None, fps)
+
+
+class Camera(Protocol):
+    """A camera that was opened, or a recording."""
+
+    @property
+    def name(self) -> str:
+        """Which one it is, for people."""
+
+    def read(self, patience_s: float) -> Optional[Frame]:
+        """The next frame; None if none came in that time. Raises EndOfRecording, or anything else where the camera is lost."""
+
+    def close(self) -> None: ...
+
+
+def not_there(kind: str, serial: Optional[str], there: list[str], otherwise: str) -> NotThere:
+    """Says that no such camera is connected, and which are."""
+    which = f"{kind} with serial number {serial}" if serial else kind
+    return NotThere(f"no {which} is connected", f"connected: {', '.join(there)}" if there else otherwise)
+
+
+def stereo_noise(fx: float, baseline_m: float) -> Optional[Noise]:
+    """The noise of a stereo camera: sigma(z) = z^2 subpixel / (f b); None where no camera has that base line."""
+    if not 0.005 < abs(baseline_m) < 1.0:
+        return None
+    growth_per_m = SUBPIXEL_PX / (fx * abs(baseline_m))
+    return {"floor_m": 0.0, "growth_per_m": growth_per_m, "knee_m": 0.0, "step_per_m": 0.0}
+
+
+def noise_of(settings: "Settings", name: str, known: Optional[Noise]) -> Noise:
+    """The noise that the pipeline file gives, else what the SDK tells of it; never a guess."""
+    noise = known if settings.noise is None else settings.noise
+    if noise is None:
+        hint = 'write `noise = "realsense_d435"` for stereo, "kinect_v1" for structured light, "time_of_flight", or a table'
+        raise Refused(f"the SDK does not tell the noise of {name}", hint)
+    return noise
+
+
+class DeviceClock:
+    """Times of a camera's own clock as nanoseconds since the Unix epoch.
+
+    The image that came fastest tells how far the clocks are apart; they may part by 1 in 10,000, and by any time at once where
+    the camera's clock begins anew.
+    """
+
+    def __init__(self) -> None:
+        self._apart: Optional[float] = None
+        self._last_ns = 0
+
+    def stamp_ns(self, device_ns: int, now_ns: Optional[int] = None) -> int:
+        """The time at which an image was taken that has just come."""
+        now_apart = float((time.time_ns() if now_ns is None else now_ns) - device_ns)
+        if self._apart is None or abs(now_apart - self._apart) > 1e9:
+            self._apart = now_apart
+        else:
+            self._apart = min(now_apart, self._apart + 1e-4 * max(device_ns - self._last_ns, 0))
+        self._last_ns = device_ns
+        return device_ns + round(self._apart)
+
+
+class Rectifier:
+    """Moves the pixels of a distorted image to where a pinhole camera would see them.
+
+    Each pixel takes the nearest measurement, as a mean over an edge would be a depth where nothing is. Depths are along the
+    optical axis and stay as they are.
+    """
+
+    def __init__(self, lens: Lens) -> None:
+        self._lens = lens
+        u: Any = np.arange(lens.width, dtype=np.float64)[None, :]
+        v: Any = np.arange(lens.height, dtype=np.float64)[:, None]
+        x, y = (u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy
+        p1, p2 = (*lens.distortion, *[0.0] * 8)[2:4]
+        square = x * x + y * y
+        growth = self._growth(square)
+        column = np.rint((x * growth + 2 * p1 * x * y + p2 * (square + 2 * x * x)) * lens.fx + lens.cx)
+        row = np.rint((y * growth + p1 * (square + 2 * y * y) + 2 * p2 * x * y) * lens.fy + lens.cy)
+        seen = (0 <= column) & (column < lens.width) & (0 <= row) & (row < lens.height) & (square < self._limit())
+        # What the camera does not see is read from behind the image.
+        beyond = lens.width * lens.height
+        self._places = np.where(seen, row * lens.width + column, beyond).astype(np.intp)
+
+    def __call__(self, depth: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        return np.append(depth.ravel(), depth.dtype.type(0))[self._places]
+
+    def _growth(self, square: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        k1, k2, _, _, k3, k4, k5, k6 = (*self._lens.distortion, *[0.0] * 8)[:8]
+        above = 1 + square * (k1 + square * (k2 + square * k3))
+        return above / (1 + square * (k4 + square * (k5 + square * k6)))
+
+    def _limit(self) -> float:
+        """The squared distance from the axis from which on the model turns back: no lens does."""
+        radius: npt.NDArray[np.float64] = np.linspace(0.0, 10.0, 10_001)
+        with np.errstate(all="ignore"):
+            distorted: npt.NDArray[np.float64] = radius * self._growth(radius**2)
+            rises = np.diff(distorted) > 0
+        return float(radius[np.argmin(rises)] ** 2) if not rises.all() else np.inf

@@ -1,0 +1,183 @@
+"""The frames of a camera as long as a run lasts: it is opened, watched, and opened anew when it stalls or is gone.
+
+Nothing here knows an SDK. What goes wrong is told once, until it changes.
+"""
+
+import time
+from typing import Any, Callable, Optional, Protocol
+
+import numpy as np
+
+from .frame import Camera, EndOfRecording, Frame, Rectifier, Refused, Settings
+
+LOOK_S = 0.1
+"""So long is waited for a frame before it is looked around; to ask whether the run is to end is also a sign of life."""
+TRY_AGAIN_S = 1.0
+"""How often is tried to open a camera that is not there."""
+
+UNREADABLE = "frames unreadable"
+LOST = "frames lost"
+OPENED = "camera opened anew"
+
+
+class Source(Protocol):
+    """What a stream needs of `conicflow.Source`."""
+
+
+    @property
+    def stopping(self) -> bool: ...
+    @property
+    def resume_at(self) -> int: ...
+    @property
+    def send(self) -> Callable[..., None]: ...
+    def count(self, name: str, times: int = 1) -> None: ...
+
+
+class Stream:
+    """The frames of a camera or of a recording; `connect` opens it, `tell(level, text)` logs."""
+
+    def __init__(
+        self, source: Source, connect: Callable[[], Camera], settings: Settings, tell: Callable[[str, str], None]
+    ) -> None:
+        self._source, self._connect, self._settings, self._tell = source, connect, settings, tell
+        self._camera: Optional[Camera] = None
+        self._rectifier: Optional[Rectifier] = None
+        self._last: Optional[Frame] = None
+        self._told: Optional[str] = None
+        self._has_opened = False
+        self._heard = time.monotonic()
+        # A recording that is played back by a process that was started anew goes on where it was.
+        self._left_out = source.resume_at if settings.path else 0
+
+    def next(self) -> Optional[Frame]:
+        """The next frame; None where the run or the recording is over."""
+        self._heard = time.monotonic()
+        while not self._source.stopping:
+            if self._camera is None and not self._open():
+                continue
+            try:
+                frame = self._read()
+            except EndOfRecording:
+                return None
+            except Refused:
+                raise
+            except Exception as error:
+                self._is_gone(error)
+                continue
+            if frame is not None:
+                return frame
+        return None
+
+    def send(self, frame: Frame) -> None:
+        """Sends a frame; what no reader would take is counted."""
+        lens = frame.lens
+        camera = (lens.fx, lens.fy, lens.cx, lens.cy)
+        try:
+            self._source.send(frame.depth, camera=camera, scale=frame.scale, noise=frame.noise, stamp_ns=frame.stamp_ns)
+        except ValueError as error:
+            self._source.count(UNREADABLE)
+            self._say("warn", str(error))
+
+    def close(self) -> None:
+        """Lets go of the camera; that this fails with one that is gone is no news."""
+        camera, self._camera = self._camera, None
+        self._last = None
+        if camera is not None:
+            try:
+                camera.close()
+            except Exception:
+                pass
+
+    def _open(self) -> bool:
+        """Opens the camera, or waits a while; whether it is open."""
+        try:
+            self._camera = self._connect()
+        except Exception as error:
+            if isinstance(error, Refused) and not self._has_opened:
+                raise
+            self._say("warn", f"{_text(error)}\n  the stage waits for the camera")
+            self._wait()
+            return False
+        if self._has_opened:
+            self._source.count(OPENED)
+        self._has_opened = True
+        self._heard = time.monotonic()
+        return True
+
+    def _wait(self) -> None:
+        until = time.monotonic() + TRY_AGAIN_S
+        while not self._source.stopping and time.monotonic() < until:
+            time.sleep(LOOK_S / 2)
+
+    def _read(self) -> Optional[Frame]:
+        camera = self._camera
+        assert camera is not None
+        frame = camera.read(LOOK_S)
+        if frame is None:
+            silence_s = time.monotonic() - self._heard
+            if silence_s > self._settings.stall_s:
+                raise TimeoutError(f"no image for {silence_s:.1f} s")
+            return None
+        self._heard = time.monotonic()
+        if self._left_out > 0:
+            self._left_out -= 1
+            return None
+        fault = _fault(frame)
+        if fault:
+            self._source.count(UNREADABLE)
+            self._say("warn", f"{camera.name} sends what is no depth image: {fault}")
+            return None
+        self._compare(camera, frame)
+        self._last = frame
+        if self._rectifier is None:
+            return frame
+        lens = frame.lens._replace(distortion=())
+        return Frame(self._rectifier(frame.depth), lens, frame.scale, frame.noise, frame.stamp_ns)
+
+    def _compare(self, camera: Camera, frame: Frame) -> None:
+        """Looks what changed since the last frame: the lens, which is told, and numbers that were left out."""
+        last, lens = self._last, frame.lens
+        if last is None or last.lens != lens:
+            self._rectifier = Rectifier(lens) if lens.is_distorted else None
+            size = f"{lens.width}x{lens.height}"
+            if last is None:
+                rectified = ", rectified here" if lens.is_distorted else ""
+                self._told = None
+                self._say("info", f"{camera.name}: images of {size}{rectified}")
+            else:
+                was = f"{last.lens.width}x{last.lens.height}"
+                self._say("warn", f"{camera.name} sends images of {size} from now on; those before were {was}")
+        elif frame.number is not None and last.number is not None:
+            self._source.count(LOST, max(frame.number - last.number - 1, 0))
+
+    def _is_gone(self, error: Exception) -> None:
+        camera = self._camera
+        assert camera is not None
+        name = camera.name
+        self.close()
+        if self._settings.path:
+            raise Refused(f"{name} cannot be read on: {_text(error)}", "is the file whole?") from error
+        self._say("warn", f"{name} is lost: {_text(error)}\n  it is opened anew as soon as it is there")
+
+    def _say(self, level: str, text: str) -> None:
+        # Numbers change, what is wrong does not.
+        key = "".join(letter for letter in text if not letter.isdigit())
+        if self._told != key:
+            self._told = key
+            self._tell(level, text)
+
+
+def _text(error: Exception) -> str:
+    return str(error) or type(error).__name__
+
+
+def _fault(frame: Frame) -> Optional[str]:
+    """Why a frame is no depth image of its lens."""
+    depth, lens = frame.depth, frame.lens
+    if not isinstance(depth, np.ndarray) or depth.dtype != np.uint16:
+        return f"{getattr(depth, 'dtype', type(depth).__name__)} in place of uint16"
+    if depth.shape != (lens.height, lens.width):
+        return f"an array of {depth.shape}, of a lens of {lens.width}x{lens.height}"
+    if depth.size == 0:
+        return "it is empty"
+    return None
