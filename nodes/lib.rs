@@ -15,10 +15,12 @@ pub mod sources {
     pub mod mcap_source;
     pub mod sdk_camera;
     mod synthetic_source;
+    pub mod v4l2_source;
 
     pub use image_source::ImageSource;
     pub use mcap_source::McapSource;
     pub use synthetic_source::SyntheticSource;
+    pub use v4l2_source::V4l2Source;
 }
 
 pub mod detection {
@@ -80,7 +82,7 @@ use sinks::{
     SectionSink, ViewSink,
 };
 use sources::sdk_camera::{AzureKinect, OakD, Orbbec, RealSense, SdkCamera};
-use sources::{ImageSource, McapSource, SyntheticSource};
+use sources::{ImageSource, McapSource, SyntheticSource, V4l2Source};
 use tracking::{Follower, KalmanTracker};
 
 /// The nodes that a pipeline file may name: one row makes one available.
@@ -89,6 +91,7 @@ pub const NODES: &[Node] = &[
     Node::source::<ImageSource>(),
     Node::source::<McapSource>(),
     Node::source::<Ros2Source<Elsewhere>>().run_by(network::HOST),
+    Node::source::<V4l2Source>(),
     Node::source::<SdkCamera<RealSense>>().run_by(SdkCamera::<RealSense>::HOST),
     Node::source::<SdkCamera<Orbbec>>().run_by(SdkCamera::<Orbbec>::HOST),
     Node::source::<SdkCamera<OakD>>().run_by(SdkCamera::<OakD>::HOST),

@@ -1,8 +1,9 @@
 //! `conicflow doctor`: tells what is wrong with this machine for running a pipeline, and removes what dead runs have left.
 
+use crate::sources::v4l2_source::{Driver, LinuxVideo, V4l2Source};
 use crate::{NODES, REGISTRY};
 use conicflow_dataflow::pipeline::Pipeline;
-use conicflow_dataflow::{NO_RUN, Plan, Requirements, clean, examine};
+use conicflow_dataflow::{NO_RUN, Plan, PlannedStage, Requirements, Source, clean, examine};
 use std::io::{Write, stdout};
 use std::process::ExitCode;
 
@@ -24,6 +25,7 @@ pub fn doctor(pipeline: &Pipeline, machine: Option<&str>, remove: bool) -> anyho
     for (index, finding) in findings.iter().enumerate() {
         writeln!(output, "{}problem: {finding}", if index == 0 { "" } else { "\n" })?;
     }
+    write!(output, "{}", cameras(&LinuxVideo, &plans))?;
     if !findings.is_empty() {
         return Ok(ExitCode::FAILURE);
     }
@@ -31,4 +33,54 @@ pub fn doctor(pipeline: &Pipeline, machine: Option<&str>, remove: bool) -> anyho
         plans.iter().map(|plan| Requirements::of(plan, NODES).shared_memory()).max().unwrap_or(0).div_ceil(1 << 20);
     writeln!(output, "nothing is wrong; `{}` needs up to {megabytes} MB of shared memory", pipeline.name)?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// The depth cameras that `v4l2_source` can read, a line each; where a stage wants one and there is none, that is said.
+fn cameras(driver: &impl Driver, plans: &[Plan]) -> String {
+    let devices = driver.devices();
+    let wants = |stage: &PlannedStage| stage.runs.name() == V4l2Source::NAME;
+    if devices.is_empty() && plans.iter().flat_map(|plan| &plan.stages).any(wants) {
+        return "no depth camera that `v4l2_source` could read\n".to_owned();
+    }
+    devices.iter().map(|camera| format!("depth camera {camera}\n")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sources::v4l2_source::{DepthFormat, Found, Layout, Mode};
+    use conicflow_dataflow::pipeline::SourceText;
+    use std::io;
+    use std::path::Path;
+
+    struct Bus(Vec<Found>);
+
+    impl Driver for Bus {
+        type Stream = <LinuxVideo as Driver>::Stream;
+
+        fn devices(&self) -> Vec<Found> {
+            self.0.clone()
+        }
+
+        fn open(&self, _: &Path, _: &Mode) -> io::Result<(Layout, Self::Stream)> {
+            Err(io::ErrorKind::Unsupported.into())
+        }
+    }
+
+    #[test]
+    fn depth_cameras_are_listed_with_formats_and_rates() {
+        let mode = |width, height, rates_hz| Mode { format: DepthFormat::Z16, width, height, rates_hz };
+        let modes = vec![mode(848, 480, vec![30.0, 90.0]), mode(640, 480, Vec::new())];
+        let camera = Found { path: "/dev/video2".into(), name: "Depth Camera 435".to_owned(), modes };
+        assert_eq!(
+            cameras(&Bus(vec![camera]), &[]),
+            "depth camera `/dev/video2` (Depth Camera 435): z16 848x480 at 30, 90 Hz; z16 640x480\n"
+        );
+        let text = "name = \"a\"\n[stage.camera]\nnode = \"v4l2_source\"\noutput = \"depth\"\nfov_deg = 80\n";
+        let source = SourceText { name: "a.toml".to_owned(), text: text.to_owned() };
+        let (pipeline, _) = Pipeline::read_on(None, source, Path::new("."), &[], &REGISTRY).unwrap();
+        let plan = Plan::of(&pipeline, None, None, NO_RUN);
+        assert_eq!(cameras(&Bus(Vec::new()), &[plan]), "no depth camera that `v4l2_source` could read\n");
+        assert_eq!(cameras(&Bus(Vec::new()), &[]), "");
+    }
 }

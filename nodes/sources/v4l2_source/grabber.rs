@@ -1,0 +1,280 @@
+//! The images of a video device as long as a run lasts: it is found, opened, watched, and opened anew when it stalls or is gone.
+//!
+//! Here is no call to the kernel. What goes wrong is told once, until it changes.
+
+use super::device::{Driver, Found, Mode, Stream};
+use super::format::{DepthFormat, Layout};
+use conicflow_dataflow::{Output, StageError, Stop};
+use conicflow_messages::{Hinted, median_depth};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+const UNREADABLE: &str = "frames unreadable";
+const OPENED: &str = "camera opened anew";
+
+/// So long is waited for an image before it is looked around.
+const LOOK: Duration = Duration::from_millis(50);
+/// How often is tried to open a device that is not there.
+const TRY_AGAIN: Duration = Duration::from_secs(1);
+
+/// What is asked of the device.
+#[derive(Clone, Debug, Default)]
+pub struct Wanted {
+    /// Its file, or a part of its name; none: the only one with depths.
+    pub device: Option<String>,
+    /// What a pixel is; none: what is depth for certain.
+    pub format: Option<DepthFormat>,
+    /// Columns and rows; none: as the device prefers.
+    pub size: Option<(u32, u32)>,
+    /// Images per second; none: as the device chooses.
+    pub fps: Option<f64>,
+    /// After so long without an image it is opened anew.
+    pub stall: Duration,
+}
+
+/// Where an image goes, and what is counted.
+pub trait Place {
+    /// Memory for so many pixels.
+    ///
+    /// # Errors
+    /// There is none left.
+    fn image(&mut self, pixels: usize) -> Result<&mut [u16], StageError>;
+
+    /// Adds to a counter.
+    fn count(&mut self, name: &'static str);
+}
+
+impl Place for Output<'_, u16> {
+    fn image(&mut self, pixels: usize) -> Result<&mut [u16], StageError> {
+        Output::image(self, pixels)
+    }
+
+    fn count(&mut self, name: &'static str) {
+        Output::count(self, name, 1);
+    }
+}
+
+/// A device that is open.
+struct Opened<S> {
+    found: Found,
+    layout: Layout,
+    stream: S,
+}
+
+/// Images of a device.
+pub struct Grabber<D: Driver> {
+    driver: D,
+    wanted: Wanted,
+    opened: Option<Opened<D::Stream>>,
+    has_opened: bool,
+    /// When the last image came, and when to try to open the device.
+    heard: Instant,
+    due: Instant,
+    told: Option<String>,
+    /// The median of the first image that has one.
+    median: Option<u16>,
+    try_again: Duration,
+    stop: Stop,
+}
+
+impl<D: Driver> Grabber<D> {
+    /// Nothing is opened before an image is asked for.
+    pub fn new(driver: D, wanted: Wanted, stop: Stop) -> Self {
+        let now = Instant::now();
+        let (opened, has_opened, told, median, try_again) = (None, false, None, None, TRY_AGAIN);
+        Self { driver, wanted, opened, has_opened, heard: now, due: now, told, median, try_again, stop }
+    }
+
+    /// Puts the next image into its place, and tells how it lies; none where the run is over.
+    ///
+    /// # Errors
+    /// There is no memory, or the device cannot send what is asked for.
+    pub fn next(&mut self, place: &mut dyn Place) -> Result<Option<Layout>, StageError> {
+        // That the pipeline had no room is no silence of the camera.
+        self.heard = Instant::now();
+        while !self.stop.requested() {
+            if self.opened.is_none() {
+                self.open(place)?;
+            } else if let Some(layout) = self.take(place)? {
+                return Ok(Some(layout));
+            }
+        }
+        Ok(None)
+    }
+
+    /// The name of the device that is open.
+    pub fn name(&self) -> &str {
+        self.opened.as_ref().map_or("", |opened| &opened.found.name)
+    }
+
+    /// The median of the first image that has one.
+    pub fn median(&self) -> Option<u16> {
+        self.median
+    }
+
+    fn open(&mut self, place: &mut dyn Place) -> Result<(), StageError> {
+        let left = self.due.saturating_duration_since(Instant::now());
+        if !left.is_zero() {
+            std::thread::sleep(left.min(LOOK));
+            return Ok(());
+        }
+        self.due = Instant::now() + self.try_again;
+        match self.find_and_open() {
+            Ok(opened) => {
+                let (Layout { width, height, format, .. }, found) = (opened.layout, &opened.found);
+                let (path, word) = (found.path.display(), format.word());
+                tracing::info!("`{path}` ({}): images of {width}x{height}, {word}", found.name);
+                if self.has_opened {
+                    place.count(OPENED);
+                }
+                (self.opened, self.has_opened, self.heard) = (Some(opened), true, Instant::now());
+                Ok(())
+            }
+            // To try again would not help, unless it is another camera that was plugged in meanwhile.
+            Err(fault) if fault.lasts && !self.has_opened => Err(fault.into()),
+            Err(fault) => {
+                self.warn(&format!("{fault}\n  the stage waits for the camera"));
+                Ok(())
+            }
+        }
+    }
+
+    fn find_and_open(&self) -> Result<Opened<D::Stream>, Hinted> {
+        let found = self.find()?;
+        let mode = self.mode(&found)?;
+        let path = found.path.display();
+        let (layout, stream) = self.driver.open(&found.path, &mode).map_err(|error| {
+            let hint = "does another program have it, and may this user open it (group `video`)?";
+            Hinted::new(format!("`{path}` ({}) cannot be opened: {error}", found.name), hint)
+        })?;
+        let size = (layout.width, layout.height);
+        if size != (mode.width, mode.height) || layout.format != mode.format {
+            let (width, height) = size;
+            let what = format!("`{path}` sends {} {width}x{height} in place of {mode}", layout.format.word());
+            return Err(Hinted::lasting(what, format!("it has {}", listed(&found.modes))));
+        }
+        Ok(Opened { found, layout, stream })
+    }
+
+    /// The device that is asked for; where several fit, nobody chooses for the user.
+    fn find(&self) -> Result<Found, Hinted> {
+        let mut devices = self.driver.devices();
+        let fits = |found: &Found| found.modes.iter().any(|mode| self.is_format(mode));
+        let there: Vec<_> = devices.iter().map(Found::to_string).collect();
+        let hint = if there.is_empty() {
+            "no video device here has a format with depths that this user may open: is it plugged in, is the user in the group \
+             `video`?"
+                .to_owned()
+        } else {
+            format!("with depths there are {}", there.join(", "))
+        };
+        let name = self.wanted.device.as_deref();
+        devices.retain(|found| name.map_or(fits(found), |name| is_named(found, name)));
+        match (devices.len(), name) {
+            (1, _) => Ok(devices.remove(0)),
+            (0, Some(name)) => Err(Hinted::new(format!("there is no camera `{name}`"), hint)),
+            (0, None) => Err(Hinted::new("there is no depth camera", hint)),
+            _ => Err(Hinted::lasting(
+                format!("{} cameras fit", devices.len()),
+                format!("name one by `device`, its path or a part of its name; {hint}"),
+            )),
+        }
+    }
+
+    fn is_format(&self, mode: &Mode) -> bool {
+        match self.wanted.format {
+            Some(format) => mode.format == format,
+            None => DepthFormat::CERTAIN.contains(&mode.format),
+        }
+    }
+
+    /// What the device is asked for: the size and the rate that are wanted, of several formats the best, else its first.
+    fn mode(&self, found: &Found) -> Result<Mode, Hinted> {
+        let is_size = |mode: &&Mode| self.wanted.size.is_none_or(|size| size == (mode.width, mode.height));
+        let is_rate = |rate: f64| self.wanted.fps.is_none_or(|fps| (fps - rate).abs() < 0.5);
+        let has_rate = |mode: &&Mode| mode.rates_hz.is_empty() || mode.rates_hz.iter().any(|rate| is_rate(*rate));
+        let modes = found.modes.iter().filter(|mode| self.is_format(mode));
+        let mut fitting: Vec<_> = modes.filter(is_size).filter(has_rate).collect();
+        fitting.sort_by_key(|mode| DepthFormat::CERTAIN.iter().position(|format| *format == mode.format));
+        let Some(mode) = fitting.first() else {
+            let size = self.wanted.size.map_or("any size".to_owned(), |(width, height)| format!("{width}x{height}"));
+            let rate = self.wanted.fps.map_or(String::new(), |fps| format!(" at {fps} Hz"));
+            let what = format!("`{}` ({}) has no depth images of {size}{rate}", found.path.display(), found.name);
+            let y16 = "; `format = \"y16\"` takes grey for depth";
+            let hint = if self.wanted.format.is_none() { y16 } else { "" };
+            return Err(Hinted::lasting(what, format!("it has {}{hint}", listed(&found.modes))));
+        };
+        Ok(Mode { rates_hz: self.wanted.fps.into_iter().collect(), ..(*mode).clone() })
+    }
+
+    /// Takes an image, if one comes soon.
+    fn take(&mut self, place: &mut dyn Place) -> Result<Option<Layout>, StageError> {
+        let Some(Opened { found, layout, stream }) = &mut self.opened else { return Ok(None) };
+        let (layout, name) = (*layout, found.name.clone());
+        let (mut result, median) = (Ok(Ok(())), &mut self.median);
+        let came = stream.next(LOOK, &mut |buffer, is_damaged| {
+            result = place.image(layout.pixels()).map(|image| match layout.unpack(buffer, image) {
+                Ok(()) if is_damaged => Err("an image that its driver calls damaged".to_owned()),
+                Ok(()) => {
+                    *median = median.or_else(|| median_depth(image));
+                    Ok(())
+                }
+                Err(short) => Err(short.to_string()),
+            });
+        });
+        match came {
+            Err(error) => self.close(&format!("{name} is lost: {error}")),
+            Ok(false) => {
+                let silence = self.heard.elapsed();
+                if silence > self.wanted.stall {
+                    self.close(&format!("{name} is lost: no image for {:.1} s", silence.as_secs_f64()));
+                }
+            }
+            Ok(true) => {
+                self.heard = Instant::now();
+                match result? {
+                    Ok(()) => {
+                        self.told = None;
+                        return Ok(Some(layout));
+                    }
+                    Err(fault) => {
+                        place.count(UNREADABLE);
+                        self.warn(&format!("{name} sends {fault}; it is passed over"));
+                    }
+                }
+            }
+        }
+        Ok(None)
+    }
+
+    fn close(&mut self, what: &str) {
+        self.opened = None;
+        self.warn(&format!("{what}\n  it is opened anew as soon as it is there"));
+    }
+
+    /// Warns, unless that was the last that was told. Numbers change, what is wrong does not.
+    fn warn(&mut self, text: &str) {
+        let key: String = text.chars().filter(|letter| !letter.is_ascii_digit()).collect();
+        if self.told.as_ref() != Some(&key) {
+            tracing::warn!("{text}");
+            self.told = Some(key);
+        }
+    }
+}
+
+fn listed(modes: &[Mode]) -> String {
+    modes.iter().map(Mode::to_string).collect::<Vec<_>>().join("; ")
+}
+
+/// Whether a device has this path, also by a link as in /dev/v4l/by-id, or this in its name.
+fn is_named(found: &Found, name: &str) -> bool {
+    if !name.contains('/') {
+        return found.name.to_lowercase().contains(&name.to_lowercase());
+    }
+    let path = Path::new(name).canonicalize().unwrap_or_else(|_| PathBuf::from(name));
+    found.path == path
+}
+
+#[cfg(test)]
+#[path = "grabber_tests.rs"]
+mod tests;

@@ -1,0 +1,289 @@
+//! The grabber with a stand-in for the kernel, which does what a script says.
+
+use super::*;
+use std::cell::RefCell;
+use std::collections::{BTreeMap, VecDeque};
+use std::io;
+use std::rc::Rc;
+
+const NO_SUCH_DEVICE: i32 = 19;
+
+/// What happens at a look into a device.
+#[derive(Clone)]
+enum Event {
+    /// An image whose pixels are all this.
+    Image(u16),
+    /// Bytes that are no whole image.
+    Bytes(Vec<u8>),
+    Damaged(u16),
+    Silence,
+    Unplugged,
+}
+
+/// What happens when the device is looked for and opened.
+#[derive(Clone)]
+enum Attempt {
+    Nothing,
+    Busy,
+    /// It is there, with modes of its own, and does this.
+    Device(Vec<Mode>, Vec<Event>),
+}
+
+#[derive(Clone, Default)]
+struct Script {
+    attempts: Rc<RefCell<VecDeque<Attempt>>>,
+    asked: Rc<RefCell<Vec<Mode>>>,
+    /// Raised when all has happened.
+    stop: Stop,
+}
+
+struct Played {
+    layout: Layout,
+    events: VecDeque<Event>,
+    script: Script,
+}
+
+impl Driver for Script {
+    type Stream = Played;
+
+    fn devices(&self) -> Vec<Found> {
+        let attempts = self.attempts.borrow();
+        let modes = match attempts.front() {
+            None => {
+                self.stop.request();
+                return Vec::new();
+            }
+            Some(Attempt::Nothing) => {
+                drop(attempts);
+                self.attempts.borrow_mut().pop_front();
+                return Vec::new();
+            }
+            Some(Attempt::Busy) => vec![mode(DepthFormat::Z16, 3, 2)],
+            Some(Attempt::Device(modes, _)) => modes.clone(),
+        };
+        vec![Found { path: "/dev/video2".into(), name: "Depth Camera 435".to_owned(), modes }]
+    }
+
+    fn open(&self, _: &Path, mode: &Mode) -> io::Result<(Layout, Played)> {
+        self.asked.borrow_mut().push(mode.clone());
+        let Some(Attempt::Device(modes, events)) = self.attempts.borrow_mut().pop_front() else {
+            return Err(io::Error::from(io::ErrorKind::ResourceBusy));
+        };
+        // A driver gives what it has.
+        let Mode { format, width, height, .. } = modes[0];
+        let layout = Layout { format, width, height, bytes_per_line: width * 2 + 2 };
+        Ok((layout, Played { layout, events: events.into(), script: self.clone() }))
+    }
+}
+
+impl Stream for Played {
+    fn next(&mut self, _: Duration, show: &mut dyn FnMut(&[u8], bool)) -> io::Result<bool> {
+        let Layout { height, bytes_per_line, .. } = self.layout;
+        let image = |depth: u16| depth.to_le_bytes().repeat((height * bytes_per_line / 2) as usize);
+        match self.events.pop_front() {
+            Some(Event::Image(depth)) => show(&image(depth), false),
+            Some(Event::Damaged(depth)) => show(&image(depth), true),
+            Some(Event::Bytes(bytes)) => show(&bytes, false),
+            Some(Event::Silence) => {
+                std::thread::sleep(Duration::from_millis(2));
+                return Ok(false);
+            }
+            None if self.script.attempts.borrow().is_empty() => {
+                self.script.stop.request();
+                return Ok(false);
+            }
+            Some(Event::Unplugged) | None => return Err(io::Error::from_raw_os_error(NO_SUCH_DEVICE)),
+        }
+        Ok(true)
+    }
+}
+
+fn mode(format: DepthFormat, width: u32, height: u32) -> Mode {
+    Mode { format, width, height, rates_hz: vec![30.0, 60.0] }
+}
+
+fn z16(width: u32, height: u32) -> Vec<Mode> {
+    vec![mode(DepthFormat::Z16, width, height)]
+}
+
+#[derive(Default)]
+struct Images {
+    image: Vec<u16>,
+    counted: BTreeMap<&'static str, u64>,
+}
+
+impl Place for Images {
+    fn image(&mut self, pixels: usize) -> Result<&mut [u16], StageError> {
+        self.image = vec![9999; pixels];
+        Ok(&mut self.image)
+    }
+
+    fn count(&mut self, name: &'static str) {
+        *self.counted.entry(name).or_default() += 1;
+    }
+}
+
+/// What a run over a script came to.
+struct Outcome {
+    /// Number of pixels and the value of all of them.
+    images: Vec<(usize, u16)>,
+    counted: BTreeMap<&'static str, u64>,
+    asked: Vec<Mode>,
+    /// What was told last, without its numbers.
+    told: Option<String>,
+    refused: Option<String>,
+}
+
+fn play(wanted: Wanted, attempts: Vec<Attempt>) -> Outcome {
+    let script = Script { attempts: Rc::new(RefCell::new(attempts.into())), ..Script::default() };
+    let mut grabber = Grabber::new(script.clone(), wanted, script.stop.clone());
+    grabber.try_again = Duration::from_millis(1);
+    let (mut place, mut images, mut refused) = (Images::default(), Vec::new(), None);
+    loop {
+        match grabber.next(&mut place) {
+            Ok(Some(layout)) => {
+                assert_eq!(layout.pixels(), place.image.len());
+                assert!(place.image.iter().all(|pixel| *pixel == place.image[0]), "{:?}", place.image);
+                images.push((place.image.len(), place.image[0]));
+            }
+            Ok(None) => break,
+            Err(error) => {
+                refused = Some(error.to_string());
+                break;
+            }
+        }
+    }
+    let asked = script.asked.borrow().clone();
+    Outcome { images, counted: place.counted, asked, told: grabber.told, refused }
+}
+
+fn patient() -> Wanted {
+    Wanted { stall: Duration::from_secs(3600), ..Wanted::default() }
+}
+
+fn device(events: &[Event]) -> Attempt {
+    Attempt::Device(z16(3, 2), events.to_vec())
+}
+
+#[test]
+fn images_come_without_the_gaps_between_their_rows() {
+    let outcome = play(patient(), vec![device(&[Event::Image(1), Event::Silence, Event::Image(2)])]);
+    assert_eq!(outcome.images, [(6, 1), (6, 2)]);
+    assert!(outcome.counted.is_empty() && outcome.told.is_none() && outcome.refused.is_none());
+}
+
+#[test]
+fn a_camera_that_is_not_there_or_busy_is_waited_for() {
+    let nothing = || Attempt::Nothing;
+    let outcome = play(patient(), vec![nothing(), nothing(), Attempt::Busy, device(&[Event::Image(1)])]);
+    assert_eq!(outcome.images, [(6, 1)]);
+    assert!(outcome.counted.is_empty(), "the first time is no return");
+}
+
+#[test]
+fn a_camera_that_is_unplugged_comes_back_also_with_another_size() {
+    let larger = Attempt::Device(z16(5, 4), vec![Event::Image(2)]);
+    let first = device(&[Event::Image(1), Event::Unplugged]);
+    let outcome = play(patient(), vec![first, Attempt::Nothing, Attempt::Nothing, larger]);
+    assert_eq!(outcome.images, [(6, 1), (20, 2)]);
+    assert_eq!(outcome.counted, BTreeMap::from([(OPENED, 1)]));
+}
+
+#[test]
+fn a_camera_that_stalls_is_opened_anew() {
+    let wanted = Wanted { stall: Duration::from_millis(20), ..Wanted::default() };
+    let mut silent = vec![Event::Image(1)];
+    silent.extend(vec![Event::Silence; 1000]);
+    let outcome = play(wanted, vec![device(&silent), device(&[Event::Image(2)])]);
+    assert_eq!(outcome.images, [(6, 1), (6, 2)]);
+    assert_eq!(outcome.counted, BTreeMap::from([(OPENED, 1)]));
+}
+
+#[test]
+fn a_pipeline_without_room_is_no_stall() {
+    let script = Script::default();
+    script.attempts.borrow_mut().push_back(device(&[Event::Image(1), Event::Silence, Event::Image(2)]));
+    let wanted = Wanted { stall: Duration::from_secs(60), ..Wanted::default() };
+    let mut grabber = Grabber::new(script.clone(), wanted, script.stop.clone());
+    let mut place = Images::default();
+    grabber.next(&mut place).unwrap().unwrap();
+    grabber.heard -= Duration::from_secs(3600);
+    grabber.next(&mut place).unwrap().unwrap();
+    assert_eq!(place.image[0], 2);
+    assert!(place.counted.is_empty());
+}
+
+#[test]
+fn what_is_no_whole_image_is_counted_and_passed_over() {
+    let events = [
+        Event::Image(1),
+        Event::Bytes(Vec::new()),
+        Event::Bytes(vec![7; 13]),
+        Event::Damaged(5),
+        Event::Image(2),
+        Event::Damaged(5),
+    ];
+    let outcome = play(patient(), vec![device(&events)]);
+    assert_eq!(outcome.images, [(6, 1), (6, 2)]);
+    assert_eq!(outcome.counted, BTreeMap::from([(UNREADABLE, 4)]));
+    assert!(outcome.told.unwrap().contains("Depth Camera  sends an image that its driver calls damaged"));
+}
+
+#[test]
+fn the_format_is_one_with_depths_and_the_best() {
+    let modes = vec![
+        mode(DepthFormat::Y16, 8, 8),
+        mode(DepthFormat::Inzi, 3, 2),
+        mode(DepthFormat::Z16, 3, 2),
+        mode(DepthFormat::Z16, 5, 4),
+    ];
+    let asked = |wanted: Wanted| {
+        let outcome = play(wanted, vec![Attempt::Device(modes.clone(), vec![])]);
+        outcome.asked.first().map(|mode| (mode.format, mode.width, mode.rates_hz.clone())).ok_or(outcome.refused)
+    };
+    assert_eq!(asked(patient()), Ok((DepthFormat::Z16, 3, vec![])));
+    assert_eq!(asked(Wanted { size: Some((5, 4)), ..patient() }), Ok((DepthFormat::Z16, 5, vec![])));
+    assert_eq!(asked(Wanted { format: Some(DepthFormat::Y16), ..patient() }), Ok((DepthFormat::Y16, 8, vec![])));
+    assert_eq!(asked(Wanted { fps: Some(60.0), ..patient() }), Ok((DepthFormat::Z16, 3, vec![60.0])));
+    let told = asked(Wanted { size: Some((640, 480)), fps: Some(90.0), ..patient() }).unwrap_err().unwrap();
+    assert!(told.starts_with("`/dev/video2` (Depth Camera 435) has no depth images of 640x480 at 90 Hz\n"), "{told}");
+    assert!(told.contains("hint: it has y16 8x8 at 30, 60 Hz; inzi 3x2 at 30, 60 Hz; z16 3x2"), "{told}");
+}
+
+#[test]
+fn grey_is_taken_for_depth_only_where_the_file_says_so() {
+    let grey = || vec![Attempt::Device(vec![mode(DepthFormat::Y16, 3, 2)], vec![Event::Image(1)]), Attempt::Nothing];
+    let outcome = play(Wanted { device: Some("depth camera".to_owned()), ..patient() }, grey());
+    assert!(outcome.refused.unwrap().ends_with("; `format = \"y16\"` takes grey for depth"));
+    assert!(play(Wanted { format: Some(DepthFormat::Y16), ..patient() }, grey()[..1].to_vec()).images == [(6, 1)]);
+}
+
+#[test]
+fn a_device_that_sends_something_else_is_refused_at_first_and_waited_away_later() {
+    let offered = || vec![mode(DepthFormat::Inzi, 3, 2), mode(DepthFormat::Z16, 3, 2)];
+    let wrong = || Attempt::Device(offered(), vec![Event::Image(1)]);
+    let wanted = || Wanted { format: Some(DepthFormat::Z16), ..patient() };
+    let refused = play(wanted(), vec![wrong()]).refused.unwrap();
+    assert!(refused.contains("sends inzi 3x2 in place of z16 3x2"), "{refused}");
+    let first = device(&[Event::Image(1), Event::Unplugged]);
+    let outcome = play(wanted(), vec![first, wrong(), device(&[Event::Image(2)])]);
+    assert_eq!(outcome.images, [(6, 1), (6, 2)]);
+}
+
+#[test]
+fn a_camera_is_named_by_its_path_or_a_part_of_its_name() {
+    let found = Found { path: "/dev/video2".into(), name: "Depth Camera 435".to_owned(), modes: z16(3, 2) };
+    for name in ["/dev/video2", "435", "depth camera"] {
+        assert!(is_named(&found, name), "{name}");
+    }
+    for name in ["/dev/video21", "/dev/video", "video2", "Astra"] {
+        assert!(!is_named(&found, name), "{name}");
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let (file, link) = (folder.path().join("video2"), folder.path().join("by-id"));
+    std::fs::write(&file, "").unwrap();
+    std::os::unix::fs::symlink(&file, &link).unwrap();
+    let linked = Found { path: file.canonicalize().unwrap(), ..found.clone() };
+    assert!(is_named(&linked, link.to_str().unwrap()));
+    assert_eq!(found.to_string(), "`/dev/video2` (Depth Camera 435): z16 3x2 at 30, 60 Hz");
+}

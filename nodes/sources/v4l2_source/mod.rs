@@ -1,0 +1,222 @@
+//! The source that takes depth images from a camera that Linux has a driver for, by V4L2.
+//!
+//! V4L2 knows neither the intrinsics of a camera nor the unit of its depths: the pipeline file tells them. [`grabber`] watches the
+//! camera, [`device`] is the kernel, [`format`] tells how pixels lie.
+
+mod device;
+mod format;
+mod grabber;
+
+pub use device::{Driver, Found, LinuxVideo, Mode, Stream};
+pub use format::{DepthFormat, Layout};
+
+use conicflow_dataflow::{ConfigFault, Context, Next, Output, SideInputs, Source, StageError, tell_median};
+use conicflow_detection::camera::Intrinsics;
+use conicflow_detection::noise::NoiseConfig;
+use conicflow_messages::{Camera, DEPTH_SCALES_M, Header, NoiseModel, Text};
+use grabber::{Grabber, Wanted};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+use std::time::{Duration, UNIX_EPOCH};
+
+/// Parameters of [`V4l2Source`].
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// The camera: its path, such as `/dev/video2` or one in /dev/v4l/by-id, or a part of its name; default: the only one with
+    /// depths. `conicflow doctor` lists them.
+    pub device: Option<String>,
+    /// What a pixel is; default: `z16`, else `inzi`. `y16` is grey, which some cameras use for depth.
+    pub format: Option<DepthFormat>,
+    /// Columns; default: as the camera prefers.
+    #[schemars(range(min = 1, max = 16384))]
+    pub width: Option<u32>,
+    /// Rows; default: as the camera prefers.
+    #[schemars(range(min = 1, max = 16384))]
+    pub height: Option<u32>,
+    /// Images per second that are asked of the camera; default: as it chooses.
+    #[schemars(range(min = 1.0, max = 1000.0))]
+    pub fps: Option<f64>,
+    /// fx, fy, cx, cy in pixels, for images of `width` and `height`.
+    pub intrinsics: Option<Intrinsics>,
+    /// In place of `intrinsics`: the horizontal field of view of the rectified depth images, in degrees, of a camera with square
+    /// pixels that looks through the middle of its images.
+    #[schemars(range(min = 1.0, max = 170.0))]
+    pub fov_deg: Option<f64>,
+    /// Metres per unit of a pixel; V4L2 does not tell.
+    #[schemars(range(min = 0.0))]
+    pub depth_scale: f64,
+    /// Depth noise of the sensor: a name (`kinect_v1`, `realsense_d435`, `time_of_flight`, `ideal`) or a table.
+    pub noise: NoiseConfig,
+    /// After so many seconds without an image the camera is opened anew.
+    #[schemars(range(min = 0.1, max = 3600.0))]
+    pub stall_s: f64,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            device: None,
+            format: None,
+            width: None,
+            height: None,
+            fps: None,
+            intrinsics: None,
+            fov_deg: None,
+            depth_scale: 0.001,
+            noise: NoiseConfig::default(),
+            stall_s: 3.0,
+        }
+    }
+}
+
+impl Config {
+    fn size(&self) -> Option<(u32, u32)> {
+        self.width.zip(self.height)
+    }
+
+    fn faults(&self) -> Vec<ConfigFault> {
+        let fault = |key, what: &str, hint: &str| ConfigFault { key, what: what.to_owned(), hint: hint.to_owned() };
+        let mut faults = Vec::new();
+        if self.width.is_some() != self.height.is_some() {
+            let key = if self.width.is_some() { "width" } else { "height" };
+            faults.push(fault(key, "is one of two", "give both `width` and `height`, or none"));
+        }
+        match (self.intrinsics, self.fov_deg) {
+            (None, None) => {
+                let hint = "write `intrinsics = { fx = .., fy = .., cx = .., cy = .. }` with the numbers of your camera, or \
+                            `fov_deg = ..` with its horizontal field of view; with the maker's SDK nobody types them: \
+                            `realsense_source` and others";
+                faults.push(fault("intrinsics", "are missing: V4L2 does not know them", hint));
+            }
+            (Some(_), Some(_)) => faults.push(fault("fov_deg", "stands beside `intrinsics`", "give one of both")),
+            (Some(intrinsics), None) if !intrinsics.are_usable() => {
+                let what = "need fx and fy of 1 to 1,000,000 pixels, and no larger cx and cy";
+                faults.push(fault("intrinsics", what, "take them from the camera's calibration"));
+            }
+            (Some(_), None) if self.size().is_none() => {
+                let hint = "intrinsics scale with the image: write the `width` and `height` that they hold for";
+                faults.push(fault("intrinsics", "are those of images of a size that is not given", hint));
+            }
+            _ => {}
+        }
+        if !DEPTH_SCALES_M.contains(&self.depth_scale) {
+            faults.push(fault("depth_scale", "is not above 0 and at most 1", "0.001 for millimetres"));
+        }
+        faults
+    }
+
+    fn wanted(&self) -> Wanted {
+        let stall = Duration::from_secs_f64(self.stall_s);
+        Wanted { device: self.device.clone(), format: self.format, size: self.size(), fps: self.fps, stall }
+    }
+
+    /// The camera of images of this size.
+    fn camera(&self, (width, height): (u32, u32)) -> Camera {
+        if let Some(intrinsics) = self.intrinsics {
+            return intrinsics.camera((width, height));
+        }
+        let half_view = (self.fov_deg.unwrap_or_default() / 2.0).to_radians();
+        let focal = f64::from(width) / 2.0 / half_view.tan();
+        let middle = |length: u32| (f64::from(length) - 1.0) / 2.0;
+        Intrinsics { fx: focal, fy: focal, cx: middle(width), cy: middle(height) }.camera((width, height))
+    }
+}
+
+/// Takes depth images from a video device.
+pub struct V4l2Source {
+    grabber: Grabber<LinuxVideo>,
+    config: Config,
+    noise: NoiseModel,
+    is_told: bool,
+}
+
+impl Source for V4l2Source {
+    const NAME: &'static str = "v4l2_source";
+    const SUMMARY: &'static str = "Takes depth images from a camera with a driver of Linux, by V4L2; tried with a stand-in for the \
+                                   kernel, not with a camera";
+    type Config = Config;
+    type Output = u16;
+
+    fn faults(config: &Config, _: &Path) -> Vec<ConfigFault> {
+        config.faults()
+    }
+
+    fn new(config: Config, context: &Context) -> Result<Self, StageError> {
+        let grabber = Grabber::new(LinuxVideo, config.wanted(), context.stop.clone());
+        let noise = config.noise.into();
+        Ok(Self { grabber, config, noise, is_told: context.resume_at > 0 })
+    }
+
+    fn message_length(config: &Config, _: &Path) -> Option<usize> {
+        config.size().map(|(width, height)| width as usize * height as usize)
+    }
+
+    fn next(&mut self, _: &SideInputs, output: &mut Output<u16>) -> Result<Next, StageError> {
+        let Some(layout) = self.grabber.next(output)? else { return Ok(Next::End) };
+        // `linuxvideo` does not tell the kernel's stamp; that of the moment at which the image came is a little later.
+        let stamp_ns = UNIX_EPOCH.elapsed().map_or(0, |since| since.as_nanos() as u64);
+        output.header = Header {
+            camera: self.config.camera((layout.width, layout.height)),
+            depth_scale: self.config.depth_scale,
+            noise: self.noise,
+            stamp_ns,
+            source: Text::new(self.grabber.name()),
+            ..Header::default()
+        };
+        if !self.is_told
+            && let Some(median) = self.grabber.median()
+        {
+            self.is_told = true;
+            let median_m = f64::from(median) * self.config.depth_scale;
+            tell_median("images", self.grabber.name(), &output.header.camera, median_m);
+        }
+        Ok(Next::Message)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use conicflow_dataflow::testing::collect;
+
+    fn told(config: &Config) -> Vec<String> {
+        config.faults().into_iter().map(|fault| format!("{}: {}", fault.key, fault.what)).collect()
+    }
+
+    #[test]
+    fn intrinsics_are_never_guessed() {
+        assert_eq!(told(&Config::default()), ["intrinsics: are missing: V4L2 does not know them"]);
+        let intrinsics = Some(Intrinsics { fx: 385.0, fy: 385.0, cx: 319.5, cy: 239.5 });
+        let of_nothing = Config { intrinsics, ..Config::default() };
+        assert_eq!(told(&of_nothing), ["intrinsics: are those of images of a size that is not given"]);
+        let whole = Config { width: Some(640), height: Some(480), ..of_nothing };
+        assert!(told(&whole).is_empty());
+        assert_eq!(told(&Config { fov_deg: Some(80.0), ..whole.clone() }), ["fov_deg: stands beside `intrinsics`"]);
+        assert_eq!(told(&Config { height: None, ..whole.clone() })[0], "width: is one of two");
+        assert_eq!(told(&Config { depth_scale: 0.0, ..whole })[0], "depth_scale: is not above 0 and at most 1");
+        assert!(told(&Config { fov_deg: Some(80.0), ..Config::default() }).is_empty());
+    }
+
+    #[test]
+    fn a_field_of_view_is_that_of_the_whole_image() {
+        let camera = Config { fov_deg: Some(90.0), ..Config::default() }.camera((848, 480));
+        assert!((camera.fx - 424.0).abs() < 1e-9 && camera.fx == camera.fy);
+        assert_eq!((camera.cx, camera.cy, camera.width, camera.height), (423.5, 239.5, 848, 480));
+        // The rays through the outer edges of the outer pixels are 90 degrees apart.
+        assert!(((-0.5 - camera.cx) / camera.fx + 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_run_without_a_camera_ends_when_it_is_to_end() {
+        let context = Context::default();
+        let stop = context.stop.clone();
+        let ended = std::thread::spawn(|| {
+            let config = Config { device: Some("no such camera".to_owned()), fov_deg: Some(80.0), ..Config::default() };
+            collect::<V4l2Source>(config, context, 3)
+        });
+        stop.request();
+        assert!(ended.join().unwrap().unwrap().is_empty());
+    }
+}
