@@ -1,4 +1,5 @@
-//! Tests of the JSON schema of pipeline files.
+//! Tests of the JSON schema of pipeline files, and of `docs/pipeline.schema.json`, which holds it for the editors of those that
+//! open the files here. `UPDATE_EXPECT=1` writes it anew.
 
 use crate::NODES;
 use conicflow_dataflow::pipeline::file_schema;
@@ -12,11 +13,15 @@ fn validator() -> Validator {
     jsonschema::draft7::new(&schema).unwrap()
 }
 
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
 /// The pipeline files of the repository.
 fn files() -> Vec<PathBuf> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let of_folder = |folder: &str| std::fs::read_dir(root.join(folder)).unwrap().map(|entry| entry.unwrap().path());
-    let files = ["examples", "experiments"].into_iter().flat_map(of_folder).chain([root.join("pipeline.toml")]);
+    let of_folder = |folder: &str| std::fs::read_dir(root().join(folder)).unwrap().map(|entry| entry.unwrap().path());
+    let in_root = ["pipeline.toml", "pipeline.two-machines.toml"].map(|name| root().join(name));
+    let files = ["examples", "experiments"].into_iter().flat_map(of_folder).chain(in_root);
     files.filter(|path| path.extension().is_some_and(|extension| extension == "toml")).collect()
 }
 
@@ -32,6 +37,28 @@ fn every_pipeline_file_here_fits_the_schema() {
         let pipeline = read(&std::fs::read_to_string(&file).unwrap());
         let faults: Vec<_> = validator.iter_errors(&pipeline).map(|fault| fault.to_string()).collect();
         assert!(faults.is_empty(), "{}: {faults:#?}", file.display());
+    }
+}
+
+#[test]
+fn the_schema_in_the_documents_is_that_of_the_command() {
+    let (path, schema) = (root().join("docs/pipeline.schema.json"), format!("{:#}\n", file_schema(NODES)));
+    if std::env::var_os("UPDATE_EXPECT").is_some() {
+        std::fs::write(path, schema).unwrap();
+    } else {
+        let is_current = std::fs::read_to_string(path).unwrap_or_default() == schema;
+        assert!(is_current, "docs/pipeline.schema.json is old: UPDATE_EXPECT=1 writes it anew");
+    }
+}
+
+#[test]
+fn every_pipeline_file_here_leads_editors_to_the_schema() {
+    let schema = root().join("docs/pipeline.schema.json").canonicalize().unwrap();
+    for file in files() {
+        let text = std::fs::read_to_string(&file).unwrap();
+        let named = text.lines().next().and_then(|line| line.strip_prefix("#:schema "));
+        let path = named.map(|path| file.parent().unwrap().join(path));
+        assert_eq!(path.and_then(|path| path.canonicalize().ok()), Some(schema.clone()), "{}", file.display());
     }
 }
 
