@@ -76,6 +76,14 @@ impl Detector {
         self
     }
 
+    /// Makes sure that there can be images of this camera, as [`try_detect`](Self::try_detect) does with each.
+    ///
+    /// # Errors
+    /// The camera, the depth scale or the noise has numbers that no camera can have.
+    pub fn check(&self) -> Result<(), DetectError> {
+        check(&self.header)
+    }
+
     /// The objects of a depth image, in the camera frame: `width * height` pixels, row by row, in units of the depth scale;
     /// 0 and 65535 are no measurement.
     ///
@@ -125,7 +133,7 @@ impl Detector {
 
     fn detect_with(&mut self, header: &Header, image: &[u16]) -> Result<Vec<Object>, DetectError> {
         let Camera { width, height, .. } = header.camera;
-        header.check(u16::NAME).map_err(|malformed| DetectError::Camera(malformed.what))?;
+        check(header)?;
         if image.len() != width as usize * height as usize {
             return Err(DetectError::Size { actual: image.len(), width, height });
         }
@@ -147,6 +155,10 @@ impl Detector {
     pub fn rejections(&self) -> impl Iterator<Item = (&'static str, u64)> {
         self.extractor.rejections().chain(self.assembler.rejections())
     }
+}
+
+fn check(header: &Header) -> Result<(), DetectError> {
+    header.check(u16::NAME).map_err(|malformed| DetectError::Camera(malformed.what))
 }
 
 #[cfg(test)]
@@ -195,7 +207,9 @@ mod tests {
         let camera = KINECT_HALF;
         let size = Detector::new(camera).try_detect(&[0; 12]).unwrap_err();
         assert_eq!(size, DetectError::Size { actual: 12, width: 320, height: 240 });
-        let focal = Detector::new(Camera { fx: f64::NAN, ..camera }).try_detect_f32(&vec![1.0; 320 * 240]).unwrap_err();
+        let mut unfocused = Detector::new(Camera { fx: f64::NAN, ..camera });
+        let focal = unfocused.try_detect_f32(&vec![1.0; 320 * 240]).unwrap_err();
+        assert_eq!((Detector::new(camera).check(), unfocused.check()), (Ok(()), Err(focal.clone())));
         for error in [size, focal, Detector::new(camera).depth_scale(0.0).try_detect(&[]).unwrap_err()] {
             assert!(error.to_string().contains("\n  hint: "), "{error}");
         }

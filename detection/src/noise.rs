@@ -4,7 +4,9 @@
 
 use conicflow_messages::NoiseModel;
 use schemars::JsonSchema;
+use serde::de::{IntoDeserializer, value};
 use serde::{Deserialize, Serialize};
+use std::str::FromStr;
 
 /// The depth noise of a sensor: `"kinect_v1"`, `"realsense_d435"`, `"time_of_flight"`, `"ideal"` or a table of
 /// coefficients.
@@ -57,6 +59,15 @@ impl NoiseName {
             Self::TimeOfFlight => TIME_OF_FLIGHT,
             Self::Ideal => NoiseModel::IDEAL,
         }
+    }
+}
+
+impl FromStr for NoiseName {
+    type Err = value::Error;
+
+    /// The sensor of this word in the pipeline file.
+    fn from_str(word: &str) -> Result<Self, value::Error> {
+        Self::deserialize(word.into_deserializer())
     }
 }
 
@@ -122,6 +133,7 @@ mod tests {
         assert_eq!(model("noise = 'ideal'").unwrap(), NoiseModel::IDEAL);
         assert_eq!(model("noise = 'realsense_d435'").unwrap(), REALSENSE_D435);
         assert_eq!(model("noise = 'time_of_flight'").unwrap(), TIME_OF_FLIGHT);
+        assert_eq!(["ideal", "kinect"].map(|word| word.parse().ok()), [Some(NoiseName::Ideal), None]);
         let table = model("noise = { floor_m = 0.002, growth_per_m = 0.0, step_per_m = 1e-4 }").unwrap();
         assert_eq!(table, NoiseModel { floor_m: 0.002, growth_per_m: 0.0, knee_m: 0.4, step_per_m: 1e-4 });
     }

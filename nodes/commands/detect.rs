@@ -42,7 +42,7 @@ pub struct DetectArguments {
     topic: Option<String>,
     /// The sensor's depth noise; each image tells how noisy it is on top of that [default: kinect_v1, of recordings by conicflow
     /// as recorded]
-    #[arg(long, value_name = "NAME", value_parser = noise)]
+    #[arg(long, value_name = "NAME")]
     noise: Option<NoiseName>,
     /// Writes a picture of each frame into this folder: the depth in colours, the objects over it
     #[arg(long, value_name = "DIR")]
@@ -56,11 +56,6 @@ pub struct DetectArguments {
     /// Writes the lines of JSON there in place of standard output
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-}
-
-/// A sensor whose noise is known, by the words of the pipeline file.
-fn noise(text: &str) -> Result<NoiseName, String> {
-    serde_json::from_value(text.into()).map_err(|error| error.to_string())
 }
 
 /// Four numbers with commas between them.

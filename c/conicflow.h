@@ -1,0 +1,102 @@
+/*
+ * conicflow.h: spheres, cylinders and cones in the images of a depth camera.
+ *
+ *     conicflow_camera camera = {640, 480, 525.0, 525.0, 319.5, 239.5};
+ *     conicflow_detector *detector = conicflow_create(&camera, 0.001, "kinect_v1");
+ *     const conicflow_object *objects;
+ *     int count = detector ? conicflow_detect(detector, depth, 0, &objects) : -1;
+ *     if (count < 0) fprintf(stderr, "%s\n", conicflow_error());
+ *     conicflow_free(detector);
+ *
+ * Units are SI: metres, radians. The camera frame is the optical frame: x right, y down, z forward.
+ * Threads may have a detector each; one detector is used by one thread at a time.
+ */
+#ifndef CONICFLOW_H
+#define CONICFLOW_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* A pinhole camera without distortion: a pixel (u, v) of depth z is the point z ((u - cx) / fx, (v - cy) / fy, 1). */
+typedef struct conicflow_camera {
+    uint32_t width;
+    uint32_t height;
+    double fx;
+    double fy;
+    double cx;
+    double cy;
+} conicflow_camera;
+
+/* What conicflow_object.kind is. */
+enum { CONICFLOW_SPHERE = 0, CONICFLOW_CYLINDER = 1, CONICFLOW_CONE = 2 };
+
+/* Standard deviations; zero where the shape has no such parameter. */
+typedef struct conicflow_sigma {
+    double center_covariance[3][3]; /* of the centre, in square metres: the roots of the diagonal are deviations along x, y, z */
+    double axis;                    /* root mean square of the angle between the axis and the true one */
+    double radius;
+    double length;
+    double half_angle;
+} conicflow_sigma;
+
+/* A sphere, cylinder or cone in the camera frame; what a shape does not have is zero. */
+typedef struct conicflow_object {
+    uint32_t kind;      /* CONICFLOW_SPHERE, CONICFLOW_CYLINDER or CONICFLOW_CONE */
+    uint32_t points;    /* number of measurements that support it */
+    uint32_t rows;      /* number of scan lines that support it */
+    float confidence;   /* probability that it is an object of this shape */
+    double center[3];   /* of a sphere; of a cylinder or cone the middle of its visible part, on the axis */
+    double axis[3];     /* unit vector, of a cone from the apex to the base */
+    double radius;      /* of a cone at `center` */
+    double length;      /* of the visible part along the axis */
+    double half_angle;  /* of a cone */
+    double base_radius; /* of a cone at the wide end of its visible part */
+    double top_radius;  /* of a cone at the narrow end of its visible part */
+    double apex[3];     /* of a cone; may lie outside the visible part */
+    conicflow_sigma sigma;
+    double rms;         /* root mean square distance of the points from the surface beyond what noise explains */
+    double arc;         /* visible part of the circumference */
+} conicflow_object;
+
+typedef struct conicflow_detector conicflow_detector;
+
+/*
+ * A detector for the images of one camera; NULL if there is none, and conicflow_error() tells why.
+ *
+ * depth_scale: metres per unit of a pixel of conicflow_detect, 0.001 for millimetres.
+ * noise: the sensor, "kinect_v1", "realsense_d435", "time_of_flight" or "ideal"; NULL: "kinect_v1".
+ */
+conicflow_detector *conicflow_create(const conicflow_camera *camera, double depth_scale, const char *noise);
+
+/*
+ * Finds the objects of a depth image, row by row, of the size of the camera. 0 and 65535 are no measurement.
+ *
+ * row_bytes: from the beginning of a row to that of the next; 0 where rows follow each other without a gap.
+ * objects: is set to the objects found, which belong to the detector until its next call.
+ * Returns how many there are, 0 where nothing was found; -1 if something is wrong, and conicflow_error() tells what.
+ */
+int conicflow_detect(conicflow_detector *detector, const uint16_t *depth, size_t row_bytes,
+                     const conicflow_object **objects);
+
+/* The same of an image in metres; what is not finite, not above zero or beyond 16.38 m is no measurement. */
+int conicflow_detect_metres(conicflow_detector *detector, const float *depth, size_t row_bytes,
+                            const conicflow_object **objects);
+
+/* Frees a detector and its objects; NULL is left alone. */
+void conicflow_free(conicflow_detector *detector);
+
+/*
+ * What went wrong last on this thread, with a hint in a line of its own; "" if nothing did. The text is valid until something
+ * goes wrong again on this thread, or the thread ends.
+ */
+const char *conicflow_error(void);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

@@ -1,0 +1,143 @@
+//! The detector for C: what `conicflow.h` declares, in the order of that file.
+//!
+//! This is a border. Pointers and sizes that come from there are checked as far as they can be; what is wrong, also a panic
+//! within, comes back as a text ([`fault`]) and never as an unwinding. [`Camera`] and [`Object`] cross it as they lie in memory.
+
+#![allow(unsafe_code)] // what C passes are pointers
+
+mod fault;
+mod image;
+
+use conicflow_detection::noise::NoiseName;
+use conicflow_detection::{Camera, Detector, Object};
+use conicflow_messages::Hinted;
+use image::Image;
+use std::ffi::{CStr, c_char, c_int};
+
+/// What C has a pointer to.
+pub struct CDetector {
+    detector: Detector,
+    camera: Camera,
+    /// What was found in the last image: C reads it here.
+    objects: Vec<Object>,
+    /// The last images whose rows had gaps, without these.
+    units: Vec<u16>,
+    metres: Vec<f32>,
+}
+
+/// See `conicflow.h`.
+///
+/// # Safety
+/// `camera` is null or points to a camera, `noise` is null or to a text that ends in a zero.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn conicflow_create(
+    camera: *const Camera,
+    depth_scale: f64,
+    noise: *const c_char,
+) -> *mut CDetector {
+    let created = fault::catch(|| {
+        // SAFETY: null, or the caller vouches for it; any bits are a camera.
+        let camera = *unsafe { camera.as_ref() }.ok_or_else(|| is_null("camera"))?;
+        // SAFETY: the caller vouches for it where it is not null.
+        let noise = (!noise.is_null()).then(|| unsafe { CStr::from_ptr(noise) });
+        create(camera, depth_scale, noise)
+    });
+    created.map_or(std::ptr::null_mut(), |detector| Box::into_raw(Box::new(detector)))
+}
+
+fn create(camera: Camera, depth_scale: f64, noise: Option<&CStr>) -> Result<CDetector, Hinted> {
+    let noise = noise.map_or(Ok(NoiseName::KinectV1), |name| name.to_string_lossy().parse::<NoiseName>());
+    let noise = noise.map_err(|error| Hinted::new(format!("`noise`: {error}"), "NULL is \"kinect_v1\""))?;
+    let detector = Detector::new(camera).noise(noise.model()).depth_scale(depth_scale);
+    detector.check().map_err(|error| fault::told(&error))?;
+    Ok(CDetector { detector, camera, objects: Vec::new(), units: Vec::new(), metres: Vec::new() })
+}
+
+/// See `conicflow.h`.
+///
+/// # Safety
+/// `detector` is null or was made by [`conicflow_create`], has not been freed, and no other thread uses it. `depth` is null or
+/// points to as many rows as its camera has, `row_bytes` from each other. `objects` is null or can be written.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn conicflow_detect(
+    detector: *mut CDetector,
+    depth: *const u16,
+    row_bytes: usize,
+    objects: *mut *const Object,
+) -> c_int {
+    // SAFETY: the caller vouches for what these ask.
+    unsafe {
+        answer(detector, objects, |CDetector { detector, camera, units, .. }| {
+            let pixels = Image { first: depth, row_bytes }.pixels(camera, units)?;
+            detector.try_detect(pixels).map_err(|error| fault::told(&error))
+        })
+    }
+}
+
+/// See `conicflow.h`.
+///
+/// # Safety
+/// As of [`conicflow_detect`].
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn conicflow_detect_metres(
+    detector: *mut CDetector,
+    depth: *const f32,
+    row_bytes: usize,
+    objects: *mut *const Object,
+) -> c_int {
+    // SAFETY: the caller vouches for what these ask.
+    unsafe {
+        answer(detector, objects, |CDetector { detector, camera, metres, .. }| {
+            let pixels = Image { first: depth, row_bytes }.pixels(camera, metres)?;
+            detector.try_detect_f32(pixels).map_err(|error| fault::told(&error))
+        })
+    }
+}
+
+/// Lets the detector find objects, and tells how many and where they are.
+///
+/// # Safety
+/// `detector` is null or points to a detector that nothing else uses meanwhile; `objects` is null or can be written.
+unsafe fn answer(
+    detector: *mut CDetector,
+    objects: *mut *const Object,
+    find: impl FnOnce(&mut CDetector) -> Result<Vec<Object>, Hinted>,
+) -> c_int {
+    let count = fault::catch(|| {
+        // SAFETY: null, or the caller vouches for it.
+        let detector = unsafe { detector.as_mut() }.ok_or_else(|| is_null("detector"))?;
+        // SAFETY: null, or the caller vouches for it; what was there before is a pointer, whatever its bits.
+        let objects = unsafe { objects.as_mut() }.ok_or_else(|| is_null("objects"))?;
+        detector.objects = find(detector)?;
+        *objects = detector.objects.as_ptr();
+        // The detector reports some dozens of objects at most.
+        Ok(c_int::try_from(detector.objects.len()).unwrap_or(c_int::MAX))
+    });
+    count.unwrap_or(-1)
+}
+
+/// See `conicflow.h`.
+///
+/// # Safety
+/// `detector` is null or was made by [`conicflow_create`], has not been freed, and nothing else uses it.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn conicflow_free(detector: *mut CDetector) {
+    if !detector.is_null() {
+        // SAFETY: it came out of a box in `conicflow_create`, and goes back once.
+        let detector = unsafe { Box::from_raw(detector) };
+        fault::catch(|| {
+            drop(detector);
+            Ok(())
+        });
+    }
+}
+
+/// See `conicflow.h`.
+#[unsafe(no_mangle)]
+pub extern "C" fn conicflow_error() -> *const c_char {
+    fault::last()
+}
+
+fn is_null(name: &str) -> Hinted {
+    Hinted::new(format!("`{name}` is NULL"), "conicflow.h says what is wanted there")
+}
