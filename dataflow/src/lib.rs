@@ -62,7 +62,10 @@ pub use link_report::{EdgeReport, LinkReport, LinkState};
 pub use log::{DEFAULT_LOG, LOG, error_text, log_filter, log_to_standard_error};
 pub use network::{BridgePlan, BridgeRun, Carrier, Edge, Network, NetworkError, Receiver};
 pub use node::{Host, Node, Variables, Variant};
-pub use observe::{InputActivity, Observation, PipelineActivity, StageActivity, TopicActivity, observe};
+pub use observe::{
+    InputActivity, Observation, PipelineActivity, RunRecord, StageActivity, StageRecord, TopicActivity, Usage, observe,
+    records,
+};
 pub use plan::{Origin, Plan, PlannedStage, Runs};
 pub use preflight::{InsufficientResource, Requirements, TopicRequirements};
 pub use registry::Registry;

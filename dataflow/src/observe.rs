@@ -19,12 +19,39 @@ pub struct Observation {
     pipelines: Vec<(Plan, Vec<Observed>, Vec<LinkReport>)>,
 }
 
+/// What the run of one pipeline has counted by now, for those that keep a history and work out rates by themselves.
+pub struct RunRecord {
+    /// Its stages, in the order of the file.
+    pub stages: Vec<StageRecord>,
+    /// The links to other machines.
+    pub links: Vec<LinkReport>,
+}
+
+/// What a stage has counted by now, and what its process takes.
+pub struct StageRecord {
+    /// The stage, as it is planned.
+    pub planned: PlannedStage,
+    /// Its counts, which go on when it is started anew.
+    pub status: Box<Status>,
+    /// Of the process that works now, if one does.
+    pub usage: Option<Usage>,
+}
+
+/// What a process takes.
+#[derive(Clone, Copy, Debug)]
+pub struct Usage {
+    /// Processor time since it was started.
+    pub cpu: Duration,
+    /// Memory in use, shared memory included.
+    pub resident_bytes: u64,
+    /// Time since the stage's last sign of life.
+    pub silent: Duration,
+}
+
 /// A stage at one moment.
 struct Observed {
     status: Status,
-    silent: Duration,
-    cpu: Duration,
-    resident_bytes: u64,
+    usage: Usage,
 }
 
 /// What a pipeline did between two moments.
@@ -139,12 +166,32 @@ pub fn observe() -> Result<Observation, FolderError> {
     Ok(Observation { taken: Instant::now(), pipelines: observed.filter(|(_, stages, _)| !stages.is_empty()).collect() })
 }
 
-/// A stage that lives; a record may outlive its process.
+/// Looks at the run of this pipeline; of a stage that has not begun there is nothing.
+///
+/// # Errors
+/// The user's folder cannot be read.
+pub fn records(pipeline: &str) -> Result<RunRecord, FolderError> {
+    let folder = RunFolder::open(pipeline)?;
+    let Ok(plan) = folder.plan() else { return Ok(RunRecord { stages: Vec::new(), links: Vec::new() }) };
+    let links = read_links(folder.path(), plan.run);
+    let record = |planned: PlannedStage| {
+        let status = Status::read(&folder.status(&planned.name)).filter(|status| status.run == plan.run)?;
+        Some(StageRecord { planned, usage: usage(&status), status: Box::new(status) })
+    };
+    Ok(RunRecord { stages: plan.stages.into_iter().filter_map(record).collect(), links })
+}
+
+/// A stage that lives.
 fn observe_stage(folder: &RunFolder, name: &str) -> Option<Observed> {
-    let status = Status::read(&folder.status(name)).filter(|status| status.life() == Life::Running)?;
-    let (cpu, resident_bytes) = process_usage(status.process)?;
+    let status = Status::read(&folder.status(name))?;
+    Some(Observed { usage: usage(&status)?, status })
+}
+
+/// What the process of a stage takes while it works; a record may outlive its process.
+fn usage(status: &Status) -> Option<Usage> {
+    let (cpu, resident_bytes) = process_usage(status.process).filter(|_| status.life() == Life::Running)?;
     let silent = Duration::from_nanos(monotonic_ns().saturating_sub(status.alive_ns));
-    Some(Observed { status, silent, cpu, resident_bytes })
+    Some(Usage { cpu, resident_bytes, silent })
 }
 
 /// Processor time and resident memory of a process, from /proc; `None` if there is none.
@@ -238,7 +285,7 @@ impl Span<'_> {
 
     fn stage(&self, planned: &PlannedStage) -> StageActivity {
         let status = &self.now.status;
-        let cpu = self.before.map_or(Duration::ZERO, |before| self.now.cpu.saturating_sub(before.cpu));
+        let cpu = self.before.map_or(Duration::ZERO, |before| self.now.usage.cpu.saturating_sub(before.usage.cpu));
         StageActivity {
             stage: planned.name.clone(),
             node: planned.runs.name().to_owned(),
@@ -247,8 +294,8 @@ impl Span<'_> {
             messages: status.steps,
             rate_hz: self.per_second(|status| status.steps),
             cpu_percent: cpu.as_secs_f64() / self.seconds * 100.0,
-            memory_mb: self.now.resident_bytes as f64 / 1e6,
-            silent_s: self.now.silent.as_secs_f64(),
+            memory_mb: self.now.usage.resident_bytes as f64 / 1e6,
+            silent_s: self.now.usage.silent.as_secs_f64(),
             waits_for: Some(status.waits_for.to_string()).filter(|stage| !stage.is_empty()),
             compute_p50_ms: milliseconds(&status.compute, 0.5),
             compute_p99_ms: milliseconds(&status.compute, 0.99),

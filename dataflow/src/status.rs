@@ -122,6 +122,19 @@ impl Durations {
         self.buckets.iter().flatten().map(|&count| u64::from(count)).sum()
     }
 
+    /// How many there are in each octave, with the octave's upper end in seconds; whatever is longer than all is in the last.
+    pub fn octaves(&self) -> impl Iterator<Item = (f64, u64)> {
+        let end = |octave: usize| (SMALLEST_NS << (octave + 1)) as f64 * 1e-9;
+        let counted = self.buckets.iter().map(|octave| octave.iter().map(|&count| u64::from(count)).sum());
+        counted.enumerate().map(move |(octave, count)| (end(octave), count))
+    }
+
+    /// All of them together in seconds, within 3 %.
+    pub fn sum_s(&self) -> f64 {
+        let counts = self.buckets.iter().flatten().enumerate();
+        counts.map(|(index, &count)| f64::from(count) * middle_ns(index) * 1e-9).sum()
+    }
+
     /// The duration that the share `quantile` (0 to 1) of all does not exceed; `None` if none was counted.
     pub fn quantile(&self, quantile: f64) -> Option<Duration> {
         let rank = (self.count() as f64 * quantile).ceil().max(1.0) as u64;
@@ -129,13 +142,17 @@ impl Durations {
         for (index, &count) in self.buckets.iter().flatten().enumerate() {
             below += u64::from(count);
             if below >= rank {
-                let (octave, step) = (index / STEPS, index % STEPS);
-                let middle = (SMALLEST_NS << octave) as f64 * (1.0 + (step as f64 + 0.5) / STEPS as f64);
-                return Some(Duration::from_nanos(middle as u64));
+                return Some(Duration::from_nanos(middle_ns(index) as u64));
             }
         }
         None
     }
+}
+
+/// The middle of a bucket, in nanoseconds.
+fn middle_ns(index: usize) -> f64 {
+    let (octave, step) = (index / STEPS, index % STEPS);
+    (SMALLEST_NS << octave) as f64 * (1.0 + (step as f64 + 0.5) / STEPS as f64)
 }
 
 /// Times between messages that were sent one after the other: their distribution and their exact moments.
@@ -364,6 +381,16 @@ mod tests {
             assert!((found / us - 1.0).abs() < 0.04, "{quantile}: {found} us, not {us}");
         }
         assert_eq!(Durations::default().quantile(0.5), None);
+    }
+
+    #[test]
+    fn octaves_hold_all_of_them_and_their_sum_is_right_within_four_percent() {
+        let mut durations = Durations::default();
+        (1..=10_000_u64).for_each(|us| durations.add(us * 1000));
+        let below = |end: f64| durations.octaves().take_while(|(upper, _)| *upper <= end).map(|(_, count)| count).sum();
+        let counts: [u64; 3] = [0.001_048_576, 0.008_388_608, 80.0].map(below);
+        assert_eq!(counts, [1048, 8388, 10_000]);
+        assert!((durations.sum_s() / 50.005 - 1.0).abs() < 0.04, "{}", durations.sum_s());
     }
 
     #[test]

@@ -4,6 +4,7 @@ mod compare;
 mod detect;
 mod doctor;
 mod experiment;
+mod metrics;
 mod node_help;
 mod record;
 #[cfg(test)]
@@ -308,6 +309,7 @@ fn validate(source: &FileArguments, machine: Option<&str>) -> anyhow::Result<Exi
 
 fn run(arguments: &RunArguments, log: &str) -> anyhow::Result<ExitCode> {
     let pipeline = arguments.source.read_on(arguments.machine.as_deref())?;
+    let _metrics = metrics::offer(&pipeline)?;
     if let Some(json) = &pipeline.experiment {
         return run_experiment(&pipeline, &Experiment::read(json)?, arguments, log);
     }

@@ -5,7 +5,7 @@ use crate::viewing::live::Live;
 use crate::viewing::player::Player;
 use anyhow::Result;
 use clap::Args;
-use conicflow_view::{Display, Listen, Server};
+use conicflow_view::{Display, Listen, Page, Server};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use std::io::{Write, stdout};
 use std::path::PathBuf;
@@ -55,7 +55,7 @@ pub fn view(arguments: &ViewArguments) -> Result<()> {
 
 /// Offers the page, and prints where.
 fn offer(listen: &Listen, display: Arc<Display>) -> Result<Server> {
-    let server = Server::start(listen, display)?;
+    let server = Server::start(listen, Page::new(display))?;
     writeln!(stdout(), "{}", server.url())?;
     stdout().flush()?;
     tracing::info!("open this address in a browser; Ctrl-C ends it");

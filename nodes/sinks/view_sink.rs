@@ -5,7 +5,7 @@
 use crate::viewing::graph::GraphWatch;
 use conicflow_dataflow::{ConfigFault, Context, Output, SideInput, SideInputs, Stage, StageError, monotonic_ns};
 use conicflow_messages::{Hinted, Item, Message, Nothing, Object, Track};
-use conicflow_view::{Depth, Display, Frame, List, Listen, ListenFault, Server};
+use conicflow_view::{Depth, Display, Frame, List, Listen, ListenFault, Page, Server};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::marker::PhantomData;
@@ -96,7 +96,7 @@ impl<T: Shown> Stage for ViewSink<T> {
 
     fn new(config: ViewSinkConfig, context: &Context) -> Result<Self, StageError> {
         let display = Arc::new(Display::default());
-        let server = Server::start(&config.read()?, Arc::clone(&display))?;
+        let server = Server::start(&config.read()?, Page::new(Arc::clone(&display)))?;
         tracing::info!("{}: open {} in a browser", context.stage, server.url());
         let shown = Arc::downgrade(&display);
         thread::Builder::new().name("graph".to_owned()).spawn(move || show_graph(&shown))?;

@@ -19,6 +19,7 @@ mod hostile_files;
 mod hosts;
 mod identities;
 mod intruders;
+mod metrics;
 mod node;
 mod outside_stage;
 mod own_memory;

@@ -2,7 +2,8 @@
 //!
 //! At a loopback address every user of this machine may look, but no page from elsewhere may: neither by a name of its own that
 //! leads here (DNS rebinding, told by `Host`) nor by requests that it makes its visitors send (told by `Origin` and
-//! `Sec-Fetch-Site`). At any other address a token is asked for, once in the address of the page, then as a cookie.
+//! `Sec-Fetch-Site`). At any other address a token is asked for, once in the address of the page, then as a cookie; unless what is
+//! offered is for everyone.
 
 use crate::request::Request;
 use crate::response::Response;
@@ -21,7 +22,7 @@ const DEFAULT_PORT: u16 = 8760;
 pub struct Listen {
     /// The address.
     pub address: SocketAddr,
-    /// What has to be known to look; none at a loopback address, unless one is wanted.
+    /// What has to be known to look; none at a loopback address, unless one is wanted, and where everyone may look.
     pub token: Option<String>,
     /// Whether another port will do if this one is taken.
     pub or_any_port: bool,
@@ -53,6 +54,11 @@ impl Listen {
             None => Some(make_token()?),
         };
         Ok(Self { address: socket, token, or_any_port: address.is_none() })
+    }
+
+    /// Just this address, where everyone may look who reaches it.
+    pub fn open(address: SocketAddr) -> Self {
+        Self { address, token: None, or_any_port: false }
     }
 }
 
@@ -86,13 +92,18 @@ fn make_token() -> io::Result<String> {
 #[derive(Debug)]
 pub(crate) struct Access {
     token: Option<String>,
+    /// Whether all names are good that lead here.
+    is_open: bool,
     /// The cookie that holds the token; pages at other ports of the same machine have others.
     cookie: String,
 }
 
 impl Access {
-    pub(crate) fn new(token: Option<String>, port: u16) -> Self {
-        Self { token, cookie: format!("conicflow_{port}") }
+    /// Who may look at what is offered as `listen` says, at the address that this has come to.
+    pub(crate) fn new(listen: &Listen, address: SocketAddr) -> Self {
+        let token = listen.token.clone();
+        let is_open = token.is_none() && !address.ip().is_loopback();
+        Self { token, is_open, cookie: format!("conicflow_{}", address.port()) }
     }
 
     /// Nothing where a request may be answered, else the answer that it gets in place.
@@ -111,7 +122,7 @@ impl Access {
         }
         match &self.token {
             Some(token) => self.token_refusal(request, token),
-            None if is_loopback_name(host) => None,
+            None if self.is_open || is_loopback_name(host) => None,
             None => Some(Response::refusal(
                 403,
                 "this page is for this machine alone: open it as http://127.0.0.1 or localhost",
@@ -163,9 +174,21 @@ mod tests {
         access.refusal(&request(text)).map_or(200, |refusal| refusal.status)
     }
 
+    fn access(address: &str, token: Option<&str>) -> Access {
+        let listen = Listen { token: token.map(str::to_owned), ..Listen::open(address.parse().unwrap()) };
+        Access::new(&listen, listen.address)
+    }
+
+    #[test]
+    fn what_is_for_everyone_has_any_name_but_is_for_no_other_page() {
+        let access = access("0.0.0.0:9464", None);
+        assert_eq!(status(&access, "GET /metrics HTTP/1.1\r\nHost: robot.local:9464"), 200);
+        assert_eq!(status(&access, "GET /metrics HTTP/1.1\r\nHost: robot\r\nOrigin: http://evil.example"), 403);
+    }
+
     #[test]
     fn other_names_pages_and_sites_are_refused() {
-        let access = Access::new(None, 8760);
+        let access = access("127.0.0.1:8760", None);
         for (text, expected) in [
             ("GET / HTTP/1.1\r\nHost: 127.0.0.1:8760", 200),
             ("GET / HTTP/1.1\r\nHost: LocalHost:9000", 200),
@@ -186,7 +209,7 @@ mod tests {
 
     #[test]
     fn a_token_is_asked_for_and_kept_as_a_cookie() {
-        let access = Access::new(Some("0123456789ab".to_owned()), 8760);
+        let access = access("0.0.0.0:8760", Some("0123456789ab"));
         let host = "Host: 192.168.1.7:8760";
         assert_eq!(status(&access, &format!("GET / HTTP/1.1\r\n{host}")), 401);
         assert_eq!(status(&access, &format!("GET /?token=0123456789ac HTTP/1.1\r\n{host}")), 401);

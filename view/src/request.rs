@@ -1,4 +1,4 @@
-//! Requests of browsers: read from a connection within a time and a size, and taken apart by `httparse`.
+//! Requests: read from a connection within a time and a size, and taken apart by `httparse`.
 
 use std::io::{self, ErrorKind, Read};
 use std::net::TcpStream;
@@ -17,10 +17,11 @@ const WHOLE: Duration = Duration::from_secs(4);
 
 /// A request.
 #[derive(Debug, Default, PartialEq, Eq)]
-pub(crate) struct Request {
-    pub(crate) method: String,
+pub struct Request {
+    /// What is to be done, such as `GET`.
+    pub method: String,
     /// Where it goes, up to the question mark.
-    pub(crate) path: String,
+    pub path: String,
     query: String,
     headers: Vec<(String, String)>,
     pub(crate) body: Vec<u8>,

@@ -1,4 +1,4 @@
-//! What a browser is answered: written to its connection within a time, or the connection is given up.
+//! What a request is answered: written to its connection within a time, or the connection is given up.
 
 use std::borrow::Cow;
 use std::fmt::Write as _;
@@ -20,7 +20,7 @@ const HEADERS: &str = "Cache-Control: no-store\r\n\
 
 /// An answer.
 #[derive(Debug)]
-pub(crate) struct Response {
+pub struct Response {
     pub(crate) status: u16,
     kind: &'static str,
     headers: Vec<(&'static str, String)>,
@@ -28,7 +28,8 @@ pub(crate) struct Response {
 }
 
 impl Response {
-    pub(crate) fn new(status: u16, kind: &'static str, body: impl Into<Cow<'static, [u8]>>) -> Self {
+    /// An answer with this status and a body of this kind.
+    pub fn new(status: u16, kind: &'static str, body: impl Into<Cow<'static, [u8]>>) -> Self {
         Self { status, kind, headers: Vec::new(), body: body.into() }
     }
 
@@ -38,8 +39,13 @@ impl Response {
     }
 
     /// Why there is no better answer, in a line.
-    pub(crate) fn refusal(status: u16, text: &str) -> Self {
+    pub fn refusal(status: u16, text: &str) -> Self {
         Self::new(status, "text/plain; charset=utf-8", format!("{text}\n").into_bytes())
+    }
+
+    /// Too many ask; it may be tried again.
+    pub(crate) fn busy(text: &str) -> Self {
+        Self::refusal(503, text).with_header("Retry-After", "2".to_owned())
     }
 
     /// What was asked for is at another path.

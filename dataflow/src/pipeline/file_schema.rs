@@ -43,6 +43,10 @@ pub fn file_schema<'a>(nodes: impl IntoIterator<Item = &'a Node>) -> Json {
                 "description": "Item types that only programs of one's own know.",
                 "type": "object", "additionalProperties": item(),
             },
+            "metrics": {
+                "description": "Where the metrics of the run are offered, ADDRESS:PORT in numbers; without it, nowhere.",
+                "type": "string", "examples": ["127.0.0.1:9464"],
+            },
             "experiment": { "description": "What `conicflow run` varies and plots; stages do not see it.", "type": "object" },
         },
         DEFINITIONS: definitions,
@@ -233,6 +237,7 @@ fn refer(schema: &mut Json, old: &str, new: &str) {
 
 #[cfg(test)]
 mod tests {
+    use super::super::read::PIPELINE_KEYS;
     use super::super::read::inputs::INPUT_KEYS;
     use super::super::read::items::ITEM_KEYS;
     use super::super::read::machines::MACHINE_KEYS;
@@ -248,6 +253,7 @@ mod tests {
     fn the_keys_of_the_schema_are_those_that_are_read() {
         let schema = file_schema([]);
         let of = |keys: &[&str]| keys.iter().map(|key| (*key).to_owned()).collect::<BTreeSet<_>>();
+        assert_eq!(keys(&schema, "/properties"), of(&PIPELINE_KEYS));
         assert_eq!(keys(&schema, "/properties/machine/additionalProperties/properties"), of(&MACHINE_KEYS));
         assert_eq!(keys(&schema, "/properties/item/additionalProperties/properties"), of(&ITEM_KEYS));
         assert_eq!(keys(&schema, "/definitions/input/anyOf/1/properties"), of(&INPUT_KEYS));

@@ -9,6 +9,7 @@ use conicflow_messages::{AnyByte, Item};
 use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
 use std::collections::BTreeMap;
+use std::net::SocketAddr;
 use std::path::PathBuf;
 
 /// A pipeline, read and checked.
@@ -23,6 +24,8 @@ pub struct Pipeline {
     pub items: Vec<ItemType>,
     /// The stages, in the order of the file.
     pub stages: Vec<StageSpec>,
+    /// Where the launcher offers the metrics of the run; without it, nowhere.
+    pub metrics: Option<SocketAddr>,
     /// What the file says under `experiment`; it is for whoever runs the pipeline, none of the stages see it.
     pub experiment: Option<Json>,
     /// The text that it was read from, and what was set beside it.

@@ -10,6 +10,7 @@ use super::spec::Pipeline;
 use super::value::{Content, Entry, Table};
 use crate::item_type::{BUILT_IN, ItemType};
 use crate::registry::Registry;
+use std::net::SocketAddr;
 use std::ops::RangeInclusive;
 use std::path::Path;
 use std::sync::Arc;
@@ -18,6 +19,7 @@ use std::sync::Arc;
 /// zero.
 pub const MAX_STAGE_NAME: usize = 31;
 const MAX_TOPIC_NAME: usize = 63;
+pub const PIPELINE_KEYS: [&str; 6] = ["name", "machine", "item", "stage", "metrics", "experiment"];
 
 /// Reads a document; what cannot be read is reported and left out.
 pub(super) fn pipeline(
@@ -31,15 +33,16 @@ pub(super) fn pipeline(
     let name = reader.name(&mut document, &start);
     reader.items = document.take("item").map(|entry| reader.items(entry)).unwrap_or_default();
     let machines = document.take("machine").map(|entry| reader.machines(entry)).unwrap_or_default();
+    let metrics = document.take("metrics").and_then(|entry| reader.address(&entry));
     let experiment = document.take("experiment").map(|entry| entry.value.to_json());
     let stages = document.take("stage").map(|entry| reader.stages(entry));
-    reader.unknown_keys(&document, &["name", "machine", "item", "stage", "experiment"], "the pipeline");
+    reader.unknown_keys(&document, &PIPELINE_KEYS, "the pipeline");
     let stages = stages.unwrap_or_else(|| {
         reader.no_stages(&document, &start);
         Vec::new()
     });
     let (items, source) = (reader.items, Default::default());
-    Pipeline { name, base: context.base.to_owned(), machines, items, stages, experiment, source }
+    Pipeline { name, base: context.base.to_owned(), machines, items, stages, metrics, experiment, source }
 }
 
 /// Where a file is read.
@@ -98,6 +101,21 @@ impl Reader<'_> {
         let what = format!("`{}` wants an array of strings, this is {}", entry.key, wrong.type_name());
         self.fault(&wrong.place, what, format!("for example {} = [\"..\", \"..\"]", entry.key));
         None
+    }
+
+    /// An address of this machine with a port.
+    fn address(&mut self, entry: &Entry) -> Option<SocketAddr> {
+        let text = self.string(entry)?;
+        let address = text.parse().ok();
+        if address.is_none() {
+            let hint = "such as \"127.0.0.1:9464\" for this machine alone, \"0.0.0.0:9464\" for its whole network";
+            self.fault(
+                &entry.value.place,
+                format!("`{}` cannot be `{text}`, expected ADDRESS:PORT in numbers", entry.key),
+                hint,
+            );
+        }
+        address
     }
 
     fn boolean(&mut self, entry: &Entry) -> Option<bool> {

@@ -1,0 +1,189 @@
+//! The metrics of a run: read by the parser of Prometheus' own client, compared with `top`, and asked for by those who mean no good.
+
+use crate::processes::wait_for_lines;
+use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, signal};
+use crate::view::{Answer, exchange};
+use rustix::process::Signal;
+use serde_json::Value as Json;
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::process::{Command, Stdio};
+
+/// More than the server takes at a time.
+const VISITORS: usize = 100;
+
+/// A run that offers its metrics at a port of its own, and where.
+fn run(playground: &Playground) -> (Started, String) {
+    playground.write("pipeline.toml", &TRACKING.replacen("[stage", "metrics = \"127.0.0.1:0\"\n[stage", 1));
+    let mut run = playground.start(&["run", "--set", "source.rate_hz=50"]);
+    run.wait_for_text("metrics are at http://");
+    wait_for_lines(&mut run, playground);
+    let stderr = run.stderr();
+    let (_, address) = stderr.split_once("metrics are at http://").unwrap();
+    let host = address.split('/').next().unwrap().to_owned();
+    (run, host)
+}
+
+fn get(host: &str) -> Answer {
+    exchange(host, &format!("GET /metrics HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n"))
+}
+
+/// What was told of one series, by its name and labels.
+type Samples = BTreeMap<(String, BTreeMap<String, String>), (String, f64)>;
+
+/// The samples in a text; none where there is no Python with the parser, which is said.
+fn parse(text: &str) -> Option<Samples> {
+    let python = std::env::var("CONICFLOW_TEST_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    let has_parser = Command::new(&python).args(["-c", "import prometheus_client"]).stderr(Stdio::null()).status();
+    if !has_parser.is_ok_and(|status| status.success()) {
+        eprintln!("SKIPPED: `{python}` has no prometheus-client; nothing was shown");
+        return None;
+    }
+    let mut command = Command::new(python);
+    command.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/end_to_end/metrics.py"));
+    let mut parser = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    parser.stdin.take().unwrap().write_all(text.as_bytes()).unwrap();
+    let output = parser.wait_with_output().unwrap();
+    assert!(output.status.success(), "{}\n{text}", String::from_utf8_lossy(&output.stderr));
+    let lines = String::from_utf8(output.stdout).unwrap();
+    let samples = lines.lines().map(|line| serde_json::from_str::<Json>(line).unwrap()).map(|sample| {
+        let labels = serde_json::from_value(sample["labels"].clone()).unwrap();
+        let name = sample["name"].as_str().unwrap().to_owned();
+        ((name, labels), (sample["type"].as_str().unwrap().to_owned(), sample["value"].as_f64().unwrap()))
+    });
+    Some(samples.collect())
+}
+
+fn value(samples: &Samples, name: &str, labels: &[(&str, &str)]) -> f64 {
+    let labels = labels.iter().chain(&[("pipeline", "tracking")]).map(|(key, value)| ((*key).into(), (*value).into()));
+    let key = (name.to_owned(), labels.collect());
+    samples.get(&key).unwrap_or_else(|| panic!("no {key:?} among {:#?}", samples.keys())).1
+}
+
+#[test]
+fn they_are_those_of_top_as_an_independent_parser_reads_them() {
+    let playground = Playground::new();
+    let (run, host) = run(&playground);
+    let before = get(&host);
+    assert!(
+        before.head.to_lowercase().contains("content-type: application/openmetrics-text; version=1.0.0"),
+        "{}",
+        before.head
+    );
+    let Some(before) = parse(&before.text()) else { return };
+    let top = playground.top();
+    let after = parse(&get(&host).text()).unwrap();
+
+    // What is counted by one who looks between two others lies between what these have counted.
+    let between = |name: &str, labels: &[(&str, &str)], told: &Json| {
+        let (low, high, told) = (value(&before, name, labels), value(&after, name, labels), told.as_f64().unwrap());
+        assert!(low <= told && told <= high && high > 0.0, "{name} {labels:?}: {low}, {told}, {high}");
+    };
+    for (name, stage) in TRACKING_STAGES.iter().zip(top["stages"].as_array().unwrap()) {
+        between("conicflow_frames_total", &[("stage", name)], &stage["messages"]);
+        assert_eq!(value(&after, "conicflow_restarts_total", &[("stage", name)]), 0.0);
+        let node = stage["node"].as_str().unwrap();
+        assert_eq!(value(&after, "conicflow_stage_up", &[("stage", name), ("node", node)]), 1.0);
+        let (memory, told) =
+            (value(&after, "conicflow_memory_bytes", &[("stage", name)]), stage["memory_mb"].as_f64().unwrap());
+        assert!((0.5..2.0).contains(&(memory / (told * 1e6))), "{name}: {memory}, {told} MB");
+        let steps = value(&after, "conicflow_step_seconds_bucket", &[("stage", name), ("le", "+Inf")]);
+        assert_eq!(steps, value(&after, "conicflow_step_seconds_count", &[("stage", name)]));
+        assert!(value(&after, "conicflow_step_seconds_sum", &[("stage", name)]) > 0.0);
+    }
+    for input in top["inputs"].as_array().unwrap() {
+        let edge = [("topic", input["topic"].as_str().unwrap()), ("stage", input["reader"].as_str().unwrap())];
+        between("conicflow_received_messages_total", &edge, &input["received"]);
+        assert_eq!(value(&after, "conicflow_dropped_messages_total", &edge), 0.0, "{edge:?} is lossless");
+        assert!(value(&after, "conicflow_latency_seconds_count", &edge) > 0.0);
+        // The median lies in the bucket where half of all have been counted.
+        let (count, p50) =
+            (value(&after, "conicflow_latency_seconds_count", &edge), input["latency_p50_ms"].as_f64().unwrap() * 1e-3);
+        let ends = after
+            .keys()
+            .filter(|(name, labels)| name == "conicflow_latency_seconds_bucket" && labels["stage"] == edge[1].1);
+        let below = ends.filter(|(_, labels)| labels["le"].parse::<f64>().unwrap() < p50 / 2.0);
+        assert!(below.map(|key| after[key].1).fold(0.0, f64::max) < 0.75 * count, "{edge:?}: {p50}");
+    }
+    for ((name, labels), (kind, told)) in &before {
+        let is_counted = kind == "counter" || kind == "histogram";
+        assert!(!is_counted || after[&(name.clone(), labels.clone())].1 >= *told, "{name} {labels:?} has gone down");
+    }
+    signal(run.id(), Signal::INT);
+    run.wait().expect_code(0);
+}
+
+/// What the dashboard asks Prometheus for is told, and of all that is told it shows the most.
+#[test]
+fn the_dashboard_asks_for_what_there_is() {
+    let playground = Playground::new();
+    let (_run, host) = run(&playground);
+    let text = get(&host).text();
+    let told = text.lines().filter_map(|line| line.strip_prefix("# TYPE ")).flat_map(|line| {
+        let (name, kind) = line.split_once(' ').unwrap();
+        let ends = match kind {
+            "counter" => &["_total"][..],
+            "histogram" => &["_bucket", "_sum", "_count"],
+            _ => &[""],
+        };
+        ends.iter().map(move |end| format!("{name}{end}"))
+    });
+    let told: BTreeSet<_> = told.collect();
+    let dashboard = include_str!("../../docs/grafana.json");
+    let asked: BTreeSet<_> = dashboard
+        .match_indices("conicflow_")
+        .map(|(start, _)| {
+            dashboard[start..].split(|c: char| !c.is_ascii_alphanumeric() && c != '_').next().unwrap().to_owned()
+        })
+        .collect();
+    assert!(asked.len() > 10 && asked.is_subset(&told), "{:?} are not told", asked.difference(&told));
+    let panels = serde_json::from_str::<Json>(dashboard).unwrap()["panels"].as_array().unwrap().len();
+    assert!(panels >= 8, "{panels} panels");
+}
+
+#[test]
+fn nobody_who_asks_slowly_or_wrongly_holds_up_the_run() {
+    let playground = Playground::new();
+    let (mut run, host) = run(&playground);
+    // Some begin a request and leave it at that, others read no answer.
+    let half = |request: &str| {
+        let mut stream = TcpStream::connect(&host).unwrap();
+        stream.write_all(request.as_bytes()).unwrap();
+        stream
+    };
+    let whole = format!("GET /metrics HTTP/1.1\r\nHost: {host}\r\n\r\n");
+    let visitor = |number: usize| half(if number % 8 == 0 { "GET /met" } else { &whole });
+    let visitors: Vec<_> = (1..VISITORS).map(visitor).collect();
+    let mut last = String::new();
+    TcpStream::connect(&host).unwrap().read_to_string(&mut last).unwrap();
+    assert!(last.starts_with("HTTP/1.1 503 "), "there is an end to how many are taken: {last}");
+    let before = playground.newest("tracks.jsonl");
+    run.wait_until("the run goes on", || playground.newest("tracks.jsonl") > before + 20);
+    drop(visitors);
+    run.wait_until("there is room for others", || get(&host).status == 200);
+    for (request, status) in [
+        ("GET / HTTP/1.1\r\nHost: localhost\r\n\r\n", 404),
+        ("POST /metrics HTTP/1.1\r\nHost: localhost\r\n\r\n", 405),
+        ("GET /metrics HTTP/1.1\r\nHost: evil.example\r\n\r\n", 403),
+        ("GET /metrics HTTP/1.1\r\nHost: localhost\r\nOrigin: http://evil.example\r\n\r\n", 403),
+        ("\x16\x03\x01\x02\r\n\r\n", 400),
+    ] {
+        assert_eq!(exchange(&host, request).status, status, "{request}");
+    }
+    signal(run.id(), Signal::INT);
+    run.wait().expect_code(0);
+    assert!(TcpStream::connect(&host).is_err(), "the server ends with the run");
+}
+
+#[test]
+fn an_address_that_is_taken_is_told_before_anything_starts() {
+    let playground = Playground::new();
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = taken.local_addr().unwrap();
+    playground.write("pipeline.toml", &TRACKING.replacen("[stage", &format!("metrics = \"{address}\"\n[stage"), 1));
+    let ended = playground.conicflow(&["run"]).expect_code(2);
+    let told = format!("`metrics` of the pipeline file: nothing can be offered at {address}: ");
+    assert!(ended.stderr.contains(&told) && ended.stderr.contains("hint: "), "{}", ended.stderr);
+    assert!(playground.lines("tracks.jsonl").is_empty());
+}
