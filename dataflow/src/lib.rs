@@ -18,6 +18,7 @@ mod log;
 mod network;
 mod node;
 mod observe;
+mod pause;
 pub mod pipeline;
 mod plan;
 pub mod ports;
@@ -66,6 +67,7 @@ pub use observe::{
     InputActivity, Observation, PipelineActivity, RunRecord, StageActivity, StageRecord, TopicActivity, Usage, observe,
     records,
 };
+pub use pause::{PauseWish, Sources};
 pub use plan::{Origin, Plan, PlannedStage, Runs};
 pub use preflight::{InsufficientResource, Requirements, TopicRequirements};
 pub use registry::Registry;

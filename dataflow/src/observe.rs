@@ -7,7 +7,7 @@ use crate::launcher::{FolderError, RunFolder};
 use crate::link_report::{EdgeReport, LinkReport, read_links};
 use crate::pipeline::BRIDGE;
 use crate::plan::{Plan, PlannedStage};
-use crate::status::{Durations, Life, Status, used};
+use crate::status::{Durations, Life, Pausing, Status, used};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fs;
@@ -92,6 +92,10 @@ pub struct StageActivity {
     pub silent_s: f64,
     /// The stage that it waits for to take its messages, if it has waited for a tenth of a second.
     pub waits_for: Option<String>,
+    /// Whether it can stand still while the run is paused.
+    pub can_pause: bool,
+    /// Whether it stands still now, because the run is paused.
+    pub paused: bool,
     /// Time of a step, median, since the run began.
     pub compute_p50_ms: Option<f64>,
     /// Time of a step, 99 of 100, since the run began.
@@ -297,6 +301,8 @@ impl Span<'_> {
             memory_mb: self.now.usage.resident_bytes as f64 / 1e6,
             silent_s: self.now.usage.silent.as_secs_f64(),
             waits_for: Some(status.waits_for.to_string()).filter(|stage| !stage.is_empty()),
+            can_pause: status.pausing() != Pausing::Cannot,
+            paused: status.pausing() == Pausing::Stands,
             compute_p50_ms: milliseconds(&status.compute, 0.5),
             compute_p99_ms: milliseconds(&status.compute, 0.99),
             found: used(&status.found).map(|(name, count)| (name.to_owned(), count)).collect(),

@@ -15,7 +15,6 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 use std::sync::{Arc, OnceLock};
-use std::time::{Duration, Instant};
 
 /// Why a stage could not start or go on; its text says what, where and, after `hint:`, what to do.
 pub type StageError = Box<dyn std::error::Error + Send + Sync>;
@@ -167,9 +166,19 @@ pub trait Source: Sized {
         0.0
     }
 
+    /// Whether its messages are to be sent as far apart as their stamps are, whatever [`Source::rate_hz`] says.
+    fn keeps_stamps(&self) -> bool {
+        false
+    }
+
     /// Number of messages that it will make in all, where that is known.
     fn total(&self) -> Option<u64> {
         None
+    }
+
+    /// Whether it can stand still while its run is paused: a recording can, a camera cannot. Default: what has an end can.
+    fn can_pause(&self) -> bool {
+        self.total().is_some()
     }
 
     /// Makes the next message: fills `output.header` (camera, scale, noise, stamp, source) and writes the items. A
@@ -307,57 +316,5 @@ impl<'a, T: Item> Output<'a, T> {
 
     pub(crate) fn is_image(&self) -> bool {
         self.image
-    }
-}
-
-/// What is due later than this is never due, for whoever waits for it; 30 years, which any clock can tell.
-const LONGEST_PERIOD_S: f64 = 1e9;
-
-/// Keeps a source to a rate: a frame is due at fixed times, however long the making of one takes.
-#[derive(Debug)]
-pub(crate) struct Pace {
-    period: Option<Duration>,
-    due: Option<Instant>,
-    stop: Stop,
-}
-
-impl Pace {
-    /// A pace of `rate_hz` frames per second; 0: as fast as they are taken.
-    pub fn new(rate_hz: f64, stop: Stop) -> Self {
-        let period = (rate_hz > 0.0).then(|| Duration::from_secs_f64((1.0 / rate_hz).min(LONGEST_PERIOD_S)));
-        Self { period, due: None, stop }
-    }
-
-    /// Waits until the next frame is due, or the run is to end. A source that fell behind by more than one frame does not
-    /// hurry to catch up.
-    pub fn wait(&mut self) {
-        let Some(period) = self.period else { return };
-        let now = Instant::now();
-        let due = self.due.map_or(now, |due| due + period);
-        let late = now.saturating_duration_since(due) > period;
-        self.due = Some(if late { now } else { due });
-        while !self.stop.requested() {
-            let left = due.saturating_duration_since(Instant::now());
-            if left.is_zero() {
-                return;
-            }
-            std::thread::sleep(left.min(Duration::from_millis(50)));
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn every_rate_has_a_period_that_the_clock_can_tell() {
-        for rate_hz in [f64::MIN_POSITIVE, 1e-320, 1e-20, 1e-9, f64::MAX, f64::INFINITY, 0.0, f64::NAN] {
-            let stop = Stop::default();
-            let mut pace = Pace::new(rate_hz, stop.clone());
-            pace.wait();
-            stop.request();
-            (0..3).for_each(|_| pace.wait());
-        }
     }
 }

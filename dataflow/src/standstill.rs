@@ -2,7 +2,7 @@
 
 use crate::clock::monotonic_ns;
 use crate::plan::PlannedStage;
-use crate::status::{Life, Status};
+use crate::status::{Life, Pausing, Status};
 use conicflow_messages::Text;
 use std::time::Duration;
 
@@ -31,6 +31,9 @@ fn waits(planned: &PlannedStage, status: &Status, stages: &[(&PlannedStage, &Sta
     }
     if status.waits_for != Text::default() {
         return Some(format!("`{name}` waits for `{}` to take its messages", status.waits_for));
+    }
+    if status.pausing() == Pausing::Stands {
+        return Some(format!("`{name}` is paused"));
     }
     let input = planned.wiring.input.as_ref()?;
     let sent_by = |writer: &String| stages.iter().find(|(planned, _)| planned.name == *writer).map(|(_, own)| own.sent);
@@ -89,6 +92,16 @@ mod tests {
         ];
         assert_eq!(who_waits(&stages), told);
         assert!(is_held_up(&stages) && !is_held_up(&stages[1..]));
+    }
+
+    #[test]
+    fn a_source_that_is_paused_is_not_held_up_and_said_to_be_paused() {
+        let (plans, mut paused) = ([stage("a", None), stage("b", Some("a"))], record(12, 0, ""));
+        paused.set_pausing(Pausing::Stands);
+        let records = [paused, record(8, 12, "")];
+        let stages: Vec<_> = plans.iter().zip(records.iter().map(|record| &**record)).collect();
+        assert_eq!(who_waits(&stages), ["`a` is paused", "`b` waits for a message of `a`"]);
+        assert!(!is_held_up(&stages));
     }
 
     #[test]

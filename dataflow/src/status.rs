@@ -24,7 +24,7 @@ pub const MAX_COUNTERS: usize = 40;
 /// The run of stages that were started one by one, without a launcher.
 pub const NO_RUN: u64 = 0;
 
-const LAYOUT: u64 = 0x636f_6e69_6366_0006;
+const LAYOUT: u64 = 0x636f_6e69_6366_0007;
 /// Each octave of time is cut into this many buckets: a percentile is right within 3 %.
 const STEPS: usize = 16;
 /// 1 microsecond to 69 seconds.
@@ -46,6 +46,21 @@ pub enum Life {
 
 impl Life {
     const ALL: [Self; 4] = [Self::Starting, Self::Running, Self::Ended, Self::Gone];
+}
+
+/// Whether a source stands still while its run is paused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pausing {
+    /// It cannot: it is no source, or a live one.
+    Cannot,
+    /// It can, and goes on.
+    Goes,
+    /// It stands still.
+    Stands,
+}
+
+impl Pausing {
+    const ALL: [Self; 3] = [Self::Cannot, Self::Goes, Self::Stands];
 }
 
 /// Counts of one input.
@@ -234,6 +249,7 @@ pub struct Status {
     pub alive_ns: u64,
     /// The stage that it waits for to take its messages, if it has waited for a tenth of a second.
     pub waits_for: Text<32>,
+    pausing: u64,
     /// Counts per input, the driving one first.
     pub inputs: [InputCounts; MAX_INPUTS],
     /// Items sent, by what they are called.
@@ -265,6 +281,16 @@ impl Status {
     /// Says where the stage is in its life.
     pub fn set_life(&mut self, life: Life) {
         self.life = life as u32;
+    }
+
+    /// Whether it stands still while its run is paused.
+    pub fn pausing(&self) -> Pausing {
+        Pausing::ALL.get(self.pausing as usize).copied().unwrap_or(Pausing::Cannot)
+    }
+
+    /// Says whether it stands still while its run is paused.
+    pub fn set_pausing(&mut self, pausing: Pausing) {
+        self.pausing = pausing as u64;
     }
 
     /// Adds to a named counter.

@@ -5,11 +5,13 @@
 use crate::item_type::{AnyMessage, ItemType};
 use crate::launcher::{FolderError, RunFolder, SwapError, user_folder};
 use crate::log::ThrottledWarning;
+use crate::pause::{PauseWish, Sources};
 use crate::pipeline::suggestion;
 use crate::plan::Plan;
 use crate::ports::shared_memory::{SharedMemory, SharedMessage, SharedOnlooker};
 use crate::ports::{PortError, Received, Topic};
 use crate::stage::Stop;
+use crate::status::{Life, Pausing, Status};
 use conicflow_messages::Hinted;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use std::io;
@@ -33,7 +35,7 @@ pub struct RunningPipeline {
 /// Why a topic could not be watched.
 #[derive(Debug, thiserror::Error)]
 pub enum WatchError {
-    /// Which pipeline or topic is meant.
+    /// Which pipeline or topic is meant, or that it cannot be done with it.
     #[error(transparent)]
     Unclear(Hinted),
     /// The run's folder.
@@ -243,6 +245,42 @@ impl RunningPipeline {
     /// Why it was not; the stage that was to be replaced is at work then.
     pub fn swap(&self, stage: &str, plan: Plan) -> Result<(), SwapError> {
         self.folder.ask_for_swap(stage, plan)
+    }
+
+    /// Its sources on this machine that are at work, and whether they are paused.
+    pub fn sources(&self) -> Sources {
+        let mut sources = Sources::default();
+        for planned in self.plan.stages.iter().filter(|planned| planned.is_source() && !planned.is_bridge()) {
+            let record = Status::read(&self.folder.status(&planned.name)).filter(|record| record.run == self.plan.run);
+            match record.filter(|record| record.life() == Life::Running).map(|record| record.pausing()) {
+                Some(Pausing::Cannot) => sources.live.push(planned.name.clone()),
+                Some(Pausing::Goes | Pausing::Stands) => sources.can_pause.push(planned.name.clone()),
+                None => {}
+            }
+        }
+        let word = self.folder.pause_file(self.plan.run);
+        sources.paused = !sources.can_pause.is_empty() && word.is_some_and(|word| word.is_paused());
+        sources
+    }
+
+    /// Pauses its sources on this machine or lets them go on; which they are, and whether they are paused now.
+    ///
+    /// # Errors
+    /// None of them can be paused, or the run's folder cannot be written.
+    pub fn pause(&self, wish: PauseWish) -> Result<Sources, WatchError> {
+        let sources = self.sources();
+        if sources.can_pause.is_empty() {
+            let live = sources.live.iter().map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", ");
+            let why = if live.is_empty() { "no source is at work here".to_owned() } else { format!("{live} is live") };
+            let what = format!("`{}` cannot be paused: {why}", self.plan.pipeline);
+            return Err(WatchError::Unclear(Hinted::new(what, "recordings, files and the simulated camera can be")));
+        }
+        let no_word = || io::Error::from(io::ErrorKind::NotFound);
+        let word = self.folder.pause_file(self.plan.run).ok_or_else(no_word);
+        let changed = word.and_then(|word| word.change(wish));
+        let path = self.folder.path().to_owned();
+        changed.map_err(|error| FolderError::Io { path, error })?;
+        Ok(self.sources())
     }
 
     /// Whether this run has not ended yet.

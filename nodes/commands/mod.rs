@@ -4,6 +4,7 @@ mod compare;
 mod detect;
 mod doctor;
 mod experiment;
+mod keys;
 mod metrics;
 mod node_help;
 mod record;
@@ -25,6 +26,7 @@ use conicflow_lab::experiment::{Experiment, Results, Variation};
 use conicflow_messages::Hinted;
 use doctor::doctor;
 use experiment::Rows;
+use keys::Keys;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use std::collections::BTreeSet;
 use std::fmt::Display;
@@ -67,6 +69,9 @@ struct CommandLine {
 #[derive(Subcommand)]
 enum Command {
     /// Run a pipeline, each stage as a process of its own
+    ///
+    /// At a terminal, space pauses a run of recorded or simulated frames and lets it go on; `.` or the right arrow makes one frame
+    /// more.
     Run(RunArguments),
     /// Find the objects of a depth image, a folder of them or an MCAP recording, without a pipeline file
     Detect(detect::DetectArguments),
@@ -148,6 +153,9 @@ enum Command {
     },
     /// Print manual pages of all commands, for `man`
     Man,
+    /// Read the keys of a run; started by it
+    #[command(name = keys::NAME, hide = true)]
+    Keys { pipeline: String, launcher: i32 },
 }
 
 #[derive(Args, Default)]
@@ -224,6 +232,7 @@ fn dispatch(command: Command, log: &str) -> anyhow::Result<ExitCode> {
         }
         Command::Completions { shell } => shell::completions(shell).map(|()| ExitCode::SUCCESS),
         Command::Man => shell::manual().map(|()| ExitCode::SUCCESS),
+        Command::Keys { pipeline, launcher } => keys::read(&pipeline, launcher).map(|()| ExitCode::SUCCESS),
     }
 }
 
@@ -313,7 +322,9 @@ fn run(arguments: &RunArguments, log: &str) -> anyhow::Result<ExitCode> {
     if let Some(json) = &pipeline.experiment {
         return run_experiment(&pipeline, &Experiment::read(json)?, arguments, log);
     }
+    let keys = Keys::start(&pipeline.name);
     let summary = run_once(&pipeline, arguments, arguments.quiet, log)?;
+    drop(keys);
     if !arguments.quiet {
         let in_detail = tracing::enabled!(tracing::Level::DEBUG);
         let text = if in_detail { summary.in_detail().to_string() } else { summary.to_string() };

@@ -32,6 +32,6 @@ pub fn manual() -> anyhow::Result<()> {
 
 fn push_pages(command: &Command, pages: &mut Vec<u8>) -> anyhow::Result<()> {
     Man::new(command.clone()).render(pages)?;
-    let mut inner = command.get_subcommands().filter(|inner| inner.get_name() != "help");
+    let mut inner = command.get_subcommands().filter(|inner| inner.get_name() != "help" && !inner.is_hide_set());
     inner.try_for_each(|inner| push_pages(inner, pages))
 }

@@ -57,10 +57,11 @@ fn found(pipeline: &PipelineActivity) -> String {
     format!("{}\n", clip(&line, 80))
 }
 
-/// A line for each stage that hangs, or seems to, and for each that another one holds up.
+/// A line for each stage that hangs, or seems to, that is paused, or that another one holds up.
 fn standing(pipeline: &PipelineActivity) -> String {
     let line = |stage: &StageActivity| match &stage.waits_for {
         _ if stage.silent_s > SILENT_S => Some(format!("no sign of life for {:.0} s", stage.silent_s)),
+        _ if stage.paused => Some("paused".to_owned()),
         Some(reader) if stage.rate_hz == 0.0 => Some(format!("waits for {} to take its messages", clip(reader, 14))),
         _ => None,
     };

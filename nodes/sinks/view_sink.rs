@@ -3,6 +3,7 @@
 //! A step costs a copy of the frame while somebody looks, and nothing else; the page is served by threads that give way.
 
 use crate::viewing::graph::GraphWatch;
+use crate::viewing::pausing;
 use conicflow_dataflow::{ConfigFault, Context, Output, SideInput, SideInputs, Stage, StageError, monotonic_ns};
 use conicflow_messages::{Hinted, Item, Message, Nothing, Object, Track};
 use conicflow_view::{Depth, Display, Frame, List, Listen, ListenFault, Page, Server};
@@ -12,10 +13,12 @@ use std::marker::PhantomData;
 use std::path::Path;
 use std::sync::{Arc, Weak};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// How often the stages are looked at.
 const PERIOD: Duration = Duration::from_secs(1);
+/// How often is looked whether the sink has ended.
+const LOOK: Duration = Duration::from_millis(250);
 /// The page gives way to those at work.
 const NICENESS: i32 = 10;
 
@@ -125,23 +128,30 @@ impl<T: Shown> Stage for ViewSink<T> {
     }
 }
 
-/// Tells once a second, while somebody looks, what the stages of the run do that this process is one of.
+/// Tells once a second, while somebody looks, what the stages of the run do that this process is one of, and pauses it as is wished.
 fn show_graph(shown: &Weak<Display>) {
     // On Linux each thread has a niceness of its own.
     rustix::process::nice(NICENESS).ok();
-    let mut watch = GraphWatch::default();
+    let (mut watch, mut pipeline, mut looked) = (GraphWatch::default(), None::<String>, Instant::now());
     while let Some(display) = shown.upgrade() {
+        if let Some((command, pipeline)) = display.next_command(LOOK).zip(pipeline.as_ref()) {
+            pausing::obey(pipeline, &command, &display);
+        }
+        if looked.elapsed() < PERIOD {
+            continue;
+        }
+        looked = Instant::now();
         if display.is_watched() {
             let own = std::process::id();
-            if let Some(graph) = watch.look(|activity| activity.stages.iter().any(|stage| stage.process == own)) {
+            if let Some((graph, sources)) = watch.look(|seen| seen.stages.iter().any(|stage| stage.process == own)) {
                 let name = graph["activity"]["pipeline"].as_str().unwrap_or_default().to_owned();
+                pipeline = Some(name.clone());
                 display.tell(|about| (about.title, about.graph) = (name, graph));
+                pausing::tell(sources, &display);
             }
         } else {
             watch.rest();
         }
-        drop(display);
-        thread::sleep(PERIOD);
     }
 }
 

@@ -49,6 +49,10 @@ impl Source for SyntheticSource {
         self.total
     }
 
+    fn can_pause(&self) -> bool {
+        true
+    }
+
     /// Who drives the camera: the first velocity is the one that it is to take; none lets it stand, as does a command from a
     /// frame more than half a second before.
     fn side_inputs() -> &'static [SideInput] {

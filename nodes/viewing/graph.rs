@@ -1,6 +1,6 @@
 //! The graph of a running pipeline for the page: its stages and what joins them, as planned, and what they do, as they tell.
 
-use conicflow_dataflow::{Observation, PipelineActivity, Plan, PlannedStage, RunningPipeline, Runs, observe};
+use conicflow_dataflow::{Observation, PipelineActivity, Plan, PlannedStage, RunningPipeline, Runs, Sources, observe};
 use serde_json::{Value as Json, json};
 
 /// Looks at running pipelines again and again.
@@ -10,8 +10,9 @@ pub struct GraphWatch {
 }
 
 impl GraphWatch {
-    /// The graph of the first pipeline that is the wanted one; none where it does not run, or was not looked at before.
-    pub fn look(&mut self, is_wanted: impl Fn(&PipelineActivity) -> bool) -> Option<Json> {
+    /// The graph of the first pipeline that is the wanted one, and its sources; none where it does not run, or was not looked at
+    /// before.
+    pub fn look(&mut self, is_wanted: impl Fn(&PipelineActivity) -> bool) -> Option<(Json, Sources)> {
         // Who cannot look at the runs' folder sees no graph; whatever else needs the folder tells why.
         let now = observe().ok()?;
         let seen = self.before.as_ref().map(|before| now.since(before));
@@ -19,7 +20,7 @@ impl GraphWatch {
         let activity = seen?.into_iter().find(is_wanted)?;
         let running = RunningPipeline::all().ok()?;
         let running = running.into_iter().find(|running| running.plan.pipeline == activity.pipeline)?;
-        Some(graph(&running.plan, &activity))
+        Some((graph(&running.plan, &activity), running.sources()))
     }
 
     /// Nobody looks: the next look is a first one.

@@ -1,6 +1,7 @@
 //! Shows running pipelines on the page, as an onlooker for whom no stage waits: attached while somebody looks, and not else.
 
 use super::graph::GraphWatch;
+use super::pausing;
 use crate::NODES;
 use anyhow::Result;
 use conicflow_dataflow::ports::Topic;
@@ -44,8 +45,8 @@ impl Live {
     pub fn start(display: Arc<Display>, pipeline: Option<String>) -> Result<Self> {
         let wanted = Arc::new(Mutex::new(Wanted { pipeline, depth_topic: None }));
         let live = Self { display, wanted, shown: Arc::default() };
-        let (display, wanted) = (Arc::clone(&live.display), Arc::clone(&live.wanted));
-        thread::Builder::new().name("wishes".to_owned()).spawn(move || take_wishes(&display, &wanted))?;
+        let (display, wanted, shown) = (Arc::clone(&live.display), Arc::clone(&live.wanted), Arc::clone(&live.shown));
+        thread::Builder::new().name("wishes".to_owned()).spawn(move || take_wishes(&display, &wanted, &shown))?;
         let (display, shown) = (Arc::clone(&live.display), Arc::clone(&live.shown));
         thread::Builder::new().name("graph".to_owned()).spawn(move || show_graph(&display, &shown))?;
         Ok(live)
@@ -85,6 +86,7 @@ impl Live {
         self.display.tell(|about| {
             about.notice = Some(notice);
             about.graph = serde_json::Value::Null;
+            about.run = None;
         });
     }
 
@@ -171,15 +173,19 @@ impl<'a> Topics<'a> {
     }
 }
 
-/// Takes what browsers wish; what is for recordings does not concern a run.
-fn take_wishes(display: &Display, wanted: &Mutex<Wanted>) {
+/// Takes what browsers wish.
+fn take_wishes(display: &Display, wanted: &Mutex<Wanted>, shown: &Mutex<Option<String>>) {
     loop {
         match display.next_command(PERIOD) {
             Some(Command::Pipeline { name }) => {
                 *lock(wanted) = Wanted { pipeline: Some(name), depth_topic: None };
             }
             Some(Command::DepthTopic { name }) => lock(wanted).depth_topic = Some(name),
-            Some(_) | None => {}
+            Some(command) => {
+                let shown = lock(shown).clone();
+                shown.into_iter().for_each(|pipeline| pausing::obey(&pipeline, &command, display));
+            }
+            None => {}
         }
     }
 }
@@ -194,8 +200,9 @@ fn show_graph(display: &Display, shown: &Mutex<Option<String>>) {
             continue;
         }
         let shown = lock(shown).clone();
-        if let Some(graph) = watch.look(|activity| Some(&activity.pipeline) == shown.as_ref()) {
+        if let Some((graph, sources)) = watch.look(|activity| Some(&activity.pipeline) == shown.as_ref()) {
             display.tell(|about| about.graph = graph);
+            pausing::tell(sources, display);
         }
     }
 }

@@ -24,6 +24,7 @@ mod node;
 mod outside_stage;
 mod own_memory;
 mod own_types;
+mod pause;
 mod processes;
 mod programs;
 mod radio;

@@ -296,6 +296,13 @@ impl Started {
         (Self { child, texts }, output)
     }
 
+    /// A program that writes where its command says.
+    pub fn watched(mut command: Command) -> Self {
+        let texts = TempDir::new().unwrap();
+        ["stdout", "stderr"].into_iter().for_each(|name| drop(File::create(texts.path().join(name)).unwrap()));
+        Self { child: command.spawn().unwrap(), texts }
+    }
+
     /// Its process.
     pub fn id(&self) -> u32 {
         self.child.id()

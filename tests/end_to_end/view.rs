@@ -79,7 +79,7 @@ impl Page {
     }
 
     /// The page that a stage offers, as its log says.
-    fn of_stage(log: &str) -> Self {
+    pub fn of_stage(log: &str) -> Self {
         let (_, address) = log.split_once("http://").unwrap();
         Self { host: address.split('/').next().unwrap().to_owned(), _program: None }
     }
@@ -100,7 +100,7 @@ impl Page {
     }
 
     /// The next frame for which this holds.
-    fn frame(&self, what: &str, holds: impl Fn(&Json) -> bool) -> (Json, Vec<u16>) {
+    pub fn frame(&self, what: &str, mut holds: impl FnMut(&Json) -> bool) -> (Json, Vec<u16>) {
         let (mut frames, mut found) = (0, None);
         wait_until(what, || {
             let (json, pixels) = self.look("test", frames);
@@ -112,7 +112,7 @@ impl Page {
     }
 
     /// Tells a wish.
-    fn wish(&self, command: &Json) -> u16 {
+    pub fn wish(&self, command: &Json) -> u16 {
         let (host, body) = (&self.host, command.to_string());
         let head = format!(
             "POST /command HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\nContent-Type: application/json"
@@ -121,7 +121,7 @@ impl Page {
     }
 }
 
-fn items(json: &Json) -> &[Json] {
+pub fn items(json: &Json) -> &[Json] {
     json["frame"]["items"].as_array().map_or(&[], Vec::as_slice)
 }
 

@@ -28,6 +28,7 @@ let frame = null;
 let written = 0;
 let isWriting = false;
 let title = "";
+let run = null;
 const shown = [];
 
 /** The view of space; where the browser cannot draw it, that is said. */
@@ -116,8 +117,9 @@ function showAbout(about, isRecording) {
     document.title = title ? `${title} – conicflow` : "conicflow";
     by("title").textContent = title;
     by("title").hidden = about.pipelines.length > 1;
-    by("notice").hidden = !about.notice;
-    by("notice").textContent = about.notice ?? "";
+    const waits = about.run?.paused && !frame ? "The run is paused: let it make a frame, or go on." : "";
+    by("notice").textContent = about.notice ?? waits;
+    by("notice").hidden = by("notice").textContent === "";
     by("latency-vital").hidden = isRecording;
     fill(by("pipeline"), about.pipelines, title);
     fill(by("depth-topic"), about.depth_topics, about.depth_topic);
@@ -128,7 +130,8 @@ function showAbout(about, isRecording) {
 
 function tell(state, text) {
     by("link").dataset.state = state;
-    by("link").textContent = state === "bad" ? "no answer" : timeline.isShown ? "recording" : "live";
+    by("link").textContent = state === "bad" ? "no answer" : timeline.state;
+    by("link").toggleAttribute("data-paused", timeline.state === "paused");
     if (state === "bad") {
         by("notice").hidden = false;
         by("notice").textContent = text;
@@ -178,7 +181,8 @@ listen();
 follow({
     wanted: () => by("detail").value,
     show: (answer) => {
-        timeline.show(answer.player);
+        run = answer.about ? answer.about.run : run;
+        timeline.show(answer.player, run);
         if (answer.about) {
             showAbout(answer.about, Boolean(answer.player));
         }

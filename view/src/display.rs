@@ -29,6 +29,19 @@ pub struct About {
     pub depth_topic: Option<String>,
     /// The stages and what joins them: `wiring` as planned, with `activity` as measured.
     pub graph: Json,
+    /// Whether the run that is shown is paused; none of a recording.
+    pub run: Option<Run>,
+}
+
+/// Whether the sources of a run stand still.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Run {
+    /// Whether any can.
+    pub can_pause: bool,
+    /// Those that cannot, and go on.
+    pub live: Vec<String>,
+    /// Whether the others do.
+    pub paused: bool,
 }
 
 /// How a recording is played.
@@ -44,7 +57,7 @@ pub struct Player {
     pub speed: f64,
 }
 
-/// A wish of a browser. None of them changes a run.
+/// A wish of a browser. Of a run none changes more than whether its recorded or simulated sources stand still.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(tag = "do", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Command {
@@ -58,13 +71,13 @@ pub enum Command {
         /// The topic.
         name: String,
     },
-    /// Let the recording go on.
+    /// Let the recording, or the run, go on.
     Play,
     /// Let it stand still.
     Pause,
     /// Show the next frame, or the one before.
     Step {
-        /// So many frames on; back, where it is negative.
+        /// So many frames on; back, where it is negative. A run makes one more, and goes back to none.
         by: i32,
     },
     /// Go somewhere else in the recording.

@@ -20,8 +20,8 @@ const SHORTEST_INTERVAL: Duration = Duration::from_millis(20);
 pub struct Gatherer {
     depths: VecDeque<Arc<Depth>>,
     expects_lists: bool,
-    /// When a list came, or the first was expected.
-    listed: Option<Instant>,
+    /// Since when images have waited without any list coming.
+    waits_since: Option<Instant>,
     /// When the last image was taken.
     taken: Option<Instant>,
 }
@@ -36,7 +36,7 @@ fn key(header: &Header) -> Key {
 impl Gatherer {
     /// One that shows depth images at once, or with the lists that are made of them.
     pub fn new(expects_lists: bool) -> Self {
-        Self { depths: VecDeque::new(), expects_lists, listed: None, taken: None }
+        Self { depths: VecDeque::new(), expects_lists, waits_since: None, taken: None }
     }
 
     /// Takes a depth image; a frame to be shown if it is to be shown without a list.
@@ -46,17 +46,21 @@ impl Gatherer {
         }
         self.taken = Some(now);
         let depth = Arc::new(Depth { header: *header, pixels: pixels.to_vec() });
-        let waited = now.saturating_duration_since(*self.listed.get_or_insert(now));
-        if !self.expects_lists || waited > PATIENCE {
-            self.depths.clear();
-            return Some(Frame { header: *header, depth: Some(depth), list: List::None, latency_ms: None });
+        let alone = Frame { header: *header, depth: Some(Arc::clone(&depth)), list: List::None, latency_ms: None };
+        if !self.expects_lists {
+            return Some(alone);
+        }
+        if self.depths.is_empty() {
+            self.waits_since = Some(now);
         }
         self.depths.push_back(depth);
         let pixels = |depths: &VecDeque<Arc<Depth>>| depths.iter().map(|depth| depth.pixels.len()).sum::<usize>();
         while self.depths.len() > MAX_IMAGES || (self.depths.len() > 1 && pixels(&self.depths) > MAX_PIXELS) {
             self.depths.pop_front();
         }
-        None
+        // Its list may come all the same, and the frame is shown once more then.
+        let waited = self.waits_since.map_or(Duration::ZERO, |since| now.saturating_duration_since(since));
+        (waited > PATIENCE).then_some(alone)
     }
 
     /// Takes what was found in a frame; the frame to be shown, unless its depth image was another camera's or has gone.
@@ -66,7 +70,7 @@ impl Gatherer {
         if found.is_none() && has_images {
             return None;
         }
-        self.listed = Some(now);
+        self.waits_since = Some(now);
         let depth = found.and_then(|found| self.depths.drain(..=found).next_back());
         Some(Frame { header: *header, depth, list, latency_ms })
     }
@@ -115,6 +119,27 @@ mod tests {
     }
 
     #[test]
+    fn lists_that_come_again_are_shown_with_their_images() {
+        let (mut gatherer, now) = (Gatherer::new(true), Instant::now());
+        gatherer.depth(&header("left", 0), &[1], now);
+        let later = now + 2 * PATIENCE;
+        assert!(gatherer.depth(&header("left", 1), &[7], later).is_some(), "alone");
+        let frame = gatherer.list(&header("left", 1), List::Objects(Vec::new()), None, later).unwrap();
+        assert_eq!(frame.depth.unwrap().pixels[0], 7);
+        assert!(gatherer.depth(&header("left", 2), &[8], later + SHORTEST_INTERVAL).is_none(), "lists come again");
+    }
+
+    #[test]
+    fn a_frame_after_a_long_pause_waits_for_its_list() {
+        let (mut gatherer, now) = (Gatherer::new(true), Instant::now());
+        gatherer.depth(&header("left", 0), &[1], now);
+        gatherer.list(&header("left", 0), List::default(), None, now).unwrap();
+        let later = now + 20 * PATIENCE;
+        assert!(gatherer.depth(&header("left", 1), &[7], later).is_none());
+        assert!(gatherer.list(&header("left", 1), List::default(), None, later).unwrap().depth.is_some());
+    }
+
+    #[test]
     fn lists_without_images_are_shown() {
         let mut gatherer = Gatherer::new(true);
         let frame = gatherer.list(&header("left", 2), List::Objects(Vec::new()), None, Instant::now());
@@ -125,9 +150,7 @@ mod tests {
     fn no_more_is_kept_than_there_is_room_for() {
         let (mut gatherer, now) = (Gatherer::new(true), Instant::now());
         for number in 0..100 {
-            // Lists come, but of another camera.
             let then = now + SHORTEST_INTERVAL * number as u32;
-            gatherer.listed = Some(then);
             gatherer.depth(&header("left", number), &[0], then);
         }
         assert_eq!(gatherer.depths.len(), MAX_IMAGES);

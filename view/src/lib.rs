@@ -21,7 +21,7 @@ mod server;
 
 pub use access::{Listen, ListenFault};
 pub use browser::Page;
-pub use display::{About, Command, Display, Player};
+pub use display::{About, Command, Display, Player, Run};
 pub use frame::{Depth, Frame, List};
 pub use gatherer::Gatherer;
 pub use request::Request;

@@ -1,5 +1,6 @@
 //! Where a run keeps its files: one folder per user, in it one per pipeline, and beside them the files of shared memory.
 
+use crate::pause::{PAUSE_FILE, PauseFile};
 use crate::plan::{LAYOUT, Plan};
 use crate::status::{Life, Status, StatusFile, status_path};
 use serde::Deserialize;
@@ -223,7 +224,14 @@ impl RunFolder {
     /// The folder cannot be written.
     pub fn begin(&self, plan: &Plan) -> Result<(), FolderError> {
         self.remove_records()?;
+        let path = self.path.join(PAUSE_FILE);
+        PauseFile::create(&path, plan.run).map_err(|error| FolderError::Io { path, error })?;
         self.write_plan(plan)
+    }
+
+    /// The word by which the sources of a run are paused, where there is one.
+    pub(crate) fn pause_file(&self, run: u64) -> Option<PauseFile> {
+        PauseFile::open(&self.path.join(PAUSE_FILE), run).ok()
     }
 
     /// Notes that a run is over as its launcher saw it: what is left was not cut off, and nobody comes back for it. Where
@@ -257,7 +265,7 @@ impl RunFolder {
     fn remove_records(&self) -> Result<(), FolderError> {
         let fault = |error| FolderError::Io { path: self.path.clone(), error };
         for entry in fs::read_dir(&self.path).map_err(fault)?.flatten() {
-            let ends = ["status", "first", "last", "request", "answer", "new", "kept", "plan"];
+            let ends = ["status", "first", "last", "request", "answer", "new", "kept", "plan", "pause"];
             if entry.path().extension().is_some_and(|extension| ends.iter().any(|end| extension == *end)) {
                 fs::remove_file(entry.path()).map_err(fault)?;
             }

@@ -109,6 +109,8 @@ pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
         moved: None,
         progress: Progress::new(options.quiet),
         started: Instant::now(),
+        went_on: Duration::ZERO,
+        looked: Instant::now(),
     };
     let ended = launcher.supervise();
     launcher.swap.take().into_iter().for_each(|swap| swap.abandon(&launcher.folder));
@@ -137,6 +139,9 @@ struct Launcher<'a> {
     moved: Option<Movement>,
     progress: Progress,
     started: Instant,
+    /// How long it was not paused, up to the last look.
+    went_on: Duration,
+    looked: Instant,
 }
 
 /// When something last moved in a run.
@@ -160,6 +165,7 @@ impl Launcher<'_> {
             self.look_at_stages();
             self.press();
             let summary = self.summary();
+            self.look_for_pause(&summary);
             self.look_for_standstill(&summary);
             self.progress.show(&summary);
         }
@@ -219,7 +225,7 @@ impl Launcher<'_> {
     /// Goes on to the next phase when the time of this one is over.
     fn press(&mut self) {
         match self.phase {
-            Phase::Running if self.options.duration.is_some_and(|limit| self.started.elapsed() > limit) => {
+            Phase::Running if self.options.duration.is_some_and(|limit| self.went_on > limit) => {
                 self.stop_sources();
             }
             Phase::Delivering { delivered, since } => {
@@ -233,6 +239,14 @@ impl Launcher<'_> {
             Phase::Stopping { since } if since.elapsed() > KILL_GRACE => self.kill_all(),
             _ => {}
         }
+    }
+
+    /// Time in which the run is paused is none of the time that it is to last.
+    fn look_for_pause(&mut self, summary: &Summary) {
+        let passed = self.looked.elapsed();
+        self.looked += passed;
+        let (_, is_paused) = summary.pausing();
+        self.went_on += if is_paused { Duration::ZERO } else { passed };
     }
 
     /// Tells, once each time that it happens, who waits for whom in a run that stands still.

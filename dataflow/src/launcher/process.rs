@@ -5,6 +5,7 @@ use super::options::RunOptions;
 use crate::log::{DEFAULT_LOG, LOG, error_text, log_to_standard_error};
 use crate::network::{BridgeRun, Carrier, NO_NETWORK, NO_NETWORK_HINT, Network, NetworkError};
 use crate::node::Node;
+use crate::pause::Pause;
 use crate::plan::{Plan, PlannedStage, Runs};
 use crate::ports::PortError;
 use crate::ports::shared_memory::SharedMemory;
@@ -301,6 +302,7 @@ fn stage_runtime(
         record,
         handover: Some(handover),
         successor,
+        pause: Pause::obey(folder.pause_file(plan.run)),
         lock,
     };
     // The record is that of the predecessor until its successor's turn comes.

@@ -1,7 +1,7 @@
 //! Shows how far a run is: one line that is rewritten on a terminal, a line now and then without one.
 
 use super::summary::Summary;
-use std::io::{IsTerminal, Write, stderr};
+use std::io::{IsTerminal, Write, stderr, stdin};
 use std::time::{Duration, Instant};
 
 const ON_A_TERMINAL: Duration = Duration::from_millis(250);
@@ -13,6 +13,8 @@ const RATE_WINDOW: Duration = Duration::from_secs(2);
 pub(crate) struct Progress {
     quiet: bool,
     terminal: bool,
+    /// Whether somebody can press keys.
+    has_keys: bool,
     shown: Instant,
     window: (Instant, u64),
     rate_hz: f64,
@@ -21,7 +23,8 @@ pub(crate) struct Progress {
 impl Progress {
     pub(crate) fn new(quiet: bool) -> Self {
         let now = Instant::now();
-        Self { quiet, terminal: stderr().is_terminal(), shown: now, window: (now, 0), rate_hz: 0.0 }
+        let (terminal, has_keys) = (stderr().is_terminal(), stdin().is_terminal());
+        Self { quiet, terminal, has_keys, shown: now, window: (now, 0), rate_hz: 0.0 }
     }
 
     /// Shows the state of a run, if it is time to.
@@ -45,8 +48,15 @@ impl Progress {
 
     fn line(&self, summary: &Summary, finished: u64) -> String {
         let total = summary.frames().1.map(|total| format!("/{total}")).unwrap_or_default();
+        let (can_pause, is_paused) = summary.pausing();
+        let paused = match (is_paused, self.has_keys) {
+            (true, true) => ", paused (space: go on, .: one frame)",
+            (true, false) => ", paused",
+            (false, true) if can_pause => " (space: pause)",
+            (false, _) => "",
+        };
         format!(
-            "{}: {:.0} s, {finished}{total} frames, {:.1} Hz, {} objects, {} dropped",
+            "{}: {:.0} s, {finished}{total} frames, {:.1} Hz, {} objects, {} dropped{paused}",
             summary.pipeline,
             summary.elapsed.as_secs_f64(),
             self.rate_hz,

@@ -6,7 +6,7 @@ use crate::link_report::{LinkReport, read_links};
 use crate::plan::{Plan, PlannedStage};
 use crate::ports::Delivery;
 use crate::standstill;
-use crate::status::{Durations, InputCounts, Life, Status, used};
+use crate::status::{Durations, InputCounts, Life, Pausing, Status, used};
 use crate::table::Table;
 use conicflow_messages::plain;
 use std::fmt::{self, Display};
@@ -91,6 +91,13 @@ impl Summary {
     /// Whether any stage waits for another one to take what it has sent.
     pub(crate) fn is_held_up(&self) -> bool {
         standstill::is_held_up(&self.statuses().collect::<Vec<_>>())
+    }
+
+    /// Whether a source could be paused, and whether one is.
+    pub(crate) fn pausing(&self) -> (bool, bool) {
+        let sources = || self.statuses().map(|(_, status)| status).filter(|status| status.life() == Life::Running);
+        let is = |pausing: Pausing| sources().any(|status| status.pausing() == pausing);
+        (is(Pausing::Goes), is(Pausing::Stands))
     }
 
     /// What readers lost of topics of which they want all, in a run that has ended; nothing where somebody ended the run

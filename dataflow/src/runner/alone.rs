@@ -5,6 +5,7 @@ use super::source_loop::run_source;
 use super::stage_loop::run_stage;
 use super::{RunError, StageRuntime};
 use crate::item_type::ItemType;
+use crate::pause::Pause;
 use crate::ports::in_memory::{InMemory, MemoryReader};
 use crate::ports::{Delivery, PortError, Reader, Received, Topic, TopicReader, Transport, Wiring, Writer};
 use crate::stage::{Context, Source, Stage};
@@ -95,8 +96,8 @@ fn run_alone<T: Item>(
     let mut reader = memory.reader_of(&item, output, DOWNSTREAM)?;
     let record = StatusFile::nowhere();
     let (transport, peers) = (memory.clone(), Peers::default());
-    let runtime =
-        StageRuntime { transport, wiring, context, peers, record, handover: None, successor: None, lock: None };
+    let (pause, handover, successor, lock) = (Pause::default(), None, None, None);
+    let runtime = StageRuntime { transport, wiring, context, peers, record, handover, successor, pause, lock };
     thread::scope(|scope| {
         let running = scope.spawn(|| run(runtime));
         let fed = feed(&|| running.is_finished());

@@ -8,6 +8,7 @@ pub(crate) mod input_port;
 #[cfg(test)]
 mod input_port_tests;
 pub(crate) mod output_port;
+mod pace;
 pub(crate) mod peers;
 pub(crate) mod pulled_source;
 pub(crate) mod pulled_stage;
@@ -20,6 +21,7 @@ mod takeover;
 mod tests;
 
 use crate::item_type::ItemType;
+use crate::pause::Pause;
 use crate::pipeline::suggestion;
 use crate::ports::shared_memory::trim_rss;
 use crate::ports::{PortError, Topic, Transport, Wiring};
@@ -51,6 +53,8 @@ pub struct StageRuntime<T> {
     pub(crate) handover: Option<Handover>,
     /// Set where this process replaces another of the same stage.
     pub(crate) successor: Option<Successor>,
+    /// Whether it stands still, if it is a source.
+    pub(crate) pause: Pause,
     /// Held while the stage lives, where it is a process of its own.
     pub(crate) lock: Option<File>,
 }

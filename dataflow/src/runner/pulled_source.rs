@@ -1,6 +1,7 @@
 //! A source whose program makes its messages in a loop of its own, in place of being called for them: what a binding to another
 //! language stands on. It has the rights and duties of a [`Source`](crate::Source).
 
+use super::pace::Rhythm;
 use super::side_ports::KeptMessage;
 use super::source_loop::{SourcePlace, resume, takes_place};
 use super::{RunError, StageRuntime};
@@ -24,7 +25,7 @@ pub struct PulledSource {
 
 impl PulledSource {
     /// Takes the place of a source that makes `total` messages in all, where that is known, and no more in a second than its
-    /// parameter `rate_hz` says, where it has one; `None` where a successor is not wanted any more.
+    /// parameter `rate_hz` says, where it has one; one without an end goes on while the run is paused. `None` where a successor is not wanted any more.
     pub(crate) fn open(
         mut runtime: StageRuntime<SharedMemory>,
         parameters: Json,
@@ -48,7 +49,8 @@ impl PulledSource {
         resume(&mut runtime);
         let context = runtime.context.clone();
         let rate_hz = parameters.get("rate_hz").and_then(Json::as_f64).unwrap_or(0.0);
-        let place = SourcePlace::begin(runtime, side_inputs, output_port, total, rate_hz)?;
+        let rhythm = Rhythm { rate_hz, keeps_stamps: false, can_pause: total.is_some() };
+        let place = SourcePlace::begin(runtime, side_inputs, output_port, total, rhythm)?;
         Ok(Some(Self { place, context, parameters, started: None, is_over: false }))
     }
 

@@ -2,12 +2,13 @@
 
 use super::handover::Watermark;
 use super::output_port::OutputPort;
+use super::pace::{Pace, Rhythm};
 use super::side_ports::{self, SidePort};
 use super::{MemoryTrim, RunError, StageRuntime, guarded, is_stopped};
 use crate::clock::monotonic_ns;
 use crate::ports::{PortError, Transport};
-use crate::stage::{Next, Pace, Source, Stop};
-use crate::status::{Life, Status, StatusFile, used};
+use crate::stage::{Next, Source, Stop};
+use crate::status::{Life, Pausing, Status, StatusFile, used};
 use conicflow_messages::{Header, Item};
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -51,8 +52,9 @@ pub(crate) fn run_source<S: Source, T: Transport + 'static>(
     resume(&mut runtime);
     let source = S::new(config, &runtime.context).map_err(RunError::Refused)?;
     let memory_trim = MemoryTrim::of(&runtime);
-    let (total, rate_hz) = (source.total(), source.rate_hz());
-    let place = SourcePlace::begin(runtime, side_inputs, output_port, total, rate_hz)?;
+    let rhythm =
+        Rhythm { rate_hz: source.rate_hz(), keeps_stamps: source.keeps_stamps(), can_pause: source.can_pause() };
+    let place = SourcePlace::begin(runtime, side_inputs, output_port, source.total(), rhythm)?;
     let mut running = SourceLoop::<S, T> { source, place, list: Vec::new(), memory_trim };
     while running.place.is_due() && running.make_one()? {}
     running.place.end()
@@ -87,15 +89,16 @@ impl<T: Transport + 'static> SourcePlace<T> {
         mut side_inputs: Vec<Box<dyn SidePort>>,
         mut output_port: OutputPort<T::Writer>,
         total: Option<u64>,
-        rate_hz: f64,
+        rhythm: Rhythm,
     ) -> Result<Self, PortError> {
         let status = &runtime.record.status;
         output_port.resume(status.sent);
         side_inputs.iter_mut().zip(status.inputs).try_for_each(|(side, counts)| side.resume(counts))?;
+        runtime.record.status.set_pausing(if rhythm.can_pause { Pausing::Goes } else { Pausing::Cannot });
         runtime.begin(total);
-        let StageRuntime { context, wiring, record, lock, .. } = runtime;
+        let StageRuntime { context, wiring, record, pause, lock, .. } = runtime;
         let (stop, made) = (context.stop, context.resume_at);
-        let pace = Pace::new(rate_hz, stop.clone());
+        let pace = Pace::new(rhythm, stop.clone(), pause);
         let (epoch, frames) = (new_epoch(), wiring.frames);
         Ok(Self { side_inputs, output_port, record, stop, epoch, made, sequence: made, frames, pace, _lock: lock })
     }
@@ -107,7 +110,13 @@ impl<T: Transport> SourcePlace<T> {
         if self.frames.is_some_and(|frames| self.made >= frames) {
             return false;
         }
-        self.pace.wait();
+        self.pace.wait_to_make(&mut self.record);
+        !self.stop.requested()
+    }
+
+    /// Waits until what was made is due to be sent, where its stamp tells; false if it is not to be sent any more.
+    fn is_due_to_be_sent(&mut self, stamp_ns: Option<u64>) -> bool {
+        self.pace.wait_to_send(stamp_ns, &mut self.record);
         !self.stop.requested()
     }
 
@@ -169,7 +178,9 @@ impl<S: Source, T: Transport> SourceLoop<S, T> {
         let (made, is_image) = (output.header, output.is_image());
         let header = place.numbered(made);
         let list = (!is_image).then_some(&*self.list);
-        let sent = next == Next::Message && place.send(header, started.elapsed(), list)?;
+        let (making, is_message) = (started.elapsed(), next == Next::Message);
+        let is_due = place.is_due_to_be_sent(is_message.then_some(header.stamp_ns));
+        let sent = is_message && is_due && place.send(header, making, list)?;
         if sent || next == Next::End {
             place.output_port.tally(&mut place.record.status, header.sequence, &self.list);
             place.keep_counts();

@@ -148,6 +148,10 @@ impl Source for ImageSource {
         self.0.total()
     }
 
+    fn can_pause(&self) -> bool {
+        true
+    }
+
     fn next(&mut self, _: &SideInputs, output: &mut Output<u16>) -> Result<Next, StageError> {
         while let Some(loaded) = self.0.load().map_err(stage_error)? {
             let place = output.image(loaded.pixels())?;

@@ -12,19 +12,16 @@ pub use channels::has_own;
 pub use replay::{Replay, Replayed};
 
 use crate::stage_error::stage_error;
-use conicflow_dataflow::{ConfigFault, Context, ItemType, Next, Output, SideInputs, Source, StageError, Stop};
+use conicflow_dataflow::{ConfigFault, Context, ItemType, Next, Output, SideInputs, Source, StageError};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::NoiseConfig;
-use conicflow_messages::{AnyByte, DEPTH_SCALES_M, Header};
+use conicflow_messages::{AnyByte, DEPTH_SCALES_M};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
 
 /// What a source sends where nothing else is asked for.
 const DEPTH: ItemType = ItemType::of::<u16>();
-/// A source that waits looks this often whether the run is to end.
-const LOOK: Duration = Duration::from_millis(50);
 
 /// Parameters of [`McapSource`].
 #[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
@@ -90,9 +87,6 @@ impl Config {
 pub struct McapSource {
     replay: Replay,
     rate_hz: Option<f64>,
-    /// When which stamp was sent, where the recording sets the pace.
-    anchor: Option<(Instant, u64)>,
-    stop: Stop,
 }
 
 impl Source for McapSource {
@@ -108,7 +102,7 @@ impl Source for McapSource {
     fn new(config: Config, context: &Context) -> Result<Self, StageError> {
         let item = context.output.clone().unwrap_or(DEPTH);
         let replay = Replay::open(&config, &context.base, &item, context.resume_at)?;
-        Ok(Self { replay, rate_hz: config.rate_hz, anchor: None, stop: context.stop.clone() })
+        Ok(Self { replay, rate_hz: config.rate_hz })
     }
 
     fn message_length(config: &Config, base: &Path) -> Option<usize> {
@@ -120,35 +114,21 @@ impl Source for McapSource {
         self.rate_hz.unwrap_or(0.0)
     }
 
+    fn keeps_stamps(&self) -> bool {
+        self.rate_hz.is_none()
+    }
+
+    fn can_pause(&self) -> bool {
+        true
+    }
+
     fn next(&mut self, _: &SideInputs, output: &mut Output<AnyByte>) -> Result<Next, StageError> {
         let next = self.replay.next_message();
         output.count_all(self.replay.take_counts());
         let Some(message) = next.map_err(stage_error)? else { return Ok(Next::End) };
-        if self.rate_hz.is_none() {
-            self.wait_until_due(&message.header);
-        }
         let place = output.image(message.items.len() / self.replay.item().size())?;
         bytemuck::cast_slice_mut(place).copy_from_slice(&message.items);
         output.header = message.header;
         Ok(Next::Message)
-    }
-}
-
-impl McapSource {
-    /// Waits as long as passed between this frame and the one before when they were recorded. One that is late does not make the
-    /// others hurry.
-    fn wait_until_due(&mut self, header: &Header) {
-        let now = Instant::now();
-        let (start, stamp_ns) = self.anchor.unwrap_or((now, header.stamp_ns));
-        let after = Duration::from_nanos(header.stamp_ns.saturating_sub(stamp_ns));
-        let due = start.checked_add(after).filter(|due| *due > now).unwrap_or(now);
-        self.anchor = Some((due, header.stamp_ns));
-        while !self.stop.requested() {
-            let left = due.saturating_duration_since(Instant::now());
-            if left.is_zero() {
-                return;
-            }
-            std::thread::sleep(left.min(LOOK));
-        }
     }
 }

@@ -6,7 +6,7 @@ use crate::recording::files::Files;
 use crate::recording::own;
 use crate::recording::recorder::{Limits, Recorded, Recorder};
 use conicflow_dataflow::{AnyMessage, BUILT_IN};
-use conicflow_messages::{Camera, HAS_POSE, Hop, NoiseModel, Object, RECORDED, Text};
+use conicflow_messages::{Camera, HAS_POSE, Header, Hop, NoiseModel, Object, RECORDED, Text};
 use conicflow_ros::{
     CAMERA_INFO, COMPRESSED_IMAGE, CameraInfo, Definition, IMAGE, Stamped, TF_MESSAGE, Writer, write_metres,
     write_transform, write_units,
@@ -16,6 +16,7 @@ use mcap::{Compression, WriteOptions};
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::Cursor;
+use std::time::{Duration, Instant};
 
 const CAMERA: Camera = Camera { width: 4, height: 3, fx: 50.0, fy: 51.0, cx: 1.5, cy: 1.0 };
 const SIZE: (u32, u32) = (4, 3);

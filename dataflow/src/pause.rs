@@ -1,0 +1,198 @@
+//! Whether the sources of a run stand still: a word in the run's folder, which whoever may enter that folder changes and the sources
+//! read before each message.
+//!
+//! What plays back or simulates can stand still; a camera goes on. Nothing else of a run is paused: what is under way is worked on.
+
+use bytemuck::{Pod, Zeroable};
+use serde::Serialize;
+use std::fs::{File, OpenOptions};
+use std::io;
+use std::os::unix::fs::FileExt;
+use std::path::Path;
+
+/// The file in the folder of a run.
+pub(crate) const PAUSE_FILE: &str = "run.pause";
+
+/// What is wished of the sources of a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PauseWish {
+    /// They stand still.
+    Pause,
+    /// They go on.
+    Resume,
+    /// They do the other of both.
+    Toggle,
+    /// Each makes one message more, and stands still.
+    Step,
+}
+
+/// The sources of a run on this machine.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Sources {
+    /// Those that can be paused.
+    pub can_pause: Vec<String>,
+    /// Those that go on, such as cameras.
+    pub live: Vec<String>,
+    /// Whether the first are to stand still.
+    pub paused: bool,
+}
+
+/// What stands in the file.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
+struct Word {
+    /// The run that it is meant for.
+    run: u64,
+    /// Not 0 while its sources are to stand still.
+    is_paused: u64,
+    /// How many messages each of them may have made although it stood still.
+    steps: u64,
+}
+
+/// The file with the word of one run.
+#[derive(Debug)]
+pub(crate) struct PauseFile {
+    file: File,
+    run: u64,
+}
+
+impl PauseFile {
+    /// Writes the word of a run that begins: it is not paused.
+    pub(crate) fn create(path: &Path, run: u64) -> io::Result<()> {
+        std::fs::write(path, bytemuck::bytes_of(&Word { run, ..Word::default() }))
+    }
+
+    /// The file of a run that was begun.
+    pub(crate) fn open(path: &Path, run: u64) -> io::Result<Self> {
+        Ok(Self { file: OpenOptions::new().read(true).write(true).open(path)?, run })
+    }
+
+    /// The word, if it is of this run.
+    fn read(&self) -> Option<Word> {
+        let mut word = Word::default();
+        self.file.read_exact_at(bytemuck::bytes_of_mut(&mut word), 0).ok()?;
+        (word.run == self.run).then_some(word)
+    }
+
+    /// Whether the sources of this run are to stand still.
+    pub(crate) fn is_paused(&self) -> bool {
+        self.read().is_some_and(|word| word.is_paused != 0)
+    }
+
+    /// Changes the word as is wished. Two who wish at the same time are heard one after the other.
+    pub(crate) fn change(&self, wish: PauseWish) -> io::Result<()> {
+        self.file.lock()?;
+        let word = self.read().unwrap_or(Word { run: self.run, ..Word::default() });
+        let is_paused = match wish {
+            PauseWish::Pause | PauseWish::Step => true,
+            PauseWish::Resume => false,
+            PauseWish::Toggle => word.is_paused == 0,
+        };
+        let steps = word.steps + u64::from(wish == PauseWish::Step);
+        let word = Word { is_paused: u64::from(is_paused), steps, ..word };
+        let written = self.file.write_all_at(bytemuck::bytes_of(&word), 0);
+        self.file.unlock()?;
+        written
+    }
+}
+
+/// What a source is to do now.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Turn {
+    /// Go on at its pace.
+    Go,
+    /// Make one message, and ask again.
+    Step,
+    /// Stand still.
+    Stand,
+}
+
+/// The word of a run as one of its sources obeys it.
+#[derive(Debug, Default)]
+pub(crate) struct Pause {
+    /// None where nobody can pause it.
+    file: Option<PauseFile>,
+    /// The steps that it has made, or that were wished before it stood still.
+    steps: u64,
+}
+
+impl Pause {
+    /// A source that obeys this file.
+    pub(crate) fn obey(file: Option<PauseFile>) -> Self {
+        let steps = file.as_ref().and_then(PauseFile::read).map_or(0, |word| word.steps);
+        Self { file, steps }
+    }
+
+    /// What is to be done now.
+    pub(crate) fn turn(&mut self) -> Turn {
+        match self.file.as_ref().and_then(PauseFile::read) {
+            Some(word) if word.is_paused != 0 && word.steps > self.steps => {
+                self.steps += 1;
+                Turn::Step
+            }
+            Some(word) if word.is_paused != 0 => Turn::Stand,
+            Some(word) => {
+                self.steps = word.steps;
+                Turn::Go
+            }
+            None => Turn::Go,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use PauseWish::{Pause as Stop, Resume, Step, Toggle};
+
+    #[test]
+    fn a_source_stands_still_steps_and_goes_on_as_is_wished() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(PAUSE_FILE);
+        PauseFile::create(&path, 7).unwrap();
+        let word = PauseFile::open(&path, 7).unwrap();
+        let mut pause = Pause::obey(PauseFile::open(&path, 7).ok());
+        let mut turns = |wishes: &[PauseWish]| {
+            wishes.iter().for_each(|wish| word.change(*wish).unwrap());
+            [pause.turn(), pause.turn(), pause.turn()]
+        };
+        assert_eq!(turns(&[]), [Turn::Go; 3]);
+        assert_eq!(turns(&[Stop]), [Turn::Stand; 3]);
+        assert_eq!(turns(&[Step, Step]), [Turn::Step, Turn::Step, Turn::Stand]);
+        assert_eq!(turns(&[Step, Resume]), [Turn::Go; 3], "a step that was not made is not made later");
+        assert_eq!(turns(&[Toggle]), [Turn::Stand; 3]);
+        assert_eq!(
+            turns(&[Toggle, Step]),
+            [Turn::Step, Turn::Stand, Turn::Stand],
+            "a step of a run that goes on pauses it"
+        );
+        let mut anew = Pause::obey(PauseFile::open(&path, 7).ok());
+        assert_eq!(anew.turn(), Turn::Stand, "a source that is started anew has made the steps before it");
+    }
+
+    #[test]
+    fn the_word_of_another_run_is_not_obeyed() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(PAUSE_FILE);
+        PauseFile::create(&path, 7).unwrap();
+        let (former, own) = (PauseFile::open(&path, 7).unwrap(), PauseFile::open(&path, 8).unwrap());
+        former.change(Stop).unwrap();
+        assert!(former.is_paused() && !own.is_paused());
+        assert_eq!(Pause::obey(Some(own)).turn(), Turn::Go);
+        assert_eq!(Pause::default().turn(), Turn::Go);
+    }
+
+    #[test]
+    fn no_step_is_lost_of_many_who_wish_at_the_same_time() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(PAUSE_FILE);
+        PauseFile::create(&path, 7).unwrap();
+        std::thread::scope(|scope| {
+            for _ in 0..4 {
+                let own = PauseFile::open(&path, 7).unwrap();
+                scope.spawn(move || (0..50).for_each(|_| own.change(Step).unwrap()));
+            }
+        });
+        assert_eq!(PauseFile::open(&path, 7).unwrap().read().unwrap().steps, 200);
+    }
+}

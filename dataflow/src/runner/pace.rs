@@ -1,0 +1,154 @@
+//! When a source makes or sends its next message: at its rate, as far apart as the stamps are, and not while the run is paused.
+
+use crate::pause::{Pause, Turn};
+use crate::stage::Stop;
+use crate::status::{Pausing, StatusFile};
+use std::time::{Duration, Instant};
+
+/// What is due later than this is never due, for whoever waits for it; 30 years, which any clock can tell.
+const LONGEST_PERIOD_S: f64 = 1e9;
+/// A source that waits looks this often whether something else is wished.
+const LOOK: Duration = Duration::from_millis(20);
+
+/// How a source wants its messages in time.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Rhythm {
+    /// Messages per second; 0: as fast as they are taken.
+    pub(crate) rate_hz: f64,
+    /// They are as far apart as their stamps, whatever the rate.
+    pub(crate) keeps_stamps: bool,
+    /// Whether it can stand still.
+    pub(crate) can_pause: bool,
+}
+
+/// Keeps a source to its rhythm: a message is due at fixed times, however long the making of one takes.
+#[derive(Debug)]
+pub(crate) struct Pace {
+    period: Duration,
+    keeps_stamps: bool,
+    due: Option<Instant>,
+    /// The stamp of the message before.
+    stamp_ns: Option<u64>,
+    stop: Stop,
+    pause: Pause,
+}
+
+impl Pace {
+    /// A pace in this rhythm, of a source that is paused as `pause` says, if it can be.
+    pub(crate) fn new(rhythm: Rhythm, stop: Stop, pause: Pause) -> Self {
+        let Rhythm { rate_hz, keeps_stamps, can_pause } = rhythm;
+        let has_rate = rate_hz > 0.0 && !keeps_stamps;
+        let period_s = if has_rate { (1.0 / rate_hz).min(LONGEST_PERIOD_S) } else { 0.0 };
+        let pause = if can_pause { pause } else { Pause::default() };
+        Self { period: Duration::from_secs_f64(period_s), keeps_stamps, due: None, stamp_ns: None, stop, pause }
+    }
+
+    /// Waits until the next message is to be made, or the run is to end. A source that fell behind by more than one message does
+    /// not hurry to catch up.
+    pub(crate) fn wait_to_make(&mut self, record: &mut StatusFile) {
+        if self.keeps_stamps {
+            return;
+        }
+        let now = Instant::now();
+        let due = self.due.map_or(now, |due| due + self.period);
+        let is_late = now.saturating_duration_since(due) > self.period;
+        self.due = Some(if is_late { now } else { due });
+        self.wait_until(due, record);
+    }
+
+    /// Waits until a message with this stamp is to be sent, as long after the one before as their stamps say, or the run is to end.
+    /// One that is late does not make the others hurry. Without a stamp it waits only while the run is paused.
+    pub(crate) fn wait_to_send(&mut self, stamp_ns: Option<u64>, record: &mut StatusFile) {
+        if !self.keeps_stamps {
+            return;
+        }
+        let now = Instant::now();
+        let since_last = stamp_ns.zip(self.stamp_ns).map_or(0, |(stamp_ns, last_ns)| stamp_ns.saturating_sub(last_ns));
+        let due = self.due.and_then(|due| due.checked_add(Duration::from_nanos(since_last)));
+        let due = due.filter(|due| *due > now).unwrap_or(now);
+        (self.due, self.stamp_ns) = (Some(due), stamp_ns);
+        self.wait_until(due, record);
+    }
+
+    fn wait_until(&mut self, due: Instant, record: &mut StatusFile) {
+        while !self.stop.requested() {
+            let turn = self.pause.turn();
+            tell(record, turn);
+            let left = due.saturating_duration_since(Instant::now());
+            match turn {
+                Turn::Go if left.is_zero() => return,
+                Turn::Go => std::thread::sleep(left.min(LOOK)),
+                Turn::Stand => std::thread::sleep(LOOK),
+                Turn::Step => {
+                    // What follows is due after this one, not after the time at which it would have been due.
+                    self.due = Some(Instant::now());
+                    return;
+                }
+            }
+        }
+    }
+}
+
+/// Notes in the record whether the source stands still, where that is new.
+fn tell(record: &mut StatusFile, turn: Turn) {
+    let pausing = if turn == Turn::Go { Pausing::Goes } else { Pausing::Stands };
+    if ![Pausing::Cannot, pausing].contains(&record.status.pausing()) {
+        record.status.set_pausing(pausing);
+        record.write();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pause::{PAUSE_FILE, PauseFile, PauseWish};
+
+    fn rhythm(rate_hz: f64) -> Rhythm {
+        Rhythm { rate_hz, keeps_stamps: false, can_pause: true }
+    }
+
+    #[test]
+    fn every_rate_has_a_period_that_the_clock_can_tell() {
+        let mut record = StatusFile::nowhere();
+        for rate_hz in [f64::MIN_POSITIVE, 1e-320, 1e-20, 1e-9, f64::MAX, f64::INFINITY, 0.0, f64::NAN] {
+            let stop = Stop::default();
+            let mut pace = Pace::new(rhythm(rate_hz), stop.clone(), Pause::default());
+            pace.wait_to_make(&mut record);
+            stop.request();
+            (0..3).for_each(|_| pace.wait_to_make(&mut record));
+        }
+    }
+
+    #[test]
+    fn every_stamp_is_due_at_a_time_that_the_clock_can_tell() {
+        let (stop, mut record) = (Stop::default(), StatusFile::nowhere());
+        let rhythm = Rhythm { keeps_stamps: true, ..Rhythm::default() };
+        let mut pace = Pace::new(rhythm, stop.clone(), Pause::default());
+        let begin = Instant::now();
+        [5, 40_000_000, 3, 3].into_iter().for_each(|stamp_ns| pace.wait_to_send(Some(stamp_ns), &mut record));
+        assert!(begin.elapsed() >= Duration::from_nanos(39_999_995), "as far apart as the stamps");
+        stop.request();
+        [u64::MAX, 0, u64::MAX].into_iter().for_each(|stamp_ns| pace.wait_to_send(Some(stamp_ns), &mut record));
+    }
+
+    /// Many steps of a slow source, after which it is due as if there had been one.
+    #[test]
+    fn steps_are_made_at_once_and_a_step_does_not_put_off_what_follows() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(PAUSE_FILE);
+        PauseFile::create(&path, 7).unwrap();
+        let word = PauseFile::open(&path, 7).unwrap();
+        let pause = Pause::obey(PauseFile::open(&path, 7).ok());
+        let mut record = StatusFile::nowhere();
+        record.status.set_pausing(Pausing::Goes);
+        let hour = Duration::from_secs(3600);
+        let mut pace = Pace::new(rhythm(1.0 / hour.as_secs_f64()), Stop::default(), pause);
+        pace.wait_to_make(&mut record);
+        for _ in 0..5 {
+            word.change(PauseWish::Step).unwrap();
+            pace.wait_to_make(&mut record);
+            assert_eq!(record.status.pausing(), Pausing::Stands);
+        }
+        assert!(pace.due.unwrap() <= Instant::now(), "five hours are not waited for");
+    }
+}

@@ -1,0 +1,241 @@
+//! The keys of `conicflow run` at a terminal: space pauses the run or lets it go on, `.` or the right arrow lets it make one frame.
+//!
+//! A process of its own reads them. However the launcher ends, also by SIGKILL, that process gives the terminal back as it was; and
+//! however that process ends, the launcher does. At Ctrl-Z the launcher does so before it stops, for then the shell takes the
+//! terminal. A terminal whose modes somebody else has set since, such as a shell that waits for a line, is left alone, as is that of a
+//! run in the background.
+
+use anyhow::{Context, Result};
+use conicflow_dataflow::{PauseWish, RunningPipeline};
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::io::Errno;
+use rustix::process::{Pid, Signal, getpgrp, getppid, kill_process, set_parent_process_death_signal};
+use rustix::termios::{LocalModes, OptionalActions, SpecialCodeIndex, Termios, tcgetattr, tcgetpgrp, tcsetattr};
+use signal_hook::consts::{SIGCONT, SIGHUP, SIGINT, SIGQUIT, SIGTERM, SIGTSTP};
+use signal_hook::iterator::{Handle, Signals};
+use signal_hook::low_level::emulate_default_handler;
+use std::io::{IsTerminal, Write, stderr, stdin};
+use std::process::{Child, Command};
+use std::thread::{self, sleep};
+use std::time::Duration;
+
+/// The command by which this program reads keys; people do not call it.
+pub const NAME: &str = "keys";
+/// A run in the background looks this often whether it came to the foreground.
+const LOOK: Duration = Duration::from_millis(200);
+/// Starts what reads the keys, which may set the modes of a terminal that a shell has taken back (without SIGTTOU).
+const START: &str = "trap '' TTOU; exec \"$@\"";
+/// What a terminal sends for the right arrow, in both of its modes.
+const RIGHT: [&[u8]; 2] = [b"\x1b[C", b"\x1bOC"];
+
+/// The keys of a run, until this is dropped.
+pub struct Keys {
+    reader: Child,
+    /// How the terminal was, where the run began in its foreground.
+    before: Option<Termios>,
+    /// Hears of Ctrl-Z.
+    stops: Option<Handle>,
+}
+
+impl Keys {
+    /// Reads the keys for a pipeline, where there is a terminal; a run that nobody can pause by them is a run all the same.
+    pub fn start(pipeline: &str) -> Option<Self> {
+        if !stdin().is_terminal() {
+            return None;
+        }
+        let before = is_foreground().then(|| tcgetattr(stdin()).ok()).flatten();
+        let own = std::process::id().to_string();
+        let mut reader = Command::new("sh");
+        reader.args(["-c", START, "sh"]).arg(std::env::current_exe().ok()?).args([NAME, pipeline, &own]);
+        let reader = reader.spawn().ok()?;
+        let stops = before.clone().and_then(|before| stop_in_order(before).ok());
+        Some(Self { reader, before, stops })
+    }
+}
+
+/// At Ctrl-Z gives the terminal back, and then stops this process.
+fn stop_in_order(before: Termios) -> Result<Handle> {
+    let mut signals = Signals::new([SIGTSTP])?;
+    let handle = signals.handle();
+    let listen = move || {
+        for signal in signals.forever() {
+            give_back(&before);
+            // What else could be done where the system refuses it?
+            emulate_default_handler(signal).ok();
+        }
+    };
+    thread::Builder::new().name("keys".to_owned()).spawn(listen)?;
+    Ok(handle)
+}
+
+/// Makes the terminal what it was, if it is that of this process's job.
+fn give_back(before: &Termios) {
+    if is_foreground() {
+        // What else could be done with a terminal that refuses it?
+        tcsetattr(stdin(), OptionalActions::Now, before).ok();
+    }
+}
+
+impl Drop for Keys {
+    fn drop(&mut self) {
+        if let Some(reader) = Pid::from_raw(self.reader.id().cast_signed()) {
+            // It may be stopped, or be gone.
+            kill_process(reader, Signal::TERM).ok();
+            kill_process(reader, Signal::CONT).ok();
+        }
+        self.reader.wait().ok();
+        self.stops.iter().for_each(Handle::close);
+        self.before.iter().for_each(give_back);
+    }
+}
+
+/// Whether the terminal is that of this process's job now.
+fn is_foreground() -> bool {
+    tcgetpgrp(stdin()).is_ok_and(|group| group == getpgrp())
+}
+
+/// A terminal that gives keys as they are pressed, and is given back.
+#[derive(Default)]
+struct Terminal {
+    /// How it was when this process met it.
+    before: Option<Termios>,
+    /// How it is since it was taken.
+    taken: Option<Termios>,
+}
+
+impl Terminal {
+    fn take(&mut self) -> Result<()> {
+        if self.taken.is_some() {
+            return Ok(());
+        }
+        let before = match &self.before {
+            Some(before) => before,
+            None => self.before.insert(tcgetattr(stdin())?),
+        };
+        let mut by_key = before.clone();
+        // Ctrl-C and Ctrl-Z stay what they are.
+        by_key.local_modes.remove(LocalModes::ICANON | LocalModes::ECHO);
+        by_key.special_codes[SpecialCodeIndex::VMIN] = 1;
+        by_key.special_codes[SpecialCodeIndex::VTIME] = 0;
+        tcsetattr(stdin(), OptionalActions::Now, &by_key)?;
+        self.taken = Some(by_key);
+        Ok(())
+    }
+
+    /// Makes it what it was, if it is still as it was taken.
+    fn give_back(&mut self) {
+        let Some((before, taken)) = self.before.as_ref().zip(self.taken.take()) else { return };
+        let modes = |terminal: &Termios| (terminal.input_modes, terminal.output_modes, terminal.local_modes);
+        if tcgetattr(stdin()).is_ok_and(|now| modes(&now) == modes(&taken)) {
+            tcsetattr(stdin(), OptionalActions::Now, before).ok();
+        }
+    }
+}
+
+impl Drop for Terminal {
+    fn drop(&mut self) {
+        self.give_back();
+    }
+}
+
+/// Obeys the keys until the launcher, the process `launcher`, has ended or says so.
+///
+/// # Errors
+/// There is no terminal, or signals cannot be received.
+pub fn read(pipeline: &str, launcher: i32) -> Result<()> {
+    set_parent_process_death_signal(Some(Signal::TERM))?;
+    let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGTSTP, SIGCONT])?;
+    let mut terminal = Terminal::default();
+    while getppid().is_some_and(|parent| parent.as_raw_nonzero().get() == launcher) {
+        for signal in signals.pending() {
+            match signal {
+                SIGTERM | SIGHUP | SIGQUIT => return Ok(()),
+                SIGTSTP => {
+                    terminal.give_back();
+                    emulate_default_handler(SIGTSTP)?;
+                }
+                // The launcher ends the run after Ctrl-C, and then this process.
+                _ => {}
+            }
+        }
+        if is_foreground() {
+            terminal.take().context("the terminal gives no keys")?;
+            let Some(pressed) = next_keys()? else { return Ok(()) };
+            wishes(&pressed).for_each(|wish| obey(pipeline, wish));
+        } else {
+            terminal.taken = None;
+            sleep(LOOK);
+        }
+    }
+    Ok(())
+}
+
+/// What was pressed since, waited for no longer than until the next look; none where the terminal is gone.
+fn next_keys() -> Result<Option<Vec<u8>>> {
+    let input = stdin();
+    let mut ready = [PollFd::new(&input, PollFlags::IN)];
+    let patience = Timespec { tv_sec: 0, tv_nsec: LOOK.as_nanos() as i64 };
+    match poll(&mut ready, Some(&patience)) {
+        // Whoever reads in the background stops its whole job.
+        Ok(0) | Err(Errno::INTR) => return Ok(Some(Vec::new())),
+        Ok(_) if !is_foreground() => return Ok(Some(Vec::new())),
+        Ok(_) => {}
+        Err(error) => return Err(error.into()),
+    }
+    let mut keys = [0; 64];
+    match rustix::io::read(&input, &mut keys) {
+        Ok(0) | Err(Errno::IO) => Ok(None),
+        Ok(length) => Ok(Some(keys[..length].to_vec())),
+        Err(Errno::INTR) => Ok(Some(Vec::new())),
+        Err(error) => Err(error.into()),
+    }
+}
+
+/// What these keys stand for; others stand for nothing.
+fn wishes(mut keys: &[u8]) -> impl Iterator<Item = PauseWish> {
+    std::iter::from_fn(move || {
+        while let Some((first, rest)) = keys.split_first() {
+            let arrow = RIGHT.iter().find(|arrow| keys.starts_with(arrow));
+            let wish = match first {
+                b' ' => Some(PauseWish::Toggle),
+                b'.' => Some(PauseWish::Step),
+                _ => arrow.map(|_| PauseWish::Step),
+            };
+            keys = arrow.map_or(rest, |arrow| &keys[arrow.len()..]);
+            if wish.is_some() {
+                return wish;
+            }
+        }
+        None
+    })
+}
+
+fn obey(pipeline: &str, wish: PauseWish) {
+    let paused = RunningPipeline::find(Some(pipeline), "its name").and_then(|running| running.pause(wish));
+    let told = match paused {
+        Ok(sources) if sources.paused && !sources.live.is_empty() => {
+            let live = sources.live.join("`, `");
+            Some(format!("`{live}` cannot be paused, and goes on"))
+        }
+        Ok(_) => None,
+        Err(error) => Some(error.to_string()),
+    };
+    // The line of the progress is written over.
+    told.into_iter().for_each(|told| {
+        writeln!(stderr(), "\r\x1b[K{told}").ok();
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use PauseWish::{Step, Toggle};
+
+    #[test]
+    fn keys_stand_for_wishes_and_others_for_nothing() {
+        let wished = |keys: &[u8]| wishes(keys).collect::<Vec<_>>();
+        assert_eq!(wished(b" "), [Toggle]);
+        assert_eq!(wished(b". \x1b[C\x1bOC"), [Step, Toggle, Step, Step]);
+        assert_eq!(wished(b"\x1b[D\x1b[A\x1b[1;5Cq\r\x03\xff"), [] as [PauseWish; 0]);
+    }
+}

@@ -1,0 +1,28 @@
+//! Pauses the run that a page shows, as a browser wishes: its recorded and simulated sources, and no camera.
+
+use conicflow_dataflow::{PauseWish, RunningPipeline, Sources, WatchError};
+use conicflow_view::{Command, Display, Run};
+
+/// Does what is wished of the pipeline of this name, and tells what follows; other wishes are not for a run.
+pub fn obey(pipeline: &str, command: &Command, display: &Display) {
+    let wish = match command {
+        Command::Play => PauseWish::Resume,
+        Command::Pause => PauseWish::Pause,
+        Command::Step { by: 1.. } => PauseWish::Step,
+        _ => return,
+    };
+    let wished = || RunningPipeline::find(Some(pipeline), "its name")?.pause(wish);
+    match wished() {
+        Ok(sources) => tell(sources, display),
+        // The page shows that it cannot be paused, or is over, before anybody can wish it.
+        Err(error @ WatchError::Unclear(_)) => tracing::debug!("{error}"),
+        Err(error) => tracing::warn!("the run is not paused: {error}"),
+    }
+}
+
+/// Tells whether the run that is shown is paused.
+pub fn tell(sources: Sources, display: &Display) {
+    let Sources { can_pause, live, paused } = sources;
+    let run = Run { can_pause: !can_pause.is_empty(), live, paused };
+    display.tell(|about| about.run = Some(run));
+}

@@ -1,0 +1,268 @@
+//! Pausing a run and letting it make one frame: by keys at its terminal, and from the page; and a terminal that is as it was before.
+
+use crate::support::{Playground, Started, TRACKING, example, signal, wait_until};
+use crate::view::{Page, items, recording};
+use rustix::fs::{CWD, Mode, OFlags, mkfifoat};
+use rustix::process::Signal;
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use rustix::termios::{LocalModes, tcgetattr};
+use serde_json::{Value as Json, json};
+use std::fs::File;
+use std::io::{Read, Write};
+use std::os::fd::OwnedFd;
+use std::process::Command;
+use std::sync::{Arc, Mutex};
+
+/// A terminal with nobody at it but the test.
+struct Terminal {
+    keys: File,
+    inner: OwnedFd,
+    /// What was written to it.
+    text: Arc<Mutex<String>>,
+}
+
+impl Terminal {
+    /// None where nothing can give a program a session of its own, or this shell is not there.
+    fn open(shell: &str) -> Option<Self> {
+        let is_there = |program: &str, argument| Command::new(program).arg(argument).output().is_ok();
+        if !is_there("setsid", "--version") || !is_there(shell, "-c") {
+            eprintln!("SKIPPED: there is no `setsid`, or no `{shell}`; keys at a terminal were not pressed");
+            return None;
+        }
+        let outer = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
+        grantpt(&outer).unwrap();
+        unlockpt(&outer).unwrap();
+        let path = ptsname(&outer, Vec::new()).unwrap();
+        let inner = rustix::fs::open(path, OFlags::RDWR | OFlags::NOCTTY, Mode::empty()).unwrap();
+        let (keys, text) = (File::from(outer), Arc::<Mutex<String>>::default());
+        let (mut written, all) = (keys.try_clone().unwrap(), Arc::clone(&text));
+        std::thread::spawn(move || {
+            let mut bytes = [0; 4096];
+            while let Ok(length @ 1..) = written.read(&mut bytes) {
+                all.lock().unwrap().push_str(&String::from_utf8_lossy(&bytes[..length]));
+            }
+        });
+        Some(Self { keys, inner, text })
+    }
+
+    /// What starts a program in a session of its own, whose terminal this is.
+    fn command(&self, playground: &Playground, program: &[&str]) -> Command {
+        let mut command = playground.command_of("setsid".as_ref(), &[&["--ctty"], program].concat());
+        let end = || self.inner.try_clone().unwrap();
+        command.stdin(end()).stdout(end()).stderr(end());
+        command
+    }
+
+    fn press(&mut self, keys: &str) {
+        self.keys.write_all(keys.as_bytes()).unwrap();
+    }
+
+    /// Whether it gives keys as they are pressed, and does not show them.
+    fn gives_keys(&self) -> bool {
+        let modes = tcgetattr(&self.inner).unwrap().local_modes;
+        !modes.intersects(LocalModes::ICANON | LocalModes::ECHO)
+    }
+
+    /// Whether it is as it was before.
+    fn is_as_before(&self) -> bool {
+        tcgetattr(&self.inner).unwrap().local_modes.contains(LocalModes::ICANON | LocalModes::ECHO | LocalModes::ISIG)
+    }
+}
+
+const PROGRAM: &str = env!("CARGO_BIN_EXE_conicflow");
+
+/// A process of the run that was started as `conicflow` with this word in its command line.
+fn process_with(playground: &Playground, word: &str) -> Option<u32> {
+    let arguments = |process: &u32| std::fs::read_to_string(format!("/proc/{process}/cmdline")).unwrap_or_default();
+    playground.processes().into_iter().find(|process| {
+        let text = arguments(process);
+        text.split('\0').next() == Some(PROGRAM) && text.split('\0').nth(1) == Some(word)
+    })
+}
+
+fn source(top: &Json) -> &Json {
+    top["stages"].as_array().unwrap().iter().find(|stage| stage["stage"] == "source").unwrap()
+}
+
+/// The number of the last frame, when the run stands still and all that was under way is delivered.
+fn standing_at(playground: &Playground) -> u64 {
+    let mut last = 0;
+    wait_until("the run stands still", || {
+        let top = playground.top();
+        last = playground.newest("tracks.jsonl");
+        let source = source(&top);
+        source["paused"] == true && source["rate_hz"] == 0.0 && source["messages"] == last + 1
+    });
+    last
+}
+
+#[test]
+fn keys_pause_a_run_and_step_it_and_a_pause_is_no_standstill() {
+    let playground = Playground::with_pipeline(
+        &TRACKING.replace("rate_hz    = 0", "rate_hz    = 40\nrestart    = { when = \"on_failure\", hang_s = 1 }"),
+    );
+    let Some(mut terminal) = Terminal::open("sh") else { return };
+    let mut run = Started::watched(terminal.command(&playground, &[PROGRAM, "run"]));
+    run.wait_until("it delivers", || playground.newest("tracks.jsonl") > 5);
+    run.wait_until("the terminal gives keys", || terminal.gives_keys());
+    terminal.press(" ");
+    let at = standing_at(&playground);
+    for (number, key) in [".", "\x1b[C", "\x1bOC"].into_iter().enumerate() {
+        terminal.press(key);
+        run.wait_until("a step is made", || playground.newest("tracks.jsonl") == at + 1 + number as u64);
+    }
+    // Longer than a stage may be silent: each look takes a second.
+    assert_eq!(standing_at(&playground), at + 3, "and no more");
+    assert_eq!(source(&playground.top())["starts"], 1, "who is paused does not hang");
+    assert!(terminal.text.lock().unwrap().contains(", paused (space: go on"), "the progress says so");
+    terminal.press("x \x1b[A");
+    run.wait_until("it goes on", || playground.newest("tracks.jsonl") > at + 20);
+    terminal.press("\x03");
+    assert_eq!(run.wait().code, Some(0), "{}", terminal.text.lock().unwrap());
+    assert!(terminal.is_as_before());
+    let sequences = playground.sequences("tracks.jsonl");
+    assert_eq!(sequences, (0..sequences.len() as u64).collect::<Vec<_>>(), "nothing is lost");
+}
+
+#[test]
+fn a_paused_run_ends_in_order_and_its_time_stands_still() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let Some(mut terminal) = Terminal::open("sh") else { return };
+    let program = [PROGRAM, "run", "--set", "source.rate_hz=40", "--for", "4s"];
+    let mut run = Started::watched(terminal.command(&playground, &program));
+    run.wait_until("it delivers", || playground.newest("tracks.jsonl") > 5);
+    terminal.press(" ");
+    let at = standing_at(&playground);
+    let (paused, top) = (std::time::Instant::now(), || source(&playground.top())["paused"] == true);
+    while paused.elapsed().as_secs() < 5 {
+        assert!(top(), "it is paused for longer than it is to last");
+    }
+    terminal.press("\x03");
+    assert_eq!(run.wait().code, Some(0), "{}", terminal.text.lock().unwrap());
+    assert_eq!(playground.newest("tracks.jsonl"), at);
+    assert!(terminal.is_as_before());
+}
+
+#[test]
+fn the_terminal_is_given_back_after_a_crash_and_while_the_run_is_stopped() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let Some(mut terminal) = Terminal::open("dash") else { return };
+    // A shell that leaves the modes of its terminal alone.
+    let _shell = Started::watched(terminal.command(&playground, &["dash", "-i"]));
+    let begin = |terminal: &mut Terminal| {
+        terminal.press(&format!("{PROGRAM} run --set source.rate_hz=20\n"));
+        wait_until("the terminal gives keys", || terminal.gives_keys());
+        wait_until("it delivers", || playground.newest("tracks.jsonl") > 3);
+    };
+    begin(&mut terminal);
+    terminal.press("\x1a");
+    wait_until("it is given back while the run is stopped", || terminal.is_as_before());
+    terminal.press("fg\n");
+    wait_until("it gives keys again", || terminal.gives_keys());
+    terminal.press(" ");
+    standing_at(&playground);
+    // The launcher cannot see to anything any more.
+    signal(process_with(&playground, "run").unwrap(), Signal::KILL);
+    wait_until("it is given back after a crash", || terminal.is_as_before());
+    wait_until("nothing is left", || process_with(&playground, "keys").is_none());
+
+    std::fs::remove_file(playground.path("tracks.jsonl")).unwrap();
+    begin(&mut terminal);
+    signal(process_with(&playground, "keys").unwrap(), Signal::KILL);
+    wait_until("who reads the keys has gone", || process_with(&playground, "keys").is_none());
+    assert!(terminal.gives_keys());
+    terminal.press("\x03");
+    wait_until("the launcher gives it back", || terminal.is_as_before());
+    wait_until("the run is over", || process_with(&playground, "run").is_none());
+}
+
+#[test]
+fn a_run_in_the_background_leaves_the_terminal_alone() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let Some(mut terminal) = Terminal::open("dash") else { return };
+    let _shell = Started::watched(terminal.command(&playground, &["dash", "-i"]));
+    terminal.press(&format!("{PROGRAM} run --quiet --set source.rate_hz=20 &\n"));
+    wait_until("it delivers", || playground.newest("tracks.jsonl") > 3);
+    wait_until("somebody would read keys", || process_with(&playground, "keys").is_some());
+    let at = playground.newest("tracks.jsonl");
+    terminal.press(" ");
+    wait_until("it goes on", || playground.newest("tracks.jsonl") > at + 20);
+    assert!(terminal.is_as_before());
+    terminal.press("\nfg\n");
+    wait_until("it has come to the foreground", || terminal.gives_keys());
+    terminal.press(" ");
+    standing_at(&playground);
+    terminal.press("\x03");
+    wait_until("it is given back", || terminal.is_as_before());
+}
+
+#[test]
+fn the_page_pauses_a_replay_steps_it_and_lets_it_go_on() {
+    let playground = Playground::new();
+    recording(&playground, "60");
+    let rest = TRACKING.split_once("[stage.extractor]").unwrap().1;
+    playground.write(
+        "pipeline.toml",
+        &format!(
+            "name = \"replay\"\n[stage.source]\nnode = \"mcap_source\"\noutput = \"depth\"\npath = \"run.mcap\"\nloop = true\n\
+             [stage.extractor]{rest}"
+        ),
+    );
+    let _run = playground.start(&["run"]);
+    let page = Page::open(&playground, &[]);
+    page.frame("the run can be paused", |json| {
+        json["about"]["run"] == json!({ "can_pause": true, "live": [], "paused": false })
+    });
+    assert_eq!(page.wish(&json!({ "do": "pause" })), 204);
+    page.frame("it is paused", |json| json["about"]["run"]["paused"] == true);
+    let at = standing_at(&playground);
+    for sequence in at + 1..at + 4 {
+        assert_eq!(page.wish(&json!({ "do": "step", "by": 1 })), 204);
+        let (json, pixels) = page.frame("the next frame", |json| json["frame"]["sequence"] == sequence);
+        assert!(!items(&json).is_empty() && !pixels.is_empty(), "with all that belongs to it");
+    }
+    assert_eq!(standing_at(&playground), at + 3);
+    assert_eq!(page.wish(&json!({ "do": "play" })), 204);
+    page.frame("it goes on", |json| json["frame"]["sequence"].as_u64() > Some(at + 20));
+    page.frame("and says so", |json| json["about"]["run"]["paused"] == false);
+}
+
+#[test]
+fn a_camera_goes_on_and_that_is_said() {
+    let playground = Playground::new();
+    let program = example("raw_camera");
+    mkfifoat(CWD, playground.path("depth.z16"), Mode::RUSR | Mode::WUSR).unwrap();
+    playground.write(
+        "pipeline.toml",
+        &format!(
+            "name = \"live\"\n[stage.camera]\nprogram = [\"{program}\"]\noutput = {{ topic = \"depth\", kind = \"depth\" }}\n\
+             path = \"depth.z16\"\ndepth_scale = 0.001\n\
+             camera = {{ width = 64, height = 48, fx = 60.0, fy = 60.0, cx = 31.5, cy = 23.5 }}\n\
+             noise = {{ floor_m = 0.0, growth_per_m = 0.002, knee_m = 0.0, step_per_m = 0.0 }}\n\
+             [stage.shown]\nnode = \"view_sink\"\ninput = \"depth\"\nlisten = \"127.0.0.1:0\"\n"
+        ),
+    );
+    let Some(mut terminal) = Terminal::open("sh") else { return };
+    let mut run = Started::watched(terminal.command(&playground, &[PROGRAM, "run"]));
+    let written = Arc::clone(&terminal.text);
+    let mut camera = File::options().read(true).write(true).open(playground.path("depth.z16")).unwrap();
+    run.wait_until("the page is offered", || written.lock().unwrap().contains("in a browser"));
+    let page = Page::of_stage(&written.lock().unwrap());
+    let live = json!({ "can_pause": false, "live": ["camera"], "paused": false });
+    let image = [0xe8, 0x03].repeat(64 * 48);
+    page.frame("a camera cannot be paused", |json| {
+        camera.write_all(&image).unwrap();
+        json["about"]["run"] == live
+    });
+    page.wish(&json!({ "do": "pause" }));
+    run.wait_until("the terminal gives keys", || terminal.gives_keys());
+    terminal.press(" ");
+    let told = "`live` cannot be paused: `camera` is live";
+    run.wait_until("it is said", || written.lock().unwrap().contains(told));
+    let mut frames = 0;
+    page.frame("it goes on", |json| {
+        camera.write_all(&image).unwrap();
+        frames += u64::from(!json["frame"].is_null());
+        frames > 3 && json["about"]["run"]["paused"] == false
+    });
+}
