@@ -17,6 +17,8 @@ use std::sync::atomic::AtomicBool;
 pub struct ViewArguments {
     /// A recording: an MCAP file, or a folder of them [default: what runs]
     file: Option<PathBuf>,
+    /// A second recording of the same frames, such as `compare --record` writes: what both have found, and what only one has
+    against: Option<PathBuf>,
     /// Where the page is offered; one that other machines reach asks for a token [default: 127.0.0.1:8760, else another port]
     #[arg(long, value_name = "ADDRESS[:PORT]")]
     listen: Option<String>,
@@ -44,7 +46,8 @@ pub fn view(arguments: &ViewArguments) -> Result<()> {
     let display = Arc::new(Display::default());
     let listen = Listen::read(arguments.listen.as_deref(), arguments.token.as_deref())?;
     if let Some(file) = &arguments.file {
-        let mut player = Player::open(file, arguments.topic.as_deref(), Arc::clone(&display))?;
+        let mut player =
+            Player::open(file, arguments.topic.as_deref(), arguments.against.as_deref(), Arc::clone(&display))?;
         let _server = offer(&listen, display)?;
         return player.play(&told);
     }

@@ -122,7 +122,8 @@ impl<T: Shown> Stage for ViewSink<T> {
             (None, None) => None,
         };
         let latency_ms = header.latency_ms(monotonic_ns());
-        self.display.show(Frame { header, depth: depth.map(Arc::new), list: T::list(input.items), latency_ms });
+        let (depth, list) = (depth.map(Arc::new), T::list(input.items));
+        self.display.show(Frame { header, depth, list, compared: None, latency_ms });
         output.count("frames shown", 1);
         Ok(())
     }

@@ -1,13 +1,15 @@
 //! Plays a recording on the page, as its time line says: on, paused, frame by frame, from anywhere, faster or slower.
 //!
 //! Where the recording has depth images, each is a frame, with what was recorded of the same stamp and number; else each list is.
+//! A second recording of the same frames is shown with it: what both have found, and what only one has.
 
 use crate::recording::files::Files;
 use crate::sources::mcap_source::{Config, Replay, Replayed, has_own};
 use anyhow::{Context as _, Result};
 use conicflow_dataflow::{BUILT_IN, ItemType};
-use conicflow_messages::{Item, Object, Track};
-use conicflow_view::{Command, Depth, Display, Frame, List, Player as Told};
+use conicflow_lab::score::pairing::{Difference, pair_up};
+use conicflow_messages::{Header, Hinted, Item, Object, Track};
+use conicflow_view::{Command, Compared, Depth, Display, Frame, List, Pair, Player as Told};
 use std::collections::VecDeque;
 use std::path::Path;
 use std::sync::Arc;
@@ -31,9 +33,9 @@ pub struct Player {
     /// What sets the pace: the depth images, or where there are none, the lists.
     frames: Replay,
     /// The lists beside the depth images.
-    lists: Option<Replay>,
-    /// Lists that were read, for this frame and those that follow.
-    read: VecDeque<Replayed>,
+    lists: Option<Lists>,
+    /// Those of a second recording of the same frames.
+    other: Option<Lists>,
     begin_ns: u64,
     end_ns: u64,
     /// When the frame that is shown was written.
@@ -49,21 +51,74 @@ fn built_in<T: Item>() -> Result<&'static ItemType> {
     BUILT_IN.iter().find(|item| item.name() == T::NAME).with_context(|| format!("no item type `{}`", T::NAME))
 }
 
+/// What was found, list by list.
+struct Lists {
+    replay: Replay,
+    /// What tells whether a list is of a frame.
+    key: fn(&Header) -> Key,
+    /// Lists that were read, for this frame and those that follow.
+    read: VecDeque<Replayed>,
+}
+
+/// Stamp, start of the source and number of a frame.
+type Key = (u64, u64, u64);
+
+/// Within a recording.
+fn key(header: &Header) -> Key {
+    (header.stamp_ns, header.epoch, header.sequence)
+}
+
+/// From recording to recording: the same frame was sent by another start of its source.
+fn key_elsewhere(header: &Header) -> Key {
+    (header.stamp_ns, 0, header.sequence)
+}
+
+impl Lists {
+    /// The tracks of a recording, or where there are none, the objects; none where there are neither.
+    fn open(path: &Path, key: fn(&Header) -> Key) -> Result<Option<Self>> {
+        let channels = Files::find(path)?.survey()?;
+        let kind = [built_in::<Track>()?, built_in::<Object>()?].into_iter().find(|item| has_own(&channels, item));
+        let config = Config { path: Some(path.to_owned()), ..Config::default() };
+        let open = |item: &ItemType| Replay::open(&config, Path::new(""), item, 0);
+        Ok(kind.map(open).transpose()?.map(|replay| Self { replay, key, read: VecDeque::new() }))
+    }
+
+    fn seek(&mut self, from_ns: u64) {
+        self.read.clear();
+        self.replay.seek(from_ns);
+    }
+
+    /// What was found in a frame, where that was recorded; lists of frames before it are passed over.
+    fn of(&mut self, frame: &Header) -> Result<Option<Replayed>> {
+        let key = |replayed: &Replayed| (self.key)(&replayed.header);
+        let wanted = (self.key)(frame);
+        while self.read.back().is_none_or(|last| key(last) < wanted) && self.read.len() < MOST_LISTS {
+            match self.replay.next_message()? {
+                Some(list) => self.read.push_back(list),
+                None => break,
+            }
+            while self.read.front().is_some_and(|first| key(first) < wanted) {
+                self.read.pop_front();
+            }
+        }
+        while self.read.front().is_some_and(|first| key(first) < wanted) {
+            self.read.pop_front();
+        }
+        let found = self.read.front().is_some_and(|first| key(first) == wanted);
+        Ok(if found { self.read.pop_front() } else { None })
+    }
+}
+
 impl Player {
-    /// Opens a recording, with the depth images of `topic` where it has several, and shows its first frame.
+    /// Opens a recording, with the depth images of `topic` where it has several, and shows its first frame; with it what was found
+    /// in the same frames in the recording `against`.
     ///
     /// # Errors
-    /// There is none, or it has neither depth images nor objects nor tracks.
-    pub fn open(path: &Path, topic: Option<&str>, display: Arc<Display>) -> Result<Self> {
-        let files = Files::find(path)?;
-        let channels = files.survey()?;
+    /// There is none, or it has neither depth images nor objects nor tracks, or `against` has neither of the latter.
+    pub fn open(path: &Path, topic: Option<&str>, against: Option<&Path>, display: Arc<Display>) -> Result<Self> {
         let config = Config { path: Some(path.to_owned()), topic: topic.map(str::to_owned), ..Config::default() };
-        let here = Path::new("");
-        let depths = Replay::open(&config, here, built_in::<u16>()?, 0);
-        let of_lists = Config { topic: None, ..config };
-        let kind = [built_in::<Track>()?, built_in::<Object>()?].into_iter().find(|item| has_own(&channels, item));
-        let lists = kind.map(|item| Replay::open(&of_lists, here, item, 0)).transpose();
-        let (frames, lists, notice) = match (depths, lists) {
+        let depths = Replay::open(&config, Path::new(""), built_in::<u16>()?, 0);
+        let (frames, lists, notice) = match (depths, Lists::open(path, key)) {
             (Ok(depths), Ok(Some(lists))) => (depths, Some(lists), None),
             (Ok(depths), Ok(None)) => {
                 let notice = "the recording has depth images alone; `conicflow detect` finds what is in them";
@@ -71,25 +126,29 @@ impl Player {
             }
             (Ok(depths), Err(error)) => (depths, None, Some(format!("{error:#}"))),
             (Err(error), Ok(Some(lists))) if topic.is_none() => {
-                (lists, None, Some(format!("no depth images: {error:#}")))
+                (lists.replay, None, Some(format!("no depth images: {error:#}")))
             }
             (Err(error), _) => return Err(error),
         };
-        let (begin_ns, end_ns) = files.span_ns()?.unwrap_or_default();
-        let title = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
-        display.tell(|about| (about.title, about.notice) = (title, notice));
-        let (read, speed) = (VecDeque::new(), 1.0);
+        let other = against.map(|against| Lists::open(against, key_elsewhere)?.ok_or_else(|| no_lists(against)));
+        let (begin_ns, end_ns) = Files::find(path)?.span_ns()?.unwrap_or_default();
+        let names: Vec<_> = [Some(path), against].into_iter().flatten().map(name_of).collect();
+        display.tell(|about| {
+            about.title = names.join(" | ");
+            about.notice = notice;
+            about.variants = if against.is_some() { names } else { Vec::new() };
+        });
         let mut player = Self {
             display,
             frames,
             lists,
-            read,
+            other: other.transpose()?,
             begin_ns,
             end_ns,
             at_ns: begin_ns,
             next: None,
             plays: true,
-            speed,
+            speed: 1.0,
             anchor: None,
         };
         player.next = player.frames.next_message()?;
@@ -211,53 +270,36 @@ impl Player {
 
     fn seek(&mut self, from_ns: u64) -> Result<()> {
         self.frames.seek(from_ns);
-        self.read.clear();
-        if let Some(lists) = &mut self.lists {
-            lists.seek(from_ns);
-        }
+        self.lists.iter_mut().chain(&mut self.other).for_each(|lists| lists.seek(from_ns));
         self.next = self.frames.next_message()?;
         Ok(())
     }
 
     fn show(&mut self, shown: Replayed) -> Result<()> {
         self.at_ns = shown.written_ns;
-        let frame = if self.frames.item().is_image() {
+        let mut frame = if self.frames.item().is_image() {
             let pixels = items_of(&shown.items);
-            let found = self.list_of(&shown)?;
-            let header = found.as_ref().map_or(shown.header, |found| found.header);
-            let list = match (&found, &self.lists) {
-                (Some(found), Some(lists)) => list(lists.item(), &found.items),
-                _ => List::None,
-            };
+            let (mut header, mut found) = (shown.header, List::None);
+            if let Some(lists) = &mut self.lists
+                && let Some(replayed) = lists.of(&shown.header)?
+            {
+                (header, found) = (replayed.header, list(lists.replay.item(), &replayed.items));
+            }
             let depth = Some(Arc::new(Depth { header: shown.header, pixels }));
-            Frame { header, depth, list, latency_ms: None }
+            Frame { header, depth, list: found, compared: None, latency_ms: None }
         } else {
-            Frame { header: shown.header, depth: None, list: list(self.frames.item(), &shown.items), latency_ms: None }
+            let found = list(self.frames.item(), &shown.items);
+            Frame { header: shown.header, depth: None, list: found, compared: None, latency_ms: None }
         };
+        if let Some(other) = &mut self.other
+            && let Some(replayed) = other.of(&shown.header)?
+        {
+            frame.compared = Some(compare(&frame.list, list(other.replay.item(), &replayed.items)));
+        }
         // Where it is goes with the frame.
         self.tell();
         self.display.show(frame);
         Ok(())
-    }
-
-    /// What was found in a frame, where that was recorded; lists of frames before it are passed over.
-    fn list_of(&mut self, frame: &Replayed) -> Result<Option<Replayed>> {
-        let Some(lists) = &mut self.lists else { return Ok(None) };
-        let key = |replayed: &Replayed| (replayed.header.stamp_ns, replayed.header.epoch, replayed.header.sequence);
-        while self.read.back().is_none_or(|last| key(last) < key(frame)) && self.read.len() < MOST_LISTS {
-            match lists.next_message()? {
-                Some(list) => self.read.push_back(list),
-                None => break,
-            }
-            while self.read.front().is_some_and(|first| key(first) < key(frame)) {
-                self.read.pop_front();
-            }
-        }
-        while self.read.front().is_some_and(|first| key(first) < key(frame)) {
-            self.read.pop_front();
-        }
-        let found = self.read.front().is_some_and(|first| key(first) == key(frame));
-        Ok(if found { self.read.pop_front() } else { None })
     }
 
     fn tell(&self) {
@@ -265,6 +307,27 @@ impl Player {
         let (at_s, length_s) = (seconds(self.at_ns), seconds(self.end_ns));
         self.display.tell_player(Told { at_s, length_s, plays: self.plays, speed: self.speed });
     }
+}
+
+/// How a file is called.
+fn name_of(path: &Path) -> String {
+    path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
+}
+
+fn no_lists(path: &Path) -> anyhow::Error {
+    let what = format!("`{}` has neither objects nor tracks to compare with", path.display());
+    Hinted::new(what, "`conicflow compare --record FOLDER` writes two recordings that can be compared").into()
+}
+
+/// What another recording has of the same frame, matched with what this one has.
+fn compare(own: &List, other: List) -> Compared {
+    let (a, b) = (own.objects(), other.objects());
+    let pair = |(first, second): (usize, usize)| {
+        let Difference { position_m, radius_m, .. } = Difference::of(&a[first], &b[second]);
+        Pair { own: first, other: second, position_m, radius_m }
+    };
+    let pairs = pair_up(&a, &b).both.into_iter().map(pair).collect();
+    Compared { list: other, pairs }
 }
 
 /// What a message of a list says was found.

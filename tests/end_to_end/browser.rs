@@ -1,6 +1,7 @@
 //! The page in a real browser: headless Chromium, driven by `chromedriver` of the distribution. Where these are missing the tests
 //! say so. `CONICFLOW_PICTURES` names a folder for pictures of what was seen.
 
+use crate::compare::{PAPER, SIMULATED};
 use crate::support::{Playground, Started, TRACKING, wait_until};
 use crate::view::{Page, SLOWLY, exchange, recording};
 use serde_json::{Value as Json, json};
@@ -165,4 +166,56 @@ fn a_browser_plays_a_recording_by_its_time_line_also_on_a_phone() {
     let is_narrow = "document.documentElement.scrollWidth <= window.innerWidth";
     assert_eq!(browser.value(is_narrow), true, "nothing is wider than the phone");
     browser.look("recording");
+}
+
+#[test]
+fn a_browser_pauses_a_run_and_steps_it() {
+    let Some(browser) = Browser::start(1400, 1000) else { return };
+    let playground = Playground::with_pipeline(TRACKING);
+    let _run = playground.start(&SLOWLY);
+    let page = Page::open(&playground, &[]);
+    browser.visit(&page);
+    browser.wait(
+        "the run can be paused",
+        "!document.getElementById('timeline').hidden && !document.getElementById('play').disabled",
+    );
+    browser.wait("tracks are listed", "document.querySelectorAll('#list tbody .swatch').length > 0");
+    browser.click("#play");
+    browser.wait("it is paused", "document.getElementById('link').textContent === 'paused'");
+    assert_eq!(browser.value("document.getElementById('position').hidden"), true, "a run has no time line");
+    let sequence = "Number(document.getElementById('sequence').textContent)";
+    let (mut before, mut now) = (Json::Null, browser.value(sequence));
+    wait_until("it stands still", || {
+        playground.top();
+        before = std::mem::replace(&mut now, browser.value(sequence));
+        before == now
+    });
+    let at = now.as_u64().unwrap();
+    browser.click("#forward");
+    browser.wait("the next frame", &format!("{sequence} === {}", at + 1));
+    browser.look("paused");
+    browser.click("#play");
+    browser.wait("it goes on", &format!("{sequence} > {}", at + 5));
+    assert_eq!(browser.value("document.getElementById('link').textContent"), "live");
+}
+
+#[test]
+fn a_browser_shows_two_variants_one_over_the_other() {
+    let playground = Playground::with_pipeline(SIMULATED);
+    for (name, width, height) in [("variants", 1400, 1000), ("variants_phone", 500, 900)] {
+        let Some(browser) = Browser::start(width, height) else { return };
+        if !playground.path("kept").exists() {
+            playground.conicflow(&[&["compare", "--record", "kept", "--a"], &PAPER[..]].concat()).expect_code(0);
+        }
+        let page = Page::open(&playground, &["kept/a.mcap", "kept/b.mcap"]);
+        browser.visit(&page);
+        browser.wait("both are named", "document.querySelectorAll('#variants .swatch').length === 2");
+        browser.wait("it plays to its end", "document.getElementById('play').getAttribute('aria-label') === 'Play'");
+        browser.wait("differences are listed", "document.querySelectorAll('#list tbody td[data-label=B]').length > 0");
+        browser.wait("the list is counted", "document.getElementById('list-note').textContent.includes('in both')");
+        browser.wait("the image has colours", COLOURS);
+        let is_narrow = "document.documentElement.scrollWidth <= window.innerWidth";
+        assert_eq!(browser.value(is_narrow), true, "nothing is wider than the window");
+        browser.look(name);
+    }
 }

@@ -1,13 +1,14 @@
 //! `conicflow compare`: two variants of a pipeline on the same frames.
 
 use crate::support::{Playground, signal};
+use crate::view::{Page, items};
 use conicflow_lab::simulator::scene::Scene;
 use rustix::process::Signal;
-use serde_json::Value as Json;
+use serde_json::{Value as Json, json};
 use std::fs;
 
 /// A simulated tabletop, whose sinks must not run, and a stage that takes only what is newest.
-const SIMULATED: &str = r#"
+pub const SIMULATED: &str = r#"
 name = "simulated"
 
 [stage.source]
@@ -41,7 +42,7 @@ path  = "tracks.jsonl"
 "#;
 
 /// The paper's way, which each of the tests can name.
-const PAPER: [&str; 3] = ["extractor.arcs=conic", "extractor.scan=rows", "assembler.method=profile"];
+pub const PAPER: [&str; 3] = ["extractor.arcs=conic", "extractor.scan=rows", "assembler.method=profile"];
 
 fn compared(playground: &Playground, arguments: &[&str]) -> Json {
     let ended = playground.conicflow(&[&["compare", "--json"], arguments].concat()).expect_code(0);
@@ -122,6 +123,44 @@ fn recorded_frames_without_a_truth_are_compared_in_tables_and_pictures() {
     assert_eq!(names.len(), 2);
     let picture = png::Decoder::new(std::io::BufReader::new(fs::File::open(&names[0]).unwrap())).read_info().unwrap();
     assert_eq!((picture.info().width, picture.info().height), (2 * 640 + 4, 480));
+}
+
+#[test]
+fn both_recordings_are_shown_together_and_matched_as_they_were_compared() {
+    let playground = Playground::with_pipeline(SIMULATED);
+    let compared = compared(&playground, &[&["--record", "kept", "--a"], &PAPER[..]].concat());
+    let page = Page::open(&playground, &["kept/a.mcap", "kept/b.mcap"]);
+    page.wish(&json!({ "do": "pause" }));
+    page.wish(&json!({ "do": "seek", "at_s": 0.0 }));
+    let (mut both, mut alone) = (0, [0, 0]);
+    for sequence in 0..8 {
+        let is_it = |json: &Json| json["frame"]["sequence"] == sequence && json["player"]["plays"] == false;
+        let (json, pixels) = page.frame("the frame", is_it);
+        assert_eq!(json["about"]["variants"], json!(["a.mcap", "b.mcap"]));
+        assert!(json["frame"]["compared"] == true && !pixels.is_empty());
+        let found = items(&json);
+        let paired = |item: &&Json| item["pair"].is_u64();
+        for item in found.iter().filter(paired) {
+            let other = &found[item["pair"].as_u64().unwrap() as usize];
+            assert!(other["variant"] != item["variant"] && other["difference"] == item["difference"], "{item}");
+        }
+        both += found.iter().filter(paired).count() as u64 / 2;
+        for (count, variant) in alone.iter_mut().zip(["a", "b"]) {
+            *count += found.iter().filter(|item| item["variant"] == variant && !paired(item)).count() as u64;
+        }
+        page.wish(&json!({ "do": "step", "by": 1 }));
+    }
+    let of_other_kind: u64 =
+        compared["other_kind"].as_array().unwrap().iter().map(|row| row["times"].as_u64().unwrap()).sum();
+    assert_eq!(both, sum(&compared, "both") + of_other_kind, "{compared}");
+    assert_eq!(alone, [sum(&compared, "only_a"), sum(&compared, "only_b")], "{compared}");
+
+    let (page, first) = (Page::open(&playground, &["kept/a.mcap", "kept/a.mcap"]), |_: &Json| true);
+    let (json, _) = page.frame("a recording beside itself", first);
+    assert!(items(&json).iter().all(|item| item["difference"]["position_m"] == 0.0), "{json}");
+    fs::write(playground.path("none.mcap"), b"").unwrap();
+    let refused = playground.conicflow(&["view", "kept/a.mcap", "none.mcap"]);
+    assert!(refused.code != Some(0) && refused.stderr.contains("none.mcap"), "{}", refused.stderr);
 }
 
 #[test]

@@ -1,4 +1,4 @@
-// Colours: of depths (near is warm, far is cold), of kinds and of tracks.
+// Colours: of depths (near is warm, far is cold), of kinds, of tracks and of two variants.
 
 /** Where along the scale which colour stands. */
 const STOPS = [
@@ -16,6 +16,9 @@ const TRACKS = [
     [245, 170, 40], [95, 190, 245], [20, 190, 140], [250, 235, 90], [70, 140, 230], [240, 110, 40], [225, 140, 190],
 ];
 
+/** Of two variants that are compared. */
+const VARIANTS = { a: [250, 170, 50], b: [85, 195, 255] };
+
 /** The scale in 256 colours, four bytes each. */
 export const SCALE = new Uint8Array(4 * 256);
 for (let i = 0; i < 256; i += 1) {
@@ -29,8 +32,8 @@ for (let i = 0; i < 256; i += 1) {
     SCALE[4 * i + 3] = 255;
 }
 
-/** The colour of an item, as three numbers up to 255: of a track by its number, of an object by its kind. */
-export const colourOf = (item) => (item.id === undefined ? KINDS[item.kind] : TRACKS[item.id % TRACKS.length]);
+/** The colour of an item, as three numbers up to 255: by its variant, of a track by its number, of an object by its kind. */
+export const colourOf = (item) => VARIANTS[item.variant] ?? (item.id === undefined ? KINDS[item.kind] : TRACKS[item.id % TRACKS.length]);
 
 /** The same as a word of CSS. */
 export const css = ([red, green, blue], opacity = 1) => `rgb(${red} ${green} ${blue} / ${opacity})`;

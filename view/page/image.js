@@ -2,7 +2,7 @@
 
 import { HOLE, SCALE, colourOf, css } from "./colours.js";
 import { drawLabels } from "./labels.js";
-import { sureness } from "./words.js";
+import { isSecond, sureness } from "./words.js";
 
 export class ImageView {
     #canvas;
@@ -99,7 +99,8 @@ export class ImageView {
         context.lineWidth = 1;
         context.strokeStyle = css(colour, 0.25 + 0.4 * sure);
         context.stroke(path(item.hidden, scale));
-        context.setLineDash({ tentative: [2, 4], coasting: [9, 6] }[item.state] ?? []);
+        // What lies over the outline of another variant lets that be seen.
+        context.setLineDash({ tentative: [2, 4], coasting: [9, 6] }[item.state] ?? (isSecond(item) ? [5, 5] : []));
         context.lineWidth = width;
         context.strokeStyle = isChosen ? "#fff" : css(colour, 0.4 + 0.6 * sure);
         context.stroke(seen);

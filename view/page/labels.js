@@ -1,8 +1,9 @@
 // Labels beside what they name: none lies over another one, nor more than need be over what is named.
 
 import { colourOf, css } from "./colours.js";
-import { name, percent, size, sureness } from "./words.js";
+import { foundBy, isSecond, name, percent, size, sureness } from "./words.js";
 
+const FONT = '12px system-ui, "Segoe UI", Roboto, "Noto Sans", "DejaVu Sans", sans-serif';
 const LINE = 15;
 const PAD = 5;
 /** Where there is less room than this, labels have one line. */
@@ -12,7 +13,8 @@ const NARROW = 460;
 export function lines(item) {
     const state = item.state && item.state !== "confirmed" ? ` ${item.state}` : "";
     const sure = item.confidence === undefined ? "" : `  ${percent(item.confidence)}`;
-    return [`${name(item)}${state}${sure}`, size(item)];
+    const variants = foundBy(item);
+    return [`${variants ? `${variants}: ` : ""}${name(item)}${state}${sure}`, size(item)];
 }
 
 const overlaps = (a, b) => a.x < b.x + b.width && b.x < a.x + a.width && a.y < b.y + b.height && b.y < a.y + a.height;
@@ -39,11 +41,11 @@ function places({ left, top, right, bottom }, width, height) {
 
 /** Draws the labels of `named`, a list of { item, box }, into a drawing of this size in CSS pixels; `chosen` is drawn on top. */
 export function drawLabels(context, named, width, height, chosen) {
-    context.font = '600 12px system-ui, "Segoe UI", Roboto, "Noto Sans", "DejaVu Sans", sans-serif';
     const taken = [];
-    const order = [...named].sort((a, b) => (b.item.id === chosen) - (a.item.id === chosen) || sureness(b.item) - sureness(a.item));
+    const order = named.filter(({ item }) => !isSecond(item)).sort((a, b) => (b.item.id === chosen) - (a.item.id === chosen) || sureness(b.item) - sureness(a.item));
     for (const { item, box } of order) {
         const texts = lines(item).slice(0, width < NARROW ? 1 : 2);
+        context.font = `600 ${FONT}`;
         const size = { width: Math.max(...texts.map((text) => context.measureText(text).width)) + 2 * PAD + 8, height: texts.length * LINE + PAD };
         const clamp = ([x, y]) => ({
             x: Math.min(Math.max(x, 2), width - size.width - 2), y: Math.min(Math.max(y, 2), height - size.height - 2), ...size,
@@ -78,7 +80,7 @@ function drawLabel(context, item, texts, { x, y, width, height }, box) {
     context.fillStyle = css(colour, sure);
     context.fillRect(x, y + 3, 3, height - 6);
     texts.forEach((text, index) => {
-        context.font = `${index === 0 ? 600 : 400} 12px system-ui, "Segoe UI", Roboto, "Noto Sans", "DejaVu Sans", sans-serif`;
+        context.font = `${index === 0 ? 600 : 400} ${FONT}`;
         context.fillStyle = index === 0 ? css(colour, sure) : `rgb(228 233 242 / ${sure})`;
         context.fillText(text, x + PAD + 4, y + LINE * (index + 1) - 2);
     });

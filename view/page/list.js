@@ -1,7 +1,7 @@
 // The list of what was found: where it is, how big, how sure, and how it moves.
 
 import { colourOf, css } from "./colours.js";
-import { degrees, millimetres, norm, percent } from "./words.js";
+import { degrees, difference, foundBy, isSecond, millimetres, name, norm, percent } from "./words.js";
 
 /** A cell of the table, as text with a smaller text behind it. */
 function cell(label, text, sigma) {
@@ -20,16 +20,27 @@ function cell(label, text, sigma) {
     return cell;
 }
 
-function first(item) {
-    const [cell, swatch] = [document.createElement("td"), document.createElement("i")];
+function swatch(item) {
+    const swatch = document.createElement("i");
     swatch.className = "swatch";
     swatch.style.background = css(colourOf(item));
-    cell.append(swatch, item.id === undefined ? item.kind : `#${item.id} ${item.kind}`);
+    return swatch;
+}
+
+function chip(text, kind = "") {
+    return Object.assign(document.createElement("span"), { className: `chip ${kind}`, textContent: text });
+}
+
+/** What it is; `other` is the same as a second variant has found it. */
+function first(item, other) {
+    const cell = document.createElement("td");
+    cell.append(swatch(item), ...(other ? [swatch(other)] : []), name(item));
     if (item.state && item.state !== "confirmed") {
-        const chip = document.createElement("span");
-        chip.className = `chip ${item.state}`;
-        chip.textContent = item.state === "coasting" ? `coasting, unseen for ${item.misses}` : item.state;
-        cell.append(chip);
+        cell.append(chip(item.state === "coasting" ? `coasting, unseen for ${item.misses}` : item.state, item.state));
+    }
+    if (item.variant) {
+        const isOther = other && other.kind !== item.kind;
+        cell.append(chip(isOther ? `B: ${other.kind}` : foundBy(item), isOther || !other ? "differs" : ""));
     }
     return cell;
 }
@@ -47,7 +58,7 @@ function confidence(item) {
     return made;
 }
 
-function row(item, isChosen) {
+function row(item, other, isChosen) {
     const row = document.createElement("tr");
     const [x, y, z] = item.center.map((part) => part.toFixed(3));
     const away = Math.max(...item.sigma.center) * 1000;
@@ -56,12 +67,14 @@ function row(item, isChosen) {
     const angle = item.half_angle === undefined ? "" : `, ${degrees(item.half_angle)}`;
     const speed = item.velocity ? `${norm(item.velocity).toFixed(2)} m/s` : "";
     row.append(
-        first(item),
+        first(item, other),
         confidence(item),
         cell("at", `${x}, ${y}, ${z} m`, `${away.toFixed(away < 1.95 ? 1 : 0)} mm`),
         cell(item.kind === "cone" ? "base radius" : "radius", mm, sigma),
         cell("length", item.length === undefined ? "" : `${millimetres(item.length)}${angle}`),
-        cell("speed", speed, item.velocity ? norm(item.sigma.velocity).toFixed(2) : ""),
+        item.variant
+            ? cell("B", item.difference ? difference(item.difference) : "")
+            : cell("speed", speed, item.velocity ? norm(item.sigma.velocity).toFixed(2) : ""),
     );
     row.title = `${item.points} points in ${item.rows} scan lines, ${(item.rms * 1000).toFixed(1)} mm from the surface`;
     row.classList.toggle("on", isChosen);
@@ -69,6 +82,8 @@ function row(item, isChosen) {
 }
 
 const HEADS = ["", "confidence", "x, y, z from the camera", "radius", "length", "speed"];
+/** The last of them where two variants are compared. */
+const COMPARED = "B from A";
 
 export class ListView {
     #table;
@@ -85,9 +100,10 @@ export class ListView {
         this.#table.append(this.#head, this.#body);
     }
 
-    show({ kind, items }, chosen) {
-        const rows = items.map((item) => {
-            const made = row(item, item.id !== undefined && item.id === chosen);
+    show({ kind, items, compared }, chosen) {
+        this.#head.querySelector("th:last-child").textContent = compared ? COMPARED : HEADS.at(-1);
+        const rows = items.filter((item) => !isSecond(item)).map((item) => {
+            const made = row(item, items[item.pair], item.id !== undefined && item.id === chosen);
             made.addEventListener("click", () => this.#choose(item.id));
             return made;
         });

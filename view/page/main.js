@@ -1,6 +1,6 @@
 // The page: hands each answer of the server to the views.
 
-import { DepthRange, SCALE } from "./colours.js";
+import { DepthRange, SCALE, colourOf, css } from "./colours.js";
 import { GraphView } from "./graph.js";
 import { ImageView } from "./image.js";
 import { ListView } from "./list.js";
@@ -8,7 +8,7 @@ import { follow, wish } from "./server.js";
 import { SpaceView } from "./space.js";
 import { Timeline } from "./timeline.js";
 import { Trails } from "./trails.js";
-import { metres, milliseconds } from "./words.js";
+import { isSecond, metres, milliseconds } from "./words.js";
 
 /** Texts are written anew no more often than this. */
 const TEXT_MS = 200;
@@ -29,6 +29,7 @@ let written = 0;
 let isWriting = false;
 let title = "";
 let run = null;
+let variants = [];
 const shown = [];
 
 /** The view of space; where the browser cannot draw it, that is said. */
@@ -93,12 +94,39 @@ function writeTexts() {
     by("latency").textContent = milliseconds(frame.latency_ms);
     list.show(frame, image.chosen);
     by("list-title").textContent = { tracks: "Tracks", objects: "Objects" }[frame.kind] ?? "Objects";
-    by("list-note").textContent = `${frame.items.length} in ${frame.source || `frame ${frame.sequence}`}`;
+    by("list-note").textContent = counted();
     const hasPose = Boolean(frame.pose);
     by("frames").querySelectorAll("button").forEach((button) => {
         button.disabled = button.dataset.frame === "world" && !hasPose;
         button.title = button.disabled ? "the pose of the camera is not known" : "";
     });
+}
+
+/** How much was found in the frame, and by whom. */
+function counted() {
+    const [all, at] = [frame.items, frame.source || `frame ${frame.sequence}`];
+    if (variants.length === 0) {
+        return `${all.length} in ${at}`;
+    }
+    if (!frame.compared) {
+        return `${all.length} in ${at}; B has nothing of this frame`;
+    }
+    const only = (letter) => all.filter((item) => item.variant === letter && item.pair === undefined).length;
+    return `${all.filter((item) => isSecond(item)).length} in both, ${only("a")} only in A, ${only("b")} only in B, in ${at}`;
+}
+
+/** Which colour is whose, where two variants are compared. */
+function showVariants() {
+    const named = variants.map((name, index) => {
+        const letter = "ab"[index];
+        const [part, swatch] = [document.createElement("span"), document.createElement("i")];
+        swatch.className = "swatch";
+        swatch.style.background = css(colourOf({ variant: letter }));
+        part.append(swatch, `${letter.toUpperCase()}: ${name}`);
+        return part;
+    });
+    by("variants").replaceChildren(...named);
+    by("variants").hidden = named.length === 0;
 }
 
 /** Fills a choice with names, and hides it where there is none. */
@@ -116,7 +144,9 @@ function showAbout(about, isRecording) {
     title = about.title;
     document.title = title ? `${title} – conicflow` : "conicflow";
     by("title").textContent = title;
-    by("title").hidden = about.pipelines.length > 1;
+    variants = about.variants;
+    showVariants();
+    by("title").hidden = about.pipelines.length > 1 || variants.length > 0;
     const waits = about.run?.paused && !frame ? "The run is paused: let it make a frame, or go on." : "";
     by("notice").textContent = about.notice ?? waits;
     by("notice").hidden = by("notice").textContent === "";

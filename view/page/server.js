@@ -23,6 +23,12 @@ function read(buffer) {
     if (image) {
         answer.frame.pixels = new Uint16Array(buffer, 4 + length, image.columns * image.rows);
     }
+    // Two variants count their tracks each for itself.
+    for (const item of answer.frame?.items ?? []) {
+        if (item.variant && item.id !== undefined) {
+            item.id = `${item.variant}${item.id}`;
+        }
+    }
     return answer;
 }
 

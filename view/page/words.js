@@ -49,3 +49,18 @@ export function sureness(item) {
     const seen = { tentative: 0.55, coasting: 0.6 }[item.state] ?? 1;
     return confidence * seen;
 }
+
+/** Whether it is what another variant has found as well, and told with that. */
+export const isSecond = (item) => item.variant === "b" && item.pair !== undefined;
+
+/** Which variant has found it; nothing where no two are compared. */
+export function foundBy(item) {
+    const letter = item.variant?.toUpperCase();
+    return !letter ? "" : item.pair === undefined ? `only ${letter}` : "A and B";
+}
+
+/** How what B has found differs from what A has, in millimetres. */
+export function difference({ position_m: position, radius_m: radius }) {
+    const mm = (metres) => (metres * 1000).toFixed(1);
+    return `${mm(position)} mm away, radius ${radius < 0 ? "−" : "+"}${mm(Math.abs(radius))} mm`;
+}

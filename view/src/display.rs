@@ -19,6 +19,8 @@ const MAX_COMMANDS: usize = 32;
 pub struct About {
     /// What is shown: the name of a pipeline, or of a recording's file.
     pub title: String,
+    /// The names of two variants that are compared; else none.
+    pub variants: Vec<String>,
     /// Why there is nothing to be seen, or what one should know of what is.
     pub notice: Option<String>,
     /// The pipelines that run, where one may be chosen.
@@ -223,7 +225,7 @@ mod tests {
 
     fn frame(sequence: u64) -> Frame {
         let header = Header { sequence, ..Header::default() };
-        Frame { header, depth: None, list: List::None, latency_ms: None }
+        Frame { header, depth: None, list: List::None, compared: None, latency_ms: None }
     }
 
     #[test]

@@ -32,6 +32,50 @@ pub enum List {
     Tracks(Vec<Track>),
 }
 
+impl List {
+    /// The objects alone.
+    pub fn objects(&self) -> Vec<Object> {
+        match self {
+            Self::None => Vec::new(),
+            Self::Objects(objects) => objects.clone(),
+            Self::Tracks(tracks) => tracks.iter().map(|track| track.object).collect(),
+        }
+    }
+
+    /// What kind of items it has, and the items in JSON.
+    fn to_json(&self, camera: &Camera) -> (Option<&'static str>, Vec<Json>) {
+        match self {
+            Self::None => (None, Vec::new()),
+            Self::Objects(objects) => (Some("objects"), objects.iter().map(|o| item(o.to_json(), o, camera)).collect()),
+            Self::Tracks(tracks) => {
+                (Some("tracks"), tracks.iter().map(|t| item(t.to_json(), &t.object, camera)).collect())
+            }
+        }
+    }
+}
+
+/// What a second variant found in the same frame.
+#[derive(Clone, Debug, Default)]
+pub struct Compared {
+    /// All of it.
+    pub list: List,
+    /// What both have found.
+    pub pairs: Vec<Pair>,
+}
+
+/// The same thing as two variants have found it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pair {
+    /// Its number in the frame's own list.
+    pub own: usize,
+    /// Its number in the second list.
+    pub other: usize,
+    /// How far the second is from the first, in metres.
+    pub position_m: f64,
+    /// Radius of the second minus that of the first, in metres.
+    pub radius_m: f64,
+}
+
 /// A frame to be looked at; either part may be missing.
 #[derive(Clone, Debug)]
 pub struct Frame {
@@ -41,6 +85,8 @@ pub struct Frame {
     pub depth: Option<Arc<Depth>>,
     /// What was found in it.
     pub list: List,
+    /// What a second variant found in it, where two are compared.
+    pub compared: Option<Compared>,
     /// From the moment the source had the frame until the list was there, if known.
     pub latency_ms: Option<f64>,
 }
@@ -49,15 +95,10 @@ impl Frame {
     /// The frame in JSON; its depth image is told as one of which each `step`th pixel of each `step`th row is sent.
     pub(crate) fn to_json(&self, step: u32) -> Json {
         let header = &self.header;
-        let (kind, items) = match &self.list {
-            List::None => (None, Vec::new()),
-            List::Objects(objects) => {
-                (Some("objects"), objects.iter().map(|o| item(o.to_json(), o, &header.camera)).collect())
-            }
-            List::Tracks(tracks) => {
-                (Some("tracks"), tracks.iter().map(|t| item(t.to_json(), &t.object, &header.camera)).collect())
-            }
-        };
+        let (kind, mut items) = self.list.to_json(&header.camera);
+        if let Some(compared) = &self.compared {
+            add_second_variant(&mut items, compared, &header.camera);
+        }
         let image = self.depth.as_ref().map(|depth| {
             let Camera { width, height, .. } = depth.header.camera;
             let (columns, rows) = (width.div_ceil(step), height.div_ceil(step));
@@ -74,6 +115,7 @@ impl Frame {
             "pose": header.pose(),
             "image": image,
             "kind": kind,
+            "compared": self.compared.is_some(),
             "items": items,
         })
     }
@@ -91,6 +133,24 @@ impl Frame {
         bytes.reserve(2 * depth.pixels.len() / (step * step) + 2 * width);
         for row in depth.pixels.chunks_exact(width.max(1)).step_by(step) {
             bytes.extend(row.iter().step_by(step).flat_map(|pixel| pixel.to_le_bytes()));
+        }
+    }
+}
+
+/// Puts the items of a second variant behind those of the first; of what both have, each names the other by its number.
+fn add_second_variant(items: &mut Vec<Json>, compared: &Compared, camera: &Camera) {
+    let first = items.len();
+    items.extend(compared.list.to_json(camera).1);
+    for (number, item) in items.iter_mut().enumerate() {
+        item["variant"] = json!(if number < first { "a" } else { "b" });
+    }
+    for pair in &compared.pairs {
+        let (own, other) = (pair.own, first + pair.other);
+        let difference = json!({ "position_m": pair.position_m, "radius_m": pair.radius_m });
+        for (number, with) in [(own, other), (other, own)] {
+            if let Some(item) = items.get_mut(number) {
+                (item["pair"], item["difference"]) = (json!(with), difference.clone());
+            }
         }
     }
 }
@@ -132,7 +192,7 @@ mod tests {
         let camera = Camera { width: 5, height: 3, fx: 5.0, fy: 5.0, cx: 2.0, cy: 1.0 };
         let header = Header { sequence: 7, depth_scale: 0.001, camera, ..Header::default() };
         let depth = Some(Arc::new(Depth { header, pixels: (0..15).collect() }));
-        Frame { header, depth, list: List::None, latency_ms: None }
+        Frame { header, depth, list: List::None, compared: None, latency_ms: None }
     }
 
     #[test]
@@ -164,5 +224,20 @@ mod tests {
         let seen = item["seen"].as_array().unwrap();
         assert_eq!((seen.len(), seen[0].as_array().unwrap().len()), (1, 2 * 73), "a closed line of 72 steps: {seen:?}");
         assert_eq!(item["hidden"], json!([]));
+    }
+
+    #[test]
+    fn items_of_a_second_variant_come_behind_and_pairs_know_each_other() {
+        let ball = |x: f64| Object { kind: ObjectKind::Sphere.code(), center: [x, 0.0, 2.0], ..Object::default() };
+        let pair = Pair { own: 1, other: 0, position_m: 0.02, radius_m: -0.001 };
+        let list = List::Objects(vec![ball(0.3), ball(0.0)]);
+        let compared = Some(Compared { list: List::Objects(vec![ball(0.02), ball(0.9)]), pairs: vec![pair] });
+        let json = Frame { list, compared, ..frame() }.to_json(1);
+        let told =
+            |key: &str| json["items"].as_array().unwrap().iter().map(|item| item[key].clone()).collect::<Vec<_>>();
+        assert_eq!(told("variant"), ["a", "a", "b", "b"]);
+        assert_eq!(told("pair"), [Json::Null, json!(2), json!(1), Json::Null]);
+        assert_eq!(json["items"][1]["difference"], json!({ "position_m": 0.02, "radius_m": -0.001 }));
+        assert_eq!(json["items"][2]["center"][0], 0.02);
     }
 }

@@ -46,7 +46,13 @@ impl Gatherer {
         }
         self.taken = Some(now);
         let depth = Arc::new(Depth { header: *header, pixels: pixels.to_vec() });
-        let alone = Frame { header: *header, depth: Some(Arc::clone(&depth)), list: List::None, latency_ms: None };
+        let alone = Frame {
+            header: *header,
+            depth: Some(Arc::clone(&depth)),
+            list: List::None,
+            compared: None,
+            latency_ms: None,
+        };
         if !self.expects_lists {
             return Some(alone);
         }
@@ -72,7 +78,7 @@ impl Gatherer {
         }
         self.waits_since = Some(now);
         let depth = found.and_then(|found| self.depths.drain(..=found).next_back());
-        Some(Frame { header: *header, depth, list, latency_ms })
+        Some(Frame { header: *header, depth, list, compared: None, latency_ms })
     }
 }
 

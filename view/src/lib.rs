@@ -22,7 +22,7 @@ mod server;
 pub use access::{Listen, ListenFault};
 pub use browser::Page;
 pub use display::{About, Command, Display, Player, Run};
-pub use frame::{Depth, Frame, List};
+pub use frame::{Compared, Depth, Frame, List, Pair};
 pub use gatherer::Gatherer;
 pub use request::Request;
 pub use response::Response;

@@ -9,7 +9,7 @@ mod tally;
 mod variant;
 
 use super::{FileArguments, interruption, options};
-use anyhow::{Result, bail, ensure};
+use anyhow::{Context as _, Result, bail, ensure};
 use clap::Args;
 use conicflow_dataflow::pipeline::{Pipeline, Report};
 use conicflow_messages::Hinted;
@@ -43,6 +43,9 @@ pub struct CompareArguments {
     /// How many times as large as the frames each half of a picture is
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=8))]
     zoom: u32,
+    /// Keeps what both found in this folder, as `a.mcap` and `b.mcap`; `conicflow view` shows them together
+    #[arg(long, value_name = "DIR")]
+    record: Option<PathBuf>,
     /// Print JSON in place of the tables, with the objects of each frame in which the variants differ
     #[arg(long)]
     json: bool,
@@ -62,8 +65,12 @@ pub fn compare(arguments: &CompareArguments, log: &str) -> Result<ExitCode> {
     );
     let (a, b) = read(arguments)?;
     let topic = answers(&a, arguments.topic.as_deref())?;
-    let (frames, with_depth) = (arguments.frames, arguments.pictures.is_some());
-    let how = How { frames, with_depth, interrupted: interruption()?, options: options(log)? };
+    let (frames, keep) = (arguments.frames, arguments.record.as_deref());
+    let with_depth = arguments.pictures.is_some() || keep.is_some();
+    if let Some(folder) = keep {
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder `{}`", folder.display()))?;
+    }
+    let how = How { frames, with_depth, keep, interrupted: interruption()?, options: options(log)? };
     let mut variants = Vec::new();
     for (letter, pipeline, set) in [("a", a, &arguments.a), ("b", b, &arguments.b)] {
         super::say(format_args!("variant {letter}: {}", report::words(set)));

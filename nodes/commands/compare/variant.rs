@@ -14,7 +14,7 @@ use conicflow_dataflow::{ItemType, Pairing, Plan, PlannedStage, RunOptions, Runs
 use conicflow_lab::score::{Answer, Claim, Evaluation};
 use conicflow_messages::{AnyByte, Header, Hinted, Item, Object, Track};
 use serde_json::json;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::slice::from_ref;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -23,18 +23,18 @@ use tempfile::TempDir;
 
 /// The stage that records.
 const RECORDER: &str = "compare";
-/// The file that it writes.
-const RECORDING: &str = "answers.mcap";
 /// What the answers may be.
 const OBJECTS: ItemType = ItemType::shown::<Object>();
 const TRACKS: ItemType = ItemType::shown::<Track>();
 
 /// How variants are run.
-pub(super) struct How {
+pub(super) struct How<'a> {
     /// Sources end after so many frames.
     pub(super) frames: Option<u64>,
     /// Whether the depth images are kept.
     pub(super) with_depth: bool,
+    /// The folder in which the recordings stay.
+    pub(super) keep: Option<&'a Path>,
     /// Whether this process was asked to end.
     pub(super) interrupted: Arc<AtomicBool>,
     pub(super) options: RunOptions,
@@ -52,7 +52,9 @@ pub(super) struct Variant {
     pub(super) frames: Vec<Frame>,
     /// What knows the truth, if anything does.
     pub(super) truth: Option<Evaluation>,
-    folder: TempDir,
+    recording: PathBuf,
+    /// The folder of the recording, where that goes with the variant.
+    _folder: Option<TempDir>,
 }
 
 impl Variant {
@@ -64,20 +66,25 @@ impl Variant {
         letter: &str,
         mut pipeline: Pipeline,
         topic: &str,
-        how: &How,
+        how: &How<'_>,
     ) -> Result<std::result::Result<Self, Summary>> {
         let truth = truth(&pipeline)?.map(|config| config.open(&pipeline.base)).transpose()?;
-        let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
+        let folder = match how.keep {
+            Some(_) => None,
+            None => Some(tempfile::tempdir().context("cannot make a temporary folder")?),
+        };
+        let path = how.keep.or(folder.as_ref().map(TempDir::path)).unwrap_or(Path::new(""));
+        let recording = std::path::absolute(path)?.join(format!("{letter}.mcap"));
         pipeline.name = name_of(&pipeline.name, letter);
         keep_what_leads_to(topic, &mut pipeline);
         let run = SystemTime::now().duration_since(UNIX_EPOCH)?.as_nanos() as u64;
         let mut plan = Plan::of(&pipeline, None, how.frames, run);
-        record(&mut plan, topic, how.with_depth, &folder.path().join(RECORDING))?;
+        record(&mut plan, topic, how.with_depth, &recording)?;
         let summary = conicflow_dataflow::run(&plan, &how.options)?;
         if !summary.is_complete() || summary.restarts() > 0 || how.interrupted.load(Ordering::Relaxed) {
             return Ok(Err(summary));
         }
-        let frames = read(&folder.path().join(RECORDING))?;
+        let frames = read(&recording)?;
         ensure!(
             !frames.is_empty(),
             Hinted::new(
@@ -85,13 +92,13 @@ impl Variant {
                 "the frames have to come from files, a recording or a simulated camera that has some"
             )
         );
-        Ok(Ok(Self { frames, truth, folder }))
+        Ok(Ok(Self { frames, truth, recording, _folder: folder }))
     }
 
     /// The depth images that were recorded with the answers.
     pub(super) fn depth(&self) -> Result<Replay> {
-        let config = mcap_source::Config { path: Some(RECORDING.into()), ..mcap_source::Config::default() };
-        Ok(Replay::open(&config, self.folder.path(), &ItemType::of::<u16>(), 0)?.silent())
+        let config = mcap_source::Config { path: Some(self.recording.clone()), ..mcap_source::Config::default() };
+        Ok(Replay::open(&config, Path::new(""), &ItemType::of::<u16>(), 0)?.silent())
     }
 }
 
