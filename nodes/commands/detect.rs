@@ -47,6 +47,15 @@ pub struct DetectArguments {
     /// Writes a picture of each frame into this folder: the depth in colours, the objects over it
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
+    /// Writes one moving picture (APNG) of all frames into this file, up to 300 of them, for a README
+    #[arg(long, value_name = "FILE")]
+    moving: Option<PathBuf>,
+    /// Its width in pixels; that of the frames where they are narrower
+    #[arg(long, value_name = "PX", default_value_t = 480, value_parser = clap::value_parser!(u32).range(16..=1920))]
+    moving_width: u32,
+    /// Draws every so many frames
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..))]
+    every: u64,
     /// How many times as large as the frames the pictures are
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=8))]
     zoom: u32,
@@ -81,7 +90,6 @@ fn intrinsics(text: &str) -> Result<Intrinsics, String> {
 /// # Errors
 /// There are no frames, their camera is not known, or something cannot be written.
 pub fn detect(arguments: &DetectArguments) -> Result<()> {
-    let here = Path::new("");
     if !arguments.path.exists() {
         bail!(Hinted::new(
             format!("`{}` does not exist", arguments.path.display()),
@@ -93,14 +101,8 @@ pub fn detect(arguments: &DetectArguments) -> Result<()> {
         Some(path) => JsonLines::open(path, false)?,
         None => JsonLines::standard_output(),
     };
-    let pictures = arguments.pictures.as_ref().map(|folder| picture_sink::Config {
-        path: Some(folder.clone()),
-        names: Names::Source,
-        zoom: arguments.zoom,
-        sheet: arguments.sheet.unwrap_or(0) as usize,
-        ..picture_sink::Config::default()
-    });
-    let mut pictures = pictures.map(|config| PictureSink::<Object>::open(&config, here, 0)).transpose()?;
+    let wants_pictures = arguments.pictures.is_some() || arguments.moving.is_some();
+    let mut pictures = wants_pictures.then(|| pictures(arguments)).transpose()?;
     let mut detector = None;
     let (mut pixels, mut totals) = (Vec::new(), Totals::default());
     while let Some((start, header)) = frames.next(&mut pixels)? {
@@ -119,10 +121,25 @@ pub fn detect(arguments: &DetectArguments) -> Result<()> {
         }
         totals.add(&objects, detector);
     }
-    pictures.as_mut().map_or(Ok(()), PictureSink::write_sheet)?;
+    pictures.as_mut().map_or(Ok(()), PictureSink::end).context("pictures")?;
     totals.count_sources(&frames.take_counts());
     super::say(totals.text());
     Ok(())
+}
+
+/// What draws the frames as is asked for.
+fn pictures(arguments: &DetectArguments) -> Result<PictureSink<Object>> {
+    let config = picture_sink::Config {
+        path: arguments.pictures.clone(),
+        moving: arguments.moving.clone(),
+        moving_width_px: arguments.moving_width,
+        every: arguments.every,
+        names: Names::Source,
+        zoom: arguments.zoom,
+        sheet: arguments.sheet.unwrap_or(0) as usize,
+        ..picture_sink::Config::default()
+    };
+    PictureSink::open(&config, Path::new(""), 0)
 }
 
 /// The detector of a frame's camera; that of a point cloud may differ from frame to frame.

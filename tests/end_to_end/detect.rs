@@ -58,6 +58,27 @@ fn results_and_pictures_go_where_they_are_asked_for() {
 }
 
 #[test]
+fn a_moving_picture_is_of_every_second_frame_and_small() {
+    let playground = Playground::new();
+    let camera = record(&playground, 6);
+    let what =
+        ["detect", "frames", "--camera", &camera, "--every", "2", "--pictures", "pictures", "--out", "objects.jsonl"];
+    playground.conicflow(&[&what[..], &["--moving", "moving.png", "--moving-width", "160"]].concat()).expect_code(0);
+    let file = std::io::BufReader::new(fs::File::open(playground.path("moving.png")).unwrap());
+    let mut reader = png::Decoder::new(file).read_info().unwrap();
+    let info = reader.info().clone();
+    assert_eq!((info.width, info.height, info.animation_control().unwrap().num_frames), (160, 120, 3));
+    let mut numbers = vec![0; 160 * 120];
+    let unchanged = |numbers: &[u8]| numbers.iter().filter(|number| **number == 0).count();
+    reader.next_frame(&mut numbers).unwrap();
+    assert_eq!(unchanged(&numbers), 0, "the first is whole");
+    assert_eq!(reader.info().frame_control().unwrap().delay_num, 66, "two frames of 30 in a second");
+    reader.next_frame(&mut numbers).unwrap();
+    assert!((numbers.len() / 2..numbers.len()).contains(&unchanged(&numbers)), "little moves: {}", unchanged(&numbers));
+    assert_eq!(fs::read_dir(playground.path("pictures")).unwrap().count(), 3);
+}
+
+#[test]
 fn a_frame_that_shows_nothing_has_a_line_and_why() {
     let playground = Playground::new();
     fs::create_dir(playground.path("frames")).unwrap();

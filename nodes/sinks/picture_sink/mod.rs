@@ -6,6 +6,7 @@
 mod canvas;
 mod depth_view;
 mod labels;
+mod moving;
 mod painter;
 mod sheet;
 
@@ -15,6 +16,7 @@ use anyhow::{Context as _, Result, ensure};
 use canvas::{Box2, Canvas};
 use conicflow_dataflow::{ConfigFault, Context, Output, SideInput, SideInputs, Stage, StageError};
 use conicflow_messages::{Ellipse, Header, Hinted, MAX_PIXELS, Message, Nothing, Text};
+use moving::Moving;
 pub use painter::{Drawn, Painter};
 use png::{BitDepth, ColorType, Compression, Encoder};
 use schemars::JsonSchema;
@@ -31,8 +33,14 @@ const LONGEST_NAME: usize = 200;
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
-    /// Folder for the pictures; it is made if need be.
+    /// Folder for the pictures; it is made if need be. May be left out where `moving` says what is wanted.
     pub path: Option<PathBuf>,
+    /// File for one moving picture (APNG) of all that is drawn, up to 300 pictures, which browsers and README pages play; it is
+    /// written at the end.
+    pub moving: Option<PathBuf>,
+    /// Its width, in pixels; that of the pictures where they are narrower.
+    #[schemars(range(min = 16, max = 1920))]
+    pub moving_width_px: u32,
     /// Draw every so many frames, of each camera.
     #[schemars(range(min = 1))]
     pub every: u64,
@@ -77,6 +85,8 @@ impl Default for Config {
     fn default() -> Self {
         Self {
             path: None,
+            moving: None,
+            moving_width_px: 480,
             every: 1,
             names: Names::Sequence,
             line_width_px: 2,
@@ -96,7 +106,7 @@ impl Config {
         let mut faults = Vec::new();
         let mut fault =
             |key, what: &str, hint: &str| faults.push(ConfigFault { key, what: what.into(), hint: hint.into() });
-        if self.path.is_none() {
+        if self.path.is_none() && self.moving.is_none() {
             fault("path", "is missing", "write `path = \"pictures/\"`");
         }
         if self.near_m.zip(self.far_m).is_some_and(|(near, far)| near >= far) {
@@ -108,7 +118,8 @@ impl Config {
 
 /// Writes a PNG for every message, or every so many.
 pub struct PictureSink<T> {
-    folder: PathBuf,
+    folder: Option<PathBuf>,
+    moving: Option<Moving>,
     decimator: Decimator,
     names: Names,
     painter: Painter,
@@ -128,12 +139,17 @@ impl<T: Drawn> PictureSink<T> {
     /// # Errors
     /// There is no folder in the parameters, or it cannot be made.
     pub fn open(config: &Config, base: &Path, resume_at: u64) -> Result<Self> {
-        let path =
-            config.path.as_ref().ok_or_else(|| Hinted::new("`path` is missing", "write `path = \"pictures/\"`"))?;
-        let folder = base.join(path);
-        fs::create_dir_all(&folder).with_context(|| format!("the folder `{}` cannot be made", folder.display()))?;
+        ensure!(
+            config.path.is_some() || config.moving.is_some(),
+            Hinted::new("`path` is missing", "write `path = \"pictures/\"`")
+        );
+        let folder = config.path.as_ref().map(|path| base.join(path));
+        if let Some(folder) = &folder {
+            fs::create_dir_all(folder).with_context(|| format!("the folder `{}` cannot be made", folder.display()))?;
+        }
         Ok(Self {
             folder,
+            moving: config.moving.as_ref().map(|path| Moving::new(base.join(path), config.moving_width_px)),
             decimator: Decimator::new(config.every, resume_at),
             names: config.names,
             painter: Painter::new(config),
@@ -151,7 +167,7 @@ impl<T: Drawn> PictureSink<T> {
         self.write_picture(input, depth.as_ref(), ellipses.map_or(&[], |message| message.items))
     }
 
-    /// Draws a message and writes the picture, if it is its turn; returns the file.
+    /// Draws a message and writes the picture, if it is its turn; returns the file, where pictures have one each.
     ///
     /// # Errors
     /// The camera cannot be that of an image, or the file cannot be written.
@@ -166,7 +182,11 @@ impl<T: Drawn> PictureSink<T> {
         }
         self.draw(input, depth, ellipses)?;
         self.look_for_another_camera(input.header);
-        let path = self.folder.join(picture_name(input.header, self.names));
+        if let Some(moving) = &mut self.moving {
+            moving.add(self.painter.canvas(), input.header.stamp_ns);
+        }
+        let Some(folder) = &self.folder else { return Ok(None) };
+        let path = folder.join(picture_name(input.header, self.names));
         write_png(self.painter.canvas(), &mut self.file, &path)?;
         if let Some(sheet) = &mut self.sheet {
             sheet.add(self.painter.canvas());
@@ -177,13 +197,20 @@ impl<T: Drawn> PictureSink<T> {
         Ok(Some(path))
     }
 
-    /// Writes the contact sheet that is not full yet, if there is something on it.
+    /// Writes what is written at the end: the contact sheet that is not full yet, and the moving picture.
     ///
     /// # Errors
-    /// It cannot be written.
-    pub fn write_sheet(&mut self) -> Result<()> {
+    /// They cannot be written.
+    pub fn end(&mut self) -> Result<()> {
+        self.write_sheet()?;
+        self.moving.as_ref().map_or(Ok(()), Moving::write)
+    }
+
+    /// Writes the contact sheet, if there is something on it.
+    fn write_sheet(&mut self) -> Result<()> {
         let Some(sheet) = self.sheet.as_mut().filter(|sheet| !sheet.is_empty()) else { return Ok(()) };
-        let path = self.folder.join(format!("sheet_{:04}.png", sheet.number()));
+        let Some(folder) = &self.folder else { return Ok(()) };
+        let path = folder.join(format!("sheet_{:04}.png", sheet.number()));
         write_png(&sheet.take(), &mut self.file, &path)
     }
 
@@ -316,7 +343,7 @@ impl<T: Drawn> Stage for PictureSink<T> {
     }
 
     fn finish(&mut self) -> Result<(), StageError> {
-        self.write_sheet().map_err(stage_error)
+        self.end().map_err(stage_error)
     }
 }
 

@@ -1,0 +1,256 @@
+//! Pictures one behind the other as one moving picture (APNG), small enough for a README.
+//!
+//! What changes by less than can be seen is left as it was, so that noise takes no room; the rest is in up to 255 colours, the most
+//! frequent ones of all pictures.
+
+use super::canvas::{Box2, Canvas};
+use anyhow::Result;
+use conicflow_messages::Hinted;
+use png::{BitDepth, BlendOp, ColorType, Compression, Encoder, Filter};
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::PathBuf;
+
+/// More pictures do not fit into memory that a stage should take: 300 of 640x480 are 180 MB.
+const MOST: usize = 300;
+/// Nobody sees that a colour has changed by so much of 255.
+const UNSEEN: u8 = 12;
+/// As many colours, and one for what stays as it was.
+const COLOURS: usize = 255;
+/// A pixel that stays as it was; no colour of 15 bits.
+const SAME: u16 = u16::MAX;
+/// The shortest and the longest time of a picture, in milliseconds.
+const TIMES_MS: (u64, u64) = (20, 10_000);
+
+/// Pictures of a run, until it ends.
+pub(super) struct Moving {
+    path: PathBuf,
+    width: u32,
+    size: Option<(u32, u32)>,
+    /// What is seen after the last picture.
+    seen: Vec<[u8; 3]>,
+    /// Each picture in colours of 15 bits, and when it was taken.
+    pictures: Vec<(Vec<u16>, u64)>,
+    is_told: bool,
+}
+
+impl Moving {
+    /// A moving picture of this width, or that of the pictures where they are narrower, which will be written there.
+    pub(super) fn new(path: PathBuf, width: u32) -> Self {
+        Self { path, width, size: None, seen: Vec::new(), pictures: Vec::new(), is_told: false }
+    }
+
+    /// Adds a picture, unless there are enough, or it is of another size than those before.
+    pub(super) fn add(&mut self, picture: &Canvas, stamp_ns: u64) {
+        let (width, height) = picture.size();
+        let wide = self.width.min(width);
+        let high = (u64::from(height) * u64::from(wide) / u64::from(width)).max(1) as u32;
+        let size = *self.size.get_or_insert((wide, high));
+        if size != (wide, high) || self.pictures.len() == MOST {
+            if !self.is_told {
+                self.is_told = true;
+                let why =
+                    if size == (wide, high) { format!("has {MOST} pictures") } else { "is of another size".into() };
+                tracing::warn!("`{}` {why}: further ones are left out", self.path.display());
+            }
+            return;
+        }
+        let mut small = Canvas::default();
+        small.begin(wide, high);
+        picture.shrink_into(&mut small, Box2 { left: 0, top: 0, width: wide.into(), height: high.into() });
+        let pixels = small.bytes().as_chunks::<3>().0;
+        if self.seen.is_empty() {
+            self.seen = pixels.to_vec();
+            self.pictures.push((pixels.iter().map(coded).collect(), stamp_ns));
+            return;
+        }
+        let change = |(seen, pixel): (&mut [u8; 3], &[u8; 3])| {
+            if seen.iter().zip(pixel).all(|(before, now)| before.abs_diff(*now) <= UNSEEN) {
+                return SAME;
+            }
+            *seen = *pixel;
+            coded(pixel)
+        };
+        let picture = self.seen.iter_mut().zip(pixels).map(change).collect();
+        self.pictures.push((picture, stamp_ns));
+    }
+
+    /// Writes all pictures, if there are any.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub(super) fn write(&self) -> Result<()> {
+        let Some(size) = self.size.filter(|_| !self.pictures.is_empty()) else { return Ok(()) };
+        let file = self.encode(size)?;
+        let part = self.path.with_extension("part");
+        self.path
+            .parent()
+            .map_or(Ok(()), fs::create_dir_all)
+            .and_then(|()| fs::write(&part, file))
+            .and_then(|()| fs::rename(&part, &self.path))
+            .map_err(|error| {
+                // What cannot be removed either is left as a part.
+                fs::remove_file(&part).ok();
+                Hinted::of_writing(format!("`{}` cannot be written: {error}", self.path.display()), &error).into()
+            })
+    }
+
+    fn encode(&self, (width, height): (u32, u32)) -> Result<Vec<u8>> {
+        let palette = self.palette();
+        let number = number_of(&palette);
+        let mut file = Vec::new();
+        let mut encoder = Encoder::new(&mut file, width, height);
+        encoder.set_color(ColorType::Indexed);
+        encoder.set_depth(BitDepth::Eight);
+        encoder.set_compression(Compression::High);
+        // Numbers of colours are not near each other where the colours are.
+        encoder.set_filter(Filter::NoFilter);
+        encoder.set_palette(
+            [[0; 3]].into_iter().chain(palette.iter().map(|code| decoded(*code))).flatten().collect::<Vec<_>>(),
+        );
+        encoder.set_trns(vec![0]);
+        encoder.set_animated(self.pictures.len() as u32, 0)?;
+        encoder.set_blend_op(BlendOp::Over)?;
+        let mut writer = encoder.write_header()?;
+        for ((picture, _), time_ms) in self.pictures.iter().zip(self.times_ms()) {
+            writer.set_frame_delay(time_ms, 1000)?;
+            let numbers: Vec<u8> = picture.iter().map(|code| number.get(code).copied().unwrap_or(0)).collect();
+            writer.write_image_data(&numbers)?;
+        }
+        writer.finish()?;
+        Ok(file)
+    }
+
+    /// The most frequent colours of all pictures; the numbers of all colours follow from them.
+    fn palette(&self) -> Vec<u16> {
+        let mut counts = BTreeMap::<u16, u64>::new();
+        for code in self.pictures.iter().flat_map(|(picture, _)| picture).filter(|code| **code != SAME) {
+            *counts.entry(*code).or_default() += 1;
+        }
+        let mut codes: Vec<_> = counts.into_iter().collect();
+        codes.sort_by_key(|(code, count)| (Reverse(*count), *code));
+        codes.into_iter().map(|(code, _)| code).take(COLOURS).collect()
+    }
+
+    /// How long each picture is shown: until the next was taken, the last as long as the one before it.
+    fn times_ms(&self) -> impl Iterator<Item = u16> {
+        let stamps: Vec<_> = self.pictures.iter().map(|(_, stamp_ns)| *stamp_ns).collect();
+        let mut times: Vec<_> = stamps.windows(2).map(|pair| pair[1].saturating_sub(pair[0]) / 1_000_000).collect();
+        times.push(times.last().copied().unwrap_or(TIMES_MS.1));
+        times.into_iter().map(|time| time.clamp(TIMES_MS.0, TIMES_MS.1) as u16)
+    }
+}
+
+/// A colour in 15 bits.
+fn coded(pixel: &[u8; 3]) -> u16 {
+    pixel.iter().fold(0, |code, part| (code << 5) | u16::from(part >> 3))
+}
+
+/// The middle of the colours that are coded so.
+fn decoded(code: u16) -> [u8; 3] {
+    [10, 5, 0].map(|shift| ((code >> shift & 31) << 3) as u8 | 4)
+}
+
+/// The number of each colour's nearest in the palette; 0 is that of none.
+fn number_of(palette: &[u16]) -> BTreeMap<u16, u8> {
+    let distance = |a: u16, b: u16| -> u32 {
+        let apart = |(one, other): (u8, u8)| u32::from(one.abs_diff(other)).pow(2);
+        decoded(a).into_iter().zip(decoded(b)).map(apart).sum()
+    };
+    let nearest = |code: u16| {
+        (1..=u8::MAX).zip(palette).min_by_key(|(_, known)| distance(code, **known)).map(|(number, _)| number)
+    };
+    (0..1 << 15).filter_map(|code| Some((code, nearest(code)?))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs::File;
+    use std::io::BufReader;
+    use std::path::Path;
+
+    /// A grey picture of 8x6 with a square of a colour.
+    fn picture(left: i64, grey: u8, colour: [u8; 3]) -> Canvas {
+        let mut canvas = Canvas::default();
+        canvas.begin(8, 6);
+        canvas.fill(Box2 { left: 0, top: 0, width: 8, height: 6 }, [grey; 3], 1.0);
+        canvas.fill(Box2 { left, top: 2, width: 2, height: 2 }, colour, 1.0);
+        canvas
+    }
+
+    /// The pictures of a file as they are seen one after the other, and their times in ms.
+    fn played(path: &Path) -> Vec<(Vec<[u8; 3]>, u16)> {
+        let mut reader = png::Decoder::new(BufReader::new(File::open(path).unwrap())).read_info().unwrap();
+        let palette = reader.info().palette.clone().unwrap().into_owned();
+        let count = reader.info().animation_control().unwrap().num_frames;
+        let mut seen = vec![[0; 3]; 48];
+        let mut frame = || {
+            let mut numbers = vec![0; 48];
+            reader.next_frame(&mut numbers).unwrap();
+            for (pixel, number) in seen.iter_mut().zip(&numbers).filter(|(_, number)| **number != 0) {
+                *pixel = palette.as_chunks().0[usize::from(*number)];
+            }
+            (seen.clone(), reader.info().frame_control().unwrap().delay_num)
+        };
+        (0..count).map(|_| frame()).collect()
+    }
+
+    #[test]
+    fn it_shows_what_moves_and_leaves_noise_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("moving.png");
+        let mut moving = Moving::new(path.clone(), 100);
+        let orange = [255, 135, 60];
+        moving.add(&picture(1, 100, orange), 0);
+        moving.add(&picture(4, 100 + UNSEEN, orange), 40_000_000);
+        moving.add(&picture(4, 180, orange), 100_000_000);
+        moving.write().unwrap();
+        let [(first, first_ms), (second, second_ms), (third, third_ms)] = &played(&path)[..] else {
+            panic!("not three")
+        };
+        assert_eq!([first_ms, second_ms, third_ms], [&40, &60, &60]);
+        let near = |pixel: [u8; 3], expected: [u8; 3]| pixel.iter().zip(expected).all(|(a, b)| a.abs_diff(b) <= 4);
+        let at = |x: usize| 2 * 8 + x;
+        assert!(near(first[at(1)], orange) && near(first[at(4)], [100; 3]));
+        assert!(near(second[at(1)], [100 + UNSEEN; 3]) && near(second[at(4)], orange));
+        assert_eq!(second[0], first[0], "a change that nobody sees is none");
+        assert!(near(third[0], [180; 3]) && near(third[at(4)], orange));
+    }
+
+    #[test]
+    fn it_is_as_wide_as_asked_for_and_of_pictures_of_one_size() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("moving.png");
+        let mut moving = Moving::new(path.clone(), 4);
+        moving.write().unwrap();
+        assert!(!path.exists(), "nothing was drawn");
+        moving.add(&picture(0, 9, [200; 3]), 0);
+        let mut other = Canvas::default();
+        other.begin(9, 9);
+        moving.add(&other, 1);
+        moving.write().unwrap();
+        let reader = png::Decoder::new(BufReader::new(File::open(&path).unwrap())).read_info().unwrap();
+        assert_eq!((reader.info().size(), reader.info().animation_control().unwrap().num_frames), ((4, 3), 1));
+    }
+
+    #[test]
+    fn of_more_colours_than_there_is_room_for_the_most_frequent_are_kept() {
+        let mut moving = Moving::new(PathBuf::new(), 10);
+        let all: Vec<u16> = (0..400).chain(100..355).collect();
+        moving.pictures.push((all, 0));
+        let palette = moving.palette();
+        assert_eq!(palette, (100..355).collect::<Vec<_>>());
+        let number = number_of(&palette);
+        assert_eq!((number[&100], number[&354]), (1, 255));
+    }
+
+    #[test]
+    fn a_colour_that_the_palette_lacks_is_its_nearest() {
+        let (dark, light) = (coded(&[10; 3]), coded(&[200; 3]));
+        let number = number_of(&[light, dark]);
+        assert_eq!([number[&dark], number[&light], number[&coded(&[60, 40, 40])]], [2, 1, 2]);
+        assert_eq!(decoded(coded(&[255, 135, 60])), [252, 132, 60]);
+    }
+}
