@@ -216,7 +216,7 @@ fn dispatch(command: Command, log: &str) -> anyhow::Result<ExitCode> {
         }
         Command::Top { once } => top::top(once).map(|()| ExitCode::SUCCESS),
         Command::Topic(command) => topic::topic(&command).map(|()| ExitCode::SUCCESS),
-        Command::Record(arguments) => record::record(&arguments).map(|()| ExitCode::SUCCESS),
+        Command::Record(arguments) => record::record(&arguments),
         Command::View(arguments) => view::view(&arguments).map(|()| ExitCode::SUCCESS),
         Command::Swap(arguments) => swap::swap(&arguments).map(|()| ExitCode::SUCCESS),
         Command::Doctor { source, machine, clean } => {

@@ -7,9 +7,10 @@ use crate::sinks::mcap_sink;
 use anyhow::{Context as _, Result, bail};
 use clap::Args;
 use conicflow_dataflow::{Requirements, Watching, monotonic_ns};
-use conicflow_messages::{Header, Hinted, Text};
+use conicflow_messages::{Header, Hinted, Text, lasts};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::process::ExitCode;
 
 /// What is recorded, and where.
 #[derive(Args)]
@@ -36,7 +37,7 @@ pub struct RecordArguments {
 ///
 /// # Errors
 /// There is no such pipeline or topic, it cannot be read, or the file cannot be written.
-pub fn record(arguments: &RecordArguments) -> Result<()> {
+pub fn record(arguments: &RecordArguments) -> Result<ExitCode> {
     give_way();
     if arguments.out.exists() {
         let what = format!("`{}` is there already", arguments.out.display());
@@ -76,9 +77,16 @@ pub fn record(arguments: &RecordArguments) -> Result<()> {
     });
     // What came before an error is kept.
     let bytes = recorder.finish();
-    watched.context("recording")?;
+    match watched.context("recording") {
+        // The disk is full, which is no fault of the arguments.
+        Err(error) if lasts(error.as_ref()) => {
+            super::say(super::describe(&error));
+            return Ok(ExitCode::from(super::FAILED));
+        }
+        other => other?,
+    }
     super::say(tally.text(bytes?));
-    Ok(())
+    Ok(ExitCode::SUCCESS)
 }
 
 /// What came, and what was lost because this program was too slow.

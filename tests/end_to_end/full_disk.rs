@@ -29,10 +29,16 @@ fn lines_that_find_no_room_end_the_run() {
 /// the folder `left`. `None`, said loudly, where this user cannot make one.
 fn on_a_small_disk(size: &str, sink: &str) -> Option<(Playground, Ended)> {
     let playground = Playground::with_pipeline(&format!("{TRACKING}{sink}"));
+    let ended = with_a_small_disk(size, &playground, &["run", "--for", "10min"])?;
+    Some((playground, ended))
+}
+
+/// Runs `conicflow` where the folder `disk` is a disk of its own of this size; what is in it then is in the folder `left`.
+fn with_a_small_disk(size: &str, playground: &Playground, arguments: &[&str]) -> Option<Ended> {
     fs::create_dir(playground.path("disk")).unwrap();
     let script =
         format!("mount -t tmpfs -o size={size} tmpfs disk && {{ \"$@\"; code=$?; cp -a disk left; exit $code; }}");
-    let inner = playground.command(&["run", "--for", "10min"]);
+    let inner = playground.command(arguments);
     let mut command = Command::new("unshare");
     command.args(["--mount", "sh", "-c", &script, "sh"]).arg(inner.get_program()).args(inner.get_args());
     command.current_dir(inner.get_current_dir().unwrap()).stdin(Stdio::null());
@@ -42,8 +48,7 @@ fn on_a_small_disk(size: &str, sink: &str) -> Option<(Playground, Ended)> {
         eprintln!("SKIPPED: a small disk of one's own needs root and `unshare`; nothing was shown");
         return None;
     }
-    let ended = Started::new(command).wait();
-    Some((playground, ended))
+    Some(Started::new(command).wait())
 }
 
 fn names(playground: &Playground) -> Vec<String> {
@@ -86,6 +91,22 @@ path  = "disk/run.mcap"
     let Some((playground, ended)) = on_a_small_disk("2m", sink) else { return };
     expect_failed_for_good(ended, "recorder", "No space left on device");
     assert_eq!(names(&playground), ["run.mcap"]);
+    let found = playground.conicflow(&["detect", "left/run.mcap", "--out", "found.jsonl"]).expect_code(0);
+    assert!(!playground.lines("found.jsonl").is_empty(), "{}", found.stderr);
+}
+
+#[test]
+fn an_onlooker_whose_recording_finds_no_room_says_so_and_the_run_goes_on() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let mut run = playground.start(&["run", "--set", "source.rate_hz=60"]);
+    run.wait_until("it delivers", || !playground.lines("tracks.jsonl").is_empty());
+    let arguments = ["record", "-o", "disk/run.mcap"];
+    let Some(recorded) = with_a_small_disk("1m", &playground, &arguments) else { return };
+    let recorded = recorded.expect_code(1);
+    let told = recorded.stderr.lines().filter(|line| line.starts_with("error: ") && line.contains("No space left"));
+    assert_eq!(told.count(), 1, "{}", recorded.stderr);
+    let at = playground.newest("tracks.jsonl");
+    run.wait_until("the run goes on", || playground.newest("tracks.jsonl") > at + 60);
     let found = playground.conicflow(&["detect", "left/run.mcap", "--out", "found.jsonl"]).expect_code(0);
     assert!(!playground.lines("found.jsonl").is_empty(), "{}", found.stderr);
 }
