@@ -1,8 +1,8 @@
 //! Pausing a run and letting it make one frame: by keys at its terminal, and from the page; and a terminal that is as it was before.
 
-use crate::support::{Playground, Started, TRACKING, example, signal, wait_until};
+use crate::support::{Playground, Started, TRACKING, signal, wait_until};
 use crate::view::{Page, items, recording};
-use rustix::fs::{CWD, Mode, OFlags, mkfifoat};
+use rustix::fs::{Mode, OFlags};
 use rustix::process::Signal;
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{LocalModes, tcgetattr};
@@ -225,44 +225,4 @@ fn the_page_pauses_a_replay_steps_it_and_lets_it_go_on() {
     assert_eq!(page.wish(&json!({ "do": "play" })), 204);
     page.frame("it goes on", |json| json["frame"]["sequence"].as_u64() > Some(at + 20));
     page.frame("and says so", |json| json["about"]["run"]["paused"] == false);
-}
-
-#[test]
-fn a_camera_goes_on_and_that_is_said() {
-    let playground = Playground::new();
-    let program = example("raw_camera");
-    mkfifoat(CWD, playground.path("depth.z16"), Mode::RUSR | Mode::WUSR).unwrap();
-    playground.write(
-        "pipeline.toml",
-        &format!(
-            "name = \"live\"\n[stage.camera]\nprogram = [\"{program}\"]\noutput = {{ topic = \"depth\", kind = \"depth\" }}\n\
-             path = \"depth.z16\"\ndepth_scale = 0.001\n\
-             camera = {{ width = 64, height = 48, fx = 60.0, fy = 60.0, cx = 31.5, cy = 23.5 }}\n\
-             noise = {{ floor_m = 0.0, growth_per_m = 0.002, knee_m = 0.0, step_per_m = 0.0 }}\n\
-             [stage.shown]\nnode = \"view_sink\"\ninput = \"depth\"\nlisten = \"127.0.0.1:0\"\n"
-        ),
-    );
-    let Some(mut terminal) = Terminal::open("sh") else { return };
-    let mut run = Started::watched(terminal.command(&playground, &[PROGRAM, "run"]));
-    let written = Arc::clone(&terminal.text);
-    let mut camera = File::options().read(true).write(true).open(playground.path("depth.z16")).unwrap();
-    run.wait_until("the page is offered", || written.lock().unwrap().contains("in a browser"));
-    let page = Page::of_stage(&written.lock().unwrap());
-    let live = json!({ "can_pause": false, "live": ["camera"], "paused": false });
-    let image = [0xe8, 0x03].repeat(64 * 48);
-    page.frame("a camera cannot be paused", |json| {
-        camera.write_all(&image).unwrap();
-        json["about"]["run"] == live
-    });
-    page.wish(&json!({ "do": "pause" }));
-    run.wait_until("the terminal gives keys", || terminal.gives_keys());
-    terminal.press(" ");
-    let told = "`live` cannot be paused: `camera` is live";
-    run.wait_until("it is said", || written.lock().unwrap().contains(told));
-    let mut frames = 0;
-    page.frame("it goes on", |json| {
-        camera.write_all(&image).unwrap();
-        frames += u64::from(!json["frame"].is_null());
-        frames > 3 && json["about"]["run"]["paused"] == false
-    });
 }
