@@ -106,10 +106,12 @@ unsafe fn answer(
     let count = fault::catch(|| {
         // SAFETY: null, or the caller vouches for it.
         let detector = unsafe { detector.as_mut() }.ok_or_else(|| is_null("detector"))?;
-        // SAFETY: null, or the caller vouches for it; what was there before is a pointer, whatever its bits.
-        let objects = unsafe { objects.as_mut() }.ok_or_else(|| is_null("objects"))?;
+        if objects.is_null() {
+            return Err(is_null("objects"));
+        }
         detector.objects = find(detector)?;
-        *objects = detector.objects.as_ptr();
+        // SAFETY: the caller vouches for it; what is there may not have been written before.
+        unsafe { objects.write(detector.objects.as_ptr()) };
         // The detector reports some dozens of objects at most.
         Ok(c_int::try_from(detector.objects.len()).unwrap_or(c_int::MAX))
     });
