@@ -14,6 +14,8 @@ const MAX_IMAGES: usize = 32;
 const PATIENCE: Duration = Duration::from_secs(2);
 /// Nobody sees more images than one in so long: others are not copied.
 const SHORTEST_INTERVAL: Duration = Duration::from_millis(20);
+/// So many in a row may come sooner: each step of a run that is paused is to be seen.
+const BURST: u32 = 3;
 
 /// Brings depth images and lists of the same frame together.
 #[derive(Debug)]
@@ -24,6 +26,8 @@ pub struct Gatherer {
     waits_since: Option<Instant>,
     /// When the last image was taken.
     taken: Option<Instant>,
+    /// When the next one is due, were they taken at even intervals.
+    due: Option<Instant>,
 }
 
 /// What a frame is told by: the stage that had it first, its start, its number.
@@ -36,15 +40,16 @@ fn key(header: &Header) -> Key {
 impl Gatherer {
     /// One that shows depth images at once, or with the lists that are made of them.
     pub fn new(expects_lists: bool) -> Self {
-        Self { depths: VecDeque::new(), expects_lists, waits_since: None, taken: None }
+        Self { depths: VecDeque::new(), expects_lists, waits_since: None, taken: None, due: None }
     }
 
     /// Takes a depth image; a frame to be shown if it is to be shown without a list.
     pub fn depth(&mut self, header: &Header, pixels: &[u16], now: Instant) -> Option<Frame> {
-        if self.taken.is_some_and(|taken| now.saturating_duration_since(taken) < SHORTEST_INTERVAL) {
+        let due = self.due.map_or(now, |due| due.max(now));
+        if due > now + SHORTEST_INTERVAL * BURST {
             return None;
         }
-        self.taken = Some(now);
+        (self.taken, self.due) = (Some(now), Some(due + SHORTEST_INTERVAL));
         let depth = Arc::new(Depth { header: *header, pixels: pixels.to_vec() });
         let alone = Frame {
             header: *header,
@@ -97,10 +102,9 @@ mod tests {
     fn a_list_finds_the_image_that_it_was_made_of() {
         let (mut gatherer, now) = (Gatherer::new(true), Instant::now());
         for number in 0..4 {
-            let then = now + SHORTEST_INTERVAL * number as u32;
-            assert!(gatherer.depth(&header("left", number), &[number as u16], then).is_none());
+            assert!(gatherer.depth(&header("left", number), &[number as u16], now).is_none());
         }
-        assert!(gatherer.depth(&header("left", 4), &[4], now + SHORTEST_INTERVAL * 3).is_none(), "it comes too soon");
+        assert!(gatherer.depth(&header("left", 9), &[9], now).is_none(), "too many in a row");
         let frame = gatherer.list(&header("left", 2), List::default(), Some(4.5), now).unwrap();
         assert_eq!((frame.depth.unwrap().pixels[0], frame.latency_ms), (2, Some(4.5)));
         assert!(gatherer.list(&header("left", 1), List::default(), None, now).is_none(), "it is older");
