@@ -153,7 +153,7 @@ fn nobody_who_asks_slowly_or_wrongly_holds_up_the_run() {
         stream
     };
     let whole = format!("GET /metrics HTTP/1.1\r\nHost: {host}\r\n\r\n");
-    let visitor = |number: usize| half(if number % 8 == 0 { "GET /met" } else { &whole });
+    let visitor = |number: usize| half(if number.is_multiple_of(8) { "GET /met" } else { &whole });
     let visitors: Vec<_> = (1..VISITORS).map(visitor).collect();
     let mut last = String::new();
     TcpStream::connect(&host).unwrap().read_to_string(&mut last).unwrap();
