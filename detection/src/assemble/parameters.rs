@@ -120,8 +120,8 @@ impl Default for AssemblerParameters {
         let axial = AxialLimits { min_m, max_m, min_length_m: 0.0, max_length_m: unlimited_m() };
         Self {
             max_half_angle_deg: 30.0,
-            // [measured] Rooms show more that is no object than the scenes in which the odds were fitted: of 13 answers
-            // of a confidence from 0.5 to 0.55 in `experiments/recordings.sh` one was right.
+            // [measured] Rooms show more that is no object than the scenes in which the odds were fitted: of the answers of
+            // a confidence from 0.5 to 0.55 in recordings two are wrong, and none is right.
             min_confidence: 0.55,
             sphere: RadiusLimits { min_m, max_m },
             cylinder: axial,
