@@ -6,6 +6,7 @@ use conicflow_messages::Hinted;
 use serde::Serialize;
 use std::fs::{File, OpenOptions};
 use std::io::{self, ErrorKind, Read, Seek, SeekFrom, Write};
+use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
 /// Writes values as lines of JSON.
@@ -58,6 +59,24 @@ impl JsonLines {
 
     fn to(place: Place) -> Self {
         Self { place, line: Vec::new() }
+    }
+
+    /// The last line of a file that is gone on with.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn last(&self) -> anyhow::Result<Option<Vec<u8>>> {
+        let Place::File { file, whole: Some(whole), .. } = &self.place else { return Ok(None) };
+        let Some(end) = whole.checked_sub(1) else { return Ok(None) };
+        let read = || {
+            let start = end_of_last_line(file, end)?;
+            let mut line = vec![0; (end - start) as usize];
+            file.read_exact_at(&mut line, start)?;
+            // Where the next line goes.
+            (&*file).seek(SeekFrom::Start(*whole))?;
+            Ok(line)
+        };
+        read().map(Some).map_err(|error| self.fault(&error))
     }
 
     /// Writes one value as one line.
@@ -191,6 +210,21 @@ mod tests {
         assert_eq!(fs::read_to_string(&path).unwrap(), "1\n2\n3\n");
         write(&path, false, &[4]);
         assert_eq!(fs::read_to_string(&path).unwrap(), "4\n");
+    }
+
+    #[test]
+    fn the_last_line_is_that_of_a_file_that_is_gone_on_with() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("out.jsonl");
+        for (content, last) in [("", None), ("1\n", Some("1")), ("1\n[2, 3]\n{\"to", Some("[2, 3]"))] {
+            fs::write(&path, content).unwrap();
+            let mut lines = JsonLines::open(&path, true).unwrap();
+            assert_eq!(lines.last().unwrap(), last.map(|line| line.as_bytes().to_vec()));
+            lines.write(&7).unwrap();
+            assert!(
+                fs::read_to_string(&path).unwrap().ends_with(&last.map_or("7\n".into(), |last| format!("{last}\n7\n")))
+            );
+        }
     }
 
     #[test]

@@ -5,9 +5,10 @@ use crate::stage_error::stage_error;
 use conicflow_dataflow::{
     AnyMessage, ConfigFault, Context, ItemType, Output, SideInputs, Stage, StageError, Stop, monotonic_ns,
 };
-use conicflow_messages::{AnyByte, Message, Nothing};
+use conicflow_messages::{AnyByte, Header, Message, Nothing};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use serde_json::Value as Json;
 use std::path::{Path, PathBuf};
 
 /// Parameters of `json_sink`.
@@ -50,6 +51,8 @@ pub struct JsonSink {
     stop: Stop,
     /// What the lists consist of.
     item: ItemType,
+    /// The last line of an earlier process, which may have been killed before it could say that it had written that.
+    last: Option<Json>,
 }
 
 impl Stage for JsonSink {
@@ -70,12 +73,23 @@ impl Stage for JsonSink {
             JsonLines::open(&context.resolve(&config.path), context.resume_at > 0)?
         };
         let item = context.input.clone().ok_or("nothing tells what this sink is to write")?;
-        Ok(Self { lines, stop: context.stop.clone(), item })
+        let last = if context.resume_at > 0 { lines.last()? } else { None };
+        let last = last.and_then(|line| serde_json::from_slice(&line).ok());
+        Ok(Self { lines, stop: context.stop.clone(), item, last })
     }
 
     fn step(&mut self, input: &Message<AnyByte>, _: &SideInputs, _: &mut Output<Nothing>) -> Result<(), StageError> {
-        let message = AnyMessage { header: input.header, item: &self.item, bytes: bytemuck::cast_slice(input.items) };
-        let latency_ms = input.header.latency_ms(monotonic_ns());
+        self.write(input.header, bytemuck::cast_slice(input.items), input.header.latency_ms(monotonic_ns()))
+    }
+}
+
+impl JsonSink {
+    /// Writes a message as a line, unless an earlier process has.
+    fn write(&mut self, header: &Header, bytes: &[u8], latency_ms: Option<f64>) -> Result<(), StageError> {
+        let message = AnyMessage { header, item: &self.item, bytes };
+        if self.last.take_if(|last| is_told_by(last, &message)).is_some() {
+            return Ok(());
+        }
         let wrote = self.lines.write_with(|line| message.write_json(latency_ms, line)).map_err(stage_error)?;
         if wrote == Wrote::ReaderGone {
             self.stop.request();
@@ -84,10 +98,20 @@ impl Stage for JsonSink {
     }
 }
 
+/// Whether a line tells of this message; when it was written does not matter.
+fn is_told_by(line: &Json, message: &AnyMessage) -> bool {
+    if line["sequence"] != message.header.sequence {
+        return false;
+    }
+    let (mut own, mut line) = (Vec::new(), line.clone());
+    line["latency_ms"] = Json::Null;
+    message.write_json(None, &mut own).is_ok() && serde_json::from_slice::<Json>(&own).is_ok_and(|own| own == line)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use conicflow_messages::Object;
+    use conicflow_messages::{Object, ObjectKind};
 
     #[test]
     fn a_folder_in_place_of_a_file_is_told_before_the_start() {
@@ -97,6 +121,28 @@ mod tests {
         let config = JsonSinkConfig { path: PathBuf::new() };
         assert_eq!(config.faults(folder.path())[0].what, "is empty");
         assert!(JsonSinkConfig::default().faults(folder.path()).is_empty());
+    }
+
+    #[test]
+    fn a_line_that_a_killed_process_has_written_is_not_written_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let item = ItemType::of::<Object>();
+        let write = |resume_at, frames: &[(u64, f64)]| {
+            let (base, input) = (folder.path().to_owned(), Some(item.clone()));
+            let config = JsonSinkConfig { path: PathBuf::from("objects.jsonl") };
+            let mut sink = JsonSink::new(config, &Context { base, input, resume_at, ..Context::default() }).unwrap();
+            for &(sequence, radius) in frames {
+                let object = Object { kind: ObjectKind::Sphere.code(), radius, ..Object::default() };
+                let (header, bytes) = (&Header { sequence, ..Header::default() }, bytemuck::bytes_of(&object));
+                sink.write(header, bytes, Some(radius * 7.0)).unwrap();
+            }
+        };
+        write(0, &[(0, 0.1), (1, 0.2)]);
+        write(1, &[(1, 0.2), (2, 0.3)]);
+        write(3, &[(2, 0.4)]);
+        let text = std::fs::read_to_string(folder.path().join("objects.jsonl")).unwrap();
+        let radius = |line| serde_json::from_str::<Json>(line).unwrap()["objects"][0]["radius"].as_f64();
+        assert_eq!(text.lines().map(radius).collect::<Vec<_>>(), [0.1, 0.2, 0.3, 0.4].map(Some), "{text}");
     }
 
     #[test]
