@@ -83,7 +83,10 @@ impl<'a> Receiving<'a> {
     pub(super) fn run(mut self) -> Result<(), BridgeError> {
         while !self.stop.requested() && self.ended.len() < self.edge.writers.len() {
             self.choose_way()?;
-            let Some(bytes) = self.channel.receive(TICK) else { continue };
+            let Some(bytes) = self.channel.receive(TICK) else {
+                self.output_port.catch_up();
+                continue;
+            };
             match self.accept(&bytes.to_bytes()) {
                 Err(PortError::Stopped) => break,
                 result => result?,

@@ -77,13 +77,15 @@ impl<'a> Sending<'a> {
         let lossy = edge.to.iter().any(|receiver| receiver.delivery == Delivery::Latest);
         let publisher =
             shared.sessions.publisher(&shared.key(&edge.from, &topic.name), lossy && edge.item.is_short(), priority)?;
+        let mut input_port = InputPort::new(reader, topic.delivery_to(BRIDGE), &topic.name, topic.writers.len());
+        input_port.go_on();
         let log =
             shared.log_folder.map(|folder| SendLog::in_folder(folder.to_owned(), &topic.name)).unwrap_or_default();
         Ok(Self {
             edge,
             codec: codec_of(&edge.item),
             layout: edge.item.layout(),
-            input_port: InputPort::new(reader, topic.delivery_to(BRIDGE), &topic.name, topic.writers.len()),
+            input_port,
             publisher,
             queue: RetransmitQueue::new(shared.stream, log, &edge.to, [wait, shared.outage], Instant::now()),
             links: Arc::clone(shared.links),
@@ -104,7 +106,10 @@ impl<'a> Sending<'a> {
                 std::thread::sleep(FULL_TICK);
                 continue;
             }
-            if !self.forward_next()? && !self.forward_ends()? {
+            let forwarded = self.forward_next()? || self.forward_ends()?;
+            // What is to be acknowledged by other machines is in the log by now, whence the next process of this bridge takes it.
+            self.input_port.acknowledge();
+            if !forwarded {
                 self.input_port.wait(TICK)?;
             }
         }

@@ -13,7 +13,7 @@ use serde_json::Value as Json;
 use std::path::PathBuf;
 
 /// Raised with each change of what launcher and stages agree on: the plan, records, names in shared memory.
-pub(crate) const LAYOUT: u32 = 4;
+pub(crate) const LAYOUT: u32 = 5;
 
 /// The plan of a run on one machine.
 #[derive(Clone, Debug, Serialize, Deserialize)]

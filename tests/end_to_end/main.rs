@@ -19,6 +19,7 @@ mod hostile_files;
 mod hosts;
 mod identities;
 mod intruders;
+mod kept;
 mod metrics;
 mod node;
 mod outside_stage;

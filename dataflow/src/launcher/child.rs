@@ -2,6 +2,7 @@
 
 use super::folder::{PLAN, RunFolder};
 use super::options::RunOptions;
+use super::phase::Phase;
 use super::process::{LAUNCHER, ProcessError, REFUSED, as_stage};
 use super::watchdog::{News, Watchdog};
 use crate::pipeline::Restart;
@@ -124,23 +125,26 @@ impl Supervised {
         }
     }
 
-    /// Looks whether the process ended, and starts it anew where that is due. `ending`: the run is on its way out.
-    pub(crate) fn look(&mut self, plan: &Plan, folder: &RunFolder, options: &RunOptions, ending: bool) -> Change {
+    /// Looks whether the process ended, and starts it anew where that is due. While what is under way is delivered all are
+    /// needed but the sources.
+    pub(crate) fn look(&mut self, plan: &Plan, folder: &RunFolder, options: &RunOptions, phase: Phase) -> Change {
+        let ending = match phase {
+            Phase::Running => false,
+            Phase::Delivering { .. } => self.planned.is_source(),
+            Phase::Stopping { .. } | Phase::Killing => true,
+        };
         match &mut self.state {
             State::Running(child) => match child.try_wait() {
                 Ok(Some(status)) => {
                     let process = child.id();
-                    self.ended(process, status, plan, folder, ending)
+                    self.ended(process, status, plan, folder, (phase, ending))
                 }
                 _ => {
                     self.watch(plan, folder);
                     Change::None
                 }
             },
-            State::Waiting { .. } if ending => {
-                self.state = State::Done;
-                Change::None
-            }
+            State::Waiting { .. } if ending => self.stay_away(folder, plan),
             State::Waiting { until } if Instant::now() >= *until => self.start_anew(plan, folder, options),
             _ => Change::None,
         }
@@ -245,11 +249,19 @@ impl Supervised {
         writers.is_some_and(|writers| writers.iter().all(is_over))
     }
 
-    fn ended(&mut self, process: u32, status: ExitStatus, plan: &Plan, folder: &RunFolder, ending: bool) -> Change {
+    fn ended(
+        &mut self,
+        process: u32,
+        status: ExitStatus,
+        plan: &Plan,
+        folder: &RunFolder,
+        (phase, ending): (Phase, bool),
+    ) -> Change {
+        let running = matches!(phase, Phase::Running);
         let name = self.planned.name.clone();
         let finished = status.success() && self.came_to_its_end(process, plan, folder);
         if finished
-            && !ending
+            && running
             && !self.has_joined(process, plan, folder)
             && let Some(topic) = self.lossless_topic()
         {
@@ -259,7 +271,7 @@ impl Supervised {
             );
             return self.give_up(folder, plan, Change::Lost);
         }
-        let comes_back = self.planned.restart == Restart::Always && !ending && !self.has_heard_all(plan, folder);
+        let comes_back = self.planned.restart == Restart::Always && running && !self.has_heard_all(plan, folder);
         if finished && !comes_back {
             self.state = State::Done;
             folder.set_life(plan.run, &name, Life::Ended);
@@ -270,8 +282,7 @@ impl Supervised {
             return self.give_up(folder, plan, Change::Lost);
         }
         if ending {
-            self.state = State::Done;
-            return Change::None;
+            return self.stay_away(folder, plan);
         }
         if status.code() == Some(i32::from(REFUSED)) {
             tracing::error!("stage `{name}` could not be made ready, for what it told");
@@ -301,6 +312,13 @@ impl Supervised {
         let back_off = (FIRST_BACK_OFF * 2_u32.pow(doublings)).min(LONGEST_BACK_OFF);
         tracing::warn!("stage `{name}` {how}, and is started anew in {:.1} s", back_off.as_secs_f64());
         self.state = State::Waiting { until: now + back_off };
+        Change::None
+    }
+
+    /// Leaves it at what it has done, as the run ends; the others are not to wait for it.
+    fn stay_away(&mut self, folder: &RunFolder, plan: &Plan) -> Change {
+        self.state = State::Done;
+        folder.set_life(plan.run, &self.planned.name, Life::Gone);
         Change::None
     }
 

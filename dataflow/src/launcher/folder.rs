@@ -2,6 +2,7 @@
 
 use crate::pause::{PAUSE_FILE, PauseFile};
 use crate::plan::{LAYOUT, Plan};
+use crate::ports::shared_memory::acknowledgements::ENDING as ACKNOWLEDGEMENTS;
 use crate::status::{Life, Status, StatusFile, status_path};
 use serde::Deserialize;
 use std::fs::{self, File, TryLockError};
@@ -265,7 +266,8 @@ impl RunFolder {
     fn remove_records(&self) -> Result<(), FolderError> {
         let fault = |error| FolderError::Io { path: self.path.clone(), error };
         for entry in fs::read_dir(&self.path).map_err(fault)?.flatten() {
-            let ends = ["status", "first", "last", "request", "answer", "new", "kept", "plan", "pause"];
+            let ends =
+                ["status", ACKNOWLEDGEMENTS, "first", "last", "request", "answer", "new", "kept", "plan", "pause"];
             if entry.path().extension().is_some_and(|extension| ends.iter().any(|end| extension == *end)) {
                 fs::remove_file(entry.path()).map_err(fault)?;
             }

@@ -94,7 +94,7 @@ pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
     Requirements::of(plan, options.nodes).insufficient().into_iter().try_for_each(Err)?;
     folder.begin(plan)?;
     let memory = SharedMemory::open(folder.shared_memory(), &plan.namespace(), "launcher", Stop::default())?;
-    let services = memory.keep_services(plan.topics())?;
+    let services = memory.kept_in(folder.path()).keep_services(plan.topics())?;
     let mut launcher = Launcher {
         plan: plan.clone(),
         folder,
@@ -205,7 +205,7 @@ impl Launcher<'_> {
         let swap = self.swap.as_ref();
         let leaving = swap.filter(|swap| swap.decides_about_exit()).map(|swap| swap.stage().to_owned());
         for stage in self.stages.iter_mut().filter(|stage| leaving.as_ref() != Some(&stage.planned.name)) {
-            lost |= stage.look(&self.plan, &self.folder, self.options, ending) == Change::Lost;
+            lost |= stage.look(&self.plan, &self.folder, self.options, self.phase) == Change::Lost;
         }
         self.lost |= lost;
         if lost && !ending {

@@ -16,7 +16,7 @@ use crate::runner::pulled_source::PulledSource;
 use crate::runner::pulled_stage::PulledStage;
 use crate::runner::{RunError, StageRuntime};
 use crate::stage::{Context, Source, Stage, Stop};
-use crate::status::StatusFile;
+use crate::status::{NO_RUN, StatusFile};
 use conicflow_messages::Hinted;
 use rustix::process::{Signal, getppid, set_parent_process_death_signal};
 use serde_json::Value as Json;
@@ -293,6 +293,7 @@ fn stage_runtime(
     let path = folder.status(&planned.name);
     let record = StatusFile::open(&path, plan.run).map_err(|error| FolderError::Io { path, error })?;
     let context = Context { stage: planned.name.clone(), base: plan.base.clone(), stop, ..Context::default() };
+    let transport = transport.map(|memory| if plan.run == NO_RUN { memory } else { memory.kept_in(folder.path()) });
     let peers = Peers::in_folder(folder.path().to_owned(), plan.run);
     let mut runtime = StageRuntime {
         transport: transport.map_err(RunError::from)?,

@@ -11,7 +11,7 @@ pub mod shared_memory;
 use crate::item_type::ItemType;
 use bytemuck::{try_cast_slice, try_cast_slice_mut};
 use capacity::in_words;
-use conicflow_messages::{Header, Hinted, Item};
+use conicflow_messages::{Header, Hinted, Item, Text};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::time::Duration;
@@ -57,6 +57,14 @@ pub struct TopicReader {
     pub queue: usize,
 }
 
+impl TopicReader {
+    /// How many messages a writer sends at most that this reader, which wants all of them, has not finished: those that wait,
+    /// and one in its hands.
+    pub(crate) const fn credit(&self) -> usize {
+        self.queue + 1
+    }
+}
+
 impl Topic {
     /// How the messages reach the stage `reader`.
     pub fn delivery_to(&self, reader: &str) -> Delivery {
@@ -66,6 +74,13 @@ impl Topic {
     /// The place of a reader among those of the topic: the number by which it answers.
     pub(crate) fn place_of(&self, reader: &str) -> Option<usize> {
         self.readers.iter().position(|entry| entry.stage == reader)
+    }
+
+    /// How many messages a writer keeps for lossless readers that may be started anew: those that wait in the longest queue, the
+    /// one in that reader's hands, and the end of the stream.
+    pub(crate) fn kept(&self) -> usize {
+        let lossless = self.readers.iter().filter(|reader| reader.delivery == Delivery::Lossless);
+        lossless.map(|reader| reader.credit() + 1).max().unwrap_or(0)
     }
 
     /// The length of the longest queue of a reader.
@@ -237,6 +252,24 @@ pub trait Reader {
     /// # Errors
     /// The transport failed.
     fn wait(&mut self, timeout: Duration) -> Result<(), PortError>;
+
+    /// Says that this stage has finished the messages of `writer` before the number `next`: it needs them no more, even if it is
+    /// started anew. A transport that keeps nothing for that does not ask.
+    fn acknowledge(&mut self, writer: Text<32>, next: u64) {
+        let _ = (writer, next);
+    }
+
+    /// By writer, the number of the first message that this stage has not finished, whichever of its processes was at work;
+    /// `None` where nothing is kept.
+    fn acknowledged(&self) -> Option<Vec<(Text<32>, u64)>> {
+        None
+    }
+
+    /// Notes that a message is begun; how often this stage has begun it, this time included.
+    fn begin(&mut self, writer: Text<32>, number: u64) -> u64 {
+        let _ = (writer, number);
+        1
+    }
 }
 
 /// Writes messages into a topic.
@@ -268,6 +301,22 @@ pub trait Writer {
 
     /// The readers of the pipeline that are there now.
     fn connected(&self) -> Vec<ConnectedReader>;
+
+    /// How many of the messages that were sent by this end the stage `reader` has not finished; 0 where nothing is kept for it.
+    fn unfinished(&self, reader: &str) -> usize {
+        let _ = reader;
+        0
+    }
+
+    /// Hands what is kept to readers that were started anew.
+    fn catch_up(&mut self) {}
+
+    /// Sleeps until a reader has finished a message, at most for `timeout`, and hands what is kept to readers that were started
+    /// anew; whether any has.
+    fn wait(&mut self, timeout: Duration) -> bool {
+        std::thread::sleep(timeout);
+        false
+    }
 }
 
 /// A reader that is there: a stage that was started anew is another one.

@@ -11,6 +11,8 @@ use std::time::Duration;
 
 /// Messages that are taken at a time before something else is looked at.
 const MOST_AT_ONCE: usize = 64;
+/// A stage that has died of a message so often is not given it again.
+const MOST_DEATHS: u64 = 2;
 
 /// Takes messages from a reader: checked, in order, the newest only where that is wanted.
 pub struct InputPort<R: Reader> {
@@ -28,6 +30,14 @@ pub struct InputPort<R: Reader> {
     predecessor: Watermark,
     /// Writer and number of the last message that an earlier process counted, where this one has received it as well.
     counted: Option<(Text<32>, u64)>,
+    /// By writer, the number that follows the last message which came.
+    came: BTreeMap<Text<32>, u64>,
+    /// The writers of messages that came since it was last said what is finished.
+    unsaid: BTreeSet<Text<32>>,
+    /// By writer, what was said last.
+    said: BTreeMap<Text<32>, u64>,
+    /// The stage that it drives, which is not given again what it has died of too often.
+    driven: Option<Text<32>>,
     nonsense: ThrottledWarning,
 }
 
@@ -46,6 +56,10 @@ impl<R: Reader> InputPort<R> {
             worked_on: Watermark::default(),
             predecessor: Watermark::default(),
             counted: None,
+            came: BTreeMap::new(),
+            unsaid: BTreeSet::new(),
+            said: BTreeMap::new(),
+            driven: None,
             nonsense: ThrottledWarning::default(),
         }
     }
@@ -60,32 +74,84 @@ impl<R: Reader> InputPort<R> {
     /// # Errors
     /// The transport failed.
     pub fn take(&mut self) -> Result<Option<R::Message>, PortError> {
-        while self.delivery == Delivery::Latest || self.pending.is_empty() {
-            let Some(message) = self.reader.receive()? else { break };
-            if self.admit(&message) {
-                self.enqueue(message);
+        loop {
+            while self.delivery == Delivery::Latest || self.pending.is_empty() {
+                let Some(message) = self.reader.receive()? else { break };
+                if self.admit(&message) {
+                    self.enqueue(message);
+                }
+            }
+            let Some(message) = self.pending.pop_front() else { return Ok(None) };
+            let (header, (source, writer)) = (message.header(), ends_of_trace(message.header()));
+            let &Header { number, epoch, sequence, .. } = header;
+            self.worked_on.numbers.insert(writer, number);
+            self.worked_on.frames.insert(source, (epoch, sequence));
+            let left_out_by = self.driven.filter(|_| self.reader.begin(writer, number) > MOST_DEATHS);
+            self.count_taken(LastMessage { writer, number, source, epoch, sequence }, left_out_by.is_some());
+            let Some(stage) = left_out_by else { return Ok(Some(message)) };
+            let topic = &self.counts.topic;
+            tracing::error!(
+                "stage `{stage}` leaves out frame {sequence} of topic `{topic}`, which it has died of {MOST_DEATHS} times"
+            );
+        }
+    }
+
+    /// Says that this is what drives `stage`.
+    pub(crate) fn drive(&mut self, stage: &str) {
+        self.driven = Some(Text::new(stage));
+    }
+
+    /// Says that all messages which came are finished, but for those that wait here or in `kept`: should this stage be started
+    /// anew, it needs them no more.
+    pub(crate) fn acknowledge_but<'a>(&mut self, kept: impl Iterator<Item = &'a Header> + Clone) {
+        for writer in std::mem::take(&mut self.unsaid) {
+            let own = |headers: &mut dyn Iterator<Item = &Header>| {
+                headers.filter(|header| is_from(header, &writer)).map(|header| header.number).min()
+            };
+            let waits = own(&mut kept.clone()).into_iter().chain(own(&mut self.buffered())).min();
+            let came = self.came.get(&writer).copied().unwrap_or_default();
+            let next = waits.map_or(came, |first| first.min(came));
+            // What was let go of is not asked for again; a stage of another machine may have begun anew.
+            if self.said.get(&writer).is_none_or(|said| *said < next || *said > came) {
+                self.said.insert(writer, next);
+                self.reader.acknowledge(writer, next);
+            }
+            if waits.is_some() {
+                self.unsaid.insert(writer);
             }
         }
-        let next = self.pending.pop_front();
-        if let Some(message) = &next {
-            let (header, (source, writer)) = (message.header(), ends_of_trace(message.header()));
-            self.worked_on.numbers.insert(writer, header.number);
-            self.worked_on.frames.insert(source, (header.epoch, header.sequence));
-            let &Header { number, epoch, sequence, .. } = header;
-            self.count_received(LastMessage { writer, number, source, epoch, sequence });
-        }
-        Ok(next)
+    }
+
+    /// The same of all but those that wait here.
+    pub fn acknowledge(&mut self) {
+        self.acknowledge_but(std::iter::empty());
+    }
+
+    /// Whether its writers keep what this stage has not finished.
+    pub(crate) fn is_kept(&self) -> bool {
+        self.reader.acknowledged().is_some()
+    }
+
+    /// Goes on after what an earlier process of this stage has finished, which has kept no counts.
+    pub fn go_on(&mut self) {
+        let finished = self.reader.acknowledged().unwrap_or_default();
+        self.go_on_after(finished, LastMessage::default());
     }
 
     /// Counts a message, unless an earlier process of the same stage has.
-    fn count_received(&mut self, message: LastMessage) {
+    fn count_taken(&mut self, message: LastMessage, is_left_out: bool) {
         let is_known = |(writer, last): &(Text<32>, u64)| message.writer == *writer && message.number <= *last;
         if self.counted.as_ref().is_some_and(is_known) {
             return;
         }
         self.counted = None;
-        self.counts.received += 1;
         self.counts.last = message;
+        if is_left_out {
+            self.counts.dropped += 1;
+            self.counts.gaps += 1;
+        } else {
+            self.counts.received += 1;
+        }
     }
 
     /// How far this process came.
@@ -215,14 +281,18 @@ impl<R: Reader> InputPort<R> {
         self.counts
     }
 
-    /// Continues the counts of an earlier process. What had come to that and was not worked on is lost, which shows in the
-    /// numbers where all messages come from one writer.
+    /// Continues the counts of an earlier process, and goes on after what that has finished, where it is handed the rest again.
+    /// Elsewhere what had come and was not worked on is lost, which shows in the numbers where all messages come from one writer.
     pub(crate) fn resume(&mut self, counts: InputCounts) {
         if counts.topic != self.counts.topic {
             return;
         }
         self.counts = counts;
         let LastMessage { writer, number, source, epoch, sequence } = counts.last;
+        if let Some(finished) = self.reader.acknowledged() {
+            self.go_on_after(finished, counts.last);
+            return;
+        }
         if self.writers == 1 && writer != Text::default() {
             self.last_number.entry(writer).or_insert(number);
             if self.buffered().any(|header| is_from(header, &writer) && header.number <= number) {
@@ -233,15 +303,34 @@ impl<R: Reader> InputPort<R> {
         }
     }
 
+    /// Goes on after what an earlier process has finished, by writer the number of the first message that it has not. Of a side
+    /// input it may have taken more than that, up to `last`.
+    fn go_on_after(&mut self, finished: Vec<(Text<32>, u64)>, last: LastMessage) {
+        for (writer, next) in finished {
+            // Who has written it to the record has finished it, even if that was the last that it did.
+            let is_done = self.driven.is_some() && writer == last.writer;
+            let next = if is_done { next.max(last.number.saturating_add(1)) } else { next };
+            let Some(number) = next.checked_sub(1) else { continue };
+            self.note_came(writer, next);
+            self.last_number.entry(writer).or_insert(number);
+            self.predecessor.numbers.entry(writer).or_insert(number);
+            if writer == last.writer && last.number <= number {
+                self.last_frame.entry(last.source).or_insert((last.epoch, last.sequence));
+            }
+        }
+        self.counted = (last.writer != Text::default()).then_some((last.writer, last.number));
+    }
+
     /// Whether a message is to be worked on: it makes sense, is news, and is not the end of a stream.
     fn admit(&mut self, message: &R::Message) -> bool {
         let header = message.header();
+        let (source, writer) = ends_of_trace(header);
         if let Err(error) = self.reader.item().check(header, message.bytes()) {
             self.counts.malformed += 1;
             self.nonsense.warn(format_args!("left out a message of topic `{}`: {error}", self.counts.topic));
+            self.note_came(writer, header.number.saturating_add(1));
             return false;
         }
-        let (source, writer) = ends_of_trace(header);
         if header.ends_stream() {
             self.note_end(header, writer);
             return false;
@@ -249,12 +338,25 @@ impl<R: Reader> InputPort<R> {
         if self.is_known(header, writer) {
             return false;
         }
+        self.note_came(writer, header.number.saturating_add(1));
         if self.is_repeated(header, source, writer) {
             self.counts.late += 1;
             return false;
         }
         self.count_lost(header, writer);
-        self.in_sequence(header, source)
+        let is_news = self.in_sequence(header, source);
+        if is_news {
+            // A stage of another machine that was started anew counts from the beginning.
+            self.came.insert(writer, header.number.saturating_add(1));
+        }
+        is_news
+    }
+
+    /// Notes that the messages of `writer` before the number `next` came.
+    fn note_came(&mut self, writer: Text<32>, next: u64) {
+        let came = self.came.entry(writer).or_default();
+        *came = next.max(*came);
+        self.unsaid.insert(writer);
     }
 
     /// Whether a message is the last one again: its writer was killed between sending it and noting that it had, so that

@@ -13,9 +13,12 @@ use std::time::{Duration, Instant};
 
 /// How long the first message waits for readers that want only the newest.
 const PATIENCE_WITH_LIVE_READERS: Duration = Duration::from_secs(5);
+/// Readers that want every message, and finish none for so long while they are there, do not keep the end from the others.
+const PATIENCE_WITH_READERS: Duration = Duration::from_secs(5);
 /// How often a writer looks whether readers have come or gone.
 const LOOK: Duration = Duration::from_millis(10);
-/// How often the end is told again to those whose full queue may not have taken it.
+/// How often the end is told again to those whose full queue may not have taken it, and whoever waits for a reader looks
+/// whether that was started anew.
 const TELL_END: Duration = Duration::from_millis(100);
 
 /// Writes the messages of one stage.
@@ -146,6 +149,44 @@ impl<W: Writer> OutputPort<W> {
         self.relayed.insert(writer, count);
     }
 
+    /// Hands readers that were started anew what is kept for them: they need not wait until there is something to send.
+    pub fn catch_up(&mut self) {
+        self.port.iter_mut().for_each(|(writer, _)| writer.catch_up());
+    }
+
+    /// Waits until the readers that want every message have finished all that was sent, for as long as anything becomes of
+    /// that: what is kept for them goes with this process.
+    pub(crate) fn await_finish(&mut self) {
+        let (mut before, mut since) = (None, Instant::now());
+        while !self.stop.forced() {
+            let unfinished: Vec<_> = self.behind(|_| 1).map(|(reader, count)| (reader.stage.clone(), count)).collect();
+            let Some((reader, _)) = unfinished.first() else { break };
+            self.stop.wait_for(reader);
+            let Some((writer, _)) = &mut self.port else { break };
+            // One that is away is about to be started anew.
+            let now = Some((writer.connected(), unfinished));
+            if now != before {
+                (before, since) = (now, Instant::now());
+            } else if since.elapsed() > PATIENCE_WITH_READERS {
+                break;
+            }
+            writer.wait(TELL_END);
+        }
+    }
+
+    /// The readers that have not finished so many messages, or more, and will go on; with the number of them.
+    fn behind(&self, least: impl Fn(&TopicReader) -> usize) -> impl Iterator<Item = (&TopicReader, usize)> {
+        let readers = self
+            .port
+            .iter()
+            .flat_map(|(writer, topic)| topic.readers.iter().map(|reader| (reader, writer.unfinished(&reader.stage))));
+        readers.filter(move |(reader, count)| *count >= least(reader) && !self.is_over(&reader.stage))
+    }
+
+    fn is_over(&self, stage: &str) -> bool {
+        matches!(self.peers.life(stage), Some(Life::Ended | Life::Gone))
+    }
+
     /// Tells all readers that nothing more will come, and stays until they have taken all.
     pub(crate) fn end(&mut self) -> Result<(), PortError> {
         self.end_each(&[end_of_stream(&self.last, self.stage, self.number)])
@@ -162,6 +203,8 @@ impl<W: Writer> OutputPort<W> {
     }
 
     fn end_each(&mut self, ends: &[Header]) -> Result<(), PortError> {
+        // Ends take the place of messages that are kept.
+        self.await_finish();
         let (mut before, mut told, mut last_told) = (Vec::new(), BTreeSet::new(), None::<Instant>);
         let deadline = Instant::now() + PATIENCE_WITH_LIVE_READERS;
         while !self.stop.forced() {
@@ -180,7 +223,8 @@ impl<W: Writer> OutputPort<W> {
             }
             told.extend(connected.iter().map(|reader| reader.stage.clone()));
             let all_told = self.absent_readers(false).all(|reader| told.contains(&reader.stage));
-            if connected.is_empty() && (all_told || Instant::now() > deadline) {
+            let is_waited_for = self.behind(|_| 1).next().is_some();
+            if connected.is_empty() && !is_waited_for && (all_told || Instant::now() > deadline) {
                 break;
             }
             connected.iter().for_each(|reader| self.stop.wait_for(&reader.stage));
@@ -190,8 +234,10 @@ impl<W: Writer> OutputPort<W> {
         Ok(())
     }
 
-    /// Waits for the readers that must not miss a message, and before the first one also for the others, for a while.
+    /// Waits for the readers that must not miss a message, until they are there and have room for another one, and before the
+    /// first one also for the others, for a while.
     fn await_readers(&mut self) -> Result<(), PortError> {
+        self.await_room()?;
         let deadline = Instant::now() + PATIENCE_WITH_LIVE_READERS;
         let mut said = false;
         loop {
@@ -209,6 +255,20 @@ impl<W: Writer> OutputPort<W> {
         }
     }
 
+    /// Waits until no reader has so many unfinished messages that another one would take the place of what is kept for it.
+    fn await_room(&mut self) -> Result<(), PortError> {
+        loop {
+            let full = self.behind(TopicReader::credit).next().map(|(reader, _)| reader.stage.clone());
+            let (Some(full), Some((writer, _))) = (full, &mut self.port) else { return Ok(()) };
+            if self.stop.forced() {
+                return Err(PortError::Stopped);
+            }
+            if !writer.wait(TELL_END) {
+                self.stop.wait_for(&full);
+            }
+        }
+    }
+
     /// Readers of the pipeline that are not there and still to come; only the lossless ones, or all.
     fn absent_readers(&self, only_lossless: bool) -> impl Iterator<Item = &TopicReader> {
         let (connected, topic) = self.port.as_ref().map(|(writer, topic)| (writer.connected(), topic)).unzip();
@@ -217,7 +277,7 @@ impl<W: Writer> OutputPort<W> {
         let wanted = readers.filter(move |reader| !only_lossless || reader.delivery == Delivery::Lossless);
         let is_there = move |stage: &str| connected.iter().any(|reader| reader.stage == stage);
         let absent = wanted.filter(move |reader| !is_there(&reader.stage));
-        absent.filter(|reader| !matches!(self.peers.life(&reader.stage), Some(Life::Ended | Life::Gone)))
+        absent.filter(|reader| !self.is_over(&reader.stage))
     }
 }
 

@@ -43,9 +43,9 @@ impl Pace {
         Self { period: Duration::from_secs_f64(period_s), keeps_stamps, due: None, stamp_ns: None, stop, pause }
     }
 
-    /// Waits until the next message is to be made, or the run is to end. A source that fell behind by more than one message does
-    /// not hurry to catch up.
-    pub(crate) fn wait_to_make(&mut self, record: &mut StatusFile) {
+    /// Waits until the next message is to be made, or the run is to end, and does something else now and then. A source that fell
+    /// behind by more than one message does not hurry to catch up.
+    pub(crate) fn wait_to_make(&mut self, record: &mut StatusFile, meanwhile: impl FnMut()) {
         if self.keeps_stamps {
             return;
         }
@@ -53,12 +53,12 @@ impl Pace {
         let due = self.due.map_or(now, |due| due + self.period);
         let is_late = now.saturating_duration_since(due) > self.period;
         self.due = Some(if is_late { now } else { due });
-        self.wait_until(due, record);
+        self.wait_until(due, record, meanwhile);
     }
 
     /// Waits until a message with this stamp is to be sent, as long after the one before as their stamps say, or the run is to end.
     /// One that is late does not make the others hurry. Without a stamp it waits only while the run is paused.
-    pub(crate) fn wait_to_send(&mut self, stamp_ns: Option<u64>, record: &mut StatusFile) {
+    pub(crate) fn wait_to_send(&mut self, stamp_ns: Option<u64>, record: &mut StatusFile, meanwhile: impl FnMut()) {
         if !self.keeps_stamps {
             return;
         }
@@ -67,16 +67,20 @@ impl Pace {
         let due = self.due.and_then(|due| due.checked_add(Duration::from_nanos(since_last)));
         let due = due.filter(|due| *due > now).unwrap_or(now);
         (self.due, self.stamp_ns) = (Some(due), stamp_ns);
-        self.wait_until(due, record);
+        self.wait_until(due, record, meanwhile);
     }
 
-    fn wait_until(&mut self, due: Instant, record: &mut StatusFile) {
+    fn wait_until(&mut self, due: Instant, record: &mut StatusFile, mut meanwhile: impl FnMut()) {
         while !self.stop.requested() {
             let turn = self.pause.turn();
             tell(record, turn);
             let left = due.saturating_duration_since(Instant::now());
             match turn {
                 Turn::Go if left.is_zero() => return,
+                Turn::Go | Turn::Stand => meanwhile(),
+                Turn::Step => {}
+            }
+            match turn {
                 Turn::Go => std::thread::sleep(left.min(LOOK)),
                 Turn::Stand => std::thread::sleep(LOOK),
                 Turn::Step => {
@@ -113,9 +117,9 @@ mod tests {
         for rate_hz in [f64::MIN_POSITIVE, 1e-320, 1e-20, 1e-9, f64::MAX, f64::INFINITY, 0.0, f64::NAN] {
             let stop = Stop::default();
             let mut pace = Pace::new(rhythm(rate_hz), stop.clone(), Pause::default());
-            pace.wait_to_make(&mut record);
+            pace.wait_to_make(&mut record, || ());
             stop.request();
-            (0..3).for_each(|_| pace.wait_to_make(&mut record));
+            (0..3).for_each(|_| pace.wait_to_make(&mut record, || ()));
         }
     }
 
@@ -125,10 +129,10 @@ mod tests {
         let rhythm = Rhythm { keeps_stamps: true, ..Rhythm::default() };
         let mut pace = Pace::new(rhythm, stop.clone(), Pause::default());
         let begin = Instant::now();
-        [5, 40_000_000, 3, 3].into_iter().for_each(|stamp_ns| pace.wait_to_send(Some(stamp_ns), &mut record));
+        [5, 40_000_000, 3, 3].into_iter().for_each(|stamp_ns| pace.wait_to_send(Some(stamp_ns), &mut record, || ()));
         assert!(begin.elapsed() >= Duration::from_nanos(39_999_995), "as far apart as the stamps");
         stop.request();
-        [u64::MAX, 0, u64::MAX].into_iter().for_each(|stamp_ns| pace.wait_to_send(Some(stamp_ns), &mut record));
+        [u64::MAX, 0, u64::MAX].into_iter().for_each(|stamp_ns| pace.wait_to_send(Some(stamp_ns), &mut record, || ()));
     }
 
     /// Many steps of a slow source, after which it is due as if there had been one.
@@ -143,10 +147,10 @@ mod tests {
         record.status.set_pausing(Pausing::Goes);
         let hour = Duration::from_secs(3600);
         let mut pace = Pace::new(rhythm(1.0 / hour.as_secs_f64()), Stop::default(), pause);
-        pace.wait_to_make(&mut record);
+        pace.wait_to_make(&mut record, || ());
         for _ in 0..5 {
             word.change(PauseWish::Step).unwrap();
-            pace.wait_to_make(&mut record);
+            pace.wait_to_make(&mut record, || ());
             assert_eq!(record.status.pausing(), Pausing::Stands);
         }
         assert!(pace.due.unwrap() <= Instant::now(), "five hours are not waited for");

@@ -3,7 +3,7 @@
 
 use super::side_ports::KeptMessage;
 use super::stage_place::{Look, StagePlace, item_of, open_input};
-use super::takeover::takes_place;
+use super::takeover::{Turn, takes_place};
 use super::{RunError, StageRuntime, is_stopped};
 use crate::clock::monotonic_ns;
 use crate::item_type::{AnyMessage, ItemType};
@@ -63,11 +63,16 @@ impl PulledStage {
         let mut input_port = open_input(&runtime, &item, &topic)?;
         runtime.context.output = runtime.output_of_any()?;
         let output_port = runtime.output_port::<AnyByte>()?;
-        runtime.context.input = Some(item);
-        if let Some(successor) = runtime.successor.take()
-            && !takes_place(successor, &mut input_port, &mut side_inputs, &mut runtime, &topic)?
-        {
-            return Ok(None);
+        runtime.context.input = Some(item.clone());
+        if let Some(successor) = runtime.successor.take() {
+            match takes_place(successor, &mut input_port, &mut side_inputs, &mut runtime, &topic)? {
+                Turn::Never => return Ok(None),
+                Turn::Next => {}
+                Turn::Anew => {
+                    side_inputs = runtime.side_inputs_of(same_frame)?;
+                    input_port = open_input(&runtime, &item, &topic)?;
+                }
+            }
         }
         runtime.context.resume_at = runtime.context.resume_at.max(runtime.record.status.steps);
         let context = runtime.context.clone();

@@ -32,6 +32,11 @@ pub(crate) trait SidePort: Send {
     fn buffer_ahead(&mut self) -> Result<(), PortError>;
     /// Whether what goes with this step, and with all that follow, is or will be buffered.
     fn covers(&self, step: &Header) -> bool;
+    /// Says that what the step has used and left behind is finished.
+    fn acknowledge(&mut self);
+    /// Takes what came, and does not ask the writers to keep it any longer: the messages that it goes with may be lost, and
+    /// none of those to come would be sent.
+    fn let_go(&mut self) -> Result<(), PortError>;
     /// Goes on where an earlier process of the same stage left, with what was buffered meanwhile.
     fn resume(&mut self, counts: InputCounts) -> Result<(), PortError>;
 }
@@ -164,6 +169,23 @@ impl<R: Reader + Send> SidePort for WiredInput<R> {
     fn covers(&self, step: &Header) -> bool {
         let before = |header: &Header| reaches(step, header);
         self.pairing == Pairing::Latest || self.input_port.buffered().any(before)
+    }
+
+    fn acknowledge(&mut self) {
+        self.input_port.acknowledge_but(self.waiting.iter().map(Received::header));
+    }
+
+    fn let_go(&mut self) -> Result<(), PortError> {
+        if self.pairing == Pairing::Latest {
+            self.find_latest()?;
+        }
+        while self.waiting.len() < MAX_KEPT
+            && let Some(message) = self.input_port.take()?
+        {
+            self.waiting.push_back(message);
+        }
+        self.input_port.acknowledge();
+        Ok(())
     }
 
     fn resume(&mut self, counts: InputCounts) -> Result<(), PortError> {

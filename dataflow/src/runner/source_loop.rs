@@ -110,13 +110,13 @@ impl<T: Transport> SourcePlace<T> {
         if self.frames.is_some_and(|frames| self.made >= frames) {
             return false;
         }
-        self.pace.wait_to_make(&mut self.record);
+        self.pace.wait_to_make(&mut self.record, || self.output_port.catch_up());
         !self.stop.requested()
     }
 
     /// Waits until what was made is due to be sent, where its stamp tells; false if it is not to be sent any more.
     fn is_due_to_be_sent(&mut self, stamp_ns: Option<u64>) -> bool {
-        self.pace.wait_to_send(stamp_ns, &mut self.record);
+        self.pace.wait_to_send(stamp_ns, &mut self.record, || self.output_port.catch_up());
         !self.stop.requested()
     }
 
@@ -152,6 +152,7 @@ impl<T: Transport> SourcePlace<T> {
             *slot = side.counts();
         }
         self.record.write();
+        self.side_inputs.iter_mut().for_each(|side| side.acknowledge());
     }
 
     /// Ends the stream; a source that was stopped at once, or replaced, leaves its readers waiting for its successor.
@@ -161,6 +162,7 @@ impl<T: Transport> SourcePlace<T> {
             self.output_port.end()?;
             self.record.status.set_life(Life::Ended);
         }
+        self.output_port.await_finish();
         self.record.write();
         Ok(())
     }

@@ -2,7 +2,7 @@
 
 use super::side_ports;
 use super::stage_place::{MessageOf, StagePlace, item_of, open_input};
-use super::takeover::{made_early, takes_place};
+use super::takeover::{Turn, made_early, takes_place};
 use super::{MemoryTrim, RunError, StageRuntime, guarded, is_stopped};
 use crate::clock::monotonic_ns;
 use crate::item_type::ItemType;
@@ -30,12 +30,17 @@ pub(crate) fn run_stage<S: Stage, T: Transport + 'static>(
     let mut side_inputs = runtime.side_inputs(S::side_inputs())?;
     let mut input_port = open_input(&runtime, &item, &topic)?;
     let output_port = runtime.output_port::<S::Output>()?;
-    runtime.context.input = Some(item);
+    runtime.context.input = Some(item.clone());
     let early = if runtime.successor.is_some() { Some(made_early::<S>(&config, &runtime)?) } else { None };
-    if let Some(successor) = runtime.successor.take()
-        && !takes_place(successor, &mut input_port, &mut side_inputs, &mut runtime, &topic)?
-    {
-        return Ok(());
+    if let Some(successor) = runtime.successor.take() {
+        match takes_place(successor, &mut input_port, &mut side_inputs, &mut runtime, &topic)? {
+            Turn::Never => return Ok(()),
+            Turn::Next => {}
+            Turn::Anew => {
+                side_inputs = runtime.side_inputs(S::side_inputs())?;
+                input_port = open_input(&runtime, &item, &topic)?;
+            }
+        }
     }
     runtime.context.resume_at = runtime.context.resume_at.max(runtime.record.status.steps);
     let stage = match early.flatten() {

@@ -12,8 +12,10 @@ use crate::stage::{StageError, Stop};
 use crate::status::{Life, StatusFile};
 use conicflow_messages::Header;
 use std::fs::File;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
+/// Where nothing has come for so long, what should have come may be lost with a stage and the one before it.
+const PATIENCE_WITH_WRITERS: Duration = Duration::from_secs(5);
 /// A stage that nobody wakes looks around this often.
 const TICK: Duration = Duration::from_millis(100);
 
@@ -31,6 +33,8 @@ pub(crate) struct StagePlace<T: Transport> {
     handover: Option<Handover>,
     /// Asked to leave its place: from there on its successor receives everything.
     leaves_at: Option<Watermark>,
+    /// When a message came, or it was last seen to that others can.
+    last_came: Instant,
     /// Held as long as the place is taken.
     _lock: Option<File>,
 }
@@ -71,6 +75,7 @@ impl<T: Transport + 'static> StagePlace<T> {
         mut output_port: OutputPort<T::Writer>,
     ) -> Result<Self, PortError> {
         let (own, of_sides) = runtime.record.status.inputs.split_at(1);
+        input_port.drive(&runtime.context.stage);
         input_port.resume(own[0]);
         side_inputs.iter_mut().zip(of_sides).try_for_each(|(side, counts)| side.resume(*counts))?;
         output_port.resume(runtime.record.status.sent);
@@ -86,6 +91,7 @@ impl<T: Transport + 'static> StagePlace<T> {
             peers,
             handover,
             leaves_at: None,
+            last_came: Instant::now(),
             _lock: lock,
         })
     }
@@ -111,7 +117,14 @@ impl<T: Transport> StagePlace<T> {
         // The writers are looked at first: what they sent before they were gone is then sure to be found.
         let last_call = self.input_port.is_idle() && self.writers_are_gone();
         if let Some(message) = self.input_port.take()? {
+            self.last_came = Instant::now();
             return Ok(Look::Message(message));
+        }
+        self.input_port.acknowledge();
+        self.output_port.catch_up();
+        if self.last_came.elapsed() > PATIENCE_WITH_WRITERS {
+            self.last_came = Instant::now();
+            self.side_inputs.iter_mut().try_for_each(|side| side.let_go())?;
         }
         if last_call || self.input_port.ended() {
             return Ok(Look::Over);
@@ -161,10 +174,19 @@ impl<T: Transport> StagePlace<T> {
         }
     }
 
-    /// Counts a step, and keeps what its inputs count.
+    /// Counts a step, keeps what its inputs count, and says that its messages are finished. The record comes first: it says in
+    /// one piece what was worked on and what was sent, so that the next process does the rest again under the same number.
     pub(crate) fn keep_counts(&mut self) {
+        self.last_came = Instant::now();
+        self.record.status.steps += 1;
+        self.keep_inputs();
+        self.side_inputs.iter_mut().for_each(|side| side.acknowledge());
+        self.input_port.acknowledge();
+    }
+
+    /// Keeps what its inputs count.
+    fn keep_inputs(&mut self) {
         let status = &mut *self.record.status;
-        status.steps += 1;
         let counts = std::iter::once(self.input_port.counts()).chain(self.side_inputs.iter().map(|side| side.counts()));
         status.inputs.iter_mut().zip(counts).for_each(|(slot, counts)| *slot = counts);
         self.record.write();
@@ -181,9 +203,11 @@ impl<T: Transport> StagePlace<T> {
         }
         if let (true, Some(handover)) = (left, &self.handover) {
             let told = handover.leave(self.input_port.worked_on());
+            self.output_port.await_finish();
             return told.map_err(|error| RunError::Failed { frame, error: error.into() });
         }
         self.record.status.had_enough = u64::from(self.stop.requested() && !self.input_port.ended());
+        self.keep_inputs();
         drop((self.input_port, self.side_inputs));
         if !self.stop.forced() {
             self.output_port.end()?;

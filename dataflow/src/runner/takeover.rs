@@ -25,26 +25,41 @@ pub(crate) fn made_early<S: Stage>(
     Ok(Some(stage).filter(|_| !is_nothing::<S::Output>()))
 }
 
-/// Buffers a message of each writer, says so, and waits until the process that it replaces is gone; whether its turn came.
+/// How a successor begins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Turn {
+    /// Not at all: it is not wanted any more.
+    Never,
+    /// At the next message: its predecessor has said how far it came.
+    Next,
+    /// As a stage that is started anew, with what the writers keep for it: its predecessor was killed. It has to open its inputs
+    /// again, because it has left messages to that one.
+    Anew,
+}
+
+/// Buffers a message of each writer, says so, and waits until the process that it replaces is gone.
 pub(crate) fn takes_place<T: Transport + 'static>(
     mut successor: Successor,
     input_port: &mut InputPort<T::Reader>,
     side_inputs: &mut [Box<dyn SidePort>],
     runtime: &mut StageRuntime<T>,
     topic: &Topic,
-) -> Result<bool, RunError> {
+) -> Result<Turn, RunError> {
     if !buffers_all(&mut successor, input_port, side_inputs, runtime, topic)? {
-        return Ok(false);
+        return Ok(Turn::Never);
     }
     let fault = |error: std::io::Error| RunError::Refused(error.into());
     successor.is_ready(&input_port.first_buffered()).map_err(fault)?;
     let stop = runtime.context.stop.clone();
     if !successor.await_turn(|| stop.forced()) {
-        return Ok(false);
+        return Ok(Turn::Never);
     }
     runtime.enter();
-    input_port.begin_after(successor.handover.last().unwrap_or_default());
-    Ok(true)
+    match successor.handover.last() {
+        None if input_port.is_kept() => return Ok(Turn::Anew),
+        last => input_port.begin_after(last.unwrap_or_default()),
+    }
+    Ok(Turn::Next)
 }
 
 /// Waits until a message of each writer is buffered, and what goes with it; false if that is not wanted any more.

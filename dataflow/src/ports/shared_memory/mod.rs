@@ -4,14 +4,20 @@
 //! when a message was sent, `conicflow/r/t/room` wakes a writer that waits because a lossless reader's queue is
 //! full. All numbers of a service follow from the pipeline file, so that every stage asks for the same ones and the order
 //! of their start does not matter.
+//!
+//! In a run that has a launcher nothing is lost with a lossless reader that is killed. Its writer keeps what it has sent in
+//! iceoryx2's history until the reader has [noted](acknowledgements) that it is done with that, and sends no more than fits
+//! there. A reader that comes anew is handed the history, and goes on at what was noted.
 
 #![allow(unsafe_code)] // layouts in shared memory, loans whose content is left over, leases on files, pages given back
 
+pub(crate) mod acknowledgements;
 mod cleanup;
 pub(crate) mod leftovers;
 mod onlooker;
 mod reader;
 mod reserve;
+mod sent_messages;
 mod service_keeper;
 mod services;
 #[cfg(test)]
@@ -30,6 +36,7 @@ use crate::item_type::ItemType;
 use crate::ports::{Delivery, PortError, Topic, Transport};
 use iceoryx2::prelude::PortName;
 use reader::ReadingPort;
+use sent_messages::SentMessages;
 use std::fmt::Debug;
 use std::sync::Arc;
 
@@ -40,21 +47,21 @@ impl Transport for SharedMemory {
     fn reader_of(&self, item: &ItemType, topic: &Topic, stage: &str) -> Result<SharedReader, PortError> {
         let fault = |error: &dyn Debug| self.fault(format!("topic `{}` cannot be read", topic.name), error);
         let reader = topic.readers.iter().find(|reader| reader.stage == stage);
-        let queue = reader.map_or(2, |reader| reader.queue);
+        let buffer = reader.map_or(2, |reader| self.buffer_of(topic, reader));
         let wake = self.listener(topic, "/wake")?;
-        let room = match topic.place_of(stage) {
-            Some(place) if topic.delivery_to(stage) == Delivery::Lossless => {
-                Some(self.notifier(topic, "/room", place)?)
-            }
-            _ => None,
-        };
+        let lossless = topic.place_of(stage).filter(|_| topic.delivery_to(stage) == Delivery::Lossless);
+        let room = lossless.map(|place| self.notifier(topic, "/room", place)).transpose()?;
+        let table = lossless.and_then(|place| Some((self.acknowledgements(topic).transpose()?, place)));
+        let finished = table.map(|(table, place)| Ok::<_, PortError>((table?, place))).transpose()?;
+        let history = if finished.is_some() { topic.kept() } else { 0 };
         let name = PortName::new(stage).map_err(|error| fault(&error))?;
         let messages = self.messages(item, topic)?;
-        let subscriber = messages.subscriber_builder().buffer_size(queue).name(&name).create();
+        let subscriber =
+            messages.subscriber_builder().buffer_size(buffer).history_request(history).name(&name).create();
         let subscriber = subscriber.map_err(|error| fault(&error))?;
         let (item, topic, occupied) = (item.clone(), topic.name.clone(), Arc::clone(&self.occupied));
         let port = ReadingPort::new(subscriber, &self.occupied);
-        Ok(SharedReader { port, wake, room, item, topic, occupied })
+        Ok(SharedReader { port, wake, room, finished, item, topic, occupied })
     }
 
     fn writer_of(&self, item: &ItemType, topic: &Topic) -> Result<SharedWriter, PortError> {
@@ -67,6 +74,7 @@ impl Transport for SharedMemory {
             room: Arc::new(self.listener(topic, "/room")?),
             answers: Arc::default(),
             attached: Vec::new(),
+            sent: self.acknowledgements(topic)?.map(|finished| SentMessages::new(finished, topic)),
             item: item.clone(),
             topic: topic.clone(),
             config: self.node.config().clone(),

@@ -28,7 +28,8 @@ impl SharedMemory {
         let fault = |reason: String| self.fault(format!("topic `{}` cannot be looked into", topic.name), reason);
         let name = PortName::new(NAME).map_err(|error| fault(format!("{error:?}")))?;
         let queue = topic.longest_queue();
-        let created = self.messages(item, topic)?.subscriber_builder().buffer_size(queue).name(&name).create();
+        let messages = self.messages(item, topic)?;
+        let created = messages.subscriber_builder().buffer_size(queue).history_request(0).name(&name).create();
         let subscriber = created.map_err(|error| match error {
             SubscriberCreateError::ExceedsMaxSupportedSubscribers => {
                 PortError::TooManyOnlookers { topic: topic.name.clone(), limit: SPARE_READERS }

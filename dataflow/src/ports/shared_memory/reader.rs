@@ -1,11 +1,12 @@
 //! The reading end of a topic in shared memory.
 
+use super::acknowledgements::Acknowledgements;
 use super::cleanup::Occupied;
 use super::services::Ipc;
 use super::untyped::{Sample, Subscriber, header_of, items_of};
 use crate::item_type::ItemType;
 use crate::ports::{PortError, Reader, Received};
-use conicflow_messages::Header;
+use conicflow_messages::{Header, Text};
 use iceoryx2::port::ReceiveError;
 use iceoryx2::port::listener::{Listener, ListenerWaitError};
 use iceoryx2::port::notifier::Notifier;
@@ -17,6 +18,8 @@ pub struct SharedReader {
     pub(super) port: Arc<ReadingPort>,
     pub(super) wake: Listener<Ipc>,
     pub(super) room: Option<Notifier<Ipc>>,
+    /// Where it notes what it has finished, and its place there.
+    pub(super) finished: Option<(Arc<Acknowledgements>, usize)>,
     pub(super) item: ItemType,
     pub(super) topic: String,
     pub(super) occupied: Arc<Occupied>,
@@ -76,9 +79,9 @@ impl Reader for SharedReader {
             reason: format!("{error:?}"),
             root: self.occupied.root().to_owned(),
         })?;
-        if let (Some(_), Some(room)) = (&received, &self.room) {
-            // A writer that is not woken looks again by itself after `DEAD_READER_CHECK`.
-            room.notify().ok();
+        // Where messages are kept, there is room for another one when one is finished.
+        if received.is_some() && self.finished.is_none() {
+            self.wake_writer();
         }
         Ok(received)
     }
@@ -92,6 +95,32 @@ impl Reader for SharedReader {
                 reason: format!("{error:?}"),
                 root: self.occupied.root().to_owned(),
             }),
+        }
+    }
+
+    fn acknowledge(&mut self, writer: Text<32>, next: u64) {
+        let Some((table, own)) = &self.finished else { return };
+        let Some(place) = table.place_of(&writer) else { return };
+        table.finish(*own, place, next);
+        self.wake_writer();
+    }
+
+    fn acknowledged(&self) -> Option<Vec<(Text<32>, u64)>> {
+        let (table, own) = self.finished.as_ref()?;
+        Some(table.writers().iter().enumerate().map(|(place, writer)| (*writer, table.next(*own, place))).collect())
+    }
+
+    fn begin(&mut self, writer: Text<32>, number: u64) -> u64 {
+        let place = self.finished.as_ref().and_then(|(table, own)| Some((table, *own, table.place_of(&writer)?)));
+        place.map_or(1, |(table, own, place)| table.begin(own, place, number))
+    }
+}
+
+impl SharedReader {
+    fn wake_writer(&self) {
+        // A writer that is not woken looks again by itself after `DEAD_READER_CHECK`.
+        if let Some(room) = &self.room {
+            room.notify().ok();
         }
     }
 }

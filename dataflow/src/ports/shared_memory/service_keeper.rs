@@ -3,6 +3,7 @@
 //! Processes that open a service at the same time settle who of them creates it. If that one is killed meanwhile the service
 //! is stuck, and nobody can open it any more. So the launcher creates all of them before it starts a stage.
 
+use super::acknowledgements::Acknowledgements;
 use super::services::{EventFactory, SharedMemory};
 use super::untyped::Factory;
 use crate::ports::{PortError, Topic};
@@ -23,6 +24,10 @@ impl SharedMemory {
     pub fn keep_services<'a>(self, topics: impl Iterator<Item = &'a Topic>) -> Result<ServiceKeeper, PortError> {
         let (mut messages, mut events) = (Vec::new(), Vec::new());
         for topic in topics {
+            if let Some(folder) = self.folder_of(topic) {
+                let fault = |error| self.fault(format!("topic `{}` cannot be noted of", topic.name), error);
+                Acknowledgements::create(folder, topic).map_err(fault)?;
+            }
             if let Some(item) = &topic.item {
                 messages.push(self.messages(item, topic)?);
             }

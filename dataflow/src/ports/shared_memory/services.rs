@@ -1,10 +1,11 @@
 //! This process's part in the services of a run: it creates or opens those of a topic, and knows where their files lie.
 
+use super::acknowledgements::Acknowledgements;
 use super::cleanup::{self, Occupied};
 use super::untyped::{Factory, with_types};
 use crate::item_type::ItemType;
 use crate::ports::capacity::{ROOM_PER_PORT, in_words, room};
-use crate::ports::{MAX_KEPT, OTHER_BUILD, PortError, Topic};
+use crate::ports::{Delivery, MAX_KEPT, OTHER_BUILD, PortError, Topic, TopicReader};
 use crate::stage::Stop;
 use conicflow_messages::HEADER_TYPE_NAME;
 use iceoryx2::node::NodeCreationFailure;
@@ -31,6 +32,8 @@ const MAX_HELD: usize = MAX_KEPT + 4;
 pub struct SharedMemory {
     pub(super) node: Node<Ipc>,
     run: String,
+    /// The run's folder, where readers that want all messages may be started anew.
+    folder: Option<PathBuf>,
     pub(super) stop: Stop,
     /// Shared with the ports, and last in each: the folder is theirs until all of them have left it.
     pub(super) occupied: Arc<Occupied>,
@@ -54,7 +57,35 @@ impl SharedMemory {
         let builder = NodeBuilder::new().name(&name).config(&config).signal_handling_mode(SignalHandlingMode::Disabled);
         let node = builder.create::<Ipc>().map_err(|error: NodeCreationFailure| fault(&error))?;
         cleanup::close_to_others(root).map_err(|error| fault(&error))?;
-        Ok(Self { node, run: run.to_owned(), stop, occupied })
+        Ok(Self { node, run: run.to_owned(), folder: None, stop, occupied })
+    }
+
+    /// The same in a run that has a launcher, in whose `folder` it is noted what lossless readers have finished. All processes of
+    /// a run have to say so, but for those that look on.
+    pub fn kept_in(self, folder: &Path) -> Self {
+        Self { folder: Some(folder.to_owned()), ..self }
+    }
+
+    /// The folder with what is noted of a topic, if messages are kept for any of its readers.
+    pub(super) fn folder_of(&self, topic: &Topic) -> Option<&Path> {
+        self.folder.as_deref().filter(|_| topic.is_lossless() && !topic.writers.is_empty())
+    }
+
+    /// How many messages wait for a reader at most. One that is started anew is handed all that is kept, before it has looked
+    /// into its queue for the first time and is counted as connected; what the writer then still has credit for follows.
+    pub(super) fn buffer_of(&self, topic: &Topic, reader: &TopicReader) -> usize {
+        match self.folder_of(topic) {
+            Some(_) if reader.delivery == Delivery::Lossless => topic.kept() + reader.credit(),
+            _ => reader.queue,
+        }
+    }
+
+    /// What is noted of a topic.
+    pub(super) fn acknowledgements(&self, topic: &Topic) -> Result<Option<Arc<Acknowledgements>>, PortError> {
+        let Some(folder) = self.folder_of(topic) else { return Ok(None) };
+        let opened = Acknowledgements::open(folder, topic);
+        let fault = |error| self.fault(format!("what was finished of topic `{}` cannot be noted", topic.name), error);
+        opened.map(|table| Some(Arc::new(table))).map_err(fault)
     }
 
     /// Removes what processes that died have left in shared memory.
@@ -102,18 +133,20 @@ impl SharedMemory {
         let fault = |reason: &dyn Debug| self.fault(format!("topic `{}` cannot be opened", topic.name), reason);
         let readers = topic.readers.len() + SPARE_READERS;
         let writers = topic.writers.len() + 2;
+        let longest = topic.readers.iter().map(|reader| self.buffer_of(topic, reader)).max();
+        let longest = longest.unwrap_or(topic.longest_queue());
         let service = self
             .node
             .service_builder(&self.service_name(topic, "")?)
             .publish_subscribe::<[CustomPayloadMarker]>()
             .user_header::<CustomHeaderMarker>()
             .enable_safe_overflow(!topic.is_lossless())
-            .subscriber_max_buffer_size(topic.longest_queue())
+            .subscriber_max_buffer_size(longest)
             .subscriber_max_borrowed_samples(MAX_HELD)
             .max_publishers(writers)
             .max_subscribers(readers)
             .max_nodes(2 * (writers + readers))
-            .history_size(0);
+            .history_size(self.folder_of(topic).map_or(0, |_| topic.kept()));
         let opened = with_types(service, item).map_err(|reason| fault(&reason))?.open_or_create();
         opened.map_err(|error| match error {
             PublishSubscribeOpenOrCreateError::PublishSubscribeOpenError(

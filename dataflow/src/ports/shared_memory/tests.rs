@@ -1,9 +1,10 @@
 //! Tests of the topics in shared memory, within one process: each side opens them as a process of its own would.
 
-use crate::ports::shared_memory::{SharedMemory, SharedMessage};
+use crate::item_type::ItemType;
+use crate::ports::shared_memory::{SharedMemory, SharedMessage, SharedWriter};
 use crate::ports::{Delivery, PortError, Reader, Received, Topic, TopicReader, Transport, Writer};
 use crate::stage::Stop;
-use conicflow_messages::{Header, Object, Track};
+use conicflow_messages::{Header, Hop, Object, Text, Track};
 use std::path::Path;
 use std::thread;
 use std::time::Duration;
@@ -51,6 +52,46 @@ fn a_slow_lossless_reader_loses_nothing_not_even_before_its_first_look() {
         assert_eq!(taken, (0..50).collect::<Vec<_>>());
         drop(reader);
     });
+}
+
+#[test]
+fn what_a_lossless_reader_has_not_finished_is_handed_to_the_next_one_and_to_nobody_else() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut topic = topic(Delivery::Lossless, 3);
+    topic.item = Some(ItemType::of::<u16>());
+    topic.readers.push(TopicReader { stage: "viewer".into(), delivery: Delivery::Latest, queue: 2 });
+    let open = |stage: &str| open(folder.path(), stage).kept_in(folder.path());
+    let _services = open("launcher").keep_services([&topic].into_iter()).unwrap();
+    let mut writer = open("writer").writer::<u16>(&topic).unwrap();
+    let send = |writer: &mut SharedWriter, number: u64| {
+        writer.loan(1).unwrap().copy_from_slice(&[number as u16]);
+        let mut header = Header { number, sequence: number, ..Header::default() };
+        header.add_hop(Hop { stage: Text::new("writer"), ..Hop::default() });
+        writer.send(&header).unwrap();
+    };
+    let mut first = open("reader").reader::<u16>(&topic, "reader").unwrap();
+    assert_eq!(first.acknowledged(), Some(vec![(Text::new("writer"), 0)]));
+    (0..2).for_each(|number| send(&mut writer, number));
+    assert_eq!(sequences(&mut first), [0, 1]);
+    first.acknowledge(Text::new("writer"), 2);
+    (2..6).for_each(|number| send(&mut writer, number));
+    assert_eq!((writer.unfinished("reader"), writer.unfinished("viewer")), (4, 0));
+    assert_eq!(first.receive().unwrap().unwrap().header().sequence, 2, "in its hands when it dies");
+    drop(first);
+    for _ in 0..3 {
+        let mut next = open("reader").reader::<u16>(&topic, "reader").unwrap();
+        assert_eq!(next.acknowledged(), Some(vec![(Text::new("writer"), 2)]));
+        assert_eq!(sequences(&mut next), [0; 0], "nobody has handed it anything yet");
+        writer.catch_up();
+        assert!(sequences(&mut next).ends_with(&[2, 3, 4, 5]));
+    }
+    let mut onlooker = open("onlooker").onlooker(&ItemType::of::<u16>(), &topic).unwrap();
+    let mut viewer = open("viewer").reader::<u16>(&topic, "viewer").unwrap();
+    writer.catch_up();
+    assert!(sequences(&mut viewer).is_empty() && onlooker.receive(&open("onlooker")).unwrap().is_none());
+    let mut last = open("reader").reader::<u16>(&topic, "reader").unwrap();
+    last.acknowledge(Text::new("writer"), 6);
+    assert_eq!(writer.unfinished("reader"), 0);
 }
 
 #[test]

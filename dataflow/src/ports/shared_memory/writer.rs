@@ -2,6 +2,7 @@
 
 use super::cleanup::Occupied;
 use super::reserve::reserve;
+use super::sent_messages::SentMessages;
 use super::services::Ipc;
 use super::untyped::{self, Factory, Loan, Publisher};
 use crate::item_type::ItemType;
@@ -11,15 +12,18 @@ use crate::stage::Stop;
 use conicflow_messages::Header;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::port::{BackpressureAction, BackpressureInfo};
 use iceoryx2::prelude::{AllocationStrategy, CallbackProgression, Config, Node, NodeState, PortFactory};
 use std::fmt::Debug;
 use std::io::ErrorKind;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// A writer that waits for room looks this often whether the reader still lives.
 const DEAD_READER_CHECK: Duration = Duration::from_millis(100);
+/// Readers that finish nothing for so long are not waited for, before longer messages need another place.
+const PATIENCE_WITH_READERS: Duration = Duration::from_secs(5);
 
 /// Writes a topic in shared memory.
 pub struct SharedWriter {
@@ -34,6 +38,8 @@ pub struct SharedWriter {
     pub(super) answers: Arc<Mutex<Vec<usize>>>,
     /// Ports of lossless readers that have taken their first message.
     pub(super) attached: Vec<u128>,
+    /// What was sent and may have to be sent again, where that is kept.
+    pub(super) sent: Option<SentMessages>,
     pub(super) item: ItemType,
     pub(super) topic: Topic,
     pub(super) config: Config,
@@ -62,6 +68,7 @@ impl SharedWriter {
                 (longest, longest.next_power_of_two())
             };
             let needed = look_for_room(&self.item, &self.topic, longest)?;
+            self.await_finish();
             self.publisher = None;
             self.attached.clear();
             let builder = self.messages.publisher_builder().max_loaned_samples(1).initial_max_slice_len(capacity);
@@ -110,8 +117,30 @@ impl SharedWriter {
 }
 
 impl SharedWriter {
-    /// Lossless readers that have not taken a message yet; what their predecessors answered is forgotten.
+    /// Waits until all readers have finished what this publisher keeps for them, or stand still.
+    fn await_finish(&mut self) {
+        let Some(publisher) = &self.publisher else { return };
+        let (mut unfinished, mut since) = (usize::MAX, Instant::now());
+        while let Some(now) = self.sent.as_ref().map(SentMessages::unfinished_by_all)
+            && now > 0
+            && !self.stop.forced()
+        {
+            if now != unfinished {
+                (unfinished, since) = (now, Instant::now());
+            } else if since.elapsed() > PATIENCE_WITH_READERS {
+                break;
+            }
+            publisher.update_connections().ok();
+            self.room.timed_wait(|_| {}, DEAD_READER_CHECK).ok();
+        }
+    }
+
+    /// Lossless readers that have not taken a message yet; what their predecessors answered is forgotten. Where messages are kept
+    /// a queue has room before a reader's first look.
     fn new_lossless_readers(&mut self) -> Vec<(u128, usize)> {
+        if self.sent.is_some() {
+            return Vec::new();
+        }
         let mut readers = lossless_readers(&self.messages, &self.topic);
         self.attached.retain(|port| readers.iter().any(|(reader, _)| reader == port));
         readers.retain(|(port, _)| !self.attached.contains(port));
@@ -189,6 +218,7 @@ impl Writer for SharedWriter {
         sample.send().map_err(|error| if self.stop.forced() { PortError::Stopped } else { self.fault(error) })?;
         // A reader that is not woken looks by itself at its next tick.
         self.wake.notify().ok();
+        self.sent.iter_mut().for_each(|sent| sent.add(header));
         self.await_first_sight(new);
         Ok(length)
     }
@@ -202,5 +232,26 @@ impl Writer for SharedWriter {
         });
         readers.retain(|reader| self.topic.place_of(&reader.stage).is_some());
         readers
+    }
+
+    fn unfinished(&self, reader: &str) -> usize {
+        let place = self.topic.place_of(reader);
+        self.sent.as_ref().zip(place).map_or(0, |(sent, place)| sent.unfinished_by(place))
+    }
+
+    fn catch_up(&mut self) {
+        if let (Some(publisher), Some(_)) = (&self.publisher, &self.sent) {
+            // A reader that cannot be joined now is tried again at the next look.
+            publisher.update_connections().ok();
+        }
+    }
+
+    fn wait(&mut self, timeout: Duration) -> bool {
+        let woken = self.room.timed_wait(|_| {}, timeout).is_ok_and(|events| events > 0);
+        if !woken {
+            clean_dead_nodes(&self.config);
+        }
+        self.catch_up();
+        woken
     }
 }

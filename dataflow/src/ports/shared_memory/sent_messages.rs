@@ -1,0 +1,48 @@
+//! Which of the messages that a writer has sent its lossless readers have not finished: those that it must still keep.
+
+use super::acknowledgements::Acknowledgements;
+use crate::ports::{Delivery, Topic};
+use conicflow_messages::Header;
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+/// The last messages of a writer, as many as it keeps.
+pub(super) struct SentMessages {
+    /// Their writers, by place in the table, and numbers; a process that stands for stages of another machine has several.
+    last: VecDeque<(usize, u64)>,
+    limit: usize,
+    finished: Arc<Acknowledgements>,
+    /// The places of the readers that want all of them.
+    readers: Vec<usize>,
+}
+
+impl SentMessages {
+    pub(super) fn new(finished: Arc<Acknowledgements>, topic: &Topic) -> Self {
+        let is_lossless = |place: &usize| topic.readers[*place].delivery == Delivery::Lossless;
+        let readers = (0..topic.readers.len()).filter(is_lossless).collect();
+        Self { last: VecDeque::new(), limit: topic.kept(), finished, readers }
+    }
+
+    /// Notes that a message was sent.
+    pub(super) fn add(&mut self, header: &Header) {
+        let writer = header.trace().last().and_then(|hop| self.finished.place_of(&hop.stage));
+        let Some(writer) = writer.filter(|_| !header.ends_stream()) else { return };
+        while self.last.len() >= self.limit {
+            self.last.pop_front();
+        }
+        self.last.push_back((writer, header.number));
+    }
+
+    /// How many of them the reader at this place has not finished.
+    pub(super) fn unfinished_by(&self, reader: usize) -> usize {
+        if !self.readers.contains(&reader) {
+            return 0;
+        }
+        self.last.iter().filter(|(writer, number)| *number >= self.finished.next(reader, *writer)).count()
+    }
+
+    /// How many of them any reader has not finished, each counted once for each such reader.
+    pub(super) fn unfinished_by_all(&self) -> usize {
+        self.readers.iter().map(|reader| self.unfinished_by(*reader)).sum()
+    }
+}
