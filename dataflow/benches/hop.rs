@@ -1,13 +1,15 @@
 //! Time of one hop from process to process, from before a message is sent to when its reader has it, woken by its coming:
 //! a topic of this crate, beside a bare iceoryx2 service with an event, a Unix socket, and a plain copy of the same bytes.
+//! And what it costs to keep the messages of a lossless topic until its reader has finished them: the same hop with and without,
+//! and the time of a message when both sides go as fast as they can, one filling it and the other reading all of it.
 //!
 //! `cargo bench -p conicflow-dataflow --bench hop`; microseconds. All ways take turns, so that a busy machine harms them
 //! alike; figures are medians over rounds.
 
-use conicflow_dataflow::ports::shared_memory::SharedMemory;
+use conicflow_dataflow::ports::shared_memory::{SharedMemory, SharedWriter};
 use conicflow_dataflow::ports::{Delivery, Reader, Received, Topic, TopicReader, Transport, Writer};
-use conicflow_dataflow::{Stop, monotonic_ns};
-use conicflow_messages::Header;
+use conicflow_dataflow::{ItemType, Stop, monotonic_ns};
+use conicflow_messages::{Header, Hop, Text};
 use iceoryx2::prelude::{Config, FileName, Node, NodeBuilder, Path as RootPath, SemanticString, ServiceName, ipc};
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use std::cell::RefCell;
@@ -31,6 +33,9 @@ const MESSAGES: usize = 300;
 const PAUSE: Duration = Duration::from_millis(2);
 /// Messages that wait for a reader that was held up.
 const QUEUE: usize = 16;
+/// The same where the writer waits, as a pipeline file has it that names no other.
+const LOSSLESS_QUEUE: usize = 4;
+const WRITER: &str = "writer";
 /// A reader that has not got what it waits for by then has failed.
 const PATIENCE: Duration = Duration::from_secs(20);
 
@@ -42,9 +47,11 @@ enum Way {
     Topic,
     Bare,
     Socket,
+    Lossless,
+    Kept,
 }
 
-const WAYS: [Way; 3] = [Way::Topic, Way::Bare, Way::Socket];
+const WAYS: [Way; 5] = [Way::Topic, Way::Bare, Way::Socket, Way::Lossless, Way::Kept];
 
 impl Way {
     fn name(self) -> &'static str {
@@ -52,6 +59,8 @@ impl Way {
             Self::Topic => "topic",
             Self::Bare => "bare",
             Self::Socket => "socket",
+            Self::Lossless => "lossless",
+            Self::Kept => "kept",
         }
     }
 }
@@ -60,6 +69,7 @@ fn main() -> Outcome<()> {
     let arguments: Vec<String> = std::env::args().collect();
     match arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
         [_, "reader", way, bytes, folder] => read(way, bytes.parse()?, Path::new(folder)),
+        [_, "taker", way, folder] => take(way, Path::new(folder)),
         _ => compare(),
     }
 }
@@ -67,22 +77,38 @@ fn main() -> Outcome<()> {
 fn compare() -> Outcome<()> {
     println!("microseconds of a hop, medians of {ROUNDS} rounds of {MESSAGES} messages");
     println!(
-        "{:>9}{:>10}{:>20}{:>20}{:>20}{:>17}",
-        "bytes", "copy", "socket p50/p99", "iceoryx2 p50/p99", "topic p50/p99", "topic/iceoryx2"
+        "{:>9}{:>10}{:>20}{:>20}{:>20}{:>17}{:>20}{:>20}{:>15}{:>17}{:>17}{:>15}",
+        "bytes",
+        "copy",
+        "socket p50/p99",
+        "iceoryx2 p50/p99",
+        "topic p50/p99",
+        "topic/iceoryx2",
+        "lossless p50/p99",
+        "kept p50/p99",
+        "kept/lossless",
+        "at full speed",
+        "kept",
+        "kept/lossless"
     );
     for bytes in SIZES {
         let mut rounds: [Vec<[f64; 2]>; WAYS.len()] = Default::default();
-        let mut copies = Vec::new();
+        let (mut copies, mut full_speed) = (Vec::new(), Vec::new());
         for _ in 0..ROUNDS {
+            full_speed.push([message_us(Way::Lossless, bytes)?, message_us(Way::Kept, bytes)?]);
             copies.push([copy_us(bytes), 0.0]);
             for (way, round) in WAYS.into_iter().zip(&mut rounds) {
                 round.push(hop_us(way, bytes)?);
             }
         }
-        let [topic, bare, socket] = rounds.each_ref().map(|rounds| [0, 1].map(|column| median(rounds, column)));
+        let [topic, bare, socket, lossless, kept] =
+            rounds.each_ref().map(|rounds| [0, 1].map(|column| median(rounds, column)));
         let pair = |[p50, p99]: [f64; 2]| format!("{p50:.1} / {p99:.1}");
         let (copy, ratio) = (median(&copies, 0), topic[0] / bare[0]);
-        println!("{bytes:>9}{copy:>10.1}{:>20}{:>20}{:>20}{ratio:>17.2}", pair(socket), pair(bare), pair(topic));
+        print!("{bytes:>9}{copy:>10.1}{:>20}{:>20}{:>20}{ratio:>17.2}", pair(socket), pair(bare), pair(topic));
+        print!("{:>20}{:>20}{:>15.2}", pair(lossless), pair(kept), kept[0] / lossless[0]);
+        let [without, with] = [0, 1].map(|column| median(&full_speed, column));
+        println!("{without:>17.1}{with:>17.1}{:>15.2}", with / without);
     }
     Ok(())
 }
@@ -108,7 +134,7 @@ fn copy_us(bytes: usize) -> f64 {
 fn hop_us(way: Way, bytes: usize) -> Outcome<[f64; 2]> {
     let folder = Folder::new()?;
     match way {
-        Way::Topic => send_by_topic(bytes, &folder),
+        Way::Topic | Way::Lossless | Way::Kept => send_by_topic(way, bytes, &folder),
         Way::Bare => send_bare(bytes, &folder),
         Way::Socket => send_by_socket(bytes, &folder),
     }
@@ -169,7 +195,7 @@ impl ReadingProcess {
 
 fn read(way: &str, bytes: usize, folder: &Path) -> Outcome<()> {
     let mut times = match WAYS.into_iter().find(|known| known.name() == way) {
-        Some(Way::Topic) => read_topic(folder)?,
+        Some(way @ (Way::Topic | Way::Lossless | Way::Kept)) => read_topic(way, folder)?,
         Some(Way::Bare) => read_bare(folder)?,
         Some(Way::Socket) => read_socket(bytes, folder)?,
         None => return Err(format!("there is no way `{way}`").into()),
@@ -196,32 +222,99 @@ fn ages(wait: impl Fn() -> Outcome<()>, mut receive: impl FnMut() -> Outcome<Opt
     Ok(ages)
 }
 
-fn topic() -> Topic {
-    let reader = TopicReader { stage: "reader".into(), delivery: Delivery::Latest, queue: QUEUE };
-    Topic { name: "hop".into(), item: None, writers: vec!["writer".into()], readers: vec![reader] }
+fn topic(way: Way) -> Topic {
+    let (delivery, queue) =
+        if way == Way::Topic { (Delivery::Latest, QUEUE) } else { (Delivery::Lossless, LOSSLESS_QUEUE) };
+    let reader = TopicReader { stage: "reader".into(), delivery, queue };
+    Topic { name: "hop".into(), item: Some(ItemType::of::<u16>()), writers: vec![WRITER.into()], readers: vec![reader] }
 }
 
-fn send_by_topic(bytes: usize, folder: &Folder) -> Outcome<[f64; 2]> {
-    let memory = SharedMemory::open(&folder.0, "hop", "writer", Stop::default())?;
-    let mut writer = memory.writer::<u16>(&topic())?;
+fn memory(way: Way, folder: &Path, stage: &str) -> Outcome<SharedMemory> {
+    let memory = SharedMemory::open(folder, "hop", stage, Stop::default())?;
+    Ok(if way == Way::Kept { memory.kept_in(folder) } else { memory })
+}
+
+/// Sends a message as a stage does: a lossless reader has to have room.
+fn send(writer: &mut SharedWriter, number: u64) -> Outcome<()> {
+    while writer.unfinished("reader") > LOSSLESS_QUEUE {
+        writer.wait(PAUSE);
+    }
+    let mut header = Header { stamp_ns: monotonic_ns(), number, ..Header::default() };
+    header.add_hop(Hop { stage: Text::new(WRITER), ..Hop::default() });
+    writer.send(&header)?;
+    Ok(())
+}
+
+fn send_by_topic(way: Way, bytes: usize, folder: &Folder) -> Outcome<[f64; 2]> {
+    let _services = memory(way, &folder.0, "launcher")?.keep_services([topic(way)].iter())?;
+    let mut writer = memory(way, &folder.0, WRITER)?.writer::<u16>(&topic(way))?;
     writer.loan(bytes / 2)?.fill(7);
-    let reader = ReadingProcess::start(Way::Topic, bytes, folder)?;
-    for _ in 0..MESSAGES {
+    let reader = ReadingProcess::start(way, bytes, folder)?;
+    for number in 0..MESSAGES as u64 {
         sleep(PAUSE);
         writer.loan(bytes / 2)?[0] = 7;
-        writer.send(&Header { stamp_ns: monotonic_ns(), ..Header::default() })?;
+        send(&mut writer, number)?;
     }
     reader.percentiles()
 }
 
-fn read_topic(folder: &Path) -> Outcome<Vec<u64>> {
-    let memory = SharedMemory::open(folder, "hop", "reader", Stop::default())?;
-    let reader = RefCell::new(memory.reader::<u16>(&topic(), "reader")?);
+fn read_topic(way: Way, folder: &Path) -> Outcome<Vec<u64>> {
+    let memory = memory(way, folder, "reader")?;
+    let reader = RefCell::new(memory.reader::<u16>(&topic(way), "reader")?);
     let wait = || Ok(reader.borrow_mut().wait(PAUSE * 10)?);
     ages(wait, || {
-        let message = reader.borrow_mut().receive()?;
-        Ok(message.map(|message| black_box(message.header().stamp_ns + u64::from(message.items::<u16>()[0]) - 7)))
+        let Some(message) = reader.borrow_mut().receive()? else { return Ok(None) };
+        let (sent, number) = (message.header().stamp_ns, message.header().number);
+        black_box(message.items::<u16>()[0]);
+        reader.borrow_mut().acknowledge(Text::new(WRITER), number + 1);
+        Ok(Some(sent))
     })
+}
+
+/// The time of a message where the writer fills one after the other, and the reader reads them.
+fn message_us(way: Way, bytes: usize) -> Outcome<f64> {
+    let folder = Folder::new()?;
+    let _services = memory(way, &folder.0, "launcher")?.keep_services([topic(way)].iter())?;
+    let mut writer = memory(way, &folder.0, WRITER)?.writer::<u16>(&topic(way))?;
+    let mut command = Command::new(std::env::current_exe()?);
+    command.args(["taker", way.name()]).arg(&folder.0).stdout(Stdio::piped());
+    let mut child = command.spawn()?;
+    let says = BufReader::new(child.stdout.take().ok_or("the reader has no output")?);
+    let mut reader = ReadingProcess { child, says };
+    reader.line()?;
+    let start = Instant::now();
+    for number in 0..MESSAGES as u64 {
+        writer.loan(bytes / 2)?.fill(number as u16);
+        send(&mut writer, number)?;
+    }
+    reader.line()?;
+    reader.child.wait()?;
+    Ok(start.elapsed().as_secs_f64() * 1e6 / MESSAGES as f64)
+}
+
+/// Reads all messages, and says when that is done.
+fn take(way: &str, folder: &Path) -> Outcome<()> {
+    let way = if way == Way::Kept.name() { Way::Kept } else { Way::Lossless };
+    let memory = memory(way, folder, "reader")?;
+    let mut reader = memory.reader::<u16>(&topic(way), "reader")?;
+    println!("ready");
+    let (mut taken, start) = (0, Instant::now());
+    while taken < MESSAGES {
+        if start.elapsed() > PATIENCE {
+            return Err(format!("{taken} of {MESSAGES} messages came").into());
+        }
+        let Some(message) = reader.receive()? else {
+            reader.wait(PAUSE * 10)?;
+            continue;
+        };
+        let sum: u64 = message.items::<u16>().iter().map(|&pixel| u64::from(pixel)).sum();
+        assert_eq!(sum, (taken * message.items::<u16>().len()) as u64, "what is read was overwritten");
+        drop(message);
+        taken += 1;
+        reader.acknowledge(Text::new(WRITER), taken as u64);
+    }
+    println!("done");
+    Ok(())
 }
 
 fn bare_node(folder: &Path) -> Outcome<Node<ipc::Service>> {

@@ -75,20 +75,18 @@ impl Pace {
             let turn = self.pause.turn();
             tell(record, turn);
             let left = due.saturating_duration_since(Instant::now());
-            match turn {
+            let pause = match turn {
                 Turn::Go if left.is_zero() => return,
-                Turn::Go | Turn::Stand => meanwhile(),
-                Turn::Step => {}
-            }
-            match turn {
-                Turn::Go => std::thread::sleep(left.min(LOOK)),
-                Turn::Stand => std::thread::sleep(LOOK),
+                Turn::Go => left.min(LOOK),
+                Turn::Stand => LOOK,
                 Turn::Step => {
                     // What follows is due after this one, not after the time at which it would have been due.
                     self.due = Some(Instant::now());
                     return;
                 }
-            }
+            };
+            meanwhile();
+            std::thread::sleep(pause);
         }
     }
 }
