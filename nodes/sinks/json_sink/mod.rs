@@ -126,7 +126,7 @@ mod tests {
     #[test]
     fn a_line_that_a_killed_process_has_written_is_not_written_again() {
         let folder = tempfile::tempdir().unwrap();
-        let item = ItemType::of::<Object>();
+        let item = ItemType::shown::<Object>();
         let write = |resume_at, frames: &[(u64, f64)]| {
             let (base, input) = (folder.path().to_owned(), Some(item.clone()));
             let config = JsonSinkConfig { path: PathBuf::from("objects.jsonl") };
