@@ -48,20 +48,20 @@ fn a_stage_that_is_killed_again_and_again_loses_nothing() {
     assert_eq!(expected.len() as u64, FRAMES);
     std::fs::remove_file(playground.path("tracks.jsonl")).unwrap();
     let mut run = run(&playground, 100);
-    for (index, stage) in ["extractor", "assembler", "extractor", "assembler", "assembler"].into_iter().enumerate() {
-        kill(&mut run, &playground, stage, "tracks.jsonl", 40 + 50 * index as u64);
+    for index in 0..4 {
+        kill(&mut run, &playground, "assembler", "tracks.jsonl", 40 + 50 * index);
     }
     let ended = run.wait().expect_code(0);
     expect_nothing_lost(&ended);
-    assert_eq!((ended.stage("extractor").starts, ended.stage("assembler").starts), (3, 4), "{}", ended.stderr);
-    assert_eq!(lines(&playground, "tracks.jsonl"), expected, "{}", ended.stderr);
+    assert_eq!(ended.stage("assembler").starts, 5, "{}", ended.stderr);
+    assert!(lines(&playground, "tracks.jsonl") == expected, "{}", ended.stderr);
 }
 
 #[test]
-fn a_sink_and_a_stage_with_a_memory_get_each_frame_once() {
+fn a_sink_and_stages_with_a_memory_get_each_frame_once() {
     let playground = Playground::with_pipeline(TRACKING);
     let mut run = run(&playground, 100);
-    for (index, stage) in ["json", "tracker", "json", "json"].into_iter().enumerate() {
+    for (index, stage) in ["json", "tracker", "extractor", "json", "json"].into_iter().enumerate() {
         kill(&mut run, &playground, stage, "tracks.jsonl", 40 + 60 * index as u64);
     }
     let ended = run.wait().expect_code(0);
@@ -72,7 +72,7 @@ fn a_sink_and_a_stage_with_a_memory_get_each_frame_once() {
 #[test]
 fn what_waits_for_a_stage_that_stands_still_outlives_it_and_the_end_of_the_stream() {
     let playground = Playground::with_pipeline(TRACKING);
-    let mut run = run(&playground, 0);
+    let mut run = run(&playground, 40);
     run.wait_until("it delivers", || playground.newest("tracks.jsonl") > 20);
     // Once with full queues before it, and once when nothing more than these is to come.
     for after in [20, FRAMES - 12] {
@@ -129,8 +129,12 @@ fn side_inputs_come_again_with_their_frame() {
 #[test]
 fn a_recording_is_read_once_whoever_is_killed() {
     let playground = Playground::with_pipeline(RECORDING);
-    playground.record(Scene::built_in("tabletop").unwrap().unwrap(), 3, 60);
-    let mut run = playground.start(&["run", "--set", "source.rate_hz=30"]);
+    let camera = playground.record(Scene::built_in("tabletop").unwrap().unwrap(), 3, 60);
+    let set = format!(
+        "source.intrinsics={{ fx = {:?}, fy = {:?}, cx = {:?}, cy = {:?} }}",
+        camera.fx, camera.fy, camera.cx, camera.cy
+    );
+    let mut run = playground.start(&["run", "--set", "source.rate_hz=30", "--set", &set]);
     for (after, stage) in [(10, "extractor"), (20, "source"), (35, "assembler")] {
         kill(&mut run, &playground, stage, "objects.jsonl", after);
     }
