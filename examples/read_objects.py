@@ -73,7 +73,7 @@ def read_object(data):
 
 def read_message(content):
     magic, version, stream, number, _ = struct.unpack_from("<4sHQQQ", content)
-    if (magic, version) != (b"CFLO", 3):
+    if (magic, version) != (b"CFLO", 4):
         raise ValueError(f"this script reads version 3 of the wire, got {magic!r} version {version}")
     data = Bytes(content[6 + 24 :])
     layout = data.text()

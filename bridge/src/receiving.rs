@@ -15,7 +15,7 @@ use conicflow_dataflow::ports::{Delivery, PortError, Transport};
 use conicflow_dataflow::relay::{OutputPort, SharedWriter, ThrottledWarning};
 use conicflow_dataflow::{Edge, Stop, monotonic_ns};
 use conicflow_messages::{Header, MAX_HOPS, Text};
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
@@ -37,6 +37,8 @@ pub(super) struct Receiving<'a> {
     subscriber: Subscriber<'a>,
     output_port: OutputPort<SharedWriter>,
     sequence: Sequence,
+    /// Stream and number of messages that were passed on, the last those that a reader may not have finished.
+    passed_on: VecDeque<(u64, u64)>,
     codec: Box<dyn Codec>,
     layout: String,
     ended: BTreeSet<String>,
@@ -68,6 +70,7 @@ impl<'a> Receiving<'a> {
             subscriber,
             output_port: OutputPort::new(port, BRIDGE, 0, shared.peers.clone(), shared.stop.clone()),
             sequence: Sequence::new(lossless),
+            passed_on: VecDeque::new(),
             codec: codec_of(&edge.item),
             layout: edge.item.layout(),
             ended: BTreeSet::new(),
@@ -85,6 +88,7 @@ impl<'a> Receiving<'a> {
             self.choose_way()?;
             let Some(bytes) = self.channel.receive(TICK) else {
                 self.output_port.catch_up();
+                self.acknowledge();
                 continue;
             };
             match self.accept(&bytes.to_bytes()) {
@@ -93,7 +97,9 @@ impl<'a> Receiving<'a> {
             }
         }
         let writers: Vec<_> = self.edge.writers.iter().map(|writer| Text::new(writer)).collect();
-        Ok(self.output_port.end_as(&writers)?)
+        self.output_port.end_as(&writers)?;
+        self.acknowledge();
+        Ok(())
     }
 
     /// Sees to it that messages come, and says once by which way.
@@ -170,6 +176,7 @@ impl<'a> Receiving<'a> {
             return Ok(());
         }
         self.output_port.relay(&header, self.codec.items())?;
+        self.passed_on.push_back(self.sequence.expected());
         EdgeCounts::add(&self.counts.messages, 1);
         EdgeCounts::add(&self.counts.wire_bytes, wire_bytes as u64);
         EdgeCounts::add(&self.counts.memory_bytes, (self.codec.items().len() + size_of::<Header>()) as u64);
@@ -191,11 +198,16 @@ impl<'a> Receiving<'a> {
         Duration::from_nanos(now.saturating_sub(own(sent)))
     }
 
-    fn acknowledge(&self) {
+    /// Tells what has come, and what of that the readers here have finished: the rest is gone if this process is killed.
+    fn acknowledge(&mut self) {
         let (stream, next) = self.sequence.expected();
+        let finished = self.passed_on.len().saturating_sub(self.output_port.unfinished());
+        self.passed_on.drain(..finished);
+        let unfinished = self.passed_on.iter().find(|(of, _)| *of == stream);
+        let finished = unfinished.map_or(next, |(_, number)| next.min(*number));
         let ended = self.ended.iter().cloned().collect();
         let (from, topic) = (self.edge.from.clone(), self.edge.topic.name.clone());
-        self.links.received(Ack { from, topic, stream, next, ended });
+        self.links.received(Ack { from, topic, stream, next, finished, ended });
     }
 
     /// What will never make sense would be sent again for ever, and nothing after it.

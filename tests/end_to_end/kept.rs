@@ -43,7 +43,7 @@ fn expect_nothing_lost(ended: &Ended) {
 #[test]
 fn a_stage_that_is_killed_again_and_again_loses_nothing() {
     let playground = Playground::with_pipeline(TRACKING);
-    run(&playground, 0).wait().expect_code(0);
+    run(&playground, 100).wait().expect_code(0);
     let expected = lines(&playground, "tracks.jsonl");
     assert_eq!(expected.len() as u64, FRAMES);
     std::fs::remove_file(playground.path("tracks.jsonl")).unwrap();

@@ -53,6 +53,9 @@ pub(crate) struct Ack {
     pub stream: u64,
     /// Number of the message that is expected next.
     pub next: u64,
+    /// Number of the first message that may be needed again: what comes before it, the readers that must not miss any have
+    /// finished.
+    pub finished: u64,
     /// The writers whose streams have ended.
     pub ended: Vec<String>,
 }

@@ -85,6 +85,7 @@ impl Links {
         self.compare(machine, peer, &heartbeat.routes);
         if heartbeat.stream != peer.sample.stream {
             peer.clock.clear();
+            peer.acks.clear();
         }
         let own = |sample: &&ClockSample| sample.machine == self.machine && sample.stream == self.stream;
         if let Some(sample) = heartbeat.samples.iter().find(own) {

@@ -36,7 +36,10 @@ pub(crate) struct RetransmitQueue {
 struct Remote {
     machine: String,
     lossless: bool,
-    next: u64,
+    /// Number of the message that it expects next.
+    expected: u64,
+    /// Number of the first message that it may need again, if its bridge is started anew.
+    finished: u64,
     ended: BTreeSet<String>,
     heard: Option<Instant>,
 }
@@ -61,7 +64,8 @@ impl RetransmitQueue {
         let remote = |receiver: &Receiver| Remote {
             machine: receiver.machine.clone(),
             lossless: receiver.delivery == Delivery::Lossless,
-            next: 0,
+            expected: 0,
+            finished: 0,
             ended: BTreeSet::new(),
             heard: None,
         };
@@ -91,9 +95,15 @@ impl RetransmitQueue {
         self.lost
     }
 
-    /// Messages that are kept until they are acknowledged.
+    /// Messages that a lossless receiver may not have got yet.
     pub(crate) fn unacknowledged(&self) -> u64 {
-        self.log.len() as u64
+        self.log.since(self.lacking(|_| true)).count() as u64
+    }
+
+    /// Number of the first message that a lossless receiver of these lacks.
+    fn lacking(&self, counts: impl Fn(&str) -> bool) -> u64 {
+        let lossless = self.receivers.iter().filter(|remote| remote.lossless && counts(&remote.machine));
+        lossless.map(|remote| remote.expected).min().unwrap_or(self.next)
     }
 
     /// Whether another message may be sent; `round_trip` tells of the machines that are there.
@@ -101,7 +111,7 @@ impl RetransmitQueue {
         if self.receivers.iter().any(|remote| remote.lossless) {
             return self.log.has_room();
         }
-        let there = self.receivers.iter().filter_map(|remote| Some((remote.next, round_trip(&remote.machine)?)));
+        let there = self.receivers.iter().filter_map(|remote| Some((remote.expected, round_trip(&remote.machine)?)));
         match there.reduce(|one, other| (one.0.min(other.0), one.1.max(other.1))) {
             Some((next, round_trip)) => self.window.acknowledge(next, round_trip, now),
             None => self.window.clear(),
@@ -148,22 +158,25 @@ impl RetransmitQueue {
         let Some(remote) = self.receivers.iter_mut().find(|remote| remote.machine == machine) else { return };
         remote.heard = heard;
         // Nobody has more than was sent: such an acknowledgement is forged, or its machine has taken a forged message.
-        if let Some(ack) = ack.filter(|ack| ack.stream == self.stream && ack.next <= self.next) {
-            if ack.next > remote.next {
+        let ack = ack.filter(|ack| ack.stream == self.stream && ack.next <= self.next);
+        if let Some(ack) = ack {
+            if ack.next > remote.expected {
                 (self.progress, self.resend_after) = (now, RESEND_AFTER);
             }
-            remote.next = remote.next.max(ack.next);
+            remote.finished = remote.finished.max(ack.finished.min(ack.next));
             remote.ended.extend(ack.ended.iter().cloned());
         }
+        // A bridge that was started anew has received nothing yet.
+        remote.expected = ack.map_or(0, |ack| ack.next).max(remote.finished);
         self.forget(now);
     }
 
     /// Drops what all lossless receivers have, or have been away for too long to get.
     fn forget(&mut self, now: Instant) {
         let lossless = || self.receivers.iter().filter(|remote| remote.lossless);
-        let waited_for = lossless().filter(|remote| !remote.is_gone(now, self.outage)).map(|remote| remote.next);
+        let waited_for = lossless().filter(|remote| !remote.is_gone(now, self.outage)).map(|remote| remote.finished);
         let needed = waited_for.min().unwrap_or(self.next);
-        let given_up: Vec<u64> = lossless().map(|remote| remote.next).collect();
+        let given_up: Vec<u64> = lossless().map(|remote| remote.expected).collect();
         while self.log.oldest().is_some_and(|number| number < needed) {
             let Some(number) = self.log.forget_first() else { break };
             self.lost += u64::from(given_up.iter().any(|next| number >= *next));
@@ -177,9 +190,7 @@ impl RetransmitQueue {
         }
         self.progress = now;
         let oldest = self.oldest();
-        let lacking = |remote: &&Remote| remote.lossless && alive(&remote.machine);
-        let from = self.receivers.iter().filter(lacking).map(|remote| remote.next).min().unwrap_or(self.next);
-        let again = self.log.since(from);
+        let again = self.log.since(self.lacking(&alive));
         let untold = |writer: &String| {
             let unaware = |remote: &Remote| !remote.lossless && !remote.ended.contains(writer);
             self.receivers.iter().any(|remote| unaware(remote) && alive(&remote.machine))
@@ -201,7 +212,7 @@ impl RetransmitQueue {
     pub(crate) fn is_settled(&self, now: Instant) -> bool {
         let impatient = self.ended_at.is_some_and(|since| now.saturating_duration_since(since) > END_PATIENCE);
         self.receivers.iter().all(|remote| match remote.lossless {
-            true => remote.next >= self.next || (self.log.len() == 0 && remote.is_gone(now, self.outage)),
+            true => remote.finished >= self.next || (self.log.len() == 0 && remote.is_gone(now, self.outage)),
             false => impatient || self.ends.iter().all(|(writer, _)| remote.ended.contains(writer)),
         })
     }
@@ -227,7 +238,25 @@ mod tests {
 
     fn ack(next: u64, ended: &[&str]) -> Ack {
         let ended = ended.iter().map(|&writer| writer.to_owned()).collect();
-        Ack { from: String::new(), topic: String::new(), stream: 1, next, ended }
+        Ack { from: String::new(), topic: String::new(), stream: 1, next, finished: next, ended }
+    }
+
+    #[test]
+    fn what_came_and_is_not_finished_is_kept_for_a_bridge_that_is_started_anew() {
+        let start = Instant::now();
+        let mut queue = queue(Delivery::Lossless, start);
+        (0..4_u8).for_each(|number| queue.sent(&[number; 40], start));
+        let came = Ack { finished: 1, ..ack(4, &[]) };
+        queue.acknowledge("base", Some(&came), Some(start), start);
+        let later = start + RESEND_AFTER;
+        assert!(queue.due(later, |_| true).is_empty(), "all of them came");
+        assert!(!queue.is_settled(later));
+        assert_eq!((queue.place().oldest, queue.unacknowledged()), (1, 0));
+        queue.acknowledge("base", None, Some(later), later);
+        let first_bytes: Vec<_> = queue.due(later + RESEND_AFTER, |_| true).iter().map(|bytes| bytes[0]).collect();
+        assert_eq!(first_bytes, [1, 2, 3]);
+        queue.acknowledge("base", Some(&ack(4, &[])), Some(later), later);
+        assert!(queue.is_settled(later));
     }
 
     #[test]

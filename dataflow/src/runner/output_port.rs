@@ -154,6 +154,11 @@ impl<W: Writer> OutputPort<W> {
         self.port.iter_mut().for_each(|(writer, _)| writer.catch_up());
     }
 
+    /// How many messages were sent since the first that a reader which wants every message has not finished, that one included.
+    pub fn unfinished(&self) -> usize {
+        self.behind(|_| 1).map(|(_, count)| count).max().unwrap_or(0)
+    }
+
     /// Waits until the readers that want every message have finished all that was sent, for as long as anything becomes of
     /// that: what is kept for them goes with this process.
     pub(crate) fn await_finish(&mut self) {

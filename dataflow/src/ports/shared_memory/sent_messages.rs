@@ -33,15 +33,16 @@ impl SentMessages {
         self.last.push_back((writer, header.number));
     }
 
-    /// How many of them the reader at this place has not finished.
+    /// How many they are since the first that the reader at this place has not finished, that one included.
     pub(super) fn unfinished_by(&self, reader: usize) -> usize {
         if !self.readers.contains(&reader) {
             return 0;
         }
-        self.last.iter().filter(|(writer, number)| *number >= self.finished.next(reader, *writer)).count()
+        let is_unfinished = |(writer, number): &(usize, u64)| *number >= self.finished.next(reader, *writer);
+        self.last.iter().position(is_unfinished).map_or(0, |first| self.last.len() - first)
     }
 
-    /// How many of them any reader has not finished, each counted once for each such reader.
+    /// The same for all readers together.
     pub(super) fn unfinished_by_all(&self) -> usize {
         self.readers.iter().map(|reader| self.unfinished_by(*reader)).sum()
     }
