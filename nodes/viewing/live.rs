@@ -59,15 +59,12 @@ impl Live {
     pub fn show(&self, told: &AtomicBool) -> Result<()> {
         while !told.load(Ordering::Relaxed) {
             let wanted = lock(&self.wanted).clone();
-            let mut running = RunningPipeline::all()?;
-            running.sort_by(|a, b| a.plan.pipeline.cmp(&b.plan.pipeline));
-            let names: Vec<_> = running.iter().map(|running| running.plan.pipeline.clone()).collect();
+            let running = look_for_pipelines(&self.display)?;
             let chosen = match &wanted.pipeline {
                 Some(name) => running.into_iter().find(|running| running.plan.pipeline == *name),
                 None => running.into_iter().next(),
             };
             *lock(&self.shown) = chosen.as_ref().map(|chosen| chosen.plan.pipeline.clone());
-            self.display.tell(|about| about.pipelines = names);
             match chosen {
                 None => self.tell_waiting(wanted.pipeline.as_deref()),
                 Some(chosen) if self.display.is_watched() => self.attach(&chosen, &wanted),
@@ -190,7 +187,16 @@ fn take_wishes(display: &Display, wanted: &Mutex<Wanted>, shown: &Mutex<Option<S
     }
 }
 
-/// Tells once a second what the stages do, while somebody looks.
+/// The pipelines that run, by their names, of which the page is told.
+fn look_for_pipelines(display: &Display) -> Result<Vec<RunningPipeline>> {
+    let mut running = RunningPipeline::all()?;
+    running.sort_by(|a, b| a.plan.pipeline.cmp(&b.plan.pipeline));
+    let names = running.iter().map(|running| running.plan.pipeline.clone()).collect();
+    display.tell(|about| about.pipelines = names);
+    Ok(running)
+}
+
+/// Tells once a second what runs and what the stages of the pipeline that is shown do, while somebody looks.
 fn show_graph(display: &Display, shown: &Mutex<Option<String>>) {
     let mut watch = GraphWatch::default();
     loop {
@@ -199,6 +205,8 @@ fn show_graph(display: &Display, shown: &Mutex<Option<String>>) {
             watch.rest();
             continue;
         }
+        // An error is told as soon as the run that is shown is over.
+        look_for_pipelines(display).ok();
         let shown = lock(shown).clone();
         if let Some((graph, sources)) = watch.look(|activity| Some(&activity.pipeline) == shown.as_ref()) {
             display.tell(|about| about.graph = graph);

@@ -181,6 +181,7 @@ fn the_next_run_does_not_wait_for_the_stages_of_a_dead_launcher() {
     let mut run = start(&playground, &[]);
     wait_for_lines(&mut run, &playground);
     signal(run.id(), Signal::KILL);
+    wait_until("the launcher is dead", || !run.is_running());
     playground.conicflow(&["run", "--frames", "3", "--set", "json.path=next.jsonl"]).expect_code(0);
     assert_eq!(playground.sequences("next.jsonl"), [0, 1, 2]);
     wait_until("all processes are gone", || playground.processes().is_empty());

@@ -161,8 +161,10 @@ fn several_pipelines_are_offered_and_another_one_can_be_chosen() {
     let playground = Playground::with_pipeline(TRACKING);
     playground
         .write("second.toml", &TRACKING.replace("\"tracking\"", "\"second\"").replace("tracks.jsonl", "second.jsonl"));
-    let _runs = [playground.start(&SLOWLY), playground.start(&["run", "second.toml", "--set", "source.rate_hz=30"])];
+    let _first = playground.start(&SLOWLY);
     let page = Page::open(&playground, &["--pipeline", "tracking"]);
+    page.frame("the first", |json| json["about"]["pipelines"] == json!(["tracking"]));
+    let _second = playground.start(&["run", "second.toml", "--set", "source.rate_hz=30"]);
     let both = json!(["second", "tracking"]);
     let (json, _) = page.frame("both", |json| json["about"]["pipelines"] == both);
     assert_eq!(json["about"]["title"], "tracking");
