@@ -50,9 +50,22 @@ struct Square {
     square: f64,
 }
 
+/// Sums over the samples of a cell, a quarter of a square, for the fit of a plane `1/z = a + b x + c y`, x and y counted from its
+/// middle.
+#[derive(Clone, Copy, Debug)]
+struct CellSums {
+    /// Number of samples, measured or not.
+    samples: usize,
+    matrix: Matrix3<f64>,
+    right: Vector3<f64>,
+    /// Sum of the squared inverse depths.
+    squares: f64,
+}
+
 /// Buffers, used again for the next image.
 #[derive(Debug, Default)]
 pub(super) struct PlaneSquares {
+    cells: Vec<CellSums>,
     squares: Vec<Square>,
     residuals: Vec<f64>,
 }
@@ -66,9 +79,9 @@ type Covariances = [[f64; 2]; FARTHEST + 1];
 /// Waves that are longer than what the level of the noise was taken from make planes uneven by more than that: they widen what
 /// counts as one.
 pub(super) fn correlation_px(view: &View, image: &[u16], buffers: &mut PlaneSquares) -> Option<[f64; 2]> {
-    let PlaneSquares { squares, residuals } = buffers;
-    let side = (SIDE * view.length / USUAL_WIDTH).clamp(LEAST_SIDE, SIDE);
-    collect(view, image, side, squares);
+    let PlaneSquares { cells, squares, residuals } = buffers;
+    let side = (SIDE * view.length / USUAL_WIDTH).clamp(LEAST_SIDE, SIDE) / 2 * 2;
+    collect(view, image, side, squares, cells);
     let planes = planes(squares)?;
     let shared = [0, 1].map(|direction| {
         let mut covariances: Covariances = [[0.0; 2]; FARTHEST + 1];
@@ -84,21 +97,31 @@ pub(super) fn correlation_px(view: &View, image: &[u16], buffers: &mut PlaneSqua
     Some(shared.map(|px| px * level.max(1.0).sqrt()))
 }
 
-/// The squares of the image that are measured.
-fn collect(view: &View, image: &[u16], side: u32, squares: &mut Vec<Square>) {
+/// The squares of the image that are measured. Each overlaps its neighbours by half: what four of them have in common is summed
+/// once, by cells of half their side.
+fn collect(view: &View, image: &[u16], side: u32, squares: &mut Vec<Square>, cells: &mut Vec<CellSums>) {
+    let half = side / 2;
+    let [columns, rows] = [view.length, view.lines].map(|pixels| (pixels / half) as usize);
+    cells.clear();
+    for v in (0..view.lines).step_by(half as usize).take(rows) {
+        cells.extend((0..view.length).step_by(half as usize).take(columns).map(|u| sums(view, image, [u, v], half)));
+    }
     squares.clear();
-    for v in (0..(view.lines + 1).saturating_sub(side)).step_by(side as usize / 2) {
-        for u in (0..(view.length + 1).saturating_sub(side)).step_by(side as usize / 2) {
-            squares.extend(fit(view, image, [u, v], side));
+    for row in 1..rows {
+        for column in 1..columns {
+            let quarters = [0, 1, columns, columns + 1].map(|cell| &cells[(row - 1) * columns + column - 1 + cell]);
+            let corner = [(column - 1) as u32 * half, (row - 1) as u32 * half];
+            squares.extend(fit(view, quarters, corner, half));
         }
     }
 }
 
-/// The plane through a square.
-fn fit(view: &View, image: &[u16], corner: [u32; 2], side: u32) -> Option<Square> {
-    let (step, middle) = ((side / SAMPLES) as usize, 0.5 * f64::from(side));
+/// What a cell of so many pixels along its side adds to the fit of a plane.
+fn sums(view: &View, image: &[u16], corner: [u32; 2], side: u32) -> CellSums {
+    let (step, middle) = ((2 * side / SAMPLES) as usize, 0.5 * f64::from(side));
     let (mut matrix, mut right, mut squares) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
-    for y in (step / 2..side as usize).step_by(step) {
+    let samples = (step / 2..side as usize).step_by(step);
+    for y in samples.clone() {
         let row = &view.row(image, corner[1] + y as u32)[corner[0] as usize..][..side as usize];
         let (mut x_sums, mut sums) = ([0.0; 3], [0.0; 3]);
         for (x, &depth) in (0..).zip(row).skip(step / 2).step_by(step).filter(|(_, depth)| is_measured(**depth)) {
@@ -112,10 +135,24 @@ fn fit(view: &View, image: &[u16], corner: [u32; 2], side: u32) -> Option<Square
         right += Vector3::new(sums[0], sums[1], y * sums[0]);
         squares += sums[2];
     }
-    let count = matrix[(0, 0)];
-    let samples = (step / 2..side as usize).step_by(step).len();
-    if count < MEASURED * (samples * samples) as f64 {
+    CellSums { samples: samples.len().pow(2), matrix, right, squares }
+}
+
+/// The plane through a square, of which the cells are as long as `half` its side.
+fn fit(view: &View, quarters: [&CellSums; 4], corner: [u32; 2], half: u32) -> Option<Square> {
+    let samples: usize = quarters.iter().map(|cell| cell.samples).sum();
+    let count: f64 = quarters.iter().map(|cell| cell.matrix[(0, 0)]).sum();
+    if count < MEASURED * samples as f64 {
         return None;
+    }
+    let (middle, off) = (f64::from(half), 0.5 * f64::from(half));
+    let (mut matrix, mut right, mut squares) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
+    for (cell, [x, y]) in quarters.into_iter().zip([[-off, -off], [off, -off], [-off, off], [off, off]]) {
+        // From the middle of the cell to that of the square.
+        let shift = Matrix3::new(1.0, 0.0, 0.0, x, 1.0, 0.0, y, 0.0, 1.0);
+        matrix += shift * cell.matrix * shift.transpose();
+        right += shift * cell.right;
+        squares += cell.squares;
     }
     let plane = matrix.cholesky()?.solve(&right);
     let residual = (squares - plane.dot(&right)).max(0.0) / count;
