@@ -62,7 +62,7 @@ fn fit<S: Surface<N>, const N: usize>(
     most: f64,
 ) -> Option<SurfaceFit<S, N>> {
     let mut surface = start.to_local(&moments.origin, moments.scale).moved(&[0.0; N])?;
-    let mut system = System::new(moments, contour, &surface);
+    let mut system = System::below(f64::INFINITY, moments, contour, &surface)?;
     let [slight, most] = [SLIGHT, most].map(|sum| sum / (moments.scale * moments.scale));
     let (mut damping, mut converged) = (1e-3, false);
     for _ in 0..STEPS {
@@ -71,8 +71,8 @@ fn fit<S: Surface<N>, const N: usize>(
             continue;
         };
         let length = step.iter().map(|x| x * x).sum::<f64>().sqrt();
-        let next = surface.moved(&step).map(|next| (next, System::new(moments, contour, &next)));
-        match next.filter(|(_, next)| next.sum() <= system.sum()) {
+        let next = surface.moved(&step);
+        match next.and_then(|next| Some((next, System::below(system.sum(), moments, contour, &next)?))) {
             Some(next) => {
                 let gain = system.sum() - next.1.sum();
                 if damping < FREE && gain < HOPELESS * (next.1.sum() - most) {
@@ -190,8 +190,19 @@ pub(crate) struct System<const N: usize> {
 }
 
 impl<const N: usize> System<N> {
-    pub(crate) fn new<S: Surface<N>>(moments: &QuadricMoments, contour: Option<&Contour>, surface: &S) -> Self {
-        let (q, derivatives) = (surface.coefficients(), surface.derivatives());
+    /// `None` where the sum of squares exceeds `most`: of such a surface no more is computed than has to be.
+    pub(crate) fn below<S: Surface<N>>(
+        most: f64,
+        moments: &QuadricMoments,
+        contour: Option<&Contour>,
+        surface: &S,
+    ) -> Option<Self> {
+        let q = surface.coefficients();
+        let square_sum = dot(&moments.times(&q), &q);
+        if contour.is_none() && square_sum > most {
+            return None;
+        }
+        let derivatives = surface.derivatives();
         let products: [Coefficients; N] = std::array::from_fn(|i| moments.times(&derivatives[i]));
         let mut matrix = SMatrix::<f64, N, N>::zeros();
         for i in 0..N {
@@ -201,17 +212,11 @@ impl<const N: usize> System<N> {
             }
         }
         let gradient = SVector::from_fn(|i, _| dot(&products[i], &q));
-        let mut system = Self {
-            square_sum: dot(&moments.times(&q), &q),
-            contour_sum: 0.0,
-            gradient,
-            matrix,
-            contour: SMatrix::zeros(),
-        };
+        let mut system = Self { square_sum, contour_sum: 0.0, gradient, matrix, contour: SMatrix::zeros() };
         if let Some(contour) = contour {
             system.add(&contour.term(surface, &moments.origin, moments.scale), 1.0 / (moments.scale * moments.scale));
         }
-        system
+        (system.sum() <= most).then_some(system)
     }
 
     fn add(&mut self, term: &ContourTerm<N>, factor: f64) {

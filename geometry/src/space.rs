@@ -243,7 +243,8 @@ impl QuadricMoments {
     /// points.
     pub fn times(&self, q: &Coefficients) -> Coefficients {
         let mut product = [0.0; QUADRIC_TERMS];
-        for (row, factor) in self.matrix.iter().zip(q) {
+        // Half of the coefficients of most derivatives are zero.
+        for (row, factor) in self.matrix.iter().zip(q).filter(|(_, factor)| **factor != 0.0) {
             product.iter_mut().zip(row).for_each(|(sum, entry)| *sum += factor * entry);
         }
         product

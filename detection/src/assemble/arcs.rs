@@ -158,6 +158,8 @@ fn contour(camera: &Pinhole, plane: &ScanPlane, pixels: &[f64; 2]) -> [Option<Co
 #[derive(Debug, Default)]
 pub(crate) struct Arcs {
     pub arcs: Vec<Arc>,
+    /// The pixels of each once more: most are asked for nothing else, and lie close together here.
+    pixels: Vec<[i64; 2]>,
     /// For rows and columns: index of the first arc of each line, and the end.
     starts: [Vec<usize>; 2],
 }
@@ -168,6 +170,8 @@ impl Arcs {
         let step = ellipses.iter().map(Ellipse::step).min().unwrap_or(1);
         self.arcs.extend(ellipses.iter().filter_map(|ellipse| Arc::new(header, ellipse, step)));
         self.arcs.sort_unstable_by_key(|arc| (arc.scan == Scan::Column, arc.line, arc.pixels[0]));
+        self.pixels.clear();
+        self.pixels.extend(self.arcs.iter().map(|arc| arc.pixels));
         let lines = [header.camera.height, header.camera.width].map(|lines| lines.div_ceil(step) as usize);
         let mut next = 0;
         for (starts, (lines, scan)) in self.starts.iter_mut().zip(lines.into_iter().zip([Scan::Row, Scan::Column])) {
@@ -186,9 +190,15 @@ impl Arcs {
         indices.iter().map(|&index| &self.arcs[index])
     }
 
+    /// Whether an arc has any of these pixels.
+    pub fn reaches(&self, index: usize, [first, last]: [i64; 2]) -> bool {
+        let [start, end] = self.pixels[index];
+        start <= last && end >= first
+    }
+
     /// From the first to the last pixel of some arcs.
     pub fn span(&self, indices: &[usize]) -> Option<[i64; 2]> {
-        self.of(indices).map(|arc| arc.pixels).reduce(|[a, b], [c, d]| [a.min(c), b.max(d)])
+        indices.iter().map(|&index| self.pixels[index]).reduce(|[a, b], [c, d]| [a.min(c), b.max(d)])
     }
 
     /// Indices of the arcs of a line.

@@ -193,9 +193,14 @@ fn grow_on(
         }
     }
     for _ in 0..2 {
+        let before = members.len();
         clean(arcs, &model, members);
         if members.len() < FEWEST {
             return None;
+        }
+        // The model is that of these members already.
+        if members.len() == before {
+            break;
         }
         model = model::fit(kind, &arcs.of(members), Some(&model), f64::INFINITY)?;
     }
@@ -229,16 +234,12 @@ fn reach(region: &Region, gap: i64, free: impl Fn(usize) -> bool, found: &mut Ve
     let (gap, more) = (gap.max((GAP * members.len() as f64) as i64), (to - from + 1).max(LEAST_STEP));
     let middle = &arcs.arcs[members[members.len() / 2]];
     let (q, predictor) = (model.coefficients(), Predictor::new(model));
-    let accept = |index: usize, span: [i64; 2]| {
+    let accept = |index: usize| {
         let arc = &arcs.arcs[index];
-        let margin = (span[1] - span[0]) / MARGIN_SHARE + MARGIN_PX;
         // What an exact model explains needs no look at how exact this one is.
         let bears =
             |misfit| GROWING.bears(arc, &misfit, 0.0) || GROWING.bears(arc, &misfit, predictor.variance(&arc.mean));
-        free(index)
-            && arc.overlap([span[0] - margin, span[1] + margin]) > 0
-            && faces(arc, model)
-            && model.misfit(&q, arc).is_some_and(bears)
+        free(index) && faces(arc, model) && model.misfit(&q, arc).is_some_and(bears)
     };
     found.clear();
     for side in [-1, 1] {
@@ -247,8 +248,9 @@ fn reach(region: &Region, gap: i64, free: impl Fn(usize) -> bool, found: &mut Ve
             line += 1;
         }
         while misses <= gap && line >= from - more && line <= to + more {
-            let before = found.len();
-            found.extend(arcs.on_line(middle.scan, line).filter(|&index| accept(index, span)));
+            let (before, margin) = (found.len(), (span[1] - span[0]) / MARGIN_SHARE + MARGIN_PX);
+            let near = [span[0] - margin, span[1] + margin];
+            found.extend(arcs.on_line(middle.scan, line).filter(|&index| arcs.reaches(index, near) && accept(index)));
             misses = if found.len() > before { 0 } else { misses + 1 };
             span = arcs.span(&found[before..]).unwrap_or(span);
             line += side;
