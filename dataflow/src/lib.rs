@@ -13,6 +13,7 @@ mod first_frame;
 mod heartbeat;
 mod item_type;
 mod launcher;
+mod link_key;
 mod link_report;
 mod log;
 mod network;
@@ -59,6 +60,7 @@ pub use launcher::{
     Summary, SwapError, become_stage, join_as_source, join_as_stage, link_table, run, run_in_run, run_source,
     run_stage, user_folder,
 };
+pub use link_key::LinkKey;
 pub use link_report::{EdgeReport, LinkReport, LinkState};
 pub use log::{DEFAULT_LOG, LOG, error_text, log_filter, log_to_standard_error};
 pub use network::{BridgePlan, BridgeRun, Carrier, Edge, Network, NetworkError, Receiver};

@@ -20,7 +20,7 @@ use crate::{NODES, REGISTRY};
 use anyhow::{Context, anyhow, bail};
 use clap::{Args, Parser, Subcommand};
 use conicflow_dataflow::pipeline::{Pipeline, Report, SourceText, file_schema};
-use conicflow_dataflow::{DEFAULT_LOG, LOG, LaunchError, NO_RUN, Plan, ProcessError, RunOptions, Summary};
+use conicflow_dataflow::{DEFAULT_LOG, LOG, LaunchError, LinkKey, NO_RUN, Plan, ProcessError, RunOptions, Summary};
 use conicflow_dataflow::{error_text, log_filter, log_to_standard_error};
 use conicflow_lab::experiment::{Experiment, Results, Variation};
 use conicflow_messages::Hinted;
@@ -139,6 +139,14 @@ enum Command {
         #[arg(long)]
         clean: bool,
     },
+    /// Make the key by which the machines of a pipeline know each other's messages
+    ///
+    /// Copy the file to all of them, and name it in each machine's table: key = "pipeline.key". Whoever can read it can send.
+    Key {
+        /// The file, which must not be there yet
+        #[arg(default_value = "pipeline.key")]
+        file: PathBuf,
+    },
     /// Print the JSON schema of pipeline files, by which editors complete and check them
     Schema,
     /// List the built-in nodes, or the parameters of one
@@ -221,6 +229,15 @@ fn dispatch(command: Command, log: &str) -> anyhow::Result<ExitCode> {
         Command::Swap(arguments) => swap::swap(&arguments).map(|()| ExitCode::SUCCESS),
         Command::Doctor { source, machine, clean } => {
             doctor(&source.read_for(machine.as_deref())?, machine.as_deref(), clean)
+        }
+        Command::Key { file } => {
+            LinkKey::make(&file)?;
+            writeln!(
+                stdout(),
+                "made `{}`: copy it to all machines, and name it in the table of each as `key`",
+                file.display()
+            )?;
+            Ok(ExitCode::SUCCESS)
         }
         Command::Schema => {
             writeln!(stdout(), "{:#}", file_schema(REGISTRY.nodes))?;
