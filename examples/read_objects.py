@@ -5,8 +5,9 @@
     read_objects.py tcp/127.0.0.1:7447 PIPELINE MACHINE TOPIC
 
 The key is conicflow/PIPELINE/MACHINE/TOPIC, where MACHINE writes TOPIC. The bytes (bridge/src/wire/mod.rs): `CFLO`, the
-version as u16, stream, number and oldest number as u64, all little-endian; then bincode 2, standard configuration: the names
-of the layouts, the header, the list.
+version as u16, session as u64, a code of 32 bytes, stream, number and oldest number as u64, all little-endian; then bincode 2,
+standard configuration: the names of the layouts, the header, the list. This script believes what it reads: it passes over the
+code, which tells those who have the machines' key who made the message.
 """
 
 import json
@@ -19,6 +20,7 @@ import zenoh
 LAYOUT = "conicflow.Header.v2 conicflow.Object.v2"
 KINDS = {0: "sphere", 1: "cylinder", 2: "cone"}
 END_OF_STREAM = 1
+PLACE = "<4sHQ32sQQQ"
 
 
 class Bytes:
@@ -72,10 +74,10 @@ def read_object(data):
 
 
 def read_message(content):
-    magic, version, stream, number, _ = struct.unpack_from("<4sHQQQ", content)
+    magic, version, _session, _code, stream, number, _oldest = struct.unpack_from(PLACE, content)
     if (magic, version) != (b"CFLO", 4):
-        raise ValueError(f"this script reads version 3 of the wire, got {magic!r} version {version}")
-    data = Bytes(content[6 + 24 :])
+        raise ValueError(f"this script reads version 4 of the wire, got {magic!r} version {version}")
+    data = Bytes(content[struct.calcsize(PLACE) :])
     layout = data.text()
     if layout != LAYOUT:
         raise ValueError(f"this script reads `{LAYOUT}`, got `{layout}`")

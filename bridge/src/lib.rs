@@ -4,7 +4,8 @@
 //! What leaves is read from shared memory, encoded ([`wire`]) and put under `conicflow/PIPELINE/MACHINE/TOPIC` ([`sending`]);
 //! what comes is checked, decoded and written into shared memory ([`receiving`]). Each bridge also puts a small heartbeat
 //! under `conicflow/PIPELINE/@link/MACHINE` ([`peer`]): it acknowledges, measures the clocks, and shows that the link lives,
-//! because Zenoh's `put` succeeds with nobody there. What is short and may be lost goes by datagrams, where the file names
+//! because Zenoh's `put` succeeds with nobody there. Where the machines share a key, nothing counts that was not made with it by
+//! the present start of the other bridge (`wire::seal`, `peer::links`). What is short and may be lost goes by datagrams, where the file names
 //! endpoints for these ([`session`]). [`reliable`] holds the two ends of lossless delivery, and the window that keeps what is
 //! under way from becoming a queue where the newest wins.
 //!

@@ -8,7 +8,8 @@ use crate::peer::report::{BridgeReporter, EdgeHandle};
 use crate::receiving::Receiving;
 use crate::sending::{Sending, Shared};
 use crate::session::{Publisher, Sessions, Subscriber};
-use crate::wire::encode_note;
+use crate::settings;
+use crate::wire::seal::Seal;
 use conicflow_dataflow::relay::{MemoryTrim, SharedMemory, StageRuntime};
 use conicflow_dataflow::{BridgePlan, BridgeRun, Life, NO_RUN, Stop};
 use std::sync::Arc;
@@ -33,7 +34,8 @@ pub(crate) fn run(
 ) -> Result<(), BridgeError> {
     let (stop, memory_trim) = (runtime.context.stop.clone(), MemoryTrim::of(&runtime));
     let stream = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as u64);
-    let links = Arc::new(Links::new(stream, bridge));
+    let seal = Seal::new(settings::key(&bridge.settings)?.as_ref(), stream);
+    let links = Arc::new(Links::new(stream, seal, bridge));
     let mut reporter = BridgeReporter::new(bridge, run, runtime.record, &links);
     reporter.report(false);
     let Some(sessions) = Sessions::open(&bridge.settings, &stop, || reporter.report(false))? else { return Ok(()) };
@@ -49,11 +51,13 @@ pub(crate) fn run(
         peers: &runtime.peers,
         stop: &stop,
     };
-    let publisher = sessions.publisher(&heartbeat_key(run.pipeline, &bridge.machine), true, Priority::RealTime)?;
+    let own_key = heartbeat_key(run.pipeline, &bridge.machine);
+    let publisher = sessions.publisher(&own_key, true, Priority::RealTime)?;
     let subscribers = subscribe_to_heartbeats(&shared, bridge)?;
     reporter.record.status.set_life(Life::Running);
     let sent = (Instant::now(), Vec::new());
-    let mut watch = Watch { reporter, sessions: &sessions, links: &links, publisher, subscribers, sent, memory_trim };
+    let mut watch =
+        Watch { reporter, sessions: &sessions, links: &links, own_key, publisher, subscribers, sent, memory_trim };
     let result = watch.run(&shared);
     let life = if result.is_ok() && !stop.forced() { Life::Ended } else { Life::Starting };
     watch.reporter.record.status.set_life(life);
@@ -68,8 +72,10 @@ fn heartbeat_key(pipeline: &str, machine: &str) -> String {
 fn subscribe_to_heartbeats<'a>(shared: &Shared<'a>, bridge: &BridgePlan) -> Result<Vec<Subscriber<'a>>, BridgeError> {
     let subscribe = |peer: &str| {
         let (links, machine) = (Arc::clone(shared.links), peer.to_owned());
-        let hear = move |bytes: ZBytes| links.heard(&machine, &bytes.to_bytes());
-        shared.sessions.subscriber(&heartbeat_key(shared.pipeline, peer), Some(3 * HEARTBEAT_PERIOD), hear)
+        let key = heartbeat_key(shared.pipeline, peer);
+        let zenoh_key = key.clone();
+        let hear = move |bytes: ZBytes| links.heard(&machine, &zenoh_key, &bytes.to_bytes());
+        shared.sessions.subscriber(&key, Some(3 * HEARTBEAT_PERIOD), hear)
     };
     bridge.peers().into_iter().map(subscribe).collect()
 }
@@ -79,6 +85,7 @@ struct Watch<'a> {
     reporter: BridgeReporter<'a>,
     sessions: &'a Sessions,
     links: &'a Links,
+    own_key: String,
     publisher: Publisher<'a>,
     subscribers: Vec<Subscriber<'a>>,
     sent: (Instant, Vec<Ack>),
@@ -108,7 +115,7 @@ impl<'a> Watch<'a> {
         let mut result = Ok(());
         while !handles.is_empty() {
             let acks = self.links.acks();
-            if acks != self.sent.1 || self.sent.0.elapsed() > HEARTBEAT_PERIOD {
+            if self.links.owes_answer() || acks != self.sent.1 || self.sent.0.elapsed() > HEARTBEAT_PERIOD {
                 self.send_heartbeat(acks);
             }
             if self.reporter.is_due() {
@@ -137,9 +144,7 @@ impl<'a> Watch<'a> {
 
     fn send_heartbeat(&mut self, acks: Vec<Ack>) {
         self.sent = (Instant::now(), acks.clone());
-        if let Ok(bytes) = encode_note(&self.links.heartbeat(acks)) {
-            self.publisher.put(bytes);
-        }
+        self.links.say(&self.own_key, acks, |bytes| self.publisher.put(bytes));
     }
 }
 

@@ -16,8 +16,8 @@ use conicflow_dataflow::relay::{OutputPort, SharedWriter, ThrottledWarning};
 use conicflow_dataflow::{Edge, Stop, monotonic_ns};
 use conicflow_messages::{Header, MAX_HOPS, Text};
 use std::collections::{BTreeSet, VecDeque};
-use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use zenoh::bytes::ZBytes;
 
@@ -33,7 +33,7 @@ const SILENCE: Duration = Duration::from_secs(2);
 pub(super) struct Receiving<'a> {
     edge: &'a Edge,
     lossless: bool,
-    channel: Arc<Channel<ZBytes>>,
+    channel: Arc<Channel<Vec<u8>>>,
     subscriber: Subscriber<'a>,
     output_port: OutputPort<SharedWriter>,
     sequence: Sequence,
@@ -45,7 +45,7 @@ pub(super) struct Receiving<'a> {
     links: Arc<Links>,
     counts: Arc<EdgeCounts>,
     stop: Stop,
-    nonsense: ThrottledWarning,
+    refusals: Arc<Refusals>,
     told: BTreeSet<&'static str>,
 }
 
@@ -56,11 +56,22 @@ impl<'a> Receiving<'a> {
         let lossless = edge.delivery_to(shared.machine) == Some(Delivery::Lossless);
         let room = if lossless { LOSSLESS_ROOM } else { edge.writers.len() + 1 };
         let channel = Arc::new(Channel::new(room, !lossless));
+        let zenoh_key = shared.key(&edge.from, &topic.name);
+        let refusals = Arc::new(Refusals::new(edge, Arc::clone(&counts)));
+        let gate = Gate {
+            zenoh_key: zenoh_key.clone(),
+            from: edge.from.clone(),
+            links: Arc::clone(shared.links),
+            refusals: Arc::clone(&refusals),
+        };
         let sender = Arc::clone(&channel);
         let silence = (!lossless && edge.item.is_short()).then_some(SILENCE);
-        let subscriber = shared.sessions.subscriber(&shared.key(&edge.from, &topic.name), silence, move |bytes| {
-            // What finds no room comes again, or was not the newest.
-            sender.send(bytes);
+        let subscriber = shared.sessions.subscriber(&zenoh_key, silence, move |bytes: ZBytes| {
+            let bytes = bytes.to_bytes();
+            if gate.admits(&bytes) {
+                // What finds no room comes again, or was not the newest.
+                sender.send(bytes.into_owned());
+            }
         })?;
         let port = Some((shared.transport.writer_of(&edge.item, &topic)?, topic));
         Ok(Self {
@@ -69,7 +80,7 @@ impl<'a> Receiving<'a> {
             channel,
             subscriber,
             output_port: OutputPort::new(port, BRIDGE, 0, shared.peers.clone(), shared.stop.clone()),
-            sequence: Sequence::new(lossless),
+            sequence: Sequence::new(lossless, shared.links.seal().has_key()),
             passed_on: VecDeque::new(),
             codec: codec_of(&edge.item),
             layout: edge.item.layout(),
@@ -77,7 +88,7 @@ impl<'a> Receiving<'a> {
             links: Arc::clone(shared.links),
             counts,
             stop: shared.stop.clone(),
-            nonsense: ThrottledWarning::default(),
+            refusals,
             told: BTreeSet::new(),
         })
     }
@@ -91,7 +102,7 @@ impl<'a> Receiving<'a> {
                 self.acknowledge();
                 continue;
             };
-            match self.accept(&bytes.to_bytes()) {
+            match self.accept(&bytes) {
                 Err(PortError::Stopped) => break,
                 result => result?,
             }
@@ -116,7 +127,7 @@ impl<'a> Receiving<'a> {
         let (place, header) = match self.decode(bytes) {
             Ok(message) => message,
             Err(error) => {
-                self.leave_out(&error);
+                self.refusals.leave_out(&error);
                 // Of another stream only what can be read tells.
                 let place = place_of(bytes).ok().filter(|place| place.stream == self.sequence.expected().0);
                 place.into_iter().for_each(|place| self.pass_over(place));
@@ -125,21 +136,21 @@ impl<'a> Receiving<'a> {
         };
         let writer = header.trace().last().map(|hop| hop.stage.to_string()).unwrap_or_default();
         if !self.edge.writers.contains(&writer) {
-            self.leave_out(&format!("no stage `{writer}` of machine `{}` writes it", self.edge.from));
+            self.refusals.leave_out(&format!("no stage `{writer}` of machine `{}` writes it", self.edge.from));
             self.pass_over(place);
             return Ok(());
         }
         let repeated_end = header.ends_stream() && !self.lossless && place.stream >= self.sequence.expected().0;
         let verdict = self.sequence.judge(place, header.ends_stream(), Instant::now());
         if self.sequence.was_misled() {
-            self.warn_of_forgery();
+            self.refusals.warn_of_forgery();
         }
         self.counts.lost.store(self.sequence.lost(), Ordering::Relaxed);
         if verdict == Verdict::Take {
             match self.pass_on(header, bytes.len()) {
                 // It comes again where it must not be missed; there may be room by then.
                 Err(error @ PortError::NoRoom { .. }) => {
-                    self.leave_out(&error);
+                    self.refusals.leave_out(&error);
                     if self.lossless {
                         return Ok(());
                     }
@@ -217,19 +228,124 @@ impl<'a> Receiving<'a> {
         }
         self.acknowledge();
     }
+}
 
-    fn warn_of_forgery(&mut self) {
-        EdgeCounts::add(&self.counts.malformed, 1);
-        let (topic, from) = (&self.edge.topic.name, &self.edge.from);
-        self.nonsense.warn(format_args!(
+/// What lets messages in that come under the Zenoh key of an edge. It stands before the [`Channel`], so that what is refused
+/// takes no room there from what is not.
+struct Gate {
+    zenoh_key: String,
+    from: String,
+    links: Arc<Links>,
+    refusals: Arc<Refusals>,
+}
+
+impl Gate {
+    /// Whether a message was made by the bridge of the other machine that runs now. What comes before that has proved to be the
+    /// present one is not counted: it is not wanted yet, or comes again.
+    fn admits(&self, bytes: &[u8]) -> bool {
+        let opened = self.links.seal().open(&self.zenoh_key, bytes);
+        let present = opened.map(|session| self.links.is_present(&self.from, session));
+        match present {
+            Ok(Ok(is_present)) => return is_present,
+            Ok(Err(reason)) => self.refusals.leave_out(&reason),
+            Err(error) => self.refusals.leave_out(&error),
+        }
+        false
+    }
+}
+
+/// Counts what was refused of an edge, and tells of it now and then.
+struct Refusals {
+    topic: String,
+    from: String,
+    counts: Arc<EdgeCounts>,
+    warning: Mutex<ThrottledWarning>,
+}
+
+impl Refusals {
+    fn new(edge: &Edge, counts: Arc<EdgeCounts>) -> Self {
+        let (topic, from) = (edge.topic.name.clone(), edge.from.clone());
+        Self { topic, from, counts, warning: Mutex::default() }
+    }
+
+    fn warn_of_forgery(&self) {
+        let Self { topic, from, .. } = self;
+        self.warn(format_args!(
             "took a message of topic `{topic}` that machine `{from}` has not sent: its number was one that has not been reached\n  \
-             hint: whoever can connect can send; with `tls/` and certificates only the machines of the pipeline can"
+             hint: whoever can connect can send; with the same `key` on all machines only these can"
         ));
     }
 
-    fn leave_out(&mut self, reason: &dyn std::fmt::Display) {
+    fn leave_out(&self, reason: &dyn std::fmt::Display) {
+        let Self { topic, from, .. } = self;
+        self.warn(format_args!("left out a message of topic `{topic}` from machine `{from}`: {reason}"));
+    }
+
+    fn warn(&self, what: std::fmt::Arguments<'_>) {
         EdgeCounts::add(&self.counts.malformed, 1);
-        let (topic, from) = (&self.edge.topic.name, &self.edge.from);
-        self.nonsense.warn(format_args!("left out a message of topic `{topic}` from machine `{from}`: {reason}"));
+        self.warning.lock().unwrap_or_else(PoisonError::into_inner).warn(what);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wire::encode_message;
+    use crate::wire::seal::{Seal, secret};
+    use conicflow_dataflow::pipeline::{Compression, Machine};
+    use conicflow_dataflow::ports::Topic;
+    use conicflow_dataflow::{BridgePlan, ItemType};
+    use conicflow_messages::Object;
+
+    const ZENOH_KEY: &str = "conicflow/tracking/robot/objects";
+
+    fn edge(from: &str) -> Edge {
+        let item = ItemType::of::<Object>();
+        let topic =
+            Topic { name: "objects".to_owned(), item: Some(item.clone()), writers: Vec::new(), readers: Vec::new() };
+        let from = from.to_owned();
+        Edge { topic, item, from, writers: Vec::new(), to: Vec::new(), compression: Compression::None }
+    }
+
+    fn sealed(seal: &Seal, zenoh_key: &str) -> Vec<u8> {
+        let (item, header) = (ItemType::of::<Object>(), Header::default());
+        let mut bytes = encode_message(Place::default(), &item, &header, &[], Compression::None).unwrap();
+        seal.close(zenoh_key, &mut bytes);
+        bytes
+    }
+
+    #[test]
+    fn nothing_passes_that_the_present_bridge_there_has_not_made_and_it_is_counted() {
+        let secrets = [secret(), secret()];
+        let links = |machine: &str, peer: &str, session: u64| {
+            let (machine, settings) = (machine.to_owned(), Machine::default());
+            let plan = BridgePlan { machine, settings, outgoing: Vec::new(), incoming: vec![edge(peer)] };
+            Arc::new(Links::new(session, Seal::new(Some(&secrets[0]), session), &plan))
+        };
+        let (theirs, ours) = (links("robot", "base", 5), links("base", "robot", 9));
+        let counts = Arc::<EdgeCounts>::default();
+        let refusals = Arc::new(Refusals::new(&edge("robot"), Arc::clone(&counts)));
+        let (zenoh_key, from) = (ZENOH_KEY.to_owned(), "robot".to_owned());
+        let gate = Gate { zenoh_key, from, links: Arc::clone(&ours), refusals };
+        let good = sealed(theirs.seal(), ZENOH_KEY);
+        assert!(!gate.admits(&good), "it has not proved to be the present one");
+        assert_eq!(counts.malformed.load(Ordering::Relaxed), 0);
+        for _ in 0..2 {
+            theirs.say("@robot", Vec::new(), |bytes| ours.heard("robot", "@robot", &bytes));
+            ours.say("@base", Vec::new(), |bytes| theirs.heard("base", "@base", &bytes));
+        }
+        assert!(gate.admits(&good));
+        let changed = |at: usize| [&good[..at], &[good[at] ^ 1], &good[at + 1..]].concat();
+        let mut refused: Vec<Vec<u8>> = (0..good.len()).map(changed).collect();
+        refused.extend([
+            sealed(theirs.seal(), "conicflow/tracking/robot/tracks"),
+            sealed(&Seal::new(Some(&secrets[0]), 4), ZENOH_KEY),
+            sealed(&Seal::new(Some(&secrets[1]), 5), ZENOH_KEY),
+            sealed(&Seal::new(None, 5), ZENOH_KEY),
+            b"garbage".to_vec(),
+        ]);
+        let passed: Vec<_> = refused.iter().filter(|bytes| gate.admits(bytes)).collect();
+        assert!(passed.is_empty(), "{passed:?}");
+        assert_eq!(counts.malformed.load(Ordering::Relaxed), refused.len() as u64);
     }
 }

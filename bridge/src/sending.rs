@@ -55,6 +55,7 @@ pub(super) struct Sending<'a> {
     input_port: InputPort<SharedReader>,
     codec: Box<dyn Codec>,
     layout: String,
+    zenoh_key: String,
     publisher: Publisher<'a>,
     queue: RetransmitQueue,
     links: Arc<Links>,
@@ -75,8 +76,8 @@ impl<'a> Sending<'a> {
         let wait = if images { IMAGES_WAIT } else { LISTS_WAIT };
         let priority = if images { Priority::DataLow } else { Priority::InteractiveHigh };
         let lossy = edge.to.iter().any(|receiver| receiver.delivery == Delivery::Latest);
-        let publisher =
-            shared.sessions.publisher(&shared.key(&edge.from, &topic.name), lossy && edge.item.is_short(), priority)?;
+        let zenoh_key = shared.key(&edge.from, &topic.name);
+        let publisher = shared.sessions.publisher(&zenoh_key, lossy && edge.item.is_short(), priority)?;
         let mut input_port = InputPort::new(reader, topic.delivery_to(BRIDGE), &topic.name, topic.writers.len());
         input_port.go_on();
         let log =
@@ -86,6 +87,7 @@ impl<'a> Sending<'a> {
             codec: codec_of(&edge.item),
             layout: edge.item.layout(),
             input_port,
+            zenoh_key,
             publisher,
             queue: RetransmitQueue::new(shared.stream, log, &edge.to, [wait, shared.outage], Instant::now()),
             links: Arc::clone(shared.links),
@@ -143,7 +145,7 @@ impl<'a> Sending<'a> {
         let links = Arc::clone(&self.links);
         for bytes in self.queue.due(now, |machine| links.is_connected(machine)) {
             EdgeCounts::add(&self.counts.resent, 1);
-            self.publisher.put(bytes);
+            self.put(bytes);
         }
         self.counts.lost.store(self.queue.lost(), std::sync::atomic::Ordering::Relaxed);
     }
@@ -167,11 +169,17 @@ impl<'a> Sending<'a> {
             Ok(bytes) => {
                 self.count(&header, bytes.len(), memory_bytes);
                 self.queue.sent(&bytes, Instant::now());
-                self.publisher.put(bytes);
+                self.put(bytes);
             }
             Err(error) => self.leave_out(&error),
         }
         Ok(true)
+    }
+
+    /// Puts a message onto the link, with the session and the code that it gets there.
+    fn put(&mut self, mut bytes: Vec<u8>) {
+        self.links.seal().close(&self.zenoh_key, &mut bytes);
+        self.publisher.put(bytes);
     }
 
     fn leave_out(&mut self, error: &dyn std::fmt::Display) {
@@ -201,7 +209,7 @@ impl<'a> Sending<'a> {
                 let end = end_of_stream(&self.last, Text::new(writer), self.input_port.count_of(writer));
                 let bytes = message_bytes(self.queue.place(), &self.layout, &end, |_| Ok(()))?;
                 self.queue.sent_end(writer, &bytes, Instant::now());
-                self.publisher.put(bytes);
+                self.put(bytes);
             }
         }
         Ok(false)

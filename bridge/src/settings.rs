@@ -1,8 +1,8 @@
 //! From a machine's table to a Zenoh configuration that is closed unless the file opens it.
 
 use crate::wire::MAX_MESSAGE;
-use conicflow_dataflow::Hinted;
 use conicflow_dataflow::pipeline::{Machine, check_endpoint};
+use conicflow_dataflow::{Hinted, LinkKey};
 use serde_json::{Value as Json, json};
 use std::path::Path;
 
@@ -15,8 +15,31 @@ const MAX_CLOUD: usize = 64 << 20;
 
 /// Whether a machine's table can be used; a file that is not there is reported elsewhere.
 pub(crate) fn check(machine: &Machine) -> Result<(), Hinted> {
+    machine.key.as_ref().filter(|file| file.is_file()).map_or(Ok(()), |file| LinkKey::read(file).map(drop))?;
     let missing = machine.zenoh.as_ref().is_some_and(|file| !file.is_file());
     if missing { Ok(()) } else { configurations(machine).map(drop) }
+}
+
+/// The secret by which a machine tells the messages of the others: that of its table; else this user's own, where all endpoints
+/// are on this host, and neither certificates nor `insecure` say otherwise; else none.
+pub(super) fn key(machine: &Machine) -> Result<Option<LinkKey>, Hinted> {
+    if let Some(file) = &machine.key {
+        return LinkKey::read(file).map(Some);
+    }
+    if is_of_one_user(machine, &settings(machine)?) { LinkKey::of_user().map(Some) } else { Ok(None) }
+}
+
+/// Whether all the machines that this one meets are this host, by the endpoints, so that they can share its user's key.
+fn is_of_one_user(machine: &Machine, settings: &Json) -> bool {
+    let mut endpoints = Vec::new();
+    ["listen", "connect"].iter().for_each(|way| collect_strings(&settings[way]["endpoints"], &mut endpoints));
+    let is_secure = asks_who(settings) && endpoints.iter().all(|endpoint| is_encrypted(endpoint));
+    let meets_anybody = !endpoints.is_empty();
+    meets_anybody && !machine.insecure && !is_secure && endpoints.iter().all(|endpoint| is_local(endpoint))
+}
+
+fn asks_who(settings: &Json) -> bool {
+    settings["transport"]["link"]["tls"]["enable_mtls"] == true
 }
 
 /// Where a machine listens.
@@ -32,8 +55,8 @@ pub(super) fn configurations(machine: &Machine) -> Result<(zenoh::Config, Option
     let settings = settings(machine)?;
     let mut endpoints = Vec::new();
     collect_strings(&settings["listen"]["endpoints"], &mut endpoints);
-    let asks_who = settings["transport"]["link"]["tls"]["enable_mtls"] == true;
-    endpoints.iter().try_for_each(|endpoint| check_listen(endpoint, asks_who, machine.insecure))?;
+    let is_guarded = machine.insecure || machine.key.is_some() || is_of_one_user(machine, &settings);
+    endpoints.iter().try_for_each(|endpoint| check_listen(endpoint, asks_who(&settings), is_guarded))?;
     collect_strings(&settings["connect"]["endpoints"], &mut endpoints);
     endpoints.iter().try_for_each(|endpoint| check_endpoint(endpoint))?;
     let datagrams = endpoints.iter().filter(|endpoint| carries_datagrams(endpoint)).count();
@@ -153,27 +176,39 @@ fn retain_strings(value: &mut Json, wanted: fn(&str) -> bool) {
     }
 }
 
-/// A port that others can reach has to know who they are, by certificates that it asks for, unless the file says otherwise.
-fn check_listen(endpoint: &str, asks_who: bool, insecure: bool) -> Result<(), Hinted> {
-    let address = endpoint.split(['#', '?']).next().unwrap_or(endpoint);
-    let Some((protocol, host)) = address.split_once('/') else {
+/// The protocol and the address of an endpoint.
+fn split_endpoint(endpoint: &str) -> Option<(&str, &str)> {
+    endpoint.split(['#', '?']).next()?.split_once('/')
+}
+
+/// Whether nobody but this host's users can reach it.
+fn is_local(endpoint: &str) -> bool {
+    let loopbacks = ["127.", "[::1]", "localhost:"];
+    split_endpoint(endpoint).is_some_and(|(_, host)| loopbacks.iter().any(|loopback| host.starts_with(loopback)))
+}
+
+fn is_encrypted(endpoint: &str) -> bool {
+    split_endpoint(endpoint).is_some_and(|(protocol, _)| matches!(protocol, "tls" | "quic"))
+}
+
+/// A port has to know who comes there, by certificates that it asks for; unless messages tell who made them (or the file says
+/// that it does not matter), which `is_guarded` says.
+fn check_listen(endpoint: &str, asks_who: bool, is_guarded: bool) -> Result<(), Hinted> {
+    if split_endpoint(endpoint).is_none() {
         let hint = "an endpoint looks like tcp/127.0.0.1:7447";
         return Err(Hinted::new(format!("`{endpoint}` is not an endpoint to listen on"), hint));
-    };
-    let local = ["127.", "[::1]", "localhost:"].iter().any(|loopback| host.starts_with(loopback));
-    let encrypted = matches!(protocol, "tls" | "quic");
-    let secure = encrypted && asks_who;
-    if local || secure || insecure {
+    }
+    if is_guarded || (is_encrypted(endpoint) && asks_who) {
         return Ok(());
     }
-    let what = format!("`{endpoint}` would be open to everyone who can reach it");
-    let hint = if encrypted {
-        "ask for the others' certificates, with enable_mtls: true under transport.link.tls in the `zenoh` file, or say \
-         insecure = true"
+    let who = if is_local(endpoint) { "all users of this host" } else { "everyone who can reach it" };
+    let hint = if is_encrypted(endpoint) {
+        "ask for the others' certificates, with enable_mtls: true under transport.link.tls in the `zenoh` file, or name a `key` \
+         that `conicflow key` makes, or say insecure = true"
     } else {
-        "use tls/.. with certificates in a `zenoh` file, or say insecure = true"
+        "name a `key` that `conicflow key` makes, or use tls/.. with certificates in a `zenoh` file, or say insecure = true"
     };
-    Err(Hinted::new(what, hint))
+    Err(Hinted::new(format!("`{endpoint}` would be open to {who}"), hint))
 }
 
 #[cfg(test)]
@@ -223,6 +258,40 @@ mod tests {
             assert_eq!(check(&Machine { insecure: true, ..listening(open) }), Ok(()), "{open}");
         }
         assert!(check(&listening("7447")).is_err());
+    }
+
+    #[test]
+    fn a_key_guards_any_port_and_must_be_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("robot.key");
+        let machine = Machine { key: Some(path.clone()), ..listening("tcp/0.0.0.0:7447") };
+        assert_eq!(check(&machine), Ok(()), "that there is no such file is told elsewhere");
+        assert!(key(&machine).unwrap_err().what.contains("cannot read the key"));
+        LinkKey::make(&path).unwrap();
+        assert_eq!((check(&machine), key(&machine)), (Ok(()), Ok(Some(LinkKey::read(&path).unwrap()))));
+        std::fs::write(&path, "secret").unwrap();
+        assert!(check(&machine).unwrap_err().what.contains("is no key"));
+    }
+
+    #[test]
+    fn the_users_own_key_is_for_machines_that_are_this_host_and_share_nothing_else() {
+        let file = tempfile::Builder::new().suffix(".json5").tempfile().unwrap();
+        std::fs::write(file.path(), "{ transport: { link: { tls: { enable_mtls: true } } } }").unwrap();
+        let is_own = |machine: &Machine| is_of_one_user(machine, &settings(machine).unwrap());
+        for endpoint in ["tcp/127.0.0.1:7447", "tcp/[::1]:7447", "tcp/localhost:7447", "tls/localhost:7447"] {
+            let connecting = Machine { connect: vec![endpoint.to_owned()], ..Machine::default() };
+            for machine in [listening(endpoint), connecting] {
+                assert!(is_own(&machine), "{endpoint}");
+                assert!(!is_own(&Machine { insecure: true, ..machine.clone() }), "{endpoint}");
+                let with_certificates = Machine { zenoh: Some(file.path().to_owned()), ..machine };
+                assert_eq!(is_own(&with_certificates), !endpoint.starts_with("tls/"), "{endpoint}");
+            }
+        }
+        let mixed = Machine { connect: vec!["tcp/192.168.0.2:7447".to_owned()], ..listening("tcp/127.0.0.1:7447") };
+        assert!(!is_own(&mixed));
+        let refused = check(&mixed).unwrap_err().what;
+        assert_eq!(refused, "`tcp/127.0.0.1:7447` would be open to all users of this host");
+        assert_eq!(key(&Machine { insecure: true, ..mixed }), Ok(None));
     }
 
     #[test]

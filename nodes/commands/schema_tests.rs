@@ -94,8 +94,10 @@ fn faults_do_not_fit_the_schema() {
 #[test]
 fn all_keys_of_the_file_fit_the_schema() {
     let mut pipeline = read(include_str!("../../pipeline.toml"));
-    pipeline["machine"]["robot"] =
-        json!({ "listen": ["tcp/127.0.0.1:7447"], "connect": [], "zenoh": "z.json5", "insecure": true, "outage_s": 3 });
+    pipeline["machine"]["robot"] = json!({
+        "listen": ["tcp/127.0.0.1:7447"], "connect": [], "zenoh": "z.json5", "key": "robot.key", "insecure": true,
+        "outage_s": 3,
+    });
     pipeline["item"]["grasps"] = json!({ "type": "acme.Grasp.v1", "fields": { "width": "f64" }, "usual_length": 4 });
     let input =
         json!({ "topic": "objects", "kind": "objects", "delivery": "latest", "queue": 2, "compression": "lz4" });

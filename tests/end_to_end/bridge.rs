@@ -81,7 +81,7 @@ pub fn link(ended: &Ended, machine: &str, topic: &str) -> [u64; 3] {
 }
 
 /// The process of a stage.
-fn process_of(playground: &Playground, stage: &str) -> Option<u32> {
+pub fn process_of(playground: &Playground, stage: &str) -> Option<u32> {
     let of_stage = |process: &u32| environment(*process, "CONICFLOW_STAGE").as_deref() == Some(stage);
     playground.processes().into_iter().find(of_stage)
 }

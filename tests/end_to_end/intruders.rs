@@ -1,18 +1,23 @@
-//! What others may send to a bridge: garbage, or messages of another version.
+//! What others may send to a bridge: garbage, messages of another version, forged ones, and true ones once more.
 
-use super::bridge::{self, apart, loopback, machines, newest, start};
-use super::support::{Playground, signal, wait_until};
+use super::bridge::{self, apart, loopback, machines, newest, process_of, start, top_link};
+use super::support::{Ended, Playground, Started, signal, wait_until};
 use conicflow_bridge::WIRE_VERSION;
 use rustix::process::Signal;
+use std::os::unix::fs::PermissionsExt;
 use zenoh::Wait;
 
 /// A Zenoh session of somebody who connects to an endpoint.
 fn intruder(endpoint: &str) -> zenoh::Session {
+    intruder_of(&[endpoint])
+}
+
+fn intruder_of(endpoints: &[&str]) -> zenoh::Session {
     let mut config = zenoh::Config::default();
     for (key, value) in [
         ("scouting/multicast/enabled", "false"),
         ("listen/endpoints", "[]"),
-        ("connect/endpoints", &format!("[\"{endpoint}\"]")),
+        ("connect/endpoints", &format!("{endpoints:?}")),
     ] {
         config.insert_json5(key, value).unwrap();
     }
@@ -84,4 +89,173 @@ fn a_machine_with_another_pipeline_file_is_told_what_differs() {
         signal(run.id(), Signal::INT);
         run.wait().expect_code(0);
     }
+}
+
+/// Both machines of live edges, of which each listens: who connects to both hears and reaches both.
+fn both_listening() -> ([Playground; 2], zenoh::Session, [Started; 2]) {
+    let (robot, base) = (loopback(), loopback());
+    let listening = format!("[machine.base]\nlisten = [\"{base}\"]\n");
+    let machines = machines(&bridge::live(&apart(&robot, &robot)).replace("[machine.base]\n", &listening));
+    let mut runs = [start(&machines[0], "robot"), start(&machines[1], "base")];
+    runs[1].wait_until("tracks arrive", || newest(&machines[1]) > 20);
+    (machines, intruder_of(&[&robot, &base]), runs)
+}
+
+/// So many messages, and as many heartbeats, of the robot, as they go over the link.
+fn recorded(session: &zenoh::Session, count: usize) -> Vec<(&'static str, Vec<u8>)> {
+    let keys = ["conicflow/tracking/robot/ellipses", "conicflow/tracking/@link/robot"];
+    let record = |key: &'static str| {
+        let heard = session.declare_subscriber(key).wait().unwrap();
+        (0..count).map(|_| (key, heard.recv().unwrap().payload().to_bytes().into_owned())).collect::<Vec<_>>()
+    };
+    keys.into_iter().flat_map(record).collect()
+}
+
+fn put(session: &zenoh::Session, messages: &[(&'static str, Vec<u8>)]) {
+    messages.iter().for_each(|(key, bytes)| session.put(*key, bytes.clone()).wait().unwrap());
+}
+
+fn end(runs: [Started; 2]) -> [Ended; 2] {
+    runs.map(|run| {
+        signal(run.id(), Signal::INT);
+        run.wait().expect_code(0)
+    })
+}
+
+/// Makes sure that a machine has each frame once, in order.
+fn expect_in_order(base: &Playground) {
+    let sequences = base.sequences("tracks.jsonl");
+    assert!(sequences.is_sorted_by(|earlier, later| earlier < later), "{sequences:?}");
+}
+
+/// Where the code of a message stands, its number, and that of the oldest that is kept; of a heartbeat the code alone.
+const CODE: std::ops::Range<usize> = 14..46;
+const NUMBER: std::ops::Range<usize> = 54..62;
+const OLDEST: std::ops::Range<usize> = 62..70;
+
+#[test]
+fn what_is_forged_by_who_has_no_key_passes_nowhere_and_is_told() {
+    let ([_robot, base], session, mut runs) = both_listening();
+    let true_ones = recorded(&session, 3);
+    let mut forged = Vec::new();
+    for (index, (key, bytes)) in true_ones.iter().enumerate() {
+        let mut far = bytes.clone();
+        [NUMBER, OLDEST].into_iter().for_each(|place| far[place].copy_from_slice(&(1_u64 << 63).to_le_bytes()));
+        let mut without_code = far.clone();
+        without_code[CODE].fill(0);
+        let elsewhere = true_ones[(index + 3) % 6].1.clone();
+        forged.extend([far, without_code, elsewhere].map(|bytes| (*key, bytes)));
+    }
+    let before = newest(&base);
+    runs[1].wait_until("tracks go on among the forged ones", || {
+        put(&session, &forged);
+        newest(&base) > before + 60
+    });
+    let edge = top_link(&base)["edges"][0].clone();
+    assert!(edge["malformed"].as_u64().unwrap() > 3 && edge["lost"].as_u64().unwrap() < 1000, "{edge}");
+    let said = runs[1].stderr();
+    for text in [
+        "left out a message of topic `ellipses` from machine `robot`: it",
+        "refused machine `robot`: its code was not made with the key of this machine\n  hint: are the keys of all",
+        "refused machine `robot`: it has no code, and this machine takes only what was made with its key\n  hint: ",
+    ] {
+        assert!(said.contains(text), "no `{text}` in: {said}");
+    }
+    expect_in_order(&base);
+    end(runs);
+}
+
+#[test]
+fn what_was_sent_before_a_bridge_was_started_anew_does_not_pass_again() {
+    let ([robot, base], session, mut runs) = both_listening();
+    let old = recorded(&session, 5);
+    let process = process_of(&robot, "bridge").unwrap();
+    signal(process, Signal::KILL);
+    runs[0].wait_until("its successor runs", || process_of(&robot, "bridge").is_some_and(|new| new != process));
+    let before = newest(&base);
+    runs[1].wait_until("tracks arrive again", || newest(&base) > before + 20);
+    wait_until("what is old is refused", || {
+        put(&session, &old);
+        let refused = "from machine `robot`: it is of an earlier start of the bridge there\n  hint: ";
+        runs[1].stderr().contains(refused)
+    });
+    let before = newest(&base);
+    runs[1].wait_until("tracks go on", || {
+        put(&session, &old);
+        newest(&base) > before + 40
+    });
+    expect_in_order(&base);
+    end(runs);
+}
+
+/// A pipeline of two machines with a key.
+fn with_key(text: &str) -> String {
+    ["robot", "base"].iter().fold(text.to_owned(), |text, name| {
+        let title = format!("[machine.{name}]\n");
+        text.replace(&title, &format!("{title}key = \"pair.key\"\n"))
+    })
+}
+
+#[test]
+fn machines_with_different_keys_tell_so_and_with_the_same_key_they_meet() {
+    let endpoint = loopback();
+    let [robot, base] = machines(&with_key(&bridge::live(&apart(&endpoint, &endpoint))));
+    for machine in [&robot, &base] {
+        machine.conicflow(&["key", "pair.key"]).expect_code(0);
+    }
+    let mut runs = [start(&robot, "robot"), start(&base, "base")];
+    for (run, other) in runs.iter_mut().zip(["base", "robot"]) {
+        run.wait_for_text(&format!(
+            "refused machine `{other}`: its code was not made with the key of this machine\n  hint: are the keys of all \
+             machines the same file?"
+        ));
+    }
+    assert_eq!((newest(&base), top_link(&base)["was_heard"].as_bool()), (0, Some(false)));
+    for run in runs {
+        signal(run.id(), Signal::INT);
+        run.wait();
+    }
+    std::fs::copy(robot.path("pair.key"), base.path("pair.key")).unwrap();
+    let mut runs = [start(&robot, "robot"), start(&base, "base")];
+    runs[1].wait_until("tracks arrive", || newest(&base) > 20);
+    assert_eq!(top_link(&base)["edges"][0]["malformed"], 0);
+    for ended in end(runs) {
+        assert!(!ended.stderr.contains("refused") && !ended.stderr.contains("left out"), "{}", ended.stderr);
+    }
+}
+
+#[test]
+fn a_key_is_made_once_and_refused_where_others_can_read_it() {
+    let [robot, _] = machines(&with_key(&apart("tcp/0.0.0.0:7447", "tcp/192.168.0.2:7447")));
+    let missing = robot.conicflow(&["validate"]).expect_code(2);
+    assert!(
+        missing.stderr.contains("there is no file `") && missing.stderr.contains("pair.key`"),
+        "{}",
+        missing.stderr
+    );
+    let made = robot.conicflow(&["key", "pair.key"]).expect_code(0);
+    assert!(made.stdout.contains("made `pair.key`: copy it to all machines"), "{}", made.stdout);
+    let text = std::fs::read(robot.path("pair.key")).unwrap();
+    let again = robot.conicflow(&["key", "pair.key"]).expect_code(2);
+    assert!(again.stderr.contains("there is a file `pair.key`, which is left as it is\n  hint: "), "{}", again.stderr);
+    assert_eq!(std::fs::read(robot.path("pair.key")).unwrap(), text);
+    robot.conicflow(&["validate"]).expect_code(0);
+    std::fs::set_permissions(robot.path("pair.key"), std::fs::Permissions::from_mode(0o644)).unwrap();
+    for arguments in [&["validate"][..], &["run", "--machine", "robot"]] {
+        let refused = robot.conicflow(arguments).expect_code(2);
+        assert!(
+            refused.stderr.contains("is open to others, its mode is 644\n  hint: `chmod 600 "),
+            "{}",
+            refused.stderr
+        );
+    }
+}
+
+#[test]
+fn a_key_is_for_all_machines_or_for_none() {
+    let text = with_key(&apart("tcp/0.0.0.0:7447", "tcp/192.168.0.2:7447"));
+    let [robot, _] = machines(&text.replace("[machine.base]\nkey = \"pair.key\"\n", "[machine.base]\n"));
+    robot.conicflow(&["key", "pair.key"]).expect_code(0);
+    let refused = robot.conicflow(&["validate"]).expect_code(2);
+    assert!(refused.stderr.contains("machine `base` has no `key`, but machine `robot` has one"), "{}", refused.stderr);
 }

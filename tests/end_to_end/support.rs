@@ -199,6 +199,8 @@ impl Playground {
             command.env_remove(name);
         });
         command.args(arguments).current_dir(self.files.path()).env("CONICFLOW_RUNTIME_DIR", self.runtime.path());
+        // Machines that meet on this host share the key of its user, who has a place of their own here.
+        command.env("XDG_STATE_HOME", env!("CARGO_TARGET_TMPDIR"));
         command.stdin(Stdio::null());
         command
     }

@@ -13,7 +13,7 @@ pub(crate) struct Heartbeat {
     pub layouts: String,
     /// What crosses, by its pipeline file.
     pub routes: Vec<Route>,
-    /// The last heartbeat of each peer.
+    /// The last heartbeats of each peer, of which a peer knows that this one was made after it had sent them.
     pub samples: Vec<ClockSample>,
     /// What it has received, per edge.
     pub acks: Vec<Ack>,

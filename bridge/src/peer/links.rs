@@ -1,11 +1,18 @@
 //! What one bridge knows of the others: who lives, what they have received, how their clocks differ.
+//!
+//! A start of a bridge is a session. Whoever listens to a link can repeat what was said there, also what an earlier session of a
+//! bridge has said. So a session is believed only when it has proved to be the present one: by a heartbeat that tells of a
+//! heartbeat of this bridge's own session, sent later than any that the session before has told of. Heartbeats of a session
+//! follow each other in time, and messages count only if they are of the session that has proved itself.
 
 use super::clock::{Clock, Exchange};
 use super::heartbeat::{Ack, ClockSample, Heartbeat, Route};
-use crate::wire::{WireError, decode_note, layouts};
+use crate::wire::seal::Seal;
+use crate::wire::{WireError, decode_note, encode_note, layouts};
 use conicflow_dataflow::ports::Delivery;
 use conicflow_dataflow::{BridgePlan, Edge, monotonic_ns};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -13,6 +20,15 @@ use std::time::{Duration, Instant};
 const SILENCE: Duration = Duration::from_millis(1500);
 /// Of a peer that has not come after this time the user is told.
 const PATIENCE: Duration = Duration::from_secs(5);
+
+/// So many sessions of a peer are told of: the present one, and some that may be earlier ones, of which somebody repeats what they
+/// said.
+const SESSIONS: usize = 4;
+/// So many reasons are told for which a peer is refused.
+const REASONS: usize = 8;
+
+/// What is said of a message of a session that has been.
+pub(crate) const OF_EARLIER_START: &str = "it is of an earlier start of the bridge there\n  hint: it has come very late, or somebody repeats what was sent before";
 
 /// The other machines, as the threads of a bridge share them.
 pub(crate) struct Links {
@@ -22,6 +38,9 @@ pub(crate) struct Links {
     started: Instant,
     peers: Mutex<BTreeMap<String, Peer>>,
     acks: Mutex<BTreeMap<(String, String), Ack>>,
+    seal: Seal,
+    /// Whether a peer waits for a heartbeat, to know that it is heard.
+    owes_answer: AtomicBool,
 }
 
 /// One other machine.
@@ -29,10 +48,17 @@ pub(crate) struct Links {
 pub(crate) struct Peer {
     heard: Option<Instant>,
     since: Option<Instant>,
-    sample: ClockSample,
+    /// The last heartbeat of each of its sessions, proved or not, the newest last.
+    samples: VecDeque<ClockSample>,
+    /// The session that has proved to be the present one.
+    session: Option<u64>,
+    /// When the last heartbeat from here was sent that the peer has told of.
+    answered_ns: u64,
+    /// Whether it has been told of a heartbeat of that session, and so knows the present one here.
+    knows_us: bool,
     clock: Clock,
     acks: BTreeMap<String, Ack>,
-    refused: Option<String>,
+    refused: BTreeSet<String>,
     unlike: Vec<Route>,
     missed: bool,
 }
@@ -51,18 +77,34 @@ fn lock<V>(mutex: &Mutex<V>) -> MutexGuard<'_, V> {
 }
 
 impl Links {
-    pub(crate) fn new(stream: u64, bridge: &BridgePlan) -> Self {
+    /// What a bridge of this session knows before it has heard of anybody.
+    pub(crate) fn new(stream: u64, seal: Seal, bridge: &BridgePlan) -> Self {
         let peers = bridge.peers().into_iter().map(|peer| (peer.to_owned(), Peer::default())).collect();
         let (machine, routes) = (bridge.machine.clone(), routes(bridge));
-        Self { machine, stream, routes, started: Instant::now(), peers: Mutex::new(peers), acks: Mutex::default() }
+        Self {
+            machine,
+            stream,
+            routes,
+            started: Instant::now(),
+            peers: Mutex::new(peers),
+            acks: Mutex::default(),
+            seal,
+            owes_answer: AtomicBool::new(false),
+        }
     }
 
-    /// Takes in a heartbeat.
-    pub(crate) fn heard(&self, machine: &str, bytes: &[u8]) {
+    /// What makes and checks the codes of messages.
+    pub(crate) fn seal(&self) -> &Seal {
+        &self.seal
+    }
+
+    /// Takes in a heartbeat that came under this Zenoh key.
+    pub(crate) fn heard(&self, machine: &str, zenoh_key: &str, bytes: &[u8]) {
         let now_ns = monotonic_ns();
+        let opened = self.seal.open(zenoh_key, bytes).and_then(|_| decode_note::<Heartbeat>(bytes));
         let mut peers = lock(&self.peers);
         let Some(peer) = peers.get_mut(machine) else { return };
-        match decode_note::<Heartbeat>(bytes) {
+        match opened {
             Ok(Heartbeat { layouts: theirs, .. }) if theirs != layouts() => {
                 refuse(machine, peer, &WireError::Layout { ours: layouts(), theirs });
             }
@@ -71,32 +113,37 @@ impl Links {
         }
     }
 
-    /// Beacons may come by two sessions: one that was overtaken tells nothing new.
+    /// Heartbeats may come by two ways, and somebody may repeat them: one that was overtaken tells nothing new.
     fn take_in(&self, machine: &str, peer: &mut Peer, heartbeat: Heartbeat, now_ns: u64) {
         let now = Instant::now();
-        if heartbeat.stream == peer.sample.stream && heartbeat.sent_ns <= peer.sample.sent_ns {
+        let sample = ClockSample {
+            machine: machine.to_owned(),
+            stream: heartbeat.stream,
+            sent_ns: heartbeat.sent_ns,
+            received_ns: now_ns,
+        };
+        let Some(is_new_session) = peer.note(sample) else { return };
+        if is_new_session {
+            self.owes_answer.store(true, Ordering::Relaxed);
+        }
+        let own = |sample: &&ClockSample| sample.machine == self.machine && sample.stream == self.stream;
+        let Some(own) = heartbeat.samples.iter().find(own) else { return };
+        if peer.session != Some(heartbeat.stream) && own.sent_ns <= peer.answered_ns {
             return;
         }
+        peer.answered_ns = peer.answered_ns.max(own.sent_ns);
         if !is_connected(peer, now) {
             tracing::info!("the link to machine `{machine}` is up");
             peer.since = Some(now);
         }
         peer.heard = Some(now);
         self.compare(machine, peer, &heartbeat.routes);
-        if heartbeat.stream != peer.sample.stream {
+        if peer.session.replace(heartbeat.stream) != Some(heartbeat.stream) {
+            peer.knows_us = false;
             peer.clock.clear();
             peer.acks.clear();
         }
-        let own = |sample: &&ClockSample| sample.machine == self.machine && sample.stream == self.stream;
-        if let Some(sample) = heartbeat.samples.iter().find(own) {
-            peer.clock.add([sample.sent_ns, sample.received_ns, heartbeat.sent_ns, now_ns]);
-        }
-        peer.sample = ClockSample {
-            machine: machine.to_owned(),
-            stream: heartbeat.stream,
-            sent_ns: heartbeat.sent_ns,
-            received_ns: now_ns,
-        };
+        peer.clock.add([own.sent_ns, own.received_ns, heartbeat.sent_ns, now_ns]);
         let acks = heartbeat.acks.into_iter().filter(|ack| ack.from == self.machine);
         peer.acks.extend(acks.map(|ack| (ack.topic.clone(), ack)));
     }
@@ -133,10 +180,26 @@ impl Links {
         lock(&self.acks).values().cloned().collect()
     }
 
+    /// Whether somebody has come, who is told so by the next heartbeat; since this was asked last.
+    pub(crate) fn owes_answer(&self) -> bool {
+        self.owes_answer.swap(false, Ordering::Relaxed)
+    }
+
+    /// Says a heartbeat, with these acknowledgements, under this Zenoh key.
+    pub(crate) fn say(&self, zenoh_key: &str, acks: Vec<Ack>, put: impl FnOnce(Vec<u8>)) {
+        let heartbeat = self.heartbeat(acks);
+        let Ok(mut bytes) = encode_note(&heartbeat) else { return };
+        self.seal.close(zenoh_key, &mut bytes);
+        put(bytes);
+        for (machine, peer) in lock(&self.peers).iter_mut() {
+            let told = |sample: &ClockSample| sample.machine == *machine && Some(sample.stream) == peer.session;
+            peer.knows_us |= heartbeat.samples.iter().any(told);
+        }
+    }
+
     /// The heartbeat that is due now.
-    pub(crate) fn heartbeat(&self, acks: Vec<Ack>) -> Heartbeat {
-        let peers = lock(&self.peers);
-        let samples = peers.values().filter(|peer| peer.heard.is_some()).map(|peer| peer.sample.clone()).collect();
+    fn heartbeat(&self, acks: Vec<Ack>) -> Heartbeat {
+        let samples = lock(&self.peers).values().flat_map(|peer| peer.samples.clone()).collect();
         Heartbeat {
             stream: self.stream,
             sent_ns: monotonic_ns(),
@@ -153,15 +216,26 @@ impl Links {
         peers.get(machine).map_or((None, None), |peer| (peer.acks.get(topic).cloned(), peer.heard))
     }
 
-    /// Whether a peer was heard of just now.
-    pub(crate) fn is_connected(&self, machine: &str) -> bool {
-        lock(&self.peers).get(machine).is_some_and(|peer| is_connected(peer, Instant::now()))
+    /// Whether a message is of the session of a machine that has proved to be the present one.
+    ///
+    /// # Errors
+    /// It is of an earlier one.
+    pub(crate) fn is_present(&self, machine: &str, session: u64) -> Result<bool, &'static str> {
+        match lock(&self.peers).get(machine).and_then(|peer| peer.session) {
+            Some(present) if session < present => Err(OF_EARLIER_START),
+            present => Ok(present == Some(session)),
+        }
     }
 
-    /// The time to a peer and back, if it was heard of just now; 0 before that has been measured.
+    /// Whether a peer was heard of just now, and takes what is sent to it.
+    pub(crate) fn is_connected(&self, machine: &str) -> bool {
+        lock(&self.peers).get(machine).is_some_and(takes_messages)
+    }
+
+    /// The time to a peer and back, if it was heard of just now and takes what is sent to it.
     pub(crate) fn round_trip(&self, machine: &str) -> Option<Duration> {
         let peers = lock(&self.peers);
-        let peer = peers.get(machine).filter(|peer| is_connected(peer, Instant::now()))?;
+        let peer = peers.get(machine).filter(|peer| takes_messages(peer))?;
         let nanoseconds = peer.clock.best().map_or(0, |exchange| exchange.round_trip_ns);
         Some(Duration::from_nanos(u64::try_from(nanoseconds).unwrap_or(0)))
     }
@@ -192,28 +266,58 @@ impl Links {
     }
 }
 
+impl Peer {
+    /// Notes a heartbeat; nothing if it is no later than another of its session, else whether that is a new one.
+    fn note(&mut self, sample: ClockSample) -> Option<bool> {
+        let known = self.samples.iter().position(|known| known.stream == sample.stream);
+        if known.is_some_and(|at| self.samples[at].sent_ns >= sample.sent_ns) {
+            return None;
+        }
+        // Of the session that has proved itself is told in any case.
+        let other = || self.samples.iter().position(|known| Some(known.stream) != self.session);
+        let gives_way = known.or_else(|| other().filter(|_| self.samples.len() == SESSIONS));
+        gives_way.into_iter().for_each(|at| drop(self.samples.remove(at)));
+        self.samples.push_back(sample);
+        Some(known.is_none())
+    }
+}
+
+/// Whether messages to a peer are not in vain: it takes them from nobody before the session here has proved itself to it.
+fn takes_messages(peer: &Peer) -> bool {
+    peer.knows_us && is_connected(peer, Instant::now())
+}
+
 fn is_connected(peer: &Peer, now: Instant) -> bool {
     peer.heard.is_some_and(|heard| now.saturating_duration_since(heard) < SILENCE)
 }
 
-/// Says once that a peer has never been heard of, and was not refused either.
+/// Says once that a peer has never been heard of, or does not hear this one, and was not refused either.
 fn miss(machine: &str, peer: &mut Peer) {
-    if peer.heard.is_none() && peer.refused.is_none() && !peer.missed {
+    if peer.heard.is_some() || !peer.refused.is_empty() || peer.missed {
+        return;
+    }
+    peer.missed = true;
+    if peer.samples.is_empty() {
         tracing::warn!(
             "nothing was heard of machine `{machine}` in {} s\n  hint: is it started there with `--machine {machine}`, and \
              does one side `connect` to where the other listens? a router joins only what has mode: \"client\"",
             PATIENCE.as_secs()
         );
-        peer.missed = true;
+    } else {
+        tracing::warn!(
+            "machine `{machine}` is heard, and in {} s has not told that it hears this one\n  hint: what does it say there? \
+             does an access control keep what this machine sends from it? somebody may also repeat what it once sent",
+            PATIENCE.as_secs()
+        );
     }
 }
 
-/// Says once why a peer is not listened to.
+/// Says once why a peer is not listened to; who comes with ever new reasons fills no log.
 fn refuse(machine: &str, peer: &mut Peer, error: &WireError) {
     let reason = error.to_string();
-    if peer.refused.as_ref() != Some(&reason) {
+    if peer.refused.len() < REASONS && !peer.refused.contains(&reason) {
         tracing::error!("refused machine `{machine}`: {reason}");
-        peer.refused = Some(reason);
+        peer.refused.insert(reason);
     }
 }
 
@@ -231,4 +335,140 @@ fn routes_of(edge: &Edge) -> impl Iterator<Item = Route> {
         let what = format!("topic `{topic}` with {kind} of {writers}, {delivery}");
         Route { from: edge.from.clone(), to: receiver.machine.clone(), what }
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wire::seal::secret;
+    use conicflow_dataflow::LinkKey;
+    use conicflow_dataflow::pipeline::Machine;
+
+    /// A session of a bridge that knows of one other machine.
+    fn session(machine: &str, peer: &str, stream: u64, secret: &LinkKey) -> Links {
+        let (machine, settings) = (machine.to_owned(), Machine::default());
+        let plan = BridgePlan { machine, settings, outgoing: Vec::new(), incoming: Vec::new() };
+        let links = Links::new(stream, Seal::new(Some(secret), stream), &plan);
+        lock(&links.peers).insert(peer.to_owned(), Peer::default());
+        links
+    }
+
+    fn robot(stream: u64, secret: &LinkKey) -> Links {
+        session("robot", "base", stream, secret)
+    }
+
+    fn base(stream: u64, secret: &LinkKey) -> Links {
+        session("base", "robot", stream, secret)
+    }
+
+    /// The next heartbeat of a bridge, with acknowledgements of the machine `base`, as it goes onto the link.
+    fn beat(links: &Links) -> Vec<u8> {
+        let ack = Ack { from: "base".to_owned(), topic: "objects".to_owned(), next: links.stream, ..Ack::default() };
+        let mut said = Vec::new();
+        links.say(&links.machine, vec![ack], |bytes| said = bytes);
+        said
+    }
+
+    fn hear(links: &Links, machine: &str, beats: &[Vec<u8>]) {
+        beats.iter().for_each(|bytes| links.heard(machine, machine, bytes));
+    }
+
+    /// Lets two bridges talk; what the robot has said.
+    fn talk(robot: &Links, base: &Links) -> Vec<Vec<u8>> {
+        let mut said = Vec::new();
+        for _ in 0..3 {
+            said.push(beat(robot));
+            hear(base, "robot", &said[said.len() - 1..]);
+            hear(robot, "base", &[beat(base)]);
+        }
+        said
+    }
+
+    /// The session of the robot that a base believes, by what it has acknowledged, too.
+    fn believed(base: &Links) -> Option<u64> {
+        let acknowledged = base.ack_of("robot", "objects").0.map(|ack| ack.next);
+        let session = lock(&base.peers)["robot"].session;
+        assert_eq!(acknowledged, session);
+        assert!(session.is_none_or(|session| base.is_present("robot", session) == Ok(true)));
+        session
+    }
+
+    #[test]
+    fn a_bridge_is_believed_when_it_has_heard_who_asks_and_sent_to_when_it_believes() {
+        let secret = secret();
+        let (robot, base) = (robot(1, &secret), base(2, &secret));
+        hear(&base, "robot", &[beat(&robot)]);
+        assert_eq!((believed(&base), base.owes_answer(), base.owes_answer()), (None, true, false));
+        hear(&robot, "base", &[beat(&base)]);
+        assert_eq!(robot.is_present("base", 2), Ok(true));
+        assert!(robot.owes_answer() && !robot.is_connected("base"), "the base would not take anything yet");
+        let answer = beat(&robot);
+        assert!(robot.is_connected("base") && robot.round_trip("base").is_some());
+        hear(&base, "robot", &[answer]);
+        assert_eq!(believed(&base), Some(1));
+    }
+
+    #[test]
+    fn what_an_earlier_start_of_a_bridge_has_said_is_not_believed_again() {
+        let secret = secret();
+        let first_base = base(10, &secret);
+        let first_robot = robot(1, &secret);
+        let mut recorded = talk(&first_robot, &first_base);
+        assert_eq!(believed(&first_base), Some(1));
+        let held_back = beat(&first_robot);
+        // The robot's clock is set back in between.
+        for stream in [7, 3] {
+            let present = robot(stream, &secret);
+            recorded.extend(talk(&present, &first_base));
+            hear(&first_base, "robot", &recorded);
+            assert_eq!(believed(&first_base), Some(stream));
+        }
+        hear(&first_base, "robot", &[held_back]);
+        assert_eq!(believed(&first_base), Some(3));
+        assert_eq!(first_base.is_present("robot", 1), Err(OF_EARLIER_START));
+        assert_eq!(first_base.is_present("robot", 7), Ok(false));
+        let second_base = base(11, &secret);
+        hear(&second_base, "robot", &recorded);
+        assert_eq!(believed(&second_base), None, "nothing of that was said to this start of the base");
+        talk(&robot(4, &secret), &second_base);
+        assert_eq!(believed(&second_base), Some(4));
+    }
+
+    #[test]
+    fn repeated_heartbeats_do_not_keep_the_present_session_from_being_told_of() {
+        let secret = secret();
+        let base = base(100, &secret);
+        let recorded: Vec<_> =
+            (1..8).flat_map(|stream| talk(&robot(stream, &secret), &self::base(99, &secret))).collect();
+        talk(&robot(8, &secret), &base);
+        hear(&base, "robot", &recorded);
+        let samples = &lock(&base.peers)["robot"].samples;
+        assert!(samples.len() == SESSIONS && samples.iter().any(|sample| sample.stream == 8), "{samples:?}");
+    }
+
+    #[test]
+    fn a_forged_heartbeat_changes_nothing_and_is_told() {
+        let secrets = [secret(), secret()];
+        let base = base(10, &secrets[0]);
+        let present = robot(1, &secrets[0]);
+        let said = talk(&present, &base);
+        let sent_ns = || lock(&base.peers)["robot"].samples[0].sent_ns;
+        let before = sent_ns();
+        let next = beat(&present);
+        for at in [6, 20, 45, next.len() - 1] {
+            let mut changed = next.clone();
+            changed[at] ^= 1;
+            hear(&base, "robot", &[changed]);
+        }
+        hear(&base, "robot", &[next[..next.len() - 1].to_vec()]);
+        base.heard("robot", "base", &next);
+        let (stranger, ear) = (robot(2, &secrets[1]), self::base(10, &secrets[1]));
+        hear(&base, "robot", &talk(&stranger, &ear));
+        hear(&base, "robot", &said);
+        assert_eq!((believed(&base), sent_ns()), (Some(1), before));
+        let refused = lock(&base.peers)["robot"].refused.clone();
+        assert_eq!(refused, BTreeSet::from([WireError::WrongCode.to_string()]));
+        hear(&base, "robot", &[next]);
+        assert_ne!(sent_ns(), before, "the true one passes");
+    }
 }

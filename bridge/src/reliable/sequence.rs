@@ -27,6 +27,9 @@ pub(crate) enum Verdict {
 #[derive(Debug)]
 pub(crate) struct Sequence {
     lossless: bool,
+    /// Whether its sender made whatever comes: then nothing that comes is ahead of that sender, and what is far behind is repeated
+    /// by somebody else.
+    trusted: bool,
     stream: u64,
     next: u64,
     lost: u64,
@@ -38,8 +41,9 @@ pub(crate) struct Sequence {
 }
 
 impl Sequence {
-    pub(crate) fn new(lossless: bool) -> Self {
-        Self { lossless, stream: 0, next: 0, lost: 0, misled: false, came: None, new_came: None }
+    /// Of an edge of which nothing has come; `trusted` if codes show who made what comes.
+    pub(crate) fn new(lossless: bool, trusted: bool) -> Self {
+        Self { lossless, trusted, stream: 0, next: 0, lost: 0, misled: false, came: None, new_came: None }
     }
 
     /// The stream that is received, and the number that is expected next.
@@ -70,7 +74,7 @@ impl Sequence {
         if place.stream != self.stream {
             (self.stream, self.next) = (place.stream, oldest);
         }
-        let is_far_behind = self.next.saturating_sub(place.number) > FARTHEST_BEHIND;
+        let is_far_behind = !self.trusted && self.next.saturating_sub(place.number) > FARTHEST_BEHIND;
         // Where the newest wins, one way may be much slower than another: there nothing new must have come as well.
         if is_far_behind && !may_be_repeated && (self.lossless || is_silent(self.new_came)) {
             // What seemed to be lost up to that number has not been sent yet.
@@ -110,7 +114,7 @@ mod tests {
 
     #[test]
     fn lossless_takes_each_once_and_in_order() {
-        let mut sequence = Sequence::new(true);
+        let mut sequence = Sequence::new(true, false);
         let verdicts = [3, 5, 4, 3, 5].map(|number| take(&mut sequence, 1, number, 3));
         assert_eq!(verdicts, [Verdict::Take, Verdict::Early, Verdict::Take, Verdict::Old, Verdict::Take]);
         assert_eq!((sequence.expected(), sequence.lost()), ((1, 6), 0));
@@ -118,7 +122,7 @@ mod tests {
 
     #[test]
     fn what_the_sender_has_given_up_is_counted_and_not_waited_for() {
-        let mut sequence = Sequence::new(true);
+        let mut sequence = Sequence::new(true, false);
         take(&mut sequence, 1, 0, 0);
         assert_eq!(take(&mut sequence, 1, 9, 8), Verdict::Early);
         assert_eq!(take(&mut sequence, 1, 8, 8), Verdict::Take);
@@ -127,7 +131,7 @@ mod tests {
 
     #[test]
     fn the_newest_wins_where_that_is_wanted() {
-        let mut sequence = Sequence::new(false);
+        let mut sequence = Sequence::new(false, false);
         let verdicts = [4, 6, 5].map(|number| take(&mut sequence, 1, number, number));
         assert_eq!(verdicts, [Verdict::Take, Verdict::Take, Verdict::Old]);
         assert_eq!(sequence.lost(), 1);
@@ -136,7 +140,7 @@ mod tests {
     #[test]
     fn a_sender_that_starts_anew_is_followed_and_its_predecessor_not() {
         for lossless in [true, false] {
-            let mut sequence = Sequence::new(lossless);
+            let mut sequence = Sequence::new(lossless, false);
             take(&mut sequence, 5, 7, 7);
             assert_eq!(take(&mut sequence, 6, 0, 0), Verdict::Take);
             assert_eq!(take(&mut sequence, 5, 8, 8), Verdict::Old);
@@ -147,7 +151,7 @@ mod tests {
     #[test]
     fn a_number_that_the_sender_never_reached_stops_nothing() {
         for (lossless, forged) in [(true, 1 << 63), (false, 1 << 63), (true, u64::MAX), (false, 100_000)] {
-            let (mut sequence, start) = (Sequence::new(lossless), Instant::now());
+            let (mut sequence, start) = (Sequence::new(lossless, false), Instant::now());
             let mut take = |number: u64, oldest: u64, now: Instant| {
                 take_at(&mut sequence, Place { stream: 1, number, oldest }, now)
             };
@@ -165,8 +169,23 @@ mod tests {
     }
 
     #[test]
+    fn what_somebody_repeats_of_a_trusted_sender_is_old_however_old_it_is() {
+        for lossless in [true, false] {
+            let (mut sequence, start) = (Sequence::new(lossless, true), Instant::now());
+            let place = |number| Place { stream: 1, number, oldest: number };
+            (0..300).for_each(|number| assert_eq!(take_at(&mut sequence, place(number), start), Verdict::Take));
+            for later in [Duration::ZERO, 2 * SILENCE] {
+                for number in [299, 200, 0] {
+                    assert_eq!(take_at(&mut sequence, place(number), start + later), Verdict::Old, "{number}");
+                }
+            }
+            assert_eq!((sequence.expected(), sequence.lost(), sequence.was_misled()), ((1, 300), 0, false));
+        }
+    }
+
+    #[test]
     fn what_comes_late_by_a_slow_way_is_old_as_long_as_new_ones_come() {
-        let (mut sequence, start) = (Sequence::new(false), Instant::now());
+        let (mut sequence, start) = (Sequence::new(false, false), Instant::now());
         for number in 0..300_u64 {
             let now = start + Duration::from_millis(33 * number);
             assert_eq!(take_at(&mut sequence, Place { stream: 1, number, oldest: number }, now), Verdict::Take);
@@ -178,7 +197,7 @@ mod tests {
 
     #[test]
     fn what_is_sent_again_because_its_acknowledgement_was_lost_is_old() {
-        let mut sequence = Sequence::new(true);
+        let mut sequence = Sequence::new(true, false);
         take(&mut sequence, 1, FARTHEST_BEHIND, FARTHEST_BEHIND);
         assert_eq!(take(&mut sequence, 1, 1, 1), Verdict::Old);
         take(&mut sequence, 1, FARTHEST_BEHIND + 1, FARTHEST_BEHIND + 1);
@@ -189,7 +208,7 @@ mod tests {
 
     #[test]
     fn a_sender_whose_clock_was_set_back_is_followed_when_its_predecessor_is_silent() {
-        let (mut sequence, start) = (Sequence::new(true), Instant::now());
+        let (mut sequence, start) = (Sequence::new(true, false), Instant::now());
         let place = |stream, number| Place { stream, number, oldest: number };
         assert_eq!(take_at(&mut sequence, place(5, 7), start), Verdict::Take);
         assert_eq!(take_at(&mut sequence, place(4, 0), start + SILENCE), Verdict::Old);

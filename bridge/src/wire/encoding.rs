@@ -37,6 +37,24 @@ pub enum WireError {
         /// The other's.
         theirs: String,
     },
+    /// Somebody else made them, or changed them, or they belong elsewhere.
+    #[error(
+        "its code was not made with the key of this machine\n  hint: are the keys of all machines the same file? make one with \
+         `conicflow key`, copy it, and name it in each machine's table as `key`. If they are, somebody else is on the link"
+    )]
+    WrongCode,
+    /// There is a key here, and none there.
+    #[error(
+        "it has no code, and this machine takes only what was made with its key\n  hint: give all machines the same `key`, \
+         as `conicflow key` makes it, or all `insecure = true`. If they have it, somebody else is on the link"
+    )]
+    NoCode,
+    /// There is a key there, and none here.
+    #[error(
+        "it has a code, and this machine has no key\n  hint: give all machines the same `key`, as `conicflow key` makes it, \
+         or all `insecure = true`"
+    )]
+    UnexpectedCode,
     /// They are too many.
     #[error("a message of {bytes} bytes, allowed are {MAX_MESSAGE}\n  hint: send smaller images, or lists")]
     TooLong {

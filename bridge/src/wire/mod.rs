@@ -1,10 +1,11 @@
 //! The bytes of a message between machines, and the border where bytes from another machine become a message.
 //!
-//! `CFLO`, the wire's version as a little-endian `u16`, the place in the link's stream as three little-endian `u64`, then in
-//! bincode 2 (`config::standard()`): the names of the memory layouts, the header, and the body ([`codec`]): of
-//! objects and tracks a count and the items; of images and ellipses a byte for the compression (0 none, 1 LZ4, 2 Zstandard),
-//! and what it has made, without compression the pixels as little-endian `u16`, and a count and the items; of all others a byte
-//! for the compression, a count and the items as they lie in memory.
+//! `CFLO`, the wire's version as a little-endian `u16`, the session as a little-endian `u64` (one number per start of the
+//! sending bridge), 32 bytes of a code ([`seal`]; zeros where there is no key), the place in the link's stream as three
+//! little-endian `u64`, then in bincode 2 (`config::standard()`): the names of the memory layouts, the header, and the body
+//! ([`codec`]): of objects and tracks a count and the items; of images and ellipses a byte for the compression (0 none, 1 LZ4,
+//! 2 Zstandard), and what it has made, without compression the pixels as little-endian `u16`, and a count and the items; of all
+//! others a byte for the compression, a count and the items as they lie in memory. Who only reads may pass over the code.
 //! Nothing is believed: version, layouts, sizes, lengths, ranges and numbers are checked before a message is handed on.
 
 pub(crate) mod codec;
@@ -12,6 +13,7 @@ mod compression;
 mod depth_codec;
 mod ellipse_codec;
 mod encoding;
+pub(crate) mod seal;
 #[cfg(test)]
 mod tests;
 
@@ -29,6 +31,8 @@ use serde::{Deserialize, Serialize};
 pub const WIRE_VERSION: u16 = 4;
 const MAGIC: [u8; 4] = *b"CFLO";
 const PREFIX: usize = MAGIC.len() + size_of::<u16>();
+/// Bytes of the session and of the code, which are written when the message goes out.
+const SEAL: usize = 8 + 32;
 
 /// Where a message stands in the stream of its link.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -123,7 +127,7 @@ pub(crate) fn decode_note<N: DeserializeOwned>(bytes: &[u8]) -> Result<N, WireEr
 
 /// Tells anew, in the bytes of a message that is sent again, which is the oldest that is still kept.
 pub(crate) fn set_oldest(bytes: &mut [u8], oldest: u64) {
-    if let Some(slot) = bytes.get_mut(PREFIX + 16..PREFIX + 24) {
+    if let Some(slot) = bytes.get_mut(PREFIX + SEAL + 16..PREFIX + SEAL + 24) {
         slot.copy_from_slice(&oldest.to_le_bytes());
     }
 }
@@ -150,15 +154,18 @@ fn layout(items: &str) -> String {
 }
 
 fn opening_bytes() -> Vec<u8> {
-    [MAGIC.as_slice(), &WIRE_VERSION.to_le_bytes()].concat()
+    [MAGIC.as_slice(), &WIRE_VERSION.to_le_bytes(), &[0; SEAL]].concat()
 }
 
-/// What follows the prefix of bytes that are ours.
+/// What follows the prefix and the seal of bytes that are ours.
 fn content(bytes: &[u8]) -> Result<&[u8], WireError> {
     if bytes.len() > MAX_MESSAGE {
         return Err(WireError::TooLong { bytes: bytes.len() });
     }
     let rest = bytes.strip_prefix(&MAGIC).filter(|_| bytes.len() >= PREFIX).ok_or(WireError::Foreign)?;
     let theirs = u16::from_le_bytes([rest[0], rest[1]]);
-    if theirs == WIRE_VERSION { Ok(&bytes[PREFIX..]) } else { Err(WireError::Version { ours: WIRE_VERSION, theirs }) }
+    if theirs != WIRE_VERSION {
+        return Err(WireError::Version { ours: WIRE_VERSION, theirs });
+    }
+    bytes.get(PREFIX + SEAL..).ok_or_else(|| WireError::Broken("no room for a code".to_owned()))
 }

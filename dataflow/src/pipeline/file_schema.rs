@@ -181,8 +181,13 @@ fn machine() -> Json {
             "listen": endpoints("Zenoh endpoints to listen on, such as `tcp/192.168.0.2:7447`; none: nothing listens."),
             "connect": endpoints("Zenoh endpoints to connect to."),
             "zenoh": { "description": "A Zenoh configuration that adds to ours.", "type": "string" },
+            "key": {
+                "description": "The file of the secret that all machines share, as `conicflow key` makes it: nothing else is \
+                                believed.",
+                "type": "string",
+            },
             "insecure": {
-                "description": "Whether an endpoint that others can reach may be open to everyone.",
+                "description": "Whether an endpoint that others can reach may be open to everyone, who are then believed.",
                 "type": "boolean", "default": false,
             },
             "outage_s": {

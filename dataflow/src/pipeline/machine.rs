@@ -16,7 +16,9 @@ pub struct Machine {
     pub connect: Vec<String>,
     /// A file with a Zenoh configuration of one's own, which adds to this one and overrides it.
     pub zenoh: Option<PathBuf>,
-    /// Endpoints that others can reach may be open to everyone.
+    /// The secret that all machines of the pipeline share ([`LinkKey`](crate::LinkKey)).
+    pub key: Option<PathBuf>,
+    /// Endpoints that others can reach may be open to everyone, and whatever comes there is believed.
     pub insecure: bool,
     /// Lossless edges from here wait so long for a machine that has gone; `None`: the default, in seconds.
     pub outage_s: Option<f64>,

@@ -2,13 +2,14 @@
 
 use super::{MAX_STAGE_NAME, Reader};
 use crate::network::{NO_NETWORK, NO_NETWORK_HINT};
+use crate::pipeline::diagnostic::Place;
 use crate::pipeline::machine::Machine;
 use crate::pipeline::value::Entry;
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
-pub const MACHINE_KEYS: [&str; 5] = ["listen", "connect", "zenoh", "insecure", "outage_s"];
+pub const MACHINE_KEYS: [&str; 6] = ["listen", "connect", "zenoh", "key", "insecure", "outage_s"];
 pub const OUTAGE_S: RangeInclusive<f64> = 0.0..=86_400.0;
 const OUTAGE_HINT: &str = "how long lossless edges wait for a machine that has gone";
 
@@ -18,7 +19,20 @@ impl Reader<'_> {
         if let (None, Some(first)) = (&self.context.registry.network, table.0.first()) {
             self.fault(&first.key_place, NO_NETWORK, NO_NETWORK_HINT);
         }
-        table.0.into_iter().map(|entry| (entry.key.clone(), self.machine(entry))).collect()
+        let places: Vec<_> = table.0.iter().map(|entry| (entry.key.clone(), entry.key_place.clone())).collect();
+        let machines = table.0.into_iter().map(|entry| (entry.key.clone(), self.machine(entry))).collect();
+        self.check_keys(&machines, &places);
+        machines
+    }
+
+    /// What a machine with a key sends, one without does not take, and the other way round.
+    fn check_keys(&mut self, machines: &BTreeMap<String, Machine>, places: &[(String, Place)]) {
+        let Some((with, _)) = machines.iter().find(|(_, machine)| machine.key.is_some()) else { return };
+        let without = |name: &str| machines.get(name).is_some_and(|machine| machine.key.is_none());
+        for (name, place) in places.iter().filter(|(name, _)| without(name)) {
+            let what = format!("machine `{name}` has no `key`, but machine `{with}` has one");
+            self.fault(place, what, "give all machines the same key, each in its own table");
+        }
     }
 
     fn machine(&mut self, entry: Entry) -> Machine {
@@ -30,10 +44,11 @@ impl Reader<'_> {
         let listen = endpoints(self, "listen").unwrap_or_default();
         let connect = endpoints(self, "connect").unwrap_or_default();
         let zenoh = table.take("zenoh").and_then(|entry| self.existing_file(&entry));
+        let key = table.take("key").and_then(|entry| self.existing_file(&entry));
         let insecure = table.take("insecure").and_then(|entry| self.boolean(&entry)).unwrap_or_default();
         let outage_s = table.take("outage_s").and_then(|entry| self.seconds(&entry, OUTAGE_S, OUTAGE_HINT));
         self.unknown_keys(&table, &MACHINE_KEYS, &owner);
-        let machine = Machine { listen, connect, zenoh, insecure, outage_s };
+        let machine = Machine { listen, connect, zenoh, key, insecure, outage_s };
         if let Some(network) = &self.context.registry.network
             && let Err(error) = (network.check)(&machine)
         {

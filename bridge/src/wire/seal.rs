@@ -1,0 +1,152 @@
+//! The code by which machines of a pipeline know each other's messages, where they share a key.
+//!
+//! It is HMAC-SHA256 by that key, over the length of the Zenoh key as a little-endian `u64`, the Zenoh key, and all bytes of the
+//! message but the code: so nobody without the key can make a message, change one, or put one under another topic. To
+//! put one there again is told by what it says: by the session, which its sender has to prove to be the present one
+//! ([`links`](crate::peer::links)), and within that by its number, or of a heartbeat its time.
+
+use super::{PREFIX, SEAL, WireError, content};
+use conicflow_dataflow::LinkKey;
+use ring::hmac::{Context, HMAC_SHA256, Key, Tag};
+use subtle::ConstantTimeEq;
+
+/// Bytes of the session.
+const SESSION: usize = size_of::<u64>();
+/// Where the code begins.
+const CODE: usize = PREFIX + SESSION;
+/// Where the code ends.
+const SEALED: usize = PREFIX + SEAL;
+
+/// Makes and checks codes.
+pub(crate) struct Seal {
+    key: Option<Key>,
+    /// One number per start of this bridge.
+    session: u64,
+}
+
+impl Seal {
+    /// What this start of the bridge sends; without a key it has no codes, and all that others send without one is believed.
+    pub(crate) fn new(key: Option<&LinkKey>, session: u64) -> Self {
+        Self { key: key.map(|key| Key::new(HMAC_SHA256, key.bytes())), session }
+    }
+
+    pub(crate) fn has_key(&self) -> bool {
+        self.key.is_some()
+    }
+
+    /// Writes the session, and the code if there is a key, into a message or a note that was made
+    /// here, and goes out under this Zenoh key.
+    pub(crate) fn close(&self, zenoh_key: &str, bytes: &mut [u8]) {
+        bytes[PREFIX..CODE].copy_from_slice(&self.session.to_le_bytes());
+        if let Some(key) = &self.key {
+            let code = code(key, zenoh_key, bytes);
+            bytes[CODE..SEALED].copy_from_slice(code.as_ref());
+        }
+    }
+
+    /// The session of which a message claims to be, where it has been made by somebody with the key, for this Zenoh key.
+    pub(crate) fn open(&self, zenoh_key: &str, bytes: &[u8]) -> Result<u64, WireError> {
+        content(bytes)?;
+        let came = &bytes[CODE..SEALED];
+        let is_there = came.iter().any(|byte| *byte != 0);
+        match &self.key {
+            Some(_) if !is_there => Err(WireError::NoCode),
+            None if is_there => Err(WireError::UnexpectedCode),
+            // In a time that does not tell where the two differ.
+            Some(key) if !bool::from(code(key, zenoh_key, bytes).as_ref().ct_eq(came)) => Err(WireError::WrongCode),
+            _ => Ok(session_of(bytes)),
+        }
+    }
+}
+
+/// The session that a message claims to be of.
+fn session_of(bytes: &[u8]) -> u64 {
+    bytes[PREFIX..CODE].iter().rev().fold(0, |sum, &byte| sum << 8 | u64::from(byte))
+}
+
+/// The code of a message; what it holds in the place of its code does not count.
+fn code(key: &Key, zenoh_key: &str, bytes: &[u8]) -> Tag {
+    let mut context = Context::with_key(key);
+    context.update(&(zenoh_key.len() as u64).to_le_bytes());
+    [zenoh_key.as_bytes(), &bytes[..CODE], &bytes[SEALED..]].iter().for_each(|part| context.update(part));
+    context.sign()
+}
+
+/// A new secret.
+#[cfg(test)]
+#[allow(clippy::unwrap_used)] // what a test cannot go on from is its failure
+pub(crate) fn secret() -> LinkKey {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("robot.key");
+    LinkKey::make(&path).unwrap();
+    LinkKey::read(&path).unwrap()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::opening_bytes;
+    use super::*;
+
+    const ZENOH_KEY: &str = "conicflow/tracking/robot/ellipses";
+
+    fn closed(seal: &Seal) -> Vec<u8> {
+        let mut bytes = [opening_bytes().as_slice(), b"place, header and body"].concat();
+        seal.close(ZENOH_KEY, &mut bytes);
+        bytes
+    }
+
+    #[test]
+    fn what_was_made_with_the_key_passes_and_tells_its_session() {
+        let secret = secret();
+        let (ours, theirs) = (Seal::new(Some(&secret), 1), Seal::new(Some(&secret), 0x0102_0304_0506_0708));
+        assert_eq!(ours.open(ZENOH_KEY, &closed(&theirs)), Ok(0x0102_0304_0506_0708));
+        let plain = Seal::new(None, 7);
+        assert_eq!(plain.open(ZENOH_KEY, &closed(&plain)), Ok(7));
+    }
+
+    #[test]
+    fn a_message_with_any_byte_changed_added_or_missing_does_not_pass() {
+        let seal = Seal::new(Some(&secret()), 1);
+        let good = closed(&seal);
+        for at in 0..good.len() {
+            for change in [1, 0x80, 0xff] {
+                let mut bytes = good.clone();
+                bytes[at] ^= change;
+                let error = seal.open(ZENOH_KEY, &bytes).unwrap_err();
+                let expected = match at {
+                    0..4 => matches!(error, WireError::Foreign),
+                    4..6 => matches!(error, WireError::Version { .. }),
+                    _ => error == WireError::WrongCode,
+                };
+                assert!(expected, "byte {at} ^ {change}: {error}");
+            }
+            assert!(seal.open(ZENOH_KEY, &good[..at]).is_err(), "cut at {at}");
+        }
+        assert_eq!(seal.open(ZENOH_KEY, &[good.as_slice(), &[0]].concat()), Err(WireError::WrongCode));
+    }
+
+    #[test]
+    fn a_message_of_another_topic_machine_or_pipeline_does_not_pass() {
+        let seal = Seal::new(Some(&secret()), 1);
+        let good = closed(&seal);
+        for other in
+            ["conicflow/tracking/robot/objects", "conicflow/other/robot/ellipses", "conicflow/tracking/robot", ""]
+        {
+            assert_eq!(seal.open(other, &good), Err(WireError::WrongCode), "{other}");
+        }
+    }
+
+    #[test]
+    fn who_has_another_key_or_none_does_not_pass() {
+        let [ours, theirs] = [(); 2].map(|()| Seal::new(Some(&secret()), 1));
+        let plain = Seal::new(None, 1);
+        assert_eq!(ours.open(ZENOH_KEY, &closed(&theirs)), Err(WireError::WrongCode));
+        assert_eq!(ours.open(ZENOH_KEY, &closed(&plain)), Err(WireError::NoCode));
+        assert_eq!(plain.open(ZENOH_KEY, &closed(&ours)), Err(WireError::UnexpectedCode));
+        for seal in [&ours, &plain] {
+            for cut in [&b""[..], b"CFLO", &closed(seal)[..SEALED - 1]] {
+                assert!(seal.open(ZENOH_KEY, cut).is_err());
+            }
+        }
+    }
+}
