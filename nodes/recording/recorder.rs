@@ -7,6 +7,7 @@
 //! | `message` | our own message, of a depth image the header alone |
 //! | `image_rect_raw`, `camera_info` | the depth image, in millimetres where these are its units, else in metres |
 //! | `markers` | objects and tracks as RViz and Foxglove draw them |
+//! | `points` | points on their surfaces, for viewers without markers, such as Rerun |
 //! | `json` | short lists as the lines of `json_sink` |
 //!
 //! and `/tf` has the pose of the camera. All messages of a frame have its stamp. What was written is in the file after a second
@@ -17,8 +18,8 @@ use anyhow::{Context as _, Error, Result};
 use conicflow_dataflow::{AnyMessage, ItemType};
 use conicflow_messages::{Header, Hinted, INVALID_FAR, INVALID_NEAR, Object, Text, Track};
 use conicflow_ros::{
-    CAMERA_INFO, CameraInfo, Definition, IMAGE as IMAGE_TYPE, MARKER_ARRAY, Markers, Stamped, TF_MESSAGE, markers,
-    write_metres, write_transform, write_units,
+    CAMERA_INFO, CameraInfo, Definition, IMAGE as IMAGE_TYPE, MARKER_ARRAY, Marked, Markers, POINT_CLOUD, Stamped,
+    TF_MESSAGE, markers, surface_points, write_metres, write_transform, write_units,
 };
 use mcap::records::MessageHeader;
 use mcap::write::NoSeek;
@@ -353,11 +354,11 @@ impl OpenFile {
             memory = image(stamped, header, pixels, memory);
             self.put_ros(&of(IMAGE), IMAGE_TYPE, header, &memory)?;
         }
-        let drawn = message.items::<Object>().map(|objects| markers(stamped, objects, Markers::Replace, Vec::new()));
-        let drawn = drawn
-            .or_else(|| message.items::<Track>().map(|tracks| markers(stamped, tracks, Markers::Replace, Vec::new())));
-        if let Some(drawn) = drawn {
-            self.put_ros(&of("markers"), MARKER_ARRAY, header, &drawn)?;
+        let of_objects = message.items::<Object>().map(|objects| drawn(stamped, objects));
+        let of_tracks = message.items::<Track>().map(|tracks| drawn(stamped, tracks));
+        if let Some([markers, points]) = of_objects.or(of_tracks) {
+            self.put_ros(&of("markers"), MARKER_ARRAY, header, &markers)?;
+            self.put_ros(&of("points"), POINT_CLOUD, header, &points)?;
         }
         if item.is_short() {
             memory.clear();
@@ -418,6 +419,11 @@ impl OpenFile {
         self.waits.get_or_insert_with(Instant::now);
         Ok(())
     }
+}
+
+/// What was found as viewers draw it: by markers, and those that have none by points.
+fn drawn<T: Marked>(stamped: Stamped<'_>, items: &[T]) -> [Vec<u8>; 2] {
+    [markers(stamped, items, Markers::Replace, Vec::new()), surface_points(stamped, items, Vec::new())]
 }
 
 /// A depth image: in millimetres where these are its units, else in metres, where no measurement is not a number, and one that is

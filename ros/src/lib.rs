@@ -3,7 +3,7 @@
 //!
 //! Nothing here knows files, transports or ROS itself. In the order in which a reader of a recording meets them:
 //! [`Image`], [`CompressedImage`] and [`PointCloud`] give [`Depths`], [`CameraInfo`] gives the intrinsics, [`Transforms`] the
-//! camera's pose; [`detections`] tells a list of objects, and [`markers`] draws it. [`definition`] has the text of each message type.
+//! camera's pose; [`detections`] tells a list of objects, and [`markers`] draws it, as [`surface_points`] does for viewers without markers. [`definition`] has the text of each message type.
 //!
 //! Numbers in these messages are those of other programs: whatever is too long, of an unknown encoding or not finite is an
 //! error.
@@ -17,6 +17,7 @@ mod image;
 mod markers;
 mod point_cloud;
 mod rvl;
+mod surface;
 mod transforms;
 
 pub use camera_info::{CameraInfo, Unrectified, camera_info_topics, is_rectified};
@@ -29,4 +30,5 @@ pub use detections::detections;
 pub use image::{Depths, Encoding, Image, write_metres, write_units};
 pub use markers::{Marked, Markers, markers};
 pub use point_cloud::PointCloud;
+pub use surface::surface_points;
 pub use transforms::{Transforms, write_transform};

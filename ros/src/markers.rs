@@ -29,6 +29,8 @@ pub trait Marked {
     fn opacity(&self) -> f32;
     /// Its number from frame to frame, if it has one.
     fn id(&self) -> Option<u64>;
+    /// How it moves, in m/s, if that is known.
+    fn velocity(&self) -> Option<[f64; 3]>;
 }
 
 impl Marked for Object {
@@ -46,6 +48,10 @@ impl Marked for Object {
     }
 
     fn id(&self) -> Option<u64> {
+        None
+    }
+
+    fn velocity(&self) -> Option<[f64; 3]> {
         None
     }
 }
@@ -69,6 +75,10 @@ impl Marked for Track {
 
     fn id(&self) -> Option<u64> {
         Some(self.id)
+    }
+
+    fn velocity(&self) -> Option<[f64; 3]> {
+        Some(self.velocity)
     }
 }
 
@@ -109,7 +119,7 @@ pub fn markers<T: Marked>(stamped: Stamped<'_>, items: &[T], others: Markers, me
 }
 
 /// Colours that also those tell apart who do not see all of them (Okabe and Ito, 2008): orange, sky blue, bluish green.
-fn color(shape: ObjectKind) -> [f32; 3] {
+pub(crate) fn color(shape: ObjectKind) -> [f32; 3] {
     match shape {
         ObjectKind::Sphere => [0.90, 0.62, 0.0],
         ObjectKind::Cylinder => [0.34, 0.71, 0.91],

@@ -7,7 +7,7 @@ use conicflow_messages::Camera;
 /// Most fields of a point; drivers have up to a dozen.
 const MOST_FIELDS: u32 = 64;
 /// The number that stands for single precision.
-const FLOAT32: u8 = 7;
+pub(crate) const FLOAT32: u8 = 7;
 /// A point may be so many pixels away from where the camera sees it.
 const MOST_PIXELS_OFF: f64 = 1.0;
 
