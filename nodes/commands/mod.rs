@@ -23,11 +23,11 @@ use conicflow_dataflow::pipeline::{Pipeline, Report, SourceText, file_schema};
 use conicflow_dataflow::{DEFAULT_LOG, LOG, LaunchError, LinkKey, NO_RUN, Plan, ProcessError, RunOptions, Summary};
 use conicflow_dataflow::{error_text, log_filter, log_to_standard_error};
 use conicflow_lab::experiment::{Experiment, Results, Variation};
-use conicflow_messages::Hinted;
+use conicflow_messages::{Hinted, lasts};
 use doctor::doctor;
 use experiment::Rows;
 use keys::Keys;
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
 use std::collections::BTreeSet;
 use std::fmt::Display;
 use std::io::{self, ErrorKind, Write, stderr, stdout};
@@ -197,6 +197,8 @@ struct RunArguments {
 pub fn main() -> ExitCode {
     let arguments = CommandLine::parse();
     log_to_standard_error(&arguments.log);
+    // That a file may not become larger is told by the write that fails, and is no reason to be killed.
+    signal_hook::flag::register(SIGXFSZ, Arc::default()).ok();
     let command = arguments.command.unwrap_or_else(|| Command::Run(RunArguments::default()));
     match dispatch(command, &arguments.log) {
         Ok(code) => code,
@@ -224,7 +226,7 @@ fn dispatch(command: Command, log: &str) -> anyhow::Result<ExitCode> {
         }
         Command::Top { once } => top::top(once).map(|()| ExitCode::SUCCESS),
         Command::Topic(command) => topic::topic(&command).map(|()| ExitCode::SUCCESS),
-        Command::Record(arguments) => record::record(&arguments),
+        Command::Record(arguments) => record::record(&arguments).map(|()| ExitCode::SUCCESS),
         Command::View(arguments) => view::view(&arguments).map(|()| ExitCode::SUCCESS),
         Command::Swap(arguments) => swap::swap(&arguments).map(|()| ExitCode::SUCCESS),
         Command::Doctor { source, machine, clean } => {
@@ -265,7 +267,7 @@ fn describe(error: &anyhow::Error) -> String {
 
 /// What the system refuses, such as a place on a full disk, is no wrong input.
 fn exit_code(error: &anyhow::Error) -> u8 {
-    let refused = error.chain().any(|cause| cause.is::<io::Error>());
+    let refused = error.chain().any(|cause| cause.is::<io::Error>()) || lasts(error.as_ref());
     let of_stage = error.downcast_ref().map(ProcessError::exit_code);
     let of_run = error.downcast_ref().map(LaunchError::exit_code);
     of_stage.or(of_run).unwrap_or(if refused { FAILED } else { WRONG_INPUT })
@@ -489,6 +491,9 @@ mod tests {
     fn what_the_system_refuses_is_no_wrong_input() {
         let full = || anyhow::Error::from(io::Error::from(ErrorKind::StorageFull));
         assert_eq!(exit_code(&full().context("cannot write `results/table.csv`")), FAILED);
+        let told = || Hinted::of_writing("cannot write to `out.jsonl`", &ErrorKind::StorageFull.into());
+        assert_eq!(exit_code(&told().into()), FAILED, "also where it is told in other words");
+        assert_eq!(exit_code(&anyhow::Error::from(told()).context("pictures")), FAILED);
         assert_eq!(exit_code(&anyhow!("there is no machine `moon`")), WRONG_INPUT);
         let missing = || ProcessError::System { doing: "starting".to_owned(), error: ErrorKind::NotFound.into() };
         assert_eq!(exit_code(&missing().into()), FAILED);

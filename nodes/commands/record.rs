@@ -7,10 +7,9 @@ use crate::sinks::mcap_sink;
 use anyhow::{Context as _, Result, bail};
 use clap::Args;
 use conicflow_dataflow::{Requirements, Watching, monotonic_ns};
-use conicflow_messages::{Header, Hinted, Text, lasts};
+use conicflow_messages::{Header, Hinted, Text};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-use std::process::ExitCode;
 
 /// What is recorded, and where.
 #[derive(Args)]
@@ -37,7 +36,7 @@ pub struct RecordArguments {
 ///
 /// # Errors
 /// There is no such pipeline or topic, it cannot be read, or the file cannot be written.
-pub fn record(arguments: &RecordArguments) -> Result<ExitCode> {
+pub fn record(arguments: &RecordArguments) -> Result<()> {
     give_way();
     if arguments.out.exists() {
         let what = format!("`{}` is there already", arguments.out.display());
@@ -77,16 +76,9 @@ pub fn record(arguments: &RecordArguments) -> Result<ExitCode> {
     });
     // What came before an error is kept.
     let bytes = recorder.finish();
-    match watched.context("recording") {
-        // The disk is full, which is no fault of the arguments.
-        Err(error) if lasts(error.as_ref()) => {
-            super::say(super::describe(&error));
-            return Ok(ExitCode::from(super::FAILED));
-        }
-        other => other?,
-    }
+    watched.context("recording")?;
     super::say(tally.text(bytes?));
-    Ok(ExitCode::SUCCESS)
+    Ok(())
 }
 
 /// What came, and what was lost because this program was too slow.

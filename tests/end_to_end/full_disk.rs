@@ -6,6 +6,9 @@ use rustix::process::geteuid;
 use std::fs::{self, File};
 use std::process::{Command, Stdio};
 
+/// That of the frames that a playground records.
+const CAMERA: &str = "262.5,262.5,159.5,119.5";
+
 /// Makes sure that a run ended because of one stage, which said once why and was not started anew.
 fn expect_failed_for_good(ended: Ended, stage: &str, why: &str) -> Ended {
     let ended = ended.expect_code(1);
@@ -109,6 +112,65 @@ fn an_onlooker_whose_recording_finds_no_room_says_so_and_the_run_goes_on() {
     run.wait_until("the run goes on", || playground.newest("tracks.jsonl") > at + 60);
     let found = playground.conicflow(&["detect", "left/run.mcap", "--out", "found.jsonl"]).expect_code(0);
     assert!(!playground.lines("found.jsonl").is_empty(), "{}", found.stderr);
+}
+
+/// Runs `detect` on the folder `frames` with these arguments, where no file may be larger than so many blocks of 512 bytes.
+fn detect_in_small_files(playground: &Playground, blocks: u32, arguments: &[&str]) -> Ended {
+    let inner = playground.command(&[&["detect", "frames", "--camera", CAMERA], arguments].concat());
+    let mut command = Command::new("sh");
+    command
+        .args(["-c", "ulimit -f $0; exec \"$@\"", &blocks.to_string()])
+        .arg(inner.get_program())
+        .args(inner.get_args());
+    // What it tells goes where there is no limit: a file of the test's would end it, too.
+    command.current_dir(inner.get_current_dir().unwrap()).stdin(Stdio::null()).stderr(Stdio::piped());
+    let output = command.stdout(Stdio::piped()).output().unwrap();
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    Ended { code: output.status.code(), stdout: text(&output.stdout), stderr: text(&output.stderr) }
+}
+
+/// Makes sure that it ended with 1 and one sentence that says why, with a hint.
+fn expect_told_once(ended: Ended, why: &str, hint: &str) {
+    let ended = ended.expect_code(1);
+    let told = ended.stderr.lines().filter(|line| line.contains(why));
+    assert_eq!(told.count(), 1, "{}", ended.stderr);
+    assert!(ended.stderr.contains(&format!("\n  hint: {hint}")), "{}", ended.stderr);
+}
+
+#[test]
+fn what_detect_finds_no_room_for_is_told_and_nothing_half_written_is_left() {
+    let playground = Playground::new();
+    playground.record(Scene::built_in("tabletop").unwrap().unwrap(), 1, 4);
+    let found = playground.conicflow(&["detect", "frames", "--camera", CAMERA]).expect_code(0).stdout;
+    let free = "free some space, or write to another disk";
+    let full = playground.conicflow(&["detect", "frames", "--camera", CAMERA, "--out", "/dev/full"]);
+    expect_told_once(full, "error: cannot write to `/dev/full`: No space left on device", free);
+
+    // Two lines and a part of the third.
+    let ends: Vec<_> = found.match_indices('\n').map(|(at, _)| at + 1).collect();
+    let blocks = (ends[1] as u32 + 1).div_ceil(512);
+    assert!(ends[2] > 512 * blocks as usize, "the third line goes beyond");
+    let limited = detect_in_small_files(&playground, blocks, &["--out", "found.jsonl"]);
+    let raise = "raise the limit of a file's size (`ulimit -f`), or write less";
+    expect_told_once(limited, "error: cannot write to `found.jsonl`: File too large", raise);
+    let left = fs::read_to_string(playground.path("found.jsonl")).unwrap();
+    assert_eq!((left.lines().count(), left.ends_with('\n')), (2, true), "{left}");
+
+    for arguments in [["--moving", "small/moving.png"], ["--pictures", "small"]] {
+        fs::create_dir_all(playground.path("small")).unwrap();
+        let limited = detect_in_small_files(&playground, 8, &arguments);
+        expect_told_once(limited, "cannot be written: File too large", raise);
+        assert_eq!(fs::read_dir(playground.path("small")).unwrap().count(), 0, "{arguments:?}: something is left");
+    }
+}
+
+#[test]
+fn a_comparison_that_finds_no_room_for_its_pictures_says_so() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let compare = ["compare", "--frames", "3", "--b", "extractor.scan=rows", "--pictures", "disk"];
+    let Some(ended) = with_a_small_disk("12k", &playground, &compare) else { return };
+    expect_told_once(ended, "No space left on device", "free some space, or write to another disk");
+    assert!(names(&playground).iter().all(|name| name.ends_with(".png")), "{:?}", names(&playground));
 }
 
 #[test]
