@@ -21,8 +21,16 @@ use tempfile::TempDir;
 pub type Reader = (&'static str, fn(&[u8]) -> bool);
 
 /// All kinds of bytes, named as their corpora.
-pub const READERS: [Reader; 6] =
-    [("wire", wire), ("pcd", pcd), ("png", png), ("mcap", mcap), ("scene", scene), ("pipeline", pipeline)];
+pub const READERS: [Reader; 8] = [
+    ("wire", wire),
+    ("pcd", pcd),
+    ("png", png),
+    ("tiff", tiff),
+    ("npy", npy),
+    ("mcap", mcap),
+    ("scene", scene),
+    ("pipeline", pipeline),
+];
 
 /// A type of one's own, as a pipeline file describes it.
 pub fn grasps() -> ItemType {
@@ -52,6 +60,16 @@ pub fn pcd(bytes: &[u8]) -> bool {
 /// A depth image, as the only frame of a recording.
 pub fn png(bytes: &[u8]) -> bool {
     is_fine(first_frame("depth.png", bytes))
+}
+
+/// The same as TIFF.
+pub fn tiff(bytes: &[u8]) -> bool {
+    is_fine(first_frame("depth.tiff", bytes))
+}
+
+/// The same as an array of NumPy.
+pub fn npy(bytes: &[u8]) -> bool {
+    is_fine(first_frame("depth.npy", bytes))
 }
 
 /// A recording, of which each depth image is read, and each list of objects that conicflow wrote.

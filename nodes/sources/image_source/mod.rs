@@ -8,6 +8,7 @@ mod depth_png;
 mod intrinsics;
 mod layout;
 pub(crate) mod natural;
+mod npy;
 mod pcd;
 mod pinhole;
 pub(crate) mod playback;

@@ -1,9 +1,9 @@
 //! Depth images as TIFF and NPY files: whole numbers of 16 bits, or floating-point numbers. Single images of one channel, without
 //! a camera in them.
 
+use super::npy::Array;
 use anyhow::{Context as _, Result, bail, ensure};
 use conicflow_messages::{Hinted, MAX_PIXELS};
-use npyz::{NpyFile, NpyHeader, Order};
 use std::io::Cursor;
 use tiff::ColorType;
 use tiff::decoder::{Decoder, DecodingResult};
@@ -74,13 +74,13 @@ fn tiff_size_of<R: std::io::Read + std::io::Seek>(decoder: &mut Decoder<R>) -> R
 ///
 /// # Errors
 /// It is damaged, of another size, or no depth image.
-pub(super) fn decode_npy(file: &[u8], size: (u32, u32)) -> Result<Depths> {
-    let array = NpyFile::new(file).context("the header of the NPY file")?;
-    expect_size(npy_size_of(array.header())?, size)?;
-    let depths = match (array.dtype().descr().trim_matches('\''), array) {
-        (number, array) if number.ends_with("u2") => Depths::Units(array.into_vec()?),
-        (number, array) if number.ends_with("f4") => Depths::Metres(array.into_vec()?),
-        (_, array) => Depths::Metres(array.into_vec::<f64>()?.into_iter().map(|depth| depth as f32).collect()),
+pub(super) fn decode_npy(mut file: &[u8], size: (u32, u32)) -> Result<Depths> {
+    let array = npy_header(&mut file)?;
+    expect_size(npy_size_of(&array)?, size)?;
+    let depths = match array.number.as_bytes() {
+        [.., b'u', b'2'] => Depths::Units(array.numbers(file, u16::from_le_bytes)),
+        [.., b'f', b'4'] => Depths::Metres(array.numbers(file, f32::from_le_bytes)),
+        _ => Depths::Metres(array.numbers(file, |depth| f64::from_le_bytes(depth) as f32)),
     };
     expect_all(depths, size)
 }
@@ -90,19 +90,23 @@ pub(super) fn decode_npy(file: &[u8], size: (u32, u32)) -> Result<Depths> {
 /// # Errors
 /// It is no NPY file, or one of something else.
 pub(super) fn npy_size(mut file: impl std::io::Read) -> Result<(u32, u32)> {
-    npy_size_of(&NpyHeader::from_reader(&mut file).context("the header of the NPY file")?)
+    npy_size_of(&npy_header(&mut file)?)
 }
 
-fn npy_size_of(header: &NpyHeader) -> Result<(u32, u32)> {
-    let (shape, number) = (header.shape(), header.dtype().descr());
-    let &[rows, columns] = shape else {
+fn npy_header(file: &mut impl std::io::Read) -> Result<Array> {
+    Array::read(file).context("the header of the NPY file")
+}
+
+fn npy_size_of(array: &Array) -> Result<(u32, u32)> {
+    let (shape, number) = (&array.shape, &array.number);
+    let &[rows, columns] = &shape[..] else {
         bail!(Hinted::new(format!("an array of shape {shape:?}, expected rows and columns"), NPY_HINT));
     };
-    let is_depth = ["u2", "f4", "f8"].iter().any(|known| number.trim_matches('\'').ends_with(known));
-    ensure!(is_depth, Hinted::new(format!("an array of {number}, expected uint16 or float32"), NPY_HINT));
-    let is_by_columns = header.order() == Order::Fortran && rows > 1 && columns > 1;
+    let is_depth = ["u2", "f4", "f8"].iter().any(|known| number.trim_start_matches(['<', '>', '=']) == *known);
+    ensure!(is_depth, Hinted::new(format!("an array of '{number}', expected uint16 or float32"), NPY_HINT));
+    let is_by_columns = array.is_by_columns && rows > 1 && columns > 1;
     ensure!(!is_by_columns, Hinted::new("an array that lies column by column, expected row by row", NPY_HINT));
-    let side = |length: u64| u32::try_from(length).context("too many pixels");
+    let side = |length: u64| u32::try_from(length).with_context(|| format!("{length} pixels in a row or column"));
     few_enough((side(columns)?, side(rows)?))
 }
 
@@ -222,6 +226,11 @@ mod tests {
         assert!(array("<u2", "True", "(4, 8)").contains("column by column"));
         assert!(array("<u2", "False", "(40, 80)").contains("1.npy"), "cut");
         assert!(array("<u2", "False", "(4000000, 8000000)").contains("4000000"));
+        assert!(array("<u2", "False", "(4294967296, 4294967296)").contains("4294967296 pixels in a row"));
+        assert!(array("<u2", "False", "(18446744073709551616, 4)").contains("the header of the NPY file: it is `{"));
+        assert!(array("<u2", "Maybe", "(2, 4)").contains("the header of the NPY file: it is `{"));
+        let long = [b"\x93NUMPY\x02\x00", &u32::MAX.to_le_bytes()[..], b"{"].concat();
+        assert!(told(&[("1.npy", long)]).contains("it has 4294967295 bytes, expected at most 10000"));
         assert!(told(&[("1.npy", b"no array".to_vec())]).contains("the header of the NPY file"));
         assert!(told(&[("1.tif", b"no image".to_vec())]).contains("the header of the TIFF"));
     }
