@@ -1,11 +1,13 @@
-//! Recordings: what a run records is replayed to the bit, from any stage on, also what a recorder that was killed has left; and
-//! onlookers record without a change to the run.
+//! Recordings: what a run records is replayed to the bit, from any stage on, also what a recorder that was killed has left;
+//! onlookers record without a change to the run; other programs read what is recorded, and what they record is read here.
 
 use crate::processes::stages_of;
-use crate::support::{Playground, TRACKING, signal, wait_until};
+use crate::support::{Playground, Started, TRACKING, signal, wait_until};
 use rustix::process::Signal;
 use serde_json::Value as Json;
 use std::fs;
+use std::path::Path;
+use std::process::{Command, Stdio};
 
 /// Frames of the runs.
 const FRAMES: &str = "60";
@@ -152,4 +154,94 @@ fn what_cannot_be_replayed_is_told() {
     let bag = playground.conicflow(&["detect", "old.bag"]).expect_code(2);
     let command = "hint: pip install rosbags && rosbags-convert --src 'old.bag' --dst 'old' --dst-storage mcap";
     assert!(bag.stderr.contains(command), "{}", bag.stderr);
+}
+
+/// Python with `rosbags` and `mcap`; none, said loudly, where there is no such.
+fn other_programs() -> Option<String> {
+    let python = std::env::var("CONICFLOW_TEST_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    let has_both = Command::new(&python).args(["-c", "import mcap.reader, rosbags"]).stderr(Stdio::null()).status();
+    if has_both.is_ok_and(|status| status.success()) {
+        return Some(python);
+    }
+    eprintln!("SKIPPED: `{python}` has no rosbags and mcap; recordings were not exchanged with other programs");
+    None
+}
+
+/// What `recordings.py` prints.
+fn script(python: &str, arguments: &[&Path]) -> String {
+    let mut command = Command::new(python);
+    let (mode, files) = arguments.split_first().unwrap();
+    command.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/end_to_end/recordings.py")).arg(mode).args(files);
+    Started::new(command).wait().expect_code(0).stdout
+}
+
+#[test]
+fn other_programs_read_what_is_recorded() {
+    let Some(python) = other_programs() else { return };
+    // All three kinds, wide enough for them.
+    let wide = recording().replace("width      = 64\nheight     = 48", "width      = 320\nheight     = 240");
+    let playground = Playground::with_pipeline(&wide.replace("intrinsics = {", "# {"));
+    playground.conicflow(&["run", "--frames", "30"]).expect_code(0);
+    let kinds = playground.lines("tracks.jsonl").last().cloned().unwrap();
+    assert!(["sphere", "cylinder", "cone"].iter().all(|kind| kinds.contains(kind)), "{kinds}");
+    let (run, lines) = (playground.path("run.mcap"), playground.path("tracks.jsonl"));
+    let printed = script(&python, &[Path::new("read"), &run, &lines]);
+    assert!(printed.contains("30 frames, "), "{printed}");
+    let rerun = Path::new(&python).with_file_name("rerun");
+    if !rerun.is_file() {
+        eprintln!("SKIPPED: there is no `rerun` beside `{python}`; its check of recordings was not run");
+        return;
+    }
+    let mut check = Command::new(&rerun);
+    check.args(["mcap", "check", "run.mcap"]).current_dir(playground.path(".")).env("HOME", playground.path("."));
+    let checked = Started::new(check).wait().expect_code(0).stdout;
+    let channels: Vec<_> = checked.lines().filter(|line| line.contains("/source/")).collect();
+    assert!(channels.len() > 10 && channels.iter().all(|line| line.trim_start().starts_with("ok")), "{checked}");
+}
+
+/// The objects of each frame, their stamps, and what was said.
+fn detected(playground: &Playground, path: &str) -> (Vec<Json>, Vec<u64>) {
+    let ended = playground.conicflow(&["detect", path]).expect_code(0);
+    let lines: Vec<Json> = ended.stdout.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let objects = lines.iter().map(|line| line["objects"].clone()).collect();
+    (objects, lines.iter().map(|line| line["stamp_ns"].as_u64().unwrap()).collect())
+}
+
+#[test]
+fn recordings_of_other_programs_are_read_in_every_encoding() {
+    let Some(python) = other_programs() else { return };
+    let playground = Playground::new();
+    script(&python, &[Path::new("write"), &playground.path("others")]);
+    let (expected, _) = detected(&playground, "others/frames");
+    assert!(expected.len() == 4 && expected.iter().all(|objects| objects[0]["kind"] == "sphere"), "{expected:?}");
+    let stamps: Vec<u64> = (0..4).map(|number| 1_700_000_000_000_000_000 + number * 100_000_000).collect();
+    let names = fs::read_dir(playground.path("others")).unwrap();
+    let names: Vec<_> = names.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+    let begins = |begin: &'static str| names.iter().filter(move |name| name.starts_with(begin));
+    assert_eq!((begins("same").count(), begins("near").count(), begins("old").count()), (7, 4, 2), "{names:?}");
+    for name in begins("same") {
+        let (objects, stamped) = detected(&playground, &format!("others/{name}"));
+        assert_eq!((objects, stamped), (expected.clone(), stamps.clone()), "{name}");
+    }
+    for name in begins("near") {
+        let (objects, stamped) = detected(&playground, &format!("others/{name}"));
+        assert_eq!((objects.len(), stamped), (4, stamps.clone()), "{name}");
+        for (objects, expected) in objects.iter().zip(&expected) {
+            let number = |objects: &Json, key: &str| objects[0].pointer(key).and_then(Json::as_f64).unwrap();
+            let off = |key: &str| (number(objects, key) - number(expected, key)).abs();
+            let worst = ["/center/0", "/center/1", "/center/2", "/radius"].map(off).into_iter().fold(0.0, f64::max);
+            assert!(objects.as_array().unwrap().len() == 1 && worst < 1e-3, "{name}: {worst} m off: {objects}");
+        }
+    }
+    for name in begins("old") {
+        // The error has the command that converts it, which is tried as it stands.
+        let refused = playground.conicflow(&["detect", &format!("others/{name}")]).expect_code(2).stderr;
+        let command = refused.split_once("pip install rosbags && ").unwrap().1.lines().next().unwrap();
+        let into = command.split_once("--dst '").unwrap().1.split('\'').next().unwrap();
+        let mut shell = Command::new("sh");
+        let programs = Path::new(&python).parent().unwrap().display();
+        shell.args(["-c", &format!("PATH='{programs}':\"$PATH\"; {command}")]).current_dir(playground.path("."));
+        Started::new(shell).wait().expect_code(0);
+        assert_eq!(detected(&playground, into), (expected.clone(), stamps.clone()), "{name}");
+    }
 }
