@@ -1,8 +1,8 @@
 //! Pausing a run and letting it make one frame: by keys at its terminal, and from the page; and a terminal that is as it was before.
 
-use crate::support::{Playground, Started, TRACKING, signal, wait_until};
+use crate::support::{Playground, Started, TRACKING, example, signal, wait_until};
 use crate::view::{Page, items, recording};
-use rustix::fs::{Mode, OFlags};
+use rustix::fs::{CWD, Mode, OFlags, mkfifoat};
 use rustix::process::Signal;
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{LocalModes, tcgetattr};
@@ -11,7 +11,10 @@ use std::fs::File;
 use std::io::{Read, Write};
 use std::os::fd::OwnedFd;
 use std::process::Command;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
 
 /// A terminal with nobody at it but the test.
 struct Terminal {
@@ -36,7 +39,7 @@ impl Terminal {
         let inner = rustix::fs::open(path, OFlags::RDWR | OFlags::NOCTTY, Mode::empty()).unwrap();
         let (keys, text) = (File::from(outer), Arc::<Mutex<String>>::default());
         let (mut written, all) = (keys.try_clone().unwrap(), Arc::clone(&text));
-        std::thread::spawn(move || {
+        thread::spawn(move || {
             let mut bytes = [0; 4096];
             while let Ok(length @ 1..) = written.read(&mut bytes) {
                 all.lock().unwrap().push_str(&String::from_utf8_lossy(&bytes[..length]));
@@ -225,4 +228,115 @@ fn the_page_pauses_a_replay_steps_it_and_lets_it_go_on() {
     assert_eq!(page.wish(&json!({ "do": "play" })), 204);
     page.frame("it goes on", |json| json["frame"]["sequence"].as_u64() > Some(at + 20));
     page.frame("and says so", |json| json["about"]["run"]["paused"] == false);
+}
+
+/// A camera of 32x24 pixels behind a pipe, which goes on whether somebody takes its frames or not.
+struct Camera {
+    /// Frames that found room in the pipe.
+    taken: Arc<AtomicU64>,
+    is_over: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Camera {
+    fn start(playground: &Playground) -> Self {
+        let path = playground.path("depth.z16");
+        mkfifoat(CWD, &path, Mode::RUSR | Mode::WUSR).unwrap();
+        // Also read by the test, so that it is open before the run and after it; full, it is not waited for.
+        let pipe = rustix::fs::open(&path, OFlags::RDWR | OFlags::NONBLOCK, Mode::empty()).unwrap();
+        let (taken, is_over) = (Arc::<AtomicU64>::default(), Arc::<AtomicBool>::default());
+        let (count, ends) = (Arc::clone(&taken), Arc::clone(&is_over));
+        let thread = thread::spawn(move || {
+            // No more than 4096 bytes: they go into the pipe as one, or not at all.
+            let image = [0xe8, 0x03].repeat(32 * 24);
+            while !ends.load(Ordering::Relaxed) {
+                let written = rustix::io::write(&pipe, &image);
+                count.fetch_add(u64::from(written == Ok(image.len())), Ordering::Relaxed);
+                thread::sleep(Duration::from_millis(10));
+            }
+        });
+        Self { taken, is_over, thread: Some(thread) }
+    }
+
+    /// The stage that takes its frames.
+    fn stage() -> String {
+        let program = example("raw_camera");
+        format!(
+            r#"
+[stage.camera]
+program     = ["{program}"]
+output      = {{ topic = "camera_depth", kind = "depth" }}
+path        = "depth.z16"
+depth_scale = 0.001
+camera      = {{ width = 32, height = 24, fx = 30.0, fy = 30.0, cx = 15.5, cy = 11.5 }}
+noise       = {{ floor_m = 0.0, growth_per_m = 0.002, knee_m = 0.0, step_per_m = 0.0 }}
+"#
+        )
+    }
+
+    /// How many frames were taken of it.
+    fn taken(&self) -> u64 {
+        self.taken.load(Ordering::Relaxed)
+    }
+}
+
+impl Drop for Camera {
+    fn drop(&mut self) {
+        self.is_over.store(true, Ordering::Relaxed);
+        self.thread.take().map(JoinHandle::join);
+    }
+}
+
+/// More frames than the pipe has room for (64 KiB), so that somebody has to take them out.
+const MORE_THAN_WAIT: u64 = 100;
+
+#[test]
+fn a_camera_is_emptied_while_the_rest_of_the_run_is_paused() {
+    let sink = "\n[stage.lines]\nnode = \"row_ellipse_extractor\"\ninput = \"camera_depth\"\noutput = \"camera_ellipses\"\n\
+                [stage.camera_json]\nnode = \"json_sink\"\ninput = \"camera_ellipses\"\npath = \"camera.jsonl\"\n";
+    let slowly = TRACKING.replace("rate_hz    = 0", "rate_hz    = 20");
+    let playground = Playground::with_pipeline(&format!("{slowly}{}{sink}", Camera::stage()));
+    let Some(mut terminal) = Terminal::open("sh") else { return };
+    let camera = Camera::start(&playground);
+    let mut run = Started::watched(terminal.command(&playground, &[PROGRAM, "run"]));
+    run.wait_until("both deliver", || playground.newest("tracks.jsonl") > 5 && playground.newest("camera.jsonl") > 5);
+    run.wait_until("the terminal gives keys", || terminal.gives_keys());
+    terminal.press(" ");
+    let told = "`camera` cannot be paused, and goes on";
+    let written = Arc::clone(&terminal.text);
+    run.wait_until("it is said", || written.lock().unwrap().contains(told));
+    let at = standing_at(&playground);
+    let (taken, seen) = (camera.taken(), playground.newest("camera.jsonl"));
+    run.wait_until("its frames are taken", || camera.taken() > taken + MORE_THAN_WAIT);
+    run.wait_until("and worked on", || playground.newest("camera.jsonl") > seen + MORE_THAN_WAIT / 2);
+    assert_eq!(playground.newest("tracks.jsonl"), at, "while the others stand still");
+    terminal.press(" ");
+    run.wait_until("it goes on", || playground.newest("tracks.jsonl") > at + 5);
+    terminal.press("\x03");
+    assert_eq!(run.wait().code, Some(0), "{}", terminal.text.lock().unwrap());
+}
+
+#[test]
+fn a_run_of_cameras_alone_goes_on_and_that_is_said() {
+    let sink = "[stage.shown]\nnode = \"view_sink\"\ninput = \"camera_depth\"\nlisten = \"127.0.0.1:0\"\n";
+    let playground = Playground::with_pipeline(&format!("name = \"live\"\n{}{sink}", Camera::stage()));
+    let Some(mut terminal) = Terminal::open("sh") else { return };
+    let camera = Camera::start(&playground);
+    let mut run = Started::watched(terminal.command(&playground, &[PROGRAM, "run"]));
+    let written = Arc::clone(&terminal.text);
+    run.wait_until("the page is offered", || written.lock().unwrap().contains("in a browser"));
+    let page = Page::of_stage(&written.lock().unwrap());
+    let live = json!({ "can_pause": false, "live": ["camera"], "paused": false });
+    page.frame("a camera cannot be paused", |json| json["about"]["run"] == live);
+    assert_eq!(page.wish(&json!({ "do": "pause" })), 204);
+    run.wait_until("the terminal gives keys", || terminal.gives_keys());
+    terminal.press(" ");
+    let told = "`live` cannot be paused: `camera` is live";
+    run.wait_until("it is said", || written.lock().unwrap().contains(told));
+    let (taken, mut frames) = (camera.taken(), 0);
+    run.wait_until("its frames are taken", || camera.taken() > taken + MORE_THAN_WAIT);
+    page.frame("it goes on", |json| {
+        frames += 1;
+        frames > 3 && json["about"]["run"] == live
+    });
 }
