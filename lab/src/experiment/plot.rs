@@ -1,4 +1,5 @@
-//! Plots as SVG: lines of the rows of an experiment, or of a trace, with the paper's figures as open circles.
+//! Plots as SVG: lines of the rows of an experiment, or of a trace, with bars of one standard deviation where there is a column of
+//! them, the truth as a black line in front, and the paper's figures as open circles.
 
 use super::axes::Axis;
 use super::{Experiment, Plot, prepared};
@@ -9,14 +10,19 @@ use std::fmt::{self, Write};
 use std::path::Path;
 
 const WIDTH: f64 = 780.0;
-const HEIGHT: f64 = 460.0;
 const LEFT: f64 = 80.0;
-const RIGHT: f64 = 520.0;
+const RIGHT: f64 = 760.0;
 const TOP: f64 = 40.0;
 const BOTTOM: f64 = 410.0;
-/// Height of a line of the legend, and the width of its letters, at the least what they take.
+/// Where the legend begins, below the axes.
+const LEGEND: f64 = BOTTOM + 62.0;
+/// Height of a line of the legend, and the width of its letters, at the least what they take; and of what stands before them.
 const LEGEND_STEP: f64 = 18.0;
 const LETTER: f64 = 7.0;
+const MARK: f64 = 32.0;
+/// The ends of columns' names, and the units that they stand for.
+const UNITS: [(&str, &str); 6] =
+    [("_mps", "m/s"), ("_ms", "ms"), ("_deg", "degrees"), ("_hz", "Hz"), ("_m", "m"), ("_s", "s")];
 /// Told apart by most eyes that do not see all colours (Okabe and Ito 2008).
 const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000"];
 
@@ -25,8 +31,21 @@ const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00
 pub struct Line {
     name: String,
     points: Vec<[f64; 2]>,
+    /// The standard deviations of the points, 0 where none is known.
+    deviations: Vec<f64>,
+    style: Style,
+}
+
+/// How points are drawn.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Style {
+    /// Joined dots, with bars.
+    #[default]
+    Measured,
     /// Open circles that are not joined.
-    circles: bool,
+    Paper,
+    /// A black line in front.
+    Truth,
 }
 
 /// Draws what an experiment asks for.
@@ -54,7 +73,28 @@ fn is_drawn(plot: &Plot, row: &Row) -> bool {
 }
 
 fn lines(plot: &Plot, rows: &[Row]) -> Vec<Line> {
-    gather(plot, rows, "", &|row, column| row.number_of(column))
+    let columns = |is_wanted: fn(&str) -> bool| plot.y.iter().filter(move |column| is_wanted(column)).cloned();
+    let number = |row: &Row, column: &str| row.number_of(column);
+    let measured = Plot { y: columns(|column| !is_true(column)).collect(), ..plot.clone() };
+    let mut truths: Vec<String> =
+        columns(is_true).chain(measured.y.iter().filter_map(|column| beside(column, "true"))).collect();
+    truths.dedup();
+    let mut lines = gather(&measured, rows, "", &number);
+    let mut known: Vec<Line> = Vec::new();
+    for mut line in gather(&Plot { y: truths, ..plot.clone() }, rows, "", &number) {
+        line.style = Style::Truth;
+        line.deviations.clear();
+        line.points.dedup();
+        // What is true of several lines is drawn once.
+        if known.iter().all(|other| other.points != line.points) {
+            known.push(line);
+        }
+    }
+    if let [only] = &mut known[..] {
+        only.name = only.name.split(", ").next().unwrap_or_default().to_owned();
+    }
+    lines.extend(known);
+    lines
 }
 
 /// The paper's figures, once for each place that one has.
@@ -62,12 +102,13 @@ fn paper_lines(experiment: &Experiment, plot: &Plot, rows: &[Row]) -> Vec<Line> 
     let Some(paper) = &experiment.paper else { return Vec::new() };
     let told_apart = plot.lines.iter().filter(|column| paper.r#match.contains(column)).cloned().collect();
     let plot = Plot { lines: told_apart, ..plot.clone() };
-    let mut lines = gather(&plot, rows, "the paper ", &|row, column| match paper.figure(row, column) {
+    let mut lines = gather(&plot, rows, "the paper, ", &|row, column| match paper.figure(row, column) {
         Some(Figure::Number(number)) => Some(*number),
         _ => None,
     });
     for line in &mut lines {
-        line.circles = true;
+        line.style = Style::Paper;
+        line.deviations.clear();
         line.points.dedup();
     }
     lines
@@ -76,6 +117,7 @@ fn paper_lines(experiment: &Experiment, plot: &Plot, rows: &[Row]) -> Vec<Line> 
 fn gather(plot: &Plot, rows: &[Row], prefix: &str, number: &dyn Fn(&Row, &str) -> Option<f64>) -> Vec<Line> {
     let mut lines: Vec<Line> = Vec::new();
     for column in &plot.y {
+        let deviations = beside(column, "sd");
         for row in rows {
             let (Some(x), Some(y)) = (row.number_of(&plot.x), number(row, column)) else { continue };
             let name = format!("{prefix}{}", name(plot, row, column));
@@ -84,9 +126,44 @@ fn gather(plot: &Plot, rows: &[Row], prefix: &str, number: &dyn Fn(&Row, &str) -
                 lines.len() - 1
             });
             lines[index].points.push([x, y]);
+            let deviation = deviations.as_ref().and_then(|column| number(row, column));
+            lines[index].deviations.push(deviation.unwrap_or(0.0));
         }
     }
     lines
+}
+
+/// What a column is called and its unit, if its name ends with one.
+fn quantity(column: &str) -> (String, Option<&'static str>) {
+    let end = UNITS.iter().find_map(|(end, unit)| Some((column.strip_suffix(end)?, *unit)));
+    let (words, unit) = end.map_or((column, None), |(words, unit)| (words, Some(unit)));
+    let name = words.strip_suffix("_true").map_or(words.to_owned(), |words| format!("true {words}"));
+    (name.replace('_', " "), unit)
+}
+
+/// The column with the truth (`true`) or the standard deviation (`sd`) of another, as this program calls them.
+fn beside(column: &str, word: &str) -> Option<String> {
+    let (words, end) = UNITS.iter().find_map(|(end, _)| Some((column.strip_suffix(end)?, end)))?;
+    (!is_true(column)).then(|| format!("{words}_{word}{end}"))
+}
+
+/// Whether a column holds what is true.
+fn is_true(column: &str) -> bool {
+    quantity(column).0.starts_with("true ")
+}
+
+/// What stands beside an axis with these columns: each quantity once, measured or true, and the units.
+fn axis_label(columns: &[String]) -> String {
+    let mut labels: Vec<String> = Vec::new();
+    for column in columns {
+        let (name, unit) = quantity(column);
+        let name = name.strip_prefix("true ").unwrap_or(&name).to_owned();
+        let label = unit.map_or(name.clone(), |unit| format!("{name} in {unit}"));
+        if !labels.contains(&label) {
+            labels.push(label);
+        }
+    }
+    labels.join(", ")
 }
 
 fn name(plot: &Plot, row: &Row, column: &str) -> String {
@@ -94,7 +171,8 @@ fn name(plot: &Plot, row: &Row, column: &str) -> String {
         Figure::Text(text) => Some(text.clone()),
         Figure::Number(number) => Some(format!("{key} {number}")),
     });
-    let column = (plot.y.len() > 1 || plot.lines.is_empty()).then(|| column.to_owned());
+    let is_told = plot.y.len() > 1 || plot.lines.is_empty() || is_true(column);
+    let column = is_told.then(|| quantity(column).0);
     column.into_iter().chain(told).collect::<Vec<_>>().join(", ")
 }
 
@@ -118,8 +196,9 @@ fn read_csv(path: &Path) -> Result<Vec<Row>> {
 
 fn svg(title: &str, plot: &Plot, lines: &[Line]) -> Result<String, fmt::Error> {
     let along = |index: usize| lines.iter().flat_map(move |line| line.points.iter().map(move |point| point[index]));
+    let bars = lines.iter().flat_map(|line| line.bars().flat_map(|[_, low, high]| [low, high]));
     let x = Axis::holding(along(0), [LEFT, RIGHT], plot.logarithmic);
-    let y = Axis::holding(along(1), [BOTTOM, TOP], plot.logarithmic);
+    let y = Axis::holding(along(1).chain(bars), [BOTTOM, TOP], plot.logarithmic);
     let [width, height] = paper_size(lines);
     let mut text = String::new();
     writeln!(
@@ -131,19 +210,32 @@ fn svg(title: &str, plot: &Plot, lines: &[Line]) -> Result<String, fmt::Error> {
     )?;
     if let (Some(x), Some(y)) = (x, y) {
         frame(&mut text, plot, &x, &y)?;
+        let columns = legend_columns(lines);
         for (index, line) in lines.iter().enumerate() {
-            draw_line(&mut text, line, index, &x, &y)?;
+            let (column, row) = ((index % columns) as f64, (index / columns) as f64);
+            let mark = [LEFT + 10.0 + column * legend_width(lines), LEGEND + LEGEND_STEP * row];
+            draw_line(&mut text, line, index, mark, [&x, &y])?;
         }
     }
     text += "</svg>\n";
     Ok(text)
 }
 
-/// Width and height of a drawing that has room for its legend, beside the axes.
-fn paper_size(lines: &[Line]) -> [f64; 2] {
+/// Width of a name of the legend with its mark.
+fn legend_width(lines: &[Line]) -> f64 {
     let longest = lines.iter().map(|line| line.name.chars().count()).max().unwrap_or(0);
-    let legend = [RIGHT + 32.0 + LETTER * longest as f64, TOP + 10.0 + LEGEND_STEP * lines.len() as f64];
-    [WIDTH.max(legend[0]), HEIGHT.max(legend[1])]
+    MARK + LETTER * longest as f64
+}
+
+/// How many names stand beside each other.
+fn legend_columns(lines: &[Line]) -> usize {
+    (((RIGHT - LEFT) / legend_width(lines)) as usize).max(1)
+}
+
+/// Width and height of a drawing that has room for its legend, below the axes.
+fn paper_size(lines: &[Line]) -> [f64; 2] {
+    let rows = lines.len().div_ceil(legend_columns(lines)) as f64;
+    [WIDTH.max(LEFT + 10.0 + legend_width(lines)), LEGEND + LEGEND_STEP * rows]
 }
 
 fn frame(text: &mut String, plot: &Plot, x: &Axis, y: &Axis) -> fmt::Result {
@@ -163,27 +255,53 @@ fn frame(text: &mut String, plot: &Plot, x: &Axis, y: &Axis) -> fmt::Result {
         writeln!(text, "<text x=\"{}\" y=\"{:.1}\" text-anchor=\"end\">{label}</text>", LEFT - 6.0, place + 4.0)?;
     }
     let (middle, below) = (0.5 * (LEFT + RIGHT), BOTTOM + 38.0);
-    writeln!(text, "<text x=\"{middle}\" y=\"{below}\" text-anchor=\"middle\">{}</text>", escaped(&plot.x))?;
+    writeln!(
+        text,
+        "<text x=\"{middle}\" y=\"{below}\" text-anchor=\"middle\">{}</text>",
+        escaped(&axis_label(std::slice::from_ref(&plot.x)))
+    )?;
     let across = 0.5 * (TOP + BOTTOM);
-    let columns = escaped(&plot.y.join(", "));
+    let columns = escaped(&axis_label(&plot.y));
     writeln!(text, "<text transform=\"translate(20 {across}) rotate(-90)\" text-anchor=\"middle\">{columns}</text>")
 }
 
-fn draw_line(text: &mut String, line: &Line, index: usize, x: &Axis, y: &Axis) -> fmt::Result {
-    let colour = COLOURS[index % COLOURS.len()];
+impl Line {
+    /// Where there are bars: x, and their lower and upper ends.
+    fn bars(&self) -> impl Iterator<Item = [f64; 3]> {
+        let known = self.points.iter().zip(&self.deviations).filter(|(_, deviation)| **deviation > 0.0);
+        known.map(|([x, y], deviation)| [*x, y - deviation, y + deviation])
+    }
+}
+
+/// Draws a line, and its mark and name in the legend.
+fn draw_line(text: &mut String, line: &Line, index: usize, mark: [f64; 2], [x, y]: [&Axis; 2]) -> fmt::Result {
+    let is_true = line.style == Style::Truth;
+    let colour = if is_true { "black" } else { COLOURS[index % COLOURS.len()] };
+    for [at, low, high] in line.bars() {
+        let (Some(at), Some(low), Some(high)) = (x.place(at), y.place(low), y.place(high)) else { continue };
+        let (left, right) = (at - 3.0, at + 3.0);
+        writeln!(
+            text,
+            "<path d=\"M{left:.1} {low:.1}H{right:.1}M{at:.1} {low:.1}V{high:.1}M{left:.1} {high:.1}H{right:.1}\" stroke=\"{colour}\"/>"
+        )?;
+    }
     let places: Vec<[f64; 2]> =
         line.points.iter().filter_map(|point| Some([x.place(point[0])?, y.place(point[1])?])).collect();
-    let fill = if line.circles { "white" } else { colour };
-    if !line.circles {
+    if line.style != Style::Paper {
         let points: Vec<String> = places.iter().map(|[x, y]| format!("{x:.1},{y:.1}")).collect();
         writeln!(text, "<polyline points=\"{}\" fill=\"none\" stroke=\"{colour}\"/>", points.join(" "))?;
     }
-    let radius = if places.len() > 60 { 1.5 } else { 3.5 };
-    let marks = [RIGHT + 16.0, TOP + 10.0 + LEGEND_STEP * index as f64];
-    for [x, y] in places.iter().chain([&marks]) {
-        writeln!(text, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius}\" fill=\"{fill}\" stroke=\"{colour}\"/>")?;
+    let [left, middle] = mark;
+    if is_true {
+        writeln!(text, "<path d=\"M{} {middle}H{}\" stroke=\"{colour}\"/>", left - 8.0, left + 8.0)?;
+    } else {
+        let fill = if line.style == Style::Paper { "white" } else { colour };
+        let radius = if places.len() > 60 { 1.5 } else { 3.5 };
+        for [x, y] in places.iter().chain([&mark]) {
+            writeln!(text, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius}\" fill=\"{fill}\" stroke=\"{colour}\"/>")?;
+        }
     }
-    writeln!(text, "<text x=\"{}\" y=\"{}\">{}</text>", marks[0] + 10.0, marks[1] + 4.0, escaped(&line.name))
+    writeln!(text, "<text x=\"{}\" y=\"{}\">{}</text>", left + 12.0, middle + 4.0, escaped(&line.name))
 }
 
 fn escaped(text: &str) -> String {
@@ -211,8 +329,44 @@ mod tests {
     fn rows_become_one_line_for_each_kind() {
         let rows = [row("a", 1.0, 2.0), row("b", 1.0, 3.0), row("a", 2.0, 4.0), row("a", 3.0, f64::NAN)];
         let lines = lines(&plot(), &rows);
-        let line = |name: &str, points: &[[f64; 2]]| Line { name: name.into(), points: points.into(), circles: false };
+        let line = |name: &str, points: &[[f64; 2]]| Line {
+            name: name.into(),
+            points: points.into(),
+            deviations: vec![0.0; points.len()],
+            style: Style::Measured,
+        };
         assert_eq!(lines, [line("a", &[[1.0, 2.0], [2.0, 4.0]]), line("b", &[[1.0, 3.0]])]);
+    }
+
+    #[test]
+    fn the_truth_is_in_front_once_and_measurements_have_bars() {
+        let plot = Plot { y: vec!["radius_m".to_owned()], ..plot() };
+        let row = |stage: &str, d: f64, radius: f64, sd: f64| {
+            let mut row = row(stage, d, 0.0);
+            for (name, number) in [("radius_m", radius), ("radius_sd_m", sd), ("radius_true_m", 0.2)] {
+                row.number(name, number);
+            }
+            row
+        };
+        let rows =
+            [row("a", 1.0, 0.21, 0.05), row("b", 1.0, 0.19, 0.0), row("a", 2.0, 0.22, 0.01), row("b", 2.0, 0.2, 0.0)];
+        let lines = lines(&plot, &rows);
+        let styles: Vec<_> = lines.iter().map(|line| (line.name.as_str(), line.style)).collect();
+        assert_eq!(styles, [("a", Style::Measured), ("b", Style::Measured), ("true radius", Style::Truth)]);
+        assert_eq!(lines[2].points, [[1.0, 0.2], [2.0, 0.2]]);
+        assert_eq!(
+            lines[0].bars().collect::<Vec<_>>(),
+            [[1.0, 0.21 - 0.05, 0.21 + 0.05], [2.0, 0.22 - 0.01, 0.22 + 0.01]]
+        );
+        assert_eq!(lines[1].bars().count() + lines[2].bars().count(), 0);
+        let text = svg("radius", &plot, &lines).unwrap();
+        let (behind, front) = text.rsplit_once("<polyline").unwrap();
+        assert!(front.contains("black") && !behind.contains("black"), "{text}");
+        assert!(text.contains(">radius in m</text>") && text.contains(">d</text>"), "{text}");
+        assert_eq!(
+            axis_label(&["z_true_m".to_owned(), "z_m".to_owned(), "speed_mps".to_owned()]),
+            "z in m, speed in m/s"
+        );
     }
 
     #[test]
