@@ -98,7 +98,9 @@ impl Live {
             about.depth_topic = depth_topic;
             about.notice = view.notice();
         });
-        let goes_on = || self.display.is_watched() && *lock(&self.wanted) == *wanted;
+        // What stands still costs nothing to look at, and whoever was away for a moment is to see its next step.
+        let is_watched = || self.display.is_watched() || running.sources().paused;
+        let goes_on = || is_watched() && *lock(&self.wanted) == *wanted;
         if let Err(error) = self.watch(running, &view, goes_on) {
             self.display.tell(|about| about.notice = Some(format!("{error:#}; it is tried again")));
         } else if !running.still_runs() {

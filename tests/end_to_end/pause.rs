@@ -230,6 +230,24 @@ fn the_page_pauses_a_replay_steps_it_and_lets_it_go_on() {
     page.frame("and says so", |json| json["about"]["run"]["paused"] == false);
 }
 
+#[test]
+fn a_step_is_shown_to_who_did_not_look_for_a_while() {
+    let playground = Playground::with_pipeline(&TRACKING.replace("rate_hz    = 0", "rate_hz    = 20"));
+    let _run = playground.start(&["run"]);
+    let page = Page::open(&playground, &[]);
+    page.frame("tracks", |json| !items(json).is_empty());
+    assert_eq!(page.wish(&json!({ "do": "pause" })), 204);
+    let at = standing_at(&playground);
+    // As long as a browser needs that draws slowly: nobody is counted as looking any more.
+    let away = std::time::Instant::now();
+    while away.elapsed().as_secs() < 5 {
+        playground.top();
+    }
+    assert_eq!(page.wish(&json!({ "do": "step", "by": 1 })), 204);
+    assert_eq!(standing_at(&playground), at + 1);
+    page.frame("the step", |json| json["frame"]["sequence"] == at + 1);
+}
+
 /// A camera of 32x24 pixels behind a pipe, which goes on whether somebody takes its frames or not.
 struct Camera {
     /// Frames that found room in the pipe.
