@@ -159,6 +159,8 @@ def test_ctrl_c_ends_a_reader_that_waits(playground):
     playground.wait_until("there are objects", lambda: (playground.folder / "objects.jsonl").exists())
     program = (
         "import conicflow, os, signal, threading\n"
+        # Of what a shell starts in the background, SIGINT is ignored: Python leaves it so, and the reader would wait for ever.
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "reader = conicflow.read('objects')\n"
         "try:\n"
         "    threading.Timer(0.3, lambda: os.kill(os.getpid(), signal.SIGINT)).start()\n"
