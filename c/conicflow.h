@@ -21,6 +21,9 @@
 extern "C" {
 #endif
 
+/* The version of this header; that of the library is conicflow_version(). */
+#define CONICFLOW_VERSION "0.1.0"
+
 /* A pinhole camera without distortion: a pixel (u, v) of depth z is the point z ((u - cx) / fx, (v - cy) / fy, 1). */
 typedef struct conicflow_camera {
     uint32_t width;
@@ -94,6 +97,9 @@ void conicflow_free(conicflow_detector *detector);
  * goes wrong again on this thread, or the thread ends.
  */
 const char *conicflow_error(void);
+
+/* The version of the library, which has to be CONICFLOW_VERSION as long as that is below 1. */
+const char *conicflow_version(void);
 
 #ifdef __cplusplus
 }

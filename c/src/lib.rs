@@ -14,6 +14,12 @@ use conicflow_messages::Hinted;
 use image::Image;
 use std::ffi::{CStr, c_char, c_int};
 
+/// What ends in a zero, as texts of C do.
+const VERSION: &CStr = match CStr::from_bytes_with_nul(concat!(env!("CARGO_PKG_VERSION"), "\0").as_bytes()) {
+    Ok(version) => version,
+    Err(_) => c"",
+};
+
 /// What C has a pointer to.
 pub struct CDetector {
     detector: Detector,
@@ -138,6 +144,12 @@ pub unsafe extern "C" fn conicflow_free(detector: *mut CDetector) {
 #[unsafe(no_mangle)]
 pub extern "C" fn conicflow_error() -> *const c_char {
     fault::last()
+}
+
+/// See `conicflow.h`.
+#[unsafe(no_mangle)]
+pub extern "C" fn conicflow_version() -> *const c_char {
+    VERSION.as_ptr()
 }
 
 fn is_null(name: &str) -> Hinted {

@@ -8,9 +8,14 @@ use conicflow_detection::{Camera, Detector, NoiseModel, Object};
 use conicflow_geometry::Vector3;
 use conicflow_lab::rendered::{Body, KINECT_HALF, render};
 use std::mem::offset_of;
+use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use tempfile::TempDir;
+
+/// The name by which programs find the shared library.
+const SHARED_NAME: &str =
+    concat!("libconicflow.so.", env!("CARGO_PKG_VERSION_MAJOR"), ".", env!("CARGO_PKG_VERSION_MINOR"));
 
 /// The compiler; none, which is said, where there is none.
 fn compiler() -> Option<&'static str> {
@@ -32,16 +37,28 @@ fn library(name: &str) -> PathBuf {
     if beside.is_file() { beside } else { tests.parent().unwrap().with_file_name(name) }
 }
 
-/// Compiles a program, and links it with the static or the shared library.
+/// Compiles a program, and links it with the static or the shared library. The shared one is there under the name by which it
+/// is linked only meanwhile, as where none but the package that runs programs is installed.
 fn compile(source: &Path, into: &TempDir, shared: bool) -> Option<PathBuf> {
     let program = into.path().join(source.file_stem().unwrap());
-    let library = library(if shared { "libconicflow.so" } else { "libconicflow.a" });
     let mut command = Command::new(compiler()?);
     command.args(["-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-I"]).arg(folder()).arg(source);
-    command.arg(&library).args(["-lm", "-lpthread", "-ldl", "-lgcc_s", "-o"]).arg(&program);
-    command.arg(format!("-Wl,-rpath,{}", library.parent().unwrap().display()));
+    let linked = into.path().join("libconicflow.so");
+    if shared {
+        let built = library("libconicflow.so");
+        symlink(&built, into.path().join(SHARED_NAME)).unwrap();
+        symlink(&built, &linked).unwrap();
+        let folder = into.path().display();
+        command.args([format!("-L{folder}"), "-lconicflow".to_owned(), format!("-Wl,-rpath,{folder}")]);
+    } else {
+        command.arg(library("libconicflow.a"));
+    }
+    command.args(["-lm", "-lpthread", "-ldl", "-lgcc_s", "-o"]).arg(&program);
     let output = command.output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    if shared {
+        std::fs::remove_file(linked).unwrap();
+    }
     Some(program)
 }
 
@@ -158,6 +175,17 @@ fn what_is_wrong_is_told_with_a_hint() {
     let output = run(&program, &[]);
     assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
     assert_eq!(String::from_utf8(output.stdout).unwrap(), include_str!("faults.txt"));
+}
+
+#[test]
+fn the_versions_of_header_library_and_package_are_the_same() {
+    let version = env!("CARGO_PKG_VERSION");
+    let package = std::fs::read_to_string(folder().join("conicflow.pc")).unwrap();
+    assert!(package.contains(&format!("\nVersion: {version}\n")), "{package}");
+    let files = TempDir::new().unwrap();
+    let Some(program) = compile(&folder().join("tests/version.c"), &files, true) else { return };
+    let output = run(&program, &[]);
+    assert_eq!(String::from_utf8(output.stdout).unwrap(), format!("{version} {version}\n"));
 }
 
 /// Where the fields of the structs lie, in C and in Rust.
