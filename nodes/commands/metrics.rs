@@ -22,6 +22,8 @@ use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 const PATH: &str = "/metrics";
+/// What is at fault.
+const OF_FILE: &str = "`metrics` of the pipeline file";
 const KIND: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 /// Whoever asks more often is answered with the same: the records are not read for each.
 const FRESH: Duration = Duration::from_millis(200);
@@ -29,16 +31,31 @@ const FRESH: Duration = Duration::from_millis(200);
 const SHORTEST_S: f64 = 60e-6;
 const LONGEST_S: f64 = 10.0;
 
-/// Offers the metrics of a pipeline's run where its file says so, until this is dropped.
+/// Offers the metrics of a pipeline's run where its file says so for this machine, until this is dropped.
 ///
 /// # Errors
-/// The address cannot be listened at.
-pub fn offer(pipeline: &Pipeline) -> anyhow::Result<Option<Server>> {
-    let Some(address) = pipeline.metrics else { return Ok(None) };
+/// The address cannot be listened at, or the token will not do.
+pub fn offer(pipeline: &Pipeline, machine: Option<&str>) -> anyhow::Result<Option<Server>> {
+    let Some(listen) = listen(pipeline, machine)? else { return Ok(None) };
     let metrics = Metrics { pipeline: pipeline.name.clone(), last: Mutex::default() };
-    let server = Server::start(&Listen::open(address), metrics).context("`metrics` of the pipeline file")?;
-    tracing::info!("metrics are at {}{}", server.url().trim_end_matches('/'), PATH);
+    let server = Server::start(&listen, metrics).context(OF_FILE)?;
+    // The token stands in the file, and has no place in a log.
+    let address = server.url().split("/?").next().unwrap_or_default().trim_end_matches('/');
+    tracing::info!("metrics are at {address}{PATH}");
     Ok(Some(server))
+}
+
+/// Where the file says that this machine offers metrics.
+///
+/// # Errors
+/// The token will not do.
+pub fn listen(pipeline: &Pipeline, machine: Option<&str>) -> anyhow::Result<Option<Listen>> {
+    let Some(metrics) = pipeline.metrics_on(machine) else { return Ok(None) };
+    let listen = match &metrics.token {
+        Some(token) => Listen::read(Some(&metrics.listen.to_string()), Some(token)).context(OF_FILE)?,
+        None => Listen::open(metrics.listen),
+    };
+    Ok(Some(listen))
 }
 
 struct Metrics {

@@ -320,6 +320,7 @@ impl FileArguments {
 fn validate(source: &FileArguments, machine: Option<&str>) -> anyhow::Result<ExitCode> {
     let (pipeline, warnings) = source.read_with(machine, &[])?;
     machine.map_or(Ok(()), |machine| check_machine(&pipeline, Some(machine)))?;
+    metrics::listen(&pipeline, machine)?;
     if !warnings.0.is_empty() {
         writeln!(stdout(), "{warnings}\n")?;
     }
@@ -337,7 +338,7 @@ fn validate(source: &FileArguments, machine: Option<&str>) -> anyhow::Result<Exi
 
 fn run(arguments: &RunArguments, log: &str) -> anyhow::Result<ExitCode> {
     let pipeline = arguments.source.read_on(arguments.machine.as_deref())?;
-    let _metrics = metrics::offer(&pipeline)?;
+    let _metrics = metrics::offer(&pipeline, arguments.machine.as_deref())?;
     if let Some(json) = &pipeline.experiment {
         return run_experiment(&pipeline, &Experiment::read(json)?, arguments, log);
     }

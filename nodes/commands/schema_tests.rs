@@ -75,6 +75,7 @@ fn faults_do_not_fit_the_schema() {
         ("", "stages", json!({})),
         ("", "name", json!("two words")),
         ("", "machine", json!({ "robot": { "listens": [] } })),
+        ("", "metrics", json!({ "token": "0123456789ab" })),
         ("/stage/source", "rate", json!(15.0)),
         ("/stage/source", "rate_hz", json!("15")),
         ("/stage/source", "width", json!(-1)),
@@ -96,8 +97,9 @@ fn all_keys_of_the_file_fit_the_schema() {
     let mut pipeline = read(include_str!("../../pipeline.toml"));
     pipeline["machine"]["robot"] = json!({
         "listen": ["tcp/127.0.0.1:7447"], "connect": [], "zenoh": "z.json5", "key": "robot.key", "insecure": true,
-        "outage_s": 3,
+        "outage_s": 3, "metrics": "127.0.0.1:9464",
     });
+    pipeline["metrics"] = json!({ "listen": "0.0.0.0:9464", "token": "0123456789ab" });
     pipeline["item"]["grasps"] = json!({ "type": "acme.Grasp.v1", "fields": { "width": "f64" }, "usual_length": 4 });
     let input =
         json!({ "topic": "objects", "kind": "objects", "delivery": "latest", "queue": 2, "compression": "lz4" });

@@ -1,5 +1,6 @@
 //! The metrics of a run: read by the parser of Prometheus' own client, compared with `top`, and asked for by those who mean no good.
 
+use crate::bridge::{apart, loopback, machines, newest, start};
 use crate::processes::wait_for_lines;
 use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, signal};
 use crate::view::{Answer, exchange};
@@ -17,16 +18,26 @@ const VISITORS: usize = 100;
 fn run(playground: &Playground) -> (Started, String) {
     playground.write("pipeline.toml", &TRACKING.replacen("[stage", "metrics = \"127.0.0.1:0\"\n[stage", 1));
     let mut run = playground.start(&["run", "--set", "source.rate_hz=50"]);
-    run.wait_for_text("metrics are at http://");
+    let host = host(&mut run);
     wait_for_lines(&mut run, playground);
-    let stderr = run.stderr();
-    let (_, address) = stderr.split_once("metrics are at http://").unwrap();
-    let host = address.split('/').next().unwrap().to_owned();
     (run, host)
 }
 
+/// Where a run says that its metrics are.
+fn host(run: &mut Started) -> String {
+    run.wait_for_text("metrics are at http://");
+    let stderr = run.stderr();
+    let (_, address) = stderr.split_once("metrics are at http://").unwrap();
+    address.split('/').next().unwrap().to_owned()
+}
+
 fn get(host: &str) -> Answer {
-    exchange(host, &format!("GET /metrics HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n"))
+    get_with(host, "")
+}
+
+/// What is answered to a request with such a line more.
+fn get_with(host: &str, line: &str) -> Answer {
+    exchange(host, &format!("GET /metrics HTTP/1.1\r\nHost: {host}\r\n{line}Connection: close\r\n\r\n"))
 }
 
 /// What was told of one series, by its name and labels.
@@ -186,4 +197,57 @@ fn an_address_that_is_taken_is_told_before_anything_starts() {
     let told = format!("`metrics` of the pipeline file: nothing can be offered at {address}: ");
     assert!(ended.stderr.contains(&told) && ended.stderr.contains("hint: "), "{}", ended.stderr);
     assert!(playground.lines("tracks.jsonl").is_empty());
+}
+
+#[test]
+fn a_token_keeps_others_out_and_without_one_the_network_is_warned_of() {
+    const TOKEN: &str = "a-secret-of-ours";
+    let with = |metrics: &str| TRACKING.replacen("[stage", &format!("metrics = {metrics}\n[stage"), 1);
+    let playground = Playground::with_pipeline(&with(&format!("{{ listen = \"0.0.0.0:0\", token = \"{TOKEN}\" }}")));
+    let mut run = playground.start(&["run", "--set", "source.rate_hz=50"]);
+    let port = host(&mut run).rsplit(':').next().unwrap().to_owned();
+    let host = format!("127.0.0.1:{port}");
+    assert_eq!(get(&host).status, 401);
+    assert_eq!(get_with(&host, "Authorization: Bearer another-secret\r\n").status, 401);
+    let told = get_with(&host, &format!("Authorization: Bearer {TOKEN}\r\n"));
+    assert!(told.status == 200 && told.text().contains("conicflow_frames_total"), "{}", told.text());
+    signal(run.id(), Signal::INT);
+    let stderr = run.wait().expect_code(0).stderr;
+    assert!(!stderr.contains(TOKEN) && !stderr.contains("may read the metrics"), "{stderr}");
+
+    playground.write("pipeline.toml", &with("\"0.0.0.0:0\""));
+    for arguments in [&["validate"][..], &["run", "--frames", "3"]] {
+        let ended = playground.conicflow(arguments).expect_code(0);
+        let told = ended.stdout + &ended.stderr;
+        assert!(told.contains("everyone who reaches 0.0.0.0:0 may read the metrics"), "{told}");
+        assert!(told.contains("hint: metrics = { listen = \"0.0.0.0:0\", token = \"..\" }"), "{told}");
+    }
+    playground.write("pipeline.toml", &with("{ listen = \"127.0.0.1:0\", token = \"short\" }"));
+    for command in ["validate", "run"] {
+        let told = playground.conicflow(&[command]).expect_code(2).stderr;
+        assert!(told.contains("`metrics` of the pipeline file: the token is not at least 12 letters"), "{told}");
+    }
+}
+
+#[test]
+fn each_machine_offers_its_own_where_its_table_says() {
+    let endpoint = loopback();
+    let text = apart(&endpoint, &endpoint).replacen("[stage", "metrics = \"127.0.0.1:0\"\n[stage", 1);
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let own = format!("[machine.base]\nmetrics = \"{taken}\"\n");
+    let [robot, base] = machines(&text.replace("[machine.base]\n", &own));
+    let mut runs = [start(&robot, "robot"), start(&base, "base")];
+    let hosts = runs.each_mut().map(host);
+    assert!(hosts[0] != hosts[1] && hosts[1] == taken.to_string(), "{hosts:?}");
+    runs[1].wait_until("tracks arrive", || newest(&base) > 30);
+    let texts = hosts.map(|host| get(&host).text());
+    for (text, [here, away]) in texts.iter().zip([["extractor", "tracker"], ["tracker", "extractor"]]) {
+        let has =
+            |stage: &str| text.contains(&format!("conicflow_frames_total{{pipeline=\"tracking\",stage=\"{stage}\"}}"));
+        assert!(has(here) && !has(away), "{text}");
+    }
+    for run in runs {
+        signal(run.id(), Signal::INT);
+        run.wait().expect_code(0);
+    }
 }

@@ -2,8 +2,8 @@
 //!
 //! At a loopback address every user of this machine may look, but no page from elsewhere may: neither by a name of its own that
 //! leads here (DNS rebinding, told by `Host`) nor by requests that it makes its visitors send (told by `Origin` and
-//! `Sec-Fetch-Site`). At any other address a token is asked for, once in the address of the page, then as a cookie; unless what is
-//! offered is for everyone.
+//! `Sec-Fetch-Site`). At any other address a token is asked for, once in the address of the page, then as a cookie, or of a program
+//! in `Authorization: Bearer`; unless what is offered is for everyone.
 
 use crate::request::Request;
 use crate::response::Response;
@@ -76,7 +76,7 @@ fn check_token(token: &str) -> Result<String, Hinted> {
     let is_plain = token.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'-' || byte == b'_');
     if token.len() < SHORTEST_TOKEN || !is_plain {
         let what = format!("the token is not at least {SHORTEST_TOKEN} letters, digits, `-` or `_`");
-        return Err(Hinted::new(what, "leave it out: one is made and printed"));
+        return Err(Hinted::new(what, "such as what `openssl rand -hex 16` prints"));
     }
     Ok(token.to_owned())
 }
@@ -142,8 +142,17 @@ impl Access {
         if kept.is_some_and(|(_, kept)| is_same(kept, token)) {
             return None;
         }
+        let of_program = request.header("authorization").and_then(|text| text.split_once(' '));
+        if of_program.is_some_and(|(kind, sent)| kind.eq_ignore_ascii_case("bearer") && is_same(sent.trim(), token)) {
+            return None;
+        }
         let what = if brought.is_some() { "the token is wrong" } else { "a token is needed" };
-        Some(Response::refusal(401, &format!("{what}: open the address that `conicflow view` printed, with `?token=`")))
+        Some(Response::refusal(
+            401,
+            &format!(
+                "{what}: open the address that was printed, with `?token=`, or send `Authorization: Bearer TOKEN`"
+            ),
+        ))
     }
 }
 
@@ -208,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn a_token_is_asked_for_and_kept_as_a_cookie() {
+    fn a_token_is_asked_for_and_kept_as_a_cookie_or_sent_with_each_request() {
         let access = access("0.0.0.0:8760", Some("0123456789ab"));
         let host = "Host: 192.168.1.7:8760";
         assert_eq!(status(&access, &format!("GET / HTTP/1.1\r\n{host}")), 401);
@@ -219,6 +228,10 @@ mod tests {
         assert_eq!(status(&access, &with("a=b; conicflow_8760=0123456789ab")), 200);
         assert_eq!(status(&access, &with("conicflow_8760=0123456789abc")), 401);
         assert_eq!(status(&access, &with("conicflow_9000=0123456789ab")), 401);
+        let of_program = |sent: &str| format!("GET /metrics HTTP/1.1\r\n{host}\r\nAuthorization: {sent}");
+        assert_eq!(status(&access, &of_program("Bearer 0123456789ab")), 200);
+        assert_eq!(status(&access, &of_program("Bearer 0123456789abc")), 401);
+        assert_eq!(status(&access, &of_program("Basic 0123456789ab")), 401);
     }
 
     #[test]

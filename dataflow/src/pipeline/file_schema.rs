@@ -43,10 +43,7 @@ pub fn file_schema<'a>(nodes: impl IntoIterator<Item = &'a Node>) -> Json {
                 "description": "Item types that only programs of one's own know.",
                 "type": "object", "additionalProperties": item(),
             },
-            "metrics": {
-                "description": "Where the metrics of the run are offered, ADDRESS:PORT in numbers; without it, nowhere.",
-                "type": "string", "examples": ["127.0.0.1:9464"],
-            },
+            "metrics": metrics("Where the metrics of the run are offered, ADDRESS:PORT in numbers; without it, nowhere."),
             "experiment": { "description": "What `conicflow run` varies and plots; stages do not see it.", "type": "object" },
         },
         DEFINITIONS: definitions,
@@ -194,8 +191,19 @@ fn machine() -> Json {
                 "description": "Seconds that lossless edges from here wait for a machine that has gone.",
                 "type": "number", "minimum": OUTAGE_S.start(), "maximum": OUTAGE_S.end(), "default": 30,
             },
+            "metrics": metrics("Where this machine offers the metrics of the run, in place of what the file says for all."),
         },
     })
+}
+
+fn metrics(description: &str) -> Json {
+    let address = json!({ "type": "string", "examples": ["127.0.0.1:9464"] });
+    let token = json!({ "description": "What has to be known to read them.", "type": "string" });
+    let table = json!({
+        "type": "object", "required": ["listen"], "additionalProperties": false,
+        "properties": { "listen": address, "token": token },
+    });
+    json!({ "description": description, "anyOf": [address, table] })
 }
 
 fn item() -> Json {
@@ -246,6 +254,7 @@ mod tests {
     use super::super::read::inputs::INPUT_KEYS;
     use super::super::read::items::ITEM_KEYS;
     use super::super::read::machines::MACHINE_KEYS;
+    use super::super::read::metrics::METRICS_KEYS;
     use super::super::read::stages::STAGE_KEYS;
     use super::*;
     use std::collections::BTreeSet;
@@ -260,6 +269,7 @@ mod tests {
         let of = |keys: &[&str]| keys.iter().map(|key| (*key).to_owned()).collect::<BTreeSet<_>>();
         assert_eq!(keys(&schema, "/properties"), of(&PIPELINE_KEYS));
         assert_eq!(keys(&schema, "/properties/machine/additionalProperties/properties"), of(&MACHINE_KEYS));
+        assert_eq!(keys(&schema, "/properties/metrics/anyOf/1/properties"), of(&METRICS_KEYS));
         assert_eq!(keys(&schema, "/properties/item/additionalProperties/properties"), of(&ITEM_KEYS));
         assert_eq!(keys(&schema, "/definitions/input/anyOf/1/properties"), of(&INPUT_KEYS));
         let mut of_program = keys(&schema, "/properties/stage/additionalProperties/oneOf/0/properties");

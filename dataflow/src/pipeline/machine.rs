@@ -1,5 +1,6 @@
 //! What a pipeline file says of its machines and of the edges between them.
 
+use super::metrics::Metrics;
 use conicflow_messages::Hinted;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -22,6 +23,9 @@ pub struct Machine {
     pub insecure: bool,
     /// Lossless edges from here wait so long for a machine that has gone; `None`: the default, in seconds.
     pub outage_s: Option<f64>,
+    /// Where its launcher offers the metrics of the run, in place of what the file says for all; no stage needs to know.
+    #[serde(skip)]
+    pub metrics: Option<Metrics>,
 }
 
 /// How the bytes of depth images and of lists of ellipses are compressed on their way to another machine, always without

@@ -8,6 +8,7 @@ mod diagnostic;
 mod file_schema;
 mod graph;
 mod machine;
+mod metrics;
 mod read;
 mod schema;
 mod spec;
@@ -16,6 +17,7 @@ mod value;
 pub use diagnostic::{Diagnostic, Report, Severity, SourceText, suggestion};
 pub use file_schema::file_schema;
 pub use machine::{BRIDGE, Compression, Machine, check_endpoint};
+pub use metrics::Metrics;
 pub use read::MAX_STAGE_NAME;
 pub use spec::{Input, Pipeline, Program, Restart, StageSpec};
 

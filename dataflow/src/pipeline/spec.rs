@@ -2,6 +2,7 @@
 
 use super::diagnostic::{Place, SourceText};
 use super::machine::{BRIDGE, Compression, Machine};
+use super::metrics::Metrics;
 use crate::item_type::{BUILT_IN, ItemType};
 use crate::node::Node;
 use crate::ports::{Delivery, Topic, TopicReader};
@@ -9,7 +10,6 @@ use conicflow_messages::{AnyByte, Item};
 use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
 use std::collections::BTreeMap;
-use std::net::SocketAddr;
 use std::path::PathBuf;
 
 /// A pipeline, read and checked.
@@ -24,8 +24,8 @@ pub struct Pipeline {
     pub items: Vec<ItemType>,
     /// The stages, in the order of the file.
     pub stages: Vec<StageSpec>,
-    /// Where the launcher offers the metrics of the run; without it, nowhere.
-    pub metrics: Option<SocketAddr>,
+    /// Where the launchers of machines offer the metrics of the run that say nothing of their own; without it, nowhere.
+    pub metrics: Option<Metrics>,
     /// What the file says under `experiment`; it is for whoever runs the pipeline, none of the stages see it.
     pub experiment: Option<Json>,
     /// The text that it was read from, and what was set beside it.
@@ -105,6 +105,12 @@ impl Pipeline {
     /// The stage of this name.
     pub fn stage(&self, name: &str) -> Option<&StageSpec> {
         self.stages.iter().find(|stage| stage.name == name)
+    }
+
+    /// Where the launcher on that machine offers the metrics of the run; without it, nowhere.
+    pub fn metrics_on(&self, machine: Option<&str>) -> Option<&Metrics> {
+        let own = machine.and_then(|machine| self.machines.get(machine)?.metrics.as_ref());
+        own.or(self.metrics.as_ref())
     }
 
     /// What both ends of a topic have to agree on.

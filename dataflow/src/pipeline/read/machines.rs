@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
-pub const MACHINE_KEYS: [&str; 6] = ["listen", "connect", "zenoh", "key", "insecure", "outage_s"];
+pub const MACHINE_KEYS: [&str; 7] = ["listen", "connect", "zenoh", "key", "insecure", "outage_s", "metrics"];
 pub const OUTAGE_S: RangeInclusive<f64> = 0.0..=86_400.0;
 const OUTAGE_HINT: &str = "how long lossless edges wait for a machine that has gone";
 
@@ -47,8 +47,9 @@ impl Reader<'_> {
         let key = table.take("key").and_then(|entry| self.existing_file(&entry));
         let insecure = table.take("insecure").and_then(|entry| self.boolean(&entry)).unwrap_or_default();
         let outage_s = table.take("outage_s").and_then(|entry| self.seconds(&entry, OUTAGE_S, OUTAGE_HINT));
+        let metrics = table.take("metrics").and_then(|entry| self.metrics(entry));
         self.unknown_keys(&table, &MACHINE_KEYS, &owner);
-        let machine = Machine { listen, connect, zenoh, key, insecure, outage_s };
+        let machine = Machine { listen, connect, zenoh, key, insecure, outage_s, metrics };
         if let Some(network) = &self.context.registry.network
             && let Err(error) = (network.check)(&machine)
         {

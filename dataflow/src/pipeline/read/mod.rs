@@ -3,6 +3,7 @@
 pub(super) mod inputs;
 pub(super) mod items;
 pub(super) mod machines;
+pub(super) mod metrics;
 pub(super) mod stages;
 
 use super::diagnostic::{Diagnostic, Place, SourceText, closest, suggestion};
@@ -10,7 +11,6 @@ use super::spec::Pipeline;
 use super::value::{Content, Entry, Table};
 use crate::item_type::{BUILT_IN, ItemType};
 use crate::registry::Registry;
-use std::net::SocketAddr;
 use std::ops::RangeInclusive;
 use std::path::Path;
 use std::sync::Arc;
@@ -33,7 +33,7 @@ pub(super) fn pipeline(
     let name = reader.name(&mut document, &start);
     reader.items = document.take("item").map(|entry| reader.items(entry)).unwrap_or_default();
     let machines = document.take("machine").map(|entry| reader.machines(entry)).unwrap_or_default();
-    let metrics = document.take("metrics").and_then(|entry| reader.address(&entry));
+    let metrics = document.take("metrics").and_then(|entry| reader.metrics(entry));
     let experiment = document.take("experiment").map(|entry| entry.value.to_json());
     let stages = document.take("stage").map(|entry| reader.stages(entry));
     reader.unknown_keys(&document, &PIPELINE_KEYS, "the pipeline");
@@ -101,21 +101,6 @@ impl Reader<'_> {
         let what = format!("`{}` wants an array of strings, this is {}", entry.key, wrong.type_name());
         self.fault(&wrong.place, what, format!("for example {} = [\"..\", \"..\"]", entry.key));
         None
-    }
-
-    /// An address of this machine with a port.
-    fn address(&mut self, entry: &Entry) -> Option<SocketAddr> {
-        let text = self.string(entry)?;
-        let address = text.parse().ok();
-        if address.is_none() {
-            let hint = "such as \"127.0.0.1:9464\" for this machine alone, \"0.0.0.0:9464\" for its whole network";
-            self.fault(
-                &entry.value.place,
-                format!("`{}` cannot be `{text}`, expected ADDRESS:PORT in numbers", entry.key),
-                hint,
-            );
-        }
-        address
     }
 
     fn boolean(&mut self, entry: &Entry) -> Option<bool> {
