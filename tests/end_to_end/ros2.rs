@@ -6,7 +6,7 @@ use crate::routers::router;
 use crate::support::{Playground, RECORDING, Started, TRACKING, signal, wait_until};
 use conicflow_lab::simulator::scene::Scene;
 use conicflow_messages::Camera;
-use conicflow_ros::{CameraInfo, Image, Stamped, write_transform, write_units};
+use conicflow_ros::{CameraInfo, Image, Reader, Stamped, Writer, write_transform, write_units};
 use rustix::process::Signal;
 use serde_json::Value as Json;
 use std::fs;
@@ -19,6 +19,9 @@ use zenoh::sample::SampleKind;
 
 const IMAGE_HASH: &str = "RIHS01_d31d41a9a4c4bc8eae9be757b0beed306564f7526c88ea6a4588fb9582527d47";
 const INFO_HASH: &str = "RIHS01_b3dfd68ff46c9d56c80fd3bd4ed22c7a4ddce8c8348f2f59c299e73118e7e275";
+const COMPRESSED_HASH: &str = "RIHS01_15640771531571185e2efc8a100baf923961a4d15d5569652e6cb6691e8e371a";
+const CLOUD_HASH: &str = "RIHS01_9198cabf7da3796ae6fe19c4cb3bdd3525492988c70522628af5daa124bae2b5";
+const TF_HASH: &str = "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087";
 const DETECTIONS_HASH: &str = "RIHS01_793f5eab9595ac1c0da07873cc859db42eae51f0ee76056db8562515d830e018";
 const MARKERS_HASH: &str = "RIHS01_86cb8800b6fb05b5eff1abd7a56f62a5641d3ae9a1c29e78e67e704f1d067dcf";
 const FRAME: &str = "camera_depth_optical_frame";
@@ -53,19 +56,68 @@ impl RobotsTopic {
 
     fn publish(&mut self, message: Vec<u8>) {
         self.sequence += 1;
-        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_nanos() as i64;
-        let attachment = [&self.sequence.to_le_bytes()[..], &now.to_le_bytes(), &[16], &[3; 16]].concat();
         // A test must not lose what a busy machine is slow to take.
         let put = self.session.put(&self.key, message).congestion_control(CongestionControl::Block);
-        put.attachment(attachment).wait().unwrap();
+        put.attachment(attachment(self.sequence)).wait().unwrap();
     }
+
+    /// Holds a message for those who come later, as a publisher of `TRANSIENT_LOCAL` does: a cache below the topic's key answers
+    /// with the key of the topic itself.
+    fn latch(&self, message: Vec<u8>) -> impl Sized + use<> {
+        let (key, below) = (self.key.clone(), format!("{}/@adv/pub/{}/1/_", self.key, self.session.zid()));
+        let answer = move |query: zenoh::query::Query| {
+            query.reply(&key, message.clone()).attachment(attachment(1)).wait().unwrap();
+        };
+        self.session.declare_queryable(below).callback(answer).wait().unwrap()
+    }
+}
+
+/// What goes with a message: its number, the time, and from whom it is.
+fn attachment(sequence: i64) -> Vec<u8> {
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_nanos() as i64;
+    [&sequence.to_le_bytes()[..], &now.to_le_bytes(), &[16], &[3; 16]].concat()
 }
 
 /// The depth topic of a camera, with what tells of it.
 fn camera_topics(session: &zenoh::Session) -> [RobotsTopic; 2] {
-    let image = format!("0/camera/depth/image_rect_raw/sensor_msgs::msg::dds_::Image_/{IMAGE_HASH}");
+    topics(session, "image_rect_raw", "Image", IMAGE_HASH)
+}
+
+/// A topic of a camera whose messages are of this type, with what tells of the camera.
+fn topics(session: &zenoh::Session, name: &str, kind: &str, hash: &str) -> [RobotsTopic; 2] {
+    let messages = format!("0/camera/depth/{name}/sensor_msgs::msg::dds_::{kind}_/{hash}");
     let info = format!("0/camera/depth/camera_info/sensor_msgs::msg::dds_::CameraInfo_/{INFO_HASH}");
-    [image, info].map(|key| RobotsTopic::new(session, &key))
+    [messages, info].map(|key| RobotsTopic::new(session, &key))
+}
+
+/// A depth image as `compressed_depth_image_transport` sends it.
+fn compressed(stamped: Stamped<'_>, camera: &Camera, pixels: &[u16]) -> Vec<u8> {
+    let mut file = vec![0; 12]; // how depths in metres were made whole numbers; these are millimetres
+    let mut encoder = png::Encoder::new(&mut file, camera.width, camera.height);
+    encoder.set_color(png::ColorType::Grayscale);
+    encoder.set_depth(png::BitDepth::Sixteen);
+    let bytes: Vec<u8> = pixels.iter().flat_map(|pixel| pixel.to_be_bytes()).collect();
+    encoder.write_header().unwrap().write_image_data(&bytes).unwrap();
+    let mut writer = Writer::new(Vec::new());
+    writer.stamped(stamped).text("16UC1; compressedDepth png").bytes(file.len(), file.into_iter());
+    writer.finish()
+}
+
+/// The points of a depth image in millimetres, as `depth_image_proc` sends them: NaN where nothing was measured.
+fn cloud(stamped: Stamped<'_>, camera: &Camera, pixels: &[u16]) -> Vec<u8> {
+    let point = |(place, &millimetres): (usize, &u16)| {
+        let z = if matches!(millimetres, 0 | u16::MAX) { f64::NAN } else { f64::from(millimetres) * 1e-3 };
+        let [u, v] = [place as u32 % camera.width, place as u32 / camera.width].map(f64::from);
+        [z * (u - camera.cx) / camera.fx, z * (v - camera.cy) / camera.fy, z, 0.0].map(|number| number as f32)
+    };
+    let data: Vec<u8> = pixels.iter().enumerate().flat_map(point).flat_map(f32::to_le_bytes).collect();
+    let mut writer = Writer::new(Vec::new());
+    writer.stamped(stamped).u32(camera.height).u32(camera.width).length(3);
+    for (name, offset) in [("x", 0), ("y", 4), ("z", 8)] {
+        writer.text(name).u32(offset).u8(7).u32(1);
+    }
+    writer.u8(0).u32(16).u32(16 * camera.width).bytes(data.len(), data.into_iter()).u8(0);
+    writer.finish()
 }
 
 /// The tokens of those who take part.
@@ -85,11 +137,16 @@ fn wait_for_token(session: &zenoh::Session, part: &str) -> String {
 
 /// The same stages with a camera of ROS 2.
 fn by_ros(text: &str, endpoint: &str) -> String {
+    by_topic(text, "image_rect_raw", endpoint)
+}
+
+/// The same stages with messages of this topic of a camera.
+fn by_topic(text: &str, topic: &str, endpoint: &str) -> String {
     let (before, after) = text.split_once("[stage.source]").unwrap();
     let rest = after.split_once("[stage.extractor]").unwrap().1;
     format!(
         "{before}[stage.source]\nnode = \"ros2_source\"\noutput = \"depth\"\nnoise = \"ideal\"\n\
-         topic = \"/camera/depth/image_rect_raw\"\nconnect = [\"{endpoint}\"]\n\n[stage.extractor]{rest}"
+         topic = \"/camera/depth/{topic}\"\nconnect = [\"{endpoint}\"]\n\n[stage.extractor]{rest}"
     )
 }
 
@@ -117,38 +174,124 @@ fn recorded(text: &str, frames: u64) -> (Playground, Camera, Vec<Vec<u16>>) {
     (playground, camera, images)
 }
 
-/// The numbers and the objects of all lines.
-fn found(playground: &Playground) -> Vec<(Json, Json)> {
-    let lines = playground.json_lines("objects.jsonl");
-    lines.iter().map(|line| (line["sequence"].clone(), line["objects"].clone())).collect()
-}
+/// A message of ROS of a depth image in millimetres.
+type Encode = fn(Stamped<'_>, &Camera, &[u16]) -> Vec<u8>;
 
-#[test]
-fn images_of_ros_give_the_objects_that_the_same_files_give() {
+/// The lines that frames of files give, and those that the same frames give as messages of such a topic.
+fn of_files_and_of_ros(name: &str, kind: &str, hash: &str, encode: Encode) -> [Vec<Json>; 2] {
     const FRAMES: u64 = 60;
     let (files, camera, images) = recorded(RECORDING, FRAMES);
     files.conicflow(&["run"]).expect_code(0);
     let endpoint = loopback();
     let _router = router(&endpoint);
     let session = robot(&endpoint);
-    let by_topic = Playground::with_pipeline(&by_ros(RECORDING, &endpoint));
-    let mut run = by_topic.start(&["run", "--frames", &FRAMES.to_string()]);
-    wait_for_token(&session, "/MS/%/%/conicflow_source/%camera%depth%image_rect_raw/");
-    let [mut topic, mut info] = camera_topics(&session);
+    let of_ros = Playground::with_pipeline(&by_topic(RECORDING, name, &endpoint));
+    let mut run = of_ros.start(&["run", "--frames", &FRAMES.to_string()]);
+    wait_for_token(&session, &format!("/MS/%/%/conicflow_source/%camera%depth%{}/", name.replace('/', "%")));
+    let [mut topic, mut info] = topics(&session, name, kind, hash);
     for (number, image) in images.iter().enumerate() {
         let stamped = Stamped { stamp_ns: 1_700_000_000_000_000_000 + number as u64, frame_id: FRAME };
         info.publish(CameraInfo::write(stamped, &camera, Vec::new()));
-        topic.publish(write_units(stamped, (camera.width, camera.height), image, Vec::new()));
+        topic.publish(encode(stamped, &camera, image));
         // As fast as the pipeline takes them: a topic of ROS waits for nobody.
-        run.wait_until("its objects are written", || by_topic.lines("objects.jsonl").len() + 2 > number);
+        run.wait_until("its objects are written", || of_ros.lines("objects.jsonl").len() + 2 > number);
     }
     run.wait().expect_code(0);
-    let (of_files, of_topic) = (found(&files), found(&by_topic));
-    assert!(of_files.iter().any(|(_, objects)| !objects.as_array().unwrap().is_empty()), "something is found");
-    assert_eq!(of_topic.len() as u64, FRAMES);
-    assert!(of_topic == of_files);
-    let last = by_topic.json_lines("objects.jsonl").pop().unwrap();
+    let last = of_ros.json_lines("objects.jsonl").pop().unwrap();
     assert_eq!((last["stamp_ns"].as_u64(), last["source"].as_str()), (Some(1_700_000_000_000_000_059), Some(FRAME)));
+    let lines = [files, of_ros].map(|playground| playground.json_lines("objects.jsonl"));
+    assert!(lines[0].iter().any(|line| !line["objects"].as_array().unwrap().is_empty()), "something is found");
+    assert_eq!(lines[1].len() as u64, FRAMES);
+    lines
+}
+
+/// The numbers and the objects of each line.
+fn objects(lines: &[Json]) -> Vec<(Json, Json)> {
+    lines.iter().map(|line| (line["sequence"].clone(), line["objects"].clone())).collect()
+}
+
+#[test]
+fn images_of_ros_give_the_objects_that_the_same_files_give() {
+    let encode: Encode =
+        |stamped, camera, image| write_units(stamped, (camera.width, camera.height), image, Vec::new());
+    let [of_files, of_ros] = of_files_and_of_ros("image_rect_raw", "Image", IMAGE_HASH, encode);
+    assert!(objects(&of_ros) == objects(&of_files));
+}
+
+#[test]
+fn compressed_images_of_ros_give_the_objects_that_the_same_files_give() {
+    let [of_files, of_ros] =
+        of_files_and_of_ros("image_rect_raw/compressedDepth", "CompressedImage", COMPRESSED_HASH, compressed);
+    assert!(objects(&of_ros) == objects(&of_files));
+}
+
+#[test]
+fn clouds_of_ros_give_the_objects_that_the_same_files_give() {
+    let [of_files, of_ros] = of_files_and_of_ros("points", "PointCloud2", CLOUD_HASH, cloud);
+    // Depths in single precision are counted in smaller units, so that the last digits differ.
+    let mut compared = 0;
+    for (of_file, of_cloud) in of_files.iter().zip(&of_ros) {
+        let [of_file, of_cloud] = [of_file, of_cloud].map(|line| line["objects"].as_array().unwrap());
+        assert_eq!(of_file.len(), of_cloud.len(), "{of_file:?} {of_cloud:?}");
+        for (one, other) in of_file.iter().zip(of_cloud) {
+            let far =
+                |axis: usize| (one["center"][axis].as_f64().unwrap() - other["center"][axis].as_f64().unwrap()).abs();
+            assert!(one["kind"] == other["kind"] && (0..3).all(|axis| far(axis) < 1e-4), "{one} {other}");
+            compared += 1;
+        }
+    }
+    assert!(compared > 60, "{compared}");
+}
+
+/// A static transform that was sent before the run began, and one that moves, give the pose of each image; the sink sends it on.
+#[test]
+fn the_pose_of_the_camera_comes_from_transforms_and_goes_out_as_one() {
+    let endpoint = loopback();
+    let _router = router(&endpoint);
+    let session = robot(&endpoint);
+    let tf = |name: &str| RobotsTopic::new(&session, &format!("0/{name}/tf2_msgs::msg::dds_::TFMessage_/{TF_HASH}"));
+    let pose = |x| [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
+    let in_base = Stamped { stamp_ns: 0, frame_id: "base" };
+    let _latched = tf("tf_static").latch(write_transform(in_base, FRAME, &pose(0.5), Vec::new()));
+    let heard = session.declare_subscriber(format!("0/tf/tf2_msgs::msg::dds_::TFMessage_/{TF_HASH}")).wait().unwrap();
+    let text = by_ros(RECORDING, &endpoint).replace("[stage.extractor]", "world = \"map\"\n\n[stage.extractor]");
+    // The robot's own frame has a parent already.
+    let sink = "input = \"objects\"\nworld = \"map\"\nframe_id = \"seen_from\"";
+    let playground = Playground::with_pipeline(&format!(
+        "{text}\n[stage.ros]\nnode = \"ros2_sink\"\n{sink}\nconnect = [\"{endpoint}\"]\n"
+    ));
+    let mut run = playground.start(&["run"]);
+    wait_for_token(&session, "/MS/%/%/conicflow_source/%camera%depth%image_rect_raw/");
+    wait_for_token(&session, "/MP/%/%/conicflow_ros/%tf/");
+    let ([mut topic, mut info], mut moving) = (camera_topics(&session), tf("tf"));
+    let camera = Camera { width: 64, height: 48, fx: 50.0, fy: 50.0, cx: 31.5, cy: 23.5 };
+    // The base goes a metre in five milliseconds: where it is between two transforms, that of the image is.
+    const STEP_NS: u64 = 5_000_000;
+    const BEGIN_NS: u64 = 1_700_000_000_000_000_000;
+    let (mut step, mut came) = (0, None);
+    run.wait_until("poses come back", || {
+        let at = Stamped { stamp_ns: BEGIN_NS + step * STEP_NS, frame_id: FRAME };
+        info.publish(CameraInfo::write(at, &camera, Vec::new()));
+        topic.publish(write_units(at, (camera.width, camera.height), &[1000; 64 * 48], Vec::new()));
+        let after = Stamped { stamp_ns: at.stamp_ns + STEP_NS, frame_id: "map" };
+        moving.publish(write_transform(after, "base", &pose((step + 1) as f64), Vec::new()));
+        step += 2;
+        std::thread::sleep(Duration::from_millis(20));
+        let messages = heard.drain().map(|sample| sample.payload().to_bytes().into_owned());
+        let of_sink = messages.filter(|message| message.windows(9).any(|bytes| bytes == b"seen_from"));
+        came = of_sink.last().or(came.take());
+        came.is_some() && step > 40
+    });
+    let message = came.unwrap();
+    let mut reader = Reader::new(&message).unwrap();
+    assert_eq!(reader.u32().unwrap(), 1);
+    let stamped = reader.stamped().unwrap();
+    assert_eq!((stamped.frame_id, reader.text().unwrap()), ("map", "seen_from"));
+    let expected = ((stamped.stamp_ns - BEGIN_NS) / STEP_NS) as f64 + 0.5;
+    let [x, y, z] = reader.f64s().unwrap();
+    assert!((x - expected).abs() < 1e-9 && y == 0.0 && z == 0.0, "{x} {y} {z}, expected {expected}");
+    signal(run.id(), Signal::INT);
+    run.wait().expect_code(0);
 }
 
 #[test]
@@ -358,6 +501,8 @@ fn messages_are_those_of_an_independent_reader() {
     for (file, message) in [
         ("image.sensor_msgs.Image", image),
         ("info.sensor_msgs.CameraInfo", CameraInfo::write(stamped, &camera, Vec::new())),
+        ("compressed.sensor_msgs.CompressedImage", compressed(stamped, &camera, &[0, 1, 65535, 4, 5, 6])),
+        ("cloud.sensor_msgs.PointCloud2", cloud(stamped, &camera, &[0, 1, 65535, 4, 5, 6])),
         ("tf.tf2_msgs.TFMessage", write_transform(stamped, "camera", &pose, Vec::new())),
     ] {
         fs::write(playground.path(file), message).unwrap();
@@ -366,7 +511,7 @@ fn messages_are_those_of_an_independent_reader() {
     script.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/end_to_end/ros2_messages.py"));
     script.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/ros")).arg(playground.path("."));
     let printed = Started::new(script).wait().expect_code(0).stdout;
-    assert!(printed.contains("7 types, 23 messages"), "{printed}");
+    assert!(printed.contains("7 types, 25 messages"), "{printed}");
 }
 
 #[test]

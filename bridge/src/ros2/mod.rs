@@ -21,7 +21,7 @@ use zenoh::bytes::ZBytes;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::{Publisher, Subscriber};
 use zenoh::qos::CongestionControl;
-use zenoh::query::{ConsolidationMode, QueryTarget};
+use zenoh::query::{ConsolidationMode, QueryTarget, ReplyKeyExpr};
 use zenoh::sample::Sample;
 use zenoh::{Session, Wait};
 
@@ -234,6 +234,8 @@ impl Keeper {
             let inboxes = Arc::clone(&self.inboxes);
             let key = key_of_caches(&Keys(&self.participant).key(end));
             let query = session.get(key).target(QueryTarget::All).consolidation(ConsolidationMode::None);
+            // They answer with messages of the topic, whose key is not below the one that is asked.
+            let query = query.accept_replies(ReplyKeyExpr::Any);
             let asked = query.timeout(ANSWER).callback(move |reply| {
                 if let Ok(sample) = reply.into_result() {
                     inboxes[number].take(&sample);
