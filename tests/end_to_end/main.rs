@@ -29,6 +29,7 @@ mod pause;
 mod processes;
 mod programs;
 mod radio;
+mod readme;
 mod recordings;
 mod room;
 mod ros2;
