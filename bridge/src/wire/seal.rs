@@ -3,7 +3,7 @@
 //! It is HMAC-SHA256 by that key, over the length of the Zenoh key as a little-endian `u64`, the Zenoh key, and all bytes of the
 //! message but the code: so nobody without the key can make a message, change one, or put one under another topic. To
 //! put one there again is told by what it says: by the session, which its sender has to prove to be the present one
-//! ([`links`](crate::peer::links)), and within that by its number, or of a heartbeat its time.
+//! (`peer::links`), and within that by its number, or of a heartbeat its time.
 
 use super::{PREFIX, SEAL, WireError, content};
 use conicflow_dataflow::LinkKey;
