@@ -61,7 +61,7 @@ impl Transport for SharedMemory {
         let subscriber = subscriber.map_err(|error| fault(&error))?;
         let (item, topic, occupied) = (item.clone(), topic.name.clone(), Arc::clone(&self.occupied));
         let port = ReadingPort::new(subscriber, &self.occupied);
-        Ok(SharedReader { port, wake, room, finished, item, topic, occupied })
+        Ok(SharedReader { port, wake, room, finished, origin: None, item, topic, occupied })
     }
 
     fn writer_of(&self, item: &ItemType, topic: &Topic) -> Result<SharedWriter, PortError> {

@@ -20,6 +20,8 @@ pub struct SharedReader {
     pub(super) room: Option<Notifier<Ipc>>,
     /// Where it notes what it has finished, and its place there.
     pub(super) finished: Option<(Arc<Acknowledgements>, usize)>,
+    /// The writer's end from which the last message came.
+    pub(super) origin: Option<u128>,
     pub(super) item: ItemType,
     pub(super) topic: String,
     pub(super) occupied: Arc<Occupied>,
@@ -79,9 +81,13 @@ impl Reader for SharedReader {
             reason: format!("{error:?}"),
             root: self.occupied.root().to_owned(),
         })?;
-        // Where messages are kept, there is room for another one when one is finished.
-        if received.is_some() && self.finished.is_none() {
-            self.wake_writer();
+        if let Some(message) = &received {
+            let origin = Some(message.sample.header().publisher_id().value());
+            // Where messages are kept, there is room for another one when one is finished; a new writer waits until it is seen.
+            if self.finished.is_none() || self.origin != origin {
+                self.wake_writer();
+            }
+            self.origin = origin;
         }
         Ok(received)
     }

@@ -6,8 +6,9 @@ use crate::ports::{Delivery, PortError, Reader, Received, Topic, TopicReader, Tr
 use crate::stage::Stop;
 use conicflow_messages::{Header, Hop, Object, Text, Track};
 use std::path::Path;
+use std::sync::mpsc::channel;
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 fn topic(delivery: Delivery, queue: usize) -> Topic {
     let reader = TopicReader { stage: "reader".into(), delivery, queue };
@@ -54,6 +55,50 @@ fn a_slow_lossless_reader_loses_nothing_not_even_before_its_first_look() {
     });
 }
 
+/// Sends a message of one item, as the stage that writes the topic does.
+fn send_as_writer(writer: &mut SharedWriter, number: u64) {
+    writer.loan(1).unwrap().copy_from_slice(&[number as u16]);
+    let mut header = Header { number, sequence: number, ..Header::default() };
+    header.add_hop(Hop { stage: Text::new("writer"), ..Hop::default() });
+    writer.send(&header).unwrap();
+}
+
+/// The sequence number of the next message.
+fn wait_for(reader: &mut impl Reader) -> u64 {
+    let deadline = Instant::now() + Duration::from_secs(20);
+    while Instant::now() < deadline {
+        if let Some(message) = reader.receive().unwrap() {
+            return message.header().sequence;
+        }
+        reader.wait(Duration::from_millis(10)).unwrap();
+    }
+    panic!("no message comes");
+}
+
+#[test]
+fn what_was_sent_is_not_gone_with_its_writer_before_a_reader_looks_for_the_first_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut topic = topic(Delivery::Lossless, 3);
+    topic.item = Some(ItemType::of::<u16>());
+    let open = |stage: &str| open(folder.path(), stage).kept_in(folder.path());
+    let _services = open("launcher").keep_services([&topic].into_iter()).unwrap();
+    // It has joined the topic, and is still being made ready.
+    let mut reader = open("reader").reader::<u16>(&topic, "reader").unwrap();
+    let (done, is_done) = channel();
+    thread::scope(|scope| {
+        scope.spawn(|| {
+            let mut writer = open("writer").writer::<u16>(&topic).unwrap();
+            send_as_writer(&mut writer, 0);
+            // Its memory is cleared away, as that of a process that was killed.
+            drop(writer);
+            done.send(()).unwrap();
+        });
+        is_done.recv_timeout(Duration::from_millis(300)).unwrap_err();
+        assert_eq!(wait_for(&mut reader), 0);
+        is_done.recv_timeout(Duration::from_secs(20)).unwrap();
+    });
+}
+
 #[test]
 fn what_a_lossless_reader_has_not_finished_is_handed_to_the_next_one_and_to_nobody_else() {
     let folder = tempfile::tempdir().unwrap();
@@ -63,18 +108,17 @@ fn what_a_lossless_reader_has_not_finished_is_handed_to_the_next_one_and_to_nobo
     let open = |stage: &str| open(folder.path(), stage).kept_in(folder.path());
     let _services = open("launcher").keep_services([&topic].into_iter()).unwrap();
     let mut writer = open("writer").writer::<u16>(&topic).unwrap();
-    let send = |writer: &mut SharedWriter, number: u64| {
-        writer.loan(1).unwrap().copy_from_slice(&[number as u16]);
-        let mut header = Header { number, sequence: number, ..Header::default() };
-        header.add_hop(Hop { stage: Text::new("writer"), ..Hop::default() });
-        writer.send(&header).unwrap();
-    };
     let mut first = open("reader").reader::<u16>(&topic, "reader").unwrap();
     assert_eq!(first.acknowledged(), Some(vec![(Text::new("writer"), 0)]));
-    (0..2).for_each(|number| send(&mut writer, number));
-    assert_eq!(sequences(&mut first), [0, 1]);
+    thread::scope(|scope| {
+        // The first one is waited for until the reader has seen that there is a writer.
+        let sending = scope.spawn(|| (0..2).for_each(|number| send_as_writer(&mut writer, number)));
+        assert_eq!(wait_for(&mut first), 0);
+        sending.join().unwrap();
+    });
+    assert_eq!(sequences(&mut first), [1]);
     first.acknowledge(Text::new("writer"), 2);
-    (2..6).for_each(|number| send(&mut writer, number));
+    (2..6).for_each(|number| send_as_writer(&mut writer, number));
     assert_eq!((writer.unfinished("reader"), writer.unfinished("viewer")), (4, 0));
     assert_eq!(first.receive().unwrap().unwrap().header().sequence, 2, "in its hands when it dies");
     drop(first);

@@ -135,12 +135,8 @@ impl SharedWriter {
         }
     }
 
-    /// Lossless readers that have not taken a message yet; what their predecessors answered is forgotten. Where messages are kept
-    /// a queue has room before a reader's first look.
+    /// Lossless readers that have not taken a message yet; what their predecessors answered is forgotten.
     fn new_lossless_readers(&mut self) -> Vec<(u128, usize)> {
-        if self.sent.is_some() {
-            return Vec::new();
-        }
         let mut readers = lossless_readers(&self.messages, &self.topic);
         self.attached.retain(|port| readers.iter().any(|(reader, _)| reader == port));
         readers.retain(|(port, _)| !self.attached.contains(port));
@@ -152,7 +148,8 @@ impl SharedWriter {
     }
 
     /// Waits until readers that are new have taken the message that was just sent. Before a reader looks into its queue
-    /// for the first time iceoryx2 does not count it as connected, and would drop what does not fit.
+    /// for the first time iceoryx2 does not count it as connected, and would drop what does not fit; and what a writer has sent that
+    /// is killed and cleared away before that look would be gone, although it was not its reader that died.
     fn await_first_sight(&mut self, mut new: Vec<(u128, usize)>) {
         while !new.is_empty() && !self.stop.forced() {
             let mut answers = std::mem::take(&mut *self.answers.lock().unwrap_or_else(PoisonError::into_inner));
