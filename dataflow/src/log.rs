@@ -55,7 +55,7 @@ pub fn error_text(error: impl Display) -> String {
 const SELDOM: Duration = Duration::from_secs(1);
 
 /// Warns of what may happen with each message, no more often than one can read.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct ThrottledWarning {
     told: Option<Instant>,
     untold: u64,

@@ -32,7 +32,7 @@ const OCTAVES: usize = 26;
 const SMALLEST_NS: u64 = 1024;
 
 /// Where a stage is in its life.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Life {
     /// Started, not yet ready.
     Starting,

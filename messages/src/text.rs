@@ -6,7 +6,7 @@ use std::fmt;
 
 /// UTF-8 text of at most `N` bytes; what is longer is cut at a character boundary.
 #[repr(transparent)]
-#[derive(Clone, Copy, Pod, Zeroable, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Pod, Zeroable, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Text<const N: usize>([u8; N]);
 
 impl<const N: usize> Text<N> {

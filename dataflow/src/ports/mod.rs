@@ -321,7 +321,7 @@ pub trait Writer {
 }
 
 /// A reader that is there: a stage that was started anew is another one.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct ConnectedReader {
     /// The number of its end of the topic, which no other has.
     pub port: u128,

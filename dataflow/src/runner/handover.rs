@@ -22,7 +22,7 @@ pub(crate) const SUCCESSOR: &str = "CONICFLOW_SUCCESSOR";
 const LOOK: Duration = Duration::from_millis(20);
 
 /// A place in the streams that a stage reads.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) struct Watermark {
     /// By writer: the number of a message.
     pub(crate) numbers: BTreeMap<Text<32>, u64>,

@@ -15,6 +15,7 @@ const MOST_AT_ONCE: usize = 64;
 const MOST_DEATHS: u64 = 2;
 
 /// Takes messages from a reader: checked, in order, the newest only where that is wanted.
+#[cfg_attr(test, derive(Clone))]
 pub struct InputPort<R: Reader> {
     reader: R,
     delivery: Delivery,
@@ -36,6 +37,8 @@ pub struct InputPort<R: Reader> {
     unsaid: BTreeSet<Text<32>>,
     /// By writer, what was said last.
     said: BTreeMap<Text<32>, u64>,
+    /// Whether its writers began to count when this run did.
+    has_all_from_first: bool,
     /// The stage that it drives, which is not given again what it has died of too often.
     driven: Option<Text<32>>,
     nonsense: ThrottledWarning,
@@ -59,9 +62,22 @@ impl<R: Reader> InputPort<R> {
             came: BTreeMap::new(),
             unsaid: BTreeSet::new(),
             said: BTreeMap::new(),
+            has_all_from_first: false,
             driven: None,
             nonsense: ThrottledWarning::default(),
         }
+    }
+
+    /// All that decides what it does, so that the model of the protocol can tell its states apart.
+    #[cfg(test)]
+    pub(super) fn hash_state(&self, hasher: &mut impl std::hash::Hasher) {
+        use std::hash::Hash;
+        for header in self.buffered() {
+            (header.number, header.sequence, header.epoch, header.flags).hash(hasher);
+        }
+        (&self.ended, &self.last_frame, &self.last_number, bytemuck::bytes_of(&self.counts)).hash(hasher);
+        (&self.worked_on, &self.predecessor, &self.counted).hash(hasher);
+        (&self.came, &self.unsaid, &self.said).hash(hasher);
     }
 
     /// What the items of its messages are.
@@ -99,6 +115,11 @@ impl<R: Reader> InputPort<R> {
     /// Says that this is what drives `stage`.
     pub(crate) fn drive(&mut self, stage: &str) {
         self.driven = Some(Text::new(stage));
+    }
+
+    /// Says that its writers are of this run: what they have sent before the first message that comes is lost.
+    pub(crate) fn expect_from_first(&mut self) {
+        self.has_all_from_first = self.delivery == Delivery::Lossless;
     }
 
     /// Says that all messages which came are finished, but for those that wait here or in `kept`: should this stage be started
@@ -314,8 +335,11 @@ impl<R: Reader> InputPort<R> {
             self.note_came(writer, next);
             self.last_number.entry(writer).or_insert(number);
             self.predecessor.numbers.entry(writer).or_insert(number);
+            // Should it leave its place before it has worked on anything, its successor need not do it again either.
+            self.worked_on.numbers.entry(writer).or_insert(number);
             if writer == last.writer && last.number <= number {
                 self.last_frame.entry(last.source).or_insert((last.epoch, last.sequence));
+                self.worked_on.frames.entry(last.source).or_insert((last.epoch, last.sequence));
             }
         }
         self.counted = (last.writer != Text::default()).then_some((last.writer, last.number));
@@ -388,9 +412,14 @@ impl<R: Reader> InputPort<R> {
 
     /// Counts what was lost on the way from the writer to here.
     fn count_lost(&mut self, header: &Header, writer: Text<32>) {
-        if let Some(last) = self.last_number.insert(writer, header.number) {
-            let lost = header.number.saturating_sub(last.saturating_add(1));
-            self.counts.dropped = self.counts.dropped.saturating_add(lost);
+        let last = self.last_number.insert(writer, header.number);
+        let first = if self.has_all_from_first { Some(0) } else { None };
+        let Some(next) = last.map(|last| last.saturating_add(1)).or(first) else { return };
+        let lost = header.number.saturating_sub(next);
+        self.counts.dropped = self.counts.dropped.saturating_add(lost);
+        if last.is_none() {
+            // The frames before the first one of a source are nobody's gap.
+            self.counts.gaps = self.counts.gaps.saturating_add(lost);
         }
     }
 

@@ -57,6 +57,24 @@ fn frames_come_once_and_in_order_and_gaps_are_counted() {
 }
 
 #[test]
+fn what_was_lost_before_the_first_message_is_counted_where_the_writer_is_of_this_run() {
+    for (is_of_this_run, lost) in [(true, 2), (false, 0)] {
+        let memory = InMemory::default();
+        let topic = topic(Delivery::Lossless);
+        let reader = memory.reader::<Object>(&topic, "reader").unwrap();
+        let mut writer = memory.writer::<Object>(&topic).unwrap();
+        let mut input_port = InputPort::new(reader, Delivery::Lossless, "objects", 1);
+        if is_of_this_run {
+            input_port.expect_from_first();
+        }
+        [2, 3].map(header).iter().for_each(|header| _ = writer.send(header).unwrap());
+        while input_port.take().unwrap().is_some() {}
+        let counts = input_port.counts();
+        assert_eq!((counts.received, counts.dropped, counts.gaps), (2, lost, lost));
+    }
+}
+
+#[test]
 fn what_a_killed_source_sent_just_before_is_not_taken_again_from_the_next_one() {
     let anew = |sequence: u64| Header { epoch: 1, ..header(sequence) };
     let (taken, counts, _) = pass(Delivery::Lossless, &[header(0), header(1), anew(1), anew(2)]);

@@ -7,6 +7,8 @@ pub(crate) mod handover;
 pub(crate) mod input_port;
 #[cfg(test)]
 mod input_port_tests;
+#[cfg(test)]
+mod model;
 pub(crate) mod output_port;
 mod pace;
 pub(crate) mod peers;

@@ -180,7 +180,7 @@ impl<W: Writer> OutputPort<W> {
     }
 
     /// The readers that have not finished so many messages, or more, and will go on; with the number of them.
-    fn behind(&self, least: impl Fn(&TopicReader) -> usize) -> impl Iterator<Item = (&TopicReader, usize)> {
+    pub(super) fn behind(&self, least: impl Fn(&TopicReader) -> usize) -> impl Iterator<Item = (&TopicReader, usize)> {
         let readers = self
             .port
             .iter()
@@ -210,33 +210,37 @@ impl<W: Writer> OutputPort<W> {
     fn end_each(&mut self, ends: &[Header]) -> Result<(), PortError> {
         // Ends take the place of messages that are kept.
         self.await_finish();
-        let (mut before, mut told, mut last_told) = (Vec::new(), BTreeSet::new(), None::<Instant>);
-        let deadline = Instant::now() + PATIENCE_WITH_LIVE_READERS;
-        while !self.stop.forced() {
-            let Some((writer, topic)) = &mut self.port else { break };
-            let connected = writer.connected();
-            // A stage that was started anew between two looks has not been told, whatever its name.
-            let is_new = connected.iter().any(|reader| !before.contains(reader));
-            // A queue overflows only where no reader of the topic is lossless. Where one is, the others may miss the end.
-            let may_have_missed = |reader: &ConnectedReader| topic.delivery_to(&reader.stage) == Delivery::Latest;
-            let is_due = topic.is_lossless()
-                && connected.iter().any(may_have_missed)
-                && last_told.is_some_and(|last| last.elapsed() > TELL_END);
-            if is_new || is_due {
-                last_told = Some(Instant::now());
-                ends.iter().try_for_each(|end| writer.send(end).map(drop))?;
-            }
-            told.extend(connected.iter().map(|reader| reader.stage.clone()));
-            let all_told = self.absent_readers(false).all(|reader| told.contains(&reader.stage));
-            let is_waited_for = self.behind(|_| 1).next().is_some();
-            if connected.is_empty() && !is_waited_for && (all_told || Instant::now() > deadline) {
-                break;
-            }
-            connected.iter().for_each(|reader| self.stop.wait_for(&reader.stage));
-            before = connected;
+        let mut telling = Telling::until(Instant::now() + PATIENCE_WITH_LIVE_READERS);
+        while !self.stop.forced() && !self.tell(ends, &mut telling)? {
             std::thread::sleep(LOOK);
         }
         Ok(())
+    }
+
+    /// Tells the ends to readers that came since the last look; whether all that were to know of them do, and are gone.
+    pub(super) fn tell(&mut self, ends: &[Header], telling: &mut Telling) -> Result<bool, PortError> {
+        let Some((writer, topic)) = &mut self.port else { return Ok(true) };
+        let connected = writer.connected();
+        // A stage that was started anew between two looks has not been told, whatever its name.
+        let is_new = connected.iter().any(|reader| !telling.before.contains(reader));
+        // A queue overflows only where no reader of the topic is lossless. Where one is, the others may miss the end.
+        let may_have_missed = |reader: &ConnectedReader| topic.delivery_to(&reader.stage) == Delivery::Latest;
+        let is_due = topic.is_lossless()
+            && connected.iter().any(may_have_missed)
+            && telling.last.is_some_and(|last| last.elapsed() > TELL_END);
+        if is_new || is_due {
+            telling.last = Some(Instant::now());
+            ends.iter().try_for_each(|end| writer.send(end).map(drop))?;
+        }
+        telling.told.extend(connected.iter().map(|reader| reader.stage.clone()));
+        let all_told = self.absent_readers(false).all(|reader| telling.told.contains(&reader.stage));
+        let is_waited_for = self.behind(|_| 1).next().is_some();
+        if connected.is_empty() && !is_waited_for && (all_told || Instant::now() > telling.deadline) {
+            return Ok(true);
+        }
+        connected.iter().for_each(|reader| self.stop.wait_for(&reader.stage));
+        telling.before = connected;
+        Ok(false)
     }
 
     /// Waits for the readers that must not miss a message, until they are there and have room for another one, and before the
@@ -275,7 +279,7 @@ impl<W: Writer> OutputPort<W> {
     }
 
     /// Readers of the pipeline that are not there and still to come; only the lossless ones, or all.
-    fn absent_readers(&self, only_lossless: bool) -> impl Iterator<Item = &TopicReader> {
+    pub(super) fn absent_readers(&self, only_lossless: bool) -> impl Iterator<Item = &TopicReader> {
         let (connected, topic) = self.port.as_ref().map(|(writer, topic)| (writer.connected(), topic)).unzip();
         let connected: Vec<ConnectedReader> = connected.unwrap_or_default();
         let readers = topic.into_iter().flat_map(|topic| &topic.readers);
@@ -283,6 +287,23 @@ impl<W: Writer> OutputPort<W> {
         let is_there = move |stage: &str| connected.iter().any(|reader| reader.stage == stage);
         let absent = wanted.filter(move |reader| !is_there(&reader.stage));
         absent.filter(|reader| !self.is_over(&reader.stage))
+    }
+}
+
+/// Whom a writer has told of its end.
+#[derive(Clone, Debug)]
+pub(super) struct Telling {
+    /// The readers that were there at the last look.
+    pub(super) before: Vec<ConnectedReader>,
+    pub(super) told: BTreeSet<String>,
+    last: Option<Instant>,
+    /// Until then readers are waited for that never came.
+    deadline: Instant,
+}
+
+impl Telling {
+    pub(super) const fn until(deadline: Instant) -> Self {
+        Self { before: Vec::new(), told: BTreeSet::new(), last: None, deadline }
     }
 }
 

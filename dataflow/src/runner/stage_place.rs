@@ -76,6 +76,10 @@ impl<T: Transport + 'static> StagePlace<T> {
     ) -> Result<Self, PortError> {
         let (own, of_sides) = runtime.record.status.inputs.split_at(1);
         input_port.drive(&runtime.context.stage);
+        // Of stages of another machine nothing is known: they may be at work since long before this run.
+        if topic.writers.iter().all(|writer| runtime.peers.life(writer).is_some()) {
+            input_port.expect_from_first();
+        }
         input_port.resume(own[0]);
         side_inputs.iter_mut().zip(of_sides).try_for_each(|(side, counts)| side.resume(*counts))?;
         output_port.resume(runtime.record.status.sent);

@@ -1,0 +1,316 @@
+//! A state of the modelled run: its launcher, its stages with their processes, and what may happen next.
+
+use super::memory::{Fault, Memory, STAGES, on};
+use super::process::{At, Exit, Process};
+use crate::status::Life;
+use std::hash::{DefaultHasher, Hash, Hasher};
+
+/// What is tried.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Trial {
+    /// Frames of the source.
+    pub(super) frames: u64,
+    /// Processes that are killed.
+    pub(super) kills: u8,
+    /// Swaps of the stage between source and sink.
+    pub(super) swaps: u8,
+    /// Whether the run may be asked to end.
+    pub(super) is_interrupted: bool,
+    pub(super) fault: Fault,
+}
+
+/// What happens next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Event {
+    /// The process at work in a stage makes a step.
+    Step(usize),
+    /// The process that is to take the place of the middle stage makes a step.
+    StepComing,
+    /// The launcher looks at a stage: `Supervised::look`.
+    Look(usize),
+    /// The launcher goes on with the swap: `Swap::go_on`.
+    GoOn,
+    /// Somebody clears dead processes away: `clean_dead_nodes`.
+    ClearAway,
+    Kill(usize),
+    KillComing,
+    /// The launcher is asked to end the run: `Launcher::stop_sources`.
+    Interrupt,
+    /// The launcher is asked to replace the middle stage: `Swap::begin`.
+    Swap,
+}
+
+/// `child::State`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+enum State {
+    Running,
+    Waiting,
+    Done,
+}
+
+/// A stage as the launcher sees it.
+#[derive(Clone, Debug, Hash)]
+struct Stage {
+    state: State,
+    process: Option<Process>,
+    exit: Exit,
+    starts: u8,
+}
+
+/// `swap::Step`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+enum Swap {
+    None,
+    Preparing,
+    Leaving,
+    Beginning,
+}
+
+/// The stage that is swapped.
+const MIDDLE: usize = 1;
+
+/// A state of the run; two are the same for the checker if their hashes are.
+#[allow(clippy::derived_hash_with_manual_eq)] // equal states have equal hashes, because that is how they are compared
+#[derive(Clone, Debug, Hash)]
+pub(super) struct Run {
+    pub(super) memory: Memory,
+    stages: [Stage; 3],
+    swap: Swap,
+    coming: Option<Process>,
+    is_ending: bool,
+    /// How often each stage was killed.
+    pub(super) kills: [u8; 3],
+    swaps: u8,
+}
+
+impl PartialEq for Run {
+    fn eq(&self, other: &Self) -> bool {
+        self.fingerprint() == other.fingerprint()
+    }
+}
+
+impl Run {
+    pub(super) fn new(trial: &Trial, newest_first: bool) -> Self {
+        let memory = Memory { fault: trial.fault, newest_first, ..Memory::default() };
+        let stage = |stage| Stage {
+            state: State::Running,
+            process: Some(Process::spawn(stage, 0, false)),
+            exit: Exit::InOrder,
+            starts: 1,
+        };
+        let stages = [0, 1, 2].map(stage);
+        Self { memory, stages, swap: Swap::None, coming: None, is_ending: false, kills: [0; 3], swaps: 0 }
+    }
+
+    fn fingerprint(&self) -> u64 {
+        let mut hasher = DefaultHasher::new();
+        self.hash(&mut hasher);
+        hasher.finish()
+    }
+
+    /// Whether the launcher has ended.
+    pub(super) fn is_over(&self) -> bool {
+        self.stages.iter().all(|stage| stage.state == State::Done)
+    }
+
+    /// What can be tried next; what would change nothing is found out by trying.
+    pub(super) fn events(&self, trial: &Trial, events: &mut Vec<Event>) {
+        if self.is_over() {
+            return;
+        }
+        let processes = (0..STAGES.len()).filter(|stage| self.stages[*stage].process.is_some());
+        events.extend(processes.clone().map(Event::Step));
+        let is_to_be_looked_at = |stage: &usize| match self.stages[*stage].state {
+            State::Running => self.stages[*stage].process.is_none(),
+            State::Waiting => true,
+            State::Done => false,
+        };
+        events.extend((0..STAGES.len()).filter(is_to_be_looked_at).map(Event::Look));
+        events.extend(self.coming.iter().map(|_| Event::StepComing));
+        events.extend(Some(Event::GoOn).filter(|_| self.swap != Swap::None));
+        events.extend(Some(Event::ClearAway).filter(|_| self.memory.has_dead()));
+        if self.kills.iter().sum::<u8>() < trial.kills {
+            events.extend(processes.map(Event::Kill));
+            events.extend(self.coming.iter().map(|_| Event::KillComing));
+        }
+        if trial.is_interrupted && !self.is_ending {
+            events.push(Event::Interrupt);
+        }
+        if self.swaps < trial.swaps {
+            events.push(Event::Swap);
+        }
+    }
+
+    /// The state after an event, if that changes anything.
+    pub(super) fn after(&self, event: Event, trial: &Trial) -> Option<Self> {
+        let mut next = self.clone();
+        match event {
+            Event::Step(stage) => next.step(stage, trial),
+            Event::StepComing => next.step_coming(trial),
+            Event::Look(stage) => next.look(stage),
+            Event::GoOn => next.go_on(),
+            Event::ClearAway => next.memory.clear_away(),
+            Event::Kill(stage) => next.kill(stage),
+            Event::KillComing => next.kill_coming(),
+            Event::Interrupt => next.interrupt(),
+            Event::Swap => next.begin_swap(),
+        }
+        (next != *self).then_some(next)
+    }
+
+    fn step(&mut self, stage: usize, trial: &Trial) {
+        let own = &mut self.stages[stage];
+        let Some(process) = &mut own.process else { return };
+        let Some(exit) = on(&mut self.memory, || process.step(trial.frames)) else { return };
+        self.memory.close(stage, process.number);
+        (own.process, own.exit) = (None, exit);
+    }
+
+    fn step_coming(&mut self, trial: &Trial) {
+        let Some(process) = &mut self.coming else { return };
+        on(&mut self.memory, || process.step(trial.frames));
+    }
+
+    fn kill(&mut self, stage: usize) {
+        let own = &mut self.stages[stage];
+        let Some(process) = own.process.take() else { return };
+        own.exit = Exit::Killed;
+        self.kills[stage] += 1;
+        self.memory.abandon(stage, process.number);
+    }
+
+    fn kill_coming(&mut self) {
+        let Some(process) = self.coming.take() else { return };
+        self.kills[MIDDLE] += 1;
+        self.memory.abandon(MIDDLE, process.number);
+    }
+
+    fn life(&mut self, stage: usize, life: Life) {
+        self.memory.records[stage].life = life;
+    }
+
+    /// Whether a stage that ended is not to come back: `Supervised::look` in `Phase::Delivering`.
+    const fn stays_away(&self, stage: usize) -> bool {
+        self.is_ending && stage == 0
+    }
+
+    /// `Supervised::look`, `Supervised::ended`.
+    fn look(&mut self, stage: usize) {
+        let decides_about_exit = matches!(self.swap, Swap::Leaving | Swap::Beginning);
+        if decides_about_exit && stage == MIDDLE {
+            return;
+        }
+        let own = &self.stages[stage];
+        match own.state {
+            State::Running if own.process.is_none() => {
+                let has_ended = own.exit == Exit::InOrder && self.memory.records[stage].life == Life::Ended;
+                if has_ended {
+                    self.stages[stage].state = State::Done;
+                } else if self.stays_away(stage) {
+                    self.stay_away(stage);
+                } else {
+                    self.stages[stage].state = State::Waiting;
+                }
+            }
+            State::Waiting if self.stays_away(stage) => self.stay_away(stage),
+            // `Launcher::replace` comes between two looks, and gives the swap up.
+            State::Waiting if stage == MIDDLE && self.swap == Swap::Preparing => {}
+            State::Waiting => {
+                let own = &mut self.stages[stage];
+                own.process = Some(Process::spawn(stage, own.starts, false));
+                own.starts += 1;
+                own.state = State::Running;
+            }
+            State::Running | State::Done => {}
+        }
+    }
+
+    fn stay_away(&mut self, stage: usize) {
+        self.stages[stage].state = State::Done;
+        self.life(stage, Life::Gone);
+    }
+
+    /// SIGINT to the source; one that does not listen yet dies of it.
+    fn interrupt(&mut self) {
+        self.is_ending = true;
+        let source = &mut self.stages[0];
+        match &mut source.process {
+            Some(process) if process.at == At::Spawned => (source.process, source.exit) = (None, Exit::Killed),
+            Some(process) => process.is_asked_to_end = true,
+            None => {}
+        }
+    }
+
+    /// Whether the record says that the process of the stage is at work, or has been: `swap::is_at_work`.
+    fn is_at_work(&self) -> bool {
+        let (own, record) = (&self.stages[MIDDLE], &self.memory.records[MIDDLE]);
+        let process = own.process.as_ref().map_or(own.starts - 1, |process| process.number);
+        record.process == process && record.life != Life::Starting
+    }
+
+    /// `Swap::begin`.
+    fn begin_swap(&mut self) {
+        let own = &mut self.stages[MIDDLE];
+        if self.swap != Swap::None || own.state != State::Running || self.is_ending {
+            return;
+        }
+        if self.is_at_work() {
+            let own = &mut self.stages[MIDDLE];
+            self.memory.handover = (None, None);
+            self.coming = Some(Process::spawn(MIDDLE, own.starts, true));
+            own.starts += 1;
+            self.swaps += 1;
+            self.swap = Swap::Preparing;
+        }
+    }
+
+    /// `Swap::go_on`.
+    fn go_on(&mut self) {
+        let is_at_work = self.is_at_work();
+        let at_work = &mut self.stages[MIDDLE];
+        match self.swap {
+            Swap::None => {}
+            Swap::Preparing => match &self.coming {
+                Some(coming) if !self.is_ending && at_work.state == State::Running => {
+                    if coming.at == At::Ready {
+                        at_work.process.iter_mut().for_each(|process| process.is_asked_to_leave = true);
+                        self.swap = Swap::Leaving;
+                    }
+                }
+                _ => self.dismiss(),
+            },
+            Swap::Leaving if at_work.process.is_some() => {}
+            Swap::Leaving => {
+                let has_ended = at_work.exit == Exit::InOrder && self.memory.records[MIDDLE].life == Life::Ended;
+                if has_ended {
+                    self.dismiss();
+                } else {
+                    self.take_place();
+                }
+            }
+            Swap::Beginning if is_at_work => self.swap = Swap::None,
+            Swap::Beginning if at_work.process.is_some() => {}
+            Swap::Beginning => {
+                at_work.state = State::Waiting;
+                self.swap = Swap::None;
+            }
+        }
+    }
+
+    /// `Successor::dismiss`.
+    fn dismiss(&mut self) {
+        if let Some(coming) = self.coming.take() {
+            self.memory.close(MIDDLE, coming.number);
+        }
+        self.swap = Swap::None;
+    }
+
+    /// `swap::take_place`.
+    fn take_place(&mut self) {
+        let own = &mut self.stages[MIDDLE];
+        own.process = self.coming.take();
+        own.exit = Exit::Killed;
+        own.process.iter_mut().for_each(|process| process.at = At::HasTurn);
+        self.swap = Swap::Beginning;
+    }
+}
