@@ -210,7 +210,7 @@ fn a_token_keeps_others_out_and_without_one_the_network_is_warned_of() {
     assert_eq!(get(&host).status, 401);
     assert_eq!(get_with(&host, "Authorization: Bearer another-secret\r\n").status, 401);
     let told = get_with(&host, &format!("Authorization: Bearer {TOKEN}\r\n"));
-    assert!(told.status == 200 && told.text().contains("conicflow_frames_total"), "{}", told.text());
+    assert!(told.status == 200 && told.text().contains("conicflow_build_info{"), "{}", told.text());
     signal(run.id(), Signal::INT);
     let stderr = run.wait().expect_code(0).stderr;
     assert!(!stderr.contains(TOKEN) && !stderr.contains("may read the metrics"), "{stderr}");
