@@ -207,10 +207,11 @@ fn a_token_keeps_others_out_and_without_one_the_network_is_warned_of() {
     let mut run = playground.start(&["run", "--set", "source.rate_hz=50"]);
     let port = host(&mut run).rsplit(':').next().unwrap().to_owned();
     let host = format!("127.0.0.1:{port}");
+    run.wait_until("it is at work", || playground.newest("tracks.jsonl") > 2);
     assert_eq!(get(&host).status, 401);
     assert_eq!(get_with(&host, "Authorization: Bearer another-secret\r\n").status, 401);
     let told = get_with(&host, &format!("Authorization: Bearer {TOKEN}\r\n"));
-    assert!(told.status == 200 && told.text().contains("conicflow_build_info{"), "{}", told.text());
+    assert!(told.status == 200 && told.text().contains("conicflow_frames_total{"), "{}", told.text());
     signal(run.id(), Signal::INT);
     let stderr = run.wait().expect_code(0).stderr;
     assert!(!stderr.contains(TOKEN) && !stderr.contains("may read the metrics"), "{stderr}");
