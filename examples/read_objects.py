@@ -75,8 +75,8 @@ def read_object(data):
 
 def read_message(content):
     magic, version, _session, _code, stream, number, _oldest = struct.unpack_from(PLACE, content)
-    if (magic, version) != (b"CFLO", 4):
-        raise ValueError(f"this script reads version 4 of the wire, got {magic!r} version {version}")
+    if (magic, version) != (b"CFLO", 5):
+        raise ValueError(f"this script reads version 5 of the wire, got {magic!r} version {version}")
     data = Bytes(content[struct.calcsize(PLACE) :])
     layout = data.text()
     if layout != LAYOUT:

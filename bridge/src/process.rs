@@ -2,7 +2,8 @@
 //! ended.
 
 use crate::error::BridgeError;
-use crate::peer::heartbeat::Ack;
+use crate::peer::heartbeat::News;
+use crate::peer::journal::Journal;
 use crate::peer::links::Links;
 use crate::peer::report::{BridgeReporter, EdgeHandle};
 use crate::receiving::Receiving;
@@ -33,9 +34,13 @@ pub(crate) fn run(
     runtime: StageRuntime<SharedMemory>,
 ) -> Result<(), BridgeError> {
     let (stop, memory_trim) = (runtime.context.stop.clone(), MemoryTrim::of(&runtime));
-    let stream = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as u64);
-    let seal = Seal::new(settings::key(&bridge.settings)?.as_ref(), stream);
-    let links = Arc::new(Links::new(stream, seal, bridge));
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as u64);
+    // Nobody can come after the process of a stage that was started by itself.
+    let kept_in = (run.run != NO_RUN).then_some(run.folder);
+    let journal = Journal::open(kept_in, if run.run == NO_RUN { now } else { run.run }, now);
+    let session = journal.session();
+    let seal = Seal::new(settings::key(&bridge.settings)?.as_ref(), session);
+    let links = Arc::new(Links::new(journal, seal, bridge));
     let mut reporter = BridgeReporter::new(bridge, run, runtime.record, &links);
     reporter.report(false);
     let Some(sessions) = Sessions::open(&bridge.settings, &stop, || reporter.report(false))? else { return Ok(()) };
@@ -45,8 +50,8 @@ pub(crate) fn run(
         links: &links,
         pipeline: run.pipeline,
         machine: &bridge.machine,
-        stream,
-        log_folder: (run.run != NO_RUN).then_some(run.folder),
+        session,
+        log_folder: kept_in,
         outage: bridge.settings.outage_s.map_or(OUTAGE, Duration::from_secs_f64),
         peers: &runtime.peers,
         stop: &stop,
@@ -55,7 +60,7 @@ pub(crate) fn run(
     let publisher = sessions.publisher(&own_key, true, Priority::RealTime)?;
     let subscribers = subscribe_to_heartbeats(&shared, bridge)?;
     reporter.record.status.set_life(Life::Running);
-    let sent = (Instant::now(), Vec::new());
+    let sent = (Instant::now(), News::default());
     let mut watch =
         Watch { reporter, sessions: &sessions, links: &links, own_key, publisher, subscribers, sent, memory_trim };
     let result = watch.run(&shared);
@@ -88,7 +93,7 @@ struct Watch<'a> {
     own_key: String,
     publisher: Publisher<'a>,
     subscribers: Vec<Subscriber<'a>>,
-    sent: (Instant, Vec<Ack>),
+    sent: (Instant, News),
     /// Counts seconds with a link.
     memory_trim: MemoryTrim,
 }
@@ -103,7 +108,7 @@ impl<'a> Watch<'a> {
             let handles = started.inspect_err(|_| shared.stop.force())?;
             let result = self.watch(handles, shared.stop);
             (0..FAREWELLS).for_each(|_| {
-                self.send_heartbeat(self.links.acks());
+                self.send_heartbeat(self.links.news());
                 std::thread::sleep(TICK);
             });
             result
@@ -114,9 +119,9 @@ impl<'a> Watch<'a> {
     fn watch(&mut self, mut handles: Vec<Handle<'_>>, stop: &Stop) -> Result<(), BridgeError> {
         let mut result = Ok(());
         while !handles.is_empty() {
-            let acks = self.links.acks();
-            if self.links.owes_answer() || acks != self.sent.1 || self.sent.0.elapsed() > HEARTBEAT_PERIOD {
-                self.send_heartbeat(acks);
+            let news = self.links.news();
+            if self.links.owes_answer() || news != self.sent.1 || self.sent.0.elapsed() > HEARTBEAT_PERIOD {
+                self.send_heartbeat(news);
             }
             if self.reporter.is_due() {
                 self.report();
@@ -142,9 +147,9 @@ impl<'a> Watch<'a> {
         }
     }
 
-    fn send_heartbeat(&mut self, acks: Vec<Ack>) {
-        self.sent = (Instant::now(), acks.clone());
-        self.links.say(&self.own_key, acks, |bytes| self.publisher.put(bytes));
+    fn send_heartbeat(&mut self, news: News) {
+        self.sent = (Instant::now(), news.clone());
+        self.links.say(&self.own_key, news, |bytes| self.publisher.put(bytes));
     }
 }
 

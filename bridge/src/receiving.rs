@@ -5,6 +5,8 @@ use crate::error::BridgeError;
 use crate::peer::counts::EdgeCounts;
 use crate::peer::heartbeat::Ack;
 use crate::peer::links::Links;
+use crate::reliable::passed_on::PassedOn;
+use crate::reliable::retransmit_queue::END_PATIENCE;
 use crate::reliable::sequence::{Sequence, Verdict};
 use crate::sending::Shared;
 use crate::session::Subscriber;
@@ -12,10 +14,10 @@ use crate::wire::codec::{Codec, codec_of};
 use crate::wire::{Place, WireError, open_message, place_of};
 use conicflow_dataflow::pipeline::BRIDGE;
 use conicflow_dataflow::ports::{Delivery, PortError, Transport};
-use conicflow_dataflow::relay::{OutputPort, SharedWriter, ThrottledWarning};
-use conicflow_dataflow::{Edge, Stop, monotonic_ns};
+use conicflow_dataflow::relay::{OutputPort, Peers, SharedWriter, ThrottledWarning};
+use conicflow_dataflow::{Edge, Life, Stop, monotonic_ns};
 use conicflow_messages::{Header, MAX_HOPS, Text};
-use std::collections::{BTreeSet, VecDeque};
+use std::collections::BTreeSet;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -37,13 +39,13 @@ pub(super) struct Receiving<'a> {
     subscriber: Subscriber<'a>,
     output_port: OutputPort<SharedWriter>,
     sequence: Sequence,
-    /// Stream and number of messages that were passed on, the last those that a reader may not have finished.
-    passed_on: VecDeque<(u64, u64)>,
+    passed_on: PassedOn,
     codec: Box<dyn Codec>,
     layout: String,
     ended: BTreeSet<String>,
     links: Arc<Links>,
     counts: Arc<EdgeCounts>,
+    peers: Peers,
     stop: Stop,
     refusals: Arc<Refusals>,
     told: BTreeSet<&'static str>,
@@ -81,20 +83,31 @@ impl<'a> Receiving<'a> {
             subscriber,
             output_port: OutputPort::new(port, BRIDGE, 0, shared.peers.clone(), shared.stop.clone()),
             sequence: Sequence::new(lossless, shared.links.seal().has_key()),
-            passed_on: VecDeque::new(),
+            passed_on: PassedOn::default(),
             codec: codec_of(&edge.item),
             layout: edge.item.layout(),
             ended: BTreeSet::new(),
             links: Arc::clone(shared.links),
             counts,
+            peers: shared.peers.clone(),
             stop: shared.stop.clone(),
             refusals,
             told: BTreeSet::new(),
         })
     }
 
-    /// Carries messages until all writers have ended, or the run does.
+    /// Carries messages until all writers have ended, or the run does, and stays until the other machine knows it.
     pub(super) fn run(mut self) -> Result<(), BridgeError> {
+        let (from, topic) = (&self.edge.from, &self.edge.topic.name);
+        let (is_finished, _) = self.links.is_finished(from, topic);
+        if is_finished || self.carry()? {
+            self.stay();
+        }
+        Ok(())
+    }
+
+    /// Carries messages until all writers have ended, or the run does; whether nothing more is wanted of the other machine.
+    fn carry(&mut self) -> Result<bool, BridgeError> {
         while !self.stop.requested() && self.ended.len() < self.edge.writers.len() {
             self.choose_way()?;
             let Some(bytes) = self.channel.receive(TICK) else {
@@ -110,7 +123,26 @@ impl<'a> Receiving<'a> {
         let writers: Vec<_> = self.edge.writers.iter().map(|writer| Text::new(writer)).collect();
         self.output_port.end_as(&writers)?;
         self.acknowledge();
-        Ok(())
+        let has_ended = |stage: &str| self.peers.life(stage) == Some(Life::Ended);
+        // A process before this one may have told them the end.
+        let nobody_reads = self.edge.topic.readers.iter().all(|reader| has_ended(&reader.stage));
+        Ok(self.ended.len() == self.edge.writers.len() || nobody_reads)
+    }
+
+    /// Tells the other machine that nothing more is wanted of it. Where none may be missed it stays until that knows: the
+    /// bridge there may be started anew, and has to hear it then.
+    fn stay(&self) {
+        let (from, topic) = (&self.edge.from, &self.edge.topic.name);
+        let began = Instant::now();
+        loop {
+            self.links.finish(from, topic);
+            let (_, is_known) = self.links.is_finished(from, topic);
+            let heard = self.links.last_heard(from).map_or(began, |heard| heard.max(began));
+            if is_known || !self.lossless || self.stop.forced() || heard.elapsed() > END_PATIENCE {
+                return;
+            }
+            std::thread::sleep(TICK);
+        }
     }
 
     /// Sees to it that messages come, and says once by which way.
@@ -140,7 +172,6 @@ impl<'a> Receiving<'a> {
             self.pass_over(place);
             return Ok(());
         }
-        let repeated_end = header.ends_stream() && !self.lossless && place.stream >= self.sequence.expected().0;
         let verdict = self.sequence.judge(place, header.ends_stream(), Instant::now());
         if self.sequence.was_misled() {
             self.refusals.warn_of_forgery();
@@ -159,7 +190,9 @@ impl<'a> Receiving<'a> {
             }
             self.sequence.taken();
         }
-        if header.ends_stream() && (verdict == Verdict::Take || repeated_end) {
+        // An end that has come before counts also for who was started anew, and has not heard it.
+        let is_repeated = verdict == Verdict::Old && place.stream == self.sequence.expected().0;
+        if header.ends_stream() && (verdict == Verdict::Take || is_repeated) {
             self.output_port.note_count(Text::new(&writer), header.number);
             self.ended.insert(writer);
         }
@@ -187,7 +220,7 @@ impl<'a> Receiving<'a> {
             return Ok(());
         }
         self.output_port.relay(&header, self.codec.items())?;
-        self.passed_on.push_back(self.sequence.expected());
+        self.passed_on.add(self.sequence.expected());
         EdgeCounts::add(&self.counts.messages, 1);
         EdgeCounts::add(&self.counts.wire_bytes, wire_bytes as u64);
         EdgeCounts::add(&self.counts.memory_bytes, (self.codec.items().len() + size_of::<Header>()) as u64);
@@ -212,10 +245,7 @@ impl<'a> Receiving<'a> {
     /// Tells what has come, and what of that the readers here have finished: the rest is gone if this process is killed.
     fn acknowledge(&mut self) {
         let (stream, next) = self.sequence.expected();
-        let finished = self.passed_on.len().saturating_sub(self.output_port.unfinished());
-        self.passed_on.drain(..finished);
-        let unfinished = self.passed_on.iter().find(|(of, _)| *of == stream);
-        let finished = unfinished.map_or(next, |(_, number)| next.min(*number));
+        let finished = self.passed_on.finished(self.output_port.unfinished(), (stream, next));
         let ended = self.ended.iter().cloned().collect();
         let (from, topic) = (self.edge.from.clone(), self.edge.topic.name.clone());
         self.links.received(Ack { from, topic, stream, next, finished, ended });
@@ -223,6 +253,7 @@ impl<'a> Receiving<'a> {
 
     /// What will never make sense would be sent again for ever, and nothing after it.
     fn pass_over(&mut self, place: Place) {
+        let place = Place { oldest: place.oldest.min(place.number), ..place };
         if self.sequence.judge(place, true, Instant::now()) == Verdict::Take {
             self.sequence.taken();
         }
@@ -290,6 +321,8 @@ impl Refusals {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::peer::heartbeat::News;
+    use crate::peer::journal::Journal;
     use crate::wire::encode_message;
     use crate::wire::seal::{Seal, secret};
     use conicflow_dataflow::pipeline::{Compression, Machine};
@@ -320,7 +353,7 @@ mod tests {
         let links = |machine: &str, peer: &str, session: u64| {
             let (machine, settings) = (machine.to_owned(), Machine::default());
             let plan = BridgePlan { machine, settings, outgoing: Vec::new(), incoming: vec![edge(peer)] };
-            Arc::new(Links::new(session, Seal::new(Some(&secrets[0]), session), &plan))
+            Arc::new(Links::new(Journal::open(None, 7, session), Seal::new(Some(&secrets[0]), session), &plan))
         };
         let (theirs, ours) = (links("robot", "base", 5), links("base", "robot", 9));
         let counts = Arc::<EdgeCounts>::default();
@@ -331,8 +364,8 @@ mod tests {
         assert!(!gate.admits(&good), "it has not proved to be the present one");
         assert_eq!(counts.malformed.load(Ordering::Relaxed), 0);
         for _ in 0..2 {
-            theirs.say("@robot", Vec::new(), |bytes| ours.heard("robot", "@robot", &bytes));
-            ours.say("@base", Vec::new(), |bytes| theirs.heard("base", "@base", &bytes));
+            theirs.say("@robot", News::default(), |bytes| ours.heard("robot", "@robot", &bytes));
+            ours.say("@base", News::default(), |bytes| theirs.heard("base", "@base", &bytes));
         }
         assert!(gate.admits(&good));
         let changed = |at: usize| [&good[..at], &[good[at] ^ 1], &good[at + 1..]].concat();

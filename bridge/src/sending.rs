@@ -34,7 +34,8 @@ pub(super) struct Shared<'a> {
     pub links: &'a Arc<Links>,
     pub pipeline: &'a str,
     pub machine: &'a str,
-    pub stream: u64,
+    /// One number per start of the bridge.
+    pub session: u64,
     /// Where the log of what is not acknowledged lies, if anybody can come after this process.
     pub log_folder: Option<&'a Path>,
     pub outage: Duration,
@@ -89,7 +90,7 @@ impl<'a> Sending<'a> {
             input_port,
             zenoh_key,
             publisher,
-            queue: RetransmitQueue::new(shared.stream, log, &edge.to, [wait, shared.outage], Instant::now()),
+            queue: RetransmitQueue::new(shared.session, log, &edge.to, [wait, shared.outage], Instant::now()),
             links: Arc::clone(shared.links),
             counts,
             peers: shared.peers.clone(),
@@ -139,8 +140,13 @@ impl<'a> Sending<'a> {
     fn settle(&mut self) {
         let now = Instant::now();
         for machine in self.queue.machines() {
-            let (ack, heard) = self.links.ack_of(&machine, &self.edge.topic.name);
-            self.queue.acknowledge(&machine, ack.as_ref(), heard, now);
+            let topic = &self.edge.topic.name;
+            if self.links.has_finished(&machine, topic) {
+                self.queue.finish(&machine);
+            } else {
+                let (ack, heard) = (self.links.ack_of(&machine, topic), self.links.last_heard(&machine));
+                self.queue.acknowledge(&machine, ack.as_ref(), heard, now);
+            }
         }
         let links = Arc::clone(&self.links);
         for bytes in self.queue.due(now, |machine| links.is_connected(machine)) {

@@ -5,6 +5,7 @@ use rustix::process::Signal;
 use serde_json::Value as Json;
 use std::net::TcpListener;
 use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
 
 /// Where the stages of [`TRACKING`] are, unless a test says otherwise.
 pub const HALVES: [(&str, &str); 5] =
@@ -254,6 +255,36 @@ fn what_waits_for_a_machine_is_not_lost_with_a_sending_bridge_that_is_killed() {
     let ended = base_run.wait().expect_code(0);
     let sequences = base.sequences("tracks.jsonl");
     assert!(sequences.iter().copied().eq(0..FRAMES), "{sequences:?}: {}", ended.stderr);
+}
+
+/// Whoever is killed while the last messages and the ends are on their way, and whatever of that has arrived by then.
+#[test]
+fn a_bridge_that_is_killed_at_the_end_of_a_run_loses_nothing_and_keeps_nobody_waiting() {
+    const FRAMES: u64 = 40;
+    for (killed, still, after_ms) in
+        [(0, false, 0), (1, false, 0), (0, true, 0), (1, true, 0), (0, true, 300), (1, false, 20), (0, false, 40)]
+    {
+        let round = format!("bridge {killed}, still: {still}, after {after_ms} ms");
+        let endpoint = loopback();
+        let text = apart(&endpoint, &endpoint).replace("rate_hz    = 0", &format!("rate_hz = 100\nframes = {FRAMES}"));
+        let machines = machines(&text);
+        let mut runs = [start(&machines[0], "robot"), start(&machines[1], "base")];
+        runs[1].wait_until("the last track arrives", || machines[1].sequences("tracks.jsonl").len() as u64 == FRAMES);
+        std::thread::sleep(Duration::from_millis(after_ms));
+        let process = process_of(&machines[killed], "bridge");
+        if let Some(process) = process.filter(|_| still) {
+            signal(process, Signal::STOP);
+            // The other one has nobody to talk to meanwhile.
+            std::thread::sleep(Duration::from_secs(1));
+        }
+        process.into_iter().for_each(|process| signal(process, Signal::KILL));
+        let killed = Instant::now();
+        let ended = runs.map(|run| run.wait().expect_code(0));
+        assert!(killed.elapsed() < Duration::from_secs(20), "{round}: {:?}", killed.elapsed());
+        let sequences = machines[1].sequences("tracks.jsonl");
+        assert!(sequences.iter().copied().eq(0..FRAMES), "{round}: {sequences:?}: {}", ended[1].stderr);
+        assert_eq!(link(&ended[0], "base", "ellipses")[1], 0, "{round}: {}", ended[0].stderr);
+    }
 }
 
 #[test]

@@ -1,12 +1,15 @@
 //! The small message by which bridges tell each other that they live, what they have received, and what time it is there.
 
+use super::journal::FinishedEdge;
 use serde::{Deserialize, Serialize};
 
 /// What a bridge puts under its link key a few times per second.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Heartbeat {
     /// One number per start of the bridge.
-    pub stream: u64,
+    pub session: u64,
+    /// The run of its machine.
+    pub run: u64,
     /// Its clock when this was sent.
     pub sent_ns: u64,
     /// How its messages are laid out.
@@ -15,8 +18,18 @@ pub(crate) struct Heartbeat {
     pub routes: Vec<Route>,
     /// The last heartbeats of each peer, of which a peer knows that this one was made after it had sent them.
     pub samples: Vec<ClockSample>,
+    /// What has come and what is finished, as far as it is known there.
+    pub news: News,
+}
+
+/// What a bridge has to tell about its edges.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct News {
     /// What it has received, per edge.
     pub acks: Vec<Ack>,
+    /// What it knows to be finished. The machine that receives an edge tells so first; when the other one tells it as well, both
+    /// know, and neither is needed any more.
+    pub finished: Vec<FinishedEdge>,
 }
 
 /// What one machine is to send to another.
@@ -38,7 +51,7 @@ impl Route {
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct ClockSample {
     pub machine: String,
-    pub stream: u64,
+    pub session: u64,
     pub sent_ns: u64,
     pub received_ns: u64,
 }

@@ -6,7 +6,8 @@
 //! follow each other in time, and messages count only if they are of the session that has proved itself.
 
 use super::clock::{Clock, Exchange};
-use super::heartbeat::{Ack, ClockSample, Heartbeat, Route};
+use super::heartbeat::{Ack, ClockSample, Heartbeat, News, Route};
+use super::journal::{FinishedEdge, Journal};
 use crate::wire::seal::Seal;
 use crate::wire::{WireError, decode_note, encode_note, layouts};
 use conicflow_dataflow::ports::Delivery;
@@ -21,11 +22,12 @@ const SILENCE: Duration = Duration::from_millis(1500);
 /// Of a peer that has not come after this time the user is told.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// So many sessions of a peer are told of: the present one, and some that may be earlier ones, of which somebody repeats what they
-/// said.
+/// So many sessions of a peer are told of: the present one, one that is about to prove itself, and as many again of which somebody
+/// repeats what they said. Those give way to one another, so that a new session proves itself all the same.
 const SESSIONS: usize = 4;
-/// So many reasons are told for which a peer is refused.
-const REASONS: usize = 8;
+/// So many reasons are told for which a peer is refused, one of each kind of [`WireError`]; who comes with ever new texts fills
+/// no log.
+const REASONS: usize = 9;
 
 /// What is said of a message of a session that has been.
 pub(crate) const OF_EARLIER_START: &str = "it is of an earlier start of the bridge there\n  hint: it has come very late, or somebody repeats what was sent before";
@@ -33,11 +35,13 @@ pub(crate) const OF_EARLIER_START: &str = "it is of an earlier start of the brid
 /// The other machines, as the threads of a bridge share them.
 pub(crate) struct Links {
     machine: String,
-    stream: u64,
+    session: u64,
+    run: u64,
     routes: Vec<Route>,
     started: Instant,
     peers: Mutex<BTreeMap<String, Peer>>,
     acks: Mutex<BTreeMap<(String, String), Ack>>,
+    journal: Mutex<Journal>,
     seal: Seal,
     /// Whether a peer waits for a heartbeat, to know that it is heard.
     owes_answer: AtomicBool,
@@ -57,7 +61,11 @@ pub(crate) struct Peer {
     /// Whether it has been told of a heartbeat of that session, and so knows the present one here.
     knows_us: bool,
     clock: Clock,
+    /// The run of its machine, when it has been heard.
+    run: Option<u64>,
     acks: BTreeMap<String, Ack>,
+    /// What it knows to be finished.
+    finished: BTreeSet<FinishedEdge>,
     refused: BTreeSet<String>,
     unlike: Vec<Route>,
     missed: bool,
@@ -77,17 +85,19 @@ fn lock<V>(mutex: &Mutex<V>) -> MutexGuard<'_, V> {
 }
 
 impl Links {
-    /// What a bridge of this session knows before it has heard of anybody.
-    pub(crate) fn new(stream: u64, seal: Seal, bridge: &BridgePlan) -> Self {
+    /// What a bridge knows before it has heard of anybody.
+    pub(crate) fn new(journal: Journal, seal: Seal, bridge: &BridgePlan) -> Self {
         let peers = bridge.peers().into_iter().map(|peer| (peer.to_owned(), Peer::default())).collect();
         let (machine, routes) = (bridge.machine.clone(), routes(bridge));
         Self {
             machine,
-            stream,
+            session: journal.session(),
+            run: journal.run(),
             routes,
             started: Instant::now(),
             peers: Mutex::new(peers),
             acks: Mutex::default(),
+            journal: Mutex::new(journal),
             seal,
             owes_answer: AtomicBool::new(false),
         }
@@ -118,7 +128,7 @@ impl Links {
         let now = Instant::now();
         let sample = ClockSample {
             machine: machine.to_owned(),
-            stream: heartbeat.stream,
+            session: heartbeat.session,
             sent_ns: heartbeat.sent_ns,
             received_ns: now_ns,
         };
@@ -126,9 +136,9 @@ impl Links {
         if is_new_session {
             self.owes_answer.store(true, Ordering::Relaxed);
         }
-        let own = |sample: &&ClockSample| sample.machine == self.machine && sample.stream == self.stream;
+        let own = |sample: &&ClockSample| sample.machine == self.machine && sample.session == self.session;
         let Some(own) = heartbeat.samples.iter().find(own) else { return };
-        if peer.session != Some(heartbeat.stream) && own.sent_ns <= peer.answered_ns {
+        if peer.session != Some(heartbeat.session) && own.sent_ns <= peer.answered_ns {
             return;
         }
         peer.answered_ns = peer.answered_ns.max(own.sent_ns);
@@ -137,15 +147,19 @@ impl Links {
             peer.since = Some(now);
         }
         peer.heard = Some(now);
+        peer.run = Some(heartbeat.run);
+        lock(&self.journal).note_heard(machine);
         self.compare(machine, peer, &heartbeat.routes);
-        if peer.session.replace(heartbeat.stream) != Some(heartbeat.stream) {
+        if peer.session.replace(heartbeat.session) != Some(heartbeat.session) {
             peer.knows_us = false;
             peer.clock.clear();
             peer.acks.clear();
         }
         peer.clock.add([own.sent_ns, own.received_ns, heartbeat.sent_ns, now_ns]);
-        let acks = heartbeat.acks.into_iter().filter(|ack| ack.from == self.machine);
+        let News { acks, finished } = heartbeat.news;
+        let acks = acks.into_iter().filter(|ack| ack.from == self.machine);
         peer.acks.extend(acks.map(|ack| (ack.topic.clone(), ack)));
+        peer.finished = finished.into_iter().collect();
     }
 
     /// Says once where the other machine's pipeline file is not this one's: what only one of the two expects never comes.
@@ -175,9 +189,39 @@ impl Links {
         lock(&self.acks).insert((ack.from.clone(), ack.topic.clone()), ack);
     }
 
-    /// What has been received so far.
-    pub(crate) fn acks(&self) -> Vec<Ack> {
-        lock(&self.acks).values().cloned().collect()
+    /// What there is to tell.
+    pub(crate) fn news(&self) -> News {
+        let acks = lock(&self.acks).values().cloned().collect();
+        News { acks, finished: lock(&self.journal).finished().iter().cloned().collect() }
+    }
+
+    /// Whether an edge from here is finished: the machine that receives it has said so, to this process or an earlier one.
+    pub(crate) fn has_finished(&self, to: &str, topic: &str) -> bool {
+        let edge =
+            FinishedEdge { from: self.machine.clone(), to: to.to_owned(), topic: topic.to_owned(), run: self.run };
+        let is_told = lock(&self.peers).get(to).is_some_and(|peer| peer.finished.contains(&edge));
+        let mut journal = lock(&self.journal);
+        if is_told {
+            journal.note_finished(edge.clone());
+        }
+        journal.finished().contains(&edge)
+    }
+
+    /// Notes that an edge to here is finished, if the machine that sends it has been heard: which run of it that is.
+    pub(crate) fn finish(&self, from: &str, topic: &str) {
+        let Some(run) = lock(&self.peers).get(from).and_then(|peer| peer.run) else { return };
+        let (from, to, topic) = (from.to_owned(), self.machine.clone(), topic.to_owned());
+        lock(&self.journal).note_finished(FinishedEdge { from, to, topic, run });
+    }
+
+    /// Whether an edge to here is finished, and whether the machine that sends it is known to know.
+    pub(crate) fn is_finished(&self, from: &str, topic: &str) -> (bool, bool) {
+        let peers = lock(&self.peers);
+        let journal = lock(&self.journal);
+        let edge =
+            journal.finished().iter().find(|edge| edge.from == from && edge.to == self.machine && edge.topic == topic);
+        let is_known = |edge: &FinishedEdge| peers.get(from).is_some_and(|peer| peer.finished.contains(edge));
+        (edge.is_some(), edge.is_some_and(is_known))
     }
 
     /// Whether somebody has come, who is told so by the next heartbeat; since this was asked last.
@@ -185,35 +229,41 @@ impl Links {
         self.owes_answer.swap(false, Ordering::Relaxed)
     }
 
-    /// Says a heartbeat, with these acknowledgements, under this Zenoh key.
-    pub(crate) fn say(&self, zenoh_key: &str, acks: Vec<Ack>, put: impl FnOnce(Vec<u8>)) {
-        let heartbeat = self.heartbeat(acks);
+    /// Says a heartbeat, with this news, under this Zenoh key.
+    pub(crate) fn say(&self, zenoh_key: &str, news: News, put: impl FnOnce(Vec<u8>)) {
+        let heartbeat = self.heartbeat(news);
         let Ok(mut bytes) = encode_note(&heartbeat) else { return };
         self.seal.close(zenoh_key, &mut bytes);
         put(bytes);
         for (machine, peer) in lock(&self.peers).iter_mut() {
-            let told = |sample: &ClockSample| sample.machine == *machine && Some(sample.stream) == peer.session;
+            let told = |sample: &ClockSample| sample.machine == *machine && Some(sample.session) == peer.session;
             peer.knows_us |= heartbeat.samples.iter().any(told);
         }
     }
 
     /// The heartbeat that is due now.
-    fn heartbeat(&self, acks: Vec<Ack>) -> Heartbeat {
+    fn heartbeat(&self, news: News) -> Heartbeat {
         let samples = lock(&self.peers).values().flat_map(|peer| peer.samples.clone()).collect();
         Heartbeat {
-            stream: self.stream,
+            session: self.session,
+            run: self.run,
             sent_ns: monotonic_ns(),
             layouts: layouts(),
             routes: self.routes.clone(),
             samples,
-            acks,
+            news,
         }
     }
 
-    /// What a peer said it has of a topic, and when it was heard of last.
-    pub(crate) fn ack_of(&self, machine: &str, topic: &str) -> (Option<Ack>, Option<Instant>) {
-        let peers = lock(&self.peers);
-        peers.get(machine).map_or((None, None), |peer| (peer.acks.get(topic).cloned(), peer.heard))
+    /// What a peer said it has of a topic.
+    pub(crate) fn ack_of(&self, machine: &str, topic: &str) -> Option<Ack> {
+        lock(&self.peers).get(machine)?.acks.get(topic).cloned()
+    }
+
+    /// When a peer was heard of last; before this process began, by the one that was killed, counts as then.
+    pub(crate) fn last_heard(&self, machine: &str) -> Option<Instant> {
+        let heard = lock(&self.peers).get(machine).and_then(|peer| peer.heard);
+        heard.or_else(|| lock(&self.journal).has_heard(machine).then_some(self.started))
     }
 
     /// Whether a message is of the session of a machine that has proved to be the present one.
@@ -269,12 +319,12 @@ impl Links {
 impl Peer {
     /// Notes a heartbeat; nothing if it is no later than another of its session, else whether that is a new one.
     fn note(&mut self, sample: ClockSample) -> Option<bool> {
-        let known = self.samples.iter().position(|known| known.stream == sample.stream);
+        let known = self.samples.iter().position(|known| known.session == sample.session);
         if known.is_some_and(|at| self.samples[at].sent_ns >= sample.sent_ns) {
             return None;
         }
         // Of the session that has proved itself is told in any case.
-        let other = || self.samples.iter().position(|known| Some(known.stream) != self.session);
+        let other = || self.samples.iter().position(|known| Some(known.session) != self.session);
         let gives_way = known.or_else(|| other().filter(|_| self.samples.len() == SESSIONS));
         gives_way.into_iter().for_each(|at| drop(self.samples.remove(at)));
         self.samples.push_back(sample);
@@ -345,27 +395,32 @@ mod tests {
     use conicflow_dataflow::pipeline::Machine;
 
     /// A session of a bridge that knows of one other machine.
-    fn session(machine: &str, peer: &str, stream: u64, secret: &LinkKey) -> Links {
+    fn session(machine: &str, peer: &str, number: u64, secret: &LinkKey) -> Links {
+        links_of(machine, peer, Journal::open(None, 7, number), secret)
+    }
+
+    fn links_of(machine: &str, peer: &str, journal: Journal, secret: &LinkKey) -> Links {
         let (machine, settings) = (machine.to_owned(), Machine::default());
         let plan = BridgePlan { machine, settings, outgoing: Vec::new(), incoming: Vec::new() };
-        let links = Links::new(stream, Seal::new(Some(secret), stream), &plan);
+        let seal = Seal::new(Some(secret), journal.session());
+        let links = Links::new(journal, seal, &plan);
         lock(&links.peers).insert(peer.to_owned(), Peer::default());
         links
     }
 
-    fn robot(stream: u64, secret: &LinkKey) -> Links {
-        session("robot", "base", stream, secret)
+    fn robot(number: u64, secret: &LinkKey) -> Links {
+        session("robot", "base", number, secret)
     }
 
-    fn base(stream: u64, secret: &LinkKey) -> Links {
-        session("base", "robot", stream, secret)
+    fn base(number: u64, secret: &LinkKey) -> Links {
+        session("base", "robot", number, secret)
     }
 
     /// The next heartbeat of a bridge, with acknowledgements of the machine `base`, as it goes onto the link.
     fn beat(links: &Links) -> Vec<u8> {
-        let ack = Ack { from: "base".to_owned(), topic: "objects".to_owned(), next: links.stream, ..Ack::default() };
+        let ack = Ack { from: "base".to_owned(), topic: "objects".to_owned(), next: links.session, ..Ack::default() };
         let mut said = Vec::new();
-        links.say(&links.machine, vec![ack], |bytes| said = bytes);
+        links.say(&links.machine, News { acks: vec![ack], ..links.news() }, |bytes| said = bytes);
         said
     }
 
@@ -386,7 +441,7 @@ mod tests {
 
     /// The session of the robot that a base believes, by what it has acknowledged, too.
     fn believed(base: &Links) -> Option<u64> {
-        let acknowledged = base.ack_of("robot", "objects").0.map(|ack| ack.next);
+        let acknowledged = base.ack_of("robot", "objects").map(|ack| ack.next);
         let session = lock(&base.peers)["robot"].session;
         assert_eq!(acknowledged, session);
         assert!(session.is_none_or(|session| base.is_present("robot", session) == Ok(true)));
@@ -417,11 +472,11 @@ mod tests {
         assert_eq!(believed(&first_base), Some(1));
         let held_back = beat(&first_robot);
         // The robot's clock is set back in between.
-        for stream in [7, 3] {
-            let present = robot(stream, &secret);
+        for number in [7, 3] {
+            let present = robot(number, &secret);
             recorded.extend(talk(&present, &first_base));
             hear(&first_base, "robot", &recorded);
-            assert_eq!(believed(&first_base), Some(stream));
+            assert_eq!(believed(&first_base), Some(number));
         }
         hear(&first_base, "robot", &[held_back]);
         assert_eq!(believed(&first_base), Some(3));
@@ -435,15 +490,60 @@ mod tests {
     }
 
     #[test]
+    fn an_edge_is_finished_when_both_ends_know_it_also_to_those_who_are_started_anew() {
+        let (secret, robot_folder, base_folder) =
+            (secret(), tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let start = |machine: &str, peer: &str, folder: &tempfile::TempDir, run: u64, number: u64| {
+            let journal = Journal::open(Some(folder.path()), run, number);
+            links_of(machine, peer, journal, &secret)
+        };
+        let robot = |number| start("robot", "base", &robot_folder, 7, number);
+        let base = |number| start("base", "robot", &base_folder, 8, number);
+        let (first_robot, first_base) = (robot(1), base(2));
+        first_base.finish("robot", "objects");
+        assert_eq!(first_base.is_finished("robot", "objects"), (false, false), "of which run is not known");
+        talk(&first_robot, &first_base);
+        first_base.finish("robot", "objects");
+        assert_eq!(first_base.is_finished("robot", "objects"), (true, false));
+        assert!(!first_robot.has_finished("base", "objects"));
+        // The base is started anew before it has told.
+        let second_base = base(3);
+        assert_eq!(second_base.is_finished("robot", "objects"), (true, false));
+        talk(&first_robot, &second_base);
+        assert!(first_robot.has_finished("base", "objects") && !first_robot.has_finished("base", "tracks"));
+        // The robot is started anew before it has told that it knows.
+        let second_robot = robot(4);
+        assert!(second_robot.has_finished("base", "objects"));
+        talk(&second_robot, &second_base);
+        assert_eq!(second_base.is_finished("robot", "objects"), (true, true));
+        // Another run of the robot sends anew.
+        let other_run = start("robot", "base", &robot_folder, 9, 5);
+        talk(&other_run, &second_base);
+        assert!(!other_run.has_finished("base", "objects"));
+    }
+
+    #[test]
+    fn a_machine_that_an_earlier_process_has_heard_counts_as_heard_when_this_one_began() {
+        let (secret, folder) = (secret(), tempfile::tempdir().unwrap());
+        let robot = |number| links_of("robot", "base", Journal::open(Some(folder.path()), 7, number), &secret);
+        let first = robot(1);
+        assert_eq!(first.last_heard("base"), None);
+        talk(&first, &base(2, &secret));
+        let second = robot(3);
+        assert_eq!(second.last_heard("base"), Some(second.started));
+        assert!(!second.is_connected("base"));
+    }
+
+    #[test]
     fn repeated_heartbeats_do_not_keep_the_present_session_from_being_told_of() {
         let secret = secret();
         let base = base(100, &secret);
         let recorded: Vec<_> =
-            (1..8).flat_map(|stream| talk(&robot(stream, &secret), &self::base(99, &secret))).collect();
+            (1..8).flat_map(|number| talk(&robot(number, &secret), &self::base(99, &secret))).collect();
         talk(&robot(8, &secret), &base);
         hear(&base, "robot", &recorded);
         let samples = &lock(&base.peers)["robot"].samples;
-        assert!(samples.len() == SESSIONS && samples.iter().any(|sample| sample.stream == 8), "{samples:?}");
+        assert!(samples.len() == SESSIONS && samples.iter().any(|sample| sample.session == 8), "{samples:?}");
     }
 
     #[test]

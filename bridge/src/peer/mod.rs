@@ -3,5 +3,6 @@
 pub(crate) mod clock;
 pub(crate) mod counts;
 pub(crate) mod heartbeat;
+pub(crate) mod journal;
 pub(crate) mod links;
 pub(crate) mod report;

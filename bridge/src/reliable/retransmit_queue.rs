@@ -14,8 +14,8 @@ use std::time::{Duration, Instant};
 /// receiver lacks it no less than a bad link.
 const RESEND_AFTER: Duration = Duration::from_millis(250);
 const LONGEST_RESEND_AFTER: Duration = Duration::from_secs(4);
-/// A machine that wants only the newest is waited for so long, to learn that the stream has ended.
-const END_PATIENCE: Duration = Duration::from_secs(5);
+/// The other end of an edge is waited for so long, to learn that the stream has ended, where nothing else keeps it.
+pub(crate) const END_PATIENCE: Duration = Duration::from_secs(5);
 
 /// What has left a machine by one edge and may have to leave it again.
 pub(crate) struct RetransmitQueue {
@@ -23,13 +23,20 @@ pub(crate) struct RetransmitQueue {
     next: u64,
     log: SendLog,
     window: Window,
-    ends: Vec<(String, Vec<u8>)>,
+    ends: Vec<End>,
     ended_at: Option<Instant>,
     receivers: Vec<Remote>,
     outage: Duration,
     progress: Instant,
     resend_after: Duration,
     lost: u64,
+}
+
+/// The end of a writer's stream.
+struct End {
+    writer: String,
+    number: u64,
+    bytes: Vec<u8>,
 }
 
 /// What is known of a receiving machine.
@@ -148,8 +155,8 @@ impl RetransmitQueue {
 
     /// The same for the end of a writer's stream, of which everybody is told until they know.
     pub(crate) fn sent_end(&mut self, writer: &str, bytes: &[u8], now: Instant) {
+        self.ends.push(End { writer: writer.to_owned(), number: self.next, bytes: bytes.to_vec() });
         self.sent(bytes, now);
-        self.ends.push((writer.to_owned(), bytes.to_vec()));
         self.ended_at = Some(now);
     }
 
@@ -164,9 +171,9 @@ impl RetransmitQueue {
                 (self.progress, self.resend_after) = (now, RESEND_AFTER);
             }
             remote.finished = remote.finished.max(ack.finished.min(ack.next));
-            remote.ended.extend(ack.ended.iter().cloned());
         }
         // A bridge that was started anew has received nothing yet.
+        remote.ended = ack.map(|ack| ack.ended.iter().cloned().collect()).unwrap_or_default();
         remote.expected = ack.map_or(0, |ack| ack.next).max(remote.finished);
         self.forget(now);
     }
@@ -191,11 +198,12 @@ impl RetransmitQueue {
         self.progress = now;
         let oldest = self.oldest();
         let again = self.log.since(self.lacking(&alive));
-        let untold = |writer: &String| {
-            let unaware = |remote: &Remote| !remote.lossless && !remote.ended.contains(writer);
-            self.receivers.iter().any(|remote| unaware(remote) && alive(&remote.machine))
-        };
-        let ends = self.ends.iter().filter(|(writer, _)| untold(writer)).map(|(_, bytes)| bytes);
+        // Where no message may be missed, what comes first tells the end in its turn.
+        let is_ahead = |remote: &Remote, end: &End| remote.lossless && end.number >= remote.expected;
+        let is_unaware = |remote: &Remote, end: &End| !remote.ended.contains(&end.writer) && !is_ahead(remote, end);
+        let is_untold =
+            |end: &&End| self.receivers.iter().any(|remote| is_unaware(remote, end) && alive(&remote.machine));
+        let ends = self.ends.iter().filter(is_untold).map(|end| &end.bytes);
         let mut messages: Vec<_> = again.chain(ends).cloned().collect();
         messages.iter_mut().for_each(|bytes| set_oldest(bytes, oldest));
         let longer = (2 * self.resend_after).min(LONGEST_RESEND_AFTER);
@@ -203,17 +211,25 @@ impl RetransmitQueue {
         messages
     }
 
+    /// Nothing more is wanted by a machine.
+    pub(crate) fn finish(&mut self, machine: &str) {
+        self.receivers.retain(|remote| remote.machine != machine);
+    }
+
     /// Forgets that there was anything for a later process to send.
     pub(crate) fn close(&mut self) {
         self.log.remove_files();
     }
 
-    /// Whether everybody has what they must have, or will not get it any more.
+    /// Whether everybody has what they must have, or will not get it any more. A machine that must not miss any is waited for until
+    /// its readers have heard the end ([`RetransmitQueue::finish`]).
     pub(crate) fn is_settled(&self, now: Instant) -> bool {
         let impatient = self.ended_at.is_some_and(|since| now.saturating_duration_since(since) > END_PATIENCE);
         self.receivers.iter().all(|remote| match remote.lossless {
-            true => remote.finished >= self.next || (self.log.len() == 0 && remote.is_gone(now, self.outage)),
-            false => impatient || self.ends.iter().all(|(writer, _)| remote.ended.contains(writer)),
+            // One that has told that it has all, and then falls silent, has most likely been killed while its run came to its end.
+            true if remote.finished >= self.next => remote.is_gone(now, END_PATIENCE),
+            true => self.log.len() == 0 && remote.is_gone(now, self.outage),
+            false => impatient || self.ends.iter().all(|end| remote.ended.contains(&end.writer)),
         })
     }
 }
@@ -256,7 +272,33 @@ mod tests {
         let first_bytes: Vec<_> = queue.due(later + RESEND_AFTER, |_| true).iter().map(|bytes| bytes[0]).collect();
         assert_eq!(first_bytes, [1, 2, 3]);
         queue.acknowledge("base", Some(&ack(4, &[])), Some(later), later);
+        assert!(!queue.is_settled(later), "its readers have not heard the end");
+        assert!(queue.is_settled(later + END_PATIENCE + WAIT), "it has all, and has fallen silent");
+        queue.finish("base");
         assert!(queue.is_settled(later));
+    }
+
+    #[test]
+    fn who_was_started_anew_is_told_again_which_writers_have_ended() {
+        let start = Instant::now();
+        let mut queue = queue(Delivery::Lossless, start);
+        queue.sent_end("one", &[0; 80], start);
+        queue.sent(&[1; 80], start);
+        queue.acknowledge("base", Some(&ack(2, &["one"])), Some(start), start);
+        let later = start + RESEND_AFTER;
+        assert!(queue.due(later, |_| true).is_empty(), "it has all of them");
+        queue.sent_end("other", &[2; 80], later);
+        queue.acknowledge("base", None, Some(later), later);
+        let later = later + RESEND_AFTER;
+        let due = queue.due(later, |_| true);
+        let expected = [2_u8, 0].map(|message| {
+            let mut bytes = vec![message; 80];
+            set_oldest(&mut bytes, 2);
+            bytes
+        });
+        assert_eq!(due, expected, "one is not kept any more");
+        queue.acknowledge("base", Some(&ack(3, &["one", "other"])), Some(later), later);
+        assert!(queue.due(later + 2 * RESEND_AFTER, |_| true).is_empty());
     }
 
     #[test]
@@ -270,21 +312,24 @@ mod tests {
         let first_bytes: Vec<_> = queue.due(later, |_| true).iter().map(|bytes| bytes[0]).collect();
         assert_eq!(first_bytes, [1, 2]);
         queue.acknowledge("base", Some(&ack(3, &[])), Some(later), later);
-        assert!(queue.is_settled(later) && queue.due(later + RESEND_AFTER, |_| true).is_empty());
+        assert!(queue.due(later + RESEND_AFTER, |_| true).is_empty());
         assert_eq!((queue.place().oldest, queue.lost()), (3, 0));
+        queue.finish("base");
+        assert!(queue.is_settled(later));
     }
 
     #[test]
     fn who_says_to_have_more_than_was_sent_is_not_believed() {
         let start = Instant::now();
+        let silent = start + 2 * END_PATIENCE;
         let mut queue = queue(Delivery::Lossless, start);
         (0..3_u8).for_each(|number| queue.sent(&[number; 40], start));
         for next in [4, 1 << 63, u64::MAX] {
             queue.acknowledge("base", Some(&ack(next, &["source"])), Some(start), start);
-            assert_eq!((queue.unacknowledged(), queue.is_settled(start)), (3, false));
+            assert_eq!((queue.unacknowledged(), queue.is_settled(silent)), (3, false));
         }
         queue.acknowledge("base", Some(&ack(3, &[])), Some(start), start);
-        assert_eq!((queue.unacknowledged(), queue.is_settled(start)), (0, true));
+        assert_eq!((queue.unacknowledged(), queue.is_settled(silent)), (0, true));
     }
 
     #[test]

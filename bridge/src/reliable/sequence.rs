@@ -70,7 +70,12 @@ impl Sequence {
             return Verdict::Old;
         }
         self.came = Some(now);
-        let oldest = if self.lossless { place.oldest.min(place.number) } else { place.number };
+        let oldest = match (self.lossless, may_be_repeated) {
+            (true, false) => place.oldest.min(place.number),
+            // It is told again also when it is not kept any more.
+            (true, true) => place.oldest,
+            (false, _) => place.number,
+        };
         if place.stream != self.stream {
             (self.stream, self.next) = (place.stream, oldest);
         }
@@ -127,6 +132,18 @@ mod tests {
         assert_eq!(take(&mut sequence, 1, 9, 8), Verdict::Early);
         assert_eq!(take(&mut sequence, 1, 8, 8), Verdict::Take);
         assert_eq!(sequence.lost(), 7);
+    }
+
+    #[test]
+    fn an_end_that_is_told_again_counts_nothing_as_lost() {
+        let now = Instant::now();
+        for first in [Place { stream: 1, number: 2, oldest: 9 }, Place { stream: 1, number: 8, oldest: 9 }] {
+            let mut sequence = Sequence::new(true, false);
+            assert_eq!(sequence.judge(first, true, now), Verdict::Old, "what comes before it is finished");
+            assert_eq!(take(&mut sequence, 1, 9, 9), Verdict::Take);
+            assert_eq!(sequence.judge(first, true, now), Verdict::Old);
+            assert_eq!((sequence.expected(), sequence.lost()), ((1, 10), 0));
+        }
     }
 
     #[test]

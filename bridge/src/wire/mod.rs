@@ -24,15 +24,14 @@ use conicflow_dataflow::pipeline::Compression;
 use conicflow_dataflow::{BUILT_IN, ItemType};
 use conicflow_messages::{HEADER_TYPE_NAME, Header};
 use encoding::{decode_start, decode_whole, encode, trailing};
+use seal::SEAL;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 /// Version of the bytes between machines; machines of different versions refuse each other.
-pub const WIRE_VERSION: u16 = 4;
+pub const WIRE_VERSION: u16 = 5;
 const MAGIC: [u8; 4] = *b"CFLO";
 const PREFIX: usize = MAGIC.len() + size_of::<u16>();
-/// Bytes of the session and of the code, which are written when the message goes out.
-const SEAL: usize = 8 + 32;
 
 /// Where a message stands in the stream of its link.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

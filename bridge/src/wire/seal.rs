@@ -5,13 +5,16 @@
 //! put one there again is told by what it says: by the session, which its sender has to prove to be the present one
 //! (`peer::links`), and within that by its number, or of a heartbeat its time.
 
-use super::{PREFIX, SEAL, WireError, content};
+use super::{PREFIX, WireError, content};
 use conicflow_dataflow::LinkKey;
+use ring::digest::SHA256_OUTPUT_LEN;
 use ring::hmac::{Context, HMAC_SHA256, Key, Tag};
 use subtle::ConstantTimeEq;
 
 /// Bytes of the session.
 const SESSION: usize = size_of::<u64>();
+/// Bytes of the session and of the code, which are written when the message goes out.
+pub(super) const SEAL: usize = SESSION + SHA256_OUTPUT_LEN;
 /// Where the code begins.
 const CODE: usize = PREFIX + SESSION;
 /// Where the code ends.

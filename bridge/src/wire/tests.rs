@@ -132,6 +132,7 @@ fn numbers_that_make_no_sense_are_refused() {
 fn the_python_example_reads_this_version() {
     let example = include_str!("../../../examples/read_objects.py");
     assert!(example.contains(&format!("(b\"CFLO\", {WIRE_VERSION})")));
+    assert!(example.contains(&format!("reads version {WIRE_VERSION} of the wire")));
 }
 
 proptest! {

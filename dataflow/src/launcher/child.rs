@@ -57,6 +57,8 @@ pub(crate) struct Supervised {
     /// The program that was named for not having joined the run.
     outsider: Option<u32>,
     started: Instant,
+    /// Whether it was started when the sources had been told to stop, and is still to be told, too.
+    is_late: bool,
 }
 
 impl Supervised {
@@ -68,7 +70,7 @@ impl Supervised {
         })?;
         let watchdog = Watchdog::new(0, Instant::now());
         let (state, deaths, started) = (State::Running(child), VecDeque::new(), Instant::now());
-        Ok(Self { planned, state, watchdog, deaths, outsider: None, started })
+        Ok(Self { planned, state, watchdog, deaths, outsider: None, started, is_late: false })
     }
 
     /// Its process, if there is one.
@@ -130,7 +132,8 @@ impl Supervised {
     pub(crate) fn look(&mut self, plan: &Plan, folder: &RunFolder, options: &RunOptions, phase: Phase) -> Change {
         let ending = match phase {
             Phase::Running => false,
-            Phase::Delivering { .. } => self.planned.is_source(),
+            // What waits on its way to another machine, and what that has to hear, needs the bridge.
+            Phase::Delivering { .. } => self.planned.is_source() && !self.planned.is_bridge(),
             Phase::Stopping { .. } | Phase::Killing => true,
         };
         match &mut self.state {
@@ -141,12 +144,24 @@ impl Supervised {
                 }
                 _ => {
                     self.watch(plan, folder);
+                    self.stop_if_late(plan, folder);
                     Change::None
                 }
             },
             State::Waiting { .. } if ending => self.stay_away(folder, plan),
-            State::Waiting { until } if Instant::now() >= *until => self.start_anew(plan, folder, options),
+            State::Waiting { until } if Instant::now() >= *until => {
+                self.is_late = matches!(phase, Phase::Delivering { .. }) && self.planned.is_source();
+                self.start_anew(plan, folder, options)
+            }
             _ => Change::None,
+        }
+    }
+
+    /// Tells a source that was started late to stop, as the others were; before it has joined it could not take it in.
+    fn stop_if_late(&mut self, plan: &Plan, folder: &RunFolder) {
+        if self.is_late && self.process().is_some_and(|process| self.has_joined(process, plan, folder)) {
+            self.signal(Signal::INT);
+            self.is_late = false;
         }
     }
 

@@ -1,0 +1,127 @@
+//! What a bridge tells the process that takes its place, should it be killed: a file in the run's folder.
+
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::{fs, io};
+
+/// An edge of which nothing more is wanted: the stages that read it on the receiving machine have heard its end.
+#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub(crate) struct FinishedEdge {
+    /// The machine that sends it.
+    pub from: String,
+    /// The machine that receives it.
+    pub to: String,
+    pub topic: String,
+    /// The run of the machine that sends it.
+    pub run: u64,
+}
+
+/// What is known of this run.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+struct Entries {
+    run: u64,
+    session: u64,
+    heard: BTreeSet<String>,
+    finished: BTreeSet<FinishedEdge>,
+}
+
+/// The journal of a bridge.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Journal {
+    path: Option<PathBuf>,
+    entries: Entries,
+}
+
+impl Journal {
+    /// The journal of this run, with what earlier processes have left in that folder; in memory alone where nobody can come after
+    /// this one. A session begins now: its number is greater than all before it, although a clock may have been set back.
+    pub(crate) fn open(folder: Option<&Path>, run: u64, now: u64) -> Self {
+        let path = folder.map(|folder| folder.join("bridge.journal"));
+        let left = path.as_ref().and_then(|path| serde_json::from_slice::<Entries>(&fs::read(path).ok()?).ok());
+        let mut entries = left.filter(|entries| entries.run == run).unwrap_or(Entries { run, ..Entries::default() });
+        entries.session = now.max(entries.session.saturating_add(1));
+        let mut journal = Self { path, entries };
+        journal.write();
+        journal
+    }
+
+    /// The run that it is of.
+    pub(crate) fn run(&self) -> u64 {
+        self.entries.run
+    }
+
+    /// The number of this start of the bridge.
+    pub(crate) fn session(&self) -> u64 {
+        self.entries.session
+    }
+
+    /// Whether a machine was heard in this run.
+    pub(crate) fn has_heard(&self, machine: &str) -> bool {
+        self.entries.heard.contains(machine)
+    }
+
+    pub(crate) fn note_heard(&mut self, machine: &str) {
+        if self.entries.heard.insert(machine.to_owned()) {
+            self.write();
+        }
+    }
+
+    /// The edges that are finished.
+    pub(crate) fn finished(&self) -> &BTreeSet<FinishedEdge> {
+        &self.entries.finished
+    }
+
+    pub(crate) fn note_finished(&mut self, edge: FinishedEdge) {
+        if self.entries.finished.insert(edge) {
+            self.write();
+        }
+    }
+
+    /// Without the file this process goes on as well; only the next one would not know.
+    fn write(&mut self) {
+        let Some(path) = &self.path else { return };
+        let draft = path.with_extension("journal.new");
+        let text = serde_json::to_vec(&self.entries).map_err(io::Error::from);
+        let written = text.and_then(|text| fs::write(&draft, text)).and_then(|()| fs::rename(&draft, path));
+        if let Err(error) = written {
+            tracing::warn!("should the bridge be killed, the next will not know what is finished: {error}");
+            self.path = None;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn edge(topic: &str) -> FinishedEdge {
+        FinishedEdge { from: "robot".to_owned(), to: "base".to_owned(), topic: topic.to_owned(), run: 7 }
+    }
+
+    #[test]
+    fn the_next_process_of_a_run_knows_what_the_one_before_knew_and_has_a_later_session() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut first = Journal::open(Some(folder.path()), 7, 1000);
+        first.note_heard("base");
+        first.note_finished(edge("objects"));
+        let next = Journal::open(Some(folder.path()), 7, 10);
+        assert_eq!((first.session(), next.session()), (1000, 1001), "the clock was set back");
+        assert!(next.has_heard("base") && !next.has_heard("robot"));
+        assert!(next.finished().iter().eq([&edge("objects")]));
+        let other_run = Journal::open(Some(folder.path()), 8, 2000);
+        assert!(!other_run.has_heard("base") && other_run.finished().is_empty());
+    }
+
+    #[test]
+    fn a_journal_that_cannot_be_read_or_written_stops_nobody() {
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join("bridge.journal"), "{ not whole").unwrap();
+        assert_eq!(Journal::open(Some(folder.path()), 7, 5).session(), 5);
+        for folder in [None, Some(Path::new("/nowhere"))] {
+            let mut journal = Journal::open(folder, 7, 5);
+            journal.note_finished(edge("objects"));
+            assert_eq!(journal.finished().len(), 1);
+        }
+    }
+}

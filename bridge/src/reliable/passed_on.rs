@@ -1,0 +1,25 @@
+//! What the receiving end of an edge has passed on, as long as readers that must not miss any of it have not finished it.
+
+use std::collections::VecDeque;
+
+/// Stream and number of messages that were passed on, the oldest first.
+#[derive(Debug, Default)]
+pub(crate) struct PassedOn {
+    messages: VecDeque<(u64, u64)>,
+}
+
+impl PassedOn {
+    /// Notes that the message at this place was passed on.
+    pub(crate) fn add(&mut self, place: (u64, u64)) {
+        self.messages.push_back(place);
+    }
+
+    /// The number of the first message of the expected stream that may be needed again, where the readers here have not finished
+    /// the last `unfinished` messages, and `next` is expected.
+    pub(crate) fn finished(&mut self, unfinished: usize, (stream, next): (u64, u64)) -> u64 {
+        let finished = self.messages.len().saturating_sub(unfinished);
+        self.messages.drain(..finished);
+        let unfinished = self.messages.iter().find(|(of, _)| *of == stream);
+        unfinished.map_or(next, |(_, number)| next.min(*number))
+    }
+}
