@@ -1,5 +1,6 @@
 """The program `conicflow`, which the tests compare with and run: named in CONICFLOW, or found on the path."""
 
+import importlib
 import os
 import shutil
 import subprocess
@@ -22,6 +23,15 @@ def conicflow_program():
         warnings.warn("SKIPPED: no program conicflow; name it in CONICFLOW", stacklevel=1)
         pytest.skip("no program conicflow; name it in CONICFLOW")
     return str(Path(program).resolve())
+
+
+def sdk_of_realsense():
+    """The SDK of RealSense, with the libraries it stands on; without one of them the tests skip and say so."""
+    try:
+        return importlib.import_module("pyrealsense2")
+    except ImportError as error:
+        warnings.warn(f"SKIPPED: {error}; `realsense_source` is not shown to work", stacklevel=2)
+        pytest.skip(str(error), allow_module_level=True)
 
 
 class Playground:

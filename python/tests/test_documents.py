@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 import scenes
+from conftest import sdk_of_realsense
 from pipelines import OBJECTS
 
 ROOT = Path(__file__).parents[2]
@@ -59,7 +60,7 @@ def test_topics_are_read_as_the_document_says(playground):
 
 def test_who_has_a_camera_runs_the_example(playground, monkeypatch):
     """The command of the README, with the SDK's software device in place of a camera."""
-    pytest.importorskip("pyrealsense2")
+    sdk_of_realsense()
     (command,) = re.findall(r"^\| a camera \| `(.*?)` \|", README, re.MULTILINE)
     program, *arguments = command.split()
     assert program == "conicflow"

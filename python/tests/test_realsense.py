@@ -6,21 +6,17 @@ import shutil
 import signal
 import sys
 import time
-import warnings
 from pathlib import Path
 
 import pytest
 import scenes
+from conftest import sdk_of_realsense
 from pipelines import OBJECTS
 
 import conicflow
 from conicflow.cameras.frame import EndOfRecording, Refused, Settings, stereo_noise
 
-try:
-    import pyrealsense2 as rs
-except ImportError:
-    warnings.warn("SKIPPED: there is no pyrealsense2 here; `realsense_source` is not shown to work", stacklevel=1)
-    pytest.skip("no pyrealsense2", allow_module_level=True)
+rs = sdk_of_realsense()
 
 from software_realsense import BASELINE_MM, SERIAL, SoftwareRealSense, record
 

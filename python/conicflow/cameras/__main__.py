@@ -32,7 +32,7 @@ def load(adapter: str) -> ModuleType:
 
 
 SDKS = {
-    "realsense": ("pyrealsense2", ""),
+    "realsense": ("pyrealsense2", ", which on Linux needs libusb (Debian: libusb-1.0-0)"),
     "orbbec": ("pyorbbecsdk2", ""),
     "oakd": ("depthai", ""),
     "azure_kinect": ("pyk4a", ", which needs Microsoft's libk4a1.4-dev and a C++ compiler"),
