@@ -46,3 +46,4 @@ mod top;
 mod topic;
 mod validate;
 mod view;
+mod webdriver;

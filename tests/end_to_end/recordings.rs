@@ -5,6 +5,7 @@ use crate::processes::stages_of;
 use crate::support::{Playground, Started, TRACKING, signal, wait_until};
 use rustix::process::Signal;
 use serde_json::Value as Json;
+use std::collections::HashSet;
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -192,11 +193,32 @@ fn other_programs_read_what_is_recorded() {
         eprintln!("SKIPPED: there is no `rerun` beside `{python}`; its check of recordings was not run");
         return;
     }
-    let mut check = Command::new(&rerun);
-    check.args(["mcap", "check", "run.mcap"]).current_dir(playground.path(".")).env("HOME", playground.path("."));
-    let checked = Started::new(check).wait().expect_code(0).stdout;
+    let rerun = |arguments: &[&str]| {
+        let mut command = Command::new(&rerun);
+        command.args(arguments).current_dir(playground.path(".")).env("HOME", playground.path("."));
+        Started::new(command).wait()
+    };
+    let checked = rerun(&["mcap", "check", "run.mcap"]).expect_code(0).stdout;
     let channels: Vec<_> = checked.lines().filter(|line| line.contains("/source/")).collect();
     assert!(channels.len() > 10 && channels.iter().all(|line| line.trim_start().starts_with("ok")), "{checked}");
+    let shown = ["run.mcap", "--headless", "--bind", "127.0.0.1", "--port", "0", "--window-size", "1400x900"];
+    let shot = rerun(&[&shown[..], &["--screenshot-to", "shot.png"]].concat());
+    if shot.stderr.contains("No graphics adapter") {
+        eprintln!("SKIPPED: Rerun has no graphics card here, not even one of software; what it draws was not shown");
+        return;
+    }
+    shot.expect_code(0);
+    let picture = fs::File::open(playground.path("shot.png")).unwrap();
+    let mut picture = png::Decoder::new(std::io::BufReader::new(picture)).read_info().unwrap();
+    let mut pixels = vec![0; picture.output_buffer_size().unwrap()];
+    picture.next_frame(&mut pixels).unwrap();
+    let channels = picture.info().color_type.samples();
+    let colours: HashSet<_> = pixels.chunks_exact(channels).collect();
+    // The depths alone have hundreds; the window around them is grey.
+    assert!(colours.len() > 1000, "{} colours", colours.len());
+    if let Ok(folder) = std::env::var("CONICFLOW_PICTURES") {
+        fs::copy(playground.path("shot.png"), format!("{folder}/rerun.png")).unwrap();
+    }
 }
 
 /// The objects of each frame, their stamps, and what was said.

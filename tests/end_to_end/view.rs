@@ -84,6 +84,10 @@ impl Page {
         Self { host: address.split('/').next().unwrap().to_owned(), _program: None }
     }
 
+    pub fn url(&self) -> String {
+        format!("http://{}/", self.host)
+    }
+
     /// Sends a request as it is, and reads the answer.
     pub fn send(&self, request: &str) -> Answer {
         exchange(&self.host, request)
