@@ -44,7 +44,7 @@ pub const TERMS: usize = 11; // [derived]
 
 /// Weights of the terms, in their order, as `cargo bench --bench odds` printed them; with these in place it prints the same
 /// within 0.25.
-const WEIGHTS: [f64; TERMS] = [-6.54, 2.09, -0.90, -25.90, -0.49, -4.77, 0.49, 3.06, 2.80, -1.05, -1.60]; // [fitted]
+const WEIGHTS: [f64; TERMS] = [-7.25, 2.20, -0.95, -22.97, -0.95, -4.62, 0.56, 3.72, 2.78, -1.13, -1.50]; // [fitted]
 
 impl Evidence {
     /// That of a candidate of which `object` is the report.

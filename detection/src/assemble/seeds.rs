@@ -8,7 +8,7 @@ use std::time::Instant;
 
 /// Most seeds that are tried in vain in one image, the most curved first. It bounds the time, and what is found later is seldom
 /// right: with 48 the assembler took 1.6 times as long and found 93 in place of 92 things in recorded frames, with 23 wrong
-/// answers in place of 18; in simulated scenes it found as much.
+/// answers in place of 18 (by the odds of then); in simulated scenes it found as much.
 pub(super) const MAX_VAIN: usize = 24; // [measured]
 /// Arcs up to so many radii beyond the visible ends of an object are tested for belonging to it.
 const SPARE_REACH: f64 = 1.5; // [tuned]

@@ -25,6 +25,11 @@ const SCATTER: f64 = 2.5; // [sigmas]
 /// The curvature of an object has to exceed that of a plane by so many standard deviations.
 const CURVED: f64 = 4.0; // [sigmas]
 
+/// What is expected of an outline before it is seen: the mean square distance of its points in variances, that of the outlines
+/// of objects, and as how many independent points this counts.
+const EXPECTED_SQUARE: f64 = 0.5; // [measured]
+const EXPECTED_POINTS: f64 = 4.0; // [tuned]
+
 /// What was measured of a grown model, for its report.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Measured {
@@ -49,7 +54,8 @@ pub(crate) struct Measured {
 /// How well the outline that is seen fits.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Outline {
-    /// Mean square distance of the contour points that fit, in variances of one.
+    /// Mean square distance of the contour points that fit, in variances of one: its mean under a conjugate prior, so that a few
+    /// points which fit by chance, or share their noise with their neighbours, say little.
     pub square: f64,
     /// Share of the contour points that are far off, and so belong to something else.
     pub far_off: f64,
@@ -67,7 +73,8 @@ impl Outline {
         let free: usize = region.arcs().map(|arc| (0..2).filter(|&end| is_free(arc, end)).count()).sum();
         let free = free as f64 / ends;
         let share = |part: usize, all: usize| part as f64 / all.max(1) as f64;
-        let square = region.model.contour_sum() / contour.used().max(1) as f64;
+        let expected = EXPECTED_POINTS * region.shared_lines();
+        let square = (region.model.contour_sum() + expected * EXPECTED_SQUARE) / (contour.used() as f64 + expected);
         let continued = continued(region, gap);
         Self { square, far_off: share(contour.far_off(), contour.points()), free, continued }
     }
