@@ -17,12 +17,14 @@ use serde_json::{Map, Value as Json, json};
 const DEFINITIONS: &str = "definitions";
 const OF_NODE: &str = "$defs";
 
+/// The keys that the table of each stage has, whatever it is; each is a definition of the same name.
+const OF_EACH_STAGE: [&str; 3] = ["machine", "restart", "env"];
+
 /// The schema of files whose stages may be these nodes.
 pub fn file_schema<'a>(nodes: impl IntoIterator<Item = &'a Node>) -> Json {
-    let mut definitions = Map::new();
+    let mut definitions = of_stages();
     let mut stages: Vec<Json> = nodes.into_iter().map(|node| of_node(node, &mut definitions)).collect();
     stages.push(of_program());
-    definitions.insert("input".to_owned(), input());
     json!({
         "$schema": "http://json-schema.org/draft-07/schema#",
         "title": "pipeline of conicflow",
@@ -50,13 +52,18 @@ pub fn file_schema<'a>(nodes: impl IntoIterator<Item = &'a Node>) -> Json {
     })
 }
 
-/// A stage that is a node; what its schema refers to goes into `definitions`, under names that begin with the node's.
+/// A stage that is a node; what its schema refers to goes into `definitions`, where nodes share what is the same.
 fn of_node(node: &Node, definitions: &mut Map<String, Json>) -> Json {
     let mut schema = node.schema();
-    let prefix = format!("#/{DEFINITIONS}/{}.", node.name);
-    refer(&mut schema, &format!("#/{OF_NODE}/"), &prefix);
+    refer(&mut schema, &format!("#/{OF_NODE}/"), &format!("#/{DEFINITIONS}/"));
+    let has_other = |(name, own): (&String, &Json)| definitions.get(name).is_some_and(|other| other != own);
+    let mut prefix = String::new();
+    if schema.get(OF_NODE).and_then(Json::as_object).is_some_and(|own| own.iter().any(has_other)) {
+        prefix = format!("{}.", node.name);
+        refer(&mut schema, &format!("#/{DEFINITIONS}/"), &format!("#/{DEFINITIONS}/{prefix}"));
+    }
     if let Some(Json::Object(own)) = schema.get_mut(OF_NODE).map(Json::take) {
-        definitions.extend(own.into_iter().map(|(name, schema)| (format!("{}.{name}", node.name), schema)));
+        definitions.extend(own.into_iter().map(|(name, schema)| (format!("{prefix}{name}"), schema)));
     }
     let mut properties = Map::new();
     properties.insert("node".to_owned(), json!({ "description": node.summary, "const": node.name }));
@@ -70,9 +77,9 @@ fn of_node(node: &Node, definitions: &mut Map<String, Json>) -> Json {
         properties.insert("inputs".to_owned(), inputs);
     }
     if node.output() != Nothing::NAME {
-        properties.insert("output".to_owned(), output());
+        properties.insert("output".to_owned(), to("output"));
     }
-    add_common(&mut properties);
+    properties.extend(OF_EACH_STAGE.map(|key| (key.to_owned(), to(key))));
     if let Some(Json::Object(parameters)) = schema.get_mut("properties").map(Json::take) {
         properties.extend(parameters);
     }
@@ -89,40 +96,33 @@ fn of_program() -> Json {
     });
     properties.insert("program".to_owned(), program);
     properties.insert("input".to_owned(), reference("input", "What drives the stage."));
-    let inputs = json!({ "description": "Side inputs.", "type": "object", "additionalProperties": { "$ref": "#/definitions/input" } });
+    let inputs = json!({ "description": "Side inputs.", "type": "object", "additionalProperties": to("input") });
     properties.insert("inputs".to_owned(), inputs);
-    properties.insert("output".to_owned(), output());
-    add_common(&mut properties);
+    properties.insert("output".to_owned(), to("output"));
+    properties.extend(OF_EACH_STAGE.map(|key| (key.to_owned(), to(key))));
     json!({ "title": "program", "type": "object", "required": ["program"], "properties": properties, "not": { "required": ["node"] } })
 }
 
-/// The keys that each stage has.
-fn add_common(properties: &mut Map<String, Json>) {
+/// What the tables of stages refer to.
+fn of_stages() -> Map<String, Json> {
     let when = json!({ "enum": RESTARTS.map(|(word, _)| word), "default": "on_failure" });
-    let common = [
-        ("machine", json!({ "description": "The machine on which it runs.", "type": "string" })),
-        (
-            "restart",
-            json!({
-                "description": "When it is started anew; with `hang_s` also after so many seconds without a sign of life.",
-                "anyOf": [
-                    when,
-                    {
-                        "type": "object", "additionalProperties": false,
-                        "properties": { "when": when, "hang_s": { "type": "number", "minimum": HANG_S.start(), "maximum": HANG_S.end() } },
-                    },
-                ],
-            }),
-        ),
-        (
-            "env",
-            json!({
-                "description": "Environment variables of its process.",
-                "type": "object", "additionalProperties": { "type": "string" },
-            }),
-        ),
-    ];
-    properties.extend(common.map(|(key, schema)| (key.to_owned(), schema)));
+    let restart = json!({
+        "description": "When it is started anew; with `hang_s` also after so many seconds without a sign of life.",
+        "anyOf": [
+            when,
+            {
+                "type": "object", "additionalProperties": false,
+                "properties": { "when": when, "hang_s": { "type": "number", "minimum": HANG_S.start(), "maximum": HANG_S.end() } },
+            },
+        ],
+    });
+    let env = json!({
+        "description": "Environment variables of its process.",
+        "type": "object", "additionalProperties": { "type": "string" },
+    });
+    let machine = json!({ "description": "The machine on which it runs.", "type": "string" });
+    let all = [("input", input()), ("output", output()), ("machine", machine), ("restart", restart), ("env", env)];
+    all.map(|(name, schema)| (name.to_owned(), schema)).into_iter().collect()
 }
 
 fn input() -> Json {
@@ -223,9 +223,13 @@ fn item() -> Json {
     })
 }
 
-fn reference(name: &str, description: &str) -> Json {
+fn to(definition: &str) -> Json {
+    json!({ "$ref": format!("#/{DEFINITIONS}/{definition}") })
+}
+
+fn reference(definition: &str, description: &str) -> Json {
     // Readers of a schema pass over what stands beside a `$ref`, but not beside a list that has one.
-    json!({ "description": description, "allOf": [{ "$ref": format!("#/{DEFINITIONS}/{name}") }] })
+    json!({ "description": description, "allOf": [to(definition)] })
 }
 
 /// Lets all references that begin with `old` begin with `new`.
