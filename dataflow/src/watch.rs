@@ -216,7 +216,12 @@ impl RunningPipeline {
         mut see: impl FnMut(&'a Topic, AnyMessage<'_>) -> Result<Watching, E>,
     ) -> Result<(), E> {
         let told = told_to_end().map_err(WatchError::from)?;
-        let (mut watcher, mut asked) = (Watcher::new(self, topics)?, Instant::now());
+        let mut watcher = match Watcher::new(self, topics) {
+            // What there was to look into went with the run.
+            Err(_) if !self.still_runs() => return Ok(()),
+            made => made?,
+        };
+        let mut asked = Instant::now();
         while !told.load(Ordering::Relaxed) {
             if asked.elapsed() > RUN_CHECK {
                 if wants() == Watching::Enough {

@@ -67,7 +67,8 @@ impl Live {
             *lock(&self.shown) = chosen.as_ref().map(|chosen| chosen.plan.pipeline.clone());
             match chosen {
                 None => self.tell_waiting(wanted.pipeline.as_deref()),
-                Some(chosen) if self.display.is_watched() => self.attach(&chosen, &wanted),
+                // Whoever was away for a moment when the run was paused is to see its next step.
+                Some(chosen) if self.display.is_watched() || chosen.sources().paused => self.attach(&chosen, &wanted),
                 Some(_) => {}
             }
             sleep(LOOK);

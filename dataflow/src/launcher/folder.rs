@@ -219,12 +219,24 @@ impl RunFolder {
         }
     }
 
-    /// Writes the plan of a run and removes the records of earlier ones.
+    /// Removes what earlier runs have left: from now on nobody takes their plan for that of the run that has the lock.
+    ///
+    /// # Errors
+    /// The folder cannot be written.
+    pub(crate) fn empty(&self) -> Result<(), FolderError> {
+        self.remove_records()?;
+        let path = self.path.join(PLAN);
+        match fs::remove_file(&path) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => Err(FolderError::Io { path, error }),
+            _ => Ok(()),
+        }
+    }
+
+    /// Writes the plan of a run, by which others see that it runs: all that they may look into has to be there.
     ///
     /// # Errors
     /// The folder cannot be written.
     pub fn begin(&self, plan: &Plan) -> Result<(), FolderError> {
-        self.remove_records()?;
         let path = self.path.join(PAUSE_FILE);
         PauseFile::create(&path, plan.run).map_err(|error| FolderError::Io { path, error })?;
         self.write_plan(plan)

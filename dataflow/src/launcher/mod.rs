@@ -92,9 +92,11 @@ pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
     let _lock = folder.lock(&plan.pipeline)?;
     SharedMemory::clean(folder.shared_memory())?;
     Requirements::of(plan, options.nodes).insufficient().into_iter().try_for_each(Err)?;
-    folder.begin(plan)?;
+    folder.empty()?;
     let memory = SharedMemory::open(folder.shared_memory(), &plan.namespace(), "launcher", Stop::default())?;
     let services = memory.kept_in(folder.path()).keep_services(plan.topics())?;
+    // Whoever looks on from outside may come as soon as there is a plan.
+    folder.begin(plan)?;
     let mut launcher = Launcher {
         plan: plan.clone(),
         folder,

@@ -20,7 +20,7 @@ pub struct SharedOnlooker {
 }
 
 impl SharedMemory {
-    /// Looks into a topic of these items, of which this process is no part.
+    /// Looks into a topic of these items, of which this process is no part: its run has made all that this needs.
     ///
     /// # Errors
     /// The topic carries something else, too many look on already, or shared memory failed.
@@ -28,7 +28,7 @@ impl SharedMemory {
         let fault = |reason: String| self.fault(format!("topic `{}` cannot be looked into", topic.name), reason);
         let name = PortName::new(NAME).map_err(|error| fault(format!("{error:?}")))?;
         let queue = topic.longest_queue();
-        let messages = self.messages(item, topic)?;
+        let messages = self.messages_of_others(item, topic)?;
         let created = messages.subscriber_builder().buffer_size(queue).history_request(0).name(&name).create();
         let subscriber = created.map_err(|error| match error {
             SubscriberCreateError::ExceedsMaxSupportedSubscribers => {

@@ -2,7 +2,7 @@
 
 use super::acknowledgements::Acknowledgements;
 use super::cleanup::{self, Occupied};
-use super::untyped::{Factory, with_types};
+use super::untyped::{Factory, Untyped, with_types};
 use crate::item_type::ItemType;
 use crate::ports::capacity::{ROOM_PER_PORT, in_words, room};
 use crate::ports::{Delivery, MAX_KEPT, OTHER_BUILD, PortError, Topic, TopicReader};
@@ -127,7 +127,21 @@ impl SharedMemory {
         }
     }
 
+    /// The service of a topic's messages.
     pub(super) fn messages(&self, item: &ItemType, topic: &Topic) -> Result<Factory, PortError> {
+        let opened = self.messages_builder(item, topic)?.open_or_create();
+        opened.map_err(|error| self.messages_fault(item, topic, error))
+    }
+
+    /// The same, where others have made it: who looks on does not know how much room they need in it.
+    pub(super) fn messages_of_others(&self, item: &ItemType, topic: &Topic) -> Result<Factory, PortError> {
+        let opened = self.messages_builder(item, topic)?.open();
+        opened.map_err(|error| {
+            self.messages_fault(item, topic, PublishSubscribeOpenOrCreateError::PublishSubscribeOpenError(error))
+        })
+    }
+
+    fn messages_builder(&self, item: &ItemType, topic: &Topic) -> Result<Untyped, PortError> {
         topic.expect(item)?;
         self.look_for_room(topic)?;
         let fault = |reason: &dyn Debug| self.fault(format!("topic `{}` cannot be opened", topic.name), reason);
@@ -147,8 +161,11 @@ impl SharedMemory {
             .max_subscribers(readers)
             .max_nodes(2 * (writers + readers))
             .history_size(self.folder_of(topic).map_or(0, |_| topic.kept()));
-        let opened = with_types(service, item).map_err(|reason| fault(&reason))?.open_or_create();
-        opened.map_err(|error| match error {
+        with_types(service, item).map_err(|reason| fault(&reason))
+    }
+
+    fn messages_fault(&self, item: &ItemType, topic: &Topic, error: PublishSubscribeOpenOrCreateError) -> PortError {
+        match error {
             PublishSubscribeOpenOrCreateError::PublishSubscribeOpenError(
                 PublishSubscribeOpenError::IncompatibleTypes,
             ) => PortError::Incompatible {
@@ -157,8 +174,8 @@ impl SharedMemory {
                 said: String::new(),
                 hint: OTHER_BUILD.to_owned(),
             },
-            other => fault(&other),
-        })
+            other => self.fault(format!("topic `{}` cannot be opened", topic.name), other),
+        }
     }
 
     pub(super) fn event(&self, topic: &Topic, part: &str) -> Result<EventFactory, PortError> {

@@ -139,6 +139,18 @@ fn what_a_lossless_reader_has_not_finished_is_handed_to_the_next_one_and_to_nobo
 }
 
 #[test]
+fn who_looks_on_too_early_does_not_keep_the_run_from_beginning() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut topic = topic(Delivery::Lossless, 3);
+    topic.item = Some(ItemType::of::<u16>());
+    let (early, item) = (open(folder.path(), "onlooker"), ItemType::of::<u16>());
+    assert!(early.onlooker(&item, &topic).is_err(), "there is nothing yet");
+    let launcher = open(folder.path(), "launcher").kept_in(folder.path());
+    let _services = launcher.keep_services([&topic].into_iter()).unwrap();
+    assert!(early.onlooker(&item, &topic).is_ok());
+}
+
+#[test]
 fn a_reader_that_wants_the_newest_never_holds_up_its_writer() {
     let folder = tempfile::tempdir().unwrap();
     let topic = topic(Delivery::Latest, 2);

@@ -24,7 +24,7 @@ pub(super) type Sample = sample::Sample<Ipc, [CustomPayloadMarker], CustomHeader
 /// Memory for a message.
 pub(super) type Loan = sample_mut::SampleMut<Ipc, [CustomPayloadMarker], CustomHeaderMarker>;
 
-type Untyped = Builder<[CustomPayloadMarker], CustomHeaderMarker, Ipc>;
+pub(super) type Untyped = Builder<[CustomPayloadMarker], CustomHeaderMarker, Ipc>;
 
 /// Tells a service what its messages are: a [`Header`], and items of this type. The reason why not, where the name is too long.
 pub(super) fn with_types(service: Untyped, item: &ItemType) -> Result<Untyped, String> {
