@@ -244,6 +244,29 @@ fn clouds_of_ros_give_the_objects_that_the_same_files_give() {
     assert!(all > 60 && 10 * alike > 9 * all, "{alike} of {all}");
 }
 
+/// From Lyrical on a publisher of images sends below the key of the topic, to subscribers whose token says that they take them there.
+#[test]
+fn images_that_come_below_the_key_are_taken() {
+    let endpoint = loopback();
+    let _router = router(&endpoint);
+    let session = robot(&endpoint);
+    let playground = Playground::with_pipeline(&by_ros(RECORDING, &endpoint));
+    let mut run = playground.start(&["run", "--frames", "3"]);
+    let token = wait_for_token(&session, "/MS/%/%/conicflow_source/%camera%depth%image_rect_raw/");
+    assert!(token.ends_with("/backends:cpu:"), "{token}");
+    let [topic, mut info] = camera_topics(&session);
+    let mut below = RobotsTopic::new(&session, &format!("{}/_buf_cpu", topic.key));
+    let stamped = Stamped { stamp_ns: 1, frame_id: FRAME };
+    let camera = Camera { width: 64, height: 48, fx: 50.0, fy: 50.0, cx: 31.5, cy: 23.5 };
+    run.wait_until("they are taken", || {
+        info.publish(CameraInfo::write(stamped, &camera, Vec::new()));
+        below.publish(write_units(stamped, (64, 48), &[1000; 64 * 48], Vec::new()));
+        std::thread::sleep(Duration::from_millis(10));
+        playground.lines("objects.jsonl").len() == 3
+    });
+    run.wait().expect_code(0);
+}
+
 /// A static transform that was sent before the run began, and one that moves, give the pose of each image; the sink sends it on.
 #[test]
 fn the_pose_of_the_camera_comes_from_transforms_and_goes_out_as_one() {

@@ -8,7 +8,14 @@
 //! | token of an end | `@ros2_lv/DOMAIN/ZID/NODE/END/MP/%/%/NAME/TOPIC/TYPE/HASH/QOS` | `@/ZID/@ros2_lv/MP/TOPIC/TYPE/QOS` |
 //!
 //! A topic stands in a key without its first slash, and in a token with `%` or `§` in place of all; `MP` publishes, `MS`
-//! subscribes. Sources: ros2/rmw_zenoh `docs/design.md`, `liveliness_utils.cpp`; zenoh-plugin-ros2dds `liveliness_mgt.rs`.
+//! subscribes.
+//!
+//! From Lyrical on, publishers of `rmw_zenoh_cpp` send messages with a `uint8[]` in them below the key of the topic: those for all
+//! who have no memory of their own for it at `KEY/_buf_cpu`, if the token of each subscriber says so by `/backends:cpu:` at its
+//! end, which the distributions before do not look at. They still send at the key itself where anybody else listens.
+//!
+//! Sources: ros2/rmw_zenoh `docs/design.md`, `liveliness_utils.cpp`, `buffer_endpoint_helpers.hpp`, `rmw_publisher_data.cpp`;
+//! zenoh-plugin-ros2dds `liveliness_mgt.rs`.
 
 use conicflow_ros::Definition;
 use conicflow_ros2::{Distro, End, Participant, Published, Via, Way};
@@ -17,6 +24,10 @@ use conicflow_ros2::{Distro, End, Participant, Published, Via, Way};
 const EMPTY: &str = "%";
 /// What Humble has in place of the number of a type.
 const NO_HASH: &str = "TypeHashNotSupported";
+/// Where messages for those without memory of their own come, below the key of the topic.
+const OF_NO_MEMORY: &str = "_buf_cpu";
+/// What ends the token of a subscriber that takes them there.
+const NO_MEMORY: &str = "/backends:cpu:";
 /// The number of our node in its session.
 const NODE: usize = 0;
 
@@ -35,6 +46,18 @@ impl Keys<'_> {
         format!("{}/{topic}/{}/{hash}", self.0.domain, dds_name(definition.name))
     }
 
+    /// All keys at which messages come for an end.
+    pub(super) fn keys_to_take(&self, end: &End) -> Vec<String> {
+        let key = self.key(end);
+        let below = self.takes_below(end).then(|| format!("{key}/{OF_NO_MEMORY}"));
+        std::iter::once(key).chain(below).collect()
+    }
+
+    /// Whether messages for this end may come below its key.
+    fn takes_below(&self, End { definition, way, .. }: &End) -> bool {
+        self.0.via == Via::RmwZenoh && matches!(way, Way::Subscribe(_)) && definition.text.contains("uint8[] ")
+    }
+
     /// The tokens of the node and its ends, in a session that is called `zid`.
     pub(super) fn tokens(&self, zid: &str) -> Vec<String> {
         let Participant { domain, name, ends, .. } = self.0;
@@ -42,10 +65,12 @@ impl Keys<'_> {
             return ends.iter().map(|end| self.ros2dds_token(zid, end)).collect();
         }
         let node = format!("@ros2_lv/{domain}/{zid}/{NODE}");
-        let ends = ends.iter().zip(NODE + 1..).map(|(End { topic, definition, way }, number)| {
+        let ends = ends.iter().zip(NODE + 1..).map(|(end, number)| {
+            let End { topic, definition, way } = end;
             let (topic, kind, hash) = (topic.replace('/', "%"), dds_name(definition.name), self.hash(definition));
-            let letters = letters(*way);
-            format!("{node}/{number}/{letters}/{EMPTY}/{EMPTY}/{name}/{topic}/{kind}/{hash}/{}", quality(*way))
+            let (letters, quality) = (letters(*way), quality(*way));
+            let memory = if self.takes_below(end) { NO_MEMORY } else { "" };
+            format!("{node}/{number}/{letters}/{EMPTY}/{EMPTY}/{name}/{topic}/{kind}/{hash}/{quality}{memory}")
         });
         std::iter::once(format!("{node}/{NODE}/NN/{EMPTY}/{EMPTY}/{name}")).chain(ends).collect()
     }
@@ -153,12 +178,14 @@ mod tests {
         assert_eq!(told[0], "7/camera/depth/image/sensor_msgs::msg::dds_::Image_/*");
         assert_eq!(told[1], "7/tf_static/tf2_msgs::msg::dds_::TFMessage_/*");
         assert_eq!(told[2], format!("7/conicflow/tracks/{detections}/{DETECTIONS_HASH}"));
+        let taken: Vec<_> = participant.ends[..2].iter().map(|end| keys.keys_to_take(end)).collect();
+        assert_eq!(taken, [vec![told[0].clone(), format!("{}/_buf_cpu", told[0])], vec![told[1].clone()]]);
         let node = format!("@ros2_lv/7/{ZID}/0");
         let tf = "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087";
         let expected = [
             format!("{node}/0/NN/%/%/conicflow_ros"),
             format!(
-                "{node}/1/MS/%/%/conicflow_ros/%camera%depth%image/sensor_msgs::msg::dds_::Image_/{IMAGE_HASH}/2::,10:,:,:,,"
+                "{node}/1/MS/%/%/conicflow_ros/%camera%depth%image/sensor_msgs::msg::dds_::Image_/{IMAGE_HASH}/2::,10:,:,:,,/backends:cpu:"
             ),
             format!("{node}/2/MS/%/%/conicflow_ros/%tf_static/tf2_msgs::msg::dds_::TFMessage_/{tf}/:1:,10:,:,:,,"),
             format!("{node}/3/MP/%/%/conicflow_ros/%conicflow%tracks/{detections}/{DETECTIONS_HASH}/::,10:,:,:,,"),

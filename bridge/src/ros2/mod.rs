@@ -206,16 +206,18 @@ impl Keeper {
         let (keys, zid) = (Keys(&self.participant), session.zid());
         let (mut publishers, mut subscribers, mut tokens) = (Vec::new(), Vec::new(), Vec::new());
         for (number, end) in self.participant.ends.iter().enumerate() {
-            let key = keys.key(end);
             if end.way == Way::Publish {
-                let publisher = session.declare_publisher(key).congestion_control(CongestionControl::Drop).wait()?;
+                let publisher =
+                    session.declare_publisher(keys.key(end)).congestion_control(CongestionControl::Drop).wait()?;
                 let mut end = zid.to_le_bytes();
                 end[0] ^= number as u8 + 1;
                 publishers.push(Some(Outbox { publisher, sequence: AtomicI64::new(1), end }));
             } else {
-                let inboxes = Arc::clone(&self.inboxes);
-                let take = move |sample: Sample| inboxes[number].take(&sample);
-                subscribers.push(session.declare_subscriber(key).callback(take).wait()?);
+                for key in keys.keys_to_take(end) {
+                    let inboxes = Arc::clone(&self.inboxes);
+                    let take = move |sample: Sample| inboxes[number].take(&sample);
+                    subscribers.push(session.declare_subscriber(key).callback(take).wait()?);
+                }
                 publishers.push(None);
             }
         }
