@@ -10,7 +10,7 @@ built="$target/$([ "$profile" = dev ] && echo debug || echo "$profile")"
 
 cargo build --profile "$profile" --locked -p conicflow -p conicflow-bridge -p conicflow-c
 
-# What the program tells of itself, the names by which the library is found, the licences of what all is made of, and the example with the place of the schema that is installed with it.
+# What the program tells of itself, the names by which the library is found, the licences of what all is made of, and the examples with the place of the schema that is installed with it.
 made=target/deb
 rm -rf "$made" && mkdir -p "$made"
 for shell in bash zsh fish; do
@@ -18,9 +18,11 @@ for shell in bash zsh fish; do
 done
 "$built/conicflow" man | gzip -9n >"$made/conicflow.1.gz"
 "$built/conicflow" schema >"$made/pipeline.schema.json"
-sed '1s|.*|#:schema /usr/share/conicflow/pipeline.schema.json|' pipeline.toml >"$made/pipeline.toml"
+for example in pipeline.toml pipeline.two-machines.toml examples/camera.toml examples/ros2.toml; do
+    sed '1s|.*|#:schema /usr/share/conicflow/pipeline.schema.json|' "$example" >"$made/$(basename "$example")"
+done
 name="$(readelf -d "$built/libconicflow.so" | sed -n 's/.*soname: \[\(.*\)\]/\1/p')"
-cp "$built/libconicflow.so" "$made/$name"
+strip --strip-unneeded -o "$made/$name" "$built/libconicflow.so"
 ln -s "$name" "$made/libconicflow.so"
 cargo about generate --workspace --locked --offline --fail -c packaging/licences.toml packaging/licences.hbs |
     gzip -9n >"$made/third-party-licences.txt.gz"
