@@ -156,23 +156,30 @@ impl Player {
         Ok(player)
     }
 
-    /// Plays until this program is told to end.
-    ///
-    /// # Errors
-    /// The recording cannot be read any more.
-    pub fn play(&mut self, told: &AtomicBool) -> Result<()> {
+    /// Plays until this program is told to end. A place that cannot be read is told on the page, which pauses there.
+    pub fn play(&mut self, told: &AtomicBool) {
         while !told.load(Ordering::Relaxed) {
-            let due = self.due();
-            let left = due.map_or(LOOK, |due| due.saturating_duration_since(Instant::now()).min(LOOK));
-            if let Some(command) = self.display.next_command(left) {
-                self.obey(&command)?;
-            } else if due.is_some_and(|due| due <= Instant::now()) && !self.advance()? {
+            if let Err(error) = self.play_on() {
+                tracing::warn!("{error:#}");
+                self.display.tell(|about| about.notice = Some(format!("{error:#}")));
                 self.plays = false;
                 self.tell();
             }
         }
         Ok(())
     }
+    }
+
+    /// Does what comes next: what somebody wants, or the next frame, or a while of nothing.
+    fn play_on(&mut self) -> Result<()> {
+        let due = self.due();
+        let left = due.map_or(LOOK, |due| due.saturating_duration_since(Instant::now()).min(LOOK));
+        if let Some(command) = self.display.next_command(left) {
+            self.obey(&command)?;
+        } else if due.is_some_and(|due| due <= Instant::now()) && !self.advance()? {
+            self.plays = false;
+            self.tell();
+        }
 
     /// When the next frame is to be shown; never while the recording is paused, or nobody looks.
     fn due(&mut self) -> Option<Instant> {

@@ -351,6 +351,38 @@ fn a_recording_that_ends_in_the_middle_and_one_of_depth_alone_are_shown() {
 }
 
 #[test]
+fn a_damaged_place_ends_neither_the_page_nor_a_run() {
+    let playground = Playground::new();
+    recording(&playground, "400");
+    let mut bytes = std::fs::read(playground.path("run.mcap")).unwrap();
+    // A chunk in the middle, but for its head.
+    let (mut at, mut chunks) = (8, Vec::new());
+    while at + 9 < bytes.len() {
+        let end = at + 9 + u64::from_le_bytes(bytes[at + 1..at + 9].try_into().unwrap()) as usize;
+        chunks.extend((bytes[at] == 0x06).then_some(at + 80..end));
+        at = end;
+    }
+    assert!(chunks.len() > 2, "{chunks:?}");
+    bytes[chunks[chunks.len() / 2].clone()].fill(0xff);
+    std::fs::write(playground.path("damaged.mcap"), bytes).unwrap();
+
+    let page = Page::open(&playground, &["damaged.mcap"]);
+    page.wish(&json!({ "do": "speed", "factor": 10.0 }));
+    let shows =
+        |sequence: u64| move |json: &Json| json["frame"]["sequence"] == sequence && json["player"]["plays"] == false;
+    page.told("the last frame, behind the damage", shows(399));
+    for at_s in [12.0, 9.0, 6.5, 5.0, 3.0] {
+        page.wish(&json!({ "do": "seek", "at_s": at_s }));
+        page.wish(&json!({ "do": "step", "by": -1 }));
+    }
+    page.wish(&json!({ "do": "seek", "at_s": 0.0 }));
+    page.told("the first frame", shows(0));
+    let found = playground.conicflow(&["detect", "damaged.mcap"]).expect_code(0);
+    assert!(found.stderr.contains("is damaged") && found.stderr.contains("; damaged places: 1"), "{}", found.stderr);
+    assert!(found.stdout.lines().count() > 20, "{}", found.stdout);
+}
+
+#[test]
 fn a_sink_shows_the_run_that_it_is_part_of() {
     let playground = Playground::new();
     let sink = "[stage.page]\nnode = \"view_sink\"\ninput = \"tracks\"\ninputs = { depth = \"depth\" }\nlisten = \"127.0.0.1:0\"\n";

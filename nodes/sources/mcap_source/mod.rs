@@ -1,7 +1,8 @@
 //! Plays back recordings of robots: MCAP files with ROS 2 messages, whoever wrote them, and those of `mcap_sink` and `conicflow
 //! record`, whose frames and lists come back to the bit.
 //!
-//! A frame that cannot be read is reported, counted as `frames unreadable` and passed over.
+//! A frame that cannot be read is reported, counted as `frames unreadable` and passed over; so is a part of a file, counted as
+//! `damaged places`.
 
 mod channels;
 mod replay;

@@ -223,18 +223,69 @@ fn a_file_that_was_cut_is_played_up_to_its_last_whole_message() {
 }
 
 #[test]
+fn a_damaged_chunk_is_left_out_and_counted() {
+    let whole = play(&usual(None), Config::default()).unwrap();
+    for file in [usual(None), usual(Some(Compression::Lz4)), with_zstd(&usual(None))] {
+        let chunks = chunks(&file);
+        assert!(chunks.len() > 2, "{chunks:?}");
+        for chunk in &chunks[1..] {
+            let mut damaged = file.clone();
+            // All of it but its head, so that lz4 fails and not the check sum alone.
+            damaged[chunk.start + 70..chunk.end].iter_mut().for_each(|byte| *byte = !*byte);
+            let place = Place::of(&damaged);
+            let mut replay = place.open(Config::default()).unwrap();
+            let frames = all(&mut replay).unwrap();
+            let stamps: Vec<_> = frames.iter().map(|(header, _)| header.stamp_ns).collect();
+            let expected = whole.iter().filter(|(header, _)| stamps.contains(&header.stamp_ns));
+            assert!(expected.map(|(_, depths)| depths).eq(frames.iter().map(|(_, depths)| depths)), "what is whole");
+            assert!((2..5).contains(&frames.len()), "{stamps:?}");
+            assert_eq!(replay.take_counts().collect::<Vec<_>>(), [("damaged places", 1)]);
+            // From any frame on, as the page plays it.
+            for frame in 0..5 {
+                replay.seek(stamp_ns(frame));
+                assert!(all(&mut replay).unwrap().len() <= 5);
+            }
+        }
+    }
+}
+
+/// Where the chunks of a file lie.
+fn chunks(file: &[u8]) -> Vec<std::ops::Range<usize>> {
+    let (mut chunks, mut at) = (Vec::new(), 8);
+    while at + 9 < file.len() {
+        let end = at + 9 + u64::from_le_bytes(file[at + 1..at + 9].try_into().unwrap()) as usize;
+        if file[at] == 0x06 {
+            chunks.push(at..end);
+        }
+        at = end;
+    }
+    chunks
+}
+
+#[test]
 fn what_is_damaged_is_an_error_or_the_end_and_never_a_panic() {
-    let file = usual(Some(Compression::Lz4));
     let rounds = std::env::var("CONICFLOW_MUTATIONS").ok().and_then(|rounds| rounds.parse().ok()).unwrap_or(300);
     let mut random = fastrand::Rng::with_seed(1);
-    for _ in 0..rounds {
-        let mut damaged = file.clone();
-        for _ in 0..random.usize(1..4) {
-            let at = random.usize(..damaged.len());
-            damaged[at] = random.u8(..);
-        }
-        if let Ok(frames) = play(&damaged, Config::default()) {
-            assert!(frames.iter().all(|(_, depths)| depths.len() == 12));
+    for file in [usual(Some(Compression::Lz4)), with_zstd(&usual(None))] {
+        for _ in 0..rounds {
+            let mut damaged = file.clone();
+            for _ in 0..random.usize(1..4) {
+                let at = random.usize(..damaged.len());
+                damaged[at] = random.u8(..);
+            }
+            let place = Place::of(&damaged);
+            let played = place.open(Config::default()).and_then(|mut replay| {
+                let frames = all(&mut replay)?;
+                replay.seek(stamp_ns(2));
+                Ok((frames, all(&mut replay)?))
+            });
+            match played {
+                Ok((frames, rest)) => assert!(frames.iter().chain(&rest).all(|(_, depths)| depths.len() == 12)),
+                Err(error) => {
+                    let told = format!("{error:#}");
+                    assert!(!told.contains("may this user read it"), "the file can be read: {told}");
+                }
+            }
         }
     }
 }
