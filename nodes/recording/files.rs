@@ -99,6 +99,12 @@ impl Files {
         Ok(seen.into_values().collect())
     }
 
+    /// The same, where each file tells what it has, so that not much of it need be read.
+    pub fn survey_of_complete(&self) -> Option<Vec<Seen>> {
+        let is_complete = |path: &PathBuf| summary(path).is_ok_and(|summary| summary.is_some());
+        if self.0.iter().all(is_complete) { self.survey().ok() } else { None }
+    }
+
     /// The messages of some topics.
     pub fn messages(&self, topics: &[&str]) -> Messages {
         let topics = topics.iter().map(|&topic| topic.to_owned()).collect();
@@ -233,12 +239,6 @@ impl OpenFile {
         let reader = reader.with_context(|| format!("`{}`", path.display()))?;
         Ok(Self { path: path.to_owned(), reader: Reader::Indexed(Box::new(reader)) })
     }
-}
-
-/// A record that is longer is none.
-fn longest_record(file: &File) -> std::io::Result<usize> {
-    let limit = (file.metadata()?.len().saturating_mul(MAX_EXPANSION)).min(MAX_RECORD_BYTES);
-    Ok(usize::try_from(limit).unwrap_or(usize::MAX))
 
     /// What was wrong with the first place that was left out.
     fn damage(&self) -> Option<&McapError> {
@@ -255,6 +255,12 @@ fn longest_record(file: &File) -> std::io::Result<usize> {
             Reader::Indexed(reader) => reader.damaged(),
         }
     }
+}
+
+/// A record that is longer is none.
+fn longest_record(file: &File) -> std::io::Result<usize> {
+    let limit = (file.metadata()?.len().saturating_mul(MAX_EXPANSION)).min(MAX_RECORD_BYTES);
+    Ok(usize::try_from(limit).unwrap_or(usize::MAX))
 }
 
 impl Iterator for OpenFile {
@@ -279,22 +285,22 @@ pub struct Messages {
     is_only: bool,
     /// Whether it was said what is wrong with the files.
     is_told: bool,
+    /// Places that were left out in the files before this one.
+    damaged: u64,
 }
 
 impl Messages {
-    fn read(&mut self) -> Result<Option<Message<'static>>> {
-        loop {
-            let Some((file, count)) = &mut self.open else {
-    /// Places that were left out in the files before this one.
-    damaged: u64,
-                let Some(path) = self.left.next() else { return Ok(None) };
-                let file = match self.from_ns {
-                    Some(from_ns) => OpenFile::open_from(&path, &self.topics, from_ns)?,
     /// How many places were left out so far, because they are damaged.
     pub fn damaged(&self) -> u64 {
         self.damaged + self.open.as_ref().map_or(0, |(file, _)| file.damaged())
     }
 
+    fn read(&mut self) -> Result<Option<Message<'static>>> {
+        loop {
+            let Some((file, count)) = &mut self.open else {
+                let Some(path) = self.left.next() else { return Ok(None) };
+                let file = match self.from_ns {
+                    Some(from_ns) => OpenFile::open_from(&path, &self.topics, from_ns)?,
                     None => OpenFile::open(&path)?,
                 };
                 self.open = Some((file, 0));
@@ -324,13 +330,13 @@ impl Messages {
                     if !self.is_told {
                         tracing::warn!("{damage}");
                     }
+                    self.damaged += file.damaged();
                     self.open = None;
                 }
             }
         }
     }
 }
-                    self.damaged += file.damaged();
 
 impl Iterator for Messages {
     type Item = Result<Message<'static>>;

@@ -4,6 +4,7 @@
 //! A second recording of the same frames is shown with it: what both have found, and what only one has.
 
 use crate::recording::files::Files;
+use crate::sources::WrittenIn;
 use crate::sources::mcap_source::{Config, Replay, Replayed, has_own};
 use anyhow::{Context as _, Result};
 use conicflow_dataflow::{BUILT_IN, ItemType};
@@ -116,7 +117,8 @@ impl Player {
     /// # Errors
     /// There is none, or it has neither depth images nor objects nor tracks, or `against` has neither of the latter.
     pub fn open(path: &Path, topic: Option<&str>, against: Option<&Path>, display: Arc<Display>) -> Result<Self> {
-        let config = Config { path: Some(path.to_owned()), topic: topic.map(str::to_owned), ..Config::default() };
+        let (file, topic_name, written_in) = (Some(path.to_owned()), topic.map(str::to_owned), WrittenIn::CommandLine);
+        let config = Config { path: file, topic: topic_name, written_in, ..Config::default() };
         let depths = Replay::open(&config, Path::new(""), built_in::<u16>()?, 0);
         let (frames, lists, notice) = match (depths, Lists::open(path, key)) {
             (Ok(depths), Ok(Some(lists))) => (depths, Some(lists), None),
@@ -166,8 +168,6 @@ impl Player {
                 self.tell();
             }
         }
-        Ok(())
-    }
     }
 
     /// Does what comes next: what somebody wants, or the next frame, or a while of nothing.
@@ -180,6 +180,8 @@ impl Player {
             self.plays = false;
             self.tell();
         }
+        Ok(())
+    }
 
     /// When the next frame is to be shown; never while the recording is paused, or nobody looks.
     fn due(&mut self) -> Option<Instant> {

@@ -341,7 +341,7 @@ fn of_several_topics_one_has_to_be_named() {
     assert_eq!(
         told(&file, Config::default()).split_once("`: ").unwrap().1,
         format!(
-            "several topics carry depth images: `{IMAGES}`, `/left/depth`\n  hint: say which, such as topic = \"{IMAGES}\""
+            "several topics carry depth images: `{IMAGES}`, `/left/depth`\n  hint: say which, such as `topic = \"{IMAGES}\"`"
         )
     );
     assert_eq!(play(&file, topic("/left/depth")).unwrap().len(), 2);
@@ -350,6 +350,42 @@ fn of_several_topics_one_has_to_be_named() {
     assert!(wrong.contains("the topic `/right/depth` is not in the recording, or has no messages"), "{wrong}");
     assert!(wrong.ends_with(&format!("\n  hint: topics with such: `{IMAGES}`, `/left/depth`")), "{wrong}");
     assert!(told(&file, topic(INFO)).contains("carries `sensor_msgs/msg/CameraInfo` in `cdr`; expected depth images"));
+}
+
+#[test]
+fn what_a_recording_cannot_play_is_known_before_it_is_played() {
+    let faults = |bytes: &[u8], config: Config| {
+        let place = Place::of(bytes);
+        let faults = Config { path: Some("run.mcap".into()), ..config }.faults(place.0.path());
+        faults.into_iter().map(|fault| format!("`{}`: {}\n  hint: {}", fault.key, fault.what, fault.hint)).collect()
+    };
+    let fine: Vec<String> = faults(&usual(None), Config::default());
+    assert!(fine.is_empty(), "{fine:?}");
+    let two = Foreign::new(None).info(INFO).images(IMAGES, 0..1).images("/left/depth", 0..2).bytes();
+    let told: Vec<String> = faults(&two, Config::default());
+    assert!(told.len() == 1 && told[0].starts_with("`topic`: several topics carry depth images: "), "{told:?}");
+    let named: Vec<String> = faults(&two, topic(IMAGES));
+    assert!(named.is_empty(), "{named:?}");
+    // It may be that its lists are to be played.
+    let place = Place(tempfile::tempdir().unwrap());
+    record(&place.0.path().join("run.mcap"), Limits::default(), 0.001, 0..2);
+    let own =
+        Config { path: Some("run.mcap".into()), topic: Some("/left/objects/message".into()), ..Config::default() };
+    assert!(own.faults(place.0.path()).is_empty());
+}
+
+#[test]
+fn an_image_of_absurd_size_is_told_as_such() {
+    let mut huge = write_units(stamped(0), SIZE, &pixels(0), Vec::new());
+    // Height and width stand behind the stamp and the name of the frame.
+    let at = huge.windows(8).position(|bytes| bytes == [3, 0, 0, 0, 4, 0, 0, 0]).unwrap();
+    huge[at..at + 4].copy_from_slice(&u32::MAX.to_le_bytes());
+    let file = Foreign::new(None).info(INFO).put(IMAGES, IMAGE, 0, &huge).bytes();
+    let told = told(&file, Config::default());
+    assert!(
+        told.contains(&format!("the first image of `{IMAGES}`: an image of 4x4294967295 pixels, expected")),
+        "{told}"
+    );
 }
 
 #[test]
@@ -380,8 +416,15 @@ fn a_distorted_image_is_refused_and_the_rectified_one_named() {
     assert!(only_raw.ends_with("hint: rectify them by image_proc of ROS, and record that topic"), "{only_raw}");
     let mut file = Foreign::new(None);
     let file = file.put(INFO, CAMERA_INFO, 0, &info).images(raw, 0..1).images("/camera/depth/image_rect", 0..1).bytes();
-    assert!(told(&file, topic(raw)).ends_with("hint: topic = \"/camera/depth/image_rect\" is rectified"));
+    assert!(told(&file, topic(raw)).ends_with("hint: `topic = \"/camera/depth/image_rect\"` is rectified"));
     assert_eq!(play(&file, topic("/camera/depth/image_rect")).unwrap()[0].0.camera.fx, 45.0, "the projection's");
+    // Of both the one that can be played is proposed, as it is written there.
+    assert!(told(&file, Config::default()).ends_with("such as `topic = \"/camera/depth/image_rect\"`"));
+    let written_in = WrittenIn::CommandLine;
+    let shell = told(&file, Config { written_in, ..Config::default() });
+    assert!(shell.ends_with("hint: say which, such as `--topic /camera/depth/image_rect`"), "{shell}");
+    let shell = told(&file, Config { written_in, ..topic(raw) });
+    assert!(shell.ends_with("hint: `--topic /camera/depth/image_rect` is rectified"), "{shell}");
 }
 
 #[test]
