@@ -6,6 +6,7 @@ use super::{Experiment, Plot, prepared};
 use crate::csv;
 use crate::score::{Figure, Row};
 use anyhow::{Context as _, Result};
+use std::collections::BTreeMap;
 use std::fmt::{self, Write};
 use std::path::Path;
 
@@ -22,6 +23,8 @@ const LETTER: f64 = 7.0;
 const MARK: f64 = 32.0;
 /// So far from each other are the dots that belong to the same place, where they have bars.
 const ASIDE: f64 = 9.0;
+/// The column of a trace with the time.
+const TIME: &str = "time_s";
 /// The ends of columns' names, and the units that they stand for.
 const UNITS: [(&str, &str); 6] =
     [("_mps", "m/s"), ("_ms", "ms"), ("_deg", "degrees"), ("_hz", "Hz"), ("_m", "m"), ("_s", "s")];
@@ -33,6 +36,7 @@ const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00
 pub struct Line {
     /// What the legend calls it; where that is empty, it does not.
     name: String,
+    /// One that is not a number parts those before it from those behind it.
     points: Vec<[f64; 2]>,
     /// The standard deviations of the points, 0 where none is known.
     deviations: Vec<f64>,
@@ -120,24 +124,39 @@ fn paper_lines(experiment: &Experiment, plot: &Plot, rows: &[Row]) -> Vec<Line> 
 
 fn gather(plot: &Plot, rows: &[Row], prefix: &str, number: &dyn Fn(&Row, &str) -> Option<f64>) -> Vec<Line> {
     let mut lines: Vec<Line> = Vec::new();
+    let step_s = step_s(rows);
     for column in &plot.y {
         let deviations = beside(column, "sd");
         // Where something truly was is known also while nobody saw it.
         let true_x = beside(&plot.x, "true").filter(|_| is_true(column));
+        let mut times: BTreeMap<String, f64> = BTreeMap::new();
         for row in rows {
             let x = true_x.as_ref().and_then(|column| row.number_of(column)).or_else(|| row.number_of(&plot.x));
             let (Some(x), Some(y)) = (x, number(row, column)) else { continue };
             let name = format!("{prefix}{}", name(plot, row, column));
             let index = lines.iter().position(|line| line.name == name).unwrap_or_else(|| {
-                lines.push(Line { name, ..Line::default() });
+                lines.push(Line { name: name.clone(), ..Line::default() });
                 lines.len() - 1
             });
-            lines[index].points.push([x, y]);
+            let line = &mut lines[index];
+            if let (Some(step_s), Some(time_s)) = (step_s, row.number_of(TIME))
+                && times.insert(name, time_s).is_some_and(|before_s| time_s - before_s > 1.5 * step_s)
+            {
+                line.points.push([f64::NAN; 2]);
+                line.deviations.push(0.0);
+            }
+            line.points.push([x, y]);
             let deviation = deviations.as_ref().and_then(|column| number(row, column));
-            lines[index].deviations.push(deviation.unwrap_or(0.0));
+            line.deviations.push(deviation.unwrap_or(0.0));
         }
     }
     lines
+}
+
+/// The time between frames of a trace, where nothing is left out.
+fn step_s(rows: &[Row]) -> Option<f64> {
+    let times = || rows.iter().filter_map(|row| row.number_of(TIME));
+    times().zip(times().skip(1)).map(|(before, after)| after - before).filter(|step| *step > 0.0).reduce(f64::min)
 }
 
 /// What a column is called and its unit, if its name ends with one.
@@ -304,10 +323,10 @@ fn draw_line(
             "<path d=\"M{left:.1} {low:.1}H{right:.1}M{at:.1} {low:.1}V{high:.1}M{left:.1} {high:.1}H{right:.1}\" stroke=\"{colour}\"/>"
         )?;
     }
-    let places: Vec<[f64; 2]> =
-        line.points.iter().filter_map(|point| Some([x.place(point[0])? + aside, y.place(point[1])?])).collect();
-    if line.style != Style::Paper {
-        let points: Vec<String> = places.iter().map(|[x, y]| format!("{x:.1},{y:.1}")).collect();
+    let place = |point: &[f64; 2]| Some([x.place(point[0])? + aside, y.place(point[1])?]);
+    let places: Vec<[f64; 2]> = line.points.iter().filter_map(place).collect();
+    for points in line.points.split(|point| point[0].is_nan()).filter(|_| line.style != Style::Paper) {
+        let points: Vec<String> = points.iter().filter_map(place).map(|[x, y]| format!("{x:.1},{y:.1}")).collect();
         writeln!(text, "<polyline points=\"{}\" fill=\"none\" stroke=\"{colour}\"/>", points.join(" "))?;
     }
     let [left, middle] = mark;
@@ -425,11 +444,26 @@ mod tests {
             row
         };
         let rows = [row("a", 1.0, true), row("a", 2.0, false), row("a", 3.0, true), row("b", 5.0, true)];
+        assert_eq!(step_s(&rows), None, "without times nothing is parted");
         let lines = lines(&plot, &rows);
         let names: Vec<_> = lines.iter().map(|line| line.name.as_str()).collect();
         assert_eq!(names, ["a", "b", "true z", ""]);
         assert_eq!(lines[2].points, [[1.0, 1.0], [2.0, 4.0], [3.0, 9.0]]);
         assert_eq!(svg("balls", &plot, &lines).unwrap().matches(">true z</text>").count(), 1);
+    }
+
+    #[test]
+    fn a_line_is_parted_where_frames_are_missing() {
+        let row = |time_s: f64| {
+            let mut row = row("a", time_s, 2.0);
+            row.number(TIME, time_s);
+            row
+        };
+        let rows = [0.0, 0.1, 0.2, 0.7, 0.8].map(row);
+        let text = svg("parted", &plot(), &lines(&plot(), &rows)).unwrap();
+        let strokes: Vec<_> = text.lines().filter(|line| line.starts_with("<polyline")).collect();
+        let points: Vec<_> = strokes.iter().map(|line| line.matches(',').count()).collect();
+        assert_eq!(points, [3, 2], "{text}");
     }
 
     #[test]
