@@ -16,11 +16,13 @@ pub mod sources {
     pub mod sdk_camera;
     mod synthetic_source;
     pub mod v4l2_source;
+    mod written_in;
 
     pub use image_source::ImageSource;
     pub use mcap_source::McapSource;
     pub use synthetic_source::SyntheticSource;
     pub use v4l2_source::V4l2Source;
+    pub use written_in::WrittenIn;
 }
 
 pub mod detection {

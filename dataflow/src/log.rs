@@ -2,7 +2,7 @@
 
 use conicflow_messages::plain;
 use std::fmt::{self, Debug, Display};
-use std::io::{IsTerminal, stderr};
+use std::io::{self, IsTerminal, Stderr, Write, stderr};
 use std::time::{Duration, Instant};
 use tracing::field::Field;
 use tracing_subscriber::EnvFilter;
@@ -15,6 +15,9 @@ use tracing_subscriber::util::SubscriberInitExt;
 pub const LOG: &str = "CONICFLOW_LOG";
 /// What is logged where nothing is said.
 pub const DEFAULT_LOG: &str = "info";
+
+/// What a line on a terminal begins with: the progress of the run may stand there.
+pub const CLEAR_LINE: &str = "\r\x1b[K";
 
 /// A level (error, warn, info, debug or trace), or a filter such as `conicflow_dataflow=debug`.
 ///
@@ -34,10 +37,30 @@ pub fn log_filter(text: &str) -> Result<String, String> {
 pub fn log_to_standard_error(filter: &str) {
     // What a link does is told by the bridge; Zenoh's own words are for `CONICFLOW_LOG=zenoh=debug`.
     let filter = EnvFilter::new(format!("zenoh=error,{filter}"));
-    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(stderr).without_time();
+    let is_terminal = stderr().is_terminal();
+    let writer = move || Lines { place: stderr(), begin: if is_terminal { CLEAR_LINE } else { "" } };
+    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(writer).without_time();
     // A log that nobody reads any more is no fault of the run.
-    let builder = builder.with_target(false).with_ansi(stderr().is_terminal()).log_internal_errors(false);
+    let builder = builder.with_target(false).with_ansi(is_terminal).log_internal_errors(false);
     builder.fmt_fields(debug_fn(write_field).delimited(" ")).finish().try_init().ok();
+}
+
+/// Writes what is logged, each time at the beginning of a line.
+struct Lines {
+    place: Stderr,
+    begin: &'static str,
+}
+
+impl Write for Lines {
+    fn write(&mut self, text: &[u8]) -> io::Result<usize> {
+        // At once: other processes write to the same terminal.
+        self.place.write_all(&[self.begin.as_bytes(), text].concat())?;
+        Ok(text.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.place.flush()
+    }
 }
 
 /// Writes what is logged as a terminal can show it.

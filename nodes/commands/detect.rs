@@ -3,6 +3,7 @@
 use crate::recording::files::looks_like_recording;
 use crate::sinks::json_lines::{JsonLines, Wrote};
 use crate::sinks::picture_sink::{self, Names, PictureSink};
+use crate::sources::WrittenIn;
 use crate::sources::image_source::{self, Playback};
 use crate::sources::mcap_source::{self, Replay};
 use anyhow::{Context as _, Result, bail};
@@ -162,16 +163,18 @@ impl Frames {
     fn open(arguments: &DetectArguments) -> Result<Self> {
         let (here, path, noise) =
             (Path::new(""), Some(arguments.path.clone()), arguments.noise.map(NoiseConfig::Named));
-        let (depth_scale, intrinsics) = (arguments.scale, arguments.camera);
+        let (depth_scale, intrinsics, written_in) = (arguments.scale, arguments.camera, WrittenIn::CommandLine);
         if looks_like_recording(&arguments.path) {
             let topic = arguments.topic.clone();
-            let config = mcap_source::Config { path, topic, depth_scale, intrinsics, noise, ..Default::default() };
+            let config =
+                mcap_source::Config { path, topic, depth_scale, intrinsics, noise, written_in, ..Default::default() };
             let replay = Replay::open(&config, here, &ItemType::of::<u16>(), 0)?;
             return Ok(Self::Recording(Box::new(replay)));
         }
         let noise = noise.unwrap_or_default();
         let poses = arguments.poses.clone().into();
-        let config = image_source::Config { path, depth_scale, intrinsics, poses, noise, ..Default::default() };
+        let config =
+            image_source::Config { path, depth_scale, intrinsics, poses, noise, written_in, ..Default::default() };
         Ok(Self::Images(Box::new(Playback::open(&config, here, 0, 0)?)))
     }
 

@@ -49,7 +49,8 @@ pub fn view(arguments: &ViewArguments) -> Result<()> {
         let mut player =
             Player::open(file, arguments.topic.as_deref(), arguments.against.as_deref(), Arc::clone(&display))?;
         let _server = offer(&listen, display)?;
-        return player.play(&told);
+        player.play(&told);
+        return Ok(());
     }
     let live = Live::start(Arc::clone(&display), arguments.pipeline.clone())?;
     let _server = offer(&listen, display)?;

@@ -1,19 +1,19 @@
 //! The messages of MCAP files, in the order in which they were written: of one file, or of a folder of them as `rosbag2` makes it.
 //!
-//! A file that ends in the middle, because who wrote it was killed, is read up to its last whole message, and that is said.
+//! A file that ends in the middle, because who wrote it was killed, is read up to its last whole message, and that is said. So is
+//! what is left out because it is damaged.
 
 use super::indexed::Indexed;
-use super::zstd::Zstd;
+use super::sequential::Sequential;
 use crate::sources::image_source::natural;
 use anyhow::{Context as _, Result, bail};
 use conicflow_messages::Hinted;
-use mcap::sans_io::linear_reader::LinearReaderOptions;
 use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader};
 use mcap::{Channel, McapError, McapResult, Message, Summary};
 use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::fs::{self, File};
-use std::io::{BufReader, ErrorKind, Read, Seek};
+use std::io::{ErrorKind, Read, Seek};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -21,8 +21,6 @@ use std::sync::Arc;
 const MAX_RECORD_BYTES: u64 = 512 << 20;
 /// No compression makes more of a byte than lz4's 255.
 const MAX_EXPANSION: u64 = 256;
-/// Read at once.
-const BUFFER_BYTES: usize = 1 << 20;
 /// How a file that is compressed as a whole ends.
 const COMPRESSED: [&str; 2] = ["zstd", "lz4"];
 
@@ -101,11 +99,18 @@ impl Files {
         Ok(seen.into_values().collect())
     }
 
+    /// The same, where each file tells what it has, so that not much of it need be read.
+    pub fn survey_of_complete(&self) -> Option<Vec<Seen>> {
+        let is_complete = |path: &PathBuf| summary(path).is_ok_and(|summary| summary.is_some());
+        if self.0.iter().all(is_complete) { self.survey().ok() } else { None }
+    }
+
     /// The messages of some topics.
     pub fn messages(&self, topics: &[&str]) -> Messages {
         let topics = topics.iter().map(|&topic| topic.to_owned()).collect();
         let is_only = self.0.len() == 1;
-        Messages { left: self.0.clone().into_iter(), open: None, topics, from_ns: None, is_only, is_told: false }
+        let left = self.0.clone().into_iter();
+        Messages { left, open: None, topics, from_ns: None, is_only, is_told: false, damaged: 0 }
     }
 
     /// Those that were written at `from_ns` or later, with not a word on files that end in the middle. Of a file whose end tells
@@ -184,7 +189,7 @@ fn refuse_other_formats(path: &Path) -> Result<()> {
 }
 
 /// What the end of a file tells of it; none where it tells nothing.
-fn summary(path: &Path) -> McapResult<Option<Summary>> {
+pub(super) fn summary(path: &Path) -> McapResult<Option<Summary>> {
     let (mut file, mut reader) = (File::open(path)?, SummaryReader::new());
     while let Some(event) = reader.next_event() {
         match event? {
@@ -213,24 +218,16 @@ struct OpenFile {
 /// How a file is read.
 enum Reader {
     /// From its beginning to its end.
-    Whole(Box<mcap::io::MessageReader<BufReader<File>>>),
+    Whole(Box<Sequential>),
     /// From some time on, by its index.
     Indexed(Box<Indexed>),
 }
 
 impl OpenFile {
     fn open(path: &Path) -> Result<Self> {
-        let open = || {
-            let file = File::open(path)?;
-            let options = LinearReaderOptions::default()
-                .with_validate_chunk_crcs(true)
-                .with_record_length_limit(longest_record(&file)?);
-            let source = BufReader::with_capacity(BUFFER_BYTES, file);
-            let mut reader = mcap::io::MessageReader::new_with_options(source, options);
-            reader.add_decompressor(Zstd::default())?;
-            Ok::<_, McapError>(Self { path: path.to_owned(), reader: Reader::Whole(Box::new(reader)) })
-        };
-        open().with_context(|| format!("`{}`", path.display()))
+        let open = || Sequential::open(path, longest_record(&File::open(path)?)?);
+        let reader = open().with_context(|| format!("`{}`", path.display()))?;
+        Ok(Self { path: path.to_owned(), reader: Reader::Whole(Box::new(reader)) })
     }
 
     /// The messages of some topics from `from_ns` on; where nothing tells where they are, all there are.
@@ -241,6 +238,22 @@ impl OpenFile {
         let reader = Indexed::open(path, summary, topics, from_ns, limit);
         let reader = reader.with_context(|| format!("`{}`", path.display()))?;
         Ok(Self { path: path.to_owned(), reader: Reader::Indexed(Box::new(reader)) })
+    }
+
+    /// What was wrong with the first place that was left out.
+    fn damage(&self) -> Option<&McapError> {
+        match &self.reader {
+            Reader::Whole(reader) => reader.damage(),
+            Reader::Indexed(reader) => reader.damage(),
+        }
+    }
+
+    /// How many places were left out so far.
+    fn damaged(&self) -> u64 {
+        match &self.reader {
+            Reader::Whole(reader) => reader.damaged(),
+            Reader::Indexed(reader) => reader.damaged(),
+        }
     }
 }
 
@@ -270,11 +283,18 @@ pub struct Messages {
     from_ns: Option<u64>,
     /// Whether there is but one file.
     is_only: bool,
-    /// Whether it was said that a file ends in the middle.
+    /// Whether it was said what is wrong with the files.
     is_told: bool,
+    /// Places that were left out in the files before this one.
+    damaged: u64,
 }
 
 impl Messages {
+    /// How many places were left out so far, because they are damaged.
+    pub fn damaged(&self) -> u64 {
+        self.damaged + self.open.as_ref().map_or(0, |(file, _)| file.damaged())
+    }
+
     fn read(&mut self) -> Result<Option<Message<'static>>> {
         loop {
             let Some((file, count)) = &mut self.open else {
@@ -286,7 +306,12 @@ impl Messages {
                 self.open = Some((file, 0));
                 continue;
             };
-            match file.next() {
+            let was_whole = file.damage().is_none();
+            let next = file.next();
+            if let (false, true, Some(damage)) = (self.is_told, was_whole, file.damage()) {
+                tracing::warn!("`{}` is damaged ({damage}): what is whole in it is used", file.path.display());
+            }
+            match next {
                 Some(Ok(message)) => {
                     *count += 1;
                     let is_early = self.from_ns.is_some_and(|from_ns| message.log_time < from_ns);
@@ -294,12 +319,18 @@ impl Messages {
                         return Ok(Some(message));
                     }
                 }
-                None => self.open = None,
+                None => {
+                    self.damaged += file.damaged();
+                    self.open = None;
+                }
                 Some(Err(error)) => {
-                    let damage = damage(&error, &file.path.display(), *count, self.is_only)?;
+                    // Nobody can tell what came before `from_ns`.
+                    let is_only = self.is_only && self.from_ns.is_none();
+                    let damage = damage(&error, &file.path.display(), *count, is_only)?;
                     if !self.is_told {
                         tracing::warn!("{damage}");
                     }
+                    self.damaged += file.damaged();
                     self.open = None;
                 }
             }

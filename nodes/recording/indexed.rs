@@ -1,6 +1,8 @@
 //! Reads a file of a recording from some time on, by what its end tells of where its messages are: in the order of their times.
 
+use super::sequential::of_content;
 use super::zstd::Zstd;
+use mcap::records::MessageHeader;
 use mcap::sans_io::indexed_reader::{IndexedReadEvent, IndexedReader, IndexedReaderOptions};
 use mcap::{McapError, McapResult, Message, Summary};
 use std::borrow::Cow;
@@ -12,9 +14,37 @@ use std::sync::Arc;
 /// A file that is being read.
 pub(super) struct Indexed {
     file: File,
+    file_bytes: u64,
     summary: Summary,
+    wanted: Wanted,
     reader: IndexedReader,
     chunk: Vec<u8>,
+    /// When the last message was written, and how many there were of that time.
+    last: (u64, usize),
+    /// So many messages of that time are read once more.
+    again: usize,
+    /// What the first chunk was that was left out, and how many there were.
+    damage: Option<McapError>,
+    damaged: u64,
+}
+
+/// What is read of a file.
+struct Wanted {
+    topics: Vec<String>,
+    /// Longest record.
+    limit: usize,
+}
+
+impl Wanted {
+    fn reader(&self, summary: &Summary, from_ns: u64) -> McapResult<IndexedReader> {
+        let options = IndexedReaderOptions::new()
+            .include_topics(self.topics.iter().cloned())
+            .starting_at(from_ns)
+            .with_record_length_limit(self.limit);
+        let mut reader = IndexedReader::new_with_options(summary, options)?;
+        reader.add_decompressor(Zstd::default())?;
+        Ok(reader)
+    }
 }
 
 impl Indexed {
@@ -26,37 +56,76 @@ impl Indexed {
         from_ns: u64,
         limit: usize,
     ) -> McapResult<Self> {
-        let options = IndexedReaderOptions::new()
-            .include_topics(topics.iter().cloned())
-            .starting_at(from_ns)
-            .with_record_length_limit(limit);
-        let mut reader = IndexedReader::new_with_options(&summary, options)?;
-        reader.add_decompressor(Zstd::default())?;
-        Ok(Self { file: File::open(path)?, summary, reader, chunk: Vec::new() })
+        let wanted = Wanted { topics: topics.to_vec(), limit };
+        let reader = wanted.reader(&summary, from_ns)?;
+        let file = File::open(path)?;
+        Ok(Self {
+            file_bytes: file.metadata()?.len(),
+            file,
+            summary,
+            wanted,
+            reader,
+            chunk: Vec::new(),
+            last: (from_ns, 0),
+            again: 0,
+            damage: None,
+            damaged: 0,
+        })
+    }
+
+    /// What was wrong with the first chunk that was left out.
+    pub(super) fn damage(&self) -> Option<&McapError> {
+        self.damage.as_ref()
+    }
+
+    /// How many chunks were left out.
+    pub(super) fn damaged(&self) -> u64 {
+        self.damaged
     }
 
     fn read(&mut self) -> McapResult<Option<Message<'static>>> {
         loop {
-            let (offset, length) = match self.reader.next_event().transpose()? {
+            let (offset, length) = match self.reader.next_event().transpose().map_err(of_content)? {
                 None => return Ok(None),
                 Some(IndexedReadEvent::ReadChunkRequest { offset, length }) => (offset, length),
+                Some(IndexedReadEvent::Message { .. }) if self.again > 0 => {
+                    self.again -= 1;
+                    continue;
+                }
                 Some(IndexedReadEvent::Message { header, data }) => {
-                    let channel = self.summary.channels.get(&header.channel_id);
-                    let channel = channel.ok_or(McapError::UnknownChannel(header.sequence, header.channel_id))?;
-                    return Ok(Some(Message {
-                        channel: Arc::clone(channel),
-                        sequence: header.sequence,
-                        log_time: header.log_time,
-                        publish_time: header.publish_time,
-                        data: Cow::Owned(data.to_vec()),
-                    }));
+                    let MessageHeader { channel_id, sequence, log_time, publish_time } = header;
+                    let before = if self.last.0 == log_time { self.last.1 } else { 0 };
+                    self.last = (log_time, before + 1);
+                    let channel = self.summary.channels.get(&channel_id);
+                    let channel = Arc::clone(channel.ok_or(McapError::UnknownChannel(sequence, channel_id))?);
+                    let data = Cow::Owned(data.to_vec());
+                    return Ok(Some(Message { channel, sequence, log_time, publish_time, data }));
                 }
             };
-            self.file.seek(SeekFrom::Start(offset))?;
-            self.chunk.resize(length, 0);
-            self.file.read_exact(&mut self.chunk)?;
-            self.reader.insert_chunk_record_data(offset, &self.chunk)?;
+            let is_there = offset.checked_add(length as u64).is_some_and(|end| end <= self.file_bytes);
+            let read = if is_there { self.read_chunk(offset, length)? } else { Err(McapError::UnexpectedEof) };
+            if let Err(damage) = read {
+                self.leave_out(offset, damage)?;
+            }
         }
+    }
+
+    /// Reads a chunk; the outer error is that of the file, the inner one that of what it holds.
+    fn read_chunk(&mut self, offset: u64, length: usize) -> McapResult<McapResult<()>> {
+        self.file.seek(SeekFrom::Start(offset))?;
+        self.chunk.resize(length, 0);
+        self.file.read_exact(&mut self.chunk)?;
+        Ok(self.reader.insert_chunk_record_data(offset, &self.chunk).map_err(of_content))
+    }
+
+    /// Goes on without a chunk.
+    fn leave_out(&mut self, offset: u64, damage: McapError) -> McapResult<()> {
+        self.summary.chunk_indexes.retain(|chunk| chunk.compressed_data_offset().ok() != Some(offset));
+        self.reader = self.wanted.reader(&self.summary, self.last.0)?;
+        self.again = self.last.1;
+        self.damage.get_or_insert(damage);
+        self.damaged += 1;
+        Ok(())
     }
 }
 

@@ -5,4 +5,5 @@ pub mod files;
 mod indexed;
 pub mod own;
 pub mod recorder;
+mod sequential;
 mod zstd;

@@ -41,8 +41,11 @@ const LOOK: Duration = Duration::from_millis(100);
 const WORLD: &str = "world";
 /// Of frames that no stage has put its name to.
 const NAMELESS: &str = "camera";
-/// The schema of a channel that has none.
+/// The schema of a channel that has none: of JSON. `rosbags` opens no file with a JSON schema in it, Foxglove shows no JSON with a
+/// schema of another kind, and Rerun shows what has none with a warning.
 const NO_SCHEMA: u16 = 0;
+/// The encoding of a schema that is but a name.
+const NAME_ALONE: &str = "";
 /// The unit of whole numbers in images of ROS.
 const MILLIMETRE: f64 = 0.001;
 
@@ -386,8 +389,9 @@ impl OpenFile {
 
     fn put_own(&mut self, channel: &str, item: &ItemType, header: &Header, data: &[u8]) -> Result<()> {
         self.put(channel, header, data, |writer| {
+            let named = writer.add_schema(item.type_name(), NAME_ALONE, &[])?;
             let schema = serde_json::to_string(&own::Schema::of(item))?;
-            Ok(writer.add_channel(NO_SCHEMA, channel, ENCODING, &BTreeMap::from([(SCHEMA.to_owned(), schema)]))?)
+            Ok(writer.add_channel(named, channel, ENCODING, &BTreeMap::from([(SCHEMA.to_owned(), schema)]))?)
         })
     }
 

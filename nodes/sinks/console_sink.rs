@@ -1,7 +1,7 @@
 //! The sink for people: what was found in each frame, as text on standard output; in colours where that is a terminal.
 
 use crate::sinks::decimator::Decimator;
-use conicflow_dataflow::{Context, Output, SideInputs, Stage, StageError, Stop};
+use conicflow_dataflow::{CLEAR_LINE, Context, Output, SideInputs, Stage, StageError, Stop};
 use conicflow_messages::{
     Ellipse, Header, Hinted, Item, Message, Nothing, Object, ObjectKind, Scan, Text, Track, TrackState,
 };
@@ -144,12 +144,30 @@ impl Describe for Ellipse {
     }
 }
 
+/// What text is written to.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Screen {
+    /// A terminal may show the progress of the run in the line in which the text is to begin.
+    pub is_terminal: bool,
+    /// Whether it is to be in colours.
+    pub in_colours: bool,
+}
+
+impl Screen {
+    /// Standard output: a terminal shows colours, unless `NO_COLOR` asks for none (no-color.org).
+    pub fn standard_output() -> Self {
+        let is_terminal = io::stdout().is_terminal();
+        let wants_colours = std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty());
+        Self { is_terminal, in_colours: is_terminal && wants_colours }
+    }
+}
+
 /// Writes messages as text: one line that tells what was found and in which frame, and one, indented, for each item; or all of
 /// it in one line.
 pub struct Console<W> {
     place: W,
     config: ConsoleSinkConfig,
-    in_colours: bool,
+    screen: Screen,
     decimator: Decimator,
     /// When a message of each camera was shown last.
     shown: BTreeMap<Text<32>, Instant>,
@@ -157,10 +175,10 @@ pub struct Console<W> {
 }
 
 impl<W: Write> Console<W> {
-    /// A console on `place`, in colours or without.
-    pub fn new(place: W, config: ConsoleSinkConfig, in_colours: bool) -> Self {
+    /// A console on `place`.
+    pub fn new(place: W, config: ConsoleSinkConfig, screen: Screen) -> Self {
         let decimator = Decimator::new(config.every.into(), 0);
-        Self { place, decimator, config, in_colours, shown: BTreeMap::new(), text: String::new() }
+        Self { place, decimator, config, screen, shown: BTreeMap::new(), text: String::new() }
     }
 
     /// Shows a message, if it is its turn.
@@ -172,6 +190,7 @@ impl<W: Write> Console<W> {
             return Ok(());
         }
         self.text.clear();
+        self.text.push_str(if self.screen.is_terminal { CLEAR_LINE } else { "" });
         self.describe(message).map_err(io::Error::other)?;
         self.place.write_all(self.text.as_bytes())?;
         self.place.flush()
@@ -217,7 +236,7 @@ impl<W: Write> Console<W> {
 
     /// Writes something between the escape sequences of a colour, where there are colours.
     fn coloured(&mut self, colour: &str, write: impl FnOnce(&mut String) -> fmt::Result) -> fmt::Result {
-        if !self.in_colours {
+        if !self.screen.in_colours {
             return write(&mut self.text);
         }
         write!(self.text, "\x1b[{colour}m")?;
@@ -225,11 +244,6 @@ impl<W: Write> Console<W> {
         self.text.push_str("\x1b[0m");
         Ok(())
     }
-}
-
-/// Whether standard output shows colours: a terminal does, unless `NO_COLOR` asks for none (no-color.org).
-fn shows_colours() -> bool {
-    io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
 }
 
 /// Shows messages of ellipses, objects or tracks on standard output.
@@ -247,7 +261,7 @@ impl<T: Describe> Stage for ConsoleSink<T> {
     type Output = Nothing;
 
     fn new(config: ConsoleSinkConfig, context: &Context) -> Result<Self, StageError> {
-        let console = Console::new(io::stdout(), config, shows_colours());
+        let console = Console::new(io::stdout(), config, Screen::standard_output());
         Ok(Self { console, stop: context.stop.clone(), items: PhantomData })
     }
 
@@ -272,7 +286,7 @@ mod tests {
     use super::*;
 
     fn shown<T: Describe>(config: ConsoleSinkConfig, messages: &[&[T]]) -> String {
-        let mut console = Console::new(Vec::new(), config, false);
+        let mut console = Console::new(Vec::new(), config, Screen::default());
         for (sequence, items) in (12..).zip(messages) {
             let header = Header { sequence, source: Text::new("img12.png"), ..Header::default() };
             console.show(&Message { header: &header, items }).unwrap();
@@ -342,7 +356,8 @@ objects: 0  frame 13  img12.png
 
     #[test]
     fn colours_are_those_of_the_kinds_and_what_is_doubtful_is_faint() {
-        let mut console = Console::new(Vec::new(), ConsoleSinkConfig::default(), true);
+        let screen = Screen { in_colours: true, ..Screen::default() };
+        let mut console = Console::new(Vec::new(), ConsoleSinkConfig::default(), screen);
         let sphere = |confidence| Object { kind: ObjectKind::Sphere.code(), confidence, ..Object::default() };
         let items = [sphere(0.9), sphere(0.4), sphere(0.0)];
         console.show(&Message { header: &Header::default(), items: &items }).unwrap();
@@ -355,8 +370,21 @@ objects: 0  frame 13  img12.png
     }
 
     #[test]
+    fn on_a_terminal_the_text_takes_the_place_of_the_progress() {
+        let terminal = Screen { is_terminal: true, ..Screen::default() };
+        let mut console = Console::new(Vec::new(), ConsoleSinkConfig::default(), terminal);
+        for _ in 0..2 {
+            console.place.extend(b"default: 1 s, 9 frames");
+            console.show(&Message::<Object> { header: &Header::default(), items: &[] }).unwrap();
+        }
+        let text = String::from_utf8(console.place).unwrap();
+        assert_eq!(text, "default: 1 s, 9 frames\r\x1b[Kobjects: 0  frame 0  \n".repeat(2));
+    }
+
+    #[test]
     fn each_camera_is_shown_once_in_a_period() {
-        let mut console = Console::new(Vec::new(), ConsoleSinkConfig { period_s: 3600.0, ..Default::default() }, false);
+        let config = ConsoleSinkConfig { period_s: 3600.0, ..Default::default() };
+        let mut console = Console::new(Vec::new(), config, Screen::default());
         for camera in ["left", "right", "left", "right"] {
             let mut header = Header { source: Text::new(camera), ..Header::default() };
             header.add_hop(conicflow_messages::Hop { stage: Text::new(camera), ..Default::default() });
@@ -387,7 +415,7 @@ objects: 0  frame 13  img12.png
                 Ok(())
             }
         }
-        let mut console = Console::new(Gone, ConsoleSinkConfig::default(), false);
+        let mut console = Console::new(Gone, ConsoleSinkConfig::default(), Screen::default());
         let message = Message::<Object> { header: &Header::default(), items: &[] };
         assert_eq!(console.show(&message).unwrap_err().kind(), ErrorKind::BrokenPipe);
     }

@@ -2,10 +2,11 @@
 //! finished and leaves none torn for the next start.
 
 use anyhow::{Context as _, anyhow};
+use conicflow_dataflow::CLEAR_LINE;
 use conicflow_messages::Hinted;
 use serde::Serialize;
 use std::fs::{File, OpenOptions};
-use std::io::{self, ErrorKind, Read, Seek, SeekFrom, Write};
+use std::io::{self, ErrorKind, IsTerminal as _, Read, Seek, SeekFrom, Write};
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
@@ -119,6 +120,10 @@ impl Place {
         match self {
             Self::StandardOutput => {
                 let mut output = io::stdout().lock();
+                if output.is_terminal() {
+                    // The progress of the run may stand there.
+                    output.write_all(CLEAR_LINE.as_bytes())?;
+                }
                 output.write_all(line)?;
                 output.flush()
             }

@@ -4,6 +4,7 @@
 //! A second recording of the same frames is shown with it: what both have found, and what only one has.
 
 use crate::recording::files::Files;
+use crate::sources::WrittenIn;
 use crate::sources::mcap_source::{Config, Replay, Replayed, has_own};
 use anyhow::{Context as _, Result};
 use conicflow_dataflow::{BUILT_IN, ItemType};
@@ -116,7 +117,8 @@ impl Player {
     /// # Errors
     /// There is none, or it has neither depth images nor objects nor tracks, or `against` has neither of the latter.
     pub fn open(path: &Path, topic: Option<&str>, against: Option<&Path>, display: Arc<Display>) -> Result<Self> {
-        let config = Config { path: Some(path.to_owned()), topic: topic.map(str::to_owned), ..Config::default() };
+        let (file, topic_name, written_in) = (Some(path.to_owned()), topic.map(str::to_owned), WrittenIn::CommandLine);
+        let config = Config { path: file, topic: topic_name, written_in, ..Config::default() };
         let depths = Replay::open(&config, Path::new(""), built_in::<u16>()?, 0);
         let (frames, lists, notice) = match (depths, Lists::open(path, key)) {
             (Ok(depths), Ok(Some(lists))) => (depths, Some(lists), None),
@@ -156,20 +158,27 @@ impl Player {
         Ok(player)
     }
 
-    /// Plays until this program is told to end.
-    ///
-    /// # Errors
-    /// The recording cannot be read any more.
-    pub fn play(&mut self, told: &AtomicBool) -> Result<()> {
+    /// Plays until this program is told to end. A place that cannot be read is told on the page, which pauses there.
+    pub fn play(&mut self, told: &AtomicBool) {
         while !told.load(Ordering::Relaxed) {
-            let due = self.due();
-            let left = due.map_or(LOOK, |due| due.saturating_duration_since(Instant::now()).min(LOOK));
-            if let Some(command) = self.display.next_command(left) {
-                self.obey(&command)?;
-            } else if due.is_some_and(|due| due <= Instant::now()) && !self.advance()? {
+            if let Err(error) = self.play_on() {
+                tracing::warn!("{error:#}");
+                self.display.tell(|about| about.notice = Some(format!("{error:#}")));
                 self.plays = false;
                 self.tell();
             }
+        }
+    }
+
+    /// Does what comes next: what somebody wants, or the next frame, or a while of nothing.
+    fn play_on(&mut self) -> Result<()> {
+        let due = self.due();
+        let left = due.map_or(LOOK, |due| due.saturating_duration_since(Instant::now()).min(LOOK));
+        if let Some(command) = self.display.next_command(left) {
+            self.obey(&command)?;
+        } else if due.is_some_and(|due| due <= Instant::now()) && !self.advance()? {
+            self.plays = false;
+            self.tell();
         }
         Ok(())
     }

@@ -88,6 +88,17 @@ impl<'a> Image<'a> {
         Ok(Self { stamped, width, height, encoding, is_big_endian, step, data: reader.bytes()? })
     }
 
+    /// How the pixels of a message are encoded, however many it says that there are.
+    ///
+    /// # Errors
+    /// It is none.
+    pub fn encoding_of(message: &'a [u8]) -> Result<&'a str, Undecodable> {
+        let mut reader = Reader::new(message)?;
+        reader.stamped()?;
+        let (_height, _width) = (reader.u32()?, reader.u32()?);
+        reader.text()
+    }
+
     /// The depths of the pixels.
     ///
     /// # Errors

@@ -213,11 +213,11 @@ fn the_page_pauses_a_replay_steps_it_and_lets_it_go_on() {
     );
     let _run = playground.start(&["run"]);
     let page = Page::open(&playground, &[]);
-    page.frame("the run can be paused", |json| {
+    page.told("the run can be paused", |json| {
         json["about"]["run"] == json!({ "can_pause": true, "live": [], "paused": false })
     });
     assert_eq!(page.wish(&json!({ "do": "pause" })), 204);
-    page.frame("it is paused", |json| json["about"]["run"]["paused"] == true);
+    page.told("it is paused", |json| json["about"]["run"]["paused"] == true);
     let at = standing_at(&playground);
     for sequence in at + 1..at + 4 {
         assert_eq!(page.wish(&json!({ "do": "step", "by": 1 })), 204);
@@ -227,7 +227,7 @@ fn the_page_pauses_a_replay_steps_it_and_lets_it_go_on() {
     assert_eq!(standing_at(&playground), at + 3);
     assert_eq!(page.wish(&json!({ "do": "play" })), 204);
     page.frame("it goes on", |json| json["frame"]["sequence"].as_u64() > Some(at + 20));
-    page.frame("and says so", |json| json["about"]["run"]["paused"] == false);
+    page.told("and says so", |json| json["about"]["run"]["paused"] == false);
 }
 
 #[test]
@@ -345,7 +345,7 @@ fn a_run_of_cameras_alone_goes_on_and_that_is_said() {
     run.wait_until("the page is offered", || written.lock().unwrap().contains("in a browser"));
     let page = Page::of_stage(&written.lock().unwrap());
     let live = json!({ "can_pause": false, "live": ["camera"], "paused": false });
-    page.frame("a camera cannot be paused", |json| json["about"]["run"] == live);
+    page.told("a camera cannot be paused", |json| json["about"]["run"] == live);
     assert_eq!(page.wish(&json!({ "do": "pause" })), 204);
     run.wait_until("the terminal gives keys", || terminal.gives_keys());
     terminal.press(" ");

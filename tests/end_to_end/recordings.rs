@@ -207,7 +207,9 @@ fn other_programs_read_what_is_recorded() {
         eprintln!("SKIPPED: Rerun has no graphics card here, not even one of software; what it draws was not shown");
         return;
     }
-    shot.expect_code(0);
+    let told = shot.expect_code(0).stderr;
+    let warned = told.lines().filter(|line| line.contains("does not specify a schema"));
+    assert!(warned.into_iter().all(|line| line.contains("/json'")), "{told}");
     let picture = fs::File::open(playground.path("shot.png")).unwrap();
     let mut picture = png::Decoder::new(std::io::BufReader::new(picture)).read_info().unwrap();
     let mut pixels = vec![0; picture.output_buffer_size().unwrap()];

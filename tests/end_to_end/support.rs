@@ -15,9 +15,9 @@ use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 /// Whatever a test waits for comes long before this; it has failed when this is over.
-const DEADLINE: Duration = Duration::from_secs(120);
+pub const DEADLINE: Duration = Duration::from_secs(120);
 const GRACE: Duration = Duration::from_secs(10);
-const LOOK: Duration = Duration::from_millis(20);
+pub const LOOK: Duration = Duration::from_millis(20);
 
 /// Five stages that find and track a ball in small images, every frame of it, until it is told to stop.
 pub const TRACKING: &str = r#"

@@ -1,12 +1,13 @@
 //! The page of `conicflow view`, asked over plain sockets: what it shows of runs and recordings, who is refused, and that many who
 //! look, or leave in the middle, cost a run nothing. What a browser makes of it is in `browser.rs`.
 
-use crate::support::{Playground, Started, TRACKING, wait_until};
+use crate::support::{DEADLINE, LOOK, Playground, Started, TRACKING, wait_until};
 use serde_json::{Value as Json, json};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::process::ChildStdout;
-use std::time::Duration;
+use std::thread::sleep;
+use std::time::{Duration, Instant};
 
 /// A run that goes on until it is ended, at a pace that leaves room for others.
 pub const SLOWLY: [&str; 3] = ["run", "--set", "source.rate_hz=30"];
@@ -105,14 +106,34 @@ impl Page {
 
     /// The next frame for which this holds.
     pub fn frame(&self, what: &str, mut holds: impl FnMut(&Json) -> bool) -> (Json, Vec<u16>) {
-        let (mut frames, mut found) = (0, None);
-        wait_until(what, || {
+        let mut frames = 0;
+        self.wait(what, || {
             let (json, pixels) = self.look("test", frames);
             frames = json["frames"].as_u64().unwrap();
-            found = Some((json, pixels)).filter(|(json, _)| !json["frame"].is_null() && holds(json));
-            found.is_some()
-        });
-        found.unwrap()
+            let holds = !json["frame"].is_null() && holds(&json);
+            (holds, json, pixels)
+        })
+    }
+
+    /// What is told when this holds, with the frame that is shown then, if there is one. It need not be a new one.
+    pub fn told(&self, what: &str, mut holds: impl FnMut(&Json) -> bool) -> (Json, Vec<u16>) {
+        self.wait(what, || {
+            let (json, pixels) = self.look("test", u64::MAX);
+            (holds(&json), json, pixels)
+        })
+    }
+
+    /// Asks until it is as wanted; else tells what was answered last.
+    fn wait(&self, what: &str, mut ask: impl FnMut() -> (bool, Json, Vec<u16>)) -> (Json, Vec<u16>) {
+        let since = Instant::now();
+        loop {
+            let (holds, json, pixels) = ask();
+            if holds {
+                return (json, pixels);
+            }
+            assert!(since.elapsed() < DEADLINE, "the page never showed {what}, but at last {json}");
+            sleep(LOOK);
+        }
     }
 
     /// Tells a wish.
@@ -147,15 +168,14 @@ fn a_run_is_shown_as_it_goes_on_and_waited_for_before_and_after() {
     assert!(!track["seen"].as_array().unwrap().is_empty(), "it has an outline: {track}");
 
     // Told once a second: what the stages do, and what they count.
-    let (json, _) = page.frame("the graph", |json| !json["about"]["graph"].is_null());
+    let (json, _) = page.told("the graph", |json| !json["about"]["graph"].is_null());
     let graph = &json["about"]["graph"];
     assert_eq!((graph["stages"].as_array().unwrap().len(), json["about"]["title"].as_str()), (5, Some("tracking")));
     let stages = graph["activity"]["stages"].as_array().unwrap();
     assert!(stages.iter().any(|stage| !stage["counters"].as_object().unwrap().is_empty()), "{stages:?}");
 
     drop(run);
-    wait_until("the page tells that the run is over", || {
-        let (json, _) = page.look("another", u64::MAX);
+    page.told("that the run is over", |json| {
         json["about"]["notice"].as_str().is_some_and(|notice| notice.contains("no pipeline runs"))
     });
 }
@@ -167,10 +187,10 @@ fn several_pipelines_are_offered_and_another_one_can_be_chosen() {
         .write("second.toml", &TRACKING.replace("\"tracking\"", "\"second\"").replace("tracks.jsonl", "second.jsonl"));
     let _first = playground.start(&SLOWLY);
     let page = Page::open(&playground, &["--pipeline", "tracking"]);
-    page.frame("the first", |json| json["about"]["pipelines"] == json!(["tracking"]));
+    page.told("the first", |json| json["about"]["pipelines"] == json!(["tracking"]));
     let _second = playground.start(&["run", "second.toml", "--set", "source.rate_hz=30"]);
     let both = json!(["second", "tracking"]);
-    let (json, _) = page.frame("both", |json| json["about"]["pipelines"] == both);
+    let (json, _) = page.told("both", |json| json["about"]["pipelines"] == both);
     assert_eq!(json["about"]["title"], "tracking");
     assert_eq!(page.wish(&json!({ "do": "pipeline", "name": "second" })), 204);
     page.frame("the other one", |json| json["about"]["title"] == "second" && !items(json).is_empty());
@@ -300,7 +320,7 @@ fn a_recording_is_played_paused_stepped_and_sought() {
     page.frame("the last", at(89));
     page.wish(&json!({ "do": "speed", "factor": 10.0 }));
     page.wish(&json!({ "do": "play" }));
-    page.frame("it plays again from the beginning, to its end", at(89));
+    page.told("it plays again from the beginning, to its end", at(89));
 }
 
 #[test]
@@ -331,6 +351,38 @@ fn a_recording_that_ends_in_the_middle_and_one_of_depth_alone_are_shown() {
 }
 
 #[test]
+fn a_damaged_place_ends_neither_the_page_nor_a_run() {
+    let playground = Playground::new();
+    recording(&playground, "400");
+    let mut bytes = std::fs::read(playground.path("run.mcap")).unwrap();
+    // A chunk in the middle, but for its head.
+    let (mut at, mut chunks) = (8, Vec::new());
+    while at + 9 < bytes.len() {
+        let end = at + 9 + u64::from_le_bytes(bytes[at + 1..at + 9].try_into().unwrap()) as usize;
+        chunks.extend((bytes[at] == 0x06).then_some(at + 80..end));
+        at = end;
+    }
+    assert!(chunks.len() > 2, "{chunks:?}");
+    bytes[chunks[chunks.len() / 2].clone()].fill(0xff);
+    std::fs::write(playground.path("damaged.mcap"), bytes).unwrap();
+
+    let page = Page::open(&playground, &["damaged.mcap"]);
+    page.wish(&json!({ "do": "speed", "factor": 10.0 }));
+    let shows =
+        |sequence: u64| move |json: &Json| json["frame"]["sequence"] == sequence && json["player"]["plays"] == false;
+    page.told("the last frame, behind the damage", shows(399));
+    for at_s in [12.0, 9.0, 6.5, 5.0, 3.0] {
+        page.wish(&json!({ "do": "seek", "at_s": at_s }));
+        page.wish(&json!({ "do": "step", "by": -1 }));
+    }
+    page.wish(&json!({ "do": "seek", "at_s": 0.0 }));
+    page.told("the first frame", shows(0));
+    let found = playground.conicflow(&["detect", "damaged.mcap"]).expect_code(0);
+    assert!(found.stderr.contains("is damaged") && found.stderr.contains("; damaged places: 1"), "{}", found.stderr);
+    assert!(found.stdout.lines().count() > 20, "{}", found.stdout);
+}
+
+#[test]
 fn a_sink_shows_the_run_that_it_is_part_of() {
     let playground = Playground::new();
     let sink = "[stage.page]\nnode = \"view_sink\"\ninput = \"tracks\"\ninputs = { depth = \"depth\" }\nlisten = \"127.0.0.1:0\"\n";
@@ -340,6 +392,6 @@ fn a_sink_shows_the_run_that_it_is_part_of() {
     let page = Page::of_stage(&run.stderr());
     let (json, pixels) = page.frame("a frame with tracks", |json| !items(json).is_empty());
     assert!(pixels.len() == 32 * 24 && json["frame"]["latency_ms"].as_f64().is_some());
-    let (json, _) = page.frame("the graph", |json| !json["about"]["graph"].is_null());
+    let (json, _) = page.told("the graph", |json| !json["about"]["graph"].is_null());
     assert_eq!(json["about"]["graph"]["stages"].as_array().unwrap().len(), 6);
 }

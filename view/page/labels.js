@@ -9,6 +9,9 @@ const PAD = 5;
 /** Where there is less room than this, labels have one line. */
 const NARROW = 460;
 
+/** How a line of a label is written: the first is what it is called. */
+const font = (index) => `${index === 0 ? 600 : 400} ${FONT}`;
+
 /** The lines of an item's label. */
 export function lines(item) {
     const state = item.state && item.state !== "confirmed" ? ` ${item.state}` : "";
@@ -45,8 +48,11 @@ export function drawLabels(context, named, width, height, chosen) {
     const order = named.filter(({ item }) => !isSecond(item)).sort((a, b) => (b.item.id === chosen) - (a.item.id === chosen) || sureness(b.item) - sureness(a.item));
     for (const { item, box } of order) {
         const texts = lines(item).slice(0, width < NARROW ? 1 : 2);
-        context.font = `600 ${FONT}`;
-        const size = { width: Math.max(...texts.map((text) => context.measureText(text).width)) + 2 * PAD + 8, height: texts.length * LINE + PAD };
+        const widths = texts.map((text, index) => {
+            context.font = font(index);
+            return context.measureText(text).width;
+        });
+        const size = { width: Math.max(...widths) + 2 * PAD + 4, height: texts.length * LINE + PAD };
         const clamp = ([x, y]) => ({
             x: Math.min(Math.max(x, 2), width - size.width - 2), y: Math.min(Math.max(y, 2), height - size.height - 2), ...size,
         });
@@ -80,7 +86,7 @@ function drawLabel(context, item, texts, { x, y, width, height }, box) {
     context.fillStyle = css(colour, sure);
     context.fillRect(x, y + 3, 3, height - 6);
     texts.forEach((text, index) => {
-        context.font = `${index === 0 ? 600 : 400} ${FONT}`;
+        context.font = font(index);
         context.fillStyle = index === 0 ? css(colour, sure) : `rgb(228 233 242 / ${sure})`;
         context.fillText(text, x + PAD + 4, y + LINE * (index + 1) - 2);
     });

@@ -1,6 +1,7 @@
 //! Shows how far a run is: one line that is rewritten on a terminal, a line now and then without one.
 
 use super::summary::Summary;
+use crate::log::CLEAR_LINE;
 use std::io::{IsTerminal, Write, stderr, stdin};
 use std::time::{Duration, Instant};
 
@@ -42,7 +43,7 @@ impl Progress {
         self.shown = Instant::now();
         let line = self.line(summary, finished);
         // Progress that cannot be written is not worth ending a run for.
-        if self.terminal { write!(stderr(), "\r\x1b[K{line}") } else { writeln!(stderr(), "{line}") }.ok();
+        if self.terminal { write!(stderr(), "{CLEAR_LINE}{line}") } else { writeln!(stderr(), "{line}") }.ok();
         stderr().flush().ok();
     }
 
@@ -68,7 +69,7 @@ impl Progress {
     /// Leaves a clean line behind.
     pub(crate) fn clear(&self) {
         if self.terminal && !self.quiet {
-            write!(stderr(), "\r\x1b[K").ok();
+            write!(stderr(), "{CLEAR_LINE}").ok();
         }
     }
 }

@@ -103,6 +103,9 @@ pub struct Plot {
     pub path: PathBuf,
     /// Column along x.
     pub x: String,
+    /// What stands below it; default: what the column is called, with the unit that its name ends with.
+    #[serde(default)]
+    pub x_label: Option<String>,
     /// Columns along y: one line for each.
     pub y: Vec<String>,
     /// Columns that tell lines apart.

@@ -6,6 +6,7 @@ use super::{Experiment, Plot, prepared};
 use crate::csv;
 use crate::score::{Figure, Row};
 use anyhow::{Context as _, Result};
+use std::collections::BTreeMap;
 use std::fmt::{self, Write};
 use std::path::Path;
 
@@ -20,6 +21,10 @@ const LEGEND: f64 = BOTTOM + 62.0;
 const LEGEND_STEP: f64 = 18.0;
 const LETTER: f64 = 7.0;
 const MARK: f64 = 32.0;
+/// So far from each other are the dots that belong to the same place, where they have bars.
+const ASIDE: f64 = 9.0;
+/// The column of a trace with the time.
+const TIME: &str = "time_s";
 /// The ends of columns' names, and the units that they stand for.
 const UNITS: [(&str, &str); 6] =
     [("_mps", "m/s"), ("_ms", "ms"), ("_deg", "degrees"), ("_hz", "Hz"), ("_m", "m"), ("_s", "s")];
@@ -29,7 +34,9 @@ const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00
 /// Points of one colour.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Line {
+    /// What the legend calls it; where that is empty, it does not.
     name: String,
+    /// One that is not a number parts those before it from those behind it.
     points: Vec<[f64; 2]>,
     /// The standard deviations of the points, 0 where none is known.
     deviations: Vec<f64>,
@@ -83,15 +90,16 @@ fn lines(plot: &Plot, rows: &[Row]) -> Vec<Line> {
     let mut known: Vec<Line> = Vec::new();
     for mut line in gather(&Plot { y: truths, ..plot.clone() }, rows, "", &number) {
         line.style = Style::Truth;
+        line.name = line.name.split(", ").next().unwrap_or_default().to_owned();
         line.deviations.clear();
         line.points.dedup();
-        // What is true of several lines is drawn once.
+        // What is true of several lines is drawn once, and told once of all that look the same.
         if known.iter().all(|other| other.points != line.points) {
+            if known.iter().any(|other| other.name == line.name) {
+                line.name.clear();
+            }
             known.push(line);
         }
-    }
-    if let [only] = &mut known[..] {
-        only.name = only.name.split(", ").next().unwrap_or_default().to_owned();
     }
     lines.extend(known);
     lines
@@ -116,21 +124,39 @@ fn paper_lines(experiment: &Experiment, plot: &Plot, rows: &[Row]) -> Vec<Line> 
 
 fn gather(plot: &Plot, rows: &[Row], prefix: &str, number: &dyn Fn(&Row, &str) -> Option<f64>) -> Vec<Line> {
     let mut lines: Vec<Line> = Vec::new();
+    let step_s = step_s(rows);
     for column in &plot.y {
         let deviations = beside(column, "sd");
+        // Where something truly was is known also while nobody saw it.
+        let true_x = beside(&plot.x, "true").filter(|_| is_true(column));
+        let mut times: BTreeMap<String, f64> = BTreeMap::new();
         for row in rows {
-            let (Some(x), Some(y)) = (row.number_of(&plot.x), number(row, column)) else { continue };
+            let x = true_x.as_ref().and_then(|column| row.number_of(column)).or_else(|| row.number_of(&plot.x));
+            let (Some(x), Some(y)) = (x, number(row, column)) else { continue };
             let name = format!("{prefix}{}", name(plot, row, column));
             let index = lines.iter().position(|line| line.name == name).unwrap_or_else(|| {
-                lines.push(Line { name, ..Line::default() });
+                lines.push(Line { name: name.clone(), ..Line::default() });
                 lines.len() - 1
             });
-            lines[index].points.push([x, y]);
+            let line = &mut lines[index];
+            if let (Some(step_s), Some(time_s)) = (step_s, row.number_of(TIME))
+                && times.insert(name, time_s).is_some_and(|before_s| time_s - before_s > 1.5 * step_s)
+            {
+                line.points.push([f64::NAN; 2]);
+                line.deviations.push(0.0);
+            }
+            line.points.push([x, y]);
             let deviation = deviations.as_ref().and_then(|column| number(row, column));
-            lines[index].deviations.push(deviation.unwrap_or(0.0));
+            line.deviations.push(deviation.unwrap_or(0.0));
         }
     }
     lines
+}
+
+/// The time between frames of a trace, where nothing is left out.
+fn step_s(rows: &[Row]) -> Option<f64> {
+    let times = || rows.iter().filter_map(|row| row.number_of(TIME));
+    times().zip(times().skip(1)).map(|(before, after)| after - before).filter(|step| *step > 0.0).reduce(f64::min)
 }
 
 /// What a column is called and its unit, if its name ends with one.
@@ -211,10 +237,16 @@ fn svg(title: &str, plot: &Plot, lines: &[Line]) -> Result<String, fmt::Error> {
     if let (Some(x), Some(y)) = (x, y) {
         frame(&mut text, plot, &x, &y)?;
         let columns = legend_columns(lines);
+        let with_bars = lines.iter().filter(|line| line.bars().next().is_some()).count();
+        let (mut told, mut aside) = (0, -0.5 * ASIDE * with_bars.saturating_sub(1) as f64);
         for (index, line) in lines.iter().enumerate() {
-            let (column, row) = ((index % columns) as f64, (index / columns) as f64);
+            let (column, row) = ((told % columns) as f64, (told / columns) as f64);
             let mark = [LEFT + 10.0 + column * legend_width(lines), LEGEND + LEGEND_STEP * row];
-            draw_line(&mut text, line, index, mark, [&x, &y])?;
+            told += usize::from(!line.name.is_empty());
+            // Bars at the same place would hide each other.
+            let has_bars = line.bars().next().is_some();
+            draw_line(&mut text, line, index, mark, [&x, &y], if has_bars { aside } else { 0.0 })?;
+            aside += if has_bars { ASIDE } else { 0.0 };
         }
     }
     text += "</svg>\n";
@@ -234,7 +266,8 @@ fn legend_columns(lines: &[Line]) -> usize {
 
 /// Width and height of a drawing that has room for its legend, below the axes.
 fn paper_size(lines: &[Line]) -> [f64; 2] {
-    let rows = lines.len().div_ceil(legend_columns(lines)) as f64;
+    let told = lines.iter().filter(|line| !line.name.is_empty()).count();
+    let rows = told.div_ceil(legend_columns(lines)) as f64;
     [WIDTH.max(LEFT + 10.0 + legend_width(lines)), LEGEND + LEGEND_STEP * rows]
 }
 
@@ -255,11 +288,8 @@ fn frame(text: &mut String, plot: &Plot, x: &Axis, y: &Axis) -> fmt::Result {
         writeln!(text, "<text x=\"{}\" y=\"{:.1}\" text-anchor=\"end\">{label}</text>", LEFT - 6.0, place + 4.0)?;
     }
     let (middle, below) = (0.5 * (LEFT + RIGHT), BOTTOM + 38.0);
-    writeln!(
-        text,
-        "<text x=\"{middle}\" y=\"{below}\" text-anchor=\"middle\">{}</text>",
-        escaped(&axis_label(std::slice::from_ref(&plot.x)))
-    )?;
+    let label = plot.x_label.clone().unwrap_or_else(|| axis_label(std::slice::from_ref(&plot.x)));
+    writeln!(text, "<text x=\"{middle}\" y=\"{below}\" text-anchor=\"middle\">{}</text>", escaped(&label))?;
     let across = 0.5 * (TOP + BOTTOM);
     let columns = escaped(&axis_label(&plot.y));
     writeln!(text, "<text transform=\"translate(20 {across}) rotate(-90)\" text-anchor=\"middle\">{columns}</text>")
@@ -273,25 +303,36 @@ impl Line {
     }
 }
 
-/// Draws a line, and its mark and name in the legend.
-fn draw_line(text: &mut String, line: &Line, index: usize, mark: [f64; 2], [x, y]: [&Axis; 2]) -> fmt::Result {
+/// Draws a line, so far to the right of its place, and its mark and name in the legend.
+fn draw_line(
+    text: &mut String,
+    line: &Line,
+    index: usize,
+    mark: [f64; 2],
+    [x, y]: [&Axis; 2],
+    aside: f64,
+) -> fmt::Result {
     let is_true = line.style == Style::Truth;
     let colour = if is_true { "black" } else { COLOURS[index % COLOURS.len()] };
     for [at, low, high] in line.bars() {
         let (Some(at), Some(low), Some(high)) = (x.place(at), y.place(low), y.place(high)) else { continue };
+        let at = at + aside;
         let (left, right) = (at - 3.0, at + 3.0);
         writeln!(
             text,
             "<path d=\"M{left:.1} {low:.1}H{right:.1}M{at:.1} {low:.1}V{high:.1}M{left:.1} {high:.1}H{right:.1}\" stroke=\"{colour}\"/>"
         )?;
     }
-    let places: Vec<[f64; 2]> =
-        line.points.iter().filter_map(|point| Some([x.place(point[0])?, y.place(point[1])?])).collect();
-    if line.style != Style::Paper {
-        let points: Vec<String> = places.iter().map(|[x, y]| format!("{x:.1},{y:.1}")).collect();
+    let place = |point: &[f64; 2]| Some([x.place(point[0])? + aside, y.place(point[1])?]);
+    let places: Vec<[f64; 2]> = line.points.iter().filter_map(place).collect();
+    for points in line.points.split(|point| point[0].is_nan()).filter(|_| line.style != Style::Paper) {
+        let points: Vec<String> = points.iter().filter_map(place).map(|[x, y]| format!("{x:.1},{y:.1}")).collect();
         writeln!(text, "<polyline points=\"{}\" fill=\"none\" stroke=\"{colour}\"/>", points.join(" "))?;
     }
     let [left, middle] = mark;
+    if is_true && line.name.is_empty() {
+        return Ok(());
+    }
     if is_true {
         writeln!(text, "<path d=\"M{} {middle}H{}\" stroke=\"{colour}\"/>", left - 8.0, left + 8.0)?;
     } else {
@@ -367,6 +408,62 @@ mod tests {
             axis_label(&["z_true_m".to_owned(), "z_m".to_owned(), "speed_mps".to_owned()]),
             "z in m, speed in m/s"
         );
+    }
+
+    #[test]
+    fn bars_at_the_same_place_stand_beside_each_other() {
+        let plot = Plot { y: vec!["radius_m".to_owned()], x_label: Some("distance in m".to_owned()), ..plot() };
+        let row = |stage: &str| {
+            let mut row = row(stage, 1.0, 0.0);
+            row.number("radius_m", 0.2);
+            row.number("radius_sd_m", 0.01);
+            row
+        };
+        let text = svg("radius", &plot, &lines(&plot, &[row("measured"), row("filtered")])).unwrap();
+        let dots: Vec<f64> = text
+            .lines()
+            .filter_map(|line| line.strip_prefix("<circle cx=\"")?.split_once('"')?.0.parse().ok())
+            .filter(|x| *x > LEFT + 10.0 + ASIDE)
+            .collect();
+        assert!(dots.len() >= 2 && dots.contains(&415.5) && dots.contains(&424.5), "{dots:?}");
+        assert!(text.contains(">distance in m</text>"), "{text}");
+    }
+
+    #[test]
+    fn the_truth_goes_on_while_nothing_is_seen_and_is_told_once() {
+        let plot = Plot { x: "x_m".to_owned(), y: vec!["z_m".to_owned()], lines: vec!["object".to_owned()], ..plot() };
+        let row = |object: &str, time: f64, is_seen: bool| {
+            let mut row = Row::default();
+            row.text("object", object);
+            row.number("x_true_m", time);
+            row.number("z_true_m", time * time);
+            if is_seen {
+                row.number("x_m", time + 0.01);
+                row.number("z_m", time * time);
+            }
+            row
+        };
+        let rows = [row("a", 1.0, true), row("a", 2.0, false), row("a", 3.0, true), row("b", 5.0, true)];
+        assert_eq!(step_s(&rows), None, "without times nothing is parted");
+        let lines = lines(&plot, &rows);
+        let names: Vec<_> = lines.iter().map(|line| line.name.as_str()).collect();
+        assert_eq!(names, ["a", "b", "true z", ""]);
+        assert_eq!(lines[2].points, [[1.0, 1.0], [2.0, 4.0], [3.0, 9.0]]);
+        assert_eq!(svg("balls", &plot, &lines).unwrap().matches(">true z</text>").count(), 1);
+    }
+
+    #[test]
+    fn a_line_is_parted_where_frames_are_missing() {
+        let row = |time_s: f64| {
+            let mut row = row("a", time_s, 2.0);
+            row.number(TIME, time_s);
+            row
+        };
+        let rows = [0.0, 0.1, 0.2, 0.7, 0.8].map(row);
+        let text = svg("parted", &plot(), &lines(&plot(), &rows)).unwrap();
+        let strokes: Vec<_> = text.lines().filter(|line| line.starts_with("<polyline")).collect();
+        let points: Vec<_> = strokes.iter().map(|line| line.matches(',').count()).collect();
+        assert_eq!(points, [3, 2], "{text}");
     }
 
     #[test]

@@ -205,13 +205,17 @@ impl Painter {
     pub fn finish(&mut self, header: &Header) {
         let (width, height) = self.canvas.size();
         let size = if height >= LARGE_FROM_PX { Size::Large } else { Size::Small };
-        let [title, legend] = [self.title.is_some(), self.shows_legend].map(|shown| i64::from(shown) * size.line());
         let (width, height) = (i64::from(width), i64::from(height));
+        let title_lines = self.title.as_ref().map(|title| wrapped(title, width - size.width(" "), size));
+        let title = size.line() * title_lines.as_ref().map_or(0, |lines| lines.len() as i64);
+        let legend = i64::from(self.shows_legend) * size.line();
         let room = Box2 { left: 0, top: title, width, height: height - title - legend };
         labels::draw(&mut self.labels, room, size, &mut self.canvas);
-        if let Some(title) = &self.title {
-            self.canvas.fill(Box2 { left: 0, top: 0, width, height: size.line() }, SHADOW, 0.75);
-            self.canvas.text((size.width(" ") / 2, 0), title, (size, true, PALE, 1.0));
+        if let Some(lines) = &title_lines {
+            self.canvas.fill(Box2 { left: 0, top: 0, width, height: title }, SHADOW, 0.75);
+            for (number, line) in (0..).zip(lines) {
+                self.canvas.text((size.width(" ") / 2, number * size.line()), line, (size, true, PALE, 1.0));
+            }
         }
         if self.shows_legend {
             self.draw_legend(header, height - legend, size);
@@ -233,6 +237,25 @@ impl Painter {
     }
 }
 
+/// A text in lines that are no wider than there is room; a word that is wider is broken.
+fn wrapped(text: &str, room: i64, size: Size) -> Vec<String> {
+    let mut lines = vec![String::new()];
+    for word in text.split(' ') {
+        let mut begin = lines.last().map_or("", |line| if line.is_empty() { "" } else { " " });
+        if lines.last().is_some_and(|line| !line.is_empty() && size.width(&format!("{line} {word}")) > room) {
+            lines.push(String::new());
+            begin = "";
+        }
+        for letter in begin.chars().chain(word.chars()) {
+            match lines.last_mut().filter(|line| line.is_empty() || size.width(&format!("{line}{letter}")) <= room) {
+                Some(line) => line.push(letter),
+                None => lines.push(letter.to_string()),
+            }
+        }
+    }
+    lines
+}
+
 /// The rectangle around lines.
 fn around(lines: &[Line]) -> Option<Box2> {
     let first = lines.first()?.0;
@@ -245,4 +268,20 @@ fn around(lines: &[Line]) -> Option<Box2> {
     let [left, top] = low.map(|edge| edge.floor() as i64);
     let [right, bottom] = high.map(|edge| edge.ceil() as i64);
     Some(Box2 { left, top, width: right - left + 1, height: bottom - top + 1 })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_title_is_wrapped_and_nothing_of_it_is_lost() {
+        let title = "A: extractor.arcs=conic extractor.scan=rows assembler.profile.section_fit=ellipse";
+        let room = Size::Small.width("extractor.arcs=conic extractor.");
+        let lines = wrapped(title, room, Size::Small);
+        assert!(lines.len() > 2 && lines.iter().all(|line| Size::Small.width(line) <= room), "{lines:?}");
+        assert_eq!(lines[0], "A: extractor.arcs=conic");
+        assert_eq!(lines.concat().replace(' ', ""), title.replace(' ', ""));
+        assert_eq!(wrapped("B", 1, Size::Small), ["B"]);
+    }
 }

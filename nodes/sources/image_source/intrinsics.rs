@@ -1,6 +1,7 @@
 //! The camera's intrinsics, from the pipeline file or from a JSON file beside the frames.
 
 use super::hinted;
+use crate::sources::WrittenIn;
 use anyhow::{Context as _, Result, anyhow, bail, ensure};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_messages::{DEPTH_SCALES_M, Hinted};
@@ -126,19 +127,19 @@ fn from_matrix(matrix: &[f64]) -> Result<Intrinsics> {
 }
 
 /// The error for frames without intrinsics, with the line to write.
-pub(super) fn missing(folder: &Path, (width, height): (u32, u32)) -> anyhow::Error {
+pub(super) fn missing(folder: &Path, (width, height): (u32, u32), written_in: WrittenIn) -> anyhow::Error {
     let (cx, cy) = (f64::from(width.saturating_sub(1)) / 2.0, f64::from(height.saturating_sub(1)) / 2.0);
     let focal = 525.0 * f64::from(width) / 640.0;
+    let [focal, cx, cy] = [focal, cx, cy].map(|pixels| format!("{pixels:.1}"));
+    let example = written_in.intrinsics([&focal, &focal, &cx, &cy]);
+    let name = if written_in == WrittenIn::CommandLine { "`--camera`" } else { "the key `intrinsics`" };
     anyhow!(Hinted::new(
         format!(
-            "no intrinsics for the frames in `{}`: neither the key `intrinsics` nor a `camera.json` or \
+            "no intrinsics for the frames in `{}`: neither {name} nor a `camera.json` or \
              `camera_intrinsics.json` beside them",
             folder.display()
         ),
-        format!(
-            "write `intrinsics = {{ fx = {focal:.1}, fy = {focal:.1}, cx = {cx:.1}, cy = {cy:.1} }}` with the \
-             numbers of your camera (these are a Kinect's at {width}x{height})"
-        )
+        format!("write `{example}` with the numbers of your camera (these are a Kinect's at {width}x{height})")
     ))
 }
 
@@ -216,7 +217,10 @@ mod tests {
 
     #[test]
     fn the_hint_shows_the_line_to_write() {
-        let error = missing(Path::new("frames"), (640, 480)).to_string();
+        let error = missing(Path::new("frames"), (640, 480), WrittenIn::PipelineFile).to_string();
         assert!(error.contains("`intrinsics = { fx = 525.0, fy = 525.0, cx = 319.5, cy = 239.5 }`"), "{error}");
+        let error = missing(Path::new("frames"), (640, 480), WrittenIn::CommandLine).to_string();
+        assert!(error.contains("hint: write `--camera 525.0,525.0,319.5,239.5` with"), "{error}");
+        assert!(!error.contains("the key"), "{error}");
     }
 }

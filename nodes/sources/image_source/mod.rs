@@ -25,6 +25,7 @@ pub use playback::Playback;
 pub use poses::PosesConfig;
 pub use recording::{Options, Recording};
 
+use crate::sources::WrittenIn;
 use crate::stage_error::stage_error;
 use conicflow_dataflow::{ConfigFault, Context, Next, Output, SideInputs, Source, StageError};
 use conicflow_detection::camera::Intrinsics;
@@ -64,6 +65,9 @@ pub struct Config {
     /// The most frames to send from there (in each round of a loop), unreadable ones included; default: all.
     #[schemars(range(min = 1))]
     pub frames: Option<u64>,
+    /// Where these parameters are written.
+    #[serde(skip)]
+    pub written_in: WrittenIn,
 }
 
 impl Default for Config {
@@ -78,6 +82,7 @@ impl Default for Config {
             repeat: false,
             first: 0,
             frames: None,
+            written_in: WrittenIn::default(),
         }
     }
 }
@@ -135,8 +140,8 @@ impl Source for ImageSource {
     }
 
     fn message_length(config: &Config, base: &Path) -> Option<usize> {
-        let Config { depth_scale, intrinsics, first, frames, .. } = *config;
-        let options = Options { depth_scale, intrinsics, first, frames };
+        let Config { depth_scale, intrinsics, first, frames, written_in, .. } = *config;
+        let options = Options { depth_scale, intrinsics, first, frames, written_in };
         // What cannot be opened is told when the stage starts.
         Recording::open(&base.join(config.path.as_ref()?), &options).ok().map(|recording| recording.pixels())
     }

@@ -49,8 +49,8 @@ impl Playback {
     pub fn open(config: &Config, base: &Path, resume_at: u64, counted: u64) -> Result<Self> {
         let path =
             config.path.as_ref().ok_or_else(|| Hinted::new("`path` is missing", "write `path = \"folder/\"`"))?;
-        let Config { depth_scale, intrinsics, first, frames, .. } = *config;
-        let options = Options { depth_scale, intrinsics, first, frames };
+        let Config { depth_scale, intrinsics, first, frames, written_in, .. } = *config;
+        let options = Options { depth_scale, intrinsics, first, frames, written_in };
         let recording = Recording::open(&base.join(path), &options)?;
         let poses = Poses::find(&config.poses, base, &recording)?;
         for error in recording.unreadable() {

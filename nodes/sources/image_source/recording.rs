@@ -6,6 +6,7 @@ use super::pcd::Cloud;
 use super::pinhole::{self, FAIR_RESIDUAL_PX, Pinhole};
 use super::raster::{self, Depths};
 use super::{depth_png, hinted};
+use crate::sources::WrittenIn;
 use anyhow::{Context as _, Error, Result, bail, ensure};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_messages::{Camera, DEPTH_SCALES_M, Hinted, MAX_SIDE_PX, finest_scale, is_too_far, quantise};
@@ -24,6 +25,8 @@ pub struct Options {
     pub first: u64,
     /// The most frames that are used, counting unreadable ones.
     pub frames: Option<u64>,
+    /// Where these are written.
+    pub written_in: WrittenIn,
 }
 
 /// The depth frames of a file or a folder.
@@ -317,5 +320,8 @@ fn camera(layout: &Layout, size: (u32, u32), options: &Options, beside: Option<&
         file.check_size(size)?;
         return Ok(Some(file.intrinsics.camera(size)));
     }
-    if layout.format == Format::Pcd { Ok(None) } else { Err(intrinsics::missing(&layout.folder, size)) }
+    if layout.format == Format::Pcd {
+        return Ok(None);
+    }
+    Err(intrinsics::missing(&layout.folder, size, options.written_in))
 }

@@ -3,6 +3,7 @@
 use super::Config;
 use crate::recording::files::Seen;
 use crate::recording::own;
+use crate::sources::WrittenIn;
 use anyhow::{Context as _, Result, bail, ensure};
 use conicflow_dataflow::ItemType;
 use conicflow_messages::{Camera, Hinted};
@@ -16,8 +17,9 @@ const CDR: &str = "cdr";
 /// What the recordings of ROS 1 are encoded in.
 const ROS1: &str = "ros1";
 /// What to do where the recording does not tell the camera.
-const WRITE_INTRINSICS: &str =
-    "write `intrinsics = { fx = .., fy = .., cx = .., cy = .. }` with the numbers of your camera";
+fn write_intrinsics(written_in: WrittenIn) -> String {
+    format!("write `{}` with the numbers of your camera", written_in.intrinsics([".."; 4]))
+}
 
 /// What is played back.
 #[derive(Clone, Debug, PartialEq)]
@@ -39,7 +41,7 @@ impl Chosen {
         let own = |channel: &&Seen| is_own(channel, item);
         if !item.is_image() {
             let fitting: Vec<_> = channels.iter().filter(own).collect();
-            let chosen = choose(channels, &fitting, config.topic.as_deref(), item.name())?;
+            let chosen = choose(channels, &fitting, config, item.name())?;
             own::check_schema(own_schema(chosen), item)
                 .with_context(|| format!("the messages of `{}`", chosen.channel.topic))?;
             return Ok(Self::Items { topic: chosen.channel.topic.clone() });
@@ -47,7 +49,7 @@ impl Chosen {
         let fitting: Vec<_> = channels.iter().filter(|channel| is_depth(channel, config.topic.as_deref())).collect();
         let is_named = fitting.iter().any(|channel| Some(&channel.channel.topic) == config.topic.as_ref());
         let fitting = if is_named { fitting } else { without_doubles(&fitting) };
-        let chosen = choose(channels, &fitting, config.topic.as_deref(), "depth images")?;
+        let chosen = choose(channels, &fitting, config, "depth images")?;
         let topic = chosen.channel.topic.clone();
         let headers = own::header_channel(&topic);
         let headers = channels.iter().filter(own).find(|channel| Some(&channel.channel.topic) == headers.as_ref());
@@ -63,6 +65,12 @@ impl Chosen {
 /// Whether conicflow has recorded such items, in whatever version.
 pub fn has_own(channels: &[Seen], item: &ItemType) -> bool {
     channels.iter().any(|channel| is_own(channel, item))
+}
+
+/// Whether conicflow has recorded other items than these.
+pub(super) fn has_other_own(channels: &[Seen], item: &ItemType) -> bool {
+    let is_other = |channel: &&Seen| channel.channel.message_encoding == own::ENCODING && !is_own(channel, item);
+    channels.iter().any(|channel| is_other(&channel))
 }
 
 /// Whether a channel carries our own messages with such items, of whatever version.
@@ -86,8 +94,8 @@ fn is_depth(channel: &Seen, wanted: Option<&str>) -> bool {
     if is(channel, COMPRESSED_IMAGE.name) {
         return CompressedImage::read(&channel.first).is_ok_and(|image| image.is_depth());
     }
-    let encoding = if is(channel, IMAGE.name) { Image::read(&channel.first).ok() } else { None };
-    match encoding.and_then(|image| Encoding::of(image.encoding)) {
+    let encoding = if is(channel, IMAGE.name) { Image::encoding_of(&channel.first).ok() } else { None };
+    match encoding.and_then(Encoding::of) {
         Some(Encoding::Mono) => topic.to_lowercase().contains("depth") || wanted == Some(topic),
         Some(Encoding::Units | Encoding::Metres) => true,
         None => false,
@@ -104,20 +112,21 @@ fn without_doubles<'a>(channels: &[&'a Seen]) -> Vec<&'a Seen> {
 }
 
 /// The channel that was named, in whole or but for its last part, or the only one.
-fn choose<'a>(all: &'a [Seen], fitting: &[&'a Seen], wanted: Option<&str>, what: &str) -> Result<&'a Seen> {
+fn choose<'a>(all: &'a [Seen], fitting: &[&'a Seen], config: &Config, what: &str) -> Result<&'a Seen> {
     let names = |channels: &[&Seen]| {
         let named = channels.iter().map(|channel| format!("`{}`", channel.channel.topic));
         named.collect::<Vec<_>>().join(", ")
     };
-    let Some(wanted) = wanted else {
+    let Some(wanted) = config.topic.as_deref() else {
         return match fitting {
             [] => Err(nothing_fits(all, what).into()),
             [only] => Ok(only),
             several => {
-                let example = &several[0].channel.topic;
+                let rectified = several.iter().find(|channel| is_rectified(&channel.channel.topic));
+                let example = config.written_in.topic(&rectified.unwrap_or(&several[0]).channel.topic);
                 bail!(Hinted::new(
                     format!("several topics carry {what}: {}", names(several)),
-                    format!("say which, such as topic = \"{example}\"")
+                    format!("say which, such as `{example}`")
                 ))
             }
         };
@@ -180,7 +189,7 @@ fn camera(channels: &[Seen], images: &Seen, config: &Config) -> Result<Camera> {
             let there = if there.is_empty() { "there is none in the recording".to_owned() } else { there.join(", ") };
             bail!(Hinted::new(
                 format!("no CameraInfo beside `{topic}`, expected at `{}`; {there}", beside[0]),
-                WRITE_INTRINSICS
+                write_intrinsics(config.written_in)
             ));
         }
     };
@@ -189,12 +198,13 @@ fn camera(channels: &[Seen], images: &Seen, config: &Config) -> Result<Camera> {
     if let Err((width, height)) = read.fits(size) {
         bail!(Hinted::new(
             format!("`{name}` is for images of {width}x{height}, those of `{topic}` have {}x{}", size.0, size.1),
-            "intrinsics scale with the image; write `intrinsics` of these"
+            format!("intrinsics scale with the image; {} of these", write_intrinsics(config.written_in))
         ));
     }
     let camera = read.camera(size, is_rectified(topic)).map_err(|unrectified| {
         let others = channels.iter().filter(|channel| is_depth(channel, None) && is_rectified(&channel.channel.topic));
-        let hint = others.map(|other| format!("topic = \"{}\" is rectified", other.channel.topic)).next();
+        let hint =
+            others.map(|other| format!("`{}` is rectified", config.written_in.topic(&other.channel.topic))).next();
         let hint = hint.unwrap_or_else(|| "rectify them by image_proc of ROS, and record that topic".to_owned());
         let distortion = unrectified.distortion;
         let what = format!(
@@ -205,7 +215,10 @@ fn camera(channels: &[Seen], images: &Seen, config: &Config) -> Result<Camera> {
     let is_usable = [camera.fx, camera.fy].iter().all(|focal| (1.0..f64::INFINITY).contains(focal));
     ensure!(
         is_usable && camera.cx.is_finite() && camera.cy.is_finite(),
-        Hinted::new(format!("`{name}` has no intrinsics: the camera was not calibrated"), WRITE_INTRINSICS)
+        Hinted::new(
+            format!("`{name}` has no intrinsics: the camera was not calibrated"),
+            write_intrinsics(config.written_in)
+        )
     );
     Ok(camera)
 }

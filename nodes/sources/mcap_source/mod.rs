@@ -1,7 +1,8 @@
 //! Plays back recordings of robots: MCAP files with ROS 2 messages, whoever wrote them, and those of `mcap_sink` and `conicflow
 //! record`, whose frames and lists come back to the bit.
 //!
-//! A frame that cannot be read is reported, counted as `frames unreadable` and passed over.
+//! A frame that cannot be read is reported, counted as `frames unreadable` and passed over; so is a part of a file, counted as
+//! `damaged places`.
 
 mod channels;
 mod replay;
@@ -11,11 +12,14 @@ mod tests;
 pub use channels::has_own;
 pub use replay::{Replay, Replayed};
 
+use crate::recording::files::Files;
+use crate::sources::WrittenIn;
 use crate::stage_error::stage_error;
+use channels::{Chosen, has_other_own};
 use conicflow_dataflow::{ConfigFault, Context, ItemType, Next, Output, SideInputs, Source, StageError};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::NoiseConfig;
-use conicflow_messages::{AnyByte, DEPTH_SCALES_M};
+use conicflow_messages::{AnyByte, DEPTH_SCALES_M, Hinted};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -54,6 +58,9 @@ pub struct Config {
     /// Where to end, in seconds from the beginning of the recording; default: at its end.
     #[schemars(range(min = 0.0))]
     pub to_s: Option<f64>,
+    /// Where these parameters are written.
+    #[serde(skip)]
+    pub written_in: WrittenIn,
 }
 
 impl Config {
@@ -67,7 +74,7 @@ impl Config {
                 let what = format!("`{}` does not exist", path.display());
                 faults.push(fault("path", &what, "relative paths start at the pipeline file's folder"));
             }
-            Some(_) => {}
+            Some(path) => faults.extend(self.unplayable(&path)),
         }
         if self.depth_scale.is_some_and(|scale| !DEPTH_SCALES_M.contains(&scale)) {
             faults.push(fault("depth_scale", "is not above 0 and at most 1", "0.001 for millimetres"));
@@ -80,6 +87,18 @@ impl Config {
             faults.push(fault("to_s", "is not after `from_s`", "both count from the beginning of the recording"));
         }
         faults
+    }
+
+    /// Why the images of a recording cannot be played, as far as that is known at once: where its files tell what they have, and
+    /// nothing but images can be meant.
+    fn unplayable(&self, path: &Path) -> Option<ConfigFault> {
+        let channels = Files::find(path).ok()?.survey_of_complete()?;
+        if has_other_own(&channels, &DEPTH) {
+            return None;
+        }
+        let error = Chosen::of(&channels, self, &DEPTH).err()?;
+        let hint = error.chain().find_map(|cause| cause.downcast_ref::<Hinted>())?;
+        Some(ConfigFault { key: "topic", what: hint.what.clone(), hint: hint.hint.clone() })
     }
 }
 

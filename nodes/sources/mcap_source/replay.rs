@@ -14,6 +14,7 @@ use mcap::Message;
 use std::collections::BTreeMap;
 use std::path::Path;
 
+const DAMAGED: &str = "damaged places";
 const UNREADABLE: &str = "frames unreadable";
 const WITHOUT_POSE: &str = "frames without pose";
 
@@ -133,7 +134,13 @@ impl Replay {
     /// A file cannot be read, or none of the messages can.
     pub fn next_message(&mut self) -> Result<Option<Replayed>> {
         loop {
-            let Some(message) = self.messages.next().transpose()? else {
+            let before = self.messages.damaged();
+            let message = self.messages.next().transpose()?;
+            let damaged = self.messages.damaged() - before;
+            if damaged > 0 {
+                *self.counts.entry(DAMAGED).or_default() += damaged;
+            }
+            let Some(message) = message else {
                 if self.begins_again()? {
                     continue;
                 }

@@ -223,18 +223,69 @@ fn a_file_that_was_cut_is_played_up_to_its_last_whole_message() {
 }
 
 #[test]
+fn a_damaged_chunk_is_left_out_and_counted() {
+    let whole = play(&usual(None), Config::default()).unwrap();
+    for file in [usual(None), usual(Some(Compression::Lz4)), with_zstd(&usual(None))] {
+        let chunks = chunks(&file);
+        assert!(chunks.len() > 2, "{chunks:?}");
+        for chunk in &chunks[1..] {
+            let mut damaged = file.clone();
+            // All of it but its head, so that lz4 fails and not the check sum alone.
+            damaged[chunk.start + 70..chunk.end].iter_mut().for_each(|byte| *byte = !*byte);
+            let place = Place::of(&damaged);
+            let mut replay = place.open(Config::default()).unwrap();
+            let frames = all(&mut replay).unwrap();
+            let stamps: Vec<_> = frames.iter().map(|(header, _)| header.stamp_ns).collect();
+            let expected = whole.iter().filter(|(header, _)| stamps.contains(&header.stamp_ns));
+            assert!(expected.map(|(_, depths)| depths).eq(frames.iter().map(|(_, depths)| depths)), "what is whole");
+            assert!((2..5).contains(&frames.len()), "{stamps:?}");
+            assert_eq!(replay.take_counts().collect::<Vec<_>>(), [("damaged places", 1)]);
+            // From any frame on, as the page plays it.
+            for frame in 0..5 {
+                replay.seek(stamp_ns(frame));
+                assert!(all(&mut replay).unwrap().len() <= 5);
+            }
+        }
+    }
+}
+
+/// Where the chunks of a file lie.
+fn chunks(file: &[u8]) -> Vec<std::ops::Range<usize>> {
+    let (mut chunks, mut at) = (Vec::new(), 8);
+    while at + 9 < file.len() {
+        let end = at + 9 + u64::from_le_bytes(file[at + 1..at + 9].try_into().unwrap()) as usize;
+        if file[at] == 0x06 {
+            chunks.push(at..end);
+        }
+        at = end;
+    }
+    chunks
+}
+
+#[test]
 fn what_is_damaged_is_an_error_or_the_end_and_never_a_panic() {
-    let file = usual(Some(Compression::Lz4));
     let rounds = std::env::var("CONICFLOW_MUTATIONS").ok().and_then(|rounds| rounds.parse().ok()).unwrap_or(300);
     let mut random = fastrand::Rng::with_seed(1);
-    for _ in 0..rounds {
-        let mut damaged = file.clone();
-        for _ in 0..random.usize(1..4) {
-            let at = random.usize(..damaged.len());
-            damaged[at] = random.u8(..);
-        }
-        if let Ok(frames) = play(&damaged, Config::default()) {
-            assert!(frames.iter().all(|(_, depths)| depths.len() == 12));
+    for file in [usual(Some(Compression::Lz4)), with_zstd(&usual(None))] {
+        for _ in 0..rounds {
+            let mut damaged = file.clone();
+            for _ in 0..random.usize(1..4) {
+                let at = random.usize(..damaged.len());
+                damaged[at] = random.u8(..);
+            }
+            let place = Place::of(&damaged);
+            let played = place.open(Config::default()).and_then(|mut replay| {
+                let frames = all(&mut replay)?;
+                replay.seek(stamp_ns(2));
+                Ok((frames, all(&mut replay)?))
+            });
+            match played {
+                Ok((frames, rest)) => assert!(frames.iter().chain(&rest).all(|(_, depths)| depths.len() == 12)),
+                Err(error) => {
+                    let told = format!("{error:#}");
+                    assert!(!told.contains("may this user read it"), "the file can be read: {told}");
+                }
+            }
         }
     }
 }
@@ -290,7 +341,7 @@ fn of_several_topics_one_has_to_be_named() {
     assert_eq!(
         told(&file, Config::default()).split_once("`: ").unwrap().1,
         format!(
-            "several topics carry depth images: `{IMAGES}`, `/left/depth`\n  hint: say which, such as topic = \"{IMAGES}\""
+            "several topics carry depth images: `{IMAGES}`, `/left/depth`\n  hint: say which, such as `topic = \"{IMAGES}\"`"
         )
     );
     assert_eq!(play(&file, topic("/left/depth")).unwrap().len(), 2);
@@ -299,6 +350,42 @@ fn of_several_topics_one_has_to_be_named() {
     assert!(wrong.contains("the topic `/right/depth` is not in the recording, or has no messages"), "{wrong}");
     assert!(wrong.ends_with(&format!("\n  hint: topics with such: `{IMAGES}`, `/left/depth`")), "{wrong}");
     assert!(told(&file, topic(INFO)).contains("carries `sensor_msgs/msg/CameraInfo` in `cdr`; expected depth images"));
+}
+
+#[test]
+fn what_a_recording_cannot_play_is_known_before_it_is_played() {
+    let faults = |bytes: &[u8], config: Config| {
+        let place = Place::of(bytes);
+        let faults = Config { path: Some("run.mcap".into()), ..config }.faults(place.0.path());
+        faults.into_iter().map(|fault| format!("`{}`: {}\n  hint: {}", fault.key, fault.what, fault.hint)).collect()
+    };
+    let fine: Vec<String> = faults(&usual(None), Config::default());
+    assert!(fine.is_empty(), "{fine:?}");
+    let two = Foreign::new(None).info(INFO).images(IMAGES, 0..1).images("/left/depth", 0..2).bytes();
+    let told: Vec<String> = faults(&two, Config::default());
+    assert!(told.len() == 1 && told[0].starts_with("`topic`: several topics carry depth images: "), "{told:?}");
+    let named: Vec<String> = faults(&two, topic(IMAGES));
+    assert!(named.is_empty(), "{named:?}");
+    // It may be that its lists are to be played.
+    let place = Place(tempfile::tempdir().unwrap());
+    record(&place.0.path().join("run.mcap"), Limits::default(), 0.001, 0..2);
+    let own =
+        Config { path: Some("run.mcap".into()), topic: Some("/left/objects/message".into()), ..Config::default() };
+    assert!(own.faults(place.0.path()).is_empty());
+}
+
+#[test]
+fn an_image_of_absurd_size_is_told_as_such() {
+    let mut huge = write_units(stamped(0), SIZE, &pixels(0), Vec::new());
+    // Height and width stand behind the stamp and the name of the frame.
+    let at = huge.windows(8).position(|bytes| bytes == [3, 0, 0, 0, 4, 0, 0, 0]).unwrap();
+    huge[at..at + 4].copy_from_slice(&u32::MAX.to_le_bytes());
+    let file = Foreign::new(None).info(INFO).put(IMAGES, IMAGE, 0, &huge).bytes();
+    let told = told(&file, Config::default());
+    assert!(
+        told.contains(&format!("the first image of `{IMAGES}`: an image of 4x4294967295 pixels, expected")),
+        "{told}"
+    );
 }
 
 #[test]
@@ -329,8 +416,15 @@ fn a_distorted_image_is_refused_and_the_rectified_one_named() {
     assert!(only_raw.ends_with("hint: rectify them by image_proc of ROS, and record that topic"), "{only_raw}");
     let mut file = Foreign::new(None);
     let file = file.put(INFO, CAMERA_INFO, 0, &info).images(raw, 0..1).images("/camera/depth/image_rect", 0..1).bytes();
-    assert!(told(&file, topic(raw)).ends_with("hint: topic = \"/camera/depth/image_rect\" is rectified"));
+    assert!(told(&file, topic(raw)).ends_with("hint: `topic = \"/camera/depth/image_rect\"` is rectified"));
     assert_eq!(play(&file, topic("/camera/depth/image_rect")).unwrap()[0].0.camera.fx, 45.0, "the projection's");
+    // Of both the one that can be played is proposed, as it is written there.
+    assert!(told(&file, Config::default()).ends_with("such as `topic = \"/camera/depth/image_rect\"`"));
+    let written_in = WrittenIn::CommandLine;
+    let shell = told(&file, Config { written_in, ..Config::default() });
+    assert!(shell.ends_with("hint: say which, such as `--topic /camera/depth/image_rect`"), "{shell}");
+    let shell = told(&file, Config { written_in, ..topic(raw) });
+    assert!(shell.ends_with("hint: `--topic /camera/depth/image_rect` is rectified"), "{shell}");
 }
 
 #[test]

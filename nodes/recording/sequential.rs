@@ -1,0 +1,248 @@
+//! Reads a file of a recording from its beginning to its end, past what is damaged in it.
+//!
+//! A record says how long it is. So what cannot be read, a chunk for the most part, is left out, and reading goes on behind it.
+
+use super::files::summary;
+use super::zstd::Zstd;
+use mcap::read::ChannelAccumulator;
+use mcap::records::{MessageHeader, Record, op};
+use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use mcap::{MAGIC, McapError, McapResult, Message, parse_record};
+use std::borrow::Cow;
+use std::fs::File;
+use std::io::{BufReader, ErrorKind, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+/// Read at once.
+const BUFFER_BYTES: usize = 1 << 20;
+/// What each record begins with: its kind and length.
+const RECORD_HEADER_BYTES: u64 = 9;
+
+/// A file that is being read.
+pub(super) struct Sequential {
+    path: PathBuf,
+    file: BufReader<File>,
+    file_bytes: u64,
+    reader: LinearReader,
+    /// Longest record.
+    limit: usize,
+    channels: ChannelAccumulator<'static>,
+    /// So far the file was read.
+    at: u64,
+    /// Where the record begins in which that is, or one before it.
+    record: u64,
+    /// Whether a chunk is checked before its messages are used.
+    is_checked: bool,
+    /// Whether all messages were read.
+    is_past_data: bool,
+    is_done: bool,
+    messages: u64,
+    /// So far it was read when the last of them was found.
+    message_at: u64,
+    /// What the first place was that was left out, and how many there were.
+    damage: Option<McapError>,
+    damaged: u64,
+}
+
+impl Sequential {
+    /// The messages of a file, with records that are no longer than `limit`.
+    pub(super) fn open(path: &Path, limit: usize) -> McapResult<Self> {
+        let file = File::open(path)?;
+        Ok(Self {
+            path: path.to_owned(),
+            file_bytes: file.metadata()?.len(),
+            file: BufReader::with_capacity(BUFFER_BYTES, file),
+            reader: reader(limit, false, true)?,
+            limit,
+            channels: ChannelAccumulator::default(),
+            at: 0,
+            record: MAGIC.len() as u64,
+            is_checked: true,
+            is_past_data: false,
+            is_done: false,
+            messages: 0,
+            message_at: 0,
+            damage: None,
+            damaged: 0,
+        })
+    }
+
+    /// What was wrong with the first place that was left out.
+    pub(super) fn damage(&self) -> Option<&McapError> {
+        self.damage.as_ref()
+    }
+
+    /// How many places were left out.
+    pub(super) fn damaged(&self) -> u64 {
+        self.damaged
+    }
+
+    fn read(&mut self) -> McapResult<Option<Message<'static>>> {
+        loop {
+            let read = match self.reader.next_event() {
+                None => return Ok(None),
+                Some(Ok(LinearReadEvent::ReadRequest(bytes))) => {
+                    let read = read_some(&mut self.file, self.reader.insert(bytes))?;
+                    self.reader.notify_read(read);
+                    self.at += read as u64;
+                    continue;
+                }
+                Some(Ok(LinearReadEvent::Record { opcode: op::DATA_END, .. })) => {
+                    self.is_past_data = true;
+                    continue;
+                }
+                // The end of the file repeats schemas and channels.
+                Some(Ok(_)) if self.is_past_data => continue,
+                Some(Ok(LinearReadEvent::Record { opcode, data })) => {
+                    take(opcode, data, &mut self.channels, self.damaged > 0)
+                }
+                Some(Err(error)) => Err(error),
+            };
+            match read {
+                Ok(None) => {}
+                Ok(Some(message)) => {
+                    self.messages += 1;
+                    self.message_at = self.at;
+                    return Ok(Some(message));
+                }
+                Err(error) => self.pass_over(of_content(error))?,
+            }
+        }
+    }
+
+    /// Goes on behind what is damaged; the damage is the end where nothing tells how long it is.
+    fn pass_over(&mut self, damage: McapError) -> McapResult<()> {
+        if self.at <= MAGIC.len() as u64 || self.is_past_data {
+            return Err(damage);
+        }
+        let Some((kind, end)) = self.find_record()? else { return Err(damage) };
+        // What is whole in a chunk that was cut counts, and so does a chunk that is too long to be checked first; if some of its
+        // messages were found, all were.
+        let is_long = match damage {
+            McapError::UnexpectedEof => self.at < end,
+            McapError::ChunkTooLarge(_) => true,
+            _ => false,
+        };
+        if kind == op::CHUNK && is_long && self.is_checked && self.message_at <= self.record {
+            return self.go_on(self.record, false);
+        }
+        let summary = summary(&self.path).ok().flatten();
+        let next = if end <= self.file_bytes {
+            Some(end)
+        } else {
+            let chunks = summary.iter().flat_map(|summary| &summary.chunk_indexes);
+            chunks.map(|chunk| chunk.chunk_start_offset).filter(|start| *start > self.record).min()
+        };
+        let Some(next) = next.filter(|next| *next < self.file_bytes) else { return Err(damage) };
+        if self.damage.is_none() {
+            // What is left out may have described channels.
+            self.channels = summary.map_or_else(
+                || std::mem::take(&mut self.channels),
+                |summary| ChannelAccumulator::from_summary(&summary),
+            );
+        }
+        self.damage.get_or_insert(damage);
+        self.damaged += 1;
+        self.go_on(next, true)
+    }
+
+    /// Finds the record in which reading has stopped: its kind, and where it ends; none where the file ends in its header.
+    fn find_record(&mut self) -> McapResult<Option<(u8, u64)>> {
+        loop {
+            self.file.seek(SeekFrom::Start(self.record))?;
+            let mut header = [0; RECORD_HEADER_BYTES as usize];
+            match self.file.read_exact(&mut header) {
+                Err(error) if error.kind() == ErrorKind::UnexpectedEof => return Ok(None),
+                read => read?,
+            }
+            let [kind, length @ ..] = header;
+            let end = (self.record + RECORD_HEADER_BYTES).saturating_add(u64::from_le_bytes(length));
+            if end >= self.at {
+                return Ok(Some((kind, end)));
+            }
+            self.record = end;
+        }
+    }
+
+    /// Reads on at a record.
+    fn go_on(&mut self, record: u64, is_checked: bool) -> McapResult<()> {
+        self.file.seek(SeekFrom::Start(record))?;
+        self.reader = reader(self.limit, true, is_checked)?;
+        (self.at, self.record, self.is_checked) = (record, record, is_checked);
+        Ok(())
+    }
+}
+
+impl Iterator for Sequential {
+    type Item = McapResult<Message<'static>>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.is_done {
+            return None;
+        }
+        let mut next = self.read();
+        self.is_done = !matches!(next, Ok(Some(_)));
+        // Where nothing is left, the damage is what there is to tell.
+        if self.is_done
+            && self.messages == 0
+            && let Some(damage) = self.damage.take()
+        {
+            next = Err(damage);
+        }
+        next.transpose()
+    }
+}
+
+/// The message that a record holds, with its channel, if it holds one; where something was left out, that may have described the
+/// channel.
+fn take(
+    opcode: u8,
+    data: &[u8],
+    channels: &mut ChannelAccumulator<'static>,
+    is_damaged: bool,
+) -> McapResult<Option<Message<'static>>> {
+    match parse_record(opcode, data)? {
+        Record::Schema { header, data } => channels.add_schema(header, Cow::Owned(data.into_owned()))?,
+        Record::Channel(channel) => channels.add_channel(channel)?,
+        Record::Message { header, data } => {
+            let MessageHeader { channel_id, sequence, log_time, publish_time } = header;
+            let Some(channel) = channels.get(channel_id) else {
+                let unknown = McapError::UnknownChannel(sequence, channel_id);
+                return if is_damaged { Ok(None) } else { Err(unknown) };
+            };
+            let data = Cow::Owned(data.into_owned());
+            return Ok(Some(Message { channel, sequence, log_time, publish_time, data }));
+        }
+        _ => {}
+    }
+    Ok(None)
+}
+
+/// Reads the records from the beginning of a file, or those that follow where `is_inside`.
+fn reader(limit: usize, is_inside: bool, is_checked: bool) -> McapResult<LinearReader> {
+    let options = LinearReaderOptions::default()
+        .with_skip_start_magic(is_inside)
+        .with_validate_chunk_crcs(true)
+        .with_prevalidate_chunk_crcs(is_checked)
+        .with_record_length_limit(limit);
+    let mut reader = LinearReader::new_with_options(options);
+    reader.add_decompressor(Zstd::default())?;
+    Ok(reader)
+}
+
+fn read_some(file: &mut impl Read, target: &mut [u8]) -> std::io::Result<usize> {
+    loop {
+        match file.read(target) {
+            Err(error) if error.kind() == ErrorKind::Interrupted => {}
+            read => return read,
+        }
+    }
+}
+
+/// An error of what a file holds: lz4 tells its own as if the file could not be read.
+pub(super) fn of_content(error: McapError) -> McapError {
+    match error {
+        McapError::Io(error) => McapError::DecompressionError(error.to_string()),
+        other => other,
+    }
+}
