@@ -14,6 +14,7 @@ import json
 import struct
 import sys
 import threading
+import time
 
 import zenoh
 
@@ -107,7 +108,10 @@ def main(endpoint, pipeline, machine, topic):
             done.set()
 
     with zenoh.open(config) as session:
+        while not session.info.peers_zid() and not session.info.routers_zid():
+            time.sleep(0.1)  # it connects as soon as there is somebody
         subscriber = session.declare_subscriber(f"conicflow/{pipeline}/{machine}/{topic}", receive)
+        print("listening", file=sys.stderr, flush=True)
         done.wait()
         subscriber.undeclare()
 

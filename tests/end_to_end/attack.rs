@@ -23,7 +23,7 @@ use zenoh::sample::Locality;
 const ROUNDS: &str = "CONICFLOW_ATTACK_ROUNDS";
 const SEED: &str = "CONICFLOW_ATTACK_SEED";
 /// No round lasts longer, unless it stands still: frames are few, and nobody is stopped for long.
-const LONGEST: Duration = Duration::from_secs(60);
+const LONGEST: Duration = Duration::from_secs(120);
 const LOOK: Duration = Duration::from_millis(2);
 /// A minute on two busy cores.
 const DEFAULT_ROUNDS: u64 = 16;

@@ -1,14 +1,12 @@
 //! Stages that are killed where no message may be missed: they come back, are handed again what they had not finished, and the
 //! results are those of a run in which nobody was killed.
 
-use crate::processes::stages_of;
+use crate::processes::{UNDER_WAY, stages_of};
 use crate::programs::program;
 use crate::support::{Ended, Playground, RECORDING, Started, TRACKING, TRACKING_STAGES, signal};
 use conicflow_lab::simulator::scene::Scene;
 use rustix::process::Signal;
 use serde_json::Value as Json;
-
-const FRAMES: u64 = 300;
 
 /// The lines of results, but for the times in them.
 fn lines(playground: &Playground, name: &str) -> Vec<Json> {
@@ -19,79 +17,101 @@ fn lines(playground: &Playground, name: &str) -> Vec<Json> {
     playground.json_lines(name).into_iter().map(without_time).collect()
 }
 
-fn run(playground: &Playground, rate_hz: u64) -> Started {
-    let (frames, rate) = (FRAMES.to_string(), format!("source.rate_hz={rate_hz}"));
-    playground.start(&["run", "--frames", &frames, "--set", &rate])
+/// A run at this rate, until it is told to end.
+fn start(playground: &Playground, rate_hz: u64) -> Started {
+    playground.start(&["run", "--set", &format!("source.rate_hz={rate_hz}")])
 }
 
-/// Kills a stage after it has got so far, and waits until another process is at work in its place.
-fn kill(run: &mut Started, playground: &Playground, stage: &str, name: &str, after: u64) {
-    run.wait_until("it is as far", || playground.newest(name) >= after);
-    let before = stages_of(run.id())[stage];
+/// Ends a run in order: what was made is delivered. How many frames were made, too.
+fn end(run: Started) -> (Ended, u64) {
+    signal(run.id(), Signal::INT);
+    let ended = run.wait().expect_code(0);
+    let made = ended.stage("source").messages;
+    (ended, made)
+}
+
+/// Kills a stage after results have got so far, and waits until another process is in its place. How far results get as soon as
+/// that process has worked: if a neighbour died before, both together would lose what only they had.
+fn kill(run: &mut Started, stage: &str, newest: impl Fn() -> u64, after: u64) -> u64 {
+    run.wait_until("it is as far", || newest() >= after);
+    let (launcher, before) = (run.id(), stages_of(run.id())[stage]);
     signal(before, Signal::KILL);
-    let launcher = run.id();
+    let at = newest();
     run.wait_until("the stage is back", || stages_of(launcher).get(stage).is_some_and(|process| *process != before));
+    at + UNDER_WAY
 }
 
-fn expect_nothing_lost(ended: &Ended) {
+/// Kills stages one after another, each when the successor of the one before has worked; waits for that of the last, too.
+fn kill_in_turn(run: &mut Started, stages: &[&str], newest: impl Fn() -> u64) {
+    let after = stages.iter().fold(40, |after, stage| kill(run, stage, &newest, after));
+    run.wait_until("all have worked", || newest() >= after);
+}
+
+fn expect_nothing_lost(ended: &Ended, made: u64) {
     for (pair, topic) in TRACKING_STAGES.windows(2).zip(["depth", "ellipses", "objects", "tracks"]) {
         let row = ended.input(topic, pair[1]);
-        assert_eq!((row.received, row.dropped, row.gaps), (FRAMES, 0, 0), "{topic}: {}", ended.stderr);
+        assert_eq!((row.received, row.dropped, row.gaps), (made, 0, 0), "{topic}: {}", ended.stderr);
     }
 }
 
 #[test]
 fn a_stage_that_is_killed_again_and_again_loses_nothing() {
     let playground = Playground::with_pipeline(TRACKING);
-    run(&playground, 100).wait().expect_code(0);
-    let expected = lines(&playground, "tracks.jsonl");
-    assert_eq!(expected.len() as u64, FRAMES);
-    std::fs::remove_file(playground.path("tracks.jsonl")).unwrap();
-    let mut run = run(&playground, 100);
-    for index in 0..4 {
-        kill(&mut run, &playground, "assembler", "tracks.jsonl", 40 + 50 * index);
-    }
-    let ended = run.wait().expect_code(0);
-    expect_nothing_lost(&ended);
+    let mut run = start(&playground, 100);
+    kill_in_turn(&mut run, &["assembler"; 4], || playground.newest("tracks.jsonl"));
+    let (ended, made) = end(run);
+    expect_nothing_lost(&ended, made);
     assert_eq!(ended.stage("assembler").starts, 5, "{}", ended.stderr);
-    assert!(lines(&playground, "tracks.jsonl") == expected, "{}", ended.stderr);
+    let found = lines(&playground, "tracks.jsonl");
+    assert_eq!(found.len() as u64, made);
+    std::fs::remove_file(playground.path("tracks.jsonl")).unwrap();
+    let arguments = ["run", "--set", "source.rate_hz=100", "--frames", &made.to_string()];
+    playground.conicflow(&arguments).expect_code(0);
+    assert!(found == lines(&playground, "tracks.jsonl"), "{}", ended.stderr);
 }
 
 #[test]
 fn a_sink_and_stages_with_a_memory_get_each_frame_once() {
     let playground = Playground::with_pipeline(TRACKING);
-    let mut run = run(&playground, 100);
-    for (index, stage) in ["json", "tracker", "extractor", "json", "json"].into_iter().enumerate() {
-        kill(&mut run, &playground, stage, "tracks.jsonl", 40 + 60 * index as u64);
-    }
-    let ended = run.wait().expect_code(0);
-    expect_nothing_lost(&ended);
-    assert!(playground.sequences("tracks.jsonl").into_iter().eq(0..FRAMES), "{}", ended.stderr);
+    let mut run = start(&playground, 100);
+    let stages = ["json", "tracker", "extractor", "json", "json"];
+    kill_in_turn(&mut run, &stages, || playground.newest("tracks.jsonl"));
+    let (ended, made) = end(run);
+    expect_nothing_lost(&ended, made);
+    assert!(playground.sequences("tracks.jsonl").into_iter().eq(0..made), "{}", ended.stderr);
 }
 
 #[test]
 fn what_waits_for_a_stage_that_stands_still_outlives_it_and_the_end_of_the_stream() {
     let playground = Playground::with_pipeline(TRACKING);
-    let mut run = run(&playground, 40);
+    let mut run = start(&playground, 40);
     run.wait_until("it delivers", || playground.newest("tracks.jsonl") > 20);
-    // Once with full queues before it, and once when nothing more than these is to come.
-    for after in [20, FRAMES - 12] {
-        run.wait_until("it is as far", || playground.newest("tracks.jsonl") >= after);
-        let (launcher, before) = (run.id(), stages_of(run.id())["assembler"]);
-        signal(before, Signal::STOP);
-        std::thread::sleep(std::time::Duration::from_millis(700));
-        signal(before, Signal::KILL);
-        run.wait_until("it is back", || stages_of(launcher).get("assembler").is_some_and(|process| *process != before));
-    }
+    // Once with full queues before it, ...
+    let launcher = run.id();
+    let before = stages_of(launcher)["assembler"];
+    signal(before, Signal::STOP);
+    run.wait_until("the queues are full", || playground.top()["stages"][0]["waits_for"] == "extractor");
+    signal(before, Signal::KILL);
+    run.wait_until("it is back", || stages_of(launcher).get("assembler").is_some_and(|process| *process != before));
+    let after = playground.newest("tracks.jsonl") + UNDER_WAY;
+    run.wait_until("it has worked", || playground.newest("tracks.jsonl") >= after);
+    // ... and once when nothing more than what waits is to come.
+    let before = stages_of(launcher)["assembler"];
+    signal(before, Signal::STOP);
+    signal(launcher, Signal::INT);
+    std::thread::sleep(std::time::Duration::from_millis(700));
+    signal(before, Signal::KILL);
     let ended = run.wait().expect_code(0);
-    expect_nothing_lost(&ended);
-    assert!(playground.sequences("tracks.jsonl").into_iter().eq(0..FRAMES), "{}", ended.stderr);
+    let made = ended.stage("source").messages;
+    expect_nothing_lost(&ended, made);
+    assert_eq!(ended.stage("assembler").starts, 3, "{}", ended.stderr);
+    assert!(playground.sequences("tracks.jsonl").into_iter().eq(0..made), "{}", ended.stderr);
 }
 
 #[test]
 fn a_stage_that_is_killed_while_the_run_ends_in_order_still_delivers() {
     let playground = Playground::with_pipeline(TRACKING);
-    let mut run = playground.start(&["run", "--set", "source.rate_hz=100"]);
+    let mut run = start(&playground, 100);
     run.wait_until("it delivers", || playground.newest("tracks.jsonl") > 20);
     let tracker = stages_of(run.id())["tracker"];
     signal(tracker, Signal::STOP);
@@ -114,30 +134,43 @@ fn side_inputs_come_again_with_their_frame() {
          input = {{ topic = \"objects\", delivery = \"lossless\" }}\ninputs = {{ {inputs} }}\n"
     );
     let playground = Playground::with_pipeline(&format!("{TRACKING}{sink}"));
-    let mut run = run(&playground, 100);
-    for (index, stage) in ["pairing", "assembler", "pairing", "extractor", "pairing"].into_iter().enumerate() {
-        kill(&mut run, &playground, stage, "tracks.jsonl", 40 + 50 * index as u64);
-    }
-    let ended = run.wait().expect_code(0);
+    let mut run = start(&playground, 100);
+    // Both sinks have to get so far.
+    let newest = || {
+        let last = playground.lines("pairs.txt").pop();
+        let paired = last.map_or(0, |line| line.split(' ').next().unwrap().parse().unwrap());
+        playground.newest("tracks.jsonl").min(paired)
+    };
+    kill_in_turn(&mut run, &["pairing", "assembler", "pairing", "extractor", "pairing"], newest);
+    let (ended, made) = end(run);
     let mut pairs = playground.lines("pairs.txt");
     // This sink writes a line before it spends its time, and does not look which ones are there.
     pairs.dedup();
-    let expected: Vec<_> = (0..FRAMES).map(|frame| format!("{frame} {frame} {frame}")).collect();
+    let expected: Vec<_> = (0..made).map(|frame| format!("{frame} {frame} {frame}")).collect();
     assert_eq!(pairs, expected, "{}", ended.stderr);
 }
 
 #[test]
 fn a_recording_is_read_once_whoever_is_killed() {
+    const FRAMES: u64 = 120;
+    const RECORDED: u64 = 40;
     let playground = Playground::with_pipeline(RECORDING);
-    let camera = playground.record(Scene::built_in("tabletop").unwrap().unwrap(), 3, 60);
+    let camera = playground.record(Scene::built_in("tabletop").unwrap().unwrap(), 3, RECORDED);
+    // What the images show does not matter, but that there are so many.
+    for frame in RECORDED..FRAMES {
+        let path = |frame: u64| playground.path(&format!("frames/{frame}.png"));
+        std::fs::hard_link(path(frame % RECORDED), path(frame)).unwrap();
+    }
     let set = format!(
         "source.intrinsics={{ fx = {:?}, fy = {:?}, cx = {:?}, cy = {:?} }}",
         camera.fx, camera.fy, camera.cx, camera.cy
     );
-    let mut run = playground.start(&["run", "--set", "source.rate_hz=30", "--set", &set]);
-    for (after, stage) in [(10, "extractor"), (20, "source"), (35, "assembler")] {
-        kill(&mut run, &playground, stage, "objects.jsonl", after);
+    let mut run = playground.start(&["run", "--set", "source.rate_hz=15", "--set", &set]);
+    let newest = || playground.newest("objects.jsonl");
+    let mut after = 5;
+    for stage in ["extractor", "source", "assembler"] {
+        after = kill(&mut run, stage, newest, after);
     }
     let ended = run.wait().expect_code(0);
-    assert!(playground.sequences("objects.jsonl").into_iter().eq(0..60), "{}", ended.stderr);
+    assert!(playground.sequences("objects.jsonl").into_iter().eq(0..FRAMES), "{}", ended.stderr);
 }

@@ -4,7 +4,7 @@
 
 use super::bridge::machines;
 use super::certificates::make_certificates;
-use super::hosts::{Hosts, ROBOT, STALE_MS, end, nothing_is_lost};
+use super::hosts::{Hosts, MOST_STALE, ROBOT, end, nothing_is_lost, stale};
 use super::support::{Playground, Started};
 use std::time::Instant;
 
@@ -93,6 +93,11 @@ impl Written {
         Self { first: sequence(lines.first()), last: sequence(lines.last()), latencies_ms }
     }
 
+    /// Whether what came had waited in a queue: much of it, or, where little came, most of it.
+    fn is_backlog(&self) -> bool {
+        stale(self.latencies_ms.iter().copied()) > MOST_STALE.min(self.latencies_ms.len() / 2)
+    }
+
     /// Share of the frames that came.
     fn share(&self) -> f64 {
         self.latencies_ms.len() as f64 / (self.last - self.first + 1) as f64
@@ -129,6 +134,61 @@ impl Robot<'_> {
 
 /// What the sinks of the base write.
 const FILES: [&str; 2] = ["lists.jsonl", "images.jsonl"];
+/// Windows of which one has to be good: on a host that is busy with other things many may be bad.
+const TRIES: usize = 5;
+/// The radio is dead for so many frames, of which a backlog has more that are stale than are let pass.
+const DEAD_FRAMES: u64 = 160;
+
+/// Both at work, and what the robot did before the base was there.
+struct Pair<'a> {
+    robot: Robot<'a>,
+    base: &'a Playground,
+    base_run: Started,
+    alone: Written,
+}
+
+impl Pair<'_> {
+    /// What the robot does while `during` disturbs the radio, and what the base has of lists and of images when all came that
+    /// was to come.
+    fn window(&mut self, what: &str, during: impl FnOnce(&mut Robot<'_>)) -> (Written, [Written; 2]) {
+        let base = self.base;
+        let before = FILES.map(|file| base.lines(file).len());
+        let robot = self.robot.watch(what, during);
+        let (frame, since) = (self.robot.frame(), Instant::now());
+        for file in FILES {
+            self.base_run.wait_until("messages arrive again", || base.newest(file) > frame);
+            eprintln!("base, {file}: messages came again {:.1?} after `{what}`", since.elapsed());
+        }
+        (robot, [0, 1].map(|index| show(base, FILES[index], before[index])))
+    }
+
+    /// Repeats a window until the robot has not felt it, no backlog has come, and nothing is wrong with the lists.
+    fn expect_a_good_window(
+        &mut self,
+        what: &str,
+        during: impl Fn(&mut Robot<'_>),
+        wrong_with_lists: impl Fn(&Written) -> Option<&'static str>,
+    ) {
+        let mut faults = Vec::new();
+        while faults.len() < TRIES {
+            let (robot, came) = self.window(what, &during);
+            // Whoever waited for the radio would lose all frames; a host that is busy otherwise loses some, now and then.
+            let unfelt =
+                robot.share() > 0.75 * self.alone.share() && robot.latency(0.5) < 2.0 * self.alone.latency(0.5) + 20.0;
+            let is_stale = came.iter().any(Written::is_backlog);
+            let fault = match (unfelt, is_stale) {
+                (false, _) => Some("the robot felt it"),
+                (_, true) => Some("a stale backlog"),
+                _ => wrong_with_lists(&came[0]),
+            };
+            match fault {
+                Some(fault) => faults.push(fault),
+                None => return,
+            }
+        }
+        panic!("{what}: {faults:?}");
+    }
+}
 
 /// What came to the base, from a line on.
 fn show(base: &Playground, file: &str, from: usize) -> Written {
@@ -153,45 +213,39 @@ fn the_robot_does_not_feel_a_bad_radio_and_lists_stay_fresh_while_images_are_lat
     base_run.wait_until("lists arrive", arrives("lists.jsonl", frame));
     base_run.wait_until("images arrive", arrives("images.jsonl", frame));
     base_run.wait_for_text("topic `objects` of machine `robot` comes by datagrams");
-    let lines = || FILES.map(|file| base.lines(file).len());
-    let before = lines();
-    let slow = robot.watch("radio slow", |robot| robot.go_on(300));
-    let [lists, images] = [0, 1].map(|index| show(base, FILES[index], before[index]));
-    let before = lines();
-    let disturbed = [
-        slow,
-        robot.watch("radio dead", |robot| {
+    let mut pair = Pair { robot, base, base_run, alone };
+    // The radio takes 100 ms, and every twentieth packet.
+    pair.expect_a_good_window(
+        "radio slow",
+        |robot| robot.go_on(300),
+        |lists| match (lists.share() > 0.6, lists.latency(0.5) < 200.0) {
+            (false, _) => Some("more lists are lost than packets, of which a busy host adds some"),
+            (_, false) => Some("lists wait for what was lost, or behind images"),
+            _ => None,
+        },
+    );
+    pair.expect_a_good_window(
+        "radio dead",
+        |robot| {
             hosts.cable("down");
-            robot.go_on(60);
+            robot.go_on(DEAD_FRAMES);
             hosts.cable("up");
-        }),
-        robot.watch("radio flapping", |robot| {
+        },
+        |_| None,
+    );
+    pair.expect_a_good_window(
+        "radio flapping",
+        |robot| {
             for _ in 0..6 {
                 hosts.cable("down");
                 robot.go_on(8);
                 hosts.cable("up");
                 robot.go_on(8);
             }
-        }),
-    ];
-    let (frame, since) = (robot.frame(), Instant::now());
-    for file in FILES {
-        base_run.wait_until("messages arrive again", arrives(file, frame));
-        eprintln!("base, {file}: messages came again {:.1?} after the radio was back", since.elapsed());
-    }
-    let after = [0, 1].map(|index| show(base, FILES[index], before[index]));
-    end([robot.run, base_run]);
-    for written in disturbed {
-        // Whoever waited for the radio would lose all frames; a host that is busy otherwise loses some, now and then.
-        assert!(written.share() > 0.75 * alone.share() && written.latency(0.5) < 2.0 * alone.latency(0.5) + 20.0);
-    }
-    // The radio takes 100 ms, and every twentieth packet.
-    assert!(lists.share() > 0.6, "more lists are lost than packets, of which a busy host adds some");
-    assert!(lists.latency(0.5) < 200.0, "lists wait for what was lost, or behind images");
-    [lists, images]
-        .iter()
-        .chain(&after)
-        .for_each(|written| assert!(written.latency(1.0) < STALE_MS, "a stale backlog"));
+        },
+        |_| None,
+    );
+    end([pair.robot.run, pair.base_run]);
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! A long live run: memory, open files and shared memory stay what they were. An hour of it, with its latencies:
 //! `CONICFLOW_SOAK_S=3600 cargo test --release --test end_to_end -- soak --nocapture`
 
-use crate::processes::{files_in_shared_memory, shared_files, shared_prefix, stages_of, wait_for_lines};
+use crate::processes::{files_in_shared_memory, shared_files, shared_prefix, stages_of};
 use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, signal};
 use rustix::process::Signal;
 use std::collections::{BTreeMap, BTreeSet};
@@ -10,8 +10,10 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 const SECONDS: &str = "CONICFLOW_SOAK_S";
-const DEFAULT_SECONDS: u64 = 15;
+const DEFAULT_SECONDS: u64 = 12;
 const SAMPLES: u64 = 60;
+/// After so many frames each stage has come to use what it needs.
+const WARM_UP_FRAMES: u64 = 100;
 /// What a process may grow by: a few pages that it had not come to use before.
 const SLACK_KB: u64 = 512;
 /// What a stage may have, once it has settled.
@@ -77,7 +79,7 @@ fn a_long_run_uses_no_more_at_its_end_than_at_its_begin() {
     let camera = ["source.intrinsics={ fx = 525, fy = 525, cx = 319.5, cy = 239.5 }", "source.scene=tabletop"];
     let sets = sizes.into_iter().chain(camera).flat_map(|set| ["--set", set]);
     let mut run = playground.start(&["run"].into_iter().chain(sets).collect::<Vec<_>>());
-    wait_for_lines(&mut run, &playground);
+    run.wait_until("the stages are warm", || playground.newest("tracks.jsonl") > WARM_UP_FRAMES);
     let prefix = shared_prefix(&run);
     let begin = Instant::now();
     let due = |number: u64| begin + Duration::from_secs_f64(seconds as f64 * number as f64 / SAMPLES as f64);
@@ -89,7 +91,7 @@ fn a_long_run_uses_no_more_at_its_end_than_at_its_begin() {
     signal(run.id(), Signal::INT);
     let ended = run.wait().expect_code(0);
     assert_eq!(files_in_shared_memory(&prefix), [""; 0], "left in shared memory");
-    // The first fifth is for warming up.
+    // In a long run the first fifth is for warming up, too.
     let (first, last) = (&samples[samples.len() / 5], samples.last().unwrap());
     for stage in TRACKING_STAGES {
         let (before, after) = (first.stages[stage], last.stages[stage]);

