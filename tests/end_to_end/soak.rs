@@ -93,11 +93,16 @@ fn a_long_run_uses_no_more_at_its_end_than_at_its_begin() {
     assert_eq!(files_in_shared_memory(&prefix), [""; 0], "left in shared memory");
     // In a long run the first fifth is for warming up, too.
     let (first, last) = (&samples[samples.len() / 5], samples.last().unwrap());
+    // Any single look may come when a stage has a file open for a moment.
+    const LOOKS: usize = 6;
+    let (early, late) = (&samples[samples.len() / 5..][..LOOKS], &samples[samples.len() - LOOKS..]);
+    let open_files =
+        |part: &[Sample], stage: &str| part.iter().map(|sample| sample.stages[stage].open_files).min().unwrap();
     for stage in TRACKING_STAGES {
         let (before, after) = (first.stages[stage], last.stages[stage]);
         println!("{stage}: {before:?}, after {seconds} s {after:?}");
         assert!(after.private_kb <= before.private_kb + SLACK_KB, "{stage}: {before:?}, {after:?}");
-        assert_eq!(after.open_files, before.open_files, "{stage}");
+        assert_eq!(open_files(late, stage), open_files(early, stage), "{stage}");
         assert!(after.threads <= MOST_THREADS, "{stage}: {after:?}");
         // A program that was not optimised is longer.
         assert!(cfg!(debug_assertions) || after.resident_kb <= MOST_RESIDENT_KB, "{stage}: {after:?}");
