@@ -4,7 +4,7 @@
 //! what is left out because it is damaged.
 
 use super::indexed::Indexed;
-use super::sequential::Sequential;
+use super::sequential::{LeftOut, Sequential};
 use crate::sources::image_source::natural;
 use anyhow::{Context as _, Result, bail};
 use conicflow_messages::Hinted;
@@ -240,19 +240,11 @@ impl OpenFile {
         Ok(Self { path: path.to_owned(), reader: Reader::Indexed(Box::new(reader)) })
     }
 
-    /// What was wrong with the first place that was left out.
-    fn damage(&self) -> Option<&McapError> {
+    /// What was left out so far.
+    fn left_out(&self) -> &LeftOut {
         match &self.reader {
-            Reader::Whole(reader) => reader.damage(),
-            Reader::Indexed(reader) => reader.damage(),
-        }
-    }
-
-    /// How many places were left out so far.
-    fn damaged(&self) -> u64 {
-        match &self.reader {
-            Reader::Whole(reader) => reader.damaged(),
-            Reader::Indexed(reader) => reader.damaged(),
+            Reader::Whole(reader) => reader.left_out(),
+            Reader::Indexed(reader) => reader.left_out(),
         }
     }
 }
@@ -292,7 +284,7 @@ pub struct Messages {
 impl Messages {
     /// How many places were left out so far, because they are damaged.
     pub fn damaged(&self) -> u64 {
-        self.damaged + self.open.as_ref().map_or(0, |(file, _)| file.damaged())
+        self.damaged + self.open.as_ref().map_or(0, |(file, _)| file.left_out().count)
     }
 
     fn read(&mut self) -> Result<Option<Message<'static>>> {
@@ -306,9 +298,9 @@ impl Messages {
                 self.open = Some((file, 0));
                 continue;
             };
-            let was_whole = file.damage().is_none();
+            let was_whole = file.left_out().count == 0;
             let next = file.next();
-            if let (false, true, Some(damage)) = (self.is_told, was_whole, file.damage()) {
+            if let (false, true, Some(damage)) = (self.is_told, was_whole, &file.left_out().first) {
                 tracing::warn!("`{}` is damaged ({damage}): what is whole in it is used", file.path.display());
             }
             match next {
@@ -320,7 +312,7 @@ impl Messages {
                     }
                 }
                 None => {
-                    self.damaged += file.damaged();
+                    self.damaged += file.left_out().count;
                     self.open = None;
                 }
                 Some(Err(error)) => {
@@ -330,7 +322,7 @@ impl Messages {
                     if !self.is_told {
                         tracing::warn!("{damage}");
                     }
-                    self.damaged += file.damaged();
+                    self.damaged += file.left_out().count;
                     self.open = None;
                 }
             }

@@ -1,6 +1,6 @@
 //! Reads a file of a recording from some time on, by what its end tells of where its messages are: in the order of their times.
 
-use super::sequential::of_content;
+use super::sequential::{LeftOut, of_content};
 use super::zstd::Zstd;
 use mcap::records::MessageHeader;
 use mcap::sans_io::indexed_reader::{IndexedReadEvent, IndexedReader, IndexedReaderOptions};
@@ -23,9 +23,7 @@ pub(super) struct Indexed {
     last: (u64, usize),
     /// So many messages of that time are read once more.
     again: usize,
-    /// What the first chunk was that was left out, and how many there were.
-    damage: Option<McapError>,
-    damaged: u64,
+    left_out: LeftOut,
 }
 
 /// What is read of a file.
@@ -68,19 +66,12 @@ impl Indexed {
             chunk: Vec::new(),
             last: (from_ns, 0),
             again: 0,
-            damage: None,
-            damaged: 0,
+            left_out: LeftOut::default(),
         })
     }
 
-    /// What was wrong with the first chunk that was left out.
-    pub(super) fn damage(&self) -> Option<&McapError> {
-        self.damage.as_ref()
-    }
-
-    /// How many chunks were left out.
-    pub(super) fn damaged(&self) -> u64 {
-        self.damaged
+    pub(super) fn left_out(&self) -> &LeftOut {
+        &self.left_out
     }
 
     fn read(&mut self) -> McapResult<Option<Message<'static>>> {
@@ -123,8 +114,7 @@ impl Indexed {
         self.summary.chunk_indexes.retain(|chunk| chunk.compressed_data_offset().ok() != Some(offset));
         self.reader = self.wanted.reader(&self.summary, self.last.0)?;
         self.again = self.last.1;
-        self.damage.get_or_insert(damage);
-        self.damaged += 1;
+        self.left_out.add(damage);
         Ok(())
     }
 }

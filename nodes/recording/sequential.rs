@@ -39,9 +39,22 @@ pub(super) struct Sequential {
     messages: u64,
     /// So far it was read when the last of them was found.
     message_at: u64,
-    /// What the first place was that was left out, and how many there were.
-    damage: Option<McapError>,
-    damaged: u64,
+    left_out: LeftOut,
+}
+
+/// The places of a file that were left out, because they are damaged.
+#[derive(Default)]
+pub(super) struct LeftOut {
+    /// What was wrong with the first of them.
+    pub first: Option<McapError>,
+    pub count: u64,
+}
+
+impl LeftOut {
+    pub fn add(&mut self, damage: McapError) {
+        self.first.get_or_insert(damage);
+        self.count += 1;
+    }
 }
 
 impl Sequential {
@@ -62,19 +75,12 @@ impl Sequential {
             is_done: false,
             messages: 0,
             message_at: 0,
-            damage: None,
-            damaged: 0,
+            left_out: LeftOut::default(),
         })
     }
 
-    /// What was wrong with the first place that was left out.
-    pub(super) fn damage(&self) -> Option<&McapError> {
-        self.damage.as_ref()
-    }
-
-    /// How many places were left out.
-    pub(super) fn damaged(&self) -> u64 {
-        self.damaged
+    pub(super) fn left_out(&self) -> &LeftOut {
+        &self.left_out
     }
 
     fn read(&mut self) -> McapResult<Option<Message<'static>>> {
@@ -94,7 +100,7 @@ impl Sequential {
                 // The end of the file repeats schemas and channels.
                 Some(Ok(_)) if self.is_past_data => continue,
                 Some(Ok(LinearReadEvent::Record { opcode, data })) => {
-                    take(opcode, data, &mut self.channels, self.damaged > 0)
+                    take(opcode, data, &mut self.channels, self.left_out.count > 0)
                 }
                 Some(Err(error)) => Err(error),
             };
@@ -134,15 +140,14 @@ impl Sequential {
             chunks.map(|chunk| chunk.chunk_start_offset).filter(|start| *start > self.record).min()
         };
         let Some(next) = next.filter(|next| *next < self.file_bytes) else { return Err(damage) };
-        if self.damage.is_none() {
+        if self.left_out.count == 0 {
             // What is left out may have described channels.
             self.channels = summary.map_or_else(
                 || std::mem::take(&mut self.channels),
                 |summary| ChannelAccumulator::from_summary(&summary),
             );
         }
-        self.damage.get_or_insert(damage);
-        self.damaged += 1;
+        self.left_out.add(damage);
         self.go_on(next, true)
     }
 
@@ -185,7 +190,7 @@ impl Iterator for Sequential {
         // Where nothing is left, the damage is what there is to tell.
         if self.is_done
             && self.messages == 0
-            && let Some(damage) = self.damage.take()
+            && let Some(damage) = self.left_out.first.take()
         {
             next = Err(damage);
         }

@@ -29,8 +29,9 @@ pub(super) const SPARE_READERS: usize = 8;
 /// Messages that one reader may hold at a time: one for each source on a topic, or those that it keeps, and some in use.
 const MAX_HELD: usize = MAX_KEPT + 4;
 
-/// A part of shared memory that another process has begun to make is waited for so long.
-const CREATION_TIMEOUT: Duration = Duration::from_secs(10);
+/// A part of shared memory that another process has begun to make is waited for so long: shorter than a run that ends waits for
+/// what is under way, since that process may have been killed.
+const CREATION_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// This process's access to the topics of one run; its readers and writers need it as long as they are at work.
 pub struct SharedMemory {
