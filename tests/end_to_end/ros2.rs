@@ -267,6 +267,44 @@ fn images_that_come_below_the_key_are_taken() {
     run.wait().expect_code(0);
 }
 
+/// Where nodes speak DDS, `zenoh-bridge-ros2dds` carries their topics: by their names, with tokens of its own and no attachments.
+#[test]
+fn topics_that_a_bridge_carries_from_dds_come_and_go() {
+    const FRAMES: usize = 20;
+    let (files, camera, images) = recorded(RECORDING, FRAMES as u64);
+    files.conicflow(&["run"]).expect_code(0);
+    let endpoint = loopback();
+    let _router = router(&endpoint);
+    let session = robot(&endpoint);
+    let heard = session.declare_subscriber("conicflow/**").wait().unwrap();
+    let text = by_ros(RECORDING, &endpoint).replace("[stage.extractor]", "via = \"ros2dds\"\n\n[stage.extractor]");
+    let sink = "input = { topic = \"objects\", delivery = \"lossless\" }\nvia = \"ros2dds\"";
+    let playground = Playground::with_pipeline(&format!(
+        "{text}\n[stage.ros]\nnode = \"ros2_sink\"\n{sink}\nconnect = [\"{endpoint}\"]\n"
+    ));
+    let mut run = playground.start(&["run", "--frames", &FRAMES.to_string()]);
+    wait_until("our end is told", || {
+        let answers = session.liveliness().get("@/*/@ros2_lv/MS/**").wait().unwrap();
+        let tokens = answers.iter().filter_map(|answer| Some(answer.into_result().ok()?.key_expr().to_string()));
+        tokens.into_iter().any(|token| token.contains("/camera§depth§image_rect_raw/sensor_msgs§msg§Image/"))
+    });
+    let put = |key: &str, message: Vec<u8>| {
+        session.put(key, message).congestion_control(CongestionControl::Block).wait().unwrap();
+    };
+    for (number, image) in images.iter().enumerate() {
+        let stamped = Stamped { stamp_ns: 1_700_000_000_000_000_000 + number as u64, frame_id: FRAME };
+        put("camera/depth/camera_info", CameraInfo::write(stamped, &camera, Vec::new()));
+        put("camera/depth/image_rect_raw", write_units(stamped, (camera.width, camera.height), image, Vec::new()));
+        run.wait_until("its objects are written", || playground.lines("objects.jsonl").len() + 2 > number);
+    }
+    run.wait().expect_code(0);
+    assert!(objects(&playground.json_lines("objects.jsonl")) == objects(&files.json_lines("objects.jsonl")));
+    let keys: Vec<_> = heard.drain().map(|sample| sample.key_expr().to_string()).collect();
+    for key in ["conicflow/objects", "conicflow/objects/markers"] {
+        assert_eq!(keys.iter().filter(|heard| *heard == key).count(), FRAMES, "{key} in {keys:?}");
+    }
+}
+
 /// A static transform that was sent before the run began, and one that moves, give the pose of each image; the sink sends it on.
 #[test]
 fn the_pose_of_the_camera_comes_from_transforms_and_goes_out_as_one() {
