@@ -15,7 +15,7 @@ use conicflow_ros::{CameraInfo, Stamped, write_units};
 use hiroz::Builder;
 use hiroz::context::ZContextBuilder;
 use std::path::Path;
-use std::process::Command;
+use std::process::{Child, Command};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread::sleep;
@@ -83,6 +83,15 @@ fn router() -> Result<(zenoh::Session, String)> {
     Ok((zenoh::open(config).wait().map_err(anyhow::Error::msg)?, endpoint))
 }
 
+/// The pipeline, started; it ends when it has got its images.
+fn start(program: &str, endpoint: &str) -> Result<Child> {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/ros2.toml");
+    let connect = |stage: &str| format!("{stage}.connect=[\"{endpoint}\"]");
+    let arguments = ["--frames", &FRAMES.to_string(), "--set", &connect("source"), "--set", &connect("ros")];
+    let run = Command::new(program).arg("run").arg(file).args(arguments).spawn();
+    run.with_context(|| program.to_owned())
+}
+
 fn main() -> Result<()> {
     let program = std::env::args().nth(1).context("which program? target/release/conicflow")?;
     let (_router, endpoint) = router()?;
@@ -96,31 +105,24 @@ fn main() -> Result<()> {
     let mut subscribers = Vec::new();
     for ([topic, kind, hash], count) in HEARD.into_iter().zip(&counts) {
         let count = Arc::clone(count);
+        // An empty list has no more than its header.
         let hear = move |message: &[u8]| {
-            // An empty list has no more than its header.
             count.fetch_add(usize::from(message.len() > 100), Ordering::Relaxed);
         };
         subscribers.push(node.create_raw_subscriber(topic, kind, hash, hear).map_err(anyhow::Error::msg)?);
     }
 
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/ros2.toml");
-    let connect = |stage: &str| format!("{stage}.connect=[\"{endpoint}\"]");
-    let mut run = Command::new(&program)
-        .arg("run")
-        .arg(file)
-        .args(["--frames", &FRAMES.to_string(), "--set", &connect("source"), "--set", &connect("ros")])
-        .spawn()
-        .with_context(|| program.clone())?;
+    let mut run = start(&program, &endpoint)?;
     let (pixels, since) = (ball(), Instant::now());
     let (mut sent, mut nodes, mut topics) = (0_u64, Vec::new(), Vec::new());
     let status = loop {
-        let stamped =
-            Stamped { stamp_ns: 1_700_000_000_000_000_000 + 33_000_000 * sent, frame_id: "camera_depth_optical_frame" };
+        let stamp_ns = 1_700_000_000_000_000_000 + 33_000_000 * sent;
+        let stamped = Stamped { stamp_ns, frame_id: "camera_depth_optical_frame" };
         infos.publish_bytes(&CameraInfo::write(stamped, &CAMERA, Vec::new())).map_err(anyhow::Error::msg)?;
         let image = write_units(stamped, (CAMERA.width, CAMERA.height), &pixels, Vec::new());
         images.publish_bytes(&image).map_err(anyhow::Error::msg)?;
         sent += 1;
-        if counts[0].load(Ordering::Relaxed) == FRAMES / 2 {
+        if counts[0].load(Ordering::Relaxed) >= FRAMES / 2 && nodes.is_empty() {
             nodes = node.graph().get_node_names();
             topics = node.graph().get_topic_names_and_types();
         }
@@ -137,8 +139,9 @@ fn main() -> Result<()> {
     println!("nodes {nodes:?}\ntopics {topics:?}");
     ensure!(status.success(), "the run ended with {status}");
     ensure!(heard.iter().all(|heard| *heard > FRAMES / 2), "fewer lists came back than half of the images");
-    let is_seen = |name: &str| format!("{nodes:?}").contains(name);
-    ensure!(is_seen("conicflow_source") && is_seen("conicflow_ros"), "the robot does not see our nodes");
+    for name in ["conicflow_source", "conicflow_ros"] {
+        ensure!(nodes.iter().any(|(node, _)| node == name), "the robot does not see `{name}`");
+    }
     for [topic, ..] in HEARD {
         ensure!(topics.iter().any(|(name, _)| name == topic), "the robot does not see `{topic}`");
     }
