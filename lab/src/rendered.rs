@@ -79,13 +79,17 @@ impl Body {
     }
 }
 
-/// A depth image of `bodies` with the noise of `noise`, in steps of 0.1 mm; behind them there is nothing.
-pub fn render(camera: Camera, noise: NoiseModel, bodies: &[Body], seed: u64) -> (Header, Vec<u16>) {
+/// `bodies` and nothing behind them.
+pub fn scene_of(bodies: &[Body]) -> Scene {
     let bodies = bodies.iter().enumerate().map(|(i, body)| scene::Body::still(format!("body {i}"), body.shape()));
-    let scene = Scene::still("test".into(), bodies.collect(), Vector3::zeros(), Vector3::z(), -Vector3::y());
+    Scene::still("test".into(), bodies.collect(), Vector3::zeros(), Vector3::z(), -Vector3::y())
+}
+
+/// A depth image of `bodies` with the noise of `noise`, in steps of 0.1 mm.
+pub fn render(camera: Camera, noise: NoiseModel, bodies: &[Body], seed: u64) -> (Header, Vec<u16>) {
     let NoiseModel { floor_m, growth_per_m, knee_m, step_per_m } = noise;
     let noise = NoiseConfig::Coefficients(NoiseCoefficients { floor_m, growth_per_m, knee_m, step_per_m });
-    let mut camera = SyntheticCamera::new(scene, camera, noise.into(), 1e-4, 30.0, seed);
+    let mut camera = SyntheticCamera::new(scene_of(bodies), camera, noise.into(), 1e-4, 30.0, seed);
     let size = camera.raster().camera;
     let mut pixels = vec![0; size.width as usize * size.height as usize];
     camera.shoot(0, &mut pixels);

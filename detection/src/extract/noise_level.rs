@@ -147,7 +147,8 @@ fn through(depths: [f64; 2], factors: [f64; 2], variance: impl Fn(f64) -> f64) -
 /// Looks at threes of pixels that lie close together.
 ///
 /// Along a line of the image a plane's inverse depth is linear, so `b (b / a + b / c - 2)` of three depths in even steps is
-/// noise alone, of six times the variance of one.
+/// noise alone, of six times the variance of one. The depth of a sample is the mean of the three, of which that difference is
+/// independent: halves that were told apart by the depth of the middle one would be told apart by its noise.
 fn look_at_neighbors(view: &View, image: &[u16], samples: &mut Vec<NoiseSample>) {
     samples.clear();
     for line in lines(view) {
@@ -156,7 +157,7 @@ fn look_at_neighbors(view: &View, image: &[u16], samples: &mut Vec<NoiseSample>)
         samples.extend(threes.filter(|depths| depths.iter().all(|&depth| is_measured(depth))).map(|depths| {
             let [a, b, c] = depths.map(|depth| f64::from(depth) * view.scale);
             let off = b * (b / a + b / c - 2.0);
-            NoiseSample { depth: b, square: off * off / (6.0 * view.variance(b)) }
+            NoiseSample { depth: (a + b + c) / 3.0, square: off * off / (6.0 * view.variance(b)) }
         }));
     }
 }

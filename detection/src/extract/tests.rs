@@ -1,8 +1,9 @@
 use super::*;
 use crate::assemble::{Assembler, AssemblerParameters};
 use conicflow_geometry::Vector3;
-use conicflow_lab::rendered::{Body, KINECT_HALF, render};
+use conicflow_lab::rendered::{Body, KINECT_HALF, render, scene_of};
 use conicflow_lab::simulator::random_scene::{SceneGroup, random_scene};
+use conicflow_lab::simulator::scene::Scene;
 use conicflow_lab::simulator::sensor::{SensorConfig, SensorTable};
 use conicflow_lab::simulator::{SimulatorParameters, SyntheticCamera};
 use conicflow_messages::{Camera, Item, NoiseModel, Object};
@@ -180,16 +181,34 @@ fn a_model_that_grows_wrongly_is_replaced() {
     assert_eq!(seen.model, kinect, "one that grows rightly is not");
 }
 
-/// How many neighbouring pixels share their noise in a room that a sensor with such windows sees.
-fn shared_px(noise_window_px: u32, width: u32, seed: u64) -> [f64; 2] {
+/// A scene as a Kinect sees it, with steps of the disparity, whose noise comes from windows of so many pixels.
+fn shot(scene: Scene, noise_window_px: u32, width: u32, seed: u64) -> (Header, Vec<u16>) {
     let noise = SensorConfig::Table(SensorTable { noise_window_px, ..SensorTable::default() });
     let config = SimulatorParameters { width, height: width / 4 * 3, noise, ..SimulatorParameters::default() };
-    let scene = random_scene(SceneGroup::Clutter, seed);
     let mut camera = SyntheticCamera::new(scene, config.camera(), config.noise, config.depth_scale, 30.0, seed);
     let (mut header, mut pixels) = (Header::default(), vec![0; (config.width * config.height) as usize]);
     camera.shoot(0, &mut pixels);
     camera.describe(&mut header);
-    Extractor::new(self::config(ScanLines::Rows)).estimate_noise(&header, &pixels).correlation_px
+    (header, pixels)
+}
+
+/// Halves of the image that were told apart by noisy depths would differ in their noise: some pixels of the wall would count as near
+/// because they are off.
+#[test]
+fn a_small_thing_alone_before_a_wall_does_not_change_the_noise() {
+    let thing =
+        Body::Frustum { center: Vector3::z() * 0.8, axis: Vector3::y(), radius: 0.03, slope: 0.0, length: 0.15 };
+    for seed in 0..6 {
+        let (header, pixels) = shot(scene_of(&[thing, wall(1.8)]), 1, 640, seed);
+        let seen = Extractor::new(config(ScanLines::Rows)).estimate_noise(&header, &pixels);
+        assert_eq!(seen.model, header.noise, "{seen:?} with seed {seed}");
+    }
+}
+
+/// How many neighbouring pixels share their noise in a room that a sensor with such windows sees.
+fn shared_px(noise_window_px: u32, width: u32, seed: u64) -> [f64; 2] {
+    let (header, pixels) = shot(random_scene(SceneGroup::Clutter, seed), noise_window_px, width, seed);
+    Extractor::new(config(ScanLines::Rows)).estimate_noise(&header, &pixels).correlation_px
 }
 
 #[test]
