@@ -3,14 +3,22 @@
 //!
 //! All shifts are tried, and the sums run on along rows and columns, so that the time does not depend on the window's size
 //! (as in K. Konolige, "Small vision systems: hardware and implementation", 1998, of which also the check from right to left
-//! and that for a unique minimum are). What is found is averaged with its neighbours of the same surface, which lengthens the
+//! and that for a unique minimum are). A camera may look for shifts that are smooth along scan lines, from the left, the right
+//! and above (H. Hirschmüller, "Stereo processing by semiglobal matching and mutual information", 2008): that bears small windows,
+//! by which silhouettes stay sharp. What is found is averaged with its neighbours of the same surface, which lengthens the
 //! noise and does not blur silhouettes. Sums are of whole numbers: the same bits everywhere.
 
 /// Greatest brightness of a pixel.
 pub const BRIGHTEST: i16 = 63;
 
-/// Most pixels of a window, so that a sum of differences stays within 16 bits.
-pub const LARGEST_WINDOW: u32 = i16::MAX as u32 / BRIGHTEST as u32;
+/// Number of directions along which shifts may be smooth.
+const PATHS: u32 = 3;
+
+/// Most pixels of a window, so that what it and a penalty make along all paths stays within 16 bits.
+pub const LARGEST_WINDOW: u32 = (i16::MAX as u32 / PATHS - LARGEST_PENALTY as u32) / BRIGHTEST as u32;
+
+/// Greatest penalty of a step.
+pub const LARGEST_PENALTY: i16 = 2000;
 
 /// Two images, row by row; the second one reaches farther to the left, as far as a shift may.
 #[derive(Clone, Debug, Default)]
@@ -40,6 +48,9 @@ pub struct Matching {
     pub window: [usize; 2],
     /// Least and greatest shift.
     pub shifts: [usize; 2],
+    /// What a step of the shift by one pixel, and by more, costs along a scan line, in units of brightness; none: each pixel is
+    /// matched by itself.
+    pub penalties: Option<[i16; 2]>,
     /// By what share the least difference has to be below that of all shifts but its neighbours.
     pub uniqueness: f64,
     /// By how much the shift may differ from that which the other image's window has; none: it is not asked.
@@ -60,6 +71,11 @@ pub struct BlockMatcher {
     columns: Vec<i16>,
     /// The same of the window.
     sums: Vec<i16>,
+    /// The least sums of paths that come from above, and from the side, to each shift of a pixel.
+    from_above: Vec<i16>,
+    last_row: Vec<i16>,
+    from_left: Vec<i16>,
+    from_right: Vec<i16>,
     /// For each pixel of the second image's row the least difference and its shift.
     least_right: Vec<i16>,
     shift_right: Vec<i16>,
@@ -77,6 +93,9 @@ impl BlockMatcher {
         for (v, row) in disparities.chunks_exact_mut(width).enumerate() {
             self.sum_columns(images, matching, v);
             self.sum_windows(matching, width);
+            if let Some(penalties) = matching.penalties {
+                self.add_up_paths(shift_count(matching), penalties, v == 0);
+            }
             if matching.left_right_px.is_some() {
                 self.look_from_the_right(images, matching);
             }
@@ -141,6 +160,33 @@ impl BlockMatcher {
             for (((sum, last), added), removed) in here[..count].iter_mut().zip(last).zip(added).zip(removed) {
                 *sum = last + added - removed;
             }
+        }
+    }
+
+    /// Replaces the sums of the row's windows by those along the best paths that end there; of the `first` row none comes from above.
+    fn add_up_paths(&mut self, count: usize, penalties: [i16; 2], first: bool) {
+        let Self { sums, from_above, last_row, from_left, from_right, .. } = self;
+        from_left.clone_from(sums);
+        from_right.clone_from(sums);
+        if first {
+            from_above.clone_from(sums);
+        } else {
+            last_row.clone_from(from_above);
+            from_above.clone_from(sums);
+            for (path, last) in from_above.chunks_exact_mut(count).zip(last_row.chunks_exact(count)) {
+                go_on(last, path, penalties);
+            }
+        }
+        for end in (2 * count..=sums.len()).step_by(count) {
+            let (before, here) = from_left[..end].split_at_mut(end - count);
+            go_on(&before[end - 2 * count..], here, penalties);
+        }
+        for start in (0..sums.len() - count).step_by(count).rev() {
+            let (here, after) = from_right[start..].split_at_mut(count);
+            go_on(&after[..count], here, penalties);
+        }
+        for (sum, ((above, left), right)) in sums.iter_mut().zip(from_above.iter().zip(&*from_left).zip(&*from_right)) {
+            *sum = above + left + right;
         }
     }
 
@@ -237,6 +283,20 @@ impl BlockMatcher {
                 self.region.iter().for_each(|&index| disparities[index] = f32::NAN);
             }
         }
+    }
+}
+
+/// Adds to the sums of a pixel what the best path costs that comes from its neighbour, less what any such path costs.
+#[inline]
+fn go_on(neighbor: &[i16], sums: &mut [i16], [small, large]: [i16; 2]) {
+    let least = least_of(neighbor);
+    let count = sums.len();
+    let step = |sum: &mut i16, from: i16| *sum += from.min(least + large) - least;
+    let last = count - 1;
+    step(&mut sums[0], neighbor[0].min(neighbor[1] + small));
+    step(&mut sums[last], neighbor[last].min(neighbor[last - 1] + small));
+    for (sum, about) in sums[1..last].iter_mut().zip(neighbor.windows(3)) {
+        step(sum, about[1].min(about[0].min(about[2]) + small));
     }
 }
 

@@ -5,6 +5,7 @@ const MATCHING: Matching = Matching {
     window: [7, 7],
     smoothing: [1, 1],
     shifts: [2, 30],
+    penalties: None,
     uniqueness: 0.1,
     left_right_px: Some(1),
     smallest_region_px: 1,
@@ -70,6 +71,32 @@ fn sums_that_run_on_are_those_of_each_window() {
             assert_eq!(matcher.sums[u * 29 + shift], sum, "({u}, {v}), shift {shift}");
         }
     }
+}
+
+#[test]
+fn a_path_goes_on_with_the_least_penalty() {
+    let mut sums = [100, 200, 300, 400];
+    go_on(&[7, 17, 57, 9], &mut sums, [3, 20]);
+    // the same shift; one step from the left; one step from the right; two steps are as dear as one large one
+    assert_eq!(sums, [100, 203, 305, 402]);
+}
+
+/// Shifts of smooth paths bear small windows, in which many shifts look alike.
+#[test]
+fn smooth_paths_leave_fewer_false_matches() {
+    let step = |u: usize| if u < 50 { 6 } else { 20 };
+    let images = shifted(step);
+    let false_matches = |penalties| {
+        let matching = Matching { window: [1, 1], penalties, uniqueness: 0.0, left_right_px: None, ..MATCHING };
+        let disparities = matched(&images, &matching);
+        let is_false = |(index, disparity): (usize, &f32)| {
+            let u = index % 100;
+            (30..95).contains(&u) && !(45..55).contains(&u) && (disparity - step(u) as f32).abs() > 0.5
+        };
+        disparities.iter().enumerate().filter(|pixel| is_false(*pixel)).count()
+    };
+    let (alone, along) = (false_matches(None), false_matches(Some([10, 60])));
+    assert!(alone > 50 && along * 10 < alone, "{alone} and {along} false matches");
 }
 
 #[test]

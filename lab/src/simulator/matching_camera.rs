@@ -6,14 +6,13 @@
 //! come from that alone. What matching cannot make is added: a bend of the lens that stays ([`waves`]), and whole steps of
 //! the disparity.
 
-use super::block_matching::{BRIGHTEST, BlockMatcher, ImagePair, LARGEST_WINDOW, Matching};
+use super::block_matching::{BRIGHTEST, BlockMatcher, ImagePair, LARGEST_PENALTY, LARGEST_WINDOW, Matching};
 use super::dot_pattern::DotPattern;
 use super::pose::Pose;
 use super::raster::{NOBODY, Raster};
 use super::shadow;
 use super::shapes::{Shape, Surface};
 use super::waves::waves;
-use crate::quantile::median;
 use crate::random::CounterRng;
 use conicflow_messages::{Camera, NoiseModel};
 use nalgebra::Vector3;
@@ -24,8 +23,6 @@ use serde::{Deserialize, Serialize};
 const AMBIENT: f32 = 8.0;
 /// Brightness that a full dot adds; two that meet may be too bright.
 const DOT: f32 = 44.0;
-/// Depths of how many pixels tell the exposure: every so many of a prime number.
-const EXPOSED_EVERY: usize = 997;
 /// Standard deviation of the disparity on planes that the frames tell of, in pixels: that of real cameras of both kinds.
 const TOLD_NOISE_PX: f64 = 0.075;
 /// What the dice of the camera itself are drawn under, apart from those of its frames.
@@ -41,8 +38,10 @@ pub struct Stereo {
     /// Place of the projector to the right of the first eye, in metres.
     #[schemars(range(min = -1.0, max = 1.0))]
     pub projector_m: f64,
-    /// Columns and rows of the window that is compared, in pixels of the image; at most 520 in all.
+    /// Columns and rows of the window that is compared, in pixels of the image; at most 141 in all.
     pub window_px: [u32; 2],
+    /// What a step of the disparity by one pixel, and by more, costs along a scan line, in the brightness of a dot: at most 45.
+    pub step_penalty: [f64; 2],
     /// Columns and rows of the window over which the camera averages disparities of one surface, in pixels of the image.
     pub smoothing_px: [u32; 2],
     /// Steps of the disparity to a pixel; 0: none.
@@ -86,12 +85,13 @@ impl Default for Stereo {
         Self {
             baseline_m: 0.055,
             projector_m: 0.03,
-            window_px: [11, 11],
-            smoothing_px: [19, 1],
+            window_px: [7, 7],
+            step_penalty: [0.7, 4.0],
+            smoothing_px: [11, 1],
             steps_per_px: 32,
-            dots_per_px: 0.05,
+            dots_per_px: 0.1,
             dot_sigma_px: 0.9,
-            image_noise: 0.08,
+            image_noise: 0.06,
             uniqueness: 0.1,
             left_right_px: 1,
             smallest_region_px: 100,
@@ -110,7 +110,7 @@ pub struct StructuredLight {
     /// Place of the projector to the right of the camera, in metres.
     #[schemars(range(min = 0.001, max = 1.0))]
     pub baseline_m: f64,
-    /// Columns and rows of the window that is compared, in pixels of the image; at most 520 in all.
+    /// Columns and rows of the window that is compared, in pixels of the image; at most 141 in all.
     pub window_px: [u32; 2],
     /// Columns and rows of the window over which the camera averages disparities of one surface, in pixels of the image.
     pub smoothing_px: [u32; 2],
@@ -174,6 +174,7 @@ struct Parts {
     /// Whether the second image is a second eye's, not the stored pattern.
     second_eye: bool,
     window: [usize; 2],
+    step_penalty: Option<[f64; 2]>,
     steps_per_px: f64,
     dots_per_px: f64,
     dot_sigma_px: f64,
@@ -194,6 +195,7 @@ impl From<Stereo> for Parts {
             projector_m: table.projector_m,
             second_eye: true,
             window: table.window_px.map(|side| side as usize),
+            step_penalty: Some(table.step_penalty),
             steps_per_px: f64::from(table.steps_per_px),
             dots_per_px: table.dots_per_px,
             dot_sigma_px: table.dot_sigma_px,
@@ -216,6 +218,7 @@ impl From<StructuredLight> for Parts {
             projector_m: table.baseline_m,
             second_eye: false,
             window: table.window_px.map(|side| side as usize),
+            step_penalty: None,
             steps_per_px: f64::from(table.steps_per_px),
             dots_per_px: table.dots_per_px,
             dot_sigma_px: table.dot_sigma_px,
@@ -242,6 +245,20 @@ pub fn fault(window_px: [u32; 2], smoothing_px: [u32; 2], range_m: [f64; 2]) -> 
     }
     let [least, most] = range_m;
     (least >= most).then(|| format!("measures from {least} to {most} m, which is nothing"))
+}
+
+/// What is wrong with penalties of steps.
+pub fn penalty_fault(step_penalty: [f64; 2]) -> Option<String> {
+    let is_possible = |step: f64| step >= 0.0 && brightness(step) <= LARGEST_PENALTY;
+    let [one, more] = step_penalty;
+    let most = LARGEST_PENALTY / brightness(1.0);
+    (!step_penalty.into_iter().all(is_possible) || one > more)
+        .then(|| format!("has a step_penalty of {one} and {more}, expected two numbers from 0 to {most} that ascend"))
+}
+
+/// So many full dots, in the units of an image.
+fn brightness(dots: f64) -> i16 {
+    (dots * f64::from(DOT)) as i16
 }
 
 /// The camera.
@@ -278,6 +295,7 @@ impl MatchingCamera {
         let matching = Matching {
             window: parts.window,
             shifts: [shifts[0].saturating_sub(1), shifts[1] + 1],
+            penalties: parts.step_penalty.map(|steps| steps.map(brightness)),
             uniqueness: parts.uniqueness,
             left_right_px: parts.left_right_px,
             smallest_region_px: parts.smallest_region_px,
@@ -352,9 +370,8 @@ impl MatchingCamera {
         let projector = self.parts.projector_m;
         shadow::cast(raster, shapes, projector, &mut self.shadow);
         let [width, height] = self.images.size;
-        let exposure_m = self.parts.second_eye.then(|| exposure(raster));
         for index in 0..width * height {
-            let light = light(&self.pattern, raster, &self.shadow, index, projector, exposure_m);
+            let light = light(&self.pattern, raster, &self.shadow, index, projector);
             self.images.left[index] = exposed(light, self.parts.image_noise, dice, index as u64);
         }
         if !self.parts.second_eye {
@@ -368,7 +385,7 @@ impl MatchingCamera {
         shadow::cast(&self.second, &self.second_shapes, projector - place, &mut self.shadow);
         let (wide, count) = (width + self.images.reach, (width * height) as u64);
         for index in 0..wide * height {
-            let light = light(&self.pattern, &self.second, &self.shadow, index, projector - place, exposure_m);
+            let light = light(&self.pattern, &self.second, &self.shadow, index, projector - place);
             let (v, from_right) = (index / wide, wide - 1 - index % wide);
             self.images.right[v * wide + from_right] =
                 exposed(light, self.parts.image_noise, dice, count + index as u64);
@@ -390,18 +407,9 @@ impl MatchingCamera {
     }
 }
 
-/// Light of the pattern that a pixel sees, from a projector at a place to the right of it. Where the exposure suits a depth,
-/// nearer surfaces are brighter and win in windows that see both; by how much is a compromise: light falls with the squared
-/// distance, but depth does not get noisier by as much, since real cameras compare contrasts. A camera that compares with
-/// its stored pattern evens all of it out.
-fn light(
-    pattern: &DotPattern,
-    raster: &Raster,
-    shadow: &[bool],
-    index: usize,
-    projector_m: f64,
-    exposure_m: Option<f64>,
-) -> f32 {
+/// Light of the pattern that a pixel sees, from a projector at a place to the right of it. That light falls with the squared
+/// distance does not show: cameras compare contrasts.
+fn light(pattern: &DotPattern, raster: &Raster, shadow: &[bool], index: usize, projector_m: f64) -> f32 {
     if raster.owner[index] == NOBODY || shadow[index] {
         return 0.0;
     }
@@ -410,13 +418,6 @@ fn light(
     let (u, v) = ((index % width) as f64, index / width);
     let shift = camera.fx * projector_m / raster.depth[index];
     pattern_at(pattern, camera, u - camera.cx - shift, v)
-        * exposure_m.map_or(1.0, |exposure_m| exposure_m / raster.depth[index]) as f32
-}
-
-/// The depth that the exposure suits: the median of what is seen.
-fn exposure(raster: &Raster) -> f64 {
-    let seen = raster.depth.iter().step_by(EXPOSED_EVERY).copied().filter(|depth| depth.is_finite());
-    median(seen.collect()).unwrap_or(1.0)
 }
 
 /// The pattern so many pixels to the right of the projector's axis; rows count in the unit of columns, so that dots are round.

@@ -63,6 +63,7 @@ impl SimulatedSensor {
         let what = match self.numbers() {
             SensorNumbers::Stereo(table) => {
                 matching_camera::fault(table.window_px, table.smoothing_px, [table.min_range_m, table.max_range_m])
+                    .or_else(|| matching_camera::penalty_fault(table.step_penalty))
             }
             SensorNumbers::StructuredLight(table) => {
                 matching_camera::fault(table.window_px, table.smoothing_px, [table.min_range_m, table.max_range_m])
