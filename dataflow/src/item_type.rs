@@ -259,7 +259,7 @@ impl<'a> AnyMessage<'a> {
                 Err(serde::ser::Error::custom(format_args!("items of {} have no form in JSON", self.item)))
             }
             Form::Described(layout) => {
-                let content = layout.to_json(self.bytes);
+                let content = layout.items(self.bytes);
                 let line_of = Line { header: self.header, latency_ms, kind: &self.item.name, content };
                 serde_json::to_writer(line, &line_of)
             }

@@ -1,18 +1,18 @@
-//! How messages look in JSON: the keys, their order, and which of them a shape has.
+//! How messages look in JSON: the keys, their order, and which of them a shape has. Messages of ROS 2 have the same.
 
-use crate::{Ellipse, Header, Object, ObjectKind, Scan, ToJson, Track};
+use crate::{ABSENT, Ellipse, Fields, Header, Named, Object, ObjectKind, Scan, ToJson, Track, Value};
 use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
 
 impl ToJson for Object {
     fn to_json(&self) -> impl Serialize {
-        ObjectView::from(self)
+        self.fields()
     }
 }
 
 impl ToJson for Track {
     fn to_json(&self) -> impl Serialize {
-        TrackView::from(self)
+        self.fields()
     }
 }
 
@@ -47,122 +47,68 @@ impl<C: Serialize> Serialize for Line<'_, C> {
     }
 }
 
+/// The key of what is below it: standard deviations.
+const SIGMA: &str = "sigma";
 /// Keys of a [`Line`] beside that of its content.
 pub const LINE_KEYS: [&str; 4] = ["sequence", "source", "stamp_ns", "latency_ms"];
 
-/// An [`Object`] in JSON; a key that the shape does not have is left out.
-#[derive(Clone, Debug, Serialize)]
-struct ObjectView {
-    kind: &'static str,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    apex: Option<[f64; 3]>,
-    center: [f64; 3],
-    #[serde(skip_serializing_if = "Option::is_none")]
-    axis: Option<[f64; 3]>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    half_angle: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    radius: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    base_radius: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    top_radius: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    length: Option<f64>,
-    sigma: SigmaView,
-    rms: f64,
-    points: u32,
-    rows: u32,
-    arc: f64,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    confidence: Option<f32>,
-}
-
-impl From<&Object> for ObjectView {
-    fn from(object: &Object) -> Self {
-        let shape = object.shape();
-        let cone = |value| (shape == ObjectKind::Cone).then_some(value);
-        let elongated = |value| (shape != ObjectKind::Sphere).then_some(value);
-        Self {
-            kind: shape.name(),
-            apex: (shape == ObjectKind::Cone).then_some(object.apex),
-            center: object.center,
-            axis: (shape != ObjectKind::Sphere).then_some(object.axis),
-            half_angle: cone(object.half_angle),
-            radius: (shape != ObjectKind::Cone).then_some(object.radius),
-            base_radius: cone(object.base_radius),
-            top_radius: cone(object.top_radius),
-            length: elongated(object.length),
-            sigma: SigmaView::from(object),
-            rms: object.rms,
-            points: object.points,
-            rows: object.rows,
-            arc: object.arc,
-            confidence: (object.confidence > 0.0).then_some(object.confidence),
-        }
+impl Named for Object {
+    fn fields(&self) -> Fields<'static> {
+        let (shape, sigma) = (self.shape(), &self.sigma);
+        let only_if = |is_there: bool, value: f64| Value::from(if is_there { value } else { ABSENT });
+        let cone = |value| only_if(shape == ObjectKind::Cone, value);
+        let elongated = |value| only_if(shape != ObjectKind::Sphere, value);
+        let vector_if = |is_there: bool, vector: [f64; 3]| Value::from(if is_there { vector } else { [ABSENT; 3] });
+        // `radius` of a cone belongs to its radius at `center`.
+        let sigma = vec![
+            ("center", deviations(&sigma.center).into()),
+            ("axis", elongated(sigma.axis)),
+            ("half_angle", cone(sigma.half_angle)),
+            ("radius", sigma.radius.into()),
+            ("length", elongated(sigma.length)),
+        ];
+        Fields(vec![
+            ("kind", shape.name().into()),
+            ("apex", vector_if(shape == ObjectKind::Cone, self.apex)),
+            ("center", self.center.into()),
+            ("axis", vector_if(shape != ObjectKind::Sphere, self.axis)),
+            ("half_angle", cone(self.half_angle)),
+            ("radius", only_if(shape != ObjectKind::Cone, self.radius)),
+            ("base_radius", cone(self.base_radius)),
+            ("top_radius", cone(self.top_radius)),
+            ("length", elongated(self.length)),
+            (SIGMA, Value::Below(Fields(sigma))),
+            ("rms", self.rms.into()),
+            ("points", self.points.into()),
+            ("rows", self.rows.into()),
+            ("arc", self.arc.into()),
+            ("confidence", if self.confidence > 0.0 { self.confidence } else { ABSENT as f32 }.into()),
+        ])
     }
 }
 
-/// Standard deviations in JSON; `radius` of a cone belongs to its radius at `center`.
-#[derive(Clone, Debug, Serialize)]
-struct SigmaView {
-    center: [f64; 3],
-    #[serde(skip_serializing_if = "Option::is_none")]
-    axis: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    half_angle: Option<f64>,
-    radius: f64,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    length: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    velocity: Option<[f64; 3]>,
-}
-
-impl From<&Object> for SigmaView {
-    fn from(object: &Object) -> Self {
-        let (shape, sigma) = (object.shape(), &object.sigma);
-        let elongated = |value| (shape != ObjectKind::Sphere).then_some(value);
-        Self {
-            center: deviations(&sigma.center),
-            axis: elongated(sigma.axis),
-            half_angle: (shape == ObjectKind::Cone).then_some(sigma.half_angle),
-            radius: sigma.radius,
-            length: elongated(sigma.length),
-            velocity: None,
+/// Of a track its object, its identity and its motion.
+impl Named for Track {
+    fn fields(&self) -> Fields<'static> {
+        let Fields(mut fields) = self.object.fields();
+        let sigma = fields.iter_mut().find(|(name, _)| *name == SIGMA);
+        if let Some((_, Value::Below(Fields(sigma)))) = sigma {
+            sigma.push(("velocity", deviations(&self.velocity_covariance).into()));
         }
+        fields.extend([
+            ("id", self.id.into()),
+            ("velocity", self.velocity.into()),
+            ("age", self.age.into()),
+            ("misses", self.misses.into()),
+            ("state", self.track_state().name().into()),
+        ]);
+        Fields(fields)
     }
 }
 
 /// Square roots of a covariance's diagonal.
 fn deviations(covariance: &[[f64; 3]; 3]) -> [f64; 3] {
     std::array::from_fn(|i| covariance[i][i].max(0.0).sqrt())
-}
-
-/// A [`Track`] in JSON: its object, its identity and its motion.
-#[derive(Clone, Debug, Serialize)]
-struct TrackView {
-    #[serde(flatten)]
-    object: ObjectView,
-    id: u64,
-    velocity: [f64; 3],
-    age: u32,
-    misses: u32,
-    state: &'static str,
-}
-
-impl From<&Track> for TrackView {
-    fn from(track: &Track) -> Self {
-        let mut object = ObjectView::from(&track.object);
-        object.sigma.velocity = Some(deviations(&track.velocity_covariance));
-        Self {
-            object,
-            id: track.id,
-            velocity: track.velocity,
-            age: track.age,
-            misses: track.misses,
-            state: track.track_state().name(),
-        }
-    }
 }
 
 /// An [`Ellipse`] in JSON, without its moments.

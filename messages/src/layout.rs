@@ -6,51 +6,16 @@
 //! one is a field whose name begins with `_`, which is not shown.
 
 use crate::Malformed;
+use crate::value::{Element, Fields, Value};
 use bytemuck::pod_read_unaligned;
-use serde::ser::{SerializeMap, SerializeSeq};
-use serde::{Serialize, Serializer};
 use std::fmt::{self, Display, Formatter};
 
 /// Most bytes of an item: what is longer is no item of a list.
 pub const MAX_ITEM_BYTES: usize = 64 * 1024;
 /// Most fields of an item.
 const MAX_FIELDS: usize = 256;
-
-/// What a field consists of.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Element {
-    U8,
-    U16,
-    U32,
-    U64,
-    I8,
-    I16,
-    I32,
-    I64,
-    F32,
-    F64,
-    Text,
-}
-
-impl Element {
-    const ALL: [(&'static str, Self, usize); 11] = [
-        ("u8", Self::U8, 1),
-        ("u16", Self::U16, 2),
-        ("u32", Self::U32, 4),
-        ("u64", Self::U64, 8),
-        ("i8", Self::I8, 1),
-        ("i16", Self::I16, 2),
-        ("i32", Self::I32, 4),
-        ("i64", Self::I64, 8),
-        ("f32", Self::F32, 4),
-        ("f64", Self::F64, 8),
-        ("text", Self::Text, 1),
-    ];
-
-    fn named(name: &str) -> Option<(Self, usize)> {
-        Self::ALL.iter().find(|(known, ..)| *known == name).map(|(_, element, size)| (*element, *size))
-    }
-}
+/// What the type of a text is called.
+const TEXT: &str = "text";
 
 /// One field of a [`Layout`].
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -59,7 +24,8 @@ pub struct Field {
     pub name: String,
     /// Its type, as it was written.
     pub type_text: String,
-    element: Element,
+    /// `None` where it is text.
+    element: Option<Element>,
     /// Bytes of an element, which are also its alignment.
     size: usize,
     /// `None` where the field is one number.
@@ -137,7 +103,7 @@ impl Layout {
 
     fn add(&mut self, name: &str, type_text: &str) -> Result<(), (String, String)> {
         let Some((element, size, count)) = parse(type_text) else {
-            let names: Vec<_> = Element::ALL.iter().map(|(name, ..)| *name).collect();
+            let names: Vec<_> = Element::ALL.iter().map(|(name, ..)| *name).chain([TEXT]).collect();
             let hint =
                 format!("{}, or so many of them, such as f64[3]; text needs its bytes: text[32]", names.join(", "));
             return Err((format!("`{type_text}` cannot be the type of a field"), hint));
@@ -190,16 +156,18 @@ impl Layout {
         }
         for (index, item) in bytes.chunks_exact(self.size).enumerate() {
             if let Some(field) = self.fields.iter().find(|field| !field.is_sound(item)) {
-                let fault = if field.element == Element::Text { "is no text" } else { "is not finite" };
+                let fault = if field.element.is_none() { "is no text" } else { "is not finite" };
                 return Err(Malformed::new(kind, format!("item {index} has a `{}` that {fault}", field.name)));
             }
         }
         Ok(())
     }
 
-    /// The items in `bytes` in a form for JSON: a list of objects with the fields as keys.
-    pub fn to_json<'a>(&'a self, bytes: &'a [u8]) -> impl Serialize + 'a {
-        Items { layout: self, bytes }
+    /// What each of the items in `bytes` has, without the fields that fill holes.
+    pub fn items<'a>(&'a self, bytes: &'a [u8]) -> Vec<Fields<'a>> {
+        let shown = || self.fields.iter().filter(|field| !field.name.starts_with('_'));
+        let item = |item| Fields(shown().map(|field| (field.name.as_str(), field.value(item))).collect());
+        bytes.chunks_exact(self.size).map(item).collect()
     }
 }
 
@@ -213,15 +181,19 @@ impl Display for Layout {
 }
 
 /// The meaning of `f64`, `f64[3]` or `text[32]`.
-fn parse(text: &str) -> Option<(Element, usize, Option<usize>)> {
-    let Some((name, rest)) = text.split_once('[') else {
-        let (element, size) = Element::named(text)?;
-        return (element != Element::Text).then_some((element, size, None));
+fn parse(text: &str) -> Option<(Option<Element>, usize, Option<usize>)> {
+    let (name, count) = match text.split_once('[') {
+        Some((name, rest)) => {
+            let digits = rest.strip_suffix(']').filter(|digits| digits.bytes().all(|byte| byte.is_ascii_digit()))?;
+            (name, Some(digits.parse::<usize>().ok().filter(|count| *count > 0)?))
+        }
+        None => (text, None),
     };
-    let (element, size) = Element::named(name)?;
-    let digits = rest.strip_suffix(']').filter(|digits| digits.bytes().all(|byte| byte.is_ascii_digit()))?;
-    let count = digits.parse::<usize>().ok().filter(|count| *count > 0)?;
-    Some((element, size, Some(count)))
+    if name == TEXT {
+        return Some((None, 1, Some(count?)));
+    }
+    let &(_, element, size) = Element::ALL.iter().find(|(known, ..)| *known == name)?;
+    Some((Some(element), size, count))
 }
 
 impl Field {
@@ -229,12 +201,20 @@ impl Field {
         &item[self.at..self.at + self.size * self.count.unwrap_or(1)]
     }
 
+    fn value<'a>(&self, item: &'a [u8]) -> Value<'a> {
+        let bytes = self.bytes(item);
+        match self.element {
+            None => Value::Text(text(bytes).unwrap_or_default()),
+            Some(element) => Value::Numbers { element, is_list: self.count.is_some(), bytes: bytes.into() },
+        }
+    }
+
     fn is_sound(&self, item: &[u8]) -> bool {
         let bytes = self.bytes(item);
         match self.element {
-            Element::F32 => bytes.chunks_exact(4).all(|number| pod_read_unaligned::<f32>(number).is_finite()),
-            Element::F64 => bytes.chunks_exact(8).all(|number| pod_read_unaligned::<f64>(number).is_finite()),
-            Element::Text => text(bytes).is_some(),
+            Some(Element::F32) => bytes.chunks_exact(4).all(|number| pod_read_unaligned::<f32>(number).is_finite()),
+            Some(Element::F64) => bytes.chunks_exact(8).all(|number| pod_read_unaligned::<f64>(number).is_finite()),
+            None => text(bytes).is_some(),
             _ => true,
         }
     }
@@ -244,76 +224,6 @@ impl Field {
 fn text(bytes: &[u8]) -> Option<&str> {
     let length = bytes.iter().position(|&byte| byte == 0).unwrap_or(bytes.len());
     std::str::from_utf8(&bytes[..length]).ok()
-}
-
-struct Items<'a> {
-    layout: &'a Layout,
-    bytes: &'a [u8],
-}
-
-impl Serialize for Items<'_> {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let items = self.bytes.chunks_exact(self.layout.size);
-        serializer.collect_seq(items.map(|bytes| One { layout: self.layout, bytes }))
-    }
-}
-
-struct One<'a> {
-    layout: &'a Layout,
-    bytes: &'a [u8],
-}
-
-impl Serialize for One<'_> {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let shown = self.layout.fields.iter().filter(|field| !field.name.starts_with('_'));
-        let mut map = serializer.serialize_map(None)?;
-        for field in shown {
-            map.serialize_entry(&field.name, &Content { field, bytes: field.bytes(self.bytes) })?;
-        }
-        map.end()
-    }
-}
-
-struct Content<'a> {
-    field: &'a Field,
-    bytes: &'a [u8],
-}
-
-impl Serialize for Content<'_> {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let element = self.field.element;
-        if element == Element::Text {
-            return serializer.serialize_str(text(self.bytes).unwrap_or_default());
-        }
-        if self.field.count.is_none() {
-            return Number(element, self.bytes).serialize(serializer);
-        }
-        let mut list = serializer.serialize_seq(self.field.count)?;
-        for bytes in self.bytes.chunks_exact(self.field.size) {
-            list.serialize_element(&Number(element, bytes))?;
-        }
-        list.end()
-    }
-}
-
-struct Number<'a>(Element, &'a [u8]);
-
-impl Serialize for Number<'_> {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let bytes = self.1;
-        match self.0 {
-            Element::U8 | Element::Text => serializer.serialize_u8(bytes[0]),
-            Element::U16 => serializer.serialize_u16(pod_read_unaligned(bytes)),
-            Element::U32 => serializer.serialize_u32(pod_read_unaligned(bytes)),
-            Element::U64 => serializer.serialize_u64(pod_read_unaligned(bytes)),
-            Element::I8 => serializer.serialize_i8(pod_read_unaligned(bytes)),
-            Element::I16 => serializer.serialize_i16(pod_read_unaligned(bytes)),
-            Element::I32 => serializer.serialize_i32(pod_read_unaligned(bytes)),
-            Element::I64 => serializer.serialize_i64(pod_read_unaligned(bytes)),
-            Element::F32 => serializer.serialize_f32(pod_read_unaligned(bytes)),
-            Element::F64 => serializer.serialize_f64(pod_read_unaligned(bytes)),
-        }
-    }
 }
 
 #[cfg(test)]
@@ -442,11 +352,11 @@ mod tests {
     #[test]
     fn an_item_in_json_has_its_fields_in_order_and_no_padding() {
         let layout = layout(&GRASP).unwrap();
-        let text = serde_json::to_string(&layout.to_json(bytes_of(&grasp()))).unwrap();
+        let text = serde_json::to_string(&layout.items(bytes_of(&grasp()))).unwrap();
         let expected =
             r#"[{"position":[0.5,-1.0,2.0],"width":0.25,"id":7,"label":"left","fingers":[-1,2,-3],"flags":9}]"#;
         assert_eq!(text, expected);
-        assert_eq!(serde_json::to_string(&layout.to_json(&[])).unwrap(), "[]");
+        assert_eq!(serde_json::to_string(&layout.items(&[])).unwrap(), "[]");
     }
 
     #[test]

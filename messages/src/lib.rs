@@ -21,6 +21,7 @@ mod plain;
 mod quantise;
 mod text;
 mod track;
+mod value;
 mod velocity;
 
 pub use depth::{INVALID_FAR, INVALID_NEAR, is_measured, median_depth};
@@ -38,4 +39,5 @@ pub use plain::{is_harmless, plain};
 pub use quantise::{finest_scale, is_too_far, quantise};
 pub use text::Text;
 pub use track::{Track, TrackState};
+pub use value::{ABSENT, Element, Fields, Named, Value};
 pub use velocity::{Frame, Velocity};

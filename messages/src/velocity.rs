@@ -1,6 +1,6 @@
 //! Velocity commands: how a robot, or a camera, is to move from now on.
 
-use crate::{Header, Item, Malformed, ToJson, item::finite};
+use crate::{Fields, Header, Item, Malformed, Named, ToJson, item::finite};
 use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
 
@@ -80,16 +80,18 @@ impl Item for Velocity {
 
 impl ToJson for Velocity {
     fn to_json(&self) -> impl Serialize {
-        VelocityView { linear: self.linear, angular: self.angular, frame: self.frame().name() }
+        self.fields()
     }
 }
 
-/// A [`Velocity`] in JSON.
-#[derive(Serialize)]
-struct VelocityView {
-    linear: [f64; 3],
-    angular: [f64; 3],
-    frame: &'static str,
+impl Named for Velocity {
+    fn fields(&self) -> Fields<'static> {
+        Fields(vec![
+            ("linear", self.linear.into()),
+            ("angular", self.angular.into()),
+            ("frame", self.frame().name().into()),
+        ])
+    }
 }
 
 #[cfg(test)]

@@ -65,12 +65,13 @@ fn every_pipeline_file_here_leads_editors_to_the_schema() {
 #[test]
 fn faults_do_not_fit_the_schema() {
     let validator = validator();
-    let with = |pointer: &str, key: &str, value: Json| {
+    let with = |pointer: &str, key: &str, value: Json| -> Vec<String> {
         let mut pipeline = read(include_str!("../../pipeline.toml"));
         pipeline.pointer_mut(pointer).unwrap()[key] = value;
-        validator.is_valid(&pipeline)
+        validator.iter_errors(&pipeline).map(|fault| format!("{}: {fault}", fault.instance_path())).collect()
     };
-    assert!(with("/stage/source", "rate_hz", json!(15.0)) && with("/stage/source", "restart", json!({ "hang_s": 5 })));
+    let fits = |pointer, key, value| with(pointer, key, value).is_empty();
+    assert!(fits("/stage/source", "rate_hz", json!(15.0)) && fits("/stage/source", "restart", json!({ "hang_s": 5 })));
     for (pointer, key, value) in [
         ("", "stages", json!({})),
         ("", "name", json!("two words")),
@@ -88,7 +89,39 @@ fn faults_do_not_fit_the_schema() {
         ("/stage/assembler", "min_confidence", json!(1.5)),
         ("/stage/tracker", "env", json!({ "LEVEL": 3 })),
     ] {
-        assert!(!with(pointer, key, value.clone()), "{pointer}/{key} = {value}");
+        assert!(!fits(pointer, key, value.clone()), "{pointer}/{key} = {value}");
+    }
+    // Editors show the fault where it is, and name it.
+    for (pointer, key, value, told) in [
+        (
+            "/stage/source",
+            "rate",
+            json!(15.0),
+            "/stage/source: Additional properties are not allowed ('rate' was unexpected)",
+        ),
+        ("/stage/source", "width", json!("wide"), "/stage/source/width: \"wide\" is not of type \"integer\""),
+        (
+            "/stage/assembler",
+            "min_confidence",
+            json!(1.5),
+            "/stage/assembler/min_confidence: 1.5 is greater than the maximum of 1",
+        ),
+        (
+            "/stage/extractor",
+            "input",
+            json!({ "topic": "depth", "quee": 4 }),
+            "/stage/extractor/input: Additional properties are not allowed ('quee' was unexpected)",
+        ),
+        (
+            "/stage/source",
+            "intrinsics",
+            json!({ "fx": 1.0, "fy": 1.0, "cx": 0.0, "cy": 0.0, "cz": 0.0 }),
+            "/stage/source/intrinsics: Additional properties are not allowed ('cz' was unexpected)",
+        ),
+        ("/stage", "other", json!({ "output": "depth" }), "/stage/other: \"node\" is a required property"),
+    ] {
+        let told_all = with(pointer, key, value);
+        assert!(told_all.len() == 1 && told_all[0].starts_with(told), "{told_all:#?}");
     }
 }
 

@@ -10,12 +10,12 @@ use anyhow::{Context as _, Result, bail};
 use conicflow_messages::Hinted;
 use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader};
 use mcap::{Channel, McapError, McapResult, Message, Summary};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
 use std::fs::{self, File};
 use std::io::{ErrorKind, Read, Seek};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Longest record: the largest image of single precision has 256 MB.
 const MAX_RECORD_BYTES: u64 = 512 << 20;
@@ -298,9 +298,10 @@ impl Messages {
                 self.open = Some((file, 0));
                 continue;
             };
-            let was_whole = file.left_out().count == 0;
             let next = file.next();
-            if let (false, true, Some(damage)) = (self.is_told, was_whole, &file.left_out().first) {
+            if let Some(damage) = &file.left_out().first
+                && is_first_of(&file.path)
+            {
                 tracing::warn!("`{}` is damaged ({damage}): what is whole in it is used", file.path.display());
             }
             match next {
@@ -336,6 +337,12 @@ impl Iterator for Messages {
     fn next(&mut self) -> Option<Self::Item> {
         self.read().transpose()
     }
+}
+
+/// Whether nothing was said yet of what is left out of a file: it is read anew for each jump, and by several readers.
+fn is_first_of(path: &Path) -> bool {
+    static TOLD: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
+    TOLD.lock().unwrap_or_else(PoisonError::into_inner).insert(path.to_owned())
 }
 
 /// What is said of a file that ends or is broken in the middle; it is an error where it is no MCAP, or the only one and nothing

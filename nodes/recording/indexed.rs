@@ -1,9 +1,12 @@
 //! Reads a file of a recording from some time on, by what its end tells of where its messages are: in the order of their times.
+//!
+//! The check sum of a chunk stands in the chunk's own head, which `mcap` passes over here: it is looked at before the chunk is used.
 
 use super::sequential::{LeftOut, of_content};
 use super::zstd::Zstd;
 use mcap::records::MessageHeader;
 use mcap::sans_io::indexed_reader::{IndexedReadEvent, IndexedReader, IndexedReaderOptions};
+use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::{McapError, McapResult, Message, Summary};
 use std::borrow::Cow;
 use std::fs::File;
@@ -93,20 +96,26 @@ impl Indexed {
                     return Ok(Some(Message { channel, sequence, log_time, publish_time, data }));
                 }
             };
-            let is_there = offset.checked_add(length as u64).is_some_and(|end| end <= self.file_bytes);
-            let read = if is_there { self.read_chunk(offset, length)? } else { Err(McapError::UnexpectedEof) };
-            if let Err(damage) = read {
+            if let Err(damage) = self.read_chunk(offset, length)? {
                 self.leave_out(offset, damage)?;
             }
         }
     }
 
-    /// Reads a chunk; the outer error is that of the file, the inner one that of what it holds.
+    /// Reads a chunk whose content is at `offset`; the outer error is that of the file, the inner one that of what it holds.
     fn read_chunk(&mut self, offset: u64, length: usize) -> McapResult<McapResult<()>> {
-        self.file.seek(SeekFrom::Start(offset))?;
-        self.chunk.resize(length, 0);
+        let mut chunks = self.summary.chunk_indexes.iter();
+        let chunk = chunks.find(|chunk| chunk.compressed_data_offset().ok() == Some(offset));
+        let start = chunk.map_or(offset, |chunk| chunk.chunk_start_offset);
+        let Some(end) = offset.checked_add(length as u64).filter(|end| *end <= self.file_bytes) else {
+            return Ok(Err(McapError::UnexpectedEof));
+        };
+        self.file.seek(SeekFrom::Start(start))?;
+        self.chunk.resize((end - start) as usize, 0);
         self.file.read_exact(&mut self.chunk)?;
-        Ok(self.reader.insert_chunk_record_data(offset, &self.chunk).map_err(of_content))
+        let content = &self.chunk[(offset - start) as usize..];
+        let checked = check_sum(&self.chunk, self.wanted.limit);
+        Ok(checked.and_then(|()| self.reader.insert_chunk_record_data(offset, content)).map_err(of_content))
     }
 
     /// Goes on without a chunk.
@@ -116,6 +125,29 @@ impl Indexed {
         self.again = self.last.1;
         self.left_out.add(damage);
         Ok(())
+    }
+}
+
+/// Makes sure that a chunk is what was written, where it tells a check sum and is not too long for that.
+fn check_sum(chunk: &[u8], limit: usize) -> McapResult<()> {
+    let options = LinearReaderOptions::default()
+        .with_skip_start_magic(true)
+        .with_skip_end_magic(true)
+        .with_validate_chunk_crcs(true)
+        .with_prevalidate_chunk_crcs(true)
+        .with_record_length_limit(limit);
+    let (mut reader, mut left) = (LinearReader::new_with_options(options), chunk);
+    reader.add_decompressor(Zstd::default())?;
+    loop {
+        match reader.next_event() {
+            Some(Ok(LinearReadEvent::ReadRequest(bytes))) => {
+                let read = left.read(reader.insert(bytes))?;
+                reader.notify_read(read);
+            }
+            // No record of a chunk comes before all of it was checked.
+            Some(Ok(LinearReadEvent::Record { .. }) | Err(McapError::ChunkTooLarge(_))) | None => return Ok(()),
+            Some(Err(error)) => return Err(error),
+        }
     }
 }
 

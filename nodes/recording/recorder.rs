@@ -8,7 +8,7 @@
 //! | `image_rect_raw`, `camera_info` | the depth image, in millimetres where these are its units, else in metres |
 //! | `markers` | objects and tracks as RViz and Foxglove draw them |
 //! | `points` | points on their surfaces, for viewers without markers, such as Rerun |
-//! | `json` | short lists as the lines of `json_sink` |
+//! | `list` | short lists with all numbers by name, those of the lines of `json_sink` |
 //!
 //! and `/tf` has the pose of the camera. All messages of a frame have its stamp. What was written is in the file after a second
 //! at most, in chunks that are whole: who reads the file of a recorder that was killed finds all until then.
@@ -16,10 +16,12 @@
 use super::own::{self, ENCODING, IMAGE, MESSAGE, SCHEMA};
 use anyhow::{Context as _, Error, Result};
 use conicflow_dataflow::{AnyMessage, ItemType};
-use conicflow_messages::{Header, Hinted, INVALID_FAR, INVALID_NEAR, Object, Text, Track};
+use conicflow_messages::{
+    ABSENT, Fields, Header, Hinted, INVALID_FAR, INVALID_NEAR, Named, Object, Text, Track, Velocity,
+};
 use conicflow_ros::{
     CAMERA_INFO, CameraInfo, Definition, IMAGE as IMAGE_TYPE, MARKER_ARRAY, Marked, Markers, POINT_CLOUD, Stamped,
-    TF_MESSAGE, markers, surface_points, write_metres, write_transform, write_units,
+    TF_MESSAGE, list_definition, markers, surface_points, write_list, write_metres, write_transform, write_units,
 };
 use mcap::records::MessageHeader;
 use mcap::write::NoSeek;
@@ -41,9 +43,6 @@ const LOOK: Duration = Duration::from_millis(100);
 const WORLD: &str = "world";
 /// Of frames that no stage has put its name to.
 const NAMELESS: &str = "camera";
-/// The schema of a channel that has none: of JSON. `rosbags` opens no file with a JSON schema in it, Foxglove shows no JSON with a
-/// schema of another kind, and Rerun shows what has none with a warning.
-const NO_SCHEMA: u16 = 0;
 /// The encoding of a schema that is but a name.
 const NAME_ALONE: &str = "";
 /// The unit of whole numbers in images of ROS.
@@ -363,12 +362,11 @@ impl OpenFile {
             self.put_ros(&of("markers"), MARKER_ARRAY, header, &markers)?;
             self.put_ros(&of("points"), POINT_CLOUD, header, &points)?;
         }
-        if item.is_short() {
-            memory.clear();
-            // A type that cannot be shown is recorded as it is.
-            if message.write_json(latency_ms, &mut memory).is_ok() {
-                self.put_json(&of("json"), header, &memory)?;
-            }
+        // A type that cannot be shown is recorded as it is.
+        if let Some(items) = all_of(message).filter(|_| item.is_short()) {
+            let head = head(header, latency_ms);
+            memory = write_list(stamped, &head, &items, memory);
+            self.put_list(&of("list"), item, &head, header, &memory)?;
         }
         if let Some(pose) = header.pose()
             && self.placed.insert(origin, (header.epoch, header.sequence)) != Some((header.epoch, header.sequence))
@@ -395,9 +393,22 @@ impl OpenFile {
         })
     }
 
-    fn put_json(&mut self, channel: &str, header: &Header, data: &[u8]) -> Result<()> {
+    fn put_list(
+        &mut self,
+        channel: &str,
+        item: &ItemType,
+        head: &Fields<'_>,
+        header: &Header,
+        data: &[u8],
+    ) -> Result<()> {
         self.put(channel, header, data, |writer| {
-            Ok(writer.add_channel(NO_SCHEMA, channel, "json", &BTreeMap::new())?)
+            // The list may be empty: what its items have, one of zeros tells.
+            let zeros = vec![0_u64; item.size().div_ceil(size_of::<u64>())];
+            let bytes = &bytemuck::cast_slice(&zeros)[..item.size()];
+            let items = all_of(&AnyMessage { header, item, bytes }).unwrap_or_default();
+            let (name, text) = list_definition(item.name(), head, items.first().context("an item of no bytes")?);
+            let schema = writer.add_schema(&name, "ros2msg", text.as_bytes())?;
+            Ok(writer.add_channel(schema, channel, "cdr", &BTreeMap::new())?)
         })
     }
 
@@ -423,6 +434,22 @@ impl OpenFile {
         self.waits.get_or_insert_with(Instant::now);
         Ok(())
     }
+}
+
+/// All that the items of a list have by name, if they are of a type that can be shown.
+fn all_of<'a>(message: &AnyMessage<'a>) -> Option<Vec<Fields<'a>>> {
+    fn of<T: Named>(message: &AnyMessage<'_>) -> Option<Vec<Fields<'static>>> {
+        Some(message.items::<T>()?.iter().map(Named::fields).collect())
+    }
+    let described = || Some(message.item.described_layout()?.items(message.bytes));
+    of::<Object>(message).or_else(|| of::<Track>(message)).or_else(|| of::<Velocity>(message)).or_else(described)
+}
+
+/// What else a line of JSON has.
+fn head(header: &Header, latency_ms: Option<f64>) -> Fields<'_> {
+    let source = header.source.as_str().unwrap_or_default();
+    let latency_ms = latency_ms.unwrap_or(ABSENT);
+    Fields(vec![("sequence", header.sequence.into()), ("source", source.into()), ("latency_ms", latency_ms.into())])
 }
 
 /// What was found as viewers draw it: by markers, and those that have none by points.

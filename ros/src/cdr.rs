@@ -211,6 +211,17 @@ impl Writer {
         numbers.iter().fold(self, |writer, number| writer.number(number.to_le_bytes()))
     }
 
+    /// Numbers of so many bytes each, as this machine has them in memory.
+    pub fn numbers(&mut self, size: usize, bytes: &[u8]) -> &mut Self {
+        let end = (self.0.len() - HEADER_BYTES).next_multiple_of(size) + HEADER_BYTES;
+        self.0.resize(end, 0);
+        self.0.extend(bytes);
+        if cfg!(target_endian = "big") {
+            self.0[end..].chunks_exact_mut(size).for_each(<[u8]>::reverse);
+        }
+        self
+    }
+
     /// Bytes with their number before, as they come.
     pub fn bytes(&mut self, length: usize, bytes: impl Iterator<Item = u8>) -> &mut Self {
         self.length(length);

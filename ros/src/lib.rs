@@ -3,7 +3,8 @@
 //!
 //! Nothing here knows files, transports or ROS itself. In the order in which a reader of a recording meets them:
 //! [`Image`], [`CompressedImage`] and [`PointCloud`] give [`Depths`], [`CameraInfo`] gives the intrinsics, [`Transforms`] the
-//! camera's pose; [`detections`] tells a list of objects, and [`markers`] draws it, as [`surface_points`] does for viewers without markers. [`definition`] has the text of each message type.
+//! camera's pose; [`detections`] tells a list of objects, [`write_list`] all numbers of any list, and [`markers`] draws it, as
+//! [`surface_points`] does for viewers without markers. [`definition`] has the text of each message type that others made.
 //!
 //! Numbers in these messages are those of other programs: whatever is too long, of an unknown encoding or not finite is an
 //! error.
@@ -14,6 +15,7 @@ mod compressed_image;
 mod definition;
 mod detections;
 mod image;
+mod list;
 mod markers;
 mod point_cloud;
 mod rvl;
@@ -28,6 +30,7 @@ pub use definition::{
 };
 pub use detections::detections;
 pub use image::{Depths, Encoding, Image, write_metres, write_units};
+pub use list::{list_definition, write_list};
 pub use markers::{Marked, Markers, markers};
 pub use point_cloud::PointCloud;
 pub use surface::surface_points;

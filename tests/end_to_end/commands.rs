@@ -1,8 +1,9 @@
 //! The commands that start nothing: `graph`, `nodes`, help; and what wrong arguments are told.
 
-use crate::support::{Playground, TRACKING};
-use std::fs::File;
-use std::process::Stdio;
+use crate::support::{Playground, Started, TRACKING};
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
 
 const NODES: [&str; 9] = [
     "synthetic_source",
@@ -246,4 +247,27 @@ fn a_shell_and_man_know_every_command() {
     }
     assert!(script.contains("--frames") && pages.contains("frames"), "arguments are known, too");
     playground.conicflow(&["completions", "cmd"]).expect_code(2);
+}
+
+/// Editors are told what is wrong by validators that others wrote; this is one.
+#[test]
+fn another_validator_names_the_fault() {
+    let python = std::env::var("CONICFLOW_TEST_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    let has_both = Command::new(&python).args(["-c", "import jsonschema, tomllib"]).stderr(Stdio::null()).status();
+    if !has_both.is_ok_and(|status| status.success()) {
+        eprintln!(
+            "SKIPPED: `{python}` has no jsonschema, or is older than 3.11; what it tells of a pipeline file is not shown"
+        );
+        return;
+    }
+    let playground = Playground::new();
+    playground.write("schema.json", &playground.conicflow(&["schema"]).expect_code(0).stdout);
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let is_toml = |path: &PathBuf| path.extension().is_some_and(|extension| extension == "toml");
+    let of = |folder: &str| fs::read_dir(root.join(folder)).unwrap().map(|entry| entry.unwrap().path()).filter(is_toml);
+    let mut command = Command::new(python);
+    command.arg(root.join("tests/end_to_end/schema.py")).arg(playground.path("schema.json"));
+    command.arg(root.join("pipeline.toml")).args(of("examples")).args(of("experiments"));
+    let told = Started::new(command).wait().expect_code(0).stdout;
+    assert!(told.ends_with(" files\n"), "{told}");
 }

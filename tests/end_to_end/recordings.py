@@ -14,6 +14,7 @@ import zlib
 
 import mcap.reader
 import mcap.writer
+import mcap_ros2.decoder
 import numpy as np
 from rosbags import rosbag1, rosbag2
 from rosbags.highlevel import AnyReader
@@ -29,14 +30,15 @@ def read(run, lines):
     with run.open("rb") as file:
         reader = mcap.reader.make_reader(file, validate_crcs=True)
         channels = {channel.topic: channel for channel in reader.get_summary().channels.values()}
-        assert all(channel.message_encoding in ("cdr", "json", "conicflow") for channel in channels.values()), channels
-        told = [json.loads(message.data) for *_, message in reader.iter_messages(topics=["/source/tracks/json"])]
-    for line in told + lines:
-        line.pop("latency_ms")
-    assert told == lines, "the lines are those of json_sink"
-    images, checked = {}, 0
+        assert all(channel.message_encoding in ("cdr", "conicflow") for channel in channels.values()), channels
+    with run.open("rb") as file:
+        reader = mcap.reader.make_reader(file, decoder_factories=[mcap_ros2.decoder.DecoderFactory()])
+        told = [decoded for *_, decoded in reader.iter_decoded_messages(topics=["/source/tracks/list"])]
+    check_lists(told, lines)
+    images, told, checked = {}, [], 0
     with AnyReader([run]) as reader:
-        for connection, time_ns, data in reader.messages([c for c in reader.connections if c.msgtype in HUMBLE.fielddefs]):
+        kinds = [*HUMBLE.fielddefs, "conicflow_msgs/msg/Tracks"]
+        for connection, time_ns, data in reader.messages([c for c in reader.connections if c.msgtype in kinds]):
             message, part = reader.deserialize(data, connection.msgtype), connection.topic.split("/")[-1]
             header = message.transforms[0].header if part == "tf" else message.markers[0].header if part == "markers" else message.header
             assert header.stamp.sec * 10**9 + header.stamp.nanosec == time_ns
@@ -48,14 +50,43 @@ def read(run, lines):
                 assert list(message.p[[0, 2, 5, 6]]) == list(message.k[[0, 2, 4, 5]]) and not any(message.d)
             elif part == "tf":
                 assert (header.frame_id, message.transforms[0].child_frame_id) == ("world", "source")
+            elif connection.topic == "/source/tracks/list":
+                told.append(message)
             elif connection.topic == "/source/tracks/markers":
                 checked += check_markers(message.markers, tracks_at(lines, time_ns))
             elif connection.topic == "/source/tracks/points":
                 check_points(message, tracks_at(lines, time_ns))
+    check_lists(told, lines)
     assert len(images) == len(lines)
     near = [image[image > 0].min() for image in images.values()]
     assert all(0.5 < depth < 3.0 for depth in near) and fx > 100 and cx > 50, (near, fx, cx)
     print(len(lines), "frames,", checked, "markers")
+
+
+def check_lists(lists, lines):
+    """All that the lines of json_sink tell is there by the same name, and nothing else but numbers that are none."""
+    assert [(told.sequence, told.source) for told in lists] == [(line["sequence"], line["source"]) for line in lines]
+    kinds = set()
+    for told, line in zip(lists, lines, strict=True):
+        assert told.latency_ms > 0.0
+        for item, track in zip(told.items, line["tracks"], strict=True):
+            check_item(item, track)
+            assert item.sigma.radius == track["sigma"]["radius"] > 0.0
+            kinds.add(item.kind)
+    assert kinds == {"sphere", "cylinder", "cone"}, kinds
+
+
+def check_item(item, keys):
+    names = [name for name in getattr(item, "__dataclass_fields__", None) or item.__slots__ if name != "__msgtype__"]
+    assert set(keys) <= set(names), (keys, names)
+    for name in names:
+        value = getattr(item, name)
+        if isinstance(keys.get(name), dict):
+            check_item(value, keys[name])
+        elif name in keys:
+            assert np.array_equal(value, keys[name]) or name == "confidence" and np.float32(keys[name]) == value, (name, value, keys)
+        else:
+            assert np.isnan(value).all(), (name, value, keys)
 
 
 def tracks_at(lines, time_ns):

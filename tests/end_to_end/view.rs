@@ -18,7 +18,7 @@ const PATIENCE: Duration = Duration::from_secs(90);
 pub struct Page {
     /// `127.0.0.1:PORT`.
     pub host: String,
-    _program: Option<(Started, BufReader<ChildStdout>)>,
+    program: Option<(Started, BufReader<ChildStdout>)>,
 }
 
 /// What was answered.
@@ -76,13 +76,13 @@ impl Page {
         output.read_line(&mut line).unwrap();
         let host = line.trim().strip_prefix("http://").unwrap_or_else(|| panic!("`{line}`: {}", program.stderr()));
         let host = host.split('/').next().unwrap().to_owned();
-        Self { host, _program: Some((program, output)) }
+        Self { host, program: Some((program, output)) }
     }
 
     /// The page that a stage offers, as its log says.
     pub fn of_stage(log: &str) -> Self {
         let (_, address) = log.split_once("http://").unwrap();
-        Self { host: address.split('/').next().unwrap().to_owned(), _program: None }
+        Self { host: address.split('/').next().unwrap().to_owned(), program: None }
     }
 
     pub fn url(&self) -> String {
@@ -230,7 +230,7 @@ fn other_machines_need_the_token() {
     let (address, token) = line.trim().split_once("/?token=").unwrap();
     assert_eq!(token.len(), 32, "{line}");
     let port = address.rsplit_once(':').unwrap().1;
-    let page = Page { host: format!("127.0.0.1:{port}"), _program: None };
+    let page = Page { host: format!("127.0.0.1:{port}"), program: None };
     assert_eq!((page.get("/").status, page.get("/look?browser=a").status), (401, 401));
     assert_eq!(page.get(&format!("/?token={}", "0".repeat(32))).status, 401);
     let entered = page.get(&format!("/?token={token}"));
@@ -377,6 +377,8 @@ fn a_damaged_place_ends_neither_the_page_nor_a_run() {
     }
     page.wish(&json!({ "do": "seek", "at_s": 0.0 }));
     page.told("the first frame", shows(0));
+    let told = page.program.as_ref().unwrap().0.stderr();
+    assert_eq!(told.matches("is damaged (").count(), 1, "{told}");
     let found = playground.conicflow(&["detect", "damaged.mcap"]).expect_code(0);
     assert!(found.stderr.contains("is damaged") && found.stderr.contains("; damaged places: 1"), "{}", found.stderr);
     assert!(found.stdout.lines().count() > 20, "{}", found.stdout);

@@ -12,7 +12,8 @@
 //!
 //! From Lyrical on, publishers of `rmw_zenoh_cpp` send messages with a `uint8[]` in them below the key of the topic: those for all
 //! who have no memory of their own for it at `KEY/_buf_cpu`, if the token of each subscriber says so by `/backends:cpu:` at its
-//! end, which the distributions before do not look at. They still send at the key itself where anybody else listens.
+//! end, which the distributions before do not look at. They still send at the key itself where anybody else listens. A message that
+//! goes to several keys below the one of the topic has another number at each.
 //!
 //! Sources: ros2/rmw_zenoh `docs/design.md`, `liveliness_utils.cpp`, `buffer_endpoint_helpers.hpp`, `rmw_publisher_data.cpp`;
 //! zenoh-plugin-ros2dds `liveliness_mgt.rs`.
@@ -117,6 +118,11 @@ impl Keys<'_> {
     }
 }
 
+/// Whether a message came below the key of its topic.
+pub(super) fn comes_below(key: &str) -> bool {
+    key.rsplit('/').next() == Some(OF_NO_MEMORY)
+}
+
 /// What the caches of publishers answer to, of messages that were sent before.
 pub(super) fn key_of_caches(key: &str) -> String {
     format!("{key}/@adv/**")
@@ -180,6 +186,7 @@ mod tests {
         assert_eq!(told[2], format!("7/conicflow/tracks/{detections}/{DETECTIONS_HASH}"));
         let taken: Vec<_> = participant.ends[..2].iter().map(|end| keys.keys_to_take(end)).collect();
         assert_eq!(taken, [vec![told[0].clone(), format!("{}/_buf_cpu", told[0])], vec![told[1].clone()]]);
+        assert!(comes_below(&taken[0][1]) && !comes_below(&taken[0][0]));
         let node = format!("@ros2_lv/7/{ZID}/0");
         let tf = "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087";
         let expected = [

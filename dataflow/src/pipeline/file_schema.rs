@@ -17,14 +17,22 @@ use serde_json::{Map, Value as Json, json};
 const DEFINITIONS: &str = "definitions";
 const OF_NODE: &str = "$defs";
 
+/// The key of a stage that is a program of one's own, and the schema of its table.
+const PROGRAM: &str = "program";
+
 /// The keys that the table of each stage has, whatever it is; each is a definition of the same name.
 const OF_EACH_STAGE: [&str; 3] = ["machine", "restart", "env"];
 
 /// The schema of files whose stages may be these nodes.
 pub fn file_schema<'a>(nodes: impl IntoIterator<Item = &'a Node>) -> Json {
     let mut definitions = of_stages();
-    let mut stages: Vec<Json> = nodes.into_iter().map(|node| of_node(node, &mut definitions)).collect();
-    stages.push(of_program());
+    let nodes: Vec<&Node> = nodes.into_iter().collect();
+    for node in &nodes {
+        let schema = of_node(node, &mut definitions);
+        definitions.insert(node.name.to_owned(), schema);
+    }
+    definitions.insert(PROGRAM.to_owned(), of_program());
+    let names: Vec<_> = nodes.iter().map(|node| node.name).collect();
     json!({
         "$schema": "http://json-schema.org/draft-07/schema#",
         "title": "pipeline of conicflow",
@@ -36,7 +44,7 @@ pub fn file_schema<'a>(nodes: impl IntoIterator<Item = &'a Node>) -> Json {
                 "description": "Two pipelines of different names on one machine do not meet.",
                 "type": "string", "pattern": format!("^[A-Za-z0-9_-]{{1,{MAX_STAGE_NAME}}}$"),
             },
-            "stage": { "description": "The stages, each a process.", "type": "object", "additionalProperties": { "oneOf": stages } },
+            "stage": { "description": "The stages, each a process.", "type": "object", "additionalProperties": stage(&names) },
             "machine": {
                 "description": "The machines, where there is more than one.",
                 "type": "object", "additionalProperties": machine(),
@@ -52,9 +60,23 @@ pub fn file_schema<'a>(nodes: impl IntoIterator<Item = &'a Node>) -> Json {
     })
 }
 
+/// A stage: its `node`, or that it has a `program`, says which schema it has to fit, so that the fault itself is told. taplo, by which
+/// editors complete, looks into no `then`, but into each branch of a choice: there is one more, which every table fits.
+fn stage(nodes: &[&str]) -> Json {
+    let of_node =
+        |name| json!({ "if": { "required": ["node"], "properties": { "node": { "const": name } } }, "then": to(name) });
+    let one = json!({ "required": ["node"], "properties": { "node": { "enum": nodes } } });
+    let either = json!({ "if": { "required": [PROGRAM] }, "then": to(PROGRAM), "else": one });
+    let faults: Vec<_> = std::iter::once(either).chain(nodes.iter().map(|name| of_node(*name))).collect();
+    let completions: Vec<_> =
+        std::iter::once(json!({})).chain(nodes.iter().chain([&PROGRAM]).map(|name| to(name))).collect();
+    json!({ "type": "object", "allOf": faults, "anyOf": completions })
+}
+
 /// A stage that is a node; what its schema refers to goes into `definitions`, where nodes share what is the same.
 fn of_node(node: &Node, definitions: &mut Map<String, Json>) -> Json {
     let mut schema = node.schema();
+    without_null(&mut schema);
     refer(&mut schema, &format!("#/{OF_NODE}/"), &format!("#/{DEFINITIONS}/"));
     let has_other = |(name, own): (&String, &Json)| definitions.get(name).is_some_and(|other| other != own);
     let mut prefix = String::new();
@@ -94,13 +116,13 @@ fn of_program() -> Json {
         "description": "The program with its arguments; with a slash its path is relative to the file.",
         "type": "array", "items": { "type": "string" }, "minItems": 1,
     });
-    properties.insert("program".to_owned(), program);
+    properties.insert(PROGRAM.to_owned(), program);
     properties.insert("input".to_owned(), reference("input", "What drives the stage."));
     let inputs = json!({ "description": "Side inputs.", "type": "object", "additionalProperties": to("input") });
     properties.insert("inputs".to_owned(), inputs);
     properties.insert("output".to_owned(), to("output"));
     properties.extend(OF_EACH_STAGE.map(|key| (key.to_owned(), to(key))));
-    json!({ "title": "program", "type": "object", "required": ["program"], "properties": properties, "not": { "required": ["node"] } })
+    json!({ "title": PROGRAM, "type": "object", "required": [PROGRAM], "properties": properties, "not": { "required": ["node"] } })
 }
 
 /// What the tables of stages refer to.
@@ -129,44 +151,34 @@ fn input() -> Json {
     let kinds: Vec<_> = BUILT_IN.iter().map(|item| item.name()).collect();
     json!({
         "description": "A topic, or a table that also says how it is read.",
-        "anyOf": [
-            { "type": "string" },
-            {
-                "type": "object", "required": ["topic"], "additionalProperties": false,
-                "properties": {
-                    "topic": { "type": "string" },
-                    "delivery": {
-                        "description": "The newest message, or all of them: then the writer waits.",
-                        "enum": DELIVERIES.map(|(word, _)| word), "default": "latest",
-                    },
-                    "queue": {
-                        "description": "How many messages wait at most.",
-                        "type": "integer", "minimum": 1, "maximum": MAX_QUEUE,
-                    },
-                    "kind": {
-                        "description": "What a program of one's own writes there.",
-                        "type": "string", "examples": kinds,
-                    },
-                    "compression": {
-                        "description": "Of images and long lists from another machine.",
-                        "enum": COMPRESSIONS.map(|(word, _)| word), "default": "zstd",
-                    },
-                },
+        "type": ["string", "object"], "required": ["topic"], "additionalProperties": false,
+        "properties": {
+            "topic": { "type": "string" },
+            "delivery": {
+                "description": "The newest message, or all of them: then the writer waits.",
+                "enum": DELIVERIES.map(|(word, _)| word), "default": "latest",
             },
-        ],
+            "queue": {
+                "description": "How many messages wait at most.",
+                "type": "integer", "minimum": 1, "maximum": MAX_QUEUE,
+            },
+            "kind": {
+                "description": "What a program of one's own writes there.",
+                "type": "string", "examples": kinds,
+            },
+            "compression": {
+                "description": "Of images and long lists from another machine.",
+                "enum": COMPRESSIONS.map(|(word, _)| word), "default": "zstd",
+            },
+        },
     })
 }
 
 fn output() -> Json {
     json!({
         "description": "The topic that it writes; of a program of one's own also what it writes there.",
-        "anyOf": [
-            { "type": "string" },
-            {
-                "type": "object", "required": ["topic"], "additionalProperties": false,
-                "properties": { "topic": { "type": "string" }, "kind": { "type": "string" } },
-            },
-        ],
+        "type": ["string", "object"], "required": ["topic"], "additionalProperties": false,
+        "properties": { "topic": { "type": "string" }, "kind": { "type": "string" } },
     })
 }
 
@@ -199,11 +211,11 @@ fn machine() -> Json {
 fn metrics(description: &str) -> Json {
     let address = json!({ "type": "string", "examples": ["127.0.0.1:9464"] });
     let token = json!({ "description": "What has to be known to read them.", "type": "string" });
-    let table = json!({
-        "type": "object", "required": ["listen"], "additionalProperties": false,
+    json!({
+        "description": description, "type": ["string", "object"], "examples": address["examples"],
+        "required": ["listen"], "additionalProperties": false,
         "properties": { "listen": address, "token": token },
-    });
-    json!({ "description": description, "anyOf": [address, table] })
+    })
 }
 
 fn item() -> Json {
@@ -230,6 +242,33 @@ fn to(definition: &str) -> Json {
 fn reference(definition: &str, description: &str) -> Json {
     // Readers of a schema pass over what stands beside a `$ref`, but not beside a list that has one.
     json!({ "description": description, "allOf": [to(definition)] })
+}
+
+/// Leaves out what may be nothing: in TOML that is a key that is not there, and of a choice that has one branch left the fault is told.
+fn without_null(schema: &mut Json) {
+    match schema {
+        Json::Object(entries) => {
+            entries.retain(|key, value| key != "default" || !value.is_null());
+            if let Some(Json::Array(kinds)) = entries.get_mut("type") {
+                kinds.retain(|kind| kind != "null");
+                if let [kind] = &kinds[..] {
+                    let kind = kind.clone();
+                    entries.insert("type".to_owned(), kind);
+                }
+            }
+            if let Some(Json::Array(branches)) = entries.get_mut("anyOf") {
+                branches.retain(|branch| branch.get("type").is_none_or(|kind| kind != "null"));
+                if branches.len() == 1
+                    && let Some(branch) = entries.remove("anyOf")
+                {
+                    entries.insert("allOf".to_owned(), branch);
+                }
+            }
+            entries.values_mut().for_each(without_null);
+        }
+        Json::Array(values) => values.iter_mut().for_each(without_null),
+        _ => {}
+    }
 }
 
 /// Lets all references that begin with `old` begin with `new`.
@@ -273,10 +312,10 @@ mod tests {
         let of = |keys: &[&str]| keys.iter().map(|key| (*key).to_owned()).collect::<BTreeSet<_>>();
         assert_eq!(keys(&schema, "/properties"), of(&PIPELINE_KEYS));
         assert_eq!(keys(&schema, "/properties/machine/additionalProperties/properties"), of(&MACHINE_KEYS));
-        assert_eq!(keys(&schema, "/properties/metrics/anyOf/1/properties"), of(&METRICS_KEYS));
+        assert_eq!(keys(&schema, "/properties/metrics/properties"), of(&METRICS_KEYS));
         assert_eq!(keys(&schema, "/properties/item/additionalProperties/properties"), of(&ITEM_KEYS));
-        assert_eq!(keys(&schema, "/definitions/input/anyOf/1/properties"), of(&INPUT_KEYS));
-        let mut of_program = keys(&schema, "/properties/stage/additionalProperties/oneOf/0/properties");
+        assert_eq!(keys(&schema, "/definitions/input/properties"), of(&INPUT_KEYS));
+        let mut of_program = keys(&schema, "/definitions/program/properties");
         assert!(of_program.insert("node".to_owned()));
         assert_eq!(of_program, of(&STAGE_KEYS));
     }

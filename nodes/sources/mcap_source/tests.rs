@@ -243,10 +243,37 @@ fn a_damaged_chunk_is_left_out_and_counted() {
             // From any frame on, as the page plays it.
             for frame in 0..5 {
                 replay.seek(stamp_ns(frame));
-                assert!(all(&mut replay).unwrap().len() <= 5);
+                assert!(all(&mut replay).unwrap().iter().all(|frame| is_of(&whole, frame)), "what is whole");
             }
         }
     }
+}
+
+#[test]
+fn a_chunk_that_its_check_sum_alone_shows_to_be_damaged_is_left_out_wherever_one_begins() {
+    let whole = play(&usual(None), Config::default()).unwrap();
+    let mut damaged = usual(None);
+    let image = write_units(stamped(3), SIZE, &pixels(3), Vec::new());
+    let at = damaged.windows(image.len()).position(|bytes| bytes == image).unwrap();
+    damaged[at + image.len() - 1] ^= 1;
+    let place = Place::of(&damaged);
+    let mut replay = place.open(Config::default()).unwrap();
+    for from in [None, Some(0), Some(2), Some(3)] {
+        if let Some(from) = from {
+            replay.seek(stamp_ns(from));
+        }
+        let frames = all(&mut replay).unwrap();
+        assert!(frames.iter().all(|frame| is_of(&whole, frame)), "what is whole, from {from:?}");
+        assert!(frames.iter().all(|(header, _)| header.stamp_ns != stamp_ns(3)));
+        assert_eq!(replay.take_counts().collect::<Vec<_>>(), [("damaged places", 1)], "from {from:?}");
+    }
+    replay.seek(stamp_ns(4));
+    assert!(all(&mut replay).unwrap().len() <= 1);
+}
+
+/// Whether these frames have one of this time with these depths.
+fn is_of(frames: &[(Header, Vec<u16>)], (header, depths): &(Header, Vec<u16>)) -> bool {
+    frames.iter().any(|(own, same)| own.stamp_ns == header.stamp_ns && same == depths)
 }
 
 /// Where the chunks of a file lie.
