@@ -98,6 +98,8 @@ impl Assembler {
                         continue;
                     }
                     rejections.count(Rejection::Odds);
+                    // From any other of its arcs the same would grow.
+                    seeds.pass_over(candidate.region.members);
                 }
                 Err(reason) => rejections.count(reason),
             }

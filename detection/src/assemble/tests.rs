@@ -388,6 +388,16 @@ fn seeds_that_were_tried_in_vain_come_to_an_end_and_objects_do_not_count() {
 }
 
 #[test]
+fn what_is_too_improbable_is_not_tried_from_its_other_arcs() {
+    let (header, ellipses) = ellipses_of_a_can();
+    let mut assembler = Assembler::new(AssemblerParameters { min_confidence: 1.0, ..AssemblerParameters::default() });
+    assert!(assembler.assemble(&header, &ellipses).is_empty());
+    // An arc that it does not explain may lead to it once more.
+    let tried = assembler.candidates().len();
+    assert!((1..=2).contains(&tried), "{tried} times");
+}
+
+#[test]
 fn a_window_of_the_sensor_may_move_the_outline() {
     let (header, ellipses) = ellipses_of_a_can();
     // As a sensor sees it that loses what it sees at a slant: eight pixels too far in, on both sides.
