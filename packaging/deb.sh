@@ -24,6 +24,8 @@ done
 name="$(readelf -d "$built/libconicflow.so" | sed -n 's/.*soname: \[\(.*\)\]/\1/p')"
 strip --strip-unneeded -o "$made/$name" "$built/libconicflow.so"
 ln -s "$name" "$made/libconicflow.so"
+# It looks also at packages that this machine does not build, and asks nobody on the network about licences.
+cargo fetch --locked
 cargo about generate --workspace --locked --offline --fail -c packaging/licences.toml packaging/licences.hbs |
     gzip -9n >"$made/third-party-licences.txt.gz"
 
