@@ -1,5 +1,6 @@
-use super::super::shapes::Plane;
+use super::super::shapes::{Frustum, Plane};
 use super::*;
+use crate::quantile::median;
 use nalgebra::Vector3;
 
 const CAMERA: Camera = Camera { width: 320, height: 160, fx: 525.0, fy: 525.0, cx: 159.5, cy: 79.5 };
@@ -82,6 +83,35 @@ fn a_silhouette_does_not_grow() {
         for (side, grown) in [("left", grown_left), ("right", grown_right)] {
             assert!((-2.0..0.8).contains(&grown), "{sensor:?}: {grown} px to the {side}");
         }
+    }
+}
+
+/// A recording of a tin of this size and distance has 0.4 and 0.5 pixels in the first three pixels from its silhouettes, and 0.0 and 0.1
+/// from the fifth to the eighth (`experiments/README.md`).
+#[test]
+fn what_is_round_is_flattened_at_its_silhouettes_as_in_recordings() {
+    let (radius, z) = (0.034, 0.6);
+    let (base, axis) = (Vector3::new(0.0, 1.0, z), -Vector3::y());
+    let tin = Frustum { base, axis, length: 2.0, base_radius: radius, top_radius: radius, open: false };
+    let shapes = [Shape::Frustum(tin), board(0.9, 10.0)];
+    let mut raster = Raster::new(CAMERA);
+    raster.render(&shapes);
+    let depths: Vec<_> = (0..4).map(|seed| shot(STEREO, &shapes, seed, 1)).collect();
+    let on_tin = |u: usize| raster.depth[u] < z;
+    let (first, last) = ((0..320).find(|&u| on_tin(u)).unwrap(), (0..320).rfind(|&u| on_tin(u)).unwrap());
+    // How much greater the disparity is than that of the tin, in pixels, in the middle of all rows that measure it.
+    let excess = |u: usize| {
+        let of_row = |v: usize| (v * 320 + u, raster.depth[v * 320 + u]);
+        let measured = depths.iter().flat_map(|depths| (0..160).map(move |v| (depths, of_row(v))));
+        let near = measured.filter(|(depths, (index, truth))| (depths[*index] - truth).abs() < 0.05);
+        median(near.map(|(depths, (index, truth))| 525.0 * 0.055 * (1.0 / depths[index] - 1.0 / truth)).collect())
+    };
+    for at in [|first: usize, _: usize, k: usize| first + k, |_, last: usize, k: usize| last - k] {
+        let [edge, inside] = [0..3, 4..8].map(|pixels| {
+            let all: Vec<f64> = pixels.filter_map(|k| excess(at(first, last, k))).collect();
+            all.iter().sum::<f64>() / all.len() as f64
+        });
+        assert!((0.2..0.7).contains(&edge) && inside.abs() < 0.12, "{edge} at the silhouette, {inside} inside");
     }
 }
 
