@@ -9,7 +9,9 @@ import re
 import sys
 from pathlib import Path
 
+PACKAGES = [*sorted(map(str, Path(".").glob("*/src"))), "nodes"]
 USE = re.compile(r"^ *(?:pub(?:\(\w+\))? )?use ([^;]+);", re.MULTILINE)
+TESTS = re.compile(r"^#\[cfg\(test\)\]\n(?:pub(?:\(\w+\))? )?mod \w+ \{", re.MULTILINE)
 PATH = re.compile(r"(?<![\w:])[a-z_]\w*(?:::\w+)+(?![\w:])")  # in the midst of code
 
 
@@ -44,7 +46,7 @@ def circles(root):
     for path in [path for path in sorted(root.rglob("*.rs")) if not path.stem.endswith("tests")]:
         module = path.relative_to(root).with_suffix("").parts
         files[module[:-1] if module[-1] in ("mod", "lib") else module] = path
-    texts = {module: path.read_text().split("\n#[cfg(test)]\nmod tests {")[0] for module, path in files.items()}
+    texts = {module: TESTS.split(path.read_text())[0] for module, path in files.items()}
     named = {module: list(uses(module, text, files)) for module, text in texts.items()}
     reached = {module: {home(path, files, named) for path in named[module]} - {module} for module in files}
     for middle in files:
@@ -54,7 +56,7 @@ def circles(root):
     return [sorted(files[module] for module in circle) for circle in joined if circle]
 
 
-found = [circle for folder in sys.argv[1:] or ["messages", "geometry", "detection", "dataflow", "bridge"] for circle in circles(Path(folder) / "src")]
+found = [circle for folder in sys.argv[1:] or PACKAGES for circle in circles(Path(folder))]
 large = [circle for circle in found if len(circle) > 2 or len({path.parent for path in circle}) > 1]
 print(*[" ".join(["circle:" if circle in large else "pair:", *map(str, circle)]) for circle in found], sep="\n")
 sys.exit(bool(large))

@@ -1,5 +1,6 @@
 //! `conicflow detect`: the objects of recorded frames, in one command without a pipeline file.
 
+use super::invocation::say;
 use crate::recording::files::looks_like_recording;
 use crate::sinks::json_lines::{JsonLines, Wrote};
 use crate::sinks::picture_sink::{self, Names, PictureSink};
@@ -124,7 +125,7 @@ pub fn detect(arguments: &DetectArguments) -> Result<()> {
     }
     pictures.as_mut().map_or(Ok(()), PictureSink::end).context("pictures")?;
     totals.count_sources(&frames.take_counts());
-    super::say(totals.text());
+    say(totals.text());
     Ok(())
 }
 

@@ -4,6 +4,7 @@ mod compare;
 mod detect;
 mod doctor;
 mod experiment;
+mod invocation;
 mod keys;
 mod metrics;
 mod node_help;
@@ -16,31 +17,28 @@ mod top;
 mod topic;
 mod view;
 
-use crate::{NODES, REGISTRY};
-use anyhow::{Context, anyhow, bail};
-use clap::{Args, Parser, Subcommand};
-use conicflow_dataflow::pipeline::{Pipeline, Report, SourceText, file_schema};
+use crate::REGISTRY;
+use anyhow::bail;
+use clap::{Args, CommandFactory, Parser, Subcommand};
+use conicflow_dataflow::pipeline::{Pipeline, Report, file_schema};
 use conicflow_dataflow::{DEFAULT_LOG, LOG, LaunchError, LinkKey, NO_RUN, Plan, ProcessError, RunOptions, Summary};
 use conicflow_dataflow::{error_text, log_filter, log_to_standard_error};
 use conicflow_lab::experiment::{Experiment, Results, Variation};
 use conicflow_messages::{Hinted, lasts};
 use doctor::doctor;
 use experiment::Rows;
+use invocation::{FileArguments, check_machine, interruption, options, say};
 use keys::Keys;
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
+use signal_hook::consts::SIGXFSZ;
 use std::collections::BTreeSet;
-use std::fmt::Display;
-use std::io::{self, ErrorKind, Write, stderr, stdout};
-use std::path::{Path, PathBuf};
+use std::io::{self, ErrorKind, Write, stdout};
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use swap::SwapArguments;
 use topic::TopicCommand;
-
-const BUILT_IN: &str = include_str!("../../pipeline.toml");
-const DEFAULT_FILE: &str = "pipeline.toml";
 
 /// Exit code for what was begun and could not be done.
 const FAILED: u8 = 1;
@@ -167,15 +165,6 @@ enum Command {
 }
 
 #[derive(Args, Default)]
-struct FileArguments {
-    /// The pipeline file [default: ./pipeline.toml, else the built-in one]
-    file: Option<PathBuf>,
-    /// Set a parameter, as if it stood in the file; may be repeated
-    #[arg(long = "set", value_name = "STAGE.KEY=VALUE")]
-    overrides: Vec<String>,
-}
-
-#[derive(Args, Default)]
 struct RunArguments {
     #[command(flatten)]
     source: FileArguments,
@@ -249,15 +238,12 @@ fn dispatch(command: Command, log: &str) -> anyhow::Result<ExitCode> {
             write!(stdout(), "{}", node_help::nodes(name.as_deref())?)?;
             Ok(ExitCode::SUCCESS)
         }
-        Command::Completions { shell } => shell::completions(shell).map(|()| ExitCode::SUCCESS),
-        Command::Man => shell::manual().map(|()| ExitCode::SUCCESS),
+        Command::Completions { shell } => {
+            shell::completions(shell, &mut CommandLine::command()).map(|()| ExitCode::SUCCESS)
+        }
+        Command::Man => shell::manual(CommandLine::command()).map(|()| ExitCode::SUCCESS),
         Command::Keys { pipeline, launcher } => keys::read(&pipeline, launcher).map(|()| ExitCode::SUCCESS),
     }
-}
-
-/// Writes a line to standard error; that nobody reads it any more is no fault of the run.
-fn say(text: impl Display) {
-    writeln!(stderr(), "{text}").ok();
 }
 
 /// The text of an error and its causes; a report speaks for itself.
@@ -275,46 +261,6 @@ fn exit_code(error: &anyhow::Error) -> u8 {
 
 fn is_broken_pipe(error: &anyhow::Error) -> bool {
     error.downcast_ref::<io::Error>().is_some_and(|error| error.kind() == ErrorKind::BrokenPipe)
-}
-
-impl FileArguments {
-    /// The pipeline as the machine that was named needs it; where none was, as all of them do.
-    fn read_for(&self, machine: Option<&str>) -> anyhow::Result<Pipeline> {
-        let pipeline = self.read_on(machine)?;
-        machine.map_or(Ok(()), |machine| check_machine(&pipeline, Some(machine)))?;
-        Ok(pipeline)
-    }
-
-    /// The pipeline as one of its machines needs it.
-    fn read_on(&self, machine: Option<&str>) -> anyhow::Result<Pipeline> {
-        let (pipeline, warnings) = self.read_with(machine, &[])?;
-        if !warnings.0.is_empty() {
-            say(format_args!("{warnings}\n"));
-        }
-        Ok(pipeline)
-    }
-
-    /// The pipeline with further parameters set; those of the command line have the last word.
-    fn read_with(&self, machine: Option<&str>, further: &[String]) -> anyhow::Result<(Pipeline, Report)> {
-        let (source, base) = self.text()?;
-        Ok(Pipeline::read_on(machine, source, &base, &[further, &self.overrides].concat(), &REGISTRY)?)
-    }
-
-    /// The text of the file and the folder of its paths; of the built-in pipeline that is the current folder.
-    fn text(&self) -> anyhow::Result<(SourceText, PathBuf)> {
-        let default = Path::new(DEFAULT_FILE);
-        let file = self.file.as_deref().or(default.is_file().then_some(default));
-        let Some(file) = file else {
-            let source = SourceText { name: "built-in pipeline".to_owned(), text: BUILT_IN.to_owned() };
-            return Ok((source, std::env::current_dir()?));
-        };
-        let text = std::fs::read_to_string(file).map_err(|error| {
-            let hint = "without a file it is ./pipeline.toml, or else the built-in pipeline";
-            anyhow!(Hinted::new(format!("cannot read the pipeline file `{}`: {error}", file.display()), hint))
-        })?;
-        let folder = file.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
-        Ok((SourceText { name: file.display().to_string(), text }, folder.canonicalize()?))
-    }
 }
 
 fn validate(source: &FileArguments, machine: Option<&str>) -> anyhow::Result<ExitCode> {
@@ -402,15 +348,6 @@ fn run_experiment(
     Ok(ExitCode::SUCCESS)
 }
 
-/// Becomes true as soon as this process is asked to end: then no further run is begun.
-fn interruption() -> io::Result<Arc<AtomicBool>> {
-    let interrupted = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM, SIGHUP] {
-        signal_hook::flag::register(signal, Arc::clone(&interrupted))?;
-    }
-    Ok(interrupted)
-}
-
 fn tell_incomplete(summary: &Summary, variation: &Variation) {
     let what = if summary.is_complete() { "was disturbed: a stage was started anew" } else { "was not finished" };
     say(format_args!("the run with `{}` {what}:\n{summary}", variation.overrides.join(" ")));
@@ -422,36 +359,6 @@ fn run_once(pipeline: &Pipeline, arguments: &RunArguments, quiet: bool, log: &st
     let plan = Plan::of(pipeline, arguments.machine.as_deref(), arguments.frames, run);
     let options = RunOptions { duration: arguments.duration, quiet, ..options(log)? };
     Ok(conicflow_dataflow::run(&plan, &options)?)
-}
-
-/// How stages are run by this program.
-fn options(log: &str) -> anyhow::Result<RunOptions> {
-    let program = std::env::current_exe().context("cannot find this program's own file, which runs the stages")?;
-    Ok(RunOptions { program, nodes: NODES, log: Some(log.to_owned()), ..RunOptions::default() })
-}
-
-fn check_machine(pipeline: &Pipeline, machine: Option<&str>) -> anyhow::Result<()> {
-    let names: Vec<_> = pipeline.machines.keys().map(|name| format!("`{name}`")).collect();
-    match machine {
-        Some(machine) if names.is_empty() => {
-            bail!(Hinted::new(
-                format!("the pipeline has no machine `{machine}`, nor any"),
-                "leave --machine out: all stages run on this one"
-            ))
-        }
-        Some(machine) if !pipeline.machines.contains_key(machine) => {
-            bail!(Hinted::new(
-                format!("there is no machine `{machine}` in the pipeline"),
-                format!("machines: {}", names.join(", "))
-            ))
-        }
-        None if !names.is_empty() => bail!(Hinted::new(
-            format!("the pipeline spans the machines {}", names.join(", ")),
-            "say which of them this is, with --machine NAME"
-        )),
-        _ => {}
-    }
-    Ok(())
 }
 
 /// Runs one stage here: of the run that this process was started in, or of a file, for a debugger.
@@ -476,6 +383,7 @@ fn node(stage: &str, file: Option<PathBuf>, machine: Option<&str>, log: &str) ->
 #[cfg(test)]
 mod tests {
     use super::*;
+    use anyhow::anyhow;
 
     #[test]
     fn a_level_is_a_word_that_there_is() {

@@ -1,5 +1,6 @@
 //! `conicflow record`: topics of a running pipeline into a recording, by an onlooker for whom no stage waits.
 
+use super::invocation::say;
 use super::topic::{PipelineName, give_way, topics};
 use crate::NODES;
 use crate::recording::recorder::{Recorded, Recorder};
@@ -77,7 +78,7 @@ pub fn record(arguments: &RecordArguments) -> Result<()> {
     // What came before an error is kept.
     let bytes = recorder.finish();
     watched.context("recording")?;
-    super::say(tally.text(bytes?));
+    say(tally.text(bytes?));
     Ok(())
 }
 

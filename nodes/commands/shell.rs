@@ -1,7 +1,6 @@
 //! `conicflow completions` and `conicflow man`: what a shell and `man` know of the commands, made from the commands themselves.
 
-use super::CommandLine;
-use clap::{Command, CommandFactory};
+use clap::Command;
 use clap_complete::{Shell, generate};
 use clap_mangen::Man;
 use std::io::{Write, stdout};
@@ -12,9 +11,9 @@ const NAME: &str = "conicflow";
 ///
 /// # Errors
 /// Standard output cannot be written.
-pub fn completions(shell: Shell) -> anyhow::Result<()> {
+pub fn completions(shell: Shell, command: &mut Command) -> anyhow::Result<()> {
     let mut script = Vec::new();
-    generate(shell, &mut CommandLine::command(), NAME, &mut script);
+    generate(shell, command, NAME, &mut script);
     Ok(stdout().write_all(&script)?)
 }
 
@@ -22,8 +21,7 @@ pub fn completions(shell: Shell) -> anyhow::Result<()> {
 ///
 /// # Errors
 /// Standard output cannot be written.
-pub fn manual() -> anyhow::Result<()> {
-    let mut command = CommandLine::command();
+pub fn manual(mut command: Command) -> anyhow::Result<()> {
     command.build();
     let mut pages = Vec::new();
     push_pages(&command, &mut pages)?;

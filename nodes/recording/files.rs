@@ -5,20 +5,18 @@
 
 use super::indexed::Indexed;
 use super::sequential::{LeftOut, Sequential};
+use super::summary::{MAX_RECORD_BYTES, summary};
 use crate::sources::image_source::natural;
 use anyhow::{Context as _, Result, bail};
 use conicflow_messages::Hinted;
-use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader};
 use mcap::{Channel, McapError, McapResult, Message, Summary};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
 use std::fs::{self, File};
-use std::io::{ErrorKind, Read, Seek};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Longest record: the largest image of single precision has 256 MB.
-const MAX_RECORD_BYTES: u64 = 512 << 20;
 /// No compression makes more of a byte than lz4's 255.
 const MAX_EXPANSION: u64 = 256;
 /// How a file that is compressed as a whole ends.
@@ -186,21 +184,6 @@ fn refuse_other_formats(path: &Path) -> Result<()> {
             to.display()
         )
     ))
-}
-
-/// What the end of a file tells of it; none where it tells nothing.
-pub(super) fn summary(path: &Path) -> McapResult<Option<Summary>> {
-    let (mut file, mut reader) = (File::open(path)?, SummaryReader::new());
-    while let Some(event) = reader.next_event() {
-        match event? {
-            SummaryReadEvent::ReadRequest(bytes) => {
-                let read = file.read(reader.insert(bytes.min(MAX_RECORD_BYTES as usize)))?;
-                reader.notify_read(read);
-            }
-            SummaryReadEvent::SeekRequest(to) => reader.notify_seeked(file.seek(to)?),
-        }
-    }
-    Ok(reader.finish().filter(|summary| summary.stats.is_some()))
 }
 
 fn topics_with_messages(summary: &Summary) -> Vec<String> {

@@ -6,4 +6,5 @@ mod indexed;
 pub mod own;
 pub mod recorder;
 mod sequential;
+mod summary;
 mod zstd;

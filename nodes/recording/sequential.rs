@@ -2,7 +2,7 @@
 //!
 //! A record says how long it is. So what cannot be read, a chunk for the most part, is left out, and reading goes on behind it.
 
-use super::files::summary;
+use super::summary::summary;
 use super::zstd::Zstd;
 use mcap::read::ChannelAccumulator;
 use mcap::records::{MessageHeader, Record, op};

@@ -1,7 +1,8 @@
 //! The paper's experiments, each in a short form: the files of `experiments/` as they are, fewer frames and values.
 
 use crate::support::{Playground, Started};
-use conicflow_lab::simulator::scene::Scene;
+use conicflow_lab::score::truth::load_scene;
+use conicflow_lab::simulator::scene_values::Values;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
@@ -283,7 +284,8 @@ fn a_bouncing_ball_is_one_ball_near_its_true_way() {
 
 /// Writes frames of a scene down, and what is known of the camera.
 fn record(playground: &Playground, scene: &str, frames: u64) {
-    let camera = playground.record(Scene::load(&playground.path(scene)).unwrap(), 77, frames);
+    let camera =
+        playground.record(load_scene(&playground.path(scene)).unwrap().scene(&Values::new()).unwrap(), 77, frames);
     let (fx, fy, cx, cy) = (camera.fx, camera.fy, camera.cx, camera.cy);
     let known = serde_json::json!({ "width": 320, "height": 240, "fx": fx, "fy": fy, "cx": cx, "cy": cy, "depth_scale": 0.001 });
     playground.write("frames/camera.json", &known.to_string());

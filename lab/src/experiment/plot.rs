@@ -2,7 +2,7 @@
 //! them, the truth as a black line in front, and the paper's figures as open circles.
 
 use super::axes::Axis;
-use super::{Experiment, Plot, prepared};
+use super::definition::{Experiment, Plot, prepared};
 use crate::csv;
 use crate::score::{Figure, Row};
 use anyhow::{Context as _, Result};

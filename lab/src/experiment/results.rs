@@ -1,6 +1,7 @@
 //! The rows of all runs: as a table for people, as CSV, as a plot, and their power laws.
 
-use super::{Experiment, Exponent, Spread, plot, prepared};
+use super::definition::{Experiment, Exponent, Spread, prepared};
+use super::plot;
 use crate::csv;
 use crate::quantile::quantile;
 use crate::score::{Figure, Row};

@@ -1,15 +1,14 @@
 //! Scores answers frame by frame: what was found, how well, what was missed and what was wrong.
 
-use super::matching::{Answer, Comparison, Fault, MatchedFrame, Matcher, compare};
+use super::matching::{Answer, MatchedFrame, Matcher};
 use super::notes::Notes;
 use super::recorded::RecordedTruth;
 use super::row::Row;
-use super::sigmas::Sigmas;
+use super::samples::Score;
 use super::truth::RenderedTruth;
 use super::{summary, tables};
 use anyhow::Result;
-use conicflow_messages::{Header, Object, ObjectKind};
-use nalgebra::Vector3;
+use conicflow_messages::Header;
 
 /// Where the truth comes from.
 pub enum TruthSource {
@@ -24,75 +23,6 @@ pub struct Evaluation {
     truth: TruthSource,
     score: Score,
     notes: Notes,
-}
-
-/// All that was counted.
-#[derive(Clone, Debug, Default)]
-pub struct Score {
-    /// Number of frames that were judged.
-    pub frames: u64,
-    /// Names of the groups, in the order of their first frames.
-    pub groups: Vec<String>,
-    /// The true objects that had to be found, and the answers that were right about nothing.
-    pub samples: Vec<Sample>,
-    /// Number of right answers about objects that need not be found.
-    pub extra: u64,
-    /// Number of answers about what nobody measured.
-    pub neither: u64,
-}
-
-/// A true object that had to be found, or a wrong answer.
-#[derive(Clone, Copy, Debug)]
-pub struct Sample {
-    /// Number of its group.
-    pub group: usize,
-    /// Its shape; of a wrong answer the one that it claims.
-    pub shape: ObjectKind,
-    /// Distance of its middle from the camera, in metres.
-    pub distance: f64,
-    /// Its radius, in metres.
-    pub radius_m: f64,
-    /// Hidden share of a true object.
-    pub hidden: Option<f64>,
-    /// How the answer compares that is right about a true object, and its errors in standard deviations.
-    pub found: Option<(Comparison, Sigmas)>,
-    /// Of a wrong answer what comes nearest to it.
-    pub fault: Option<Fault>,
-}
-
-impl Sample {
-    fn of(group: usize, object: &Object) -> Self {
-        let (shape, distance) = (object.shape(), Vector3::from(object.center).norm());
-        Self { group, shape, distance, radius_m: object.radius, hidden: None, found: None, fault: None }
-    }
-}
-
-impl Score {
-    fn group(&mut self, name: &str) -> usize {
-        self.groups.iter().position(|known| known == name).unwrap_or_else(|| {
-            self.groups.push(name.to_owned());
-            self.groups.len() - 1
-        })
-    }
-
-    fn add(&mut self, group: &str, frame: &MatchedFrame) {
-        let group = self.group(group);
-        self.frames += 1;
-        self.neither += frame.neither.len() as u64;
-        for (truth, answer) in &frame.pairs {
-            if !truth.required {
-                self.extra += u64::from(answer.is_some());
-                continue;
-            }
-            let found = answer
-                .as_ref()
-                .map(|Answer { object, .. }| (compare(&truth.body, object), Sigmas::of(&truth.body, object)));
-            self.samples.push(Sample { hidden: Some(truth.hidden), found, ..Sample::of(group, &truth.body) });
-        }
-        for (object, fault) in &frame.wrong {
-            self.samples.push(Sample { fault: Some(*fault), ..Sample::of(group, object) });
-        }
-    }
 }
 
 impl Evaluation {

@@ -1,7 +1,7 @@
 //! Evaluations of scenes and recordings whose answers are made up.
 
-use super::evaluation::Sample;
 use super::matching::{Fault, MatchedFrame};
+use super::samples::Sample;
 use super::*;
 use crate::simulator::random_scene::{SceneGroup, random_scene};
 use crate::simulator::scene_values::SceneTemplate;

@@ -18,6 +18,7 @@ pub mod pairing;
 mod pixel_box;
 pub mod recorded;
 pub mod row;
+pub mod samples;
 pub mod sections;
 pub mod sigmas;
 pub mod summary;

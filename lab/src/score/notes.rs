@@ -1,8 +1,8 @@
 //! What was found in a recording, what was off, and what nobody listed, frame by frame, to be looked at; and the sums.
 
-use super::evaluation::Score;
 use super::matching::{Comparison, Fault, MatchedFrame, compare, fault};
 use super::recorded::RecordedTruth;
+use super::samples::Score;
 use super::summary;
 use super::truth::TrueObject;
 use crate::running_stats::RunningStats;

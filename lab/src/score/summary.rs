@@ -1,8 +1,8 @@
 //! A score in one row: what was to be found, what was found and what was wrong, and medians of the errors of what was found.
 //! Experiments make a table of the rows of several runs.
 
-use super::evaluation::{Sample, Score};
 use super::row::Row;
+use super::samples::{Sample, Score};
 use crate::quantile::median;
 use conicflow_messages::ObjectKind;
 

@@ -1,8 +1,8 @@
 //! The tables of a score: counts and errors by shape, group, distance and hidden share, how honest the standard deviations
 //! are, and what is wrong with the wrong answers.
 
-use super::evaluation::{Sample, Score};
 use super::matching::Fault;
+use super::samples::{Sample, Score};
 use crate::quantile::{median, quantile};
 use conicflow_messages::ObjectKind;
 use std::collections::BTreeSet;

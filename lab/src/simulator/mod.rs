@@ -37,7 +37,8 @@ use conicflow_messages::{
 use nalgebra::Vector3;
 use random_scenes::RandomScenes;
 use raster::Raster;
-use scene::{BUILT_IN, Role, Scene};
+use scene::{Role, Scene};
+use scene_file::BUILT_IN;
 use scene_values::{SceneTemplate, Values};
 use schemars::JsonSchema;
 use sensor::{Sensor, SensorConfig};

@@ -1,4 +1,5 @@
-use super::super::scene::{BUILT_IN, Scene};
+use super::super::scene::Scene;
+use super::super::scene_file::BUILT_IN;
 use super::super::shapes::{Plane, Sphere};
 use super::*;
 

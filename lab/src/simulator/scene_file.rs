@@ -24,23 +24,124 @@
 use super::fields::*;
 use super::motion::Motion;
 use super::pose::{from_quaternion, looking_along};
-use super::scene::{Body, Gaze, Role, View};
-use super::scene_values::Values;
+use super::scene::{Body, Gaze, Role, Scene, View, earth};
+use super::screen::screen;
 use super::shapes::{Block, Bowl, Frustum, Plane, Shape, Sphere};
-use anyhow::{Result, bail};
+use anyhow::{Context as _, Result, anyhow, bail};
 use conicflow_messages::Hinted;
 use nalgebra::{Matrix3, Vector3};
 use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// The scenes that are built in, by their names; the first one is the default.
+pub const BUILT_IN: [(&str, &str); 8] = [
+    ("bouncing_ball", include_str!("scenes/bouncing_ball.toml")),
+    ("passing_cylinder", include_str!("scenes/passing_cylinder.toml")),
+    ("ball_on_cylinder", include_str!("scenes/ball_on_cylinder.toml")),
+    ("tilted_cones", include_str!("scenes/tilted_cones.toml")),
+    ("occluded_cylinder", include_str!("scenes/occluded_cylinder.toml")),
+    ("tabletop", include_str!("scenes/tabletop.toml")),
+    ("drive_to_ball", include_str!("scenes/drive_to_ball.toml")),
+    ("empty_room", include_str!("scenes/empty_room.toml")),
+];
+
+/// The text of a scene file.
+pub fn read(path: &Path) -> Result<String> {
+    std::fs::read_to_string(path).map_err(|error| {
+        let names = BUILT_IN.map(|(name, _)| name).join("`, `");
+        let place = path.display();
+        anyhow!(Hinted::new(
+            format!("cannot read the scene file `{place}`: {error}"),
+            format!("a built-in scene is one of `{names}`")
+        ))
+    })
+}
+
+impl Scene {
+    /// A scene that is built into the program, if there is one of that name.
+    pub fn built_in(name: &str) -> Option<Result<Self>> {
+        let (_, text) = BUILT_IN.iter().find(|(known, _)| *known == name)?;
+        Some(Self::parse(text, name))
+    }
+
+    /// Reads the text of a scene file; `origin` is what errors call it.
+    ///
+    /// # Errors
+    /// What is wrong at which line and column.
+    pub fn parse(text: &str, origin: &str) -> Result<Self> {
+        let file: SceneFile = toml::from_str(text).map_err(|error| {
+            let place = error.span().map(|span| line_and_column(text, span.start)).unwrap_or_default();
+            anyhow!(Hinted::new(
+                format!("{origin}{place}: {}", error.to_string().trim_end()),
+                "a scene file has `name`, `up`, `gravity`, `[camera]` and any number of `[[sphere]]`, \
+                 `[[cylinder]]`, `[[cone]]`, `[[bowl]]`, `[[box]]`, `[[plane]]` and `[[screen]]`"
+            ))
+        })?;
+        Self::from_file(file, origin)
+    }
+
+    fn from_file(file: SceneFile, origin: &str) -> Result<Self> {
+        let (name, up, gravity) = (file.name.clone(), file.up, file.gravity);
+        let (bodies, camera, screens) = file.bodies().with_context(|| origin.to_owned())?;
+        let view = camera.view(&up).with_context(|| origin.to_owned())?;
+        let mut scene = Self { name, group: None, bodies, camera_shift: Vector3::zeros(), view, up, gravity };
+        screens.iter().try_for_each(|entry| scene.put_up(entry)).with_context(|| origin.to_owned())?;
+        scene.check().with_context(|| origin.to_owned())?;
+        Ok(scene)
+    }
+
+    /// Puts up a screen for the camera at time 0; one that hides nothing is left out.
+    fn put_up(&mut self, entry: &ScreenEntry) -> Result<()> {
+        if entry.hides == 0.0 {
+            return Ok(());
+        }
+        let body = self.bodies.iter().find(|body| body.name == entry.before);
+        let body = body.ok_or_else(|| {
+            let what = format!("`{}` stands before `{}`, which is not there", entry.name, entry.before);
+            Hinted::new(what, "name a body of the scene")
+        })?;
+        let shape = screen(&self.shape(body, 0.0), &self.world_from_camera(0.0), entry.distance_m, entry.hides);
+        let shape = shape.ok_or_else(|| {
+            let what = format!("`{}` cannot hide `{}` at {} m", entry.name, entry.before, entry.distance_m);
+            Hinted::new(what, "the camera has to look at it, from farther away")
+        })?;
+        self.bodies.push(Body::still(entry.name.clone(), shape));
+        Ok(())
+    }
+
+    fn check(&self) -> Result<()> {
+        for (index, body) in self.bodies.iter().enumerate() {
+            if self.bodies[..index].iter().any(|other| other.name == body.name) {
+                bail!(Hinted::new(format!("two things are named `{}`", body.name), "give each a name of its own"));
+            }
+            let fault = body.motion.as_ref().and_then(|motion| motion.fault(&self.setting(&body.shape)));
+            if let Some(fault) = fault {
+                bail!(Hinted::new(
+                    format!("`{}` cannot move like this: {fault}", body.name),
+                    "move it, or change its motion"
+                ));
+            }
+        }
+        match self.bodies.len() < usize::from(u16::MAX) {
+            true => Ok(()),
+            false => bail!(Hinted::new(
+                format!("{} things in one scene", self.bodies.len()),
+                format!("at most {} are possible", u16::MAX - 1)
+            )),
+        }
+    }
+}
 
 /// A scene file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct SceneFile {
-    pub name: String,
+struct SceneFile {
+    name: String,
     #[serde(default = "Vector3::z", deserialize_with = "direction")]
-    pub up: Vector3<f64>,
+    up: Vector3<f64>,
     #[serde(default = "earth", deserialize_with = "not_negative")]
-    pub gravity: f64,
+    gravity: f64,
     camera: CameraEntry,
     #[serde(default)]
     sphere: Vec<SphereEntry>,
@@ -58,7 +159,7 @@ pub struct SceneFile {
     screen: Vec<ScreenEntry>,
     /// Read by [`super::scene_values`], and put in before this is.
     #[serde(default, rename = "values")]
-    _values: Values,
+    _values: BTreeMap<String, f64>,
 }
 
 impl SceneFile {
@@ -79,11 +180,6 @@ impl SceneFile {
         }
         Ok((bodies, self.camera, self.screen))
     }
-}
-
-/// Gravity on earth, in m/s^2.
-pub fn earth() -> f64 {
-    9.81
 }
 
 /// Optical frame: x right, y down, z forward. One of `look_at` (a point that it keeps in view), `direction` and
@@ -319,3 +415,14 @@ fn some_other(direction: &Vector3<f64>) -> Vector3<f64> {
     axis[direction.iamin()] = 1.0;
     axis
 }
+
+/// `:line:column` of a byte, both from 1.
+fn line_and_column(text: &str, byte: usize) -> String {
+    let before = &text[..byte.min(text.len())];
+    let line_start = before.rfind('\n').map_or(0, |newline| newline + 1);
+    format!(":{}:{}", before.matches('\n').count() + 1, before[line_start..].chars().count() + 1)
+}
+
+#[cfg(test)]
+#[path = "scene_file_tests.rs"]
+mod tests;

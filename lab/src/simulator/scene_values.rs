@@ -2,6 +2,7 @@
 //! file or a sweep sets another. The frames' source carries what was set, so that whoever knows the file knows the truth.
 
 use super::scene::Scene;
+use super::scene_file;
 use anyhow::{Result, bail, ensure};
 use conicflow_messages::{Hinted, MAX_SOURCE_BYTES};
 use serde::Deserialize;
@@ -33,7 +34,7 @@ impl SceneTemplate {
     /// # Errors
     /// The file cannot be read.
     pub fn load(path: &Path) -> Result<Self> {
-        Ok(Self::new(Scene::read(path)?, path.display().to_string()))
+        Ok(Self::new(scene_file::read(path)?, path.display().to_string()))
     }
 
     /// A scene file's text; `origin` is what errors call it.

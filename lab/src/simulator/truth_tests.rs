@@ -1,4 +1,4 @@
-use super::super::scene::BUILT_IN;
+use super::super::scene_file::BUILT_IN;
 use super::super::sensor::{Sensor, SensorConfig};
 use super::super::shapes::Sphere;
 use super::*;

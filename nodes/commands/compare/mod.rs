@@ -8,7 +8,7 @@ mod report;
 mod tally;
 mod variant;
 
-use super::{FileArguments, interruption, options};
+use super::invocation::{FileArguments, interruption, options, say};
 use anyhow::{Context as _, Result, bail, ensure};
 use clap::Args;
 use conicflow_dataflow::pipeline::{Pipeline, Report};
@@ -73,11 +73,11 @@ pub fn compare(arguments: &CompareArguments, log: &str) -> Result<ExitCode> {
     let how = How { frames, with_depth, keep, interrupted: interruption()?, options: options(log)? };
     let mut variants = Vec::new();
     for (letter, pipeline, set) in [("a", a, &arguments.a), ("b", b, &arguments.b)] {
-        super::say(format_args!("variant {letter}: {}", report::words(set)));
+        say(format_args!("variant {letter}: {}", report::words(set)));
         match Variant::run(letter, pipeline, &topic, &how)? {
             Ok(variant) => variants.push(variant),
             Err(summary) => {
-                super::say(format_args!("variant {letter} was disturbed, or not finished:\n{summary}"));
+                say(format_args!("variant {letter} was disturbed, or not finished:\n{summary}"));
                 return Ok(ExitCode::FAILURE);
             }
         }
@@ -105,7 +105,7 @@ fn read(arguments: &CompareArguments) -> Result<(Pipeline, Pipeline)> {
     };
     let told = |letter: &str, set: &[String], error: anyhow::Error| {
         if error.is::<Report>() {
-            super::say(format_args!("variant {letter}, {}:", report::words(set)));
+            say(format_args!("variant {letter}, {}:", report::words(set)));
         }
         error
     };

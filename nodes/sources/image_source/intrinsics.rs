@@ -1,6 +1,6 @@
 //! The camera's intrinsics, from the pipeline file or from a JSON file beside the frames.
 
-use super::hinted;
+use super::faulty::hinted;
 use crate::sources::WrittenIn;
 use anyhow::{Context as _, Result, anyhow, bail, ensure};
 use conicflow_detection::camera::Intrinsics;

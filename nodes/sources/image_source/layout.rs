@@ -4,8 +4,8 @@
 //! Every file's header is looked at before the first frame is sent, so that what is no depth frame is passed over, what
 //! is unreadable is known, and the number of frames and their size are certain.
 
-use super::pcd;
-use super::{depth_png, hinted, natural, raster, tum};
+use super::faulty::hinted;
+use super::{depth_png, natural, pcd, raster, tum};
 use anyhow::{Context as _, Error, Result, anyhow, bail};
 use conicflow_messages::Hinted;
 use std::collections::BTreeMap;

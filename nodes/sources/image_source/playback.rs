@@ -1,6 +1,6 @@
 //! The frames of a recording one by one, with what is said of them once: unreadable ones are passed over and counted.
 
-use super::Config;
+use super::config::{Config, USUAL_RATE_HZ};
 use super::poses::Poses;
 use super::recording::{Frame, Options, Recording};
 use anyhow::Result;
@@ -8,9 +8,6 @@ use conicflow_dataflow::tell_median;
 use conicflow_messages::{Camera, HAS_POSE, Header, Hinted, NoiseModel, RECORDED, Text, is_measured, median_depth};
 use std::collections::BTreeMap;
 use std::path::Path;
-
-/// Frames per second by which frames without time stamps are stamped when `rate_hz` is 0.
-pub(super) const USUAL_RATE_HZ: f64 = 30.0;
 
 /// A principal point farther from the middle, as a share of the image's size, speaks for intrinsics of other images.
 const MAX_OFF_CENTER: f64 = 0.25;

@@ -4,10 +4,11 @@
 //! by its place in the order of the files (Open3D). Between two times a pose is interpolated: its place along a line, its
 //! rotation about one axis (Shoemake, "Animating rotation with quaternion curves", 1985).
 
+use super::faulty::hinted;
 use super::layout::file_name;
+use super::natural;
 use super::recording::{Frame, Recording};
 use super::trajectory::{self, Known, Trajectory};
-use super::{hinted, natural};
 use anyhow::{Context as _, Error, Result, bail, ensure};
 use conicflow_messages::Hinted;
 use nalgebra::Isometry3;

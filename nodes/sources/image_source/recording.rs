@@ -1,11 +1,12 @@
 //! A recording: the depth frames of a path with their camera, read one by one into memory that the caller has.
 
+use super::depth_png;
+use super::faulty::hinted;
 use super::intrinsics::{self, CameraFile};
 use super::layout::{Format, FrameFile, Layout, file_name};
 use super::pcd::Cloud;
 use super::pinhole::{self, FAIR_RESIDUAL_PX, Pinhole};
 use super::raster::{self, Depths};
-use super::{depth_png, hinted};
 use crate::sources::WrittenIn;
 use anyhow::{Context as _, Error, Result, bail, ensure};
 use conicflow_detection::camera::Intrinsics;

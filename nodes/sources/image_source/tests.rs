@@ -2,8 +2,10 @@ use super::fixtures::*;
 use super::playback::{Clock, emptiness, is_off_center};
 use super::*;
 use conicflow_dataflow::testing::collect;
+use conicflow_detection::camera::Intrinsics;
 use conicflow_messages::{Camera, NoiseModel, median_depth};
 use std::fs;
+use std::path::PathBuf;
 use tempfile::TempDir;
 
 const XYZ: &[(&str, char, usize, usize)] = &[("x", 'F', 4, 1), ("y", 'F', 4, 1), ("z", 'F', 4, 1)];

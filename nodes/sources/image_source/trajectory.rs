@@ -10,7 +10,8 @@
 //!
 //! A matrix whose numbers are not all finite says that the camera was lost there.
 
-use super::{excerpt, tum};
+use super::faulty::excerpt;
+use super::tum;
 use anyhow::{Context as _, Result, bail, ensure};
 use conicflow_messages::is_rotation;
 use nalgebra::{Isometry3, Matrix3, Quaternion, Rotation3, Translation3, UnitQuaternion};

@@ -2,7 +2,7 @@
 //!
 //! Format: <https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats>.
 
-use super::excerpt;
+use super::faulty::excerpt;
 use anyhow::{Context as _, Result, ensure};
 
 /// Name of the list.

@@ -1,6 +1,6 @@
 //! Which channels of a recording are played back: the depth images with what tells their camera, or a list of ours.
 
-use super::Config;
+use super::config::Config;
 use crate::recording::files::Seen;
 use crate::recording::own;
 use crate::sources::WrittenIn;

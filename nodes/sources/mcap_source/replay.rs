@@ -1,7 +1,7 @@
 //! The messages of a recording one by one, with the headers that they had, or those that their camera gives them.
 
-use super::Config;
 use super::channels::Chosen;
+use super::config::Config;
 use crate::recording::files::{Files, Messages, Seen};
 use crate::recording::own;
 use anyhow::{Context as _, Result, bail, ensure};

@@ -5,7 +5,9 @@ use super::*;
 use crate::recording::files::Files;
 use crate::recording::own;
 use crate::recording::recorder::{Limits, Recorded, Recorder};
+use crate::sources::WrittenIn;
 use conicflow_dataflow::{AnyMessage, BUILT_IN};
+use conicflow_detection::camera::Intrinsics;
 use conicflow_messages::{Camera, HAS_POSE, Header, Hop, NoiseModel, Object, RECORDED, Text};
 use conicflow_ros::{
     CAMERA_INFO, COMPRESSED_IMAGE, CameraInfo, Definition, IMAGE, Stamped, TF_MESSAGE, Writer, write_metres,

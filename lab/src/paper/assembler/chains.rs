@@ -3,7 +3,7 @@
 //! A section joins the chain that has the nearest centre among its last k members, if that is within the margin phi;
 //! so a chain outlives a few noisy lines, and a noisy section does not end it.
 
-use super::ProfileConfig;
+use super::parameters::ProfileConfig;
 use super::sections::Section;
 
 /// The chains of one image; the buffers are used again for the next.

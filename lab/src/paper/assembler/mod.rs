@@ -16,7 +16,7 @@ mod verify;
 pub use parameters::{ProfileConfig, ProfileParameters, SectionFit};
 
 use chains::Chains;
-use conicflow_detection::assemble::{Rejection, Rejections, end_sigma};
+use conicflow_detection::assemble::{Rejection, Rejections};
 use conicflow_messages::{Ellipse, Header, NoiseModel, Object};
 use sections::Section;
 use sequence::Sequences;

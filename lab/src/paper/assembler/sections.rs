@@ -1,6 +1,6 @@
 //! The ellipses of a message as sections of bodies: with their planes, ready for the mathematics.
 
-use super::SectionFit;
+use super::parameters::SectionFit;
 use conicflow_detection::camera::{pinhole, scan};
 use conicflow_geometry::{Line, PlaneMoments, Scan, ScanPlane, SectionShape, Vector3, fit_circle};
 use conicflow_messages::{Ellipse, Header};

@@ -6,7 +6,7 @@
 //! `conicflow_geometry`), and the radii lie on a circle. As long as one of them foresees the next section, it belongs to
 //! the body; a hypothesis whose own sections scatter too much is dead, and k sections in a row that none foresees end it.
 
-use super::ProfileConfig;
+use super::parameters::ProfileConfig;
 use super::sections::Section;
 use conicflow_geometry::{LineMoments, PlaneMoments, Regression, fit_circle_profile, fit_line_profile};
 

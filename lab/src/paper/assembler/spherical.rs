@@ -5,10 +5,10 @@
 //! `z_i = rho sin(theta_i - theta_C)`, and its radius `sqrt(R^2 - z_i^2)`: the paper's circle in (z, r). The angle is
 //! unknown at first; starting from the middle of the sections, each pass moves it to the centre of the circle found.
 
-use super::Rejection;
-use super::SectionFit;
+use super::parameters::SectionFit;
 use super::sections::Section;
 use super::verify::{Body, Candidate, Solid};
+use conicflow_detection::assemble::Rejection;
 use conicflow_geometry::{CircleProfile, PlaneMoments, Regression, ScanPlane, Sphere, fit_circle_profile};
 
 /// Repetitions of the fit; the first order is exact up to a few parts in a thousand.

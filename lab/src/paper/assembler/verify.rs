@@ -1,7 +1,8 @@
 //! What a body has to fulfil to be reported, and the report.
 
+use super::parameters::{ProfileConfig, SectionFit};
 use super::sections::Section;
-use super::{ProfileConfig, Rejection, Rejections, SectionFit, end_sigma};
+use conicflow_detection::assemble::{Rejection, Rejections, end_sigma};
 use conicflow_geometry::{Conical, Sphere, Surface, Vector3, line_rms, section_about};
 use conicflow_messages::{NoiseModel, Object, ObjectKind, ObjectSigma};
 use std::ops::Range;

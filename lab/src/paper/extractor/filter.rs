@@ -1,7 +1,7 @@
 //! The pre-filter: which arcs go on as ellipses, and why the others do not.
 
-use super::ConicConfig;
 use super::growth::{self, Arc};
+use super::parameters::ConicConfig;
 use super::scan_line::{Point, ScanLine};
 use conicflow_detection::extract::ArcRejection;
 use conicflow_geometry::{self as geometry, Scan, line_rms};

@@ -4,7 +4,7 @@
 //! steps grow with the model by an eighth of its points, and where a step fails, the last point that fits is found by
 //! bisection. As long as the error does not fall again once it is too great, the result is the same.
 
-use super::ConicConfig;
+use super::parameters::ConicConfig;
 use super::scan_line::Point;
 use conicflow_geometry::{Conic, PlaneMoments, ScanPlane, fit_ellipse, line_rms};
 use conicflow_messages::NoiseModel;

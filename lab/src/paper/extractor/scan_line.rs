@@ -1,6 +1,6 @@
 //! The points of one scan line, split into runs without holes and depth jumps.
 
-use super::ConicConfig;
+use super::parameters::ConicConfig;
 use conicflow_detection::camera::pinhole;
 use conicflow_geometry::{Pinhole, Scan, ScanPlane};
 use conicflow_messages::{Header, is_measured};

@@ -1,5 +1,6 @@
 use super::*;
 use crate::rendered::{Body, KINECT_HALF, render};
+use conicflow_detection::{ExtractorParameters, ScanLines};
 use conicflow_geometry::Vector3;
 use conicflow_messages::{Item, NoiseModel};
 

@@ -1,6 +1,6 @@
 //! How the things of each group are put together.
 
-use super::Set;
+use super::set::Set;
 use super::things::Thing;
 use nalgebra::Vector3;
 

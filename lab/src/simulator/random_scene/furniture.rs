@@ -1,7 +1,7 @@
 //! What has no round surface: floors, walls, tables, boxes, steps and boards.
 
 use super::super::shapes::{Block, Plane, Shape};
-use super::Set;
+use super::set::Set;
 use nalgebra::{Matrix3, Vector3};
 
 impl Set {

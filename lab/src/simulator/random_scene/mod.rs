@@ -8,15 +8,13 @@ mod arrangements;
 mod draws;
 mod furniture;
 mod rooms;
+mod set;
 mod things;
 
-use super::scene::{Body, Role, Scene};
-use super::shapes::Shape;
-use draws::Draws;
-use nalgebra::Vector3;
+use super::scene::Scene;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::ops::RangeInclusive;
+use set::Set;
 
 /// A kind of random scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Deserialize, Serialize, JsonSchema)]
@@ -91,7 +89,7 @@ impl SceneGroup {
 
 /// A scene of a group; named `group/seed`.
 pub fn random_scene(group: SceneGroup, seed: u64) -> Scene {
-    let mut set = Set::new(group, seed);
+    let mut set = Set::new(group as u64, seed);
     match group {
         SceneGroup::Standing => arrangements::standing(&mut set),
         SceneGroup::Tilted => arrangements::tilted(&mut set),
@@ -106,7 +104,7 @@ pub fn random_scene(group: SceneGroup, seed: u64) -> Scene {
         SceneGroup::Furnished => rooms::furnished(&mut set),
         SceneGroup::Kitchen => rooms::kitchen(&mut set),
     }
-    set.scene(group, seed)
+    set.scene(group.name(), seed)
 }
 
 /// The group and seed of a scene, from its name.
@@ -114,71 +112,6 @@ pub fn parse_name(name: &str) -> Option<(SceneGroup, u64)> {
     let (group, seed) = name.split_once('/')?;
     let group = SceneGroup::all().find(|known| known.name() == group)?;
     Some((group, seed.parse().ok()?))
-}
-
-/// A scene in the making; z is up, the floor lies at 0, and the camera looks along y from above the origin.
-struct Set {
-    draws: Draws,
-    bodies: Vec<Body>,
-    /// Middle and radius of the places that are taken.
-    taken: Vec<(Vector3<f64>, f64)>,
-    camera: Vector3<f64>,
-    look_at: Vector3<f64>,
-    roll_deg: f64,
-}
-
-impl Set {
-    fn new(group: SceneGroup, seed: u64) -> Self {
-        let mut draws = Draws::new(seed, group as u64);
-        let camera = Vector3::new(0.0, 0.0, draws.within(0.5..=1.5));
-        let roll_deg = draws.within(-6.0..=6.0);
-        let look_at = Vector3::new(0.0, 2.0, 0.4);
-        Self { draws, bodies: Vec::new(), taken: Vec::new(), camera, look_at, roll_deg }
-    }
-
-    fn add(&mut self, name: &str, shape: Shape) {
-        let name = format!("{name} {}", self.bodies.len());
-        self.bodies.push(Body::still(name, shape));
-    }
-
-    fn add_as(&mut self, role: Role, name: &str, shape: Shape) {
-        let name = format!("{name} {}", self.bodies.len());
-        self.bodies.push(Body::still(name, shape).as_a(role));
-    }
-
-    /// A free place for something of a radius on a level, within the view; `None` where it is too crowded.
-    fn place(&mut self, distance: &RangeInclusive<f64>, level: f64, radius: f64, gap: f64) -> Option<Vector3<f64>> {
-        const TRIES: usize = 20;
-        for _ in 0..TRIES {
-            let y = self.draws.within(distance.clone());
-            let x = y * self.draws.within(-0.42..=0.42);
-            let place = Vector3::new(x, y, level);
-            let free = |(other, reach): &(Vector3<f64>, f64)| (place - other).xy().norm() > radius + reach + gap;
-            if self.taken.iter().all(free) {
-                self.taken.push((place, radius));
-                return Some(place);
-            }
-        }
-        None
-    }
-
-    /// Turns the camera to the middle of the places that are taken, at a height above them, give or take; in each fourth
-    /// scene so far aside that the image's border may cut things off.
-    fn look_at_things(&mut self, height: f64) {
-        let count = self.taken.len().max(1) as f64;
-        let middle = self.taken.iter().map(|(place, _)| place).sum::<Vector3<f64>>() / count;
-        let reach = if self.draws.chance(0.25) { 0.4 } else { 0.08 };
-        let mut shake = || self.draws.within(-reach..=reach) * middle.y;
-        self.look_at = middle + Vector3::new(shake(), shake(), height + shake());
-    }
-
-    fn scene(self, group: SceneGroup, seed: u64) -> Scene {
-        let name = format!("{}/{seed}", group.name());
-        let camera_up = Vector3::new(libm::tan(self.roll_deg.to_radians()), 0.0, 1.0);
-        let mut scene = Scene::still(name, self.bodies, self.camera, self.look_at, camera_up);
-        scene.group = Some(group.name());
-        scene
-    }
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 
 use super::super::scene::Role;
 use super::super::shapes::{Frustum, Shape, Sphere};
-use super::Set;
+use super::set::Set;
 use super::things::Thing;
 use nalgebra::Vector3;
 

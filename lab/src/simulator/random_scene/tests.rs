@@ -1,3 +1,4 @@
+use super::super::scene::Role;
 use super::super::truth::truth_at;
 use super::*;
 use crate::simulator::SyntheticCamera;

@@ -1,7 +1,7 @@
 //! What is to be found: cans, cones, buckets, balls, mugs, cups and tins of random sizes; and bowls, which are no objects.
 
 use super::super::shapes::{Bowl, Frustum, Shape, Sphere};
-use super::Set;
+use super::set::Set;
 use nalgebra::Vector3;
 
 /// A thing without a place: how it is named and what it measures.

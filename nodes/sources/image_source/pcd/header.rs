@@ -3,7 +3,7 @@
 //! Format: <https://pointclouds.org/documentation/tutorials/pcd_file_format.html>, versions .5 to .7. VIEWPOINT is read
 //! over: like PCL we take the points to be in the sensor's frame, where it says how the sensor stood in the world.
 
-use super::super::excerpt;
+use super::super::faulty::excerpt;
 use anyhow::{Context as _, Result, anyhow, bail, ensure};
 use conicflow_messages::{Hinted, MAX_PIXELS};
 use std::str::SplitAsciiWhitespace;

@@ -79,7 +79,7 @@ fn faults_of_the_whole_are_reported_by_name() {
 
 #[test]
 fn a_missing_file_is_told_with_the_built_in_names() {
-    let told = format!("{:#}", Scene::load(Path::new("/nowhere/scene.toml")).unwrap_err());
+    let told = format!("{:#}", read(Path::new("/nowhere/scene.toml")).unwrap_err());
     assert!(told.contains("`/nowhere/scene.toml`") && told.contains("hint: ") && told.contains("`tabletop`"), "{told}");
 }
 

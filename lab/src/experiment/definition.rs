@@ -1,0 +1,312 @@
+//! What a pipeline file says under `[experiment]`, and what follows from it: the combinations of what is varied.
+
+use crate::score::trace::TITLES;
+use crate::score::{Figure, Row};
+use anyhow::{Context as _, Result, bail, ensure};
+use conicflow_messages::Hinted;
+use serde::Deserialize;
+use serde_json::Value as Json;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// An experiment.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Experiment {
+    /// What stands above the table; above the plot as far as the first semicolon.
+    pub title: String,
+    /// The columns that are shown, behind those that tell the rows apart.
+    pub columns: Vec<String>,
+    /// The true objects whose rows are shown; none: all.
+    pub objects: Vec<String>,
+    /// What is varied, the first the slowest.
+    pub vary: Vec<Vary>,
+    /// What the paper measured.
+    pub paper: Option<Reference>,
+    /// File for all columns of all rows.
+    pub csv: Option<PathBuf>,
+    /// What is drawn.
+    pub plot: Option<Plot>,
+    /// The exponents of columns as powers of another one.
+    pub exponent: Option<Exponent>,
+    /// Columns whose least, median and greatest figures are shown below the table.
+    pub spread: Option<Spread>,
+}
+
+/// Something that is varied: one parameter, or several at a time.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Vary {
+    /// Its column.
+    pub name: String,
+    /// The parameters, as `STAGE.KEY`, that take the `values`.
+    pub set: Vec<String>,
+    /// The values, one for each run.
+    pub values: Vec<Json>,
+    /// In place of both: what is set, case by case.
+    pub cases: Vec<Case>,
+}
+
+/// One case of several parameters.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Case {
+    /// What stands in the table.
+    pub name: Figure,
+    /// Values by `STAGE.KEY`.
+    #[serde(default)]
+    pub set: BTreeMap<String, Json>,
+}
+
+/// Figures to compare with.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Reference {
+    /// Columns by which its rows are found.
+    pub r#match: Vec<String>,
+    /// Columns that it has figures for.
+    pub columns: Vec<String>,
+    /// The cells of `match`, then those of `columns`.
+    pub rows: Vec<Vec<Figure>>,
+}
+
+/// A plot.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Plot {
+    /// The SVG file.
+    pub path: PathBuf,
+    /// Column along x.
+    pub x: String,
+    /// What stands below it; default: what the column is called, with the unit that its name ends with.
+    #[serde(default)]
+    pub x_label: Option<String>,
+    /// Columns along y: one line for each.
+    pub y: Vec<String>,
+    /// Columns that tell lines apart.
+    #[serde(default)]
+    pub lines: Vec<String>,
+    /// The rows that are drawn: those with these cells.
+    #[serde(default)]
+    pub only: BTreeMap<String, Figure>,
+    /// A trace file of the last run that is drawn in place of the table.
+    #[serde(default)]
+    pub trace: Option<PathBuf>,
+    /// Whether both axes are logarithmic.
+    #[serde(default)]
+    pub logarithmic: bool,
+}
+
+/// A power law to be fitted.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Exponent {
+    /// The column that is raised to a power.
+    pub x: String,
+    /// The columns that follow it.
+    pub y: Vec<String>,
+}
+
+/// A second table: the least, median and greatest figures of columns, over all rows that are alike in another.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Spread {
+    /// The column that tells the groups of rows apart.
+    pub by: String,
+    /// The columns.
+    pub columns: Vec<String>,
+}
+
+/// One combination of what is varied.
+#[derive(Clone, Debug, Default)]
+pub struct Variation {
+    /// What stands in the table.
+    pub names: Vec<(String, Figure)>,
+    /// `STAGE.KEY=VALUE`.
+    pub overrides: Vec<String>,
+}
+
+impl Experiment {
+    /// Reads what a pipeline file says.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    pub fn read(json: &Json) -> Result<Self> {
+        let experiment: Self = serde_json::from_value(json.clone()).map_err(|error| {
+            let what = format!("`[experiment]` cannot be read: {error}");
+            Hinted::new(what, "the files of experiments/ show what it may hold")
+        })?;
+        for vary in &experiment.vary {
+            let either = vary.cases.is_empty() != (vary.values.is_empty() || vary.set.is_empty());
+            ensure!(
+                !vary.name.is_empty() && either,
+                Hinted::new(
+                    format!("`vary` wants a `name` and either `set` and `values` or `cases`, got `{}`", vary.name),
+                    "for example { name = \"distance\", set = [\"source.values.distance\"], values = [1.0, 2.0] }"
+                )
+            );
+        }
+        if let Some(paper) = &experiment.paper {
+            let width = paper.r#match.len() + paper.columns.len();
+            let odd = paper.rows.iter().position(|row| row.len() != width);
+            ensure!(
+                odd.is_none(),
+                Hinted::new(
+                    format!("row {} of `experiment.paper` has not {width} cells", odd.unwrap_or_default() + 1),
+                    "first those of `match`, then those of `columns`"
+                )
+            );
+        }
+        Ok(experiment)
+    }
+
+    /// Refuses columns that no row will have, those that are not `known`.
+    ///
+    /// # Errors
+    /// The key that names such a column, with those that there are.
+    pub fn check_columns(&self, known: &[String]) -> Result<()> {
+        let mut wanted: Vec<(&str, Vec<&String>)> = vec![("columns", self.columns.iter().collect())];
+        if let Some(paper) = &self.paper {
+            wanted.push(("paper.match", paper.r#match.iter().collect()));
+            wanted.push(("paper.columns", paper.columns.iter().collect()));
+        }
+        if let Some(exponent) = &self.exponent {
+            wanted.push(("exponent.x", vec![&exponent.x]));
+            wanted.push(("exponent.y", exponent.y.iter().collect()));
+        }
+        if let Some(spread) = &self.spread {
+            wanted.push(("spread.by", vec![&spread.by]));
+            wanted.push(("spread.columns", spread.columns.iter().collect()));
+        }
+        look(&wanted, known)?;
+        let Some(plot) = &self.plot else { return Ok(()) };
+        let traced: Vec<String> = TITLES.split(',').map(str::to_owned).collect();
+        let drawn = if plot.trace.is_some() { &traced } else { known };
+        let lines = plot.lines.iter().collect();
+        look(&[("plot.x", vec![&plot.x]), ("plot.y", plot.y.iter().collect()), ("plot.lines", lines)], drawn)?;
+        look(&[("plot.only", plot.only.keys().collect())], known)
+    }
+
+    /// All combinations of what is varied; one without anything where nothing is.
+    ///
+    /// # Errors
+    /// A value that cannot stand in a pipeline file.
+    pub fn variations(&self) -> Result<Vec<Variation>> {
+        let mut variations = vec![Variation::default()];
+        for vary in &self.vary {
+            let cases = vary.cases()?;
+            variations =
+                variations.iter().flat_map(|before| cases.iter().map(|case| before.and(&vary.name, case))).collect();
+        }
+        Ok(variations)
+    }
+}
+
+fn look(wanted: &[(&str, Vec<&String>)], known: &[String]) -> Result<()> {
+    for (key, columns) in wanted {
+        for column in columns {
+            if !known.contains(column) {
+                let known: Vec<_> = known.iter().map(|column| format!("`{column}`")).collect();
+                bail!(Hinted::new(
+                    format!("`experiment.{key}`: there is no column `{column}`"),
+                    format!("columns: {}", known.join(", "))
+                ));
+            }
+        }
+    }
+    Ok(())
+}
+
+impl Vary {
+    fn cases(&self) -> Result<Vec<(Figure, Vec<String>)>> {
+        let of_values = self.values.iter().map(|value| {
+            let name = serde_json::from_value(value.clone()).unwrap_or_else(|_| Figure::Text(value.to_string()));
+            let set = self.set.iter().map(|key| assignment(key, value));
+            Ok((name, set.collect::<Result<_>>()?))
+        });
+        let of_cases = self.cases.iter().map(|case| {
+            // another node forgets the parameters of the one before, so it has to come first
+            let (nodes, others): (Vec<_>, Vec<_>) = case.set.iter().partition(|(key, _)| key.ends_with(".node"));
+            let set = nodes.into_iter().chain(others).map(|(key, value)| assignment(key, value));
+            Ok((case.name.clone(), set.collect::<Result<_>>()?))
+        });
+        of_values.chain(of_cases).collect()
+    }
+}
+
+fn assignment(key: &str, value: &Json) -> Result<String> {
+    let value = toml::Value::try_from(value).with_context(|| format!("`{key}` cannot be set to {value}"))?;
+    Ok(format!("{key}={value}"))
+}
+
+impl Variation {
+    fn and(&self, name: &str, (figure, set): &(Figure, Vec<String>)) -> Self {
+        let mut variation = self.clone();
+        variation.names.push((name.to_owned(), figure.clone()));
+        variation.overrides.extend(set.iter().cloned());
+        variation
+    }
+}
+
+impl Reference {
+    /// The figure of a column that goes with a row, if there is one.
+    pub fn figure(&self, row: &Row, column: &str) -> Option<&Figure> {
+        let index = self.r#match.len() + self.columns.iter().position(|known| known == column)?;
+        let goes_with = |cells: &&Vec<Figure>| {
+            self.r#match.iter().zip(cells.iter()).all(|(column, cell)| row.get(column) == Some(cell))
+        };
+        self.rows.iter().find(goes_with)?.get(index)
+    }
+}
+
+/// A path of the pipeline file, whose folder is made where it is missing.
+pub(super) fn prepared(base: &Path, path: &Path) -> Result<PathBuf> {
+    let path = base.join(path);
+    let made = path.parent().map_or(Ok(()), std::fs::create_dir_all);
+    made.with_context(|| format!("cannot make the folder of `{}`", path.display()))?;
+    Ok(path)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn experiment(text: &str) -> Result<Experiment> {
+        Experiment::read(&serde_json::to_value(toml::from_str::<toml::Table>(text).unwrap()).unwrap())
+    }
+
+    #[test]
+    fn all_combinations_are_run_the_first_the_slowest() {
+        let text = r#"
+            vary = [
+                { name = "distance", set = ["source.values.distance", "sink.from"], values = [1.0, 2.5] },
+                { name = "method", cases = [{ name = "ours" }, { name = "paper", set = { "a.method" = "profile" } }] },
+            ]"#;
+        let overrides: Vec<_> =
+            experiment(text).unwrap().variations().unwrap().into_iter().map(|v| v.overrides).collect();
+        let [near, far] = ["1.0", "2.5"].map(|d| vec![format!("source.values.distance={d}"), format!("sink.from={d}")]);
+        let profile = |set: &Vec<String>| [set.clone(), vec!["a.method=\"profile\"".to_owned()]].concat();
+        assert_eq!(overrides, [near.clone(), profile(&near), far.clone(), profile(&far)]);
+    }
+
+    #[test]
+    fn a_case_sets_the_node_before_its_parameters() {
+        let text =
+            "vary = [{ name = \"n\", cases = [{ name = \"b\", set = { \"x.gain\" = 2, \"x.node\" = \"b\" } }] }]";
+        let variation = experiment(text).unwrap().variations().unwrap().remove(0);
+        assert_eq!(variation.overrides, ["x.node=\"b\"", "x.gain=2"]);
+    }
+
+    #[test]
+    fn nothing_varied_is_one_run() {
+        assert_eq!(experiment("").unwrap().variations().unwrap().len(), 1);
+    }
+
+    #[test]
+    fn what_cannot_be_is_refused() {
+        assert!(experiment("vary = [{ name = \"d\", set = [\"a.b\"] }]").is_err(), "no values");
+        assert!(experiment("colums = []").is_err());
+        let odd = "paper = { match = [\"d\"], columns = [\"r\"], rows = [[1.0, 2.0], [1.0]] }";
+        assert!(experiment(odd).unwrap_err().to_string().starts_with("row 2 of"));
+    }
+}

@@ -1,0 +1,76 @@
+//! A random scene in the making: what stands where, which places are taken, and where the camera looks.
+
+use super::super::scene::{Body, Role, Scene};
+use super::super::shapes::Shape;
+use super::draws::Draws;
+use nalgebra::Vector3;
+use std::ops::RangeInclusive;
+
+/// A scene in the making; z is up, the floor lies at 0, and the camera looks along y from above the origin.
+pub struct Set {
+    pub draws: Draws,
+    bodies: Vec<Body>,
+    /// Middle and radius of the places that are taken.
+    pub taken: Vec<(Vector3<f64>, f64)>,
+    pub camera: Vector3<f64>,
+    look_at: Vector3<f64>,
+    roll_deg: f64,
+}
+
+impl Set {
+    /// Nothing yet, before a camera whose height and roll are drawn.
+    pub fn new(group: u64, seed: u64) -> Self {
+        let mut draws = Draws::new(seed, group);
+        let camera = Vector3::new(0.0, 0.0, draws.within(0.5..=1.5));
+        let roll_deg = draws.within(-6.0..=6.0);
+        let look_at = Vector3::new(0.0, 2.0, 0.4);
+        Self { draws, bodies: Vec::new(), taken: Vec::new(), camera, look_at, roll_deg }
+    }
+
+    /// Adds a thing of its own.
+    pub fn add(&mut self, name: &str, shape: Shape) {
+        let name = format!("{name} {}", self.bodies.len());
+        self.bodies.push(Body::still(name, shape));
+    }
+
+    /// Adds something in a role.
+    pub fn add_as(&mut self, role: Role, name: &str, shape: Shape) {
+        let name = format!("{name} {}", self.bodies.len());
+        self.bodies.push(Body::still(name, shape).as_a(role));
+    }
+
+    /// A free place for something of a radius on a level, within the view; `None` where it is too crowded.
+    pub fn place(&mut self, distance: &RangeInclusive<f64>, level: f64, radius: f64, gap: f64) -> Option<Vector3<f64>> {
+        const TRIES: usize = 20;
+        for _ in 0..TRIES {
+            let y = self.draws.within(distance.clone());
+            let x = y * self.draws.within(-0.42..=0.42);
+            let place = Vector3::new(x, y, level);
+            let free = |(other, reach): &(Vector3<f64>, f64)| (place - other).xy().norm() > radius + reach + gap;
+            if self.taken.iter().all(free) {
+                self.taken.push((place, radius));
+                return Some(place);
+            }
+        }
+        None
+    }
+
+    /// Turns the camera to the middle of the places that are taken, at a height above them, give or take; in each fourth
+    /// scene so far aside that the image's border may cut things off.
+    pub fn look_at_things(&mut self, height: f64) {
+        let count = self.taken.len().max(1) as f64;
+        let middle = self.taken.iter().map(|(place, _)| place).sum::<Vector3<f64>>() / count;
+        let reach = if self.draws.chance(0.25) { 0.4 } else { 0.08 };
+        let mut shake = || self.draws.within(-reach..=reach) * middle.y;
+        self.look_at = middle + Vector3::new(shake(), shake(), height + shake());
+    }
+
+    /// The scene, named `group/seed`.
+    pub fn scene(self, group: &'static str, seed: u64) -> Scene {
+        let name = format!("{group}/{seed}");
+        let camera_up = Vector3::new(libm::tan(self.roll_deg.to_radians()), 0.0, 1.0);
+        let mut scene = Scene::still(name, self.bodies, self.camera, self.look_at, camera_up);
+        scene.group = Some(group);
+        scene
+    }
+}

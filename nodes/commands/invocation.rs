@@ -1,0 +1,111 @@
+//! What several commands have in common: the pipeline file that is named, how its stages are run, and what is said meanwhile.
+
+use crate::{NODES, REGISTRY};
+use anyhow::{Context, anyhow, bail};
+use clap::Args;
+use conicflow_dataflow::RunOptions;
+use conicflow_dataflow::pipeline::{Pipeline, Report, SourceText};
+use conicflow_messages::Hinted;
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use std::fmt::Display;
+use std::io::{self, Write, stderr};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+const BUILT_IN: &str = include_str!("../../pipeline.toml");
+const DEFAULT_FILE: &str = "pipeline.toml";
+
+#[derive(Args, Default)]
+pub struct FileArguments {
+    /// The pipeline file [default: ./pipeline.toml, else the built-in one]
+    pub file: Option<PathBuf>,
+    /// Set a parameter, as if it stood in the file; may be repeated
+    #[arg(long = "set", value_name = "STAGE.KEY=VALUE")]
+    pub overrides: Vec<String>,
+}
+
+impl FileArguments {
+    /// The pipeline as the machine that was named needs it; where none was, as all of them do.
+    pub fn read_for(&self, machine: Option<&str>) -> anyhow::Result<Pipeline> {
+        let pipeline = self.read_on(machine)?;
+        machine.map_or(Ok(()), |machine| check_machine(&pipeline, Some(machine)))?;
+        Ok(pipeline)
+    }
+
+    /// The pipeline as one of its machines needs it.
+    pub fn read_on(&self, machine: Option<&str>) -> anyhow::Result<Pipeline> {
+        let (pipeline, warnings) = self.read_with(machine, &[])?;
+        if !warnings.0.is_empty() {
+            say(format_args!("{warnings}\n"));
+        }
+        Ok(pipeline)
+    }
+
+    /// The pipeline with further parameters set; those of the command line have the last word.
+    pub fn read_with(&self, machine: Option<&str>, further: &[String]) -> anyhow::Result<(Pipeline, Report)> {
+        let (source, base) = self.text()?;
+        Ok(Pipeline::read_on(machine, source, &base, &[further, &self.overrides].concat(), &REGISTRY)?)
+    }
+
+    /// The text of the file and the folder of its paths; of the built-in pipeline that is the current folder.
+    pub fn text(&self) -> anyhow::Result<(SourceText, PathBuf)> {
+        let default = Path::new(DEFAULT_FILE);
+        let file = self.file.as_deref().or(default.is_file().then_some(default));
+        let Some(file) = file else {
+            let source = SourceText { name: "built-in pipeline".to_owned(), text: BUILT_IN.to_owned() };
+            return Ok((source, std::env::current_dir()?));
+        };
+        let text = std::fs::read_to_string(file).map_err(|error| {
+            let hint = "without a file it is ./pipeline.toml, or else the built-in pipeline";
+            anyhow!(Hinted::new(format!("cannot read the pipeline file `{}`: {error}", file.display()), hint))
+        })?;
+        let folder = file.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
+        Ok((SourceText { name: file.display().to_string(), text }, folder.canonicalize()?))
+    }
+}
+
+/// Makes sure that a pipeline of several machines says which of them this is, and that it has that one.
+pub fn check_machine(pipeline: &Pipeline, machine: Option<&str>) -> anyhow::Result<()> {
+    let names: Vec<_> = pipeline.machines.keys().map(|name| format!("`{name}`")).collect();
+    match machine {
+        Some(machine) if names.is_empty() => {
+            bail!(Hinted::new(
+                format!("the pipeline has no machine `{machine}`, nor any"),
+                "leave --machine out: all stages run on this one"
+            ))
+        }
+        Some(machine) if !pipeline.machines.contains_key(machine) => {
+            bail!(Hinted::new(
+                format!("there is no machine `{machine}` in the pipeline"),
+                format!("machines: {}", names.join(", "))
+            ))
+        }
+        None if !names.is_empty() => bail!(Hinted::new(
+            format!("the pipeline spans the machines {}", names.join(", ")),
+            "say which of them this is, with --machine NAME"
+        )),
+        _ => {}
+    }
+    Ok(())
+}
+
+/// How stages are run by this program.
+pub fn options(log: &str) -> anyhow::Result<RunOptions> {
+    let program = std::env::current_exe().context("cannot find this program's own file, which runs the stages")?;
+    Ok(RunOptions { program, nodes: NODES, log: Some(log.to_owned()), ..RunOptions::default() })
+}
+
+/// Becomes true as soon as this process is asked to end: then no further run is begun.
+pub fn interruption() -> io::Result<Arc<AtomicBool>> {
+    let interrupted = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM, SIGHUP] {
+        signal_hook::flag::register(signal, Arc::clone(&interrupted))?;
+    }
+    Ok(interrupted)
+}
+
+/// Writes a line to standard error; that nobody reads it any more is no fault of the run.
+pub fn say(text: impl Display) {
+    writeln!(stderr(), "{text}").ok();
+}

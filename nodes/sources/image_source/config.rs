@@ -1,0 +1,98 @@
+//! The parameters of `image_source`.
+
+use super::poses::PosesConfig;
+use crate::sources::WrittenIn;
+use conicflow_dataflow::ConfigFault;
+use conicflow_detection::camera::Intrinsics;
+use conicflow_detection::noise::NoiseConfig;
+use conicflow_messages::DEPTH_SCALES_M;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// Frames per second by which frames without time stamps are stamped when `rate_hz` is 0.
+pub(super) const USUAL_RATE_HZ: f64 = 30.0;
+
+/// Parameters of `image_source`.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// The recording: a folder of 16-bit PNGs, of TIFF or NPY files (16-bit whole numbers, floating point) or organised PCD files,
+    /// a TUM RGB-D folder, or a single such file. Points of PCD and floating-point depths beyond 16.38 m are left out.
+    pub path: Option<PathBuf>,
+    /// Metres per unit of the file; default: as `camera.json` says, else 0.001, for TUM 0.0002, for PCD and
+    /// floating point 1.
+    #[schemars(range(min = 0.0))]
+    pub depth_scale: Option<f64>,
+    /// fx, fy, cx, cy in pixels; default: from a JSON file beside the frames, for PCD else fitted to the points.
+    pub intrinsics: Option<Intrinsics>,
+    /// Frames per second; 0: as fast as the pipeline takes them, stamped as at 30 Hz. Recorded time stamps are kept.
+    #[schemars(range(min = 0.0))]
+    pub rate_hz: f64,
+    /// Where the camera was in each frame, for tracking in the world: `auto` (7-Scenes `*.pose.txt`, TUM `groundtruth.txt` or an
+    /// Open3D trajectory `*.log` beside the frames or above them, else none), `none`, or the path of such a file or folder.
+    pub poses: PosesConfig,
+    /// Depth noise of the sensor: a name (`kinect_v1`, `realsense_d435`, `time_of_flight`, `ideal`) or a table.
+    pub noise: NoiseConfig,
+    /// Whether to start again at the end; stamps go on rising.
+    #[serde(rename = "loop")]
+    pub repeat: bool,
+    /// Number of the first frame to send, counted from 0, unreadable ones included.
+    pub first: u64,
+    /// The most frames to send from there (in each round of a loop), unreadable ones included; default: all.
+    #[schemars(range(min = 1))]
+    pub frames: Option<u64>,
+    /// Where these parameters are written.
+    #[serde(skip)]
+    pub written_in: WrittenIn,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            path: None,
+            depth_scale: None,
+            intrinsics: None,
+            poses: PosesConfig::Auto,
+            rate_hz: USUAL_RATE_HZ,
+            noise: NoiseConfig::default(),
+            repeat: false,
+            first: 0,
+            frames: None,
+            written_in: WrittenIn::default(),
+        }
+    }
+}
+
+impl Config {
+    /// What types and ranges cannot tell: values that exclude each other, files that are missing.
+    pub fn faults(&self, base: &Path) -> Vec<ConfigFault> {
+        let fault = |key, what: String, hint: &str| ConfigFault { key, what, hint: hint.to_owned() };
+        let mut faults = Vec::new();
+        match self.path.as_ref().map(|path| base.join(path)) {
+            None => faults.push(fault("path", "is missing".to_owned(), "write `path = \"folder/\"`")),
+            Some(path) if !path.exists() => {
+                let what = format!("`{}` does not exist", path.display());
+                faults.push(fault("path", what, "relative paths start at the pipeline file's folder"));
+            }
+            Some(_) => {}
+        }
+        if let PosesConfig::Path(path) = &self.poses
+            && !base.join(path).exists()
+        {
+            let what = format!("`{}` does not exist", base.join(path).display());
+            faults.push(fault("poses", what, "`auto`, `none`, or a path that starts at the pipeline file's folder"));
+        }
+        if self.depth_scale.is_some_and(|scale| !DEPTH_SCALES_M.contains(&scale)) {
+            faults.push(fault("depth_scale", "is not above 0 and at most 1".to_owned(), "0.001 for millimetres"));
+        }
+        if self.intrinsics.is_some_and(|intrinsics| !intrinsics.are_usable()) {
+            faults.push(fault(
+                "intrinsics",
+                "need fx and fy of 1 to 1,000,000 pixels, and no larger cx and cy".to_owned(),
+                "take them from the camera's calibration",
+            ));
+        }
+        faults
+    }
+}
