@@ -1,6 +1,6 @@
-//! What goes wrong in the same way with several stages: a restart has lost sums.
+//! What goes wrong in the same way with several stages: a restart has lost sums, an image has one side.
 
-use conicflow_dataflow::{Context, StageError};
+use conicflow_dataflow::{ConfigFault, Context, StageError};
 use conicflow_messages::Hinted;
 
 /// Refuses the restart of a stage that keeps its sums in memory; `summed` says what it did with its input ("counted").
@@ -13,6 +13,13 @@ pub fn refuse_restart(context: &Context, summed: &str) -> Result<(), StageError>
     }
     Err(Hinted::new(format!("what was {summed} before this stage was started anew is lost"), "run it from the start")
         .into())
+}
+
+/// What is wrong with an image of which one side alone is given.
+pub fn one_of_two(width: Option<u32>, height: Option<u32>) -> Option<ConfigFault> {
+    let key = if width.is_some() { "width" } else { "height" };
+    let fault = || ConfigFault::new(key, "is one of two", "give both `width` and `height`, or none");
+    (width.is_some() != height.is_some()).then(fault)
 }
 
 #[cfg(test)]

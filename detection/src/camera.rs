@@ -1,7 +1,7 @@
 //! Cameras, poses and scan lines of messages, as the mathematics wants them.
 
 use conicflow_geometry::{Pinhole, Scan};
-use conicflow_messages::{self as messages, Camera, Ellipse};
+use conicflow_messages::{self as messages, Camera, ConfigFault, Ellipse};
 use nalgebra::{IsometryMatrix3, Matrix3, Rotation3, Translation3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -33,6 +33,12 @@ impl Intrinsics {
     /// Whether they are numbers that a camera can have.
     pub fn are_usable(&self) -> bool {
         self.camera((1, 1)).has_intrinsics()
+    }
+
+    /// What is wrong with them, as the parameter `intrinsics`.
+    pub fn fault(&self) -> Option<ConfigFault> {
+        let what = "need fx and fy of 1 to 1,000,000 pixels, and no larger cx and cy";
+        (!self.are_usable()).then(|| ConfigFault::new("intrinsics", what, "take them from the camera's calibration"))
     }
 }
 

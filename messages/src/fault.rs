@@ -1,8 +1,10 @@
 //! What is wrong, with what to do about it: the form that every package gives its errors.
 
+use crate::DEPTH_SCALES_M;
 use serde::{Deserialize, Serialize};
 use std::error::Error;
 use std::io::{self, ErrorKind};
+use std::path::Path;
 
 /// An error and what to do about it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
@@ -83,6 +85,23 @@ pub struct ConfigFault {
 }
 
 impl ConfigFault {
+    /// What is wrong with the parameter `key`, and what to do about it.
+    pub fn new(key: &'static str, what: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self { key, what: what.into(), hint: hint.into() }
+    }
+
+    /// The parameter `key` names a file or folder that is not there.
+    pub fn of_missing(key: &'static str, path: &Path) -> Option<Self> {
+        let what = || format!("`{}` does not exist", path.display());
+        (!path.exists()).then(|| Self::new(key, what(), "relative paths start at the pipeline file's folder"))
+    }
+
+    /// What is wrong with metres per unit of depth, the parameter `depth_scale`.
+    pub fn of_depth_scale(scale: f64) -> Option<Self> {
+        let fault = || Self::new("depth_scale", "is not above 0 and at most 1", "0.001 for millimetres");
+        (!DEPTH_SCALES_M.contains(&scale)).then(fault)
+    }
+
     /// The parameter `key` names a file that cannot be used.
     pub fn of_file(key: &'static str, error: &(dyn Error + 'static)) -> Self {
         let Hinted { what, hint, .. } = Hinted::of(error, "correct the file, or name another one");

@@ -91,8 +91,8 @@ impl<T: Claim> Stage for EvaluationSink<T> {
             faults.push(ConfigFault::of_file("truth", error.as_ref()));
         }
         if config.scene.is_some() && config.truth.is_some() {
-            let (what, hint) = ("cannot be used together with `scene`", "leave one of them out");
-            faults.push(ConfigFault { key: "truth", what: what.into(), hint: hint.into() });
+            let what = "cannot be used together with `scene`";
+            faults.push(ConfigFault::new("truth", what, "leave one of them out"));
         }
         faults
     }

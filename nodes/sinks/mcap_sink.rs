@@ -33,19 +33,14 @@ pub struct Config {
 impl Config {
     /// What types and ranges cannot tell: values that exclude each other, files that are missing.
     pub fn faults(&self, base: &Path) -> Vec<ConfigFault> {
-        let mut faults = Vec::new();
-        let mut fault = |key, what: String| {
-            let hint = "write `path = \"run.mcap\"`".to_owned();
-            faults.push(ConfigFault { key, what, hint });
-        };
-        match &self.path {
-            None => fault("path", "is missing".to_owned()),
+        let what = match &self.path {
+            None => "is missing".to_owned(),
             Some(path) if base.join(path).is_dir() => {
-                fault("path", format!("`{}` is a folder, expected a file", base.join(path).display()));
+                format!("`{}` is a folder, expected a file", base.join(path).display())
             }
-            Some(_) => {}
-        }
-        faults
+            Some(_) => return Vec::new(),
+        };
+        vec![ConfigFault::new("path", what, "write `path = \"run.mcap\"`")]
     }
 
     /// The limits in bytes and nanoseconds.

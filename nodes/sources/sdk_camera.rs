@@ -3,6 +3,7 @@
 //! Here stand their parameters, which Python runs them, and whether that has what they need. The sources themselves are
 //! `conicflow.cameras` in `python/`.
 
+use crate::config_error::one_of_two;
 use conicflow_dataflow::{ConfigFault, Context, Hinted, Host, Next, Output, SideInputs, Source, StageError, Variables};
 use conicflow_detection::noise::NoiseConfig;
 use schemars::JsonSchema;
@@ -110,20 +111,15 @@ impl<M: Maker> Source for SdkCamera<M> {
     type Output = u16;
 
     fn faults(config: &Config, base: &Path) -> Vec<ConfigFault> {
-        let fault = |key, what: String, hint: &str| ConfigFault { key, what, hint: hint.to_owned() };
         let mut faults = Vec::new();
         let path = config.path.as_ref().map(|path| base.join(path));
         if path.is_some() && !M::PLAYS_BACK {
-            let what = "its SDK plays nothing back without a camera".to_owned();
-            faults.push(fault("path", what, "record with `mcap_sink`, and play back with `mcap_source`"));
-        } else if let Some(path) = path.filter(|path| !path.exists()) {
-            let what = format!("`{}` does not exist", path.display());
-            faults.push(fault("path", what, "relative paths start at the pipeline file's folder"));
+            let what = "its SDK plays nothing back without a camera";
+            faults.push(ConfigFault::new("path", what, "record with `mcap_sink`, and play back with `mcap_source`"));
+        } else if let Some(path) = path {
+            faults.extend(ConfigFault::of_missing("path", &path));
         }
-        if config.width.is_some() != config.height.is_some() {
-            let key = if config.width.is_some() { "width" } else { "height" };
-            faults.push(fault(key, "is one of two".to_owned(), "give both `width` and `height`, or none"));
-        }
+        faults.extend(one_of_two(config.width, config.height));
         faults
     }
 

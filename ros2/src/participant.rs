@@ -81,17 +81,17 @@ const LAST_DOMAIN: u32 = 232;
 impl Participant {
     /// What is wrong with where it takes part, if anything.
     pub(crate) fn faults(connect: &[String], domain: u32) -> Vec<ConfigFault> {
-        let fault = |key, what: String, hint: &str| ConfigFault { key, what, hint: hint.to_owned() };
         let mut faults = Vec::new();
         if connect.is_empty() {
             let hint = "write `connect = [\"tcp/127.0.0.1:7447\"]`, where the router of ROS 2 listens: `rmw_zenohd` or `zenohd`";
-            faults.push(fault("connect", "is missing".to_owned(), hint));
+            faults.push(ConfigFault::new("connect", "is missing", hint));
         }
         let wrong = connect.iter().filter_map(|endpoint| check_endpoint(endpoint).err());
-        faults.extend(wrong.map(|error| fault("connect", error.what, &error.hint)));
+        faults.extend(wrong.map(|error| ConfigFault::new("connect", error.what, error.hint)));
         if domain > LAST_DOMAIN {
             let hint = "it is that of `ROS_DOMAIN_ID` on the robot; 0 where that is not set";
-            faults.push(fault("domain", format!("{domain} is none, allowed is 0 to {LAST_DOMAIN}"), hint));
+            let what = format!("{domain} is none, allowed is 0 to {LAST_DOMAIN}");
+            faults.push(ConfigFault::new("domain", what, hint));
         }
         faults
     }
@@ -112,7 +112,7 @@ pub(crate) fn topic_fault(key: &'static str, topic: &str) -> Option<ConfigFault>
     let is_name = topic.strip_prefix('/').is_some_and(|parts| parts.split('/').all(is_word));
     let what = format!("`{topic}` is no name of a topic");
     let hint = "a slash, then letters, digits and `_`, in parts with slashes between: \"/camera/depth/image_rect_raw\"";
-    (!is_name).then(|| ConfigFault { key, what, hint: hint.to_owned() })
+    (!is_name).then(|| ConfigFault::new(key, what, hint))
 }
 
 #[cfg(test)]

@@ -71,8 +71,8 @@ impl SinkConfig {
         faults.extend(self.topic.as_deref().and_then(|topic| topic_fault("topic", topic)));
         for (key, frame) in [("frame_id", &self.frame_id), ("world", &self.world)] {
             if frame.as_deref().is_some_and(|name| name.is_empty() || name.contains('\0')) {
-                let hint = "such as \"camera_depth_optical_frame\" or \"map\"".to_owned();
-                faults.push(ConfigFault { key, what: "is no name of a frame".to_owned(), hint });
+                let hint = "such as \"camera_depth_optical_frame\" or \"map\"";
+                faults.push(ConfigFault::new(key, "is no name of a frame", hint));
             }
         }
         faults

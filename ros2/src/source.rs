@@ -11,7 +11,7 @@ use crate::{Distro, End, Middleware, Participant, Via, Way};
 use conicflow_dataflow::{ConfigFault, Context, Next, Output, SideInputs, Source, StageError, Stop, tell_median};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::NoiseConfig;
-use conicflow_messages::{Camera, DEPTH_SCALES_M, HAS_POSE, Header, Hinted, Text, median_depth};
+use conicflow_messages::{Camera, HAS_POSE, Header, Hinted, Text, median_depth};
 use conicflow_ros::{CAMERA_INFO, Stamped, TF_MESSAGE, Transforms, camera_info_topics};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -77,21 +77,16 @@ pub struct SourceConfig {
 
 impl SourceConfig {
     fn faults(&self) -> Vec<ConfigFault> {
-        let fault = |key, what: &str, hint: &str| ConfigFault { key, what: what.to_owned(), hint: hint.to_owned() };
         let mut faults = Participant::faults(&self.connect, self.domain);
         if self.topic.is_none() {
-            faults.push(fault("topic", "is missing", "write `topic = \"/camera/depth/image_rect_raw\"`"));
+            let hint = "write `topic = \"/camera/depth/image_rect_raw\"`";
+            faults.push(ConfigFault::new("topic", "is missing", hint));
         }
         for (key, topic) in [("topic", &self.topic), ("camera_info", &self.camera_info)] {
             faults.extend(topic.as_deref().and_then(|topic| topic_fault(key, topic)));
         }
-        if self.depth_scale.is_some_and(|scale| !DEPTH_SCALES_M.contains(&scale)) {
-            faults.push(fault("depth_scale", "is not above 0 and at most 1", "0.001 for millimetres"));
-        }
-        if self.intrinsics.is_some_and(|intrinsics| !intrinsics.are_usable()) {
-            let what = "need fx and fy of 1 to 1,000,000 pixels, and no larger cx and cy";
-            faults.push(fault("intrinsics", what, "take them from the camera's calibration"));
-        }
+        faults.extend(self.depth_scale.and_then(ConfigFault::of_depth_scale));
+        faults.extend(self.intrinsics.and_then(|intrinsics| intrinsics.fault()));
         faults
     }
 

@@ -296,13 +296,13 @@ impl SimulatorParameters {
         faults.extend(self.sensor.and_then(SimulatedSensor::fault));
         faults.extend(self.scenes.as_ref().and_then(RandomScenes::fault));
         if self.scene.is_some() && self.scenes.is_some() {
-            let what = "cannot be shown together with `scene`".into();
-            faults.push(ConfigFault { key: "scenes", what, hint: "leave one of them out".into() });
+            let what = "cannot be shown together with `scene`";
+            faults.push(ConfigFault::new("scenes", what, "leave one of them out"));
         }
         let truth_path = self.truth_path.as_ref().map(|path| base.join(path));
         if let Some(folder) = truth_path.filter(|path| path.is_dir()) {
             let what = format!("`{}` is a folder, expected a file", folder.display());
-            faults.push(ConfigFault { key: "truth_path", what, hint: "add the name of a file".into() });
+            faults.push(ConfigFault::new("truth_path", what, "add the name of a file"));
         }
         faults
     }

@@ -46,13 +46,13 @@ impl RandomScenes {
 
     /// What cannot be used about them.
     pub fn fault(&self) -> Option<ConfigFault> {
-        let fault = |what: String, hint: &str| Some(ConfigFault { key: "scenes", what, hint: hint.into() });
         let [first, last] = self.seeds;
         if self.groups.is_empty() {
-            return fault("has no `groups`".into(), "leave the key out for all of them");
+            return Some(ConfigFault::new("scenes", "has no `groups`", "leave the key out for all of them"));
         }
         if first > last {
-            return fault(format!("has the seeds {first} to {last}, which is none"), "seeds = [first, last]");
+            let what = format!("has the seeds {first} to {last}, which is none");
+            return Some(ConfigFault::new("scenes", what, "seeds = [first, last]"));
         }
         None
     }

@@ -36,8 +36,8 @@ impl JsonSinkConfig {
         } else {
             return Vec::new();
         };
-        let hint = "give the name of a file, such as \"objects.jsonl\", or \"-\" for standard output".to_owned();
-        vec![ConfigFault { key: "path", what, hint }]
+        let hint = "give the name of a file, such as \"objects.jsonl\", or \"-\" for standard output";
+        vec![ConfigFault::new("path", what, hint)]
     }
 }
 

@@ -104,13 +104,12 @@ impl Config {
     /// What types and ranges cannot tell: values that exclude each other, files that are missing.
     pub fn faults(&self, _: &Path) -> Vec<ConfigFault> {
         let mut faults = Vec::new();
-        let mut fault =
-            |key, what: &str, hint: &str| faults.push(ConfigFault { key, what: what.into(), hint: hint.into() });
         if self.path.is_none() && self.moving.is_none() {
-            fault("path", "is missing", "write `path = \"pictures/\"`");
+            faults.push(ConfigFault::new("path", "is missing", "write `path = \"pictures/\"`"));
         }
         if self.near_m.zip(self.far_m).is_some_and(|(near, far)| near >= far) {
-            fault("near_m", "is not below `far_m`", "near is warm, far is cold: write the smaller depth here");
+            let hint = "near is warm, far is cold: write the smaller depth here";
+            faults.push(ConfigFault::new("near_m", "is not below `far_m`", hint));
         }
         faults
     }

@@ -5,7 +5,6 @@ use crate::sources::WrittenIn;
 use conicflow_dataflow::ConfigFault;
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::NoiseConfig;
-use conicflow_messages::DEPTH_SCALES_M;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -67,32 +66,18 @@ impl Default for Config {
 impl Config {
     /// What types and ranges cannot tell: values that exclude each other, files that are missing.
     pub fn faults(&self, base: &Path) -> Vec<ConfigFault> {
-        let fault = |key, what: String, hint: &str| ConfigFault { key, what, hint: hint.to_owned() };
         let mut faults = Vec::new();
         match self.path.as_ref().map(|path| base.join(path)) {
-            None => faults.push(fault("path", "is missing".to_owned(), "write `path = \"folder/\"`")),
-            Some(path) if !path.exists() => {
-                let what = format!("`{}` does not exist", path.display());
-                faults.push(fault("path", what, "relative paths start at the pipeline file's folder"));
-            }
-            Some(_) => {}
+            None => faults.push(ConfigFault::new("path", "is missing", "write `path = \"folder/\"`")),
+            Some(path) => faults.extend(ConfigFault::of_missing("path", &path)),
         }
-        if let PosesConfig::Path(path) = &self.poses
-            && !base.join(path).exists()
-        {
-            let what = format!("`{}` does not exist", base.join(path).display());
-            faults.push(fault("poses", what, "`auto`, `none`, or a path that starts at the pipeline file's folder"));
+        if let PosesConfig::Path(path) = &self.poses {
+            let hint = "`auto`, `none`, or a path that starts at the pipeline file's folder".to_owned();
+            let missing = ConfigFault::of_missing("poses", &base.join(path));
+            faults.extend(missing.map(|fault| ConfigFault { hint, ..fault }));
         }
-        if self.depth_scale.is_some_and(|scale| !DEPTH_SCALES_M.contains(&scale)) {
-            faults.push(fault("depth_scale", "is not above 0 and at most 1".to_owned(), "0.001 for millimetres"));
-        }
-        if self.intrinsics.is_some_and(|intrinsics| !intrinsics.are_usable()) {
-            faults.push(fault(
-                "intrinsics",
-                "need fx and fy of 1 to 1,000,000 pixels, and no larger cx and cy".to_owned(),
-                "take them from the camera's calibration",
-            ));
-        }
+        faults.extend(self.depth_scale.and_then(ConfigFault::of_depth_scale));
+        faults.extend(self.intrinsics.and_then(|intrinsics| intrinsics.fault()));
         faults
     }
 }

@@ -6,7 +6,7 @@ use crate::sources::WrittenIn;
 use conicflow_dataflow::{ConfigFault, ItemType};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::NoiseConfig;
-use conicflow_messages::{DEPTH_SCALES_M, Hinted};
+use conicflow_messages::Hinted;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -53,25 +53,16 @@ pub struct Config {
 impl Config {
     /// What types and ranges cannot tell: values that exclude each other, files that are missing.
     pub fn faults(&self, base: &Path) -> Vec<ConfigFault> {
-        let fault = |key, what: &str, hint: &str| ConfigFault { key, what: what.to_owned(), hint: hint.to_owned() };
         let mut faults = Vec::new();
         match self.path.as_ref().map(|path| base.join(path)) {
-            None => faults.push(fault("path", "is missing", "write `path = \"run.mcap\"`")),
-            Some(path) if !path.exists() => {
-                let what = format!("`{}` does not exist", path.display());
-                faults.push(fault("path", &what, "relative paths start at the pipeline file's folder"));
-            }
-            Some(path) => faults.extend(self.unplayable(&path)),
+            None => faults.push(ConfigFault::new("path", "is missing", "write `path = \"run.mcap\"`")),
+            Some(path) => faults.extend(ConfigFault::of_missing("path", &path).or_else(|| self.unplayable(&path))),
         }
-        if self.depth_scale.is_some_and(|scale| !DEPTH_SCALES_M.contains(&scale)) {
-            faults.push(fault("depth_scale", "is not above 0 and at most 1", "0.001 for millimetres"));
-        }
-        if self.intrinsics.is_some_and(|intrinsics| !intrinsics.are_usable()) {
-            let what = "need fx and fy of 1 to 1,000,000 pixels, and no larger cx and cy";
-            faults.push(fault("intrinsics", what, "take them from the camera's calibration"));
-        }
+        faults.extend(self.depth_scale.and_then(ConfigFault::of_depth_scale));
+        faults.extend(self.intrinsics.and_then(|intrinsics| intrinsics.fault()));
         if self.to_s.is_some_and(|to_s| to_s <= self.from_s) {
-            faults.push(fault("to_s", "is not after `from_s`", "both count from the beginning of the recording"));
+            let hint = "both count from the beginning of the recording";
+            faults.push(ConfigFault::new("to_s", "is not after `from_s`", hint));
         }
         faults
     }
@@ -85,6 +76,6 @@ impl Config {
         }
         let error = Chosen::of(&channels, self, &DEPTH).err()?;
         let hint = error.chain().find_map(|cause| cause.downcast_ref::<Hinted>())?;
-        Some(ConfigFault { key: "topic", what: hint.what.clone(), hint: hint.hint.clone() })
+        Some(ConfigFault::new("topic", &hint.what, &hint.hint))
     }
 }

@@ -10,10 +10,11 @@ mod grabber;
 pub use device::{Driver, Found, LinuxVideo, Mode, Stream};
 pub use format::{DepthFormat, Layout};
 
+use crate::config_error::one_of_two;
 use conicflow_dataflow::{ConfigFault, Context, Next, Output, SideInputs, Source, StageError, tell_median};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::NoiseConfig;
-use conicflow_messages::{Camera, DEPTH_SCALES_M, Header, NoiseModel, Text};
+use conicflow_messages::{Camera, Header, NoiseModel, Text};
 use grabber::{Grabber, Wanted};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -77,33 +78,26 @@ impl Config {
     }
 
     fn faults(&self) -> Vec<ConfigFault> {
-        let fault = |key, what: &str, hint: &str| ConfigFault { key, what: what.to_owned(), hint: hint.to_owned() };
         let mut faults = Vec::new();
-        if self.width.is_some() != self.height.is_some() {
-            let key = if self.width.is_some() { "width" } else { "height" };
-            faults.push(fault(key, "is one of two", "give both `width` and `height`, or none"));
-        }
+        faults.extend(one_of_two(self.width, self.height));
         match (self.intrinsics, self.fov_deg) {
             (None, None) => {
                 let hint = "write `intrinsics = { fx = .., fy = .., cx = .., cy = .. }` with the numbers of your camera, or \
                             `fov_deg = ..` with its horizontal field of view; with the maker's SDK nobody types them: \
                             `realsense_source` and others";
-                faults.push(fault("intrinsics", "are missing: V4L2 does not know them", hint));
+                faults.push(ConfigFault::new("intrinsics", "are missing: V4L2 does not know them", hint));
             }
-            (Some(_), Some(_)) => faults.push(fault("fov_deg", "stands beside `intrinsics`", "give one of both")),
-            (Some(intrinsics), None) if !intrinsics.are_usable() => {
-                let what = "need fx and fy of 1 to 1,000,000 pixels, and no larger cx and cy";
-                faults.push(fault("intrinsics", what, "take them from the camera's calibration"));
+            (Some(_), Some(_)) => {
+                faults.push(ConfigFault::new("fov_deg", "stands beside `intrinsics`", "give one of both"))
             }
+            (Some(intrinsics), None) if !intrinsics.are_usable() => faults.extend(intrinsics.fault()),
             (Some(_), None) if self.size().is_none() => {
                 let hint = "intrinsics scale with the image: write the `width` and `height` that they hold for";
-                faults.push(fault("intrinsics", "are those of images of a size that is not given", hint));
+                faults.push(ConfigFault::new("intrinsics", "are those of images of a size that is not given", hint));
             }
             _ => {}
         }
-        if !DEPTH_SCALES_M.contains(&self.depth_scale) {
-            faults.push(fault("depth_scale", "is not above 0 and at most 1", "0.001 for millimetres"));
-        }
+        faults.extend(ConfigFault::of_depth_scale(self.depth_scale));
         faults
     }
 

@@ -13,9 +13,7 @@ pub fn standing(set: &mut Set) {
         let lift = if set.draws.chance(0.15) { plinth(set, foot, thing.reach()) } else { 0.0 };
         set.put(thing, foot + Vector3::z() * lift);
     }
-    let wall = set.draws.within(3.2..=4.2);
-    set.room(wall);
-    set.look_at_things(0.3);
+    set.enclose(3.2..=4.2, 0.3);
 }
 
 /// A flat box under a thing; its height.
@@ -60,9 +58,7 @@ pub fn occluded(set: &mut Set) {
         set.put(thing, foot);
         hide(set, thing, foot);
     }
-    let wall = set.draws.within(3.4..=4.2);
-    set.room(wall);
-    set.look_at_things(0.3);
+    set.enclose(3.4..=4.2, 0.3);
 }
 
 /// Hides 10 to 70 % of a thing: from the left or right by a box or a board, from below by a box; or up to 40 % of it along
@@ -101,8 +97,7 @@ pub fn tabletop(set: &mut Set) {
     let top = set.table();
     for _ in 0..set.draws.count(2..=5) {
         let thing = set.small_thing();
-        let Some(foot) = set.place(&(0.65..=1.15), top, thing.reach(), 0.01) else { continue };
-        set.put(thing, foot);
+        let Some(foot) = set.stand(thing, 0.65..=1.15, top, 0.01) else { continue };
         if matches!(thing, Thing::Round { name: "mug", .. }) && set.draws.chance(0.6) {
             handle(set, thing, foot);
         }
@@ -110,9 +105,7 @@ pub fn tabletop(set: &mut Set) {
     if set.draws.chance(0.6) {
         set.random_block(0.7, 1.2, top, 0.2);
     }
-    let wall = set.draws.within(1.8..=3.5);
-    set.room(wall);
-    set.look_at_things(0.04);
+    set.enclose(1.8..=3.5, 0.04);
 }
 
 /// A flat handle at the side of a mug.
@@ -132,9 +125,7 @@ pub fn lying(set: &mut Set) {
         let Some(middle) = set.place(&near, level, 0.5 * thing.height(), 0.05) else { continue };
         lay(set, thing, middle);
     }
-    let wall = set.draws.within(3.2..=4.2);
-    set.room(wall);
-    set.look_at_things(0.1);
+    set.enclose(3.2..=4.2, 0.1);
 }
 
 fn lying_thing(set: &mut Set) -> Thing {
@@ -177,9 +168,7 @@ pub fn composed(set: &mut Set) {
         let upper = upper_thing(set, reach);
         set.put(upper, foot + Vector3::z() * height);
     }
-    let wall = set.draws.within(3.2..=4.2);
-    set.room(wall);
-    set.look_at_things(0.45);
+    set.enclose(3.2..=4.2, 0.45);
 }
 
 /// A thing with a lid, for something to stand on.
@@ -223,13 +212,10 @@ pub fn clutter(set: &mut Set) {
     }
     for _ in 0..set.draws.count(0..=2) {
         let thing = set.large_thing();
-        let Some(foot) = set.place(&(1.1..=2.8), FLOOR, thing.reach(), 0.02) else { continue };
-        set.put(thing, foot);
+        set.stand(thing, 1.1..=2.8, FLOOR, 0.02);
     }
     boxes(set);
-    let wall = set.draws.within(3.0..=4.2);
-    set.room(wall);
-    set.look_at_things(0.2);
+    set.enclose(3.0..=4.2, 0.2);
 }
 
 /// Boxes, some with another one on top, and boards.
@@ -258,13 +244,9 @@ pub fn bowls(set: &mut Set) {
     }
     if set.draws.chance(0.7) {
         let thing = set.small_thing();
-        if let Some(foot) = set.place(&(0.7..=1.1), top, thing.reach(), 0.02) {
-            set.put(thing, foot);
-        }
+        set.stand(thing, 0.7..=1.1, top, 0.02);
     }
-    let wall = set.draws.within(1.8..=3.5);
-    set.room(wall);
-    set.look_at_things(0.04);
+    set.enclose(1.8..=3.5, 0.04);
 }
 
 pub fn empty(set: &mut Set) {
@@ -282,9 +264,7 @@ pub fn empty(set: &mut Set) {
             }
         }
     }
-    let wall = set.draws.within(1.2..=4.5);
-    set.room(wall);
-    set.look_at_things(0.2);
+    set.enclose(1.2..=4.5, 0.2);
 }
 
 pub fn flat_tins(set: &mut Set) {
@@ -294,10 +274,7 @@ pub fn flat_tins(set: &mut Set) {
     set.camera.z = top + 0.5 * (near + far) * slope;
     for _ in 0..set.draws.count(1..=3) {
         let tin = set.flat_tin();
-        let Some(foot) = set.place(&(near..=far), top, tin.reach(), 0.02) else { continue };
-        set.put(tin, foot);
+        set.stand(tin, near..=far, top, 0.02);
     }
-    let wall = set.draws.within(1.8..=3.5);
-    set.room(wall);
-    set.look_at_things(0.03);
+    set.enclose(1.8..=3.5, 0.03);
 }

@@ -3,6 +3,7 @@
 use super::super::shapes::{Block, Plane, Shape};
 use super::set::Set;
 use nalgebra::{Matrix3, Vector3};
+use std::ops::RangeInclusive;
 
 impl Set {
     /// A plane without end.
@@ -23,6 +24,13 @@ impl Set {
             let turn = self.draws.within(-0.2..=0.2);
             self.plane("side wall", place, Vector3::new(-side, turn, 0.0));
         }
+    }
+
+    /// A room whose wall is at a distance in a range, and the camera turned to a height above the things in it.
+    pub fn enclose(&mut self, wall: RangeInclusive<f64>, height: f64) {
+        let wall = self.draws.within(wall);
+        self.room(wall);
+        self.look_at_things(height);
     }
 
     /// A box that stands on a level, turned about the vertical so that its first side points along `heading`.

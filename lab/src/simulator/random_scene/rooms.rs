@@ -10,8 +10,7 @@ use nalgebra::Vector3;
 pub fn furnished(set: &mut Set) {
     for _ in 0..set.draws.count(0..=2) {
         let thing = set.large_thing();
-        let Some(foot) = set.place(&(1.1..=2.6), 0.0, thing.reach(), 0.05) else { continue };
-        set.put(thing, foot);
+        set.stand(thing, 1.1..=2.6, 0.0, 0.05);
     }
     for _ in 0..set.draws.count(1..=2) {
         if let Some(foot) = set.place(&(1.2..=2.8), 0.0, 0.32, 0.05) {
@@ -159,18 +158,14 @@ pub fn kitchen(set: &mut Set) {
             3 => bowl(set, top),
             4 => {
                 let tin = set.tin();
-                if let Some(foot) = set.place(&(0.6..=1.15), top, tin.reach(), 0.02) {
-                    set.put(tin, foot);
-                }
+                set.stand(tin, 0.6..=1.15, top, 0.02);
             }
             _ => {
                 set.random_block(0.65, 1.2, top, 0.25);
             }
         }
     }
-    let wall = set.draws.within(1.8..=3.5);
-    set.room(wall);
-    set.look_at_things(0.04);
+    set.enclose(1.8..=3.5, 0.04);
 }
 
 /// A mug or a cup whose handle is a bent bar and whose inside is dark: no depth comes from below its rim.

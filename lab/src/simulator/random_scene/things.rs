@@ -3,6 +3,7 @@
 use super::super::shapes::{Bowl, Frustum, Shape, Sphere};
 use super::set::Set;
 use nalgebra::Vector3;
+use std::ops::RangeInclusive;
 
 /// A thing without a place: how it is named and what it measures.
 #[derive(Clone, Copy)]
@@ -34,6 +35,13 @@ impl Set {
     /// Puts a thing upright on a place.
     pub fn put(&mut self, thing: Thing, foot: Vector3<f64>) {
         self.put_along(thing, foot, Vector3::z());
+    }
+
+    /// Puts a thing upright at a free place on a level, if there is one; where that is.
+    pub fn stand(&mut self, thing: Thing, distance: RangeInclusive<f64>, level: f64, gap: f64) -> Option<Vector3<f64>> {
+        let foot = self.place(&distance, level, thing.reach(), gap)?;
+        self.put(thing, foot);
+        Some(foot)
     }
 
     /// Puts a thing so that its axis, from the middle of its first end, points along a unit vector.
