@@ -5,24 +5,20 @@
 //! sessions of one process. Ellipses and frames of 640x480 of one cluttered scene; milliseconds, megabytes and per cent of a
 //! core in each of the two bridges.
 
+mod ages;
+
+use ages::{Ages, Outcome, frame, percentiles, run_pipeline, start, written_in};
 use bytemuck::cast_slice;
 use conicflow_bridge::{NETWORK, Place, encode_message};
-use conicflow_dataflow::pipeline::{Compression, Pipeline, SourceText};
-use conicflow_dataflow::testing::collect;
+use conicflow_dataflow::pipeline::Compression;
 use conicflow_dataflow::{
-    Context, ItemType, Next, NoConfig, Node, Output, Plan, RUNTIME_DIR, Registry, RunOptions, SideInputs, Source,
-    Stage, StageError, monotonic_ns, observe, run, run_in_run,
+    Context, ItemType, Next, NoConfig, Node, Output, Registry, SideInputs, Source, StageError, monotonic_ns, observe,
+    run_in_run,
 };
 use conicflow_detection::{Extractor, ExtractorParameters};
-use conicflow_lab::simulator::SimulatorParameters;
-use conicflow_messages::{Ellipse, Header, Item, Message, Nothing};
-use conicflow_nodes::sources::SyntheticSource;
-use std::error::Error;
-use std::marker::PhantomData;
+use conicflow_messages::{Ellipse, Header, Item};
 use std::net::TcpListener;
-use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
-use std::process::{Child, Command};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::sleep;
 use std::time::Duration;
@@ -30,16 +26,11 @@ use tempfile::TempDir;
 use zenoh::Wait;
 use zenoh::qos::CongestionControl;
 
-type Outcome<T> = Result<T, Box<dyn Error>>;
-
 const RATE_HZ: f64 = 30.0;
 const MESSAGES: usize = 450;
-/// The first messages find caches and connections cold.
-const WARM_UP: usize = 60;
 /// When the cost of a bridge is looked at, and for how long.
 const SETTLED: Duration = Duration::from_secs(4);
 const OBSERVED: Duration = Duration::from_secs(8);
-const FOLDER: &str = "BRIDGE_BENCH_FOLDER";
 const NODES: &[Node] =
     &[Node::source::<Frames>(), Node::source::<Lists>(), Node::stage::<Ages<u16>>(), Node::stage::<Ages<Ellipse>>()];
 const REGISTRY: Registry = Registry { nodes: NODES, network: Some(NETWORK) };
@@ -63,7 +54,8 @@ fn main() -> Outcome<()> {
 }
 
 fn compare() -> Outcome<()> {
-    let (header, pixels, ellipses) = frame()?;
+    let (header, pixels) = frame()?;
+    let ellipses = found(&header, &pixels);
     println!("{} messages at {RATE_HZ} Hz; a list has {} ellipses", MESSAGES, ellipses.len());
     println!(
         "{:<16}{:>9}{:>9}{:>7}{:>18}{:>18}{:>16}",
@@ -84,25 +76,13 @@ fn compare() -> Outcome<()> {
     Ok(())
 }
 
-/// One frame of a cluttered scene, and its ellipses.
-fn frame() -> Outcome<(Header, Vec<u16>, Vec<Ellipse>)> {
-    let config = SimulatorParameters { width: 640, height: 480, rate_hz: 0.0, ..SimulatorParameters::default() };
-    let context = Context { stage: "source".to_owned(), ..Context::default() };
-    let (header, pixels) = collect::<SyntheticSource>(config, context, 1)?.pop().ok_or("the source made nothing")?;
-    let ellipses = Extractor::new(ExtractorParameters::default()).extract(&header, &pixels).to_vec();
-    Ok((header, pixels, ellipses))
+/// The ellipses of a frame.
+fn found(header: &Header, pixels: &[u16]) -> Vec<Ellipse> {
+    Extractor::new(ExtractorParameters::default()).extract(header, pixels).to_vec()
 }
 
 fn encoded<T: Item>(header: &Header, items: &[T], how: Compression) -> Outcome<Vec<u8>> {
     Ok(encode_message(Place::default(), &ItemType::of::<T>(), header, cast_slice(items), how)?)
-}
-
-/// The times in milliseconds at a half and at 99 of 100.
-fn percentiles(mut ages_ns: Vec<u64>) -> Outcome<[f64; 2]> {
-    let mut ages_ns = ages_ns.split_off(WARM_UP.min(ages_ns.len()));
-    ages_ns.sort_unstable();
-    let last = ages_ns.len().checked_sub(1).ok_or("nothing arrived")?;
-    Ok([0.5, 0.99].map(|share| ages_ns[(share * last as f64) as usize] as f64 * 1e-6))
 }
 
 /// Gives the same frame again and again, stamped when it is sent.
@@ -115,7 +95,7 @@ impl Source for Frames {
     type Output = u16;
 
     fn new(_: NoConfig, _: &Context) -> Result<Self, StageError> {
-        let (header, pixels, _) = frame().map_err(|error| error.to_string())?;
+        let (header, pixels) = frame().map_err(|error| error.to_string())?;
         Ok(Self(header, pixels))
     }
 
@@ -140,7 +120,8 @@ impl Source for Lists {
     type Output = Ellipse;
 
     fn new(_: NoConfig, _: &Context) -> Result<Self, StageError> {
-        let (header, _, ellipses) = frame().map_err(|error| error.to_string())?;
+        let (header, pixels) = frame().map_err(|error| error.to_string())?;
+        let ellipses = found(&header, &pixels);
         Ok(Self(header, ellipses))
     }
 
@@ -160,44 +141,6 @@ fn with_own_sequence(made: &Header, own: &Header) -> Header {
     Header { camera: made.camera, depth_scale: made.depth_scale, noise: made.noise, source: made.source, ..*own }
 }
 
-/// Writes down how old messages are when they come.
-struct Ages<T>(Vec<u64>, PhantomData<T>);
-
-/// A kind of message, and the name of the sink that takes it.
-trait Aged: Item {
-    const SINK: &'static str;
-}
-
-impl Aged for u16 {
-    const SINK: &'static str = "frame_ages";
-}
-
-impl Aged for Ellipse {
-    const SINK: &'static str = "list_ages";
-}
-
-impl<T: Aged> Stage for Ages<T> {
-    const NAME: &'static str = T::SINK;
-    const SUMMARY: &'static str = "Writes down how old messages are when they come";
-    type Config = NoConfig;
-    type Input = T;
-    type Output = Nothing;
-
-    fn new(_: NoConfig, _: &Context) -> Result<Self, StageError> {
-        Ok(Self(Vec::new(), PhantomData))
-    }
-
-    fn step(&mut self, input: &Message<T>, _: &SideInputs, _: &mut Output<Nothing>) -> Result<(), StageError> {
-        self.0.push(monotonic_ns().saturating_sub(input.header.stamp_ns));
-        Ok(())
-    }
-
-    fn finish(&mut self) -> Result<(), StageError> {
-        let folder = std::env::var(FOLDER)?;
-        Ok(std::fs::write(Path::new(&folder).join("ages"), cast_slice(&self.0))?)
-    }
-}
-
 /// Ages of what crosses between two launchers, and what it costs their bridges.
 fn bridged(source: &str, sink: &str, how: Compression) -> Outcome<([f64; 2], [f64; 2])> {
     let folder = TempDir::new()?;
@@ -214,39 +157,21 @@ fn bridged(source: &str, sink: &str, how: Compression) -> Outcome<([f64; 2], [f6
          input = {{ topic = \"topic\", compression = \"{compression}\" }}\n"
     );
     std::fs::write(folder.path().join("pipeline.toml"), text)?;
-    let machines = ["robot", "base"].map(|name| start_machine(name, folder.path()));
+    let machines = ["robot", "base"].map(|name| start(&["machine", name], folder.path(), name));
     for machine in machines {
         let ended = machine?.wait()?;
         ended.success().then_some(()).ok_or("a machine failed")?;
     }
     let cost = |name: &str| -> Outcome<f64> { Ok(std::fs::read_to_string(folder.path().join(name))?.parse()?) };
-    let bytes = std::fs::read(folder.path().join("ages"))?;
-    let ages = bytes.chunks_exact(8).map(|age| u64::from_ne_bytes(age.try_into().unwrap_or_default()));
-    Ok((percentiles(ages.collect())?, [cost("robot.cpu")?, cost("base.cpu")?]))
-}
-
-fn start_machine(name: &str, folder: &Path) -> Outcome<Child> {
-    // Unix sockets lie there, and have to have short paths.
-    let runtime = folder.join(&name[..1]);
-    std::fs::create_dir(&runtime)?;
-    std::fs::set_permissions(&runtime, std::fs::Permissions::from_mode(0o700))?;
-    let mut command = Command::new(std::env::current_exe()?);
-    command.args(["machine", name]).arg(folder).env(RUNTIME_DIR, runtime).env(FOLDER, folder);
-    Ok(command.spawn()?)
+    Ok((written_in(folder.path())?, [cost("robot.cpu")?, cost("base.cpu")?]))
 }
 
 /// Runs one machine of the pipeline, and looks at what its bridge costs meanwhile.
 fn machine(name: &str, folder: &Path) -> Outcome<()> {
-    let text = std::fs::read_to_string(folder.join("pipeline.toml"))?;
-    let source = SourceText { name: "pipeline.toml".to_owned(), text };
-    let (pipeline, _) = Pipeline::read(source, folder, &[], &REGISTRY).map_err(|report| report.to_string())?;
-    let plan = Plan::of(&pipeline, Some(name), Some(MESSAGES as u64), monotonic_ns());
     let cost_file = folder.join(format!("{name}.cpu"));
     let looking = std::thread::spawn(move || std::fs::write(cost_file, bridge_cpu().unwrap_or(f64::NAN).to_string()));
-    let options = RunOptions { program: std::env::current_exe()?, quiet: true, nodes: NODES, ..RunOptions::default() };
-    let summary = run(&plan, &options)?;
-    looking.join().map_err(|_| "the observer panicked")??;
-    if summary.is_complete() { Ok(()) } else { Err("the run was not finished".into()) }
+    run_pipeline(folder, Some(name), MESSAGES, &REGISTRY)?;
+    Ok(looking.join().map_err(|_| "the observer panicked")??)
 }
 
 fn bridge_cpu() -> Option<f64> {

@@ -88,7 +88,7 @@ impl Config {
                 faults.push(ConfigFault::new("intrinsics", "are missing: V4L2 does not know them", hint));
             }
             (Some(_), Some(_)) => {
-                faults.push(ConfigFault::new("fov_deg", "stands beside `intrinsics`", "give one of both"))
+                faults.push(ConfigFault::new("fov_deg", "stands beside `intrinsics`", "give one of both"));
             }
             (Some(intrinsics), None) if !intrinsics.are_usable() => faults.extend(intrinsics.fault()),
             (Some(_), None) if self.size().is_none() => {

@@ -60,51 +60,42 @@ impl SceneGroup {
         Self::Empty,
     ];
 
-    /// The others.
-    pub const FURTHER: [Self; 3] = [Self::FlatTins, Self::Furnished, Self::Kitchen];
-
     /// All groups.
     pub fn all() -> impl Iterator<Item = Self> {
-        Self::USUAL.into_iter().chain(Self::FURTHER)
+        GROUPS.into_iter().map(|(group, ..)| group)
     }
 
     /// The word for it, as it stands in a pipeline file.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Standing => "standing",
-            Self::Tilted => "tilted",
-            Self::Occluded => "occluded",
-            Self::Tabletop => "tabletop",
-            Self::Lying => "lying",
-            Self::Composed => "composed",
-            Self::Clutter => "clutter",
-            Self::Bowls => "bowls",
-            Self::Empty => "empty",
-            Self::FlatTins => "flat_tins",
-            Self::Furnished => "furnished",
-            Self::Kitchen => "kitchen",
-        }
+    pub fn name(self) -> &'static str {
+        GROUPS[self as usize].1
     }
 }
+
+/// A group, the word for it, and how its scenes are arranged.
+type Arranged = (SceneGroup, &'static str, fn(&mut Set));
+
+/// All groups, in their order.
+const GROUPS: [Arranged; 12] = [
+    (SceneGroup::Standing, "standing", arrangements::standing),
+    (SceneGroup::Tilted, "tilted", arrangements::tilted),
+    (SceneGroup::Occluded, "occluded", arrangements::occluded),
+    (SceneGroup::Tabletop, "tabletop", arrangements::tabletop),
+    (SceneGroup::Lying, "lying", arrangements::lying),
+    (SceneGroup::Composed, "composed", arrangements::composed),
+    (SceneGroup::Clutter, "clutter", arrangements::clutter),
+    (SceneGroup::Bowls, "bowls", arrangements::bowls),
+    (SceneGroup::Empty, "empty", arrangements::empty),
+    (SceneGroup::FlatTins, "flat_tins", arrangements::flat_tins),
+    (SceneGroup::Furnished, "furnished", rooms::furnished),
+    (SceneGroup::Kitchen, "kitchen", rooms::kitchen),
+];
 
 /// A scene of a group; named `group/seed`.
 pub fn random_scene(group: SceneGroup, seed: u64) -> Scene {
     let mut set = Set::new(group as u64, seed);
-    match group {
-        SceneGroup::Standing => arrangements::standing(&mut set),
-        SceneGroup::Tilted => arrangements::tilted(&mut set),
-        SceneGroup::Occluded => arrangements::occluded(&mut set),
-        SceneGroup::Tabletop => arrangements::tabletop(&mut set),
-        SceneGroup::Lying => arrangements::lying(&mut set),
-        SceneGroup::Composed => arrangements::composed(&mut set),
-        SceneGroup::Clutter => arrangements::clutter(&mut set),
-        SceneGroup::Bowls => arrangements::bowls(&mut set),
-        SceneGroup::Empty => arrangements::empty(&mut set),
-        SceneGroup::FlatTins => arrangements::flat_tins(&mut set),
-        SceneGroup::Furnished => rooms::furnished(&mut set),
-        SceneGroup::Kitchen => rooms::kitchen(&mut set),
-    }
-    set.scene(group.name(), seed)
+    let (_, name, arrange) = GROUPS[group as usize];
+    arrange(&mut set);
+    set.scene(name, seed)
 }
 
 /// The group and seed of a scene, from its name.
