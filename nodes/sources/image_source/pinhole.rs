@@ -5,6 +5,7 @@
 //! the axes lie: z may point backward, x to the left, y upward; a depth image needs to know z only.
 
 use anyhow::{Result, bail, ensure};
+use conicflow_geometry::{Fit, Regression};
 use conicflow_messages::{Camera, Hinted};
 
 /// The largest root mean square residual of a cloud that passes as a pinhole image, in pixels.
@@ -40,9 +41,8 @@ pub(super) fn fit(width: u32, height: u32, points: impl Iterator<Item = [f32; 3]
         (z > 1e-6 && x.is_finite() && y.is_finite()).then_some((x, y, pixel.0 as f64, pixel.1 as f64))
     });
     let (u, v) = fit_lines(samples)?;
-    let camera = Camera { width, height, fx: u.slope.abs(), fy: v.slope.abs(), cx: u.offset, cy: v.offset };
-    let residual_px = ((u.variance + v.variance) / 2.0).sqrt();
-    Ok(Pinhole { camera, flipped: [u.slope < 0.0, v.slope < 0.0, backward], residual_px })
+    let camera = Camera { width, height, fx: u.slope.abs(), fy: v.slope.abs(), cx: u.at(0.0), cy: v.at(0.0) };
+    Ok(Pinhole { camera, flipped: [u.slope < 0.0, v.slope < 0.0, backward], residual_px: residual_of(&u, &v) })
 }
 
 /// Whether most of the depths are negative.
@@ -52,65 +52,24 @@ pub(super) fn looks_backward(depths: impl Iterator<Item = f32>) -> bool {
     behind > before
 }
 
-/// A straight line `pixel = slope ratio + offset`.
-#[derive(Clone, Copy, Debug)]
-struct Line {
-    slope: f64,
-    offset: f64,
-    /// Mean squared residual.
-    variance: f64,
+/// The line `pixel = slope ratio + offset`; `None` where the ratios or the pixels do not spread.
+fn line(sums: &Regression) -> Option<Fit> {
+    sums.fit().filter(|fit| fit.slope.is_normal() && sums.deviation() > 0.3 && sums.spread() > 1e-6)
 }
 
-impl Line {
-    fn residual(&self, ratio: f64, pixel: f64) -> f64 {
-        pixel - self.slope * ratio - self.offset
-    }
-}
-
-/// Sums of `(ratio, pixel)`, from which a line follows.
-#[derive(Clone, Copy, Debug, Default)]
-struct Sums {
-    n: f64,
-    q: f64,
-    p: f64,
-    qq: f64,
-    qp: f64,
-    pp: f64,
-}
-
-impl Sums {
-    fn add(&mut self, ratio: f64, pixel: f64) {
-        self.n += 1.0;
-        self.q += ratio;
-        self.p += pixel;
-        self.qq += ratio * ratio;
-        self.qp += ratio * pixel;
-        self.pp += pixel * pixel;
-    }
-
-    /// The line of least squares; `None` where the ratios or the pixels do not spread.
-    fn line(&self) -> Option<Line> {
-        let (mean_q, mean_p) = (self.q / self.n, self.p / self.n);
-        let (qq, qp, pp) = (
-            self.qq / self.n - mean_q * mean_q,
-            self.qp / self.n - mean_q * mean_p,
-            self.pp / self.n - mean_p * mean_p,
-        );
-        let slope = qp / qq;
-        let line = Line { slope, offset: mean_p - slope * mean_q, variance: (pp - slope * qp).max(0.0) };
-        (slope.is_normal() && pp > 0.1 && qq > 1e-12).then_some(line)
-    }
+fn residual_of(u: &Fit, v: &Fit) -> f64 {
+    ((u.rms * u.rms + v.rms * v.rms) / 2.0).sqrt()
 }
 
 type Sample = (f64, f64, f64, f64);
 
-fn fit_lines(samples: impl Iterator<Item = Sample> + Clone) -> Result<(Line, Line)> {
+fn fit_lines(samples: impl Iterator<Item = Sample> + Clone) -> Result<(Fit, Fit)> {
     let (u, v, all) = fit_where(samples.clone(), |_| true)?;
-    let limit = |line: &Line| (3.0 * line.variance.sqrt()).max(FAIR_RESIDUAL_PX);
+    let limit = |line: &Fit| (3.0 * line.rms).max(FAIR_RESIDUAL_PX);
     let (limit_u, limit_v) = (limit(&u), limit(&v));
-    let near = |&(x, y, pu, pv): &Sample| u.residual(x, pu).abs() < limit_u && v.residual(y, pv).abs() < limit_v;
+    let near = |&(x, y, pu, pv): &Sample| (pu - u.at(x)).abs() < limit_u && (pv - v.at(y)).abs() < limit_v;
     let (u, v, kept) = fit_where(samples, near)?;
-    let residual = ((u.variance + v.variance) / 2.0).sqrt();
+    let residual = residual_of(&u, &v);
     if residual > MAX_RESIDUAL_PX || kept < MIN_INLIER_SHARE * all {
         bail!(Hinted::new(
             format!(
@@ -124,26 +83,26 @@ fn fit_lines(samples: impl Iterator<Item = Sample> + Clone) -> Result<(Line, Lin
     Ok((u, v))
 }
 
-fn fit_where(samples: impl Iterator<Item = Sample>, keep: impl Fn(&Sample) -> bool) -> Result<(Line, Line, f64)> {
-    let (mut u, mut v) = (Sums::default(), Sums::default());
+fn fit_where(samples: impl Iterator<Item = Sample>, keep: impl Fn(&Sample) -> bool) -> Result<(Fit, Fit, f64)> {
+    let (mut u, mut v) = (Regression::default(), Regression::default());
     for (x, y, pu, pv) in samples.filter(keep) {
         u.add(x, pu);
         v.add(y, pv);
     }
     ensure!(
-        u.n >= MIN_POINTS,
+        u.count() >= MIN_POINTS,
         Hinted::new(
-            format!("{} points with a measurement, expected {MIN_POINTS} or more to fit the camera", u.n),
+            format!("{} points with a measurement, expected {MIN_POINTS} or more to fit the camera", u.count()),
             "give `intrinsics`"
         )
     );
-    let (Some(line_u), Some(line_v)) = (u.line(), v.line()) else {
+    let (Some(line_u), Some(line_v)) = (line(&u), line(&v)) else {
         bail!(Hinted::new(
             "the points lie in one row, one column or one ray, so that no camera can be fitted to them",
             "give `intrinsics`"
         ));
     };
-    Ok((line_u, line_v, u.n))
+    Ok((line_u, line_v, u.count()))
 }
 
 #[cfg(test)]
