@@ -24,9 +24,20 @@ done
 name="$(readelf -d "$built/libconicflow.so" | sed -n 's/.*soname: \[\(.*\)\]/\1/p')"
 strip --strip-unneeded -o "$made/$name" "$built/libconicflow.so"
 ln -s "$name" "$made/libconicflow.so"
+
+# The Python package, as its wheel has it: one for all versions of Python, so that none is needed here.
+PYO3_NO_PYTHON=1 PYO3_BUILD_EXTENSION_MODULE=1 CARGO_TARGET_DIR="$target/python-deb" \
+    cargo build --profile "$profile" --locked --lib --manifest-path python/Cargo.toml
+mkdir -p "$made/python/conicflow/cameras"
+cp python/conicflow/*.py python/conicflow/*.pyi python/conicflow/py.typed "$made/python/conicflow/"
+cp python/conicflow/cameras/*.py "$made/python/conicflow/cameras/"
+strip --strip-unneeded -o "$made/python/conicflow/_conicflow.abi3.so" "$target/python-deb/$(basename "$built")/lib_conicflow.so"
+
 # It looks also at packages that this machine does not build, and asks nobody on the network about licences.
-cargo fetch --locked
-cargo about generate --workspace --locked --offline --fail -c packaging/licences.toml packaging/licences.hbs |
-    gzip -9n >"$made/third-party-licences.txt.gz"
+for workspace in . python; do
+    cargo fetch --locked --manifest-path "$workspace/Cargo.toml"
+    cargo about generate --manifest-path "$workspace/Cargo.toml" --workspace --locked --offline --fail \
+        -c packaging/licences.toml packaging/licences.hbs | gzip -9n
+done >"$made/third-party-licences.txt.gz"
 
 cargo deb --no-build --locked --profile "$profile"

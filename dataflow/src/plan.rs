@@ -13,7 +13,7 @@ use serde_json::Value as Json;
 use std::path::PathBuf;
 
 /// Raised with each change of what launcher and stages agree on: the plan, records, names in shared memory.
-pub(crate) const LAYOUT: u32 = 5;
+pub(crate) const LAYOUT: u32 = 6;
 
 /// The plan of a run on one machine.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -60,6 +60,8 @@ pub struct PlannedStage {
     pub restart: Restart,
     /// Without a sign of life for so long, in seconds, it counts as dead; `None`: it is reported.
     pub hang_s: Option<f64>,
+    /// So many seconds after its start it has to take part in a lossless topic; `None`: the usual time.
+    pub join_s: Option<f64>,
     /// Environment variables for it.
     pub env: Vec<(String, String)>,
 }
@@ -173,6 +175,7 @@ impl PlannedStage {
             wiring,
             restart: stage.restart,
             hang_s: stage.hang_s,
+            join_s: stage.join_s,
             env: stage.env.clone(),
         }
     }
@@ -185,6 +188,7 @@ impl PlannedStage {
             wiring: Wiring::default(),
             restart: Restart::OnFailure,
             hang_s: None,
+            join_s: None,
             env: Vec::new(),
         }
     }

@@ -64,6 +64,7 @@ mod tests {
             wiring: Wiring { input: reads_from.map(topic), ..Wiring::default() },
             restart: Restart::Never,
             hang_s: None,
+            join_s: None,
             env: vec![],
         }
     }

@@ -62,16 +62,15 @@ fn every_pipeline_file_here_leads_editors_to_the_schema() {
     }
 }
 
+/// What is told of the default pipeline with another value at this place.
+fn faults(pointer: &str, key: &str, value: Json) -> Vec<String> {
+    let mut pipeline = read(include_str!("../../pipeline.toml"));
+    pipeline.pointer_mut(pointer).unwrap()[key] = value;
+    validator().iter_errors(&pipeline).map(|fault| format!("{}: {fault}", fault.instance_path())).collect()
+}
+
 #[test]
 fn faults_do_not_fit_the_schema() {
-    let validator = validator();
-    let with = |pointer: &str, key: &str, value: Json| -> Vec<String> {
-        let mut pipeline = read(include_str!("../../pipeline.toml"));
-        pipeline.pointer_mut(pointer).unwrap()[key] = value;
-        validator.iter_errors(&pipeline).map(|fault| format!("{}: {fault}", fault.instance_path())).collect()
-    };
-    let fits = |pointer, key, value| with(pointer, key, value).is_empty();
-    assert!(fits("/stage/source", "rate_hz", json!(15.0)) && fits("/stage/source", "restart", json!({ "hang_s": 5 })));
     for (pointer, key, value) in [
         ("", "stages", json!({})),
         ("", "name", json!("two words")),
@@ -82,47 +81,92 @@ fn faults_do_not_fit_the_schema() {
         ("/stage/source", "width", json!(-1)),
         ("/stage/source", "input", json!("depth")),
         ("/stage/source", "node", json!("no_such_node")),
-        ("/stage/source", "restart", json!("sometimes")),
         ("/stage/extractor", "input", json!({ "topic": "depth", "delivery": "some" })),
         ("/stage/extractor", "input", json!({ "topic": "depth", "queue": 65 })),
         ("/stage/extractor", "inputs", json!({ "depth": "depth" })),
         ("/stage/assembler", "min_confidence", json!(1.5)),
         ("/stage/tracker", "env", json!({ "LEVEL": 3 })),
     ] {
-        assert!(!fits(pointer, key, value.clone()), "{pointer}/{key} = {value}");
+        assert!(!faults(pointer, key, value.clone()).is_empty(), "{pointer}/{key} = {value}");
     }
-    // Editors show the fault where it is, and name it.
-    for (pointer, key, value, told) in [
+}
+
+/// Editors show the fault where it is, and name it.
+#[test]
+fn faults_are_told_by_name() {
+    let unexpected = |key: &str| format!("Additional properties are not allowed ('{key}' was unexpected)");
+    for (place, value, within, told) in [
+        ("source/rate", json!(15.0), "source", unexpected("rate")),
+        ("source/width", json!("wide"), "source/width", "\"wide\" is not of type \"integer\"".into()),
         (
-            "/stage/source",
-            "rate",
-            json!(15.0),
-            "/stage/source: Additional properties are not allowed ('rate' was unexpected)",
-        ),
-        ("/stage/source", "width", json!("wide"), "/stage/source/width: \"wide\" is not of type \"integer\""),
-        (
-            "/stage/assembler",
-            "min_confidence",
+            "assembler/min_confidence",
             json!(1.5),
-            "/stage/assembler/min_confidence: 1.5 is greater than the maximum of 1",
+            "assembler/min_confidence",
+            "1.5 is greater than the maximum of 1".into(),
         ),
+        ("extractor/input", json!({ "topic": "depth", "quee": 4 }), "extractor/input", unexpected("quee")),
         (
-            "/stage/extractor",
-            "input",
-            json!({ "topic": "depth", "quee": 4 }),
-            "/stage/extractor/input: Additional properties are not allowed ('quee' was unexpected)",
-        ),
-        (
-            "/stage/source",
-            "intrinsics",
+            "source/intrinsics",
             json!({ "fx": 1.0, "fy": 1.0, "cx": 0.0, "cy": 0.0, "cz": 0.0 }),
-            "/stage/source/intrinsics: Additional properties are not allowed ('cz' was unexpected)",
+            "source/intrinsics",
+            unexpected("cz"),
         ),
-        ("/stage", "other", json!({ "output": "depth" }), "/stage/other: \"node\" is a required property"),
+        ("other/output", json!("depth"), "other", "\"node\" is a required property".into()),
     ] {
-        let told_all = with(pointer, key, value);
-        assert!(told_all.len() == 1 && told_all[0].starts_with(told), "{told_all:#?}");
+        expect_fault(place, value, within, &told);
     }
+}
+
+/// Where the file has a choice between a word and a table.
+#[test]
+fn faults_within_a_choice_are_told_by_name() {
+    for (key, value) in [
+        ("noise", json!("ideal")),
+        ("noise", json!({ "floor_m": 0.001 })),
+        ("sensor", json!("stereo")),
+        ("sensor", json!({ "stereo": { "baseline_m": 0.05 } })),
+        ("restart", json!({ "when": "never", "hang_s": 5, "join_s": 5 })),
+    ] {
+        let told = faults("/stage/source", key, value.clone());
+        assert!(told.is_empty(), "{key} = {value}: {told:#?}");
+    }
+    for (key, value, within, told) in [
+        ("noise", json!("kinect"), "noise", "\"kinect\" is not one of \"kinect_v1\", "),
+        ("noise", json!(3), "noise", "3 is not of types \"string\", \"object\""),
+        ("noise", json!({ "floor": 0.001 }), "noise", "Additional properties are not allowed ('floor' was unexpected)"),
+        ("noise", json!({ "floor_m": "much" }), "noise/floor_m", "\"much\" is not of type \"number\""),
+        ("noise", json!({ "edge_jitter_px": 9.0 }), "noise/edge_jitter_px", "9.0 is greater than the maximum of 8"),
+        ("sensor", json!("stero"), "sensor", "\"stero\" is not one of \"stereo\", "),
+        ("sensor", json!({ "stero": {} }), "sensor", "Additional properties are not allowed ('stero' was unexpected)"),
+        ("sensor", json!({}), "sensor", "{} has less than 1 property"),
+        (
+            "sensor",
+            json!({ "stereo": { "baseline": 0.05 } }),
+            "sensor/stereo",
+            "Additional properties are not allowed ('baseline' was unexpected)",
+        ),
+        (
+            "sensor",
+            json!({ "stereo": { "baseline_m": "wide" } }),
+            "sensor/stereo/baseline_m",
+            "\"wide\" is not of type \"number\"",
+        ),
+        ("restart", json!("sometimes"), "restart", "\"sometimes\" is not one of \"never\", "),
+        ("restart", json!({ "hang": 5 }), "restart", "Additional properties are not allowed ('hang' was unexpected)"),
+        ("restart", json!({ "hang_s": 0 }), "restart/hang_s", "0 is less than the minimum of 1"),
+    ] {
+        expect_fault(&format!("source/{key}"), value, &format!("source/{within}"), told);
+    }
+}
+
+/// One fault is told of a stage whose key has this value, at its place.
+fn expect_fault(place: &str, value: Json, within: &str, told: &str) {
+    let (stage, key) = place.split_once('/').unwrap();
+    let told_all = match stage {
+        "other" => faults("/stage", stage, json!({ key: value })),
+        _ => faults(&format!("/stage/{stage}"), key, value),
+    };
+    assert!(told_all.len() == 1 && told_all[0].starts_with(&format!("/stage/{within}: {told}")), "{told_all:#?}");
 }
 
 #[test]

@@ -48,12 +48,17 @@ impl Default for Config {
     }
 }
 
+/// Where the package for Debian and Ubuntu keeps the Python package, which only the Python of that distribution finds.
+const OF_DEBIAN: &str = "/usr/lib/python3/dist-packages/conicflow";
+
 /// A maker of cameras.
 pub trait Maker {
     /// The node's name.
     const NODE: &'static str;
     /// The name of its adapter in `conicflow.cameras`, and of the extra of the package conicflow that brings the SDK.
     const ADAPTER: &'static str;
+    /// The package with the SDK.
+    const SDK: &'static str;
     /// What the node does, and how far that was tried.
     const SUMMARY: &'static str;
     /// Whether the SDK plays recordings back without a camera.
@@ -66,6 +71,7 @@ pub struct RealSense;
 impl Maker for RealSense {
     const NODE: &'static str = "realsense_source";
     const ADAPTER: &'static str = "realsense";
+    const SDK: &'static str = "pyrealsense2";
     const SUMMARY: &'static str = "Takes depth images from an Intel RealSense by its SDK (pip install pyrealsense2); tried \
                                    with the SDK's software device and recordings, not with a camera";
 }
@@ -76,6 +82,7 @@ pub struct Orbbec;
 impl Maker for Orbbec {
     const NODE: &'static str = "orbbec_source";
     const ADAPTER: &'static str = "orbbec";
+    const SDK: &'static str = "pyorbbecsdk2";
     const SUMMARY: &'static str = "Takes depth images from an Orbbec camera by its SDK (pip install pyorbbecsdk2); tried with \
                                    stand-ins for the SDK's classes, not with a camera";
 }
@@ -86,6 +93,7 @@ pub struct OakD;
 impl Maker for OakD {
     const NODE: &'static str = "oakd_source";
     const ADAPTER: &'static str = "oakd";
+    const SDK: &'static str = "depthai";
     const SUMMARY: &'static str = "Takes depth images from a Luxonis OAK-D by its SDK (pip install depthai); tried with \
                                    stand-ins for the SDK's classes, not with a camera";
     const PLAYS_BACK: bool = false;
@@ -97,6 +105,7 @@ pub struct AzureKinect;
 impl Maker for AzureKinect {
     const NODE: &'static str = "azure_kinect_source";
     const ADAPTER: &'static str = "azure_kinect";
+    const SDK: &'static str = "pyk4a";
     const SUMMARY: &'static str = "Takes depth images from an Azure Kinect by its SDK (libk4a and pip install pyk4a), and \
                                    rectifies them; tried with stand-ins for the SDK's classes, not with a camera";
 }
@@ -162,8 +171,10 @@ fn check<M: Maker>(parameters: &Json, base: &Path, env: &Variables) -> Result<()
     let mut command = Command::new(&python);
     command.args(["-m", "conicflow.cameras", M::ADAPTER, "--check"]).current_dir(base).stdin(Stdio::null());
     command.envs(env.iter().map(|(key, value)| (key, value)));
+    let on_debian = Path::new(OF_DEBIAN).exists();
     let output = command.output().map_err(|error| {
-        let hint = "install Python 3, or name one: `python = \"/path/to/python3\"`";
+        let otherwise = || "install Python 3, or name one: `python = \"/path/to/python3\"`".to_owned();
+        let hint = if on_debian { how_to_install::<M>(&python, on_debian) } else { otherwise() };
         Hinted::new(format!("there is no Python to run it (`{python}`: {error})"), hint)
     })?;
     if output.status.success() {
@@ -173,13 +184,25 @@ fn check<M: Maker>(parameters: &Json, base: &Path, env: &Variables) -> Result<()
     Err(serde_json::from_slice(&output.stdout).unwrap_or_else(|_| {
         let stderr = String::from_utf8_lossy(&output.stderr);
         let last = stderr.trim_end().lines().last().unwrap_or("it says nothing").to_owned();
-        let hint = format!(
-            "in the folder of conicflow: `{python} -m pip install \"./python[{}]\"`; or name a Python that has it: `python = \
-             \"venv/bin/python\"`",
-            M::ADAPTER
-        );
+        let hint = how_to_install::<M>(&python, on_debian);
         Hinted::new(format!("`{python}` cannot import conicflow.cameras ({last})"), hint)
     }))
+}
+
+/// How a Python gets the package conicflow and the SDK: from the sources, or where the package for Debian is installed.
+fn how_to_install<M: Maker>(python: &str, on_debian: bool) -> String {
+    if !on_debian {
+        let install = format!("{python} -m pip install \"./python[{}]\"", M::ADAPTER);
+        return format!(
+            "in the folder of conicflow: `{install}`; or name a Python that has it: `python = \"venv/bin/python\"`"
+        );
+    }
+    let venv = "sudo /usr/bin/python3 -m venv --system-site-packages /opt/conicflow";
+    let install = format!("sudo /opt/conicflow/bin/pip install {}", M::SDK);
+    format!(
+        "`sudo apt install python3-numpy python3-venv && {venv} && {install}`, and in the table of the stage `python = \
+         \"/opt/conicflow/bin/python\"`"
+    )
 }
 
 #[cfg(test)]
@@ -209,6 +232,11 @@ mod tests {
         let silent = told("echo noise; echo 'No module named conicflow' >&2; exit 1").unwrap_err();
         assert!(silent.what.ends_with("cannot import conicflow.cameras (No module named conicflow)"), "{silent}");
         assert!(silent.hint.contains("/./python -m pip install \"./python[realsense]\"`"), "{silent}");
+        let on_debian = how_to_install::<RealSense>("python3", true);
+        assert!(
+            on_debian
+                .contains("--system-site-packages /opt/conicflow && sudo /opt/conicflow/bin/pip install pyrealsense2`")
+        );
         let none = check::<OakD>(&json!({"python": "no/python"}), Path::new("/nowhere"), &[]).unwrap_err();
         assert!(none.what.starts_with("there is no Python to run it (`/nowhere/no/python`: "), "{none}");
     }

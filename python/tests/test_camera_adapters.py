@@ -9,7 +9,7 @@ import time
 import pytest
 from stand_ins import HEIGHT, WIDTH, AzureKinect, OakD, Orbbec, take_place
 
-from conicflow.cameras.__main__ import ADAPTERS, SDKS, settings
+from conicflow.cameras.__main__ import ADAPTERS, SDKS, how_to_install, settings
 from conicflow.cameras.frame import EndOfRecording, NotThere, Refused, Settings, stereo_noise
 
 SETTINGS = Settings(None, None, None, None, None, None, stall_s=3.0)
@@ -182,6 +182,15 @@ def test_an_sdk_that_is_not_there_is_named_with_what_to_install(adapter, tmp_pat
     package = SDKS[adapter][0]
     assert asked.returncode == 2 and told["what"] == f"{sys.executable} has no {package} (not here)"
     assert told["hint"].startswith(f"`{sys.executable} -m pip install {package}`")
+
+
+def test_a_python_that_a_distribution_keeps_for_itself_gets_an_environment(tmp_path, monkeypatch):
+    monkeypatch.setattr("sys.base_prefix", sys.prefix)
+    monkeypatch.setattr("sysconfig.get_path", lambda _: str(tmp_path))
+    assert "venv" not in how_to_install("depthai", "").partition("; or name a Python")[0].replace(sys.executable, "")
+    (tmp_path / "EXTERNALLY-MANAGED").touch()
+    environment = f"sudo {sys.executable} -m venv --system-site-packages /opt/conicflow"
+    assert f"{environment} && sudo /opt/conicflow/bin/pip install depthai`, too; and" in how_to_install("depthai", ", too")
 
 
 def test_a_wrong_adapter_is_refused():

@@ -7,14 +7,19 @@ use rustix::process::Signal;
 
 /// [`TRACKING`] with a stage between assembler and tracker that does wrong at one frame.
 fn with_faulty_stage(keys: &str) -> Playground {
+    with_program(&program("faulty_stage"), keys)
+}
+
+/// [`TRACKING`] with a program between assembler and tracker.
+fn with_program(program: &str, keys: &str) -> Playground {
     let (before, after) = TRACKING.split_once("[stage.tracker]").unwrap();
-    let (program, after) = (program("faulty_stage"), after.replacen("\"objects\"", "\"passed_on\"", 1));
+    let after = after.replacen("\"objects\"", "\"passed_on\"", 1);
     Playground::with_pipeline(&format!(
         r#"{before}
 [stage.faulty]
 program = {program}
 input   = {{ topic = "objects", delivery = "lossless" }}
-output  = "passed_on"
+output  = {{ topic = "passed_on", kind = "objects" }}
 {keys}
 
 [stage.tracker]{after}"#
@@ -113,4 +118,54 @@ fn nonsense_in_shared_memory_is_counted_and_left_out() {
     let sequences = playground.sequences("tracks.jsonl");
     let made = ended.stage("source").messages;
     assert!(sequences.iter().copied().eq((0..20).chain(23..made)), "{sequences:?}");
+}
+
+/// A shell that starts the faulty stage, which does no wrong, with this before and after it.
+fn in_a_shell(before: &str, after: &str) -> String {
+    let words: Vec<String> = serde_json::from_str(&program("faulty_stage")).unwrap();
+    format!("{:?}", ["sh", "-c", &format!("{before} {} {after}", words.join(" "))])
+}
+
+#[test]
+fn a_program_that_never_joins_a_lossless_topic_is_named_and_ends_the_run() {
+    let playground = with_program(r#"["sleep", "1000"]"#, "restart = { join_s = 3 }");
+    let mut run = start(&playground);
+    run.wait_until("the program is there", || playground.processes().iter().any(|process| is_sleep(*process)));
+    run.wait_for_text("stage `faulty` has not joined the run: `");
+    let ended = run.wait().expect_code(1);
+    for told in [
+        "and topic `objects` waits for it: the run ends if it has not 3 s after its start\n  hint: a program joins by `run_stage`",
+        "stage `faulty` has not joined the run 3 s after its start: `",
+        "takes no part in topic `objects`, which is lossless and waits for it",
+        "the run ends, because a stage is lost",
+    ] {
+        assert!(ended.stderr.contains(told), "{}", ended.stderr);
+    }
+    assert_eq!(playground.processes().into_iter().filter(|process| is_sleep(*process)).count(), 0);
+}
+
+fn is_sleep(process: u32) -> bool {
+    std::fs::read(format!("/proc/{process}/cmdline")).is_ok_and(|line| line.ends_with(b"sleep\x001000\0"))
+}
+
+#[test]
+fn a_program_that_loads_for_long_is_named_and_loses_nothing() {
+    let playground = with_program(&in_a_shell("sleep 3; exec", ""), "");
+    let mut run = start(&playground);
+    run.wait_for_text("the run ends if it has not 120 s after its start");
+    run.wait_for_text("stage `faulty` has joined the run, ");
+    wait_for_frame(&mut run, &playground, 20);
+    signal(run.id(), Signal::INT);
+    let ended = run.wait().expect_code(0);
+    let made = ended.stage("source").messages;
+    assert!(playground.sequences("tracks.jsonl").into_iter().eq(0..made), "{}", ended.stderr);
+}
+
+/// `uv run` does so, too.
+#[test]
+fn a_program_that_another_one_starts_is_refused_with_what_to_do() {
+    let playground = with_program(&in_a_shell("", "; exit $?"), "");
+    let ended = start(&playground).wait().expect_code(1);
+    let told = "error: stage `faulty` was not started by its launcher itself, which would not hear of its end\n  hint: name the program";
+    assert!(ended.stderr.contains(told), "{}", ended.stderr);
 }

@@ -148,16 +148,22 @@ restart     = "never"
     Playground::with_pipeline(&text)
 }
 
-/// A frame of that camera, in bytes: a ball of radius 0.15 m before a wall.
-fn ball_before_a_wall() -> Vec<u8> {
+/// A ball of radius 0.15 m before a wall, in millimetres, as a camera sees it whose axis goes through the middle of the image.
+pub fn ball_before_a_wall(width: usize, height: usize, focal_px: f64) -> Vec<u16> {
     let depth = |pixel: usize| {
-        let (x, y) = (((pixel % 160) as f64 - 79.5) / 150.0, ((pixel / 160) as f64 - 59.5) / 150.0);
+        let from_middle = |index: usize, count: usize| (index as f64 - (count as f64 - 1.0) / 2.0) / focal_px;
+        let (x, y) = (from_middle(pixel % width, width), from_middle(pixel / width, height));
         let square = x * x + y * y + 1.0;
         let root = 1.0 - square * (1.0 - 0.15 * 0.15);
         let depth_m = if root > 0.0 { (1.0 - root.sqrt()) / square } else { 2.0 };
         (depth_m * 1000.0).round() as u16
     };
-    (0..160 * 120).flat_map(|pixel| depth(pixel).to_le_bytes()).collect()
+    (0..width * height).map(depth).collect()
+}
+
+/// A frame of that camera, in bytes.
+fn frame() -> Vec<u8> {
+    ball_before_a_wall(160, 120, 150.0).into_iter().flat_map(u16::to_le_bytes).collect()
 }
 
 #[test]
@@ -168,7 +174,7 @@ fn a_camera_of_ones_own_sends_what_comes_through_a_pipe() {
     let run = playground.start(&["run"]);
     let mut writer = fs::OpenOptions::new().write(true).open(&pipe).unwrap();
     for _ in 0..5 {
-        writer.write_all(&ball_before_a_wall()).unwrap();
+        writer.write_all(&frame()).unwrap();
     }
     drop(writer);
     let ended = run.wait().expect_code(0);
@@ -182,7 +188,7 @@ fn a_camera_of_ones_own_sends_what_comes_through_a_pipe() {
 #[test]
 fn a_stream_that_ends_within_a_frame_is_told() {
     let playground = with_raw_camera();
-    fs::write(playground.path("depth.z16"), &ball_before_a_wall()[..1000]).unwrap();
+    fs::write(playground.path("depth.z16"), &frame()[..1000]).unwrap();
     let ended = playground.conicflow(&["run"]).expect_code(1);
     assert!(ended.stderr.contains("the stream ends 37400 bytes before the end of a frame\n  hint: "), "{ended:?}");
 }

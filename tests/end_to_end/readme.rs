@@ -1,14 +1,19 @@
-//! The README, run word for word: the commands of its table by what one has, and the pipeline file for one's own frames.
+//! The README, run word for word: the commands of its table by what one has, and the pipeline file for one's own frames. What builds
+//! anything builds it without optimisation, beside what the tests themselves are made of.
 
 use crate::hosts::Host;
+use crate::outside_stage::ball_before_a_wall;
 use crate::programs::router;
 use crate::support::{Playground, Started, TRACKING, signal, wait_until};
 use conicflow_lab::simulator::scene::Scene;
 use rustix::process::Signal;
 use std::fs;
-use std::os::unix::fs::PermissionsExt;
-use std::path::Path;
-use std::process::Command;
+use std::os::unix::fs::{PermissionsExt, symlink};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+/// What spares time where a release is built to be tried.
+const QUICK: [(&str, &str); 2] = [("CARGO_PROFILE_RELEASE_LTO", "off"), ("CARGO_PROFILE_RELEASE_OPT_LEVEL", "1")];
 
 const README: &str = include_str!("../../README.md");
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
@@ -116,5 +121,128 @@ fn who_has_a_camera_is_told_what_is_missing() {
     let mut shell = shell(&playground, command);
     shell.current_dir(ROOT).env_remove("VIRTUAL_ENV");
     let ended = Started::new(shell).wait().expect_code(2);
-    assert!(ended.stderr.contains("-m pip install \"./python[realsense]\"`"), "{}", ended.stderr);
+    // Of this checkout, or of the package for Debian where that is installed.
+    let ways = ["-m pip install \"./python[realsense]\"`", "sudo /opt/conicflow/bin/pip install pyrealsense2`"];
+    assert!(ways.iter().any(|way| ended.stderr.contains(way)), "{}", ended.stderr);
+}
+
+/// Whether these programs are there; what was not shown is said where one is not.
+fn has(programs: &[&str], what: &str) -> bool {
+    let is_there =
+        |program: &&&str| Command::new(program).arg("--version").output().is_ok_and(|output| output.status.success());
+    let missing: Vec<_> = programs.iter().filter(|program| !is_there(program)).collect();
+    if !missing.is_empty() {
+        eprintln!("SKIPPED: {missing:?} cannot be run here; {what} was not shown");
+    }
+    missing.is_empty()
+}
+
+/// The sources in a folder of their own, which stays, so that what is built there is so once.
+fn checkout() -> PathBuf {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("checkout");
+    fs::create_dir_all(&folder).unwrap();
+    for name in fs::read_dir(ROOT).unwrap().map(|entry| entry.unwrap().file_name()).filter(|name| name != "target") {
+        fs::remove_file(folder.join(&name)).ok();
+        symlink(Path::new(ROOT).join(&name), folder.join(&name)).unwrap();
+    }
+    folder
+}
+
+/// What a shell has done in a folder; it comes well to its end.
+fn done(script: &str, folder: &Path) -> Output {
+    let mut shell = Command::new("sh");
+    shell.args(["-ec", script]).current_dir(folder).env_remove("CARGO_TARGET_DIR").envs(QUICK);
+    let output = shell.output().unwrap();
+    assert!(output.status.success(), "{script}: {}", String::from_utf8_lossy(&output.stderr));
+    output
+}
+
+#[test]
+fn who_has_a_program_in_c_gets_objects_from_the_library() {
+    if !has(&["cc"], "that a program in C is built as the document says") {
+        return;
+    }
+    let folder = checkout();
+    let pixels = ball_before_a_wall(640, 480, 525.0).into_iter().flat_map(u16::to_be_bytes);
+    fs::write(folder.join("frame.pgm"), b"P5\n640 480\n65535\n".iter().copied().chain(pixels).collect::<Vec<_>>())
+        .unwrap();
+    let [command] = commands("a program in C")[..] else { panic!("one command") };
+    let block = include_str!("../../docs/c.md").split("```console\n").nth(1).unwrap().split("```").next().unwrap();
+    let lines: Vec<_> = block.lines().filter_map(|line| line.strip_prefix("$ ")).collect();
+    assert!(lines.len() == 3 && lines[0].starts_with(command), "{block}");
+    let told = String::from_utf8(done(&lines.join("\n"), &folder).stdout).unwrap();
+    assert!(told.starts_with("sphere at (") && told.contains(" 1.000) m, radius 0.1500 m +- "), "{told}");
+}
+
+#[test]
+fn who_has_python_installs_the_package_and_finds_objects() {
+    let (playground, what) = (frames(), "that `pip install ./python` works");
+    let python = std::env::var("CONICFLOW_TEST_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    if !has(&[&python], what) {
+        return;
+    }
+    let folders = format!("{}:{}", playground.path("venv/bin").display(), std::env::var("PATH").unwrap());
+    let run = |script: &str, folder: &Path| {
+        let mut shell = Command::new("sh");
+        shell
+            .args(["-ec", script])
+            .current_dir(folder)
+            .env("PATH", &folders)
+            .env("MATURIN_PEP517_ARGS", "--profile dev");
+        shell.output().unwrap()
+    };
+    let ready =
+        format!("{python} -m venv venv && pip install --quiet --timeout 20 --retries 1 'maturin>=1.9,<2' numpy");
+    if !run(&ready, &playground.path(".")).status.success() {
+        eprintln!("SKIPPED: maturin and numpy cannot be installed here; {what} was not shown");
+        return;
+    }
+    let [command, ..] = commands("Python")[..] else { panic!("a command") };
+    let installed = run(command, Path::new(ROOT));
+    assert!(installed.status.success(), "{}", String::from_utf8_lossy(&installed.stderr));
+    let pixels = ball_before_a_wall(640, 480, 525.0).into_iter().flat_map(u16::to_le_bytes).collect::<Vec<_>>();
+    fs::write(playground.path("depth.u16"), pixels).unwrap();
+    let document = include_str!("../../docs/python.md").split("## Find objects").nth(1).unwrap();
+    let block = document.split("```python\n").nth(1).unwrap().split("```").next().unwrap();
+    let before = "import numpy\ndepth = numpy.fromfile(\"depth.u16\", \"<u2\").reshape(480, 640)\nfx, fy, cx, cy = 525, 525, 319.5, 239.5\n";
+    playground.write("found.py", &format!("{before}{block}"));
+    let found = run("python found.py", &playground.path("."));
+    let told = String::from_utf8_lossy(&found.stdout);
+    assert!(told.starts_with("sphere [") && told.contains("0.15"), "{told}{}", String::from_utf8_lossy(&found.stderr));
+}
+
+#[test]
+fn who_has_python_reads_the_lines_of_json() {
+    if !has(&["python3"], "that a program in Python reads lines of JSON") {
+        return;
+    }
+    let playground = frames();
+    playground
+        .write("your.py", "import json, sys\nprint(sum(len(json.loads(line)[\"objects\"]) for line in sys.stdin))\n");
+    let command = README.split("lines of JSON: `").nth(1).unwrap().split('`').next().unwrap().replace("\\|", "|");
+    let ended = Started::new(shell(&playground, &command)).wait().expect_code(0);
+    assert!(ended.stdout.trim().parse::<u32>().unwrap() > 10, "{}", ended.stdout);
+}
+
+/// Unpacked rather than installed, which would change this machine.
+#[test]
+fn who_has_a_robot_makes_a_package_of_it() {
+    let what = "that the package for Debian and Ubuntu is made and works";
+    if !has(&["cargo-deb", "cargo-about", "dpkg-deb"], what) {
+        return;
+    }
+    let [command, ..] = commands("a robot to run it on")[..] else { panic!("a command") };
+    let told = String::from_utf8(done(command, &checkout()).stdout).unwrap();
+    let playground = Playground::with_pipeline(TRACKING);
+    done(&format!("dpkg-deb -x {} root", told.lines().last().unwrap()), &playground.path("."));
+    let program = playground.path("root/usr/bin/conicflow");
+    Started::new(playground.command_of(&program, &["run", "--frames", "12"])).wait().expect_code(0);
+    assert_eq!(playground.lines("tracks.jsonl").len(), 12);
+    let package = playground.path("root/usr/lib/python3/dist-packages/conicflow");
+    for file in ["__init__.py", "_conicflow.abi3.so", "cameras/realsense.py", "py.typed"] {
+        assert!(package.join(file).is_file(), "{file}");
+    }
+    for file in ["usr/include/conicflow.h", "usr/share/conicflow/pipeline.schema.json"] {
+        assert!(playground.path("root").join(file).is_file(), "{file}");
+    }
 }

@@ -24,10 +24,14 @@ const FIRST_BACK_OFF: Duration = Duration::from_millis(100);
 const LONGEST_BACK_OFF: Duration = Duration::from_secs(5);
 
 /// A program that has not joined the run so long after its start is named: a stage joins when it has loaded what it needs.
-const TIME_TO_JOIN: Duration = Duration::from_secs(2);
+const NAMED_AFTER: Duration = Duration::from_secs(2);
+/// So long after its start it has to have joined a lossless topic, unless the file says otherwise: nothing goes on there without it.
+/// Python loads a neural network within a minute on the computers of robots.
+const TIME_TO_JOIN: Duration = Duration::from_secs(120);
 /// What to do about a program that does not.
 const HOW_TO_JOIN: &str = "a program joins by `run_stage` or `run_source` of conicflow-dataflow, in Python by conicflow.stage() \
-                           or conicflow.source()";
+                           or conicflow.source(); one that needs long to load may do that afterwards, or say how long: restart = \
+                           { join_s = 600 }";
 
 /// Where a stage's process is.
 enum State {
@@ -143,9 +147,8 @@ impl Supervised {
                     self.ended(process, status, plan, folder, (phase, ending))
                 }
                 _ => {
-                    self.watch(plan, folder);
                     self.stop_if_late(plan, folder);
-                    Change::None
+                    self.watch(plan, folder)
                 }
             },
             State::Waiting { .. } if ending => self.stay_away(folder, plan),
@@ -178,21 +181,13 @@ impl Supervised {
     }
 
     /// Looks whether the process still gives signs of life; one that hangs is reported, and killed where the file says so.
-    fn watch(&mut self, plan: &Plan, folder: &RunFolder) {
-        let Some(process) = self.process() else { return };
+    fn watch(&mut self, plan: &Plan, folder: &RunFolder) -> Change {
+        let Some(process) = self.process() else { return Change::None };
         let record = Status::read(&folder.status(&self.planned.name)).filter(|status| status.run == plan.run);
         let own = record.filter(|status| status.process == process);
         if let (None, Runs::Command(command)) = (&own, &self.planned.runs) {
-            if self.started.elapsed() > TIME_TO_JOIN && self.outsider != Some(process) {
-                self.outsider = Some(process);
-                let (name, command) = (&self.planned.name, command.join(" "));
-                let waits = self.lossless_topic().map(|topic| format!(", and topic `{topic}` waits for it"));
-                let waits = waits.unwrap_or_default();
-                tracing::warn!(
-                    "stage `{name}` has not joined the run: `{command}` has no part in it{waits}\n  hint: {HOW_TO_JOIN}"
-                );
-            }
-            return;
+            let command = command.join(" ");
+            return self.wait_to_join(process, &command, plan, folder);
         }
         if self.outsider.take_if(|outsider| *outsider == process).is_some() {
             let seconds = self.started.elapsed().as_secs_f64();
@@ -205,6 +200,34 @@ impl Supervised {
         if let (Some(News::Hangs(_)), Some(_), State::Running(child)) = (news, limit, &mut self.state) {
             child.kill().ok();
         }
+        Change::None
+    }
+
+    /// Names a program that takes its time to join the run, and gives it up where nothing goes on without it for too long.
+    fn wait_to_join(&mut self, process: u32, command: &str, plan: &Plan, folder: &RunFolder) -> Change {
+        let (name, waited) = (&self.planned.name, self.started.elapsed());
+        let limit = self.planned.join_s.map_or(TIME_TO_JOIN, Duration::from_secs_f64);
+        let (topic, limit_s) = (self.lossless_topic(), limit.as_secs_f64());
+        if waited > NAMED_AFTER && self.outsider != Some(process) {
+            let waits = topic.map(|topic| {
+                format!(", and topic `{topic}` waits for it: the run ends if it has not {limit_s} s after its start")
+            });
+            let waits = waits.unwrap_or_default();
+            tracing::warn!(
+                "stage `{name}` has not joined the run: `{command}` has no part in it{waits}\n  hint: {HOW_TO_JOIN}"
+            );
+            self.outsider = Some(process);
+        } else if waited > limit
+            && let Some(topic) = topic
+        {
+            tracing::error!(
+                "stage `{name}` has not joined the run {limit_s} s after its start: `{command}` takes no part in topic \
+                 `{topic}`, which is lossless and waits for it\n  hint: {HOW_TO_JOIN}"
+            );
+            self.kill();
+            return self.give_up(folder, plan, Change::Lost);
+        }
+        Change::None
     }
 
     fn tell(&self, news: News, steps: u64) {

@@ -18,7 +18,7 @@ use crate::runner::{RunError, StageRuntime};
 use crate::stage::{Context, Source, Stage, Stop};
 use crate::status::{NO_RUN, StatusFile};
 use conicflow_messages::Hinted;
-use rustix::process::{Signal, getppid, set_parent_process_death_signal};
+use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal, test_kill_process};
 use serde_json::Value as Json;
 use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1, SIGXFSZ};
 use signal_hook::iterator::Signals;
@@ -66,6 +66,12 @@ pub enum ProcessError {
     /// The plan has edges to other machines.
     #[error("{NO_NETWORK}\n  hint: {NO_NETWORK_HINT}")]
     NoNetwork,
+    /// Another process stands between the launcher and this one.
+    #[error(
+        "stage `{0}` was not started by its launcher itself, which would not hear of its end\n  hint: name the program itself: in \
+         place of `uv run` the Python of its environment, `.venv/bin/python`; in a shell `exec`"
+    )]
+    Between(String),
     /// Something of the operating system.
     #[error("{doing}: {error}\n  hint: is the program there, and may this user run it?")]
     System {
@@ -208,7 +214,7 @@ pub fn join_as_source(total: Option<u64>) -> Result<Option<PulledSource>, Proces
 fn join() -> Result<(Json, StageRuntime<SharedMemory>), ProcessError> {
     let (plan, folder, stage) = own_place()?;
     log_to_standard_error(&std::env::var(LOG).unwrap_or_else(|_| DEFAULT_LOG.to_owned()));
-    die_with_launcher();
+    die_with_launcher(&stage)?;
     let planned = plan.stage(&stage).ok_or(ProcessError::NoStage(stage))?;
     Ok((planned.parameters.clone(), stage_runtime(&plan, &folder, planned)?))
 }
@@ -230,14 +236,14 @@ fn exit_code(ended: Result<(), ProcessError>) -> ExitCode {
 /// What kept the stage from beginning, or ended it; or this process is not part of a run.
 pub fn run_in_run(registry: &Registry) -> Result<(), ProcessError> {
     let (plan, folder, stage) = own_place()?;
-    die_with_launcher();
+    die_with_launcher(&stage)?;
     run_planned(&plan, &folder, &stage, registry.nodes, registry.network)
 }
 
 fn run_own(node: Node) -> Result<(), ProcessError> {
     log_to_standard_error(&std::env::var(LOG).unwrap_or_else(|_| DEFAULT_LOG.to_owned()));
     let (mut plan, folder, stage) = own_place()?;
-    die_with_launcher();
+    die_with_launcher(&stage)?;
     let own = plan.stages.iter_mut().find(|planned| planned.name == stage);
     if let (Some(planned), Some(variant)) = (own, node.variants.first()) {
         planned.runs = Runs::Node { node: node.name.to_owned(), input: variant.input.to_owned() };
@@ -252,18 +258,22 @@ fn own_place() -> Result<(Plan, RunFolder, String), ProcessError> {
     Ok((folder.read_plan(&plan_file)?, folder, variable(STAGE)?))
 }
 
-fn launcher() -> Option<i32> {
-    std::env::var(LAUNCHER).ok()?.parse().ok()
+fn launcher() -> Option<Pid> {
+    Pid::from_raw(std::env::var(LAUNCHER).ok()?.parse().ok()?)
 }
 
 /// Sees to it that this process ends when the launcher does, however that ends; a stage that was started by itself has none.
-fn die_with_launcher() {
-    let Some(launcher) = launcher() else { return };
+fn die_with_launcher(stage: &str) -> Result<(), ProcessError> {
+    let Some(launcher) = launcher() else { return Ok(()) };
     // Without this signal the launcher could leave an orphan, but not a wrong result.
     set_parent_process_death_signal(Some(Signal::TERM)).ok();
-    if getppid().map(|pid| pid.as_raw_nonzero().get()) != Some(launcher) {
-        std::process::exit(i32::from(REFUSED));
+    if getppid() == Some(launcher) {
+        return Ok(());
     }
+    if test_kill_process(launcher).is_err() {
+        std::process::exit(i32::from(REFUSED)); // nobody is there any more to be told
+    }
+    Err(ProcessError::Between(stage.to_owned()))
 }
 
 fn become_program(plan: &Plan, planned: &PlannedStage, command: &[String]) -> ProcessError {

@@ -335,6 +335,7 @@ mod tests {
             wiring: Wiring { output: Some(output), ..Wiring::default() },
             restart: Restart::Never,
             hang_s: None,
+            join_s: None,
             env: vec![],
         }
     }

@@ -7,7 +7,7 @@ use super::read::MAX_STAGE_NAME;
 use super::read::inputs::{COMPRESSIONS, DELIVERIES, MAX_QUEUE};
 use super::read::items::USUAL_LENGTH;
 use super::read::machines::OUTAGE_S;
-use super::read::stages::{HANG_S, RESTARTS};
+use super::read::stages::{HANG_S, JOIN_S, RESTARTS};
 use crate::item_type::BUILT_IN;
 use crate::node::Node;
 use conicflow_messages::{Item, Nothing};
@@ -77,6 +77,8 @@ fn stage(nodes: &[&str]) -> Json {
 fn of_node(node: &Node, definitions: &mut Map<String, Json>) -> Json {
     let mut schema = node.schema();
     without_null(&mut schema);
+    let types = schema.clone();
+    with_named_faults(&mut schema, &types);
     refer(&mut schema, &format!("#/{OF_NODE}/"), &format!("#/{DEFINITIONS}/"));
     let has_other = |(name, own): (&String, &Json)| definitions.get(name).is_some_and(|other| other != own);
     let mut prefix = String::new();
@@ -127,17 +129,19 @@ fn of_program() -> Json {
 
 /// What the tables of stages refer to.
 fn of_stages() -> Map<String, Json> {
-    let when = json!({ "enum": RESTARTS.map(|(word, _)| word), "default": "on_failure" });
-    let restart = json!({
-        "description": "When it is started anew; with `hang_s` also after so many seconds without a sign of life.",
-        "anyOf": [
-            when,
-            {
-                "type": "object", "additionalProperties": false,
-                "properties": { "when": when, "hang_s": { "type": "number", "minimum": HANG_S.start(), "maximum": HANG_S.end() } },
-            },
-        ],
+    let when = json!({ "type": "string", "enum": RESTARTS.map(|(word, _)| word), "default": "on_failure" });
+    let hang_s = json!({
+        "description": "Without a sign of life for so many seconds it is killed and started anew.",
+        "type": "number", "minimum": HANG_S.start(), "maximum": HANG_S.end(),
     });
+    let join_s = json!({
+        "description": "Seconds after its start by which a program takes part in a lossless topic, else the run ends.",
+        "type": "number", "minimum": JOIN_S.start(), "maximum": JOIN_S.end(), "default": 120,
+    });
+    let properties = json!({ "when": when, "hang_s": hang_s, "join_s": join_s });
+    let table = json!({ "type": "object", "additionalProperties": false, "properties": properties });
+    let mut restart = json!({ "description": "When it is started anew.", "anyOf": [when, table] });
+    by_type(&mut restart, &Json::Null);
     let env = json!({
         "description": "Environment variables of its process.",
         "type": "object", "additionalProperties": { "type": "string" },
@@ -269,6 +273,74 @@ fn without_null(schema: &mut Json) {
         Json::Array(values) => values.iter_mut().for_each(without_null),
         _ => {}
     }
+}
+
+/// Lets what is wrong with a word or with a table be told by name: of a choice, only that none of its branches fits would be.
+fn with_named_faults(schema: &mut Json, types: &Json) {
+    words(schema);
+    one_of_several_tables(schema);
+    by_type(schema, types);
+    match schema {
+        Json::Object(entries) => entries.values_mut().for_each(|entry| with_named_faults(entry, types)),
+        Json::Array(values) => values.iter_mut().for_each(|value| with_named_faults(value, types)),
+        _ => {}
+    }
+}
+
+/// A choice of words becomes their list; what each means stays where editors find it, after a branch that everything fits.
+fn words(schema: &mut Json) {
+    let Some(branches) = schema.get("oneOf").and_then(Json::as_array) else { return };
+    let words: Option<Vec<_>> = branches.iter().map(|branch| branch.get("const").cloned()).collect();
+    if let (Some(words), Some(schema)) = (words, schema.as_object_mut()) {
+        schema.insert("type".to_owned(), json!("string"));
+        schema.insert("enum".to_owned(), json!(words));
+        if let Some(Json::Array(mut meanings)) = schema.remove("oneOf") {
+            meanings.insert(0, json!({}));
+            schema.insert("anyOf".to_owned(), Json::Array(meanings));
+        }
+    }
+}
+
+/// A choice of tables that have one key each, each another, becomes one table that has one of these keys.
+fn one_of_several_tables(schema: &mut Json) {
+    let Some(branches) = schema.get("oneOf").and_then(Json::as_array) else { return };
+    let properties =
+        |branch: &Json| branch.get("properties").and_then(Json::as_object).filter(|all| all.len() == 1).cloned();
+    let properties: Option<Vec<_>> = branches.iter().map(properties).collect();
+    if let (Some(properties), Some(schema)) = (properties, schema.as_object_mut()) {
+        schema.remove("oneOf");
+        let properties: Map<_, _> = properties.into_iter().flatten().collect();
+        let table = json!({
+            "type": "object", "minProperties": 1, "maxProperties": 1, "additionalProperties": false, "properties": properties,
+        });
+        schema.extend(table.as_object().cloned().into_iter().flatten());
+    }
+}
+
+/// Of a choice between types, the branch of the type that is there has to fit; `types` knows what it refers to. The choice itself
+/// stays for editors, after a branch that everything fits.
+fn by_type(schema: &mut Json, types: &Json) {
+    let Some(branches) = schema.get("anyOf").and_then(Json::as_array) else { return };
+    let kinds: Option<Vec<_>> = branches.iter().map(|branch| type_of(branch, types)).collect();
+    let is_clear = |kinds: &Vec<Json>| (1..kinds.len()).all(|index| !kinds[..index].contains(&kinds[index]));
+    if let Some(kinds) = kinds.filter(is_clear) {
+        let fits = |(kind, branch): (&Json, &Json)| json!({ "if": { "type": kind }, "then": branch });
+        let faults: Vec<_> = kinds.iter().zip(branches).map(fits).collect();
+        let branches: Vec<_> = std::iter::once(json!({})).chain(branches.iter().cloned()).collect();
+        schema["anyOf"] = json!(branches);
+        schema["allOf"] = json!(faults);
+        schema["type"] = json!(kinds);
+    }
+}
+
+/// The type of all that fits a schema, where that is one.
+fn type_of<'a>(schema: &'a Json, types: &'a Json) -> Option<Json> {
+    if let Some(target) = schema.get("$ref").and_then(Json::as_str) {
+        return type_of(types.pointer(target.strip_prefix('#')?)?, types);
+    }
+    let branches = schema.get("oneOf").and_then(Json::as_array);
+    let of_first = || branches?.first().and_then(|branch| type_of(branch, types));
+    schema.get("type").filter(|kind| kind.is_string()).cloned().or_else(of_first)
 }
 
 /// Lets all references that begin with `old` begin with `new`.

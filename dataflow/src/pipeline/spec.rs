@@ -52,6 +52,8 @@ pub struct StageSpec {
     pub restart: Restart,
     /// Without a sign of life for so long, in seconds, it counts as dead; `None`: it is reported.
     pub hang_s: Option<f64>,
+    /// So many seconds after its start it has to take part in a lossless topic; `None`: the usual time.
+    pub join_s: Option<f64>,
     /// Environment variables for it.
     pub env: Vec<(String, String)>,
     /// Parameters of its node.

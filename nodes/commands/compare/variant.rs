@@ -186,6 +186,7 @@ fn record(plan: &mut Plan, topic: &str, with_depth: bool, path: &Path) -> Result
         wiring: Wiring { input: Some(input), side_inputs: depth.into_iter().collect(), output: None, frames: None },
         restart: conicflow_dataflow::pipeline::Restart::Never,
         hang_s: None,
+        join_s: None,
         env: Vec::new(),
     });
     Ok(())

@@ -213,18 +213,20 @@ fn kind_of(path: &Path) -> Option<Kind> {
 struct Listing {
     folder: PathBuf,
     frames: BTreeMap<Format, Vec<Candidate>>,
-    /// Images that are no depth frames: how many, by what they are.
-    pictures: BTreeMap<String, usize>,
+    /// Images and files that are no depth frames: how many, by what they are.
+    others: BTreeMap<String, usize>,
 }
 
 impl Listing {
     fn read(folder: &Path) -> Result<Self> {
-        let mut listing = Self { folder: folder.to_owned(), frames: BTreeMap::new(), pictures: BTreeMap::new() };
+        let mut listing = Self { folder: folder.to_owned(), frames: BTreeMap::new(), others: BTreeMap::new() };
         for path in sorted_files(folder).with_context(|| format!("`{}` cannot be listed", folder.display()))? {
             match kind_of(&path) {
                 Some(Kind::Depth(format)) => listing.add(format, path),
-                Some(Kind::Jpeg) => listing.add_picture("JPEG".to_owned()),
-                None => {}
+                Some(Kind::Jpeg) => listing.add_other("JPEG".to_owned()),
+                None => listing.add_other(
+                    path.extension().map_or("no ending".into(), |ending| format!("`.{}`", ending.to_string_lossy())),
+                ),
             }
         }
         listing.keep_those_called_depth();
@@ -235,19 +237,23 @@ impl Listing {
         if format == Format::Png
             && let Ok(picture @ depth_png::Content::Picture(..)) = depth_png::probe(&path)
         {
-            return self.add_picture(picture.name());
+            return self.add_other(picture.name());
         }
         self.frames.entry(format).or_default().push(format.candidate(path));
     }
 
-    fn add_picture(&mut self, what: String) {
-        *self.pictures.entry(what).or_default() += 1;
+    fn add_other(&mut self, what: String) {
+        *self.others.entry(what).or_default() += 1;
     }
 
-    /// The images that are no depth frames, in words.
-    fn pictures(&self) -> String {
-        let kinds: Vec<_> = self.pictures.iter().map(|(what, count)| format!("{count} of {what}")).collect();
-        if kinds.is_empty() { "no images at all".to_owned() } else { kinds.join(", ") }
+    /// That there are no depth frames, and what there is instead.
+    fn without_frames(&self) -> String {
+        let folder = self.folder.display();
+        let kinds: Vec<_> = self.others.iter().map(|(what, count)| format!("{count} of {what}")).collect();
+        match kinds.is_empty() {
+            true => format!("no depth frames in `{folder}`, and no other files"),
+            false => format!("no depth frames in `{folder}`, only other images and files: {}", kinds.join(", ")),
+        }
     }
 
     /// Where some names say `depth`, the others are infrared images, labels or the like.
@@ -275,7 +281,7 @@ impl Listing {
         }
         let Some((format, frames)) = self.frames.pop_first() else {
             return Err(anyhow!(Hinted::new(
-                format!("no depth frames in `{folder}`, only other images and files: {}", self.pictures()),
+                self.without_frames(),
                 "depth frames are 16-bit grey PNGs, TIFF or NPY files, or organised PCD files"
             )));
         };
@@ -286,7 +292,7 @@ impl Listing {
 /// The files that are not hidden, in natural order of their names.
 fn sorted_files(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
     let mut paths = fs::read_dir(folder)?.map(|entry| Ok(entry?.path())).collect::<std::io::Result<Vec<_>>>()?;
-    paths.retain(|path| kind_of(path).is_some() && !file_name(path).starts_with('.') && path.is_file());
+    paths.retain(|path| !file_name(path).starts_with('.') && path.is_file());
     paths.sort_by(|a, b| natural::compare(&file_name(a), &file_name(b)));
     Ok(paths)
 }

@@ -253,6 +253,9 @@ fn what_cannot_be_opened_is_told_with_what_to_do() {
     );
     let grey = Folder::new().file("a.png", png_bytes(4, 3, png::ColorType::Grayscale, png::BitDepth::Eight, &[9; 12]));
     assert!(grey.told().contains("only other images and files: 1 of 8-bit grey PNG\n"), "{}", grey.told());
+    let others = Folder::new().file("a.pfm", "").file("b.pfm", "").file("README", "");
+    assert!(others.told().contains("only other images and files: 2 of `.pfm`, 1 of no ending\n"), "{}", others.told());
+    assert!(Folder::new().told().contains("`, and no other files\n  hint: depth frames are "));
     let both = Folder::new().depth(&["a.png"]).cloud("a.pcd", &points(&depth_m()));
     assert!(both.told().contains("holds 16-bit PNGs and PCD files, expected one kind\n  hint: "));
     let sizes = Folder::new().depth(&["a.png"]).file("b.png", png16(4, 3, &[1; 12]));

@@ -5,6 +5,7 @@ import importlib
 import json
 import os
 import sys
+import sysconfig
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Optional
@@ -26,9 +27,17 @@ def load(adapter: str) -> ModuleType:
         return importlib.import_module(f"conicflow.cameras.{adapter}")
     except (ImportError, OSError) as error:
         package, beside = SDKS[adapter]
-        install = f"`{sys.executable} -m pip install {package}`{beside}"
-        hint = f'{install}; or name a Python that has it: `python = "venv/bin/python"`'
-        raise Refused(f"{sys.executable} has no {package} ({error})", hint) from error
+        raise Refused(f"{sys.executable} has no {package} ({error})", how_to_install(package, beside)) from error
+
+
+def how_to_install(package: str, beside: str) -> str:
+    """What gives this Python an SDK, or, where a distribution keeps it for itself, one that has its packages, too."""
+    if sys.prefix == sys.base_prefix and Path(sysconfig.get_path("stdlib"), "EXTERNALLY-MANAGED").exists():
+        venv = f"sudo {sys.executable} -m venv --system-site-packages /opt/conicflow"
+        install = f"`sudo apt install python3-venv && {venv} && sudo /opt/conicflow/bin/pip install {package}`{beside}"
+        return f'{install}; and in the table of the stage `python = "/opt/conicflow/bin/python"`'
+    install = f"`{sys.executable} -m pip install {package}`{beside}"
+    return f'{install}; or name a Python that has it: `python = "venv/bin/python"`'
 
 
 SDKS = {

@@ -22,8 +22,10 @@ const MAX_STAGES: usize = 500;
 const OWN_VARIABLES: &str = "CONICFLOW_";
 /// Stages that wait give a sign of life ten times a second.
 pub const HANG_S: RangeInclusive<f64> = 1.0..=86_400.0;
+pub const JOIN_S: RangeInclusive<f64> = 1.0..=86_400.0;
 const OUTPUT_EXAMPLE: &str = "output = { topic = \"found\", kind = \"objects\" }";
 const HANG_HINT: &str = "a stage without a sign of life for so long counts as dead";
+const JOIN_HINT: &str = "a program that has not joined a lossless topic so long after its start ends the run";
 
 impl Reader<'_> {
     pub(super) fn stages(&mut self, entry: Entry) -> Vec<StageSpec> {
@@ -49,7 +51,8 @@ impl Reader<'_> {
         let inputs = table.take("inputs").map(|entry| self.inputs(entry, &program, driving)).unwrap_or_default();
         let (output, output_said) = table.take("output").map(|entry| self.output(entry)).unwrap_or_default();
         let machine = table.take("machine").and_then(|entry| self.string(&entry));
-        let (restart, hang_s) = table.take("restart").map(|entry| self.restart(entry)).unwrap_or_default();
+        let restart = table.take("restart").map(|entry| self.restart(entry));
+        let (restart, hang_s, join_s) = restart.unwrap_or_default();
         let env = table.take("env").map(|entry| self.env(entry)).unwrap_or_default();
         self.parameters(&table, &program, &name, &place, &env);
         let parameters = table.to_json();
@@ -63,6 +66,7 @@ impl Reader<'_> {
             machine,
             restart,
             hang_s,
+            join_s,
             env,
             parameters,
             place,
@@ -72,16 +76,17 @@ impl Reader<'_> {
         })
     }
 
-    /// When a stage is started anew, in its short or its long form, and after what time without a sign of life it counts
-    /// as dead.
-    fn restart(&mut self, entry: Entry) -> (Restart, Option<f64>) {
+    /// When a stage is started anew, in its short or its long form, after what time without a sign of life it counts as dead,
+    /// and within what time it takes part.
+    fn restart(&mut self, entry: Entry) -> (Restart, Option<f64>, Option<f64>) {
         let Content::Table(mut table) = entry.value.content else {
-            return (self.word(&entry, RESTARTS).unwrap_or_default(), None);
+            return (self.word(&entry, RESTARTS).unwrap_or_default(), None, None);
         };
         let when = table.take("when").and_then(|entry| self.word(&entry, RESTARTS)).unwrap_or_default();
         let hang_s = table.take("hang_s").and_then(|entry| self.seconds(&entry, HANG_S, HANG_HINT));
-        self.unknown_keys(&table, &["when", "hang_s"], "`restart`");
-        (when, hang_s)
+        let join_s = table.take("join_s").and_then(|entry| self.seconds(&entry, JOIN_S, JOIN_HINT));
+        self.unknown_keys(&table, &["when", "hang_s", "join_s"], "`restart`");
+        (when, hang_s, join_s)
     }
 
     fn program(&mut self, table: &mut Table, stage: &str, place: &Place) -> Program {
