@@ -90,6 +90,8 @@ impl LaunchError {
 pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
     let folder = RunFolder::open(&plan.pipeline)?;
     let _lock = folder.lock(&plan.pipeline)?;
+    // A signal that ended this process from here on would leave behind what it has made.
+    let signals = signals()?;
     SharedMemory::clean(folder.shared_memory())?;
     Requirements::of(plan, options.nodes).insufficient().into_iter().try_for_each(Err)?;
     folder.empty()?;
@@ -103,7 +105,7 @@ pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
         options,
         stages: Vec::new(),
         swap: None,
-        signals: signals()?,
+        signals,
         phase: Phase::Running,
         lost: false,
         hurried: false,
