@@ -7,9 +7,10 @@ use rustix::process::Signal;
 use serde_json::Value as Json;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::os::unix::fs::PermissionsExt;
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Stdio};
+use std::time::Duration;
 
 /// A paced run of [`TRACKING`] that goes on until it is told to end.
 fn start(playground: &Playground, more: &[&str]) -> Started {
@@ -362,10 +363,21 @@ pub fn shared_files(process: u32) -> BTreeSet<PathBuf> {
     paths.filter(|path| path.extension().is_none_or(|end| end != "global_mgmt")).collect()
 }
 
-/// What the names of all files begin with that a run has in shared memory: `conicflow_`, and eight digits of its folder.
-pub fn shared_prefix(run: &Started) -> String {
-    let path = shared_files(stages_of(run.id())["source"]).pop_first().unwrap();
-    path.file_name().unwrap().to_str().unwrap()[.."conicflow_01234567".len()].to_owned()
+/// What the names of all files begin with that runs in the playground have in shared memory: `conicflow_`, and eight digits of
+/// their folder, which is there as soon as one has begun.
+pub fn shared_prefix(playground: &Playground) -> String {
+    let about = fs::metadata(playground.runtime().join("shm")).unwrap();
+    let bytes = [about.dev(), about.ino(), about.uid().into()].map(u64::to_le_bytes);
+    let add = |hash: u32, byte: &u8| (hash ^ u32::from(*byte)).wrapping_mul(0x0100_0193);
+    format!("conicflow_{:08x}_", bytes.as_flattened().iter().fold(0x811c_9dc5_u32, add))
+}
+
+/// Waits until a run has something in shared memory; what the names of all of that begin with.
+pub fn wait_for_shared_memory(run: &mut Started, playground: &Playground) -> String {
+    run.wait_until("it has a folder", || playground.runtime().join("shm").is_dir());
+    let prefix = shared_prefix(playground);
+    run.wait_until("it has shared memory", || !files_in_shared_memory(&prefix).is_empty());
+    prefix
 }
 
 #[test]
@@ -373,7 +385,7 @@ fn no_other_user_can_open_what_a_run_shares() {
     let playground = Playground::with_pipeline(TRACKING);
     let mut run = start(&playground, &[]);
     wait_for_lines(&mut run, &playground);
-    let prefix = shared_prefix(&run);
+    let prefix = shared_prefix(&playground);
     let shared = fs::read_dir("/dev/shm").unwrap().map(|entry| entry.unwrap().path());
     let own: Vec<_> = shared.filter(|path| path.file_name().unwrap().to_str().unwrap().starts_with(&prefix)).collect();
     assert!(own.len() > 20, "only {own:?}");
@@ -407,7 +419,7 @@ fn nothing_stays_in_shared_memory_however_runs_end() {
         wait_for_lines(&mut run, &playground);
         let stages = stages_of(run.id());
         stages.values().for_each(|process| used.extend(shared_files(*process)));
-        let prefix = shared_prefix(&run);
+        let prefix = shared_prefix(&playground);
         if round % 5 == 1 {
             stages.values().for_each(|process| signal(*process, Signal::KILL));
         }
@@ -422,4 +434,18 @@ fn nothing_stays_in_shared_memory_however_runs_end() {
     assert!(used.len() > 100, "only {} files were used, which shows little", used.len());
     let left = files_below(&playground.runtime().join("shm"));
     assert!(left.iter().all(|path| path.ends_with("lock")), "{left:?}");
+}
+
+#[test]
+fn a_run_that_is_told_to_end_as_soon_as_it_has_shared_memory_leaves_nothing() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let mut random = fastrand::Rng::with_seed(1);
+    for round in 0..10 {
+        let mut run = start(&playground, &[]);
+        let prefix = wait_for_shared_memory(&mut run, &playground);
+        std::thread::sleep(Duration::from_millis(random.u64(0..50)));
+        signal(run.id(), [Signal::INT, Signal::TERM, Signal::HUP][round % 3]);
+        run.wait().expect_code(0);
+        assert_eq!(files_in_shared_memory(&prefix), [""; 0], "left in round {round}");
+    }
 }

@@ -80,7 +80,7 @@ fn a_long_run_uses_no_more_at_its_end_than_at_its_begin() {
     let sets = sizes.into_iter().chain(camera).flat_map(|set| ["--set", set]);
     let mut run = playground.start(&["run"].into_iter().chain(sets).collect::<Vec<_>>());
     run.wait_until("the stages are warm", || playground.newest("tracks.jsonl") > WARM_UP_FRAMES);
-    let prefix = shared_prefix(&run);
+    let prefix = shared_prefix(&playground);
     let begin = Instant::now();
     let due = |number: u64| begin + Duration::from_secs_f64(seconds as f64 * number as f64 / SAMPLES as f64);
     let mut samples = Vec::new();
