@@ -11,7 +11,7 @@ use crate::wire::message_bytes;
 use conicflow_dataflow::pipeline::BRIDGE;
 use conicflow_dataflow::ports::{Delivery, Received, Transport};
 use conicflow_dataflow::relay::{InputPort, Peers, SharedMemory, SharedReader, ThrottledWarning, end_of_stream};
-use conicflow_dataflow::{Edge, Life, Stop, monotonic_ns};
+use conicflow_dataflow::{Edge, Stop, monotonic_ns};
 use conicflow_messages::{Header, Text};
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -223,7 +223,7 @@ impl<'a> Sending<'a> {
 
     /// Whether a writer is over, without having said so to this process: an earlier one may have heard it.
     fn is_gone(&self, writer: &str) -> bool {
-        !self.ended.contains(writer) && matches!(self.peers.life(writer), Some(Life::Ended | Life::Gone))
+        !self.ended.contains(writer) && self.peers.is_over(writer)
     }
 
     fn tell_what_is_lost(&self) {

@@ -2,7 +2,7 @@
 
 use crate::clock::monotonic_ns;
 use crate::plan::PlannedStage;
-use crate::status::{Life, Pausing, Status};
+use crate::status::{Pausing, Status};
 use conicflow_messages::Text;
 use std::time::Duration;
 
@@ -12,14 +12,14 @@ const SILENT: Duration = Duration::from_secs(2);
 /// What keeps each stage that is not over from going on, in the order of the file; sources that nobody keeps are left out.
 pub(crate) fn who_waits(stages: &[(&PlannedStage, &Status)]) -> Vec<String> {
     let now_ns = monotonic_ns();
-    let over = |status: &Status| matches!(status.life(), Life::Ended | Life::Gone);
+    let over = |status: &Status| status.life().is_over();
     let alive = stages.iter().filter(|(_, status)| !over(status));
     alive.filter_map(|(planned, status)| waits(planned, status, stages, now_ns)).collect()
 }
 
 /// Whether any stage waits for another one to take what it has sent.
 pub(crate) fn is_held_up(stages: &[(&PlannedStage, &Status)]) -> bool {
-    let is_over = |status: &Status| matches!(status.life(), Life::Ended | Life::Gone);
+    let is_over = |status: &Status| status.life().is_over();
     stages.iter().any(|(_, status)| status.waits_for != Text::default() && !is_over(status))
 }
 
@@ -52,6 +52,7 @@ mod tests {
     use crate::pipeline::Restart;
     use crate::plan::Runs;
     use crate::ports::{Topic, Wiring};
+    use crate::status::Life;
     use serde_json::Value as Json;
 
     fn stage(name: &str, reads_from: Option<&str>) -> PlannedStage {

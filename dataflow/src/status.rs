@@ -46,6 +46,11 @@ pub enum Life {
 
 impl Life {
     const ALL: [Self; 4] = [Self::Starting, Self::Running, Self::Ended, Self::Gone];
+
+    /// Whether nothing more comes of it.
+    pub fn is_over(self) -> bool {
+        matches!(self, Self::Ended | Self::Gone)
+    }
 }
 
 /// Whether a source stands still while its run is paused.

@@ -281,7 +281,7 @@ impl Supervised {
     fn has_heard_all(&self, plan: &Plan, folder: &RunFolder) -> bool {
         let is_over = |stage: &String| {
             let record = Status::read(&folder.status(stage)).filter(|record| record.run == plan.run);
-            record.is_some_and(|record| matches!(record.life(), Life::Ended | Life::Gone))
+            record.is_some_and(|record| record.life().is_over())
         };
         let writers = self.planned.wiring.input.as_ref().map(|topic| &topic.writers).filter(|all| !all.is_empty());
         writers.is_some_and(|writers| writers.iter().all(is_over))

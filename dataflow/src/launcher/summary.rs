@@ -129,7 +129,7 @@ impl Summary {
     /// What an input has lost: what its stage has counted, and of one that is over also what came to nobody, because the stage was
     /// killed when its writers had ended.
     fn dropped_by(&self, planned: &PlannedStage, status: &Status, index: usize) -> u64 {
-        let is_over = matches!(status.life(), Life::Ended | Life::Gone);
+        let is_over = status.life().is_over();
         let lost = self.lost_by(planned, status).filter(|_| is_over && index == 0);
         status.inputs[index].dropped.max(lost.map_or(0, |[lost, _]| lost))
     }

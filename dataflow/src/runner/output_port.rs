@@ -5,7 +5,7 @@ use crate::clock::monotonic_ns;
 use crate::item_type::ItemType;
 use crate::ports::{ConnectedReader, Delivery, PortError, Topic, TopicReader, Writer};
 use crate::stage::{Memory, Output, StageError, Stop};
-use crate::status::{Life, Status};
+use crate::status::Status;
 use conicflow_messages::{END_OF_STREAM, Header, Hop, Item, Text};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::{self, Display, Formatter};
@@ -185,11 +185,7 @@ impl<W: Writer> OutputPort<W> {
             .port
             .iter()
             .flat_map(|(writer, topic)| topic.readers.iter().map(|reader| (reader, writer.unfinished(&reader.stage))));
-        readers.filter(move |(reader, count)| *count >= least(reader) && !self.is_over(&reader.stage))
-    }
-
-    fn is_over(&self, stage: &str) -> bool {
-        matches!(self.peers.life(stage), Some(Life::Ended | Life::Gone))
+        readers.filter(move |(reader, count)| *count >= least(reader) && !self.peers.is_over(&reader.stage))
     }
 
     /// Tells all readers that nothing more will come, and stays until they have taken all.
@@ -233,7 +229,10 @@ impl<W: Writer> OutputPort<W> {
             ends.iter().try_for_each(|end| writer.send(end).map(drop))?;
         }
         telling.told.extend(connected.iter().map(|reader| reader.stage.clone()));
-        let all_told = self.absent_readers(false).all(|reader| telling.told.contains(&reader.stage));
+        // One that was told and is not over was killed, and will come again; where nothing is known of it, it has most likely ended.
+        let is_told =
+            |reader: &TopicReader| self.peers.life(&reader.stage).is_none() && telling.told.contains(&reader.stage);
+        let all_told = self.absent_readers(false).all(is_told);
         let is_waited_for = self.behind(|_| 1).next().is_some();
         if connected.is_empty() && !is_waited_for && (all_told || Instant::now() > telling.deadline) {
             return Ok(true);
@@ -286,7 +285,7 @@ impl<W: Writer> OutputPort<W> {
         let wanted = readers.filter(move |reader| !only_lossless || reader.delivery == Delivery::Lossless);
         let is_there = move |stage: &str| connected.iter().any(|reader| reader.stage == stage);
         let absent = wanted.filter(move |reader| !is_there(&reader.stage));
-        absent.filter(|reader| !self.is_over(&reader.stage))
+        absent.filter(|reader| !self.peers.is_over(&reader.stage))
     }
 }
 

@@ -1,22 +1,29 @@
 //! What a stage can know of the other stages of its run: whether they still live.
 
+use crate::pipeline::BRIDGE;
+use crate::plan::Plan;
 use crate::status::{Life, NO_RUN, Status, status_path};
+use std::collections::BTreeSet;
 use std::path::PathBuf;
+use std::sync::Arc;
 
 /// The other stages of a run, by the records in its folder.
 #[derive(Clone, Debug, Default)]
 pub struct Peers {
     run: Option<(PathBuf, u64)>,
+    /// Those of this machine.
+    here: Arc<BTreeSet<String>>,
     /// What a model of a run knows in place of records.
     #[cfg(test)]
     modelled: Option<fn(&str) -> Option<Life>>,
 }
 
 impl Peers {
-    /// The stages of the run `run` whose records lie in `folder`; of stages that were started one by one nothing is known.
-    pub(crate) fn in_folder(folder: PathBuf, run: u64) -> Self {
+    /// The stages of the run of a plan whose records lie in `folder`; of stages that were started one by one nothing is known.
+    pub(crate) fn in_folder(folder: PathBuf, plan: &Plan) -> Self {
         Self {
-            run: (run != NO_RUN).then_some((folder, run)),
+            run: (plan.run != NO_RUN).then_some((folder, plan.run)),
+            here: Arc::new(plan.stages.iter().map(|stage| stage.name.clone()).collect()),
             #[cfg(test)]
             modelled: None,
         }
@@ -27,7 +34,13 @@ impl Peers {
         Self { modelled: Some(life), ..Self::default() }
     }
 
-    /// Where a stage is in its life; `None` if nothing is known of it.
+    /// Whether nothing more comes of a stage: it has ended, or is gone for good; of one of another machine the bridge to there.
+    pub fn is_over(&self, stage: &str) -> bool {
+        let is_elsewhere = self.run.is_some() && !self.here.contains(stage);
+        self.life(if is_elsewhere { BRIDGE } else { stage }).is_some_and(Life::is_over)
+    }
+
+    /// Where a stage of this machine is in its life; `None` if nothing is known of it.
     pub fn life(&self, stage: &str) -> Option<Life> {
         #[cfg(test)]
         if let Some(life) = self.modelled {
@@ -36,5 +49,30 @@ impl Peers {
         let (folder, run) = self.run.as_ref()?;
         let status = Status::read(&status_path(folder, stage))?;
         (status.run == *run).then(|| status.life())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::status::StatusFile;
+
+    #[test]
+    fn of_a_stage_of_another_machine_nothing_more_comes_when_the_bridge_is_over() {
+        let folder = tempfile::tempdir().unwrap();
+        let here = Arc::new(["sink", "late", BRIDGE].map(str::to_owned).into());
+        let peers = Peers { run: Some((folder.path().to_owned(), 7)), here, ..Peers::default() };
+        let set_life = |stage: &str, life| {
+            let mut record = StatusFile::open(&status_path(folder.path(), stage), 7).unwrap();
+            record.status.set_life(life);
+            record.write();
+        };
+        set_life("sink", Life::Ended);
+        set_life(BRIDGE, Life::Running);
+        let over = || ["sink", "late", "camera"].map(|stage| peers.is_over(stage));
+        assert_eq!(over(), [true, false, false]);
+        set_life(BRIDGE, Life::Ended);
+        assert_eq!(over(), [true, false, true], "the one that has not begun is of this machine");
+        assert!(!Peers::default().is_over("camera"), "nothing is known");
     }
 }

@@ -156,9 +156,7 @@ impl<T: Transport> StagePlace<T> {
 
     /// Whether all stages that write the input have ended for good, be it without a word.
     fn writers_are_gone(&self) -> bool {
-        let is_gone = |writer: &String| {
-            self.input_port.has_ended(writer) || matches!(self.peers.life(writer), Some(Life::Ended | Life::Gone))
-        };
+        let is_gone = |writer: &String| self.input_port.has_ended(writer) || self.peers.is_over(writer);
         !self.topic.writers.is_empty() && self.topic.writers.iter().all(is_gone)
     }
 

@@ -7,7 +7,6 @@ use super::side_ports::SidePort;
 use super::{RunError, StageRuntime, is_nothing};
 use crate::ports::{Delivery, Topic, Transport};
 use crate::stage::Stage;
-use crate::status::Life;
 use std::time::{Duration, Instant};
 
 /// A successor waits so long for the first message of writers whose loss of one would be no fault.
@@ -72,7 +71,7 @@ fn buffers_all<T: Transport>(
 ) -> Result<bool, RunError> {
     let deadline = Instant::now() + PATIENCE_WITH_WRITERS;
     let lossless = |topic: &Topic| topic.delivery_to(&runtime.context.stage) == Delivery::Lossless;
-    let is_over = |writer: &String| matches!(runtime.peers.life(writer), Some(Life::Ended | Life::Gone));
+    let is_over = |writer: &String| runtime.peers.is_over(writer);
     loop {
         // The side inputs last: what a message was made of came before it.
         input_port.buffer_newest()?;

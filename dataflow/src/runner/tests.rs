@@ -4,10 +4,12 @@ use super::alone::{Owned, collect, pass};
 use super::output_port::OutputPort;
 use super::peers::Peers;
 use crate::ports::in_memory::{InMemory, MemoryReader};
-use crate::ports::{Delivery, Reader, Received, Topic, TopicReader, Transport};
+use crate::ports::{Delivery, Reader, Received, Topic, TopicReader, Transport, Writer};
 use crate::stage::Stop;
+use crate::status::Life;
 use crate::{Context, ItemType, Next, NoConfig, Output, RunError, SideInputs, Source, Stage, StageError};
 use conicflow_messages::{AnyByte, Camera, Header, Message, Nothing, Object, ObjectKind};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -83,30 +85,54 @@ fn a_stage_makes_one_message_of_each_and_keeps_its_header() {
     assert_eq!(stages, ["upstream", "large"]);
 }
 
-#[test]
-fn a_reader_that_comes_anew_between_two_looks_is_told_the_end_too() {
+/// A writer that is about to end and has sent three messages, and the memory and topic that its one reader joins.
+fn ending(peers: Peers) -> (InMemory, Topic, OutputPort<impl Writer>) {
     let memory = InMemory::default();
     let readers = vec![TopicReader { stage: "sink".into(), delivery: Delivery::Lossless, queue: 4 }];
     let topic = Topic { name: "objects".into(), item: None, writers: vec!["stage".into()], readers };
     let writer = memory.writer::<Object>(&topic).unwrap();
-    let peers = Peers::default();
-    let mut output_port = OutputPort::new(Some((writer, topic.clone())), "stage", 3, peers, Stop::default());
-    let until_the_end = |mut reader: MemoryReader| {
-        let deadline = Instant::now() + Duration::from_secs(20);
-        while Instant::now() < deadline {
-            match reader.receive().unwrap() {
-                Some(message) if message.header().ends_stream() => return message.header().number,
-                _ => reader.wait(Duration::from_millis(1)).unwrap(),
-            }
+    let output_port = OutputPort::new(Some((writer, topic.clone())), "stage", 3, peers, Stop::default());
+    (memory, topic, output_port)
+}
+
+/// How many messages there were, as the end says that this reader is told.
+fn until_the_end(mut reader: MemoryReader) -> u64 {
+    let deadline = Instant::now() + Duration::from_secs(20);
+    while Instant::now() < deadline {
+        match reader.receive().unwrap() {
+            Some(message) if message.header().ends_stream() => return message.header().number,
+            _ => reader.wait(Duration::from_millis(1)).unwrap(),
         }
-        panic!("the end is not told");
-    };
+    }
+    panic!("the end is not told");
+}
+
+#[test]
+fn a_reader_that_comes_anew_between_two_looks_is_told_the_end_too() {
+    let (memory, topic, mut output_port) = ending(Peers::default());
     let first = memory.reader::<Object>(&topic, "sink").unwrap();
     thread::scope(|scope| {
         let ending = scope.spawn(move || output_port.end());
-        assert_eq!(until_the_end(first), 3, "so many messages there were");
+        assert_eq!(until_the_end(first), 3);
         // The next process of the same stage is there before the writer looks again.
         assert_eq!(until_the_end(memory.reader::<Object>(&topic, "sink").unwrap()), 3);
+        ending.join().unwrap().unwrap();
+    });
+}
+
+#[test]
+fn a_reader_that_was_told_the_end_and_killed_is_waited_for_and_told_again() {
+    static IS_OVER: AtomicBool = AtomicBool::new(false);
+    let life = |_: &str| Some(if IS_OVER.load(Ordering::Relaxed) { Life::Ended } else { Life::Running });
+    let (memory, topic, mut output_port) = ending(Peers::modelled(life));
+    let killed = memory.reader::<Object>(&topic, "sink").unwrap();
+    thread::scope(|scope| {
+        let ending = scope.spawn(move || output_port.end());
+        assert_eq!(until_the_end(killed), 3);
+        thread::sleep(Duration::from_millis(200));
+        assert!(!ending.is_finished(), "the launcher is about to start that stage anew");
+        assert_eq!(until_the_end(memory.reader::<Object>(&topic, "sink").unwrap()), 3);
+        IS_OVER.store(true, Ordering::Relaxed);
         ending.join().unwrap().unwrap();
     });
 }

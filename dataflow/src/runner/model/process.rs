@@ -210,7 +210,7 @@ impl Process {
             return self.end();
         }
         let writer = STAGES[self.stage - 1];
-        let is_over = matches!(life(writer), Some(Life::Ended | Life::Gone));
+        let is_over = life(writer).is_some_and(Life::is_over);
         let last_call = self.input().is_idle() && (self.input().has_ended(writer) || is_over);
         let message = self.input().take().expect("the model's memory does not fail");
         if let Some(message) = message {
@@ -326,7 +326,7 @@ impl Process {
     fn buffer(&mut self) {
         self.input().buffer_newest().expect("the model's memory does not fail");
         let writer = STAGES[self.stage - 1];
-        if self.input().has_buffered(writer) || matches!(life(writer), Some(Life::Ended | Life::Gone)) {
+        if self.input().has_buffered(writer) || life(writer).is_some_and(Life::is_over) {
             let first = self.input().first_buffered();
             memory(|memory| memory.handover.0 = Some(first));
             self.at = At::Ready;
