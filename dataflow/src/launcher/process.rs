@@ -304,7 +304,8 @@ fn stage_runtime(
     let record = StatusFile::open(&path, plan.run).map_err(|error| FolderError::Io { path, error })?;
     let context = Context { stage: planned.name.clone(), base: plan.base.clone(), stop, ..Context::default() };
     let transport = transport.map(|memory| if plan.run == NO_RUN { memory } else { memory.kept_in(folder.path()) });
-    let peers = Peers::in_folder(folder.path().to_owned(), plan);
+    let here = plan.stages.iter().map(|stage| stage.name.clone()).collect();
+    let peers = Peers::in_folder(folder.path().to_owned(), plan.run, here);
     let mut runtime = StageRuntime {
         transport: transport.map_err(RunError::from)?,
         wiring: planned.wiring.clone(),

@@ -1,7 +1,6 @@
 //! What a stage can know of the other stages of its run: whether they still live.
 
 use crate::pipeline::BRIDGE;
-use crate::plan::Plan;
 use crate::status::{Life, NO_RUN, Status, status_path};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -19,11 +18,12 @@ pub struct Peers {
 }
 
 impl Peers {
-    /// The stages of the run of a plan whose records lie in `folder`; of stages that were started one by one nothing is known.
-    pub(crate) fn in_folder(folder: PathBuf, plan: &Plan) -> Self {
+    /// The stages of the run `run` whose records lie in `folder`, of which these are on this machine; of stages that were started
+    /// one by one nothing is known.
+    pub(crate) fn in_folder(folder: PathBuf, run: u64, here: BTreeSet<String>) -> Self {
         Self {
-            run: (plan.run != NO_RUN).then_some((folder, plan.run)),
-            here: Arc::new(plan.stages.iter().map(|stage| stage.name.clone()).collect()),
+            run: (run != NO_RUN).then_some((folder, run)),
+            here: Arc::new(here),
             #[cfg(test)]
             modelled: None,
         }
