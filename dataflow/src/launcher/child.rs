@@ -5,7 +5,7 @@ use super::options::RunOptions;
 use super::phase::Phase;
 use super::process::{LAUNCHER, ProcessError, REFUSED, as_stage};
 use super::watchdog::{News, Watchdog};
-use crate::pipeline::Restart;
+use crate::pipeline::{Restart, TIME_TO_JOIN_S};
 use crate::plan::{Plan, PlannedStage, Runs};
 use crate::ports::{Delivery, Wiring};
 use crate::status::{Life, Status};
@@ -25,9 +25,6 @@ const LONGEST_BACK_OFF: Duration = Duration::from_secs(5);
 
 /// A program that has not joined the run so long after its start is named: a stage joins when it has loaded what it needs.
 const NAMED_AFTER: Duration = Duration::from_secs(2);
-/// So long after its start it has to have joined a lossless topic, unless the file says otherwise: nothing goes on there without it.
-/// Python loads a neural network within a minute on the computers of robots.
-const TIME_TO_JOIN: Duration = Duration::from_secs(120);
 /// What to do about a program that does not.
 const HOW_TO_JOIN: &str = "a program joins by `run_stage` or `run_source` of conicflow-dataflow, in Python by conicflow.stage() \
                            or conicflow.source(); one that needs long to load may do that afterwards, or say how long: restart = \
@@ -206,8 +203,7 @@ impl Supervised {
     /// Names a program that takes its time to join the run, and gives it up where nothing goes on without it for too long.
     fn wait_to_join(&mut self, process: u32, command: &str, plan: &Plan, folder: &RunFolder) -> Change {
         let (name, waited) = (&self.planned.name, self.started.elapsed());
-        let limit = self.planned.join_s.map_or(TIME_TO_JOIN, Duration::from_secs_f64);
-        let (topic, limit_s) = (self.lossless_topic(), limit.as_secs_f64());
+        let (topic, limit_s) = (self.lossless_topic(), self.planned.join_s.unwrap_or(TIME_TO_JOIN_S));
         if waited > NAMED_AFTER && self.outsider != Some(process) {
             let waits = topic.map(|topic| {
                 format!(", and topic `{topic}` waits for it: the run ends if it has not {limit_s} s after its start")
@@ -217,7 +213,7 @@ impl Supervised {
                 "stage `{name}` has not joined the run: `{command}` has no part in it{waits}\n  hint: {HOW_TO_JOIN}"
             );
             self.outsider = Some(process);
-        } else if waited > limit
+        } else if waited > Duration::from_secs_f64(limit_s)
             && let Some(topic) = topic
         {
             tracing::error!(

@@ -7,7 +7,7 @@ use super::read::MAX_STAGE_NAME;
 use super::read::inputs::{COMPRESSIONS, DELIVERIES, MAX_QUEUE};
 use super::read::items::USUAL_LENGTH;
 use super::read::machines::OUTAGE_S;
-use super::read::stages::{HANG_S, JOIN_S, RESTARTS};
+use super::read::stages::{HANG_S, JOIN_S, RESTARTS, TIME_TO_JOIN_S};
 use crate::item_type::BUILT_IN;
 use crate::node::Node;
 use conicflow_messages::{Item, Nothing};
@@ -136,7 +136,7 @@ fn of_stages() -> Map<String, Json> {
     });
     let join_s = json!({
         "description": "Seconds after its start by which a program takes part in a lossless topic, else the run ends.",
-        "type": "number", "minimum": JOIN_S.start(), "maximum": JOIN_S.end(), "default": 120,
+        "type": "number", "minimum": JOIN_S.start(), "maximum": JOIN_S.end(), "default": TIME_TO_JOIN_S,
     });
     let properties = json!({ "when": when, "hang_s": hang_s, "join_s": join_s });
     let table = json!({ "type": "object", "additionalProperties": false, "properties": properties });

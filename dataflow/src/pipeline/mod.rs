@@ -19,6 +19,7 @@ pub use file_schema::file_schema;
 pub use machine::{BRIDGE, Compression, Machine, check_endpoint};
 pub use metrics::Metrics;
 pub use read::MAX_STAGE_NAME;
+pub(crate) use read::stages::TIME_TO_JOIN_S;
 pub use spec::{Input, Pipeline, Program, Restart, StageSpec};
 
 use crate::registry::Registry;

@@ -22,6 +22,9 @@ const MAX_STAGES: usize = 500;
 const OWN_VARIABLES: &str = "CONICFLOW_";
 /// Stages that wait give a sign of life ten times a second.
 pub const HANG_S: RangeInclusive<f64> = 1.0..=86_400.0;
+/// So long after its start a program has to have joined a lossless topic, unless the file says otherwise: nothing goes on there
+/// without it. Python loads a neural network within a minute on the computers of robots.
+pub const TIME_TO_JOIN_S: f64 = 120.0;
 pub const JOIN_S: RangeInclusive<f64> = 1.0..=86_400.0;
 const OUTPUT_EXAMPLE: &str = "output = { topic = \"found\", kind = \"objects\" }";
 const HANG_HINT: &str = "a stage without a sign of life for so long counts as dead";
