@@ -41,12 +41,12 @@ impl Extractor {
 
     /// Adds the ellipses of the rows, or of the columns, of an image.
     pub(crate) fn look_along(&mut self, header: &Header, image: &[u16], scan: Scan) {
-        let Self { parameters, noise, view, search, coarse, ellipses, rejections, .. } = self;
+        let Self { noise, view, search, coarse, ellipses, rejections, .. } = self;
 
         // 2. View: the rows, or the columns, as planes of rays; the largest step within one surface follows from the noise
-        //    (`view.rs`).
+        //    (`view.rs`). Where noise hides the steps between surfaces, neighbouring lines are averaged (`averaging.rs`).
         view.turn(header, scan, noise);
-        let (step, coarse_step) = (parameters.line_step.max(1), coarse_step(parameters.line_step));
+        let (step, coarse_step) = (view.step, coarse_step(view.step));
 
         // 3. Coarse lines: every sixth is cut into arcs as a whole. Runs end at jumps and holes (`line.rs`), running sums give
         //    the moments of any interval (`rays.rs`, `run.rs`), segments end where neither a line nor a circle explains their
@@ -68,7 +68,7 @@ impl Extractor {
             }
             ellipses.extend_from_slice(coarse.arcs(index));
         }
-        ellipses.iter_mut().for_each(|ellipse| ellipse.line_step = parameters.line_step);
+        ellipses.iter_mut().for_each(|ellipse| ellipse.line_step = step);
     }
 }
 

@@ -190,6 +190,11 @@ impl Arcs {
         indices.iter().map(|&index| &self.arcs[index])
     }
 
+    /// How many neighbouring lines share their noise, on average over some arcs, of which there is at least one.
+    pub fn shared_lines(&self, indices: &[usize]) -> f64 {
+        self.of(indices).map(|arc| arc.shared_lines).sum::<f64>() / indices.len() as f64
+    }
+
     /// Whether an arc has any of these pixels.
     pub fn reaches(&self, index: usize, [first, last]: [i64; 2]) -> bool {
         let [start, end] = self.pixels[index];

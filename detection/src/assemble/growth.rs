@@ -127,9 +127,8 @@ pub(crate) fn is_promising(arcs: &Arcs, chain: &[usize], parameters: &AssemblerP
         return Err(Rejection::FewRows);
     }
     let bulge: f64 = chain.iter().map(|&index| arcs.arcs[index].bulge).sum();
-    let shared_lines = arcs.arcs[chain[0]].shared_lines;
     let [mean, variance] = STRAIGHT.map(|moment| moment * chain.len() as f64);
-    let variance = variance * shared_lines;
+    let variance = variance * arcs.shared_lines(chain);
     if bulge > mean + CURVED * variance.sqrt() { Ok(()) } else { Err(Rejection::Flat) }
 }
 
@@ -187,7 +186,7 @@ fn grow_on(
         std::mem::swap(members, spare);
         model = model::fit(kind, &arcs.of(members), Some(&model), f64::INFINITY)?;
         let (radius, variance) = model.radius();
-        let sigma = (variance * arcs.arcs[members[0]].shared_lines).sqrt();
+        let sigma = (variance * arcs.shared_lines(members)).sqrt();
         if radius - TOO_LARGE * sigma > parameters.max_radius_m(kind) {
             return Some(Err(Rejection::Radius));
         }

@@ -29,7 +29,7 @@ impl<'a> Region<'a> {
 
     /// How many neighbouring lines share their noise, at least 1.
     pub fn shared_lines(&self) -> f64 {
-        self.ends()[0].shared_lines
+        self.arcs.shared_lines(self.members)
     }
 
     /// The arcs of the first and the last line.

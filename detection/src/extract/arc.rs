@@ -5,7 +5,6 @@ use super::rays::Rays;
 use super::rejection::ArcRejection;
 use super::run::{FEWEST, FIRST_FIT, Run};
 use super::segments::Segment;
-use super::view::View;
 use conicflow_geometry::{ArcFit, ArcMoments, Circle, LineSums, PlaneMoments, Scan};
 use conicflow_messages::Ellipse;
 use std::ops::Range;
@@ -153,14 +152,14 @@ fn nearly_flat(rays: &Rays, moments: &ArcMoments) -> ArcFit {
 /// Where a segment ends before something behind it, on the sides on which it ends its run, in pixels. Beyond a hole may be
 /// the same surface: only a jump counts. A pixel between two jumps is of neither side.
 fn contour(rays: &Rays, segment: &Segment) -> [f64; 2] {
-    let View { jumps, parameters, .. } = rays.view;
+    let max_hole_px = rays.view.parameters.max_hole_px;
     let end = |is_end: bool, point: usize, [next, after]: [Option<(u32, u16)>; 2]| {
+        let jumps = rays.view.jumps(rays.points.pairs.get(point).copied());
         let (pixel, depth) = (rays.points.pixels[point], rays.points.depths[point]);
         let (there, other) = next.filter(|_| is_end)?;
         let is_alone = |beyond: u32, farther: u16| beyond.abs_diff(pixel) == 2 && jumps.splits(other, farther, 1);
         let (there, other) = after.filter(|(beyond, farther)| is_alone(*beyond, *farther)).unwrap_or((there, other));
-        let is_behind =
-            other > depth && jumps.splits(depth, other, there.abs_diff(pixel).min(parameters.max_hole_px + 1));
+        let is_behind = other > depth && jumps.splits(depth, other, there.abs_diff(pixel).min(max_hole_px + 1));
         is_behind.then(|| f64::from(pixel) + 0.5 * (f64::from(there) - f64::from(pixel)).clamp(-MAX_GAP, MAX_GAP))
     };
     let ([starts_run, ends_run], [before, behind]) = (reaches_ends(rays, segment), rays.points.neighbors);
@@ -249,6 +248,7 @@ fn strays(run: &Run, others: Range<usize>, few: Range<usize>) -> bool {
 fn message(rays: &Rays, image: &[u16], points: Range<usize>, fit: &ArcFit, moments: &PlaneMoments) -> Ellipse {
     let [first, last] = [points.start, points.end - 1];
     let radius = fit.circle.radius;
+    let unaveraged = rays.unaveraged(points.clone());
     let beyond = rays.view.parameters.trim_px + BEYOND + points.len() as u32 / BEYOND_POINTS;
     let from_front = |point: usize| {
         let [s, t] = rays.point(point);
@@ -260,9 +260,9 @@ fn message(rays: &Rays, image: &[u16], points: Range<usize>, fit: &ArcFit, momen
         first: rays.pixel(first),
         last: rays.pixel(last),
         points: points.len() as u32,
-        sigma: rays.depth_variance((first + last) / 2).sqrt(),
+        sigma: (rays.averaged_variance((first + last) / 2) * unaveraged).sqrt(),
         shared_px: rays.view.correlation_px[0],
-        shared_lines: rays.view.correlation_px[1],
+        shared_lines: rays.view.correlation_px[1] / unaveraged,
         beyond_px: beyond,
         unbiased: 1,
         center: rays.plane().to_camera(fit.circle.center).into(),

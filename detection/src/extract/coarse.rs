@@ -17,9 +17,8 @@ const MARGIN_PX: u32 = 16; // [tuned]
 /// One further pixel is searched for each so many pixels of the arc.
 const MARGIN_SHARE: u32 = 4; // [tuned]
 
-/// Every how many lines one is looked at as a whole, where every `line_step`th is looked at at all.
-pub(crate) fn coarse_step(line_step: u32) -> u32 {
-    let step = line_step.max(1);
+/// Every how many lines one is looked at as a whole, where every `step`th is looked at at all.
+pub(crate) fn coarse_step(step: u32) -> u32 {
     step * (COARSE_STEP / step).max(1)
 }
 

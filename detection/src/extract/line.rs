@@ -1,6 +1,6 @@
 //! One scan line, or a window of it: its measurements, split into runs at jumps and holes.
 
-use super::view::{BATCH, JumpRule, View};
+use super::view::{BATCH, DepthBuffer, View};
 use conicflow_geometry::{Pinhole, Scan, ScanPlane};
 use conicflow_messages::is_measured;
 use std::ops::Range;
@@ -16,14 +16,15 @@ pub(super) struct RayLine {
     window: Range<u32>,
     /// Number of measurements.
     count: usize,
-    /// The pixels of a column side by side.
-    column: Vec<u16>,
+    buffer: DepthBuffer,
     /// Pixel of each measurement.
     pixels: Vec<u32>,
     /// Depth of each measurement, in units of the image.
     depths: Vec<u16>,
     /// Depth of each measurement, in metres.
     metres: Vec<f64>,
+    /// How many neighbours on either side count in each; empty where lines are not averaged.
+    pairs: Vec<u16>,
     runs: Vec<Range<usize>>,
 }
 
@@ -34,10 +35,11 @@ impl Default for RayLine {
             plane: Pinhole { fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 }.plane(Scan::Row, 0.0),
             window: 0..0,
             count: 0,
-            column: Vec::new(),
+            buffer: DepthBuffer::default(),
             pixels: Vec::new(),
             depths: Vec::new(),
             metres: Vec::new(),
+            pairs: Vec::new(),
             runs: Vec::new(),
         }
     }
@@ -52,11 +54,13 @@ impl RayLine {
             self.depths.resize(window.len(), 0);
             self.metres.resize(window.len(), 0.0);
         }
-        let mut column = std::mem::take(&mut self.column);
-        let depths = view.depths(image, line, &window, &mut column);
+        let mut buffer = std::mem::take(&mut self.buffer);
+        let (depths, pairs) = view.depths(image, line, &window, &mut buffer);
         self.count = self.gather(view, window.start, depths);
-        self.column = column;
-        self.split(&view.jumps);
+        self.pairs.clear();
+        self.pairs.extend(pairs.iter().zip(depths).filter(|(_, depth)| is_measured(**depth)).map(|(pairs, _)| *pairs));
+        self.buffer = buffer;
+        self.split(view);
         self.window = window;
     }
 
@@ -82,14 +86,15 @@ impl RayLine {
         count
     }
 
-    fn split(&mut self, rule: &JumpRule) {
+    fn split(&mut self, view: &View) {
         self.runs.clear();
         let (pixels, depths) = (&self.pixels[..self.count], &self.depths[..self.count]);
         let mut start = 0;
         for first in (0..self.count).step_by(BATCH) {
-            for at in places(&rule.doubtful(&pixels[first..], &depths[first..])) {
+            for at in places(&view.jumps(None).doubtful(&pixels[first..], &depths[first..])) {
                 let last = first + at;
-                if rule.splits(depths[last], depths[last + 1], pixels[last + 1] - pixels[last]) {
+                let pairs = self.pairs.get(last..last + 2).map(|pairs| pairs[0].min(pairs[1]));
+                if view.jumps(pairs).splits(depths[last], depths[last + 1], pixels[last + 1] - pixels[last]) {
                     self.runs.push(start..last + 1);
                     start = last + 1;
                 }
@@ -120,6 +125,7 @@ impl RayLine {
             pixels: &self.pixels[points.clone()],
             depths: &self.depths[points.clone()],
             metres: &self.metres[points.clone()],
+            pairs: self.pairs.get(points.clone()).unwrap_or_default(),
             neighbors: [
                 [1, 2].map(|by| self.measurement(points.start.checked_sub(by)?)),
                 [0, 1].map(|by| self.measurement(points.end + by)),
@@ -155,6 +161,8 @@ pub(super) struct Points<'a> {
     pub depths: &'a [u16],
     /// Depths, in metres.
     pub metres: &'a [f64],
+    /// How many neighbours on either side count in each; empty where lines are not averaged.
+    pub pairs: &'a [u16],
     /// Pixel and depth of the two measurements before the run and of those behind it, the nearer first, in the window.
     pub neighbors: [[Option<(u32, u16)>; 2]; 2],
     /// Whether the run goes on beyond the window, before the first point and behind the last.

@@ -11,6 +11,7 @@
 //! `Extractor::extract` in `method.rs`.
 
 mod arc;
+mod averaging;
 pub(crate) mod coarse;
 mod line;
 mod noise_estimate;
@@ -84,6 +85,15 @@ impl Extractor {
         let noise = noise_level::estimate(&self.view, image, &mut self.search, &mut self.samples);
         self.view.turn(header, Scan::Row, &noise);
         let correlation_px = noise_planes::correlation_px(&self.view, image, &mut self.squares).unwrap_or(UNSEEN);
-        NoiseEstimate { correlation_px, ..noise }
+        let noise = NoiseEstimate { correlation_px, ..noise };
+        let range = self.samples.range();
+        let averaged = [Scan::Row, Scan::Column].map(|scan| {
+            self.view.turn(header, scan, &noise);
+            let [_, across] = self.view.correlation_px;
+            // Over the depth, noise in steps is greatest at one end.
+            let lines = |depth: f64| averaging::lines(self.view.noise_in_steps(depth), across);
+            range.map_or(1, |range| range.map(lines).into_iter().max().unwrap_or(1))
+        });
+        NoiseEstimate { averaged, ..noise }
     }
 }

@@ -1,5 +1,6 @@
 //! What is known of the noise of an image.
 
+use conicflow_geometry::Scan;
 use conicflow_messages::NoiseModel;
 
 /// The noise of an image.
@@ -14,6 +15,8 @@ pub(crate) struct NoiseEstimate {
     pub nominal: [f64; 2],
     /// How many neighbours in a row, and in a column, share it (`noise_planes.rs`), at least 1.
     pub correlation_px: [f64; 2],
+    /// How many neighbouring rows, and how many columns, are averaged against it (`averaging.rs`); 1: none.
+    pub averaged: [u32; 2],
 }
 
 impl NoiseEstimate {
@@ -30,6 +33,16 @@ impl NoiseEstimate {
             neighbour_model: model.times(level.max(1.0).sqrt()),
             nominal: [level; 2],
             correlation_px: [1.0; 2],
+            averaged: [1; 2],
+        }
+    }
+
+    /// How many pixels along a line, and how many lines, share the noise, and how many lines are averaged.
+    pub fn seen_along(&self, scan: Scan) -> ([f64; 2], u32) {
+        let ([rows, columns], [of_rows, of_columns]) = (self.correlation_px, self.averaged);
+        match scan {
+            Scan::Row => ([rows, columns], of_rows),
+            Scan::Column => ([columns, rows], of_columns),
         }
     }
 }

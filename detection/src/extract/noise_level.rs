@@ -43,6 +43,8 @@ const DIFFERENT: f64 = 1.3; // [tuned]
 const DISTANT: f64 = 1.15; // [tuned]
 /// The logarithm of the ratio of the noise levels has to exceed zero by so many of its standard deviations.
 const SURE: f64 = 3.5; // [sigmas]
+/// One sample in so many is nearer than what is near, and farther than what is far.
+const OUTER: usize = 20; // [algorithmic]
 /// Number of times that a noise model is put through both halves; each comes closer to how the noise grows.
 const ROUNDS: usize = 4; // [algorithmic]
 
@@ -58,6 +60,18 @@ struct NoiseSample {
 pub(super) struct NoiseSamples {
     of_neighbors: Vec<NoiseSample>,
     of_curves: Vec<NoiseSample>,
+}
+
+impl NoiseSamples {
+    /// Depths of what is near and of what is far in the image that was looked at last: one in [`OUTER`] of what is smooth in it
+    /// is nearer, or farther. `None` where too little is.
+    pub fn range(&mut self) -> Option<[f64; 2]> {
+        let count = self.of_neighbors.len();
+        let outer = count / OUTER;
+        let by_depth = |a: &NoiseSample, b: &NoiseSample| a.depth.total_cmp(&b.depth);
+        let mut depth = |rank: usize| self.of_neighbors.select_nth_unstable_by(rank, by_depth).1.depth;
+        (outer > 0).then(|| [outer, count - 1 - outer].map(&mut depth))
+    }
 }
 
 /// The half of an image that is nearer, or farther.
@@ -120,7 +134,7 @@ fn of_another_growth(
     }
     let nominal = depths.map(|depth| model.variance(depth) / view.variance(depth));
     let neighbour_model = through(depths, nominal.map(|level| level.max(1.0).sqrt()), |depth| view.variance(depth));
-    NoiseEstimate { model, level: 1.0, neighbour_model, nominal, correlation_px: [1.0; 2] }
+    NoiseEstimate { neighbour_model, nominal, ..NoiseEstimate::nominal(model) }
 }
 
 /// Whether the noise of what is near and of what is far surely differs from the model by different factors.

@@ -35,14 +35,19 @@ pub(super) struct Rays<'a> {
 ///
 /// The variance of each measurement is that at the mean depth of its surroundings: were it taken at the measured depth,
 /// it would go with the noise and spoil the moments that it is to correct.
-fn weigh(view: &View, depths: &[u16], variances: &mut Vec<f64>) {
+///
+/// Where fewer lines could be averaged than elsewhere, it is as much greater.
+fn weigh(view: &View, points: &Points, variances: &mut Vec<f64>) {
     variances.clear();
-    let (blocks, rest) = depths.as_chunks::<SURROUNDINGS>();
+    let (blocks, rest) = points.depths.as_chunks::<SURROUNDINGS>();
     let total = |depths: &[u16]| f64::from(depths.iter().map(|&depth| u32::from(depth)).sum::<u32>());
     let per_point = view.scale / SURROUNDINGS as f64;
     variances.extend(blocks.iter().map(|block| view.variance(total(block) * per_point)));
     if !rest.is_empty() {
         variances.push(view.variance(total(rest) * (view.scale / rest.len() as f64)));
+    }
+    for (variance, pairs) in variances.iter_mut().zip(points.pairs.chunks(SURROUNDINGS)) {
+        *variance *= view.unaveraged(pairs);
     }
 }
 
@@ -51,7 +56,7 @@ impl<'a> Rays<'a> {
     pub fn new(view: &'a View, line: &'a RayLine, index: usize, buffers: &'a mut RayBuffers) -> Self {
         let points = line.run(view, index);
         let RayBuffers { slopes, variances } = buffers;
-        weigh(view, points.depths, variances);
+        weigh(view, &points, variances);
         let (length, slopes) = (points.depths.len(), view.slopes(points.pixels, slopes));
         let ends = (view.parameters.trim_px as usize).min(length / 4);
         let (inner, stretch) = (ends..length - ends, line.plane.stretch());
@@ -108,10 +113,21 @@ impl<'a> Rays<'a> {
         LineSums::of(self.parts(points))
     }
 
+    /// Mean variance of some points, in that of those over which all lines were averaged.
+    pub fn unaveraged(&self, points: Range<usize>) -> f64 {
+        self.view.unaveraged(self.points.pairs.get(points).unwrap_or_default())
+    }
+
     /// Variance of the sensor at a point, along the depth.
     #[inline]
     pub fn depth_variance(&self, point: usize) -> f64 {
         self.variances[point / SURROUNDINGS]
+    }
+
+    /// The same, were all lines averaged over it.
+    pub fn averaged_variance(&self, point: usize) -> f64 {
+        let from = point - point % SURROUNDINGS;
+        self.depth_variance(point) / self.unaveraged(from..(from + SURROUNDINGS).min(self.length))
     }
 
     /// Variance of the sensor in the middle of an interval, in the scan plane.

@@ -234,6 +234,64 @@ fn silhouettes_and_creases_are_not_taken_for_noise() {
     }
 }
 
+/// What is noisy by so much, from pixel to pixel: a can before a wall, of this width in pixels.
+fn noisy_can(sigma_m: f64, width: u32) -> (Header, Vec<u16>) {
+    let noise = NoiseModel { floor_m: sigma_m, ..NoiseModel::IDEAL };
+    let scale = f64::from(width) / f64::from(KINECT_HALF.width);
+    let Camera { fx, fy, cx, cy, .. } = KINECT_HALF;
+    let [fx, fy, cx, cy] = [fx, fy, cx, cy].map(|pixels| pixels * scale);
+    let camera = Camera { width, height: width * 3 / 4, fx, fy, cx, cy };
+    render(camera, noise, &[can(0.0, 2.0, 0.2), wall(2.6)], 1)
+}
+
+#[test]
+fn lines_are_averaged_where_noise_hides_their_jumps() {
+    for (sigma_m, width, averaged, step) in [(0.003, 320, 1, 1), (0.03, 320, 5, 1), (0.03, 1280, 5, 2)] {
+        let image = noisy_can(sigma_m, width);
+        let mut extractor = Extractor::new(config(ScanLines::Both));
+        let arcs = extractor.extract(&image.0, &image.1).to_vec();
+        assert_eq!(extractor.noise.averaged, [averaged; 2], "{sigma_m}");
+        for scan in [0, 1] {
+            let mut wide: Vec<&Ellipse> = arcs.iter().filter(|arc| arc.scan == scan && arc.points > 20).collect();
+            wide.sort_by(|a, b| a.sigma.total_cmp(&b.sigma));
+            assert!(!wide.is_empty(), "no arc of scan {scan} at {sigma_m}");
+            let arc = wide[wide.len() / 2];
+            let ratio = arc.sigma / sigma_m * f64::from(averaged).sqrt();
+            assert!((0.85..1.25).contains(&ratio), "{ratio} at {sigma_m}, {width}");
+            let shared = arc.shared_lines / f64::from(averaged);
+            assert!((0.9..1.6).contains(&shared) && arc.line_step == step, "{shared} at {sigma_m}, {width}");
+        }
+    }
+}
+
+#[test]
+fn what_could_not_be_averaged_is_as_noisy_as_it_is() {
+    let mut arcs = arcs(config(ScanLines::Rows), &noisy_can(0.03, 640));
+    arcs.retain(|arc| arc.points > 80 && (0.15..0.25).contains(&arc.half_width));
+    // Above the upper end of the can is the wall.
+    let first = arcs[0];
+    arcs.sort_by(|a, b| a.sigma.total_cmp(&b.sigma));
+    let within = &arcs[arcs.len() / 2];
+    assert!(first.sigma > 1.2 * within.sigma && first.shared_lines < 0.7 * within.shared_lines, "{first:?} {within:?}");
+}
+
+#[test]
+fn a_can_in_much_noise_ends_where_it_does() {
+    let image = noisy_can(0.02, 640);
+    let arcs = arcs(config(ScanLines::Rows), &image);
+    // The silhouette of the can, at the tangents from the camera, on both sides of the middle.
+    let edge = image.0.camera.fx * 0.2 / (2.0_f64.powi(2) - 0.2_f64.powi(2)).sqrt();
+    let mut off: Vec<f64> = arcs
+        .iter()
+        .flat_map(|arc| [image.0.camera.cx - arc.contour[0], arc.contour[1] - image.0.camera.cx])
+        .map(|place| place - edge)
+        .filter(|off| off.abs() < 10.0)
+        .collect();
+    off.sort_by(f64::total_cmp);
+    assert!(off.len() > 200, "{} ends before the wall", off.len());
+    assert!(off[off.len() / 2].abs() < 2.0, "{} pixels", off[off.len() / 2]);
+}
+
 fn points_of_arcs(room: &(Header, Vec<u16>)) -> f64 {
     arcs(config(ScanLines::Both), room).iter().map(|arc| f64::from(arc.points)).sum()
 }

@@ -1,5 +1,6 @@
 //! What all scan lines of one direction of a depth image have in common.
 
+use super::averaging::{self, Averaging};
 use super::noise_estimate::NoiseEstimate;
 use super::parameters::ExtractorParameters;
 use crate::camera::pinhole;
@@ -36,6 +37,8 @@ pub(crate) struct View {
     pub lines: u32,
     /// Number of pixels of each.
     pub length: u32,
+    /// Every how many lines one is looked at.
+    pub step: u32,
     /// Metres per unit of a pixel.
     pub scale: f64,
     camera: Pinhole,
@@ -44,12 +47,14 @@ pub(crate) struct View {
     pub noise: NoiseModel,
     /// Variance of the sensor, in variances of its model or, where that is greater, of rounding.
     level: f64,
-    /// How many neighbouring pixels share their noise.
+    /// How many neighbouring pixels of a line, and how many lines, share their noise.
     pub correlation_px: [f64; 2],
+    /// How neighbouring lines are averaged.
+    averaging: Averaging,
     /// Variance that rounding to the unit of the image makes at the least.
     pub least: f64,
-    /// The rule by which a line is split.
-    pub jumps: JumpRule,
+    /// The rules by which a line is split, by how many neighbours on either side count: the last holds where all do.
+    jumps: Vec<JumpRule>,
     /// Slope of the ray of each pixel.
     slopes: Vec<f64>,
     /// Largest mean square error of so many points, in variances.
@@ -63,14 +68,16 @@ impl View {
             scan: Scan::Row,
             lines: 0,
             length: 0,
+            step: 1,
             scale: 0.0,
             camera: Pinhole { fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 },
             width: 0,
             noise: NoiseModel::IDEAL,
             level: 1.0,
             correlation_px: [1.0; 2],
+            averaging: Averaging::default(),
             least: 0.0,
-            jumps: JumpRule::new(&NoiseModel::IDEAL, 1.0, 0.0, 0),
+            jumps: Vec::new(),
             slopes: Vec::new(),
             limits: Vec::new(),
         }
@@ -80,16 +87,24 @@ impl View {
     pub fn turn(&mut self, header: &Header, scan: Scan, noise: &NoiseEstimate) {
         let size = [header.camera.height, header.camera.width];
         [self.lines, self.length] = if scan == Scan::Row { size } else { [size[1], size[0]] };
+        self.step = self.parameters.line_step.max(1) * averaging::step(noise.averaged, size);
         (self.scan, self.camera, self.width) = (scan, pinhole(&header.camera), size[1] as usize);
-        (self.noise, self.level, self.scale) = (noise.model, noise.level, header.depth_scale);
-        let [rows, columns] = noise.correlation_px;
-        self.correlation_px = if scan == Scan::Row { [rows, columns] } else { [columns, rows] };
+        let ([along, across], averaged) = noise.seen_along(scan);
+        // What is left of the noise of one line, and neighbouring means share.
+        let left = averaging::variance(averaged, across);
+        (self.noise, self.level, self.scale) = (noise.model, left * noise.level, header.depth_scale);
+        self.correlation_px = [along, across / left];
+        self.averaging.set(averaged, across);
         self.least = self.scale * self.scale / 12.0;
         let pitch = self.camera.pixel_pitch(scan);
         let rounding = self.least.sqrt() * noise.level.max(1.0).sqrt();
-        let neighbour_model =
-            NoiseModel { floor_m: noise.neighbour_model.floor_m.max(rounding), ..noise.neighbour_model };
-        self.jumps = JumpRule::new(&neighbour_model, self.scale, pitch, self.parameters.max_hole_px);
+        let (scale, max_hole_px) = (self.scale, self.parameters.max_hole_px);
+        self.jumps.clear();
+        self.jumps.extend((0..=self.averaging.reach()).map(|pairs| {
+            let model = noise.neighbour_model.times(averaging::variance(2 * pairs + 1, across).sqrt());
+            let model = NoiseModel { floor_m: model.floor_m.max(rounding), ..model };
+            JumpRule::new(&model, scale, pitch, max_hole_px)
+        }));
         self.slopes.clear();
         self.slopes.extend((0..self.length).map(|pixel| self.camera.ray_slope(scan, f64::from(pixel))));
         let independent = |points: usize| points.saturating_sub(1) as f64 / self.correlation_px[0] + 1.0;
@@ -119,19 +134,51 @@ impl View {
         &image[line as usize * self.width..][..self.width]
     }
 
-    /// The pixels `window` of a scan line; those of a column are copied side by side into `column`.
-    pub fn depths<'a>(&self, image: &'a [u16], line: u32, window: &Range<u32>, column: &'a mut Vec<u16>) -> &'a [u16] {
-        let (line, first, last) = (line as usize, window.start as usize, window.end as usize);
-        if self.scan == Scan::Row {
-            return &image[line * self.width + first..line * self.width + last];
+    /// The pixels `window` of a scan line; averaged over its neighbours where noise asks for it, and then with how many of
+    /// these on either side count, else with nothing.
+    pub fn depths<'a>(
+        &self,
+        image: &'a [u16],
+        line: u32,
+        window: &Range<u32>,
+        buffer: &'a mut DepthBuffer,
+    ) -> (&'a [u16], &'a [u16]) {
+        let DepthBuffer { columns, means, pairs } = buffer;
+        let (first, length) = (window.start as usize, window.len());
+        // As many on one side as on the other.
+        let reach = self.averaging.reach().min(line).min(self.lines - 1 - line);
+        let beside = (line - reach) as usize..(line + reach + 1) as usize;
+        let (pixels, from, apart): (&[u16], _, _) = if self.scan == Scan::Row {
+            (image, beside.start * self.width + first, self.width)
+        } else {
+            columns.resize(columns.len().max(beside.len() * length), 0);
+            for (row, pixels) in image.chunks(self.width).skip(first).take(length).enumerate() {
+                for (column, &depth) in pixels[beside.clone()].iter().enumerate() {
+                    columns[column * length + row] = depth;
+                }
+            }
+            (columns.as_slice(), 0, length)
+        };
+        let line = |by: i64| &pixels[from + (i64::from(reach) + by) as usize * apart..][..length];
+        if self.averaging.reach() == 0 {
+            return (line(0), &[]);
         }
-        column.resize(column.len().max(window.len()), 0);
-        let mut at = first * self.width + line;
-        for depth in &mut column[..window.len()] {
-            *depth = image[at];
-            at += self.width;
+        for buffer in [&mut *means, &mut *pairs] {
+            buffer.resize(buffer.len().max(length), 0);
         }
-        &column[..window.len()]
+        self.averaging.average(&self.jumps[0].least, reach, line, &mut means[..length], &mut pairs[..length]);
+        (&means[..length], &pairs[..length])
+    }
+
+    /// Mean variance of some pixels of which so many on either side count, in that of those of which all do.
+    pub fn unaveraged(&self, pairs: &[u16]) -> f64 {
+        self.averaging.variance(pairs)
+    }
+
+    /// The rule by which a line is split where so many neighbours on either side count; of `None` all do.
+    pub fn jumps(&self, pairs: Option<u16>) -> &JumpRule {
+        let all = self.jumps.len() - 1;
+        &self.jumps[pairs.map_or(all, usize::from)]
     }
 
     /// Depth of a pixel, in metres, if it is inside the image and measured.
@@ -148,11 +195,26 @@ impl View {
         (self.level * self.noise.variance(depth).max(self.least)).max(self.least)
     }
 
+    /// Noise at a depth between neighbouring pixels of a line, in steps of the steepest surface from one to the next.
+    pub fn noise_in_steps(&self, depth: f64) -> f64 {
+        let step = JUMP_SLOPE * depth * self.camera.pixel_pitch(self.scan);
+        JUMP_SIGMAS * self.variance(depth).sqrt() / step
+    }
+
     /// Largest mean square error of `points` points that noise of this variance accounts for.
     #[inline]
     pub fn limit(&self, variance: f64, points: usize) -> f64 {
         variance * self.limits[points] + LEAST_SQUARE
     }
+}
+
+/// Where the pixels of a line are put together; used again for the next.
+#[derive(Debug, Default)]
+pub(crate) struct DepthBuffer {
+    /// Columns one behind another.
+    columns: Vec<u16>,
+    means: Vec<u16>,
+    pairs: Vec<u16>,
 }
 
 /// Whether two measurements in a row may lie on one surface.
@@ -173,7 +235,7 @@ pub(crate) struct JumpRule {
 /// A lower bound of the largest step between neighbours on one surface, in whole numbers: processors compare eight at a
 /// time.
 #[derive(Clone, Copy, Debug)]
-struct LeastStep {
+pub(super) struct LeastStep {
     /// In units of the image.
     floor: u16,
     knee: u16,
@@ -185,7 +247,7 @@ struct LeastStep {
 }
 
 impl LeastStep {
-    fn new(noise: &NoiseModel, scale: f64, pitch: f64) -> Self {
+    pub fn new(noise: &NoiseModel, scale: f64, pitch: f64) -> Self {
         let (sigmas, whole) = (BELOW * JUMP_SIGMAS, f64::from(1 << 16));
         let per_square = sigmas * whole * whole * scale;
         Self {
@@ -199,13 +261,20 @@ impl LeastStep {
 
     #[inline]
     fn step(&self, near: u16) -> u16 {
+        let [noise, slope] = self.noise_and_slope(near);
+        noise.saturating_add(slope)
+    }
+
+    /// What noise, and what the slope of a surface adds to the step.
+    #[inline]
+    pub fn noise_and_slope(&self, near: u16) -> [u16; 2] {
         let high = |a: u16, b: u16| ((u32::from(a) * u32::from(b)) >> 16) as u16;
         let beyond_knee = near.saturating_sub(self.knee);
         let axial = self.floor.saturating_add(high(high(beyond_knee, beyond_knee), self.growth));
         let quantum = high(high(near, near), self.quantum);
         // The root of the sum of two squares is at least their sum over that of two.
         let noise = axial.max(quantum).max(high(axial.saturating_add(quantum), ROOT_HALF));
-        noise.saturating_add(high(near, self.slope))
+        [noise, high(near, self.slope)]
     }
 }
 
@@ -276,7 +345,7 @@ mod tests {
             Scan::Row,
             &NoiseEstimate::nominal(noise),
         );
-        view.jumps
+        *view.jumps(None)
     }
 
     #[test]
@@ -304,7 +373,7 @@ mod tests {
         let mut view = View::with(ExtractorParameters::default());
         let header = Header { camera, noise: NoiseModel::IDEAL, depth_scale: 1e-3, ..Header::default() };
         view.turn(&header, Scan::Row, &NoiseEstimate::nominal(header.noise));
-        assert!(!view.jumps.splits(300, 301, 1), "one unit on a smooth surface");
+        assert!(!view.jumps(None).splits(300, 301, 1), "one unit on a smooth surface");
         assert!((view.variance(0.3) - 1e-6 / 12.0).abs() < 1e-20);
         view.turn(&header, Scan::Row, &NoiseEstimate { level: 12.0, ..NoiseEstimate::nominal(header.noise) });
         assert!((view.variance(0.3) - 1e-6).abs() < 1e-18, "as noisy as the image is");

@@ -1,0 +1,191 @@
+//! Lines that are read as the mean of themselves and their neighbours, where one alone hides its jumps in noise.
+//!
+//! A line is split where neighbouring pixels differ by more than one surface and the noise explain. Where the noise exceeds
+//! the step of a steep surface, a thing runs into what lies behind it. The lines beside it show the same things: the mean of k
+//! lines of independent noise has a k-th of its variance. Neighbouring means share their noise instead, as they would with
+//! a camera that compares windows: what all lines of an object tell together stays as it is.
+//!
+//! Each pixel is averaged over as many lines as bring its noise down to that step and no more: where a surface bends across
+//! the lines, the mean lies behind it. Of two pixels on either side both count or neither, so that a slope does not move the mean, and what is beyond a jump does
+//! not count, so that silhouettes stay where they are.
+
+use super::view::LeastStep;
+use conicflow_messages::is_measured;
+
+/// Most lines that are averaged: the contour of a small thing changes from line to line.
+const MOST: u32 = 5; // [tuned]
+/// Means of as many lines as are averaged at most are looked at at every second line, if so many are left: their neighbours
+/// tell hardly more, but the smallest things have to be seen in enough of them.
+const ENOUGH: u32 = 480; // [tuned]
+/// Lines of which more share their noise are not averaged: their mean keeps most of it.
+const INDEPENDENT: f64 = 2.0; // [tuned]
+/// Number of pixels that are averaged together.
+const BATCH: usize = 64; // [algorithmic]
+/// Farther off than so many units no pixel counts: four of them are still a number of 16 bits.
+const MOST_OFF: u16 = 8191; // [algorithmic]
+/// Shares are told in parts of this, and rounded at half of it.
+const WHOLE: i64 = 1 << 16; // [algorithmic]
+const HALF: i32 = 1 << 15; // [derived]
+
+/// How many lines are averaged where the noise of one is `excess` times the step of a steep surface from pixel to pixel, and
+/// this number of neighbouring lines share it: as many as bring it down to that step; an odd number, 1 for none.
+pub(super) fn lines(excess: f64, shared_lines: f64) -> u32 {
+    if shared_lines > INDEPENDENT {
+        return 1;
+    }
+    (1..MOST).step_by(2).find(|&lines| excess * excess * variance(lines, shared_lines) <= 1.0).unwrap_or(MOST)
+}
+
+/// Variance of the mean of some lines, in variances of one, where this number of neighbouring lines share their noise.
+///
+/// The correlation of lines that are i apart is taken as `r^i`, so that `(1 + r) / (1 - r)` of them count as one.
+pub(super) fn variance(lines: u32, shared_lines: f64) -> f64 {
+    let correlation = (shared_lines - 1.0) / (shared_lines + 1.0);
+    let apart = |i: u32| 2.0 * f64::from(lines - i) * correlation.powi(i.cast_signed());
+    (f64::from(lines) + (1..lines).map(apart).sum::<f64>()) / f64::from(lines * lines)
+}
+
+/// Every how many lines one is enough, of an image that has so many rows and columns of which so many are averaged.
+pub(super) fn step(averaged: [u32; 2], lines: [u32; 2]) -> u32 {
+    let steps = averaged.into_iter().zip(lines).map(|(averaged, lines)| (averaged / 2).min(lines / ENOUGH));
+    steps.min().unwrap_or(1).max(1)
+}
+
+/// How lines are averaged.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Averaging {
+    /// For each line on either side, from the nearest on: the standard deviation that the mean of the nearer ones has, in parts
+    /// of [`WHOLE`] of that of one line.
+    left: Vec<u16>,
+    /// Variance of a pixel of which so many on either side count, in that of one of which all do.
+    variances: Vec<f64>,
+}
+
+impl Averaging {
+    /// The mean of at most so many lines, of which this number share their noise.
+    pub fn set(&mut self, lines: u32, shared_lines: f64) {
+        let reach = lines / 2;
+        let of = |pairs: u32| variance(2 * pairs + 1, shared_lines);
+        self.left.clear();
+        self.left.extend((0..reach).map(|nearer| (of(nearer).sqrt() * WHOLE as f64) as u16));
+        self.variances.clear();
+        self.variances.extend((0..=reach).map(|pairs| of(pairs) / of(reach)));
+    }
+
+    /// Number of lines on either side that count at most.
+    pub fn reach(&self) -> u32 {
+        self.left.len() as u32
+    }
+
+    /// Mean variance of some pixels of which so many on either side count, in that of those of which all do; 1 of none.
+    pub fn variance(&self, pairs: &[u16]) -> f64 {
+        if pairs.is_empty() {
+            return 1.0;
+        }
+        pairs.iter().map(|&pairs| self.variances[usize::from(pairs)]).sum::<f64>() / pairs.len() as f64
+    }
+
+    /// The mean of a line and of at most `reach` lines on either side, and of each pixel how many of these on either side
+    /// count. `line` gives so many pixels of the one that is so far from it, as many as `means` and `pairs` have; `jump` tells
+    /// how far pixels of one surface differ.
+    ///
+    /// It is told as what its neighbours add to a pixel, in whole numbers: processors look at eight of them at a time.
+    pub fn average<'a>(
+        &self,
+        jump: &LeastStep,
+        reach: u32,
+        line: impl Fn(i64) -> &'a [u16],
+        means: &mut [u16],
+        pairs: &mut [u16],
+    ) {
+        for (index, (means, pairs)) in means.chunks_mut(BATCH).zip(pairs.chunks_mut(BATCH)).enumerate() {
+            let batch = |by: i64| &line(by)[index * BATCH..][..means.len()];
+            let middle = batch(0);
+            // All ones where no jump was met yet; how far what counts is off, in all; and the share of one of it.
+            let (mut goes_on, mut off, mut share) = ([u16::MAX; BATCH], [0_u16; BATCH], [0_u16; BATCH]);
+            pairs.fill(0);
+            for (by, &left) in (1..=i64::from(reach)).zip(&self.left) {
+                let (before, behind, of_so_many) = (batch(-by), batch(by), (WHOLE / (2 * by + 1)) as u16);
+                for (at, ((&before, &behind), &middle)) in before.iter().zip(behind).zip(middle).enumerate() {
+                    let [noise, slope] = jump.noise_and_slope(middle);
+                    let limit = noise.saturating_add(slope).min(MOST_OFF);
+                    let is_near = |depth: u16| is_measured(depth) & (depth.abs_diff(middle) <= limit);
+                    let is_hidden = ((u32::from(noise) * u32::from(left)) >> 16) as u16 > slope;
+                    let both = is_hidden & is_measured(middle) & is_near(before) & is_near(behind);
+                    goes_on[at] &= u16::from(both).wrapping_neg();
+                    let pair = before.wrapping_sub(middle).wrapping_add(behind.wrapping_sub(middle));
+                    off[at] = off[at].wrapping_add(pair & goes_on[at]);
+                    share[at] = (of_so_many & goes_on[at]) | (share[at] & !goes_on[at]);
+                    pairs[at] += goes_on[at] & 1;
+                }
+            }
+            for (at, (mean, &middle)) in means.iter_mut().zip(middle).enumerate() {
+                let times_whole = i32::from(off[at].cast_signed()) * i32::from(share[at].cast_signed());
+                *mean = middle.wrapping_add(((times_whole + HALF) >> 16) as u16);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use conicflow_messages::NoiseModel;
+
+    #[test]
+    fn as_many_lines_are_averaged_as_bring_the_noise_down_to_the_step() {
+        let of = |excess: f64| lines(excess, 1.0);
+        assert_eq!([0.0, 1.0, 1.01, 1.7, 1.75, 9.0].map(of), [1, 1, 3, 3, 5, MOST]);
+        assert_eq!([1.0, 1.5, INDEPENDENT].map(|shared| lines(1.6, shared)), [3, 5, MOST], "what is shared is kept");
+        assert_eq!(lines(9.0, 1.01 * INDEPENDENT), 1);
+    }
+
+    #[test]
+    fn the_mean_keeps_what_its_lines_share() {
+        assert_eq!([1, 3, 5].map(|lines| variance(lines, 1.0)), [1.0, 1.0 / 3.0, 0.2]);
+        // Neighbours are correlated by 1/2: (3 + 2 (2/2 + 1/4)) / 9.
+        assert!((variance(3, 3.0) - 5.5 / 9.0).abs() < 1e-12);
+        assert!((0.99..1.0).contains(&variance(5, 1000.0)));
+    }
+
+    #[test]
+    fn means_that_overlap_are_looked_at_at_every_second_line_of_a_large_image() {
+        let sizes = [[480, 640], [958, 1280], [960, 1280], [2160, 3840]];
+        assert_eq!(sizes.map(|size| step([5; 2], size)), [1, 1, 2, 2]);
+        assert_eq!([[3, 5], [1, 1]].map(|averaged| step(averaged, [960, 1280])), [1, 1]);
+    }
+
+    /// The mean of the middle one of five lines that step by up to 10 units of noise and one of slope within a surface; and how
+    /// many on either side count.
+    fn mean(lines: &[[u16; 6]; 5]) -> ([u16; 6], [u16; 6]) {
+        let jump = LeastStep::new(&NoiseModel { floor_m: 0.0026, ..NoiseModel::IDEAL }, 0.001, 0.0005);
+        assert_eq!(jump.noise_and_slope(1000), [10, 1]);
+        let (mut means, mut pairs) = ([0; 6], [9; 6]);
+        let mut averaging = Averaging::default();
+        averaging.set(5, 1.0);
+        averaging.average(&jump, 2, |by| &lines[(2 + by) as usize], &mut means, &mut pairs);
+        (means, pairs)
+    }
+
+    #[test]
+    fn pairs_count_up_to_the_first_jump() {
+        let lines = [
+            [1009, 991, 1009, 1003, 65535, 1010],
+            [1004, 995, 1300, 1004, 1005, 1000],
+            [1000, 1000, 1000, 0, 1000, 65535],
+            [1003, 1005, 1003, 1003, 1005, 1000],
+            [1009, 1009, 1009, 1004, 1005, 1010],
+        ];
+        // All five, of which the sum is off by 25; a slope; beyond a jump; nothing measured; three, as a fifth is not measured.
+        assert_eq!(mean(&lines), ([1005, 1000, 1000, 0, 1003, 65535], [2, 2, 0, 0, 1, 0]));
+    }
+
+    #[test]
+    fn means_are_rounded_to_the_nearest_unit() {
+        let of = |ends: [u16; 4]| mean(&[[ends[0]; 6], [ends[1]; 6], [1000; 6], [ends[2]; 6], [ends[3]; 6]]).0[0];
+        assert_eq!(of([1000, 1001, 1001, 1000]), 1000, "0.4");
+        assert_eq!(of([1001, 1001, 1001, 1000]), 1001, "0.6");
+        assert_eq!(of([999, 999, 999, 1000]), 999, "-0.6");
+        assert_eq!(of([999, 999, 1000, 1000]), 1000, "-0.4");
+    }
+}
