@@ -4,6 +4,9 @@
 //!
 //! `cargo bench --bench detection`; one thread, medians over scenes of medians over repetitions. The last column is the
 //! exponent p in `time ~ pixels^p`, fitted over all sizes: 1 is linear.
+//!
+//! `cargo bench --bench detection -- FOLDER...` takes recorded frames in place of scenes, a column for each folder that
+//! `image_source` reads.
 
 use conicflow_detection::{Assembler, AssemblerParameters, Extractor, ExtractorParameters};
 use conicflow_geometry::{Pinhole, PlaneMoments, Scan, fit_ellipse};
@@ -13,9 +16,11 @@ use conicflow_lab::simulator::random_scene::SceneGroup;
 use conicflow_lab::simulator::random_scenes::RandomScenes;
 use conicflow_lab::simulator::{SimulatorParameters, SyntheticCamera};
 use conicflow_messages::{Ellipse, Header, is_measured};
+use conicflow_nodes::sources::image_source::{self, Playback};
 use rustix::time::{ClockId, clock_gettime};
 use std::error::Error;
 use std::hint::black_box;
+use std::path::Path;
 
 const SIZES: [(u32, u32); 5] = [(80, 60), (160, 120), (320, 240), (640, 480), (1280, 960)];
 const GROUPS: [SceneGroup; 4] = [SceneGroup::Clutter, SceneGroup::Standing, SceneGroup::Tabletop, SceneGroup::Composed];
@@ -31,18 +36,50 @@ struct Frame {
     ellipses: Vec<Ellipse>,
 }
 
+/// Frames of one kind: a column of the table.
+struct Column {
+    name: String,
+    frames: Vec<Frame>,
+}
+
 fn main() -> Result<(), Box<dyn Error>> {
-    let frames: Vec<Vec<Frame>> = SIZES.iter().map(|&size| frames(size)).collect::<Result<_, _>>()?;
-    let header: String = SIZES.iter().map(|(width, height)| format!("{:>11}", format!("{width}x{height}"))).collect();
-    println!("milliseconds of CPU per frame, medians over {} scenes", frames[0].len());
-    println!("{:<32}{header}{:>10}", "", "exponent");
+    let folders: Vec<String> = std::env::args().skip(1).filter(|argument| !argument.starts_with('-')).collect();
+    let columns: Vec<Column> = if folders.is_empty() {
+        SIZES.iter().map(|&size| scenes(size)).collect::<Result<_, _>>()?
+    } else {
+        folders.iter().map(|folder| recorded(folder)).collect::<Result<_, _>>()?
+    };
+    let line = |name: &str, cells: &mut dyn Iterator<Item = String>| {
+        println!("{name:<32}{}", cells.map(|cell| format!("{cell:>12}")).collect::<String>());
+    };
+    line("milliseconds of CPU per frame", &mut columns.iter().map(|column| tail(&column.name, 11)));
+    line("frames", &mut columns.iter().map(|column| column.frames.len().to_string()));
+    let mut floors = Vec::new();
     for (name, mut work) in parts() {
-        let times: Vec<f64> = frames.iter().map(|frames| median_ms(frames, &mut work)).collect();
-        let columns: String = times.iter().map(|time| format!("{time:>11.3}")).collect();
-        println!("{name:<32}{columns}{:>10.2}", exponent(&times));
+        let times: Vec<Times> = columns.iter().map(|column| Times::of(&column.frames, &mut work)).collect();
+        let exponent = folders.is_empty().then(|| format!("p = {:.2}", exponent(&times)));
+        line(name, &mut times.iter().map(|times| format!("{:.3}", times.median)).chain(exponent));
+        match name {
+            FLOOR => floors = times,
+            BOTH => {
+                let over = times.iter().zip(&floors).map(|(both, floor)| both.median / floor.median);
+                line("  over the floor of the moments", &mut over.map(|ratio| format!("{ratio:.1}")));
+                let slowest = times.iter().map(|times| times.percentile_99 / times.median);
+                line("  99th percentile over median", &mut slowest.map(|ratio| format!("{ratio:.1}")));
+            }
+            _ => {}
+        }
     }
     Ok(())
 }
+
+/// The last characters of a text.
+fn tail(text: &str, characters: usize) -> String {
+    text.chars().skip(text.chars().count().saturating_sub(characters)).collect()
+}
+
+const FLOOR: &str = "floor: 15 moments of each row";
+const BOTH: &str = "both";
 
 fn parts() -> [(&'static str, Work<'static>); 7] {
     let (mut extractor, mut assembler) = detector();
@@ -50,11 +87,11 @@ fn parts() -> [(&'static str, Work<'static>); 7] {
     let (mut conics, mut profile) = detector_of_the_paper();
     [
         ("floor: reading the frame", Box::new(read)),
-        ("floor: 15 moments of each row", Box::new(sum_moments)),
+        (FLOOR, Box::new(sum_moments)),
         ("row_ellipse_extractor", Box::new(move |frame| extractor.extract(&frame.header, &frame.pixels).len() as u64)),
         ("object_assembler", Box::new(move |frame| assembler.assemble(&frame.header, &frame.ellipses).len() as u64)),
         (
-            "both",
+            BOTH,
             Box::new(move |frame| {
                 let ellipses = first.extract(&frame.header, &frame.pixels);
                 second.assemble(&frame.header, ellipses).len() as u64
@@ -79,7 +116,8 @@ fn detector_of_the_paper() -> (ConicExtractor, ProfileAssembler) {
     (ConicExtractor::new(ConicConfig::of_the_paper()), ProfileAssembler::new(ProfileConfig::of_the_paper()))
 }
 
-fn frames((width, height): (u32, u32)) -> Result<Vec<Frame>, Box<dyn Error>> {
+/// Simulated scenes in this size.
+fn scenes((width, height): (u32, u32)) -> Result<Column, Box<dyn Error>> {
     let config = SimulatorParameters { width, height, ..SimulatorParameters::default() };
     let scenes = RandomScenes { groups: GROUPS.into(), seeds: SEEDS };
     let (first, _) = scenes.scene(0);
@@ -92,24 +130,54 @@ fn frames((width, height): (u32, u32)) -> Result<Vec<Frame>, Box<dyn Error>> {
         camera.shoot(number, &mut pixels);
         let mut header = Header::default();
         camera.describe(&mut header);
+        Frame::new(header, pixels, &mut extractor)
+    };
+    Ok(Column { name: format!("{width}x{height}"), frames: (0..count).map(frame).collect() })
+}
+
+/// The frames of a folder.
+fn recorded(folder: &str) -> Result<Column, Box<dyn Error>> {
+    let config = image_source::Config { path: Some(folder.into()), ..Default::default() };
+    let mut playback = Playback::open(&config, Path::new(""), 0, 0)?;
+    let (mut extractor, _) = detector();
+    let mut frames = Vec::new();
+    while let Some(loaded) = playback.load()? {
+        let mut pixels = vec![0; loaded.pixels()];
+        if let Some(header) = playback.decode(&loaded, &mut pixels)? {
+            frames.push(Frame::new(header, pixels, &mut extractor));
+        }
+    }
+    Ok(Column { name: folder.trim_end_matches('/').to_owned(), frames })
+}
+
+impl Frame {
+    fn new(header: Header, pixels: Vec<u16>, extractor: &mut Extractor) -> Self {
         let ellipses = extractor.extract(&header, &pixels).to_vec();
-        Ok(Frame { header, pixels, ellipses })
-    };
-    (0..count).map(frame).collect()
+        Self { header, pixels, ellipses }
+    }
 }
 
-fn median_ms(frames: &[Frame], work: &mut Work) -> f64 {
-    let of_frame = |frame: &Frame| {
-        let mut times: Vec<f64> = (0..=REPETITIONS).map(|_| cpu_ms(|| work(black_box(frame)))).collect();
-        times.remove(0); // warms up
-        median(&mut times)
-    };
-    median(&mut frames.iter().map(of_frame).collect::<Vec<_>>())
+/// Times of the frames of a column, each the median of its repetitions.
+struct Times {
+    median: f64,
+    percentile_99: f64,
 }
 
-fn median(values: &mut [f64]) -> f64 {
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+impl Times {
+    fn of(frames: &[Frame], work: &mut Work) -> Self {
+        let of_frame = |frame: &Frame| {
+            let mut times: Vec<f64> = (0..=REPETITIONS).map(|_| cpu_ms(|| work(black_box(frame)))).collect();
+            times.remove(0); // warms up
+            quantile(&mut times, 0.5)
+        };
+        let mut times: Vec<f64> = frames.iter().map(of_frame).collect();
+        Self { median: quantile(&mut times, 0.5), percentile_99: quantile(&mut times, 0.99) }
+    }
+}
+
+fn quantile(values: &mut [f64], share: f64) -> f64 {
+    let place = (share * values.len() as f64) as usize;
+    *values.select_nth_unstable_by(place, f64::total_cmp).1
 }
 
 fn cpu_ms(work: impl FnOnce() -> u64) -> f64 {
@@ -123,9 +191,9 @@ fn cpu_ms(work: impl FnOnce() -> u64) -> f64 {
 }
 
 /// Slope of the straight line through the logarithms.
-fn exponent(times: &[f64]) -> f64 {
+fn exponent(times: &[Times]) -> f64 {
     let x: Vec<f64> = SIZES.iter().map(|(width, height)| (f64::from(*width) * f64::from(*height)).ln()).collect();
-    let y: Vec<f64> = times.iter().map(|time| time.ln()).collect();
+    let y: Vec<f64> = times.iter().map(|times| times.median.ln()).collect();
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
     let (mean_x, mean_y) = (mean(&x), mean(&y));
     let product = x.iter().zip(&y).map(|(x, y)| (x - mean_x) * (y - mean_y)).sum::<f64>();

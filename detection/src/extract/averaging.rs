@@ -6,14 +6,14 @@
 //! a camera that compares windows: what all lines of an object tell together stays as it is.
 //!
 //! Each pixel is averaged over as many lines as bring its noise down to that step and no more: where a surface bends across
-//! the lines, the mean lies behind it. Of two pixels on either side both count or neither, so that a slope does not move the mean, and what is beyond a jump does
-//! not count, so that silhouettes stay where they are.
+//! the lines, the mean lies behind it. Of two pixels on either side both count or neither, so that a slope does not move the
+//! mean, and what is beyond a jump does not count, so that silhouettes stay where they are.
 
 use super::view::LeastStep;
 use conicflow_messages::is_measured;
 
 /// Most lines that are averaged: the contour of a small thing changes from line to line.
-const MOST: u32 = 5; // [tuned]
+pub(super) const MOST: u32 = 5; // [tuned]
 /// Means of as many lines as are averaged at most are looked at at every second line, if so many are left: their neighbours
 /// tell hardly more, but the smallest things have to be seen in enough of them.
 const ENOUGH: u32 = 480; // [tuned]
@@ -24,7 +24,7 @@ const BATCH: usize = 64; // [algorithmic]
 /// Farther off than so many units no pixel counts: four of them are still a number of 16 bits.
 const MOST_OFF: u16 = 8191; // [algorithmic]
 /// Shares are told in parts of this, and rounded at half of it.
-const WHOLE: i64 = 1 << 16; // [algorithmic]
+const WHOLE: u32 = 1 << 16; // [algorithmic]
 const HALF: i32 = 1 << 15; // [derived]
 
 /// How many lines are averaged where the noise of one is `excess` times the step of a steep surface from pixel to pixel, and
@@ -67,7 +67,7 @@ impl Averaging {
         let reach = lines / 2;
         let of = |pairs: u32| variance(2 * pairs + 1, shared_lines);
         self.left.clear();
-        self.left.extend((0..reach).map(|nearer| (of(nearer).sqrt() * WHOLE as f64) as u16));
+        self.left.extend((0..reach).map(|nearer| (of(nearer).sqrt() * f64::from(WHOLE)) as u16));
         self.variances.clear();
         self.variances.extend((0..=reach).map(|pairs| of(pairs) / of(reach)));
     }
@@ -101,17 +101,33 @@ impl Averaging {
         for (index, (means, pairs)) in means.chunks_mut(BATCH).zip(pairs.chunks_mut(BATCH)).enumerate() {
             let batch = |by: i64| &line(by)[index * BATCH..][..means.len()];
             let middle = batch(0);
+            let (mut limits, mut noises, mut slopes) = ([0; BATCH], [0; BATCH], [0; BATCH]);
+            for (at, &depth) in middle.iter().enumerate() {
+                let [noise, slope] = jump.noise_and_slope(depth);
+                limits[at] = noise.saturating_add(slope).min(MOST_OFF);
+                noises[at] = if is_measured(depth) { noise } else { 0 };
+                slopes[at] = slope;
+            }
+            let mut reaches = [0; BATCH];
+            for &left in &self.left {
+                for (at, reach) in reaches.iter_mut().enumerate() {
+                    let of_mean = ((u32::from(noises[at]) * u32::from(left)) >> 16) as u16;
+                    *reach += u16::from(of_mean > slopes[at]);
+                }
+            }
+            pairs.fill(0);
+            if reaches.iter().all(|&reach| reach == 0) {
+                means.copy_from_slice(middle);
+                continue;
+            }
             // All ones where no jump was met yet; how far what counts is off, in all; and the share of one of it.
             let (mut goes_on, mut off, mut share) = ([u16::MAX; BATCH], [0_u16; BATCH], [0_u16; BATCH]);
-            pairs.fill(0);
-            for (by, &left) in (1..=i64::from(reach)).zip(&self.left) {
-                let (before, behind, of_so_many) = (batch(-by), batch(by), (WHOLE / (2 * by + 1)) as u16);
+            for by in 1..=reach as u16 {
+                let (before, behind) = (batch(-i64::from(by)), batch(i64::from(by)));
+                let of_so_many = (WHOLE / (2 * u32::from(by) + 1)) as u16;
                 for (at, ((&before, &behind), &middle)) in before.iter().zip(behind).zip(middle).enumerate() {
-                    let [noise, slope] = jump.noise_and_slope(middle);
-                    let limit = noise.saturating_add(slope).min(MOST_OFF);
-                    let is_near = |depth: u16| is_measured(depth) & (depth.abs_diff(middle) <= limit);
-                    let is_hidden = ((u32::from(noise) * u32::from(left)) >> 16) as u16 > slope;
-                    let both = is_hidden & is_measured(middle) & is_near(before) & is_near(behind);
+                    let is_near = |depth: u16| is_measured(depth) & (depth.abs_diff(middle) <= limits[at]);
+                    let both = (reaches[at] >= by) & is_near(before) & is_near(behind);
                     goes_on[at] &= u16::from(both).wrapping_neg();
                     let pair = before.wrapping_sub(middle).wrapping_add(behind.wrapping_sub(middle));
                     off[at] = off[at].wrapping_add(pair & goes_on[at]);

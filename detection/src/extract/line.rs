@@ -56,9 +56,8 @@ impl RayLine {
         }
         let mut buffer = std::mem::take(&mut self.buffer);
         let (depths, pairs) = view.depths(image, line, &window, &mut buffer);
+        self.gather_pairs(depths, pairs);
         self.count = self.gather(view, window.start, depths);
-        self.pairs.clear();
-        self.pairs.extend(pairs.iter().zip(depths).filter(|(_, depth)| is_measured(**depth)).map(|(pairs, _)| *pairs));
         self.buffer = buffer;
         self.split(view);
         self.window = window;
@@ -84,6 +83,19 @@ impl RayLine {
             *metres = f64::from(depth) * view.scale;
         }
         count
+    }
+
+    /// The same of how many of their neighbours count, of which there is nothing where lines are not averaged.
+    fn gather_pairs(&mut self, depths: &[u16], pairs: &[u16]) {
+        self.pairs.clear();
+        for (depths, pairs) in depths.chunks(GATHERED).zip(pairs.chunks(GATHERED)) {
+            if depths.iter().fold(true, |all, depth| all & is_measured(*depth)) {
+                self.pairs.extend_from_slice(pairs);
+            } else {
+                let measured = depths.iter().zip(pairs).filter(|(depth, _)| is_measured(**depth));
+                self.pairs.extend(measured.map(|(_, pairs)| *pairs));
+            }
+        }
     }
 
     fn split(&mut self, view: &View) {
