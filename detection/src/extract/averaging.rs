@@ -17,7 +17,8 @@ pub(super) const MOST: u32 = 5; // [tuned]
 /// Means of as many lines as are averaged at most are looked at at every second line, if so many are left: their neighbours
 /// tell hardly more, but the smallest things have to be seen in enough of them.
 const ENOUGH: u32 = 480; // [tuned]
-/// Lines of which more share their noise are not averaged: their mean keeps most of it.
+/// Lines of which more share their noise are not averaged: their mean keeps most of it. Simulated structured light
+/// loses by averages (F1 0.831 to 0.809, `experiments/simulated_sensors.toml`, seeds 0 to 9).
 const INDEPENDENT: f64 = 2.0; // [tuned]
 /// Number of pixels that are averaged together.
 const BATCH: usize = 64; // [algorithmic]
@@ -89,7 +90,7 @@ impl Averaging {
     /// count. `line` gives so many pixels of the one that is so far from it, as many as `means` and `pairs` have; `jump` tells
     /// how far pixels of one surface differ.
     ///
-    /// It is told as what its neighbours add to a pixel, in whole numbers: processors look at eight of them at a time.
+    /// It is computed as what the neighbours add to a pixel, in whole numbers: processors work on eight of them at a time.
     pub fn average<'a>(
         &self,
         jump: &LeastStep,
