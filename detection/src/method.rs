@@ -6,6 +6,7 @@
 
 use crate::assemble::arcs::Arcs;
 use crate::assemble::choice::{Chosen, choose};
+use crate::assemble::contours::Contours;
 use crate::assemble::growth::{Growing, chain, is_promising};
 use crate::assemble::seeds::Seeds;
 use crate::assemble::verify::verify_all;
@@ -75,7 +76,7 @@ impl Extractor {
 impl Assembler {
     /// The objects that the ellipses of one image form.
     pub fn assemble(&mut self, header: &Header, ellipses: &[Ellipse]) -> &[Object] {
-        let Self { parameters, arcs, seeds, growing, objects, candidates, rejections } = self;
+        let Self { parameters, arcs, seeds, growing, contours, objects, candidates, rejections } = self;
         let deadline = parameters.deadline();
         objects.clear();
         candidates.clear();
@@ -85,14 +86,17 @@ impl Assembler {
         //    bent, the sooner it is a seed (`seeds.rs`).
         arcs.read(header, ellipses);
         seeds.order(arcs, deadline);
+        contours.next_image(&header.camera, parameters.pooled.contour_memory);
 
         while let Some(seed) = seeds.next(rejections) {
-            match object_around(seed, arcs, seeds, growing, parameters) {
+            match object_around(seed, arcs, seeds, growing, contours, parameters) {
                 // 10. Decision: all evidence together tells how probable it is that this is an object (`odds.rs`). The arcs that
-                //     an object explains are taken out before the next seed is tried.
+                //     an object explains are taken out before the next seed is tried, and what it shows of where this sensor
+                //     puts contours helps the next objects (`contours.rs`).
                 Ok(Chosen { candidate, object, evidence }) => {
                     candidates.push((object, evidence));
                     if f64::from(object.confidence) >= parameters.min_confidence {
+                        contours.learn(&candidate.region);
                         seeds.take(&candidate, &object);
                         objects.push(object);
                         continue;
@@ -115,6 +119,7 @@ fn object_around<'a>(
     arcs: &'a Arcs,
     seeds: &Seeds,
     growing: &'a mut Growing,
+    contours: &mut Contours,
     parameters: &AssemblerParameters,
 ) -> Result<Chosen<'a>, Rejection> {
     let free = |arc: usize| seeds.is_free(arc);
@@ -130,9 +135,9 @@ fn object_around<'a>(
 
     // 8. Verification: each is fitted together with the contour that it shows; enough of it has to be seen, surely curved and
     //    near its surface, for it to be a candidate (`verify.rs`).
-    let verified = verify_all(arcs, grown, &growing.members, parameters, &mut growing.contour);
+    let verified = verify_all(arcs, grown, &growing.members, parameters, contours);
 
     // 9. Choice: the shape that explains most points with the fewest parameters, told with its uncertainty (`choice.rs`,
     //    `report.rs`).
-    choose(verified, parameters, &mut growing.contour)
+    choose(verified, parameters, contours)
 }

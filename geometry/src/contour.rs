@@ -5,21 +5,27 @@
 //! discriminant `D = b^2 - 4 a c` is zero. `D` over its change per pixel along the line is the distance of the contour
 //! from where it was seen, in pixels.
 //!
-//! Sensors put contours systematically too far in (grazing points get lost) or out (they are smeared), so those of one
-//! side share an unknown offset and an unknown share of the radius r that is lost: `e_i = o + p r_i + noise`. With
-//! `U = [1, r_i]`, V the variances of o and p, and the weights w of the points, these are eliminated by
-//! `e'we - (U'we)' (V^-1 + U'wU)^-1 (U'we)`. What is left tells how the outline narrows and leans,
-//! which the depths of a small object hardly do.
+//! Sensors put contours systematically too far in (grazing points get lost) or out (they are smeared). The outline of one side
+//! is off by an offset o and a share p of the radius r, both across the outline; along a line that crosses it at an angle
+//! of which c is the cosine to its normal, this is `e_i = (o + p r_i) / c_i + noise`. With `U = [1, r_i] / c_i` for each side,
+//! what is known of o and p (their expectation, taken off e, and their covariance V) and the weights w of the points, these are
+//! eliminated by `e'we - (U'we)' (V^-1 + U'wU)^-1 (U'we)`.
+//!
+//! The points of the surface know its size, too. What they and the contour tell of o and p together
+//! ([`Contour::bias_evidence`]) can be used for the next object.
 
 use crate::pooled::add_square;
 use crate::space::dot;
-use crate::{Coefficients, Surface, Vector3};
-use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
+use crate::{Coefficients, Surface, SurfaceFit, Vector3};
+use nalgebra::{Matrix4, SMatrix, SVector, Vector4};
 
-/// SideInputs of an object that have an offset of their own: the first and the last pixel of rows and of columns.
-pub const SIDES: usize = 4; // [derived]
+/// Sides of an object that have a bias of their own: the first and the last pixel of its lines.
+const SIDES: usize = 2; // [derived]
 /// A contour point farther off than so many standard deviations belongs to something else.
 const GATE: f64 = 3.5; // [sigmas]
+/// Least cosine between a scan line and the normal of an outline that counts: lines hardly show where an outline is that runs
+/// along them.
+const LEAST_ALONG: f64 = 0.3; // [algorithmic]
 
 /// A place where a scan line leaves a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,36 +34,69 @@ pub struct ContourPoint {
     pub ray: Vector3,
     /// Its change per pixel along the scan line.
     pub pixel: Vector3,
-    /// Which side of the object it is on, less than [`SIDES`].
+    /// Its change per pixel from scan line to scan line.
+    pub across: Vector3,
+    /// 0 for the first pixel of the line, 1 for the last.
     pub side: usize,
     /// Radius of the object there, in pixels.
     pub radius_px: f64,
 }
 
-/// How exact contours are: standard deviations.
+/// How exact contours are.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ContourNoise {
-    /// Scatter of a point, in pixels.
+    /// Standard deviation of a point, in pixels.
     pub point_px: f64,
-    /// Further scatter of a point, in radii.
+    /// Further standard deviation of a point, in radii.
     pub point_share: f64,
-    /// Scatter of the offset of a side, in pixels.
-    pub offset_px: f64,
-    /// Scatter of the share of the radius by which a side is off.
-    pub share: f64,
+    /// How many neighbouring lines share their noise, at least 1.
+    pub shared_lines: f64,
+    /// By how much whole sides are off.
+    pub bias: ContourBias,
+}
+
+/// By how much the contour is off across itself, outwards on the last side and inwards on the first: offset in pixels and share
+/// of the radius of the first side, then of the last.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ContourBias {
+    /// Expectation.
+    pub mean: Vector4<f64>,
+    /// Covariance.
+    pub covariance: Matrix4<f64>,
+}
+
+/// What is known of a bias: the inverse of its covariance, and that times its expectation. What independent objects tell adds up.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct BiasEvidence {
+    /// Inverse of the covariance.
+    pub information: Matrix4<f64>,
+    /// That times the expectation.
+    pub weighted: Vector4<f64>,
 }
 
 /// The contour of an object; the buffer is used again for the next.
 #[derive(Clone, Debug, Default)]
 pub struct Contour {
-    points: Vec<(ContourPoint, bool)>,
+    points: Vec<Seen>,
     noise: ContourNoise,
+    /// Inverse of the covariance of the bias, for a point's weight of one over its variance.
+    prior: Matrix4<f64>,
     /// How many of the points that are seen are too far off.
     far_off: usize,
-    /// How far each point is off, in pixels.
+    /// How far each point is off what is expected, in pixels.
     errors: Vec<f64>,
     /// How far the points of one side are off: a buffer.
     of_side: Vec<f64>,
+}
+
+/// A point and what a surface makes of it.
+#[derive(Clone, Copy, Debug)]
+struct Seen {
+    point: ContourPoint,
+    /// Whether it is near the contour of the surface.
+    used: bool,
+    /// Cosine between the scan line and the normal of the outline there.
+    along: f64,
 }
 
 /// Its part in the normal equations of a fit.
@@ -71,16 +110,17 @@ pub struct ContourTerm<const N: usize> {
     pub matrix: SMatrix<f64, N, N>,
 }
 
-/// Sums over the points of one side.
+/// Weighted sums over points with errors e, slopes J by the parameters of the surface and U by the bias.
 #[derive(Clone, Copy)]
-struct SideSums<const N: usize> {
+struct Sums<const N: usize> {
+    /// `e'we`, `J'we` and `J'wJ`.
     square: f64,
     slope_error: SVector<f64, N>,
     slopes: SMatrix<f64, N, N>,
     /// `U'wU`, `U'we` and `U'wJ`.
-    shared: Matrix2<f64>,
-    shared_error: Vector2<f64>,
-    shared_slope: SMatrix<f64, 2, N>,
+    shared: Matrix4<f64>,
+    shared_error: Vector4<f64>,
+    shared_slope: SMatrix<f64, 4, N>,
 }
 
 /// `F(z r) = a z^2 + b z + c` along a ray, and the changes of a and b per pixel.
@@ -95,8 +135,7 @@ struct Along {
 
 impl Along {
     #[inline]
-    fn new(q: &Coefficients, point: &ContourPoint) -> Self {
-        let (r, pixel) = (&point.ray, &point.pixel);
+    fn new(q: &Coefficients, r: &Vector3, pixel: &Vector3) -> Self {
         let [xx, yy, zz, xy, xz, yz, x, y, z, c] = *q;
         // half the gradient of a
         let half = Vector3::new(
@@ -114,10 +153,9 @@ impl Along {
     }
 
     /// Error, and its derivatives by the coefficients: `(dD - e dD') / D'`, D' being the change of D per pixel.
-    fn error_gradient(&self, point: &ContourPoint) -> (f64, Coefficients) {
+    fn error_gradient(&self, r: &Vector3, pixel: &Vector3) -> (f64, Coefficients) {
         let [value, per_pixel] = self.discriminant();
         let error = value / per_pixel;
-        let (r, pixel) = (&point.ray, &point.pixel);
         // What a, a', b, b' and c add to it.
         let by_a = -4.0 * self.c / per_pixel;
         let by_a_pixel = -error * by_a;
@@ -148,30 +186,35 @@ impl Contour {
     /// No points yet.
     pub fn clear(&mut self, noise: ContourNoise) {
         self.points.clear();
+        // The weights count the points of all lines as if each had noise of its own.
+        self.prior = noise.bias.covariance.try_inverse().unwrap_or_default() * noise.shared_lines;
         self.noise = noise;
     }
 
     /// Adds a point.
     pub fn add(&mut self, point: ContourPoint) {
-        self.points.push((point, true));
+        self.points.push(Seen { point, used: true, along: 1.0 });
     }
 
-    /// Uses only the points that are near the contour of a surface, and only those for which `seen` holds at the point
-    /// of the surface that the ray touches.
-    pub fn select<S: Surface<N>, const N: usize>(&mut self, surface: &S, seen: impl Fn(&Vector3) -> bool) {
-        let q = surface.coefficients();
+    /// Uses only the points that are near the contour of a surface `F = 0` with these coefficients, and only those for which
+    /// `is_seen` holds at the point of the surface that the ray touches.
+    pub fn select(&mut self, q: &Coefficients, is_seen: impl Fn(&Vector3) -> bool) {
         self.errors.clear();
-        for (point, used) in &mut self.points {
-            let along = Along::new(&q, point);
-            *used = seen(&(point.ray * along.depth()));
-            self.errors.push(along.error());
+        for seen in &mut self.points {
+            let ContourPoint { ray, pixel, across, .. } = &seen.point;
+            let along = Along::new(q, ray, pixel);
+            let [_, here] = along.discriminant();
+            let [_, beside] = Along::new(q, ray, across).discriminant();
+            seen.along = (here.abs() / here.hypot(beside)).max(LEAST_ALONG);
+            seen.used = is_seen(&(ray * along.depth()));
+            self.errors.push(along.error() - self.noise.expected(seen));
         }
         let middles = std::array::from_fn::<_, SIDES, _>(|side| self.median(side));
         self.far_off = 0;
-        for ((point, used), error) in self.points.iter_mut().zip(&self.errors) {
-            let is_near = (error - middles[point.side]).abs() < GATE * self.noise.of(point).sqrt();
-            self.far_off += usize::from(*used && !is_near);
-            *used &= is_near;
+        for (seen, error) in self.points.iter_mut().zip(&self.errors) {
+            let is_near = (error - middles[seen.point.side]).abs() < GATE * self.noise.variance(seen).sqrt();
+            self.far_off += usize::from(seen.used && !is_near);
+            seen.used &= is_near;
         }
     }
 
@@ -182,7 +225,7 @@ impl Contour {
 
     /// How many of them are used.
     pub fn used(&self) -> usize {
-        self.points.iter().filter(|(_, used)| *used).count()
+        self.points.iter().filter(|seen| seen.used).count()
     }
 
     /// How many of them are seen, and too far off to be used.
@@ -200,71 +243,137 @@ impl Contour {
     fn median(&mut self, side: usize) -> f64 {
         let Self { points, noise, errors, of_side, .. } = self;
         of_side.clear();
-        of_side.extend(points.iter().zip(errors).filter(|((point, _), _)| point.side == side).map(|(_, error)| *error));
+        of_side.extend(points.iter().zip(errors).filter(|(seen, _)| seen.point.side == side).map(|(_, error)| *error));
         if of_side.is_empty() {
             return 0.0;
         }
-        let (middle, limit) = (of_side.len() / 2, 2.0 * noise.offset_px);
+        let (middle, limit) = (of_side.len() / 2, 2.0 * noise.bias.covariance[(2 * side, 2 * side)].sqrt()); // [sigmas]
         of_side.select_nth_unstable_by(middle, f64::total_cmp).1.clamp(-limit, limit)
     }
 
     /// The term of a surface, that is given in a frame with this origin and unit of length.
     pub fn term<S: Surface<N>, const N: usize>(&self, surface: &S, origin: &Vector3, scale: f64) -> ContourTerm<N> {
+        self.sums(surface, origin, scale).term(&self.prior)
+    }
+
+    fn sums<S: Surface<N>, const N: usize>(&self, surface: &S, origin: &Vector3, scale: f64) -> Sums<N> {
         let camera = |q: &Coefficients| in_camera_frame(q, origin, scale);
         let q = camera(&surface.coefficients());
         let derivatives = surface.derivatives().map(|derivative| camera(&derivative));
-        let mut sides = [SideSums::default(); SIDES];
-        for (point, _) in self.points.iter().filter(|(_, used)| *used) {
-            let (error, gradient) = Along::new(&q, point).error_gradient(point);
+        let mut sums = Sums::default();
+        for seen in self.points.iter().filter(|seen| seen.used) {
+            let ContourPoint { ray, pixel, .. } = &seen.point;
+            let (error, gradient) = Along::new(&q, ray, pixel).error_gradient(ray, pixel);
             let slope = SVector::<f64, N>::from_fn(|i, _| dot(&gradient, &derivatives[i]));
-            sides[point.side].add(error, &slope, point.radius_px, self.noise.of(point));
+            sums.add(error - self.noise.expected(seen), &slope, &seen.by_bias(), 1.0 / self.noise.variance(seen));
         }
-        let mut term = ContourTerm { square_sum: 0.0, gradient: SVector::zeros(), matrix: SMatrix::zeros() };
-        for side in &sides {
-            side.add_to(&mut term, &self.noise);
-        }
-        term
+        sums
+    }
+
+    /// What the points and the contour of a fit tell together of the bias of all contours, beside which each side of each
+    /// object is off by itself with the covariance `own`. `None` where the points alone do not determine the surface.
+    ///
+    /// Beside the bias c, of which nothing is known, the contour is off by the own part a, and the fit by x: the weighted sum of
+    /// squares `(e + J x - U (c + a))' w (e + J x - U (c + a)) + a' own^-1 a + x' A x + 2 g' x`, A and g being the points' matrix
+    /// and half their gradient, is minimised over a, then over x; what is left is a function of c alone.
+    pub fn bias_evidence<S: Surface<N>, const N: usize>(
+        &self,
+        fit: &SurfaceFit<S, N>,
+        own: &Matrix4<f64>,
+    ) -> Option<BiasEvidence> {
+        let sums = self.sums(&fit.surface, &Vector3::zeros(), 1.0);
+        // The fit is where the gradients of points and contour cancel out.
+        let of_points = Points { matrix: fit.inverse.try_inverse()? - fit.contour, gradient: -sums.term(&self.prior).gradient };
+        let Sums { shared, shared_error, shared_slope, .. } = sums;
+        let mean = &self.noise.bias.mean;
+        // Nothing is expected of c: the expectation is put back.
+        let error = shared_error + shared * mean;
+        let slope_error = sums.slope_error + shared_slope.transpose() * mean;
+        // over a
+        let own = (shared + own.try_inverse()? * self.noise.shared_lines).try_inverse()?;
+        let rest = Matrix4::identity() - shared * own;
+        let slope = rest * shared_slope;
+        let matrix = of_points.matrix + sums.slopes - shared_slope.transpose() * own * shared_slope;
+        let gradient = of_points.gradient + slope_error - shared_slope.transpose() * (own * error);
+        // over x
+        let inverse = matrix.cholesky()?.inverse();
+        let information = rest * shared - slope * inverse * slope.transpose();
+        let weighted = rest * error - slope * (inverse * gradient);
+        let weight = 1.0 / self.noise.shared_lines;
+        Some(BiasEvidence { information: information * weight, weighted: weighted * weight })
     }
 }
 
-impl<const N: usize> Default for SideSums<N> {
+/// The points' part in the normal equations of a fit.
+struct Points<const N: usize> {
+    matrix: SMatrix<f64, N, N>,
+    gradient: SVector<f64, N>,
+}
+
+impl<const N: usize> Default for Sums<N> {
     fn default() -> Self {
         Self {
             square: 0.0,
             slope_error: SVector::zeros(),
             slopes: SMatrix::zeros(),
-            shared: Matrix2::zeros(),
-            shared_error: Vector2::zeros(),
+            shared: Matrix4::zeros(),
+            shared_error: Vector4::zeros(),
             shared_slope: SMatrix::zeros(),
         }
     }
 }
 
-impl<const N: usize> SideSums<N> {
-    fn add(&mut self, error: f64, slope: &SVector<f64, N>, radius_px: f64, variance: f64) {
-        let (shared, weight) = (Vector2::new(1.0, radius_px), 1.0 / variance);
+impl<const N: usize> Sums<N> {
+    fn add(&mut self, error: f64, slope: &SVector<f64, N>, by_bias: &Vector4<f64>, weight: f64) {
         self.square += error * error * weight;
         self.slope_error += slope * (error * weight);
         add_square(&mut self.slopes, slope, weight);
-        self.shared += shared * shared.transpose() * weight;
-        self.shared_error += shared * (error * weight);
-        self.shared_slope += shared * slope.transpose() * weight;
+        add_square(&mut self.shared, by_bias, weight);
+        self.shared_error += by_bias * (error * weight);
+        self.shared_slope += by_bias * slope.transpose() * weight;
     }
 
-    fn add_to(&self, term: &mut ContourTerm<N>, noise: &ContourNoise) {
-        let prior = Vector2::new(noise.offset_px, noise.share).map(|sigma| sigma.powi(-2));
-        let Some(inverse) = (self.shared + Matrix2::from_diagonal(&prior)).try_inverse() else { return };
+    /// The term where the bias is eliminated, the inverse of its covariance being `prior`; without a prior, none.
+    fn term(&self, prior: &Matrix4<f64>) -> ContourTerm<N> {
+        let Some(inverse) = (self.shared + prior).try_inverse() else {
+            return ContourTerm { square_sum: 0.0, gradient: SVector::zeros(), matrix: SMatrix::zeros() };
+        };
         let (error, slope) = (inverse * self.shared_error, inverse * self.shared_slope);
-        term.square_sum += self.square - self.shared_error.dot(&error);
-        term.gradient += self.slope_error - self.shared_slope.transpose() * error;
-        term.matrix += self.slopes - self.shared_slope.transpose() * slope;
+        ContourTerm {
+            square_sum: self.square - self.shared_error.dot(&error),
+            gradient: self.slope_error - self.shared_slope.transpose() * error,
+            matrix: self.slopes - self.shared_slope.transpose() * slope,
+        }
+    }
+}
+
+impl Seen {
+    /// By how much each part of the bias moves it, in pixels along the line.
+    fn by_bias(&self) -> Vector4<f64> {
+        let mut moved = Vector4::zeros();
+        moved[2 * self.point.side] = 1.0 / self.along;
+        moved[2 * self.point.side + 1] = self.point.radius_px / self.along;
+        moved
     }
 }
 
 impl ContourNoise {
-    /// Variance of a point, in square pixels.
-    fn of(&self, point: &ContourPoint) -> f64 {
-        self.point_px.powi(2) + (self.point_share * point.radius_px).powi(2)
+    /// Variance of a point along its line, in square pixels.
+    fn variance(&self, seen: &Seen) -> f64 {
+        self.point_px.powi(2) + (self.point_share * seen.point.radius_px / seen.along).powi(2)
+    }
+
+    /// Expected error of a point along its line, in pixels.
+    fn expected(&self, seen: &Seen) -> f64 {
+        self.bias.mean.dot(&seen.by_bias())
+    }
+}
+
+impl BiasEvidence {
+    /// A bias of which this is known and nothing else; `None` where it is not known in all its parts.
+    pub fn bias(&self) -> Option<ContourBias> {
+        let covariance = self.information.cholesky()?.inverse();
+        Some(ContourBias { mean: covariance * self.weighted, covariance })
     }
 }
 
@@ -283,23 +392,32 @@ fn in_camera_frame(q: &Coefficients, origin: &Vector3, scale: f64) -> Coefficien
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Conical, FreeSlope, Pinhole, Scan, section_of};
+    use crate::simulated::{CAMERA, Random, seen};
+    use crate::{Conical, FreeSlope, Scan, SpaceMoments, Sphere, fit_with_contour, section_of};
+    use std::ops::Range;
 
-    const CAMERA: Pinhole = Pinhole { fx: 290.0, fy: 290.0, cx: 159.5, cy: 119.5 };
-    const NOISE: ContourNoise = ContourNoise { point_px: 0.5, point_share: 0.03, offset_px: 1.0, share: 0.05 };
+    fn biased(mean: Vector4<f64>, sigmas: [f64; 2]) -> ContourBias {
+        let [offset, share] = sigmas.map(|sigma| sigma * sigma);
+        ContourBias { mean, covariance: Matrix4::from_diagonal(&Vector4::new(offset, share, offset, share)) }
+    }
+
+    fn noise() -> ContourNoise {
+        let bias = biased(Vector4::zeros(), [1.0, 0.05]);
+        ContourNoise { point_px: 0.5, point_share: 0.03, shared_lines: 1.0, bias }
+    }
 
     fn cup() -> Conical {
         let axis = Vector3::new(0.1, 0.9, -0.3).normalize();
         Conical { point: Vector3::new(0.05, 0.02, 1.2), axis, radius: 0.05, slope: 0.12 }
     }
 
-    /// The contour of a surface on rows 105 to 140, moved outwards by so many pixels.
-    fn contour(surface: &Conical, outwards: f64) -> Contour {
+    /// The contour of `F = 0` on some rows, moved outwards along them by so many pixels.
+    fn contour_on(rows: Range<u32>, q: &Coefficients, radius_px: f64, outwards: f64, noise: ContourNoise) -> Contour {
         let mut contour = Contour::default();
-        contour.clear(NOISE);
-        for row in 105..140 {
+        contour.clear(noise);
+        for row in rows {
             let plane = CAMERA.plane(Scan::Row, f64::from(row));
-            let [ss, st, tt, s, t, one] = section_of(&FreeSlope(*surface).coefficients(), &plane);
+            let [ss, st, tt, s, t, one] = section_of(q, &plane);
             let k = plane.stretch();
             // the discriminant along the ray of slope x, as a polynomial of x
             let (a, b) = (s * s - 4.0 * ss * one, 2.0 * s * t * k - 4.0 * st * k * one);
@@ -311,10 +429,14 @@ mod tests {
                 let slope = slope + outwards * if side == 0 { -1.0 } else { 1.0 } / CAMERA.fx;
                 let ray = plane.to_camera([slope, k]);
                 let pixel = plane.s_axis() / CAMERA.fx;
-                contour.add(ContourPoint { ray, pixel, side, radius_px: 12.0 });
+                contour.add(ContourPoint { ray, pixel, across: Vector3::y() / CAMERA.fy, side, radius_px });
             }
         }
         contour
+    }
+
+    fn contour(surface: &Conical, outwards: f64) -> Contour {
+        contour_on(105..140, &FreeSlope(*surface).coefficients(), 12.0, outwards, noise())
     }
 
     fn cost(contour: &Contour, surface: &Conical) -> f64 {
@@ -355,16 +477,68 @@ mod tests {
     }
 
     #[test]
+    fn a_bias_is_across_the_outline() {
+        let ball = Sphere { center: Vector3::new(0.0, 0.0, 1.5), radius: 0.15 };
+        // The ball whose outline is a circle that is wider by a pixel on all sides.
+        let angle = (ball.radius / ball.center.z).asin();
+        let wider = Sphere { radius: ball.center.z * (angle.tan() + 1.0 / CAMERA.fx).atan().sin(), ..ball };
+        let bias = biased(Vector4::new(-1.0, 0.0, 1.0, 0.0), [1e-3, 1e-6]);
+        let mut contour = contour_on(95..145, &wider.coefficients(), 29.0, 0.0, ContourNoise { bias, ..noise() });
+        contour.select(&ball.coefficients(), |_| true);
+        assert_eq!(contour.far_off(), 0);
+        let rest = contour.term(&ball, &Vector3::zeros(), 1.0).square_sum / contour.used() as f64;
+        assert!(rest < 0.02, "{rest} of a variance, where the lines nearly graze the outline, too");
+    }
+
+    /// A ball that is seen with noise, its contour too wide by `outwards` pixels, fitted with both.
+    fn ball(outwards: f64, noise: ContourNoise) -> (SurfaceFit<Sphere, 4>, Contour) {
+        let ball = Sphere { center: Vector3::new(0.0, 0.0, 1.2), radius: 0.1 };
+        let mut random = Random(5);
+        let points = seen(&ball.coefficients(), 97..143, 0.0, |z| (z + 0.004 * random.normal(), 1.6e-5));
+        let mut pool = SpaceMoments::default();
+        pool.add(&points, 1.0 / 1.6e-5);
+        let mut contour = contour_on(97..143, &ball.coefficients(), 24.0, outwards, noise);
+        contour.select(&ball.coefficients(), |_| true);
+        (fit_with_contour(&pool.normalized().unwrap(), &contour, &ball).unwrap(), contour)
+    }
+
+    #[test]
+    fn what_points_and_contour_tell_of_the_bias_makes_the_next_fit_better() {
+        let own = biased(Vector4::zeros(), [0.05, 1e-3]).covariance;
+        let (fit, contour) = ball(0.8, noise());
+        let shown = contour.bias_evidence(&fit, &own).unwrap();
+        let prior = noise().bias.covariance.try_inverse().unwrap();
+        let bias = BiasEvidence { information: shown.information + prior, ..shown }.bias().unwrap();
+        let at_this_size = [bias.mean[0] + 24.0 * bias.mean[1], bias.mean[2] + 24.0 * bias.mean[3]];
+        assert!((at_this_size[0] + 0.8).abs() < 0.2 && (at_this_size[1] - 0.8).abs() < 0.2, "{at_this_size:?}");
+
+        let (better, _) = ball(0.8, ContourNoise { bias, ..noise() });
+        let [before, after] = [fit, better].map(|fit| (fit.surface.radius - 0.1).abs());
+        assert!(after < 0.5 * before, "{before} {after}");
+    }
+
+    #[test]
+    fn lines_that_share_their_noise_tell_less_of_the_bias() {
+        let own = biased(Vector4::zeros(), [1e-3, 1e-5]).covariance;
+        let told = |shared_lines: f64| {
+            let (fit, contour) = ball(0.0, ContourNoise { shared_lines, ..noise() });
+            contour.bias_evidence(&fit, &own).unwrap().information[(0, 0)]
+        };
+        let ratio = told(1.0) / told(4.0);
+        assert!((3.5..4.5).contains(&ratio), "{ratio}");
+    }
+
+    #[test]
     fn what_is_far_off_is_not_used() {
         let mut contour = contour(&cup(), 0.0);
         let [first, ..] = contour.points[..] else { panic!() };
         for far_off in 1..=3 {
-            contour.add(ContourPoint { ray: first.0.ray + first.0.pixel * 8.0, ..first.0 });
-            contour.select(&FreeSlope(cup()), |_| true);
+            contour.add(ContourPoint { ray: first.point.ray + first.point.pixel * 8.0, ..first.point });
+            contour.select(&FreeSlope(cup()).coefficients(), |_| true);
             assert_eq!((contour.used() + far_off, contour.far_off()), (contour.points(), far_off));
             assert_eq!(contour.least_left_out(), GATE * GATE, "all for one reason");
         }
-        contour.select(&FreeSlope(cup()), |_| false);
+        contour.select(&FreeSlope(cup()).coefficients(), |_| false);
         assert_eq!((contour.used(), contour.far_off(), contour.least_left_out()), (0, 0, 0.0));
     }
 }

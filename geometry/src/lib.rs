@@ -40,7 +40,7 @@ mod vector;
 pub use arc_fit::{ArcFit, ArcMoments, bulge};
 pub use camera::{Pinhole, Scan, ScanPlane};
 pub use circle::{Circle, fit_circle};
-pub use contour::{Contour, ContourNoise, ContourPoint, ContourTerm, SIDES};
+pub use contour::{BiasEvidence, Contour, ContourBias, ContourNoise, ContourPoint, ContourTerm};
 pub use ellipse::{Conic, Ellipse, fit_ellipse};
 pub use line::{Line, LineMoments, PencilMoments, line_rms};
 pub use moments::{MOMENTS, PlaneMoments};

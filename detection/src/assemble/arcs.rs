@@ -144,11 +144,14 @@ impl Arc {
 fn contour(camera: &Pinhole, plane: &ScanPlane, pixels: &[f64; 2]) -> [Option<ContourPoint>; 2] {
     let scan = plane.scan();
     let ray = |pixel: f64| plane.to_camera([camera.ray_slope(scan, pixel), plane.stretch()]);
-    let first_side = if scan == Scan::Row { 0 } else { 2 };
     let point = |end: usize| ContourPoint {
         ray: ray(pixels[end]),
         pixel: ray(1.0) - ray(0.0),
-        side: first_side + end,
+        side: end,
+        across: match scan {
+            Scan::Row => Vector3::y() / camera.fy,
+            Scan::Column => Vector3::x() / camera.fx,
+        },
         radius_px: 0.0,
     };
     [0, 1].map(|end| (pixels[end] > 0.0).then(|| point(end)))

@@ -1,5 +1,6 @@
 //! Which shape an object has, where more than one explains it.
 
+use super::contours::Contours;
 use super::model;
 use super::odds::Evidence;
 use super::parameters::AssemblerParameters;
@@ -7,7 +8,6 @@ use super::region::Region;
 use super::rejection::Rejection;
 use super::report::{add_flattening, report};
 use super::verify::{Candidate, Verified};
-use conicflow_geometry::Contour;
 use conicflow_messages::{Object, ObjectKind};
 
 /// Two models explain about as many points if the smaller number is at least this part of the larger.
@@ -43,7 +43,7 @@ pub(crate) struct Chosen<'a> {
 pub(crate) fn choose<'a>(
     found: Verified<'a>,
     parameters: &AssemblerParameters,
-    contour: &mut Contour,
+    contours: &mut Contours,
 ) -> Result<Chosen<'a>, Rejection> {
     let grown = || found.iter().flatten();
     let reason = grown().filter_map(|found| found.as_ref().err()).next_back().copied();
@@ -57,7 +57,7 @@ pub(crate) fn choose<'a>(
     // A vague cone may still show that a cylinder is none: the choice comes first.
     let cone = cone.and_then(Result::ok).filter(|(_, object)| is_cone(object, parameters)).map(|(cone, _)| cone);
     let axial = match (cylinder, cone) {
-        (Some(cylinder), Some(cone)) => Some(sharper(cylinder, cone, contour)),
+        (Some(cylinder), Some(cone)) => Some(sharper(cylinder, cone, contours)),
         (cylinder, cone) => cylinder.or(cone),
     };
     let best = match (sphere, axial) {
@@ -104,7 +104,7 @@ fn sure_slope(object: &Object) -> f64 {
 }
 
 /// Of a cylinder and a cone the one that explains more points, else the cone only if it explains them surely better.
-fn sharper<'a>(cylinder: Candidate<'a>, cone: Candidate<'a>, contour: &mut Contour) -> Candidate<'a> {
+fn sharper<'a>(cylinder: Candidate<'a>, cone: Candidate<'a>, contours: &mut Contours) -> Candidate<'a> {
     let (a, b) = (cylinder.measured.points, cone.measured.points);
     if a < AS_MANY * b {
         return cone;
@@ -113,7 +113,7 @@ fn sharper<'a>(cylinder: Candidate<'a>, cone: Candidate<'a>, contour: &mut Conto
         return cylinder;
     }
     let members = if a > b { cylinder.region.members } else { cone.region.members };
-    let mut cost = |candidate: &Candidate| cost(Region { members, ..candidate.region }, contour);
+    let mut cost = |candidate: &Candidate| cost(Region { members, ..candidate.region }, contours);
     let gain = cost(&cylinder).zip(cost(&cone)).map_or(0.0, |(cylinder, cone)| cylinder - cone);
     if gain > least_gain(&cone, a.max(b)) { cone } else { cylinder }
 }
@@ -127,10 +127,10 @@ fn least_gain(cone: &Candidate, points: f64) -> f64 {
 
 /// What is left of the points and the contour of some members by a model that is fitted to these. What it leaves out of
 /// the contour counts, too, or it would gain by what it misses.
-fn cost(mut region: Region, contour: &mut Contour) -> Option<f64> {
+fn cost(mut region: Region, contours: &mut Contours) -> Option<f64> {
     region.model = model::fit(region.model.kind(), &region.arcs(), Some(&region.model), f64::INFINITY)?;
-    let cost = model::with_contour(&region, 1, contour)?.cost();
-    Some(cost + contour.least_left_out())
+    let cost = model::with_contour(&region, 1, contours)?.cost();
+    Some(cost + contours.last().least_left_out())
 }
 
 fn rounder<'a>(sphere: Candidate<'a>, axial: Candidate<'a>) -> Candidate<'a> {

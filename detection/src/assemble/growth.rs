@@ -5,7 +5,6 @@ use super::model::{self, Model, Predictor};
 use super::parameters::AssemblerParameters;
 use super::region::Region;
 use super::rejection::Rejection;
-use conicflow_geometry::Contour;
 use conicflow_messages::ObjectKind;
 
 /// Most arcs of a chain on each side of its seed.
@@ -80,7 +79,6 @@ pub(crate) struct Growing {
     spare: Vec<usize>,
     /// The members of each shape.
     pub members: [Vec<usize>; ObjectKind::ALL.len()],
-    pub contour: Contour,
 }
 
 impl Growing {

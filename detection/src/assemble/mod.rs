@@ -2,12 +2,13 @@
 //!
 //! The files stand in the order of the steps: the arcs with the moments of their points ([`arcs`]); which of them are tried
 //! first ([`seeds`]); how a model grows from one over the lines ([`growth`]), with the three models and their fits
-//! ([`model`]) and what they explain ([`region`]); what an object has to fulfil as a whole ([`verify`]); which of the shapes
+//! ([`model`]), what they explain ([`region`]) and the contours that they show ([`contours`]); what an object has to fulfil as a whole ([`verify`]); which of the shapes
 //! it is ([`choice`]); what is told of it ([`report`]); and how probable it is that it is one ([`odds`]). The walk itself is
 //! `Assembler::assemble` in `method.rs`.
 
 pub(crate) mod arcs;
 pub(crate) mod choice;
+pub(crate) mod contours;
 pub(crate) mod growth;
 mod model;
 pub mod odds;
@@ -25,18 +26,21 @@ pub use rejection::{Rejection, Rejections};
 pub use report::end_sigma;
 
 use arcs::Arcs;
+use contours::Contours;
 use conicflow_messages::Object;
 use growth::Growing;
 use odds::Evidence;
 use seeds::Seeds;
 
-/// Finds the objects in lists of ellipses; its buffers are used again for the next.
+/// Finds the objects in lists of ellipses, those of one image of a sensor after another: what objects show of where this sensor
+/// puts contours is used for the next ones (`contour_memory`). Its buffers are used again for the next list.
 #[derive(Debug)]
 pub struct Assembler {
     pub(crate) parameters: AssemblerParameters,
     pub(crate) arcs: Arcs,
     pub(crate) seeds: Seeds,
     pub(crate) growing: Growing,
+    pub(crate) contours: Contours,
     pub(crate) objects: Vec<Object>,
     pub(crate) candidates: Vec<(Object, Evidence)>,
     pub(crate) rejections: Rejections,
@@ -50,6 +54,7 @@ impl Assembler {
             arcs: Arcs::default(),
             seeds: Seeds::default(),
             growing: Growing::default(),
+            contours: Contours::default(),
             objects: Vec::new(),
             candidates: Vec::new(),
             rejections: Rejections::default(),

@@ -1,9 +1,10 @@
 //! The three models and their fits to the pooled moments of some arcs.
 
 use super::arcs::{Arc, Misfit};
+use super::contours::Contours;
 use super::region::Region;
 use conicflow_geometry::{
-    ArcFit, Coefficients, Conical, Contour, ContourNoise, ContourPoint, FixedSlope, FreeSlope, Line, LineMoments,
+    ArcFit, Coefficients, Conical, FixedSlope, FreeSlope, Line, LineMoments,
     Prediction, QuadricMoments, SpaceMoments, Sphere, Surface, SurfaceFit, Vector3, fit_surface, fit_with_contour,
 };
 use conicflow_messages::ObjectKind;
@@ -201,22 +202,9 @@ fn fit_cone<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Mo
     Some(Model::Cone(upright(fit)))
 }
 
-/// How exact the contours of objects are. On rendered frames a contour point scatters by half a pixel and 2 % of the radius
-/// (4 % leave a margin), and a whole contour lies up to 5 % of the radius too far in.
-const CONTOUR_NOISE: ContourNoise = ContourNoise {
-    point_px: 0.5,     // [tuned]
-    point_share: 0.04, // [tuned]
-    offset_px: 1.0,    // [tuned]
-    share: 0.05,       // [tuned]
-};
-
-/// Standard deviation by which a whole side may be off further for each pixel that shares the noise of one: what compares
-/// windows puts a contour anywhere within half a window of where it is.
-const WINDOW_OFFSET_PX: f64 = 0.288_675; // [derived]
-
-/// The model fitted anew, to its arcs and to the contour that they show: so many times, each with the points that are
-/// near the contour of the last. `contour` is a buffer.
-pub(super) fn with_contour(region: &Region, passes: usize, contour: &mut Contour) -> Option<Model> {
+/// The model fitted anew, to its arcs and to the contour that they show: so many times, each with the points that are near the
+/// contour of the last.
+pub(super) fn with_contour(region: &Region, passes: usize, contours: &mut Contours) -> Option<Model> {
     let arcs = region.arcs();
     let evenly = match &region.model {
         Model::Cone(_) => None,
@@ -224,38 +212,18 @@ pub(super) fn with_contour(region: &Region, passes: usize, contour: &mut Contour
     };
     let mut region = *region;
     for _ in 0..passes {
-        gather(&region, contour);
-        let [from, to] = region.extent();
-        let seen =
-            |surface: &Conical, point: &Vector3| (from..=to).contains(&surface.axis.dot(&(point - surface.point)));
+        let contour = contours.of(&region);
         region.model = match (&region.model, &evenly) {
-            (Model::Sphere(fit), Some(moments)) => {
-                contour.select(&fit.surface, |_| true);
-                Model::Sphere(fit_with_contour(moments, contour, &fit.surface)?)
-            }
-            (Model::Cylinder(fit), Some(moments)) => {
-                contour.select(&fit.surface, |point| seen(&fit.surface.0, point));
-                Model::Cylinder(fit_with_contour(moments, contour, &fit.surface)?)
-            }
+            (Model::Sphere(fit), Some(moments)) => Model::Sphere(fit_with_contour(moments, contour, &fit.surface)?),
+            (Model::Cylinder(fit), Some(moments)) => Model::Cylinder(fit_with_contour(moments, contour, &fit.surface)?),
             (Model::Cone(fit), None) => {
                 let moments = pool(arcs.clone(), |arc| excess(&fit.surface.0, arc)).normalized()?;
-                contour.select(&fit.surface, |point| seen(&fit.surface.0, point));
                 Model::Cone(upright(fit_with_contour(&moments, contour, &fit.surface)?))
             }
             _ => return None,
         };
     }
     Some(region.model)
-}
-
-/// Puts the contour that a grown model shows into `contour`.
-fn gather(region: &Region, contour: &mut Contour) {
-    let window = region.ends()[0].shared_px - 1.0;
-    contour.clear(ContourNoise { offset_px: CONTOUR_NOISE.offset_px + WINDOW_OFFSET_PX * window, ..CONTOUR_NOISE });
-    for arc in region.arcs() {
-        let radius_px = region.model.radius_at(&arc.mean).max(0.0) / arc.pitch;
-        arc.contour.into_iter().flatten().for_each(|point| contour.add(ContourPoint { radius_px, ..point }));
-    }
 }
 
 /// By how much F is too great at an arc of a cone; not less than a little above zero, near and beyond the apex.

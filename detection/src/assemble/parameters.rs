@@ -76,6 +76,10 @@ pub struct PooledParameters {
     /// limit. What is most curved comes first. With a limit the same image may give other objects on a busy machine.
     #[schemars(range(min = 0.0, max = 10_000.0))]
     pub budget_ms: f64,
+    /// For how many images counts what an image shows of where this sensor puts contours; 0: each image is looked at as if it
+    /// were the first.
+    #[schemars(range(min = 0.0, max = 1e6))]
+    pub contour_memory: f64,
 }
 
 impl Default for PooledParameters {
@@ -90,6 +94,7 @@ impl Default for PooledParameters {
             min_cap_radii: 0.5,
             min_half_angle_deg: 2.5,
             budget_ms: 0.0,
+            contour_memory: 100.0,
         }
     }
 }

@@ -2,6 +2,7 @@
 
 use super::arcs::{Arc, Arcs};
 use super::model::Model;
+use conicflow_geometry::Vector3;
 
 /// A model and the arcs that it explains, in the order of the lines.
 #[derive(Clone, Copy, Debug)]
@@ -37,9 +38,13 @@ impl<'a> Region<'a> {
         [self.members[0], self.members[self.members.len() - 1]].map(|index| &self.arcs.arcs[index])
     }
 
-    /// From where to where the arcs reach along the axis, counted from the surface's point; 0 both for a sphere.
+    /// Place of a point along the axis, counted from the surface's point; 0 for a sphere.
+    pub fn along(&self, point: &Vector3) -> f64 {
+        self.model.conical().map_or(0.0, |surface| surface.axis.dot(&(point - surface.point)))
+    }
+
+    /// From where to where the arcs reach along the axis.
     pub fn extent(&self) -> [f64; 2] {
-        let along = |arc: &Arc| self.model.conical().map_or(0.0, |s| s.axis.dot(&(arc.mean - s.point)));
-        self.arcs().map(along).fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], x| [a.min(x), b.max(x)])
+        self.arcs().map(|arc| self.along(&arc.mean)).fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], x| [a.min(x), b.max(x)])
     }
 }

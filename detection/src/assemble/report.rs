@@ -14,15 +14,15 @@ const SAMPLES: usize = 5; // [algorithmic]
 /// Approximate number of arcs of an object at which its noise is evaluated.
 const ARCS: usize = 16; // [algorithmic]
 /// Systematic error of radius and centre, in radii. No number of points averages it out.
-const SYSTEMATIC: f64 = 0.002; // [tuned]
+pub(super) const SYSTEMATIC: f64 = 0.002; // [tuned]
 /// Systematic error of radius and centre of a sphere or cylinder, in pixels: silhouettes are smeared.
-const SYSTEMATIC_PX: f64 = 0.06; // [tuned]
+pub(super) const SYSTEMATIC_PX: f64 = 0.06; // [tuned]
 /// Systematic error of radius and centre of a cone, in pixels. Its slope depends on the silhouette, so it is larger.
 const SYSTEMATIC_CONE_PX: f64 = 0.09; // [tuned]
 /// Systematic error of radius and centre for each further pixel that shares its noise, in pixels: what compares windows flattens
 /// what is round at its silhouettes. With it errors over sigmas in `experiments/simulated_sensors.toml` are near 1 for stereo and
 /// structured light.
-const FLATTENED_PX: f64 = 0.08; // [measured]
+pub(super) const FLATTENED_PX: f64 = 0.08; // [measured]
 /// Systematic error of axis and half-angle, in radians.
 const SYSTEMATIC_ANGLE: f64 = 0.001; // [tuned]
 

@@ -1,13 +1,14 @@
 //! What has to be seen of a grown model for it to be a candidate; whether the candidate is an object is asked in `odds.rs`.
 
 use super::arcs::{Arc, Arcs};
+use super::contours::Contours;
 use super::growth::Grown;
 use super::model::{self, Model};
 use super::parameters::AssemblerParameters;
 use super::region::Region;
 use super::rejection::Rejection;
 use super::report::spacing_along;
-use conicflow_geometry::{Contour, ContourNoise, Scan, SpaceMoments, Vector3, section_of};
+use conicflow_geometry::{Contour, Scan, SpaceMoments, Vector3, section_of};
 
 /// Number of fits to the contour. Each uses the contour points that are near the contour of the last fit.
 const CONTOUR_PASSES: usize = 2; // [algorithmic]
@@ -107,11 +108,11 @@ pub(crate) fn verify_all<'a>(
     grown: [Grown; 3],
     members: &'a [Vec<usize>; 3],
     parameters: &AssemblerParameters,
-    contour: &mut Contour,
+    contours: &mut Contours,
 ) -> Verified<'a> {
     std::array::from_fn(|kind| {
         let region = |model| Region { arcs, model, members: &members[kind] };
-        Some(grown[kind]?.and_then(|model| verify(region(model), parameters, contour)))
+        Some(grown[kind]?.and_then(|model| verify(region(model), parameters, contours)))
     })
 }
 
@@ -119,15 +120,15 @@ pub(crate) fn verify_all<'a>(
 fn verify<'a>(
     mut region: Region<'a>,
     parameters: &AssemblerParameters,
-    contour: &mut Contour,
+    contours: &mut Contours,
 ) -> Result<Candidate<'a>, Rejection> {
     check(&region, parameters)?;
-    if let Some(model) = model::with_contour(&region, CONTOUR_PASSES, contour) {
+    if let Some(model) = model::with_contour(&region, CONTOUR_PASSES, contours) {
         region.model = model;
     } else {
-        contour.clear(ContourNoise::default());
+        contours.clear();
     }
-    let outline = Outline::of(&region, contour, parameters.max_gap());
+    let outline = Outline::of(&region, contours.last(), parameters.max_gap());
     Ok(Candidate { region, measured: check(&region, parameters)?, outline })
 }
 

@@ -1,0 +1,124 @@
+//! The contours of objects, and what objects showed of where contours lie.
+//!
+//! A sensor smears the silhouettes of what it sees, or loses what it grazes, and so puts contours a little beside the place where
+//! the ray touches the surface: in rows otherwise than in columns, on the left otherwise than on the right, but with all objects
+//! alike. Nobody knows by how much. But the points of an object tell its size as well, without its contour; so each object shows
+//! by how much the contours of this sensor are off, and the next one is measured the better for it.
+
+use super::model::Model;
+use super::region::Region;
+use super::report::{FLATTENED_PX, SYSTEMATIC, SYSTEMATIC_PX};
+use conicflow_geometry::{BiasEvidence, Contour, ContourBias, ContourNoise, ContourPoint, Scan};
+use conicflow_messages::Camera;
+use nalgebra::{Matrix4, Vector4};
+
+/// Standard deviation of a contour point in pixels, and in radii. On rendered frames a contour point scatters by half a pixel and
+/// 2 % of the radius; 4 % leave a margin.
+const POINT_PX: f64 = 0.5; // [measured]
+const POINT_SHARE: f64 = 0.04; // [tuned]
+/// Standard deviations of the bias of a sensor of which nothing is known: of its offset in pixels, and of its share of the
+/// radius. On rendered frames a whole contour lies up to 5 % of the radius too far in.
+const OFFSET_PX: f64 = 1.0; // [tuned]
+const SHARE: f64 = 0.05; // [measured]
+/// A contour may be off by more for each further pixel that shares the noise of one: what compares windows puts it anywhere within
+/// half a window of where it is. Standard deviation, in pixels.
+const WINDOW_OFFSET_PX: f64 = 0.288_675; // [derived]
+
+/// The contour of one object after another, each fitted with what the earlier ones showed of the bias of contours.
+#[derive(Debug, Default)]
+pub(crate) struct Contours {
+    contour: Contour,
+    camera: Camera,
+    /// What was learned of the bias, in rows and in columns.
+    learned: [BiasEvidence; 2],
+}
+
+impl Contours {
+    /// Forgets, before an image of this camera, as much of what earlier images showed that it counts for so many images; all of
+    /// it if that was another camera.
+    pub fn next_image(&mut self, camera: &Camera, memory: f64) {
+        let kept = if *camera == self.camera { memory / (memory + 1.0) } else { 0.0 };
+        self.camera = *camera;
+        for BiasEvidence { information, weighted } in &mut self.learned {
+            *information *= kept;
+            *weighted *= kept;
+        }
+    }
+
+    /// The contour that was fitted last.
+    pub fn last(&self) -> &Contour {
+        &self.contour
+    }
+
+    /// No contour.
+    pub fn clear(&mut self) {
+        self.contour.clear(ContourNoise::default());
+    }
+
+    /// The contour that a region shows, as far as it is near that of its model.
+    pub fn of(&mut self, region: &Region) -> &Contour {
+        self.contour.clear(ContourNoise {
+            point_px: POINT_PX,
+            point_share: POINT_SHARE,
+            shared_lines: region.shared_lines(),
+            bias: self.bias(region),
+        });
+        for arc in region.arcs() {
+            let radius_px = region.model.radius_at(&arc.mean).max(0.0) / arc.pitch;
+            arc.contour.into_iter().flatten().for_each(|point| self.contour.add(ContourPoint { radius_px, ..point }));
+        }
+        let [from, to] = region.extent();
+        self.contour.select(&region.model.coefficients(), |point| (from..=to).contains(&region.along(point)));
+        &self.contour
+    }
+
+    /// Learns from an object where contours lie.
+    pub fn learn(&mut self, region: &Region) {
+        let own = covariance(own_px(window_px(region)), SYSTEMATIC);
+        let contour = self.of(region);
+        let evidence = match &region.model {
+            Model::Sphere(fit) => contour.bias_evidence(fit, &own),
+            Model::Cylinder(fit) => contour.bias_evidence(fit, &own),
+            Model::Cone(fit) => contour.bias_evidence(fit, &own),
+        };
+        if let Some(BiasEvidence { information, weighted }) = evidence {
+            let learned = &mut self.learned[direction(region)];
+            learned.information += information;
+            learned.weighted += weighted;
+        }
+    }
+
+    /// By how much the contour of a region may be off: by what is common to all of the sensor, and by what is its own.
+    fn bias(&self, region: &Region) -> ContourBias {
+        let window = window_px(region);
+        let anything = covariance(OFFSET_PX + WINDOW_OFFSET_PX * window, SHARE);
+        let learned = &self.learned[direction(region)];
+        let information = anything.map_diagonal(f64::recip);
+        let information = Matrix4::from_diagonal(&information) + learned.information;
+        let common = BiasEvidence { information, ..*learned }.bias();
+        let ContourBias { mean, covariance: common } =
+            common.unwrap_or(ContourBias { mean: Vector4::zeros(), covariance: anything });
+        ContourBias { mean, covariance: common + covariance(own_px(window), SYSTEMATIC) }
+    }
+}
+
+/// Standard deviation by which the contour of one object is off by itself, where so many further pixels share the noise of one:
+/// by as much as the points of an object are, in the report on it.
+fn own_px(window: f64) -> f64 {
+    SYSTEMATIC_PX + FLATTENED_PX * window
+}
+
+/// How many further pixels share the noise of one.
+fn window_px(region: &Region) -> f64 {
+    region.ends()[0].shared_px - 1.0
+}
+
+/// Rows or columns.
+fn direction(region: &Region) -> usize {
+    usize::from(region.ends()[0].scan == Scan::Column)
+}
+
+/// Covariance of a bias whose offset and share have these standard deviations on both sides.
+fn covariance(offset_px: f64, share: f64) -> Matrix4<f64> {
+    Matrix4::from_diagonal(&Vector4::new(offset_px, share, offset_px, share).map(|sigma| sigma * sigma))
+}
