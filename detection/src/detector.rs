@@ -6,7 +6,10 @@ use crate::extract::{Extractor, ExtractorParameters};
 use crate::method;
 use conicflow_messages::{Camera, Header, Item, NoiseModel, Object, finest_scale, quantise};
 
-/// Finds spheres, cylinders and cones in the depth images of one camera.
+/// Finds spheres, cylinders and cones in the depth images of one camera, one after another.
+///
+/// What objects show of where this camera puts silhouettes is used for the next images: the same images in the same order give
+/// the same objects to the bit, another order gives slightly others. [`alone`](Self::alone) looks at each image by itself.
 ///
 /// Without [`noise`](Self::noise) the sensor is taken for a Kinect v1, as the sources of a pipeline take it. Each image
 /// tells how noisy it is, so that a model which is not quite right costs little; but no sensor is ideal.
@@ -73,6 +76,13 @@ impl Detector {
     pub fn parameters(mut self, extractor: ExtractorParameters, assembler: AssemblerParameters) -> Self {
         self.extractor = Extractor::new(extractor);
         self.assembler = Assembler::new(assembler);
+        self
+    }
+
+    /// The same detector, but each image is looked at as if it were the first (`contour_memory = 0`).
+    #[must_use]
+    pub fn alone(mut self) -> Self {
+        self.assembler.parameters.pooled.contour_memory = 0.0;
         self
     }
 
@@ -179,23 +189,17 @@ mod tests {
         let mut extractor = Extractor::new(ExtractorParameters::default());
         let mut assembler = Assembler::new(AssemblerParameters::default());
         let expected = assembler.assemble(&header, extractor.extract(&header, &pixels)).to_vec();
-        let mut detector = Detector::new(header.camera).noise(header.noise).depth_scale(header.depth_scale);
-        assert_eq!(expected.len(), 1);
-        assert_eq!(detector.detect(&pixels), expected);
+        assert_eq!((expected.len(), detector(&header).detect(&pixels)), (1, expected));
     }
 
-    /// A detector that looks at each image as if it were the first.
-    fn forgetful(header: &Header) -> Detector {
-        let mut assembler = AssemblerParameters::default();
-        assembler.pooled.contour_memory = 0.0;
-        let detector = Detector::new(header.camera).noise(header.noise).depth_scale(header.depth_scale);
-        detector.parameters(ExtractorParameters::default(), assembler)
+    fn detector(header: &Header) -> Detector {
+        Detector::new(header.camera).noise(header.noise).depth_scale(header.depth_scale)
     }
 
     #[test]
-    fn without_memory_nothing_is_left_behind() {
+    fn alone_an_image_leaves_nothing_behind() {
         let (header, pixels) = scene();
-        let mut detector = forgetful(&header);
+        let mut detector = detector(&header).alone();
         let first = detector.detect(&pixels);
         assert_eq!((first.len(), detector.detect(&pixels)), (1, first));
     }
@@ -223,8 +227,7 @@ mod tests {
             let radii: Vec<f64> = images.iter().map(radius).collect();
             radii[20..].iter().sum::<f64>() / 20.0 - 0.1
         };
-        let mut learning = Detector::new(header.camera).noise(noise).depth_scale(header.depth_scale);
-        let [before, after] = [bias(&mut forgetful(&header)), bias(&mut learning)];
+        let [before, after] = [bias(&mut detector(&header).alone()), bias(&mut detector(&header))];
         assert!(before < -0.0005 && after > 0.5 * before, "{before} {after}");
     }
 
@@ -233,8 +236,8 @@ mod tests {
         let (header, pixels) = scene();
         let metres: Vec<f32> =
             pixels.iter().map(|&z| if z == 0 { f32::NAN } else { f32::from(z) * header.depth_scale as f32 }).collect();
-        let mut detector = Detector::new(header.camera).noise(header.noise).depth_scale(header.depth_scale);
-        assert_eq!(forgetful(&header).detect_f32(&metres), detector.detect(&pixels), "both are in tenths of a millimetre");
+        let [in_metres, in_units] = [detector(&header).detect_f32(&metres), detector(&header).detect(&pixels)];
+        assert_eq!(in_metres, in_units, "both are in tenths of a millimetre");
     }
 
     #[test]

@@ -105,6 +105,12 @@ impl Assembler {
                     // From any other of its arcs the same would grow.
                     seeds.pass_over(candidate.region.members);
                 }
+                // Blobs of noise are the most curved of all, and cost no fit: they use up nothing.
+                Err(Rejection::FewRows) => {
+                    rejections.count(Rejection::FewRows);
+                    seeds.pass_over(&growing.chain);
+                    continue;
+                }
                 Err(reason) => rejections.count(reason),
             }
             seeds.give_up(&growing.chain);

@@ -283,7 +283,9 @@ impl Contour {
     ) -> Option<BiasEvidence> {
         let sums = self.sums(&fit.surface, &Vector3::zeros(), 1.0);
         // The fit is where the gradients of points and contour cancel out.
-        let of_points = Points { matrix: fit.inverse.try_inverse()? - fit.contour, gradient: -sums.term(&self.prior).gradient };
+        let of_points =
+            Points { matrix: fit.inverse.try_inverse()? - fit.contour, gradient: -sums.term(&self.prior).gradient };
+        of_points.matrix.cholesky()?;
         let Sums { shared, shared_error, shared_slope, .. } = sums;
         let mean = &self.noise.bias.mean;
         // Nothing is expected of c: the expectation is put back.
@@ -490,13 +492,13 @@ mod tests {
         assert!(rest < 0.02, "{rest} of a variance, where the lines nearly graze the outline, too");
     }
 
-    /// A ball that is seen with noise, its contour too wide by `outwards` pixels, fitted with both.
-    fn ball(outwards: f64, noise: ContourNoise) -> (SurfaceFit<Sphere, 4>, Contour) {
+    /// A ball that is seen with depths that scatter by so many metres, its contour too wide by `outwards` pixels, fitted with both.
+    fn ball(sigma: f64, outwards: f64, noise: ContourNoise) -> (SurfaceFit<Sphere, 4>, Contour) {
         let ball = Sphere { center: Vector3::new(0.0, 0.0, 1.2), radius: 0.1 };
         let mut random = Random(5);
-        let points = seen(&ball.coefficients(), 97..143, 0.0, |z| (z + 0.004 * random.normal(), 1.6e-5));
+        let points = seen(&ball.coefficients(), 97..143, 0.0, |z| (z + sigma * random.normal(), sigma * sigma));
         let mut pool = SpaceMoments::default();
-        pool.add(&points, 1.0 / 1.6e-5);
+        pool.add(&points, 1.0 / (sigma * sigma));
         let mut contour = contour_on(97..143, &ball.coefficients(), 24.0, outwards, noise);
         contour.select(&ball.coefficients(), |_| true);
         (fit_with_contour(&pool.normalized().unwrap(), &contour, &ball).unwrap(), contour)
@@ -505,15 +507,15 @@ mod tests {
     #[test]
     fn what_points_and_contour_tell_of_the_bias_makes_the_next_fit_better() {
         let own = biased(Vector4::zeros(), [0.05, 1e-3]).covariance;
-        let (fit, contour) = ball(0.8, noise());
-        let shown = contour.bias_evidence(&fit, &own).unwrap();
+        let (well_seen, contour) = ball(0.004, 0.8, noise());
+        let shown = contour.bias_evidence(&well_seen, &own).unwrap();
         let prior = noise().bias.covariance.try_inverse().unwrap();
         let bias = BiasEvidence { information: shown.information + prior, ..shown }.bias().unwrap();
         let at_this_size = [bias.mean[0] + 24.0 * bias.mean[1], bias.mean[2] + 24.0 * bias.mean[3]];
         assert!((at_this_size[0] + 0.8).abs() < 0.2 && (at_this_size[1] - 0.8).abs() < 0.2, "{at_this_size:?}");
 
-        let (better, _) = ball(0.8, ContourNoise { bias, ..noise() });
-        let [before, after] = [fit, better].map(|fit| (fit.surface.radius - 0.1).abs());
+        let radius_error = |noise| (ball(0.02, 0.8, noise).0.surface.radius - 0.1).abs();
+        let [before, after] = [noise(), ContourNoise { bias, ..noise() }].map(radius_error);
         assert!(after < 0.5 * before, "{before} {after}");
     }
 
@@ -521,7 +523,7 @@ mod tests {
     fn lines_that_share_their_noise_tell_less_of_the_bias() {
         let own = biased(Vector4::zeros(), [1e-3, 1e-5]).covariance;
         let told = |shared_lines: f64| {
-            let (fit, contour) = ball(0.0, ContourNoise { shared_lines, ..noise() });
+            let (fit, contour) = ball(0.004, 0.0, ContourNoise { shared_lines, ..noise() });
             contour.bias_evidence(&fit, &own).unwrap().information[(0, 0)]
         };
         let ratio = told(1.0) / told(4.0);

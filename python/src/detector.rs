@@ -45,7 +45,8 @@ thread_local! {
     static LAST: RefCell<Option<Made>> = const { RefCell::new(None) };
 }
 
-/// Spheres, cylinders and cones in one depth image, in the camera frame (x right, y down, z forward).
+/// Spheres, cylinders and cones in one depth image, in the camera frame (x right, y down, z forward). For one image after another
+/// of a camera use `Detector`: it learns from each where the camera puts silhouettes.
 ///
 /// depth: NumPy array (rows, columns). `uint16` counts units of `scale`, 0 and 65535 are not measured; `float32` is in
 ///     metres, and what is not finite, not above zero or beyond 16.38 m is not measured. Any stride will do; an array that
@@ -70,7 +71,7 @@ pub(crate) fn detect<'py>(
     let found = look(py, &image, |look| {
         LAST.with_borrow_mut(|last| {
             let made = last.take().filter(|made| (made.sensor, made.size) == (sensor, size));
-            let made = made.unwrap_or_else(|| Made { sensor, size, detector: sensor.detector(size) });
+            let made = made.unwrap_or_else(|| Made { sensor, size, detector: sensor.detector(size).alone() });
             look(&mut last.insert(made).detector)
         })
     })?;
@@ -96,7 +97,9 @@ fn look(
     found.map_err(|error| fault::told(&error))
 }
 
-/// Finds objects in the images of one camera; all of them have the size of the first.
+/// Finds objects in the images of one camera, one after another; all of them have the size of the first. Each shows where the
+/// camera puts silhouettes, by which the next ones are measured better; `assembler={"pooled": {"contour_memory": 0}}` looks at
+/// each alone, as `detect` does.
 ///
 /// camera, scale, noise: as of `detect`.
 /// extractor, assembler: dictionaries with parameters of the nodes `row_ellipse_extractor` and `object_assembler`; those that

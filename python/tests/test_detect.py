@@ -25,9 +25,19 @@ def test_the_objects_are_those_of_the_program_to_the_bit(playground, tmp_path):
     lines, _ = playground.run("detect", "frames", "--camera", ",".join(map(str, CAMERA)))
     expected = [json.loads(line)["objects"] for line in lines.splitlines()]
     assert len(expected) == 4 and {each["kind"] for each in expected[0]} == {"sphere", "cylinder", "cone"}
-    assert [shown(conicflow.detect(frame, camera=CAMERA)) for frame in frames] == expected
     detector = conicflow.Detector(CAMERA, noise="kinect_v1")
     assert [shown(detector.detect(frame)) for frame in frames] == expected
+    assert shown(conicflow.detect(frames[0], camera=CAMERA)) == expected[0]
+
+
+def test_an_image_alone_has_no_history():
+    frames = [scenes.millimetres(seed) for seed in (0, 1, 0)]
+    first, _, again = (shown(conicflow.detect(frame, camera=CAMERA)) for frame in frames)
+    detector = conicflow.Detector(CAMERA)
+    _, _, learned = (shown(detector.detect(frame)) for frame in frames)
+    assert first == again != learned
+    forgetful = conicflow.Detector(CAMERA, assembler={"pooled": {"contour_memory": 0}})
+    assert [shown(forgetful.detect(frame)) for frame in frames][2] == first
 
 
 def test_metres_are_as_good_as_units():
@@ -201,7 +211,7 @@ def test_other_threads_go_on_while_it_works():
 
 
 def test_threads_get_the_same_from_one_detector():
-    detector = conicflow.Detector(CAMERA)
+    detector = conicflow.Detector(CAMERA, assembler={"pooled": {"contour_memory": 0}})
     frames = [scenes.millimetres(seed) for seed in range(4)]
     expected, found = [detector.detect(frame) for frame in frames], [None] * 4
 

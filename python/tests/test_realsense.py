@@ -47,8 +47,9 @@ def test_a_recording_of_the_sdk_is_played_back_to_the_last_frame(playground):
     played = lines(playground)
     assert [line["sequence"] for line in played] == list(range(12))
     assert [line["stamp_ns"] for line in played] == [round((1000 + n * 1000 / 30) * 1e6) for n in range(12)]
+    detector = conicflow.Detector(scenes.CAMERA, scale=0.001, noise=NOISE)
     for number, line in enumerate(played):
-        found = conicflow.detect(scenes.millimetres(number), scenes.CAMERA, scale=0.001, noise=NOISE)
+        found = detector.detect(scenes.millimetres(number))
         assert line["objects"] == [each.to_dict() for each in found] and len(found) > 0
     assert "images of 320x240" in told and "has a median depth of " in told, told
     # Nothing that the SDK says by itself stands among the results.

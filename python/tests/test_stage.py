@@ -98,9 +98,11 @@ def test_further_inputs_are_of_the_same_frame(playground):
 import conicflow
 
 with conicflow.stage(same_frame=["depth"]) as stage, open("pairs.txt", "w") as pairs:
+    detector = None
     for message in stage:
         depth = message.inputs["depth"]
-        found = conicflow.detect(depth.image, camera=depth.camera, scale=depth.scale, noise=depth.noise)
+        detector = detector or conicflow.Detector(depth.camera, scale=depth.scale, noise=depth.noise)
+        found = detector.detect(depth.image)
         latest = message.inputs.get("ellipses")
         is_list = latest is None or latest.kind == "ellipses"
         print(message.sequence, depth.sequence, found == message.items, is_list, file=pairs)

@@ -26,8 +26,8 @@ pub use rejection::{Rejection, Rejections};
 pub use report::end_sigma;
 
 use arcs::Arcs;
-use contours::Contours;
 use conicflow_messages::Object;
+use contours::Contours;
 use growth::Growing;
 use odds::Evidence;
 use seeds::Seeds;

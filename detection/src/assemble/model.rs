@@ -4,8 +4,8 @@ use super::arcs::{Arc, Misfit};
 use super::contours::Contours;
 use super::region::Region;
 use conicflow_geometry::{
-    ArcFit, Coefficients, Conical, FixedSlope, FreeSlope, Line, LineMoments,
-    Prediction, QuadricMoments, SpaceMoments, Sphere, Surface, SurfaceFit, Vector3, fit_surface, fit_with_contour,
+    ArcFit, Coefficients, Conical, FixedSlope, FreeSlope, Line, LineMoments, Prediction, QuadricMoments, SpaceMoments,
+    Sphere, Surface, SurfaceFit, Vector3, fit_surface, fit_with_contour,
 };
 use conicflow_messages::ObjectKind;
 

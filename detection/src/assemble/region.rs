@@ -45,6 +45,8 @@ impl<'a> Region<'a> {
 
     /// From where to where the arcs reach along the axis.
     pub fn extent(&self) -> [f64; 2] {
-        self.arcs().map(|arc| self.along(&arc.mean)).fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], x| [a.min(x), b.max(x)])
+        self.arcs()
+            .map(|arc| self.along(&arc.mean))
+            .fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], x| [a.min(x), b.max(x)])
     }
 }
