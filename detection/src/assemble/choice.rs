@@ -129,7 +129,7 @@ fn least_gain(cone: &Candidate, points: f64) -> f64 {
 /// the contour counts, too, or it would gain by what it misses.
 fn cost(mut region: Region, contours: &mut Contours) -> Option<f64> {
     region.model = model::fit(region.model.kind(), &region.arcs(), Some(&region.model), f64::INFINITY)?;
-    let cost = model::with_contour(&region, 1, contours)?.cost();
+    let cost = contours.fit(&region, 1)?.cost();
     Some(cost + contours.last().least_left_out())
 }
 

@@ -1,11 +1,9 @@
 //! The three models and their fits to the pooled moments of some arcs.
 
 use super::arcs::{Arc, Misfit};
-use super::contours::Contours;
-use super::region::Region;
 use conicflow_geometry::{
     ArcFit, Coefficients, Conical, FixedSlope, FreeSlope, Line, LineMoments, Prediction, QuadricMoments, SpaceMoments,
-    Sphere, Surface, SurfaceFit, Vector3, fit_surface, fit_with_contour,
+    Sphere, Surface, SurfaceFit, Vector3, fit_surface,
 };
 use conicflow_messages::ObjectKind;
 
@@ -142,7 +140,7 @@ impl Predictor {
 }
 
 /// The arcs pooled, each with the weight of one over its variance, times what `excess` asks for.
-fn pool<'a>(arcs: impl Iterator<Item = &'a Arc>, excess: impl Fn(&Arc) -> f64) -> SpaceMoments {
+pub(super) fn pool<'a>(arcs: impl Iterator<Item = &'a Arc>, excess: impl Fn(&Arc) -> f64) -> SpaceMoments {
     let mut pool = SpaceMoments::default();
     arcs.for_each(|arc| pool.add(&arc.space, 1.0 / (arc.variance * excess(arc).powi(2))));
     pool
@@ -202,37 +200,13 @@ fn fit_cone<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Mo
     Some(Model::Cone(upright(fit)))
 }
 
-/// The model fitted anew, to its arcs and to the contour that they show: so many times, each with the points that are near the
-/// contour of the last.
-pub(super) fn with_contour(region: &Region, passes: usize, contours: &mut Contours) -> Option<Model> {
-    let arcs = region.arcs();
-    let evenly = match &region.model {
-        Model::Cone(_) => None,
-        _ => Some(pool(arcs.clone(), |_| 1.0).normalized()?),
-    };
-    let mut region = *region;
-    for _ in 0..passes {
-        let contour = contours.of(&region);
-        region.model = match (&region.model, &evenly) {
-            (Model::Sphere(fit), Some(moments)) => Model::Sphere(fit_with_contour(moments, contour, &fit.surface)?),
-            (Model::Cylinder(fit), Some(moments)) => Model::Cylinder(fit_with_contour(moments, contour, &fit.surface)?),
-            (Model::Cone(fit), None) => {
-                let moments = pool(arcs.clone(), |arc| excess(&fit.surface.0, arc)).normalized()?;
-                Model::Cone(upright(fit_with_contour(&moments, contour, &fit.surface)?))
-            }
-            _ => return None,
-        };
-    }
-    Some(region.model)
-}
-
 /// By how much F is too great at an arc of a cone; not less than a little above zero, near and beyond the apex.
-fn excess(cone: &Conical, arc: &Arc) -> f64 {
+pub(super) fn excess(cone: &Conical, arc: &Arc) -> f64 {
     (cone.radius_at(&arc.mean) / cone.radius).max(LEAST_EXCESS)
 }
 
 /// The same cone, its axis pointing away from the apex.
-fn upright(fit: SurfaceFit<FreeSlope, 6>) -> SurfaceFit<FreeSlope, 6> {
+pub(super) fn upright(fit: SurfaceFit<FreeSlope, 6>) -> SurfaceFit<FreeSlope, 6> {
     if fit.surface.0.slope >= 0.0 {
         return fit;
     }

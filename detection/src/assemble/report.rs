@@ -1,6 +1,7 @@
 //! The report on a verified model, with the uncertainty that the noise of the sensor gives it.
 
 use super::arcs::Arc;
+use super::contours::{FLATTENED_PX, SYSTEMATIC, SYSTEMATIC_PX};
 use super::model::Model;
 use super::region::Region;
 use super::verify::{self, Measured};
@@ -13,16 +14,8 @@ use std::f64::consts::SQRT_2;
 const SAMPLES: usize = 5; // [algorithmic]
 /// Approximate number of arcs of an object at which its noise is evaluated.
 const ARCS: usize = 16; // [algorithmic]
-/// Systematic error of radius and centre, in radii. No number of points averages it out.
-pub(super) const SYSTEMATIC: f64 = 0.001; // [tuned]
-/// Systematic error of radius and centre of a sphere or cylinder, in pixels: silhouettes are smeared.
-pub(super) const SYSTEMATIC_PX: f64 = 0.04; // [tuned]
 /// Systematic error of radius and centre of a cone, in pixels. Its slope depends on the silhouette, so it is larger.
 const SYSTEMATIC_CONE_PX: f64 = 0.06; // [tuned]
-/// Systematic error of radius and centre for each further pixel that shares its noise, in pixels: what compares windows flattens
-/// what is round at its silhouettes. With it errors over sigmas in `experiments/simulated_sensors.toml` are near 1 for stereo and
-/// structured light.
-pub(super) const FLATTENED_PX: f64 = 0.06; // [measured]
 /// Systematic error of axis and half-angle, in radians.
 const SYSTEMATIC_ANGLE: f64 = 0.001; // [tuned]
 

@@ -3,7 +3,7 @@
 use super::arcs::{Arc, Arcs};
 use super::contours::Contours;
 use super::growth::Grown;
-use super::model::{self, Model};
+use super::model::Model;
 use super::parameters::AssemblerParameters;
 use super::region::Region;
 use super::rejection::Rejection;
@@ -123,7 +123,7 @@ fn verify<'a>(
     contours: &mut Contours,
 ) -> Result<Candidate<'a>, Rejection> {
     check(&region, parameters)?;
-    if let Some(model) = model::with_contour(&region, CONTOUR_PASSES, contours) {
+    if let Some(model) = contours.fit(&region, CONTOUR_PASSES) {
         region.model = model;
     } else {
         contours.clear();
