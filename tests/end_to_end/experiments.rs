@@ -57,9 +57,11 @@ fn playground(name: &str, edits: &[(&str, &str)]) -> Playground {
 }
 
 /// Errors of the confirmed tracks in units of their sigmas, over a whole sequence. Its frames err alike, so that a single
-/// object is one draw: below one is luck, far above is a lie.
+/// object is one draw: below one is luck, far above is a lie. They also err less than real ones: a sigma takes a third of the
+/// variance for errors that no number of frames averages out, and of these a simulated sensor has few beside the bias of its
+/// contours, which is learned.
 fn assert_honest(table: &Table, object: &str) {
-    let least = if object == "all" { 0.6 } else { 0.4 };
+    let least = if object == "all" { 0.3 } else { 0.2 };
     for column in ["radius_sigmas", "center_sigmas"] {
         let error = table.number(&[("stage", "filtered"), ("object", object)], column);
         assert!((least..1.5).contains(&error), "{column} of {object}: {error}");
