@@ -24,7 +24,7 @@ pub struct ConsoleSinkConfig {
     pub tentative: bool,
     /// Show each message in one line.
     pub brief: bool,
-    /// Show no more than one message in so many seconds, of each camera; 0 shows all.
+    /// Show no more than one message in so many seconds, of each camera, and the last at the end; 0 shows all.
     #[schemars(range(min = 0.0, max = 3600.0))]
     pub period_s: f64,
 }
@@ -171,6 +171,8 @@ pub struct Console<W> {
     decimator: Decimator,
     /// When a message of each camera was shown last.
     shown: BTreeMap<Text<32>, Instant>,
+    /// The newest message of each camera whose time has not come.
+    held: BTreeMap<Text<32>, String>,
     text: String,
 }
 
@@ -178,7 +180,7 @@ impl<W: Write> Console<W> {
     /// A console on `place`.
     pub fn new(place: W, config: ConsoleSinkConfig, screen: Screen) -> Self {
         let decimator = Decimator::new(config.every.into(), 0);
-        Self { place, decimator, config, screen, shown: BTreeMap::new(), text: String::new() }
+        Self { place, decimator, config, screen, shown: BTreeMap::new(), held: BTreeMap::new(), text: String::new() }
     }
 
     /// Shows a message, if it is its turn.
@@ -186,13 +188,30 @@ impl<W: Write> Console<W> {
     /// # Errors
     /// Those of the place written to.
     pub fn show<T: Describe>(&mut self, message: &Message<T>) -> io::Result<()> {
-        if !self.decimator.is_due(message.header) || !self.is_time(message.header) {
+        if !self.decimator.is_due(message.header) {
             return Ok(());
         }
         self.text.clear();
         self.text.push_str(if self.screen.is_terminal { CLEAR_LINE } else { "" });
         self.describe(message).map_err(io::Error::other)?;
+        let origin = message.header.origin();
+        if !self.is_time(message.header) {
+            std::mem::swap(self.held.entry(origin).or_default(), &mut self.text);
+            return Ok(());
+        }
+        self.held.remove(&origin);
         self.place.write_all(self.text.as_bytes())?;
+        self.place.flush()
+    }
+
+    /// Shows the last message of each camera, if its time had not come.
+    ///
+    /// # Errors
+    /// Those of the place written to.
+    pub fn finish(&mut self) -> io::Result<()> {
+        for text in std::mem::take(&mut self.held).into_values() {
+            self.place.write_all(text.as_bytes())?;
+        }
         self.place.flush()
     }
 
@@ -266,7 +285,20 @@ impl<T: Describe> Stage for ConsoleSink<T> {
     }
 
     fn step(&mut self, input: &Message<T>, _: &SideInputs, _: &mut Output<Nothing>) -> Result<(), StageError> {
-        match self.console.show(input) {
+        let shown = self.console.show(input);
+        self.is_read_or_stops(shown)
+    }
+
+    fn finish(&mut self) -> Result<(), StageError> {
+        let shown = self.console.finish();
+        self.is_read_or_stops(shown)
+    }
+}
+
+impl<T> ConsoleSink<T> {
+    /// Stops where nobody reads any more, which is no error.
+    fn is_read_or_stops(&self, shown: io::Result<()>) -> Result<(), StageError> {
+        match shown {
             Err(error) if error.kind() == ErrorKind::BrokenPipe => self.stop.request(),
             Err(error) => return Err(unwritable(&error).into()),
             Ok(()) => {}
@@ -382,16 +414,21 @@ objects: 0  frame 13  img12.png
     }
 
     #[test]
-    fn each_camera_is_shown_once_in_a_period() {
+    fn each_camera_is_shown_once_in_a_period_and_at_the_end() {
         let config = ConsoleSinkConfig { period_s: 3600.0, ..Default::default() };
         let mut console = Console::new(Vec::new(), config, Screen::default());
-        for camera in ["left", "right", "left", "right"] {
-            let mut header = Header { source: Text::new(camera), ..Header::default() };
+        for (sequence, camera) in [(0, "left"), (0, "right"), (1, "left"), (2, "left"), (1, "right")] {
+            let mut header = Header { sequence, source: Text::new(camera), ..Header::default() };
             header.add_hop(conicflow_messages::Hop { stage: Text::new(camera), ..Default::default() });
             console.show(&Message::<Object> { header: &header, items: &[] }).unwrap();
         }
-        let text = String::from_utf8(console.place).unwrap();
-        assert_eq!(text, "objects: 0  frame 0  left\nobjects: 0  frame 0  right\n");
+        let text = |console: &Console<Vec<u8>>| String::from_utf8(console.place.clone()).unwrap();
+        assert_eq!(text(&console), "objects: 0  frame 0  left\nobjects: 0  frame 0  right\n");
+        console.place.clear();
+        console.finish().unwrap();
+        assert_eq!(text(&console), "objects: 0  frame 2  left\nobjects: 0  frame 1  right\n");
+        console.finish().unwrap();
+        assert_eq!(text(&console).lines().count(), 2, "once");
     }
 
     #[test]

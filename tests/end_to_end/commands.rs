@@ -129,7 +129,7 @@ brief = false
     Show each message in one line.
 
 period_s = 0.0   (0.0 to 3600.0)
-    Show no more than one message in so many seconds, of each camera; 0 shows all.
+    Show no more than one message in so many seconds, of each camera, and the last at the end; 0 shows all.
 "#;
     assert_eq!(Playground::new().conicflow(&["nodes", "console_sink"]).expect_code(0).stdout, expected);
 }

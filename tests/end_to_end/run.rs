@@ -52,7 +52,7 @@ output = \"ellipses\"
 #[test]
 fn the_default_pipeline_tracks_and_tells_of_all_its_stages() {
     let small = ["--set", "source.width=160", "--set", "source.height=120", "--set", "source.rate_hz=0"];
-    let sets = [&small[..], &["--set", "source.frames=5", "--set", "console.period_s=0"]].concat();
+    let sets = [&small[..], &["--set", "source.frames=5"]].concat();
     let ended = Playground::new().conicflow(&[&["run"][..], &sets].concat()).expect_code(0);
     let last = ended.stdout.lines().last().unwrap();
     assert!(last.ends_with("  frame 4  bouncing_ball"), "{}", ended.stdout);
