@@ -55,8 +55,8 @@ pub struct ContourNoise {
     pub bias: ContourBias,
 }
 
-/// By how much the contour is off across itself, outwards on the last side and inwards on the first: offset in pixels and share
-/// of the radius of the first side, then of the last.
+/// By how much the contour is off across itself, counted as pixels are (inwards on the first side, outwards on the last): offset
+/// in pixels and share of the radius of the first side, then of the last.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ContourBias {
     /// Expectation.
