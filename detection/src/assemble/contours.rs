@@ -13,12 +13,12 @@ use nalgebra::{Matrix4, Vector4};
 
 /// Standard deviation of a contour point in pixels, and in radii. On rendered frames a contour point scatters by half a pixel and
 /// 2 % of the radius; 4 % leave a margin.
-const POINT_PX: f64 = 0.5; // [measured]
+const POINT_PX: f64 = 0.5; // [tuned]
 const POINT_SHARE: f64 = 0.04; // [tuned]
 /// Standard deviations of the bias of a sensor of which nothing is known: of its offset in pixels, and of its share of the
 /// radius. On rendered frames a whole contour lies up to 5 % of the radius too far in.
 const OFFSET_PX: f64 = 1.0; // [tuned]
-const SHARE: f64 = 0.05; // [measured]
+const SHARE: f64 = 0.05; // [tuned]
 /// A contour may be off by more for each further pixel that shares the noise of one: what compares windows puts it anywhere within
 /// half a window of where it is. Standard deviation, in pixels.
 const WINDOW_OFFSET_PX: f64 = 0.288_675; // [derived]
