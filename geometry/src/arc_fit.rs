@@ -75,11 +75,6 @@ impl ArcMoments {
         Self { count, mean, xx, xy, yy, xz, yz, zz }
     }
 
-    /// Number of points.
-    pub fn count(&self) -> f64 {
-        self.count
-    }
-
     /// Mean of the points, in metres.
     pub fn mean(&self) -> [f64; 2] {
         self.mean

@@ -54,6 +54,13 @@ mod tests {
     }
 
     #[test]
+    fn three_points_have_a_circle_and_two_have_none() {
+        let found = |count| fit_circle(&PlaneMoments::of([3.0, 1.8], arc(4.0, 5.0, count)));
+        assert!((found(3).unwrap().radius - 0.2).abs() < 1e-7);
+        assert_eq!(found(2), None);
+    }
+
+    #[test]
     fn noise_on_a_short_arc_shrinks_it_little() {
         let points = arc(3.9, 5.5, 200).enumerate().map(|(i, [s, t])| [s, t + 0.004 * (i as f64 * 2.4).sin()]);
         let found = fit_circle(&PlaneMoments::of([3.0, 1.8], points)).unwrap();

@@ -520,6 +520,27 @@ mod tests {
     }
 
     #[test]
+    fn the_evidence_has_slope_and_curvature_of_the_least_cost_over_the_bias() {
+        let own = biased(Vector4::zeros(), [0.05, 1e-3]).covariance;
+        let mean = Vector4::new(-0.5, 0.01, 0.6, 0.0);
+        let at = |mean| ball(0.004, 0.8, ContourNoise { bias: ContourBias { mean, covariance: own }, ..noise() });
+        let least_cost = |mean| {
+            let fit = at(mean).0;
+            fit.square_sum + fit.contour_sum
+        };
+        let (fit, contour) = at(mean);
+        let BiasEvidence { information, weighted } = contour.bias_evidence(&fit, &own).unwrap();
+        let slope = information * mean - weighted;
+        for (i, h) in [0.05, 2e-3, 0.05, 2e-3].into_iter().enumerate() {
+            let [less, same, more] = [-h, 0.0, h].map(|step| least_cost(mean + Vector4::ith(i, step)));
+            let (measured, bent) = ((more - less) / (4.0 * h), (more + less - 2.0 * same) / (2.0 * h * h));
+            assert!((measured / slope[i] - 1.0).abs() < 0.02, "slope along {i}: {measured} {}", slope[i]);
+            let expected = information[(i, i)];
+            assert!((bent / expected - 1.0).abs() < 0.02, "curvature along {i}: {bent} {expected}");
+        }
+    }
+
+    #[test]
     fn lines_that_share_their_noise_tell_less_of_the_bias() {
         let own = biased(Vector4::zeros(), [1e-3, 1e-5]).covariance;
         let told = |shared_lines: f64| {

@@ -9,8 +9,8 @@ use conicflow_messages::ObjectKind;
 
 /// Number of refits of a cone. Each weighs the arcs by the radius that the last fit gives them.
 const CONE_PASSES: usize = 1; // [algorithmic]
-/// Least radius at an arc of a cone, as a part of the radius in its middle. A smaller one is too near the apex.
-const LEAST_EXCESS: f64 = 0.05; // [tuned]
+/// Least radius at an arc of a cone, as a part of the radius in its middle: it keeps weights finite near the apex.
+const LEAST_EXCESS: f64 = 0.05; // [algorithmic]
 /// The first fit of a cone may leave so many times the square sum of its refit: it weighs the arcs as those of a cylinder.
 const UNWEIGHTED: f64 = 2.0; // [algorithmic]
 /// Largest slope of a cone: the fit of a steeper one has diverged.

@@ -18,11 +18,6 @@ const UNSURE_PX: f64 = 2.0; // [tuned]
 const ALONG_LINES: f64 = 0.766; // [tuned]
 /// Largest cosine between the axis and the view: that of 25 degrees.
 const ALONG_VIEW: f64 = 0.906; // [tuned]
-/// The points of an object may be off its surface by this part of its radius, without the noise: dents, seams and sensors make
-/// as much. In much noise it tells a square post from a can.
-const UNEVEN: f64 = 0.05; // [tuned]
-/// They may be off by more, as far as their mean square scatters by noise, by so many of its standard deviations.
-const SCATTER: f64 = 2.5; // [sigmas]
 /// The curvature of an object has to exceed that of a plane by so many standard deviations.
 const CURVED: f64 = 4.0; // [sigmas]
 
@@ -153,8 +148,6 @@ fn check(region: &Region, parameters: &AssemblerParameters) -> Result<Measured, 
         Err(Rejection::Tilted)
     } else if measured.angle < parameters.pooled.min_arc_deg.to_radians() {
         Err(Rejection::ShortArc)
-    } else if is_uneven(region, &measured, radius) {
-        Err(Rejection::Rms)
     } else if measured.curvature < CURVED * CURVED {
         Err(Rejection::Flat)
     } else {
@@ -265,12 +258,6 @@ fn span(arc: &Arc, region: &Region, ends: [Option<Vector3>; 2]) -> f64 {
         other => other.conical().map_or(point, |surface| point - surface.anchored(&point).point),
     };
     outwards(a).angle(&outwards(b))
-}
-
-/// Whether the points are surely farther off the surface than an object's may be.
-fn is_uneven(region: &Region, measured: &Measured, radius: f64) -> bool {
-    let independent = measured.points / region.shared_lines();
-    measured.misfit > (UNEVEN * radius).powi(2) / measured.variance + SCATTER * (2.0 / independent).sqrt()
 }
 
 /// How much worse than the model a plane explains the points: chi squared of independent points, in units of what the points

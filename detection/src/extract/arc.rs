@@ -28,10 +28,6 @@ const STRAYING: f64 = 2.0; // [sigmas]
 const FEW: usize = 8; // [tuned]
 /// An end is shortened so many times at most: within that one curve goes over into the next.
 const TAKEN_OFF: usize = 4; // [algorithmic]
-/// Pixels beyond an end at which the depth of the background is read.
-const BEYOND: u32 = 2; // [tuned]
-/// The background is read one pixel farther away for each so many points of the arc.
-const BEYOND_POINTS: u32 = 8; // [tuned]
 /// An arc that takes its end points back may use up this part of the residual that noise accounts for.
 const EXPLAINED: f64 = 0.5; // [tuned]
 /// A circle of a larger radius, in units of `max_radius_m`, is a wall. The circle of a short arc is uncertain.
@@ -249,7 +245,7 @@ fn message(rays: &Rays, image: &[u16], points: Range<usize>, fit: &ArcFit, momen
     let [first, last] = [points.start, points.end - 1];
     let radius = fit.circle.radius;
     let unaveraged = rays.unaveraged(points.clone());
-    let beyond = rays.view.parameters.trim_px + BEYOND + points.len() as u32 / BEYOND_POINTS;
+    let beyond = rays.view.parameters.trim_px + 1;
     let from_front = |point: usize| {
         let [s, t] = rays.point(point);
         (s - fit.circle.center[0]).atan2(fit.circle.center[1] - t)

@@ -37,10 +37,9 @@ const UNSMOOTHED: f64 = 0.85; // [tuned]
 const SMOOTH: f64 = 0.25; // [tuned]
 /// The quantile [`SMOOTH`] of chi squared with one degree of freedom.
 const SQUARE_OF_SMOOTH: f64 = 0.101_53; // [derived]
-/// Smallest ratio between the noise levels of the near and the far half at which the model's growth is replaced.
-const DIFFERENT: f64 = 1.3; // [tuned]
-/// Smallest ratio between the mean depths of the far and the near half at which the model's growth is replaced.
-const DISTANT: f64 = 1.15; // [tuned]
+/// Smallest ratio between the mean depths of the far and the near half at which the model's growth is replaced: two levels at one
+/// depth tell no growth.
+const DISTANT: f64 = 1.15; // [algorithmic]
 /// The logarithm of the ratio of the noise levels has to exceed zero by so many of its standard deviations.
 const SURE: f64 = 3.5; // [sigmas]
 /// One sample in so many is nearer than what is near, and farther than what is far.
@@ -144,7 +143,7 @@ fn differ([near, far]: &[Half; 2]) -> bool {
     let are_told = near.count.min(far.count) >= FEWEST as f64;
     // What is quieter than its model may be smoothed, and shows less noise than it has.
     let are_smoothed = near.scatter.min(far.scatter) <= UNSMOOTHED;
-    are_told && !are_smoothed && far.depth > DISTANT * near.depth && ratio > DIFFERENT.ln().max(SURE * sigma)
+    are_told && !are_smoothed && far.depth > DISTANT * near.depth && ratio > SURE * sigma
 }
 
 /// A model of which the standard deviations at two depths are so many times those that belong to a variance, and which grows
