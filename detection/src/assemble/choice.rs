@@ -14,8 +14,14 @@ use conicflow_messages::{Object, ObjectKind};
 const AS_MANY: f64 = 0.9; // [tuned]
 /// Standard deviations by which the half-angle of a cone has to exceed zero.
 const SLOPE_SIGMAS: f64 = 3.0; // [sigmas]
-/// Least gain of the shape of more parameters, as chi squared of one: by chance it is exceeded once in seventy times.
-const GAIN: f64 = 6.0; // [sigmas]
+/// Least gain of the shape of more parameters, as chi squared: two standard deviations of one parameter.
+const GAIN: f64 = 4.0; // [sigmas]
+/// Half-angles (5 and 7 degrees) between which the gain that faults of a sensor give a cone over a cylinder falls to nothing.
+const SLENDER: [f64; 2] = [0.0873, 0.122]; // [tuned] [tuned]
+/// Gain that faults of a sensor give a slender cone over a cylinder, per point.
+const GAIN_PER_POINT: f64 = 0.03; // [tuned]
+/// Largest gain that faults of a sensor give a slender cone over a cylinder.
+const MOST_GAIN: f64 = 20.0; // [tuned]
 /// A half-angle with a larger standard deviation (4 degrees) is unknown, so that the object is not surely a cylinder.
 const ANY_SLOPE: f64 = 0.07; // [tuned]
 /// A half-angle with a larger standard deviation (1.5 degrees) that exceeds zero by [`UNSURE_SIGMAS`] speaks against a
@@ -51,11 +57,11 @@ pub(crate) fn choose<'a>(
     // A vague cone may still show that a cylinder is none: the choice comes first.
     let cone = cone.and_then(Result::ok).filter(|(_, object)| is_cone(object, parameters)).map(|(cone, _)| cone);
     let axial = match (cylinder, cone) {
-        (Some(cylinder), Some(cone)) => Some(better(cylinder, cone, contours)),
+        (Some(cylinder), Some(cone)) => Some(better(cylinder, cone, least_gain_of_cone, contours)),
         (cylinder, cone) => cylinder.or(cone),
     };
     let best = match (sphere, axial) {
-        (Some(sphere), Some(axial)) => better(sphere, axial, contours),
+        (Some(sphere), Some(axial)) => better(sphere, axial, |_, _| GAIN, contours),
         (sphere, axial) => sphere.or(axial).ok_or(reason)?,
     };
     let is_cylinder = best.region.model.kind() == ObjectKind::Cylinder;
@@ -98,8 +104,13 @@ fn sure_slope(object: &Object) -> f64 {
 }
 
 /// Of two shapes the one that explains more points; where both explain about as many, the one of more parameters only if it
-/// explains them surely better.
-fn better<'a>(simple: Candidate<'a>, general: Candidate<'a>, contours: &mut Contours) -> Candidate<'a> {
+/// explains them better by more than `least_gain` of it and the number of points.
+fn better<'a>(
+    simple: Candidate<'a>,
+    general: Candidate<'a>,
+    least_gain: impl Fn(&Candidate, f64) -> f64,
+    contours: &mut Contours,
+) -> Candidate<'a> {
     let (a, b) = (simple.measured.points, general.measured.points);
     if a < AS_MANY * b {
         return general;
@@ -110,7 +121,14 @@ fn better<'a>(simple: Candidate<'a>, general: Candidate<'a>, contours: &mut Cont
     let members = if a > b { simple.region.members } else { general.region.members };
     let mut cost = |candidate: &Candidate| cost(Region { members, ..candidate.region }, contours);
     let gain = cost(&simple).zip(cost(&general)).map_or(0.0, |(simple, general)| simple - general);
-    if gain > GAIN { general } else { simple }
+    if gain > least_gain(&general, a.max(b)) { general } else { simple }
+}
+
+/// Least gain of a cone of so many points over a cylinder.
+fn least_gain_of_cone(cone: &Candidate, points: f64) -> f64 {
+    let half_angle = cone.region.model.conical().map_or(0.0, |surface| surface.half_angle());
+    let slender = 1.0 - ((half_angle - SLENDER[0]) / (SLENDER[1] - SLENDER[0])).clamp(0.0, 1.0);
+    GAIN.max(slender * (GAIN_PER_POINT * points).min(MOST_GAIN))
 }
 
 /// What is left of the points and the contour of some members by a model that is fitted to these. What it leaves out of

@@ -278,3 +278,24 @@ fn clean(arcs: &Arcs, model: &Model, members: &mut Vec<usize>) {
     let first = members.iter().position(|&index| bears(&AT_ENDS, index)).unwrap_or(0);
     members.drain(..first);
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use conicflow_lab::random::CounterRng;
+
+    #[test]
+    fn noise_alone_seldom_exceeds_the_limit_of_a_mean_square_and_few_points_have_more_room() {
+        for points in [8, 30, 200] {
+            let limit = GROWING.square_limit(points as f64);
+            let is_refused = |arc: u64| {
+                let random = CounterRng::new(3, arc);
+                let sum: f64 = (0..points).map(|point| random.gaussian(point).powi(2)).sum();
+                sum / points as f64 - 1.0 > limit
+            };
+            let refused = (0..1000).filter(|&arc| is_refused(arc)).count();
+            assert!(refused < 20, "{refused} of 1000 with {points} points");
+        }
+        assert!(GROWING.square_limit(200.0) < 0.6, "so many points that are off by as much as noise is large show it");
+    }
+}

@@ -57,3 +57,17 @@ impl Rejections {
         Rejection::WORDS.iter().copied().zip(self.0).filter(|(_, times)| *times > 0)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_what_occurred_is_listed() {
+        let mut rejections = Rejections::default();
+        assert_eq!(rejections.iter().count(), 0);
+        rejections.count(Rejection::Flat);
+        rejections.count(Rejection::Flat);
+        assert!(rejections.iter().eq([("candidates as flat as a plane", 2)]));
+    }
+}

@@ -305,6 +305,37 @@ fn sigmas_are_about_as_large_as_the_errors() {
 }
 
 #[test]
+fn sigmas_are_those_of_the_same_can_beside_the_middle() {
+    let at = |x: f64| {
+        let Body::Frustum { center, axis, radius, slope, length } = can(2.0) else { unreachable!() };
+        let beside = Body::Frustum { center: Vector3::new(x, center.y, center.z), axis, radius, slope, length };
+        single(&kinect(&[beside, wall(4.0)], 4), ObjectKind::Cylinder).sigma
+    };
+    let [middle, left, right] = [0.0, -0.5, 0.5].map(at);
+    for beside in [left, right] {
+        for ratio in [beside.radius / middle.radius, beside.axis / middle.axis] {
+            assert!((0.8..1.25).contains(&ratio), "{beside:?} {middle:?}");
+        }
+    }
+}
+
+#[test]
+fn arcs_at_the_same_place_in_different_depths_are_of_two_surfaces() {
+    let at = |line: u32, depth: f64| {
+        let mut ellipse = Ellipse { line, first: 150, last: 169, points: 20, origin: [0.0, depth], ..Ellipse::default() };
+        ellipse.moments[0] = 20.0;
+        ellipse
+    };
+    let header = Header { camera: KINECT_HALF, noise: NoiseModel::KINECT_V1, ..Header::default() };
+    let goes_on = |depth: f64| {
+        let mut arcs = Arcs::default();
+        arcs.read(&header, &[at(100, 1.0), at(101, depth)]);
+        arcs.beside(0, 1, 1, |_| true)
+    };
+    assert_eq!((goes_on(1.0), goes_on(1.01), goes_on(1.1), goes_on(0.9)), (Some(1), Some(1), None, None));
+}
+
+#[test]
 fn noise_that_neighbors_share_widens_the_sigmas() {
     let found = |window| (0..48).map(|seed| can_by_a_kinect(window, 200 + seed)).collect::<Vec<_>>();
     let (alone, shared) = (found(1), found(3));
