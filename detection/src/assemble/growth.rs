@@ -236,7 +236,7 @@ fn reach(region: &Region, gap: i64, free: impl Fn(usize) -> bool, found: &mut Ve
         // What an exact model explains needs no look at how exact this one is.
         let bears =
             |misfit| GROWING.bears(arc, &misfit, 0.0) || GROWING.bears(arc, &misfit, predictor.variance(&arc.mean));
-        free(index) && faces(arc, model) && model.misfit(&q, arc).is_some_and(bears)
+        free(index) && model.misfit(&q, arc).is_some_and(bears)
     };
     found.clear();
     for side in [-1, 1] {
@@ -254,15 +254,6 @@ fn reach(region: &Region, gap: i64, free: impl Fn(usize) -> bool, found: &mut Ve
         }
     }
     found.sort_unstable();
-}
-
-/// Whether an arc lies on the side of the surface that can be seen.
-fn faces(arc: &Arc, model: &Model) -> bool {
-    let outwards = match model {
-        Model::Sphere(fit) => arc.mean - fit.surface.center,
-        _ => model.conical().map_or(arc.mean, |surface| arc.mean - surface.anchored(&arc.mean).point),
-    };
-    outwards.dot(&arc.mean) < 0.0
 }
 
 /// Leaves out the members that the model explains badly, at the ends with less patience.

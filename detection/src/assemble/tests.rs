@@ -322,7 +322,8 @@ fn sigmas_are_those_of_the_same_can_beside_the_middle() {
 #[test]
 fn arcs_at_the_same_place_in_different_depths_are_of_two_surfaces() {
     let at = |line: u32, depth: f64| {
-        let mut ellipse = Ellipse { line, first: 150, last: 169, points: 20, origin: [0.0, depth], ..Ellipse::default() };
+        let mut ellipse =
+            Ellipse { line, first: 150, last: 169, points: 20, origin: [0.0, depth], ..Ellipse::default() };
         ellipse.moments[0] = 20.0;
         ellipse
     };

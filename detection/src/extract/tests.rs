@@ -44,18 +44,6 @@ fn lines_between_the_coarse_ones_show_as_much_as_those() {
 }
 
 #[test]
-fn a_panel_that_is_wider_than_any_object_shows_no_arc() {
-    let widest = 2.0 * ExtractorParameters::default().max_radius_m;
-    let panel = |width: f64| {
-        let size = Vector3::new(width, 0.4, 0.02);
-        let body = Body::Block { center: Vector3::new(0.0, 0.0, 2.5), size, turn: 0.0 };
-        arcs(config(ScanLines::Rows), &render(KINECT_HALF, NoiseModel::KINECT_V1, &[body, wall(3.5)], 5)).len()
-    };
-    assert_eq!(panel(1.1 * widest), 0);
-    assert!(panel(0.2 * widest) > 20, "a narrow one may be bent the wrong way by noise");
-}
-
-#[test]
 fn the_radius_of_an_arc_is_free_of_the_noise() {
     let arcs = arcs(config(ScanLines::Rows), &render(KINECT_HALF, NoiseModel::KINECT_V1, &[can(0.0, 2.2, 0.2)], 2));
     let mut radii: Vec<f64> = arcs.iter().filter(|arc| arc.points > 40).map(|arc| arc.half_width).collect();
