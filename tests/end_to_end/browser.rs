@@ -91,7 +91,7 @@ fn a_browser_pauses_a_run_and_steps_it() {
         browser.look("paused");
         browser.click("#play");
         browser.wait("it goes on", &format!("{sequence} > {}", at + 5));
-        assert_eq!(browser.value("document.getElementById('link').textContent"), "live");
+        browser.wait("it says so", "document.getElementById('link').textContent === 'live'");
     });
 }
 
