@@ -5,19 +5,21 @@
 //! discriminant `D = b^2 - 4 a c` is zero. `D` over its change per pixel along the line is the distance of the contour
 //! from where it was seen, in pixels.
 //!
-//! Sensors put contours systematically too far in (grazing points get lost) or out (they are smeared). The outline of one side
-//! is off by an offset o and a share p of the radius r, both across the outline; along a line that crosses it at an angle
+//! Sensors put contours systematically too far in (grazing points get lost) or out (they are smeared). What is lost at one angle
+//! of incidence is a band as wide as a share p of the radius of curvature r that the surface has there along the view. So the
+//! outline of one side is off by an offset o and by p r, both across the outline; along a line that crosses it at an angle
 //! of which c is the cosine to its normal, this is `e_i = (o + p r_i) / c_i + noise`. With `U = [1, r_i] / c_i` for each side,
 //! what is known of o and p (their expectation, taken off e, and their covariance V) and the weights w of the points, these are
 //! eliminated by `e'we - (U'we)' (V^-1 + U'wU)^-1 (U'we)`.
 //!
 //! The points of the surface know its size, too. What they and the contour tell of o and p together
-//! ([`Contour::bias_evidence`]) can be used for the next object.
+//! ([`Contour::bias_evidence`]), and what the scatter of the contour tells of its noise ([`Contour::noise_evidence`]), can be used
+//! for the next object.
 
 use crate::pooled::add_square;
 use crate::space::dot;
-use crate::{Coefficients, Surface, SurfaceFit, Vector3};
-use nalgebra::{Matrix4, SMatrix, SVector, Vector4};
+use crate::{Coefficients, Information, Surface, SurfaceFit, Vector3};
+use nalgebra::{Matrix4, SMatrix, SVector, Vector2, Vector4};
 
 /// Sides of an object that have a bias of their own: the first and the last pixel of its lines.
 const SIDES: usize = 2; // [derived]
@@ -38,17 +40,15 @@ pub struct ContourPoint {
     pub across: Vector3,
     /// 0 for the first pixel of the line, 1 for the last.
     pub side: usize,
-    /// Radius of the object there, in pixels.
+    /// Radius of curvature of the surface there, along the view, in pixels.
     pub radius_px: f64,
 }
 
 /// How exact contours are.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ContourNoise {
-    /// Standard deviation of a point, in pixels.
-    pub point_px: f64,
-    /// Further standard deviation of a point, in radii.
-    pub point_share: f64,
+    /// Variance of a point: in square pixels, and further in squared radii.
+    pub point: Vector2<f64>,
     /// How many neighbouring lines share their noise, at least 1.
     pub shared_lines: f64,
     /// By how much whole sides are off.
@@ -63,15 +63,6 @@ pub struct ContourBias {
     pub mean: Vector4<f64>,
     /// Covariance.
     pub covariance: Matrix4<f64>,
-}
-
-/// What is known of a bias: the inverse of its covariance, and that times its expectation. What independent objects tell adds up.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct BiasEvidence {
-    /// Inverse of the covariance.
-    pub information: Matrix4<f64>,
-    /// That times the expectation.
-    pub weighted: Vector4<f64>,
 }
 
 /// The contour of an object; the buffer is used again for the next.
@@ -280,7 +271,7 @@ impl Contour {
         &self,
         fit: &SurfaceFit<S, N>,
         own: &Matrix4<f64>,
-    ) -> Option<BiasEvidence> {
+    ) -> Option<Information<4>> {
         let sums = self.sums(&fit.surface, &Vector3::zeros(), 1.0);
         // The fit is where the gradients of points and contour cancel out.
         let of_points =
@@ -299,10 +290,27 @@ impl Contour {
         let gradient = of_points.gradient + slope_error - shared_slope.transpose() * (own * error);
         // over x
         let inverse = matrix.cholesky()?.inverse();
-        let information = rest * shared - slope * inverse * slope.transpose();
-        let weighted = rest * error - slope * (inverse * gradient);
-        let weight = 1.0 / self.noise.shared_lines;
-        Some(BiasEvidence { information: information * weight, weighted: weighted * weight })
+        let matrix = rest * shared - slope * inverse * slope.transpose();
+        let vector = rest * error - slope * (inverse * gradient);
+        Some(Information { matrix, vector } * self.noise.shared_lines.recip())
+    }
+
+    /// What the scatter of the contour about a surface, after its bias, tells of the variance of its points: the squared error of
+    /// a point of variance v has the expectation v and the variance 2 v^2. `None` where the bias cannot be told.
+    pub fn noise_evidence<S: Surface<N>, const N: usize>(&self, surface: &S) -> Option<Information<2>> {
+        let sums = self.sums(surface, &Vector3::zeros(), 1.0);
+        let bias = (sums.shared + self.prior).try_inverse()? * sums.shared_error + self.noise.bias.mean;
+        let q = surface.coefficients();
+        let mut evidence = Information::default();
+        for seen in self.points.iter().filter(|seen| seen.used) {
+            let ContourPoint { ray, pixel, .. } = &seen.point;
+            let square = (Along::new(&q, ray, pixel).error() - bias.dot(&seen.by_bias())).powi(2);
+            let (by_noise, variance) = (seen.by_noise(), self.noise.variance(seen));
+            let weight = 1.0 / (2.0 * variance * variance * self.noise.shared_lines);
+            evidence.matrix += by_noise * by_noise.transpose() * weight;
+            evidence.vector += by_noise * (square * weight);
+        }
+        Some(evidence)
     }
 }
 
@@ -357,25 +365,22 @@ impl Seen {
         moved[2 * self.point.side + 1] = self.point.radius_px / self.along;
         moved
     }
+
+    /// How much each part of the noise adds to its variance, in square pixels along the line.
+    fn by_noise(&self) -> Vector2<f64> {
+        Vector2::new(1.0, (self.point.radius_px / self.along).powi(2))
+    }
 }
 
 impl ContourNoise {
     /// Variance of a point along its line, in square pixels.
     fn variance(&self, seen: &Seen) -> f64 {
-        self.point_px.powi(2) + (self.point_share * seen.point.radius_px / seen.along).powi(2)
+        self.point.dot(&seen.by_noise())
     }
 
     /// Expected error of a point along its line, in pixels.
     fn expected(&self, seen: &Seen) -> f64 {
         self.bias.mean.dot(&seen.by_bias())
-    }
-}
-
-impl BiasEvidence {
-    /// A bias of which this is known and nothing else; `None` where it is not known in all its parts.
-    pub fn bias(&self) -> Option<ContourBias> {
-        let covariance = self.information.cholesky()?.inverse();
-        Some(ContourBias { mean: covariance * self.weighted, covariance })
     }
 }
 
@@ -405,7 +410,7 @@ mod tests {
 
     fn noise() -> ContourNoise {
         let bias = biased(Vector4::zeros(), [1.0, 0.05]);
-        ContourNoise { point_px: 0.5, point_share: 0.03, shared_lines: 1.0, bias }
+        ContourNoise { point: Vector2::new(0.25, 0.0009), shared_lines: 1.0, bias }
     }
 
     fn cup() -> Conical {
@@ -509,9 +514,10 @@ mod tests {
         let own = biased(Vector4::zeros(), [0.05, 1e-3]).covariance;
         let (well_seen, contour) = ball(0.004, 0.8, noise());
         let shown = contour.bias_evidence(&well_seen, &own).unwrap();
-        let prior = noise().bias.covariance.try_inverse().unwrap();
-        let bias = BiasEvidence { information: shown.information + prior, ..shown }.bias().unwrap();
-        let at_this_size = [bias.mean[0] + 24.0 * bias.mean[1], bias.mean[2] + 24.0 * bias.mean[3]];
+        let ContourBias { mean, covariance } = noise().bias;
+        let (mean, covariance) = (shown + Information::of(&mean, &covariance).unwrap()).estimate().unwrap();
+        let bias = ContourBias { mean, covariance };
+        let at_this_size = [mean[0] + 24.0 * mean[1], mean[2] + 24.0 * mean[3]];
         assert!((at_this_size[0] + 0.8).abs() < 0.2 && (at_this_size[1] - 0.8).abs() < 0.2, "{at_this_size:?}");
 
         let radius_error = |noise| (ball(0.02, 0.8, noise).0.surface.radius - 0.1).abs();
@@ -529,26 +535,49 @@ mod tests {
             fit.square_sum + fit.contour_sum
         };
         let (fit, contour) = at(mean);
-        let BiasEvidence { information, weighted } = contour.bias_evidence(&fit, &own).unwrap();
-        let slope = information * mean - weighted;
+        let Information { matrix, vector } = contour.bias_evidence(&fit, &own).unwrap();
+        let slope = matrix * mean - vector;
         for (i, h) in [0.05, 2e-3, 0.05, 2e-3].into_iter().enumerate() {
             let [less, same, more] = [-h, 0.0, h].map(|step| least_cost(mean + Vector4::ith(i, step)));
             let (measured, bent) = ((more - less) / (4.0 * h), (more + less - 2.0 * same) / (2.0 * h * h));
             assert!((measured / slope[i] - 1.0).abs() < 0.02, "slope along {i}: {measured} {}", slope[i]);
-            let expected = information[(i, i)];
+            let expected = matrix[(i, i)];
             assert!((bent / expected - 1.0).abs() < 0.02, "curvature along {i}: {bent} {expected}");
         }
     }
 
     #[test]
-    fn lines_that_share_their_noise_tell_less_of_the_bias() {
+    fn the_scatter_of_contours_of_two_sizes_tells_their_noise_in_pixels_and_in_radii() {
+        let mut random = Random(3);
+        let mut shown = Information::default();
+        for object in 0..300 {
+            let radius_px = [12.0, 40.0][object % 2];
+            let sigma = 0.2_f64.hypot(0.01 * radius_px);
+            let mut contour = contour_on(105..140, &FreeSlope(cup()).coefficients(), radius_px, 0.7, noise());
+            for seen in &mut contour.points {
+                seen.point.ray += seen.point.pixel * (sigma * random.normal());
+            }
+            shown += contour.noise_evidence(&FreeSlope(cup())).unwrap();
+        }
+        let (variance, covariance) = shown.estimate().unwrap();
+        for (i, expected) in [0.2_f64.powi(2), 0.01_f64.powi(2)].into_iter().enumerate() {
+            assert!((variance[i] / expected - 1.0).abs() < 0.15, "{i}: {} {expected}", variance[i]);
+            assert!(covariance[(i, i)].sqrt() < expected, "{i}: what is expected before is far more vague");
+        }
+    }
+
+    #[test]
+    fn lines_that_share_their_noise_tell_less_of_the_bias_and_of_the_noise() {
         let own = biased(Vector4::zeros(), [1e-3, 1e-5]).covariance;
         let told = |shared_lines: f64| {
             let (fit, contour) = ball(0.004, 0.0, ContourNoise { shared_lines, ..noise() });
-            contour.bias_evidence(&fit, &own).unwrap().information[(0, 0)]
+            let bias = contour.bias_evidence(&fit, &own).unwrap();
+            [bias.matrix[(0, 0)], contour.noise_evidence(&fit.surface).unwrap().matrix[(0, 0)]]
         };
-        let ratio = told(1.0) / told(4.0);
-        assert!((3.5..4.5).contains(&ratio), "{ratio}");
+        let [one, four] = [1.0, 4.0].map(told);
+        for (one, four) in one.into_iter().zip(four) {
+            assert!((3.5..4.5).contains(&(one / four)), "{one} {four}");
+        }
     }
 
     #[test]

@@ -3,18 +3,24 @@
 //! A sensor smears the silhouettes of what it sees, or loses what it grazes, and so puts contours a little beside the place where
 //! the ray touches the surface: in rows otherwise than in columns, on the left otherwise than on the right, but with all objects
 //! alike. Nobody knows by how much. But the points of an object tell its size as well, without its contour; so each object shows
-//! by how much the contours of this sensor are off, and the next one is measured the better for it.
+//! by how much the contours of this sensor are off, and how far their points scatter, and the next one is measured the better for it.
 
 use super::model::{Model, excess, pool, upright};
 use super::region::Region;
-use conicflow_geometry::{BiasEvidence, Contour, ContourBias, ContourNoise, ContourPoint, Scan, fit_with_contour};
+use conicflow_geometry::{
+    Contour, ContourBias, ContourNoise, ContourPoint, Information, Scan, Surface, SurfaceFit, Vector3, fit_with_contour,
+};
 use conicflow_messages::Camera;
-use nalgebra::{Matrix4, Vector4};
+use nalgebra::{Matrix2, Matrix4, SMatrix, SVector, Vector2, Vector4};
 
-/// Standard deviation of a contour point in pixels, and in radii. On rendered frames a contour point scatters by half a pixel and
-/// 2 % of the radius; 4 % leave a margin.
+/// Standard deviation of a contour point of a sensor of which nothing is known, in pixels, and in radii. On rendered frames a contour
+/// point scatters by half a pixel and 2 % of the radius; 4 % leave a margin. The variances may be wrong by as much as they are.
 const POINT_PX: f64 = 0.5; // [tuned]
 const POINT_SHARE: f64 = 0.04; // [tuned]
+/// Least variance of a contour point, in square pixels: that of a place within a pixel.
+const LEAST_VARIANCE_PX: f64 = 1.0 / 12.0; // [derived]
+/// Least square of the sine between an axis and the view that counts: it keeps the curvature along the view finite.
+const LEAST_SQUARE_SINE: f64 = 0.1; // [algorithmic]
 /// Standard deviations of the bias of a sensor of which nothing is known: of its offset in pixels, and of its share of the
 /// radius. On rendered frames a whole contour lies up to 5 % of the radius too far in.
 const OFFSET_PX: f64 = 1.0; // [tuned]
@@ -37,8 +43,17 @@ pub(super) const FLATTENED_PX: f64 = 0.06; // [measured]
 pub(crate) struct Contours {
     contour: Contour,
     camera: Camera,
-    /// What was learned of the bias, in rows and in columns.
-    learned: [BiasEvidence; 2],
+    /// What was learned in rows and in columns.
+    learned: [Learned; 2],
+}
+
+/// What objects showed of contours.
+#[derive(Clone, Copy, Debug, Default)]
+struct Learned {
+    /// Of their bias: offset and share of the first side, then of the last.
+    bias: Information<4>,
+    /// Of the variance of their points: in square pixels, and in squared radii.
+    noise: Information<2>,
 }
 
 impl Contours {
@@ -47,10 +62,7 @@ impl Contours {
     pub fn next_image(&mut self, camera: &Camera, memory: f64) {
         let kept = if *camera == self.camera { memory / (memory + 1.0) } else { 0.0 };
         self.camera = *camera;
-        for BiasEvidence { information, weighted } in &mut self.learned {
-            *information *= kept;
-            *weighted *= kept;
-        }
+        self.learned = self.learned.map(|Learned { bias, noise }| Learned { bias: bias * kept, noise: noise * kept });
     }
 
     /// The contour that was fitted last.
@@ -65,14 +77,9 @@ impl Contours {
 
     /// The contour that a region shows, as far as it is near that of its model.
     fn of(&mut self, region: &Region) -> &Contour {
-        self.contour.clear(ContourNoise {
-            point_px: POINT_PX,
-            point_share: POINT_SHARE,
-            shared_lines: region.shared_lines(),
-            bias: self.bias(region),
-        });
+        self.contour.clear(self.noise(region));
         for arc in region.arcs() {
-            let radius_px = region.model.radius_at(&arc.mean).max(0.0) / arc.pitch;
+            let radius_px = curvature_radius(&region.model, &arc.mean) / arc.pitch;
             arc.contour.into_iter().flatten().for_each(|point| self.contour.add(ContourPoint { radius_px, ..point }));
         }
         let [from, to] = region.extent();
@@ -106,34 +113,63 @@ impl Contours {
         Some(region.model)
     }
 
-    /// Learns from an object where contours lie.
+    /// Learns from an object where contours lie, and how far their points scatter.
     pub fn learn(&mut self, region: &Region) {
         let own = covariance(own_px(window_px(region)), SYSTEMATIC);
         let contour = self.of(region);
-        let evidence = match &region.model {
-            Model::Sphere(fit) => contour.bias_evidence(fit, &own),
-            Model::Cylinder(fit) => contour.bias_evidence(fit, &own),
-            Model::Cone(fit) => contour.bias_evidence(fit, &own),
+        let shown = match &region.model {
+            Model::Sphere(fit) => shown(contour, fit, &own),
+            Model::Cylinder(fit) => shown(contour, fit, &own),
+            Model::Cone(fit) => shown(contour, fit, &own),
         };
-        if let Some(BiasEvidence { information, weighted }) = evidence {
+        if let Some(Learned { bias, noise }) = shown {
             let learned = &mut self.learned[direction(region)];
-            learned.information += information;
-            learned.weighted += weighted;
+            learned.bias += bias;
+            learned.noise += noise;
         }
     }
 
-    /// By how much the contour of a region may be off: by what is common to all of the sensor, and by what is its own.
-    fn bias(&self, region: &Region) -> ContourBias {
+    /// How exact the contour of a region is: its bias by what is common to all of the sensor, and by what is its own.
+    fn noise(&self, region: &Region) -> ContourNoise {
         let window = window_px(region);
-        let anything = covariance(OFFSET_PX + WINDOW_OFFSET_PX * window, SHARE);
         let learned = &self.learned[direction(region)];
-        let information = anything.map_diagonal(f64::recip);
-        let information = Matrix4::from_diagonal(&information) + learned.information;
-        let common = BiasEvidence { information, ..*learned }.bias();
-        let ContourBias { mean, covariance: common } =
-            common.unwrap_or(ContourBias { mean: Vector4::zeros(), covariance: anything });
-        ContourBias { mean, covariance: common + covariance(own_px(window), SYSTEMATIC) }
+        let anything = covariance(OFFSET_PX + WINDOW_OFFSET_PX * window, SHARE);
+        let (mean, common) = combined(learned.bias, Vector4::zeros(), anything);
+        let bias = ContourBias { mean, covariance: common + covariance(own_px(window), SYSTEMATIC) };
+        let expected = Vector2::new(POINT_PX, POINT_SHARE).map(|sigma| sigma * sigma);
+        let (point, _) =
+            combined(learned.noise, expected, Matrix2::from_diagonal(&expected.map(|variance| variance * variance)));
+        let point = Vector2::new(point[0].max(LEAST_VARIANCE_PX), point[1].max(0.0));
+        ContourNoise { point, shared_lines: region.shared_lines(), bias }
     }
+}
+
+/// What an object shows of the contours of its sensor, beside which its own is off with the covariance `own`; `None` where its
+/// points do not determine it.
+fn shown<S: Surface<N>, const N: usize>(
+    contour: &Contour,
+    fit: &SurfaceFit<S, N>,
+    own: &Matrix4<f64>,
+) -> Option<Learned> {
+    Some(Learned { bias: contour.bias_evidence(fit, own)?, noise: contour.noise_evidence(&fit.surface)? })
+}
+
+/// Expectation and covariance of what was learned about numbers of which these were known before.
+fn combined<const N: usize>(
+    learned: Information<N>,
+    mean: SVector<f64, N>,
+    covariance: SMatrix<f64, N, N>,
+) -> (SVector<f64, N>, SMatrix<f64, N, N>) {
+    let known = || (learned + Information::of(&mean, &covariance)?).estimate();
+    known().unwrap_or((mean, covariance))
+}
+
+/// Radius of curvature along the view of the surface of a model where it is seen from its side, at the height of `point`: there the
+/// view runs along a cylinder the more, the more this leans to it, and grazes it for longer. A cone counts as a cylinder.
+fn curvature_radius(model: &Model, point: &Vector3) -> f64 {
+    let view = point.normalize();
+    let square_sine = model.conical().map_or(1.0, |surface| 1.0 - surface.axis.dot(&view).powi(2));
+    model.radius_at(point).max(0.0) / square_sine.max(LEAST_SQUARE_SINE)
 }
 
 /// Standard deviation by which the contour of one object is off by itself, where so many further pixels share the noise of one.

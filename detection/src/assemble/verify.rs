@@ -21,9 +21,7 @@ const ALONG_VIEW: f64 = 0.906; // [tuned]
 /// The curvature of an object has to exceed that of a plane by so many standard deviations.
 const CURVED: f64 = 4.0; // [sigmas]
 
-/// What is expected of an outline before it is seen: the mean square distance of its points in variances, that of the outlines
-/// of objects, and as how many independent points this counts.
-const EXPECTED_SQUARE: f64 = 0.5; // [measured]
+/// As how many independent points it counts that the points of an outline are expected to be off by one standard deviation.
 const EXPECTED_POINTS: f64 = 4.0; // [tuned]
 
 /// What was measured of a grown model, for its report.
@@ -70,7 +68,7 @@ impl Outline {
         let free = free as f64 / ends;
         let share = |part: usize, all: usize| part as f64 / all.max(1) as f64;
         let expected = EXPECTED_POINTS * region.shared_lines();
-        let square = (region.model.contour_sum() + expected * EXPECTED_SQUARE) / (contour.used() as f64 + expected);
+        let square = (region.model.contour_sum() + expected) / (contour.used() as f64 + expected);
         let continued = continued(region, gap);
         Self { square, far_off: share(contour.far_off(), contour.points()), free, continued }
     }

@@ -20,8 +20,6 @@ const WEAK: usize = 16; // [tuned]
 const SET_OFF: usize = 6; // [tuned]
 /// Besides `trim_px`, one point in so many is taken off each end: the larger an edge is seen, the wider it is smeared.
 const SMEARED: usize = 32; // [tuned]
-/// Widest gap, in pixels, between a contour and the surface behind it. A wider gap is the shadow of the sensor.
-const MAX_GAP: f64 = 3.0; // [tuned]
 /// The mean of a few points at an end may be off the circle through the others by so many standard deviations.
 const STRAYING: f64 = 2.0; // [sigmas]
 /// The few points at an end that are tested together are one in so many of the arc, and at least three.
@@ -145,21 +143,23 @@ fn nearly_flat(rays: &Rays, moments: &ArcMoments) -> ArcFit {
     ArcFit { line_square, circle_square: line_square, circle }
 }
 
-/// Where a segment ends before something behind it, on the sides on which it ends its run, in pixels. Beyond a hole may be
-/// the same surface: only a jump counts. A pixel between two jumps is of neither side.
+/// Where a segment ends before something behind it, on the sides on which it ends its run: half a pixel beyond its last one. How
+/// much of its edge the sensor loses is asked later, of all objects together. Beyond a hole may be the same surface: only a jump
+/// counts. A pixel between two jumps is of neither side: the segment ends in its middle.
 fn contour(rays: &Rays, segment: &Segment) -> [f64; 2] {
     let max_hole_px = rays.view.parameters.max_hole_px;
-    let end = |is_end: bool, point: usize, [next, after]: [Option<(u32, u16)>; 2]| {
+    let end = |is_end: bool, point: usize, [next, after]: [Option<(u32, u16)>; 2], half: f64| {
         let jumps = rays.view.jumps(rays.points.pairs.get(point).copied());
         let (pixel, depth) = (rays.points.pixels[point], rays.points.depths[point]);
         let (there, other) = next.filter(|_| is_end)?;
         let is_alone = |beyond: u32, farther: u16| beyond.abs_diff(pixel) == 2 && jumps.splits(other, farther, 1);
-        let (there, other) = after.filter(|(beyond, farther)| is_alone(*beyond, *farther)).unwrap_or((there, other));
+        let across = after.filter(|(beyond, farther)| is_alone(*beyond, *farther));
+        let (there, other) = across.unwrap_or((there, other));
         let is_behind = other > depth && jumps.splits(depth, other, there.abs_diff(pixel).min(max_hole_px + 1));
-        is_behind.then(|| f64::from(pixel) + 0.5 * (f64::from(there) - f64::from(pixel)).clamp(-MAX_GAP, MAX_GAP))
+        is_behind.then(|| f64::from(pixel) + if across.is_some() { 2.0 * half } else { half })
     };
     let ([starts_run, ends_run], [before, behind]) = (reaches_ends(rays, segment), rays.points.neighbors);
-    [end(starts_run, 0, before), end(ends_run, rays.length - 1, behind)].map(Option::unwrap_or_default)
+    [end(starts_run, 0, before, -0.5), end(ends_run, rays.length - 1, behind, 0.5)].map(Option::unwrap_or_default)
 }
 
 /// Whether a segment starts and ends its run.
