@@ -32,8 +32,8 @@ const WINDOW_OFFSET_PX: f64 = 0.288_675; // [derived]
 /// What the bias of all contours leaves of an object's own: a systematic error of its radius and centre in radii, and in pixels. No
 /// number of points averages it out. With these three errors over sigmas in `experiments/detection.toml` and
 /// `experiments/simulated_sensors.toml` are near 1.
-pub(super) const SYSTEMATIC: f64 = 0.001; // [measured]
-pub(super) const SYSTEMATIC_PX: f64 = 0.04; // [measured]
+pub(super) const SYSTEMATIC: f64 = 0.0005; // [measured]
+pub(super) const SYSTEMATIC_PX: f64 = 0.02; // [measured]
 /// The same for each further pixel that shares the noise of one, in pixels: what compares windows flattens what is round at its
 /// silhouettes.
 pub(super) const FLATTENED_PX: f64 = 0.06; // [measured]
