@@ -101,10 +101,11 @@ mod tests {
     #[test]
     fn a_ball_bounces_where_it_touches_the_floor() {
         let ballistic = Ballistic { gravity_mps2: 0.0, floor_m: Some(0.5), restitution: 0.5, ..Ballistic::default() };
-        let bounced = ballistic.fallen(motion(0.58, -3.0), 0.1, 0.1, true);
+        let bounced = ballistic.fallen(motion(0.58, -4.0), 0.1, 0.1, true);
         assert!((bounced.state[2] - 0.61).abs() < 1e-12, "2 cm below become 1 cm above");
-        assert!((bounced.state[5] - 1.5).abs() < 1e-12);
-        assert!(bounced.covariance[(5, 5)] > motion(0.0, 0.0).covariance[(5, 5)]);
+        assert!((bounced.state[5] - 2.0).abs() < 1e-12);
+        let doubt = bounced.covariance[(5, 5)] - motion(0.0, 0.0).covariance[(5, 5)];
+        assert!((doubt.sqrt() - BOUNCE_SPREAD * 4.0).abs() < 1e-12);
         let rising = ballistic.fallen(motion(0.58, 3.0), 0.1, 0.1, true);
         assert_eq!(rising.state, motion(0.58, 3.0).state);
     }

@@ -315,16 +315,18 @@ mod tests {
 
     /// A random walk of variance `w` per step measured with variance `r` settles at `(sqrt(w^2 + 4 w r) - w) / 2`.
     #[test]
-    fn a_size_settles_at_the_closed_form() {
+    fn a_size_and_an_axis_settle_at_the_closed_form() {
         let (drift, dt, noise) = (0.01, 0.25, 4e-4);
-        let mut size = Size::new(1.0, 10.0);
+        let (mut size, mut axis) = (Size::new(1.0, 10.0), Axis::new(Vector3::y_axis(), 10.0));
         for _ in 0..500 {
             size.predict(dt, drift);
             size.update(Size::new(1.0, noise));
+            axis.predict(dt, drift);
+            axis.update(Axis::new(Vector3::y_axis(), noise), true);
         }
         let walk: f64 = drift * drift * dt;
         let settled = ((walk * walk + 4.0 * walk * noise).sqrt() - walk) / 2.0;
-        assert!((size.variance / settled - 1.0).abs() < 1e-12);
+        assert!([size.variance, axis.variance].iter().all(|variance| (variance / settled - 1.0).abs() < 1e-12));
     }
 
     #[test]

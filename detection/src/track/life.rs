@@ -127,9 +127,9 @@ mod tests {
         for (hits, state) in [(1, TrackState::Confirmed), (3, TrackState::Tentative)] {
             let rules = Rules { hits, ..RULES };
             let mut life = Life::born(&rules);
-            (0..8).for_each(|_| life.unwatched(0.03));
+            (0..2).for_each(|_| life.unwatched(0.125));
             assert_eq!((life.misses, life.state(), life.is_lost(&rules)), (0, state, false));
-            life.unwatched(0.03);
+            life.unwatched(0.01);
             assert!(life.is_lost(&rules), "its camera is gone");
             life.seen(&rules);
             assert!(!life.is_lost(&rules));

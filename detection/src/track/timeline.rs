@@ -214,6 +214,16 @@ mod tests {
     }
 
     #[test]
+    fn clocks_up_to_a_second_apart_are_one() {
+        for (apart_ms, is_one) in [(1000, true), (1001, false)] {
+            let told_ms = if is_one { apart_ms } else { 0 };
+            let (early, late) = (("a", 1, 0, 10_000), ("b", 2, 0, 10_000 + apart_ms));
+            assert_eq!(elapsed_ms(&[early, late]), [Some(0), Some(told_ms as i64)]);
+            assert_eq!(late_ms(&[late, early]), [0, told_ms as i64]);
+        }
+    }
+
+    #[test]
     fn time_goes_on_when_the_camera_that_was_ahead_falls_silent() {
         // Both go on with their clock after the second camera has jumped ahead by four seconds.
         let times = elapsed_ms(&[

@@ -8,7 +8,8 @@ fn an_identity_survives_five_frames_unseen() {
     let mut noise = Noise(3);
     let place = |frame| Vector3::new(-0.5 + 0.9 * seconds(frame), 0.0, 1.5);
     for frame in 0..30 {
-        let seen = [sphere(place(frame) + noise.vector(SIGMA_M))];
+        let seen = [Object { confidence: 0.9, ..sphere(place(frame) + noise.vector(SIGMA_M)) }];
+        let support = |object: &Object| (object.points, object.rows, object.rms, object.arc, object.confidence);
         let unseen = (15..20).contains(&frame);
         let track = tracker.update_frame(&header(frame), if unseen { &[] } else { &seen })[0];
         let error = (Vector3::from(track.object.center) - place(frame)).norm();
@@ -20,7 +21,10 @@ fn an_identity_survives_five_frames_unseen() {
                 assert_eq!((track.track_state(), u64::from(track.misses)), (TrackState::Coasting, frame - 14));
                 assert_eq!((track.object.points, track.object.arc), (0, 0.0));
             }
-            _ => assert_eq!((track.track_state(), track.misses, track.object.points), (TrackState::Confirmed, 0, 500)),
+            _ => {
+                assert_eq!((track.track_state(), track.misses), (TrackState::Confirmed, 0));
+                assert_eq!(support(&track.object), support(&seen[0]));
+            }
         }
     }
 }
@@ -151,9 +155,9 @@ fn a_track_is_confirmed_once_and_an_identity_given_once() {
         };
         let tracks = tracker.update_frame(&header(frame), visible);
         assert!(ids(tracks).is_sorted());
-        confirmed.extend_from_slice(tracker.newly_confirmed());
+        confirmed.extend(tracker.newly_confirmed().iter().map(|kind| (frame, *kind)));
     }
-    assert_eq!(confirmed, [ObjectKind::Cylinder, ObjectKind::Sphere, ObjectKind::Cylinder]);
+    assert_eq!(confirmed, [(2, ObjectKind::Cylinder), (4, ObjectKind::Sphere), (62, ObjectKind::Cylinder)]);
     assert_eq!(ids(tracker.update_frame(&header(100), &[])), [2, 3]);
 }
 

@@ -1,6 +1,10 @@
 //! Shape, axis and half-angle of a track.
 
+use super::super::detection::Detection;
+use super::super::target::Target;
+use super::super::timeline::Advance;
 use super::*;
+use nalgebra::IsometryMatrix3;
 
 #[test]
 fn the_sign_of_a_cylinders_axis_is_kept() {
@@ -17,15 +21,64 @@ fn the_sign_of_a_cylinders_axis_is_kept() {
 }
 
 #[test]
-fn a_sphere_in_the_place_of_a_cylinder_is_another_object() {
-    let mut tracker = Tracker::new(TrackerParameters::default());
+fn what_has_another_shape_radius_or_axis_than_a_track_in_its_place_is_another_object() {
     let place = Vector3::new(0.0, 0.0, 1.0);
-    for frame in 0..5 {
-        tracker.update_frame(&header(frame), &[cylinder(place)]);
+    let wide = |radius: f64, sigma: f64| Object {
+        radius,
+        sigma: ObjectSigma { radius: sigma, ..sphere(place).sigma },
+        ..sphere(place)
+    };
+    let leaning = |degrees: f64, sigma: f64| Object {
+        axis: [degrees.to_radians().sin(), -degrees.to_radians().cos(), 0.0],
+        sigma: ObjectSigma { axis: sigma, ..cylinder(place).sigma },
+        ..cylinder(place)
+    };
+    for (first, then, is_same) in [
+        (cylinder(place), sphere(place), false),
+        (sphere(place), wide(0.12, 0.001), true),
+        (sphere(place), wide(0.13, 0.001), false),
+        (sphere(place), wide(0.13, 0.01), true),
+        (cylinder(place), leaning(25.0, 0.01), true),
+        (cylinder(place), leaning(35.0, 0.01), false),
+        (cylinder(place), leaning(35.0, 0.3), true),
+    ] {
+        let mut tracker = Tracker::new(TrackerParameters::default());
+        (0..5).for_each(|frame| _ = tracker.update_frame(&header(frame), &[first]));
+        let seen = states(tracker.update_frame(&header(5), &[then]));
+        let other = vec![TrackState::Coasting, TrackState::Tentative];
+        assert_eq!(seen, if is_same { vec![TrackState::Confirmed] } else { other }, "{then:?}");
     }
-    let tracks = tracker.update_frame(&header(5), &[sphere(place)]);
-    assert_eq!(ids(tracks), [1, 2]);
-    assert_eq!(states(tracks), [TrackState::Coasting, TrackState::Tentative]);
+}
+
+#[test]
+fn of_two_in_one_place_the_one_of_its_shape_belongs_to_a_track() {
+    let place = Vector3::new(0.0, 0.0, 1.0);
+    for (own, other) in [(cylinder(place), cone(place)), (cone(place), cylinder(place))] {
+        let mut tracker = Tracker::new(TrackerParameters::default());
+        (0..5).for_each(|frame| _ = tracker.update_frame(&header(frame), &[own]));
+        let tracks = tracker.update_frame(&header(5), &[other, own]);
+        assert_eq!((tracks[0].misses, tracks[1].object.kind), (0, other.kind));
+    }
+}
+
+/// `d' S^-1 d + ln det S` of the place, `d^2 / s + ln s` of the radius, and of the axis, which may lean in two directions,
+/// `d^2 / s + 2 ln s`.
+#[test]
+fn what_a_pair_costs_is_minus_twice_the_logarithm_of_its_likelihood() {
+    let (config, place) = (TrackerParameters::default(), Vector3::new(0.0, 0.0, 1.0));
+    let (angle, wider) = (0.02_f64, 0.001);
+    let seen = cylinder(place + Vector3::new(0.002, 0.001, -0.002));
+    let seen = Object { axis: [angle.sin(), -angle.cos(), 0.0], radius: seen.radius + wider, ..seen };
+    let [first, then] =
+        [cylinder(place), seen].map(|object| Detection::new(&object, &IsometryMatrix3::identity(), &config));
+    let (spread, offset) = (first.covariance + then.covariance, then.position - first.position);
+    let expected_of_place = offset.dot(&(spread.try_inverse().unwrap() * offset)) + spread.determinant().ln();
+    let radius = first.radius.variance + then.radius.variance;
+    let axis = first.axis.unwrap().variance + then.axis.unwrap().variance;
+    let expected = expected_of_place + wider * wider / radius + radius.ln() + angle * angle / axis + 2.0 * axis.ln();
+    let time = Advance { source: 0, elapsed_s: 0.0, late_s: 0.0, usual_s: f64::INFINITY, new_run: false };
+    let cost = Target::born(1, &first, &time, &config).cost(&then, &config).unwrap();
+    assert!((cost - expected).abs() < 1e-6, "{cost}, expected {expected}");
 }
 
 #[test]
@@ -53,6 +106,16 @@ fn a_cone_seen_as_a_cylinder_once_is_no_surer_of_its_half_angle() {
     });
     let [as_cone, as_cylinder] = [sigmas.nth(4), sigmas.next()].map(Option::unwrap);
     assert!((as_cylinder / as_cone - 1.0).abs() < 0.02, "{as_cone} {as_cylinder}");
+}
+
+#[test]
+fn a_cone_seen_as_a_cylinder_keeps_the_sense_of_its_axis() {
+    let mut tracker = Tracker::new(TrackerParameters::default());
+    let place = Vector3::new(0.0, 0.0, 1.0);
+    (0..5).for_each(|frame| _ = tracker.update_frame(&header(frame), &[cone(place)]));
+    let turned = Object { axis: Vector3::new(0.1, -1.0, 0.0).normalize().into(), ..cylinder(place) };
+    let axis = tracker.update_frame(&header(5), &[turned])[0].object.axis;
+    assert!(axis[1] > 0.99 && axis[0] < 0.0, "{axis:?}");
 }
 
 #[test]
