@@ -337,6 +337,25 @@ pub(super) mod tests {
         let cylinder = Object { kind: ObjectKind::Cylinder.code(), half_angle: 0.0, base_radius: 0.0, ..cone() };
         let answer = Object { axis: [0.0, -1.0, 0.0], center: [0.0, 0.3, 1.0], ..cylinder };
         assert_eq!(fault(&expected(cylinder), &answer), None);
+        let mut tapered = expected(cone());
+        tapered.tolerance.shapes = &ObjectKind::ALL;
+        assert_eq!(fault(&tapered, &answer), None, "nor where a cone may be called one");
+    }
+
+    /// Within 5 cm of its side, where it is widest, and of its ends.
+    #[test]
+    fn near_an_object_is_what_lies_within_it_or_next_to_it() {
+        for (aside, along, expected) in [
+            (0.169, 0.0, true),
+            (0.171, 0.0, false),
+            (-0.171, 0.0, false),
+            (0.0, 0.149, true),
+            (0.0, 0.151, false),
+            (0.0, -0.151, false),
+        ] {
+            let answer = Object { center: [aside, along, 1.0], ..cone() };
+            assert_eq!(is_near(&cone(), &answer), expected, "{aside} m aside, {along} m along the axis");
+        }
     }
 
     #[test]

@@ -66,7 +66,9 @@ fn means_deviations_and_speeds_are_those_of_the_answers() {
     assert!((number("radius_m") - 0.09).abs() < 1e-12 && (number("radius_sd_m") - 0.01).abs() < 1e-12);
     assert!((number("speed_mps") - 0.6).abs() < 1e-9 && (number("speed_true_mps") - 0.5).abs() < 1e-9);
     assert!((number("distance_true_m") - 2.0).abs() < 0.03);
+    assert!((number("position_rms_m") - (5e-4_f64 / 3.0).sqrt()).abs() < 1e-9, "0, 1 and 2 cm off");
     assert_eq!((rows.len(), rows[2].number_of("mota")), (3, Some(1.0)));
+    assert!((rows[2].number_of("motp_m").unwrap() - 0.005).abs() < 1e-9, "the other one is where it is");
     let columns = rows.iter().flat_map(|row| &row.0).map(|(column, _)| column.as_str());
     assert_eq!(columns.filter(|column| !measured_columns().any(|known| known == *column)).collect::<Vec<_>>(), [""; 0]);
 }

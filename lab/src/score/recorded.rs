@@ -446,10 +446,45 @@ mod tests {
         let truth = cone(r#", "half_angle_deg": 10"#).unwrap();
         let [expected] = truth.objects("any").unwrap() else { panic!() };
         let answer = |degrees: f64| Object { half_angle: degrees.to_radians(), ..expected.body };
-        assert!((expected.body.base_radius - 0.1 - 0.2 * 10.0_f64.to_radians().tan()).abs() < 1e-12);
+        let widening = 0.2 * 10.0_f64.to_radians().tan();
+        assert!((expected.body.base_radius - 0.1 - widening).abs() < 1e-12);
+        assert!((expected.body.top_radius - 0.1 + widening).abs() < 1e-12);
         assert_eq!(fault(expected, &answer(12.0)), None);
         assert_eq!(fault(expected, &answer(14.0)), Some(Fault::HalfAngle));
         assert!(format!("{:#}", cone("").unwrap_err()).contains("has no `half_angle_deg` from 0 to 90\n  hint: "));
+    }
+
+    /// The defaults: 4 mm of the radius, 5 mm from the axis and 30 mm from the centre of a sphere, 4 degrees of the axis and 3 of
+    /// the half-angle.
+    #[test]
+    fn an_answer_is_right_within_the_default_tolerances_and_no_farther() {
+        let entry = |text: &str| {
+            let text = format!(r#"{{"units": "m", "objects": [{{{text}, "radius_m": 0.1}}]}}"#);
+            parse(&text).unwrap().objects("any").unwrap()[0].clone()
+        };
+        let place = r#""axis_point_m": [0, 0, 1], "axis_dir": [0, 1, 0]"#;
+        let ball = entry(r#""type": "sphere", "centre_m": [0, 0, 1]"#);
+        let tin = entry(&format!(r#""type": "cylinder", {place}"#));
+        let cone = entry(&format!(r#""type": "cone", "half_angle_deg": 10, {place}"#));
+        let aside = |body: Object, x: f64| Object { center: [x, 0.0, 1.0], ..body };
+        let wider = |body: Object, more: f64| Object { radius: body.radius + more, ..body };
+        let leaning = |body: Object, degrees: f64| {
+            let (sine, cosine) = degrees.to_radians().sin_cos();
+            Object { axis: [sine, cosine, 0.0], ..body }
+        };
+        let opened = |body: Object, degrees: f64| Object { half_angle: degrees.to_radians(), ..body };
+        for (truth, within, beyond, expected) in [
+            (&ball, aside(ball.body, 0.029), aside(ball.body, 0.031), Fault::Position),
+            (&ball, wider(ball.body, -0.0039), wider(ball.body, -0.0041), Fault::Radius),
+            (&tin, aside(tin.body, 0.0049), aside(tin.body, 0.0051), Fault::Position),
+            (&tin, wider(tin.body, 0.0039), wider(tin.body, 0.0041), Fault::Radius),
+            (&tin, leaning(tin.body, 3.9), leaning(tin.body, 4.1), Fault::Axis),
+            (&cone, aside(cone.body, 0.0049), aside(cone.body, 0.0051), Fault::Position),
+            (&cone, leaning(cone.body, 3.9), leaning(cone.body, 4.1), Fault::Axis),
+            (&cone, opened(cone.body, 12.9), opened(cone.body, 13.1), Fault::HalfAngle),
+        ] {
+            assert_eq!((fault(truth, &within), fault(truth, &beyond)), (None, Some(expected)), "{beyond:?}");
+        }
     }
 
     #[test]
