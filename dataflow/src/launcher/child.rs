@@ -333,17 +333,13 @@ impl Supervised {
             return self.give_up(folder, plan, Change::Left);
         }
         let now = Instant::now();
-        self.deaths.push_back(now);
-        self.deaths.retain(|death| now.duration_since(*death) < MINUTE);
-        if self.deaths.len() > MAX_RESTARTS_PER_MINUTE {
+        let Some(back_off) = back_off(&mut self.deaths, now) else {
             tracing::error!(
                 "stage `{name}` {how}, for the {}th time within a minute: it is given up",
                 self.deaths.len()
             );
             return self.give_up(folder, plan, Change::Lost);
-        }
-        let doublings = (self.deaths.len() as u32 - 1).min(10);
-        let back_off = (FIRST_BACK_OFF * 2_u32.pow(doublings)).min(LONGEST_BACK_OFF);
+        };
         tracing::warn!("stage `{name}` {how}, and is started anew in {:.1} s", back_off.as_secs_f64());
         self.state = State::Waiting { until: now + back_off };
         Change::None
@@ -363,6 +359,15 @@ impl Supervised {
     }
 }
 
+/// How long a stage that died `now` stays away, by its deaths in the last minute; `None`: it died too often.
+fn back_off(deaths: &mut VecDeque<Instant>, now: Instant) -> Option<Duration> {
+    deaths.push_back(now);
+    deaths.retain(|death| now.duration_since(*death) < MINUTE);
+    let doublings = (deaths.len() as u32 - 1).min(10);
+    let back_off = (FIRST_BACK_OFF * 2_u32.pow(doublings)).min(LONGEST_BACK_OFF);
+    (deaths.len() <= MAX_RESTARTS_PER_MINUTE).then_some(back_off)
+}
+
 /// What starts a stage. Each gets a process group of its own, so that Ctrl-C reaches the launcher alone, which ends them in
 /// order.
 pub(crate) fn command(planned: &PlannedStage, plan: &Plan, options: &RunOptions) -> Command {
@@ -377,5 +382,21 @@ fn describe(status: ExitStatus) -> String {
         (None, Some(SIGBUS)) => "was killed by SIGBUS: shared memory is full, see `conicflow doctor`".to_owned(),
         (None, Some(signal)) => format!("was killed by signal {signal}"),
         (None, None) => "ended".to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stage_comes_back_later_with_each_death_and_is_given_up_after_ten_within_a_minute() {
+        let (mut deaths, begin) = (VecDeque::new(), Instant::now());
+        let mut die =
+            |seconds: u64| back_off(&mut deaths, begin + Duration::from_secs(seconds)).map(|it| it.as_millis());
+        let waits = [100, 200, 400, 800, 1600, 3200, 5000, 5000, 5000, 5000];
+        assert_eq!([0; 10].map(&mut die), waits.map(Some));
+        assert_eq!(die(59), None);
+        assert_eq!(die(60), Some(200), "a minute later only the last one counts");
     }
 }

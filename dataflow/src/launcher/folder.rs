@@ -403,4 +403,15 @@ mod tests {
         assert!(!folder.is_running());
         folder.lock("tracking").unwrap();
     }
+
+    #[test]
+    fn what_earlier_runs_have_left_goes_and_locks_and_what_is_not_theirs_stay() {
+        let files = tempfile::tempdir().unwrap();
+        let folder = RunFolder { path: files.path().to_owned(), shared_memory: files.path().join("shm") };
+        let all = ["a%b.acks", "lock", "notes.txt", "plan.json", "plan.json.kept", "stages.lock", "tracker.status"];
+        all.iter().for_each(|name| fs::write(files.path().join(name), "left").unwrap());
+        folder.empty().unwrap();
+        let is_there = |name: &&str| files.path().join(name).exists();
+        assert!(all.into_iter().filter(is_there).eq(["lock", "notes.txt", "stages.lock"]));
+    }
 }

@@ -435,6 +435,33 @@ mod tests {
     }
 
     #[test]
+    fn frames_are_those_of_the_sources_and_how_many_come_is_known_where_each_knows_its_own() {
+        let mut run = lossless(InputCounts::default(), "writer");
+        assert_eq!(run.frames(), (40, None));
+        run.stages[1].status.as_mut().unwrap().total = 50;
+        assert_eq!(run.frames(), (40, Some(50)));
+        let planned = PlannedStage { name: "other".into(), ..stage::<Ellipse>() };
+        let mut status = Box::new(Status::default());
+        (status.sent, status.total) = (3, 10);
+        run.stages.push(StageSummary { planned, status: Some(status) });
+        assert_eq!(run.frames(), (43, Some(60)));
+        run.stages[2].status.as_mut().unwrap().total = 0;
+        assert_eq!(run.frames(), (43, None));
+    }
+
+    #[test]
+    fn the_time_of_a_hop_stands_beside_the_input_that_drives_a_stage() {
+        let mut status = Box::new(Status::default());
+        status.steps = 1;
+        status.inputs[0].topic = conicflow_messages::Text::new("in");
+        status.inputs[1].topic = conicflow_messages::Text::new("aside");
+        status.hop.add(1_000_000);
+        let text = summary(status).to_string();
+        let has_time = |topic: &str| text.lines().find(|line| line.starts_with(topic)).unwrap().ends_with(" ms");
+        assert!(has_time("in ") && !has_time("aside "), "{text}");
+    }
+
+    #[test]
     fn a_run_that_never_began_has_no_tables() {
         let text = summary(Box::default()).to_string();
         assert_eq!(text, "test: 0 frames in 1.0 s (0.0 Hz), 0 dropped\n");

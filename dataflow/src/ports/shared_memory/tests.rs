@@ -121,13 +121,15 @@ fn what_a_lossless_reader_has_not_finished_is_handed_to_the_next_one_and_to_nobo
     (2..6).for_each(|number| send_as_writer(&mut writer, number));
     assert_eq!((writer.unfinished("reader"), writer.unfinished("viewer")), (4, 0));
     assert_eq!(first.receive().unwrap().unwrap().header().sequence, 2, "in its hands when it dies");
+    assert_eq!(first.begin(Text::new("writer"), 2), 1);
     drop(first);
-    for _ in 0..3 {
+    for deaths in 1..4 {
         let mut next = open("reader").reader::<u16>(&topic, "reader").unwrap();
         assert_eq!(next.acknowledged(), Some(vec![(Text::new("writer"), 2)]));
         assert_eq!(sequences(&mut next), [0; 0], "nobody has handed it anything yet");
         writer.catch_up();
         assert!(sequences(&mut next).ends_with(&[2, 3, 4, 5]));
+        assert_eq!(next.begin(Text::new("writer"), 2), deaths + 1, "how often it was begun is known to the next one");
     }
     let mut onlooker = open("onlooker").onlooker(&ItemType::of::<u16>(), &topic).unwrap();
     let mut viewer = open("viewer").reader::<u16>(&topic, "viewer").unwrap();
@@ -136,6 +138,30 @@ fn what_a_lossless_reader_has_not_finished_is_handed_to_the_next_one_and_to_nobo
     let mut last = open("reader").reader::<u16>(&topic, "reader").unwrap();
     last.acknowledge(Text::new("writer"), 6);
     assert_eq!(writer.unfinished("reader"), 0);
+}
+
+/// It needs another place in shared memory, and what the first one holds may have to be handed to a reader that comes anew.
+#[test]
+fn a_longer_message_waits_until_what_came_before_it_is_finished() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut topic = topic(Delivery::Lossless, 3);
+    topic.item = Some(ItemType::of::<u16>());
+    let open = |stage: &str| open(folder.path(), stage).kept_in(folder.path());
+    let _services = open("launcher").keep_services([&topic].into_iter()).unwrap();
+    let mut reader = open("reader").reader::<u16>(&topic, "reader").unwrap();
+    let (done, is_done) = channel();
+    thread::scope(|scope| {
+        scope.spawn(|| {
+            let mut writer = open("writer").writer::<u16>(&topic).unwrap();
+            send_as_writer(&mut writer, 0);
+            writer.loan::<u16>(100_000).unwrap();
+            done.send(()).unwrap();
+        });
+        assert_eq!(wait_for(&mut reader), 0);
+        is_done.recv_timeout(Duration::from_millis(300)).unwrap_err();
+        reader.acknowledge(Text::new("writer"), 1);
+        is_done.recv_timeout(Duration::from_secs(20)).unwrap();
+    });
 }
 
 #[test]
