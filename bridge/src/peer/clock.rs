@@ -98,6 +98,23 @@ mod tests {
         assert!((offset - minute as i64).abs() < 3_000_000, "{offset}");
     }
 
+    /// Half of each round trip, 10 and 50 ms, and 10 ms of drift.
+    #[test]
+    fn clocks_are_compared_anew_where_no_one_offset_explains_two_exchanges() {
+        const MS: i64 = 1_000_000;
+        let exchange = |round_trip_ms: i64, offset_ms: i64| {
+            let (begin, end) = (1000 * MS, (1000 + round_trip_ms) * MS);
+            let there = begin + (round_trip_ms / 2 + offset_ms) * MS;
+            [begin, there, there, end].map(|time| time as u64)
+        };
+        for (offset_ms, best_ms) in [(69, 0), (71, 71), (-69, 0), (-71, -71)] {
+            let mut clock = Clock::default();
+            clock.add(exchange(20, 0));
+            clock.add(exchange(100, offset_ms));
+            assert_eq!(clock.best().unwrap().offset_ns, best_ms * MS, "{offset_ms} ms apart");
+        }
+    }
+
     #[test]
     fn a_quick_exchange_is_remembered_for_a_while_through_any_number_of_slow_ones() {
         const SECOND: u64 = 1_000_000_000;

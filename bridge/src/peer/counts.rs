@@ -42,3 +42,19 @@ impl EdgeCounts {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rates_are_those_since_the_earlier_report() {
+        let counts = EdgeCounts::default();
+        EdgeCounts::add(&counts.messages, 30);
+        EdgeCounts::add(&counts.wire_bytes, 5_000_000);
+        EdgeCounts::add(&counts.age_ns, 3_000_000);
+        let earlier = EdgeReport { messages: 10, wire_bytes: 1_000_000, ..EdgeReport::default() };
+        let report = counts.report("objects", "out", &earlier, 2.0);
+        assert_eq!((report.messages, report.rate_hz, report.bandwidth_mbps, report.age_ms), (30, 10.0, 2.0, 3.0));
+    }
+}

@@ -100,3 +100,68 @@ impl<'a> BridgeReporter<'a> {
         self.record.write();
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::clock::Exchange;
+    use super::super::journal::Journal;
+    use super::*;
+    use crate::wire::seal::Seal;
+    use conicflow_dataflow::ItemType;
+    use conicflow_dataflow::pipeline::{Compression, Machine};
+    use conicflow_dataflow::ports::Topic;
+    use conicflow_messages::Object;
+    use std::path::Path;
+
+    fn plan(outgoing: Vec<Edge>, incoming: Vec<Edge>) -> BridgePlan {
+        BridgePlan { machine: "base".to_owned(), settings: Machine::default(), outgoing, incoming }
+    }
+
+    fn links(plan: &BridgePlan) -> Links {
+        Links::new(Journal::open(None, 7, 1), Seal::new(None, 1), plan)
+    }
+
+    fn reporter<'a>(plan: &'a BridgePlan, folder: &'a Path, links: &'a Links) -> BridgeReporter<'a> {
+        let record = StatusFile::open(&folder.join("bridge.status"), 7).unwrap();
+        BridgeReporter::new(plan, BridgeRun { pipeline: "tracking", run: 7, folder }, record, links)
+    }
+
+    #[test]
+    fn a_link_is_shown_as_what_is_heard_and_reached_with_its_times_in_their_units() {
+        let (folder, plan) = (tempfile::tempdir().unwrap(), plan(Vec::new(), Vec::new()));
+        let links = links(&plan);
+        let reporter = reporter(&plan, folder.path(), &links);
+        let clock = Some(Exchange { round_trip_ns: 2_500_000, offset_ns: -1_500_000_000 });
+        for (connected, reachable, was_heard, state) in [
+            (true, true, true, LinkState::Up),
+            (false, false, true, LinkState::Unreachable),
+            (false, true, true, LinkState::Down),
+            (false, true, false, LinkState::Never),
+        ] {
+            let peer = PeerState { was_heard, connected, time: Duration::from_millis(1500), clock };
+            let link = reporter.link("robot", &peer, reachable);
+            assert_eq!((link.state, link.state_s), (state, 1.5));
+            assert_eq!((link.round_trip_ms, link.clock_offset_s), (Some(2.5), Some(-1.5)));
+        }
+    }
+
+    #[test]
+    fn what_leaves_is_received_by_the_bridge_and_what_comes_is_sent_by_it() {
+        let edge = |name: &str| {
+            let item = ItemType::of::<Object>();
+            let topic = Topic { name: name.to_owned(), item: None, writers: Vec::new(), readers: Vec::new() };
+            let (from, compression) = (String::new(), Compression::None);
+            Edge { topic, item, from, writers: Vec::new(), to: Vec::new(), compression }
+        };
+        let (folder, plan) = (tempfile::tempdir().unwrap(), plan(vec![edge("objects")], vec![edge("tracks")]));
+        let links = links(&plan);
+        let mut reporter = reporter(&plan, folder.path(), &links);
+        EdgeCounts::add(&reporter.edges[0].counts.messages, 3);
+        EdgeCounts::add(&reporter.edges[1].counts.messages, 5);
+        reporter.report(true);
+        let status = &reporter.record.status;
+        assert_eq!((status.steps, status.sent), (8, 5));
+        let inputs: Vec<_> = status.used_inputs().map(|input| (input.topic.to_string(), input.received)).collect();
+        assert_eq!(inputs, [("objects".to_owned(), 3)]);
+    }
+}

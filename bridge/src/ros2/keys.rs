@@ -157,6 +157,7 @@ fn ros_name(name: &str) -> String {
 mod tests {
     use super::*;
     use conicflow_ros::{DETECTION_ARRAY, IMAGE, TF_MESSAGE};
+    use zenoh::key_expr::keyexpr;
 
     const ZID: &str = "1234567890abcdef1234567890abcdef";
     const DETECTIONS_HASH: &str = "RIHS01_793f5eab9595ac1c0da07873cc859db42eae51f0ee76056db8562515d830e018";
@@ -173,6 +174,11 @@ mod tests {
             end("/conicflow/tracks", DETECTION_ARRAY, Way::Publish),
         ];
         Participant { connect: Vec::new(), domain: 7, distro, via, name: "conicflow_ros".to_owned(), ends }
+    }
+
+    /// Whether who asks who publishes is told of this token.
+    fn is_asked_for(keys: &Keys<'_>, token: &str) -> bool {
+        keyexpr::new(&keys.tokens_of_publishers()).unwrap().includes(keyexpr::new(token).unwrap())
     }
 
     #[test]
@@ -201,6 +207,7 @@ mod tests {
         let published = ("/conicflow/tracks".to_owned(), DETECTION_ARRAY.name.to_owned());
         assert_eq!(keys.published(&expected[3]), Some(published));
         assert_eq!(expected[..3].iter().find_map(|token| keys.published(token)), None);
+        assert_eq!(expected.each_ref().map(|token| is_asked_for(&keys, token)), [false, false, false, true]);
     }
 
     #[test]
@@ -226,6 +233,7 @@ mod tests {
         assert_eq!(keys.tokens(ZID), expected);
         let published = ("/conicflow/tracks".to_owned(), DETECTION_ARRAY.name.to_owned());
         assert_eq!(keys.published(&expected[2]), Some(published));
+        assert_eq!(expected.each_ref().map(|token| is_asked_for(&keys, token)), [false, false, true]);
         let newer = Participant { distro: Distro::Kilted, ..participant.clone() };
         assert!(Keys(&newer).tokens(ZID)[0].ends_with(&format!("/:0:0:0,10:typehash={IMAGE_HASH};")));
     }

@@ -246,6 +246,17 @@ mod tests {
     }
 
     #[test]
+    fn the_centre_that_is_expected_lies_in_the_plane_of_its_scan_line() {
+        for (scan, slope) in [(0, (100.0 - 239.5) / 520.0), (1, (100.0 - 319.5) / 525.0)] {
+            let item = circle(100, scan);
+            let ([x, y, z], [s, t]) = (center(&header(), &item), item.plane_center);
+            let (along, across) = if item.direction() == Scan::Row { (x, y) } else { (y, x) };
+            assert!((across / z - slope).abs() < 1e-12, "scan {scan}: {across} at {z}");
+            assert!((along - s).abs() < 1e-12 && (across.hypot(z) - t).abs() < 1e-12, "scan {scan}");
+        }
+    }
+
+    #[test]
     fn steps_are_told_from_other_numbers() {
         for (value, word) in [(0.0, 0), (1.234, 1234), (-0.0, !(-0.0_f64).to_bits()), (1e-320, !1e-320_f64.to_bits())] {
             assert_eq!(to_steps(value, 0.001), word);

@@ -1,6 +1,6 @@
 //! What the wire promises: every message comes back bit for bit, and no bytes whatever do harm.
 
-use super::{MAX_MESSAGE, Place, WIRE_VERSION, WireError, decode_message, encode_message};
+use super::{MAX_MESSAGE, Place, WIRE_VERSION, WireError, decode_message, encode_message, place_of, set_oldest};
 use bytemuck::cast_slice;
 use conicflow_dataflow::pipeline::Compression;
 use conicflow_dataflow::{BUILT_IN, ItemType};
@@ -57,6 +57,16 @@ fn lists_come_back_bit_for_bit() {
         let back = decoded::<Ellipse>(&bytes_of(&header, &sent, how));
         assert_eq!(back, Ok((place(), header, cast_slice(&sent).to_vec())));
     }
+}
+
+#[test]
+fn a_message_that_is_sent_again_tells_which_is_the_oldest_by_then() {
+    let header = header(64, 48);
+    let mut bytes = bytes_of(&header, &[ellipse()], Compression::None);
+    set_oldest(&mut bytes, 300);
+    let place = Place { oldest: 300, ..place() };
+    assert_eq!(place_of(&bytes), Ok(place));
+    assert_eq!(decoded::<Ellipse>(&bytes), Ok((place, header, cast_slice(&[ellipse()]).to_vec())));
 }
 
 #[test]
