@@ -204,31 +204,47 @@ mod tests {
         assert_eq!((first.len(), detector.detect(&pixels)), (1, first));
     }
 
+    /// Images of a ball before a wall.
+    fn balls() -> Vec<(Header, Vec<u16>)> {
+        let ball = Body::Sphere { center: Vector3::new(0.1, 0.0, 2.6), radius: 0.1 };
+        let wall = Body::Plane { normal: Vector3::z(), offset: 3.5 };
+        (0..40).map(|seed| render(KINECT_HALF, NoiseModel::KINECT_V1, &[ball, wall], seed)).collect()
+    }
+
     /// The image with what is nearer than three metres narrower by some pixels on either side of each row, because the sensor loses
     /// what it grazes.
-    fn narrowed(header: &Header, pixels: &[u16], by: usize) -> Vec<u16> {
+    fn narrowed((header, pixels): &(Header, Vec<u16>), by: impl Fn(usize) -> usize) -> Vec<u16> {
         let is_far = |z: u16| f64::from(z) * header.depth_scale > 3.0;
-        let narrow = |row: &[u16]| -> Vec<u16> {
-            let around = |u: usize| u.saturating_sub(by)..(u + by + 1).min(row.len());
+        let narrow = |(number, row): (usize, &[u16])| -> Vec<u16> {
+            let around = |u: usize| u.saturating_sub(by(number))..(u + by(number) + 1).min(row.len());
             (0..row.len()).map(|u| around(u).map(|v| row[v]).find(|z| is_far(*z)).unwrap_or(row[u])).collect()
         };
-        pixels.chunks(header.camera.width as usize).flat_map(narrow).collect()
+        pixels.chunks(header.camera.width as usize).enumerate().flat_map(narrow).collect()
     }
 
     #[test]
     fn images_show_where_the_sensor_puts_contours() {
-        let noise = NoiseModel::KINECT_V1;
-        let ball = Body::Sphere { center: Vector3::new(0.1, 0.0, 2.6), radius: 0.1 };
-        let wall = Body::Plane { normal: Vector3::z(), offset: 3.5 };
-        let images: Vec<_> = (0..40).map(|seed| render(KINECT_HALF, noise, &[ball, wall], seed)).collect();
+        let images = balls();
         let header = images[0].0;
         let bias = |detector: &mut Detector| {
-            let radius = |(_, pixels): &(Header, Vec<u16>)| detector.detect(&narrowed(&header, pixels, 2))[0].radius;
+            let radius = |image: &(Header, Vec<u16>)| detector.detect(&narrowed(image, |_| 2))[0].radius;
             let radii: Vec<f64> = images.iter().map(radius).collect();
             radii[20..].iter().sum::<f64>() / 20.0 - 0.1
         };
         let [before, after] = [bias(&mut detector(&header).alone()), bias(&mut detector(&header))];
         assert!(before < -0.0005 && after > 0.5 * before, "{before} {after}");
+    }
+
+    #[test]
+    fn images_show_how_far_contours_scatter() {
+        let images = balls();
+        let sigma = |ragged: usize| {
+            let mut detector = detector(&images[0].0);
+            let by = |row: usize| if ragged == 0 { 1 } else { row * 7 % ragged };
+            images.iter().map(|image| detector.detect(&narrowed(image, by))[0].sigma.radius).last().unwrap()
+        };
+        let [even, ragged] = [0, 3].map(sigma);
+        assert!(ragged > 1.1 * even, "{even} {ragged}: of ragged contours a radius is less sure");
     }
 
     #[test]

@@ -191,3 +191,25 @@ fn direction(region: &Region) -> usize {
 fn covariance(offset_px: f64, share: f64) -> Matrix4<f64> {
     Matrix4::from_diagonal(&Vector4::new(offset_px, share, offset_px, share).map(|sigma| sigma * sigma))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use conicflow_geometry::{Conical, FixedSlope};
+    use nalgebra::Matrix5;
+
+    #[test]
+    fn what_is_lost_at_one_angle_of_incidence_goes_with_the_radius_of_curvature_along_the_view() {
+        const LOST: f64 = 0.2; // cosine of incidence
+        let (radius, point) = (0.05, Vector3::new(0.0, 0.0, 1.2));
+        for (sine, cosine) in [(0.0, 1.0), (0.6, 0.8), (0.8, 0.6)] {
+            let surface = FixedSlope(Conical { point, axis: Vector3::new(0.0, cosine, sine), radius, slope: 0.0 });
+            let none = Matrix5::zeros();
+            let fit = SurfaceFit { surface, square_sum: 0.0, contour_sum: 0.0, inverse: none, contour: none };
+            // At the angle a from the middle the incidence has the cosine `cos a cos t`, the axis leaning by t.
+            let lost = radius * (1.0 - (1.0 - (LOST / cosine).powi(2)).sqrt());
+            let expected = 0.5 * LOST * LOST * curvature_radius(&Model::Cylinder(fit), &point);
+            assert!((lost / expected - 1.0).abs() < 0.04, "{lost} {expected}");
+        }
+    }
+}
