@@ -15,6 +15,11 @@ fn topic(delivery: Delivery, queue: usize) -> Topic {
     Topic { name: "things".into(), item: None, writers: vec!["writer".into()], readers: vec![reader] }
 }
 
+/// A lossless topic of numbers, whose type is told.
+fn lossless() -> Topic {
+    Topic { item: Some(ItemType::of::<u16>()), ..topic(Delivery::Lossless, 3) }
+}
+
 fn open(root: &Path, stage: &str) -> SharedMemory {
     SharedMemory::open(root, "test", stage, Stop::default()).unwrap()
 }
@@ -78,8 +83,7 @@ fn wait_for(reader: &mut impl Reader) -> u64 {
 #[test]
 fn what_was_sent_is_not_gone_with_its_writer_before_a_reader_looks_for_the_first_time() {
     let folder = tempfile::tempdir().unwrap();
-    let mut topic = topic(Delivery::Lossless, 3);
-    topic.item = Some(ItemType::of::<u16>());
+    let topic = lossless();
     let open = |stage: &str| open(folder.path(), stage).kept_in(folder.path());
     let _services = open("launcher").keep_services([&topic].into_iter()).unwrap();
     // It has joined the topic, and is still being made ready.
@@ -102,8 +106,7 @@ fn what_was_sent_is_not_gone_with_its_writer_before_a_reader_looks_for_the_first
 #[test]
 fn what_a_lossless_reader_has_not_finished_is_handed_to_the_next_one_and_to_nobody_else() {
     let folder = tempfile::tempdir().unwrap();
-    let mut topic = topic(Delivery::Lossless, 3);
-    topic.item = Some(ItemType::of::<u16>());
+    let mut topic = lossless();
     topic.readers.push(TopicReader { stage: "viewer".into(), delivery: Delivery::Latest, queue: 2 });
     let open = |stage: &str| open(folder.path(), stage).kept_in(folder.path());
     let _services = open("launcher").keep_services([&topic].into_iter()).unwrap();
@@ -144,8 +147,7 @@ fn what_a_lossless_reader_has_not_finished_is_handed_to_the_next_one_and_to_nobo
 #[test]
 fn a_longer_message_waits_until_what_came_before_it_is_finished() {
     let folder = tempfile::tempdir().unwrap();
-    let mut topic = topic(Delivery::Lossless, 3);
-    topic.item = Some(ItemType::of::<u16>());
+    let topic = lossless();
     let open = |stage: &str| open(folder.path(), stage).kept_in(folder.path());
     let _services = open("launcher").keep_services([&topic].into_iter()).unwrap();
     let mut reader = open("reader").reader::<u16>(&topic, "reader").unwrap();
@@ -167,8 +169,7 @@ fn a_longer_message_waits_until_what_came_before_it_is_finished() {
 #[test]
 fn who_looks_on_too_early_does_not_keep_the_run_from_beginning() {
     let folder = tempfile::tempdir().unwrap();
-    let mut topic = topic(Delivery::Lossless, 3);
-    topic.item = Some(ItemType::of::<u16>());
+    let topic = lossless();
     let (early, item) = (open(folder.path(), "onlooker"), ItemType::of::<u16>());
     assert!(early.onlooker(&item, &topic).is_err(), "there is nothing yet");
     let launcher = open(folder.path(), "launcher").kept_in(folder.path());
