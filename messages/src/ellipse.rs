@@ -65,8 +65,9 @@ pub struct Ellipse {
     pub shared_lines: f64,
     /// Depths measured `beyond_px` pixels before the first and behind the last pixel, in metres; 0: none.
     pub beyond: [f64; 2],
-    /// Where along the line the surface ends on either side before something farther behind it, in pixels, between its
-    /// last pixel and the next that was measured; 0: what ends it is nearer, adjoins it or is not seen.
+    /// Where along the line the surface ends on either side before something farther behind it, in pixels: half a
+    /// pixel beyond its last one, or in the middle of a pixel that belongs to neither; 0: what ends it is nearer, adjoins it or is
+    /// not seen.
     pub contour: [f64; 2],
     /// Origin `(s, t)` of the moments, in metres.
     pub origin: [f64; 2],

@@ -98,7 +98,7 @@ mod tests {
         assert!((offset - minute as i64).abs() < 3_000_000, "{offset}");
     }
 
-    /// Half of each round trip, 10 and 50 ms, and 10 ms of drift.
+    /// One offset may differ by half of each round trip, 10 and 50 ms, and by 10 ms of drift.
     #[test]
     fn clocks_are_compared_anew_where_no_one_offset_explains_two_exchanges() {
         const MS: i64 = 1_000_000;
