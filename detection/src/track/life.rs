@@ -7,7 +7,7 @@ use conicflow_messages::TrackState;
 pub struct Rules {
     /// Sights that confirm a track,
     pub hits: u32,
-    /// within this many frames, at most 32.
+    /// within this many frames.
     pub window: u32,
     /// How long a confirmed track stays without a sight, in seconds.
     pub max_coast_s: f64,
@@ -24,23 +24,22 @@ pub struct Life {
     pub unseen_s: f64,
     /// Seconds since the last frame of the camera that saw it last: others went on.
     pub unwatched_s: f64,
-    /// The last 32 frames, the newest in the lowest bit; 1: seen.
-    sights: u32,
-    confirmed: bool,
+    /// Sights that it still needs to be confirmed; none: it is. The window begins with the first sight and never moves on: by
+    /// its last frame there were either enough sights, or too many misses.
+    needed: u32,
 }
 
 impl Life {
     /// A track at its first sight.
     pub fn born(rules: &Rules) -> Self {
-        Self { age: 0, misses: 0, unseen_s: 0.0, unwatched_s: 0.0, sights: 1, confirmed: rules.hits <= 1 }
+        Self { age: 0, misses: 0, unseen_s: 0.0, unwatched_s: 0.0, needed: rules.hits.saturating_sub(1) }
     }
 
     /// One more frame, in which it was seen.
-    pub fn seen(&mut self, rules: &Rules) {
+    pub fn seen(&mut self) {
         self.age = self.age.saturating_add(1);
         (self.misses, self.unseen_s, self.unwatched_s) = (0, 0.0, 0.0);
-        self.sights = self.sights << 1 | 1;
-        self.confirmed |= (self.sights & window(rules)).count_ones() >= rules.hits;
+        self.needed = self.needed.saturating_sub(1);
     }
 
     /// One more frame, `elapsed_s` seconds later, in which it was not seen.
@@ -49,7 +48,6 @@ impl Life {
         self.misses = self.misses.saturating_add(1);
         self.unseen_s += elapsed_s;
         self.unwatched_s = 0.0;
-        self.sights <<= 1;
     }
 
     /// A frame, `elapsed_s` seconds later, of a camera that was not expected to see it.
@@ -60,27 +58,21 @@ impl Life {
 
     /// Whether it is to be given up: unseen for too long, or no longer able to be confirmed, or left by its camera.
     pub fn is_lost(&self, rules: &Rules) -> bool {
-        if self.confirmed {
+        if self.needed == 0 {
             return self.unseen_s > rules.max_coast_s;
         }
-        let frames = self.age.saturating_add(1).min(rules.window);
-        let missed = frames - (self.sights & window(rules)).count_ones();
-        missed > rules.window.saturating_sub(rules.hits) || self.unwatched_s > rules.max_coast_s
+        let left = rules.window.saturating_sub(self.age.saturating_add(1));
+        self.needed > left || self.unwatched_s > rules.max_coast_s
     }
 
     /// How far it is to be trusted.
     pub fn state(&self) -> TrackState {
-        match (self.confirmed, self.misses) {
-            (false, _) => TrackState::Tentative,
-            (true, 0) => TrackState::Confirmed,
-            (true, _) => TrackState::Coasting,
+        match (self.needed, self.misses) {
+            (1.., _) => TrackState::Tentative,
+            (0, 0) => TrackState::Confirmed,
+            (0, _) => TrackState::Coasting,
         }
     }
-}
-
-/// As many low bits as the window has frames.
-fn window(rules: &Rules) -> u32 {
-    u32::MAX >> (32 - rules.window.clamp(1, 32))
 }
 
 #[cfg(test)]
@@ -94,7 +86,7 @@ mod tests {
         let mut life = Life::born(&RULES);
         let step = |sight: char| {
             match sight {
-                'x' => life.seen(&RULES),
+                'x' => life.seen(),
                 _ => life.missed(0.1),
             }
             (!life.is_lost(&RULES)).then(|| life.state())
@@ -116,6 +108,34 @@ mod tests {
         assert_eq!(live("-x--").last(), Some(&None));
     }
 
+    /// For all short histories the rules are told here by the whole of each, whose newest frames are looked at anew every time.
+    #[test]
+    fn a_track_is_confirmed_by_enough_sights_of_any_window_and_lost_when_none_can_have_them() {
+        for (window, hits) in (1..=6).flat_map(|window| (1..=window).map(move |hits| (window, hits))) {
+            let rules = Rules { hits, window, max_coast_s: f64::INFINITY };
+            for frames in 0..1 << 9_u32 {
+                let (mut life, mut history, mut was_confirmed) = (Life::born(&rules), vec![true], hits == 1);
+                for is_seen in (0..9).map(|frame| frames >> frame & 1 == 1) {
+                    history.push(is_seen);
+                    if is_seen {
+                        life.seen();
+                    } else {
+                        life.missed(0.1);
+                    }
+                    let newest = &history[history.len().saturating_sub(window as usize)..];
+                    let seen = newest.iter().filter(|seen| **seen).count();
+                    was_confirmed |= seen >= hits as usize;
+                    let is_lost = !was_confirmed && newest.len() - seen > (window - hits) as usize;
+                    let told = (life.state() != TrackState::Tentative, life.is_lost(&rules));
+                    assert_eq!(told, (was_confirmed, is_lost), "{hits} of {window}: {history:?}");
+                    if is_lost {
+                        break;
+                    }
+                }
+            }
+        }
+    }
+
     #[test]
     fn a_confirmed_track_coasts_for_its_time() {
         let states = live("xx---");
@@ -131,7 +151,7 @@ mod tests {
             assert_eq!((life.misses, life.state(), life.is_lost(&rules)), (0, state, false));
             life.unwatched(0.01);
             assert!(life.is_lost(&rules), "its camera is gone");
-            life.seen(&rules);
+            life.seen();
             assert!(!life.is_lost(&rules));
         }
     }
@@ -140,7 +160,7 @@ mod tests {
     fn a_window_of_32_frames_and_one_of_one_frame_work() {
         let mut life = Life::born(&Rules { window: 32, ..RULES });
         assert!((0..100).all(|_| {
-            life.seen(&Rules { window: 32, ..RULES });
+            life.seen();
             !life.is_lost(&Rules { window: 32, ..RULES })
         }));
         assert_eq!(Life::born(&Rules { hits: 1, window: 1, ..RULES }).state(), TrackState::Confirmed);

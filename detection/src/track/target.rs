@@ -207,7 +207,7 @@ impl Target {
         // What `max_radius_change` let pass is a step or an outlier: no noise, so the sigma has to cover it.
         self.common.radius = self.common.radius.max(self.radius.lacking(detection.radius, config.gate));
         self.last_seen = detection.object;
-        self.life.seen(&config.rules());
+        self.life.seen();
     }
 
     /// Goes on through a frame in which it was not seen. Where another camera saw it last, that says nothing.
