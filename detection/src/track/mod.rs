@@ -43,8 +43,6 @@ pub struct Tracker {
     /// Pose of each source's camera, in the order of [`Advance::source`].
     world_from_camera: Vec<IsometryMatrix3<f64>>,
     has_pose: bool,
-    /// How many frames were taken in.
-    frames: u64,
     next_id: u64,
     targets: Vec<Target>,
     detections: Vec<Detection>,
@@ -67,7 +65,6 @@ impl Tracker {
             parameters,
             world_from_camera: Vec::new(),
             has_pose: false,
-            frames: 0,
             next_id: 1,
             targets: Vec::new(),
             detections: Vec::new(),
@@ -81,14 +78,13 @@ impl Tracker {
     /// when the frame was taken, in nanoseconds; where it does not advance, frames are taken to come at
     /// [`TrackerParameters::assumed_rate_hz`].
     pub fn update(&mut self, objects: &[Object], stamp_ns: u64) -> &[Track] {
-        self.update_frame(&Header { sequence: self.frames, stamp_ns, ..Header::default() }, objects)
+        self.update_frame(&Header { stamp_ns, ..Header::default() }, objects)
     }
 
     /// The same of a camera that moves: `world_from_camera` is its pose, row-major `[R | t]` with a rotation R and t in
     /// metres. Positions and velocities stay in the frame of the camera.
     pub fn update_from(&mut self, objects: &[Object], stamp_ns: u64, world_from_camera: [[f64; 4]; 3]) -> &[Track] {
-        let (sequence, flags) = (self.frames, HAS_POSE);
-        self.update_frame(&Header { sequence, stamp_ns, flags, world_from_camera, ..Header::default() }, objects)
+        self.update_frame(&Header { stamp_ns, flags: HAS_POSE, world_from_camera, ..Header::default() }, objects)
     }
 
     /// The method: takes in the objects of the frame that a header tells of, in the camera frame; the tracks that are alive,
@@ -96,7 +92,6 @@ impl Tracker {
     pub fn update_frame(&mut self, header: &Header, objects: &[Object]) -> &[Track] {
         // T1. Time: how long since the last frame, and whether this one is late (`timeline.rs`). Who was unseen for too long
         //     is given up.
-        self.frames += 1;
         let time = self.timeline.advance(header);
         if time.new_run {
             self.targets.retain(|target| target.seen_by != time.source);

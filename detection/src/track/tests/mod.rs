@@ -85,13 +85,16 @@ fn states(tracks: &[Track]) -> Vec<TrackState> {
 
 #[test]
 fn who_has_no_headers_gets_the_same_tracks() {
-    let (mut by_header, mut by_stamp) = (Tracker::default(), Tracker::default());
-    for sequence in 0..6 {
-        let objects = [sphere(Vector3::new(0.1 * seconds(sequence), 0.0, 1.5))];
-        let header = Header { epoch: 0, ..header(sequence) };
-        assert_eq!(by_header.update_frame(&header, &objects), by_stamp.update(&objects, header.stamp_ns));
+    for stamps_advance in [true, false] {
+        let (mut by_header, mut by_stamp) = (Tracker::default(), Tracker::default());
+        for sequence in 0..6 {
+            let objects = [sphere(Vector3::new(0.1 * seconds(sequence), 0.0, 1.5))];
+            let stamp_ns = if stamps_advance { header(sequence).stamp_ns } else { 0 };
+            let header = Header { epoch: 0, stamp_ns, ..header(sequence) };
+            assert_eq!(by_header.update_frame(&header, &objects), by_stamp.update(&objects, stamp_ns));
+        }
+        assert_eq!(states(by_stamp.tracks()), [TrackState::Confirmed]);
     }
-    assert_eq!(states(by_stamp.tracks()), [TrackState::Confirmed]);
 }
 
 #[test]
