@@ -213,7 +213,7 @@ impl<'a> Receiving<'a> {
         if header.ends_stream() {
             return Ok(());
         }
-        let age = self.to_own_clock(&mut header);
+        let age = to_own_clock(&mut header, self.links.clock_offset(&self.edge.from), monotonic_ns());
         self.counts.age_ns.store(age.as_nanos() as u64, Ordering::Relaxed);
         if !self.lossless && age > STALE {
             EdgeCounts::add(&self.counts.stale, 1);
@@ -225,21 +225,6 @@ impl<'a> Receiving<'a> {
         EdgeCounts::add(&self.counts.wire_bytes, wire_bytes as u64);
         EdgeCounts::add(&self.counts.memory_bytes, (self.codec.items().len() + size_of::<Header>()) as u64);
         Ok(())
-    }
-
-    /// Turns the times of the trace into times of this machine's clock, and tells how long the message was under way.
-    /// Before the clocks have been compared it counts as sent just now; never as sent later than it came.
-    fn to_own_clock(&self, header: &mut Header) -> Duration {
-        let now = monotonic_ns();
-        let sent = header.trace().last().map_or(0, |hop| hop.sent_ns);
-        let offset = self.links.clock_offset(&self.edge.from).map(i128::from);
-        let offset = offset.unwrap_or(i128::from(sent) - i128::from(now));
-        let own = |time: u64| u64::try_from(i128::from(time) - offset).unwrap_or(0).min(now);
-        let used = (header.hop_count as usize).min(MAX_HOPS);
-        for hop in &mut header.hops[..used] {
-            (hop.received_ns, hop.sent_ns) = (own(hop.received_ns), own(hop.sent_ns));
-        }
-        Duration::from_nanos(now.saturating_sub(own(sent)))
     }
 
     /// Tells what has come, and what of that the readers here have finished: the rest is gone if this process is killed.
@@ -259,6 +244,20 @@ impl<'a> Receiving<'a> {
         }
         self.acknowledge();
     }
+}
+
+/// Turns the times of the trace into times of this machine's clock, which reads `now_ns`; the clock of the machine that it comes
+/// from is ahead by `offset_ns`. Tells how long the message was under way. Before the clocks have been compared, which takes a
+/// heartbeat whose times can be, it counts as sent just now; never as sent later than it came.
+fn to_own_clock(header: &mut Header, offset_ns: Option<i64>, now_ns: u64) -> Duration {
+    let sent_ns = header.trace().last().map_or(0, |hop| hop.sent_ns);
+    let offset_ns = offset_ns.map_or(i128::from(sent_ns) - i128::from(now_ns), i128::from);
+    let own = |time_ns: u64| u64::try_from(i128::from(time_ns) - offset_ns).unwrap_or(0).min(now_ns);
+    let used = (header.hop_count as usize).min(MAX_HOPS);
+    for hop in &mut header.hops[..used] {
+        (hop.received_ns, hop.sent_ns) = (own(hop.received_ns), own(hop.sent_ns));
+    }
+    Duration::from_nanos(now_ns - own(sent_ns))
 }
 
 /// What lets messages in that come under the Zenoh key of an edge. It stands before the [`Channel`], so that what is refused
@@ -328,7 +327,7 @@ mod tests {
     use conicflow_dataflow::pipeline::{Compression, Machine};
     use conicflow_dataflow::ports::Topic;
     use conicflow_dataflow::{BridgePlan, ItemType};
-    use conicflow_messages::Object;
+    use conicflow_messages::{Hop, Object};
 
     const ZENOH_KEY: &str = "conicflow/tracking/robot/objects";
 
@@ -338,6 +337,34 @@ mod tests {
             Topic { name: "objects".to_owned(), item: Some(item.clone()), writers: Vec::new(), readers: Vec::new() };
         let from = from.to_owned();
         Edge { topic, item, from, writers: Vec::new(), to: Vec::new(), compression: Compression::None }
+    }
+
+    /// The hops of a message that two stages have sent, `[received_ns, sent_ns]` by this machine's clock, which reads 1000, and how
+    /// long it was under way.
+    fn own_times(offset_ns: Option<i64>, hops: [[u64; 2]; 2]) -> ([[u64; 2]; 2], u64) {
+        let mut header = Header::default();
+        for [received_ns, sent_ns] in hops {
+            header.add_hop(Hop { received_ns, sent_ns, ..Hop::default() });
+        }
+        let age = to_own_clock(&mut header, offset_ns, 1000);
+        ([0, 1].map(|hop| [header.hops[hop].received_ns, header.hops[hop].sent_ns]), age.as_nanos() as u64)
+    }
+
+    #[test]
+    fn times_of_the_other_machine_become_own_ones_and_none_is_after_now() {
+        let hops = [[5100, 5300], [5400, 5900]];
+        assert_eq!(own_times(Some(5000), hops), ([[100, 300], [400, 900]], 100));
+        assert_eq!(own_times(Some(4500), hops), ([[600, 800], [900, 1000]], 0), "it cannot be sent later than it came");
+        assert_eq!(own_times(Some(5350), hops), ([[0, 0], [50, 550]], 450), "before this machine was started");
+        assert_eq!(own_times(Some(-50), [[100, 200], [300, 400]]), ([[150, 250], [350, 450]], 550));
+    }
+
+    #[test]
+    fn before_the_clocks_are_compared_a_message_was_sent_just_now_and_its_hops_keep_their_distances() {
+        assert_eq!(own_times(None, [[5100, 5300], [5400, 5900]]), ([[200, 400], [500, 1000]], 0));
+        assert_eq!(own_times(None, [[10, 20], [30, 40]]), ([[970, 980], [990, 1000]], 0));
+        let mut never_sent = Header::default();
+        assert_eq!(to_own_clock(&mut never_sent, None, 1000), Duration::ZERO);
     }
 
     fn sealed(seal: &Seal, zenoh_key: &str) -> Vec<u8> {
