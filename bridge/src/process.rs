@@ -120,7 +120,7 @@ impl<'a> Watch<'a> {
         let mut result = Ok(());
         while !handles.is_empty() {
             let news = self.links.news();
-            if self.links.owes_answer() || news != self.sent.1 || self.sent.0.elapsed() > HEARTBEAT_PERIOD {
+            if is_heartbeat_due(self.links.owes_answer(), &news, &self.sent, Instant::now()) {
                 self.send_heartbeat(news);
             }
             if self.reporter.is_due() {
@@ -153,6 +153,12 @@ impl<'a> Watch<'a> {
     }
 }
 
+/// Whether a heartbeat is to be sent now: somebody waits for an answer, there is something new, or the last one, sent then with that
+/// news, is too old to show that the link lives.
+fn is_heartbeat_due(owes_answer: bool, news: &News, (sent, last): &(Instant, News), now: Instant) -> bool {
+    owes_answer || news != last || now.duration_since(*sent) > HEARTBEAT_PERIOD
+}
+
 impl<'a> EdgeHandle<'a> {
     fn start<'scope>(
         &self,
@@ -170,5 +176,24 @@ impl<'a> EdgeHandle<'a> {
             let receiving = Receiving::new(self.edge, shared, counts)?;
             Ok(scope.spawn(move || receiving.run()))
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::peer::heartbeat::Ack;
+
+    #[test]
+    fn a_heartbeat_is_sent_at_once_with_news_or_to_answer_and_else_five_times_a_second() {
+        let (none, some) = (News::default(), News { acks: vec![Ack::default()], ..News::default() });
+        let begin = Instant::now();
+        let is_due = |owes_answer: bool, news: &News, passed_ms: u64| {
+            is_heartbeat_due(owes_answer, news, &(begin, none.clone()), begin + Duration::from_millis(passed_ms))
+        };
+        assert_eq!([0, 200, 201].map(|passed_ms| is_due(false, &none, passed_ms)), [false, false, true]);
+        assert!(is_due(true, &none, 0), "somebody waits for it");
+        assert!(is_due(false, &some, 0), "there is something new");
+        assert!(!is_heartbeat_due(false, &some, &(begin, some.clone()), begin), "that was told already");
     }
 }
