@@ -61,6 +61,14 @@ struct Joined {
     is_reached: AtomicBool,
 }
 
+impl Joined {
+    /// Notes whether the router is reached; whether it is there anew, having been away or not been there before.
+    fn note(&self, is_reached: bool) -> bool {
+        let was_reached = self.is_reached.swap(is_reached, Ordering::Relaxed);
+        is_reached && !was_reached
+    }
+}
+
 /// What a session holds for its participant. The session is the last that is dropped, and closed by that.
 struct Ends {
     publishers: Vec<Option<Outbox>>,
@@ -202,10 +210,9 @@ impl Keeper {
     fn look(&self, joined: &Joined, ends: &Ends) {
         let info = ends.session.info();
         let is_reached = info.routers_zid().wait().next().is_some() || info.peers_zid().wait().next().is_some();
-        if is_reached && !joined.is_reached.load(Ordering::Relaxed) {
+        if joined.note(is_reached) {
             self.ask_for_latched(&ends.session);
         }
-        joined.is_reached.store(is_reached, Ordering::Relaxed);
     }
 
     fn declare(&self, session: Session) -> zenoh::Result<Ends> {
@@ -258,6 +265,10 @@ impl Keeper {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use conicflow_ros::IMAGE;
+    use conicflow_ros2::{Distro, End, Via};
+    use zenoh::key_expr::KeyExpr;
+    use zenoh::sample::SampleBuilder;
 
     fn numbered(sequence: i64, end: u8) -> Attachment {
         Attachment { sequence, sent_ns: 0, end: [end; 16] }
@@ -276,6 +287,54 @@ mod tests {
             inbox.missing_before(numbered(1, end), true);
         }
         assert_eq!(inbox.numbers.lock().unwrap().len(), MOST_COMPARED);
+    }
+
+    /// A middleware that has reached nobody yet, with one end.
+    fn middleware(capacity: usize) -> ZenohMiddleware {
+        let (topic, definition, way) = ("/camera/depth/image".to_owned(), IMAGE, Way::Subscribe(capacity));
+        let participant = Participant {
+            connect: Vec::new(),
+            domain: 0,
+            distro: Distro::Jazzy,
+            via: Via::RmwZenoh,
+            name: "conicflow".to_owned(),
+            ends: vec![End { topic, definition, way }],
+        };
+        let inboxes = Arc::new(vec![Inbox::new(way)]);
+        ZenohMiddleware { participant: Arc::new(participant), inboxes, joined: Arc::default() }
+    }
+
+    fn sample(sequence: i64, payload: u8) -> Sample {
+        let key = KeyExpr::new("0/camera/depth/image/type/hash").unwrap();
+        let sample = SampleBuilder::put(key, vec![payload]);
+        sample.attachment(numbered(sequence, 1).to_bytes()).into()
+    }
+
+    #[test]
+    fn what_was_lost_on_the_way_or_for_want_of_room_is_told_once() {
+        let middleware = middleware(2);
+        assert_eq!(middleware.take_lost(0), 0);
+        [(1, b'a'), (2, b'b'), (6, b'c')]
+            .into_iter()
+            .for_each(|(sequence, payload)| middleware.inboxes[0].take(&sample(sequence, payload)));
+        assert_eq!(
+            [(); 2].map(|()| middleware.take_lost(0)),
+            [3 + 1, 0],
+            "3, 4 and 5 never came, and the first had to go"
+        );
+        let received = [(); 3].map(|()| middleware.receive(0, Duration::ZERO));
+        assert_eq!(received, [Some(b"b".to_vec()), Some(b"c".to_vec()), None]);
+    }
+
+    #[test]
+    fn a_router_is_there_anew_when_it_was_not_before() {
+        let middleware = middleware(1);
+        assert!(!middleware.is_joined());
+        let looks = [false, true, true, false, false, true];
+        let told = looks.map(|is_reached| (middleware.joined.note(is_reached), middleware.is_joined()));
+        let is_anew = [false, true, false, false, false, true];
+        assert_eq!(told.map(|(anew, _)| anew), is_anew);
+        assert_eq!(told.map(|(_, is_joined)| is_joined), looks);
     }
 
     /// A publisher of Lyrical gives each message below the key three numbers where two more take it in memory of their own.
