@@ -2,7 +2,7 @@
 
 use crate::channel::Channel;
 use crate::error::BridgeError;
-use crate::peer::counts::EdgeCounts;
+use crate::peer::counts::{EdgeCounts, LeftOut};
 use crate::peer::heartbeat::Ack;
 use crate::peer::links::Links;
 use crate::reliable::passed_on::PassedOn;
@@ -14,12 +14,12 @@ use crate::wire::codec::{Codec, codec_of};
 use crate::wire::{Place, WireError, open_message, place_of};
 use conicflow_dataflow::pipeline::BRIDGE;
 use conicflow_dataflow::ports::{Delivery, PortError, Transport};
-use conicflow_dataflow::relay::{OutputPort, Peers, SharedWriter, ThrottledWarning};
+use conicflow_dataflow::relay::{OutputPort, Peers, SharedWriter};
 use conicflow_dataflow::{Edge, Life, Stop, monotonic_ns};
 use conicflow_messages::{Header, MAX_HOPS, Text};
 use std::collections::BTreeSet;
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use zenoh::bytes::ZBytes;
 
@@ -288,19 +288,18 @@ impl Gate {
 struct Refusals {
     topic: String,
     from: String,
-    counts: Arc<EdgeCounts>,
-    warning: Mutex<ThrottledWarning>,
+    left_out: LeftOut,
 }
 
 impl Refusals {
     fn new(edge: &Edge, counts: Arc<EdgeCounts>) -> Self {
         let (topic, from) = (edge.topic.name.clone(), edge.from.clone());
-        Self { topic, from, counts, warning: Mutex::default() }
+        Self { topic, from, left_out: LeftOut::new(counts) }
     }
 
     fn warn_of_forgery(&self) {
         let Self { topic, from, .. } = self;
-        self.warn(format_args!(
+        self.left_out.add(format_args!(
             "took a message of topic `{topic}` that machine `{from}` has not sent: its number was one that has not been reached\n  \
              hint: whoever can connect can send; with the same `key` on all machines only these can"
         ));
@@ -308,12 +307,7 @@ impl Refusals {
 
     fn leave_out(&self, reason: &dyn std::fmt::Display) {
         let Self { topic, from, .. } = self;
-        self.warn(format_args!("left out a message of topic `{topic}` from machine `{from}`: {reason}"));
-    }
-
-    fn warn(&self, what: std::fmt::Arguments<'_>) {
-        EdgeCounts::add(&self.counts.malformed, 1);
-        self.warning.lock().unwrap_or_else(PoisonError::into_inner).warn(what);
+        self.left_out.add(format_args!("left out a message of topic `{topic}` from machine `{from}`: {reason}"));
     }
 }
 

@@ -1,7 +1,7 @@
 //! An edge that leaves: out of shared memory, encoded, put to Zenoh, and kept until it is acknowledged where that is asked.
 
 use crate::error::BridgeError;
-use crate::peer::counts::EdgeCounts;
+use crate::peer::counts::{EdgeCounts, LeftOut};
 use crate::peer::links::Links;
 use crate::reliable::retransmit_queue::RetransmitQueue;
 use crate::reliable::send_log::SendLog;
@@ -10,7 +10,7 @@ use crate::wire::codec::{Codec, codec_of};
 use crate::wire::message_bytes;
 use conicflow_dataflow::pipeline::BRIDGE;
 use conicflow_dataflow::ports::{Delivery, Received, Transport};
-use conicflow_dataflow::relay::{InputPort, Peers, SharedMemory, SharedReader, ThrottledWarning, end_of_stream};
+use conicflow_dataflow::relay::{InputPort, Peers, SharedMemory, SharedReader, end_of_stream};
 use conicflow_dataflow::{Edge, Stop, monotonic_ns};
 use conicflow_messages::{Header, Text};
 use std::collections::BTreeSet;
@@ -65,7 +65,7 @@ pub(super) struct Sending<'a> {
     stop: Stop,
     last: Header,
     ended: BTreeSet<String>,
-    left_out: ThrottledWarning,
+    left_out: LeftOut,
 }
 
 impl<'a> Sending<'a> {
@@ -92,12 +92,12 @@ impl<'a> Sending<'a> {
             publisher,
             queue: RetransmitQueue::new(shared.session, log, &edge.to, [wait, shared.outage], Instant::now()),
             links: Arc::clone(shared.links),
+            left_out: LeftOut::new(Arc::clone(&counts)),
             counts,
             peers: shared.peers.clone(),
             stop: shared.stop.clone(),
             last: Header::default(),
             ended: BTreeSet::new(),
-            left_out: ThrottledWarning::default(),
         })
     }
 
@@ -177,7 +177,10 @@ impl<'a> Sending<'a> {
                 self.queue.sent(&bytes, Instant::now());
                 self.put(bytes);
             }
-            Err(error) => self.leave_out(&error),
+            Err(error) => {
+                let topic = &self.edge.topic.name;
+                self.left_out.add(format_args!("a message of topic `{topic}` cannot leave this machine: {error}"));
+            }
         }
         Ok(true)
     }
@@ -186,12 +189,6 @@ impl<'a> Sending<'a> {
     fn put(&mut self, mut bytes: Vec<u8>) {
         self.links.seal().close(&self.zenoh_key, &mut bytes);
         self.publisher.put(bytes);
-    }
-
-    fn leave_out(&mut self, error: &dyn std::fmt::Display) {
-        EdgeCounts::add(&self.counts.malformed, 1);
-        let topic = &self.edge.topic.name;
-        self.left_out.warn(format_args!("a message of topic `{topic}` cannot leave this machine: {error}"));
     }
 
     fn count(&self, header: &Header, wire_bytes: usize, memory_bytes: usize) {

@@ -1,7 +1,10 @@
 //! What is counted of an edge while it carries messages.
 
 use conicflow_dataflow::EdgeReport;
+use conicflow_dataflow::relay::ThrottledWarning;
+use std::fmt::Arguments;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Counts of one edge, written by its thread and read by another.
 #[derive(Debug, Default)]
@@ -43,6 +46,24 @@ impl EdgeCounts {
     }
 }
 
+/// What of an edge is not passed on because it makes no sense: counted, and told now and then.
+pub(crate) struct LeftOut {
+    counts: Arc<EdgeCounts>,
+    warning: Mutex<ThrottledWarning>,
+}
+
+impl LeftOut {
+    pub(crate) fn new(counts: Arc<EdgeCounts>) -> Self {
+        Self { counts, warning: Mutex::default() }
+    }
+
+    /// Counts a message, and tells what is wrong with it.
+    pub(crate) fn add(&self, what: Arguments<'_>) {
+        EdgeCounts::add(&self.counts.malformed, 1);
+        self.warning.lock().unwrap_or_else(PoisonError::into_inner).warn(what);
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -56,5 +77,13 @@ mod tests {
         let earlier = EdgeReport { messages: 10, wire_bytes: 1_000_000, ..EdgeReport::default() };
         let report = counts.report("objects", "out", &earlier, 2.0);
         assert_eq!((report.messages, report.rate_hz, report.bandwidth_mbps, report.age_ms), (30, 10.0, 2.0, 3.0));
+    }
+
+    #[test]
+    fn what_is_left_out_is_reported_as_malformed_each_time_however_seldom_it_is_told() {
+        let counts = Arc::<EdgeCounts>::default();
+        let left_out = LeftOut::new(Arc::clone(&counts));
+        (0..3).for_each(|_| left_out.add(format_args!("its image has no pixels")));
+        assert_eq!(counts.report("depth", "out", &EdgeReport::default(), 1.0).malformed, 3);
     }
 }
