@@ -49,6 +49,15 @@ impl Step {
     const fn over(outcome: Result<(), String>) -> Self {
         Self::Over { outcome, is_late: false }
     }
+
+    /// Whether it is not waited for any longer, having taken so long.
+    fn is_overdue(&self, taken: Duration) -> bool {
+        match self {
+            Self::Preparing(_) => taken > READY_GRACE,
+            Self::Leaving(_) => taken > LEAVE_GRACE,
+            Self::Beginning(_) | Self::Over { .. } => false,
+        }
+    }
 }
 
 /// The process that is to take a stage's place.
@@ -155,8 +164,9 @@ impl Swap {
             return Some(Self { request, step: Step::Over { outcome, is_late: true }, since });
         }
         let stage = stages.iter_mut().find(|stage| stage.planned.name == request.stage)?;
+        let is_overdue = step.is_overdue(since.elapsed());
         let (step, since) = match step {
-            Step::Preparing(mut successor) => match look_at(&mut successor, stage, place, since) {
+            Step::Preparing(mut successor) => match look_at(&mut successor, stage, place, is_overdue) {
                 Ok(false) => (Step::Preparing(successor), since),
                 Ok(true) => {
                     stage.signal(Signal::USR1);
@@ -169,7 +179,7 @@ impl Swap {
                 }
             },
             Step::Leaving(successor) => {
-                if since.elapsed() > LEAVE_GRACE {
+                if is_overdue {
                     stage.signal(Signal::KILL);
                 }
                 match stage.exit() {
@@ -225,7 +235,7 @@ fn look_at(
     successor: &mut Successor,
     stage: &mut Supervised,
     place: &Place<'_>,
-    since: Instant,
+    is_overdue: bool,
 ) -> Result<bool, &'static str> {
     if !matches!(place.phase, Phase::Running) {
         return Err("the run ends\n  hint: start it anew");
@@ -233,7 +243,7 @@ fn look_at(
     if stage.process().is_none() {
         return Err("the stage died meanwhile\n  hint: try again when it is back");
     }
-    if since.elapsed() > READY_GRACE {
+    if is_overdue {
         return Err(
             "the new stage is not ready: no message reached it\n  hint: try again when its writers send something",
         );
@@ -277,4 +287,33 @@ fn is_at_work(folder: &RunFolder, stage: &Supervised) -> bool {
 fn came_to_its_end(folder: &RunFolder, stage: &str, process: u32) -> bool {
     let record = Status::read(&folder.status(stage));
     record.is_some_and(|record| record.process == process && record.life() == Life::Ended)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::process::Command;
+
+    #[test]
+    fn a_successor_is_to_be_ready_within_15_seconds_and_a_stage_to_leave_within_30() {
+        let successor = || {
+            let (control, input) = UnixStream::pair().unwrap();
+            let child = Command::new("cat").stdin(OwnedFd::from(input)).spawn().unwrap();
+            Successor { child, control }
+        };
+        let is_overdue = |step: &Step| {
+            [15, 30].map(|seconds| {
+                let grace = Duration::from_secs(seconds);
+                [grace, grace + Duration::from_millis(1)].map(|taken| step.is_overdue(taken))
+            })
+        };
+        let steps = [Step::Preparing(successor()), Step::Leaving(successor()), Step::over(Ok(()))];
+        let told = steps.each_ref().map(is_overdue);
+        assert_eq!(told, [[[false, true], [true, true]], [[false, false], [false, true]], [[false; 2]; 2]]);
+        for step in steps {
+            if let Step::Preparing(successor) | Step::Leaving(successor) = step {
+                successor.dismiss();
+            }
+        }
+    }
 }
