@@ -6,6 +6,7 @@
 
 pub(crate) mod capacity;
 pub mod in_memory;
+pub(crate) mod patience;
 pub mod shared_memory;
 
 use crate::item_type::ItemType;

@@ -3,6 +3,7 @@
 use super::peers::Peers;
 use crate::clock::monotonic_ns;
 use crate::item_type::ItemType;
+use crate::ports::patience::Patience;
 use crate::ports::{ConnectedReader, Delivery, PortError, Topic, TopicReader, Writer};
 use crate::stage::{Memory, Output, StageError, Stop};
 use crate::status::Status;
@@ -13,8 +14,6 @@ use std::time::{Duration, Instant};
 
 /// How long the first message waits for readers that want only the newest.
 const PATIENCE_WITH_LIVE_READERS: Duration = Duration::from_secs(5);
-/// Readers that want every message, and finish none for so long while they are there, do not keep the end from the others.
-const PATIENCE_WITH_READERS: Duration = Duration::from_secs(5);
 /// How often a writer looks whether readers have come or gone.
 const LOOK: Duration = Duration::from_millis(10);
 /// How often the end is told again to those whose full queue may not have taken it, and whoever waits for a reader looks
@@ -162,17 +161,14 @@ impl<W: Writer> OutputPort<W> {
     /// Waits until the readers that want every message have finished all that was sent, for as long as anything becomes of
     /// that: what is kept for them goes with this process.
     pub(crate) fn await_finish(&mut self) {
-        let (mut before, mut since) = (None, Instant::now());
+        let mut patience = Patience::new();
         while !self.stop.forced() {
             let unfinished: Vec<_> = self.behind(|_| 1).map(|(reader, count)| (reader.stage.clone(), count)).collect();
             let Some((reader, _)) = unfinished.first() else { break };
             self.stop.wait_for(reader);
             let Some((writer, _)) = &mut self.port else { break };
             // One that is away is about to be started anew.
-            let now = Some((writer.connected(), unfinished));
-            if now != before {
-                (before, since) = (now, Instant::now());
-            } else if since.elapsed() > PATIENCE_WITH_READERS {
+            if patience.is_over((writer.connected(), unfinished), Instant::now()) {
                 break;
             }
             writer.wait(TELL_END);

@@ -7,6 +7,7 @@ use super::services::Ipc;
 use super::untyped::{self, Factory, Loan, Publisher};
 use crate::item_type::ItemType;
 use crate::ports::capacity::{look_for_room, no_room};
+use crate::ports::patience::Patience;
 use crate::ports::{ConnectedReader, Delivery, PortError, Topic, Writer};
 use crate::stage::Stop;
 use conicflow_messages::Header;
@@ -22,8 +23,6 @@ use std::time::{Duration, Instant};
 
 /// A writer that waits for room looks this often whether the reader still lives.
 const DEAD_READER_CHECK: Duration = Duration::from_millis(100);
-/// Readers that finish nothing for so long are not waited for, before longer messages need another place.
-const PATIENCE_WITH_READERS: Duration = Duration::from_secs(5);
 
 /// Writes a topic in shared memory.
 pub struct SharedWriter {
@@ -120,16 +119,12 @@ impl SharedWriter {
     /// Waits until all readers have finished what this publisher keeps for them, or stand still.
     fn await_finish(&mut self) {
         let Some(publisher) = &self.publisher else { return };
-        let (mut unfinished, mut since) = (usize::MAX, Instant::now());
-        while let Some(now) = self.sent.as_ref().map(SentMessages::unfinished_by_all)
-            && now > 0
+        let mut patience = Patience::new();
+        while let Some(unfinished) = self.sent.as_ref().map(SentMessages::unfinished_by_all)
+            && unfinished > 0
             && !self.stop.forced()
+            && !patience.is_over(unfinished, Instant::now())
         {
-            if now != unfinished {
-                (unfinished, since) = (now, Instant::now());
-            } else if since.elapsed() > PATIENCE_WITH_READERS {
-                break;
-            }
             publisher.update_connections().ok();
             self.room.timed_wait(|_| {}, DEAD_READER_CHECK).ok();
         }
