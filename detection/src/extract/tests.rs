@@ -126,6 +126,29 @@ fn an_end_that_is_off_the_circle_is_left_off() {
     assert!((arc.half_width / plain.half_width - 1.0).abs() < 0.01);
 }
 
+/// A board before a wall: what bends away from the camera may be an object that noise bends so; what bends towards it far
+/// away, where noise is large, is explained by a line as well.
+#[test]
+fn what_is_wider_than_any_object_may_be_is_none_although_jumps_set_it_off() {
+    let (header, behind) = render(KINECT_HALF, NoiseModel::KINECT_V1, &[wall(5.0)], 9);
+    let (row, middle) = (120, 160);
+    for (half, ends, bend) in [(40, 1.5, 0.04), (22, 4.0, -0.055)] {
+        let mut pixels = behind.clone();
+        for (y, x) in (row - 20..row + 20).flat_map(|y| (-half..=half).map(move |x| (y, x))) {
+            let depth = ends + bend * (1.0 - f64::from(x * x) / f64::from(half * half));
+            let pixel = y * header.camera.width as i32 + middle + x;
+            pixels[pixel as usize] = (depth / header.depth_scale).round() as u16;
+        }
+        let width_m = f64::from(2 * half) * ends / header.camera.fx;
+        let is_arc = |max_radius_m: f64| {
+            let config = ExtractorParameters { max_radius_m, ..config(ScanLines::Rows) };
+            let is_it = |arc: &Ellipse| arc.line == row as u32 && (arc.first..=arc.last).contains(&(middle as u32));
+            arcs(config, &(header, pixels.clone())).iter().any(is_it)
+        };
+        assert_eq!([0.501, 0.499].map(|share| is_arc(share * width_m)), [true, false], "{ends} m away");
+    }
+}
+
 #[test]
 fn any_number_of_points_may_be_taken_off_the_ends() {
     for seed in 5..8 {
