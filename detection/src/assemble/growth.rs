@@ -288,8 +288,11 @@ fn drop_strays(members: &mut Vec<usize>, line: impl Fn(usize) -> f64) {
 
 #[cfg(test)]
 mod tests {
+    use super::super::tests::arcs_of;
     use super::*;
+    use conicflow_geometry::{Scan, Vector3};
     use conicflow_lab::random::CounterRng;
+    use conicflow_lab::rendered::Body;
 
     #[test]
     fn few_lines_beyond_a_wide_gap_are_left_out_and_many_are_not() {
@@ -319,5 +322,59 @@ mod tests {
             assert!(refused < 20, "{refused} of 1000 with {points} points");
         }
         assert!(GROWING.square_limit(200.0) < 0.6, "so many points that are off by as much as noise is large show it");
+    }
+
+    /// The rows of two cans that stand side by side, each can's by the rows' numbers.
+    fn two_cans() -> (Arcs, [Vec<usize>; 2]) {
+        let can = |x: f64| {
+            let (center, axis) = (Vector3::new(x, 0.0, 2.0), Vector3::y());
+            Body::Frustum { center, axis, radius: 0.2, slope: 0.0, length: 0.7 }
+        };
+        let arcs = arcs_of(&[can(-0.4), can(0.4)]);
+        let rows_of = |is_left: bool| {
+            let is_of_it = |arc: &Arc| arc.scan == Scan::Row && (arc.mean.x < 0.0) == is_left;
+            (0..arcs.arcs.len()).filter(|&index| is_of_it(&arcs.arcs[index])).collect()
+        };
+        let rows = [rows_of(true), rows_of(false)];
+        (arcs, rows)
+    }
+
+    /// Of a chain whose ends are of another can the middle will do, unless a sphere is to explain what a cylinder does.
+    #[test]
+    fn a_shape_explains_the_whole_chain_its_middle_or_nothing_of_it() {
+        let (arcs, [left, right]) = two_cans();
+        let from = |chain: &[usize], middle_will_do: bool| {
+            let start = Start { kind: ObjectKind::Cylinder, chain, guess: None, middle_will_do };
+            let (mut members, parameters) = (Vec::new(), AssemblerParameters::default());
+            let Growth { grown, from_whole } =
+                grow(&arcs, &start, &parameters, |_| true, &mut members, &mut Vec::new());
+            (matches!(grown, Some(Ok(_))), from_whole)
+        };
+        let whole = &left[20..45];
+        let spoilt = [&right[17..20], &left[20..42], &right[42..45]].concat();
+        let nothing = [left[20], right[21], left[22], right[23], left[24]];
+        assert_eq!([from(whole, true), from(whole, false)], [(true, true); 2]);
+        assert_eq!([from(&spoilt, true), from(&spoilt, false)], [(true, false), (false, false)]);
+        assert_eq!([from(&nothing, true), from(&nothing, false)], [(false, false); 2]);
+    }
+
+    #[test]
+    fn what_a_cylinder_explains_as_a_whole_is_no_sphere_because_of_its_middle() {
+        let (arcs, [left, _]) = two_cans();
+        let mut growing = Growing { chain: left, ..Growing::default() };
+        let [sphere, cylinder, _] = growing.models(&arcs, &AssemblerParameters::default(), |_| true);
+        assert!(sphere.is_none() && matches!(cylinder, Some(Ok(_))), "{sphere:?}");
+    }
+
+    #[test]
+    fn one_round_takes_in_as_many_lines_on_either_side_as_there_are_and_at_least_four() {
+        let (arcs, [left, _]) = two_cans();
+        let model = model::fit(ObjectKind::Cylinder, &arcs.of(&left), None, f64::INFINITY).unwrap();
+        let middle = left.len() / 2;
+        for (lines, more) in [(1, 4), (3, 4), (4, 4), (5, 5), (12, 12)] {
+            let (members, mut found) = (&left[middle..middle + lines], Vec::new());
+            reach(&Region { arcs: &arcs, model, members }, 4, |_| true, &mut found);
+            assert_eq!(found, left[middle - more..middle + lines + more], "from {lines} lines");
+        }
     }
 }

@@ -366,6 +366,14 @@ fn after_two_rounds_nothing_is_allocated() {
     assert_eq!(third.count_total, 0, "{third:?}");
 }
 
+/// The arcs of a scene as a Kinect sees it.
+pub(super) fn arcs_of(bodies: &[Body]) -> Arcs {
+    let (header, pixels) = render(KINECT_HALF, NoiseModel::KINECT_V1, bodies, 1);
+    let mut arcs = Arcs::default();
+    arcs.read(&header, Extractor::new(ExtractorParameters::default()).extract(&header, &pixels));
+    arcs
+}
+
 /// The ellipses of a can before a wall.
 fn ellipses_of_a_can() -> (Header, Vec<Ellipse>) {
     let (header, pixels) = render(KINECT_HALF, NoiseModel::KINECT_V1, &[can(2.0), wall(4.0)], 1);

@@ -266,3 +266,28 @@ fn curvature(region: &Region, variance: f64, misfit: f64) -> f64 {
     let independent = region.points() / region.shared_lines();
     independent * (pool.least_variance() / variance - misfit) / (1.0 + misfit.max(0.0))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::growth::{Growing, chain};
+    use super::super::tests::arcs_of;
+    use super::*;
+    use conicflow_lab::rendered::Body;
+
+    #[test]
+    fn an_object_has_at_least_as_many_lines_as_it_has_to() {
+        let (center, axis) = (Vector3::new(0.0, 0.0, 2.0), Vector3::y());
+        let arcs = arcs_of(&[Body::Frustum { center, axis, radius: 0.2, slope: 0.0, length: 0.7 }]);
+        let seed = arcs.arcs.iter().position(|arc| arc.scan == Scan::Row && arc.line == 120).unwrap();
+        let (mut growing, mut parameters) = (Growing::default(), AssemblerParameters::default());
+        chain(&arcs, seed, parameters.max_gap(), |_| true, &mut growing.chain);
+        let Some(Ok(model)) = growing.models(&arcs, &parameters, |_| true)[1] else { panic!("no cylinder") };
+        let region = Region { arcs: &arcs, model, members: &growing.members[1] };
+        let lines = measure(&region).lines;
+        let mut is_too_low = |min_lines: u32| {
+            parameters.pooled.min_lines = min_lines;
+            check(&region, &parameters).err()
+        };
+        assert_eq!([lines - 1, lines, lines + 1].map(&mut is_too_low), [None, None, Some(Rejection::FewRows)]);
+    }
+}
