@@ -1,0 +1,242 @@
+//! Tests of contours on silhouettes of known surfaces.
+
+use super::*;
+use crate::simulated::{CAMERA, Random, seen};
+use crate::{Conical, FreeSlope, Scan, SpaceMoments, Sphere, fit_with_contour, section_of};
+use std::ops::Range;
+
+fn biased(mean: Vector4<f64>, sigmas: [f64; 2]) -> ContourBias {
+    let [offset, share] = sigmas.map(|sigma| sigma * sigma);
+    ContourBias { mean, covariance: Matrix4::from_diagonal(&Vector4::new(offset, share, offset, share)) }
+}
+
+fn noise() -> ContourNoise {
+    let bias = biased(Vector4::zeros(), [1.0, 0.05]);
+    ContourNoise { point: Vector2::new(0.25, 0.0009), shared_lines: 1.0, bias }
+}
+
+fn cup() -> Conical {
+    let axis = Vector3::new(0.1, 0.9, -0.3).normalize();
+    Conical { point: Vector3::new(0.05, 0.02, 1.2), axis, radius: 0.05, slope: 0.12 }
+}
+
+/// The contour of `F = 0` on some rows, moved outwards along them by so many pixels.
+fn contour_on(rows: Range<u32>, q: &Coefficients, radius_px: f64, outwards: f64, noise: ContourNoise) -> Contour {
+    let mut contour = Contour::default();
+    contour.clear(noise);
+    for row in rows {
+        let plane = CAMERA.plane(Scan::Row, f64::from(row));
+        let [ss, st, tt, s, t, one] = section_of(q, &plane);
+        let k = plane.stretch();
+        // the discriminant along the ray of slope x, as a polynomial of x
+        let (a, b) = (s * s - 4.0 * ss * one, 2.0 * s * t * k - 4.0 * st * k * one);
+        let c = t * t * k * k - 4.0 * tt * k * k * one;
+        let root = (b * b - 4.0 * a * c).sqrt();
+        let mut slopes = [(-b - root) / (2.0 * a), (-b + root) / (2.0 * a)];
+        slopes.sort_by(f64::total_cmp);
+        for (side, slope) in slopes.into_iter().enumerate() {
+            let slope = slope + outwards * if side == 0 { -1.0 } else { 1.0 } / CAMERA.fx;
+            let ray = plane.to_camera([slope, k]);
+            let pixel = plane.s_axis() / CAMERA.fx;
+            contour.add(ContourPoint { ray, pixel, across: Vector3::y() / CAMERA.fy, side, radius_px });
+        }
+    }
+    contour
+}
+
+fn contour(surface: &Conical, outwards: f64) -> Contour {
+    contour_on(105..140, &FreeSlope(*surface).coefficients(), 12.0, outwards, noise())
+}
+
+fn cost(contour: &Contour, surface: &Conical) -> f64 {
+    contour.term(&FreeSlope(*surface), &Vector3::zeros(), 1.0).square_sum
+}
+
+#[test]
+fn the_true_surface_touches_its_contour() {
+    let contour = contour(&cup(), 0.0);
+    assert!(cost(&contour, &cup()) < 1e-12);
+    let (origin, scale) = (Vector3::new(0.07, 0.1, 1.1), 0.04);
+    let local = FreeSlope(cup()).to_local(&origin, scale);
+    assert!(contour.term(&local, &origin, scale).square_sum < 1e-12, "in any frame");
+}
+
+#[test]
+fn a_taper_costs_and_an_offset_hardly_does() {
+    let tapered = cost(&contour(&cup(), 0.0), &Conical { slope: 0.0, ..cup() });
+    let shifted = cost(&contour(&cup(), 1.0), &cup());
+    assert!(tapered > 20.0 && shifted < 3.0, "{tapered} {shifted}");
+}
+
+#[test]
+fn the_gradient_is_that_of_the_cost() {
+    let contour = contour(&Conical { slope: 0.1, radius: 0.049, ..cup() }, 0.4);
+    let surface = FreeSlope(cup());
+    let term = contour.term(&surface, &Vector3::zeros(), 1.0);
+    for i in 0..6 {
+        let at = |h: f64| {
+            let mut step = [0.0; 6];
+            step[i] = h;
+            cost(&contour, &surface.moved(&step).unwrap().0)
+        };
+        let slope = (at(1e-6) - at(-1e-6)) / 4e-6;
+        let scale = 1.0 + term.gradient.amax();
+        assert!((slope - term.gradient[i]).abs() < 1e-4 * scale, "{i}: {slope} {}", term.gradient[i]);
+    }
+}
+
+#[test]
+fn a_bias_is_across_the_outline() {
+    let ball = Sphere { center: Vector3::new(0.0, 0.0, 1.5), radius: 0.15 };
+    // The ball whose outline is a circle that is wider by a pixel on all sides.
+    let angle = (ball.radius / ball.center.z).asin();
+    let wider = Sphere { radius: ball.center.z * (angle.tan() + 1.0 / CAMERA.fx).atan().sin(), ..ball };
+    let bias = biased(Vector4::new(-1.0, 0.0, 1.0, 0.0), [1e-3, 1e-6]);
+    let mut contour = contour_on(95..145, &wider.coefficients(), 29.0, 0.0, ContourNoise { bias, ..noise() });
+    contour.select(&ball.coefficients(), |_| true);
+    assert_eq!(contour.far_off(), 0);
+    let rest = contour.term(&ball, &Vector3::zeros(), 1.0).square_sum / contour.used() as f64;
+    assert!(rest < 0.02, "{rest} of a variance, where the lines nearly graze the outline, too");
+}
+
+/// A ball that is seen with depths that scatter by so many metres, its contour too wide by `outwards` pixels, fitted with both.
+fn ball(sigma: f64, outwards: f64, noise: ContourNoise) -> (SurfaceFit<Sphere, 4>, Contour) {
+    let ball = Sphere { center: Vector3::new(0.0, 0.0, 1.2), radius: 0.1 };
+    let mut random = Random(5);
+    let points = seen(&ball.coefficients(), 97..143, 0.0, |z| (z + sigma * random.normal(), sigma * sigma));
+    let mut pool = SpaceMoments::default();
+    pool.add(&points, 1.0 / (sigma * sigma));
+    let mut contour = contour_on(97..143, &ball.coefficients(), 24.0, outwards, noise);
+    contour.select(&ball.coefficients(), |_| true);
+    (fit_with_contour(&pool.normalized().unwrap(), &contour, &ball).unwrap(), contour)
+}
+
+#[test]
+fn what_points_and_contour_tell_of_the_bias_makes_the_next_fit_better() {
+    let own = biased(Vector4::zeros(), [0.05, 1e-3]).covariance;
+    let (well_seen, contour) = ball(0.004, 0.8, noise());
+    let shown = contour.bias_evidence(&well_seen, &own).unwrap();
+    let ContourBias { mean, covariance } = noise().bias;
+    let (mean, covariance) = (shown + Information::of(&mean, &covariance).unwrap()).estimate().unwrap();
+    let bias = ContourBias { mean, covariance };
+    let at_this_size = [mean[0] + 24.0 * mean[1], mean[2] + 24.0 * mean[3]];
+    assert!((at_this_size[0] + 0.8).abs() < 0.2 && (at_this_size[1] - 0.8).abs() < 0.2, "{at_this_size:?}");
+
+    let radius_error = |noise| (ball(0.02, 0.8, noise).0.surface.radius - 0.1).abs();
+    let [before, after] = [noise(), ContourNoise { bias, ..noise() }].map(radius_error);
+    assert!(after < 0.5 * before, "{before} {after}");
+}
+
+#[test]
+fn the_evidence_has_slope_and_curvature_of_the_least_cost_over_the_bias() {
+    let own = biased(Vector4::zeros(), [0.05, 1e-3]).covariance;
+    let mean = Vector4::new(-0.5, 0.01, 0.6, 0.0);
+    let at = |mean| ball(0.004, 0.8, ContourNoise { bias: ContourBias { mean, covariance: own }, ..noise() });
+    let least_cost = |mean| {
+        let fit = at(mean).0;
+        fit.square_sum + fit.contour_sum
+    };
+    let (fit, contour) = at(mean);
+    let Information { matrix, vector } = contour.bias_evidence(&fit, &own).unwrap();
+    let slope = matrix * mean - vector;
+    for (i, h) in [0.05, 2e-3, 0.05, 2e-3].into_iter().enumerate() {
+        let [less, same, more] = [-h, 0.0, h].map(|step| least_cost(mean + Vector4::ith(i, step)));
+        let (measured, bent) = ((more - less) / (4.0 * h), (more + less - 2.0 * same) / (2.0 * h * h));
+        assert!((measured / slope[i] - 1.0).abs() < 0.02, "slope along {i}: {measured} {}", slope[i]);
+        let expected = matrix[(i, i)];
+        assert!((bent / expected - 1.0).abs() < 0.02, "curvature along {i}: {bent} {expected}");
+    }
+}
+
+#[test]
+fn the_scatter_of_contours_of_two_sizes_tells_their_noise_in_pixels_and_in_radii() {
+    let mut random = Random(3);
+    let mut shown = Information::default();
+    for object in 0..300 {
+        let radius_px = [12.0, 40.0][object % 2];
+        let sigma = 0.2_f64.hypot(0.01 * radius_px);
+        let mut contour = contour_on(105..140, &FreeSlope(cup()).coefficients(), radius_px, 0.7, noise());
+        for seen in &mut contour.points {
+            seen.point.ray += seen.point.pixel * (sigma * random.normal());
+        }
+        shown += contour.noise_evidence(&FreeSlope(cup())).unwrap();
+    }
+    let (variance, covariance) = shown.estimate().unwrap();
+    for (i, expected) in [0.2_f64.powi(2), 0.01_f64.powi(2)].into_iter().enumerate() {
+        assert!((variance[i] / expected - 1.0).abs() < 0.15, "{i}: {} {expected}", variance[i]);
+        assert!(covariance[(i, i)].sqrt() < expected, "{i}: what is expected before is far more vague");
+    }
+}
+
+#[test]
+fn four_lines_that_share_their_noise_tell_a_fourth_of_what_they_would_by_a_bias_that_is_known_twice_as_well() {
+    let sigmas = [[1.0, 0.05], [0.3, 5e-3]];
+    let told = |shared_lines: f64, factor: f64| {
+        let [bias, own] = sigmas.map(|sigmas| biased(Vector4::zeros(), sigmas.map(|sigma| factor * sigma)));
+        let (fit, contour) = ball(0.004, 0.4, ContourNoise { shared_lines, bias, ..noise() });
+        (contour.bias_evidence(&fit, &own.covariance).unwrap(), contour.noise_evidence(&fit.surface).unwrap())
+    };
+    let ((bias, noise), (bias_of_one, noise_of_one)) = (told(4.0, 1.0), told(1.0, 0.5));
+    assert!((bias.matrix * 4.0 - bias_of_one.matrix).amax() < 1e-6 * bias_of_one.matrix.amax());
+    assert!((bias.vector * 4.0 - bias_of_one.vector).amax() < 1e-6 * bias_of_one.vector.amax());
+    assert!((noise.matrix * 4.0 - noise_of_one.matrix).amax() < 1e-6 * noise_of_one.matrix.amax());
+}
+
+#[test]
+fn what_is_far_off_is_not_used() {
+    for pixels in [8.0, -8.0] {
+        let exact = ContourNoise { point: Vector2::new(0.01, 0.0), ..noise() };
+        let mut contour = contour_on(105..140, &FreeSlope(cup()).coefficients(), 12.0, 0.0, exact);
+        let [first, ..] = contour.points[..] else { panic!() };
+        for far_off in 1..=3 {
+            contour.add(ContourPoint { ray: first.point.ray + first.point.pixel * pixels, ..first.point });
+            contour.select(&FreeSlope(cup()).coefficients(), |_| true);
+            assert_eq!((contour.used() + far_off, contour.far_off()), (contour.points(), far_off));
+            assert_eq!(contour.least_left_out(), GATE * GATE, "all for one reason");
+        }
+        contour.select(&FreeSlope(cup()).coefficients(), |_| false);
+        assert_eq!((contour.used(), contour.far_off(), contour.least_left_out()), (0, 0, 0.0));
+    }
+}
+
+#[test]
+fn what_is_seen_is_asked_of_the_point_that_the_ray_touches() {
+    let q = FreeSlope(cup()).coefficients();
+    let mut contour = contour(&cup(), 0.0);
+    contour.select(&q, |p| {
+        let monomials = [p.x * p.x, p.y * p.y, p.z * p.z, p.x * p.y, p.x * p.z, p.y * p.z, p.x, p.y, p.z, 1.0];
+        dot(&q, &monomials).abs() < 1e-9
+    });
+    assert_eq!(contour.used(), contour.points());
+}
+
+#[test]
+fn points_count_as_near_by_their_noise_about_the_middle_of_their_side_within_its_offset() {
+    let q = FreeSlope(cup()).coefficients();
+    let are_used = |outwards: f64, sigma: f64, mean_px: f64| {
+        let bias = biased(Vector4::new(-mean_px, 0.0, mean_px, 0.0), [0.8, 1e-6]);
+        let noise = ContourNoise { point: Vector2::new(sigma * sigma, 0.0), bias, ..noise() };
+        let mut contour = contour_on(105..140, &q, 12.0, outwards, noise);
+        contour.select(&q, |_| true);
+        contour.used()
+    };
+    let all = are_used(0.0, 0.1, 0.0);
+    assert_eq!([1.5, -1.5].map(|outwards| are_used(outwards, 0.1, 0.0)), [all; 2], "within two sigmas of the offset");
+    assert_eq!([2.3, -2.3].map(|outwards| are_used(outwards, 0.1, 0.0)), [0; 2], "seven sigmas of a point beyond");
+    assert_eq!(are_used(3.0, 0.5, 0.0), all, "three of a noisy point beyond");
+    assert_eq!(are_used(6.0, 0.1, 6.0), all, "where as much is expected");
+}
+
+#[test]
+fn the_noise_is_what_is_left_of_a_contour_by_the_bias_that_is_expected_and_seen() {
+    let surface = FreeSlope(cup());
+    let bias = biased(Vector4::new(-0.4, 0.0, 0.4, 0.0), [0.1, 1e-6]);
+    let contour = contour_on(105..140, &surface.coefficients(), 12.0, 0.7, ContourNoise { bias, ..noise() });
+    let Information { matrix, vector } = contour.noise_evidence(&surface).unwrap();
+    // Of 0.3 pixels that are not expected the contour shows about half, against what is known of the bias.
+    let left = (vector[0] / matrix[(0, 0)]).sqrt();
+    assert!((0.05..0.25).contains(&left), "{left}");
+    let variance = noise().point.dot(&Vector2::new(1.0, 144.0));
+    let expected = contour.used() as f64 / (2.0 * variance * variance);
+    assert!((matrix[(0, 0)] / expected - 1.0).abs() < 1e-9, "each square scatters by 2 v^2");
+}
