@@ -2,8 +2,8 @@
 //! touches the surface.
 //!
 //! A ray `z r` meets `F = 0` where `a z^2 + b z + c = 0`, a, b and c linear in the coefficients of F; it touches where the
-//! discriminant `D = b^2 - 4 a c` is zero. `D` over its change per pixel along the line is the distance of the contour
-//! from where it was seen, in pixels.
+//! discriminant `D = b^2 - 4 a c` is zero. Along a scan line D is a polynomial of second degree: its root is where the contour is,
+//! and tells how far that is from where it was seen, in pixels.
 //!
 //! Sensors put contours systematically too far in (grazing points get lost) or out (they are smeared). What is lost at one angle
 //! of incidence is a band as wide as a share p of the radius of curvature r that the surface has there along the view. So the
@@ -25,8 +25,10 @@ use nalgebra::{Matrix4, SMatrix, SVector, Vector2, Vector4};
 const SIDES: usize = 2; // [derived]
 /// A contour point farther off than so many standard deviations belongs to something else.
 const GATE: f64 = 3.5; // [sigmas]
+/// Least curvature along the view that counts, in 1/m: it keeps the radius finite.
+const LEAST_CURVATURE: f64 = 0.1; // [algorithmic]
 /// Least cosine between a scan line and the normal of an outline that counts: lines hardly show where an outline is that runs
-/// along them.
+/// along them. The change of the discriminant where the line meets the outline counts as at least this part of that where it was seen.
 const LEAST_ALONG: f64 = 0.3; // [algorithmic]
 
 /// A place where a scan line leaves a surface.
@@ -40,8 +42,6 @@ pub struct ContourPoint {
     pub across: Vector3,
     /// 0 for the first pixel of the line, 1 for the last.
     pub side: usize,
-    /// Radius of curvature of the surface there, along the view, in pixels.
-    pub radius_px: f64,
 }
 
 /// How exact contours are.
@@ -88,6 +88,8 @@ struct Seen {
     used: bool,
     /// Cosine between the scan line and the normal of the outline there.
     along: f64,
+    /// Radius of curvature of the surface there, along the view, in pixels of the line.
+    radius_px: f64,
 }
 
 /// Its part in the normal equations of a fit.
@@ -114,7 +116,7 @@ struct Sums<const N: usize> {
     shared_slope: SMatrix<f64, 4, N>,
 }
 
-/// `F(z r) = a z^2 + b z + c` along a ray, and the changes of a and b per pixel.
+/// `F(z r) = a z^2 + b z + c` along a ray, and how a and b change with the pixels along the line.
 #[derive(Clone, Copy)]
 struct Along {
     a: f64,
@@ -122,6 +124,7 @@ struct Along {
     c: f64,
     a_pixel: f64,
     b_pixel: f64,
+    a_square: f64,
 }
 
 impl Along {
@@ -129,47 +132,70 @@ impl Along {
     fn new(q: &Coefficients, r: &Vector3, pixel: &Vector3) -> Self {
         let [xx, yy, zz, xy, xz, yz, x, y, z, c] = *q;
         // half the gradient of a
-        let half = Vector3::new(
-            xx * r.x + 0.5 * (xy * r.y + xz * r.z),
-            yy * r.y + 0.5 * (xy * r.x + yz * r.z),
-            zz * r.z + 0.5 * (xz * r.x + yz * r.y),
-        );
-        let b = Vector3::new(x, y, z);
-        Self { a: half.dot(r), b: b.dot(r), c, a_pixel: 2.0 * half.dot(pixel), b_pixel: b.dot(pixel) }
+        let half = |r: &Vector3| {
+            Vector3::new(
+                xx * r.x + 0.5 * (xy * r.y + xz * r.z),
+                yy * r.y + 0.5 * (xy * r.x + yz * r.z),
+                zz * r.z + 0.5 * (xz * r.x + yz * r.y),
+            )
+        };
+        let (here, b) = (half(r), Vector3::new(x, y, z));
+        Self {
+            a: here.dot(r),
+            b: b.dot(r),
+            c,
+            a_pixel: 2.0 * here.dot(pixel),
+            b_pixel: b.dot(pixel),
+            a_square: half(pixel).dot(pixel),
+        }
     }
 
-    /// The discriminant, and its change per pixel.
-    fn discriminant(&self) -> [f64; 2] {
-        [self.b * self.b - 4.0 * self.a * self.c, 2.0 * self.b * self.b_pixel - 4.0 * self.a_pixel * self.c]
+    /// The discriminant, its change per pixel, and the factor of the square of pixels.
+    fn discriminant(&self) -> [f64; 3] {
+        let Self { a, b, c, a_pixel, b_pixel, a_square } = *self;
+        [b * b - 4.0 * a * c, 2.0 * b * b_pixel - 4.0 * a_pixel * c, b_pixel * b_pixel - 4.0 * a_square * c]
     }
 
-    /// Error, and its derivatives by the coefficients: `(dD - e dD') / D'`, D' being the change of D per pixel.
-    fn error_gradient(&self, r: &Vector3, pixel: &Vector3) -> (f64, Coefficients) {
-        let [value, per_pixel] = self.discriminant();
-        let error = value / per_pixel;
-        // What a, a', b, b' and c add to it.
-        let by_a = -4.0 * self.c / per_pixel;
-        let by_a_pixel = -error * by_a;
-        let by_b = 2.0 * (self.b - error * self.b_pixel) / per_pixel;
-        let by_b_pixel = -2.0 * error * self.b / per_pixel;
-        let by_c = -4.0 * (self.a - error * self.a_pixel) / per_pixel;
-        // a = r'Ar and a' = 2 r'A pixel: both are linear in A, as `r'A (by_a r + 2 by_a' pixel)`.
-        let w = r * by_a + pixel * (2.0 * by_a_pixel);
-        let b = r * by_b + pixel * by_b_pixel;
-        let mixed = |i: usize, j: usize| 0.5 * (r[i] * w[j] + r[j] * w[i]);
-        let [xy, xz, yz] = [mixed(0, 1), mixed(0, 2), mixed(1, 2)];
-        (error, [r.x * w.x, r.y * w.y, r.z * w.z, xy, xz, yz, b.x, b.y, b.z, by_c])
-    }
-
-    /// How far the ray is off the contour, in pixels along the line.
-    fn error(&self) -> f64 {
-        let [value, per_pixel] = self.discriminant();
-        value / per_pixel
+    /// How far the ray is off the contour, in pixels along the line, and the change of the discriminant per pixel there. Of a line
+    /// that hardly meets the contour, or does not, both are as if it met it.
+    fn error(&self) -> (f64, f64) {
+        let [value, per_pixel, square] = self.discriminant();
+        let there = (per_pixel * per_pixel - 4.0 * value * square).max(0.0).sqrt();
+        let there = there.max(LEAST_ALONG * per_pixel.abs()).copysign(per_pixel);
+        (2.0 * value / (per_pixel + there), there)
     }
 
     /// Depth at which the ray touches the surface.
     fn depth(&self) -> f64 {
         -0.5 * self.b / self.a
+    }
+
+    /// Radius of curvature of the surface along the ray where this touches it. A ray that runs along the surface for long sees it
+    /// as flat: the radius is finite nevertheless.
+    fn curvature_radius(&self, q: &Coefficients, ray: &Vector3) -> f64 {
+        let steepness = crate::gradient(q, &(ray * self.depth())).norm();
+        let curvature = 2.0 * self.a / (ray.norm_squared() * steepness);
+        1.0 / curvature.max(LEAST_CURVATURE)
+    }
+}
+
+impl ContourPoint {
+    /// How far it is off the contour of a surface, in pixels along the line, the ray on which the contour is, and the change of the
+    /// discriminant per pixel there.
+    fn foot(&self, q: &Coefficients) -> (f64, Vector3, f64) {
+        let (error, per_pixel) = Along::new(q, &self.ray, &self.pixel).error();
+        (error, self.ray - self.pixel * error, per_pixel)
+    }
+
+    /// How far it is off the contour, in pixels along the line, and the derivatives of that by the coefficients. These are those of
+    /// the place of the contour: they do not depend on the noise of the point.
+    fn error_gradient(&self, q: &Coefficients) -> (f64, Coefficients) {
+        let (error, r, per_pixel) = self.foot(q);
+        let Along { a, b, c, .. } = Along::new(q, &r, &self.pixel);
+        let [by_a, by_b, by_c] = [-4.0 * c, 2.0 * b, -4.0 * a].map(|by| by / per_pixel);
+        let squares = [r.x * r.x, r.y * r.y, r.z * r.z, r.x * r.y, r.x * r.z, r.y * r.z].map(|square| square * by_a);
+        let [xx, yy, zz, xy, xz, yz] = squares;
+        (error, [xx, yy, zz, xy, xz, yz, by_b * r.x, by_b * r.y, by_b * r.z, by_c])
     }
 }
 
@@ -184,7 +210,7 @@ impl Contour {
 
     /// Adds a point.
     pub fn add(&mut self, point: ContourPoint) {
-        self.points.push(Seen { point, used: true, along: 1.0 });
+        self.points.push(Seen { point, used: true, along: 1.0, radius_px: 0.0 });
     }
 
     /// Uses only the points that are near the contour of a surface `F = 0` with these coefficients, and only those for which
@@ -192,13 +218,13 @@ impl Contour {
     pub fn select(&mut self, q: &Coefficients, is_seen: impl Fn(&Vector3) -> bool) {
         self.errors.clear();
         for seen in &mut self.points {
-            let ContourPoint { ray, pixel, across, .. } = &seen.point;
-            let along = Along::new(q, ray, pixel);
-            let [_, here] = along.discriminant();
-            let [_, beside] = Along::new(q, ray, across).discriminant();
+            let (error, ray, here) = seen.point.foot(q);
+            let along = Along::new(q, &ray, &seen.point.pixel);
+            let [_, beside, _] = Along::new(q, &ray, &seen.point.across).discriminant();
             seen.along = (here.abs() / here.hypot(beside)).max(LEAST_ALONG);
+            seen.radius_px = along.curvature_radius(q, &ray) / (along.depth() * seen.point.pixel.norm());
             seen.used = is_seen(&(ray * along.depth()));
-            self.errors.push(along.error() - self.noise.expected(seen));
+            self.errors.push(error - self.noise.expected(seen));
         }
         let middles = std::array::from_fn::<_, SIDES, _>(|side| self.median(side));
         self.far_off = 0;
@@ -253,8 +279,7 @@ impl Contour {
         let derivatives = surface.derivatives().map(|derivative| camera(&derivative));
         let mut sums = Sums::default();
         for seen in self.points.iter().filter(|seen| seen.used) {
-            let ContourPoint { ray, pixel, .. } = &seen.point;
-            let (error, gradient) = Along::new(&q, ray, pixel).error_gradient(ray, pixel);
+            let (error, gradient) = seen.point.error_gradient(&q);
             let slope = SVector::<f64, N>::from_fn(|i, _| dot(&gradient, &derivatives[i]));
             sums.add(error - self.noise.expected(seen), &slope, &seen.by_bias(), 1.0 / self.noise.variance(seen));
         }
@@ -303,8 +328,7 @@ impl Contour {
         let q = surface.coefficients();
         let mut evidence = Information::default();
         for seen in self.points.iter().filter(|seen| seen.used) {
-            let ContourPoint { ray, pixel, .. } = &seen.point;
-            let square = (Along::new(&q, ray, pixel).error() - bias.dot(&seen.by_bias())).powi(2);
+            let square = (seen.point.foot(&q).0 - bias.dot(&seen.by_bias())).powi(2);
             let (by_noise, variance) = (seen.by_noise(), self.noise.variance(seen));
             let weight = 1.0 / (2.0 * variance * variance * self.noise.shared_lines);
             evidence.matrix += by_noise * by_noise.transpose() * weight;
@@ -362,13 +386,13 @@ impl Seen {
     fn by_bias(&self) -> Vector4<f64> {
         let mut moved = Vector4::zeros();
         moved[2 * self.point.side] = 1.0 / self.along;
-        moved[2 * self.point.side + 1] = self.point.radius_px / self.along;
+        moved[2 * self.point.side + 1] = self.radius_px / self.along;
         moved
     }
 
     /// How much each part of the noise adds to its variance, in square pixels along the line.
     fn by_noise(&self) -> Vector2<f64> {
-        Vector2::new(1.0, (self.point.radius_px / self.along).powi(2))
+        Vector2::new(1.0, (self.radius_px / self.along).powi(2))
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::simulated::{CAMERA, Random, seen};
-use crate::{Conical, FreeSlope, Scan, SpaceMoments, Sphere, fit_with_contour, section_of};
+use crate::{Conical, FixedSlope, FreeSlope, Scan, SpaceMoments, Sphere, fit_with_contour, section_of};
 use std::ops::Range;
 
 fn biased(mean: Vector4<f64>, sigmas: [f64; 2]) -> ContourBias {
@@ -38,7 +38,8 @@ fn contour_on(rows: Range<u32>, q: &Coefficients, radius_px: f64, outwards: f64,
             let slope = slope + outwards * if side == 0 { -1.0 } else { 1.0 } / CAMERA.fx;
             let ray = plane.to_camera([slope, k]);
             let pixel = plane.s_axis() / CAMERA.fx;
-            contour.add(ContourPoint { ray, pixel, across: Vector3::y() / CAMERA.fy, side, radius_px });
+            contour.add(ContourPoint { ray, pixel, across: Vector3::y() / CAMERA.fy, side });
+            contour.points.last_mut().unwrap().radius_px = radius_px;
         }
     }
     contour
@@ -83,6 +84,59 @@ fn the_gradient_is_that_of_the_cost() {
         let scale = 1.0 + term.gradient.amax();
         assert!((slope - term.gradient[i]).abs() < 1e-4 * scale, "{i}: {slope} {}", term.gradient[i]);
     }
+}
+
+#[test]
+fn an_error_is_the_way_to_the_contour_and_its_slope_that_of_the_contour_however_far_off_a_point_is() {
+    let q = FreeSlope(cup()).coefficients();
+    let [exact, off] = [0.0, 3.0].map(|outwards| contour(&cup(), outwards).points);
+    for (exact, off) in exact.iter().zip(&off) {
+        let [(none, expected), (error, slope)] = [exact, off].map(|seen| seen.point.error_gradient(&q));
+        let sign = if off.point.side == 0 { -1.0 } else { 1.0 };
+        assert!(none.abs() < 1e-6 && (error - 3.0 * sign).abs() < 1e-6, "{none} {error}");
+        let largest = expected.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+        assert!(slope.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6 * largest), "{slope:?} {expected:?}");
+    }
+}
+
+#[test]
+fn a_line_that_misses_the_outline_has_an_error_as_if_it_met_it() {
+    let ball = Sphere { center: Vector3::new(0.0, 0.0, 1.2), radius: 0.1 };
+    let mut contour = Contour::default();
+    contour.clear(noise());
+    // Its outline ends 24 pixels above the middle.
+    let plane = CAMERA.plane(Scan::Row, 119.5 - 30.0);
+    let pixel = plane.s_axis() / CAMERA.fx;
+    let ray = plane.to_camera([8.0 / CAMERA.fx, plane.stretch()]);
+    contour.add(ContourPoint { ray, pixel, across: Vector3::y() / CAMERA.fy, side: 1 });
+    contour.select(&ball.coefficients(), |_| true);
+    let (error, slope) = contour.points[0].point.error_gradient(&ball.coefficients());
+    assert!(error > 8.0 && error.is_finite() && slope.iter().all(|x| x.is_finite()), "{error} {slope:?}");
+}
+
+#[test]
+fn what_is_grazed_goes_with_the_radius_of_curvature_along_the_view() {
+    let radius_px = |q: &Coefficients| {
+        // The two rows beside the middle.
+        let mut contour = contour_on(119..121, q, 0.0, 0.0, noise());
+        contour.select(q, |_| true);
+        contour.points.iter().map(|seen| seen.radius_px).sum::<f64>() / 4.0
+    };
+    let at = |radius: f64| radius / 1.2 * CAMERA.fx;
+    let ball = Sphere { center: Vector3::new(0.0, 0.0, 1.2), radius: 0.05 };
+    let expected = at(0.05);
+    assert!((radius_px(&ball.coefficients()) / expected - 1.0).abs() < 0.01);
+    // The view runs along a cylinder the more, the more this leans to it.
+    for (sine, cosine) in [(0.0, 1.0), (0.6, 0.8), (0.8, 0.6)] {
+        let axis = Vector3::new(0.0, cosine, sine);
+        let can = FixedSlope(Conical { point: ball.center, axis, radius: 0.05, slope: 0.0 });
+        let seen = radius_px(&can.coefficients()) * cosine * cosine;
+        assert!((seen / expected - 1.0).abs() < 0.02, "{seen} {expected}");
+    }
+    // The side of a cone leans to its axis: its normal sections are as much wider (Meusnier's theorem).
+    let cone = |slope: f64| FreeSlope(Conical { point: ball.center, axis: Vector3::y(), radius: 0.05, slope });
+    let [upright, tapered] = [0.0, 0.3].map(|slope| radius_px(&cone(slope).coefficients()));
+    assert!((tapered / upright - (1.0 + 0.3 * 0.3_f64).sqrt()).abs() < 0.002, "{upright} {tapered}");
 }
 
 #[test]

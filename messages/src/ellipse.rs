@@ -7,6 +7,9 @@ use serde::{Deserialize, Serialize};
 /// Number of moments `sum s^p t^q`, p + q <= 4.
 pub const MOMENTS: usize = 15;
 
+/// Number of points at either end of an arc that are told one by one.
+pub const END_POINTS: usize = 2;
+
 /// The direction of a scan line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scan {
@@ -69,6 +72,9 @@ pub struct Ellipse {
     /// pixel beyond its last one, or in the middle of a pixel that belongs to neither; 0: what ends it is nearer, adjoins it or is
     /// not seen.
     pub contour: [f64; 2],
+    /// Depths of the outermost points of either end, on neighbouring pixels from `first` and `last` inwards, in metres; 0: none. They
+    /// are among the moments. Whether they belong to an object shows only where its outline is known.
+    pub ends: [[f64; END_POINTS]; 2],
     /// Origin `(s, t)` of the moments, in metres.
     pub origin: [f64; 2],
     /// Moments `sum (s - s0)^p (t - t0)^q` of the points, by degree, then by falling p:
@@ -101,12 +107,13 @@ impl Ellipse {
         self.scan <= 1 && self.unbiased <= 1 && inside
     }
 
-    /// Whether there are points, and no deviation is less than none.
+    /// Whether there are points, and no deviation or depth is less than none.
     fn is_of_points(&self) -> bool {
         self.sigma >= 0.0
             && self.shared_px >= 0.0
             && self.shared_lines >= 0.0
             && self.rms >= 0.0
+            && self.ends.as_flattened().iter().all(|depth| *depth >= 0.0)
             && self.moments[0] > 0.0
     }
 
@@ -117,6 +124,7 @@ impl Ellipse {
             && finite(&[self.angle, self.half_width, self.half_depth, self.rms, self.arc])
             && finite(&self.beyond)
             && finite(&self.contour)
+            && finite(self.ends.as_flattened())
             && finite(&[self.sigma, self.shared_px, self.shared_lines])
             && finite(&self.origin)
             && finite(&self.moments)
@@ -125,7 +133,7 @@ impl Ellipse {
 
 impl Item for Ellipse {
     const NAME: &'static str = "ellipses";
-    const TYPE_NAME: &'static str = "conicflow.Ellipse.v5";
+    const TYPE_NAME: &'static str = "conicflow.Ellipse.v6";
     /// Arcs in an image of 640x480 pixels, which few exceed.
     const USUAL_LENGTH: usize = 1024;
 
@@ -136,7 +144,7 @@ impl Item for Ellipse {
                 return fault("is out of range or not finite");
             }
             if !ellipse.is_of_points() {
-                return fault("has no points, or a deviation below zero");
+                return fault("has no points, or a deviation or depth below zero");
             }
         }
         Ok(())
@@ -163,6 +171,8 @@ mod tests {
             |e: &mut Ellipse| e.sigma = -1e-9,
             |e: &mut Ellipse| e.shared_px = -1e-9,
             |e: &mut Ellipse| e.rms = -1e-9,
+            |e: &mut Ellipse| e.ends[1][0] = -1e-9,
+            |e: &mut Ellipse| e.ends[0][1] = f64::INFINITY,
             |e: &mut Ellipse| e.moments[0] = 0.0,
             |e: &mut Ellipse| e.moments[14] = f64::NAN,
         ] {

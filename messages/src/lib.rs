@@ -25,7 +25,7 @@ mod value;
 mod velocity;
 
 pub use depth::{INVALID_FAR, INVALID_NEAR, is_measured, median_depth};
-pub use ellipse::{Ellipse, MOMENTS, Scan};
+pub use ellipse::{END_POINTS, Ellipse, MOMENTS, Scan};
 pub use fault::{ConfigFault, Hinted, lasts};
 pub use header::{
     Camera, DEPTH_SCALES_M, END_OF_STREAM, FARTHEST_PRINCIPAL_POINT_PX, FOCAL_LENGTHS_PX, HAS_POSE, HEADER_TYPE_NAME,

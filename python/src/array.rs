@@ -185,6 +185,7 @@ static ELLIPSE: Layout = layout!(Ellipse:
     shared_lines = Plain("f8"),
     beyond = Plain("2f8"),
     contour = Plain("2f8"),
+    ends = Plain("(2,2)f8"),
     origin = Plain("2f8"),
     moments = Plain("15f8"),
 );

@@ -2,9 +2,11 @@
 
 use crate::camera::{pinhole, scan};
 use conicflow_geometry::{
-    Coefficients, ContourPoint, Pinhole, PlaneMoments, Scan, ScanPlane, SpaceMoments, Vector3, bulge, section_about,
+    Coefficients, ContourPoint, Pinhole, PlaneMoments, RaySums, Scan, ScanPlane, SpaceMoments, Vector3, bulge,
+    section_about, section_of,
 };
-use conicflow_messages::{Ellipse, Header};
+use conicflow_messages::{END_POINTS, Ellipse, Header};
+use std::iter;
 use std::ops::Range;
 
 /// Least variance of an arc, in square metres: surfaces are rough by a tenth of a millimetre.
@@ -26,6 +28,10 @@ pub(crate) struct Arc {
     pub pixels: [i64; 2],
     pub plane: ScanPlane,
     moments: PlaneMoments,
+    /// Depths of the outermost points of either end, from the end inwards; 0: none.
+    ends: [[f64; END_POINTS]; 2],
+    /// Variance of a depth for which the moments were corrected, in square metres.
+    corrected: f64,
     /// The same in space, about the camera centre.
     pub space: SpaceMoments,
     /// Number of points.
@@ -77,11 +83,12 @@ impl Arc {
         let mean = plane.to_camera(moments.mean()?);
         let ray = |pixel: f64| camera.ray_slope(scan, pixel);
         let (first, last) = (f64::from(ellipse.first), f64::from(ellipse.last));
-        let variance = match ellipse.unbiased {
-            0 => header.noise.variance(mean.z),
-            _ => ellipse.sigma * ellipse.sigma,
-        } * plane.stretch().powi(2);
-        let variance = variance.max(LEAST_VARIANCE);
+        let sigma = ellipse.sigma;
+        let (corrected, variance) = match ellipse.unbiased {
+            0 => (0.0, header.noise.variance(mean.z)),
+            _ => (sigma * sigma, sigma * sigma),
+        };
+        let variance = (variance * plane.stretch().powi(2)).max(LEAST_VARIANCE);
         let (pitch, spacing) = (camera.pixel_pitch(scan), camera.line_pitch(scan) * f64::from(step));
         Some(Self {
             scan,
@@ -89,6 +96,8 @@ impl Arc {
             pixels: [i64::from(ellipse.first), i64::from(ellipse.last)],
             plane,
             moments,
+            ends: ellipse.ends,
+            corrected,
             space: SpaceMoments::of_arc(&plane, &moments),
             count: ellipse.points,
             points: moments.count(),
@@ -130,6 +139,28 @@ impl Arc {
         (near > 0.0).then_some(near)
     }
 
+    /// Moments of those outermost points whose rays miss the surface `q`: a silhouette that the sensor sees elsewhere than it is has
+    /// given them the depth of an object beside which they lie.
+    pub fn outside(&self, q: &Coefficients) -> impl Iterator<Item = SpaceMoments> {
+        let section = section_of(q, &self.plane);
+        let step = self.pitch / self.mean.z;
+        [(0, step), (1, -step)].into_iter().flat_map(move |(end, inwards)| {
+            let slopes = (0..).map(move |n| self.rays[end] + f64::from(n) * inwards);
+            let points = slopes.zip(self.ends[end]).take_while(|(_, depth)| *depth > 0.0);
+            let missing = points.take_while(move |(slope, _)| self.hit(&section, *slope).is_none());
+            missing.map(|(slope, depth)| self.one(slope, depth))
+        })
+    }
+
+    /// The part of a point in the moments, given the slope of its ray.
+    fn one(&self, slope: f64, depth: f64) -> SpaceMoments {
+        let sums = RaySums::of(iter::once((&[slope][..], &[depth][..], self.corrected)));
+        let moments = sums.moments(self.plane.stretch());
+        let weight = self.points / f64::from(self.count.max(1));
+        let counted = moments.sums().map(|sum| sum * weight);
+        SpaceMoments::of_arc(&self.plane, &PlaneMoments::from_sums(moments.origin(), counted))
+    }
+
     /// The point of depth `z` on the ray of slope `x`.
     pub fn point(&self, x: f64, z: f64) -> Vector3 {
         self.plane.to_camera([x * z, self.plane.stretch() * z])
@@ -152,7 +183,6 @@ fn contour(camera: &Pinhole, plane: &ScanPlane, pixels: &[f64; 2]) -> [Option<Co
             Scan::Row => Vector3::y() / camera.fy,
             Scan::Column => Vector3::x() / camera.fx,
         },
-        radius_px: 0.0,
     };
     [0, 1].map(|end| (pixels[end] > 0.0).then(|| point(end)))
 }

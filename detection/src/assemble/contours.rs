@@ -5,10 +5,10 @@
 //! alike. Nobody knows by how much. But the points of an object tell its size as well, without its contour; so each object shows
 //! by how much the contours of this sensor are off, and how far their points scatter, and the next one is measured the better for it.
 
-use super::model::{Model, excess, pool, upright};
+use super::model::{Model, pool_within, upright};
 use super::region::Region;
 use conicflow_geometry::{
-    Contour, ContourBias, ContourNoise, ContourPoint, Information, Scan, Surface, SurfaceFit, Vector3, fit_with_contour,
+    Contour, ContourBias, ContourNoise, Information, Scan, Surface, SurfaceFit, fit_with_contour,
 };
 use conicflow_messages::Camera;
 use nalgebra::{Matrix2, Matrix4, SMatrix, SVector, Vector2, Vector4};
@@ -19,8 +19,6 @@ const POINT_PX: f64 = 0.5; // [tuned]
 const POINT_SHARE: f64 = 0.04; // [tuned]
 /// Least variance of a contour point, in square pixels: that of a place within a pixel.
 const LEAST_VARIANCE_PX: f64 = 1.0 / 12.0; // [derived]
-/// Least square of the sine between an axis and the view that counts: it keeps the curvature along the view finite.
-const LEAST_SQUARE_SINE: f64 = 0.1; // [algorithmic]
 /// Standard deviations of the bias of a sensor of which nothing is known: of its offset in pixels, and of its share of the
 /// radius. On rendered frames a whole contour lies up to 5 % of the radius too far in.
 const OFFSET_PX: f64 = 1.0; // [tuned]
@@ -78,36 +76,22 @@ impl Contours {
     /// The contour that a region shows, as far as it is near that of its model.
     fn of(&mut self, region: &Region) -> &Contour {
         self.contour.clear(self.noise(region));
-        for arc in region.arcs() {
-            let radius_px = curvature_radius(&region.model, &arc.mean) / arc.pitch;
-            arc.contour.into_iter().flatten().for_each(|point| self.contour.add(ContourPoint { radius_px, ..point }));
-        }
+        region.arcs().flat_map(|arc| arc.contour).flatten().for_each(|point| self.contour.add(point));
         let [from, to] = region.extent();
         self.contour.select(&region.model.coefficients(), |point| (from..=to).contains(&region.along(point)));
         &self.contour
     }
 
-    /// The model of a region fitted anew, to its arcs and to the contour that they show: so many times, each with the points that
-    /// are near the contour of the last.
+    /// The model of a region fitted anew, to its arcs and to the contour that they show: so many times, each with the points within
+    /// the outline of the last and the points of the contour that are near it.
     pub fn fit(&mut self, region: &Region, passes: usize) -> Option<Model> {
-        let arcs = region.arcs();
-        let evenly = match &region.model {
-            Model::Cone(_) => None,
-            _ => Some(pool(arcs.clone(), |_| 1.0).normalized()?),
-        };
         let mut region = *region;
         for _ in 0..passes {
-            let contour = self.of(&region);
-            region.model = match (&region.model, &evenly) {
-                (Model::Sphere(fit), Some(moments)) => Model::Sphere(fit_with_contour(moments, contour, &fit.surface)?),
-                (Model::Cylinder(fit), Some(moments)) => {
-                    Model::Cylinder(fit_with_contour(moments, contour, &fit.surface)?)
-                }
-                (Model::Cone(fit), None) => {
-                    let moments = pool(arcs.clone(), |arc| excess(&fit.surface.0, arc)).normalized()?;
-                    Model::Cone(upright(fit_with_contour(&moments, contour, &fit.surface)?))
-                }
-                _ => return None,
+            let (moments, contour) = (pool_within(&region).normalized()?, self.of(&region));
+            region.model = match &region.model {
+                Model::Sphere(fit) => Model::Sphere(fit_with_contour(&moments, contour, &fit.surface)?),
+                Model::Cylinder(fit) => Model::Cylinder(fit_with_contour(&moments, contour, &fit.surface)?),
+                Model::Cone(fit) => Model::Cone(upright(fit_with_contour(&moments, contour, &fit.surface)?)),
             };
         }
         Some(region.model)
@@ -164,14 +148,6 @@ fn combined<const N: usize>(
     known().unwrap_or((mean, covariance))
 }
 
-/// Radius of curvature along the view of the surface of a model where it is seen from its side, at the height of `point`: there the
-/// view runs along a cylinder the more, the more this leans to it, and grazes it for longer. A cone counts as a cylinder.
-fn curvature_radius(model: &Model, point: &Vector3) -> f64 {
-    let view = point.normalize();
-    let square_sine = model.conical().map_or(1.0, |surface| 1.0 - surface.axis.dot(&view).powi(2));
-    model.radius_at(point).max(0.0) / square_sine.max(LEAST_SQUARE_SINE)
-}
-
 /// Standard deviation by which the contour of one object is off by itself, where so many further pixels share the noise of one.
 fn own_px(window: f64) -> f64 {
     SYSTEMATIC_PX + FLATTENED_PX * window
@@ -190,26 +166,4 @@ fn direction(region: &Region) -> usize {
 /// Covariance of a bias whose offset and share have these standard deviations on both sides.
 fn covariance(offset_px: f64, share: f64) -> Matrix4<f64> {
     Matrix4::from_diagonal(&Vector4::new(offset_px, share, offset_px, share).map(|sigma| sigma * sigma))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use conicflow_geometry::{Conical, FixedSlope};
-    use nalgebra::Matrix5;
-
-    #[test]
-    fn what_is_lost_at_one_angle_of_incidence_goes_with_the_radius_of_curvature_along_the_view() {
-        const LOST: f64 = 0.2; // cosine of incidence
-        let (radius, point) = (0.05, Vector3::new(0.0, 0.0, 1.2));
-        for (sine, cosine) in [(0.0, 1.0), (0.6, 0.8), (0.8, 0.6)] {
-            let surface = FixedSlope(Conical { point, axis: Vector3::new(0.0, cosine, sine), radius, slope: 0.0 });
-            let none = Matrix5::zeros();
-            let fit = SurfaceFit { surface, square_sum: 0.0, contour_sum: 0.0, inverse: none, contour: none };
-            // At the angle a from the middle the incidence has the cosine `cos a cos t`, the axis leaning by t.
-            let lost = radius * (1.0 - (1.0 - (LOST / cosine).powi(2)).sqrt());
-            let expected = 0.5 * LOST * LOST * curvature_radius(&Model::Cylinder(fit), &point);
-            assert!((lost / expected - 1.0).abs() < 0.04, "{lost} {expected}");
-        }
-    }
 }

@@ -1,6 +1,7 @@
 //! The three models and their fits to the pooled moments of some arcs.
 
 use super::arcs::{Arc, Misfit};
+use super::region::Region;
 use conicflow_geometry::{
     ArcFit, Coefficients, Conical, FixedSlope, FreeSlope, Line, LineMoments, Prediction, QuadricMoments, SpaceMoments,
     Sphere, Surface, SurfaceFit, Vector3, fit_surface,
@@ -146,6 +147,18 @@ pub(super) fn pool<'a>(arcs: impl Iterator<Item = &'a Arc>, excess: impl Fn(&Arc
     pool
 }
 
+/// The arcs of a region pooled with the weights that its model gives them, without the points outside its outline.
+pub(super) fn pool_within(region: &Region) -> SpaceMoments {
+    let (model, q) = (&region.model, region.model.coefficients());
+    let mut pool = SpaceMoments::default();
+    for arc in region.arcs() {
+        let weight = 1.0 / (arc.variance * model.excess(arc).unwrap_or(LEAST_EXCESS).powi(2));
+        pool.add(&arc.space, weight);
+        arc.outside(&q).for_each(|point| pool.add(&point, -weight));
+    }
+    pool
+}
+
 /// Fits a model of a kind; starts from `last` where there is one of that kind, and is given up where the weighted sum of
 /// squares will not get below `most`.
 pub(super) fn fit<'a>(
@@ -201,7 +214,7 @@ fn fit_cone<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Mo
 }
 
 /// By how much F is too great at an arc of a cone; not less than a little above zero, near and beyond the apex.
-pub(super) fn excess(cone: &Conical, arc: &Arc) -> f64 {
+fn excess(cone: &Conical, arc: &Arc) -> f64 {
     (cone.radius_at(&arc.mean) / cone.radius).max(LEAST_EXCESS)
 }
 

@@ -6,7 +6,7 @@ use super::odds::Evidence;
 use super::seeds::{MAX_VAIN, Seeds};
 use super::{Assembler, AssemblerParameters, Rejection, Rejections};
 use crate::extract::{Extractor, ExtractorParameters};
-use conicflow_geometry::{Scan, Vector3};
+use conicflow_geometry::{Conical, FixedSlope, PlaneMoments, Scan, Surface, Vector3};
 use conicflow_lab::rendered::{Body, KINECT_HALF, render};
 use conicflow_lab::simulator::random_scene::{SceneGroup, random_scene};
 use conicflow_lab::simulator::random_scenes::RandomScenes;
@@ -459,4 +459,55 @@ fn a_window_of_the_sensor_may_move_the_outline() {
         assembler.candidates()[0].1.outline_far_off
     };
     assert!(far_off(1.0) > 0.9 && far_off(20.0) < 0.1, "{} and {}", far_off(1.0), far_off(20.0));
+}
+
+/// An arc of a row with one point more at either end, beside its object, at the depth of the last one on it.
+fn with_strays(header: &Header, arc: &Ellipse, are_told: bool) -> Ellipse {
+    let Camera { fx, fy, cx, cy, .. } = header.camera;
+    let stretch = ((f64::from(arc.line) - cy) / fy).hypot(1.0);
+    let (first, last) = (arc.first - 1, arc.last + 1);
+    let depths = arc.ends.map(|[depth, _]| depth);
+    let mut moments = PlaneMoments::from_sums(arc.origin, arc.moments);
+    for (pixel, depth) in [first, last].into_iter().zip(depths) {
+        moments.add([(f64::from(pixel) - cx) / fx * depth, stretch * depth]);
+    }
+    let ends = if are_told { depths.map(|depth| [depth; 2]) } else { [[0.0; 2]; 2] };
+    Ellipse { first, last, points: arc.points + 2, ends, moments: *moments.sums(), ..*arc }
+}
+
+#[test]
+fn what_lies_outside_the_outline_does_not_widen_an_object() {
+    let thin = Body::Frustum { center: Vector3::z() * 2.0, axis: Vector3::y(), radius: 0.06, slope: 0.0, length: 0.7 };
+    let (header, pixels) = render(KINECT_HALF, NoiseModel::KINECT_V1, &[thin, wall(4.0)], 1);
+    let mut extractor = Extractor::new(ExtractorParameters::default());
+    let arcs: Vec<Ellipse> = extractor.extract(&header, &pixels).iter().filter(|arc| arc.scan == 0).copied().collect();
+    let radius = |arcs: &[Ellipse]| {
+        let objects = Assembler::new(AssemblerParameters::default()).assemble(&header, arcs).to_vec();
+        assert_eq!(objects.len(), 1);
+        objects[0].radius
+    };
+    let [told, untold] = [true, false].map(|are_told| {
+        let widened: Vec<Ellipse> = arcs.iter().map(|arc| with_strays(&header, arc, are_told)).collect();
+        radius(&widened) - radius(&arcs)
+    });
+    assert!(told.abs() < 0.3 * untold && untold > 3e-3, "{told} and {untold} m");
+}
+
+#[test]
+fn outside_is_each_end_up_to_the_first_ray_that_meets_the_surface() {
+    let (header, ellipses) = ellipses_of_a_can();
+    let mut arcs = Arcs::default();
+    arcs.read(&header, &ellipses);
+    let arc = arcs.arcs.iter().find(|arc| arc.scan == Scan::Row && arc.line == 120).unwrap();
+    let can = |x: f64, radius: f64| {
+        FixedSlope(Conical { point: Vector3::new(x, 0.0, 2.0), axis: Vector3::y(), radius, slope: 0.0 }).coefficients()
+    };
+    let outside = |x: f64, radius: f64| {
+        let points: Vec<Vector3> = arc.outside(&can(x, radius)).map(|point| point.mean()).collect();
+        points.iter().for_each(|point| assert!(point.x.abs() > 0.16 && (1.8..2.1).contains(&point.z), "{point:?}"));
+        [-1.0, 1.0].map(|side| points.iter().filter(|point| point.x * side > 0.0).count())
+    };
+    // The outermost rays touch a can of 0.189 m, the next ones one of 0.182 m.
+    assert_eq!([outside(0.0, 0.193), outside(0.0, 0.186), outside(0.0, 0.15)], [[0, 0], [1, 1], [2, 2]]);
+    assert_eq!([outside(0.03, 0.2), outside(-0.03, 0.2)], [[2, 0], [0, 2]]);
 }

@@ -6,7 +6,7 @@ use super::rejection::ArcRejection;
 use super::run::{FEWEST, FIRST_FIT, Run};
 use super::segments::Segment;
 use conicflow_geometry::{ArcFit, ArcMoments, Circle, LineSums, PlaneMoments, Scan};
-use conicflow_messages::Ellipse;
+use conicflow_messages::{END_POINTS, Ellipse};
 use std::ops::Range;
 
 /// For an arc that is a part of a run: its line error has to exceed its circle error by so many standard deviations.
@@ -272,10 +272,23 @@ fn message(rays: &Rays, image: &[u16], points: Range<usize>, fit: &ArcFit, momen
             depth_at(rays, image, i64::from(rays.pixel(first)) - i64::from(beyond)),
             depth_at(rays, image, i64::from(rays.pixel(last)) + i64::from(beyond)),
         ],
+        ends: [false, true].map(|from_last| outermost(rays, &points, from_last)),
         origin: moments.origin(),
         moments: *moments.sums(),
         ..Ellipse::default()
     }
+}
+
+/// Depths of the outermost points of an arc at one end, on neighbouring pixels; 0 beyond those.
+fn outermost(rays: &Rays, points: &Range<usize>, from_last: bool) -> [f64; END_POINTS] {
+    let point = |inwards: usize| if from_last { points.end - 1 - inwards } else { points.start + inwards };
+    let end = i64::from(rays.pixel(point(0)));
+    let is_next = |inwards: &usize| i64::from(rays.pixel(point(*inwards))).abs_diff(end) == *inwards as u64;
+    let mut depths = [0.0; END_POINTS];
+    for inwards in (0..END_POINTS).take_while(is_next) {
+        depths[inwards] = rays.points.metres[point(inwards)];
+    }
+    depths
 }
 
 /// The depth of a pixel of the line; 0 where there is none.

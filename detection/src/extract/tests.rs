@@ -257,6 +257,26 @@ fn silhouettes_and_creases_are_not_taken_for_noise() {
     }
 }
 
+#[test]
+fn the_outermost_points_of_an_arc_are_told_as_far_as_they_are_neighbours() {
+    let (header, mut pixels) = render(KINECT_HALF, NoiseModel::IDEAL, &[can(0.0, 0.7, 0.2), wall(3.0)], 1);
+    let row = 120 * header.camera.width;
+    // Something nearer hides its right half: there its end is not steep.
+    pixels.chunks_mut(320).for_each(|row| row[160..].fill((0.4 / header.depth_scale) as u16));
+    let mut alone = 0;
+    for hole in 148..160 {
+        let mut pixels = pixels.clone();
+        pixels[(row + hole) as usize] = 0;
+        let depth = |pixel: u32| f64::from(pixels[(row + pixel) as usize]) * header.depth_scale;
+        let mut arcs = arcs(config(ScanLines::Rows), &(header, pixels.clone()));
+        arcs.retain(|arc| arc.line == 120 && arc.first < 160);
+        let [Ellipse { first, last, ends, .. }] = arcs[..] else { panic!("{arcs:?}") };
+        assert_eq!(ends, [[first, first + 1], [last, last - 1]].map(|end| end.map(depth)));
+        alone += u32::from(ends[1][1] == 0.0);
+    }
+    assert_eq!(alone, 1);
+}
+
 /// What is noisy by so much, from pixel to pixel: a can before a wall, of this width in pixels.
 fn noisy_can(sigma_m: f64, width: u32) -> (Header, Vec<u16>) {
     let noise = NoiseModel { floor_m: sigma_m, ..NoiseModel::IDEAL };
