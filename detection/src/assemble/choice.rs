@@ -138,3 +138,105 @@ fn cost(mut region: Region, contours: &mut Contours) -> Option<f64> {
     let cost = contours.fit(&region, 1)?.cost();
     Some(cost + contours.last().least_left_out())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::arcs::Arcs;
+    use super::super::model::Model;
+    use super::super::tests::arcs_of;
+    use super::super::verify::{Measured, Outline};
+    use super::*;
+    use conicflow_geometry::{Scan, Vector3};
+    use conicflow_lab::rendered::Body;
+    use conicflow_messages::ObjectSigma;
+
+    /// The arcs of what stands upright two metres away, and those in rows of its middle.
+    fn upright(slope: f64) -> (Arcs, Vec<usize>) {
+        let center = Vector3::new(0.0, 0.0, 2.0);
+        let arcs = arcs_of(&[Body::Frustum { center, axis: Vector3::y(), radius: 0.2, slope, length: 0.7 }]);
+        let is_of_it = |&index: &usize| arcs.arcs[index].scan == Scan::Row && arcs.arcs[index].mean.y.abs() < 0.25;
+        let members = (0..arcs.arcs.len()).filter(is_of_it).collect();
+        (arcs, members)
+    }
+
+    /// A candidate of so many points.
+    fn candidate<'a>(arcs: &'a Arcs, members: &'a [usize], kind: ObjectKind, points: f64) -> Candidate<'a> {
+        let model = model::fit(kind, &arcs.of(members), None, f64::INFINITY).unwrap();
+        let (count, lines, angle, extent) = (points as u32, members.len() as u32, 2.0, [-0.25, 0.25]);
+        let measured = Measured { count, points, lines, variance: 1e-6, misfit: 0.0, curvature: 100.0, angle, extent };
+        let outline = Outline { square: 1.0, far_off: 0.0, free: 1.0, continued: 0.0 };
+        Candidate { region: Region { arcs, model, members }, measured, outline }
+    }
+
+    #[test]
+    fn the_shape_of_more_points_is_chosen_and_of_about_as_many_the_one_that_explains_them_better() {
+        let chosen = |slope: f64, points: [f64; 2], least_gain: f64| {
+            let (arcs, members) = upright(slope);
+            let [simple, general] = [(ObjectKind::Cylinder, points[0]), (ObjectKind::Cone, points[1])]
+                .map(|(kind, points)| candidate(&arcs, &members, kind, points));
+            better(simple, general, |_, _| least_gain, &mut Contours::default()).region.model.kind()
+        };
+        assert_eq!(chosen(0.0, [899.0, 1000.0], GAIN), ObjectKind::Cone);
+        assert_eq!(chosen(0.2, [1000.0, 899.0], GAIN), ObjectKind::Cylinder);
+        for points in [[901.0, 1000.0], [1000.0, 901.0], [1000.0, 1000.0]] {
+            assert_eq!(chosen(0.2, points, GAIN), ObjectKind::Cone);
+            assert_eq!(chosen(0.0, points, GAIN), ObjectKind::Cylinder, "it gains too little");
+            assert_eq!(chosen(0.2, points, f64::INFINITY), ObjectKind::Cylinder);
+        }
+    }
+
+    #[test]
+    fn a_slender_cone_of_many_points_has_to_gain_more() {
+        let (arcs, members) = upright(0.2);
+        let gain = |half_angle: f64, points: f64| {
+            let mut cone = candidate(&arcs, &members, ObjectKind::Cone, points);
+            let Model::Cone(fit) = &mut cone.region.model else { unreachable!() };
+            fit.surface.0.slope = half_angle.tan();
+            least_gain_of_cone(&cone, points)
+        };
+        let [slender, middle, wide] = [SLENDER[0], 0.5 * (SLENDER[0] + SLENDER[1]), SLENDER[1]];
+        for (half_angle, points, expected) in [
+            (slender, 100.0, GAIN),
+            (slender, 400.0, 12.0),
+            (slender, 4000.0, MOST_GAIN),
+            (middle, 400.0, 6.0),
+            (middle, 4000.0, 10.0),
+            (0.5 * slender, 400.0, 12.0),
+            (wide, 4000.0, GAIN),
+        ] {
+            let least = gain(half_angle, points);
+            assert!((least - expected).abs() < 1e-9, "{least} of {points} points at {half_angle}, not {expected}");
+        }
+    }
+
+    #[test]
+    fn a_half_angle_that_is_unknown_or_may_well_differ_from_zero_speaks_against_a_cylinder() {
+        let (mut arcs, members) = upright(0.0);
+        let mut speaks = |half_angle: f64, sigma: f64, shared_lines: f64| {
+            arcs.arcs.iter_mut().for_each(|arc| arc.shared_lines = shared_lines);
+            let sigma = ObjectSigma { half_angle: sigma, ..ObjectSigma::default() };
+            let object = Object { half_angle, sigma, ..Object::default() };
+            speaks_against_cylinder(Ok(&(candidate(&arcs, &members, ObjectKind::Cone, 1000.0), object)))
+        };
+        // Where four lines share their noise, a half-angle is twice as unsure.
+        for (shared_lines, wider) in [(1.0, 1.0), (4.0, 2.0)] {
+            let (unsure, unknown) = (0.027 * wider, 0.071 * wider);
+            assert!(speaks(0.0, unknown, shared_lines) && !speaks(0.0, 0.069 * wider, shared_lines));
+            assert!(speaks(2.1 * unsure, unsure, shared_lines) && !speaks(1.9 * unsure, unsure, shared_lines));
+            let sure = 0.025 * wider;
+            assert!(!speaks(2.1 * sure, sure, shared_lines));
+        }
+    }
+
+    #[test]
+    fn a_slope_is_sure_beyond_three_sigmas_and_a_cone_has_the_least_half_angle() {
+        let of = |half_angle: f64, sigma: f64| {
+            let sigma = ObjectSigma { half_angle: sigma, ..ObjectSigma::default() };
+            let object = Object { half_angle, sigma, ..Object::default() };
+            (sure_slope(&object), is_cone(&object, &AssemblerParameters::default()))
+        };
+        assert_eq!([of(0.76, 0.25), of(0.75, 0.25)], [(0.76, true), (0.0, false)]);
+        let least = 2.5_f64.to_radians();
+        assert_eq!([of(1.01 * least, 0.001).1, of(0.99 * least, 0.001).1], [true, false]);
+    }
+}
