@@ -176,9 +176,145 @@ fn covariance<S: Surface<N>, const N: usize>(region: &Region, fit: &SurfaceFit<S
 
 #[cfg(test)]
 mod tests {
+    use super::super::arcs::Arcs;
+    use super::super::model;
+    use super::super::tests::arcs_of;
     use super::*;
-    use crate::assemble::arcs::Arcs;
+    use conicflow_geometry::{Pinhole, Scan};
+    use conicflow_lab::rendered::Body;
     use conicflow_messages::{Camera, Ellipse, Header};
+
+    #[test]
+    fn lines_lie_farther_apart_along_an_axis_that_leans_and_an_end_is_known_by_lines() {
+        let plane = Pinhole { fx: 500.0, fy: 500.0, cx: 0.0, cy: 0.0 }.plane(Scan::Row, 0.0);
+        let leaning = |degrees: f64| Vector3::new(degrees.to_radians().sin(), degrees.to_radians().cos(), 0.0);
+        let along = |degrees: f64| spacing_along(0.002, &plane, &leaning(degrees));
+        for (degrees, expected) in [(0.0, 0.002), (60.0, 0.004), (180.0, 0.002), (90.0, 0.01)] {
+            assert!((along(degrees) - expected).abs() < 1e-9, "{degrees} degrees");
+            let end = end_sigma(0.002, &plane, &leaning(degrees));
+            assert!((end - 1.5 * expected).abs() < 1e-9, "{end} at {degrees} degrees");
+        }
+    }
+
+    fn measured(extent: [f64; 2]) -> Measured {
+        let (count, points, lines, angle) = (1000, 900.0, 50, 2.0);
+        Measured { count, points, lines, variance: 4e-6, misfit: 0.25, curvature: 100.0, angle, extent }
+    }
+
+    /// A covariance of six parameters that all depend on each other.
+    fn correlated() -> SMatrix<f64, 6, 6> {
+        let root = SMatrix::<f64, 6, 6>::from_fn(|i, j| 1e-3 * (1.7 * i as f64 + 2.9 * j as f64 + 0.3).sin());
+        root * root.transpose()
+    }
+
+    /// By the derivatives of the middle `point + z (axis + u a + v b) + u c + v d` by two tilts, a and b, and two shifts, c and d.
+    #[test]
+    fn the_sigma_of_a_middle_is_that_of_tilts_and_shifts_and_along_the_axis_of_both_ends() {
+        let axis = Vector3::new(0.2, 0.9, -0.3).normalize();
+        let surface = Conical { point: Vector3::new(0.1, 0.2, 1.5), axis, radius: 0.1, slope: 0.0 };
+        let covariance = correlated().fixed_view::<5, 5>(0, 0).into_owned();
+        let (z, end, [u, v]) = (0.7, 0.003, surface.across());
+        let sigma = conical_sigma(&surface, &covariance, &measured([z - 0.2, z + 0.2]), end);
+        let by = SMatrix::<f64, 3, 5>::from_columns(&[u * z, v * z, u, v, Vector3::zeros()]);
+        let expected = by * covariance * by.transpose() + axis * axis.transpose() * (end * end / 2.0);
+        for (i, j) in (0..3).flat_map(|i| (0..3).map(move |j| (i, j))) {
+            assert!((sigma.center[i][j] - expected[(i, j)]).abs() < 1e-15, "{:?}, not {expected}", sigma.center);
+        }
+        assert!((sigma.axis.powi(2) - covariance[(0, 0)] - covariance[(1, 1)]).abs() < 1e-15);
+        assert!((sigma.radius.powi(2) - covariance[(4, 4)]).abs() < 1e-15);
+        assert!((sigma.length - 0.003 * SQRT_2).abs() < 1e-12 && sigma.half_angle == 0.0);
+    }
+
+    #[test]
+    fn what_sensors_do_wrong_is_part_of_the_sigmas() {
+        let sigma = ObjectSigma { radius: 0.001, axis: 0.001, half_angle: 0.001, ..ObjectSigma::default() };
+        let of = |kind: ObjectKind| {
+            let object = Object { kind: kind.code(), radius: 0.2, sigma, ..Object::default() };
+            with_faults(object, 0.005).sigma
+        };
+        let error = |pixels: f64| (SYSTEMATIC * 0.2).hypot(pixels * 0.005);
+        let angle = 0.001_f64.hypot(SYSTEMATIC_ANGLE);
+        for (kind, error, axis, half_angle) in [
+            (ObjectKind::Sphere, error(SYSTEMATIC_PX), 0.001, 0.001),
+            (ObjectKind::Cylinder, error(SYSTEMATIC_PX), angle, 0.001),
+            (ObjectKind::Cone, error(SYSTEMATIC_CONE_PX), angle, angle),
+        ] {
+            let told = of(kind);
+            assert!((told.radius - error.hypot(0.001)).abs() < 1e-12, "{kind:?}");
+            assert!((told.center[2][2] - error * error).abs() < 1e-15 && told.center[0][1] == 0.0, "{kind:?}");
+            assert_eq!((told.axis, told.half_angle), (axis, half_angle), "{kind:?}");
+        }
+    }
+
+    #[test]
+    fn a_cone_is_told_by_its_ends_its_middle_and_its_apex() {
+        let surface = Conical { point: Vector3::new(0.0, 0.0, 1.5), axis: Vector3::y(), radius: 0.1, slope: 0.5 };
+        let told = |extent| cone(Object::default(), &surface, 0.4, ObjectSigma::default(), &measured(extent));
+        let whole = told([-0.3, 0.1]);
+        assert!((whole.base_radius - 0.15).abs() < 1e-12 && whole.top_radius == 0.0, "{whole:?}");
+        assert!((whole.radius - 0.05).abs() < 1e-12 && (whole.length - 0.4).abs() < 1e-12, "{whole:?}");
+        assert_eq!((whole.shape(), whole.half_angle, whole.axis), (ObjectKind::Cone, 0.4, [0.0, 1.0, 0.0]));
+        assert!((Vector3::from(whole.apex) - Vector3::new(0.0, -0.2, 1.5)).norm() < 1e-12);
+        assert!((told([-0.1, 0.1]).top_radius - 0.05).abs() < 1e-12);
+    }
+
+    /// The arcs of a cone that stands two metres away, narrower than half of it, in rows.
+    fn rows_of_a_cone() -> (Arcs, Vec<usize>) {
+        let center = Vector3::new(0.0, 0.0, 2.0);
+        let arcs = arcs_of(&[Body::Frustum { center, axis: Vector3::y(), radius: 0.2, slope: 0.2, length: 0.7 }]);
+        let is_of_it = |&index: &usize| arcs.arcs[index].scan == Scan::Row && arcs.arcs[index].mean.y.abs() < 0.3;
+        let members = (0..arcs.arcs.len()).filter(is_of_it).collect();
+        (arcs, members)
+    }
+
+    fn fitted<'a>(arcs: &'a Arcs, members: &'a [usize], kind: ObjectKind) -> Region<'a> {
+        let model = model::fit(kind, &arcs.of(members), None, f64::INFINITY).unwrap();
+        Region { arcs, model, members }
+    }
+
+    /// The fit weighs the points as if the noise lay across the surface; along the depth it matters the less, the more the surface
+    /// leans.
+    #[test]
+    fn the_covariance_is_less_than_that_of_the_fit_by_the_slope_of_the_surface_and_grows_with_lines_that_share_noise() {
+        let (mut arcs, members) = rows_of_a_cone();
+        let middle = members.len() / 2;
+        let mut ratio = |members: &[usize], shared_lines: f64| {
+            arcs.arcs.iter_mut().for_each(|arc| arc.shared_lines = shared_lines);
+            let region = fitted(&arcs, members, ObjectKind::Cone);
+            let Model::Cone(fit) = &region.model else { unreachable!() };
+            covariance(&region, fit)[(4, 4)] / fit.inverse[(4, 4)]
+        };
+        let (many, few) = (ratio(&members, 1.0), ratio(&members[middle - 7..middle + 7], 1.0));
+        assert!((0.25..0.35).contains(&many) && (0.25..0.35).contains(&few), "{many} of all arcs, {few} of 14");
+        assert!((ratio(&members, 4.0) / many - 4.0).abs() < 1e-9);
+    }
+
+    /// Of a cone the radius in the middle and the half-angle, by their derivatives.
+    #[test]
+    fn the_sigmas_of_a_cone_are_those_in_its_middle() {
+        let (arcs, members) = rows_of_a_cone();
+        let region = fitted(&arcs, &members, ObjectKind::Cone);
+        let Model::Cone(fit) = &region.model else { unreachable!() };
+        let (told, z) = (report(&region, &measured([-0.1, 0.5])), 0.2);
+        let (covariance, slope) = (covariance(&region, fit), fit.surface.0.slope);
+        let by = SMatrix::<f64, 1, 6>::from_row_slice(&[0.0, 0.0, 0.0, 0.0, 1.0, z]);
+        let radius = (by * covariance * by.transpose())[0].sqrt();
+        let error = (SYSTEMATIC * told.radius).hypot(SYSTEMATIC_CONE_PX * region.ends()[0].pitch);
+        assert!((told.sigma.radius - radius.hypot(error)).abs() < 1e-12, "{} {radius}", told.sigma.radius);
+        let steeper = slope + covariance[(5, 5)].sqrt() * 1e-3;
+        let half_angle = 1e3 * (steeper.atan() - slope.atan());
+        assert!((told.sigma.half_angle / half_angle.hypot(SYSTEMATIC_ANGLE) - 1.0).abs() < 1e-4);
+        assert!((told.radius - (fit.surface.0.radius + z * slope)).abs() < 1e-12);
+        assert!((told.rms - 0.001).abs() < 1e-12, "half the noise of 2 mm");
+        assert_eq!((told.points, told.rows, told.arc), (1000, 50, 2.0));
+    }
+
+    #[test]
+    fn the_length_of_a_cylinder_is_that_of_its_extent() {
+        let (arcs, members) = rows_of_a_cone();
+        let told = report(&fitted(&arcs, &members, ObjectKind::Cylinder), &measured([-0.1, 0.5]));
+        assert!((told.length - 0.6).abs() < 1e-12 && told.shape() == ObjectKind::Cylinder);
+    }
 
     /// An arc of 20 points, one metre away, that share their noise among so many.
     fn arc(shared_px: f64) -> Arc {
