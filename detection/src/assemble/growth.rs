@@ -339,6 +339,57 @@ mod tests {
         (arcs, rows)
     }
 
+    #[test]
+    fn a_chain_is_the_seed_with_twelve_lines_on_either_side_in_their_order() {
+        let (arcs, [left, _]) = two_cans();
+        let (middle, mut found) = (left.len() / 2, Vec::new());
+        chain(&arcs, left[middle], 4, |_| true, &mut found);
+        assert_eq!(found, left[middle - CHAIN..=middle + CHAIN]);
+        chain(&arcs, left[1], 4, |_| true, &mut found);
+        assert_eq!(found, left[..=1 + CHAIN], "there is nothing before the first");
+        chain(&arcs, left[middle], 4, |index| index >= left[middle], &mut found);
+        assert_eq!(found, left[middle..=middle + CHAIN], "what is before it belongs to another");
+    }
+
+    /// Of 16 straight arcs the bulges sum up to 8, with a standard deviation of 4.47 where the noise of each is its own, and of
+    /// twice that where four lines share theirs.
+    #[test]
+    fn a_chain_is_promising_where_its_arcs_are_bent_by_more_than_noise_bends_straight_ones() {
+        let (mut arcs, [left, _]) = two_cans();
+        let chain = &left[..16];
+        let mut is_promising = |sum: f64, shared_lines: f64| {
+            for &index in chain {
+                (arcs.arcs[index].bulge, arcs.arcs[index].shared_lines) = (sum / 16.0, shared_lines);
+            }
+            is_promising(&arcs, chain, &AssemblerParameters::default())
+        };
+        for (shared_lines, limit) in [(1.0, 21.4164), (4.0, 34.8328)] {
+            assert_eq!(is_promising(limit - 0.001, shared_lines), Err(Rejection::Flat));
+            assert_eq!(is_promising(limit + 0.001, shared_lines), Ok(()));
+        }
+        let of = |lines: usize| super::is_promising(&arcs, &left[..lines], &AssemblerParameters::default());
+        assert_eq!(
+            [of(9), of(10)],
+            [Err(Rejection::FewRows), Err(Rejection::Flat)],
+            "ten are as many as there have to be"
+        );
+    }
+
+    #[test]
+    fn five_lines_are_enough_to_grow_from_and_four_are_not() {
+        let (arcs, [left, _]) = two_cans();
+        let (middle, parameters) = (left.len() / 2, AssemblerParameters::default());
+        let grown = |lines: usize| {
+            let chain = &left[middle..middle + lines];
+            let start = Start { kind: ObjectKind::Sphere, chain, guess: None, middle_will_do: false };
+            let free = |index: usize| chain.contains(&index);
+            let mut members = Vec::new();
+            let growth = grow(&arcs, &start, &parameters, free, &mut members, &mut Vec::new());
+            matches!(growth.grown, Some(Ok(_))).then_some(members.len())
+        };
+        assert_eq!([grown(4), grown(5)], [None, Some(5)]);
+    }
+
     /// Of a chain whose ends are of another can the middle will do, unless a sphere is to explain what a cylinder does.
     #[test]
     fn a_shape_explains_the_whole_chain_its_middle_or_nothing_of_it() {

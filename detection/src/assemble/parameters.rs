@@ -203,3 +203,22 @@ fn fault(key: &'static str, unit: &str, min: f64, max: f64) -> Option<ConfigFaul
         hint: "both are in metres".to_owned(),
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_deadline_lies_as_far_ahead_as_the_budget_says() {
+        let deadline = |budget_ms: f64| {
+            let mut parameters = AssemblerParameters::default();
+            parameters.pooled.budget_ms = budget_ms;
+            parameters.deadline()
+        };
+        let before = Instant::now();
+        let (soon, late) = (deadline(2.5).unwrap(), deadline(4000.0).unwrap());
+        let ahead = |ms: u64| before + Duration::from_micros(ms)..=Instant::now() + Duration::from_micros(ms);
+        assert!(ahead(2500).contains(&soon) && ahead(4_000_000).contains(&late));
+        assert_eq!(deadline(0.0), None);
+    }
+}
