@@ -209,3 +209,168 @@ fn shared(covariances: &Covariances) -> f64 {
     let correlations = covariances[1..].iter().map(|sums| mean(*sums) / variance);
     1.0 + 2.0 * correlations.take_while(|correlation| *correlation > CHANCE).sum::<f64>()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::noise_estimate::NoiseEstimate;
+    use super::super::parameters::ExtractorParameters;
+    use super::*;
+    use conicflow_geometry::Scan;
+    use conicflow_lab::random::CounterRng;
+    use conicflow_messages::{Camera, Header, NoiseModel};
+
+    /// An image of 150 x 80 pixels and its view, of a sensor with a standard deviation of 1 mm, in units of 0.1 mm.
+    fn image(depth_m: impl Fn(u32, u32) -> f64) -> (View, Vec<u16>) {
+        let camera = Camera { width: 150, height: 80, fx: 150.0, fy: 150.0, cx: 74.5, cy: 39.5 };
+        let noise = NoiseModel { floor_m: 0.001, ..NoiseModel::IDEAL };
+        let mut view = View::with(ExtractorParameters::default());
+        let header = Header { camera, noise, depth_scale: 1e-4, ..Header::default() };
+        view.turn(&header, Scan::Row, &NoiseEstimate::nominal(noise));
+        let pixels = (0..80).flat_map(|y| (0..150).map(move |x| [x, y]));
+        (view, pixels.map(|[x, y]| (depth_m(x, y) * 1e4).round() as u16).collect())
+    }
+
+    fn nearness(x: u32, y: u32) -> f64 {
+        0.5 + 0.001 * f64::from(x) - 0.0005 * f64::from(y)
+    }
+
+    #[test]
+    fn the_plane_of_a_square_is_that_of_the_image_though_pixels_are_missing() {
+        // Some of the left columns and upper rows of each square lack pixels, so that nothing is symmetrical.
+        let is_missing = |x: u32, y: u32| {
+            (x * 7 + y * 3).is_multiple_of(41) || (x % 24 < 5 && y % 24 < 7 && (x + y).is_multiple_of(2))
+        };
+        let (view, image) = image(|x, y| if is_missing(x, y) { 0.0 } else { 1.0 / nearness(x, y) });
+        for side in [24, 64] {
+            let (mut squares, mut cells) = (Vec::new(), Vec::new());
+            collect(&view, &image, side, &mut squares, &mut cells);
+            let places = [150, 80].map(|pixels| pixels / (side / 2) - 1);
+            assert_eq!(squares.len() as u32, places[0] * places[1], "they overlap by half");
+            for Square { corner, plane, depth, square } in squares {
+                assert!(
+                    corner
+                        .iter()
+                        .zip(places)
+                        .all(|(at, places)| at.is_multiple_of(side / 2) && at / (side / 2) < places)
+                );
+                let expected = Vector3::new(nearness(corner[0], corner[1]), 0.001, -0.0005);
+                let off = plane - expected;
+                let across = f64::from(side) * off.yz().abs().max();
+                assert!(off[0].abs() < 1e-5 && across < 2e-5, "{plane:?} at {corner:?}");
+                let middle = 1.0 / nearness(corner[0] + side / 2, corner[1] + side / 2);
+                assert!((depth / middle - 1.0).abs() < 1e-4, "{depth}");
+                assert!((0.0..0.002).contains(&square), "rounding is a thousandth of the noise, {square} of {side}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_residual_of_a_plane_is_the_noise() {
+        let random = CounterRng::new(5, 0);
+        let noise = |x: u32, y: u32| 0.002 * random.gaussian(u64::from(150 * y + x));
+        let (view, image) = image(|x, y| 1.0 / nearness(x, y) + noise(x, y));
+        let (mut squares, mut cells) = (Vec::new(), Vec::new());
+        collect(&view, &image, 24, &mut squares, &mut cells);
+        let mean = squares.iter().map(|square| square.square).sum::<f64>() / squares.len() as f64;
+        assert!((3.7..4.3).contains(&mean), "{mean} variances of the model");
+    }
+
+    #[test]
+    fn a_square_that_lacks_a_tenth_of_its_pixels_is_not_looked_at() {
+        let squares_with = |missing: u32| {
+            // So many in each block of 12 x 12 pixels, which is a quarter of a square.
+            let is_missing = |x: u32, y: u32| y % 12 * 12 + x % 12 < missing;
+            let (view, image) = image(|x, y| if is_missing(x, y) { 0.0 } else { 1.0 / nearness(x, y) });
+            let (mut squares, mut cells) = (Vec::new(), Vec::new());
+            collect(&view, &image, 24, &mut squares, &mut cells);
+            squares.len()
+        };
+        assert_eq!([14, 15].map(squares_with), [55, 0]);
+    }
+
+    #[test]
+    fn planes_are_the_squares_that_leave_little_more_than_the_flattest() {
+        let (corner, plane) = ([0, 0], Vector3::zeros());
+        let left = |squares: &[f64]| {
+            let mut squares: Vec<_> =
+                squares.iter().map(|&square| Square { corner, plane, depth: 1.0, square }).collect();
+            planes(&mut squares).map(|planes| planes.iter().map(|plane| plane.square).collect::<Vec<_>>())
+        };
+        assert_eq!(left(&[1.0; 3]), None, "too few");
+        assert_eq!(left(&[9.0, 1.0, 2.1, 0.5, 1.5, 1.0, 2.0]), Some(vec![0.5, 1.0, 1.0, 1.5, 2.0]));
+        // Of 40 squares the flattest are six: by four of them the level would be half of it.
+        let many = [&[0.5; 4][..], &[1.9; 6], &[3.0; 30]].concat();
+        assert_eq!(left(&many).map(|planes| planes.len()), Some(10));
+    }
+
+    /// What a line of noise of one variance adds that changes its sign every `period` pixels.
+    fn covariances_of(period: u32, direction: usize) -> Covariances {
+        let sign = |at: u32| if (at / period).is_multiple_of(2) { 0.001 } else { -0.001 };
+        let (view, image) = image(|x, y| 2.0 + sign(if direction == 0 { x } else { y }));
+        let square = Square { corner: [12, 24], plane: Vector3::new(0.5, 0.0, 0.0), depth: 2.0, square: 1.0 };
+        let mut covariances = [[0.0; 2]; FARTHEST + 1];
+        add_lines(&view, &image, &square, (24, direction), &mut Vec::new(), &mut covariances);
+        covariances
+    }
+
+    #[test]
+    fn covariances_are_those_of_the_rows_or_columns_of_a_square() {
+        for direction in [0, 1] {
+            let [alternating, pairs] = [1, 2].map(|period| covariances_of(period, direction));
+            for (apart, [sum, counted]) in alternating[..12].iter().enumerate() {
+                let (count, sign) = (4.0 * (24 - apart) as f64, if apart % 2 == 0 { 1.0 } else { -1.0 });
+                assert!(*counted == count && (sum / count - sign).abs() < 0.01, "{sum} of {counted}, {apart} apart");
+            }
+            assert!((pairs[1][0] / pairs[1][1]).abs() < 0.06 && (pairs[2][0] / pairs[2][1] + 1.0).abs() < 0.01);
+            assert!(alternating[12..].iter().all(|sums| *sums == [0.0; 2]), "half a line is the farthest");
+        }
+    }
+
+    #[test]
+    fn a_line_that_lacks_a_pixel_tells_no_covariance() {
+        let (view, mut image) = image(|_, _| 2.001);
+        let square = Square { corner: [12, 24], plane: Vector3::new(0.5, 0.0, 0.0), depth: 2.0, square: 1.0 };
+        let mut count = || {
+            let mut covariances = [[0.0; 2]; FARTHEST + 1];
+            add_lines(&view, &image, &square, (24, 0), &mut Vec::new(), &mut covariances);
+            let whole = covariances[0][1];
+            // In the first row that is looked at, three pixels below the corner.
+            image[27 * 150 + 35] = 0;
+            whole
+        };
+        assert_eq!([count(), count()], [96.0, 72.0]);
+    }
+
+    #[test]
+    fn neighbours_count_as_one_as_far_as_they_are_surely_alike() {
+        let of = |correlations: &[f64]| {
+            let mut covariances = [[0.0; 2]; FARTHEST + 1];
+            let sums = [&[1.0], correlations].concat();
+            for (known, (sum, count)) in covariances.iter_mut().zip(sums.into_iter().zip((1..20).rev())) {
+                *known = [4.0 * sum * f64::from(count), f64::from(count)];
+            }
+            shared(&covariances)
+        };
+        assert_eq!(of(&[]), 1.0);
+        assert!((of(&[0.5, 0.25, 0.05, 0.9]) - 2.5).abs() < 1e-12, "what comes back behind zero is chance");
+        assert!((of(&[0.5, CHANCE]) - 2.0).abs() < 1e-12);
+        assert_eq!(shared(&[[0.0; 2]; FARTHEST + 1]), 1.0, "nothing is known");
+        assert_eq!(of(&[-0.5]), 1.0);
+    }
+
+    #[test]
+    fn what_planes_take_with_them_and_what_bends_them_widens_what_counts_as_one() {
+        let random = CounterRng::new(6, 0);
+        let of = |factor: f64, blob: u32| {
+            let noise = |x: u32, y: u32| 0.001 * factor * random.gaussian(u64::from(150 * (y / blob) + x / blob));
+            let (view, image) = image(|x, y| 2.0 + noise(x, y));
+            correlation_px(&view, &image, &mut PlaneSquares::default()).unwrap()
+        };
+        let ([alone, shared], louder) = ([1, 3].map(|blob| of(1.0, blob)), of(2.0, 1));
+        for direction in [0, 1] {
+            assert!((0.97..1.1).contains(&alone[direction]), "{alone:?}");
+            assert!((2.5..3.6).contains(&shared[direction]), "{shared:?}");
+            assert!((louder[direction] / alone[direction] - 2.0).abs() < 0.1, "{louder:?} {alone:?}");
+        }
+    }
+}

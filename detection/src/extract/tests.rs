@@ -186,6 +186,18 @@ fn the_noise_level_is_that_of_the_image() {
 }
 
 #[test]
+fn who_asks_is_told_how_noisy_an_image_was_and_what_was_turned_down_in_it() {
+    let (header, pixels) = noisy_can(0.03, 320);
+    let mut extractor = Extractor::new(config(ScanLines::Rows));
+    extractor.extract(&Header { noise: header.noise.times(1.0 / 1.5), ..header }, &pixels);
+    assert!(extractor.noise_ratios().iter().all(|ratio| (1.4..1.6).contains(ratio)), "{:?}", extractor.noise_ratios());
+    let lines = extractor.rejections().find(|(words, _)| words.contains("line")).map(|(_, times)| times);
+    assert!(lines.is_some_and(|times| times > 10), "the wall: {:?}", extractor.rejections().collect::<Vec<_>>());
+    extractor.extract(&header, &vec![0; pixels.len()]);
+    assert_eq!(extractor.rejections().count(), 0);
+}
+
+#[test]
 fn a_model_that_grows_wrongly_is_replaced() {
     let floor = Body::Plane { normal: Vector3::new(0.0, 0.9, 0.3).normalize(), offset: 0.9 };
     let kinect = NoiseModel::KINECT_V1;
