@@ -269,3 +269,100 @@ fn add_curves(run: &Run, samples: &mut Vec<NoiseSample>) {
         from = to;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use conicflow_lab::random::CounterRng;
+
+    /// Samples at these depths, of noise that has so many times the variance of the model.
+    fn samples(count: u64, depth: impl Fn(u64) -> f64, variance: f64) -> Vec<NoiseSample> {
+        let random = CounterRng::new(8, 0);
+        let sample = |i: u64| NoiseSample { depth: depth(i), square: variance * random.gaussian(i).powi(2) };
+        (0..count).map(sample).collect()
+    }
+
+    #[test]
+    fn a_model_through_two_levels_has_these_and_grows_with_the_square_of_the_depth() {
+        let kinect = NoiseModel { floor_m: 0.001, growth_per_m: 0.0005, knee_m: 0.0, step_per_m: 0.0 };
+        let at = |depths: [f64; 2], factors: [f64; 2]| through(depths, factors, |depth| kinect.variance(depth));
+        let wider = at([1.0, 3.0], [1.2, 2.0]);
+        for (depth, factor) in [(1.0, 1.2), (3.0, 2.0)] {
+            assert!((wider.sigma(depth) / kinect.sigma(depth) - factor).abs() < 1e-9, "{wider:?} at {depth} m");
+        }
+        assert!((wider.sigma(2.0) - (0.0018 + (0.011 - 0.0018) * 3.0 / 8.0)).abs() < 1e-12);
+        // What falls with the depth is taken to be as it is near, and what would be below zero to begin with nothing.
+        let falling = at([1.0, 3.0], [4.0, 1.0]);
+        assert_eq!((falling.growth_per_m, falling.floor_m), (0.0, kinect.sigma(1.0) * 4.0));
+        let steep = at([1.0, 3.0], [0.1, 2.0]);
+        assert!(steep.floor_m == 0.0 && (steep.sigma(3.0) - 0.011).abs() < 1e-12, "{steep:?}");
+    }
+
+    #[test]
+    fn halves_differ_where_more_than_chance_does_at_two_depths_and_neither_is_smoothed() {
+        let half = |depth: f64, count: f64, scatter: f64| Half { depth, count, scatter };
+        let near = half(1.0, 200.0, 1.0);
+        // Of 200 samples each the logarithm of the ratio scatters by 0.1414.
+        let ratio = |sigmas: f64| (sigmas * 0.02_f64.sqrt()).exp();
+        for (far, expected) in [
+            (half(2.0, 200.0, ratio(3.6)), true),
+            (half(2.0, 200.0, ratio(3.4)), false),
+            (half(1.16, 200.0, 4.0), true),
+            (half(1.14, 200.0, 4.0), false),
+            (half(2.0, 64.0, 4.0), true),
+            (half(2.0, 63.0, 4.0), false),
+            (half(2.0, 1e6, ratio(3.0)), true),
+            (half(2.0, 200.0, 0.5), false),
+        ] {
+            assert_eq!(differ(&[near, far]), expected, "{far:?}");
+        }
+        assert!(differ(&[half(1.0, 200.0, 4.0), half(2.0, 200.0, 1.0)]), "it may fall as well");
+        assert!(!differ(&[half(1.0, 200.0, UNSMOOTHED), half(2.0, 200.0, 4.0)]));
+    }
+
+    #[test]
+    fn halves_are_what_is_nearer_and_what_is_farther_than_the_mean() {
+        let mut mixed = samples(4000, |i| if i % 4 == 0 { 3.0 } else { 1.0 + 0.1 * (i % 2) as f64 }, 1.0);
+        mixed.iter_mut().filter(|sample| sample.depth > 2.0).for_each(|sample| sample.square *= 4.0);
+        let [near, far] = halves(&mut mixed);
+        assert_eq!((near.count, far.count, far.depth), (3000.0, 1000.0, 3.0));
+        assert!((near.depth - (1.0 + 0.2 / 3.0)).abs() < 1e-9, "{near:?}");
+        assert!((0.9..1.1).contains(&near.scatter) && (3.6..4.4).contains(&far.scatter), "{near:?} {far:?}");
+    }
+
+    #[test]
+    fn the_scatter_is_that_of_smooth_surfaces_however_far_the_model_is_off() {
+        for variance in [1.0, 2.0, 50.0, 1e6] {
+            let mut smooth = samples(4000, |_| 1.0, variance);
+            let alone = scatter(&mut smooth) / variance;
+            assert!((0.9..1.1).contains(&alone), "{alone} at {variance}");
+            // A third of the threes have a silhouette or a crease in them.
+            smooth.iter_mut().step_by(3).for_each(|sample| sample.square += 100.0 * variance);
+            let among_others = scatter(&mut smooth) / variance;
+            assert!((0.85..1.15).contains(&among_others), "{among_others} at {variance}");
+        }
+        let quiet = scatter(&mut samples(4000, |_| 1.0, 0.1)) / 0.1;
+        assert!((1.0..1.2).contains(&quiet), "{quiet}: nothing of it is cut off, as is reckoned with");
+    }
+
+    #[test]
+    fn lines_and_circles_show_the_median_of_their_variances_and_at_most_all() {
+        let of = |squares: &[f64], depth: f64| {
+            let mut samples: Vec<_> = squares.iter().map(|&square| NoiseSample { depth: square, square }).collect();
+            share(&mut samples, |sample| sample.depth < depth)
+        };
+        assert_eq!(of(&[0.9, 0.2, 0.4, 0.3, 0.6], 9.0), 0.4);
+        assert_eq!(of(&[0.9, 0.2, 0.4, 0.3, 0.6], 0.5), 0.3, "of those nearer");
+        assert_eq!([of(&[-1.0; 3], 9.0), of(&[2.0; 3], 9.0), of(&[0.5], 0.0)], [0.0, 1.0, 1.0]);
+    }
+
+    #[test]
+    fn one_in_twenty_is_nearer_than_what_is_near_and_farther_than_what_is_far() {
+        let range = |count: u64| {
+            // In no order: 37 has no factor in common with the counts.
+            let of_neighbors = samples(count, |i| (i * 37 % count) as f64, 1.0);
+            NoiseSamples { of_neighbors, of_curves: Vec::new() }.range()
+        };
+        assert_eq!([range(19), range(20), range(100)], [None, Some([1.0, 18.0]), Some([5.0, 94.0])]);
+    }
+}
