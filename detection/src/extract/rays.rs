@@ -143,3 +143,89 @@ impl<'a> Rays<'a> {
         self.view.limit(self.variance(from, to), to - from)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::noise_estimate::NoiseEstimate;
+    use super::super::parameters::ExtractorParameters;
+    use super::*;
+    use conicflow_geometry::Scan;
+    use conicflow_messages::{Camera, Header, NoiseModel};
+
+    /// The rays of row 2 of an image of 48 x 8 pixels, whose depths grow by 5 mm from pixel to pixel, from 1.5 m on. `averaged`
+    /// lines are averaged, but over the first eight pixels, above which something else is seen.
+    fn looked_at(averaged: u32, check: impl Fn(&View, &Rays)) {
+        let camera = Camera { width: 48, height: 8, fx: 40.0, fy: 40.0, cx: 19.5, cy: -37.0 };
+        let mut view = View::with(ExtractorParameters { trim_px: 2, ..ExtractorParameters::default() });
+        let noise = NoiseModel { floor_m: 0.05, growth_per_m: 0.02, ..NoiseModel::IDEAL };
+        let header = Header { camera, noise, depth_scale: 1e-3, ..Header::default() };
+        let noise = NoiseEstimate { averaged: [averaged; 2], ..NoiseEstimate::nominal(noise) };
+        view.turn(&header, Scan::Row, &noise);
+        let mut image: Vec<u16> = (0..8).flat_map(|_| (0..48).map(|x| 1500 + 5 * x)).collect();
+        image[48..56].fill(5000);
+        let (mut line, mut buffers) = (RayLine::default(), RayBuffers::default());
+        line.read(&view, &image, 2, 0..48);
+        assert_eq!((line.runs(), line.run_length(0)), (1, 48));
+        check(&view, &Rays::new(&view, &line, 0, &mut buffers));
+    }
+
+    #[test]
+    fn the_variance_of_a_point_is_that_at_the_mean_depth_of_its_sixteen() {
+        looked_at(1, |view, rays| {
+            for (points, mean) in [(0..16, 1.5375), (16..32, 1.6175), (32..48, 1.6975)] {
+                for point in points {
+                    assert!((rays.depth_variance(point) / view.variance(mean) - 1.0).abs() < 1e-12, "of {point}");
+                    assert_eq!(rays.averaged_variance(point), rays.depth_variance(point));
+                }
+            }
+            let in_plane = view.variance(1.6175) * rays.stretch * rays.stretch;
+            assert!((rays.variance(10, 28) / in_plane - 1.0).abs() < 1e-12, "in the middle of the interval");
+            assert_eq!(rays.variance(48, 48), rays.variance(47, 48), "behind the last point is that");
+            assert_eq!(rays.limit(10, 28), view.limit(in_plane, 18));
+        });
+    }
+
+    #[test]
+    fn points_lie_in_the_plane_of_the_line_and_those_at_the_ends_are_outer_ones() {
+        looked_at(1, |_, rays| {
+            // The plane leans by 39 pixels of 40.
+            assert!((rays.stretch - (1.0 + (39.0_f64 / 40.0).powi(2)).sqrt()).abs() < 1e-12);
+            let at = |x: f64| [(x - 19.5) / 40.0 * (1.5 + 0.005 * x), rays.stretch * (1.5 + 0.005 * x)];
+            let ([x, y], [a, b], [c, d]) = (at(7.0), at(0.0), at(47.0));
+            assert!((rays.point(7)[0] - x).abs() < 1e-12 && (rays.point(7)[1] - y).abs() < 1e-12);
+            assert!((rays.width() - (c - a).hypot(d - b)).abs() < 1e-12);
+            assert_eq!((rays.pixel(7), rays.inner.clone()), (7, 2..46));
+        });
+    }
+
+    #[test]
+    fn the_parts_of_an_interval_are_its_points_by_their_variances() {
+        looked_at(1, |_, rays| {
+            for (points, lengths) in [(5..40, vec![11, 16, 8]), (16..32, vec![16]), (3..9, vec![6]), (4..4, vec![])] {
+                let parts: Vec<_> = rays.parts(points.clone()).collect();
+                assert_eq!(parts.iter().map(|(_, depths, _)| depths.len()).collect::<Vec<_>>(), lengths);
+                let mut from = points.start;
+                for (slopes, depths, variance) in parts {
+                    assert_eq!((slopes.len(), variance), (depths.len(), rays.depth_variance(from)));
+                    for (slope, depth) in slopes.iter().zip(depths) {
+                        assert_eq!([slope * depth, rays.stretch * depth], rays.point(from));
+                        from += 1;
+                    }
+                }
+            }
+        });
+    }
+
+    #[test]
+    fn where_fewer_lines_could_be_averaged_the_variance_is_as_much_greater() {
+        looked_at(3, |view, rays| {
+            for (point, mean, times) in [(3, 1.5375, 2.0), (12, 1.5375, 2.0), (20, 1.6175, 1.0), (47, 1.6975, 1.0)] {
+                let averaged = view.variance(mean);
+                assert!((rays.depth_variance(point) / averaged - times).abs() < 1e-9, "of {point}");
+                assert!((rays.averaged_variance(point) / averaged - 1.0).abs() < 1e-9, "of {point}");
+            }
+            let parts = [0..8, 8..40, 4..10].map(|points| rays.unaveraged(points));
+            assert!((parts[0] - 3.0).abs() < 1e-9 && parts[1] == 1.0 && (parts[2] - 7.0 / 3.0).abs() < 1e-9);
+        });
+    }
+}

@@ -124,3 +124,37 @@ fn gallop(least: usize, most: usize, mut explained: impl FnMut(usize) -> bool) -
     }
     good
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn galloping_finds_how_far_a_curve_explains_the_points_with_few_trials() {
+        for most in [5, 6, 17, 100] {
+            for greatest in 5..=most {
+                let mut trials = 0;
+                let found = gallop(5, most, |length| {
+                    trials += 1;
+                    assert!((6..=most).contains(&length), "the least is known to be explained");
+                    length <= greatest
+                });
+                assert_eq!(found, greatest, "of {most}");
+                assert!(trials <= 14, "{trials} trials for {greatest} of {most}");
+            }
+        }
+        assert_eq!(gallop(5, 4, |_| unreachable!()), 4, "there are no more");
+    }
+
+    #[test]
+    fn a_crease_is_as_deep_as_three_points_lie_behind_the_mean_of_ten_beside_them() {
+        let depths: Vec<u16> = (0..40_u16).map(|i| 40_000 + i * i * 13 % 997).collect();
+        let mut sums = Vec::new();
+        let sums = sum_depths(&depths, &mut sums);
+        assert_eq!((sums.len(), sums[0]), (41, 0));
+        let found: Vec<i32> = crease_depths(sums, 9..34).collect();
+        let sum = |range: Range<usize>| depths[range].iter().map(|&depth| i32::from(depth)).sum::<i32>();
+        let expected = |at: usize| 10 * sum(at - 1..at + 2) - 3 * (sum(at - 6..at - 1) + sum(at + 2..at + 7));
+        assert_eq!(found, (9..34).map(expected).collect::<Vec<_>>());
+    }
+}

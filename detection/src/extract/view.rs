@@ -390,6 +390,58 @@ mod tests {
         assert!((view.variance(0.3) - 1e-6).abs() < 1e-18, "as noisy as the image is");
     }
 
+    /// Of an image of 40 x 30 pixels; along and across the lines 3 and 2 pixels share their noise.
+    fn view_of_shared_noise(scan: Scan) -> View {
+        let camera = Camera { width: 40, height: 30, fx: 50.0, fy: 40.0, cx: 19.5, cy: 14.5 };
+        let mut view = View::with(ExtractorParameters::default());
+        let noise = NoiseModel { floor_m: 0.002, ..NoiseModel::IDEAL };
+        let header = Header { camera, noise, depth_scale: 1e-3, ..Header::default() };
+        view.turn(&header, scan, &NoiseEstimate { correlation_px: [3.0, 2.0], ..NoiseEstimate::nominal(noise) });
+        view
+    }
+
+    #[test]
+    fn the_limit_of_a_mean_square_is_that_of_as_many_points_as_share_no_noise() {
+        let view = view_of_shared_noise(Scan::Row);
+        // 13 points, of which three share their noise, are five: by 2.5 of sqrt(2 / 5) and 0.6, and the roughness.
+        let expected = 4e-6 * (2.5 * 0.4_f64.sqrt() + 0.6) + 1e-8;
+        assert!((view.limit(4e-6, 13) / expected - 1.0).abs() < 1e-12, "{}", view.limit(4e-6, 13));
+        let alone = 4e-6 * (2.5 * 2.0_f64.sqrt() + 0.6) + 1e-8;
+        assert!((view.limit(4e-6, 1) / alone - 1.0).abs() < 1e-12);
+        assert!(view.limit(4e-6, 40) < expected);
+    }
+
+    #[test]
+    fn noise_is_told_in_steps_of_the_steepest_surface_along_the_line() {
+        for (scan, focal) in [(Scan::Row, 50.0), (Scan::Column, 40.0)] {
+            let steps = 4.0 * 0.002 / (3.0 * 2.5 / focal);
+            assert!((view_of_shared_noise(scan).noise_in_steps(2.5) / steps - 1.0).abs() < 1e-12, "{scan:?}");
+        }
+    }
+
+    #[test]
+    fn a_depth_is_that_of_its_pixel_if_there_is_one_and_it_is_measured() {
+        let mut image = vec![0; 40 * 30];
+        (image[7 * 40 + 3], image[7 * 40 + 39]) = (1500, 1600);
+        let depth = |scan, line, pixel| view_of_shared_noise(scan).depth(&image, line, pixel);
+        assert_eq!([depth(Scan::Row, 7, 3), depth(Scan::Column, 3, 7)], [Some(1.5); 2]);
+        assert_eq!((depth(Scan::Row, 7, 39), depth(Scan::Row, 7, 40)), (Some(1.6), None));
+        assert_eq!([depth(Scan::Row, 7, -1), depth(Scan::Row, 8, 3), depth(Scan::Column, 39, 30)], [None; 3]);
+    }
+
+    #[test]
+    fn slopes_are_those_of_the_pixels_with_holes_between_them_or_without() {
+        let view = view_of_shared_noise(Scan::Column);
+        for pixels in [vec![4, 5, 6], vec![4, 6, 7], vec![29], vec![]] {
+            let mut buffer = vec![9.0];
+            let slopes = view.slopes(&pixels, &mut buffer);
+            assert_eq!(slopes.len(), pixels.len());
+            for (slope, pixel) in slopes.iter().zip(&pixels) {
+                assert!((slope - (f64::from(*pixel) - 14.5) / 40.0).abs() < 1e-12, "{pixels:?}");
+            }
+        }
+    }
+
     #[test]
     fn nothing_splits_but_what_is_doubtful() {
         let (rule, pixels) = (rule(), [10, 11, 12, 13, 14, 15]);
