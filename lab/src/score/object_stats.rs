@@ -164,8 +164,31 @@ pub fn all(objects: &[ObjectStats], wrong: u64) -> Row {
 
 #[cfg(test)]
 mod tests {
-    use super::super::observation::State;
+    use super::super::observation::{Seen, State};
+    use super::super::sigmas::Sigmas;
     use super::*;
+
+    #[test]
+    fn axes_differ_by_their_angle_whatever_their_sense_and_what_has_none_has_no_error() {
+        let state = |axis: Vector3<f64>| {
+            let position = Vector3::new(0.0, 0.0, 2.0);
+            State { position, distance_m: 2.0, radius_m: 0.1, half_angle: 0.0, axis }
+        };
+        let error = |truth: Vector3<f64>, seen: Vector3<f64>| {
+            let seen = Seen { state: state(seen), id: None, stated_speed_mps: None, sigmas: Sigmas::default() };
+            axis_error(&Observation { truth: Some(state(truth)), seen: Some(seen), ..Observation::default() }).unwrap()
+        };
+        let leaning = Vector3::new(0.3_f64.sin(), 0.3_f64.cos(), 0.0);
+        for (truth, seen, expected) in [
+            (Vector3::y(), leaning, 0.3),
+            (Vector3::y(), -leaning, 0.3),
+            (Vector3::y(), Vector3::z(), std::f64::consts::FRAC_PI_2),
+            (Vector3::y(), Vector3::y(), 0.0),
+            (Vector3::zeros(), Vector3::y(), 0.0),
+        ] {
+            assert!((error(truth, seen) - expected).abs() < 1e-12, "{truth} {seen}");
+        }
+    }
 
     #[test]
     fn frames_of_one_time_tell_no_speed() {

@@ -107,3 +107,61 @@ fn axis(object: &Object) -> Vector3<f64> {
 pub fn world_from_camera(header: &Header) -> IsometryMatrix3<f64> {
     header.pose().map_or_else(IsometryMatrix3::identity, isometry)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::matching::tests::{cone, expected, sphere};
+    use super::*;
+    use conicflow_messages::HAS_POSE;
+
+    /// The camera's x is the world's y, and its y points against the world's x.
+    fn turned() -> Header {
+        let world_from_camera = [[0.0, -1.0, 0.0, 3.0], [1.0, 0.0, 0.0, 4.0], [0.0, 0.0, 1.0, 5.0]];
+        Header { flags: HAS_POSE, world_from_camera, ..Header::default() }
+    }
+
+    fn answer(object: Object) -> Answer {
+        Answer { object, id: Some(7), velocity: Some(Vector3::new(0.3, 9.0, 0.4)) }
+    }
+
+    #[test]
+    fn what_is_seen_is_told_in_the_world_where_the_true_middle_is() {
+        let lower = Object { center: [0.01, 0.08, 1.0], radius: 0.108, ..cone() };
+        let observation = Observation::new(2.5, &expected(cone()), Some(&answer(lower)), &world_from_camera(&turned()));
+        let (truth, seen) = (observation.truth.unwrap(), observation.seen.unwrap());
+        assert_eq!((observation.time_s, &*observation.name), (2.5, "thing"));
+        assert!((observation.camera - Vector3::new(3.0, 4.0, 5.0)).norm() < 1e-12);
+        for (state, place, distance) in
+            [(truth, Vector3::new(3.0, 4.0, 6.0), 1.0), (seen.state, Vector3::new(3.0, 4.01, 6.0), 0.01_f64.hypot(1.0))]
+        {
+            assert!(
+                (state.position - place).norm() < 1e-12 && (state.distance_m - distance).abs() < 1e-12,
+                "{state:?}"
+            );
+            assert!((state.radius_m - 0.1).abs() < 1e-12, "{state:?}");
+            assert!((state.axis + Vector3::x()).norm() < 1e-12 && state.half_angle == cone().half_angle, "{state:?}");
+        }
+        assert!((seen.stated_speed_mps.unwrap() - 0.5).abs() < 1e-12, "across its axis");
+        assert_eq!((seen.id, seen.sigmas), (Some(7), Sigmas::of(&cone(), &lower)));
+        let missed = Observation::new(2.5, &expected(cone()), None, &IsometryMatrix3::identity());
+        assert!(missed.seen.is_none() && missed.truth.is_some());
+    }
+
+    #[test]
+    fn a_sphere_is_as_far_as_its_center_and_has_no_axis() {
+        let ball = Object { axis: [0.0, 1.0, 0.0], center: [0.0, 0.6, 0.8], ..sphere(0.0) };
+        let state = State::of(&ball, &Vector3::new(0.0, 5.0, 1.0), &IsometryMatrix3::identity());
+        assert!((state.distance_m - 1.0).abs() < 1e-12 && state.radius_m == 0.1);
+        assert_eq!((state.axis, state.position), (Vector3::zeros(), Vector3::new(0.0, 0.6, 0.8)));
+    }
+
+    #[test]
+    fn what_has_no_truth_is_told_by_its_identity_or_its_shape() {
+        let object = Object { center: [0.0, 0.3, 1.0], ..cone() };
+        let named = |id: Option<u64>| Observation::without_truth(1.5, &Answer { id, ..answer(object) });
+        assert_eq!([named(Some(7)).name, named(None).name], ["cone 7", "cone"]);
+        let seen = named(Some(7)).seen.unwrap();
+        assert_eq!((seen.id, seen.stated_speed_mps, seen.state.radius_m), (Some(7), None, 0.1));
+        assert!((seen.state.position - Vector3::new(0.0, 0.3, 1.0)).norm() < 1e-12 && named(None).time_s == 1.5);
+    }
+}

@@ -121,3 +121,48 @@ impl<S> Sums<S> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What a sample has in its first column, and whether it has one in the others.
+    const COLUMNS: &[Column<(f64, bool)>] = &[
+        Column("mean", Statistic::Mean, |it| Some(it.0)),
+        Column("mean_deg", Statistic::MeanDegrees, |it| it.1.then_some(it.0)),
+        Column("sd", Statistic::Deviation, |it| it.1.then_some(it.0)),
+        Column("rms", Statistic::RootMean, |it| it.1.then_some(it.0 * it.0)),
+        Column("rms_deg", Statistic::RootMeanDegrees, |it| it.1.then_some(it.0 * it.0)),
+    ];
+
+    #[test]
+    fn each_column_has_its_statistic_of_the_samples_that_have_a_number() {
+        let (mut sums, mut row) = (Sums::new(COLUMNS), Row::default());
+        [(1.0, true), (7.0, true), (10.0, false)].iter().for_each(|sample| sums.add(sample));
+        sums.write(&mut row);
+        for (column, expected) in [
+            ("mean", 6.0),
+            ("mean_deg", 4_f64.to_degrees()),
+            ("sd", 18_f64.sqrt()),
+            ("rms", 5.0),
+            ("rms_deg", 5_f64.to_degrees()),
+        ] {
+            let number = row.number_of(column).unwrap();
+            assert!((number - expected).abs() < 1e-12, "{column}: {number}, not {expected}");
+        }
+        assert_eq!([sums.of("mean").count(), sums.of("sd").count(), sums.of("unknown").count()], [3, 2, 0]);
+    }
+
+    #[test]
+    fn what_is_not_known_has_no_cell_and_a_name_is_no_number() {
+        let mut row = Row::about("ball", 9, 3);
+        row.number("speed_mps", f64::NAN);
+        assert_eq!(row.get("object"), Some(&Figure::Text("ball".into())));
+        assert_eq!(
+            (row.number_of("object"), row.number_of("frames"), row.number_of("n")),
+            (None, Some(9.0), Some(3.0))
+        );
+        assert_eq!(row.get("speed_mps"), None);
+        assert_eq!(serde_json::to_string(&row).unwrap(), r#"{"object":"ball","frames":9.0,"n":3.0}"#);
+    }
+}
