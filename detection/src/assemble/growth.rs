@@ -288,11 +288,12 @@ fn drop_strays(members: &mut Vec<usize>, line: impl Fn(usize) -> f64) {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::arcs_of;
+    use super::super::tests::{arcs_of, ellipses_of_a_can};
     use super::*;
     use conicflow_geometry::{Scan, Vector3};
     use conicflow_lab::random::CounterRng;
     use conicflow_lab::rendered::Body;
+    use conicflow_messages::Ellipse;
 
     #[test]
     fn few_lines_beyond_a_wide_gap_are_left_out_and_many_are_not() {
@@ -388,6 +389,49 @@ mod tests {
             matches!(growth.grown, Some(Ok(_))).then_some(members.len())
         };
         assert_eq!([grown(4), grown(5)], [None, Some(5)]);
+    }
+
+    /// The mean square by half a variance and by three times the scatter of one of so many points.
+    #[test]
+    fn a_first_model_leaves_no_more_of_its_points_than_noise_and_a_little_accounts_for() {
+        let (mut arcs, [left, _]) = two_cans();
+        let chain = &left[20..45];
+        let points: f64 = arcs.of(chain).map(|arc| arc.points).sum();
+        for (share, will_do) in [(0.98, true), (1.02, false)] {
+            // A sphere does not explain a can: the noise becomes such that it leaves so much of it.
+            let model = model::fit(ObjectKind::Sphere, &arcs.of(chain), None, f64::INFINITY).unwrap();
+            let louder = model.square_sum() / (share * (0.5 * points + 3.0 * (2.0 * points).sqrt()));
+            chain.iter().for_each(|&index| arcs.arcs[index].variance *= louder);
+            let start = Start { kind: ObjectKind::Sphere, chain, guess: None, middle_will_do: false };
+            assert_eq!(first(&arcs, &start, &mut Vec::new()).is_some(), will_do, "{share} of what there may be");
+        }
+    }
+
+    #[test]
+    fn an_arc_of_the_next_line_may_lie_a_little_beside_the_last_one() {
+        let (header, mut ellipses) = ellipses_of_a_can();
+        let at = |line: u32| move |ellipse: &Ellipse| ellipse.scan == 0 && ellipse.line == line;
+        let own = *ellipses.iter().find(|ellipse| at(120)(ellipse)).unwrap();
+        let next = ellipses.iter().position(at(121)).unwrap();
+        let margin = (own.last - own.first) / 8 + 2;
+        let [before, behind] = [own.first - margin, own.last + margin];
+        for ([first, last], is_beside) in [
+            ([behind, behind + 9], true),
+            ([behind + 1, behind + 9], false),
+            ([before - 9, before], true),
+            ([before - 9, before - 1], false),
+        ] {
+            (ellipses[next].first, ellipses[next].last) = (first, last);
+            let (mut arcs, mut found) = (Arcs::default(), Vec::new());
+            arcs.read(&header, &ellipses);
+            let rows = (0..arcs.arcs.len()).filter(|&index| arcs.arcs[index].scan == Scan::Row).collect::<Vec<_>>();
+            let model = model::fit(ObjectKind::Cylinder, &arcs.of(&rows), None, f64::INFINITY).unwrap();
+            let members = rows.iter().copied().filter(|&index| arcs.arcs[index].line == 120).collect::<Vec<_>>();
+            let free = |index: usize| arcs.arcs[index].line <= 121;
+            reach(&Region { arcs: &arcs, model, members: &members }, 0, free, &mut found);
+            let reached = found.iter().any(|&index| arcs.arcs[index].line == 121);
+            assert_eq!(reached, is_beside, "{first} to {last} beside {} to {}", own.first, own.last);
+        }
     }
 
     /// Of a chain whose ends are of another can the middle will do, unless a sphere is to explain what a cylinder does.

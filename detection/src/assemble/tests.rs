@@ -375,7 +375,7 @@ pub(super) fn arcs_of(bodies: &[Body]) -> Arcs {
 }
 
 /// The ellipses of a can before a wall.
-fn ellipses_of_a_can() -> (Header, Vec<Ellipse>) {
+pub(super) fn ellipses_of_a_can() -> (Header, Vec<Ellipse>) {
     let (header, pixels) = render(KINECT_HALF, NoiseModel::KINECT_V1, &[can(2.0), wall(4.0)], 1);
     let ellipses = Extractor::new(ExtractorParameters::default()).extract(&header, &pixels).to_vec();
     (header, ellipses)

@@ -272,8 +272,11 @@ fn add_curves(run: &Run, samples: &mut Vec<NoiseSample>) {
 
 #[cfg(test)]
 mod tests {
+    use super::super::parameters::ExtractorParameters;
     use super::*;
+    use conicflow_geometry::Scan;
     use conicflow_lab::random::CounterRng;
+    use conicflow_messages::{Camera, Header};
 
     /// Samples at these depths, of noise that has so many times the variance of the model.
     fn samples(count: u64, depth: impl Fn(u64) -> f64, variance: f64) -> Vec<NoiseSample> {
@@ -318,6 +321,30 @@ mod tests {
         }
         assert!(differ(&[half(1.0, 200.0, 4.0), half(2.0, 200.0, 1.0)]), "it may fall as well");
         assert!(!differ(&[half(1.0, 200.0, UNSMOOTHED), half(2.0, 200.0, 4.0)]));
+    }
+
+    /// Neighbours of the near half share most of their noise; its curves tell of more, and those of the far half of nothing new.
+    #[test]
+    fn of_halves_that_differ_each_has_the_noise_that_its_own_neighbours_and_curves_show() {
+        let model = NoiseModel { floor_m: 0.002, ..NoiseModel::IDEAL };
+        let camera = Camera { width: 40, height: 30, fx: 40.0, fy: 40.0, cx: 19.5, cy: 14.5 };
+        let mut view = View::with(ExtractorParameters::default());
+        let header = Header { camera, noise: model, depth_scale: 1e-4, ..Header::default() };
+        view.turn(&header, Scan::Row, &NoiseEstimate::nominal(model));
+        let mut neighbours = [samples(2000, |_| 1.0, 0.5), samples(2000, |_| 3.0, 4.0)].concat();
+        let mut curves = [samples(9, |_| 1.0, 0.0), samples(9, |_| 3.0, 0.0)].concat();
+        curves.iter_mut().for_each(|sample| sample.square = if sample.depth < 2.0 { 0.8 } else { 0.1 });
+        let halves = halves(&mut neighbours);
+        let seen = of_another_growth(&view, &halves, &mut neighbours, &mut curves);
+        assert!((0.79..0.81).contains(&seen.nominal[0]) && (3.7..4.3).contains(&seen.nominal[1]), "{seen:?}");
+        for (depth, nominal) in [(1.0, seen.nominal[0]), (3.0, seen.nominal[1])] {
+            assert!((seen.level * seen.model.variance(depth) / model.variance(depth) - nominal).abs() < 1e-9);
+            let of_neighbours = seen.neighbour_model.variance(depth) / model.variance(depth);
+            assert!(
+                (of_neighbours - nominal.max(1.0)).abs() < 1e-9,
+                "a driver smooths within surfaces: {of_neighbours}"
+            );
+        }
     }
 
     #[test]

@@ -330,3 +330,28 @@ fn update_or_begin(size: &mut Option<Size>, measured: Option<Size>) {
         (Some(_), None) => {}
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Frames of cameras that are late by different times.
+    #[test]
+    fn a_push_is_as_long_ago_as_the_frame_in_which_it_was_seen_last() {
+        let config = TrackerParameters::default();
+        let ball =
+            Object { kind: ObjectKind::Sphere.code(), center: [0.0, 0.0, 2.0], radius: 0.1, ..Object::default() };
+        let first = Detection::new(&ball, &IsometryMatrix3::identity(), &config);
+        let time = |elapsed_s: f64, late_s: f64| {
+            let (source, usual_s, new_run) = (0, f64::INFINITY, false);
+            Advance { source, elapsed_s, late_s, usual_s, new_run }
+        };
+        let mut target = Target::born(1, &first, &time(0.0, 0.02), &config);
+        target.life.unseen_s = 0.1;
+        for (now, since_s) in [(time(0.05, 0.03), 0.14), (time(0.0, 0.0), 0.12), (time(0.0, 0.2), 0.0)] {
+            let expected = target.motion.kicked(since_s, config.manoeuvre_mps);
+            let off = target.pushed(&now, &config).covariance - expected.covariance;
+            assert!(off.norm() < 1e-12, "{since_s} s ago");
+        }
+    }
+}
