@@ -332,7 +332,7 @@ mod tests {
         let header = Header { camera, noise: model, depth_scale: 1e-4, ..Header::default() };
         view.turn(&header, Scan::Row, &NoiseEstimate::nominal(model));
         let mut neighbours = [samples(2000, |_| 1.0, 0.5), samples(2000, |_| 3.0, 4.0)].concat();
-        let mut curves = [samples(9, |_| 1.0, 0.0), samples(9, |_| 3.0, 0.0)].concat();
+        let mut curves = [samples(9, |_| 1.0, 0.0), samples(30, |_| 3.0, 0.0)].concat();
         curves.iter_mut().for_each(|sample| sample.square = if sample.depth < 2.0 { 0.8 } else { 0.1 });
         let halves = halves(&mut neighbours);
         let seen = of_another_growth(&view, &halves, &mut neighbours, &mut curves);
