@@ -67,3 +67,50 @@ pub(crate) fn no_room(topic: &Topic, length: usize, needed: u64) -> PortError {
     let free = room().map_or(0, |(free, _)| free);
     PortError::NoRoom { topic: topic.name.clone(), length, free, needed }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ports::{Delivery, TopicReader};
+    use conicflow_messages::Object;
+
+    fn topic(queues: &[usize]) -> Topic {
+        let reader = |&queue: &usize| TopicReader { stage: "reader".into(), delivery: Delivery::Latest, queue };
+        let item = Some(ItemType::of::<Object>());
+        Topic { name: "objects".into(), item, writers: vec![], readers: queues.iter().map(reader).collect() }
+    }
+
+    #[test]
+    fn bytes_are_told_as_people_read_them() {
+        let told = [0, 1_500, 999_949, 1_000_000, 2_540_000, 999_940_000, 1_000_000_000, 8_200_000_000].map(in_words);
+        assert_eq!(told, ["0.0 kB", "1.5 kB", "999.9 kB", "1.0 MB", "2.5 MB", "999.9 MB", "1.0 GB", "8.2 GB"]);
+    }
+
+    #[test]
+    fn a_message_takes_whole_pages_and_one_that_it_may_begin_within() {
+        let item = ItemType::of::<Object>();
+        let bytes = |length: usize| message_bytes(&item, Some(length));
+        let fits = (4096 - size_of::<Header>()) / size_of::<Object>();
+        assert_eq!([bytes(0), bytes(fits), bytes(fits + 1)], [8192, 8192, 12_288]);
+        assert_eq!(message_bytes(&item, None), bytes(item.usual_length()));
+    }
+
+    #[test]
+    fn a_topic_takes_what_its_readers_keep_and_hold_and_one_more_message_and_the_ports() {
+        assert_eq!(taken(&topic(&[4, 2]), 10_000, 10), 11 * 10_000 + 3 * 24 * 1024);
+        // Of each reader the queue and two that it holds.
+        let needed = look_for_room(&ItemType::of::<Object>(), &topic(&[4, 2]), 1).unwrap();
+        assert_eq!(needed, (4 + 2 + 2 + 2 + 1) * 8192);
+    }
+
+    #[test]
+    fn what_has_no_room_is_told_with_what_there_is() {
+        let (free, all) = room().unwrap();
+        assert!(0 < free && free <= all, "{free} of {all}");
+        let length = all as usize / size_of::<Object>() + 1;
+        let error = look_for_room(&ItemType::of::<Object>(), &topic(&[1]), length).unwrap_err();
+        let PortError::NoRoom { topic, length: told, free, needed } = error else { panic!("{error}") };
+        assert_eq!((&*topic, told), ("objects", length));
+        assert!(0 < free && free <= all && needed > 4 * all, "{needed} where {free} of {all} are free");
+    }
+}
