@@ -73,3 +73,56 @@ impl Progress {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::summary::tests::lossless;
+    use super::*;
+    use crate::status::{InputCounts, Life, Pausing};
+
+    /// A run of a source that has sent 40 of 50 frames, of which a sink has finished 38.
+    fn run(pausing: Pausing) -> Summary {
+        let mut run = lossless(InputCounts::default(), "writer");
+        run.stages[0].planned.wiring.output = None;
+        run.stages[0].status.as_mut().unwrap().steps = 38;
+        let source = run.stages[1].status.as_mut().unwrap();
+        source.total = 50;
+        source.set_life(Life::Running);
+        source.set_pausing(pausing);
+        run
+    }
+
+    #[test]
+    fn a_line_tells_how_far_a_run_is_and_what_keys_there_are_to_pause_it() {
+        let line = |pausing: Pausing, has_keys: bool| {
+            let progress = Progress { has_keys, rate_hz: 12.34, ..Progress::new(true) };
+            progress.line(&run(pausing), 38)
+        };
+        let said = "test: 1 s, 38/50 frames, 12.3 Hz, 0 objects, 0 dropped";
+        for (pausing, has_keys, further) in [
+            (Pausing::Cannot, true, ""),
+            (Pausing::Cannot, false, ""),
+            (Pausing::Goes, true, " (space: pause)"),
+            (Pausing::Goes, false, ""),
+            (Pausing::Stands, true, ", paused (space: go on, .: one frame)"),
+            (Pausing::Stands, false, ", paused"),
+        ] {
+            assert_eq!(line(pausing, has_keys), format!("{said}{further}"));
+        }
+    }
+
+    #[test]
+    fn the_rate_is_that_of_what_was_finished_since_the_window_began() {
+        let shown = |seconds: u64, finished: u64, rate_hz: f64| {
+            let began = Instant::now().checked_sub(Duration::from_secs(seconds)).unwrap();
+            let mut progress = Progress { window: (began, finished), rate_hz, ..Progress::new(true) };
+            progress.show(&run(Pausing::Cannot));
+            (progress.rate_hz, progress.window.1)
+        };
+        let (rate_hz, finished) = shown(4, 8, 100.0);
+        assert!((1.0..=7.5).contains(&rate_hz) && finished == 38, "30 frames in four seconds or more, {rate_hz} Hz");
+        assert_eq!(shown(0, 8, 100.0), (100.0, 8), "it is too early for another");
+        let (first_hz, finished) = shown(0, 0, 0.0);
+        assert!(first_hz > 100.0 && finished == 38, "the first is told at once, {first_hz} Hz");
+    }
+}

@@ -318,7 +318,7 @@ impl Display for Text<'_> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::pipeline::Restart;
     use crate::plan::Runs;
@@ -389,7 +389,7 @@ mod tests {
     }
 
     /// A run in which `reader` has these counts of a lossless topic of which another stage sent 40 messages.
-    fn lossless(counts: InputCounts, writer: &str) -> Summary {
+    pub fn lossless(counts: InputCounts, writer: &str) -> Summary {
         let (mut reading, mut writing) = (Box::new(Status::default()), Box::new(Status::default()));
         (reading.inputs[0], writing.sent) = (counts, 40);
         let mut run = summary(reading);
