@@ -387,7 +387,63 @@ fn describe(status: ExitStatus) -> String {
 
 #[cfg(test)]
 mod tests {
+    use super::super::folder::tests::folder_at;
+    use super::super::summary::tests::stage;
     use super::*;
+    use crate::plan::{LAYOUT, Origin};
+    use crate::status::StatusFile;
+    use conicflow_messages::Object;
+
+    fn supervised(state: State) -> Supervised {
+        let (watchdog, started) = (Watchdog::new(0, Instant::now()), Instant::now());
+        let (planned, deaths) = (stage::<Object>(), VecDeque::new());
+        Supervised { planned, state, watchdog, deaths, outsider: None, started, is_late: false }
+    }
+
+    #[test]
+    fn what_became_of_a_process_is_what_its_own_record_of_this_run_says() {
+        let files = tempfile::tempdir().unwrap();
+        let (folder, supervised) = (folder_at(files.path()), supervised(State::Done));
+        let (pipeline, base) = ("test".to_owned(), files.path().to_owned());
+        let plan = Plan { layout: LAYOUT, pipeline, base, run: 7, stages: vec![], origin: Origin::default() };
+        let told = || {
+            let (plan, folder) = (&plan, &folder);
+            let of = |told: fn(&Supervised, u32, &Plan, &RunFolder) -> bool| told(&supervised, 42, plan, folder);
+            [of(Supervised::has_joined), of(Supervised::came_to_its_end), of(Supervised::gave_up)]
+        };
+        assert_eq!(told(), [false, true, false], "a program that keeps no record is believed");
+        for (run, process, life, expected) in [
+            (7, 42, Life::Running, [true, false, false]),
+            (7, 42, Life::Ended, [true, true, false]),
+            (7, 42, Life::Gone, [true, false, true]),
+            (7, 43, Life::Gone, [false, true, false]),
+            (8, 42, Life::Gone, [false, true, false]),
+        ] {
+            let mut record = StatusFile::open(&folder.status("stage"), run).unwrap();
+            record.status.process = process;
+            record.status.set_life(life);
+            record.write();
+            assert_eq!(told(), expected, "{process} of run {run}: {life:?}");
+        }
+    }
+
+    #[test]
+    fn a_process_is_there_until_it_is_killed() {
+        let child = Command::new("cat").stdin(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap();
+        let process = child.id();
+        let mut supervised = supervised(State::Running(child));
+        assert_eq!((supervised.process(), supervised.exit(), supervised.is_over()), (Some(process), None, false));
+        supervised.kill();
+        assert_eq!((supervised.process(), supervised.exit()), (None, None));
+        assert!(supervised.is_over() && !supervised.is_gone());
+    }
+
+    #[test]
+    fn how_a_process_ended_is_told() {
+        let told = [0x100, 9, SIGBUS].map(|status| describe(ExitStatus::from_raw(status)));
+        assert_eq!(told[..2], ["ended with exit code 1", "was killed by signal 9"]);
+        assert!(told[2].contains("shared memory is full"), "{}", told[2]);
+    }
 
     #[test]
     fn a_stage_comes_back_later_with_each_death_and_is_given_up_after_ten_within_a_minute() {

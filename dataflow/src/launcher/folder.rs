@@ -382,13 +382,18 @@ pub(crate) fn check_private(path: &Path) -> Result<(), FolderError> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
+
+    /// The run's folder at this place.
+    pub fn folder_at(path: &Path) -> RunFolder {
+        RunFolder { path: path.to_owned(), shared_memory: path.join("shm") }
+    }
 
     #[test]
     fn who_looks_for_long_keeps_no_run_from_starting_and_a_run_does() {
         let files = tempfile::tempdir().unwrap();
-        let folder = RunFolder { path: files.path().to_owned(), shared_memory: files.path().join("shm") };
+        let folder = folder_at(files.path());
         let (_, looker) = folder.open_lock("lock").unwrap();
         looker.lock_shared().unwrap();
         let looks = std::thread::spawn(move || {
@@ -407,11 +412,24 @@ mod tests {
     #[test]
     fn what_earlier_runs_have_left_goes_and_locks_and_what_is_not_theirs_stay() {
         let files = tempfile::tempdir().unwrap();
-        let folder = RunFolder { path: files.path().to_owned(), shared_memory: files.path().join("shm") };
+        let folder = folder_at(files.path());
         let all = ["a%b.acks", "lock", "notes.txt", "plan.json", "plan.json.kept", "stages.lock", "tracker.status"];
         all.iter().for_each(|name| fs::write(files.path().join(name), "left").unwrap());
         folder.empty().unwrap();
         let is_there = |name: &&str| files.path().join(name).exists();
         assert!(all.into_iter().filter(is_there).eq(["lock", "notes.txt", "stages.lock"]));
+    }
+    #[test]
+    fn what_a_run_that_is_over_has_left_is_discarded_and_nothing_of_one_that_goes_on() {
+        let files = tempfile::tempdir().unwrap();
+        let folder = folder_at(files.path());
+        ["plan.json", "tracker.status"].iter().for_each(|name| fs::write(files.path().join(name), "left").unwrap());
+        let left = || ["plan.json", "tracker.status", "lock"].map(|name| files.path().join(name).exists());
+        let lock = folder.lock("tracking").unwrap();
+        assert!(matches!(folder.discard(), Err(FolderError::Running { .. })));
+        assert_eq!(left(), [true; 3]);
+        drop(lock);
+        folder.discard().unwrap();
+        assert_eq!(left(), [false, false, true]);
     }
 }

@@ -326,7 +326,7 @@ pub(super) mod tests {
     use conicflow_messages::{Ellipse, Item, Object, Track};
     use serde_json::Value as Json;
 
-    fn stage<T: Item>() -> PlannedStage {
+    pub fn stage<T: Item>() -> PlannedStage {
         let output = Topic { name: "out".into(), item: Some(ItemType::of::<T>()), writers: vec![], readers: vec![] };
         PlannedStage {
             name: "stage".into(),

@@ -365,3 +365,22 @@ pub trait Transport {
         self.writer_of(const { &ItemType::of::<T>() }, topic)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_topic_knows_its_readers_and_how_much_is_kept_for_them() {
+        let reader = |stage: &str, delivery, queue| TopicReader { stage: stage.into(), delivery, queue };
+        let (all, newest) = (Delivery::Lossless, Delivery::Latest);
+        let readers = vec![reader("a", newest, 9), reader("b", all, 4), reader("c", all, 2)];
+        let topic = |readers| Topic { name: "objects".into(), item: None, writers: vec![], readers };
+        let (with_readers, without) = (topic(readers.clone()), topic(vec![]));
+        assert_eq!(["a", "b", "unknown"].map(|stage| with_readers.delivery_to(stage)), [newest, all, newest]);
+        assert_eq!(["a", "c", "unknown"].map(|stage| with_readers.place_of(stage)), [Some(0), Some(2), None]);
+        assert_eq!((with_readers.longest_queue(), without.longest_queue()), (9, 2));
+        assert_eq!((with_readers.kept(), without.kept()), (6, 0), "four that wait, one in its hands, and the end");
+        assert!(with_readers.is_lossless() && !without.is_lossless() && !topic(readers[..1].to_vec()).is_lossless());
+    }
+}
