@@ -14,10 +14,6 @@ use std::f64::consts::SQRT_2;
 const SAMPLES: usize = 5; // [algorithmic]
 /// Approximate number of arcs of an object at which its noise is evaluated.
 const ARCS: usize = 16; // [algorithmic]
-/// Systematic error of radius and centre of a cone, in pixels. Its slope depends on the silhouette, so it is larger.
-const SYSTEMATIC_CONE_PX: f64 = 0.06; // [tuned]
-/// Systematic error of axis and half-angle, in radians.
-const SYSTEMATIC_ANGLE: f64 = 0.001; // [tuned]
 
 /// Lower bound of the cosine between an axis and the normal of the scan planes: it keeps the spacing along the axis finite.
 const MOST_OBLIQUE: f64 = 0.2; // [tuned]
@@ -84,32 +80,28 @@ pub(super) fn report(region: &Region, measured: &Measured) -> Object {
 
 /// The object with what the faults of sensors add to its standard deviations; `pixel` is the size of one there.
 fn with_faults(mut object: Object, pixel: f64) -> Object {
-    let is_cone = object.kind == ObjectKind::Cone.code();
-    let pixels = if is_cone { SYSTEMATIC_CONE_PX } else { SYSTEMATIC_PX };
-    let error = (SYSTEMATIC * object.radius).hypot(pixels * pixel);
-    add_to_size(&mut object, error);
-    if object.kind != ObjectKind::Sphere.code() {
-        object.sigma.axis = object.sigma.axis.hypot(SYSTEMATIC_ANGLE);
-    }
-    if is_cone {
-        object.sigma.half_angle = object.sigma.half_angle.hypot(SYSTEMATIC_ANGLE);
-    }
+    let error = (SYSTEMATIC * object.radius).hypot(SYSTEMATIC_PX * pixel);
+    add_error(&mut object, error);
     object
-}
-
-/// Adds an error of some metres to the standard deviations of radius and centre.
-fn add_to_size(object: &mut Object, error: f64) {
-    object.sigma.radius = object.sigma.radius.hypot(error);
-    (0..3).for_each(|i| object.sigma.center[i][i] += error * error);
 }
 
 /// Adds to the standard deviations of an object what the sensor flattens of it at its silhouettes; `arc` is one of its arcs.
 pub(super) fn add_flattening(object: &mut Object, arc: &Arc) {
-    let error = FLATTENED_PX * (arc.shared_px - 1.0) * arc.pitch;
-    add_to_size(object, error);
+    add_error(object, FLATTENED_PX * (arc.shared_px - 1.0) * arc.pitch);
+}
+
+/// Adds an error of some metres to the standard deviations of an object: of its radius and centre, and of its angles, because both
+/// ends may be off, each by as much.
+fn add_error(object: &mut Object, error: f64) {
+    let sigma = &mut object.sigma;
+    sigma.radius = sigma.radius.hypot(error);
+    (0..3).for_each(|i| sigma.center[i][i] += error * error);
+    let angle = SQRT_2 * error / object.length;
     if object.kind != ObjectKind::Sphere.code() {
-        // Both ends may be off, each by as much.
-        object.sigma.axis = object.sigma.axis.hypot(SQRT_2 * error / object.length);
+        sigma.axis = sigma.axis.hypot(angle);
+    }
+    if object.kind == ObjectKind::Cone.code() {
+        sigma.half_angle = sigma.half_angle.hypot(angle);
     }
 }
 
@@ -229,16 +221,14 @@ mod tests {
     fn what_sensors_do_wrong_is_part_of_the_sigmas() {
         let sigma = ObjectSigma { radius: 0.001, axis: 0.001, half_angle: 0.001, ..ObjectSigma::default() };
         let of = |kind: ObjectKind| {
-            let object = Object { kind: kind.code(), radius: 0.2, sigma, ..Object::default() };
+            let object = Object { kind: kind.code(), radius: 0.2, length: 0.1, sigma, ..Object::default() };
             with_faults(object, 0.005).sigma
         };
-        let error = |pixels: f64| (SYSTEMATIC * 0.2).hypot(pixels * 0.005);
-        let angle = 0.001_f64.hypot(SYSTEMATIC_ANGLE);
-        for (kind, error, axis, half_angle) in [
-            (ObjectKind::Sphere, error(SYSTEMATIC_PX), 0.001, 0.001),
-            (ObjectKind::Cylinder, error(SYSTEMATIC_PX), angle, 0.001),
-            (ObjectKind::Cone, error(SYSTEMATIC_CONE_PX), angle, angle),
-        ] {
+        let error = (SYSTEMATIC * 0.2).hypot(SYSTEMATIC_PX * 0.005);
+        let angle = 0.001_f64.hypot(SQRT_2 * error / 0.1);
+        for (kind, axis, half_angle) in
+            [(ObjectKind::Sphere, 0.001, 0.001), (ObjectKind::Cylinder, angle, 0.001), (ObjectKind::Cone, angle, angle)]
+        {
             let told = of(kind);
             assert!((told.radius - error.hypot(0.001)).abs() < 1e-12, "{kind:?}");
             assert!((told.center[2][2] - error * error).abs() < 1e-15 && told.center[0][1] == 0.0, "{kind:?}");
@@ -299,11 +289,11 @@ mod tests {
         let (covariance, slope) = (covariance(&region, fit), fit.surface.0.slope);
         let by = SMatrix::<f64, 1, 6>::from_row_slice(&[0.0, 0.0, 0.0, 0.0, 1.0, z]);
         let radius = (by * covariance * by.transpose())[0].sqrt();
-        let error = (SYSTEMATIC * told.radius).hypot(SYSTEMATIC_CONE_PX * region.ends()[0].pitch);
+        let error = (SYSTEMATIC * told.radius).hypot(SYSTEMATIC_PX * region.ends()[0].pitch);
         assert!((told.sigma.radius - radius.hypot(error)).abs() < 1e-12, "{} {radius}", told.sigma.radius);
         let steeper = slope + covariance[(5, 5)].sqrt() * 1e-3;
         let half_angle = 1e3 * (steeper.atan() - slope.atan());
-        assert!((told.sigma.half_angle / half_angle.hypot(SYSTEMATIC_ANGLE) - 1.0).abs() < 1e-4);
+        assert!((told.sigma.half_angle / half_angle.hypot(SQRT_2 * error / 0.6) - 1.0).abs() < 1e-4);
         assert!((told.radius - (fit.surface.0.radius + z * slope)).abs() < 1e-12);
         assert!((told.rms - 0.001).abs() < 1e-12, "half the noise of 2 mm");
         assert_eq!((told.points, told.rows, told.arc), (1000, 50, 2.0));
