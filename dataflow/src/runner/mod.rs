@@ -108,7 +108,7 @@ fn with_causes(error: &(dyn Error + 'static)) -> String {
     text
 }
 
-impl<T: Transport + 'static> StageRuntime<T> {
+impl<T: Transport> StageRuntime<T> {
     pub(crate) fn output_port<O: Item>(&mut self) -> Result<OutputPort<T::Writer>, PortError> {
         let wired = self.wiring.output.take().filter(|_| !is_nothing::<O>());
         let port = wired.map(|topic| Ok::<_, PortError>((self.writer_of::<O>(&topic)?, topic))).transpose()?;
@@ -124,7 +124,7 @@ impl<T: Transport + 'static> StageRuntime<T> {
         }
     }
 
-    pub(crate) fn side_inputs(&self, declared: &'static [SideInput]) -> Result<Vec<Box<dyn SidePort>>, PortError> {
+    pub(crate) fn side_inputs(&self, declared: &'static [SideInput]) -> Result<Vec<SidePort<T::Reader>>, PortError> {
         let mut ports = Vec::new();
         for side in declared {
             if let Some((_, topic)) = self.wiring.side_inputs.iter().find(|(name, _)| name == side.name) {
@@ -137,7 +137,7 @@ impl<T: Transport + 'static> StageRuntime<T> {
 
     /// All side inputs of the pipeline file, whatever they carry: those in `same_frame` of the frame of each step, of the others
     /// the latest.
-    pub(crate) fn side_inputs_of(&self, same_frame: &[String]) -> Result<Vec<Box<dyn SidePort>>, RunError> {
+    pub(crate) fn side_inputs_of(&self, same_frame: &[String]) -> Result<Vec<SidePort<T::Reader>>, RunError> {
         let wired = &self.wiring.side_inputs;
         if let Some(missing) = same_frame.iter().find(|name| wired.iter().all(|(wired, _)| wired != *name)) {
             let what = format!("this stage has no `{missing}` among its `inputs` in the pipeline file");

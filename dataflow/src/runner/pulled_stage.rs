@@ -1,9 +1,9 @@
 //! A stage whose program asks for its messages, in place of being called with them: what a binding to another language
 //! stands on. It has the rights and duties of a [`Stage`](crate::Stage), and sends exactly one message for each that it takes.
 
-use super::side_ports::KeptMessage;
+use super::side_ports::{KeptMessage, kept};
 use super::stage_place::{Look, StagePlace, item_of, open_input};
-use super::takeover::{Turn, takes_place};
+use super::takeover::take_place;
 use super::{RunError, StageRuntime, is_stopped};
 use crate::clock::monotonic_ns;
 use crate::item_type::{AnyMessage, ItemType};
@@ -59,24 +59,17 @@ impl PulledStage {
         let none = || RunError::Refused(Hinted::new(none, "give it one, or let the program be a source").into());
         let topic = runtime.wiring.input.take().ok_or_else(none)?;
         let item = item_of(&topic)?;
-        let mut side_inputs = runtime.side_inputs_of(same_frame)?;
-        let mut input_port = open_input(&runtime, &item, &topic)?;
+        let open = |runtime: &StageRuntime<SharedMemory>| {
+            Ok((runtime.side_inputs_of(same_frame)?, open_input(runtime, &item, &topic)?))
+        };
+        let inputs = open(&runtime)?;
         runtime.context.output = runtime.output_of_any()?;
         let output_port = runtime.output_port::<AnyByte>()?;
         runtime.context.input = Some(item.clone());
-        if let Some(successor) = runtime.successor.take() {
-            match takes_place(successor, &mut input_port, &mut side_inputs, &mut runtime, &topic)? {
-                Turn::Never => return Ok(None),
-                Turn::Next => {}
-                Turn::Anew => {
-                    side_inputs = runtime.side_inputs_of(same_frame)?;
-                    input_port = open_input(&runtime, &item, &topic)?;
-                }
-            }
-        }
+        let Some(inputs) = take_place(inputs, open, &mut runtime, &topic)? else { return Ok(None) };
         runtime.context.resume_at = runtime.context.resume_at.max(runtime.record.status.steps);
         let context = runtime.context.clone();
-        let place = StagePlace::begin(runtime, topic, input_port, side_inputs, output_port)?;
+        let place = StagePlace::begin(runtime, topic, inputs, output_port)?;
         Ok(Some(Self { place, context, parameters, step: None, is_over: false, has_begun: false }))
     }
 
@@ -120,7 +113,7 @@ impl PulledStage {
 
     /// The messages of the side inputs that go with the step, by their names; each may be missing.
     pub fn side_inputs(&self) -> impl Iterator<Item = (&str, KeptMessage, &ItemType)> {
-        self.place.side_inputs.iter().filter_map(|side| side.kept().map(|(message, item)| (side.name(), message, item)))
+        kept(&self.place.side_inputs)
     }
 
     /// The frame of the step, if there is one.

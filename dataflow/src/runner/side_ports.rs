@@ -16,30 +16,8 @@ const ON_ITS_WAY: Duration = Duration::from_millis(500);
 /// A message that whoever has it may keep; its writer's memory is not used for another one as long.
 pub type KeptMessage = Arc<dyn Received + Send + Sync>;
 
-/// A side input, opened.
-pub(crate) trait SidePort: Send {
-    /// Its name in the pipeline file.
-    fn name(&self) -> &str;
-    /// Finds the message that goes with a step, or with no frame at all.
-    fn find(&mut self, step: Option<&Header>) -> Result<(), PortError>;
-    /// The message that was found.
-    fn message(&self) -> Option<AnyMessage<'_>>;
-    /// The same to keep, with what its items are.
-    fn kept(&self) -> Option<(KeptMessage, &ItemType)>;
-    /// What came and what was lost.
-    fn counts(&self) -> InputCounts;
-    /// Keeps what has come, for when this process's turn has come.
-    fn buffer_ahead(&mut self) -> Result<(), PortError>;
-    /// Whether what goes with this step, and with all that follow, is or will be buffered.
-    fn covers(&self, step: &Header) -> bool;
-    /// Says that what the step has used and left behind is finished.
-    fn acknowledge(&mut self);
-    /// Takes what came, and does not ask the writers to keep it any longer: the messages that it goes with may be lost, and
-    /// none of those to come would be sent.
-    fn let_go(&mut self) -> Result<(), PortError>;
-    /// Goes on where an earlier process of the same stage left, with what was buffered meanwhile.
-    fn resume(&mut self, counts: InputCounts) -> Result<(), PortError>;
-}
+/// What a stage reads: its side inputs, and what drives it.
+pub(crate) type Inputs<R> = (Vec<SidePort<R>>, InputPort<R>);
 
 /// Opens the side input `name`, which is wired to `topic` and carries these items.
 pub(crate) fn open<T: Transport>(
@@ -48,27 +26,33 @@ pub(crate) fn open<T: Transport>(
     item: &ItemType,
     topic: &Topic,
     stage: &str,
-) -> Result<Box<dyn SidePort>, PortError> {
+) -> Result<SidePort<T::Reader>, PortError> {
     let reader = transport.reader_of(item, topic, stage)?;
     let wired = topic.readers.iter().find(|reader| reader.stage == stage);
     let lossless = wired.is_some_and(|reader| reader.delivery == Delivery::Lossless);
     let taking = if pairing == Pairing::Latest { Delivery::Latest } else { Delivery::Lossless };
-    Ok(Box::new(WiredInput {
+    Ok(SidePort {
         input_port: InputPort::new(reader, taking, &topic.name, topic.writers.len()),
         name: name.to_owned(),
         pairing,
         patience: if lossless { ON_ITS_WAY } else { Duration::ZERO },
         waiting: VecDeque::new(),
         found: None,
-    }))
+    })
 }
 
 /// The messages that were found, to be handed to a step.
-pub(crate) fn found(ports: &[Box<dyn SidePort>]) -> SideInputs<'_> {
+pub(crate) fn found<R: Reader>(ports: &[SidePort<R>]) -> SideInputs<'_> {
     SideInputs(ports.iter().filter_map(|port| Some((port.name(), port.message()?))).collect())
 }
 
-struct WiredInput<R: Reader> {
+/// The same to keep, with what their items are.
+pub(crate) fn kept<R: Reader>(ports: &[SidePort<R>]) -> impl Iterator<Item = (&str, KeptMessage, &ItemType)> {
+    ports.iter().filter_map(|port| Some((port.name(), port.found.clone()? as KeptMessage, port.input_port.item())))
+}
+
+/// A side input, opened.
+pub(crate) struct SidePort<R: Reader> {
     input_port: InputPort<R>,
     name: String,
     pairing: Pairing,
@@ -77,7 +61,7 @@ struct WiredInput<R: Reader> {
     found: Option<Arc<R::Message>>,
 }
 
-impl<R: Reader> WiredInput<R> {
+impl<R: Reader> SidePort<R> {
     fn find_latest(&mut self) -> Result<(), PortError> {
         while let Some(message) = self.input_port.take()? {
             self.found = Some(Arc::new(message));
@@ -136,46 +120,50 @@ fn reaches(a: &Header, b: &Header) -> bool {
     same_frame(a, b) || follows(a, b)
 }
 
-impl<R: Reader + Send> SidePort for WiredInput<R> {
-    fn name(&self) -> &str {
+impl<R: Reader> SidePort<R> {
+    /// Its name in the pipeline file.
+    pub(crate) fn name(&self) -> &str {
         &self.name
     }
 
-    fn find(&mut self, step: Option<&Header>) -> Result<(), PortError> {
+    /// Finds the message that goes with a step, or with no frame at all.
+    pub(crate) fn find(&mut self, step: Option<&Header>) -> Result<(), PortError> {
         match (self.pairing, step) {
             (Pairing::SameFrame, Some(header)) => self.find_same_frame(header),
             _ => self.find_latest(),
         }
     }
 
+    /// The message that was found.
     fn message(&self) -> Option<AnyMessage<'_>> {
         let message = self.found.as_ref()?;
         Some(AnyMessage { header: message.header(), item: self.input_port.item(), bytes: message.bytes() })
     }
 
-    fn kept(&self) -> Option<(KeptMessage, &ItemType)> {
-        let message = self.found.clone()?;
-        Some((message, self.input_port.item()))
-    }
-
-    fn counts(&self) -> InputCounts {
+    /// What came and what was lost.
+    pub(crate) fn counts(&self) -> InputCounts {
         self.input_port.counts()
     }
 
-    fn buffer_ahead(&mut self) -> Result<(), PortError> {
+    /// Keeps what has come, for when this process's turn has come.
+    pub(crate) fn buffer_ahead(&mut self) -> Result<(), PortError> {
         self.input_port.buffer_ahead()
     }
 
-    fn covers(&self, step: &Header) -> bool {
+    /// Whether what goes with this step, and with all that follow, is or will be buffered.
+    pub(crate) fn covers(&self, step: &Header) -> bool {
         let before = |header: &Header| reaches(step, header);
         self.pairing == Pairing::Latest || self.input_port.buffered().any(before)
     }
 
-    fn acknowledge(&mut self) {
+    /// Says that what the step has used and left behind is finished.
+    pub(crate) fn acknowledge(&mut self) {
         self.input_port.acknowledge_but(self.waiting.iter().map(Received::header));
     }
 
-    fn let_go(&mut self) -> Result<(), PortError> {
+    /// Takes what came, and does not ask the writers to keep it any longer: the messages that it goes with may be lost, and
+    /// none of those to come would be sent.
+    pub(crate) fn let_go(&mut self) -> Result<(), PortError> {
         if self.pairing == Pairing::Latest {
             self.find_latest()?;
         }
@@ -188,7 +176,8 @@ impl<R: Reader + Send> SidePort for WiredInput<R> {
         Ok(())
     }
 
-    fn resume(&mut self, counts: InputCounts) -> Result<(), PortError> {
+    /// Goes on where an earlier process of the same stage left, with what was buffered meanwhile.
+    pub(crate) fn resume(&mut self, counts: InputCounts) -> Result<(), PortError> {
         self.input_port.buffer_ahead()?;
         self.input_port.resume(counts);
         self.input_port.admit_buffered();

@@ -16,7 +16,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 /// What a source works with, but what it does.
 pub(crate) struct SourcePlace<T: Transport> {
-    pub(crate) side_inputs: Vec<Box<dyn SidePort>>,
+    pub(crate) side_inputs: Vec<SidePort<T::Reader>>,
     pub(crate) output_port: OutputPort<T::Writer>,
     pub(crate) record: StatusFile,
     pub(crate) stop: Stop,
@@ -40,7 +40,7 @@ struct SourceLoop<S: Source, T: Transport> {
 }
 
 /// Runs the source `S` to its end.
-pub(crate) fn run_source<S: Source, T: Transport + 'static>(
+pub(crate) fn run_source<S: Source, T: Transport>(
     config: S::Config,
     mut runtime: StageRuntime<T>,
 ) -> Result<(), RunError> {
@@ -71,7 +71,7 @@ fn counted(status: &Status) -> BTreeMap<String, u64> {
 }
 
 /// Waits, where this process replaces another, until that is gone: a device is never opened twice. Whether its turn came.
-pub(crate) fn takes_place<T: Transport + 'static>(runtime: &mut StageRuntime<T>) -> Result<bool, RunError> {
+pub(crate) fn takes_place<T: Transport>(runtime: &mut StageRuntime<T>) -> Result<bool, RunError> {
     let Some(mut successor) = runtime.successor.take() else { return Ok(true) };
     successor.is_ready(&Watermark::default()).map_err(|error| RunError::Refused(error.into()))?;
     let stop = runtime.context.stop.clone();
@@ -82,11 +82,11 @@ pub(crate) fn takes_place<T: Transport + 'static>(runtime: &mut StageRuntime<T>)
     Ok(turn)
 }
 
-impl<T: Transport + 'static> SourcePlace<T> {
+impl<T: Transport> SourcePlace<T> {
     /// Begins the work, where an earlier process of the same source left it.
     pub(crate) fn begin(
         mut runtime: StageRuntime<T>,
-        mut side_inputs: Vec<Box<dyn SidePort>>,
+        mut side_inputs: Vec<SidePort<T::Reader>>,
         mut output_port: OutputPort<T::Writer>,
         total: Option<u64>,
         rhythm: Rhythm,

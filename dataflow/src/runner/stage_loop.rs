@@ -2,7 +2,7 @@
 
 use super::side_ports;
 use super::stage_place::{MessageOf, StagePlace, item_of, open_input};
-use super::takeover::{Turn, made_early, takes_place};
+use super::takeover::{made_early, take_place};
 use super::{MemoryTrim, RunError, StageRuntime, guarded, is_stopped};
 use crate::clock::monotonic_ns;
 use crate::item_type::ItemType;
@@ -19,7 +19,7 @@ struct StageLoop<S: Stage, T: Transport> {
 }
 
 /// Runs the stage `S` until its input ends.
-pub(crate) fn run_stage<S: Stage, T: Transport + 'static>(
+pub(crate) fn run_stage<S: Stage, T: Transport>(
     config: S::Config,
     mut runtime: StageRuntime<T>,
 ) -> Result<(), RunError> {
@@ -27,28 +27,20 @@ pub(crate) fn run_stage<S: Stage, T: Transport + 'static>(
     runtime.context.resume_at = runtime.record.status.steps.max(u64::from(runtime.successor.is_some()));
     let topic = runtime.wiring.input.take().ok_or_else(|| RunError::Refused("a stage needs an `input`".into()))?;
     let item = if S::Input::TYPE_NAME == AnyByte::TYPE_NAME { item_of(&topic)? } else { ItemType::of::<S::Input>() };
-    let mut side_inputs = runtime.side_inputs(S::side_inputs())?;
-    let mut input_port = open_input(&runtime, &item, &topic)?;
+    let open =
+        |runtime: &StageRuntime<T>| Ok((runtime.side_inputs(S::side_inputs())?, open_input(runtime, &item, &topic)?));
+    let inputs = open(&runtime)?;
     let output_port = runtime.output_port::<S::Output>()?;
     runtime.context.input = Some(item.clone());
     let early = if runtime.successor.is_some() { Some(made_early::<S>(&config, &runtime)?) } else { None };
-    if let Some(successor) = runtime.successor.take() {
-        match takes_place(successor, &mut input_port, &mut side_inputs, &mut runtime, &topic)? {
-            Turn::Never => return Ok(()),
-            Turn::Next => {}
-            Turn::Anew => {
-                side_inputs = runtime.side_inputs(S::side_inputs())?;
-                input_port = open_input(&runtime, &item, &topic)?;
-            }
-        }
-    }
+    let Some(inputs) = take_place(inputs, open, &mut runtime, &topic)? else { return Ok(()) };
     runtime.context.resume_at = runtime.context.resume_at.max(runtime.record.status.steps);
     let stage = match early.flatten() {
         Some(stage) => stage,
         None => S::new(config, &runtime.context).map_err(RunError::Refused)?,
     };
     let memory_trim = MemoryTrim::of(&runtime);
-    let place = StagePlace::begin(runtime, topic, input_port, side_inputs, output_port)?;
+    let place = StagePlace::begin(runtime, topic, inputs, output_port)?;
     let mut running = StageLoop::<S, T> { stage, place, list: Vec::new(), memory_trim };
     while let Some(message) = running.place.next_message()? {
         if !running.work_on(message)? {

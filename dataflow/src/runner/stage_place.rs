@@ -4,7 +4,7 @@ use super::handover::{Handover, Watermark};
 use super::input_port::InputPort;
 use super::output_port::OutputPort;
 use super::peers::Peers;
-use super::side_ports::SidePort;
+use super::side_ports::{Inputs, SidePort};
 use super::{RunError, StageRuntime};
 use crate::item_type::ItemType;
 use crate::ports::{PortError, Reader, Topic, Transport};
@@ -24,7 +24,7 @@ pub(crate) type MessageOf<T> = <<T as Transport>::Reader as Reader>::Message;
 /// What a stage works with, but what it does.
 pub(crate) struct StagePlace<T: Transport> {
     input_port: InputPort<T::Reader>,
-    pub(crate) side_inputs: Vec<Box<dyn SidePort>>,
+    pub(crate) side_inputs: Vec<SidePort<T::Reader>>,
     pub(crate) output_port: OutputPort<T::Writer>,
     pub(crate) record: StatusFile,
     pub(crate) stop: Stop,
@@ -55,7 +55,7 @@ pub(crate) fn item_of(topic: &Topic) -> Result<ItemType, RunError> {
 }
 
 /// Opens what drives a stage.
-pub(crate) fn open_input<T: Transport + 'static>(
+pub(crate) fn open_input<T: Transport>(
     runtime: &StageRuntime<T>,
     item: &ItemType,
     topic: &Topic,
@@ -65,13 +65,12 @@ pub(crate) fn open_input<T: Transport + 'static>(
     Ok(InputPort::new(reader, topic.delivery_to(stage), &topic.name, topic.writers.len()))
 }
 
-impl<T: Transport + 'static> StagePlace<T> {
+impl<T: Transport> StagePlace<T> {
     /// Begins the work, where an earlier process of the same stage left it.
     pub(crate) fn begin(
         mut runtime: StageRuntime<T>,
         topic: Topic,
-        mut input_port: InputPort<T::Reader>,
-        mut side_inputs: Vec<Box<dyn SidePort>>,
+        (mut side_inputs, mut input_port): Inputs<T::Reader>,
         mut output_port: OutputPort<T::Writer>,
     ) -> Result<Self, PortError> {
         let (own, of_sides) = runtime.record.status.inputs.split_at(1);

@@ -2,8 +2,7 @@
 //! that goes with a message in its side inputs, and begins when the other is gone.
 
 use super::handover::Successor;
-use super::input_port::InputPort;
-use super::side_ports::SidePort;
+use super::side_ports::{Inputs, SidePort};
 use super::{RunError, StageRuntime, is_nothing};
 use crate::ports::{Delivery, Topic, Transport};
 use crate::stage::Stage;
@@ -24,48 +23,39 @@ pub(crate) fn made_early<S: Stage>(
     Ok(Some(stage).filter(|_| !is_nothing::<S::Output>()))
 }
 
-/// How a successor begins.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Turn {
-    /// Not at all: it is not wanted any more.
-    Never,
-    /// At the next message: its predecessor has said how far it came.
-    Next,
-    /// As a stage that is started anew, with what the writers keep for it: its predecessor was killed. It has to open its inputs
-    /// again, because it has left messages to that one.
-    Anew,
-}
-
-/// Buffers a message of each writer, says so, and waits until the process that it replaces is gone.
-pub(crate) fn takes_place<T: Transport + 'static>(
-    mut successor: Successor,
-    input_port: &mut InputPort<T::Reader>,
-    side_inputs: &mut [Box<dyn SidePort>],
+/// Where this process replaces another, buffers a message of each writer, says so, and waits until that is gone. The inputs from
+/// there on; `None`: it is not wanted any more.
+pub(crate) fn take_place<T: Transport>(
+    mut inputs: Inputs<T::Reader>,
+    open: impl Fn(&StageRuntime<T>) -> Result<Inputs<T::Reader>, RunError>,
     runtime: &mut StageRuntime<T>,
     topic: &Topic,
-) -> Result<Turn, RunError> {
-    if !buffers_all(&mut successor, input_port, side_inputs, runtime, topic)? {
-        return Ok(Turn::Never);
+) -> Result<Option<Inputs<T::Reader>>, RunError> {
+    let Some(mut successor) = runtime.successor.take() else { return Ok(Some(inputs)) };
+    if !buffers_all(&mut successor, &mut inputs, runtime, topic)? {
+        return Ok(None);
     }
+    let (_, input_port) = &mut inputs;
     let fault = |error: std::io::Error| RunError::Refused(error.into());
     successor.is_ready(&input_port.first_buffered()).map_err(fault)?;
     let stop = runtime.context.stop.clone();
     if !successor.await_turn(|| stop.forced()) {
-        return Ok(Turn::Never);
+        return Ok(None);
     }
     runtime.enter();
     match successor.handover.last() {
-        None if input_port.is_kept() => return Ok(Turn::Anew),
+        // The other was killed: this is a stage that is started anew, with what the writers keep for it. It has left messages to
+        // that one, and opens its inputs again.
+        None if input_port.is_kept() => return open(runtime).map(Some),
         last => input_port.begin_after(last.unwrap_or_default()),
     }
-    Ok(Turn::Next)
+    Ok(Some(inputs))
 }
 
 /// Waits until a message of each writer is buffered, and what goes with it; false if that is not wanted any more.
 fn buffers_all<T: Transport>(
     successor: &mut Successor,
-    input_port: &mut InputPort<T::Reader>,
-    side_inputs: &mut [Box<dyn SidePort>],
+    (side_inputs, input_port): &mut Inputs<T::Reader>,
     runtime: &StageRuntime<T>,
     topic: &Topic,
 ) -> Result<bool, RunError> {
@@ -77,11 +67,11 @@ fn buffers_all<T: Transport>(
         input_port.buffer_newest()?;
         side_inputs.iter_mut().try_for_each(|side| side.buffer_ahead())?;
         let late = Instant::now() > deadline;
-        let needed = |side: &dyn SidePort| {
+        let needed = |side: &&SidePort<T::Reader>| {
             let wired = runtime.wiring.side_inputs.iter().find(|(name, _)| name == side.name()).map(|(_, topic)| topic);
             wired.is_some_and(|topic| (lossless(topic) || !late) && !topic.writers.iter().all(is_over))
         };
-        let needed: Vec<_> = side_inputs.iter().filter(|side| needed(side.as_ref())).collect();
+        let needed: Vec<_> = side_inputs.iter().filter(needed).collect();
         input_port.drop_buffered(|header| !needed.iter().all(|side| side.covers(header)));
         if topic.writers.iter().all(|writer| input_port.has_buffered(writer) || is_over(writer))
             || (late && !lossless(topic))

@@ -333,7 +333,7 @@ impl Process {
         }
     }
 
-    /// The end of `takeover::takes_place`, and in `run_stage` what follows from it.
+    /// The end of `takeover::take_place`, and in `run_stage` what follows from it.
     fn take_place(&mut self) {
         self.enter();
         match memory(|memory| memory.handover.1.clone()) {
