@@ -126,10 +126,7 @@ impl Plan {
 
     /// All topics, once for each stage that writes or reads one.
     pub fn topics(&self) -> impl Iterator<Item = &Topic> {
-        let wirings = self.stages.iter().map(|stage| &stage.wiring);
-        wirings.flat_map(|wiring| {
-            wiring.output.iter().chain(&wiring.input).chain(wiring.side_inputs.iter().map(|(_, t)| t))
-        })
+        self.stages.iter().flat_map(|stage| stage.wiring.output.iter().chain(stage.wiring.inputs()))
     }
 
     /// What keeps the topics of this run apart from those of others, whatever those have left behind.

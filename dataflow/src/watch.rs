@@ -11,7 +11,7 @@ use crate::plan::Plan;
 use crate::ports::shared_memory::{SharedMemory, SharedMessage, SharedOnlooker};
 use crate::ports::{PortError, Received, Topic};
 use crate::stage::Stop;
-use crate::status::{Life, Pausing, Status};
+use crate::status::{Life, Pausing};
 use conicflow_messages::Hinted;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use std::io;
@@ -256,7 +256,7 @@ impl RunningPipeline {
     pub fn sources(&self) -> Sources {
         let mut sources = Sources::default();
         for planned in self.plan.stages.iter().filter(|planned| planned.is_source() && !planned.is_bridge()) {
-            let record = Status::read(&self.folder.status(&planned.name)).filter(|record| record.run == self.plan.run);
+            let record = self.folder.record(&planned.name, self.plan.run);
             match record.filter(|record| record.life() == Life::Running).map(|record| record.pausing()) {
                 Some(Pausing::Cannot) => sources.live.push(planned.name.clone()),
                 Some(Pausing::Goes | Pausing::Stands) => sources.can_pause.push(planned.name.clone()),
@@ -283,8 +283,7 @@ impl RunningPipeline {
         let no_word = || io::Error::from(io::ErrorKind::NotFound);
         let word = self.folder.pause_file(self.plan.run).ok_or_else(no_word);
         let changed = word.and_then(|word| word.change(wish));
-        let path = self.folder.path().to_owned();
-        changed.map_err(|error| FolderError::Io { path, error })?;
+        changed.map_err(FolderError::at(self.folder.path()))?;
         Ok(self.sources())
     }
 

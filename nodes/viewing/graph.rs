@@ -36,8 +36,7 @@ fn graph(plan: &Plan, activity: &PipelineActivity) -> Json {
 /// A stage with the names of the topics that it reads, the driving one first, and writes.
 fn stage(stage: &PlannedStage) -> Json {
     let wiring = &stage.wiring;
-    let sides = wiring.side_inputs.iter().map(|(_, topic)| topic);
-    let mut inputs: Vec<_> = wiring.input.iter().chain(sides).map(|topic| topic.name.as_str()).collect();
+    let mut inputs: Vec<_> = wiring.inputs().map(|topic| topic.name.as_str()).collect();
     let mut outputs: Vec<_> = wiring.output.iter().map(|topic| topic.name.as_str()).collect();
     if let Runs::Bridge(plan) = &stage.runs {
         inputs.extend(plan.outgoing.iter().map(|edge| edge.topic.name.as_str()));

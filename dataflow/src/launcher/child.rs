@@ -7,7 +7,7 @@ use super::process::{LAUNCHER, ProcessError, REFUSED, as_stage};
 use super::watchdog::{News, Watchdog};
 use crate::pipeline::{Restart, TIME_TO_JOIN_S};
 use crate::plan::{Plan, PlannedStage, Runs};
-use crate::ports::{Delivery, Wiring};
+use crate::ports::Delivery;
 use crate::status::{Life, Status};
 use rustix::process::{Pid, Signal, kill_process};
 use signal_hook::consts::SIGBUS;
@@ -180,8 +180,7 @@ impl Supervised {
     /// Looks whether the process still gives signs of life; one that hangs is reported, and killed where the file says so.
     fn watch(&mut self, plan: &Plan, folder: &RunFolder) -> Change {
         let Some(process) = self.process() else { return Change::None };
-        let record = Status::read(&folder.status(&self.planned.name)).filter(|status| status.run == plan.run);
-        let own = record.filter(|status| status.process == process);
+        let own = self.own_record(process, plan, folder);
         if let (None, Runs::Command(command)) = (&own, &self.planned.runs) {
             let command = command.join(" ");
             return self.wait_to_join(process, &command, plan, folder);
@@ -246,39 +245,36 @@ impl Supervised {
 
     /// A topic at which it must not miss a message, or its readers must not.
     fn lossless_topic(&self) -> Option<&str> {
-        let Wiring { input, side_inputs, output, .. } = &self.planned.wiring;
-        let read = input.iter().chain(side_inputs.iter().map(|(_, topic)| topic));
-        let mut lossless = read.filter(|topic| topic.delivery_to(&self.planned.name) == Delivery::Lossless);
-        let topic = lossless.next().or_else(|| output.as_ref().filter(|topic| topic.is_lossless()));
+        let wiring = &self.planned.wiring;
+        let mut lossless = wiring.inputs().filter(|topic| topic.delivery_to(&self.planned.name) == Delivery::Lossless);
+        let topic = lossless.next().or_else(|| wiring.output.as_ref().filter(|topic| topic.is_lossless()));
         topic.map(|topic| topic.name.as_str())
+    }
+
+    /// What a process of it has told of itself in the run.
+    fn own_record(&self, process: u32, plan: &Plan, folder: &RunFolder) -> Option<Status> {
+        folder.record(&self.planned.name, plan.run).filter(|record| record.process == process)
     }
 
     /// Whether a process took part in the run, as its record tells.
     fn has_joined(&self, process: u32, plan: &Plan, folder: &RunFolder) -> bool {
-        let record = Status::read(&folder.status(&self.planned.name));
-        record.is_some_and(|own| own.run == plan.run && own.process == process)
+        self.own_record(process, plan, folder).is_some()
     }
 
     /// Whether a process that exited well had done all its work, rather than having been told to go. A program that keeps
     /// no record is believed.
     fn came_to_its_end(&self, process: u32, plan: &Plan, folder: &RunFolder) -> bool {
-        let record = Status::read(&folder.status(&self.planned.name));
-        let own = record.filter(|status| status.run == plan.run && status.process == process);
-        own.is_none_or(|status| status.life() == Life::Ended)
+        self.own_record(process, plan, folder).is_none_or(|own| own.life() == Life::Ended)
     }
 
     /// Whether a process said itself that it would be of no use to start it anew.
     fn gave_up(&self, process: u32, plan: &Plan, folder: &RunFolder) -> bool {
-        let record = Status::read(&folder.status(&self.planned.name));
-        record.is_some_and(|own| own.run == plan.run && own.process == process && own.life() == Life::Gone)
+        self.own_record(process, plan, folder).is_some_and(|own| own.life() == Life::Gone)
     }
 
     /// Whether all that write its input are over: there is nothing to come back for.
     fn has_heard_all(&self, plan: &Plan, folder: &RunFolder) -> bool {
-        let is_over = |stage: &String| {
-            let record = Status::read(&folder.status(stage)).filter(|record| record.run == plan.run);
-            record.is_some_and(|record| record.life().is_over())
-        };
+        let is_over = |stage: &String| folder.record(stage, plan.run).is_some_and(|record| record.life().is_over());
         let writers = self.planned.wiring.input.as_ref().map(|topic| &topic.writers).filter(|all| !all.is_empty());
         writers.is_some_and(|writers| writers.iter().all(is_over))
     }

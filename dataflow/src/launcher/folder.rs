@@ -106,6 +106,13 @@ pub struct RunLock {
     _file: File,
 }
 
+impl FolderError {
+    /// What the system says of a file or folder.
+    pub(crate) fn at(path: &Path) -> impl Fn(io::Error) -> Self {
+        |error| Self::Io { path: path.to_owned(), error }
+    }
+}
+
 impl RunFolder {
     /// The folder of the pipeline `name`, made if it is not there.
     ///
@@ -160,6 +167,11 @@ impl RunFolder {
         status_path(&self.path, stage)
     }
 
+    /// A stage's record, if it is of this run.
+    pub(crate) fn record(&self, stage: &str, run: u64) -> Option<Status> {
+        Status::read(&self.status(stage)).filter(|record| record.run == run)
+    }
+
     /// Takes the folder for a run of `name`, as soon as the stages of an earlier run that was cut off are gone.
     ///
     /// # Errors
@@ -198,9 +210,8 @@ impl RunFolder {
     /// What cut a run off that left this folder behind: its plan, if that run neither lasts nor came to its end.
     pub(crate) fn cut_off(&self) -> Option<Plan> {
         let plan = self.plan().ok().filter(|_| !self.is_running())?;
-        let records = plan.stages.iter().filter_map(|stage| Status::read(&self.status(&stage.name)));
-        let mut own = records.filter(|record| record.run == plan.run);
-        own.any(|record| matches!(record.life(), Life::Starting | Life::Running)).then_some(plan)
+        let mut records = plan.stages.iter().filter_map(|stage| self.record(&stage.name, plan.run));
+        records.any(|record| matches!(record.life(), Life::Starting | Life::Running)).then_some(plan)
     }
 
     /// Says that a stage of this pipeline lives in this process, for as long as the file is held.
@@ -209,16 +220,14 @@ impl RunFolder {
     /// The folder cannot be written.
     pub(crate) fn join(&self) -> Result<File, FolderError> {
         let (path, file) = self.open_lock("stages.lock")?;
-        file.lock_shared().map_err(|error| FolderError::Io { path, error })?;
+        file.lock_shared().map_err(FolderError::at(&path))?;
         Ok(file)
     }
 
     fn open_lock(&self, name: &str) -> Result<(PathBuf, File), FolderError> {
         let path = self.path.join(name);
-        match File::create(&path) {
-            Ok(file) => Ok((path, file)),
-            Err(error) => Err(FolderError::Io { path, error }),
-        }
+        let file = File::create(&path).map_err(FolderError::at(&path))?;
+        Ok((path, file))
     }
 
     /// Removes what earlier runs have left: from now on nobody takes their plan for that of the run that has the lock.
@@ -240,8 +249,8 @@ impl RunFolder {
     /// The folder cannot be written.
     pub fn begin(&self, plan: &Plan) -> Result<(), FolderError> {
         let path = self.path.join(PAUSE_FILE);
-        PauseFile::create(&path, plan.run).map_err(|error| FolderError::Io { path, error })?;
-        self.write_plan(plan)
+        PauseFile::create(&path, plan.run).map_err(FolderError::at(&path))?;
+        self.write_whole(PLAN, plan)
     }
 
     /// The word by which the sources of a run are paused, where there is one.
@@ -253,7 +262,7 @@ impl RunFolder {
     /// that cannot be written the next run sees to it.
     pub(crate) fn settle(&self, plan: &Plan) {
         for stage in &plan.stages {
-            let record = Status::read(&self.status(&stage.name)).filter(|record| record.run == plan.run);
+            let record = self.record(&stage.name, plan.run);
             if record.is_some_and(|record| matches!(record.life(), Life::Starting | Life::Running)) {
                 self.set_life(plan.run, &stage.name, Life::Gone);
             }
@@ -274,27 +283,19 @@ impl RunFolder {
         let _lock = self.lock(&name)?;
         self.remove_records()?;
         let path = self.path.join(PLAN);
-        fs::remove_file(&path).map_err(|error| FolderError::Io { path, error })
+        fs::remove_file(&path).map_err(FolderError::at(&path))
     }
 
     fn remove_records(&self) -> Result<(), FolderError> {
-        let fault = |error| FolderError::Io { path: self.path.clone(), error };
-        for entry in fs::read_dir(&self.path).map_err(fault)?.flatten() {
+        let fault = FolderError::at(&self.path);
+        for entry in fs::read_dir(&self.path).map_err(&fault)?.flatten() {
             let ends =
                 ["status", ACKNOWLEDGEMENTS, "first", "last", "request", "answer", "new", "kept", "plan", "pause"];
             if entry.path().extension().is_some_and(|extension| ends.iter().any(|end| extension == *end)) {
-                fs::remove_file(entry.path()).map_err(fault)?;
+                fs::remove_file(entry.path()).map_err(&fault)?;
             }
         }
         Ok(())
-    }
-
-    /// Writes the plan that stages read when they start.
-    ///
-    /// # Errors
-    /// The folder cannot be written.
-    fn write_plan(&self, plan: &Plan) -> Result<(), FolderError> {
-        self.write_whole(PLAN, plan)
     }
 
     /// Writes another plan, and keeps the one that is there; where it cannot be written, that one stays.
@@ -304,8 +305,8 @@ impl RunFolder {
     pub(crate) fn change_plan(&self, plan: &Plan) -> Result<(), FolderError> {
         let (path, before) = (self.path.join(PLAN), self.path.join(PLAN_BEFORE));
         fs::remove_file(&before).ok();
-        fs::hard_link(&path, &before).map_err(|error| FolderError::Io { path: before, error })?;
-        self.write_plan(plan)
+        fs::hard_link(&path, &before).map_err(FolderError::at(&before))?;
+        self.write_whole(PLAN, plan)
     }
 
     /// Brings the plan from before the last change back, which takes no room on a disk.
@@ -314,7 +315,7 @@ impl RunFolder {
     /// There is none.
     pub(crate) fn take_plan_back(&self) -> Result<(), FolderError> {
         let (path, before) = (self.path.join(PLAN), self.path.join(PLAN_BEFORE));
-        fs::rename(before, &path).map_err(|error| FolderError::Io { path, error })
+        fs::rename(before, &path).map_err(FolderError::at(&path))
     }
 
     /// Reads the plan of the run.
@@ -331,7 +332,7 @@ impl RunFolder {
     /// There is none, or it makes no sense.
     pub(crate) fn read_plan(&self, file: &str) -> Result<Plan, FolderError> {
         let path = self.path.join(file);
-        let text = fs::read(&path).map_err(|error| FolderError::Io { path: path.clone(), error })?;
+        let text = fs::read(&path).map_err(FolderError::at(&path))?;
         let fault = |error| FolderError::Plan { path, error };
         match serde_json::from_slice::<Agreed>(&text).map_err(fault.clone())?.layout {
             LAYOUT => serde_json::from_slice(&text).map_err(fault),
@@ -358,8 +359,7 @@ pub fn user_folder() -> PathBuf {
 
 /// Makes a folder that only this user can enter, and makes sure that it is one.
 fn private_folder(path: &Path) -> Result<(), FolderError> {
-    let fault = |error| FolderError::Io { path: path.to_owned(), error };
-    fs::DirBuilder::new().recursive(true).mode(0o700).create(path).map_err(fault)?;
+    fs::DirBuilder::new().recursive(true).mode(0o700).create(path).map_err(FolderError::at(path))?;
     check_private(path)
 }
 
@@ -368,10 +368,9 @@ fn private_folder(path: &Path) -> Result<(), FolderError> {
 /// # Errors
 /// It is not there, is no folder, or is open to others.
 pub(crate) fn check_private(path: &Path) -> Result<(), FolderError> {
-    let fault = |error| FolderError::Io { path: path.to_owned(), error };
-    let data = fs::metadata(path).map_err(fault)?;
+    let data = fs::metadata(path).map_err(FolderError::at(path))?;
     if !data.is_dir() {
-        return Err(fault(io::ErrorKind::NotADirectory.into()));
+        return Err(FolderError::at(path)(io::ErrorKind::NotADirectory.into()));
     }
     let own = data.uid() == rustix::process::getuid().as_raw();
     if own && data.permissions().mode() & 0o077 == 0 {

@@ -301,7 +301,7 @@ fn stage_runtime(
     let successor = Successor::from_environment(&handover);
     let successor = successor.map_err(|error| system("the launcher cannot be spoken with", error))?;
     let path = folder.status(&planned.name);
-    let record = StatusFile::open(&path, plan.run).map_err(|error| FolderError::Io { path, error })?;
+    let record = StatusFile::open(&path, plan.run).map_err(FolderError::at(&path))?;
     let context = Context { stage: planned.name.clone(), base: plan.base.clone(), stop, ..Context::default() };
     let transport = transport.map(|memory| if plan.run == NO_RUN { memory } else { memory.kept_in(folder.path()) });
     let here = plan.stages.iter().map(|stage| stage.name.clone()).collect();

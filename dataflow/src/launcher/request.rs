@@ -7,8 +7,6 @@ use super::folder::{FolderError, RunFolder};
 use crate::plan::Plan;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use std::fs::{self, File};
-use std::io;
-use std::path::PathBuf;
 use std::thread::sleep;
 use std::time::Duration;
 
@@ -51,7 +49,8 @@ struct Answer {
 impl RunFolder {
     /// Asks the launcher of this run to replace `stage` by what stands in `plan`, and waits until it has.
     pub(crate) fn ask_for_swap(&self, stage: &str, plan: Plan) -> Result<(), SwapError> {
-        let lock = File::create(self.path().join("swap.lock")).map_err(|error| self.fault("swap.lock", error))?;
+        let path = self.path().join("swap.lock");
+        let lock = File::create(&path).map_err(FolderError::at(&path))?;
         lock.try_lock().map_err(|_| SwapError::Busy)?;
         let id = crate::clock::monotonic_ns();
         self.write_whole("swap.request", &Request { id, stage: stage.to_owned(), plan })?;
@@ -84,14 +83,9 @@ impl RunFolder {
 
     /// Writes a file so that whoever reads it sees all of it, or what was there before.
     pub(crate) fn write_whole(&self, name: &str, content: &impl Serialize) -> Result<(), FolderError> {
-        let (path, draft): (PathBuf, PathBuf) = (self.path().join(name), self.path().join(format!("{name}.new")));
+        let (path, draft) = (self.path().join(name), self.path().join(format!("{name}.new")));
         let text =
             serde_json::to_vec_pretty(content).map_err(|error| FolderError::Plan { path: path.clone(), error })?;
-        fs::write(&draft, text).map_err(|error| self.fault(name, error))?;
-        fs::rename(&draft, &path).map_err(|error| self.fault(name, error))
-    }
-
-    fn fault(&self, name: &str, error: io::Error) -> FolderError {
-        FolderError::Io { path: self.path().join(name), error }
+        fs::write(&draft, text).and_then(|()| fs::rename(&draft, &path)).map_err(FolderError::at(&path))
     }
 }

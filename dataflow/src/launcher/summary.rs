@@ -64,10 +64,9 @@ pub struct StageSummary {
 
 impl Summary {
     pub(crate) fn read(plan: &Plan, folder: &RunFolder, elapsed: Duration, ending: Ending) -> Self {
-        let of_run = |status: &Status| status.run == plan.run;
         let stages = plan.stages.iter().map(|planned| StageSummary {
             planned: planned.clone(),
-            status: Status::read(&folder.status(&planned.name)).filter(of_run).map(Box::new),
+            status: folder.record(&planned.name, plan.run).map(Box::new),
         });
         let links = read_links(folder.path(), plan.run);
         Self { pipeline: plan.pipeline.clone(), elapsed, stages: stages.collect(), links, ending }

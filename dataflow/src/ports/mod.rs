@@ -146,6 +146,13 @@ pub struct Wiring {
     pub frames: Option<u64>,
 }
 
+impl Wiring {
+    /// The topics that it reads, the driving one first.
+    pub fn inputs(&self) -> impl Iterator<Item = &Topic> {
+        self.input.iter().chain(self.side_inputs.iter().map(|(_, topic)| topic))
+    }
+}
+
 /// Why a port could not be opened or used.
 #[derive(Debug, thiserror::Error)]
 pub enum PortError {

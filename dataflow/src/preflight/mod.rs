@@ -12,7 +12,7 @@ use crate::item_type::ItemType;
 use crate::node::Node;
 use crate::plan::{Plan, PlannedStage, Runs};
 use crate::ports::capacity::{HELD, LOANED, ROOM_PER_PORT, message_bytes, taken};
-use crate::ports::{MAX_KEPT, Topic, TopicReader, Wiring};
+use crate::ports::{MAX_KEPT, Topic, TopicReader};
 use crate::side_inputs::{Pairing, SideInput};
 use insufficient::enough;
 
@@ -81,13 +81,13 @@ impl Requirements {
     /// # Errors
     /// How much is missing.
     pub fn look_for_successor(&self, stage: &PlannedStage) -> Result<(), InsufficientResource> {
-        let Wiring { input, side_inputs, output, .. } = &stage.wiring;
         let queue =
             |topic: &Topic| topic.readers.iter().find(|reader| reader.stage == stage.name).map_or(0, |r| r.queue);
-        let read = input.iter().chain(side_inputs.iter().map(|(_, topic)| topic));
+        let read = stage.wiring.inputs();
         let read: u64 = read.map(|topic| self.with_another_reader(topic, queue(topic), HELD_FOR_FRAME)).sum();
         let waiting = |topic: &Topic| topic.readers.iter().map(|reader| reader.queue + HELD).sum();
-        let written: u64 = output.iter().map(|topic| self.with_another_reader(topic, waiting(topic), LOANED)).sum();
+        let written = stage.wiring.output.iter();
+        let written: u64 = written.map(|topic| self.with_another_reader(topic, waiting(topic), LOANED)).sum();
         enough(read + written, || format!("replace stage `{}`", stage.name))
     }
 
@@ -133,8 +133,7 @@ fn held(plan: &Plan, topic: &Topic, reader: &TopicReader, nodes: &[Node]) -> usi
 }
 
 fn open_files(stage: &PlannedStage) -> u64 {
-    let own =
-        stage.wiring.input.iter().chain(&stage.wiring.output).chain(stage.wiring.side_inputs.iter().map(|(_, t)| t));
+    let own = stage.wiring.inputs().chain(&stage.wiring.output);
     let of_topic =
         |topic: &Topic| FILES_PER_TOPIC + FILES_PER_PEER * (topic.readers.len() + topic.writers.len()) as u64;
     let bridged = match &stage.runs {
