@@ -16,11 +16,14 @@ use std::time::{Duration, Instant};
 /// The pipelines that run at one moment.
 pub struct Observation {
     taken: Instant,
-    pipelines: Vec<(Plan, Vec<Observed>, Vec<LinkReport>)>,
+    runs: Vec<RunRecord>,
 }
 
 /// What the run of one pipeline has counted by now, for those that keep a history and work out rates by themselves.
+#[derive(Default)]
 pub struct RunRecord {
+    pipeline: String,
+    run: u64,
     /// Its stages, in the order of the file.
     pub stages: Vec<StageRecord>,
     /// The links to other machines.
@@ -46,12 +49,6 @@ pub struct Usage {
     pub resident_bytes: u64,
     /// Time since the stage's last sign of life.
     pub silent: Duration,
-}
-
-/// A stage at one moment.
-struct Observed {
-    status: Status,
-    usage: Usage,
 }
 
 /// What a pipeline did between two moments.
@@ -161,13 +158,9 @@ pub struct InputActivity {
 /// # Errors
 /// The user's folder cannot be read.
 pub fn observe() -> Result<Observation, FolderError> {
-    let plans = RunFolder::all()?.into_iter().filter_map(|folder| Some((folder.plan().ok()?, folder)));
-    let observed = plans.map(|(plan, folder)| {
-        let stages = plan.stages.iter().filter_map(|stage| observe_stage(&folder, &stage.name)).collect::<Vec<_>>();
-        let links = read_links(folder.path(), plan.run);
-        (plan, stages, links)
-    });
-    Ok(Observation { taken: Instant::now(), pipelines: observed.filter(|(_, stages, _)| !stages.is_empty()).collect() })
+    let runs = RunFolder::all()?.into_iter().filter_map(|folder| RunRecord::read(&folder));
+    let lives = |run: &RunRecord| run.stages.iter().any(|stage| stage.usage.is_some());
+    Ok(Observation { taken: Instant::now(), runs: runs.filter(lives).collect() })
 }
 
 /// Looks at the run of this pipeline; of a stage that has not begun there is nothing.
@@ -175,20 +168,7 @@ pub fn observe() -> Result<Observation, FolderError> {
 /// # Errors
 /// The user's folder cannot be read.
 pub fn records(pipeline: &str) -> Result<RunRecord, FolderError> {
-    let folder = RunFolder::open(pipeline)?;
-    let Ok(plan) = folder.plan() else { return Ok(RunRecord { stages: Vec::new(), links: Vec::new() }) };
-    let links = read_links(folder.path(), plan.run);
-    let record = |planned: PlannedStage| {
-        let status = Status::read(&folder.status(&planned.name)).filter(|status| status.run == plan.run)?;
-        Some(StageRecord { planned, usage: usage(&status), status: Box::new(status) })
-    };
-    Ok(RunRecord { stages: plan.stages.into_iter().filter_map(record).collect(), links })
-}
-
-/// A stage that lives.
-fn observe_stage(folder: &RunFolder, name: &str) -> Option<Observed> {
-    let status = Status::read(&folder.status(name))?;
-    Some(Observed { usage: usage(&status)?, status })
+    Ok(RunRecord::read(&RunFolder::open(pipeline)?).unwrap_or_default())
 }
 
 /// What the process of a stage takes while it works; a record may outlive its process.
@@ -214,36 +194,48 @@ impl Observation {
     /// What happened since an earlier look.
     pub fn since(&self, earlier: &Self) -> Vec<PipelineActivity> {
         let seconds = self.taken.duration_since(earlier.taken).as_secs_f64().max(1e-3);
-        let activities = self.pipelines.iter();
-        activities.map(|(plan, stages, links)| pipeline_activity(plan, stages, links, earlier, seconds)).collect()
+        self.runs.iter().map(|run| run.activity(earlier, seconds)).collect()
     }
 
-    fn find(&self, run: u64, process: u32) -> Option<&Observed> {
-        let stages = self.pipelines.iter().filter(|(plan, ..)| plan.run == run).flat_map(|(_, stages, _)| stages);
-        stages.into_iter().find(|stage| stage.status.process == process)
+    fn find(&self, run: u64, process: u32) -> Option<(&Status, Usage)> {
+        let stages = self.runs.iter().filter(|known| known.run == run).flat_map(|known| &known.stages);
+        stages.filter_map(StageRecord::living).find(|(status, _)| status.process == process)
     }
 }
 
-fn pipeline_activity(
-    plan: &Plan,
-    stages: &[Observed],
-    links: &[LinkReport],
-    earlier: &Observation,
-    seconds: f64,
-) -> PipelineActivity {
-    let (mut activities, mut topics, mut inputs) = (Vec::new(), Vec::new(), Vec::new());
-    for planned in &plan.stages {
-        let of_stage = |stage: &&Observed| stage.status.stage.as_str() == Some(&planned.name);
-        let Some(stage) = stages.iter().find(of_stage) else { continue };
-        let span = Span { before: earlier.find(plan.run, stage.status.process), now: stage, seconds };
-        activities.push(span.stage(planned));
-        topics.extend(planned.wiring.output.as_ref().map(|topic| span.topic(&topic.name, &planned.name)));
-        if planned.is_bridge() {
-            topics.extend(links.iter().flat_map(|link| &link.edges).filter(|edge| edge.comes()).map(arriving));
-        }
-        inputs.extend(input_activity(&stage.status, &planned.name, !planned.is_source()));
+impl RunRecord {
+    /// What the run in this folder has counted; nothing where there is none.
+    fn read(folder: &RunFolder) -> Option<Self> {
+        let Plan { pipeline, run, stages, .. } = folder.plan().ok()?;
+        let record = |planned: PlannedStage| {
+            let status = Box::new(folder.record(&planned.name, run)?);
+            Some(StageRecord { planned, usage: usage(&status), status })
+        };
+        let stages = stages.into_iter().filter_map(record).collect();
+        Some(Self { pipeline, run, stages, links: read_links(folder.path(), run) })
     }
-    PipelineActivity { pipeline: plan.pipeline.clone(), stages: activities, topics, inputs, links: links.to_vec() }
+
+    fn activity(&self, earlier: &Observation, seconds: f64) -> PipelineActivity {
+        let (mut stages, mut topics, mut inputs) = (Vec::new(), Vec::new(), Vec::new());
+        for record in &self.stages {
+            let (Some((now, usage)), planned) = (record.living(), &record.planned) else { continue };
+            let span = Span { before: earlier.find(self.run, now.process), now, usage, seconds };
+            stages.push(span.stage(planned));
+            topics.extend(planned.wiring.output.as_ref().map(|topic| span.topic(&topic.name, &planned.name)));
+            if planned.is_bridge() {
+                topics.extend(self.links.iter().flat_map(|link| &link.edges).filter(|edge| edge.comes()).map(arriving));
+            }
+            inputs.extend(input_activity(now, &planned.name, !planned.is_source()));
+        }
+        PipelineActivity { pipeline: self.pipeline.clone(), stages, topics, inputs, links: self.links.clone() }
+    }
+}
+
+impl StageRecord {
+    /// Its counts, and what its process takes, if one works.
+    fn living(&self) -> Option<(&Status, Usage)> {
+        Some((&self.status, self.usage?))
+    }
 }
 
 /// What comes into a topic from another machine, as the bridge has reported it last; bytes are those in shared memory, as
@@ -264,32 +256,32 @@ fn arriving(edge: &EdgeReport) -> TopicActivity {
 
 /// A stage at two moments; at only one if it was started meanwhile.
 struct Span<'a> {
-    before: Option<&'a Observed>,
-    now: &'a Observed,
+    before: Option<(&'a Status, Usage)>,
+    now: &'a Status,
+    usage: Usage,
     seconds: f64,
 }
 
 impl Span<'_> {
     fn per_second(&self, count: fn(&Status) -> u64) -> f64 {
-        let counted = self.before.map_or(0, |before| count(&self.now.status).saturating_sub(count(&before.status)));
+        let counted = self.before.map_or(0, |(before, _)| count(self.now).saturating_sub(count(before)));
         counted as f64 / self.seconds
     }
 
     /// What was found in a message, on average.
     fn found_per_message(&self) -> BTreeMap<String, f64> {
-        let Some(before) = self.before else { return BTreeMap::new() };
-        let messages = self.now.status.steps.saturating_sub(before.status.steps);
-        let count_before =
-            |name: &str| used(&before.status.found).find(|(known, _)| *known == name).map_or(0, |(_, n)| n);
-        let found = used(&self.now.status.found).filter(|_| messages > 0);
+        let Some((before, _)) = self.before else { return BTreeMap::new() };
+        let messages = self.now.steps.saturating_sub(before.steps);
+        let count_before = |name: &str| used(&before.found).find(|(known, _)| *known == name).map_or(0, |(_, n)| n);
+        let found = used(&self.now.found).filter(|_| messages > 0);
         found
             .map(|(name, n)| (name.to_owned(), n.saturating_sub(count_before(name)) as f64 / messages as f64))
             .collect()
     }
 
     fn stage(&self, planned: &PlannedStage) -> StageActivity {
-        let status = &self.now.status;
-        let cpu = self.before.map_or(Duration::ZERO, |before| self.now.usage.cpu.saturating_sub(before.usage.cpu));
+        let status = self.now;
+        let cpu = self.before.map_or(Duration::ZERO, |(_, before)| self.usage.cpu.saturating_sub(before.cpu));
         StageActivity {
             stage: planned.name.clone(),
             node: planned.runs.name().to_owned(),
@@ -298,8 +290,8 @@ impl Span<'_> {
             messages: status.steps,
             rate_hz: self.per_second(|status| status.steps),
             cpu_percent: cpu.as_secs_f64() / self.seconds * 100.0,
-            memory_mb: self.now.usage.resident_bytes as f64 / 1e6,
-            silent_s: self.now.usage.silent.as_secs_f64(),
+            memory_mb: self.usage.resident_bytes as f64 / 1e6,
+            silent_s: self.usage.silent.as_secs_f64(),
             waits_for: Some(status.waits_for.to_string()).filter(|stage| !stage.is_empty()),
             can_pause: status.pausing() != Pausing::Cannot,
             paused: status.pausing() == Pausing::Stands,
@@ -312,12 +304,12 @@ impl Span<'_> {
     }
 
     fn topic(&self, topic: &str, writer: &str) -> TopicActivity {
-        let intervals = self.before.map(|before| self.now.status.intervals.since(&before.status.intervals));
+        let intervals = self.before.map(|(before, _)| self.now.intervals.since(&before.intervals));
         let range = intervals.and_then(|intervals| intervals.range());
         TopicActivity {
             topic: topic.to_owned(),
             writer: writer.to_owned(),
-            sent: self.now.status.sent,
+            sent: self.now.sent,
             rate_hz: self.per_second(|status| status.sent),
             bandwidth_mbps: self.per_second(|status| status.sent_bytes) / 1e6,
             interval_min_ms: range.map(|(shortest, _)| shortest.as_secs_f64() * 1e3),

@@ -14,7 +14,8 @@ use bytemuck::{try_cast_slice, try_cast_slice_mut};
 use capacity::in_words;
 use conicflow_messages::{Header, Hinted, Item, Text};
 use serde::{Deserialize, Serialize};
-use std::path::PathBuf;
+use std::fmt::Debug;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Messages that a stage keeps of one input at most until their frame has come, or its own turn.
@@ -223,6 +224,13 @@ pub enum PortError {
     /// The run ended while the port waited.
     #[error("the run ended")]
     Stopped,
+}
+
+impl PortError {
+    /// What keeps `doing` from being done in the shared memory of this folder.
+    fn of_shared_memory(root: &Path, doing: impl Into<String>, reason: impl Debug) -> Self {
+        Self::SharedMemory { doing: doing.into(), reason: format!("{reason:?}"), root: root.to_owned() }
+    }
 }
 
 /// A message taken out of a topic, kept in the writer's memory as long as this lives.

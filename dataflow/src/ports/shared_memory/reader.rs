@@ -10,6 +10,7 @@ use conicflow_messages::{Header, Text};
 use iceoryx2::port::ReceiveError;
 use iceoryx2::port::listener::{Listener, ListenerWaitError};
 use iceoryx2::port::notifier::Notifier;
+use std::fmt::Debug;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -76,11 +77,8 @@ impl Reader for SharedReader {
     }
 
     fn receive(&mut self) -> Result<Option<SharedMessage>, PortError> {
-        let received = self.port.receive().map_err(|error| PortError::SharedMemory {
-            doing: format!("topic `{}` cannot be read", self.topic),
-            reason: format!("{error:?}"),
-            root: self.occupied.root().to_owned(),
-        })?;
+        let received = self.port.receive();
+        let received = received.map_err(|error| self.fault(format!("topic `{}` cannot be read", self.topic), error))?;
         if let Some(message) = &received {
             let origin = Some(message.sample.header().publisher_id().value());
             // Where messages are kept, there is room for another one when one is finished; a new writer waits until it is seen.
@@ -96,11 +94,7 @@ impl Reader for SharedReader {
         match self.wake.timed_wait(|_| {}, timeout) {
             // A signal ends the sleep early; the runner looks at its stop flag then.
             Ok(_) | Err(ListenerWaitError::InterruptSignal) => Ok(()),
-            Err(error) => Err(PortError::SharedMemory {
-                doing: format!("waiting for topic `{}` failed", self.topic),
-                reason: format!("{error:?}"),
-                root: self.occupied.root().to_owned(),
-            }),
+            Err(error) => Err(self.fault(format!("waiting for topic `{}` failed", self.topic), error)),
         }
     }
 
@@ -123,6 +117,10 @@ impl Reader for SharedReader {
 }
 
 impl SharedReader {
+    fn fault(&self, doing: String, reason: impl Debug) -> PortError {
+        PortError::of_shared_memory(self.occupied.root(), doing, reason)
+    }
+
     fn wake_writer(&self) {
         // A writer that is not woken looks again by itself after `DEAD_READER_CHECK`.
         if let Some(room) = &self.room {

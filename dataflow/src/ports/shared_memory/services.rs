@@ -14,7 +14,7 @@ use iceoryx2::port::notifier::Notifier;
 use iceoryx2::prelude::*;
 use iceoryx2::service::builder::publish_subscribe::{PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError};
 use iceoryx2::service::marker::{CustomHeaderMarker, CustomPayloadMarker};
-use std::fmt::{Debug, Display};
+use std::fmt::Debug;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -52,11 +52,8 @@ impl SharedMemory {
     pub fn open(root: &Path, run: &str, stage: &str, stop: Stop) -> Result<Self, PortError> {
         set_log_level(LogLevel::Fatal);
         let config = configuration(root)?;
-        let fault = |reason: &dyn Debug| PortError::SharedMemory {
-            doing: format!("stage `{stage}` cannot join the shared memory"),
-            reason: format!("{reason:?}"),
-            root: root.to_owned(),
-        };
+        let doing = || format!("stage `{stage}` cannot join the shared memory");
+        let fault = |reason: &dyn Debug| PortError::of_shared_memory(root, doing(), reason);
         let occupied = Arc::new(Occupied::new(root, stop.clone()).map_err(|error| fault(&error))?);
         let name = NodeName::new(stage).map_err(|error| fault(&error))?;
         let builder = NodeBuilder::new().name(&name).config(&config).signal_handling_mode(SignalHandlingMode::Disabled);
@@ -101,19 +98,14 @@ impl SharedMemory {
         let Self { node, occupied, .. } = Self::open(root, "", "launcher", Stop::default())?;
         node.try_cleanup_dead_nodes();
         drop(node);
-        occupied.clean_up().map_err(|error| PortError::SharedMemory {
-            doing: "what dead processes left cannot be removed".to_owned(),
-            reason: error.to_string(),
-            root: root.to_owned(),
+        occupied.clean_up().map_err(|error| {
+            let doing = "what dead processes left cannot be removed";
+            PortError::of_shared_memory(root, doing, format_args!("{error}"))
         })
     }
 
-    pub(super) fn fault(&self, doing: impl Display, reason: impl Debug) -> PortError {
-        PortError::SharedMemory { doing: doing.to_string(), reason: format!("{reason:?}"), root: self.root() }
-    }
-
-    pub(super) fn root(&self) -> PathBuf {
-        self.occupied.root().to_owned()
+    pub(super) fn fault(&self, doing: impl Into<String>, reason: impl Debug) -> PortError {
+        PortError::of_shared_memory(self.occupied.root(), doing, reason)
     }
 
     fn service_name(&self, topic: &Topic, part: &str) -> Result<ServiceName, PortError> {
@@ -212,10 +204,9 @@ pub(super) fn configuration(root: &Path) -> Result<Config, PortError> {
     if length > ROOT_LIMIT {
         return Err(too_long());
     }
-    let prefix = cleanup::prefix(root).map_err(|error| PortError::SharedMemory {
-        doing: "the folder of shared memory cannot be used".to_owned(),
-        reason: error.to_string(),
-        root: root.to_owned(),
+    let prefix = cleanup::prefix(root).map_err(|error| {
+        let doing = "the folder of shared memory cannot be used";
+        PortError::of_shared_memory(root, doing, format_args!("{error}"))
     })?;
     let mut config = Config::default();
     // Each is room for a connection in every reader, whose writer may have gone while it holds messages of that.

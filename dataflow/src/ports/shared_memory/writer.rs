@@ -48,11 +48,8 @@ pub struct SharedWriter {
 
 impl SharedWriter {
     fn fault(&self, reason: impl Debug) -> PortError {
-        PortError::SharedMemory {
-            doing: format!("topic `{}` cannot be written", self.topic.name),
-            reason: format!("{reason:?}"),
-            root: self.occupied.root().to_owned(),
-        }
+        let doing = format!("topic `{}` cannot be written", self.topic.name);
+        PortError::of_shared_memory(self.occupied.root(), doing, reason)
     }
 
     /// The publisher, made when the length of the first message is known, and anew for messages that have no room in it.
