@@ -81,4 +81,4 @@ pub use side_inputs::{Pairing, SideInput, SideInputs};
 pub use stage::{Config, Context, Next, NoConfig, Output, Source, Stage, StageError, Stop};
 pub use status::{Counter, Durations, InputCounts, Intervals, Life, NO_RUN, Status, used};
 pub use table::Table;
-pub use watch::{RunningPipeline, Seen, WatchError, Watcher, Watching};
+pub use watch::{RunningPipeline, Seen, WatchError, Watcher, Watching, told_to_end};

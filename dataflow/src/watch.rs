@@ -293,8 +293,11 @@ impl RunningPipeline {
     }
 }
 
-/// Raised by the signals that end a program, so that this one can leave its place in order.
-fn told_to_end() -> io::Result<Arc<AtomicBool>> {
+/// Raised from now on by the signals that end a program, so that this one can leave its place in order.
+///
+/// # Errors
+/// The system does not let them be received.
+pub fn told_to_end() -> io::Result<Arc<AtomicBool>> {
     let told = Arc::new(AtomicBool::new(false));
     for signal in [SIGINT, SIGTERM, SIGHUP] {
         signal_hook::flag::register(signal, Arc::clone(&told))?;

@@ -6,12 +6,9 @@ use clap::Args;
 use conicflow_dataflow::RunOptions;
 use conicflow_dataflow::pipeline::{Pipeline, Report, SourceText};
 use conicflow_messages::Hinted;
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use std::fmt::Display;
-use std::io::{self, Write, stderr};
+use std::io::{Write, stderr};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 
 const BUILT_IN: &str = include_str!("../../pipeline.toml");
 const DEFAULT_FILE: &str = "pipeline.toml";
@@ -94,15 +91,6 @@ pub fn check_machine(pipeline: &Pipeline, machine: Option<&str>) -> anyhow::Resu
 pub fn options(log: &str) -> anyhow::Result<RunOptions> {
     let program = std::env::current_exe().context("cannot find this program's own file, which runs the stages")?;
     Ok(RunOptions { program, nodes: NODES, log: Some(log.to_owned()), ..RunOptions::default() })
-}
-
-/// Becomes true as soon as this process is asked to end: then no further run is begun.
-pub fn interruption() -> io::Result<Arc<AtomicBool>> {
-    let interrupted = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM, SIGHUP] {
-        signal_hook::flag::register(signal, Arc::clone(&interrupted))?;
-    }
-    Ok(interrupted)
 }
 
 /// Writes a line to standard error; that nobody reads it any more is no fault of the run.

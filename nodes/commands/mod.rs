@@ -22,12 +22,12 @@ use anyhow::bail;
 use clap::{Args, CommandFactory, Parser, Subcommand};
 use conicflow_dataflow::pipeline::{Pipeline, Report, file_schema};
 use conicflow_dataflow::{DEFAULT_LOG, LOG, LaunchError, LinkKey, NO_RUN, Plan, ProcessError, RunOptions, Summary};
-use conicflow_dataflow::{error_text, log_filter, log_to_standard_error};
+use conicflow_dataflow::{error_text, log_filter, log_to_standard_error, told_to_end};
 use conicflow_lab::experiment::{Experiment, Results, Variation};
 use conicflow_messages::{Hinted, lasts};
 use doctor::doctor;
 use experiment::Rows;
-use invocation::{FileArguments, check_machine, interruption, options, say};
+use invocation::{FileArguments, check_machine, options, say};
 use keys::Keys;
 use signal_hook::consts::SIGXFSZ;
 use std::collections::BTreeSet;
@@ -328,7 +328,7 @@ fn run_experiment(
     experiment::check(experiment, pipeline)?;
     let variations = variations(experiment, &arguments.source)?;
     let (rows, mut results) = (Rows::of(pipeline)?, Results::new(experiment));
-    let interrupted = interruption()?;
+    let interrupted = told_to_end()?;
     for (index, variation) in variations.iter().enumerate() {
         let overrides: Vec<String> = variation.overrides.iter().cloned().chain(rows.overrides()).collect();
         if !arguments.quiet {

@@ -5,12 +5,11 @@ use crate::viewing::live::Live;
 use crate::viewing::player::Player;
 use anyhow::Result;
 use clap::Args;
+use conicflow_dataflow::told_to_end;
 use conicflow_view::{Display, Listen, Page, Server};
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use std::io::{Write, stdout};
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 
 /// What is shown, and where.
 #[derive(Args)]
@@ -39,10 +38,7 @@ pub struct ViewArguments {
 /// The address cannot be listened at, or there is no such recording.
 pub fn view(arguments: &ViewArguments) -> Result<()> {
     give_way();
-    let told = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM, SIGHUP] {
-        signal_hook::flag::register(signal, Arc::clone(&told))?;
-    }
+    let told = told_to_end()?;
     let display = Arc::new(Display::default());
     let listen = Listen::read(arguments.listen.as_deref(), arguments.token.as_deref())?;
     if let Some(file) = &arguments.file {
