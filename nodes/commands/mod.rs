@@ -202,25 +202,22 @@ pub fn main() -> ExitCode {
 
 fn dispatch(command: Command, log: &str) -> anyhow::Result<ExitCode> {
     match command {
-        Command::Run(arguments) => run(&arguments, log),
-        Command::Detect(arguments) => detect::detect(&arguments).map(|()| ExitCode::SUCCESS),
-        Command::Compare(arguments) => compare::compare(&arguments, log),
-        Command::Node { stage, file, machine } => {
-            node(&stage, file, machine.as_deref(), log).map(|()| ExitCode::SUCCESS)
+        Command::Run(arguments) => return run(&arguments, log),
+        Command::Compare(arguments) => return compare::compare(&arguments, log),
+        Command::Doctor { source, machine, clean } => {
+            return doctor(&source.read_for(machine.as_deref())?, machine.as_deref(), clean);
         }
-        Command::Validate { source, machine } => validate(&source, machine.as_deref()),
+        Command::Detect(arguments) => detect::detect(&arguments)?,
+        Command::Node { stage, file, machine } => node(&stage, file, machine.as_deref(), log)?,
+        Command::Validate { source, machine } => validate(&source, machine.as_deref())?,
         Command::Graph { source, machine } => {
             write!(stdout(), "{}", source.read_for(machine.as_deref())?.mermaid())?;
-            Ok(ExitCode::SUCCESS)
         }
-        Command::Top { once } => top::top(once).map(|()| ExitCode::SUCCESS),
-        Command::Topic(command) => topic::topic(&command).map(|()| ExitCode::SUCCESS),
-        Command::Record(arguments) => record::record(&arguments).map(|()| ExitCode::SUCCESS),
-        Command::View(arguments) => view::view(&arguments).map(|()| ExitCode::SUCCESS),
-        Command::Swap(arguments) => swap::swap(&arguments).map(|()| ExitCode::SUCCESS),
-        Command::Doctor { source, machine, clean } => {
-            doctor(&source.read_for(machine.as_deref())?, machine.as_deref(), clean)
-        }
+        Command::Top { once } => top::top(once)?,
+        Command::Topic(command) => topic::topic(&command)?,
+        Command::Record(arguments) => record::record(&arguments)?,
+        Command::View(arguments) => view::view(&arguments)?,
+        Command::Swap(arguments) => swap::swap(&arguments)?,
         Command::Key { file } => {
             LinkKey::make(&file)?;
             writeln!(
@@ -228,22 +225,14 @@ fn dispatch(command: Command, log: &str) -> anyhow::Result<ExitCode> {
                 "made `{}`: copy it to all machines, and name it in the table of each as `key`",
                 file.display()
             )?;
-            Ok(ExitCode::SUCCESS)
         }
-        Command::Schema => {
-            writeln!(stdout(), "{:#}", file_schema(REGISTRY.nodes))?;
-            Ok(ExitCode::SUCCESS)
-        }
-        Command::Nodes { name } => {
-            write!(stdout(), "{}", node_help::nodes(name.as_deref())?)?;
-            Ok(ExitCode::SUCCESS)
-        }
-        Command::Completions { shell } => {
-            shell::completions(shell, &mut CommandLine::command()).map(|()| ExitCode::SUCCESS)
-        }
-        Command::Man => shell::manual(CommandLine::command()).map(|()| ExitCode::SUCCESS),
-        Command::Keys { pipeline, launcher } => keys::read(&pipeline, launcher).map(|()| ExitCode::SUCCESS),
+        Command::Schema => writeln!(stdout(), "{:#}", file_schema(REGISTRY.nodes))?,
+        Command::Nodes { name } => write!(stdout(), "{}", node_help::nodes(name.as_deref())?)?,
+        Command::Completions { shell } => shell::completions(shell, &mut CommandLine::command())?,
+        Command::Man => shell::manual(CommandLine::command())?,
+        Command::Keys { pipeline, launcher } => keys::read(&pipeline, launcher)?,
     }
+    Ok(ExitCode::SUCCESS)
 }
 
 /// The text of an error and its causes; a report speaks for itself.
@@ -263,7 +252,7 @@ fn is_broken_pipe(error: &anyhow::Error) -> bool {
     error.downcast_ref::<io::Error>().is_some_and(|error| error.kind() == ErrorKind::BrokenPipe)
 }
 
-fn validate(source: &FileArguments, machine: Option<&str>) -> anyhow::Result<ExitCode> {
+fn validate(source: &FileArguments, machine: Option<&str>) -> anyhow::Result<()> {
     let (pipeline, warnings) = source.read_with(machine, &[])?;
     machine.map_or(Ok(()), |machine| check_machine(&pipeline, Some(machine)))?;
     metrics::listen(&pipeline, machine)?;
@@ -278,8 +267,7 @@ fn validate(source: &FileArguments, machine: Option<&str>) -> anyhow::Result<Exi
         }
     }
     let (stages, topics) = (pipeline.stages.len(), pipeline.topics().len());
-    writeln!(stdout(), "`{}` is valid: {stages} stages, {topics} topics", pipeline.name)?;
-    Ok(ExitCode::SUCCESS)
+    Ok(writeln!(stdout(), "`{}` is valid: {stages} stages, {topics} topics", pipeline.name)?)
 }
 
 fn run(arguments: &RunArguments, log: &str) -> anyhow::Result<ExitCode> {
