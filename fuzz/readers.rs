@@ -11,7 +11,7 @@ use conicflow_lab::simulator::scene_values::{SceneTemplate, Values};
 use conicflow_lab::simulator::{SimulatorParameters, SyntheticCamera};
 use conicflow_messages::{Header, Layout, Object};
 use conicflow_nodes::NODES;
-use conicflow_nodes::sources::image_source::{Options, Recording};
+use conicflow_nodes::sources::image_source::{self, Recording};
 use conicflow_nodes::sources::mcap_source::{Config, Replay};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -114,7 +114,8 @@ fn render(scene: Scene) {
 fn first_frame(name: &str, bytes: &[u8]) -> Result<()> {
     let path = written(name, bytes)?;
     let intrinsics = Some(Intrinsics { fx: 50.0, fy: 50.0, cx: 3.0, cy: 2.0 });
-    let mut recording = Recording::open(&path, &Options { intrinsics, ..Options::default() })?;
+    let mut recording =
+        Recording::open(&path, &image_source::Config { intrinsics, ..image_source::Config::default() })?;
     recording.load(0)?;
     recording.decode(&mut vec![0; recording.pixels()])?;
     Ok(())

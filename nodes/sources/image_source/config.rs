@@ -1,6 +1,5 @@
 //! The parameters of `image_source`.
 
-use super::poses::PosesConfig;
 use crate::sources::WrittenIn;
 use conicflow_dataflow::ConfigFault;
 use conicflow_detection::camera::Intrinsics;
@@ -44,6 +43,40 @@ pub struct Config {
     /// Where these parameters are written.
     #[serde(skip)]
     pub written_in: WrittenIn,
+}
+
+/// What the pipeline file says of poses: `auto`, `none`, or a path.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(from = "String", into = "String")]
+#[schemars(with = "String")]
+pub enum PosesConfig {
+    /// Those beside the frames, if there are any.
+    #[default]
+    Auto,
+    /// None, also where there are some.
+    None,
+    /// Those of a file, or of a folder with a file for each frame.
+    Path(PathBuf),
+}
+
+impl From<String> for PosesConfig {
+    fn from(text: String) -> Self {
+        match text.as_str() {
+            "auto" => Self::Auto,
+            "none" => Self::None,
+            _ => Self::Path(text.into()),
+        }
+    }
+}
+
+impl From<PosesConfig> for String {
+    fn from(config: PosesConfig) -> Self {
+        match config {
+            PosesConfig::Auto => "auto".into(),
+            PosesConfig::None => "none".into(),
+            PosesConfig::Path(path) => path.to_string_lossy().into_owned(),
+        }
+    }
 }
 
 impl Default for Config {

@@ -146,7 +146,7 @@ fn single_file(path: &Path) -> Result<Layout> {
     if path.file_name().is_some_and(|name| name == tum::LIST) {
         return tum_folder(folder_of(path));
     }
-    let Some(Kind::Depth(format)) = kind_of(path) else {
+    let Some(format) = format_of(path) else {
         bail!(Hinted::new(
             format!("`{}` is no depth frame", path.display()),
             "name a 16-bit PNG, a TIFF, NPY or PCD file, or a folder of them"
@@ -192,21 +192,21 @@ fn pcd_size(path: &Path) -> Result<(u32, u32)> {
     Ok((header.width, header.height))
 }
 
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Kind {
-    Depth(Format),
-    Jpeg,
-}
-
-fn kind_of(path: &Path) -> Option<Kind> {
+fn format_of(path: &Path) -> Option<Format> {
     match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
-        "png" => Some(Kind::Depth(Format::Png)),
-        "tif" | "tiff" => Some(Kind::Depth(Format::Tiff)),
-        "npy" => Some(Kind::Depth(Format::Npy)),
-        "pcd" => Some(Kind::Depth(Format::Pcd)),
-        "jpg" | "jpeg" => Some(Kind::Jpeg),
+        "png" => Some(Format::Png),
+        "tif" | "tiff" => Some(Format::Tiff),
+        "npy" => Some(Format::Npy),
+        "pcd" => Some(Format::Pcd),
         _ => None,
     }
+}
+
+/// What a file is whose ending is that of no depth frame.
+fn other_kind(path: &Path) -> String {
+    let Some(ending) = path.extension() else { return "no ending".to_owned() };
+    let is_jpeg = ["jpg", "jpeg"].iter().any(|jpeg| ending.eq_ignore_ascii_case(jpeg));
+    if is_jpeg { "JPEG".to_owned() } else { format!("`.{}`", ending.to_string_lossy()) }
 }
 
 /// The files of a folder, sorted by what they hold.
@@ -221,12 +221,9 @@ impl Listing {
     fn read(folder: &Path) -> Result<Self> {
         let mut listing = Self { folder: folder.to_owned(), frames: BTreeMap::new(), others: BTreeMap::new() };
         for path in sorted_files(folder).with_context(|| format!("`{}` cannot be listed", folder.display()))? {
-            match kind_of(&path) {
-                Some(Kind::Depth(format)) => listing.add(format, path),
-                Some(Kind::Jpeg) => listing.add_other("JPEG".to_owned()),
-                None => listing.add_other(
-                    path.extension().map_or("no ending".into(), |ending| format!("`.{}`", ending.to_string_lossy())),
-                ),
+            match format_of(&path) {
+                Some(format) => listing.add(format, path),
+                None => listing.add_other(other_kind(&path)),
             }
         }
         listing.keep_those_called_depth();

@@ -23,10 +23,9 @@ mod tum;
 #[cfg(test)]
 mod fixtures;
 
-pub use config::Config;
+pub use config::{Config, PosesConfig};
 pub use playback::Playback;
-pub use poses::PosesConfig;
-pub use recording::{Options, Recording};
+pub use recording::Recording;
 
 use crate::stage_error::stage_error;
 use conicflow_dataflow::{ConfigFault, Context, Next, Output, SideInputs, Source, StageError};
@@ -53,10 +52,8 @@ impl Source for ImageSource {
     }
 
     fn message_length(config: &Config, base: &Path) -> Option<usize> {
-        let Config { depth_scale, intrinsics, first, frames, written_in, .. } = *config;
-        let options = Options { depth_scale, intrinsics, first, frames, written_in };
         // What cannot be opened is told when the stage starts.
-        Recording::open(&base.join(config.path.as_ref()?), &options).ok().map(|recording| recording.pixels())
+        Recording::open(&base.join(config.path.as_ref()?), config).ok().map(|recording| recording.pixels())
     }
 
     fn rate_hz(&self) -> f64 {

@@ -2,7 +2,7 @@
 
 use super::config::{Config, USUAL_RATE_HZ};
 use super::poses::Poses;
-use super::recording::{Frame, Options, Recording};
+use super::recording::{Frame, Recording};
 use anyhow::Result;
 use conicflow_dataflow::tell_median;
 use conicflow_messages::{Camera, HAS_POSE, Header, Hinted, NoiseModel, RECORDED, Text, is_measured, median_depth};
@@ -46,9 +46,7 @@ impl Playback {
     pub fn open(config: &Config, base: &Path, resume_at: u64, counted: u64) -> Result<Self> {
         let path =
             config.path.as_ref().ok_or_else(|| Hinted::new("`path` is missing", "write `path = \"folder/\"`"))?;
-        let Config { depth_scale, intrinsics, first, frames, written_in, .. } = *config;
-        let options = Options { depth_scale, intrinsics, first, frames, written_in };
-        let recording = Recording::open(&base.join(path), &options)?;
+        let recording = Recording::open(&base.join(path), config)?;
         let poses = Poses::find(&config.poses, base, &recording)?;
         for error in recording.unreadable() {
             tracing::warn!("passed over: {error:#}");
@@ -65,7 +63,7 @@ impl Playback {
             counts: BTreeMap::from([(UNREADABLE, unreadable.saturating_sub(counted))]),
             described: false,
             told_empty: false,
-            given_intrinsics: intrinsics.is_some(),
+            given_intrinsics: config.intrinsics.is_some(),
             poses,
             recording,
         })

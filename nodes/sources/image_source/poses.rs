@@ -4,6 +4,7 @@
 //! by its place in the order of the files (Open3D). Between two times a pose is interpolated: its place along a line, its
 //! rotation about one axis (Shoemake, "Animating rotation with quaternion curves", 1985).
 
+use super::config::PosesConfig;
 use super::faulty::hinted;
 use super::layout::file_name;
 use super::natural;
@@ -12,8 +13,6 @@ use super::trajectory::{self, Known, Trajectory};
 use anyhow::{Context as _, Error, Result, bail, ensure};
 use conicflow_messages::Hinted;
 use nalgebra::Isometry3;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::Read as _;
@@ -30,40 +29,6 @@ const MAX_BYTES: u64 = 1 << 30;
 /// What the files of 7-Scenes end in, and TUM's is called.
 const OF_FRAME: &str = ".pose.txt";
 const OF_TIMES: &str = "groundtruth.txt";
-
-/// What the pipeline file says of poses: `auto`, `none`, or a path.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
-#[serde(from = "String", into = "String")]
-#[schemars(with = "String")]
-pub enum PosesConfig {
-    /// Those beside the frames, if there are any.
-    #[default]
-    Auto,
-    /// None, also where there are some.
-    None,
-    /// Those of a file, or of a folder with a file for each frame.
-    Path(PathBuf),
-}
-
-impl From<String> for PosesConfig {
-    fn from(text: String) -> Self {
-        match text.as_str() {
-            "auto" => Self::Auto,
-            "none" => Self::None,
-            _ => Self::Path(text.into()),
-        }
-    }
-}
-
-impl From<PosesConfig> for String {
-    fn from(config: PosesConfig) -> Self {
-        match config {
-            PosesConfig::Auto => "auto".into(),
-            PosesConfig::None => "none".into(),
-            PosesConfig::Path(path) => path.to_string_lossy().into_owned(),
-        }
-    }
-}
 
 /// The poses of a recording.
 #[derive(Debug, Default)]

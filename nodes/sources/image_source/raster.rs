@@ -130,7 +130,7 @@ fn expect_all(depths: Depths, size: (u32, u32)) -> Result<Depths> {
 #[cfg(test)]
 mod tests {
     use super::super::fixtures::{CAMERA, depth_m, units};
-    use super::super::{Options, Recording};
+    use super::super::{Config, Recording};
     use super::*;
     use conicflow_detection::camera::Intrinsics;
     use conicflow_messages::Camera;
@@ -164,7 +164,7 @@ mod tests {
         files.iter().for_each(|(name, bytes)| fs::write(folder.path().join(name), bytes).unwrap());
         let Camera { fx, fy, cx, cy, .. } = CAMERA;
         let intrinsics = Some(Intrinsics { fx, fy, cx, cy });
-        let mut recording = Recording::open(folder.path(), &Options { intrinsics, depth_scale, ..Options::default() })?;
+        let mut recording = Recording::open(folder.path(), &Config { intrinsics, depth_scale, ..Config::default() })?;
         let frame = recording.load(0)?;
         let mut pixels = vec![0; recording.pixels()];
         recording.decode(&mut pixels)?;

@@ -1,5 +1,6 @@
 //! A recording: the depth frames of a path with their camera, read one by one into memory that the caller has.
 
+use super::config::Config;
 use super::depth_png;
 use super::faulty::hinted;
 use super::intrinsics::{self, CameraFile};
@@ -7,28 +8,11 @@ use super::layout::{Format, FrameFile, Layout, file_name};
 use super::pcd::Cloud;
 use super::pinhole::{self, FAIR_RESIDUAL_PX, Pinhole};
 use super::raster::{self, Depths};
-use crate::sources::WrittenIn;
 use anyhow::{Context as _, Error, Result, bail, ensure};
-use conicflow_detection::camera::Intrinsics;
 use conicflow_messages::{Camera, DEPTH_SCALES_M, Hinted, MAX_SIDE_PX, finest_scale, is_too_far, quantise};
 use std::fs::File;
 use std::io::Read as _;
 use std::path::Path;
-
-/// What the recording itself does not tell, or tells wrongly.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Options {
-    /// Metres per unit of the file.
-    pub depth_scale: Option<f64>,
-    /// The camera's intrinsics.
-    pub intrinsics: Option<Intrinsics>,
-    /// Number of the first frame that is used, from 0, counting unreadable ones.
-    pub first: u64,
-    /// The most frames that are used, counting unreadable ones.
-    pub frames: Option<u64>,
-    /// Where these are written.
-    pub written_in: WrittenIn,
-}
 
 /// The depth frames of a file or a folder.
 pub struct Recording {
@@ -45,14 +29,9 @@ pub struct Recording {
     metres_per_number: f64,
     /// Depth units per unit of the cloud's z, with its sign, or of depths in floating point.
     units_per_z: f64,
-    told: Told,
-}
-
-/// What has been said once.
-#[derive(Default)]
-struct Told {
-    flipped: bool,
-    residual: bool,
+    /// Whether it was said that clouds are flipped, and that they are none of a pinhole camera.
+    told_flipped: bool,
+    told_residual: bool,
 }
 
 /// A frame whose file has been read, and whose pixels can be had.
@@ -73,19 +52,20 @@ pub struct Frame {
 }
 
 impl Recording {
-    /// Finds the frames of `path`, looks at the header of each, and finds their camera.
+    /// Finds the frames of `path`, looks at the header of each, and finds their camera; what it does not tell, or tells wrongly,
+    /// says `config`.
     ///
     /// # Errors
     /// No frame can be read, frames are of different sizes, or their camera is not known.
-    pub fn open(path: &Path, options: &Options) -> Result<Self> {
+    pub fn open(path: &Path, config: &Config) -> Result<Self> {
         let mut layout = Layout::discover(path)?;
         let places = (layout.frames.len() + layout.unreadable.len()) as u64;
-        select(&mut layout, options)?;
+        select(&mut layout, config)?;
         let size = common_size(&layout.frames)?;
         let beside = CameraFile::find(&layout.folder)?;
-        let camera = camera(&layout, size, options, beside.as_ref())?;
+        let camera = camera(&layout, size, config, beside.as_ref())?;
         let by_file = beside.and_then(|file| file.depth_scale).filter(|_| layout.format != Format::Pcd);
-        let told = options.depth_scale.or(by_file);
+        let told = config.depth_scale.or(by_file);
         let depth_scale = told.unwrap_or(layout.depth_scale);
         ensure!(
             DEPTH_SCALES_M.contains(&depth_scale),
@@ -105,7 +85,8 @@ impl Recording {
             raster: Depths::Units(Vec::new()),
             metres_per_number: told.unwrap_or(1.0),
             units_per_z: 1.0,
-            told: Told::default(),
+            told_flipped: false,
+            told_residual: false,
         })
     }
 
@@ -211,11 +192,11 @@ impl Recording {
         let axes = ["x points left", "y points up", "z points backward"];
         let flipped: Vec<_> =
             axes.into_iter().zip(pinhole.flipped).filter_map(|(axis, is)| is.then_some(axis)).collect();
-        if !flipped.is_empty() && !std::mem::replace(&mut self.told.flipped, true) {
+        if !flipped.is_empty() && !std::mem::replace(&mut self.told_flipped, true) {
             let axes = flipped.join(", ");
             tracing::warn!("`{name}`: {axes}; turned into the optical frame: x right, y down, z forward");
         }
-        if pinhole.residual_px > FAIR_RESIDUAL_PX && !std::mem::replace(&mut self.told.residual, true) {
+        if pinhole.residual_px > FAIR_RESIDUAL_PX && !std::mem::replace(&mut self.told_residual, true) {
             let residual = pinhole.residual_px;
             tracing::warn!(
                 "`{name}`: points lie {residual:.2} pixels (rms) beside a pinhole camera's: rounded or distorted"
@@ -253,8 +234,8 @@ impl Recording {
 }
 
 /// Drops the frames that are not asked for, readable or not.
-fn select(layout: &mut Layout, options: &Options) -> Result<()> {
-    let Options { first, frames, .. } = *options;
+fn select(layout: &mut Layout, config: &Config) -> Result<()> {
+    let Config { first, frames, .. } = *config;
     let count = (layout.frames.len() + layout.unreadable.len()) as u64;
     ensure!(
         first < count,
@@ -304,8 +285,8 @@ fn common_size(frames: &[FrameFile]) -> Result<(u32, u32)> {
 }
 
 /// The camera, if something tells it; that of clouds may be left to a fit.
-fn camera(layout: &Layout, size: (u32, u32), options: &Options, beside: Option<&CameraFile>) -> Result<Option<Camera>> {
-    if let Some(intrinsics) = options.intrinsics {
+fn camera(layout: &Layout, size: (u32, u32), config: &Config, beside: Option<&CameraFile>) -> Result<Option<Camera>> {
+    if let Some(intrinsics) = config.intrinsics {
         ensure!(
             intrinsics.are_usable(),
             Hinted::new(
@@ -324,5 +305,5 @@ fn camera(layout: &Layout, size: (u32, u32), options: &Options, beside: Option<&
     if layout.format == Format::Pcd {
         return Ok(None);
     }
-    Err(intrinsics::missing(&layout.folder, size, options.written_in))
+    Err(intrinsics::missing(&layout.folder, size, config.written_in))
 }

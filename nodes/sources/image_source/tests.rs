@@ -51,11 +51,11 @@ impl Folder {
     }
 
     fn open(&self) -> anyhow::Result<Recording> {
-        Recording::open(&self.path, &Options::default())
+        Recording::open(&self.path, &Config::default())
     }
 
     fn open_given(&self) -> Recording {
-        Recording::open(&self.path, &Options { intrinsics: Some(GIVEN), ..Options::default() }).unwrap()
+        Recording::open(&self.path, &Config { intrinsics: Some(GIVEN), ..Config::default() }).unwrap()
     }
 
     fn told(&self) -> String {
@@ -103,7 +103,7 @@ fn a_folder_with_a_depth_folder_or_that_folder_itself() {
         .colour(&["rgb.png"])
         .file("camera_intrinsics.json", r#"{"intrinsic_matrix": [40, 0, 0, 0, 41, 0, 22.25, 18.5, 1]}"#);
     for path in [folder.path.clone(), folder.at("depth")] {
-        let mut recording = Recording::open(&path, &Options::default()).unwrap();
+        let mut recording = Recording::open(&path, &Config::default()).unwrap();
         assert_eq!(recording.load(1).unwrap().camera, CAMERA);
         assert_eq!(names(&mut recording), ["0.png", "1.png"]);
     }
@@ -112,10 +112,10 @@ fn a_folder_with_a_depth_folder_or_that_folder_itself() {
 #[test]
 fn a_single_file() {
     let folder = Folder::new().depth(&["a.png", "b.png"]);
-    let options = Options { intrinsics: Some(GIVEN), ..Options::default() };
-    let mut recording = Recording::open(&folder.at("b.png"), &options).unwrap();
+    let config = Config { intrinsics: Some(GIVEN), ..Config::default() };
+    let mut recording = Recording::open(&folder.at("b.png"), &config).unwrap();
     assert_eq!(names(&mut recording), ["b.png"]);
-    let error = format!("{:#}", Recording::open(&folder.file("c.txt", "").at("c.txt"), &options).err().unwrap());
+    let error = format!("{:#}", Recording::open(&folder.file("c.txt", "").at("c.txt"), &config).err().unwrap());
     assert!(
         error.ends_with(
             "c.txt` is no depth frame\n  hint: name a 16-bit PNG, a TIFF, NPY or PCD file, or a folder of them"
@@ -130,8 +130,8 @@ fn tum_folders_bring_their_stamps_and_scale() {
         "# depth maps\n1305031102.160407 depth/b.png\n1305031102.194330 depth/a.png\n1305031102.3 depth/gone.png\n";
     let folder = Folder::new().depth(&["depth/a.png", "depth/b.png"]).file("depth.txt", list);
     for path in [folder.path.clone(), folder.at("depth"), folder.at("depth.txt")] {
-        let options = Options { intrinsics: Some(GIVEN), ..Options::default() };
-        let mut recording = Recording::open(&path, &options).unwrap();
+        let config = Config { intrinsics: Some(GIVEN), ..Config::default() };
+        let mut recording = Recording::open(&path, &config).unwrap();
         assert_eq!(names(&mut recording), ["b.png", "a.png"]);
         let frame = recording.load(1).unwrap();
         assert_eq!((frame.depth_scale, frame.stamp_ns), (1.0 / 5000.0, Some(1_305_031_102_194_330_000)));
@@ -149,8 +149,8 @@ fn scale_and_intrinsics_come_from_the_nearest_authority() {
     let frame = folder.open().unwrap().load(0).unwrap();
     assert_eq!((frame.camera, frame.depth_scale), (CAMERA, 0.0005));
     let other = Intrinsics { fx: 50.0, ..GIVEN };
-    let options = Options { intrinsics: Some(other), depth_scale: Some(0.002), ..Options::default() };
-    let frame = Recording::open(&folder.path, &options).unwrap().load(0).unwrap();
+    let config = Config { intrinsics: Some(other), depth_scale: Some(0.002), ..Config::default() };
+    let frame = Recording::open(&folder.path, &config).unwrap().load(0).unwrap();
     assert_eq!((frame.camera.fx, frame.depth_scale), (50.0, 0.002));
 }
 
@@ -177,8 +177,8 @@ fn clouds_that_reach_far_turned_clouds_and_clouds_in_millimetres() {
     assert_eq!(pixels(&mut recording, 1), units(&depth_m(), 0.0001));
     let millimetres: Vec<_> = turned.iter().map(|point| point.map(|x| x * 1000.0)).collect();
     let folder = Folder::new().cloud("a.pcd", &millimetres);
-    let options = Options { depth_scale: Some(0.001), intrinsics: Some(GIVEN), ..Options::default() };
-    let mut recording = Recording::open(&folder.path, &options).unwrap();
+    let config = Config { depth_scale: Some(0.001), intrinsics: Some(GIVEN), ..Config::default() };
+    let mut recording = Recording::open(&folder.path, &config).unwrap();
     let worst = pixels(&mut recording, 0).into_iter().zip(units(&depth_m(), 0.0001)).map(|(a, b)| a.abs_diff(b)).max();
     assert!(worst <= Some(1));
 }
@@ -224,7 +224,7 @@ fn unreadable_frames_leave_a_gap_in_time() {
     assert!(reasons[1].contains("a4.pcd`: the header ends in line 1"));
     let only = Folder::new().file("a.pcd", &flat);
     assert!(only.told().starts_with("none of the 1 frames in"));
-    let error = format!("{:#}", Recording::open(&only.at("a.pcd"), &Options::default()).err().unwrap());
+    let error = format!("{:#}", Recording::open(&only.at("a.pcd"), &Config::default()).err().unwrap());
     assert!(error.contains("a.pcd`: the cloud is not organised"), "{error}");
 }
 
@@ -266,7 +266,7 @@ fn what_cannot_be_opened_is_told_with_what_to_do() {
     );
     let list = Folder::new().file("depth.txt", "1.0");
     assert!(list.told().starts_with("`depth.txt`: line 1, `1.0`: expected"), "{}", list.told());
-    let error = format!("{:#}", Recording::open(Path::new("/no/such/place"), &Options::default()).err().unwrap());
+    let error = format!("{:#}", Recording::open(Path::new("/no/such/place"), &Config::default()).err().unwrap());
     assert!(
         error.starts_with("`/no/such/place` cannot be opened: No such file") && error.contains("\n  hint: "),
         "{error}"
@@ -280,7 +280,7 @@ fn what_cannot_be_opened_is_told_with_what_to_do() {
 fn a_part_of_the_recording() {
     let folder = Folder::new().depth(&["0.png", "1.png", "2.png", "3.png"]);
     let part = |first, frames| {
-        Recording::open(&folder.path, &Options { first, frames, intrinsics: Some(GIVEN), ..Options::default() })
+        Recording::open(&folder.path, &Config { first, frames, intrinsics: Some(GIVEN), ..Config::default() })
     };
     assert_eq!(names(&mut part(1, Some(2)).unwrap()), ["1.png", "2.png"]);
     assert_eq!(part(1, Some(2)).unwrap().load(0).unwrap().slot, 0);
@@ -296,7 +296,7 @@ fn a_part_of_the_recording_counts_unreadable_frames_and_forgets_those_outside() 
     let folder = Folder::new().depth(&["1.png", "3.png", "4.png"]);
     let folder = folder.file("0.png", "no PNG").file("2.png", "no PNG").file("5.png", "no PNG");
     let part = |first, frames| {
-        Recording::open(&folder.path, &Options { first, frames, intrinsics: Some(GIVEN), ..Options::default() })
+        Recording::open(&folder.path, &Config { first, frames, intrinsics: Some(GIVEN), ..Config::default() })
     };
     let mut middle = part(1, Some(3)).unwrap();
     assert_eq!(names(&mut middle), ["1.png", "3.png"]);

@@ -43,7 +43,7 @@ type Line<'a> = (usize, &'a str);
 
 /// Whether a text begins as an Open3D trajectory does: with three whole numbers.
 pub(super) fn begins_in_order(text: &str) -> bool {
-    lines(text).next().is_some_and(|(_, line)| frame_numbers(line).is_some())
+    tum::lines(text).next().is_some_and(|(_, line)| frame_numbers(line).is_some())
 }
 
 /// Reads a file of any of the formats; the first line tells which it is.
@@ -51,7 +51,7 @@ pub(super) fn begins_in_order(text: &str) -> bool {
 /// # Errors
 /// What is wrong in which line.
 pub(super) fn parse(text: &str) -> Result<Trajectory> {
-    let lines: Vec<Line> = lines(text).collect();
+    let lines: Vec<Line> = tum::lines(text).collect();
     let (number, first) = *lines.first().context("there is nothing in it")?;
     match first.split_whitespace().count() {
         3 => in_order(&lines).map(Trajectory::InOrder),
@@ -63,11 +63,6 @@ pub(super) fn parse(text: &str) -> Result<Trajectory> {
         8 => timed(&lines).map(Trajectory::Timed),
         count => bail!("line {number}, `{}`: {count} words, expected 3, 4 or 8 numbers", excerpt(first)),
     }
-}
-
-fn lines(text: &str) -> impl Iterator<Item = Line<'_>> {
-    let lines = (1..).zip(text.lines().map(str::trim));
-    lines.filter(|(_, line)| !line.is_empty() && !line.starts_with('#'))
 }
 
 /// The numbers of a line, if it has so many of them and nothing else; what is lost may be infinite or not a number.

@@ -26,12 +26,16 @@ pub(super) struct Entry<'a> {
 /// # Errors
 /// A line that is no entry, with its number; an empty list.
 pub(super) fn parse(text: &str) -> Result<Vec<Entry<'_>>> {
-    let lines = (1..).zip(text.lines().map(str::trim));
-    let entries = lines.filter(|(_, line)| !line.is_empty() && !line.starts_with('#'));
-    let entries: Vec<_> =
-        entries.map(|(number, line)| entry(line).with_context(|| told(number, line))).collect::<Result<_>>()?;
+    let entry = |(number, line)| entry(line).with_context(|| told(number, line));
+    let entries: Vec<_> = lines(text).map(entry).collect::<Result<_>>()?;
     ensure!(!entries.is_empty(), "the list names no frames");
     Ok(entries)
+}
+
+/// The lines that are not empty and no comments, with their numbers.
+pub(super) fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
+    let lines = (1..).zip(text.lines().map(str::trim));
+    lines.filter(|(_, line)| !line.is_empty() && !line.starts_with('#'))
 }
 
 fn told(number: usize, line: &str) -> String {

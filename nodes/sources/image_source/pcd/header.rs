@@ -22,26 +22,14 @@ pub(super) enum Encoding {
     BinaryCompressed,
 }
 
-/// How one number of a point is stored.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Scalar {
-    F32,
-    F64,
-    I8,
-    I16,
-    I32,
-    I64,
-    U8,
-    U16,
-    U32,
-    U64,
-}
+/// Reads one number of each point as `f32`; a point begins so many bytes behind the one before it.
+pub(super) type ReadColumn = fn(bytes: &[u8], stride: usize, out: &mut [f32]);
 
 /// One field of a point.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 pub(super) struct Field {
     pub name: String,
-    pub scalar: Scalar,
+    pub read: ReadColumn,
     /// Bytes of one number.
     pub size: usize,
     /// How many numbers the field has.
@@ -49,7 +37,7 @@ pub(super) struct Field {
 }
 
 /// What the header says; every number in it has been checked.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 pub(crate) struct Header {
     pub(super) fields: Vec<Field>,
     /// Width of the organised cloud.
@@ -74,11 +62,11 @@ impl Header {
         for number in 1.. {
             let end = rest.iter().position(|&byte| byte == b'\n').with_context(|| no_end(number))?;
             let line = std::str::from_utf8(&rest[..end]).map_err(|_| anyhow!("line {number} is not text"))?;
-            let entry = draft.read_line(line).with_context(|| format!("line {number}, `{}`", excerpt(line)))?;
+            draft.read_line(line).with_context(|| format!("line {number}, `{}`", excerpt(line)))?;
             rest = &rest[end + 1..];
-            if entry == Entry::Data {
+            if let Some(encoding) = draft.encoding {
                 let data_offset = bytes.len().min(MAX_HEADER_BYTES) - rest.len();
-                return draft.finish(data_offset, number);
+                return draft.finish(encoding, data_offset, number);
             }
         }
         bail!("no `DATA` line")
@@ -100,12 +88,6 @@ fn no_end(line: usize) -> Hinted {
     Hinted::new(what, "is this a PCD file, and is it complete?")
 }
 
-#[derive(PartialEq, Eq)]
-enum Entry {
-    Other,
-    Data,
-}
-
 /// The header as far as it has been read.
 #[derive(Default)]
 struct Draft {
@@ -120,7 +102,7 @@ struct Draft {
 }
 
 impl Draft {
-    fn read_line(&mut self, line: &str) -> Result<Entry> {
+    fn read_line(&mut self, line: &str) -> Result<()> {
         let mut words = line.split_ascii_whitespace();
         match words.next() {
             Some("FIELDS" | "COLUMNS") => self.names = words.map(str::to_owned).collect(),
@@ -131,19 +113,15 @@ impl Draft {
             Some("HEIGHT") => self.height = Some(number(words)?),
             Some("POINTS") => self.points = Some(number(words)?),
             Some("VERSION" | "VIEWPOINT") | None => {}
-            Some("DATA") => {
-                self.encoding = Some(encoding(words.next().unwrap_or(""))?);
-                return Ok(Entry::Data);
-            }
+            Some("DATA") => self.encoding = Some(encoding(words.next().unwrap_or(""))?),
             Some(comment) if comment.starts_with('#') => {}
             Some(_) => bail!(Hinted::new("no key of a PCD header", "is this a PCD file?")),
         }
-        Ok(Entry::Other)
+        Ok(())
     }
 
-    fn finish(mut self, data_offset: usize, lines: usize) -> Result<Header> {
+    fn finish(mut self, encoding: Encoding, data_offset: usize, lines: usize) -> Result<Header> {
         let missing = |key: &str| format!("the header has no `{key}` line");
-        let encoding = self.encoding.with_context(|| missing("DATA"))?;
         let width = self.width.with_context(|| missing("WIDTH"))?;
         let height = self.height.with_context(|| missing("HEIGHT"))?;
         let (width, height) = size(width, height, self.points)?;
@@ -164,9 +142,9 @@ impl Draft {
         let field = |index: usize| {
             let (size, count) = (self.sizes[index], self.counts[index]);
             let name = self.names[index].clone();
-            let scalar = scalar(self.types[index], size).with_context(|| format!("field `{name}`"))?;
+            let read = reader(self.types[index], size).with_context(|| format!("field `{name}`"))?;
             ensure!(count <= 4096, "field `{name}`: COUNT {count} is more than the 4096 that are read");
-            Ok(Field { name, scalar, size, count })
+            Ok(Field { name, read, size, count })
         };
         (0..expected).map(field).collect()
     }
@@ -219,20 +197,27 @@ fn encoding(word: &str) -> Result<Encoding> {
     }
 }
 
-fn scalar(letter: char, size: usize) -> Result<Scalar> {
-    Ok(match (letter, size) {
-        ('F', 4) => Scalar::F32,
-        ('F', 8) => Scalar::F64,
-        ('I', 1) => Scalar::I8,
-        ('I', 2) => Scalar::I16,
-        ('I', 4) => Scalar::I32,
-        ('I', 8) => Scalar::I64,
-        ('U', 1) => Scalar::U8,
-        ('U', 2) => Scalar::U16,
-        ('U', 4) => Scalar::U32,
-        ('U', 8) => Scalar::U64,
+fn reader(letter: char, size: usize) -> Result<ReadColumn> {
+    let reader: ReadColumn = match (letter, size) {
+        ('F', 4) => |bytes, stride, out| convert(bytes, stride, out, f32::from_le_bytes),
+        ('F', 8) => |bytes, stride, out| convert(bytes, stride, out, |raw| f64::from_le_bytes(raw) as f32),
+        ('I', 1) => |bytes, stride, out| convert(bytes, stride, out, |raw| i8::from_le_bytes(raw).into()),
+        ('I', 2) => |bytes, stride, out| convert(bytes, stride, out, |raw| i16::from_le_bytes(raw).into()),
+        ('I', 4) => |bytes, stride, out| convert(bytes, stride, out, |raw| i32::from_le_bytes(raw) as f32),
+        ('I', 8) => |bytes, stride, out| convert(bytes, stride, out, |raw| i64::from_le_bytes(raw) as f32),
+        ('U', 1) => |bytes, stride, out| convert(bytes, stride, out, |raw| u8::from_le_bytes(raw).into()),
+        ('U', 2) => |bytes, stride, out| convert(bytes, stride, out, |raw| u16::from_le_bytes(raw).into()),
+        ('U', 4) => |bytes, stride, out| convert(bytes, stride, out, |raw| u32::from_le_bytes(raw) as f32),
+        ('U', 8) => |bytes, stride, out| convert(bytes, stride, out, |raw| u64::from_le_bytes(raw) as f32),
         _ => bail!("no number of TYPE {letter} has SIZE {size}"),
-    })
+    };
+    Ok(reader)
+}
+
+fn convert<const N: usize>(bytes: &[u8], stride: usize, out: &mut [f32], number: impl Fn([u8; N]) -> f32) {
+    for (value, point) in out.iter_mut().zip(bytes.chunks(stride)) {
+        *value = point.first_chunk().map_or(f32::NAN, |raw| number(*raw));
+    }
 }
 
 #[cfg(test)]
@@ -253,7 +238,9 @@ mod tests {
         assert_eq!((header.encoding, header.lines), (Encoding::Binary, 11));
         assert_eq!(header.data_offset, GOOD.len());
         assert_eq!(header.point_size(), 2 * 4 + 4 + 8 + 2);
-        assert_eq!(header.fields[2].scalar, Scalar::F64);
+        let mut numbers = [0.0];
+        (header.fields[2].read)(&2.5_f64.to_le_bytes(), 8, &mut numbers);
+        assert_eq!(numbers, [2.5]);
     }
 
     #[test]

@@ -7,7 +7,7 @@ pub(super) use header::Header;
 
 use anyhow::{Context as _, Result, anyhow, bail, ensure};
 use conicflow_messages::Hinted;
-use header::{Encoding, Scalar};
+use header::{Encoding, ReadColumn};
 
 /// What to do about a file that cannot be read.
 pub(super) const HINT: &str =
@@ -32,7 +32,7 @@ struct Place {
     /// First byte in a point, and in a file that is stored field after field.
     in_point: usize,
     in_fields: usize,
-    scalar: Scalar,
+    read: ReadColumn,
     size: usize,
 }
 
@@ -54,7 +54,7 @@ impl Cloud {
             Encoding::Ascii => self.read_text(&header, places, data),
             Encoding::Binary => {
                 let stride = header.point_size();
-                self.read_columns(data, places.map(|place| (place, place.in_point, stride)));
+                read_columns(&mut self.columns, data, places.map(|place| (place, place.in_point, stride)));
                 Ok(())
             }
             Encoding::BinaryCompressed => self.read_compressed(&header, places, data),
@@ -74,18 +74,10 @@ impl Cloud {
 
     fn read_compressed(&mut self, header: &Header, places: [Place; 3], data: &[u8]) -> Result<()> {
         let packed = packed_block(header, data)?;
-        let mut unpacked = std::mem::take(&mut self.unpacked);
-        unpacked.resize(header.points() * header.point_size(), 0);
-        let outcome = lzf::decompress(packed, &mut unpacked);
-        self.read_columns(&unpacked, places.map(|place| (place, place.in_fields, place.size)));
-        self.unpacked = unpacked;
+        self.unpacked.resize(header.points() * header.point_size(), 0);
+        let outcome = lzf::decompress(packed, &mut self.unpacked);
+        read_columns(&mut self.columns, &self.unpacked, places.map(|place| (place, place.in_fields, place.size)));
         outcome
-    }
-
-    fn read_columns(&mut self, data: &[u8], places: [(Place, usize, usize); 3]) {
-        for (column, (place, first, stride)) in self.columns.iter_mut().zip(places) {
-            read_column(place.scalar, &data[first..], stride, column);
-        }
     }
 
     fn read_text(&mut self, header: &Header, places: [Place; 3], data: &[u8]) -> Result<()> {
@@ -110,6 +102,12 @@ impl Cloud {
     }
 }
 
+fn read_columns(columns: &mut [Vec<f32>; 3], data: &[u8], places: [(Place, usize, usize); 3]) {
+    for (column, (place, first, stride)) in columns.iter_mut().zip(places) {
+        (place.read)(&data[first..], stride, column);
+    }
+}
+
 /// Finds x, y and z among the fields.
 fn places(header: &Header) -> Result<[Place; 3]> {
     let mut found = [None; 3];
@@ -117,7 +115,7 @@ fn places(header: &Header) -> Result<[Place; 3]> {
     for field in &header.fields {
         if let Some(axis) = ["x", "y", "z"].iter().position(|name| *name == field.name) {
             ensure!(field.count == 1, "field `{}` has COUNT {}, expected 1", field.name, field.count);
-            found[axis] = Some(Place { word, in_point, in_fields, scalar: field.scalar, size: field.size });
+            found[axis] = Some(Place { word, in_point, in_fields, read: field.read, size: field.size });
         }
         word += field.count;
         in_point += field.count * field.size;
@@ -177,27 +175,6 @@ fn read_line(line: &[u8], words: usize, places: [Place; 3]) -> Result<[f32; 3]> 
     }
     ensure!(got == words, "{got} numbers, expected {words}");
     Ok(point)
-}
-
-fn read_column(scalar: Scalar, bytes: &[u8], stride: usize, out: &mut [f32]) {
-    match scalar {
-        Scalar::F32 => convert(bytes, stride, out, f32::from_le_bytes),
-        Scalar::F64 => convert(bytes, stride, out, |raw| f64::from_le_bytes(raw) as f32),
-        Scalar::I8 => convert(bytes, stride, out, |raw| i8::from_le_bytes(raw).into()),
-        Scalar::I16 => convert(bytes, stride, out, |raw| i16::from_le_bytes(raw).into()),
-        Scalar::I32 => convert(bytes, stride, out, |raw| i32::from_le_bytes(raw) as f32),
-        Scalar::I64 => convert(bytes, stride, out, |raw| i64::from_le_bytes(raw) as f32),
-        Scalar::U8 => convert(bytes, stride, out, |raw| u8::from_le_bytes(raw).into()),
-        Scalar::U16 => convert(bytes, stride, out, |raw| u16::from_le_bytes(raw).into()),
-        Scalar::U32 => convert(bytes, stride, out, |raw| u32::from_le_bytes(raw) as f32),
-        Scalar::U64 => convert(bytes, stride, out, |raw| u64::from_le_bytes(raw) as f32),
-    }
-}
-
-fn convert<const N: usize>(bytes: &[u8], stride: usize, out: &mut [f32], number: impl Fn([u8; N]) -> f32) {
-    for (value, point) in out.iter_mut().zip(bytes.chunks(stride)) {
-        *value = point.first_chunk().map_or(f32::NAN, |raw| number(*raw));
-    }
 }
 
 #[cfg(test)]
