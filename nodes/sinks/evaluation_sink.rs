@@ -10,8 +10,7 @@ use anyhow::Result;
 use conicflow_dataflow::{ConfigFault, Context, Output, SideInputs, Stage, StageError};
 use conicflow_lab::score::truth::load_scene;
 use conicflow_lab::score::{
-    Answer, Claim, Evaluation, RecordedTolerances, RecordedTruth, RenderedTruth, Tolerances, TruthSource,
-    VisibilityCriteria,
+    Claim, Evaluation, RecordedTolerances, RecordedTruth, RenderedTruth, Tolerances, TruthSource, VisibilityCriteria,
 };
 use conicflow_messages::{Message, Nothing};
 use schemars::JsonSchema;
@@ -69,7 +68,6 @@ pub struct EvaluationSink<T> {
     evaluation: Evaluation,
     details: Option<JsonLines>,
     path: Option<PathBuf>,
-    answers: Vec<Answer>,
     items: PhantomData<T>,
 }
 
@@ -102,13 +100,12 @@ impl<T: Claim> Stage for EvaluationSink<T> {
         let open = |path: &PathBuf| JsonLines::open(&context.resolve(path), false);
         let details = config.details_path.as_ref().map(open).transpose()?;
         let (evaluation, path) = (config.open(&context.base)?, config.path.as_ref().map(|path| context.resolve(path)));
-        Ok(Self { evaluation, details, path, answers: Vec::new(), items: PhantomData })
+        Ok(Self { evaluation, details, path, items: PhantomData })
     }
 
     fn step(&mut self, input: &Message<T>, _: &SideInputs, output: &mut Output<Nothing>) -> Result<(), StageError> {
-        self.answers.clear();
-        self.answers.extend(input.items.iter().filter_map(Claim::answer));
-        let Some(frame) = self.evaluation.add(input.header, &self.answers)? else { return Ok(()) };
+        let answers: Vec<_> = input.items.iter().filter_map(Claim::answer).collect();
+        let Some(frame) = self.evaluation.add(input.header, &answers)? else { return Ok(()) };
         output.count("missed", frame.missed().count() as u64);
         output.count("wrong", frame.wrong.len() as u64);
         if let Some(details) = &mut self.details {

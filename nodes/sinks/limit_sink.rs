@@ -5,7 +5,7 @@ use super::measurement_sink::write_rows;
 use crate::config_error;
 use conicflow_dataflow::{ConfigFault, Context, Output, SideInputs, Stage, StageError};
 use conicflow_lab::score::truth::load_scene;
-use conicflow_lab::score::{Answer, Claim, Limit, RenderedTruth, Tolerances};
+use conicflow_lab::score::{Claim, Limit, RenderedTruth, Tolerances};
 use conicflow_messages::{Message, Nothing, Object};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -39,7 +39,6 @@ impl Default for LimitConfig {
 /// The stage around a [`Limit`].
 pub struct LimitSink {
     limit: Limit,
-    answers: Vec<Answer>,
     path: Option<PathBuf>,
 }
 
@@ -62,7 +61,7 @@ impl Stage for LimitSink {
         let truth = RenderedTruth { scene, tolerance: config.tolerance, ..RenderedTruth::default() };
         let limit = Limit::new(truth, config.dropout_angle_deg.to_radians(), config.edge_jitter_px);
         let path = config.path.as_ref().map(|path| context.resolve(path));
-        Ok(Self { limit, answers: Vec::new(), path })
+        Ok(Self { limit, path })
     }
 
     fn step(
@@ -71,9 +70,8 @@ impl Stage for LimitSink {
         _: &SideInputs,
         output: &mut Output<Nothing>,
     ) -> Result<(), StageError> {
-        self.answers.clear();
-        self.answers.extend(input.items.iter().filter_map(Claim::answer));
-        output.count("missed", self.limit.add(input.header, &self.answers)?);
+        let answers: Vec<_> = input.items.iter().filter_map(Claim::answer).collect();
+        output.count("missed", self.limit.add(input.header, &answers)?);
         Ok(())
     }
 

@@ -31,18 +31,6 @@ pub struct Config {
 }
 
 impl Config {
-    /// What types and ranges cannot tell: values that exclude each other, files that are missing.
-    pub fn faults(&self, base: &Path) -> Vec<ConfigFault> {
-        let what = match &self.path {
-            None => "is missing".to_owned(),
-            Some(path) if base.join(path).is_dir() => {
-                format!("`{}` is a folder, expected a file", base.join(path).display())
-            }
-            Some(_) => return Vec::new(),
-        };
-        vec![ConfigFault::new("path", what, "write `path = \"run.mcap\"`")]
-    }
-
     /// The limits in bytes and nanoseconds.
     pub fn limits(&self) -> Limits {
         let bytes = |megabytes: f64| (megabytes * 1e6) as u64;
@@ -71,8 +59,16 @@ impl<T: Item> Stage for McapSink<T> {
     type Input = T;
     type Output = Nothing;
 
+    /// What types and ranges cannot tell: values that exclude each other, files that are missing.
     fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
-        config.faults(base)
+        let what = match &config.path {
+            None => "is missing".to_owned(),
+            Some(path) if base.join(path).is_dir() => {
+                format!("`{}` is a folder, expected a file", base.join(path).display())
+            }
+            Some(_) => return Vec::new(),
+        };
+        vec![ConfigFault::new("path", what, "write `path = \"run.mcap\"`")]
     }
 
     fn new(config: Config, context: &Context) -> Result<Self, StageError> {

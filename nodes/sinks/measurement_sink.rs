@@ -10,7 +10,7 @@ use crate::config_error;
 use anyhow::Result;
 use conicflow_dataflow::{ConfigFault, Context, Output, SideInputs, Stage, StageError};
 use conicflow_lab::score::truth::load_scene;
-use conicflow_lab::score::{Answer, Claim, Measurement, RenderedTruth, Row, Tolerances, Trace, VisibilityCriteria};
+use conicflow_lab::score::{Claim, Measurement, RenderedTruth, Row, Tolerances, Trace, VisibilityCriteria};
 use conicflow_messages::{Message, Nothing};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -57,7 +57,6 @@ impl Default for MeasurementConfig {
 /// The stage around a [`Measurement`].
 pub struct MeasurementSink<T> {
     measurement: Measurement,
-    answers: Vec<Answer>,
     trace: Option<Trace>,
     path: Option<PathBuf>,
     items: PhantomData<T>,
@@ -84,13 +83,12 @@ impl<T: Claim> Stage for MeasurementSink<T> {
         let trace = config.trace_path.as_ref().map(|path| Trace::create(&context.resolve(path))).transpose()?;
         let path = config.path.as_ref().map(|path| context.resolve(path));
         let measurement = Measurement::new(truth, config.from_s);
-        Ok(Self { measurement, answers: Vec::new(), trace, path, items: PhantomData })
+        Ok(Self { measurement, trace, path, items: PhantomData })
     }
 
     fn step(&mut self, input: &Message<T>, _: &SideInputs, output: &mut Output<Nothing>) -> Result<(), StageError> {
-        self.answers.clear();
-        self.answers.extend(input.items.iter().filter_map(Claim::answer));
-        let observations = self.measurement.add(input.header, &self.answers)?;
+        let answers: Vec<_> = input.items.iter().filter_map(Claim::answer).collect();
+        let observations = self.measurement.add(input.header, &answers)?;
         output.count("missed", observations.iter().filter(|observation| observation.seen.is_none()).count() as u64);
         if let Some(trace) = &mut self.trace {
             trace.write(&observations)?;

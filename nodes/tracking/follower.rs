@@ -51,13 +51,6 @@ impl Default for FollowerConfig {
     }
 }
 
-impl FollowerConfig {
-    /// What types and ranges cannot tell: values that exclude each other, files that are missing.
-    pub fn faults(&self, _: &Path) -> Vec<ConfigFault> {
-        gravity::fault("up", self.up).into_iter().collect()
-    }
-}
-
 /// Follows one track.
 pub struct Follower {
     config: FollowerConfig,
@@ -123,8 +116,9 @@ impl Stage for Follower {
     type Input = Track;
     type Output = Velocity;
 
-    fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
-        config.faults(base)
+    /// What types and ranges cannot tell: values that exclude each other, files that are missing.
+    fn faults(config: &Self::Config, _: &Path) -> Vec<ConfigFault> {
+        gravity::fault("up", config.up).into_iter().collect()
     }
 
     fn new(config: FollowerConfig, _: &Context) -> Result<Self, StageError> {
@@ -190,9 +184,12 @@ mod tests {
 
     #[test]
     fn no_direction_is_no_up() {
-        let config = |up| FollowerConfig { up: Some(up), ..FollowerConfig::default() };
-        assert_eq!(config([0.0; 3]).faults(Path::new(".")).len(), 1);
-        assert_eq!(config([0.0, -1.0, 0.0]).faults(Path::new(".")), []);
+        let faults = |up| {
+            let config = FollowerConfig { up: Some(up), ..FollowerConfig::default() };
+            Follower::faults(&config, Path::new("."))
+        };
+        assert_eq!(faults([0.0; 3]).len(), 1);
+        assert_eq!(faults([0.0, -1.0, 0.0]), []);
     }
 
     #[test]

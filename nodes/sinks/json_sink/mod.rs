@@ -25,22 +25,6 @@ impl Default for JsonSinkConfig {
     }
 }
 
-impl JsonSinkConfig {
-    /// What types and ranges cannot tell: values that exclude each other, files that are missing.
-    pub fn faults(&self, base: &Path) -> Vec<ConfigFault> {
-        let path = base.join(&self.path);
-        let what = if self.path.as_os_str().is_empty() {
-            "is empty".to_owned()
-        } else if !is_standard_output(&self.path) && path.is_dir() {
-            format!("`{}` is a folder, expected a file", path.display())
-        } else {
-            return Vec::new();
-        };
-        let hint = "give the name of a file, such as \"objects.jsonl\", or \"-\" for standard output";
-        vec![ConfigFault::new("path", what, hint)]
-    }
-}
-
 fn is_standard_output(path: &Path) -> bool {
     path == Path::new("-")
 }
@@ -62,8 +46,18 @@ impl Stage for JsonSink {
     type Input = AnyByte;
     type Output = Nothing;
 
+    /// What types and ranges cannot tell: values that exclude each other, files that are missing.
     fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
-        config.faults(base)
+        let path = base.join(&config.path);
+        let what = if config.path.as_os_str().is_empty() {
+            "is empty".to_owned()
+        } else if !is_standard_output(&config.path) && path.is_dir() {
+            format!("`{}` is a folder, expected a file", path.display())
+        } else {
+            return Vec::new();
+        };
+        let hint = "give the name of a file, such as \"objects.jsonl\", or \"-\" for standard output";
+        vec![ConfigFault::new("path", what, hint)]
     }
 
     fn new(config: JsonSinkConfig, context: &Context) -> Result<Self, StageError> {
@@ -117,10 +111,10 @@ mod tests {
     fn a_folder_in_place_of_a_file_is_told_before_the_start() {
         let folder = tempfile::tempdir().unwrap();
         let config = JsonSinkConfig { path: PathBuf::from(".") };
-        assert!(config.faults(folder.path())[0].what.contains("is a folder"));
+        assert!(JsonSink::faults(&config, folder.path())[0].what.contains("is a folder"));
         let config = JsonSinkConfig { path: PathBuf::new() };
-        assert_eq!(config.faults(folder.path())[0].what, "is empty");
-        assert!(JsonSinkConfig::default().faults(folder.path()).is_empty());
+        assert_eq!(JsonSink::faults(&config, folder.path())[0].what, "is empty");
+        assert!(JsonSink::faults(&JsonSinkConfig::default(), folder.path()).is_empty());
     }
 
     #[test]

@@ -100,21 +100,6 @@ impl Default for Config {
     }
 }
 
-impl Config {
-    /// What types and ranges cannot tell: values that exclude each other, files that are missing.
-    pub fn faults(&self, _: &Path) -> Vec<ConfigFault> {
-        let mut faults = Vec::new();
-        if self.path.is_none() && self.moving.is_none() {
-            faults.push(ConfigFault::new("path", "is missing", "write `path = \"pictures/\"`"));
-        }
-        if self.near_m.zip(self.far_m).is_some_and(|(near, far)| near >= far) {
-            let hint = "near is warm, far is cold: write the smaller depth here";
-            faults.push(ConfigFault::new("near_m", "is not below `far_m`", hint));
-        }
-        faults
-    }
-}
-
 /// Writes a PNG for every message, or every so many.
 pub struct PictureSink<T> {
     folder: Option<PathBuf>,
@@ -317,8 +302,17 @@ impl<T: Drawn> Stage for PictureSink<T> {
     type Input = T;
     type Output = Nothing;
 
-    fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
-        config.faults(base)
+    /// What types and ranges cannot tell: values that exclude each other, files that are missing.
+    fn faults(config: &Self::Config, _: &Path) -> Vec<ConfigFault> {
+        let mut faults = Vec::new();
+        if config.path.is_none() && config.moving.is_none() {
+            faults.push(ConfigFault::new("path", "is missing", "write `path = \"pictures/\"`"));
+        }
+        if config.near_m.zip(config.far_m).is_some_and(|(near, far)| near >= far) {
+            let hint = "near is warm, far is cold: write the smaller depth here";
+            faults.push(ConfigFault::new("near_m", "is not below `far_m`", hint));
+        }
+        faults
     }
 
     fn new(config: Config, context: &Context) -> Result<Self, StageError> {

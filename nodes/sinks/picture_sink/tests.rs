@@ -232,7 +232,8 @@ fn sizes_that_cannot_be_and_folders_that_cannot_be_made_are_told() {
 
 #[test]
 fn faults_of_the_parameters() {
-    let keys = |config: Config| config.faults(Path::new("")).iter().map(|fault| fault.key).collect::<Vec<_>>();
+    let faults = |config: &Config| PictureSink::<Object>::faults(config, Path::new(""));
+    let keys = |config: Config| faults(&config).iter().map(|fault| fault.key).collect::<Vec<_>>();
     assert_eq!(keys(Config::default()), ["path"]);
     let turned = Config { path: Some("x".into()), near_m: Some(3.0), far_m: Some(1.0), ..Config::default() };
     assert_eq!(keys(turned), ["near_m"]);
