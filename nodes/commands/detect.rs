@@ -124,8 +124,7 @@ pub fn detect(arguments: &DetectArguments) -> Result<()> {
         totals.add(&objects, detector);
     }
     pictures.as_mut().map_or(Ok(()), PictureSink::end).context("pictures")?;
-    totals.count_sources(&frames.take_counts());
-    say(totals.text());
+    say(totals.text(&frames.take_counts()));
     Ok(())
 }
 
@@ -217,7 +216,6 @@ struct Totals {
     frames: u64,
     found: BTreeMap<&'static str, u64>,
     rejections: BTreeMap<&'static str, u64>,
-    of_source: BTreeMap<&'static str, u64>,
 }
 
 impl Totals {
@@ -231,19 +229,15 @@ impl Totals {
         }
     }
 
-    fn count_sources(&mut self, counts: &BTreeMap<&'static str, u64>) {
-        self.of_source.extend(counts.iter().filter(|(_, times)| **times > 0));
-    }
-
-    /// A line on what was found; where that is nothing, why.
-    fn text(&self) -> String {
+    /// A line on what was found, and what the source counted; where nothing was found, why.
+    fn text(&self, of_source: &BTreeMap<&'static str, u64>) -> String {
         let mut text = format!("in {} frames: ", self.frames);
         let found: Vec<String> = ObjectKind::ALL
             .iter()
             .filter_map(|kind| Some(format!("{} {}", kind.name(), self.found.get(kind.name())?)))
             .collect();
         text += &if found.is_empty() { "nothing was found".to_owned() } else { found.join(", ") };
-        for (what, times) in &self.of_source {
+        for (what, times) in of_source.iter().filter(|(_, times)| **times > 0) {
             // Writing to a string cannot fail.
             write!(text, "; {what}: {times}").ok();
         }

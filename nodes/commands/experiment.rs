@@ -53,18 +53,14 @@ fn columns(experiment: &Experiment, pipeline: &Pipeline) -> Result<Vec<String>> 
 
 /// The table that is printed.
 pub fn table(experiment: &Experiment, results: &Results) -> String {
-    let (titles, rows) = results.table();
-    let mut table = Table::new(&titles.iter().map(String::as_str).collect::<Vec<_>>());
-    rows.into_iter().for_each(|row| table.row(row.into_iter()));
-    format!("{}\n\n{table}{}", experiment.title, spread(results))
+    let spread = results.spread().map(|spread| format!("\n{}", laid_out(spread))).unwrap_or_default();
+    format!("{}\n\n{}{spread}", experiment.title, laid_out(results.table()))
 }
 
-/// The table of the least, the middle and the greatest figures, if one is asked for.
-fn spread(results: &Results) -> String {
-    let Some((titles, rows)) = results.spread() else { return String::new() };
+fn laid_out((titles, rows): (Vec<String>, Vec<Vec<String>>)) -> Table {
     let mut table = Table::new(&titles.iter().map(String::as_str).collect::<Vec<_>>());
     rows.into_iter().for_each(|row| table.row(row.into_iter()));
-    format!("\n{table}")
+    table
 }
 
 /// Where the sinks of one run leave their rows.
