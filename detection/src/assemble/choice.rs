@@ -16,7 +16,7 @@ const AS_MANY: f64 = 0.9; // [tuned]
 const SLOPE_SIGMAS: f64 = 3.0; // [sigmas]
 /// Least gain of the shape of more parameters, as chi squared: two standard deviations of one parameter.
 const GAIN: f64 = 4.0; // [sigmas]
-/// Least gain per point: no surface and no sensor is so exact that it favours neither shape by the hundredth part of a variance.
+/// Least gain per point, in variances: surfaces and sensors are not exact, and favour one of two shapes a little at each point.
 const GAIN_PER_POINT: f64 = 0.01; // [tuned]
 /// A half-angle with a larger standard deviation (4 degrees) is unknown, so that the object is not surely a cylinder.
 const ANY_SLOPE: f64 = 0.07; // [tuned]
