@@ -13,25 +13,71 @@ use std::sync::{Mutex, PoisonError};
 /// Exit code of a stage that could not be made ready: to start it anew would not help.
 const REFUSED: i32 = 2;
 
-/// What a stage is told when it starts.
-pub(crate) struct About {
+/// What a stage or a source has in Python whatever it makes: its place in the run.
+#[pyclass(frozen, subclass, name = "Joined", module = "conicflow")]
+pub(crate) struct Joined {
     pub(crate) context: Context,
-    pub(crate) name: String,
-    pub(crate) base: String,
-    pub(crate) parameters: Py<PyAny>,
+    base: String,
+    parameters: Py<PyAny>,
 }
 
-impl About {
-    pub(crate) fn new(py: Python<'_>, context: &Context, parameters: &serde_json::Value) -> PyResult<Self> {
-        let parameters = py.import("json")?.call_method1("loads", (parameters.to_string(),))?.unbind();
+impl Joined {
+    /// One that is told this when it starts; one that is not wanted any more is told nothing.
+    pub(crate) fn new(py: Python<'_>, told: Option<(&Context, &serde_json::Value)>) -> PyResult<Self> {
+        let (context, parameters) = match told {
+            Some((context, parameters)) => (context.clone(), parameters.to_string()),
+            None => (Context::default(), "{}".to_owned()),
+        };
+        let parameters = py.import("json")?.call_method1("loads", (parameters,))?.unbind();
         let base = context.base.to_string_lossy().into_owned();
-        Ok(Self { context: context.clone(), name: context.stage.clone(), base, parameters })
+        Ok(Self { context, base, parameters })
+    }
+}
+
+#[pymethods]
+impl Joined {
+    /// Its name in the pipeline file.
+    #[getter]
+    fn name(&self) -> &str {
+        &self.context.stage
     }
 
-    /// Of one that is not wanted any more.
-    pub(crate) fn nobody(py: Python<'_>) -> Self {
-        let parameters = PyDict::new(py).into_any().unbind();
-        Self { context: Context::default(), name: String::new(), base: String::new(), parameters }
+    /// Its parameters: all keys of its table in the pipeline file that are not conicflow's own.
+    #[getter]
+    fn parameters<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+        self.parameters.bind(py).clone()
+    }
+
+    /// Folder of the pipeline file, against which relative paths are meant.
+    #[getter]
+    fn base(&self) -> &str {
+        &self.base
+    }
+
+    /// Messages that it took, as a source sent, before it was started anew in the same run; 0 at first.
+    #[getter]
+    fn resume_at(&self) -> u64 {
+        self.context.resume_at
+    }
+
+    /// Whether the run is to end. What may take seconds or waits for a device asks now and then: who asks lives.
+    #[getter]
+    fn stopping(&self) -> bool {
+        self.context.stop.requested()
+    }
+
+    /// The layout of the items that it sends, for numpy.zeros(n, dtype=stage.dtype); None where it has no output.
+    #[getter]
+    fn dtype<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
+        self.context.output.as_ref().map(|item| crate::array::dtype(py, item)).transpose()
+    }
+
+    fn __iter__(slf: Py<Self>) -> Py<Self> {
+        slf
+    }
+
+    fn __enter__(slf: Py<Self>) -> Py<Self> {
+        slf
     }
 }
 

@@ -1,7 +1,7 @@
 //! Sources in Python: the program makes its messages in a loop of its own, and has the rights and duties of a source in Rust.
 
 use crate::fault;
-use crate::joined::{self, Inputs};
+use crate::joined::{self, Inputs, Joined};
 use crate::payload::{HeaderChange, Payload};
 use conicflow_dataflow::{PulledSource, join_as_source, monotonic_ns, tell_median};
 use conicflow_messages::{Header, NoiseModel, Text, median_depth};
@@ -19,10 +19,9 @@ use std::time::UNIX_EPOCH;
 ///
 /// Iterating gives the numbers of the frames, when each is due by the parameter `rate_hz`, where there is one. It ends by itself
 /// when the run ends, when as many frames are made as are wanted, and when it is replaced; the stream ends where the loop does.
-#[pyclass(frozen, module = "conicflow")]
+#[pyclass(frozen, extends = Joined, module = "conicflow")]
 pub(crate) struct Source {
     pulled: Mutex<Option<PulledSource>>,
-    about: joined::About,
     inputs: Inputs,
     /// Whether it was told what the images are like.
     is_told: AtomicBool,
@@ -33,15 +32,12 @@ pub(crate) struct Source {
 /// total: number of messages that it will make in all, where that is known.
 #[pyfunction]
 #[pyo3(signature = (*, total = None))]
-pub(crate) fn source(py: Python<'_>, total: Option<u64>) -> PyResult<Source> {
+pub(crate) fn source(py: Python<'_>, total: Option<u64>) -> PyResult<Bound<'_, Source>> {
     joined::leave_signals_to_the_run(py);
     let pulled = py.detach(|| join_as_source(total)).map_err(|error| joined::refusal(py, &error))?;
-    let about = match &pulled {
-        Some(pulled) => joined::About::new(py, pulled.context(), pulled.parameters())?,
-        None => joined::About::nobody(py),
-    };
-    let is_told = AtomicBool::new(about.context.resume_at > 0);
-    Ok(Source { pulled: Mutex::new(pulled), about, inputs: Inputs::default(), is_told })
+    let joined = Joined::new(py, pulled.as_ref().map(|pulled| (pulled.context(), pulled.parameters())))?;
+    let is_told = AtomicBool::new(joined.context.resume_at > 0);
+    Bound::new(py, (Source { pulled: Mutex::new(pulled), inputs: Inputs::default(), is_told }, joined))
 }
 
 impl Source {
@@ -50,67 +46,31 @@ impl Source {
     }
 
     /// The header of a frame of which nothing was said.
-    fn header(&self) -> Header {
+    fn header(name: &str) -> Header {
         let stamp_ns = UNIX_EPOCH.elapsed().map_or(0, |since| since.as_nanos() as u64);
-        let (noise, source) = (NoiseModel::KINECT_V1, Text::new(&self.about.name));
+        let (noise, source) = (NoiseModel::KINECT_V1, Text::new(name));
         Header { depth_scale: 0.001, noise, stamp_ns, source, ..Header::default() }
     }
 
     /// Says once what the images are like, so that a wrong scale is seen.
-    fn tell(&self, header: &Header, pixels: &[u16]) {
+    fn tell(&self, name: &str, header: &Header, pixels: &[u16]) {
         if let Some(median) = median_depth(pixels) {
             self.is_told.store(true, Ordering::Relaxed);
-            tell_median("images", &self.about.name, &header.camera, f64::from(median) * header.depth_scale);
+            tell_median("images", name, &header.camera, f64::from(median) * header.depth_scale);
         }
     }
 }
 
 #[pymethods]
 impl Source {
-    /// Its name in the pipeline file.
+    /// What this source had counted before it was started anew.
     #[getter]
-    fn name(&self) -> &str {
-        &self.about.name
-    }
-
-    /// Its parameters: all keys of its table in the pipeline file that are not conicflow's own.
-    #[getter]
-    fn parameters<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        self.about.parameters.bind(py).clone()
-    }
-
-    /// Folder of the pipeline file, against which relative paths are meant.
-    #[getter]
-    fn base(&self) -> &str {
-        &self.about.base
-    }
-
-    /// Messages that this source sent before it was started anew in the same run; 0 at first.
-    #[getter]
-    fn resume_at(&self) -> u64 {
-        self.about.context.resume_at
-    }
-
-    /// What this source had counted by then.
-    #[getter]
-    fn counted<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let counted = PyDict::new(py);
-        for (name, times) in &self.about.context.counted {
+    fn counted<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyDict>> {
+        let counted = PyDict::new(slf.py());
+        for (name, times) in &slf.as_super().get().context.counted {
             counted.set_item(name, times)?;
         }
         Ok(counted)
-    }
-
-    /// Whether the run is to end. A source that waits for a device asks now and then: who asks lives.
-    #[getter]
-    fn stopping(&self) -> bool {
-        self.about.context.stop.requested()
-    }
-
-    /// The layout of the items that it sends.
-    #[getter]
-    fn dtype<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
-        self.about.context.output.as_ref().map(|item| crate::array::dtype(py, item)).transpose()
     }
 
     /// The latest messages of the further inputs, by their names, as of the present frame; each may be missing.
@@ -120,10 +80,6 @@ impl Source {
         let inputs = PyDict::new(py);
         self.inputs.add_all(&inputs, found, monotonic_ns())?;
         Ok(inputs)
-    }
-
-    fn __iter__(slf: Py<Self>) -> Py<Self> {
-        slf
     }
 
     fn __next__(&self, py: Python<'_>) -> PyResult<Option<u64>> {
@@ -140,16 +96,17 @@ impl Source {
     /// stamp_ns, default now; source, its name; sequence, a number of the frame's own, which has to rise; world_from_camera. Waits
     /// where a reader must not miss a message and has no room. Raises ValueError for items that no reader would take.
     #[pyo3(signature = (items, **header))]
-    fn send(&self, py: Python<'_>, items: &Bound<'_, PyAny>, header: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
-        let Some(output) = &self.about.context.output else { return Ok(()) };
+    fn send(slf: &Bound<'_, Self>, items: &Bound<'_, PyAny>, header: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
+        let (source, context) = (slf.get(), &slf.as_super().get().context);
+        let Some(output) = &context.output else { return Ok(()) };
         let (payload, change) = (Payload::new(output, items)?, HeaderChange::new(header)?);
-        let mut header = self.header();
+        let mut header = Self::header(&context.stage);
         change.apply(&mut header, &payload);
-        py.detach(|| match &mut *self.pulled() {
+        slf.py().detach(|| match &mut *source.pulled() {
             Some(pulled) => {
                 pulled.send(header, &payload.bytes).map_err(|error| fault::told(&error))?;
-                if output.is_image() && !self.is_told.load(Ordering::Relaxed) {
-                    self.tell(&header, bytemuck::cast_slice(&payload.bytes));
+                if output.is_image() && !source.is_told.load(Ordering::Relaxed) {
+                    source.tell(&context.stage, &header, bytemuck::cast_slice(&payload.bytes));
                 }
                 Ok(())
             }
@@ -163,10 +120,6 @@ impl Source {
         if let Some(pulled) = &mut *self.pulled() {
             pulled.count(name, times);
         }
-    }
-
-    fn __enter__(slf: Py<Self>) -> Py<Self> {
-        slf
     }
 
     #[pyo3(signature = (kind, exception, _traceback))]

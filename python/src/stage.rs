@@ -1,12 +1,12 @@
 //! Stages in Python: the program asks for its messages in a loop of its own, and has the rights and duties of a stage in Rust.
 
 use crate::fault;
-use crate::joined::{self, Inputs};
+use crate::joined::{self, Inputs, Joined};
 use crate::message::{Lender, Message};
 use crate::payload::{HeaderChange, Payload};
 use conicflow_dataflow::{ItemType, Pulled, PulledStage, join_as_stage};
 use pyo3::prelude::*;
-use pyo3::types::{PyAny, PyDict};
+use pyo3::types::PyDict;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -22,10 +22,9 @@ const PATIENCE: Duration = Duration::from_millis(100);
 /// It ends by itself at the end of its input, when the run ends, and when it is replaced. What raises an exception in its loop is
 /// started anew, as the pipeline file says; what does so before its first message ends the run. A message that is not answered by
 /// `send` gives an empty list.
-#[pyclass(frozen, module = "conicflow")]
+#[pyclass(frozen, extends = Joined, module = "conicflow")]
 pub(crate) struct Stage {
     pulled: Mutex<Option<PulledStage>>,
-    about: joined::About,
     topic: String,
     item: Option<ItemType>,
     lender: Lender,
@@ -37,19 +36,16 @@ pub(crate) struct Stage {
 /// same_frame: those of the further `inputs` of which the message of the same frame is wanted; of the others it is the latest.
 #[pyfunction]
 #[pyo3(signature = (*, same_frame = Vec::new()))]
-pub(crate) fn stage(py: Python<'_>, same_frame: Vec<String>) -> PyResult<Stage> {
+pub(crate) fn stage(py: Python<'_>, same_frame: Vec<String>) -> PyResult<Bound<'_, Stage>> {
     joined::leave_signals_to_the_run(py);
     let pulled = py.detach(|| join_as_stage(&same_frame)).map_err(|error| joined::refusal(py, &error))?;
-    let about = match &pulled {
-        Some(pulled) => joined::About::new(py, pulled.context(), pulled.parameters())?,
-        None => joined::About::nobody(py),
-    };
+    let joined = Joined::new(py, pulled.as_ref().map(|pulled| (pulled.context(), pulled.parameters())))?;
     let (topic, item) = pulled
         .as_ref()
         .map(|pulled| pulled.input())
         .map_or((String::new(), None), |(topic, item)| (topic.to_owned(), Some(item.clone())));
     let (lender, inputs) = (Lender::default(), Inputs::default());
-    Ok(Stage { pulled: Mutex::new(pulled), about, topic, item, lender, inputs })
+    Bound::new(py, (Stage { pulled: Mutex::new(pulled), topic, item, lender, inputs }, joined))
 }
 
 impl Stage {
@@ -60,46 +56,6 @@ impl Stage {
 
 #[pymethods]
 impl Stage {
-    /// Its name in the pipeline file.
-    #[getter]
-    fn name(&self) -> &str {
-        &self.about.name
-    }
-
-    /// Its parameters: all keys of its table in the pipeline file that are not conicflow's own.
-    #[getter]
-    fn parameters<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        self.about.parameters.bind(py).clone()
-    }
-
-    /// Folder of the pipeline file, against which relative paths are meant.
-    #[getter]
-    fn base(&self) -> &str {
-        &self.about.base
-    }
-
-    /// Messages that this stage took before it was started anew in the same run; 0 at first.
-    #[getter]
-    fn resume_at(&self) -> u64 {
-        self.about.context.resume_at
-    }
-
-    /// Whether the run is to end. A step that may take seconds asks now and then: who asks lives.
-    #[getter]
-    fn stopping(&self) -> bool {
-        self.about.context.stop.requested()
-    }
-
-    /// The layout of the items that it sends, for numpy.zeros(n, dtype=stage.dtype); None where it has no output.
-    #[getter]
-    fn dtype<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
-        self.about.context.output.as_ref().map(|item| crate::array::dtype(py, item)).transpose()
-    }
-
-    fn __iter__(slf: Py<Self>) -> Py<Self> {
-        slf
-    }
-
     fn __next__<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, Message>>> {
         if self.item.as_ref().is_some_and(ItemType::is_image) {
             self.lender.look(&self.topic)?;
@@ -129,12 +85,13 @@ impl Stage {
     /// world_from_camera. Waits where a reader must not miss a message and has no room. Raises ValueError for items that no reader
     /// would take.
     #[pyo3(signature = (items, **header))]
-    fn send(&self, py: Python<'_>, items: &Bound<'_, PyAny>, header: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
-        let Some(output) = &self.about.context.output else {
+    fn send(slf: &Bound<'_, Self>, items: &Bound<'_, PyAny>, header: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
+        let Some(output) = &slf.as_super().get().context.output else {
             return Err(fault::value("this stage has no `output` in the pipeline file", "name a topic there"));
         };
         let (payload, change) = (Payload::new(output, items)?, HeaderChange::new(header)?);
-        py.detach(|| match &mut *self.pulled() {
+        let stage = slf.get();
+        slf.py().detach(|| match &mut *stage.pulled() {
             Some(pulled) => pulled
                 .send(|header| change.apply(header, &payload), &payload.bytes)
                 .map_err(|error| fault::told(&error)),
@@ -148,10 +105,6 @@ impl Stage {
         if let Some(pulled) = &mut *self.pulled() {
             pulled.count(name, times);
         }
-    }
-
-    fn __enter__(slf: Py<Self>) -> Py<Self> {
-        slf
     }
 
     #[pyo3(signature = (kind, exception, _traceback))]
