@@ -11,7 +11,7 @@ use conicflow_messages::{Ellipse, Item, Object, ObjectSigma, Track, Velocity};
 use numpy::ndarray::{ArrayView, ArrayView1, ArrayView2, Dimension};
 use numpy::{Element, PyArray, PyArrayMethods};
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyList};
+use pyo3::types::{PyDict, PyList, PyTuple};
 use std::mem::offset_of;
 
 /// The items of a message as an array of their layout, an image with its rows and columns. It cannot be written, and keeps the
@@ -56,15 +56,14 @@ pub(crate) fn dtype_of<'py>(py: Python<'py>, kind: &str) -> PyResult<Bound<'py, 
 
 /// The layout of items, as NumPy knows it.
 pub(crate) fn dtype<'py>(py: Python<'py>, item: &ItemType) -> PyResult<Bound<'py, PyAny>> {
-    let layout = match item.name() {
-        u16::NAME => return py.import("numpy")?.call_method1("dtype", ("u2",)),
-        _ if !item.is_built_in() => return described(py, item),
-        Object::NAME => &OBJECT,
-        Track::NAME => &TRACK,
-        Ellipse::NAME => &ELLIPSE,
-        _ => &VELOCITY,
-    };
-    layout.dtype(py)
+    match item.name() {
+        u16::NAME => u16::dtype(py),
+        _ if !item.is_built_in() => described(py, item),
+        Object::NAME => Object::dtype(py),
+        Track::NAME => Track::dtype(py),
+        Ellipse::NAME => Ellipse::dtype(py),
+        _ => Velocity::dtype(py),
+    }
 }
 
 /// The layout of items that the pipeline file describes: fields without holes between them.
@@ -83,116 +82,69 @@ fn described<'py>(py: Python<'py>, item: &ItemType) -> PyResult<Bound<'py, PyAny
     py.import("numpy")?.call_method1("dtype", (fields,))
 }
 
-/// The layout of a struct.
-struct Layout {
-    size: usize,
-    fields: &'static [(&'static str, usize, Code)],
+/// What NumPy has a type for.
+trait Typed {
+    fn dtype(py: Python<'_>) -> PyResult<Bound<'_, PyAny>>;
 }
 
-/// What a field is.
-enum Code {
-    /// In NumPy's words.
-    Plain(&'static str),
-    /// A struct.
-    Nested(&'static Layout),
+type Dtype = for<'py> fn(Python<'py>) -> PyResult<Bound<'py, PyAny>>;
+
+/// The type of a field.
+const fn field<S, F: Typed>(_: fn(&S) -> &F) -> Dtype {
+    F::dtype
 }
 
-use Code::{Nested, Plain};
-
-impl Layout {
-    fn dtype<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let (names, formats, offsets) = (PyList::empty(py), PyList::empty(py), PyList::empty(py));
-        for (name, offset, code) in self.fields {
-            names.append(name)?;
-            offsets.append(offset)?;
-            match code {
-                Plain(code) => formats.append(code)?,
-                Nested(layout) => formats.append(layout.dtype(py)?)?,
-            }
-        }
-        let layout = PyDict::new(py);
-        layout.set_item("names", names)?;
-        layout.set_item("formats", formats)?;
-        layout.set_item("offsets", offsets)?;
-        layout.set_item("itemsize", self.size)?;
-        py.import("numpy")?.call_method1("dtype", (layout,))
+impl<T: Typed, const N: usize> Typed for [T; N] {
+    fn dtype(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
+        let item = T::dtype(py)?;
+        let shape = PyTuple::new(py, [N])?.add(item.getattr("shape")?)?;
+        py.import("numpy")?.call_method1("dtype", ((item.getattr("base")?, shape),))
     }
 }
 
-/// The layout of a struct by its fields, each where the compiler puts it.
-macro_rules! layout {
-    ($type:ty: $($field:ident = $code:expr),+ $(,)?) => {
-        Layout { size: size_of::<$type>(), fields: &[$((stringify!($field), offset_of!($type, $field), $code)),+] }
-    };
+macro_rules! numbers {
+    ($($number:ty),+) => {$(
+        impl Typed for $number {
+            fn dtype(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
+                Ok(numpy::dtype::<$number>(py).into_any())
+            }
+        }
+    )+};
 }
 
-static SIGMA: Layout = layout!(ObjectSigma:
-    center = Plain("(3,3)f8"),
-    axis = Plain("f8"),
-    radius = Plain("f8"),
-    length = Plain("f8"),
-    half_angle = Plain("f8"),
-);
+numbers!(u16, u32, u64, f32, f64);
 
-static OBJECT: Layout = layout!(Object:
-    kind = Plain("u4"),
-    points = Plain("u4"),
-    rows = Plain("u4"),
-    confidence = Plain("f4"),
-    center = Plain("3f8"),
-    axis = Plain("3f8"),
-    radius = Plain("f8"),
-    length = Plain("f8"),
-    half_angle = Plain("f8"),
-    base_radius = Plain("f8"),
-    top_radius = Plain("f8"),
-    apex = Plain("3f8"),
-    sigma = Nested(&SIGMA),
-    rms = Plain("f8"),
-    arc = Plain("f8"),
-);
+/// Structs by their fields, each where the compiler puts it.
+macro_rules! structs {
+    ($($type:ty: $($name:ident),+;)+) => {$(
+        impl Typed for $type {
+            fn dtype(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
+                let fields = [$((stringify!($name), offset_of!($type, $name), field(|item: &$type| &item.$name))),+];
+                struct_dtype(py, size_of::<$type>(), &fields)
+            }
+        }
+    )+};
+}
 
-static TRACK: Layout = layout!(Track:
-    id = Plain("u8"),
-    state = Plain("u4"),
-    age = Plain("u4"),
-    misses = Plain("u4"),
-    reserved = Plain("u4"),
-    object = Nested(&OBJECT),
-    velocity = Plain("3f8"),
-    velocity_covariance = Plain("(3,3)f8"),
-);
+structs! {
+    ObjectSigma: center, axis, radius, length, half_angle;
+    Object: kind, points, rows, confidence, center, axis, radius, length, half_angle, base_radius, top_radius, apex, sigma, rms, arc;
+    Track: id, state, age, misses, reserved, object, velocity, velocity_covariance;
+    Ellipse: scan, line, first, last, points, beyond_px, unbiased, line_step, center, plane_center, semi_axes, angle, half_width,
+        half_depth, rms, arc, sigma, shared_px, shared_lines, beyond, contour, ends, origin, moments;
+    Velocity: linear, angular, frame, reserved;
+}
 
-static ELLIPSE: Layout = layout!(Ellipse:
-    scan = Plain("u4"),
-    line = Plain("u4"),
-    first = Plain("u4"),
-    last = Plain("u4"),
-    points = Plain("u4"),
-    beyond_px = Plain("u4"),
-    unbiased = Plain("u4"),
-    line_step = Plain("u4"),
-    center = Plain("3f8"),
-    plane_center = Plain("2f8"),
-    semi_axes = Plain("2f8"),
-    angle = Plain("f8"),
-    half_width = Plain("f8"),
-    half_depth = Plain("f8"),
-    rms = Plain("f8"),
-    arc = Plain("f8"),
-    sigma = Plain("f8"),
-    shared_px = Plain("f8"),
-    shared_lines = Plain("f8"),
-    beyond = Plain("2f8"),
-    contour = Plain("2f8"),
-    ends = Plain("(2,2)f8"),
-    origin = Plain("2f8"),
-    moments = Plain("15f8"),
-);
-
-static VELOCITY: Layout = layout!(Velocity:
-    linear = Plain("3f8"),
-    angular = Plain("3f8"),
-    frame = Plain("u4"),
-    reserved = Plain("u4"),
-);
+fn struct_dtype<'py>(
+    py: Python<'py>,
+    size: usize,
+    fields: &[(&'static str, usize, Dtype)],
+) -> PyResult<Bound<'py, PyAny>> {
+    let formats = fields.iter().map(|(.., dtype)| dtype(py)).collect::<PyResult<Vec<_>>>()?;
+    let layout = PyDict::new(py);
+    layout.set_item("names", fields.iter().map(|(name, ..)| *name).collect::<Vec<_>>())?;
+    layout.set_item("formats", formats)?;
+    layout.set_item("offsets", fields.iter().map(|(_, offset, _)| *offset).collect::<Vec<_>>())?;
+    layout.set_item("itemsize", size)?;
+    py.import("numpy")?.call_method1("dtype", (layout,))
+}
