@@ -1,7 +1,7 @@
 //! The page in real browsers, Chromium and Firefox. Where one is missing the tests say so. `CONICFLOW_PICTURES` names a folder for
 //! pictures of what was seen.
 
-use crate::compare::{PAPER, SIMULATED};
+use crate::compare::{PAPER, simulated};
 use crate::support::{Playground, TRACKING, wait_until};
 use crate::view::{Page, SLOWLY, recording};
 use crate::webdriver::in_each_browser;
@@ -97,7 +97,7 @@ fn a_browser_pauses_a_run_and_steps_it() {
 
 #[test]
 fn a_browser_shows_two_variants_one_over_the_other() {
-    let playground = Playground::with_pipeline(SIMULATED);
+    let playground = Playground::with_pipeline(&simulated());
     playground.conicflow(&[&["compare", "--record", "kept", "--a"], &PAPER[..]].concat()).expect_code(0);
     for (name, width, height) in [("variants", 1400, 1000), ("variants_phone", 500, 900)] {
         in_each_browser(width, height, |browser| {

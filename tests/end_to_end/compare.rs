@@ -1,44 +1,24 @@
 //! `conicflow compare`: two variants of a pipeline on the same frames.
 
-use crate::support::{Playground, signal};
+use crate::support::{Playground, signal, tracking_behind};
 use crate::view::{Page, items};
 use conicflow_lab::simulator::scene::Scene;
 use rustix::process::Signal;
 use serde_json::{Value as Json, json};
 use std::fs;
 
-/// A simulated tabletop, whose sinks must not run, and a stage that takes only what is newest.
-pub const SIMULATED: &str = r#"
-name = "simulated"
+/// A simulated tabletop, whose sinks must not run, and stages that take only what is newest.
+pub fn simulated() -> String {
+    tracking_behind(TABLETOP, "latest")
+}
 
-[stage.source]
+const TABLETOP: &str = r#"
 node    = "synthetic_source"
-output  = "depth"
 scene   = "tabletop"
 width   = 320
 height  = 240
 rate_hz = 0
 frames  = 8
-
-[stage.extractor]
-node   = "row_ellipse_extractor"
-input  = "depth"
-output = "ellipses"
-
-[stage.assembler]
-node   = "object_assembler"
-input  = "ellipses"
-output = "objects"
-
-[stage.tracker]
-node   = "kalman_tracker"
-input  = "objects"
-output = "tracks"
-
-[stage.json]
-node  = "json_sink"
-input = "tracks"
-path  = "tracks.jsonl"
 "#;
 
 /// The paper's way, which each of the tests can name.
@@ -56,7 +36,7 @@ fn sum(compared: &Json, column: &str) -> u64 {
 
 #[test]
 fn the_same_variant_under_another_name_is_the_same_to_the_bit() {
-    let playground = Playground::with_pipeline(SIMULATED);
+    let playground = Playground::with_pipeline(&simulated());
     let compared = compared(&playground, &["--b", "extractor.scan=both"]);
     assert_eq!((compared["frames"].as_u64(), compared["same_frames"].as_u64()), (Some(8), Some(8)));
     assert_eq!((sum(&compared, "a"), sum(&compared, "both")), (sum(&compared, "b"), sum(&compared, "a")));
@@ -68,7 +48,7 @@ fn the_same_variant_under_another_name_is_the_same_to_the_bit() {
 
 #[test]
 fn the_paper_s_way_differs_and_both_are_scored_as_an_evaluation_sink_scores_them() {
-    let playground = Playground::with_pipeline(SIMULATED);
+    let playground = Playground::with_pipeline(&simulated());
     let compared = compared(&playground, &[&["--a"], &PAPER[..], &["--b", "extractor.scan=rows"]].concat());
     assert_eq!(compared["same_frames"], 0);
     for [variant, alone] in [["a", "only_a"], ["b", "only_b"]] {
@@ -81,13 +61,9 @@ fn the_paper_s_way_differs_and_both_are_scored_as_an_evaluation_sink_scores_them
     assert!(["extractor", "assembler"].iter().all(|stage| {
         ["a", "b"].iter().all(|variant| compared[variant]["times_ms"][stage]["p50"].as_f64().unwrap() > 0.0)
     }));
-    let scored =
-        SIMULATED.replace("delivery", "") + "[stage.score]\nnode = \"evaluation_sink\"\npath = \"score.jsonl\"\n";
-    let lossless = |topic: &str| format!("input = {{ topic = \"{topic}\", delivery = \"lossless\" }}");
-    let scored = scored
-        .replace("input  = \"depth\"", &lossless("depth"))
-        .replace("input  = \"ellipses\"", &lossless("ellipses"));
-    playground.write("scored.toml", &(scored + &lossless("objects") + "\n"));
+    let score = "[stage.score]\nnode = \"evaluation_sink\"\npath = \"score.jsonl\"\n\
+                 input = { topic = \"objects\", delivery = \"lossless\" }\n";
+    playground.write("scored.toml", &(tracking_behind(TABLETOP, "lossless") + score));
     playground.conicflow(&["run", "scored.toml", "--quiet", "--set", "extractor.scan=rows"]).expect_code(0);
     let score = playground.json_lines("score.jsonl").remove(0);
     for column in ["to_find", "found", "wrong", "f1", "radius_error_mm"] {
@@ -99,13 +75,8 @@ fn the_paper_s_way_differs_and_both_are_scored_as_an_evaluation_sink_scores_them
 
 #[test]
 fn recorded_frames_without_a_truth_are_compared_in_tables_and_pictures() {
-    let playground = Playground::with_pipeline(
-        &SIMULATED
-            .replace("synthetic_source", "image_source")
-            .replace("scene   = \"tabletop\"", "path = \"frames\"")
-            .replace("width   = 320\nheight  = 240\n", "")
-            .replace("frames  = 8\n", "poses = \"none\"\n"),
-    );
+    let source = "node = \"image_source\"\npath = \"frames\"\nposes = \"none\"\nrate_hz = 0\n";
+    let playground = Playground::with_pipeline(&tracking_behind(source, "latest"));
     let camera = playground.record(Scene::built_in("tabletop").unwrap().unwrap(), 5, 3);
     let intrinsics = format!(
         "source.intrinsics={{ fx = {:?}, fy = {:?}, cx = {:?}, cy = {:?} }}",
@@ -127,7 +98,7 @@ fn recorded_frames_without_a_truth_are_compared_in_tables_and_pictures() {
 
 #[test]
 fn both_recordings_are_shown_together_and_matched_as_they_were_compared() {
-    let playground = Playground::with_pipeline(SIMULATED);
+    let playground = Playground::with_pipeline(&simulated());
     let compared = compared(&playground, &[&["--record", "kept", "--a"], &PAPER[..]].concat());
     let page = Page::open(&playground, &["kept/a.mcap", "kept/b.mcap"]);
     page.wish(&json!({ "do": "pause" }));
@@ -165,7 +136,7 @@ fn both_recordings_are_shown_together_and_matched_as_they_were_compared() {
 
 #[test]
 fn tracks_are_compared_where_they_are_asked_for() {
-    let playground = Playground::with_pipeline(SIMULATED);
+    let playground = Playground::with_pipeline(&simulated());
     let compared = compared(&playground, &["--topic", "tracks", "--b", "tracker.acceleration=9.0"]);
     assert_eq!(compared["topic"], "tracks");
     assert!(compared["b"]["times_ms"]["tracker"]["p50"].is_number() && sum(&compared, "both") > 0, "{compared}");
@@ -173,7 +144,7 @@ fn tracks_are_compared_where_they_are_asked_for() {
 
 #[test]
 fn what_is_wrong_is_told_with_the_variant_that_it_is_wrong_in() {
-    let playground = Playground::with_pipeline(SIMULATED);
+    let playground = Playground::with_pipeline(&simulated());
     let told = |arguments: &[&str], code: i32| {
         let ended = playground.conicflow(&[&["compare"], arguments].concat()).expect_code(code);
         assert_eq!(ended.stdout, "");
@@ -198,7 +169,7 @@ fn what_is_wrong_is_told_with_the_variant_that_it_is_wrong_in() {
 
 #[test]
 fn who_ends_it_early_is_told_that_there_is_nothing_to_compare() {
-    let playground = Playground::with_pipeline(SIMULATED);
+    let playground = Playground::with_pipeline(&simulated());
     let paced = ["--set", "source.rate_hz=20", "--set", "source.frames=100000"];
     let mut compare = playground.start(&[&["compare", "--b", "extractor.scan=rows"][..], &paced].concat());
     // The program itself, and the four stages of its first run.

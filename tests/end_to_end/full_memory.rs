@@ -2,7 +2,7 @@
 
 use super::own_memory::OwnSharedMemory;
 use super::processes::stages_of;
-use super::room::{PIPELINE, messages};
+use super::room::{messages, pipeline};
 use super::support::{Playground, signal};
 use rustix::fs::{FallocateFlags, fallocate, statvfs};
 use rustix::process::Signal;
@@ -22,7 +22,7 @@ fn fill(memory: &OwnSharedMemory) {
 #[test]
 fn a_run_at_work_goes_on_where_others_fill_shared_memory() {
     let Some(memory) = OwnSharedMemory::new("32m") else { return };
-    let playground = Playground::with_pipeline(PIPELINE);
+    let playground = Playground::with_pipeline(&pipeline("latest"));
     let mut run = memory.start(&playground, &["run"]);
     run.wait_until("tracks come", || playground.lines("tracks.jsonl").len() > 5);
     fill(&memory);

@@ -2,7 +2,7 @@
 //! queue is full.
 
 use super::processes::{shared_files, stages_of};
-use super::support::{Playground, Started, signal};
+use super::support::{Playground, Started, signal, tracking_behind};
 use conicflow_dataflow::pipeline::{Pipeline, SourceText};
 use conicflow_dataflow::{Plan, Registry, Requirements};
 use conicflow_nodes::NODES;
@@ -12,36 +12,10 @@ use std::fs;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
-pub const PIPELINE: &str = r#"
-name = "room"
-
-[stage.source]
-node   = "synthetic_source"
-output = "depth"
-scene  = "tabletop"
-width  = 640
-height = 480
-
-[stage.extractor]
-node   = "row_ellipse_extractor"
-input  = "depth"
-output = "ellipses"
-
-[stage.assembler]
-node   = "object_assembler"
-input  = "ellipses"
-output = "objects"
-
-[stage.tracker]
-node   = "kalman_tracker"
-input  = "objects"
-output = "tracks"
-
-[stage.json]
-node  = "json_sink"
-input = "tracks"
-path  = "tracks.jsonl"
-"#;
+/// A pipeline whose images are as large as those of most cameras.
+pub fn pipeline(delivery: &str) -> String {
+    tracking_behind("node = \"synthetic_source\"\nscene = \"tabletop\"\nwidth = 640\nheight = 480\n", delivery)
+}
 
 /// Each topic with its writer and its reader.
 const TOPICS: [(&str, &str, &str); 4] = [
@@ -104,11 +78,7 @@ fn touched(process: u32, files: &BTreeSet<PathBuf>) -> u64 {
 #[test]
 fn what_a_run_asks_for_is_enough_and_less_than_twice_as_much() {
     for delivery in ["latest", "lossless"] {
-        let long = |topic: &str| format!("input  = {{ topic = \"{topic}\", delivery = \"{delivery}\" }}\n");
-        let text = TOPICS.iter().fold(PIPELINE.to_owned(), |text, (topic, ..)| {
-            let short = [format!("input  = \"{topic}\"\n"), format!("input = \"{topic}\"\n")];
-            short.iter().fold(text, |text, short| text.replace(short, &long(topic)))
-        });
+        let text = pipeline(delivery);
         let needs = needs(&text);
         let playground = Playground::with_pipeline(&text);
         let mut run = playground.start(&["run"]);

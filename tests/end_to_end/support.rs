@@ -52,6 +52,13 @@ input = { topic = "tracks", delivery = "lossless" }
 path  = "tracks.jsonl"
 "#;
 
+/// The stages of [`TRACKING`] behind another source; they take each message (`lossless`), or the newest one (`latest`).
+pub fn tracking_behind(source: &str, delivery: &str) -> String {
+    let (_, stages) = TRACKING.split_once("[stage.extractor]").unwrap();
+    let stages = stages.replace("lossless", delivery);
+    format!("name = \"tracking\"\n[stage.source]\noutput = \"depth\"\n{source}\n[stage.extractor]{stages}")
+}
+
 /// The names of its stages.
 pub const TRACKING_STAGES: [&str; 5] = ["source", "extractor", "assembler", "tracker", "json"];
 
