@@ -210,7 +210,7 @@ impl Path {
         match (next.checked_sub(1), self.points.get(next)) {
             (None, _) => self.points[0].offset,
             (Some(previous), None) => self.points[previous].offset,
-            (Some(previous), Some(_)) if self.smooth => self.cubic(previous, time_s),
+            (Some(previous), Some(_)) if self.smooth => self.cubic(previous, time_s)[0],
             (Some(previous), Some(to)) => {
                 let from = self.points[previous];
                 from.offset.lerp(&to.offset, (time_s - from.t_s) / (to.t_s - from.t_s))
@@ -223,7 +223,7 @@ impl Path {
         let (time_s, pace) = self.on_the_way(time_s);
         let next = self.points.partition_point(|point| point.t_s <= time_s);
         match (next.checked_sub(1), self.points.get(next)) {
-            (Some(previous), Some(_)) if self.smooth => self.cubic_velocity(previous, time_s) * pace,
+            (Some(previous), Some(_)) if self.smooth => self.cubic(previous, time_s)[1] * pace,
             (Some(previous), Some(to)) => {
                 let from = self.points[previous];
                 (to.offset - from.offset) * (pace / (to.t_s - from.t_s))
@@ -247,31 +247,17 @@ impl Path {
         }
     }
 
-    /// Cubic Hermite spline whose velocity at a way point is that between its neighbours (Catmull and Rom, 1974); at rest
-    /// at both ends.
-    fn cubic(&self, previous: usize, time_s: f64) -> Vector3<f64> {
+    /// Place and velocity on a cubic Hermite spline whose velocity at a way point is that between its neighbours (Catmull and
+    /// Rom, 1974); at rest at both ends.
+    fn cubic(&self, previous: usize, time_s: f64) -> [Vector3<f64>; 2] {
         let (from, to) = (self.points[previous], self.points[previous + 1]);
         let span = to.t_s - from.t_s;
         let s = (time_s - from.t_s) / span;
-        let [start, square, cube] = self.coefficients(previous);
-        from.offset + start * s + square * (s * s) + cube * (s * s * s)
-    }
-
-    fn cubic_velocity(&self, previous: usize, time_s: f64) -> Vector3<f64> {
-        let (from, to) = (self.points[previous], self.points[previous + 1]);
-        let span = to.t_s - from.t_s;
-        let s = (time_s - from.t_s) / span;
-        let [start, square, cube] = self.coefficients(previous);
-        (start + square * (2.0 * s) + cube * (3.0 * s * s)) / span
-    }
-
-    /// Of the first, second and third power of the share of the time between two way points.
-    fn coefficients(&self, previous: usize) -> [Vector3<f64>; 3] {
-        let (from, to) = (self.points[previous], self.points[previous + 1]);
-        let span = to.t_s - from.t_s;
         let (start, end) = (self.velocity_at_point(previous) * span, self.velocity_at_point(previous + 1) * span);
         let way = to.offset - from.offset;
-        [start, way * 3.0 - start * 2.0 - end, start + end - way * 2.0]
+        let (square, cube) = (way * 3.0 - start * 2.0 - end, start + end - way * 2.0);
+        let place = from.offset + start * s + square * (s * s) + cube * (s * s * s);
+        [place, (start + square * (2.0 * s) + cube * (3.0 * s * s)) / span]
     }
 
     fn velocity_at_point(&self, index: usize) -> Vector3<f64> {
