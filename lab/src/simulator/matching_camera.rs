@@ -166,94 +166,54 @@ impl Default for StructuredLight {
     }
 }
 
-/// What both kinds have, and what only one has.
-#[derive(Clone, Copy, Debug)]
-struct Parts {
-    baseline_m: f64,
-    projector_m: f64,
-    /// Whether the second image is a second eye's, not the stored pattern.
-    second_eye: bool,
-    window: [usize; 2],
-    step_penalty: Option<[f64; 2]>,
-    steps_per_px: f64,
-    dots_per_px: f64,
-    dot_sigma_px: f64,
-    image_noise: f64,
-    uniqueness: f64,
-    left_right_px: Option<usize>,
-    smallest_region_px: usize,
-    smoothing: [usize; 2],
-    bend_px: f64,
-    bend_length_px: f64,
-    range_m: [f64; 2],
-}
-
-impl From<Stereo> for Parts {
-    fn from(table: Stereo) -> Self {
-        Self {
-            baseline_m: table.baseline_m,
-            projector_m: table.projector_m,
-            second_eye: true,
-            window: table.window_px.map(|side| side as usize),
-            step_penalty: Some(table.step_penalty),
-            steps_per_px: f64::from(table.steps_per_px),
-            dots_per_px: table.dots_per_px,
-            dot_sigma_px: table.dot_sigma_px,
-            image_noise: table.image_noise,
-            uniqueness: table.uniqueness,
-            left_right_px: Some(table.left_right_px as usize),
-            smallest_region_px: table.smallest_region_px as usize,
-            smoothing: table.smoothing_px.map(|side| side as usize),
-            bend_px: table.bend_px,
-            bend_length_px: table.bend_length_px,
-            range_m: [table.min_range_m, table.max_range_m],
-        }
-    }
-}
-
-impl From<StructuredLight> for Parts {
+impl From<StructuredLight> for Stereo {
+    /// The projector in place of the second eye, which sees what the first one has stored.
     fn from(table: StructuredLight) -> Self {
+        let StructuredLight { baseline_m, window_px, smoothing_px, steps_per_px, dots_per_px, dot_sigma_px, .. } =
+            table;
+        let StructuredLight { image_noise, uniqueness, smallest_region_px, bend_px, bend_length_px, .. } = table;
+        let StructuredLight { min_range_m, max_range_m, .. } = table;
         Self {
-            baseline_m: table.baseline_m,
-            projector_m: table.baseline_m,
-            second_eye: false,
-            window: table.window_px.map(|side| side as usize),
-            step_penalty: None,
-            steps_per_px: f64::from(table.steps_per_px),
-            dots_per_px: table.dots_per_px,
-            dot_sigma_px: table.dot_sigma_px,
-            image_noise: table.image_noise,
-            uniqueness: table.uniqueness,
-            left_right_px: None,
-            smallest_region_px: table.smallest_region_px as usize,
-            smoothing: table.smoothing_px.map(|side| side as usize),
-            bend_px: table.bend_px,
-            bend_length_px: table.bend_length_px,
-            range_m: [table.min_range_m, table.max_range_m],
+            baseline_m,
+            projector_m: baseline_m,
+            window_px,
+            smoothing_px,
+            steps_per_px,
+            dots_per_px,
+            dot_sigma_px,
+            image_noise,
+            uniqueness,
+            smallest_region_px,
+            bend_px,
+            bend_length_px,
+            min_range_m,
+            max_range_m,
+            ..Self::default()
         }
     }
 }
 
-/// What is wrong with windows or a range.
-pub fn fault(window_px: [u32; 2], smoothing_px: [u32; 2], range_m: [f64; 2]) -> Option<String> {
-    for [columns, rows] in [window_px, smoothing_px] {
-        if columns == 0 || rows == 0 || columns.saturating_mul(rows) > LARGEST_WINDOW {
-            return Some(format!(
-                "has a window of {columns} times {rows} pixels, expected 1 to {LARGEST_WINDOW} in all"
-            ));
+impl Stereo {
+    /// What is wrong with windows, the range or the penalties of steps.
+    pub fn fault(&self) -> Option<String> {
+        for [columns, rows] in [self.window_px, self.smoothing_px] {
+            if columns == 0 || rows == 0 || columns.saturating_mul(rows) > LARGEST_WINDOW {
+                return Some(format!(
+                    "has a window of {columns} times {rows} pixels, expected 1 to {LARGEST_WINDOW} in all"
+                ));
+            }
         }
+        let (least, most) = (self.min_range_m, self.max_range_m);
+        if least >= most {
+            return Some(format!("measures from {least} to {most} m, which is nothing"));
+        }
+        let is_possible = |step: f64| step >= 0.0 && brightness(step) <= LARGEST_PENALTY;
+        let [one, more] = self.step_penalty;
+        let most = LARGEST_PENALTY / brightness(1.0);
+        (!self.step_penalty.into_iter().all(is_possible) || one > more).then(|| {
+            format!("has a step_penalty of {one} and {more}, expected two numbers from 0 to {most} that ascend")
+        })
     }
-    let [least, most] = range_m;
-    (least >= most).then(|| format!("measures from {least} to {most} m, which is nothing"))
-}
-
-/// What is wrong with penalties of steps.
-pub fn penalty_fault(step_penalty: [f64; 2]) -> Option<String> {
-    let is_possible = |step: f64| step >= 0.0 && brightness(step) <= LARGEST_PENALTY;
-    let [one, more] = step_penalty;
-    let most = LARGEST_PENALTY / brightness(1.0);
-    (!step_penalty.into_iter().all(is_possible) || one > more)
-        .then(|| format!("has a step_penalty of {one} and {more}, expected two numbers from 0 to {most} that ascend"))
 }
 
 /// So many full dots, in the units of an image.
@@ -264,7 +224,9 @@ fn brightness(dots: f64) -> i16 {
 /// The camera.
 #[derive(Clone, Debug)]
 pub struct MatchingCamera {
-    parts: Parts,
+    table: Stereo,
+    /// Whether the second image is a second eye's, not the stored pattern.
+    second_eye: bool,
     matching: Matching,
     pattern: DotPattern,
     /// Bend of the disparity, in pixels.
@@ -281,42 +243,43 @@ pub struct MatchingCamera {
 impl MatchingCamera {
     /// A camera of two eyes; its pattern and its bend are those of a seed.
     pub fn stereo(table: Stereo, camera: &Camera, seed: u64) -> Self {
-        Self::new(table.into(), camera, seed)
+        Self::new(table, true, camera, seed)
     }
 
     /// A camera of one eye that knows the pattern.
     pub fn structured_light(table: StructuredLight, camera: &Camera, seed: u64) -> Self {
-        Self::new(table.into(), camera, seed)
+        Self::new(table.into(), false, camera, seed)
     }
 
-    fn new(parts: Parts, camera: &Camera, seed: u64) -> Self {
-        let shift = |depth: f64| camera.fx * parts.baseline_m / depth;
-        let shifts = [shift(parts.range_m[1]) as usize, shift(parts.range_m[0]).ceil() as usize];
+    fn new(table: Stereo, second_eye: bool, camera: &Camera, seed: u64) -> Self {
+        let shift = |depth: f64| camera.fx * table.baseline_m / depth;
+        let shifts = [shift(table.max_range_m) as usize, shift(table.min_range_m).ceil() as usize];
         let matching = Matching {
-            window: parts.window,
+            window: table.window_px.map(|side| side as usize),
             shifts: [shifts[0].saturating_sub(1), shifts[1] + 1],
-            penalties: parts.step_penalty.map(|steps| steps.map(brightness)),
-            uniqueness: parts.uniqueness,
-            left_right_px: parts.left_right_px,
-            smallest_region_px: parts.smallest_region_px,
-            smoothing: parts.smoothing,
+            penalties: second_eye.then(|| table.step_penalty.map(brightness)),
+            uniqueness: table.uniqueness,
+            left_right_px: second_eye.then_some(table.left_right_px as usize),
+            smallest_region_px: table.smallest_region_px as usize,
+            smoothing: table.smoothing_px.map(|side| side as usize),
         };
         let reach = matching.shifts[1];
         let size = [camera.width as usize, camera.height as usize];
         let wide = Camera { width: camera.width + reach as u32, cx: camera.cx + reach as f64, ..*camera };
-        let pattern = DotPattern::new(parts.dots_per_px, parts.dot_sigma_px, &CounterRng::new(seed, OF_THE_CAMERA));
-        let bend = match parts.bend_px {
+        let pattern = DotPattern::new(table.dots_per_px, table.dot_sigma_px, &CounterRng::new(seed, OF_THE_CAMERA));
+        let bend = match table.bend_px {
             0.0 => vec![0.0; size[0] * size[1]],
             bend_px => {
                 let dice = CounterRng::new(seed, OF_THE_CAMERA - 1);
-                let deviates = waves([camera.width, camera.height], parts.bend_length_px, &dice);
+                let deviates = waves([camera.width, camera.height], table.bend_length_px, &dice);
                 deviates.into_iter().map(|deviate| bend_px * deviate).collect()
             }
         };
         let images =
             ImagePair { size, reach, left: vec![0; size[0] * size[1]], right: vec![0; (size[0] + reach) * size[1]] };
         let mut this = Self {
-            parts,
+            table,
+            second_eye,
             matching,
             pattern,
             bend,
@@ -327,7 +290,7 @@ impl MatchingCamera {
             matcher: BlockMatcher::default(),
             disparities: Vec::new(),
         };
-        if !parts.second_eye {
+        if !second_eye {
             this.store_the_pattern();
         }
         this
@@ -335,11 +298,11 @@ impl MatchingCamera {
 
     /// The depth noise that the frames tell of, for a focal length in pixels.
     pub fn noise_model(&self, fx: f64) -> NoiseModel {
-        let step_per_m = match self.parts.steps_per_px {
-            0.0 => 0.0,
-            steps => 1.0 / (steps * fx * self.parts.baseline_m),
+        let step_per_m = match self.table.steps_per_px {
+            0 => 0.0,
+            steps => 1.0 / (f64::from(steps) * fx * self.table.baseline_m),
         };
-        NoiseModel { floor_m: 0.0, growth_per_m: TOLD_NOISE_PX / (fx * self.parts.baseline_m), knee_m: 0.0, step_per_m }
+        NoiseModel { floor_m: 0.0, growth_per_m: TOLD_NOISE_PX / (fx * self.table.baseline_m), knee_m: 0.0, step_per_m }
     }
 
     /// Measures a rendered image of `shapes` (camera frame): the depth of each pixel in metres, not a number where there is
@@ -347,19 +310,18 @@ impl MatchingCamera {
     pub fn measure(&mut self, raster: &Raster, shapes: &[Shape], dice: &CounterRng, depths: &mut Vec<f64>) {
         self.look(raster, shapes, dice);
         self.matcher.disparities(&self.images, &self.matching, &mut self.disparities);
-        let [near, far] = self.parts.range_m;
-        let scale = raster.camera.fx * self.parts.baseline_m;
+        let scale = raster.camera.fx * self.table.baseline_m;
         let depth = |(disparity, bend): (&f32, &f64)| {
             let disparity = self.in_steps(f64::from(*disparity) + bend);
             let depth = scale / disparity;
-            if (near..=far).contains(&depth) { depth } else { f64::NAN }
+            if (self.table.min_range_m..=self.table.max_range_m).contains(&depth) { depth } else { f64::NAN }
         };
         depths.clear();
         depths.extend(self.disparities.iter().zip(&self.bend).map(depth));
     }
 
     fn in_steps(&self, disparity: f64) -> f64 {
-        match self.parts.steps_per_px {
+        match f64::from(self.table.steps_per_px) {
             0.0 => disparity,
             steps => (disparity * steps).round() / steps,
         }
@@ -367,17 +329,17 @@ impl MatchingCamera {
 
     /// Takes the images.
     fn look(&mut self, raster: &Raster, shapes: &[Shape], dice: &CounterRng) {
-        let projector = self.parts.projector_m;
+        let projector = self.table.projector_m;
         shadow::cast(raster, shapes, projector, &mut self.shadow);
         let [width, height] = self.images.size;
         for index in 0..width * height {
             let light = light(&self.pattern, raster, &self.shadow, index, projector);
-            self.images.left[index] = exposed(light, self.parts.image_noise, dice, index as u64);
+            self.images.left[index] = exposed(light, self.table.image_noise, dice, index as u64);
         }
-        if !self.parts.second_eye {
+        if !self.second_eye {
             return;
         }
-        let place = self.parts.baseline_m;
+        let place = self.table.baseline_m;
         let moved = Pose::shift(Vector3::new(-place, 0.0, 0.0));
         self.second_shapes.clear();
         self.second_shapes.extend(shapes.iter().map(|shape| shape.transformed(&moved)));
@@ -388,7 +350,7 @@ impl MatchingCamera {
             let light = light(&self.pattern, &self.second, &self.shadow, index, projector - place);
             let (v, from_right) = (index / wide, wide - 1 - index % wide);
             self.images.right[v * wide + from_right] =
-                exposed(light, self.parts.image_noise, dice, count + index as u64);
+                exposed(light, self.table.image_noise, dice, count + index as u64);
         }
     }
 

@@ -1,7 +1,7 @@
 //! Sensors that are simulated and not only their noise: cameras that match blocks of images, and such that measure the time
 //! of flight.
 
-use super::matching_camera::{self, MatchingCamera, Stereo, StructuredLight};
+use super::matching_camera::{MatchingCamera, Stereo, StructuredLight};
 use super::raster::Raster;
 use super::shapes::Shape;
 use super::time_of_flight::{TimeOfFlight, TimeOfFlightCamera};
@@ -61,13 +61,8 @@ impl SimulatedSensor {
     /// What cannot be used about it.
     pub fn fault(self) -> Option<ConfigFault> {
         let what = match self.numbers() {
-            SensorNumbers::Stereo(table) => {
-                matching_camera::fault(table.window_px, table.smoothing_px, [table.min_range_m, table.max_range_m])
-                    .or_else(|| matching_camera::penalty_fault(table.step_penalty))
-            }
-            SensorNumbers::StructuredLight(table) => {
-                matching_camera::fault(table.window_px, table.smoothing_px, [table.min_range_m, table.max_range_m])
-            }
+            SensorNumbers::Stereo(table) => table.fault(),
+            SensorNumbers::StructuredLight(table) => Stereo::from(table).fault(),
             SensorNumbers::TimeOfFlight(_) => None,
         };
         let hint = "leave the numbers out, for the usual ones".into();
