@@ -12,10 +12,10 @@ use crate::session::{Publisher, Sessions, Subscriber};
 use crate::settings;
 use crate::wire::seal::Seal;
 use conicflow_dataflow::relay::{MemoryTrim, SharedMemory, StageRuntime};
-use conicflow_dataflow::{BridgePlan, BridgeRun, Life, NO_RUN, Stop};
+use conicflow_dataflow::{BridgePlan, BridgeRun, Life, NO_RUN, Stop, unix_ns};
 use std::sync::Arc;
 use std::thread::{Scope, ScopedJoinHandle};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 use zenoh::bytes::ZBytes;
 use zenoh::qos::Priority;
 
@@ -34,7 +34,7 @@ pub(crate) fn run(
     runtime: StageRuntime<SharedMemory>,
 ) -> Result<(), BridgeError> {
     let (stop, memory_trim) = (runtime.context.stop.clone(), MemoryTrim::of(&runtime));
-    let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as u64);
+    let now = unix_ns();
     // Nobody can come after the process of a stage that was started by itself.
     let kept_in = (run.run != NO_RUN).then_some(run.folder);
     let journal = Journal::open(kept_in, if run.run == NO_RUN { now } else { run.run }, now);

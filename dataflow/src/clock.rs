@@ -1,9 +1,15 @@
-//! The clock of hop times: monotonic, shared by all processes of one machine.
+//! The clock of hop times: monotonic, shared by all processes of one machine. And the one that is set to the time of day.
 
 use rustix::time::{ClockId, clock_gettime};
+use std::time::UNIX_EPOCH;
 
 /// Nanoseconds on this machine's monotonic clock.
 pub fn monotonic_ns() -> u64 {
     let now = clock_gettime(ClockId::Monotonic);
     now.tv_sec.unsigned_abs() * 1_000_000_000 + now.tv_nsec.unsigned_abs()
+}
+
+/// Nanoseconds since the Unix epoch; 0 where the clock is set to a time before it.
+pub fn unix_ns() -> u64 {
+    UNIX_EPOCH.elapsed().map_or(0, |since| since.as_nanos() as u64)
 }

@@ -50,7 +50,7 @@ pub mod relay {
     pub use crate::status::StatusFile;
 }
 
-pub use clock::monotonic_ns;
+pub use clock::{monotonic_ns, unix_ns};
 pub use conicflow_messages::{ConfigFault, Hinted};
 pub use doctor::{Finding, clean, examine};
 pub use first_frame::tell_median;

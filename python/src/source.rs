@@ -3,13 +3,12 @@
 use crate::fault;
 use crate::joined::{self, Inputs, Joined};
 use crate::payload::{HeaderChange, Payload};
-use conicflow_dataflow::{PulledSource, join_as_source, monotonic_ns, tell_median};
+use conicflow_dataflow::{PulledSource, join_as_source, monotonic_ns, tell_median, unix_ns};
 use conicflow_messages::{Header, NoiseModel, Text, median_depth};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
-use std::time::UNIX_EPOCH;
 
 /// A source of a pipeline; `conicflow.source()` makes it.
 ///
@@ -47,9 +46,8 @@ impl Source {
 
     /// The header of a frame of which nothing was said.
     fn header(name: &str) -> Header {
-        let stamp_ns = UNIX_EPOCH.elapsed().map_or(0, |since| since.as_nanos() as u64);
         let (noise, source) = (NoiseModel::KINECT_V1, Text::new(name));
-        Header { depth_scale: 0.001, noise, stamp_ns, source, ..Header::default() }
+        Header { depth_scale: 0.001, noise, stamp_ns: unix_ns(), source, ..Header::default() }
     }
 
     /// Says once what the images are like, so that a wrong scale is seen.

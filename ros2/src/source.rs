@@ -8,7 +8,9 @@ use crate::notices::{Fault, Notices, unreadable};
 use crate::participant::topic_fault;
 use crate::picture::{Kind, Picture};
 use crate::{Distro, End, Middleware, Participant, Via, Way};
-use conicflow_dataflow::{ConfigFault, Context, Next, Output, SideInputs, Source, StageError, Stop, tell_median};
+use conicflow_dataflow::{
+    ConfigFault, Context, Next, Output, SideInputs, Source, StageError, Stop, tell_median, unix_ns,
+};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::NoiseConfig;
 use conicflow_messages::{Camera, HAS_POSE, Header, Hinted, Text, median_depth};
@@ -16,7 +18,7 @@ use conicflow_ros::{CAMERA_INFO, Stamped, TF_MESSAGE, Transforms, camera_info_to
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 const UNREADABLE: &str = "frames unreadable";
 const LOST: &str = "frames lost";
@@ -244,7 +246,7 @@ impl<M: Middleware> Ros2Source<M> {
         }
         // A driver that knows no time leaves it at zero.
         let stamped = picture.stamped();
-        let stamp_ns = if stamped.stamp_ns > 0 { stamped.stamp_ns } else { now_ns() };
+        let stamp_ns = if stamped.stamp_ns > 0 { stamped.stamp_ns } else { unix_ns() };
         let pose = self.pose(&Stamped { stamp_ns, ..stamped });
         if pose.is_none() && self.config.world.is_some() && age < PATIENCE_WITH_POSE {
             return Ok(None);
@@ -346,9 +348,4 @@ impl<M: Middleware> Ros2Source<M> {
         };
         Hinted::new(format!("nobody publishes `{topic}`"), hint)
     }
-}
-
-/// Nanoseconds since the Unix epoch.
-fn now_ns() -> u64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as u64)
 }

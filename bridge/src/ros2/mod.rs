@@ -9,14 +9,14 @@ mod keys;
 use crate::channel::Channel;
 use crate::settings;
 use attachment::Attachment;
-use conicflow_dataflow::{Node, StageError, Variant};
+use conicflow_dataflow::{Node, StageError, Variant, unix_ns};
 use conicflow_messages::{Object, Track};
 use conicflow_ros2::{Middleware, Participant, Published, Ros2Sink, Ros2Source, Way};
 use keys::{Keys, comes_below, key_of_caches};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 use zenoh::bytes::ZBytes;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::{Publisher, Subscriber};
@@ -159,8 +159,7 @@ impl Middleware for ZenohMiddleware {
         let ends = self.joined.session.get();
         let Some(outbox) = ends.and_then(|ends| ends.publishers[end].as_ref()) else { return };
         let sequence = outbox.sequence.fetch_add(1, Ordering::Relaxed);
-        let sent_ns = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as i64);
-        let attachment = Attachment { sequence, sent_ns, end: outbox.end };
+        let attachment = Attachment { sequence, sent_ns: unix_ns().cast_signed(), end: outbox.end };
         // It succeeds with nobody there; that the session is closed is told by `is_joined`.
         outbox.publisher.put(message).attachment(attachment.to_bytes()).wait().ok();
     }

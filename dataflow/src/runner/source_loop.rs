@@ -5,14 +5,14 @@ use super::output_port::OutputPort;
 use super::pace::{Pace, Rhythm};
 use super::side_ports::{self, SidePort};
 use super::{MemoryTrim, RunError, StageRuntime, guarded, is_stopped};
-use crate::clock::monotonic_ns;
+use crate::clock::{monotonic_ns, unix_ns};
 use crate::ports::{PortError, Transport};
 use crate::stage::{Next, Source, Stop};
 use crate::status::{Life, Pausing, Status, StatusFile, used};
 use conicflow_messages::{Header, Item};
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 /// What a source works with, but what it does.
 pub(crate) struct SourcePlace<T: Transport> {
@@ -99,7 +99,8 @@ impl<T: Transport> SourcePlace<T> {
         let StageRuntime { context, wiring, record, pause, lock, .. } = runtime;
         let (stop, made) = (context.stop, context.resume_at);
         let pace = Pace::new(rhythm, stop.clone(), pause);
-        let (epoch, frames) = (new_epoch(), wiring.frames);
+        // No earlier start of a source had this number.
+        let (epoch, frames) = (unix_ns(), wiring.frames);
         Ok(Self { side_inputs, output_port, record, stop, epoch, made, sequence: made, frames, pace, _lock: lock })
     }
 }
@@ -190,9 +191,4 @@ impl<S: Source, T: Transport> SourceLoop<S, T> {
         }
         Ok(sent)
     }
-}
-
-/// A number that no earlier start of a source had.
-fn new_epoch() -> u64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as u64)
 }

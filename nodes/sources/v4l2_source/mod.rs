@@ -11,7 +11,7 @@ pub use device::{Driver, Found, LinuxVideo, Mode, Stream};
 pub use format::{DepthFormat, Layout};
 
 use crate::config_error::one_of_two;
-use conicflow_dataflow::{ConfigFault, Context, Next, Output, SideInputs, Source, StageError, tell_median};
+use conicflow_dataflow::{ConfigFault, Context, Next, Output, SideInputs, Source, StageError, tell_median, unix_ns};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::NoiseConfig;
 use conicflow_messages::{Camera, Header, NoiseModel, Text};
@@ -19,7 +19,7 @@ use grabber::{Grabber, Wanted};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
-use std::time::{Duration, UNIX_EPOCH};
+use std::time::Duration;
 
 /// Parameters of [`V4l2Source`].
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
@@ -150,7 +150,7 @@ impl Source for V4l2Source {
     fn next(&mut self, _: &SideInputs, output: &mut Output<u16>) -> Result<Next, StageError> {
         let Some(layout) = self.grabber.next(output)? else { return Ok(Next::End) };
         // `linuxvideo` does not tell the kernel's stamp; that of the moment at which the image came is a little later.
-        let stamp_ns = UNIX_EPOCH.elapsed().map_or(0, |since| since.as_nanos() as u64);
+        let stamp_ns = unix_ns();
         output.header = Header {
             camera: self.config.camera((layout.width, layout.height)),
             depth_scale: self.config.depth_scale,
