@@ -7,6 +7,7 @@ use conicflow_dataflow::{StageSummary, Summary, Table};
 use conicflow_lab::experiment::{Experiment, Results, Variation};
 use conicflow_lab::score::{Figure, Row, Sections, limit, measured_columns, summary};
 use conicflow_messages::Hinted;
+use indexmap::IndexSet;
 use std::path::PathBuf;
 
 /// The sinks that leave rows.
@@ -42,13 +43,7 @@ fn columns(experiment: &Experiment, pipeline: &Pipeline) -> Result<Vec<String>> 
     let varied = experiment.vary.iter().map(|vary| vary.name.clone());
     let times = pipeline.stages.iter().map(|stage| format!("{}_ms", stage.name));
     let fixed = ["stage"].into_iter().chain(measured).chain(["frames_per_s"]).map(str::to_owned);
-    let mut columns: Vec<String> = Vec::new();
-    for column in varied.chain(fixed).chain(times) {
-        if !columns.contains(&column) {
-            columns.push(column);
-        }
-    }
-    Ok(columns)
+    Ok(varied.chain(fixed).chain(times).collect::<IndexSet<_>>().into_iter().collect())
 }
 
 /// The table that is printed.

@@ -6,6 +6,7 @@ use super::definition::{Experiment, Plot, prepared};
 use crate::csv;
 use crate::score::{Figure, Row};
 use anyhow::{Context as _, Result};
+use indexmap::{IndexMap, IndexSet};
 use std::collections::BTreeMap;
 use std::fmt::{self, Write};
 use std::path::Path;
@@ -123,7 +124,7 @@ fn paper_lines(experiment: &Experiment, plot: &Plot, rows: &[Row]) -> Vec<Line> 
 }
 
 fn gather(plot: &Plot, rows: &[Row], prefix: &str, number: &dyn Fn(&Row, &str) -> Option<f64>) -> Vec<Line> {
-    let mut lines: Vec<Line> = Vec::new();
+    let mut lines: IndexMap<String, Line> = IndexMap::new();
     let step_s = step_s(rows);
     for column in &plot.y {
         let deviations = beside(column, "sd");
@@ -134,11 +135,7 @@ fn gather(plot: &Plot, rows: &[Row], prefix: &str, number: &dyn Fn(&Row, &str) -
             let x = true_x.as_ref().and_then(|column| row.number_of(column)).or_else(|| row.number_of(&plot.x));
             let (Some(x), Some(y)) = (x, number(row, column)) else { continue };
             let name = format!("{prefix}{}", name(plot, row, column));
-            let index = lines.iter().position(|line| line.name == name).unwrap_or_else(|| {
-                lines.push(Line { name: name.clone(), ..Line::default() });
-                lines.len() - 1
-            });
-            let line = &mut lines[index];
+            let line = lines.entry(name.clone()).or_insert_with(|| Line { name: name.clone(), ..Line::default() });
             if let (Some(step_s), Some(time_s)) = (step_s, row.number_of(TIME))
                 && times.insert(name, time_s).is_some_and(|before_s| time_s - before_s > 1.5 * step_s)
             {
@@ -150,7 +147,7 @@ fn gather(plot: &Plot, rows: &[Row], prefix: &str, number: &dyn Fn(&Row, &str) -
             line.deviations.push(deviation.unwrap_or(0.0));
         }
     }
-    lines
+    lines.into_values().collect()
 }
 
 /// The time between frames of a trace, where nothing is left out.
@@ -180,16 +177,13 @@ fn is_true(column: &str) -> bool {
 
 /// What stands beside an axis with these columns: each quantity once, measured or true, and the units.
 fn axis_label(columns: &[String]) -> String {
-    let mut labels: Vec<String> = Vec::new();
-    for column in columns {
+    let label = |column: &String| {
         let (name, unit) = quantity(column);
         let name = name.strip_prefix("true ").unwrap_or(&name).to_owned();
-        let label = unit.map_or(name.clone(), |unit| format!("{name} in {unit}"));
-        if !labels.contains(&label) {
-            labels.push(label);
-        }
-    }
-    labels.join(", ")
+        unit.map_or(name.clone(), |unit| format!("{name} in {unit}"))
+    };
+    let labels: IndexSet<String> = columns.iter().map(label).collect();
+    labels.into_iter().collect::<Vec<_>>().join(", ")
 }
 
 fn name(plot: &Plot, row: &Row, column: &str) -> String {

@@ -7,6 +7,7 @@ use crate::quantile::quantile;
 use crate::score::{Figure, Row};
 use anyhow::{Context as _, Result};
 use conicflow_geometry::Regression;
+use indexmap::IndexSet;
 use std::fmt::Write;
 use std::path::Path;
 
@@ -119,12 +120,8 @@ impl<'a> Results<'a> {
     fn write_csv(&self, base: &Path) -> Result<()> {
         let Some(path) = &self.experiment.csv else { return Ok(()) };
         let path = prepared(base, path)?;
-        let mut columns: Vec<&str> = Vec::new();
-        for (column, _) in self.rows.iter().flat_map(|row| &row.0) {
-            if !columns.contains(&column.as_str()) {
-                columns.push(column);
-            }
-        }
+        let columns: IndexSet<&str> =
+            self.rows.iter().flat_map(|row| &row.0).map(|(column, _)| column.as_str()).collect();
         let titles: Vec<_> = columns.iter().map(|column| csv::cell(column)).collect();
         let mut lines = vec![titles.join(",")];
         for row in &self.rows {

@@ -9,13 +9,15 @@ use super::row::Row;
 use super::truth::RenderedTruth;
 use anyhow::Result;
 use conicflow_messages::Header;
+use indexmap::IndexMap;
 
 /// Measures objects or tracks.
 pub struct Measurement {
     truth: RenderedTruth,
     from_s: f64,
     matcher: Matcher,
-    objects: Vec<ObjectStats>,
+    /// By their names, in the order of their first frames.
+    objects: IndexMap<String, ObjectStats>,
     /// Answers that were about nothing.
     wrong: u64,
     recording: Option<Recording>,
@@ -30,7 +32,7 @@ struct Recording {
 impl Measurement {
     /// A measurement that leaves out the frames before `from_s`: simulated time, of recorded frames since the first.
     pub fn new(truth: RenderedTruth, from_s: f64) -> Self {
-        Self { truth, from_s, matcher: Matcher::default(), objects: Vec::new(), wrong: 0, recording: None }
+        Self { truth, from_s, matcher: Matcher::default(), objects: IndexMap::new(), wrong: 0, recording: None }
     }
 
     /// Takes in the answers to a frame; what was seen of each true object that had to be.
@@ -72,22 +74,18 @@ impl Measurement {
     }
 
     fn object(&mut self, name: &str) -> &mut ObjectStats {
-        let index = self.objects.iter().position(|object| object.name == name).unwrap_or_else(|| {
-            self.objects.push(ObjectStats::new(name));
-            self.objects.len() - 1
-        });
-        &mut self.objects[index]
+        self.objects.entry(name.to_owned()).or_insert_with(|| ObjectStats::new(name))
     }
 
     /// One row for each object that was there, in the order of their first frames; of several one more for all. Of
     /// recorded frames one for each track, or each shape.
     pub fn rows(&self) -> Vec<Row> {
         if let Some(Recording { frames, .. }) = self.recording {
-            return self.objects.iter().map(|object| object.row_of_recording(frames)).collect();
+            return self.objects.values().map(|object| object.row_of_recording(frames)).collect();
         }
-        let mut rows: Vec<Row> = self.objects.iter().map(ObjectStats::row).collect();
+        let mut rows: Vec<Row> = self.objects.values().map(ObjectStats::row).collect();
         if rows.len() != 1 {
-            rows.push(all(&self.objects, self.wrong));
+            rows.push(all(self.objects.values(), self.wrong));
         }
         rows
     }

@@ -52,7 +52,7 @@ pub fn columns() -> impl Iterator<Item = &'static str> {
 /// Sums over the frames in which an object had to be found.
 pub struct ObjectStats {
     /// Name of the object.
-    pub name: String,
+    name: String,
     frames: u64,
     found: u64,
     sums: Sums<Observation>,
@@ -137,16 +137,16 @@ impl ObjectStats {
 }
 
 /// The mean over the sights of all objects.
-fn pooled(objects: &[ObjectStats], of: impl Fn(&ObjectStats) -> RunningStats) -> f64 {
-    let known: Vec<_> = objects.iter().map(of).filter(|sum| sum.count() > 0).collect();
+fn pooled<'a>(objects: impl Iterator<Item = &'a ObjectStats>, of: impl Fn(&ObjectStats) -> RunningStats) -> f64 {
+    let known: Vec<_> = objects.map(of).filter(|sum| sum.count() > 0).collect();
     let sum: f64 = known.iter().map(|sum| sum.mean() * sum.count() as f64).sum();
     sum / known.iter().map(RunningStats::count).sum::<u64>() as f64
 }
 
 /// The row of all objects; so many answers were about nothing. CLEAR-MOT: `MOTA = 1 - (missed + wrong + switches) / objects`,
 /// MOTP is the mean distance of what was found.
-pub fn all(objects: &[ObjectStats], wrong: u64) -> Row {
-    let sum = |count: fn(&ObjectStats) -> u64| objects.iter().map(count).sum::<u64>();
+pub fn all<'a>(objects: impl Iterator<Item = &'a ObjectStats> + Clone, wrong: u64) -> Row {
+    let sum = |count: fn(&ObjectStats) -> u64| objects.clone().map(count).sum::<u64>();
     let (frames, found) = (sum(|object| object.frames), sum(|object| object.found));
     let switches = sum(|object| object.switches);
     let faults = frames - found + wrong + switches;
@@ -155,9 +155,9 @@ pub fn all(objects: &[ObjectStats], wrong: u64) -> Row {
     row.count("switches", switches);
     row.count("wrong", wrong);
     row.number("mota", 1.0 - faults as f64 / frames as f64);
-    row.number("motp_m", pooled(objects, |object| object.error));
+    row.number("motp_m", pooled(objects.clone(), |object| object.error));
     for column in ["radius_sigmas", "center_sigmas"] {
-        row.number(column, pooled(objects, |object| object.sums.of(column)).sqrt());
+        row.number(column, pooled(objects.clone(), |object| object.sums.of(column)).sqrt());
     }
     row
 }

@@ -3,6 +3,7 @@
 use super::matching::{Answer, Comparison, Fault, MatchedFrame, compare};
 use super::sigmas::Sigmas;
 use conicflow_messages::{Object, ObjectKind};
+use indexmap::IndexSet;
 use nalgebra::Vector3;
 
 /// All that was counted.
@@ -11,7 +12,7 @@ pub struct Score {
     /// Number of frames that were judged.
     pub frames: u64,
     /// Names of the groups, in the order of their first frames.
-    pub groups: Vec<String>,
+    pub groups: IndexSet<String>,
     /// The true objects that had to be found, and the answers that were right about nothing.
     pub samples: Vec<Sample>,
     /// Number of right answers about objects that need not be found.
@@ -47,16 +48,9 @@ impl Sample {
 }
 
 impl Score {
-    fn group(&mut self, name: &str) -> usize {
-        self.groups.iter().position(|known| known == name).unwrap_or_else(|| {
-            self.groups.push(name.to_owned());
-            self.groups.len() - 1
-        })
-    }
-
     /// Counts what came of a frame of a group.
     pub fn add(&mut self, group: &str, frame: &MatchedFrame) {
-        let group = self.group(group);
+        let (group, _) = self.groups.insert_full(group.to_owned());
         self.frames += 1;
         self.neither += frame.neither.len() as u64;
         for (truth, answer) in &frame.pairs {

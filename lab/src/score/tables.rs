@@ -208,7 +208,7 @@ mod tests {
         let (shape, fault) = (ObjectKind::Cone, Some(Fault::NothingThere));
         let wrong = Sample { shape, distance: 2.2, hidden: None, fault, ..sphere };
         let samples = vec![found(0.01), found(-0.02), found(-0.03), sphere, wrong];
-        Score { frames: 3, groups: vec!["standing".into()], samples, ..Score::default() }
+        Score { frames: 3, groups: ["standing".into()].into(), samples, ..Score::default() }
     }
 
     fn line<'a>(report: &'a str, label: &str) -> Vec<&'a str> {

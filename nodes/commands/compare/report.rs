@@ -4,6 +4,7 @@ use super::tally::{Tally, Unlike, share_below};
 use conicflow_dataflow::Table;
 use conicflow_lab::score::pairing::Difference;
 use conicflow_messages::{Object, ObjectKind, ToJson as _};
+use indexmap::IndexSet;
 use serde_json::{Value as Json, json};
 use std::fmt::{self, Display};
 
@@ -100,7 +101,7 @@ impl Variants<'_> {
     fn times(&self) -> Table {
         let mut table = Table::new(&["TIME", "UNIT", "A p50", "p90", "B p50", "p90", "B / A"]);
         let together = ("together".to_owned(), self.tally.together.clone());
-        for (stage, times) in self.tally.times.iter().skip(1).chain([&together]) {
+        for (stage, times) in self.tally.times.iter().skip(1).chain([(&together.0, &together.1)]) {
             let at = |variant: usize, share: f64| share_below(times[variant].iter().copied(), share);
             let ratio = at(1, 0.5).zip(at(0, 0.5)).map(|(b, a)| b / a);
             let figures = [at(0, 0.5), at(0, 0.9), at(1, 0.5), at(1, 0.9), ratio].map(|figure| cell(figure, 2));
@@ -114,13 +115,8 @@ impl Variants<'_> {
         let mut table = Table::new(&["TRUTH", "", "A", "B"]);
         let [a, b] = &self.tally.scores;
         let rows = [a.as_ref()?, b.as_ref()?];
-        let mut shown = Vec::new();
-        for (column, _) in rows.iter().flat_map(|row| &row.0) {
-            if !shown.contains(&column) {
-                shown.push(column);
-            }
-        }
-        for column in shown.into_iter().filter(|column| *column != "frames") {
+        let columns: IndexSet<&String> = rows.iter().flat_map(|row| &row.0).map(|(column, _)| column).collect();
+        for column in columns.into_iter().filter(|column| *column != "frames") {
             let numbers = rows.map(|row| row.number_of(column));
             let digits = if numbers.iter().flatten().all(|number| number.fract() == 0.0) { 0 } else { 3 };
             let figures = numbers.map(|number| cell(number, digits));

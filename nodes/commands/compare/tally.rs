@@ -6,6 +6,7 @@ use conicflow_lab::quantile::quantile;
 use conicflow_lab::score::Row;
 use conicflow_lab::score::pairing::{Difference, Paired, pair_up};
 use conicflow_messages::{Hinted, Hop, Object, ObjectKind};
+use indexmap::IndexMap;
 use std::collections::BTreeMap;
 
 /// What was counted of two variants.
@@ -22,7 +23,7 @@ pub(super) struct Tally {
     /// Of what both have as the same kind.
     pub(super) differences: Vec<(ObjectKind, Difference)>,
     /// Times of the stages in A and in B, in ms, in the order of the way, the source first.
-    pub(super) times: Vec<(String, [Vec<f64>; 2])>,
+    pub(super) times: IndexMap<String, [Vec<f64>; 2]>,
     /// Times of all stages behind the source together.
     pub(super) together: [Vec<f64>; 2],
     /// How each scores, where the truth is known.
@@ -101,12 +102,7 @@ impl Tally {
         let ms = |hop: &Hop| hop.sent_ns.saturating_sub(hop.received_ns) as f64 * 1e-6;
         self.together[variant].push(frame.header.trace().iter().skip(1).map(ms).sum());
         for hop in frame.header.trace() {
-            let stage = hop.stage.to_string();
-            let known = self.times.iter().position(|(known, _)| *known == stage).unwrap_or_else(|| {
-                self.times.push((stage, Default::default()));
-                self.times.len() - 1
-            });
-            self.times[known].1[variant].push(ms(hop));
+            self.times.entry(hop.stage.to_string()).or_default()[variant].push(ms(hop));
         }
     }
 }

@@ -14,6 +14,7 @@ use conicflow_dataflow::{ItemType, Pairing, Plan, PlannedStage, RunOptions, Runs
 use conicflow_lab::score::{Answer, Claim, Evaluation};
 use conicflow_messages::{AnyByte, Header, Hinted, Item, Object, Track};
 use serde_json::json;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::slice::from_ref;
 use std::sync::Arc;
@@ -126,18 +127,14 @@ fn truth(pipeline: &Pipeline) -> Result<Option<EvaluationConfig>> {
 
 /// Leaves those stages that the messages of a topic come from, on this machine, and lets them lose nothing.
 fn keep_what_leads_to(topic: &str, pipeline: &mut Pipeline) {
-    let mut needed = vec![topic.to_owned()];
+    let mut needed = BTreeSet::from([topic.to_owned()]);
     let mut known = 0;
     while known < needed.len() {
         known = needed.len();
         let writes = |stage: &&StageSpec| stage.output.as_ref().is_some_and(|output| needed.contains(output));
         let inputs = pipeline.stages.iter().filter(writes).flat_map(StageSpec::all_inputs);
         let further: Vec<_> = inputs.map(|input| input.topic.clone()).collect();
-        for topic in further {
-            if !needed.contains(&topic) {
-                needed.push(topic);
-            }
-        }
+        needed.extend(further);
     }
     pipeline.stages.retain(|stage| stage.output.as_ref().is_some_and(|output| needed.contains(output)));
     pipeline.machines.clear();
