@@ -16,11 +16,11 @@ const UP = new Vector3(0, 1, 0);
 
 const colour = (item) => new Color().setRGB(...colourOf(item).map((part) => part / 255), "srgb");
 
-/** The line strips `points` (three numbers each) as one object. */
-function line(points, options) {
+/** The points (three numbers each) joined by lines, one to the next; as `LineSegments` two and two. */
+function line(points, options, Kind = Line) {
     const geometry = new BufferGeometry();
     geometry.setAttribute("position", new BufferAttribute(new Float32Array(points.flat()), 3));
-    return new Line(geometry, new LineBasicMaterial({ transparent: true, ...options }));
+    return new Kind(geometry, new LineBasicMaterial({ transparent: true, ...options }));
 }
 
 /** The surface, `wider` metres away from the measured one. */
@@ -121,12 +121,10 @@ function arrow(item) {
 
 /** The way of a track, the older the paler. */
 export function trail(points, item) {
-    const geometry = new BufferGeometry();
-    geometry.setAttribute("position", new BufferAttribute(new Float32Array(points.flat()), 3));
-    const tint = colour(item);
+    const [way, tint] = [line(points, { vertexColors: true }), colour(item)];
     const colours = points.flatMap((_, index) => [tint.r, tint.g, tint.b, (index + 1) / points.length]);
-    geometry.setAttribute("color", new BufferAttribute(new Float32Array(colours), 4));
-    return new Line(geometry, new LineBasicMaterial({ vertexColors: true, transparent: true }));
+    way.geometry.setAttribute("color", new BufferAttribute(new Float32Array(colours), 4));
+    return way;
 }
 
 /** What the camera sees, as far as `depth`: the rays through the corners of its image, and its axes in red, green and blue. */
@@ -134,16 +132,11 @@ export function frustum({ width, height, fx, fy, cx, cy }, depth) {
     const corner = (u, v) => [((u - cx) / fx) * depth, ((v - cy) / fy) * depth, depth];
     const corners = [corner(-0.5, -0.5), corner(width - 0.5, -0.5), corner(width - 0.5, height - 0.5), corner(-0.5, height - 0.5)];
     const segments = corners.flatMap((from, index) => [[0, 0, 0], from, from, corners[(index + 1) % 4]]);
-    const lines = (points, options) => {
-        const geometry = new BufferGeometry();
-        geometry.setAttribute("position", new BufferAttribute(new Float32Array(points.flat()), 3));
-        return new LineSegments(geometry, new LineBasicMaterial({ transparent: true, ...options }));
-    };
     const group = new Group();
-    group.add(lines(segments, { color: new Color("#c6d0e2"), opacity: 0.75 }));
+    group.add(line(segments, { color: new Color("#c6d0e2"), opacity: 0.75 }, LineSegments));
     const length = depth * 0.6;
     [["#ff5f57", [length, 0, 0]], ["#4fd18b", [0, length, 0]], ["#5aafff", [0, 0, length]]].forEach(([tint, to]) => {
-        group.add(lines([[0, 0, 0], to], { color: new Color(tint), opacity: 1 }));
+        group.add(line([[0, 0, 0], to], { color: new Color(tint), opacity: 1 }));
     });
     return group;
 }
