@@ -1,6 +1,7 @@
 // The graph of stages from top to bottom: what each does and how fast, what goes from one to the next and what is lost; and what
 // they count.
 
+import { element } from "./elements.js";
 import { count, milliseconds } from "./words.js";
 
 /** Height of a stage, and of the room below it. */
@@ -127,10 +128,8 @@ export class GraphView {
                 return [];
             }
             const most = Math.max(...[...found, ...reasons].map(({ value }) => value), 1);
-            const part = document.createElement("div");
-            part.append(Object.assign(document.createElement("h3"), { textContent: stage.stage }));
-            part.append(...found.map((entry) => bar(entry, most, "count found")), ...reasons.map((entry) => bar(entry, most, "count")));
-            return [part];
+            const bars = [...found.map((entry) => bar(entry, most, "count found")), ...reasons.map((entry) => bar(entry, most, "count"))];
+            return [element("div", {}, element("h3", {}, stage.stage), ...bars)];
         });
         this.#counters.replaceChildren(...(parts.length > 0 ? parts : [none("no stage has counted anything")]));
     }
@@ -159,12 +158,9 @@ function box({ name, node, drives }, { x, y }, activity) {
 }
 
 function bar({ name, value, rate }, most, kind) {
-    const row = Object.assign(document.createElement("div"), { className: kind });
-    const line = document.createElement("i");
-    line.style.width = `${(100 * value) / most}%`;
-    const texts = [["span", name], ["b", count(value)], ["span", rate > 0 ? `${rate.toFixed(rate < 10 ? 1 : 0)}/s` : ""]];
-    row.append(...texts.map(([tag, content]) => Object.assign(document.createElement(tag), { textContent: content })), line);
-    return row;
+    const pace = rate > 0 ? `${rate.toFixed(rate < 10 ? 1 : 0)}/s` : "";
+    const line = element("i", { style: `width: ${(100 * value) / most}%` });
+    return element("div", { className: kind }, element("span", {}, name), element("b", {}, count(value)), element("span", {}, pace), line);
 }
 
-const none = (content) => Object.assign(document.createElement("p"), { className: "none", textContent: content });
+const none = (content) => element("p", { className: "none" }, content);

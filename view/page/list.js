@@ -1,40 +1,25 @@
 // The list of what was found: where it is, how big, how sure, and how it moves.
 
-import { colourOf, css } from "./colours.js";
+import { element, swatch } from "./elements.js";
 import { degrees, difference, foundBy, isSecond, millimetres, name, norm, percent } from "./words.js";
 
 /** A cell of the table, as text with a smaller text behind it. */
 function cell(label, text, sigma) {
-    const cell = document.createElement("td");
-    cell.dataset.label = label;
-    cell.textContent = text;
-    if (text === "") {
-        delete cell.dataset.label;
+    const cell = element("td", {}, text);
+    if (text !== "") {
+        cell.dataset.label = label;
     }
     if (sigma) {
-        const small = document.createElement("span");
-        small.className = "sigma";
-        small.textContent = ` ± ${sigma}`;
-        cell.append(small);
+        cell.append(element("span", { className: "sigma" }, ` ± ${sigma}`));
     }
     return cell;
 }
 
-function swatch(item) {
-    const swatch = document.createElement("i");
-    swatch.className = "swatch";
-    swatch.style.background = css(colourOf(item));
-    return swatch;
-}
-
-function chip(text, kind = "") {
-    return Object.assign(document.createElement("span"), { className: `chip ${kind}`, textContent: text });
-}
+const chip = (text, kind = "") => element("span", { className: `chip ${kind}` }, text);
 
 /** What it is; `other` is the same as a second variant has found it. */
 function first(item, other) {
-    const cell = document.createElement("td");
-    cell.append(swatch(item), ...(other ? [swatch(other)] : []), name(item));
+    const cell = element("td", {}, swatch(item), ...(other ? [swatch(other)] : []), name(item));
     if (item.state && item.state !== "confirmed") {
         cell.append(chip(item.state === "coasting" ? `coasting, unseen for ${item.misses}` : item.state, item.state));
     }
@@ -48,25 +33,24 @@ function first(item, other) {
 function confidence(item) {
     const made = cell("sure", item.confidence === undefined ? "" : percent(item.confidence));
     if (item.confidence !== undefined) {
-        const [meter, bar] = [document.createElement("span"), document.createElement("i")];
-        meter.className = "meter";
-        bar.style.width = percent(item.confidence).replace(" ", "");
-        bar.style.background = item.confidence > 0.9 ? "var(--good)" : item.confidence > 0.6 ? "var(--warn)" : "var(--bad)";
-        meter.append(bar);
-        made.append(meter);
+        const colour = item.confidence > 0.9 ? "good" : item.confidence > 0.6 ? "warn" : "bad";
+        const style = `width: ${100 * item.confidence}%; background: var(--${colour})`;
+        made.append(element("span", { className: "meter" }, element("i", { style })));
     }
     return made;
 }
 
 function row(item, other, isChosen) {
-    const row = document.createElement("tr");
     const [x, y, z] = item.center.map((part) => part.toFixed(3));
     const away = Math.max(...item.sigma.center) * 1000;
     const radius = item.kind === "cone" ? item.base_radius : item.radius;
     const [mm, sigma] = millimetres(radius, item.sigma.radius).split(" ± ");
     const angle = item.half_angle === undefined ? "" : `, ${degrees(item.half_angle)}`;
     const speed = item.velocity ? `${norm(item.velocity).toFixed(2)} m/s` : "";
-    row.append(
+    const title = `${item.points} points in ${item.rows} scan lines, ${(item.rms * 1000).toFixed(1)} mm from the surface`;
+    const row = element(
+        "tr",
+        { title },
         first(item, other),
         confidence(item),
         cell("at", `${x}, ${y}, ${z} m`, `${away.toFixed(away < 1.95 ? 1 : 0)} mm`),
@@ -76,7 +60,6 @@ function row(item, other, isChosen) {
             ? cell("B", item.difference ? difference(item.difference) : "")
             : cell("speed", speed, item.velocity ? norm(item.sigma.velocity).toFixed(2) : ""),
     );
-    row.title = `${item.points} points in ${item.rows} scan lines, ${(item.rms * 1000).toFixed(1)} mm from the surface`;
     row.classList.toggle("on", isChosen);
     return row;
 }
@@ -86,18 +69,14 @@ const HEADS = ["", "confidence", "x, y, z from the camera", "radius", "length", 
 const COMPARED = "B from A";
 
 export class ListView {
-    #table;
-    #head = document.createElement("thead");
-    #body = document.createElement("tbody");
+    #head = element("thead", {}, element("tr", {}, ...HEADS.map((text) => element("th", {}, text))));
+    #body = element("tbody");
     #choose;
 
     /** `choose` is told the number of the track that was clicked. */
     constructor(table, choose) {
-        [this.#table, this.#choose] = [table, choose];
-        const row = document.createElement("tr");
-        row.append(...HEADS.map((text) => Object.assign(document.createElement("th"), { textContent: text })));
-        this.#head.append(row);
-        this.#table.append(this.#head, this.#body);
+        this.#choose = choose;
+        table.append(this.#head, this.#body);
     }
 
     show({ kind, items, compared }, chosen) {
@@ -108,10 +87,8 @@ export class ListView {
             return made;
         });
         if (rows.length === 0) {
-            const none = Object.assign(document.createElement("td"), { className: "none", colSpan: HEADS.length });
-            none.textContent = kind ? "nothing found in this frame" : "nobody has looked for anything in this frame";
-            rows.push(document.createElement("tr"));
-            rows[0].append(none);
+            const none = kind ? "nothing found in this frame" : "nobody has looked for anything in this frame";
+            rows.push(element("tr", {}, element("td", { className: "none", colSpan: HEADS.length }, none)));
         }
         this.#head.hidden = items.length === 0;
         this.#body.replaceChildren(...rows);

@@ -1,6 +1,7 @@
 // The page: hands each answer of the server to the views.
 
-import { DepthRange, SCALE, colourOf, css } from "./colours.js";
+import { DepthRange, SCALE } from "./colours.js";
+import { element, swatch } from "./elements.js";
 import { GraphView } from "./graph.js";
 import { ImageView } from "./image.js";
 import { ListView } from "./list.js";
@@ -37,9 +38,8 @@ function openSpace() {
     try {
         return new SpaceView(by("space-image"), by("space-text"));
     } catch (error) {
-        const empty = Object.assign(document.createElement("div"), { className: "empty" });
-        empty.textContent = "This browser has no WebGL 2, or it is switched off: space cannot be drawn.";
-        by("space").append(empty);
+        const why = "This browser has no WebGL 2, or it is switched off: space cannot be drawn.";
+        by("space").append(element("div", { className: "empty" }, why));
         return null;
     }
 }
@@ -119,11 +119,7 @@ function counted() {
 function showVariants() {
     const named = variants.map((name, index) => {
         const letter = "ab"[index];
-        const [part, swatch] = [document.createElement("span"), document.createElement("i")];
-        swatch.className = "swatch";
-        swatch.style.background = css(colourOf({ variant: letter }));
-        part.append(swatch, `${letter.toUpperCase()}: ${name}`);
-        return part;
+        return element("span", {}, swatch({ variant: letter }), `${letter.toUpperCase()}: ${name}`);
     });
     by("variants").replaceChildren(...named);
     by("variants").hidden = named.length === 0;

@@ -14,6 +14,7 @@ const FILES: &[File] = &[
     ("/server.js", SCRIPT, include_bytes!("../page/server.js")),
     ("/colours.js", SCRIPT, include_bytes!("../page/colours.js")),
     ("/words.js", SCRIPT, include_bytes!("../page/words.js")),
+    ("/elements.js", SCRIPT, include_bytes!("../page/elements.js")),
     ("/image.js", SCRIPT, include_bytes!("../page/image.js")),
     ("/labels.js", SCRIPT, include_bytes!("../page/labels.js")),
     ("/space.js", SCRIPT, include_bytes!("../page/space.js")),
