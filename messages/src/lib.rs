@@ -9,6 +9,7 @@
 //! Units are SI: metres, radians, seconds; times in nanoseconds. The camera frame is the optical frame:
 //! x right, y down, z forward.
 
+mod coded;
 mod depth;
 mod ellipse;
 mod fault;

@@ -1,6 +1,6 @@
 //! Objects: spheres, cylinders and cones found in one frame, with their uncertainty.
 
-use crate::{Header, Item, Malformed, item::finite};
+use crate::{Header, Item, Malformed, coded::coded, item::finite};
 use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::FRAC_PI_2;
@@ -22,35 +22,9 @@ pub enum ObjectKind {
 impl ObjectKind {
     /// All shapes.
     pub const ALL: [Self; 3] = [Self::Sphere, Self::Cylinder, Self::Cone];
-
-    /// The number that stands for it in a message.
-    pub const fn code(self) -> u32 {
-        match self {
-            Self::Sphere => 0,
-            Self::Cylinder => 1,
-            Self::Cone => 2,
-        }
-    }
-
-    /// The shape that a number stands for.
-    pub const fn from_code(code: u32) -> Option<Self> {
-        match code {
-            0 => Some(Self::Sphere),
-            1 => Some(Self::Cylinder),
-            2 => Some(Self::Cone),
-            _ => None,
-        }
-    }
-
-    /// The word for it.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Sphere => "sphere",
-            Self::Cylinder => "cylinder",
-            Self::Cone => "cone",
-        }
-    }
 }
+
+coded!(ObjectKind: Sphere = 0 "sphere", Cylinder = 1 "cylinder", Cone = 2 "cone");
 
 /// A sphere, cylinder or cone in the camera frame; what a shape does not have is zero.
 #[repr(C)]

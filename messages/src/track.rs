@@ -1,6 +1,6 @@
 //! Tracks: objects with an identity and a velocity, followed from frame to frame.
 
-use crate::{Header, Item, Malformed, Object, item::finite};
+use crate::{Header, Item, Malformed, Object, coded::coded, item::finite};
 use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
 
@@ -15,35 +15,7 @@ pub enum TrackState {
     Coasting,
 }
 
-impl TrackState {
-    /// The number that stands for it in a message.
-    pub const fn code(self) -> u32 {
-        match self {
-            Self::Tentative => 0,
-            Self::Confirmed => 1,
-            Self::Coasting => 2,
-        }
-    }
-
-    /// The state that a number stands for.
-    pub const fn from_code(code: u32) -> Option<Self> {
-        match code {
-            0 => Some(Self::Tentative),
-            1 => Some(Self::Confirmed),
-            2 => Some(Self::Coasting),
-            _ => None,
-        }
-    }
-
-    /// The word for it.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Tentative => "tentative",
-            Self::Confirmed => "confirmed",
-            Self::Coasting => "coasting",
-        }
-    }
-}
+coded!(TrackState: Tentative = 0 "tentative", Confirmed = 1 "confirmed", Coasting = 2 "coasting");
 
 /// One tracked object.
 #[repr(C)]

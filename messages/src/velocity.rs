@@ -1,6 +1,6 @@
 //! Velocity commands: how a robot, or a camera, is to move from now on.
 
-use crate::{Fields, Header, Item, Malformed, Named, ToJson, item::finite};
+use crate::{Fields, Header, Item, Malformed, Named, ToJson, coded::coded, item::finite};
 use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
 
@@ -13,32 +13,7 @@ pub enum Frame {
     World,
 }
 
-impl Frame {
-    /// The number that stands for it in a message.
-    pub const fn code(self) -> u32 {
-        match self {
-            Self::Camera => 0,
-            Self::World => 1,
-        }
-    }
-
-    /// The frame that a number stands for.
-    pub const fn from_code(code: u32) -> Option<Self> {
-        match code {
-            0 => Some(Self::Camera),
-            1 => Some(Self::World),
-            _ => None,
-        }
-    }
-
-    /// The word for it.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Camera => "camera",
-            Self::World => "world",
-        }
-    }
-}
+coded!(Frame: Camera = 0 "camera", World = 1 "world");
 
 /// The velocity that is to be taken. A message carries one; none: stand still.
 #[repr(C)]
