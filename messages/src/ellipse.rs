@@ -1,6 +1,6 @@
 //! Ellipses: what the extractor finds in one scan line, with the moments of the points that it was fitted to.
 
-use crate::{Header, Item, Malformed, item::finite};
+use crate::{Header, Item, Malformed, item::check_each, item::finite};
 use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
 
@@ -139,16 +139,15 @@ impl Item for Ellipse {
     const USUAL_LENGTH: usize = 1024;
 
     fn check(header: &Header, items: &[Self]) -> Result<(), Malformed> {
-        for (index, ellipse) in items.iter().enumerate() {
-            let fault = |what: &str| Err(Malformed::new(Self::NAME, format!("item {index} {what}")));
+        check_each(items, |ellipse| {
             if !(ellipse.is_in(header) && ellipse.numbers_are_finite()) {
-                return fault("is out of range or not finite");
+                Some("is out of range or not finite")
+            } else if !ellipse.is_of_points() {
+                Some("has no points, or a deviation or depth below zero")
+            } else {
+                None
             }
-            if !ellipse.is_of_points() {
-                return fault("has no points, or a deviation or depth below zero");
-            }
-        }
-        Ok(())
+        })
     }
 }
 

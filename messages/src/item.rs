@@ -69,6 +69,14 @@ impl Malformed {
     }
 }
 
+/// Looks for the first item that has a fault.
+pub(crate) fn check_each<T: Item>(items: &[T], fault: impl Fn(&T) -> Option<&'static str>) -> Result<(), Malformed> {
+    match items.iter().enumerate().find_map(|(index, item)| Some((index, fault(item)?))) {
+        Some((index, fault)) => Err(Malformed::new(T::NAME, format!("item {index} {fault}"))),
+        None => Ok(()),
+    }
+}
+
 /// The item of a message that does not exist; a source's input and a sink's output.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]

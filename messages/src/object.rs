@@ -1,6 +1,6 @@
 //! Objects: spheres, cylinders and cones found in one frame, with their uncertainty.
 
-use crate::{Header, Item, Malformed, coded::coded, item::finite};
+use crate::{Header, Item, Malformed, coded::coded, item::check_each, item::finite};
 use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::FRAC_PI_2;
@@ -123,10 +123,7 @@ impl Item for Object {
     const IS_COUNTED: bool = true;
 
     fn check(_: &Header, items: &[Self]) -> Result<(), Malformed> {
-        match items.iter().enumerate().find_map(|(index, object)| Some((index, object.fault()?))) {
-            Some((index, fault)) => Err(Malformed::new(Self::NAME, format!("item {index} {fault}"))),
-            None => Ok(()),
-        }
+        check_each(items, Self::fault)
     }
 
     fn label(&self) -> Option<&'static str> {

@@ -1,6 +1,6 @@
 //! Tracks: objects with an identity and a velocity, followed from frame to frame.
 
-use crate::{Header, Item, Malformed, Object, coded::coded, item::finite};
+use crate::{Header, Item, Malformed, Object, coded::coded, item::check_each, item::finite};
 use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
 
@@ -63,10 +63,7 @@ impl Item for Track {
     const IS_COUNTED: bool = true;
 
     fn check(_: &Header, items: &[Self]) -> Result<(), Malformed> {
-        match items.iter().enumerate().find_map(|(index, track)| Some((index, track.fault()?))) {
-            Some((index, fault)) => Err(Malformed::new(Self::NAME, format!("item {index} {fault}"))),
-            None => Ok(()),
-        }
+        check_each(items, Self::fault)
     }
 
     fn label(&self) -> Option<&'static str> {

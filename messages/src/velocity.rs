@@ -1,6 +1,6 @@
 //! Velocity commands: how a robot, or a camera, is to move from now on.
 
-use crate::{Fields, Header, Item, Malformed, Named, ToJson, coded::coded, item::finite};
+use crate::{Fields, Header, Item, Malformed, Named, ToJson, coded::coded, item::check_each, item::finite};
 use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
 
@@ -41,15 +41,11 @@ impl Item for Velocity {
     const TYPE_NAME: &'static str = "conicflow.Velocity.v1";
 
     fn check(_: &Header, items: &[Self]) -> Result<(), Malformed> {
-        for (index, velocity) in items.iter().enumerate() {
-            if Frame::from_code(velocity.frame).is_none() {
-                return Err(Malformed::new(Self::NAME, format!("item {index} is told in no known frame")));
-            }
-            if !(finite(&velocity.linear) && finite(&velocity.angular)) {
-                return Err(Malformed::new(Self::NAME, format!("item {index} has a number that is not finite")));
-            }
-        }
-        Ok(())
+        check_each(items, |velocity| match Frame::from_code(velocity.frame) {
+            None => Some("is told in no known frame"),
+            Some(_) if finite(&velocity.linear) && finite(&velocity.angular) => None,
+            Some(_) => Some("has a number that is not finite"),
+        })
     }
 }
 
