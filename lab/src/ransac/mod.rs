@@ -10,6 +10,7 @@ mod consensus;
 #[cfg(test)]
 mod tests;
 
+use crate::arc::{message, span};
 use crate::random::CounterRng;
 use conicflow_detection::ScanLines;
 use conicflow_detection::camera::pinhole;
@@ -133,11 +134,8 @@ impl RansacEllipseExtractor {
         self.ellipses.clear();
         self.rejections.clear();
         let mut draws = Draws::new(CounterRng::new(self.config.seed, header.sequence));
-        if self.config.scan != ScanLines::Columns {
-            self.scan(header, pixels, Scan::Row, &mut draws);
-        }
-        if self.config.scan != ScanLines::Rows {
-            self.scan(header, pixels, Scan::Column, &mut draws);
+        for &scan in self.config.scan.directions() {
+            self.scan(header, pixels, scan, &mut draws);
         }
         self.ellipses.iter_mut().for_each(|ellipse| ellipse.line_step = self.config.line_step);
         &self.ellipses
@@ -207,23 +205,6 @@ fn fitted(points: &[Point], plane: &ScanPlane, line: u32, config: &RansacParamet
     if ellipse.center[1] <= depth {
         return Err("concave arcs");
     }
-    let from_front = |[s, t]: [f64; 2]| (s - ellipse.center[0]).atan2(ellipse.center[1] - t);
-    Ok(Ellipse {
-        scan: if plane.scan() == Scan::Row { 0 } else { 1 },
-        line,
-        first: first.pixel,
-        last: last.pixel,
-        points: points.len() as u32,
-        center: plane.to_camera(ellipse.center).into(),
-        plane_center: ellipse.center,
-        semi_axes: ellipse.semi_axes,
-        angle: ellipse.angle,
-        half_width: ellipse.half_extents[0],
-        half_depth: ellipse.half_extents[1],
-        rms,
-        arc: (from_front(last.st) - from_front(first.st)).abs(),
-        origin: moments.origin(),
-        moments: *moments.sums(),
-        ..Ellipse::default()
-    })
+    let arc = span(&ellipse, [first.st, last.st]);
+    Ok(message(&ellipse, (plane, line), [first.pixel, last.pixel], &moments, rms, arc))
 }

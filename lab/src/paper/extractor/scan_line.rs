@@ -20,7 +20,6 @@ pub(super) struct Point {
 /// One scan line; its buffers are used again for the next.
 #[derive(Debug)]
 pub(super) struct ScanLine {
-    pub scan: Scan,
     pub number: u32,
     pub plane: ScanPlane,
     points: Vec<Point>,
@@ -30,7 +29,7 @@ pub(super) struct ScanLine {
 impl Default for ScanLine {
     fn default() -> Self {
         let plane = Pinhole { fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 }.plane(Scan::Row, 0.0);
-        Self { scan: Scan::Row, number: 0, plane, points: Vec::new(), runs: Vec::new() }
+        Self { number: 0, plane, points: Vec::new(), runs: Vec::new() }
     }
 }
 
@@ -38,7 +37,7 @@ impl ScanLine {
     /// Reads line `number` of a depth image and splits it.
     pub fn read(&mut self, header: &Header, pixels: &[u16], scan: Scan, number: u32, config: &ConicConfig) {
         let camera = pinhole(&header.camera);
-        (self.scan, self.number, self.plane) = (scan, number, camera.plane(scan, f64::from(number)));
+        (self.number, self.plane) = (number, camera.plane(scan, f64::from(number)));
         let width = header.camera.width as usize;
         let line = number as usize;
         self.points.clear();
@@ -55,10 +54,10 @@ impl ScanLine {
     }
 
     fn gather<'a>(&mut self, header: &Header, camera: &Pinhole, depths: impl Iterator<Item = &'a u16>) {
-        let stretch = self.plane.stretch();
+        let (scan, stretch) = (self.plane.scan(), self.plane.stretch());
         for (pixel, &depth) in depths.enumerate().filter(|(_, depth)| is_measured(**depth)) {
             let z = f64::from(depth) * header.depth_scale;
-            let st = [z * camera.ray_slope(self.scan, pixel as f64), z * stretch];
+            let st = [z * camera.ray_slope(scan, pixel as f64), z * stretch];
             self.points.push(Point { pixel: pixel as u32, depth: z, st });
         }
     }
