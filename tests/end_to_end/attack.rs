@@ -9,6 +9,7 @@
 
 use super::bridge::{HALVES, apart, loopback, placed};
 use super::processes::{files_in_shared_memory, stages_of, wait_for_shared_memory};
+use super::routers::session;
 use super::support::{Ended, Playground, Started, TRACKING, TRACKING_STAGES, signal, wait_until};
 use rustix::process::Signal;
 use std::any::Any;
@@ -214,16 +215,7 @@ fn forge(link: &zenoh::Session) {
 }
 
 fn eavesdropper(endpoint: &str) -> zenoh::Session {
-    let mut config = zenoh::Config::default();
-    for (key, value) in [
-        ("scouting/multicast/enabled", "false"),
-        ("listen/endpoints", "[]"),
-        ("connect/endpoints", &format!("[\"{endpoint}\"]")),
-        ("connect/timeout_ms", "5000"),
-    ] {
-        config.insert_json5(key, value).unwrap();
-    }
-    zenoh::open(config).wait().unwrap()
+    session("peer", &[("connect/endpoints", &format!("[\"{endpoint}\"]")), ("connect/timeout_ms", "5000")])
 }
 
 /// Starts what a round needs: one machine, or two and who listens to their link.

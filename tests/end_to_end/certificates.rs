@@ -1,6 +1,7 @@
 //! Who gets in where links are TLS: certificates of one authority, and of those only the ones on the list.
 
 use super::bridge::{self, apart, loopback, machines, newest, start};
+use super::routers::session;
 use super::support::{Playground, signal, wait_until};
 use rustix::process::Signal;
 use std::path::Path;
@@ -109,20 +110,15 @@ struct Guest {
 
 impl Guest {
     fn new(endpoint: &str, folder: &Path) -> Self {
-        let mut config = zenoh::Config::default();
         let file = |name: &str| format!("\"{}\"", folder.join(name).display());
-        for (key, value) in [
-            ("scouting/multicast/enabled", "false".to_owned()),
-            ("listen/endpoints", "[]".to_owned()),
-            ("connect/endpoints", format!("[\"{endpoint}\"]")),
-            ("transport/link/tls/root_ca_certificate", file("ca.pem")),
-            ("transport/link/tls/connect_private_key", file("guest.key")),
-            ("transport/link/tls/connect_certificate", file("guest.pem")),
-            ("transport/link/tls/enable_mtls", "true".to_owned()),
-        ] {
-            config.insert_json5(key, &value).unwrap();
-        }
-        let session = zenoh::open(config).wait().unwrap();
+        let set = [
+            ("connect/endpoints", &*format!("[\"{endpoint}\"]")),
+            ("transport/link/tls/root_ca_certificate", &file("ca.pem")),
+            ("transport/link/tls/connect_private_key", &file("guest.key")),
+            ("transport/link/tls/connect_certificate", &file("guest.pem")),
+            ("transport/link/tls/enable_mtls", "true"),
+        ];
+        let session = session("peer", &set);
         let heard = Arc::new(AtomicU64::new(0));
         let listen = |key: &str| {
             let heard = Arc::clone(&heard);

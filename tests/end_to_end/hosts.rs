@@ -2,7 +2,7 @@
 //! they are missing each test says so and shows nothing.
 
 use super::bridge::{LIVE_RATE_HZ, apart, expect_unfelt, live, machines, newest, tracks};
-use super::support::{Playground, Started, TRACKING, signal, wait_until};
+use super::support::{Playground, Started, TRACKING, signal, wait_until, within};
 use rustix::process::{Signal, geteuid};
 use serde_json::Value as Json;
 use std::io::BufRead;
@@ -81,15 +81,9 @@ impl Host {
     /// A program on this host.
     pub fn start(&self, inner: &Command) -> Started {
         let mut command = Command::new("ip");
-        command.args(["netns", "exec", &self.0]).arg(inner.get_program()).args(inner.get_args()).stdin(Stdio::null());
-        for (name, value) in inner.get_envs() {
-            match value {
-                Some(value) => command.env(name, value),
-                None => command.env_remove(name),
-            };
-        }
+        command.args(["netns", "exec", &self.0]);
         inner.get_current_dir().map(|folder| command.current_dir(folder));
-        Started::new(command)
+        Started::new(within(command, inner))
     }
 }
 

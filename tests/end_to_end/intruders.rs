@@ -1,6 +1,7 @@
 //! What others may send to a bridge: garbage, messages of another version, forged ones, and true ones once more.
 
 use super::bridge::{self, apart, loopback, machines, newest, process_of, start, top_link};
+use super::routers::session;
 use super::support::{Ended, Playground, Started, signal, wait_until};
 use conicflow_bridge::WIRE_VERSION;
 use rustix::process::Signal;
@@ -13,15 +14,7 @@ fn intruder(endpoint: &str) -> zenoh::Session {
 }
 
 fn intruder_of(endpoints: &[&str]) -> zenoh::Session {
-    let mut config = zenoh::Config::default();
-    for (key, value) in [
-        ("scouting/multicast/enabled", "false"),
-        ("listen/endpoints", "[]"),
-        ("connect/endpoints", &format!("{endpoints:?}")),
-    ] {
-        config.insert_json5(key, value).unwrap();
-    }
-    zenoh::open(config).wait().unwrap()
+    session("peer", &[("connect/endpoints", &format!("{endpoints:?}"))])
 }
 
 /// Both machines where the base listens and the newest wins.

@@ -1,6 +1,6 @@
 //! A /dev/shm of one's own for a test, so that it can be small, full or littered. It needs root, `unshare` and `nsenter`.
 
-use super::support::{Ended, Playground, Started, wait_until};
+use super::support::{Ended, Playground, Started, wait_until, within};
 use rustix::process::geteuid;
 use std::fs::{self, File};
 use std::path::PathBuf;
@@ -33,14 +33,7 @@ impl OwnSharedMemory {
         let folder = inner.get_current_dir().unwrap().to_str().unwrap();
         let mut command = Command::new("nsenter");
         command.args([&format!("--mount=/proc/{}/ns/mnt", self.holder.id()), &format!("--wd={folder}"), "--"]);
-        command.arg(inner.get_program()).args(inner.get_args()).stdin(Stdio::null());
-        for (name, value) in inner.get_envs() {
-            match value {
-                Some(value) => command.env(name, value),
-                None => command.env_remove(name),
-            };
-        }
-        command
+        within(command, inner)
     }
 
     pub fn start(&self, playground: &Playground, arguments: &[&str]) -> Started {

@@ -1,10 +1,9 @@
 //! Pausing a run and letting it make one frame: by keys at its terminal, and from the page; and a terminal that is as it was before.
 
-use crate::support::{Playground, Started, TRACKING, example, signal, wait_until};
+use crate::support::{Playground, Started, TRACKING, example, signal, terminal, wait_until};
 use crate::view::{Page, items, recording};
 use rustix::fs::{CWD, Mode, OFlags, mkfifoat};
 use rustix::process::Signal;
-use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{LocalModes, tcgetattr};
 use serde_json::{Value as Json, json};
 use std::fs::File;
@@ -32,12 +31,7 @@ impl Terminal {
             eprintln!("SKIPPED: there is no `setsid`, or no `{shell}`; keys at a terminal were not pressed");
             return None;
         }
-        let outer = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
-        grantpt(&outer).unwrap();
-        unlockpt(&outer).unwrap();
-        let path = ptsname(&outer, Vec::new()).unwrap();
-        let inner = rustix::fs::open(path, OFlags::RDWR | OFlags::NOCTTY, Mode::empty()).unwrap();
-        let (keys, text) = (File::from(outer), Arc::<Mutex<String>>::default());
+        let ((keys, inner), text) = (terminal(), Arc::<Mutex<String>>::default());
         let (mut written, all) = (keys.try_clone().unwrap(), Arc::clone(&text));
         thread::spawn(move || {
             let mut bytes = [0; 4096];

@@ -2,7 +2,7 @@
 //! tokens are those of `rmw_zenoh_cpp`, written down here a second time.
 
 use crate::bridge::loopback;
-use crate::routers::router;
+use crate::routers::{router, session};
 use crate::support::{Playground, RECORDING, Started, TRACKING, signal, wait_until};
 use conicflow_lab::simulator::scene::Scene;
 use conicflow_messages::Camera;
@@ -28,15 +28,7 @@ const FRAME: &str = "camera_depth_optical_frame";
 
 /// A session of a robot, which reaches the router.
 fn robot(endpoint: &str) -> zenoh::Session {
-    let mut config = zenoh::Config::default();
-    for (key, value) in [
-        ("mode", "\"client\""),
-        ("scouting/multicast/enabled", "false"),
-        ("connect/endpoints", &format!("[\"{endpoint}\"]")),
-    ] {
-        config.insert_json5(key, value).unwrap();
-    }
-    zenoh::open(config).wait().unwrap()
+    session("client", &[("connect/endpoints", &format!("[\"{endpoint}\"]"))])
 }
 
 /// A message with its key and its attachment.

@@ -7,13 +7,15 @@ use zenoh::Wait;
 
 /// A Zenoh router of this process that listens on an endpoint, or on several with `", "` between them.
 pub fn router(endpoint: &str) -> zenoh::Session {
+    session("router", &[("listen/endpoints", &format!("[\"{endpoint}\"]"))])
+}
+
+/// A Zenoh session of this process that finds nobody, but for what is set.
+pub fn session(mode: &str, set: &[(&str, &str)]) -> zenoh::Session {
     let mut config = zenoh::Config::default();
-    for (key, value) in [
-        ("mode", "\"router\""),
-        ("scouting/multicast/enabled", "false"),
-        ("listen/endpoints", &format!("[\"{endpoint}\"]")),
-        ("connect/endpoints", "[]"),
-    ] {
+    let mode = format!("\"{mode}\"");
+    let alone = [("mode", &*mode), ("scouting/multicast/enabled", "false"), ("listen/endpoints", "[]")];
+    for (key, value) in alone.iter().chain(set) {
         config.insert_json5(key, value).unwrap();
     }
     zenoh::open(config).wait().unwrap()

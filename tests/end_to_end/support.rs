@@ -4,10 +4,13 @@
 use conicflow_lab::simulator::scene::Scene;
 use conicflow_lab::simulator::{SimulatorParameters, SyntheticCamera};
 use conicflow_messages::Camera;
+use rustix::fs::{Mode, OFlags};
 use rustix::process::{Pid, Signal, kill_process};
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use serde_json::Value as Json;
 use std::fs::{self, File, Permissions};
 use std::io::{BufReader, BufWriter, Read, Seek, SeekFrom};
+use std::os::fd::OwnedFd;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, Stdio};
@@ -264,6 +267,28 @@ pub fn environment(process: u32, name: &str) -> Option<String> {
 /// Sends a signal to a process, which may just have ended.
 pub fn signal(process: u32, signal: Signal) {
     Pid::from_raw(process.cast_signed()).map(|process| kill_process(process, signal));
+}
+
+/// A command that runs another one, with its arguments and its environment, behind its own arguments.
+pub fn within(mut outer: Command, inner: &Command) -> Command {
+    outer.arg(inner.get_program()).args(inner.get_args()).stdin(Stdio::null());
+    for (name, value) in inner.get_envs() {
+        match value {
+            Some(value) => outer.env(name, value),
+            None => outer.env_remove(name),
+        };
+    }
+    outer
+}
+
+/// Both ends of a terminal: the one at which somebody sits, and the one that a program has.
+pub fn terminal() -> (File, OwnedFd) {
+    let outer = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
+    grantpt(&outer).unwrap();
+    unlockpt(&outer).unwrap();
+    let path = ptsname(&outer, Vec::new()).unwrap();
+    let inner = rustix::fs::open(path, OFlags::RDWR | OFlags::NOCTTY, Mode::empty()).unwrap();
+    (outer.into(), inner)
 }
 
 /// A program of `examples/`, built beside the program under test.

@@ -1,12 +1,9 @@
 //! `conicflow top` on a terminal of 80 columns and 24 lines.
 
 use crate::processes::wait_for_lines;
-use crate::support::{Playground, TRACKING, TRACKING_STAGES, signal};
-use rustix::fs::OFlags;
+use crate::support::{Playground, TRACKING, TRACKING_STAGES, signal, terminal};
 use rustix::process::Signal;
-use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{Winsize, tcsetwinsize};
-use std::fs::File;
 use std::io::Read;
 use std::os::fd::OwnedFd;
 use std::sync::mpsc::{Receiver, channel};
@@ -18,18 +15,14 @@ const LINES: usize = 24;
 const CLEAR: &str = "\x1b[H\x1b[2J";
 const DEADLINE: Duration = Duration::from_secs(60);
 
-/// A terminal: the end that a program writes to, and what comes out of it, screen by screen.
-fn terminal() -> (OwnedFd, Receiver<String>) {
-    let outer = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
-    grantpt(&outer).unwrap();
-    unlockpt(&outer).unwrap();
-    let path = ptsname(&outer, Vec::new()).unwrap();
-    let inner = rustix::fs::open(path, OFlags::RDWR | OFlags::NOCTTY, rustix::fs::Mode::empty()).unwrap();
+/// The end of a terminal that a program writes to, and what comes out of it, screen by screen.
+fn screens() -> (OwnedFd, Receiver<String>) {
+    let (mut outer, inner) = terminal();
     let size = Winsize { ws_row: LINES as u16, ws_col: COLUMNS as u16, ws_xpixel: 0, ws_ypixel: 0 };
     tcsetwinsize(&inner, size).unwrap();
     let (sender, screens) = channel();
     std::thread::spawn(move || {
-        let (mut outer, mut text, mut bytes) = (File::from(outer), String::new(), [0; 4096]);
+        let (mut text, mut bytes) = (String::new(), [0; 4096]);
         while let Ok(length @ 1..) = outer.read(&mut bytes) {
             text.push_str(&String::from_utf8_lossy(&bytes[..length]));
             let mut parts: Vec<String> = text.split(CLEAR).map(str::to_owned).collect();
@@ -48,7 +41,7 @@ fn it_fits_a_terminal_and_is_drawn_anew() {
     let playground = Playground::with_pipeline(TRACKING);
     let mut run = playground.start(&["run", "--set", "source.rate_hz=50"]);
     wait_for_lines(&mut run, &playground);
-    let (inner, screens) = terminal();
+    let (inner, screens) = screens();
     let mut command = playground.command(&["top"]);
     let mut top = command.stdout(inner.try_clone().unwrap()).stderr(inner).spawn().unwrap();
     drop(command);
