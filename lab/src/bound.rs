@@ -313,12 +313,6 @@ mod tests {
         (shape, body)
     }
 
-    fn rendered(camera: Camera, shapes: &[Shape]) -> Raster {
-        let mut raster = Raster::new(camera);
-        raster.render(shapes);
-        raster
-    }
-
     /// So far away that all rays are parallel: 120 pixels of radius.
     const FAR: Camera = Camera { width: 400, height: 400, fx: 40_000.0, fy: 40_000.0, cx: 199.7, cy: 199.6 };
 
@@ -334,7 +328,7 @@ mod tests {
     fn the_bounds_of_a_sphere_are_those_of_the_formula() {
         const RADIUS_PX: f64 = 120.0;
         let (shape, body) = sphere(100.0, 0.3);
-        let raster = rendered(FAR, &[shape]);
+        let raster = Raster::of(FAR, &[shape]);
         let c0 = 70_f64.to_radians().cos();
         let mean_of_rim = |power: f64| {
             let widths = (0..1000).map(|step| (f64::from(step) / 1000.0 * PI / 4.0).cos());
@@ -363,7 +357,7 @@ mod tests {
     #[test]
     fn what_is_hidden_tells_nothing() {
         let (shape, body) = sphere(100.0, 0.3);
-        let of = |shapes: &[Shape]| bounds(&rendered(FAR, shapes), 0, &body, &measuring(70.0)).unwrap();
+        let of = |shapes: &[Shape]| bounds(&Raster::of(FAR, shapes), 0, &body, &measuring(70.0)).unwrap();
         let (free, hidden) = (of(&[shape, wall(101.0, 5.0, 0.0)]), of(&[shape, wall(99.0, 0.6, -0.6)]));
         assert_eq!(free, of(&[shape]), "before a wall or before nothing");
         // half of the information, and of that a part goes into telling depth from place across
@@ -371,7 +365,7 @@ mod tests {
             assert!(hidden.radius_m > 1.4 * free.radius_m, "{hidden:?} {free:?}");
             assert!(hidden.position_m > 1.4 * free.position_m, "{hidden:?} {free:?}");
         }
-        assert_eq!(bounds(&rendered(FAR, &[shape, wall(99.0, 5.0, 0.0)]), 0, &body, &measuring(70.0)), None);
+        assert_eq!(bounds(&Raster::of(FAR, &[shape, wall(99.0, 5.0, 0.0)]), 0, &body, &measuring(70.0)), None);
     }
 
     const NEAR: Camera = Camera { width: 160, height: 120, fx: 131.0, fy: 133.0, cx: 80.3, cy: 58.7 };
@@ -446,7 +440,7 @@ mod tests {
             let (point, axis) = (Vector3::new(0.1, -0.05, 1.5), Vector3::new(0.35, 0.9, 0.4).normalize());
             let (radius, length) = (0.15, 0.5);
             let (shape, body) = frustum(point, axis, radius, slope, length);
-            let raster = rendered(NEAR, &[shape, wall(3.0, 9.0, 0.0)]);
+            let raster = Raster::of(NEAR, &[shape, wall(3.0, 9.0, 0.0)]);
             let measuring = measuring(70.0);
             let view = View { raster: &raster, owner: 0, measuring: &measuring };
             let [depths, both] = by_differences(&view, &Conical { point, axis, radius, slope }, length);

@@ -154,9 +154,7 @@ impl Limit {
     fn look(&mut self, header: &Header) -> Result<()> {
         let scene = self.truth.scene_of(header)?;
         let time_s = header.stamp_ns as f64 * 1e-9;
-        let (mut raster, mut shapes) = (Raster::new(header.camera), Vec::new());
-        scene.shapes_in_camera(time_s, &mut shapes);
-        raster.render(&shapes);
+        let raster = Raster::of(header.camera, &scene.shapes_in_camera(time_s).collect::<Vec<_>>());
         let (dropout_angle, edge_jitter_px) = (self.dropout_angle, self.edge_jitter_px);
         let measuring = Measuring { noise: header.noise, dropout_angle, edge_jitter_px };
         for truth in self.truth.objects(header, &scene) {

@@ -120,7 +120,8 @@ impl SyntheticCamera {
         if let Some(scenes) = &self.scenes {
             (self.scene, noise) = scenes.scene(number);
         }
-        self.scene.shapes_in_camera(self.time_s, &mut self.shapes);
+        self.shapes.clear();
+        self.shapes.extend(self.scene.shapes_in_camera(self.time_s));
         self.raster.render(&self.shapes);
         let dice = CounterRng::new(self.seed, noise);
         match &mut self.simulation {

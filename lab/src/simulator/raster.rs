@@ -70,6 +70,12 @@ impl Window {
     }
 }
 
+/// Whether the depths of two pixels beside each other are of two surfaces.
+pub fn is_jump(here: f64, there: f64) -> bool {
+    const JUMP: f64 = 0.02; // of the depth
+    here.is_finite() != there.is_finite() || (here - there).abs() > JUMP * here.min(there)
+}
+
 impl Raster {
     /// An empty image.
     pub fn new(camera: Camera) -> Self {
@@ -78,6 +84,13 @@ impl Raster {
         let rows = (0..camera.height).map(|v| (f64::from(v) - camera.cy) / camera.fy).collect();
         let (depth, owner) = (vec![f64::INFINITY; pixels], vec![NOBODY; pixels]);
         Self { camera, depth, owner, alone: Vec::new(), columns, rows }
+    }
+
+    /// The image of these shapes, in the camera's frame.
+    pub fn of(camera: Camera, shapes: &[Shape]) -> Self {
+        let mut raster = Self::new(camera);
+        raster.render(shapes);
+        raster
     }
 
     /// Renders shapes that are given in the camera's frame.

@@ -16,8 +16,7 @@ fn wall(z: f64) -> Shape {
 
 #[test]
 fn depth_is_along_the_optical_axis() {
-    let mut raster = Raster::new(camera(64, 48));
-    raster.render(&[wall(2.0)]);
+    let raster = Raster::of(camera(64, 48), &[wall(2.0)]);
     assert!(raster.depth.iter().all(|&z| (z - 2.0).abs() < 1e-12), "a wall has the same depth everywhere");
     assert_eq!(raster.alone, [64 * 48]);
 }
@@ -25,9 +24,7 @@ fn depth_is_along_the_optical_axis() {
 #[test]
 fn the_nearest_surface_is_seen_whatever_the_order() {
     let ball = Shape::Sphere(Sphere { center: Vector3::new(0.0, 0.0, 1.5), radius: 0.2 });
-    let (mut one, mut other) = (Raster::new(camera(64, 48)), Raster::new(camera(64, 48)));
-    one.render(&[ball, wall(2.0)]);
-    other.render(&[wall(2.0), ball]);
+    let [one, other] = [[ball, wall(2.0)], [wall(2.0), ball]].map(|shapes| Raster::of(camera(64, 48), &shapes));
     assert_eq!(one.depth, other.depth);
     let (seen, hidden) = (one.owner.iter().filter(|&&owner| owner == 0).count(), one.alone[1] as usize);
     assert_eq!(seen, one.alone[0] as usize);
@@ -51,12 +48,10 @@ fn every_ray(raster: &Raster, shapes: &[Shape]) -> Vec<f64> {
 
 #[test]
 fn windows_cut_nothing_off() {
-    let mut shapes = Vec::new();
     for (name, time_s) in BUILT_IN.iter().flat_map(|(name, _)| [0.0, 1.7, 8.0].map(|time_s| (name, time_s))) {
         let scene = Scene::built_in(name).unwrap().unwrap();
-        scene.shapes_in_camera(time_s, &mut shapes);
-        let mut raster = Raster::new(camera(80, 60));
-        raster.render(&shapes);
+        let shapes: Vec<Shape> = scene.shapes_in_camera(time_s).collect();
+        let raster = Raster::of(camera(80, 60), &shapes);
         assert_eq!(raster.depth, every_ray(&raster, &shapes), "{name} at {time_s} s");
     }
 }
@@ -65,8 +60,7 @@ fn windows_cut_nothing_off() {
 fn what_surrounds_the_camera_or_lies_behind_it_is_rendered_rightly() {
     let around = Shape::Sphere(Sphere { center: Vector3::new(0.1, 0.0, 0.0), radius: 1.0 });
     let behind = Shape::Sphere(Sphere { center: Vector3::new(0.0, 0.0, -2.0), radius: 1.0 });
-    let mut raster = Raster::new(camera(64, 48));
-    raster.render(&[around, behind]);
+    let raster = Raster::of(camera(64, 48), &[around, behind]);
     assert!(raster.owner.iter().all(|&owner| owner == 0));
     let distance = |u, v| (raster.point(u, v) - Vector3::new(0.1, 0.0, 0.0)).norm();
     assert!((distance(3, 40) - 1.0).abs() < 1e-12);
@@ -77,11 +71,8 @@ fn what_surrounds_the_camera_or_lies_behind_it_is_rendered_rightly() {
 #[test]
 fn resolutions_show_the_same_scene() {
     let scene = Scene::built_in("tabletop").unwrap().unwrap();
-    let mut shapes = Vec::new();
-    scene.shapes_in_camera(0.5, &mut shapes);
-    let (mut small, mut large) = (Raster::new(camera(64, 48)), Raster::new(camera(192, 144)));
-    small.render(&shapes);
-    large.render(&shapes);
+    let shapes: Vec<Shape> = scene.shapes_in_camera(0.5).collect();
+    let [small, large] = [camera(64, 48), camera(192, 144)].map(|camera| Raster::of(camera, &shapes));
     for (u, v) in (0..48).flat_map(|v| (0..64).map(move |u| (u, v))) {
         let (z, same) = (small.depth[small.index(u, v)], large.depth[large.index(3 * u + 1, 3 * v + 1)]);
         assert!((z - same).abs() < 1e-9, "({u}, {v}): {z} and {same}");

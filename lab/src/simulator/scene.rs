@@ -123,10 +123,9 @@ impl Scene {
         Pose { rotation, translation: translation + self.camera_shift }
     }
 
-    /// All bodies in the camera's frame at a time (seconds), in the order of `bodies`, written over `shapes`.
-    pub fn shapes_in_camera(&self, time_s: f64, shapes: &mut Vec<Shape>) {
+    /// All bodies in the camera's frame at a time (seconds), in the order of `bodies`.
+    pub fn shapes_in_camera(&self, time_s: f64) -> impl Iterator<Item = Shape> {
         let camera_from_world = self.world_from_camera(time_s).inverse();
-        shapes.clear();
-        shapes.extend(self.bodies.iter().map(|body| self.shape(body, time_s).transformed(&camera_from_world)));
+        self.bodies.iter().map(move |body| self.shape(body, time_s).transformed(&camera_from_world))
     }
 }

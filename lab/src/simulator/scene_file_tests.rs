@@ -20,9 +20,7 @@ fn all_built_in_scenes_are_sound() {
 fn the_cameras_frame_is_optical() {
     let text = format!("{MINIMAL}[[sphere]]\nname = 'a'\ncenter = [0.3, 2, 0.8]\nradius = 0.1\n");
     let scene = Scene::parse(&text, "test.toml").unwrap();
-    let mut shapes = Vec::new();
-    scene.shapes_in_camera(0.0, &mut shapes);
-    let Shape::Sphere(sphere) = shapes[0] else { panic!("a sphere") };
+    let Some(Shape::Sphere(sphere)) = scene.shapes_in_camera(0.0).next() else { panic!("a sphere") };
     assert!((sphere.center - Vector3::new(0.3, 0.2, 2.0)).norm() < 1e-12);
 }
 

@@ -6,7 +6,7 @@
 //! about 0.8 pixels at 640x480 and the noise growing beyond all bounds from 70 to 80 degrees on.
 
 use super::noise_field::NoiseField;
-use super::raster::Raster;
+use super::raster::{Raster, is_jump};
 use super::shadow;
 use super::shapes::{Shape, Surface};
 use crate::random::CounterRng;
@@ -223,7 +223,7 @@ impl Sensor {
             for u in 0..width {
                 let index = raster.index(u, v);
                 let depth = self.depth(raster, shapes, dice, [u, v]);
-                pixels[index] = depth.map_or(INVALID_NEAR, |depth| self.to_units(depth));
+                pixels[index] = depth.map_or(INVALID_NEAR, |depth| pixel(depth * self.units_per_metre));
             }
         }
     }
@@ -300,21 +300,18 @@ impl Sensor {
     /// The pixel beyond the silhouette whose depth this one takes, or itself: a silhouette is unsure of its place, a
     /// smooth surface is not.
     fn jittered(&self, raster: &Raster, dice: &CounterRng, [u, v]: [i64; 2]) -> [i64; 2] {
-        const JUMP: f64 = 0.02; // of the depth
         let index = raster.index(u, v);
         let shift = |draw: Draw| (self.table.edge_jitter_px * dice.gaussian(draw.counter(index))).round() as i64;
         let beyond = inside(&raster.camera, u + shift(Draw::EdgeU), v + shift(Draw::EdgeV));
         let other = raster.index(beyond[0], beyond[1]);
-        let (here, there) = (raster.depth[index], raster.depth[other]);
-        let jump = here.is_finite() != there.is_finite() || (here - there).abs() > JUMP * here.min(there);
-        if jump && raster.owner[index] != raster.owner[other] { beyond } else { [u, v] }
+        let jumps = is_jump(raster.depth[index], raster.depth[other]);
+        if jumps && raster.owner[index] != raster.owner[other] { beyond } else { [u, v] }
     }
+}
 
-    /// What cannot be counted is not measured.
-    fn to_units(&self, depth: f64) -> u16 {
-        let units = nearest_whole(depth * self.units_per_metre);
-        u16::try_from(units).ok().filter(|units| *units != INVALID_FAR).unwrap_or(INVALID_NEAR)
-    }
+/// A pixel for a depth in units; what cannot be counted, as what is not a number, is not measured.
+pub(super) fn pixel(units: f64) -> u16 {
+    u16::try_from(nearest_whole(units)).ok().filter(|units| *units != INVALID_FAR).unwrap_or(INVALID_NEAR)
 }
 
 /// Rounds a positive number; one call less per pixel than `f64::round`.

@@ -18,8 +18,7 @@ fn ball() -> Shape {
 }
 
 fn measure(config: SensorConfig, shapes: &[Shape], dice: CounterRng) -> (Raster, Vec<u16>) {
-    let mut raster = Raster::new(CAMERA);
-    raster.render(shapes);
+    let raster = Raster::of(CAMERA, shapes);
     let mut pixels = vec![7; raster.depth.len()];
     Sensor::new(config, FINE).measure(&raster, shapes, &dice, &mut pixels);
     (raster, pixels)
@@ -207,8 +206,7 @@ fn bits_are_the_same_on_every_machine() {
     for (scene, expected) in
         [(ball, [0x110a_e80b_122a_ed45, 0xc07e_090c_6ca9_adb4]), (cone, [0x1905_41eb_df24_c359, 0x3ea6_f8a8_138a_3fa2])]
     {
-        let mut shapes = Vec::new();
-        scene.shapes_in_camera(0.5, &mut shapes);
+        let shapes: Vec<Shape> = scene.shapes_in_camera(0.5).collect();
         let (raster, pixels) = measure(KINECT, &shapes, CounterRng::new(11, 15));
         let exact: Vec<u8> = raster.depth.iter().flat_map(|depth| depth.to_le_bytes()).collect();
         let noisy: Vec<u8> = pixels.iter().flat_map(|pixel| pixel.to_le_bytes()).collect();

@@ -82,8 +82,7 @@ mod tests {
 
     /// First and last dark pixel of the middle row.
     fn dark_span(shapes: &[Shape], baseline_m: f64) -> Option<(usize, usize)> {
-        let mut raster = Raster::new(CAMERA);
-        raster.render(shapes);
+        let raster = Raster::of(CAMERA, shapes);
         let mut shadow = Vec::new();
         cast(&raster, shapes, baseline_m, &mut shadow);
         let row = &shadow[120 * 320..121 * 320];

@@ -3,10 +3,11 @@
 
 use super::matching_camera::{MatchingCamera, Stereo, StructuredLight};
 use super::raster::Raster;
+use super::sensor;
 use super::shapes::Shape;
 use super::time_of_flight::{TimeOfFlight, TimeOfFlightCamera};
 use crate::random::CounterRng;
-use conicflow_messages::{Camera, ConfigFault, INVALID_FAR, INVALID_NEAR, NoiseModel};
+use conicflow_messages::{Camera, ConfigFault, NoiseModel};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -111,9 +112,7 @@ impl SensorSimulation {
             Kind::TimeOfFlight(camera) => camera.measure(raster, shapes, dice, &mut self.depths),
         }
         for (pixel, depth) in pixels.iter_mut().zip(&self.depths) {
-            // not a number becomes 0, which is no measurement
-            let units = (depth * self.units_per_metre + 0.5) as u32;
-            *pixel = u16::try_from(units).ok().filter(|units| *units != INVALID_FAR).unwrap_or(INVALID_NEAR);
+            *pixel = sensor::pixel(depth * self.units_per_metre);
         }
     }
 }

@@ -18,8 +18,7 @@ fn board(z: f64, half: f64) -> Shape {
 
 /// The depths in metres of a frame, row by row; 0 where nothing is measured.
 fn shot(sensor: SimulatedSensor, shapes: &[Shape], seed: u64, frame: u64) -> Vec<f64> {
-    let mut raster = Raster::new(CAMERA);
-    raster.render(shapes);
+    let raster = Raster::of(CAMERA, shapes);
     let mut pixels = vec![7; raster.depth.len()];
     let mut simulation = SensorSimulation::new(sensor, &CAMERA, FINE, seed);
     simulation.measure(&raster, shapes, &CounterRng::new(seed, frame), &mut pixels);
@@ -94,8 +93,7 @@ fn what_is_round_is_flattened_at_its_silhouettes_as_in_recordings() {
     let (base, axis) = (Vector3::new(0.0, 1.0, z), -Vector3::y());
     let tin = Frustum { base, axis, length: 2.0, base_radius: radius, top_radius: radius, open: false };
     let shapes = [Shape::Frustum(tin), board(0.9, 10.0)];
-    let mut raster = Raster::new(CAMERA);
-    raster.render(&shapes);
+    let raster = Raster::of(CAMERA, &shapes);
     let depths: Vec<_> = (0..4).map(|seed| shot(STEREO, &shapes, seed, 1)).collect();
     let on_tin = |u: usize| raster.depth[u] < z;
     let (first, last) = ((0..320).find(|&u| on_tin(u)).unwrap(), (0..320).rfind(|&u| on_tin(u)).unwrap());

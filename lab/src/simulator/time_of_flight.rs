@@ -5,7 +5,7 @@
 //! Light comes back as `cos(a) / z^2`, a the angle between ray and normal; noise grows with what is missing of it.
 
 use super::noise_field::NoiseField;
-use super::raster::Raster;
+use super::raster::{Raster, is_jump};
 use super::shapes::{Shape, Surface};
 use crate::random::CounterRng;
 use conicflow_detection::noise::TIME_OF_FLIGHT;
@@ -16,8 +16,6 @@ use serde::{Deserialize, Serialize};
 
 /// Samples of a pixel at a silhouette, along each side.
 const SAMPLES: i64 = 5;
-/// Depths of neighbours that differ by a larger share are of two surfaces.
-const JUMP: f64 = 0.02;
 
 /// Light that comes back; a number that is left out is that of a camera of the Azure Kinect's class.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
@@ -143,7 +141,7 @@ impl TimeOfFlightCamera {
             for column in (u - reach).max(0)..=(u + reach).min(width - 1) {
                 let index = raster.index(column, row);
                 let depth = raster.depth[index];
-                jumps |= depth.is_finite() != here.is_finite() || (depth - here).abs() > JUMP * here.min(depth);
+                jumps |= is_jump(here, depth);
                 if !self.owners.contains(&raster.owner[index]) {
                     self.owners.push(raster.owner[index]);
                 }

@@ -34,11 +34,8 @@ pub struct Truth {
 
 /// The truth of a scene at a time (seconds), as a camera of the scene's pose sees it.
 pub fn truth_at(scene: &Scene, camera: Camera, time_s: f64) -> Vec<Truth> {
-    let mut shapes = Vec::new();
-    scene.shapes_in_camera(time_s, &mut shapes);
-    let mut raster = Raster::new(camera);
-    raster.render(&shapes);
-    truth_of(scene, time_s, &raster, &shapes)
+    let shapes: Vec<Shape> = scene.shapes_in_camera(time_s).collect();
+    truth_of(scene, time_s, &Raster::of(camera, &shapes), &shapes)
 }
 
 /// The truth of a scene that was rendered; `shapes` are the scene's bodies in the camera's frame.

@@ -38,12 +38,10 @@ fn scene(objects: &str) -> Scene {
 /// scenes and at several times.
 #[test]
 fn every_measured_point_lies_on_its_true_surface() {
-    let mut shapes = Vec::new();
     for (name, time_s) in BUILT_IN.iter().flat_map(|(name, _)| [0.0, 1.3, 7.0].map(|time_s| (name, time_s))) {
         let scene = Scene::built_in(name).unwrap().unwrap();
-        scene.shapes_in_camera(time_s, &mut shapes);
-        let mut raster = Raster::new(CAMERA);
-        raster.render(&shapes);
+        let shapes: Vec<Shape> = scene.shapes_in_camera(time_s).collect();
+        let raster = Raster::of(CAMERA, &shapes);
         let mut pixels = vec![0; raster.depth.len()];
         let mut sensor = Sensor::new(SensorConfig::Named(NoiseName::Ideal), 0.001);
         sensor.measure(&raster, &shapes, &CounterRng::new(0, 0), &mut pixels);
@@ -157,8 +155,7 @@ fn a_line_keeps_its_numbers_and_leaves_out_what_a_shape_has_not() {
 #[test]
 fn a_sphere_is_seen_on_less_than_half_of_its_circumference() {
     let shape = Shape::Sphere(Sphere { center: Vector3::new(0.0, 0.0, 1.0), radius: 0.3 });
-    let mut raster = Raster::new(CAMERA);
-    raster.render(&[shape]);
+    let raster = Raster::of(CAMERA, &[shape]);
     let seen = look(&raster, &[shape])[0];
     let expected = 2.0 * 0.3_f64.acos();
     assert!((seen.angle.width() - expected).abs() < 0.2, "{}, expected {expected}", seen.angle.width());
