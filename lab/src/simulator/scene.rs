@@ -45,9 +45,14 @@ pub enum Role {
 }
 
 impl Body {
+    /// A thing of its own.
+    pub(super) fn new(name: impl Into<String>, shape: Shape, motion: Option<Motion>) -> Self {
+        Self { name: name.into(), shape, motion, role: Role::Object }
+    }
+
     /// Something that stands still.
     pub fn still(name: impl Into<String>, shape: Shape) -> Self {
-        Self { name: name.into(), shape, motion: None, role: Role::Object }
+        Self::new(name, shape, None)
     }
 
     /// The same body in another role.

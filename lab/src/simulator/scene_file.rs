@@ -24,7 +24,7 @@
 use super::fields::*;
 use super::motion::Motion;
 use super::pose::{from_quaternion, looking_along};
-use super::scene::{Body, Gaze, Role, Scene, View, earth};
+use super::scene::{Body, Gaze, Scene, View, earth};
 use super::screen::screen;
 use super::shapes::{Block, Bowl, Frustum, Plane, Shape, Sphere};
 use anyhow::{Context as _, Result, anyhow, bail};
@@ -244,7 +244,7 @@ struct SphereEntry {
 impl SphereEntry {
     fn body(self) -> Body {
         let shape = Shape::Sphere(Sphere { center: self.center, radius: self.radius });
-        Body { name: self.name, shape, motion: self.motion, role: Role::Object }
+        Body::new(self.name, shape, self.motion)
     }
 }
 
@@ -268,11 +268,10 @@ struct CylinderEntry {
 
 impl CylinderEntry {
     fn body(self, up: &Vector3<f64>) -> Body {
-        let (base, axis) = (self.base, self.axis.unwrap_or(*up));
-        let (base_radius, top_radius) = (self.radius, self.radius);
-        let (length, open) = (self.length, self.open);
-        let shape = Shape::Frustum(Frustum { base, axis, length, base_radius, top_radius, open });
-        Body { name: self.name, shape, motion: self.motion, role: Role::Object }
+        let Self { name, base, radius, length, open, motion, .. } = self;
+        let axis = self.axis.unwrap_or(*up);
+        let shape = Frustum { base, axis, length, base_radius: radius, top_radius: radius, open };
+        Body::new(name, Shape::Frustum(shape), motion)
     }
 }
 
@@ -300,12 +299,7 @@ impl ConeEntry {
     fn body(self, up: &Vector3<f64>) -> Body {
         let Self { name, base, base_radius, top_radius, length, open, motion, .. } = self;
         let axis = self.axis.unwrap_or(*up);
-        Body {
-            name,
-            shape: Shape::Frustum(Frustum { base, axis, length, base_radius, top_radius, open }),
-            motion,
-            role: Role::Object,
-        }
+        Body::new(name, Shape::Frustum(Frustum { base, axis, length, base_radius, top_radius, open }), motion)
     }
 }
 
@@ -330,12 +324,7 @@ impl BowlEntry {
     fn body(self, up: &Vector3<f64>) -> Body {
         let sphere = Sphere { center: self.center, radius: self.radius };
         let (axis, depth) = (self.axis.unwrap_or(*up), self.depth.unwrap_or(self.radius));
-        Body {
-            name: self.name,
-            shape: Shape::Bowl(Bowl { sphere, axis, depth }),
-            motion: self.motion,
-            role: Role::Object,
-        }
+        Body::new(self.name, Shape::Bowl(Bowl { sphere, axis, depth }), self.motion)
     }
 }
 
@@ -357,7 +346,7 @@ impl BoxEntry {
     fn body(self) -> Body {
         let axes = self.orientation.map_or_else(Matrix3::identity, from_quaternion);
         let shape = Shape::Block(Block { center: self.center, axes, half: self.size * 0.5 });
-        Body { name: self.name, shape, motion: self.motion, role: Role::Object }
+        Body::new(self.name, shape, self.motion)
     }
 }
 
@@ -393,7 +382,7 @@ impl PlaneEntry {
             ));
         };
         let plane = Plane { point: self.point, normal: self.normal, sides: [second.cross(&self.normal), second], half };
-        Ok(Body { name: self.name, shape: Shape::Plane(plane), motion: self.motion, role: Role::Object })
+        Ok(Body::new(self.name, Shape::Plane(plane), self.motion))
     }
 }
 

@@ -175,7 +175,7 @@ impl Frustum {
 }
 
 impl Surface for Frustum {
-    /// SideInput: `|p - h axis|^2 = (base_radius + slope h)^2` with `h = p . axis`; ends: `h = 0` and `h = length`.
+    /// Side: `|p - h axis|^2 = (base_radius + slope h)^2` with `h = p . axis`; ends: `h = 0` and `h = length`.
     #[inline]
     fn hit(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
         let from_base = origin - self.base;
