@@ -2,8 +2,8 @@
 //! touches the surface.
 //!
 //! A ray `z r` meets `F = 0` where `a z^2 + b z + c = 0`, a, b and c linear in the coefficients of F; it touches where the
-//! discriminant `D = b^2 - 4 a c` is zero. Along a scan line D is a polynomial of second degree: its root is where the contour is,
-//! and tells how far that is from where it was seen, in pixels.
+//! discriminant `D = b^2 - 4 a c` is zero. Along a scan line D is a polynomial of second degree: its root is where the contour
+//! is, and tells how far that is from where it was seen, in pixels.
 //!
 //! Sensors put contours systematically too far in (grazing points get lost) or out (they are smeared). What is lost at one angle
 //! of incidence is a band as wide as a share p of the radius of curvature r that the surface has there along the view. So the
@@ -12,9 +12,8 @@
 //! what is known of o and p (their expectation, taken off e, and their covariance V) and the weights w of the points, these are
 //! eliminated by `e'we - (U'we)' (V^-1 + U'wU)^-1 (U'we)`.
 //!
-//! The points of the surface know its size, too. What they and the contour tell of o and p together
-//! ([`Contour::bias_evidence`]), and what the scatter of the contour tells of its noise ([`Contour::noise_evidence`]), can be used
-//! for the next object.
+//! The points of the surface know its size, too. What they and the contour tell of o and p together ([`Contour::bias_evidence`]),
+//! and what the scatter of the contour tells of its noise ([`Contour::noise_evidence`]), can be used for the next object.
 
 use crate::pooled::add_square;
 use crate::space::dot;
@@ -28,7 +27,8 @@ const GATE: f64 = 3.5; // [sigmas]
 /// Least curvature along the view that counts, in 1/m: it keeps the radius finite.
 const LEAST_CURVATURE: f64 = 0.1; // [algorithmic]
 /// Least cosine between a scan line and the normal of an outline that counts: lines hardly show where an outline is that runs
-/// along them. The change of the discriminant where the line meets the outline counts as at least this part of that where it was seen.
+/// along them. The change of the discriminant where the line meets the outline counts as at least this part of that where it was
+/// seen.
 const LEAST_ALONG: f64 = 0.3; // [algorithmic]
 
 /// A place where a scan line leaves a surface.
@@ -156,8 +156,8 @@ impl Along {
         [b * b - 4.0 * a * c, 2.0 * b * b_pixel - 4.0 * a_pixel * c, b_pixel * b_pixel - 4.0 * a_square * c]
     }
 
-    /// How far the ray is off the contour, in pixels along the line, and the change of the discriminant per pixel there. Of a line
-    /// that hardly meets the contour, or does not, both are as if it met it.
+    /// How far the ray is off the contour, in pixels along the line, and the change of the discriminant per pixel there. Of a
+    /// line that hardly meets the contour, or does not, both are as if it met it.
     fn error(&self) -> (f64, f64) {
         let [value, per_pixel, square] = self.discriminant();
         let there = (per_pixel * per_pixel - 4.0 * value * square).max(0.0).sqrt();
@@ -180,15 +180,15 @@ impl Along {
 }
 
 impl ContourPoint {
-    /// How far it is off the contour of a surface, in pixels along the line, the ray on which the contour is, and the change of the
-    /// discriminant per pixel there.
+    /// How far it is off the contour of a surface, in pixels along the line, the ray on which the contour is, and the change of
+    /// the discriminant per pixel there.
     fn foot(&self, q: &Coefficients) -> (f64, Vector3, f64) {
         let (error, per_pixel) = Along::new(q, &self.ray, &self.pixel).error();
         (error, self.ray - self.pixel * error, per_pixel)
     }
 
-    /// How far it is off the contour, in pixels along the line, and the derivatives of that by the coefficients. These are those of
-    /// the place of the contour: they do not depend on the noise of the point.
+    /// How far it is off the contour, in pixels along the line, and the derivatives of that by the coefficients. These are those
+    /// of the place of the contour: they do not depend on the noise of the point.
     fn error_gradient(&self, q: &Coefficients) -> (f64, Coefficients) {
         let (error, r, per_pixel) = self.foot(q);
         let Along { a, b, c, .. } = Along::new(q, &r, &self.pixel);
@@ -250,10 +250,11 @@ impl Contour {
         self.far_off
     }
 
-    /// What the points that were selected against for being too far off would at least add to the weighted sum of squares.
-    /// They come in stretches, such as the rim of a bucket, that are off for one reason: all of them count as one.
+    /// What the points that are too far off would at least add to the weighted sum of squares. With it that sum is one of errors
+    /// of which each counts up to the gate (MSAC: Torr and Zisserman, "MLESAC", 2000), and surfaces can be compared by it
+    /// although each is near other points.
     pub fn least_left_out(&self) -> f64 {
-        if self.far_off > 0 { GATE * GATE } else { 0.0 }
+        self.far_off as f64 * GATE * GATE
     }
 
     /// The median of how far the points of a side are off, within what its offset may be.

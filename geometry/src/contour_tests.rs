@@ -246,7 +246,7 @@ fn what_is_far_off_is_not_used() {
             contour.add(ContourPoint { ray: first.point.ray + first.point.pixel * pixels, ..first.point });
             contour.select(&FreeSlope(cup()).coefficients(), |_| true);
             assert_eq!((contour.used() + far_off, contour.far_off()), (contour.points(), far_off));
-            assert_eq!(contour.least_left_out(), GATE * GATE, "all for one reason");
+            assert_eq!(contour.least_left_out(), far_off as f64 * GATE * GATE, "each counts up to the gate");
         }
         contour.select(&FreeSlope(cup()).coefficients(), |_| false);
         assert_eq!((contour.used(), contour.far_off(), contour.least_left_out()), (0, 0, 0.0));

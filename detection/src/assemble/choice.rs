@@ -119,14 +119,14 @@ fn better<'a>(simple: Candidate<'a>, general: Candidate<'a>, contours: &mut Cont
 /// the contour counts, too, or it would gain by what it misses.
 fn cost(mut region: Region, contours: &mut Contours) -> Option<f64> {
     region.model = model::fit(region.model.kind(), &region.arcs(), Some(&region.model), f64::INFINITY)?;
-    let cost = contours.fit(&region, 1)?.cost();
+    let cost = contours.fit(&region)?.cost();
     Some(cost + contours.last().least_left_out())
 }
 
 #[cfg(test)]
 mod tests {
     use super::super::arcs::Arcs;
-    use super::super::tests::arcs_of;
+    use super::super::tests::{arcs_of, wall};
     use super::super::verify::{Measured, Outline};
     use super::*;
     use conicflow_geometry::{Scan, Vector3};
@@ -135,9 +135,16 @@ mod tests {
 
     /// The arcs of what stands upright two metres away, and those in rows of its middle.
     fn upright(slope: f64) -> (Arcs, Vec<usize>) {
+        upright_before(&[], slope)
+    }
+
+    /// The same before something else.
+    fn upright_before(others: &[Body], slope: f64) -> (Arcs, Vec<usize>) {
         let center = Vector3::new(0.0, 0.0, 2.0);
-        let arcs = arcs_of(&[Body::Frustum { center, axis: Vector3::y(), radius: 0.2, slope, length: 0.7 }]);
-        let is_of_it = |&index: &usize| arcs.arcs[index].scan == Scan::Row && arcs.arcs[index].mean.y.abs() < 0.25;
+        let body = Body::Frustum { center, axis: Vector3::y(), radius: 0.2, slope, length: 0.7 };
+        let arcs = arcs_of(&[&[body], others].concat());
+        let is_near = |mean: &Vector3| mean.z < 2.5 && mean.y.abs() < 0.25;
+        let is_of_it = |&index: &usize| arcs.arcs[index].scan == Scan::Row && is_near(&arcs.arcs[index].mean);
         let members = (0..arcs.arcs.len()).filter(is_of_it).collect();
         (arcs, members)
     }
@@ -193,6 +200,23 @@ mod tests {
             }
             assert!((gain(&arcs) - least).abs() < 0.1, "{} {least}", gain(&arcs));
             assert_eq!(is_cone(&arcs, 100.0), will_do, "{least}");
+        }
+    }
+
+    /// The gate is at 3.5 standard deviations. A cylinder is near a part of the contour of a cone, and would gain by what it
+    /// misses.
+    #[test]
+    fn each_point_of_the_contour_that_a_shape_is_far_from_costs_as_much_as_one_at_the_gate() {
+        let (arcs, members) = upright_before(&[wall(4.0)], 0.3);
+        for (kind, least, most) in [(ObjectKind::Cylinder, 30, 60), (ObjectKind::Cone, 0, 0)] {
+            let region = candidate(&arcs, &members, kind, 1000.0).region;
+            let mut contours = Contours::default();
+            let near = contours.fit(&region).unwrap().cost();
+            let far_off = contours.last().far_off();
+            assert!((least..=most).contains(&far_off), "{kind:?}: {far_off}");
+            let expected = near + 3.5_f64.powi(2) * far_off as f64;
+            let cost = cost(region, &mut Contours::default()).unwrap();
+            assert!((cost - expected).abs() < 1e-3 * expected.abs(), "{kind:?}: {cost} {expected}");
         }
     }
 

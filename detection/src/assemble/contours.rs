@@ -3,7 +3,8 @@
 //! A sensor smears the silhouettes of what it sees, or loses what it grazes, and so puts contours a little beside the place where
 //! the ray touches the surface: in rows otherwise than in columns, on the left otherwise than on the right, but with all objects
 //! alike. Nobody knows by how much. But the points of an object tell its size as well, without its contour; so each object shows
-//! by how much the contours of this sensor are off, and how far their points scatter, and the next one is measured the better for it.
+//! by how much the contours of this sensor are off, and how far their points scatter, and the next one is measured the better for
+//! it.
 
 use super::model::{Model, pool_within, upright};
 use super::region::Region;
@@ -13,8 +14,12 @@ use conicflow_geometry::{
 use conicflow_messages::Camera;
 use nalgebra::{Matrix2, Matrix4, SMatrix, SVector, Vector2, Vector4};
 
-/// Standard deviation of a contour point of a sensor of which nothing is known, in pixels, and in radii. On rendered frames a contour
-/// point scatters by half a pixel and 2 % of the radius; 4 % leave a margin. The variances may be wrong by as much as they are.
+/// Number of fits to the contour. Each uses the points within the outline of the last one, and those of the contour that are near
+/// it.
+const PASSES: usize = 2; // [algorithmic]
+/// Standard deviation of a contour point of a sensor of which nothing is known, in pixels, and in radii. On rendered frames a
+/// contour point scatters by half a pixel and 2 % of the radius; 4 % leave a margin. The variances may be wrong by as much as
+/// they are.
 const POINT_PX: f64 = 0.5; // [tuned]
 const POINT_SHARE: f64 = 0.04; // [tuned]
 /// Least variance of a contour point, in square pixels: that of a place within a pixel.
@@ -23,12 +28,12 @@ const LEAST_VARIANCE_PX: f64 = 1.0 / 12.0; // [derived]
 /// radius. On rendered frames a whole contour lies up to 5 % of the radius too far in.
 const OFFSET_PX: f64 = 1.0; // [tuned]
 const SHARE: f64 = 0.05; // [tuned]
-/// A contour may be off by more for each further pixel that shares the noise of one: what compares windows puts it anywhere within
-/// half a window of where it is. Standard deviation, in pixels.
+/// A contour may be off by more for each further pixel that shares the noise of one: what compares windows puts it anywhere
+/// within half a window of where it is. Standard deviation, in pixels.
 const WINDOW_OFFSET_PX: f64 = 0.288_675; // [derived]
 
-/// What the bias of all contours leaves of an object's own: a systematic error of its radius and centre in radii, and in pixels. No
-/// number of points averages it out. With these three errors over sigmas in `experiments/detection.toml` and
+/// What the bias of all contours leaves of an object's own: a systematic error of its radius and centre in radii, and in pixels.
+/// No number of points averages it out. With these three errors over sigmas in `experiments/detection.toml` and
 /// `experiments/simulated_sensors.toml` are near 1.
 pub(super) const SYSTEMATIC: f64 = 0.0005; // [measured]
 pub(super) const SYSTEMATIC_PX: f64 = 0.02; // [measured]
@@ -82,11 +87,10 @@ impl Contours {
         &self.contour
     }
 
-    /// The model of a region fitted anew, to its arcs and to the contour that they show: so many times, each with the points within
-    /// the outline of the last and the points of the contour that are near it.
-    pub fn fit(&mut self, region: &Region, passes: usize) -> Option<Model> {
+    /// The model of a region fitted anew, to its arcs and to the contour that they show.
+    pub fn fit(&mut self, region: &Region) -> Option<Model> {
         let mut region = *region;
-        for _ in 0..passes {
+        for _ in 0..PASSES {
             let (moments, contour) = (pool_within(&region).normalized()?, self.of(&region));
             region.model = match &region.model {
                 Model::Sphere(fit) => Model::Sphere(fit_with_contour(&moments, contour, &fit.surface)?),

@@ -37,7 +37,7 @@ fn can(distance: f64) -> Body {
     Body::Frustum { center: Vector3::new(0.0, 0.0, distance), axis: Vector3::y(), radius: 0.2, slope: 0.0, length: 0.7 }
 }
 
-fn wall(z: f64) -> Body {
+pub(super) fn wall(z: f64) -> Body {
     Body::Plane { normal: Vector3::z(), offset: z }
 }
 

@@ -10,8 +10,6 @@ use super::rejection::Rejection;
 use super::report::spacing_along;
 use conicflow_geometry::{Contour, Scan, SpaceMoments, Vector3, section_of};
 
-/// Number of fits to the contour. Each uses the contour points that are near the contour of the last fit.
-const CONTOUR_PASSES: usize = 2; // [algorithmic]
 /// Pixels at each end of an arc that do not count for the extent: they may belong to a lid or to the floor.
 const UNSURE_PX: f64 = 2.0; // [tuned]
 /// Largest cosine between the axis and the scan lines: that of 40 degrees.
@@ -116,7 +114,7 @@ fn verify<'a>(
     contours: &mut Contours,
 ) -> Result<Candidate<'a>, Rejection> {
     check(&region, parameters)?;
-    if let Some(model) = contours.fit(&region, CONTOUR_PASSES) {
+    if let Some(model) = contours.fit(&region) {
         region.model = model;
     } else {
         contours.clear();
