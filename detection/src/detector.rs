@@ -211,8 +211,8 @@ mod tests {
         (0..40).map(|seed| render(KINECT_HALF, NoiseModel::KINECT_V1, &[ball, wall], seed)).collect()
     }
 
-    /// The image with what is nearer than three metres narrower by some pixels on either side of each row, because the sensor loses
-    /// what it grazes.
+    /// The image with what is nearer than three metres narrower by some pixels on either side of each row, because the sensor
+    /// loses what it grazes.
     fn narrowed((header, pixels): &(Header, Vec<u16>), by: impl Fn(usize) -> usize) -> Vec<u16> {
         let is_far = |z: u16| f64::from(z) * header.depth_scale > 3.0;
         let narrow = |(number, row): (usize, &[u16])| -> Vec<u16> {

@@ -139,8 +139,8 @@ impl Arc {
         (near > 0.0).then_some(near)
     }
 
-    /// Moments of those outermost points whose rays miss the surface `q`: a silhouette that the sensor sees elsewhere than it is has
-    /// given them the depth of an object beside which they lie.
+    /// Moments of those outermost points whose rays miss the surface `q`: a silhouette that the sensor sees elsewhere than it is
+    /// has given them the depth of an object beside which they lie.
     pub fn outside(&self, q: &Coefficients) -> impl Iterator<Item = SpaceMoments> {
         let section = section_of(q, &self.plane);
         let step = self.pitch / self.mean.z;

@@ -28,8 +28,8 @@ const MARGIN_SHARE: i64 = 8; // [tuned]
 const LEAST_STEP: i64 = 4; // [algorithmic]
 /// Widest gap that is bridged, as a part of the lines of the object: something stands before it.
 const GAP: f64 = 0.5; // [tuned]
-/// What lies beyond a gap has at least so many times as many lines as the gap. Fewer, of all that were looked at, are explained by
-/// chance: such as a line of the lid of a can, where its far wall would be.
+/// What lies beyond a gap has at least so many times as many lines as the gap. Fewer, of all that were looked at, are explained
+/// by chance: such as a line of the lid of a can, where its far wall would be.
 const BEYOND_GAP: f64 = 0.1; // [tuned]
 
 /// A radius that exceeds its limit by so many standard deviations is that of a wall.

@@ -43,9 +43,9 @@ pub struct Evidence {
 pub const TERMS: usize = 11; // [derived]
 
 /// Weights of the terms, in their order, as `cargo bench --bench odds` printed them before noisy lines were averaged. It prints
-/// others since the bias of contours is learned, with which recordings showed 99 in place of 98 of 104 objects, and 16 in place of 9
-/// wrong answers. The constant is larger by 0.475 than it was: since the noise of contours is learned, the mean square of an outline
-/// is expected to be 1, where 0.5 had been measured, and 0.95 times the difference leaves the odds as they were.
+/// others since the bias of contours is learned, with which recordings showed 99 in place of 98 of 104 objects, and 16 in place
+/// of 9 wrong answers. The constant is larger by 0.475 than it was: since the noise of contours is learned, the mean square of an
+/// outline is expected to be 1, where 0.5 had been measured, and 0.95 times the difference leaves the odds as they were.
 const WEIGHTS: [f64; TERMS] = [-6.775, 2.20, -0.95, -22.97, -0.95, -4.62, 0.56, 3.72, 2.78, -1.13, -1.50]; // [fitted]
 
 impl Evidence {

@@ -90,8 +90,8 @@ pub(super) fn add_flattening(object: &mut Object, arc: &Arc) {
     add_error(object, FLATTENED_PX * (arc.shared_px - 1.0) * arc.pitch);
 }
 
-/// Adds an error of some metres to the standard deviations of an object: of its radius and centre, and of its angles, because both
-/// ends may be off, each by as much.
+/// Adds an error of some metres to the standard deviations of an object: of its radius and centre, and of its angles, because
+/// both ends may be off, each by as much.
 fn add_error(object: &mut Object, error: f64) {
     let sigma = &mut object.sigma;
     sigma.radius = sigma.radius.hypot(error);
@@ -199,7 +199,8 @@ mod tests {
         root * root.transpose()
     }
 
-    /// By the derivatives of the middle `point + z (axis + u a + v b) + u c + v d` by two tilts, a and b, and two shifts, c and d.
+    /// By the derivatives of the middle `point + z (axis + u a + v b) + u c + v d` by two tilts, a and b, and two shifts, c and
+    /// d.
     #[test]
     fn the_sigma_of_a_middle_is_that_of_tilts_and_shifts_and_along_the_axis_of_both_ends() {
         let axis = Vector3::new(0.2, 0.9, -0.3).normalize();
@@ -262,8 +263,8 @@ mod tests {
         Region { arcs, model, members }
     }
 
-    /// The fit weighs the points as if the noise lay across the surface; along the depth it matters the less, the more the surface
-    /// leans.
+    /// The fit weighs the points as if the noise lay across the surface; along the depth it matters the less, the more the
+    /// surface leans.
     #[test]
     fn the_covariance_is_less_than_that_of_the_fit_by_the_slope_of_the_surface_and_grows_with_lines_that_share_noise() {
         let (mut arcs, members) = rows_of_a_cone();

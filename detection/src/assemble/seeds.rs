@@ -6,10 +6,10 @@ use super::verify::{self, Candidate};
 use conicflow_messages::Object;
 use std::time::Instant;
 
-/// Most seeds from which something grows in vain in one image, the most curved first. It bounds the time, and what is found later is
-/// seldom right: in recorded frames 8 and 10 of them give 7 wrong answers, 12 give 8 and 16 give 10, and of 104 things 98 are found
-/// in all cases; in simulated stereo 208, 210, 211 and 213 of 320, with 25, 27, 28 and 28 wrong answers (before arcs behind a model
-/// were let into its growth).
+/// Most seeds from which something grows in vain in one image, the most curved first. It bounds the time, and what is found later
+/// is seldom right: in recorded frames 8 and 10 of them give 7 wrong answers, 12 give 8 and 16 give 10, and of 104 things 98 are
+/// found in all cases; in simulated stereo 208, 210, 211 and 213 of 320, with 25, 27, 28 and 28 wrong answers (before arcs behind
+/// a model were let into its growth).
 pub(super) const MAX_VAIN: usize = 10; // [measured]
 /// Arcs up to so many radii beyond the visible ends of an object are tested for belonging to it.
 const SPARE_REACH: f64 = 1.5; // [tuned]

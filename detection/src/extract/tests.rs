@@ -227,8 +227,8 @@ fn shot(scene: Scene, noise_window_px: u32, width: u32, seed: u64) -> (Header, V
     (header, pixels)
 }
 
-/// Halves of the image that were told apart by noisy depths would differ in their noise: some pixels of the wall would count as near
-/// because they are off.
+/// Halves of the image that were told apart by noisy depths would differ in their noise: some pixels of the wall would count as
+/// near because they are off.
 #[test]
 fn a_small_thing_alone_before_a_wall_does_not_change_the_noise() {
     let thing =

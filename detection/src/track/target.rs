@@ -45,9 +45,9 @@ pub struct Target {
 
 /// Covariance of the error that successive sights have in common.
 ///
-/// The filters take errors for independent. To consider one that is not (Schmidt 1966; Bar-Shalom et al., section 8.2.5) is simple
-/// here: an offset `b` of all sights is an offset `b` of the position and none of the velocity, since with the
-/// sensitivity `S = [I; 0]` an update leaves `S = (I - K H) S + K` as it is. So `P` and the covariance of `b` add up.
+/// The filters take errors for independent. To consider one that is not (Schmidt 1966; Bar-Shalom et al., section 8.2.5) is
+/// simple here: an offset `b` of all sights is an offset `b` of the position and none of the velocity, since with the sensitivity
+/// `S = [I; 0]` an update leaves `S = (I - K H) S + K` as it is. So `P` and the covariance of `b` add up.
 #[derive(Clone, Copy, Debug)]
 struct CommonError {
     position: Matrix3<f64>,
