@@ -287,7 +287,7 @@ function isDrawnBySoftware() {
     if (!gl) {
         return true;
     }
-    const told = gl.getExtension("WEBGL_debug_#rendererinfo");
+    const told = gl.getExtension("WEBGL_debug_renderer_info");
     const name = gl.getParameter(told ? told.UNMASKED_RENDERER_WEBGL : gl.RENDERER);
     gl.getExtension("WEBGL_lose_context")?.loseContext();
     return /swiftshader|llvmpipe|software|basic render/i.test(name);
