@@ -1,5 +1,5 @@
-//! What the benchmarks of messages between machines have in common: one frame of a cluttered scene, runs of their own program, and
-//! a sink that writes down how old messages are when they come.
+//! What the benchmarks of messages between machines have in common: one frame of a cluttered scene, runs of their own program,
+//! and a sink that writes down how old messages are when they come.
 
 use bytemuck::cast_slice;
 use conicflow_dataflow::pipeline::{Pipeline, SourceText};

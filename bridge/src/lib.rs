@@ -5,9 +5,9 @@
 //! what comes is checked, decoded and written into shared memory ([`receiving`]). Each bridge also puts a small heartbeat
 //! under `conicflow/PIPELINE/@link/MACHINE` ([`peer`]): it acknowledges, measures the clocks, and shows that the link lives,
 //! because Zenoh's `put` succeeds with nobody there. Where the machines share a key, nothing counts that was not made with it by
-//! the present start of the other bridge (`wire::seal`, `peer::links`). What is short and may be lost goes by datagrams, where the file names
-//! endpoints for these ([`session`]). [`reliable`] holds the two ends of lossless delivery, and the window that keeps what is
-//! under way from becoming a queue where the newest wins.
+//! the present start of the other bridge (`wire::seal`, `peer::links`). What is short and may be lost goes by datagrams, where
+//! the file names endpoints for these ([`session`]). [`reliable`] holds the two ends of lossless delivery, and the window that
+//! keeps what is under way from becoming a queue where the newest wins.
 //!
 //! Lossless delivery is written here, and not taken from `zenoh-ext` (`AdvancedPublisher`, `AdvancedSubscriber`), which has a
 //! cache, finds misses and sends again: it is marked unstable, and it has no back-pressure. A lossless edge has to let its

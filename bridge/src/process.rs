@@ -153,8 +153,8 @@ impl<'a> Watch<'a> {
     }
 }
 
-/// Whether a heartbeat is to be sent now: somebody waits for an answer, there is something new, or the last one, sent then with that
-/// news, is too old to show that the link lives.
+/// Whether a heartbeat is to be sent now: somebody waits for an answer, there is something new, or the last one, sent then with
+/// that news, is too old to show that the link lives.
 fn is_heartbeat_due(owes_answer: bool, news: &News, (sent, last): &(Instant, News), now: Instant) -> bool {
     owes_answer || news != last || now.duration_since(*sent) > HEARTBEAT_PERIOD
 }

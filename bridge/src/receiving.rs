@@ -333,8 +333,8 @@ mod tests {
         Edge { topic, item, from, writers: Vec::new(), to: Vec::new(), compression: Compression::None }
     }
 
-    /// The hops of a message that two stages have sent, `[received_ns, sent_ns]` by this machine's clock, which reads 1000, and how
-    /// long it was under way.
+    /// The hops of a message that two stages have sent, `[received_ns, sent_ns]` by this machine's clock, which reads 1000, and
+    /// how long it was under way.
     fn own_times(offset_ns: Option<i64>, hops: [[u64; 2]; 2]) -> ([[u64; 2]; 2], u64) {
         let mut header = Header::default();
         for [received_ns, sent_ns] in hops {

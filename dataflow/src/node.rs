@@ -86,8 +86,8 @@ impl Node {
         }
     }
 
-    /// The row of a node that another program runs, which takes the place of this one in the stage's process. That joins the run as
-    /// any program does, or has the row too and calls `run_in_run`; its parameters come with all defaults settled.
+    /// The row of a node that another program runs, which takes the place of this one in the stage's process. That joins the run
+    /// as any program does, or has the row too and calls `run_in_run`; its parameters come with all defaults settled.
     #[must_use]
     pub const fn run_by(self, host: Host) -> Self {
         Self { host: Some(host), ..self }

@@ -1,7 +1,8 @@
-//! Whether the sources of a run stand still: a word in the run's folder, which whoever may enter that folder changes and the sources
-//! read before each message.
+//! Whether the sources of a run stand still: a word in the run's folder, which whoever may enter that folder changes and the
+//! sources read before each message.
 //!
-//! What plays back or simulates can stand still; a camera goes on. Nothing else of a run is paused: what is under way is worked on.
+//! What plays back or simulates can stand still; a camera goes on. Nothing else of a run is paused: what is under way is worked
+//! on.
 
 use bytemuck::{Pod, Zeroable};
 use serde::Serialize;

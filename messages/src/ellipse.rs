@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 /// Number of moments `sum s^p t^q`, p + q <= 4.
 pub const MOMENTS: usize = 15;
 
-/// Number of points at either end of an arc that are told one by one. What a silhouette adds is seldom wider: a third one changes hardly
-/// anything (`experiments/README.md`, "The limit").
+/// Number of points at either end of an arc that are told one by one. What a silhouette adds is seldom wider: a third one changes
+/// hardly anything (`experiments/README.md`, "The limit").
 pub const END_POINTS: usize = 2;
 
 /// The direction of a scan line.
@@ -70,11 +70,11 @@ pub struct Ellipse {
     /// Depths measured `beyond_px` pixels before the first and behind the last pixel, in metres; 0: none.
     pub beyond: [f64; 2],
     /// Where along the line the surface ends on either side before something farther behind it, in pixels: half a
-    /// pixel beyond its last one, or in the middle of a pixel that belongs to neither; 0: what ends it is nearer, adjoins it or is
-    /// not seen.
+    /// pixel beyond its last one, or in the middle of a pixel that belongs to neither; 0: what ends it is nearer, adjoins it or
+    /// is not seen.
     pub contour: [f64; 2],
-    /// Depths of the outermost points of either end, on neighbouring pixels from `first` and `last` inwards, in metres; 0: none. They
-    /// are among the moments. Whether they belong to an object shows only where its outline is known.
+    /// Depths of the outermost points of either end, on neighbouring pixels from `first` and `last` inwards, in metres; 0: none.
+    /// They are among the moments. Whether they belong to an object shows only where its outline is known.
     pub ends: [[f64; END_POINTS]; 2],
     /// Origin `(s, t)` of the moments, in metres.
     pub origin: [f64; 2],

@@ -1,9 +1,10 @@
-//! The keys of `conicflow run` at a terminal: space pauses the run or lets it go on, `.` or the right arrow lets it make one frame.
+//! The keys of `conicflow run` at a terminal: space pauses the run or lets it go on, `.` or the right arrow lets it make one
+//! frame.
 //!
-//! A process of its own reads them. However the launcher ends, also by SIGKILL, that process gives the terminal back as it was; and
-//! however that process ends, the launcher does. At Ctrl-Z the launcher does so before it stops, for then the shell takes the
-//! terminal. A terminal whose modes somebody else has set since, such as a shell that waits for a line, is left alone, as is that of a
-//! run in the background.
+//! A process of its own reads them. However the launcher ends, also by SIGKILL, that process gives the terminal back as it was;
+//! and however that process ends, the launcher does. At Ctrl-Z the launcher does so before it stops, for then the shell takes the
+//! terminal. A terminal whose modes somebody else has set since, such as a shell that waits for a line, is left alone, as is that
+//! of a run in the background.
 
 use anyhow::{Context, Result};
 use conicflow_dataflow::{PauseWish, RunningPipeline};

@@ -68,8 +68,8 @@ struct CommandLine {
 enum Command {
     /// Run a pipeline, each stage as a process of its own
     ///
-    /// At a terminal, space pauses a run of recorded or simulated frames and lets it go on; `.` or the right arrow makes one frame
-    /// more.
+    /// At a terminal, space pauses a run of recorded or simulated frames and lets it go on; `.` or the right arrow makes one
+    /// frame more.
     Run(RunArguments),
     /// Find the objects of a depth image, a folder of them or an MCAP recording, without a pipeline file
     Detect(detect::DetectArguments),

@@ -1,4 +1,5 @@
-//! The messages of MCAP files, in the order in which they were written: of one file, or of a folder of them as `rosbag2` makes it.
+//! The messages of MCAP files, in the order in which they were written: of one file, or of a folder of them as `rosbag2` makes
+//! it.
 //!
 //! A file that ends in the middle, because who wrote it was killed, is read up to its last whole message, and that is said. So is
 //! what is left out because it is damaged.

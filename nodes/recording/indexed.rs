@@ -1,6 +1,7 @@
 //! Reads a file of a recording from some time on, by what its end tells of where its messages are: in the order of their times.
 //!
-//! The check sum of a chunk stands in the chunk's own head, which `mcap` passes over here: it is looked at before the chunk is used.
+//! The check sum of a chunk stands in the chunk's own head, which `mcap` passes over here: it is looked at before the chunk is
+//! used.
 
 use super::sequential::{LeftOut, of_content};
 use super::zstd::Zstd;

@@ -1,5 +1,5 @@
-//! The sink that holds a detector against what can be known at all: its scatter beside the bounds of Cramer and Rao. Each quantity
-//! of each object gives one row of an `[experiment]`. The measuring itself is [`conicflow_lab::score::limit`].
+//! The sink that holds a detector against what can be known at all: its scatter beside the bounds of Cramer and Rao. Each
+//! quantity of each object gives one row of an `[experiment]`. The measuring itself is [`conicflow_lab::score::limit`].
 
 use super::measurement_sink::write_rows;
 use crate::config_error;

@@ -1,4 +1,5 @@
-//! The sink that records: what drives it and what goes with it, into an MCAP file that others read and that `mcap_source` replays.
+//! The sink that records: what drives it and what goes with it, into an MCAP file that others read and that `mcap_source`
+//! replays.
 
 use crate::recording::recorder::{Limits, Recorded, Recorder};
 use crate::stage_error::stage_error;

@@ -28,8 +28,8 @@ const NICENESS: i32 = 10;
 pub struct ViewSinkConfig {
     /// Where the page is offered, as ADDRESS or ADDRESS:PORT; default: 127.0.0.1:8760, or another port where that is taken.
     pub listen: Option<String>,
-    /// What has to be known to see the page; default: nothing at 127.0.0.1, and where other machines may come a token that is made
-    /// and logged.
+    /// What has to be known to see the page; default: nothing at 127.0.0.1, and where other machines may come a token that is
+    /// made and logged.
     pub token: Option<String>,
 }
 
@@ -129,7 +129,8 @@ impl<T: Shown> Stage for ViewSink<T> {
     }
 }
 
-/// Tells once a second, while somebody looks, what the stages of the run do that this process is one of, and pauses it as is wished.
+/// Tells once a second, while somebody looks, what the stages of the run do that this process is one of, and pauses it as is
+/// wished.
 fn show_graph(shown: &Weak<Display>) {
     // On Linux each thread has a niceness of its own.
     rustix::process::nice(NICENESS).ok();

@@ -111,8 +111,8 @@ impl Lists {
 }
 
 impl Player {
-    /// Opens a recording, with the depth images of `topic` where it has several, and shows its first frame; with it what was found
-    /// in the same frames in the recording `against`.
+    /// Opens a recording, with the depth images of `topic` where it has several, and shows its first frame; with it what was
+    /// found in the same frames in the recording `against`.
     ///
     /// # Errors
     /// There is none, or it has neither depth images nor objects nor tracks, or `against` has neither of the latter.

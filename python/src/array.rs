@@ -42,8 +42,8 @@ fn lent<'py, T: Element, D: Dimension>(
     Ok(array)
 }
 
-/// The layout of the items "depth", "ellipses", "objects", "tracks" or "velocities", for numpy.zeros(n, dtype=..); metres, radians
-/// and seconds.
+/// The layout of the items "depth", "ellipses", "objects", "tracks" or "velocities", for numpy.zeros(n, dtype=..); metres,
+/// radians and seconds.
 #[pyfunction]
 #[pyo3(name = "dtype")]
 pub(crate) fn dtype_of<'py>(py: Python<'py>, kind: &str) -> PyResult<Bound<'py, PyAny>> {

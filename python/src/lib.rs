@@ -1,8 +1,8 @@
 //! The Python module `conicflow`: the detector and the tracker on NumPy arrays, the topics of running pipelines, and stages
 //! and sources written in Python.
 //!
-//! Each of these doors is a file: [`detector`], [`tracker`], [`read`], [`stage`], [`source`]. What goes through them are [`record`]s,
-//! [`message`]s and [`depth_array`]s. Nothing of a pipeline is opened before it is asked for.
+//! Each of these doors is a file: [`detector`], [`tracker`], [`read`], [`stage`], [`source`]. What goes through them are
+//! [`record`]s, [`message`]s and [`depth_array`]s. Nothing of a pipeline is opened before it is asked for.
 
 mod array;
 mod depth_array;

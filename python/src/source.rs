@@ -90,9 +90,10 @@ impl Source {
 
     /// Sends a message: an image of depths, a list of records, or a NumPy array of `dtype`.
     ///
-    /// By name: camera (fx, fy, cx, cy), which depth images need; scale, metres per unit, default 0.001; noise, default "kinect_v1";
-    /// stamp_ns, default now; source, its name; sequence, a number of the frame's own, which has to rise; world_from_camera. Waits
-    /// where a reader must not miss a message and has no room. Raises ValueError for items that no reader would take.
+    /// By name: camera (fx, fy, cx, cy), which depth images need; scale, metres per unit, default 0.001; noise, default
+    /// "kinect_v1"; stamp_ns, default now; source, its name; sequence, a number of the frame's own, which has to rise;
+    /// world_from_camera. Waits where a reader must not miss a message and has no room. Raises ValueError for items that no
+    /// reader would take.
     #[pyo3(signature = (items, **header))]
     fn send(slf: &Bound<'_, Self>, items: &Bound<'_, PyAny>, header: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
         let (source, context) = (slf.get(), &slf.as_super().get().context);

@@ -82,8 +82,8 @@ impl Stage {
     /// Sends what came of the message: a list of records, a NumPy array of `dtype`, a message as it came, or an image of depths.
     ///
     /// The header is that of the message, but for what is given by name: camera, scale, noise, stamp_ns, source, sequence,
-    /// world_from_camera. Waits where a reader must not miss a message and has no room. Raises ValueError for items that no reader
-    /// would take.
+    /// world_from_camera. Waits where a reader must not miss a message and has no room. Raises ValueError for items that no
+    /// reader would take.
     #[pyo3(signature = (items, **header))]
     fn send(slf: &Bound<'_, Self>, items: &Bound<'_, PyAny>, header: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
         let Some(output) = &slf.as_super().get().context.output else {

@@ -14,8 +14,8 @@ const SEPARATOR: &str = "=======================================================
 const HEADER: &str = "MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n";
 const TIME: &str = "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n";
 
-/// Name and text of the type of a message with a list that is called `list`: beside the list it has what is in `head`, and each of
-/// its items has what is in `item`.
+/// Name and text of the type of a message with a list that is called `list`: beside the list it has what is in `head`, and each
+/// of its items has what is in `item`.
 pub fn list_definition(list: &str, head: &Fields<'_>, item: &Fields<'_>) -> (String, String) {
     let name = upper_camel(list);
     let of_item = format!("{name}Item");

@@ -56,7 +56,8 @@ fn surface(object: &Object) -> Vec<Vector3<f64>> {
     (0..RINGS).flat_map(ring).collect()
 }
 
-/// Where along the axis from the center a ring is, and its radius: from 0 at one end, of a cone the narrow one, to 1 at the other.
+/// Where along the axis from the center a ring is, and its radius: from 0 at one end, of a cone the narrow one, to 1 at the
+/// other.
 fn ring(object: &Object, part: f64) -> (f64, f64) {
     let along = (part - 0.5) * object.length;
     match object.shape() {

@@ -1,5 +1,5 @@
-//! `tf2_msgs/TFMessage`: where frames of coordinates lie in each other, at which time; and from many of them the pose of one frame
-//! in another.
+//! `tf2_msgs/TFMessage`: where frames of coordinates lie in each other, at which time; and from many of them the pose of one
+//! frame in another.
 
 use crate::{Reader, Stamped, Undecodable, Writer};
 use nalgebra::{Isometry3, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3};

@@ -3,9 +3,9 @@
 //! `CONICFLOW_ATTACK_SEED=123 cargo test --test end_to_end -- attack --nocapture` does that round again, and
 //! `CONICFLOW_ATTACK_ROUNDS=3000` as many others.
 //!
-//! Whatever happens: a run comes to its end, no message comes twice or out of order, with a lossless reader that is killed nothing is
-//! lost, unless its writer was killed as well, what is missing is counted, exit code 1 says that something lossless was lost and
-//! nothing else does, and no process and no file stays behind.
+//! Whatever happens: a run comes to its end, no message comes twice or out of order, with a lossless reader that is killed
+//! nothing is lost, unless its writer was killed as well, what is missing is counted, exit code 1 says that something lossless
+//! was lost and nothing else does, and no process and no file stays behind.
 
 use super::bridge::{HALVES, apart, loopback, placed};
 use super::processes::{files_in_shared_memory, stages_of, wait_for_shared_memory};

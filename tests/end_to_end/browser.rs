@@ -1,5 +1,5 @@
-//! The page in real browsers, Chromium and Firefox. Where one is missing the tests say so. `CONICFLOW_PICTURES` names a folder for
-//! pictures of what was seen.
+//! The page in real browsers, Chromium and Firefox. Where one is missing the tests say so. `CONICFLOW_PICTURES` names a folder
+//! for pictures of what was seen.
 
 use crate::compare::{PAPER, simulated};
 use crate::support::{Playground, TRACKING, wait_until};

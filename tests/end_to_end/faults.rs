@@ -30,7 +30,8 @@ fn start(playground: &Playground) -> Started {
     playground.start(&["run", "--set", "source.rate_hz=50"])
 }
 
-/// Ends a run, in which the faulty stage died twice of the same frame, all others were started once, and every frame came but that.
+/// Ends a run, in which the faulty stage died twice of the same frame, all others were started once, and every frame came but
+/// that.
 fn expect_two_deaths(run: Started, playground: &Playground) -> String {
     signal(run.id(), Signal::INT);
     let ended = run.wait().expect_code(1);

@@ -1,4 +1,5 @@
-//! The metrics of a run: read by the parser of Prometheus' own client, compared with `top`, and asked for by those who mean no good.
+//! The metrics of a run: read by the parser of Prometheus' own client, compared with `top`, and asked for by those who mean no
+//! good.
 
 use crate::bridge::{apart, loopback, machines, newest, start};
 use crate::processes::wait_for_lines;

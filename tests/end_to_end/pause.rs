@@ -1,4 +1,5 @@
-//! Pausing a run and letting it make one frame: by keys at its terminal, and from the page; and a terminal that is as it was before.
+//! Pausing a run and letting it make one frame: by keys at its terminal, and from the page; and a terminal that is as it was
+//! before.
 
 use crate::support::{Playground, Started, TRACKING, example, signal, terminal, wait_until};
 use crate::view::{Page, items, recording};

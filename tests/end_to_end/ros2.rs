@@ -236,7 +236,8 @@ fn clouds_of_ros_give_the_objects_that_the_same_files_give() {
     assert!(all > 60 && 10 * alike > 9 * all, "{alike} of {all}");
 }
 
-/// From Lyrical on a publisher of images sends below the key of the topic, to subscribers whose token says that they take them there.
+/// From Lyrical on a publisher of images sends below the key of the topic, to subscribers whose token says that they take them
+/// there.
 #[test]
 fn images_that_come_below_the_key_are_taken() {
     let endpoint = loopback();

@@ -1,5 +1,5 @@
-//! The page of `conicflow view`, asked over plain sockets: what it shows of runs and recordings, who is refused, and that many who
-//! look, or leave in the middle, cost a run nothing. What a browser makes of it is in `browser.rs`.
+//! The page of `conicflow view`, asked over plain sockets: what it shows of runs and recordings, who is refused, and that many
+//! who look, or leave in the middle, cost a run nothing. What a browser makes of it is in `browser.rs`.
 
 use crate::support::{DEADLINE, LOOK, Playground, Started, TRACKING, wait_until};
 use serde_json::{Value as Json, json};

@@ -218,7 +218,8 @@ fn ask_chromedriver(port: &str, method: &str, path: &str, body: &Json) -> Json {
     answer["value"].clone()
 }
 
-/// A message of Marionette: its length, a colon, and JSON; a command is `[0, id, name, arguments]`, an answer `[1, id, error, value]`.
+/// A message of Marionette: its length, a colon, and JSON; a command is `[0, id, name, arguments]`, an answer
+/// `[1, id, error, value]`.
 fn ask_marionette(stream: &mut BufReader<TcpStream>, name: &str, body: &Json) -> Json {
     let command = json!([0, 0, name, body]).to_string();
     write!(stream.get_mut(), "{}:{command}", command.len()).unwrap();

@@ -2,8 +2,8 @@
 //!
 //! At a loopback address every user of this machine may look, but no page from elsewhere may: neither by a name of its own that
 //! leads here (DNS rebinding, told by `Host`) nor by requests that it makes its visitors send (told by `Origin` and
-//! `Sec-Fetch-Site`). At any other address a token is asked for, once in the address of the page, then as a cookie, or of a program
-//! in `Authorization: Bearer`; unless what is offered is for everyone.
+//! `Sec-Fetch-Site`). At any other address a token is asked for, once in the address of the page, then as a cookie, or of a
+//! program in `Authorization: Bearer`; unless what is offered is for everyone.
 
 use crate::request::Request;
 use crate::response::Response;
@@ -40,8 +40,8 @@ pub enum ListenFault {
 }
 
 impl Listen {
-    /// Reads `ADDRESS`, `ADDRESS:PORT` or `:PORT`; without one it is a loopback address. Where others than this machine may come a
-    /// token is made, unless there is one.
+    /// Reads `ADDRESS`, `ADDRESS:PORT` or `:PORT`; without one it is a loopback address. Where others than this machine may come
+    /// a token is made, unless there is one.
     ///
     /// # Errors
     /// The text is no address, or the token is too short.

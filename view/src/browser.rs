@@ -1,7 +1,7 @@
 //! What the browsers that show the page are answered.
 //!
-//! A browser asks for what it has not seen yet (`/look`), and gets it as soon as it is there; when it has drawn it, it asks anew. So
-//! a slow browser leaves frames out, and a browser that is gone asks for none.
+//! A browser asks for what it has not seen yet (`/look`), and gets it as soon as it is there; when it has drawn it, it asks anew.
+//! So a slow browser leaves frames out, and a browser that is gone asks for none.
 
 use crate::display::Display;
 use crate::page::file;

@@ -193,7 +193,8 @@ impl Display {
         self.wished.notify_all();
     }
 
-    /// What a browser has not seen that knows the first `frames` frames and `told` things; waits for it no longer than `patience`.
+    /// What a browser has not seen that knows the first `frames` frames and `told` things; waits for it no longer than
+    /// `patience`.
     pub(crate) fn look(&self, browser: &str, frames: u64, told: u64, patience: Duration) -> Result<Look, TooMany> {
         let mut state = self.state();
         state.browsers.retain(|_, asked| asked.elapsed() < LEFT);

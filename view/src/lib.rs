@@ -2,8 +2,8 @@
 //! the list, the graph of stages.
 //!
 //! In the order in which a frame meets them: a [`Gatherer`] brings depth images and lists of the same frame together; a
-//! [`Display`] holds what is to be seen now; a [`Server`] hands it to browsers that ask for the [`Page`]. Nothing here knows where frames come
-//! from: a running pipeline, a recording and a sink feed the same display.
+//! [`Display`] holds what is to be seen now; a [`Server`] hands it to browsers that ask for the [`Page`]. Nothing here knows
+//! where frames come from: a running pipeline, a recording and a sink feed the same display.
 //!
 //! Browsers ask, and are answered with the newest there is. So nobody waits for a slow one, and where nobody asks nothing is
 //! done. The server serves other [`Answer`]s as well, such as a run's metrics.

@@ -22,8 +22,8 @@ const SILENCE: Duration = Duration::from_millis(1500);
 /// Of a peer that has not come after this time the user is told.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// So many sessions of a peer are told of: the present one, one that is about to prove itself, and as many again of which somebody
-/// repeats what they said. Those give way to one another, so that a new session proves itself all the same.
+/// So many sessions of a peer are told of: the present one, one that is about to prove itself, and as many again of which
+/// somebody repeats what they said. Those give way to one another, so that a new session proves itself all the same.
 const SESSIONS: usize = 4;
 /// So many reasons are told for which a peer is refused, one of each kind of [`WireError`]; who comes with ever new texts fills
 /// no log.

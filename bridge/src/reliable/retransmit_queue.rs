@@ -221,12 +221,13 @@ impl RetransmitQueue {
         self.log.remove_files();
     }
 
-    /// Whether everybody has what they must have, or will not get it any more. A machine that must not miss any is waited for until
-    /// its readers have heard the end ([`RetransmitQueue::finish`]).
+    /// Whether everybody has what they must have, or will not get it any more. A machine that must not miss any is waited for
+    /// until its readers have heard the end ([`RetransmitQueue::finish`]).
     pub(crate) fn is_settled(&self, now: Instant) -> bool {
         let impatient = self.ended_at.is_some_and(|since| now.saturating_duration_since(since) > END_PATIENCE);
         self.receivers.iter().all(|remote| match remote.lossless {
-            // One that has told that it has all, and then falls silent, has most likely been killed while its run came to its end.
+            // One that has told that it has all, and then falls silent, has most likely been killed while its run came to its
+            // end.
             true if remote.finished >= self.next => remote.is_gone(now, END_PATIENCE),
             true => self.log.len() == 0 && remote.is_gone(now, self.outage),
             false => impatient || self.ends.iter().all(|end| remote.ended.contains(&end.writer)),

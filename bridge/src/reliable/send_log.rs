@@ -1,5 +1,5 @@
-//! The messages of a lossless edge that were sent and are not yet acknowledged. They also lie in files of the run's folder, so that the process that
-//! takes the place of a killed one sends them again; each message is there before it goes out.
+//! The messages of a lossless edge that were sent and are not yet acknowledged. They also lie in files of the run's folder, so
+//! that the process that takes the place of a killed one sends them again; each message is there before it goes out.
 
 use crate::wire::{Place, place_of};
 use std::collections::VecDeque;

@@ -27,8 +27,8 @@ pub(crate) enum Verdict {
 #[derive(Debug)]
 pub(crate) struct Sequence {
     lossless: bool,
-    /// Whether its sender made whatever comes: then nothing that comes is ahead of that sender, and what is far behind is repeated
-    /// by somebody else.
+    /// Whether its sender made whatever comes: then nothing that comes is ahead of that sender, and what is far behind is
+    /// repeated by somebody else.
     trusted: bool,
     stream: u64,
     next: u64,

@@ -10,10 +10,10 @@
 //! A topic stands in a key without its first slash, and in a token with `%` or `§` in place of all; `MP` publishes, `MS`
 //! subscribes.
 //!
-//! From Lyrical on, publishers of `rmw_zenoh_cpp` send messages with a `uint8[]` in them below the key of the topic: those for all
-//! who have no memory of their own for it at `KEY/_buf_cpu`, if the token of each subscriber says so by `/backends:cpu:` at its
-//! end, which the distributions before do not look at. They still send at the key itself where anybody else listens. A message that
-//! goes to several keys below the one of the topic has another number at each.
+//! From Lyrical on, publishers of `rmw_zenoh_cpp` send messages with a `uint8[]` in them below the key of the topic: those for
+//! all who have no memory of their own for it at `KEY/_buf_cpu`, if the token of each subscriber says so by `/backends:cpu:` at
+//! its end, which the distributions before do not look at. They still send at the key itself where anybody else listens. A
+//! message that goes to several keys below the one of the topic has another number at each.
 //!
 //! Sources: ros2/rmw_zenoh `docs/design.md`, `liveliness_utils.cpp`, `buffer_endpoint_helpers.hpp`, `rmw_publisher_data.cpp`;
 //! zenoh-plugin-ros2dds `liveliness_mgt.rs`.

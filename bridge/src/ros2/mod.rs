@@ -111,8 +111,8 @@ impl Inbox {
         self.lost.fetch_add(missing + u64::from(is_overwritten), Ordering::Relaxed);
     }
 
-    /// Messages that the same publisher has sent since the last that came. Those below the key of the topic are not numbered one by
-    /// one: a publisher numbers what it sends to each who has a memory of their own for it, at keys that nobody else takes.
+    /// Messages that the same publisher has sent since the last that came. Those below the key of the topic are not numbered one
+    /// by one: a publisher numbers what it sends to each who has a memory of their own for it, at keys that nobody else takes.
     fn missing_before(&self, Attachment { sequence, end, .. }: Attachment, is_numbered: bool) -> u64 {
         let mut numbers = self.numbers.lock().unwrap_or_else(PoisonError::into_inner);
         if numbers.len() >= MOST_COMPARED && !numbers.contains_key(&end) {

@@ -1,7 +1,7 @@
 //! How the items of each type go over the wire, behind the header of their message ([`wire`](super)).
 //!
-//! Images and ellipses have compressors of their own ([`depth_codec`], [`ellipse_codec`]), objects and tracks go in bincode. Items
-//! of any other type go as they lie in memory: a byte for the compression, how many there are as a little-endian `u32`, and
+//! Images and ellipses have compressors of their own ([`depth_codec`], [`ellipse_codec`]), objects and tracks go in bincode.
+//! Items of any other type go as they lie in memory: a byte for the compression, how many there are as a little-endian `u32`, and
 //! their bytes, of long lists compressed. Their layout has no holes, and both machines have the same.
 
 use super::compression::{of_tag, pack, tag_of, unpack};

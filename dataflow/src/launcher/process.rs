@@ -200,8 +200,8 @@ pub fn join_as_stage(same_frame: &[String]) -> Result<Option<PulledStage>, Proce
     Ok(PulledStage::open(runtime, parameters, same_frame)?)
 }
 
-/// Takes the place of a source as [`join_as_stage`] takes that of a stage; see [`PulledSource`]. It makes `total` messages in all,
-/// where that is known, and no more in a second than its parameter `rate_hz` says, where it has one.
+/// Takes the place of a source as [`join_as_stage`] takes that of a stage; see [`PulledSource`]. It makes `total` messages in
+/// all, where that is known, and no more in a second than its parameter `rate_hz` says, where it has one.
 ///
 /// # Errors
 /// What keeps it from its place, or this process is not part of a run.

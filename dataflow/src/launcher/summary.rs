@@ -125,8 +125,8 @@ impl Summary {
         Some([sent.saturating_sub(came).max(dropped.saturating_sub(malformed)), sent])
     }
 
-    /// What an input has lost: what its stage has counted, and of one that is over also what came to nobody, because the stage was
-    /// killed when its writers had ended.
+    /// What an input has lost: what its stage has counted, and of one that is over also what came to nobody, because the stage
+    /// was killed when its writers had ended.
     fn dropped_by(&self, planned: &PlannedStage, status: &Status, index: usize) -> u64 {
         let is_over = status.life().is_over();
         let lost = self.lost_by(planned, status).filter(|_| is_over && index == 0);

@@ -79,7 +79,8 @@ impl Display for Diagnostic {
             first_line.chars().count().max(1)
         });
         writeln!(f, "{severity}: {}:{line}:{column}: {}", plain(&self.place.source.name), plain(&self.what))?;
-        // Of a line that is far too long the piece around the place is shown, of a letter that steers a terminal that it is there.
+        // Of a line that is far too long the piece around the place is shown, of a letter that steers a terminal that it is
+        // there.
         let first = (column - 1).saturating_sub(WIDEST_LINE / 2);
         let shown = |letter| if is_harmless(letter) { letter } else { char::REPLACEMENT_CHARACTER };
         let text: String = text.chars().skip(first).take(WIDEST_LINE).map(shown).collect();

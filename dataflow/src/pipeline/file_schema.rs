@@ -60,8 +60,8 @@ pub fn file_schema<'a>(nodes: impl IntoIterator<Item = &'a Node>) -> Json {
     })
 }
 
-/// A stage: its `node`, or that it has a `program`, says which schema it has to fit, so that the fault itself is told. taplo, by which
-/// editors complete, looks into no `then`, but into each branch of a choice: there is one more, which every table fits.
+/// A stage: its `node`, or that it has a `program`, says which schema it has to fit, so that the fault itself is told. taplo, by
+/// which editors complete, looks into no `then`, but into each branch of a choice: there is one more, which every table fits.
 fn stage(nodes: &[&str]) -> Json {
     let of_node =
         |name| json!({ "if": { "required": ["node"], "properties": { "node": { "const": name } } }, "then": to(name) });
@@ -248,7 +248,8 @@ fn reference(definition: &str, description: &str) -> Json {
     json!({ "description": description, "allOf": [to(definition)] })
 }
 
-/// Leaves out what may be nothing: in TOML that is a key that is not there, and of a choice that has one branch left the fault is told.
+/// Leaves out what may be nothing: in TOML that is a key that is not there, and of a choice that has one branch left the fault is
+/// told.
 fn without_null(schema: &mut Json) {
     match schema {
         Json::Object(entries) => {

@@ -318,8 +318,8 @@ pub trait Writer {
     /// The readers of the pipeline that are there now.
     fn connected(&self) -> Vec<ConnectedReader>;
 
-    /// How many messages were sent by this end since the first that the stage `reader` has not finished, that one included; 0 where
-    /// nothing is kept for it.
+    /// How many messages were sent by this end since the first that the stage `reader` has not finished, that one included; 0
+    /// where nothing is kept for it.
     fn unfinished(&self, reader: &str) -> usize {
         let _ = reader;
         0

@@ -225,7 +225,8 @@ impl<W: Writer> OutputPort<W> {
             ends.iter().try_for_each(|end| writer.send(end).map(drop))?;
         }
         telling.told.extend(connected.iter().map(|reader| reader.stage.clone()));
-        // One that was told and is not over was killed, and will come again; where nothing is known of it, it has most likely ended.
+        // One that was told and is not over was killed, and will come again; where nothing is known of it, it has most likely
+        // ended.
         let is_told =
             |reader: &TopicReader| self.peers.life(&reader.stage).is_none() && telling.told.contains(&reader.stage);
         let all_told = self.absent_readers(false).all(is_told);

@@ -56,8 +56,8 @@ impl Pace {
         self.wait_until(due, record, meanwhile);
     }
 
-    /// Waits until a message with this stamp is to be sent, as long after the one before as their stamps say, or the run is to end.
-    /// One that is late does not make the others hurry. Without a stamp it waits only while the run is paused.
+    /// Waits until a message with this stamp is to be sent, as long after the one before as their stamps say, or the run is to
+    /// end. One that is late does not make the others hurry. Without a stamp it waits only while the run is paused.
     pub(crate) fn wait_to_send(&mut self, stamp_ns: Option<u64>, record: &mut StatusFile, meanwhile: impl FnMut()) {
         if !self.keeps_stamps {
             return;

@@ -25,7 +25,8 @@ pub struct PulledSource {
 
 impl PulledSource {
     /// Takes the place of a source that makes `total` messages in all, where that is known, and no more in a second than its
-    /// parameter `rate_hz` says, where it has one; one without an end goes on while the run is paused. `None` where a successor is not wanted any more.
+    /// parameter `rate_hz` says, where it has one; one without an end goes on while the run is paused. `None` where a successor
+    /// is not wanted any more.
     pub(crate) fn open(
         mut runtime: StageRuntime<SharedMemory>,
         parameters: Json,

@@ -1,5 +1,5 @@
-//! How a stage takes the place of another process of the same stage: made ready beside it, it buffers what each writer sends, with all
-//! that goes with a message in its side inputs, and begins when the other is gone.
+//! How a stage takes the place of another process of the same stage: made ready beside it, it buffers what each writer sends,
+//! with all that goes with a message in its side inputs, and begins when the other is gone.
 
 use super::handover::Successor;
 use super::side_ports::{Inputs, SidePort};

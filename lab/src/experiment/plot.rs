@@ -1,5 +1,5 @@
-//! Plots as SVG: lines of the rows of an experiment, or of a trace, with bars of one standard deviation where there is a column of
-//! them, the truth as a black line in front, and the paper's figures as open circles.
+//! Plots as SVG: lines of the rows of an experiment, or of a trace, with bars of one standard deviation where there is a column
+//! of them, the truth as a black line in front, and the paper's figures as open circles.
 
 use super::axes::Axis;
 use super::definition::{Experiment, Plot, prepared};

@@ -4,9 +4,9 @@
 //! All shifts are tried, and the sums run on along rows and columns, so that the time does not depend on the window's size
 //! (as in K. Konolige, "Small vision systems: hardware and implementation", 1998, of which also the check from right to left
 //! and that for a unique minimum are). A camera may look for shifts that are smooth along scan lines, from the left, the right
-//! and above (H. Hirschmüller, "Stereo processing by semiglobal matching and mutual information", 2008): that bears small windows,
-//! by which silhouettes stay sharp. What is found is averaged with its neighbours of the same surface, which lengthens the
-//! noise and does not blur silhouettes. Sums are of whole numbers: the same bits everywhere.
+//! and above (H. Hirschmüller, "Stereo processing by semiglobal matching and mutual information", 2008): that bears small
+//! windows, by which silhouettes stay sharp. What is found is averaged with its neighbours of the same surface, which lengthens
+//! the noise and does not blur silhouettes. Sums are of whole numbers: the same bits everywhere.
 
 /// Greatest brightness of a pixel.
 pub const BRIGHTEST: i16 = 63;
@@ -163,7 +163,8 @@ impl BlockMatcher {
         }
     }
 
-    /// Replaces the sums of the row's windows by those along the best paths that end there; of the `first` row none comes from above.
+    /// Replaces the sums of the row's windows by those along the best paths that end there; of the `first` row none comes from
+    /// above.
     fn add_up_paths(&mut self, count: usize, penalties: [i16; 2], first: bool) {
         let Self { sums, from_above, last_row, from_left, from_right, .. } = self;
         from_left.clone_from(sums);

@@ -79,7 +79,8 @@ pub struct Stereo {
 }
 
 /// Window, smoothing, noise and bend give planes the sigma and the autocorrelation of the recordings of a table by a camera of
-/// this class (`conicflow run experiments/planes.toml`, and `experiments/noise.toml` for recordings), and the profile across a tin.
+/// this class (`conicflow run experiments/planes.toml`, and `experiments/noise.toml` for recordings), and the profile across a
+/// tin.
 impl Default for Stereo {
     fn default() -> Self {
         Self {

@@ -85,8 +85,8 @@ fn a_silhouette_does_not_grow() {
     }
 }
 
-/// A recording of a tin of this size and distance has 0.4 and 0.5 pixels in the first three pixels from its silhouettes, and 0.0 and 0.1
-/// from the fifth to the eighth (`experiments/README.md`).
+/// A recording of a tin of this size and distance has 0.4 and 0.5 pixels in the first three pixels from its silhouettes, and 0.0
+/// and 0.1 from the fifth to the eighth (`experiments/README.md`).
 #[test]
 fn what_is_round_is_flattened_at_its_silhouettes_as_in_recordings() {
     let (radius, z) = (0.034, 0.6);

@@ -187,7 +187,8 @@ impl Canvas {
         }
     }
 
-    /// Puts a smaller image of it into another canvas, at a place there; each of its pixels is the mean of those that it stands for.
+    /// Puts a smaller image of it into another canvas, at a place there; each of its pixels is the mean of those that it stands
+    /// for.
     pub(super) fn shrink_into(&self, to: &mut Self, place: Box2) {
         for y in 0..place.height {
             for x in 0..place.width {

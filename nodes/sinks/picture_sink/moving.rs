@@ -1,7 +1,7 @@
 //! Pictures one behind the other as one moving picture (APNG), small enough for a README.
 //!
-//! What changes by less than can be seen is left as it was, so that noise takes no room; the rest is in up to 255 colours, the most
-//! frequent ones of all pictures.
+//! What changes by less than can be seen is left as it was, so that noise takes no room; the rest is in up to 255 colours, the
+//! most frequent ones of all pictures.
 
 use super::canvas::{Box2, Canvas};
 use anyhow::Result;

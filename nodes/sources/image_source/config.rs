@@ -15,8 +15,8 @@ pub(super) const USUAL_RATE_HZ: f64 = 30.0;
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
-    /// The recording: a folder of 16-bit PNGs, of TIFF or NPY files (16-bit whole numbers, floating point) or organised PCD files,
-    /// a TUM RGB-D folder, or a single such file. Points of PCD and floating-point depths beyond 16.38 m are left out.
+    /// The recording: a folder of 16-bit PNGs, of TIFF or NPY files (16-bit whole numbers, floating point) or organised PCD
+    /// files, a TUM RGB-D folder, or a single such file. Points of PCD and floating-point depths beyond 16.38 m are left out.
     pub path: Option<PathBuf>,
     /// Metres per unit of the file; default: as `camera.json` says, else 0.001, for TUM 0.0002, for PCD and
     /// floating point 1.

@@ -1,8 +1,8 @@
 //! Video devices of Linux: what the source needs of them, and how the kernel gives it.
 //!
-//! The kernel is spoken with by `linuxvideo`, which is Rust alone and has no `unsafe` to be called; `v4l` and `v4l2r` generate their
-//! bindings by libclang, which a build here would need then. It tells neither the kernel's stamp nor its number of a buffer.
-//! What stands here below [`LinuxVideo`] needs a device and was not tried with one.
+//! The kernel is spoken with by `linuxvideo`, which is Rust alone and has no `unsafe` to be called; `v4l` and `v4l2r` generate
+//! their bindings by libclang, which a build here would need then. It tells neither the kernel's stamp nor its number of a
+//! buffer. What stands here below [`LinuxVideo`] needs a device and was not tried with one.
 
 use super::format::{DepthFormat, Layout};
 use linuxvideo::format::{FrameIntervals, FrameSizes, PixFormat, PixelFormat};

@@ -1,7 +1,7 @@
 //! The source that takes depth images from a camera that Linux has a driver for, by V4L2.
 //!
-//! V4L2 knows neither the intrinsics of a camera nor the unit of its depths: the pipeline file tells them. [`grabber`] watches the
-//! camera, [`device`] is the kernel, [`format`] tells how pixels lie.
+//! V4L2 knows neither the intrinsics of a camera nor the unit of its depths: the pipeline file tells them. [`grabber`] watches
+//! the camera, [`device`] is the kernel, [`format`] tells how pixels lie.
 
 mod device;
 mod format;

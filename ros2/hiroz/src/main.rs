@@ -1,13 +1,13 @@
-//! A robot with ROS 2 as [hiroz](https://github.com/ZettaScaleLabs/hiroz) speaks it: a node that sends depth images of a ball, and
-//! hears the detections and the markers that `ros2_sink` sends back. Nothing of how it reaches other nodes is ours.
+//! A robot with ROS 2 as [hiroz](https://github.com/ZettaScaleLabs/hiroz) speaks it: a node that sends depth images of a ball,
+//! and hears the detections and the markers that `ros2_sink` sends back. Nothing of how it reaches other nodes is ours.
 //!
 //! ```console
 //! $ cargo build --release
 //! $ cargo run --manifest-path ros2/hiroz/Cargo.toml -- target/release/conicflow
 //! ```
 //!
-//! starts a router and `examples/ros2.toml`, and ends with an error unless 60 images were taken, tracks came back for most of them,
-//! and the robot sees our nodes and topics.
+//! starts a router and `examples/ros2.toml`, and ends with an error unless 60 images were taken, tracks came back for most of
+//! them, and the robot sees our nodes and topics.
 
 use anyhow::{Context as _, Result, ensure};
 use conicflow_messages::Camera;

@@ -140,8 +140,8 @@ impl SharedWriter {
     }
 
     /// Waits until readers that are new have taken the message that was just sent. Before a reader looks into its queue
-    /// for the first time iceoryx2 does not count it as connected, and would drop what does not fit; and what a writer has sent that
-    /// is killed and cleared away before that look would be gone, although it was not its reader that died.
+    /// for the first time iceoryx2 does not count it as connected, and would drop what does not fit; and what a writer has sent
+    /// that is killed and cleared away before that look would be gone, although it was not its reader that died.
     fn await_first_sight(&mut self, mut new: Vec<(u128, usize)>) {
         while !new.is_empty() && !self.stop.forced() {
             let mut answers = std::mem::take(&mut *self.answers.lock().unwrap_or_else(PoisonError::into_inner));

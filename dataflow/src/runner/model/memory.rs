@@ -1,11 +1,11 @@
-//! What outlives the processes of the model: topics as iceoryx2 keeps them, the table of what is finished, and the records. The real
-//! input and output ports work on it through the same traits as on shared memory.
+//! What outlives the processes of the model: topics as iceoryx2 keeps them, the table of what is finished, and the records. The
+//! real input and output ports work on it through the same traits as on shared memory.
 //!
 //! Of iceoryx2 it has what the protocol stands on, as read in its source. A writer joins readers when it sends or looks, and
-//! hands those that are new its history. A reader sees a writer when it is opened and whenever it receives: what a writer has sent that
-//! died and was cleared away before that is gone. Ports of dead processes stay until somebody clears them away; a reader first takes
-//! what is left of writers that were cleared away, and then from one writer after the other, in an order of places that are used
-//! again.
+//! hands those that are new its history. A reader sees a writer when it is opened and whenever it receives: what a writer has
+//! sent that died and was cleared away before that is gone. Ports of dead processes stay until somebody clears them away; a
+//! reader first takes what is left of writers that were cleared away, and then from one writer after the other, in an order of
+//! places that are used again.
 
 use crate::item_type::ItemType;
 use crate::ports::{ConnectedReader, PortError, Reader, Received, Topic, Writer};

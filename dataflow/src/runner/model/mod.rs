@@ -4,9 +4,10 @@
 //!
 //! What takes and sends messages are the real [`InputPort`](super::input_port::InputPort) and
 //! [`OutputPort`](super::output_port::OutputPort), over [topics](memory) that are a model of iceoryx2. The
-//! [steps](process) of a process and those of the [launcher](run) are written down again from the functions that they name, because those
-//! wait. Time is left out: nobody is impatient, and whoever waits does so for ever. So a state in which nothing can happen any more,
-//! and which is not the end of the run, is a run that stands still or goes on only because somebody loses patience.
+//! [steps](process) of a process and those of the [launcher](run) are written down again from the functions that they name,
+//! because those wait. Time is left out: nobody is impatient, and whoever waits does so for ever. So a state in which nothing can
+//! happen any more, and which is not the end of the run, is a run that stands still or goes on only because somebody loses
+//! patience.
 
 mod memory;
 mod process;
