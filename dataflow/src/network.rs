@@ -30,11 +30,14 @@ pub struct Network {
     pub carrier: Carrier,
 }
 
+/// What carries the edges of a plan for a run, until all have ended.
+pub(crate) type RunBridge = fn(&BridgePlan, BridgeRun<'_>, StageRuntime<SharedMemory>) -> Result<(), NetworkError>;
+
 /// What carries edges.
 #[derive(Clone, Copy)]
 pub enum Carrier {
     /// This program.
-    Here(fn(&BridgePlan, BridgeRun<'_>, StageRuntime<SharedMemory>) -> Result<(), NetworkError>),
+    Here(RunBridge),
     /// Another one, which takes the place of this process and calls `run_in_run`.
     Program(fn() -> Result<PathBuf, Hinted>),
 }

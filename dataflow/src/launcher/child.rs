@@ -382,24 +382,47 @@ fn describe(status: ExitStatus) -> String {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::super::folder::tests::folder_at;
     use super::super::summary::tests::stage;
     use super::*;
     use crate::plan::{LAYOUT, Origin};
     use crate::status::StatusFile;
     use conicflow_messages::Object;
+    use std::io::{Read, Write};
 
-    fn supervised(state: State) -> Supervised {
+    fn supervised(planned: PlannedStage, state: State) -> Supervised {
         let (watchdog, started) = (Watchdog::new(0, Instant::now()), Instant::now());
-        let (planned, deaths) = (stage::<Object>(), VecDeque::new());
-        Supervised { planned, state, watchdog, deaths, outsider: None, started, is_late: false }
+        Supervised { planned, state, watchdog, deaths: VecDeque::new(), outsider: None, started, is_late: false }
+    }
+
+    /// A program that gives back what it is given, and so ends when nobody gives it anything any more.
+    pub fn echo() -> Child {
+        Command::new("cat").stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap()
+    }
+
+    /// A stage with a process that has no part in the run.
+    pub fn at_work(planned: PlannedStage) -> Supervised {
+        supervised(planned, State::Running(echo()))
+    }
+
+    /// Whether the process of a stage [`at_work`] gives back what it is given.
+    pub fn answers(stage: &mut Supervised) -> bool {
+        let State::Running(child) = &mut stage.state else { return false };
+        let (Some(stdin), Some(stdout)) = (&mut child.stdin, &mut child.stdout) else { return false };
+        let mut answer = [0];
+        stdin.write_all(b"?").is_ok() && stdout.read_exact(&mut answer).is_ok() && answer == *b"?"
+    }
+
+    /// A stage that has done all its work.
+    pub fn over(planned: PlannedStage) -> Supervised {
+        supervised(planned, State::Done)
     }
 
     #[test]
     fn what_became_of_a_process_is_what_its_own_record_of_this_run_says() {
         let files = tempfile::tempdir().unwrap();
-        let (folder, supervised) = (folder_at(files.path()), supervised(State::Done));
+        let (folder, supervised) = (folder_at(files.path()), over(stage::<Object>()));
         let (pipeline, base) = ("test".to_owned(), files.path().to_owned());
         let plan = Plan { layout: LAYOUT, pipeline, base, run: 7, stages: vec![], origin: Origin::default() };
         let told = || {
@@ -425,9 +448,9 @@ mod tests {
 
     #[test]
     fn a_process_is_there_until_it_is_killed() {
-        let child = Command::new("cat").stdin(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap();
+        let child = echo();
         let process = child.id();
-        let mut supervised = supervised(State::Running(child));
+        let mut supervised = supervised(stage::<Object>(), State::Running(child));
         assert_eq!((supervised.process(), supervised.exit(), supervised.is_over()), (Some(process), None, false));
         supervised.kill();
         assert_eq!((supervised.process(), supervised.exit()), (None, None));

@@ -31,7 +31,7 @@ use crate::ports::shared_memory::SharedMemory;
 use crate::preflight::{InsufficientResource, Requirements};
 use crate::stage::Stop;
 use child::{Change, Supervised};
-use phase::Phase;
+use phase::{DELIVERY_GRACE, Due, Phase};
 use progress::Progress;
 use rustix::process::Signal;
 use signal_hook::consts::{SIGCHLD, SIGHUP, SIGINT, SIGTERM};
@@ -43,13 +43,8 @@ use swap::{Place, Swap};
 const LOOK: Duration = Duration::from_millis(100);
 /// How often the launcher looks while a stage is being replaced.
 const LOOK_AT_SWAP: Duration = Duration::from_millis(2);
-/// An ending run in which nothing is delivered any more, and no stage ends, for this long is ended at once. A writer waits five
-/// seconds for readers that may still come, before it ends.
-const DELIVERY_GRACE: Duration = Duration::from_secs(7);
 /// A run in which nothing moves for this long, while a stage waits for another, is told of.
 const STANDSTILL: Duration = Duration::from_secs(10);
-/// Stages that were told to end at once are killed after this time.
-const KILL_GRACE: Duration = Duration::from_secs(5);
 
 /// Why a run could not begin.
 #[derive(Debug, thiserror::Error)]
@@ -228,20 +223,13 @@ impl Launcher<'_> {
 
     /// Goes on to the next phase when the time of this one is over.
     fn press(&mut self) {
-        match self.phase {
-            Phase::Running if self.options.duration.is_some_and(|limit| self.went_on > limit) => {
-                self.stop_sources();
-            }
-            Phase::Delivering { delivered, since } => {
-                let now_delivered = self.delivered();
-                if now_delivered > delivered {
-                    self.phase = Phase::Delivering { delivered: now_delivered, since: Instant::now() };
-                } else if since.elapsed() > DELIVERY_GRACE {
-                    self.end_stalled();
-                }
-            }
-            Phase::Stopping { since } if since.elapsed() > KILL_GRACE => self.kill_all(),
-            _ => {}
+        let now = Instant::now();
+        match self.phase.due(now, self.went_on, self.options.duration, || self.delivered()) {
+            Due::Nothing => {}
+            Due::StopSources => self.stop_sources(),
+            Due::WaitForMore(delivered) => self.phase = Phase::Delivering { delivered, since: now },
+            Due::EndStalled => self.end_stalled(),
+            Due::KillAll => self.kill_all(),
         }
     }
 
@@ -315,4 +303,83 @@ fn signals() -> Result<Receiver<i32>, LaunchError> {
     let builder = std::thread::Builder::new().name("signals".to_owned());
     builder.spawn(listen).map_err(LaunchError::Signals)?;
     Ok(receiver)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::child::tests::{at_work, over};
+    use super::folder::tests::folder_at;
+    use super::summary::tests::stage;
+    use super::*;
+    use crate::plan::{LAYOUT, Origin, PlannedStage};
+    use crate::status::StatusFile;
+    use conicflow_messages::Object;
+    use std::path::Path;
+
+    /// A launcher of stages that have worked on 3 and 4 messages, of which the second is over.
+    fn launcher<'a>(files: &Path, options: &'a RunOptions, phase: Phase) -> Launcher<'a> {
+        let folder = folder_at(files);
+        let named = |name: &str| PlannedStage { name: name.to_owned(), ..stage::<Object>() };
+        let planned = [named("first"), named("second")];
+        for (planned, steps) in planned.iter().zip([3, 4]) {
+            let mut record = StatusFile::open(&folder.status(&planned.name), 7).unwrap();
+            record.status.steps = steps;
+            record.write();
+        }
+        let (pipeline, base) = ("test".to_owned(), files.to_owned());
+        let plan = Plan { layout: LAYOUT, pipeline, base, run: 7, stages: planned.to_vec(), origin: Origin::default() };
+        let [first, second] = planned;
+        Launcher {
+            plan,
+            folder,
+            options,
+            stages: vec![at_work(first), over(second)],
+            swap: None,
+            signals: channel().1,
+            phase,
+            lost: false,
+            hurried: false,
+            stalled: None,
+            moved: None,
+            progress: Progress::new(true),
+            started: Instant::now(),
+            went_on: Duration::ZERO,
+            looked: Instant::now(),
+        }
+    }
+
+    #[test]
+    fn the_delivery_is_as_far_as_messages_are_worked_on_and_stages_are_over() {
+        let (files, options) = (tempfile::tempdir().unwrap(), RunOptions::default());
+        let mut launcher = launcher(files.path(), &options, Phase::Running);
+        assert_eq!(launcher.delivered(), 3 + 4 + 1);
+        launcher.kill_all();
+        assert_eq!(launcher.delivered(), 3 + 4 + 2);
+    }
+
+    #[test]
+    fn what_is_due_is_done() {
+        let (files, limit) = (tempfile::tempdir().unwrap(), Duration::from_secs(10));
+        let options = RunOptions { duration: Some(limit), ..RunOptions::default() };
+        let long_ago = Instant::now().checked_sub(Duration::from_secs(60)).unwrap();
+        let pressed = |phase: Phase, went_on: Duration| {
+            let mut launcher = launcher(files.path(), &options, phase);
+            launcher.went_on = went_on;
+            launcher.press();
+            let ended = (launcher.phase, launcher.stalled.take(), launcher.stages[0].is_over());
+            launcher.kill_all();
+            ended
+        };
+        assert!(matches!(pressed(Phase::Running, limit), (Phase::Running, None, false)));
+        let over = pressed(Phase::Running, 2 * limit);
+        assert!(matches!(over, (Phase::Delivering { delivered: 8, .. }, None, false)), "{over:?}");
+        let delivering = pressed(Phase::Delivering { delivered: 7, since: long_ago }, limit);
+        let (Phase::Delivering { delivered: 8, since }, None, false) = delivering else { panic!("{delivering:?}") };
+        assert!(since > long_ago);
+        let (phase, stalled, _) = pressed(Phase::Delivering { delivered: 8, since: long_ago }, limit);
+        assert!(matches!(phase, Phase::Stopping { .. }), "{phase:?}");
+        assert!(stalled.unwrap().contains("waited for `first`"));
+        let killed = pressed(Phase::Stopping { since: long_ago }, limit);
+        assert!(matches!(killed, (Phase::Killing, None, true)), "{killed:?}");
+    }
 }

@@ -3,8 +3,8 @@
 use super::folder::{FolderError, PLAN, RunFolder};
 use super::options::RunOptions;
 use crate::log::{DEFAULT_LOG, LOG, error_text, log_to_standard_error};
-use crate::network::{BridgeRun, Carrier, NO_NETWORK, NO_NETWORK_HINT, Network, NetworkError};
-use crate::node::Node;
+use crate::network::{BridgePlan, BridgeRun, Carrier, NO_NETWORK, NO_NETWORK_HINT, Network, NetworkError, RunBridge};
+use crate::node::{Node, Variant};
 use crate::pause::Pause;
 use crate::plan::{Plan, PlannedStage, Runs};
 use crate::ports::PortError;
@@ -24,6 +24,7 @@ use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1, SIGXFSZ};
 use signal_hook::iterator::Signals;
 use std::io::{self, Write};
 use std::os::unix::process::CommandExt;
+use std::path::Path;
 use std::process::{Command, ExitCode};
 use std::time::Duration;
 
@@ -142,6 +143,41 @@ fn alone(plan: &Plan, name: &str, options: &RunOptions) -> Result<Command, Proce
     Ok(command)
 }
 
+/// What the process of a stage does.
+enum Work<'a> {
+    /// It runs a node of the table.
+    Node(&'static Variant),
+    /// It carries edges to other machines.
+    Bridge(RunBridge, &'a BridgePlan),
+    /// It becomes a program, with these arguments.
+    Program(Vec<String>),
+}
+
+/// What is to be done for a stage by a program with these nodes and this network part.
+fn work_of<'a>(
+    planned: &'a PlannedStage,
+    base: &Path,
+    nodes: &[Node],
+    network: Option<Network>,
+) -> Result<Work<'a>, ProcessError> {
+    match &planned.runs {
+        Runs::Node { node, input } => {
+            let none = || ProcessError::NoNode(node.clone());
+            let row = nodes.iter().find(|row| row.name == *node).ok_or_else(none)?;
+            if let Some(host) = row.host {
+                return Ok(Work::Program((host.command)(&planned.parameters, base)?));
+            }
+            let fitting = row.variants.iter().find(|variant| variant.input == input).or(row.variants.first());
+            fitting.map(Work::Node).ok_or_else(none)
+        }
+        Runs::Command(command) => Ok(Work::Program(command.clone())),
+        Runs::Bridge(edges) => match network.ok_or(ProcessError::NoNetwork)?.carrier {
+            Carrier::Here(run) => Ok(Work::Bridge(run, edges)),
+            Carrier::Program(find) => Ok(Work::Program(vec![find()?.to_string_lossy().into_owned()])),
+        },
+    }
+}
+
 /// Runs the stage `name` of a plan in this process: a node of the table, or a program that takes the place of this one.
 fn run_planned(
     plan: &Plan,
@@ -151,31 +187,13 @@ fn run_planned(
     network: Option<Network>,
 ) -> Result<(), ProcessError> {
     let planned = plan.stage(name).ok_or_else(|| ProcessError::NoStage(name.to_owned()))?;
-    match &planned.runs {
-        Runs::Node { node, input } => {
-            let none = || ProcessError::NoNode(node.clone());
-            let row = nodes.iter().find(|row| row.name == *node).ok_or_else(none)?;
-            if let Some(host) = row.host {
-                let command = (host.command)(&planned.parameters, &plan.base)?;
-                return Err(become_program(plan, planned, &command));
-            }
-            let fitting = row.variants.iter().find(|variant| variant.input == input).or(row.variants.first());
-            let run = fitting.ok_or_else(none)?.run;
-            Ok(run(planned.parameters.clone(), stage_runtime(plan, folder, planned)?)?)
+    match work_of(planned, &plan.base, nodes, network)? {
+        Work::Node(variant) => Ok((variant.run)(planned.parameters.clone(), stage_runtime(plan, folder, planned)?)?),
+        Work::Bridge(run, edges) => {
+            let own = BridgeRun { pipeline: &plan.pipeline, run: plan.run, folder: folder.path() };
+            Ok(run(edges, own, stage_runtime(plan, folder, planned)?)?)
         }
-        Runs::Command(command) => Err(become_program(plan, planned, command)),
-        Runs::Bridge(edges) => {
-            let run_here = match network.ok_or(ProcessError::NoNetwork)?.carrier {
-                Carrier::Here(run) => run,
-                Carrier::Program(find) => {
-                    let program = find()?.to_string_lossy().into_owned();
-                    return Err(become_program(plan, planned, &[program]));
-                }
-            };
-            let runtime = stage_runtime(plan, folder, planned)?;
-            let run = BridgeRun { pipeline: &plan.pipeline, run: plan.run, folder: folder.path() };
-            Ok(run_here(edges, run, runtime)?)
-        }
+        Work::Program(command) => Err(become_program(plan, planned, &command)),
     }
 }
 
@@ -350,4 +368,80 @@ fn listen_for_signals(stop: Stop, is_source: bool) -> Result<(), ProcessError> {
     };
     let builder = std::thread::Builder::new().name("signals".to_owned());
     builder.spawn(listen).map(drop).map_err(fault)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::summary::tests::stage;
+    use super::*;
+    use crate::node::Host;
+    use crate::pipeline::Machine;
+    use conicflow_messages::Object;
+
+    const fn variant(input: &'static str, output: &'static str) -> Variant {
+        Variant { input, output, run: |_, _| Ok(()) }
+    }
+
+    fn row(name: &'static str, variants: &'static [Variant], host: Option<Host>) -> Node {
+        let (check, settle) = (|_, _: &Path| Ok(vec![]), Ok);
+        let (schema, message_length) = (|| Json::Null, |_, _: &Path| None);
+        Node { name, summary: "", variants, side_inputs: || &[], schema, check, message_length, settle, host }
+    }
+
+    /// What is done for a stage: what the node makes that is run, the machine whose edges are carried, or the program.
+    fn done(runs: Runs, nodes: &[Node], carrier: Option<Carrier>) -> Result<String, String> {
+        let planned = PlannedStage { runs, parameters: Json::from(5), ..stage::<Object>() };
+        let network =
+            carrier.map(|carrier| Network { check: |_| Ok(()), listen_endpoints: |_| Ok(Vec::new()), carrier });
+        match work_of(&planned, Path::new("/base"), nodes, network) {
+            Ok(Work::Node(variant)) => Ok(format!("node that makes {}", variant.output)),
+            Ok(Work::Bridge(_, edges)) => Ok(format!("bridge of {}", edges.machine)),
+            Ok(Work::Program(command)) => Ok(format!("program {}", command.join(" "))),
+            Err(error) => Err(error.to_string()),
+        }
+    }
+
+    #[test]
+    fn a_node_is_run_as_its_row_says_for_what_drives_it() {
+        const OTHER: &[Variant] = &[variant("depth", "tracks")];
+        const OWN: &[Variant] = &[variant("depth", "ellipses"), variant("ellipses", "objects")];
+        let nodes = [row("other", OTHER, None), row("node", OWN, None), row("unfinished", &[], None)];
+        let done =
+            |node: &str, input: &str| done(Runs::Node { node: node.to_owned(), input: input.to_owned() }, &nodes, None);
+        for (input, output) in [("depth", "ellipses"), ("ellipses", "objects"), ("anything", "ellipses")] {
+            assert_eq!(done("node", input), Ok(format!("node that makes {output}")), "driven by {input}");
+        }
+        for node in ["unknown", "unfinished"] {
+            assert!(done(node, "depth").unwrap_err().contains(&format!("no node `{node}`")));
+        }
+    }
+
+    #[test]
+    fn a_program_takes_the_place_of_a_node_that_has_a_host_and_of_a_stage_that_is_one() {
+        let command = |parameters: &Json, base: &Path| Ok(vec![base.display().to_string(), parameters.to_string()]);
+        let refused = |_: &Json, _: &Path| Err(Hinted::new("it is not there", "install it"));
+        let host = |command| Some(Host { command, check: |_, _, _| Ok(()) });
+        let variants = const { &[variant("depth", "tracks")] };
+        let nodes = [row("hosted", variants, host(command)), row("refused", variants, host(refused))];
+        let node = |node: &str| done(Runs::Node { node: node.to_owned(), input: "depth".to_owned() }, &nodes, None);
+        assert_eq!(node("hosted"), Ok("program /base 5".to_owned()));
+        assert!(node("refused").unwrap_err().contains("it is not there"));
+        let command = vec!["grasp".to_owned(), "--fast".to_owned()];
+        assert_eq!(done(Runs::Command(command), &nodes, None), Ok("program grasp --fast".to_owned()));
+    }
+
+    #[test]
+    fn edges_are_carried_by_the_network_part_if_there_is_one() {
+        let done = |carrier: Option<Carrier>| {
+            let (machine, settings) = ("robot".to_owned(), Machine::default());
+            let plan = BridgePlan { machine, settings, outgoing: Vec::new(), incoming: Vec::new() };
+            done(Runs::Bridge(plan.into()), &[], carrier)
+        };
+        assert_eq!(done(Some(Carrier::Here(|_, _, _| Ok(())))), Ok("bridge of robot".to_owned()));
+        let program = done(Some(Carrier::Program(|| Ok("/bin/bridge".into()))));
+        assert_eq!(program, Ok("program /bin/bridge".to_owned()));
+        assert!(done(None).unwrap_err().contains(NO_NETWORK));
+        let missing = done(Some(Carrier::Program(|| Err(Hinted::new("it is not there", "install it")))));
+        assert!(missing.unwrap_err().contains("it is not there"));
+    }
 }

@@ -291,16 +291,54 @@ fn came_to_its_end(folder: &RunFolder, stage: &str, process: u32) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use super::super::child::tests::{answers, at_work};
+    use super::super::folder::tests::folder_at;
+    use super::super::summary::tests::stage;
     use super::*;
-    use std::process::Command;
+    use crate::plan::{LAYOUT, Origin};
+    use conicflow_messages::Object;
+    use std::process::{Command, Stdio};
+
+    fn successor() -> Successor {
+        let (control, input) = UnixStream::pair().unwrap();
+        let child = Command::new("cat").stdin(OwnedFd::from(input)).stdout(Stdio::null()).spawn().unwrap();
+        Successor { child, control }
+    }
+
+    #[test]
+    fn a_stage_that_was_told_to_leave_is_killed_when_its_time_is_over_and_not_before() {
+        let (files, options, planned) = (tempfile::tempdir().unwrap(), RunOptions::default(), stage::<Object>());
+        let (pipeline, base, stages) = ("test".to_owned(), files.path().to_owned(), vec![planned.clone()]);
+        let plan = Plan { layout: LAYOUT, pipeline, base, run: 7, stages, origin: Origin::default() };
+        let folder = folder_at(files.path());
+        let look = |swap: Swap, stages: &mut [Supervised]| {
+            let mut place =
+                Place { plan: &mut plan.clone(), folder: &folder, options: &options, phase: Phase::Running };
+            swap.go_on(stages, &mut place).unwrap()
+        };
+        let leaving = |seconds: u64| {
+            let request = Request { id: 1, stage: planned.name.clone(), plan: plan.clone() };
+            let since = Instant::now().checked_sub(Duration::from_secs(seconds)).unwrap();
+            let successor = successor();
+            let process = successor.child.id();
+            (Swap { request, step: Step::Leaving(successor), since }, process)
+        };
+        let mut stages = [at_work(planned.clone())];
+        let before = look(leaving(15).0, &mut stages);
+        assert!(answers(&mut stages[0]) && matches!(before.step, Step::Leaving(_)), "it has time left");
+        before.abandon(&folder);
+        let (mut swap, successor) = leaving(31);
+        let begin = Instant::now();
+        while matches!(swap.step, Step::Leaving(_)) {
+            assert!(begin.elapsed() < Duration::from_secs(20), "it is still there");
+            swap = look(swap, &mut stages);
+        }
+        assert!(matches!(swap.step, Step::Beginning(_)) && stages[0].process() == Some(successor));
+        stages[0].kill();
+    }
 
     #[test]
     fn a_successor_is_to_be_ready_within_15_seconds_and_a_stage_to_leave_within_30() {
-        let successor = || {
-            let (control, input) = UnixStream::pair().unwrap();
-            let child = Command::new("cat").stdin(OwnedFd::from(input)).spawn().unwrap();
-            Successor { child, control }
-        };
         let is_overdue = |step: &Step| {
             [15, 30].map(|seconds| {
                 let grace = Duration::from_secs(seconds);
