@@ -8,7 +8,7 @@
 use conicflow_bridge::{NETWORK, NODES};
 use conicflow_dataflow::pipeline::Machine;
 use conicflow_dataflow::{DEFAULT_LOG, LOG, ProcessError, Registry, error_text, log_to_standard_error, run_in_run};
-use std::io::{self, Write};
+use std::io::{self, Read, Write};
 use std::process::ExitCode;
 
 /// Exit code for wrong arguments.
@@ -23,7 +23,10 @@ fn main() -> ExitCode {
             let code = ended.as_ref().err().map_or(0, ProcessError::exit_code);
             (ended.map_err(Into::into), code)
         }
-        Some(question) => (answer(question), WRONG_INPUT),
+        Some(question) => {
+            let answer = answer(question, io::stdin().lock());
+            (answer.and_then(|answer| Ok(writeln!(io::stdout(), "{answer}")?)), WRONG_INPUT)
+        }
     };
     match ended {
         Ok(()) => ExitCode::SUCCESS,
@@ -35,19 +38,46 @@ fn main() -> ExitCode {
     }
 }
 
-/// Answers what is asked of the machine on standard input.
-fn answer(question: &str) -> Result<(), Box<dyn std::error::Error>> {
-    let machine = || serde_json::from_reader::<_, Machine>(io::stdin().lock());
-    let answer = match question {
-        "check" => serde_json::to_string(&(NETWORK.check)(&machine()?))?,
-        "endpoints" => serde_json::to_string(&(NETWORK.listen_endpoints)(&machine()?))?,
-        _ => {
-            return Err(format!(
-                "`{question}` is nothing that can be asked\n  hint: this program is part of `conicflow run`, which starts it where \
-                 a pipeline file has several machines"
-            )
-            .into());
-        }
-    };
-    Ok(writeln!(io::stdout(), "{answer}")?)
+/// Answers, as JSON, what is asked of a machine, whose table comes as JSON.
+fn answer(question: &str, table: impl Read) -> Result<String, Box<dyn std::error::Error>> {
+    let machine = || serde_json::from_reader::<_, Machine>(table);
+    match question {
+        "check" => Ok(serde_json::to_string(&(NETWORK.check)(&machine()?))?),
+        "endpoints" => Ok(serde_json::to_string(&(NETWORK.listen_endpoints)(&machine()?))?),
+        _ => Err(format!(
+            "`{question}` is nothing that can be asked\n  hint: this program is part of `conicflow run`, which starts it where a \
+             pipeline file has several machines"
+        )
+        .into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use conicflow_dataflow::Hinted;
+
+    fn answer_about(machine: &Machine, question: &str) -> String {
+        answer(question, serde_json::to_vec(machine).unwrap().as_slice()).unwrap()
+    }
+
+    #[test]
+    fn what_is_wrong_with_a_machine_and_where_it_listens_are_told() {
+        let listening = |endpoint: &str| Machine { listen: vec![endpoint.to_owned()], ..Machine::default() };
+        let endpoint = "tcp/127.0.0.1:7447";
+        let checked =
+            |machine: &Machine| serde_json::from_str::<Result<(), Hinted>>(&answer_about(machine, "check")).unwrap();
+        checked(&listening(endpoint)).unwrap();
+        checked(&listening("nowhere")).unwrap_err();
+        let endpoints = answer_about(&listening(endpoint), "endpoints");
+        let endpoints = serde_json::from_str::<Result<Vec<String>, Hinted>>(&endpoints).unwrap();
+        assert_eq!(endpoints.unwrap(), [endpoint]);
+    }
+
+    #[test]
+    fn what_is_no_question_or_about_no_machine_is_refused() {
+        let refused = |question: &str, table: &str| answer(question, table.as_bytes()).unwrap_err().to_string();
+        assert!(refused("listen", "{}").contains("`listen` is nothing that can be asked\n  hint: "));
+        assert!(refused("check", "[").contains("EOF") && refused("endpoints", "[").contains("EOF"));
+    }
 }

@@ -161,7 +161,7 @@ impl<'a> Receiving<'a> {
             Err(error) => {
                 self.refusals.leave_out(&error);
                 // Of another stream only what can be read tells.
-                let place = place_of(bytes).ok().filter(|place| place.stream == self.sequence.expected().0);
+                let place = place_of(bytes).ok().filter(|place| self.sequence.is_of_stream(*place));
                 place.into_iter().for_each(|place| self.pass_over(place));
                 return Ok(());
             }
@@ -190,9 +190,7 @@ impl<'a> Receiving<'a> {
             }
             self.sequence.taken();
         }
-        // An end that has come before counts also for who was started anew, and has not heard it.
-        let is_repeated = verdict == Verdict::Old && place.stream == self.sequence.expected().0;
-        if header.ends_stream() && (verdict == Verdict::Take || is_repeated) {
+        if header.ends_stream() && self.sequence.is_end_to_hear(place, verdict) {
             self.output_port.note_count(Text::new(&writer), header.number);
             self.ended.insert(writer);
         }

@@ -7,7 +7,7 @@ use crate::reliable::retransmit_queue::RetransmitQueue;
 use crate::reliable::send_log::SendLog;
 use crate::session::{Publisher, Sessions};
 use crate::wire::codec::{Codec, codec_of};
-use crate::wire::message_bytes;
+use crate::wire::{Place, WireError, message_bytes};
 use conicflow_dataflow::pipeline::BRIDGE;
 use conicflow_dataflow::ports::{Delivery, Received, Transport};
 use conicflow_dataflow::relay::{InputPort, Peers, SharedMemory, SharedReader, end_of_stream};
@@ -54,8 +54,7 @@ impl Shared<'_> {
 pub(super) struct Sending<'a> {
     edge: &'a Edge,
     input_port: InputPort<SharedReader>,
-    codec: Box<dyn Codec>,
-    layout: String,
+    encoder: Encoder<'a>,
     zenoh_key: String,
     publisher: Publisher<'a>,
     queue: RetransmitQueue,
@@ -65,7 +64,6 @@ pub(super) struct Sending<'a> {
     stop: Stop,
     last: Header,
     ended: BTreeSet<String>,
-    left_out: LeftOut,
 }
 
 impl<'a> Sending<'a> {
@@ -85,14 +83,12 @@ impl<'a> Sending<'a> {
             shared.log_folder.map(|folder| SendLog::in_folder(folder.to_owned(), &topic.name)).unwrap_or_default();
         Ok(Self {
             edge,
-            codec: codec_of(&edge.item),
-            layout: edge.item.layout(),
             input_port,
+            encoder: Encoder::new(edge, Arc::clone(&counts)),
             zenoh_key,
             publisher,
             queue: RetransmitQueue::new(shared.session, log, &edge.to, [wait, shared.outage], Instant::now()),
             links: Arc::clone(shared.links),
-            left_out: LeftOut::new(Arc::clone(&counts)),
             counts,
             peers: shared.peers.clone(),
             stop: shared.stop.clone(),
@@ -165,22 +161,14 @@ impl<'a> Sending<'a> {
         if !self.is_wanted() || !self.edge.writers.contains(&writer) {
             return Ok(true);
         }
-        let encoded = message_bytes(self.queue.place(), &self.layout, &header, |bytes| {
-            self.codec.encode(&header, message.bytes(), self.edge.compression, bytes)
-        });
+        let encoded = self.encoder.message(self.queue.place(), &header, message.bytes());
         let memory_bytes = message.bytes().len() + size_of::<Header>();
         drop(message);
         self.last = header;
-        match encoded {
-            Ok(bytes) => {
-                self.count(&header, bytes.len(), memory_bytes);
-                self.queue.sent(&bytes, Instant::now());
-                self.put(bytes);
-            }
-            Err(error) => {
-                let topic = &self.edge.topic.name;
-                self.left_out.add(format_args!("a message of topic `{topic}` cannot leave this machine: {error}"));
-            }
+        if let Some(bytes) = encoded {
+            self.count(&header, bytes.len(), memory_bytes);
+            self.queue.sent(&bytes, Instant::now());
+            self.put(bytes);
         }
         Ok(true)
     }
@@ -210,7 +198,7 @@ impl<'a> Sending<'a> {
             let over = self.input_port.has_ended(writer) || gone.contains(writer);
             if over && self.input_port.is_idle() && self.ended.insert(writer.clone()) {
                 let end = end_of_stream(&self.last, Text::new(writer), self.input_port.count_of(writer));
-                let bytes = message_bytes(self.queue.place(), &self.layout, &end, |_| Ok(()))?;
+                let bytes = self.encoder.end(self.queue.place(), &end)?;
                 self.queue.sent_end(writer, &bytes, Instant::now());
                 self.put(bytes);
             }
@@ -224,12 +212,84 @@ impl<'a> Sending<'a> {
     }
 
     fn tell_what_is_lost(&self) {
-        let lossless = self.edge.to.iter().any(|receiver| receiver.delivery == Delivery::Lossless);
-        let lost = self.queue.lost() + self.queue.unacknowledged();
+        let lost = self.queue.lost_if_it_ends();
         self.counts.lost.store(lost, std::sync::atomic::Ordering::Relaxed);
-        if lossless && lost > 0 {
+        loss(lost, &self.edge.topic.name).iter().for_each(|loss| tracing::error!("{loss}"));
+    }
+}
+
+/// Makes the bytes of an edge's messages.
+struct Encoder<'a> {
+    edge: &'a Edge,
+    codec: Box<dyn Codec>,
+    layout: String,
+    left_out: LeftOut,
+}
+
+impl<'a> Encoder<'a> {
+    fn new(edge: &'a Edge, counts: Arc<EdgeCounts>) -> Self {
+        let (codec, layout) = (codec_of(&edge.item), edge.item.layout());
+        Self { edge, codec, layout, left_out: LeftOut::new(counts) }
+    }
+
+    /// A message with these items, as they lie in memory. One that makes no sense is left out.
+    fn message(&self, place: Place, header: &Header, items: &[u8]) -> Option<Vec<u8>> {
+        let body = |bytes: &mut Vec<u8>| self.codec.encode(header, items, self.edge.compression, bytes);
+        let encoded = message_bytes(place, &self.layout, header, body);
+        let leave_out = |error: &WireError| {
             let topic = &self.edge.topic.name;
-            tracing::error!("{lost} messages of the lossless topic `{topic}` did not reach all machines that read it");
-        }
+            self.left_out.add(format_args!("a message of topic `{topic}` cannot leave this machine: {error}"));
+        };
+        encoded.inspect_err(leave_out).ok()
+    }
+
+    /// The end of a writer's stream.
+    fn end(&self, place: Place, header: &Header) -> Result<Vec<u8>, WireError> {
+        message_bytes(place, &self.layout, header, |_| Ok(()))
+    }
+}
+
+/// What is told of messages that were lost to machines that want all of them, if there are any.
+fn loss(lost: u64, topic: &str) -> Option<String> {
+    let told = || format!("{lost} messages of the lossless topic `{topic}` did not reach all machines that read it");
+    (lost > 0).then(told)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wire::decode_message;
+    use conicflow_dataflow::ItemType;
+    use conicflow_dataflow::pipeline::Compression;
+    use conicflow_dataflow::ports::Topic;
+    use conicflow_messages::Camera;
+    use std::sync::atomic::Ordering;
+
+    #[test]
+    fn an_image_that_is_too_large_is_left_out_and_counted_and_others_are_sent() {
+        let item = ItemType::of::<u16>();
+        let (name, writers, readers) = ("depth".to_owned(), Vec::new(), Vec::new());
+        let topic = Topic { name, item: Some(item.clone()), writers, readers };
+        let (from, compression) = ("robot".to_owned(), Compression::None);
+        let edge = Edge { topic, item, from, writers: Vec::new(), to: Vec::new(), compression };
+        let counts = Arc::<EdgeCounts>::default();
+        let encoder = Encoder::new(&edge, Arc::clone(&counts));
+        let of_size = |width, height| {
+            let camera = Camera { width, height, fx: 500.0, fy: 500.0, cx: 0.5, cy: 0.5 };
+            Header { camera, depth_scale: 0.001, ..Header::default() }
+        };
+        let place = Place { stream: 1, number: 2, oldest: 1 };
+        assert_eq!(encoder.message(place, &of_size(1 << 16, 1 << 16), &[]), None);
+        assert_eq!(counts.malformed.load(Ordering::Relaxed), 1);
+        let bytes = encoder.message(place, &of_size(2, 1), &[7, 0, 8, 0]).unwrap();
+        let (there, _, items) = decode_message(&bytes, &edge.item).unwrap();
+        assert_eq!((there, items), (place, vec![7, 0, 8, 0]));
+        assert_eq!(counts.malformed.load(Ordering::Relaxed), 1);
+    }
+
+    #[test]
+    fn what_was_lost_is_told_and_nothing_where_all_arrived() {
+        assert_eq!(loss(0, "objects"), None);
+        assert!(loss(1, "objects").unwrap().starts_with("1 messages of the lossless topic `objects`"));
     }
 }

@@ -82,11 +82,7 @@ impl Sessions {
 
     /// Whether there is a link to any other machine, or to a router.
     pub(super) fn reach_anybody(&self) -> bool {
-        let reaches = |session: &Session| {
-            let info = session.info();
-            info.peers_zid().wait().next().is_some() || info.routers_zid().wait().next().is_some()
-        };
-        [Some(&self.streams), self.datagrams.get()].into_iter().flatten().any(reaches)
+        [Some(&self.streams), self.datagrams.get()].into_iter().flatten().any(reaches_anybody)
     }
 
     /// Makes a key ready to be written, also by datagrams if messages are `short`.
@@ -110,6 +106,12 @@ impl Sessions {
         subscriber.ask_for_datagrams()?;
         Ok(subscriber)
     }
+}
+
+/// Whether a session has a link to a router, or to anybody else.
+pub(crate) fn reaches_anybody(session: &Session) -> bool {
+    let info = session.info();
+    info.routers_zid().wait().chain(info.peers_zid().wait()).next().is_some()
 }
 
 /// What Zenoh says, without the places in its source.

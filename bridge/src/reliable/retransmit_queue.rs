@@ -107,6 +107,11 @@ impl RetransmitQueue {
         self.log.since(self.lacking(|_| true)).count() as u64
     }
 
+    /// Messages that a lossless receiver will not get if nothing is sent any more.
+    pub(crate) fn lost_if_it_ends(&self) -> u64 {
+        self.lost() + self.unacknowledged()
+    }
+
     /// Number of the first message that a lossless receiver of these lacks.
     fn lacking(&self, counts: impl Fn(&str) -> bool) -> u64 {
         let lossless = self.receivers.iter().filter(|remote| remote.lossless && counts(&remote.machine));
@@ -361,6 +366,24 @@ mod tests {
         queue.acknowledge("base", None, Some(start), gone);
         assert!(queue.log.has_room() && queue.is_settled(gone));
         assert_eq!((queue.lost(), queue.place().oldest), (CAPACITY as u64, CAPACITY as u64));
+    }
+
+    #[test]
+    fn at_the_end_what_was_given_up_and_what_was_not_acknowledged_is_lost_to_who_wants_all() {
+        let start = Instant::now();
+        let mut lossless = queue(Delivery::Lossless, start);
+        (0..3).for_each(|_| lossless.sent(&[0; 40], start));
+        assert_eq!(lossless.lost_if_it_ends(), 3);
+        lossless.acknowledge("base", Some(&ack(1, &[])), Some(start), start);
+        assert_eq!(lossless.lost_if_it_ends(), 2);
+        let gone = start + OUTAGE + Duration::from_millis(1);
+        lossless.acknowledge("base", Some(&ack(1, &[])), Some(start), gone);
+        (0..5).for_each(|_| lossless.sent(&[0; 40], gone));
+        assert_eq!((lossless.lost(), lossless.lost_if_it_ends()), (2, 2 + 5));
+        let mut latest = queue(Delivery::Latest, start);
+        (0..3).for_each(|_| latest.sent(&[0; 40], start));
+        latest.acknowledge("base", None, Some(start), gone);
+        assert_eq!(latest.lost_if_it_ends(), 0, "nobody has to get them");
     }
 
     #[test]

@@ -51,6 +51,21 @@ impl Sequence {
         (self.stream, self.next)
     }
 
+    /// Whether a message is one of the stream that is received.
+    pub(crate) fn is_of_stream(&self, place: Place) -> bool {
+        place.stream == self.stream
+    }
+
+    /// Whether a message counts, by the verdict on it, although it may have come before: an end that is told again does, for who
+    /// was started anew and has not heard it.
+    pub(crate) fn is_end_to_hear(&self, place: Place, verdict: Verdict) -> bool {
+        match verdict {
+            Verdict::Take => true,
+            Verdict::Old => self.is_of_stream(place),
+            Verdict::Early => false,
+        }
+    }
+
     /// Messages that were sent and will not come any more.
     pub(crate) fn lost(&self) -> u64 {
         self.lost
@@ -123,6 +138,22 @@ mod tests {
         let verdicts = [3, 5, 4, 3, 5].map(|number| take(&mut sequence, 1, number, 3));
         assert_eq!(verdicts, [Verdict::Take, Verdict::Early, Verdict::Take, Verdict::Old, Verdict::Take]);
         assert_eq!((sequence.expected(), sequence.lost()), ((1, 6), 0));
+    }
+
+    #[test]
+    fn an_end_is_heard_also_when_it_is_told_again_but_not_that_of_an_earlier_stream() {
+        let mut sequence = Sequence::new(true, false);
+        take(&mut sequence, 5, 0, 0);
+        take(&mut sequence, 5, 1, 0);
+        let mut told = |stream: u64, number: u64| {
+            let place = Place { stream, number, oldest: 0 };
+            let verdict = sequence.judge(place, true, Instant::now());
+            (sequence.is_of_stream(place), sequence.is_end_to_hear(place, verdict), verdict)
+        };
+        assert_eq!(told(5, 1), (true, true, Verdict::Old));
+        assert_eq!(told(5, 2), (true, true, Verdict::Take));
+        assert_eq!(told(5, 3), (true, false, Verdict::Early), "others have to come before it");
+        assert_eq!(told(4, 1), (false, false, Verdict::Old));
     }
 
     #[test]

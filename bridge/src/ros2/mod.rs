@@ -7,6 +7,7 @@ mod attachment;
 mod keys;
 
 use crate::channel::Channel;
+use crate::session::reaches_anybody;
 use crate::settings;
 use attachment::Attachment;
 use conicflow_dataflow::{Node, StageError, Variant, unix_ns};
@@ -207,9 +208,7 @@ impl Keeper {
 
     /// Looks whether the router is reached; when it is there anew, asks for what was sent before.
     fn look(&self, joined: &Joined, ends: &Ends) {
-        let info = ends.session.info();
-        let is_reached = info.routers_zid().wait().next().is_some() || info.peers_zid().wait().next().is_some();
-        if joined.note(is_reached) {
+        if joined.note(reaches_anybody(&ends.session)) {
             self.ask_for_latched(&ends.session);
         }
     }
