@@ -258,10 +258,29 @@ mod tests {
         normal = [0, -1, 0]
     "#;
 
+    const BALL: &str = r#"
+        [[sphere]]
+        name   = "ball"
+        center = [-0.15, 1.0, 0.0]
+        radius = 0.06
+    "#;
+
+    const TIN: &str = r#"
+        [[cylinder]]
+        name   = "tin"
+        base   = [0.15, 1.0, -0.1]
+        radius = 0.05
+        length = 0.2
+    "#;
+
     fn limit() -> (Limit, Header) {
+        limit_of(SCENE)
+    }
+
+    fn limit_of(scene: &str) -> (Limit, Header) {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("scene.toml");
-        std::fs::write(&path, SCENE).unwrap();
+        std::fs::write(&path, scene).unwrap();
         let truth = RenderedTruth { scene: Some(load_scene(&path).unwrap()), ..RenderedTruth::default() };
         let camera = Camera { width: 320, height: 240, fx: 262.5, fy: 262.5, cx: 159.5, cy: 119.5 };
         let noise = NoiseModel::KINECT_V1;
@@ -310,6 +329,7 @@ mod tests {
             near(index, "sigma_over_scatter", 2.0, 0.1);
             let [a, b, scatter] = ["bound_a", "bound_b", "scatter"].map(|column| row.number_of(column).unwrap());
             assert!(0.0 < b && b < a, "the contour tells something: {a} {b}");
+            near(index, "efficiency_a", a / scatter, 1e-12);
             near(index, "efficiency_b", b / scatter, 1e-12);
         }
         near(0, "scatter", 2.0, 0.1);
@@ -320,6 +340,46 @@ mod tests {
         near(2, "scatter", (0.02 * 2_f64.sqrt()).to_degrees(), 0.05);
         near(3, "bias", 0.01_f64.to_degrees(), 0.03);
         assert!(rows.iter().all(|row| row.0.iter().all(|(column, _)| columns().any(|known| known == column))));
+    }
+
+    /// Ten answers whose radii are 3 mm too small, by 1 mm more or less, and whose centres are 5 mm off.
+    #[test]
+    fn each_object_has_what_its_shape_has_and_a_number_that_is_too_small_has_a_negative_bias() {
+        let (head, wall) = SCENE.split_once("[[cone]]").unwrap();
+        let wall = wall.split_once("[[plane]]").map(|(_, wall)| format!("[[plane]]{wall}")).unwrap();
+        let (mut limit, header) = limit_of(&[head, BALL, TIN, &wall].concat());
+        let truths = {
+            let (mut other, header) = limit_of(&[head, BALL, TIN, &wall].concat());
+            other.look(&header).unwrap();
+            other.objects.iter().map(|sights| sights.truth.body).collect::<Vec<_>>()
+        };
+        for number in 0..FEWEST {
+            let off = |truth: &Object| {
+                let center = (vector(truth.center) + Vector3::new(0.003, 0.0, 0.004)).into();
+                let radius = truth.radius - 0.003 + if number % 2 == 0 { 0.001 } else { -0.001 };
+                Object { center, radius, ..*truth }.answer().unwrap()
+            };
+            assert_eq!(limit.add(&header, &truths.iter().map(off).collect::<Vec<_>>()).unwrap(), 0);
+        }
+        let rows = limit.rows();
+        let text = |row: &Row, column: &str| match row.get(column) {
+            Some(super::super::Figure::Text(text)) => text.clone(),
+            other => panic!("{other:?}"),
+        };
+        let told: Vec<_> = rows.iter().map(|row| text(row, "object") + " " + &text(row, "quantity")).collect();
+        assert_eq!(told, ["ball radius mm", "ball position mm", "tin radius mm", "tin position mm", "tin axis deg"]);
+        for (row, bias) in [(0, -3.0), (1, 5.0), (2, -3.0), (3, 5.0)] {
+            let number = rows[row].number_of("bias").unwrap();
+            assert!((number - bias).abs() < 1e-9, "{}: {number}", told[row]);
+        }
+        let over_scatter = rows[0].number_of("bias_over_scatter").unwrap();
+        assert!((2.0..4.0).contains(&over_scatter), "{over_scatter}");
+        let (mut alone, header) = limit_of(&[head, BALL, &wall].concat());
+        alone.add(&header, &[]).unwrap();
+        let bound = |rows: &[Row]| rows[0].number_of("bound_a");
+        assert!(bound(&rows).is_some() && bound(&rows) == bound(&alone.rows()), "the tin hides nothing of the ball");
+        let in_metres = |of: fn(&Bound) -> f64| alone.objects[0].bounds.as_ref().map(|bounds| of(&bounds.depths));
+        assert_eq!(bound(&rows), in_metres(|bound| bound.radius_m).map(|bound| 1e3 * bound));
     }
 
     #[test]

@@ -129,3 +129,78 @@ fn sums(score: &Score, unjudged: u64) -> String {
         number("axis_error_deg")
     )
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::matching::Claim;
+    use super::super::truth::{Tolerance, only};
+    use super::*;
+    use conicflow_messages::ObjectKind;
+
+    fn tin(radius: f64) -> Object {
+        let (center, axis) = ([0.0, 0.0, 1.0], [0.0, 1.0, 0.0]);
+        Object { kind: ObjectKind::Cylinder.code(), center, axis, radius, length: 0.1, ..Object::default() }
+    }
+
+    fn truth(name: &str, body: Object, required: bool) -> TrueObject {
+        let (shapes, radius_m) = (only(body.shape()), [body.radius - 0.005, body.radius + 0.005]);
+        let tolerance = Tolerance { shapes, position_m: 0.01, radius_m, axis: 0.1, half_angle: 0.1 };
+        TrueObject { name: name.to_owned(), body, hidden: 0.0, required, tolerance }
+    }
+
+    /// An answer 3 mm beside that object, whose axis leans by two degrees.
+    fn beside(object: Object) -> Object {
+        let (sine, cosine) = 2_f64.to_radians().sin_cos();
+        Object { center: [0.003, 0.0, 1.0], axis: [0.0, cosine, sine], ..object }
+    }
+
+    fn frame(pairs: &[(TrueObject, Option<Object>)], wrong: &[(Object, Fault)]) -> MatchedFrame {
+        let answered =
+            |(truth, object): &(TrueObject, Option<Object>)| (truth.clone(), object.and_then(|it| it.answer()));
+        MatchedFrame { pairs: pairs.iter().map(answered).collect(), wrong: wrong.to_vec(), neither: Vec::new() }
+    }
+
+    #[test]
+    fn what_came_of_a_frame_is_told_line_by_line() {
+        let ball = Object { radius: 0.04, length: 0.0, ..Object { kind: ObjectKind::Sphere.code(), ..tin(0.04) } };
+        let mut noted = frame(
+            &[
+                (truth("tin", tin(0.05), true), Some(beside(tin(0.052)))),
+                (truth("ball", ball, true), None),
+                (truth("glass", tin(0.05), false), Some(tin(0.048))),
+                (truth("vase", ball, false), None),
+            ],
+            &[(beside(tin(0.058)), Fault::Radius), (ball, Fault::NothingThere), (tin(0.05), Fault::Second)],
+        );
+        noted.neither.push((ball, "handle".to_owned()));
+        let mut notes = Notes::default();
+        notes.add("a\n.png", &noted, |object| (object.shape() == ObjectKind::Sphere).then_some("carton"));
+        let told = [
+            "a\\n.png",
+            "  found     tin: radius +2.0 mm, position 3.0 mm, axis 2.0 deg",
+            "  missed    ball: sphere at (0.000, 0.000, 1.000) m, radius 40.0 mm",
+            "  unasked   glass: radius -2.0 mm, position 0.0 mm, axis 0.0 deg",
+            "  off       cylinder at (0.003, 0.000, 1.000) m, radius 58.0 mm; radius is wrong about tin: radius +8.0 mm, \
+             position 3.0 mm, axis 2.0 deg",
+            "  unlisted  sphere at (0.000, 0.000, 1.000) m, radius 40.0 mm, on carton",
+            "  off       cylinder at (0.000, 0.000, 1.000) m, radius 50.0 mm; second answer is wrong about tin: radius +0.0 mm, \
+             position 0.0 mm, axis 0.0 deg",
+            "  neither   sphere at (0.000, 0.000, 1.000) m, radius 40.0 mm; on what was not measured: handle",
+        ];
+        assert_eq!(notes.text.lines().collect::<Vec<_>>(), told);
+    }
+
+    #[test]
+    fn answers_that_are_off_and_those_about_nothing_are_counted_apart_for_each_frame() {
+        let mut score = Score::default();
+        let nowhere = (tin(0.05), Fault::NothingThere);
+        let wrong = [nowhere, (tin(0.058), Fault::Radius), nowhere];
+        for wrong in [&wrong[..], &[], &[], &[]] {
+            score.add("all", &frame(&[(truth("tin", tin(0.05), true), None)], wrong));
+        }
+        let told = sums(&score, 3);
+        assert!(told.contains("0 of 4 found (0 %) in 4 frames; 3 frames not judged\n"), "{told}");
+        let counted = "\n1 answers off (0.25 per frame), 2 about what is not listed (0.50 per frame), 0 about";
+        assert!(told.contains(counted), "{told}");
+    }
+}

@@ -405,6 +405,7 @@ mod tests {
         .unwrap();
         let [ball] = truth.objects("000000.png").unwrap() else { panic!() };
         assert!((Vector3::from(ball.body.center) - Vector3::new(0.5, -0.5, 2.3)).norm() < 1e-12);
+        assert!((ball.body.radius - 0.208).abs() < 1e-12);
         let [least, most] = ball.tolerance.radius_m;
         assert!((least - 0.195).abs() < 1e-12 && (most - 0.222).abs() < 1e-12);
         assert!(truth.objects("000001.png").is_none());
@@ -519,6 +520,30 @@ mod tests {
         }
         let fair = entry("sphere_like", "fair").tolerance.radius_m;
         assert!((fair[1] - fair[0]) / 2.0 >= 0.008, "no tighter than 8 mm: {fair:?}");
+        assert!((fair[0] - 0.056).abs() < 1e-12 && (fair[1] - 0.084).abs() < 1e-12, "20 % of 70 mm: {fair:?}");
+    }
+
+    #[test]
+    fn a_sphere_is_right_however_little_the_axes_of_others_may_lean() {
+        let tolerances = RecordedTolerances { axis_deg: 0.0, half_angle_deg: 0.0, ..RecordedTolerances::default() };
+        let text = r#"{"units": "m", "objects": [{"type": "sphere", "radius_m": 0.1, "centre_m": [0, 0, 1]}]}"#;
+        let truth = RecordedTruth::parse(text, &tolerances).unwrap();
+        let [ball] = truth.objects("any").unwrap() else { panic!() };
+        assert_eq!(fault(ball, &ball.body), None);
+    }
+
+    #[test]
+    fn a_file_is_named_by_what_it_tells_and_by_what_is_wrong_with_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("truth.json");
+        let load = |text: &str| {
+            std::fs::write(&path, text).unwrap();
+            RecordedTruth::load(&path, &RecordedTolerances::default())
+        };
+        let truth = load(r#"{"units": "m", "scenes": {"clouds/b.pcd": [], "c.pcd": []}}"#).unwrap();
+        assert_eq!((truth.origin(), truth.some_frame()), (path.to_str().unwrap(), Some("b.pcd")));
+        let error = format!("{:#}", load("{").unwrap_err());
+        assert!(error.starts_with(&format!("truth file `{}`: EOF", path.display())), "{error}");
     }
 
     #[test]

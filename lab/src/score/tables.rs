@@ -227,6 +227,22 @@ mod tests {
         assert_eq!(line(&report, "10 to 30 %")[4..7], ["4", "3", "0.750"]);
         assert_eq!(line(&report, "nothing there"), ["nothing", "there", "0", "0", "1"]);
         assert!(report.contains("2.16 (2.00)"), "root of (1 + 4 + 9) / 3\n{report}");
+        let counted = "3 frames, 4 objects to be found: 3 found, 1 wrong answers, 0 right ones about others\n";
+        assert!(report.starts_with(counted), "{report}");
+    }
+
+    #[test]
+    fn an_object_counts_at_its_own_distance_and_where_as_much_of_it_is_hidden() {
+        let mut score = score();
+        let open = Sample { hidden: Some(0.0), distance: 3.0, ..score.samples[0] };
+        score.samples.push(open);
+        let report = report(&score);
+        assert_eq!(line(&report, "sphere from 1.25 m")[4..6], ["4", "3"]);
+        assert_eq!(line(&report, "sphere from 2.50 m")[4..6], ["1", "1"]);
+        assert_eq!(line(&report, "0 to 10 %")[4..6], ["1", "1"], "nothing of it is hidden");
+        for nowhere in ["sphere from 2.00 m", "cone from 1.25 m", "cone from 2.50 m", "30 to 45 %"] {
+            assert!(!report.contains(nowhere), "{nowhere}\n{report}");
+        }
     }
 
     #[test]
