@@ -5,9 +5,11 @@
 //! -> [`sensor`] (noise, silhouettes, shadow, lost points), or [`simulated_sensor`] (what the sensor itself sees and makes of
 //! it) -> pixels; and from the raster to [`truth`].
 
+mod block;
 mod block_matching;
 mod dot_pattern;
 mod fields;
+mod lump;
 mod matching_camera;
 pub mod motion;
 mod noise_field;
@@ -23,6 +25,7 @@ pub mod sensor;
 mod shadow;
 pub mod shapes;
 pub mod simulated_sensor;
+mod surface;
 mod time_of_flight;
 pub mod truth;
 mod waves;

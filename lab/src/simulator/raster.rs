@@ -105,6 +105,7 @@ impl Raster {
                 Shape::Bowl(bowl) => self.paint(bowl, index as u16),
                 Shape::Block(block) => self.paint(block, index as u16),
                 Shape::Plane(plane) => self.paint(plane, index as u16),
+                Shape::Lump(lump) => self.paint(lump, index as u16),
             };
             self.alone.push(hits);
         }

@@ -91,6 +91,6 @@ fn bowls_and_cups_are_understood() {
     let find = |name: &str| bodies.iter().find(|body| body.name == name).unwrap().shape;
     let Shape::Bowl(bowl) = find("bowl") else { panic!("a bowl") };
     assert_eq!((bowl.depth, bowl.axis), (0.1, Vector3::z()), "half a sphere that opens upwards");
-    assert!(find("mug").is_open());
+    assert!(find("mug").hides_itself());
     assert!(error(&text.replace("radius = 0.1\n", "radius = 0.1\ndepth = -1\n")).contains("above zero"));
 }

@@ -37,7 +37,7 @@ fn darken(raster: &Raster, shape: &Shape, owner: u16, projector: &Vector3<f64>, 
                 continue;
             }
             let point = raster.point(u, v);
-            shadow[index] = if raster.owner[index] == owner && !shape.is_open() {
+            shadow[index] = if raster.owner[index] == owner && !shape.hides_itself() {
                 turned_away(shape, &point, projector)
             } else {
                 shape.hit(&point, &(projector - point)) < 1.0

@@ -2,25 +2,14 @@
 //!
 //! A ray is `origin + t direction`. With the camera's centre as origin and `direction = ((u - cx) / fx, (v - cy) / fy, 1)`
 //! the parameter `t` is the depth `z`. Sphere and frustum are quadratic in `t`, `a t^2 + 2 b t + c = 0`; box and plane are
-//! linear (slabs: Kay and Kajiya, "Ray tracing complex scenes", 1986).
+//! linear; a lump is met by steps.
 
+pub use super::block::Block;
+pub use super::lump::{Crease, Lump};
 use super::pose::Pose;
-use nalgebra::{Matrix3, Vector3};
-
-/// A ray that starts on a surface does not meet that surface again within this distance, in units of its direction.
-const NEAREST: f64 = 1e-6;
-
-/// What every shape can tell; all in one frame, metres.
-pub trait Surface {
-    /// The first `t > 0` at which the ray meets it; infinite where it does not.
-    fn hit(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64;
-    /// Unit normal, outwards, at a point of the surface.
-    fn normal(&self, point: &Vector3<f64>) -> Vector3<f64>;
-    /// Least and greatest coordinates; `None`: without end.
-    fn bounds(&self) -> Option<[Vector3<f64>; 2]>;
-    /// The same shape in another frame.
-    fn transformed(&self, target_from_source: &Pose) -> Self;
-}
+pub use super::surface::Surface;
+use super::surface::{ahead, first_ahead};
+use nalgebra::Vector3;
 
 /// A ball.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -59,17 +48,6 @@ pub struct Bowl {
     pub depth: f64,
 }
 
-/// A box of any orientation.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Block {
-    /// Its centre.
-    pub center: Vector3<f64>,
-    /// Its edges' directions, as columns.
-    pub axes: Matrix3<f64>,
-    /// Half of its size along each.
-    pub half: Vector3<f64>,
-}
-
 /// A plane, or a rectangle of one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Plane {
@@ -96,6 +74,8 @@ pub enum Shape {
     Block(Block),
     /// A plane or rectangle.
     Plane(Plane),
+    /// What is nearly round, rounded or creased.
+    Lump(Lump),
 }
 
 /// Both solutions of `a t^2 + 2 b t + c = 0` without cancellation; not a number where there are none.
@@ -104,18 +84,6 @@ fn roots(a: f64, b: f64, c: f64) -> [f64; 2] {
     let root = (b * b - a * c).sqrt();
     let q = -(b + root.copysign(b));
     [q / a, c / q]
-}
-
-/// A `t` that lies ahead, else infinity.
-#[inline]
-fn ahead(t: f64) -> f64 {
-    if t > NEAREST { t } else { f64::INFINITY }
-}
-
-/// The smaller of those that lie ahead.
-#[inline]
-fn first_ahead([one, other]: [f64; 2]) -> f64 {
-    ahead(one).min(ahead(other))
 }
 
 impl Sphere {
@@ -250,37 +218,6 @@ impl Surface for Bowl {
     }
 }
 
-impl Surface for Block {
-    #[inline]
-    fn hit(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
-        let (origin, direction) = (self.axes.tr_mul(&(origin - self.center)), self.axes.tr_mul(direction));
-        let (mut enter, mut leave) = (f64::NEG_INFINITY, f64::INFINITY);
-        for i in 0..3 {
-            let near = (-self.half[i] - origin[i]) / direction[i];
-            let far = (self.half[i] - origin[i]) / direction[i];
-            enter = enter.max(near.min(far));
-            leave = leave.min(near.max(far));
-        }
-        if enter <= leave { first_ahead([enter, leave]) } else { f64::INFINITY }
-    }
-
-    fn normal(&self, point: &Vector3<f64>) -> Vector3<f64> {
-        let local = self.axes.tr_mul(&(point - self.center));
-        let face = (local.abs() - self.half).imax();
-        self.axes.column(face) * local[face].signum()
-    }
-
-    fn bounds(&self) -> Option<[Vector3<f64>; 2]> {
-        let reach = self.axes.abs() * self.half;
-        Some([self.center - reach, self.center + reach])
-    }
-
-    fn transformed(&self, target_from_source: &Pose) -> Self {
-        let center = target_from_source.point(&self.center);
-        Self { center, axes: target_from_source.rotation * self.axes, ..*self }
-    }
-}
-
 impl Plane {
     fn is_finite(&self) -> bool {
         self.half[0].is_finite() && self.half[1].is_finite()
@@ -323,6 +260,7 @@ impl Surface for Shape {
             Self::Bowl(bowl) => bowl.hit(origin, direction),
             Self::Block(block) => block.hit(origin, direction),
             Self::Plane(plane) => plane.hit(origin, direction),
+            Self::Lump(lump) => lump.hit(origin, direction),
         }
     }
 
@@ -333,6 +271,7 @@ impl Surface for Shape {
             Self::Bowl(bowl) => bowl.normal(point),
             Self::Block(block) => block.normal(point),
             Self::Plane(plane) => plane.normal(point),
+            Self::Lump(lump) => lump.normal(point),
         }
     }
 
@@ -343,6 +282,7 @@ impl Surface for Shape {
             Self::Bowl(bowl) => bowl.bounds(),
             Self::Block(block) => block.bounds(),
             Self::Plane(plane) => plane.bounds(),
+            Self::Lump(lump) => lump.bounds(),
         }
     }
 
@@ -353,6 +293,7 @@ impl Surface for Shape {
             Self::Bowl(bowl) => Self::Bowl(bowl.transformed(target_from_source)),
             Self::Block(block) => Self::Block(block.transformed(target_from_source)),
             Self::Plane(plane) => Self::Plane(plane.transformed(target_from_source)),
+            Self::Lump(lump) => Self::Lump(lump.transformed(target_from_source)),
         }
     }
 }
@@ -366,12 +307,13 @@ impl Shape {
             Self::Bowl(bowl) => bowl.sphere.center,
             Self::Block(block) => block.center,
             Self::Plane(plane) => plane.point,
+            Self::Lump(lump) => lump.center,
         }
     }
 
-    /// Whether its inside can be seen, so that it may hide a part of itself.
-    pub fn is_open(&self) -> bool {
-        matches!(self, Self::Bowl(_) | Self::Frustum(Frustum { open: true, .. }))
+    /// Whether it may hide a part of itself: its inside can be seen, or it is creased.
+    pub fn hides_itself(&self) -> bool {
+        matches!(self, Self::Bowl(_) | Self::Frustum(Frustum { open: true, .. }) | Self::Lump(_))
     }
 
     /// How far the shape reaches below its anchor, against the unit vector `up`; infinite for a plane without end.
@@ -383,7 +325,8 @@ impl Shape {
                 let reach = (1.0 - rise * rise).max(0.0).sqrt();
                 (frustum.base_radius * reach).max(frustum.top_radius * reach - frustum.length * rise)
             }
-            Self::Block(block) => block.axes.tr_mul(up).abs().dot(&block.half),
+            Self::Block(block) => block.reach_along(up),
+            Self::Lump(lump) => lump.hull().reach_along(up),
             Self::Plane(plane) => (0..2).map(|i| plane.sides[i].dot(up).abs() * plane.half[i]).sum(),
         }
     }

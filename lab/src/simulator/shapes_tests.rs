@@ -1,5 +1,6 @@
 use super::super::pose::from_quaternion;
 use super::*;
+use nalgebra::Matrix3;
 
 const ORIGIN: Vector3<f64> = Vector3::new(0.0, 0.0, 0.0);
 

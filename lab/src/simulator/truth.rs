@@ -155,7 +155,7 @@ fn object(shape: &Shape) -> Option<Object> {
             ..Object::default()
         }),
         Shape::Frustum(frustum) => Some(part_of(frustum, 0.0, frustum.length)),
-        Shape::Block(_) | Shape::Plane(_) => None,
+        Shape::Block(_) | Shape::Plane(_) | Shape::Lump(_) => None,
     }
 }
 

@@ -7,6 +7,7 @@
 mod arrangements;
 mod draws;
 mod furniture;
+mod lived_in;
 mod rooms;
 mod set;
 mod things;
@@ -44,6 +45,9 @@ pub enum SceneGroup {
     Furnished,
     /// A table with cups that have handles and a dark inside, bottles whose glass gives no depth, bowls, tins and boxes.
     Kitchen,
+    /// A room with people in clothes, armchairs, bags and plants, or a table with fruit, oval bottles, cartons, crumpled cloth and
+    /// paper: what is nearly round, and at most two objects.
+    LivedIn,
 }
 
 impl SceneGroup {
@@ -75,7 +79,7 @@ impl SceneGroup {
 type Arranged = (SceneGroup, &'static str, fn(&mut Set));
 
 /// All groups, in their order.
-const GROUPS: [Arranged; 12] = [
+const GROUPS: [Arranged; 13] = [
     (SceneGroup::Standing, "standing", arrangements::standing),
     (SceneGroup::Tilted, "tilted", arrangements::tilted),
     (SceneGroup::Occluded, "occluded", arrangements::occluded),
@@ -88,6 +92,7 @@ const GROUPS: [Arranged; 12] = [
     (SceneGroup::FlatTins, "flat_tins", arrangements::flat_tins),
     (SceneGroup::Furnished, "furnished", rooms::furnished),
     (SceneGroup::Kitchen, "kitchen", rooms::kitchen),
+    (SceneGroup::LivedIn, "lived_in", lived_in::lived_in),
 ];
 
 /// A scene of a group; named `group/seed`.

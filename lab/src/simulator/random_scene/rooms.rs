@@ -42,7 +42,7 @@ pub fn furnished(set: &mut Set) {
 }
 
 /// A bar that is a part of something.
-fn bar(set: &mut Set, name: &str, [from, to]: [Vector3<f64>; 2], radii: [f64; 2]) {
+pub fn bar(set: &mut Set, name: &str, [from, to]: [Vector3<f64>; 2], radii: [f64; 2]) {
     let length = (to - from).norm();
     let [base_radius, top_radius] = radii;
     let axis = (to - from) / length;
@@ -50,7 +50,7 @@ fn bar(set: &mut Set, name: &str, [from, to]: [Vector3<f64>; 2], radii: [f64; 2]
     set.add_as(Role::Part, name, Shape::Frustum(shape));
 }
 
-fn knob(set: &mut Set, name: &str, center: Vector3<f64>, radius: f64) {
+pub fn knob(set: &mut Set, name: &str, center: Vector3<f64>, radius: f64) {
     set.add_as(Role::Part, name, Shape::Sphere(Sphere { center, radius }));
 }
 
