@@ -3,7 +3,8 @@
 use nalgebra::Vector3;
 use serde::de::{Deserialize, Deserializer, Error};
 
-fn finite<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+/// A finite number.
+pub fn finite<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     let number = f64::deserialize(deserializer)?;
     if number.is_finite() {
         Ok(number)

@@ -1,12 +1,14 @@
 //! What is nearly round, rounded or creased: cushions, bags, clothes, limbs, heads, fruit. No such thing is an object.
 
 use super::block::Block;
+use super::fields::{finite, not_negative, vector};
 use super::pose::Pose;
 use super::surface::{NEAREST, Surface};
 use nalgebra::{Matrix3, Vector3};
+use serde::Deserialize;
 
-/// Waves on the surface of a lump.
-const CREASES: usize = 4;
+/// Most waves on the surface of a lump.
+pub const CREASES: usize = 4;
 /// A step along a ray is at least so long, in half-sizes: 0.1 mm of what is as large as a head.
 const LEAST_STEP: f64 = 1e-3;
 /// Halvings of the last step.
@@ -33,13 +35,17 @@ pub struct Lump {
 }
 
 /// One wave on the surface of a lump.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Crease {
     /// Radians per half-size along each axis.
+    #[serde(deserialize_with = "vector")]
     pub wave: Vector3<f64>,
     /// Radians in the centre.
+    #[serde(default, deserialize_with = "finite")]
     pub phase: f64,
     /// Height in half-sizes.
+    #[serde(deserialize_with = "not_negative")]
     pub height: f64,
 }
 

@@ -18,10 +18,11 @@
 //! motion.ballistic = { velocity = [0, 0, 0], floor_m = 0.5 }
 //! ```
 //! Further: `[[cone]]` (`base_radius`, `top_radius`), `[[bowl]]` (`center`, `radius`, `depth`), `[[box]]` (`center`,
-//! `size`), `[[plane]]` (`point`, `normal`, `size`), `[[screen]]` (`before`, `hides`, `distance_m`). A cylinder or cone with
+//! `size`), `[[lump]]` (`center`, `size`, `squareness`, `creases`), `[[plane]]` (`point`, `normal`, `size`), `[[screen]]` (`before`, `hides`, `distance_m`). A cylinder or cone with
 //! `open = true` is a cup. `[values]` and `"$name"` in place of a number: see [`super::scene_values`].
 
 use super::fields::*;
+use super::lump::{CREASES, Crease, Lump};
 use super::motion::Motion;
 use super::pose::{from_quaternion, looking_along};
 use super::scene::{Body, Gaze, Scene, View, earth};
@@ -75,7 +76,7 @@ impl Scene {
             anyhow!(Hinted::new(
                 format!("{origin}{place}: {}", error.to_string().trim_end()),
                 "a scene file has `name`, `up`, `gravity`, `[camera]` and any number of `[[sphere]]`, \
-                 `[[cylinder]]`, `[[cone]]`, `[[bowl]]`, `[[box]]`, `[[plane]]` and `[[screen]]`"
+                 `[[cylinder]]`, `[[cone]]`, `[[bowl]]`, `[[box]]`, `[[lump]]`, `[[plane]]` and `[[screen]]`"
             ))
         })?;
         Self::from_file(file, origin)
@@ -154,6 +155,8 @@ struct SceneFile {
     #[serde(default, rename = "box")]
     block: Vec<BoxEntry>,
     #[serde(default)]
+    lump: Vec<LumpEntry>,
+    #[serde(default)]
     plane: Vec<PlaneEntry>,
     #[serde(default)]
     screen: Vec<ScreenEntry>,
@@ -175,6 +178,9 @@ impl SceneFile {
         bodies.extend(self.cone.into_iter().map(|entry| entry.body(&up)));
         bodies.extend(self.bowl.into_iter().map(|entry| entry.body(&up)));
         bodies.extend(self.block.into_iter().map(BoxEntry::body));
+        for entry in self.lump {
+            bodies.push(entry.body()?);
+        }
         for entry in self.plane {
             bodies.push(entry.body()?);
         }
@@ -347,6 +353,52 @@ impl BoxEntry {
         let axes = self.orientation.map_or_else(Matrix3::identity, from_quaternion);
         let shape = Shape::Block(Block { center: self.center, axes, half: self.size * 0.5 });
         Body::new(self.name, shape, self.motion)
+    }
+}
+
+/// A superellipsoid with waves on it, an ellipsoid where both are left out: see [`Lump`].
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct LumpEntry {
+    name: String,
+    #[serde(deserialize_with = "vector")]
+    center: Vector3<f64>,
+    #[serde(deserialize_with = "size")]
+    size: Vector3<f64>,
+    #[serde(default, deserialize_with = "maybe_quaternion")]
+    orientation: Option<[f64; 4]>,
+    #[serde(default = "round")]
+    squareness: [u32; 2],
+    #[serde(default)]
+    creases: Vec<Crease>,
+    motion: Option<Motion>,
+}
+
+fn round() -> [u32; 2] {
+    [1, 1]
+}
+
+impl LumpEntry {
+    fn body(self) -> Result<Body> {
+        const SQUAREST: u32 = 6;
+        if self.squareness.iter().any(|log| !(1..=SQUAREST).contains(log)) {
+            bail!(Hinted::new(
+                format!("the `squareness` of `{}` is {:?}", self.name, self.squareness),
+                format!("two whole numbers from 1 (round) to {SQUAREST}")
+            ));
+        }
+        let mut creases = [Crease::default(); CREASES];
+        let swell: f64 = self.creases.iter().map(|crease| crease.height).sum();
+        if self.creases.len() > CREASES || swell >= 1.0 {
+            bail!(Hinted::new(
+                format!("`{}` has {} `creases` of {swell} half-sizes together", self.name, self.creases.len()),
+                format!("at most {CREASES}, lower than its half-size together")
+            ));
+        }
+        creases[..self.creases.len()].copy_from_slice(&self.creases);
+        let axes = self.orientation.map_or_else(Matrix3::identity, from_quaternion);
+        let lump = Lump { center: self.center, axes, half: self.size * 0.5, squareness: self.squareness, creases };
+        Ok(Body::new(self.name, Shape::Lump(lump), self.motion))
     }
 }
 

@@ -94,3 +94,22 @@ fn bowls_and_cups_are_understood() {
     assert!(find("mug").hides_itself());
     assert!(error(&text.replace("radius = 0.1\n", "radius = 0.1\ndepth = -1\n")).contains("above zero"));
 }
+
+#[test]
+fn what_is_not_round_is_a_lump() {
+    let text = format!(
+        "{MINIMAL}[[lump]]\nname = 'egg'\ncenter = [0, 2, 1]\nsize = [0.04, 0.04, 0.06]\n\
+         [[lump]]\nname = 'bag'\ncenter = [1, 2, 1]\nsize = [0.4, 0.2, 0.3]\nsquareness = [2, 3]\n\
+         creases = [{{ wave = [9, 0, 4], height = 0.1 }}]\n"
+    );
+    let scene = Scene::parse(&text, "test.toml").unwrap();
+    let find = |name: &str| scene.bodies.iter().find(|body| body.name == name).unwrap().shape;
+    let (Shape::Lump(egg), Shape::Lump(bag)) = (find("egg"), find("bag")) else { panic!("two lumps") };
+    assert_eq!((egg.half, egg.squareness, egg.creases[0].height), (Vector3::new(0.02, 0.02, 0.03), [1, 1], 0.0));
+    assert_eq!((bag.squareness, bag.creases[0].height, bag.creases[1].height), ([2, 3], 0.1, 0.0));
+    assert!(error(&text.replace("[2, 3]", "[0, 3]")).contains("from 1 (round)"));
+    assert!(error(&text.replace("height = 0.1", "height = 1.0")).contains("lower than its half-size"));
+    assert!(error(&text.replace("height = 0.1", "height = -0.1")).contains("zero or a number above"));
+    let five = "{ wave = [9, 0, 4], height = 0.1 }, ".repeat(5);
+    assert!(error(&text.replace("{ wave = [9, 0, 4], height = 0.1 }", &five)).contains("5 `creases`"));
+}

@@ -1,9 +1,11 @@
 //! Rooms and tables with what is not quite round: people in clothes, cushions, bags, plants, fruit, oval bottles, crumpled
-//! cloth and paper. None of it is an object, but the necks and caps of bottles are parts that are round.
+//! cloth and paper. None of it is an object, but the necks and caps of bottles are parts that are round. Among it stand at most two
+//! things that are, with rims and handles.
 
 use super::super::shapes::{Crease, Lump, Shape};
 use super::rooms::{bar, knob};
 use super::set::Set;
+use super::things::Thing;
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use std::f64::consts::TAU;
 use std::ops::RangeInclusive;
@@ -22,7 +24,7 @@ pub fn lived_in(set: &mut Set) {
 fn living_room(set: &mut Set) {
     for _ in 0..set.draws.count(0..=2) {
         let thing = set.large_thing();
-        set.stand(thing, 1.1..=2.6, 0.0, 0.05);
+        used(set, thing, 1.1..=2.6, 0.0, 0.05);
     }
     for _ in 0..set.draws.count(2..=4) {
         let (reach, put): (f64, fn(&mut Set, Vector3<f64>)) = match set.draws.count(0..=4) {
@@ -42,7 +44,7 @@ fn breakfast_table(set: &mut Set) {
     let top = set.table();
     for _ in 0..set.draws.count(0..=2) {
         let thing = set.small_thing();
-        set.stand(thing, 0.6..=1.15, top, 0.02);
+        used(set, thing, 0.6..=1.15, top, 0.02);
     }
     for _ in 0..set.draws.count(3..=6) {
         let (reach, put): (f64, fn(&mut Set, Vector3<f64>)) = match set.draws.count(0..=5) {
@@ -99,6 +101,41 @@ fn axes(along: Vector3<f64>, turn: f64) -> Matrix3<f64> {
     let first = third.cross(&if third.z.abs() < 0.9 { Vector3::z() } else { Vector3::x() }).normalize();
     let turned = Rotation3::from_axis_angle(&nalgebra::Unit::new_unchecked(third), turn) * first;
     Matrix3::from_columns(&[turned, third.cross(&turned), third])
+}
+
+/// Puts a thing upright at a free place on a level, if there is one, as those are that are used: with rims, a band, a lid, a handle.
+fn used(set: &mut Set, thing: Thing, distance: RangeInclusive<f64>, level: f64, gap: f64) {
+    let Some(foot) = set.stand(thing, distance, level, gap) else { return };
+    let Thing::Round { base_radius, top_radius, length, open, .. } = thing else { return };
+    let radius = |share: f64| base_radius + (top_radius - base_radius) * share;
+    let mean = radius(0.5);
+    let ring = |set: &mut Set, name: &str, ends: [f64; 2], thickness: f64| {
+        let [from, to] = ends.map(|end| foot + Vector3::z() * (end * length));
+        bar(set, name, [from, to], ends.map(|end| radius(end) + thickness));
+    };
+    if set.draws.chance(0.5) {
+        let (height, thickness) = (set.draws.within(0.02..=0.06), set.draws.within(0.01..=0.05) * mean);
+        ring(set, "rim", [0.0, height], thickness);
+        if !open {
+            ring(set, "rim", [1.0 - height, 1.0], thickness);
+        }
+    }
+    if set.draws.chance(0.4) {
+        let (from, height) = (set.draws.within(0.1..=0.5), set.draws.within(0.1..=0.4));
+        let thickness = set.draws.within(0.003..=0.015) * mean;
+        ring(set, "band", [from, from + height], thickness);
+    }
+    if !open && top_radius > 0.5 * base_radius && set.draws.chance(0.4) {
+        let (height, wider) = (set.draws.within(0.05..=0.15), set.draws.within(-0.1..=0.05) * mean);
+        ring(set, "lid", [1.0, 1.0 + height], wider);
+    }
+    if set.draws.chance(0.4) {
+        let heading = set.draws.heading();
+        let (thick, reach) = (set.draws.within(0.05..=0.15) * mean, set.draws.within(0.3..=0.8) * mean);
+        let at = |out: f64, share: f64| foot + heading * (radius(share) + out) + Vector3::z() * (share * length);
+        let bends = [at(0.0, 0.85), at(reach, 0.75), at(reach, 0.4), at(0.0, 0.3)];
+        bends.windows(2).for_each(|ends| bar(set, "handle", [ends[0], ends[1]], [thick; 2]));
+    }
 }
 
 /// Somebody in clothes, who stands.
