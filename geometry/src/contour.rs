@@ -245,6 +245,14 @@ impl Contour {
         self.points.iter().filter(|seen| seen.used).count()
     }
 
+    /// How many of those on a side are used, and the mean radius of curvature that the surface has there along the view, in pixels;
+    /// 0 without points.
+    pub fn used_on(&self, side: usize) -> (usize, f64) {
+        let radii = self.points.iter().filter(|seen| seen.used && seen.point.side == side).map(|seen| seen.radius_px);
+        let (count, sum) = radii.fold((0, 0.0), |(count, sum), radius| (count + 1, sum + radius));
+        (count, if count > 0 { sum / count as f64 } else { 0.0 })
+    }
+
     /// How many of them are seen, and too far off to be used.
     pub fn far_off(&self) -> usize {
         self.far_off

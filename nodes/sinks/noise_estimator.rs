@@ -27,7 +27,7 @@ impl Stage for NoiseEstimator {
 
     fn finish(&mut self) -> Result<(), StageError> {
         let mut out = std::io::stdout();
-        out.write_all(self.0.planes().to_string().as_bytes())?;
+        write!(out, "{}{}", self.0.planes(), self.0.contours())?;
         let estimate = self.0.estimate()?;
         if let Some(misfit) = estimate.misfit() {
             tracing::warn!("{misfit}");

@@ -57,6 +57,45 @@ struct Learned {
     bias: Information<4>,
     /// Of the variance of their points: in square pixels, and in squared radii.
     noise: Information<2>,
+    /// How many objects showed it, those of earlier images as much less as they count.
+    objects: f64,
+    /// By how many points of each side, and the sum of the radii of curvature there, in pixels.
+    points: [f64; 2],
+    radii_px: [f64; 2],
+    /// How many further pixels shared the noise of one in the last of them.
+    window_px: f64,
+}
+
+/// By how much the contours of a sensor are off in rows, or in columns, as its objects showed it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ContourErrors {
+    /// Rows or columns.
+    pub scan: Scan,
+    /// How many objects showed it, those of earlier images as much less as they count (`contour_memory`).
+    pub objects: f64,
+    /// The bias where lines begin (left, or at the top), and where they end.
+    pub sides: [SideErrors; 2],
+    /// Standard deviation of a point of the contour along its line: in pixels, and a further part in radii of curvature.
+    pub scatter_px: f64,
+    /// See `scatter_px`.
+    pub scatter_share: f64,
+}
+
+/// By how much the contours of one side lie outside the place where the ray touches the surface: by an offset and a share of the
+/// radius of curvature that the surface has there along the view. Each is given with its standard deviation; what no object showed
+/// is near 0, with the deviation of a sensor of which nothing is known.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SideErrors {
+    /// How many points of contours showed it, counted as objects are.
+    pub points: f64,
+    /// Their mean radius of curvature, in pixels; 0 without points.
+    pub radius_px: f64,
+    /// The offset, in pixels.
+    pub offset_px: [f64; 2],
+    /// The share of the radius.
+    pub share: [f64; 2],
+    /// Both together at the mean radius, in pixels. Objects of one size tell this far better than its parts.
+    pub outside_px: [f64; 2],
 }
 
 impl Contours {
@@ -65,7 +104,13 @@ impl Contours {
     pub fn next_image(&mut self, camera: &Camera, memory: f64) {
         let kept = if *camera == self.camera { memory / (memory + 1.0) } else { 0.0 };
         self.camera = *camera;
-        self.learned = self.learned.map(|Learned { bias, noise }| Learned { bias: bias * kept, noise: noise * kept });
+        self.learned = self.learned.map(|learned| learned.times(kept));
+    }
+
+    /// What objects showed of contours, in rows and in columns, as far as any did.
+    pub fn errors(&self) -> impl Iterator<Item = ContourErrors> {
+        let scans = [Scan::Row, Scan::Column].into_iter().zip(&self.learned);
+        scans.filter(|(_, learned)| learned.objects > 0.0).map(|(scan, learned)| learned.errors(scan))
     }
 
     /// The contour that was fitted last.
@@ -110,10 +155,17 @@ impl Contours {
             Model::Cylinder(fit) => shown(contour, fit, &own),
             Model::Cone(fit) => shown(contour, fit, &own),
         };
-        if let Some(Learned { bias, noise }) = shown {
+        if let Some((bias, noise)) = shown {
+            let sides = [0, 1].map(|side| contour.used_on(side));
             let learned = &mut self.learned[direction(region)];
             learned.bias += bias;
             learned.noise += noise;
+            learned.objects += f64::from(u8::from(sides.iter().any(|(points, _)| *points > 0)));
+            learned.window_px = window_px(region);
+            for (side, (points, radius_px)) in sides.into_iter().enumerate() {
+                learned.points[side] += points as f64;
+                learned.radii_px[side] += points as f64 * radius_px;
+            }
         }
     }
 
@@ -121,25 +173,67 @@ impl Contours {
     fn noise(&self, region: &Region) -> ContourNoise {
         let window = window_px(region);
         let learned = &self.learned[direction(region)];
-        let anything = covariance(OFFSET_PX + WINDOW_OFFSET_PX * window, SHARE);
-        let (mean, common) = combined(learned.bias, Vector4::zeros(), anything);
+        let (mean, common) = learned.bias_of_all(window);
         let bias = ContourBias { mean, covariance: common + covariance(own_px(window), SYSTEMATIC) };
-        let expected = Vector2::new(POINT_PX, POINT_SHARE).map(|sigma| sigma * sigma);
-        let (point, _) =
-            combined(learned.noise, expected, Matrix2::from_diagonal(&expected.map(|variance| variance * variance)));
-        let point = Vector2::new(point[0].max(LEAST_VARIANCE_PX), point[1].max(0.0));
-        ContourNoise { point, shared_lines: region.shared_lines(), bias }
+        ContourNoise { point: learned.variance(), shared_lines: region.shared_lines(), bias }
     }
 }
 
-/// What an object shows of the contours of its sensor, beside which its own is off with the covariance `own`; `None` where its
+impl Learned {
+    /// What is left of it where observations count so many times.
+    fn times(self, times: f64) -> Self {
+        Self {
+            bias: self.bias * times,
+            noise: self.noise * times,
+            objects: self.objects * times,
+            points: self.points.map(|points| points * times),
+            radii_px: self.radii_px.map(|radii| radii * times),
+            window_px: self.window_px,
+        }
+    }
+
+    /// Expectation and covariance of the bias that all objects share, where so many further pixels share the noise of one.
+    fn bias_of_all(&self, window: f64) -> (Vector4<f64>, Matrix4<f64>) {
+        combined(self.bias, Vector4::zeros(), covariance(OFFSET_PX + WINDOW_OFFSET_PX * window, SHARE))
+    }
+
+    /// Variance of a point of the contour, in square pixels, and further in squared radii.
+    fn variance(&self) -> Vector2<f64> {
+        let expected = Vector2::new(POINT_PX, POINT_SHARE).map(|sigma| sigma * sigma);
+        let (point, _) =
+            combined(self.noise, expected, Matrix2::from_diagonal(&expected.map(|variance| variance * variance)));
+        Vector2::new(point[0].max(LEAST_VARIANCE_PX), point[1].max(0.0))
+    }
+
+    /// All that was learned in one direction.
+    fn errors(&self, scan: Scan) -> ContourErrors {
+        let (mean, covariance) = self.bias_of_all(self.window_px);
+        let side = |side: usize| {
+            let points = self.points[side];
+            let radius_px = if points > 0.0 { self.radii_px[side] / points } else { 0.0 };
+            // The bias is counted as pixels are: where a line begins, outwards is backwards.
+            let outwards = [-1.0, 1.0][side];
+            let estimate = |offset: f64, share: f64| {
+                let mut parts = Vector4::zeros();
+                (parts[2 * side], parts[2 * side + 1]) = (outwards * offset, outwards * share);
+                [parts.dot(&mean), parts.dot(&(covariance * parts)).sqrt()]
+            };
+            let [offset_px, share, outside_px] = [estimate(1.0, 0.0), estimate(0.0, 1.0), estimate(1.0, radius_px)];
+            SideErrors { points, radius_px, offset_px, share, outside_px }
+        };
+        let [scatter_px, scatter_share] = self.variance().map(f64::sqrt).into();
+        ContourErrors { scan, objects: self.objects, sides: [side(0), side(1)], scatter_px, scatter_share }
+    }
+}
+
+/// What an object shows of the bias and of the noise of the contours of its sensor, beside which its own is off with the covariance `own`; `None` where its
 /// points do not determine it.
 fn shown<S: Surface<N>, const N: usize>(
     contour: &Contour,
     fit: &SurfaceFit<S, N>,
     own: &Matrix4<f64>,
-) -> Option<Learned> {
-    Some(Learned { bias: contour.bias_evidence(fit, own)?, noise: contour.noise_evidence(&fit.surface)? })
+) -> Option<(Information<4>, Information<2>)> {
+    Some((contour.bias_evidence(fit, own)?, contour.noise_evidence(&fit.surface)?))
 }
 
 /// Expectation and covariance of what was learned about numbers of which these were known before.

@@ -21,6 +21,7 @@ pub(crate) mod seeds;
 mod tests;
 pub(crate) mod verify;
 
+pub use contours::{ContourErrors, SideErrors};
 pub use parameters::{AssemblerParameters, AxialLimits, PooledParameters, RadiusLimits};
 pub use rejection::{Rejection, Rejections};
 pub use report::end_sigma;
@@ -64,6 +65,11 @@ impl Assembler {
     /// All candidates of the last image, reported or not, with what spoke for each and against it.
     pub fn candidates(&self) -> &[(Object, Evidence)] {
         &self.candidates
+    }
+
+    /// By how much contours are off, as objects showed it so far: in rows, and in columns.
+    pub fn contour_errors(&self) -> impl Iterator<Item = ContourErrors> {
+        self.contours.errors()
     }
 
     /// Why candidates of the last image were turned down, and how many of them.

@@ -3,8 +3,10 @@
 //! Of a static scene the depth of each pixel varies from frame to frame by nothing but noise ([`temporal`]). Of flat walls
 //! and floors each block of the image is a plane up to noise ([`wall`]), also up to that which does not change with time
 //! and which a fit to a surface meets as well. Both give variances over depth, to which [`fit`] fits a noise model.
-//! Beside it [`planes`] tells how alike the noise of neighbouring pixels is, of recorded and of simulated frames alike.
+//! Beside it [`planes`] tells how alike the noise of neighbouring pixels is, of recorded and of simulated frames alike, and
+//! [`contours`] how far beside their place the sensor sees silhouettes.
 
+mod contours;
 mod fit;
 mod levels;
 mod planes;
@@ -13,6 +15,7 @@ mod temporal;
 mod tests;
 mod wall;
 
+pub use contours::Contours;
 pub use fit::{NoiseEstimate, Spread};
 pub use planes::Planes;
 
@@ -66,13 +69,15 @@ pub struct NoiseEstimator {
     temporal: Temporal,
     spreads: Spreads,
     planes: Planes,
+    contours: Contours,
 }
 
 impl NoiseEstimator {
     /// An estimator that has seen nothing.
     pub fn with(config: NoiseEstimatorParameters) -> Self {
         let (levels, temporal, spreads) = (Levels::default(), Temporal::default(), Spreads::default());
-        Self { config, size: None, frames: 0, levels, temporal, spreads, planes: Planes::default() }
+        let (planes, contours) = (Planes::default(), Contours::default());
+        Self { config, size: None, frames: 0, levels, temporal, spreads, planes, contours }
     }
 
     /// Adds a depth image. Its scale may be another than before: that of a recorded point cloud depends on its largest
@@ -92,6 +97,7 @@ impl NoiseEstimator {
         self.frames += 1;
         self.levels.add(pixels, header.depth_scale);
         self.planes.add(header, pixels, self.config.recorded == Recorded::StaticScene);
+        self.contours.add(header, pixels);
         match self.config.recorded {
             Recorded::StaticScene => self.temporal.add(pixels, header.depth_scale),
             Recorded::FlatWall => wall::add(header, pixels, self.config.block_px, &mut self.spreads),
@@ -102,6 +108,11 @@ impl NoiseEstimator {
     /// How alike the noise of neighbours is on the planes that were seen.
     pub fn planes(&self) -> &Planes {
         &self.planes
+    }
+
+    /// How far beside their place the contours of the objects lie that were seen.
+    pub fn contours(&self) -> &Contours {
+        &self.contours
     }
 
     /// The noise that explains what was seen.
