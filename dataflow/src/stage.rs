@@ -6,6 +6,7 @@
 
 use crate::heartbeat::Heartbeat;
 use crate::item_type::ItemType;
+use crate::ports::Delivery;
 use crate::side_inputs::{SideInput, SideInputs};
 use conicflow_messages::{ConfigFault, Header, Item, Message};
 use schemars::JsonSchema;
@@ -44,6 +45,9 @@ pub struct Context {
     pub resume_at: u64,
     /// What drives it. A stage that takes lists of any type, as [`AnyByte`](conicflow_messages::AnyByte), learns it here.
     pub input: Option<ItemType>,
+    /// Which of the messages that drive it it gets: with the newest it works live, with each no message may be lost. A source has
+    /// none.
+    pub delivery: Option<Delivery>,
     /// What a source makes. One that makes lists of any type learns it here.
     pub output: Option<ItemType>,
     /// What this stage had counted by then (see [`Output::count`]).

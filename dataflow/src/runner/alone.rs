@@ -20,7 +20,8 @@ pub type Owned<T> = (Header, Vec<T>);
 const UPSTREAM: &str = "upstream";
 const DOWNSTREAM: &str = "downstream";
 
-/// Runs the stage `S` over `messages`, none of which is lost, and returns what it sent.
+/// Runs the stage `S` over `messages`, none of which is lost unless `context.delivery` wants the newest alone, and returns what it
+/// sent.
 ///
 /// # Errors
 /// What the stage refused or failed at.
@@ -33,7 +34,8 @@ where
     S::Config: Send,
 {
     let memory = InMemory::new(context.stop.clone());
-    let input = topic("input", UPSTREAM, &context.stage, messages.len() + 1);
+    let mut input = topic("input", UPSTREAM, &context.stage, messages.len() + 1);
+    input.readers[0].delivery = context.delivery.unwrap_or(Delivery::Lossless);
     let output = topic("output", &context.stage, DOWNSTREAM, messages.len() + 1);
     let mut writer = memory.writer::<S::Input>(&input)?;
     let wiring = Wiring { input: Some(input), output: Some(output.clone()), ..Wiring::default() };

@@ -66,6 +66,7 @@ impl PulledStage {
         runtime.context.output = runtime.output_of_any()?;
         let output_port = runtime.output_port::<AnyByte>()?;
         runtime.context.input = Some(item.clone());
+        runtime.context.delivery = Some(topic.delivery_to(&runtime.context.stage));
         let Some(inputs) = take_place(inputs, open, &mut runtime, &topic)? else { return Ok(None) };
         runtime.context.resume_at = runtime.context.resume_at.max(runtime.record.status.steps);
         let context = runtime.context.clone();

@@ -32,6 +32,7 @@ pub(crate) fn run_stage<S: Stage, T: Transport>(
     let inputs = open(&runtime)?;
     let output_port = runtime.output_port::<S::Output>()?;
     runtime.context.input = Some(item.clone());
+    runtime.context.delivery = Some(topic.delivery_to(&runtime.context.stage));
     let early = if runtime.successor.is_some() { Some(made_early::<S>(&config, &runtime)?) } else { None };
     let Some(inputs) = take_place(inputs, open, &mut runtime, &topic)? else { return Ok(()) };
     runtime.context.resume_at = runtime.context.resume_at.max(runtime.record.status.steps);

@@ -50,6 +50,26 @@ impl Stage for Large {
     }
 }
 
+/// Says by the radius of an object which of the messages it gets: 1 for the newest, 2 for each.
+struct Delivered(Option<Delivery>);
+
+impl Stage for Delivered {
+    const NAME: &'static str = "delivered";
+    const SUMMARY: &'static str = "Says how its messages come";
+    type Config = NoConfig;
+    type Input = Object;
+    type Output = Object;
+
+    fn new(_: NoConfig, context: &Context) -> Result<Self, StageError> {
+        Ok(Self(context.delivery))
+    }
+
+    fn step(&mut self, _: &Message<Object>, _: &SideInputs, output: &mut Output<Object>) -> Result<(), StageError> {
+        output.push(ball(self.0.map_or(0.0, |delivery| if delivery == Delivery::Latest { 1.0 } else { 2.0 })));
+        Ok(())
+    }
+}
+
 /// Makes images whose pixels all hold the number of the frame; it has three.
 struct Counting(u16);
 
@@ -83,6 +103,16 @@ fn a_stage_makes_one_message_of_each_and_keeps_its_header() {
     assert_eq!((first.epoch, first.sequence, first.number), (7, 4, 0));
     let stages: Vec<_> = first.trace().iter().map(|hop| hop.stage.to_string()).collect();
     assert_eq!(stages, ["upstream", "large"]);
+}
+
+#[test]
+fn a_stage_knows_whether_it_gets_the_newest_message_or_each() {
+    let radius = |delivery| {
+        let context = Context { delivery, ..context("delivered") };
+        let sent = pass::<Delivered>(NoConfig::default(), context, &[(header(0), vec![])]).unwrap();
+        sent[0].1[0].radius
+    };
+    assert_eq!([Some(Delivery::Latest), Some(Delivery::Lossless), None].map(radius), [1.0, 2.0, 2.0]);
 }
 
 /// A writer that is about to end and has sent three messages, and the memory and topic that its one reader joins.

@@ -73,9 +73,11 @@ pub struct PooledParameters {
     #[schemars(range(min = 0.0, max = 45.0))]
     pub min_half_angle_deg: f64,
     /// Time for the ellipses of one image, in milliseconds of the clock, after which nothing further is looked for; 0: no
-    /// limit. What is most curved comes first. With a limit the same image may give other objects on a busy machine.
+    /// limit. Default: 30 where the stage takes the newest message (`latest`), so that it keeps up with 30 images a second; no limit
+    /// where it takes each (`lossless`), nor in the library. What is most curved comes first. With a limit the same image may give
+    /// other objects on a busy machine.
     #[schemars(range(min = 0.0, max = 10_000.0))]
-    pub budget_ms: f64,
+    pub budget_ms: Option<f64>,
     /// For how many images counts what an image shows of where this sensor puts contours; 0: each image is looked at as if it
     /// were the first.
     #[schemars(range(min = 0.0, max = 1e6))]
@@ -93,7 +95,7 @@ impl Default for PooledParameters {
             min_length_radii: 0.5,
             min_cap_radii: 0.5,
             min_half_angle_deg: 2.5,
-            budget_ms: 0.0,
+            budget_ms: None,
             contour_memory: 100.0,
         }
     }
@@ -174,7 +176,7 @@ impl AssemblerParameters {
 
     /// When an image is given up that is begun now; `None`: never.
     pub(crate) fn deadline(&self) -> Option<Instant> {
-        let budget = Duration::try_from_secs_f64(self.pooled.budget_ms / 1e3).unwrap_or_default();
+        let budget = Duration::try_from_secs_f64(self.pooled.budget_ms? / 1e3).unwrap_or_default();
         (!budget.is_zero()).then(|| Instant::now() + budget)
     }
 
@@ -210,15 +212,15 @@ mod tests {
 
     #[test]
     fn the_deadline_lies_as_far_ahead_as_the_budget_says() {
-        let deadline = |budget_ms: f64| {
+        let deadline = |budget_ms: Option<f64>| {
             let mut parameters = AssemblerParameters::default();
             parameters.pooled.budget_ms = budget_ms;
             parameters.deadline()
         };
         let before = Instant::now();
-        let (soon, late) = (deadline(2.5).unwrap(), deadline(4000.0).unwrap());
+        let (soon, late) = (deadline(Some(2.5)).unwrap(), deadline(Some(4000.0)).unwrap());
         let ahead = |ms: u64| before + Duration::from_micros(ms)..=Instant::now() + Duration::from_micros(ms);
         assert!(ahead(2500).contains(&soon) && ahead(4_000_000).contains(&late));
-        assert_eq!(deadline(0.0), None);
+        assert_eq!([deadline(Some(0.0)), deadline(None)], [None, None]);
     }
 }
