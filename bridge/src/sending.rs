@@ -16,6 +16,7 @@ use conicflow_messages::{Header, Text};
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 use zenoh::qos::Priority;
 
@@ -149,13 +150,16 @@ impl<'a> Sending<'a> {
             EdgeCounts::add(&self.counts.resent, 1);
             self.put(bytes);
         }
-        self.counts.lost.store(self.queue.lost(), std::sync::atomic::Ordering::Relaxed);
+        self.counts.lost.store(self.queue.lost(), Ordering::Relaxed);
     }
 
     /// Sends the next message, if there is one and anybody to send it to. What came from another machine does not go out
     /// again.
     fn forward_next(&mut self) -> Result<bool, BridgeError> {
-        let Some(message) = self.input_port.take()? else { return Ok(false) };
+        let taken = self.input_port.take()?;
+        // What makes no sense is left out there, and told.
+        self.counts.refused.store(self.input_port.counts().malformed, Ordering::Relaxed);
+        let Some(message) = taken else { return Ok(false) };
         let header = *message.header();
         let writer = header.trace().last().map(|hop| hop.stage.to_string()).unwrap_or_default();
         if !self.is_wanted() || !self.edge.writers.contains(&writer) {
@@ -185,7 +189,7 @@ impl<'a> Sending<'a> {
         EdgeCounts::add(&self.counts.memory_bytes, memory_bytes as u64);
         let sent_ns = header.trace().last().map_or(0, |hop| hop.sent_ns);
         let age = monotonic_ns().saturating_sub(sent_ns);
-        self.counts.age_ns.store(age, std::sync::atomic::Ordering::Relaxed);
+        self.counts.age_ns.store(age, Ordering::Relaxed);
     }
 
     /// Passes on that writers have ended, or are gone; true where one of those had sent a message before it was gone.
@@ -213,7 +217,7 @@ impl<'a> Sending<'a> {
 
     fn tell_what_is_lost(&self) {
         let lost = self.queue.lost_if_it_ends();
-        self.counts.lost.store(lost, std::sync::atomic::Ordering::Relaxed);
+        self.counts.lost.store(lost, Ordering::Relaxed);
         loss(lost, &self.edge.topic.name).iter().for_each(|loss| tracing::error!("{loss}"));
     }
 }
@@ -263,28 +267,30 @@ mod tests {
     use conicflow_dataflow::pipeline::Compression;
     use conicflow_dataflow::ports::Topic;
     use conicflow_messages::Camera;
-    use std::sync::atomic::Ordering;
 
     #[test]
-    fn an_image_that_is_too_large_is_left_out_and_counted_and_others_are_sent() {
-        let item = ItemType::of::<u16>();
-        let (name, writers, readers) = ("depth".to_owned(), Vec::new(), Vec::new());
-        let topic = Topic { name, item: Some(item.clone()), writers, readers };
-        let (from, compression) = ("robot".to_owned(), Compression::None);
-        let edge = Edge { topic, item, from, writers: Vec::new(), to: Vec::new(), compression };
-        let counts = Arc::<EdgeCounts>::default();
-        let encoder = Encoder::new(&edge, Arc::clone(&counts));
-        let of_size = |width, height| {
-            let camera = Camera { width, height, fx: 500.0, fy: 500.0, cx: 0.5, cy: 0.5 };
-            Header { camera, depth_scale: 0.001, ..Header::default() }
-        };
-        let place = Place { stream: 1, number: 2, oldest: 1 };
-        assert_eq!(encoder.message(place, &of_size(1 << 16, 1 << 16), &[]), None);
-        assert_eq!(counts.malformed.load(Ordering::Relaxed), 1);
-        let bytes = encoder.message(place, &of_size(2, 1), &[7, 0, 8, 0]).unwrap();
-        let (there, _, items) = decode_message(&bytes, &edge.item).unwrap();
-        assert_eq!((there, items), (place, vec![7, 0, 8, 0]));
-        assert_eq!(counts.malformed.load(Ordering::Relaxed), 1);
+    fn an_image_that_is_too_large_or_does_not_fill_its_size_is_left_out_and_counted_and_others_are_sent() {
+        for compression in [Compression::None, Compression::Lz4, Compression::Zstd] {
+            let item = ItemType::of::<u16>();
+            let (name, writers, readers) = ("depth".to_owned(), Vec::new(), Vec::new());
+            let topic = Topic { name, item: Some(item.clone()), writers, readers };
+            let edge = Edge { topic, item, from: "robot".to_owned(), writers: Vec::new(), to: Vec::new(), compression };
+            let counts = Arc::<EdgeCounts>::default();
+            let encoder = Encoder::new(&edge, Arc::clone(&counts));
+            let of_size = |width, height| {
+                let camera = Camera { width, height, fx: 500.0, fy: 500.0, cx: 0.5, cy: 0.5 };
+                Header { camera, depth_scale: 0.001, ..Header::default() }
+            };
+            let (place, items) = (Place { stream: 1, number: 2, oldest: 1 }, [7, 0, 8, 0]);
+            for (left_out, (width, height)) in [(1 << 16, 1 << 16), (1, 1), (2, 2), (0, 0)].into_iter().enumerate() {
+                assert_eq!(encoder.message(place, &of_size(width, height), &items), None, "{compression:?}");
+                assert_eq!(counts.malformed.load(Ordering::Relaxed), left_out as u64 + 1);
+            }
+            let bytes = encoder.message(place, &of_size(2, 1), &items).unwrap();
+            let (there, _, came) = decode_message(&bytes, &edge.item).unwrap();
+            assert_eq!((there, came), (place, items.to_vec()));
+            assert_eq!(counts.malformed.load(Ordering::Relaxed), 4);
+        }
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! Stages that panic, hang or are stopped: they are told of, started anew where that is asked for, and harm no other.
 
+use crate::bridge::{loopback, machines, placed, top_link};
 use crate::processes::{stages_of, wait_for_lines};
 use crate::programs::program;
 use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, signal};
@@ -12,9 +13,13 @@ fn with_faulty_stage(keys: &str) -> Playground {
 
 /// [`TRACKING`] with a program between assembler and tracker.
 fn with_program(program: &str, keys: &str) -> Playground {
+    Playground::with_pipeline(&text_with_program(program, keys))
+}
+
+fn text_with_program(program: &str, keys: &str) -> String {
     let (before, after) = TRACKING.split_once("[stage.tracker]").unwrap();
     let after = after.replacen("\"objects\"", "\"passed_on\"", 1);
-    Playground::with_pipeline(&format!(
+    format!(
         r#"{before}
 [stage.faulty]
 program = {program}
@@ -23,7 +28,7 @@ output  = {{ topic = "passed_on", kind = "objects" }}
 {keys}
 
 [stage.tracker]{after}"#
-    ))
+    )
 }
 
 fn start(playground: &Playground) -> Started {
@@ -119,6 +124,37 @@ fn nonsense_in_shared_memory_is_counted_and_left_out() {
     let sequences = playground.sequences("tracks.jsonl");
     let made = ended.stage("source").messages;
     assert!(sequences.iter().copied().eq((0..20).chain(23..made)), "{sequences:?}");
+}
+
+#[test]
+fn nonsense_does_not_leave_its_machine_and_is_counted_at_the_edge() {
+    let places = [
+        ("source", "robot"),
+        ("extractor", "robot"),
+        ("assembler", "robot"),
+        ("faulty", "robot"),
+        ("tracker", "base"),
+        ("json", "base"),
+    ];
+    let endpoint = loopback();
+    let text = placed(&text_with_program(&program("faulty_stage"), "nonsense_at = 20"), &places);
+    let text =
+        format!("{text}\n[machine.robot]\nlisten = [\"{endpoint}\"]\n[machine.base]\nconnect = [\"{endpoint}\"]\n");
+    let [robot, base] = machines(&text);
+    let start = |machine: &Playground, name| machine.start(&["run", "--machine", name, "--set", "source.rate_hz=50"]);
+    let mut runs = [start(&robot, "robot"), start(&base, "base")];
+    wait_for_frame(&mut runs[1], &base, 40);
+    let malformed = |machine: &Playground| top_link(machine)["edges"][0]["malformed"].as_u64();
+    runs[0].wait_until("it is counted", || malformed(&robot) == Some(3));
+    assert_eq!(malformed(&base), Some(0));
+    let told = "left out a message of topic `passed_on`";
+    assert!(runs[0].stderr().contains(told) && !runs[1].stderr().contains(told), "{}", runs[0].stderr());
+    for run in runs {
+        signal(run.id(), Signal::INT);
+        run.wait();
+    }
+    let sequences = base.sequences("tracks.jsonl");
+    assert!(sequences.iter().copied().take(38).eq((0..20).chain(23..41)), "{sequences:?}");
 }
 
 /// A shell that starts the faulty stage, which does no wrong, with this before and after it.

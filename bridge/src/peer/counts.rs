@@ -15,7 +15,10 @@ pub(crate) struct EdgeCounts {
     pub lost: AtomicU64,
     pub resent: AtomicU64,
     pub stale: AtomicU64,
+    /// Left out, because they make no sense, by what encodes or decodes them.
     pub malformed: AtomicU64,
+    /// And where they come out of shared memory.
+    pub refused: AtomicU64,
     pub age_ns: AtomicU64,
 }
 
@@ -40,7 +43,7 @@ impl EdgeCounts {
             lost: count(&self.lost),
             resent: count(&self.resent),
             stale: count(&self.stale),
-            malformed: count(&self.malformed),
+            malformed: count(&self.malformed) + count(&self.refused),
             age_ms: count(&self.age_ns) as f64 / 1e6,
         }
     }
@@ -85,5 +88,7 @@ mod tests {
         let left_out = LeftOut::new(Arc::clone(&counts));
         (0..3).for_each(|_| left_out.add(format_args!("its image has no pixels")));
         assert_eq!(counts.report("depth", "out", &EdgeReport::default(), 1.0).malformed, 3);
+        counts.refused.store(2, Ordering::Relaxed);
+        assert_eq!(counts.report("depth", "out", &EdgeReport::default(), 1.0).malformed, 5);
     }
 }

@@ -41,6 +41,7 @@ impl Form for Track {}
 impl Form for u16 {
     fn encode_body(header: &Header, items: &[u16], how: Compression, bytes: &mut Vec<u8>) -> Result<(), WireError> {
         check_pixels(header)?;
+        Self::check(header, items)?;
         bytes.push(tag_of(how));
         depth_codec::compress(items, header.camera.width as usize, how, bytes).map_err(WireError::Broken)
     }

@@ -1,6 +1,9 @@
 //! What the wire promises: every message comes back bit for bit, and no bytes whatever do harm.
 
-use super::{MAX_MESSAGE, Place, WIRE_VERSION, WireError, decode_message, encode_message, place_of, set_oldest};
+use super::codec::codec_of;
+use super::{
+    MAX_MESSAGE, Place, WIRE_VERSION, WireError, decode_message, encode_message, message_bytes, place_of, set_oldest,
+};
 use bytemuck::cast_slice;
 use conicflow_dataflow::pipeline::Compression;
 use conicflow_dataflow::{BUILT_IN, ItemType};
@@ -117,11 +120,18 @@ fn images_that_do_not_fill_their_size_are_refused() {
     for how in HOW {
         let pixels = vec![1000; 12];
         let good = bytes_of(&header(4, 3), &pixels, how);
-        let short = bytes_of(&header(4, 4), &pixels, how);
+        assert!(decoded::<u16>(&good).is_ok());
         let huge = encoded(&header(8192, 4096), &pixels, how);
         assert!(matches!(huge, Err(WireError::Broken(_))), "it could not be read there: {how:?}");
-        assert!(decoded::<u16>(&good).is_ok());
-        assert!(decoded::<u16>(&short).is_err(), "{how:?}");
+        for (width, height) in [(4, 4), (4, 2), (0, 0)] {
+            let other = header(width, height);
+            assert!(matches!(encoded(&other, &pixels, how), Err(WireError::Malformed(_))), "{how:?}");
+            // A sender that does not look sends it.
+            let item = ItemType::of::<u16>();
+            let body = |bytes: &mut Vec<u8>| codec_of(&item).encode(&header(4, 3), cast_slice(&pixels), how, bytes);
+            let sent = message_bytes(place(), &item.layout(), &other, body).unwrap();
+            assert!(decoded::<u16>(&sent).is_err(), "{how:?}");
+        }
     }
 }
 

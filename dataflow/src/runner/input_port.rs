@@ -298,7 +298,8 @@ impl<R: Reader> InputPort<R> {
         self.pending.is_empty()
     }
 
-    pub(crate) fn counts(&self) -> InputCounts {
+    /// What was counted of this input.
+    pub fn counts(&self) -> InputCounts {
         self.counts
     }
 
