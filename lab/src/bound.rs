@@ -277,10 +277,16 @@ mod tests {
     use std::f64::consts::PI;
 
     const SIGMA_M: f64 = 0.002;
+    /// So noisy that silhouettes tell most.
+    const VAGUE_M: f64 = 0.5;
     const JITTER_PX: f64 = 0.5;
 
     fn measuring(dropout_deg: f64) -> Measuring {
-        let noise = NoiseModel { floor_m: SIGMA_M, ..NoiseModel::IDEAL };
+        measuring_with(SIGMA_M, dropout_deg)
+    }
+
+    fn measuring_with(sigma_m: f64, dropout_deg: f64) -> Measuring {
+        let noise = NoiseModel { floor_m: sigma_m, ..NoiseModel::IDEAL };
         Measuring { noise, dropout_angle: f64::to_radians(dropout_deg), edge_jitter_px: JITTER_PX }
     }
 
@@ -346,9 +352,12 @@ mod tests {
         assert_near("position by depths", bounds.depths.position_m, (2.0 * across + along).sqrt(), 0.02);
         // each of four quarters of the circle has scan lines R cos phi d phi, along which it moves by 1 / cos phi
         let edges = 8.0 * RADIUS_PX * (1.0 + 2_f64.sqrt()).ln() / (1.0 / 12.0 + JITTER_PX * JITTER_PX);
-        let by_depths = pixels / (SIGMA_M * SIGMA_M);
-        let information = by_depths * (w2 - w1 * w1 / w0) + edges * per_metre * per_metre;
-        assert_near("radius by both", bounds.contour.radius_m, information.sqrt().recip(), 0.02);
+        for sigma_m in [SIGMA_M, VAGUE_M] {
+            let bounds = super::bounds(&raster, 0, &body, &measuring_with(sigma_m, 70.0)).unwrap();
+            let by_depths = pixels / (sigma_m * sigma_m);
+            let information = by_depths * (w2 - w1 * w1 / w0) + edges * per_metre * per_metre;
+            assert_near("radius by both", bounds.contour.radius_m, information.sqrt().recip(), 0.02);
+        }
         assert_eq!((bounds.depths.axis, bounds.depths.half_angle), (None, None));
     }
 
@@ -366,6 +375,84 @@ mod tests {
             assert!(hidden.position_m > 1.4 * free.position_m, "{hidden:?} {free:?}");
         }
         assert_eq!(bounds(&Raster::of(FAR, &[shape, wall(99.0, 5.0, 0.0)]), 0, &body, &measuring(70.0)), None);
+    }
+
+    /// A board before the right half of a sphere, or the lower half, takes half of the contour, and its own contour in the middle of
+    /// the sphere tells nothing.
+    #[test]
+    fn the_contour_of_what_hides_an_object_tells_nothing_of_it() {
+        let (shape, body) = sphere(100.0, 0.3);
+        let board = |x: f64, y: f64| {
+            let (point, sides) = (Vector3::new(x, y, 99.0), [Vector3::x(), Vector3::y()]);
+            Shape::Plane(Plane { point, normal: -Vector3::z(), sides, half: [0.6; 2] })
+        };
+        let information = |shapes: &[Shape]| {
+            let raster = Raster::of(FAR, shapes);
+            let measuring = measuring(70.0);
+            let view = View { raster: &raster, owner: 0, measuring: &measuring };
+            let surface = Sphere { center: Vector3::from(body.center), radius: body.radius };
+            view.of_silhouettes(&surface)
+        };
+        let free = information(&[shape]);
+        assert_eq!(free, information(&[shape, wall(101.0, 5.0, 0.0)]), "before a wall or before nothing");
+        for (x, y) in [(0.6, 0.0), (-0.6, 0.0), (0.0, 0.6), (0.0, -0.6)] {
+            let half = information(&[shape, board(x, y)]);
+            assert_near(&format!("the radius beside a board at {x}, {y}"), half[(3, 3)], 0.5 * free[(3, 3)], 0.03);
+            // The side that is seen tells both, by the mean of the cosine, 2 / pi, outwards.
+            let side = if x == 0.0 { 1 } else { 0 };
+            let outwards = half[(3, side)] * -(x + y).signum();
+            assert!(outwards > 0.5 * half[(3, 3)] && half[(3, 1 - side)].abs() < 0.05 * half[(3, 3)], "{half}");
+        }
+    }
+
+    /// An image that ends in the middle of a sphere shows half of its contour, and half of its depths.
+    #[test]
+    fn where_the_image_ends_is_no_contour() {
+        let (shape, body) = sphere(100.0, 0.3);
+        let of = |camera: Camera| {
+            let (raster, measuring) = (Raster::of(camera, &[shape]), measuring(70.0));
+            let view = View { raster: &raster, owner: 0, measuring: &measuring };
+            let surface = Sphere { center: Vector3::from(body.center), radius: body.radius };
+            [view.of_depths(&surface)[(3, 3)], view.of_silhouettes(&surface)[(3, 3)]]
+        };
+        let whole = of(FAR);
+        for half in [
+            Camera { width: 200, ..FAR },
+            Camera { height: 200, ..FAR },
+            Camera { width: 200, cx: -0.3, ..FAR },
+            Camera { height: 200, cy: -0.4, ..FAR },
+        ] {
+            for (half, whole) in of(half).into_iter().zip(whole) {
+                assert_near("half of the information", half, 0.5 * whole, 0.03);
+            }
+        }
+    }
+
+    /// The place that it tells is the one where the ray touches, not that of the pixel.
+    #[test]
+    fn a_tangent_touches_the_surface_less_than_a_pixel_and_a_half_away() {
+        let (shape, body) = sphere(100.0, 0.3);
+        let (raster, measuring) = (Raster::of(FAR, &[shape]), measuring(70.0));
+        let view = View { raster: &raster, owner: 0, measuring: &measuring };
+        let q = Sphere { center: Vector3::from(body.center), radius: body.radius }.coefficients();
+        let mut count = 0;
+        for [u, v] in view.pixels().filter(|pixel| view.is_side(&q, *pixel)) {
+            for [step_u, step_v] in BESIDE {
+                let is_edge = view.is_farther([u, v], [u + step_u, v + step_v]);
+                let tangent = view.tangent(&q, [u, v], [step_u, step_v]).filter(|_| is_edge);
+                let Some(tangent) = tangent else { continue };
+                // Under rays that are nearly parallel the silhouette is a circle of this radius about the middle of the image.
+                let place = FAR.fx * tangent.ray.xy().norm();
+                let radius_px = FAR.fx * (0.3_f64 / 100.0).asin().tan();
+                assert!((place - radius_px).abs() < 1e-3, "{place} {radius_px}");
+                let moved = tangent.ray - ray(&FAR, u, v);
+                let along = FAR.fx * (moved.x * step_u as f64 + moved.y * step_v as f64);
+                assert!((0.0..=1.5).contains(&along) && FAR.fx * moved.norm() - along < 1e-6, "{along}");
+                count += 1;
+            }
+        }
+        // A circle has as many as its sides are wide and high between 45 degrees: 4 * 2 * 120 * cos 45.
+        assert!((count as f64 - 8.0 * 120.0 * 0.5_f64.sqrt()).abs() < 12.0, "{count}");
     }
 
     const NEAR: Camera = Camera { width: 160, height: 120, fx: 131.0, fy: 133.0, cx: 80.3, cy: 58.7 };
@@ -423,7 +510,7 @@ mod tests {
         let weight = |&[u, v]: &[i64; 2]| {
             let (point, normal) = (view.raster.point(u, v), gradient(&q, &view.raster.point(u, v)));
             let cosine = -normal.dot(&point) / (normal.norm() * point.norm());
-            (cosine / view.measuring.dropout_angle.cos()).min(1.0) / (SIGMA_M * SIGMA_M)
+            (cosine / view.measuring.dropout_angle.cos()).min(1.0) / view.measuring.noise.variance(point.z)
         };
         let of_edges = edges.iter().map(|_| 1.0 / (1.0 / 12.0 + JITTER_PX * JITTER_PX));
         let weights: Vec<f64> = pixels.iter().map(weight).chain(of_edges).collect();
@@ -436,12 +523,20 @@ mod tests {
 
     #[test]
     fn cylinder_and_cone_agree_with_differences_of_traced_rays() {
-        for slope in [0.0, 0.15] {
-            let (point, axis) = (Vector3::new(0.1, -0.05, 1.5), Vector3::new(0.35, 0.9, 0.4).normalize());
+        // At 20 degrees the chance that a pixel is measured counts nearly everywhere; rays towards the rim of the image are longer.
+        for (slope, sigma_m, dropout_deg) in [
+            (0.0, SIGMA_M, 70.0),
+            (0.15, SIGMA_M, 70.0),
+            (0.0, VAGUE_M, 70.0),
+            (0.15, VAGUE_M, 70.0),
+            (0.0, SIGMA_M, 20.0),
+        ] {
+            let aside = if dropout_deg < 70.0 { 0.6 } else { 0.1 };
+            let (point, axis) = (Vector3::new(aside, -0.05, 1.5), Vector3::new(0.35, 0.9, 0.4).normalize());
             let (radius, length) = (0.15, 0.5);
             let (shape, body) = frustum(point, axis, radius, slope, length);
             let raster = Raster::of(NEAR, &[shape, wall(3.0, 9.0, 0.0)]);
-            let measuring = measuring(70.0);
+            let measuring = measuring_with(sigma_m, dropout_deg);
             let view = View { raster: &raster, owner: 0, measuring: &measuring };
             let [depths, both] = by_differences(&view, &Conical { point, axis, radius, slope }, length);
             let bounds = bounds(&raster, 0, &body, &measuring).unwrap();

@@ -394,4 +394,19 @@ mod tests {
         assert_eq!((row.number_of("found"), row.get("scatter"), row.get("efficiency_a")), (Some(0.9), None, None));
         assert!(row.number_of("bound_a").is_some());
     }
+
+    /// A ball that has moved to the place of another by the second second is known as well as that one.
+    #[test]
+    fn the_bounds_are_those_of_the_time_of_the_frame() {
+        let (head, _) = SCENE.split_once("[[cone]]").unwrap();
+        let moving = "motion.path = { points = [{ t_s = 0, offset = [-2, 0, 0] }, { t_s = 4, offset = [2, 0, 0] }] }\n";
+        let bound = |ball: &str, stamp_ns: u64| {
+            let (mut limit, header) = limit_of(&[head, ball].concat());
+            limit.add(&Header { stamp_ns, ..header }, &[]).unwrap();
+            limit.rows()[0].number_of("bound_a")
+        };
+        let still = bound(BALL, 0).unwrap();
+        let moved = bound(&(BALL.to_owned() + moving), 2_000_000_000).unwrap();
+        assert!((moved / still - 1.0).abs() < 1e-6, "{moved} {still}");
+    }
 }

@@ -305,6 +305,7 @@ pub(super) mod tests {
             (Object { axis: tilted(0.36), ..cone() }, Some(Fault::Axis)),
             (Object { axis: tilted(-0.36), ..cone() }, Some(Fault::Axis)),
             (Object { axis: [0.0, -1.0, 0.0], ..cone() }, Some(Fault::Axis)),
+            (Object { axis: [1.0, 0.0, 0.0], ..cone() }, Some(Fault::Axis)),
             (Object { radius: 0.119, ..cone() }, None),
             (Object { radius: 0.121, ..cone() }, Some(Fault::Radius)),
             (Object { radius: 0.081, ..cone() }, None),

@@ -106,15 +106,43 @@ mod tests {
 
     #[test]
     fn what_is_far_wider_is_another_thing() {
-        assert_eq!(pair_up(&[wide(0.0, 0.1)], &[wide(0.0, 0.199)]).both, [(0, 0)]);
+        assert_eq!(pair_up(&[wide(0.0, 0.1)], &[wide(0.0, 0.2)]).both, [(0, 0)]);
+        assert_eq!(pair_up(&[wide(0.0, 0.2)], &[wide(0.0, 0.1)]).both, [(0, 0)]);
         assert_eq!(pair_up(&[wide(0.0, 0.1)], &[wide(0.0, 0.201)]).both, []);
         assert_eq!(pair_up(&[wide(0.0, 0.201)], &[wide(0.0, 0.1)]).both, []);
+    }
+
+    fn can(center: [f64; 3], axis: [f64; 3], length: f64) -> Object {
+        let kind = ObjectKind::Cylinder.code();
+        Object { kind, half_angle: 0.0, base_radius: 0.0, center, axis, length, ..cone() }
+    }
+
+    /// The end of a long pipe, seen alone, is far from the middle of the pipe.
+    #[test]
+    fn a_part_is_the_same_thing_as_the_whole_whoever_is_asked_first() {
+        let pipe = can([0.0, 0.0, 1.0], [0.0, 1.0, 0.0], 0.8);
+        let end = can([0.0, 0.35, 1.0], [0.0, 1.0, 0.0], 0.1);
+        assert_eq!(pair_up(&[pipe], &[end]).both, [(0, 0)]);
+        assert_eq!(pair_up(&[end], &[pipe]).both, [(0, 0)]);
+    }
+
+    /// The middle of the first lies on the axis of one that leans, whose own middle is 8 cm beside the axis of the first; the other
+    /// one is 3 cm beside it, either way.
+    #[test]
+    fn the_distance_is_that_from_either_to_the_other() {
+        let leaning = [0.5_f64.sqrt(), 0.5_f64.sqrt(), 0.0];
+        let (upright, length) = ([0.0, 1.0, 0.0], 0.4);
+        let a = [can([0.0, 0.0, 1.0], upright, length)];
+        let b = [can([0.08, 0.08, 1.0], leaning, length), can([0.03, 0.0, 1.0], upright, length)];
+        assert!(compare(&a[0], &b[0]).position_m < 1e-12);
+        assert_eq!(pair_up(&a, &b).both, [(0, 1)]);
+        assert_eq!(pair_up(&b, &a).both, [(1, 0)]);
     }
 
     /// A ball on a can lies on its axis, but above its end.
     #[test]
     fn a_ball_on_a_can_is_not_the_can() {
-        let can = Object { kind: ObjectKind::Cylinder.code(), half_angle: 0.0, base_radius: 0.0, ..cone() };
+        let can = can([0.0, 0.0, 1.0], [0.0, 1.0, 0.0], 0.2);
         let ball = Object { center: [0.0, -0.2, 1.0], ..sphere(0.0) };
         assert_eq!(pair_up(&[can], &[ball]).both, []);
     }

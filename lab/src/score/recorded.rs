@@ -597,6 +597,11 @@ mod tests {
                     "axis_dir": [0, 1, 0], "seen_side_from_to_m": [0.1, -0.1]}]}"#,
                 "of `tin` goes from 0.1 to -0.1\n  hint: ",
             ),
+            (
+                r#"{"units": "m", "objects": [{"type": "cylinder", "what": "tin", "radius_m": 1, "axis_point_m": [0, 0, 1],
+                    "axis_dir": [0, 1, 0], "seen_side_from_to_m": [0.1, 0.1]}]}"#,
+                "of `tin` goes from 0.1 to 0.1\n  hint: ",
+            ),
         ] {
             let error = format!("{:#}", parse(text).unwrap_err());
             assert!(error.contains(what), "{error}");

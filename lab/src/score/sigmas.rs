@@ -96,6 +96,27 @@ mod tests {
     }
 
     #[test]
+    fn a_half_angle_is_judged_of_cones_alone_and_an_axis_of_all_that_have_one() {
+        let sigma = ObjectSigma { half_angle: 0.01, axis: 0.1, ..ObjectSigma::default() };
+        let wider =
+            Object { half_angle: cone().half_angle + 0.02, axis: [0.0, 0.2_f64.cos(), 0.2_f64.sin()], sigma, ..cone() };
+        let cylinder = |object: Object| Object { kind: ObjectKind::Cylinder.code(), ..object };
+        let tapered = Sigmas::of(&cone(), &wider);
+        assert!((tapered.half_angle.unwrap() - 2.0).abs() < 1e-9 && (tapered.axis.unwrap() - 2.0).abs() < 1e-9);
+        let straight = Sigmas::of(&cylinder(cone()), &cylinder(wider));
+        assert!(straight.half_angle.is_none() && (straight.axis.unwrap() - 2.0).abs() < 1e-9);
+    }
+
+    /// The places across the axis and along it are correlated, as those of a cone of which one end is seen better.
+    #[test]
+    fn what_is_unsure_along_the_axis_does_not_count_across_it() {
+        let center = [[4e-6, 3e-5, 0.0], [3e-5, 4e-4, 1e-5], [0.0, 1e-5, 1e-6]];
+        let sigma = ObjectSigma { center, ..ObjectSigma::default() };
+        let answer = Object { center: [0.002, 0.3, 1.001], sigma, ..cone() };
+        assert!((Sigmas::of(&cone(), &answer).center.unwrap() - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
     fn an_answer_without_covariance_is_not_judged_by_it() {
         assert_eq!(Sigmas::of(&sphere(0.0), &sphere(0.01)).center, None);
     }

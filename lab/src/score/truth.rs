@@ -266,10 +266,36 @@ mod tests {
         assert!(of(|truth| truth.hidden = 0.75) && !of(|truth| truth.hidden = 0.76));
         assert!(of(|truth| truth.extent_px = [12, 90]) && !of(|truth| truth.extent_px = [11, 90]));
         assert!(of(|truth| truth.extent_px = [90, 12]) && !of(|truth| truth.extent_px = [90, 11]));
-        assert!(of(|truth| truth.object.arc = 30.1_f64.to_radians()));
+        assert!(of(|truth| truth.object.arc = 30_f64.to_radians()));
         assert!(!of(|truth| truth.object.arc = 29.9_f64.to_radians()));
         assert!(of(|truth| truth.body.axis = leaning(64.9)) && !of(|truth| truth.body.axis = leaning(65.1)));
         assert!(!of(|truth| truth.bowl = true), "its inside is no sphere");
         assert!(!of(|truth| truth.part = true), "it belongs to something that is no object");
+    }
+
+    /// By the third second the camera of the scene has gone three metres; the one of the header is elsewhere.
+    #[test]
+    fn the_camera_is_where_the_header_has_it_whatever_the_scene_says_at_that_time() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scene.toml");
+        let scene = "name = 'moving'
+            [camera]
+            position = [0.5, 0.2, 1.0]
+            direction = [0, 1, 0]
+            motion.path = { points = [{ t_s = 0, offset = [0, 0, 0] }, { t_s = 8, offset = [8, 0, 0] }] }
+            [[sphere]]
+            name = 'ball'
+            center = [0, 2, 1]
+            radius = 0.1";
+        std::fs::write(&path, scene).unwrap();
+        let truth = RenderedTruth { scene: Some(load_scene(&path).unwrap()), ..RenderedTruth::default() };
+        let world_from_camera = [[1.0, 0.0, 0.0, 0.1], [0.0, 0.0, 1.0, -0.3], [0.0, -1.0, 0.0, 0.9]];
+        let source = conicflow_messages::Text::new("moving");
+        let without = Header { stamp_ns: 3_000_000_000, source, ..Header::default() };
+        let with = Header { flags: conicflow_messages::HAS_POSE, world_from_camera, ..without };
+        for (header, place) in [(without, Vector3::new(3.5, 0.2, 1.0)), (with, Vector3::new(0.1, -0.3, 0.9))] {
+            let there = truth.scene_of(&header).unwrap().world_from_camera(3.0).translation;
+            assert!((there - place).norm() < 1e-9, "{there}");
+        }
     }
 }
