@@ -9,9 +9,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// Budget for one image where the stage works live and none was said, in milliseconds. Of the 33 between two of 30 images a second it
-/// leaves three for passing on what was found and for the candidate that is being tried when it is over: with `budget_ms = 5` recordings
-/// of 640x480 and 960x540 pixels took up to 6.7 ms (p99 of the summary, of a build for tests).
+/// Budget for one image where the stage works live and none was said, in milliseconds. Of the 33 between two of 30 images a second
+/// it leaves three for passing on what was found and for the candidate that is being tried when it is over: with `budget_ms = 5`
+/// recordings of 640x480 and 960x540 pixels took up to 6.7 ms (p99 of the summary, of a build for tests).
 const LIVE_BUDGET_MS: f64 = 30.0; // [measured]
 
 /// How objects are found in a list of ellipses.

@@ -82,8 +82,8 @@ pub struct ContourErrors {
 }
 
 /// By how much the contours of one side lie outside the place where the ray touches the surface: by an offset and a share of the
-/// radius of curvature that the surface has there along the view. Each is given with its standard deviation; what no object showed
-/// is near 0, with the deviation of a sensor of which nothing is known.
+/// radius of curvature that the surface has there along the view. Each is given with its standard deviation; what no object
+/// showed is near 0, with the deviation of a sensor of which nothing is known.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SideErrors {
     /// How many points of contours showed it, counted as objects are.
@@ -226,8 +226,8 @@ impl Learned {
     }
 }
 
-/// What an object shows of the bias and of the noise of the contours of its sensor, beside which its own is off with the covariance `own`; `None` where its
-/// points do not determine it.
+/// What an object shows of the bias and of the noise of the contours of its sensor, beside which its own is off with the
+/// covariance `own`; `None` where its points do not determine it.
 fn shown<S: Surface<N>, const N: usize>(
     contour: &Contour,
     fit: &SurfaceFit<S, N>,
