@@ -6,7 +6,7 @@
 
 use conicflow_detection::{Camera, Detector, NoiseModel, Object};
 use conicflow_geometry::Vector3;
-use conicflow_lab::rendered::{Body, KINECT_HALF, render};
+use conicflow_lab::rendered::{KINECT_HALF, frustum, plane, render, sphere};
 use std::mem::offset_of;
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
@@ -68,15 +68,9 @@ fn run(program: &Path, arguments: &[String]) -> Output {
 
 /// A ball, a can and a cone before a wall.
 fn scene() -> (Camera, Vec<u16>) {
-    let frustum = |x: f64, slope: f64| Body::Frustum {
-        center: Vector3::new(x, 0.1, 1.4),
-        axis: Vector3::y(),
-        radius: 0.1,
-        slope,
-        length: 0.4,
-    };
-    let ball = Body::Sphere { center: Vector3::new(0.0, 0.0, 1.2), radius: 0.12 };
-    let wall = Body::Plane { normal: Vector3::z(), offset: 2.5 };
+    let frustum = |x: f64, slope: f64| frustum(Vector3::new(x, 0.1, 1.4), Vector3::y(), 0.1, slope, 0.4);
+    let ball = sphere(Vector3::new(0.0, 0.0, 1.2), 0.12);
+    let wall = plane(Vector3::z(), 2.5);
     let (header, pixels) =
         render(KINECT_HALF, NoiseModel::KINECT_V1, &[ball, frustum(0.45, 0.0), frustum(-0.45, 0.3), wall], 3);
     let millimetres = pixels.iter().map(|&z| (f64::from(z) * header.depth_scale * 1e3).round() as u16);

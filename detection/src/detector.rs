@@ -175,11 +175,11 @@ fn check(header: &Header) -> Result<(), DetectError> {
 mod tests {
     use super::*;
     use conicflow_geometry::Vector3;
-    use conicflow_lab::rendered::{Body, KINECT_HALF, render};
+    use conicflow_lab::rendered::{KINECT_HALF, plane, render, sphere};
 
     fn scene() -> (Header, Vec<u16>) {
-        let ball = Body::Sphere { center: Vector3::new(0.1, 0.0, 1.3), radius: 0.15 };
-        let wall = Body::Plane { normal: Vector3::z(), offset: 2.5 };
+        let ball = sphere(Vector3::new(0.1, 0.0, 1.3), 0.15);
+        let wall = plane(Vector3::z(), 2.5);
         render(KINECT_HALF, NoiseModel::KINECT_V1, &[ball, wall], 3)
     }
 
@@ -206,8 +206,8 @@ mod tests {
 
     /// Images of a ball before a wall.
     fn balls() -> Vec<(Header, Vec<u16>)> {
-        let ball = Body::Sphere { center: Vector3::new(0.1, 0.0, 2.6), radius: 0.1 };
-        let wall = Body::Plane { normal: Vector3::z(), offset: 3.5 };
+        let ball = sphere(Vector3::new(0.1, 0.0, 2.6), 0.1);
+        let wall = plane(Vector3::z(), 3.5);
         (0..40).map(|seed| render(KINECT_HALF, NoiseModel::KINECT_V1, &[ball, wall], seed)).collect()
     }
 

@@ -130,7 +130,8 @@ mod tests {
     use super::super::verify::{Measured, Outline};
     use super::*;
     use conicflow_geometry::{Scan, Vector3};
-    use conicflow_lab::rendered::Body;
+    use conicflow_lab::rendered::frustum;
+    use conicflow_lab::simulator::shapes::Shape;
     use conicflow_messages::ObjectSigma;
 
     /// The arcs of what stands upright two metres away, and those in rows of its middle.
@@ -139,9 +140,9 @@ mod tests {
     }
 
     /// The same before something else.
-    fn upright_before(others: &[Body], slope: f64) -> (Arcs, Vec<usize>) {
+    fn upright_before(others: &[Shape], slope: f64) -> (Arcs, Vec<usize>) {
         let center = Vector3::new(0.0, 0.0, 2.0);
-        let body = Body::Frustum { center, axis: Vector3::y(), radius: 0.2, slope, length: 0.7 };
+        let body = frustum(center, Vector3::y(), 0.2, slope, 0.7);
         let arcs = arcs_of(&[&[body], others].concat());
         let is_near = |mean: &Vector3| mean.z < 2.5 && mean.y.abs() < 0.25;
         let is_of_it = |&index: &usize| arcs.arcs[index].scan == Scan::Row && is_near(&arcs.arcs[index].mean);

@@ -292,7 +292,7 @@ mod tests {
     use super::*;
     use conicflow_geometry::{Scan, Vector3};
     use conicflow_lab::random::CounterRng;
-    use conicflow_lab::rendered::Body;
+    use conicflow_lab::rendered::cylinder;
     use conicflow_messages::Ellipse;
 
     #[test]
@@ -329,7 +329,7 @@ mod tests {
     fn two_cans() -> (Arcs, [Vec<usize>; 2]) {
         let can = |x: f64| {
             let (center, axis) = (Vector3::new(x, 0.0, 2.0), Vector3::y());
-            Body::Frustum { center, axis, radius: 0.2, slope: 0.0, length: 0.7 }
+            cylinder(center, axis, 0.2, 0.7)
         };
         let arcs = arcs_of(&[can(-0.4), can(0.4)]);
         let rows_of = |is_left: bool| {

@@ -173,7 +173,7 @@ mod tests {
     use super::super::tests::arcs_of;
     use super::*;
     use conicflow_geometry::{Pinhole, Scan};
-    use conicflow_lab::rendered::Body;
+    use conicflow_lab::rendered::frustum;
     use conicflow_messages::{Camera, Ellipse, Header};
 
     #[test]
@@ -252,7 +252,7 @@ mod tests {
     /// The arcs of a cone that stands two metres away, narrower than half of it, in rows.
     fn rows_of_a_cone() -> (Arcs, Vec<usize>) {
         let center = Vector3::new(0.0, 0.0, 2.0);
-        let arcs = arcs_of(&[Body::Frustum { center, axis: Vector3::y(), radius: 0.2, slope: 0.2, length: 0.7 }]);
+        let arcs = arcs_of(&[frustum(center, Vector3::y(), 0.2, 0.2, 0.7)]);
         let is_of_it = |&index: &usize| arcs.arcs[index].scan == Scan::Row && arcs.arcs[index].mean.y.abs() < 0.3;
         let members = (0..arcs.arcs.len()).filter(is_of_it).collect();
         (arcs, members)

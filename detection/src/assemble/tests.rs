@@ -7,15 +7,16 @@ use super::seeds::{MAX_VAIN, Seeds};
 use super::{Assembler, AssemblerParameters, Rejection, Rejections};
 use crate::extract::{Extractor, ExtractorParameters};
 use conicflow_geometry::{Conical, FixedSlope, PlaneMoments, Scan, Surface, Vector3};
-use conicflow_lab::rendered::{Body, KINECT_HALF, render};
+use conicflow_lab::rendered::{KINECT_HALF, block, cylinder, frustum, plane, render, sphere};
 use conicflow_lab::simulator::random_scene::{SceneGroup, random_scene};
 use conicflow_lab::simulator::random_scenes::RandomScenes;
 use conicflow_lab::simulator::scene::Scene;
 use conicflow_lab::simulator::sensor::{SensorConfig, SensorTable};
+use conicflow_lab::simulator::shapes::Shape;
 use conicflow_lab::simulator::{SimulatorParameters, SyntheticCamera};
 use conicflow_messages::{Camera, Ellipse, Header, Item, NoiseModel, Object, ObjectKind};
 
-fn detect(camera: Camera, noise: NoiseModel, bodies: &[Body], seed: u64) -> Vec<Object> {
+fn detect(camera: Camera, noise: NoiseModel, bodies: &[Shape], seed: u64) -> Vec<Object> {
     let (header, pixels) = render(camera, noise, bodies, seed);
     find(&header, &pixels)
 }
@@ -29,20 +30,20 @@ fn find(header: &Header, pixels: &[u16]) -> Vec<Object> {
     objects
 }
 
-fn kinect(bodies: &[Body], seed: u64) -> Vec<Object> {
+fn kinect(bodies: &[Shape], seed: u64) -> Vec<Object> {
     detect(KINECT_HALF, NoiseModel::KINECT_V1, bodies, seed)
 }
 
-fn can(distance: f64) -> Body {
-    Body::Frustum { center: Vector3::new(0.0, 0.0, distance), axis: Vector3::y(), radius: 0.2, slope: 0.0, length: 0.7 }
+fn can(distance: f64) -> Shape {
+    cylinder(Vector3::new(0.0, 0.0, distance), Vector3::y(), 0.2, 0.7)
 }
 
-pub(super) fn wall(z: f64) -> Body {
-    Body::Plane { normal: Vector3::z(), offset: z }
+pub(super) fn wall(z: f64) -> Shape {
+    plane(Vector3::z(), z)
 }
 
-fn floor(y: f64) -> Body {
-    Body::Plane { normal: Vector3::y(), offset: y }
+fn floor(y: f64) -> Shape {
+    plane(Vector3::y(), y)
 }
 
 fn single(objects: &[Object], shape: ObjectKind) -> Object {
@@ -67,7 +68,7 @@ fn a_can_keeps_its_radius_at_a_distance() {
 
 #[test]
 fn half_a_can_is_enough() {
-    let board = Body::Block { center: Vector3::new(0.2, 0.0, 1.2), size: Vector3::new(0.4, 1.2, 0.02), turn: 0.0 };
+    let board = block(Vector3::new(0.2, 0.0, 1.2), Vector3::new(0.4, 1.2, 0.02), 0.0);
     let found = single(&kinect(&[can(1.6), board, wall(3.0)], 2), ObjectKind::Cylinder);
     assert!((found.radius - 0.2).abs() < 0.006 && found.arc < 1.6, "{found:?}");
 }
@@ -76,8 +77,8 @@ fn half_a_can_is_enough() {
 fn boxes_floor_and_wall_are_nothing() {
     for seed in 0..6 {
         let turn = 0.3 + 0.2 * seed as f64;
-        let near = Body::Block { center: Vector3::new(-0.3, 0.3, 1.6), size: Vector3::new(0.3, 0.6, 0.3), turn };
-        let far = Body::Block { center: Vector3::new(0.6, 0.2, 2.6), size: Vector3::new(0.4, 0.8, 0.5), turn: -turn };
+        let near = block(Vector3::new(-0.3, 0.3, 1.6), Vector3::new(0.3, 0.6, 0.3), turn);
+        let far = block(Vector3::new(0.6, 0.2, 2.6), Vector3::new(0.4, 0.8, 0.5), -turn);
         assert_eq!(kinect(&[near, far, floor(0.6), wall(3.5)], seed), []);
     }
 }
@@ -103,7 +104,7 @@ fn posts_in_much_noise_are_no_cans() {
     // As cameras of the RealSense D400 class show it on tables.
     let stereo = NoiseModel { growth_per_m: 0.0022, ..NoiseModel::IDEAL };
     for (seed, turn) in [(1, 0.6), (2, 0.7), (3, 0.8), (4, 0.7)] {
-        let post = Body::Block { center: Vector3::new(0.1, 0.2, 2.0), size: Vector3::new(0.1, 0.5, 0.1), turn };
+        let post = block(Vector3::new(0.1, 0.2, 2.0), Vector3::new(0.1, 0.5, 0.1), turn);
         let found = detect(camera, stereo, &[post, wall(3.5)], seed);
         assert_eq!(found, [], "turned by {turn}");
     }
@@ -112,10 +113,10 @@ fn posts_in_much_noise_are_no_cans() {
 #[test]
 fn a_sphere_and_cones_of_either_sense_are_told_apart() {
     let center = Vector3::new(0.1, 0.0, 1.5);
-    let ball = single(&kinect(&[Body::Sphere { center, radius: 0.15 }], 3), ObjectKind::Sphere);
+    let ball = single(&kinect(&[sphere(center, 0.15)], 3), ObjectKind::Sphere);
     assert!((ball.radius - 0.15).abs() < 0.0015 && off(&ball, &center) < 0.003, "{ball:?}");
     for slope in [0.25_f64, -0.2, 0.55] {
-        let cone = Body::Frustum { center, axis: Vector3::y(), radius: 0.12, slope, length: 0.4 };
+        let cone = frustum(center, Vector3::y(), 0.12, slope, 0.4);
         let found = single(&kinect(&[cone], 4), ObjectKind::Cone);
         assert!((found.half_angle - slope.abs().atan()).to_degrees().abs() < 1.0, "{found:?}");
         assert!(found.axis[1] * slope > 0.0 && found.base_radius > found.top_radius, "{found:?}");
@@ -127,7 +128,7 @@ fn a_sphere_and_cones_of_either_sense_are_told_apart() {
 #[test]
 fn a_cone_ends_at_its_apex() {
     let center = Vector3::new(0.0, 0.0, 1.2);
-    let whole = Body::Frustum { center, axis: Vector3::y(), radius: 0.05, slope: 0.45, length: 2.0 * 0.05 / 0.45 };
+    let whole = frustum(center, Vector3::y(), 0.05, 0.45, 2.0 * 0.05 / 0.45);
     for seed in 0..8 {
         for found in kinect(&[whole, wall(3.0)], seed) {
             let (axis, middle) = (Vector3::from(found.axis), Vector3::from(found.center));
@@ -142,8 +143,8 @@ fn a_cone_ends_at_its_apex() {
 #[test]
 fn a_ball_on_a_can_is_cut_off_from_it() {
     let axis = Vector3::y();
-    let can = Body::Frustum { center: Vector3::new(0.0, 0.25, 1.4), axis, radius: 0.1, slope: 0.0, length: 0.3 };
-    let ball = Body::Sphere { center: Vector3::new(0.0, -0.02, 1.4), radius: 0.12 };
+    let can = cylinder(Vector3::new(0.0, 0.25, 1.4), axis, 0.1, 0.3);
+    let ball = sphere(Vector3::new(0.0, -0.02, 1.4), 0.12);
     let mut objects = kinect(&[can, ball, floor(0.4), wall(3.0)], 7);
     objects.sort_by_key(|object| object.kind);
     let shapes: Vec<_> = objects.iter().map(Object::shape).collect();
@@ -153,10 +154,10 @@ fn a_ball_on_a_can_is_cut_off_from_it() {
 
 #[test]
 fn where_a_surface_goes_on_it_is_told_and_speaks_against_a_sphere() {
-    let ball = Body::Sphere { center: Vector3::new(0.0, -0.02, 1.4), radius: 0.12 };
+    let ball = sphere(Vector3::new(0.0, -0.02, 1.4), 0.12);
     let axis = Vector3::y();
-    let post = Body::Frustum { center: Vector3::new(0.0, 0.22, 1.4), axis, radius: 0.11, slope: 0.0, length: 0.4 };
-    let evidence = |bodies: &[Body]| {
+    let post = cylinder(Vector3::new(0.0, 0.22, 1.4), axis, 0.11, 0.4);
+    let evidence = |bodies: &[Shape]| {
         let (header, pixels) = render(KINECT_HALF, NoiseModel::KINECT_V1, bodies, 7);
         let mut extractor = Extractor::new(ExtractorParameters::default());
         let mut assembler = Assembler::new(AssemblerParameters::default());
@@ -173,7 +174,7 @@ fn where_a_surface_goes_on_it_is_told_and_speaks_against_a_sphere() {
 fn what_lies_across_is_found_in_columns_and_reported_once() {
     let center = Vector3::new(0.0, 0.1, 1.5);
     for axis in [Vector3::x(), Vector3::new(0.8, 0.6, 0.0), Vector3::new(0.6, 0.7, -0.4).normalize()] {
-        let pipe = Body::Frustum { center, axis, radius: 0.08, slope: 0.0, length: 0.6 };
+        let pipe = cylinder(center, axis, 0.08, 0.6);
         let found = single(&kinect(&[pipe, wall(3.0)], 8), ObjectKind::Cylinder);
         assert!((found.radius - 0.08).abs() < 0.001, "{found:?}");
         assert!(Vector3::from(found.axis).cross(&axis).norm() < 0.02, "{found:?}");
@@ -182,19 +183,18 @@ fn what_lies_across_is_found_in_columns_and_reported_once() {
 
 #[test]
 fn what_is_seen_through_a_gap_may_be_anything_but_a_dome_on_a_wall_is_a_sphere() {
-    let door =
-        |x: f64| Body::Block { center: Vector3::new(x, 0.0, 1.0), size: Vector3::new(0.4, 1.5, 0.02), turn: 0.0 };
+    let door = |x: f64| block(Vector3::new(x, 0.0, 1.0), Vector3::new(0.4, 1.5, 0.02), 0.0);
     let ajar = [can(1.5), door(-0.24), door(0.24), wall(3.0)];
     assert_eq!(kinect(&ajar, 7), []);
     assert_eq!(single(&kinect(&[can(1.5), door(-0.24), wall(3.0)], 7), ObjectKind::Cylinder).kind, 1);
-    let dome = Body::Sphere { center: Vector3::new(0.1, 0.05, 1.5), radius: 0.15 };
+    let dome = sphere(Vector3::new(0.1, 0.05, 1.5), 0.15);
     let found = single(&kinect(&[dome, wall(1.5)], 7), ObjectKind::Sphere);
     assert!((found.radius - 0.15).abs() < 0.005, "{found:?}");
 }
 
 #[test]
 fn the_inside_of_a_bowl_is_nothing() {
-    let bowl = Body::Sphere { center: Vector3::new(0.0, 0.0, 0.2), radius: 0.5 };
+    let bowl = sphere(Vector3::new(0.0, 0.0, 0.2), 0.5);
     assert_eq!(kinect(&[bowl], 9), []);
 }
 
@@ -202,7 +202,7 @@ fn the_inside_of_a_bowl_is_nothing() {
 fn a_sensor_quieter_than_its_model_is_no_worse() {
     let center = Vector3::new(0.02, 0.01, 0.8);
     let camera = Camera { width: 160, height: 120, fx: 150.0, fy: 150.0, cx: 79.5, cy: 59.5 };
-    let ball = Body::Sphere { center, radius: 0.1 };
+    let ball = sphere(center, 0.1);
     let (mut header, pixels) = render(camera, NoiseModel::IDEAL, &[ball], 12);
     header.noise = NoiseModel::KINECT_V1;
     let found = single(&find(&header, &pixels), ObjectKind::Sphere);
@@ -280,7 +280,7 @@ fn lengths_are_neither_too_long_nor_too_short() {
     let found: Vec<_> = (0..24_u64)
         .map(|i| {
             let center = Vector3::new(0.0, 2e-4 * i as f64, 1.5);
-            let pipe = Body::Frustum { center, axis: Vector3::y(), radius: 0.1, slope: 0.0, length: 0.5 };
+            let pipe = cylinder(center, Vector3::y(), 0.1, 0.5);
             single(&kinect(&[pipe, wall(3.0)], i), ObjectKind::Cylinder)
         })
         .collect();
@@ -307,8 +307,7 @@ fn sigmas_are_about_as_large_as_the_errors() {
 #[test]
 fn sigmas_are_those_of_the_same_can_beside_the_middle() {
     let at = |x: f64| {
-        let Body::Frustum { center, axis, radius, slope, length } = can(2.0) else { unreachable!() };
-        let beside = Body::Frustum { center: Vector3::new(x, center.y, center.z), axis, radius, slope, length };
+        let beside = cylinder(Vector3::new(x, 0.0, 2.0), Vector3::y(), 0.2, 0.7);
         single(&kinect(&[beside, wall(4.0)], 4), ObjectKind::Cylinder).sigma
     };
     let [middle, left, right] = [0.0, -0.5, 0.5].map(at);
@@ -367,7 +366,7 @@ fn after_two_rounds_nothing_is_allocated() {
 }
 
 /// The arcs of a scene as a Kinect sees it.
-pub(super) fn arcs_of(bodies: &[Body]) -> Arcs {
+pub(super) fn arcs_of(bodies: &[Shape]) -> Arcs {
     let (header, pixels) = render(KINECT_HALF, NoiseModel::KINECT_V1, bodies, 1);
     let mut arcs = Arcs::default();
     arcs.read(&header, Extractor::new(ExtractorParameters::default()).extract(&header, &pixels));
@@ -477,7 +476,7 @@ fn with_strays(header: &Header, arc: &Ellipse, are_told: bool) -> Ellipse {
 
 #[test]
 fn what_lies_outside_the_outline_does_not_widen_an_object() {
-    let thin = Body::Frustum { center: Vector3::z() * 2.0, axis: Vector3::y(), radius: 0.06, slope: 0.0, length: 0.7 };
+    let thin = cylinder(Vector3::z() * 2.0, Vector3::y(), 0.06, 0.7);
     let (header, pixels) = render(KINECT_HALF, NoiseModel::KINECT_V1, &[thin, wall(4.0)], 1);
     let mut extractor = Extractor::new(ExtractorParameters::default());
     let arcs: Vec<Ellipse> = extractor.extract(&header, &pixels).iter().filter(|arc| arc.scan == 0).copied().collect();

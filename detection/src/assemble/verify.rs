@@ -270,12 +270,12 @@ mod tests {
     use super::super::growth::{Growing, chain};
     use super::super::tests::arcs_of;
     use super::*;
-    use conicflow_lab::rendered::Body;
+    use conicflow_lab::rendered::cylinder;
 
     #[test]
     fn an_object_has_at_least_as_many_lines_as_it_has_to() {
         let (center, axis) = (Vector3::new(0.0, 0.0, 2.0), Vector3::y());
-        let arcs = arcs_of(&[Body::Frustum { center, axis, radius: 0.2, slope: 0.0, length: 0.7 }]);
+        let arcs = arcs_of(&[cylinder(center, axis, 0.2, 0.7)]);
         let seed = arcs.arcs.iter().position(|arc| arc.scan == Scan::Row && arc.line == 120).unwrap();
         let (mut growing, mut parameters) = (Growing::default(), AssemblerParameters::default());
         chain(&arcs, seed, parameters.max_gap(), |_| true, &mut growing.chain);

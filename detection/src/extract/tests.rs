@@ -1,10 +1,11 @@
 use super::*;
 use crate::assemble::{Assembler, AssemblerParameters};
 use conicflow_geometry::Vector3;
-use conicflow_lab::rendered::{Body, KINECT_HALF, render, scene_of};
+use conicflow_lab::rendered::{KINECT_HALF, block, cylinder, plane, render, scene_of, sphere};
 use conicflow_lab::simulator::random_scene::{SceneGroup, random_scene};
 use conicflow_lab::simulator::scene::Scene;
 use conicflow_lab::simulator::sensor::{SensorConfig, SensorTable};
+use conicflow_lab::simulator::shapes::Shape;
 use conicflow_lab::simulator::{SimulatorParameters, SyntheticCamera};
 use conicflow_messages::{Camera, Item, NoiseModel, Object};
 
@@ -18,18 +19,18 @@ fn arcs(config: ExtractorParameters, (header, pixels): &(Header, Vec<u16>)) -> V
     arcs
 }
 
-fn can(x: f64, z: f64, radius: f64) -> Body {
-    Body::Frustum { center: Vector3::new(x, 0.0, z), axis: Vector3::y(), radius, slope: 0.0, length: 0.5 }
+fn can(x: f64, z: f64, radius: f64) -> Shape {
+    cylinder(Vector3::new(x, 0.0, z), Vector3::y(), radius, 0.5)
 }
 
-fn wall(z: f64) -> Body {
-    Body::Plane { normal: Vector3::z(), offset: z }
+fn wall(z: f64) -> Shape {
+    plane(Vector3::z(), z)
 }
 
 fn room(seed: u64) -> (Header, Vec<u16>) {
-    let floor = Body::Plane { normal: Vector3::y(), offset: 0.25 };
-    let ball = Body::Sphere { center: Vector3::new(0.5, 0.1, 1.4), radius: 0.15 };
-    let block = Body::Block { center: Vector3::new(-0.5, 0.1, 1.7), size: Vector3::new(0.3, 0.3, 0.3), turn: 0.4 };
+    let floor = plane(Vector3::y(), 0.25);
+    let ball = sphere(Vector3::new(0.5, 0.1, 1.4), 0.15);
+    let block = block(Vector3::new(-0.5, 0.1, 1.7), Vector3::new(0.3, 0.3, 0.3), 0.4);
     render(KINECT_HALF, NoiseModel::KINECT_V1, &[can(0.0, 1.6, 0.12), ball, block, floor, wall(3.0)], seed)
 }
 
@@ -163,7 +164,7 @@ fn any_number_of_points_may_be_taken_off_the_ends() {
 
 #[test]
 fn a_floor_and_a_wall_give_next_to_nothing() {
-    let floor = Body::Plane { normal: Vector3::new(0.0, 0.9, 0.3).normalize(), offset: 0.9 };
+    let floor = plane(Vector3::new(0.0, 0.9, 0.3).normalize(), 0.9);
     let arcs = arcs(config(ScanLines::Both), &render(KINECT_HALF, NoiseModel::KINECT_V1, &[floor, wall(2.5)], 6));
     assert!(arcs.len() < 20, "{} arcs", arcs.len());
 }
@@ -199,7 +200,7 @@ fn who_asks_is_told_how_noisy_an_image_was_and_what_was_turned_down_in_it() {
 
 #[test]
 fn a_model_that_grows_wrongly_is_replaced() {
-    let floor = Body::Plane { normal: Vector3::new(0.0, 0.9, 0.3).normalize(), offset: 0.9 };
+    let floor = plane(Vector3::new(0.0, 0.9, 0.3).normalize(), 0.9);
     let kinect = NoiseModel::KINECT_V1;
     let even = NoiseModel { floor_m: 0.002, ..NoiseModel::IDEAL };
     for told in [even, NoiseModel::IDEAL] {
@@ -231,8 +232,7 @@ fn shot(scene: Scene, noise_window_px: u32, width: u32, seed: u64) -> (Header, V
 /// near because they are off.
 #[test]
 fn a_small_thing_alone_before_a_wall_does_not_change_the_noise() {
-    let thing =
-        Body::Frustum { center: Vector3::z() * 0.8, axis: Vector3::y(), radius: 0.03, slope: 0.0, length: 0.15 };
+    let thing = cylinder(Vector3::z() * 0.8, Vector3::y(), 0.03, 0.15);
     for seed in 0..6 {
         let (header, pixels) = shot(scene_of(&[thing, wall(1.8)]), 1, 640, seed);
         let seen = Extractor::new(config(ScanLines::Rows)).estimate_noise(&header, &pixels);

@@ -1,16 +1,17 @@
 //! Tests of the extractor as a whole, on rendered frames.
 
 use super::*;
-use crate::rendered::{Body, KINECT_HALF, render};
+use crate::rendered::{KINECT_HALF, cylinder, plane, render};
+use crate::simulator::shapes::Shape;
 use conicflow_geometry::Vector3;
 use conicflow_messages::{Item, NoiseModel};
 
-fn upright(x: f64, z: f64, radius: f64) -> Body {
-    Body::Frustum { center: Vector3::new(x, 0.0, z), axis: Vector3::y(), radius, slope: 0.0, length: 0.5 }
+fn upright(x: f64, z: f64, radius: f64) -> Shape {
+    cylinder(Vector3::new(x, 0.0, z), Vector3::y(), radius, 0.5)
 }
 
 fn scene() -> (Header, Vec<u16>) {
-    let wall = Body::Plane { normal: Vector3::z(), offset: 3.0 };
+    let wall = plane(Vector3::z(), 3.0);
     render(KINECT_HALF, NoiseModel::KINECT_V1, &[upright(0.1, 1.2, 0.2), wall], 3)
 }
 
@@ -69,13 +70,7 @@ fn the_same_frame_gives_the_same_ellipses_and_the_next_one_other_draws() {
 
 #[test]
 fn columns_see_what_lies() {
-    let lying = Body::Frustum {
-        center: Vector3::new(0.0, 0.0, 1.2),
-        axis: Vector3::x(),
-        radius: 0.15,
-        slope: 0.0,
-        length: 0.8,
-    };
+    let lying = cylinder(Vector3::new(0.0, 0.0, 1.2), Vector3::x(), 0.15, 0.8);
     let frame = render(KINECT_HALF, NoiseModel::KINECT_V1, &[lying], 4);
     let found = |scan| extract(&RansacParameters { scan, line_step: 16, ..RansacParameters::default() }, &frame);
     let columns = found(ScanLines::Columns);

@@ -1,6 +1,7 @@
 use super::*;
 use crate::paper::extractor::{ConicConfig, ConicExtractor};
-use crate::rendered::{Body, KINECT_HALF, render};
+use crate::rendered::{KINECT_HALF, cylinder, frustum, plane, render, sphere};
+use crate::simulator::shapes::Shape;
 use conicflow_detection::assemble::{AxialLimits, PooledParameters, RadiusLimits};
 use conicflow_detection::{Assembler, AssemblerParameters, Extractor, ExtractorParameters};
 use conicflow_geometry::Vector3;
@@ -13,7 +14,7 @@ fn profile() -> ProfileConfig {
     ProfileConfig::default()
 }
 
-fn detect(camera: Camera, noise: NoiseModel, bodies: &[Body], seed: u64, config: &ProfileConfig) -> Vec<Object> {
+fn detect(camera: Camera, noise: NoiseModel, bodies: &[Shape], seed: u64, config: &ProfileConfig) -> Vec<Object> {
     let (header, pixels) = render(camera, noise, bodies, seed);
     let mut extractor = ConicExtractor::new(ConicConfig::of_the_paper());
     let mut assembler = ProfileAssembler::new(config.clone());
@@ -22,12 +23,12 @@ fn detect(camera: Camera, noise: NoiseModel, bodies: &[Body], seed: u64, config:
     objects
 }
 
-fn kinect(bodies: &[Body], seed: u64) -> Vec<Object> {
+fn kinect(bodies: &[Shape], seed: u64) -> Vec<Object> {
     detect(KINECT_HALF, NoiseModel::KINECT_V1, bodies, seed, &profile())
 }
 
-fn can(distance: f64) -> Body {
-    Body::Frustum { center: Vector3::new(0.0, 0.0, distance), axis: Vector3::y(), radius: 0.2, slope: 0.0, length: 0.7 }
+fn can(distance: f64) -> Shape {
+    cylinder(Vector3::new(0.0, 0.0, distance), Vector3::y(), 0.2, 0.7)
 }
 
 fn single(objects: &[Object], shape: ObjectKind) -> Object {
@@ -77,7 +78,7 @@ fn the_papers_radius_shrinks_as_in_the_paper() {
 #[test]
 fn a_sphere_is_found_off_the_optical_axis() {
     let center = Vector3::new(0.2, 0.25, 1.5);
-    let ball = Body::Sphere { center, radius: 0.15 };
+    let ball = sphere(center, 0.15);
     let exact = detect(KINECT, NoiseModel::IDEAL, &[ball], 4, &profile());
     let found = single(&exact, ObjectKind::Sphere);
     assert!((found.radius - 0.15).abs() < 1e-4 && distance(&found, &center) < 2e-4, "{found:?}");
@@ -94,7 +95,7 @@ fn tilted_cones_are_found_as_in_the_paper() {
             let axis = Vector3::new(0.0, cos, sin);
             let center = Vector3::new(0.1, 0.0, 1.3);
             let slope = half_angle_deg.to_radians().tan();
-            let cone = Body::Frustum { center, axis, radius: 0.15, slope, length: 0.5 };
+            let cone = frustum(center, axis, 0.15, slope, 0.5);
             let found = single(&kinect(&[cone], 5), ObjectKind::Cone);
             assert!((found.half_angle.to_degrees() - half_angle_deg).abs() < 0.5, "{found:?}");
             assert!(Vector3::from(found.axis).dot(&axis) > 0.99985, "{found:?}");
@@ -109,8 +110,7 @@ fn tilted_cones_are_found_as_in_the_paper() {
 #[test]
 fn blunt_cones_are_found_where_they_are_asked_for() {
     let slope = 38.0_f64.to_radians().tan();
-    let cone =
-        Body::Frustum { center: Vector3::new(0.0, 0.05, 1.3), axis: Vector3::y(), radius: 0.16, slope, length: 0.2 };
+    let cone = frustum(Vector3::new(0.0, 0.05, 1.3), Vector3::y(), 0.16, slope, 0.2);
     let found = |max_half_angle_deg| {
         let common = AssemblerParameters { max_half_angle_deg, ..AssemblerParameters::default() };
         let config = ProfileConfig { common, ..profile() };
@@ -126,7 +126,7 @@ fn the_radius_of_a_tilted_cylinder_is_not_that_of_its_sections() {
     for tilt_deg in [5.0_f64, 20.0, 40.0, -40.0] {
         let (sin, cos) = tilt_deg.to_radians().sin_cos();
         let axis = Vector3::new(0.2 * cos, cos, sin).normalize();
-        let body = Body::Frustum { center: Vector3::new(0.1, 0.0, 1.5), axis, radius: 0.1, slope: 0.0, length: 0.4 };
+        let body = cylinder(Vector3::new(0.1, 0.0, 1.5), axis, 0.1, 0.4);
         let found = single(&kinect(&[body], 6), ObjectKind::Cylinder);
         assert!((found.radius - 0.1).abs() < 0.002, "{} at a tilt of {tilt_deg} degrees", found.radius);
         assert!(angle(&found, &axis) < 0.01, "{found:?}");
@@ -135,16 +135,10 @@ fn the_radius_of_a_tilted_cylinder_is_not_that_of_its_sections() {
 
 #[test]
 fn a_ball_on_a_cylinder_on_a_floor_are_two_objects() {
-    let can = Body::Frustum {
-        center: Vector3::new(0.0, 0.25, 1.4),
-        axis: Vector3::y(),
-        radius: 0.1,
-        slope: 0.0,
-        length: 0.3,
-    };
-    let ball = Body::Sphere { center: Vector3::new(0.0, -0.02, 1.4), radius: 0.12 };
-    let floor = Body::Plane { normal: Vector3::y(), offset: 0.4 };
-    let wall = Body::Plane { normal: Vector3::z(), offset: 3.0 };
+    let can = cylinder(Vector3::new(0.0, 0.25, 1.4), Vector3::y(), 0.1, 0.3);
+    let ball = sphere(Vector3::new(0.0, -0.02, 1.4), 0.12);
+    let floor = plane(Vector3::y(), 0.4);
+    let wall = plane(Vector3::z(), 3.0);
     let mut objects = kinect(&[can, ball, floor, wall], 7);
     objects.sort_by_key(|object| object.kind);
     let shapes: Vec<_> = objects.iter().map(Object::shape).collect();
@@ -156,8 +150,8 @@ fn a_ball_on_a_cylinder_on_a_floor_are_two_objects() {
 
 #[test]
 fn planes_alone_are_no_object() {
-    let floor = Body::Plane { normal: Vector3::new(0.0, 0.9, 0.3).normalize(), offset: 0.9 };
-    let wall = Body::Plane { normal: Vector3::new(-0.3, 0.0, 1.0).normalize(), offset: 2.5 };
+    let floor = plane(Vector3::new(0.0, 0.9, 0.3).normalize(), 0.9);
+    let wall = plane(Vector3::new(-0.3, 0.0, 1.0).normalize(), 2.5);
     assert_eq!(kinect(&[floor, wall], 8), []);
 }
 
@@ -194,7 +188,7 @@ fn sigmas_tell_the_scatter_over_frames() {
 
 #[test]
 fn sigmas_are_present_exactly_where_the_shape_has_the_parameter() {
-    let ball = Body::Sphere { center: Vector3::new(0.0, 0.0, 1.2), radius: 0.15 };
+    let ball = sphere(Vector3::new(0.0, 0.0, 1.2), 0.15);
     for noise in [NoiseModel::IDEAL, NoiseModel::KINECT_V1] {
         for body in [ball, can(1.5)] {
             let objects = detect(KINECT_HALF, noise, &[body], 10, &profile());
@@ -209,8 +203,7 @@ fn sigmas_are_present_exactly_where_the_shape_has_the_parameter() {
 
 #[test]
 fn of_every_second_to_eighth_line_objects_are_the_same() {
-    let tall =
-        Body::Frustum { center: Vector3::new(0.0, 0.0, 1.5), axis: Vector3::y(), radius: 0.2, slope: 0.0, length: 1.0 };
+    let tall = cylinder(Vector3::new(0.0, 0.0, 1.5), Vector3::y(), 0.2, 1.0);
     let (header, pixels) = render(KINECT, NoiseModel::KINECT_V1, &[tall], 12);
     for find in [by_default, by_the_paper] {
         let mut end_sigma = 0.0;

@@ -1,15 +1,16 @@
 use super::*;
-use crate::rendered::{Body, KINECT_HALF, render};
+use crate::rendered::{KINECT_HALF, cylinder, plane, render, sphere};
+use crate::simulator::shapes::Shape;
 use conicflow_detection::{ExtractorParameters, ScanLines};
 use conicflow_geometry::Vector3;
 use conicflow_messages::{Item, NoiseModel};
 
-fn upright(x: f64, z: f64, radius: f64) -> Body {
-    Body::Frustum { center: Vector3::new(x, 0.0, z), axis: Vector3::y(), radius, slope: 0.0, length: 0.5 }
+fn upright(x: f64, z: f64, radius: f64) -> Shape {
+    cylinder(Vector3::new(x, 0.0, z), Vector3::y(), radius, 0.5)
 }
 
-fn wall(z: f64) -> Body {
-    Body::Plane { normal: Vector3::z(), offset: z }
+fn wall(z: f64) -> Shape {
+    plane(Vector3::z(), z)
 }
 
 fn extract(config: ConicConfig, scene: &(Header, Vec<u16>)) -> (Vec<Ellipse>, Vec<(&'static str, u64)>) {
@@ -63,7 +64,7 @@ fn one_pass_finds_all_ellipses_of_a_row_and_no_wall() {
 
 #[test]
 fn a_floor_and_a_wall_give_next_to_nothing() {
-    let floor = Body::Plane { normal: Vector3::new(0.0, 0.9, 0.3).normalize(), offset: 0.9 };
+    let floor = plane(Vector3::new(0.0, 0.9, 0.3).normalize(), 0.9);
     let scene = render(KINECT_HALF, NoiseModel::KINECT_V1, &[floor, wall(2.5)], 3);
     let (ellipses, rejections) = extract(ConicConfig::of_the_paper(), &scene);
     assert!(ellipses.len() < 10, "{} ellipses", ellipses.len());
@@ -73,7 +74,7 @@ fn a_floor_and_a_wall_give_next_to_nothing() {
 #[test]
 fn the_inside_of_a_bowl_is_concave() {
     // The camera is in the sphere, so only the far half is seen.
-    let bowl = Body::Sphere { center: Vector3::new(0.0, 0.0, 0.2), radius: 0.5 };
+    let bowl = sphere(Vector3::new(0.0, 0.0, 0.2), 0.5);
     let scene = render(KINECT_HALF, NoiseModel::IDEAL, &[bowl], 4);
     let (ellipses, rejections) = extract(ConicConfig::of_the_paper(), &scene);
     assert_eq!(ellipses.len(), 0);
@@ -97,8 +98,7 @@ fn small_holes_are_bridged_and_large_ones_split() {
 
 #[test]
 fn columns_find_what_lies_across() {
-    let lying =
-        Body::Frustum { center: Vector3::new(0.0, 0.0, 1.5), axis: Vector3::x(), radius: 0.1, slope: 0.0, length: 0.6 };
+    let lying = cylinder(Vector3::new(0.0, 0.0, 1.5), Vector3::x(), 0.1, 0.6);
     let scene = render(KINECT_HALF, NoiseModel::KINECT_V1, &[lying], 6);
     let count = |scan| extract(with_scan(scan), &scene).0.len();
     let (rows, columns) = (count(ScanLines::Rows), count(ScanLines::Columns));
