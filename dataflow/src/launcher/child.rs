@@ -49,6 +49,24 @@ pub(crate) enum Change {
     Left,
 }
 
+/// What the launcher knows of the run, for those that look after a stage.
+pub(crate) struct Place<'a> {
+    pub(crate) plan: &'a mut Plan,
+    pub(crate) folder: &'a RunFolder,
+    pub(crate) options: &'a RunOptions,
+    pub(crate) phase: Phase,
+}
+
+impl Place<'_> {
+    fn record(&self, stage: &str) -> Option<Status> {
+        self.folder.record(stage, self.plan.run)
+    }
+
+    fn set_life(&self, stage: &str, life: Life) {
+        self.folder.set_life(self.plan.run, stage, life);
+    }
+}
+
 /// A stage and its process.
 pub(crate) struct Supervised {
     pub(crate) planned: PlannedStage,
@@ -130,8 +148,8 @@ impl Supervised {
 
     /// Looks whether the process ended, and starts it anew where that is due. While what is under way is delivered all are
     /// needed but the sources.
-    pub(crate) fn look(&mut self, plan: &Plan, folder: &RunFolder, options: &RunOptions, phase: Phase) -> Change {
-        let ending = match phase {
+    pub(crate) fn look(&mut self, place: &Place<'_>) -> Change {
+        let ending = match place.phase {
             Phase::Running => false,
             // What waits on its way to another machine, and what that has to hear, needs the bridge.
             Phase::Delivering { .. } => self.planned.is_source() && !self.planned.is_bridge(),
@@ -141,25 +159,25 @@ impl Supervised {
             State::Running(child) => match child.try_wait() {
                 Ok(Some(status)) => {
                     let process = child.id();
-                    self.ended(process, status, plan, folder, (phase, ending))
+                    self.ended(process, status, place, ending)
                 }
                 _ => {
-                    self.stop_if_late(plan, folder);
-                    self.watch(plan, folder)
+                    self.stop_if_late(place);
+                    self.watch(place)
                 }
             },
-            State::Waiting { .. } if ending => self.stay_away(folder, plan),
+            State::Waiting { .. } if ending => self.stay_away(place),
             State::Waiting { until } if Instant::now() >= *until => {
-                self.is_late = matches!(phase, Phase::Delivering { .. }) && self.planned.is_source();
-                self.start_anew(plan, folder, options)
+                self.is_late = matches!(place.phase, Phase::Delivering { .. }) && self.planned.is_source();
+                self.start_anew(place)
             }
             _ => Change::None,
         }
     }
 
     /// Tells a source that was started late to stop, as the others were; before it has joined it could not take it in.
-    fn stop_if_late(&mut self, plan: &Plan, folder: &RunFolder) {
-        if self.is_late && self.process().is_some_and(|process| self.has_joined(process, plan, folder)) {
+    fn stop_if_late(&mut self, place: &Place<'_>) {
+        if self.is_late && self.process().is_some_and(|process| self.own_record(process, place).is_some()) {
             self.signal(Signal::INT);
             self.is_late = false;
         }
@@ -167,23 +185,23 @@ impl Supervised {
 
     /// What keeps a stage from coming back, such as a program that is just being replaced, is no fault of the others: it
     /// counts as one more death.
-    fn start_anew(&mut self, plan: &Plan, folder: &RunFolder, options: &RunOptions) -> Change {
-        match command(&self.planned, plan, options).spawn() {
+    fn start_anew(&mut self, place: &Place<'_>) -> Change {
+        match command(&self.planned, place.plan, place.options).spawn() {
             Ok(child) => {
                 (self.state, self.started) = (State::Running(child), Instant::now());
                 Change::None
             }
-            Err(error) => self.died(&format!("cannot be started ({error})"), plan, folder),
+            Err(error) => self.died(&format!("cannot be started ({error})"), place),
         }
     }
 
     /// Looks whether the process still gives signs of life; one that hangs is reported, and killed where the file says so.
-    fn watch(&mut self, plan: &Plan, folder: &RunFolder) -> Change {
+    fn watch(&mut self, place: &Place<'_>) -> Change {
         let Some(process) = self.process() else { return Change::None };
-        let own = self.own_record(process, plan, folder);
+        let own = self.own_record(process, place);
         if let (None, Runs::Command(command)) = (&own, &self.planned.runs) {
             let command = command.join(" ");
-            return self.wait_to_join(process, &command, plan, folder);
+            return self.wait_to_join(process, &command, place);
         }
         if self.outsider.take_if(|outsider| *outsider == process).is_some() {
             let seconds = self.started.elapsed().as_secs_f64();
@@ -200,7 +218,7 @@ impl Supervised {
     }
 
     /// Names a program that takes its time to join the run, and gives it up where nothing goes on without it for too long.
-    fn wait_to_join(&mut self, process: u32, command: &str, plan: &Plan, folder: &RunFolder) -> Change {
+    fn wait_to_join(&mut self, process: u32, command: &str, place: &Place<'_>) -> Change {
         let (name, waited) = (&self.planned.name, self.started.elapsed());
         let (topic, limit_s) = (self.lossless_topic(), self.planned.join_s.unwrap_or(TIME_TO_JOIN_S));
         if waited > NAMED_AFTER && self.outsider != Some(process) {
@@ -220,7 +238,7 @@ impl Supervised {
                  `{topic}`, which is lossless and waits for it\n  hint: {HOW_TO_JOIN}"
             );
             self.kill();
-            return self.give_up(folder, plan, Change::Lost);
+            return self.give_up(place, Change::Lost);
         }
         Change::None
     }
@@ -252,81 +270,59 @@ impl Supervised {
     }
 
     /// What a process of it has told of itself in the run.
-    fn own_record(&self, process: u32, plan: &Plan, folder: &RunFolder) -> Option<Status> {
-        folder.record(&self.planned.name, plan.run).filter(|record| record.process == process)
-    }
-
-    /// Whether a process took part in the run, as its record tells.
-    fn has_joined(&self, process: u32, plan: &Plan, folder: &RunFolder) -> bool {
-        self.own_record(process, plan, folder).is_some()
-    }
-
-    /// Whether a process that exited well had done all its work, rather than having been told to go. A program that keeps
-    /// no record is believed.
-    fn came_to_its_end(&self, process: u32, plan: &Plan, folder: &RunFolder) -> bool {
-        self.own_record(process, plan, folder).is_none_or(|own| own.life() == Life::Ended)
-    }
-
-    /// Whether a process said itself that it would be of no use to start it anew.
-    fn gave_up(&self, process: u32, plan: &Plan, folder: &RunFolder) -> bool {
-        self.own_record(process, plan, folder).is_some_and(|own| own.life() == Life::Gone)
+    fn own_record(&self, process: u32, place: &Place<'_>) -> Option<Status> {
+        place.record(&self.planned.name).filter(|record| record.process == process)
     }
 
     /// Whether all that write its input are over: there is nothing to come back for.
-    fn has_heard_all(&self, plan: &Plan, folder: &RunFolder) -> bool {
-        let is_over = |stage: &String| folder.record(stage, plan.run).is_some_and(|record| record.life().is_over());
+    fn has_heard_all(&self, place: &Place<'_>) -> bool {
+        let is_over = |stage: &String| place.record(stage).is_some_and(|record| record.life().is_over());
         let writers = self.planned.wiring.input.as_ref().map(|topic| &topic.writers).filter(|all| !all.is_empty());
         writers.is_some_and(|writers| writers.iter().all(is_over))
     }
 
-    fn ended(
-        &mut self,
-        process: u32,
-        status: ExitStatus,
-        plan: &Plan,
-        folder: &RunFolder,
-        (phase, ending): (Phase, bool),
-    ) -> Change {
-        let running = matches!(phase, Phase::Running);
+    fn ended(&mut self, process: u32, status: ExitStatus, place: &Place<'_>, ending: bool) -> Change {
+        let running = matches!(place.phase, Phase::Running);
         let name = self.planned.name.clone();
-        let finished = status.success() && self.came_to_its_end(process, plan, folder);
+        let own = self.own_record(process, place).map(|own| own.life());
+        let finished = status.success() && came_to_its_end(own);
         if finished
             && running
-            && !self.has_joined(process, plan, folder)
+            && own.is_none()
             && let Some(topic) = self.lossless_topic()
         {
             tracing::error!(
                 "stage `{name}` has ended without having joined the run: nobody took part in topic `{topic}` for it, which is \
                  lossless\n  hint: {HOW_TO_JOIN}"
             );
-            return self.give_up(folder, plan, Change::Lost);
+            return self.give_up(place, Change::Lost);
         }
-        let comes_back = self.planned.restart == Restart::Always && running && !self.has_heard_all(plan, folder);
+        let comes_back = self.planned.restart == Restart::Always && running && !self.has_heard_all(place);
         if finished && !comes_back {
             self.state = State::Done;
-            folder.set_life(plan.run, &name, Life::Ended);
+            place.set_life(&name, Life::Ended);
             return Change::None;
         }
-        if !status.success() && self.gave_up(process, plan, folder) {
+        if !status.success() && own == Some(Life::Gone) {
             tracing::error!("stage `{name}` could not end its work, for what it told");
-            return self.give_up(folder, plan, Change::Lost);
+            return self.give_up(place, Change::Lost);
         }
         if ending {
-            return self.stay_away(folder, plan);
+            return self.stay_away(place);
         }
         if status.code() == Some(i32::from(REFUSED)) {
             tracing::error!("stage `{name}` could not be made ready, for what it told");
-            return self.give_up(folder, plan, Change::Lost);
+            return self.give_up(place, Change::Lost);
         }
-        self.died(&describe(status), plan, folder)
+        self.died(&describe(status), place)
     }
 
     /// Sees to it that it is started anew, later with each death, unless that is not wanted or was done too often.
-    fn died(&mut self, how: &str, plan: &Plan, folder: &RunFolder) -> Change {
+    fn died(&mut self, how: &str, place: &Place<'_>) -> Change {
         let name = &self.planned.name;
         if self.planned.restart == Restart::Never {
             tracing::error!("stage `{name}` {how}, and is not started anew: its `restart` is \"never\"");
-            return self.give_up(folder, plan, Change::Left);
+            return self.give_up(place, Change::Left);
         }
         let now = Instant::now();
         let Some(back_off) = back_off(&mut self.deaths, now) else {
@@ -334,7 +330,7 @@ impl Supervised {
                 "stage `{name}` {how}, for the {}th time within a minute: it is given up",
                 self.deaths.len()
             );
-            return self.give_up(folder, plan, Change::Lost);
+            return self.give_up(place, Change::Lost);
         };
         tracing::warn!("stage `{name}` {how}, and is started anew in {:.1} s", back_off.as_secs_f64());
         self.state = State::Waiting { until: now + back_off };
@@ -342,17 +338,23 @@ impl Supervised {
     }
 
     /// Leaves it at what it has done, as the run ends; the others are not to wait for it.
-    fn stay_away(&mut self, folder: &RunFolder, plan: &Plan) -> Change {
+    fn stay_away(&mut self, place: &Place<'_>) -> Change {
         self.state = State::Done;
-        folder.set_life(plan.run, &self.planned.name, Life::Gone);
+        place.set_life(&self.planned.name, Life::Gone);
         Change::None
     }
 
-    fn give_up(&mut self, folder: &RunFolder, plan: &Plan, change: Change) -> Change {
+    fn give_up(&mut self, place: &Place<'_>, change: Change) -> Change {
         self.state = State::Gone;
-        folder.set_life(plan.run, &self.planned.name, Life::Gone);
+        place.set_life(&self.planned.name, Life::Gone);
         change
     }
+}
+
+/// Whether a process that exited well, and whose record tells this, had done all its work, rather than having been told to go.
+/// A program that keeps no record is believed.
+fn came_to_its_end(own: Option<Life>) -> bool {
+    matches!(own, None | Some(Life::Ended))
 }
 
 /// How long a stage that died `now` stays away, by its deaths in the last minute; `None`: it died too often.
@@ -424,11 +426,12 @@ pub(super) mod tests {
         let files = tempfile::tempdir().unwrap();
         let (folder, supervised) = (folder_at(files.path()), over(stage::<Object>()));
         let (pipeline, base) = ("test".to_owned(), files.path().to_owned());
-        let plan = Plan { layout: LAYOUT, pipeline, base, run: 7, stages: vec![], origin: Origin::default() };
+        let mut plan = Plan { layout: LAYOUT, pipeline, base, run: 7, stages: vec![], origin: Origin::default() };
+        let options = RunOptions::default();
+        let place = Place { plan: &mut plan, folder: &folder, options: &options, phase: Phase::Running };
         let told = || {
-            let (plan, folder) = (&plan, &folder);
-            let of = |told: fn(&Supervised, u32, &Plan, &RunFolder) -> bool| told(&supervised, 42, plan, folder);
-            [of(Supervised::has_joined), of(Supervised::came_to_its_end), of(Supervised::gave_up)]
+            let own = supervised.own_record(42, &place).map(|own| own.life());
+            [own.is_some(), came_to_its_end(own), own == Some(Life::Gone)]
         };
         assert_eq!(told(), [false, true, false], "a program that keeps no record is believed");
         for (run, process, life, expected) in [

@@ -30,7 +30,7 @@ use crate::ports::PortError;
 use crate::ports::shared_memory::SharedMemory;
 use crate::preflight::{InsufficientResource, Requirements};
 use crate::stage::Stop;
-use child::{Change, Supervised};
+use child::{Change, Place, Supervised};
 use phase::{DELIVERY_GRACE, Due, Phase};
 use progress::Progress;
 use rustix::process::Signal;
@@ -38,7 +38,7 @@ use signal_hook::consts::{SIGCHLD, SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
-use swap::{Place, Swap};
+use swap::Swap;
 
 const LOOK: Duration = Duration::from_millis(100);
 /// How often the launcher looks while a stage is being replaced.
@@ -201,10 +201,11 @@ impl Launcher<'_> {
     fn look_at_stages(&mut self) {
         let ending = !matches!(self.phase, Phase::Running);
         let mut lost = false;
-        let swap = self.swap.as_ref();
-        let leaving = swap.filter(|swap| swap.decides_about_exit()).map(|swap| swap.stage().to_owned());
-        for stage in self.stages.iter_mut().filter(|stage| leaving.as_ref() != Some(&stage.planned.name)) {
-            lost |= stage.look(&self.plan, &self.folder, self.options, self.phase) == Change::Lost;
+        let Self { plan, folder, options, stages, swap, phase, .. } = self;
+        let place = Place { plan, folder, options, phase: *phase };
+        let leaving = swap.as_ref().filter(|swap| swap.decides_about_exit()).map(Swap::stage);
+        for stage in stages.iter_mut().filter(|stage| leaving != Some(&stage.planned.name)) {
+            lost |= stage.look(&place) == Change::Lost;
         }
         self.lost |= lost;
         if lost && !ending {

@@ -3,7 +3,7 @@
 //! Until the stage has been told to leave, whatever goes wrong leaves it at work. From then on its successor takes the place
 //! however it ended; a successor that cannot begin gives the place back.
 
-use super::child::{Supervised, command};
+use super::child::{Place, Supervised, command};
 use super::folder::RunFolder;
 use super::options::RunOptions;
 use super::phase::Phase;
@@ -105,14 +105,6 @@ impl Successor {
         child.kill().ok();
         child.wait().ok();
     }
-}
-
-/// What a swap needs of the launcher.
-pub(crate) struct Place<'a> {
-    pub(crate) plan: &'a mut Plan,
-    pub(crate) folder: &'a RunFolder,
-    pub(crate) options: &'a RunOptions,
-    pub(crate) phase: Phase,
 }
 
 impl Swap {
