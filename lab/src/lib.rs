@@ -10,7 +10,6 @@
 
 mod arc;
 pub mod bound;
-pub mod csv;
 pub mod experiment;
 pub mod noise_estimator;
 pub mod paper;

@@ -180,7 +180,7 @@ impl Experiment {
         }
         look(&wanted, known)?;
         let Some(plot) = &self.plot else { return Ok(()) };
-        let traced: Vec<String> = TITLES.split(',').map(str::to_owned).collect();
+        let traced: Vec<String> = TITLES.map(str::to_owned).into();
         let drawn = if plot.trace.is_some() { &traced } else { known };
         let lines = plot.lines.iter().collect();
         look(&[("plot.x", vec![&plot.x]), ("plot.y", plot.y.iter().collect()), ("plot.lines", lines)], drawn)?;

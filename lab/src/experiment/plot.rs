@@ -3,7 +3,6 @@
 
 use super::axes::Axis;
 use super::definition::{Experiment, Plot, prepared};
-use crate::csv;
 use crate::score::{Figure, Row};
 use anyhow::{Context as _, Result};
 use indexmap::{IndexMap, IndexSet};
@@ -199,9 +198,9 @@ fn name(plot: &Plot, row: &Row, column: &str) -> String {
 /// A CSV file, as the sinks write it.
 fn read_csv(path: &Path) -> Result<Vec<Row>> {
     let text = std::fs::read_to_string(path).with_context(|| format!("cannot read `{}`", path.display()))?;
-    let mut records = csv::records(&text).into_iter();
-    let titles = records.next().unwrap_or_default();
-    let row = |record: Vec<String>| {
+    let mut records = csv::Reader::from_reader(text.as_bytes());
+    let titles = records.headers()?.clone();
+    let row = |record: csv::StringRecord| {
         let mut row = Row::default();
         for (title, cell) in titles.iter().zip(&record).filter(|(_, cell)| !cell.is_empty()) {
             match cell.parse() {
@@ -211,7 +210,7 @@ fn read_csv(path: &Path) -> Result<Vec<Row>> {
         }
         row
     };
-    Ok(records.map(row).collect())
+    Ok(records.records().map(|record| record.map(row)).collect::<Result<_, _>>()?)
 }
 
 fn svg(title: &str, plot: &Plot, lines: &[Line]) -> Result<String, fmt::Error> {

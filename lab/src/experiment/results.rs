@@ -2,7 +2,6 @@
 
 use super::definition::{Experiment, Exponent, Spread, prepared};
 use super::plot;
-use crate::csv;
 use crate::quantile::quantile;
 use crate::score::{Figure, Row};
 use anyhow::{Context as _, Result};
@@ -122,13 +121,12 @@ impl<'a> Results<'a> {
         let path = prepared(base, path)?;
         let columns: IndexSet<&str> =
             self.rows.iter().flat_map(|row| &row.0).map(|(column, _)| column.as_str()).collect();
-        let titles: Vec<_> = columns.iter().map(|column| csv::cell(column)).collect();
-        let mut lines = vec![titles.join(",")];
+        let mut lines = csv::Writer::from_writer(Vec::new());
+        lines.write_record(&columns)?;
         for row in &self.rows {
-            let cells: Vec<_> = columns.iter().map(|column| row.get(column).map_or(String::new(), exact)).collect();
-            lines.push(cells.join(","));
+            lines.write_record(columns.iter().map(|column| row.get(column).map_or(String::new(), exact)))?;
         }
-        std::fs::write(&path, lines.join("\n") + "\n").with_context(|| format!("cannot write `{}`", path.display()))
+        std::fs::write(&path, lines.into_inner()?).with_context(|| format!("cannot write `{}`", path.display()))
     }
 }
 
@@ -136,7 +134,7 @@ impl<'a> Results<'a> {
 fn exact(figure: &Figure) -> String {
     match figure {
         Figure::Number(number) => number.to_string(),
-        Figure::Text(text) => csv::cell(text).into_owned(),
+        Figure::Text(text) => text.clone(),
     }
 }
 

@@ -1,19 +1,20 @@
 //! Each frame's observations as CSV: where each object was and where it was seen, in the world frame.
 
-use super::observation::{Observation, State};
-use crate::csv;
+use super::observation::{Observation, Seen, State};
 use anyhow::{Result, anyhow};
 use conicflow_messages::Hinted;
 use std::fs::File;
-use std::io::{BufWriter, Write};
 use std::path::Path;
 
-/// The columns of the file, with commas between them.
-pub const TITLES: &str =
-    "time_s,object,camera_x_m,camera_y_m,camera_z_m,x_true_m,y_true_m,z_true_m,x_m,y_m,z_m,radius_m,id";
+/// The columns of the file.
+#[rustfmt::skip]
+pub const TITLES: [&str; 13] = [
+    "time_s", "object", "camera_x_m", "camera_y_m", "camera_z_m", "x_true_m", "y_true_m", "z_true_m", "x_m", "y_m", "z_m",
+    "radius_m", "id",
+];
 
 /// The file.
-pub struct Trace(BufWriter<File>);
+pub struct Trace(csv::Writer<File>);
 
 impl Trace {
     /// Makes the file, and its folder where it is missing.
@@ -23,8 +24,8 @@ impl Trace {
     pub fn create(path: &Path) -> Result<Self> {
         let create = || -> std::io::Result<Self> {
             path.parent().map_or(Ok(()), std::fs::create_dir_all)?;
-            let mut file = BufWriter::new(File::create(path)?);
-            writeln!(file, "{TITLES}")?;
+            let mut file = csv::Writer::from_writer(File::create(path)?);
+            file.write_record(TITLES)?;
             Ok(Self(file))
         };
         create().map_err(|error| {
@@ -40,15 +41,15 @@ impl Trace {
     pub fn write(&mut self, observations: &[Observation]) -> std::io::Result<()> {
         for Observation { time_s, camera, name, truth, seen, .. } in observations {
             let Some(State { position: place, .. }) = truth else { continue };
-            write!(self.0, "{time_s:.6},{},{:.6},{:.6},{:.6},", csv::cell(name), camera.x, camera.y, camera.z)?;
-            write!(self.0, "{:.6},{:.6},{:.6},", place.x, place.y, place.z)?;
-            let Some(seen) = seen else {
-                writeln!(self.0, ",,,,")?;
-                continue;
-            };
-            let place = seen.state.position;
-            let id = seen.id.map(|id| id.to_string()).unwrap_or_default();
-            writeln!(self.0, "{:.6},{:.6},{:.6},{:.6},{id}", place.x, place.y, place.z, seen.state.radius_m)?;
+            let number = |number: &f64| format!("{number:.6}");
+            let mut cells = vec![number(time_s), name.clone()];
+            cells.extend(camera.iter().chain(place).map(number));
+            if let Some(Seen { state, id, .. }) = seen {
+                cells.extend(state.position.iter().chain([&state.radius_m]).map(number));
+                cells.extend(id.map(|id| id.to_string()));
+            }
+            cells.resize(TITLES.len(), String::new());
+            self.0.write_record(&cells)?;
         }
         Ok(())
     }
@@ -77,7 +78,8 @@ mod tests {
         let mut trace = Trace::create(&path).unwrap();
         trace.write(&[observation]).unwrap();
         trace.flush().unwrap();
-        let records = csv::records(&std::fs::read_to_string(&path).unwrap());
-        assert_eq!((records[1].len(), records[1][1].as_str()), (records[0].len(), "ball, \"red\""));
+        let text = std::fs::read_to_string(&path).unwrap();
+        let line = "0.500000,\"ball, \"\"red\"\"\",0.000000,0.000000,0.000000,0.000000,0.000000,0.000000,,,,,";
+        assert_eq!(text.lines().collect::<Vec<_>>(), [&TITLES.join(","), line]);
     }
 }
