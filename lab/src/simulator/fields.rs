@@ -1,7 +1,24 @@
 //! How the numbers of a scene file are checked while it is read, so that an error names the line and the column.
 
 use nalgebra::Vector3;
-use serde::de::{Deserialize, Deserializer, Error};
+use serde::Deserialize;
+use serde::de::{Deserializer, Error};
+
+/// A finite number above zero.
+#[derive(Clone, Copy, Deserialize)]
+pub struct Positive(#[serde(deserialize_with = "positive")] pub f64);
+
+/// Three finite numbers.
+#[derive(Clone, Copy, Deserialize)]
+pub struct Vector(#[serde(deserialize_with = "vector")] pub Vector3<f64>);
+
+/// A unit vector.
+#[derive(Clone, Copy, Deserialize)]
+pub struct Direction(#[serde(deserialize_with = "direction")] pub Vector3<f64>);
+
+/// A unit quaternion `[x, y, z, w]`.
+#[derive(Clone, Copy, Deserialize)]
+pub struct Quaternion(#[serde(deserialize_with = "quaternion")] pub [f64; 4]);
 
 /// A finite number.
 pub fn finite<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
@@ -14,16 +31,11 @@ pub fn finite<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Erro
 }
 
 /// A finite number above zero.
-pub fn positive<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+fn positive<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     match finite(deserializer)? {
         number if number > 0.0 => Ok(number),
         number => Err(D::Error::custom(format!("expected a number above zero, got {number}"))),
     }
-}
-
-/// A finite number above zero that may be left out.
-pub fn maybe_positive<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
-    positive(deserializer).map(Some)
 }
 
 /// A finite number, zero or above.
@@ -52,11 +64,6 @@ pub fn vector<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vector3<f64>
     }
 }
 
-/// Three finite numbers that may be left out.
-pub fn maybe_vector<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Vector3<f64>>, D::Error> {
-    vector(deserializer).map(Some)
-}
-
 /// Three numbers above zero.
 pub fn size<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vector3<f64>, D::Error> {
     let size = vector(deserializer)?;
@@ -73,17 +80,12 @@ pub fn direction<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vector3<f
     unit.ok_or_else(|| D::Error::custom("expected a direction, got a vector of length zero"))
 }
 
-/// A direction that may be left out.
-pub fn maybe_direction<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Vector3<f64>>, D::Error> {
-    direction(deserializer).map(Some)
-}
-
 /// A quaternion `[x, y, z, w]` of any length but zero; made a unit quaternion.
-pub fn maybe_quaternion<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<[f64; 4]>, D::Error> {
+fn quaternion<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 4], D::Error> {
     let numbers = <[f64; 4]>::deserialize(deserializer)?;
     let length = numbers.iter().map(|number| number * number).sum::<f64>().sqrt();
     if length.is_finite() && length > 1e-9 {
-        Ok(Some(numbers.map(|number| number / length)))
+        Ok(numbers.map(|number| number / length))
     } else {
         Err(D::Error::custom(format!("expected a quaternion `[x, y, z, w]`, got {numbers:?}")))
     }

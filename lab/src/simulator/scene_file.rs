@@ -102,9 +102,9 @@ impl Scene {
             let what = format!("`{}` stands before `{}`, which is not there", entry.name, entry.before);
             Hinted::new(what, "name a body of the scene")
         })?;
-        let shape = screen(&self.shape(body, 0.0), &self.world_from_camera(0.0), entry.distance_m, entry.hides);
+        let shape = screen(&self.shape(body, 0.0), &self.world_from_camera(0.0), entry.distance_m.0, entry.hides);
         let shape = shape.ok_or_else(|| {
-            let what = format!("`{}` cannot hide `{}` at {} m", entry.name, entry.before, entry.distance_m);
+            let what = format!("`{}` cannot hide `{}` at {} m", entry.name, entry.before, entry.distance_m.0);
             Hinted::new(what, "the camera has to look at it, from farther away")
         })?;
         self.bodies.push(Body::still(entry.name.clone(), shape));
@@ -194,38 +194,33 @@ impl SceneFile {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CameraEntry {
-    #[serde(deserialize_with = "vector")]
-    position: Vector3<f64>,
-    #[serde(default, deserialize_with = "maybe_vector")]
-    look_at: Option<Vector3<f64>>,
-    #[serde(default, deserialize_with = "maybe_direction")]
-    direction: Option<Vector3<f64>>,
-    #[serde(default, deserialize_with = "maybe_quaternion")]
-    orientation: Option<[f64; 4]>,
-    #[serde(default, deserialize_with = "maybe_direction")]
-    up: Option<Vector3<f64>>,
+    position: Vector,
+    look_at: Option<Vector>,
+    direction: Option<Direction>,
+    orientation: Option<Quaternion>,
+    up: Option<Direction>,
     motion: Option<Motion>,
     look_at_motion: Option<Motion>,
 }
 
 impl CameraEntry {
     pub fn view(self, world_up: &Vector3<f64>) -> Result<View> {
-        let up = self.up.unwrap_or(*world_up);
+        let (Vector(position), Direction(up)) = (self.position, self.up.unwrap_or(Direction(*world_up)));
         let gaze = match (self.look_at, self.direction, self.orientation) {
-            (Some(point), None, None) => Gaze::At(point),
-            (None, Some(forward), None) => Gaze::Fixed(upright(&forward, &up)?),
-            (None, None, Some(quaternion)) => Gaze::Fixed(from_quaternion(quaternion)),
+            (Some(Vector(point)), None, None) => Gaze::At(point),
+            (None, Some(Direction(forward)), None) => Gaze::Fixed(upright(&forward, &up)?),
+            (None, None, Some(Quaternion(quaternion))) => Gaze::Fixed(from_quaternion(quaternion)),
             _ => bail!(Hinted::new(
                 "the camera needs exactly one of `look_at`, `direction` and `orientation`",
                 "`look_at = [x, y, z]` is a point that it keeps in the middle of the image"
             )),
         };
         if let Gaze::At(point) = gaze {
-            upright(&(point - self.position), &up)?;
+            upright(&(point - position), &up)?;
         } else if self.look_at_motion.is_some() {
             bail!(Hinted::new("the camera has a `look_at_motion` and no `look_at`", "give the point that moves"));
         }
-        Ok(View { position: self.position, gaze, up, motion: self.motion, gaze_motion: self.look_at_motion })
+        Ok(View { position, gaze, up, motion: self.motion, gaze_motion: self.look_at_motion })
     }
 }
 
@@ -240,16 +235,14 @@ fn upright(forward: &Vector3<f64>, up: &Vector3<f64>) -> Result<Matrix3<f64>> {
 #[serde(deny_unknown_fields)]
 struct SphereEntry {
     name: String,
-    #[serde(deserialize_with = "vector")]
-    center: Vector3<f64>,
-    #[serde(deserialize_with = "positive")]
-    radius: f64,
+    center: Vector,
+    radius: Positive,
     motion: Option<Motion>,
 }
 
 impl SphereEntry {
     fn body(self) -> Body {
-        let shape = Shape::Sphere(Sphere { center: self.center, radius: self.radius });
+        let shape = Shape::Sphere(Sphere { center: self.center.0, radius: self.radius.0 });
         Body::new(self.name, shape, self.motion)
     }
 }
@@ -259,14 +252,10 @@ impl SphereEntry {
 #[serde(deny_unknown_fields)]
 struct CylinderEntry {
     name: String,
-    #[serde(deserialize_with = "vector")]
-    base: Vector3<f64>,
-    #[serde(default, deserialize_with = "maybe_direction")]
-    axis: Option<Vector3<f64>>,
-    #[serde(deserialize_with = "positive")]
-    radius: f64,
-    #[serde(deserialize_with = "positive")]
-    length: f64,
+    base: Vector,
+    axis: Option<Direction>,
+    radius: Positive,
+    length: Positive,
     #[serde(default)]
     open: bool,
     motion: Option<Motion>,
@@ -274,10 +263,10 @@ struct CylinderEntry {
 
 impl CylinderEntry {
     fn body(self, up: &Vector3<f64>) -> Body {
-        let Self { name, base, radius, length, open, motion, .. } = self;
-        let axis = self.axis.unwrap_or(*up);
+        let Self { name, base: Vector(base), radius: Positive(radius), length: Positive(length), open, .. } = self;
+        let axis = self.axis.map_or(*up, |axis| axis.0);
         let shape = Frustum { base, axis, length, base_radius: radius, top_radius: radius, open };
-        Body::new(name, Shape::Frustum(shape), motion)
+        Body::new(name, Shape::Frustum(shape), self.motion)
     }
 }
 
@@ -286,16 +275,12 @@ impl CylinderEntry {
 #[serde(deny_unknown_fields)]
 struct ConeEntry {
     name: String,
-    #[serde(deserialize_with = "vector")]
-    base: Vector3<f64>,
-    #[serde(default, deserialize_with = "maybe_direction")]
-    axis: Option<Vector3<f64>>,
-    #[serde(deserialize_with = "positive")]
-    base_radius: f64,
+    base: Vector,
+    axis: Option<Direction>,
+    base_radius: Positive,
     #[serde(default, deserialize_with = "not_negative")]
     top_radius: f64,
-    #[serde(deserialize_with = "positive")]
-    length: f64,
+    length: Positive,
     #[serde(default)]
     open: bool,
     motion: Option<Motion>,
@@ -303,9 +288,10 @@ struct ConeEntry {
 
 impl ConeEntry {
     fn body(self, up: &Vector3<f64>) -> Body {
-        let Self { name, base, base_radius, top_radius, length, open, motion, .. } = self;
-        let axis = self.axis.unwrap_or(*up);
-        Body::new(name, Shape::Frustum(Frustum { base, axis, length, base_radius, top_radius, open }), motion)
+        let Self { base: Vector(base), base_radius: Positive(base_radius), top_radius, open, .. } = self;
+        let (axis, length) = (self.axis.map_or(*up, |axis| axis.0), self.length.0);
+        let shape = Frustum { base, axis, length, base_radius, top_radius, open };
+        Body::new(self.name, Shape::Frustum(shape), self.motion)
     }
 }
 
@@ -315,21 +301,17 @@ impl ConeEntry {
 #[serde(deny_unknown_fields)]
 struct BowlEntry {
     name: String,
-    #[serde(deserialize_with = "vector")]
-    center: Vector3<f64>,
-    #[serde(deserialize_with = "positive")]
-    radius: f64,
-    #[serde(default, deserialize_with = "maybe_direction")]
-    axis: Option<Vector3<f64>>,
-    #[serde(default, deserialize_with = "maybe_positive")]
-    depth: Option<f64>,
+    center: Vector,
+    radius: Positive,
+    axis: Option<Direction>,
+    depth: Option<Positive>,
     motion: Option<Motion>,
 }
 
 impl BowlEntry {
     fn body(self, up: &Vector3<f64>) -> Body {
-        let sphere = Sphere { center: self.center, radius: self.radius };
-        let (axis, depth) = (self.axis.unwrap_or(*up), self.depth.unwrap_or(self.radius));
+        let sphere = Sphere { center: self.center.0, radius: self.radius.0 };
+        let (axis, depth) = (self.axis.map_or(*up, |axis| axis.0), self.depth.unwrap_or(self.radius).0);
         Body::new(self.name, Shape::Bowl(Bowl { sphere, axis, depth }), self.motion)
     }
 }
@@ -339,19 +321,17 @@ impl BowlEntry {
 #[serde(deny_unknown_fields)]
 struct BoxEntry {
     name: String,
-    #[serde(deserialize_with = "vector")]
-    center: Vector3<f64>,
+    center: Vector,
     #[serde(deserialize_with = "size")]
     size: Vector3<f64>,
-    #[serde(default, deserialize_with = "maybe_quaternion")]
-    orientation: Option<[f64; 4]>,
+    orientation: Option<Quaternion>,
     motion: Option<Motion>,
 }
 
 impl BoxEntry {
     fn body(self) -> Body {
-        let axes = self.orientation.map_or_else(Matrix3::identity, from_quaternion);
-        let shape = Shape::Block(Block { center: self.center, axes, half: self.size * 0.5 });
+        let axes = self.orientation.map_or_else(Matrix3::identity, |orientation| from_quaternion(orientation.0));
+        let shape = Shape::Block(Block { center: self.center.0, axes, half: self.size * 0.5 });
         Body::new(self.name, shape, self.motion)
     }
 }
@@ -407,13 +387,10 @@ impl LumpEntry {
 #[serde(deny_unknown_fields)]
 struct PlaneEntry {
     name: String,
-    #[serde(deserialize_with = "vector")]
-    point: Vector3<f64>,
-    #[serde(deserialize_with = "direction")]
-    normal: Vector3<f64>,
+    point: Vector,
+    normal: Direction,
     size: Option<[f64; 2]>,
-    #[serde(default, deserialize_with = "maybe_direction")]
-    along: Option<Vector3<f64>>,
+    along: Option<Direction>,
     motion: Option<Motion>,
 }
 
@@ -426,14 +403,15 @@ impl PlaneEntry {
                 "without it the plane has no end"
             ));
         }
-        let across = self.normal.cross(&self.along.unwrap_or_else(|| some_other(&self.normal)));
+        let Direction(normal) = self.normal;
+        let across = normal.cross(&self.along.map_or_else(|| some_other(&normal), |along| along.0));
         let Some(second) = across.try_normalize(1e-9) else {
             bail!(Hinted::new(
                 format!("`along` and `normal` of `{}` are parallel", self.name),
                 "`along` lies in the plane"
             ));
         };
-        let plane = Plane { point: self.point, normal: self.normal, sides: [second.cross(&self.normal), second], half };
+        let plane = Plane { point: self.point.0, normal, sides: [second.cross(&normal), second], half };
         Ok(Body::new(self.name, Shape::Plane(plane), self.motion))
     }
 }
@@ -446,8 +424,7 @@ pub struct ScreenEntry {
     pub before: String,
     #[serde(deserialize_with = "share")]
     pub hides: f64,
-    #[serde(deserialize_with = "positive")]
-    pub distance_m: f64,
+    pub distance_m: Positive,
 }
 
 /// The coordinate axis that is least parallel to a direction.
