@@ -4,21 +4,27 @@ use crate::{ABSENT, Ellipse, Fields, Header, Named, Object, ObjectKind, Scan, To
 use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
 
-impl ToJson for Object {
+impl<T: Named> ToJson for T {
     fn to_json(&self) -> impl Serialize {
         self.fields()
     }
 }
 
-impl ToJson for Track {
-    fn to_json(&self) -> impl Serialize {
-        self.fields()
-    }
-}
-
+/// Without its moments.
 impl ToJson for Ellipse {
     fn to_json(&self) -> impl Serialize {
-        EllipseView::from(self)
+        Fields(vec![
+            ("scan", if self.direction() == Scan::Row { "row" } else { "column" }.into()),
+            ("line", self.line.into()),
+            ("first", self.first.into()),
+            ("last", self.last.into()),
+            ("points", self.points.into()),
+            ("center", self.center.into()),
+            ("semi_axes", self.semi_axes.into()),
+            ("angle", self.angle.into()),
+            ("rms", self.rms.into()),
+            ("arc", self.arc.into()),
+        ])
     }
 }
 
@@ -109,38 +115,6 @@ impl Named for Track {
 /// Square roots of a covariance's diagonal.
 fn deviations(covariance: &[[f64; 3]; 3]) -> [f64; 3] {
     std::array::from_fn(|i| covariance[i][i].max(0.0).sqrt())
-}
-
-/// An [`Ellipse`] in JSON, without its moments.
-#[derive(Clone, Debug, Serialize)]
-struct EllipseView {
-    scan: &'static str,
-    line: u32,
-    first: u32,
-    last: u32,
-    points: u32,
-    center: [f64; 3],
-    semi_axes: [f64; 2],
-    angle: f64,
-    rms: f64,
-    arc: f64,
-}
-
-impl From<&Ellipse> for EllipseView {
-    fn from(ellipse: &Ellipse) -> Self {
-        Self {
-            scan: if ellipse.direction() == Scan::Row { "row" } else { "column" },
-            line: ellipse.line,
-            first: ellipse.first,
-            last: ellipse.last,
-            points: ellipse.points,
-            center: ellipse.center,
-            semi_axes: ellipse.semi_axes,
-            angle: ellipse.angle,
-            rms: ellipse.rms,
-            arc: ellipse.arc,
-        }
-    }
 }
 
 #[cfg(test)]

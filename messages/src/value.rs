@@ -94,8 +94,8 @@ macro_rules! from_numbers {
 
 from_numbers!(u32 => U32, u64 => U64, f32 => F32, f64 => F64);
 
-impl From<[f64; 3]> for Value<'_> {
-    fn from(vector: [f64; 3]) -> Self {
+impl<const N: usize> From<[f64; N]> for Value<'_> {
+    fn from(vector: [f64; N]) -> Self {
         Self::Numbers { element: Element::F64, is_list: true, bytes: bytes_of(&vector).to_vec().into() }
     }
 }

@@ -1,6 +1,6 @@
 //! Velocity commands: how a robot, or a camera, is to move from now on.
 
-use crate::{Fields, Header, Item, Malformed, Named, ToJson, coded::coded, item::check_each, item::finite};
+use crate::{Fields, Header, Item, Malformed, Named, coded::coded, item::check_each, item::finite};
 use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
 
@@ -49,12 +49,6 @@ impl Item for Velocity {
     }
 }
 
-impl ToJson for Velocity {
-    fn to_json(&self) -> impl Serialize {
-        self.fields()
-    }
-}
-
 impl Named for Velocity {
     fn fields(&self) -> Fields<'static> {
         Fields(vec![
@@ -68,6 +62,7 @@ impl Named for Velocity {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ToJson;
 
     #[test]
     fn codes_and_frames_match() {
