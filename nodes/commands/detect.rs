@@ -194,8 +194,7 @@ impl Frames {
             Self::Recording(replay) => {
                 let start = Instant::now();
                 let Some(replayed) = replay.next_message()? else { return Ok(None) };
-                pixels.clear();
-                pixels.extend(replayed.items.as_chunks().0.iter().map(|pixel| u16::from_ne_bytes(*pixel)));
+                *pixels = replayed.items_as();
                 Ok(Some((start, replayed.header)))
             }
         }

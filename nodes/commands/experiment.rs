@@ -9,6 +9,7 @@ use conicflow_lab::score::{Figure, Row, Sections, limit, measured_columns, summa
 use conicflow_messages::Hinted;
 use indexmap::IndexSet;
 use std::path::PathBuf;
+use tempfile::TempDir;
 
 /// The sinks that leave rows.
 const SINKS: [&str; 4] = ["measurement_sink", "section_sink", "evaluation_sink", "limit_sink"];
@@ -60,7 +61,7 @@ fn laid_out((titles, rows): (Vec<String>, Vec<Vec<String>>)) -> Table {
 
 /// Where the sinks of one run leave their rows.
 pub struct Rows {
-    folder: PathBuf,
+    folder: TempDir,
     stages: Vec<String>,
 }
 
@@ -70,15 +71,14 @@ impl Rows {
     /// # Errors
     /// The folder cannot be made.
     pub fn of(pipeline: &Pipeline) -> Result<Self> {
-        let folder = std::env::temp_dir().join(format!("conicflow-{}-{}", pipeline.name, std::process::id()));
-        std::fs::create_dir_all(&folder).with_context(|| format!("cannot make `{}`", folder.display()))?;
+        let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
         let measures = |program: &Program| matches!(program, Program::Node(node) if SINKS.contains(&node.name));
         let stages = pipeline.stages.iter().filter(|stage| measures(&stage.program));
         Ok(Self { folder, stages: stages.map(|stage| stage.name.clone()).collect() })
     }
 
     fn path(&self, stage: &str) -> PathBuf {
-        self.folder.join(format!("{stage}.jsonl"))
+        self.folder.path().join(format!("{stage}.jsonl"))
     }
 
     /// What has to be set for the sinks to leave them there.
@@ -104,13 +104,6 @@ impl Rows {
             }
         }
         Ok(rows)
-    }
-}
-
-impl Drop for Rows {
-    fn drop(&mut self) {
-        // what is left in the folder for temporary files harms nobody
-        let _ = std::fs::remove_dir_all(&self.folder);
     }
 }
 

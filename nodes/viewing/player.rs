@@ -287,23 +287,23 @@ impl Player {
     fn show(&mut self, shown: Replayed) -> Result<()> {
         self.at_ns = shown.written_ns;
         let mut frame = if self.frames.item().is_image() {
-            let pixels = items_of(&shown.items);
+            let pixels = shown.items_as();
             let (mut header, mut found) = (shown.header, List::None);
             if let Some(lists) = &mut self.lists
                 && let Some(replayed) = lists.of(&shown.header)?
             {
-                (header, found) = (replayed.header, list(lists.replay.item(), &replayed.items));
+                (header, found) = (replayed.header, list(lists.replay.item(), &replayed));
             }
             let depth = Some(Arc::new(Depth { header: shown.header, pixels }));
             Frame { header, depth, list: found, compared: None, latency_ms: None }
         } else {
-            let found = list(self.frames.item(), &shown.items);
+            let found = list(self.frames.item(), &shown);
             Frame { header: shown.header, depth: None, list: found, compared: None, latency_ms: None }
         };
         if let Some(other) = &mut self.other
             && let Some(replayed) = other.of(&shown.header)?
         {
-            frame.compared = Some(compare(&frame.list, list(other.replay.item(), &replayed.items)));
+            frame.compared = Some(compare(&frame.list, list(other.replay.item(), &replayed)));
         }
         // Where it is goes with the frame.
         self.tell();
@@ -340,14 +340,6 @@ fn compare(own: &List, other: List) -> Compared {
 }
 
 /// What a message of a list says was found.
-fn list(item: &ItemType, items: &[u8]) -> List {
-    if item.name() == Track::NAME {
-        return List::Tracks(items_of(items));
-    }
-    List::Objects(items_of(items))
-}
-
-/// Bytes as items, wherever in memory they lie.
-fn items_of<T: Item>(bytes: &[u8]) -> Vec<T> {
-    bytes.chunks_exact(size_of::<T>()).map(bytemuck::pod_read_unaligned).collect()
+fn list(item: &ItemType, message: &Replayed) -> List {
+    if item.name() == Track::NAME { List::Tracks(message.items_as()) } else { List::Objects(message.items_as()) }
 }

@@ -44,9 +44,7 @@ impl Side {
         self.painter.begin(&frame.header.camera);
         while let Some(depth) = self.depth.next_message()? {
             if depth.header.sequence == frame.header.sequence {
-                let pixels = depth.items.as_chunks().0.iter().map(|pixel| u16::from_ne_bytes(*pixel));
-                let items: Vec<u16> = pixels.collect();
-                self.painter.depth(&Message { header: &depth.header, items: &items });
+                self.painter.depth(&Message { header: &depth.header, items: &depth.items_as() });
                 break;
             }
         }

@@ -287,7 +287,7 @@ impl Listing {
 }
 
 /// The files that are not hidden, in natural order of their names.
-fn sorted_files(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
+pub(super) fn sorted_files(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
     let mut paths = fs::read_dir(folder)?.map(|entry| Ok(entry?.path())).collect::<std::io::Result<Vec<_>>>()?;
     paths.retain(|path| !file_name(path).starts_with('.') && path.is_file());
     paths.sort_by(|a, b| natural::compare(&file_name(a), &file_name(b)));

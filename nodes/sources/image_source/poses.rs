@@ -6,15 +6,14 @@
 
 use super::config::PosesConfig;
 use super::faulty::hinted;
-use super::layout::file_name;
-use super::natural;
+use super::layout::{file_name, sorted_files};
 use super::recording::{Frame, Recording};
 use super::trajectory::{self, Known, Trajectory};
 use anyhow::{Context as _, Error, Result, bail, ensure};
 use conicflow_messages::Hinted;
 use nalgebra::Isometry3;
 use std::collections::BTreeMap;
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
@@ -203,11 +202,8 @@ fn beside(folder: &Path) -> Result<Option<PathBuf>> {
 
 /// The files of a folder whose names end so, in natural order.
 fn files(folder: &Path, ending: &str) -> Result<Vec<PathBuf>> {
-    let listed = || format!("`{}` cannot be listed", folder.display());
-    let mut paths: Vec<PathBuf> =
-        fs::read_dir(folder).with_context(listed)?.flatten().map(|entry| entry.path()).collect();
-    paths.retain(|path| file_name(path).ends_with(ending) && !file_name(path).starts_with('.') && path.is_file());
-    paths.sort_by(|a, b| natural::compare(&file_name(a), &file_name(b)));
+    let mut paths = sorted_files(folder).with_context(|| format!("`{}` cannot be listed", folder.display()))?;
+    paths.retain(|path| file_name(path).ends_with(ending));
     Ok(paths)
 }
 

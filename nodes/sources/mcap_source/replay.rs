@@ -7,7 +7,7 @@ use crate::recording::own;
 use anyhow::{Context as _, Result, bail, ensure};
 use conicflow_dataflow::{ItemType, tell_median};
 use conicflow_messages::{
-    Camera, HAS_POSE, Header, Hinted, Hop, INVALID_FAR, INVALID_NEAR, MAX_HOPS, RECORDED, Text, median_depth,
+    Camera, HAS_POSE, Header, Hinted, Hop, INVALID_FAR, INVALID_NEAR, Item, MAX_HOPS, RECORDED, Text, median_depth,
 };
 use conicflow_ros::{CompressedImage, Depths, Image, Stamped, TF_MESSAGE, Transforms};
 use mcap::Message;
@@ -27,6 +27,13 @@ pub struct Replayed {
     pub written_ns: u64,
     /// Its items as bytes, in the order of this machine.
     pub items: Vec<u8>,
+}
+
+impl Replayed {
+    /// Its items, wherever in memory they lie.
+    pub fn items_as<T: Item>(&self) -> Vec<T> {
+        self.items.chunks_exact(size_of::<T>()).map(bytemuck::pod_read_unaligned).collect()
+    }
 }
 
 /// Plays a recording back.
@@ -285,7 +292,7 @@ impl Replay {
         if self.is_told {
             return;
         }
-        let pixels: Vec<_> = replayed.items.as_chunks().0.iter().map(|pixel| u16::from_ne_bytes(*pixel)).collect();
+        let pixels = replayed.items_as::<u16>();
         let Some(median) = median_depth(&pixels) else { return };
         self.is_told = true;
         let Header { camera, depth_scale, .. } = replayed.header;
