@@ -127,10 +127,10 @@ mod tests {
         write(0);
         write(3);
         let text = std::fs::read_to_string(&path).unwrap();
-        let lines: Vec<TruthLine> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
-        assert_eq!(lines.iter().map(|line| line.sequence).collect::<Vec<_>>(), [0, 1, 2, 3, 4, 5]);
-        assert_eq!(lines[3].stamp_ns, 100_000_000);
-        assert_eq!(lines[3].objects.len(), 3);
+        let lines: Vec<serde_json::Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+        assert_eq!(lines.iter().map(|line| &line["sequence"]).collect::<Vec<_>>(), [0, 1, 2, 3, 4, 5]);
+        assert_eq!(lines[3]["stamp_ns"], 100_000_000);
+        assert_eq!(lines[3]["objects"].as_array().unwrap().len(), 3);
         write(0);
         assert_eq!(std::fs::read_to_string(&path).unwrap().lines().count(), 3, "a new run starts a new file");
     }

@@ -5,9 +5,9 @@ use super::motion::Motion;
 use super::raster::{Raster, Window, ray};
 use super::scene::{Role, Scene};
 use super::shapes::{Bowl, Frustum, Shape, Surface};
-use conicflow_messages::{Camera, Object, ObjectKind};
+use conicflow_messages::{Camera, Fields, Named, Object, ObjectKind};
 use nalgebra::Vector3;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 /// A sphere, cylinder or cone that is really there.
 #[derive(Clone, Debug, PartialEq)]
@@ -224,7 +224,7 @@ fn velocity(scene: &Scene, index: usize, time_s: f64) -> [f64; 3] {
 }
 
 /// One line of the truth file: the objects of one frame, camera frame, metres, radians, seconds.
-#[derive(Clone, Debug, Deserialize, Serialize)]
+#[derive(Clone, Debug, Serialize)]
 pub struct TruthLine {
     /// Number of the frame.
     pub sequence: u64,
@@ -236,76 +236,38 @@ pub struct TruthLine {
     pub objects: Vec<TruthObject>,
 }
 
-/// A true object as it stands in the truth file: the fields of a detected one, and what only the scene knows.
-#[derive(Clone, Debug, Deserialize, Serialize)]
+/// A true object as it stands in the truth file: its visible part as a detected one has it in JSON, without what an estimate has
+/// beside it, and what only the scene knows.
+#[derive(Clone, Debug, Serialize)]
 pub struct TruthObject {
     /// Its name in the scene.
-    pub name: String,
+    name: String,
     /// `sphere`, `cylinder`, `cone`, or `bowl`: a shell whose outside is a part of the sphere given.
-    pub kind: String,
+    kind: &'static str,
     /// Whether it is a part of something that is no object: a limb, the leg of a chair.
-    #[serde(skip_serializing_if = "std::ops::Not::not", default)]
-    pub part: bool,
-    /// Apex of a cone.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    pub apex: Option<[f64; 3]>,
-    /// Centre of a sphere; of a cylinder or cone the middle of its visible part, on the axis.
-    pub center: [f64; 3],
-    /// Unit vector along the axis, of a cone from the apex to the base.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    pub axis: Option<[f64; 3]>,
-    /// Radius of a sphere or cylinder.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    pub radius: Option<f64>,
-    /// Half-angle of a cone.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    pub half_angle: Option<f64>,
-    /// Radius of a cone at the wide end of its visible part.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    pub base_radius: Option<f64>,
-    /// Radius of a cone at the narrow end of its visible part.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    pub top_radius: Option<f64>,
-    /// Length of the visible part along the axis.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    pub length: Option<f64>,
-    /// Number of visible pixels.
-    pub points: u32,
-    /// Number of rows with visible pixels.
-    pub rows: u32,
-    /// Visible part of the circumference; of a sphere about the direction across the line of sight.
-    pub arc: f64,
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    part: bool,
+    #[serde(flatten)]
+    visible: Fields<'static>,
     /// Share of the pixels that it would cover alone that are hidden or outside the image.
-    pub hidden: f64,
+    hidden: f64,
     /// Velocity over ground, in the camera's axes.
-    pub velocity: [f64; 3],
+    velocity: [f64; 3],
     /// Centre of the whole body.
-    pub body_center: [f64; 3],
+    body_center: [f64; 3],
     /// Length of the whole body; 0 of a sphere.
-    pub body_length: f64,
+    body_length: f64,
 }
 
 impl From<&Truth> for TruthObject {
     fn from(truth: &Truth) -> Self {
-        let object = &truth.object;
-        let shape = object.shape();
-        let is_cone = shape == ObjectKind::Cone;
-        let of_cone = |number: f64| is_cone.then_some(number);
+        let Fields(mut visible) = truth.object.fields();
+        visible.retain(|(name, _)| !["kind", "sigma", "rms"].contains(name));
         Self {
             name: truth.name.clone(),
+            kind: if truth.bowl { "bowl" } else { truth.object.shape().name() },
             part: truth.part,
-            kind: if truth.bowl { "bowl".into() } else { shape.name().into() },
-            apex: is_cone.then_some(object.apex),
-            center: object.center,
-            axis: (shape != ObjectKind::Sphere).then_some(object.axis),
-            radius: (!is_cone).then_some(object.radius),
-            half_angle: of_cone(object.half_angle),
-            base_radius: of_cone(object.base_radius),
-            top_radius: of_cone(object.top_radius),
-            length: (shape != ObjectKind::Sphere).then_some(object.length),
-            points: object.points,
-            rows: object.rows,
-            arc: object.arc,
+            visible: Fields(visible),
             hidden: truth.hidden,
             velocity: truth.velocity,
             body_center: truth.body.center,
