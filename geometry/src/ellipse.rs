@@ -170,28 +170,10 @@ fn linear_part(m: &PlaneMoments) -> Option<Matrix3<f64>> {
 
 /// `S1 + S2 T`, symmetric.
 fn reduced_scatter(m: &PlaneMoments, linear: &Matrix3<f64>) -> Matrix3<f64> {
-    let s1 = Matrix3::new(
-        m.get(4, 0),
-        m.get(3, 1),
-        m.get(2, 2), //
-        m.get(3, 1),
-        m.get(2, 2),
-        m.get(1, 3), //
-        m.get(2, 2),
-        m.get(1, 3),
-        m.get(0, 4),
-    );
-    let s2 = Matrix3::new(
-        m.get(3, 0),
-        m.get(2, 1),
-        m.get(2, 0), //
-        m.get(2, 1),
-        m.get(1, 2),
-        m.get(1, 1), //
-        m.get(1, 2),
-        m.get(0, 3),
-        m.get(0, 2),
-    );
+    // The exponents of s and t in D1 and D2.
+    let (d1, d2) = ([[2, 0], [1, 1], [0, 2]], [[1, 0], [0, 1], [0, 0]]);
+    let products = |d: [[usize; 2]; 3]| Matrix3::from_fn(|i, j| m.get(d1[i][0] + d[j][0], d1[i][1] + d[j][1]));
+    let (s1, s2) = (products(d1), products(d2));
     let sum = s1 + s2 * linear;
     (sum + sum.transpose()) * 0.5
 }
