@@ -7,7 +7,6 @@
 use super::indexed::Indexed;
 use super::sequential::{LeftOut, Sequential};
 use super::summary::{MAX_RECORD_BYTES, summary};
-use crate::sources::image_source::natural;
 use anyhow::{Context as _, Result, bail};
 use conicflow_messages::Hinted;
 use mcap::{Channel, McapError, McapResult, Message, Summary};
@@ -55,9 +54,7 @@ impl Files {
         }
         let entries = fs::read_dir(path).with_context(|| format!("the folder `{}`", path.display()))?;
         let mut paths = entries.map(|entry| Ok(entry?.path())).collect::<std::io::Result<Vec<_>>>()?;
-        let name =
-            |path: &PathBuf| path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-        paths.sort_by(|a, b| natural::compare(&name(a), &name(b)));
+        alphanumeric_sort::sort_path_slice(&mut paths);
         let recordings: Vec<_> = paths.iter().filter(|path| is_recording(path)).cloned().collect();
         if recordings.is_empty() {
             paths.iter().try_for_each(|path| refuse_other_formats(path))?;

@@ -5,7 +5,7 @@
 //! is unreadable is known, and the number of frames and their size are certain.
 
 use super::faulty::hinted;
-use super::{depth_png, natural, pcd, raster, tum};
+use super::{depth_png, pcd, raster, tum};
 use anyhow::{Context as _, Error, Result, anyhow, bail};
 use conicflow_messages::Hinted;
 use std::collections::BTreeMap;
@@ -290,7 +290,7 @@ impl Listing {
 pub(super) fn sorted_files(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
     let mut paths = fs::read_dir(folder)?.map(|entry| Ok(entry?.path())).collect::<std::io::Result<Vec<_>>>()?;
     paths.retain(|path| !file_name(path).starts_with('.') && path.is_file());
-    paths.sort_by(|a, b| natural::compare(&file_name(a), &file_name(b)));
+    alphanumeric_sort::sort_path_slice(&mut paths);
     Ok(paths)
 }
 

@@ -9,7 +9,6 @@ mod depth_png;
 mod faulty;
 mod intrinsics;
 mod layout;
-pub(crate) mod natural;
 mod npy;
 mod pcd;
 mod pinhole;

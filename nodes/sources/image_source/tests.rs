@@ -76,10 +76,18 @@ fn pixels(recording: &mut Recording, index: usize) -> Vec<u16> {
 
 #[test]
 fn a_folder_of_pngs_in_natural_order() {
-    let folder =
-        Folder::new().depth(&["img10.png", "img2.png", "img1.PNG"]).file("notes.txt", "").file("._img1.png", "");
+    let ordered = [
+        "img1.PNG",
+        "img02.png",
+        "img10.png",
+        "img011.png",
+        "img99999999999999999999.png",
+        "img100000000000000000000.png",
+    ];
+    let backwards: Vec<_> = ordered.into_iter().rev().collect();
+    let folder = Folder::new().depth(&backwards).file("notes.txt", "").file("._img1.png", "");
     let mut recording = folder.open_given();
-    assert_eq!(names(&mut recording), ["img1.PNG", "img2.png", "img10.png"]);
+    assert_eq!(names(&mut recording), ordered);
     assert_eq!(pixels(&mut recording, 1), units(&depth_m(), 0.001));
     let frame = recording.load(2).unwrap();
     assert_eq!((frame.camera, frame.depth_scale, frame.slot, frame.stamp_ns), (CAMERA, 0.001, 2, None));
