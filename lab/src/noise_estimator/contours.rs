@@ -82,7 +82,7 @@ fn names(scan: Scan) -> [&'static str; 2] {
 mod tests {
     use super::*;
     use crate::random::CounterRng;
-    use crate::rendered::{Body, KINECT_HALF, render};
+    use crate::rendered::{KINECT_HALF, cylinder, plane, render};
     use conicflow_geometry::Vector3;
     use conicflow_messages::NoiseModel;
 
@@ -91,16 +91,13 @@ mod tests {
 
     /// Upright cylinders of several sizes before a wall.
     fn cylinders() -> Vec<(Header, Vec<u16>)> {
-        let wall = Body::Plane { normal: Vector3::z(), offset: 4.0 };
+        let wall = plane(Vector3::z(), 4.0);
         let radii = [0.05, 0.08, 0.12, 0.18];
-        let cylinder = |seed: u64| Body::Frustum {
-            center: Vector3::new(0.03 * (seed % 5) as f64, 0.01, 1.4 + 0.017 * (seed % 7) as f64),
-            axis: Vector3::y(),
-            radius: radii[seed as usize % radii.len()],
-            slope: 0.0,
-            length: 0.6,
+        let body = |seed: u64| {
+            let center = Vector3::new(0.03 * (seed % 5) as f64, 0.01, 1.4 + 0.017 * (seed % 7) as f64);
+            cylinder(center, Vector3::y(), radii[seed as usize % radii.len()], 0.6)
         };
-        (0..24).map(|seed| render(KINECT_HALF, NoiseModel::KINECT_V1, &[cylinder(seed), wall], seed)).collect()
+        (0..24).map(|seed| render(KINECT_HALF, NoiseModel::KINECT_V1, &[body(seed), wall], seed)).collect()
     }
 
     /// What a sensor makes of an image that sees the silhouettes of the cylinder so many pixels too far out, where a row begins
@@ -234,7 +231,7 @@ mod tests {
 
     #[test]
     fn where_no_object_was_seen_nothing_is_told() {
-        let wall = Body::Plane { normal: Vector3::z(), offset: 2.0 };
+        let wall = plane(Vector3::z(), 2.0);
         let images = (0..2).map(|seed| render(KINECT_HALF, NoiseModel::KINECT_V1, &[wall], seed));
         let contours = contours(images);
         assert_eq!(contours.errors().count(), 0);

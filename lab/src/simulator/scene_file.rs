@@ -341,12 +341,10 @@ impl BoxEntry {
 #[serde(deny_unknown_fields)]
 struct LumpEntry {
     name: String,
-    #[serde(deserialize_with = "vector")]
-    center: Vector3<f64>,
+    center: Vector,
     #[serde(deserialize_with = "size")]
     size: Vector3<f64>,
-    #[serde(default, deserialize_with = "maybe_quaternion")]
-    orientation: Option<[f64; 4]>,
+    orientation: Option<Quaternion>,
     #[serde(default = "round")]
     squareness: [u32; 2],
     #[serde(default)]
@@ -376,8 +374,8 @@ impl LumpEntry {
             ));
         }
         creases[..self.creases.len()].copy_from_slice(&self.creases);
-        let axes = self.orientation.map_or_else(Matrix3::identity, from_quaternion);
-        let lump = Lump { center: self.center, axes, half: self.size * 0.5, squareness: self.squareness, creases };
+        let axes = self.orientation.map_or_else(Matrix3::identity, |orientation| from_quaternion(orientation.0));
+        let lump = Lump { center: self.center.0, axes, half: self.size * 0.5, squareness: self.squareness, creases };
         Ok(Body::new(self.name, Shape::Lump(lump), self.motion))
     }
 }
