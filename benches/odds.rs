@@ -34,7 +34,7 @@ const SENSORS: [(&str, [u64; 2], &str); 10] = [
     ("time of flight", [560, 564], "noise = \"time_of_flight\""),
     ("time of flight, simulated", [565, 569], "sensor = \"time_of_flight\""),
 ];
-/// All but `flat_tins`, which the other groups have among others.
+/// All but `flat_tins`, which the other groups have among others, and `lived_in`, of which `experiments/README.md` tells.
 const GROUPS: &str = "\"standing\", \"tilted\", \"occluded\", \"tabletop\", \"lying\", \"composed\", \"clutter\", \"bowls\", \
                       \"empty\", \"furnished\", \"kitchen\"";
 /// Much of what is seen in rooms is no object: further scenes of these groups.

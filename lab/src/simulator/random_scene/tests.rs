@@ -103,3 +103,20 @@ fn rooms_have_parts_that_nobody_asks_for_and_glass_that_gives_no_depth() {
     let through: Vec<u16> = owners.zip(&pixels).filter(|(glass, _)| *glass).map(|(_, pixel)| *pixel).collect();
     assert!(!through.is_empty() && through.iter().all(|pixel| *pixel == 0));
 }
+
+#[test]
+fn what_is_lived_in_has_much_that_is_no_object_and_things_with_rims_and_handles() {
+    let scenes: Vec<_> = (0..30).map(|seed| random_scene(SceneGroup::LivedIn, seed)).collect();
+    let bare = |name: &str| name.trim_end_matches(|c: char| c.is_ascii_digit() || c == ' ').to_owned();
+    let bodies: BTreeSet<_> = scenes.iter().flat_map(|scene| &scene.bodies).map(|body| bare(&body.name)).collect();
+    let truths: Vec<_> = scenes.iter().flat_map(|scene| truth_at(scene, CAMERA, 0.0)).collect();
+    let truths: BTreeSet<_> = truths.iter().map(|truth| (bare(&truth.name), truth.part)).collect();
+    let lumps = ["shirt", "trouser leg", "head", "chair back", "cushion", "bag", "leaf"];
+    for name in lumps.into_iter().chain(["oval bottle", "carton", "fruit", "cloth", "paper"]) {
+        assert!(bodies.contains(name), "{name}: {bodies:?}");
+        assert!(!truths.iter().any(|(truth, _)| truth == name), "a {name} is no object");
+    }
+    for part in ["rim", "band", "lid", "handle", "neck", "cap"] {
+        assert!(truths.contains(&(part.to_owned(), true)), "{part}: {truths:?}");
+    }
+}
