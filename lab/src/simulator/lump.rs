@@ -8,11 +8,11 @@ use nalgebra::{Matrix3, Vector3};
 use serde::Deserialize;
 
 /// Most waves on the surface of a lump.
-pub const CREASES: usize = 4;
+pub const CREASES: usize = 4; // [algorithmic]
 /// A step along a ray is at least so long, in half-sizes: 0.1 mm of what is as large as a head.
-const LEAST_STEP: f64 = 1e-3;
+const LEAST_STEP: f64 = 1e-3; // [algorithmic]
 /// Halvings of the last step.
-const HALVINGS: u32 = 40;
+const HALVINGS: u32 = 40; // [algorithmic]
 
 /// A superellipsoid (Barr, "Superquadrics and angle-preserving transformations", 1981) with waves on its surface.
 ///

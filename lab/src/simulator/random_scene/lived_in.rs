@@ -182,8 +182,7 @@ fn armchair(set: &mut Set, foot: Vector3<f64>) {
     part("seat", at(0.0, 0.0, 0.25), [0.6, 0.6, 0.36]);
     part("chair back", at(-0.32, 0.0, 0.5), [0.22, 0.7, 0.75]);
     for side in [-1.0, 1.0] {
-        let axes_along = at(0.0, 0.36 * side, 0.35);
-        part("chair arm", axes_along, [0.62, 0.17, 0.5]);
+        part("chair arm", at(0.0, 0.36 * side, 0.35), [0.62, 0.17, 0.5]);
     }
     if set.draws.chance(0.6) {
         let leaning = heading + Vector3::z() * set.draws.within(0.2..=0.8);
