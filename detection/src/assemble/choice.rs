@@ -65,7 +65,7 @@ pub(crate) fn choose<'a>(
         return Err(Rejection::Taper);
     }
     let mut object = report(&best.region, &best.measured);
-    let evidence = Evidence::of(&best, &object);
+    let evidence = Evidence::of(&best, &object, parameters.max_gap());
     object.confidence = evidence.probability() as f32;
     if is_cylinder {
         object.sigma.axis = object.sigma.axis.hypot(taper);
@@ -155,7 +155,7 @@ mod tests {
         let model = model::fit(kind, &arcs.of(members), None, f64::INFINITY).unwrap();
         let (count, lines, angle, extent) = (points as u32, members.len() as u32, 2.0, [-0.25, 0.25]);
         let measured = Measured { count, points, lines, variance: 1e-6, misfit: 0.0, curvature: 100.0, angle, extent };
-        let outline = Outline { square: 1.0, far_off: 0.0, free: 1.0, continued: 0.0 };
+        let outline = Outline { square: 1.0, far_off: 0.0, free: 1.0 };
         Candidate { region: Region { arcs, model, members }, measured, outline }
     }
 

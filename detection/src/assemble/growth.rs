@@ -36,7 +36,7 @@ const BEYOND_GAP: f64 = 0.1; // [tuned]
 const TOO_LARGE: f64 = 4.0; // [sigmas]
 
 /// How far an arc may be off a model and belong to it.
-struct Patience {
+pub(crate) struct Patience {
     /// Standard deviations by which the mean and the mean square may scatter, given the noise and the uncertainty of the
     /// model.
     scatter: f64,
@@ -54,12 +54,14 @@ const FIRST: Patience = Patience { scatter: 3.0, square: 0.5, mean: f64::INFINIT
 const SETTLED: Patience = Patience { scatter: 2.5, square: 0.15, mean: 0.5 }; // [sigmas] [tuned] [tuned]
 /// For the first and the last arcs of a model that has grown: an object meets the floor, a rim or another object there.
 const AT_ENDS: Patience = Patience { scatter: 1.2, square: 0.0, mean: 0.0 }; // [sigmas]
+/// For what lies beyond a model that has grown: what is farther off than noise explains is not of its surface.
+pub(crate) const BEYOND: Patience = Patience { scatter: 2.5, square: 0.0, mean: 0.0 }; // [sigmas]
 /// The variance of the model counts so many times in a mean square, because it differs along an arc.
 const ALONG_ARC: f64 = 4.0; // [tuned]
 
 impl Patience {
     /// Whether an arc may have this misfit, given the variance of the model where it lies.
-    fn bears(&self, arc: &Arc, misfit: &Misfit, uncertainty: f64) -> bool {
+    pub fn bears(&self, arc: &Arc, misfit: &Misfit, uncertainty: f64) -> bool {
         let square = arc.variance * self.square_limit(arc.points) + ALONG_ARC * uncertainty;
         let scatter = (arc.variance / arc.points + uncertainty).sqrt();
         misfit.square <= square && misfit.mean.abs() <= self.mean * arc.variance.sqrt() + self.scatter * scatter

@@ -128,7 +128,7 @@ impl Default for AssemblerParameters {
         Self {
             max_half_angle_deg: 30.0,
             // [measured] Rooms show more that is no object than the scenes in which the odds were fitted: of the answers of
-            // a confidence from 0.5 to 0.55 in recordings four are wrong, and none is right.
+            // a confidence from 0.5 to 0.55 in recordings three are wrong, and none is right.
             min_confidence: 0.55,
             sphere: RadiusLimits { min_m, max_m },
             cylinder: axial,

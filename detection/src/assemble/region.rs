@@ -3,6 +3,7 @@
 use super::arcs::{Arc, Arcs};
 use super::model::Model;
 use conicflow_geometry::Vector3;
+use std::iter;
 
 /// A model and the arcs that it explains, in the order of the lines.
 #[derive(Clone, Copy, Debug)]
@@ -36,6 +37,16 @@ impl<'a> Region<'a> {
     /// The arcs of the first and the last line.
     pub fn ends(&self) -> [&'a Arc; 2] {
         [self.members[0], self.members[self.members.len() - 1]].map(|index| &self.arcs.arcs[index])
+    }
+
+    /// The arcs beyond its first line (`side` -1) or its last (1), one line after another: none is a member, and each touches the
+    /// one before it, be it behind a gap of as many lines.
+    pub fn beyond(&self, side: i64, gap: i64) -> impl Iterator<Item = &'a Arc> + use<'a> {
+        let Self { arcs, members, .. } = *self;
+        let end = members[if side < 0 { 0 } else { members.len() - 1 }];
+        let is_other = |arc: usize| members.binary_search(&arc).is_err();
+        let chain = iter::successors(Some(end), move |&at| arcs.beside(at, side, gap, is_other));
+        chain.skip(1).map(|index| &arcs.arcs[index])
     }
 
     /// Place of a point along the axis, counted from the surface's point; 0 for a sphere.

@@ -167,7 +167,11 @@ fn where_a_surface_goes_on_it_is_told_and_speaks_against_a_sphere() {
     };
     let (free, on_a_post) = (evidence(&[ball, wall(3.0)]), evidence(&[ball, post, wall(3.0)]));
     assert_eq!((free.continued, on_a_post.continued), (0.0, 0.5));
+    assert_eq!((free.beyond_radii, on_a_post.beyond_radii[0]), ([0.0; 2], 0.0));
+    assert!((0.3..0.4).contains(&on_a_post.beyond_radii[1]), "until the post is a fifth of the radius off the ball");
     assert!(Evidence { continued: 1.0, ..free }.probability() < free.probability());
+    let [one, both] = [[0.0, 0.2], [0.2, 0.2]].map(|beyond_radii| Evidence { beyond_radii, ..free }.probability());
+    assert!(both < one && one < free.probability());
 }
 
 #[test]

@@ -53,13 +53,11 @@ pub(crate) struct Outline {
     pub far_off: f64,
     /// Share of the ends of all arcs beyond which something farther is seen, or nothing is measured.
     pub free: f64,
-    /// Share of its two ends across the scan lines beyond which another arc goes on as if it were the same surface.
-    pub continued: f64,
 }
 
 impl Outline {
     /// That of a region that was fitted together with its contour.
-    fn of(region: &Region, contour: &Contour, gap: i64) -> Self {
+    fn of(region: &Region, contour: &Contour) -> Self {
         let ends = 2.0 * region.members.len() as f64;
         let is_free = |arc: &Arc, end: usize| arc.unseen[end] || arc.contour[end].is_some();
         let free: usize = region.arcs().map(|arc| (0..2).filter(|&end| is_free(arc, end)).count()).sum();
@@ -67,19 +65,8 @@ impl Outline {
         let share = |part: usize, all: usize| part as f64 / all.max(1) as f64;
         let expected = EXPECTED_POINTS * region.shared_lines();
         let square = (region.model.contour_sum() + expected) / (contour.used() as f64 + expected);
-        let continued = continued(region, gap);
-        Self { square, far_off: share(contour.far_off(), contour.points()), free, continued }
+        Self { square, far_off: share(contour.far_off(), contour.points()), free }
     }
-}
-
-/// Share of the ends of a region, before its first line and behind its last, at which the surface goes on, be it behind a gap
-/// of as many lines as growth bridges.
-fn continued(region: &Region, gap: i64) -> f64 {
-    let Region { arcs, members, .. } = region;
-    let is_other = |arc: usize| members.binary_search(&arc).is_err();
-    let goes_on = |member: usize, side: i64| arcs.beside(member, side, gap, is_other).is_some();
-    let ends = [(members[0], -1), (members[members.len() - 1], 1)];
-    0.5 * ends.into_iter().filter(|&(member, side)| goes_on(member, side)).count() as f64
 }
 
 /// A region that was verified.
@@ -119,7 +106,7 @@ fn verify<'a>(
     } else {
         contours.clear();
     }
-    let outline = Outline::of(&region, contours.last(), parameters.max_gap());
+    let outline = Outline::of(&region, contours.last());
     Ok(Candidate { region, measured: check(&region, parameters)?, outline })
 }
 
