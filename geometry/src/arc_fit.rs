@@ -162,7 +162,7 @@ mod tests {
     use super::*;
     use crate::{fit_circle, line_rms};
 
-    fn arc(from: f64, to: f64) -> impl Iterator<Item = [f64; 2]> {
+    fn arc(from: f64, to: f64) -> impl Iterator<Item = [f64; 2]> + Clone {
         (0..40).map(move |i| from + (to - from) * f64::from(i) / 39.0).map(|a| [0.2 * a.cos(), 2.0 + 0.2 * a.sin()])
     }
 
@@ -223,6 +223,14 @@ mod tests {
         for (a, b) in arc.numbers().into_iter().zip(expected.numbers()) {
             assert!((a - b).abs() < 1e-13, "{arc:?} {expected:?}");
         }
+    }
+
+    #[test]
+    fn the_mean_square_distance_from_a_point_is_that_of_the_points() {
+        let (points, from) = (arc(4.0, 5.0), [0.3, 1.5]);
+        let square = points.clone().map(|[s, t]| (s - from[0]).powi(2) + (t - from[1]).powi(2)).sum::<f64>() / 40.0;
+        let moments = ArcMoments::of(&PlaneMoments::of([0.0, 0.0], points)).unwrap();
+        assert!((moments.square_from(from) - square).abs() < 1e-12);
     }
 
     #[test]

@@ -195,6 +195,16 @@ mod tests {
     }
 
     #[test]
+    fn a_line_is_known_best_in_the_middle_of_its_points_and_the_less_the_farther_out() {
+        let line = Line { point: Vector3::zeros(), direction: Vector3::x(), rms: 0.003, spread: 0.2, count: 16.0 };
+        for (spreads, variance) in [(0.0, 17.0 / 16.0), (1.0, 18.0 / 16.0), (-3.0, 26.0 / 16.0)] {
+            let expected = 0.003 * f64::sqrt(variance);
+            assert!((line.prediction_sigma(0.2 * spreads) - expected).abs() < 1e-12, "{spreads}");
+        }
+        assert!((line.direction_sigma() - 0.003 / (0.2 * 4.0)).abs() < 1e-12);
+    }
+
+    #[test]
     fn a_line_across_a_pencil_is_exact_and_not_drawn_towards_the_view() {
         let (foot, direction) = (Vector3::new(0.1, 0.2, 1.5), Vector3::new(0.2, 0.8, -0.5).normalize());
         for noise in [0.0, 0.004] {

@@ -61,6 +61,11 @@ fn exact_points_give_each_surface_back() {
     let start = Sphere { center: pool.origin + Vector3::z() * 0.1, radius: 0.1 };
     let found = fit_surface(&pool, &start, f64::INFINITY).unwrap();
     assert!((found.surface.center - sphere.center).norm() < 1e-7, "{found:?}");
+    let algebraic = pool.sphere().unwrap();
+    assert!(
+        (algebraic.center - sphere.center).norm() < 1e-7 && (algebraic.radius - 0.15).abs() < 1e-7,
+        "{algebraic:?}"
+    );
 
     let axis = Vector3::new(0.3, 0.9, -0.4).normalize();
     let cone = Conical { point: Vector3::new(0.1, 0.0, 1.3), axis, radius: 0.12, slope: 0.25 };

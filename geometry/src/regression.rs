@@ -111,6 +111,6 @@ mod tests {
             sums.add(2.0, 1.0);
         }
         assert_eq!(sums.fit(), None);
-        assert_eq!((sums.mean(), sums.deviation()), (1.0, 0.0));
+        assert_eq!((sums.count(), sums.mean(), sums.deviation()), (9.0, 1.0, 0.0));
     }
 }

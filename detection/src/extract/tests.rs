@@ -125,6 +125,9 @@ fn an_end_that_is_off_the_circle_is_left_off() {
     let arc = arc_in_row(120, |row| row[last] += 300);
     assert_eq!((arc.first, arc.last as usize), (plain.first, last - 1));
     assert!((arc.half_width / plain.half_width - 1.0).abs() < 0.01);
+    let wider = arc_in_row(120, |row| row[last + 1] = row[last]);
+    assert_eq!(wider.contour[1], plain.contour[1] + 1.0);
+    assert_eq!(wider.last as usize, last, "the ray of the pixel beyond passes the circle");
 }
 
 /// A board before a wall: what bends away from the camera may be an object that noise bends so; what bends towards it far
