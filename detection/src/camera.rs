@@ -61,3 +61,19 @@ pub fn isometry(rows: &[[f64; 4]; 3]) -> IsometryMatrix3<f64> {
     let translation = Translation3::new(rows[0][3], rows[1][3], rows[2][3]);
     IsometryMatrix3::from_parts(translation, Rotation3::from_matrix_unchecked(rotation))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn intrinsics_that_no_camera_has_are_a_fault() {
+        let kinect = Intrinsics { fx: 525.0, fy: 525.0, cx: 319.5, cy: 239.5 };
+        assert!(kinect.are_usable() && kinect.fault().is_none());
+        for wrong in
+            [Intrinsics { fx: 0.5, ..kinect }, Intrinsics { fy: f64::NAN, ..kinect }, Intrinsics { cx: 2e6, ..kinect }]
+        {
+            assert!(!wrong.are_usable() && wrong.fault().is_some(), "{wrong:?}");
+        }
+    }
+}
