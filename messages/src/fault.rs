@@ -139,4 +139,17 @@ mod tests {
         );
         assert_eq!(Hinted::new("a", "b").to_string(), "a\n  hint: b");
     }
+
+    #[test]
+    fn a_depth_scale_is_above_0_and_at_most_1() {
+        for (scale, is_fault) in
+            [(0.001, false), (1.0, false), (0.0, true), (-0.001, true), (1.001, true), (f64::NAN, true)]
+        {
+            assert_eq!(
+                ConfigFault::of_depth_scale(scale).is_some_and(|it| it.key == "depth_scale"),
+                is_fault,
+                "{scale}"
+            );
+        }
+    }
 }

@@ -322,6 +322,27 @@ mod tests {
     }
 
     #[test]
+    fn of_the_ways_to_swap_and_turn_round_axes_those_without_a_mirror_are_rotations() {
+        for (order, even) in [[0, 1, 2], [1, 2, 0], [2, 0, 1]].map(|order| (order, true)).into_iter().chain([
+            ([0, 2, 1], false),
+            ([2, 1, 0], false),
+            ([1, 0, 2], false),
+        ]) {
+            for turned in 0..8_u32 {
+                let mut rows = [[0.0; 4]; 3];
+                (0..3).for_each(|row| rows[row][order[row]] = if turned & 1 << row == 0 { 1.0 } else { -1.0 });
+                assert_eq!(is_rotation(&rows), even == (turned.count_ones() % 2 == 0), "{rows:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_frame_is_recorded_where_its_flag_says_so() {
+        let flagged = |flags: u32| Header { flags, ..Header::default() };
+        assert!(flagged(RECORDED | HAS_POSE).is_recorded() && !flagged(HAS_POSE | END_OF_STREAM).is_recorded());
+    }
+
+    #[test]
     fn the_trace_stops_growing() {
         let mut header = Header::default();
         for _ in 0..20 {

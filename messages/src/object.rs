@@ -152,6 +152,14 @@ mod tests {
         let error = Object::check(&Header::default(), &[good, unknown]).unwrap_err();
         assert_eq!(error.to_string(), "malformed objects: item 1 is of no known shape");
         assert!(Object::check(&Header::default(), &[nan]).is_err());
+        for (negative, told) in [
+            (Object { radius: -0.1, ..good }, "has a negative size"),
+            (Object { length: -0.1, ..good }, "has a negative size"),
+            (Object { confidence: -0.1, ..good }, "has a confidence that is no probability"),
+            (Object { confidence: 1.1, ..good }, "has a confidence that is no probability"),
+        ] {
+            assert_eq!(negative.fault(), Some(told));
+        }
     }
 
     #[test]

@@ -75,4 +75,11 @@ mod tests {
         let text: Text<2> = bytemuck::cast([0xff_u8, 0xfe]);
         assert_eq!(text.as_str(), None);
     }
+
+    #[test]
+    fn a_text_that_does_not_fit_is_not_read_from_json() {
+        let read = |json: &str| serde_json::from_str::<Text<4>>(json).ok();
+        assert_eq!((read(r#""abc""#), read(r#""abcd""#)), (Some(Text::new("abc")), Some(Text::new("abcd"))));
+        assert_eq!((read(r#""abcde""#), read(r#""abcdef""#)), (None, None));
+    }
 }

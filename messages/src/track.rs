@@ -70,3 +70,34 @@ impl Item for Track {
         (self.track_state() != TrackState::Tentative).then(|| self.object.shape().name())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_track_is_in_a_known_state_with_a_finite_velocity_and_its_object_is_sound() {
+        let good = Track { state: TrackState::Confirmed.code(), ..Track::default() };
+        let mut covariance = good.velocity_covariance;
+        covariance[1][2] = f64::NAN;
+        let negative = Object { radius: -1.0, ..good.object };
+        for (track, fault) in [
+            (good, None),
+            (Track { state: 7, ..good }, Some("is in no known state")),
+            (Track { velocity: [0.0, f64::INFINITY, 0.0], ..good }, Some("has a velocity that is not finite")),
+            (Track { velocity_covariance: covariance, ..good }, Some("has a velocity that is not finite")),
+            (Track { object: negative, ..good }, Some("has a negative size")),
+        ] {
+            let told = fault.map_or(Ok(()), |fault| Err(format!("malformed tracks: item 0 {fault}")));
+            assert_eq!(Track::check(&Header::default(), &[track]).map_err(|error| error.to_string()), told);
+        }
+    }
+
+    #[test]
+    fn a_track_that_nobody_is_sure_of_yet_has_no_label() {
+        let label = |state: TrackState| Track { state: state.code(), ..Track::default() }.label();
+        let all = [TrackState::Tentative, TrackState::Confirmed, TrackState::Coasting];
+        assert_eq!(all.map(label), [None, Some("sphere"), Some("sphere")]);
+        assert_eq!(all.map(|state| Track { state: state.code(), ..Track::default() }.track_state()), all);
+    }
+}

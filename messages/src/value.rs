@@ -154,3 +154,32 @@ impl Serialize for Number<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_of_each_kind_are_told_as_they_are_and_what_is_absent_is_left_out() {
+        let value =
+            |element: Element, bytes: &[u8]| Value::Numbers { element, is_list: false, bytes: bytes.to_vec().into() };
+        let fields = Fields(vec![
+            ("u8", value(Element::U8, &[200])),
+            ("u16", value(Element::U16, bytes_of(&60_000_u16))),
+            ("u32", 4_000_000_000_u32.into()),
+            ("u64", u64::MAX.into()),
+            ("i8", value(Element::I8, bytes_of(&-100_i8))),
+            ("i16", value(Element::I16, bytes_of(&-30_000_i16))),
+            ("i32", value(Element::I32, bytes_of(&-2_000_000_000_i32))),
+            ("i64", value(Element::I64, bytes_of(&i64::MIN))),
+            ("f32", 0.5_f32.into()),
+            ("f64", [0.25, 4.0].into()),
+            ("no f32", f32::NAN.into()),
+            ("no f64", ABSENT.into()),
+        ]);
+        let told = r#"{"u8":200,"u16":60000,"u32":4000000000,"u64":18446744073709551615,"i8":-100,"i16":-30000,"#
+            .to_owned()
+            + r#""i32":-2000000000,"i64":-9223372036854775808,"f32":0.5,"f64":[0.25,4.0]}"#;
+        assert_eq!(serde_json::to_string(&fields).unwrap(), told);
+    }
+}
