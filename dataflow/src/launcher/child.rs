@@ -389,9 +389,11 @@ pub(super) mod tests {
     use super::super::summary::tests::stage;
     use super::*;
     use crate::plan::{LAYOUT, Origin};
+    use crate::ports::{Topic, TopicReader};
     use crate::status::StatusFile;
     use conicflow_messages::Object;
     use std::io::{Read, Write};
+    use std::path::Path;
 
     fn supervised(planned: PlannedStage, state: State) -> Supervised {
         let (watchdog, started) = (Watchdog::new(0, Instant::now()), Instant::now());
@@ -421,12 +423,163 @@ pub(super) mod tests {
         supervised(planned, State::Done)
     }
 
+    /// The plan of run 7.
+    fn plan_at(files: &Path) -> Plan {
+        let (pipeline, base) = ("test".to_owned(), files.to_owned());
+        Plan { layout: LAYOUT, pipeline, base, run: 7, stages: vec![], origin: Origin::default() }
+    }
+
+    /// A stage that reads what `writer` makes, and a process of it that has ended with this exit code.
+    fn ended(exit: u8, delivery: Delivery) -> (Supervised, u32) {
+        let mut planned = stage::<Object>();
+        let readers = vec![TopicReader { stage: planned.name.clone(), delivery, queue: 4 }];
+        let topic = Topic { name: "in".into(), item: None, writers: vec!["writer".into()], readers };
+        planned.wiring.input = Some(topic);
+        let mut child = Command::new("sh").args(["-c", &format!("exit {exit}")]).spawn().unwrap();
+        child.wait().unwrap();
+        let process = child.id();
+        (supervised(planned, State::Running(child)), process)
+    }
+
+    /// Writes the record of a stage in run 7.
+    fn tell(folder: &RunFolder, stage: &str, process: u32, life: Life) {
+        let mut record = StatusFile::open(&folder.status(stage), 7).unwrap();
+        record.status.process = process;
+        record.status.set_life(life);
+        record.write();
+    }
+
+    #[test]
+    fn what_follows_from_the_end_of_a_process_depends_on_how_it_ended_on_its_record_and_on_the_run() {
+        use Restart::{Always, Never, OnFailure};
+        let (files, options, since) = (tempfile::tempdir().unwrap(), RunOptions::default(), Instant::now());
+        let (folder, mut plan) = (folder_at(files.path()), plan_at(files.path()));
+        let (running, delivering, stopping) =
+            (Phase::Running, Phase::Delivering { delivered: 0, since }, Phase::Stopping { since });
+        let (done, gone, comes_back) = ((true, false), (true, true), (false, false));
+        for (exit, told, restart, phase, expected, change, life) in [
+            (0, Life::Ended, OnFailure, running, done, Change::None, Life::Ended),
+            (0, Life::Ended, Always, running, comes_back, Change::None, Life::Ended),
+            (0, Life::Ended, Always, delivering, done, Change::None, Life::Ended),
+            (0, Life::Running, OnFailure, running, comes_back, Change::None, Life::Running),
+            (0, Life::Gone, OnFailure, running, comes_back, Change::None, Life::Gone),
+            (1, Life::Ended, OnFailure, running, comes_back, Change::None, Life::Ended),
+            (1, Life::Running, OnFailure, delivering, comes_back, Change::None, Life::Running),
+            (1, Life::Running, OnFailure, stopping, done, Change::None, Life::Gone),
+            (1, Life::Running, OnFailure, Phase::Killing, done, Change::None, Life::Gone),
+            (1, Life::Gone, Always, running, gone, Change::Lost, Life::Gone),
+            (1, Life::Running, Never, running, gone, Change::Left, Life::Gone),
+            (REFUSED, Life::Starting, OnFailure, running, gone, Change::Lost, Life::Gone),
+        ] {
+            let (mut stage, process) = ended(exit, Delivery::Lossless);
+            stage.planned.restart = restart;
+            tell(&folder, "stage", process, told);
+            let place = Place { plan: &mut plan, folder: &folder, options: &options, phase };
+            let how = format!("exit code {exit}, {told:?} in its record, {restart:?}, {phase:?}");
+            assert_eq!(stage.look(&place), change, "{how}");
+            assert_eq!((stage.is_over(), stage.is_gone()), expected, "{how}");
+            assert_eq!(place.record("stage").map(|record| record.life()), Some(life), "{how}");
+        }
+    }
+
+    #[test]
+    fn a_stage_that_always_comes_back_does_not_where_all_that_write_for_it_are_over() {
+        let (files, options) = (tempfile::tempdir().unwrap(), RunOptions::default());
+        let (folder, mut plan) = (folder_at(files.path()), plan_at(files.path()));
+        for (life, is_over) in [(Life::Running, false), (Life::Ended, true), (Life::Gone, true)] {
+            let (mut stage, process) = ended(0, Delivery::Latest);
+            stage.planned.restart = Restart::Always;
+            tell(&folder, "stage", process, Life::Ended);
+            tell(&folder, "writer", 42, life);
+            stage.look(&Place { plan: &mut plan, folder: &folder, options: &options, phase: Phase::Running });
+            assert_eq!(stage.is_over(), is_over, "{life:?}");
+        }
+    }
+
+    #[test]
+    fn a_program_that_ends_without_a_part_in_the_run_is_missed_where_it_was_to_lose_nothing() {
+        let (files, options, since) = (tempfile::tempdir().unwrap(), RunOptions::default(), Instant::now());
+        let (folder, mut plan) = (folder_at(files.path()), plan_at(files.path()));
+        for (delivery, phase, change) in [
+            (Delivery::Lossless, Phase::Running, Change::Lost),
+            (Delivery::Lossless, Phase::Delivering { delivered: 0, since }, Change::None),
+            (Delivery::Latest, Phase::Running, Change::None),
+        ] {
+            let (mut stage, _) = ended(0, delivery);
+            let looked = stage.look(&Place { plan: &mut plan, folder: &folder, options: &options, phase });
+            assert_eq!(
+                (looked, stage.is_over(), stage.is_gone()),
+                (change, true, change == Change::Lost),
+                "{delivery:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_program_that_does_not_join_is_named_and_then_given_up_where_a_lossless_topic_waits_for_it() {
+        let (files, options) = (tempfile::tempdir().unwrap(), RunOptions::default());
+        let (folder, mut plan) = (folder_at(files.path()), plan_at(files.path()));
+        let phase = Phase::Running;
+        let mut place = Place { plan: &mut plan, folder: &folder, options: &options, phase };
+        for (delivery, waited_s, is_named, change) in [
+            (Delivery::Lossless, 1.0, false, Change::None),
+            (Delivery::Lossless, 50.0, true, Change::None),
+            (Delivery::Lossless, 101.0, true, Change::Lost),
+            (Delivery::Latest, 101.0, true, Change::None),
+        ] {
+            let (Supervised { mut planned, .. }, _) = ended(0, delivery);
+            planned.join_s = Some(100.0);
+            let mut stage = at_work(planned);
+            stage.started = Instant::now().checked_sub(Duration::from_secs_f64(waited_s)).unwrap();
+            assert_eq!(stage.look(&place), Change::None);
+            assert_eq!(stage.outsider, stage.process().filter(|_| is_named), "{delivery:?} after {waited_s} s");
+            assert_eq!(stage.look(&place), change, "{delivery:?} after {waited_s} s");
+            assert_eq!((stage.is_gone(), stage.process().is_none()), (change == Change::Lost, change == Change::Lost));
+            stage.kill();
+        }
+        let mut joined = at_work(stage::<Object>());
+        joined.outsider = joined.process();
+        tell(&folder, "stage", joined.process().unwrap(), Life::Running);
+        assert_eq!((joined.look(&place), joined.outsider), (Change::None, None));
+        place.phase = Phase::Stopping { since: Instant::now() };
+        assert_eq!((joined.look(&place), joined.is_over()), (Change::None, false), "it has its time to end");
+        joined.kill();
+    }
+
+    #[test]
+    fn a_source_that_was_started_late_is_told_to_stop_once_it_has_joined() {
+        let (files, options, since) = (tempfile::tempdir().unwrap(), RunOptions::default(), Instant::now());
+        let (folder, mut plan) = (folder_at(files.path()), plan_at(files.path()));
+        let phase = Phase::Delivering { delivered: 0, since };
+        let place = Place { plan: &mut plan, folder: &folder, options: &options, phase };
+        let mut late = Supervised { is_late: true, ..at_work(stage::<Object>()) };
+        late.look(&place);
+        assert!(late.is_late && answers(&mut late));
+        tell(&folder, "stage", late.process().unwrap(), Life::Running);
+        late.look(&place);
+        let State::Running(child) = &mut late.state else { panic!("it is over already") };
+        assert_eq!(child.wait().unwrap().signal(), Some(Signal::INT.as_raw()));
+        assert!(!late.is_late);
+    }
+
+    #[test]
+    fn a_stage_that_waits_to_come_back_stays_away_when_the_run_ends() {
+        let (files, options, since) = (tempfile::tempdir().unwrap(), RunOptions::default(), Instant::now());
+        let (folder, mut plan) = (folder_at(files.path()), plan_at(files.path()));
+        tell(&folder, "stage", 42, Life::Running);
+        for (phase, is_over) in [(Phase::Running, false), (Phase::Stopping { since }, true)] {
+            let mut stage = supervised(stage::<Object>(), State::Waiting { until: since + MINUTE });
+            let place = Place { plan: &mut plan, folder: &folder, options: &options, phase };
+            assert_eq!((stage.look(&place), stage.is_over()), (Change::None, is_over));
+            assert_eq!(place.record("stage").map(|record| record.life() == Life::Gone), Some(is_over));
+        }
+    }
+
     #[test]
     fn what_became_of_a_process_is_what_its_own_record_of_this_run_says() {
         let files = tempfile::tempdir().unwrap();
         let (folder, supervised) = (folder_at(files.path()), over(stage::<Object>()));
-        let (pipeline, base) = ("test".to_owned(), files.path().to_owned());
-        let mut plan = Plan { layout: LAYOUT, pipeline, base, run: 7, stages: vec![], origin: Origin::default() };
+        let mut plan = plan_at(files.path());
         let options = RunOptions::default();
         let place = Place { plan: &mut plan, folder: &folder, options: &options, phase: Phase::Running };
         let told = || {
