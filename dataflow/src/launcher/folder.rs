@@ -382,7 +382,10 @@ pub(crate) fn check_private(path: &Path) -> Result<(), FolderError> {
 
 #[cfg(test)]
 pub(super) mod tests {
+    use super::super::summary::tests::stage;
     use super::*;
+    use crate::plan::Origin;
+    use conicflow_messages::Object;
 
     /// The run's folder at this place.
     pub fn folder_at(path: &Path) -> RunFolder {
@@ -418,6 +421,65 @@ pub(super) mod tests {
         let is_there = |name: &&str| files.path().join(name).exists();
         assert!(all.into_iter().filter(is_there).eq(["lock", "notes.txt", "stages.lock"]));
     }
+
+    /// The plan of a run of one stage.
+    fn plan_of(run: u64) -> Plan {
+        let (pipeline, base, stages) = ("test".to_owned(), PathBuf::from("/"), vec![stage::<Object>()]);
+        Plan { layout: LAYOUT, pipeline, base, run, stages, origin: Origin::default() }
+    }
+
+    #[test]
+    fn a_plan_that_was_changed_can_be_taken_back_once() {
+        let files = tempfile::tempdir().unwrap();
+        let folder = folder_at(files.path());
+        folder.begin(&plan_of(7)).unwrap();
+        folder.change_plan(&plan_of(8)).unwrap();
+        assert_eq!(folder.plan().unwrap().run, 8);
+        folder.take_plan_back().unwrap();
+        assert_eq!(folder.plan().unwrap().run, 7);
+        folder.take_plan_back().unwrap_err();
+        assert_eq!(folder.plan().unwrap().run, 7);
+    }
+
+    #[test]
+    fn a_run_was_cut_off_if_it_has_no_launcher_and_a_stage_that_was_at_work() {
+        let files = tempfile::tempdir().unwrap();
+        let folder = folder_at(files.path());
+        let cut_off = || folder.cut_off().map(|plan| plan.run);
+        assert_eq!(cut_off(), None, "there was none");
+        folder.begin(&plan_of(7)).unwrap();
+        assert_eq!(cut_off(), None, "no stage had begun");
+        for (life, expected) in
+            [(Life::Starting, Some(7)), (Life::Running, Some(7)), (Life::Ended, None), (Life::Gone, None)]
+        {
+            folder.set_life(7, "stage", life);
+            assert_eq!(cut_off(), expected, "{life:?}");
+        }
+        folder.set_life(7, "stage", Life::Running);
+        let lock = folder.lock("test").unwrap();
+        assert_eq!(cut_off(), None, "it goes on");
+        drop(lock);
+        folder.settle(&plan_of(7));
+        assert_eq!((cut_off(), folder.record("stage", 7).unwrap().life()), (None, Life::Gone));
+    }
+
+    #[test]
+    fn a_folder_that_others_may_enter_is_not_private() {
+        let files = tempfile::tempdir().unwrap();
+        let path = files.path().join("new");
+        private_folder(&path).unwrap();
+        for mode in [0o750, 0o701, 0o777] {
+            fs::set_permissions(&path, fs::Permissions::from_mode(mode)).unwrap();
+            assert!(matches!(check_private(&path), Err(FolderError::NotPrivate { .. })), "{mode:o}");
+        }
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o700)).unwrap();
+        check_private(&path).unwrap();
+        fs::write(path.join("file"), "").unwrap();
+        for no_folder in ["file", "nothing"] {
+            assert!(matches!(check_private(&path.join(no_folder)), Err(FolderError::Io { .. })), "{no_folder}");
+        }
+    }
+
     #[test]
     fn what_a_run_that_is_over_has_left_is_discarded_and_nothing_of_one_that_goes_on() {
         let files = tempfile::tempdir().unwrap();

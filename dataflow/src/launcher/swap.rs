@@ -288,7 +288,9 @@ mod tests {
     use super::super::summary::tests::stage;
     use super::*;
     use crate::plan::{LAYOUT, Origin};
+    use crate::status::StatusFile;
     use conicflow_messages::Object;
+    use std::path::Path;
     use std::process::{Command, Stdio};
 
     fn successor() -> Successor {
@@ -327,6 +329,144 @@ mod tests {
         }
         assert!(matches!(swap.step, Step::Beginning(_)) && stages[0].process() == Some(successor));
         stages[0].kill();
+    }
+
+    /// A successor that is ready as soon as it runs.
+    fn ready_successor() -> Successor {
+        let (control, input) = UnixStream::pair().unwrap();
+        control.set_nonblocking(true).unwrap();
+        let (input, output) = (OwnedFd::from(input.try_clone().unwrap()), OwnedFd::from(input));
+        let mut command = Command::new("sh");
+        let child = command.args(["-c", "printf r; exec cat"]).stdin(input).stdout(output).spawn().unwrap();
+        Successor { child, control }
+    }
+
+    /// A stage and its plan in run 7, of which the folder keeps the plan, and the plan by which the stage is to be replaced.
+    fn to_replace(files: &Path) -> (Supervised, RunFolder, Plan, Request) {
+        let (planned, folder) = (stage::<Object>(), folder_at(files));
+        let (pipeline, base, stages) = ("test".to_owned(), files.to_owned(), vec![planned.clone()]);
+        let plan = Plan { layout: LAYOUT, pipeline, base, run: 7, stages, origin: Origin::default() };
+        let mut next = plan.clone();
+        next.stages[0].hang_s = Some(9.0);
+        folder.begin(&plan).unwrap();
+        folder.change_plan(&next).unwrap();
+        (at_work(planned), folder, plan, Request { id: 1, stage: "stage".into(), plan: next })
+    }
+
+    /// Goes on with a swap until it is at such a step.
+    fn go_on_to(swap: Swap, stage: &mut Supervised, place: &mut Place<'_>, is_there: fn(&Step) -> bool) -> Swap {
+        let (mut swap, begin) = (swap, Instant::now());
+        while !is_there(&swap.step) {
+            assert!(begin.elapsed() < Duration::from_secs(20), "it does not come to that");
+            swap = swap.go_on(std::slice::from_mut(stage), place).unwrap();
+        }
+        swap
+    }
+
+    fn tell(folder: &RunFolder, process: Option<u32>, life: Life) {
+        let mut record = StatusFile::open(&folder.status("stage"), 7).unwrap();
+        record.status.process = process.unwrap();
+        record.status.set_life(life);
+        record.write();
+    }
+
+    #[test]
+    fn a_successor_that_is_ready_takes_the_place_of_the_stage_and_who_asked_is_told_when_it_works() {
+        let (files, options) = (tempfile::tempdir().unwrap(), RunOptions::default());
+        let (mut stage, folder, mut plan, request) = to_replace(files.path());
+        let mut place = Place { plan: &mut plan, folder: &folder, options: &options, phase: Phase::Running };
+        let (successor, since) = (ready_successor(), Instant::now());
+        let process = Some(successor.child.id());
+        tell(&folder, stage.process(), Life::Running);
+        let swap = Swap { request, step: Step::Preparing(successor), since };
+        assert!(!swap.decides_about_exit());
+        let swap = go_on_to(swap, &mut stage, &mut place, |step| matches!(step, Step::Beginning(_)));
+        assert!(swap.decides_about_exit() && stage.process() == process);
+        assert_eq!([stage.planned.hang_s, place.plan.stages[0].hang_s], [Some(9.0); 2]);
+        let swap = swap.go_on(std::slice::from_mut(&mut stage), &mut place).unwrap();
+        assert!(matches!(swap.step, Step::Beginning(_)), "the record is that of the process before");
+        tell(&folder, process, Life::Starting);
+        let swap = swap.go_on(std::slice::from_mut(&mut stage), &mut place).unwrap();
+        assert!(matches!(swap.step, Step::Beginning(_)), "it does not work yet");
+        tell(&folder, process, Life::Running);
+        let swap = swap.go_on(std::slice::from_mut(&mut stage), &mut place).unwrap();
+        assert!(matches!(&swap.step, Step::Over { outcome: Ok(()), .. }) && !swap.decides_about_exit());
+        assert!(swap.go_on(std::slice::from_mut(&mut stage), &mut place).is_none());
+        let answer = std::fs::read_to_string(files.path().join("swap.answer")).unwrap();
+        assert!(answer.contains(r#""id": 1"#) && answer.contains(r#""fault": null"#), "{answer}");
+        stage.kill();
+    }
+
+    #[test]
+    fn a_stage_that_came_to_its_end_is_not_replaced_and_one_comes_back_whose_successor_could_not_begin() {
+        let (files, options, since) = (tempfile::tempdir().unwrap(), RunOptions::default(), Instant::now());
+        for life in [Life::Ended, Life::Running] {
+            let (mut stage, folder, mut plan, request) = to_replace(files.path());
+            let mut place = Place { plan: &mut plan, folder: &folder, options: &options, phase: Phase::Running };
+            tell(&folder, stage.process(), life);
+            let swap = Swap { request, step: Step::Leaving(ready_successor()), since };
+            stage.signal(Signal::KILL);
+            let is_next = |step: &Step| matches!(step, Step::Beginning(_) | Step::Over { .. });
+            let swap = go_on_to(swap, &mut stage, &mut place, is_next);
+            assert_eq!(matches!(swap.step, Step::Over { .. }), life == Life::Ended);
+            stage.signal(Signal::KILL);
+            let swap = go_on_to(swap, &mut stage, &mut place, |step| matches!(step, Step::Over { .. }));
+            let Step::Over { outcome: Err(fault), .. } = swap.step else { panic!("it was replaced") };
+            let why = if life == Life::Ended { "came to its end" } else { "the old one comes back" };
+            assert!(fault.contains(why), "{fault}");
+            let left = [stage.planned.hang_s, place.plan.stages[0].hang_s, folder.plan().unwrap().stages[0].hang_s];
+            assert_eq!((left, stage.is_over()), ([None; 3], false));
+        }
+    }
+
+    #[test]
+    fn no_stage_is_replaced_when_the_run_ends_or_the_stage_or_its_successor_is_not_there() {
+        let (files, options, since) = (tempfile::tempdir().unwrap(), RunOptions::default(), Instant::now());
+        let ending = Phase::Delivering { delivered: 0, since };
+        for (phase, kill_stage, kill_successor, why) in [
+            (ending, false, false, "the run ends"),
+            (Phase::Running, true, false, "the stage died meanwhile"),
+            (Phase::Running, false, true, "could not be made ready"),
+        ] {
+            let (mut stage, folder, mut plan, request) = to_replace(files.path());
+            let mut place = Place { plan: &mut plan, folder: &folder, options: &options, phase };
+            let mut successor = successor();
+            if kill_successor {
+                successor.child.kill().unwrap();
+                successor.child.wait().unwrap();
+            }
+            if kill_stage {
+                stage.kill();
+            }
+            let swap = Swap { request, step: Step::Preparing(successor), since };
+            let swap = swap.go_on(std::slice::from_mut(&mut stage), &mut place).unwrap();
+            let Step::Over { outcome: Err(fault), .. } = swap.step else { panic!("it goes on") };
+            assert!(fault.contains(why), "{fault}");
+            assert_eq!(folder.plan().unwrap().stages[0].hang_s, None);
+            stage.kill();
+        }
+    }
+
+    #[test]
+    fn a_swap_is_asked_for_of_a_stage_at_work_in_this_run() {
+        let (files, options, since) = (tempfile::tempdir().unwrap(), RunOptions::default(), Instant::now());
+        let ending = Phase::Delivering { delivered: 0, since };
+        for (run, name, phase, life, why) in [
+            (8, "stage", Phase::Running, Life::Running, "another run"),
+            (7, "other", Phase::Running, Life::Running, "another run"),
+            (7, "stage", ending, Life::Running, "is not at work"),
+            (7, "stage", Phase::Running, Life::Starting, "is not at work"),
+        ] {
+            let (mut stage, folder, mut plan, mut request) = to_replace(files.path());
+            let place = Place { plan: &mut plan, folder: &folder, options: &options, phase };
+            tell(&folder, stage.process(), life);
+            (request.plan.run, request.stage) = (run, name.to_owned());
+            let swap = Swap::begin(request, std::slice::from_ref(&stage), &place);
+            assert_eq!(swap.stage(), name);
+            let Step::Over { outcome: Err(fault), .. } = swap.step else { panic!("it begins") };
+            assert!(fault.contains(why), "{fault}");
+            stage.kill();
+        }
     }
 
     #[test]
