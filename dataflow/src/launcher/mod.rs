@@ -313,8 +313,8 @@ mod tests {
     use super::summary::tests::stage;
     use super::*;
     use crate::plan::{LAYOUT, Origin, PlannedStage};
-    use crate::status::StatusFile;
-    use conicflow_messages::Object;
+    use crate::status::{Life, Pausing, Status, StatusFile};
+    use conicflow_messages::{Object, Text};
     use std::path::Path;
 
     /// A launcher of stages that have worked on 3 and 4 messages, of which the second is over.
@@ -356,6 +356,98 @@ mod tests {
         assert_eq!(launcher.delivered(), 3 + 4 + 1);
         launcher.kill_all();
         assert_eq!(launcher.delivered(), 3 + 4 + 2);
+    }
+
+    /// Writes into the record of the first stage.
+    fn tell(launcher: &Launcher<'_>, change: impl FnOnce(&mut Status)) {
+        let mut record = StatusFile::open(&launcher.folder.status("first"), 7).unwrap();
+        change(&mut record.status);
+        record.write();
+    }
+
+    #[test]
+    fn time_in_which_a_run_is_paused_is_none_of_that_which_it_is_to_last() {
+        let (files, options) = (tempfile::tempdir().unwrap(), RunOptions::default());
+        let mut launcher = launcher(files.path(), &options, Phase::Running);
+        for pausing in [Pausing::Goes, Pausing::Stands] {
+            tell(&launcher, |status| {
+                status.set_life(Life::Running);
+                status.set_pausing(pausing);
+            });
+            let before = launcher.went_on;
+            launcher.looked = Instant::now().checked_sub(Duration::from_secs(60)).unwrap();
+            launcher.look_for_pause(&launcher.summary());
+            assert_eq!(launcher.went_on - before >= Duration::from_secs(60), pausing == Pausing::Goes);
+            assert!(launcher.looked.elapsed() < Duration::from_secs(60), "time counts once");
+        }
+        launcher.kill_all();
+    }
+
+    #[test]
+    fn a_run_at_work_stands_still_once_nothing_has_moved_for_ten_seconds_although_a_stage_waits_for_another() {
+        let (files, options) = (tempfile::tempdir().unwrap(), RunOptions::default());
+        let mut launcher = launcher(files.path(), &options, Phase::Running);
+        let is_told = |launcher: &mut Launcher<'_>, worked_on: u64, seconds: u64| {
+            let since = Instant::now().checked_sub(Duration::from_secs(seconds)).unwrap();
+            launcher.moved = Some(Movement { worked_on, since, is_told: false });
+            launcher.look_for_standstill(&launcher.summary());
+            launcher.moved.unwrap().is_told
+        };
+        assert!(!is_told(&mut launcher, 7, 20), "nobody waits");
+        tell(&launcher, |status| status.waits_for = Text::new("second"));
+        assert!(is_told(&mut launcher, 7, 20));
+        assert!(!is_told(&mut launcher, 7, 5), "not for long");
+        assert!(!is_told(&mut launcher, 6, 20), "something has moved since");
+        launcher.phase = Phase::Delivering { delivered: 0, since: Instant::now() };
+        assert!(!is_told(&mut launcher, 7, 20), "it comes to its end");
+        launcher.kill_all();
+    }
+
+    #[test]
+    fn a_run_comes_to_its_end_when_a_stage_is_lost_or_all_sinks_are_over() {
+        let (files, options) = (tempfile::tempdir().unwrap(), RunOptions::default());
+        for (loses_a_stage, is_sink_over) in [(false, false), (true, false), (false, true)] {
+            let mut launcher = launcher(files.path(), &options, Phase::Running);
+            let topic = launcher.stages[0].planned.wiring.output.clone();
+            if loses_a_stage {
+                let process = launcher.stages[0].process().unwrap();
+                tell(&launcher, |status| {
+                    status.process = process;
+                    status.set_life(Life::Gone);
+                });
+                launcher.stages[0].signal(Signal::KILL);
+            } else {
+                let wiring = &mut launcher.stages[usize::from(is_sink_over)].planned.wiring;
+                (wiring.input, wiring.output) = (topic, None);
+            }
+            let begin = Instant::now();
+            while loses_a_stage && !launcher.stages[0].is_gone() && begin.elapsed() < Duration::from_secs(20) {
+                launcher.look_at_stages();
+            }
+            launcher.look_at_stages();
+            let ends = matches!(launcher.phase, Phase::Delivering { .. });
+            assert_eq!((ends, launcher.lost), (loses_a_stage || is_sink_over, loses_a_stage));
+            assert_eq!(launcher.summary().is_complete(), !loses_a_stage);
+            launcher.kill_all();
+        }
+    }
+
+    #[test]
+    fn a_request_to_swap_a_stage_is_answered_and_that_of_another_run_refused() {
+        let (files, options) = (tempfile::tempdir().unwrap(), RunOptions::default());
+        let mut launcher = launcher(files.path(), &options, Phase::Running);
+        launcher.replace();
+        assert!(launcher.swap.is_none(), "nobody has asked");
+        let plan = Plan { run: 6, ..launcher.plan.clone() };
+        let request = request::Request { id: 5, stage: "first".into(), plan };
+        launcher.folder.write_whole("swap.request", &request).unwrap();
+        launcher.replace();
+        assert!(launcher.swap.as_ref().is_some_and(|swap| swap.stage() == "first"));
+        launcher.replace();
+        assert!(launcher.swap.is_none());
+        let answer = std::fs::read_to_string(files.path().join("swap.answer")).unwrap();
+        assert!(answer.contains(r#""id": 5"#) && answer.contains("another run"), "{answer}");
+        launcher.kill_all();
     }
 
     #[test]

@@ -425,6 +425,22 @@ pub(super) mod tests {
     }
 
     #[test]
+    fn the_latency_is_that_of_the_sinks() {
+        let mut run = lossless(InputCounts::default(), "writer");
+        run.stages[0].planned.wiring.output = None;
+        let text = run.to_string();
+        assert!(text.contains("latency from the source to `stage`") && !text.contains("to `writer`"), "{text}");
+    }
+
+    #[test]
+    fn a_run_is_held_up_where_a_stage_waits_for_another_one() {
+        let mut run = lossless(InputCounts::default(), "writer");
+        assert!(!run.is_held_up());
+        run.stages[1].status.as_mut().unwrap().waits_for = conicflow_messages::Text::new("stage");
+        assert!(run.is_held_up());
+    }
+
+    #[test]
     fn a_run_that_was_ended_where_it_stood_still_is_not_complete() {
         let run = summary(Box::default());
         assert!(run.is_complete());

@@ -331,13 +331,13 @@ mod tests {
         stages[0].kill();
     }
 
-    /// A successor that is ready as soon as it runs.
+    /// A successor that is ready as soon as it runs, and works until it is killed.
     fn ready_successor() -> Successor {
         let (control, input) = UnixStream::pair().unwrap();
         control.set_nonblocking(true).unwrap();
         let (input, output) = (OwnedFd::from(input.try_clone().unwrap()), OwnedFd::from(input));
         let mut command = Command::new("sh");
-        let child = command.args(["-c", "printf r; exec cat"]).stdin(input).stdout(output).spawn().unwrap();
+        let child = command.args(["-c", "printf r; exec sleep 60"]).stdin(input).stdout(output).spawn().unwrap();
         Successor { child, control }
     }
 
@@ -404,7 +404,7 @@ mod tests {
             let (mut stage, folder, mut plan, request) = to_replace(files.path());
             let mut place = Place { plan: &mut plan, folder: &folder, options: &options, phase: Phase::Running };
             tell(&folder, stage.process(), life);
-            let swap = Swap { request, step: Step::Leaving(ready_successor()), since };
+            let swap = Swap { request, step: Step::Leaving(successor()), since };
             stage.signal(Signal::KILL);
             let is_next = |step: &Step| matches!(step, Step::Beginning(_) | Step::Over { .. });
             let swap = go_on_to(swap, &mut stage, &mut place, is_next);
