@@ -107,6 +107,7 @@ mod tests {
     fn what_has_no_room_is_told_with_what_there_is() {
         let (free, all) = room().unwrap();
         assert!(0 < free && free <= all, "{free} of {all}");
+        assert_eq!([free, all].map(|bytes| bytes % PAGE as u64), [0, 0], "it is handed out in pages");
         let length = all as usize / size_of::<Object>() + 1;
         let error = look_for_room(&ItemType::of::<Object>(), &topic(&[1]), length).unwrap_err();
         let PortError::NoRoom { topic, length: told, free, needed } = error else { panic!("{error}") };

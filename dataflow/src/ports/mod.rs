@@ -383,7 +383,37 @@ pub trait Transport {
 
 #[cfg(test)]
 mod tests {
+    use super::in_memory::InMemory;
     use super::*;
+    use conicflow_messages::{Object, Track};
+
+    #[test]
+    fn who_has_other_items_than_the_pipeline_file_says_does_not_open_a_topic() {
+        let topic = |item| Topic { name: "things".into(), item, writers: vec![], readers: vec![] };
+        let (objects, untold, memory) = (topic(Some(ItemType::of::<Object>())), topic(None), InMemory::default());
+        assert!(memory.writer::<Object>(&objects).is_ok() && memory.writer::<Track>(&untold).is_ok());
+        for error in [memory.writer::<Track>(&objects).err(), memory.reader::<Track>(&objects, "reader").err()] {
+            let error = error.unwrap();
+            let told = error.to_string();
+            assert!(
+                matches!(error, PortError::Incompatible { .. }) && told.contains("the pipeline file says"),
+                "{told}"
+            );
+        }
+        assert_eq!(objects.expect_item().map(ItemType::name), Ok(Object::NAME));
+        let told = untold.expect_item().unwrap_err().what;
+        assert_eq!((told.as_str(), untold.kind()), ("nothing tells what topic `things` carries", None));
+    }
+
+    #[test]
+    fn where_nothing_is_kept_each_message_is_begun_for_the_first_time_and_none_is_unfinished() {
+        let topic = Topic { name: "things".into(), item: None, writers: vec![], readers: vec![] };
+        let memory = InMemory::default();
+        let mut reader = memory.reader::<Object>(&topic, "reader").unwrap();
+        let writer = Text::new("writer");
+        assert_eq!(([3, 3].map(|number| reader.begin(writer, number)), reader.acknowledged()), ([1, 1], None));
+        assert_eq!(memory.writer::<Object>(&topic).unwrap().unfinished("reader"), 0);
+    }
 
     #[test]
     fn a_topic_knows_its_readers_and_how_much_is_kept_for_them() {
