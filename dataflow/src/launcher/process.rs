@@ -376,7 +376,9 @@ mod tests {
     use super::*;
     use crate::node::Host;
     use crate::pipeline::Machine;
+    use crate::plan::{LAYOUT, Origin};
     use conicflow_messages::Object;
+    use std::path::PathBuf;
 
     const fn variant(input: &'static str, output: &'static str) -> Variant {
         Variant { input, output, run: |_, _| Ok(()) }
@@ -399,6 +401,49 @@ mod tests {
             Ok(Work::Program(command)) => Ok(format!("program {}", command.join(" "))),
             Err(error) => Err(error.to_string()),
         }
+    }
+
+    #[test]
+    fn an_exit_code_tells_the_launcher_whether_another_try_could_help() {
+        let error = || io::Error::from(io::ErrorKind::NotFound);
+        let too_long = PortError::PathTooLong { path: "/".into(), length: 9, limit: 8 };
+        for (error, is_refused) in [
+            (ProcessError::NoNetwork, true),
+            (ProcessError::NoRun(STAGE), true),
+            (ProcessError::Bridge(NetworkError::Refused("a".into())), true),
+            (ProcessError::Bridge(NetworkError::Failed("a".into())), false),
+            (RunError::Refused("a".into()).into(), true),
+            (RunError::Port(too_long).into(), true),
+            (RunError::Port(PortError::Stopped).into(), false),
+            (RunError::Failed { frame: 3, error: "a".into() }.into(), false),
+            (RunError::Lasting { frame: 3, error: "a".into() }.into(), false),
+            (RunError::Unfinished("a".into()).into(), false),
+            (system("a", error()), false),
+        ] {
+            assert_eq!(error.exit_code(), if is_refused { REFUSED } else { 1 }, "{error:?}");
+        }
+    }
+
+    #[test]
+    fn the_process_of_a_stage_is_told_its_place_by_its_environment() {
+        let planned = PlannedStage { env: vec![("KEY".into(), "value".into())], ..stage::<Object>() };
+        let (pipeline, base, origin) = ("test".to_owned(), PathBuf::from("/"), Origin::default());
+        let plan = Plan { layout: LAYOUT, pipeline, base, run: 7, stages: vec![], origin };
+        let options = RunOptions { program: "conicflow".into(), ..RunOptions::default() };
+        let told = |log: Option<&str>| {
+            let options = RunOptions { log: log.map(str::to_owned), ..options.clone() };
+            let command = as_stage(&planned, &plan, "own.plan", &options);
+            let said: Vec<_> = [command.get_program()].into_iter().chain(command.get_args()).collect();
+            assert_eq!(said, ["conicflow", "node", "stage"]);
+            let of = |name: &str| command.get_envs().find(|(key, _)| *key == name).and_then(|(_, value)| value);
+            [PIPELINE, STAGE, PLAN_FILE, LOG, "KEY"]
+                .map(|name| of(name).map(|value| value.to_str().unwrap().to_owned()))
+        };
+        let place = |log: Option<&str>| {
+            [Some("test"), Some("stage"), Some("own.plan"), log, Some("value")].map(|text| text.map(str::to_owned))
+        };
+        assert_eq!(told(Some("debug")), place(Some("debug")));
+        assert_eq!(told(None), place(None));
     }
 
     #[test]
