@@ -197,6 +197,16 @@ mod tests {
     }
 
     #[test]
+    fn only_a_file_of_this_user_is_an_own_one_and_no_folder_or_link() {
+        let folder = tempfile::tempdir().unwrap();
+        let [file, link] = ["file", "link"].map(|name| folder.path().join(name));
+        fs::write(&file, "").unwrap();
+        std::os::unix::fs::symlink(&file, &link).unwrap();
+        assert_eq!([&file, &link, folder.path()].map(|path| is_own(path).unwrap()), [true, false, false]);
+        assert!(is_own(&folder.path().join("nothing")).is_err());
+    }
+
+    #[test]
     fn what_nothing_leads_to_goes_with_the_last_one_who_uses_the_folder() {
         let folder = tempfile::tempdir().unwrap();
         let (first, last) = (

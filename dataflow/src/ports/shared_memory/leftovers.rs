@@ -131,6 +131,7 @@ pub(crate) fn check_path(root: &Path) -> Result<(), PortError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::stage::Stop;
     use std::fs::File;
 
     #[test]
@@ -147,6 +148,17 @@ mod tests {
         drop(holder);
         assert!(leftover.remove() && !path.exists());
         assert!(!leftover.remove(), "it is gone");
+    }
+
+    #[test]
+    fn a_folder_that_nobody_has_used_or_all_have_left_in_order_has_no_litter() {
+        let folder = tempfile::tempdir().unwrap();
+        assert_eq!(litter(folder.path()), Litter::None);
+        drop(SharedMemory::open(folder.path(), "test", "stage", Stop::default()).unwrap());
+        assert_eq!(clear(folder.path()).unwrap(), Litter::None);
+        fs::write(folder.path().join("left"), "half").unwrap();
+        assert_eq!(clear(folder.path()).unwrap(), Litter::Files);
+        assert!(!folder.path().join("left").exists());
     }
 
     #[test]

@@ -26,7 +26,7 @@ fn open(root: &Path, stage: &str) -> SharedMemory {
 
 fn send<T: conicflow_messages::Item>(writer: &mut impl Writer, sequence: u64, items: &[T]) {
     writer.loan(items.len()).unwrap().copy_from_slice(items);
-    writer.send(&Header { sequence, ..Header::default() }).unwrap();
+    assert_eq!(writer.send(&Header { sequence, ..Header::default() }).unwrap(), items.len());
 }
 
 fn sequences(reader: &mut impl Reader) -> Vec<u64> {
