@@ -15,6 +15,8 @@
 //! one, and to say how many messages are lost in the end.
 
 mod channel;
+#[cfg(test)]
+mod edge_tests;
 mod error;
 mod peer;
 mod process;

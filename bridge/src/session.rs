@@ -250,7 +250,7 @@ impl Subscriber<'_> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use std::net::{SocketAddr, TcpListener, UdpSocket};
     use std::sync::mpsc::{Receiver, channel};
@@ -260,7 +260,7 @@ mod tests {
     const PART_OF_KEY: &[u8] = b"robot/objects";
 
     /// Two machines that are joined by a stream and by datagrams, which `between` takes from one address to the other.
-    fn joined(between: fn(SocketAddr) -> SocketAddr) -> [Sessions; 2] {
+    pub fn joined(between: fn(SocketAddr) -> SocketAddr) -> [Sessions; 2] {
         let stream = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
         let datagrams = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
         let endpoints = |datagrams| vec![format!("tcp/{stream}"), format!("udp/{datagrams}")];

@@ -464,6 +464,18 @@ mod tests {
     }
 
     #[test]
+    fn a_link_is_up_since_the_first_heartbeat_that_was_believed() {
+        let secret = secret();
+        let (robot, base) = (robot(1, &secret), base(2, &secret));
+        let since = || lock(&robot.peers)["base"].since;
+        assert_eq!((since(), robot.look()["base"].connected), (None, false));
+        talk(&robot, &base);
+        let up = since();
+        talk(&robot, &base);
+        assert!(up.is_some() && since() == up && robot.look()["base"].connected);
+    }
+
+    #[test]
     fn what_an_earlier_start_of_a_bridge_has_said_is_not_believed_again() {
         let secret = secret();
         let first_base = base(10, &secret);
