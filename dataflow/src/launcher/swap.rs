@@ -337,7 +337,8 @@ mod tests {
         control.set_nonblocking(true).unwrap();
         let (input, output) = (OwnedFd::from(input.try_clone().unwrap()), OwnedFd::from(input));
         let mut command = Command::new("sh");
-        let child = command.args(["-c", "printf r; exec sleep 60"]).stdin(input).stdout(output).spawn().unwrap();
+        command.args(["-c", "printf r; exec sleep 60"]).stdin(input).stdout(output).stderr(Stdio::null());
+        let child = command.spawn().unwrap();
         Successor { child, control }
     }
 
