@@ -72,9 +72,9 @@ impl Scene {
     /// What is wrong at which line and column.
     pub fn parse(text: &str, origin: &str) -> Result<Self> {
         let file: SceneFile = toml::from_str(text).map_err(|error| {
-            let place = error.span().map(|span| line_and_column(text, span.start)).unwrap_or_default();
+            let [place, line] = error.span().map(|span| place(text, span.start)).unwrap_or_default();
             anyhow!(Hinted::new(
-                format!("{origin}{place}: {}", error.to_string().trim_end()),
+                format!("{origin}{place}: {}{line}", error.message()),
                 "a scene file has `name`, `up`, `gravity`, `[camera]` and any number of `[[sphere]]`, \
                  `[[cylinder]]`, `[[cone]]`, `[[bowl]]`, `[[box]]`, `[[lump]]`, `[[plane]]` and `[[screen]]`"
             ))
@@ -432,11 +432,13 @@ fn some_other(direction: &Vector3<f64>) -> Vector3<f64> {
     axis
 }
 
-/// `:line:column` of a byte, both from 1.
-fn line_and_column(text: &str, byte: usize) -> String {
+/// `:line:column` of a byte, both from 1, and a line of a message that shows what stands there.
+fn place(text: &str, byte: usize) -> [String; 2] {
     let before = &text[..byte.min(text.len())];
-    let line_start = before.rfind('\n').map_or(0, |newline| newline + 1);
-    format!(":{}:{}", before.matches('\n').count() + 1, before[line_start..].chars().count() + 1)
+    let start = before.rfind('\n').map_or(0, |newline| newline + 1);
+    let (line, column) = (before.matches('\n').count() + 1, before[start..].chars().count() + 1);
+    let shown = text[start..].lines().next().unwrap_or_default();
+    [format!(":{line}:{column}"), format!("\n  {line} | {shown}")]
 }
 
 #[cfg(test)]
