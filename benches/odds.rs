@@ -68,11 +68,12 @@ fn main() -> anyhow::Result<()> {
         println!("{name:28} {:>10} {right:>6}", samples.len());
         all.extend(samples);
     }
-    let [shorter, longer] = [TERMS - 2, TERMS - 1];
+    let [shorter, longer, round] = [TERMS - 3, TERMS - 2, TERMS - 1];
     for (what, fitted) in [
         ("weights", 0..TERMS),
-        ("those of what goes on beyond, all others as they are", shorter..TERMS),
+        ("those of what goes on beyond, all others as they are", shorter..round),
         ("that of the shorter, all others as they are", shorter..longer),
+        ("that of roundness, all others as they are", round..TERMS),
     ] {
         let weights = fit(&all, &fitted);
         println!(

@@ -16,7 +16,7 @@
 //! and what the scatter of the contour tells of its noise ([`Contour::noise_evidence`]), can be used for the next object.
 
 use crate::pooled::add_square;
-use crate::space::dot;
+use crate::space::{dot, in_camera_frame};
 use crate::{Coefficients, Information, Surface, SurfaceFit, Vector3};
 use nalgebra::{Matrix4, SMatrix, SVector, Vector2, Vector4};
 
@@ -277,18 +277,23 @@ impl Contour {
         of_side.select_nth_unstable_by(middle, f64::total_cmp).1.clamp(-limit, limit)
     }
 
-    /// The term of a surface, that is given in a frame with this origin and unit of length.
-    pub fn term<S: Surface<N>, const N: usize>(&self, surface: &S, origin: &Vector3, scale: f64) -> ContourTerm<N> {
-        self.sums(surface, origin, scale).term(&self.prior)
+    /// The term of a surface with these coefficients and derivatives of them, in a frame with this origin and unit of length.
+    pub fn term<const N: usize>(
+        &self,
+        q: &Coefficients,
+        derivatives: &[Coefficients; N],
+        origin: &Vector3,
+        scale: f64,
+    ) -> ContourTerm<N> {
+        let camera = |q: &Coefficients| in_camera_frame(q, origin, scale);
+        self.sums(&camera(q), &derivatives.each_ref().map(camera)).term(&self.prior)
     }
 
-    fn sums<S: Surface<N>, const N: usize>(&self, surface: &S, origin: &Vector3, scale: f64) -> Sums<N> {
-        let camera = |q: &Coefficients| in_camera_frame(q, origin, scale);
-        let q = camera(&surface.coefficients());
-        let derivatives = surface.derivatives().map(|derivative| camera(&derivative));
+    /// The sums of a surface with these coefficients and derivatives of them, in the camera frame.
+    fn sums<const N: usize>(&self, q: &Coefficients, derivatives: &[Coefficients; N]) -> Sums<N> {
         let mut sums = Sums::default();
         for seen in self.points.iter().filter(|seen| seen.used) {
-            let (error, gradient) = seen.point.error_gradient(&q);
+            let (error, gradient) = seen.point.error_gradient(q);
             let slope = SVector::<f64, N>::from_fn(|i, _| dot(&gradient, &derivatives[i]));
             sums.add(error - self.noise.expected(seen), &slope, &seen.by_bias(), 1.0 / self.noise.variance(seen));
         }
@@ -306,7 +311,7 @@ impl Contour {
         fit: &SurfaceFit<S, N>,
         own: &Matrix4<f64>,
     ) -> Option<Information<4>> {
-        let sums = self.sums(&fit.surface, &Vector3::zeros(), 1.0);
+        let sums = self.sums(&fit.surface.coefficients(), &fit.surface.derivatives());
         // The fit is where the gradients of points and contour cancel out.
         let of_points =
             Points { matrix: fit.inverse.try_inverse()? - fit.contour, gradient: -sums.term(&self.prior).gradient };
@@ -332,9 +337,9 @@ impl Contour {
     /// What the scatter of the contour about a surface, after its bias, tells of the variance of its points: the squared error of
     /// a point of variance v has the expectation v and the variance 2 v^2. `None` where the bias cannot be told.
     pub fn noise_evidence<S: Surface<N>, const N: usize>(&self, surface: &S) -> Option<Information<2>> {
-        let sums = self.sums(surface, &Vector3::zeros(), 1.0);
-        let bias = (sums.shared + self.prior).try_inverse()? * sums.shared_error + self.noise.bias.mean;
         let q = surface.coefficients();
+        let sums = self.sums(&q, &surface.derivatives());
+        let bias = (sums.shared + self.prior).try_inverse()? * sums.shared_error + self.noise.bias.mean;
         let mut evidence = Information::default();
         for seen in self.points.iter().filter(|seen| seen.used) {
             let square = (seen.point.foot(&q).0 - bias.dot(&seen.by_bias())).powi(2);
@@ -415,18 +420,6 @@ impl ContourNoise {
     fn expected(&self, seen: &Seen) -> f64 {
         self.bias.mean.dot(&seen.by_bias())
     }
-}
-
-/// Coefficients of the same function of a point that is given in the camera frame.
-fn in_camera_frame(q: &Coefficients, origin: &Vector3, scale: f64) -> Coefficients {
-    let (one, square) = (1.0 / scale, 1.0 / (scale * scale));
-    let o = origin / scale;
-    let slope = crate::gradient(q, &-o) * one;
-    let [xx, yy, zz, xy, xz, yz, x, y, z, constant] = *q;
-    let value = o.x * (xx * o.x + xy * o.y + xz * o.z) + o.y * (yy * o.y + yz * o.z) + zz * o.z * o.z
-        - (x * o.x + y * o.y + z * o.z)
-        + constant;
-    [xx * square, yy * square, zz * square, xy * square, xz * square, yz * square, slope.x, slope.y, slope.z, value]
 }
 
 #[cfg(test)]

@@ -49,8 +49,13 @@ fn contour(surface: &Conical, outwards: f64) -> Contour {
     contour_on(105..140, &FreeSlope(*surface).coefficients(), 12.0, outwards, noise())
 }
 
+/// The term of a surface that is given in the camera frame.
+fn term<S: Surface<N>, const N: usize>(contour: &Contour, surface: &S) -> ContourTerm<N> {
+    contour.term(&surface.coefficients(), &surface.derivatives(), &Vector3::zeros(), 1.0)
+}
+
 fn cost(contour: &Contour, surface: &Conical) -> f64 {
-    contour.term(&FreeSlope(*surface), &Vector3::zeros(), 1.0).square_sum
+    term(contour, &FreeSlope(*surface)).square_sum
 }
 
 #[test]
@@ -59,7 +64,8 @@ fn the_true_surface_touches_its_contour() {
     assert!(cost(&contour, &cup()) < 1e-12);
     let (origin, scale) = (Vector3::new(0.07, 0.1, 1.1), 0.04);
     let local = FreeSlope(cup()).to_local(&origin, scale);
-    assert!(contour.term(&local, &origin, scale).square_sum < 1e-12, "in any frame");
+    let term = contour.term(&local.coefficients(), &local.derivatives(), &origin, scale);
+    assert!(term.square_sum < 1e-12, "in any frame");
 }
 
 #[test]
@@ -73,7 +79,7 @@ fn a_taper_costs_and_an_offset_hardly_does() {
 fn the_gradient_is_that_of_the_cost() {
     let contour = contour(&Conical { slope: 0.1, radius: 0.049, ..cup() }, 0.4);
     let surface = FreeSlope(cup());
-    let term = contour.term(&surface, &Vector3::zeros(), 1.0);
+    let term = term(&contour, &surface);
     for i in 0..6 {
         let at = |h: f64| {
             let mut step = [0.0; 6];
@@ -149,7 +155,7 @@ fn a_bias_is_across_the_outline() {
     let mut contour = contour_on(95..145, &wider.coefficients(), 29.0, 0.0, ContourNoise { bias, ..noise() });
     contour.select(&ball.coefficients(), |_| true);
     assert_eq!(contour.far_off(), 0);
-    let rest = contour.term(&ball, &Vector3::zeros(), 1.0).square_sum / contour.used() as f64;
+    let rest = term(&contour, &ball).square_sum / contour.used() as f64;
     assert!(rest < 0.02, "{rest} of a variance, where the lines nearly graze the outline, too");
 }
 

@@ -62,7 +62,9 @@ fn fit<S: Surface<N>, const N: usize>(
     most: f64,
 ) -> Option<SurfaceFit<S, N>> {
     let mut surface = start.to_local(&moments.origin, moments.scale).moved(&[0.0; N])?;
-    let mut system = System::below(f64::INFINITY, moments, contour, &surface)?;
+    let below =
+        |most, surface: &S| System::below(most, moments, contour, &surface.coefficients(), || surface.derivatives());
+    let mut system = below(f64::INFINITY, &surface)?;
     let [slight, most] = [SLIGHT, most].map(|sum| sum / (moments.scale * moments.scale));
     let (mut damping, mut converged) = (1e-3, false);
     for _ in 0..STEPS {
@@ -72,7 +74,7 @@ fn fit<S: Surface<N>, const N: usize>(
         };
         let length = step.iter().map(|x| x * x).sum::<f64>().sqrt();
         let next = surface.moved(&step);
-        match next.and_then(|next| Some((next, System::below(system.sum(), moments, contour, &next)?))) {
+        match next.and_then(|next| Some((next, below(system.sum(), &next)?))) {
             Some(next) => {
                 let gain = system.sum() - next.1.sum();
                 if damping < FREE && gain < HOPELESS * (next.1.sum() - most) {
@@ -190,19 +192,20 @@ pub(crate) struct System<const N: usize> {
 }
 
 impl<const N: usize> System<N> {
-    /// `None` where the sum of squares exceeds `most`: of such a surface no more is computed than has to be.
-    pub(crate) fn below<S: Surface<N>>(
+    /// Those of the quadric `q`; `None` where its sum of squares exceeds `most`: of such a surface no more is computed than has
+    /// to be.
+    pub(crate) fn below(
         most: f64,
         moments: &QuadricMoments,
         contour: Option<&Contour>,
-        surface: &S,
+        q: &Coefficients,
+        derivatives: impl FnOnce() -> [Coefficients; N],
     ) -> Option<Self> {
-        let q = surface.coefficients();
-        let square_sum = dot(&moments.times(&q), &q);
+        let square_sum = dot(&moments.times(q), q);
         if contour.is_none() && square_sum > most {
             return None;
         }
-        let derivatives = surface.derivatives();
+        let derivatives = derivatives();
         let products: [Coefficients; N] = std::array::from_fn(|i| moments.times(&derivatives[i]));
         let mut matrix = SMatrix::<f64, N, N>::zeros();
         for i in 0..N {
@@ -211,10 +214,11 @@ impl<const N: usize> System<N> {
                 (matrix[(i, j)], matrix[(j, i)]) = (entry, entry);
             }
         }
-        let gradient = SVector::from_fn(|i, _| dot(&products[i], &q));
+        let gradient = SVector::from_fn(|i, _| dot(&products[i], q));
         let mut system = Self { square_sum, contour_sum: 0.0, gradient, matrix, contour: SMatrix::zeros() };
         if let Some(contour) = contour {
-            system.add(&contour.term(surface, &moments.origin, moments.scale), 1.0 / (moments.scale * moments.scale));
+            let term = contour.term(q, &derivatives, &moments.origin, moments.scale);
+            system.add(&term, 1.0 / (moments.scale * moments.scale));
         }
         (system.sum() <= most).then_some(system)
     }
@@ -241,7 +245,7 @@ impl<const N: usize> System<N> {
 
     /// Directions of which the points tell so little that the correction for noise leaves less than nothing get a small
     /// share of what the others have: they are known badly, and say so.
-    fn inverse(&self, scale: f64, lengths: &[bool; N]) -> Option<SMatrix<f64, N, N>> {
+    pub(crate) fn inverse(&self, scale: f64, lengths: &[bool; N]) -> Option<SMatrix<f64, N, N>> {
         let damped = |share: f64| {
             let mut matrix = self.matrix;
             (0..N).for_each(|i| matrix[(i, i)] += share * self.matrix[(i, i)].abs());

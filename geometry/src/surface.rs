@@ -60,6 +60,22 @@ pub struct FixedSlope(pub Conical);
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FreeSlope(pub Conical);
 
+impl Sphere {
+    /// The forms by which other quadrics differ from it: F plus x times one of them is off it by up to `x R / 2`, outwards in some
+    /// directions and inwards in others. Together they are the harmonics of second degree, of one norm.
+    pub fn departures(&self) -> [Coefficients; 5] {
+        let third = 1.0 / 3.0_f64.sqrt();
+        let forms = [
+            Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, 0.0)),
+            Matrix3::from_diagonal(&Vector3::new(-third, -third, 2.0 * third)),
+            symmetric(&Vector3::x(), &Vector3::y()),
+            symmetric(&Vector3::x(), &Vector3::z()),
+            symmetric(&Vector3::y(), &Vector3::z()),
+        ];
+        forms.map(|form| about(&form, &self.center, self.radius))
+    }
+}
+
 impl Surface<4> for Sphere {
     fn coefficients(&self) -> Coefficients {
         let (c, a) = (&self.center, 0.5 / self.radius);
@@ -141,6 +157,14 @@ impl Conical {
         other[self.axis.iamin()] = 1.0;
         let u = self.axis.cross(&other).normalize();
         [u, self.axis.cross(&u)]
+    }
+
+    /// The forms by which an oval section differs from a round one: F plus x times one of them is off it by up to `x R / 2`,
+    /// outwards along one direction across the axis and inwards along the other.
+    pub fn departures(&self) -> [Coefficients; 2] {
+        let [u, v] = self.across();
+        let forms = [u * u.transpose() - v * v.transpose(), symmetric(&u, &v)];
+        forms.map(|form| about(&form, &self.point, self.radius))
     }
 
     fn cosine(&self) -> f64 {
@@ -257,6 +281,18 @@ impl Surface<6> for FreeSlope {
     }
 }
 
+/// `u v' + v u'`.
+fn symmetric(u: &Vector3, v: &Vector3) -> Matrix3<f64> {
+    u * v.transpose() + v * u.transpose()
+}
+
+/// `x'A x / (2 R)`, with x counted from a point.
+fn about(a: &Matrix3<f64>, point: &Vector3, radius: f64) -> Coefficients {
+    let a = a * (0.5 / radius);
+    let ac = a * point;
+    pack(&a, &(ac * -2.0), point.dot(&ac))
+}
+
 fn pack(a: &Matrix3<f64>, b: &Vector3, e: f64) -> Coefficients {
     let twice = |i: usize, j: usize| a[(i, j)] + a[(j, i)];
     [a[(0, 0)], a[(1, 1)], a[(2, 2)], twice(0, 1), twice(0, 2), twice(1, 2), b.x, b.y, b.z, e]
@@ -337,6 +373,35 @@ mod tests {
         let sphere = Sphere { center: Vector3::new(0.1, 0.2, 2.0), radius: 0.3 };
         let outside = sphere.center + u * 0.301;
         assert!((value(&sphere.coefficients(), &outside) - 0.001).abs() < 1e-5);
+    }
+
+    #[test]
+    fn forms_of_departure_push_one_way_out_and_another_in_and_leave_the_size() {
+        let cone = cone();
+        let [u, v] = cone.across();
+        let at = |form: &Coefficients, direction: Vector3| {
+            value(form, &(cone.point + direction * cone.radius)) / cone.radius
+        };
+        let diagonal = (u + v).normalize();
+        for (form, [by_u, by_v, between, along]) in
+            cone.departures().iter().zip([[0.5, -0.5, 0.0, 0.0], [0.0, 0.0, 0.5, 0.0]])
+        {
+            for (direction, expected) in [(u, by_u), (v, by_v), (diagonal, between), (cone.axis, along)] {
+                assert!((at(form, direction) - expected).abs() < 1e-12, "{form:?}");
+            }
+        }
+        let ball = Sphere { center: Vector3::new(0.1, -0.2, 2.0), radius: 0.3 };
+        let forms = ball.departures();
+        for (i, a) in forms.iter().enumerate() {
+            assert!((a[0] + a[1] + a[2]).abs() < 1e-12, "no part of it is of all directions alike");
+            for (j, b) in forms.iter().enumerate() {
+                // x y counts as half in x y and half in y x.
+                let product: f64 = (0..6).map(|k| a[k] * b[k] * if k < 3 { 1.0 } else { 0.5 }).sum();
+                let expected = if i == j { 2.0 * (0.5_f64 / 0.3).powi(2) } else { 0.0 };
+                assert!((product - expected).abs() < 1e-12, "{i} {j}: {product}");
+            }
+            assert!(value(a, &ball.center).abs() < 1e-12);
+        }
     }
 
     #[test]

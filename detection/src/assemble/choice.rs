@@ -156,7 +156,7 @@ mod tests {
         let (count, lines, angle, extent) = (points as u32, members.len() as u32, 2.0, [-0.25, 0.25]);
         let measured = Measured { count, points, lines, variance: 1e-6, misfit: 0.0, curvature: 100.0, angle, extent };
         let outline = Outline { square: 1.0, far_off: 0.0, free: 1.0 };
-        Candidate { region: Region { arcs, model, members }, measured, outline }
+        Candidate { region: Region { arcs, model, members }, measured, outline, roundness: 0.0 }
     }
 
     #[test]

@@ -16,6 +16,7 @@ mod parameters;
 mod region;
 mod rejection;
 mod report;
+mod round;
 pub(crate) mod seeds;
 #[cfg(test)]
 mod tests;

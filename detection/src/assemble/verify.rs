@@ -8,6 +8,7 @@ use super::parameters::AssemblerParameters;
 use super::region::Region;
 use super::rejection::Rejection;
 use super::report::spacing_along;
+use super::round::roundness;
 use conicflow_geometry::{Contour, Scan, SpaceMoments, Vector3, section_of};
 
 /// Pixels at each end of an arc that do not count for the extent: they may belong to a lid or to the floor.
@@ -75,6 +76,8 @@ pub(crate) struct Candidate<'a> {
     pub region: Region<'a>,
     pub measured: Measured,
     pub outline: Outline,
+    /// How much more probable it is that it is round than that it is any quadric near it, as a logarithm.
+    pub roundness: f64,
 }
 
 /// What became of the shapes that grew: sphere, cylinder and cone; none where the shape did not even grow.
@@ -107,7 +110,8 @@ fn verify<'a>(
         contours.clear();
     }
     let outline = Outline::of(&region, contours.last());
-    Ok(Candidate { region, measured: check(&region, parameters)?, outline })
+    let roundness = roundness(&region, contours.last());
+    Ok(Candidate { region, measured: check(&region, parameters)?, outline, roundness })
 }
 
 fn check(region: &Region, parameters: &AssemblerParameters) -> Result<Measured, Rejection> {

@@ -1,0 +1,89 @@
+//! Whether what is seen is round, or oval: how other quadrics near a fitted shape explain its points and its contour.
+
+use super::model::{Model, pool_within};
+use super::region::Region;
+use conicflow_geometry::{Contour, QuadricMoments, Sphere, departure};
+use nalgebra::{SMatrix, SVector};
+
+/// Standard deviation of the departure (see [`conicflow_geometry::Sphere::departures`]) of what is round: things are not exactly
+/// so, nor do sensors show them so. The ball of the recordings departs by 0.05 to 0.15.
+const ROUND: f64 = 0.05; // [tuned]
+/// The same of what is not round.
+const OVAL: f64 = 0.15; // [tuned]
+
+/// How much more probable points and contour of a fitted region are if it is round than if it is any quadric near it, as a logarithm
+/// (Bayes factor; Kass and Raftery, "Bayes factors", 1995); 0 where they cannot tell.
+pub(super) fn roundness(region: &Region, contour: &Contour) -> f64 {
+    let shared = region.shared_lines();
+    let log_ratio = |points: QuadricMoments| match &region.model {
+        Model::Sphere(fit) => log_ratio(departure::<_, 4, 5, 9>(&points, contour, fit, Sphere::departures)?, shared),
+        Model::Cylinder(fit) => {
+            log_ratio(departure::<_, 5, 2, 7>(&points, contour, fit, |cylinder| cylinder.0.departures())?, shared)
+        }
+        Model::Cone(fit) => {
+            log_ratio(departure::<_, 6, 2, 8>(&points, contour, fit, |cone| cone.0.departures())?, shared)
+        }
+    };
+    pool_within(region).normalized().and_then(log_ratio).unwrap_or(0.0)
+}
+
+/// Logarithm of the ratio of the probability densities that a departure has among what is round and among what is not. Its
+/// covariance counts each of the lines that share their noise.
+fn log_ratio<const K: usize>(
+    (departure, covariance): (SVector<f64, K>, SMatrix<f64, K, K>),
+    shared_lines: f64,
+) -> Option<f64> {
+    let log_density = |scatter: f64| {
+        let root = (covariance * shared_lines + SMatrix::identity() * (scatter * scatter)).cholesky()?;
+        let spread: f64 = root.l_dirty().diagonal().iter().map(|x| x.ln()).sum();
+        Some(-0.5 * departure.dot(&root.solve(&departure)) - spread)
+    };
+    Some(log_density(ROUND)? - log_density(OVAL)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::arcs::Arc;
+    use super::super::contours::Contours;
+    use super::super::model;
+    use super::super::tests::{arcs_of, wall};
+    use super::*;
+    use conicflow_geometry::{Scan, Vector3};
+    use conicflow_lab::simulator::shapes::{Lump, Shape};
+    use conicflow_messages::ObjectKind;
+    use nalgebra::Matrix3;
+
+    /// What is upright so far away, with half of its width and of its depth, of all but oval sections.
+    fn oval(distance: f64, half_width: f64, half_depth: f64) -> Shape {
+        let axes = Matrix3::from_columns(&[Vector3::x(), Vector3::z(), Vector3::y()]);
+        let (center, half) = (Vector3::new(0.0, 0.0, distance), Vector3::new(half_width, half_depth, 0.3));
+        Shape::Lump(Lump { center, axes, half, squareness: [1, 4], creases: Default::default() })
+    }
+
+    /// How much more probable it is that this is round than that it is not, told by the rows of its middle.
+    fn of(kind: ObjectKind, body: Shape, shared_lines: f64) -> f64 {
+        let (mut arcs, center) = (arcs_of(&[body, wall(6.0)]), body.anchor());
+        arcs.arcs.iter_mut().for_each(|arc| arc.shared_lines = shared_lines);
+        let is_of_it = |arc: &Arc| arc.scan == Scan::Row && (arc.mean - center).norm() < 0.25;
+        let members: Vec<_> = (0..arcs.arcs.len()).filter(|&index| is_of_it(&arcs.arcs[index])).collect();
+        let model = model::fit(kind, &arcs.of(&members), None, f64::INFINITY).unwrap();
+        let mut region = Region { arcs: &arcs, model, members: &members };
+        let mut contours = Contours::default();
+        region.model = contours.fit(&region).unwrap();
+        roundness(&region, contours.last())
+    }
+
+    #[test]
+    fn what_is_round_is_so_and_what_is_oval_is_not_and_far_away_neither_is_told() {
+        for kind in [ObjectKind::Cylinder, ObjectKind::Cone] {
+            let round = of(kind, oval(1.5, 0.1, 0.1), 1.0);
+            let [wide, deep] =
+                [[0.12, 0.08], [0.08, 0.12]].map(|[width, depth]| of(kind, oval(1.5, width, depth), 1.0));
+            let far_off = of(kind, oval(4.5, 0.12, 0.08), 40.0);
+            println!("{kind:?}: {round:.1} {wide:.1} {deep:.1} {far_off:.1}");
+            assert!(round > 1.5 && round < 2.0 * (OVAL / ROUND).ln() + 0.1, "{round}");
+            assert!(wide < -4.0 && deep < -4.0, "{wide} {deep}");
+            assert!(far_off.abs() < 1.0, "{far_off}");
+        }
+    }
+}

@@ -1,0 +1,98 @@
+//! How far points and contour depart from a sphere, cylinder or cone towards other quadrics: an oval section, an ellipsoid.
+
+use crate::pooled::{System, gradient};
+use crate::{Coefficients, Contour, QuadricMoments, Surface, SurfaceFit, Vector3};
+use nalgebra::{SMatrix, SVector};
+
+/// What points and contour tell, beyond a fit to both, of other quadrics near it: the x with which `F + x_1 E_1 + ... + x_K E_K` has the
+/// least sum of squares, its N parameters being free as well; and the covariance of x, were the distances of the points independent
+/// and of a variance of one over their weights. `forms` gives the E of a surface, in the frame in which that is given; x has no unit.
+/// M is N + K. `None` where the sum of squares has no least value.
+///
+/// F is a distance as long as its gradient is 1; a quadric without a gradient would have no squares at all. So of each change that is
+/// allowed so much of F itself is taken off that the gradient stays what it is in the middle of what is seen. Points are linear in what
+/// is left, and one step is enough; the contour is nearly so.
+pub fn departure<S: Surface<N>, const N: usize, const K: usize, const M: usize>(
+    moments: &QuadricMoments,
+    contour: &Contour,
+    fit: &SurfaceFit<S, N>,
+    forms: impl FnOnce(&S) -> [Coefficients; K],
+) -> Option<(SVector<f64, K>, SMatrix<f64, K, K>)> {
+    const { assert!(M == N + K, "M counts all parameters") };
+    let surface = fit.surface.to_local(&moments.origin, moments.scale);
+    let (q, derivatives, forms) = (surface.coefficients(), surface.derivatives(), forms(&surface));
+    // The mean of the points is the origin, where F is its constant and about the distance from the surface.
+    let middle = -gradient(&q, &Vector3::zeros()).normalize() * q[9];
+    let slope = gradient(&q, &middle);
+    let keeps_gradient = |change: &Coefficients| -> Coefficients {
+        let part = gradient(change, &middle).dot(&slope) / slope.norm_squared();
+        std::array::from_fn(|i| change[i] - part * q[i])
+    };
+    let all = || std::array::from_fn(|i| keeps_gradient(if i < N { &derivatives[i] } else { &forms[i - N] }));
+    let system = System::<M>::below(f64::INFINITY, moments, Some(contour), &q, all)?;
+    let inverse = system.inverse(1.0, &[false; M])?;
+    let step = inverse * -system.gradient;
+    let covariance = inverse.fixed_view::<K, K>(N, N) / (moments.scale * moments.scale);
+    Some((step.fixed_rows::<K>(N).into_owned(), covariance))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simulated::{Random, exact, of_exact, seen};
+    use crate::{Conical, FixedSlope, FreeSlope, SpaceMoments, Sphere, fit_surface};
+
+    fn can() -> Conical {
+        let axis = Vector3::new(0.2, 1.0, 0.1).normalize();
+        Conical { point: Vector3::new(0.1, 0.05, 1.3), axis, radius: 0.15, slope: 0.0 }
+    }
+
+    /// A surface that departs from its shape by so much.
+    fn departed(q: Coefficients, forms: &[Coefficients], by: &[f64]) -> Coefficients {
+        std::array::from_fn(|i| q[i] + forms.iter().zip(by).map(|(form, by)| form[i] * by).sum::<f64>())
+    }
+
+    #[test]
+    fn what_departs_tells_by_how_much_and_what_is_round_that_it_does_not() {
+        for by in [[0.0, 0.0], [0.1, 0.0], [-0.04, 0.07]] {
+            let q = departed(can().coefficients(), &can().departures(), &by);
+            let points = of_exact(&seen(&q, 90..150, 0.0, exact));
+            let round = fit_surface(&points, &FixedSlope(can()), f64::INFINITY).unwrap();
+            let (x, _) =
+                departure::<_, 5, 2, 7>(&points, &Contour::default(), &round, |surface| surface.0.departures())
+                    .unwrap();
+            // The radius of the round fit is another one, and the directions across turn with its axis.
+            let [found, expected] = [x.norm(), SVector::from(by).norm()];
+            assert!((found - expected).abs() < 0.1 * expected + 1e-3, "{found} {expected}");
+        }
+        let ball = Sphere { center: Vector3::new(0.1, 0.05, 1.3), radius: 0.15 };
+        for by in [[0.0; 5], [0.05, -0.03, 0.04, 0.02, -0.06]] {
+            let points = of_exact(&seen(&departed(ball.coefficients(), &ball.departures(), &by), 60..180, 0.0, exact));
+            let round = fit_surface(&points, &ball, f64::INFINITY).unwrap();
+            let (x, _) = departure::<_, 4, 5, 9>(&points, &Contour::default(), &round, Sphere::departures).unwrap();
+            assert!((x - SVector::from(by)).norm() < 0.01, "{x:?} {by:?}");
+        }
+    }
+
+    /// Noise along the ray moves points less across the surface where the ray grazes it, of which the covariance knows nothing.
+    #[test]
+    fn departures_of_what_is_round_scatter_no_more_than_their_covariance_tells() {
+        let (sigma, frames): (f64, u64) = (0.002, 60);
+        let cone = FreeSlope(Conical { slope: 0.2, ..can() });
+        let mut square = 0.0;
+        for frame in 0..frames {
+            let mut random = Random(frame + 1);
+            let noisy = |z: f64| (z + sigma * random.normal(), sigma * sigma);
+            let mut points = SpaceMoments::default();
+            points.add(&seen(&cone.coefficients(), 90..150, 0.0, noisy), sigma.powi(-2));
+            let points = points.normalized().unwrap();
+            let round = fit_surface(&points, &cone, f64::INFINITY).unwrap();
+            let (x, covariance) =
+                departure::<_, 6, 2, 8>(&points, &Contour::default(), &round, |surface| surface.0.departures())
+                    .unwrap();
+            square += x.dot(&(covariance.try_inverse().unwrap() * x)) / frames as f64;
+        }
+        println!("chi squared of two numbers: {square:.2}");
+        assert!((0.3..2.0).contains(&square), "{square}");
+    }
+}
