@@ -343,6 +343,7 @@ mod tests {
             let told = layout(&[(name, "f64")]).unwrap_err().what;
             assert_eq!(told, format!("`{name}` cannot be the name of a field"));
         }
+        assert!(layout(&[(&"a".repeat(63), "f64")]).is_ok());
         assert_eq!(layout(&[("a", "f64"), ("a", "f64")]).unwrap_err().what, "there are two fields `a`");
         assert_eq!(layout(&[]).unwrap_err().what, "an item without fields");
         let many: Vec<_> = (0..257).map(|index| (format!("f{index}"), "u8".to_owned())).collect();

@@ -139,6 +139,8 @@ mod tests {
     fn codes_and_shapes_match() {
         for shape in ObjectKind::ALL {
             assert_eq!(ObjectKind::from_code(shape.code()), Some(shape));
+            let object = Object { kind: shape.code(), ..Object::default() };
+            assert_eq!(object.label(), Some(shape.name()));
         }
         assert_eq!(ObjectKind::from_code(3), None);
     }

@@ -66,5 +66,7 @@ mod tests {
         assert_eq!(hint, "  hint: mend it");
         let just = "a".repeat(LONGEST_LINE);
         assert_eq!(plain(&just), just);
+        let (beginning, end) = ("a".repeat(LONGEST_LINE - END), "b".repeat(END));
+        assert_eq!(plain(&format!("{beginning}five!{end}")), format!("{beginning} [5 bytes left out] {end}"));
     }
 }

@@ -40,6 +40,13 @@ mod tests {
     }
 
     #[test]
+    fn the_last_unit_of_all_says_that_nothing_is_so_near() {
+        let most = f32::from(INVALID_FAR - 1);
+        assert_eq!([most, most + 0.5].map(|z| quantise(z, 1.0)), [INVALID_FAR - 1, INVALID_NEAR]);
+        assert_eq!([most, most + 0.5].map(|z| is_too_far(z, 1.0)), [false, true]);
+    }
+
+    #[test]
     fn the_scale_is_the_finest_that_reaches() {
         assert_eq!(finest_scale(&[0.5, 6.5, f32::NAN], 1.0), 0.0001);
         assert_eq!(finest_scale(&[6.6], 1.0), 0.000_25);

@@ -74,6 +74,9 @@ mod tests {
     fn bytes_that_are_no_text_are_told() {
         let text: Text<2> = bytemuck::cast([0xff_u8, 0xfe]);
         assert_eq!(text.as_str(), None);
+        assert_eq!([format!("{text}"), format!("{text:?}")], ["(not text)", "\"(not text)\""]);
+        let text = Text::<4>::new("a\n");
+        assert_eq!([format!("{text}"), format!("{text:?}")], ["a\n", "\"a\\n\""]);
     }
 
     #[test]
