@@ -182,6 +182,28 @@ mod tests {
     }
 
     #[test]
+    fn the_square_of_the_circle_is_that_of_the_distances_of_the_points_from_it_wherever_it_is_open() {
+        for (turn, noise) in [(0.0, 0.003), (1.1, 0.02), (2.5, 0.04), (4.0, 0.003)] {
+            let noisy = arc(turn, turn + 2.0).enumerate();
+            let points = noisy.map(|(i, [s, t])| [s + noise * (f64::from(i as u32) * 1.7).cos(), t]);
+            let points: Vec<_> = points.collect();
+            let fit = ArcMoments::of(&PlaneMoments::of([0.0, 2.0], points.iter().copied())).unwrap().fit();
+            let Circle { center: [x, y], radius } = fit.circle;
+            // To first order, as the fit has it: (d^2 - r^2) / 2r.
+            let distance = |[s, t]: [f64; 2]| ((s - x).powi(2) + (t - y).powi(2) - radius * radius) / (2.0 * radius);
+            let square = points.iter().map(|point| distance(*point).powi(2)).sum::<f64>() / points.len() as f64;
+            assert!((fit.circle_square - square).abs() < 1e-6 * square, "{fit:?} {square}");
+        }
+    }
+
+    #[test]
+    fn the_root_next_to_zero_is_found_to_all_digits() {
+        // (x - 0.1) (x - 1) (x - 2)
+        let root = root_near_zero(&[-0.2, 2.3, -3.1, 1.0]);
+        assert!((root - 0.1).abs() < 1e-10, "{root}");
+    }
+
+    #[test]
     fn short_arcs_full_of_noise_do_not_speak_against_a_circle() {
         for n in 6..16 {
             for seed in 0..200_u32 {

@@ -324,8 +324,11 @@ mod tests {
     fn the_distance_of_points_beside_a_circle_is_their_distance() {
         let circle = Conic { origin: [1.0, 2.0], coefficients: [1.0, 0.0, 1.0, 0.0, 0.0, -0.04] };
         let outside = arc(&sample([0.203, 0.203], 0.0, [1.0, 2.0]), 0.0, 3.0, 50);
-        let rms = circle.rms(&PlaneMoments::of([0.5, 0.5], outside)).unwrap();
-        assert!((rms - 0.003).abs() < 5e-5, "{rms}");
+        let moments = PlaneMoments::of([0.5, 0.5], outside);
+        for origin in [[1.0, 2.0], [0.0, 0.0], [1.2, 1.5]] {
+            let rms = circle.about(origin).rms(&moments).unwrap();
+            assert!((rms - 0.003).abs() < 5e-5, "{rms} with coefficients about {origin:?}");
+        }
     }
 
     #[test]

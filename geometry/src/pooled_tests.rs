@@ -97,6 +97,34 @@ fn a_fit_that_cannot_be_good_enough_is_given_up() {
 }
 
 #[test]
+fn a_fit_from_far_away_is_not_given_up_while_each_step_brings_it_much_nearer() {
+    let sphere = Sphere { center: Vector3::new(0.0, 0.0, 1.5), radius: 0.15 };
+    let mut pool = SpaceMoments::default();
+    pool.add(&seen(&sphere.coefficients(), 96..144, 0.0, exact), 1.0 / 9e-6);
+    let pool = pool.normalized().unwrap();
+    for radius in [0.02, 0.05, 0.4, 1.0] {
+        let start = Sphere { radius, ..sphere };
+        let best = fit_surface(&pool, &start, f64::INFINITY).unwrap();
+        assert_eq!(fit_surface(&pool, &start, 1.0), Some(best), "from {radius} m");
+    }
+}
+
+#[test]
+fn twice_as_large_and_far_away_a_can_is_known_as_well_in_metres_and_twice_as_well_in_angles() {
+    let inverse = |scale: f64| {
+        let can = FixedSlope(Conical { radius: 0.2 * scale, ..can(scale) });
+        let pool = of_exact(&seen(&can.coefficients(), 60..180, 0.0, exact));
+        fit_surface(&pool, &can, f64::INFINITY).unwrap().inverse
+    };
+    let (near, far, lengths) = (inverse(1.0), inverse(2.0), FixedSlope::lengths());
+    let unit = |i: usize| if lengths[i] { 1.0 } else { 0.5 };
+    for (i, j) in (0..5).flat_map(|i| (0..5).map(move |j| (i, j))) {
+        let (found, expected) = (far[(i, j)], near[(i, j)] * unit(i) * unit(j));
+        assert!((found - expected).abs() < 1e-6 * (far[(i, i)] * far[(j, j)]).sqrt(), "{i} {j}: {found} {expected}");
+    }
+}
+
+#[test]
 fn the_covariance_is_that_of_the_errors() {
     let sphere = Sphere { center: Vector3::new(0.0, 0.0, 1.5), radius: 0.15 };
     let q = sphere.coefficients();

@@ -104,13 +104,20 @@ mod tests {
     }
 
     #[test]
+    fn what_comes_next_is_known_the_worse_the_farther_it_is_from_the_pairs() {
+        let fit = Fit { middle: 2.0, value: 1.0, slope: 0.5, rms: 0.4, value_sigma: 0.3, slope_sigma: 0.6 };
+        assert!((fit.prediction_sigma(2.0) - 0.5).abs() < 1e-12);
+        assert!([0.0, 4.0].iter().all(|x| (fit.prediction_sigma(*x) - 1.3).abs() < 1e-12));
+    }
+
+    #[test]
     fn pairs_without_extent_have_no_line() {
         let mut sums = Regression::default();
         assert_eq!(sums.fit(), None);
         for _ in 0..9 {
-            sums.add(2.0, 1.0);
+            sums.add(2.0, 3.0);
         }
         assert_eq!(sums.fit(), None);
-        assert_eq!((sums.count(), sums.mean(), sums.deviation()), (9.0, 1.0, 0.0));
+        assert_eq!((sums.count(), sums.mean(), sums.deviation()), (9.0, 3.0, 0.0));
     }
 }
