@@ -3,7 +3,7 @@
 //! Nothing is attached to, so that nothing is slowed down and no queue gets another reader.
 
 use crate::clock::monotonic_ns;
-use crate::launcher::{FolderError, RunFolder};
+use crate::launcher::{FolderError, RunFolder, user_folder};
 use crate::link_report::{EdgeReport, LinkReport, read_links};
 use crate::pipeline::BRIDGE;
 use crate::plan::{Plan, PlannedStage};
@@ -158,7 +158,7 @@ pub struct InputActivity {
 /// # Errors
 /// The user's folder cannot be read.
 pub fn observe() -> Result<Observation, FolderError> {
-    let runs = RunFolder::all()?.into_iter().filter_map(|folder| RunRecord::read(&folder));
+    let runs = RunFolder::all(&user_folder())?.into_iter().filter_map(|folder| RunRecord::read(&folder));
     let lives = |run: &RunRecord| run.stages.iter().any(|stage| stage.usage.is_some());
     Ok(Observation { taken: Instant::now(), runs: runs.filter(lives).collect() })
 }

@@ -137,7 +137,7 @@ impl RunningPipeline {
     /// # Errors
     /// The user's folder cannot be read.
     pub fn all() -> Result<Vec<Self>, FolderError> {
-        let running = RunFolder::all()?.into_iter().filter(RunFolder::is_running);
+        let running = RunFolder::all(&user_folder())?.into_iter().filter(RunFolder::is_running);
         Ok(running.filter_map(|folder| Some(Self { plan: folder.plan().ok()?, folder })).collect())
     }
 

@@ -63,7 +63,7 @@ pub fn clean() -> Vec<String> {
 }
 
 fn clear_records() -> Vec<String> {
-    let mut folders = RunFolder::all().unwrap_or_default();
+    let mut folders = RunFolder::all(&user_folder()).unwrap_or_default();
     folders.retain(|folder| folder.cut_off().is_some() && folder.discard().is_ok());
     let removed =
         |folder: RunFolder| format!("the records of a run that was cut off, in `{}`", folder.path().display());
@@ -80,7 +80,8 @@ fn describe(litter: Litter, folder: &Path) -> Option<String> {
 }
 
 fn is_running(pipeline: &str) -> bool {
-    RunFolder::all().is_ok_and(|all| all.iter().any(|folder| folder.path().ends_with(pipeline) && folder.is_running()))
+    RunFolder::all(&user_folder())
+        .is_ok_and(|all| all.iter().any(|folder| folder.path().ends_with(pipeline) && folder.is_running()))
 }
 
 fn dead_in_folder() -> Option<Finding> {
@@ -91,7 +92,8 @@ fn dead_in_folder() -> Option<Finding> {
 }
 
 fn cut_off_runs() -> Vec<Finding> {
-    let cut_off = RunFolder::all().unwrap_or_default().into_iter().filter(|folder| folder.cut_off().is_some());
+    let cut_off =
+        RunFolder::all(&user_folder()).unwrap_or_default().into_iter().filter(|folder| folder.cut_off().is_some());
     let finding = |folder: RunFolder| {
         let what = format!("the run whose records are in `{}` was cut off", folder.path().display());
         Hinted::new(what, "the next run of this pipeline removes them, or now `conicflow doctor --clean`").into()

@@ -127,12 +127,11 @@ impl RunFolder {
         Ok(Self { path, shared_memory })
     }
 
-    /// The folders of all pipelines that this user has run.
+    /// The folders of all pipelines that were run, in the folder of their user ([`user_folder`]).
     ///
     /// # Errors
     /// The user's folder cannot be read.
-    pub fn all() -> Result<Vec<Self>, FolderError> {
-        let user = user_folder();
+    pub fn all(user: &Path) -> Result<Vec<Self>, FolderError> {
         let (runs, shared_memory) = (user.join("run"), user.join("shm"));
         let entries = match fs::read_dir(&runs) {
             Ok(entries) => entries,
@@ -384,6 +383,7 @@ pub(crate) fn check_private(path: &Path) -> Result<(), FolderError> {
 pub(super) mod tests {
     use super::super::summary::tests::stage;
     use super::*;
+    use crate::pause::PauseWish;
     use crate::plan::Origin;
     use conicflow_messages::Object;
 
@@ -412,6 +412,21 @@ pub(super) mod tests {
     }
 
     #[test]
+    fn all_runs_of_a_user_are_found_by_name_none_where_there_was_none_and_it_is_told_where_that_cannot_be_read() {
+        let files = tempfile::tempdir().unwrap();
+        let all = || RunFolder::all(files.path());
+        assert!(all().unwrap().is_empty());
+        let runs = files.path().join("run");
+        fs::write(&runs, "no folder").unwrap();
+        assert!(matches!(all(), Err(FolderError::Io { path, .. }) if path == runs));
+        fs::remove_file(&runs).unwrap();
+        ["tracking", "fruits"].iter().for_each(|name| fs::create_dir_all(runs.join(name)).unwrap());
+        let all = all().unwrap();
+        assert!(all.iter().map(RunFolder::path).eq([runs.join("fruits"), runs.join("tracking")]));
+        assert!(all.iter().all(|folder| folder.shared_memory() == files.path().join("shm")));
+    }
+
+    #[test]
     fn what_earlier_runs_have_left_goes_and_locks_and_what_is_not_theirs_stay() {
         let files = tempfile::tempdir().unwrap();
         let folder = folder_at(files.path());
@@ -423,9 +438,18 @@ pub(super) mod tests {
     }
 
     /// The plan of a run of one stage.
-    fn plan_of(run: u64) -> Plan {
+    pub fn plan_of(run: u64) -> Plan {
         let (pipeline, base, stages) = ("test".to_owned(), PathBuf::from("/"), vec![stage::<Object>()]);
         Plan { layout: LAYOUT, pipeline, base, run, stages, origin: Origin::default() }
+    }
+
+    #[test]
+    fn a_run_that_has_begun_can_be_paused_and_none_other() {
+        let files = tempfile::tempdir().unwrap();
+        let folder = folder_at(files.path());
+        folder.begin(&plan_of(7)).unwrap();
+        folder.pause_file(7).unwrap().change(PauseWish::Pause).unwrap();
+        assert_eq!([7, 8].map(|run| folder.pause_file(run).unwrap().is_paused()), [true, false]);
     }
 
     #[test]
