@@ -476,7 +476,9 @@ pub(super) mod tests {
             tell(&folder, "stage", process, told);
             let place = Place { plan: &mut plan, folder: &folder, options: &options, phase };
             let how = format!("exit code {exit}, {told:?} in its record, {restart:?}, {phase:?}");
+            let looked = Instant::now();
             assert_eq!(stage.look(&place), change, "{how}");
+            assert!(!matches!(stage.state, State::Waiting { until } if until < looked + FIRST_BACK_OFF), "{how}");
             assert_eq!((stage.is_over(), stage.is_gone()), expected, "{how}");
             assert_eq!(place.record("stage").map(|record| record.life()), Some(life), "{how}");
         }

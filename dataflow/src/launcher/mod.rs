@@ -358,6 +358,23 @@ mod tests {
         assert_eq!(launcher.delivered(), 3 + 4 + 2);
     }
 
+    #[test]
+    fn each_request_to_end_presses_harder_than_the_one_before_and_the_end_of_a_process_is_none() {
+        let (files, options) = (tempfile::tempdir().unwrap(), RunOptions::default());
+        let mut launcher = launcher(files.path(), &options, Phase::Running);
+        let (sender, signals) = channel();
+        launcher.signals = signals;
+        let mut sent = |signal: i32| {
+            sender.send(signal).unwrap();
+            launcher.wait_for_events();
+            (launcher.phase, launcher.hurried, launcher.stages[0].is_over())
+        };
+        assert!(matches!(sent(SIGCHLD), (Phase::Running, false, false)));
+        assert!(matches!(sent(SIGINT), (Phase::Delivering { delivered: 8, .. }, false, false)));
+        assert!(matches!(sent(SIGTERM), (Phase::Stopping { .. }, true, false)));
+        assert!(matches!(sent(SIGINT), (Phase::Killing, true, true)));
+    }
+
     /// Writes into the record of the first stage.
     fn tell(launcher: &Launcher<'_>, change: impl FnOnce(&mut Status)) {
         let mut record = StatusFile::open(&launcher.folder.status("first"), 7).unwrap();

@@ -36,8 +36,7 @@ impl Progress {
             self.rate_hz = finished.saturating_sub(self.window.1) as f64 / passed.as_secs_f64();
             self.window = (Instant::now(), finished);
         }
-        let period = if self.terminal { ON_A_TERMINAL } else { IN_A_LOG };
-        if self.quiet || self.shown.elapsed() < period {
+        if self.quiet || !self.is_due() {
             return;
         }
         self.shown = Instant::now();
@@ -45,6 +44,10 @@ impl Progress {
         // Progress that cannot be written is not worth ending a run for.
         if self.terminal { write!(stderr(), "{CLEAR_LINE}{line}") } else { writeln!(stderr(), "{line}") }.ok();
         stderr().flush().ok();
+    }
+
+    fn is_due(&self) -> bool {
+        self.shown.elapsed() >= if self.terminal { ON_A_TERMINAL } else { IN_A_LOG }
     }
 
     fn line(&self, summary: &Summary, finished: u64) -> String {
@@ -109,6 +112,16 @@ mod tests {
         ] {
             assert_eq!(line(pausing, has_keys), format!("{said}{further}"));
         }
+    }
+
+    #[test]
+    fn a_terminal_is_written_to_more_often_than_a_log() {
+        let is_due = |terminal: bool, seconds: u64| {
+            let shown = Instant::now().checked_sub(Duration::from_secs(seconds)).unwrap();
+            Progress { terminal, shown, ..Progress::new(true) }.is_due()
+        };
+        assert_eq!([is_due(true, 1), is_due(false, 1), is_due(false, 11)], [true, false, true]);
+        assert!(!Progress { terminal: false, ..Progress::new(true) }.is_due(), "it has just begun");
     }
 
     #[test]

@@ -89,3 +89,40 @@ impl RunFolder {
         fs::write(&draft, text).and_then(|()| fs::rename(&draft, &path)).map_err(FolderError::at(&path))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::folder::tests::{folder_at, plan_of};
+    use super::*;
+    use std::time::Instant;
+
+    #[test]
+    fn who_asks_for_a_swap_is_told_what_became_of_it() {
+        let files = tempfile::tempdir().unwrap();
+        let folder = folder_at(files.path());
+        let ask = || folder.ask_for_swap("tracker", plan_of(7));
+        assert!(matches!(ask(), Err(SwapError::Over)), "nobody runs");
+        folder.take_request().unwrap();
+        let _run = folder.lock("test").unwrap();
+        let answered = |outcome: Result<(), String>| {
+            std::thread::scope(|scope| {
+                let asks = scope.spawn(ask);
+                let begin = Instant::now();
+                let request = loop {
+                    assert!(begin.elapsed() < Duration::from_secs(20), "nobody asks");
+                    if let Some(request) = folder.take_request() {
+                        break request;
+                    }
+                };
+                assert_eq!((&*request.stage, request.plan.run), ("tracker", 7));
+                folder.answer(request.id.wrapping_add(1), &Err("another one's".to_owned())).unwrap();
+                assert!(matches!(ask(), Err(SwapError::Busy)), "one at a time");
+                folder.answer(request.id, &outcome).unwrap();
+                asks.join().unwrap()
+            })
+        };
+        answered(Ok(())).unwrap();
+        let refused = answered(Err("it is not at work".to_owned()));
+        assert!(matches!(&refused, Err(SwapError::Refused(why)) if why == "it is not at work"), "{refused:?}");
+    }
+}

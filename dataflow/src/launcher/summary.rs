@@ -438,6 +438,8 @@ pub(super) mod tests {
         assert!(!run.is_held_up());
         run.stages[1].status.as_mut().unwrap().waits_for = conicflow_messages::Text::new("stage");
         assert!(run.is_held_up());
+        let waits = run.who_waits();
+        assert!(waits.iter().any(|waits| waits.starts_with("`writer` has given no sign of life")), "{waits:?}");
     }
 
     #[test]

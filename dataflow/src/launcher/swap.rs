@@ -290,6 +290,7 @@ mod tests {
     use crate::plan::{LAYOUT, Origin};
     use crate::status::StatusFile;
     use conicflow_messages::Object;
+    use rustix::process::{Pid, test_kill_process};
     use std::path::Path;
     use std::process::{Command, Stdio};
 
@@ -446,6 +447,15 @@ mod tests {
             assert_eq!(folder.plan().unwrap().stages[0].hang_s, None);
             stage.kill();
         }
+    }
+
+    #[test]
+    fn a_successor_that_is_not_wanted_is_gone() {
+        let successor = successor();
+        let process = Pid::from_child(&successor.child);
+        test_kill_process(process).unwrap();
+        successor.dismiss();
+        test_kill_process(process).unwrap_err();
     }
 
     #[test]
