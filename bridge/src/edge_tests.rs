@@ -23,7 +23,7 @@ const DEADLINE: Duration = Duration::from_secs(60);
 const OUTAGE: Duration = Duration::from_secs(30);
 
 /// The edge from `robot` to `base`, as it is on the machine where `reader` reads the topic.
-fn edge(delivery: Delivery, reader: &str) -> Edge {
+pub fn edge(delivery: Delivery, reader: &str) -> Edge {
     let (item, writers) = (ItemType::of::<Object>(), vec!["writer".to_owned()]);
     let readers = vec![TopicReader { stage: reader.to_owned(), delivery, queue: 4 }];
     let topic = Topic { name: "objects".into(), item: Some(item.clone()), writers: writers.clone(), readers };
@@ -32,17 +32,17 @@ fn edge(delivery: Delivery, reader: &str) -> Edge {
 }
 
 /// A machine with the part of the edge that is on it.
-struct Side {
+pub struct Side {
     name: &'static str,
-    edge: Edge,
+    pub edge: Edge,
     links: Arc<Links>,
     memory: SharedMemory,
-    counts: Arc<EdgeCounts>,
+    pub counts: Arc<EdgeCounts>,
     stop: Stop,
 }
 
 impl Side {
-    fn new(name: &'static str, edge: Edge, folder: &Path) -> Self {
+    pub fn new(name: &'static str, edge: Edge, folder: &Path) -> Self {
         let (session, stop) = (if name == "robot" { 5 } else { 9 }, Stop::default());
         let [outgoing, incoming] = ["robot", "base"].map(|of| if of == name { vec![edge.clone()] } else { vec![] });
         let plan = BridgePlan { machine: name.to_owned(), settings: Machine::default(), outgoing, incoming };
@@ -52,7 +52,7 @@ impl Side {
     }
 
     /// What the threads of its bridge share, with these sessions.
-    fn shared<'a>(&'a self, sessions: &'a Sessions, peers: &'a Peers) -> Shared<'a> {
+    pub fn shared<'a>(&'a self, sessions: &'a Sessions, peers: &'a Peers) -> Shared<'a> {
         let session = if self.name == "robot" { 5 } else { 9 };
         let (transport, links, machine, stop) = (&self.memory, &self.links, self.name, &self.stop);
         Shared {

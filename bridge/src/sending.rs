@@ -262,6 +262,9 @@ fn loss(lost: u64, topic: &str) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::edge_tests::{Side, edge};
+    use crate::reliable::send_log::CAPACITY;
+    use crate::session::tests::joined;
     use crate::wire::decode_message;
     use conicflow_dataflow::ItemType;
     use conicflow_dataflow::pipeline::Compression;
@@ -291,6 +294,20 @@ mod tests {
             assert_eq!((there, came), (place, items.to_vec()));
             assert_eq!(counts.malformed.load(Ordering::Relaxed), 4);
         }
+    }
+
+    #[test]
+    fn no_more_leaves_than_what_is_not_acknowledged_has_room_for() {
+        let folder = tempfile::tempdir().unwrap();
+        let robot = Side::new("robot", edge(Delivery::Lossless, BRIDGE), folder.path());
+        let ([sessions, _], peers) = (joined(|address| address), Peers::default());
+        let shared = robot.shared(&sessions, &peers);
+        let mut sending = Sending::new(&robot.edge, &shared, Arc::clone(&robot.counts)).unwrap();
+        for sent in 0..CAPACITY {
+            assert!(sending.may_send(), "after {sent}");
+            sending.queue.sent(&[], Instant::now());
+        }
+        assert!(!sending.may_send());
     }
 
     #[test]

@@ -340,6 +340,25 @@ pub(crate) mod tests {
     }
 
     #[test]
+    fn who_listens_to_datagrams_is_asked_anew_after_a_while_and_not_with_each_message() {
+        let [robot, _base] = joined(|address| address);
+        let mut publisher = robot.publisher(KEY, true, Priority::InteractiveHigh).unwrap();
+        let since = Instant::now();
+        while publisher.datagrams.is_none() {
+            assert!(since.elapsed() < DEADLINE, "there are no datagrams");
+            publisher.ask_who_listens();
+        }
+        let mut asked_after = |time: Duration| {
+            let (_, asked) = publisher.datagrams.as_mut().unwrap();
+            *asked = Instant::now().checked_sub(time).unwrap();
+            let before = *asked;
+            publisher.ask_who_listens();
+            publisher.datagrams.as_ref().unwrap().1 != before
+        };
+        assert_eq!([Duration::ZERO, ASK_AGAIN, Duration::ZERO].map(&mut asked_after), [false, true, false]);
+    }
+
+    #[test]
     fn what_is_long_or_must_not_be_lost_goes_by_the_stream_alone() {
         let [robot, base] = joined(|address| address);
         let (take, heard) = channel();

@@ -302,6 +302,26 @@ mod tests {
         ZenohMiddleware { participant: Arc::new(participant), inboxes, joined: Arc::default() }
     }
 
+    #[test]
+    fn each_topic_that_is_published_counts_for_itself() {
+        let end = |way| End { topic: "/camera/depth/image".to_owned(), definition: IMAGE, way };
+        let participant = Participant {
+            ends: [Way::Publish, Way::Subscribe(1), Way::Publish].map(end).into(),
+            ..Participant::clone(&middleware(1).participant)
+        };
+        let inboxes: Arc<Vec<_>> = Arc::new(participant.ends.iter().map(|end| Inbox::new(end.way)).collect());
+        let keeper = Keeper { participant: Arc::new(participant), inboxes, joined: Weak::new() };
+        let mut alone = zenoh::Config::default();
+        for (name, value) in [("scouting/multicast/enabled", "false"), ("listen/endpoints", "[]")] {
+            alone.insert_json5(name, value).unwrap();
+        }
+        let ends = keeper.declare(zenoh::open(alone).wait().unwrap()).unwrap();
+        let marks: Vec<_> = ends.publishers.iter().map(|outbox| outbox.as_ref().map(|outbox| outbox.end)).collect();
+        let [Some(one), None, Some(other)] = marks[..] else { panic!("{marks:?}") };
+        assert_ne!(one, other);
+        assert_ne!([one, other].map(|mark| mark[0]), [ends.session.zid().to_le_bytes()[0]; 2]);
+    }
+
     fn sample(sequence: i64, payload: u8) -> Sample {
         let key = KeyExpr::new("0/camera/depth/image/type/hash").unwrap();
         let sample = SampleBuilder::put(key, vec![payload]);
