@@ -207,6 +207,22 @@ mod tests {
     }
 
     #[test]
+    fn the_counter_of_a_folder_is_closed_to_others_and_nothing_else_is_touched() {
+        let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
+        let [own, other] = folders.each_ref().map(|folder| prefix(folder.path()).unwrap());
+        let names = [format!("{own}1{COUNTER}"), format!("{own}1.data"), format!("{other}1{COUNTER}")];
+        let files = names.map(|name| Path::new(SHARED_MEMORY).join(name));
+        for file in &files {
+            fs::write(file, "").unwrap();
+            fs::set_permissions(file, Permissions::from_mode(0o666)).unwrap();
+        }
+        close_to_others(folders[0].path()).unwrap();
+        let modes = files.each_ref().map(|file| fs::metadata(file).unwrap().permissions().mode() & 0o777);
+        files.iter().for_each(|file| fs::remove_file(file).unwrap());
+        assert_eq!(modes, [0o600, 0o666, 0o666]);
+    }
+
+    #[test]
     fn what_nothing_leads_to_goes_with_the_last_one_who_uses_the_folder() {
         let folder = tempfile::tempdir().unwrap();
         let (first, last) = (

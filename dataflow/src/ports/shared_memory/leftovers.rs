@@ -151,6 +151,23 @@ mod tests {
     }
 
     #[test]
+    fn old_files_that_nobody_has_open_are_left_over_and_a_counter_goes_with_the_last_file_of_its_folder() {
+        let [dead, live] = [0, 1].map(|bit| format!("{PREFIX}{:08x}_", 2 * std::process::id() + bit));
+        let counters = [&dead, &live].map(|folder| format!("{folder}{COUNTER}"));
+        let names = counters.into_iter().chain([format!("{dead}old"), format!("{live}open"), format!("{live}young")]);
+        let paths: Vec<_> = names.map(|name| Path::new(SHARED_MEMORY).join(name)).collect();
+        paths.iter().for_each(|path| drop(File::create_new(path).unwrap()));
+        let long_ago = SystemTime::now() - 2 * MIN_AGE;
+        paths[..4].iter().for_each(|path| File::open(path).unwrap().set_modified(long_ago).unwrap());
+        let holder = File::open(&paths[3]).unwrap();
+        let left = leftovers().unwrap();
+        drop(holder);
+        paths.iter().for_each(|path| fs::remove_file(path).unwrap());
+        let is_left: Vec<_> = paths.iter().map(|path| left.iter().any(|leftover| leftover.path == *path)).collect();
+        assert_eq!(is_left, [true, false, true, false, false]);
+    }
+
+    #[test]
     fn a_folder_that_nobody_has_used_or_all_have_left_in_order_has_no_litter() {
         let folder = tempfile::tempdir().unwrap();
         assert_eq!(litter(folder.path()), Litter::None);
