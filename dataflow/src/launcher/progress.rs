@@ -36,7 +36,7 @@ impl Progress {
             self.rate_hz = finished.saturating_sub(self.window.1) as f64 / passed.as_secs_f64();
             self.window = (Instant::now(), finished);
         }
-        if self.quiet || !self.is_due() {
+        if !self.is_due() {
             return;
         }
         self.shown = Instant::now();
@@ -47,7 +47,8 @@ impl Progress {
     }
 
     fn is_due(&self) -> bool {
-        self.shown.elapsed() >= if self.terminal { ON_A_TERMINAL } else { IN_A_LOG }
+        let period = if self.terminal { ON_A_TERMINAL } else { IN_A_LOG };
+        !self.quiet && self.shown.elapsed() >= period
     }
 
     fn line(&self, summary: &Summary, finished: u64) -> String {
@@ -118,10 +119,10 @@ mod tests {
     fn a_terminal_is_written_to_more_often_than_a_log() {
         let is_due = |terminal: bool, seconds: u64| {
             let shown = Instant::now().checked_sub(Duration::from_secs(seconds)).unwrap();
-            Progress { terminal, shown, ..Progress::new(true) }.is_due()
+            Progress { terminal, shown, ..Progress::new(false) }.is_due()
         };
         assert_eq!([is_due(true, 1), is_due(false, 1), is_due(false, 11)], [true, false, true]);
-        assert!(!Progress { terminal: false, ..Progress::new(true) }.is_due(), "it has just begun");
+        assert!(!Progress { terminal: false, ..Progress::new(false) }.is_due(), "it has just begun");
     }
 
     #[test]
@@ -129,7 +130,9 @@ mod tests {
         let shown = |seconds: u64, finished: u64, rate_hz: f64| {
             let began = Instant::now().checked_sub(Duration::from_secs(seconds)).unwrap();
             let mut progress = Progress { window: (began, finished), rate_hz, ..Progress::new(true) };
+            let before = progress.shown;
             progress.show(&run(Pausing::Cannot));
+            assert_eq!(progress.shown, before, "it is quiet");
             (progress.rate_hz, progress.window.1)
         };
         let (rate_hz, finished) = shown(4, 8, 100.0);

@@ -402,7 +402,8 @@ pub(super) mod tests {
 
     #[test]
     fn what_a_lossless_reader_did_not_get_makes_a_run_incomplete() {
-        let counts = |received: u64, dropped: u64| InputCounts { received, dropped, ..InputCounts::default() };
+        let topic = conicflow_messages::Text::new("in");
+        let counts = |received: u64, dropped: u64| InputCounts { topic, received, dropped, ..InputCounts::default() };
         let lost = |run: Summary| run.lost().into_iter().map(|lost| lost.count).collect::<Vec<_>>();
         assert_eq!(lost(lossless(counts(40, 0), "writer")), [[0; 2]; 0]);
         assert_eq!(lost(lossless(counts(37, 0), "writer")), [[3, 40]]);
@@ -414,9 +415,10 @@ pub(super) mod tests {
         let sentence = "not complete: `stage` lost 3 of 40 messages of the lossless topic `in`";
         assert!(!run.is_complete() && run.to_string().contains(sentence), "{run}");
         assert_eq!(run.dropped(), 0, "they may be under way");
-        let mut over = lossless(InputCounts { topic: conicflow_messages::Text::new("in"), ..counts(37, 0) }, "writer");
+        let mut over = lossless(counts(37, 0), "writer");
         over.stages[0].status.as_mut().unwrap().set_life(Life::Gone);
-        assert_eq!(over.dropped(), 3, "nobody is left to count them");
+        over.stages[0].status.as_mut().unwrap().inputs[1].topic = conicflow_messages::Text::new("aside");
+        assert_eq!(over.dropped(), 3, "nobody is left to count them, and of another input none is missing");
         let mut sated = lossless(counts(37, 0), "writer");
         sated.stages[0].status.as_mut().unwrap().had_enough = 1;
         assert_eq!(lost(sated), [[0; 2]; 0], "it wanted no more");

@@ -459,6 +459,33 @@ mod tests {
     }
 
     #[test]
+    fn a_successor_that_is_not_wanted_has_the_time_to_end_in_order() {
+        let files = tempfile::tempdir().unwrap();
+        let (control, input) = UnixStream::pair().unwrap();
+        let mut command = Command::new("sh");
+        command.args(["-c", "read -r turn; : > in_order"]).current_dir(files.path()).stdin(OwnedFd::from(input));
+        let child = command.spawn().unwrap();
+        Successor { child, control }.dismiss();
+        assert!(files.path().join("in_order").exists());
+    }
+
+    #[test]
+    fn a_successor_that_takes_the_place_when_the_run_ends_is_told_so() {
+        let (files, options, since) = (tempfile::tempdir().unwrap(), RunOptions::default(), Instant::now());
+        for phase in [Phase::Delivering { delivered: 0, since }, Phase::Stopping { since }] {
+            let (mut stage, folder, mut plan, request) = to_replace(files.path());
+            let mut place = Place { plan: &mut plan, folder: &folder, options: &options, phase };
+            stage.kill();
+            take_place(ready_successor(), &mut stage, &request, &mut place);
+            let begin = Instant::now();
+            while stage.exit().is_none() {
+                assert!(begin.elapsed() < Duration::from_secs(20), "it goes on, {phase:?}");
+            }
+            stage.kill();
+        }
+    }
+
+    #[test]
     fn a_swap_is_asked_for_of_a_stage_at_work_in_this_run() {
         let (files, options, since) = (tempfile::tempdir().unwrap(), RunOptions::default(), Instant::now());
         let ending = Phase::Delivering { delivered: 0, since };
