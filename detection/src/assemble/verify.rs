@@ -264,7 +264,7 @@ mod tests {
     use conicflow_lab::rendered::cylinder;
 
     #[test]
-    fn an_object_has_at_least_as_many_lines_as_it_has_to() {
+    fn an_object_has_at_least_as_many_lines_as_it_has_to_and_is_seen_in_as_many_of_those_that_it_spans() {
         let (center, axis) = (Vector3::new(0.0, 0.0, 2.0), Vector3::y());
         let arcs = arcs_of(&[cylinder(center, axis, 0.2, 0.7)]);
         let seed = arcs.arcs.iter().position(|arc| arc.scan == Scan::Row && arc.line == 120).unwrap();
@@ -278,5 +278,12 @@ mod tests {
             check(&region, &parameters).err()
         };
         assert_eq!([lines - 1, lines, lines + 1].map(&mut is_too_low), [None, None, Some(Rejection::FewRows)]);
+        let every_other: Vec<_> = region.members.iter().copied().filter(|arc| arcs.arcs[*arc].line % 2 == 0).collect();
+        parameters.pooled.min_lines = 1;
+        let mut has_gaps = |min_coverage: f64| {
+            parameters.pooled.min_coverage = min_coverage;
+            check(&Region { members: &every_other, ..region }, &parameters).err()
+        };
+        assert_eq!([0.45, 0.55].map(&mut has_gaps), [None, Some(Rejection::Gaps)]);
     }
 }

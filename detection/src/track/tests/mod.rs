@@ -108,3 +108,14 @@ fn a_camera_that_tells_its_pose_may_move() {
     let velocity = Vector3::from(tracker.tracks()[0].velocity);
     assert!(velocity.norm() < 0.02, "the ball stands still: {velocity:?}");
 }
+
+#[test]
+fn how_fast_something_moves_follows_from_the_stamps_where_the_camera_tells_its_pose_too() {
+    let (mut tracker, still) = (Tracker::default(), [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]);
+    for sequence in 0..30 {
+        let ball = sphere(Vector3::new(0.2 * seconds(sequence), 0.0, 1.5));
+        tracker.update_from(&[ball], 2 * header(sequence).stamp_ns, still);
+    }
+    let [along, ..] = tracker.tracks()[0].velocity;
+    assert!((along - 0.1).abs() < 0.01, "the frames came half as often: {along}");
+}
