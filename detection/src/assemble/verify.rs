@@ -278,7 +278,8 @@ mod tests {
             check(&region, &parameters).err()
         };
         assert_eq!([lines - 1, lines, lines + 1].map(&mut is_too_low), [None, None, Some(Rejection::FewRows)]);
-        let every_other: Vec<_> = region.members.iter().copied().filter(|arc| arcs.arcs[*arc].line % 2 == 0).collect();
+        let every_other: Vec<_> =
+            region.members.iter().copied().filter(|arc| arcs.arcs[*arc].line.is_multiple_of(2)).collect();
         parameters.pooled.min_lines = 1;
         let mut has_gaps = |min_coverage: f64| {
             parameters.pooled.min_coverage = min_coverage;
