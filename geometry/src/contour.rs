@@ -16,7 +16,7 @@
 //! and what the scatter of the contour tells of its noise ([`Contour::noise_evidence`]), can be used for the next object.
 
 use crate::pooled::add_square;
-use crate::space::{dot, in_camera_frame};
+use crate::space::dot;
 use crate::{Coefficients, Information, Surface, SurfaceFit, Vector3};
 use nalgebra::{Matrix4, SMatrix, SVector, Vector2, Vector4};
 
@@ -420,6 +420,18 @@ impl ContourNoise {
     fn expected(&self, seen: &Seen) -> f64 {
         self.bias.mean.dot(&seen.by_bias())
     }
+}
+
+/// Coefficients of the same function of a point that is given in the camera frame.
+fn in_camera_frame(q: &Coefficients, origin: &Vector3, scale: f64) -> Coefficients {
+    let (one, square) = (1.0 / scale, 1.0 / (scale * scale));
+    let o = origin / scale;
+    let slope = crate::gradient(q, &-o) * one;
+    let [xx, yy, zz, xy, xz, yz, x, y, z, constant] = *q;
+    let value = o.x * (xx * o.x + xy * o.y + xz * o.z) + o.y * (yy * o.y + yz * o.z) + zz * o.z * o.z
+        - (x * o.x + y * o.y + z * o.z)
+        + constant;
+    [xx * square, yy * square, zz * square, xy * square, xz * square, yz * square, slope.x, slope.y, slope.z, value]
 }
 
 #[cfg(test)]

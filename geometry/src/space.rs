@@ -261,19 +261,6 @@ pub(crate) fn dot(a: &Coefficients, b: &Coefficients) -> f64 {
     even + odd
 }
 
-/// Coefficients of the same function of a point that is given in the camera frame and not in one with this origin and unit of
-/// length.
-pub(crate) fn in_camera_frame(q: &Coefficients, origin: &Vector3, scale: f64) -> Coefficients {
-    let (one, square) = (1.0 / scale, 1.0 / (scale * scale));
-    let o = origin / scale;
-    let slope = crate::gradient(q, &-o) * one;
-    let [xx, yy, zz, xy, xz, yz, x, y, z, constant] = *q;
-    let value = o.x * (xx * o.x + xy * o.y + xz * o.z) + o.y * (yy * o.y + yz * o.z) + zz * o.z * o.z
-        - (x * o.x + y * o.y + z * o.z)
-        + constant;
-    [xx * square, yy * square, zz * square, xy * square, xz * square, yz * square, slope.x, slope.y, slope.z, value]
-}
-
 /// The powers 0 to 4.
 fn powers(x: f64) -> [f64; 5] {
     [1.0, x, x * x, x * x * x, x * x * x * x]
