@@ -4,14 +4,14 @@ use crate::pooled::{System, gradient};
 use crate::{Coefficients, Contour, QuadricMoments, Surface, SurfaceFit, Vector3};
 use nalgebra::{SMatrix, SVector};
 
-/// What points and contour tell, beyond a fit to both, of other quadrics near it: the x with which `F + x_1 E_1 + ... + x_K E_K` has the
-/// least sum of squares, its N parameters being free as well; and the covariance of x, were the distances of the points independent
-/// and of a variance of one over their weights. `forms` gives the E of a surface, in the frame in which that is given; x has no unit.
-/// M is N + K. `None` where the sum of squares has no least value.
+/// What points and contour tell, beyond a fit to both, of other quadrics near it: the x with which `F + x_1 E_1 + ... + x_K E_K`
+/// has the least sum of squares, its N parameters being free as well; and the covariance of x, were the distances of the points
+/// independent and of a variance of one over their weights. `forms` gives the E of a surface, in the frame in which that is
+/// given; x has no unit. M is N + K. `None` where the sum of squares has no least value.
 ///
-/// F is a distance as long as its gradient is 1; a quadric without a gradient would have no squares at all. So of each change that is
-/// allowed so much of F itself is taken off that the gradient stays what it is in the middle of what is seen. Points are linear in what
-/// is left, and one step is enough; the contour is nearly so.
+/// F is a distance as long as its gradient is 1; a quadric without a gradient would have no squares at all. So of each change
+/// that is allowed so much of F itself is taken off that the gradient stays what it is in the middle of what is seen. Points are
+/// linear in what is left, and one step is enough; the contour is nearly so.
 pub fn departure<S: Surface<N>, const N: usize, const K: usize, const M: usize>(
     moments: &QuadricMoments,
     contour: &Contour,
@@ -72,6 +72,25 @@ mod tests {
             let (x, _) = departure::<_, 4, 5, 9>(&points, &Contour::default(), &round, Sphere::departures).unwrap();
             assert!((x - SVector::from(by)).norm() < 0.01, "{x:?} {by:?}");
         }
+    }
+
+    #[test]
+    fn a_part_of_what_is_round_is_not_explained_by_a_quadric_that_is_flat_there() {
+        let (sigma, mut greatest): (f64, f64) = (0.004, 0.0);
+        for frame in 0..20 {
+            let mut random = Random(frame + 1);
+            let noisy = |z: f64| (z + sigma * random.normal(), sigma * sigma);
+            let mut points = SpaceMoments::default();
+            points.add(&seen(&can().coefficients(), 90..150, 0.6, noisy), sigma.powi(-2));
+            let points = points.normalized().unwrap();
+            let round = fit_surface(&points, &FixedSlope(can()), f64::INFINITY).unwrap();
+            let (x, _) =
+                departure::<_, 5, 2, 7>(&points, &Contour::default(), &round, |surface| surface.0.departures())
+                    .unwrap();
+            greatest = greatest.max(x.norm());
+        }
+        println!("departs by up to {greatest:.2}");
+        assert!(greatest < 1.0, "with 1 it is no closed section any more: {greatest}");
     }
 
     /// Noise along the ray moves points less across the surface where the ray grazes it, of which the covariance knows nothing.

@@ -61,8 +61,8 @@ pub struct FixedSlope(pub Conical);
 pub struct FreeSlope(pub Conical);
 
 impl Sphere {
-    /// The forms by which other quadrics differ from it: F plus x times one of them is off it by up to `x R / 2`, outwards in some
-    /// directions and inwards in others. Together they are the harmonics of second degree, of one norm.
+    /// The forms by which other quadrics differ from it: F plus x times one of them is off it by about `x R / 2`, outwards in
+    /// some directions and inwards in others. Together they are the harmonics of second degree, of one norm.
     pub fn departures(&self) -> [Coefficients; 5] {
         let third = 1.0 / 3.0_f64.sqrt();
         let forms = [

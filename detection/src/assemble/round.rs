@@ -11,8 +11,8 @@ const ROUND: f64 = 0.05; // [tuned]
 /// The same of what is not round.
 const OVAL: f64 = 0.15; // [tuned]
 
-/// How much more probable points and contour of a fitted region are if it is round than if it is any quadric near it, as a logarithm
-/// (Bayes factor; Kass and Raftery, "Bayes factors", 1995); 0 where they cannot tell.
+/// How much more probable points and contour of a fitted region are if it is round than if it is any quadric near it, as a
+/// logarithm (Bayes factor; Kass and Raftery, "Bayes factors", 1995); 0 where they cannot tell.
 pub(super) fn roundness(region: &Region, contour: &Contour) -> f64 {
     let shared = region.shared_lines();
     let log_ratio = |points: QuadricMoments| match &region.model {
