@@ -94,7 +94,8 @@ impl Evidence {
         }
     }
 
-    /// The terms of the sum: a constant and what the evidence makes of each of its parts.
+    /// The terms of the sum: a constant and what the evidence makes of each of its parts. That something is a sphere as far as can
+    /// be told speaks for nothing, because heads and fruit are, too.
     pub fn terms(&self) -> [f64; TERMS] {
         [
             1.0,
