@@ -53,11 +53,15 @@ mod tests {
     use conicflow_messages::ObjectKind;
     use nalgebra::Matrix3;
 
-    /// What is upright so far away, with half of its width and of its depth, of all but oval sections.
-    fn oval(distance: f64, half_width: f64, half_depth: f64) -> Shape {
+    /// What is so far away, with half of its width, depth and height: an ellipsoid, or a cylinder of oval section.
+    fn lump(distance: f64, half: [f64; 3], squareness: u32) -> Shape {
         let axes = Matrix3::from_columns(&[Vector3::x(), Vector3::z(), Vector3::y()]);
-        let (center, half) = (Vector3::new(0.0, 0.0, distance), Vector3::new(half_width, half_depth, 0.3));
-        Shape::Lump(Lump { center, axes, half, squareness: [1, 4], creases: Default::default() })
+        let (center, half) = (Vector3::new(0.0, 0.0, distance), Vector3::from(half));
+        Shape::Lump(Lump { center, axes, half, squareness: [1, squareness], creases: Default::default() })
+    }
+
+    fn oval(distance: f64, half_width: f64, half_depth: f64) -> Shape {
+        lump(distance, [half_width, half_depth, 0.3], 4)
     }
 
     /// How much more probable it is that this is round than that it is not, told by the rows of its middle.
@@ -85,5 +89,13 @@ mod tests {
             assert!(wide < -4.0 && deep < -4.0, "{wide} {deep}");
             assert!(far_off.abs() < 1.0, "{far_off}");
         }
+    }
+
+    #[test]
+    fn a_ball_is_round_and_an_ellipsoid_is_not() {
+        let of = |half: [f64; 3]| of(ObjectKind::Sphere, lump(1.5, half, 1), 1.0);
+        let (round, flat, long) = (of([0.12; 3]), of([0.12, 0.12, 0.09]), of([0.14, 0.11, 0.11]));
+        println!("{round:.1} {flat:.1} {long:.1}");
+        assert!(round > 2.0 && flat < -4.0 && long < -4.0, "{round} {flat} {long}");
     }
 }
