@@ -50,14 +50,14 @@ pub(crate) enum Change {
 }
 
 /// What the launcher knows of the run, for those that look after a stage.
-pub(crate) struct Place<'a> {
+pub(crate) struct RunState<'a> {
     pub(crate) plan: &'a mut Plan,
     pub(crate) folder: &'a RunFolder,
     pub(crate) options: &'a RunOptions,
     pub(crate) phase: Phase,
 }
 
-impl Place<'_> {
+impl RunState<'_> {
     fn record(&self, stage: &str) -> Option<Status> {
         self.folder.record(stage, self.plan.run)
     }
@@ -148,8 +148,8 @@ impl Supervised {
 
     /// Looks whether the process ended, and starts it anew where that is due. While what is under way is delivered all are
     /// needed but the sources.
-    pub(crate) fn look(&mut self, place: &Place<'_>) -> Change {
-        let ending = match place.phase {
+    pub(crate) fn look(&mut self, run: &RunState<'_>) -> Change {
+        let ending = match run.phase {
             Phase::Running => false,
             // What waits on its way to another machine, and what that has to hear, needs the bridge.
             Phase::Delivering { .. } => self.planned.is_source() && !self.planned.is_bridge(),
@@ -159,25 +159,25 @@ impl Supervised {
             State::Running(child) => match child.try_wait() {
                 Ok(Some(status)) => {
                     let process = child.id();
-                    self.ended(process, status, place, ending)
+                    self.ended(process, status, run, ending)
                 }
                 _ => {
-                    self.stop_if_late(place);
-                    self.watch(place)
+                    self.stop_if_late(run);
+                    self.watch(run)
                 }
             },
-            State::Waiting { .. } if ending => self.stay_away(place),
+            State::Waiting { .. } if ending => self.stay_away(run),
             State::Waiting { until } if Instant::now() >= *until => {
-                self.is_late = matches!(place.phase, Phase::Delivering { .. }) && self.planned.is_source();
-                self.start_anew(place)
+                self.is_late = matches!(run.phase, Phase::Delivering { .. }) && self.planned.is_source();
+                self.start_anew(run)
             }
             _ => Change::None,
         }
     }
 
     /// Tells a source that was started late to stop, as the others were; before it has joined it could not take it in.
-    fn stop_if_late(&mut self, place: &Place<'_>) {
-        if self.is_late && self.process().is_some_and(|process| self.own_record(process, place).is_some()) {
+    fn stop_if_late(&mut self, run: &RunState<'_>) {
+        if self.is_late && self.process().is_some_and(|process| self.own_record(process, run).is_some()) {
             self.signal(Signal::INT);
             self.is_late = false;
         }
@@ -185,23 +185,23 @@ impl Supervised {
 
     /// What keeps a stage from coming back, such as a program that is just being replaced, is no fault of the others: it
     /// counts as one more death.
-    fn start_anew(&mut self, place: &Place<'_>) -> Change {
-        match command(&self.planned, place.plan, place.options).spawn() {
+    fn start_anew(&mut self, run: &RunState<'_>) -> Change {
+        match command(&self.planned, run.plan, run.options).spawn() {
             Ok(child) => {
                 (self.state, self.started) = (State::Running(child), Instant::now());
                 Change::None
             }
-            Err(error) => self.died(&format!("cannot be started ({error})"), place),
+            Err(error) => self.died(&format!("cannot be started ({error})"), run),
         }
     }
 
     /// Looks whether the process still gives signs of life; one that hangs is reported, and killed where the file says so.
-    fn watch(&mut self, place: &Place<'_>) -> Change {
+    fn watch(&mut self, run: &RunState<'_>) -> Change {
         let Some(process) = self.process() else { return Change::None };
-        let own = self.own_record(process, place);
+        let own = self.own_record(process, run);
         if let (None, Runs::Command(command)) = (&own, &self.planned.runs) {
             let command = command.join(" ");
-            return self.wait_to_join(process, &command, place);
+            return self.wait_to_join(process, &command, run);
         }
         if self.outsider.take_if(|outsider| *outsider == process).is_some() {
             let seconds = self.started.elapsed().as_secs_f64();
@@ -218,7 +218,7 @@ impl Supervised {
     }
 
     /// Names a program that takes its time to join the run, and gives it up where nothing goes on without it for too long.
-    fn wait_to_join(&mut self, process: u32, command: &str, place: &Place<'_>) -> Change {
+    fn wait_to_join(&mut self, process: u32, command: &str, run: &RunState<'_>) -> Change {
         let (name, waited) = (&self.planned.name, self.started.elapsed());
         let (topic, limit_s) = (self.lossless_topic(), self.planned.join_s.unwrap_or(TIME_TO_JOIN_S));
         if waited > NAMED_AFTER && self.outsider != Some(process) {
@@ -238,7 +238,7 @@ impl Supervised {
                  `{topic}`, which is lossless and waits for it\n  hint: {HOW_TO_JOIN}"
             );
             self.kill();
-            return self.give_up(place, Change::Lost);
+            return self.give_up(run, Change::Lost);
         }
         Change::None
     }
@@ -270,21 +270,21 @@ impl Supervised {
     }
 
     /// What a process of it has told of itself in the run.
-    fn own_record(&self, process: u32, place: &Place<'_>) -> Option<Status> {
-        place.record(&self.planned.name).filter(|record| record.process == process)
+    fn own_record(&self, process: u32, run: &RunState<'_>) -> Option<Status> {
+        run.record(&self.planned.name).filter(|record| record.process == process)
     }
 
     /// Whether all that write its input are over: there is nothing to come back for.
-    fn has_heard_all(&self, place: &Place<'_>) -> bool {
-        let is_over = |stage: &String| place.record(stage).is_some_and(|record| record.life().is_over());
+    fn has_heard_all(&self, run: &RunState<'_>) -> bool {
+        let is_over = |stage: &String| run.record(stage).is_some_and(|record| record.life().is_over());
         let writers = self.planned.wiring.input.as_ref().map(|topic| &topic.writers).filter(|all| !all.is_empty());
         writers.is_some_and(|writers| writers.iter().all(is_over))
     }
 
-    fn ended(&mut self, process: u32, status: ExitStatus, place: &Place<'_>, ending: bool) -> Change {
-        let running = matches!(place.phase, Phase::Running);
+    fn ended(&mut self, process: u32, status: ExitStatus, run: &RunState<'_>, ending: bool) -> Change {
+        let running = matches!(run.phase, Phase::Running);
         let name = self.planned.name.clone();
-        let own = self.own_record(process, place).map(|own| own.life());
+        let own = self.own_record(process, run).map(|own| own.life());
         let finished = status.success() && came_to_its_end(own);
         if finished
             && running
@@ -295,34 +295,34 @@ impl Supervised {
                 "stage `{name}` has ended without having joined the run: nobody took part in topic `{topic}` for it, which is \
                  lossless\n  hint: {HOW_TO_JOIN}"
             );
-            return self.give_up(place, Change::Lost);
+            return self.give_up(run, Change::Lost);
         }
-        let comes_back = self.planned.restart == Restart::Always && running && !self.has_heard_all(place);
+        let comes_back = self.planned.restart == Restart::Always && running && !self.has_heard_all(run);
         if finished && !comes_back {
             self.state = State::Done;
-            place.set_life(&name, Life::Ended);
+            run.set_life(&name, Life::Ended);
             return Change::None;
         }
         if !status.success() && own == Some(Life::Gone) {
             tracing::error!("stage `{name}` could not end its work, for what it told");
-            return self.give_up(place, Change::Lost);
+            return self.give_up(run, Change::Lost);
         }
         if ending {
-            return self.stay_away(place);
+            return self.stay_away(run);
         }
         if status.code() == Some(i32::from(REFUSED)) {
             tracing::error!("stage `{name}` could not be made ready, for what it told");
-            return self.give_up(place, Change::Lost);
+            return self.give_up(run, Change::Lost);
         }
-        self.died(&describe(status), place)
+        self.died(&describe(status), run)
     }
 
     /// Sees to it that it is started anew, later with each death, unless that is not wanted or was done too often.
-    fn died(&mut self, how: &str, place: &Place<'_>) -> Change {
+    fn died(&mut self, how: &str, run: &RunState<'_>) -> Change {
         let name = &self.planned.name;
         if self.planned.restart == Restart::Never {
             tracing::error!("stage `{name}` {how}, and is not started anew: its `restart` is \"never\"");
-            return self.give_up(place, Change::Left);
+            return self.give_up(run, Change::Left);
         }
         let now = Instant::now();
         let Some(back_off) = back_off(&mut self.deaths, now) else {
@@ -330,7 +330,7 @@ impl Supervised {
                 "stage `{name}` {how}, for the {}th time within a minute: it is given up",
                 self.deaths.len()
             );
-            return self.give_up(place, Change::Lost);
+            return self.give_up(run, Change::Lost);
         };
         tracing::warn!("stage `{name}` {how}, and is started anew in {:.1} s", back_off.as_secs_f64());
         self.state = State::Waiting { until: now + back_off };
@@ -338,15 +338,15 @@ impl Supervised {
     }
 
     /// Leaves it at what it has done, as the run ends; the others are not to wait for it.
-    fn stay_away(&mut self, place: &Place<'_>) -> Change {
+    fn stay_away(&mut self, run: &RunState<'_>) -> Change {
         self.state = State::Done;
-        place.set_life(&self.planned.name, Life::Gone);
+        run.set_life(&self.planned.name, Life::Gone);
         Change::None
     }
 
-    fn give_up(&mut self, place: &Place<'_>, change: Change) -> Change {
+    fn give_up(&mut self, run: &RunState<'_>, change: Change) -> Change {
         self.state = State::Gone;
-        place.set_life(&self.planned.name, Life::Gone);
+        run.set_life(&self.planned.name, Life::Gone);
         change
     }
 }
@@ -385,15 +385,12 @@ fn describe(status: ExitStatus) -> String {
 
 #[cfg(test)]
 pub(super) mod tests {
-    use super::super::folder::tests::folder_at;
     use super::super::summary::tests::stage;
+    use super::super::trial_run::TrialRun;
     use super::*;
-    use crate::plan::{LAYOUT, Origin};
     use crate::ports::{Topic, TopicReader};
-    use crate::status::StatusFile;
     use conicflow_messages::Object;
     use std::io::{Read, Write};
-    use std::path::Path;
 
     fn supervised(planned: PlannedStage, state: State) -> Supervised {
         let (watchdog, started) = (Watchdog::new(0, Instant::now()), Instant::now());
@@ -423,12 +420,6 @@ pub(super) mod tests {
         supervised(planned, State::Done)
     }
 
-    /// The plan of run 7.
-    fn plan_at(files: &Path) -> Plan {
-        let (pipeline, base) = ("test".to_owned(), files.to_owned());
-        Plan { layout: LAYOUT, pipeline, base, run: 7, stages: vec![], origin: Origin::default() }
-    }
-
     /// A stage that reads what `writer` makes, and a process of it that has ended with this exit code.
     fn ended(exit: u8, delivery: Delivery) -> (Supervised, u32) {
         let mut planned = stage::<Object>();
@@ -441,19 +432,10 @@ pub(super) mod tests {
         (supervised(planned, State::Running(child)), process)
     }
 
-    /// Writes the record of a stage in run 7.
-    fn tell(folder: &RunFolder, stage: &str, process: u32, life: Life) {
-        let mut record = StatusFile::open(&folder.status(stage), 7).unwrap();
-        record.status.process = process;
-        record.status.set_life(life);
-        record.write();
-    }
-
     #[test]
     fn what_follows_from_the_end_of_a_process_depends_on_how_it_ended_on_its_record_and_on_the_run() {
         use Restart::{Always, Never, OnFailure};
-        let (files, options, since) = (tempfile::tempdir().unwrap(), RunOptions::default(), Instant::now());
-        let (folder, mut plan) = (folder_at(files.path()), plan_at(files.path()));
+        let (mut run, since) = (TrialRun::new(), Instant::now());
         let (running, delivering, stopping) =
             (Phase::Running, Phase::Delivering { delivered: 0, since }, Phase::Stopping { since });
         let (done, gone, comes_back) = ((true, false), (true, true), (false, false));
@@ -473,56 +455,47 @@ pub(super) mod tests {
         ] {
             let (mut stage, process) = ended(exit, Delivery::Lossless);
             stage.planned.restart = restart;
-            tell(&folder, "stage", process, told);
-            let place = Place { plan: &mut plan, folder: &folder, options: &options, phase };
+            run.tell("stage", process, told);
+            let state = run.state(phase);
             let how = format!("exit code {exit}, {told:?} in its record, {restart:?}, {phase:?}");
             let looked = Instant::now();
-            assert_eq!(stage.look(&place), change, "{how}");
+            assert_eq!(stage.look(&state), change, "{how}");
             assert!(!matches!(stage.state, State::Waiting { until } if until < looked + FIRST_BACK_OFF), "{how}");
             assert_eq!((stage.is_over(), stage.is_gone()), expected, "{how}");
-            assert_eq!(place.record("stage").map(|record| record.life()), Some(life), "{how}");
+            assert_eq!(state.record("stage").map(|record| record.life()), Some(life), "{how}");
         }
     }
 
     #[test]
     fn a_stage_that_always_comes_back_does_not_where_all_that_write_for_it_are_over() {
-        let (files, options) = (tempfile::tempdir().unwrap(), RunOptions::default());
-        let (folder, mut plan) = (folder_at(files.path()), plan_at(files.path()));
+        let mut run = TrialRun::new();
         for (life, is_over) in [(Life::Running, false), (Life::Ended, true), (Life::Gone, true)] {
             let (mut stage, process) = ended(0, Delivery::Latest);
             stage.planned.restart = Restart::Always;
-            tell(&folder, "stage", process, Life::Ended);
-            tell(&folder, "writer", 42, life);
-            stage.look(&Place { plan: &mut plan, folder: &folder, options: &options, phase: Phase::Running });
+            run.tell("stage", process, Life::Ended);
+            run.tell("writer", 42, life);
+            stage.look(&run.state(Phase::Running));
             assert_eq!(stage.is_over(), is_over, "{life:?}");
         }
     }
 
     #[test]
     fn a_program_that_ends_without_a_part_in_the_run_is_missed_where_it_was_to_lose_nothing() {
-        let (files, options, since) = (tempfile::tempdir().unwrap(), RunOptions::default(), Instant::now());
-        let (folder, mut plan) = (folder_at(files.path()), plan_at(files.path()));
+        let (mut run, since) = (TrialRun::new(), Instant::now());
         for (delivery, phase, change) in [
             (Delivery::Lossless, Phase::Running, Change::Lost),
             (Delivery::Lossless, Phase::Delivering { delivered: 0, since }, Change::None),
             (Delivery::Latest, Phase::Running, Change::None),
         ] {
             let (mut stage, _) = ended(0, delivery);
-            let looked = stage.look(&Place { plan: &mut plan, folder: &folder, options: &options, phase });
-            assert_eq!(
-                (looked, stage.is_over(), stage.is_gone()),
-                (change, true, change == Change::Lost),
-                "{delivery:?}"
-            );
+            let told = (stage.look(&run.state(phase)), stage.is_over(), stage.is_gone());
+            assert_eq!(told, (change, true, change == Change::Lost), "{delivery:?}");
         }
     }
 
     #[test]
     fn a_program_that_does_not_join_is_named_and_then_given_up_where_a_lossless_topic_waits_for_it() {
-        let (files, options) = (tempfile::tempdir().unwrap(), RunOptions::default());
-        let (folder, mut plan) = (folder_at(files.path()), plan_at(files.path()));
-        let phase = Phase::Running;
-        let mut place = Place { plan: &mut plan, folder: &folder, options: &options, phase };
+        let mut run = TrialRun::new();
         for (delivery, waited_s, is_named, change) in [
             (Delivery::Lossless, 1.0, false, Change::None),
             (Delivery::Lossless, 50.0, true, Change::None),
@@ -533,32 +506,31 @@ pub(super) mod tests {
             planned.join_s = Some(100.0);
             let mut stage = at_work(planned);
             stage.started = Instant::now().checked_sub(Duration::from_secs_f64(waited_s)).unwrap();
-            assert_eq!(stage.look(&place), Change::None);
+            let state = run.state(Phase::Running);
+            assert_eq!(stage.look(&state), Change::None);
             assert_eq!(stage.outsider, stage.process().filter(|_| is_named), "{delivery:?} after {waited_s} s");
-            assert_eq!(stage.look(&place), change, "{delivery:?} after {waited_s} s");
+            assert_eq!(stage.look(&state), change, "{delivery:?} after {waited_s} s");
             assert_eq!((stage.is_gone(), stage.process().is_none()), (change == Change::Lost, change == Change::Lost));
             stage.kill();
         }
         let mut joined = at_work(stage::<Object>());
         joined.outsider = joined.process();
-        tell(&folder, "stage", joined.process().unwrap(), Life::Running);
-        assert_eq!((joined.look(&place), joined.outsider), (Change::None, None));
-        place.phase = Phase::Stopping { since: Instant::now() };
-        assert_eq!((joined.look(&place), joined.is_over()), (Change::None, false), "it has its time to end");
+        run.tell("stage", joined.process().unwrap(), Life::Running);
+        assert_eq!((joined.look(&run.state(Phase::Running)), joined.outsider), (Change::None, None));
+        let stopping = run.state(Phase::Stopping { since: Instant::now() });
+        assert_eq!((joined.look(&stopping), joined.is_over()), (Change::None, false), "it has its time to end");
         joined.kill();
     }
 
     #[test]
     fn a_source_that_was_started_late_is_told_to_stop_once_it_has_joined() {
-        let (files, options, since) = (tempfile::tempdir().unwrap(), RunOptions::default(), Instant::now());
-        let (folder, mut plan) = (folder_at(files.path()), plan_at(files.path()));
+        let (mut run, since) = (TrialRun::new(), Instant::now());
         let phase = Phase::Delivering { delivered: 0, since };
-        let place = Place { plan: &mut plan, folder: &folder, options: &options, phase };
         let mut late = Supervised { is_late: true, ..at_work(stage::<Object>()) };
-        late.look(&place);
+        late.look(&run.state(phase));
         assert!(late.is_late && answers(&mut late));
-        tell(&folder, "stage", late.process().unwrap(), Life::Running);
-        late.look(&place);
+        run.tell("stage", late.process().unwrap(), Life::Running);
+        late.look(&run.state(phase));
         let State::Running(child) = &mut late.state else { panic!("it is over already") };
         assert_eq!(child.wait().unwrap().signal(), Some(Signal::INT.as_raw()));
         assert!(!late.is_late);
@@ -566,41 +538,34 @@ pub(super) mod tests {
 
     #[test]
     fn a_stage_that_waits_to_come_back_stays_away_when_the_run_ends() {
-        let (files, options, since) = (tempfile::tempdir().unwrap(), RunOptions::default(), Instant::now());
-        let (folder, mut plan) = (folder_at(files.path()), plan_at(files.path()));
-        tell(&folder, "stage", 42, Life::Running);
+        let (mut run, since) = (TrialRun::new(), Instant::now());
+        run.tell("stage", 42, Life::Running);
         for (phase, is_over) in [(Phase::Running, false), (Phase::Stopping { since }, true)] {
             let mut stage = supervised(stage::<Object>(), State::Waiting { until: since + MINUTE });
-            let place = Place { plan: &mut plan, folder: &folder, options: &options, phase };
-            assert_eq!((stage.look(&place), stage.is_over()), (Change::None, is_over));
-            assert_eq!(place.record("stage").map(|record| record.life() == Life::Gone), Some(is_over));
+            let state = run.state(phase);
+            assert_eq!((stage.look(&state), stage.is_over()), (Change::None, is_over));
+            assert_eq!(state.record("stage").map(|record| record.life() == Life::Gone), Some(is_over));
         }
     }
 
     #[test]
     fn what_became_of_a_process_is_what_its_own_record_of_this_run_says() {
-        let files = tempfile::tempdir().unwrap();
-        let (folder, supervised) = (folder_at(files.path()), over(stage::<Object>()));
-        let mut plan = plan_at(files.path());
-        let options = RunOptions::default();
-        let place = Place { plan: &mut plan, folder: &folder, options: &options, phase: Phase::Running };
-        let told = || {
-            let own = supervised.own_record(42, &place).map(|own| own.life());
+        let (mut run, supervised) = (TrialRun::new(), over(stage::<Object>()));
+        let told = |run: &mut TrialRun| {
+            let own = supervised.own_record(42, &run.state(Phase::Running)).map(|own| own.life());
             [own.is_some(), came_to_its_end(own), own == Some(Life::Gone)]
         };
-        assert_eq!(told(), [false, true, false], "a program that keeps no record is believed");
-        for (run, process, life, expected) in [
+        assert_eq!(told(&mut run), [false, true, false], "a program that keeps no record is believed");
+        for (number, process, life, expected) in [
             (7, 42, Life::Running, [true, false, false]),
             (7, 42, Life::Ended, [true, true, false]),
             (7, 42, Life::Gone, [true, false, true]),
             (7, 43, Life::Gone, [false, true, false]),
             (8, 42, Life::Gone, [false, true, false]),
         ] {
-            let mut record = StatusFile::open(&folder.status("stage"), run).unwrap();
-            record.status.process = process;
-            record.status.set_life(life);
-            record.write();
-            assert_eq!(told(), expected, "{process} of run {run}: {life:?}");
+            run.tell("stage", process, life);
+            run.plan.run = number;
+            assert_eq!(told(&mut run), expected, "{process} of run {number}: {life:?}");
         }
     }
 

@@ -381,11 +381,9 @@ pub(crate) fn check_private(path: &Path) -> Result<(), FolderError> {
 
 #[cfg(test)]
 pub(super) mod tests {
-    use super::super::summary::tests::stage;
+    use super::super::trial_run::plan_of;
     use super::*;
     use crate::pause::PauseWish;
-    use crate::plan::Origin;
-    use conicflow_messages::Object;
 
     /// The run's folder at this place.
     pub fn folder_at(path: &Path) -> RunFolder {
@@ -435,12 +433,6 @@ pub(super) mod tests {
         folder.empty().unwrap();
         let is_there = |name: &&str| files.path().join(name).exists();
         assert!(all.into_iter().filter(is_there).eq(["lock", "notes.txt", "stages.lock"]));
-    }
-
-    /// The plan of a run of one stage.
-    pub fn plan_of(run: u64) -> Plan {
-        let (pipeline, base, stages) = ("test".to_owned(), PathBuf::from("/"), vec![stage::<Object>()]);
-        Plan { layout: LAYOUT, pipeline, base, run, stages, origin: Origin::default() }
     }
 
     #[test]

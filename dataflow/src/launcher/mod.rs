@@ -12,6 +12,8 @@ mod progress;
 mod request;
 mod summary;
 mod swap;
+#[cfg(test)]
+mod trial_run;
 mod watchdog;
 
 pub use folder::{FolderError, RUNTIME_DIR, RunFolder, RunLock, user_folder};
@@ -30,7 +32,7 @@ use crate::ports::PortError;
 use crate::ports::shared_memory::SharedMemory;
 use crate::preflight::{InsufficientResource, Requirements};
 use crate::stage::Stop;
-use child::{Change, Place, Supervised};
+use child::{Change, RunState, Supervised};
 use phase::{DELIVERY_GRACE, Due, Phase};
 use progress::Progress;
 use rustix::process::Signal;
@@ -94,23 +96,7 @@ pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
     let services = memory.kept_in(folder.path()).keep_services(plan.topics())?;
     // Whoever looks on from outside may come as soon as there is a plan.
     folder.begin(plan)?;
-    let mut launcher = Launcher {
-        plan: plan.clone(),
-        folder,
-        options,
-        stages: Vec::new(),
-        swap: None,
-        signals,
-        phase: Phase::Running,
-        lost: false,
-        hurried: false,
-        stalled: None,
-        moved: None,
-        progress: Progress::new(options.quiet),
-        started: Instant::now(),
-        went_on: Duration::ZERO,
-        looked: Instant::now(),
-    };
+    let mut launcher = Launcher::new(plan.clone(), folder, options, signals);
     let ended = launcher.supervise();
     launcher.swap.take().into_iter().for_each(|swap| swap.abandon(&launcher.folder));
     launcher.stages.iter_mut().for_each(Supervised::kill);
@@ -153,7 +139,27 @@ struct Movement {
     is_told: bool,
 }
 
-impl Launcher<'_> {
+impl<'a> Launcher<'a> {
+    fn new(plan: Plan, folder: RunFolder, options: &'a RunOptions, signals: Receiver<i32>) -> Self {
+        Self {
+            plan,
+            folder,
+            options,
+            stages: Vec::new(),
+            swap: None,
+            signals,
+            phase: Phase::Running,
+            lost: false,
+            hurried: false,
+            stalled: None,
+            moved: None,
+            progress: Progress::new(options.quiet),
+            started: Instant::now(),
+            went_on: Duration::ZERO,
+            looked: Instant::now(),
+        }
+    }
+
     fn supervise(&mut self) -> Result<(), LaunchError> {
         for planned in &self.plan.stages {
             self.stages.push(Supervised::start(planned.clone(), &self.plan, self.options)?);
@@ -191,10 +197,10 @@ impl Launcher<'_> {
     /// Goes on with the swap that is under way, or begins one that was asked for.
     fn replace(&mut self) {
         let Self { plan, folder, options, stages, swap, phase, .. } = self;
-        let mut place = Place { plan, folder, options, phase: *phase };
+        let mut run = RunState { plan, folder, options, phase: *phase };
         *swap = match swap.take() {
-            Some(under_way) => under_way.go_on(stages, &mut place),
-            None => place.folder.take_request().map(|request| Swap::begin(request, stages, &place)),
+            Some(under_way) => under_way.go_on(stages, &mut run),
+            None => run.folder.take_request().map(|request| Swap::begin(request, stages, &run)),
         };
     }
 
@@ -202,10 +208,10 @@ impl Launcher<'_> {
         let ending = !matches!(self.phase, Phase::Running);
         let mut lost = false;
         let Self { plan, folder, options, stages, swap, phase, .. } = self;
-        let place = Place { plan, folder, options, phase: *phase };
+        let run = RunState { plan, folder, options, phase: *phase };
         let leaving = swap.as_ref().filter(|swap| swap.decides_about_exit()).map(Swap::stage);
         for stage in stages.iter_mut().filter(|stage| leaving != Some(&stage.planned.name)) {
-            lost |= stage.look(&place) == Change::Lost;
+            lost |= stage.look(&run) == Change::Lost;
         }
         self.lost |= lost;
         if lost && !ending {
@@ -311,9 +317,10 @@ mod tests {
     use super::child::tests::{at_work, over};
     use super::folder::tests::folder_at;
     use super::summary::tests::stage;
+    use super::trial_run::{change_record, plan_of};
     use super::*;
-    use crate::plan::{LAYOUT, Origin, PlannedStage};
-    use crate::status::{Life, Pausing, Status, StatusFile};
+    use crate::plan::PlannedStage;
+    use crate::status::{Life, Pausing};
     use conicflow_messages::{Object, Text};
     use std::path::Path;
 
@@ -323,30 +330,12 @@ mod tests {
         let named = |name: &str| PlannedStage { name: name.to_owned(), ..stage::<Object>() };
         let planned = [named("first"), named("second")];
         for (planned, steps) in planned.iter().zip([3, 4]) {
-            let mut record = StatusFile::open(&folder.status(&planned.name), 7).unwrap();
-            record.status.steps = steps;
-            record.write();
+            change_record(&folder, &planned.name, |status| status.steps = steps);
         }
-        let (pipeline, base) = ("test".to_owned(), files.to_owned());
-        let plan = Plan { layout: LAYOUT, pipeline, base, run: 7, stages: planned.to_vec(), origin: Origin::default() };
+        let plan = Plan { stages: planned.to_vec(), ..plan_of(7) };
         let [first, second] = planned;
-        Launcher {
-            plan,
-            folder,
-            options,
-            stages: vec![at_work(first), over(second)],
-            swap: None,
-            signals: channel().1,
-            phase,
-            lost: false,
-            hurried: false,
-            stalled: None,
-            moved: None,
-            progress: Progress::new(true),
-            started: Instant::now(),
-            went_on: Duration::ZERO,
-            looked: Instant::now(),
-        }
+        let (stages, progress) = (vec![at_work(first), over(second)], Progress::new(true));
+        Launcher { stages, phase, progress, ..Launcher::new(plan, folder, options, channel().1) }
     }
 
     #[test]
@@ -375,19 +364,12 @@ mod tests {
         assert!(matches!(sent(SIGINT), (Phase::Killing, true, true)));
     }
 
-    /// Writes into the record of the first stage.
-    fn tell(launcher: &Launcher<'_>, change: impl FnOnce(&mut Status)) {
-        let mut record = StatusFile::open(&launcher.folder.status("first"), 7).unwrap();
-        change(&mut record.status);
-        record.write();
-    }
-
     #[test]
     fn time_in_which_a_run_is_paused_is_none_of_that_which_it_is_to_last() {
         let (files, options) = (tempfile::tempdir().unwrap(), RunOptions::default());
         let mut launcher = launcher(files.path(), &options, Phase::Running);
         for pausing in [Pausing::Goes, Pausing::Stands] {
-            tell(&launcher, |status| {
+            change_record(&launcher.folder, "first", |status| {
                 status.set_life(Life::Running);
                 status.set_pausing(pausing);
             });
@@ -411,7 +393,7 @@ mod tests {
             launcher.moved.unwrap().is_told
         };
         assert!(!is_told(&mut launcher, 7, 20), "nobody waits");
-        tell(&launcher, |status| status.waits_for = Text::new("second"));
+        change_record(&launcher.folder, "first", |status| status.waits_for = Text::new("second"));
         assert!(is_told(&mut launcher, 7, 20));
         assert!(!is_told(&mut launcher, 7, 5), "not for long");
         assert!(!is_told(&mut launcher, 6, 20), "something has moved since");
@@ -428,7 +410,7 @@ mod tests {
             let topic = launcher.stages[0].planned.wiring.output.clone();
             if loses_a_stage {
                 let process = launcher.stages[0].process().unwrap();
-                tell(&launcher, |status| {
+                change_record(&launcher.folder, "first", |status| {
                     status.process = process;
                     status.set_life(Life::Gone);
                 });

@@ -373,12 +373,11 @@ fn listen_for_signals(stop: Stop, is_source: bool) -> Result<(), ProcessError> {
 #[cfg(test)]
 mod tests {
     use super::super::summary::tests::stage;
+    use super::super::trial_run::plan_of;
     use super::*;
     use crate::node::Host;
     use crate::pipeline::Machine;
-    use crate::plan::{LAYOUT, Origin};
     use conicflow_messages::Object;
-    use std::path::PathBuf;
 
     const fn variant(input: &'static str, output: &'static str) -> Variant {
         Variant { input, output, run: |_, _| Ok(()) }
@@ -427,12 +426,10 @@ mod tests {
     #[test]
     fn the_process_of_a_stage_is_told_its_place_by_its_environment() {
         let planned = PlannedStage { env: vec![("KEY".into(), "value".into())], ..stage::<Object>() };
-        let (pipeline, base, origin) = ("test".to_owned(), PathBuf::from("/"), Origin::default());
-        let plan = Plan { layout: LAYOUT, pipeline, base, run: 7, stages: vec![], origin };
         let options = RunOptions { program: "conicflow".into(), ..RunOptions::default() };
         let told = |log: Option<&str>| {
             let options = RunOptions { log: log.map(str::to_owned), ..options.clone() };
-            let command = as_stage(&planned, &plan, "own.plan", &options);
+            let command = as_stage(&planned, &plan_of(7), "own.plan", &options);
             let said: Vec<_> = [command.get_program()].into_iter().chain(command.get_args()).collect();
             assert_eq!(said, ["conicflow", "node", "stage"]);
             let of = |name: &str| command.get_envs().find(|(key, _)| *key == name).and_then(|(_, value)| value);

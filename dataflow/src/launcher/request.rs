@@ -30,7 +30,7 @@ pub enum SwapError {
 }
 
 /// What is to be replaced, and by what.
-#[derive(Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Request {
     pub(crate) id: u64,
     /// Name of the stage.
@@ -92,7 +92,8 @@ impl RunFolder {
 
 #[cfg(test)]
 mod tests {
-    use super::super::folder::tests::{folder_at, plan_of};
+    use super::super::folder::tests::folder_at;
+    use super::super::trial_run::plan_of;
     use super::*;
     use std::time::Instant;
 

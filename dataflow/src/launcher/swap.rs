@@ -3,7 +3,7 @@
 //! Until the stage has been told to leave, whatever goes wrong leaves it at work. From then on its successor takes the place
 //! however it ended; a successor that cannot begin gives the place back.
 
-use super::child::{Place, Supervised, command};
+use super::child::{RunState, Supervised, command};
 use super::folder::RunFolder;
 use super::options::RunOptions;
 use super::phase::Phase;
@@ -109,26 +109,26 @@ impl Successor {
 
 impl Swap {
     /// Begins a swap.
-    pub(crate) fn begin(request: Request, stages: &[Supervised], place: &Place<'_>) -> Self {
-        let step = match Self::prepare(&request, stages, place) {
+    pub(crate) fn begin(request: Request, stages: &[Supervised], run: &RunState<'_>) -> Self {
+        let step = match Self::prepare(&request, stages, run) {
             Ok(successor) => Step::Preparing(successor),
             Err(fault) => refused(&request.stage, fault),
         };
         Self { request, step, since: Instant::now() }
     }
 
-    fn prepare(request: &Request, stages: &[Supervised], place: &Place<'_>) -> Result<Successor, String> {
+    fn prepare(request: &Request, stages: &[Supervised], run: &RunState<'_>) -> Result<Successor, String> {
         let name = &request.stage;
         let other_run = || "it was asked for another run\n  hint: try again".to_owned();
-        let planned = request.plan.stage(name).filter(|_| request.plan.run == place.plan.run).ok_or_else(other_run)?;
+        let planned = request.plan.stage(name).filter(|_| request.plan.run == run.plan.run).ok_or_else(other_run)?;
         let stage = stages.iter().find(|stage| stage.planned.name == *name).ok_or_else(other_run)?;
-        if !matches!(place.phase, Phase::Running) || stage.process().is_none() || !is_at_work(place.folder, stage) {
+        if !matches!(run.phase, Phase::Running) || stage.process().is_none() || !is_at_work(run.folder, stage) {
             return Err(format!("stage `{name}` is not at work\n  hint: `conicflow top` shows which stages are"));
         }
-        Handover::of(place.folder.path(), name).clear();
-        place.folder.change_plan(&request.plan).map_err(|error| error.to_string())?;
-        let successor = Successor::start(planned, &request.plan, place.options).map_err(|error| {
-            place.take_plan_back();
+        Handover::of(run.folder.path(), name).clear();
+        run.folder.change_plan(&request.plan).map_err(|error| error.to_string())?;
+        let successor = Successor::start(planned, &request.plan, run.options).map_err(|error| {
+            run.take_plan_back();
             error.to_string()
         })?;
         tracing::info!("stage `{name}` is being replaced");
@@ -146,10 +146,10 @@ impl Swap {
     }
 
     /// Looks how far it is; `None` when it is over, and the one who asked has been told.
-    pub(crate) fn go_on(self, stages: &mut [Supervised], place: &mut Place<'_>) -> Option<Self> {
+    pub(crate) fn go_on(self, stages: &mut [Supervised], run: &mut RunState<'_>) -> Option<Self> {
         let Self { request, step, since } = self;
         if let Step::Over { outcome, is_late } = step {
-            let error = place.folder.answer(request.id, &outcome).err()?;
+            let error = run.folder.answer(request.id, &outcome).err()?;
             if !is_late {
                 tracing::warn!("nobody can be told what became of stage `{}`: {error}", request.stage);
             }
@@ -158,7 +158,7 @@ impl Swap {
         let stage = stages.iter_mut().find(|stage| stage.planned.name == request.stage)?;
         let is_overdue = step.is_overdue(since.elapsed());
         let (step, since) = match step {
-            Step::Preparing(mut successor) => match look_at(&mut successor, stage, place, is_overdue) {
+            Step::Preparing(mut successor) => match look_at(&mut successor, stage, run, is_overdue) {
                 Ok(false) => (Step::Preparing(successor), since),
                 Ok(true) => {
                     stage.signal(Signal::USR1);
@@ -166,7 +166,7 @@ impl Swap {
                 }
                 Err(fault) => {
                     successor.dismiss();
-                    place.take_plan_back();
+                    run.take_plan_back();
                     (refused(&request.stage, fault), since)
                 }
             },
@@ -176,26 +176,26 @@ impl Swap {
                 }
                 match stage.exit() {
                     None => (Step::Leaving(successor), since),
-                    Some(process) if came_to_its_end(place.folder, &request.stage, process) => {
+                    Some(process) if came_to_its_end(run.folder, &request.stage, process) => {
                         successor.dismiss();
-                        place.take_plan_back();
+                        run.take_plan_back();
                         let fault = "the stage came to its end\n  hint: nothing is left to do";
                         (refused(&request.stage, fault), since)
                     }
-                    Some(_) => (take_place(successor, stage, &request, place), Instant::now()),
+                    Some(_) => (take_place(successor, stage, &request, run), Instant::now()),
                 }
             }
             Step::Beginning(before) => {
-                if is_at_work(place.folder, stage) {
+                if is_at_work(run.folder, stage) {
                     tracing::info!("stage `{}` was replaced", request.stage);
                     (Step::over(Ok(())), since)
-                } else if stage.exit().is_none() || matches!(place.phase, Phase::Killing) {
+                } else if stage.exit().is_none() || matches!(run.phase, Phase::Killing) {
                     (Step::Beginning(before), since)
                 } else {
-                    let own = place.plan.stages.iter_mut().filter(|own| own.name == before.name);
+                    let own = run.plan.stages.iter_mut().filter(|own| own.name == before.name);
                     own.for_each(|own| *own = (*before).clone());
                     stage.come_back(*before);
-                    place.take_plan_back();
+                    run.take_plan_back();
                     let fault = "the new stage could not begin, and the old one comes back\n  \
                                  hint: the launcher's log says why";
                     (refused(&request.stage, fault), since)
@@ -226,10 +226,10 @@ impl Swap {
 fn look_at(
     successor: &mut Successor,
     stage: &mut Supervised,
-    place: &Place<'_>,
+    run: &RunState<'_>,
     is_overdue: bool,
 ) -> Result<bool, &'static str> {
-    if !matches!(place.phase, Phase::Running) {
+    if !matches!(run.phase, Phase::Running) {
         return Err("the run ends\n  hint: start it anew");
     }
     if stage.process().is_none() {
@@ -243,14 +243,14 @@ fn look_at(
     successor.is_ready().map_err(|()| "the new stage could not be made ready\n  hint: the launcher's log says why")
 }
 
-fn take_place(successor: Successor, stage: &mut Supervised, request: &Request, place: &mut Place<'_>) -> Step {
+fn take_place(successor: Successor, stage: &mut Supervised, request: &Request, run: &mut RunState<'_>) -> Step {
     let before = Box::new(stage.planned.clone());
-    *place.plan = request.plan.clone();
-    if let Some(planned) = place.plan.stage(&request.stage) {
+    *run.plan = request.plan.clone();
+    if let Some(planned) = run.plan.stage(&request.stage) {
         stage.planned = planned.clone();
     }
     stage.take(successor.begin());
-    match place.phase {
+    match run.phase {
         Phase::Delivering { .. } if stage.planned.is_source() => stage.signal(Signal::INT),
         Phase::Stopping { .. } => stage.signal(Signal::TERM),
         _ => {}
@@ -263,7 +263,7 @@ fn refused(stage: &str, fault: impl Display) -> Step {
     Step::over(Err(format!("stage `{stage}` is not replaced: {fault}")))
 }
 
-impl Place<'_> {
+impl RunState<'_> {
     /// Stages that start anew find what the run was before the swap.
     fn take_plan_back(&self) {
         self.folder.take_plan_back().unwrap_or_else(|error| tracing::error!("{error}"));
@@ -284,14 +284,11 @@ fn came_to_its_end(folder: &RunFolder, stage: &str, process: u32) -> bool {
 #[cfg(test)]
 mod tests {
     use super::super::child::tests::{answers, at_work};
-    use super::super::folder::tests::folder_at;
     use super::super::summary::tests::stage;
+    use super::super::trial_run::TrialRun;
     use super::*;
-    use crate::plan::{LAYOUT, Origin};
-    use crate::status::StatusFile;
     use conicflow_messages::Object;
     use rustix::process::{Pid, test_kill_process};
-    use std::path::Path;
     use std::process::{Command, Stdio};
 
     fn successor() -> Successor {
@@ -302,34 +299,22 @@ mod tests {
 
     #[test]
     fn a_stage_that_was_told_to_leave_is_killed_when_its_time_is_over_and_not_before() {
-        let (files, options, planned) = (tempfile::tempdir().unwrap(), RunOptions::default(), stage::<Object>());
-        let (pipeline, base, stages) = ("test".to_owned(), files.path().to_owned(), vec![planned.clone()]);
-        let plan = Plan { layout: LAYOUT, pipeline, base, run: 7, stages, origin: Origin::default() };
-        let folder = folder_at(files.path());
-        let look = |swap: Swap, stages: &mut [Supervised]| {
-            let mut place =
-                Place { plan: &mut plan.clone(), folder: &folder, options: &options, phase: Phase::Running };
-            swap.go_on(stages, &mut place).unwrap()
-        };
+        let (mut stage, mut run, request) = to_replace();
         let leaving = |seconds: u64| {
-            let request = Request { id: 1, stage: planned.name.clone(), plan: plan.clone() };
+            let request = request.clone();
             let since = Instant::now().checked_sub(Duration::from_secs(seconds)).unwrap();
             let successor = successor();
             let process = successor.child.id();
             (Swap { request, step: Step::Leaving(successor), since }, process)
         };
-        let mut stages = [at_work(planned.clone())];
-        let before = look(leaving(15).0, &mut stages);
-        assert!(answers(&mut stages[0]) && matches!(before.step, Step::Leaving(_)), "it has time left");
-        before.abandon(&folder);
-        let (mut swap, successor) = leaving(31);
-        let begin = Instant::now();
-        while matches!(swap.step, Step::Leaving(_)) {
-            assert!(begin.elapsed() < Duration::from_secs(20), "it is still there");
-            swap = look(swap, &mut stages);
-        }
-        assert!(matches!(swap.step, Step::Beginning(_)) && stages[0].process() == Some(successor));
-        stages[0].kill();
+        let mut state = run.state(Phase::Running);
+        let before = leaving(15).0.go_on(std::slice::from_mut(&mut stage), &mut state).unwrap();
+        assert!(answers(&mut stage) && matches!(before.step, Step::Leaving(_)), "it has time left");
+        before.abandon(state.folder);
+        let (swap, successor) = leaving(31);
+        let swap = go_on_to(swap, &mut stage, &mut state, |step| !matches!(step, Step::Leaving(_)));
+        assert!(matches!(swap.step, Step::Beginning(_)) && stage.process() == Some(successor));
+        stage.kill();
     }
 
     /// A successor that is ready as soon as it runs, and works until it is killed.
@@ -343,95 +328,87 @@ mod tests {
         Successor { child, control }
     }
 
-    /// A stage and its plan in run 7, of which the folder keeps the plan, and the plan by which the stage is to be replaced.
-    fn to_replace(files: &Path) -> (Supervised, RunFolder, Plan, Request) {
-        let (planned, folder) = (stage::<Object>(), folder_at(files));
-        let (pipeline, base, stages) = ("test".to_owned(), files.to_owned(), vec![planned.clone()]);
-        let plan = Plan { layout: LAYOUT, pipeline, base, run: 7, stages, origin: Origin::default() };
-        let mut next = plan.clone();
-        next.stages[0].hang_s = Some(9.0);
-        folder.begin(&plan).unwrap();
-        folder.change_plan(&next).unwrap();
-        (at_work(planned), folder, plan, Request { id: 1, stage: "stage".into(), plan: next })
+    /// A stage and its run, whose folder has the plan by which the stage is to be replaced, and keeps the one before.
+    fn to_replace() -> (Supervised, TrialRun, Request) {
+        let run = TrialRun::new();
+        let mut plan = run.plan.clone();
+        plan.stages[0].hang_s = Some(9.0);
+        run.folder.begin(&run.plan).unwrap();
+        run.folder.change_plan(&plan).unwrap();
+        (at_work(stage::<Object>()), run, Request { id: 1, stage: "stage".into(), plan })
     }
 
     /// Goes on with a swap until it is at such a step.
-    fn go_on_to(swap: Swap, stage: &mut Supervised, place: &mut Place<'_>, is_there: fn(&Step) -> bool) -> Swap {
+    fn go_on_to(swap: Swap, stage: &mut Supervised, state: &mut RunState<'_>, is_there: fn(&Step) -> bool) -> Swap {
         let (mut swap, begin) = (swap, Instant::now());
         while !is_there(&swap.step) {
             assert!(begin.elapsed() < Duration::from_secs(20), "it does not come to that");
-            swap = swap.go_on(std::slice::from_mut(stage), place).unwrap();
+            swap = swap.go_on(std::slice::from_mut(stage), state).unwrap();
         }
         swap
     }
 
-    fn tell(folder: &RunFolder, process: Option<u32>, life: Life) {
-        let mut record = StatusFile::open(&folder.status("stage"), 7).unwrap();
-        record.status.process = process.unwrap();
-        record.status.set_life(life);
-        record.write();
-    }
-
     #[test]
     fn a_successor_that_is_ready_takes_the_place_of_the_stage_and_who_asked_is_told_when_it_works() {
-        let (files, options) = (tempfile::tempdir().unwrap(), RunOptions::default());
-        let (mut stage, folder, mut plan, request) = to_replace(files.path());
-        let mut place = Place { plan: &mut plan, folder: &folder, options: &options, phase: Phase::Running };
+        let (mut stage, mut run, request) = to_replace();
         let (successor, since) = (ready_successor(), Instant::now());
-        let process = Some(successor.child.id());
-        tell(&folder, stage.process(), Life::Running);
+        let process = successor.child.id();
+        run.tell("stage", stage.process().unwrap(), Life::Running);
         let swap = Swap { request, step: Step::Preparing(successor), since };
         assert!(!swap.decides_about_exit());
-        let swap = go_on_to(swap, &mut stage, &mut place, |step| matches!(step, Step::Beginning(_)));
-        assert!(swap.decides_about_exit() && stage.process() == process);
-        assert_eq!([stage.planned.hang_s, place.plan.stages[0].hang_s], [Some(9.0); 2]);
-        let swap = swap.go_on(std::slice::from_mut(&mut stage), &mut place).unwrap();
+        let mut state = run.state(Phase::Running);
+        let swap = go_on_to(swap, &mut stage, &mut state, |step| matches!(step, Step::Beginning(_)));
+        assert!(swap.decides_about_exit() && stage.process() == Some(process));
+        assert_eq!([stage.planned.hang_s, state.plan.stages[0].hang_s], [Some(9.0); 2]);
+        let mut go_on = |swap: Swap, run: &mut TrialRun| {
+            swap.go_on(std::slice::from_mut(&mut stage), &mut run.state(Phase::Running))
+        };
+        let swap = go_on(swap, &mut run).unwrap();
         assert!(matches!(swap.step, Step::Beginning(_)), "the record is that of the process before");
-        tell(&folder, process, Life::Starting);
-        let swap = swap.go_on(std::slice::from_mut(&mut stage), &mut place).unwrap();
+        run.tell("stage", process, Life::Starting);
+        let swap = go_on(swap, &mut run).unwrap();
         assert!(matches!(swap.step, Step::Beginning(_)), "it does not work yet");
-        tell(&folder, process, Life::Running);
-        let swap = swap.go_on(std::slice::from_mut(&mut stage), &mut place).unwrap();
+        run.tell("stage", process, Life::Running);
+        let swap = go_on(swap, &mut run).unwrap();
         assert!(matches!(&swap.step, Step::Over { outcome: Ok(()), .. }) && !swap.decides_about_exit());
-        assert!(swap.go_on(std::slice::from_mut(&mut stage), &mut place).is_none());
-        let answer = std::fs::read_to_string(files.path().join("swap.answer")).unwrap();
+        assert!(go_on(swap, &mut run).is_none());
+        let answer = std::fs::read_to_string(run.files.path().join("swap.answer")).unwrap();
         assert!(answer.contains(r#""id": 1"#) && answer.contains(r#""fault": null"#), "{answer}");
         stage.kill();
     }
 
     #[test]
     fn a_stage_that_came_to_its_end_is_not_replaced_and_one_comes_back_whose_successor_could_not_begin() {
-        let (files, options, since) = (tempfile::tempdir().unwrap(), RunOptions::default(), Instant::now());
         for life in [Life::Ended, Life::Running] {
-            let (mut stage, folder, mut plan, request) = to_replace(files.path());
-            let mut place = Place { plan: &mut plan, folder: &folder, options: &options, phase: Phase::Running };
-            tell(&folder, stage.process(), life);
-            let swap = Swap { request, step: Step::Leaving(successor()), since };
+            let (mut stage, mut run, request) = to_replace();
+            run.tell("stage", stage.process().unwrap(), life);
+            let mut state = run.state(Phase::Running);
+            let swap = Swap { request, step: Step::Leaving(successor()), since: Instant::now() };
             stage.signal(Signal::KILL);
             let is_next = |step: &Step| matches!(step, Step::Beginning(_) | Step::Over { .. });
-            let swap = go_on_to(swap, &mut stage, &mut place, is_next);
+            let swap = go_on_to(swap, &mut stage, &mut state, is_next);
             assert_eq!(matches!(swap.step, Step::Over { .. }), life == Life::Ended);
             stage.signal(Signal::KILL);
-            let swap = go_on_to(swap, &mut stage, &mut place, |step| matches!(step, Step::Over { .. }));
+            let swap = go_on_to(swap, &mut stage, &mut state, |step| matches!(step, Step::Over { .. }));
             let Step::Over { outcome: Err(fault), .. } = swap.step else { panic!("it was replaced") };
             let why = if life == Life::Ended { "came to its end" } else { "the old one comes back" };
             assert!(fault.contains(why), "{fault}");
-            let left = [stage.planned.hang_s, place.plan.stages[0].hang_s, folder.plan().unwrap().stages[0].hang_s];
+            let kept = run.folder.plan().unwrap();
+            let left = [&stage.planned, &run.plan.stages[0], &kept.stages[0]].map(|planned| planned.hang_s);
             assert_eq!((left, stage.is_over()), ([None; 3], false));
         }
     }
 
     #[test]
     fn no_stage_is_replaced_when_the_run_ends_or_the_stage_or_its_successor_is_not_there() {
-        let (files, options, since) = (tempfile::tempdir().unwrap(), RunOptions::default(), Instant::now());
+        let since = Instant::now();
         let ending = Phase::Delivering { delivered: 0, since };
         for (phase, kill_stage, kill_successor, why) in [
             (ending, false, false, "the run ends"),
             (Phase::Running, true, false, "the stage died meanwhile"),
             (Phase::Running, false, true, "could not be made ready"),
         ] {
-            let (mut stage, folder, mut plan, request) = to_replace(files.path());
-            let mut place = Place { plan: &mut plan, folder: &folder, options: &options, phase };
+            let (mut stage, mut run, request) = to_replace();
             let mut successor = successor();
             if kill_successor {
                 successor.child.kill().unwrap();
@@ -441,10 +418,10 @@ mod tests {
                 stage.kill();
             }
             let swap = Swap { request, step: Step::Preparing(successor), since };
-            let swap = swap.go_on(std::slice::from_mut(&mut stage), &mut place).unwrap();
+            let swap = swap.go_on(std::slice::from_mut(&mut stage), &mut run.state(phase)).unwrap();
             let Step::Over { outcome: Err(fault), .. } = swap.step else { panic!("it goes on") };
             assert!(fault.contains(why), "{fault}");
-            assert_eq!(folder.plan().unwrap().stages[0].hang_s, None);
+            assert_eq!(run.folder.plan().unwrap().stages[0].hang_s, None);
             stage.kill();
         }
     }
@@ -471,12 +448,11 @@ mod tests {
 
     #[test]
     fn a_successor_that_takes_the_place_when_the_run_ends_is_told_so() {
-        let (files, options, since) = (tempfile::tempdir().unwrap(), RunOptions::default(), Instant::now());
+        let since = Instant::now();
         for phase in [Phase::Delivering { delivered: 0, since }, Phase::Stopping { since }] {
-            let (mut stage, folder, mut plan, request) = to_replace(files.path());
-            let mut place = Place { plan: &mut plan, folder: &folder, options: &options, phase };
+            let (mut stage, mut run, request) = to_replace();
             stage.kill();
-            take_place(ready_successor(), &mut stage, &request, &mut place);
+            take_place(ready_successor(), &mut stage, &request, &mut run.state(phase));
             let begin = Instant::now();
             while stage.exit().is_none() {
                 assert!(begin.elapsed() < Duration::from_secs(20), "it goes on, {phase:?}");
@@ -487,19 +463,17 @@ mod tests {
 
     #[test]
     fn a_swap_is_asked_for_of_a_stage_at_work_in_this_run() {
-        let (files, options, since) = (tempfile::tempdir().unwrap(), RunOptions::default(), Instant::now());
-        let ending = Phase::Delivering { delivered: 0, since };
-        for (run, name, phase, life, why) in [
+        let ending = Phase::Delivering { delivered: 0, since: Instant::now() };
+        for (number, name, phase, life, why) in [
             (8, "stage", Phase::Running, Life::Running, "another run"),
             (7, "other", Phase::Running, Life::Running, "another run"),
             (7, "stage", ending, Life::Running, "is not at work"),
             (7, "stage", Phase::Running, Life::Starting, "is not at work"),
         ] {
-            let (mut stage, folder, mut plan, mut request) = to_replace(files.path());
-            let place = Place { plan: &mut plan, folder: &folder, options: &options, phase };
-            tell(&folder, stage.process(), life);
-            (request.plan.run, request.stage) = (run, name.to_owned());
-            let swap = Swap::begin(request, std::slice::from_ref(&stage), &place);
+            let (mut stage, mut run, mut request) = to_replace();
+            run.tell("stage", stage.process().unwrap(), life);
+            (request.plan.run, request.stage) = (number, name.to_owned());
+            let swap = Swap::begin(request, std::slice::from_ref(&stage), &run.state(phase));
             assert_eq!(swap.stage(), name);
             let Step::Over { outcome: Err(fault), .. } = swap.step else { panic!("it begins") };
             assert!(fault.contains(why), "{fault}");

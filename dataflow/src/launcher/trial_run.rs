@@ -1,0 +1,54 @@
+//! A run in a folder of its own that nobody has launched, for the tests of what looks after its stages.
+
+use super::child::RunState;
+use super::folder::RunFolder;
+use super::folder::tests::folder_at;
+use super::options::RunOptions;
+use super::phase::Phase;
+use super::summary::tests::stage;
+use crate::plan::{LAYOUT, Origin, Plan};
+use crate::status::{Life, Status, StatusFile};
+use conicflow_messages::Object;
+use tempfile::TempDir;
+
+/// Run 7.
+pub struct TrialRun {
+    pub files: TempDir,
+    pub folder: RunFolder,
+    pub plan: Plan,
+    options: RunOptions,
+}
+
+impl TrialRun {
+    pub fn new() -> Self {
+        let files = tempfile::tempdir().unwrap();
+        Self { folder: folder_at(files.path()), files, plan: plan_of(7), options: RunOptions::default() }
+    }
+
+    /// What is known of it while it is in this phase.
+    pub fn state(&mut self, phase: Phase) -> RunState<'_> {
+        let Self { folder, plan, options, .. } = self;
+        RunState { plan, folder, options, phase }
+    }
+
+    /// Writes what a process of a stage tells of itself.
+    pub fn tell(&self, stage: &str, process: u32, life: Life) {
+        change_record(&self.folder, stage, |status| {
+            status.process = process;
+            status.set_life(life);
+        });
+    }
+}
+
+/// The plan of a run of one stage.
+pub fn plan_of(run: u64) -> Plan {
+    let (pipeline, base, stages) = ("test".to_owned(), "/".into(), vec![stage::<Object>()]);
+    Plan { layout: LAYOUT, pipeline, base, run, stages, origin: Origin::default() }
+}
+
+/// Writes into the record of a stage in run 7.
+pub fn change_record(folder: &RunFolder, stage: &str, change: impl FnOnce(&mut Status)) {
+    let mut record = StatusFile::open(&folder.status(stage), 7).unwrap();
+    change(&mut record.status);
+    record.write();
+}
