@@ -168,8 +168,7 @@ impl<R: Reader> InputPort<R> {
         self.counted = None;
         self.counts.last = message;
         if is_left_out {
-            self.counts.dropped += 1;
-            self.counts.gaps += 1;
+            self.count_gap(1);
         } else {
             self.counts.received += 1;
         }
@@ -400,10 +399,15 @@ impl<R: Reader> InputPort<R> {
         let Some(next) = last.map(|last| last.saturating_add(1)).or(first) else { return };
         let lost = end.number.saturating_sub(next);
         if lost > 0 {
-            self.counts.dropped = self.counts.dropped.saturating_add(lost);
-            self.counts.gaps = self.counts.gaps.saturating_add(lost);
+            self.count_gap(lost);
             self.last_number.insert(writer, end.number - 1);
         }
+    }
+
+    /// Counts messages that are lost, and their frames with them.
+    fn count_gap(&mut self, lost: u64) {
+        self.counts.dropped = self.counts.dropped.saturating_add(lost);
+        self.counts.gaps = self.counts.gaps.saturating_add(lost);
     }
 
     /// How many messages a writer has sent, as far as is known here.
@@ -445,9 +449,7 @@ impl<R: Reader> InputPort<R> {
             let source = ends_of_trace(message.header()).0;
             let before = self.pending.len();
             self.pending.retain(|older| ends_of_trace(older.header()).0 != source);
-            let replaced = (before - self.pending.len()) as u64;
-            self.counts.dropped += replaced;
-            self.counts.gaps += replaced;
+            self.count_gap((before - self.pending.len()) as u64);
         }
         self.pending.push_back(message);
     }

@@ -131,9 +131,8 @@ impl<W: Writer> OutputPort<W> {
     /// The transport failed, or the run ended while it waited.
     pub fn relay(&mut self, header: &Header, bytes: &[u8]) -> Result<(), PortError> {
         self.await_readers()?;
+        self.write(bytes)?;
         let Some((writer, _)) = &mut self.port else { return Ok(()) };
-        let length = bytes.len() / writer.item().size();
-        writer.loan_bytes(length)?.copy_from_slice(bytes);
         writer.send(header)?;
         self.number += 1;
         self.bytes += (bytes.len() + size_of::<Header>()) as u64;

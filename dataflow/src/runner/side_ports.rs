@@ -104,23 +104,7 @@ impl<R: Reader> SidePort<R> {
             }
         }
     }
-}
 
-fn same_frame(a: &Header, b: &Header) -> bool {
-    (a.epoch, a.sequence) == (b.epoch, b.sequence)
-}
-
-/// Whether `a` is a later frame of the same source than `b`.
-fn follows(a: &Header, b: &Header) -> bool {
-    a.epoch == b.epoch && a.sequence > b.sequence
-}
-
-/// Whether `a` is the same frame as `b`, or a later one of the same source.
-fn reaches(a: &Header, b: &Header) -> bool {
-    same_frame(a, b) || follows(a, b)
-}
-
-impl<R: Reader> SidePort<R> {
     /// Its name in the pipeline file.
     pub(crate) fn name(&self) -> &str {
         &self.name
@@ -183,6 +167,20 @@ impl<R: Reader> SidePort<R> {
         self.input_port.admit_buffered();
         Ok(())
     }
+}
+
+fn same_frame(a: &Header, b: &Header) -> bool {
+    (a.epoch, a.sequence) == (b.epoch, b.sequence)
+}
+
+/// Whether `a` is a later frame of the same source than `b`.
+fn follows(a: &Header, b: &Header) -> bool {
+    a.epoch == b.epoch && a.sequence > b.sequence
+}
+
+/// Whether `a` is the same frame as `b`, or a later one of the same source.
+fn reaches(a: &Header, b: &Header) -> bool {
+    same_frame(a, b) || follows(a, b)
 }
 
 #[cfg(test)]

@@ -103,9 +103,7 @@ impl<T: Transport> SourcePlace<T> {
         let (epoch, frames) = (unix_ns(), wiring.frames);
         Ok(Self { side_inputs, output_port, record, stop, epoch, made, sequence: made, frames, pace, _lock: lock })
     }
-}
 
-impl<T: Transport> SourcePlace<T> {
     /// Waits until the next message is due; false if there is to be none.
     pub(crate) fn is_due(&mut self) -> bool {
         if self.frames.is_some_and(|frames| self.made >= frames) {

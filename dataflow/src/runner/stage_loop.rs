@@ -33,10 +33,10 @@ pub(crate) fn run_stage<S: Stage, T: Transport>(
     let output_port = runtime.output_port::<S::Output>()?;
     runtime.context.input = Some(item.clone());
     runtime.context.delivery = Some(topic.delivery_to(&runtime.context.stage));
-    let early = if runtime.successor.is_some() { Some(made_early::<S>(&config, &runtime)?) } else { None };
+    let early = if runtime.successor.is_some() { made_early::<S>(&config, &runtime)? } else { None };
     let Some(inputs) = take_place(inputs, open, &mut runtime, &topic)? else { return Ok(()) };
     runtime.context.resume_at = runtime.context.resume_at.max(runtime.record.status.steps);
-    let stage = match early.flatten() {
+    let stage = match early {
         Some(stage) => stage,
         None => S::new(config, &runtime.context).map_err(RunError::Refused)?,
     };

@@ -98,9 +98,7 @@ impl<T: Transport> StagePlace<T> {
             _lock: lock,
         })
     }
-}
 
-impl<T: Transport> StagePlace<T> {
     /// Waits for the next message; `None` when no more will come, or the run is to end.
     pub(crate) fn next_message(&mut self) -> Result<Option<MessageOf<T>>, PortError> {
         loop {
