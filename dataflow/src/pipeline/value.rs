@@ -72,13 +72,11 @@ impl Table {
             self.0.push(Entry { key: (*first).to_owned(), key_place: key_place.clone(), value: table });
         }
         let entry = self.0.iter_mut().find(|entry| entry.key == *first);
-        if let Some(Entry { value: Value { content: Content::Table(table), .. }, .. }) = entry {
+        if let Some(table) = entry.and_then(|entry| entry.value.table_mut()) {
             table.set(rest, key_place, value);
         }
     }
-}
 
-impl Table {
     /// Takes the parameters of a stage's node away, where another is to take its place: they mean nothing to that.
     fn forget_other_node(&mut self, stage: &str, node: &str) {
         let stages = self.0.iter_mut().filter(|entry| entry.key == "stage").flat_map(|entry| entry.value.table_mut());
@@ -88,6 +86,12 @@ impl Table {
         if !same {
             keys.0.retain(|entry| KEYS_OF_ANY_STAGE.contains(&entry.key.as_str()));
         }
+    }
+
+    /// The same table without places.
+    pub(crate) fn to_json(&self) -> serde_json::Value {
+        let entries = self.0.iter().map(|entry| (entry.key.clone(), entry.value.to_json()));
+        serde_json::Value::Object(entries.collect())
     }
 }
 
@@ -124,14 +128,6 @@ impl Value {
             Content::Array(values) => values.iter().map(Self::to_json).collect(),
             Content::Table(table) => table.to_json(),
         }
-    }
-}
-
-impl Table {
-    /// The same table without places.
-    pub(crate) fn to_json(&self) -> serde_json::Value {
-        let entries = self.0.iter().map(|entry| (entry.key.clone(), entry.value.to_json()));
-        serde_json::Value::Object(entries.collect())
     }
 }
 

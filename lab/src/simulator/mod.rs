@@ -268,9 +268,7 @@ impl SimulatorParameters {
             None => SceneTemplate::load(&base.join(path))?.scene(&self.values),
         }
     }
-}
 
-impl SimulatorParameters {
     /// The camera in its scene.
     ///
     /// # Errors
