@@ -38,11 +38,6 @@ pub struct ScanPlane {
 }
 
 impl Pinhole {
-    /// The point of pixel `(u, v)` at depth `z`.
-    pub fn deproject(&self, u: f64, v: f64, z: f64) -> Vector3 {
-        Vector3::new(self.x(u), self.y(v), 1.0) * z
-    }
-
     /// The plane of row or column `line`.
     pub fn plane(&self, scan: Scan, line: f64) -> ScanPlane {
         match scan {
@@ -132,7 +127,8 @@ impl ScanPlane {
     }
 
     /// In-plane coordinates `(s, t)` of the foot of a point on the plane.
-    pub fn to_plane(&self, point: &Vector3) -> [f64; 2] {
+    #[cfg(test)]
+    pub(crate) fn to_plane(self, point: &Vector3) -> [f64; 2] {
         [self.s_axis().dot(point), self.t_axis().dot(point)]
     }
 
@@ -154,7 +150,7 @@ mod tests {
     #[test]
     fn a_pixel_has_the_same_place_in_its_row_its_column_and_the_camera_frame() {
         let (u, v, z) = (50.0, 400.0, 1.7);
-        let point = CAMERA.deproject(u, v, z);
+        let point = Vector3::new((u - 319.5) / 525.0, (v - 239.5) / 520.0, 1.0) * z;
         for (scan, line, pixel) in [(Scan::Row, v, u), (Scan::Column, u, v)] {
             let plane = CAMERA.plane(scan, line);
             let coordinates = [z * CAMERA.ray_slope(scan, pixel), z * plane.stretch()];

@@ -12,14 +12,6 @@ pub struct Circle {
     pub radius: f64,
 }
 
-#[cfg(test)]
-impl Circle {
-    /// The circle as a conic.
-    pub(crate) fn to_conic(self) -> crate::Conic {
-        crate::Conic { origin: self.center, coefficients: [1.0, 0.0, 1.0, 0.0, 0.0, -self.radius * self.radius] }
-    }
-}
-
 /// A circle with a larger radius, in spreads of its points, is a line.
 const STRAIGHT: f64 = 1e6; // [algorithmic]
 

@@ -313,9 +313,9 @@ impl Contour {
     ) -> Option<Information<4>> {
         let sums = self.sums(&fit.surface.coefficients(), &fit.surface.derivatives());
         // The fit is where the gradients of points and contour cancel out.
-        let of_points =
-            Points { matrix: fit.inverse.try_inverse()? - fit.contour, gradient: -sums.term(&self.prior).gradient };
-        of_points.matrix.cholesky()?;
+        let points = fit.inverse.try_inverse()? - fit.contour;
+        let points_gradient = -sums.term(&self.prior).gradient;
+        points.cholesky()?;
         let Sums { shared, shared_error, shared_slope, .. } = sums;
         let mean = &self.noise.bias.mean;
         // Nothing is expected of c: the expectation is put back.
@@ -325,8 +325,8 @@ impl Contour {
         let own = (shared + own.try_inverse()? * self.noise.shared_lines).try_inverse()?;
         let rest = Matrix4::identity() - shared * own;
         let slope = rest * shared_slope;
-        let matrix = of_points.matrix + sums.slopes - shared_slope.transpose() * own * shared_slope;
-        let gradient = of_points.gradient + slope_error - shared_slope.transpose() * (own * error);
+        let matrix = points + sums.slopes - shared_slope.transpose() * own * shared_slope;
+        let gradient = points_gradient + slope_error - shared_slope.transpose() * (own * error);
         // over x
         let inverse = matrix.cholesky()?.inverse();
         let matrix = rest * shared - slope * inverse * slope.transpose();
@@ -350,12 +350,6 @@ impl Contour {
         }
         Some(evidence)
     }
-}
-
-/// The points' part in the normal equations of a fit.
-struct Points<const N: usize> {
-    matrix: SMatrix<f64, N, N>,
-    gradient: SVector<f64, N>,
 }
 
 impl<const N: usize> Default for Sums<N> {

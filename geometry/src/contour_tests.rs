@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::simulated::{CAMERA, Random, seen};
+use crate::space::monomials;
 use crate::{Conical, FixedSlope, FreeSlope, Scan, SpaceMoments, Sphere, fit_with_contour, section_of};
 use std::ops::Range;
 
@@ -263,10 +264,7 @@ fn what_is_far_off_is_not_used() {
 fn what_is_seen_is_asked_of_the_point_that_the_ray_touches() {
     let q = FreeSlope(cup()).coefficients();
     let mut contour = contour(&cup(), 0.0);
-    contour.select(&q, |p| {
-        let monomials = [p.x * p.x, p.y * p.y, p.z * p.z, p.x * p.y, p.x * p.z, p.y * p.z, p.x, p.y, p.z, 1.0];
-        dot(&q, &monomials).abs() < 1e-9
-    });
+    contour.select(&q, |p| dot(&q, &monomials(p)).abs() < 1e-9);
     assert_eq!(contour.used(), contour.points());
 }
 

@@ -6,40 +6,66 @@
 /// Number of sums.
 pub const MOMENTS: usize = 15; // [derived]
 
-/// Place of each exponent pair `[p][q]` among the sums; beyond all of them where there is none.
-const INDEX: [[usize; 5]; 5] = [
-    [0, 2, 5, 9, 14],
-    [1, 4, 8, 13, MOMENTS],
-    [3, 7, 12, MOMENTS, MOMENTS],
-    [6, 11, MOMENTS, MOMENTS, MOMENTS],
-    [10, MOMENTS, MOMENTS, MOMENTS, MOMENTS],
-];
+/// Exponents `[p, q]` of each sum, ordered by degree, then by falling p.
+const EXPONENTS: [[usize; 2]; MOMENTS] = {
+    let (mut table, mut p) = ([[0; 2]; MOMENTS], 0);
+    while p <= 4 {
+        let mut q = 0;
+        while p + q <= 4 {
+            table[PlaneMoments::place(p, q)] = [p, q];
+            q += 1;
+        }
+        p += 1;
+    }
+    table
+};
 
 /// For s and t, which moments get a share of which as the origin moves along it, in this order.
-const SHIFTS: [[[usize; 2]; 20]; 2] = [shifts(false), shifts(true)];
+const SHIFTS: [[[usize; 2]; 20]; 2] = [shifts(&EXPONENTS, 0), shifts(&EXPONENTS, 1)];
 
-/// Each power gets its share of the one below, the highest first; as often as there are powers.
-const fn shifts(along_t: bool) -> [[usize; 2]; 20] {
-    let mut table = [[0; 2]; 20];
-    let (mut next, mut other) = (0, 0);
-    while other < 4 {
+/// Which moments get a share of which as the origin moves along an axis: each power of that coordinate gets its share of the one
+/// below, the highest first; as often as there are powers. The moments are ordered by degree.
+pub(crate) const fn shifts<const AXES: usize, const MOMENTS: usize, const SHARES: usize>(
+    exponents: &[[usize; AXES]; MOMENTS],
+    axis: usize,
+) -> [[usize; 2]; SHARES] {
+    let mut table = [[0; 2]; SHARES];
+    let (mut next, mut lowest) = (0, 0);
+    while lowest < MOMENTS {
+        // The places of the powers 0 to 4 beside these powers of the other coordinates.
+        let (mut places, mut powers, mut place) = ([0; 5], 0, lowest);
+        while exponents[lowest][axis] == 0 && place < MOMENTS {
+            if differ_along(axis, &exponents[lowest], &exponents[place]) {
+                places[powers] = place;
+                powers += 1;
+            }
+            place += 1;
+        }
         let mut first = 1;
-        while first <= 4 - other {
-            let mut power = 4 - other;
+        while first < powers {
+            let mut power = powers - 1;
             while power >= first {
-                table[next] = if along_t {
-                    [INDEX[other][power], INDEX[other][power - 1]]
-                } else {
-                    [INDEX[power][other], INDEX[power - 1][other]]
-                };
+                table[next] = [places[power], places[power - 1]];
                 next += 1;
                 power -= 1;
             }
             first += 1;
         }
-        other += 1;
+        lowest += 1;
     }
     table
+}
+
+/// Whether the exponents are the same but for those of one axis.
+const fn differ_along<const AXES: usize>(axis: usize, a: &[usize; AXES], b: &[usize; AXES]) -> bool {
+    let mut other = 0;
+    while other < AXES {
+        if other != axis && a[other] != b[other] {
+            return false;
+        }
+        other += 1;
+    }
+    true
 }
 
 /// The 15 moments up to degree 4 of weighted points in a plane.
@@ -79,8 +105,10 @@ impl PlaneMoments {
     }
 
     /// Place of the moment of exponents p and q among the sums, p + q <= 4.
+    #[inline]
     pub(crate) const fn place(p: usize, q: usize) -> usize {
-        INDEX[p][q]
+        let degree = p + q;
+        degree * (degree + 1) / 2 + q
     }
 
     /// `sum (s - s0)^p (t - t0)^q`.
@@ -89,7 +117,7 @@ impl PlaneMoments {
     /// p + q is more than 4.
     #[inline]
     pub fn get(&self, p: usize, q: usize) -> f64 {
-        self.sums[INDEX[p][q]]
+        self.sums[Self::place(p, q)]
     }
 
     /// Number of points, or the sum of their weights.
@@ -127,10 +155,8 @@ impl PlaneMoments {
     #[must_use]
     pub fn scaled(&self, factor: f64) -> Self {
         let mut scaled = *self;
-        for (p, row) in INDEX.iter().enumerate() {
-            for (q, &index) in row.iter().enumerate().take(5 - p) {
-                scaled.sums[index] *= factor.powi((p + q) as i32);
-            }
+        for (sum, [p, q]) in scaled.sums.iter_mut().zip(EXPONENTS) {
+            *sum *= factor.powi((p + q) as i32);
         }
         scaled
     }
@@ -145,7 +171,7 @@ impl PlaneMoments {
                 // (a s + b t)^p (c s + d t)^q is a binary form in (s, t); its coefficients weigh the old moments.
                 let form = binary_form(map, degree - q, q);
                 let terms = form.iter().take(degree + 1).enumerate();
-                mapped.sums[INDEX[degree - q][q]] = terms.map(|(k, c)| c * self.get(degree - k, k)).sum();
+                mapped.sums[Self::place(degree - q, q)] = terms.map(|(k, c)| c * self.get(degree - k, k)).sum();
             }
         }
         mapped

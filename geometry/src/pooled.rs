@@ -4,7 +4,7 @@
 //! `2 J' M J`, `J = dq/dtheta`. Unbiased moments may leave M slightly indefinite and the least sum slightly below zero:
 //! the damping holds, and below zero is as good as zero.
 
-use crate::space::dot;
+use crate::space::{dot, monomials};
 use crate::{Coefficients, Contour, ContourTerm, QuadricMoments, Surface, Vector3};
 use nalgebra::{SMatrix, SVector};
 
@@ -166,11 +166,6 @@ pub(crate) fn add_square<const N: usize>(sum: &mut SMatrix<f64, N, N>, v: &SVect
             }
         }
     }
-}
-
-/// The monomials of a quadric at a point.
-fn monomials(p: &Vector3) -> Coefficients {
-    [p.x * p.x, p.y * p.y, p.z * p.z, p.x * p.y, p.x * p.z, p.y * p.z, p.x, p.y, p.z, 1.0]
 }
 
 /// Gradient of a quadric at a point.

@@ -5,6 +5,7 @@
 //! `(y / k)^b (1 / k)^c m[a, b + c]`: an arc joins the pool in O(1), and no point is seen again. Columns are the same
 //! with x and y exchanged.
 
+use crate::moments::shifts;
 use crate::{ArcMoments, PlaneMoments, Scan, ScanPlane, Sphere, Vector3};
 use nalgebra::{Matrix3, Matrix4, Vector4};
 
@@ -20,11 +21,8 @@ pub type Coefficients = [f64; QUADRIC_TERMS];
 /// Exponents `[a, b, c]` of each moment.
 const EXPONENTS: [[usize; 3]; SPACE_MOMENTS] = exponents();
 
-/// Place of the moment with exponents `[a][b][c]`.
-const PLACE: [[[usize; 5]; 5]; 5] = places();
-
 /// For each axis, which moments get a share of which as the origin moves along it, in this order.
-const SHIFTS: [[[usize; 2]; SPACE_MOMENTS]; 3] = [shifts(0), shifts(1), shifts(2)];
+const SHIFTS: [[[usize; 2]; SPACE_MOMENTS]; 3] = [shifts(&EXPONENTS, 0), shifts(&EXPONENTS, 1), shifts(&EXPONENTS, 2)];
 
 /// For each moment, of the points of a row or a column: the powers of the slope across the scan line and of the way
 /// forward that it is made of, and the place of the plane moment.
@@ -57,15 +55,10 @@ const fn exponents() -> [[usize; 3]; SPACE_MOMENTS] {
     table
 }
 
-const fn places() -> [[[usize; 5]; 5]; 5] {
-    let mut table = [[[0; 5]; 5]; 5];
-    let mut place = 0;
-    while place < SPACE_MOMENTS {
-        let [a, b, c] = EXPONENTS[place];
-        table[a][b][c] = place;
-        place += 1;
-    }
-    table
+/// Place of the moment with these exponents, a + b + c <= 4.
+const fn place(a: usize, b: usize, c: usize) -> usize {
+    let (degree, rest) = (a + b + c, b + c);
+    degree * (degree + 1) * (degree + 2) / 6 + rest * (rest + 1) / 2 + c
 }
 
 const fn products() -> [[usize; QUADRIC_TERMS]; QUADRIC_TERMS] {
@@ -74,35 +67,8 @@ const fn products() -> [[usize; QUADRIC_TERMS]; QUADRIC_TERMS] {
     while pair < QUADRIC_TERMS * QUADRIC_TERMS {
         let (i, j) = (pair / QUADRIC_TERMS, pair % QUADRIC_TERMS);
         let ([a, b, c], [d, e, f]) = (QUADRIC[i], QUADRIC[j]);
-        table[i][j] = PLACE[a + d][b + e][c + f];
+        table[i][j] = place(a + d, b + e, c + f);
         pair += 1;
-    }
-    table
-}
-
-/// Each power of one coordinate gets its share of the one below, the highest first; as often as there are powers.
-const fn shifts(axis: usize) -> [[usize; 2]; SPACE_MOMENTS] {
-    let mut table = [[0; 2]; SPACE_MOMENTS];
-    let (mut next, mut of_others) = (0, 0);
-    while of_others < SPACE_MOMENTS {
-        let others = EXPONENTS[of_others];
-        of_others += 1;
-        if others[axis] > 0 {
-            continue;
-        }
-        let degree = 4 - others[0] - others[1] - others[2];
-        let mut first = 1;
-        while first <= degree {
-            let mut power = degree;
-            while power >= first {
-                let (mut to, mut from) = (others, others);
-                (to[axis], from[axis]) = (power, power - 1);
-                table[next] = [PLACE[to[0]][to[1]][to[2]], PLACE[from[0]][from[1]][from[2]]];
-                next += 1;
-                power -= 1;
-            }
-            first += 1;
-        }
     }
     table
 }
@@ -164,7 +130,7 @@ impl SpaceMoments {
 
     /// `sum X^a Y^b Z^c`.
     fn get(&self, a: usize, b: usize, c: usize) -> f64 {
-        self.sums[PLACE[a][b][c]]
+        self.sums[place(a, b, c)]
     }
 
     /// Sum of the weights of the points.
@@ -261,6 +227,11 @@ pub(crate) fn dot(a: &Coefficients, b: &Coefficients) -> f64 {
     even + odd
 }
 
+/// The monomials of a quadric at a point.
+pub(crate) fn monomials(p: &Vector3) -> Coefficients {
+    [p.x * p.x, p.y * p.y, p.z * p.z, p.x * p.y, p.x * p.z, p.y * p.z, p.x, p.y, p.z, 1.0]
+}
+
 /// The powers 0 to 4.
 fn powers(x: f64) -> [f64; 5] {
     [1.0, x, x * x, x * x * x, x * x * x * x]
@@ -272,10 +243,6 @@ mod tests {
     use crate::Pinhole;
 
     const CAMERA: Pinhole = Pinhole { fx: 290.0, fy: 290.0, cx: 159.5, cy: 119.5 };
-
-    fn monomials(p: &Vector3) -> Coefficients {
-        QUADRIC.map(|[a, b, c]| p.x.powi(a as i32) * p.y.powi(b as i32) * p.z.powi(c as i32))
-    }
 
     #[test]
     fn pooled_arcs_give_the_matrix_of_their_points() {

@@ -124,15 +124,18 @@ impl Conical {
     /// The same surface, its point moved along the axis to the foot of `point`.
     #[must_use]
     pub fn anchored(&self, point: &Vector3) -> Self {
-        let along = self.axis.dot(&(point - self.point));
-        Self { point: self.point + self.axis * along, radius: self.radius + self.slope * along, ..*self }
+        self.moved_along(self.axis.dot(&(point - self.point)))
     }
 
     /// The same surface, its point moved along the axis to where that pierces a scan plane; no numbers where it does not.
     #[must_use]
     pub fn pierced_by(&self, plane: &ScanPlane) -> Self {
         let normal = plane.normal();
-        let along = -normal.dot(&self.point) / normal.dot(&self.axis);
+        self.moved_along(-normal.dot(&self.point) / normal.dot(&self.axis))
+    }
+
+    /// The same surface, its point moved so far along the axis.
+    fn moved_along(&self, along: f64) -> Self {
         Self { point: self.point + self.axis * along, radius: self.radius + self.slope * along, ..*self }
     }
 
@@ -326,10 +329,10 @@ pub fn section_about(q: &Coefficients, plane: &ScanPlane, origin: [f64; 2]) -> C
 mod tests {
     use super::*;
     use crate::Pinhole;
+    use crate::space::{dot, monomials};
 
     fn value(q: &Coefficients, p: &Vector3) -> f64 {
-        let m = [p.x * p.x, p.y * p.y, p.z * p.z, p.x * p.y, p.x * p.z, p.y * p.z, p.x, p.y, p.z, 1.0];
-        q.iter().zip(m).map(|(q, m)| q * m).sum()
+        dot(q, &monomials(p))
     }
 
     fn cone() -> Conical {
