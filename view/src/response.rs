@@ -62,9 +62,10 @@ impl Response {
     /// Writes it, unless the browser does not take it in time.
     pub(crate) fn write(&self, stream: &mut TcpStream, is_last: bool) -> io::Result<()> {
         let connection = if is_last { "close" } else { "keep-alive" };
-        let (status, reason, kind, length) = (self.status, reason(self.status), self.kind, self.body.len());
+        let (status, kind, length) = (self.status, self.kind, self.body.len());
+        // The words behind the status mean nothing, and need not be there (RFC 9112, section 4).
         let mut head = format!(
-            "HTTP/1.1 {status} {reason}\r\nContent-Type: {kind}\r\nContent-Length: {length}\r\nConnection: {connection}\r\n\
+            "HTTP/1.1 {status} \r\nContent-Type: {kind}\r\nContent-Length: {length}\r\nConnection: {connection}\r\n\
              {HEADERS}"
         );
         for (name, value) in &self.headers {
@@ -75,26 +76,6 @@ impl Response {
         let deadline = Instant::now() + TAKEN;
         write_all(stream, head.as_bytes(), deadline)?;
         write_all(stream, &self.body, deadline)
-    }
-}
-
-fn reason(status: u16) -> &'static str {
-    match status {
-        200 => "OK",
-        204 => "No Content",
-        303 => "See Other",
-        400 => "Bad Request",
-        401 => "Unauthorized",
-        403 => "Forbidden",
-        404 => "Not Found",
-        405 => "Method Not Allowed",
-        408 => "Request Timeout",
-        411 => "Length Required",
-        413 => "Content Too Large",
-        415 => "Unsupported Media Type",
-        431 => "Request Header Fields Too Large",
-        503 => "Service Unavailable",
-        _ => "Error",
     }
 }
 
