@@ -219,8 +219,9 @@ mod tests {
     fn an_ellipse_leaves_its_moments_at_home() {
         let ellipse = Ellipse { scan: 1, line: 4, first: 5, last: 9, points: 5, arc: 1.5, ..Ellipse::default() };
         let expected = format!(
-            "{HEAD}\"ellipses\":[{}]}}",
-            r#"{"scan":"column","line":4,"first":5,"last":9,"points":5,"center":[0.0,0.0,0.0],"semi_axes":[0.0,0.0],"angle":0.0,"rms":0.0,"arc":1.5}"#
+            "{HEAD}\"ellipses\":[{}{}]}}",
+            r#"{"scan":"column","line":4,"first":5,"last":9,"points":5,"center":[0.0,0.0,0.0],"#,
+            r#""semi_axes":[0.0,0.0],"angle":0.0,"rms":0.0,"arc":1.5}"#
         );
         assert_eq!(json(&[ellipse]), expected);
     }

@@ -118,7 +118,8 @@ mod tests {
         assert!(item.ends_with(
             "\nfloat32 confidence\nuint64 id\nfloat64[3] velocity\nuint32 age\nuint32 misses\nstring state\n"
         ));
-        let of_sigma = "float64[3] center\nfloat64 axis\nfloat64 half_angle\nfloat64 radius\nfloat64 length\nfloat64[3] velocity\n";
+        let of_sigma = "float64[3] center\nfloat64 axis\nfloat64 half_angle\nfloat64 radius\nfloat64 length\n\
+                        float64[3] velocity\n";
         assert_eq!(*sigma, format!("MSG: conicflow_msgs/TracksItemSigma\n{of_sigma}"));
         assert_eq!((*header, *time), (HEADER, TIME));
 

@@ -9,7 +9,8 @@ use serde_json::Value as Json;
 
 /// How many different colours an image has that was drawn on the page.
 const COLOURS: &str = "(() => { const c = document.getElementById('image'); \
-    const d = new Uint32Array(c.getContext('2d').getImageData(0, 0, c.width, c.height).data.buffer); return new Set(d).size > 50; })()";
+    const d = new Uint32Array(c.getContext('2d').getImageData(0, 0, c.width, c.height).data.buffer); \
+    return new Set(d).size > 50; })()";
 
 #[test]
 fn a_browser_shows_a_run_in_the_image_in_space_and_as_stages() {
@@ -54,7 +55,10 @@ fn a_browser_plays_a_recording_by_its_time_line_also_on_a_phone() {
         browser.wait("the frame before", &shows(58));
         browser.click("#forward");
         browser.wait("and the last again", &shows(59));
-        browser.value("(() => { const p = document.getElementById('position'); p.value = '0'; p.dispatchEvent(new Event('input')); })()");
+        browser.value(
+            "(() => { const p = document.getElementById('position'); p.value = '0'; \
+             p.dispatchEvent(new Event('input')); })()",
+        );
         browser.wait("the first", &shows(0));
         browser.wait("the image has colours", COLOURS);
         let is_narrow = "document.documentElement.scrollWidth <= window.innerWidth";

@@ -171,7 +171,8 @@ fn a_program_that_never_joins_a_lossless_topic_is_named_and_ends_the_run() {
     run.wait_for_text("stage `faulty` has not joined the run: `");
     let ended = run.wait().expect_code(1);
     for told in [
-        "and topic `objects` waits for it: the run ends if it has not 3 s after its start\n  hint: a program joins by `run_stage`",
+        "and topic `objects` waits for it: the run ends if it has not 3 s after its start\n  \
+         hint: a program joins by `run_stage`",
         "stage `faulty` has not joined the run 3 s after its start: `",
         "takes no part in topic `objects`, which is lossless and waits for it",
         "the run ends, because a stage is lost",
@@ -203,6 +204,7 @@ fn a_program_that_loads_for_long_is_named_and_loses_nothing() {
 fn a_program_that_another_one_starts_is_refused_with_what_to_do() {
     let playground = with_program(&in_a_shell("", "; exit $?"), "");
     let ended = start(&playground).wait().expect_code(1);
-    let told = "error: stage `faulty` was not started by its launcher itself, which would not hear of its end\n  hint: name the program";
+    let told = "error: stage `faulty` was not started by its launcher itself, which would not hear of its end\n  \
+                hint: name the program";
     assert!(ended.stderr.contains(told), "{}", ended.stderr);
 }

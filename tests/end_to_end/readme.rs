@@ -204,7 +204,8 @@ fn who_has_python_installs_the_package_and_finds_objects() {
     fs::write(playground.path("depth.u16"), pixels).unwrap();
     let document = include_str!("../../docs/python.md").split("## Find objects").nth(1).unwrap();
     let block = document.split("```python\n").nth(1).unwrap().split("```").next().unwrap();
-    let before = "import numpy\ndepth = numpy.fromfile(\"depth.u16\", \"<u2\").reshape(480, 640)\nfx, fy, cx, cy = 525, 525, 319.5, 239.5\n";
+    let before = "import numpy\ndepth = numpy.fromfile(\"depth.u16\", \"<u2\").reshape(480, 640)\n\
+                  fx, fy, cx, cy = 525, 525, 319.5, 239.5\n";
     playground.write("found.py", &format!("{before}{block}"));
     let found = run("python found.py", &playground.path("."));
     let told = String::from_utf8_lossy(&found.stdout);

@@ -337,7 +337,8 @@ fn a_recording_that_ends_in_the_middle_and_one_of_depth_alone_are_shown() {
         json["player"]["plays"] == false && !items(json).is_empty() && json["frame"]["sequence"].as_u64() < Some(30)
     });
 
-    let recorder = "[stage.recorder]\nnode = \"mcap_sink\"\ninput = { topic = \"depth\", delivery = \"lossless\" }\npath = \"depth.mcap\"\n";
+    let recorder = "[stage.recorder]\nnode = \"mcap_sink\"\ninput = { topic = \"depth\", delivery = \"lossless\" }\n\
+                    path = \"depth.mcap\"\n";
     let source = TRACKING.split("[stage.extractor]").next().unwrap();
     playground.write("depth.toml", &format!("{source}\n{recorder}"));
     playground.conicflow(&["run", "depth.toml", "--frames", "5"]).expect_code(0);
@@ -387,7 +388,8 @@ fn a_damaged_place_ends_neither_the_page_nor_a_run() {
 #[test]
 fn a_sink_shows_the_run_that_it_is_part_of() {
     let playground = Playground::new();
-    let sink = "[stage.page]\nnode = \"view_sink\"\ninput = \"tracks\"\ninputs = { depth = \"depth\" }\nlisten = \"127.0.0.1:0\"\n";
+    let sink = "[stage.page]\nnode = \"view_sink\"\ninput = \"tracks\"\ninputs = { depth = \"depth\" }\n\
+                listen = \"127.0.0.1:0\"\n";
     playground.write("pipeline.toml", &format!("{TRACKING}\n{sink}"));
     let mut run = playground.start(&SLOWLY);
     run.wait_for_text("in a browser");

@@ -30,7 +30,8 @@ const SESSIONS: usize = 4;
 const REASONS: usize = 9;
 
 /// What is said of a message of a session that has been.
-pub(crate) const OF_EARLIER_START: &str = "it is of an earlier start of the bridge there\n  hint: it has come very late, or somebody repeats what was sent before";
+pub(crate) const OF_EARLIER_START: &str = "it is of an earlier start of the bridge there\n  \
+                                           hint: it has come very late, or somebody repeats what was sent before";
 
 /// The other machines, as the threads of a bridge share them.
 pub(crate) struct Links {

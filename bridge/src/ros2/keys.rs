@@ -198,7 +198,8 @@ mod tests {
         let expected = [
             format!("{node}/0/NN/%/%/conicflow_ros"),
             format!(
-                "{node}/1/MS/%/%/conicflow_ros/%camera%depth%image/sensor_msgs::msg::dds_::Image_/{IMAGE_HASH}/2::,10:,:,:,,/backends:cpu:"
+                "{node}/1/MS/%/%/conicflow_ros/%camera%depth%image/sensor_msgs::msg::dds_::Image_/{IMAGE_HASH}/\
+                 2::,10:,:,:,,/backends:cpu:"
             ),
             format!("{node}/2/MS/%/%/conicflow_ros/%tf_static/tf2_msgs::msg::dds_::TFMessage_/{tf}/:1:,10:,:,:,,"),
             format!("{node}/3/MP/%/%/conicflow_ros/%conicflow%tracks/{detections}/{DETECTIONS_HASH}/::,10:,:,:,,"),

@@ -124,7 +124,8 @@ fn of_program() -> Json {
     properties.insert("inputs".to_owned(), inputs);
     properties.insert("output".to_owned(), to("output"));
     properties.extend(OF_EACH_STAGE.map(|key| (key.to_owned(), to(key))));
-    json!({ "title": PROGRAM, "type": "object", "required": [PROGRAM], "properties": properties, "not": { "required": ["node"] } })
+    let not = json!({ "required": ["node"] });
+    json!({ "title": PROGRAM, "type": "object", "required": [PROGRAM], "properties": properties, "not": not })
 }
 
 /// What the tables of stages refer to.

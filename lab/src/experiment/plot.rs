@@ -313,7 +313,8 @@ fn draw_line(
         let (left, right) = (at - 3.0, at + 3.0);
         writeln!(
             text,
-            "<path d=\"M{left:.1} {low:.1}H{right:.1}M{at:.1} {low:.1}V{high:.1}M{left:.1} {high:.1}H{right:.1}\" stroke=\"{colour}\"/>"
+            "<path d=\"M{left:.1} {low:.1}H{right:.1}M{at:.1} {low:.1}V{high:.1}M{left:.1} {high:.1}H{right:.1}\" \
+             stroke=\"{colour}\"/>"
         )?;
     }
     let place = |point: &[f64; 2]| Some([x.place(point[0])? + aside, y.place(point[1])?]);

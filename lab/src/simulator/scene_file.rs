@@ -18,8 +18,9 @@
 //! motion.ballistic = { velocity = [0, 0, 0], floor_m = 0.5 }
 //! ```
 //! Further: `[[cone]]` (`base_radius`, `top_radius`), `[[bowl]]` (`center`, `radius`, `depth`), `[[box]]` (`center`,
-//! `size`), `[[lump]]` (`center`, `size`, `squareness`, `creases`), `[[plane]]` (`point`, `normal`, `size`), `[[screen]]` (`before`, `hides`, `distance_m`). A cylinder or cone with
-//! `open = true` is a cup. `[values]` and `"$name"` in place of a number: see [`super::scene_values`].
+//! `size`), `[[lump]]` (`center`, `size`, `squareness`, `creases`), `[[plane]]` (`point`, `normal`, `size`),
+//! `[[screen]]` (`before`, `hides`, `distance_m`). A cylinder or cone with `open = true` is a cup. `[values]` and `"$name"` in
+//! place of a number: see [`super::scene_values`].
 
 use super::fields::*;
 use super::lump::{CREASES, Crease, Lump};

@@ -12,7 +12,8 @@ use tiff::decoder::{Decoder, DecodingResult};
 pub(super) const TIFF_HINT: &str =
     "depth images are TIFFs with one channel of 16-bit whole numbers or 32-bit floating point; write this one anew";
 /// What to do about an NPY file that cannot be read.
-pub(super) const NPY_HINT: &str = "depth images are arrays of rows and columns, of uint16 or float32; `np.save(path, np.ascontiguousarray(depth))` writes one";
+pub(super) const NPY_HINT: &str = "depth images are arrays of rows and columns, of uint16 or float32; \
+                                   `np.save(path, np.ascontiguousarray(depth))` writes one";
 
 /// The depths of an image, row by row.
 #[derive(Clone, Debug, PartialEq)]

@@ -291,7 +291,8 @@ fn camera(layout: &Layout, size: (u32, u32), config: &Config, beside: Option<&Ca
             intrinsics.are_usable(),
             Hinted::new(
                 format!(
-                    "`intrinsics` need focal lengths of 1 to 1,000,000 pixels and a principal point no farther away, not {intrinsics:?}"
+                    "`intrinsics` need focal lengths of 1 to 1,000,000 pixels and a principal point no farther away, \
+                     not {intrinsics:?}"
                 ),
                 "take them from the camera's calibration, in pixels"
             )
