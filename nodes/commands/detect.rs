@@ -146,9 +146,7 @@ fn pictures(arguments: &DetectArguments) -> Result<PictureSink<Object>> {
 /// The detector of a frame's camera; that of a point cloud may differ from frame to frame.
 fn detector_of<'a>(detector: &'a mut Option<(Header, Detector)>, header: &Header) -> &'a mut Detector {
     let is_other = |known: &Header| (known.camera, known.depth_scale) != (header.camera, header.depth_scale);
-    if detector.as_ref().is_some_and(|(known, _)| is_other(known)) {
-        *detector = None;
-    }
+    detector.take_if(|(known, _)| is_other(known));
     let new = || (*header, Detector::new(header.camera).noise(header.noise).depth_scale(header.depth_scale));
     &mut detector.get_or_insert_with(new).1
 }
