@@ -25,10 +25,18 @@ const TF_HASH: &str = "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d
 const DETECTIONS_HASH: &str = "RIHS01_793f5eab9595ac1c0da07873cc859db42eae51f0ee76056db8562515d830e018";
 const MARKERS_HASH: &str = "RIHS01_86cb8800b6fb05b5eff1abd7a56f62a5641d3ae9a1c29e78e67e704f1d067dcf";
 const FRAME: &str = "camera_depth_optical_frame";
+const SMALL: Camera = Camera { width: 64, height: 48, fx: 50.0, fy: 50.0, cx: 31.5, cy: 23.5 };
 
 /// A session of a robot, which reaches the router.
 fn robot(endpoint: &str) -> zenoh::Session {
     session("client", &[("connect/endpoints", &format!("[\"{endpoint}\"]"))])
+}
+
+/// An endpoint, the router that listens there, and a session of a robot.
+fn behind_router() -> (String, zenoh::Session, zenoh::Session) {
+    let endpoint = loopback();
+    let (router, robot) = (router(&endpoint), robot(&endpoint));
+    (endpoint, router, robot)
 }
 
 /// A message with its key and its attachment.
@@ -80,6 +88,21 @@ fn topics(session: &zenoh::Session, name: &str, kind: &str, hash: &str) -> [Robo
     let messages = format!("0/camera/depth/{name}/sensor_msgs::msg::dds_::{kind}_/{hash}");
     let info = format!("0/camera/depth/camera_info/sensor_msgs::msg::dds_::CameraInfo_/{INFO_HASH}");
     [messages, info].map(|key| RobotsTopic::new(session, &key))
+}
+
+/// What tells of a camera.
+fn info_of(camera: &Camera, stamped: Stamped<'_>) -> Vec<u8> {
+    CameraInfo::write(stamped, camera, Vec::new())
+}
+
+/// A depth image in millimetres.
+fn plain(stamped: Stamped<'_>, camera: &Camera, pixels: &[u16]) -> Vec<u8> {
+    write_units(stamped, (camera.width, camera.height), pixels, Vec::new())
+}
+
+/// An image of the small camera before a wall.
+fn wall(stamped: Stamped<'_>) -> Vec<u8> {
+    plain(stamped, &SMALL, &[1000; 64 * 48])
 }
 
 /// A depth image as `compressed_depth_image_transport` sends it.
@@ -145,7 +168,12 @@ fn by_topic(text: &str, topic: &str, endpoint: &str) -> String {
 /// A pipeline that tells its tracks to ROS 2.
 fn to_ros(endpoint: &str) -> String {
     let text = TRACKING.replace("rate_hz    = 0", "rate_hz    = 50");
-    format!("{text}\n[stage.ros]\nnode = \"ros2_sink\"\ninput = \"tracks\"\nconnect = [\"{endpoint}\"]\n")
+    with_sink(&text, "input = \"tracks\"", endpoint)
+}
+
+/// The same stages and a sink of ROS 2 with these settings.
+fn with_sink(text: &str, settings: &str, endpoint: &str) -> String {
+    format!("{text}\n[stage.ros]\nnode = \"ros2_sink\"\n{settings}\nconnect = [\"{endpoint}\"]\n")
 }
 
 /// Depth images of a scene, their camera, and where they are as files.
@@ -176,16 +204,14 @@ fn of_files_and_of_ros(name: &str, kind: &str, hash: &str, encode: Encode) -> [V
     let with_noise = |text: String| text.replace("\"ideal\"", "\"kinect_v1\"");
     let (files, camera, images) = recorded(&with_noise(RECORDING.to_owned()), FRAMES);
     files.conicflow(&["run"]).expect_code(0);
-    let endpoint = loopback();
-    let _router = router(&endpoint);
-    let session = robot(&endpoint);
+    let (endpoint, _router, session) = behind_router();
     let of_ros = Playground::with_pipeline(&with_noise(by_topic(RECORDING, name, &endpoint)));
     let mut run = of_ros.start(&["run", "--frames", &FRAMES.to_string()]);
     wait_for_token(&session, &format!("/MS/%/%/conicflow_source/%camera%depth%{}/", name.replace('/', "%")));
     let [mut topic, mut info] = topics(&session, name, kind, hash);
     for (number, image) in images.iter().enumerate() {
         let stamped = Stamped { stamp_ns: 1_700_000_000_000_000_000 + number as u64, frame_id: FRAME };
-        info.publish(CameraInfo::write(stamped, &camera, Vec::new()));
+        info.publish(info_of(&camera, stamped));
         topic.publish(encode(stamped, &camera, image));
         // As fast as the pipeline takes them: a topic of ROS waits for nobody.
         run.wait_until("its objects are written", || of_ros.lines("objects.jsonl").len() + 2 > number);
@@ -206,9 +232,7 @@ fn objects(lines: &[Json]) -> Vec<(Json, Json)> {
 
 #[test]
 fn images_of_ros_give_the_objects_that_the_same_files_give() {
-    let encode: Encode =
-        |stamped, camera, image| write_units(stamped, (camera.width, camera.height), image, Vec::new());
-    let [of_files, of_ros] = of_files_and_of_ros("image_rect_raw", "Image", IMAGE_HASH, encode);
+    let [of_files, of_ros] = of_files_and_of_ros("image_rect_raw", "Image", IMAGE_HASH, plain);
     assert!(objects(&of_ros) == objects(&of_files));
 }
 
@@ -240,9 +264,7 @@ fn clouds_of_ros_give_the_objects_that_the_same_files_give() {
 /// there.
 #[test]
 fn images_that_come_below_the_key_are_taken() {
-    let endpoint = loopback();
-    let _router = router(&endpoint);
-    let session = robot(&endpoint);
+    let (endpoint, _router, session) = behind_router();
     let playground = Playground::with_pipeline(&by_ros(RECORDING, &endpoint));
     let mut run = playground.start(&["run", "--frames", "3"]);
     let token = wait_for_token(&session, "/MS/%/%/conicflow_source/%camera%depth%image_rect_raw/");
@@ -250,10 +272,9 @@ fn images_that_come_below_the_key_are_taken() {
     let [topic, mut info] = camera_topics(&session);
     let mut below = RobotsTopic::new(&session, &format!("{}/_buf_cpu", topic.key));
     let stamped = Stamped { stamp_ns: 1, frame_id: FRAME };
-    let camera = Camera { width: 64, height: 48, fx: 50.0, fy: 50.0, cx: 31.5, cy: 23.5 };
-    info.publish(CameraInfo::write(stamped, &camera, Vec::new()));
+    info.publish(info_of(&SMALL, stamped));
     for taken in 1..=3 {
-        below.publish(write_units(stamped, (64, 48), &[1000; 64 * 48], Vec::new()));
+        below.publish(wall(stamped));
         // Two others have taken it at keys of their own, with numbers of their own.
         below.sequence += 2;
         run.wait_until("it is taken", || playground.lines("objects.jsonl").len() == taken);
@@ -268,15 +289,11 @@ fn topics_that_a_bridge_carries_from_dds_come_and_go() {
     const FRAMES: usize = 20;
     let (files, camera, images) = recorded(RECORDING, FRAMES as u64);
     files.conicflow(&["run"]).expect_code(0);
-    let endpoint = loopback();
-    let _router = router(&endpoint);
-    let session = robot(&endpoint);
+    let (endpoint, _router, session) = behind_router();
     let heard = session.declare_subscriber("conicflow/**").wait().unwrap();
     let text = by_ros(RECORDING, &endpoint).replace("[stage.extractor]", "via = \"ros2dds\"\n\n[stage.extractor]");
     let sink = "input = { topic = \"objects\", delivery = \"lossless\" }\nvia = \"ros2dds\"";
-    let playground = Playground::with_pipeline(&format!(
-        "{text}\n[stage.ros]\nnode = \"ros2_sink\"\n{sink}\nconnect = [\"{endpoint}\"]\n"
-    ));
+    let playground = Playground::with_pipeline(&with_sink(&text, sink, &endpoint));
     let mut run = playground.start(&["run", "--frames", &FRAMES.to_string()]);
     wait_until("our end is told", || {
         let answers = session.liveliness().get("@/*/@ros2_lv/MS/**").wait().unwrap();
@@ -288,8 +305,8 @@ fn topics_that_a_bridge_carries_from_dds_come_and_go() {
     };
     for (number, image) in images.iter().enumerate() {
         let stamped = Stamped { stamp_ns: 1_700_000_000_000_000_000 + number as u64, frame_id: FRAME };
-        put("camera/depth/camera_info", CameraInfo::write(stamped, &camera, Vec::new()));
-        put("camera/depth/image_rect_raw", write_units(stamped, (camera.width, camera.height), image, Vec::new()));
+        put("camera/depth/camera_info", info_of(&camera, stamped));
+        put("camera/depth/image_rect_raw", plain(stamped, &camera, image));
         run.wait_until("its objects are written", || playground.lines("objects.jsonl").len() + 2 > number);
     }
     run.wait().expect_code(0);
@@ -308,9 +325,7 @@ fn topics_that_a_bridge_carries_from_dds_come_and_go() {
 /// A static transform that was sent before the run began, and one that moves, give the pose of each image; the sink sends it on.
 #[test]
 fn the_pose_of_the_camera_comes_from_transforms_and_goes_out_as_one() {
-    let endpoint = loopback();
-    let _router = router(&endpoint);
-    let session = robot(&endpoint);
+    let (endpoint, _router, session) = behind_router();
     let tf = |name: &str| RobotsTopic::new(&session, &format!("0/{name}/tf2_msgs::msg::dds_::TFMessage_/{TF_HASH}"));
     let pose = |x| [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
     let in_base = Stamped { stamp_ns: 0, frame_id: "base" };
@@ -319,22 +334,19 @@ fn the_pose_of_the_camera_comes_from_transforms_and_goes_out_as_one() {
     let text = by_ros(RECORDING, &endpoint).replace("[stage.extractor]", "world = \"map\"\n\n[stage.extractor]");
     // The robot's own frame has a parent already.
     let sink = "input = \"objects\"\nworld = \"map\"\nframe_id = \"seen_from\"";
-    let playground = Playground::with_pipeline(&format!(
-        "{text}\n[stage.ros]\nnode = \"ros2_sink\"\n{sink}\nconnect = [\"{endpoint}\"]\n"
-    ));
+    let playground = Playground::with_pipeline(&with_sink(&text, sink, &endpoint));
     let mut run = playground.start(&["run"]);
     wait_for_token(&session, "/MS/%/%/conicflow_source/%camera%depth%image_rect_raw/");
     wait_for_token(&session, "/MP/%/%/conicflow_ros/%tf/");
     let ([mut topic, mut info], mut moving) = (camera_topics(&session), tf("tf"));
-    let camera = Camera { width: 64, height: 48, fx: 50.0, fy: 50.0, cx: 31.5, cy: 23.5 };
     // The base goes a metre in five milliseconds: where it is between two transforms, that of the image is.
     const STEP_NS: u64 = 5_000_000;
     const BEGIN_NS: u64 = 1_700_000_000_000_000_000;
     let (mut step, mut came) = (0, None);
     run.wait_until("poses come back", || {
         let at = Stamped { stamp_ns: BEGIN_NS + step * STEP_NS, frame_id: FRAME };
-        info.publish(CameraInfo::write(at, &camera, Vec::new()));
-        topic.publish(write_units(at, (camera.width, camera.height), &[1000; 64 * 48], Vec::new()));
+        info.publish(info_of(&SMALL, at));
+        topic.publish(wall(at));
         let after = Stamped { stamp_ns: at.stamp_ns + STEP_NS, frame_id: "map" };
         moving.publish(write_transform(after, "base", &pose((step + 1) as f64), Vec::new()));
         step += 2;
@@ -358,9 +370,7 @@ fn the_pose_of_the_camera_comes_from_transforms_and_goes_out_as_one() {
 
 #[test]
 fn tracks_reach_ros_and_the_node_is_seen() {
-    let endpoint = loopback();
-    let _router = router(&endpoint);
-    let session = robot(&endpoint);
+    let (endpoint, _router, session) = behind_router();
     let heard = Arc::<Mutex<Vec<Heard>>>::default();
     let take = Arc::clone(&heard);
     let _subscriber = session
@@ -443,21 +453,17 @@ fn check_heard(heard: &[Heard]) {
 
 #[test]
 fn hostile_messages_are_passed_over_and_told_once() {
-    let endpoint = loopback();
-    let _router = router(&endpoint);
-    let session = robot(&endpoint);
+    let (endpoint, _router, session) = behind_router();
     let playground = Playground::with_pipeline(&by_ros(RECORDING, &endpoint));
     let mut run = playground.start(&["run", "--frames", "3"]);
     wait_for_token(&session, "/MS/%/%/conicflow_source/%camera%depth%image_rect_raw/");
     let [mut topic, mut info] = camera_topics(&session);
     let stamped = Stamped { stamp_ns: 1, frame_id: FRAME };
-    let camera = Camera { width: 64, height: 48, fx: 50.0, fy: 50.0, cx: 31.5, cy: 23.5 };
-    let good = || write_units(stamped, (64, 48), &[1000; 64 * 48], Vec::new());
-    info.publish(CameraInfo::write(stamped, &camera, Vec::new()));
+    info.publish(info_of(&SMALL, stamped));
     let mut damaged: Vec<Vec<u8>> = vec![Vec::new(), vec![0; 5], vec![0xff; 70_000], b"\0\x01\0\0".to_vec()];
     let mut random = fastrand::Rng::with_seed(7);
     damaged.extend((0..200).map(|_| {
-        let mut message = good();
+        let mut message = wall(stamped);
         // Lengths and sizes stand in the first hundred bytes.
         (0..4).for_each(|_| message[random.usize(..100)] = random.u8(..));
         message.truncate(random.usize(..message.len()));
@@ -473,8 +479,8 @@ fn hostile_messages_are_passed_over_and_told_once() {
     run.wait_for_text("is counted as `frames unreadable`");
     let mut sent = 0;
     run.wait_until("good ones are taken", || {
-        info.publish(CameraInfo::write(stamped, &camera, Vec::new()));
-        topic.publish(good());
+        info.publish(info_of(&SMALL, stamped));
+        topic.publish(wall(stamped));
         sent += 1;
         playground.lines("objects.jsonl").len() == 3 || sent > 1000
     });
@@ -517,9 +523,7 @@ fn is_without_router(playground: &Playground, round: u64) -> bool {
 
 #[test]
 fn silence_is_told_with_what_there_is_instead() {
-    let endpoint = loopback();
-    let _router = router(&endpoint);
-    let session = robot(&endpoint);
+    let (endpoint, _router, session) = behind_router();
     let token = format!(
         "@ros2_lv/0/{}/0/1/MP/%/%/driver/%camera%depth%points/sensor_msgs::msg::dds_::PointCloud2_/RIHS01_0/::,10:,:,:,,",
         session.zid()
@@ -541,9 +545,7 @@ fn messages_are_those_of_an_independent_reader() {
         eprintln!("SKIPPED: `{python}` has no rosbags; nothing was shown");
         return;
     }
-    let endpoint = loopback();
-    let _router = router(&endpoint);
-    let session = robot(&endpoint);
+    let (endpoint, _router, session) = behind_router();
     let heard = session.declare_subscriber("0/conicflow/**").wait().unwrap();
     let playground = Playground::with_pipeline(&to_ros(&endpoint));
     let run = playground.start(&["run"]);
@@ -558,13 +560,14 @@ fn messages_are_those_of_an_independent_reader() {
     let stamped = Stamped { stamp_ns: 5_000_000_006, frame_id: FRAME };
     let camera = Camera { width: 3, height: 2, fx: 52.5, fy: 52.0, cx: 1.0, cy: 0.5 };
     let pose = [[0.0, 0.0, 1.0, 4.0], [-1.0, 0.0, 0.0, 5.0], [0.0, -1.0, 0.0, 6.0]];
-    let image = write_units(stamped, (3, 2), &[0, 1, 65535, 4, 5, 6], Vec::new());
+    let pixels = [0, 1, 65535, 4, 5, 6];
+    let image = plain(stamped, &camera, &pixels);
     assert!(Image::read(&image).is_ok());
     for (file, message) in [
         ("image.sensor_msgs.Image", image),
-        ("info.sensor_msgs.CameraInfo", CameraInfo::write(stamped, &camera, Vec::new())),
-        ("compressed.sensor_msgs.CompressedImage", compressed(stamped, &camera, &[0, 1, 65535, 4, 5, 6])),
-        ("cloud.sensor_msgs.PointCloud2", cloud(stamped, &camera, &[0, 1, 65535, 4, 5, 6])),
+        ("info.sensor_msgs.CameraInfo", info_of(&camera, stamped)),
+        ("compressed.sensor_msgs.CompressedImage", compressed(stamped, &camera, &pixels)),
+        ("cloud.sensor_msgs.PointCloud2", cloud(stamped, &camera, &pixels)),
         ("tf.tf2_msgs.TFMessage", write_transform(stamped, "camera", &pose, Vec::new())),
     ] {
         fs::write(playground.path(file), message).unwrap();
