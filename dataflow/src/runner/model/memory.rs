@@ -63,7 +63,9 @@ pub(super) enum Fault {
 pub(super) struct Memory {
     pub(super) topics: [Channel; 2],
     pub(super) records: [Record; 3],
-    pub(super) handover: (Option<Watermark>, Option<Watermark>),
+    /// `Handover::first` and `Handover::last`.
+    pub(super) first_to_receive: Option<Watermark>,
+    pub(super) last_worked_on: Option<Watermark>,
     /// A message found no room, or was left out because a stage died of it twice.
     pub(super) has_overflown: bool,
     pub(super) left_out: u8,
@@ -180,7 +182,14 @@ pub(super) fn life(stage: &str) -> Option<Life> {
 impl Memory {
     /// The ports of a process that was killed stay as they are.
     pub(super) fn abandon(&mut self, stage: usize, process: u8) {
-        self.each_port(stage, process, |is_dead| *is_dead = true);
+        if let Some(input) = stage.checked_sub(1) {
+            let queues = self.topics[input].queues.iter_mut().filter(|queue| queue.port / 2 == process);
+            queues.for_each(|queue| queue.is_dead = true);
+        }
+        if let Some(channel) = self.topics.get_mut(stage) {
+            let publishers = channel.publishers.iter_mut().filter(|publisher| publisher.port == process);
+            publishers.for_each(|publisher| publisher.is_dead = true);
+        }
     }
 
     /// A process that ends in order closes its ports.
@@ -194,17 +203,6 @@ impl Memory {
     pub(super) fn close_input(&mut self, stage: usize, process: u8) {
         if let Some(input) = stage.checked_sub(1) {
             self.topics[input].queues.retain(|queue| queue.port / 2 != process);
-        }
-    }
-
-    fn each_port(&mut self, stage: usize, process: u8, mut change: impl FnMut(&mut bool)) {
-        if let Some(input) = stage.checked_sub(1) {
-            let queues = self.topics[input].queues.iter_mut().filter(|queue| queue.port / 2 == process);
-            queues.for_each(|queue| change(&mut queue.is_dead));
-        }
-        if let Some(channel) = self.topics.get_mut(stage) {
-            let publishers = channel.publishers.iter_mut().filter(|publisher| publisher.port == process);
-            publishers.for_each(|publisher| change(&mut publisher.is_dead));
         }
     }
 
@@ -275,6 +273,12 @@ impl Channel {
 /// How many messages wait for a reader at most, as [`SharedMemory::buffer_of`](crate::ports::shared_memory::SharedMemory) has it.
 fn capacity(topic: &Topic) -> usize {
     topic.kept() + topic.readers[0].credit()
+}
+
+/// Adds to the last ones, of which there are so many at most.
+fn push_last<T>(last: &mut VecDeque<T>, item: T, most: usize) {
+    last.push_back(item);
+    last.drain(..last.len().saturating_sub(most));
 }
 
 /// Reads a topic of the model.
@@ -380,16 +384,11 @@ impl Writer for ModelWriter {
             memory.has_overflown |= channel.join(port, capacity(topic));
             let message = ModelMessage(Arc::new(header));
             for publisher in channel.publishers.iter_mut().filter(|publisher| publisher.port == port) {
-                let push = |last: &mut VecDeque<_>, message| {
-                    last.push_back(message);
-                    last.drain(..last.len().saturating_sub(topic.kept()));
-                };
                 if memory.fault != Fault::KeepsNothing {
-                    push(&mut publisher.history, message.clone());
+                    push_last(&mut publisher.history, message.clone(), topic.kept());
                 }
                 if !header.ends_stream() {
-                    publisher.sent.push_back(header.number);
-                    publisher.sent.drain(..publisher.sent.len().saturating_sub(topic.kept()));
+                    push_last(&mut publisher.sent, header.number, topic.kept());
                 }
             }
             let connections = channel.queues.iter_mut().flat_map(|queue| &mut queue.connections);
@@ -418,8 +417,7 @@ impl Writer for ModelWriter {
 
     fn catch_up(&mut self) {
         memory(|memory| {
-            let has_overflown = memory.topics[self.stage].join(self.process, capacity(&TOPICS[self.stage]));
-            memory.has_overflown |= has_overflown;
+            memory.has_overflown |= memory.topics[self.stage].join(self.process, capacity(&TOPICS[self.stage]));
         });
     }
 

@@ -232,7 +232,7 @@ impl Process {
         if !self.is_asked_to_leave {
             return false;
         }
-        let first = || memory(|memory| memory.handover.0.clone()).unwrap_or_default();
+        let first = || memory(|memory| memory.first_to_receive.clone()).unwrap_or_default();
         let leaves_at = self.leaves_at.get_or_insert_with(first).clone();
         self.input().has_passed(&leaves_at)
     }
@@ -286,7 +286,7 @@ impl Process {
     fn end(&mut self) {
         if self.leaves_at.is_some() && !self.input().ended() {
             let worked_on = self.input().worked_on().clone();
-            memory(|memory| memory.handover.1 = Some(worked_on));
+            memory(|memory| memory.last_worked_on = Some(worked_on));
             self.at = At::Left;
             return;
         }
@@ -328,7 +328,7 @@ impl Process {
         let writer = STAGES[self.stage - 1];
         if self.input().has_buffered(writer) || life(writer).is_some_and(Life::is_over) {
             let first = self.input().first_buffered();
-            memory(|memory| memory.handover.0 = Some(first));
+            memory(|memory| memory.first_to_receive = Some(first));
             self.at = At::Ready;
         }
     }
@@ -336,7 +336,7 @@ impl Process {
     /// The end of `takeover::take_place`, and in `run_stage` what follows from it.
     fn take_place(&mut self) {
         self.enter();
-        match memory(|memory| memory.handover.1.clone()) {
+        match memory(|memory| memory.last_worked_on.clone()) {
             Some(last) => self.input().begin_after(last),
             None => self.open_input(true),
         }

@@ -256,7 +256,7 @@ impl Run {
         }
         if self.is_at_work() {
             let own = &mut self.stages[MIDDLE];
-            self.memory.handover = (None, None);
+            (self.memory.first_to_receive, self.memory.last_worked_on) = (None, None);
             self.coming = Some(Process::spawn(MIDDLE, own.starts, true));
             own.starts += 1;
             self.swaps += 1;
