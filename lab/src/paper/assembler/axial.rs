@@ -8,6 +8,7 @@
 use super::verify::{Body, Candidate, Solid};
 use conicflow_detection::assemble::Rejection;
 use conicflow_geometry::{Conical, Line, PencilMoments, Regression, Vector3};
+use conicflow_messages::ObjectKind;
 
 /// Repetitions of the fit; each takes the error of axis and half-angle down by far more than a factor of ten.
 const PASSES: usize = 6;
@@ -95,7 +96,7 @@ fn profile(candidate: &Candidate, line: &Line, pose: &Pose) -> Result<Regression
 
 /// The line through the centres as found.
 fn raw_line(candidate: &Candidate) -> Result<Line, Rejection> {
-    let mut sums = PencilMoments::new(candidate.middle().scan);
+    let mut sums = PencilMoments::new(candidate.middle().plane.scan());
     candidate.sections().for_each(|section| sums.add(&section.plane, section.plane_center));
     sums.fit().ok_or(Rejection::Degenerate)
 }
@@ -104,7 +105,7 @@ fn raw_line(candidate: &Candidate) -> Result<Line, Rejection> {
 /// it: an arc tells its front far better than its radius, and an error of the radius would move the centre as much.
 fn axis_line(candidate: &Candidate, so_far: &Skeleton, pose: &Pose) -> Result<Line, Rejection> {
     let profile = so_far.profile.fit().ok_or(Rejection::Degenerate)?;
-    let mut sums = PencilMoments::new(candidate.middle().scan);
+    let mut sums = PencilMoments::new(candidate.middle().plane.scan());
     for section in candidate.sections() {
         let cut = section.cut(&pose.axis, pose.half_angle).ok_or(Rejection::Tilted)?;
         let position = section.position(&so_far.line, &pose.axis);
@@ -128,8 +129,9 @@ fn cylinder(candidate: &Candidate, skeleton: &Skeleton, pose: &Pose) -> Body {
     let Skeleton { line, profile } = skeleton;
     let (from, to) = candidate.extent(&line.point, &pose.axis);
     let point = line.point + pose.axis * (0.5 * (from + to));
+    let surface = Conical { point, axis: pose.axis, radius: profile.mean(), slope: 0.0 };
     Body {
-        solid: Solid::Cylinder(Conical { point, axis: pose.axis, radius: profile.mean(), slope: 0.0 }),
+        solid: Solid { shape: ObjectKind::Cylinder, surface },
         length: to - from,
         radius_sigma: profile.deviation() / profile.count().sqrt(),
         half_angle_sigma: 0.0,
@@ -148,8 +150,9 @@ fn cone(candidate: &Candidate, skeleton: &Skeleton, pose: &Pose) -> Result<Body,
         return Err(Rejection::BeyondApex);
     }
     let (middle, slope) = (0.5 * (from + to), half_angle.tan());
+    let surface = Conical { point: apex + axis * middle, axis, radius: slope * middle, slope };
     Ok(Body {
-        solid: Solid::Cone(Conical { point: apex + axis * middle, axis, radius: slope * middle, slope }),
+        solid: Solid { shape: ObjectKind::Cone, surface },
         length: to - from,
         radius_sigma: profile.value_sigma,
         half_angle_sigma: profile.slope_sigma * half_angle.cos().powi(2),

@@ -50,7 +50,7 @@ impl Chains {
         self.open.retain(|&chain| {
             let last = chains[chain].last().map(|&last| &sections[last]);
             last.is_some_and(|last| {
-                last.scan == section.scan && section.line - last.line <= config.profile.max_gap_lines
+                last.plane.scan() == section.plane.scan() && section.line - last.line <= config.profile.max_gap_lines
             })
         });
     }

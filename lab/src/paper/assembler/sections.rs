@@ -8,7 +8,6 @@ use conicflow_messages::{Ellipse, Header};
 /// What a scan plane cuts out of a body.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Section {
-    pub scan: Scan,
     /// Number of the scan line among those that were looked at.
     pub line: u32,
     pub plane: ScanPlane,
@@ -39,7 +38,6 @@ impl Section {
             SectionFit::Circle => fit_circle(&moments).map(|circle| (circle.center, circle.radius))?,
         };
         Some(Self {
-            scan,
             line: ellipse.line / step,
             plane,
             center: plane.to_camera(plane_center),
@@ -103,5 +101,5 @@ pub(super) fn read(header: &Header, ellipses: &[Ellipse], fit: SectionFit, secti
     sections.clear();
     let step = ellipses.iter().map(Ellipse::step).min().unwrap_or(1);
     sections.extend(ellipses.iter().filter_map(|ellipse| Section::new(header, ellipse, step, fit)));
-    sections.sort_by_key(|section| (section.scan == Scan::Column, section.line));
+    sections.sort_by_key(|section| (section.plane.scan() == Scan::Column, section.line));
 }

@@ -9,7 +9,8 @@ use super::parameters::SectionFit;
 use super::sections::Section;
 use super::verify::{Body, Candidate, Solid};
 use conicflow_detection::assemble::Rejection;
-use conicflow_geometry::{CircleProfile, PlaneMoments, Regression, ScanPlane, Sphere, fit_circle_profile};
+use conicflow_geometry::{CircleProfile, Conical, PlaneMoments, Regression, ScanPlane, Vector3, fit_circle_profile};
+use conicflow_messages::ObjectKind;
 
 /// Repetitions of the fit; the first order is exact up to a few parts in a thousand.
 const PASSES: usize = 4;
@@ -73,10 +74,11 @@ fn body(candidate: &Candidate, profile: &CircleProfile, angle: f64) -> Result<Bo
     if scatter > candidate.config.profile.max_center_scatter * profile.radius {
         return Err(Rejection::NotConcyclic);
     }
-    let plane = ScanPlane::new(candidate.middle().scan, angle.tan());
+    let plane = ScanPlane::new(candidate.middle().plane.scan(), angle.tan());
     let center = plane.to_camera([sides.mean(), distances.mean()]);
+    let surface = Conical { point: center, axis: Vector3::zeros(), radius: profile.radius, slope: 0.0 };
     Ok(Body {
-        solid: Solid::Sphere(Sphere { center, radius: profile.radius }),
+        solid: Solid { shape: ObjectKind::Sphere, surface },
         length: 0.0,
         radius_sigma: profile.radius_sigma,
         half_angle_sigma: 0.0,

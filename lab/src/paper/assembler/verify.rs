@@ -16,52 +16,21 @@ const ELLIPSE_RMS_RADII: f64 = 0.35;
 /// Sections this many times worse than the whole are left out.
 const OUTLIER_RMS: f64 = 1.6;
 
-/// The surface of a body; the point of a cylinder or cone is its centre.
+/// The surface of a body: its point is the centre, and a sphere has neither axis nor slope.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Solid {
-    Sphere(Sphere),
-    Cylinder(Conical),
-    Cone(Conical),
+pub(super) struct Solid {
+    pub shape: ObjectKind,
+    pub surface: Conical,
 }
 
 impl Solid {
-    fn shape(&self) -> ObjectKind {
-        match self {
-            Self::Sphere(_) => ObjectKind::Sphere,
-            Self::Cylinder(_) => ObjectKind::Cylinder,
-            Self::Cone(_) => ObjectKind::Cone,
-        }
-    }
-
-    fn center(&self) -> Vector3 {
-        match self {
-            Self::Sphere(sphere) => sphere.center,
-            Self::Cylinder(surface) | Self::Cone(surface) => surface.point,
-        }
-    }
-
-    /// The axis; of a sphere 0.
-    fn axis(&self) -> Vector3 {
-        match self {
-            Self::Sphere(_) => Vector3::zeros(),
-            Self::Cylinder(surface) | Self::Cone(surface) => surface.axis,
-        }
-    }
-
-    /// The radius; of a cone that at its centre.
-    fn radius(&self) -> f64 {
-        match self {
-            Self::Sphere(sphere) => sphere.radius,
-            Self::Cylinder(surface) | Self::Cone(surface) => surface.radius,
-        }
-    }
-
     /// Sum of the squared distances of a section's points, to first order; NaN for a cone on a plane along its axis.
     fn square_sum(&self, section: &Section) -> f64 {
-        let coefficients = match self {
-            Self::Sphere(sphere) => sphere.coefficients(),
-            Self::Cylinder(cylinder) => cylinder.coefficients(),
-            Self::Cone(cone) => cone.pierced_by(&section.plane).coefficients(),
+        let Conical { point: center, radius, .. } = self.surface;
+        let coefficients = match self.shape {
+            ObjectKind::Sphere => Sphere { center, radius }.coefficients(),
+            ObjectKind::Cylinder => self.surface.coefficients(),
+            ObjectKind::Cone => self.surface.pierced_by(&section.plane).coefficients(),
         };
         let conic = section_about(&coefficients, &section.plane, section.moments.origin());
         let sum = conic.square_sum(&section.moments);
@@ -161,7 +130,7 @@ impl<'a> Candidate<'a> {
 
     /// The report on a body, if it is one to be reported.
     pub fn verify(&self, body: &Body) -> Result<Object, Rejection> {
-        let (shape, radius) = (body.solid.shape(), body.solid.radius());
+        let (shape, radius) = (body.solid.shape, body.solid.surface.radius);
         let rms = self.rms(&body.solid);
         if let Some(reason) = self.config.common.wrong_size(shape, radius, body.length) {
             Err(reason)
@@ -221,25 +190,27 @@ impl<'a> Candidate<'a> {
     }
 
     fn report(&self, body: &Body, rms: f64) -> Object {
-        let solid = &body.solid;
+        let Solid { shape, surface } = body.solid;
         let object = Object {
-            kind: solid.shape().code(),
+            kind: shape.code(),
             points: self.points().round() as u32,
             rows: self.members.len() as u32,
-            center: solid.center().into(),
-            axis: solid.axis().into(),
-            radius: solid.radius(),
+            center: surface.point.into(),
+            axis: surface.axis.into(),
+            radius: surface.radius,
             length: body.length,
             sigma: self.sigma(body, rms),
             rms,
             arc: self.mean(|section| section.arc),
             ..Object::default()
         };
-        let Solid::Cone(cone) = solid else { return object };
-        let end = |along: f64| (cone.radius + cone.slope * along).max(0.0);
+        if shape != ObjectKind::Cone {
+            return object;
+        }
+        let end = |along: f64| (surface.radius + surface.slope * along).max(0.0);
         Object {
-            half_angle: cone.half_angle(),
-            apex: cone.apex().into(),
+            half_angle: surface.half_angle(),
+            apex: surface.apex().into(),
             top_radius: end(-body.length / 2.0),
             base_radius: end(body.length / 2.0),
             ..object
@@ -250,7 +221,7 @@ impl<'a> Candidate<'a> {
     fn sigma(&self, body: &Body, rms: f64) -> ObjectSigma {
         let floor = (rms / self.points().sqrt()).max(LEAST_SIGMA);
         let middle = self.middle();
-        let axis = body.solid.axis();
+        let Solid { shape, surface: Conical { axis, .. } } = body.solid;
         let end = end_sigma(middle.spacing, &middle.plane, &axis);
         let across = body.across_sigma.max(floor).powi(2);
         let along = (end * end / 2.0 + floor * floor - across) * axis.norm();
@@ -258,7 +229,7 @@ impl<'a> Candidate<'a> {
             let diagonal = if i == j { across } else { 0.0 };
             diagonal + along * axis[i] * axis[j]
         };
-        let (is_sphere, is_cone) = (matches!(body.solid, Solid::Sphere(_)), matches!(body.solid, Solid::Cone(_)));
+        let (is_sphere, is_cone) = (shape == ObjectKind::Sphere, shape == ObjectKind::Cone);
         let present = |present: bool, sigma: f64| if present { sigma } else { 0.0 };
         ObjectSigma {
             center: [0, 1, 2].map(|i| [0, 1, 2].map(|j| at(i, j))),
