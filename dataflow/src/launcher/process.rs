@@ -320,7 +320,7 @@ fn stage_runtime(
     let successor = successor.map_err(|error| system("the launcher cannot be spoken with", error))?;
     let path = folder.status(&planned.name);
     let record = StatusFile::open(&path, plan.run).map_err(FolderError::at(&path))?;
-    let context = Context { stage: planned.name.clone(), base: plan.base.clone(), stop, ..Context::default() };
+    let context = context_of(plan, planned, stop);
     let transport = transport.map(|memory| if plan.run == NO_RUN { memory } else { memory.kept_in(folder.path()) });
     let here = plan.stages.iter().map(|stage| stage.name.clone()).collect();
     let peers = Peers::in_folder(folder.path().to_owned(), plan.run, here);
@@ -340,6 +340,11 @@ fn stage_runtime(
         runtime.enter();
     }
     Ok(runtime)
+}
+
+/// What a stage of a plan is told when it starts, before it knows what drives it.
+fn context_of(plan: &Plan, planned: &PlannedStage, stop: Stop) -> Context {
+    Context { stage: planned.name.clone(), base: plan.base.clone(), stop, ..Context::default() }
 }
 
 fn system(doing: &str, error: io::Error) -> ProcessError {
@@ -362,12 +367,17 @@ fn listen_for_signals(stop: Stop, is_source: bool) -> Result<(), ProcessError> {
             } else if signal == SIGTERM {
                 stop.force();
                 std::thread::sleep(LAST_GRACE);
-                std::process::exit(128 + SIGTERM);
+                std::process::exit(ended_by(SIGTERM));
             }
         }
     };
     let builder = std::thread::Builder::new().name("signals".to_owned());
     builder.spawn(listen).map(drop).map_err(fault)
+}
+
+/// The exit code by which a shell tells that a signal has ended a process.
+fn ended_by(signal: i32) -> i32 {
+    128 + signal
 }
 
 #[cfg(test)]
@@ -441,6 +451,23 @@ mod tests {
         };
         assert_eq!(told(Some("debug")), place(Some("debug")));
         assert_eq!(told(None), place(None));
+    }
+
+    #[test]
+    fn a_stage_is_told_its_name_its_folder_and_when_the_run_ends() {
+        let (pipeline, base, origin) = ("test".to_owned(), PathBuf::from("/base"), Origin::default());
+        let plan = Plan { layout: LAYOUT, pipeline, base, run: 7, stages: vec![], origin };
+        let stop = Stop::default();
+        let context = context_of(&plan, &stage::<Object>(), stop.clone());
+        assert_eq!((&*context.stage, context.resolve(Path::new("scene.toml"))), ("stage", "/base/scene.toml".into()));
+        assert!(!context.stop.requested());
+        stop.request();
+        assert!(context.stop.requested());
+    }
+
+    #[test]
+    fn a_stage_that_ends_at_once_exits_as_shells_tell_of_sigterm() {
+        assert_eq!(ended_by(SIGTERM), 143);
     }
 
     #[test]

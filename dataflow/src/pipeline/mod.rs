@@ -73,18 +73,4 @@ impl Pipeline {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn without_a_network_part_a_pipeline_has_no_machines() {
-        let text =
-            "name = \"two\"\n[machine.robot]\n[machine.base]\n[stage.a]\nprogram = [\"sh\"]\noutput = \"depth\"\n";
-        let source = SourceText { name: "two.toml".to_owned(), text: text.to_owned() };
-        let registry = Registry { nodes: &[], network: None };
-        let Err(report) = Pipeline::read(source, Path::new("/"), &[], &registry) else { panic!("it was accepted") };
-        let told = report.to_string();
-        assert_eq!(told.matches("this program was built without its network part").count(), 1, "{told}");
-        assert!(told.contains("two.toml:2:") && told.contains("without [machine.*]"), "{told}");
-    }
-}
+mod tests;

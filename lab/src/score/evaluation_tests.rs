@@ -142,6 +142,7 @@ fn what_has_to_be_found_is_no_less_than_what_is_seen() {
     let frame = evaluation.add(&header, &[]).unwrap().unwrap();
     let (far, _) = frame.pairs.iter().find(|(truth, _)| truth.name == "far").unwrap();
     assert!((0.45..0.74).contains(&far.hidden), "{}", far.hidden);
+    assert!(evaluation.score().samples.iter().any(|sample| sample.hidden == Some(far.hidden)), "it is counted as such");
     let missed: Vec<_> = frame.missed().map(|truth| truth.name.as_str()).collect();
     assert_eq!(missed, ["near", "far"]);
     let between = Object { kind: ObjectKind::Sphere.code(), radius: 0.105, center: [0.015, 0.0, 1.515], ..far.body };

@@ -88,6 +88,12 @@ fn misses_wrong_answers_and_switches_count_against_mota() {
 }
 
 #[test]
+fn an_object_that_was_never_seen_says_nothing_of_how_far_off_the_others_are() {
+    let rows = measure(0.0, &[(0.0, vec![answer(ball(-0.28, 0.1))])]);
+    assert!((rows[2].number_of("motp_m").unwrap() - 0.02).abs() < 1e-9, "{:?}", rows[2]);
+}
+
+#[test]
 fn an_identity_that_is_still_right_is_kept() {
     let near = |id, x| answer(track(id, x));
     let frames = [(0.0, vec![near(1, -0.3), near(2, 0.3)]), (0.0, vec![near(1, -0.2), near(2, 0.3), near(5, -0.3)])];
@@ -125,10 +131,10 @@ fn of_recorded_frames_each_track_has_its_row() {
 
 #[test]
 fn recorded_frames_are_left_out_by_the_time_since_the_first() {
-    let mut measurement = Measurement::new(truth(None), 0.15);
+    let mut measurement = Measurement::new(truth(None), 0.05);
     for time_s in [1000.0, 1000.1, 1000.2, 1000.3] {
         let header = Header { flags: RECORDED, ..header(time_s) };
         measurement.add(&header, &[answer(track(7, 0.0))]).unwrap();
     }
-    assert_eq!(measurement.rows()[0].number_of("frames"), Some(2.0));
+    assert_eq!(measurement.rows()[0].number_of("frames"), Some(3.0));
 }

@@ -68,8 +68,8 @@ mod tests {
     #[test]
     fn the_nearest_ellipse_is_the_section_and_the_others_are_not() {
         let ellipse =
-            |s: f64, long: f64| Ellipse { plane_center: [s, 2.0], semi_axes: [long, 0.2], ..Ellipse::default() };
-        let mut sections = Sections::new([0.0, 2.0], 0.25);
+            |s: f64, long: f64| Ellipse { plane_center: [0.5 + s, 2.0], semi_axes: [long, 0.2], ..Ellipse::default() };
+        let mut sections = Sections::new([0.5, 2.0], 0.25);
         sections.add(&[ellipse(0.2, 9.0), ellipse(0.01, 0.41), ellipse(1.0, 9.0)]);
         sections.add(&[ellipse(0.01, 0.39)]);
         sections.add(&[ellipse(0.3, 9.0)]);

@@ -195,13 +195,13 @@ mod tests {
             group: 0,
             shape: ObjectKind::Sphere,
             distance: 1.5,
-            radius_m: 1.0,
+            radius_m: 0.5,
             hidden: Some(0.2),
             found: None,
             fault: None,
         };
         let found = |off: f64| {
-            let comparison = Comparison { position_m: 0.002, radius_m: 1.0 + off, axis: 0.0, half_angle: 0.0 };
+            let comparison = Comparison { position_m: 0.002, radius_m: 0.5 * (1.0 + off), axis: 0.0, half_angle: 0.0 };
             let sigmas = Sigmas { radius: Some(100.0 * off), ..Sigmas::default() };
             Sample { found: Some((comparison, sigmas)), ..sphere }
         };
