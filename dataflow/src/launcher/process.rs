@@ -351,21 +351,15 @@ fn system(doing: &str, error: io::Error) -> ProcessError {
     ProcessError::System { doing: doing.to_owned(), error }
 }
 
-/// SIGINT ends the stage in order, SIGTERM at once; the thread that listens sees to the latter. SIGUSR1 makes it leave its
-/// place to another process; a source then makes no further message. That a file may not become larger (SIGXFSZ) is told by the
-/// error of who writes it.
+/// Heeds the signals that a launcher sends; the thread that listens sees to it that SIGTERM ends the stage. That a file may not
+/// become larger (SIGXFSZ) is told by the error of who writes it.
 fn listen_for_signals(stop: Stop, is_source: bool) -> Result<(), ProcessError> {
     let fault = |error| system("signals cannot be received", error);
     let mut signals = Signals::new([SIGINT, SIGTERM, SIGUSR1, SIGXFSZ]).map_err(fault)?;
     let listen = move || {
         for signal in signals.forever() {
-            if signal == SIGUSR1 {
-                stop.leave();
-            }
-            if signal == SIGINT || (signal == SIGUSR1 && is_source) {
-                stop.request();
-            } else if signal == SIGTERM {
-                stop.force();
+            heed(signal, &stop, is_source);
+            if signal == SIGTERM {
                 std::thread::sleep(LAST_GRACE);
                 std::process::exit(ended_by(SIGTERM));
             }
@@ -373,6 +367,19 @@ fn listen_for_signals(stop: Stop, is_source: bool) -> Result<(), ProcessError> {
     };
     let builder = std::thread::Builder::new().name("signals".to_owned());
     builder.spawn(listen).map(drop).map_err(fault)
+}
+
+/// SIGINT ends the stage in order, SIGTERM at once. SIGUSR1 makes it leave its place to another process; a source then makes no
+/// further message.
+fn heed(signal: i32, stop: &Stop, is_source: bool) {
+    if signal == SIGUSR1 {
+        stop.leave();
+    }
+    if signal == SIGINT || (signal == SIGUSR1 && is_source) {
+        stop.request();
+    } else if signal == SIGTERM {
+        stop.force();
+    }
 }
 
 /// The exit code by which a shell tells that a signal has ended a process.
@@ -463,6 +470,21 @@ mod tests {
         assert!(!context.stop.requested());
         stop.request();
         assert!(context.stop.requested());
+    }
+
+    #[test]
+    fn signals_end_a_stage_or_make_it_leave_its_place_where_a_source_makes_no_further_message() {
+        for (signal, is_source, (requested, forced, leaving)) in [
+            (SIGINT, false, (true, false, false)),
+            (SIGTERM, false, (true, true, false)),
+            (SIGUSR1, false, (false, false, true)),
+            (SIGUSR1, true, (true, false, true)),
+            (SIGXFSZ, true, (false, false, false)),
+        ] {
+            let stop = Stop::default();
+            heed(signal, &stop, is_source);
+            assert_eq!((stop.requested(), stop.forced(), stop.leaving()), (requested, forced, leaving), "{signal}");
+        }
     }
 
     #[test]

@@ -373,6 +373,7 @@ mod tests {
     use super::super::read::machines::MACHINE_KEYS;
     use super::super::read::metrics::METRICS_KEYS;
     use super::super::read::stages::STAGE_KEYS;
+    use super::super::tests::{NODES, node};
     use super::*;
     use std::collections::BTreeSet;
 
@@ -392,5 +393,108 @@ mod tests {
         let mut of_program = keys(&schema, "/definitions/program/properties");
         assert!(of_program.insert("node".to_owned()));
         assert_eq!(of_program, of(&STAGE_KEYS));
+    }
+
+    #[test]
+    fn what_may_be_nothing_is_a_key_that_may_be_left_out() {
+        let mut schema = json!({ "properties": {
+            "count": { "type": ["integer", "null"], "default": null },
+            "size": { "anyOf": [{ "$ref": "#/$defs/size" }, { "type": "null" }], "default": null },
+            "either": { "anyOf": [{ "type": "integer" }, { "type": "string" }, { "type": "null" }], "default": 5 },
+            "pair": { "type": "array", "prefixItems": [{ "type": ["integer", "null"] }, { "type": ["integer", "string"] }] },
+        } });
+        without_null(&mut schema);
+        let expected = json!({ "properties": {
+            "count": { "type": "integer" },
+            "size": { "allOf": [{ "$ref": "#/$defs/size" }] },
+            "either": { "anyOf": [{ "type": "integer" }, { "type": "string" }], "default": 5 },
+            "pair": { "type": "array", "prefixItems": [{ "type": "integer" }, { "type": ["integer", "string"] }] },
+        } });
+        assert_eq!(schema, expected);
+    }
+
+    #[test]
+    fn what_is_wrong_with_a_choice_is_told_by_name() {
+        let [fast, slow] = ["fast", "slow"].map(|word| json!({ "const": word, "description": "how it moves" }));
+        let table = |keys: &[&str]| {
+            let keys: Map<_, _> = keys.iter().map(|key| ((*key).to_owned(), json!({ "type": "number" }))).collect();
+            json!({ "type": "object", "properties": keys })
+        };
+        let types = json!({ "$defs": { "word": { "oneOf": [{ "type": "string", "const": "auto" }] } } });
+        let (number, word) = (json!({ "type": "integer" }), json!({ "$ref": "#/$defs/word" }));
+        let mut schema = json!({
+            "list": [{ "oneOf": [fast, slow] }],
+            "of_one_key": { "oneOf": [table(&["a"]), table(&["b"])] },
+            "of_two_keys": { "oneOf": [table(&["a"]), table(&["b", "c"])] },
+            "by_type": { "anyOf": [number, word] },
+            "unclear": { "anyOf": [number, number] },
+        });
+        let untouched = ["of_two_keys", "unclear"].map(|key| schema[key].clone());
+        with_named_faults(&mut schema, &types);
+        assert_eq!(schema["list"][0], json!({ "type": "string", "enum": ["fast", "slow"], "anyOf": [{}, fast, slow] }));
+        let of_one_key = json!({
+            "type": "object", "minProperties": 1, "maxProperties": 1, "additionalProperties": false,
+            "properties": { "a": { "type": "number" }, "b": { "type": "number" } },
+        });
+        assert_eq!(schema["of_one_key"], of_one_key);
+        let by_type = json!({
+            "type": ["integer", "string"], "anyOf": [{}, number, word],
+            "allOf": [{ "if": { "type": "integer" }, "then": number }, { "if": { "type": "string" }, "then": word }],
+        });
+        assert_eq!(schema["by_type"], by_type);
+        assert_eq!(["of_two_keys", "unclear"].map(|key| schema[key].clone()), untouched);
+    }
+
+    #[test]
+    fn references_alone_are_moved() {
+        let schema = |place: &str| {
+            let to = |name: &str| format!("{place}{name}");
+            json!({ "$ref": to("a"), "list": [{ "$ref": to("b") }], "other": "#/$defs/c", "in": { "$ref": "#/x/d" } })
+        };
+        let mut moved = schema("#/$defs/");
+        refer(&mut moved, "#/$defs/", "#/definitions/");
+        assert_eq!(moved, schema("#/definitions/"));
+    }
+
+    #[test]
+    fn a_stage_has_the_keys_that_its_node_takes() {
+        let schema = file_schema(NODES);
+        let of = |node: &str| keys(&schema, &format!("/definitions/{node}/properties"));
+        let has = |node: &str| ["input", "inputs", "output"].map(|key| of(node).contains(key));
+        assert_eq!(has("camera"), [false, false, true]);
+        assert_eq!((has("detector"), has("printer")), ([true, true, true], [true, false, false]));
+        assert!(of("camera").contains("rate_hz") && !of("detector").contains("rate_hz"));
+        let sides = keys(&schema, "/definitions/detector/properties/inputs/properties");
+        assert!(sides.iter().eq(["known", "mask", "same"]));
+        let input = json!({ "description": "What drives the stage.", "allOf": [{ "$ref": "#/definitions/input" }] });
+        assert_eq!(schema["definitions"]["detector"]["properties"]["input"], input);
+        assert!(keys(&schema, "/definitions/output/properties").iter().eq(["kind", "topic"]));
+        let stage = &schema["properties"]["stage"]["additionalProperties"];
+        let of_camera = json!({
+            "if": { "required": ["node"], "properties": { "node": { "const": "camera" } } },
+            "then": { "$ref": "#/definitions/camera" },
+        });
+        assert_eq!(stage["allOf"][1], of_camera);
+        assert_eq!(stage["allOf"].as_array().map(Vec::len), Some(1 + NODES.len()));
+    }
+
+    #[test]
+    fn nodes_share_definitions_that_are_the_same_and_no_others() {
+        const DEFINED: [fn() -> Json; 3] = [|| defined("string"), || defined("string"), || defined("integer")];
+        fn defined(kind: &str) -> Json {
+            let properties = json!({ "size": { "$ref": "#/$defs/size" } });
+            json!({ "properties": properties, "$defs": { "size": { "type": kind } } })
+        }
+        let nodes: Vec<_> = ["first", "same", "other"]
+            .into_iter()
+            .zip(DEFINED)
+            .map(|(name, schema)| Node { schema, ..node(name, &[]) })
+            .collect();
+        let schema = file_schema(&nodes);
+        let size = |node: &str| schema["definitions"][node]["properties"]["size"]["$ref"].as_str().unwrap();
+        assert_eq!(["first", "same"].map(size), ["#/definitions/size"; 2]);
+        assert_eq!(size("other"), "#/definitions/other.size");
+        let kinds = ["size", "other.size"].map(|name| schema["definitions"][name]["type"].as_str());
+        assert_eq!(kinds, [Some("string"), Some("integer")]);
     }
 }

@@ -12,7 +12,7 @@ const fn variant(input: &'static str, output: &'static str) -> Variant {
     Variant { input, output, run: |_, _| Ok(()) }
 }
 
-const fn node(name: &'static str, variants: &'static [Variant]) -> Node {
+pub(super) const fn node(name: &'static str, variants: &'static [Variant]) -> Node {
     let (check, settle) = (|_, _: &Path| Ok(vec![]), Ok);
     let schema = || json!({ "properties": {} });
     Node {
@@ -28,10 +28,18 @@ const fn node(name: &'static str, variants: &'static [Variant]) -> Node {
     }
 }
 
-const NODES: &[Node] = &[
+pub(super) const NODES: &[Node] = &[
     Node { schema: of_camera, ..node("camera", &[variant(Nothing::NAME, u16::NAME)]) },
     Node {
-        side_inputs: || const { &[SideInput::latest::<Track>("known"), SideInput::same_frame::<Track>("same")] },
+        side_inputs: || {
+            const {
+                &[
+                    SideInput::latest::<u16>("mask"),
+                    SideInput::latest::<Track>("known"),
+                    SideInput::same_frame::<Track>("same"),
+                ]
+            }
+        },
         ..node("detector", &[variant(u16::NAME, Object::NAME)])
     },
     node("tracker", &[variant(Object::NAME, Track::NAME)]),
@@ -232,7 +240,10 @@ fn who_takes_several_kinds_has_to_be_told_what_a_program_writes() {
     };
     assert_eq!(pipeline(&replay("'things'")).kind_of("things"), Some("depth"), "nothing tells what is replayed");
     assert_eq!(pipeline(&replay("{ topic = 'things', kind = 'objects' }")).kind_of("things"), Some("objects"));
-    assert_eq!(pipeline(&(things + &program("end", "input = 'things'"))).kind_of("things"), None);
+    let other =
+        program("other", "output = 'other'") + &program("reader", "input = { topic = 'other', kind = 'tracks' }");
+    let untold = pipeline(&(things + &program("end", "input = 'things'") + &other));
+    assert_eq!(["things", "other"].map(|topic| untold.kind_of(topic)), [None, Some("tracks")]);
 }
 
 #[test]

@@ -386,6 +386,7 @@ mod tests {
     use super::in_memory::InMemory;
     use super::*;
     use conicflow_messages::{Object, Track};
+    use std::time::Instant;
 
     #[test]
     fn who_has_other_items_than_the_pipeline_file_says_does_not_open_a_topic() {
@@ -413,6 +414,25 @@ mod tests {
         let writer = Text::new("writer");
         assert_eq!(([3, 3].map(|number| reader.begin(writer, number)), reader.acknowledged()), ([1, 1], None));
         assert_eq!(memory.writer::<Object>(&topic).unwrap().unfinished("reader"), 0);
+    }
+
+    #[test]
+    fn who_waits_sleeps_until_something_comes_and_no_longer_than_told() {
+        let topic = Topic { name: "things".into(), item: None, writers: vec![], readers: vec![] };
+        let memory = InMemory::default();
+        let [mut reader, mut other] = ["reader", "other"].map(|stage| memory.reader::<Object>(&topic, stage).unwrap());
+        let mut writer = memory.writer::<Object>(&topic).unwrap();
+        let (begin, while_nothing_comes) = (Instant::now(), Duration::from_millis(20));
+        reader.wait(while_nothing_comes).unwrap();
+        assert!(begin.elapsed() >= while_nothing_comes);
+        assert!(!writer.wait(while_nothing_comes), "no reader has finished anything");
+        assert!(begin.elapsed() >= 2 * while_nothing_comes);
+        writer.loan::<Object>(3).unwrap();
+        assert_eq!(writer.send(&Header::default()).unwrap(), 3, "items");
+        assert!(other.receive().unwrap().is_some());
+        // The other one has nothing to look at.
+        reader.wait(Duration::from_secs(3600)).unwrap();
+        assert_eq!(reader.receive().unwrap().unwrap().items::<Object>().len(), 3);
     }
 
     #[test]

@@ -131,6 +131,9 @@ mod tests {
     fn what_a_process_was_done_with_outlives_it() {
         let folder = tempfile::tempdir().unwrap();
         assert!(Acknowledgements::open(folder.path(), &topic()).is_err(), "nobody has made it");
+        // A word for what was finished, and one for what was begun, of each of two readers and two writers.
+        fs::write(path(folder.path(), &topic()), [0; 8 * 8 - 1]).unwrap();
+        assert!(Acknowledgements::open(folder.path(), &topic()).is_err(), "it is cut off");
         Acknowledgements::create(folder.path(), &topic()).unwrap();
         let right = Text::new("right");
         let table = Acknowledgements::open(folder.path(), &topic()).unwrap();

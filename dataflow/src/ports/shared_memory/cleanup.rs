@@ -260,6 +260,21 @@ mod tests {
     }
 
     #[test]
+    fn what_one_who_was_just_killed_has_open_is_removed_when_he_lets_it_go() {
+        let folder = tempfile::tempdir().unwrap();
+        let last = Occupied::new(folder.path(), Stop::default()).unwrap();
+        let [_, segment] = litter(folder.path());
+        let held = File::open(&segment).unwrap();
+        let dying = std::thread::spawn(move || {
+            sleep(Duration::from_millis(50));
+            drop(held);
+        });
+        drop(last);
+        assert!(!segment.exists());
+        dying.join().unwrap();
+    }
+
+    #[test]
     fn what_is_left_in_shared_memory_alone_is_litter_too() {
         let folder = tempfile::tempdir().unwrap();
         drop(Occupied::new(folder.path(), Stop::default()).unwrap());

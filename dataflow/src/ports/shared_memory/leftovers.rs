@@ -157,6 +157,7 @@ mod tests {
         let names = counters.into_iter().chain([format!("{dead}old"), format!("{live}open"), format!("{live}young")]);
         let paths: Vec<_> = names.map(|name| Path::new(SHARED_MEMORY).join(name)).collect();
         paths.iter().for_each(|path| drop(File::create_new(path).unwrap()));
+        fs::write(&paths[2], [1; 5000]).unwrap();
         let long_ago = SystemTime::now() - 2 * MIN_AGE;
         paths[..4].iter().for_each(|path| File::open(path).unwrap().set_modified(long_ago).unwrap());
         let holder = File::open(&paths[3]).unwrap();
@@ -165,6 +166,8 @@ mod tests {
         paths.iter().for_each(|path| fs::remove_file(path).unwrap());
         let is_left: Vec<_> = paths.iter().map(|path| left.iter().any(|leftover| leftover.path == *path)).collect();
         assert_eq!(is_left, [true, false, true, false, false]);
+        let bytes = left.iter().find(|leftover| leftover.path == paths[2]).map(|leftover| leftover.bytes);
+        assert!(bytes.is_some_and(|bytes| bytes >= 5000), "{bytes:?} of memory");
     }
 
     #[test]
@@ -176,6 +179,14 @@ mod tests {
         fs::write(folder.path().join("left"), "half").unwrap();
         assert_eq!(clear(folder.path()).unwrap(), Litter::Files);
         assert!(!folder.path().join("left").exists());
+    }
+
+    #[test]
+    fn sockets_can_lie_in_a_folder_whose_path_is_short_enough() {
+        let path = |length: usize| PathBuf::from(format!("/tmp/{}", "a".repeat(length - "/tmp/".len())));
+        assert!(check_path(&path(48)).is_ok());
+        let error = check_path(&path(49)).unwrap_err();
+        assert!(matches!(error, PortError::PathTooLong { length: 49, limit: 48, .. }), "{error}");
     }
 
     #[test]

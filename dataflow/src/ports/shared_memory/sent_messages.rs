@@ -47,3 +47,36 @@ impl SentMessages {
         self.readers.iter().map(|reader| self.unfinished_by(*reader)).sum()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ports::TopicReader;
+    use conicflow_messages::{Hop, Text};
+
+    #[test]
+    fn a_message_is_unfinished_until_each_reader_that_wants_all_has_finished_it() {
+        let reader = |stage: &str, delivery: Delivery| TopicReader { stage: stage.to_owned(), delivery, queue: 4 };
+        let readers = vec![
+            reader("quick", Delivery::Lossless),
+            reader("viewer", Delivery::Latest),
+            reader("slow", Delivery::Lossless),
+        ];
+        let topic = Topic { name: "things".into(), item: None, writers: vec!["writer".into()], readers };
+        let folder = tempfile::tempdir().unwrap();
+        Acknowledgements::create(folder.path(), &topic).unwrap();
+        let finished = Arc::new(Acknowledgements::open(folder.path(), &topic).unwrap());
+        let mut sent = SentMessages::new(Arc::clone(&finished), &topic);
+        assert_eq!(sent.unfinished_by_all(), 0);
+        for number in 0..3 {
+            let mut header = Header { number, ..Header::default() };
+            header.add_hop(Hop { stage: Text::new("writer"), ..Hop::default() });
+            sent.add(&header);
+        }
+        finished.finish(0, 0, 2);
+        assert_eq!([0, 1, 2].map(|place| sent.unfinished_by(place)), [1, 0, 3]);
+        assert_eq!(sent.unfinished_by_all(), 4);
+        finished.finish(2, 0, 3);
+        assert_eq!(sent.unfinished_by_all(), 1);
+    }
+}

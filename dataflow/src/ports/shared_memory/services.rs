@@ -218,3 +218,29 @@ pub(super) fn configuration(root: &Path) -> Result<Config, PortError> {
     config.global.prefix = FileName::new(prefix.as_bytes()).map_err(|_| too_long())?;
     Ok(config)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_reader_that_may_be_started_anew_has_room_for_what_is_kept_and_for_what_follows() {
+        let folder = tempfile::tempdir().unwrap();
+        let memory = SharedMemory::open(folder.path(), "test", "stage", Stop::default()).unwrap();
+        let reader = |stage: &str, delivery: Delivery| TopicReader { stage: stage.to_owned(), delivery, queue: 4 };
+        let readers = vec![reader("all", Delivery::Lossless), reader("newest", Delivery::Latest)];
+        let topic = Topic { name: "things".into(), item: None, writers: vec!["writer".into()], readers };
+        let without_writers = Topic { writers: vec![], ..topic.clone() };
+        let newest_only = Topic { readers: topic.readers[1..].to_vec(), ..topic.clone() };
+        let rooms = |memory: &SharedMemory, topic: &Topic| {
+            topic.readers.iter().map(|reader| memory.buffer_of(topic, reader)).collect::<Vec<_>>()
+        };
+        assert_eq!(rooms(&memory, &topic), [4, 4], "nobody is started anew");
+        let memory = memory.kept_in(folder.path());
+        // Four that wait, one in its hands and the end; and then as many as may be unfinished.
+        assert_eq!(rooms(&memory, &topic), [6 + 5, 4]);
+        assert_eq!((rooms(&memory, &without_writers), rooms(&memory, &newest_only)), (vec![4, 4], vec![4]));
+        let is_kept = |topic: &Topic| memory.folder_of(topic).is_some();
+        assert_eq!([&topic, &without_writers, &newest_only].map(is_kept), [true, false, false]);
+    }
+}

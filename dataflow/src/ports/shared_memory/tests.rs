@@ -174,7 +174,11 @@ fn who_looks_on_too_early_does_not_keep_the_run_from_beginning() {
     assert!(early.onlooker(&item, &topic).is_err(), "there is nothing yet");
     let launcher = open(folder.path(), "launcher").kept_in(folder.path());
     let _services = launcher.keep_services([&topic].into_iter()).unwrap();
-    assert!(early.onlooker(&item, &topic).is_ok());
+    let mut onlooker = early.onlooker(&item, &topic).unwrap();
+    let mut writer = open(folder.path(), "writer").writer::<u16>(&topic).unwrap();
+    send(&mut writer, 7, &[5]);
+    let message = onlooker.receive(&early).unwrap().unwrap();
+    assert_eq!((message.header().sequence, message.items::<u16>()), (7, &[5][..]));
 }
 
 #[test]
