@@ -320,7 +320,7 @@ impl TryFrom<Told> for ItemType {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use conicflow_messages::Camera;
+    use conicflow_messages::{Camera, ObjectKind};
 
     fn grasps() -> ItemType {
         let fields = [("position", "f64[3]"), ("id", "u64")].map(|(name, text)| (name.to_owned(), text.to_owned()));
@@ -358,6 +358,44 @@ mod tests {
         let message = AnyMessage { header: &header, item: &BUILT_IN[2], bytes: bytemuck::cast_slice(&objects) };
         assert_eq!(message.items::<Object>(), Some(&objects[..]));
         assert!(message.items::<Velocity>().is_none() && message.typed::<Track>().is_none());
+        assert_eq!(message.typed::<Object>().map(|typed| typed.items.len()), Some(2));
+        assert_eq!(message.items::<AnyByte>().map(<[_]>::len), Some(2 * size_of::<Object>()), "all are bytes");
+        assert_eq!(message.labels(), [ObjectKind::Sphere.name(); 2]);
+        let depth = AnyMessage { item: &BUILT_IN[0], ..message };
+        assert!(depth.labels().is_empty(), "pixels are not counted");
+        let mut line = Vec::new();
+        message.write_json(None, &mut line).unwrap();
+        let told: serde_json::Value = serde_json::from_slice(&line).unwrap();
+        assert_eq!(told["objects"].as_array().map(Vec::len), Some(2), "{told}");
+    }
+
+    #[test]
+    fn two_types_fit_if_their_items_lie_alike_and_are_equal_if_they_are_called_alike_too() {
+        let (objects, grasps) = (&BUILT_IN[2], grasps());
+        assert_eq!((grasps.name(), grasps.type_name(), grasps.usual_length()), ("grasps", "acme.Grasp.v1", 16));
+        assert_eq!(grasps.to_string(), "`acme.Grasp.v1`, 32 bytes, aligned to 8");
+        assert_eq!([&BUILT_IN[0], objects, &grasps].map(ItemType::align), [2, 8, 8]);
+        assert_eq!([&BUILT_IN[0], objects, &grasps].map(ItemType::is_image), [true, false, false]);
+        assert_eq!([&BUILT_IN[0], objects, &grasps].map(ItemType::is_built_in), [true, true, false]);
+        let fields = [("grip".to_owned(), "f64[4]".to_owned())];
+        let other = ItemType::described("grips", "acme.Grasp.v1", Layout::new(&fields).unwrap(), 16);
+        let longer = ItemType { usual_length: 17, ..grasps.clone() };
+        assert_eq!([&grasps, &other, &longer, objects].map(|item| item.fits(&grasps)), [true, true, true, false]);
+        assert_eq!([&grasps, &other, &longer, objects].map(|item| *item == grasps), [true, false, false, false]);
+        assert_eq!(objects.layout(), Object::TYPE_NAME);
+        assert!(
+            grasps.layout().starts_with("acme.Grasp.v1{") && grasps.layout() != other.layout(),
+            "{}",
+            grasps.layout()
+        );
+    }
+
+    #[test]
+    fn items_from_a_network_may_lie_anywhere() {
+        for before in [0, 1] {
+            let bytes = [vec![0; before], bytemuck::bytes_of(&Object::default()).to_vec()].concat();
+            assert_eq!(BUILT_IN[2].check(&header(), &bytes[before..]), Ok(()), "after {before} bytes");
+        }
     }
 
     #[test]

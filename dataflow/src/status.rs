@@ -429,21 +429,26 @@ mod tests {
         let mut intervals = Intervals::zeroed();
         intervals.add(900_000_000);
         let earlier = intervals;
-        assert_eq!(intervals.since(&earlier).range(), None);
+        assert_eq!((intervals.since(&earlier).range(), intervals.since(&earlier).mean_s()), (None, None));
+        assert_eq!(
+            (earlier.mean_s(), earlier.standard_deviation_s()),
+            (Some(0.9), None),
+            "one alone scatters about nothing"
+        );
         [20, 40, 30, 30].into_iter().for_each(|ms: u64| intervals.add(ms * 1_000_000));
         let new = intervals.since(&earlier);
         let (shortest, longest) = new.range().unwrap();
         assert!((shortest.as_secs_f64() / 0.02 - 1.0).abs() < 0.04, "{shortest:?}");
         assert!((longest.as_secs_f64() / 0.04 - 1.0).abs() < 0.04, "{longest:?}");
+        assert!((new.mean_s().unwrap() - 0.03).abs() < 1e-9, "{:?}", new.mean_s());
         assert!((new.standard_deviation_s().unwrap() - 0.00005_f64.sqrt()).abs() < 1e-7);
     }
 
     #[test]
     fn the_shortest_and_the_longest_find_a_bucket() {
         let mut durations = Durations::default();
-        durations.add(0);
-        durations.add(u64::MAX);
-        assert_eq!(durations.count(), 2);
+        [0, SMALLEST_NS << OCTAVES, u64::MAX].into_iter().for_each(|ns| durations.add(ns));
+        assert_eq!(durations.count(), 3);
     }
 
     #[test]
