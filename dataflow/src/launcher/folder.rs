@@ -433,6 +433,22 @@ pub(super) mod tests {
         folder.empty().unwrap();
         let is_there = |name: &&str| files.path().join(name).exists();
         assert!(all.into_iter().filter(is_there).eq(["lock", "notes.txt", "stages.lock"]));
+        folder.empty().unwrap();
+        fs::create_dir(files.path().join(PLAN)).unwrap();
+        assert!(matches!(folder.empty(), Err(FolderError::Io { path, .. }) if path == files.path().join(PLAN)));
+    }
+
+    #[test]
+    fn a_run_waits_for_the_last_stages_of_one_that_was_cut_off() {
+        let files = tempfile::tempdir().unwrap();
+        let folder = folder_at(files.path());
+        let stage = folder.join().unwrap();
+        let ends = std::thread::spawn(move || {
+            sleep(Duration::from_millis(50));
+            drop(stage);
+        });
+        folder.lock("tracking").unwrap();
+        ends.join().unwrap();
     }
 
     #[test]

@@ -324,6 +324,20 @@ mod tests {
     use conicflow_messages::{Object, Text};
     use std::path::Path;
 
+    #[test]
+    fn an_exit_code_tells_what_the_system_refuses_from_what_is_wrong_with_the_run() {
+        let error = || std::io::Error::from(std::io::ErrorKind::Other);
+        for (error, code) in [
+            (LaunchError::Signals(error()), 1),
+            (LaunchError::Port(PortError::Stopped), 2),
+            (LaunchError::Folder(FolderError::Running { name: "test".into() }), 2),
+            (LaunchError::Process(ProcessError::System { doing: "a".into(), error: error() }), 1),
+            (LaunchError::Process(ProcessError::NoNetwork), 2),
+        ] {
+            assert_eq!(error.exit_code(), code, "{error}");
+        }
+    }
+
     /// A launcher of stages that have worked on 3 and 4 messages, of which the second is over.
     fn launcher<'a>(files: &Path, options: &'a RunOptions, phase: Phase) -> Launcher<'a> {
         let folder = folder_at(files);

@@ -319,6 +319,7 @@ impl Display for Text<'_> {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
+    use crate::link_report::EdgeReport;
     use crate::pipeline::Restart;
     use crate::plan::Runs;
     use crate::ports::{Topic, TopicReader, Wiring};
@@ -424,6 +425,26 @@ pub(super) mod tests {
         assert_eq!(lost(sated), [[0; 2]; 0], "it wanted no more");
         let ending = Ending { hurried: true, ..run.ending.clone() };
         assert_eq!(lost(Summary { ending, ..run }), [[0; 2]; 0], "nobody waited for them");
+    }
+
+    #[test]
+    fn each_start_but_the_first_is_one_anew() {
+        let mut run = lossless(InputCounts::default(), "writer");
+        assert_eq!(run.restarts(), 0);
+        for (stage, starts) in run.stages.iter_mut().zip([3, 1]) {
+            stage.status.as_mut().unwrap().starts = starts;
+        }
+        assert_eq!(run.restarts(), 2);
+    }
+
+    #[test]
+    fn a_link_has_a_line_for_each_topic_which_tells_all_that_did_not_come_as_lost() {
+        let edge = EdgeReport { topic: "depth".into(), lost: 5, stale: 20, malformed: 300, ..EdgeReport::default() };
+        let link = LinkReport { machine: "robot".into(), edges: vec![edge], ..LinkReport::default() };
+        let run = Summary { links: vec![link], ..summary(Box::default()) };
+        let text = run.to_string();
+        let line = text.lines().find(|line| line.starts_with("robot")).unwrap();
+        assert!(line.contains("depth") && line.split_whitespace().any(|cell| cell == "325"), "{text}");
     }
 
     #[test]
