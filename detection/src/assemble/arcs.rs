@@ -9,8 +9,8 @@ use conicflow_messages::{END_POINTS, Ellipse, Header};
 use std::iter;
 use std::ops::Range;
 
-/// Least variance of an arc, in square metres: surfaces are rough by a tenth of a millimetre.
-const LEAST_VARIANCE: f64 = 1e-8; // [tuned]
+/// Least variance of an arc, in square metres: surfaces are rough by a tenth of a millimetre. It is for images without noise.
+const LEAST_VARIANCE: f64 = 1e-8; // [algorithmic]
 /// Steepest surface from line to line, as depth per distance across the view.
 const SLOPE: f64 = 5.0; // [tuned]
 /// Mean depths of arcs of one surface may differ by so many standard deviations more than the slope explains.

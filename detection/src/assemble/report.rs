@@ -16,7 +16,7 @@ const SAMPLES: usize = 5; // [algorithmic]
 const ARCS: usize = 16; // [algorithmic]
 
 /// Lower bound of the cosine between an axis and the normal of the scan planes: it keeps the spacing along the axis finite.
-const MOST_OBLIQUE: f64 = 0.2; // [tuned]
+const MOST_OBLIQUE: f64 = 0.2; // [algorithmic]
 /// Standard deviation of the end of an object, in scan lines: noise and rims take some lines.
 const END_LINES: f64 = 1.5; // [tuned]
 

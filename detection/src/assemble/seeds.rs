@@ -11,8 +11,8 @@ use std::time::Instant;
 /// found in all cases; in simulated stereo 208, 210, 211 and 213 of 320, with 25, 27, 28 and 28 wrong answers (before arcs behind
 /// a model were let into its growth).
 pub(super) const MAX_VAIN: usize = 10; // [measured]
-/// Arcs up to so many radii beyond the visible ends of an object are tested for belonging to it.
-const SPARE_REACH: f64 = 1.5; // [tuned]
+/// Arcs up to so many radii beyond the visible ends of an object are tested for belonging to it; those farther off hardly ever do.
+const SPARE_REACH: f64 = 1.5; // [algorithmic]
 /// Such an arc belongs to the object if its mean square residual is less than so many variances.
 const SPARE_SQUARE: f64 = 4.0; // [sigmas]
 

@@ -12,8 +12,8 @@ use std::ops::Range;
 const SCATTER: f64 = 2.5; // [sigmas]
 /// The limit's `b`: the noise model may be wrong by this part of its variance.
 const SLACK: f64 = 0.6; // [tuned]
-/// Mean square roughness of any surface, in square metres: a tenth of a millimetre, squared.
-const LEAST_SQUARE: f64 = 1e-8; // [tuned]
+/// Mean square roughness of any surface, in square metres: a tenth of a millimetre, squared. It is for images without noise.
+const LEAST_SQUARE: f64 = 1e-8; // [algorithmic]
 /// Steepest surface between neighbouring pixels, as depth per distance across the view. A steeper step is a jump.
 const JUMP_SLOPE: f64 = 3.0; // [tuned]
 /// Steepest surface across a hole, as depth per distance across the view.
