@@ -462,8 +462,7 @@ mod tests {
 
     #[test]
     fn a_stage_is_told_its_name_its_folder_and_when_the_run_ends() {
-        let (pipeline, base, origin) = ("test".to_owned(), PathBuf::from("/base"), Origin::default());
-        let plan = Plan { layout: LAYOUT, pipeline, base, run: 7, stages: vec![], origin };
+        let plan = Plan { base: "/base".into(), ..plan_of(7) };
         let stop = Stop::default();
         let context = context_of(&plan, &stage::<Object>(), stop.clone());
         assert_eq!((&*context.stage, context.resolve(Path::new("scene.toml"))), ("stage", "/base/scene.toml".into()));
