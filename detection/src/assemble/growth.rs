@@ -20,12 +20,18 @@ const CURVED: f64 = 3.0; // [sigmas]
 /// Mean and variance of the bulge that noise gives a straight arc: zero for one arc in two, else chi squared with one degree
 /// of freedom.
 const STRAIGHT: [f64; 2] = [0.5, 1.25]; // [derived] [derived]
-/// Arcs of the next line are looked at within the pixels of the arcs of this one and, on both sides, one for each so many of them.
-const MARGIN_SHARE: i64 = 4; // [algorithmic]
+/// Pixels on both sides of the arcs of one line within which arcs of the next line are accepted.
+const MARGIN_PX: i64 = 2; // [tuned]
+/// One further pixel is added to that margin for each so many pixels of the arcs.
+const MARGIN_SHARE: i64 = 8; // [tuned]
 /// Number of lines by which a model of few lines may grow in one round.
 const LEAST_STEP: i64 = 4; // [algorithmic]
 /// Widest gap that is bridged, as a part of the lines of the object: something stands before it.
 const GAP: f64 = 0.5; // [tuned]
+/// What lies beyond a gap has at least so many times as many lines as the gap. Fewer, of all that were looked at, are explained
+/// by chance: such as a line of the lid of a can, where its far wall would be.
+const BEYOND_GAP: f64 = 0.1; // [tuned]
+
 /// A radius that exceeds its limit by so many standard deviations is that of a wall.
 const TOO_LARGE: f64 = 4.0; // [sigmas]
 
@@ -244,7 +250,7 @@ fn reach(region: &Region, gap: i64, free: impl Fn(usize) -> bool, found: &mut Ve
             line += 1;
         }
         while misses <= gap && line >= from - more && line <= to + more {
-            let (before, margin) = (found.len(), (span[1] - span[0]) / MARGIN_SHARE);
+            let (before, margin) = (found.len(), (span[1] - span[0]) / MARGIN_SHARE + MARGIN_PX);
             let near = [span[0] - margin, span[1] + margin];
             found.extend(arcs.on_line(middle.scan, line).filter(|&index| arcs.reaches(index, near) && accept(index)));
             misses = if found.len() > before { 0 } else { misses + 1 };
@@ -267,6 +273,19 @@ fn clean(arcs: &Arcs, model: &Model, members: &mut Vec<usize>) {
     members.truncate(last);
     let first = members.iter().position(|&index| bears(&AT_ENDS, index)).unwrap_or(0);
     members.drain(..first);
+    drop_strays(members, |index| f64::from(arcs.arcs[index].line));
+}
+
+/// Leaves out, at either end, the few lines that lie beyond a gap.
+fn drop_strays(members: &mut Vec<usize>, line: impl Fn(usize) -> f64) {
+    let are_few = |beyond: f64, pair: &[usize]| beyond < BEYOND_GAP * (line(pair[1]) - line(pair[0]) - 1.0);
+    let lines_from = |from: usize, to: usize| line(to) - line(from) + 1.0;
+    let Some(&last) = members.last() else { return };
+    let stray = members.windows(2).position(|pair| are_few(lines_from(pair[1], last), pair));
+    members.truncate(stray.map_or(members.len(), |at| at + 1));
+    let first = members[0];
+    let stray = members.windows(2).rposition(|pair| are_few(lines_from(first, pair[0]), pair));
+    members.drain(..stray.map_or(0, |at| at + 1));
 }
 
 #[cfg(test)]
@@ -277,6 +296,21 @@ mod tests {
     use conicflow_lab::random::CounterRng;
     use conicflow_lab::rendered::cylinder;
     use conicflow_messages::Ellipse;
+
+    #[test]
+    fn few_lines_beyond_a_wide_gap_are_left_out_and_many_are_not() {
+        let left = |lines: &[usize]| {
+            let mut members = (0..lines.len()).collect();
+            drop_strays(&mut members, |index| lines[index] as f64);
+            members.iter().map(|&index| lines[index]).collect::<Vec<_>>()
+        };
+        let with = |more: &[usize]| [&(50..60).collect::<Vec<_>>(), more].concat();
+        assert_eq!(left(&with(&[80])), with(&[]), "one after twenty empty ones");
+        assert_eq!(left(&[&[20, 21], &*with(&[])].concat()), with(&[]), "two before 28");
+        for kept in [with(&[66]), with(&[80, 81, 82]), with(&[80, 90]), vec![5], vec![]] {
+            assert_eq!(left(&kept), kept);
+        }
+    }
 
     #[test]
     fn noise_alone_seldom_exceeds_the_limit_of_a_mean_square_and_few_points_have_more_room() {
@@ -381,7 +415,7 @@ mod tests {
         let at = |line: u32| move |ellipse: &Ellipse| ellipse.scan == 0 && ellipse.line == line;
         let own = *ellipses.iter().find(|ellipse| at(120)(ellipse)).unwrap();
         let next = ellipses.iter().position(at(121)).unwrap();
-        let margin = (own.last - own.first) / 4;
+        let margin = (own.last - own.first) / 8 + 2;
         let [before, behind] = [own.first - margin, own.last + margin];
         for ([first, last], is_beside) in [
             ([behind, behind + 9], true),
