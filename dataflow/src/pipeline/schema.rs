@@ -104,12 +104,13 @@ impl<'a> Checker<'a> {
             && high.is_none_or(|high| number <= high)
             && bound("exclusiveMinimum").is_none_or(|low| number > low);
         if !inside {
-            let allowed = match (low.or(bound("exclusiveMinimum")), high) {
-                (Some(low), Some(high)) => format!("from {low} to {high}"),
-                (Some(low), None) if bound("exclusiveMinimum").is_some() => format!("more than {low}"),
-                (Some(low), None) => format!("{low} or more"),
-                (None, Some(high)) => format!("up to {high}"),
-                (None, None) => "a finite number".to_owned(),
+            let allowed = match (low, bound("exclusiveMinimum"), high) {
+                (_, Some(below), Some(high)) => format!("more than {below}, up to {high}"),
+                (_, Some(below), None) => format!("more than {below}"),
+                (Some(low), None, Some(high)) => format!("from {low} to {high}"),
+                (Some(low), None, None) => format!("{low} or more"),
+                (None, None, Some(high)) => format!("up to {high}"),
+                (None, None, None) => "a finite number".to_owned(),
             };
             self.fault(&value.place, format!("`{key}` is {number}, allowed is {allowed}"), described);
         }
