@@ -265,11 +265,10 @@ impl Arcs {
 
     /// Whether two arcs of near lines may belong to one surface.
     fn touches(&self, a: &Arc, b: &Arc) -> bool {
-        let shorter = (a.pixels[1] - a.pixels[0]).min(b.pixels[1] - b.pixels[0]) + 1;
         let lines = f64::from(a.line.abs_diff(b.line));
         let step = SLOPE * lines * a.spacing + APART * (a.variance / a.points.min(b.points)).sqrt();
         // The depth of the mean differs with the columns that an arc covers, by no more than its bulge.
         let bulge = LONGER * (a.pixels[1] - a.pixels[0]).abs_diff(b.pixels[1] - b.pixels[0]) as f64 * a.pitch;
-        2 * a.overlap(b.pixels) >= shorter && (a.mean.z - b.mean.z).abs() <= step + bulge // [tuned]
+        a.overlap(b.pixels) > 0 && (a.mean.z - b.mean.z).abs() <= step + bulge
     }
 }

@@ -40,22 +40,21 @@ pub(crate) struct Patience {
     /// Standard deviations by which the mean and the mean square may scatter, given the noise and the uncertainty of the
     /// model.
     scatter: f64,
-    /// Slack of the mean square on top of its scatter, in variances of a point.
-    square: f64,
-    /// Slack of the mean on top of its scatter, in standard deviations of a point.
-    mean: f64,
+    /// Mean square by which a surface may differ from its model on top of that, in variances of a point. All points of an arc may
+    /// be off alike, so that its root is what the mean may be off.
+    slack: f64,
 }
 
 /// For one more arc while a model grows.
-const GROWING: Patience = Patience { scatter: 2.5, square: 0.3, mean: 0.5 }; // [sigmas] [tuned] [tuned]
+const GROWING: Patience = Patience { scatter: 2.5, slack: 0.3 }; // [sigmas] [tuned]
 /// For all arcs of the first fit together.
-const FIRST: Patience = Patience { scatter: 3.0, square: 0.5, mean: f64::INFINITY }; // [sigmas] [tuned]
+const FIRST: Patience = Patience { scatter: 3.0, slack: 0.5 }; // [sigmas] [tuned]
 /// For each arc of a model that has grown.
-const SETTLED: Patience = Patience { scatter: 2.5, square: 0.15, mean: 0.5 }; // [sigmas] [tuned] [tuned]
+const SETTLED: Patience = Patience { scatter: 2.5, slack: 0.15 }; // [sigmas] [tuned]
 /// For the first and the last arcs of a model that has grown: an object meets the floor, a rim or another object there.
-const AT_ENDS: Patience = Patience { scatter: 1.2, square: 0.0, mean: 0.0 }; // [sigmas]
+const AT_ENDS: Patience = Patience { scatter: 1.2, slack: 0.0 }; // [sigmas]
 /// For what lies beyond a model that has grown: what is farther off than noise explains is not of its surface.
-pub(crate) const BEYOND: Patience = Patience { scatter: 2.5, square: 0.0, mean: 0.0 }; // [sigmas]
+pub(crate) const BEYOND: Patience = Patience { scatter: 2.5, slack: 0.0 }; // [sigmas]
 /// The variance of the model counts so many times in a mean square, because it differs along an arc.
 const ALONG_ARC: f64 = 4.0; // [tuned]
 
@@ -64,12 +63,12 @@ impl Patience {
     pub fn bears(&self, arc: &Arc, misfit: &Misfit, uncertainty: f64) -> bool {
         let square = arc.variance * self.square_limit(arc.points) + ALONG_ARC * uncertainty;
         let scatter = (arc.variance / arc.points + uncertainty).sqrt();
-        misfit.square <= square && misfit.mean.abs() <= self.mean * arc.variance.sqrt() + self.scatter * scatter
+        misfit.square <= square && misfit.mean.abs() <= (self.slack * arc.variance).sqrt() + self.scatter * scatter
     }
 
     /// Greatest mean square, in variances.
     fn square_limit(&self, points: f64) -> f64 {
-        self.square + self.scatter * (2.0 / points).sqrt()
+        self.slack + self.scatter * (2.0 / points).sqrt()
     }
 }
 
@@ -325,6 +324,18 @@ mod tests {
             assert!(refused < 20, "{refused} of 1000 with {points} points");
         }
         assert!(GROWING.square_limit(200.0) < 0.6, "so many points that are off by as much as noise is large show it");
+    }
+
+    #[test]
+    fn an_arc_may_be_off_as_a_whole_by_what_its_points_may_be_off() {
+        let (arcs, _) = two_cans();
+        let mut arc = arcs.arcs[0];
+        arc.points = 1e8;
+        let sigma = arc.variance.sqrt();
+        for (patience, most) in [(GROWING, 0.3_f64.sqrt()), (SETTLED, 0.15_f64.sqrt()), (BEYOND, 0.0)] {
+            let bears = |mean: f64| patience.bears(&arc, &Misfit { square: 0.0, mean: mean * sigma }, 0.0);
+            assert_eq!([0.99 * most, most + 0.01, -most - 0.01].map(bears), [true, false, false], "{most}");
+        }
     }
 
     /// The rows of two cans that stand side by side, each can's by the rows' numbers.

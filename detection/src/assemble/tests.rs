@@ -323,20 +323,21 @@ fn sigmas_are_those_of_the_same_can_beside_the_middle() {
 }
 
 #[test]
-fn arcs_at_the_same_place_in_different_depths_are_of_two_surfaces() {
-    let at = |line: u32, depth: f64| {
-        let mut ellipse =
-            Ellipse { line, first: 150, last: 169, points: 20, origin: [0.0, depth], ..Ellipse::default() };
+fn arcs_of_one_surface_have_a_column_in_common_and_are_at_the_same_depth() {
+    let at = |line: u32, first: u32, depth: f64| {
+        let last = first + 19;
+        let mut ellipse = Ellipse { line, first, last, points: 20, origin: [0.0, depth], ..Ellipse::default() };
         ellipse.moments[0] = 20.0;
         ellipse
     };
     let header = Header { camera: KINECT_HALF, noise: NoiseModel::KINECT_V1, ..Header::default() };
-    let goes_on = |depth: f64| {
+    let goes_on = |first: u32, depth: f64| {
         let mut arcs = Arcs::default();
-        arcs.read(&header, &[at(100, 1.0), at(101, depth)]);
-        arcs.beside(0, 1, 1, |_| true)
+        arcs.read(&header, &[at(100, 150, 1.0), at(101, first, depth)]);
+        arcs.beside(0, 1, 1, |_| true).is_some()
     };
-    assert_eq!((goes_on(1.0), goes_on(1.01), goes_on(1.1), goes_on(0.9)), (Some(1), Some(1), None, None));
+    assert_eq!([1.0, 1.01, 1.1, 0.9].map(|depth| goes_on(150, depth)), [true, true, false, false]);
+    assert_eq!([130, 131, 169, 170].map(|first| goes_on(first, 1.0)), [false, true, true, false]);
 }
 
 #[test]

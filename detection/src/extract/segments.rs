@@ -104,7 +104,8 @@ pub(super) fn next_segment(run: &Run, part: &Range<usize>, from: usize) -> Optio
     } else {
         let line = gallop(FIRST_FIT.min(most), most, |length| run.is_line(from, from + length));
         let circle = gallop(line, most, |length| run.is_circle(from, from + length));
-        Some(segment(circle, circle > line + line / 8 + 1)) // [tuned]
+        // A circle has one parameter more, and so explains one point more of a line as well.
+        Some(segment(circle, circle > line + 1))
     }
 }
 
