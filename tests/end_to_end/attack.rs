@@ -8,7 +8,7 @@
 //! was lost and nothing else does, and no process and no file stays behind.
 
 use super::bridge::{HALVES, apart, loopback, placed};
-use super::processes::{files_in_shared_memory, shared_files, stages_of, wait_for_shared_memory};
+use super::processes::{files_in_shared_memory, shared_files, shared_prefix, stages_of, wait_for_shared_memory};
 use super::routers::session;
 use super::support::{Ended, Playground, Started, TRACKING, TRACKING_STAGES, signal, wait_until};
 use rustix::process::Signal;
@@ -224,22 +224,22 @@ fn eavesdropper(endpoint: &str) -> zenoh::Session {
     session("peer", &[("connect/endpoints", &format!("[\"{endpoint}\"]")), ("connect/timeout_ms", "5000")])
 }
 
-/// Starts what a round needs: one machine, or two and who listens to their link.
+/// Starts what a round needs, until it has shared memory: one machine, or two and who listens to their link.
 fn begin(round: &Round) -> (Vec<(Playground, Started)>, Option<zenoh::Session>) {
+    let start = |text: &str, arguments: &[&str]| {
+        let playground = Playground::with_pipeline(text);
+        let mut run = playground.start(arguments);
+        wait_for_shared_memory(&mut run, &playground);
+        (playground, run)
+    };
     if !round.has_two_machines {
-        let playground = Playground::with_pipeline(&round.text());
-        let run = playground.start(&["run"]);
-        return (vec![(playground, run)], None);
+        return (vec![start(&round.text(), &["run"])], None);
     }
     let endpoint = loopback();
     let ends = apart(&endpoint, &endpoint);
     let ends = ends.split_once("\n[machine.robot]").unwrap().1;
     let text = format!("{}\n[machine.robot]{ends}", placed(&round.text(), &HALVES));
-    let machines = ["robot", "base"].map(|name| {
-        let playground = Playground::with_pipeline(&text);
-        let run = playground.start(&["run", "--machine", name]);
-        (playground, run)
-    });
+    let machines = ["robot", "base"].map(|name| start(&text, &["run", "--machine", name]));
     let forges = round.has(|blow| matches!(blow, Blow::Forge));
     let listens = || std::net::TcpStream::connect(&endpoint[4..]).is_ok();
     let link = forges.then(|| {
@@ -252,8 +252,7 @@ fn begin(round: &Round) -> (Vec<(Playground, Started)>, Option<zenoh::Session>) 
 /// Does one round; what was found wrong.
 fn attack(round: &Round) -> Result<String, String> {
     let (mut machines, link) = begin(round);
-    let prefixes: Vec<_> =
-        machines.iter_mut().map(|(playground, run)| wait_for_shared_memory(run, playground)).collect();
+    let prefixes: Vec<_> = machines.iter().map(|(playground, _)| shared_prefix(playground)).collect();
     let (mut beside, begun) = (Beside::default(), Instant::now());
     let count = |machines: &[(Playground, Started)]| machines[machines.len() - 1].0.lines("tracks.jsonl").len() as u64;
     for (after, blow) in &round.blows {
