@@ -1,6 +1,7 @@
 //! Tests of an edge from end to end within one process: two machines, each with shared memory of its own, joined by a stream.
 
 use crate::peer::counts::EdgeCounts;
+use crate::peer::heartbeat::Ack;
 use crate::peer::journal::Journal;
 use crate::peer::links::Links;
 use crate::receiving::Receiving;
@@ -8,6 +9,7 @@ use crate::sending::{Sending, Shared};
 use crate::session::Sessions;
 use crate::session::tests::joined;
 use crate::wire::seal::Seal;
+use crate::wire::{Place, encode_message};
 use conicflow_dataflow::pipeline::{BRIDGE, Compression, Machine};
 use conicflow_dataflow::ports::{Delivery, Reader, Received, Topic, TopicReader, Transport, Writer};
 use conicflow_dataflow::relay::{Peers, SharedMemory, end_of_stream};
@@ -19,7 +21,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-const DEADLINE: Duration = Duration::from_secs(60);
+pub const DEADLINE: Duration = Duration::from_secs(60);
 const OUTAGE: Duration = Duration::from_secs(30);
 
 /// The edge from `robot` to `base`, as it is on the machine where `reader` reads the topic.
@@ -82,8 +84,13 @@ fn objects(number: u64) -> Vec<Object> {
     vec![Object { radius: number as f64, ..Object::default() }; number as usize]
 }
 
+/// The shared memory of a machine, as a stage on it opens it.
+pub fn memory(folder: &Path, stage: &str) -> SharedMemory {
+    SharedMemory::open(folder, "test", stage, Stop::default()).unwrap()
+}
+
 /// Writes messages, among them some of a stage that has no part in the edge, and their end.
-fn write(memory: &SharedMemory, topic: &Topic, count: u64) {
+pub fn write(memory: &SharedMemory, topic: &Topic, count: u64) {
     let mut writer = memory.writer::<Object>(topic).unwrap();
     for number in 0..count {
         for stage in ["stranger", "writer"] {
@@ -100,7 +107,7 @@ fn write(memory: &SharedMemory, topic: &Topic, count: u64) {
 }
 
 /// The numbers of the messages that come until the end, whose items are looked at, and how many the end says that there were.
-fn read(mut reader: impl Reader) -> (Vec<u64>, u64) {
+pub fn read(mut reader: impl Reader) -> (Vec<u64>, u64) {
     let (mut came, begin) = (Vec::new(), Instant::now());
     while begin.elapsed() < DEADLINE {
         let Some(message) = reader.receive().unwrap() else {
@@ -117,6 +124,44 @@ fn read(mut reader: impl Reader) -> (Vec<u64>, u64) {
     panic!("the end does not come, after {came:?}");
 }
 
+/// Lets each machine hear a heartbeat of the other.
+fn tell_each_other(robot: &Side, base: &Side) {
+    robot.links.say("@robot", robot.links.news(), |bytes| base.links.heard("robot", "@robot", &bytes));
+    base.links.say("@base", base.links.news(), |bytes| robot.links.heard("base", "@base", &bytes));
+}
+
+/// What is left of messages that come to `base`, whose bridge has met that of `robot`: counts of those that were passed on, that
+/// came too late and that made no sense, and what is acknowledged.
+fn accepted(delivery: Delivery, messages: &[Vec<u8>]) -> ([u64; 3], Ack) {
+    let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
+    let robot = Side::new("robot", edge(delivery, BRIDGE), folders[0].path());
+    let base = Side::new("base", edge(delivery, "reader"), folders[1].path());
+    let ([_, sessions], peers) = (joined(|address| address), Peers::default());
+    (0..2).for_each(|_| tell_each_other(&robot, &base));
+    let mut reader = memory(folders[1].path(), "reader").reader::<Object>(&base.edge.topic, "reader").unwrap();
+    let mut receiving = Receiving::new(&base.edge, &base.shared(&sessions, &peers), Arc::clone(&base.counts)).unwrap();
+    let (begin, over) = (Instant::now(), AtomicBool::new(false));
+    thread::scope(|scope| {
+        scope.spawn(|| {
+            while !over.load(Ordering::Relaxed) && begin.elapsed() < DEADLINE {
+                reader.receive().unwrap();
+                reader.wait(Duration::from_millis(5)).unwrap();
+            }
+        });
+        messages.iter().for_each(|bytes| receiving.accept(bytes).unwrap());
+        over.store(true, Ordering::Relaxed);
+    });
+    let EdgeCounts { messages, stale, malformed, .. } = &*base.counts;
+    let counts = [messages, stale, malformed].map(|count| count.load(Ordering::Relaxed));
+    (counts, base.links.news().acks.remove(0))
+}
+
+/// The message of this number as it goes onto the link.
+fn on_the_wire(header: &Header, number: u64, oldest: u64) -> Vec<u8> {
+    let (place, item) = (Place { stream: 5, number, oldest }, ItemType::of::<Object>());
+    encode_message(place, &item, header, bytemuck::cast_slice(&objects(number)), Compression::None).unwrap()
+}
+
 /// Carries so many messages over an edge: those that came, how many there were, and both sides afterwards.
 fn carry(delivery: Delivery, count: u64) -> (Vec<u64>, u64, [Side; 2]) {
     let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
@@ -124,18 +169,15 @@ fn carry(delivery: Delivery, count: u64) -> (Vec<u64>, u64, [Side; 2]) {
     let base = Side::new("base", edge(delivery, "reader"), folders[1].path());
     let ([robot_sessions, base_sessions], peers, over) =
         (joined(|address| address), Peers::default(), AtomicBool::new(false));
-    let open =
-        |folder: &tempfile::TempDir, stage| SharedMemory::open(folder.path(), "test", stage, Stop::default()).unwrap();
     let (sharing_there, sharing_here) = (robot.shared(&robot_sessions, &peers), base.shared(&base_sessions, &peers));
     let (came, told) = thread::scope(|scope| {
         scope.spawn(|| {
             while !over.load(Ordering::Relaxed) {
-                robot.links.say("@robot", robot.links.news(), |bytes| base.links.heard("robot", "@robot", &bytes));
-                base.links.say("@base", base.links.news(), |bytes| robot.links.heard("base", "@base", &bytes));
+                tell_each_other(&robot, &base);
                 thread::sleep(Duration::from_millis(10));
             }
         });
-        let reader = open(&folders[1], "reader").reader::<Object>(&base.edge.topic, "reader").unwrap();
+        let reader = memory(folders[1].path(), "reader").reader::<Object>(&base.edge.topic, "reader").unwrap();
         let receiving = Receiving::new(&base.edge, &sharing_here, Arc::clone(&base.counts)).unwrap();
         let sending = Sending::new(&robot.edge, &sharing_there, Arc::clone(&robot.counts)).unwrap();
         let carries = [scope.spawn(move || receiving.run()), scope.spawn(move || sending.run())];
@@ -143,7 +185,7 @@ fn carry(delivery: Delivery, count: u64) -> (Vec<u64>, u64, [Side; 2]) {
         while !robot.links.is_connected("base") && begin.elapsed() < DEADLINE {
             thread::sleep(Duration::from_millis(5));
         }
-        scope.spawn(|| write(&open(&folders[0], "writer"), &robot.edge.topic, count));
+        scope.spawn(|| write(&memory(folders[0].path(), "writer"), &robot.edge.topic, count));
         let read = read(reader);
         carries.into_iter().for_each(|carries| carries.join().unwrap().unwrap());
         over.store(true, Ordering::Relaxed);
@@ -160,6 +202,8 @@ fn a_lossless_edge_carries_each_message_of_its_writers_and_their_end_and_both_ma
         let [messages, lost, malformed] =
             [&counts.messages, &counts.lost, &counts.malformed].map(|it| it.load(Ordering::Relaxed));
         assert_eq!([messages, lost, malformed], [40, 0, 0]);
+        let bytes = (0..40).sum::<usize>() * size_of::<Object>() + 40 * size_of::<Header>();
+        assert_eq!(counts.memory_bytes.load(Ordering::Relaxed), bytes as u64);
     }
     assert!(robot.links.has_finished("base", "objects") && base.links.is_finished("robot", "objects").0);
 }
@@ -170,4 +214,52 @@ fn an_edge_where_the_newest_wins_carries_messages_in_their_order_and_the_end() {
     assert!(came.is_sorted_by(|a, b| a < b) && told == 40, "{came:?} of {told}");
     assert!(base.counts.messages.load(Ordering::Relaxed) <= robot.counts.messages.load(Ordering::Relaxed));
     assert!(base.links.is_finished("robot", "objects").0);
+}
+
+#[test]
+fn what_was_long_under_way_is_passed_on_only_where_none_may_be_missed() {
+    let sent_at = |sent_ns: u64| {
+        let mut header = header("writer", 0);
+        header.hops[0].sent_ns = sent_ns;
+        header
+    };
+    let (late, just_sent) = (sent_at(0), sent_at(u64::MAX));
+    let messages = [on_the_wire(&late, 0, 0), on_the_wire(&just_sent, 1, 0)];
+    assert_eq!(accepted(Delivery::Lossless, &messages).0, [2, 0, 0]);
+    assert_eq!(accepted(Delivery::Latest, &messages).0, [1, 1, 0]);
+}
+
+#[test]
+fn what_makes_no_sense_is_passed_over_and_acknowledged_so_that_what_follows_comes() {
+    let of_writer = |number| on_the_wire(&header("writer", number), number, 0);
+    let (cut, ahead) = (of_writer(2).len() - 1, on_the_wire(&header("writer", 3), 3, 9));
+    let messages = [
+        of_writer(0),
+        on_the_wire(&header("stranger", 1), 1, 0),
+        of_writer(2)[..cut].to_vec(),
+        ahead[..ahead.len() - 1].to_vec(),
+        of_writer(4),
+    ];
+    let (counts, ack) = accepted(Delivery::Lossless, &messages);
+    assert_eq!((counts, ack.stream, ack.next), ([2, 0, 3], 5, 5));
+}
+
+#[test]
+fn a_message_whose_number_was_not_reached_is_told_when_the_true_ones_come() {
+    let messages = [300, 1].map(|number| on_the_wire(&header("writer", number), number, number));
+    let (counts, ack) = accepted(Delivery::Lossless, &messages);
+    assert_eq!((counts, ack.next), ([2, 0, 1], 2));
+}
+
+#[test]
+fn an_edge_is_not_finished_where_the_run_ends_before_its_writers_and_readers() {
+    let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
+    let robot = Side::new("robot", edge(Delivery::Latest, BRIDGE), folders[0].path());
+    let base = Side::new("base", edge(Delivery::Latest, "reader"), folders[1].path());
+    let ([_, sessions], peers) = (joined(|address| address), Peers::default());
+    (0..2).for_each(|_| tell_each_other(&robot, &base));
+    let receiving = Receiving::new(&base.edge, &base.shared(&sessions, &peers), Arc::clone(&base.counts)).unwrap();
+    base.stop.request();
+    receiving.run().unwrap();
+    assert_eq!(base.links.is_finished("robot", "objects"), (false, false));
 }

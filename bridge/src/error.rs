@@ -40,3 +40,22 @@ impl BridgeError {
         Self::Zenoh { doing: doing.to_owned(), reason: reason.to_string() }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::PathBuf;
+
+    #[test]
+    fn a_bridge_is_started_anew_except_where_the_files_would_have_to_be_others() {
+        let too_long = PortError::PathTooLong { path: PathBuf::new(), length: 200, limit: 100 };
+        for is_lasting in [BridgeError::Settings(Hinted::new("no endpoint", "name one")), too_long.into()] {
+            assert!(is_lasting.is_final(), "{is_lasting}");
+        }
+        for passes in
+            [BridgeError::zenoh("cannot declare a key", "closed"), BridgeError::Panicked, PortError::Stopped.into()]
+        {
+            assert!(!passes.is_final(), "{passes}");
+        }
+    }
+}

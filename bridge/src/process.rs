@@ -11,7 +11,7 @@ use crate::sending::{Sending, Shared};
 use crate::session::{Publisher, Sessions, Subscriber};
 use crate::settings;
 use crate::wire::seal::Seal;
-use conicflow_dataflow::relay::{MemoryTrim, SharedMemory, StageRuntime};
+use conicflow_dataflow::relay::{MemoryTrim, Peers, SharedMemory, StageRuntime, StatusFile};
 use conicflow_dataflow::{BridgePlan, BridgeRun, Life, NO_RUN, Stop, unix_ns};
 use std::sync::Arc;
 use std::thread::{Scope, ScopedJoinHandle};
@@ -27,13 +27,27 @@ const HEARTBEAT_PERIOD: Duration = Duration::from_millis(200);
 /// The last acknowledgement is repeated, because nothing acknowledges that one.
 const FAREWELLS: usize = 5;
 
-/// Carries the edges of a plan until all have ended.
+/// Carries the edges of a plan until all have ended, as a process of its own.
 pub(crate) fn run(
     bridge: &BridgePlan,
     run: BridgeRun<'_>,
     runtime: StageRuntime<SharedMemory>,
 ) -> Result<(), BridgeError> {
-    let (stop, memory_trim) = (runtime.context.stop.clone(), MemoryTrim::of(&runtime));
+    let memory_trim = MemoryTrim::of(&runtime);
+    let StageRuntime { transport, context, peers, record, .. } = runtime;
+    carry(bridge, run, &transport, &peers, &context.stop, record, memory_trim)
+}
+
+/// Carries them by this shared memory until all have ended, or the run does; the record tells how far it is.
+fn carry(
+    bridge: &BridgePlan,
+    run: BridgeRun<'_>,
+    transport: &SharedMemory,
+    peers: &Peers,
+    stop: &Stop,
+    record: StatusFile,
+    memory_trim: MemoryTrim,
+) -> Result<(), BridgeError> {
     let now = unix_ns();
     // Nobody can come after the process of a stage that was started by itself.
     let kept_in = (run.run != NO_RUN).then_some(run.folder);
@@ -41,20 +55,20 @@ pub(crate) fn run(
     let session = journal.session();
     let seal = Seal::new(settings::key(&bridge.settings)?.as_ref(), session);
     let links = Arc::new(Links::new(journal, seal, bridge));
-    let mut reporter = BridgeReporter::new(bridge, run, runtime.record, &links);
+    let mut reporter = BridgeReporter::new(bridge, run, record, &links);
     reporter.report(false);
-    let Some(sessions) = Sessions::open(&bridge.settings, &stop, || reporter.report(false))? else { return Ok(()) };
+    let Some(sessions) = Sessions::open(&bridge.settings, stop, || reporter.report(false))? else { return Ok(()) };
     let shared = Shared {
         sessions: &sessions,
-        transport: &runtime.transport,
+        transport,
         links: &links,
         pipeline: run.pipeline,
         machine: &bridge.machine,
         session,
         log_folder: kept_in,
         outage: bridge.settings.outage_s.map_or(OUTAGE, Duration::from_secs_f64),
-        peers: &runtime.peers,
-        stop: &stop,
+        peers,
+        stop,
     };
     let own_key = heartbeat_key(run.pipeline, &bridge.machine);
     let publisher = sessions.publisher(&own_key, true, Priority::RealTime)?;
@@ -123,7 +137,7 @@ impl<'a> Watch<'a> {
             if is_heartbeat_due(self.links.owes_answer(), &news, &self.sent, Instant::now()) {
                 self.send_heartbeat(news);
             }
-            if self.reporter.is_due() {
+            if self.reporter.is_due(Instant::now()) {
                 self.report();
             }
             self.subscribers
@@ -182,7 +196,108 @@ impl<'a> EdgeHandle<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::edge_tests::{DEADLINE, edge, memory, read, write};
     use crate::peer::heartbeat::Ack;
+    use conicflow_dataflow::pipeline::{BRIDGE, Machine};
+    use conicflow_dataflow::ports::{Delivery, Transport as _};
+    use conicflow_dataflow::{Edge, Status};
+    use conicflow_messages::Object;
+    use serde_json::Value as Json;
+    use std::net::TcpListener;
+    use std::path::{Path, PathBuf};
+    use std::thread;
+
+    const RUN: u64 = 7;
+
+    fn record(folder: &Path) -> PathBuf {
+        folder.join("bridge.status")
+    }
+
+    /// Where the shared memory of a machine is: not with the records, since it leaves nothing where it was.
+    fn in_memory(folder: &Path) -> PathBuf {
+        let path = folder.join("memory");
+        std::fs::create_dir_all(&path).unwrap();
+        path
+    }
+
+    /// Runs a bridge until it ends; where it is in its life then.
+    fn ended(plan: &BridgePlan, run: u64, folder: &Path, stop: &Stop) -> Option<Life> {
+        let transport = SharedMemory::open(&in_memory(folder), "test", BRIDGE, stop.clone()).unwrap();
+        let (own, record_file) = (BridgeRun { pipeline: "test", run, folder }, StatusFile::open(&record(folder), run));
+        carry(plan, own, &transport, &Peers::default(), stop, record_file.unwrap(), MemoryTrim::default()).unwrap();
+        Status::read(&record(folder)).map(|status| status.life())
+    }
+
+    /// The plans of `robot` and `base`, between which one edge leads.
+    fn plans() -> [BridgePlan; 2] {
+        let endpoint = || vec![format!("tcp/{}", TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap())];
+        let (endpoint, settings) = (endpoint(), || Machine { insecure: true, ..Machine::default() });
+        let plan = |machine: &str, settings: Machine, outgoing: Vec<Edge>, incoming: Vec<Edge>| BridgePlan {
+            machine: machine.to_owned(),
+            settings,
+            outgoing,
+            incoming,
+        };
+        let listening = Machine { listen: endpoint.clone(), ..settings() };
+        let connecting = Machine { connect: endpoint, ..settings() };
+        [
+            plan("robot", listening, vec![edge(Delivery::Lossless, BRIDGE)], Vec::new()),
+            plan("base", connecting, Vec::new(), vec![edge(Delivery::Lossless, "reader")]),
+        ]
+    }
+
+    fn wait_until(holds: impl Fn() -> bool) {
+        let begin = Instant::now();
+        while !holds() {
+            assert!(begin.elapsed() < DEADLINE, "it never came true");
+            thread::sleep(TICK);
+        }
+    }
+
+    /// Whether the link is told to be up.
+    fn is_up(folder: &Path) -> bool {
+        let told = std::fs::read(folder.join("bridge.links")).unwrap_or_default();
+        serde_json::from_slice::<Json>(&told).is_ok_and(|told| told["links"][0]["state"] == "up")
+    }
+
+    #[test]
+    fn two_bridges_tell_that_they_meet_and_carry_an_edge_until_its_end_and_the_next_of_the_run_knows() {
+        let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
+        let (plans, [robot, base]) = (plans(), folders.each_ref().map(tempfile::TempDir::path));
+        let edge = &plans[1].incoming[0];
+        thread::scope(|scope| {
+            let bridges = [(&plans[0], robot), (&plans[1], base)]
+                .map(|(plan, folder)| scope.spawn(move || ended(plan, RUN, folder, &Stop::default())));
+            let reader = memory(&in_memory(base), "reader").reader::<Object>(&edge.topic, "reader").unwrap();
+            [robot, base].iter().for_each(|folder| wait_until(|| is_up(folder)));
+            scope.spawn(|| write(&memory(&in_memory(robot), "writer"), &plans[0].outgoing[0].topic, 20));
+            assert_eq!(read(reader), ((0..20).collect(), 20));
+            bridges.into_iter().for_each(|bridge| assert_eq!(bridge.join().unwrap(), Some(Life::Ended)));
+        });
+        let next = Journal::open(Some(robot), RUN, 0);
+        assert!(next.has_heard("base") && next.finished().len() == 1, "{next:?}");
+    }
+
+    #[test]
+    fn a_bridge_that_is_made_to_end_has_not_come_to_its_end_and_leaves_a_journal_where_another_can_come_after_it() {
+        for (run, is_kept) in [(RUN, true), (NO_RUN, false)] {
+            let (folder, stop, [robot, _]) = (tempfile::tempdir().unwrap(), Stop::default(), plans());
+            let is_running =
+                || Status::read(&record(folder.path())).is_some_and(|status| status.life() == Life::Running);
+            thread::scope(|scope| {
+                let bridge = scope.spawn(|| ended(&robot, run, folder.path(), &stop));
+                wait_until(is_running);
+                stop.force();
+                assert_eq!(bridge.join().unwrap(), Some(Life::Starting));
+            });
+            assert_eq!(folder.path().join("bridge.journal").is_file(), is_kept);
+        }
+    }
+
+    #[test]
+    fn heartbeats_of_a_machine_have_a_key_of_their_own_in_each_pipeline() {
+        assert_eq!(heartbeat_key("tracking", "robot"), "conicflow/tracking/@link/robot");
+    }
 
     #[test]
     fn a_heartbeat_is_sent_at_once_with_news_or_to_answer_and_else_five_times_a_second() {

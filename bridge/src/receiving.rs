@@ -155,7 +155,7 @@ impl<'a> Receiving<'a> {
     }
 
     /// Checks a message, and passes it on if it is the next.
-    fn accept(&mut self, bytes: &[u8]) -> Result<(), PortError> {
+    pub(super) fn accept(&mut self, bytes: &[u8]) -> Result<(), PortError> {
         let (place, header) = match self.decode(bytes) {
             Ok(message) => message,
             Err(error) => {

@@ -262,7 +262,7 @@ fn loss(lost: u64, topic: &str) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::edge_tests::{Side, edge};
+    use crate::edge_tests::{DEADLINE, Side, edge};
     use crate::reliable::send_log::CAPACITY;
     use crate::session::tests::joined;
     use crate::wire::decode_message;
@@ -308,6 +308,34 @@ mod tests {
             sending.queue.sent(&[], Instant::now());
         }
         assert!(!sending.may_send());
+    }
+
+    #[test]
+    fn where_the_newest_wins_an_edge_is_wanted_by_who_listens_to_its_key() {
+        let folder = tempfile::tempdir().unwrap();
+        let robot = Side::new("robot", edge(Delivery::Latest, BRIDGE), folder.path());
+        let ([sessions, base], peers) = (joined(|address| address), Peers::default());
+        let sending = Sending::new(&robot.edge, &robot.shared(&sessions, &peers), Arc::clone(&robot.counts)).unwrap();
+        assert!(!sending.is_wanted());
+        let _subscriber = base.subscriber("conicflow/test/robot/objects", None, |_| ()).unwrap();
+        let begin = Instant::now();
+        while !sending.is_wanted() {
+            assert!(begin.elapsed() < DEADLINE, "it is never wanted");
+            std::thread::yield_now();
+        }
+    }
+
+    #[test]
+    fn who_is_made_to_end_counts_what_was_not_acknowledged_as_lost() {
+        let folder = tempfile::tempdir().unwrap();
+        let robot = Side::new("robot", edge(Delivery::Lossless, BRIDGE), folder.path());
+        let ([sessions, _], peers) = (joined(|address| address), Peers::default());
+        let shared = robot.shared(&sessions, &peers);
+        let mut sending = Sending::new(&robot.edge, &shared, Arc::clone(&robot.counts)).unwrap();
+        (0..3).for_each(|_| sending.queue.sent(&[], Instant::now()));
+        shared.stop.force();
+        sending.run().unwrap();
+        assert_eq!(robot.counts.lost.load(Ordering::Relaxed), 3);
     }
 
     #[test]

@@ -359,6 +359,45 @@ pub(crate) mod tests {
     }
 
     #[test]
+    fn who_sends_no_datagrams_is_asked_anew_after_a_while_and_not_with_each_look() {
+        let [_robot, base] = joined(|address| address);
+        let mut subscriber = base.subscriber(KEY, Some(Duration::from_secs(1)), |_| ()).unwrap();
+        let since = Instant::now();
+        while subscriber.datagrams.is_none() {
+            assert!(since.elapsed() < DEADLINE, "there are no datagrams");
+            subscriber.choose().unwrap();
+        }
+        let mut asked_after = |time: Duration| {
+            let asked = &mut subscriber.datagrams.as_mut().unwrap().asked;
+            *asked = Instant::now().checked_sub(time).unwrap();
+            let before = *asked;
+            subscriber.choose().unwrap();
+            subscriber.datagrams.as_ref().unwrap().asked != before
+        };
+        assert_eq!([Duration::ZERO, 2 * ASK_AGAIN, Duration::ZERO].map(&mut asked_after), [false, true, false]);
+    }
+
+    #[test]
+    fn it_is_known_whether_anybody_is_there_and_whether_anybody_listens() {
+        let alone = Sessions::open(&Machine::default(), &Stop::default(), || ()).unwrap().unwrap();
+        let [robot, base] = joined(|address| address);
+        let publisher = robot.publisher(KEY, false, Priority::DataLow).unwrap();
+        assert!(!alone.reach_anybody() && !publisher.is_heard());
+        let _subscriber = base.subscriber(KEY, None, |_| ()).unwrap();
+        let since = Instant::now();
+        while !robot.reach_anybody() || !base.reach_anybody() || !publisher.is_heard() {
+            assert!(since.elapsed() < DEADLINE, "nobody is there");
+            std::thread::yield_now();
+        }
+    }
+
+    #[test]
+    fn what_zenoh_says_is_told_without_the_place_in_its_source() {
+        let error = std::io::Error::other("Can not bind a listener at /root/zenoh/src/orchestrator.rs:123.");
+        assert_eq!(in_short(&error), "Can not bind a listener");
+    }
+
+    #[test]
     fn what_is_long_or_must_not_be_lost_goes_by_the_stream_alone() {
         let [robot, base] = joined(|address| address);
         let (take, heard) = channel();

@@ -244,6 +244,7 @@ mod tests {
         ] {
             assert_eq!(config.get_json(key).unwrap(), expected, "{key}");
         }
+        assert!(is_client(&config) && !is_client(&configurations(&Machine::default()).unwrap().0));
         assert!(client(&["robot:7447".to_owned()]).is_err());
     }
 
@@ -316,6 +317,25 @@ mod tests {
     }
 
     #[test]
+    fn what_is_not_wanted_is_left_out_of_lists_of_each_mode() {
+        let mut endpoints = json!({ "peer": ["tcp/base:7447", "udp/base:7447"], "client": ["udp/base:7448"] });
+        retain_strings(&mut endpoints, |endpoint| !carries_datagrams(endpoint));
+        assert_eq!(endpoints, json!({ "peer": ["tcp/base:7447"], "client": [] }));
+    }
+
+    #[test]
+    fn certificates_and_keys_lie_beside_the_file_that_names_them() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("zenoh.json5");
+        let tls = "{ enable_mtls: true, listen_certificate: 'robot.pem', listen_private_key: '/etc/robot.key' }";
+        std::fs::write(&path, format!("{{ transport: {{ link: {{ tls: {tls} }} }} }}")).unwrap();
+        let read = read_file(&path).unwrap();
+        let tls = &read["transport"]["link"]["tls"];
+        assert_eq!(tls["listen_certificate"], folder.path().join("robot.pem").to_string_lossy().as_ref());
+        assert_eq!((&tls["listen_private_key"], &tls["enable_mtls"]), (&json!("/etc/robot.key"), &json!(true)));
+    }
+
+    #[test]
     fn a_file_adds_to_what_is_safe_and_cannot_open_a_port_in_passing() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("zenoh.json5");
@@ -325,6 +345,7 @@ mod tests {
         assert_eq!(config.get_json("mode").unwrap(), "\"client\"");
         assert_eq!(config.get_json("scouting/multicast/enabled").unwrap(), "false");
         std::fs::write(&path, "{ listen: { endpoints: { peer: ['tcp/[::]:7447'] } } }").unwrap();
+        assert_eq!(listen_endpoints(&machine).unwrap(), ["tcp/[::]:7447"]);
         assert!(check(&machine).unwrap_err().what.contains("`tcp/[::]:7447`"));
         std::fs::write(&path, "{ no_such_key: 1 }").unwrap();
         assert!(check(&machine).is_err());

@@ -107,7 +107,7 @@ mod tests {
             let there = begin + (round_trip_ms / 2 + offset_ms) * MS;
             [begin, there, there, end].map(|time| time as u64)
         };
-        for (offset_ms, best_ms) in [(69, 0), (71, 71), (-69, 0), (-71, -71)] {
+        for (offset_ms, best_ms) in [(70, 0), (71, 71), (-70, 0), (-71, -71)] {
             let mut clock = Clock::default();
             clock.add(exchange(20, 0));
             clock.add(exchange(100, offset_ms));
@@ -123,7 +123,18 @@ mod tests {
         let slow = |time: u64| [time, time + 5000, time + 5000, time + 5010];
         (1..3100).for_each(|count| clock.add(slow(count * SECOND / 100)));
         assert_eq!(clock.best().unwrap().round_trip_ns, 20);
+        assert!(clock.best.len() as u64 <= SECONDS, "one of each second is enough");
         (31..40).for_each(|second| clock.add(slow(second * SECOND)));
         assert_eq!(clock.best().unwrap().round_trip_ns, 5010);
+    }
+
+    #[test]
+    fn a_quick_exchange_is_remembered_from_when_it_was() {
+        const SECOND: u64 = 1_000_000_000;
+        let mut clock = Clock::default();
+        for (second, back_ns) in [(0, 5010), (5, 20), (33, 5010)] {
+            clock.add([second * SECOND, second * SECOND + 10, second * SECOND + 10, second * SECOND + back_ns]);
+        }
+        assert_eq!(clock.best().unwrap().round_trip_ns, 20, "of 28 seconds ago");
     }
 }

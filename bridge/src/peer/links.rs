@@ -391,9 +391,10 @@ fn routes_of(edge: &Edge) -> impl Iterator<Item = Route> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::edge_tests::edge;
     use crate::wire::seal::secret;
-    use conicflow_dataflow::LinkKey;
     use conicflow_dataflow::pipeline::Machine;
+    use conicflow_dataflow::{LinkKey, Receiver};
 
     /// A session of a bridge that knows of one other machine.
     fn session(machine: &str, peer: &str, number: u64, secret: &LinkKey) -> Links {
@@ -401,8 +402,13 @@ mod tests {
     }
 
     fn links_of(machine: &str, peer: &str, journal: Journal, secret: &LinkKey) -> Links {
+        links_with(machine, peer, journal, secret, Vec::new())
+    }
+
+    /// The same, with these edges.
+    fn links_with(machine: &str, peer: &str, journal: Journal, secret: &LinkKey, outgoing: Vec<Edge>) -> Links {
         let (machine, settings) = (machine.to_owned(), Machine::default());
-        let plan = BridgePlan { machine, settings, outgoing: Vec::new(), incoming: Vec::new() };
+        let plan = BridgePlan { machine, settings, outgoing, incoming: Vec::new() };
         let seal = Seal::new(Some(secret), journal.session());
         let links = Links::new(journal, seal, &plan);
         lock(&links.peers).insert(peer.to_owned(), Peer::default());
@@ -529,6 +535,7 @@ mod tests {
         assert!(second_robot.has_finished("base", "objects"));
         talk(&second_robot, &second_base);
         assert_eq!(second_base.is_finished("robot", "objects"), (true, true));
+        assert_eq!(second_base.is_finished("robot", "tracks"), (false, false));
         // Another run of the robot sends anew.
         let other_run = start("robot", "base", &robot_folder, 9, 5);
         talk(&other_run, &second_base);
@@ -557,6 +564,101 @@ mod tests {
         hear(&base, "robot", &recorded);
         let samples = &lock(&base.peers)["robot"].samples;
         assert!(samples.len() == SESSIONS && samples.iter().any(|sample| sample.session == 8), "{samples:?}");
+    }
+
+    #[test]
+    fn a_machine_with_another_pipeline_file_is_told_from_one_with_the_same() {
+        let secret = secret();
+        let to_base = |delivery| edge(delivery, "reader");
+        let to_arm = Edge {
+            to: vec![Receiver { machine: "arm".into(), delivery: Delivery::Latest }],
+            ..to_base(Delivery::Latest)
+        };
+        let start = |machine: &str, peer: &str, edges: &[Edge]| {
+            links_with(machine, peer, Journal::open(None, 7, 1), &secret, edges.to_vec())
+        };
+        let base = start("base", "robot", &[to_base(Delivery::Lossless)]);
+        let unlike = |edges: &[Edge]| {
+            let robot = start("robot", "base", edges);
+            let base = start("base", "robot", &[to_base(Delivery::Lossless)]);
+            talk(&robot, &base);
+            lock(&base.peers)["robot"].unlike.iter().map(|route| route.what.clone()).collect::<Vec<_>>()
+        };
+        assert!(base.routes[0].what.ends_with("of writer, lossless"), "{}", base.routes[0].what);
+        assert!(
+            unlike(&[to_base(Delivery::Lossless), to_arm]).is_empty(),
+            "what goes elsewhere is no concern of this one"
+        );
+        let other = unlike(&[to_base(Delivery::Latest)]);
+        assert!(other.len() == 1 && other[0].ends_with("of writer, latest"), "{other:?}");
+    }
+
+    #[test]
+    fn the_news_are_how_far_each_edge_was_received_last() {
+        let links = base(1, &secret());
+        let ack = |topic: &str, next| Ack { from: "robot".to_owned(), topic: topic.to_owned(), next, ..Ack::default() };
+        [ack("objects", 1), ack("tracks", 1), ack("objects", 2)].into_iter().for_each(|ack| links.received(ack));
+        assert_eq!(links.news().acks, [ack("objects", 2), ack("tracks", 1)]);
+    }
+
+    #[test]
+    fn the_quickest_exchange_of_heartbeats_tells_round_trip_and_clock() {
+        let secret = secret();
+        let (robot, base) = (robot(1, &secret), base(2, &secret));
+        assert_eq!((robot.round_trip("base"), robot.clock_offset("base")), (None, None));
+        talk(&robot, &base);
+        let mut clock = Clock::default();
+        clock.add([100, 1110, 1150, 160]);
+        lock(&robot.peers).get_mut("base").unwrap().clock = clock;
+        assert_eq!(
+            (robot.round_trip("base"), robot.clock_offset("base")),
+            (Some(Duration::from_nanos(20)), Some(1000))
+        );
+    }
+
+    #[test]
+    fn a_machine_is_connected_until_it_has_been_silent_for_long() {
+        let heard = Instant::now();
+        let peer = Peer { heard: Some(heard), ..Peer::default() };
+        assert!(
+            is_connected(&peer, heard + SILENCE - Duration::from_nanos(1)) && !is_connected(&peer, heard + SILENCE)
+        );
+    }
+
+    #[test]
+    fn a_machine_that_has_not_come_after_a_while_is_missed_unless_it_was_heard_or_refused() {
+        let is_missed = |waited: Duration, peer: Peer| {
+            let mut links = robot(1, &secret());
+            links.started = Instant::now().checked_sub(waited).unwrap();
+            lock(&links.peers).insert("base".to_owned(), peer);
+            links.look();
+            lock(&links.peers)["base"].missed
+        };
+        assert!(is_missed(2 * PATIENCE, Peer::default()) && !is_missed(Duration::ZERO, Peer::default()));
+        assert!(!is_missed(2 * PATIENCE, Peer { heard: Some(Instant::now()), ..Peer::default() }));
+        let refused = BTreeSet::from([WireError::WrongCode.to_string()]);
+        assert!(!is_missed(2 * PATIENCE, Peer { refused, ..Peer::default() }));
+    }
+
+    #[test]
+    fn no_more_reasons_for_a_refusal_are_kept_than_there_are_kinds() {
+        let mut peer = Peer::default();
+        (0..2 * REASONS).for_each(|at| refuse("robot", &mut peer, &WireError::Broken(at.to_string())));
+        assert_eq!(peer.refused.len(), REASONS);
+    }
+
+    #[test]
+    fn a_machine_whose_messages_are_laid_out_otherwise_is_refused() {
+        let secret = secret();
+        let (robot, base) = (robot(1, &secret), base(2, &secret));
+        let theirs = "conicflow.Header.v1".to_owned();
+        let heartbeat = Heartbeat { layouts: theirs.clone(), ..robot.heartbeat(News::default()) };
+        let mut bytes = encode_note(&heartbeat).unwrap();
+        robot.seal.close("robot", &mut bytes);
+        hear(&base, "robot", &[bytes]);
+        let peer = &lock(&base.peers)["robot"];
+        let reason = WireError::Layout { ours: layouts(), theirs }.to_string();
+        assert_eq!((&peer.refused, peer.samples.len()), (&BTreeSet::from([reason]), 0));
     }
 
     #[test]

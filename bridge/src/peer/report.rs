@@ -49,8 +49,8 @@ impl<'a> BridgeReporter<'a> {
     }
 
     /// Whether it is time to report.
-    pub(crate) fn is_due(&self) -> bool {
-        self.reported.elapsed() > PERIOD
+    pub(crate) fn is_due(&self, now: Instant) -> bool {
+        now.saturating_duration_since(self.reported) > PERIOD
     }
 
     /// Writes what `top` and the summary show; `reachable` says whether there is a link to anybody.
@@ -107,14 +107,22 @@ mod tests {
     use super::super::journal::Journal;
     use super::*;
     use crate::wire::seal::Seal;
-    use conicflow_dataflow::ItemType;
     use conicflow_dataflow::pipeline::{Compression, Machine};
-    use conicflow_dataflow::ports::Topic;
+    use conicflow_dataflow::ports::{Delivery, Topic};
+    use conicflow_dataflow::{ItemType, Receiver};
     use conicflow_messages::Object;
     use std::path::Path;
 
     fn plan(outgoing: Vec<Edge>, incoming: Vec<Edge>) -> BridgePlan {
         BridgePlan { machine: "base".to_owned(), settings: Machine::default(), outgoing, incoming }
+    }
+
+    /// What a machine gets of a topic.
+    fn edge(to: &str, name: &str) -> Edge {
+        let item = ItemType::of::<Object>();
+        let topic = Topic { name: name.to_owned(), item: None, writers: Vec::new(), readers: Vec::new() };
+        let to = vec![Receiver { machine: to.to_owned(), delivery: Delivery::Latest }];
+        Edge { topic, item, from: String::new(), writers: Vec::new(), to, compression: Compression::None }
     }
 
     fn links(plan: &BridgePlan) -> Links {
@@ -146,14 +154,36 @@ mod tests {
     }
 
     #[test]
-    fn what_leaves_is_received_by_the_bridge_and_what_comes_is_sent_by_it() {
-        let edge = |name: &str| {
-            let item = ItemType::of::<Object>();
-            let topic = Topic { name: name.to_owned(), item: None, writers: Vec::new(), readers: Vec::new() };
-            let (from, compression) = (String::new(), Compression::None);
-            Edge { topic, item, from, writers: Vec::new(), to: Vec::new(), compression }
+    fn a_report_is_due_when_the_last_one_is_older_than_a_second() {
+        let (folder, plan) = (tempfile::tempdir().unwrap(), plan(Vec::new(), Vec::new()));
+        let links = links(&plan);
+        let reporter = reporter(&plan, folder.path(), &links);
+        let after = |passed_ms: u64| reporter.reported + Duration::from_millis(passed_ms);
+        assert_eq!([0, 1000, 1001].map(|passed_ms| reporter.is_due(after(passed_ms))), [false, false, true]);
+    }
+
+    #[test]
+    fn a_link_shows_what_goes_to_its_machine_or_comes_from_it() {
+        let outgoing = Edge { from: "base".to_owned(), ..edge("robot", "objects") };
+        let incoming = Edge { from: "arm".to_owned(), ..edge("base", "tracks") };
+        let (folder, plan) = (tempfile::tempdir().unwrap(), plan(vec![outgoing], vec![incoming]));
+        let links = links(&plan);
+        let mut reporter = reporter(&plan, folder.path(), &links);
+        EdgeCounts::add(&reporter.edges[0].counts.messages, 3);
+        EdgeCounts::add(&reporter.edges[1].counts.messages, 5);
+        reporter.report(true);
+        let shown = |machine: &str| {
+            let peer = PeerState { was_heard: true, connected: true, time: Duration::ZERO, clock: None };
+            let edges = reporter.link(machine, &peer, true).edges.into_iter();
+            edges.map(|edge| format!("{} {}: {}", edge.topic, edge.direction, edge.messages)).collect::<Vec<_>>()
         };
-        let (folder, plan) = (tempfile::tempdir().unwrap(), plan(vec![edge("objects")], vec![edge("tracks")]));
+        assert_eq!(["robot", "arm", "hall"].map(shown), [vec!["objects out: 3"], vec!["tracks in: 5"], vec![]]);
+    }
+
+    #[test]
+    fn what_leaves_is_received_by_the_bridge_and_what_comes_is_sent_by_it() {
+        let (outgoing, incoming) = (vec![edge("robot", "objects")], vec![edge("base", "tracks")]);
+        let (folder, plan) = (tempfile::tempdir().unwrap(), plan(outgoing, incoming));
         let links = links(&plan);
         let mut reporter = reporter(&plan, folder.path(), &links);
         EdgeCounts::add(&reporter.edges[0].counts.messages, 3);

@@ -23,3 +23,18 @@ impl PassedOn {
         unfinished.map_or(next, |(_, number)| next.min(*number))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_the_readers_have_not_finished_of_the_stream_may_be_needed_again() {
+        let mut passed_on = PassedOn::default();
+        (3..7).for_each(|number| passed_on.add((5, number)));
+        assert_eq!(passed_on.finished(2, (5, 7)), 5);
+        assert_eq!(passed_on.finished(0, (5, 7)), 7, "all is finished");
+        [(5, 7), (6, 0)].into_iter().for_each(|place| passed_on.add(place));
+        assert_eq!(passed_on.finished(2, (6, 1)), 0, "what is of an earlier stream counts for nothing");
+    }
+}

@@ -339,6 +339,43 @@ mod tests {
     }
 
     #[test]
+    fn neither_what_is_sent_meanwhile_nor_an_old_acknowledgement_puts_off_what_is_sent_again() {
+        let begin = Instant::now();
+        let mut queue = queue(Delivery::Lossless, begin);
+        let start = begin + 4 * RESEND_AFTER;
+        queue.sent(&[0; 40], start);
+        assert!(queue.due(start, |_| true).is_empty(), "it was sent just now");
+        let shortly_before = start + RESEND_AFTER - Duration::from_millis(1);
+        queue.sent(&[1; 40], shortly_before);
+        queue.acknowledge("base", Some(&ack(0, &[])), Some(shortly_before), shortly_before);
+        assert_eq!(queue.due(start + RESEND_AFTER, |_| true).len(), 2);
+    }
+
+    #[test]
+    fn who_may_miss_messages_is_sent_none_again() {
+        let start = Instant::now();
+        let receivers = [("base", Delivery::Lossless), ("view", Delivery::Latest)]
+            .map(|(machine, delivery)| Receiver { machine: machine.to_owned(), delivery });
+        let mut queue = RetransmitQueue::new(1, SendLog::default(), &receivers, [WAIT, OUTAGE], start);
+        (0..2).for_each(|_| queue.sent(&[0; 40], start));
+        queue.acknowledge("base", Some(&Ack { finished: 0, ..ack(2, &[]) }), Some(start), start);
+        assert!(queue.due(start + RESEND_AFTER, |_| true).is_empty());
+    }
+
+    #[test]
+    fn a_queue_that_is_closed_leaves_nothing_for_another_process() {
+        let (folder, start) = (tempfile::tempdir().unwrap(), Instant::now());
+        let log = SendLog::in_folder(folder.path().to_owned(), "objects");
+        let receiver = Receiver { machine: "base".to_owned(), delivery: Delivery::Lossless };
+        let mut queue = RetransmitQueue::new(1, log, &[receiver], [WAIT, OUTAGE], start);
+        queue.sent(&[0; 40], start);
+        let left = || folder.path().read_dir().unwrap().count();
+        assert_eq!(left(), 1);
+        queue.close();
+        assert_eq!(left(), 0);
+    }
+
+    #[test]
     fn a_slow_receiver_is_sent_the_same_again_less_and_less_often() {
         let start = Instant::now();
         let mut queue = queue(Delivery::Lossless, start);
@@ -363,6 +400,7 @@ mod tests {
         queue.acknowledge("base", None, Some(start), start + OUTAGE);
         assert!(!queue.log.has_room());
         let gone = start + OUTAGE + Duration::from_millis(1);
+        assert!(!queue.is_settled(gone), "nothing has been given up yet");
         queue.acknowledge("base", None, Some(start), gone);
         assert!(queue.log.has_room() && queue.is_settled(gone));
         assert_eq!((queue.lost(), queue.place().oldest), (CAPACITY as u64, CAPACITY as u64));
@@ -412,7 +450,8 @@ mod tests {
         let later = start + RESEND_AFTER;
         assert_eq!(queue.due(later, |_| true).len(), 1);
         assert!(queue.due(later + RESEND_AFTER, |_| false).is_empty(), "nobody can be reached");
-        assert!(!queue.is_settled(later));
+        assert!(!queue.is_settled(start + END_PATIENCE));
+        assert!(queue.is_settled(start + END_PATIENCE + Duration::from_millis(1)), "nobody is waited for any longer");
         queue.acknowledge("base", Some(&ack(0, &["source"])), Some(later), later);
         assert!(queue.is_settled(later));
     }

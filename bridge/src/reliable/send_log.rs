@@ -158,6 +158,15 @@ mod tests {
     }
 
     #[test]
+    fn there_is_room_for_so_many_bytes() {
+        let mut log = SendLog::default();
+        log.add(0, &vec![0; CAPACITY_BYTES - 1]);
+        assert!(log.has_room());
+        log.add(1, &[0]);
+        assert!(!log.has_room());
+    }
+
+    #[test]
     fn a_message_that_was_not_written_to_its_end_is_none() {
         let folder = tempfile::tempdir().unwrap();
         let open = || SendLog::in_folder(folder.path().to_owned(), "objects");

@@ -212,6 +212,21 @@ mod tests {
     }
 
     #[test]
+    fn only_who_takes_bytes_from_rmw_zenoh_takes_messages_below_their_key() {
+        let takes_below = |via, way| {
+            let participant = participant(via, Distro::Jazzy);
+            Keys(&participant).takes_below(&end("/camera/depth/image", IMAGE, way))
+        };
+        assert!(takes_below(Via::RmwZenoh, Way::Subscribe(4)));
+        assert!(!takes_below(Via::RmwZenoh, Way::Publish) && !takes_below(Via::Ros2dds, Way::Subscribe(4)));
+    }
+
+    #[test]
+    fn caches_answer_below_the_key_of_their_topic() {
+        assert_eq!(key_of_caches("7/tf_static/type/hash"), "7/tf_static/type/hash/@adv/**");
+    }
+
+    #[test]
     fn humble_has_no_numbers_of_types() {
         let participant = participant(Via::RmwZenoh, Distro::Humble);
         let key = Keys(&participant).key(&participant.ends[2]);

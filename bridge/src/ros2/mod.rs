@@ -263,8 +263,12 @@ impl Keeper {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::edge_tests::DEADLINE;
+    use conicflow_dataflow::pipeline::Machine;
     use conicflow_ros::IMAGE;
     use conicflow_ros2::{Distro, End, Via};
+    use std::net::TcpListener;
+    use std::time::Instant;
     use zenoh::key_expr::KeyExpr;
     use zenoh::sample::SampleBuilder;
 
@@ -288,8 +292,8 @@ mod tests {
     }
 
     /// A middleware that has reached nobody yet, with one end.
-    fn middleware(capacity: usize) -> ZenohMiddleware {
-        let (topic, definition, way) = ("/camera/depth/image".to_owned(), IMAGE, Way::Subscribe(capacity));
+    fn middleware(way: Way) -> ZenohMiddleware {
+        let (topic, definition) = ("/camera/depth/image".to_owned(), IMAGE);
         let participant = Participant {
             connect: Vec::new(),
             domain: 0,
@@ -307,7 +311,7 @@ mod tests {
         let end = |way| End { topic: "/camera/depth/image".to_owned(), definition: IMAGE, way };
         let participant = Participant {
             ends: [Way::Publish, Way::Subscribe(1), Way::Publish].map(end).into(),
-            ..Participant::clone(&middleware(1).participant)
+            ..Participant::clone(&middleware(Way::Subscribe(1)).participant)
         };
         let inboxes: Arc<Vec<_>> = Arc::new(participant.ends.iter().map(|end| Inbox::new(end.way)).collect());
         let keeper = Keeper { participant: Arc::new(participant), inboxes, joined: Weak::new() };
@@ -318,8 +322,35 @@ mod tests {
         let ends = keeper.declare(zenoh::open(alone).wait().unwrap()).unwrap();
         let marks: Vec<_> = ends.publishers.iter().map(|outbox| outbox.as_ref().map(|outbox| outbox.end)).collect();
         let [Some(one), None, Some(other)] = marks[..] else { panic!("{marks:?}") };
-        assert_ne!(one, other);
-        assert_ne!([one, other].map(|mark| mark[0]), [ends.session.zid().to_le_bytes()[0]; 2]);
+        let first_byte = ends.session.zid().to_le_bytes()[0];
+        assert_eq!(
+            [one, other].map(|mark| mark[0]),
+            [1, 3].map(|number| first_byte ^ number),
+            "each has one of its own"
+        );
+    }
+
+    #[test]
+    fn what_one_participant_publishes_another_knows_of_and_receives() {
+        let endpoint = vec![format!("tcp/{}", TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap())];
+        let listening = Machine { listen: endpoint.clone(), insecure: true, ..Machine::default() };
+        let connecting = Machine { connect: endpoint, ..Machine::default() };
+        let [camera, detector] = [(Way::Publish, listening), (Way::Subscribe(4), connecting)].map(|(way, machine)| {
+            let middleware = middleware(way);
+            assert_eq!(middleware.published(), [], "nobody is reached yet");
+            let session = zenoh::open(settings::configurations(&machine).unwrap().0).wait().unwrap();
+            let (participant, inboxes) = (Arc::clone(&middleware.participant), Arc::clone(&middleware.inboxes));
+            let ends = Keeper { participant, inboxes, joined: Weak::new() }.declare(session).unwrap();
+            assert!(middleware.joined.session.set(ends).is_ok());
+            middleware
+        });
+        let (begin, mut received) = (Instant::now(), None);
+        while (received.is_none() || detector.published().is_empty()) && begin.elapsed() < DEADLINE {
+            camera.publish(0, b"image".to_vec());
+            received = received.or(detector.receive(0, Duration::from_millis(20)));
+        }
+        assert_eq!(received.as_deref(), Some(&b"image"[..]));
+        assert_eq!(detector.published(), [("/camera/depth/image".to_owned(), IMAGE.name.to_owned())]);
     }
 
     fn sample(sequence: i64, payload: u8) -> Sample {
@@ -330,7 +361,7 @@ mod tests {
 
     #[test]
     fn what_was_lost_on_the_way_or_for_want_of_room_is_told_once() {
-        let middleware = middleware(2);
+        let middleware = middleware(Way::Subscribe(2));
         assert_eq!(middleware.take_lost(0), 0);
         [(1, b'a'), (2, b'b'), (6, b'c')]
             .into_iter()
@@ -346,7 +377,7 @@ mod tests {
 
     #[test]
     fn a_router_is_there_anew_when_it_was_not_before() {
-        let middleware = middleware(1);
+        let middleware = middleware(Way::Subscribe(1));
         assert!(!middleware.is_joined());
         let looks = [false, true, true, false, false, true];
         let told = looks.map(|is_reached| (middleware.joined.note(is_reached), middleware.is_joined()));

@@ -204,6 +204,44 @@ mod tests {
     }
 
     #[test]
+    fn each_type_has_its_form_on_the_wire() {
+        let form = |item: ItemType| {
+            let mut bytes = Vec::new();
+            codec_of(&item).encode(&header(), &[], Compression::None, &mut bytes).unwrap();
+            bytes
+        };
+        assert_eq!([form(ItemType::of::<Object>()), form(ItemType::of::<Track>())], [[0], [0]], "a count");
+        assert_eq!(form(ItemType::of::<Ellipse>()), [0, 0], "how it is compressed, and a count");
+        assert_eq!(form(ItemType::of::<Velocity>()), [0; 5], "the same with a count of four bytes");
+    }
+
+    #[test]
+    fn items_are_taken_from_wherever_they_lie() {
+        let objects = [1.0, 2.0].map(|radius| Object { radius, ..Object::default() });
+        for shift in 0..align_of::<Object>() {
+            let bytes = [&vec![0; shift], cast_slice(&objects)].concat();
+            let back = sent(&ItemType::of::<Object>(), &bytes[shift..]).unwrap();
+            assert_eq!(back, cast_slice::<_, u8>(&objects), "{shift}");
+        }
+    }
+
+    #[test]
+    fn lists_that_are_longer_than_a_message_and_images_with_too_many_pixels_do_not_leave() {
+        let longer = |size: usize| vec![0; (MAX_MESSAGE / size + 1) * size];
+        for (item, size) in
+            [(ItemType::of::<Ellipse>(), size_of::<Ellipse>()), (ItemType::of::<Velocity>(), size_of::<Velocity>())]
+        {
+            let items = longer(size);
+            assert_eq!(sent(&item, &items), Err(WireError::TooLong { bytes: items.len() }));
+        }
+        let of_height = |height| {
+            let camera = Camera { width: 4096, height, ..header().camera };
+            check_pixels(&Header { camera, ..header() })
+        };
+        assert!(of_height(4096).is_ok() && of_height(4097).is_err());
+    }
+
+    #[test]
     fn a_list_that_is_not_what_it_claims_is_refused() {
         let (mut codec, mut good) = (codec_of(&ItemType::of::<Velocity>()), Vec::new());
         codec.encode(&header(), cast_slice(&[Velocity::default(); 2]), Compression::Zstd, &mut good).unwrap();

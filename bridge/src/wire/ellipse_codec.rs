@@ -276,6 +276,12 @@ mod tests {
             let claimed = [&claim.to_le_bytes(), &bytes[4..]].concat();
             assert!(decompress(&header(), &claimed, Compression::Zstd, &mut Vec::new()).is_err(), "{claim}");
         }
+        let most = (MAX_MESSAGE / size_of::<Ellipse>()) as u32;
+        for (claim, is_too_long) in [(most, false), (most + 1, true)] {
+            let claimed = [&claim.to_le_bytes(), &bytes[4..]].concat();
+            let refused = decompress(&header(), &claimed, Compression::Zstd, &mut Vec::new()).unwrap_err();
+            assert_eq!(refused.contains("allowed are"), is_too_long, "{refused}");
+        }
         for cut in [0, 4, 7, bytes.len() - 1] {
             assert!(decompress(&header(), &bytes[..cut], Compression::Zstd, &mut Vec::new()).is_err(), "{cut}");
         }

@@ -104,6 +104,7 @@ mod tests {
         let (ours, theirs) = (Seal::new(Some(&secret), 1), Seal::new(Some(&secret), 0x0102_0304_0506_0708));
         assert_eq!(ours.open(ZENOH_KEY, &closed(&theirs)), Ok(0x0102_0304_0506_0708));
         let plain = Seal::new(None, 7);
+        assert!(ours.has_key() && !plain.has_key());
         assert_eq!(plain.open(ZENOH_KEY, &closed(&plain)), Ok(7));
     }
 

@@ -2,12 +2,13 @@
 
 use super::codec::codec_of;
 use super::{
-    MAX_MESSAGE, Place, WIRE_VERSION, WireError, decode_message, encode_message, message_bytes, place_of, set_oldest,
+    MAX_MESSAGE, Place, WIRE_VERSION, WireError, decode_message, encode_message, layouts, message_bytes, place_of,
+    set_oldest,
 };
 use bytemuck::cast_slice;
 use conicflow_dataflow::pipeline::Compression;
 use conicflow_dataflow::{BUILT_IN, ItemType};
-use conicflow_messages::{Camera, END_OF_STREAM, Ellipse, Header, Hop, Item, Object, Text, Track};
+use conicflow_messages::{Camera, END_OF_STREAM, Ellipse, HEADER_TYPE_NAME, Header, Hop, Item, Object, Text, Track};
 use proptest::prelude::*;
 
 const HOW: [Compression; 3] = [Compression::None, Compression::Lz4, Compression::Zstd];
@@ -109,8 +110,17 @@ fn messages_that_are_too_long_neither_leave_nor_come() {
     let pixels = vec![0; MAX_MESSAGE / 2 + 1];
     let error = encoded(&header(pixels.len() as u32, 1), &pixels, Compression::None).unwrap_err();
     assert!(matches!(error, WireError::TooLong { bytes } if bytes > MAX_MESSAGE), "{error}");
-    let mut bytes = bytes_of::<Object>(&header(4, 3), &[], Compression::None);
-    bytes.resize(MAX_MESSAGE + 1, 0);
+    let of_length = |length: usize| {
+        let body = |bytes: &mut Vec<u8>| {
+            bytes.resize(length, 0);
+            Ok(())
+        };
+        message_bytes(place(), &ItemType::of::<Object>().layout(), &header(4, 3), body)
+    };
+    assert!(of_length(MAX_MESSAGE + 1).is_err());
+    let mut bytes = of_length(MAX_MESSAGE).unwrap();
+    assert_eq!(place_of(&bytes), Ok(place()));
+    bytes.push(0);
     let error = decoded::<Object>(&bytes).unwrap_err();
     assert_eq!(error, WireError::TooLong { bytes: MAX_MESSAGE + 1 });
 }
@@ -146,6 +156,13 @@ fn numbers_that_make_no_sense_are_refused() {
             assert!(matches!(decoded::<Ellipse>(&bytes), Err(WireError::Malformed(_))));
         }
     }
+}
+
+#[test]
+fn the_layouts_of_all_that_every_program_knows_are_told() {
+    let told = layouts();
+    let is_told = |name: &str| told.split(' ').any(|one| one == name);
+    assert!(is_told(HEADER_TYPE_NAME) && BUILT_IN.iter().all(|item| is_told(item.type_name())), "{told}");
 }
 
 #[test]

@@ -178,7 +178,8 @@ impl<T: Transport> StageRuntime<T> {
     }
 }
 
-/// Gives back, when a process is at work, what only its start needed.
+/// Gives back, when a process is at work, what only its start needed; by default it leaves the process as it is.
+#[derive(Default)]
 pub struct MemoryTrim(Option<u64>);
 
 impl MemoryTrim {
