@@ -17,7 +17,7 @@ use conicflow_dataflow::{BridgePlan, Edge, ItemType, Receiver, Stop, monotonic_n
 use conicflow_messages::{Camera, Header, Hop, Object, Text};
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -31,6 +31,15 @@ pub fn edge(delivery: Delivery, reader: &str) -> Edge {
     let topic = Topic { name: "objects".into(), item: Some(item.clone()), writers: writers.clone(), readers };
     let to = vec![Receiver { machine: "base".into(), delivery }];
     Edge { topic, item, from: "robot".into(), writers, to, compression: Compression::None }
+}
+
+/// Ends all that runs by these when the test is over, also where it fails: else it would wait for them for ever.
+pub struct Ending<const N: usize>(pub [Stop; N]);
+
+impl<const N: usize> Drop for Ending<N> {
+    fn drop(&mut self) {
+        self.0.iter().for_each(Stop::force);
+    }
 }
 
 /// A machine with the part of the edge that is on it.
@@ -140,16 +149,16 @@ fn accepted(delivery: Delivery, messages: &[Vec<u8>]) -> ([u64; 3], Ack) {
     (0..2).for_each(|_| tell_each_other(&robot, &base));
     let mut reader = memory(folders[1].path(), "reader").reader::<Object>(&base.edge.topic, "reader").unwrap();
     let mut receiving = Receiving::new(&base.edge, &base.shared(&sessions, &peers), Arc::clone(&base.counts)).unwrap();
-    let (begin, over) = (Instant::now(), AtomicBool::new(false));
+    let over = Stop::default();
     thread::scope(|scope| {
+        let _ending = Ending([over.clone()]);
         scope.spawn(|| {
-            while !over.load(Ordering::Relaxed) && begin.elapsed() < DEADLINE {
+            while !over.forced() {
                 reader.receive().unwrap();
                 reader.wait(Duration::from_millis(5)).unwrap();
             }
         });
         messages.iter().for_each(|bytes| receiving.accept(bytes).unwrap());
-        over.store(true, Ordering::Relaxed);
     });
     let EdgeCounts { messages, stale, malformed, .. } = &*base.counts;
     let counts = [messages, stale, malformed].map(|count| count.load(Ordering::Relaxed));
@@ -167,12 +176,12 @@ fn carry(delivery: Delivery, count: u64) -> (Vec<u64>, u64, [Side; 2]) {
     let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
     let robot = Side::new("robot", edge(delivery, BRIDGE), folders[0].path());
     let base = Side::new("base", edge(delivery, "reader"), folders[1].path());
-    let ([robot_sessions, base_sessions], peers, over) =
-        (joined(|address| address), Peers::default(), AtomicBool::new(false));
+    let ([robot_sessions, base_sessions], peers, over) = (joined(|address| address), Peers::default(), Stop::default());
     let (sharing_there, sharing_here) = (robot.shared(&robot_sessions, &peers), base.shared(&base_sessions, &peers));
     let (came, told) = thread::scope(|scope| {
+        let _ending = Ending([over.clone(), robot.stop.clone(), base.stop.clone()]);
         scope.spawn(|| {
-            while !over.load(Ordering::Relaxed) {
+            while !over.forced() {
                 tell_each_other(&robot, &base);
                 thread::sleep(Duration::from_millis(10));
             }
@@ -188,7 +197,6 @@ fn carry(delivery: Delivery, count: u64) -> (Vec<u64>, u64, [Side; 2]) {
         scope.spawn(|| write(&memory(folders[0].path(), "writer"), &robot.edge.topic, count));
         let read = read(reader);
         carries.into_iter().for_each(|carries| carries.join().unwrap().unwrap());
-        over.store(true, Ordering::Relaxed);
         read
     });
     (came, told, [robot, base])

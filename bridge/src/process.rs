@@ -196,7 +196,7 @@ impl<'a> EdgeHandle<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::edge_tests::{DEADLINE, edge, memory, read, write};
+    use crate::edge_tests::{DEADLINE, Ending, edge, memory, read, write};
     use crate::peer::heartbeat::Ack;
     use conicflow_dataflow::pipeline::{BRIDGE, Machine};
     use conicflow_dataflow::ports::{Delivery, Transport as _};
@@ -266,8 +266,11 @@ mod tests {
         let (plans, [robot, base]) = (plans(), folders.each_ref().map(tempfile::TempDir::path));
         let edge = &plans[1].incoming[0];
         thread::scope(|scope| {
-            let bridges = [(&plans[0], robot), (&plans[1], base)]
-                .map(|(plan, folder)| scope.spawn(move || ended(plan, RUN, folder, &Stop::default())));
+            let stops = [Stop::default(), Stop::default()];
+            let _ending = Ending(stops.clone());
+            let bridges = plans.iter().zip([robot, base]).zip(stops);
+            let bridges = bridges.map(|((plan, folder), stop)| scope.spawn(move || ended(plan, RUN, folder, &stop)));
+            let bridges: Vec<_> = bridges.collect();
             let reader = memory(&in_memory(base), "reader").reader::<Object>(&edge.topic, "reader").unwrap();
             [robot, base].iter().for_each(|folder| wait_until(|| is_up(folder)));
             scope.spawn(|| write(&memory(&in_memory(robot), "writer"), &plans[0].outgoing[0].topic, 20));
@@ -286,8 +289,9 @@ mod tests {
                 || Status::read(&record(folder.path())).is_some_and(|status| status.life() == Life::Running);
             thread::scope(|scope| {
                 let bridge = scope.spawn(|| ended(&robot, run, folder.path(), &stop));
+                let ending = Ending([stop.clone()]);
                 wait_until(is_running);
-                stop.force();
+                drop(ending);
                 assert_eq!(bridge.join().unwrap(), Some(Life::Starting));
             });
             assert_eq!(folder.path().join("bridge.journal").is_file(), is_kept);
