@@ -75,6 +75,8 @@ fn quicker(one: Exchange, other: Exchange) -> Exchange {
 mod tests {
     use super::*;
 
+    const SECOND: u64 = 1_000_000_000;
+
     #[test]
     fn the_quickest_exchange_tells_the_offset() {
         let mut clock = Clock::default();
@@ -117,7 +119,6 @@ mod tests {
 
     #[test]
     fn a_quick_exchange_is_remembered_for_a_while_through_any_number_of_slow_ones() {
-        const SECOND: u64 = 1_000_000_000;
         let mut clock = Clock::default();
         clock.add([0, 10, 10, 20]);
         let slow = |time: u64| [time, time + 5000, time + 5000, time + 5010];
@@ -130,7 +131,6 @@ mod tests {
 
     #[test]
     fn a_quick_exchange_is_remembered_from_when_it_was() {
-        const SECOND: u64 = 1_000_000_000;
         let mut clock = Clock::default();
         for (second, back_ns) in [(0, 5010), (5, 20), (33, 5010)] {
             clock.add([second * SECOND, second * SECOND + 10, second * SECOND + 10, second * SECOND + back_ns]);
