@@ -11,8 +11,21 @@ use indexmap::IndexSet;
 use std::path::PathBuf;
 use tempfile::TempDir;
 
-/// The sinks that leave rows.
-const SINKS: [&str; 4] = ["measurement_sink", "section_sink", "evaluation_sink", "limit_sink"];
+/// A sink that leaves rows, and the columns of these.
+type RowSink = (&'static str, fn() -> Vec<&'static str>);
+
+const SINKS: [RowSink; 4] = [
+    ("measurement_sink", || measured_columns().collect()),
+    ("section_sink", || Sections::columns().collect()),
+    ("evaluation_sink", || summary::columns().collect()),
+    ("limit_sink", || limit::columns().collect()),
+];
+
+/// The columns of the rows that a stage leaves, if it leaves some.
+fn columns_of(program: &Program) -> Option<Vec<&'static str>> {
+    let Program::Node(node) = program else { return None };
+    SINKS.iter().find(|(name, _)| *name == node.name).map(|(_, columns)| columns())
+}
 
 /// Refuses columns that no row will have, and an experiment without a stage that leaves rows.
 ///
@@ -24,16 +37,7 @@ pub fn check(experiment: &Experiment, pipeline: &Pipeline) -> Result<()> {
 
 /// What is varied, what the sinks leave, and the times of all stages.
 fn columns(experiment: &Experiment, pipeline: &Pipeline) -> Result<Vec<String>> {
-    let mut measured: Vec<&str> = Vec::new();
-    for stage in &pipeline.stages {
-        match &stage.program {
-            Program::Node(node) if node.name == SINKS[0] => measured.extend(measured_columns()),
-            Program::Node(node) if node.name == SINKS[1] => measured.extend(Sections::columns()),
-            Program::Node(node) if node.name == SINKS[2] => measured.extend(summary::columns()),
-            Program::Node(node) if node.name == SINKS[3] => measured.extend(limit::columns()),
-            _ => {}
-        }
-    }
+    let measured: Vec<_> = pipeline.stages.iter().filter_map(|stage| columns_of(&stage.program)).flatten().collect();
     ensure!(
         !measured.is_empty(),
         Hinted::new(
@@ -72,8 +76,7 @@ impl Rows {
     /// The folder cannot be made.
     pub fn of(pipeline: &Pipeline) -> Result<Self> {
         let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
-        let measures = |program: &Program| matches!(program, Program::Node(node) if SINKS.contains(&node.name));
-        let stages = pipeline.stages.iter().filter(|stage| measures(&stage.program));
+        let stages = pipeline.stages.iter().filter(|stage| columns_of(&stage.program).is_some());
         Ok(Self { folder, stages: stages.map(|stage| stage.name.clone()).collect() })
     }
 
