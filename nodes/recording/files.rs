@@ -5,11 +5,11 @@
 //! what is left out because it is damaged.
 
 use super::indexed::Indexed;
-use super::sequential::{LeftOut, Sequential};
+use super::sequential::{Reader, Sequential};
 use super::summary::{MAX_RECORD_BYTES, summary};
 use anyhow::{Context as _, Result, bail};
 use conicflow_messages::Hinted;
-use mcap::{Channel, McapError, McapResult, Message, Summary};
+use mcap::{Channel, McapError, Message, Summary};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
 use std::fs::{self, File};
@@ -75,7 +75,7 @@ impl Files {
         for path in &self.0 {
             // Where the file says what it has, it need not be read to its end.
             let topics = summary(path).ok().flatten().map(|summary| topics_with_messages(&summary));
-            for (count, message) in (0..).zip(OpenFile::open(path)?) {
+            for (count, message) in (0..).zip(OpenFile::open(path)?.reader) {
                 if topics.as_ref().is_some_and(|topics| topics.iter().all(|topic| seen.contains_key(topic))) {
                     break;
                 }
@@ -131,7 +131,7 @@ impl Files {
                 reach(stats.message_start_time, stats.message_end_time);
                 continue;
             }
-            for (count, message) in (0..).zip(OpenFile::open(path)?) {
+            for (count, message) in (0..).zip(OpenFile::open(path)?.reader) {
                 match message {
                     Ok(message) => reach(message.log_time, message.log_time),
                     Err(error) => {
@@ -190,25 +190,17 @@ fn topics_with_messages(summary: &Summary) -> Vec<String> {
     with_messages.filter_map(|(id, _)| Some(summary.channels.get(id)?.topic.clone())).collect()
 }
 
-/// A file that is being read.
+/// A file that is being read: from its beginning to its end, or from some time on by its index.
 struct OpenFile {
     path: PathBuf,
-    reader: Reader,
-}
-
-/// How a file is read.
-enum Reader {
-    /// From its beginning to its end.
-    Whole(Box<Sequential>),
-    /// From some time on, by its index.
-    Indexed(Box<Indexed>),
+    reader: Box<dyn Reader>,
 }
 
 impl OpenFile {
     fn open(path: &Path) -> Result<Self> {
         let open = || Sequential::open(path, longest_record(&File::open(path)?)?);
         let reader = open().with_context(|| format!("`{}`", path.display()))?;
-        Ok(Self { path: path.to_owned(), reader: Reader::Whole(Box::new(reader)) })
+        Ok(Self { path: path.to_owned(), reader: Box::new(reader) })
     }
 
     /// The messages of some topics from `from_ns` on; where nothing tells where they are, all there are.
@@ -218,15 +210,7 @@ impl OpenFile {
         let limit = longest_record(&File::open(path)?)?;
         let reader = Indexed::open(path, summary, topics, from_ns, limit);
         let reader = reader.with_context(|| format!("`{}`", path.display()))?;
-        Ok(Self { path: path.to_owned(), reader: Reader::Indexed(Box::new(reader)) })
-    }
-
-    /// What was left out so far.
-    fn left_out(&self) -> &LeftOut {
-        match &self.reader {
-            Reader::Whole(reader) => reader.left_out(),
-            Reader::Indexed(reader) => reader.left_out(),
-        }
+        Ok(Self { path: path.to_owned(), reader: Box::new(reader) })
     }
 }
 
@@ -234,17 +218,6 @@ impl OpenFile {
 fn longest_record(file: &File) -> std::io::Result<usize> {
     let limit = (file.metadata()?.len().saturating_mul(MAX_EXPANSION)).min(MAX_RECORD_BYTES);
     Ok(usize::try_from(limit).unwrap_or(usize::MAX))
-}
-
-impl Iterator for OpenFile {
-    type Item = McapResult<Message<'static>>;
-
-    fn next(&mut self) -> Option<Self::Item> {
-        match &mut self.reader {
-            Reader::Whole(reader) => reader.next(),
-            Reader::Indexed(reader) => reader.next(),
-        }
-    }
 }
 
 /// Messages of some topics, file after file.
@@ -265,7 +238,7 @@ pub struct Messages {
 impl Messages {
     /// How many places were left out so far, because they are damaged.
     pub fn damaged(&self) -> u64 {
-        self.damaged + self.open.as_ref().map_or(0, |(file, _)| file.left_out().count)
+        self.damaged + self.open.as_ref().map_or(0, |(file, _)| file.reader.left_out().count)
     }
 
     fn read(&mut self) -> Result<Option<Message<'static>>> {
@@ -279,8 +252,8 @@ impl Messages {
                 self.open = Some((file, 0));
                 continue;
             };
-            let next = file.next();
-            if let Some(damage) = &file.left_out().first
+            let next = file.reader.next();
+            if let Some(damage) = &file.reader.left_out().first
                 && is_first_of(&file.path)
             {
                 tracing::warn!("`{}` is damaged ({damage}): what is whole in it is used", file.path.display());
@@ -294,7 +267,7 @@ impl Messages {
                     }
                 }
                 None => {
-                    self.damaged += file.left_out().count;
+                    self.damaged += file.reader.left_out().count;
                     self.open = None;
                 }
                 Some(Err(error)) => {
@@ -304,7 +277,7 @@ impl Messages {
                     if !self.is_told {
                         tracing::warn!("{damage}");
                     }
-                    self.damaged += file.left_out().count;
+                    self.damaged += file.reader.left_out().count;
                     self.open = None;
                 }
             }

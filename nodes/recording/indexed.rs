@@ -3,7 +3,7 @@
 //! The check sum of a chunk stands in the chunk's own head, which `mcap` passes over here: it is looked at before the chunk is
 //! used.
 
-use super::sequential::{LeftOut, of_content};
+use super::sequential::{LeftOut, Reader, of_content};
 use super::zstd::Zstd;
 use mcap::records::MessageHeader;
 use mcap::sans_io::indexed_reader::{IndexedReadEvent, IndexedReader, IndexedReaderOptions};
@@ -72,10 +72,6 @@ impl Indexed {
             again: 0,
             left_out: LeftOut::default(),
         })
-    }
-
-    pub(super) fn left_out(&self) -> &LeftOut {
-        &self.left_out
     }
 
     fn read(&mut self) -> McapResult<Option<Message<'static>>> {
@@ -149,6 +145,12 @@ fn check_sum(chunk: &[u8], limit: usize) -> McapResult<()> {
             Some(Ok(LinearReadEvent::Record { .. }) | Err(McapError::ChunkTooLarge(_))) | None => return Ok(()),
             Some(Err(error)) => return Err(error),
         }
+    }
+}
+
+impl Reader for Indexed {
+    fn left_out(&self) -> &LeftOut {
+        &self.left_out
     }
 }
 

@@ -42,6 +42,12 @@ pub(super) struct Sequential {
     left_out: LeftOut,
 }
 
+/// Reads the messages of a file.
+pub(super) trait Reader: Iterator<Item = McapResult<Message<'static>>> + Send {
+    /// What was left out so far.
+    fn left_out(&self) -> &LeftOut;
+}
+
 /// The places of a file that were left out, because they are damaged.
 #[derive(Default)]
 pub(super) struct LeftOut {
@@ -77,10 +83,6 @@ impl Sequential {
             message_at: 0,
             left_out: LeftOut::default(),
         })
-    }
-
-    pub(super) fn left_out(&self) -> &LeftOut {
-        &self.left_out
     }
 
     fn read(&mut self) -> McapResult<Option<Message<'static>>> {
@@ -175,6 +177,12 @@ impl Sequential {
         self.reader = reader(self.limit, true, is_checked)?;
         (self.at, self.record, self.is_checked) = (record, record, is_checked);
         Ok(())
+    }
+}
+
+impl Reader for Sequential {
+    fn left_out(&self) -> &LeftOut {
+        &self.left_out
     }
 }
 
