@@ -3,7 +3,7 @@ use super::playback::{Clock, emptiness, is_off_center};
 use super::*;
 use conicflow_dataflow::testing::collect;
 use conicflow_detection::camera::Intrinsics;
-use conicflow_messages::{Camera, NoiseModel, median_depth};
+use conicflow_messages::{Camera, NoiseModel};
 use std::fs;
 use std::path::PathBuf;
 use tempfile::TempDir;
@@ -55,7 +55,11 @@ impl Folder {
     }
 
     fn open_given(&self) -> Recording {
-        Recording::open(&self.path, &Config { intrinsics: Some(GIVEN), ..Config::default() }).unwrap()
+        self.part(0, None).unwrap()
+    }
+
+    fn part(&self, first: u64, frames: Option<u64>) -> anyhow::Result<Recording> {
+        Recording::open(&self.path, &Config { first, frames, intrinsics: Some(GIVEN), ..Config::default() })
     }
 
     fn told(&self) -> String {
@@ -287,14 +291,11 @@ fn what_cannot_be_opened_is_told_with_what_to_do() {
 #[test]
 fn a_part_of_the_recording() {
     let folder = Folder::new().depth(&["0.png", "1.png", "2.png", "3.png"]);
-    let part = |first, frames| {
-        Recording::open(&folder.path, &Config { first, frames, intrinsics: Some(GIVEN), ..Config::default() })
-    };
-    assert_eq!(names(&mut part(1, Some(2)).unwrap()), ["1.png", "2.png"]);
-    assert_eq!(part(1, Some(2)).unwrap().load(0).unwrap().slot, 0);
-    assert_eq!(names(&mut part(3, None).unwrap()), ["3.png"]);
+    assert_eq!(names(&mut folder.part(1, Some(2)).unwrap()), ["1.png", "2.png"]);
+    assert_eq!(folder.part(1, Some(2)).unwrap().load(0).unwrap().slot, 0);
+    assert_eq!(names(&mut folder.part(3, None).unwrap()), ["3.png"]);
     assert_eq!(
-        part(4, None).err().unwrap().to_string(),
+        folder.part(4, None).err().unwrap().to_string(),
         "`first` is 4, but there are 4 frames, counted from 0\n  hint: the last is 3"
     );
 }
@@ -303,13 +304,10 @@ fn a_part_of_the_recording() {
 fn a_part_of_the_recording_counts_unreadable_frames_and_forgets_those_outside() {
     let folder = Folder::new().depth(&["1.png", "3.png", "4.png"]);
     let folder = folder.file("0.png", "no PNG").file("2.png", "no PNG").file("5.png", "no PNG");
-    let part = |first, frames| {
-        Recording::open(&folder.path, &Config { first, frames, intrinsics: Some(GIVEN), ..Config::default() })
-    };
-    let mut middle = part(1, Some(3)).unwrap();
+    let mut middle = folder.part(1, Some(3)).unwrap();
     assert_eq!(names(&mut middle), ["1.png", "3.png"]);
     assert_eq!((middle.unreadable().len(), middle.slots()), (1, 3));
-    let told = part(5, None).err().unwrap().to_string();
+    let told = folder.part(5, None).err().unwrap().to_string();
     assert_eq!(told, "none of the frames from number 5 can be read\n  hint: `first` and `frames` choose others");
 }
 
@@ -393,12 +391,6 @@ fn only_when_no_frame_can_be_read_it_is_an_error() {
     assert!(source.pass_over(&error).is_ok());
     let error = source.pass_over(&error).unwrap_err().to_string();
     assert!(error.starts_with("none of the 2 frames can be read; the last: gone\n  hint: "), "{error}");
-}
-
-#[test]
-fn the_median_counts_measurements_only() {
-    assert_eq!(median_depth(&[0, 65535, 0]), None);
-    assert_eq!(median_depth(&[0, 900, 65535, 1000, 0, 1100]), Some(1000));
 }
 
 #[test]
