@@ -64,19 +64,22 @@ pub fn bounds(raster: &Raster, owner: u16, body: &Object, measuring: &Measuring)
             axis: None,
             half_angle: None,
         }),
-        ObjectKind::Cylinder => view.bounds(&FixedSlope(conical), |covariance| Bound {
-            radius_m: covariance[(4, 4)].sqrt(),
-            position_m: root_of_sum(covariance, [2, 3]),
-            axis: Some(root_of_sum(covariance, [0, 1])),
-            half_angle: None,
-        }),
-        ObjectKind::Cone => view.bounds(&FreeSlope(conical), |covariance| Bound {
-            radius_m: covariance[(4, 4)].sqrt(),
-            position_m: root_of_sum(covariance, [2, 3]),
-            axis: Some(root_of_sum(covariance, [0, 1])),
+        ObjectKind::Cylinder => view.bounds(&FixedSlope(conical), conical_bound),
+        ObjectKind::Cone => view.bounds(&FreeSlope(conical), |covariance| {
             // d atan(slope) = cos^2 d slope
-            half_angle: Some(covariance[(5, 5)].sqrt() * body.half_angle.cos().powi(2)),
+            let half_angle = covariance[(5, 5)].sqrt() * body.half_angle.cos().powi(2);
+            Bound { half_angle: Some(half_angle), ..conical_bound(covariance) }
         }),
+    }
+}
+
+/// What a cylinder and a cone have in common.
+fn conical_bound<const N: usize>(covariance: &SMatrix<f64, N, N>) -> Bound {
+    Bound {
+        radius_m: covariance[(4, 4)].sqrt(),
+        position_m: root_of_sum(covariance, [2, 3]),
+        axis: Some(root_of_sum(covariance, [0, 1])),
+        half_angle: None,
     }
 }
 
@@ -290,8 +293,8 @@ mod tests {
         Measuring { noise, dropout_angle: f64::to_radians(dropout_deg), edge_jitter_px: JITTER_PX }
     }
 
-    fn wall(z: f64, half: f64, x: f64) -> Shape {
-        let (point, sides) = (Vector3::new(x, 0.0, z), [Vector3::x(), Vector3::y()]);
+    fn wall(z: f64, half: f64, [x, y]: [f64; 2]) -> Shape {
+        let (point, sides) = (Vector3::new(x, y, z), [Vector3::x(), Vector3::y()]);
         Shape::Plane(Plane { point, normal: -Vector3::z(), sides, half: [half; 2] })
     }
 
@@ -367,14 +370,14 @@ mod tests {
     fn what_is_hidden_tells_nothing() {
         let (shape, body) = sphere(100.0, 0.3);
         let of = |shapes: &[Shape]| bounds(&Raster::of(FAR, shapes), 0, &body, &measuring(70.0)).unwrap();
-        let (free, hidden) = (of(&[shape, wall(101.0, 5.0, 0.0)]), of(&[shape, wall(99.0, 0.6, -0.6)]));
+        let (free, hidden) = (of(&[shape, wall(101.0, 5.0, [0.0; 2])]), of(&[shape, wall(99.0, 0.6, [-0.6, 0.0])]));
         assert_eq!(free, of(&[shape]), "before a wall or before nothing");
         // half of the information, and of that a part goes into telling depth from place across
         for (hidden, free) in [(hidden.depths, free.depths), (hidden.contour, free.contour)] {
             assert!(hidden.radius_m > 1.4 * free.radius_m, "{hidden:?} {free:?}");
             assert!(hidden.position_m > 1.4 * free.position_m, "{hidden:?} {free:?}");
         }
-        assert_eq!(bounds(&Raster::of(FAR, &[shape, wall(99.0, 5.0, 0.0)]), 0, &body, &measuring(70.0)), None);
+        assert_eq!(bounds(&Raster::of(FAR, &[shape, wall(99.0, 5.0, [0.0; 2])]), 0, &body, &measuring(70.0)), None);
     }
 
     /// A board before the right half of a sphere, or the lower half, takes half of the contour, and its own contour in the middle of
@@ -382,10 +385,6 @@ mod tests {
     #[test]
     fn the_contour_of_what_hides_an_object_tells_nothing_of_it() {
         let (shape, body) = sphere(100.0, 0.3);
-        let board = |x: f64, y: f64| {
-            let (point, sides) = (Vector3::new(x, y, 99.0), [Vector3::x(), Vector3::y()]);
-            Shape::Plane(Plane { point, normal: -Vector3::z(), sides, half: [0.6; 2] })
-        };
         let information = |shapes: &[Shape]| {
             let raster = Raster::of(FAR, shapes);
             let measuring = measuring(70.0);
@@ -394,9 +393,9 @@ mod tests {
             view.of_silhouettes(&surface)
         };
         let free = information(&[shape]);
-        assert_eq!(free, information(&[shape, wall(101.0, 5.0, 0.0)]), "before a wall or before nothing");
+        assert_eq!(free, information(&[shape, wall(101.0, 5.0, [0.0; 2])]), "before a wall or before nothing");
         for (x, y) in [(0.6, 0.0), (-0.6, 0.0), (0.0, 0.6), (0.0, -0.6)] {
-            let half = information(&[shape, board(x, y)]);
+            let half = information(&[shape, wall(99.0, 0.6, [x, y])]);
             assert_near(&format!("the radius beside a board at {x}, {y}"), half[(3, 3)], 0.5 * free[(3, 3)], 0.03);
             // The side that is seen tells both, by the mean of the cosine, 2 / pi, outwards.
             let side = if x == 0.0 { 1 } else { 0 };
@@ -535,7 +534,7 @@ mod tests {
             let (point, axis) = (Vector3::new(aside, -0.05, 1.5), Vector3::new(0.35, 0.9, 0.4).normalize());
             let (radius, length) = (0.15, 0.5);
             let (shape, body) = frustum(point, axis, radius, slope, length);
-            let raster = Raster::of(NEAR, &[shape, wall(3.0, 9.0, 0.0)]);
+            let raster = Raster::of(NEAR, &[shape, wall(3.0, 9.0, [0.0; 2])]);
             let measuring = measuring_with(sigma_m, dropout_deg);
             let view = View { raster: &raster, owner: 0, measuring: &measuring };
             let [depths, both] = by_differences(&view, &Conical { point, axis, radius, slope }, length);

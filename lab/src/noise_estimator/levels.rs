@@ -1,6 +1,7 @@
 //! The step of the disparity, from the depths that occur at all: in a sensor whose disparity comes in steps, the inverse
 //! depths of neighbouring levels are one step apart.
 
+use crate::quantile::median;
 use conicflow_messages::is_measured;
 
 /// Fewest gaps between levels that tell a step.
@@ -49,12 +50,8 @@ impl Levels {
     /// Depth between two neighbouring levels, divided by the squared depth, in 1/metre; 0: no steps can be told.
     pub fn step_per_m(&self) -> f64 {
         let gaps: Vec<(usize, Gap)> = self.scales.iter().flat_map(Scale::gaps).collect();
-        let mut wide: Vec<f64> = gaps.iter().filter(|(units, _)| *units >= 3).map(|(_, gap)| gap.inverse).collect();
-        if wide.len() < FEWEST {
-            return 0.0;
-        }
-        let middle = wide.len() / 2;
-        let first_guess = *wide.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let wide: Vec<f64> = gaps.iter().filter(|(units, _)| *units >= 3).map(|(_, gap)| gap.inverse).collect();
+        let Some(first_guess) = Some(wide).filter(|wide| wide.len() >= FEWEST).and_then(median) else { return 0.0 };
         let gaps: Vec<Gap> = gaps.into_iter().map(|(_, gap)| gap).collect();
         refined(&gaps, refined(&gaps, first_guess).unwrap_or(first_guess)).unwrap_or(0.0)
     }

@@ -29,8 +29,7 @@ impl Set {
 
     /// Adds a thing of its own.
     pub fn add(&mut self, name: &str, shape: Shape) {
-        let name = format!("{name} {}", self.bodies.len());
-        self.bodies.push(Body::still(name, shape));
+        self.add_as(Role::Object, name, shape);
     }
 
     /// Adds something in a role.
