@@ -1,5 +1,6 @@
 //! Evaluations of scenes and recordings whose answers are made up.
 
+use super::matching::tests::answers;
 use super::matching::{Fault, MatchedFrame};
 use super::samples::Sample;
 use super::*;
@@ -20,10 +21,6 @@ fn evaluation_of(truth: RenderedTruth) -> Evaluation {
 
 fn evaluation() -> Evaluation {
     evaluation_of(RenderedTruth::default())
-}
-
-fn answers(objects: &[Object]) -> Vec<Answer> {
-    objects.iter().filter_map(Claim::answer).collect()
 }
 
 /// How many objects were missed, and how many answers wrong.

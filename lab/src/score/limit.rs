@@ -1,7 +1,7 @@
 //! How near a detector comes to what can be known: scatter, bias and reported standard deviations of its answers about one
 //! object that stands still, frame by frame with other noise, beside the bounds of Cramer and Rao ([`crate::bound`]).
 
-use super::matching::{Answer, Matcher, compare, perpendicular};
+use super::matching::{Answer, Matcher, compare, perpendicular, vector};
 use super::row::Row;
 use super::truth::{RenderedTruth, TrueObject};
 use crate::bound::{Bound, Bounds, Measuring, bounds};
@@ -91,10 +91,6 @@ const QUANTITIES: [Quantity; 4] = [
         variance: |answer| answer.sigma.half_angle.powi(2),
     },
 ];
-
-fn vector(numbers: [f64; 3]) -> Vector3<f64> {
-    numbers.into()
-}
 
 /// Measures objects of a scene in which nothing moves.
 pub struct Limit {
@@ -236,9 +232,9 @@ impl Sights {
 #[cfg(test)]
 mod tests {
     use super::super::matching::Claim;
-    use super::super::truth::load_scene;
     use super::*;
     use crate::random::CounterRng;
+    use crate::simulator::scene_values::SceneTemplate;
     use conicflow_messages::{Camera, NoiseModel, ObjectSigma, Text};
 
     const SCENE: &str = r#"
@@ -278,10 +274,8 @@ mod tests {
     }
 
     fn limit_of(scene: &str) -> (Limit, Header) {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("scene.toml");
-        std::fs::write(&path, scene).unwrap();
-        let truth = RenderedTruth { scene: Some(load_scene(&path).unwrap()), ..RenderedTruth::default() };
+        let scene = Some(SceneTemplate::new(scene.into(), "test".into()));
+        let truth = RenderedTruth { scene, ..RenderedTruth::default() };
         let camera = Camera { width: 320, height: 240, fx: 262.5, fy: 262.5, cx: 159.5, cy: 119.5 };
         let noise = NoiseModel::KINECT_V1;
         let header = Header { camera, noise, depth_scale: 0.001, source: Text::new("mug"), ..Header::default() };

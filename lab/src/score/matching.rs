@@ -92,7 +92,8 @@ impl Fault {
     }
 }
 
-fn vector(numbers: [f64; 3]) -> Vector3<f64> {
+/// Numbers of a message as a vector.
+pub fn vector(numbers: [f64; 3]) -> Vector3<f64> {
     numbers.into()
 }
 

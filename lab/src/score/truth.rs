@@ -276,8 +276,6 @@ mod tests {
     /// By the third second the camera of the scene has gone three metres; the one of the header is elsewhere.
     #[test]
     fn the_camera_is_where_the_header_has_it_whatever_the_scene_says_at_that_time() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("scene.toml");
         let scene = "name = 'moving'
             [camera]
             position = [0.5, 0.2, 1.0]
@@ -287,8 +285,8 @@ mod tests {
             name = 'ball'
             center = [0, 2, 1]
             radius = 0.1";
-        std::fs::write(&path, scene).unwrap();
-        let truth = RenderedTruth { scene: Some(load_scene(&path).unwrap()), ..RenderedTruth::default() };
+        let scene = Some(SceneTemplate::new(scene.into(), "test".into()));
+        let truth = RenderedTruth { scene, ..RenderedTruth::default() };
         let world_from_camera = [[1.0, 0.0, 0.0, 0.1], [0.0, 0.0, 1.0, -0.3], [0.0, -1.0, 0.0, 0.9]];
         let source = conicflow_messages::Text::new("moving");
         let without = Header { stamp_ns: 3_000_000_000, source, ..Header::default() };
