@@ -93,10 +93,7 @@ pub fn newest(playground: &Playground) -> u64 {
 
 /// Ends both and makes sure that nothing is left behind.
 fn end(runs: [Started; 2], machines: &[Playground; 2]) {
-    for run in runs {
-        signal(run.id(), Signal::INT);
-        run.wait().expect_code(0);
-    }
+    drop(runs.map(Started::end));
     machines.iter().for_each(|machine| wait_until("no process is left", || machine.processes().is_empty()));
 }
 
@@ -167,8 +164,7 @@ fn a_machine_that_is_killed_and_started_again_gets_what_is_new_and_the_other_fee
     let before = newest(base);
     let mut again = start(base, "base");
     again.wait_until("new tracks arrive", || newest(base) > before + 20);
-    signal(robot_run.id(), Signal::INT);
-    let robot_ended = robot_run.wait().expect_code(0);
+    let robot_ended = robot_run.end();
     expect_unfelt(&robot_ended.input("depth", "extractor"));
     assert_eq!(robot_ended.stage("extractor").starts, 1);
     again.wait().expect_code(0);
@@ -377,7 +373,6 @@ fn top_shows_each_link() {
     drop(robot_run);
     wait_for_link(base, "unreachable");
     assert_eq!(top_link(base)["was_heard"], true);
-    signal(base_run.id(), Signal::INT);
-    base_run.wait().expect_code(0);
+    base_run.end();
     machines.iter().for_each(|machine| wait_until("no process is left", || machine.processes().is_empty()));
 }

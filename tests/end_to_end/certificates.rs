@@ -2,8 +2,7 @@
 
 use super::bridge::{self, apart, loopback, machines, newest, start};
 use super::routers::session;
-use super::support::{Playground, signal, wait_until};
-use rustix::process::Signal;
+use super::support::{Playground, Started, wait_until};
 use std::path::Path;
 use std::process::Command;
 use std::sync::Arc;
@@ -66,11 +65,9 @@ fn only_who_has_the_right_certificate_gets_in() {
             wait_until("attempts were made", || since.elapsed() > Duration::from_secs(4));
             assert_eq!(base.lines("tracks.jsonl").len(), 0, "{stage}");
         }
-        signal(base_run.id(), Signal::INT);
-        base_run.wait().expect_code(0);
+        base_run.end();
     }
-    signal(robot_run.id(), Signal::INT);
-    robot_run.wait().expect_code(0);
+    robot_run.end();
 }
 
 #[test]
@@ -95,10 +92,7 @@ fn datagrams_may_be_encrypted_too() {
     runs[1].wait_for_text("topic `objects` of machine `robot` comes by datagrams");
     let before = newest(base);
     runs[1].wait_until("tracks go on", || newest(base) > before + 30);
-    for run in runs {
-        signal(run.id(), Signal::INT);
-        run.wait().expect_code(0);
-    }
+    drop(runs.map(Started::end));
 }
 
 /// Somebody with a certificate of the authority, who reads and writes what is not theirs.
@@ -167,9 +161,6 @@ fn who_is_not_on_the_list_can_neither_read_nor_write() {
         });
         let (heard, noticed) = (guest.heard.load(Ordering::Relaxed), robot_run.stderr().contains("version 99"));
         assert_eq!([heard == 0, !noticed], [listed; 2], "{heard} messages; {}", robot_run.stderr());
-        for run in [base_run, robot_run] {
-            signal(run.id(), Signal::INT);
-            run.wait().expect_code(0);
-        }
+        drop([base_run, robot_run].map(Started::end));
     }
 }

@@ -84,8 +84,7 @@ fn what_no_run_would_find_any_more_is_removed_and_what_lives_is_not() {
     let kept = memory.files();
     assert!(theirs.iter().all(|file| kept.contains(file)), "{theirs:?} against {kept:?}");
     wait_for_lines(&mut run, &living);
-    signal(run.id(), Signal::INT);
-    let ended = run.wait().expect_code(0);
+    let ended = run.end();
     assert_eq!(ended.stage("json").starts, 1, "{}", ended.stderr);
     assert_eq!(memory.files(), ["iox2_of_another_program.data"]);
 }

@@ -101,8 +101,7 @@ fn a_stage_that_stands_still_is_told_of_and_goes_on() {
     signal(tracker, Signal::CONT);
     run.wait_for_text("stage `tracker` goes on after 1");
     wait_for_lines(&mut run, &playground);
-    signal(run.id(), Signal::INT);
-    let ended = run.wait().expect_code(0);
+    let ended = run.end();
     assert_eq!(ended.stage("tracker").starts, 1, "{}", ended.stderr);
     assert!(ended.stderr.contains("hint: with restart = { when = \"on_failure\", hang_s = 5 }"), "{}", ended.stderr);
     let made = ended.stage("source").messages;
@@ -118,8 +117,7 @@ fn nonsense_in_shared_memory_is_counted_and_left_out() {
     let inputs = seen["inputs"].as_array().unwrap();
     let malformed = |name: &str| inputs.iter().find(|input| input["reader"] == name).unwrap()["malformed"].as_u64();
     assert_eq!((malformed("faulty"), malformed("tracker"), malformed("json")), (Some(0), Some(3), Some(0)), "{seen:#}");
-    signal(run.id(), Signal::INT);
-    let ended = run.wait().expect_code(0);
+    let ended = run.end();
     assert_eq!((ended.stage("faulty").starts, ended.stage("tracker").starts), (1, 1), "{}", ended.stderr);
     let sequences = playground.sequences("tracks.jsonl");
     let made = ended.stage("source").messages;
@@ -193,8 +191,7 @@ fn a_program_that_loads_for_long_is_named_and_loses_nothing() {
     run.wait_for_text("the run ends if it has not 120 s after its start");
     run.wait_for_text("stage `faulty` has joined the run, ");
     wait_for_frame(&mut run, &playground, 20);
-    signal(run.id(), Signal::INT);
-    let ended = run.wait().expect_code(0);
+    let ended = run.end();
     let made = ended.stage("source").messages;
     assert!(playground.sequences("tracks.jsonl").into_iter().eq(0..made), "{}", ended.stderr);
 }

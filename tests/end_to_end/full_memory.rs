@@ -34,8 +34,7 @@ fn a_run_at_work_goes_on_where_others_fill_shared_memory() {
     signal(stages["extractor"], Signal::CONT);
     let before = playground.lines("tracks.jsonl").len();
     run.wait_until("tracks come again", || playground.lines("tracks.jsonl").len() > before + 5);
-    signal(run.id(), Signal::INT);
-    let ended = run.wait().expect_code(0);
+    let ended = run.end();
     stages.keys().for_each(|stage| assert_eq!(ended.stage(stage).starts, 1, "{}", ended.stderr));
     assert_eq!(memory.files(), ["of_another_program"]);
 }

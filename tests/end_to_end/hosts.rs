@@ -2,8 +2,8 @@
 //! they are missing each test says so and shows nothing.
 
 use super::bridge::{LIVE_RATE_HZ, apart, expect_unfelt, live, machines, newest, tracks};
-use super::support::{Playground, Started, TRACKING, signal, wait_until, within};
-use rustix::process::{Signal, geteuid};
+use super::support::{Playground, Started, TRACKING, wait_until, within};
+use rustix::process::geteuid;
 use serde_json::Value as Json;
 use std::io::BufRead;
 use std::path::Path;
@@ -170,13 +170,6 @@ fn text() -> String {
     apart(&endpoint, &endpoint).replace("[machine.robot]\n", "[machine.robot]\ninsecure = true\n")
 }
 
-pub fn end(runs: [Started; 2]) -> [super::support::Ended; 2] {
-    runs.map(|run| {
-        signal(run.id(), Signal::INT);
-        run.wait().expect_code(0)
-    })
-}
-
 /// Pulls the cable under live edges: what was lost is lost, what comes is fresh and comes soon, and the robot feels nothing.
 #[test]
 fn after_an_outage_live_edges_carry_what_is_new() {
@@ -207,7 +200,7 @@ fn after_an_outage_live_edges_carry_what_is_new() {
         let stale = stale_lines(after);
         assert!(outage < OUTAGES[1] || stale <= MOST_STALE, "a stale backlog of {stale}");
     }
-    let [robot_ended, _] = end(runs);
+    let [robot_ended, _] = runs.map(Started::end);
     expect_unfelt(&robot_ended.input("depth", "extractor"));
 }
 
@@ -299,7 +292,7 @@ path    = "tracks.jsonl"
     let machines = machines(&text);
     let mut runs = hosts.start_both(&machines);
     runs[1].wait_until("images arrive", || base_lines(&machines[1]) > 120);
-    let [robot, base] = end(runs);
+    let [robot, base] = runs.map(Started::end);
     // A queue on the cable would grow all the time, and what comes in the second half be stale.
     let stale = stale_lines(&machines[1].json_lines("tracks.jsonl")[5..]);
     assert!(stale <= MOST_STALE, "a queue on the cable: {stale} came late");

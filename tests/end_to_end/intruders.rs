@@ -2,7 +2,7 @@
 
 use super::bridge::{self, apart, loopback, machines, newest, process_of, start, top_link};
 use super::routers::session;
-use super::support::{Ended, Playground, Started, signal, wait_until};
+use super::support::{Playground, Started, signal, wait_until};
 use conicflow_bridge::WIRE_VERSION;
 use rustix::process::Signal;
 use std::os::unix::fs::PermissionsExt;
@@ -46,8 +46,7 @@ fn a_flood_of_garbage_is_counted_and_does_no_harm() {
         newest(&base) > before + 60
     });
     assert!(base_run.stderr().contains("left out a message of topic `ellipses` from machine `robot`"));
-    signal(robot_run.id(), Signal::INT);
-    robot_run.wait().expect_code(0);
+    robot_run.end();
     let ended = base_run.wait().expect_code(0);
     assert_eq!(ended.stage("bridge").starts, 1, "{}", ended.stderr);
 }
@@ -65,8 +64,7 @@ fn a_machine_of_another_version_is_refused_by_name_and_numbers() {
         session.put("conicflow/tracking/@link/robot", b"CFLO\x63\x00".as_slice()).wait().unwrap();
         base_run.stderr().contains(&expected)
     });
-    signal(base_run.id(), Signal::INT);
-    base_run.wait().expect_code(0);
+    base_run.end();
 }
 
 #[test]
@@ -78,10 +76,7 @@ fn a_machine_with_another_pipeline_file_is_told_what_differs() {
     let mut robot_run = robot.start(&[&["run", "--machine", "robot"][..], &sets].concat());
     base_run.wait_for_text("machine `robot` has another pipeline file; what crosses here: topic `ellipses`");
     robot_run.wait_for_text("machine `base` has another pipeline file; what crosses here: topic `objects`");
-    for run in [base_run, robot_run] {
-        signal(run.id(), Signal::INT);
-        run.wait().expect_code(0);
-    }
+    drop([base_run, robot_run].map(Started::end));
 }
 
 /// Both machines of live edges, of which each listens: who connects to both hears and reaches both.
@@ -106,13 +101,6 @@ fn recorded(session: &zenoh::Session, count: usize) -> Vec<(&'static str, Vec<u8
 
 fn put(session: &zenoh::Session, messages: &[(&'static str, Vec<u8>)]) {
     messages.iter().for_each(|(key, bytes)| session.put(*key, bytes.clone()).wait().unwrap());
-}
-
-fn end(runs: [Started; 2]) -> [Ended; 2] {
-    runs.map(|run| {
-        signal(run.id(), Signal::INT);
-        run.wait().expect_code(0)
-    })
 }
 
 /// Makes sure that a machine has each frame once, in order.
@@ -155,7 +143,7 @@ fn what_is_forged_by_who_has_no_key_passes_nowhere_and_is_told() {
         assert!(said.contains(text), "no `{text}` in: {said}");
     }
     expect_in_order(&base);
-    end(runs);
+    drop(runs.map(Started::end));
 }
 
 #[test]
@@ -178,7 +166,7 @@ fn what_was_sent_before_a_bridge_was_started_anew_does_not_pass_again() {
         newest(&base) > before + 40
     });
     expect_in_order(&base);
-    end(runs);
+    drop(runs.map(Started::end));
 }
 
 /// A pipeline of two machines with a key.
@@ -212,7 +200,7 @@ fn machines_with_different_keys_tell_so_and_with_the_same_key_they_meet() {
     let mut runs = [start(&robot, "robot"), start(&base, "base")];
     runs[1].wait_until("tracks arrive", || newest(&base) > 20);
     assert_eq!(top_link(&base)["edges"][0]["malformed"], 0);
-    for ended in end(runs) {
+    for ended in runs.map(Started::end) {
         assert!(!ended.stderr.contains("refused") && !ended.stderr.contains("left out"), "{}", ended.stderr);
     }
 }

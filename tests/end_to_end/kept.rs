@@ -24,8 +24,7 @@ fn start(playground: &Playground, rate_hz: u64) -> Started {
 
 /// Ends a run in order: what was made is delivered. How many frames were made, too.
 fn end(run: Started) -> (Ended, u64) {
-    signal(run.id(), Signal::INT);
-    let ended = run.wait().expect_code(0);
+    let ended = run.end();
     let made = ended.stage("source").messages;
     (ended, made)
 }

@@ -3,9 +3,8 @@
 
 use crate::bridge::{apart, loopback, machines, newest, start};
 use crate::processes::wait_for_lines;
-use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, signal};
+use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES};
 use crate::view::{Answer, exchange};
-use rustix::process::Signal;
 use serde_json::Value as Json;
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{self, BufRead, BufReader, Read, Write};
@@ -135,8 +134,7 @@ fn they_are_those_of_top_as_an_independent_parser_reads_them() {
         let is_counted = kind == "counter" || kind == "histogram";
         assert!(!is_counted || after[&(name.clone(), labels.clone())].1 >= *told, "{name} {labels:?} has gone down");
     }
-    signal(run.id(), Signal::INT);
-    run.wait().expect_code(0);
+    run.end();
 }
 
 /// What the dashboard asks Prometheus for is told, and of all that is told it shows the most.
@@ -196,8 +194,7 @@ fn nobody_who_asks_slowly_or_wrongly_holds_up_the_run() {
     ] {
         assert_eq!(exchange(&host, request).status, status, "{request}");
     }
-    signal(run.id(), Signal::INT);
-    run.wait().expect_code(0);
+    run.end();
     assert!(TcpStream::connect(&host).is_err(), "the server ends with the run");
 }
 
@@ -226,8 +223,7 @@ fn a_token_keeps_others_out_and_without_one_the_network_is_warned_of() {
     assert_eq!(get_with(&host, "Authorization: Bearer another-secret\r\n").status, 401);
     let told = get_with(&host, &format!("Authorization: Bearer {TOKEN}\r\n"));
     assert!(told.status == 200 && told.text().contains("conicflow_frames_total{"), "{}", told.text());
-    signal(run.id(), Signal::INT);
-    let stderr = run.wait().expect_code(0).stderr;
+    let stderr = run.end().stderr;
     assert!(!stderr.contains(TOKEN) && !stderr.contains("may read the metrics"), "{stderr}");
 
     playground.write("pipeline.toml", &with("\"0.0.0.0:0\""));
@@ -261,8 +257,5 @@ fn each_machine_offers_its_own_where_its_table_says() {
             |stage: &str| text.contains(&format!("conicflow_frames_total{{pipeline=\"tracking\",stage=\"{stage}\"}}"));
         assert!(has(here) && !has(away), "{text}");
     }
-    for run in runs {
-        signal(run.id(), Signal::INT);
-        run.wait().expect_code(0);
-    }
+    drop(runs.map(Started::end));
 }

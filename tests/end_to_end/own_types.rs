@@ -1,8 +1,7 @@
 //! Item types of programs of one's own, which the pipeline file describes and `conicflow` itself does not know.
 
 use crate::bridge::{link, loopback, machines, placed, start, without_times};
-use crate::support::{Playground, TRACKING, example, signal};
-use rustix::process::Signal;
+use crate::support::{Playground, TRACKING, example};
 use serde_json::Value as Json;
 
 const FIELDS: &str = r#"{ position = "f64[3]", width = "f64", id = "u32", shape = "text[12]" }"#;
@@ -107,8 +106,7 @@ fn who_looks_on_sees_it_as_well() {
     assert!(list.lines().any(|line| line.starts_with("grasps ") && line.contains(" grasps ")), "{list}");
     let echo = playground.conicflow(&["topic", "echo", "grasps", "--count", "3"]).expect_code(0).stdout;
     let seen: Vec<Json> = echo.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
-    signal(run.id(), Signal::INT);
-    run.wait().expect_code(0);
+    run.end();
     let lines = playground.json_lines("grasps.jsonl");
     assert_eq!(seen.len(), 3);
     for line in seen {

@@ -84,8 +84,7 @@ fn top_and_the_summary_count_what_the_file_of_results_has() {
     }
     signal(source, Signal::CONT);
     wait_for_lines(&mut run, &playground);
-    signal(run.id(), Signal::INT);
-    let ended = run.wait().expect_code(0);
+    let ended = run.end();
     let lines = playground.lines("tracks.jsonl").len() as u64;
     assert!(TRACKING_STAGES.iter().all(|stage| ended.stage(stage).messages == lines), "{lines}: {}", ended.stderr);
     assert_eq!(ended.input("tracks", "json").received, lines, "{}", ended.stderr);
@@ -141,8 +140,7 @@ fn kill_each_stage(delivery: &str) {
         after.insert(stage.to_owned(), before[stage]);
         assert_eq!(after, before, "only `{stage}` was to be started anew");
     }
-    signal(launcher, Signal::INT);
-    let ended = run.wait().expect_code(0);
+    let ended = run.end();
     for stage in TRACKING_STAGES {
         assert_eq!(ended.stage(stage).starts, 2, "{stage}: {}", ended.stderr);
         let told = format!("stage `{stage}` was killed by signal 9, and is started anew in 0.1 s");
@@ -351,8 +349,7 @@ restart = "always"
     let mut run = start(&playground, &[]);
     run.wait_until("it was started three times", || playground.lines("starts.txt").len() >= 3);
     wait_for_lines(&mut run, &playground);
-    signal(run.id(), Signal::INT);
-    run.wait().expect_code(0);
+    run.end();
 }
 
 /// The files in shared memory that a process uses, but for one of 16 bytes that all runs on a machine share.

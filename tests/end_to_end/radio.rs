@@ -4,7 +4,7 @@
 
 use super::bridge::machines;
 use super::certificates::make_certificates;
-use super::hosts::{Hosts, MOST_STALE, ROBOT, end, nothing_is_lost, stale};
+use super::hosts::{Hosts, MOST_STALE, ROBOT, nothing_is_lost, stale};
 use super::support::{Playground, Started};
 use std::time::Instant;
 
@@ -245,7 +245,7 @@ fn the_robot_does_not_feel_a_bad_radio_and_lists_stay_fresh_while_images_are_lat
         },
         |_| None,
     );
-    end([pair.robot.run, pair.base_run]);
+    drop([pair.robot.run, pair.base_run].map(Started::end));
 }
 
 #[test]
@@ -277,7 +277,7 @@ fn objects_come_by_encrypted_datagrams() {
         runs[1].wait_until("objects arrive", || base.lines("lists.jsonl").len() > from + 300);
         eprintln!("`{more}`:");
         let lists = show(base, "lists.jsonl", from);
-        let [robot_ended, _] = end(runs);
+        let [robot_ended, _] = runs.map(Started::end);
         eprintln!("{}", robot_ended.stderr.lines().filter(|line| line.starts_with("base ")).collect::<String>());
         assert!(lists.share() > 0.3, "{:.2}", lists.share());
     }

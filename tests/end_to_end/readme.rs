@@ -4,9 +4,8 @@
 use crate::hosts::Host;
 use crate::outside_stage::ball_before_a_wall;
 use crate::programs::router;
-use crate::support::{Playground, Started, TRACKING, signal, wait_until};
+use crate::support::{Playground, Started, TRACKING, wait_until};
 use conicflow_lab::simulator::scene::Scene;
-use rustix::process::Signal;
 use std::fs;
 use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::{Path, PathBuf};
@@ -92,8 +91,7 @@ fn who_has_a_robot_with_ros_reaches_its_router() {
     let mut run = host.start(shell.current_dir(ROOT));
     run.wait_for_text("nobody publishes `/camera/depth/image_rect_raw`");
     wait_until("the sink has joined", || playground.top()["stages"].as_array().is_some_and(|stages| stages.len() == 5));
-    signal(run.id(), Signal::INT);
-    run.wait().expect_code(0);
+    run.end();
 }
 
 /// Both machines are one host, in runtime folders of their own, as the file stands.

@@ -125,8 +125,7 @@ fn an_onlooker_records_a_running_pipeline_until_it_ends() {
     assert!(unknown.stderr.contains("has no topic `object`\n  hint: did you mean `objects`?"), "{}", unknown.stderr);
     let newest = playground.newest("tracks.jsonl");
     run.wait_until("frames pass", || playground.newest("tracks.jsonl") > newest + 100);
-    signal(run.id(), Signal::INT);
-    let made = run.wait().expect_code(0).stage("source").messages;
+    let made = run.end().stage("source").messages;
     let ended = recorder.wait().expect_code(0);
     assert!(ended.stderr.contains("recorded ") && ended.stderr.contains("MB: depth "), "{}", ended.stderr);
 

@@ -3,11 +3,10 @@
 
 use crate::bridge::loopback;
 use crate::routers::{router, session};
-use crate::support::{Playground, RECORDING, Started, TRACKING, signal, wait_until};
+use crate::support::{Playground, RECORDING, Started, TRACKING, wait_until};
 use conicflow_lab::simulator::scene::Scene;
 use conicflow_messages::Camera;
 use conicflow_ros::{CameraInfo, Image, Reader, Stamped, Writer, write_transform, write_units};
-use rustix::process::Signal;
 use serde_json::Value as Json;
 use std::fs;
 use std::process::{Command, Stdio};
@@ -364,8 +363,7 @@ fn the_pose_of_the_camera_comes_from_transforms_and_goes_out_as_one() {
     let expected = ((stamped.stamp_ns - BEGIN_NS) / STEP_NS) as f64 + 0.5;
     let [x, y, z] = reader.f64s().unwrap();
     assert!((x - expected).abs() < 1e-9 && y == 0.0 && z == 0.0, "{x} {y} {z}, expected {expected}");
-    signal(run.id(), Signal::INT);
-    run.wait().expect_code(0);
+    run.end();
 }
 
 #[test]
@@ -411,8 +409,7 @@ fn tracks_reach_ros_and_the_node_is_seen() {
         assert!(there.contains(&format!("@ros2_lv/0/{zid}/0/{end}/::,10:,:,:,,")), "{end} in {there:?}");
     }
     swap_and_go_on(&playground, &mut run, &heard);
-    signal(run.id(), Signal::INT);
-    run.wait().expect_code(0);
+    run.end();
     wait_until("the node is gone", || gone.lock().unwrap().len() >= 6);
     check_heard(&heard.lock().unwrap());
 }
@@ -506,8 +503,7 @@ fn a_router_of_ros_may_come_late_and_come_again() {
         router.close().wait().unwrap();
         run.wait_until("the loss is counted", || is_without_router(&playground, round));
     }
-    signal(run.id(), Signal::INT);
-    let ended = run.wait().expect_code(0);
+    let ended = run.end();
     assert!(ended.stderr.matches("no router of ROS 2 is reached").count() >= 2, "{}", ended.stderr);
     assert!(ended.stderr.contains("is reached\n"), "{}", ended.stderr);
     assert_eq!(ended.stage("ros").starts, 1);
@@ -533,8 +529,7 @@ fn silence_is_told_with_what_there_is_instead() {
     let mut run = playground.start(&["run"]);
     run.wait_for_text("nobody publishes `/camera/depth/image_rect_raw`");
     run.wait_for_text("hint: topics with images or clouds: `/camera/depth/points`");
-    signal(run.id(), Signal::INT);
-    run.wait().expect_code(0);
+    run.end();
 }
 
 #[test]

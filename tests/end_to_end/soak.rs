@@ -2,8 +2,7 @@
 //! `CONICFLOW_SOAK_S=3600 cargo test --release --test end_to_end -- soak --nocapture`
 
 use crate::processes::{files_in_shared_memory, shared_files, shared_prefix, stages_of};
-use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, signal};
-use rustix::process::Signal;
+use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::PathBuf;
@@ -88,8 +87,7 @@ fn a_long_run_uses_no_more_at_its_end_than_at_its_begin() {
         run.wait_until("the next look is due", || Instant::now() >= due(number));
         samples.push(sample(&run));
     }
-    signal(run.id(), Signal::INT);
-    let ended = run.wait().expect_code(0);
+    let ended = run.end();
     assert_eq!(files_in_shared_memory(&prefix), [""; 0], "left in shared memory");
     // In a long run the first fifth is for warming up, too.
     let (first, last) = (&samples[samples.len() / 5], samples.last().unwrap());

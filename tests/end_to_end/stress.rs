@@ -44,8 +44,7 @@ fn prefix(playground: &Playground) -> String {
     let mut run = playground.start(&["run", "--set", "source.rate_hz=100"]);
     wait_for_lines(&mut run, playground);
     let prefix = shared_prefix(playground);
-    signal(run.id(), Signal::INT);
-    run.wait().expect_code(0);
+    run.end();
     prefix
 }
 

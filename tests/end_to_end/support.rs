@@ -372,6 +372,12 @@ impl Started {
         self.wait_until(text, || fs::read_to_string(&path).unwrap().contains(text));
     }
 
+    /// Asks for the end, as Ctrl-C does, and makes sure that it ends well.
+    pub fn end(self) -> Ended {
+        signal(self.id(), Signal::INT);
+        self.wait().expect_code(0)
+    }
+
     /// Waits until it ends.
     pub fn wait(mut self) -> Ended {
         let since = Instant::now();

@@ -2,7 +2,7 @@
 
 use crate::processes::{shared_files, stages_of, wait_for_lines};
 use crate::soak::usage;
-use crate::support::{Ended, Playground, Started, TRACKING, TRACKING_STAGES, signal};
+use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, signal};
 use rustix::process::Signal;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -28,11 +28,6 @@ fn swap(playground: &Playground, run: &mut Started, arguments: &[&str]) {
     wait_for_lines(run, playground);
 }
 
-pub fn end(run: Started) -> Ended {
-    signal(run.id(), Signal::INT);
-    run.wait().expect_code(0)
-}
-
 #[test]
 fn a_lossless_pipeline_loses_nothing_when_each_of_its_stages_is_replaced() {
     let playground = Playground::with_pipeline(TRACKING);
@@ -41,7 +36,7 @@ fn a_lossless_pipeline_loses_nothing_when_each_of_its_stages_is_replaced() {
     for stage in TRACKING_STAGES.into_iter().chain(TRACKING_STAGES) {
         swap(&playground, &mut run, &[stage]);
     }
-    let ended = end(run);
+    let ended = run.end();
     let made = ended.stage("source").messages;
     let sequences = playground.sequences("tracks.jsonl");
     assert!(sequences.iter().copied().eq(0..made), "{sequences:?} of {made}: {}", ended.stderr);
@@ -90,7 +85,7 @@ fn a_live_pipeline_misses_three_frames_at_most() {
             longest_gap(&playground, before - 1)
         });
     }
-    end(run);
+    run.end();
 }
 
 #[test]
@@ -103,7 +98,7 @@ fn a_stage_is_replaced_by_one_with_other_parameters_and_by_another_node() {
     playground.conicflow(&["swap", "json", "--node", "console_sink"]).expect_code(0);
     playground.conicflow(&["swap", "json", "--node", "json_sink", "--set", "path=third.jsonl"]).expect_code(0);
     run.wait_until("the third file grows", || playground.lines("third.jsonl").len() > 3);
-    let ended = end(run);
+    let ended = run.end();
     let files = ["tracks.jsonl", "other.jsonl", "third.jsonl"].map(|name| playground.sequences(name));
     assert_eq!(files[0].last().unwrap() + 1, files[1][0], "{}", ended.stderr);
     assert!(files[1].last() < files[2].first() && files[2].is_sorted(), "{}", ended.stderr);
@@ -134,7 +129,7 @@ fn what_does_not_validate_or_cannot_start_leaves_the_stage_at_work() {
             "a stage that starts anew would not be what it was: {arguments:?}"
         );
     }
-    let ended = end(run);
+    let ended = run.end();
     let made = ended.stage("source").messages;
     assert!(playground.sequences("tracks.jsonl").into_iter().eq(0..made), "{}", ended.stderr);
     assert_eq!(ended.stage("json").starts, 1);
@@ -149,11 +144,10 @@ fn a_source_that_cannot_begin_gives_its_place_back() {
     let refused = playground.conicflow(&["swap", "source", "--node", "image_source", "--set", "path=frames/"]);
     assert!(refused.expect_code(2).stderr.contains("the old one comes back"));
     wait_for_lines(&mut run, &playground);
-    let made = end(run).stage("source").messages;
+    let made = run.end().stage("source").messages;
     assert!(playground.sequences("tracks.jsonl").into_iter().eq(0..made));
 }
 
-/// The files in shared memory that the stages of a run use.
 #[test]
 fn an_answer_that_cannot_be_written_comes_later_and_ends_no_run() {
     let playground = Playground::with_pipeline(TRACKING);
@@ -166,9 +160,10 @@ fn an_answer_that_cannot_be_written_comes_later_and_ends_no_run() {
     wait_for_lines(&mut run, &playground);
     fs::remove_dir(&in_the_way).unwrap();
     asked.wait().expect_code(0);
-    assert_eq!(end(run).stage("tracker").starts, 2);
+    assert_eq!(run.end().stage("tracker").starts, 2);
 }
 
+/// The files in shared memory that the stages of a run use.
 fn used(stages: &BTreeMap<String, u32>) -> BTreeSet<PathBuf> {
     stages.values().flat_map(|process| shared_files(*process)).collect()
 }
@@ -201,7 +196,7 @@ fn a_hundred_swaps_of_a_live_run_cost_no_memory_and_three_frames_each_at_most() 
     eprintln!("memory of the neighbours, kB: {before:?}, after a hundred swaps {after:?}");
     assert!(before.iter().zip(after).all(|(before, after)| after <= before + SLACK_KB), "{before:?}, {after:?}");
     assert!(missed[50] <= 3, "{missed:?}");
-    let ended = end(run);
+    let ended = run.end();
     assert_eq!((ended.stage("source").starts, ended.stage("json").starts), (1, 1), "{}", ended.stderr);
 }
 

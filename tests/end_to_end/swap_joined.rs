@@ -4,7 +4,7 @@
 use super::bridge::{apart, loopback, machines, newest, start};
 use super::programs::program;
 use super::support::{Playground, Started, TRACKING, TRACKING_STAGES};
-use super::swap::{end, expect_a_quick_swap, replace};
+use super::swap::{expect_a_quick_swap, replace};
 
 /// So many images may wait for what is made of them: more than there are frames on the way.
 const SIDE_QUEUE: usize = 20;
@@ -44,7 +44,7 @@ fn inputs_of_the_same_frame_stay_together_and_none_is_lost() {
         replace(&playground, &run, &[stage]);
         wait_for_pairs(&mut run, &playground);
     }
-    let ended = end(run);
+    let ended = run.end();
     let made = ended.stage("source").messages;
     let expected: Vec<_> = (0..made).map(|frame| [Some(frame); 3]).collect();
     let torn = pairs(&playground).into_iter().zip(&expected).find(|(found, expected)| found != *expected);
@@ -75,7 +75,7 @@ fn live_inputs_of_the_same_frame_are_together_again_after_three_frames() {
         wait_for_pairs(&mut run, &playground);
         longest_gap(&whole(&pairs(&playground)[before - 1..]))
     });
-    end(run);
+    run.end();
 }
 
 /// Two cameras that write the same topic.
@@ -142,7 +142,7 @@ fn readers_and_writers_of_a_topic_with_several_writers_are_replaced_without_loss
         replace(&playground, &run, &[stage]);
         wait(&mut run);
     }
-    let ended = end(run);
+    let ended = run.end();
     let mut sum = 0;
     for (source, scene) in CAMERAS {
         let made = ended.stage(source).messages;
@@ -179,7 +179,7 @@ fn stages_on_both_sides_of_a_bridge_are_replaced_without_loss() {
         wait_for_tracks(&mut runs[1], &machines[1]);
     }
     let [robot, base] = runs;
-    let (robot, base) = (end(robot), base.wait().expect_code(0));
+    let (robot, base) = (robot.end(), base.wait().expect_code(0));
     let made = robot.stage("source").messages;
     assert!(machines[1].sequences("tracks.jsonl").into_iter().eq(0..made), "{}\n{}", robot.stderr, base.stderr);
     for (topic, reader) in [("ellipses", "assembler"), ("objects", "tracker"), ("tracks", "json")] {
@@ -203,5 +203,5 @@ fn a_live_pipeline_on_two_machines_misses_three_frames_at_most() {
             longest_gap(&machines[1].sequences("tracks.jsonl")[before - 1..])
         });
     }
-    runs.into_iter().for_each(|run| drop(end(run)));
+    runs.into_iter().for_each(|run| drop(run.end()));
 }

@@ -28,8 +28,7 @@ fn echo(playground: &Playground, topic: &str) -> (Started, BufReader<ChildStdout
 /// Ends a run and makes sure that each stage worked on every frame that was made.
 fn end_without_loss(mut run: Started, playground: &Playground) -> Ended {
     run.wait_until("so many frames came that they show something", || playground.newest("tracks.jsonl") > 50);
-    signal(run.id(), Signal::INT);
-    let ended = run.wait().expect_code(0);
+    let ended = run.end();
     let made = ended.stage("source").messages;
     for stage in TRACKING_STAGES {
         assert_eq!(ended.stage(stage).messages, made, "{stage}: {}", ended.stderr);
