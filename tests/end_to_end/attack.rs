@@ -7,10 +7,10 @@
 //! nothing is lost, unless its writer was killed as well, what is missing is counted, exit code 1 says that something lossless
 //! was lost and nothing else does, and no process and no file stays behind.
 
-use super::bridge::{HALVES, apart, loopback, placed};
+use super::bridge::{HALVES, joined, loopback};
 use super::processes::{files_in_shared_memory, shared_files, shared_prefix, stages_of, wait_for_shared_memory};
 use super::routers::session;
-use super::support::{Ended, Playground, Started, TRACKING, TRACKING_STAGES, signal, wait_until};
+use super::support::{Ended, Playground, Started, TRACKING, TRACKING_STAGES, TRACKING_TOPICS, signal, wait_until};
 use rustix::process::Signal;
 use std::any::Any;
 use std::fmt::Write;
@@ -236,9 +236,7 @@ fn begin(round: &Round) -> (Vec<(Playground, Started)>, Option<zenoh::Session>) 
         return (vec![start(&round.text(), &["run"])], None);
     }
     let endpoint = loopback();
-    let ends = apart(&endpoint, &endpoint);
-    let ends = ends.split_once("\n[machine.robot]").unwrap().1;
-    let text = format!("{}\n[machine.robot]{ends}", placed(&round.text(), &HALVES));
+    let text = joined(&round.text(), &HALVES, &endpoint, &endpoint);
     let machines = ["robot", "base"].map(|name| start(&text, &["run", "--machine", name]));
     let forges = round.has(|blow| matches!(blow, Blow::Forge));
     let listens = || std::net::TcpStream::connect(&endpoint[4..]).is_ok();
@@ -319,20 +317,20 @@ fn expect_counted(round: &Round, ended: &Ended, lines: u64) -> Result<u64, Strin
         return if nothing_was_to_be { Ok(0) } else { Err(format!("no stage joined: {}", ended.stderr)) };
     }
     let (mut lost_in_all, mut lossless_lost) = (0, 0);
-    for (pair, topic) in TRACKING_STAGES.windows(2).zip(["depth", "ellipses", "objects", "tracks"]) {
-        let (sent, row) = (ended.stage(pair[0]).messages, ended.input(topic, pair[1]));
+    for (topic, writer, reader) in TRACKING_TOPICS {
+        let (sent, row) = (ended.stage(writer).messages, ended.input(topic, reader));
         // A stage that is killed when it has sent a message and not yet counted it makes and counts it again where it gets that
         // input again. One that wants the newest only gets another, and its next message has the same number.
-        let doubtful = if pair[0] == "source" || round.is_lossless(pair[0]) { 0 } else { round.kills_of(pair[0]) };
+        let doubtful = if writer == "source" || round.is_lossless(writer) { 0 } else { round.kills_of(writer) };
         // One that wants the newest only does not know what was sent before it looked for the first time.
         let counted = row.received + row.dropped;
-        if counted > sent + doubtful || (counted < sent && round.is_lossless(pair[1])) {
-            return Err(format!("`{}` sent {sent}, `{}` has {row:?}: {}", pair[0], pair[1], ended.stderr));
+        if counted > sent + doubtful || (counted < sent && round.is_lossless(reader)) {
+            return Err(format!("`{writer}` sent {sent}, `{reader}` has {row:?}: {}", ended.stderr));
         }
         lost_in_all += row.dropped;
-        if round.is_lossless(pair[1]) && row.dropped > 0 {
+        if round.is_lossless(reader) && row.dropped > 0 {
             lossless_lost += row.dropped;
-            expect_reason(round, [pair[0], pair[1]], ended)?;
+            expect_reason(round, [writer, reader], ended)?;
         }
     }
     let expected = i32::from(lossless_lost > 0);

@@ -1,10 +1,10 @@
 //! One pipeline on two machines: two launchers on this host, each with a runtime folder of its own, joined over loopback.
 
-use super::support::{Ended, InputRow, Playground, Started, TRACKING, environment, signal, wait_until};
+use super::support::{Ended, InputRow, Playground, Started, TRACKING, environment, python_with, signal, wait_until};
 use rustix::process::Signal;
 use serde_json::Value as Json;
 use std::net::TcpListener;
-use std::process::{Command, Stdio};
+use std::process::Command;
 use std::time::Duration;
 
 /// Where the stages of [`TRACKING`] are, unless a test says otherwise.
@@ -20,10 +20,15 @@ pub fn placed(text: &str, places: &[(&str, &str)]) -> String {
     })
 }
 
+/// The same, where `robot` listens at an endpoint and `base` connects to one.
+pub fn joined(text: &str, places: &[(&str, &str)], listen: &str, connect: &str) -> String {
+    let text = placed(text, places);
+    format!("{text}\n[machine.robot]\nlisten = [\"{listen}\"]\n[machine.base]\nconnect = [\"{connect}\"]\n")
+}
+
 /// [`TRACKING`] with its source and extractor on `robot`, the others on `base`.
 pub fn apart(listen: &str, connect: &str) -> String {
-    let text = placed(TRACKING, &HALVES);
-    format!("{text}\n[machine.robot]\nlisten = [\"{listen}\"]\n[machine.base]\nconnect = [\"{connect}\"]\n")
+    joined(TRACKING, &HALVES, listen, connect)
 }
 
 /// An endpoint on this host that nobody uses.
@@ -87,8 +92,21 @@ pub fn process_of(playground: &Playground, stage: &str) -> Option<u32> {
     playground.processes().into_iter().find(of_stage)
 }
 
+/// Kills the process of a stage, and waits until its successor runs.
+pub fn kill(playground: &Playground, stage: &str) {
+    let process = process_of(playground, stage).unwrap();
+    signal(process, Signal::KILL);
+    wait_until("its successor runs", || process_of(playground, stage).is_some_and(|new| new != process));
+}
+
 pub fn newest(playground: &Playground) -> u64 {
     playground.newest("tracks.jsonl")
+}
+
+/// Waits until so many frames more have come through to the base.
+pub fn wait_for_frames(run: &mut Started, base: &Playground, frames: u64) {
+    let before = newest(base);
+    run.wait_until("tracks go on", || newest(base) > before + frames);
 }
 
 /// Ends both and makes sure that nothing is left behind.
@@ -161,9 +179,8 @@ fn a_machine_that_is_killed_and_started_again_gets_what_is_new_and_the_other_fee
     let made = || robot.top()["stages"][0]["messages"].as_u64().unwrap();
     let target = made() + 80;
     robot_run.wait_until("the robot is alone for long", || made() > target);
-    let before = newest(base);
     let mut again = start(base, "base");
-    again.wait_until("new tracks arrive", || newest(base) > before + 20);
+    wait_for_frames(&mut again, base, 20);
     let robot_ended = robot_run.end();
     expect_unfelt(&robot_ended.input("depth", "extractor"));
     assert_eq!(robot_ended.stage("extractor").starts, 1);
@@ -177,14 +194,10 @@ fn stages_and_bridges_may_die_on_either_side() {
     let [robot, base] = &machines;
     let mut runs = [start(robot, "robot"), start(base, "base")];
     for (machine, stage) in [(robot, "extractor"), (base, "assembler"), (robot, "bridge"), (base, "bridge")] {
-        let before = newest(base);
-        runs[1].wait_until("tracks arrive", || newest(base) > before + 10);
-        let process = process_of(machine, stage).unwrap();
-        signal(process, Signal::KILL);
-        runs[1].wait_until("its successor runs", || process_of(machine, stage).is_some_and(|new| new != process));
+        wait_for_frames(&mut runs[1], base, 10);
+        kill(machine, stage);
     }
-    let before = newest(base);
-    runs[1].wait_until("tracks arrive at the end", || newest(base) > before + 10);
+    wait_for_frames(&mut runs[1], base, 10);
     end(runs, &machines);
 }
 
@@ -209,16 +222,10 @@ fn kill_the_bridge_of(killed: usize) -> u64 {
     let endpoint = loopback();
     let machines = machines(&apart(&endpoint, &endpoint));
     let mut runs = [start(&machines[0], "robot"), start(&machines[1], "base")];
-    let mut go_on = || {
-        let target = newest(&machines[1]) + 200;
-        runs[1].wait_until("tracks arrive", || newest(&machines[1]) > target);
-    };
-    for round in 1..=4 {
+    let mut go_on = || wait_for_frames(&mut runs[1], &machines[1], 200);
+    for _ in 0..4 {
         go_on();
-        let process = process_of(&machines[killed], "bridge").unwrap();
-        signal(process, Signal::KILL);
-        let successor = || process_of(&machines[killed], "bridge").is_some_and(|new| new != process);
-        wait_until(&format!("its successor runs, round {round}"), successor);
+        kill(&machines[killed], "bridge");
     }
     go_on();
     signal(runs[0].id(), Signal::INT);
@@ -249,9 +256,7 @@ fn what_waits_for_a_machine_is_not_lost_with_a_sending_bridge_that_is_killed() {
     let [robot, base] = machines(&text);
     let robot_run = start(&robot, "robot");
     wait_until("a full outbox waits", || top_link(&robot)["edges"][0]["messages"] == 64);
-    let process = process_of(&robot, "bridge").unwrap();
-    signal(process, Signal::KILL);
-    wait_until("its successor runs", || process_of(&robot, "bridge").is_some_and(|new| new != process));
+    kill(&robot, "bridge");
     let base_run = start(&base, "base");
     robot_run.wait().expect_code(0);
     let ended = base_run.wait().expect_code(0);
@@ -289,12 +294,7 @@ fn a_bridge_that_is_killed_at_the_end_of_a_run_loses_nothing_and_keeps_nobody_wa
 
 #[test]
 fn a_python_program_reads_objects_by_their_key() {
-    let python = std::env::var("CONICFLOW_TEST_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    let has_zenoh = Command::new(&python).args(["-c", "import zenoh"]).stderr(Stdio::null()).status();
-    if !has_zenoh.is_ok_and(|status| status.success()) {
-        eprintln!("SKIPPED: `{python}` has no eclipse-zenoh; nothing was shown");
-        return;
-    }
+    let Some(python) = python_with("zenoh", "has no eclipse-zenoh; nothing was shown") else { return };
     let endpoint = loopback();
     let text = apart(&endpoint, &endpoint).replace("rate_hz    = 0", "rate_hz = 30");
     let text = text.replace("[stage.assembler]\nmachine = \"base\"", "[stage.assembler]\nmachine = \"robot\"");

@@ -1,6 +1,6 @@
 //! Who gets in where links are TLS: certificates of one authority, and of those only the ones on the list.
 
-use super::bridge::{self, apart, loopback, machines, newest, start};
+use super::bridge::{self, apart, loopback, machines, newest, start, wait_for_frames};
 use super::routers::session;
 use super::support::{Playground, Started, wait_until};
 use std::path::Path;
@@ -30,6 +30,14 @@ pub fn make_certificates(folder: &Path, names: &[&str], address: &str) -> bool {
     made
 }
 
+/// Gives the base its own from the folder of the robot, where all were made.
+pub fn hand_over(robot: &Playground, base: &Playground) {
+    std::fs::create_dir_all(base.path("tls")).unwrap();
+    for file in ["tls/base.json5", "tls/base.key", "tls/base.pem", "tls/ca.pem"] {
+        std::fs::copy(robot.path(file), base.path(file)).unwrap();
+    }
+}
+
 fn tls_loopback() -> String {
     loopback().replace("tcp/127.0.0.1", "tls/localhost")
 }
@@ -43,18 +51,15 @@ fn only_who_has_the_right_certificate_gets_in() {
     }
     let another_authority = base.path("tls");
     assert!(make_certificates(&another_authority, &["robot", "base"], "localhost"));
-    let copy = |from: &str, to: &str| std::fs::copy(robot.path(from), base.path(to)).map(drop).unwrap();
     let robot_run = start(&robot, "robot");
     // Another authority's certificate, then none, then the right one.
     for stage in ["wrong", "none", "right"] {
         if stage == "none" {
             let only_ca = "{ transport: { link: { tls: { root_ca_certificate: 'ca.pem' } } } }";
             base.write("tls/base.json5", only_ca);
-            copy("tls/ca.pem", "tls/ca.pem");
+            std::fs::copy(robot.path("tls/ca.pem"), base.path("tls/ca.pem")).unwrap();
         } else if stage == "right" {
-            ["tls/base.json5", "tls/base.key", "tls/base.pem", "tls/ca.pem"]
-                .into_iter()
-                .for_each(|file| copy(file, file));
+            hand_over(&robot, &base);
         }
         let mut base_run = start(&base, "base");
         if stage == "right" {
@@ -84,14 +89,10 @@ fn datagrams_may_be_encrypted_too() {
     if !make_certificates(&robot.path("tls"), &["robot", "base"], "localhost") {
         return;
     }
-    std::fs::create_dir(base.path("tls")).unwrap();
-    for file in ["base.json5", "base.key", "base.pem", "ca.pem"] {
-        std::fs::copy(robot.path("tls").join(file), base.path("tls").join(file)).unwrap();
-    }
+    hand_over(robot, base);
     let mut runs = [start(robot, "robot"), start(base, "base")];
     runs[1].wait_for_text("topic `objects` of machine `robot` comes by datagrams");
-    let before = newest(base);
-    runs[1].wait_until("tracks go on", || newest(base) > before + 30);
+    wait_for_frames(&mut runs[1], base, 30);
     drop(runs.map(Started::end));
 }
 
@@ -142,10 +143,7 @@ fn who_is_not_on_the_list_can_neither_read_nor_write() {
     }
     // Keys have an `@` of their own.
     let exchanged = EXAMPLE.replace("robot", "%").replace("base", "robot").replace('%', "base");
-    std::fs::create_dir_all(base.path("tls")).unwrap();
-    for file in ["base.json5", "base.key", "base.pem", "ca.pem"] {
-        std::fs::copy(folder.join(file), base.path("tls").join(file)).unwrap();
-    }
+    hand_over(&robot, &base);
     for listed in [false, true] {
         if listed {
             robot.write("tls/robot.json5", EXAMPLE);

@@ -1,6 +1,6 @@
 //! The commands that start nothing: `graph`, `nodes`, help; and what wrong arguments are told.
 
-use crate::support::{Playground, Started, TRACKING};
+use crate::support::{Playground, Started, TRACKING, python_with};
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -252,14 +252,8 @@ fn a_shell_and_man_know_every_command() {
 /// Editors are told what is wrong by validators that others wrote; this is one.
 #[test]
 fn another_validator_names_the_fault() {
-    let python = std::env::var("CONICFLOW_TEST_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    let has_both = Command::new(&python).args(["-c", "import jsonschema, tomllib"]).stderr(Stdio::null()).status();
-    if !has_both.is_ok_and(|status| status.success()) {
-        eprintln!(
-            "SKIPPED: `{python}` has no jsonschema, or is older than 3.11; what it tells of a pipeline file is not shown"
-        );
-        return;
-    }
+    let lacks = "has no jsonschema, or is older than 3.11; what it tells of a pipeline file is not shown";
+    let Some(python) = python_with("jsonschema, tomllib", lacks) else { return };
     let playground = Playground::new();
     playground.write("schema.json", &playground.conicflow(&["schema"]).expect_code(0).stdout);
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));

@@ -1,6 +1,6 @@
 //! `conicflow compare`: two variants of a pipeline on the same frames.
 
-use crate::support::{Playground, signal, tracking_behind};
+use crate::support::{Playground, read_png, signal, tracking_behind};
 use crate::view::{Page, items};
 use conicflow_lab::simulator::scene::Scene;
 use rustix::process::Signal;
@@ -77,12 +77,8 @@ fn the_paper_s_way_differs_and_both_are_scored_as_an_evaluation_sink_scores_them
 fn recorded_frames_without_a_truth_are_compared_in_tables_and_pictures() {
     let source = "node = \"image_source\"\npath = \"frames\"\nposes = \"none\"\nrate_hz = 0\n";
     let playground = Playground::with_pipeline(&tracking_behind(source, "latest"));
-    let camera = playground.record(Scene::built_in("tabletop").unwrap().unwrap(), 5, 3);
-    let intrinsics = format!(
-        "source.intrinsics={{ fx = {:?}, fy = {:?}, cx = {:?}, cy = {:?} }}",
-        camera.fx, camera.fy, camera.cx, camera.cy
-    );
-    let what = ["compare", "--set", &intrinsics, "--b", "extractor.node=ransac_ellipse_extractor", "--frames", "2"];
+    playground.record_with_camera(Scene::built_in("tabletop").unwrap().unwrap(), 5, 3);
+    let what = ["compare", "--b", "extractor.node=ransac_ellipse_extractor", "--frames", "2"];
     let ended = playground.conicflow(&[&what[..], &["--pictures", "pictures", "--zoom", "2"]].concat()).expect_code(0);
     let text = &ended.stdout;
     assert!(
@@ -92,8 +88,8 @@ fn recorded_frames_without_a_truth_are_compared_in_tables_and_pictures() {
     assert!(text.contains("\nFOUND ") && text.contains("\nTIME ") && !text.contains("TRUTH"), "{text}");
     let names: Vec<_> = fs::read_dir(playground.path("pictures")).unwrap().map(|entry| entry.unwrap().path()).collect();
     assert_eq!(names.len(), 2);
-    let picture = png::Decoder::new(std::io::BufReader::new(fs::File::open(&names[0]).unwrap())).read_info().unwrap();
-    assert_eq!((picture.info().width, picture.info().height), (2 * 640 + 4, 480));
+    let (info, _) = read_png(&names[0]);
+    assert_eq!((info.width, info.height), (2 * 640 + 4, 480));
 }
 
 #[test]

@@ -1,13 +1,13 @@
 //! `conicflow detect`: one command on recorded frames, beside the pipeline on the same.
 
-use crate::support::{Playground, RECORDING};
+use crate::support::{Playground, RECORDING, read_png};
 use conicflow_lab::simulator::scene::Scene;
 use serde_json::Value as Json;
 use std::fs;
 
-/// Writes frames of a built-in scene down, and returns what `--camera` has to say.
+/// Writes frames of a built-in scene down with their camera, and returns what `--camera` has to say.
 fn record(playground: &Playground, frames: u64) -> String {
-    let camera = playground.record(Scene::built_in("tabletop").unwrap().unwrap(), 5, frames);
+    let camera = playground.record_with_camera(Scene::built_in("tabletop").unwrap().unwrap(), 5, frames);
     format!("{},{},{},{}", camera.fx, camera.fy, camera.cx, camera.cy)
 }
 
@@ -25,12 +25,7 @@ fn results(text: &str) -> Vec<Json> {
 fn detect_finds_what_the_pipeline_finds_to_the_bit() {
     let playground = Playground::with_pipeline(&RECORDING.replace("noise   = \"ideal\"\n", ""));
     let camera = record(&playground, 12);
-    let numbers: Vec<f64> = camera.split(',').map(|number| number.parse().unwrap()).collect();
-    let set = format!(
-        "source.intrinsics={{ fx = {:?}, fy = {:?}, cx = {:?}, cy = {:?} }}",
-        numbers[0], numbers[1], numbers[2], numbers[3]
-    );
-    playground.conicflow(&["run", "--quiet", "--set", &set]).expect_code(0);
+    playground.conicflow(&["run", "--quiet"]).expect_code(0);
     let piped = results(&fs::read_to_string(playground.path("objects.jsonl")).unwrap());
     let ended = playground.conicflow(&["detect", "frames", "--camera", &camera]).expect_code(0);
     let detected = results(&ended.stdout);
@@ -52,8 +47,7 @@ fn results_and_pictures_go_where_they_are_asked_for() {
     assert_eq!(ended.stdout, "");
     let lines = playground.json_lines("out/objects.jsonl");
     assert_eq!((lines.len(), lines[0]["source"].as_str()), (1, Some("1.png")));
-    let picture = fs::File::open(playground.path("pictures/1.png")).unwrap();
-    let info = png::Decoder::new(std::io::BufReader::new(picture)).read_info().unwrap().info().clone();
+    let (info, _) = read_png(&playground.path("pictures/1.png"));
     assert_eq!((info.width, info.height, info.color_type), (320, 240, png::ColorType::Rgb));
 }
 
@@ -93,7 +87,7 @@ fn a_frame_that_shows_nothing_has_a_line_and_why() {
 #[test]
 fn what_cannot_be_detected_in_is_an_error_with_a_hint() {
     let playground = Playground::new();
-    record(&playground, 1);
+    playground.record(Scene::built_in("tabletop").unwrap().unwrap(), 5, 1);
     for (arguments, what) in [
         (&["detect", "nowhere"][..], "nowhere"),
         (&["detect", "frames"], "intrinsics"),

@@ -1,6 +1,7 @@
 //! What `doctor` finds and removes, and that a run does not begin where it could not go on. Most of it needs a /dev/shm of
 //! its own, and so root, `unshare` and `nsenter`; where they are missing each test says so and shows nothing.
 
+use super::bridge::apart;
 use super::own_memory::OwnSharedMemory;
 use super::processes::{stages_of, wait_for_lines};
 use super::support::{Ended, Playground, Started, TRACKING, parent, signal, wait_until};
@@ -147,15 +148,7 @@ fn a_run_that_would_need_more_open_files_than_it_may_have_does_not_begin() {
 fn a_port_that_is_taken_is_told_with_the_machine_that_needs_it() {
     let holder = TcpListener::bind("127.0.0.1:0").unwrap();
     let endpoint = format!("tcp/{}", holder.local_addr().unwrap());
-    let machines =
-        format!("[machine.robot]\nlisten = [\"{endpoint}\"]\n[machine.base]\nconnect = [\"{endpoint}\"]\n\n");
-    let text = TRACKING.replacen("[stage.source]", &(machines + "[stage.source]"), 1);
-    let here = |text: String, stage: &str, machine: &str| {
-        text.replace(&format!("[stage.{stage}]\n"), &format!("[stage.{stage}]\nmachine = \"{machine}\"\n"))
-    };
-    let placed = [("source", "robot"), ("extractor", "robot"), ("assembler", "base"), ("tracker", "base")];
-    let text = placed.into_iter().fold(text, |text, (stage, machine)| here(text, stage, machine));
-    let playground = Playground::with_pipeline(&here(text, "json", "base"));
+    let playground = Playground::with_pipeline(&apart(&endpoint, &endpoint));
     let told = format!("problem: machine `robot` cannot listen on `{endpoint}`: Address already in use");
     let found = playground.conicflow(&["doctor"]).expect_code(1);
     assert!(found.stdout.contains(&told), "{}", found.stdout);

@@ -286,11 +286,8 @@ fn a_bouncing_ball_is_one_ball_near_its_true_way() {
 
 /// Writes frames of a scene down, and what is known of the camera.
 fn record(playground: &Playground, scene: &str, frames: u64) {
-    let camera =
-        playground.record(load_scene(&playground.path(scene)).unwrap().scene(&Values::new()).unwrap(), 77, frames);
-    let (fx, fy, cx, cy) = (camera.fx, camera.fy, camera.cx, camera.cy);
-    let known = serde_json::json!({ "width": 320, "height": 240, "fx": fx, "fy": fy, "cx": cx, "cy": cy, "depth_scale": 0.001 });
-    playground.write("frames/camera.json", &known.to_string());
+    let scene = load_scene(&playground.path(scene)).unwrap().scene(&Values::new()).unwrap();
+    playground.record_with_camera(scene, 77, frames);
 }
 
 /// What fails at the end is told once: the stage is not started anew, where it could only miss what it had seen.

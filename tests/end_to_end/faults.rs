@@ -1,6 +1,6 @@
 //! Stages that panic, hang or are stopped: they are told of, started anew where that is asked for, and harm no other.
 
-use crate::bridge::{loopback, machines, placed, top_link};
+use crate::bridge::{joined, loopback, machines, top_link};
 use crate::processes::{stages_of, wait_for_lines};
 use crate::programs::program;
 use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, signal};
@@ -135,10 +135,8 @@ fn nonsense_does_not_leave_its_machine_and_is_counted_at_the_edge() {
         ("json", "base"),
     ];
     let endpoint = loopback();
-    let text = placed(&text_with_program(&program("faulty_stage"), "nonsense_at = 20"), &places);
-    let text =
-        format!("{text}\n[machine.robot]\nlisten = [\"{endpoint}\"]\n[machine.base]\nconnect = [\"{endpoint}\"]\n");
-    let [robot, base] = machines(&text);
+    let text = text_with_program(&program("faulty_stage"), "nonsense_at = 20");
+    let [robot, base] = machines(&joined(&text, &places, &endpoint, &endpoint));
     let start = |machine: &Playground, name| machine.start(&["run", "--machine", name, "--set", "source.rate_hz=50"]);
     let mut runs = [start(&robot, "robot"), start(&base, "base")];
     wait_for_frame(&mut runs[1], &base, 40);

@@ -1,9 +1,9 @@
 //! Disks that are full and files that cannot be read: the stage fails for good, with exit code 1 and one sentence that says why.
 
-use crate::support::{Ended, Playground, Started, TRACKING};
+use crate::support::{Ended, Playground, Started, TRACKING, read_png};
 use conicflow_lab::simulator::scene::Scene;
 use rustix::process::geteuid;
-use std::fs::{self, File};
+use std::fs;
 use std::process::{Command, Stdio};
 
 /// That of the frames that a playground records.
@@ -75,10 +75,7 @@ path  = "disk"
     assert!(!names.is_empty());
     for name in names {
         assert!(name.ends_with(".png"), "{name} is left behind");
-        let file = std::io::BufReader::new(File::open(playground.path("left").join(&name)).unwrap());
-        let mut picture = png::Decoder::new(file).read_info().unwrap();
-        let mut pixels = vec![0; picture.output_buffer_size().unwrap()];
-        picture.next_frame(&mut pixels).unwrap_or_else(|error| panic!("{name}: {error}"));
+        read_png(&playground.path("left").join(&name));
     }
 }
 

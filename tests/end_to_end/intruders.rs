@@ -1,6 +1,6 @@
 //! What others may send to a bridge: garbage, messages of another version, forged ones, and true ones once more.
 
-use super::bridge::{self, apart, loopback, machines, newest, process_of, start, top_link};
+use super::bridge::{self, apart, kill, loopback, machines, newest, start, top_link, wait_for_frames};
 use super::routers::session;
 use super::support::{Playground, Started, signal, wait_until};
 use conicflow_bridge::WIRE_VERSION;
@@ -150,11 +150,8 @@ fn what_is_forged_by_who_has_no_key_passes_nowhere_and_is_told() {
 fn what_was_sent_before_a_bridge_was_started_anew_does_not_pass_again() {
     let ([robot, base], session, mut runs) = both_listening();
     let old = recorded(&session, 5);
-    let process = process_of(&robot, "bridge").unwrap();
-    signal(process, Signal::KILL);
-    runs[0].wait_until("its successor runs", || process_of(&robot, "bridge").is_some_and(|new| new != process));
-    let before = newest(&base);
-    runs[1].wait_until("tracks arrive again", || newest(&base) > before + 20);
+    kill(&robot, "bridge");
+    wait_for_frames(&mut runs[1], &base, 20);
     wait_until("what is old is refused", || {
         put(&session, &old);
         let refused = "from machine `robot`: it is of an earlier start of the bridge there\n  hint: ";

@@ -1,21 +1,12 @@
 //! Stages that are killed where no message may be missed: they come back, are handed again what they had not finished, and the
 //! results are those of a run in which nobody was killed.
 
+use crate::bridge::tracks;
 use crate::processes::{UNDER_WAY, stages_of};
 use crate::programs::program;
-use crate::support::{Ended, Playground, RECORDING, Started, TRACKING, TRACKING_STAGES, signal};
+use crate::support::{Ended, Playground, RECORDING, Started, TRACKING, TRACKING_TOPICS, signal};
 use conicflow_lab::simulator::scene::Scene;
 use rustix::process::Signal;
-use serde_json::Value as Json;
-
-/// The lines of results, but for the times in them.
-fn lines(playground: &Playground, name: &str) -> Vec<Json> {
-    let without_time = |mut line: Json| {
-        line["latency_ms"] = Json::Null;
-        line
-    };
-    playground.json_lines(name).into_iter().map(without_time).collect()
-}
 
 /// A run at this rate, until it is told to end.
 fn start(playground: &Playground, rate_hz: u64) -> Started {
@@ -47,8 +38,8 @@ fn kill_in_turn(run: &mut Started, stages: &[&str], newest: impl Fn() -> u64) {
 }
 
 fn expect_nothing_lost(ended: &Ended, made: u64) {
-    for (pair, topic) in TRACKING_STAGES.windows(2).zip(["depth", "ellipses", "objects", "tracks"]) {
-        let row = ended.input(topic, pair[1]);
+    for (topic, _, reader) in TRACKING_TOPICS {
+        let row = ended.input(topic, reader);
         assert_eq!((row.received, row.dropped, row.gaps), (made, 0, 0), "{topic}: {}", ended.stderr);
     }
 }
@@ -64,12 +55,12 @@ fn a_stage_that_is_killed_again_and_again_loses_nothing() {
     let (ended, made) = end(run);
     expect_nothing_lost(&ended, made);
     assert_eq!(ended.stage("assembler").starts, 5, "{}", ended.stderr);
-    let found = lines(&playground, "tracks.jsonl");
+    let found = tracks(&playground);
     assert_eq!(found.len() as u64, made);
     std::fs::remove_file(playground.path("tracks.jsonl")).unwrap();
     let arguments = ["run", "--set", "source.rate_hz=100", "--frames", &made.to_string()];
     playground.conicflow(&arguments).expect_code(0);
-    assert!(found == lines(&playground, "tracks.jsonl"), "{}", ended.stderr);
+    assert!(found == tracks(&playground), "{}", ended.stderr);
 }
 
 #[test]
@@ -157,17 +148,13 @@ fn a_recording_is_read_once_whoever_is_killed() {
     const FRAMES: u64 = 120;
     const RECORDED: u64 = 40;
     let playground = Playground::with_pipeline(RECORDING);
-    let camera = playground.record(Scene::built_in("tabletop").unwrap().unwrap(), 3, RECORDED);
+    playground.record_with_camera(Scene::built_in("tabletop").unwrap().unwrap(), 3, RECORDED);
     // What the images show does not matter, but that there are so many.
     for frame in RECORDED..FRAMES {
         let path = |frame: u64| playground.path(&format!("frames/{frame}.png"));
         std::fs::hard_link(path(frame % RECORDED), path(frame)).unwrap();
     }
-    let set = format!(
-        "source.intrinsics={{ fx = {:?}, fy = {:?}, cx = {:?}, cy = {:?} }}",
-        camera.fx, camera.fy, camera.cx, camera.cy
-    );
-    let mut run = playground.start(&["run", "--set", "source.rate_hz=15", "--set", &set]);
+    let mut run = playground.start(&["run", "--set", "source.rate_hz=15"]);
     let newest = || playground.newest("objects.jsonl");
     let mut after = 5;
     for stage in ["extractor", "source", "assembler"] {

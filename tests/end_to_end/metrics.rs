@@ -3,7 +3,7 @@
 
 use crate::bridge::{apart, loopback, machines, newest, start};
 use crate::processes::wait_for_lines;
-use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES};
+use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, python_with};
 use crate::view::{Answer, exchange};
 use serde_json::Value as Json;
 use std::collections::{BTreeMap, BTreeSet};
@@ -58,12 +58,7 @@ type Samples = BTreeMap<(String, BTreeMap<String, String>), (String, f64)>;
 
 /// The samples in a text; none where there is no Python with the parser, which is said.
 fn parse(text: &str) -> Option<Samples> {
-    let python = std::env::var("CONICFLOW_TEST_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    let has_parser = Command::new(&python).args(["-c", "import prometheus_client"]).stderr(Stdio::null()).status();
-    if !has_parser.is_ok_and(|status| status.success()) {
-        eprintln!("SKIPPED: `{python}` has no prometheus-client; nothing was shown");
-        return None;
-    }
+    let python = python_with("prometheus_client", "has no prometheus-client; nothing was shown")?;
     let mut command = Command::new(python);
     command.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/end_to_end/metrics.py"));
     let mut parser = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();

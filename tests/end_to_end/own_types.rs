@@ -1,6 +1,6 @@
 //! Item types of programs of one's own, which the pipeline file describes and `conicflow` itself does not know.
 
-use crate::bridge::{link, loopback, machines, placed, start, without_times};
+use crate::bridge::{joined, link, loopback, machines, start, without_times};
 use crate::support::{Playground, TRACKING, example};
 use serde_json::Value as Json;
 
@@ -124,10 +124,7 @@ fn it_crosses_to_another_machine_bit_for_bit() {
     let places: Vec<_> =
         on_robot.map(|stage| (stage, "robot")).into_iter().chain(on_base.map(|stage| (stage, "base"))).collect();
     let endpoint = loopback();
-    let text = placed(&with_grasps(FIELDS), &places);
-    let text =
-        format!("{text}\n[machine.robot]\nlisten = [\"{endpoint}\"]\n[machine.base]\nconnect = [\"{endpoint}\"]\n");
-    let [robot, base] = machines(&text);
+    let [robot, base] = machines(&joined(&with_grasps(FIELDS), &places, &endpoint, &endpoint));
     let receiving = start(&base, "base");
     let sent = robot.conicflow(&["run", "--machine", "robot", "--frames", "100"]).expect_code(0);
     receiving.wait().expect_code(0);

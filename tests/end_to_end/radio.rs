@@ -3,7 +3,7 @@
 //! each test says so and shows nothing.
 
 use super::bridge::machines;
-use super::certificates::make_certificates;
+use super::certificates::{hand_over, make_certificates};
 use super::hosts::{Hosts, MOST_STALE, ROBOT, nothing_is_lost, stale};
 use super::support::{Playground, Started};
 use std::time::Instant;
@@ -267,10 +267,7 @@ fn objects_come_by_encrypted_datagrams() {
         if !make_certificates(&machines[0].path("tls"), &["robot", "base"], ROBOT) {
             return;
         }
-        std::fs::create_dir(base.path("tls")).unwrap();
-        for file in ["base.json5", "base.key", "base.pem", "ca.pem"] {
-            std::fs::copy(machines[0].path("tls").join(file), base.path("tls").join(file)).unwrap();
-        }
+        hand_over(&machines[0], base);
         let mut runs = hosts.start_both(&machines);
         runs[1].wait_for_text("topic `objects` of machine `robot` comes by datagrams");
         let from = base.lines("lists.jsonl").len();

@@ -38,12 +38,7 @@ fn shell(playground: &Playground, command: &str) -> Command {
 /// A camera of ten frames of a table, as files.
 fn frames() -> Playground {
     let playground = Playground::new();
-    let camera = playground.record(Scene::built_in("tabletop").unwrap().unwrap(), 5, 10);
-    let json = serde_json::json!({
-        "width": camera.width, "height": camera.height,
-        "fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy,
-    });
-    playground.write("frames/camera.json", &json.to_string());
+    playground.record_with_camera(Scene::built_in("tabletop").unwrap().unwrap(), 5, 10);
     playground
 }
 

@@ -1,14 +1,15 @@
 //! Recordings: what a run records is replayed to the bit, from any stage on, also what a recorder that was killed has left;
 //! onlookers record without a change to the run; other programs read what is recorded, and what they record is read here.
 
+use crate::bridge::without_times;
 use crate::processes::stages_of;
-use crate::support::{Playground, Started, TRACKING, signal, wait_until};
+use crate::support::{Playground, Started, TRACKING, python_with, read_png, signal, wait_until};
 use rustix::process::Signal;
 use serde_json::Value as Json;
 use std::collections::HashSet;
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Command;
 
 /// Frames of the runs.
 const FRAMES: &str = "60";
@@ -60,18 +61,11 @@ input = { topic = "objects", delivery = "lossless" }
 path  = "again.jsonl"
 "#;
 
-/// Lines without the time that they took.
-fn results(playground: &Playground, name: &str) -> Vec<Json> {
-    let mut lines = playground.json_lines(name);
-    lines.iter_mut().for_each(|line| drop(line["latency_ms"].take()));
-    lines
-}
-
 #[test]
 fn a_run_that_was_recorded_is_replayed_to_the_bit_from_any_stage_on() {
     let playground = Playground::with_pipeline(&recording());
     playground.conicflow(&["run", "--frames", FRAMES]).expect_code(0);
-    let (objects, tracks) = (results(&playground, "objects.jsonl"), results(&playground, "tracks.jsonl"));
+    let (objects, tracks) = (without_times(&playground, "objects.jsonl"), without_times(&playground, "tracks.jsonl"));
     assert_eq!((objects.len(), tracks.len()), (60, 60));
     assert!(objects.iter().filter(|line| !line["objects"].as_array().unwrap().is_empty()).count() > 30, "{objects:?}");
 
@@ -79,16 +73,14 @@ fn a_run_that_was_recorded_is_replayed_to_the_bit_from_any_stage_on() {
     playground.write("replay.toml", &again);
     let ended = playground.conicflow(&["run", "replay.toml"]).expect_code(0);
     assert_eq!(ended.stage("source").messages, 60);
-    assert_eq!(results(&playground, "again.jsonl"), tracks);
+    assert_eq!(without_times(&playground, "again.jsonl"), tracks);
 
     playground.write("ellipses.toml", FROM_ELLIPSES);
     playground.conicflow(&["run", "ellipses.toml"]).expect_code(0);
-    assert_eq!(results(&playground, "again.jsonl"), objects);
+    assert_eq!(without_times(&playground, "again.jsonl"), objects);
 
-    let detected = playground.conicflow(&["detect", "run.mcap"]).expect_code(0);
-    let mut detected: Vec<Json> = detected.stdout.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
-    detected.iter_mut().for_each(|line| drop(line["latency_ms"].take()));
-    assert_eq!(detected, objects);
+    playground.conicflow(&["detect", "run.mcap", "--out", "detected.jsonl"]).expect_code(0);
+    assert_eq!(without_times(&playground, "detected.jsonl"), objects);
 }
 
 #[test]
@@ -105,7 +97,7 @@ fn what_a_killed_recorder_has_written_is_replayed() {
     run.wait();
     playground.write("replay.toml", &replay(TRACKING).replace("tracks.jsonl", "again.jsonl"));
     let ended = playground.conicflow(&["run", "replay.toml"]).expect_code(0);
-    let (tracks, again) = (results(&playground, "tracks.jsonl"), results(&playground, "again.jsonl"));
+    let (tracks, again) = (without_times(&playground, "tracks.jsonl"), without_times(&playground, "again.jsonl"));
     assert!(!again.is_empty() && !tracks.is_empty(), "{}", ended.stderr);
     let both = again.len().min(tracks.len());
     assert_eq!(again[..both], tracks[..both]);
@@ -158,18 +150,8 @@ fn what_cannot_be_replayed_is_told() {
 
 /// Python with `rosbags`, `mcap` and `mcap-ros2-support`; none, said loudly, where there is no such.
 fn other_programs() -> Option<String> {
-    let python = std::env::var("CONICFLOW_TEST_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    let has_both = Command::new(&python)
-        .args(["-c", "import mcap.reader, mcap_ros2.decoder, rosbags"])
-        .stderr(Stdio::null())
-        .status();
-    if has_both.is_ok_and(|status| status.success()) {
-        return Some(python);
-    }
-    eprintln!(
-        "SKIPPED: `{python}` has no rosbags, mcap and mcap-ros2-support; recordings were not exchanged with other programs"
-    );
-    None
+    let lacks = "has no rosbags, mcap and mcap-ros2-support; recordings were not exchanged with other programs";
+    python_with("mcap.reader, mcap_ros2.decoder, rosbags", lacks)
 }
 
 /// What `recordings.py` prints.
@@ -214,12 +196,8 @@ fn other_programs_read_what_is_recorded() {
     let told = shot.expect_code(0).stderr;
     let warned = told.lines().filter(|line| line.contains("does not specify a schema"));
     assert_eq!(warned.count(), 0, "{told}");
-    let picture = fs::File::open(playground.path("shot.png")).unwrap();
-    let mut picture = png::Decoder::new(std::io::BufReader::new(picture)).read_info().unwrap();
-    let mut pixels = vec![0; picture.output_buffer_size().unwrap()];
-    picture.next_frame(&mut pixels).unwrap();
-    let channels = picture.info().color_type.samples();
-    let colours: HashSet<_> = pixels.chunks_exact(channels).collect();
+    let (info, pixels) = read_png(&playground.path("shot.png"));
+    let colours: HashSet<_> = pixels.chunks_exact(info.color_type.samples()).collect();
     // The depths alone have hundreds; the window around them is grey.
     assert!(colours.len() > 1000, "{} colours", colours.len());
     if let Ok(folder) = std::env::var("CONICFLOW_PICTURES") {

@@ -2,7 +2,7 @@
 //! queue is full.
 
 use super::processes::{shared_files, stages_of};
-use super::support::{Playground, Started, signal, tracking_behind};
+use super::support::{Playground, Started, TRACKING_TOPICS, signal, tracking_behind};
 use conicflow_dataflow::pipeline::{Pipeline, SourceText};
 use conicflow_dataflow::{Plan, Registry, Requirements};
 use conicflow_nodes::NODES;
@@ -16,14 +16,6 @@ use std::path::{Path, PathBuf};
 pub fn pipeline(delivery: &str) -> String {
     tracking_behind("node = \"synthetic_source\"\nscene = \"tabletop\"\nwidth = 640\nheight = 480\n", delivery)
 }
-
-/// Each topic with its writer and its reader.
-const TOPICS: [(&str, &str, &str); 4] = [
-    ("depth", "source", "extractor"),
-    ("ellipses", "extractor", "assembler"),
-    ("objects", "assembler", "tracker"),
-    ("tracks", "tracker", "json"),
-];
 
 fn needs(text: &str) -> Requirements {
     let source = SourceText { name: "pipeline.toml".to_owned(), text: text.to_owned() };
@@ -41,7 +33,7 @@ pub fn messages(playground: &Playground, stage: &str) -> u64 {
 /// Stops the readers from the last to the first, and each only when the writer before it has filled its queue.
 fn fill_all_queues(playground: &Playground, run: &mut Started) {
     let stages = stages_of(run.id());
-    for (_, writer, reader) in TOPICS.iter().rev() {
+    for (_, writer, reader) in TRACKING_TOPICS.iter().rev() {
         signal(stages[*reader], Signal::STOP);
         let before = messages(playground, writer);
         run.wait_until("the queue is full", || messages(playground, writer) > before + 20);
@@ -87,7 +79,7 @@ fn what_a_run_asks_for_is_enough_and_less_than_twice_as_much() {
         fill(&playground, &mut run);
         let stages = stages_of(run.id());
         let mut used = 0;
-        for (topic, writer, reader) in TOPICS {
+        for (topic, writer, reader) in TRACKING_TOPICS {
             let needed = needs.topics.iter().find(|needs| needs.name == topic).unwrap().bytes;
             let files = &shared_files(stages[writer]) & &shared_files(stages[reader]);
             let taken = bytes_of(&files);

@@ -3,13 +3,13 @@
 
 use crate::bridge::loopback;
 use crate::routers::{router, session};
-use crate::support::{Playground, RECORDING, Started, TRACKING, wait_until};
+use crate::support::{Playground, RECORDING, Started, TRACKING, python_with, read_png, wait_until};
 use conicflow_lab::simulator::scene::Scene;
 use conicflow_messages::Camera;
 use conicflow_ros::{CameraInfo, Image, Reader, Stamped, Writer, write_transform, write_units};
 use serde_json::Value as Json;
 use std::fs;
-use std::process::{Command, Stdio};
+use std::process::Command;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use zenoh::Wait;
@@ -178,15 +178,9 @@ fn with_sink(text: &str, settings: &str, endpoint: &str) -> String {
 /// Depth images of a scene, their camera, and where they are as files.
 fn recorded(text: &str, frames: u64) -> (Playground, Camera, Vec<Vec<u16>>) {
     let playground = Playground::with_pipeline(text);
-    let camera = playground.record(Scene::built_in("tabletop").unwrap().unwrap(), 5, frames);
-    let Camera { width, height, fx, fy, cx, cy } = camera;
-    let json = serde_json::json!({ "width": width, "height": height, "fx": fx, "fy": fy, "cx": cx, "cy": cy });
-    playground.write("frames/camera.json", &json.to_string());
+    let camera = playground.record_with_camera(Scene::built_in("tabletop").unwrap().unwrap(), 5, frames);
     let pixels = |number: u64| {
-        let file = fs::File::open(playground.path(&format!("frames/{number}.png"))).unwrap();
-        let mut reader = png::Decoder::new(std::io::BufReader::new(file)).read_info().unwrap();
-        let mut bytes = vec![0; reader.output_buffer_size().unwrap()];
-        reader.next_frame(&mut bytes).unwrap();
+        let (_, bytes) = read_png(&playground.path(&format!("frames/{number}.png")));
         bytes.as_chunks().0.iter().map(|pixel| u16::from_be_bytes(*pixel)).collect()
     };
     let images = (0..frames).map(pixels).collect();
@@ -534,12 +528,7 @@ fn silence_is_told_with_what_there_is_instead() {
 
 #[test]
 fn messages_are_those_of_an_independent_reader() {
-    let python = std::env::var("CONICFLOW_TEST_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    let has_rosbags = Command::new(&python).args(["-c", "import rosbags"]).stderr(Stdio::null()).status();
-    if !has_rosbags.is_ok_and(|status| status.success()) {
-        eprintln!("SKIPPED: `{python}` has no rosbags; nothing was shown");
-        return;
-    }
+    let Some(python) = python_with("rosbags", "has no rosbags; nothing was shown") else { return };
     let (endpoint, _router, session) = behind_router();
     let heard = session.declare_subscriber("0/conicflow/**").wait().unwrap();
     let playground = Playground::with_pipeline(&to_ros(&endpoint));

@@ -1,6 +1,6 @@
 //! Machines that reach a Zenoh router, and not each other.
 
-use super::bridge::{HALVES, live, loopback, newest, placed, start, top_link, tracks, wait_for_link};
+use super::bridge::{HALVES, live, loopback, newest, placed, start, top_link, tracks, wait_for_frames, wait_for_link};
 use super::support::{Playground, Started, TRACKING, signal, wait_until};
 use rustix::process::Signal;
 use zenoh::Wait;
@@ -80,9 +80,8 @@ fn a_router_may_come_late_and_come_again() {
     }
     machines.iter().for_each(|machine| wait_for_link(machine, "unreachable"));
     for _ in 0..2 {
-        let before = newest(&machines[1]);
         let router = router(&endpoint);
-        runs[1].wait_until("tracks arrive", || newest(&machines[1]) > before + 20);
+        wait_for_frames(&mut runs[1], &machines[1], 20);
         wait_for_link(&machines[1], "up");
         router.close().wait().unwrap();
         wait_for_link(&machines[1], "unreachable");
@@ -109,7 +108,6 @@ fn short_messages_take_datagrams_through_a_router_too() {
     without.close().wait().unwrap();
     let _with = router(&format!("{stream}\", \"{datagrams}"));
     runs[1].wait_for_text("topic `objects` of machine `robot` comes by datagrams");
-    let before = newest(&machines[1]);
-    runs[1].wait_until("tracks go on", || newest(&machines[1]) > before + 30);
+    wait_for_frames(&mut runs[1], &machines[1], 30);
     drop(runs.map(Started::end));
 }

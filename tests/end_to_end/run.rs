@@ -1,10 +1,10 @@
 //! Runs from their start to their end: what comes out, in which order, and what the summary says of it.
 
 use crate::programs::program;
-use crate::support::{InputRow, Playground, RECORDING, Started, TRACKING, TRACKING_STAGES};
+use crate::support::{Playground, RECORDING, Started, TRACKING, TRACKING_STAGES, TRACKING_TOPICS, read_png};
 use serde_json::Value as Json;
-use std::fs::{self, File};
-use std::io::{BufRead, BufReader};
+use std::fs;
+use std::io::BufRead;
 use std::ops::Range;
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -78,12 +78,7 @@ fn lossless_run() -> Vec<Json> {
         let row = ended.stage(stage);
         assert_eq!((row.messages, row.starts), (1000, 1), "{stage}");
     }
-    for [writer, reader] in
-        [["depth", "extractor"], ["ellipses", "assembler"], ["objects", "tracker"], ["tracks", "json"]]
-    {
-        let everything = InputRow { received: 1000, dropped: 0, gaps: 0, late: 0 };
-        assert_eq!(ended.input(writer, reader), everything, "{reader}");
-    }
+    TRACKING_TOPICS.iter().for_each(|(topic, _, reader)| ended.expect_all(topic, reader, 1000));
     let mut lines = playground.json_lines("tracks.jsonl");
     for line in &mut lines {
         let latency = line.as_object_mut().unwrap().remove("latency_ms").unwrap();
@@ -207,9 +202,7 @@ legend = false
     let mut names: Vec<_> = fs::read_dir(playground.path("pictures")).unwrap().map(name).collect();
     names.sort();
     assert_eq!(names, written);
-    for topic in ["depth", "ellipses", "objects"] {
-        assert_eq!(ended.input(topic, "pictures"), InputRow { received: 12, dropped: 0, gaps: 0, late: 0 }, "{topic}");
-    }
+    ["depth", "ellipses", "objects"].iter().for_each(|topic| ended.expect_all(topic, "pictures", 12));
     for name in names {
         let shades = shades(&playground.path("pictures").join(&name));
         assert!(shades.len() > 64 * 48 / 2, "{name}: {} pixels with depth", shades.len());
@@ -223,9 +216,7 @@ fn name(entry: std::io::Result<fs::DirEntry>) -> String {
 
 /// How warm the pixels of a picture of 64x48 are, but for those without a measurement and those that nothing was painted on.
 fn shades(path: &Path) -> Vec<u8> {
-    let mut reader = png::Decoder::new(BufReader::new(File::open(path).unwrap())).read_info().unwrap();
-    let mut bytes = vec![0; reader.output_buffer_size().unwrap()];
-    let info = reader.next_frame(&mut bytes).unwrap();
+    let (info, bytes) = read_png(path);
     assert_eq!((info.width, info.height, info.color_type), (64, 48, png::ColorType::Rgb));
     let pixels =
         bytes.chunks_exact(3).filter(|pixel| ![[0, 0, 0], [10, 13, 19]].contains(&[pixel[0], pixel[1], pixel[2]]));

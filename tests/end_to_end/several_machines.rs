@@ -1,7 +1,7 @@
 //! More than one edge between two machines: there and back, three machines, pipelines beside each other. What comes out is
 //! what one machine finds, bit for bit.
 
-use super::bridge::{HALVES, apart, link, loopback, machines, newest, placed, start, tracks, without_times};
+use super::bridge::{HALVES, apart, joined, link, loopback, machines, newest, placed, start, tracks, without_times};
 use super::support::{Playground, TRACKING, signal, wait_until};
 use rustix::process::Signal;
 use serde_json::Value as Json;
@@ -35,8 +35,7 @@ fn every_hop_may_cross_there_and_back() {
     let places =
         [("source", "robot"), ("extractor", "base"), ("assembler", "robot"), ("tracker", "base"), ("json", "robot")];
     let endpoint = loopback();
-    let ends = format!("\n[machine.robot]\nlisten = [\"{endpoint}\"]\n[machine.base]\nconnect = [\"{endpoint}\"]\n");
-    let [robot, _] = run_on(&(placed(&text, &places) + &ends), ["robot", "base"]);
+    let [robot, _] = run_on(&joined(&text, &places, &endpoint, &endpoint), ["robot", "base"]);
     assert!(without_times(&robot, "tracks.jsonl") == expected);
 }
 

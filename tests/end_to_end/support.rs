@@ -7,7 +7,7 @@ use conicflow_messages::Camera;
 use rustix::fs::{Mode, OFlags};
 use rustix::process::{Pid, Signal, kill_process};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
-use serde_json::Value as Json;
+use serde_json::{Value as Json, json};
 use std::fs::{self, File, Permissions};
 use std::io::{BufReader, BufWriter, Read, Seek, SeekFrom};
 use std::os::fd::OwnedFd;
@@ -64,6 +64,14 @@ pub fn tracking_behind(source: &str, delivery: &str) -> String {
 
 /// The names of its stages.
 pub const TRACKING_STAGES: [&str; 5] = ["source", "extractor", "assembler", "tracker", "json"];
+
+/// Its topics, each with its writer and its reader.
+pub const TRACKING_TOPICS: [(&str, &str, &str); 4] = [
+    ("depth", "source", "extractor"),
+    ("ellipses", "extractor", "assembler"),
+    ("objects", "assembler", "tracker"),
+    ("tracks", "tracker", "json"),
+];
 
 /// Three stages that find the objects in the recorded frames of the folder `frames`, until its end.
 pub const RECORDING: &str = r#"
@@ -145,6 +153,15 @@ impl Playground {
             synthetic.shoot(number, &mut depths);
             self.write_depth_png(&format!("frames/{number}.png"), 320, &depths);
         }
+        camera
+    }
+
+    /// The same with what is known of the camera beside them, in `frames/camera.json`.
+    pub fn record_with_camera(&self, scene: Scene, seed: u64, frames: u64) -> Camera {
+        let camera = self.record(scene, seed, frames);
+        let Camera { width, height, fx, fy, cx, cy } = camera;
+        let json = json!({ "width": width, "height": height, "fx": fx, "fy": fy, "cx": cx, "cy": cy });
+        self.write("frames/camera.json", &json.to_string());
         camera
     }
 
@@ -241,6 +258,14 @@ impl Drop for Playground {
     }
 }
 
+/// What a PNG is, and the bytes of its pixels.
+pub fn read_png(path: &Path) -> (png::OutputInfo, Vec<u8>) {
+    let mut reader = png::Decoder::new(BufReader::new(File::open(path).unwrap())).read_info().unwrap();
+    let mut bytes = vec![0; reader.output_buffer_size().unwrap()];
+    let info = reader.next_frame(&mut bytes).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    (info, bytes)
+}
+
 /// All processes, where the system tells.
 pub fn processes() -> impl Iterator<Item = u32> {
     let entries = fs::read_dir("/proc").into_iter().flatten().flatten();
@@ -296,6 +321,17 @@ pub fn example(name: &str) -> String {
     let path = Path::new(env!("CARGO_BIN_EXE_conicflow")).with_file_name("examples").join(name);
     assert!(path.is_file(), "there is no `{}`; `cargo test` and `cargo build --examples` make it", path.display());
     path.to_str().unwrap().to_owned()
+}
+
+/// The Python of the tests, if it can import these modules; what it lacks and what was not shown for that is said loudly else.
+pub fn python_with(modules: &str, lacks: &str) -> Option<String> {
+    let python = std::env::var("CONICFLOW_TEST_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    let imported = Command::new(&python).args(["-c", &format!("import {modules}")]).stderr(Stdio::null()).status();
+    if imported.is_ok_and(|status| status.success()) {
+        return Some(python);
+    }
+    eprintln!("SKIPPED: `{python}` {lacks}");
+    None
 }
 
 /// A running program; killed, and its stages with it, when the test is over, however that ends.
@@ -466,5 +502,11 @@ impl Ended {
         let words = row.unwrap_or_else(|| panic!("no input of `{reader}` from `{topic}` in: {}", self.stderr));
         let number = |index: usize| words[index].parse().unwrap();
         InputRow { received: number(2), dropped: number(3), gaps: number(4), late: number(5) }
+    }
+
+    /// Makes sure that a stage has got so many messages of a topic, and missed none.
+    pub fn expect_all(&self, topic: &str, reader: &str, received: u64) {
+        let all = InputRow { received, dropped: 0, gaps: 0, late: 0 };
+        assert_eq!(self.input(topic, reader), all, "{topic}, {reader}: {}", self.stderr);
     }
 }

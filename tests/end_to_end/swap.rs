@@ -2,7 +2,7 @@
 
 use crate::processes::{shared_files, stages_of, wait_for_lines};
 use crate::soak::usage;
-use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, signal};
+use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, TRACKING_TOPICS, signal};
 use rustix::process::Signal;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -40,10 +40,8 @@ fn a_lossless_pipeline_loses_nothing_when_each_of_its_stages_is_replaced() {
     let made = ended.stage("source").messages;
     let sequences = playground.sequences("tracks.jsonl");
     assert!(sequences.iter().copied().eq(0..made), "{sequences:?} of {made}: {}", ended.stderr);
-    let inputs = [("depth", "extractor"), ("ellipses", "assembler"), ("objects", "tracker"), ("tracks", "json")];
-    for (topic, reader) in inputs {
-        let row = ended.input(topic, reader);
-        assert_eq!((row.received, row.dropped, row.gaps, row.late), (made, 0, 0, 0), "{reader}: {}", ended.stderr);
+    for (topic, _, reader) in TRACKING_TOPICS {
+        ended.expect_all(topic, reader, made);
         assert_eq!(ended.stage(reader).starts, 3, "{}", ended.stderr);
     }
 }

@@ -1,7 +1,7 @@
 //! Stages that are joined to more than one neighbour are replaced: with several inputs of the same frame, on topics with
 //! several writers, and on both sides of a bridge between machines.
 
-use super::bridge::{apart, loopback, machines, newest, start};
+use super::bridge::{apart, loopback, machines, newest, start, wait_for_frames};
 use super::programs::program;
 use super::support::{Playground, Started, TRACKING, TRACKING_STAGES};
 use super::swap::{expect_a_quick_swap, replace};
@@ -49,10 +49,7 @@ fn inputs_of_the_same_frame_stay_together_and_none_is_lost() {
     let expected: Vec<_> = (0..made).map(|frame| [Some(frame); 3]).collect();
     let torn = pairs(&playground).into_iter().zip(&expected).find(|(found, expected)| found != *expected);
     assert_eq!((torn, pairs(&playground).len() as u64), (None, made), "{}", ended.stderr);
-    for topic in ["objects", "depth", "ellipses"] {
-        let row = ended.input(topic, "pairs");
-        assert_eq!((row.received, row.dropped, row.gaps, row.late), (made, 0, 0, 0), "{topic}: {}", ended.stderr);
-    }
+    ["objects", "depth", "ellipses"].iter().for_each(|topic| ended.expect_all(topic, "pairs", made));
 }
 
 /// The most frames between two of these, which are in order.
@@ -150,8 +147,7 @@ fn readers_and_writers_of_a_topic_with_several_writers_are_replaced_without_loss
         sum += made;
     }
     for (topic, reader) in [("depth", "extractor"), ("ellipses", "json"), ("depth", "again")] {
-        let row = ended.input(topic, reader);
-        assert_eq!((row.received, row.dropped, row.gaps, row.late), (sum, 0, 0, 0), "{reader}: {}", ended.stderr);
+        ended.expect_all(topic, reader, sum);
     }
 }
 
@@ -164,11 +160,6 @@ fn start_both([robot, base]: &[Playground; 2]) -> [Started; 2] {
     runs
 }
 
-fn wait_for_tracks(run: &mut Started, base: &Playground) {
-    let before = newest(base);
-    run.wait_until("tracks go on", || newest(base) > before + 10);
-}
-
 #[test]
 fn stages_on_both_sides_of_a_bridge_are_replaced_without_loss() {
     let endpoint = loopback();
@@ -176,15 +167,14 @@ fn stages_on_both_sides_of_a_bridge_are_replaced_without_loss() {
     let mut runs = start_both(&machines);
     for (stage, machine) in PLACES.into_iter().chain(PLACES) {
         replace(&machines[machine], &runs[machine], &[stage]);
-        wait_for_tracks(&mut runs[1], &machines[1]);
+        wait_for_frames(&mut runs[1], &machines[1], 10);
     }
     let [robot, base] = runs;
     let (robot, base) = (robot.end(), base.wait().expect_code(0));
     let made = robot.stage("source").messages;
     assert!(machines[1].sequences("tracks.jsonl").into_iter().eq(0..made), "{}\n{}", robot.stderr, base.stderr);
     for (topic, reader) in [("ellipses", "assembler"), ("objects", "tracker"), ("tracks", "json")] {
-        let row = base.input(topic, reader);
-        assert_eq!((row.received, row.dropped, row.gaps, row.late), (made, 0, 0, 0), "{reader}: {}", base.stderr);
+        base.expect_all(topic, reader, made);
     }
     assert_eq!(TRACKING_STAGES.len(), PLACES.len());
 }
@@ -199,7 +189,7 @@ fn a_live_pipeline_on_two_machines_misses_three_frames_at_most() {
         expect_a_quick_swap(stage, || {
             let before = machines[1].lines("tracks.jsonl").len();
             replace(&machines[machine], &runs[machine], &[stage]);
-            wait_for_tracks(&mut runs[1], &machines[1]);
+            wait_for_frames(&mut runs[1], &machines[1], 10);
             longest_gap(&machines[1].sequences("tracks.jsonl")[before - 1..])
         });
     }

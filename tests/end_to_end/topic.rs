@@ -1,7 +1,7 @@
 //! `conicflow topic`: who looks on sees all there is, and those that work do not notice, whatever becomes of who looks on.
 
 use crate::processes::stages_of;
-use crate::support::{Ended, Playground, Started, TRACKING, TRACKING_STAGES, signal};
+use crate::support::{Ended, Playground, Started, TRACKING, TRACKING_STAGES, TRACKING_TOPICS, signal};
 use rustix::process::Signal;
 use serde_json::Value as Json;
 use std::fs::{self, DirEntry};
@@ -194,12 +194,7 @@ fn the_list_tells_what_each_topic_carries_and_for_whom() {
     let _run = start(&playground, "50");
     let list = playground.conicflow(&["topic", "list"]).expect_code(0);
     let rows: Vec<Vec<_>> = list.stdout.lines().skip(1).map(|line| line.split_whitespace().collect()).collect();
-    for (row, (name, writer, reader)) in rows.iter().zip([
-        ("depth", "source", "extractor"),
-        ("ellipses", "extractor", "assembler"),
-        ("objects", "assembler", "tracker"),
-        ("tracks", "tracker", "json"),
-    ]) {
+    for (row, (name, writer, reader)) in rows.iter().zip(TRACKING_TOPICS) {
         assert_eq!(row[..3], [name, name, writer], "{}", list.stdout);
         assert_eq!(row[5..], [reader, "(lossless,", "queue", "4)"], "{}", list.stdout);
     }
