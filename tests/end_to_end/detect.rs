@@ -34,7 +34,7 @@ fn detect_finds_what_the_pipeline_finds_to_the_bit() {
     assert_eq!(detected, piped);
     let objects: usize = detected.iter().map(|line| line["objects"].as_array().unwrap().len()).sum();
     assert!(objects >= 12, "{objects} objects in 12 frames");
-    assert!(ended.stderr.contains("in 12 frames: ") && ended.stderr.contains("cylinder"), "{}", ended.stderr);
+    ended.expect_told(&["in 12 frames: ", "cylinder"]);
 }
 
 #[test]

@@ -109,8 +109,7 @@ fn a_run_for_which_shared_memory_is_too_small_does_not_begin() {
     let wide = ["--set", "source.width=1280", "--set", "source.height=720", "--set", "source.rate_hz=0"];
     let ended = memory.conicflow(&playground, &[&["run"], &wide[..]].concat()).expect_code(2);
     assert!(ended.stderr.starts_with("error: shared memory has 8."), "{}", ended.stderr);
-    assert!(ended.stderr.contains("most of it for the topic `depth`\n  hint: "), "{}", ended.stderr);
-    assert!(ended.stderr.contains("`--shm-size=16m`"), "{}", ended.stderr);
+    ended.expect_told(&["most of it for the topic `depth`\n  hint: ", "`--shm-size=16m`"]);
     assert!(!playground.path("tracks.jsonl").exists(), "no stage was started");
     let found = memory.conicflow(&playground, &[&["doctor"], &wide[..]].concat()).expect_code(1);
     assert!(found.stdout.starts_with("problem: shared memory has 8."), "{}", found.stdout);
@@ -139,7 +138,7 @@ fn a_run_that_would_need_more_open_files_than_it_may_have_does_not_begin() {
     let playground = Playground::with_pipeline(TRACKING);
     let ended = after(&playground, "ulimit -n 40", &["run", "--frames", "3"]).expect_code(2);
     assert!(ended.stderr.starts_with("error: a process may have 40 files open, a stage of"), "{}", ended.stderr);
-    assert!(ended.stderr.contains("\n  hint: `ulimit -n "), "{}", ended.stderr);
+    ended.expect_told(&["\n  hint: `ulimit -n "]);
     let found = after(&playground, "ulimit -n 40", &["doctor"]).expect_code(1);
     assert!(found.stdout.contains("problem: a process may have 40 files open"), "{}", found.stdout);
 }
@@ -179,7 +178,7 @@ fn a_runtime_folder_that_cannot_be_used_is_told_by_doctor_and_run_alike() {
         };
         let (doctor, run) = (conicflow(&["doctor"]).expect_code(1), conicflow(&["run"]).expect_code(2));
         assert!(doctor.stdout.contains(told), "{}", doctor.stdout);
-        assert!(run.stderr.contains(told), "{}", run.stderr);
+        run.expect_told(&[told]);
     }
 }
 
@@ -289,9 +288,11 @@ fn a_full_disk_is_told_and_no_line_is_torn() {
     assert!(memory.around(&mount).status().unwrap().success());
     let run = memory.start(&playground, &["run", "--set", "json.path=disk/tracks.jsonl"]);
     let ended = run.wait().expect_code(1);
-    assert!(ended.stderr.contains(": cannot write to `"), "{}", ended.stderr);
-    assert!(ended.stderr.contains("No space left on device"), "{}", ended.stderr);
-    assert!(ended.stderr.contains("hint: free some space, or write to another disk"), "{}", ended.stderr);
+    ended.expect_told(&[
+        ": cannot write to `",
+        "No space left on device",
+        "hint: free some space, or write to another disk",
+    ]);
     let disk = memory.folder().join("../..").join(playground.path("disk").strip_prefix("/").unwrap());
     let text = fs::read_to_string(disk.join("tracks.jsonl")).unwrap();
     assert!(text.lines().count() > 10 && text.ends_with("}\n"), "{text}");

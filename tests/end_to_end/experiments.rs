@@ -235,7 +235,7 @@ fn the_same_file_gives_the_same_table() {
 fn a_wrong_experiment_is_refused() {
     let playground = playground("accuracy", &[("source.values.distance", "source.values.distanse")]);
     let ended = playground.conicflow(&["validate", "accuracy.toml"]).expect_code(2);
-    assert!(ended.stderr.contains("the scene has no value `distanse`"), "{}", ended.stderr);
+    ended.expect_told(&["the scene has no value `distanse`"]);
     let playground = self::playground("accuracy", &[]);
     for command in ["validate", "run"] {
         let ended = playground.conicflow(&[command, "accuracy.toml", "--set", "source.values.distance=2"]);
@@ -296,8 +296,10 @@ fn a_recording_that_is_too_short_for_the_noise_is_told_once() {
     let playground = playground("noise", &[]);
     record(&playground, "scenes/basic.toml", 3);
     let ended = playground.conicflow(&["run", "noise.toml", "--set", "source.path=frames"]).expect_code(1);
-    assert!(ended.stderr.contains("the recording has 3 frames, but a static scene needs"), "{}", ended.stderr);
-    assert!(ended.stderr.contains("stage `estimator` could not end its work"), "{}", ended.stderr);
+    ended.expect_told(&[
+        "the recording has 3 frames, but a static scene needs",
+        "stage `estimator` could not end its work",
+    ]);
     assert!(!ended.stderr.contains("anew"), "{}", ended.stderr);
 }
 

@@ -49,12 +49,10 @@ fn expect_two_deaths(run: Started, playground: &Playground) -> String {
     assert!(sequences.iter().copied().eq((0..20).chain(21..sent)), "{sequences:?}: {}", ended.stderr);
     let lost = ended.input("objects", "faulty");
     assert_eq!((lost.dropped, lost.gaps), (1, 1), "{}", ended.stderr);
-    for told in [
-        "stage `faulty` leaves out frame 20 of topic `objects`, which it has died of 2 times".to_owned(),
-        format!("not complete: `faulty` lost 1 of {sent} messages of the lossless topic `objects`"),
-    ] {
-        assert!(ended.stderr.contains(&told), "{}", ended.stderr);
-    }
+    ended.expect_told(&[
+        "stage `faulty` leaves out frame 20 of topic `objects`, which it has died of 2 times",
+        &format!("not complete: `faulty` lost 1 of {sent} messages of the lossless topic `objects`"),
+    ]);
     assert_eq!(ended.input("passed_on", "tracker").gaps, 1, "{}", ended.stderr);
     ended.stderr
 }
@@ -103,7 +101,7 @@ fn a_stage_that_stands_still_is_told_of_and_goes_on() {
     wait_for_lines(&mut run, &playground);
     let ended = run.end();
     assert_eq!(ended.stage("tracker").starts, 1, "{}", ended.stderr);
-    assert!(ended.stderr.contains("hint: with restart = { when = \"on_failure\", hang_s = 5 }"), "{}", ended.stderr);
+    ended.expect_told(&["hint: with restart = { when = \"on_failure\", hang_s = 5 }"]);
     let made = ended.stage("source").messages;
     assert!(playground.sequences("tracks.jsonl").into_iter().eq(0..made), "nothing is lost meanwhile");
 }
@@ -166,15 +164,13 @@ fn a_program_that_never_joins_a_lossless_topic_is_named_and_ends_the_run() {
     run.wait_until("the program is there", || playground.processes().iter().any(|process| is_sleep(*process)));
     run.wait_for_text("stage `faulty` has not joined the run: `");
     let ended = run.wait().expect_code(1);
-    for told in [
+    ended.expect_told(&[
         "and topic `objects` waits for it: the run ends if it has not 3 s after its start\n  \
          hint: a program joins by `run_stage`",
         "stage `faulty` has not joined the run 3 s after its start: `",
         "takes no part in topic `objects`, which is lossless and waits for it",
         "the run ends, because a stage is lost",
-    ] {
-        assert!(ended.stderr.contains(told), "{}", ended.stderr);
-    }
+    ]);
     assert_eq!(playground.processes().into_iter().filter(|process| is_sleep(*process)).count(), 0);
 }
 
@@ -201,5 +197,5 @@ fn a_program_that_another_one_starts_is_refused_with_what_to_do() {
     let ended = start(&playground).wait().expect_code(1);
     let told = "error: stage `faulty` was not started by its launcher itself, which would not hear of its end\n  \
                 hint: name the program";
-    assert!(ended.stderr.contains(told), "{}", ended.stderr);
+    ended.expect_told(&[told]);
 }

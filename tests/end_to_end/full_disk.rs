@@ -16,7 +16,7 @@ fn expect_failed_for_good(ended: Ended, stage: &str, why: &str) -> Ended {
     assert_eq!(told.count(), 1, "{}", ended.stderr);
     assert!(ended.stderr.contains(&format!("stage `{stage}` could not end its work, for what it told")));
     assert!(!ended.stderr.contains("is started anew"), "{}", ended.stderr);
-    assert!(ended.stderr.contains("\nnot complete: a stage was lost, see above"), "{}", ended.stderr);
+    ended.expect_told(&["\nnot complete: a stage was lost, see above"]);
     ended
 }
 
@@ -25,7 +25,7 @@ fn lines_that_find_no_room_end_the_run() {
     let playground = Playground::with_pipeline(TRACKING);
     let ended = playground.conicflow(&["run", "--for", "10min", "--set", "json.path=/dev/full"]);
     let ended = expect_failed_for_good(ended, "json", "cannot write to `/dev/full`: No space left on device");
-    assert!(ended.stderr.contains("\n  hint: free some space, or write to another disk\n"), "{}", ended.stderr);
+    ended.expect_told(&["\n  hint: free some space, or write to another disk\n"]);
 }
 
 /// [`TRACKING`] with one more sink, which writes to a disk of its own of this size; what is in it when the run is over, in
@@ -70,7 +70,7 @@ path  = "disk"
 "#;
     let Some((playground, ended)) = on_a_small_disk("256k", sink) else { return };
     let ended = expect_failed_for_good(ended, "pictures", "cannot be written: No space left on device");
-    assert!(ended.stderr.contains("\n  hint: free some space, or write to another disk\n"), "{}", ended.stderr);
+    ended.expect_told(&["\n  hint: free some space, or write to another disk\n"]);
     let names = names(&playground);
     assert!(!names.is_empty());
     for name in names {
@@ -131,7 +131,7 @@ fn expect_told_once(ended: Ended, why: &str, hint: &str) {
     let ended = ended.expect_code(1);
     let told = ended.stderr.lines().filter(|line| line.contains(why));
     assert_eq!(told.count(), 1, "{}", ended.stderr);
-    assert!(ended.stderr.contains(&format!("\n  hint: {hint}")), "{}", ended.stderr);
+    ended.expect_told(&[&format!("\n  hint: {hint}")]);
 }
 
 #[test]

@@ -201,7 +201,7 @@ fn an_address_that_is_taken_is_told_before_anything_starts() {
     playground.write("pipeline.toml", &TRACKING.replacen("[stage", &format!("metrics = \"{address}\"\n[stage"), 1));
     let ended = playground.conicflow(&["run"]).expect_code(2);
     let told = format!("`metrics` of the pipeline file: nothing can be offered at {address}: ");
-    assert!(ended.stderr.contains(&told) && ended.stderr.contains("hint: "), "{}", ended.stderr);
+    ended.expect_told(&[&told, "hint: "]);
     assert!(playground.lines("tracks.jsonl").is_empty());
 }
 

@@ -92,8 +92,10 @@ fn it_logs_as_the_other_stages_do() {
 #[test]
 fn parameters_that_it_does_not_know_end_the_run() {
     let ended = run(&with_nearest_object("max_object = 2")).expect_code(1);
-    assert!(ended.stderr.contains("error: unknown field `max_object`, expected `max_objects`"), "{}", ended.stderr);
-    assert!(ended.stderr.contains("the run ends, because a stage is lost"), "{}", ended.stderr);
+    ended.expect_told(&[
+        "error: unknown field `max_object`, expected `max_objects`",
+        "the run ends, because a stage is lost",
+    ]);
 }
 
 #[test]
@@ -101,7 +103,7 @@ fn a_program_that_takes_another_kind_of_message_ends_the_run() {
     let playground = with_nearest_object("");
     let sets = ["--set", "nearest.input=depth", "--frames", "3"];
     let ended = playground.conicflow(&[&["run"][..], &sets].concat()).expect_code(1);
-    assert!(ended.stderr.contains("topic `depth` carries another type of message"), "{}", ended.stderr);
+    ended.expect_told(&["topic `depth` carries another type of message"]);
 }
 
 #[test]

@@ -141,5 +141,5 @@ fn fields_that_are_not_those_of_the_program_end_the_run() {
     let told = "topic `grasps` carries another type of message than `acme.Grasp.v1`, 48 bytes, aligned to 8: the pipeline \
                 file says `acme.Grasp.v1`, 32 bytes, aligned to 4\n  hint: let `type` and `fields` under [item.grasps] be \
                 those of the program";
-    assert!(ended.stderr.contains(told), "{}", ended.stderr);
+    ended.expect_told(&[told]);
 }

@@ -254,7 +254,7 @@ fn a_source_that_cannot_start_ends_the_run() {
     let ended = playground.conicflow(&["run"]).expect_code(1);
     let folder = playground.path("frames").display().to_string();
     assert!(ended.stderr.lines().any(|line| line.starts_with("error: ") && line.contains(&folder)), "{}", ended.stderr);
-    assert!(ended.stderr.contains("\n  hint: "), "{}", ended.stderr);
+    ended.expect_told(&["\n  hint: "]);
     assert!(ended.stderr.ends_with("not complete: a stage was lost, see above\n"), "{}", ended.stderr);
     expect_nothing_lives(&playground);
 }
@@ -289,7 +289,7 @@ restart = "never"
     wait_for_lines(&mut run, &playground);
     signal(launcher, Signal::INT);
     let ended = run.wait().expect_code(1);
-    assert!(ended.stderr.contains("stage `other` was killed by signal 9, and is not started anew"), "{}", ended.stderr);
+    ended.expect_told(&["stage `other` was killed by signal 9, and is not started anew"]);
     assert_eq!((ended.stage("other").starts, ended.stage("json").starts), (1, 1));
     assert!(ended.stage("other").messages < ended.stage("json").messages, "{}", ended.stderr);
 }
@@ -306,11 +306,7 @@ fn a_run_ends_by_itself_though_one_of_two_cameras_died_for_good() {
     wait_for_lines(&mut run, &playground);
     signal(stages_of(run.id())["second"], Signal::KILL);
     let ended = run.wait().expect_code(1);
-    assert!(
-        ended.stderr.contains("stage `second` was killed by signal 9, and is not started anew"),
-        "{}",
-        ended.stderr
-    );
+    ended.expect_told(&["stage `second` was killed by signal 9, and is not started anew"]);
     assert_eq!(ended.stage("first").messages, 100);
 }
 

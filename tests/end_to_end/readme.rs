@@ -100,7 +100,7 @@ fn who_has_two_machines_runs_the_halves_of_a_pipeline() {
         (host.start(shell.current_dir(ROOT)), playground)
     });
     let [robot, base] = runs.map(|(run, _playground)| run.wait().expect_code(0));
-    assert!(robot.stderr.contains("ellipses"), "{}", robot.stderr);
+    robot.expect_told(&["ellipses"]);
     assert!(base.stdout.lines().count() > 5, "{}", base.stdout);
 }
 

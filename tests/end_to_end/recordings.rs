@@ -101,7 +101,7 @@ fn what_a_killed_recorder_has_written_is_replayed() {
     assert!(!again.is_empty() && !tracks.is_empty(), "{}", ended.stderr);
     let both = again.len().min(tracks.len());
     assert_eq!(again[..both], tracks[..both]);
-    assert!(ended.stderr.contains("ends in the middle: its first "), "{}", ended.stderr);
+    ended.expect_told(&["ends in the middle: its first "]);
 }
 
 #[test]
@@ -112,14 +112,14 @@ fn an_onlooker_records_a_running_pipeline_until_it_ends() {
     let mut recorder = playground.start(&["record", "depth", "objects", "-o", "part.mcap"]);
     recorder.wait_for_text("records `depth`, `objects` into `part.mcap`");
     let there = playground.conicflow(&["record", "-o", "part.mcap"]).expect_code(2);
-    assert!(there.stderr.contains("`part.mcap` is there already\n  hint: "), "{}", there.stderr);
+    there.expect_told(&["`part.mcap` is there already\n  hint: "]);
     let unknown = playground.conicflow(&["record", "object", "-o", "other.mcap"]).expect_code(2);
-    assert!(unknown.stderr.contains("has no topic `object`\n  hint: did you mean `objects`?"), "{}", unknown.stderr);
+    unknown.expect_told(&["has no topic `object`\n  hint: did you mean `objects`?"]);
     let newest = playground.newest("tracks.jsonl");
     run.wait_until("frames pass", || playground.newest("tracks.jsonl") > newest + 100);
     let made = run.end().stage("source").messages;
     let ended = recorder.wait().expect_code(0);
-    assert!(ended.stderr.contains("recorded ") && ended.stderr.contains("MB: depth "), "{}", ended.stderr);
+    ended.expect_told(&["recorded ", "MB: depth "]);
 
     // The numbers of the frames are those of the run, in which the recording begins in the middle.
     let part = FROM_ELLIPSES.replace("ellipses", "objects").replace("run.mcap", "part.mcap");
@@ -138,14 +138,14 @@ fn an_onlooker_records_a_running_pipeline_until_it_ends() {
 fn what_cannot_be_replayed_is_told() {
     let playground = Playground::with_pipeline(&replay(TRACKING));
     let none = playground.conicflow(&["validate"]).expect_code(2);
-    assert!(none.stderr.contains("run.mcap` does not exist"), "{}", none.stderr);
+    none.expect_told(&["run.mcap` does not exist"]);
     playground.write("run.mcap", "this is no recording, for all its name says");
     let wrong = playground.conicflow(&["run"]).expect_code(1);
-    assert!(wrong.stderr.contains("run.mcap") && wrong.stderr.contains("hint: "), "{}", wrong.stderr);
+    wrong.expect_told(&["run.mcap", "hint: "]);
     playground.write("old.bag", "#ROSBAG V2.0\n");
     let bag = playground.conicflow(&["detect", "old.bag"]).expect_code(2);
     let command = "hint: pip install rosbags && rosbags-convert --src 'old.bag' --dst 'old' --dst-storage mcap";
-    assert!(bag.stderr.contains(command), "{}", bag.stderr);
+    bag.expect_told(&[command]);
 }
 
 /// Python with `rosbags`, `mcap` and `mcap-ros2-support`; none, said loudly, where there is no such.

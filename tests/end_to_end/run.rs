@@ -58,7 +58,7 @@ fn the_default_pipeline_tracks_and_tells_of_all_its_stages() {
     assert!(last.ends_with("  frame 4  bouncing_ball"), "{}", ended.stdout);
     assert_eq!(ended.stages(), ["source", "extractor", "assembler", "tracker", "console"]);
     assert_eq!(ended.stage("source").messages, 5);
-    assert!(ended.stderr.contains("\ndefault: 5 frames in "), "{}", ended.stderr);
+    ended.expect_told(&["\ndefault: 5 frames in "]);
     assert!(ended.stages().iter().all(|stage| ended.stage(stage).starts == 1), "{}", ended.stderr);
 }
 
@@ -281,7 +281,7 @@ fn a_folder_of_pngs_is_played_in_natural_order_with_the_camera_beside_it() {
     let playground = recording(8..12);
     let ended = playground.conicflow(&["run"]).expect_code(0);
     expect_balls(&playground, &[8, 9, 10, 11]);
-    assert!(ended.stderr.contains("4 frames of 160x120, fx 150.00 fy 150.00 cx 79.50 cy 59.50"), "{}", ended.stderr);
+    ended.expect_told(&["4 frames of 160x120, fx 150.00 fy 150.00 cx 79.50 cy 59.50"]);
 }
 
 #[test]
@@ -292,7 +292,7 @@ fn a_bad_frame_among_good_ones_is_passed_over_and_counted() {
     fs::write(playground.path("frames/img4.png"), &good[..good.len() / 2]).unwrap();
     let ended = playground.conicflow(&["run"]).expect_code(0);
     expect_balls(&playground, &[0, 1, 3, 5]);
-    assert!(ended.stderr.contains("source: frames unreadable: 2\n"), "{}", ended.stderr);
+    ended.expect_told(&["source: frames unreadable: 2\n"]);
     for name in ["img2.png", "img4.png"] {
         assert!(
             ended.stderr.lines().any(|line| line.contains("passed over") && line.contains(name)),

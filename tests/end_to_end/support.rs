@@ -480,6 +480,13 @@ impl Ended {
         self.expect_code(i32::from(told))
     }
 
+    /// Makes sure that it has written each of these to standard error.
+    pub fn expect_told(&self, texts: &[&str]) {
+        for text in texts {
+            assert!(self.stderr.contains(text), "no `{text}` in: {}", self.stderr);
+        }
+    }
+
     /// The words of the summary's table that begins with `title`.
     fn table(&self, title: &str) -> impl Iterator<Item = Vec<&str>> {
         let rows = self.stderr.lines().skip_while(move |line| line.split_whitespace().next() != Some(title));
