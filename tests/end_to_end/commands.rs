@@ -1,21 +1,10 @@
 //! The commands that start nothing: `graph`, `nodes`, help; and what wrong arguments are told.
 
 use crate::support::{Playground, Started, TRACKING, python_with};
+use conicflow_nodes::NODES;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-
-const NODES: [&str; 9] = [
-    "synthetic_source",
-    "image_source",
-    "row_ellipse_extractor",
-    "ransac_ellipse_extractor",
-    "object_assembler",
-    "kalman_tracker",
-    "console_sink",
-    "json_sink",
-    "picture_sink",
-];
 
 #[test]
 fn the_graph_of_the_default_pipeline() {
@@ -79,10 +68,8 @@ path    = "pictures/"
 fn all_nodes_are_listed() {
     let ended = Playground::new().conicflow(&["nodes"]).expect_code(0);
     let rows: Vec<_> = ended.stdout.lines().map(|line| line.split_once(' ').unwrap()).collect();
-    for node in NODES {
-        let row = rows.iter().find(|(name, _)| *name == node).unwrap_or_else(|| panic!("no {node}"));
-        assert!(row.1.trim().len() > 10, "{node} has no summary");
-    }
+    assert!(rows.iter().map(|(name, _)| *name).eq(NODES.iter().map(|node| node.name)), "{}", ended.stdout);
+    assert!(rows.iter().all(|(_, summary)| summary.trim().len() > 10), "one has no summary: {}", ended.stdout);
 }
 
 /// The parameters in the text of `conicflow nodes NAME`: name, default and description.

@@ -6,7 +6,7 @@ use crate::view::{Page, items, recording};
 use rustix::fs::{CWD, Mode, OFlags, mkfifoat};
 use rustix::process::Signal;
 use rustix::termios::{LocalModes, tcgetattr};
-use serde_json::{Value as Json, json};
+use serde_json::json;
 use std::fs::File;
 use std::io::{Read, Write};
 use std::os::fd::OwnedFd;
@@ -78,17 +78,12 @@ fn process_with(playground: &Playground, word: &str) -> Option<u32> {
     })
 }
 
-fn source(top: &Json) -> &Json {
-    top["stages"].as_array().unwrap().iter().find(|stage| stage["stage"] == "source").unwrap()
-}
-
 /// The number of the last frame, when the run stands still and all that was under way is delivered.
 fn standing_at(playground: &Playground) -> u64 {
     let mut last = 0;
     wait_until("the run stands still", || {
-        let top = playground.top();
+        let source = playground.top_stage("source");
         last = playground.newest("tracks.jsonl");
-        let source = source(&top);
         source["paused"] == true && source["rate_hz"] == 0.0 && source["messages"] == last + 1
     });
     last
@@ -111,7 +106,7 @@ fn keys_pause_a_run_and_step_it_and_a_pause_is_no_standstill() {
     }
     // Longer than a stage may be silent: each look takes a second.
     assert_eq!(standing_at(&playground), at + 3, "and no more");
-    assert_eq!(source(&playground.top())["starts"], 1, "who is paused does not hang");
+    assert_eq!(playground.top_stage("source")["starts"], 1, "who is paused does not hang");
     assert!(terminal.text.lock().unwrap().contains(", paused (space: go on"), "the progress says so");
     terminal.press("x \x1b[A");
     run.wait_until("it goes on", || playground.newest("tracks.jsonl") > at + 20);
@@ -131,7 +126,7 @@ fn a_paused_run_ends_in_order_and_its_time_stands_still() {
     run.wait_until("it delivers", || playground.newest("tracks.jsonl") > 5);
     terminal.press(" ");
     let at = standing_at(&playground);
-    let (paused, top) = (std::time::Instant::now(), || source(&playground.top())["paused"] == true);
+    let (paused, top) = (std::time::Instant::now(), || playground.top_stage("source")["paused"] == true);
     while paused.elapsed().as_secs() < 5 {
         assert!(top(), "it is paused for longer than it is to last");
     }

@@ -23,6 +23,17 @@ pub fn wait_for_lines(run: &mut Started, playground: &Playground) {
     run.wait_until("it delivers", || playground.lines("tracks.jsonl").len() > before + 3);
 }
 
+/// Waits until the source has made nothing for many looks: all writers wait.
+pub fn wait_for_standstill(run: &mut Started, playground: &Playground) {
+    let (mut made, mut looks) = (0, 0);
+    run.wait_until("all writers wait", || {
+        let now = playground.top_stage("source")["messages"].as_u64().unwrap();
+        looks = if now == made { looks + 1 } else { 0 };
+        made = now;
+        looks > 20
+    });
+}
+
 /// The processes of a launcher's stages, by their names.
 pub fn stages_of(launcher: u32) -> BTreeMap<String, u32> {
     let children = processes().filter(|process| parent(*process) == Some(launcher));
@@ -97,13 +108,7 @@ fn a_reader_that_never_reads_keeps_no_run_from_ending() {
     wait_for_lines(&mut run, &playground);
     let reader = stages_of(run.id())["tracker"];
     signal(reader, Signal::STOP);
-    let (mut made, mut looks) = (0, 0);
-    run.wait_until("all writers wait for it", || {
-        let now = playground.top()["stages"][0]["messages"].as_u64().unwrap();
-        looks = if now == made { looks + 1 } else { 0 };
-        made = now;
-        looks > 20
-    });
+    wait_for_standstill(&mut run, &playground);
     let waits = |stages: [&str; 2]| format!("`{}` waits for `{}` to take its messages", stages[0], stages[1]);
     assert_eq!(playground.top()["stages"][0]["waits_for"], "extractor");
     run.wait_for_text("nothing has moved for 10 s: ");

@@ -1,7 +1,7 @@
 //! The room in shared memory that a run asks for beforehand, against what it takes when every reader stands still and every
 //! queue is full.
 
-use super::processes::{shared_files, stages_of};
+use super::processes::{shared_files, stages_of, wait_for_standstill};
 use super::support::{Playground, Started, TRACKING_TOPICS, signal, tracking_behind};
 use conicflow_dataflow::pipeline::{Pipeline, SourceText};
 use conicflow_dataflow::{Plan, Registry, Requirements};
@@ -25,9 +25,7 @@ fn needs(text: &str) -> Requirements {
 }
 
 pub fn messages(playground: &Playground, stage: &str) -> u64 {
-    let seen = playground.top();
-    let stages = seen["stages"].as_array().unwrap();
-    stages.iter().find(|row| row["stage"] == stage).unwrap()["messages"].as_u64().unwrap()
+    playground.top_stage(stage)["messages"].as_u64().unwrap()
 }
 
 /// Stops the readers from the last to the first, and each only when the writer before it has filled its queue.
@@ -43,13 +41,7 @@ fn fill_all_queues(playground: &Playground, run: &mut Started) {
 /// Stops the last reader, and waits until every writer waits for the one after it.
 fn stall(playground: &Playground, run: &mut Started) {
     signal(stages_of(run.id())["json"], Signal::STOP);
-    let (mut made, mut looks) = (0, 0);
-    run.wait_until("all writers wait", || {
-        let now = messages(playground, "source");
-        looks = if now == made { looks + 1 } else { 0 };
-        made = now;
-        looks > 20
-    });
+    wait_for_standstill(run, playground);
 }
 
 fn bytes_of(files: &BTreeSet<PathBuf>) -> u64 {

@@ -415,8 +415,7 @@ fn swap_and_go_on(playground: &Playground, run: &mut Started, heard: &Mutex<Vec<
     run.wait_until("the successor is heard", || {
         heard.lock().unwrap().iter().filter(|(_, message, _)| is_new(message)).count() > 20
     });
-    let top = playground.top();
-    let ros = top["stages"].as_array().unwrap().iter().find(|stage| stage["stage"] == "ros").unwrap().clone();
+    let ros = playground.top_stage("ros");
     assert!(ros["counters"]["messages sent"].as_u64().unwrap() > 20, "{ros}");
 }
 
@@ -505,10 +504,7 @@ fn a_router_of_ros_may_come_late_and_come_again() {
 
 /// Whether twenty messages in each round found no router.
 fn is_without_router(playground: &Playground, round: u64) -> bool {
-    let top = playground.top();
-    let stages = top["stages"].as_array().cloned().unwrap_or_default();
-    let ros = stages.into_iter().find(|stage| stage["stage"] == "ros").unwrap_or_default();
-    ros["counters"]["messages without a router"].as_u64().unwrap_or(0) > 20 * round
+    playground.top_stage("ros")["counters"]["messages without a router"].as_u64().unwrap_or(0) > 20 * round
 }
 
 #[test]

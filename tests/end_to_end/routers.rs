@@ -21,15 +21,20 @@ pub fn session(mode: &str, set: &[(&str, &str)]) -> zenoh::Session {
     zenoh::open(config).wait().unwrap()
 }
 
-/// The robot finds ellipses and the base tracks; both know the router alone, in these modes.
-fn by_router(text: &str, modes: [&str; 2], endpoint: &str) -> [Playground; 2] {
-    let text =
-        placed(text, &HALVES) + "\n[machine.robot]\nzenoh = \"net.json5\"\n[machine.base]\nzenoh = \"net.json5\"\n";
-    modes.map(|mode| {
+/// The stages of `text` on a robot and a base, each with these settings of Zenoh.
+pub fn by_router(text: &str, places: &[(&str, &str)], settings: [String; 2]) -> [Playground; 2] {
+    let machines = "\n[machine.robot]\nzenoh = \"net.json5\"\n[machine.base]\nzenoh = \"net.json5\"\n";
+    let text = placed(text, places) + machines;
+    settings.map(|settings| {
         let machine = Playground::with_pipeline(&text);
-        machine.write("net.json5", &format!("{{ mode: '{mode}', connect: {{ endpoints: [\"{endpoint}\"] }} }}"));
+        machine.write("net.json5", &settings);
         machine
     })
+}
+
+/// The settings of who knows nobody but the router at these endpoints.
+pub fn knows(mode: &str, endpoints: &[&str]) -> String {
+    format!("{{ mode: '{mode}', connect: {{ endpoints: {endpoints:?} }} }}")
 }
 
 fn start_both([robot, base]: &[Playground; 2]) -> [Started; 2] {
@@ -44,7 +49,7 @@ fn nothing_is_lost_through_a_router() {
     for modes in [["client", "client"], ["peer", "client"]] {
         let endpoint = loopback();
         let _router = router(&endpoint);
-        let machines = by_router(&finite, modes, &endpoint);
+        let machines = by_router(&finite, &HALVES, modes.map(|mode| knows(mode, &[&endpoint])));
         start_both(&machines).into_iter().for_each(|run| drop(run.wait().expect_code(0)));
         assert!(tracks(&machines[1]) == tracks(&alone), "{modes:?}");
     }
@@ -54,7 +59,7 @@ fn nothing_is_lost_through_a_router() {
 fn peers_that_a_router_does_not_join_are_told_so() {
     let endpoint = loopback();
     let _router = router(&endpoint);
-    let machines = by_router(TRACKING, ["peer", "peer"], &endpoint);
+    let machines = by_router(TRACKING, &HALVES, [(); 2].map(|()| knows("peer", &[&endpoint])));
     for (run, other) in start_both(&machines).into_iter().zip(["base", "robot"]) {
         wait_until("it is told", || run.stderr().contains(&format!("nothing was heard of machine `{other}` in 5 s")));
         let machine = if other == "base" { &machines[0] } else { &machines[1] };
@@ -73,7 +78,7 @@ fn peers_that_a_router_does_not_join_are_told_so() {
 #[test]
 fn a_router_may_come_late_and_come_again() {
     let endpoint = loopback();
-    let machines = by_router(&live(TRACKING), ["client"; 2], &endpoint);
+    let machines = by_router(&live(TRACKING), &HALVES, [(); 2].map(|()| knows("client", &[&endpoint])));
     let mut runs = start_both(&machines);
     for run in &runs {
         wait_until("it waits for the router", || run.stderr().contains("cannot be opened yet"));
@@ -92,15 +97,10 @@ fn a_router_may_come_late_and_come_again() {
 #[test]
 fn short_messages_take_datagrams_through_a_router_too() {
     let [stream, datagrams] = [loopback(), loopback().replace("tcp", "udp")];
-    let text = placed(&live(TRACKING), &[("source", "robot"), ("extractor", "robot"), ("assembler", "robot")]);
-    let text = placed(&text, &[("tracker", "base"), ("json", "base")])
-        + "\n[machine.robot]\nzenoh = \"net.json5\"\n[machine.base]\nzenoh = \"net.json5\"\n";
-    let machines = [(); 2].map(|()| {
-        let machine = Playground::with_pipeline(&text);
-        let endpoints = format!("[\"{stream}\", \"{datagrams}\"]");
-        machine.write("net.json5", &format!("{{ mode: 'client', connect: {{ endpoints: {endpoints} }} }}"));
-        machine
-    });
+    let places =
+        [("source", "robot"), ("extractor", "robot"), ("assembler", "robot"), ("tracker", "base"), ("json", "base")];
+    let settings = [(); 2].map(|()| knows("client", &[&stream, &datagrams]));
+    let machines = by_router(&live(TRACKING), &places, settings);
     // At first the router does not take datagrams.
     let without = router(&stream);
     let mut runs = start_both(&machines);

@@ -213,6 +213,13 @@ impl Playground {
         seen["pipelines"][0].clone()
     }
 
+    /// What it shows of a stage.
+    pub fn top_stage(&self, name: &str) -> Json {
+        let top = self.top();
+        let mut stages = top["stages"].as_array().into_iter().flatten();
+        stages.find(|stage| stage["stage"] == name).cloned().unwrap_or_default()
+    }
+
     /// `conicflow` with these arguments, in the folder of the test's files.
     pub fn command(&self, arguments: &[&str]) -> Command {
         self.command_of(Path::new(env!("CARGO_BIN_EXE_conicflow")), arguments)

@@ -4,6 +4,7 @@
 use super::bridge::{HALVES, placed, tracks};
 use super::hosts::{Host, ip};
 use super::programs::router;
+use super::routers::{by_router, knows};
 use super::support::{Playground, Started, TRACKING, wait_until};
 use std::time::Duration;
 
@@ -77,13 +78,8 @@ fn two_sites_that_reach_nothing_but_a_router_lose_nothing() {
     let Some(star) = Star::new() else { return };
     let endpoints = HUB.map(|address| format!("tcp/{address}:7447"));
     let router = router(&endpoints);
-    let text = placed(&finite(), &HALVES)
-        + "\n[machine.robot]\nzenoh = \"net.json5\"\n[machine.base]\nzenoh = \"net.json5\"\n";
-    let machines = endpoints.map(|endpoint| {
-        let machine = Playground::with_pipeline(&text);
-        machine.write("net.json5", &format!("{{ mode: 'client', connect: {{ endpoints: ['{endpoint}'] }} }}"));
-        machine
-    });
+    let settings = endpoints.map(|endpoint| knows("client", &[&endpoint]));
+    let machines = by_router(&finite(), &HALVES, settings);
     // The router comes last, and comes a second time.
     let mut runs = [run(&star.ends[0], &machines[0], "robot"), run(&star.ends[1], &machines[1], "base")];
     let first = star.hub.start(&router);
