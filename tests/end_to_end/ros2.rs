@@ -3,7 +3,7 @@
 
 use crate::bridge::loopback;
 use crate::routers::{router, session};
-use crate::support::{Playground, RECORDING, Started, TRACKING, python_with, read_png, wait_until};
+use crate::support::{Playground, RECORDING, Started, TRACKING, depth_png, python_with, read_png, wait_until};
 use conicflow_lab::simulator::scene::Scene;
 use conicflow_messages::Camera;
 use conicflow_ros::{CameraInfo, Image, Reader, Stamped, Writer, write_transform, write_units};
@@ -107,11 +107,7 @@ fn wall(stamped: Stamped<'_>) -> Vec<u8> {
 /// A depth image as `compressed_depth_image_transport` sends it.
 fn compressed(stamped: Stamped<'_>, camera: &Camera, pixels: &[u16]) -> Vec<u8> {
     let mut file = vec![0; 12]; // how depths in metres were made whole numbers; these are millimetres
-    let mut encoder = png::Encoder::new(&mut file, camera.width, camera.height);
-    encoder.set_color(png::ColorType::Grayscale);
-    encoder.set_depth(png::BitDepth::Sixteen);
-    let bytes: Vec<u8> = pixels.iter().flat_map(|pixel| pixel.to_be_bytes()).collect();
-    encoder.write_header().unwrap().write_image_data(&bytes).unwrap();
+    depth_png(&mut file, camera.width, pixels);
     let mut writer = Writer::new(Vec::new());
     writer.stamped(stamped).text("16UC1; compressedDepth png").bytes(file.len(), file.into_iter());
     writer.finish()

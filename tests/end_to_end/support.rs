@@ -9,7 +9,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use serde_json::{Value as Json, json};
 use std::fs::{self, File, Permissions};
-use std::io::{BufReader, BufWriter, Read, Seek, SeekFrom};
+use std::io::{BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::os::fd::OwnedFd;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
@@ -167,12 +167,7 @@ impl Playground {
 
     /// Writes a depth image as a camera would, a 16-bit PNG.
     pub fn write_depth_png(&self, name: &str, width: u32, pixels: &[u16]) {
-        let file = BufWriter::new(File::create(self.path(name)).unwrap());
-        let mut encoder = png::Encoder::new(file, width, pixels.len() as u32 / width);
-        encoder.set_color(png::ColorType::Grayscale);
-        encoder.set_depth(png::BitDepth::Sixteen);
-        let bytes: Vec<u8> = pixels.iter().flat_map(|pixel| pixel.to_be_bytes()).collect();
-        encoder.write_header().unwrap().write_image_data(&bytes).unwrap();
+        depth_png(BufWriter::new(File::create(self.path(name)).unwrap()), width, pixels);
     }
 
     /// The complete lines of a file; none if there is no file yet.
@@ -263,6 +258,15 @@ impl Drop for Playground {
             self.command(&["doctor", "--clean"]).output().ok();
         }
     }
+}
+
+/// Writes a depth image as a PNG of 16 bits.
+pub fn depth_png(output: impl Write, width: u32, pixels: &[u16]) {
+    let mut encoder = png::Encoder::new(output, width, pixels.len() as u32 / width);
+    encoder.set_color(png::ColorType::Grayscale);
+    encoder.set_depth(png::BitDepth::Sixteen);
+    let bytes: Vec<u8> = pixels.iter().flat_map(|pixel| pixel.to_be_bytes()).collect();
+    encoder.write_header().unwrap().write_image_data(&bytes).unwrap();
 }
 
 /// What a PNG is, and the bytes of its pixels.
