@@ -1,7 +1,7 @@
 //! Stages that panic, hang or are stopped: they are told of, started anew where that is asked for, and harm no other.
 
 use crate::bridge::{joined, loopback, machines, top_link};
-use crate::processes::{stages_of, wait_for_lines};
+use crate::processes::{at_work, stages_of, wait_for_lines};
 use crate::programs::program;
 use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, signal};
 use rustix::process::Signal;
@@ -83,9 +83,7 @@ fn a_stage_that_hangs_is_killed_and_started_anew_where_the_file_says_so() {
 
 #[test]
 fn a_stage_that_stands_still_is_told_of_and_goes_on() {
-    let playground = Playground::with_pipeline(TRACKING);
-    let mut run = start(&playground);
-    wait_for_lines(&mut run, &playground);
+    let (playground, mut run) = at_work(TRACKING, 50);
     let tracker = stages_of(run.id())["tracker"];
     signal(tracker, Signal::STOP);
     run.wait_until("its silence is seen", || {

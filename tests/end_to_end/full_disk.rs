@@ -1,5 +1,6 @@
 //! Disks that are full and files that cannot be read: the stage fails for good, with exit code 1 and one sentence that says why.
 
+use crate::processes::at_work;
 use crate::support::{Ended, Playground, Started, TRACKING, read_png};
 use conicflow_lab::simulator::scene::Scene;
 use rustix::process::geteuid;
@@ -97,9 +98,7 @@ path  = "disk/run.mcap"
 
 #[test]
 fn an_onlooker_whose_recording_finds_no_room_says_so_and_the_run_goes_on() {
-    let playground = Playground::with_pipeline(TRACKING);
-    let mut run = playground.start(&["run", "--set", "source.rate_hz=60"]);
-    run.wait_until("it delivers", || !playground.lines("tracks.jsonl").is_empty());
+    let (playground, mut run) = at_work(TRACKING, 60);
     let arguments = ["record", "-o", "disk/run.mcap"];
     let Some(recorded) = with_a_small_disk("1m", &playground, &arguments) else { return };
     let recorded = recorded.expect_code(1);

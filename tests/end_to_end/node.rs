@@ -1,6 +1,7 @@
 //! `conicflow node`: stages that are started one by one, each by hand.
 
 use crate::outside_stage::with_nearest_object;
+use crate::processes::at_work;
 use crate::support::{Ended, Playground, TRACKING, TRACKING_STAGES};
 use std::fs;
 
@@ -55,9 +56,7 @@ env     = { COLOUR = "red" }
 
 #[test]
 fn no_stage_is_started_by_hand_into_a_run() {
-    let playground = Playground::with_pipeline(TRACKING);
-    let mut run = playground.start(&["run", "--set", "source.rate_hz=50"]);
-    run.wait_until("it delivers", || !playground.lines("tracks.jsonl").is_empty());
+    let (playground, _run) = at_work(TRACKING, 50);
     let ended = playground.conicflow(&["node", "tracker"]).expect_code(2);
     assert!(ended.stderr.starts_with("error: a pipeline named `tracking` is running already"), "{}", ended.stderr);
 }

@@ -12,9 +12,17 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Stdio};
 use std::time::Duration;
 
-/// A paced run of [`TRACKING`] that goes on until it is told to end.
-fn start(playground: &Playground, more: &[&str]) -> Started {
-    playground.start(&[&["run", "--set", "source.rate_hz=50"], more].concat())
+/// A playground, and a run of these stages there at so many frames per second, which delivers until it is told to end.
+pub fn at_work(text: &str, rate_hz: u32) -> (Playground, Started) {
+    let playground = Playground::with_pipeline(text);
+    let mut run = playground.start(&["run", "--set", &format!("source.rate_hz={rate_hz}")]);
+    wait_for_lines(&mut run, &playground);
+    (playground, run)
+}
+
+/// A paced run that goes on until it is told to end.
+fn start(playground: &Playground) -> Started {
+    playground.start(&["run", "--set", "source.rate_hz=50"])
 }
 
 /// Waits until a run delivers more than it has so far.
@@ -47,9 +55,7 @@ fn expect_nothing_lives(playground: &Playground) {
 
 #[test]
 fn each_stage_is_a_process_whose_parent_is_the_launcher() {
-    let playground = Playground::with_pipeline(TRACKING);
-    let mut run = start(&playground, &[]);
-    wait_for_lines(&mut run, &playground);
+    let (playground, run) = at_work(TRACKING, 50);
     let stages = stages_of(run.id());
     assert!(stages.keys().eq(["assembler", "extractor", "json", "source", "tracker"]), "{stages:?}");
     let expected: BTreeSet<_> = stages.into_values().chain([run.id()]).collect();
@@ -58,9 +64,7 @@ fn each_stage_is_a_process_whose_parent_is_the_launcher() {
 
 #[test]
 fn who_looks_on_sees_the_stages_at_work() {
-    let playground = Playground::with_pipeline(TRACKING);
-    let mut run = start(&playground, &[]);
-    wait_for_lines(&mut run, &playground);
+    let (playground, run) = at_work(TRACKING, 50);
     let seen = playground.top();
     assert_eq!(seen["pipeline"], "tracking", "{seen:#}");
     let processes = stages_of(run.id());
@@ -73,9 +77,7 @@ fn who_looks_on_sees_the_stages_at_work() {
 
 #[test]
 fn top_and_the_summary_count_what_the_file_of_results_has() {
-    let playground = Playground::with_pipeline(TRACKING);
-    let mut run = start(&playground, &[]);
-    wait_for_lines(&mut run, &playground);
+    let (playground, mut run) = at_work(TRACKING, 50);
     // What is under way arrives, and then nothing moves; the source may stand still between sending and counting.
     let source = stages_of(run.id())["source"];
     signal(source, Signal::STOP);
@@ -103,9 +105,7 @@ fn top_and_the_summary_count_what_the_file_of_results_has() {
 
 #[test]
 fn a_reader_that_never_reads_keeps_no_run_from_ending() {
-    let playground = Playground::with_pipeline(TRACKING);
-    let mut run = start(&playground, &[]);
-    wait_for_lines(&mut run, &playground);
+    let (playground, mut run) = at_work(TRACKING, 50);
     let reader = stages_of(run.id())["tracker"];
     signal(reader, Signal::STOP);
     wait_for_standstill(&mut run, &playground);
@@ -130,10 +130,8 @@ pub const UNDER_WAY: u64 = 24;
 
 /// Kills each stage in turn, when the one before has worked again: it comes back, the others stay, and results come on, in order.
 fn kill_each_stage(delivery: &str) {
-    let playground = Playground::with_pipeline(&TRACKING.replace("lossless", delivery));
-    let mut run = start(&playground, &[]);
+    let (playground, mut run) = at_work(&TRACKING.replace("lossless", delivery), 50);
     let launcher = run.id();
-    wait_for_lines(&mut run, &playground);
     for stage in TRACKING_STAGES {
         let before = stages_of(launcher);
         signal(before[stage], Signal::KILL);
@@ -173,9 +171,7 @@ fn the_death_of_any_stage_is_survived_where_writers_wait() {
 
 #[test]
 fn no_stage_outlives_its_launcher_and_the_next_run_starts() {
-    let playground = Playground::with_pipeline(TRACKING);
-    let mut run = start(&playground, &[]);
-    wait_for_lines(&mut run, &playground);
+    let (playground, run) = at_work(TRACKING, 50);
     assert_eq!(playground.processes().len(), 6);
     signal(run.id(), Signal::KILL);
     wait_until("all processes are gone", || playground.processes().is_empty());
@@ -185,9 +181,7 @@ fn no_stage_outlives_its_launcher_and_the_next_run_starts() {
 
 #[test]
 fn the_next_run_does_not_wait_for_the_stages_of_a_dead_launcher() {
-    let playground = Playground::with_pipeline(TRACKING);
-    let mut run = start(&playground, &[]);
-    wait_for_lines(&mut run, &playground);
+    let (playground, mut run) = at_work(TRACKING, 50);
     signal(run.id(), Signal::KILL);
     wait_until("the launcher is dead", || !run.is_running());
     playground.conicflow(&["run", "--frames", "3", "--set", "json.path=next.jsonl"]).expect_code(0);
@@ -198,9 +192,7 @@ fn the_next_run_does_not_wait_for_the_stages_of_a_dead_launcher() {
 #[test]
 fn interrupt_and_terminate_end_a_run_in_order() {
     for end in [Signal::INT, Signal::TERM] {
-        let playground = Playground::with_pipeline(TRACKING);
-        let mut run = start(&playground, &[]);
-        wait_for_lines(&mut run, &playground);
+        let (playground, run) = at_work(TRACKING, 50);
         signal(run.id(), end);
         let ended = run.wait().expect_code(0);
         assert_eq!(ended.stages(), TRACKING_STAGES, "{end:?}");
@@ -217,9 +209,7 @@ fn who_insists_ends_stages_that_do_not_listen() {
 program = ["sh", "-c", "trap '' INT TERM; exec sleep 600"]
 input   = "tracks"
 "#;
-    let playground = Playground::with_pipeline(&format!("{TRACKING}{deaf}"));
-    let mut run = start(&playground, &[]);
-    wait_for_lines(&mut run, &playground);
+    let (playground, mut run) = at_work(&format!("{TRACKING}{deaf}"), 50);
     let launcher = run.id();
     signal(launcher, Signal::INT);
     run.wait_until("all others have ended", || stages_of(launcher).keys().eq(["deaf"]));
@@ -283,9 +273,7 @@ input   = { topic = "tracks", delivery = "lossless" }
 path    = "other.jsonl"
 restart = "never"
 "#;
-    let playground = Playground::with_pipeline(&format!("{TRACKING}{other}"));
-    let mut run = start(&playground, &[]);
-    wait_for_lines(&mut run, &playground);
+    let (playground, mut run) = at_work(&format!("{TRACKING}{other}"), 50);
     let launcher = run.id();
     let killed = stages_of(launcher)["other"];
     signal(killed, Signal::KILL);
@@ -347,7 +335,7 @@ input   = "tracks"
 restart = "always"
 "#;
     let playground = Playground::with_pipeline(&format!("{TRACKING}{again}"));
-    let mut run = start(&playground, &[]);
+    let mut run = start(&playground);
     run.wait_until("it was started three times", || playground.lines("starts.txt").len() >= 3);
     wait_for_lines(&mut run, &playground);
     run.end();
@@ -380,9 +368,7 @@ pub fn wait_for_shared_memory(run: &mut Started, playground: &Playground) -> Str
 
 #[test]
 fn no_other_user_can_open_what_a_run_shares() {
-    let playground = Playground::with_pipeline(TRACKING);
-    let mut run = start(&playground, &[]);
-    wait_for_lines(&mut run, &playground);
+    let (playground, _run) = at_work(TRACKING, 50);
     let prefix = shared_prefix(&playground);
     let shared = fs::read_dir("/dev/shm").unwrap().map(|entry| entry.unwrap().path());
     let own: Vec<_> = shared.filter(|path| path.file_name().unwrap().to_str().unwrap().starts_with(&prefix)).collect();
@@ -413,7 +399,7 @@ fn nothing_stays_in_shared_memory_however_runs_end() {
     let mut used = BTreeSet::new();
     for round in 0..10 {
         fs::remove_file(playground.path("tracks.jsonl")).ok();
-        let mut run = start(&playground, &[]);
+        let mut run = start(&playground);
         wait_for_lines(&mut run, &playground);
         let stages = stages_of(run.id());
         stages.values().for_each(|process| used.extend(shared_files(*process)));
@@ -439,7 +425,7 @@ fn a_run_that_is_told_to_end_as_soon_as_it_has_shared_memory_leaves_nothing() {
     let playground = Playground::with_pipeline(TRACKING);
     let mut random = fastrand::Rng::with_seed(1);
     for round in 0..10 {
-        let mut run = start(&playground, &[]);
+        let mut run = start(&playground);
         let prefix = wait_for_shared_memory(&mut run, &playground);
         std::thread::sleep(Duration::from_millis(random.u64(0..50)));
         signal(run.id(), [Signal::INT, Signal::TERM, Signal::HUP][round % 3]);

@@ -2,7 +2,7 @@
 //! onlookers record without a change to the run; other programs read what is recorded, and what they record is read here.
 
 use crate::bridge::without_times;
-use crate::processes::stages_of;
+use crate::processes::{at_work, stages_of};
 use crate::support::{Playground, Started, TRACKING, python_with, read_png, signal, wait_until};
 use rustix::process::Signal;
 use serde_json::Value as Json;
@@ -106,9 +106,7 @@ fn what_a_killed_recorder_has_written_is_replayed() {
 
 #[test]
 fn an_onlooker_records_a_running_pipeline_until_it_ends() {
-    let playground = Playground::with_pipeline(TRACKING);
-    let mut run = playground.start(&["run", "--set", "source.rate_hz=50"]);
-    run.wait_until("it delivers", || !playground.lines("tracks.jsonl").is_empty());
+    let (playground, mut run) = at_work(TRACKING, 50);
     let mut recorder = playground.start(&["record", "depth", "objects", "-o", "part.mcap"]);
     recorder.wait_for_text("records `depth`, `objects` into `part.mcap`");
     let there = playground.conicflow(&["record", "-o", "part.mcap"]).expect_code(2);

@@ -1,16 +1,12 @@
 //! A stage of a running pipeline is replaced: nothing is lost, nobody else notices, and nothing stays behind.
 
-use crate::processes::{shared_files, stages_of, wait_for_lines};
+use crate::processes::{at_work, shared_files, stages_of, wait_for_lines};
 use crate::soak::usage;
 use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, TRACKING_TOPICS, signal};
 use rustix::process::Signal;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::PathBuf;
-
-fn start(playground: &Playground, more: &[&str]) -> Started {
-    playground.start(&[&["run", "--set", "source.rate_hz=30"], more].concat())
-}
 
 /// Replaces a stage, and makes sure that its process is another one and that all others are the same.
 pub fn replace(playground: &Playground, run: &Started, arguments: &[&str]) {
@@ -30,9 +26,7 @@ fn swap(playground: &Playground, run: &mut Started, arguments: &[&str]) {
 
 #[test]
 fn a_lossless_pipeline_loses_nothing_when_each_of_its_stages_is_replaced() {
-    let playground = Playground::with_pipeline(TRACKING);
-    let mut run = playground.start(&["run", "--set", "source.rate_hz=200"]);
-    wait_for_lines(&mut run, &playground);
+    let (playground, mut run) = at_work(TRACKING, 200);
     for stage in TRACKING_STAGES.into_iter().chain(TRACKING_STAGES) {
         swap(&playground, &mut run, &[stage]);
     }
@@ -73,9 +67,7 @@ pub fn expect_a_quick_swap(stage: &str, mut swap: impl FnMut() -> u64) {
 
 #[test]
 fn a_live_pipeline_misses_three_frames_at_most() {
-    let playground = Playground::with_pipeline(&TRACKING.replace("lossless", "latest"));
-    let mut run = start(&playground, &[]);
-    wait_for_lines(&mut run, &playground);
+    let (playground, mut run) = at_work(&TRACKING.replace("lossless", "latest"), 30);
     for stage in ["extractor", "assembler", "tracker"] {
         expect_a_quick_swap(stage, || {
             let before = playground.lines("tracks.jsonl").len();
@@ -88,9 +80,7 @@ fn a_live_pipeline_misses_three_frames_at_most() {
 
 #[test]
 fn a_stage_is_replaced_by_one_with_other_parameters_and_by_another_node() {
-    let playground = Playground::with_pipeline(TRACKING);
-    let mut run = start(&playground, &[]);
-    wait_for_lines(&mut run, &playground);
+    let (playground, mut run) = at_work(TRACKING, 30);
     playground.conicflow(&["swap", "json", "--set", "path=other.jsonl"]).expect_code(0);
     run.wait_until("the other file grows", || playground.lines("other.jsonl").len() > 3);
     playground.conicflow(&["swap", "json", "--node", "console_sink"]).expect_code(0);
@@ -105,9 +95,7 @@ fn a_stage_is_replaced_by_one_with_other_parameters_and_by_another_node() {
 
 #[test]
 fn what_does_not_validate_or_cannot_start_leaves_the_stage_at_work() {
-    let playground = Playground::with_pipeline(TRACKING);
-    let mut run = start(&playground, &[]);
-    wait_for_lines(&mut run, &playground);
+    let (playground, mut run) = at_work(TRACKING, 30);
     let (before, plan) = (stages_of(run.id()), playground.runtime().join("run/tracking/plan.json"));
     let planned = fs::read(&plan).unwrap();
     let refused = [
@@ -135,9 +123,7 @@ fn what_does_not_validate_or_cannot_start_leaves_the_stage_at_work() {
 
 #[test]
 fn a_source_that_cannot_begin_gives_its_place_back() {
-    let playground = Playground::with_pipeline(TRACKING);
-    let mut run = start(&playground, &[]);
-    wait_for_lines(&mut run, &playground);
+    let (playground, mut run) = at_work(TRACKING, 30);
     fs::create_dir(playground.path("frames")).unwrap();
     let refused = playground.conicflow(&["swap", "source", "--node", "image_source", "--set", "path=frames/"]);
     assert!(refused.expect_code(2).stderr.contains("the old one comes back"));
@@ -148,9 +134,7 @@ fn a_source_that_cannot_begin_gives_its_place_back() {
 
 #[test]
 fn an_answer_that_cannot_be_written_comes_later_and_ends_no_run() {
-    let playground = Playground::with_pipeline(TRACKING);
-    let mut run = start(&playground, &[]);
-    wait_for_lines(&mut run, &playground);
+    let (playground, mut run) = at_work(TRACKING, 30);
     let in_the_way = playground.runtime().join("run/tracking/swap.answer.new");
     fs::create_dir(&in_the_way).unwrap();
     let asked = playground.start(&["swap", "tracker"]);
@@ -172,9 +156,7 @@ const SLACK_KB: u64 = 512;
 /// As above, the middle one counts of what is missing at each swap.
 #[test]
 fn a_hundred_swaps_of_a_live_run_cost_no_memory_and_three_frames_each_at_most() {
-    let playground = Playground::with_pipeline(&TRACKING.replace("lossless", "latest"));
-    let mut run = start(&playground, &[]);
-    wait_for_lines(&mut run, &playground);
+    let (playground, mut run) = at_work(&TRACKING.replace("lossless", "latest"), 30);
     swap(&playground, &mut run, &["assembler"]);
     let stages = stages_of(run.id());
     let neighbours = || ["source", "json"].map(|name| usage(stages[name]).private_kb);
@@ -200,9 +182,7 @@ fn a_hundred_swaps_of_a_live_run_cost_no_memory_and_three_frames_each_at_most() 
 
 #[test]
 fn the_death_of_a_stage_or_its_launcher_amid_a_swap_leaves_nothing_behind() {
-    let playground = Playground::with_pipeline(TRACKING);
-    let mut run = start(&playground, &[]);
-    wait_for_lines(&mut run, &playground);
+    let (playground, mut run) = at_work(TRACKING, 30);
     for stage in ["tracker", "source"] {
         let old = stages_of(run.id())[stage];
         let swap = playground.start(&["swap", stage]);

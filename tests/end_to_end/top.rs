@@ -1,7 +1,7 @@
 //! `conicflow top` on a terminal of 80 columns and 24 lines.
 
-use crate::processes::wait_for_lines;
-use crate::support::{Playground, TRACKING, TRACKING_STAGES, signal, terminal};
+use crate::processes::at_work;
+use crate::support::{TRACKING, TRACKING_STAGES, signal, terminal};
 use rustix::process::Signal;
 use rustix::termios::{Winsize, tcsetwinsize};
 use std::io::Read;
@@ -38,9 +38,7 @@ fn screens() -> (OwnedFd, Receiver<String>) {
 
 #[test]
 fn it_fits_a_terminal_and_is_drawn_anew() {
-    let playground = Playground::with_pipeline(TRACKING);
-    let mut run = playground.start(&["run", "--set", "source.rate_hz=50"]);
-    wait_for_lines(&mut run, &playground);
+    let (playground, run) = at_work(TRACKING, 50);
     let (inner, screens) = screens();
     let mut command = playground.command(&["top"]);
     let mut top = command.stdout(inner.try_clone().unwrap()).stderr(inner).spawn().unwrap();

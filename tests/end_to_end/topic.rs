@@ -1,20 +1,12 @@
 //! `conicflow topic`: who looks on sees all there is, and those that work do not notice, whatever becomes of who looks on.
 
-use crate::processes::stages_of;
+use crate::processes::{at_work, stages_of, wait_for_lines};
 use crate::support::{Ended, Playground, Started, TRACKING, TRACKING_STAGES, TRACKING_TOPICS, signal};
 use rustix::process::Signal;
 use serde_json::Value as Json;
 use std::fs::{self, DirEntry};
 use std::io::{BufRead, BufReader};
 use std::process::ChildStdout;
-
-/// A run of [`TRACKING`] at this rate, until it is told to end.
-fn start(playground: &Playground, rate_hz: &str) -> Started {
-    let rate = format!("source.rate_hz={rate_hz}");
-    let mut run = playground.start(&["run", "--set", &rate]);
-    run.wait_until("it delivers", || !playground.lines("tracks.jsonl").is_empty());
-    run
-}
 
 /// `topic echo`, when its first line has come.
 fn echo(playground: &Playground, topic: &str) -> (Started, BufReader<ChildStdout>) {
@@ -54,8 +46,7 @@ fn processor_ns(processes: impl IntoIterator<Item = u32>) -> u64 {
 fn who_looks_on_costs_a_run_that_goes_flat_out_no_processor_time() {
     const PAIRS: usize = 8;
     const FRAMES: u64 = 300;
-    let playground = Playground::with_pipeline(TRACKING);
-    let mut run = start(&playground, "0");
+    let (playground, mut run) = at_work(TRACKING, 0);
     let stages = stages_of(run.id());
     let newest = || playground.newest("tracks.jsonl");
     let turn = |run: &mut Started| {
@@ -86,8 +77,7 @@ fn who_looks_on_costs_a_run_that_goes_flat_out_no_processor_time() {
 
 #[test]
 fn echo_prints_what_the_sink_writes_and_ends_with_the_run() {
-    let playground = Playground::with_pipeline(TRACKING);
-    let run = start(&playground, "50");
+    let (playground, run) = at_work(TRACKING, 50);
     let (echo, output) = echo(&playground, "tracks");
     let seen = std::thread::spawn(move || output.lines().map(Result::unwrap).collect::<Vec<_>>());
     playground.conicflow(&["topic", "echo", "tracks", "--count", "60"]).expect_code(0);
@@ -107,8 +97,7 @@ fn echo_prints_what_the_sink_writes_and_ends_with_the_run() {
 
 #[test]
 fn images_are_summed_up() {
-    let playground = Playground::with_pipeline(TRACKING);
-    let _run = start(&playground, "50");
+    let (playground, _run) = at_work(TRACKING, 50);
     let ended = playground.conicflow(&["topic", "echo", "depth", "--count", "2"]).expect_code(0);
     assert_eq!(ended.stdout.lines().count(), 2);
     for line in ended.stdout.lines() {
@@ -122,8 +111,7 @@ fn images_are_summed_up() {
 
 #[test]
 fn who_looks_on_and_is_stopped_or_killed_costs_nothing() {
-    let playground = Playground::with_pipeline(TRACKING);
-    let mut run = start(&playground, "0");
+    let (playground, mut run) = at_work(TRACKING, 0);
     let (stopped, _stopped_output) = echo(&playground, "depth");
     signal(stopped.id(), Signal::STOP);
     for topic in ["depth", "ellipses", "objects", "tracks"] {
@@ -140,8 +128,7 @@ fn who_looks_on_and_is_stopped_or_killed_costs_nothing() {
 
 #[test]
 fn a_reader_of_the_output_that_goes_ends_it_without_a_word() {
-    let playground = Playground::with_pipeline(TRACKING);
-    let _run = start(&playground, "50");
+    let (playground, _run) = at_work(TRACKING, 50);
     let (echo, output) = echo(&playground, "tracks");
     drop(output);
     let ended = echo.wait().expect_code(0);
@@ -150,8 +137,7 @@ fn a_reader_of_the_output_that_goes_ends_it_without_a_word() {
 
 #[test]
 fn the_ninth_who_looks_on_is_told_that_there_is_no_place() {
-    let playground = Playground::with_pipeline(TRACKING);
-    let run = start(&playground, "50");
+    let (playground, run) = at_work(TRACKING, 50);
     let lookers: Vec<_> = (0..8).map(|_| echo(&playground, "tracks")).collect();
     let ended = playground.conicflow(&["topic", "echo", "tracks"]).expect_code(2);
     assert!(ended.stderr.starts_with("error: topic `tracks` has 8 onlookers already"), "{}", ended.stderr);
@@ -164,8 +150,7 @@ fn the_ninth_who_looks_on_is_told_that_there_is_no_place() {
 
 #[test]
 fn rates_and_bytes_are_those_that_were_sent() {
-    let playground = Playground::with_pipeline(TRACKING);
-    let mut run = start(&playground, "50");
+    let (playground, mut run) = at_work(TRACKING, 50);
     // Figures are those of one second, in which a busy host may have sent nothing, or all that it was behind with.
     run.wait_until("seconds in which it keeps its rate", || {
         let hz = playground.conicflow(&["topic", "hz", "depth", "--count", "2"]).expect_code(0);
@@ -190,8 +175,7 @@ fn rates_and_bytes_are_those_that_were_sent() {
 
 #[test]
 fn the_list_tells_what_each_topic_carries_and_for_whom() {
-    let playground = Playground::with_pipeline(TRACKING);
-    let _run = start(&playground, "50");
+    let (playground, _run) = at_work(TRACKING, 50);
     let list = playground.conicflow(&["topic", "list"]).expect_code(0);
     let rows: Vec<Vec<_>> = list.stdout.lines().skip(1).map(|line| line.split_whitespace().collect()).collect();
     for (row, (name, writer, reader)) in rows.iter().zip(TRACKING_TOPICS) {
@@ -205,8 +189,7 @@ fn the_list_tells_what_each_topic_carries_and_for_whom() {
 fn a_topic_that_nobody_writes_now_is_listed_and_that_is_told() {
     let other = "\n[stage.other]\nnode = \"json_sink\"\ninput = \"objects\"\npath = \"objects.jsonl\"\n";
     let never = TRACKING.replace("[stage.tracker]\n", "[stage.tracker]\nrestart = \"never\"\n");
-    let playground = Playground::with_pipeline(&format!("{never}{other}"));
-    let mut run = start(&playground, "50");
+    let (playground, mut run) = at_work(&format!("{never}{other}"), 50);
     signal(stages_of(run.id())["tracker"], Signal::KILL);
     run.wait_for_text("stage `tracker` was killed by signal 9, and is not started anew");
     let list = playground.conicflow(&["topic", "list"]).expect_code(0).stdout;
@@ -229,7 +212,8 @@ fn what_is_not_there_is_told_with_a_hint() {
         playground.runtime().display()
     );
     assert_eq!(ended.stderr, expected);
-    let _run = start(&playground, "50");
+    let mut run = playground.start(&["run", "--set", "source.rate_hz=50"]);
+    wait_for_lines(&mut run, &playground);
     let ended = playground.conicflow(&["topic", "echo", "track"]).expect_code(2);
     let expected = "error: pipeline `tracking` has no topic `track`\n  hint: did you mean `tracks`?\n";
     assert_eq!(ended.stderr, expected);
