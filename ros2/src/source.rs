@@ -102,16 +102,9 @@ impl SourceConfig {
 
     /// The ends that tell where the camera is, if that is wanted.
     fn transform_ends(&self) -> Vec<End> {
-        let end = |topic: &str, way| End { topic: topic.to_owned(), definition: TF_MESSAGE, way };
-        let wanted = self.world.iter();
-        wanted
-            .flat_map(|_| {
-                [
-                    end("/tf_static", Way::SubscribeLatched(TRANSFORMS_WAITING)),
-                    end("/tf", Way::Subscribe(TRANSFORMS_WAITING)),
-                ]
-            })
-            .collect()
+        let (still, moving) = (Way::SubscribeLatched(TRANSFORMS_WAITING), Way::Subscribe(TRANSFORMS_WAITING));
+        let wanted = [("/tf_static", still), ("/tf", moving)].into_iter().filter(|_| self.world.is_some());
+        wanted.map(|(topic, way)| End { topic: topic.to_owned(), definition: TF_MESSAGE, way }).collect()
     }
 }
 
