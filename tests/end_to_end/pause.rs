@@ -1,7 +1,7 @@
 //! Pausing a run and letting it make one frame: by keys at its terminal, and from the page; and a terminal that is as it was
 //! before.
 
-use crate::support::{Playground, Started, TRACKING, example, signal, terminal, wait_until};
+use crate::support::{Playground, Started, TRACKING, example, signal, terminal, tracking_behind, wait_until};
 use crate::view::{Page, items, recording};
 use rustix::fs::{CWD, Mode, OFlags, mkfifoat};
 use rustix::process::Signal;
@@ -193,14 +193,8 @@ fn a_run_in_the_background_leaves_the_terminal_alone() {
 fn the_page_pauses_a_replay_steps_it_and_lets_it_go_on() {
     let playground = Playground::new();
     recording(&playground, "60");
-    let rest = TRACKING.split_once("[stage.extractor]").unwrap().1;
-    playground.write(
-        "pipeline.toml",
-        &format!(
-            "name = \"replay\"\n[stage.source]\nnode = \"mcap_source\"\noutput = \"depth\"\npath = \"run.mcap\"\nloop = true\n\
-             [stage.extractor]{rest}"
-        ),
-    );
+    let source = "node = \"mcap_source\"\npath = \"run.mcap\"\nloop = true";
+    playground.write("pipeline.toml", &tracking_behind(source, "lossless"));
     let _run = playground.start(&["run"]);
     let page = Page::open(&playground, &[]);
     page.told("the run can be paused", |json| {

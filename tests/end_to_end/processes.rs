@@ -1,7 +1,7 @@
 //! The processes of a run: who starts whom, what is survived, how it ends, and that nothing stays behind.
 
 use crate::support::{
-    Playground, Started, TRACKING, TRACKING_STAGES, environment, parent, processes, signal, wait_until,
+    Playground, Started, TRACKING, TRACKING_STAGES, environment, parent, processes, signal, tracking_behind, wait_until,
 };
 use rustix::process::Signal;
 use serde_json::Value as Json;
@@ -240,10 +240,8 @@ fn read_nothing(mut program: Child) -> Option<i32> {
 
 #[test]
 fn a_source_that_cannot_start_ends_the_run() {
-    let source = "node = \"image_source\"\npath = \"frames/\"\nrate_hz = 0\noutput = \"depth\"\n\n[stage.extractor]";
-    let (before, rest) = TRACKING.split_once("[stage.source]").unwrap();
-    let (_, after) = rest.split_once("[stage.extractor]").unwrap();
-    let playground = Playground::with_pipeline(&format!("{before}[stage.source]\n{source}{after}"));
+    let source = "node = \"image_source\"\npath = \"frames/\"\nrate_hz = 0";
+    let playground = Playground::with_pipeline(&tracking_behind(source, "lossless"));
     fs::create_dir(playground.path("frames")).unwrap();
     playground.conicflow(&["validate"]).expect_code(0);
     let ended = playground.conicflow(&["run"]).expect_code(1);
