@@ -100,8 +100,7 @@ fn a_stage_that_stands_still_is_told_of_and_goes_on() {
     let ended = run.end();
     assert_eq!(ended.stage("tracker").starts, 1, "{}", ended.stderr);
     ended.expect_told(&["hint: with restart = { when = \"on_failure\", hang_s = 5 }"]);
-    let made = ended.stage("source").messages;
-    assert!(playground.sequences("tracks.jsonl").into_iter().eq(0..made), "nothing is lost meanwhile");
+    playground.expect_each_frame(&ended);
 }
 
 #[test]
@@ -184,8 +183,7 @@ fn a_program_that_loads_for_long_is_named_and_loses_nothing() {
     run.wait_for_text("stage `faulty` has joined the run, ");
     wait_for_frame(&mut run, &playground, 20);
     let ended = run.end();
-    let made = ended.stage("source").messages;
-    assert!(playground.sequences("tracks.jsonl").into_iter().eq(0..made), "{}", ended.stderr);
+    playground.expect_each_frame(&ended);
 }
 
 /// `uv run` does so, too.

@@ -2,16 +2,11 @@
 //! results are those of a run in which nobody was killed.
 
 use crate::bridge::tracks;
-use crate::processes::{UNDER_WAY, stages_of};
+use crate::processes::{UNDER_WAY, at_work, stages_of};
 use crate::programs::program;
 use crate::support::{Ended, Playground, RECORDING, Started, TRACKING, TRACKING_TOPICS, signal};
 use conicflow_lab::simulator::scene::Scene;
 use rustix::process::Signal;
-
-/// A run at this rate, until it is told to end.
-fn start(playground: &Playground, rate_hz: u64) -> Started {
-    playground.start(&["run", "--set", &format!("source.rate_hz={rate_hz}")])
-}
 
 /// Ends a run in order: what was made is delivered. How many frames were made, too.
 fn end(run: Started) -> (Ended, u64) {
@@ -49,8 +44,7 @@ fn a_stage_that_is_killed_again_and_again_loses_nothing() {
     // What the assembler remembers of earlier frames would be gone with it.
     let forgetful =
         TRACKING.replacen("\"object_assembler\"", "\"object_assembler\"\npooled = { contour_memory = 0 }", 1);
-    let playground = Playground::with_pipeline(&forgetful);
-    let mut run = start(&playground, 100);
+    let (playground, mut run) = at_work(&forgetful, 100);
     kill_in_turn(&mut run, &["assembler"; 4], || playground.newest("tracks.jsonl"));
     let (ended, made) = end(run);
     expect_nothing_lost(&ended, made);
@@ -65,19 +59,16 @@ fn a_stage_that_is_killed_again_and_again_loses_nothing() {
 
 #[test]
 fn a_sink_and_stages_with_a_memory_get_each_frame_once() {
-    let playground = Playground::with_pipeline(TRACKING);
-    let mut run = start(&playground, 100);
+    let (playground, mut run) = at_work(TRACKING, 100);
     let stages = ["json", "tracker", "extractor", "json", "json"];
     kill_in_turn(&mut run, &stages, || playground.newest("tracks.jsonl"));
-    let (ended, made) = end(run);
-    expect_nothing_lost(&ended, made);
-    assert!(playground.sequences("tracks.jsonl").into_iter().eq(0..made), "{}", ended.stderr);
+    let ended = run.end();
+    expect_nothing_lost(&ended, playground.expect_each_frame(&ended));
 }
 
 #[test]
 fn what_waits_for_a_stage_that_stands_still_outlives_it_and_the_end_of_the_stream() {
-    let playground = Playground::with_pipeline(TRACKING);
-    let mut run = start(&playground, 40);
+    let (playground, mut run) = at_work(TRACKING, 40);
     run.wait_until("it delivers", || playground.newest("tracks.jsonl") > 20);
     // Once with full queues before it, ...
     let launcher = run.id();
@@ -95,16 +86,13 @@ fn what_waits_for_a_stage_that_stands_still_outlives_it_and_the_end_of_the_strea
     std::thread::sleep(std::time::Duration::from_millis(700));
     signal(before, Signal::KILL);
     let ended = run.wait().expect_code(0);
-    let made = ended.stage("source").messages;
-    expect_nothing_lost(&ended, made);
+    expect_nothing_lost(&ended, playground.expect_each_frame(&ended));
     assert_eq!(ended.stage("assembler").starts, 3, "{}", ended.stderr);
-    assert!(playground.sequences("tracks.jsonl").into_iter().eq(0..made), "{}", ended.stderr);
 }
 
 #[test]
 fn a_stage_that_is_killed_while_the_run_ends_in_order_still_delivers() {
-    let playground = Playground::with_pipeline(TRACKING);
-    let mut run = start(&playground, 100);
+    let (playground, mut run) = at_work(TRACKING, 100);
     run.wait_until("it delivers", || playground.newest("tracks.jsonl") > 20);
     let tracker = stages_of(run.id())["tracker"];
     signal(tracker, Signal::STOP);
@@ -112,8 +100,7 @@ fn a_stage_that_is_killed_while_the_run_ends_in_order_still_delivers() {
     std::thread::sleep(std::time::Duration::from_millis(300));
     signal(tracker, Signal::KILL);
     let ended = run.wait().expect_code(0);
-    let made = ended.stage("source").messages;
-    assert!(playground.sequences("tracks.jsonl").into_iter().eq(0..made), "{}", ended.stderr);
+    playground.expect_each_frame(&ended);
     assert_eq!(ended.stage("tracker").starts, 2, "{}", ended.stderr);
 }
 
@@ -126,8 +113,7 @@ fn side_inputs_come_again_with_their_frame() {
         "\n[stage.pairing]\nprogram = {pairing}\npath = \"pairs.txt\"\ndelay_ms = 5\n\
          input = {{ topic = \"objects\", delivery = \"lossless\" }}\ninputs = {{ {inputs} }}\n"
     );
-    let playground = Playground::with_pipeline(&format!("{TRACKING}{sink}"));
-    let mut run = start(&playground, 100);
+    let (playground, mut run) = at_work(&format!("{TRACKING}{sink}"), 100);
     // Both sinks have to get so far.
     let newest = || {
         let last = playground.lines("pairs.txt").pop();

@@ -151,12 +151,9 @@ fn kill_each_stage(delivery: &str) {
     }
     let sequences = playground.sequences("tracks.jsonl");
     assert!(sequences.is_sorted(), "frames went back: {sequences:?}");
-    let made = ended.stage("source").messages;
-    assert!(
-        delivery == "latest" || sequences.iter().copied().eq(0..made),
-        "of {made}: {sequences:?}: {}",
-        ended.stderr
-    );
+    if delivery == "lossless" {
+        playground.expect_each_frame(&ended);
+    }
 }
 
 #[test]
@@ -196,8 +193,7 @@ fn interrupt_and_terminate_end_a_run_in_order() {
         signal(run.id(), end);
         let ended = run.wait().expect_code(0);
         assert_eq!(ended.stages(), TRACKING_STAGES, "{end:?}");
-        let made = ended.stage("source").messages;
-        assert!(playground.sequences("tracks.jsonl").into_iter().eq(0..made), "{end:?}: what was made is delivered");
+        assert!(playground.expect_each_frame(&ended) > 0, "{end:?}");
         expect_nothing_lives(&playground);
     }
 }

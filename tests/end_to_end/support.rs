@@ -201,6 +201,13 @@ impl Playground {
         last.map_or(0, |line| serde_json::from_str::<Json>(line).unwrap()["sequence"].as_u64().unwrap())
     }
 
+    /// Makes sure that `tracks.jsonl` has each frame that the source of a run has made once, in order; how many these are.
+    pub fn expect_each_frame(&self, ended: &Ended) -> u64 {
+        let (made, sequences) = (ended.stage("source").messages, self.sequences("tracks.jsonl"));
+        assert!(sequences.iter().copied().eq(0..made), "not each of {made}: {sequences:?}: {}", ended.stderr);
+        made
+    }
+
     /// What `top --once` shows of the only pipeline.
     pub fn top(&self) -> Json {
         let look = self.conicflow(&["top", "--once"]).expect_code(0);

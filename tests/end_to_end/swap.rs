@@ -31,9 +31,7 @@ fn a_lossless_pipeline_loses_nothing_when_each_of_its_stages_is_replaced() {
         swap(&playground, &mut run, &[stage]);
     }
     let ended = run.end();
-    let made = ended.stage("source").messages;
-    let sequences = playground.sequences("tracks.jsonl");
-    assert!(sequences.iter().copied().eq(0..made), "{sequences:?} of {made}: {}", ended.stderr);
+    let made = playground.expect_each_frame(&ended);
     for (topic, _, reader) in TRACKING_TOPICS {
         ended.expect_all(topic, reader, made);
         assert_eq!(ended.stage(reader).starts, 3, "{}", ended.stderr);
@@ -116,8 +114,7 @@ fn what_does_not_validate_or_cannot_start_leaves_the_stage_at_work() {
         );
     }
     let ended = run.end();
-    let made = ended.stage("source").messages;
-    assert!(playground.sequences("tracks.jsonl").into_iter().eq(0..made), "{}", ended.stderr);
+    playground.expect_each_frame(&ended);
     assert_eq!(ended.stage("json").starts, 1);
 }
 
@@ -128,8 +125,7 @@ fn a_source_that_cannot_begin_gives_its_place_back() {
     let refused = playground.conicflow(&["swap", "source", "--node", "image_source", "--set", "path=frames/"]);
     assert!(refused.expect_code(2).stderr.contains("the old one comes back"));
     wait_for_lines(&mut run, &playground);
-    let made = run.end().stage("source").messages;
-    assert!(playground.sequences("tracks.jsonl").into_iter().eq(0..made));
+    playground.expect_each_frame(&run.end());
 }
 
 #[test]
