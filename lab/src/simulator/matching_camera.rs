@@ -170,25 +170,21 @@ impl Default for StructuredLight {
 impl From<StructuredLight> for Stereo {
     /// The projector in place of the second eye, which sees what the first one has stored.
     fn from(table: StructuredLight) -> Self {
-        let StructuredLight { baseline_m, window_px, smoothing_px, steps_per_px, dots_per_px, dot_sigma_px, .. } =
-            table;
-        let StructuredLight { image_noise, uniqueness, smallest_region_px, bend_px, bend_length_px, .. } = table;
-        let StructuredLight { min_range_m, max_range_m, .. } = table;
         Self {
-            baseline_m,
-            projector_m: baseline_m,
-            window_px,
-            smoothing_px,
-            steps_per_px,
-            dots_per_px,
-            dot_sigma_px,
-            image_noise,
-            uniqueness,
-            smallest_region_px,
-            bend_px,
-            bend_length_px,
-            min_range_m,
-            max_range_m,
+            baseline_m: table.baseline_m,
+            projector_m: table.baseline_m,
+            window_px: table.window_px,
+            smoothing_px: table.smoothing_px,
+            steps_per_px: table.steps_per_px,
+            dots_per_px: table.dots_per_px,
+            dot_sigma_px: table.dot_sigma_px,
+            image_noise: table.image_noise,
+            uniqueness: table.uniqueness,
+            smallest_region_px: table.smallest_region_px,
+            bend_px: table.bend_px,
+            bend_length_px: table.bend_length_px,
+            min_range_m: table.min_range_m,
+            max_range_m: table.max_range_m,
             ..Self::default()
         }
     }
