@@ -2,6 +2,7 @@
 
 use crate::simulator::SyntheticCamera;
 use crate::simulator::scene::{Body, Scene};
+use crate::simulator::sensor::SensorConfig;
 use crate::simulator::shapes::{Block, Frustum, Plane, Shape, Sphere};
 use conicflow_detection::noise::{NoiseCoefficients, NoiseConfig};
 use conicflow_geometry::Vector3;
@@ -53,11 +54,15 @@ pub fn scene_of(bodies: &[Shape]) -> Scene {
     Scene::still("test".into(), bodies.collect(), Vector3::zeros(), Vector3::z(), -Vector3::y())
 }
 
+/// A sensor with this noise and no other fault.
+pub fn sensor_of(noise: NoiseModel) -> SensorConfig {
+    let NoiseModel { floor_m, growth_per_m, knee_m, step_per_m } = noise;
+    NoiseConfig::Coefficients(NoiseCoefficients { floor_m, growth_per_m, knee_m, step_per_m }).into()
+}
+
 /// A depth image of `bodies` with the noise of `noise`, in steps of 0.1 mm.
 pub fn render(camera: Camera, noise: NoiseModel, bodies: &[Shape], seed: u64) -> (Header, Vec<u16>) {
-    let NoiseModel { floor_m, growth_per_m, knee_m, step_per_m } = noise;
-    let noise = NoiseConfig::Coefficients(NoiseCoefficients { floor_m, growth_per_m, knee_m, step_per_m });
-    let mut camera = SyntheticCamera::new(scene_of(bodies), camera, noise.into(), 1e-4, 30.0, seed);
+    let mut camera = SyntheticCamera::new(scene_of(bodies), camera, sensor_of(noise), 1e-4, 30.0, seed);
     let size = camera.raster().camera;
     let mut pixels = vec![0; size.width as usize * size.height as usize];
     camera.shoot(0, &mut pixels);

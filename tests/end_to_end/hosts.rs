@@ -244,10 +244,6 @@ fn lossless_edges_lose_nothing_to_a_slow_cable_that_drops_packets() {
     nothing_is_lost(&hosts, |_| {});
 }
 
-fn base_lines(base: &Playground) -> usize {
-    base.lines("tracks.jsonl").len()
-}
-
 #[test]
 fn a_slow_cable_full_of_images_is_not_felt_on_the_robot() {
     let Some(hosts) = Hosts::new() else { return };
@@ -291,7 +287,7 @@ path    = "tracks.jsonl"
     );
     let machines = machines(&text);
     let mut runs = hosts.start_both(&machines);
-    runs[1].wait_until("images arrive", || base_lines(&machines[1]) > 120);
+    runs[1].wait_until("images arrive", || machines[1].lines("tracks.jsonl").len() > 120);
     let [robot, base] = runs.map(Started::end);
     // A queue on the cable would grow all the time, and what comes in the second half be stale.
     let stale = stale_lines(&machines[1].json_lines("tracks.jsonl")[5..]);

@@ -8,12 +8,8 @@ use rustix::process::Signal;
 use std::os::unix::fs::PermissionsExt;
 use zenoh::Wait;
 
-/// A Zenoh session of somebody who connects to an endpoint.
-fn intruder(endpoint: &str) -> zenoh::Session {
-    intruder_of(&[endpoint])
-}
-
-fn intruder_of(endpoints: &[&str]) -> zenoh::Session {
+/// A Zenoh session of somebody who connects to these endpoints.
+fn intruder(endpoints: &[&str]) -> zenoh::Session {
     session("peer", &[("connect/endpoints", &format!("{endpoints:?}"))])
 }
 
@@ -30,7 +26,7 @@ fn a_flood_of_garbage_is_counted_and_does_no_harm() {
     let [robot, base] = live(&endpoint);
     let (robot_run, mut base_run) = (start(&robot, "robot"), start(&base, "base"));
     base_run.wait_until("tracks arrive", || newest(&base) > 20);
-    let session = intruder(&endpoint);
+    let session = intruder(&[&endpoint]);
     let before = newest(&base);
     let mut noise = 0x9e37_79b9_u32;
     base_run.wait_until("tracks go on in the flood", || {
@@ -57,7 +53,7 @@ fn a_machine_of_another_version_is_refused_by_name_and_numbers() {
     let [_, base] = live(&endpoint);
     let mut base_run = start(&base, "base");
     base_run.wait_until("its port is open", || std::net::TcpStream::connect(&endpoint[4..]).is_ok());
-    let session = intruder(&endpoint);
+    let session = intruder(&[&endpoint]);
     let expected =
         format!("refused machine `robot`: the other machine speaks version 99 of the wire, this one {WIRE_VERSION}");
     wait_until("it is refused", || {
@@ -86,7 +82,7 @@ fn both_listening() -> ([Playground; 2], zenoh::Session, [Started; 2]) {
     let machines = machines(&bridge::live(&apart(&robot, &robot)).replace("[machine.base]\n", &listening));
     let mut runs = [start(&machines[0], "robot"), start(&machines[1], "base")];
     runs[1].wait_until("tracks arrive", || newest(&machines[1]) > 20);
-    (machines, intruder_of(&[&robot, &base]), runs)
+    (machines, intruder(&[&robot, &base]), runs)
 }
 
 /// So many messages, and as many heartbeats, of the robot, as they go over the link.

@@ -330,7 +330,7 @@ impl fmt::Display for Planes {
 mod tests {
     use super::*;
     use crate::simulator::scene::Scene;
-    use crate::simulator::sensor::SensorConfig;
+    use crate::simulator::sensor::{SensorConfig, SensorTable};
     use crate::simulator::simulated_sensor::{SensorKind, SimulatedSensor};
     use crate::simulator::{SimulatorParameters, SyntheticCamera};
     use conicflow_messages::Camera;
@@ -387,17 +387,12 @@ normal = [0.2, -1, 0.5]
         SyntheticCamera::new(Scene::parse(scene, "test").unwrap(), camera, noise, 1e-4, 30.0, 5)
     }
 
-    #[derive(serde::Deserialize)]
-    struct Stage {
-        noise: SensorConfig,
-    }
-
     /// Windows of five pixels overlap by 4, 3, 1 and none at lags of 1, 2, 4 and 8 pixels.
     #[test]
     fn noise_of_a_window_has_its_sigma_and_its_autocorrelation() {
-        let text =
-            "noise = { floor_m = 0.002, growth_per_m = 0, step_per_m = 0, edge_jitter_px = 0, noise_window_px = 5 }";
-        let noise = toml::from_str::<Stage>(text).unwrap().noise;
+        let (floor_m, noise_window_px) = (0.002, 5);
+        let alone = SensorTable { growth_per_m: 0.0, step_per_m: 0.0, edge_jitter_px: 0.0, ..SensorTable::default() };
+        let noise = SensorConfig::Table(SensorTable { floor_m, noise_window_px, ..alone });
         let planes = planes(&mut before(TABLE, noise), 2, false);
         assert!((150..=2 * 13 * 18).contains(&planes.windows.len()), "{}", planes.windows.len());
         let sigma = typical(&planes.windows, |_, covariances| covariances[0][0].sqrt());

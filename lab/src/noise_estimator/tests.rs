@@ -1,4 +1,5 @@
 use super::*;
+use crate::rendered::sensor_of;
 use crate::simulator::scene::Scene;
 use crate::simulator::sensor::SensorConfig;
 use crate::simulator::{SimulatorParameters, SyntheticCamera};
@@ -33,18 +34,8 @@ point = [0, 2, 0]
 normal = [0.1, -1, 0.1]
 ";
 
-fn estimate(scene: &str, sensor: SensorConfig, depth_scale: f64, frames: u64, recorded: Recorded) -> NoiseEstimate {
-    estimate_scaled(scene, sensor, &[depth_scale], frames, recorded)
-}
-
 /// Of frames that have these scales in turn.
-fn estimate_scaled(
-    scene: &str,
-    sensor: SensorConfig,
-    scales: &[f64],
-    frames: u64,
-    recorded: Recorded,
-) -> NoiseEstimate {
+fn estimate(scene: &str, sensor: SensorConfig, scales: &[f64], frames: u64, recorded: Recorded) -> NoiseEstimate {
     let config = SimulatorParameters { width: 160, height: 120, ..SimulatorParameters::default() };
     let scene = Scene::parse(scene, "test").unwrap();
     let camera = |scale: &f64| SyntheticCamera::new(scene.clone(), config.camera(), sensor, *scale, 30.0, 5);
@@ -70,7 +61,7 @@ fn worst(estimate: &NoiseEstimate, truth: &NoiseModel) -> f64 {
 
 #[test]
 fn a_static_scene_tells_the_noise_of_a_kinect() {
-    let estimate = estimate(FLOOR, SensorConfig::default(), 0.001, 40, Recorded::StaticScene);
+    let estimate = estimate(FLOOR, SensorConfig::default(), &[0.001], 40, Recorded::StaticScene);
     let truth = NoiseModel::KINECT_V1;
     assert!(estimate.grows && estimate.seen.last().unwrap().depth > 3.0, "{estimate}");
     assert!((estimate.model.step_per_m / truth.step_per_m - 1.0).abs() < 0.01, "{estimate}");
@@ -81,7 +72,7 @@ fn a_static_scene_tells_the_noise_of_a_kinect() {
 #[test]
 fn frames_of_several_scales_tell_it_as_well() {
     for (recorded, frames, limit) in [(Recorded::StaticScene, 40, 0.06), (Recorded::FlatWall, 6, 0.1)] {
-        let estimate = estimate_scaled(FLOOR, SensorConfig::default(), &[0.0001, 0.00025], frames, recorded);
+        let estimate = estimate(FLOOR, SensorConfig::default(), &[0.0001, 0.00025], frames, recorded);
         let truth = NoiseModel::KINECT_V1;
         assert!((estimate.model.step_per_m / truth.step_per_m - 1.0).abs() < 0.01, "{estimate}");
         assert!(worst(&estimate, &truth) < limit, "{estimate}");
@@ -90,18 +81,14 @@ fn frames_of_several_scales_tell_it_as_well() {
 
 #[test]
 fn flat_walls_tell_it_from_a_few_frames() {
-    let estimate = estimate(FLOOR, SensorConfig::default(), 0.001, 6, Recorded::FlatWall);
+    let estimate = estimate(FLOOR, SensorConfig::default(), &[0.001], 6, Recorded::FlatWall);
     assert!(worst(&estimate, &NoiseModel::KINECT_V1) < 0.1, "{estimate}");
 }
 
 #[test]
 fn stereo_and_time_of_flight_have_no_steps() {
     for truth in [REALSENSE_D435, TIME_OF_FLIGHT] {
-        let NoiseModel { floor_m, growth_per_m, knee_m, step_per_m } = truth;
-        let text = format!(
-            "noise = {{ floor_m = {floor_m}, growth_per_m = {growth_per_m}, knee_m = {knee_m}, step_per_m = {step_per_m} }}"
-        );
-        let estimate = estimate(FLOOR, sensor(&text), 0.0001, 40, Recorded::StaticScene);
+        let estimate = estimate(FLOOR, sensor_of(truth), &[0.0001], 40, Recorded::StaticScene);
         assert_eq!(estimate.model.step_per_m, 0.0);
         assert!(worst(&estimate, &truth) < 0.05, "{estimate}");
     }
@@ -112,20 +99,16 @@ struct Stage {
     noise: NoiseConfig,
 }
 
-fn sensor(text: &str) -> SensorConfig {
-    toml::from_str::<Stage>(text).unwrap().noise.into()
-}
-
 #[test]
 fn the_line_that_is_printed_is_understood_by_a_source() {
-    let estimate = estimate(FLOOR, SensorConfig::default(), 0.001, 25, Recorded::StaticScene);
+    let estimate = estimate(FLOOR, SensorConfig::default(), &[0.001], 25, Recorded::StaticScene);
     let model: NoiseModel = toml::from_str::<Stage>(&estimate.to_string()).unwrap().noise.into();
     assert!((model.sigma(2.0) / estimate.model.sigma(2.0) - 1.0).abs() < 1e-3);
 }
 
 #[test]
 fn one_distance_tells_no_growth() {
-    let estimate = estimate(WALL, SensorConfig::default(), 0.001, 30, Recorded::StaticScene);
+    let estimate = estimate(WALL, SensorConfig::default(), &[0.001], 30, Recorded::StaticScene);
     assert!(!estimate.grows && estimate.model.growth_per_m == 0.0);
     assert!(estimate.to_string().contains("too much alike"));
     assert!((estimate.model.sigma(2.0) / NoiseModel::KINECT_V1.sigma(2.0) - 1.0).abs() < 0.05, "{estimate}");

@@ -2,17 +2,13 @@
 
 use super::*;
 use crate::rendered::{KINECT_HALF, cylinder, plane, render};
-use crate::simulator::shapes::Shape;
 use conicflow_geometry::Vector3;
 use conicflow_messages::{Item, NoiseModel};
 
-fn upright(x: f64, z: f64, radius: f64) -> Shape {
-    cylinder(Vector3::new(x, 0.0, z), Vector3::y(), radius, 0.5)
-}
-
 fn scene() -> (Header, Vec<u16>) {
     let wall = plane(Vector3::z(), 3.0);
-    render(KINECT_HALF, NoiseModel::KINECT_V1, &[upright(0.1, 1.2, 0.2), wall], 3)
+    let upright = cylinder(Vector3::new(0.1, 0.0, 1.2), Vector3::y(), 0.2, 0.5);
+    render(KINECT_HALF, NoiseModel::KINECT_V1, &[upright, wall], 3)
 }
 
 fn extract(config: &RansacParameters, (header, pixels): &(Header, Vec<u16>)) -> Vec<Ellipse> {

@@ -156,10 +156,6 @@ fn cylinder(x: f64, radius: f64) -> Object {
     Object { kind, center: [x, 0.02, 1.0], axis, radius, length: 0.1, ..Object::default() }
 }
 
-fn recording() -> Evaluation {
-    recording_of(TRUTH)
-}
-
 fn recording_of(truth: &str) -> Evaluation {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("truth.json");
@@ -169,7 +165,7 @@ fn recording_of(truth: &str) -> Evaluation {
 
 #[test]
 fn found_off_and_unlisted_are_told_apart() {
-    let mut evaluation = recording();
+    let mut evaluation = recording_of(TRUTH);
     let answers = answers(&[cylinder(0.001, 0.051), cylinder(0.3, 0.097), cylinder(-0.5, 0.04)]);
     let frame = evaluation.add(&header("a.pcd"), &answers).unwrap().unwrap();
     let missed: Vec<_> = frame.missed().map(|truth| truth.name.as_str()).collect();
@@ -228,7 +224,7 @@ fn a_miss_in_a_box_is_a_miss() {
 
 #[test]
 fn a_truth_file_of_other_frames_is_told() {
-    let mut evaluation = recording();
+    let mut evaluation = recording_of(TRUTH);
     assert!(evaluation.report().is_ok(), "no frame came");
     evaluation.add(&header("0001.png"), &[]).unwrap();
     let error = evaluation.report().unwrap_err().to_string();
@@ -239,7 +235,7 @@ fn a_truth_file_of_other_frames_is_told() {
 
 #[test]
 fn the_radii_of_an_object_are_summed_up_from_three_frames_on() {
-    let mut evaluation = recording();
+    let mut evaluation = recording_of(TRUTH);
     for (radius, told) in [(0.049, None), (0.050, None), (0.051, Some("tin: radius 50.0 +- 1.0 mm in 3 frames"))] {
         evaluation.add(&header("a.pcd"), &answers(&[cylinder(0.0, radius)])).unwrap();
         let report = evaluation.report().unwrap();

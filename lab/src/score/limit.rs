@@ -269,10 +269,6 @@ mod tests {
         length = 0.2
     "#;
 
-    fn limit() -> (Limit, Header) {
-        limit_of(SCENE)
-    }
-
     fn limit_of(scene: &str) -> (Limit, Header) {
         let scene = Some(SceneTemplate::new(scene.into(), "test".into()));
         let truth = RenderedTruth { scene, ..RenderedTruth::default() };
@@ -286,7 +282,7 @@ mod tests {
     /// that claim to scatter twice as much.
     #[test]
     fn scatter_bias_and_sigma_are_those_of_the_answers() {
-        let (mut limit, header) = limit();
+        let (mut limit, header) = limit_of(SCENE);
         limit.look(&header).unwrap();
         let truth = limit.objects.remove(0).truth.body;
         assert!(limit.objects.is_empty(), "a wall is no object");
@@ -378,7 +374,7 @@ mod tests {
 
     #[test]
     fn too_few_answers_tell_no_scatter() {
-        let (mut limit, header) = limit();
+        let (mut limit, header) = limit_of(SCENE);
         limit.look(&header).unwrap();
         let truth = limit.objects.remove(0).truth.body.answer().unwrap();
         for number in 0..FEWEST {
