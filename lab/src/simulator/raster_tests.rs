@@ -1,17 +1,15 @@
 use super::super::scene::Scene;
 use super::super::scene_file::BUILT_IN;
-use super::super::shapes::{Plane, Sphere};
 use super::*;
+use crate::rendered::{plane, sphere};
+use crate::simulator::SimulatorParameters;
 
 fn camera(width: u32, height: u32) -> Camera {
-    let focal = 525.0 * f64::from(width) / 640.0;
-    let middle = |size: u32| 0.5 * (f64::from(size) - 1.0);
-    Camera { width, height, fx: focal, fy: focal, cx: middle(width), cy: middle(height) }
+    SimulatorParameters { width, height, ..SimulatorParameters::default() }.camera()
 }
 
 fn wall(z: f64) -> Shape {
-    let (point, normal) = (Vector3::new(0.3, 0.2, z), -Vector3::z());
-    Shape::Plane(Plane { point, normal, sides: [Vector3::x(), Vector3::y()], half: [f64::INFINITY; 2] })
+    plane(Vector3::z(), z)
 }
 
 #[test]
@@ -23,7 +21,7 @@ fn depth_is_along_the_optical_axis() {
 
 #[test]
 fn the_nearest_surface_is_seen_whatever_the_order() {
-    let ball = Shape::Sphere(Sphere { center: Vector3::new(0.0, 0.0, 1.5), radius: 0.2 });
+    let ball = sphere(Vector3::new(0.0, 0.0, 1.5), 0.2);
     let [one, other] = [[ball, wall(2.0)], [wall(2.0), ball]].map(|shapes| Raster::of(camera(64, 48), &shapes));
     assert_eq!(one.depth, other.depth);
     let (seen, hidden) = (one.owner.iter().filter(|&&owner| owner == 0).count(), one.alone[1] as usize);
@@ -58,8 +56,8 @@ fn windows_cut_nothing_off() {
 
 #[test]
 fn what_surrounds_the_camera_or_lies_behind_it_is_rendered_rightly() {
-    let around = Shape::Sphere(Sphere { center: Vector3::new(0.1, 0.0, 0.0), radius: 1.0 });
-    let behind = Shape::Sphere(Sphere { center: Vector3::new(0.0, 0.0, -2.0), radius: 1.0 });
+    let around = sphere(Vector3::new(0.1, 0.0, 0.0), 1.0);
+    let behind = sphere(Vector3::new(0.0, 0.0, -2.0), 1.0);
     let raster = Raster::of(camera(64, 48), &[around, behind]);
     assert!(raster.owner.iter().all(|&owner| owner == 0));
     let distance = |u, v| (raster.point(u, v) - Vector3::new(0.1, 0.0, 0.0)).norm();

@@ -1,7 +1,7 @@
 use super::super::random_scene::{SceneGroup, random_scene};
 use super::super::scene::Scene;
-use super::super::shapes::{Plane, Sphere};
 use super::*;
+use crate::rendered::{plane, sphere};
 
 const CAMERA: Camera = Camera { width: 320, height: 240, fx: 262.5, fy: 262.5, cx: 159.5, cy: 119.5 };
 /// A tenth of a millimetre, so that the pixels' rounding is far below the noise.
@@ -9,12 +9,11 @@ const FINE: f64 = 1e-4;
 
 /// A plane through (0, 0, z), turned about the camera's x axis.
 fn wall(z: f64, tilt: f64) -> Shape {
-    let (point, normal) = (Vector3::new(0.0, 0.0, z), Vector3::new(0.0, tilt.sin(), -tilt.cos()));
-    Shape::Plane(Plane { point, normal, sides: [Vector3::x(), normal.cross(&Vector3::x())], half: [f64::INFINITY; 2] })
+    plane(Vector3::new(0.0, tilt.sin(), -tilt.cos()), -tilt.cos() * z)
 }
 
 fn ball() -> Shape {
-    Shape::Sphere(Sphere { center: Vector3::new(0.0, 0.0, 1.2), radius: 0.3 })
+    sphere(Vector3::new(0.0, 0.0, 1.2), 0.3)
 }
 
 fn measure(config: SensorConfig, shapes: &[Shape], dice: CounterRng) -> (Raster, Vec<u16>) {

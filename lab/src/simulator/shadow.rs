@@ -63,16 +63,15 @@ fn turned_away(shape: &Shape, point: &Vector3<f64>, projector: &Vector3<f64>) ->
 
 #[cfg(test)]
 mod tests {
-    use super::super::shapes::{Plane, Sphere};
+    use super::super::shapes::Plane;
     use super::*;
+    use crate::rendered::{plane, sphere};
     use conicflow_messages::Camera;
 
     const CAMERA: Camera = Camera { width: 320, height: 240, fx: 262.5, fy: 262.5, cx: 159.5, cy: 119.5 };
 
     fn wall(z: f64) -> Shape {
-        let sides = [Vector3::x(), Vector3::y()];
-        let (point, normal) = (Vector3::new(0.0, 0.0, z), -Vector3::z());
-        Shape::Plane(Plane { point, normal, sides, half: [f64::INFINITY; 2] })
+        plane(Vector3::z(), z)
     }
 
     fn screen(z: f64, half_width: f64) -> Shape {
@@ -119,7 +118,7 @@ mod tests {
 
     #[test]
     fn the_side_of_a_ball_that_the_projector_does_not_see_is_dark() {
-        let shapes = [Shape::Sphere(Sphere { center: Vector3::new(0.0, 0.0, 1.0), radius: 0.2 })];
+        let shapes = [sphere(Vector3::new(0.0, 0.0, 1.0), 0.2)];
         let (first, last) = dark_span(&shapes, 0.075).unwrap();
         assert!(last < 160 - 45, "only at the left rim: {first} to {last}");
     }

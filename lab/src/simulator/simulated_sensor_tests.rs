@@ -1,6 +1,7 @@
 use super::super::shapes::{Frustum, Plane};
 use super::*;
 use crate::quantile::median;
+use crate::rendered::plane;
 use nalgebra::Vector3;
 
 const CAMERA: Camera = Camera { width: 320, height: 160, fx: 525.0, fy: 525.0, cx: 159.5, cy: 79.5 };
@@ -127,11 +128,7 @@ fn pixels_of_time_of_flight_fly_between_two_surfaces() {
 
 #[test]
 fn too_little_light_comes_back_from_what_is_seen_at_a_flat_angle() {
-    let steep = |tilt: f64| {
-        let normal = Vector3::new(0.0, libm::sin(tilt), -libm::cos(tilt));
-        let sides = [Vector3::x(), normal.cross(&Vector3::x())];
-        Shape::Plane(Plane { point: Vector3::new(0.0, 0.0, 1.0), normal, sides, half: [f64::INFINITY; 2] })
-    };
+    let steep = |tilt: f64| plane(Vector3::new(0.0, libm::sin(tilt), -libm::cos(tilt)), -libm::cos(tilt));
     let middle = |tilt: f64| shot(TIME_OF_FLIGHT, &[steep(tilt)], 1, 1)[80 * 320 + 160];
     assert!((middle(1.2) - 1.0).abs() < 0.02 && middle(1.5) == 0.0);
 }
