@@ -62,11 +62,5 @@ pub fn sensor_of(noise: NoiseModel) -> SensorConfig {
 
 /// A depth image of `bodies` with the noise of `noise`, in steps of 0.1 mm.
 pub fn render(camera: Camera, noise: NoiseModel, bodies: &[Shape], seed: u64) -> (Header, Vec<u16>) {
-    let mut camera = SyntheticCamera::new(scene_of(bodies), camera, sensor_of(noise), 1e-4, 30.0, seed);
-    let size = camera.raster().camera;
-    let mut pixels = vec![0; size.width as usize * size.height as usize];
-    camera.shoot(0, &mut pixels);
-    let mut header = Header::default();
-    camera.describe(&mut header);
-    (header, pixels)
+    SyntheticCamera::new(scene_of(bodies), camera, sensor_of(noise), 1e-4, 30.0, seed).frame(0)
 }

@@ -147,11 +147,9 @@ impl Playground {
         let config = SimulatorParameters { width: 320, height: 240, ..SimulatorParameters::default() };
         let camera = config.camera();
         let mut synthetic = SyntheticCamera::new(scene, camera, config.noise, 0.001, 30.0, seed);
-        let mut depths = vec![0; 320 * 240];
         fs::create_dir(self.path("frames")).unwrap();
         for number in 0..frames {
-            synthetic.shoot(number, &mut depths);
-            self.write_depth_png(&format!("frames/{number}.png"), 320, &depths);
+            self.write_depth_png(&format!("frames/{number}.png"), 320, &synthetic.frame(number).1);
         }
         camera
     }

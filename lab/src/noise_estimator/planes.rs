@@ -373,10 +373,8 @@ normal = [0.2, -1, 0.5]
 
     fn planes(camera: &mut SyntheticCamera, frames: u64, still: bool) -> Planes {
         let mut planes = Planes::default();
-        let (mut header, mut pixels) = (Header::default(), vec![0; 640 * 480]);
         for number in 0..frames {
-            camera.shoot(number, &mut pixels);
-            camera.describe(&mut header);
+            let (header, pixels) = camera.frame(number);
             planes.add(&header, &pixels, still);
         }
         planes

@@ -42,11 +42,8 @@ fn estimate(scene: &str, sensor: SensorConfig, scales: &[f64], frames: u64, reco
     let mut cameras: Vec<_> = scales.iter().map(camera).collect();
     let mut estimator =
         NoiseEstimator::with(NoiseEstimatorParameters { recorded, ..NoiseEstimatorParameters::default() });
-    let (mut header, mut pixels) = (Header::default(), vec![0; 160 * 120]);
     for number in 0..frames {
-        let camera = &mut cameras[number as usize % scales.len()];
-        camera.shoot(number, &mut pixels);
-        camera.describe(&mut header);
+        let (header, pixels) = cameras[number as usize % scales.len()].frame(number);
         estimator.add(&header, &pixels).unwrap();
     }
     estimator.estimate().unwrap()

@@ -134,6 +134,15 @@ impl SyntheticCamera {
         self.see_through_glass(pixels);
     }
 
+    /// Takes frame `number`: what its header tells, and its pixels.
+    pub fn frame(&mut self, number: u64) -> (Header, Vec<u16>) {
+        let Camera { width, height, .. } = self.raster.camera;
+        let (mut header, mut pixels) = (Header::default(), vec![0; width as usize * height as usize]);
+        self.shoot(number, &mut pixels);
+        self.describe(&mut header);
+        (header, pixels)
+    }
+
     /// Glass gives no depth.
     fn see_through_glass(&self, pixels: &mut [u16]) {
         if self.scene.bodies.iter().all(|body| body.role != Role::Glass) {

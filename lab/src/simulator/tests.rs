@@ -10,27 +10,19 @@ fn camera(config: &SimulatorParameters) -> SyntheticCamera {
     SyntheticCamera::new(scene, config.camera(), config.noise, config.depth_scale, 30.0, config.seed)
 }
 
-fn frame(camera: &mut SyntheticCamera, number: u64) -> Vec<u16> {
-    let mut pixels = vec![1; 80 * 60];
-    camera.shoot(number, &mut pixels);
-    pixels
-}
-
 #[test]
 fn a_frame_does_not_depend_on_those_before_it() {
     let (mut steady, mut fresh) = (camera(&small()), camera(&small()));
-    let frames: Vec<_> = (0..12).map(|number| frame(&mut steady, number)).collect();
-    assert_eq!(frame(&mut fresh, 11), frames[11]);
-    assert_eq!(frame(&mut fresh, 4), frames[4]);
-    assert_ne!(frames[4], frames[11]);
+    let frames: Vec<_> = (0..12).map(|number| steady.frame(number)).collect();
+    assert_eq!(fresh.frame(11), frames[11]);
+    assert_eq!(fresh.frame(4), frames[4]);
+    assert_ne!(frames[4].1, frames[11].1);
 }
 
 #[test]
 fn the_header_tells_camera_noise_pose_and_simulated_time() {
     let mut camera = camera(&small());
-    frame(&mut camera, 45);
-    let mut header = Header::default();
-    camera.describe(&mut header);
+    let (mut header, _) = camera.frame(45);
     assert_eq!(header.check(u16::NAME), Ok(()));
     assert_eq!((header.stamp_ns, header.source.as_str()), (1_500_000_000, Some("bouncing_ball")));
     assert_eq!((header.noise, header.depth_scale), (NoiseModel::KINECT_V1, 0.001));
@@ -57,7 +49,7 @@ fn the_default_scene_keeps_its_objects_in_view() {
     let mut camera = camera(&small());
     let mut heights = Vec::new();
     for number in (0..300).step_by(3) {
-        frame(&mut camera, number);
+        camera.frame(number);
         for truth in camera.truth() {
             assert!(truth.hidden < 0.25, "frame {number}: {:.2} of the {} is hidden", truth.hidden, truth.name);
             assert!(truth.name != "ball" || truth.hidden == 0.0, "frame {number}: {:.2}", truth.hidden);

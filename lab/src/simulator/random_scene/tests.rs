@@ -63,13 +63,12 @@ fn cups_are_cones_of_three_to_eight_degrees_and_all_shapes_occur() {
 #[test]
 fn the_usual_scenes_are_the_same_to_the_bit() {
     let mut hash = 0xcbf2_9ce4_8422_2325_u64; // FNV-1a
-    let mut pixels = vec![0; 160 * 120];
     let scenes = RandomScenes { seeds: [0, 1], ..RandomScenes::default() };
     for number in 0..scenes.frames() {
         let scene = random_scene(SceneGroup::Empty, 0);
         let sensor = SensorConfig::default();
         let mut camera = SyntheticCamera::new(scene, CAMERA, sensor, 0.001, 30.0, 0).before(scenes.clone());
-        camera.shoot(number, &mut pixels);
+        let (_, pixels) = camera.frame(number);
         for byte in pixels.iter().flat_map(|pixel| pixel.to_le_bytes()) {
             hash = (hash ^ u64::from(byte)).wrapping_mul(0x100_0000_01b3);
         }
@@ -97,8 +96,7 @@ fn rooms_have_parts_that_nobody_asks_for_and_glass_that_gives_no_depth() {
     let scene = random_scene(SceneGroup::Kitchen, seed);
     let glass: Vec<_> = scene.bodies.iter().map(|body| body.role == Role::Glass).collect();
     let mut camera = SyntheticCamera::new(scene, CAMERA, SensorConfig::Named(NoiseName::Ideal), 0.001, 30.0, 0);
-    let mut pixels = vec![0; 160 * 120];
-    camera.shoot(0, &mut pixels);
+    let (_, pixels) = camera.frame(0);
     let owners = camera.raster().owner.iter().map(|owner| glass.get(usize::from(*owner)).copied().unwrap_or(false));
     let through: Vec<u16> = owners.zip(&pixels).filter(|(glass, _)| *glass).map(|(_, pixel)| *pixel).collect();
     assert!(!through.is_empty() && through.iter().all(|pixel| *pixel == 0));
