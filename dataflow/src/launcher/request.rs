@@ -105,12 +105,20 @@ mod tests {
         assert!(matches!(ask(), Err(SwapError::Over)), "nobody runs");
         folder.take_request().unwrap();
         let _run = folder.lock("test").unwrap();
+        // The processes that other tests start have a copy of the lock until they are other programs.
+        let is_early = |begin: Instant| begin.elapsed() < Duration::from_secs(20);
+        let ask_in_turn = |begin: Instant| loop {
+            match ask() {
+                Err(SwapError::Busy) if is_early(begin) => std::thread::yield_now(),
+                told => break told,
+            }
+        };
         let answered = |outcome: Result<(), String>| {
             std::thread::scope(|scope| {
-                let asks = scope.spawn(ask);
                 let begin = Instant::now();
+                let asks = scope.spawn(move || ask_in_turn(begin));
                 let request = loop {
-                    assert!(begin.elapsed() < Duration::from_secs(20), "nobody asks");
+                    assert!(is_early(begin), "nobody asks");
                     if let Some(request) = folder.take_request() {
                         break request;
                     }
