@@ -65,7 +65,7 @@ pub enum NetworkError {
 }
 
 /// What the bridge of one machine carries.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct BridgePlan {
     /// The machine's name.
     pub machine: String,

@@ -393,18 +393,8 @@ mod tests {
     use super::super::trial_run::plan_of;
     use super::*;
     use crate::node::Host;
-    use crate::pipeline::Machine;
+    use crate::pipeline::tests::{node, variant};
     use conicflow_messages::Object;
-
-    const fn variant(input: &'static str, output: &'static str) -> Variant {
-        Variant { input, output, run: |_, _| Ok(()) }
-    }
-
-    fn row(name: &'static str, variants: &'static [Variant], host: Option<Host>) -> Node {
-        let (check, settle) = (|_, _: &Path| Ok(vec![]), Ok);
-        let (schema, message_length) = (|| Json::Null, |_, _: &Path| None);
-        Node { name, summary: "", variants, side_inputs: || &[], schema, check, message_length, settle, host }
-    }
 
     /// What is done for a stage: what the node makes that is run, the machine whose edges are carried, or the program.
     fn done(runs: Runs, nodes: &[Node], carrier: Option<Carrier>) -> Result<String, String> {
@@ -495,7 +485,7 @@ mod tests {
     fn a_node_is_run_as_its_row_says_for_what_drives_it() {
         const OTHER: &[Variant] = &[variant("depth", "tracks")];
         const OWN: &[Variant] = &[variant("depth", "ellipses"), variant("ellipses", "objects")];
-        let nodes = [row("other", OTHER, None), row("node", OWN, None), row("unfinished", &[], None)];
+        let nodes = [node("other", OTHER), node("node", OWN), node("unfinished", &[])];
         let done =
             |node: &str, input: &str| done(Runs::Node { node: node.to_owned(), input: input.to_owned() }, &nodes, None);
         for (input, output) in [("depth", "ellipses"), ("ellipses", "objects"), ("anything", "ellipses")] {
@@ -510,9 +500,10 @@ mod tests {
     fn a_program_takes_the_place_of_a_node_that_has_a_host_and_of_a_stage_that_is_one() {
         let command = |parameters: &Json, base: &Path| Ok(vec![base.display().to_string(), parameters.to_string()]);
         let refused = |_: &Json, _: &Path| Err(Hinted::new("it is not there", "install it"));
-        let host = |command| Some(Host { command, check: |_, _, _| Ok(()) });
-        let variants = const { &[variant("depth", "tracks")] };
-        let nodes = [row("hosted", variants, host(command)), row("refused", variants, host(refused))];
+        let run_by = |name, command| {
+            node(name, const { &[variant("depth", "tracks")] }).run_by(Host { command, check: |_, _, _| Ok(()) })
+        };
+        let nodes = [run_by("hosted", command), run_by("refused", refused)];
         let node = |node: &str| done(Runs::Node { node: node.to_owned(), input: "depth".to_owned() }, &nodes, None);
         assert_eq!(node("hosted"), Ok("program /base 5".to_owned()));
         assert!(node("refused").unwrap_err().contains("it is not there"));
@@ -523,8 +514,7 @@ mod tests {
     #[test]
     fn edges_are_carried_by_the_network_part_if_there_is_one() {
         let done = |carrier: Option<Carrier>| {
-            let (machine, settings) = ("robot".to_owned(), Machine::default());
-            let plan = BridgePlan { machine, settings, outgoing: Vec::new(), incoming: Vec::new() };
+            let plan = BridgePlan { machine: "robot".to_owned(), ..BridgePlan::default() };
             done(Runs::Bridge(plan.into()), &[], carrier)
         };
         assert_eq!(done(Some(Carrier::Here(|_, _, _| Ok(())))), Ok("bridge of robot".to_owned()));

@@ -149,11 +149,12 @@ fn open_files(stage: &PlannedStage) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pipeline::tests::{node, variant};
     use crate::pipeline::{Pipeline, SourceText};
     use crate::registry::Registry;
-    use crate::stage::{Context, NoConfig, Output, Source, Stage, StageError};
+    use crate::stage::{Context, NoConfig, Output, Source, StageError};
     use crate::{Next, SideInputs};
-    use conicflow_messages::{Item, Message, Nothing};
+    use conicflow_messages::{Item, Nothing};
     use std::path::Path;
 
     const PIXELS: usize = 1_000_000;
@@ -179,29 +180,13 @@ mod tests {
         }
     }
 
-    struct Overlay;
-
-    impl Stage for Overlay {
-        const NAME: &'static str = "overlay";
-        const SUMMARY: &'static str = "Reads images, and more of them";
-        type Config = NoConfig;
-        type Input = u16;
-        type Output = Nothing;
-
-        fn new(_: NoConfig, _: &Context) -> Result<Self, StageError> {
-            Ok(Self)
-        }
-
-        fn side_inputs() -> &'static [SideInput] {
-            const { &[SideInput::same_frame::<u16>("other")] }
-        }
-
-        fn step(&mut self, _: &Message<u16>, _: &SideInputs, _: &mut Output<Nothing>) -> Result<(), StageError> {
-            Ok(())
-        }
-    }
-
-    const NODES: &[Node] = &[Node::source::<Camera>(), Node::stage::<Overlay>()];
+    const NODES: &[Node] = &[
+        Node::source::<Camera>(),
+        Node {
+            side_inputs: || const { &[SideInput::same_frame::<u16>("other")] },
+            ..node("overlay", &[variant(u16::NAME, Nothing::NAME)])
+        },
+    ];
     const REGISTRY: Registry = Registry { nodes: NODES, network: None };
 
     fn requirements(stages: &str) -> Requirements {

@@ -12,11 +12,11 @@ use crate::side_inputs::SideInput;
 use conicflow_messages::{AnyByte, Hinted, Item, LINE_KEYS, Nothing, Object, Track};
 use serde_json::{Value as Json, json};
 
-const fn variant(input: &'static str, output: &'static str) -> Variant {
+pub(crate) const fn variant(input: &'static str, output: &'static str) -> Variant {
     Variant { input, output, run: |_, _| Ok(()) }
 }
 
-pub(super) const fn node(name: &'static str, variants: &'static [Variant]) -> Node {
+pub(crate) const fn node(name: &'static str, variants: &'static [Variant]) -> Node {
     let (check, settle) = (|_, _: &Path| Ok(vec![]), Ok);
     let schema = || json!({ "properties": {} });
     Node {
