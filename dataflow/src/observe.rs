@@ -106,7 +106,7 @@ pub struct StageActivity {
 }
 
 /// What went into a topic between two moments.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Default, Serialize)]
 pub struct TopicActivity {
     /// Its name.
     pub topic: String,
@@ -248,9 +248,7 @@ fn arriving(edge: &EdgeReport) -> TopicActivity {
         sent: edge.messages,
         rate_hz: edge.rate_hz,
         bandwidth_mbps: edge.rate_hz * bytes_per_message / 1e6,
-        interval_min_ms: None,
-        interval_max_ms: None,
-        interval_std_ms: None,
+        ..TopicActivity::default()
     }
 }
 

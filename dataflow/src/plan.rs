@@ -46,7 +46,7 @@ pub struct Origin {
 }
 
 /// The plan of one stage.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PlannedStage {
     /// Its name.
     pub name: String,
@@ -81,6 +81,12 @@ pub enum Runs {
     Command(Vec<String>),
     /// The edges to and from other machines.
     Bridge(Box<BridgePlan>),
+}
+
+impl Default for Runs {
+    fn default() -> Self {
+        Self::Command(Vec::new())
+    }
 }
 
 impl Runs {
@@ -150,7 +156,7 @@ impl PlannedStage {
                 Runs::Node { node: node.name.to_owned(), input: input.to_owned() }
             }
             Program::Command(command) => Runs::Command(command.clone()),
-            Program::Unknown => Runs::Command(Vec::new()),
+            Program::Unknown => Runs::default(),
         };
         let parameters = stage.parameters.clone();
         let parameters = match &stage.program {
@@ -178,16 +184,7 @@ impl PlannedStage {
     }
 
     fn bridge(plan: BridgePlan) -> Self {
-        Self {
-            name: BRIDGE.to_owned(),
-            runs: Runs::Bridge(Box::new(plan)),
-            parameters: Json::Null,
-            wiring: Wiring::default(),
-            restart: Restart::OnFailure,
-            hang_s: None,
-            join_s: None,
-            env: Vec::new(),
-        }
+        Self { name: BRIDGE.to_owned(), runs: Runs::Bridge(Box::new(plan)), ..Self::default() }
     }
 
     /// Whether it carries the edges to and from other machines.

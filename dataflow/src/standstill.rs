@@ -49,25 +49,13 @@ fn waits(planned: &PlannedStage, status: &Status, stages: &[(&PlannedStage, &Sta
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pipeline::Restart;
-    use crate::plan::Runs;
     use crate::ports::{Topic, Wiring};
     use crate::status::Life;
-    use serde_json::Value as Json;
 
     fn stage(name: &str, reads_from: Option<&str>) -> PlannedStage {
-        let topic =
-            |writer: &str| Topic { name: "t".into(), item: None, writers: vec![writer.into()], readers: vec![] };
-        PlannedStage {
-            name: name.into(),
-            runs: Runs::Command(vec![]),
-            parameters: Json::Null,
-            wiring: Wiring { input: reads_from.map(topic), ..Wiring::default() },
-            restart: Restart::Never,
-            hang_s: None,
-            join_s: None,
-            env: vec![],
-        }
+        let topic = |writer: &str| Topic { writers: vec![writer.into()], ..Topic::default() };
+        let wiring = Wiring { input: reads_from.map(topic), ..Wiring::default() };
+        PlannedStage { name: name.into(), wiring, ..PlannedStage::default() }
     }
 
     fn record(sent: u64, received: u64, waits_for: &str) -> Box<Status> {

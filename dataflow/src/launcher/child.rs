@@ -424,8 +424,7 @@ pub(super) mod tests {
     fn ended(exit: u8, delivery: Delivery) -> (Supervised, u32) {
         let mut planned = stage::<Object>();
         let readers = vec![TopicReader { stage: planned.name.clone(), delivery, queue: 4 }];
-        let topic = Topic { name: "in".into(), item: None, writers: vec!["writer".into()], readers };
-        planned.wiring.input = Some(topic);
+        planned.wiring.input = Some(Topic { writers: vec!["writer".into()], readers, ..Topic::default() });
         let mut child = Command::new("sh").args(["-c", &format!("exit {exit}")]).spawn().unwrap();
         child.wait().unwrap();
         let process = child.id();

@@ -321,23 +321,13 @@ pub(super) mod tests {
     use super::*;
     use crate::link_report::EdgeReport;
     use crate::pipeline::Restart;
-    use crate::plan::Runs;
     use crate::ports::{Topic, TopicReader, Wiring};
     use conicflow_messages::{Ellipse, Item, Object, Track};
-    use serde_json::Value as Json;
 
     pub fn stage<T: Item>() -> PlannedStage {
-        let output = Topic { name: "out".into(), item: Some(ItemType::of::<T>()), writers: vec![], readers: vec![] };
-        PlannedStage {
-            name: "stage".into(),
-            runs: Runs::Command(vec![]),
-            parameters: Json::Null,
-            wiring: Wiring { output: Some(output), ..Wiring::default() },
-            restart: Restart::Never,
-            hang_s: None,
-            join_s: None,
-            env: vec![],
-        }
+        let output = Topic { name: "out".into(), item: Some(ItemType::of::<T>()), ..Topic::default() };
+        let wiring = Wiring { output: Some(output), ..Wiring::default() };
+        PlannedStage { name: "stage".into(), wiring, restart: Restart::Never, ..PlannedStage::default() }
     }
 
     #[test]
@@ -353,8 +343,7 @@ pub(super) mod tests {
 
     fn summary(status: Box<Status>) -> Summary {
         let mut planned = stage::<Object>();
-        let input =
-            Topic { name: "in".into(), item: Some(ItemType::of::<Ellipse>()), writers: vec![], readers: vec![] };
+        let input = Topic { name: "in".into(), item: Some(ItemType::of::<Ellipse>()), ..Topic::default() };
         planned.wiring.input = Some(input);
         let stages = vec![StageSummary { planned, status: Some(status) }];
         Summary {
@@ -394,7 +383,7 @@ pub(super) mod tests {
         (reading.inputs[0], writing.sent) = (counts, 40);
         let mut run = summary(reading);
         let readers = vec![TopicReader { stage: "stage".into(), delivery: Delivery::Lossless, queue: 4 }];
-        let topic = Topic { name: "in".into(), item: None, writers: vec![writer.to_owned()], readers };
+        let topic = Topic { name: "in".into(), writers: vec![writer.to_owned()], readers, ..Topic::default() };
         run.stages[0].planned.wiring.input = Some(topic);
         let planned = PlannedStage { name: "writer".into(), ..stage::<Ellipse>() };
         run.stages.push(StageSummary { planned, status: Some(writing) });

@@ -77,7 +77,7 @@ mod tests {
     fn topic(queues: &[usize]) -> Topic {
         let reader = |&queue: &usize| TopicReader { stage: "reader".into(), delivery: Delivery::Latest, queue };
         let item = Some(ItemType::of::<Object>());
-        Topic { name: "objects".into(), item, writers: vec![], readers: queues.iter().map(reader).collect() }
+        Topic { name: "objects".into(), item, readers: queues.iter().map(reader).collect(), ..Topic::default() }
     }
 
     #[test]

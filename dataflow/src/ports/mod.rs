@@ -36,7 +36,7 @@ pub enum Delivery {
 }
 
 /// One end of a topic, as the pipeline file describes it: what both sides have to agree on.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Topic {
     /// Its name in the pipeline file.
     pub name: String,
@@ -390,7 +390,7 @@ mod tests {
 
     #[test]
     fn who_has_other_items_than_the_pipeline_file_says_does_not_open_a_topic() {
-        let topic = |item| Topic { name: "things".into(), item, writers: vec![], readers: vec![] };
+        let topic = |item| Topic { name: "things".into(), item, ..Topic::default() };
         let (objects, untold, memory) = (topic(Some(ItemType::of::<Object>())), topic(None), InMemory::default());
         assert!(memory.writer::<Object>(&objects).is_ok() && memory.writer::<Track>(&untold).is_ok());
         for error in [memory.writer::<Track>(&objects).err(), memory.reader::<Track>(&objects, "reader").err()] {
@@ -408,8 +408,7 @@ mod tests {
 
     #[test]
     fn where_nothing_is_kept_each_message_is_begun_for_the_first_time_and_none_is_unfinished() {
-        let topic = Topic { name: "things".into(), item: None, writers: vec![], readers: vec![] };
-        let memory = InMemory::default();
+        let (topic, memory) = (Topic::default(), InMemory::default());
         let mut reader = memory.reader::<Object>(&topic, "reader").unwrap();
         let writer = Text::new("writer");
         assert_eq!(([3, 3].map(|number| reader.begin(writer, number)), reader.acknowledged()), ([1, 1], None));
@@ -418,8 +417,7 @@ mod tests {
 
     #[test]
     fn who_waits_sleeps_until_something_comes_and_no_longer_than_told() {
-        let topic = Topic { name: "things".into(), item: None, writers: vec![], readers: vec![] };
-        let memory = InMemory::default();
+        let (topic, memory) = (Topic::default(), InMemory::default());
         let [mut reader, mut other] = ["reader", "other"].map(|stage| memory.reader::<Object>(&topic, stage).unwrap());
         let mut writer = memory.writer::<Object>(&topic).unwrap();
         let (begin, while_nothing_comes) = (Instant::now(), Duration::from_millis(20));
@@ -440,7 +438,7 @@ mod tests {
         let reader = |stage: &str, delivery, queue| TopicReader { stage: stage.into(), delivery, queue };
         let (all, newest) = (Delivery::Lossless, Delivery::Latest);
         let readers = vec![reader("a", newest, 9), reader("b", all, 4), reader("c", all, 2)];
-        let topic = |readers| Topic { name: "objects".into(), item: None, writers: vec![], readers };
+        let topic = |readers| Topic { readers, ..Topic::default() };
         let (with_readers, without) = (topic(readers.clone()), topic(vec![]));
         assert_eq!(["a", "b", "unknown"].map(|stage| with_readers.delivery_to(stage)), [newest, all, newest]);
         assert_eq!(["a", "c", "unknown"].map(|stage| with_readers.place_of(stage)), [Some(0), Some(2), None]);

@@ -8,7 +8,7 @@ use crate::sinks::{EvaluationSink, McapSink};
 use crate::sources::SyntheticSource;
 use crate::sources::mcap_source::{self, Replay, has_own};
 use anyhow::{Context as _, Result, ensure};
-use conicflow_dataflow::pipeline::{Input, MAX_STAGE_NAME, Pipeline, Program, StageSpec};
+use conicflow_dataflow::pipeline::{Input, MAX_STAGE_NAME, Pipeline, Program, Restart, StageSpec};
 use conicflow_dataflow::ports::{Delivery, Topic, TopicReader, Wiring};
 use conicflow_dataflow::{ItemType, Pairing, Plan, PlannedStage, RunOptions, Runs, Source as _, Stage as _, Summary};
 use conicflow_lab::score::{Answer, Claim, Evaluation};
@@ -181,10 +181,8 @@ fn record(plan: &mut Plan, topic: &str, with_depth: bool, path: &Path) -> Result
         runs: Runs::Node { node: McapSink::<AnyByte>::NAME.to_owned(), input: kind },
         parameters: json!({ "path": path }),
         wiring: Wiring { input: Some(input), side_inputs: depth.into_iter().collect(), output: None, frames: None },
-        restart: conicflow_dataflow::pipeline::Restart::Never,
-        hang_s: None,
-        join_s: None,
-        env: Vec::new(),
+        restart: Restart::Never,
+        ..PlannedStage::default()
     });
     Ok(())
 }

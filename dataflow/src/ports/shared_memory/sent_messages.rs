@@ -62,7 +62,7 @@ mod tests {
             reader("viewer", Delivery::Latest),
             reader("slow", Delivery::Lossless),
         ];
-        let topic = Topic { name: "things".into(), item: None, writers: vec!["writer".into()], readers };
+        let topic = Topic { name: "things".into(), writers: vec!["writer".into()], readers, ..Topic::default() };
         let folder = tempfile::tempdir().unwrap();
         Acknowledgements::create(folder.path(), &topic).unwrap();
         let finished = Arc::new(Acknowledgements::open(folder.path(), &topic).unwrap());

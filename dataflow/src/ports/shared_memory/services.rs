@@ -229,7 +229,7 @@ mod tests {
         let memory = SharedMemory::open(folder.path(), "test", "stage", Stop::default()).unwrap();
         let reader = |stage: &str, delivery: Delivery| TopicReader { stage: stage.to_owned(), delivery, queue: 4 };
         let readers = vec![reader("all", Delivery::Lossless), reader("newest", Delivery::Latest)];
-        let topic = Topic { name: "things".into(), item: None, writers: vec!["writer".into()], readers };
+        let topic = Topic { name: "things".into(), writers: vec!["writer".into()], readers, ..Topic::default() };
         let without_writers = Topic { writers: vec![], ..topic.clone() };
         let newest_only = Topic { readers: topic.readers[1..].to_vec(), ..topic.clone() };
         let rooms = |memory: &SharedMemory, topic: &Topic| {
