@@ -10,7 +10,7 @@ use crate::session::Sessions;
 use crate::session::tests::joined;
 use crate::wire::seal::Seal;
 use crate::wire::{Place, encode_message};
-use conicflow_dataflow::pipeline::{BRIDGE, Compression, Machine};
+use conicflow_dataflow::pipeline::{BRIDGE, Compression};
 use conicflow_dataflow::ports::{Delivery, Reader, Received, Topic, TopicReader, Transport, Writer};
 use conicflow_dataflow::relay::{Peers, SharedMemory, end_of_stream};
 use conicflow_dataflow::{BridgePlan, Edge, ItemType, Receiver, Stop, monotonic_ns};
@@ -21,8 +21,17 @@ use std::sync::atomic::Ordering;
 use std::thread;
 use std::time::{Duration, Instant};
 
-pub const DEADLINE: Duration = Duration::from_secs(60);
+const DEADLINE: Duration = Duration::from_secs(60);
 const OUTAGE: Duration = Duration::from_secs(30);
+
+/// Waits until something holds.
+pub fn wait_until(what: &str, mut holds: impl FnMut() -> bool) {
+    let begin = Instant::now();
+    while !holds() {
+        assert!(begin.elapsed() < DEADLINE, "never came true: {what}");
+        thread::sleep(Duration::from_millis(1));
+    }
+}
 
 /// The edge from `robot` to `base`, as it is on the machine where `reader` reads the topic.
 pub fn edge(delivery: Delivery, reader: &str) -> Edge {
@@ -56,7 +65,7 @@ impl Side {
     pub fn new(name: &'static str, edge: Edge, folder: &Path) -> Self {
         let (session, stop) = (if name == "robot" { 5 } else { 9 }, Stop::default());
         let [outgoing, incoming] = ["robot", "base"].map(|of| if of == name { vec![edge.clone()] } else { vec![] });
-        let plan = BridgePlan { machine: name.to_owned(), settings: Machine::default(), outgoing, incoming };
+        let plan = BridgePlan { machine: name.to_owned(), outgoing, incoming, ..BridgePlan::default() };
         let links = Arc::new(Links::new(Journal::open(None, 7, session), Seal::new(None, session), &plan));
         let memory = SharedMemory::open(folder, "test", BRIDGE, stop.clone()).unwrap();
         Self { name, edge, links, memory, counts: Arc::default(), stop }
@@ -109,10 +118,7 @@ pub fn write(memory: &SharedMemory, topic: &Topic, count: u64) {
         }
     }
     writer.send(&end_of_stream(&header("writer", count), Text::new("writer"), count)).unwrap();
-    let begin = Instant::now();
-    while !writer.connected().is_empty() && begin.elapsed() < DEADLINE {
-        thread::sleep(Duration::from_millis(1));
-    }
+    wait_until("all of it was taken", || writer.connected().is_empty());
 }
 
 /// The numbers of the messages that come until the end, whose items are looked at, and how many the end says that there were.
@@ -190,10 +196,7 @@ fn carry(delivery: Delivery, count: u64) -> (Vec<u64>, u64, [Side; 2]) {
         let receiving = Receiving::new(&base.edge, &sharing_here, Arc::clone(&base.counts)).unwrap();
         let sending = Sending::new(&robot.edge, &sharing_there, Arc::clone(&robot.counts)).unwrap();
         let carries = [scope.spawn(move || receiving.run()), scope.spawn(move || sending.run())];
-        let begin = Instant::now();
-        while !robot.links.is_connected("base") && begin.elapsed() < DEADLINE {
-            thread::sleep(Duration::from_millis(5));
-        }
+        wait_until("the base is heard", || robot.links.is_connected("base"));
         scope.spawn(|| write(&memory(folders[0].path(), "writer"), &robot.edge.topic, count));
         let read = read(reader);
         carries.into_iter().for_each(|carries| carries.join().unwrap().unwrap());

@@ -196,11 +196,11 @@ impl<'a> EdgeHandle<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::edge_tests::{DEADLINE, Ending, edge, memory, read, write};
+    use crate::edge_tests::{Ending, edge, memory, read, wait_until, write};
     use crate::peer::heartbeat::Ack;
+    use conicflow_dataflow::Status;
     use conicflow_dataflow::pipeline::{BRIDGE, Machine};
     use conicflow_dataflow::ports::{Delivery, Transport as _};
-    use conicflow_dataflow::{Edge, Status};
     use conicflow_messages::Object;
     use serde_json::Value as Json;
     use std::net::TcpListener;
@@ -232,26 +232,11 @@ mod tests {
     fn plans() -> [BridgePlan; 2] {
         let endpoint = || vec![format!("tcp/{}", TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap())];
         let (endpoint, settings) = (endpoint(), || Machine { insecure: true, ..Machine::default() });
-        let plan = |machine: &str, settings: Machine, outgoing: Vec<Edge>, incoming: Vec<Edge>| BridgePlan {
-            machine: machine.to_owned(),
-            settings,
-            outgoing,
-            incoming,
-        };
-        let listening = Machine { listen: endpoint.clone(), ..settings() };
-        let connecting = Machine { connect: endpoint, ..settings() };
-        [
-            plan("robot", listening, vec![edge(Delivery::Lossless, BRIDGE)], Vec::new()),
-            plan("base", connecting, Vec::new(), vec![edge(Delivery::Lossless, "reader")]),
-        ]
-    }
-
-    fn wait_until(holds: impl Fn() -> bool) {
-        let begin = Instant::now();
-        while !holds() {
-            assert!(begin.elapsed() < DEADLINE, "it never came true");
-            thread::sleep(TICK);
-        }
+        let plan = |machine: &str, settings| BridgePlan { machine: machine.into(), settings, ..BridgePlan::default() };
+        let listening = plan("robot", Machine { listen: endpoint.clone(), ..settings() });
+        let connecting = plan("base", Machine { connect: endpoint, ..settings() });
+        let edge = |reader| vec![edge(Delivery::Lossless, reader)];
+        [BridgePlan { outgoing: edge(BRIDGE), ..listening }, BridgePlan { incoming: edge("reader"), ..connecting }]
     }
 
     /// Whether the link is told to be up.
@@ -272,7 +257,7 @@ mod tests {
             let bridges = bridges.map(|((plan, folder), stop)| scope.spawn(move || ended(plan, RUN, folder, &stop)));
             let bridges: Vec<_> = bridges.collect();
             let reader = memory(&in_memory(base), "reader").reader::<Object>(&edge.topic, "reader").unwrap();
-            [robot, base].iter().for_each(|folder| wait_until(|| is_up(folder)));
+            [robot, base].iter().for_each(|folder| wait_until("the link is up", || is_up(folder)));
             scope.spawn(|| write(&memory(&in_memory(robot), "writer"), &plans[0].outgoing[0].topic, 20));
             assert_eq!(read(reader), ((0..20).collect(), 20));
             bridges.into_iter().for_each(|bridge| assert_eq!(bridge.join().unwrap(), Some(Life::Ended)));
@@ -290,7 +275,7 @@ mod tests {
             thread::scope(|scope| {
                 let bridge = scope.spawn(|| ended(&robot, run, folder.path(), &stop));
                 let ending = Ending([stop.clone()]);
-                wait_until(is_running);
+                wait_until("it is at work", is_running);
                 drop(ending);
                 assert_eq!(bridge.join().unwrap(), Some(Life::Starting));
             });

@@ -312,23 +312,19 @@ impl Refusals {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::edge_tests;
     use crate::peer::heartbeat::News;
     use crate::peer::journal::Journal;
     use crate::wire::encode_message;
     use crate::wire::seal::{Seal, secret};
-    use conicflow_dataflow::pipeline::{Compression, Machine};
-    use conicflow_dataflow::ports::Topic;
+    use conicflow_dataflow::pipeline::Compression;
     use conicflow_dataflow::{BridgePlan, ItemType};
     use conicflow_messages::{Hop, Object};
 
     const ZENOH_KEY: &str = "conicflow/tracking/robot/objects";
 
     fn edge(from: &str) -> Edge {
-        let item = ItemType::of::<Object>();
-        let topic =
-            Topic { name: "objects".to_owned(), item: Some(item.clone()), writers: Vec::new(), readers: Vec::new() };
-        let from = from.to_owned();
-        Edge { topic, item, from, writers: Vec::new(), to: Vec::new(), compression: Compression::None }
+        Edge { from: from.to_owned(), ..edge_tests::edge(Delivery::Latest, BRIDGE) }
     }
 
     /// The hops of a message that two stages have sent, `[received_ns, sent_ns]` by this machine's clock, which reads 1000, and
@@ -370,8 +366,7 @@ mod tests {
     fn nothing_passes_that_the_present_bridge_there_has_not_made_and_it_is_counted() {
         let secrets = [secret(), secret()];
         let links = |machine: &str, peer: &str, session: u64| {
-            let (machine, settings) = (machine.to_owned(), Machine::default());
-            let plan = BridgePlan { machine, settings, outgoing: Vec::new(), incoming: vec![edge(peer)] };
+            let plan = BridgePlan { machine: machine.into(), incoming: vec![edge(peer)], ..BridgePlan::default() };
             Arc::new(Links::new(Journal::open(None, 7, session), Seal::new(Some(&secrets[0]), session), &plan))
         };
         let (theirs, ours) = (links("robot", "base", 5), links("base", "robot", 9));

@@ -262,22 +262,18 @@ fn loss(lost: u64, topic: &str) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::edge_tests::{DEADLINE, Side, edge};
+    use crate::edge_tests::{Side, edge, wait_until};
     use crate::reliable::send_log::CAPACITY;
     use crate::session::tests::joined;
     use crate::wire::decode_message;
     use conicflow_dataflow::ItemType;
     use conicflow_dataflow::pipeline::Compression;
-    use conicflow_dataflow::ports::Topic;
     use conicflow_messages::Camera;
 
     #[test]
     fn an_image_that_is_too_large_or_does_not_fill_its_size_is_left_out_and_counted_and_others_are_sent() {
         for compression in [Compression::None, Compression::Lz4, Compression::Zstd] {
-            let item = ItemType::of::<u16>();
-            let (name, writers, readers) = ("depth".to_owned(), Vec::new(), Vec::new());
-            let topic = Topic { name, item: Some(item.clone()), writers, readers };
-            let edge = Edge { topic, item, from: "robot".to_owned(), writers: Vec::new(), to: Vec::new(), compression };
+            let edge = Edge { item: ItemType::of::<u16>(), compression, ..edge(Delivery::Latest, BRIDGE) };
             let counts = Arc::<EdgeCounts>::default();
             let encoder = Encoder::new(&edge, Arc::clone(&counts));
             let of_size = |width, height| {
@@ -318,11 +314,7 @@ mod tests {
         let sending = Sending::new(&robot.edge, &robot.shared(&sessions, &peers), Arc::clone(&robot.counts)).unwrap();
         assert!(!sending.is_wanted());
         let _subscriber = base.subscriber("conicflow/test/robot/objects", None, |_| ()).unwrap();
-        let begin = Instant::now();
-        while !sending.is_wanted() {
-            assert!(begin.elapsed() < DEADLINE, "it is never wanted");
-            std::thread::yield_now();
-        }
+        wait_until("it is wanted", || sending.is_wanted());
     }
 
     #[test]

@@ -252,10 +252,10 @@ impl Subscriber<'_> {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
+    use crate::edge_tests::wait_until;
     use std::net::{SocketAddr, TcpListener, UdpSocket};
     use std::sync::mpsc::{Receiver, channel};
 
-    const DEADLINE: Duration = Duration::from_secs(60);
     const KEY: &str = "conicflow/test/robot/objects";
     const PART_OF_KEY: &[u8] = b"robot/objects";
 
@@ -305,15 +305,11 @@ pub(crate) mod tests {
         heard: &Receiver<ZBytes>,
         holds: fn(&Subscriber<'_>) -> bool,
     ) {
-        let since = Instant::now();
-        loop {
-            assert!(since.elapsed() < DEADLINE, "it never came true");
+        wait_until("a message comes as it is to come", || {
             subscriber.choose().unwrap();
             publisher.put(b"objects".to_vec());
-            if heard.recv_timeout(Duration::from_millis(20)).is_ok() && holds(subscriber) {
-                return;
-            }
-        }
+            heard.recv_timeout(Duration::from_millis(20)).is_ok() && holds(subscriber)
+        });
     }
 
     #[test]
@@ -343,11 +339,10 @@ pub(crate) mod tests {
     fn who_listens_to_datagrams_is_asked_anew_after_a_while_and_not_with_each_message() {
         let [robot, _base] = joined(|address| address);
         let mut publisher = robot.publisher(KEY, true, Priority::InteractiveHigh).unwrap();
-        let since = Instant::now();
-        while publisher.datagrams.is_none() {
-            assert!(since.elapsed() < DEADLINE, "there are no datagrams");
+        wait_until("there are datagrams", || {
             publisher.ask_who_listens();
-        }
+            publisher.datagrams.is_some()
+        });
         let mut asked_after = |time: Duration| {
             let (_, asked) = publisher.datagrams.as_mut().unwrap();
             *asked = Instant::now().checked_sub(time).unwrap();
@@ -362,11 +357,10 @@ pub(crate) mod tests {
     fn who_sends_no_datagrams_is_asked_anew_after_a_while_and_not_with_each_look() {
         let [_robot, base] = joined(|address| address);
         let mut subscriber = base.subscriber(KEY, Some(Duration::from_secs(1)), |_| ()).unwrap();
-        let since = Instant::now();
-        while subscriber.datagrams.is_none() {
-            assert!(since.elapsed() < DEADLINE, "there are no datagrams");
+        wait_until("there are datagrams", || {
             subscriber.choose().unwrap();
-        }
+            subscriber.datagrams.is_some()
+        });
         let mut asked_after = |time: Duration| {
             let asked = &mut subscriber.datagrams.as_mut().unwrap().asked;
             *asked = Instant::now().checked_sub(time).unwrap();
@@ -384,11 +378,8 @@ pub(crate) mod tests {
         let publisher = robot.publisher(KEY, false, Priority::DataLow).unwrap();
         assert!(!alone.reach_anybody() && !publisher.is_heard());
         let _subscriber = base.subscriber(KEY, None, |_| ()).unwrap();
-        let since = Instant::now();
-        while !robot.reach_anybody() || !base.reach_anybody() || !publisher.is_heard() {
-            assert!(since.elapsed() < DEADLINE, "nobody is there");
-            std::thread::yield_now();
-        }
+        let is_known = || robot.reach_anybody() && base.reach_anybody() && publisher.is_heard();
+        wait_until("somebody is there and listens", is_known);
     }
 
     #[test]

@@ -393,22 +393,16 @@ mod tests {
     use super::*;
     use crate::edge_tests::edge;
     use crate::wire::seal::secret;
-    use conicflow_dataflow::pipeline::Machine;
     use conicflow_dataflow::{LinkKey, Receiver};
 
-    /// A session of a bridge that knows of one other machine.
-    fn session(machine: &str, peer: &str, number: u64, secret: &LinkKey) -> Links {
-        links_of(machine, peer, Journal::open(None, 7, number), secret)
-    }
-
+    /// What a bridge knows that has one other machine.
     fn links_of(machine: &str, peer: &str, journal: Journal, secret: &LinkKey) -> Links {
         links_with(machine, peer, journal, secret, Vec::new())
     }
 
     /// The same, with these edges.
     fn links_with(machine: &str, peer: &str, journal: Journal, secret: &LinkKey, outgoing: Vec<Edge>) -> Links {
-        let (machine, settings) = (machine.to_owned(), Machine::default());
-        let plan = BridgePlan { machine, settings, outgoing, incoming: Vec::new() };
+        let plan = BridgePlan { machine: machine.to_owned(), outgoing, ..BridgePlan::default() };
         let seal = Seal::new(Some(secret), journal.session());
         let links = Links::new(journal, seal, &plan);
         lock(&links.peers).insert(peer.to_owned(), Peer::default());
@@ -416,11 +410,11 @@ mod tests {
     }
 
     fn robot(number: u64, secret: &LinkKey) -> Links {
-        session("robot", "base", number, secret)
+        links_of("robot", "base", Journal::open(None, 7, number), secret)
     }
 
     fn base(number: u64, secret: &LinkKey) -> Links {
-        session("base", "robot", number, secret)
+        links_of("base", "robot", Journal::open(None, 7, number), secret)
     }
 
     /// The next heartbeat of a bridge, with acknowledgements of the machine `base`, as it goes onto the link.

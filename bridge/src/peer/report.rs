@@ -106,23 +106,21 @@ mod tests {
     use super::super::clock::Exchange;
     use super::super::journal::Journal;
     use super::*;
+    use crate::edge_tests;
     use crate::wire::seal::Seal;
-    use conicflow_dataflow::pipeline::{Compression, Machine};
+    use conicflow_dataflow::Receiver;
     use conicflow_dataflow::ports::{Delivery, Topic};
-    use conicflow_dataflow::{ItemType, Receiver};
-    use conicflow_messages::Object;
     use std::path::Path;
 
     fn plan(outgoing: Vec<Edge>, incoming: Vec<Edge>) -> BridgePlan {
-        BridgePlan { machine: "base".to_owned(), settings: Machine::default(), outgoing, incoming }
+        BridgePlan { machine: "base".to_owned(), outgoing, incoming, ..BridgePlan::default() }
     }
 
     /// What a machine gets of a topic.
     fn edge(to: &str, name: &str) -> Edge {
-        let item = ItemType::of::<Object>();
-        let topic = Topic { name: name.to_owned(), item: None, writers: Vec::new(), readers: Vec::new() };
-        let to = vec![Receiver { machine: to.to_owned(), delivery: Delivery::Latest }];
-        Edge { topic, item, from: String::new(), writers: Vec::new(), to, compression: Compression::None }
+        let edge = edge_tests::edge(Delivery::Latest, "reader");
+        let topic = Topic { name: name.to_owned(), ..edge.topic };
+        Edge { topic, to: vec![Receiver { machine: to.to_owned(), delivery: Delivery::Latest }], ..edge }
     }
 
     fn links(plan: &BridgePlan) -> Links {

@@ -263,12 +263,11 @@ impl Keeper {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::edge_tests::DEADLINE;
+    use crate::edge_tests::wait_until;
     use conicflow_dataflow::pipeline::Machine;
     use conicflow_ros::IMAGE;
     use conicflow_ros2::{Distro, End, Via};
     use std::net::TcpListener;
-    use std::time::Instant;
     use zenoh::key_expr::KeyExpr;
     use zenoh::sample::SampleBuilder;
 
@@ -344,11 +343,12 @@ mod tests {
             assert!(middleware.joined.session.set(ends).is_ok());
             middleware
         });
-        let (begin, mut received) = (Instant::now(), None);
-        while (received.is_none() || detector.published().is_empty()) && begin.elapsed() < DEADLINE {
+        let mut received = None;
+        wait_until("an image comes, and who publishes it is seen", || {
             camera.publish(0, b"image".to_vec());
-            received = received.or(detector.receive(0, Duration::from_millis(20)));
-        }
+            received = received.take().or(detector.receive(0, Duration::from_millis(20)));
+            received.is_some() && !detector.published().is_empty()
+        });
         assert_eq!(received.as_deref(), Some(&b"image"[..]));
         assert_eq!(detector.published(), [("/camera/depth/image".to_owned(), IMAGE.name.to_owned())]);
     }
