@@ -8,7 +8,7 @@ use conicflow_messages::Hinted;
 use std::io::{self, ErrorKind};
 use std::net::{IpAddr, Ipv4Addr, Shutdown, SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
@@ -46,11 +46,10 @@ pub struct Server {
     ends: Arc<AtomicBool>,
 }
 
-/// What the threads of connections share.
+/// What the threads of connections share, each of which holds it as long as it lasts.
 struct Shared {
     answer: Box<dyn Answer>,
     access: Access,
-    connections: AtomicUsize,
 }
 
 impl Server {
@@ -66,7 +65,7 @@ impl Server {
         let bound = bound.and_then(|listener| Ok((listener.local_addr()?, listener)));
         let (address, listener) = bound.map_err(|error| ServeError::Address(address_fault(listen.address, &error)))?;
         let access = Access::new(listen, address);
-        let shared = Arc::new(Shared { answer: Box::new(answer), access, connections: AtomicUsize::new(0) });
+        let shared = Arc::new(Shared { answer: Box::new(answer), access });
         let ends = Arc::new(AtomicBool::new(false));
         let ended = Arc::clone(&ends);
         let accepting = thread::Builder::new().name("server".to_owned()).stack_size(STACK_BYTES);
@@ -138,22 +137,18 @@ fn accept(listener: &TcpListener, shared: &Arc<Shared>, ends: &AtomicBool) {
 /// Starts the thread of a connection, unless there are enough.
 fn begin(mut stream: TcpStream, shared: &Arc<Shared>) {
     stream.set_nodelay(true).ok();
-    if shared.connections.fetch_add(1, Ordering::Relaxed) >= MAX_CONNECTIONS {
-        shared.connections.fetch_sub(1, Ordering::Relaxed);
+    // One more holds it: the thread that accepts connections.
+    if Arc::strong_count(shared) > MAX_CONNECTIONS {
         let text = format!("{MAX_CONNECTIONS} connections are open already: close a page, or try again");
         // It goes into the socket's buffer, which is empty: nobody is waited for.
         Response::busy(&text).write(&mut stream, true).ok();
         stream.shutdown(Shutdown::Write).ok();
         return;
     }
-    let of_thread = Arc::clone(shared);
-    let started = thread::Builder::new().name("connection".to_owned()).stack_size(STACK_BYTES).spawn(move || {
-        serve(stream, &of_thread);
-        of_thread.connections.fetch_sub(1, Ordering::Relaxed);
-    });
-    if started.is_err() {
-        shared.connections.fetch_sub(1, Ordering::Relaxed);
-    }
+    let shared = Arc::clone(shared);
+    let connection = thread::Builder::new().name("connection".to_owned()).stack_size(STACK_BYTES);
+    // Where no thread can be started the connection is closed.
+    connection.spawn(move || serve(stream, &shared)).ok();
 }
 
 /// Answers the requests of a connection until it is over.
