@@ -295,10 +295,9 @@ impl Player {
                 (header, found) = (replayed.header, list(lists.replay.item(), &replayed));
             }
             let depth = Some(Arc::new(Depth { header: shown.header, pixels }));
-            Frame { header, depth, list: found, compared: None, latency_ms: None }
+            Frame { header, depth, list: found, ..Frame::default() }
         } else {
-            let found = list(self.frames.item(), &shown);
-            Frame { header: shown.header, depth: None, list: found, compared: None, latency_ms: None }
+            Frame { header: shown.header, list: list(self.frames.item(), &shown), ..Frame::default() }
         };
         if let Some(other) = &mut self.other
             && let Some(replayed) = other.of(&shown.header)?

@@ -218,15 +218,13 @@ impl Display {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::frame::List;
     use conicflow_messages::Header;
 
     const NOT_AT_ALL: Duration = Duration::ZERO;
     const LONG: Duration = Duration::from_secs(60);
 
     fn frame(sequence: u64) -> Frame {
-        let header = Header { sequence, ..Header::default() };
-        Frame { header, depth: None, list: List::None, compared: None, latency_ms: None }
+        Frame { header: Header { sequence, ..Header::default() }, ..Frame::default() }
     }
 
     #[test]

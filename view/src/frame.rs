@@ -77,7 +77,7 @@ pub struct Pair {
 }
 
 /// A frame to be looked at; either part may be missing.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Frame {
     /// The header of the list, or else of the depth image.
     pub header: Header,
@@ -192,7 +192,7 @@ mod tests {
         let camera = Camera { width: 5, height: 3, fx: 5.0, fy: 5.0, cx: 2.0, cy: 1.0 };
         let header = Header { sequence: 7, depth_scale: 0.001, camera, ..Header::default() };
         let depth = Some(Arc::new(Depth { header, pixels: (0..15).collect() }));
-        Frame { header, depth, list: List::None, compared: None, latency_ms: None }
+        Frame { header, depth, ..Frame::default() }
     }
 
     #[test]

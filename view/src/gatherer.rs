@@ -51,13 +51,7 @@ impl Gatherer {
         }
         (self.taken, self.due) = (Some(now), Some(due + SHORTEST_INTERVAL));
         let depth = Arc::new(Depth { header: *header, pixels: pixels.to_vec() });
-        let alone = Frame {
-            header: *header,
-            depth: Some(Arc::clone(&depth)),
-            list: List::None,
-            compared: None,
-            latency_ms: None,
-        };
+        let alone = Frame { header: *header, depth: Some(Arc::clone(&depth)), ..Frame::default() };
         if !self.expects_lists {
             return Some(alone);
         }
