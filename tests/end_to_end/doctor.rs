@@ -277,24 +277,3 @@ fn a_stage_that_finds_shared_memory_full_is_named_and_comes_back_when_there_is_r
     signal(run.id(), Signal::INT);
     run.wait().expect_survived();
 }
-
-#[test]
-fn a_full_disk_is_told_and_no_line_is_torn() {
-    let Some(memory) = OwnSharedMemory::new("64m") else { return };
-    let playground = Playground::with_pipeline(TRACKING);
-    fs::create_dir(playground.path("disk")).unwrap();
-    let mut mount = Command::new("mount");
-    mount.args(["-t", "tmpfs", "-o", "size=64k", "tmpfs", "disk"]).current_dir(playground.path(""));
-    assert!(memory.around(&mount).status().unwrap().success());
-    let run = memory.start(&playground, &["run", "--set", "json.path=disk/tracks.jsonl"]);
-    let ended = run.wait().expect_code(1);
-    ended.expect_told(&[
-        ": cannot write to `",
-        "No space left on device",
-        "hint: free some space, or write to another disk",
-    ]);
-    let disk = memory.folder().join("../..").join(playground.path("disk").strip_prefix("/").unwrap());
-    let text = fs::read_to_string(disk.join("tracks.jsonl")).unwrap();
-    assert!(text.lines().count() > 10 && text.ends_with("}\n"), "{text}");
-    text.lines().for_each(|line| drop(serde_json::from_str::<serde_json::Value>(line).unwrap()));
-}

@@ -55,6 +55,17 @@ fn with_a_small_disk(size: &str, playground: &Playground, arguments: &[&str]) ->
     Some(Started::new(command).wait())
 }
 
+#[test]
+fn a_disk_that_is_full_holds_whole_lines() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let arguments = ["run", "--for", "10min", "--set", "json.path=disk/tracks.jsonl"];
+    let Some(ended) = with_a_small_disk("64k", &playground, &arguments) else { return };
+    let ended = expect_failed_for_good(ended, "json", "No space left on device");
+    ended.expect_told(&[": cannot write to `", "\n  hint: free some space, or write to another disk\n"]);
+    assert!(playground.json_lines("left/tracks.jsonl").len() > 10);
+    assert!(fs::read_to_string(playground.path("left/tracks.jsonl")).unwrap().ends_with("}\n"));
+}
+
 fn names(playground: &Playground) -> Vec<String> {
     let entries = fs::read_dir(playground.path("left")).unwrap();
     entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect()
