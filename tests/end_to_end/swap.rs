@@ -38,12 +38,10 @@ fn a_lossless_pipeline_loses_nothing_when_each_of_its_stages_is_replaced() {
     }
 }
 
-/// The most frames in a row that are missing between two lines from the line `from` on.
-fn longest_gap(playground: &Playground, from: usize) -> u64 {
-    let sequences = playground.sequences("tracks.jsonl");
-    assert!(sequences.is_sorted(), "frames went back: {sequences:?}");
-    let steps = sequences[from..].windows(2).map(|pair| pair[1] - pair[0] - 1);
-    steps.max().unwrap()
+/// The most frames between two of these, which are in order.
+pub fn longest_gap(frames: &[u64]) -> u64 {
+    assert!(frames.is_sorted(), "frames went back: {frames:?}");
+    frames.windows(2).map(|pair| pair[1] - pair[0] - 1).max().unwrap()
 }
 
 /// Frames that a live pipeline may miss at a swap.
@@ -70,7 +68,7 @@ fn a_live_pipeline_misses_three_frames_at_most() {
         expect_a_quick_swap(stage, || {
             let before = playground.lines("tracks.jsonl").len();
             swap(&playground, &mut run, &[stage]);
-            longest_gap(&playground, before - 1)
+            longest_gap(&playground.sequences("tracks.jsonl")[before - 1..])
         });
     }
     run.end();
@@ -160,7 +158,7 @@ fn a_hundred_swaps_of_a_live_run_cost_no_memory_and_three_frames_each_at_most() 
     for stage in ["extractor", "assembler", "tracker", "assembler"].repeat(25) {
         let lines = playground.lines("tracks.jsonl").len();
         swap(&playground, &mut run, &[stage]);
-        missed.push(longest_gap(&playground, lines - 1));
+        missed.push(longest_gap(&playground.sequences("tracks.jsonl")[lines - 1..]));
         all.extend(used(&stages_of(run.id())));
     }
     assert!(all.len() > first.len() + 100, "only {} files were used, which shows little", all.len());

@@ -4,7 +4,7 @@
 use super::bridge::{apart, loopback, machines, newest, start, wait_for_frames};
 use super::programs::program;
 use super::support::{Playground, Started, TRACKING, TRACKING_STAGES};
-use super::swap::{expect_a_quick_swap, replace};
+use super::swap::{expect_a_quick_swap, longest_gap, replace};
 
 /// So many images may wait for what is made of them: more than there are frames on the way.
 const SIDE_QUEUE: usize = 20;
@@ -50,12 +50,6 @@ fn inputs_of_the_same_frame_stay_together_and_none_is_lost() {
     let torn = pairs(&playground).into_iter().zip(&expected).find(|(found, expected)| found != *expected);
     assert_eq!((torn, pairs(&playground).len() as u64), (None, made), "{}", ended.stderr);
     ["objects", "depth", "ellipses"].iter().for_each(|topic| ended.expect_all(topic, "pairs", made));
-}
-
-/// The most frames between two of these, which are in order.
-fn longest_gap(frames: &[u64]) -> u64 {
-    assert!(frames.is_sorted(), "frames went back: {frames:?}");
-    frames.windows(2).map(|pair| pair[1] - pair[0] - 1).max().unwrap()
 }
 
 #[test]
