@@ -1,7 +1,7 @@
 //! Stages that panic, hang or are stopped: they are told of, started anew where that is asked for, and harm no other.
 
 use crate::bridge::{joined, loopback, machines, top_link};
-use crate::processes::{at_work, stages_of, wait_for_lines};
+use crate::processes::{at_work, stages_of, start, wait_for_lines};
 use crate::programs::program;
 use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, signal};
 use rustix::process::Signal;
@@ -29,10 +29,6 @@ output  = {{ topic = "passed_on", kind = "objects" }}
 
 [stage.tracker]{after}"#
     )
-}
-
-fn start(playground: &Playground) -> Started {
-    playground.start(&["run", "--set", "source.rate_hz=50"])
 }
 
 /// Ends a run, in which the faulty stage died twice of the same frame, all others were started once, and every frame came but

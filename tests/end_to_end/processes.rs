@@ -21,7 +21,7 @@ pub fn at_work(text: &str, rate_hz: u32) -> (Playground, Started) {
 }
 
 /// A paced run that goes on until it is told to end.
-fn start(playground: &Playground) -> Started {
+pub fn start(playground: &Playground) -> Started {
     playground.start(&["run", "--set", "source.rate_hz=50"])
 }
 
@@ -54,20 +54,12 @@ fn expect_nothing_lives(playground: &Playground) {
 }
 
 #[test]
-fn each_stage_is_a_process_whose_parent_is_the_launcher() {
-    let (playground, run) = at_work(TRACKING, 50);
-    let stages = stages_of(run.id());
-    assert!(stages.keys().eq(["assembler", "extractor", "json", "source", "tracker"]), "{stages:?}");
-    let expected: BTreeSet<_> = stages.into_values().chain([run.id()]).collect();
-    assert_eq!(playground.processes().into_iter().collect::<BTreeSet<_>>(), expected, "one process per stage, no more");
-}
-
-#[test]
-fn who_looks_on_sees_the_stages_at_work() {
+fn each_stage_is_a_process_whose_parent_is_the_launcher_and_who_looks_on_sees_it_at_work() {
     let (playground, run) = at_work(TRACKING, 50);
     let seen = playground.top();
     assert_eq!(seen["pipeline"], "tracking", "{seen:#}");
     let processes = stages_of(run.id());
+    assert_eq!(playground.processes().len(), processes.len() + 1, "one process per stage, and the launcher");
     for (index, name) in TRACKING_STAGES.into_iter().enumerate() {
         let stage = &seen["stages"][index];
         assert_eq!((&stage["stage"], &stage["process"]), (&name.into(), &processes[name].into()), "{seen:#}");
@@ -167,17 +159,7 @@ fn the_death_of_any_stage_is_survived_where_writers_wait() {
 }
 
 #[test]
-fn no_stage_outlives_its_launcher_and_the_next_run_starts() {
-    let (playground, run) = at_work(TRACKING, 50);
-    assert_eq!(playground.processes().len(), 6);
-    signal(run.id(), Signal::KILL);
-    wait_until("all processes are gone", || playground.processes().is_empty());
-    playground.conicflow(&["run", "--frames", "3"]).expect_code(0);
-    assert_eq!(playground.sequences("tracks.jsonl"), [0, 1, 2]);
-}
-
-#[test]
-fn the_next_run_does_not_wait_for_the_stages_of_a_dead_launcher() {
+fn no_stage_outlives_its_launcher_and_the_next_run_does_not_wait_for_them() {
     let (playground, mut run) = at_work(TRACKING, 50);
     signal(run.id(), Signal::KILL);
     wait_until("the launcher is dead", || !run.is_running());

@@ -50,14 +50,21 @@ fn refused(playground: &Playground, command: &str, file: &Path) -> Ended {
     Started::new(command).wait()
 }
 
+/// The place of a diagnostic in a text: the line of each `error: NAME:LINE:COLUMN: ..`.
+fn lines_of_errors(text: &str) -> Vec<usize> {
+    let errors = text.lines().filter(|line| line.starts_with("error: "));
+    errors.map(|line| line.split(':').nth(2).unwrap().parse().unwrap()).collect()
+}
+
 #[test]
-fn every_fault_is_told_with_its_place_and_a_hint() {
+fn all_faults_are_told_at_once_each_with_its_place_and_a_hint_in_the_order_of_the_lines() {
     let playground = Playground::new();
     let here = folder().canonicalize().unwrap();
     let mut differing = Vec::new();
     for file in faulty_files() {
         let ended = refused(&playground, "validate", &file);
         assert_eq!((ended.code, ended.stdout.as_str()), (Some(2), ""), "{}: {}", file.display(), ended.stderr);
+        assert!(lines_of_errors(&ended.stderr).is_sorted(), "{}: {}", file.display(), ended.stderr);
         let text = ended.stderr.replace(here.to_str().unwrap(), "[folder]");
         let expected = file.with_extension("txt");
         if std::env::var_os("UPDATE_EXPECT").is_some() {
@@ -79,23 +86,6 @@ fn nothing_starts_from_a_faulty_file() {
     }
     assert_eq!(fs::read_dir(playground.runtime()).unwrap().count(), 0, "a run has begun");
     assert_eq!(names_in_folder(), before, "something was written");
-}
-
-/// The place of a diagnostic in a text: the line of each `error: NAME:LINE:COLUMN: ..`.
-fn lines_of_errors(text: &str) -> Vec<usize> {
-    let errors = text.lines().filter(|line| line.starts_with("error: "));
-    errors.map(|line| line.split(':').nth(2).unwrap().parse().unwrap()).collect()
-}
-
-#[test]
-fn all_faults_of_a_file_come_at_once_in_the_order_of_its_lines() {
-    let playground = Playground::new();
-    for file in faulty_files() {
-        let lines = lines_of_errors(&refused(&playground, "validate", &file).stderr);
-        assert!(lines.is_sorted(), "{}: {lines:?}", file.display());
-    }
-    let several = refused(&playground, "validate", &folder().join("several_at_once.toml"));
-    assert_eq!(lines_of_errors(&several.stderr), [1, 4, 9, 11, 15, 16, 17, 19]);
 }
 
 #[test]
