@@ -32,23 +32,10 @@ name = "two"
 [machine.robot]
 [machine.base]
 
-[stage.camera]
-program = ["sh"]
-machine = "robot"
-output  = "depth"
-
-[stage.extractor]
-node    = "row_ellipse_extractor"
-machine = "robot"
-input   = { topic = "depth", delivery = "lossless" }
-output  = "ellipses"
-
-[stage.pictures]
-node    = "picture_sink"
-machine = "base"
-input   = "ellipses"
-inputs  = { depth = "depth" }
-path    = "pictures/"
+[stage]
+camera    = { machine = "robot", program = ["sh"], output = "depth" }
+extractor = { machine = "robot", node = "row_ellipse_extractor", input = { topic = "depth", delivery = "lossless" }, output = "ellipses" }
+pictures  = { machine = "base", node = "picture_sink", input = "ellipses", inputs = { depth = "depth" }, path = "pictures/" }
 "#,
     );
     let ended = playground.conicflow(&["graph"]).expect_code(0);

@@ -74,11 +74,8 @@ fn names(playground: &Playground) -> Vec<String> {
 #[test]
 fn pictures_that_find_no_room_end_the_run_and_those_that_are_there_are_whole() {
     let sink = r#"
-[stage.pictures]
-node  = "picture_sink"
-input = { topic = "tracks", delivery = "lossless" }
-inputs = { depth = "depth" }
-path  = "disk"
+[stage]
+pictures = { node = "picture_sink", input = { topic = "tracks", delivery = "lossless" }, inputs = { depth = "depth" }, path = "disk" }
 "#;
     let Some((playground, ended)) = on_a_small_disk("256k", sink) else { return };
     let ended = expect_failed_for_good(ended, "pictures", "cannot be written: No space left on device");
@@ -94,11 +91,8 @@ path  = "disk"
 #[test]
 fn a_recording_that_finds_no_room_ends_the_run_and_holds_what_was_written_before() {
     let sink = r#"
-[stage.recorder]
-node  = "mcap_sink"
-input = { topic = "tracks", delivery = "lossless" }
-inputs = { depth = "depth" }
-path  = "disk/run.mcap"
+[stage]
+recorder = { node = "mcap_sink", input = { topic = "tracks", delivery = "lossless" }, inputs = { depth = "depth" }, path = "disk/run.mcap" }
 "#;
     let Some((playground, ended)) = on_a_small_disk("2m", sink) else { return };
     expect_failed_for_good(ended, "recorder", "No space left on device");

@@ -255,34 +255,29 @@ fn a_slow_cable_full_of_images_is_not_felt_on_the_robot() {
     let text = format!(
         r#"
 name = "images"
-[machine.robot]
-listen   = ["{endpoint}"]
-insecure = true
-[machine.base]
-connect  = ["{endpoint}"]
+
+[machine]
+robot = {{ listen = ["{endpoint}"], insecure = true }}
+base  = {{ connect = ["{endpoint}"] }}
+
 [stage.source]
-node    = "synthetic_source"
-machine = "robot"
-output  = "depth"
-width   = 64
-height  = 48
-rate_hz = 20
+node       = "synthetic_source"
+machine    = "robot"
+output     = "depth"
+width      = 64
+height     = 48
+rate_hz    = 20
 intrinsics = {{ fx = 200, fy = 200, cx = 31.5, cy = 23.5 }}
-[stage.local]
-node    = "row_ellipse_extractor"
-machine = "robot"
-input   = "depth"
-output  = "ellipses"
+
+[stage]
+local  = {{ machine = "robot", node = "row_ellipse_extractor", input = "depth", output = "ellipses" }}
+json   = {{ machine = "base", node = "json_sink", input = "found", path = "tracks.jsonl" }}
+
 [stage.remote]
 node    = "row_ellipse_extractor"
 machine = "base"
 input   = {{ topic = "depth", compression = "none" }}
 output  = "found"
-[stage.json]
-node    = "json_sink"
-machine = "base"
-input   = "found"
-path    = "tracks.jsonl"
 "#
     );
     let machines = machines(&text);

@@ -38,10 +38,8 @@ fn a_program_that_is_a_stage_finds_its_place_without_a_run() {
 #[test]
 fn a_stage_gets_the_environment_that_the_file_names() {
     let program = r#"
-[stage.painter]
-program = ["sh", "-c", "echo $COLOUR > colour.txt"]
-input   = "tracks"
-env     = { COLOUR = "red" }
+[stage]
+painter = { program = ["sh", "-c", "echo $COLOUR > colour.txt"], input = "tracks", env = { COLOUR = "red" } }
 "#;
     let playground = Playground::with_pipeline(&format!("{TRACKING}{program}"));
     playground.conicflow(&["node", "painter"]).expect_code(0);

@@ -21,15 +21,9 @@ input   = {{ topic = "objects", delivery = "lossless" }}
 output  = "nearest"
 {keys}
 
-[stage.objects]
-node  = "json_sink"
-input = {{ topic = "objects", delivery = "lossless" }}
-path  = "objects.jsonl"
-
-[stage.passed_on]
-node  = "json_sink"
-input = {{ topic = "nearest", delivery = "lossless", kind = "objects" }}
-path  = "nearest.jsonl"
+[stage]
+objects   = {{ node = "json_sink", input = {{ topic = "objects", delivery = "lossless" }}, path = "objects.jsonl" }}
+passed_on = {{ node = "json_sink", input = {{ topic = "nearest", delivery = "lossless", kind = "objects" }}, path = "nearest.jsonl" }}
 
 [stage.tracker]{after}"#
     );

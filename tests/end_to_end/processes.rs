@@ -183,9 +183,8 @@ fn interrupt_and_terminate_end_a_run_in_order() {
 #[test]
 fn who_insists_ends_stages_that_do_not_listen() {
     let deaf = r#"
-[stage.deaf]
-program = ["sh", "-c", "trap '' INT TERM; exec sleep 600"]
-input   = "tracks"
+[stage]
+deaf = { program = ["sh", "-c", "trap '' INT TERM; exec sleep 600"], input = "tracks" }
 "#;
     let (playground, mut run) = at_work(&format!("{TRACKING}{deaf}"), 50);
     let launcher = run.id();
@@ -243,11 +242,8 @@ fn a_sink_that_cannot_write_ends_the_run() {
 #[test]
 fn a_stage_that_is_never_restarted_leaves_the_others_at_work() {
     let other = r#"
-[stage.other]
-node    = "json_sink"
-input   = { topic = "tracks", delivery = "lossless" }
-path    = "other.jsonl"
-restart = "never"
+[stage]
+other = { node = "json_sink", input = { topic = "tracks", delivery = "lossless" }, path = "other.jsonl", restart = "never" }
 "#;
     let (playground, mut run) = at_work(&format!("{TRACKING}{other}"), 50);
     let launcher = run.id();
@@ -305,10 +301,8 @@ fn a_stage_whose_program_is_away_comes_back_with_it_and_the_others_go_on() {
 #[test]
 fn a_stage_that_is_always_restarted_comes_back_though_it_ended_well() {
     let again = r#"
-[stage.again]
-program = ["sh", "-c", "echo start >> starts.txt"]
-input   = "tracks"
-restart = "always"
+[stage]
+again = { program = ["sh", "-c", "echo start >> starts.txt"], input = "tracks", restart = "always" }
 "#;
     let playground = Playground::with_pipeline(&format!("{TRACKING}{again}"));
     let mut run = start(&playground);

@@ -18,37 +18,12 @@ name = "everything"
 [machine.base]
 {base}
 
-[stage.source]
-node    = "synthetic_source"
-machine = "robot"
-output  = "depth"
-width   = 160
-height  = 120
-rate_hz = 20
-
-[stage.extractor]
-node    = "row_ellipse_extractor"
-machine = "robot"
-input   = "depth"
-output  = "ellipses"
-
-[stage.assembler]
-node    = "object_assembler"
-machine = "robot"
-input   = "ellipses"
-output  = "objects"
-
-[stage.local]
-node    = "json_sink"
-machine = "robot"
-input   = "objects"
-path    = "local.jsonl"
-
-[stage.lists]
-node    = "json_sink"
-machine = "base"
-input   = "objects"
-path    = "lists.jsonl"
+[stage]
+source    = {{ machine = "robot", node = "synthetic_source", output = "depth", width = 160, height = 120, rate_hz = 20 }}
+extractor = {{ machine = "robot", node = "row_ellipse_extractor", input = "depth", output = "ellipses" }}
+assembler = {{ machine = "robot", node = "object_assembler", input = "ellipses", output = "objects" }}
+local     = {{ machine = "robot", node = "json_sink", input = "objects", path = "local.jsonl" }}
+lists     = {{ machine = "base", node = "json_sink", input = "objects", path = "lists.jsonl" }}
 "#
     )
 }
@@ -56,17 +31,8 @@ path    = "lists.jsonl"
 /// Images uncompressed, of which the radio carries a part, and beside them lists.
 fn everything_crosses() -> String {
     const IMAGES: &str = r#"
-[stage.again]
-node    = "row_ellipse_extractor"
-machine = "base"
-input   = { topic = "depth", compression = "none" }
-output  = "again"
-
-[stage.images]
-node    = "json_sink"
-machine = "base"
-input   = "again"
-path    = "images.jsonl"
+again  = { machine = "base", node = "row_ellipse_extractor", input = { topic = "depth", compression = "none" }, output = "again" }
+images = { machine = "base", node = "json_sink", input = "again", path = "images.jsonl" }
 "#;
     let endpoints = format!(r#"["tcp/{ROBOT}:7447", "udp/{ROBOT}:7447"]"#);
     lists_cross(&format!("listen = {endpoints}\ninsecure = true"), &format!("connect = {endpoints}")) + IMAGES

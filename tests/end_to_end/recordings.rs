@@ -18,10 +18,8 @@ const FRAMES: &str = "60";
 fn recording() -> String {
     format!(
         r#"{TRACKING}
-[stage.objects_json]
-node  = "json_sink"
-input = {{ topic = "objects", delivery = "lossless" }}
-path  = "objects.jsonl"
+[stage]
+objects_json = {{ node = "json_sink", input = {{ topic = "objects", delivery = "lossless" }}, path = "objects.jsonl" }}
 
 [stage.recorder]
 node   = "mcap_sink"
@@ -44,21 +42,10 @@ fn replay(text: &str) -> String {
 const FROM_ELLIPSES: &str = r#"
 name = "again"
 
-[stage.replay]
-node    = "mcap_source"
-output  = "ellipses"
-path    = "run.mcap"
-rate_hz = 0
-
-[stage.assembler]
-node   = "object_assembler"
-input  = { topic = "ellipses", delivery = "lossless" }
-output = "objects"
-
-[stage.json]
-node  = "json_sink"
-input = { topic = "objects", delivery = "lossless" }
-path  = "again.jsonl"
+[stage]
+replay    = { node = "mcap_source", output = "ellipses", path = "run.mcap", rate_hz = 0 }
+assembler = { node = "object_assembler", input = { topic = "ellipses", delivery = "lossless" }, output = "objects" }
+json      = { node = "json_sink", input = { topic = "objects", delivery = "lossless" }, path = "again.jsonl" }
 "#;
 
 #[test]
@@ -120,11 +107,9 @@ fn an_onlooker_records_a_running_pipeline_until_it_ends() {
     ended.expect_told(&["recorded ", "MB: depth "]);
 
     // The numbers of the frames are those of the run, in which the recording begins in the middle.
-    let part = FROM_ELLIPSES.replace("ellipses", "objects").replace("run.mcap", "part.mcap");
-    let assembler = part.find("[stage.assembler]").unwrap()..part.find("[stage.json]").unwrap();
-    let mut part = part;
-    part.replace_range(assembler, "");
-    let part = part.replace("output  = \"objects\"", "output = { topic = \"objects\", kind = \"objects\" }");
+    let part = FROM_ELLIPSES.lines().filter(|line| !line.starts_with("assembler")).collect::<Vec<_>>().join("\n");
+    let part = part.replace("run.mcap", "part.mcap");
+    let part = part.replace("output = \"ellipses\"", "output = { topic = \"objects\", kind = \"objects\" }");
     playground.write("part.toml", &part);
     playground.conicflow(&["run", "part.toml"]).expect_code(0);
     let sequences = playground.sequences("again.jsonl");

@@ -16,18 +16,9 @@ fn slow_pipeline(delay_ms: u64) -> Playground {
         r#"
 name = "slow"
 
-[stage.source]
-node    = "synthetic_source"
-output  = "depth"
-width   = 32
-height  = 24
-rate_hz = 0
-
-[stage.sink]
-program  = {program}
-input    = "depth"
-path     = "numbers.txt"
-delay_ms = {delay_ms}
+[stage]
+source = {{ node = "synthetic_source", output = "depth", width = 32, height = 24, rate_hz = 0 }}
+sink   = {{ program = {program}, input = "depth", path = "numbers.txt", delay_ms = {delay_ms} }}
 "#
     ))
 }

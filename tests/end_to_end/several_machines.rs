@@ -99,29 +99,16 @@ fn pipelines_beside_each_other_on_the_same_machines_do_not_meet() {
 fn files_and_programs_of_other_machines_need_not_be_here() {
     const TEXT: &str = r#"
 name = "apart"
-[machine.robot]
-zenoh = "robot.json5"
-[machine.base]
-zenoh = "base.json5"
-[stage.source]
-machine = "robot"
-node = "image_source"
-path = "frames/"
-output = "depth"
-[stage.own]
-machine = "robot"
-program = ["./own"]
-input = "depth"
-[stage.extractor]
-machine = "base"
-node = "row_ellipse_extractor"
-input = "depth"
-output = "ellipses"
-[stage.json]
-machine = "base"
-node = "json_sink"
-input = "ellipses"
-path = "."
+
+[machine]
+robot = { zenoh = "robot.json5" }
+base  = { zenoh = "base.json5" }
+
+[stage]
+source    = { machine = "robot", node = "image_source", path = "frames/", output = "depth" }
+own       = { machine = "robot", program = ["./own"], input = "depth" }
+extractor = { machine = "base", node = "row_ellipse_extractor", input = "depth", output = "ellipses" }
+json      = { machine = "base", node = "json_sink", input = "ellipses", path = "." }
 "#;
     let playground = Playground::with_pipeline(TEXT);
     let faults = |arguments: &[&str]| {

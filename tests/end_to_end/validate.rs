@@ -9,20 +9,10 @@ use std::path::{Path, PathBuf};
 const SOUND: &str = r#"
 name = "sound"
 
-[stage.source]
-node   = "synthetic_source"
-output = "depth"
-frames = 3
-
-[stage.extractor]
-node   = "row_ellipse_extractor"
-input  = "depth"
-output = "ellipses"
-
-[stage.json]
-node  = "json_sink"
-input = "ellipses"
-path  = "ellipses.jsonl"
+[stage]
+source    = { node = "synthetic_source", output = "depth", frames = 3 }
+extractor = { node = "row_ellipse_extractor", input = "depth", output = "ellipses" }
+json      = { node = "json_sink", input = "ellipses", path = "ellipses.jsonl" }
 "#;
 
 fn folder() -> PathBuf {
@@ -98,12 +88,12 @@ fn a_sound_file_is_valid() {
 
 #[test]
 fn what_is_odd_but_works_is_a_warning() {
-    let (without_sink, _) = SOUND.split_once("[stage.json]").unwrap();
+    let (without_sink, _) = SOUND.split_once("json ").unwrap();
     let playground = Playground::with_pipeline(without_sink);
     let ended = playground.conicflow(&["validate"]).expect_code(0);
-    let expected = "warning: pipeline.toml:12:10: nobody reads the topic `ellipses`
-   12 | output = \"ellipses\"
-      |          ^^^^^^^^^^
+    let expected = "warning: pipeline.toml:6:73: nobody reads the topic `ellipses`
+    6 | extractor = { node = \"row_ellipse_extractor\", input = \"depth\", output = \"ellipses\" }
+      |                                                                         ^^^^^^^^^^
   hint: add a stage with this `input`, or leave it for tools that look on
 
 `sound` is valid: 2 stages, 2 topics\n";
