@@ -254,7 +254,7 @@ pub(crate) mod tests {
     use super::*;
     use crate::edge_tests::wait_until;
     use std::net::{SocketAddr, TcpListener, UdpSocket};
-    use std::sync::mpsc::{Receiver, channel};
+    use std::sync::mpsc::channel;
 
     const KEY: &str = "conicflow/test/robot/objects";
     const PART_OF_KEY: &[u8] = b"robot/objects";
@@ -298,41 +298,27 @@ pub(crate) mod tests {
         way
     }
 
-    /// Speaks until a message is heard and `holds` is true of the subscriber.
-    fn publish_until(
-        publisher: &mut Publisher<'_>,
-        subscriber: &mut Subscriber<'_>,
-        heard: &Receiver<ZBytes>,
-        holds: fn(&Subscriber<'_>) -> bool,
-    ) {
-        wait_until("a message comes as it is to come", || {
-            subscriber.choose().unwrap();
-            publisher.put(b"objects".to_vec());
-            heard.recv_timeout(Duration::from_millis(20)).is_ok() && holds(subscriber)
-        });
-    }
-
     #[test]
-    fn short_messages_come_by_datagrams_and_by_the_stream_where_no_datagrams_come() {
-        let [robot, base] = joined(|address| address);
-        let (take, heard) = channel();
-        let mut publisher = robot.publisher(KEY, true, Priority::InteractiveHigh).unwrap();
-        let mut subscriber =
-            base.subscriber(KEY, Some(Duration::from_secs(1)), move |bytes| drop(take.send(bytes))).unwrap();
-        publish_until(&mut publisher, &mut subscriber, &heard, |subscriber| subscriber.stream.is_none());
-        robot.datagrams.get().unwrap().close().wait().unwrap();
-        while heard.try_recv().is_ok() {}
-        publish_until(&mut publisher, &mut subscriber, &heard, |subscriber| subscriber.stream.is_some());
-    }
-
-    #[test]
-    fn datagrams_come_although_the_question_for_them_was_lost() {
-        let [robot, base] = joined(losing_the_first_with_the_key);
-        let (take, heard) = channel();
-        let mut publisher = robot.publisher(KEY, true, Priority::InteractiveHigh).unwrap();
-        let mut subscriber =
-            base.subscriber(KEY, Some(Duration::from_secs(1)), move |bytes| drop(take.send(bytes))).unwrap();
-        publish_until(&mut publisher, &mut subscriber, &heard, |subscriber| subscriber.stream.is_none());
+    fn short_messages_come_by_datagrams_though_the_question_for_them_is_lost_and_by_the_stream_where_none_come() {
+        for between in [|address: SocketAddr| address, losing_the_first_with_the_key] {
+            let [robot, base] = joined(between);
+            let (take, heard) = channel();
+            let mut publisher = robot.publisher(KEY, true, Priority::InteractiveHigh).unwrap();
+            let mut subscriber =
+                base.subscriber(KEY, Some(Duration::from_secs(1)), move |bytes| drop(take.send(bytes))).unwrap();
+            let mut publish_until_it_comes = |by_the_stream: bool| {
+                wait_until("a message comes as it is to come", || {
+                    subscriber.choose().unwrap();
+                    publisher.put(b"objects".to_vec());
+                    let is_heard = heard.recv_timeout(Duration::from_millis(20)).is_ok();
+                    is_heard && subscriber.stream.is_some() == by_the_stream
+                });
+            };
+            publish_until_it_comes(false);
+            robot.datagrams.get().unwrap().close().wait().unwrap();
+            while heard.try_recv().is_ok() {}
+            publish_until_it_comes(true);
+        }
     }
 
     #[test]
@@ -394,8 +380,11 @@ pub(crate) mod tests {
         let (take, heard) = channel();
         let mut publisher = robot.publisher(KEY, false, Priority::DataLow).unwrap();
         let mut subscriber = base.subscriber(KEY, None, move |bytes| drop(take.send(bytes))).unwrap();
-        publish_until(&mut publisher, &mut subscriber, &heard, |subscriber| {
-            subscriber.stream.is_some() && subscriber.datagrams.is_none()
+        wait_until("a message comes by the stream", || {
+            subscriber.choose().unwrap();
+            publisher.put(b"objects".to_vec());
+            let is_heard = heard.recv_timeout(Duration::from_millis(20)).is_ok();
+            is_heard && subscriber.stream.is_some() && subscriber.datagrams.is_none()
         });
         assert!(publisher.datagrams.is_none());
     }
