@@ -28,7 +28,7 @@ const SHORT_LIST: usize = 64 * 1024;
 
 type Check = fn(&Header, &[u8]) -> Result<(), Malformed>;
 type Json = fn(&AnyMessage<'_>, Option<f64>, &mut Vec<u8>) -> serde_json::Result<()>;
-type Labels = fn(&AnyMessage<'_>) -> Vec<&'static str>;
+type Labels = fn(&AnyMessage<'_>, &mut dyn FnMut(&'static str));
 
 /// An item type.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -74,7 +74,7 @@ impl ItemType {
             usual_length: T::USUAL_LENGTH,
             is_image: T::IS_IMAGE,
             is_counted: T::IS_COUNTED,
-            form: Form::Known(check::<T>, labels::<T>, json),
+            form: Form::Known(check::<T>, each_label::<T>, json),
         }
     }
 
@@ -125,6 +125,11 @@ impl ItemType {
     /// Whether a run tells how many of its items there were, and that there was none.
     pub fn is_counted(&self) -> bool {
         self.is_counted
+    }
+
+    /// Whether these are the items `T`.
+    pub(crate) fn is<T: Item>(&self) -> bool {
+        self.type_name == T::TYPE_NAME
     }
 
     /// The fields, where the pipeline file tells them.
@@ -206,8 +211,8 @@ fn check<T: Item>(header: &Header, bytes: &[u8]) -> Result<(), Malformed> {
     }
 }
 
-fn labels<T: Item>(message: &AnyMessage<'_>) -> Vec<&'static str> {
-    message.items::<T>().unwrap_or_default().iter().filter_map(Item::label).collect()
+fn each_label<T: Item>(message: &AnyMessage<'_>, tell: &mut dyn FnMut(&'static str)) {
+    message.items::<T>().unwrap_or_default().iter().filter_map(Item::label).for_each(tell);
 }
 
 fn json<T: ToJson>(message: &AnyMessage<'_>, latency_ms: Option<f64>, line: &mut Vec<u8>) -> serde_json::Result<()> {
@@ -240,11 +245,12 @@ impl<'a> AnyMessage<'a> {
         Some(Message { header: self.header, items: self.items()? })
     }
 
-    /// What its items are called when they are counted.
-    pub(crate) fn labels(&self) -> Vec<&'static str> {
-        match &self.item.form {
-            Form::Known(_, labels, _) if self.item.is_counted => labels(self),
-            _ => Vec::new(),
+    /// Tells what each of its items is called when they are counted.
+    pub(crate) fn each_label(&self, mut tell: impl FnMut(&'static str)) {
+        if let Form::Known(_, labels, _) = &self.item.form
+            && self.item.is_counted
+        {
+            labels(self, &mut tell);
         }
     }
 
@@ -360,9 +366,11 @@ mod tests {
         assert!(message.items::<Velocity>().is_none() && message.typed::<Track>().is_none());
         assert_eq!(message.typed::<Object>().map(|typed| typed.items.len()), Some(2));
         assert_eq!(message.items::<AnyByte>().map(<[_]>::len), Some(2 * size_of::<Object>()), "all are bytes");
-        assert_eq!(message.labels(), [ObjectKind::Sphere.name(); 2]);
+        let mut labels = Vec::new();
+        message.each_label(|label| labels.push(label));
+        assert_eq!(labels, [ObjectKind::Sphere.name(); 2]);
         let depth = AnyMessage { item: &BUILT_IN[0], ..message };
-        assert!(depth.labels().is_empty(), "pixels are not counted");
+        depth.each_label(|label| panic!("a pixel is counted as {label}"));
         let mut line = Vec::new();
         message.write_json(None, &mut line).unwrap();
         let told: serde_json::Value = serde_json::from_slice(&line).unwrap();

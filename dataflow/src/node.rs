@@ -3,6 +3,7 @@
 use crate::ports::shared_memory::SharedMemory;
 use crate::runner::source_loop::run_source;
 use crate::runner::stage_loop::run_stage;
+use crate::runner::untyped::{NewSource, NewStage};
 use crate::runner::{RunError, StageRuntime};
 use crate::side_inputs::SideInput;
 use crate::stage::{Config, Source, Stage};
@@ -148,13 +149,19 @@ fn message_length<S: Source>(parameters: Json, base: &Path) -> Option<usize> {
 }
 
 fn start_source<S: Source>(parameters: Json, runtime: StageRuntime<SharedMemory>) -> Result<(), RunError> {
-    run_source::<S, _>(configuration(parameters)?, runtime)
+    run_new_source(&NewSource::of::<S>(parameters)?, runtime)
 }
 
 fn start_stage<S: Stage>(parameters: Json, runtime: StageRuntime<SharedMemory>) -> Result<(), RunError> {
-    run_stage::<S, _>(configuration(parameters)?, runtime)
+    run_new_stage(&NewStage::of::<S>(parameters)?, runtime)
 }
 
-fn configuration<C: Config>(parameters: Json) -> Result<C, RunError> {
-    serde_json::from_value(parameters).map_err(|error| RunError::Refused(error.into()))
+/// Not for each type of source, so that the loop is built here, once for all.
+fn run_new_source(source: &NewSource<'_>, runtime: StageRuntime<SharedMemory>) -> Result<(), RunError> {
+    run_source(source, runtime)
+}
+
+/// The same for stages.
+fn run_new_stage(stage: &NewStage<'_>, runtime: StageRuntime<SharedMemory>) -> Result<(), RunError> {
+    run_stage(stage, runtime)
 }

@@ -8,6 +8,7 @@ use crate::heartbeat::Heartbeat;
 use crate::item_type::ItemType;
 use crate::ports::Delivery;
 use crate::side_inputs::{SideInput, SideInputs};
+use bytemuck::try_cast_slice_mut;
 use conicflow_messages::{ConfigFault, Header, Item, Message};
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -261,25 +262,27 @@ pub trait Stage: Sized {
 pub struct Output<'a, T: Item> {
     /// The header of the message.
     pub header: Header,
-    memory: &'a mut dyn Memory<T>,
+    memory: &'a mut dyn Memory,
     list: &'a mut Vec<T>,
     counts: &'a mut BTreeMap<&'static str, u64>,
     image: bool,
 }
 
+/// An [`Output`] whatever its items.
+pub(crate) struct Place<'a> {
+    pub(crate) header: Header,
+    pub(crate) memory: &'a mut dyn Memory,
+    pub(crate) counts: &'a mut BTreeMap<&'static str, u64>,
+}
+
 /// Memory that the next stage reads.
-pub(crate) trait Memory<T: Item> {
-    /// A place for `length` items, with undefined but valid content.
-    fn loan(&mut self, length: usize) -> Result<&mut [T], StageError>;
+pub(crate) trait Memory {
+    /// The bytes of a place for `length` items, with undefined but valid content.
+    fn loan(&mut self, length: usize) -> Result<&mut [u8], StageError>;
 }
 
 impl<'a, T: Item> Output<'a, T> {
-    pub(crate) fn new(
-        header: Header,
-        memory: &'a mut dyn Memory<T>,
-        list: &'a mut Vec<T>,
-        counts: &'a mut BTreeMap<&'static str, u64>,
-    ) -> Self {
+    pub(crate) fn new<'p: 'a>(Place { header, memory, counts }: Place<'p>, list: &'a mut Vec<T>) -> Self {
         list.clear();
         Self { header, memory, list, counts, image: false }
     }
@@ -301,7 +304,8 @@ impl<'a, T: Item> Output<'a, T> {
     /// There is no memory left.
     pub fn image(&mut self, length: usize) -> Result<&mut [T], StageError> {
         self.image = true;
-        self.memory.loan(length)
+        let bytes = self.memory.loan(length)?;
+        try_cast_slice_mut(bytes).map_err(|error| format!("the output has no place for {}: {error}", T::NAME).into())
     }
 
     /// Adds to a counter that the summary and `top` show, such as why candidates were turned down.

@@ -3,6 +3,7 @@
 use super::peers::Peers;
 use super::source_loop::run_source;
 use super::stage_loop::run_stage;
+use super::untyped::{NewSource, NewStage};
 use super::{RunError, StageRuntime};
 use crate::item_type::ItemType;
 use crate::pause::Pause;
@@ -29,10 +30,8 @@ pub fn pass<S: Stage>(
     config: S::Config,
     context: Context,
     messages: &[Owned<S::Input>],
-) -> Result<Vec<Owned<S::Output>>, RunError>
-where
-    S::Config: Send,
-{
+) -> Result<Vec<Owned<S::Output>>, RunError> {
+    let parameters = serde_json::to_value(config).map_err(|error| RunError::Refused(error.into()))?;
     let memory = InMemory::new(context.stop.clone());
     let mut input = topic("input", UPSTREAM, &context.stage, messages.len() + 1);
     input.readers[0].delivery = context.delivery.unwrap_or(Delivery::Lossless);
@@ -44,7 +43,7 @@ where
         wiring,
         context,
         &output,
-        |runtime| run_stage::<S, _>(config, runtime),
+        |runtime| run_stage(&NewStage::of::<S>(parameters)?, runtime),
         |is_over| {
             while writer.connected().is_empty() && !is_over() {
                 thread::yield_now();
@@ -64,14 +63,19 @@ where
 ///
 /// # Errors
 /// What the source refused or failed at.
-pub fn collect<S: Source>(config: S::Config, context: Context, frames: u64) -> Result<Vec<Owned<S::Output>>, RunError>
-where
-    S::Config: Send,
-{
+pub fn collect<S: Source>(config: S::Config, context: Context, frames: u64) -> Result<Vec<Owned<S::Output>>, RunError> {
+    let parameters = serde_json::to_value(config).map_err(|error| RunError::Refused(error.into()))?;
     let memory = InMemory::new(context.stop.clone());
     let output = Topic { item: context.output.clone(), ..topic("output", &context.stage, DOWNSTREAM, 4) };
     let wiring = Wiring { output: Some(output.clone()), frames: Some(frames), ..Wiring::default() };
-    run_alone(&memory, wiring, context, &output, |runtime| run_source::<S, _>(config, runtime), |_| Ok(()))
+    run_alone(
+        &memory,
+        wiring,
+        context,
+        &output,
+        |runtime| run_source(&NewSource::of::<S>(parameters)?, runtime),
+        |_| Ok(()),
+    )
 }
 
 fn topic(name: &str, writer: &str, reader: &str, queue: usize) -> Topic {

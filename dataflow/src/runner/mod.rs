@@ -21,6 +21,7 @@ mod stage_place;
 mod takeover;
 #[cfg(test)]
 mod tests;
+pub(crate) mod untyped;
 
 use crate::item_type::ItemType;
 use crate::pause::Pause;
@@ -30,7 +31,7 @@ use crate::ports::{PortError, Topic, Transport, Wiring};
 use crate::side_inputs::{Pairing, SideInput};
 use crate::stage::{Context, StageError};
 use crate::status::{Life, StatusFile};
-use conicflow_messages::{AnyByte, Hinted, Item, Nothing, Text, lasts};
+use conicflow_messages::{AnyByte, Hinted, Nothing, Text, lasts};
 use handover::{Handover, Successor};
 use output_port::OutputPort;
 use peers::Peers;
@@ -59,11 +60,6 @@ pub struct StageRuntime<T> {
     pub(crate) pause: Pause,
     /// Held while the stage lives, where it is a process of its own.
     pub(crate) lock: Option<File>,
-}
-
-/// Whether there are no messages of these items: the output of a sink.
-fn is_nothing<T: Item>() -> bool {
-    T::TYPE_NAME == Nothing::TYPE_NAME
 }
 
 /// Why a stage ended before its stream did.
@@ -109,19 +105,18 @@ fn with_causes(error: &(dyn Error + 'static)) -> String {
 }
 
 impl<T: Transport> StageRuntime<T> {
-    pub(crate) fn output_port<O: Item>(&mut self) -> Result<OutputPort<T::Writer>, PortError> {
-        let wired = self.wiring.output.take().filter(|_| !is_nothing::<O>());
-        let port = wired.map(|topic| Ok::<_, PortError>((self.writer_of::<O>(&topic)?, topic))).transpose()?;
+    /// The end of the topic that the stage writes, if it is wired to one and makes anything.
+    pub(crate) fn output_port(&mut self, item: &ItemType) -> Result<OutputPort<T::Writer>, PortError> {
+        let wired = self.wiring.output.take().filter(|_| !item.is::<Nothing>());
+        let port = wired.map(|topic| Ok::<_, PortError>((self.writer_of(item, &topic)?, topic))).transpose()?;
         let (stop, sent) = (self.context.stop.clone(), self.record.status.sent);
         Ok(OutputPort::new(port, &self.context.stage, sent, self.peers.clone(), stop))
     }
 
     /// The end of a topic for items of this type, or of the topic's own, where the stage writes lists of any type.
-    fn writer_of<O: Item>(&self, topic: &Topic) -> Result<T::Writer, PortError> {
-        match &topic.item {
-            Some(item) if O::TYPE_NAME == AnyByte::TYPE_NAME => self.transport.writer_of(item, topic),
-            _ => self.transport.writer::<O>(topic),
-        }
+    fn writer_of(&self, item: &ItemType, topic: &Topic) -> Result<T::Writer, PortError> {
+        let own = topic.item.as_ref().filter(|_| item.is::<AnyByte>());
+        self.transport.writer_of(own.unwrap_or(item), topic)
     }
 
     pub(crate) fn side_inputs(&self, declared: &'static [SideInput]) -> Result<Vec<SidePort<T::Reader>>, PortError> {

@@ -5,9 +5,9 @@ use crate::clock::monotonic_ns;
 use crate::item_type::ItemType;
 use crate::ports::patience::Patience;
 use crate::ports::{ConnectedReader, Delivery, PortError, Topic, TopicReader, Writer};
-use crate::stage::{Memory, Output, StageError, Stop};
+use crate::stage::{Memory, Place, StageError, Stop};
 use crate::status::Status;
-use conicflow_messages::{END_OF_STREAM, Header, Hop, Item, Text};
+use conicflow_messages::{END_OF_STREAM, Header, Hop, Text};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::{self, Display, Formatter};
 use std::time::{Duration, Instant};
@@ -36,10 +36,10 @@ pub struct OutputPort<W: Writer> {
     stop: Stop,
 }
 
-impl<T: Item, W: Writer> Memory<T> for Option<(W, Topic)> {
-    fn loan(&mut self, length: usize) -> Result<&mut [T], StageError> {
+impl<W: Writer> Memory for Option<(W, Topic)> {
+    fn loan(&mut self, length: usize) -> Result<&mut [u8], StageError> {
         match self {
-            Some((writer, _)) => Ok(writer.loan(length)?),
+            Some((writer, _)) => Ok(writer.loan_bytes(length)?),
             None => Err("this stage has no `output` in the pipeline file".into()),
         }
     }
@@ -68,26 +68,21 @@ impl<W: Writer> OutputPort<W> {
         self.number = number;
     }
 
-    /// A place to write a message with this header; a list is gathered in `list`.
-    pub(crate) fn place<'a, T: Item>(&'a mut self, header: Header, list: &'a mut Vec<T>) -> Output<'a, T> {
-        Output::new(header, &mut self.port, list, &mut self.counts)
+    /// A place to write a message with this header.
+    pub(crate) fn place(&mut self, header: Header) -> Place<'_> {
+        Place { header, memory: &mut self.port, counts: &mut self.counts }
     }
 
-    /// Sends what was written: a list after it was copied into shared memory; `None`: an image, where it is.
-    pub(crate) fn send<T: Item>(
-        &mut self,
-        mut header: Header,
-        received_ns: u64,
-        list: Option<&[T]>,
-    ) -> Result<(), PortError> {
+    /// Sends what was written: the bytes of a list after they were copied into shared memory; `None`: an image, where it is.
+    pub(crate) fn send(&mut self, mut header: Header, received_ns: u64, list: Option<&[u8]>) -> Result<(), PortError> {
         if self.port.is_none() {
             return Ok(());
         }
         self.await_readers()?;
-        let Some((writer, _)) = &mut self.port else { return Ok(()) };
-        if let Some(list) = list {
-            writer.loan(list.len())?.copy_from_slice(list);
+        if let Some(bytes) = list {
+            self.write(bytes)?;
         }
+        let Some((writer, _)) = &mut self.port else { return Ok(()) };
         header.number = self.number;
         let sent_ns = monotonic_ns();
         header.add_hop(Hop { stage: self.stage, received_ns, sent_ns });
@@ -112,8 +107,8 @@ impl<W: Writer> OutputPort<W> {
         self.port.as_ref().map(|(writer, _)| writer.item())
     }
 
-    /// Adds what the last step, which met `frame`, counted, and the list that it sent by label, to the record.
-    pub(crate) fn tally<T: Item>(&mut self, status: &mut Status, frame: u64, list: &[T]) {
+    /// Adds what the last step, which met `frame`, counted to the record.
+    pub(crate) fn tally(&mut self, status: &mut Status, frame: u64) {
         status.sent = self.number;
         status.sent_bytes += std::mem::take(&mut self.bytes);
         self.interval_ns.take().into_iter().for_each(|ns| status.intervals.add(ns));
@@ -122,7 +117,6 @@ impl<W: Writer> OutputPort<W> {
             tracing::debug!("stage `{}`, frame {frame}: {}", self.stage, Counts(&self.counts));
         }
         self.counts.clear();
-        list.iter().filter_map(Item::label).for_each(|label| status.count_found(label));
     }
 
     /// Sends on what a stage on another machine wrote, as that stage wrote it.

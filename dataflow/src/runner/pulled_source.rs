@@ -43,7 +43,8 @@ impl PulledSource {
         let output =
             output.ok_or_else(|| fault("this source has no `output` in the pipeline file", "name a topic there"))?;
         runtime.context.output = Some(output);
-        let (side_inputs, output_port) = (runtime.side_inputs_of(&[])?, runtime.output_port::<AnyByte>()?);
+        let (side_inputs, output_port) =
+            (runtime.side_inputs_of(&[])?, runtime.output_port(&ItemType::of::<AnyByte>())?);
         if !takes_place(&mut runtime)? {
             return Ok(None);
         }
@@ -94,11 +95,10 @@ impl PulledSource {
         item.check(&header, bytes).map_err(|error| RunError::Refused(error.into()))?;
         place.output_port.write(bytes)?;
         let making = self.started.replace(Instant::now()).map_or(Duration::ZERO, |started| started.elapsed());
-        self.is_over |= !place.send::<AnyByte>(header, making, None)?;
-        for label in (AnyMessage { header: &header, item: &item, bytes }).labels() {
-            place.record.status.count_found(label);
-        }
-        place.output_port.tally::<AnyByte>(&mut place.record.status, header.sequence, &[]);
+        self.is_over |= !place.send(header, making, None)?;
+        let message = AnyMessage { header: &header, item: &item, bytes };
+        message.each_label(|label| place.record.status.count_found(label));
+        place.output_port.tally(&mut place.record.status, header.sequence);
         place.keep_counts();
         Ok(())
     }

@@ -64,7 +64,7 @@ impl PulledStage {
         };
         let inputs = open(&runtime)?;
         runtime.context.output = runtime.output_of_any()?;
-        let output_port = runtime.output_port::<AnyByte>()?;
+        let output_port = runtime.output_port(&ItemType::of::<AnyByte>())?;
         runtime.context.input = Some(item.clone());
         runtime.context.delivery = Some(topic.delivery_to(&runtime.context.stage));
         let Some(inputs) = take_place(inputs, open, &mut runtime, &topic)? else { return Ok(None) };
@@ -147,12 +147,11 @@ impl PulledStage {
         item.check(&header, bytes).map_err(|error| RunError::Refused(error.into()))?;
         let started = Instant::now();
         self.place.output_port.write(bytes)?;
-        self.is_over |= is_stopped(self.place.output_port.send::<AnyByte>(header, step.received_ns, None))?;
+        self.is_over |= is_stopped(self.place.output_port.send(header, step.received_ns, None))?;
         step.waited = started.elapsed();
         step.has_sent = true;
-        for label in (AnyMessage { header: &header, item: &item, bytes }).labels() {
-            self.place.record.status.count_found(label);
-        }
+        let message = AnyMessage { header: &header, item: &item, bytes };
+        message.each_label(|label| self.place.record.status.count_found(label));
         Ok(())
     }
 
@@ -173,7 +172,7 @@ impl PulledStage {
         let Some(step) = self.step.take() else { return Ok(()) };
         self.place.keep_times(&step.header, step.received_ns, step.started.elapsed().saturating_sub(step.waited));
         let place = &mut self.place;
-        place.output_port.tally::<AnyByte>(&mut place.record.status, step.header.sequence, &[]);
+        place.output_port.tally(&mut place.record.status, step.header.sequence);
         place.keep_counts();
         Ok(())
     }

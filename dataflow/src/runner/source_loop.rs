@@ -4,12 +4,14 @@ use super::handover::Watermark;
 use super::output_port::OutputPort;
 use super::pace::{Pace, Rhythm};
 use super::side_ports::{self, SidePort};
+use super::untyped::{AnySource, Made, NewSource};
 use super::{MemoryTrim, RunError, StageRuntime, guarded, is_stopped};
 use crate::clock::{monotonic_ns, unix_ns};
+use crate::item_type::{AnyMessage, ItemType};
 use crate::ports::{PortError, Transport};
-use crate::stage::{Next, Source, Stop};
+use crate::stage::{Next, Stop};
 use crate::status::{Life, Pausing, Status, StatusFile, used};
-use conicflow_messages::{Header, Item};
+use conicflow_messages::Header;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::time::{Duration, Instant};
@@ -32,30 +34,26 @@ pub(crate) struct SourcePlace<T: Transport> {
     _lock: Option<File>,
 }
 
-struct SourceLoop<S: Source, T: Transport> {
-    source: S,
+struct SourceLoop<'a, T: Transport> {
+    source: Box<dyn AnySource + 'a>,
+    output: &'a ItemType,
     place: SourcePlace<T>,
-    list: Vec<S::Output>,
     memory_trim: MemoryTrim,
 }
 
-/// Runs the source `S` to its end.
-pub(crate) fn run_source<S: Source, T: Transport>(
-    config: S::Config,
-    mut runtime: StageRuntime<T>,
-) -> Result<(), RunError> {
+/// Runs a source to its end.
+pub(crate) fn run_source<T: Transport>(new: &NewSource<'_>, mut runtime: StageRuntime<T>) -> Result<(), RunError> {
+    let output = &new.output;
     runtime.context.output = runtime.wiring.output.as_ref().and_then(|topic| topic.item.clone());
-    let (side_inputs, output_port) = (runtime.side_inputs(S::side_inputs())?, runtime.output_port::<S::Output>()?);
+    let (side_inputs, output_port) = (runtime.side_inputs(new.side_inputs)?, runtime.output_port(output)?);
     if !takes_place(&mut runtime)? {
         return Ok(());
     }
     resume(&mut runtime);
-    let source = S::new(config, &runtime.context).map_err(RunError::Refused)?;
+    let source = new.make(&runtime.context)?;
     let memory_trim = MemoryTrim::of(&runtime);
-    let rhythm =
-        Rhythm { rate_hz: source.rate_hz(), keeps_stamps: source.keeps_stamps(), can_pause: source.can_pause() };
-    let place = SourcePlace::begin(runtime, side_inputs, output_port, source.total(), rhythm)?;
-    let mut running = SourceLoop::<S, T> { source, place, list: Vec::new(), memory_trim };
+    let place = SourcePlace::begin(runtime, side_inputs, output_port, source.total(), source.rhythm())?;
+    let mut running = SourceLoop { source, output, place, memory_trim };
     while running.place.is_due() && running.make_one()? {}
     running.place.end()
 }
@@ -130,12 +128,7 @@ impl<T: Transport> SourcePlace<T> {
     }
 
     /// Sends what was written, a list or, where there is none, an image; false if the run ended meanwhile.
-    pub(crate) fn send<O: Item>(
-        &mut self,
-        header: Header,
-        making: Duration,
-        list: Option<&[O]>,
-    ) -> Result<bool, PortError> {
+    pub(crate) fn send(&mut self, header: Header, making: Duration, list: Option<&[u8]>) -> Result<bool, PortError> {
         self.record.status.compute.add(making.as_nanos() as u64);
         if is_stopped(self.output_port.send(header, monotonic_ns(), list))? {
             return Ok(false);
@@ -167,23 +160,24 @@ impl<T: Transport> SourcePlace<T> {
     }
 }
 
-impl<S: Source, T: Transport> SourceLoop<S, T> {
+impl<T: Transport> SourceLoop<'_, T> {
     /// Makes and sends one message; false if there is none any more.
     fn make_one(&mut self) -> Result<bool, RunError> {
         let place = &mut self.place;
         place.find_side_inputs()?;
         let started = Instant::now();
         let side_inputs = side_ports::found(&place.side_inputs);
-        let mut output = place.output_port.place(Header::default(), &mut self.list);
-        let next = guarded(&mut place.record, place.sequence, || self.source.next(&side_inputs, &mut output))?;
-        let (made, is_image) = (output.header, output.is_image());
-        let header = place.numbered(made);
-        let list = (!is_image).then_some(&*self.list);
+        let output = place.output_port.place(Header::default());
+        let make = || self.source.next(&side_inputs, output);
+        let (next, Made { header, list }) = guarded(&mut place.record, place.sequence, make)?;
+        let header = place.numbered(header);
         let (making, is_message) = (started.elapsed(), next == Next::Message);
         let is_due = place.is_due_to_be_sent(is_message.then_some(header.stamp_ns));
         let sent = is_message && is_due && place.send(header, making, list)?;
         if sent || next == Next::End {
-            place.output_port.tally(&mut place.record.status, header.sequence, &self.list);
+            place.output_port.tally(&mut place.record.status, header.sequence);
+            let message = AnyMessage { header: &header, item: self.output, bytes: list.unwrap_or_default() };
+            message.each_label(|label| place.record.status.count_found(label));
             place.keep_counts();
             self.memory_trim.step();
         }

@@ -3,9 +3,11 @@
 
 use super::handover::Successor;
 use super::side_ports::{Inputs, SidePort};
-use super::{RunError, StageRuntime, is_nothing};
+use super::untyped::{AnyStage, NewStage};
+use super::{RunError, StageRuntime};
 use crate::ports::{Delivery, Topic, Transport};
-use crate::stage::Stage;
+use crate::stage::Context;
+use conicflow_messages::Nothing;
 use std::time::{Duration, Instant};
 
 /// A successor waits so long for the first message of writers whose loss of one would be no fault.
@@ -13,14 +15,12 @@ const PATIENCE_WITH_WRITERS: Duration = Duration::from_secs(1);
 
 /// Makes the stage ready while the one that it replaces is at work, so that what cannot begin never takes a place. A sink
 /// is made on trial, and anew in its place: two that are at work on one file would spoil it.
-pub(crate) fn made_early<S: Stage>(
-    config: &S::Config,
-    runtime: &StageRuntime<impl Transport>,
-) -> Result<Option<S>, RunError> {
-    let copied = serde_json::to_value(config).and_then(serde_json::from_value);
-    let copy = copied.map_err(|error| RunError::Refused(error.into()))?;
-    let stage = S::new(copy, &runtime.context).map_err(RunError::Refused)?;
-    Ok(Some(stage).filter(|_| !is_nothing::<S::Output>()))
+pub(crate) fn made_early<'a>(
+    new: &NewStage<'a>,
+    context: &Context,
+) -> Result<Option<Box<dyn AnyStage + 'a>>, RunError> {
+    let stage = new.make(context)?;
+    Ok(Some(stage).filter(|_| !new.output.is::<Nothing>()))
 }
 
 /// Where this process replaces another, buffers a message of each writer, says so, and waits until that is gone. The inputs from

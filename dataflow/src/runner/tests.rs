@@ -3,12 +3,15 @@
 use super::alone::{Owned, collect, pass};
 use super::output_port::OutputPort;
 use super::peers::Peers;
-use crate::ports::in_memory::{InMemory, MemoryReader};
+use super::untyped::NewStage;
+use crate::ports::in_memory::{InMemory, MemoryReader, MemoryWriter};
 use crate::ports::{Delivery, Reader, Received, Topic, TopicReader, Transport, Writer};
 use crate::stage::Stop;
 use crate::status::Life;
 use crate::{Context, ItemType, Next, NoConfig, Output, RunError, SideInputs, Source, Stage, StageError};
+use bytemuck::cast_slice;
 use conicflow_messages::{AnyByte, Camera, Header, Message, Nothing, Object, ObjectKind};
+use serde_json::json;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -103,6 +106,24 @@ fn a_stage_makes_one_message_of_each_and_keeps_its_header() {
     assert_eq!((first.epoch, first.sequence, first.number), (7, 4, 0));
     let stages: Vec<_> = first.trace().iter().map(|hop| hop.stage.to_string()).collect();
     assert_eq!(stages, ["upstream", "large"]);
+}
+
+#[test]
+fn bytes_that_are_no_whole_items_are_an_error_and_not_an_empty_message() {
+    let mut stage = NewStage::of::<Large>(json!({})).unwrap().make(&context("large")).unwrap();
+    let (peers, header, objects) = (Peers::default(), header(0), [ball(0.2)]);
+    let mut output = OutputPort::new(None::<(MemoryWriter, Topic)>, "large", 0, peers, Stop::default());
+    let mut step = |bytes| {
+        let made = stage.step((&header, bytes), &SideInputs::default(), output.place(header));
+        made.map(|made| made.list.map(<[u8]>::len)).map_err(|error| error.to_string())
+    };
+    let bytes = cast_slice(&objects);
+    assert_eq!(step(bytes), Ok(Some(bytes.len())));
+    assert_eq!(step(&[]), Ok(Some(0)));
+    for wrong in [&bytes[1..], &bytes[..8]] {
+        let told = step(wrong).unwrap_err();
+        assert!(told.contains(&format!("{} bytes are no items of objects", wrong.len())), "{told}");
+    }
 }
 
 #[test]
@@ -252,7 +273,7 @@ fn a_recording_keeps_its_items_and_the_numbers_of_its_frames_as_long_as_they_ris
     let context = Context { output: Some(ItemType::of::<Object>()), ..context("replay") };
     let sent: Vec<Owned<AnyByte>> = collect::<Replay>(NoConfig::default(), context, 4).unwrap();
     let told = |(header, bytes): &Owned<AnyByte>| {
-        let object: Object = bytemuck::pod_read_unaligned(bytemuck::cast_slice(bytes));
+        let object: Object = bytemuck::pod_read_unaligned(cast_slice(bytes));
         (header.sequence, header.number, object.radius)
     };
     assert_eq!(sent.iter().map(told).collect::<Vec<_>>(), [(4, 0, 0.1), (5, 1, 0.2), (9, 2, 0.3), (10, 3, 0.4)]);

@@ -8,7 +8,7 @@ use crate::runner::output_port::{OutputPort, Telling, end_of_stream};
 use crate::runner::peers::Peers;
 use crate::stage::Stop;
 use crate::status::Life;
-use conicflow_messages::{Camera, Header, Object, Text};
+use conicflow_messages::{Camera, Header, Text};
 use std::hash::{Hash, Hasher};
 use std::time::{Duration, Instant};
 
@@ -262,7 +262,7 @@ impl Process {
             self.at = if self.is_asked_to_end { At::Finishing } else { self.at };
             return;
         }
-        output.send::<Object>(header, 0, Some(&[])).expect("the model's memory does not fail");
+        output.send(header, 0, Some(&[])).expect("the model's memory does not fail");
         self.sent += 1;
         self.at = At::Sent;
         self.await_sight();
