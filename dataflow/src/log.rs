@@ -5,10 +5,10 @@ use std::fmt::{self, Debug, Display};
 use std::io::{self, IsTerminal, Stderr, Write, stderr};
 use std::time::{Duration, Instant};
 use tracing::field::Field;
-use tracing_subscriber::EnvFilter;
 use tracing_subscriber::field::MakeExt;
-use tracing_subscriber::filter::LevelFilter;
+use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::fmt::format::{Writer, debug_fn};
+use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 
 /// Environment variable: what is logged, as a level or a filter.
@@ -24,25 +24,34 @@ pub const CLEAR_LINE: &str = "\r\x1b[K";
 /// # Errors
 /// It is neither: a single word has to be a level, as else it would count as the name of what alone is logged.
 pub fn log_filter(text: &str) -> Result<String, String> {
-    let is_named = |part: &str| part.contains(['=', '[', ']', '}']);
-    let wrong = text.split(',').map(str::trim).find(|part| !is_named(part) && part.parse::<LevelFilter>().is_err());
-    match (wrong, EnvFilter::try_new(text)) {
-        (Some(word), _) => Err(format!("`{word}` is no level\n  hint: error, warn, info, debug or trace")),
-        (None, Err(error)) => Err(error.to_string()),
-        (None, Ok(_)) => Ok(text.to_owned()),
-    }
+    parts(text).try_for_each(|part| part.map(drop)).map(|()| text.to_owned())
+}
+
+/// The targets that a filter names, each with its level; all begin with "". `EnvFilter`, which knows spans and values as well,
+/// would bring a library of regular expressions that takes as long to build as the detection.
+fn parts(filter: &str) -> impl Iterator<Item = Result<(&str, LevelFilter), String>> {
+    filter.split(',').map(str::trim).filter(|part| !part.is_empty()).map(|part| {
+        let (target, word) = part.split_once('=').unwrap_or(("", part));
+        let level = word.parse().ok().filter(|_| !word.is_empty());
+        let fault = || format!("`{word}` is no level\n  hint: error, warn, info, debug or trace");
+        Ok((target, level.ok_or_else(fault)?))
+    })
 }
 
 /// From now on this process logs what the filter lets through, unless it logs somewhere already.
 pub fn log_to_standard_error(filter: &str) {
+    // A program from outside may have a filter that nobody has looked at.
+    let told = |error| writeln!(stderr(), "in the filter of the log, {error}").ok();
+    let parts = parts(filter).filter_map(|part| part.map_err(told).ok());
     // What a link does is told by the bridge; Zenoh's own words are for `CONICFLOW_LOG=zenoh=debug`.
-    let filter = EnvFilter::new(format!("zenoh=error,{filter}"));
+    let targets: Targets = [("zenoh", LevelFilter::ERROR)].into_iter().chain(parts).collect();
     let is_terminal = stderr().is_terminal();
     let writer = move || Lines { place: stderr(), begin: if is_terminal { CLEAR_LINE } else { "" } };
-    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(writer).without_time();
+    let layer = tracing_subscriber::fmt::layer().with_writer(writer).without_time().with_target(false);
     // A log that nobody reads any more is no fault of the run.
-    let builder = builder.with_target(false).with_ansi(is_terminal).log_internal_errors(false);
-    builder.fmt_fields(debug_fn(write_field).delimited(" ")).finish().try_init().ok();
+    let layer =
+        layer.with_ansi(is_terminal).log_internal_errors(false).fmt_fields(debug_fn(write_field).delimited(" "));
+    tracing_subscriber::registry().with(layer).with(targets).try_init().ok();
 }
 
 /// Writes what is logged, each time at the beginning of a line.
@@ -96,5 +105,33 @@ impl ThrottledWarning {
             0 => tracing::warn!("{what}"),
             untold => tracing::warn!("{what} (and {untold} times something of the kind before)"),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tracing::Level;
+
+    #[test]
+    fn a_filter_names_levels_and_targets_and_nothing_else() {
+        let told = |filter| parts(filter).collect::<Result<Vec<_>, _>>();
+        assert_eq!(told("info"), Ok(vec![("", LevelFilter::INFO)]));
+        assert_eq!(told("WARN, zenoh=debug,"), Ok(vec![("", LevelFilter::WARN), ("zenoh", LevelFilter::DEBUG)]));
+        assert_eq!(told(""), Ok(vec![]), "nothing is logged");
+        for (filter, word) in [("debgu", "debgu"), ("info,debgu", "debgu"), ("zenoh=debgu", "debgu"), ("zenoh=", "")] {
+            let fault = format!("`{word}` is no level\n  hint: error, warn, info, debug or trace");
+            assert_eq!(log_filter(filter), Err(fault), "{filter}");
+        }
+    }
+
+    #[test]
+    fn the_level_of_the_longest_target_counts() {
+        let targets: Targets = parts("warn,zenoh=error,zenoh::net=off").map(Result::unwrap).collect();
+        for (target, most) in [("conicflow", Level::WARN), ("zenoh::api", Level::ERROR)] {
+            assert!(targets.would_enable(target, &most), "{target}");
+            assert!(!targets.would_enable(target, &Level::INFO), "{target}");
+        }
+        assert!(!targets.would_enable("zenoh::net", &Level::ERROR));
     }
 }
