@@ -6,6 +6,7 @@ use conicflow_geometry::{
     section_about, section_of,
 };
 use conicflow_messages::{END_POINTS, Ellipse, Header};
+use std::f64::consts::FRAC_PI_8;
 use std::iter;
 use std::ops::Range;
 
@@ -15,8 +16,9 @@ const LEAST_VARIANCE: f64 = 1e-8; // [algorithmic]
 const SLOPE: f64 = 5.0; // [tuned]
 /// Mean depths of arcs of one surface may differ by so many standard deviations more than the slope explains.
 const APART: f64 = 4.0; // [sigmas]
-/// Mean depths may differ further by this part of a pixel's width for each pixel by which one arc is longer.
-const LONGER: f64 = 0.5; // [tuned]
+/// Mean depths may differ further by this part of a pixel's width for each pixel by which one arc is longer: the points of half
+/// a circle lie in the mean `pi / 8` of its width before its centre.
+const LONGER: f64 = FRAC_PI_8; // [derived]
 
 /// An arc with what the assembler needs of it.
 #[derive(Clone, Copy, Debug)]

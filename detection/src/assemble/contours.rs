@@ -17,10 +17,10 @@ use nalgebra::{Matrix2, Matrix4, SMatrix, SVector, Vector2, Vector4};
 /// Number of fits to the contour. Each uses the points within the outline of the last one, and those of the contour that are near
 /// it.
 const PASSES: usize = 2; // [algorithmic]
-/// Standard deviation of a contour point of a sensor of which nothing is known, in pixels, and in radii. On rendered frames a
-/// contour point scatters by half a pixel and 2 % of the radius; 4 % leave a margin. The variances may be wrong by as much as
-/// they are.
-const POINT_PX: f64 = 0.5; // [tuned]
+/// Standard deviation of a contour point of a sensor of which nothing is known, in pixels, and in radii. In rendered frames of a
+/// Kinect and of a time-of-flight camera it scatters by half a pixel and 1 to 2 % of the radius, with windows that are compared by
+/// up to 1.2 pixels; 4 % leave a margin. The variances may be wrong by as much as they are.
+const POINT_PX: f64 = 0.5; // [measured]
 const POINT_SHARE: f64 = 0.04; // [tuned]
 /// Least variance of a contour point, in square pixels: that of a place within a pixel.
 const LEAST_VARIANCE_PX: f64 = 1.0 / 12.0; // [derived]

@@ -26,10 +26,8 @@ const STRAYING: f64 = 2.0; // [sigmas]
 const FEW: usize = 8; // [tuned]
 /// An end is shortened so many times at most: within that one curve goes over into the next.
 const TAKEN_OFF: usize = 4; // [algorithmic]
-/// An arc that takes its end points back may use up this part of the residual that noise accounts for.
-const EXPLAINED: f64 = 0.5; // [tuned]
-/// A circle of a larger radius, in units of `max_radius_m`, is a wall. The circle of a short arc is uncertain.
-const FLATTEST: f64 = 4.0; // [tuned]
+/// Radius of a circle that looks like a line, in metres.
+const STRAIGHT_M: f64 = 500.0; // [algorithmic]
 
 /// The arc of a run that a line explains, or why it is none; `None` where a line does not.
 ///
@@ -84,7 +82,7 @@ fn arc(
 ) -> Result<Ellipse, ArcRejection> {
     let contour = contour(rays, segment);
     let fit = circle(rays, segment, &points, moments).or_else(|why| {
-        if may_be_part(rays, segment, &points, contour) { Ok(nearly_flat(rays, moments)) } else { Err(why) }
+        if may_be_part(rays, segment, &points, contour) { Ok(nearly_flat(moments)) } else { Err(why) }
     })?;
     let (points, fit, moments) = with_ends(rays, segment, &points, &fit.circle).unwrap_or_else(|| {
         let moments = all_moments(rays, &points);
@@ -114,7 +112,7 @@ fn circle(rays: &Rays, segment: &Segment, points: &Range<usize>, moments: &ArcMo
         Err(ArcRejection::Line)
     } else if fit.circle.center[1] <= moments.mean()[1] {
         Err(ArcRejection::Concave)
-    } else if !(parameters.min_radius_m..flattest(rays)).contains(&fit.circle.radius) {
+    } else if !(parameters.min_radius_m..STRAIGHT_M).contains(&fit.circle.radius) {
         Err(ArcRejection::Radius)
     } else {
         Ok(fit)
@@ -129,16 +127,11 @@ fn may_be_part(rays: &Rays, segment: &Segment, points: &Range<usize>, contour: [
         && rays.width() < 2.0 * rays.view.parameters.max_radius_m
 }
 
-/// Greatest radius of a circle, in metres.
-fn flattest(rays: &Rays) -> f64 {
-    FLATTEST * rays.view.parameters.max_radius_m
-}
-
-/// A circle as flat as any may be that touches the points.
-fn nearly_flat(rays: &Rays, moments: &ArcMoments) -> ArcFit {
-    let (mean, radius) = (moments.mean(), flattest(rays));
+/// A circle that touches the points and is as flat as a line.
+fn nearly_flat(moments: &ArcMoments) -> ArcFit {
+    let mean = moments.mean();
     let away = 1.0 / (mean[0] * mean[0] + mean[1] * mean[1]).sqrt();
-    let circle = Circle { center: mean.map(|x| x * (1.0 + radius * away)), radius };
+    let circle = Circle { center: mean.map(|x| x * (1.0 + STRAIGHT_M * away)), radius: STRAIGHT_M };
     let line_square = moments.line_square();
     ArcFit { line_square, circle_square: line_square, circle }
 }
@@ -223,11 +216,11 @@ fn with_ends(
     }
     let moments = all_moments(rays, &wider);
     let sums = ArcMoments::of(&moments)?;
-    if sums.fit().circle_square > EXPLAINED * rays.limit(wider.start, wider.end) {
+    if sums.fit().circle_square > rays.limit(wider.start, wider.end) {
         return None;
     }
     let fit = match self::circle(rays, segment, &wider, &sums) {
-        Err(_) if circle.radius >= flattest(rays) => nearly_flat(rays, &sums),
+        Err(_) if circle.radius >= STRAIGHT_M => nearly_flat(&sums),
         fit => fit.ok()?,
     };
     Some((wider, fit, moments))

@@ -48,8 +48,7 @@ pub struct ExtractorParameters {
     /// Smallest radius of a circle through an arc, in metres; with `arcs = "conic"` smallest semi-axis of an ellipse.
     #[schemars(range(min = 0.001, max = 10.0))]
     pub min_radius_m: f64,
-    /// Largest radius, in metres: what is wider than twice this is a wall. The circle through a short arc is uncertain and
-    /// may be four times as large. With `arcs = "conic"` largest semi-axis of an ellipse.
+    /// Largest radius, in metres: what is wider than twice this is a wall. With `arcs = "conic"` largest semi-axis of an ellipse.
     #[schemars(range(min = 0.001, max = 10.0))]
     pub max_radius_m: f64,
 }
