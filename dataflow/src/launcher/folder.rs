@@ -347,11 +347,17 @@ fn is_only_looked_at(lock: &File) -> bool {
 
 /// The folder of this user in which all runs have theirs, whether it is there or not.
 pub fn user_folder() -> PathBuf {
-    if let Some(path) = std::env::var_os(RUNTIME_DIR).filter(|path| !path.is_empty()) {
-        return path.into();
+    let path_in = |variable: &str| std::env::var_os(variable).map(PathBuf::from);
+    user_folder_of(path_in(RUNTIME_DIR), path_in("XDG_RUNTIME_DIR"))
+}
+
+/// The user's folder: the one that was asked for, or one in that which the system has for this login, where there is one.
+fn user_folder_of(wanted: Option<PathBuf>, of_login: Option<PathBuf>) -> PathBuf {
+    if let Some(path) = wanted.filter(|path| !path.as_os_str().is_empty()) {
+        return path;
     }
-    match std::env::var_os("XDG_RUNTIME_DIR") {
-        Some(path) if Path::new(&path).is_dir() => Path::new(&path).join("conicflow"),
+    match of_login {
+        Some(path) if path.is_dir() => path.join("conicflow"),
         _ => PathBuf::from(format!("/tmp/conicflow-{}", rustix::process::getuid().as_raw())),
     }
 }
@@ -498,6 +504,23 @@ pub(super) mod tests {
         drop(lock);
         folder.settle(&plan_of(7));
         assert_eq!((cut_off(), folder.record("stage", 7).unwrap().life()), (None, Life::Gone));
+    }
+
+    #[test]
+    fn the_folder_of_a_user_is_the_one_that_was_asked_for_then_that_of_the_login_then_one_by_number() {
+        let files = tempfile::tempdir().unwrap();
+        let path = |text: &str| Some(PathBuf::from(text));
+        let (login, by_number) = (files.path().join("conicflow"), user_folder_of(None, None));
+        assert!(by_number.to_str().unwrap().starts_with("/tmp/conicflow-"), "{by_number:?}");
+        for (wanted, of_login, expected) in [
+            (path("/own"), Some(files.path().into()), Path::new("/own")),
+            (path(""), Some(files.path().into()), &login),
+            (None, Some(files.path().into()), &login),
+            (None, path("/nowhere/at/all"), &by_number),
+        ] {
+            assert_eq!(user_folder_of(wanted, of_login), expected);
+        }
+        assert!(!user_folder().as_os_str().is_empty());
     }
 
     #[test]

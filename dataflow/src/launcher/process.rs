@@ -232,7 +232,7 @@ pub fn join_as_source(total: Option<u64>) -> Result<Option<PulledSource>, Proces
 fn join() -> Result<(Json, StageRuntime<SharedMemory>), ProcessError> {
     let (plan, folder, stage) = own_place()?;
     log_to_standard_error(&std::env::var(LOG).unwrap_or_else(|_| DEFAULT_LOG.to_owned()));
-    die_with_launcher(&stage)?;
+    die_with_launcher(&stage, launcher())?;
     let planned = plan.stage(&stage).ok_or(ProcessError::NoStage(stage))?;
     Ok((planned.parameters.clone(), stage_runtime(&plan, &folder, planned)?))
 }
@@ -254,14 +254,14 @@ fn exit_code(ended: Result<(), ProcessError>) -> ExitCode {
 /// What kept the stage from beginning, or ended it; or this process is not part of a run.
 pub fn run_in_run(registry: &Registry) -> Result<(), ProcessError> {
     let (plan, folder, stage) = own_place()?;
-    die_with_launcher(&stage)?;
+    die_with_launcher(&stage, launcher())?;
     run_planned(&plan, &folder, &stage, registry.nodes, registry.network)
 }
 
 fn run_own(node: Node) -> Result<(), ProcessError> {
-    log_to_standard_error(&std::env::var(LOG).unwrap_or_else(|_| DEFAULT_LOG.to_owned()));
     let (mut plan, folder, stage) = own_place()?;
-    die_with_launcher(&stage)?;
+    log_to_standard_error(&std::env::var(LOG).unwrap_or_else(|_| DEFAULT_LOG.to_owned()));
+    die_with_launcher(&stage, launcher())?;
     let own = plan.stages.iter_mut().find(|planned| planned.name == stage);
     if let (Some(planned), Some(variant)) = (own, node.variants.first()) {
         planned.runs = Runs::Node { node: node.name.to_owned(), input: variant.input.to_owned() };
@@ -281,8 +281,8 @@ fn launcher() -> Option<Pid> {
 }
 
 /// Sees to it that this process ends when the launcher does, however that ends; a stage that was started by itself has none.
-fn die_with_launcher(stage: &str) -> Result<(), ProcessError> {
-    let Some(launcher) = launcher() else { return Ok(()) };
+fn die_with_launcher(stage: &str, launcher: Option<Pid>) -> Result<(), ProcessError> {
+    let Some(launcher) = launcher else { return Ok(()) };
     // Without this signal the launcher could leave an orphan, but not a wrong result.
     set_parent_process_death_signal(Some(Signal::TERM)).ok();
     if getppid() == Some(launcher) {
@@ -389,12 +389,14 @@ fn ended_by(signal: i32) -> i32 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::folder::tests::folder_at;
     use super::super::summary::tests::stage;
     use super::super::trial_run::plan_of;
     use super::*;
     use crate::node::Host;
     use crate::pipeline::tests::{node, variant};
     use conicflow_messages::Object;
+    use rustix::process::getpid;
 
     /// What is done for a stage: what the node makes that is run, the machine whose edges are carried, or the program.
     fn done(runs: Runs, nodes: &[Node], carrier: Option<Carrier>) -> Result<String, String> {
@@ -459,6 +461,31 @@ mod tests {
         assert!(!context.stop.requested());
         stop.request();
         assert!(context.stop.requested());
+    }
+
+    #[test]
+    fn a_program_that_nobody_started_as_a_stage_is_told_so_and_does_not_count_as_done() {
+        let registry = Registry { nodes: &[], network: None };
+        let told = [
+            run_in_run(&registry).err(),
+            run_own(node("node", const { &[variant("depth", "tracks")] })).err(),
+            join_as_stage(&[]).err(),
+            join_as_source(None).err(),
+        ];
+        assert!(told.iter().all(|error| matches!(error, Some(ProcessError::NoRun(PIPELINE)))), "{told:?}");
+        let codes = told.map(|error| format!("{:?}", exit_code(error.map_or(Ok(()), Err))));
+        assert_eq!(codes, [(); 4].map(|()| format!("{:?}", ExitCode::from(REFUSED))));
+        let files = tempfile::tempdir().unwrap();
+        let other = run_planned(&plan_of(7), &folder_at(files.path()), "other", &[], None);
+        assert!(matches!(other, Err(ProcessError::NoStage(name)) if name == "other"));
+    }
+
+    #[test]
+    fn a_stage_has_its_launcher_for_its_parent_if_it_has_one() {
+        die_with_launcher("stage", None).unwrap();
+        die_with_launcher("stage", getppid()).unwrap();
+        let between = die_with_launcher("stage", Some(getpid()));
+        assert!(matches!(between, Err(ProcessError::Between(stage)) if stage == "stage"));
     }
 
     #[test]
