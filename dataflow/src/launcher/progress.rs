@@ -12,6 +12,7 @@ const RATE_WINDOW: Duration = Duration::from_secs(2);
 
 /// Shows progress on standard error.
 pub(crate) struct Progress {
+    place: Box<dyn Write>,
     quiet: bool,
     terminal: bool,
     /// Whether somebody can press keys.
@@ -25,7 +26,7 @@ impl Progress {
     pub(crate) fn new(quiet: bool) -> Self {
         let now = Instant::now();
         let (terminal, has_keys) = (stderr().is_terminal(), stdin().is_terminal());
-        Self { quiet, terminal, has_keys, shown: now, window: (now, 0), rate_hz: 0.0 }
+        Self { place: Box::new(stderr()), quiet, terminal, has_keys, shown: now, window: (now, 0), rate_hz: 0.0 }
     }
 
     /// Shows the state of a run, if it is time to.
@@ -42,8 +43,8 @@ impl Progress {
         self.shown = Instant::now();
         let line = self.line(summary, finished);
         // Progress that cannot be written is not worth ending a run for.
-        if self.terminal { write!(stderr(), "{CLEAR_LINE}{line}") } else { writeln!(stderr(), "{line}") }.ok();
-        stderr().flush().ok();
+        if self.terminal { write!(self.place, "{CLEAR_LINE}{line}") } else { writeln!(self.place, "{line}") }.ok();
+        self.place.flush().ok();
     }
 
     fn is_due(&self) -> bool {
@@ -71,9 +72,9 @@ impl Progress {
     }
 
     /// Leaves a clean line behind.
-    pub(crate) fn clear(&self) {
+    pub(crate) fn clear(&mut self) {
         if self.terminal && !self.quiet {
-            write!(stderr(), "{CLEAR_LINE}").ok();
+            write!(self.place, "{CLEAR_LINE}").ok();
         }
     }
 }
@@ -83,6 +84,7 @@ mod tests {
     use super::super::summary::tests::lossless;
     use super::*;
     use crate::status::{InputCounts, Life, Pausing};
+    use std::io::{Read, Seek};
 
     /// A run of a source that has sent 40 of 50 frames, of which a sink has finished 38.
     fn run(pausing: Pausing) -> Summary {
@@ -123,6 +125,26 @@ mod tests {
         };
         assert_eq!([is_due(true, 1), is_due(false, 1), is_due(false, 11)], [true, false, true]);
         assert!(!Progress { terminal: false, ..Progress::new(false) }.is_due(), "it has just begun");
+    }
+
+    #[test]
+    fn a_terminal_keeps_one_line_which_goes_at_the_end_a_log_keeps_all_and_who_wants_it_quiet_gets_none() {
+        let written = |terminal: bool, quiet: bool| {
+            let (mut file, mut text) = (tempfile::tempfile().unwrap(), String::new());
+            let place = Box::new(file.try_clone().unwrap());
+            let shown = Instant::now().checked_sub(Duration::from_secs(60)).unwrap();
+            let new = Progress::new(quiet);
+            let mut progress = Progress { place, terminal, has_keys: false, shown, rate_hz: 9.0, ..new };
+            (0..2).for_each(|_| progress.show(&run(Pausing::Goes)));
+            progress.clear();
+            file.rewind().unwrap();
+            file.read_to_string(&mut text).unwrap();
+            text
+        };
+        let line = "test: 1 s, 38/50 frames, 9.0 Hz, 0 objects, 0 dropped";
+        assert_eq!(written(true, false), format!("{CLEAR_LINE}{line}{CLEAR_LINE}"));
+        assert_eq!(written(false, false), format!("{line}\n"));
+        assert_eq!([true, false].map(|terminal| written(terminal, true)), [""; 2]);
     }
 
     #[test]
