@@ -320,7 +320,9 @@ impl Display for Text<'_> {
 pub(super) mod tests {
     use super::*;
     use crate::link_report::EdgeReport;
+    use crate::network::BridgePlan;
     use crate::pipeline::Restart;
+    use crate::plan::Runs;
     use crate::ports::{Topic, TopicReader, Wiring};
     use conicflow_messages::{Ellipse, Item, Object, Track};
 
@@ -399,6 +401,8 @@ pub(super) mod tests {
         assert_eq!(lost(lossless(counts(37, 0), "writer")), [[3, 40]]);
         assert_eq!(lost(lossless(counts(37, 3), "writer")), [[3, 40]]);
         assert_eq!(lost(lossless(InputCounts { late: 3, ..counts(37, 0) }, "writer")), [[0; 2]; 0], "they came twice");
+        let malformed = InputCounts { malformed: 3, ..counts(37, 3) };
+        assert_eq!(lost(lossless(malformed, "writer")), [[0; 2]; 0], "they came, but made no sense");
         assert_eq!(lost(lossless(counts(37, 2), "elsewhere")), [[2, 39]], "its record is on another machine");
         assert_eq!(lost(lossless(counts(37, u64::MAX), "writer")), [[u64::MAX; 2]], "a number from outside");
         let run = lossless(counts(37, 0), "writer");
@@ -409,6 +413,9 @@ pub(super) mod tests {
         over.stages[0].status.as_mut().unwrap().set_life(Life::Gone);
         over.stages[0].status.as_mut().unwrap().inputs[1].topic = conicflow_messages::Text::new("aside");
         assert_eq!(over.dropped(), 3, "nobody is left to count them, and of another input none is missing");
+        let text = over.to_string();
+        let dropped = |topic: &str| text.lines().find(|line| line.starts_with(topic))?.split_whitespace().nth(3);
+        assert_eq!([dropped("in "), dropped("aside ")], [Some("3"), Some("0")], "{text}");
         let mut sated = lossless(counts(37, 0), "writer");
         sated.stages[0].status.as_mut().unwrap().had_enough = 1;
         assert_eq!(lost(sated), [[0; 2]; 0], "it wanted no more");
@@ -467,6 +474,7 @@ pub(super) mod tests {
     fn frames_are_those_of_the_sources_and_how_many_come_is_known_where_each_knows_its_own() {
         let mut run = lossless(InputCounts::default(), "writer");
         assert_eq!(run.frames(), (40, None));
+        assert_eq!(summary(Box::default()).frames(), (0, None), "no source has begun");
         run.stages[1].status.as_mut().unwrap().total = 50;
         assert_eq!(run.frames(), (40, Some(50)));
         let planned = PlannedStage { name: "other".into(), ..stage::<Ellipse>() };
@@ -476,6 +484,57 @@ pub(super) mod tests {
         assert_eq!(run.frames(), (43, Some(60)));
         run.stages[2].status.as_mut().unwrap().total = 0;
         assert_eq!(run.frames(), (43, None));
+    }
+
+    /// A bridge that has sent so many messages of other machines.
+    fn bridge(sent: u64) -> StageSummary {
+        let runs = Runs::Bridge(BridgePlan::default().into());
+        let planned = PlannedStage { name: "bridge".into(), runs, ..stage::<Object>() };
+        let mut status = Box::new(Status::default());
+        (status.sent, status.steps) = (sent, sent);
+        StageSummary { planned, status: Some(status) }
+    }
+
+    #[test]
+    fn frames_of_other_machines_are_counted_where_none_are_made_here_and_what_is_found_there_is_not() {
+        let mut run = lossless(InputCounts::default(), "writer");
+        run.stages[0].status.as_mut().unwrap().sent = 3;
+        run.stages.push(bridge(7));
+        assert_eq!(run.frames(), (40, None));
+        assert!(!run.to_string().contains("bridge found"), "{run}");
+        run.stages.remove(1);
+        assert_eq!(run.frames(), (7, None));
+    }
+
+    #[test]
+    fn the_counters_of_sources_and_sinks_are_told_in_any_case_and_objects_are_those_before_a_sink() {
+        let mut run = lossless(InputCounts::default(), "writer");
+        let mut sink = StageSummary { planned: run.stages[0].planned.clone(), status: Some(Box::default()) };
+        (sink.planned.name, sink.planned.wiring.output) = ("sink".into(), None);
+        run.stages.push(sink);
+        for (stage, objects) in run.stages.iter_mut().zip([3, 0, 9]) {
+            let status = stage.status.as_mut().unwrap();
+            status.count("noted", 5);
+            (0..objects).for_each(|_| status.count_found("cone"));
+        }
+        assert_eq!(run.objects(), 3);
+        let text = run.to_string();
+        let is_told = ["stage", "writer", "sink"].map(|name| text.contains(&format!("{name}: noted: 5")));
+        assert_eq!(is_told, [false, true, true], "{text}");
+    }
+
+    #[test]
+    fn a_summary_begins_with_the_rate_and_has_a_line_for_each_stage_with_its_times() {
+        let mut run = Summary { elapsed: Duration::from_secs(4), ..lossless(InputCounts::default(), "writer") };
+        let status = run.stages[0].status.as_mut().unwrap();
+        (status.steps, status.starts) = (38, 2);
+        status.compute.add(1_000_000);
+        let text = run.to_string();
+        assert!(text.starts_with("test: 40 frames in 4.0 s (10.0 Hz), 0 dropped\n"), "{text}");
+        let line = |name: &str| text.lines().rfind(|line| line.starts_with(name)).unwrap();
+        let cells: Vec<_> = line("stage ").split_whitespace().collect();
+        assert!(cells.contains(&"38") && cells.contains(&"ms") && cells.last() == Some(&"2"), "{text}");
+        assert!(line("writer ").split_whitespace().any(|cell| cell == "-"), "no time was taken: {text}");
     }
 
     #[test]
