@@ -115,7 +115,6 @@ struct Launcher<'a> {
     swap: Option<Swap>,
     signals: Receiver<i32>,
     phase: Phase,
-    lost: bool,
     /// Asked a second time to end: what is under way need not be delivered.
     hurried: bool,
     /// Why the stages were told to end although not all was delivered.
@@ -149,7 +148,6 @@ impl<'a> Launcher<'a> {
             swap: None,
             signals,
             phase: Phase::Running,
-            lost: false,
             hurried: false,
             stalled: None,
             moved: None,
@@ -213,11 +211,10 @@ impl<'a> Launcher<'a> {
         for stage in stages.iter_mut().filter(|stage| leaving != Some(&stage.planned.name)) {
             lost |= stage.look(&run) == Change::Lost;
         }
-        self.lost |= lost;
-        if lost && !ending {
-            tracing::error!("the run ends, because a stage is lost");
-        }
-        if (lost || self.nobody_reads()) && !ending {
+        if !ending && (lost || self.nobody_reads()) {
+            if lost {
+                tracing::error!("the run ends, because a stage is lost");
+            }
             self.stop_sources();
         }
     }
@@ -297,8 +294,8 @@ impl<'a> Launcher<'a> {
     }
 
     fn summary(&self) -> Summary {
-        let lost = self.lost || self.stages.iter().any(Supervised::is_gone);
-        let ending = Ending { complete: !lost, hurried: self.hurried, stalled: self.stalled.clone() };
+        let complete = !self.stages.iter().any(Supervised::is_gone);
+        let ending = Ending { complete, hurried: self.hurried, stalled: self.stalled.clone() };
         Summary::read(&self.plan, &self.folder, self.started.elapsed(), ending)
     }
 }
@@ -379,6 +376,17 @@ mod tests {
     }
 
     #[test]
+    fn a_run_lasts_until_all_its_stages_are_over() {
+        let files = tempfile::tempdir().unwrap();
+        let options = RunOptions { program: "true".into(), quiet: true, ..RunOptions::default() };
+        let (_sender, signals) = channel();
+        let mut launcher = Launcher::new(plan_of(7), folder_at(files.path()), &options, signals);
+        launcher.supervise().unwrap();
+        assert_eq!(launcher.stages.iter().map(Supervised::is_over).collect::<Vec<_>>(), [true]);
+        assert!(launcher.summary().is_complete());
+    }
+
+    #[test]
     fn time_in_which_a_run_is_paused_is_none_of_that_which_it_is_to_last() {
         let (files, options) = (tempfile::tempdir().unwrap(), RunOptions::default());
         let mut launcher = launcher(files.path(), &options, Phase::Running);
@@ -439,7 +447,7 @@ mod tests {
             }
             launcher.look_at_stages();
             let ends = matches!(launcher.phase, Phase::Delivering { .. });
-            assert_eq!((ends, launcher.lost), (loses_a_stage || is_sink_over, loses_a_stage));
+            assert_eq!(ends, loses_a_stage || is_sink_over);
             assert_eq!(launcher.summary().is_complete(), !loses_a_stage);
             launcher.kill_all();
         }
