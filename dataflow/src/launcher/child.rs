@@ -386,8 +386,9 @@ fn describe(status: ExitStatus) -> String {
 #[cfg(test)]
 pub(super) mod tests {
     use super::super::summary::tests::stage;
-    use super::super::trial_run::TrialRun;
+    use super::super::trial_run::{TrialRun, change_record, logged};
     use super::*;
+    use crate::network::BridgePlan;
     use crate::ports::{Topic, TopicReader};
     use conicflow_messages::Object;
     use std::io::{Read, Write};
@@ -516,6 +517,7 @@ pub(super) mod tests {
         joined.outsider = joined.process();
         run.tell("stage", joined.process().unwrap(), Life::Running);
         assert_eq!((joined.look(&run.state(Phase::Running)), joined.outsider), (Change::None, None));
+        assert!(answers(&mut joined), "it is left at its work");
         let stopping = run.state(Phase::Stopping { since: Instant::now() });
         assert_eq!((joined.look(&stopping), joined.is_over()), (Change::None, false), "it has its time to end");
         joined.kill();
@@ -544,6 +546,54 @@ pub(super) mod tests {
             let state = run.state(phase);
             assert_eq!((stage.look(&state), stage.is_over()), (Change::None, is_over));
             assert_eq!(state.record("stage").map(|record| record.life() == Life::Gone), Some(is_over));
+        }
+    }
+
+    #[test]
+    fn a_stage_comes_back_when_it_is_time_but_a_source_of_a_run_that_ends_only_where_it_is_a_bridge() {
+        let (mut run, since) = (TrialRun::new(), Instant::now());
+        let options = RunOptions { program: "true".into(), ..RunOptions::default() };
+        let delivering = Phase::Delivering { delivered: 0, since };
+        let source = stage::<Object>;
+        let mut reader = source();
+        reader.wiring.input = Some(Topic::default());
+        let bridge = PlannedStage { runs: Runs::Bridge(BridgePlan::default().into()), ..source() };
+        for (planned, phase, comes_back, is_late) in [
+            (source(), Phase::Running, true, false),
+            (source(), delivering, false, false),
+            (reader, delivering, true, false),
+            (bridge, delivering, true, true),
+        ] {
+            let mut stage = supervised(planned, State::Waiting { until: since });
+            let state = RunState { options: &options, ..run.state(phase) };
+            assert_eq!((stage.look(&state), stage.is_over()), (Change::None, !comes_back), "{phase:?}");
+            assert_eq!((stage.process().is_some(), stage.is_late), (comes_back, is_late), "{phase:?}");
+            stage.kill();
+        }
+    }
+
+    #[test]
+    fn a_stage_that_hangs_is_named_and_killed_where_the_file_says_so_and_it_is_told_when_one_goes_on() {
+        let mut run = TrialRun::new();
+        let long_ago = Instant::now().checked_sub(Duration::from_secs(60)).unwrap();
+        for hang_s in [None, Some(10.5)] {
+            let mut stage = at_work(PlannedStage { hang_s, ..stage::<Object>() });
+            let process = stage.process().unwrap();
+            run.tell("stage", process, Life::Running);
+            change_record(&run.folder, "stage", |status| status.steps = 12);
+            let state = run.state(Phase::Running);
+            let sign = state.record("stage").map(|record| record.alive_ns);
+            for second in 0..=10 {
+                stage.watchdog.look(process, sign, None, long_ago + Duration::from_secs(second));
+            }
+            let hangs = logged(|| assert_eq!(stage.look(&state), Change::None));
+            assert!(hangs.contains("stage `stage` hangs after 12 messages"), "{hangs}");
+            assert_eq!(hangs.contains("11.0 s ago, and is killed"), hang_s.is_some(), "{hangs}");
+            assert_eq!(answers(&mut stage), hang_s.is_none());
+            change_record(state.folder, "stage", |status| status.steps = 13);
+            let goes_on = logged(|| assert_eq!(stage.watch(&state), Change::None));
+            assert!(goes_on.contains("stage `stage` goes on after 11.0 s"), "{goes_on}");
+            stage.kill();
         }
     }
 

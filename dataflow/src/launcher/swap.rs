@@ -14,7 +14,7 @@ use crate::runner::handover::{Handover, SUCCESSOR};
 use crate::status::{Life, Status};
 use rustix::process::Signal;
 use std::fmt::Display;
-use std::io::{ErrorKind, Read, Write};
+use std::io::{Read, Write};
 use std::os::fd::OwnedFd;
 use std::os::unix::net::UnixStream;
 use std::process::Child;
@@ -81,9 +81,10 @@ impl Successor {
     /// Whether it is ready; an error if it will not be.
     fn is_ready(&mut self) -> Result<bool, ()> {
         match self.control.read(&mut [0]) {
-            Ok(length) if length > 0 => Ok(true),
-            Err(error) if error.kind() == ErrorKind::WouldBlock => Ok(false),
-            _ => Err(()),
+            Ok(0) => Err(()),
+            Ok(_) => Ok(true),
+            // It has not said anything yet.
+            Err(_) => Ok(false),
         }
     }
 
@@ -96,9 +97,14 @@ impl Successor {
 
     /// Lets it end in order, so that it leaves nothing behind.
     fn dismiss(self) {
+        self.end_within(DISMISS_GRACE);
+    }
+
+    /// Tells it to end, and kills it where it has not after this time.
+    fn end_within(self, grace: Duration) {
         let Self { mut child, control } = self;
         drop(control);
-        let deadline = Instant::now() + DISMISS_GRACE;
+        let deadline = Instant::now() + grace;
         while matches!(child.try_wait(), Ok(None)) && Instant::now() < deadline {
             std::thread::sleep(Duration::from_millis(5));
         }
@@ -283,10 +289,11 @@ fn came_to_its_end(folder: &RunFolder, stage: &str, process: u32) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::super::child::tests::{answers, at_work};
+    use super::super::child::tests::{answers, at_work, echo};
     use super::super::summary::tests::stage;
-    use super::super::trial_run::TrialRun;
+    use super::super::trial_run::{TrialRun, logged};
     use super::*;
+    use crate::ports::Topic;
     use conicflow_messages::Object;
     use rustix::process::{Pid, test_kill_process};
     use std::process::{Command, Stdio};
@@ -427,12 +434,74 @@ mod tests {
     }
 
     #[test]
-    fn a_successor_that_is_not_wanted_is_gone() {
-        let successor = successor();
-        let process = Pid::from_child(&successor.child);
-        test_kill_process(process).unwrap();
-        successor.dismiss();
-        test_kill_process(process).unwrap_err();
+    fn a_successor_is_waited_for_until_it_says_that_it_is_ready_or_is_gone() {
+        let (control, mut input) = UnixStream::pair().unwrap();
+        control.set_nonblocking(true).unwrap();
+        let mut successor = Successor { child: echo(), control };
+        assert_eq!(successor.is_ready(), Ok(false));
+        input.write_all(b"r").unwrap();
+        assert_eq!(successor.is_ready(), Ok(true));
+        drop(input);
+        // The processes that other tests start have a copy of it until they are other programs.
+        let begin = Instant::now();
+        while successor.is_ready() == Ok(false) {
+            assert!(begin.elapsed() < Duration::from_secs(20), "it is waited for although it is gone");
+        }
+        assert_eq!(successor.is_ready(), Err(()));
+        successor.end_within(Duration::ZERO);
+    }
+
+    #[test]
+    fn a_successor_that_is_not_wanted_is_gone_whether_it_ends_by_itself_or_not() {
+        let stays = Successor { child: echo(), control: UnixStream::pair().unwrap().0 };
+        for (successor, grace) in [(successor(), DISMISS_GRACE), (stays, Duration::ZERO)] {
+            let process = Pid::from_child(&successor.child);
+            test_kill_process(process).unwrap();
+            successor.end_within(grace);
+            test_kill_process(process).unwrap_err();
+        }
+    }
+
+    #[test]
+    fn the_end_of_a_run_leaves_no_successor_behind_and_tells_who_asked_for_a_swap_what_became_of_it() {
+        let (mut stage, run, request) = to_replace();
+        stage.kill();
+        let successors = [successor(), successor()];
+        let processes = successors.each_ref().map(|successor| Pid::from_child(&successor.child));
+        let [preparing, leaving] = successors;
+        for (step, fault) in [
+            (Step::Preparing(preparing), r#""the run ended"#),
+            (Step::Leaving(leaving), r#""the run ended"#),
+            (Step::Beginning(Box::new(stage.planned.clone())), r#""the run ended"#),
+            (Step::over(Err("it came to its end".to_owned())), r#""it came to its end"#),
+            (Step::over(Ok(())), "null"),
+        ] {
+            Swap { request: request.clone(), step, since: Instant::now() }.abandon(&run.folder);
+            let file = run.files.path().join("swap.answer");
+            let answer = std::fs::read_to_string(&file).unwrap();
+            assert!(answer.contains(&format!(r#""fault": {fault}"#)), "{answer}");
+            std::fs::remove_file(file).unwrap();
+        }
+        assert!(processes.into_iter().all(|process| test_kill_process(process).is_err()));
+    }
+
+    #[test]
+    fn an_answer_that_cannot_be_written_is_written_later_and_the_log_says_so_once() {
+        let (mut stage, mut run, request) = to_replace();
+        stage.kill();
+        let file = run.files.path().join("swap.answer");
+        std::fs::create_dir(&file).unwrap();
+        let mut swap = Some(Swap { request, step: Step::over(Ok(())), since: Instant::now() });
+        let mut go_on = || {
+            let under_way = swap.take().unwrap();
+            let log =
+                logged(|| swap = under_way.go_on(std::slice::from_mut(&mut stage), &mut run.state(Phase::Running)));
+            (swap.is_some(), log.contains("nobody can be told what became of stage `stage`"))
+        };
+        assert_eq!([go_on(), go_on()], [(true, true), (true, false)]);
+        std::fs::remove_dir(&file).unwrap();
+        assert_eq!(go_on(), (false, false));
+        assert!(file.exists());
     }
 
     #[test]
@@ -447,16 +516,18 @@ mod tests {
     }
 
     #[test]
-    fn a_successor_that_takes_the_place_when_the_run_ends_is_told_so() {
+    fn a_successor_that_takes_the_place_when_the_run_ends_is_told_so_where_the_others_were() {
         let since = Instant::now();
-        for phase in [Phase::Delivering { delivered: 0, since }, Phase::Stopping { since }] {
-            let (mut stage, mut run, request) = to_replace();
+        let delivering = Phase::Delivering { delivered: 0, since };
+        for (phase, is_source, ends) in
+            [(delivering, true, true), (delivering, false, false), (Phase::Stopping { since }, false, true)]
+        {
+            let (mut stage, mut run, mut request) = to_replace();
             stage.kill();
-            take_place(ready_successor(), &mut stage, &request, &mut run.state(phase));
-            let begin = Instant::now();
-            while stage.exit().is_none() {
-                assert!(begin.elapsed() < Duration::from_secs(20), "it goes on, {phase:?}");
-            }
+            request.plan.stages[0].wiring.input = Some(Topic::default()).filter(|_| !is_source);
+            let successor = Successor { child: echo(), control: UnixStream::pair().unwrap().0 };
+            take_place(successor, &mut stage, &request, &mut run.state(phase));
+            assert_eq!(answers(&mut stage), !ends, "{phase:?}");
             stage.kill();
         }
     }

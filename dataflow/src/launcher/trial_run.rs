@@ -9,6 +9,8 @@ use super::summary::tests::stage;
 use crate::plan::{LAYOUT, Origin, Plan};
 use crate::status::{Life, Status, StatusFile};
 use conicflow_messages::Object;
+use std::io::{Read, Seek};
+use std::sync::Arc;
 use tempfile::TempDir;
 
 /// Run 7.
@@ -51,4 +53,15 @@ pub fn change_record(folder: &RunFolder, stage: &str, change: impl FnOnce(&mut S
     let mut record = StatusFile::open(&folder.status(stage), 7).unwrap();
     change(&mut record.status);
     record.write();
+}
+
+/// What is logged by what is done meanwhile in this thread.
+pub fn logged(act: impl FnOnce()) -> String {
+    let (mut log, mut text) = (tempfile::tempfile().unwrap(), String::new());
+    let writer = Arc::new(log.try_clone().unwrap());
+    let subscriber = tracing_subscriber::fmt().with_writer(writer).with_ansi(false).finish();
+    tracing::subscriber::with_default(subscriber, act);
+    log.rewind().unwrap();
+    log.read_to_string(&mut text).unwrap();
+    text
 }
