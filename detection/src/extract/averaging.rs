@@ -16,8 +16,9 @@ use conicflow_messages::is_measured;
 pub(super) const MOST: u32 = 5; // [tuned]
 /// Means of as many lines as are averaged at most are looked at at every second line, if so many are left: their neighbours
 /// tell hardly more, but the smallest things have to be seen in enough of them. With every line, 389 and not 390 things are found
-/// in the first 15 scenes of each group, seen by a Kinect and by a D435 at 1280x960 (`experiments/detection.toml`).
-const ENOUGH: u32 = 480; // [algorithmic]
+/// in the first 15 scenes of each group, seen by a Kinect and by a D435 at 1280x960 (`experiments/detection.toml`); with 240 each
+/// finds 11 less of 1426 at 640x480.
+const ENOUGH: u32 = 480; // [tuned]
 /// Lines of which more share their noise are not averaged: their mean keeps most of it. Simulated structured light
 /// loses by averages (F1 0.831 to 0.809, `experiments/simulated_sensors.toml`, seeds 0 to 9).
 const INDEPENDENT: f64 = 2.0; // [tuned]

@@ -37,7 +37,7 @@ const MOST: usize = 16; // [algorithmic]
 /// Upper bound of the part of the noise that the plane takes with it; it keeps the correction finite.
 const MOST_TAKEN: f64 = 0.5; // [algorithmic]
 /// Where no plane is seen: what a Kinect v1 shows at 1 m. Of three recordings `noise_estimator` tells autocorrelations that add up to
-/// 6.6 to 7.8 pixels along rows, and to 3.5 to 6.2 along columns (up to 3 m).
+/// about 6.6 to 7.8 pixels along rows, and to 3.5 to 6.2 along columns (up to 3 m).
 pub(super) const UNSEEN: [f64; 2] = [7.0, 4.0]; // [measured]
 
 /// A square of the image with the plane through it.
