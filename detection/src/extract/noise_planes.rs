@@ -36,8 +36,8 @@ const CHANCE: f64 = 0.1; // [tuned]
 const MOST: usize = 16; // [algorithmic]
 /// Upper bound of the part of the noise that the plane takes with it; it keeps the correction finite.
 const MOST_TAKEN: f64 = 0.5; // [algorithmic]
-/// Where no plane is seen: what a Kinect v1 shows at 1 m. Of three recordings `noise_estimator` tells autocorrelations that add up to
-/// about 6.6 to 7.8 pixels along rows, and to 3.5 to 6.2 along columns (up to 3 m).
+/// Where no plane is seen: what a Kinect v1 shows at 1 m. In three recordings the autocorrelations that `noise_estimator` tells add
+/// up to about 6.6 to 7.8 pixels along rows, and to 3.5 to 6.2 along columns (up to 3 m).
 pub(super) const UNSEEN: [f64; 2] = [7.0, 4.0]; // [measured]
 
 /// A square of the image with the plane through it.
