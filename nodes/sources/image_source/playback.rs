@@ -149,7 +149,10 @@ impl Playback {
 
     /// Says once what the frames are like, so that a wrong scale is seen.
     fn describe(&mut self, frame: &Frame, pixels: &[u16]) {
-        let Some(median) = median_depth(pixels).filter(|_| !self.described) else { return };
+        if self.described {
+            return;
+        }
+        let Some(median) = median_depth(pixels) else { return };
         self.described = true;
         let median_m = f64::from(median) * frame.depth_scale;
         let what = format!("{} frames", self.recording.len());
