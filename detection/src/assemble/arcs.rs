@@ -3,7 +3,7 @@
 use crate::camera::{pinhole, scan};
 use conicflow_geometry::{
     Coefficients, ContourPoint, Pinhole, PlaneMoments, RaySums, Scan, ScanPlane, SpaceMoments, Vector3, bulge,
-    section_about, section_of,
+    gradient, section_about, section_of,
 };
 use conicflow_messages::{END_POINTS, Ellipse, Header};
 use std::f64::consts::FRAC_PI_8;
@@ -125,6 +125,12 @@ impl Arc {
         let m = |p, q| self.moments.get(p, q);
         let sum = c[0] * m(2, 0) + c[1] * m(1, 1) + c[2] * m(0, 2) + c[3] * m(1, 0) + c[4] * m(0, 1) + c[5] * m(0, 0);
         Misfit { square: conic.square_sum(&self.moments) / self.points, mean: sum / self.points }
+    }
+
+    /// Whether the arc lies where rays enter the surface `q`. What is open is seen inside as well: its far wall is of the same
+    /// surface.
+    pub fn faces(&self, q: &Coefficients) -> bool {
+        gradient(q, &self.mean).dot(&self.mean) < 0.0
     }
 
     /// Depth at which a ray of the scan line, of slope `x`, first meets a quadric, of which the section by the plane of

@@ -293,6 +293,19 @@ fn lengths_are_neither_too_long_nor_too_short() {
     assert!(mean.abs() < 0.002 && most < 2.0, "mean {mean} m, at most {most} sigmas off");
 }
 
+/// Through the mouth of a cup so small that its inside looks flat, lines beyond the near rim show the far wall: of the same surface,
+/// and 2 cm farther along the axis.
+#[test]
+fn a_cup_ends_at_its_near_rim() {
+    let axis = Vector3::new(0.0, -0.87, -0.5).normalize();
+    for seed in 0..8 {
+        let center = Vector3::new(0.0, 0.001 * seed as f64, 0.8);
+        let cup = single(&kinect(&[frustum(center, axis, 0.035, 0.14, 0.1), wall(1.5)], seed), ObjectKind::Cone);
+        let along = (center - Vector3::from(cup.center)).dot(&axis);
+        assert!((cup.length - 0.1).abs() < 0.02 && along.abs() < 0.01, "{cup:?}");
+    }
+}
+
 #[test]
 fn sigmas_are_about_as_large_as_the_errors() {
     let found: Vec<_> = (0..96).map(|seed| can_by_a_kinect(1, 100 + seed)).collect();

@@ -39,8 +39,8 @@ pub(crate) struct Measured {
     pub curvature: f64,
     /// Mean visible circumference.
     pub angle: f64,
-    /// From where to where the arcs and half a line beyond them reach along the axis, counted from the surface's point; of a
-    /// sphere across the scan lines, along y of the camera frame for rows and x for columns.
+    /// From where to where the arcs of the near wall and half a line beyond them reach along the axis, counted from the surface's
+    /// point; of a sphere all arcs across the scan lines, along y of the camera frame for rows and x for columns.
     pub extent: [f64; 2],
 }
 
@@ -196,6 +196,10 @@ fn measure(region: &Region) -> Measured {
         let section = section_of(&q, &arc.plane);
         let hit = |x: f64| arc.hit(&section, x).map(|z| arc.point(x, z));
         angle += arc.points * span(arc, region, arc.rays.map(hit));
+        // Where lines cross the mouth of a cup, they show its far wall, and its near one is no longer there.
+        if region.model.conical().is_some() && !arc.faces(&q) {
+            continue;
+        }
         let inset = UNSURE_PX * arc.pitch / arc.mean.z;
         let sure = [arc.rays[0] + inset, arc.rays[1] - inset].map(hit);
         for point in sure.into_iter().flatten().chain([arc.mean]) {
