@@ -44,7 +44,8 @@ pub struct Object {
     pub axis: [f64; 3],
     /// Radius in metres; of a cone at `center`.
     pub radius: f64,
-    /// Length of the visible part along the axis, in metres.
+    /// Length of the visible part along the axis, in metres. Of a cone it lacks what is so narrow that no lines show it: a radius
+    /// below about six pixels.
     pub length: f64,
     /// Half-angle of a cone in radians.
     pub half_angle: f64,

@@ -17,9 +17,10 @@ const ARCS: usize = 16; // [algorithmic]
 
 /// Lower bound of the cosine between an axis and the normal of the scan planes: it keeps the spacing along the axis finite.
 const MOST_OBLIQUE: f64 = 0.2; // [algorithmic]
-/// Standard deviation of the end of an object, in scan lines: noise and rims take some lines. With this one, lengths of cylinders
-/// in simulated frames scatter by 0.7 of their standard deviation (Kinect at 320x240), 1.2 (D435 there) and 1.3 of it (Kinect at
-/// 640x480), those of cones by 2.8 to 3.7 (half of the 16th to the 84th percentile, by a script that is not kept).
+/// Standard deviation of the end of an object, in scan lines: noise and rims take some lines. With this one, lengths in simulated
+/// frames scatter by so much of their standard deviation (half of the 16th to the 84th percentile, by a script that is not kept):
+/// of cylinders 0.7 (Kinect at 320x240), 1.1 (D435 there) and 1.1 (Kinect at 640x480), of cones 1.4, 1.9 and 1.1. Their narrow end
+/// is lost where its radius is below about six pixels.
 const END_LINES: f64 = 1.5; // [measured]
 
 /// Distance along an axis, in metres, between neighbouring planes of lines, which are `spacing` apart across.
