@@ -250,7 +250,7 @@ impl<'a> Receiving<'a> {
 fn to_own_clock(header: &mut Header, offset_ns: Option<i64>, now_ns: u64) -> Duration {
     let sent_ns = header.trace().last().map_or(0, |hop| hop.sent_ns);
     let offset_ns = offset_ns.map_or(i128::from(sent_ns) - i128::from(now_ns), i128::from);
-    let own = |time_ns: u64| u64::try_from(i128::from(time_ns) - offset_ns).unwrap_or(0).min(now_ns);
+    let own = |time_ns: u64| (i128::from(time_ns) - offset_ns).clamp(0, i128::from(now_ns)) as u64;
     let used = (header.hop_count as usize).min(MAX_HOPS);
     for hop in &mut header.hops[..used] {
         (hop.received_ns, hop.sent_ns) = (own(hop.received_ns), own(hop.sent_ns));
@@ -345,6 +345,8 @@ mod tests {
         assert_eq!(own_times(Some(4500), hops), ([[600, 800], [900, 1000]], 0), "it cannot be sent later than it came");
         assert_eq!(own_times(Some(5350), hops), ([[0, 0], [50, 550]], 450), "before this machine was started");
         assert_eq!(own_times(Some(-50), [[100, 200], [300, 400]]), ([[150, 250], [350, 450]], 550));
+        let last = [[100, 200], [300, u64::MAX]];
+        assert_eq!(own_times(Some(-50), last), ([[150, 250], [350, 1000]], 0), "beyond all times it is the same");
     }
 
     #[test]
