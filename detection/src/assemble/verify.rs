@@ -119,7 +119,10 @@ fn check(region: &Region, parameters: &AssemblerParameters) -> Result<Measured, 
     let [first, last] = region.ends();
     let radius = region.model.radius_at(&middle(region, &measured));
     let reach = measured.extent[1] - measured.extent[0];
-    if measured.lines < parameters.pooled.min_lines {
+    if reach < 0.0 {
+        // All that is seen of it is the far wall, so that it has no middle either.
+        Err(Rejection::Short)
+    } else if measured.lines < parameters.pooled.min_lines {
         Err(Rejection::FewRows)
     } else if height_in_view(region) < parameters.pooled.min_view_deg.to_radians() {
         Err(Rejection::Small)
@@ -263,9 +266,11 @@ fn curvature(region: &Region, variance: f64, misfit: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::super::growth::{Growing, chain};
+    use super::super::model;
     use super::super::tests::arcs_of;
     use super::*;
-    use conicflow_lab::rendered::cylinder;
+    use conicflow_lab::rendered::{cylinder, frustum};
+    use conicflow_messages::ObjectKind;
 
     #[test]
     fn an_object_has_at_least_as_many_lines_as_it_has_to_and_is_seen_in_as_many_of_those_that_it_spans() {
@@ -290,5 +295,20 @@ mod tests {
             check(&Region { members: &every_other, ..region }, &parameters).err()
         };
         assert_eq!([0.45, 0.55].map(&mut has_gaps), [None, Some(Rejection::Gaps)]);
+    }
+
+    #[test]
+    fn what_shows_nothing_but_its_far_wall_is_turned_down() {
+        let arcs = arcs_of(&[frustum(Vector3::new(0.0, 0.0, 2.0), Vector3::y(), 0.2, 0.2, 0.7)]);
+        let members: Vec<_> = (0..arcs.arcs.len()).filter(|&arc| arcs.arcs[arc].scan == Scan::Row).collect();
+        let model = model::fit(ObjectKind::Cone, &arcs.of(&members), None, f64::INFINITY).unwrap();
+        let Model::Cone(mut fit) = model else { panic!("{model:?}") };
+        let mut checked = || {
+            let region = Region { arcs: &arcs, model: Model::Cone(fit), members: &members };
+            let checked = check(&region, &AssemblerParameters::default()).err();
+            fit.surface.0.point.z -= 0.5;
+            checked
+        };
+        assert_eq!([checked(), checked()], [None, Some(Rejection::Short)]);
     }
 }
