@@ -4,11 +4,11 @@
 //! joins or leaves may leave files that nothing leads to, and nobody removes the counter of processes; they go with the last
 //! one that uses the folder. Whoever uses it holds a lock, which the kernel releases however a process ends; and what a
 //! folder's users have in shared memory bears a prefix of its own, so that other users, folders and containers are never
-//! touched.
+//! touched. A counter whose maker died before it was whole would stop everybody who joins: it is removed first.
 
 use crate::ports::capacity::SHARED_MEMORY;
 use crate::stage::Stop;
-use rustix::fs::{FlockOperation, flock};
+use rustix::fs::{FlockOperation, Mode, flock};
 use rustix::io::Errno;
 use std::fs::{self, File, OpenOptions, Permissions};
 use std::io::{self, ErrorKind};
@@ -75,6 +75,18 @@ impl Occupied {
         &self.prefix
     }
 
+    /// Removes the counter of the folder's processes if its maker died before it was whole, and waits so long for one that
+    /// is being made: iceoryx2 gives up on such a counter, or waits for ever for one that has no size yet.
+    pub(super) fn wait_for_counter(&self, patience: Duration) -> io::Result<()> {
+        let deadline = Instant::now() + patience;
+        for_each_entry(Path::new(SHARED_MEMORY), is_counter(&self.prefix), |path, _| {
+            while is_own(path)? && !settle(path)? && Instant::now() < deadline {
+                sleep(Duration::from_millis(1));
+            }
+            Ok(())
+        })
+    }
+
     /// Removes all that users of the folder have left in it and in shared memory, if no other uses it: for one that is about
     /// to leave, because it may have lost its lock afterwards.
     pub(super) fn clean_up(&self) -> io::Result<()> {
@@ -109,11 +121,27 @@ impl Drop for Occupied {
 
 /// Closes to others the one file in shared memory that iceoryx2 leaves open to everybody, a counter of 16 bytes.
 pub(super) fn close_to_others(root: &Path) -> io::Result<()> {
-    let prefix = prefix(root)?;
-    let is_counter = |name: &str| name.starts_with(&prefix) && name.ends_with(COUNTER);
-    for_each_entry(Path::new(SHARED_MEMORY), is_counter, |path, _| {
+    for_each_entry(Path::new(SHARED_MEMORY), is_counter(&prefix(root)?), |path, _| {
         if is_own(path)? { fs::set_permissions(path, Permissions::from_mode(0o600)) } else { Ok(()) }
     })
+}
+
+/// Whether a name in shared memory is that of the counter of a folder's processes.
+fn is_counter(prefix: &str) -> impl Fn(&str) -> bool {
+    move |name| name.starts_with(prefix) && name.ends_with(COUNTER)
+}
+
+/// Whether a file in shared memory is whole, or was removed here because it never will be: its maker, who lets nobody read it
+/// before, is gone.
+fn settle(path: &Path) -> io::Result<bool> {
+    // While the file is held, and with it the lease, nobody can go on with it.
+    let file = open(path)?;
+    let unused = is_unused(&file);
+    let is_whole = file.metadata()?.mode() & Mode::RUSR.bits() != 0;
+    if unused && !is_whole {
+        fs::remove_file(path)?;
+    }
+    Ok(unused || is_whole)
 }
 
 /// Whether a file in shared memory is one of this user: anybody can put files there, under any name.
@@ -130,9 +158,10 @@ pub(super) fn remove_unused(path: &Path) -> io::Result<bool> {
     if unused { fs::remove_file(path).map(|()| true) } else { Ok(false) }
 }
 
-/// Opens a file in shared memory, whoever may have put what under its name.
+/// Opens a file in shared memory, whoever may have put what under its name: for writing, because iceoryx2 lets nobody, not even
+/// its owner, read what is not whole.
 pub(super) fn open(path: &Path) -> io::Result<File> {
-    OpenOptions::new().read(true).write(true).custom_flags(libc::O_NOFOLLOW | libc::O_NONBLOCK).open(path)
+    OpenOptions::new().write(true).custom_flags(libc::O_NOFOLLOW | libc::O_NONBLOCK).open(path)
 }
 
 /// Whether nobody else has the file open or mapped, in whatever container; it stays so until the file is closed here,
@@ -185,6 +214,7 @@ pub(super) fn for_each_entry(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rustix::thread::{CapabilitySet, capabilities, set_capabilities};
 
     /// What a process that was killed may leave: half a node in the folder, half a segment in shared memory.
     fn litter(root: &Path) -> [PathBuf; 2] {
@@ -220,6 +250,52 @@ mod tests {
         let modes = files.each_ref().map(|file| fs::metadata(file).unwrap().permissions().mode() & 0o777);
         files.iter().for_each(|file| fs::remove_file(file).unwrap());
         assert_eq!(modes, [0o600, 0o666, 0o666]);
+    }
+
+    /// The counter of a folder as its maker begins it.
+    fn begun_counter(root: &Path) -> (PathBuf, File) {
+        let path = Path::new(SHARED_MEMORY).join(format!("{}1{COUNTER}", prefix(root).unwrap()));
+        let maker = OpenOptions::new().write(true).create_new(true).mode(0o200).open(&path).unwrap();
+        (path, maker)
+    }
+
+    #[test]
+    fn a_counter_whose_maker_died_is_removed_and_one_that_is_being_made_is_waited_for() {
+        let folder = tempfile::tempdir().unwrap();
+        let occupied = Occupied::new(folder.path(), Stop::default()).unwrap();
+        let (path, maker) = begun_counter(folder.path());
+        occupied.wait_for_counter(Duration::from_millis(20)).unwrap();
+        assert!(path.exists(), "it is nobody else's yet, and not for ever waited for");
+        drop(maker);
+        occupied.wait_for_counter(Duration::ZERO).unwrap();
+        assert!(!path.exists(), "its maker is gone");
+
+        let (path, maker) = begun_counter(folder.path());
+        let making = std::thread::spawn(move || {
+            sleep(Duration::from_millis(50));
+            maker.set_permissions(Permissions::from_mode(0o600)).unwrap();
+        });
+        occupied.wait_for_counter(Duration::from_secs(20)).unwrap();
+        assert_eq!(fs::metadata(&path).unwrap().mode() & 0o777, 0o600, "waited for until it is whole");
+        making.join().unwrap();
+        occupied.wait_for_counter(Duration::ZERO).unwrap();
+        assert!(path.exists(), "nobody has it open, and it is whole");
+    }
+
+    #[test]
+    fn what_was_only_begun_is_removed_by_who_may_not_read_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, maker) = begun_counter(folder.path());
+        drop(maker);
+        // As root everybody may read it: this thread gives that up.
+        let removed = std::thread::spawn(move || {
+            let mut sets = capabilities(None).unwrap();
+            sets.effective -= CapabilitySet::DAC_OVERRIDE | CapabilitySet::DAC_READ_SEARCH;
+            set_capabilities(None, sets).unwrap();
+            assert!(File::open(&path).is_err(), "nobody may read it");
+            remove_unused(&path).unwrap()
+        });
+        assert!(removed.join().unwrap());
     }
 
     #[test]

@@ -1,11 +1,14 @@
 //! Tests of the topics in shared memory, within one process: each side opens them as a process of its own would.
 
 use crate::item_type::ItemType;
+use crate::ports::capacity::SHARED_MEMORY;
 use crate::ports::shared_memory::{SharedMemory, SharedMessage, SharedWriter};
 use crate::ports::{Delivery, PortError, Reader, Received, Topic, TopicReader, Transport, Writer};
 use crate::stage::Stop;
 use conicflow_messages::{Header, Hop, Object, Text, Track};
-use std::path::Path;
+use std::fs::OpenOptions;
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::{Path, PathBuf};
 use std::sync::mpsc::channel;
 use std::thread;
 use std::time::{Duration, Instant};
@@ -51,6 +54,32 @@ fn wait_for(reader: &mut impl Reader) -> u64 {
         reader.wait(Duration::from_millis(10)).unwrap();
     }
     panic!("no message comes");
+}
+
+/// A process that is killed while it makes the counter of a folder's processes leaves one that nobody may read.
+#[test]
+fn a_folder_can_be_joined_and_cleared_after_a_process_died_that_was_the_first_to_join() {
+    let folder = tempfile::tempdir().unwrap();
+    let first = open(folder.path(), "launcher");
+    let begins = first.occupied.prefix().to_owned();
+    let shared = std::fs::read_dir(SHARED_MEMORY).unwrap().map(|entry| entry.unwrap().path());
+    let is_counter = |path: &PathBuf| {
+        path.to_string_lossy().contains(&begins) && path.extension().is_some_and(|end| end == "global_mgmt")
+    };
+    let counter = shared.into_iter().find(is_counter).unwrap();
+    drop(first);
+    assert!(!counter.exists(), "all have left in order");
+    for size in [16, 0] {
+        let begin = || {
+            let half = OpenOptions::new().write(true).create_new(true).mode(0o200).open(&counter).unwrap();
+            half.set_len(size).unwrap();
+        };
+        begin();
+        drop(open(folder.path(), "launcher"));
+        begin();
+        SharedMemory::clean(folder.path()).unwrap();
+        assert!(!counter.exists());
+    }
 }
 
 #[test]
