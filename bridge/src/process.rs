@@ -263,7 +263,7 @@ mod tests {
             bridges.into_iter().for_each(|bridge| assert_eq!(bridge.join().unwrap(), Some(Life::Ended)));
         });
         let next = Journal::open(Some(robot), RUN, 0);
-        assert!(next.has_heard("base") && next.finished().len() == 1, "{next:?}");
+        assert!(next.has_heard("base") && next.finished().count() == 1, "{next:?}");
     }
 
     #[test]

@@ -139,7 +139,7 @@ impl<'a> Sending<'a> {
         for machine in self.queue.machines() {
             let topic = &self.edge.topic.name;
             if self.links.has_finished(&machine, topic) {
-                self.queue.finish(&machine);
+                self.queue.finish(&machine, now);
             } else {
                 let (ack, heard) = (self.links.ack_of(&machine, topic), self.links.last_heard(&machine));
                 self.queue.acknowledge(&machine, ack.as_ref(), heard, now);

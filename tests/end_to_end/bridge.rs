@@ -188,6 +188,45 @@ fn a_machine_that_is_killed_and_started_again_gets_what_is_new_and_the_other_fee
     machines.iter().for_each(|machine| assert!(machine.processes().is_empty()));
 }
 
+/// Two machines, joined over loopback by a lossless edge, whose source goes on for ever.
+fn lossless_machines() -> [Playground; 2] {
+    let endpoint = loopback();
+    machines(&apart(&endpoint, &endpoint).replace("rate_hz    = 0", &format!("rate_hz = {LIVE_RATE_HZ}")))
+}
+
+#[test]
+fn a_machine_whose_run_was_ended_and_begun_again_gets_what_is_new_of_a_lossless_edge() {
+    let [robot, base] = &lossless_machines();
+    let (robot_run, mut base_run) = (start(robot, "robot"), start(base, "base"));
+    wait_for_frames(&mut base_run, base, 20);
+    base_run.end();
+    let mut again = start(base, "base");
+    wait_for_frames(&mut again, base, 20);
+    let robot_ended = robot_run.end();
+    let ended = again.wait().expect_code(0);
+    assert_eq!(link(&robot_ended, "base", "ellipses")[1], 0, "{}", robot_ended.stderr);
+    assert_eq!(ended.input("ellipses", "assembler").dropped, 0, "{}", ended.stderr);
+}
+
+#[test]
+fn a_lossless_edge_goes_on_where_the_machine_that_sends_is_killed_and_started_again() {
+    let [robot, base] = &lossless_machines();
+    let (robot_run, mut base_run) = (start(robot, "robot"), start(base, "base"));
+    let lines = || base.sequences("tracks.jsonl").len();
+    base_run.wait_until("tracks arrive", || lines() > 40);
+    signal(robot_run.id(), Signal::KILL);
+    drop(robot_run);
+    wait_until("no process of `robot` is left", || robot.processes().is_empty());
+    let before = lines();
+    let again = start(robot, "robot");
+    base_run.wait_until("tracks of the new run arrive", || lines() > before + 40);
+    let robot_ended = again.end();
+    base_run.wait().expect_code(0);
+    let made = robot_ended.stage("source").messages;
+    let sequences = base.sequences("tracks.jsonl");
+    assert!(sequences.ends_with(&(0..made).collect::<Vec<_>>()), "{made} of the new run: {sequences:?}");
+}
+
 #[test]
 fn stages_and_bridges_may_die_on_either_side() {
     let machines = live_machines();

@@ -23,7 +23,8 @@ struct Entries {
     run: u64,
     session: u64,
     heard: BTreeSet<String>,
-    finished: BTreeSet<FinishedEdge>,
+    /// With the run of the receiving machine that wants nothing more of it; the next one may.
+    finished: BTreeSet<(FinishedEdge, u64)>,
 }
 
 /// The journal of a bridge.
@@ -67,13 +68,13 @@ impl Journal {
         }
     }
 
-    /// The edges that are finished.
-    pub(crate) fn finished(&self) -> &BTreeSet<FinishedEdge> {
-        &self.entries.finished
+    /// The edges that are finished, each with the run of the receiving machine that wants nothing more of it.
+    pub(crate) fn finished(&self) -> impl Iterator<Item = (&FinishedEdge, u64)> {
+        self.entries.finished.iter().map(|(edge, by)| (edge, *by))
     }
 
-    pub(crate) fn note_finished(&mut self, edge: FinishedEdge) {
-        if self.entries.finished.insert(edge) {
+    pub(crate) fn note_finished(&mut self, edge: FinishedEdge, by: u64) {
+        if self.entries.finished.insert((edge, by)) {
             self.write();
         }
     }
@@ -104,13 +105,13 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let mut first = Journal::open(Some(folder.path()), 7, 1000);
         first.note_heard("base");
-        first.note_finished(edge("objects"));
+        first.note_finished(edge("objects"), 3);
         let next = Journal::open(Some(folder.path()), 7, 10);
         assert_eq!((first.session(), next.session()), (1000, 1001), "the clock was set back");
         assert!(next.has_heard("base") && !next.has_heard("robot"));
-        assert!(next.finished().iter().eq([&edge("objects")]));
+        assert!(next.finished().eq([(&edge("objects"), 3)]));
         let other_run = Journal::open(Some(folder.path()), 8, 2000);
-        assert!(!other_run.has_heard("base") && other_run.finished().is_empty());
+        assert!(!other_run.has_heard("base") && other_run.finished().next().is_none());
     }
 
     #[test]
@@ -120,8 +121,8 @@ mod tests {
         assert_eq!(Journal::open(Some(folder.path()), 7, 5).session(), 5);
         for folder in [None, Some(Path::new("/nowhere"))] {
             let mut journal = Journal::open(folder, 7, 5);
-            journal.note_finished(edge("objects"));
-            assert_eq!(journal.finished().len(), 1);
+            journal.note_finished(edge("objects"), 3);
+            assert_eq!(journal.finished().count(), 1);
         }
     }
 }

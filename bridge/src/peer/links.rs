@@ -193,34 +193,41 @@ impl Links {
     /// What there is to tell.
     pub(crate) fn news(&self) -> News {
         let acks = lock(&self.acks).values().cloned().collect();
-        News { acks, finished: lock(&self.journal).finished().iter().cloned().collect() }
+        let peers = lock(&self.peers);
+        let is_of_present = |(edge, by): &(&FinishedEdge, u64)| {
+            edge.to == self.machine || peers.get(&edge.to).is_some_and(|peer| peer.is_of_run(*by))
+        };
+        let journal = lock(&self.journal);
+        let finished: BTreeSet<_> = journal.finished().filter(is_of_present).map(|(edge, _)| edge.clone()).collect();
+        News { acks, finished: finished.into_iter().collect() }
     }
 
-    /// Whether an edge from here is finished: the machine that receives it has said so, to this process or an earlier one.
+    /// Whether an edge from here is finished: the machine that receives it has said so, to this process or an earlier one, and
+    /// has begun no other run since.
     pub(crate) fn has_finished(&self, to: &str, topic: &str) -> bool {
         let edge =
             FinishedEdge { from: self.machine.clone(), to: to.to_owned(), topic: topic.to_owned(), run: self.run };
-        let is_told = lock(&self.peers).get(to).is_some_and(|peer| peer.finished.contains(&edge));
-        let mut journal = lock(&self.journal);
-        if is_told {
-            journal.note_finished(edge.clone());
+        let (peers, mut journal) = (lock(&self.peers), lock(&self.journal));
+        let Some(peer) = peers.get(to) else { return false };
+        if let Some(run) = peer.run.filter(|_| peer.finished.contains(&edge)) {
+            journal.note_finished(edge.clone(), run);
         }
-        journal.finished().contains(&edge)
+        journal.finished().any(|(finished, by)| *finished == edge && peer.is_of_run(by))
     }
 
     /// Notes that an edge to here is finished, if the machine that sends it has been heard: which run of it that is.
     pub(crate) fn finish(&self, from: &str, topic: &str) {
         let Some(run) = lock(&self.peers).get(from).and_then(|peer| peer.run) else { return };
         let (from, to, topic) = (from.to_owned(), self.machine.clone(), topic.to_owned());
-        lock(&self.journal).note_finished(FinishedEdge { from, to, topic, run });
+        lock(&self.journal).note_finished(FinishedEdge { from, to, topic, run }, self.run);
     }
 
     /// Whether an edge to here is finished, and whether the machine that sends it is known to know.
     pub(crate) fn is_finished(&self, from: &str, topic: &str) -> (bool, bool) {
         let peers = lock(&self.peers);
         let journal = lock(&self.journal);
-        let edge =
-            journal.finished().iter().find(|edge| edge.from == from && edge.to == self.machine && edge.topic == topic);
+        let mut finished = journal.finished().map(|(edge, _)| edge);
+        let edge = finished.find(|edge| edge.from == from && edge.to == self.machine && edge.topic == topic);
         let is_known = |edge: &FinishedEdge| peers.get(from).is_some_and(|peer| peer.finished.contains(edge));
         (edge.is_some(), edge.is_some_and(is_known))
     }
@@ -318,6 +325,11 @@ impl Links {
 }
 
 impl Peer {
+    /// Whether its machine is in this run, as far as is known.
+    fn is_of_run(&self, run: u64) -> bool {
+        self.run.is_none_or(|present| present == run)
+    }
+
     /// Notes a heartbeat; nothing if it is no later than another of its session, else whether that is a new one.
     fn note(&mut self, sample: ClockSample) -> Option<bool> {
         let known = self.samples.iter().position(|known| known.session == sample.session);
@@ -530,6 +542,20 @@ mod tests {
         talk(&second_robot, &second_base);
         assert_eq!(second_base.is_finished("robot", "objects"), (true, true));
         assert_eq!(second_base.is_finished("robot", "tracks"), (false, false));
+        // Another run of the base wants what is sent from now on.
+        let next_base = start("base", "robot", &base_folder, 10, 6);
+        talk(&second_robot, &next_base);
+        assert!(!second_robot.has_finished("base", "objects"));
+        next_base.finish("robot", "objects");
+        talk(&second_robot, &next_base);
+        assert_eq!(
+            next_base.is_finished("robot", "objects"),
+            (true, false),
+            "the robot knows it of the run before alone"
+        );
+        assert!(second_robot.has_finished("base", "objects"));
+        talk(&second_robot, &next_base);
+        assert_eq!(next_base.is_finished("robot", "objects"), (true, true));
         // Another run of the robot sends anew.
         let other_run = start("robot", "base", &robot_folder, 9, 5);
         talk(&other_run, &second_base);

@@ -49,6 +49,8 @@ struct Remote {
     finished: u64,
     ended: BTreeSet<String>,
     heard: Option<Instant>,
+    /// Whether it wants nothing more, as long as its run lasts.
+    is_done: bool,
 }
 
 impl Remote {
@@ -75,6 +77,7 @@ impl RetransmitQueue {
             finished: 0,
             ended: BTreeSet::new(),
             heard: None,
+            is_done: false,
         };
         let (stream, next) = log.last().map_or((stream, 0), |last| (last.stream, last.number + 1));
         Self {
@@ -97,6 +100,11 @@ impl RetransmitQueue {
         self.receivers.iter().map(|remote| remote.machine.clone()).collect()
     }
 
+    /// What is known of those machines that want more.
+    fn waiting(&self) -> impl Iterator<Item = &Remote> {
+        self.receivers.iter().filter(|remote| !remote.is_done)
+    }
+
     /// Messages that a lossless receiver will not get.
     pub(crate) fn lost(&self) -> u64 {
         self.lost
@@ -114,16 +122,16 @@ impl RetransmitQueue {
 
     /// Number of the first message that a lossless receiver of these lacks.
     fn lacking(&self, counts: impl Fn(&str) -> bool) -> u64 {
-        let lossless = self.receivers.iter().filter(|remote| remote.lossless && counts(&remote.machine));
+        let lossless = self.waiting().filter(|remote| remote.lossless && counts(&remote.machine));
         lossless.map(|remote| remote.expected).min().unwrap_or(self.next)
     }
 
     /// Whether another message may be sent; `round_trip` tells of the machines that are there.
     pub(crate) fn may_send(&mut self, now: Instant, round_trip: impl Fn(&str) -> Option<Duration>) -> bool {
-        if self.receivers.iter().any(|remote| remote.lossless) {
+        if self.waiting().any(|remote| remote.lossless) {
             return self.log.has_room();
         }
-        let there = self.receivers.iter().filter_map(|remote| Some((remote.expected, round_trip(&remote.machine)?)));
+        let there = self.waiting().filter_map(|remote| Some((remote.expected, round_trip(&remote.machine)?)));
         match there.reduce(|one, other| (one.0.min(other.0), one.1.max(other.1))) {
             Some((next, round_trip)) => self.window.acknowledge(next, round_trip, now),
             None => self.window.clear(),
@@ -133,7 +141,7 @@ impl RetransmitQueue {
 
     /// Whether there is anybody to send to: a machine that must not miss a message is, even where it cannot be reached.
     pub(crate) fn is_wanted(&self, alive: impl Fn(&str) -> bool) -> bool {
-        self.receivers.iter().any(|remote| remote.lossless || alive(&remote.machine))
+        self.waiting().any(|remote| remote.lossless || alive(&remote.machine))
     }
 
     /// The place of the next message.
@@ -150,7 +158,7 @@ impl RetransmitQueue {
         if self.log.len() == 0 {
             self.progress = now;
         }
-        if self.receivers.iter().any(|remote| remote.lossless) {
+        if self.waiting().any(|remote| remote.lossless) {
             self.log.add(self.next, bytes);
         } else {
             self.window.sent(self.next, now);
@@ -165,10 +173,15 @@ impl RetransmitQueue {
         self.ended_at = Some(now);
     }
 
-    /// Learns what a machine has, and when it was heard of last.
+    /// Learns what a machine has, and when it was heard of last. One that had wanted nothing more is in another run now, and gets
+    /// what is still kept and what follows.
     pub(crate) fn acknowledge(&mut self, machine: &str, ack: Option<&Ack>, heard: Option<Instant>, now: Instant) {
+        let oldest = self.oldest();
         let Some(remote) = self.receivers.iter_mut().find(|remote| remote.machine == machine) else { return };
         remote.heard = heard;
+        if std::mem::take(&mut remote.is_done) {
+            remote.finished = oldest;
+        }
         // Nobody has more than was sent: such an acknowledgement is forged, or its machine has taken a forged message.
         let ack = ack.filter(|ack| ack.stream == self.stream && ack.next <= self.next);
         if let Some(ack) = ack {
@@ -185,7 +198,7 @@ impl RetransmitQueue {
 
     /// Drops what all lossless receivers have, or have been away for too long to get.
     fn forget(&mut self, now: Instant) {
-        let lossless = || self.receivers.iter().filter(|remote| remote.lossless);
+        let lossless = || self.waiting().filter(|remote| remote.lossless);
         let waited_for = lossless().filter(|remote| !remote.is_gone(now, self.outage)).map(|remote| remote.finished);
         let needed = waited_for.min().unwrap_or(self.next);
         let given_up: Vec<u64> = lossless().map(|remote| remote.expected).collect();
@@ -206,8 +219,7 @@ impl RetransmitQueue {
         // Where no message may be missed, what comes first tells the end in its turn.
         let is_ahead = |remote: &Remote, end: &End| remote.lossless && end.number >= remote.expected;
         let is_unaware = |remote: &Remote, end: &End| !remote.ended.contains(&end.writer) && !is_ahead(remote, end);
-        let is_untold =
-            |end: &&End| self.receivers.iter().any(|remote| is_unaware(remote, end) && alive(&remote.machine));
+        let is_untold = |end: &&End| self.waiting().any(|remote| is_unaware(remote, end) && alive(&remote.machine));
         let ends = self.ends.iter().filter(is_untold).map(|end| &end.bytes);
         let mut messages: Vec<_> = again.chain(ends).cloned().collect();
         messages.iter_mut().for_each(|bytes| set_oldest(bytes, oldest));
@@ -216,9 +228,10 @@ impl RetransmitQueue {
         messages
     }
 
-    /// Nothing more is wanted by a machine.
-    pub(crate) fn finish(&mut self, machine: &str) {
-        self.receivers.retain(|remote| remote.machine != machine);
+    /// Nothing more is wanted by a machine, until it acknowledges something in another run.
+    pub(crate) fn finish(&mut self, machine: &str, now: Instant) {
+        self.receivers.iter_mut().filter(|remote| remote.machine == machine).for_each(|remote| remote.is_done = true);
+        self.forget(now);
     }
 
     /// Forgets that there was anything for a later process to send.
@@ -230,7 +243,7 @@ impl RetransmitQueue {
     /// until its readers have heard the end ([`RetransmitQueue::finish`]).
     pub(crate) fn is_settled(&self, now: Instant) -> bool {
         let impatient = self.ended_at.is_some_and(|since| now.saturating_duration_since(since) > END_PATIENCE);
-        self.receivers.iter().all(|remote| match remote.lossless {
+        self.waiting().all(|remote| match remote.lossless {
             // One that has told that it has all, and then falls silent, has most likely been killed while its run came to its
             // end.
             true if remote.finished >= self.next => remote.is_gone(now, END_PATIENCE),
@@ -280,8 +293,25 @@ mod tests {
         queue.acknowledge("base", Some(&ack(4, &[])), Some(later), later);
         assert!(!queue.is_settled(later), "its readers have not heard the end");
         assert!(queue.is_settled(later + END_PATIENCE + WAIT), "it has all, and has fallen silent");
-        queue.finish("base");
+        queue.finish("base", later);
         assert!(queue.is_settled(later));
+    }
+
+    #[test]
+    fn who_wants_nothing_more_is_sent_nothing_until_it_is_in_another_run_and_gets_what_follows_then() {
+        let start = Instant::now();
+        let mut queue = queue(Delivery::Lossless, start);
+        (0..3_u8).for_each(|number| queue.sent(&[number; 40], start));
+        queue.acknowledge("base", Some(&ack(1, &[])), Some(start), start);
+        queue.finish("base", start);
+        let later = start + RESEND_AFTER;
+        assert!(queue.due(later, |_| true).is_empty() && !queue.is_wanted(|_| true) && queue.is_settled(later));
+        assert_eq!((queue.place().oldest, queue.lost_if_it_ends()), (3, 0), "nothing is kept for it");
+        queue.acknowledge("base", None, Some(later), later);
+        assert!(queue.is_wanted(|_| false) && !queue.is_settled(later));
+        queue.sent(&[3; 40], later);
+        let first_bytes: Vec<_> = queue.due(later + RESEND_AFTER, |_| true).iter().map(|bytes| bytes[0]).collect();
+        assert_eq!((first_bytes, queue.place().oldest), (vec![3], 3));
     }
 
     #[test]
@@ -320,7 +350,7 @@ mod tests {
         queue.acknowledge("base", Some(&ack(3, &[])), Some(later), later);
         assert!(queue.due(later + RESEND_AFTER, |_| true).is_empty());
         assert_eq!((queue.place().oldest, queue.lost()), (3, 0));
-        queue.finish("base");
+        queue.finish("base", later);
         assert!(queue.is_settled(later));
     }
 

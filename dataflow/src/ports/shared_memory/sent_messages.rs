@@ -27,6 +27,11 @@ impl SentMessages {
     pub(super) fn add(&mut self, header: &Header) {
         let writer = header.trace().last().and_then(|hop| self.finished.place_of(&hop.stage));
         let Some(writer) = writer.filter(|_| !header.ends_stream()) else { return };
+        // A stage of another machine that was started anew counts from the beginning: by its new numbers nothing that it sent
+        // before can be told to be finished.
+        if self.last.iter().any(|(of, number)| *of == writer && *number >= header.number) {
+            self.last.retain(|(of, _)| *of != writer);
+        }
         while self.last.len() >= self.limit {
             self.last.pop_front();
         }
@@ -54,6 +59,18 @@ mod tests {
     use crate::ports::TopicReader;
     use conicflow_messages::{Hop, Text};
 
+    fn lossless() -> Topic {
+        let reader = TopicReader { stage: "reader".into(), delivery: Delivery::Lossless, queue: 4 };
+        Topic { name: "things".into(), writers: vec!["writer".into()], readers: vec![reader], ..Topic::default() }
+    }
+
+    /// The head of a message of this number.
+    fn message(number: u64) -> Header {
+        let mut header = Header { number, ..Header::default() };
+        header.add_hop(Hop { stage: Text::new("writer"), ..Hop::default() });
+        header
+    }
+
     #[test]
     fn a_message_is_unfinished_until_each_reader_that_wants_all_has_finished_it() {
         let reader = |stage: &str, delivery: Delivery| TopicReader { stage: stage.to_owned(), delivery, queue: 4 };
@@ -68,15 +85,26 @@ mod tests {
         let finished = Arc::new(Acknowledgements::open(folder.path(), &topic).unwrap());
         let mut sent = SentMessages::new(Arc::clone(&finished), &topic);
         assert_eq!(sent.unfinished_by_all(), 0);
-        for number in 0..3 {
-            let mut header = Header { number, ..Header::default() };
-            header.add_hop(Hop { stage: Text::new("writer"), ..Hop::default() });
-            sent.add(&header);
-        }
+        (0..3).for_each(|number| sent.add(&message(number)));
         finished.finish(0, 0, 2);
         assert_eq!([0, 1, 2].map(|place| sent.unfinished_by(place)), [1, 0, 3]);
         assert_eq!(sent.unfinished_by_all(), 4);
         finished.finish(2, 0, 3);
         assert_eq!(sent.unfinished_by_all(), 1);
+    }
+
+    #[test]
+    fn what_a_writer_sent_before_it_began_to_count_anew_is_not_waited_for() {
+        let (topic, folder) = (lossless(), tempfile::tempdir().unwrap());
+        Acknowledgements::create(folder.path(), &topic).unwrap();
+        let finished = Arc::new(Acknowledgements::open(folder.path(), &topic).unwrap());
+        let mut sent = SentMessages::new(Arc::clone(&finished), &topic);
+        (5..8).for_each(|number| sent.add(&message(number)));
+        finished.finish(0, 0, 8);
+        sent.add(&message(0));
+        finished.finish(0, 0, 1);
+        assert_eq!(sent.unfinished_by_all(), 0);
+        sent.add(&message(1));
+        assert_eq!(sent.unfinished_by_all(), 1, "the first of the new count alone is finished");
     }
 }
