@@ -1,7 +1,7 @@
 //! Stages that panic, hang or are stopped: they are told of, started anew where that is asked for, and harm no other.
 
 use crate::bridge::{joined, loopback, machines, top_link};
-use crate::processes::{at_work, stages_of, start, wait_for_lines};
+use crate::processes::{at_work, files_in_shared_memory, shared_prefix, stages_of, start, wait_for_lines};
 use crate::programs::program;
 use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, signal};
 use rustix::process::Signal;
@@ -142,6 +142,21 @@ fn nonsense_does_not_leave_its_machine_and_is_counted_at_the_edge() {
     }
     let sequences = base.sequences("tracks.jsonl");
     assert!(sequences.iter().copied().take(38).eq((0..20).chain(23..41)), "{sequences:?}");
+}
+
+#[test]
+fn a_run_whose_shared_memory_somebody_removes_ends_in_order_and_says_so() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let mut run = playground.start(&["run", "--set", "source.rate_hz=100"]);
+    wait_for_lines(&mut run, &playground);
+    for name in files_in_shared_memory(&shared_prefix(&playground)) {
+        std::fs::remove_file(std::path::Path::new("/dev/shm").join(name)).unwrap();
+    }
+    let ended = run.wait().expect_code(1);
+    let told = "not complete: what its stages share was removed while it went on";
+    assert!(ended.stderr.contains(told) && ended.stderr.contains("RemoveIPC"), "{}", ended.stderr);
+    let sequences = playground.sequences("tracks.jsonl");
+    assert!(sequences.into_iter().eq(0..ended.stage("source").messages), "{}", ended.stderr);
 }
 
 /// A shell that starts the faulty stage, which does no wrong, with this before and after it.

@@ -29,7 +29,7 @@ pub use summary::{StageSummary, Summary, link_table};
 
 use crate::plan::Plan;
 use crate::ports::PortError;
-use crate::ports::shared_memory::SharedMemory;
+use crate::ports::shared_memory::{ServiceKeeper, SharedMemory};
 use crate::preflight::{InsufficientResource, Requirements};
 use crate::stage::Stop;
 use child::{Change, RunState, Supervised};
@@ -43,6 +43,8 @@ use std::time::{Duration, Instant};
 use swap::Swap;
 
 const LOOK: Duration = Duration::from_millis(100);
+/// How often it looks whether what the stages share is still there.
+const LOOK_FOR_REMOVAL: Duration = Duration::from_secs(1);
 /// How often the launcher looks while a stage is being replaced.
 const LOOK_AT_SWAP: Duration = Duration::from_millis(2);
 /// A run in which nothing moves for this long, while a stage waits for another, is told of.
@@ -97,7 +99,7 @@ pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
     // Whoever looks on from outside may come as soon as there is a plan.
     folder.begin(plan)?;
     let mut launcher = Launcher::new(plan.clone(), folder, options, signals);
-    let ended = launcher.supervise();
+    let ended = launcher.supervise(&services);
     launcher.swap.take().into_iter().for_each(|swap| swap.abandon(&launcher.folder));
     launcher.stages.iter_mut().for_each(Supervised::kill);
     ended?;
@@ -126,6 +128,8 @@ struct Launcher<'a> {
     /// How long it was not paused, up to the last look.
     went_on: Duration,
     looked: Instant,
+    /// When it was last made sure that what the stages share is there.
+    looked_for_removal: Instant,
 }
 
 /// When something last moved in a run.
@@ -155,10 +159,11 @@ impl<'a> Launcher<'a> {
             started: Instant::now(),
             went_on: Duration::ZERO,
             looked: Instant::now(),
+            looked_for_removal: Instant::now(),
         }
     }
 
-    fn supervise(&mut self) -> Result<(), LaunchError> {
+    fn supervise(&mut self, services: &ServiceKeeper) -> Result<(), LaunchError> {
         for planned in &self.plan.stages {
             self.stages.push(Supervised::start(planned.clone(), &self.plan, self.options)?);
         }
@@ -167,6 +172,7 @@ impl<'a> Launcher<'a> {
             self.replace();
             self.look_at_stages();
             self.press();
+            self.look_for_removal(services);
             let summary = self.summary();
             self.look_for_pause(&summary);
             self.look_for_standstill(&summary);
@@ -234,6 +240,25 @@ impl<'a> Launcher<'a> {
             Due::WaitForMore(delivered) => self.phase = Phase::Delivering { delivered, since: now },
             Due::EndStalled => self.end_stalled(),
             Due::KillAll => self.kill_all(),
+        }
+    }
+
+    /// Ends the run in order where what its stages share was removed: one that is started anew would not find the others.
+    fn look_for_removal(&mut self, services: &ServiceKeeper) {
+        let is_due = self.looked_for_removal.elapsed() > LOOK_FOR_REMOVAL;
+        if !is_due || !matches!(self.phase, Phase::Running) {
+            return;
+        }
+        self.looked_for_removal = Instant::now();
+        if !services.is_there() {
+            let why = "what its stages share was removed while it went on";
+            tracing::error!(
+                "the run ends: {why}\n  hint: does systemd remove it when the user logs out (`RemoveIPC=no` in logind.conf)? \
+                 nobody may delete files in /dev/shm or {} while a run goes on",
+                self.folder.shared_memory().display()
+            );
+            self.stalled = Some(why.to_owned());
+            self.stop_sources();
         }
     }
 
@@ -377,11 +402,13 @@ mod tests {
 
     #[test]
     fn a_run_lasts_until_all_its_stages_are_over() {
-        let files = tempfile::tempdir().unwrap();
+        let (files, shared) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         let options = RunOptions { program: "true".into(), quiet: true, ..RunOptions::default() };
         let (_sender, signals) = channel();
+        let memory = SharedMemory::open(shared.path(), "test", "launcher", Stop::default()).unwrap();
+        let services = memory.keep_services(std::iter::empty()).unwrap();
         let mut launcher = Launcher::new(plan_of(7), folder_at(files.path()), &options, signals);
-        launcher.supervise().unwrap();
+        launcher.supervise(&services).unwrap();
         assert_eq!(launcher.stages.iter().map(Supervised::is_over).collect::<Vec<_>>(), [true]);
         assert!(launcher.summary().is_complete());
     }

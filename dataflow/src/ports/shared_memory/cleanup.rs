@@ -75,6 +75,11 @@ impl Occupied {
         &self.prefix
     }
 
+    /// Whether the folder and what its users share is still there: nothing but the last of them removes it, or somebody from outside.
+    pub(super) fn is_there(&self) -> bool {
+        self.root.join(LOCK).exists() && has_entry(Path::new(SHARED_MEMORY), is_counter(&self.prefix))
+    }
+
     /// Removes the counter of the folder's processes if its maker died before it was whole, and waits so long for one that
     /// is being made: iceoryx2 gives up on such a counter, or waits for ever for one that has no size yet.
     pub(super) fn wait_for_counter(&self, patience: Duration) -> io::Result<()> {

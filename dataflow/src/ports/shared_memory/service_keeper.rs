@@ -12,7 +12,14 @@ use crate::ports::{PortError, Topic};
 pub struct ServiceKeeper {
     _messages: Vec<Factory>,
     _events: Vec<EventFactory>,
-    _memory: SharedMemory,
+    memory: SharedMemory,
+}
+
+impl ServiceKeeper {
+    /// Whether the run's part of shared memory is there. If it is not, those who are in it go on, but nobody finds them any more.
+    pub(crate) fn is_there(&self) -> bool {
+        self.memory.occupied.is_there()
+    }
 }
 
 impl SharedMemory {
@@ -33,6 +40,6 @@ impl SharedMemory {
             }
             events.extend([self.event(topic, "/wake")?, self.event(topic, "/room")?]);
         }
-        Ok(ServiceKeeper { _messages: messages, _events: events, _memory: self })
+        Ok(ServiceKeeper { _messages: messages, _events: events, memory: self })
     }
 }
