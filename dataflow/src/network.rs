@@ -90,7 +90,7 @@ pub struct Edge {
     pub writers: Vec<String>,
     /// The machines that read it.
     pub to: Vec<Receiver>,
-    /// How images are compressed.
+    /// How its images or long lists are compressed.
     pub compression: Compression,
 }
 

@@ -1,4 +1,4 @@
-//! The contract between a stage and what runs it: three traits, one for each end of a pipeline and one for its middle.
+//! The contract between a stage and what runs it: one trait for what begins a pipeline, and one for all that follows.
 //!
 //! A [`Source`] makes messages, a [`Stage`] turns one message into another, and a sink is a [`Stage`] whose output is
 //! [`Nothing`](conicflow_messages::Nothing). None of them knows who is up- or downstream, on which machine, or whether it

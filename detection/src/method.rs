@@ -2,7 +2,7 @@
 //!
 //! [`detect`] is the whole; its two halves can run in processes of their own, which exchange lists of ellipses. Each step is
 //! a call into the file that is named beside it; `docs/method.md` has the equations. What follows, objects to tracks, is
-//! [`Tracker::update`](crate::Tracker::update).
+//! [`Tracker::update_frame`](crate::Tracker::update_frame).
 
 use crate::assemble::arcs::Arcs;
 use crate::assemble::choice::{Chosen, choose};

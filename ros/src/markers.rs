@@ -14,7 +14,7 @@ const TRIANGLES: i32 = 11;
 const ADD: i32 = 0;
 const DELETE_ALL: i32 = 3;
 
-/// SideInputs of a cone's mesh: at 48 the outline of a circle is within 0.2 % of the radius.
+/// Sides of a cone's mesh: at 48 the outline of a circle is within 0.2 % of the radius.
 const SIDES: usize = 48;
 /// Height of a label's letters, in metres: to be read beside objects that one can grasp.
 const LETTERS_M: f64 = 0.04;

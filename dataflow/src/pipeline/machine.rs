@@ -28,8 +28,8 @@ pub struct Machine {
     pub metrics: Option<Metrics>,
 }
 
-/// How the bytes of depth images and of lists of ellipses are compressed on their way to another machine, always without
-/// loss; other lists are too short to gain by it.
+/// How depth images and long lists, such as ellipses, are compressed on their way to another machine, always without loss; short
+/// lists would not gain by it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Compression {

@@ -85,7 +85,7 @@ pub struct Input {
     pub queue: usize,
     /// What the topic carries, where the file says so: no node tells it of what a program of one's own writes.
     pub kind: Option<String>,
-    /// How images for it are compressed on their way from another machine.
+    /// How images and long lists for it are compressed on their way from another machine.
     pub compression: Option<Compression>,
     pub(super) place: Place,
 }
