@@ -2,10 +2,9 @@
 //! command line.
 
 pub mod commands;
-mod config_error;
+mod faults;
 mod network;
 pub mod recording;
-mod stage_error;
 mod viewing;
 
 pub mod sources {

@@ -4,8 +4,7 @@
 
 use super::json_lines::JsonLines;
 use super::measurement_sink::write_rows;
-use crate::config_error;
-use crate::stage_error::stage_error;
+use crate::faults::{refuse_restart, stage_error};
 use anyhow::Result;
 use conicflow_dataflow::{ConfigFault, Context, Output, SideInputs, Stage, StageError};
 use conicflow_lab::score::truth::load_scene;
@@ -79,7 +78,6 @@ impl<T: Claim> Stage for EvaluationSink<T> {
     type Input = T;
     type Output = Nothing;
 
-    /// What types and ranges cannot tell: values that exclude each other, files that are missing.
     fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
         let mut faults = Vec::new();
         if let Err(error) = config.rendered(base) {
@@ -96,7 +94,7 @@ impl<T: Claim> Stage for EvaluationSink<T> {
     }
 
     fn new(config: EvaluationConfig, context: &Context) -> Result<Self, StageError> {
-        config_error::refuse_restart(context, "counted")?;
+        refuse_restart(context, "counted")?;
         let open = |path: &PathBuf| JsonLines::open(&context.resolve(path), false);
         let details = config.details_path.as_ref().map(open).transpose()?;
         let (evaluation, path) = (config.open(&context.base)?, config.path.as_ref().map(|path| context.resolve(path)));

@@ -2,7 +2,7 @@
 //! quantity of each object gives one row of an `[experiment]`. The measuring itself is [`conicflow_lab::score::limit`].
 
 use super::measurement_sink::write_rows;
-use crate::config_error;
+use crate::faults::refuse_restart;
 use conicflow_dataflow::{ConfigFault, Context, Output, SideInputs, Stage, StageError};
 use conicflow_lab::score::truth::load_scene;
 use conicflow_lab::score::{Claim, Limit, RenderedTruth, Tolerances};
@@ -49,14 +49,13 @@ impl Stage for LimitSink {
     type Input = Object;
     type Output = Nothing;
 
-    /// What types and ranges cannot tell: files that are missing.
     fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
         let scene = config.scene.as_ref().and_then(|path| load_scene(&base.join(path)).err());
         scene.map(|error| ConfigFault::of_file("scene", error.as_ref())).into_iter().collect()
     }
 
     fn new(config: LimitConfig, context: &Context) -> Result<Self, StageError> {
-        config_error::refuse_restart(context, "measured")?;
+        refuse_restart(context, "measured")?;
         let scene = config.scene.as_ref().map(|path| load_scene(&context.resolve(path))).transpose()?;
         let truth = RenderedTruth { scene, tolerance: config.tolerance, ..RenderedTruth::default() };
         let limit = Limit::new(truth, config.dropout_angle_deg.to_radians(), config.edge_jitter_px);

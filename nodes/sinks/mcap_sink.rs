@@ -1,8 +1,8 @@
 //! The sink that records: what drives it and what goes with it, into an MCAP file that others read and that `mcap_source`
 //! replays.
 
+use crate::faults::stage_error;
 use crate::recording::recorder::{Limits, Recorded, Recorder};
-use crate::stage_error::stage_error;
 use conicflow_dataflow::{
     AnyMessage, BUILT_IN, ConfigFault, Context, ItemType, Output, SideInput, SideInputs, Stage, StageError,
     monotonic_ns,
@@ -60,7 +60,6 @@ impl<T: Item> Stage for McapSink<T> {
     type Input = T;
     type Output = Nothing;
 
-    /// What types and ranges cannot tell: values that exclude each other, files that are missing.
     fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
         let what = match &config.path {
             None => "is missing".to_owned(),

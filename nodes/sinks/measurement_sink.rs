@@ -6,7 +6,7 @@
 //! The tolerances are wide: a radius that is far off is to be measured, not to be turned down.
 
 use super::json_lines::JsonLines;
-use crate::config_error;
+use crate::faults::refuse_restart;
 use anyhow::Result;
 use conicflow_dataflow::{ConfigFault, Context, Output, SideInputs, Stage, StageError};
 use conicflow_lab::score::truth::load_scene;
@@ -70,14 +70,13 @@ impl<T: Claim> Stage for MeasurementSink<T> {
     type Input = T;
     type Output = Nothing;
 
-    /// What types and ranges cannot tell: files that are missing.
     fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
         let scene = config.scene.as_ref().and_then(|path| load_scene(&base.join(path)).err());
         scene.map(|error| ConfigFault::of_file("scene", error.as_ref())).into_iter().collect()
     }
 
     fn new(config: MeasurementConfig, context: &Context) -> Result<Self, StageError> {
-        config_error::refuse_restart(context, "measured")?;
+        refuse_restart(context, "measured")?;
         let scene = config.scene.as_ref().map(|path| load_scene(&context.resolve(path))).transpose()?;
         let truth = RenderedTruth { scene, required: config.required, tolerance: config.tolerance };
         let trace = config.trace_path.as_ref().map(|path| Trace::create(&context.resolve(path))).transpose()?;

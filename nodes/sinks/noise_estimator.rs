@@ -1,6 +1,6 @@
 //! The noise of a sensor from a recording, printed as the line that a pipeline file needs.
 
-use crate::config_error::refuse_restart;
+use crate::faults::refuse_restart;
 use conicflow_dataflow::{Context, Output, SideInputs, Stage, StageError};
 use conicflow_lab::noise_estimator::{self, NoiseEstimatorParameters};
 use conicflow_messages::{Message, Nothing};

@@ -2,7 +2,7 @@
 //! semi-axes ([`Sections`]). Its row is one of an `[experiment]`, as the `measurement_sink`'s are.
 
 use super::measurement_sink::write_rows;
-use crate::config_error;
+use crate::faults::refuse_restart;
 use conicflow_dataflow::{Context, Output, SideInputs, Stage, StageError};
 use conicflow_lab::score::Sections;
 use conicflow_messages::{Ellipse, Message, Nothing};
@@ -43,7 +43,7 @@ impl Stage for SectionSink {
     type Output = Nothing;
 
     fn new(config: SectionConfig, context: &Context) -> Result<Self, StageError> {
-        config_error::refuse_restart(context, "measured")?;
+        refuse_restart(context, "measured")?;
         let path = config.path.as_ref().map(|path| context.resolve(path));
         Ok(Self { sections: Sections::new(config.center, config.max_offset_m), path })
     }

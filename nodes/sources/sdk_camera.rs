@@ -3,7 +3,7 @@
 //! Here stand their parameters, which Python runs them, and whether that has what they need. The sources themselves are
 //! `conicflow.cameras` in `python/`.
 
-use crate::config_error::one_of_two;
+use crate::faults::one_of_two;
 use conicflow_dataflow::{ConfigFault, Context, Hinted, Host, Next, Output, SideInputs, Source, StageError, Variables};
 use conicflow_detection::noise::NoiseConfig;
 use schemars::JsonSchema;

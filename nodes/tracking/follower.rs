@@ -116,7 +116,6 @@ impl Stage for Follower {
     type Input = Track;
     type Output = Velocity;
 
-    /// What types and ranges cannot tell: values that exclude each other, files that are missing.
     fn faults(config: &Self::Config, _: &Path) -> Vec<ConfigFault> {
         gravity::fault("up", config.up).into_iter().collect()
     }

@@ -1,7 +1,7 @@
 //! The sink that writes JSON: one object per message and line, for scripts, plots and other programs.
 
+use crate::faults::stage_error;
 use crate::sinks::json_lines::{JsonLines, Wrote};
-use crate::stage_error::stage_error;
 use conicflow_dataflow::{
     AnyMessage, ConfigFault, Context, ItemType, Output, SideInputs, Stage, StageError, Stop, monotonic_ns,
 };
@@ -46,7 +46,6 @@ impl Stage for JsonSink {
     type Input = AnyByte;
     type Output = Nothing;
 
-    /// What types and ranges cannot tell: values that exclude each other, files that are missing.
     fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
         let path = base.join(&config.path);
         let what = if config.path.as_os_str().is_empty() {

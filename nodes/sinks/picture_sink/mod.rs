@@ -10,8 +10,8 @@ mod moving;
 mod painter;
 mod sheet;
 
+use crate::faults::stage_error;
 use crate::sinks::decimator::Decimator;
-use crate::stage_error::stage_error;
 use anyhow::{Context as _, Result, ensure};
 use canvas::{Box2, Canvas};
 use conicflow_dataflow::{ConfigFault, Context, Output, SideInput, SideInputs, Stage, StageError};
@@ -302,7 +302,6 @@ impl<T: Drawn> Stage for PictureSink<T> {
     type Input = T;
     type Output = Nothing;
 
-    /// What types and ranges cannot tell: values that exclude each other, files that are missing.
     fn faults(config: &Self::Config, _: &Path) -> Vec<ConfigFault> {
         let mut faults = Vec::new();
         if config.path.is_none() && config.moving.is_none() {

@@ -26,7 +26,7 @@ pub use config::{Config, PosesConfig};
 pub use playback::Playback;
 pub use recording::Recording;
 
-use crate::stage_error::stage_error;
+use crate::faults::stage_error;
 use conicflow_dataflow::{ConfigFault, Context, Next, Output, SideInputs, Source, StageError};
 use playback::UNREADABLE;
 use std::path::Path;

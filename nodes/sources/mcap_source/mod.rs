@@ -14,7 +14,7 @@ pub use channels::has_own;
 pub use config::Config;
 pub use replay::{Replay, Replayed};
 
-use crate::stage_error::stage_error;
+use crate::faults::stage_error;
 use config::DEPTH;
 use conicflow_dataflow::{ConfigFault, Context, Next, Output, SideInputs, Source, StageError};
 use conicflow_messages::AnyByte;

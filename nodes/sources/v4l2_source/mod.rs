@@ -10,7 +10,7 @@ mod grabber;
 pub use device::{Driver, Found, LinuxVideo, Mode, Stream};
 pub use format::{DepthFormat, Layout};
 
-use crate::config_error::one_of_two;
+use crate::faults::one_of_two;
 use conicflow_dataflow::{ConfigFault, Context, Next, Output, SideInputs, Source, StageError, tell_median, unix_ns};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::NoiseConfig;

@@ -1,7 +1,13 @@
-//! What goes wrong in the same way with several stages: a restart has lost sums, an image has one side.
+//! What goes wrong in the same way with several nodes: an error of their own is one of a stage, a restart has lost sums, an image
+//! has one side.
 
 use conicflow_dataflow::{ConfigFault, Context, StageError};
 use conicflow_messages::Hinted;
+
+/// An error as that of a stage, with what it says of itself; `?` would hide from the run whether it lasts.
+pub fn stage_error(error: anyhow::Error) -> StageError {
+    error.reallocate_into_boxed_dyn_error_without_backtrace()
+}
 
 /// Refuses the restart of a stage that keeps its sums in memory; `summed` says what it did with its input ("counted").
 ///
@@ -25,6 +31,14 @@ pub fn one_of_two(width: Option<u32>, height: Option<u32>) -> Option<ConfigFault
 #[cfg(test)]
 mod tests {
     use super::*;
+    use conicflow_messages::lasts;
+
+    #[test]
+    fn an_error_that_lasts_is_known_as_one_by_the_run() {
+        assert!(lasts(&*stage_error(Hinted::lasting("full", "free some space").into())));
+        assert!(lasts(&*stage_error(std::io::Error::from(std::io::ErrorKind::StorageFull).into())));
+        assert!(!lasts(&*stage_error(Hinted::new("gone", "wait").into())));
+    }
 
     #[test]
     fn only_the_first_start_is_not_refused() {
