@@ -38,12 +38,12 @@ const USUAL_RATIOS: RangeInclusive<f64> = 0.32..=1.41;
 
 /// The stage.
 pub struct RowEllipseExtractor {
-    method: Method,
+    extractor: AnyExtractor,
     /// Whether it was said that the noise model is not that of the sensor.
     warned: bool,
 }
 
-enum Method {
+enum AnyExtractor {
     Moments(Box<Extractor>),
     Conic(Box<ConicExtractor>),
 }
@@ -61,22 +61,22 @@ impl Stage for RowEllipseExtractor {
 
     fn new(config: Self::Config, _: &Context) -> Result<Self, StageError> {
         let RowEllipseConfig { arcs, common, conic } = config;
-        let method = match arcs {
-            ArcFinder::Moments => Method::Moments(Box::new(Extractor::new(common))),
-            ArcFinder::Conic => Method::Conic(Box::new(ConicExtractor::new(ConicConfig { common, conic }))),
+        let extractor = match arcs {
+            ArcFinder::Moments => AnyExtractor::Moments(Box::new(Extractor::new(common))),
+            ArcFinder::Conic => AnyExtractor::Conic(Box::new(ConicExtractor::new(ConicConfig { common, conic }))),
         };
-        Ok(Self { method, warned: false })
+        Ok(Self { extractor, warned: false })
     }
 
     fn step(&mut self, input: &Message<u16>, _: &SideInputs, output: &mut Output<Ellipse>) -> Result<(), StageError> {
-        match &mut self.method {
-            Method::Moments(extractor) => {
+        match &mut self.extractor {
+            AnyExtractor::Moments(extractor) => {
                 output.extend(extractor.extract(input.header, input.items));
                 output.count_all(extractor.rejections());
                 let ratios = extractor.noise_ratios();
                 self.warn_of_noise(ratios);
             }
-            Method::Conic(extractor) => {
+            AnyExtractor::Conic(extractor) => {
                 output.extend(extractor.extract(input.header, input.items));
                 output.count_all(extractor.rejections());
             }

@@ -114,14 +114,12 @@ impl Default for TrackerParameters {
 }
 
 impl TrackerParameters {
-    /// What types and ranges cannot tell: values that exclude each other, files that are missing.
+    /// What is wrong with them although each is in its range.
     pub fn faults(&self) -> Vec<ConfigFault> {
         let up = self.ballistic.and_then(|ballistic| gravity::fault("ballistic", ballistic.up));
         up.into_iter().chain(self.fault_of_hits()).collect()
     }
-}
 
-impl TrackerParameters {
     fn fault_of_hits(&self) -> Option<ConfigFault> {
         let (hits, window) = (self.confirm_hits, self.confirm_window);
         let what = format!("{hits} sights cannot fall within {window} frames");

@@ -12,12 +12,12 @@ pub struct Timeline {
     assumed_period_s: f64,
     /// The time that all sources share, on the clock of the first.
     now_ns: Option<i128>,
-    sources: Vec<Sight>,
+    sources: Vec<Frame>,
 }
 
-/// The last message of one source.
+/// A frame of one source in time: the last that came, or the one that comes.
 #[derive(Clone, Copy, Debug)]
-struct Sight {
+struct Frame {
     stage: Text<32>,
     epoch: u64,
     sequence: u64,
@@ -56,35 +56,35 @@ impl Timeline {
     /// count by their differences. Clocks less than a second apart are taken for one. A frame that is older than one of
     /// another camera takes no time, and is late.
     pub fn advance(&mut self, header: &Header) -> Advance {
-        let mut sight = Sight::of(header);
-        let known = self.sources.iter().position(|known| known.stage == sight.stage);
+        let mut frame = Frame::of(header);
+        let known = self.sources.iter().position(|known| known.stage == frame.stage);
         let source = known.unwrap_or(self.sources.len());
-        let new_run = known.is_some_and(|known| sight.begins_after(&self.sources[known]));
-        let now_ns = self.now_ns.unwrap_or(sight.at_ns);
+        let new_run = known.is_some_and(|known| frame.begins_after(&self.sources[known]));
+        let now_ns = self.now_ns.unwrap_or(frame.at_ns);
         let at_ns = match known {
             Some(_) if new_run => now_ns,
-            Some(known) => self.goes_on(&self.sources[known], &sight),
-            None => sight.at_ns,
+            Some(known) => self.goes_on(&self.sources[known], &frame),
+            None => frame.at_ns,
         };
         let is_ahead = known.is_none() && at_ns > now_ns + OTHER_CLOCK_NS;
-        sight.at_ns = if is_ahead || at_ns < now_ns - OTHER_CLOCK_NS { now_ns } else { at_ns };
+        frame.at_ns = if is_ahead || at_ns < now_ns - OTHER_CLOCK_NS { now_ns } else { at_ns };
         let last = known.map(|known| self.sources[known]);
-        sight.period_ns = last.map(|last| sight.at_ns - last.at_ns);
+        frame.period_ns = last.map(|last| frame.at_ns - last.at_ns);
         match known {
-            Some(known) => self.sources[known] = sight,
-            None => self.sources.push(sight),
+            Some(known) => self.sources[known] = frame,
+            None => self.sources.push(frame),
         }
-        let elapsed_s = self.move_forward(sight.at_ns);
+        let elapsed_s = self.move_forward(frame.at_ns);
         let usual_s = last.and_then(|last| last.period_ns).map_or(f64::INFINITY, |usual_ns| usual_ns as f64 * 1e-9);
-        Advance { source, elapsed_s, late_s: self.late_s(&sight), usual_s, new_run }
+        Advance { source, elapsed_s, late_s: self.late_s(&frame), usual_s, new_run }
     }
 
     /// When a message is that goes on after the last one of its source.
-    fn goes_on(&self, last: &Sight, sight: &Sight) -> i128 {
-        let passed_ns = if sight.stamp_ns > last.stamp_ns {
-            i128::from(sight.stamp_ns - last.stamp_ns)
+    fn goes_on(&self, last: &Frame, frame: &Frame) -> i128 {
+        let passed_ns = if frame.stamp_ns > last.stamp_ns {
+            i128::from(frame.stamp_ns - last.stamp_ns)
         } else {
-            let frames = sight.sequence.saturating_sub(last.sequence).max(1);
+            let frames = frame.sequence.saturating_sub(last.sequence).max(1);
             (self.assumed_period_s * frames as f64 * 1e9).round() as i128
         };
         last.at_ns + passed_ns
@@ -98,13 +98,13 @@ impl Timeline {
     }
 
     /// How much older than the present a message is; nothing where its stamps are not on the clock that all share.
-    fn late_s(&self, sight: &Sight) -> f64 {
-        let is_shared = sight.at_ns == i128::from(sight.stamp_ns);
-        self.now_ns.filter(|_| is_shared).map_or(0.0, |now_ns| (now_ns - sight.at_ns) as f64 * 1e-9)
+    fn late_s(&self, frame: &Frame) -> f64 {
+        let is_shared = frame.at_ns == i128::from(frame.stamp_ns);
+        self.now_ns.filter(|_| is_shared).map_or(0.0, |now_ns| (now_ns - frame.at_ns) as f64 * 1e-9)
     }
 }
 
-impl Sight {
+impl Frame {
     fn of(header: &Header) -> Self {
         let &Header { epoch, sequence, stamp_ns, .. } = header;
         Self { stage: header.origin(), epoch, sequence, stamp_ns, at_ns: i128::from(stamp_ns), period_ns: None }
