@@ -4,6 +4,9 @@
 macro_rules! coded {
     ($type:ident: $($value:ident = $code:literal $word:literal),+ $(,)?) => {
         impl $type {
+            /// All of them, in the order of their numbers.
+            pub const ALL: [Self; [$($code),+].len()] = [$(Self::$value),+];
+
             /// The number that stands for it in a message.
             pub const fn code(self) -> u32 {
                 match self {

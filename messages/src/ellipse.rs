@@ -1,6 +1,6 @@
 //! Ellipses: what the extractor finds in one scan line, with the moments of the points that it was fitted to.
 
-use crate::{Header, Item, Malformed, item::check_each, item::finite};
+use crate::{Header, Item, Malformed, coded::coded, item::check_each, item::finite};
 use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
 
@@ -20,6 +20,8 @@ pub enum Scan {
     Column,
 }
 
+coded!(Scan: Row = 0 "row", Column = 1 "column");
+
 /// An ellipse in the plane through the camera centre and one scan line.
 ///
 /// In-plane coordinates, for a row v with `y = (v - cy) / fy` and `k = sqrt(1 + y^2)`: `s = z (u - cx) / fx` along the
@@ -28,7 +30,7 @@ pub enum Scan {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq, Serialize, Deserialize)]
 pub struct Ellipse {
-    /// 0: the line is a row, 1: a column.
+    /// [`Scan::code`].
     pub scan: u32,
     /// Number of the row or column.
     pub line: u32,
@@ -84,9 +86,9 @@ pub struct Ellipse {
 }
 
 impl Ellipse {
-    /// The direction of the scan line.
+    /// The direction of the scan line; a code that stands for none is refused at the border, by [`Item::check`].
     pub fn direction(&self) -> Scan {
-        if self.scan == 0 { Scan::Row } else { Scan::Column }
+        Scan::from_code(self.scan).unwrap_or(Scan::Column)
     }
 
     /// Every how many lines the extractor looked at one, at least 1.
@@ -103,9 +105,9 @@ impl Ellipse {
     /// Whether the line and the pixels lie in the image, and the codes are ones that there are.
     fn is_in(&self, header: &Header) -> bool {
         let (width, height) = (header.camera.width, header.camera.height);
-        let (lines, pixels) = if self.scan == 0 { (height, width) } else { (width, height) };
+        let (lines, pixels) = if self.direction() == Scan::Row { (height, width) } else { (width, height) };
         let inside = self.line < lines && self.first <= self.last && self.last < pixels;
-        self.scan <= 1 && self.unbiased <= 1 && inside
+        Scan::from_code(self.scan).is_some() && self.unbiased <= 1 && inside
     }
 
     /// Whether there are points, and no deviation or depth is less than none.

@@ -1,6 +1,6 @@
 //! How messages look in JSON: the keys, their order, and which of them a shape has. Messages of ROS 2 have the same.
 
-use crate::{ABSENT, Ellipse, Fields, Header, Named, Object, ObjectKind, Scan, ToJson, Track, Value};
+use crate::{ABSENT, Ellipse, Fields, Header, Named, Object, ObjectKind, ToJson, Track, Value};
 use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
 
@@ -14,7 +14,7 @@ impl<T: Named> ToJson for T {
 impl ToJson for Ellipse {
     fn to_json(&self) -> impl Serialize {
         Fields(vec![
-            ("scan", if self.direction() == Scan::Row { "row" } else { "column" }.into()),
+            ("scan", self.direction().name().into()),
             ("line", self.line.into()),
             ("first", self.first.into()),
             ("last", self.last.into()),

@@ -19,11 +19,6 @@ pub enum ObjectKind {
     Cone,
 }
 
-impl ObjectKind {
-    /// All shapes.
-    pub const ALL: [Self; 3] = [Self::Sphere, Self::Cylinder, Self::Cone];
-}
-
 coded!(ObjectKind: Sphere = 0 "sphere", Cylinder = 1 "cylinder", Cone = 2 "cone");
 
 /// A sphere, cylinder or cone in the camera frame; what a shape does not have is zero.

@@ -66,7 +66,7 @@ mod tests {
 
     #[test]
     fn codes_and_frames_match() {
-        for frame in [Frame::Camera, Frame::World] {
+        for frame in Frame::ALL {
             assert_eq!(Frame::from_code(frame.code()), Some(frame));
         }
         assert_eq!(Frame::from_code(2), None);

@@ -3,7 +3,7 @@
 use crate::sinks::decimator::Decimator;
 use conicflow_dataflow::{CLEAR_LINE, Context, Output, SideInputs, Stage, StageError, Stop};
 use conicflow_messages::{
-    Ellipse, Header, Hinted, Item, Message, Nothing, Object, ObjectKind, Scan, Text, Track, TrackState,
+    Ellipse, Header, Hinted, Item, Message, Nothing, Object, ObjectKind, Text, Track, TrackState,
 };
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -127,7 +127,7 @@ impl Describe for Track {
 impl Describe for Ellipse {
     fn sketch(&self, text: &mut impl fmt::Write) -> fmt::Result {
         let [long, short] = self.semi_axes.map(|axis| axis * 1e3);
-        let scan = if self.direction() == Scan::Row { "row" } else { "column" };
+        let scan = self.direction().name();
         write!(text, "{scan} {} {long:.0} x {short:.0} mm", self.line)
     }
 
@@ -138,7 +138,7 @@ impl Describe for Ellipse {
     fn describe(&self, text: &mut impl fmt::Write) -> fmt::Result {
         let [x, y, z] = self.center;
         let [long, short] = self.semi_axes.map(|axis| axis * 1e3);
-        let scan = if self.direction() == Scan::Row { "row" } else { "column" };
+        let scan = self.direction().name();
         write!(text, "{scan} {:4}, {:4} to {:4}", self.line, self.first, self.last)?;
         write!(text, "  at ({x:6.3}, {y:6.3}, {z:6.3}) m  semi-axes {long:.1} x {short:.1} mm")
     }
