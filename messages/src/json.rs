@@ -1,6 +1,6 @@
 //! How messages look in JSON: the keys, their order, and which of them a shape has. Messages of ROS 2 have the same.
 
-use crate::{ABSENT, Ellipse, Fields, Header, Named, Object, ObjectKind, ToJson, Track, Value};
+use crate::{ABSENT, Ellipse, Fields, Header, Named, Object, ToJson, Track, Value};
 use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
 
@@ -62,8 +62,8 @@ impl Named for Object {
     fn fields(&self) -> Fields<'static> {
         let (shape, sigma) = (self.shape(), &self.sigma);
         let only_if = |is_there: bool, value: f64| Value::from(if is_there { value } else { ABSENT });
-        let cone = |value| only_if(shape == ObjectKind::Cone, value);
-        let elongated = |value| only_if(shape != ObjectKind::Sphere, value);
+        let cone = |value| only_if(shape.has_half_angle(), value);
+        let elongated = |value| only_if(shape.has_axis(), value);
         let vector_if = |is_there: bool, vector: [f64; 3]| Value::from(if is_there { vector } else { [ABSENT; 3] });
         // `radius` of a cone belongs to its radius at `center`.
         let sigma = vec![
@@ -75,11 +75,11 @@ impl Named for Object {
         ];
         Fields(vec![
             ("kind", shape.name().into()),
-            ("apex", vector_if(shape == ObjectKind::Cone, self.apex)),
+            ("apex", vector_if(shape.has_half_angle(), self.apex)),
             ("center", self.center.into()),
-            ("axis", vector_if(shape != ObjectKind::Sphere, self.axis)),
+            ("axis", vector_if(shape.has_axis(), self.axis)),
             ("half_angle", cone(self.half_angle)),
-            ("radius", only_if(shape != ObjectKind::Cone, self.radius)),
+            ("radius", only_if(!shape.has_half_angle(), self.radius)),
             ("base_radius", cone(self.base_radius)),
             ("top_radius", cone(self.top_radius)),
             ("length", elongated(self.length)),
@@ -120,7 +120,7 @@ fn deviations(covariance: &[[f64; 3]; 3]) -> [f64; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Message, ObjectSigma, Text, TrackState};
+    use crate::{Message, ObjectKind, ObjectSigma, Text, TrackState};
 
     fn object(kind: ObjectKind) -> Object {
         Object {

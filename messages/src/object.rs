@@ -21,6 +21,24 @@ pub enum ObjectKind {
 
 coded!(ObjectKind: Sphere = 0 "sphere", Cylinder = 1 "cylinder", Cone = 2 "cone");
 
+impl ObjectKind {
+    /// Whether it has an axis, and a length along that.
+    pub const fn has_axis(self) -> bool {
+        match self {
+            Self::Sphere => false,
+            Self::Cylinder | Self::Cone => true,
+        }
+    }
+
+    /// Whether it has a half-angle, with an apex and a radius at either end; its axis has a sense then.
+    pub const fn has_half_angle(self) -> bool {
+        match self {
+            Self::Sphere | Self::Cylinder => false,
+            Self::Cone => true,
+        }
+    }
+}
+
 /// A sphere, cylinder or cone in the camera frame; what a shape does not have is zero.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq, Serialize, Deserialize)]
@@ -109,7 +127,7 @@ impl Object {
     /// A unit vector; of a sphere none.
     fn has_fitting_axis(&self) -> bool {
         let square: f64 = self.axis.iter().map(|number| number * number).sum();
-        if self.shape() == ObjectKind::Sphere { square == 0.0 } else { (square - 1.0).abs() <= UNIT_TOLERANCE }
+        if self.shape().has_axis() { (square - 1.0).abs() <= UNIT_TOLERANCE } else { square == 0.0 }
     }
 }
 

@@ -35,11 +35,11 @@ fn covariance(object: &Object) -> [[f64; 6]; 6] {
         covariance[row][..3].copy_from_slice(&object.sigma.center[row]);
         for column in 0..3 {
             let unit = f64::from(u8::from(row == column));
-            covariance[3 + row][3 + column] = if object.shape() == ObjectKind::Sphere {
-                unit * UNKNOWN_ANGLE
-            } else {
+            covariance[3 + row][3 + column] = if object.shape().has_axis() {
                 let along = object.axis[row] * object.axis[column];
                 across * (unit - along) + UNKNOWN_ANGLE * along
+            } else {
+                unit * UNKNOWN_ANGLE
             };
         }
     }

@@ -31,10 +31,10 @@ impl Detection {
     pub fn new(object: &Object, world_from_camera: &IsometryMatrix3<f64>, config: &TrackerParameters) -> Self {
         let kind = object.shape();
         let sigma = &object.sigma;
-        let along = if kind == ObjectKind::Sphere { 0.0 } else { config.floor_along_axis * object.length };
+        let along = if kind.has_axis() { config.floor_along_axis * object.length } else { 0.0 };
         let direction = UnitVector3::try_new(world_from_camera.rotation * Vector3::from(object.axis), 1e-6)
-            .filter(|_| kind != ObjectKind::Sphere);
-        let slope = if kind == ObjectKind::Cone { object.half_angle.tan() } else { 0.0 };
+            .filter(|_| kind.has_axis());
+        let slope = if kind.has_half_angle() { object.half_angle.tan() } else { 0.0 };
         let radius_floor = config.floor_radius_m.hypot(along * slope);
         let half_angle =
             Size::new(object.half_angle, variance(sigma.half_angle, config.floor_half_angle_deg.to_radians()));
@@ -53,7 +53,7 @@ impl Detection {
             length: Size::new(object.length, variance(sigma.length, config.floor_length_m)),
             // Of an angle's square each of the two directions across makes half.
             axis: direction.map(|axis| Axis::new(axis, 0.5 * variance(sigma.axis, config.floor_axis_deg.to_radians()))),
-            half_angle: (kind == ObjectKind::Cone).then_some(half_angle),
+            half_angle: kind.has_half_angle().then_some(half_angle),
         }
     }
 }

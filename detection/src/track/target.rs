@@ -236,7 +236,7 @@ impl Target {
 
     fn turn(&mut self, detection: &Detection) {
         let Some(seen) = detection.axis else { return };
-        let is_line = self.kind != ObjectKind::Cone || detection.kind != ObjectKind::Cone;
+        let is_line = !self.kind.has_half_angle() || !detection.kind.has_half_angle();
         match &mut self.axis {
             Some(axis) => {
                 axis.update(seen, is_line);
@@ -283,7 +283,7 @@ impl Target {
             confidence: seen.confidence,
             ..Object::default()
         };
-        let Some(axis) = self.axis.filter(|_| self.kind != ObjectKind::Sphere) else { return sphere };
+        let Some(axis) = self.axis.filter(|_| self.kind.has_axis()) else { return sphere };
         let cylinder = Object {
             axis: (rotation * axis.direction.into_inner()).normalize().into(), // a pose is rounded
             length: self.length.value,
@@ -294,7 +294,7 @@ impl Target {
             },
             ..sphere
         };
-        let Some(half_angle) = self.half_angle.filter(|_| self.kind == ObjectKind::Cone) else { return cylinder };
+        let Some(half_angle) = self.half_angle.filter(|_| self.kind.has_half_angle()) else { return cylinder };
         let variance = half_angle.variance + self.common.half_angle;
         with_half_angle(cylinder, Size { variance, ..half_angle })
     }
@@ -320,7 +320,7 @@ fn kind_cost(tracked: ObjectKind, seen: ObjectKind) -> Option<f64> {
     if tracked == seen {
         return Some(0.0);
     }
-    (tracked != ObjectKind::Sphere && seen != ObjectKind::Sphere).then_some(KIND_CHANGE_COST)
+    (tracked.has_axis() && seen.has_axis()).then_some(KIND_CHANGE_COST)
 }
 
 fn update_or_begin(size: &mut Option<Size>, measured: Option<Size>) {

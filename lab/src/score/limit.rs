@@ -8,7 +8,7 @@ use crate::bound::{Bound, Bounds, Measuring, bounds};
 use crate::running_stats::RunningStats;
 use crate::simulator::raster::Raster;
 use anyhow::Result;
-use conicflow_messages::{Header, Object, ObjectKind};
+use conicflow_messages::{Header, Object};
 use nalgebra::{Matrix3, Vector3};
 
 /// Fewer answers tell no scatter: that of so many is known to a quarter.
@@ -186,8 +186,8 @@ impl Sights {
     /// Whether the shape has such a thing.
     fn has(&self, quantity: &Quantity) -> bool {
         match quantity.name {
-            "axis deg" => self.truth.body.shape() != ObjectKind::Sphere,
-            "half-angle deg" => self.truth.body.shape() == ObjectKind::Cone,
+            "axis deg" => self.truth.body.shape().has_axis(),
+            "half-angle deg" => self.truth.body.shape().has_half_angle(),
             _ => true,
         }
     }

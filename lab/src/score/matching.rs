@@ -7,7 +7,7 @@
 //! label before the glass that it sticks to; then the nearest pair goes first.
 
 use super::truth::{Tolerance, TrueObject};
-use conicflow_messages::{Header, Item, Object, ObjectKind, Track, TrackState};
+use conicflow_messages::{Header, Item, Object, Track, TrackState};
 use nalgebra::Vector3;
 use serde_json::json;
 use std::collections::BTreeMap;
@@ -114,7 +114,7 @@ pub fn compare(truth: &Object, answer: &Object) -> Comparison {
     let (true_axis, axis) = (vector(truth.axis), vector(answer.axis));
     let cosine = true_axis.dot(&axis);
     // the axis of a cone has a sense, that of a cylinder has none
-    let both_cones = truth.shape() == ObjectKind::Cone && answer.shape() == ObjectKind::Cone;
+    let both_cones = truth.shape().has_half_angle() && answer.shape().has_half_angle();
     let cosine = if both_cones { cosine } else { cosine.abs() };
     let sine = true_axis.cross(&axis).norm();
     Comparison {
@@ -249,6 +249,7 @@ impl MatchedFrame {
 pub(super) mod tests {
     use super::super::truth::only;
     use super::*;
+    use conicflow_messages::ObjectKind;
 
     pub fn expected(body: Object) -> TrueObject {
         let shapes = only(body.shape());

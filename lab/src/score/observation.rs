@@ -4,7 +4,7 @@ use super::matching::{Answer, perpendicular, radius_at};
 use super::sigmas::Sigmas;
 use super::truth::TrueObject;
 use conicflow_detection::camera::isometry;
-use conicflow_messages::{Header, Object, ObjectKind};
+use conicflow_messages::{Header, Object};
 use nalgebra::{IsometryMatrix3, Point3, Vector3};
 
 /// An object in one frame, in the world frame, with what was seen of it.
@@ -100,7 +100,7 @@ impl State {
 
 /// Unit vector along the axis of an object; zero for a sphere.
 fn axis(object: &Object) -> Vector3<f64> {
-    if object.shape() == ObjectKind::Sphere { Vector3::zeros() } else { object.axis.into() }
+    if object.shape().has_axis() { object.axis.into() } else { Vector3::zeros() }
 }
 
 /// The pose of a header's camera; that of the world where it tells none.

@@ -1,7 +1,7 @@
 //! Errors of an answer in units of the standard deviations that it came with.
 
 use super::matching::{compare, perpendicular, radius_at};
-use conicflow_messages::{Object, ObjectKind};
+use conicflow_messages::Object;
 use nalgebra::{Matrix3, Vector3};
 
 /// Errors in units of their standard deviations: each has the mean square 1 if these are honest. What a shape does not
@@ -27,10 +27,10 @@ impl Sigmas {
             center: center_ratio(truth, answer),
             ..Self::default()
         };
-        if shape != ObjectKind::Sphere {
+        if shape.has_axis() {
             sigmas.axis = ratio(errors.axis, sigma.axis);
         }
-        if shape == ObjectKind::Cone {
+        if shape.has_half_angle() {
             sigmas.half_angle = ratio(errors.half_angle, sigma.half_angle);
         }
         sigmas
@@ -46,7 +46,7 @@ fn ratio(error: f64, sigma: f64) -> Option<f64> {
 fn center_ratio(truth: &Object, answer: &Object) -> Option<f64> {
     let offset = Vector3::from(answer.center) - Vector3::from(truth.center);
     let covariance = Matrix3::from(answer.sigma.center).transpose();
-    if truth.shape() == ObjectKind::Sphere {
+    if !truth.shape().has_axis() {
         return mahalanobis_squared(&covariance, &offset).map(|square| (square / 3.0).sqrt());
     }
     let axis = Vector3::from(truth.axis);
@@ -65,7 +65,7 @@ fn mahalanobis_squared(covariance: &Matrix3<f64>, offset: &Vector3<f64>) -> Opti
 mod tests {
     use super::super::matching::tests::{cone, sphere};
     use super::*;
-    use conicflow_messages::ObjectSigma;
+    use conicflow_messages::{ObjectKind, ObjectSigma};
 
     fn variances(numbers: [f64; 3]) -> [[f64; 3]; 3] {
         [[numbers[0], 0.0, 0.0], [0.0, numbers[1], 0.0], [0.0, 0.0, numbers[2]]]

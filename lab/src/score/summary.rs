@@ -4,7 +4,6 @@
 use super::row::Row;
 use super::samples::{Sample, Score};
 use crate::quantile::median;
-use conicflow_messages::ObjectKind;
 
 /// A column of medians, and the number of those samples that have it.
 type Median = (&'static str, fn(&Sample) -> Option<f64>);
@@ -17,11 +16,11 @@ const MEDIANS: [Median; 5] = [
     ("position_error_mm", |sample| Some(1e3 * sample.found?.0.position_m)),
     ("axis_error_deg", |sample| {
         let axis = sample.found?.0.axis.to_degrees();
-        (sample.shape != ObjectKind::Sphere).then_some(axis)
+        sample.shape.has_axis().then_some(axis)
     }),
     ("half_angle_error_deg", |sample| {
         let half_angle = sample.found?.0.half_angle.abs().to_degrees();
-        (sample.shape == ObjectKind::Cone).then_some(half_angle)
+        sample.shape.has_half_angle().then_some(half_angle)
     }),
 ];
 
@@ -57,6 +56,7 @@ mod tests {
     use super::super::matching::{Comparison, Fault};
     use super::super::sigmas::Sigmas;
     use super::*;
+    use conicflow_messages::ObjectKind;
 
     #[test]
     fn all_is_counted_and_nothing_of_nothing_has_no_cell() {

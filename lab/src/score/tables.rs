@@ -21,11 +21,11 @@ const ERRORS: [(&str, usize, Pairing); 5] = [
     ("pos. mm", 9, |sample| Some(1e3 * sample.found?.0.position_m)),
     ("axis deg", 10, |sample| {
         let axis = sample.found?.0.axis.to_degrees();
-        if sample.shape == ObjectKind::Sphere { None } else { Some(axis) }
+        sample.shape.has_axis().then_some(axis)
     }),
     ("half deg", 10, |sample| {
         let half_angle = sample.found?.0.half_angle.abs().to_degrees();
-        if sample.shape == ObjectKind::Cone { Some(half_angle) } else { None }
+        sample.shape.has_half_angle().then_some(half_angle)
     }),
 ];
 

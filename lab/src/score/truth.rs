@@ -90,7 +90,7 @@ impl VisibilityCriteria {
 
 /// Angle between the line of sight and the axis, at most a right one; of a sphere a right one.
 fn view_angle(body: &Object) -> f64 {
-    if body.shape() == ObjectKind::Sphere {
+    if !body.shape().has_axis() {
         return std::f64::consts::FRAC_PI_2;
     }
     let (center, axis) = (Vector3::from(body.center), Vector3::from(body.axis));

@@ -31,19 +31,13 @@ struct Quantity {
 const QUANTITIES: [Quantity; 5] = [
     Quantity { name: "position", unit: "mm", key: "position_mm", of: |d| 1e3 * d.position_m, has: |_| true },
     Quantity { name: "radius", unit: "mm", key: "radius_mm", of: |d| 1e3 * d.radius_m, has: |_| true },
-    Quantity {
-        name: "axis",
-        unit: "deg",
-        key: "axis_deg",
-        of: |d| d.axis.to_degrees(),
-        has: |kind| kind != ObjectKind::Sphere,
-    },
+    Quantity { name: "axis", unit: "deg", key: "axis_deg", of: |d| d.axis.to_degrees(), has: ObjectKind::has_axis },
     Quantity {
         name: "half-angle",
         unit: "deg",
         key: "half_angle_deg",
         of: |d| d.half_angle.to_degrees(),
-        has: |kind| kind == ObjectKind::Cone,
+        has: ObjectKind::has_half_angle,
     },
     Quantity {
         name: "sigma of radius",

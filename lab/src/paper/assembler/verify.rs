@@ -134,7 +134,7 @@ impl<'a> Candidate<'a> {
         let rms = self.rms(&body.solid);
         if let Some(reason) = self.config.common.wrong_size(shape, radius, body.length) {
             Err(reason)
-        } else if shape != ObjectKind::Sphere && body.length < self.config.profile.min_length_radii * radius {
+        } else if shape.has_axis() && body.length < self.config.profile.min_length_radii * radius {
             Err(Rejection::Short)
         } else if rms.is_nan() || rms > self.max_rms(radius) {
             Err(Rejection::Rms)
@@ -204,7 +204,7 @@ impl<'a> Candidate<'a> {
             arc: self.mean(|section| section.arc),
             ..Object::default()
         };
-        if shape != ObjectKind::Cone {
+        if !shape.has_half_angle() {
             return object;
         }
         let end = |along: f64| (surface.radius + surface.slope * along).max(0.0);
@@ -229,14 +229,14 @@ impl<'a> Candidate<'a> {
             let diagonal = if i == j { across } else { 0.0 };
             diagonal + along * axis[i] * axis[j]
         };
-        let (is_sphere, is_cone) = (shape == ObjectKind::Sphere, shape == ObjectKind::Cone);
+        let (has_axis, has_half_angle) = (shape.has_axis(), shape.has_half_angle());
         let present = |present: bool, sigma: f64| if present { sigma } else { 0.0 };
         ObjectSigma {
             center: [0, 1, 2].map(|i| [0, 1, 2].map(|j| at(i, j))),
-            axis: present(!is_sphere, body.axis_sigma.max(LEAST_SIGMA)),
+            axis: present(has_axis, body.axis_sigma.max(LEAST_SIGMA)),
             radius: body.radius_sigma.max(floor),
-            length: present(!is_sphere, (2.0 * end * end).sqrt().max(floor)),
-            half_angle: present(is_cone, body.half_angle_sigma.max(LEAST_SIGMA)),
+            length: present(has_axis, (2.0 * end * end).sqrt().max(floor)),
+            half_angle: present(has_half_angle, body.half_angle_sigma.max(LEAST_SIGMA)),
         }
     }
 }
