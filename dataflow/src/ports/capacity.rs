@@ -51,11 +51,16 @@ fn taken_by_ports(topic: &Topic) -> u64 {
     ((topic.readers.len() + 1) * ROOM_PER_PORT) as u64
 }
 
-/// Makes sure that a topic's messages find room if they are up to `length` items long; the bytes that they take at most.
-pub(crate) fn look_for_room(item: &ItemType, topic: &Topic, length: usize) -> Result<u64, PortError> {
+/// Makes sure that a topic's messages find `room` if they are up to `length` items long; the bytes that they take at most.
+pub(crate) fn look_for_room(
+    room: std::io::Result<(u64, u64)>,
+    item: &ItemType,
+    topic: &Topic,
+    length: usize,
+) -> Result<u64, PortError> {
     let with_readers = topic.readers.iter().map(|reader| reader.queue + HELD).sum();
     let needed = taken(topic, message_bytes(item, Some(length)), with_readers);
-    match room() {
+    match room {
         Ok((free, _)) if free < needed => Err(no_room(topic, length, needed)),
         // Where there is no such folder iceoryx2 says it better.
         _ => Ok(needed - taken_by_ports(topic)),
@@ -73,6 +78,7 @@ mod tests {
     use super::*;
     use crate::ports::{Delivery, TopicReader};
     use conicflow_messages::Object;
+    use std::io::Write;
 
     fn topic(queues: &[usize]) -> Topic {
         let reader = |&queue: &usize| TopicReader { stage: "reader".into(), delivery: Delivery::Latest, queue };
@@ -99,17 +105,23 @@ mod tests {
     fn a_topic_takes_what_its_readers_keep_and_hold_and_one_more_message_and_the_ports() {
         assert_eq!(taken(&topic(&[4, 2]), 10_000, 10), 11 * 10_000 + 3 * 24 * 1024);
         // Of each reader the queue and two that it holds.
-        let needed = look_for_room(&ItemType::of::<Object>(), &topic(&[4, 2]), 1).unwrap();
-        assert_eq!(needed, (4 + 2 + 2 + 2 + 1) * 8192);
+        let taken = look_for_room(room(), &ItemType::of::<Object>(), &topic(&[4, 2]), 1).unwrap();
+        assert_eq!(taken, (4 + 2 + 2 + 2 + 1) * 8192);
+        let (needed, all) = (taken + 3 * 24 * 1024, u64::MAX);
+        let is_enough = |free| look_for_room(Ok((free, all)), &ItemType::of::<Object>(), &topic(&[4, 2]), 1).is_ok();
+        assert_eq!([needed - 1, needed, needed + 1].map(is_enough), [false, true, true]);
     }
 
     #[test]
     fn what_has_no_room_is_told_with_what_there_is() {
+        // A page that is taken, so that what is left is no round number of pages.
+        let mut page = tempfile::tempfile_in(SHARED_MEMORY).unwrap();
+        page.write_all(&[1]).unwrap();
         let (free, all) = room().unwrap();
         assert!(0 < free && free <= all, "{free} of {all}");
         assert_eq!([free, all].map(|bytes| bytes % PAGE as u64), [0, 0], "it is handed out in pages");
         let length = all as usize / size_of::<Object>() + 1;
-        let error = look_for_room(&ItemType::of::<Object>(), &topic(&[1]), length).unwrap_err();
+        let error = look_for_room(room(), &ItemType::of::<Object>(), &topic(&[1]), length).unwrap_err();
         let PortError::NoRoom { topic, length: told, free, needed } = error else { panic!("{error}") };
         assert_eq!((&*topic, told), ("objects", length));
         assert!(0 < free && free <= all && needed > 4 * all, "{needed} where {free} of {all} are free");

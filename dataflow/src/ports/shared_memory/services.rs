@@ -15,6 +15,7 @@ use iceoryx2::prelude::*;
 use iceoryx2::service::builder::publish_subscribe::{PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError};
 use iceoryx2::service::marker::{CustomHeaderMarker, CustomPayloadMarker};
 use std::fmt::Debug;
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -114,9 +115,9 @@ impl SharedMemory {
         ServiceName::new(&name).map_err(|error| self.fault(format!("topic `{}` cannot be named", topic.name), error))
     }
 
-    /// Makes sure that there is room for what iceoryx2 keeps for a port: it is written when the port is made.
-    fn look_for_room(&self, topic: &Topic) -> Result<(), PortError> {
-        match room() {
+    /// Makes sure that there is `room` for what iceoryx2 keeps for a port: it is written when the port is made.
+    fn look_for_room(&self, room: io::Result<(u64, u64)>, topic: &Topic) -> Result<(), PortError> {
+        match room {
             Ok((free, _)) if free < ROOM_PER_PORT as u64 => {
                 let doing = format!("topic `{}` cannot be joined", topic.name);
                 Err(self.fault(doing, format_args!("shared memory has {} free", in_words(free))))
@@ -141,7 +142,7 @@ impl SharedMemory {
 
     fn messages_builder(&self, item: &ItemType, topic: &Topic) -> Result<Untyped, PortError> {
         topic.expect(item)?;
-        self.look_for_room(topic)?;
+        self.look_for_room(room(), topic)?;
         let fault = |reason: &dyn Debug| self.fault(format!("topic `{}` cannot be opened", topic.name), reason);
         let readers = topic.readers.len() + SPARE_READERS;
         let writers = topic.writers.len() + 2;
@@ -243,5 +244,36 @@ mod tests {
         assert_eq!((rooms(&memory, &without_writers), rooms(&memory, &newest_only)), (vec![4, 4], vec![4]));
         let is_kept = |topic: &Topic| memory.folder_of(topic).is_some();
         assert_eq!([&topic, &without_writers, &newest_only].map(is_kept), [true, false, false]);
+    }
+
+    #[test]
+    fn a_topic_is_not_joined_where_a_port_has_no_room() {
+        let folder = tempfile::tempdir().unwrap();
+        let memory = SharedMemory::open(folder.path(), "test", "stage", Stop::default()).unwrap();
+        let topic = Topic { name: "things".into(), ..Topic::default() };
+        let look = |room| memory.look_for_room(room, &topic).map_err(|error| error.to_string());
+        assert_eq!(look(Ok((24 * 1024, u64::MAX))), Ok(()));
+        let told = look(Ok((24 * 1024 - 1, u64::MAX))).unwrap_err();
+        assert!(told.starts_with("topic `things` cannot be joined: shared memory has 24.6 kB free\n"), "{told}");
+        assert_eq!(look(Err(io::ErrorKind::NotFound.into())), Ok(()), "iceoryx2 says it better");
+    }
+
+    #[test]
+    fn a_topic_has_places_for_its_readers_and_writers_and_those_who_come_beside_them() {
+        let folder = tempfile::tempdir().unwrap();
+        let memory = SharedMemory::open(folder.path(), "test", "stage", Stop::default()).unwrap();
+        let reader = |stage: &str| TopicReader { stage: stage.to_owned(), delivery: Delivery::Latest, queue: 4 };
+        let (readers, writers) = (["a", "b", "c"].map(reader).to_vec(), ["d", "e", "f"].map(str::to_owned).to_vec());
+        let topic = Topic { name: "things".into(), writers, readers, ..Topic::default() };
+        let service = memory.messages(&ItemType::of::<u16>(), &topic).unwrap();
+        let places = service.static_config();
+        // Beside those of the file eight may look on, and two may write in the place of others.
+        assert_eq!((places.max_subscribers(), places.max_publishers()), (3 + 8, 3 + 2));
+        assert_eq!(places.max_nodes(), 2 * (11 + 5), "each may be followed by another process");
+        assert_eq!(places.subscriber_max_borrowed_samples(), 12 + 4, "messages that are kept, and some in use");
+        let service = memory.event(&topic, "/wake").unwrap();
+        let places = service.static_config();
+        assert_eq!([places.max_listeners(), places.max_notifiers(), places.event_id_max_value()], [3 + 3 + 8; 3]);
+        assert_eq!(places.max_nodes(), 2 * 14);
     }
 }

@@ -6,7 +6,7 @@ use super::sent_messages::SentMessages;
 use super::services::Ipc;
 use super::untyped::{self, Factory, Loan, Publisher};
 use crate::item_type::ItemType;
-use crate::ports::capacity::{look_for_room, no_room};
+use crate::ports::capacity::{look_for_room, no_room, room};
 use crate::ports::patience::Patience;
 use crate::ports::{ConnectedReader, Delivery, PortError, Topic, Writer};
 use crate::stage::Stop;
@@ -63,7 +63,7 @@ impl SharedWriter {
                 let longest = length.max(self.item.usual_length());
                 (longest, longest.next_power_of_two())
             };
-            let needed = look_for_room(&self.item, &self.topic, longest)?;
+            let needed = look_for_room(room(), &self.item, &self.topic, longest)?;
             self.await_finish();
             self.publisher = None;
             self.attached.clear();
@@ -242,5 +242,59 @@ impl Writer for SharedWriter {
         }
         self.catch_up();
         woken
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::heartbeat::Heartbeat;
+    use crate::ports::capacity::SHARED_MEMORY;
+    use crate::ports::shared_memory::SharedMemory;
+    use crate::ports::{TopicReader, Transport};
+    use conicflow_messages::Text;
+    use std::fs::{self, File};
+    use std::os::unix::fs::FileExt;
+    use std::path::Path;
+
+    fn topic() -> Topic {
+        let reader = TopicReader { stage: "reader".into(), delivery: Delivery::Lossless, queue: 3 };
+        Topic { name: "things".into(), writers: vec!["writer".into()], readers: vec![reader], ..Topic::default() }
+    }
+
+    #[test]
+    fn a_writer_that_nobody_wakes_tells_for_whom_it_waits() {
+        let folder = tempfile::tempdir().unwrap();
+        let record = tempfile::tempfile().unwrap();
+        let stop = Stop::default();
+        stop.show_life_by(Heartbeat::new(record.try_clone().unwrap(), 0, 8));
+        let memory = SharedMemory::open(folder.path(), "test", "writer", stop).unwrap();
+        let reader = memory.reader::<u16>(&topic(), "reader").unwrap();
+        let writer = memory.writer::<u16>(&topic()).unwrap();
+        let receiver_port_id = lossless_readers(&writer.messages, &topic())[0].0;
+        let elapsed_time = Duration::ZERO;
+        let full = BackpressureInfo { service_id: 0, sender_port_id: 0, receiver_port_id, retries: 0, elapsed_time };
+        let wait_for_room = writer.wait_for_room();
+        let waited_for = || {
+            assert!(matches!(wait_for_room(&full), BackpressureAction::Retry));
+            let mut told = [0; 32];
+            record.read_at(&mut told, 8).unwrap();
+            bytemuck::cast::<_, Text<32>>(told).to_string()
+        };
+        reader.room.as_ref().unwrap().notify().unwrap();
+        assert_eq!(waited_for(), "", "it has taken a message");
+        assert_eq!(waited_for(), "reader");
+    }
+
+    #[test]
+    fn memory_for_images_that_is_not_there_is_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let memory = SharedMemory::open(folder.path(), "test", "writer", Stop::default()).unwrap();
+        let writer = memory.writer::<u16>(&topic()).unwrap();
+        let segment = Path::new(SHARED_MEMORY).join(format!("{}segment_7.data", writer.occupied.prefix()));
+        File::create(&segment).unwrap().set_len(1 << 40).unwrap();
+        let error = writer.take_memory(7, 5, 1 << 40).unwrap_err();
+        fs::remove_file(&segment).unwrap();
+        assert!(matches!(error, PortError::NoRoom { length: 5, .. }), "{error}");
     }
 }
