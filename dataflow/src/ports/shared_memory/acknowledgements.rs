@@ -156,4 +156,20 @@ mod tests {
         assert_eq!(table.begin(1, 1, 9), MOST_BEGINNINGS);
         assert_eq!(table.next(1, 1), 0);
     }
+
+    #[test]
+    fn a_table_that_is_closed_is_mapped_no_longer() {
+        let folder = tempfile::tempdir().unwrap();
+        let names: Vec<_> = (0..20).map(|place| place.to_string()).collect();
+        let reader = |stage: &String| TopicReader { stage: stage.clone(), delivery: Delivery::Lossless, queue: 4 };
+        let topic = Topic { readers: names.iter().map(reader).collect(), writers: names, ..topic() };
+        assert!(length(&topic) * size_of::<u64>() > 4096, "more than a page");
+        Acknowledgements::create(folder.path(), &topic).unwrap();
+        let path = path(folder.path(), &topic).into_os_string().into_string().unwrap();
+        let is_mapped = || fs::read_to_string("/proc/self/maps").unwrap().contains(&path);
+        let table = Acknowledgements::open(folder.path(), &topic).unwrap();
+        assert!(is_mapped());
+        drop(table);
+        assert!(!is_mapped());
+    }
 }

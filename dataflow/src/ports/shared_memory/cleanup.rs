@@ -38,13 +38,13 @@ pub(super) const COUNTER: &str = ".global_mgmt";
 /// There is no such folder.
 pub(super) fn prefix(root: &Path) -> io::Result<String> {
     let folder = fs::metadata(root)?;
-    // FNV-1a: the same in every build, unlike the hashes of the standard library.
     let bytes = [folder.dev(), folder.ino(), folder.uid().into()].map(u64::to_le_bytes);
-    let hash = bytes
-        .as_flattened()
-        .iter()
-        .fold(0x811c_9dc5_u32, |hash, byte| (hash ^ u32::from(*byte)).wrapping_mul(0x0100_0193));
-    Ok(format!("{PREFIX}{hash:08x}_"))
+    Ok(format!("{PREFIX}{:08x}_", fnv_1a(bytes.as_flattened())))
+}
+
+/// The hash FNV-1a: the same in every build, unlike those of the standard library.
+fn fnv_1a(bytes: &[u8]) -> u32 {
+    bytes.iter().fold(0x811c_9dc5, |hash, byte| (hash ^ u32::from(*byte)).wrapping_mul(0x0100_0193))
 }
 
 /// A folder that this process uses as long as this lives; the last of its users leaves nothing in it.
@@ -220,6 +220,7 @@ pub(super) fn for_each_entry(
 mod tests {
     use super::*;
     use rustix::thread::{CapabilitySet, capabilities, set_capabilities};
+    use std::sync::mpsc::channel;
 
     /// What a process that was killed may leave: half a node in the folder, half a segment in shared memory.
     fn litter(root: &Path) -> [PathBuf; 2] {
@@ -239,6 +240,16 @@ mod tests {
         std::os::unix::fs::symlink(&file, &link).unwrap();
         assert_eq!([&file, &link, folder.path()].map(|path| is_own(path).unwrap()), [true, false, false]);
         assert!(is_own(&folder.path().join("nothing")).is_err());
+        assert!(open(&file).is_ok() && open(&link).is_err(), "no link is followed");
+    }
+
+    #[test]
+    fn the_names_of_a_folders_files_are_the_same_in_every_build() {
+        // Test vectors of draft-eastlake-fnv.
+        assert_eq!([&b""[..], b"a", b"foobar"].map(fnv_1a), [0x811c_9dc5, 0xe40c_292c, 0xbf9c_f968]);
+        let folder = tempfile::tempdir().unwrap();
+        let occupied = Occupied::new(folder.path(), Stop::default()).unwrap();
+        assert_eq!((occupied.root(), occupied.prefix()), (folder.path(), &*prefix(folder.path()).unwrap()));
     }
 
     #[test]
@@ -353,6 +364,25 @@ mod tests {
         drop(last);
         assert!(!segment.exists());
         dying.join().unwrap();
+    }
+
+    #[test]
+    fn what_another_one_keeps_open_is_left_to_him() {
+        let folder = tempfile::tempdir().unwrap();
+        let last = Occupied::new(folder.path(), Stop::default()).unwrap();
+        let [_, segment] = litter(folder.path());
+        let held = File::open(&segment).unwrap();
+        let (left, has_left) = channel();
+        let leaving = std::thread::spawn(move || {
+            drop(last);
+            left.send(()).unwrap();
+        });
+        assert!(has_left.recv_timeout(Duration::from_secs(20)).is_ok(), "it is waited for as long as it is open");
+        assert!(segment.exists());
+        drop(held);
+        leaving.join().unwrap();
+        drop(Occupied::new(folder.path(), Stop::default()).unwrap());
+        assert!(!segment.exists());
     }
 
     #[test]

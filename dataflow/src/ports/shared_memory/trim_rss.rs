@@ -75,6 +75,7 @@ fn addresses(line: &str) -> Option<Range<usize>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::os::fd::AsRawFd;
 
     const MAPPINGS: &str = "\
 1000-3000 r--p 00000000 fe:00 11 /bin/program
@@ -117,6 +118,31 @@ Swap:                  4 kB
         assert_eq!(unused_stack(stack, 0x7ff0_000e_1234), Some(0x7ff0_0000_0000..0x7ff0_000d_0000));
         assert_eq!(unused_stack(stack, 0x7ff0_0001_1234), None, "all of it may be in use");
         assert_eq!(unused_stack(stack, 0x6ff0_0000_0000), None, "the stack of another thread");
+    }
+
+    #[test]
+    fn pages_of_a_file_that_were_read_once_are_given_back() {
+        const LENGTH: usize = 1 << 20;
+        let file = tempfile::NamedTempFile::new().unwrap();
+        fs::write(file.path(), vec![7; LENGTH]).unwrap();
+        let resident = || {
+            let mappings = fs::read_to_string("/proc/self/smaps").unwrap();
+            let mut own = mappings.lines().skip_while(|line| !line.ends_with(file.path().to_str().unwrap()));
+            own.find_map(|line| line.strip_prefix("Rss:")).map(|size| size.trim().to_owned())
+        };
+        let descriptor = file.as_file().as_raw_fd();
+        // SAFETY: a new mapping of a file that is as long as this.
+        let mapped =
+            unsafe { libc::mmap(std::ptr::null_mut(), LENGTH, libc::PROT_READ, libc::MAP_PRIVATE, descriptor, 0) };
+        assert_ne!(mapped, libc::MAP_FAILED);
+        // SAFETY: the mapping is there until the end of this test, and nobody writes the file.
+        let bytes = unsafe { std::slice::from_raw_parts(mapped.cast::<u8>(), LENGTH) };
+        assert!(bytes.iter().all(|byte| *byte == 7));
+        trim();
+        assert_eq!(resident().as_deref(), Some("0 kB"));
+        assert!(bytes.iter().all(|byte| *byte == 7), "they come back from the file");
+        // SAFETY: nobody has a part of it any more.
+        unsafe { libc::munmap(mapped, LENGTH) };
     }
 
     #[test]
