@@ -70,7 +70,8 @@ fn leftover(path: &Path) -> Option<Leftover> {
     let file = open(path).ok()?;
     let about = file.metadata().ok()?;
     let age = SystemTime::now().duration_since(about.modified().ok()?).ok()?;
-    let own = about.is_file() && about.uid() == rustix::process::geteuid().as_raw();
+    // The kernel grants a lease on nothing but a file, so that folders, links and pipes are none.
+    let own = about.uid() == rustix::process::geteuid().as_raw();
     let dead = own && age >= MIN_AGE && is_unused(&file);
     dead.then(|| Leftover { path: path.to_owned(), bytes: about.blocks() * 512, age })
 }
@@ -131,6 +132,7 @@ pub(crate) fn check_path(root: &Path) -> Result<(), PortError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ports::shared_memory::tests::ReadingProcess;
     use crate::stage::Stop;
     use std::fs::File;
 
@@ -179,6 +181,17 @@ mod tests {
         fs::write(folder.path().join("left"), "half").unwrap();
         assert_eq!(clear(folder.path()).unwrap(), Litter::Files);
         assert!(!folder.path().join("left").exists());
+    }
+
+    #[test]
+    fn a_process_that_was_killed_is_litter_until_that_is_cleared_away() {
+        let folder = tempfile::tempdir().unwrap();
+        let process = ReadingProcess::start(folder.path());
+        assert_eq!(litter(folder.path()), Litter::None, "it lives");
+        process.kill();
+        assert_eq!(litter(folder.path()), Litter::Processes(1));
+        assert_eq!(clear(folder.path()).unwrap(), Litter::Processes(1));
+        assert_eq!(litter(folder.path()), Litter::None);
     }
 
     #[test]

@@ -2,16 +2,18 @@
 
 use crate::item_type::ItemType;
 use crate::ports::capacity::SHARED_MEMORY;
-use crate::ports::shared_memory::{SharedMemory, SharedMessage, SharedWriter};
+use crate::ports::shared_memory::{SharedMemory, SharedMessage, SharedWriter, cleanup};
 use crate::ports::{Delivery, PortError, Reader, Received, Topic, TopicReader, Transport, Writer};
 use crate::stage::Stop;
 use conicflow_messages::{Header, Hop, Object, Text, Track};
 use std::fs::OpenOptions;
-use std::os::unix::fs::OpenOptionsExt;
+use std::io::{BufRead, BufReader, Read};
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::channel;
-use std::thread;
 use std::time::{Duration, Instant};
+use std::{env, fs, io, thread};
 
 fn topic(delivery: Delivery, queue: usize) -> Topic {
     let reader = TopicReader { stage: "reader".into(), delivery, queue };
@@ -62,7 +64,7 @@ fn a_folder_can_be_joined_and_cleared_after_a_process_died_that_was_the_first_to
     let folder = tempfile::tempdir().unwrap();
     let first = open(folder.path(), "launcher");
     let begins = first.occupied.prefix().to_owned();
-    let shared = std::fs::read_dir(SHARED_MEMORY).unwrap().map(|entry| entry.unwrap().path());
+    let shared = fs::read_dir(SHARED_MEMORY).unwrap().map(|entry| entry.unwrap().path());
     let is_counter = |path: &PathBuf| {
         path.to_string_lossy().contains(&begins) && path.extension().is_some_and(|end| end == "global_mgmt")
     };
@@ -80,6 +82,39 @@ fn a_folder_can_be_joined_and_cleared_after_a_process_died_that_was_the_first_to
         SharedMemory::clean(folder.path()).unwrap();
         assert!(!counter.exists());
     }
+}
+
+/// A process of its own that is in the midst of reading a lossless topic: this program, of which it runs the test below.
+pub(super) struct ReadingProcess(Child);
+
+impl ReadingProcess {
+    const FOLDER: &str = "CONICFLOW_TEST_FOLDER";
+    const READS: &str = "it reads";
+
+    pub(super) fn start(root: &Path) -> Self {
+        let test = "ports::shared_memory::tests::it_reads_until_it_is_killed";
+        let mut command = Command::new(env::current_exe().unwrap());
+        command.args(["--exact", test, "--ignored", "--nocapture"]).env(Self::FOLDER, root);
+        let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+        let mut told = BufReader::new(child.stdout.take().unwrap()).lines().map_while(Result::ok);
+        assert!(told.any(|line| line.ends_with(Self::READS)));
+        Self(child)
+    }
+
+    pub(super) fn kill(mut self) {
+        self.0.kill().unwrap();
+        self.0.wait().unwrap();
+    }
+}
+
+#[test]
+#[ignore = "a process that other tests kill"]
+fn it_reads_until_it_is_killed() {
+    let Some(root) = env::var_os(ReadingProcess::FOLDER) else { return };
+    let _reader = open(Path::new(&root), "reader").reader::<u16>(&topic(Delivery::Lossless, 3), "reader").unwrap();
+    println!("{}", ReadingProcess::READS);
+    // Its parent says nothing, and lets go of it at the latest when it ends itself.
+    io::stdin().read_to_end(&mut Vec::new()).unwrap();
 }
 
 #[test]
@@ -169,6 +204,75 @@ fn a_longer_message_waits_until_what_came_before_it_is_finished() {
 }
 
 #[test]
+fn a_longer_message_does_not_wait_where_all_is_finished() {
+    let folder = tempfile::tempdir().unwrap();
+    let topic = lossless();
+    let open = |stage: &str| open(folder.path(), stage).kept_in(folder.path());
+    let _services = open("launcher").keep_services([&topic].into_iter()).unwrap();
+    let mut reader = open("reader").reader::<u16>(&topic, "reader").unwrap();
+    let mut writer = open("writer").writer::<u16>(&topic).unwrap();
+    thread::scope(|scope| {
+        scope.spawn(|| send_as_writer(&mut writer, 0));
+        assert_eq!(wait_for(&mut reader), 0);
+    });
+    reader.acknowledge(Text::new("writer"), 1);
+    writer.loan::<u16>(100_000).unwrap();
+    assert!(writer.wait(Duration::from_secs(20)), "what the reader told is heard by who waits for that alone");
+}
+
+#[test]
+fn who_waits_sleeps_until_something_comes_and_no_longer_than_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let topic = topic(Delivery::Lossless, 3);
+    let mut reader = open(folder.path(), "reader").reader::<u16>(&topic, "reader").unwrap();
+    let mut writer = open(folder.path(), "writer").writer::<u16>(&topic).unwrap();
+    let (begin, while_nothing_comes) = (Instant::now(), Duration::from_millis(20));
+    reader.wait(while_nothing_comes).unwrap();
+    assert!(begin.elapsed() >= while_nothing_comes);
+    assert!(!writer.wait(while_nothing_comes), "no reader has finished anything");
+    assert!(begin.elapsed() >= 2 * while_nothing_comes);
+    thread::scope(|scope| {
+        scope.spawn(|| (0..2).for_each(|sequence| send(&mut writer, sequence, &[1])));
+        reader.wait(Duration::from_secs(3600)).unwrap();
+        assert_eq!([wait_for(&mut reader), wait_for(&mut reader)], [0, 1]);
+    });
+    assert!(writer.wait(Duration::from_secs(3600)), "there is room for another one");
+}
+
+#[test]
+fn a_reader_that_was_killed_is_cleared_away_by_a_writer_that_waits_for_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let process = ReadingProcess::start(folder.path());
+    let stop = Stop::default();
+    let memory = SharedMemory::open(folder.path(), "test", "writer", stop.clone()).unwrap();
+    let mut writer = memory.writer::<u16>(&topic(Delivery::Lossless, 3)).unwrap();
+    process.kill();
+    assert_eq!(writer.connected().len(), 1, "nobody has noticed it yet");
+    let (done, is_done) = channel();
+    thread::scope(|scope| {
+        scope.spawn(|| {
+            send(&mut writer, 0, &[1]);
+            done.send(()).unwrap();
+        });
+        let has_sent = is_done.recv_timeout(Duration::from_secs(20));
+        stop.force();
+        has_sent.unwrap();
+    });
+    assert!(writer.connected().is_empty());
+}
+
+#[test]
+fn a_reader_that_was_killed_is_cleared_away_by_a_writer_that_has_nothing_to_do() {
+    let folder = tempfile::tempdir().unwrap();
+    let process = ReadingProcess::start(folder.path());
+    let mut writer = open(folder.path(), "writer").writer::<u16>(&topic(Delivery::Lossless, 3)).unwrap();
+    process.kill();
+    assert_eq!(writer.connected().len(), 1, "nobody has noticed it yet");
+    assert!(!writer.wait(Duration::from_millis(1)));
+    assert!(writer.connected().is_empty());
+}
+
+#[test]
 fn who_looks_on_too_early_does_not_keep_the_run_from_beginning() {
     let folder = tempfile::tempdir().unwrap();
     let topic = lossless();
@@ -248,6 +352,22 @@ fn a_message_for_which_there_is_no_room_is_told_rather_than_written() {
     let error = writer.loan::<Track>(5).err().unwrap();
     assert!(matches!(error, PortError::NoRoom { .. }), "{error}");
     assert!(error.to_string().starts_with("topic `things` has a message of 64 items: shared memory has "), "{error}");
+}
+
+#[test]
+fn memory_for_images_is_taken_before_they_are_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut writer = open(folder.path(), "writer").writer::<u16>(&topic(Delivery::Latest, 2)).unwrap();
+    writer.loan::<u16>(100_000).unwrap();
+    let prefix = cleanup::prefix(folder.path()).unwrap();
+    let files = fs::read_dir(SHARED_MEMORY).unwrap().map(|entry| entry.unwrap().path());
+    let is_own = |path: &Path| {
+        let name = path.file_name().unwrap().to_str().unwrap();
+        name.starts_with(&prefix) && name.ends_with(".data")
+    };
+    let taken: u64 = files.filter(|path| is_own(path)).map(|path| path.metadata().unwrap().blocks() * 512).sum();
+    // Two that wait, two in a reader's hands, and one that is written.
+    assert!(taken >= 5 * 200_000, "{taken} bytes");
 }
 
 #[test]
