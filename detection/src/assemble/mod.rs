@@ -3,8 +3,8 @@
 //! The files stand in the order of the steps: the arcs with the moments of their points ([`arcs`]); which of them are tried first
 //! ([`seeds`]); how a model grows from one over the lines ([`growth`]), with the three models and their fits ([`model`]), what
 //! they explain ([`region`]) and the contours that they show ([`contours`]); what an object has to fulfil as a whole
-//! ([`verify`]); which of the shapes it is ([`choice`]); what is told of it ([`report`]); and how probable it is that it is one
-//! ([`odds`]). The walk itself is `Assembler::assemble` in `method.rs`.
+//! ([`verify`]), with whether it is round at all ([`round`]); which of the shapes it is ([`choice`]); what is told of it
+//! ([`report`]); how probable it is that it is one ([`odds`]); and why candidates are turned down ([`rejection`]). The walk itself is `Assembler::assemble` in `method.rs`.
 
 pub(crate) mod arcs;
 pub(crate) mod choice;

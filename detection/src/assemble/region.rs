@@ -1,4 +1,4 @@
-//! A region: a model and the arcs that it explains; and what is known of one that was verified.
+//! A region: a model and the arcs that it explains.
 
 use super::arcs::{Arc, Arcs};
 use super::model::Model;
