@@ -9,7 +9,9 @@
 mod bridge_plan;
 mod clock;
 mod doctor;
+mod file_use;
 mod first_frame;
+mod hangup;
 mod heartbeat;
 mod item_type;
 mod launcher;
@@ -53,6 +55,7 @@ pub mod relay {
 pub use clock::{monotonic_ns, unix_ns};
 pub use conicflow_messages::{ConfigFault, Hinted};
 pub use doctor::{Finding, clean, examine};
+pub use file_use::FileUse;
 pub use first_frame::tell_median;
 pub use item_type::{AnyMessage, BUILT_IN, ItemType};
 pub use launcher::{

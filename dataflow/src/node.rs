@@ -1,5 +1,6 @@
 //! The table of nodes: what the pipeline file may name, and how each is checked and run.
 
+use crate::file_use::FileUse;
 use crate::ports::shared_memory::SharedMemory;
 use crate::runner::source_loop::run_source;
 use crate::runner::stage_loop::run_stage;
@@ -23,6 +24,8 @@ pub struct Node {
     pub(crate) side_inputs: fn() -> &'static [SideInput],
     pub(crate) schema: fn() -> Json,
     pub(crate) check: fn(Json, &Path) -> Result<Vec<ConfigFault>, serde_json::Error>,
+    pub(crate) reads: fn(Json, &Path) -> Vec<FileUse>,
+    pub(crate) writes: fn(Json, &Path) -> Vec<FileUse>,
     pub(crate) message_length: fn(Json, &Path) -> Option<usize>,
     pub(crate) settle: fn(Json) -> Result<Json, serde_json::Error>,
     /// The program that runs it; `None`: this one.
@@ -61,6 +64,8 @@ impl Node {
             side_inputs: S::side_inputs,
             schema: schema::<S::Config>,
             check: |parameters, base| Ok(S::faults(&serde_json::from_value(parameters)?, base)),
+            reads: |parameters, base| files(parameters, base, S::reads),
+            writes: |parameters, base| files(parameters, base, S::writes),
             message_length: message_length::<S>,
             settle: settle::<S::Config>,
             host: None,
@@ -81,6 +86,8 @@ impl Node {
             side_inputs: S::side_inputs,
             schema: schema::<S::Config>,
             check: |parameters, base| Ok(S::faults(&serde_json::from_value(parameters)?, base)),
+            reads: |parameters, base| files(parameters, base, S::reads),
+            writes: |parameters, base| files(parameters, base, S::writes),
             message_length: |_, _| None,
             settle: settle::<S::Config>,
             host: None,
@@ -142,6 +149,11 @@ fn schema<C: Config>() -> Json {
 
 fn settle<C: Config>(parameters: Json) -> Result<Json, serde_json::Error> {
     serde_json::to_value(serde_json::from_value::<C>(parameters)?)
+}
+
+/// Files of a stage; of one whose parameters cannot be used there are none.
+fn files<C: Config>(parameters: Json, base: &Path, of: fn(&C, &Path) -> Vec<FileUse>) -> Vec<FileUse> {
+    serde_json::from_value(parameters).map(|config| of(&config, base)).unwrap_or_default()
 }
 
 fn message_length<S: Source>(parameters: Json, base: &Path) -> Option<usize> {

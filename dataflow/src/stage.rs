@@ -4,6 +4,7 @@
 //! [`Nothing`](conicflow_messages::Nothing). None of them knows who is up- or downstream, on which machine, or whether it
 //! is a test.
 
+use crate::file_use::FileUse;
 use crate::heartbeat::Heartbeat;
 use crate::item_type::ItemType;
 use crate::ports::Delivery;
@@ -154,6 +155,18 @@ pub trait Source: Sized {
         Vec::new()
     }
 
+    /// The files that it reads, as far as they are known before it is made ready: nothing in the run may write over them.
+    fn reads(config: &Self::Config, base: &Path) -> Vec<FileUse> {
+        let _ = (config, base);
+        Vec::new()
+    }
+
+    /// The files that it writes.
+    fn writes(config: &Self::Config, base: &Path) -> Vec<FileUse> {
+        let _ = (config, base);
+        Vec::new()
+    }
+
     /// Inputs whose latest value it reads.
     fn side_inputs() -> &'static [SideInput] {
         &[]
@@ -226,6 +239,18 @@ pub trait Stage: Sized {
     /// What is wrong with parameters that types and ranges let pass: files that are missing, values that exclude each other.
     /// `base` is the folder of the pipeline file, against which relative paths are resolved.
     fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
+        let _ = (config, base);
+        Vec::new()
+    }
+
+    /// The files that it reads, as far as they are known before it is made ready: nothing in the run may write over them.
+    fn reads(config: &Self::Config, base: &Path) -> Vec<FileUse> {
+        let _ = (config, base);
+        Vec::new()
+    }
+
+    /// The files that it writes.
+    fn writes(config: &Self::Config, base: &Path) -> Vec<FileUse> {
         let _ = (config, base);
         Vec::new()
     }

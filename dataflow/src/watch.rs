@@ -2,6 +2,7 @@
 //!
 //! A watcher sleeps between looks instead of being woken, so that a writer does nothing for it but pass it a pointer.
 
+use crate::hangup::ending_signals;
 use crate::item_type::{AnyMessage, ItemType};
 use crate::launcher::{FolderError, RunFolder, SwapError, user_folder};
 use crate::log::ThrottledWarning;
@@ -13,7 +14,6 @@ use crate::ports::{PortError, Received, Topic};
 use crate::stage::Stop;
 use crate::status::{Life, Pausing};
 use conicflow_messages::Hinted;
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -299,7 +299,7 @@ impl RunningPipeline {
 /// The system does not let them be received.
 pub fn told_to_end() -> io::Result<Arc<AtomicBool>> {
     let told = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM, SIGHUP] {
+    for signal in ending_signals() {
         signal_hook::flag::register(signal, Arc::clone(&told))?;
     }
     Ok(told)

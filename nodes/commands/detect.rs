@@ -5,11 +5,11 @@ use crate::recording::files::looks_like_recording;
 use crate::sinks::json_lines::{JsonLines, Wrote};
 use crate::sinks::picture_sink::{self, Names, PictureSink};
 use crate::sources::WrittenIn;
-use crate::sources::image_source::{self, Playback};
+use crate::sources::image_source::{self, Playback, reading};
 use crate::sources::mcap_source::{self, Replay};
 use anyhow::{Context as _, Result, bail};
 use clap::Args;
-use conicflow_dataflow::{AnyMessage, ItemType};
+use conicflow_dataflow::{AnyMessage, FileUse, ItemType};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::{NoiseConfig, NoiseName};
 use conicflow_detection::{Detector, Object, ObjectKind};
@@ -98,6 +98,7 @@ pub fn detect(arguments: &DetectArguments) -> Result<()> {
             "name a depth image, a folder of them, or a recording"
         ));
     }
+    refuse_to_overwrite(arguments)?;
     let mut frames = Frames::open(arguments)?;
     let mut lines = match &arguments.out {
         Some(path) => JsonLines::open(path, false)?,
@@ -128,9 +129,41 @@ pub fn detect(arguments: &DetectArguments) -> Result<()> {
     Ok(())
 }
 
+/// Refuses to write what is read, and one file in two ways, before anything is made or opened.
+fn refuse_to_overwrite(arguments: &DetectArguments) -> Result<()> {
+    let here = Path::new("");
+    let written: Vec<_> = FileUse::given(here, [("--out", &arguments.out)])
+        .into_iter()
+        .chain(picture_config(arguments).writes(here, "--pictures", "--moving"))
+        .collect();
+    let read = if written.is_empty() { Vec::new() } else { files_read(arguments) };
+    let in_words = |files: &FileUse| format!("`{}`", files.key);
+    for (index, files) in written.iter().enumerate() {
+        let writer = in_words(files);
+        let over_read = read.iter().find_map(|read| files.over_what_is_read(&writer, read, &in_words(read)));
+        let mut earlier = written[..index].iter();
+        let over_written = || earlier.find_map(|other| files.over_what_is_written(&writer, other, &in_words(other)));
+        over_read.or_else(over_written).map_or(Ok(()), Err)?;
+    }
+    Ok(())
+}
+
+/// The files that are read.
+fn files_read(arguments: &DetectArguments) -> Vec<FileUse> {
+    let here = Path::new("");
+    match FramesConfig::of(arguments) {
+        FramesConfig::Recording(config) => config.reads(here, "PATH"),
+        FramesConfig::Images(config) => reading::files(&config, here, "PATH", "--poses"),
+    }
+}
+
 /// What draws the frames as is asked for.
 fn pictures(arguments: &DetectArguments) -> Result<PictureSink<Object>> {
-    let config = picture_sink::Config {
+    PictureSink::open(&picture_config(arguments), Path::new(""), 0)
+}
+
+fn picture_config(arguments: &DetectArguments) -> picture_sink::Config {
+    picture_sink::Config {
         path: arguments.pictures.clone(),
         moving: arguments.moving.clone(),
         moving_width_px: arguments.moving_width,
@@ -139,8 +172,7 @@ fn pictures(arguments: &DetectArguments) -> Result<PictureSink<Object>> {
         zoom: arguments.zoom,
         sheet: arguments.sheet.unwrap_or(0) as usize,
         ..picture_sink::Config::default()
-    };
-    PictureSink::open(&config, Path::new(""), 0)
+    }
 }
 
 /// The detector of a frame's camera; that of a point cloud may differ from frame to frame.
@@ -151,6 +183,30 @@ fn detector_of<'a>(detector: &'a mut Option<(Header, Detector)>, header: &Header
     &mut detector.get_or_insert_with(new).1
 }
 
+/// Which frames are looked at, and how they are read.
+enum FramesConfig {
+    Images(image_source::Config),
+    Recording(mcap_source::Config),
+}
+
+impl FramesConfig {
+    fn of(arguments: &DetectArguments) -> Self {
+        let (path, noise) = (Some(arguments.path.clone()), arguments.noise.map(NoiseConfig::Named));
+        let (depth_scale, intrinsics, written_in) = (arguments.scale, arguments.camera, WrittenIn::CommandLine);
+        if looks_like_recording(&arguments.path) {
+            let topic = arguments.topic.clone();
+            let config =
+                mcap_source::Config { path, topic, depth_scale, intrinsics, noise, written_in, ..Default::default() };
+            return Self::Recording(config);
+        }
+        let noise = noise.unwrap_or_default();
+        let poses = arguments.poses.clone().into();
+        let config =
+            image_source::Config { path, depth_scale, intrinsics, poses, noise, written_in, ..Default::default() };
+        Self::Images(config)
+    }
+}
+
 /// The frames that are looked at.
 enum Frames {
     Images(Box<Playback>),
@@ -159,21 +215,13 @@ enum Frames {
 
 impl Frames {
     fn open(arguments: &DetectArguments) -> Result<Self> {
-        let (here, path, noise) =
-            (Path::new(""), Some(arguments.path.clone()), arguments.noise.map(NoiseConfig::Named));
-        let (depth_scale, intrinsics, written_in) = (arguments.scale, arguments.camera, WrittenIn::CommandLine);
-        if looks_like_recording(&arguments.path) {
-            let topic = arguments.topic.clone();
-            let config =
-                mcap_source::Config { path, topic, depth_scale, intrinsics, noise, written_in, ..Default::default() };
-            let replay = Replay::open(&config, here, &ItemType::of::<u16>(), 0)?;
-            return Ok(Self::Recording(Box::new(replay)));
-        }
-        let noise = noise.unwrap_or_default();
-        let poses = arguments.poses.clone().into();
-        let config =
-            image_source::Config { path, depth_scale, intrinsics, poses, noise, written_in, ..Default::default() };
-        Ok(Self::Images(Box::new(Playback::open(&config, here, 0, 0)?)))
+        let here = Path::new("");
+        Ok(match FramesConfig::of(arguments) {
+            FramesConfig::Images(config) => Self::Images(Box::new(Playback::open(&config, here, 0, 0)?)),
+            FramesConfig::Recording(config) => {
+                Self::Recording(Box::new(Replay::open(&config, here, &ItemType::of::<u16>(), 0)?))
+            }
+        })
     }
 
     /// The header of the next frame that can be read, whose pixels are written, and when its file was read.

@@ -3,7 +3,7 @@
 
 use anyhow::{Context as _, Result, ensure};
 use conicflow_dataflow::pipeline::{Pipeline, Program};
-use conicflow_dataflow::{StageSummary, Summary, Table};
+use conicflow_dataflow::{FileUse, StageSummary, Summary, Table};
 use conicflow_lab::experiment::{Experiment, Results, Variation};
 use conicflow_lab::score::{Figure, Row, Sections, limit, measured_columns, summary};
 use conicflow_messages::Hinted;
@@ -27,11 +27,16 @@ fn columns_of(program: &Program) -> Option<Vec<&'static str>> {
     SINKS.iter().find(|(name, _)| *name == node.name).map(|(_, columns)| columns())
 }
 
-/// Refuses columns that no row will have, and an experiment without a stage that leaves rows.
+/// Refuses columns that no row will have, an experiment without a stage that leaves rows, and a table or plot over what is read.
 ///
 /// # Errors
-/// The key that names such a column, with those that there are.
+/// The key that names such a column, with those that there are, or such a file.
 pub fn check(experiment: &Experiment, pipeline: &Pipeline) -> Result<()> {
+    let plot = experiment.plot.as_ref().map(|plot| plot.path.clone());
+    for files in FileUse::given(&pipeline.base, [("csv", &experiment.csv), ("plot.path", &plot)]) {
+        let over = pipeline.over_what_it_reads(&files, &format!("`{}` of the experiment", files.key));
+        over.map_or(Ok(()), Err)?;
+    }
     experiment.check_columns(&columns(experiment, pipeline)?)
 }
 

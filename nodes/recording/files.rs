@@ -66,6 +66,11 @@ impl Files {
         Ok(Self(recordings))
     }
 
+    /// Where they are.
+    pub fn paths(&self) -> &[PathBuf] {
+        &self.0
+    }
+
     /// Each channel that has messages, with the first of them, by topic.
     ///
     /// # Errors

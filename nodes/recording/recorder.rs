@@ -15,7 +15,7 @@
 
 use super::own::{self, ENCODING, IMAGE, MESSAGE, SCHEMA};
 use anyhow::{Context as _, Error, Result};
-use conicflow_dataflow::{AnyMessage, ItemType};
+use conicflow_dataflow::{AnyMessage, FileUse, ItemType};
 use conicflow_messages::{
     ABSENT, Fields, Header, Hinted, INVALID_FAR, INVALID_NEAR, Named, Object, Text, Track, Velocity,
 };
@@ -208,9 +208,21 @@ fn numbered(path: &Path, number: u64) -> PathBuf {
     if number == 0 {
         return path.to_owned();
     }
+    let (prefix, ending) = around_number(path);
+    path.with_file_name(format!("{prefix}{number}{ending}"))
+}
+
+/// What stands before and behind the number of a file: `run_` and `.mcap`.
+fn around_number(path: &Path) -> (String, String) {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     let extension = path.extension().map(|extension| format!(".{}", extension.to_string_lossy())).unwrap_or_default();
-    path.with_file_name(format!("{stem}_{number}{extension}"))
+    (format!("{stem}_"), extension)
+}
+
+/// The files that may follow that at `path`, which the parameter `key` names.
+pub fn further_files(key: &'static str, path: &Path) -> FileUse {
+    let (prefix, ending) = around_number(path);
+    FileUse::numbered(key, path.parent().unwrap_or(Path::new("")).to_owned(), prefix, ending)
 }
 
 /// A file and its size.

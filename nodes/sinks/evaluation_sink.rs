@@ -6,7 +6,7 @@ use super::json_lines::JsonLines;
 use super::measurement_sink::write_rows;
 use crate::faults::{refuse_restart, stage_error};
 use anyhow::Result;
-use conicflow_dataflow::{ConfigFault, Context, Output, SideInputs, Stage, StageError};
+use conicflow_dataflow::{ConfigFault, Context, FileUse, Output, SideInputs, Stage, StageError};
 use conicflow_lab::score::truth::load_scene;
 use conicflow_lab::score::{
     Claim, Evaluation, RecordedTolerances, RecordedTruth, RenderedTruth, Tolerances, TruthSource, VisibilityCriteria,
@@ -91,6 +91,14 @@ impl<T: Claim> Stage for EvaluationSink<T> {
             faults.push(ConfigFault::new("truth", what, "leave one of them out"));
         }
         faults
+    }
+
+    fn reads(config: &Self::Config, base: &Path) -> Vec<FileUse> {
+        FileUse::given(base, [("scene", &config.scene), ("truth", &config.truth)])
+    }
+
+    fn writes(config: &Self::Config, base: &Path) -> Vec<FileUse> {
+        FileUse::given(base, [("path", &config.path), ("details_path", &config.details_path)])
     }
 
     fn new(config: EvaluationConfig, context: &Context) -> Result<Self, StageError> {

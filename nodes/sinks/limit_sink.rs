@@ -3,7 +3,7 @@
 
 use super::measurement_sink::write_rows;
 use crate::faults::refuse_restart;
-use conicflow_dataflow::{ConfigFault, Context, Output, SideInputs, Stage, StageError};
+use conicflow_dataflow::{ConfigFault, Context, FileUse, Output, SideInputs, Stage, StageError};
 use conicflow_lab::score::truth::load_scene;
 use conicflow_lab::score::{Claim, Limit, RenderedTruth, Tolerances};
 use conicflow_messages::{Message, Nothing, Object};
@@ -52,6 +52,14 @@ impl Stage for LimitSink {
     fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
         let scene = config.scene.as_ref().and_then(|path| load_scene(&base.join(path)).err());
         scene.map(|error| ConfigFault::of_file("scene", error.as_ref())).into_iter().collect()
+    }
+
+    fn reads(config: &Self::Config, base: &Path) -> Vec<FileUse> {
+        FileUse::given(base, [("scene", &config.scene)])
+    }
+
+    fn writes(config: &Self::Config, base: &Path) -> Vec<FileUse> {
+        FileUse::given(base, [("path", &config.path)])
     }
 
     fn new(config: LimitConfig, context: &Context) -> Result<Self, StageError> {

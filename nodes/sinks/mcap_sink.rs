@@ -2,9 +2,9 @@
 //! replays.
 
 use crate::faults::stage_error;
-use crate::recording::recorder::{Limits, Recorded, Recorder};
+use crate::recording::recorder::{Limits, Recorded, Recorder, further_files};
 use conicflow_dataflow::{
-    AnyMessage, BUILT_IN, ConfigFault, Context, ItemType, Output, SideInput, SideInputs, Stage, StageError,
+    AnyMessage, BUILT_IN, ConfigFault, Context, FileUse, ItemType, Output, SideInput, SideInputs, Stage, StageError,
     monotonic_ns,
 };
 use conicflow_messages::{Ellipse, Hinted, Item, Message, Nothing, Object};
@@ -69,6 +69,13 @@ impl<T: Item> Stage for McapSink<T> {
             Some(_) => return Vec::new(),
         };
         vec![ConfigFault::new("path", what, "write `path = \"run.mcap\"`")]
+    }
+
+    fn writes(config: &Self::Config, base: &Path) -> Vec<FileUse> {
+        let Some(path) = config.path.as_ref().map(|path| base.join(path)) else { return Vec::new() };
+        let is_split = config.split_mb.is_some() || config.split_s.is_some();
+        let further = is_split.then(|| further_files("path", &path));
+        further.into_iter().chain([FileUse::one("path", path)]).collect()
     }
 
     fn new(config: Config, context: &Context) -> Result<Self, StageError> {

@@ -8,7 +8,7 @@
 use super::json_lines::JsonLines;
 use crate::faults::refuse_restart;
 use anyhow::Result;
-use conicflow_dataflow::{ConfigFault, Context, Output, SideInputs, Stage, StageError};
+use conicflow_dataflow::{ConfigFault, Context, FileUse, Output, SideInputs, Stage, StageError};
 use conicflow_lab::score::truth::load_scene;
 use conicflow_lab::score::{Claim, Measurement, RenderedTruth, Row, Tolerances, Trace, VisibilityCriteria};
 use conicflow_messages::{Message, Nothing};
@@ -73,6 +73,14 @@ impl<T: Claim> Stage for MeasurementSink<T> {
     fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
         let scene = config.scene.as_ref().and_then(|path| load_scene(&base.join(path)).err());
         scene.map(|error| ConfigFault::of_file("scene", error.as_ref())).into_iter().collect()
+    }
+
+    fn reads(config: &Self::Config, base: &Path) -> Vec<FileUse> {
+        FileUse::given(base, [("scene", &config.scene)])
+    }
+
+    fn writes(config: &Self::Config, base: &Path) -> Vec<FileUse> {
+        FileUse::given(base, [("path", &config.path), ("trace_path", &config.trace_path)])
     }
 
     fn new(config: MeasurementConfig, context: &Context) -> Result<Self, StageError> {

@@ -3,12 +3,12 @@
 
 use super::measurement_sink::write_rows;
 use crate::faults::refuse_restart;
-use conicflow_dataflow::{Context, Output, SideInputs, Stage, StageError};
+use conicflow_dataflow::{Context, FileUse, Output, SideInputs, Stage, StageError};
 use conicflow_lab::score::Sections;
 use conicflow_messages::{Ellipse, Message, Nothing};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Parameters of `section_sink`.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
@@ -41,6 +41,10 @@ impl Stage for SectionSink {
     type Config = SectionConfig;
     type Input = Ellipse;
     type Output = Nothing;
+
+    fn writes(config: &Self::Config, base: &Path) -> Vec<FileUse> {
+        FileUse::given(base, [("path", &config.path)])
+    }
 
     fn new(config: SectionConfig, context: &Context) -> Result<Self, StageError> {
         refuse_restart(context, "measured")?;

@@ -4,7 +4,9 @@
 //! `conicflow.cameras` in `python/`.
 
 use crate::faults::one_of_two;
-use conicflow_dataflow::{ConfigFault, Context, Hinted, Host, Next, Output, SideInputs, Source, StageError, Variables};
+use conicflow_dataflow::{
+    ConfigFault, Context, FileUse, Hinted, Host, Next, Output, SideInputs, Source, StageError, Variables,
+};
 use conicflow_detection::noise::NoiseConfig;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -130,6 +132,10 @@ impl<M: Maker> Source for SdkCamera<M> {
         }
         faults.extend(one_of_two(config.width, config.height));
         faults
+    }
+
+    fn reads(config: &Config, base: &Path) -> Vec<FileUse> {
+        FileUse::given(base, [("path", &config.path)])
     }
 
     fn new(_: Config, _: &Context) -> Result<Self, StageError> {

@@ -1,11 +1,12 @@
 //! The simulated camera of the laboratory as a source of frames.
 
 use crate::sinks::json_lines::JsonLines;
-use conicflow_dataflow::{ConfigFault, Context, Next, Output, SideInput, SideInputs, Source, StageError};
+use conicflow_dataflow::{ConfigFault, Context, FileUse, Next, Output, SideInput, SideInputs, Source, StageError};
+use conicflow_lab::simulator::scene::Scene;
 use conicflow_lab::simulator::truth::TruthLine;
 use conicflow_lab::simulator::{SimulatorParameters, SyntheticCamera};
 use conicflow_messages::{Header, Velocity};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Commands made from frames that are older than this are no longer obeyed: whoever drives has gone.
 const MAX_COMMAND_AGE_S: f64 = 0.5;
@@ -27,6 +28,16 @@ impl Source for SyntheticSource {
 
     fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
         config.faults(base)
+    }
+
+    fn reads(config: &Self::Config, base: &Path) -> Vec<FileUse> {
+        // A single word is the name of a built-in scene.
+        let is_file = |path: &PathBuf| path.to_str().and_then(Scene::built_in).is_none();
+        FileUse::given(base, [("scene", &config.scene.clone().filter(is_file))])
+    }
+
+    fn writes(config: &Self::Config, base: &Path) -> Vec<FileUse> {
+        FileUse::given(base, [("truth_path", &config.truth_path)])
     }
 
     fn new(config: Self::Config, context: &Context) -> Result<Self, StageError> {

@@ -168,7 +168,7 @@ fn a_runtime_folder_that_cannot_be_used_is_told_by_doctor_and_run_alike() {
     fs::set_permissions(&open, PermissionsExt::from_mode(0o755)).unwrap();
     for (folder, told) in [
         (file, "hint: set CONICFLOW_RUNTIME_DIR to a short path that this user may write to"),
-        (open, "belongs to another user or is open to others\n  hint: remove it, or set CONICFLOW_RUNTIME_DIR"),
+        (open, "belongs to another user or is open to others\n  hint: set CONICFLOW_RUNTIME_DIR"),
         (long, "shared memory can use 48 at most\n  hint: set CONICFLOW_RUNTIME_DIR to a shorter path"),
     ] {
         let conicflow = |arguments: &[&str]| {

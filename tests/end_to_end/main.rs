@@ -23,6 +23,7 @@ mod kept;
 mod metrics;
 mod node;
 mod outside_stage;
+mod overwriting;
 mod own_memory;
 mod own_types;
 mod pause;

@@ -1,12 +1,16 @@
 //! Runs from their start to their end: what comes out, in which order, and what the summary says of it.
 
 use crate::programs::program;
-use crate::support::{Playground, RECORDING, Started, TRACKING, TRACKING_STAGES, TRACKING_TOPICS, read_png};
+use crate::support::{
+    Playground, RECORDING, Started, TRACKING, TRACKING_STAGES, TRACKING_TOPICS, read_png, signal, within,
+};
+use rustix::process::Signal;
 use serde_json::Value as Json;
 use std::fs;
 use std::io::BufRead;
 use std::ops::Range;
 use std::path::Path;
+use std::process::Command;
 use std::time::{Duration, Instant};
 
 /// A source and a sink that takes its time over each frame, without lossless delivery between them.
@@ -51,6 +55,31 @@ fn the_default_pipeline_tracks_and_tells_of_all_its_stages() {
     assert_eq!(ended.stage("source").messages, 5);
     ended.expect_told(&["\ndefault: 5 frames in "]);
     assert!(ended.stages().iter().all(|stage| ended.stage(stage).starts == 1), "{}", ended.stderr);
+}
+
+/// When a terminal closes, all processes that were started at it get SIGHUP.
+#[test]
+fn what_is_to_outlive_its_terminal_does() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let run = ["run", "--quiet", "--set", "source.rate_hz=100"];
+    let mut run = Started::new(within(Command::new("nohup"), &playground.command(&run)));
+    run.wait_until("the first frames", || playground.newest("tracks.jsonl") >= 3);
+    playground.processes().into_iter().for_each(|process| signal(process, Signal::HUP));
+    let then = playground.newest("tracks.jsonl");
+    run.wait_until("100 frames more", || playground.newest("tracks.jsonl") >= then + 100);
+    let ended = run.end();
+    assert!(!ended.stderr.contains("started anew"), "{}", ended.stderr);
+    let sequences = playground.sequences("tracks.jsonl");
+    assert!(sequences.iter().copied().eq(0..sequences.len() as u64), "each frame once");
+}
+
+#[test]
+fn without_that_a_run_ends_with_its_terminal() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let mut run = playground.start(&["run", "--quiet", "--set", "source.rate_hz=100"]);
+    run.wait_until("the first frames", || playground.newest("tracks.jsonl") >= 3);
+    signal(run.id(), Signal::HUP);
+    run.wait();
 }
 
 #[test]

@@ -310,9 +310,12 @@ pub fn signal(process: u32, signal: Signal) {
     Pid::from_raw(process.cast_signed()).map(|process| kill_process(process, signal));
 }
 
-/// A command that runs another one, with its arguments and its environment, behind its own arguments.
+/// A command that runs another one, with its arguments, its folder and its environment, behind its own arguments.
 pub fn within(mut outer: Command, inner: &Command) -> Command {
     outer.arg(inner.get_program()).args(inner.get_args()).stdin(Stdio::null());
+    if let Some(folder) = inner.get_current_dir() {
+        outer.current_dir(folder);
+    }
     for (name, value) in inner.get_envs() {
         match value {
             Some(value) => outer.env(name, value),

@@ -40,7 +40,7 @@ pub enum FolderError {
     /// The folder is open to others.
     #[error(
         "`{}` belongs to another user or is open to others\n  \
-         hint: remove it, or set CONICFLOW_RUNTIME_DIR to a folder of your own with mode 700", path.display()
+         hint: set CONICFLOW_RUNTIME_DIR to a folder of your own with mode 700", path.display()
     )]
     NotPrivate {
         /// The folder.

@@ -27,6 +27,7 @@ pub use request::SwapError;
 use summary::Ending;
 pub use summary::{StageSummary, Summary, link_table};
 
+use crate::hangup::ending_signals;
 use crate::plan::Plan;
 use crate::ports::PortError;
 use crate::ports::shared_memory::{ServiceKeeper, SharedMemory};
@@ -36,7 +37,7 @@ use child::{Change, RunState, Supervised};
 use phase::{DELIVERY_GRACE, Due, Phase};
 use progress::Progress;
 use rustix::process::Signal;
-use signal_hook::consts::{SIGCHLD, SIGHUP, SIGINT, SIGTERM};
+use signal_hook::consts::SIGCHLD;
 use signal_hook::iterator::Signals;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
@@ -326,7 +327,8 @@ impl<'a> Launcher<'a> {
 }
 
 fn signals() -> Result<Receiver<i32>, LaunchError> {
-    let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP, SIGCHLD]).map_err(LaunchError::Signals)?;
+    let heard = ending_signals().into_iter().chain([SIGCHLD]);
+    let mut signals = Signals::new(heard).map_err(LaunchError::Signals)?;
     let (sender, receiver) = channel();
     let listen = move || signals.forever().take_while(|signal| sender.send(*signal).is_ok()).for_each(drop);
     let builder = std::thread::Builder::new().name("signals".to_owned());
@@ -344,6 +346,7 @@ mod tests {
     use crate::plan::PlannedStage;
     use crate::status::{Life, Pausing};
     use conicflow_messages::{Object, Text};
+    use signal_hook::consts::{SIGINT, SIGTERM};
     use std::path::Path;
 
     #[test]

@@ -6,6 +6,7 @@
 mod check;
 mod diagnostic;
 mod file_schema;
+mod files;
 mod graph;
 mod machine;
 mod metrics;
@@ -67,6 +68,7 @@ impl Pipeline {
         let mut pipeline = read::pipeline(document, &source, &ReadContext { base, machine, registry }, &mut faults);
         pipeline.source = (SourceText::clone(&source), overrides.to_vec());
         check::connections(&pipeline, &mut faults);
+        files::overwritten(&pipeline, machine, &mut faults);
         let report = Report::in_order(faults);
         if report.has_errors() { Err(report) } else { Ok((pipeline, report)) }
     }

@@ -62,6 +62,8 @@ pub struct StageSpec {
     pub(super) input_place: Option<Place>,
     pub(super) output_place: Option<Place>,
     pub(super) machine_place: Option<Place>,
+    /// Where the parameters stand.
+    pub(super) parameter_places: BTreeMap<String, Place>,
 }
 
 /// What a stage runs.

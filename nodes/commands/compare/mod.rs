@@ -12,7 +12,7 @@ use super::invocation::{FileArguments, options, say};
 use anyhow::{Context as _, Result, bail, ensure};
 use clap::Args;
 use conicflow_dataflow::pipeline::{Pipeline, Report};
-use conicflow_dataflow::told_to_end;
+use conicflow_dataflow::{FileUse, told_to_end};
 use conicflow_messages::Hinted;
 use report::Variants;
 use std::io::{Write as _, stdout};
@@ -65,6 +65,7 @@ pub fn compare(arguments: &CompareArguments, log: &str) -> Result<ExitCode> {
         )
     );
     let (a, b) = read(arguments)?;
+    refuse_to_overwrite(arguments, [&a, &b])?;
     let topic = answers(&a, arguments.topic.as_deref())?;
     let (frames, keep) = (arguments.frames, arguments.record.as_deref());
     let with_depth = arguments.pictures.is_some() || keep.is_some();
@@ -95,6 +96,18 @@ pub fn compare(arguments: &CompareArguments, log: &str) -> Result<ExitCode> {
         write!(stdout(), "{both}")?;
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Refuses to write what the variants read.
+fn refuse_to_overwrite(arguments: &CompareArguments, variants: [&Pipeline; 2]) -> Result<()> {
+    let recording = |folder: &PathBuf| ["a.mcap", "b.mcap"].map(|name| FileUse::one("--record", folder.join(name)));
+    let pictures = |folder: &PathBuf| FileUse::ending("--pictures", folder.clone(), ".png");
+    let recordings = arguments.record.iter().flat_map(recording);
+    let written: Vec<_> = recordings.chain(arguments.pictures.iter().map(pictures)).collect();
+    let over = |pipeline: &Pipeline| {
+        written.iter().find_map(|files| pipeline.over_what_it_reads(files, &format!("`{}`", files.key)))
+    };
+    variants.into_iter().find_map(over).map_or(Ok(()), |fault| Err(fault.into()))
 }
 
 /// Both variants of the file. What is wrong with both is told as it is of any file, what is wrong with one by its letter.

@@ -3,7 +3,7 @@
 use crate::faults::stage_error;
 use crate::sinks::json_lines::{JsonLines, Wrote};
 use conicflow_dataflow::{
-    AnyMessage, ConfigFault, Context, ItemType, Output, SideInputs, Stage, StageError, Stop, monotonic_ns,
+    AnyMessage, ConfigFault, Context, FileUse, ItemType, Output, SideInputs, Stage, StageError, Stop, monotonic_ns,
 };
 use conicflow_messages::{AnyByte, Header, Message, Nothing};
 use schemars::JsonSchema;
@@ -57,6 +57,11 @@ impl Stage for JsonSink {
         };
         let hint = "give the name of a file, such as \"objects.jsonl\", or \"-\" for standard output";
         vec![ConfigFault::new("path", what, hint)]
+    }
+
+    fn writes(config: &Self::Config, base: &Path) -> Vec<FileUse> {
+        let file = Some(&config.path).filter(|path| !is_standard_output(path));
+        file.map(|path| FileUse::one("path", base.join(path))).into_iter().collect()
     }
 
     fn new(config: JsonSinkConfig, context: &Context) -> Result<Self, StageError> {

@@ -14,7 +14,7 @@ use crate::faults::stage_error;
 use crate::sinks::decimator::Decimator;
 use anyhow::{Context as _, Result, ensure};
 use canvas::{Box2, Canvas};
-use conicflow_dataflow::{ConfigFault, Context, Output, SideInput, SideInputs, Stage, StageError};
+use conicflow_dataflow::{ConfigFault, Context, FileUse, Output, SideInput, SideInputs, Stage, StageError};
 use conicflow_messages::{Ellipse, Header, Hinted, MAX_PIXELS, Message, Nothing, Text};
 use moving::Moving;
 pub use painter::{Drawn, Painter};
@@ -97,6 +97,25 @@ impl Default for Config {
             near_m: None,
             far_m: None,
         }
+    }
+}
+
+impl Config {
+    /// The files that are written, which are named by parameters called so. Where pictures are called after what comes only with
+    /// the frames, any PNG of the folder may be one.
+    pub fn writes(&self, base: &Path, path: &'static str, moving: &'static str) -> Vec<FileUse> {
+        let mut files = Vec::new();
+        if let Some(folder) = self.path.as_ref().map(|path| base.join(path)) {
+            files.push(match self.names {
+                Names::Sequence => FileUse::numbered(path, folder.clone(), "frame_", ".png"),
+                Names::Stage | Names::Source => FileUse::ending(path, folder.clone(), ".png"),
+            });
+            if self.sheet > 0 {
+                files.push(FileUse::numbered(path, folder, "sheet_", ".png"));
+            }
+        }
+        files.extend(self.moving.as_ref().map(|path| FileUse::one(moving, base.join(path))));
+        files
     }
 }
 
@@ -312,6 +331,10 @@ impl<T: Drawn> Stage for PictureSink<T> {
             faults.push(ConfigFault::new("near_m", "is not below `far_m`", hint));
         }
         faults
+    }
+
+    fn writes(config: &Self::Config, base: &Path) -> Vec<FileUse> {
+        config.writes(base, "path", "moving")
     }
 
     fn new(config: Config, context: &Context) -> Result<Self, StageError> {

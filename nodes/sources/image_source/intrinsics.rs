@@ -35,14 +35,18 @@ impl CameraFile {
     /// # Errors
     /// There is one, but it cannot be used.
     pub(super) fn find(folder: &Path) -> Result<Option<Self>> {
-        let folders = [Some(folder), folder.parent()];
-        let candidates = folders.into_iter().flatten().flat_map(|folder| NAMES.map(|name| folder.join(name)));
-        let found = candidates.into_iter().find(|path| path.is_file());
         let read = |path: PathBuf| {
             let file = Self::read(&path).map_err(|error| hinted(error, HINT));
             file.with_context(|| format!("`{}`", path.display()))
         };
-        found.map(read).transpose()
+        Self::path_beside(folder).map(read).transpose()
+    }
+
+    /// Where there is one.
+    pub(super) fn path_beside(folder: &Path) -> Option<PathBuf> {
+        let folders = [Some(folder), folder.parent()];
+        let mut candidates = folders.into_iter().flatten().flat_map(|folder| NAMES.map(|name| folder.join(name)));
+        candidates.find(|path| path.is_file())
     }
 
     fn read(path: &Path) -> Result<Self> {

@@ -15,6 +15,7 @@ mod pinhole;
 pub(crate) mod playback;
 mod poses;
 mod raster;
+pub(crate) mod reading;
 mod recording;
 mod trajectory;
 mod tum;
@@ -27,7 +28,7 @@ pub use playback::Playback;
 pub use recording::Recording;
 
 use crate::faults::stage_error;
-use conicflow_dataflow::{ConfigFault, Context, Next, Output, SideInputs, Source, StageError};
+use conicflow_dataflow::{ConfigFault, Context, FileUse, Next, Output, SideInputs, Source, StageError};
 use playback::UNREADABLE;
 use std::path::Path;
 
@@ -43,6 +44,10 @@ impl Source for ImageSource {
 
     fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
         config.faults(base)
+    }
+
+    fn reads(config: &Self::Config, base: &Path) -> Vec<FileUse> {
+        reading::files(config, base, "path", "poses")
     }
 
     fn new(config: Config, context: &Context) -> Result<Self, StageError> {

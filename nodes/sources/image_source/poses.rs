@@ -49,12 +49,7 @@ impl Poses {
     /// # Errors
     /// A file cannot be read; one that was asked for does not go with the frames.
     pub(super) fn find(config: &PosesConfig, base: &Path, recording: &Recording) -> Result<Self> {
-        let path = match config {
-            PosesConfig::None => return Ok(Self::Unknown),
-            PosesConfig::Path(path) => Some(base.join(path)),
-            PosesConfig::Auto => beside(recording.folder())?,
-        };
-        let Some(path) = path else { return Ok(Self::Unknown) };
+        let Some(path) = place(config, base, recording.folder())? else { return Ok(Self::Unknown) };
         let named =
             |error: Error| hinted(error, trajectory::HINT).context(format!("the poses of `{}`", path.display()));
         let poses = if path.is_dir() { Self::of_folder(&path) } else { Self::of_file(&path) }.map_err(named)?;
@@ -81,8 +76,7 @@ impl Poses {
 
     /// A file for each frame: `*.pose.txt`, or any `*.txt` where there is none of these.
     fn of_folder(folder: &Path) -> Result<Self> {
-        let of_frames = files(folder, OF_FRAME)?;
-        let paths = if of_frames.is_empty() { files(folder, ".txt")? } else { of_frames };
+        let paths = paths_in(folder)?;
         ensure!(!paths.is_empty(), "it has no `*{OF_FRAME}`, nor any `*.txt`");
         let pose = |path: &PathBuf| {
             let name = file_name(path);
@@ -168,6 +162,26 @@ fn at_time(poses: &[(u64, Isometry3<f64>)], stamp_ns: u64) -> Known {
 fn stem(name: &str) -> &str {
     let stem = name.split('.').next().unwrap_or(name);
     ["-depth", "_depth"].iter().find_map(|word| stem.strip_suffix(word)).unwrap_or(stem)
+}
+
+/// The files of poses at a path: one, or those of a folder.
+pub(super) fn paths(place: &Path) -> Vec<PathBuf> {
+    // Of a folder that may not be listed it is told when it is read.
+    if place.is_dir() { paths_in(place).unwrap_or_default() } else { vec![place.to_owned()] }
+}
+
+fn paths_in(folder: &Path) -> Result<Vec<PathBuf>> {
+    let of_frames = files(folder, OF_FRAME)?;
+    if of_frames.is_empty() { files(folder, ".txt") } else { Ok(of_frames) }
+}
+
+/// The file or folder of poses that a pipeline file in `base` asks for, if there is one.
+pub(super) fn place(config: &PosesConfig, base: &Path, frames: &Path) -> Result<Option<PathBuf>> {
+    match config {
+        PosesConfig::None => Ok(None),
+        PosesConfig::Path(path) => Ok(Some(base.join(path))),
+        PosesConfig::Auto => beside(frames),
+    }
 }
 
 /// The file or folder of poses that lies beside the frames or above them, if there is one.

@@ -3,7 +3,7 @@
 use super::channels::{Chosen, has_other_own};
 use crate::recording::files::Files;
 use crate::sources::WrittenIn;
-use conicflow_dataflow::{ConfigFault, ItemType};
+use conicflow_dataflow::{ConfigFault, FileUse, ItemType};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::NoiseConfig;
 use conicflow_messages::Hinted;
@@ -65,6 +65,14 @@ impl Config {
             faults.push(ConfigFault::new("to_s", "is not after `from_s`", hint));
         }
         faults
+    }
+
+    /// The files that are read, which a parameter called `path` names: of a folder those that are there, and those that come.
+    pub fn reads(&self, base: &Path, key: &'static str) -> Vec<FileUse> {
+        let Some(path) = self.path.as_ref().map(|path| base.join(path)) else { return Vec::new() };
+        let files = Files::find(&path).map(|files| files.paths().to_vec()).unwrap_or_default();
+        let those_that_come = path.is_dir().then(|| FileUse::ending(key, path, ".mcap"));
+        files.into_iter().map(|file| FileUse::one(key, file)).chain(those_that_come).collect()
     }
 
     /// Why the images of a recording cannot be played, as far as that is known at once: where its files tell what they have, and

@@ -16,7 +16,7 @@ pub use replay::{Replay, Replayed};
 
 use crate::faults::stage_error;
 use config::DEPTH;
-use conicflow_dataflow::{ConfigFault, Context, Next, Output, SideInputs, Source, StageError};
+use conicflow_dataflow::{ConfigFault, Context, FileUse, Next, Output, SideInputs, Source, StageError};
 use conicflow_messages::AnyByte;
 use std::path::Path;
 
@@ -34,6 +34,10 @@ impl Source for McapSource {
 
     fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
         config.faults(base)
+    }
+
+    fn reads(config: &Self::Config, base: &Path) -> Vec<FileUse> {
+        config.reads(base, "path")
     }
 
     fn new(config: Config, context: &Context) -> Result<Self, StageError> {

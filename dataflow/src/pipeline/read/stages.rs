@@ -59,6 +59,7 @@ impl Reader<'_> {
         let env = table.take("env").map(|entry| self.env(entry)).unwrap_or_default();
         self.parameters(&table, &program, &name, &place, &env);
         let parameters = table.to_json();
+        let places = table.0.into_iter().map(|entry| (entry.key, entry.value.place));
         Some(StageSpec {
             name,
             program,
@@ -76,6 +77,7 @@ impl Reader<'_> {
             input_place,
             output_place,
             machine_place,
+            parameter_places: places.collect(),
         })
     }
 

@@ -26,6 +26,8 @@ pub(crate) const fn node(name: &'static str, variants: &'static [Variant]) -> No
         side_inputs: || &[],
         schema,
         check,
+        reads: |_, _| vec![],
+        writes: |_, _| vec![],
         message_length: |_, _| None,
         settle,
         host: None,

@@ -1,0 +1,83 @@
+//! What a run reads is never what it writes, and no file is written by two: the files of all stages compared with each other, and
+//! with the pipeline file.
+
+use super::diagnostic::Diagnostic;
+use super::{Pipeline, Program, StageSpec};
+use crate::file_use::FileUse;
+use crate::node::Node;
+use conicflow_messages::Hinted;
+use serde_json::Value as Json;
+use std::path::Path;
+
+/// Files and who names them: a parameter of a stage, or nobody but the command line.
+struct Named<'a> {
+    stage: Option<&'a StageSpec>,
+    files: FileUse,
+}
+
+impl Named<'_> {
+    fn in_words(&self) -> String {
+        match self.stage {
+            Some(stage) => format!("`{}` of stage `{}`", self.files.key, stage.name),
+            None => "this pipeline".to_owned(),
+        }
+    }
+
+    /// Whether both are on one machine, as far as the file tells.
+    fn is_beside(&self, other: &Self) -> bool {
+        self.stage.zip(other.stage).is_none_or(|(stage, other)| stage.machine == other.machine)
+    }
+}
+
+/// Refuses stages that write what the run reads, or what another one writes: on `machine`, or where none is named on each.
+pub(super) fn overwritten(pipeline: &Pipeline, machine: Option<&str>, faults: &mut Vec<Diagnostic>) {
+    let written = named(pipeline, machine, |node| node.writes);
+    if written.is_empty() {
+        return;
+    }
+    let read = read(pipeline, machine);
+    for (index, own) in written.iter().enumerate() {
+        let Some(stage) = own.stage else { continue };
+        let writer = own.in_words();
+        let mut others = read.iter().filter(|other| own.is_beside(other));
+        let over_read = others.find_map(|other| own.files.over_what_is_read(&writer, &other.files, &other.in_words()));
+        let mut earlier = written[..index].iter().filter(|other| own.is_beside(other));
+        let over_written =
+            || earlier.find_map(|other| own.files.over_what_is_written(&writer, &other.files, &other.in_words()));
+        if let Some(Hinted { what, hint, .. }) = over_read.or_else(over_written) {
+            let place = stage.parameter_places.get(own.files.key).unwrap_or(&stage.place);
+            faults.push(Diagnostic::error(place, what, hint));
+        }
+    }
+}
+
+impl Pipeline {
+    /// What is wrong with writing `files`, which `writer` names, beside a run of this pipeline.
+    pub fn over_what_it_reads(&self, files: &FileUse, writer: &str) -> Option<Hinted> {
+        let over = |other: &Named<'_>| files.over_what_is_read(writer, &other.files, &other.in_words());
+        read(self, None).iter().find_map(over)
+    }
+}
+
+/// What the run reads: the files of its stages, and the pipeline file.
+fn read<'a>(pipeline: &'a Pipeline, machine: Option<&str>) -> Vec<Named<'a>> {
+    let mut read = named(pipeline, machine, |node| node.reads);
+    let file = Path::new(&pipeline.source.0.name);
+    if file.is_file() {
+        read.push(Named { stage: None, files: FileUse::one("", file.to_owned()) });
+    }
+    read
+}
+
+type FilesOf = fn(Json, &Path) -> Vec<FileUse>;
+
+fn named<'a>(pipeline: &'a Pipeline, machine: Option<&str>, of: fn(&Node) -> FilesOf) -> Vec<Named<'a>> {
+    let here = |stage: &&StageSpec| machine.is_none_or(|machine| stage.machine.as_deref() == Some(machine));
+    let mut named = Vec::new();
+    for stage in pipeline.stages.iter().filter(here) {
+        let Program::Node(node) = &stage.program else { continue };
+        let files = of(node)(stage.parameters.clone(), &pipeline.base);
+        named.extend(files.into_iter().map(|files| Named { stage: Some(stage), files }));
+    }
+    named
+}

@@ -1,0 +1,21 @@
+//! Which files are read: the frames, and what tells of their camera and its poses.
+
+use super::config::Config;
+use super::intrinsics::CameraFile;
+use super::layout::{Format, Layout};
+use super::{poses, tum};
+use conicflow_dataflow::FileUse;
+use std::path::Path;
+
+/// The files that are read as `config` says, named by parameters that are called `path` and `poses`. Why there are no frames is
+/// told when they are opened.
+pub(crate) fn files(config: &Config, base: &Path, path: &'static str, poses: &'static str) -> Vec<FileUse> {
+    let layout = config.path.as_ref().and_then(|path| Layout::discover(&base.join(path)).ok());
+    let Some(Layout { frames, folder, format, .. }) = layout else { return Vec::new() };
+    let list = (format == Format::Png).then(|| folder.join(tum::LIST));
+    let beside = list.into_iter().chain(CameraFile::path_beside(&folder));
+    let of_path = frames.into_iter().map(|frame| frame.path).chain(beside).map(|file| FileUse::one(path, file));
+    let place = poses::place(&config.poses, base, &folder).ok().flatten();
+    let of_poses = place.map(|place| poses::paths(&place)).unwrap_or_default();
+    of_path.chain(of_poses.into_iter().map(|file| FileUse::one(poses, file))).collect()
+}
