@@ -191,3 +191,40 @@ impl Transport for InMemory {
         Ok(MemoryWriter { item: item.clone(), channel, loan: Aligned::default(), stop: self.stop.clone() })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ports::TopicReader;
+    use conicflow_messages::Object;
+
+    fn topic() -> Topic {
+        let reader = |stage: &str, delivery, queue| TopicReader { stage: stage.to_owned(), delivery, queue };
+        let readers = vec![reader("all", Delivery::Lossless, 2), reader("newest", Delivery::Latest, 1)];
+        Topic { name: "things".into(), readers, ..Topic::default() }
+    }
+
+    #[test]
+    fn a_writer_whose_run_ends_at_once_sends_what_has_room_and_waits_for_nobody() {
+        let stop = Stop::default();
+        stop.force();
+        let memory = InMemory::new(stop);
+        let [_all, mut newest] = ["all", "newest"].map(|stage| memory.reader::<Object>(&topic(), stage).unwrap());
+        let mut writer = memory.writer::<Object>(&topic()).unwrap();
+        let mut send = |sequence| writer.send(&Header { sequence, ..Header::default() });
+        assert!(send(0).is_ok() && send(1).is_ok(), "two wait for the reader that wants all");
+        assert!(matches!(send(2), Err(PortError::Stopped)));
+        assert_eq!(newest.receive().unwrap().map(|message| message.header().sequence), Some(1));
+    }
+
+    #[test]
+    fn who_leaves_a_topic_is_no_reader_of_it_any_more() {
+        let memory = InMemory::default();
+        let [all, _newest] = ["all", "newest"].map(|stage| memory.reader::<Object>(&topic(), stage).unwrap());
+        let writer = memory.writer::<Object>(&topic()).unwrap();
+        let connected = || writer.connected().into_iter().map(|reader| reader.stage).collect::<Vec<_>>();
+        assert_eq!(connected(), ["all", "newest"]);
+        drop(all);
+        assert_eq!(connected(), ["newest"]);
+    }
+}
