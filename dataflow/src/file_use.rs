@@ -89,8 +89,8 @@ impl FileUse {
         })
     }
 
-    /// What is wrong with writing these files where somebody else writes those. Where nothing but an ending is known of the names,
-    /// they may well be different.
+    /// What is wrong with writing these files where somebody else writes those. Where nothing but an ending is known of the
+    /// names, they may well be different.
     pub fn over_what_is_written(&self, writer: &str, other: &Self, other_writer: &str) -> Option<Hinted> {
         let are_known = [self, other].iter().all(|files| !matches!(files.names, Names::Ending(_)));
         (are_known && self.meets(other)).then(|| {
