@@ -220,11 +220,12 @@ mod tests {
         path
     }
 
-    /// Runs a bridge until it ends; where it is in its life then.
+    /// Runs a bridge until it ends; where it is in its life then. Of `reader` it knows what its record tells, if there is one.
     fn ended(plan: &BridgePlan, run: u64, folder: &Path, stop: &Stop) -> Option<Life> {
+        let peers = Peers::in_folder(folder.to_owned(), run, ["reader".to_owned()].into());
         let transport = SharedMemory::open(&in_memory(folder), "test", BRIDGE, stop.clone()).unwrap();
         let (own, record_file) = (BridgeRun { pipeline: "test", run, folder }, StatusFile::open(&record(folder), run));
-        carry(plan, own, &transport, &Peers::default(), stop, record_file.unwrap(), MemoryTrim::default()).unwrap();
+        carry(plan, own, &transport, &peers, stop, record_file.unwrap(), MemoryTrim::default()).unwrap();
         Status::read(&record(folder)).map(|status| status.life())
     }
 
@@ -264,6 +265,20 @@ mod tests {
         });
         let next = Journal::open(Some(robot), RUN, 0);
         assert!(next.has_heard("base") && next.finished().count() == 1, "{next:?}");
+    }
+
+    #[test]
+    fn a_bridge_ends_where_all_who_read_what_comes_have_ended_although_nobody_sends_it() {
+        let (folder, stop, [_, base]) = (tempfile::tempdir().unwrap(), Stop::default(), plans());
+        let mut reader = StatusFile::open(&folder.path().join("reader.status"), RUN).unwrap();
+        reader.status.set_life(Life::Ended);
+        reader.write();
+        thread::scope(|scope| {
+            let _ending = Ending([stop.clone()]);
+            let bridge = scope.spawn(|| ended(&base, RUN, folder.path(), &stop));
+            wait_until("it has ended", || bridge.is_finished());
+            assert_eq!(bridge.join().unwrap(), Some(Life::Ended));
+        });
     }
 
     #[test]

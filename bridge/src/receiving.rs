@@ -106,9 +106,14 @@ impl<'a> Receiving<'a> {
         Ok(())
     }
 
-    /// Carries messages until all writers have ended, or the run does; whether nothing more is wanted of the other machine.
+    /// Carries messages until all writers have ended, or all readers, or the run does; whether nothing more is wanted of the other
+    /// machine.
     fn carry(&mut self) -> Result<bool, BridgeError> {
-        while !self.stop.requested() && self.ended.len() < self.edge.writers.len() {
+        let mut wanted = Instant::now();
+        while !self.stop.requested() && self.ended.len() < self.edge.writers.len() && wanted.elapsed() < END_PATIENCE {
+            if wanted.elapsed() > TICK && !self.nobody_reads() {
+                wanted = Instant::now();
+            }
             self.choose_way()?;
             let Some(bytes) = self.channel.receive(TICK) else {
                 self.output_port.catch_up();
@@ -123,10 +128,14 @@ impl<'a> Receiving<'a> {
         let writers: Vec<_> = self.edge.writers.iter().map(|writer| Text::new(writer)).collect();
         self.output_port.end_as(&writers)?;
         self.acknowledge();
+        Ok(self.ended.len() == self.edge.writers.len() || self.nobody_reads())
+    }
+
+    /// Whether all readers here have ended: a process before this one may have told them the end. A reader that is started anew
+    /// whenever it ends is here again in a moment.
+    fn nobody_reads(&self) -> bool {
         let has_ended = |stage: &str| self.peers.life(stage) == Some(Life::Ended);
-        // A process before this one may have told them the end.
-        let nobody_reads = self.edge.topic.readers.iter().all(|reader| has_ended(&reader.stage));
-        Ok(self.ended.len() == self.edge.writers.len() || nobody_reads)
+        self.edge.topic.readers.iter().all(|reader| has_ended(&reader.stage))
     }
 
     /// Tells the other machine that nothing more is wanted of it. Where none may be missed it stays until that knows: the

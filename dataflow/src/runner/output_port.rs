@@ -3,6 +3,7 @@
 use super::peers::Peers;
 use crate::clock::monotonic_ns;
 use crate::item_type::ItemType;
+use crate::pipeline::BRIDGE;
 use crate::ports::patience::Patience;
 use crate::ports::{ConnectedReader, Delivery, PortError, Topic, TopicReader, Writer};
 use crate::stage::{Memory, Place, StageError, Stop};
@@ -219,9 +220,10 @@ impl<W: Writer> OutputPort<W> {
         }
         telling.told.extend(connected.iter().map(|reader| reader.stage.clone()));
         // One that was told and is not over was killed, and will come again; where nothing is known of it, it has most likely
-        // ended.
-        let is_told =
-            |reader: &TopicReader| self.peers.life(&reader.stage).is_none() && telling.told.contains(&reader.stage);
+        // ended. The bridge is over when all its topics are, but leaves each when it has passed on the end. One that was killed
+        // needs nobody to tell it again.
+        let ends_alone = |stage: &str| stage == BRIDGE || self.peers.life(stage).is_none();
+        let is_told = |reader: &TopicReader| ends_alone(&reader.stage) && telling.told.contains(&reader.stage);
         let all_told = self.absent_readers(false).all(is_told);
         let is_waited_for = self.behind(|_| 1).next().is_some();
         if connected.is_empty() && !is_waited_for && (all_told || Instant::now() > telling.deadline) {

@@ -20,7 +20,7 @@ pub struct Peers {
 impl Peers {
     /// The stages of the run `run` whose records lie in `folder`, of which these are on this machine; of stages that were started
     /// one by one nothing is known.
-    pub(crate) fn in_folder(folder: PathBuf, run: u64, here: BTreeSet<String>) -> Self {
+    pub fn in_folder(folder: PathBuf, run: u64, here: BTreeSet<String>) -> Self {
         Self {
             run: (run != NO_RUN).then_some((folder, run)),
             here: Arc::new(here),

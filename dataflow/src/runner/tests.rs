@@ -1,16 +1,17 @@
 //! Tests of the two loops, over the in-memory twin of shared memory.
 
 use super::alone::{Owned, collect, pass};
-use super::output_port::OutputPort;
+use super::output_port::{OutputPort, Telling};
 use super::peers::Peers;
 use super::untyped::NewStage;
 use crate::ports::in_memory::{InMemory, MemoryReader, MemoryWriter};
 use crate::ports::{Delivery, Reader, Received, Topic, TopicReader, Transport, Writer};
+use crate::relay::end_of_stream;
 use crate::stage::Stop;
 use crate::status::Life;
 use crate::{Context, ItemType, Next, NoConfig, Output, RunError, SideInputs, Source, Stage, StageError};
 use bytemuck::cast_slice;
-use conicflow_messages::{AnyByte, Camera, Header, Message, Nothing, Object, ObjectKind};
+use conicflow_messages::{AnyByte, Camera, Header, Message, Nothing, Object, ObjectKind, Text};
 use serde_json::json;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
@@ -136,10 +137,10 @@ fn a_stage_knows_whether_it_gets_the_newest_message_or_each() {
     assert_eq!([Some(Delivery::Latest), Some(Delivery::Lossless), None].map(radius), [1.0, 2.0, 2.0]);
 }
 
-/// A writer that is about to end and has sent three messages, and the memory and topic that its one reader joins.
-fn ending(peers: Peers) -> (InMemory, Topic, OutputPort<impl Writer>) {
+/// A writer that is about to end and has sent three messages, and the memory and topic that its one reader, of this name, joins.
+fn ending(reader: &str, peers: Peers) -> (InMemory, Topic, OutputPort<impl Writer>) {
     let memory = InMemory::default();
-    let readers = vec![TopicReader { stage: "sink".into(), delivery: Delivery::Lossless, queue: 4 }];
+    let readers = vec![TopicReader { stage: reader.into(), delivery: Delivery::Lossless, queue: 4 }];
     let topic = Topic { name: "objects".into(), item: None, writers: vec!["stage".into()], readers };
     let writer = memory.writer::<Object>(&topic).unwrap();
     let output_port = OutputPort::new(Some((writer, topic.clone())), "stage", 3, peers, Stop::default());
@@ -160,7 +161,7 @@ fn until_the_end(mut reader: MemoryReader) -> u64 {
 
 #[test]
 fn a_reader_that_comes_anew_between_two_looks_is_told_the_end_too() {
-    let (memory, topic, mut output_port) = ending(Peers::default());
+    let (memory, topic, mut output_port) = ending("sink", Peers::default());
     let first = memory.reader::<Object>(&topic, "sink").unwrap();
     thread::scope(|scope| {
         let ending = scope.spawn(move || output_port.end());
@@ -175,7 +176,7 @@ fn a_reader_that_comes_anew_between_two_looks_is_told_the_end_too() {
 fn a_reader_that_was_told_the_end_and_killed_is_waited_for_and_told_again() {
     static IS_OVER: AtomicBool = AtomicBool::new(false);
     let life = |_: &str| Some(if IS_OVER.load(Ordering::Relaxed) { Life::Ended } else { Life::Running });
-    let (memory, topic, mut output_port) = ending(Peers::modelled(life));
+    let (memory, topic, mut output_port) = ending("sink", Peers::modelled(life));
     let killed = memory.reader::<Object>(&topic, "sink").unwrap();
     thread::scope(|scope| {
         let ending = scope.spawn(move || output_port.end());
@@ -186,6 +187,21 @@ fn a_reader_that_was_told_the_end_and_killed_is_waited_for_and_told_again() {
         IS_OVER.store(true, Ordering::Relaxed);
         ending.join().unwrap().unwrap();
     });
+}
+
+#[test]
+fn the_bridge_which_may_have_other_topics_is_not_waited_for_when_it_was_told_the_end_and_has_left() {
+    let leaves_at_once = |reader: &str| {
+        let (memory, topic, mut output_port) = ending(reader, Peers::modelled(|_| Some(Life::Running)));
+        let end = [end_of_stream(&header(3), Text::new("stage"), 3)];
+        let mut telling = Telling::until(Instant::now() + Duration::from_secs(3600));
+        assert!(!output_port.tell(&end, &mut telling).unwrap(), "it has not come");
+        let present = memory.reader::<Object>(&topic, reader).unwrap();
+        assert!(!output_port.tell(&end, &mut telling).unwrap(), "it is there");
+        assert_eq!(until_the_end(present), 3);
+        output_port.tell(&end, &mut telling).unwrap()
+    };
+    assert_eq!(["bridge", "sink"].map(leaves_at_once), [true, false]);
 }
 
 #[test]
