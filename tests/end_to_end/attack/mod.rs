@@ -1,8 +1,7 @@
-//! Attacks on runs: kills, stops and swaps of stages, launchers and bridges on one to three machines, runs that are ended or killed
-//! and begun again, onlookers that come and die, messages that are forged from true ones. Each round is drawn from one seed, which
-//! is printed with all that it does:
-//! `CONICFLOW_ATTACK_SEED=123 cargo test --test end_to_end -- attack --nocapture` does that round again, and
-//! `CONICFLOW_ATTACK_ROUNDS=3000` as many others.
+//! Attacks on runs: kills, stops and swaps of stages, launchers and bridges on one to three machines, runs that are ended or
+//! killed and begun again, onlookers that come and die, messages that are forged from true ones. Each round is drawn from one
+//! seed, which is printed with all that it does: `CONICFLOW_ATTACK_SEED=123 cargo test --test end_to_end -- attack --nocapture`
+//! does that round again, and `CONICFLOW_ATTACK_ROUNDS=3000` as many others.
 //!
 //! Whatever happens: a run comes to its end, no message comes twice or out of order, with a lossless reader that is killed
 //! nothing is lost, unless its writer was killed as well, what is missing is counted, exit code 1 says that something lossless
@@ -139,8 +138,8 @@ fn expect_no_standstill(begun: Instant, machines: &[Machine]) -> Result<(), Stri
     Err(format!("it stands still: {told:?}"))
 }
 
-/// Waits for the end of all runs. A run that waits for a machine whose launcher is dead, or that has ended before it was begun again,
-/// is asked to end; whether that was so.
+/// Waits for the end of all runs. A run that waits for a machine whose launcher is dead, or that has ended before it was begun
+/// again, is asked to end; whether that was so.
 fn finish(round: &Round, begun: Instant, machines: &mut [Machine]) -> Result<bool, String> {
     let was_cut = round.has(|blow| matches!(blow, Blow::KillLauncher(_)));
     let was_begun_again = round.has(|blow| matches!(blow, Blow::Again(..)));

@@ -167,8 +167,8 @@ impl Round {
         TRACKING_STAGES[1..].iter().all(|stage| self.is_lossless(stage))
     }
 
-    /// From which frame on all must come where a run was begun again: nobody wants the newest only, nobody was killed but with his
-    /// whole run, and nobody was told to end. A source that was begun again last has its readers from its first frame on.
+    /// From which frame on all must come where a run was begun again: nobody wants the newest only, nobody was killed but with
+    /// his whole run, and nobody was told to end. A source that was begun again last has its readers from its first frame on.
     pub fn whole_from(&self) -> Option<Whole> {
         let is_harmless = |blow: &Blow| {
             matches!(
