@@ -3,6 +3,7 @@
 #![allow(missing_docs)] // a test's name says what it shows
 #![allow(clippy::unwrap_used, clippy::panic)] // what a test cannot go on from is its failure
 
+mod as_the_readme_says;
 mod attack;
 mod bridge;
 mod browser;
@@ -30,7 +31,6 @@ mod pause;
 mod processes;
 mod programs;
 mod radio;
-mod readme;
 mod recordings;
 mod room;
 mod ros2;

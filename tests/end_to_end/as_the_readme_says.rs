@@ -1,5 +1,6 @@
 //! The README, run word for word: the commands of its table by what one has, and the pipeline file for one's own frames. What
-//! builds anything builds it without optimisation, beside what the tests themselves are made of.
+//! builds anything builds it without optimisation, beside what the tests themselves are made of. Tests begin in the order of their
+//! names: these take longest, and are first by theirs.
 
 use crate::hosts::Host;
 use crate::outside_stage::ball_before_a_wall;
