@@ -12,6 +12,7 @@ use crate::assemble::seeds::Seeds;
 use crate::assemble::verify::verify_all;
 use crate::assemble::{Assembler, AssemblerParameters, Rejection, Rejections};
 use crate::extract::coarse::coarse_step;
+use crate::extract::turned::turned;
 use crate::extract::{ArcRejections, Extractor};
 use conicflow_geometry::Scan;
 use conicflow_messages::{Ellipse, Header, Object};
@@ -42,11 +43,13 @@ impl Extractor {
 
     /// Adds the ellipses of the rows, or of the columns, of an image.
     pub(crate) fn look_along(&mut self, header: &Header, image: &[u16], scan: Scan) {
-        let Self { noise, view, search, coarse, ellipses, rejections, .. } = self;
+        let Self { noise, view, search, coarse, columns, ellipses, rejections, .. } = self;
 
         // 2. View: the rows, or the columns, as planes of rays; the largest step within one surface follows from the noise
-        //    (`view.rs`). Where noise hides the steps between surfaces, neighbouring lines are averaged (`averaging.rs`).
+        //    (`view.rs`). Columns are the rows of the image turned (`turned.rs`). Where noise hides the steps between surfaces,
+        //    neighbouring lines are averaged (`averaging.rs`).
         view.turn(header, scan, noise);
+        let image = if scan == Scan::Row { image } else { turned(image, view.lines as usize, columns) };
         let (step, coarse_step) = (view.step, coarse_step(view.step));
 
         // 3. Coarse lines: every sixth is cut into arcs as a whole. Runs end at jumps and holes (`line.rs`), running sums give

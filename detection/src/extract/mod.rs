@@ -5,10 +5,10 @@
 //! is what the noise of n points scatters: `error^2 <= sigma^2 (a sqrt(2 / n) + b) + (0.1 mm)^2`.
 //!
 //! The files stand in the order of the steps: how noisy the image is ([`noise_level`], [`noise_planes`]); the rows or
-//! columns of the image as rays ([`view`]), in much noise averaged over neighbouring lines ([`averaging`]); one line, split
-//! into runs at jumps and holes ([`line`]); the rays of a run, and its running sums ([`rays`], [`run`]); the segments of a
-//! run that one curve explains ([`segments`]); the arc of a segment, with its contour ([`arc`]); and which lines between the
-//! coarse ones are worth a look ([`coarse`]). The walk itself is `Extractor::extract` in `method.rs`.
+//! columns of the image as rays ([`view`]), columns as rows of the image turned ([`turned`]), in much noise averaged over
+//! neighbouring lines ([`averaging`]); one line, split into runs at jumps and holes ([`line`]); the rays of a run, and its
+//! running sums ([`rays`], [`run`]); the segments of a run that one curve explains ([`segments`]); the arc of a segment, with
+//! its contour ([`arc`]); and which lines between the coarse ones are worth a look ([`coarse`]). The walk itself is `Extractor::extract` in `method.rs`.
 
 mod arc;
 mod averaging;
@@ -25,6 +25,7 @@ mod search;
 mod segments;
 #[cfg(test)]
 mod tests;
+pub(crate) mod turned;
 mod view;
 
 pub use parameters::{ExtractorParameters, ScanLines};
@@ -49,6 +50,8 @@ pub struct Extractor {
     pub(crate) coarse: CoarseLines,
     samples: NoiseSamples,
     squares: PlaneSquares,
+    /// The image with its columns for rows.
+    pub(crate) columns: Vec<u16>,
     pub(crate) ellipses: Vec<Ellipse>,
     pub(crate) rejections: ArcRejections,
 }
@@ -64,6 +67,7 @@ impl Extractor {
             coarse: CoarseLines::default(),
             samples: NoiseSamples::default(),
             squares: PlaneSquares::default(),
+            columns: Vec::new(),
             ellipses: Vec::new(),
             rejections: ArcRejections::default(),
         }

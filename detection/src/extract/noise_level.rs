@@ -165,7 +165,7 @@ fn through(depths: [f64; 2], factors: [f64; 2], variance: impl Fn(f64) -> f64) -
 fn look_at_neighbors(view: &View, image: &[u16], samples: &mut Vec<NoiseSample>) {
     samples.clear();
     for line in lines(view) {
-        let depths = view.row(image, line).windows(2 * APART + 1).step_by(APART);
+        let depths = view.line(image, line).windows(2 * APART + 1).step_by(APART);
         let threes = depths.map(|depths| [depths[0], depths[APART], depths[2 * APART]]);
         samples.extend(threes.filter(|depths| depths.iter().all(|&depth| is_measured(depth))).map(|depths| {
             let [a, b, c] = depths.map(|depth| f64::from(depth) * view.scale);

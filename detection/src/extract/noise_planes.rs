@@ -123,7 +123,7 @@ fn sums(view: &View, image: &[u16], corner: [u32; 2], side: u32) -> CellSums {
     let (mut matrix, mut right, mut squares) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
     let samples = (step / 2..side as usize).step_by(step);
     for y in samples.clone() {
-        let row = &view.row(image, corner[1] + y as u32)[corner[0] as usize..][..side as usize];
+        let row = &view.line(image, corner[1] + y as u32)[corner[0] as usize..][..side as usize];
         let (mut x_sums, mut sums) = ([0.0; 3], [0.0; 3]);
         for (x, &depth) in (0..).zip(row).skip(step / 2).step_by(step).filter(|(_, depth)| is_measured(**depth)) {
             let (x, nearness) = (f64::from(x) - middle, 1.0 / f64::from(depth));
@@ -186,7 +186,7 @@ fn add_lines(
         residuals.clear();
         residuals.extend((0..side).map_while(|along| {
             let [x, y] = if direction == 0 { [along, line] } else { [line, along] };
-            let depth = view.row(image, square.corner[1] + y)[(square.corner[0] + x) as usize];
+            let depth = view.line(image, square.corner[1] + y)[(square.corner[0] + x) as usize];
             let plane = square.plane.dot(&Vector3::new(1.0, f64::from(x), f64::from(y)));
             is_measured(depth).then(|| (1.0 / (f64::from(depth) * view.scale) - plane) * scale)
         }));

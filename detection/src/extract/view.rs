@@ -42,7 +42,6 @@ pub(crate) struct View {
     /// Metres per unit of a pixel.
     pub scale: f64,
     camera: Pinhole,
-    width: usize,
     /// Model of the sensor.
     pub noise: NoiseModel,
     /// Variance of the sensor, in variances of its model or, where that is greater, of rounding.
@@ -71,7 +70,6 @@ impl View {
             step: 1,
             scale: 0.0,
             camera: Pinhole { fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 },
-            width: 0,
             noise: NoiseModel::IDEAL,
             level: 1.0,
             correlation_px: [1.0; 2],
@@ -88,7 +86,7 @@ impl View {
         let size = [header.camera.height, header.camera.width];
         [self.lines, self.length] = if scan == Scan::Row { size } else { [size[1], size[0]] };
         self.step = self.parameters.line_step.max(1) * averaging::step(noise.averaged, size);
-        (self.scan, self.camera, self.width) = (scan, pinhole(&header.camera), size[1] as usize);
+        (self.scan, self.camera) = (scan, pinhole(&header.camera));
         let ([along, across], averaged) = noise.seen_along(scan);
         // What is left of the noise of one line, and neighbouring means share.
         let left = averaging::variance(averaged, across);
@@ -129,13 +127,14 @@ impl View {
         buffer
     }
 
-    /// The pixels of a row, if those are the scan lines.
-    pub fn row<'a>(&self, image: &'a [u16], line: u32) -> &'a [u16] {
-        &image[line as usize * self.width..][..self.width]
+    /// The pixels of a scan line, of an image whose scan lines lie one behind another.
+    pub fn line<'a>(&self, image: &'a [u16], line: u32) -> &'a [u16] {
+        let length = self.length as usize;
+        &image[line as usize * length..][..length]
     }
 
-    /// The pixels `window` of a scan line; averaged over its neighbours where noise asks for it, and then with how many of
-    /// these on either side count, else with nothing.
+    /// The pixels `window` of a scan line, of an image whose scan lines lie one behind another; averaged over its neighbours
+    /// where noise asks for it, and then with how many of these on either side count, else with nothing.
     pub fn depths<'a>(
         &self,
         image: &'a [u16],
@@ -143,32 +142,18 @@ impl View {
         window: &Range<u32>,
         buffer: &'a mut DepthBuffer,
     ) -> (&'a [u16], &'a [u16]) {
-        let DepthBuffer { columns, means, pairs } = buffer;
+        let DepthBuffer { means, pairs } = buffer;
         let (first, length) = (window.start as usize, window.len());
-        // As many on one side as on the other.
-        let reach = self.averaging.reach().min(line).min(self.lines - 1 - line);
-        let beside = (line - reach) as usize..(line + reach + 1) as usize;
-        let (pixels, from, apart): (&[u16], _, _) = if self.scan == Scan::Row {
-            (image, beside.start * self.width + first, self.width)
-        } else {
-            columns.resize(columns.len().max(beside.len() * length), 0);
-            let rows = image.chunks(self.width).skip(first).take(length).map(|row| &row[beside.start..]);
-            // Loops of a length that is known when this is compiled take half the time.
-            match beside.len() {
-                1 => put_apart::<1>(rows, length, columns),
-                3 => put_apart::<3>(rows, length, columns),
-                _ => put_apart::<{ averaging::MOST as usize }>(rows, length, columns),
-            }
-            (columns.as_slice(), 0, length)
-        };
-        let line = |by: i64| &pixels[from + (i64::from(reach) + by) as usize * apart..][..length];
+        let beside = |by: i64| &self.line(image, (i64::from(line) + by) as u32)[first..][..length];
         if self.averaging.reach() == 0 {
-            return (line(0), &[]);
+            return (beside(0), &[]);
         }
         for buffer in [&mut *means, &mut *pairs] {
             buffer.resize(buffer.len().max(length), 0);
         }
-        self.averaging.average(&self.jumps[0].least, reach, line, &mut means[..length], &mut pairs[..length]);
+        // As many on one side as on the other.
+        let reach = self.averaging.reach().min(line).min(self.lines - 1 - line);
+        self.averaging.average(&self.jumps[0].least, reach, beside, &mut means[..length], &mut pairs[..length]);
         (&means[..length], &pairs[..length])
     }
 
@@ -183,11 +168,10 @@ impl View {
         &self.jumps[pairs.map_or(all, usize::from)]
     }
 
-    /// Depth of a pixel, in metres, if it is inside the image and measured.
+    /// Depth of a pixel, in metres, if it is inside the image, whose scan lines lie one behind another, and measured.
     pub fn depth(&self, image: &[u16], line: u32, pixel: i64) -> Option<f64> {
         let pixel = u32::try_from(pixel).ok().filter(|pixel| *pixel < self.length)?;
-        let [row, column] = if self.scan == Scan::Row { [line, pixel] } else { [pixel, line] };
-        let raw = image[row as usize * self.width + column as usize];
+        let raw = self.line(image, line)[pixel as usize];
         is_measured(raw).then(|| f64::from(raw) * self.scale)
     }
 
@@ -213,19 +197,8 @@ impl View {
 /// Where the pixels of a line are put together; used again for the next.
 #[derive(Debug, Default)]
 pub(crate) struct DepthBuffer {
-    /// Columns one behind another.
-    columns: Vec<u16>,
     means: Vec<u16>,
     pairs: Vec<u16>,
-}
-
-/// Puts the first N columns of `rows`, of which there are `length`, one behind another.
-fn put_apart<'a, const N: usize>(rows: impl Iterator<Item = &'a [u16]>, length: usize, columns: &mut [u16]) {
-    for (row, pixels) in rows.filter_map(<[u16]>::first_chunk::<N>).enumerate() {
-        for (column, &depth) in pixels.iter().enumerate() {
-            columns[column * length + row] = depth;
-        }
-    }
 }
 
 /// Whether two measurements in a row may lie on one surface.
@@ -344,6 +317,7 @@ impl JumpRule {
 
 #[cfg(test)]
 mod tests {
+    use super::super::turned::turned;
     use super::*;
     use conicflow_messages::Camera;
 
@@ -423,7 +397,11 @@ mod tests {
     fn a_depth_is_that_of_its_pixel_if_there_is_one_and_it_is_measured() {
         let mut image = vec![0; 40 * 30];
         (image[7 * 40 + 3], image[7 * 40 + 39]) = (1500, 1600);
-        let depth = |scan, line, pixel| view_of_shared_noise(scan).depth(&image, line, pixel);
+        let columns = turned(&image, 40, &mut Vec::new()).to_vec();
+        let depth = |scan, line, pixel| {
+            let lines = if scan == Scan::Row { &image } else { &columns };
+            view_of_shared_noise(scan).depth(lines, line, pixel)
+        };
         assert_eq!([depth(Scan::Row, 7, 3), depth(Scan::Column, 3, 7)], [Some(1.5); 2]);
         assert_eq!((depth(Scan::Row, 7, 39), depth(Scan::Row, 7, 40)), (Some(1.6), None));
         assert_eq!([depth(Scan::Row, 7, -1), depth(Scan::Row, 8, 3), depth(Scan::Column, 39, 30)], [None; 3]);
