@@ -23,12 +23,13 @@ const ENOUGH: u32 = 480; // [tuned]
 /// loses by averages (F1 0.831 to 0.809, `experiments/simulated_sensors.toml`, seeds 0 to 9).
 const INDEPENDENT: f64 = 2.0; // [tuned]
 /// Number of pixels that are averaged together.
-const BATCH: usize = 64; // [algorithmic]
+const BATCH: usize = 32; // [algorithmic]
 /// Farther off than so many units no pixel counts: four of them are still a number of 16 bits.
 const MOST_OFF: u16 = 8191; // [algorithmic]
-/// Shares are told in parts of this, and rounded at half of it.
+/// The largest depth that is a measurement; the least is 1.
+const MOST_MEASURED: u16 = u16::MAX - 1; // [derived]
+/// Shares are told in parts of this.
 const WHOLE: u32 = 1 << 16; // [algorithmic]
-const HALF: i32 = 1 << 15; // [derived]
 
 /// How many lines are averaged where the noise of one is `excess` times the step of a steep surface from pixel to pixel, and
 /// this number of neighbouring lines share it: as many as bring it down to that step; an odd number, 1 for none.
@@ -58,8 +59,10 @@ pub(super) fn step(averaged: [u32; 2], lines: [u32; 2]) -> u32 {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Averaging {
     /// For each line on either side, from the nearest on: the standard deviation that the mean of the nearer ones has, in parts
-    /// of [`WHOLE`] of that of one line.
-    left: Vec<u16>,
+    /// of [`WHOLE`] of that of one line; nothing for those that never count.
+    left: [u16; (MOST / 2) as usize],
+    /// Number of lines on either side that count at most.
+    reach: u32,
     /// Variance of a pixel of which so many on either side count, in that of one of which all do.
     variances: Vec<f64>,
 }
@@ -69,20 +72,24 @@ impl Averaging {
     pub fn set(&mut self, lines: u32, shared_lines: f64) {
         let reach = lines / 2;
         let of = |pairs: u32| variance(2 * pairs + 1, shared_lines);
-        self.left.clear();
-        self.left.extend((0..reach).map(|nearer| (of(nearer).sqrt() * f64::from(WHOLE)) as u16));
+        self.reach = reach;
+        self.left = [0; _];
+        for (nearer, left) in (0..reach).zip(&mut self.left) {
+            *left = (of(nearer).sqrt() * f64::from(WHOLE)) as u16;
+        }
         self.variances.clear();
         self.variances.extend((0..=reach).map(|pairs| of(pairs) / of(reach)));
     }
 
     /// Number of lines on either side that count at most.
     pub fn reach(&self) -> u32 {
-        self.left.len() as u32
+        self.reach
     }
 
     /// Mean variance of some pixels of which so many on either side count, in that of those of which all do; 1 of none.
     pub fn variance(&self, pairs: &[u16]) -> f64 {
-        if pairs.is_empty() {
+        // All of most pixels count, or there is nothing to average.
+        if pairs.iter().fold(true, |all, &pairs| all & (u32::from(pairs) == self.reach)) {
             return 1.0;
         }
         pairs.iter().map(|&pairs| self.variances[usize::from(pairs)]).sum::<f64>() / pairs.len() as f64
@@ -91,8 +98,6 @@ impl Averaging {
     /// The mean of a line and of at most `reach` lines on either side, and of each pixel how many of these on either side
     /// count. `line` gives so many pixels of the one that is so far from it, as many as `means` and `pairs` have; `jump` tells
     /// how far pixels of one surface differ.
-    ///
-    /// It is computed as what the neighbours add to a pixel, in whole numbers: processors work on eight of them at a time.
     pub fn average<'a>(
         &self,
         jump: &LeastStep,
@@ -101,49 +106,83 @@ impl Averaging {
         means: &mut [u16],
         pairs: &mut [u16],
     ) {
-        for (index, (means, pairs)) in means.chunks_mut(BATCH).zip(pairs.chunks_mut(BATCH)).enumerate() {
-            let batch = |by: i64| &line(by)[index * BATCH..][..means.len()];
-            let middle = batch(0);
-            let (mut limits, mut noises, mut slopes) = ([0; BATCH], [0; BATCH], [0; BATCH]);
-            for (at, &depth) in middle.iter().enumerate() {
-                let [noise, slope] = jump.noise_and_slope(depth);
-                limits[at] = noise.saturating_add(slope).min(MOST_OFF);
-                noises[at] = if is_measured(depth) { noise } else { 0 };
-                slopes[at] = slope;
-            }
-            let mut reaches = [0; BATCH];
-            for &left in &self.left {
-                for (at, reach) in reaches.iter_mut().enumerate() {
-                    let of_mean = ((u32::from(noises[at]) * u32::from(left)) >> 16) as u16;
-                    *reach += u16::from(of_mean > slopes[at]);
-                }
-            }
-            pairs.fill(0);
-            if reaches.iter().all(|&reach| reach == 0) {
-                means.copy_from_slice(middle);
-                continue;
-            }
-            // All ones where no jump was met yet; how far what counts is off, in all; and the share of one of it.
-            let (mut goes_on, mut off, mut share) = ([u16::MAX; BATCH], [0_u16; BATCH], [0_u16; BATCH]);
-            for by in 1..=reach as u16 {
-                let (before, behind) = (batch(-i64::from(by)), batch(i64::from(by)));
-                let of_so_many = (WHOLE / (2 * u32::from(by) + 1)) as u16;
-                for (at, ((&before, &behind), &middle)) in before.iter().zip(behind).zip(middle).enumerate() {
-                    let is_near = |depth: u16| is_measured(depth) & (depth.abs_diff(middle) <= limits[at]);
-                    let both = (reaches[at] >= by) & is_near(before) & is_near(behind);
-                    goes_on[at] &= u16::from(both).wrapping_neg();
-                    let pair = before.wrapping_sub(middle).wrapping_add(behind.wrapping_sub(middle));
-                    off[at] = off[at].wrapping_add(pair & goes_on[at]);
-                    share[at] = (of_so_many & goes_on[at]) | (share[at] & !goes_on[at]);
-                    pairs[at] += goes_on[at] & 1;
-                }
-            }
-            for (at, (mean, &middle)) in means.iter_mut().zip(middle).enumerate() {
-                let times_whole = i32::from(off[at].cast_signed()) * i32::from(share[at].cast_signed());
-                *mean = middle.wrapping_add(((times_whole + HALF) >> 16) as u16);
-            }
+        // The last batch ends where the line does, and begins among the pixels of the one before it.
+        let (length, last) = (means.len().min(BATCH), means.len().saturating_sub(BATCH));
+        for first in (0..means.len()).step_by(BATCH).map(|first| first.min(last)) {
+            let here = first..first + length;
+            let (of_means, of_pairs) =
+                self.average_batch(jump, reach, |by| batch_of(&line(i64::from(by))[here.clone()]));
+            means[here.clone()].copy_from_slice(&of_means[..length]);
+            pairs[here].copy_from_slice(&of_pairs[..length]);
         }
     }
+
+    /// The same of a batch of pixels, as what the neighbours add to each, in whole numbers: processors work on eight at a time.
+    #[inline]
+    fn average_batch(
+        &self,
+        jump: &LeastStep,
+        reach: u32,
+        line: impl Fn(i32) -> [u16; BATCH],
+    ) -> ([u16; BATCH], [u16; BATCH]) {
+        let middle = line(0);
+        // How far off what counts may be, and how many on either side do; of what is not measured, none.
+        let (mut limits, mut reaches) = ([0; BATCH], [0_u16; BATCH]);
+        for (at, &depth) in middle.iter().enumerate() {
+            let [noise, slope] = jump.noise_and_slope(depth);
+            // Within that limit all is measured.
+            limits[at] = noise
+                .saturating_add(slope)
+                .min(MOST_OFF)
+                .min(depth.wrapping_sub(1))
+                .min(MOST_MEASURED.wrapping_sub(depth));
+            let noise = if is_measured(depth) { noise } else { 0 };
+            for left in self.left {
+                let of_mean = ((u32::from(noise) * u32::from(left)) >> 16) as u16;
+                reaches[at] += u16::from(of_mean > slope);
+            }
+        }
+        if reaches.iter().fold(true, |none, &reach| none & (reach == 0)) {
+            return (middle, [0; BATCH]);
+        }
+        // All ones where no jump was met yet; how far what counts is off, in all; and the share of one of it.
+        let (mut goes_on, mut off, mut share) = ([u16::MAX; BATCH], [0_u16; BATCH], [0_u16; BATCH]);
+        let (mut pairs, mut share_before) = ([0_u16; BATCH], 0);
+        for by in 1..=reach as u16 {
+            let (before, behind) = (line(-i32::from(by)), line(i32::from(by)));
+            let of_so_many = (WHOLE / (2 * u32::from(by) + 1)) as u16;
+            let change = of_so_many.wrapping_sub(share_before);
+            share_before = of_so_many;
+            for at in 0..BATCH {
+                let (before, behind, middle) = (before[at], behind[at], middle[at]);
+                let too_far = |depth: u16| depth.abs_diff(middle).saturating_sub(limits[at]);
+                let ends = too_far(before) | too_far(behind) | by.saturating_sub(reaches[at]);
+                goes_on[at] &= u16::from(ends == 0).wrapping_neg();
+                let pair = before.wrapping_sub(middle).wrapping_add(behind.wrapping_sub(middle));
+                off[at] = off[at].wrapping_add(pair & goes_on[at]);
+                share[at] = share[at].wrapping_add(change & goes_on[at]);
+                pairs[at] = pairs[at].wrapping_sub(goes_on[at]);
+            }
+        }
+        let mut means = middle;
+        for (at, mean) in means.iter_mut().enumerate() {
+            let times_whole = i32::from(off[at].cast_signed()) * i32::from(share[at].cast_signed());
+            // Rounded by the highest bit of what is less than one.
+            let rounded_up = (times_whole as u16) >> 15;
+            *mean = mean.wrapping_add((times_whole >> 16) as u16).wrapping_add(rounded_up);
+        }
+        (means, pairs)
+    }
+}
+
+/// Some pixels, and as many more that are not measured as make a batch.
+#[inline]
+fn batch_of(pixels: &[u16]) -> [u16; BATCH] {
+    pixels.first_chunk().copied().unwrap_or_else(|| {
+        let mut batch = [0; BATCH];
+        batch[..pixels.len()].copy_from_slice(pixels);
+        batch
+    })
 }
 
 #[cfg(test)]
