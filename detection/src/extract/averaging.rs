@@ -9,6 +9,7 @@
 //! the lines, the mean lies behind it. Of two pixels on either side both count or neither, so that a slope does not move the
 //! mean, and what is beyond a jump does not count, so that silhouettes stay where they are.
 
+use super::rays::SURROUNDINGS;
 use super::view::LeastStep;
 use conicflow_messages::is_measured;
 
@@ -65,6 +66,8 @@ pub(super) struct Averaging {
     reach: u32,
     /// Variance of a pixel of which so many on either side count, in that of one of which all do.
     variances: Vec<f64>,
+    /// The mean of [`SURROUNDINGS`] of these that are alike: what their sum is rounded to, over their number.
+    alike: Vec<f64>,
 }
 
 impl Averaging {
@@ -79,6 +82,9 @@ impl Averaging {
         }
         self.variances.clear();
         self.variances.extend((0..=reach).map(|pairs| of(pairs) / of(reach)));
+        let mean = |variance: &f64| [*variance; SURROUNDINGS].iter().sum::<f64>() / SURROUNDINGS as f64;
+        self.alike.clear();
+        self.alike.extend(self.variances.iter().map(mean));
     }
 
     /// Number of lines on either side that count at most.
@@ -88,9 +94,10 @@ impl Averaging {
 
     /// Mean variance of some pixels of which so many on either side count, in that of those of which all do; 1 of none.
     pub fn variance(&self, pairs: &[u16]) -> f64 {
-        // All of most pixels count, or there is nothing to average.
-        if pairs.iter().fold(true, |all, &pairs| all & (u32::from(pairs) == self.reach)) {
-            return 1.0;
+        let Some(&first) = pairs.first() else { return 1.0 };
+        let are_alike = pairs.iter().fold(0, |differing, pairs| differing | (pairs ^ first)) == 0;
+        if are_alike && pairs.len() == SURROUNDINGS {
+            return self.alike[usize::from(first)];
         }
         pairs.iter().map(|&pairs| self.variances[usize::from(pairs)]).sum::<f64>() / pairs.len() as f64
     }
