@@ -57,7 +57,9 @@ struct Square {
 struct CellSums {
     /// Number of samples, measured or not.
     samples: usize,
-    matrix: Matrix3<f64>,
+    /// Sums of `[1, x, y, x^2, x y, y^2]` over those that are measured: whole numbers, or quarters, and exact.
+    places: [f64; 6],
+    /// Sums of `[1, x, y]` over the depth, in units of the image.
     right: Vector3<f64>,
     /// Sum of the squared inverse depths.
     squares: f64,
@@ -120,41 +122,48 @@ fn collect(view: &View, image: &[u16], side: u32, squares: &mut Vec<Square>, cel
 /// What a cell of so many pixels along its side adds to the fit of a plane.
 fn sums(view: &View, image: &[u16], corner: [u32; 2], side: u32) -> CellSums {
     let (step, middle) = ((2 * side / SAMPLES) as usize, 0.5 * f64::from(side));
-    let (mut matrix, mut right, mut squares) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
     let samples = (step / 2..side as usize).step_by(step);
+    let (mut places, mut right, mut squares) = ([0.0; 6], Vector3::zeros(), 0.0);
     for y in samples.clone() {
         let row = &view.line(image, corner[1] + y as u32)[corner[0] as usize..][..side as usize];
-        let (mut x_sums, mut sums) = ([0.0; 3], [0.0; 3]);
-        for (x, &depth) in (0..).zip(row).skip(step / 2).step_by(step).filter(|(_, depth)| is_measured(**depth)) {
-            let (x, nearness) = (f64::from(x) - middle, 1.0 / f64::from(depth));
-            x_sums = [x_sums[0] + 1.0, x_sums[1] + x, x_sums[2] + x * x];
+        let (mut x, mut x_sums, mut sums) = ((step / 2) as f64 - middle, [0.0; 3], [0.0; 3]);
+        for &depth in row[step / 2..].iter().step_by(step) {
+            // What is not measured adds nothing: no branch on the image's content.
+            let (seen, nearness) = if is_measured(depth) { (1.0, 1.0 / f64::from(depth)) } else { (0.0, 0.0) };
+            x_sums = [x_sums[0] + seen, x_sums[1] + x * seen, x_sums[2] + x * x * seen];
             sums = [sums[0] + nearness, sums[1] + x * nearness, sums[2] + nearness * nearness];
+            x += step as f64;
         }
         let y = y as f64 - middle;
         let [n, sx, sxx] = x_sums;
-        matrix += Matrix3::new(n, sx, y * n, sx, sxx, y * sx, y * n, y * sx, y * y * n);
+        let of_row = [n, sx, y * n, sxx, y * sx, y * y * n];
+        places.iter_mut().zip(of_row).for_each(|(sum, term)| *sum += term);
         right += Vector3::new(sums[0], sums[1], y * sums[0]);
         squares += sums[2];
     }
-    CellSums { samples: samples.len().pow(2), matrix, right, squares }
+    CellSums { samples: samples.len().pow(2), places, right, squares }
 }
 
 /// The plane through a square, of which the cells are as long as `half` its side.
 fn fit(view: &View, quarters: [&CellSums; 4], corner: [u32; 2], half: u32) -> Option<Square> {
     let samples: usize = quarters.iter().map(|cell| cell.samples).sum();
-    let count: f64 = quarters.iter().map(|cell| cell.matrix[(0, 0)]).sum();
+    let count: f64 = quarters.iter().map(|cell| cell.places[0]).sum();
     if count < MEASURED * samples as f64 {
         return None;
     }
     let (middle, off) = (f64::from(half), 0.5 * f64::from(half));
-    let (mut matrix, mut right, mut squares) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
+    let (mut places, mut right, mut squares) = ([0.0; 6], Vector3::zeros(), 0.0);
     for (cell, [x, y]) in quarters.into_iter().zip([[-off, -off], [off, -off], [-off, off], [off, off]]) {
         // From the middle of the cell to that of the square.
-        let shift = Matrix3::new(1.0, 0.0, 0.0, x, 1.0, 0.0, y, 0.0, 1.0);
-        matrix += shift * cell.matrix * shift.transpose();
-        right += shift * cell.right;
+        let [n, sx, sy, sxx, sxy, syy] = cell.places;
+        let (mx, my) = (sx + x * n, sy + y * n);
+        let moved = [n, mx, my, sxx + x * (sx + mx), sxy + y * sx + x * my, syy + y * (sy + my)];
+        places.iter_mut().zip(moved).for_each(|(sum, term)| *sum += term);
+        right += cell.right + Vector3::new(0.0, x, y) * cell.right[0];
         squares += cell.squares;
     }
+    let [n, sx, sy, sxx, sxy, syy] = places;
+    let matrix = Matrix3::new(n, sx, sy, sx, sxx, sxy, sy, sxy, syy);
     let plane = matrix.cholesky()?.solve(&right);
     let residual = (squares - plane.dot(&right)).max(0.0) / count;
     let plane = plane / view.scale;
