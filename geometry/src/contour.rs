@@ -15,7 +15,6 @@
 //! The points of the surface know its size, too. What they and the contour tell of o and p together ([`Contour::bias_evidence`]),
 //! and what the scatter of the contour tells of its noise ([`Contour::noise_evidence`]), can be used for the next object.
 
-use crate::pooled::add_square;
 use crate::space::dot;
 use crate::{Coefficients, Information, Surface, SurfaceFit, Vector3};
 use nalgebra::{Matrix4, SMatrix, SVector, Vector2, Vector4};
@@ -90,6 +89,9 @@ struct Seen {
     along: f64,
     /// Radius of curvature of the surface there, along the view, in pixels of the line.
     radius_px: f64,
+    /// Expected error along the line, in pixels, and its variance.
+    expected: f64,
+    variance: f64,
 }
 
 /// Its part in the normal equations of a fit.
@@ -210,7 +212,9 @@ impl Contour {
 
     /// Adds a point.
     pub fn add(&mut self, point: ContourPoint) {
-        self.points.push(Seen { point, used: true, along: 1.0, radius_px: 0.0 });
+        let mut seen = Seen { point, used: true, along: 1.0, radius_px: 0.0, expected: 0.0, variance: 0.0 };
+        seen.place(1.0, 0.0, &self.noise);
+        self.points.push(seen);
     }
 
     /// Uses only the points that are near the contour of a surface `F = 0` with these coefficients, and only those for which
@@ -221,15 +225,16 @@ impl Contour {
             let (error, ray, here) = seen.point.foot(q);
             let along = Along::new(q, &ray, &seen.point.pixel);
             let [_, beside, _] = Along::new(q, &ray, &seen.point.across).discriminant();
-            seen.along = (here.abs() / here.hypot(beside)).max(LEAST_ALONG);
-            seen.radius_px = along.curvature_radius(q, &ray) / (along.depth() * seen.point.pixel.norm());
+            let cosine = (here.abs() / here.hypot(beside)).max(LEAST_ALONG);
+            let radius_px = along.curvature_radius(q, &ray) / (along.depth() * seen.point.pixel.norm());
+            seen.place(cosine, radius_px, &self.noise);
             seen.used = is_seen(&(ray * along.depth()));
-            self.errors.push(error - self.noise.expected(seen));
+            self.errors.push(error - seen.expected);
         }
         let middles = std::array::from_fn::<_, SIDES, _>(|side| self.median(side));
         self.far_off = 0;
         for (seen, error) in self.points.iter_mut().zip(&self.errors) {
-            let is_near = (error - middles[seen.point.side]).abs() < GATE * self.noise.variance(seen).sqrt();
+            let is_near = (error - middles[seen.point.side]).abs() < GATE * seen.variance.sqrt();
             self.far_off += usize::from(seen.used && !is_near);
             seen.used &= is_near;
         }
@@ -295,8 +300,9 @@ impl Contour {
         for seen in self.points.iter().filter(|seen| seen.used) {
             let (error, gradient) = seen.point.error_gradient(q);
             let slope = SVector::<f64, N>::from_fn(|i, _| dot(&gradient, &derivatives[i]));
-            sums.add(error - self.noise.expected(seen), &slope, &seen.by_bias(), 1.0 / self.noise.variance(seen));
+            sums.add(error - seen.expected, &slope, seen, 1.0 / seen.variance);
         }
+        sums.slopes.fill_upper_triangle_with_lower_triangle();
         sums
     }
 
@@ -342,8 +348,8 @@ impl Contour {
         let bias = (sums.shared + self.prior).try_inverse()? * sums.shared_error + self.noise.bias.mean;
         let mut evidence = Information::default();
         for seen in self.points.iter().filter(|seen| seen.used) {
-            let square = (seen.point.foot(&q).0 - bias.dot(&seen.by_bias())).powi(2);
-            let (by_noise, variance) = (seen.by_noise(), self.noise.variance(seen));
+            let square = (seen.point.foot(&q).0 - seen.moved_by(&bias)).powi(2);
+            let (by_noise, variance) = (seen.by_noise(), seen.variance);
             let weight = 1.0 / (2.0 * variance * variance * self.noise.shared_lines);
             evidence.matrix += by_noise * by_noise.transpose() * weight;
             evidence.vector += by_noise * (square * weight);
@@ -366,13 +372,20 @@ impl<const N: usize> Default for Sums<N> {
 }
 
 impl<const N: usize> Sums<N> {
-    fn add(&mut self, error: f64, slope: &SVector<f64, N>, by_bias: &Vector4<f64>, weight: f64) {
+    /// Adds a point; of `J'wJ` the lower triangle.
+    fn add(&mut self, error: f64, slope: &SVector<f64, N>, seen: &Seen, weight: f64) {
         self.square += error * error * weight;
         self.slope_error += slope * (error * weight);
-        add_square(&mut self.slopes, slope, weight);
-        add_square(&mut self.shared, by_bias, weight);
-        self.shared_error += by_bias * (error * weight);
-        self.shared_slope += by_bias * slope.transpose() * weight;
+        for j in 0..N {
+            (j..N).for_each(|i| self.slopes[(i, j)] += slope[i] * slope[j] * weight);
+        }
+        // The bias of the other side does not move it.
+        let (first, by_bias) = (2 * seen.point.side, seen.by_bias());
+        for (row, moved) in (first..).zip(by_bias) {
+            (first..).zip(by_bias).for_each(|(column, other)| self.shared[(row, column)] += moved * other * weight);
+            self.shared_error[row] += moved * (error * weight);
+            (0..N).for_each(|i| self.shared_slope[(row, i)] += moved * slope[i] * weight);
+        }
     }
 
     /// The term where the bias is eliminated, the inverse of its covariance being `prior`; without a prior, none.
@@ -390,12 +403,21 @@ impl<const N: usize> Sums<N> {
 }
 
 impl Seen {
-    /// By how much each part of the bias moves it, in pixels along the line.
-    fn by_bias(&self) -> Vector4<f64> {
-        let mut moved = Vector4::zeros();
-        moved[2 * self.point.side] = 1.0 / self.along;
-        moved[2 * self.point.side + 1] = self.radius_px / self.along;
-        moved
+    /// Tells how the outline runs there, and by that what is expected of the point's error.
+    fn place(&mut self, along: f64, radius_px: f64, noise: &ContourNoise) {
+        (self.along, self.radius_px) = (along, radius_px);
+        (self.expected, self.variance) = (noise.expected(self), noise.variance(self));
+    }
+
+    /// By how much each part of the bias of its side moves it, in pixels along the line.
+    fn by_bias(&self) -> [f64; 2] {
+        [1.0 / self.along, self.radius_px / self.along]
+    }
+
+    /// By how much a bias moves it, in pixels along the line.
+    fn moved_by(&self, bias: &Vector4<f64>) -> f64 {
+        let [by_offset, by_share] = self.by_bias();
+        bias[2 * self.point.side] * by_offset + bias[2 * self.point.side + 1] * by_share
     }
 
     /// How much each part of the noise adds to its variance, in square pixels along the line.
@@ -412,7 +434,7 @@ impl ContourNoise {
 
     /// Expected error of a point along its line, in pixels.
     fn expected(&self, seen: &Seen) -> f64 {
-        self.bias.mean.dot(&seen.by_bias())
+        seen.moved_by(&self.bias.mean)
     }
 }
 

@@ -40,7 +40,7 @@ fn contour_on(rows: Range<u32>, q: &Coefficients, radius_px: f64, outwards: f64,
             let ray = plane.to_camera([slope, k]);
             let pixel = plane.s_axis() / CAMERA.fx;
             contour.add(ContourPoint { ray, pixel, across: Vector3::y() / CAMERA.fy, side });
-            contour.points.last_mut().unwrap().radius_px = radius_px;
+            contour.points.last_mut().unwrap().place(1.0, radius_px, &noise);
         }
     }
     contour

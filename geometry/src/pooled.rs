@@ -156,7 +156,7 @@ impl<const N: usize> Prediction<N> {
 
 /// Adds `weight v v'`.
 #[inline]
-pub(crate) fn add_square<const N: usize>(sum: &mut SMatrix<f64, N, N>, v: &SVector<f64, N>, weight: f64) {
+fn add_square<const N: usize>(sum: &mut SMatrix<f64, N, N>, v: &SVector<f64, N>, weight: f64) {
     for i in 0..N {
         for j in 0..=i {
             let entry = v[i] * v[j] * weight;
