@@ -81,7 +81,7 @@ fn arc(
     moments: &ArcMoments,
 ) -> Result<Ellipse, ArcRejection> {
     let contour = contour(rays, segment);
-    let fit = circle(rays, segment, &points, moments).or_else(|why| {
+    let fit = circle(rays, segment, &points, moments, moments.fit()).or_else(|why| {
         if may_be_part(rays, segment, &points, contour) { Ok(nearly_flat(moments)) } else { Err(why) }
     })?;
     let (points, fit, moments) = with_ends(rays, segment, &points, &fit.circle).unwrap_or_else(|| {
@@ -98,8 +98,14 @@ fn all_moments(rays: &Rays, points: &Range<usize>) -> PlaneMoments {
 }
 
 /// The circle through the points of a segment, or why it is none of an object.
-fn circle(rays: &Rays, segment: &Segment, points: &Range<usize>, moments: &ArcMoments) -> Result<ArcFit, ArcRejection> {
-    let (fit, parameters) = (moments.fit(), &rays.view.parameters);
+fn circle(
+    rays: &Rays,
+    segment: &Segment,
+    points: &Range<usize>,
+    moments: &ArcMoments,
+    fit: ArcFit,
+) -> Result<ArcFit, ArcRejection> {
+    let parameters = &rays.view.parameters;
     let sigmas = if !is_whole(rays, segment) {
         CURVED
     } else if points.len() >= WEAK {
@@ -216,10 +222,11 @@ fn with_ends(
     }
     let moments = all_moments(rays, &wider);
     let sums = ArcMoments::of(&moments)?;
-    if sums.fit().circle_square > rays.limit(wider.start, wider.end) {
+    let fit = sums.fit();
+    if fit.circle_square > rays.limit(wider.start, wider.end) {
         return None;
     }
-    let fit = match self::circle(rays, segment, &wider, &sums) {
+    let fit = match self::circle(rays, segment, &wider, &sums, fit) {
         Err(_) if circle.radius >= STRAIGHT_M => nearly_flat(&sums),
         fit => fit.ok()?,
     };
