@@ -141,10 +141,8 @@ pub(crate) fn smaller_eigenvalue(xx: f64, xy: f64, yy: f64) -> f64 {
 
 /// The root of `c0 + c1 x + c2 x^2 + c3 x^3` that Newton's iteration finds from 0.
 fn root_near_zero(c: &[f64; 4]) -> f64 {
-    let mut x = 0.0;
+    let (mut x, mut step) = (0.0, c[0] / c[1]);
     for _ in 0..12 {
-        let value = c[0] + x * (c[1] + x * (c[2] + x * c[3]));
-        let step = value / (c[1] + x * (2.0 * c[2] + x * 3.0 * c[3]));
         if !step.is_finite() {
             break;
         }
@@ -153,6 +151,8 @@ fn root_near_zero(c: &[f64; 4]) -> f64 {
         if step.abs() <= 1e-4 * x.abs() + 1e-13 {
             break;
         }
+        let value = c[0] + x * (c[1] + x * (c[2] + x * c[3]));
+        step = value / (c[1] + x * (2.0 * c[2] + x * 3.0 * c[3]));
     }
     x
 }
