@@ -54,10 +54,37 @@ pub(crate) struct View {
     pub least: f64,
     /// The rules by which a line is split, by how many neighbours on either side count: the last holds where all do.
     jumps: Vec<JumpRule>,
+    /// Those of rows, and of columns.
+    tables: [Tables; 2],
+}
+
+/// What is looked up for the pixels of a line, and what of.
+#[derive(Debug, Default)]
+struct Tables {
     /// Slope of the ray of each pixel.
     slopes: Vec<f64>,
+    camera: Option<Pinhole>,
     /// Largest mean square error of so many points, in variances.
     limits: Vec<f64>,
+    correlation_px: f64,
+}
+
+impl Tables {
+    /// Those of lines of so many pixels, of which some share their noise; what they are already stays.
+    fn set(&mut self, camera: Pinhole, scan: Scan, length: u32, correlation_px: f64) {
+        let is_as_long = self.slopes.len() == length as usize;
+        if !is_as_long || self.camera != Some(camera) {
+            self.camera = Some(camera);
+            self.slopes.clear();
+            self.slopes.extend((0..length).map(|pixel| camera.ray_slope(scan, f64::from(pixel))));
+        }
+        if !is_as_long || self.correlation_px != correlation_px {
+            self.correlation_px = correlation_px;
+            let independent = |points: usize| points.saturating_sub(1) as f64 / correlation_px + 1.0;
+            self.limits.clear();
+            self.limits.extend((0..=length as usize).map(|n| SCATTER * (2.0 / independent(n)).sqrt() + SLACK));
+        }
+    }
 }
 
 impl View {
@@ -76,8 +103,7 @@ impl View {
             averaging: Averaging::default(),
             least: 0.0,
             jumps: Vec::new(),
-            slopes: Vec::new(),
-            limits: Vec::new(),
+            tables: Default::default(),
         }
     }
 
@@ -103,11 +129,11 @@ impl View {
             let model = NoiseModel { floor_m: model.floor_m.max(rounding), ..model };
             JumpRule::new(&model, scale, pitch, max_hole_px)
         }));
-        self.slopes.clear();
-        self.slopes.extend((0..self.length).map(|pixel| self.camera.ray_slope(scan, f64::from(pixel))));
-        let independent = |points: usize| points.saturating_sub(1) as f64 / self.correlation_px[0] + 1.0;
-        self.limits.clear();
-        self.limits.extend((0..=self.length as usize).map(|n| SCATTER * (2.0 / independent(n)).sqrt() + SLACK));
+        self.tables[usize::from(scan == Scan::Column)].set(self.camera, scan, self.length, along);
+    }
+
+    fn tables(&self) -> &Tables {
+        &self.tables[usize::from(self.scan == Scan::Column)]
     }
 
     /// The plane of a scan line.
@@ -119,11 +145,12 @@ impl View {
     #[inline]
     pub fn slopes<'a>(&'a self, pixels: &[u32], buffer: &'a mut Vec<f64>) -> &'a [f64] {
         let [first, last] = [pixels.first(), pixels.last()].map(|pixel| pixel.map_or(0, |&pixel| pixel as usize));
+        let slopes = &self.tables().slopes;
         if last - first < pixels.len() {
-            return &self.slopes[first..first + pixels.len()];
+            return &slopes[first..first + pixels.len()];
         }
         buffer.clear();
-        buffer.extend(pixels.iter().map(|&pixel| self.slopes[pixel as usize]));
+        buffer.extend(pixels.iter().map(|&pixel| slopes[pixel as usize]));
         buffer
     }
 
@@ -190,7 +217,7 @@ impl View {
     /// Largest mean square error of `points` points that noise of this variance accounts for.
     #[inline]
     pub fn limit(&self, variance: f64, points: usize) -> f64 {
-        variance * self.limits[points] + LEAST_SQUARE
+        variance * self.tables().limits[points] + LEAST_SQUARE
     }
 }
 
