@@ -33,7 +33,9 @@ impl RaySums {
     /// The sums of some measurements.
     #[inline]
     pub fn of<'a>(parts: impl Iterator<Item = RayPart<'a>>) -> Self {
-        Self(sum(parts, ray_terms))
+        let mut count = 0;
+        let terms = sum(parts.inspect(|(_, depths, _)| count += depths.len()), ray_terms);
+        Self(std::array::from_fn(|i| i.checked_sub(1).map_or(count as f64, |term| terms[term])))
     }
 
     /// The plane moments about `(0, 0)` in a scan plane of stretch `k`: `t = k z`.
@@ -87,11 +89,12 @@ fn sum<'a, const N: usize>(
     sums.map(f64x2::reduce_add)
 }
 
+/// Those of [`RaySums`] but the first, which counts.
 #[inline]
-fn ray_terms(x: f64x2, z: f64x2, variance: f64x2) -> [f64x2; MOMENTS] {
-    let [one, h1, h2, h3, h4] = powers(z, variance);
+fn ray_terms(x: f64x2, z: f64x2, variance: f64x2) -> [f64x2; MOMENTS - 1] {
+    let [_, h1, h2, h3, h4] = powers(z, variance);
     let (x2, xh2, xh3, xh4) = (x * x, x * h2, x * h3, x * h4);
-    [one, x * h1, h1, x * xh2, xh2, h2, x2 * xh3, x * xh3, xh3, h3, x2 * (x * xh4), x2 * xh4, x * xh4, xh4, h4]
+    [x * h1, h1, x * xh2, xh2, h2, x2 * xh3, x * xh3, xh3, h3, x2 * (x * xh4), x2 * xh4, x * xh4, xh4, h4]
 }
 
 #[inline]
