@@ -172,11 +172,10 @@ impl Averaging {
             }
         }
         let mut means = middle;
-        for (at, mean) in means.iter_mut().enumerate() {
-            let times_whole = i32::from(off[at].cast_signed()) * i32::from(share[at].cast_signed());
+        for ((mean, &off), &share) in means.iter_mut().zip(&off).zip(&share) {
+            let whole = (i32::from(off.cast_signed()) * i32::from(share.cast_signed())) >> 16;
             // Rounded by the highest bit of what is less than one.
-            let rounded_up = (times_whole as u16) >> 15;
-            *mean = mean.wrapping_add((times_whole >> 16) as u16).wrapping_add(rounded_up);
+            *mean = mean.wrapping_add(whole as u16).wrapping_add(off.wrapping_mul(share) >> 15);
         }
         (means, pairs)
     }
