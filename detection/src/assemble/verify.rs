@@ -109,9 +109,10 @@ fn verify<'a>(
     } else {
         contours.clear();
     }
+    let measured = check(&region, parameters)?;
     let outline = Outline::of(&region, contours.last());
     let roundness = roundness(&region, contours.last());
-    Ok(Candidate { region, measured: check(&region, parameters)?, outline, roundness })
+    Ok(Candidate { region, measured, outline, roundness })
 }
 
 fn check(region: &Region, parameters: &AssemblerParameters) -> Result<Measured, Rejection> {
