@@ -129,8 +129,7 @@ fn sums(view: &View, image: &[u16], corner: [u32; 2], side: u32) -> CellSums {
         let (mut x, mut x_sums, mut sums) = ((step / 2) as f64 - middle, [0.0; 3], [0.0; 3]);
         for &depth in row[step / 2..].iter().step_by(step) {
             // What is not measured adds nothing: no branch on the image's content.
-            let seen = f64::from(u8::from(is_measured(depth)));
-            let nearness = seen / f64::from(depth.max(1));
+            let (seen, nearness) = if is_measured(depth) { (1.0, 1.0 / f64::from(depth)) } else { (0.0, 0.0) };
             x_sums = [x_sums[0] + seen, x_sums[1] + x * seen, x_sums[2] + x * x * seen];
             sums = [sums[0] + nearness, sums[1] + x * nearness, sums[2] + nearness * nearness];
             x += step as f64;
