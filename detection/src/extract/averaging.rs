@@ -95,8 +95,7 @@ impl Averaging {
     /// Mean variance of some pixels of which so many on either side count, in that of those of which all do; 1 of none.
     pub fn variance(&self, pairs: &[u16]) -> f64 {
         let Some(&first) = pairs.first() else { return 1.0 };
-        let are_alike = pairs.iter().fold(0, |differing, pairs| differing | (pairs ^ first)) == 0;
-        if are_alike && pairs.len() == SURROUNDINGS {
+        if *pairs == [first; SURROUNDINGS] {
             return self.alike[usize::from(first)];
         }
         pairs.iter().map(|&pairs| self.variances[usize::from(pairs)]).sum::<f64>() / pairs.len() as f64
