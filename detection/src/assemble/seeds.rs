@@ -4,6 +4,8 @@ use super::arcs::Arcs;
 use super::rejection::{Rejection, Rejections};
 use super::verify::{self, Candidate};
 use conicflow_messages::Object;
+use std::cmp::Ordering;
+use std::collections::BinaryHeap;
 use std::time::Instant;
 
 /// Most seeds from which something grows in vain in one image, the most curved first. It bounds the time, and what is found later
@@ -19,11 +21,9 @@ const SPARE_SQUARE: f64 = 4.0; // [sigmas]
 /// The order in which arcs are tried; its buffers are used again for the next image.
 #[derive(Debug, Default)]
 pub(crate) struct Seeds {
-    /// How curved each arc is, and its index.
-    order: Vec<(f64, usize)>,
-    /// How many of them were looked at.
-    next: usize,
-    /// How many of them were tried in vain.
+    /// The arcs that were not looked at yet.
+    order: BinaryHeap<Seed>,
+    /// How many were tried in vain.
     vain: usize,
     /// When to stop, if ever.
     deadline: Option<Instant>,
@@ -31,14 +31,37 @@ pub(crate) struct Seeds {
     tried: Vec<bool>,
 }
 
+/// How curved an arc is, and its index: the more curved one comes first, of two alike the one of the lower index.
+#[derive(Clone, Copy, Debug)]
+struct Seed(f64, usize);
+
+impl Ord for Seed {
+    fn cmp(&self, other: &Self) -> Ordering {
+        self.0.total_cmp(&other.0).then(other.1.cmp(&self.1))
+    }
+}
+
+impl PartialOrd for Seed {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl PartialEq for Seed {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other).is_eq()
+    }
+}
+
+impl Eq for Seed {}
+
 impl Seeds {
     /// Begins with the arcs of another image.
     pub fn order(&mut self, arcs: &Arcs, deadline: Option<Instant>) {
         let arcs = &arcs.arcs;
-        (self.next, self.vain, self.deadline) = (0, 0, deadline);
+        (self.vain, self.deadline) = (0, deadline);
         self.order.clear();
-        self.order.extend(arcs.iter().map(|arc| arc.bulge).zip(0..));
-        self.order.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        self.order.extend(arcs.iter().zip(0..).map(|(arc, index)| Seed(arc.bulge, index)));
         for flags in [&mut self.taken, &mut self.tried] {
             flags.clear();
             flags.resize(arcs.len(), false);
@@ -51,17 +74,12 @@ impl Seeds {
         if is_late {
             rejections.count(Rejection::Late);
         }
-        while let Some(&(_, seed)) = self.order.get(self.next) {
-            self.next += 1;
-            if self.taken[seed] || self.tried[seed] {
-                continue;
-            }
-            if self.vain < MAX_VAIN && !is_late {
-                return Some(seed);
-            }
-            rejections.count(Rejection::Untried);
+        let Self { order, taken, tried, .. } = self;
+        let is_left = |Seed(_, arc): &Seed| !taken[*arc] && !tried[*arc];
+        if is_late || self.vain >= MAX_VAIN {
+            order.drain().filter(is_left).for_each(|_| rejections.count(Rejection::Untried));
         }
-        None
+        std::iter::from_fn(|| order.pop()).find(is_left).map(|Seed(_, arc)| arc)
     }
 
     /// Whether an arc is part of no object yet.
