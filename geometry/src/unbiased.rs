@@ -34,7 +34,7 @@ impl RaySums {
     #[inline]
     pub fn of<'a>(parts: impl Iterator<Item = RayPart<'a>>) -> Self {
         let mut count = 0;
-        let terms = sum(parts.inspect(|(_, depths, _)| count += depths.len()), ray_terms);
+        let terms = sum::<_, 1>(parts.inspect(|(_, depths, _)| count += depths.len()), ray_terms);
         Self(std::array::from_fn(|i| i.checked_sub(1).map_or(count as f64, |term| terms[term])))
     }
 
@@ -67,26 +67,35 @@ impl RaySums {
 /// Measurements of one variance: slopes of the rays, as many depths, and the variance of each.
 pub type RayPart<'a> = (&'a [f64], &'a [f64], f64);
 
-/// The sums of some terms of slope, depth and variance over measurements, which are looked at two at a time.
+/// The sums of some terms of slope, depth and variance over measurements, which are looked at two at a time. So many pairs have
+/// sums of their own: none waits for the sum with the one before it.
 #[inline]
-fn sum<'a, const N: usize>(
+fn sum<'a, const N: usize, const PAIRS: usize>(
     parts: impl Iterator<Item = RayPart<'a>>,
     terms: impl Fn(f64x2, f64x2, f64x2) -> [f64x2; N],
 ) -> [f64; N] {
-    let mut sums = [f64x2::ZERO; N];
+    let mut sums = [[f64x2::ZERO; N]; PAIRS];
     for (slopes, depths, variance) in parts {
         let ((x_pairs, x_rest), (z_pairs, z_rest)) = (slopes.as_chunks(), depths.as_chunks());
         let variance = f64x2::splat(variance);
-        for (&x, &z) in x_pairs.iter().zip(z_pairs) {
-            let terms = terms(f64x2::new(x), f64x2::new(z), variance);
-            sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
+        let add = |sums: &mut [f64x2; N], x, z| {
+            sums.iter_mut().zip(terms(x, z, variance)).for_each(|(sum, term)| *sum += term);
+        };
+        let ((x_many, x_few), (z_many, z_few)) = (x_pairs.as_chunks::<PAIRS>(), z_pairs.as_chunks::<PAIRS>());
+        for (x_pairs, z_pairs) in x_many.iter().zip(z_many) {
+            for (sums, (&x, &z)) in sums.iter_mut().zip(x_pairs.iter().zip(z_pairs)) {
+                add(sums, f64x2::new(x), f64x2::new(z));
+            }
+        }
+        for (&x, &z) in x_few.iter().zip(z_few) {
+            add(&mut sums[0], f64x2::new(x), f64x2::new(z));
         }
         if let (&[x], &[z]) = (x_rest, z_rest) {
             let (terms, one) = (terms(f64x2::splat(x), f64x2::splat(z), variance), f64x2::new([1.0, 0.0]));
-            sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term * one);
+            sums[0].iter_mut().zip(terms).for_each(|(sum, term)| *sum += term * one);
         }
     }
-    sums.map(f64x2::reduce_add)
+    std::array::from_fn(|i| sums.iter().fold(f64x2::ZERO, |all, sums| all + sums[i]).reduce_add())
 }
 
 /// Those of [`RaySums`] but the first, which counts.
@@ -120,7 +129,7 @@ impl LineSums {
     /// The sums of some measurements.
     #[inline]
     pub fn of<'a>(parts: impl Iterator<Item = RayPart<'a>>) -> Self {
-        Self(sum(parts, line_terms))
+        Self(sum::<_, 2>(parts, line_terms))
     }
 
     /// The sums of these measurements but for some of them.
@@ -167,7 +176,7 @@ impl ArcSums {
     #[inline]
     pub fn of<'a>(parts: impl Iterator<Item = RayPart<'a>>, square_stretch: f64) -> Self {
         let square_stretch = f64x2::splat(square_stretch);
-        let [a, b, c, d, e, f, g, h] = sum(parts, |x, z, variance| arc_terms(x, z, variance, square_stretch));
+        let [a, b, c, d, e, f, g, h] = sum::<_, 1>(parts, |x, z, variance| arc_terms(x, z, variance, square_stretch));
         Self([[a, b], [c, d], [e, f], [g, h]].map(f64x2::new))
     }
 
