@@ -63,7 +63,7 @@ fn add_creases(run: &Run, creases: &mut Vec<usize>, depth_sums: &mut Vec<u32>) {
         }
         let least = (per_sigma * run.depth_variance(first).sqrt()) as i32;
         let depths = crease_depths(depth_sums, block.clone());
-        if depths.clone().fold(0, i32::max) <= least {
+        if !depths.clone().fold(false, |any, depth| any | (depth > least)) {
             creases.extend(deepest.take().map(|(_, at)| at));
             continue;
         }
