@@ -13,16 +13,16 @@ use conicflow_messages::{Object, ObjectKind};
 /// Two models explain about as many points if the smaller number is at least this part of the larger.
 const AS_MANY: f64 = 0.9; // [tuned]
 /// Standard deviations by which the half-angle of a cone has to exceed zero.
-const SLOPE_SIGMAS: f64 = 3.0; // [sigmas]
+const SURE_SIGMAS: f64 = 3.0; // [sigmas]
 /// Least gain of the shape of more parameters, as chi squared: two standard deviations of one parameter.
 const GAIN: f64 = 4.0; // [sigmas]
 /// Least gain per point, in variances: surfaces and sensors are not exact, and favour one of two shapes a little at each point.
 const GAIN_PER_POINT: f64 = 0.01; // [tuned]
 /// A half-angle with a larger standard deviation (4 degrees) is unknown, so that the object is not surely a cylinder.
-const ANY_SLOPE: f64 = 0.07; // [tuned]
+const UNKNOWN_HALF_ANGLE: f64 = 0.07; // [tuned]
 /// A half-angle with a larger standard deviation (1.5 degrees) that exceeds zero by [`UNSURE_SIGMAS`] speaks against a
 /// cylinder, although it does not show a cone.
-const UNSURE_SLOPE: f64 = 0.026; // [tuned]
+const UNSURE_HALF_ANGLE: f64 = 0.026; // [tuned]
 /// Standard deviations by which such an uncertain half-angle exceeds zero.
 const UNSURE_SIGMAS: f64 = 2.0; // [sigmas]
 
@@ -43,13 +43,13 @@ pub(crate) fn choose<'a>(
 ) -> Result<Chosen<'a>, Rejection> {
     let grown = || found.iter().flatten();
     let reason = grown().filter_map(|found| found.as_ref().err()).next_back().copied();
-    // Where a cone alone is a candidate, its slope is not sure.
+    // Where a cone alone is a candidate, its half-angle is not sure.
     let reason = reason.unwrap_or(if grown().next().is_some() { Rejection::Taper } else { Rejection::NotGrown });
     let [sphere, cylinder, cone] = found;
     let cone = cone.map(|cone| cone.map(|cone| (cone, report(&cone.region, &cone.measured))));
     let may_be_cone = cone.as_ref().is_some_and(|cone| speaks_against_cylinder(cone.as_ref()));
     let [sphere, cylinder] = [sphere, cylinder].map(|found| found?.ok());
-    let taper = cone.as_ref().and_then(|cone| cone.as_ref().ok()).map_or(0.0, |(_, object)| sure_slope(object));
+    let taper = cone.as_ref().and_then(|cone| cone.as_ref().ok()).map_or(0.0, |(_, object)| sure_half_angle(object));
     // A vague cone may still show that a cylinder is none: the choice comes first.
     let cone = cone.and_then(Result::ok).filter(|(_, object)| is_cone(object, parameters)).map(|(cone, _)| cone);
     let axial = match (cylinder, cone) {
@@ -81,7 +81,7 @@ fn speaks_against_cylinder(cone: Result<&(Candidate, Object), &Rejection>) -> bo
     match cone {
         Ok((cone, object)) => {
             let (sigma, wider) = (object.sigma.half_angle, cone.region.shared_lines().sqrt());
-            sigma > wider * ANY_SLOPE || sigma > wider * UNSURE_SLOPE && object.half_angle > UNSURE_SIGMAS * sigma
+            sigma > wider * UNKNOWN_HALF_ANGLE || sigma > wider * UNSURE_HALF_ANGLE && object.half_angle > UNSURE_SIGMAS * sigma
         }
         Err(Rejection::FewRows | Rejection::Small | Rejection::Tilted) => true,
         Err(_) => false,
@@ -90,13 +90,13 @@ fn speaks_against_cylinder(cone: Result<&(Candidate, Object), &Rejection>) -> bo
 
 /// Whether the half-angle of a cone is surely not zero, and large enough for one.
 fn is_cone(object: &Object, parameters: &AssemblerParameters) -> bool {
-    sure_slope(object) > parameters.pooled.min_half_angle_deg.to_radians()
+    sure_half_angle(object) > parameters.pooled.min_half_angle_deg.to_radians()
 }
 
 /// The half-angle of a cone if it is surely not zero. The side of what tapers by less than a cone has to leans by it, and the
 /// axis of the cylinder that it is called with it.
-fn sure_slope(object: &Object) -> f64 {
-    if object.half_angle > SLOPE_SIGMAS * object.sigma.half_angle { object.half_angle } else { 0.0 }
+fn sure_half_angle(object: &Object) -> f64 {
+    if object.half_angle > SURE_SIGMAS * object.sigma.half_angle { object.half_angle } else { 0.0 }
 }
 
 /// Of two shapes the one that explains more points; where both explain about as many, the one of more parameters only if it
@@ -241,11 +241,11 @@ mod tests {
     }
 
     #[test]
-    fn a_slope_is_sure_beyond_three_sigmas_and_a_cone_has_the_least_half_angle() {
+    fn a_half_angle_is_sure_beyond_three_sigmas_and_a_cone_has_the_least_half_angle() {
         let of = |half_angle: f64, sigma: f64| {
             let sigma = ObjectSigma { half_angle: sigma, ..ObjectSigma::default() };
             let object = Object { half_angle, sigma, ..Object::default() };
-            (sure_slope(&object), is_cone(&object, &AssemblerParameters::default()))
+            (sure_half_angle(&object), is_cone(&object, &AssemblerParameters::default()))
         };
         assert_eq!([of(0.76, 0.25), of(0.75, 0.25)], [(0.76, true), (0.0, false)]);
         let least = 2.5_f64.to_radians();
