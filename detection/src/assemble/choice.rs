@@ -34,24 +34,24 @@ pub(crate) struct Chosen<'a> {
 }
 
 /// The candidate that explains most points; of those that explain about as many, the one of fewer parameters, unless
-/// the other explains them better. Of the three shapes those are `None` that did not even grow. Where none is left, the
-/// reason is that of the most general one that grew.
+/// the other explains them better. Where none is left, the reason is that of the most general one that grew.
 pub(crate) fn choose<'a>(
     found: Verified<'a>,
     parameters: &AssemblerParameters,
     contours: &mut Contours,
 ) -> Result<Chosen<'a>, Rejection> {
-    let grown = || found.iter().flatten();
-    let reason = grown().filter_map(|found| found.as_ref().err()).next_back().copied();
+    let mut reasons = found.iter().filter_map(|found| found.as_ref().err()).copied();
+    let of_grown = reasons.rfind(|reason| *reason != Rejection::NotGrown);
     // Where a cone alone is a candidate, its half-angle is not sure.
-    let reason = reason.unwrap_or(if grown().next().is_some() { Rejection::Taper } else { Rejection::NotGrown });
+    let alone = if found.iter().any(Result::is_ok) { Rejection::Taper } else { Rejection::NotGrown };
+    let reason = of_grown.unwrap_or(alone);
     let [sphere, cylinder, cone] = found;
-    let cone = cone.map(|cone| cone.map(|cone| (cone, report(&cone.region, &cone.measured))));
-    let may_be_cone = cone.as_ref().is_some_and(|cone| speaks_against_cylinder(cone.as_ref()));
-    let [sphere, cylinder] = [sphere, cylinder].map(|found| found?.ok());
-    let taper = cone.as_ref().and_then(|cone| cone.as_ref().ok()).map_or(0.0, |(_, object)| sure_half_angle(object));
+    let cone = cone.map(|cone| (cone, report(&cone.region, &cone.measured)));
+    let may_be_cone = speaks_against_cylinder(cone.as_ref());
+    let [sphere, cylinder] = [sphere, cylinder].map(Result::ok);
+    let taper = cone.as_ref().map_or(0.0, |(_, object)| sure_half_angle(object));
     // A vague cone may still show that a cylinder is none: the choice comes first.
-    let cone = cone.and_then(Result::ok).filter(|(_, object)| is_cone(object, parameters)).map(|(cone, _)| cone);
+    let cone = cone.ok().filter(|(_, object)| is_cone(object, parameters)).map(|(cone, _)| cone);
     let axial = match (cylinder, cone) {
         (Some(cylinder), Some(cone)) => Some(better(cylinder, cone, contours)),
         (cylinder, cone) => cylinder.or(cone),
@@ -81,7 +81,8 @@ fn speaks_against_cylinder(cone: Result<&(Candidate, Object), &Rejection>) -> bo
     match cone {
         Ok((cone, object)) => {
             let (sigma, wider) = (object.sigma.half_angle, cone.region.shared_lines().sqrt());
-            sigma > wider * UNKNOWN_HALF_ANGLE || sigma > wider * UNSURE_HALF_ANGLE && object.half_angle > UNSURE_SIGMAS * sigma
+            sigma > wider * UNKNOWN_HALF_ANGLE
+                || sigma > wider * UNSURE_HALF_ANGLE && object.half_angle > UNSURE_SIGMAS * sigma
         }
         Err(Rejection::FewRows | Rejection::Small | Rejection::Tilted) => true,
         Err(_) => false,

@@ -72,9 +72,6 @@ impl Patience {
     }
 }
 
-/// What became of a growth; `None` where the shape does not explain even the chain.
-pub(crate) type Grown = Option<Result<Model, Rejection>>;
-
 /// Buffers of a growth.
 #[derive(Debug, Default)]
 pub(crate) struct Growing {
@@ -86,20 +83,20 @@ pub(crate) struct Growing {
 }
 
 impl Growing {
-    /// What grows of each shape from the chain. Where a cylinder explains all of that, a sphere has to as well;
+    /// What grows of each shape from the chain, or why nothing does: sphere, cylinder and cone. Where a cylinder explains all of that, a sphere has to as well;
     /// and a slope needs many lines: a cone starts from what a cylinder took for one.
     pub fn models(
         &mut self,
         arcs: &Arcs,
         parameters: &AssemblerParameters,
         free: impl Fn(usize) -> bool + Copy,
-    ) -> [Grown; 3] {
+    ) -> [Result<Model, Rejection>; 3] {
         let Self { chain, spare, members: [balls, cans, cones], .. } = self;
         let mut grow = |start: &Start, members: &mut Vec<usize>| grow(arcs, start, parameters, free, members, spare);
         let start = Start { kind: ObjectKind::Cylinder, chain, guess: None, middle_will_do: true };
         let Growth { grown: cylinder, from_whole } = grow(&start, cans);
         let sphere = grow(&Start { kind: ObjectKind::Sphere, middle_will_do: !from_whole, ..start }, balls).grown;
-        let guess = cylinder.as_ref().and_then(|grown| grown.as_ref().ok());
+        let guess = cylinder.as_ref().ok();
         let longer = if guess.is_some() && cans.len() > chain.len() { &*cans } else { &*chain };
         let cone = grow(&Start { kind: ObjectKind::Cone, chain: longer, guess, ..start }, cones).grown;
         [sphere, cylinder, cone]
@@ -147,7 +144,7 @@ struct Start<'a> {
 
 /// What came of a growth.
 struct Growth {
-    pub grown: Grown,
+    pub grown: Result<Model, Rejection>,
     /// Whether its first model explained the whole chain.
     pub from_whole: bool,
 }
@@ -164,6 +161,7 @@ fn grow(
 ) -> Growth {
     let first = first(arcs, start, members);
     let from_whole = first.is_some() && members.len() == start.chain.len();
+    let first = first.ok_or(Rejection::NotGrown);
     Growth { grown: first.and_then(|first| grow_on(arcs, first, parameters, free, members, spare)), from_whole }
 }
 
@@ -175,37 +173,37 @@ fn grow_on(
     free: impl Fn(usize) -> bool + Copy,
     members: &mut Vec<usize>,
     spare: &mut Vec<usize>,
-) -> Grown {
+) -> Result<Model, Rejection> {
     let kind = model.kind();
     for round in 0..ROUNDS {
         reach(&Region { arcs, model, members }, parameters.max_gap(), free, spare);
         if spare.len() < FEWEST {
-            return None;
+            return Err(Rejection::NotGrown);
         }
         if round > 0 && spare == members {
             break;
         }
         std::mem::swap(members, spare);
-        model = model::fit(kind, &arcs.of(members), Some(&model), f64::INFINITY)?;
+        model = model::fit(kind, &arcs.of(members), Some(&model), f64::INFINITY).ok_or(Rejection::NotGrown)?;
         let (radius, variance) = model.radius();
         let sigma = (variance * arcs.shared_lines(members)).sqrt();
         if radius - TOO_LARGE * sigma > parameters.max_radius_m(kind) {
-            return Some(Err(Rejection::Radius));
+            return Err(Rejection::Radius);
         }
     }
     for _ in 0..2 {
         let before = members.len();
         clean(arcs, &model, members);
         if members.len() < FEWEST {
-            return None;
+            return Err(Rejection::NotGrown);
         }
         // The model is that of these members already.
         if members.len() == before {
             break;
         }
-        model = model::fit(kind, &arcs.of(members), Some(&model), f64::INFINITY)?;
+        model = model::fit(kind, &arcs.of(members), Some(&model), f64::INFINITY).ok_or(Rejection::NotGrown)?;
     }
-    Some(Ok(model))
+    Ok(model)
 }
 
 /// The model of the chain, if it explains it, or else of its middle.
@@ -399,7 +397,7 @@ mod tests {
             let free = |index: usize| chain.contains(&index);
             let mut members = Vec::new();
             let growth = grow(&arcs, &start, &parameters, free, &mut members, &mut Vec::new());
-            matches!(growth.grown, Some(Ok(_))).then_some(members.len())
+            growth.grown.is_ok().then_some(members.len())
         };
         assert_eq!([grown(4), grown(5)], [None, Some(5)]);
     }
@@ -456,7 +454,7 @@ mod tests {
             let (mut members, parameters) = (Vec::new(), AssemblerParameters::default());
             let Growth { grown, from_whole } =
                 grow(&arcs, &start, &parameters, |_| true, &mut members, &mut Vec::new());
-            (matches!(grown, Some(Ok(_))), from_whole)
+            (grown.is_ok(), from_whole)
         };
         let whole = &left[20..45];
         let spoilt = [&right[17..20], &left[20..42], &right[42..45]].concat();
@@ -471,7 +469,7 @@ mod tests {
         let (arcs, [left, _]) = two_cans();
         let mut growing = Growing { chain: left, ..Growing::default() };
         let [sphere, cylinder, _] = growing.models(&arcs, &AssemblerParameters::default(), |_| true);
-        assert!(sphere.is_none() && matches!(cylinder, Some(Ok(_))), "{sphere:?}");
+        assert!(matches!(sphere, Err(Rejection::NotGrown)) && cylinder.is_ok(), "{sphere:?}");
     }
 
     #[test]

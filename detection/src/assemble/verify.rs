@@ -2,7 +2,6 @@
 
 use super::arcs::{Arc, Arcs};
 use super::contours::Contours;
-use super::growth::Grown;
 use super::model::Model;
 use super::parameters::AssemblerParameters;
 use super::region::Region;
@@ -80,20 +79,20 @@ pub(crate) struct Candidate<'a> {
     pub roundness: f64,
 }
 
-/// What became of the shapes that grew: sphere, cylinder and cone; none where the shape did not even grow.
-pub(crate) type Verified<'a> = [Option<Result<Candidate<'a>, Rejection>>; 3];
+/// What became of the shapes: sphere, cylinder and cone.
+pub(crate) type Verified<'a> = [Result<Candidate<'a>, Rejection>; 3];
 
 /// Verifies what grew of each shape.
 pub(crate) fn verify_all<'a>(
     arcs: &'a Arcs,
-    grown: [Grown; 3],
+    grown: [Result<Model, Rejection>; 3],
     members: &'a [Vec<usize>; 3],
     parameters: &AssemblerParameters,
     contours: &mut Contours,
 ) -> Verified<'a> {
     std::array::from_fn(|kind| {
         let region = |model| Region { arcs, model, members: &members[kind] };
-        Some(grown[kind]?.and_then(|model| verify(region(model), parameters, contours)))
+        grown[kind].and_then(|model| verify(region(model), parameters, contours))
     })
 }
 
@@ -280,7 +279,7 @@ mod tests {
         let seed = arcs.arcs.iter().position(|arc| arc.scan == Scan::Row && arc.line == 120).unwrap();
         let (mut growing, mut parameters) = (Growing::default(), AssemblerParameters::default());
         chain(&arcs, seed, parameters.max_gap(), |_| true, &mut growing.chain);
-        let Some(Ok(model)) = growing.models(&arcs, &parameters, |_| true)[1] else { panic!("no cylinder") };
+        let Ok(model) = growing.models(&arcs, &parameters, |_| true)[1] else { panic!("no cylinder") };
         let region = Region { arcs: &arcs, model, members: &growing.members[1] };
         let lines = measure(&region).lines;
         let mut is_too_low = |min_lines: u32| {
