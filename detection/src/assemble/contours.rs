@@ -127,7 +127,7 @@ impl Contours {
     fn of(&mut self, region: &Region) -> &Contour {
         self.contour.clear(self.noise(region));
         region.arcs().flat_map(|arc| arc.contour).flatten().for_each(|point| self.contour.add(point));
-        let [from, to] = region.extent();
+        let [from, to] = region.span_of_means();
         self.contour.select(&region.model.coefficients(), |point| (from..=to).contains(&region.along(point)));
         &self.contour
     }

@@ -36,7 +36,7 @@ const BEYOND_GAP: f64 = 0.1; // [tuned]
 const TOO_LARGE: f64 = 4.0; // [sigmas]
 
 /// How far an arc may be off a model and belong to it.
-pub(crate) struct Patience {
+pub(crate) struct Gate {
     /// Standard deviations by which the mean and the mean square may scatter, given the noise and the uncertainty of the
     /// model.
     scatter: f64,
@@ -46,21 +46,21 @@ pub(crate) struct Patience {
 }
 
 /// For one more arc while a model grows.
-const GROWING: Patience = Patience { scatter: 2.5, slack: 0.3 }; // [sigmas] [tuned]
+const GROWING: Gate = Gate { scatter: 2.5, slack: 0.3 }; // [sigmas] [tuned]
 /// For all arcs of the first fit together.
-const FIRST: Patience = Patience { scatter: 3.0, slack: 0.5 }; // [sigmas] [tuned]
+const FIRST: Gate = Gate { scatter: 3.0, slack: 0.5 }; // [sigmas] [tuned]
 /// For each arc of a model that has grown.
-const SETTLED: Patience = Patience { scatter: 2.5, slack: 0.15 }; // [sigmas] [tuned]
+const SETTLED: Gate = Gate { scatter: 2.5, slack: 0.15 }; // [sigmas] [tuned]
 /// For the first and the last arcs of a model that has grown: an object meets the floor, a rim or another object there.
-const AT_ENDS: Patience = Patience { scatter: 1.2, slack: 0.0 }; // [sigmas]
+const AT_ENDS: Gate = Gate { scatter: 1.2, slack: 0.0 }; // [sigmas]
 /// For what lies beyond a model that has grown: what is farther off than noise explains is not of its surface.
-pub(crate) const BEYOND: Patience = Patience { scatter: 2.5, slack: 0.0 }; // [sigmas]
+pub(crate) const BEYOND: Gate = Gate { scatter: 2.5, slack: 0.0 }; // [sigmas]
 /// The variance of the model counts so many times in a mean square, because it differs along an arc.
 const ALONG_ARC: f64 = 4.0; // [tuned]
 
-impl Patience {
+impl Gate {
     /// Whether an arc may have this misfit, given the variance of the model where it lies.
-    pub fn bears(&self, arc: &Arc, misfit: &Misfit, uncertainty: f64) -> bool {
+    pub fn admits(&self, arc: &Arc, misfit: &Misfit, uncertainty: f64) -> bool {
         let square = arc.variance * self.square_limit(arc.points) + ALONG_ARC * uncertainty;
         let scatter = (arc.variance / arc.points + uncertainty).sqrt();
         misfit.square <= square && misfit.mean.abs() <= (self.slack * arc.variance).sqrt() + self.scatter * scatter
@@ -236,9 +236,9 @@ fn reach(region: &Region, gap: i64, free: impl Fn(usize) -> bool, found: &mut Ve
     let accept = |index: usize| {
         let arc = &arcs.arcs[index];
         // What an exact model explains needs no look at how exact this one is.
-        let bears =
-            |misfit| GROWING.bears(arc, &misfit, 0.0) || GROWING.bears(arc, &misfit, predictor.variance(&arc.mean));
-        free(index) && model.misfit(&q, arc).is_some_and(bears)
+        let admits =
+            |misfit| GROWING.admits(arc, &misfit, 0.0) || GROWING.admits(arc, &misfit, predictor.variance(&arc.mean));
+        free(index) && model.misfit(&q, arc).is_some_and(admits)
     };
     found.clear();
     for side in [-1, 1] {
@@ -258,17 +258,17 @@ fn reach(region: &Region, gap: i64, free: impl Fn(usize) -> bool, found: &mut Ve
     found.sort_unstable();
 }
 
-/// Leaves out the members that the model explains badly, at the ends with less patience.
+/// Leaves out the members that the model explains badly, at the ends by a narrower gate.
 fn clean(arcs: &Arcs, model: &Model, members: &mut Vec<usize>) {
     let q = model.coefficients();
-    let bears = |patience: &Patience, index: usize| {
+    let admits = |gate: &Gate, index: usize| {
         let arc = &arcs.arcs[index];
-        model.misfit(&q, arc).is_some_and(|misfit| patience.bears(arc, &misfit, 0.0))
+        model.misfit(&q, arc).is_some_and(|misfit| gate.admits(arc, &misfit, 0.0))
     };
-    members.retain(|&index| bears(&SETTLED, index));
-    let last = members.iter().rposition(|&index| bears(&AT_ENDS, index)).map_or(0, |last| last + 1);
+    members.retain(|&index| admits(&SETTLED, index));
+    let last = members.iter().rposition(|&index| admits(&AT_ENDS, index)).map_or(0, |last| last + 1);
     members.truncate(last);
-    let first = members.iter().position(|&index| bears(&AT_ENDS, index)).unwrap_or(0);
+    let first = members.iter().position(|&index| admits(&AT_ENDS, index)).unwrap_or(0);
     members.drain(..first);
     drop_strays(members, |index| f64::from(arcs.arcs[index].line));
 }
@@ -330,9 +330,9 @@ mod tests {
         let mut arc = arcs.arcs[0];
         arc.points = 1e8;
         let sigma = arc.variance.sqrt();
-        for (patience, most) in [(GROWING, 0.3_f64.sqrt()), (SETTLED, 0.15_f64.sqrt()), (BEYOND, 0.0)] {
-            let bears = |mean: f64| patience.bears(&arc, &Misfit { square: 0.0, mean: mean * sigma }, 0.0);
-            assert_eq!([0.99 * most, most + 0.01, -most - 0.01].map(bears), [true, false, false], "{most}");
+        for (gate, most) in [(GROWING, 0.3_f64.sqrt()), (SETTLED, 0.15_f64.sqrt()), (BEYOND, 0.0)] {
+            let admits = |mean: f64| gate.admits(&arc, &Misfit { square: 0.0, mean: mean * sigma }, 0.0);
+            assert_eq!([0.99 * most, most + 0.01, -most - 0.01].map(admits), [true, false, false], "{most}");
         }
     }
 

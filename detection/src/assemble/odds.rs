@@ -131,7 +131,7 @@ fn goes_on(region: &Region, side: i64, gap: i64, radius: f64) -> f64 {
     let followed = region.beyond(side, gap).take_while(|arc| lines_to(arc) * end.spacing <= MOST_BEYOND * radius);
     let misfits = followed.map_while(|arc| Some((arc, region.model.misfit(&q, arc)?)));
     let near = misfits.take_while(|(_, misfit)| misfit.mean.abs() < NEAR * radius);
-    let last_off = near.filter(|(arc, misfit)| !BEYOND.bears(arc, misfit, 0.0)).last();
+    let last_off = near.filter(|(arc, misfit)| !BEYOND.admits(arc, misfit, 0.0)).last();
     let lines = last_off.map_or(0.0, |(arc, _)| lines_to(arc));
     (lines - 0.5 * (region.shared_lines() - 1.0)).max(0.0) * end.spacing / radius
 }

@@ -54,8 +54,8 @@ impl<'a> Region<'a> {
         self.model.conical().map_or(0.0, |surface| surface.axis.dot(&(point - surface.point)))
     }
 
-    /// From where to where the arcs reach along the axis.
-    pub fn extent(&self) -> [f64; 2] {
+    /// From where to where the means of its arcs lie along the axis.
+    pub fn span_of_means(&self) -> [f64; 2] {
         self.arcs()
             .map(|arc| self.along(&arc.mean))
             .fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], x| [a.min(x), b.max(x)])
