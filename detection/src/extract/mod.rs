@@ -80,7 +80,7 @@ impl Extractor {
 
     /// Standard deviations of what is near and of what is far in the last image, in those of the nominal noise model.
     pub fn noise_ratios(&self) -> [f64; 2] {
-        self.noise.nominal.map(f64::sqrt)
+        self.noise.variance_ratios.map(f64::sqrt)
     }
 
     /// How noisy an image is.

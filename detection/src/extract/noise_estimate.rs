@@ -12,7 +12,7 @@ pub(crate) struct NoiseEstimate {
     /// That of neighbours: a driver that smooths does so within surfaces.
     pub neighbour_model: NoiseModel,
     /// Variances of what is near and what is far, in those that the source told.
-    pub nominal: [f64; 2],
+    pub variance_ratios: [f64; 2],
     /// How many neighbours in a row, and in a column, share it (`noise_planes.rs`), at least 1.
     pub correlation_px: [f64; 2],
     /// How many neighbouring rows, and how many columns, are averaged against it (`averaging.rs`); 1: none.
@@ -31,7 +31,7 @@ impl NoiseEstimate {
             model,
             level,
             neighbour_model: model.times(level.max(1.0).sqrt()),
-            nominal: [level; 2],
+            variance_ratios: [level; 2],
             correlation_px: [1.0; 2],
             averaged: [1; 2],
         }

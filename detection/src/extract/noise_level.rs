@@ -131,9 +131,10 @@ fn of_another_growth(
         model = next;
         halves = self::halves(of_neighbors);
     }
-    let nominal = depths.map(|depth| model.variance(depth) / view.variance(depth));
-    let neighbour_model = through(depths, nominal.map(|level| level.max(1.0).sqrt()), |depth| view.variance(depth));
-    NoiseEstimate { neighbour_model, nominal, ..NoiseEstimate::nominal(model) }
+    let variance_ratios = depths.map(|depth| model.variance(depth) / view.variance(depth));
+    let neighbour_model =
+        through(depths, variance_ratios.map(|level| level.max(1.0).sqrt()), |depth| view.variance(depth));
+    NoiseEstimate { neighbour_model, variance_ratios, ..NoiseEstimate::nominal(model) }
 }
 
 /// Whether the noise of what is near and of what is far surely differs from the model by different factors.
@@ -336,14 +337,14 @@ mod tests {
         curves.iter_mut().for_each(|sample| sample.square = if sample.depth < 2.0 { 0.8 } else { 0.1 });
         let halves = halves(&mut neighbours);
         let seen = of_another_growth(&view, &halves, &mut neighbours, &mut curves);
-        assert!((0.79..0.81).contains(&seen.nominal[0]) && (3.7..4.3).contains(&seen.nominal[1]), "{seen:?}");
-        for (depth, nominal) in [(1.0, seen.nominal[0]), (3.0, seen.nominal[1])] {
-            assert!((seen.level * seen.model.variance(depth) / model.variance(depth) - nominal).abs() < 1e-9);
+        assert!(
+            (0.79..0.81).contains(&seen.variance_ratios[0]) && (3.7..4.3).contains(&seen.variance_ratios[1]),
+            "{seen:?}"
+        );
+        for (depth, ratio) in [(1.0, seen.variance_ratios[0]), (3.0, seen.variance_ratios[1])] {
+            assert!((seen.level * seen.model.variance(depth) / model.variance(depth) - ratio).abs() < 1e-9);
             let of_neighbours = seen.neighbour_model.variance(depth) / model.variance(depth);
-            assert!(
-                (of_neighbours - nominal.max(1.0)).abs() < 1e-9,
-                "a driver smooths within surfaces: {of_neighbours}"
-            );
+            assert!((of_neighbours - ratio.max(1.0)).abs() < 1e-9, "a driver smooths within surfaces: {of_neighbours}");
         }
     }
 

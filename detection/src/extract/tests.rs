@@ -229,7 +229,7 @@ fn a_model_that_grows_wrongly_is_replaced() {
     for told in [even, NoiseModel::IDEAL] {
         let (header, pixels) = render(KINECT_HALF, kinect, &[can(0.0, 1.5, 0.2), floor, wall(3.5)], 7);
         let seen = Extractor::new(config(ScanLines::Rows)).estimate_noise(&Header { noise: told, ..header }, &pixels);
-        assert!(seen.nominal[0] != seen.nominal[1], "{seen:?}");
+        assert!(seen.variance_ratios[0] != seen.variance_ratios[1], "{seen:?}");
         for depth in [1.5, 2.0, 2.5, 3.0] {
             let ratio = (seen.level * seen.model.variance(depth) / kinect.variance(depth)).sqrt();
             assert!((0.8..1.25).contains(&ratio), "{ratio} at {depth} m, told {told:?}");
