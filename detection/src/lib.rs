@@ -25,6 +25,7 @@ pub mod extract;
 pub mod gravity;
 mod method;
 pub mod noise;
+mod rejections;
 pub mod track;
 
 pub use assemble::{Assembler, AssemblerParameters};

@@ -187,7 +187,7 @@ fn grow_on(
         model = model::fit(kind, &arcs.of(members), Some(&model), f64::INFINITY).ok_or(Rejection::NotGrown)?;
         let (radius, variance) = model.radius();
         let sigma = (variance * arcs.shared_lines(members)).sqrt();
-        if radius - TOO_LARGE * sigma > parameters.max_radius_m(kind) {
+        if radius - TOO_LARGE * sigma > *parameters.radii_m(kind).end() {
             return Err(Rejection::Radius);
         }
     }

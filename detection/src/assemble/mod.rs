@@ -24,7 +24,7 @@ pub(crate) mod verify;
 
 pub use contours::{ContourErrors, SideErrors};
 pub use parameters::{AssemblerParameters, AxialLimits, PooledParameters, RadiusLimits};
-pub use rejection::{Rejection, Rejections};
+pub(crate) use rejection::{Rejection, Rejections};
 pub use report::end_sigma;
 
 use arcs::Arcs;

@@ -1,9 +1,9 @@
 //! Parameters of the assembly of objects.
 
-use super::rejection::Rejection;
 use conicflow_messages::{ConfigFault, ObjectKind};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::ops::RangeInclusive;
 use std::time::{Duration, Instant};
 
 /// Smallest and largest radius of a shape.
@@ -165,12 +165,21 @@ impl AssemblerParameters {
         i64::from(self.pooled.max_gap_lines)
     }
 
-    /// Largest radius of a shape, in metres.
-    pub(crate) fn max_radius_m(&self, shape: ObjectKind) -> f64 {
+    /// The radii that an object of a shape may have, in metres.
+    pub fn radii_m(&self, shape: ObjectKind) -> RangeInclusive<f64> {
         match shape {
-            ObjectKind::Sphere => self.sphere.max_m,
-            ObjectKind::Cylinder => self.cylinder.max_m,
-            ObjectKind::Cone => self.cone.max_m,
+            ObjectKind::Sphere => self.sphere.min_m..=self.sphere.max_m,
+            ObjectKind::Cylinder => self.cylinder.min_m..=self.cylinder.max_m,
+            ObjectKind::Cone => self.cone.min_m..=self.cone.max_m,
+        }
+    }
+
+    /// The visible lengths that an object of a shape may have, in metres; of a sphere any.
+    pub fn lengths_m(&self, shape: ObjectKind) -> RangeInclusive<f64> {
+        match shape {
+            ObjectKind::Sphere => f64::NEG_INFINITY..=f64::INFINITY,
+            ObjectKind::Cylinder => self.cylinder.min_length_m..=self.cylinder.max_length_m,
+            ObjectKind::Cone => self.cone.min_length_m..=self.cone.max_length_m,
         }
     }
 
@@ -178,22 +187,6 @@ impl AssemblerParameters {
     pub(crate) fn deadline(&self) -> Option<Instant> {
         let budget = Duration::try_from_secs_f64(self.pooled.budget_ms? / 1e3).unwrap_or_default();
         (!budget.is_zero()).then(|| Instant::now() + budget)
-    }
-
-    /// Why an object of this size is not reported.
-    pub fn wrong_size(&self, shape: ObjectKind, radius: f64, length: f64) -> Option<Rejection> {
-        let axial = match shape {
-            ObjectKind::Sphere => {
-                let RadiusLimits { min_m, max_m } = self.sphere;
-                return (!(min_m..=max_m).contains(&radius)).then_some(Rejection::Radius);
-            }
-            ObjectKind::Cylinder => &self.cylinder,
-            ObjectKind::Cone => &self.cone,
-        };
-        if !(axial.min_m..=axial.max_m).contains(&radius) {
-            return Some(Rejection::Radius);
-        }
-        (!(axial.min_length_m..=axial.max_length_m).contains(&length)).then_some(Rejection::Length)
     }
 }
 

@@ -128,8 +128,10 @@ fn check(region: &Region, parameters: &AssemblerParameters) -> Result<Measured, 
         Err(Rejection::Small)
     } else if f64::from(measured.lines) < parameters.pooled.min_coverage * f64::from(last.line - first.line + 1) {
         Err(Rejection::Gaps)
-    } else if let Some(reason) = parameters.wrong_size(region.model.kind(), radius, reach) {
-        Err(reason)
+    } else if !parameters.radii_m(region.model.kind()).contains(&radius) {
+        Err(Rejection::Radius)
+    } else if !parameters.lengths_m(region.model.kind()).contains(&reach) {
+        Err(Rejection::Length)
     } else if !is_sharp(region, parameters) {
         Err(Rejection::HalfAngle)
     } else if reach < least_reach(region, parameters) * radius {

@@ -29,7 +29,7 @@ pub(crate) mod turned;
 mod view;
 
 pub use parameters::{ExtractorParameters, ScanLines};
-pub use rejection::{ArcRejection, ArcRejections};
+pub(crate) use rejection::ArcRejections;
 
 use coarse::CoarseLines;
 use conicflow_geometry::Scan;

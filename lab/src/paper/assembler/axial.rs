@@ -5,8 +5,8 @@
 //! the centres and is repeated with the axis and half-angle that it gave: then it is the line through the points where
 //! the axis pierces the planes, and the radius there is exactly linear in the position.
 
+use super::rejection::Rejection;
 use super::verify::{Body, Candidate, Solid};
-use conicflow_detection::assemble::Rejection;
 use conicflow_geometry::{Conical, Line, PencilMoments, Regression, Vector3};
 use conicflow_messages::ObjectKind;
 

@@ -6,6 +6,7 @@
 mod axial;
 mod chains;
 mod parameters;
+mod rejection;
 mod sections;
 mod sequence;
 mod spherical;
@@ -16,8 +17,8 @@ mod verify;
 pub use parameters::{ProfileConfig, ProfileParameters, SectionFit};
 
 use chains::Chains;
-use conicflow_detection::assemble::{Rejection, Rejections};
 use conicflow_messages::{Ellipse, Header, NoiseModel, Object};
+use rejection::{Rejection, Rejections};
 use sections::Section;
 use sequence::Sequences;
 use std::ops::Range;

@@ -6,9 +6,9 @@
 //! unknown at first; starting from the middle of the sections, each pass moves it to the centre of the circle found.
 
 use super::parameters::SectionFit;
+use super::rejection::Rejection;
 use super::sections::Section;
 use super::verify::{Body, Candidate, Solid};
-use conicflow_detection::assemble::Rejection;
 use conicflow_geometry::{CircleProfile, Conical, PlaneMoments, Regression, ScanPlane, Vector3, fit_circle_profile};
 use conicflow_messages::ObjectKind;
 

@@ -1,8 +1,9 @@
 //! What a body has to fulfil to be reported, and the report.
 
 use super::parameters::{ProfileConfig, SectionFit};
+use super::rejection::{Rejection, Rejections};
 use super::sections::Section;
-use conicflow_detection::assemble::{Rejection, Rejections, end_sigma};
+use conicflow_detection::assemble::end_sigma;
 use conicflow_geometry::{Conical, Sphere, Surface, Vector3, line_rms, section_about};
 use conicflow_messages::{NoiseModel, Object, ObjectKind, ObjectSigma};
 use std::ops::Range;
@@ -132,8 +133,10 @@ impl<'a> Candidate<'a> {
     pub fn verify(&self, body: &Body) -> Result<Object, Rejection> {
         let (shape, radius) = (body.solid.shape, body.solid.surface.radius);
         let rms = self.rms(&body.solid);
-        if let Some(reason) = self.config.common.wrong_size(shape, radius, body.length) {
-            Err(reason)
+        if !self.config.common.radii_m(shape).contains(&radius) {
+            Err(Rejection::Radius)
+        } else if !self.config.common.lengths_m(shape).contains(&body.length) {
+            Err(Rejection::Length)
         } else if shape.has_axis() && body.length < self.config.profile.min_length_radii * radius {
             Err(Rejection::Short)
         } else if rms.is_nan() || rms > self.max_rms(radius) {

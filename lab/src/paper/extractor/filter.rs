@@ -2,9 +2,9 @@
 
 use super::growth::{self, Arc};
 use super::parameters::ConicConfig;
+use super::rejection::ArcRejection;
 use super::scan_line::ScanLine;
 use crate::arc::{message, span};
-use conicflow_detection::extract::ArcRejection;
 use conicflow_geometry::{self as geometry, line_rms};
 use conicflow_messages::{Ellipse, NoiseModel};
 

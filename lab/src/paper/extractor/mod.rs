@@ -6,15 +6,16 @@
 mod filter;
 mod growth;
 mod parameters;
+mod rejection;
 mod scan_line;
 #[cfg(test)]
 mod tests;
 
 pub use parameters::{ConicConfig, ConicParameters};
 
-use conicflow_detection::extract::ArcRejections;
 use conicflow_geometry::Scan;
 use conicflow_messages::{Ellipse, Header};
+use rejection::ArcRejections;
 use scan_line::ScanLine;
 
 /// Finds the ellipses of depth images; its buffers are used again for the next.
