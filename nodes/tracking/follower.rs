@@ -13,11 +13,10 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 /// What is followed.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum TargetShape {
+#[derive(Deserialize, Serialize, JsonSchema)]
+#[serde(remote = "ObjectKind", rename_all = "snake_case")]
+enum TargetShape {
     /// A sphere.
-    #[default]
     Sphere,
     /// A cylinder.
     Cylinder,
@@ -30,7 +29,8 @@ pub enum TargetShape {
 #[serde(default, deny_unknown_fields)]
 pub struct FollowerConfig {
     /// The shape that is followed: the nearest of its kind, and then that one until it is lost.
-    pub quarry: TargetShape,
+    #[serde(with = "TargetShape")]
+    pub quarry: ObjectKind,
     /// Distance over ground at which the robot stands still, in metres.
     #[schemars(range(min = 0.0))]
     pub stop_distance_m: f64,
@@ -47,7 +47,7 @@ pub struct FollowerConfig {
 
 impl Default for FollowerConfig {
     fn default() -> Self {
-        Self { quarry: TargetShape::Sphere, stop_distance_m: 1.0, gain: 1.5, max_speed_mps: 0.8, up: None }
+        Self { quarry: ObjectKind::Sphere, stop_distance_m: 1.0, gain: 1.5, max_speed_mps: 0.8, up: None }
     }
 }
 
@@ -76,12 +76,7 @@ impl Follower {
     }
 
     fn nearest<'a>(&self, tracks: &'a [Track]) -> Option<&'a Track> {
-        let kind = match self.config.quarry {
-            TargetShape::Sphere => ObjectKind::Sphere,
-            TargetShape::Cylinder => ObjectKind::Cylinder,
-            TargetShape::Cone => ObjectKind::Cone,
-        };
-        let fitting = tracks.iter().filter(|track| track.object.shape() == kind);
+        let fitting = tracks.iter().filter(|track| track.object.shape() == self.config.quarry);
         let sure = fitting.filter(|track| track.track_state() == TrackState::Confirmed);
         let distance = |track: &Track| Vector3::from(track.object.center).norm();
         sure.min_by(|a, b| distance(a).total_cmp(&distance(b)))
