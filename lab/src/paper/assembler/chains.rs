@@ -6,64 +6,32 @@
 use super::parameters::ProfileConfig;
 use super::sections::Section;
 
-/// The chains of one image; the buffers are used again for the next.
-#[derive(Debug, Default)]
-pub(super) struct Chains {
-    chains: Vec<Vec<usize>>,
-    used: usize,
-    /// Chains that may still grow.
-    open: Vec<usize>,
-}
-
-impl Chains {
-    /// Links the sections, which are in the order of the lines.
-    pub fn link(&mut self, sections: &[Section], config: &ProfileConfig) {
-        self.used = 0;
-        self.open.clear();
-        for (index, section) in sections.iter().enumerate() {
-            self.close(sections, section, config);
-            match self.nearest(sections, section, config) {
-                Some(chain) => self.chains[chain].push(index),
-                None => self.start(index),
+/// The chains of the sections, which are in the order of the lines; each is a list of indices in that order.
+pub(super) fn link(sections: &[Section], config: &ProfileConfig) -> Vec<Vec<usize>> {
+    let mut chains: Vec<Vec<usize>> = Vec::new();
+    // Chains that may still grow.
+    let mut open: Vec<usize> = Vec::new();
+    for (index, section) in sections.iter().enumerate() {
+        open.retain(|&chain| chains[chain].last().is_some_and(|&last| reaches(&sections[last], section, config)));
+        let distances = open.iter().filter_map(|&chain| {
+            let members = chains[chain].iter().rev().take(config.profile.neighbors as usize);
+            let near = members.filter_map(|&member| step(&sections[member], section, config));
+            near.min_by(f64::total_cmp).map(|distance| (distance, chain))
+        });
+        match distances.min_by(|a, b| a.0.total_cmp(&b.0)) {
+            Some((_, chain)) => chains[chain].push(index),
+            None => {
+                open.push(chains.len());
+                chains.push(vec![index]);
             }
         }
     }
+    chains
+}
 
-    /// The chains, each a list of indices in the order of the lines.
-    pub fn iter(&self) -> impl Iterator<Item = &[usize]> {
-        self.chains[..self.used].iter().map(Vec::as_slice)
-    }
-
-    fn start(&mut self, index: usize) {
-        if self.used == self.chains.len() {
-            self.chains.push(Vec::new());
-        }
-        self.chains[self.used].clear();
-        self.chains[self.used].push(index);
-        self.open.push(self.used);
-        self.used += 1;
-    }
-
-    /// Drops the chains that end too far before the line of `section`.
-    fn close(&mut self, sections: &[Section], section: &Section, config: &ProfileConfig) {
-        let chains = &self.chains;
-        self.open.retain(|&chain| {
-            let last = chains[chain].last().map(|&last| &sections[last]);
-            last.is_some_and(|last| {
-                last.plane.scan() == section.plane.scan() && section.line - last.line <= config.profile.max_gap_lines
-            })
-        });
-    }
-
-    fn nearest(&self, sections: &[Section], section: &Section, config: &ProfileConfig) -> Option<usize> {
-        let distances = self.open.iter().filter_map(|&chain| {
-            let members = self.chains[chain].iter().rev().map(|&member| &sections[member]);
-            let near =
-                members.take(config.profile.neighbors as usize).filter_map(|member| step(member, section, config));
-            near.min_by(f64::total_cmp).map(|distance| (distance, chain))
-        });
-        distances.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, chain)| chain)
-    }
+/// Whether a chain that ends with a section does not end too far before the line of another one.
+fn reaches(last: &Section, section: &Section, config: &ProfileConfig) -> bool {
+    last.plane.scan() == section.plane.scan() && section.line - last.line <= config.profile.max_gap_lines
 }
 
 /// Distance of two centres, if they are of different lines and within the margin.

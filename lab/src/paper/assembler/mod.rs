@@ -16,22 +16,16 @@ mod verify;
 
 pub use parameters::{ProfileConfig, ProfileParameters, SectionFit};
 
-use chains::Chains;
 use conicflow_messages::{Ellipse, Header, NoiseModel, Object};
 use rejection::{Rejection, Rejections};
 use sections::Section;
-use sequence::Sequences;
 use std::ops::Range;
 use verify::{Body, Candidate, Solid};
 
-/// The paper's assembler; its buffers are used again for the next image.
+/// The paper's assembler.
 #[derive(Debug)]
 pub struct ProfileAssembler {
     config: ProfileConfig,
-    sections: Vec<Section>,
-    chains: Chains,
-    sequences: Sequences,
-    inliers: Vec<usize>,
     objects: Vec<Object>,
     rejections: Rejections,
 }
@@ -39,33 +33,36 @@ pub struct ProfileAssembler {
 impl ProfileAssembler {
     /// An assembler with these parameters.
     pub fn new(config: ProfileConfig) -> Self {
-        Self {
-            config,
-            sections: Vec::new(),
-            chains: Chains::default(),
-            sequences: Sequences::default(),
-            inliers: Vec::new(),
-            objects: Vec::new(),
-            rejections: Rejections::default(),
-        }
+        Self { config, objects: Vec::new(), rejections: Rejections::default() }
     }
 
     /// The objects that the ellipses of one image form.
     pub fn assemble(&mut self, header: &Header, ellipses: &[Ellipse]) -> &[Object] {
-        let Self { config, sections, chains, sequences, inliers, objects, rejections } = self;
-        objects.clear();
-        *rejections = Rejections::default();
-        sections::read(header, ellipses, config.profile.section_fit, sections);
-        chains.link(sections, config);
-        for chain in chains.iter() {
-            sequences.split(sections, chain, config);
-            for members in sequences.iter() {
-                let search = Search { sections, noise: &header.noise, config };
-                search.run(members, inliers, objects, rejections);
+        self.objects.clear();
+        self.rejections = Rejections::default();
+        let sections = sections::read(header, ellipses, self.config.profile.section_fit);
+        for chain in chains::link(&sections, &self.config) {
+            for members in sequence::split(&sections, &chain, &self.config) {
+                self.search(&sections, &members, &header.noise);
             }
         }
-        verify::drop_doubles(objects, rejections);
-        objects
+        verify::drop_doubles(&mut self.objects, &mut self.rejections);
+        &self.objects
+    }
+
+    /// Adds the objects of a sequence: what lies before and after one is looked at again.
+    fn search(&mut self, sections: &[Section], members: &[usize], noise: &NoiseModel) {
+        match Candidate::new(sections, members, noise, &self.config).and_then(|candidate| object(&candidate)) {
+            Ok((object, range)) => {
+                self.objects.push(object);
+                for rest in [&members[..range.start], &members[range.end..]] {
+                    if rest.len() >= self.config.profile.min_rows as usize {
+                        self.search(sections, rest, noise);
+                    }
+                }
+            }
+            Err(reason) => self.rejections.count(reason),
+        }
     }
 
     /// Why candidates of the last image were turned down, and how many of them.
@@ -74,46 +71,20 @@ impl ProfileAssembler {
     }
 }
 
-/// What is the same for all sequences of an image.
-struct Search<'a> {
-    sections: &'a [Section],
-    noise: &'a NoiseModel,
-    config: &'a ProfileConfig,
-}
-
-impl Search<'_> {
-    /// Adds the objects of a sequence: what lies before and after one is looked at again.
-    fn run(&self, members: &[usize], inliers: &mut Vec<usize>, objects: &mut Vec<Object>, rejections: &mut Rejections) {
-        let candidate = Candidate::new(self.sections, members, self.noise, self.config);
-        match candidate.and_then(|candidate| object(&candidate, inliers)) {
-            Ok((object, range)) => {
-                objects.push(object);
-                for rest in [&members[..range.start], &members[range.end..]] {
-                    if rest.len() >= self.config.profile.min_rows as usize {
-                        self.run(rest, inliers, objects, rejections);
-                    }
-                }
-            }
-            Err(reason) => rejections.count(reason),
-        }
-    }
-}
-
 /// Parts of a sequence that a fit starts from, where the whole is spoilt by its ends: a rim, a foot on the floor.
 const SEEDS: [(f64, f64); 4] = [(0.0, 1.0), (0.25, 0.75), (0.0, 0.5), (0.5, 1.0)];
 
 /// The first object that a sequence of sections forms, and where in the sequence, or why it forms none.
 ///
-/// The first seed that forms one is fitted again with all sections around it that it explains; `inliers` is a buffer for
-/// them.
-fn object(candidate: &Candidate, inliers: &mut Vec<usize>) -> Result<(Object, Range<usize>), Rejection> {
+/// The first seed that forms one is fitted again with all sections around it that it explains.
+fn object(candidate: &Candidate) -> Result<(Object, Range<usize>), Rejection> {
     let mut whole = None;
     for (from, to) in SEEDS {
         let seed = candidate.part(from, to);
         match candidate.only(seed.clone()).and_then(|seed| best(&seed)) {
             Ok((object, solid)) => {
-                let range = candidate.inliers(&solid, object.rms, seed, inliers);
-                let refined = candidate.with(inliers).and_then(|all| best(&all));
+                let (range, inliers) = candidate.inliers(&solid, object.rms, seed);
+                let refined = candidate.with(&inliers).and_then(|all| best(&all));
                 return Ok((refined.map_or(object, |(refined, _)| refined), range));
             }
             Err(reason) => whole = whole.or(Some(reason)),

@@ -97,9 +97,10 @@ impl Cut {
 }
 
 /// The sections of a message, rows before columns, each in the order of the lines.
-pub(super) fn read(header: &Header, ellipses: &[Ellipse], fit: SectionFit, sections: &mut Vec<Section>) {
-    sections.clear();
+pub(super) fn read(header: &Header, ellipses: &[Ellipse], fit: SectionFit) -> Vec<Section> {
     let step = ellipses.iter().map(Ellipse::step).min().unwrap_or(1);
-    sections.extend(ellipses.iter().filter_map(|ellipse| Section::new(header, ellipse, step, fit)));
+    let sections = ellipses.iter().filter_map(|ellipse| Section::new(header, ellipse, step, fit));
+    let mut sections: Vec<_> = sections.collect();
     sections.sort_by_key(|section| (section.plane.scan() == Scan::Column, section.line));
+    sections
 }

@@ -15,39 +15,21 @@ const TRUSTED: usize = 5;
 /// How many standard deviations a section may be off.
 const GATE_SIGMAS: f64 = 3.0;
 
-/// The bodies of a chain; the buffers are used again for the next.
-#[derive(Debug, Default)]
-pub(super) struct Sequences {
-    sequences: Vec<Vec<usize>>,
-    used: usize,
+/// The bodies of a chain, each a list of indices.
+pub(super) fn split(sections: &[Section], chain: &[usize], config: &ProfileConfig) -> Vec<Vec<usize>> {
+    let (mut bodies, mut rest) = (Vec::new(), chain);
+    while !rest.is_empty() {
+        let (members, end) = grow(sections, rest, config);
+        bodies.push(members);
+        rest = &rest[end..];
+    }
+    bodies
 }
 
-impl Sequences {
-    /// Splits a chain.
-    pub fn split(&mut self, sections: &[Section], chain: &[usize], config: &ProfileConfig) {
-        self.used = 0;
-        let mut rest = chain;
-        while !rest.is_empty() {
-            if self.used == self.sequences.len() {
-                self.sequences.push(Vec::new());
-            }
-            let consumed = grow(sections, rest, &mut self.sequences[self.used], config);
-            self.used += 1;
-            rest = &rest[consumed..];
-        }
-    }
-
-    /// The bodies, each a list of indices.
-    pub fn iter(&self) -> impl Iterator<Item = &[usize]> {
-        self.sequences[..self.used].iter().map(Vec::as_slice)
-    }
-}
-
-/// Fills `members` with the sections at the start of `chain` that form one body; returns where the next one starts.
-fn grow(sections: &[Section], chain: &[usize], members: &mut Vec<usize>, config: &ProfileConfig) -> usize {
-    members.clear();
+/// The sections at the start of `chain` that form one body, and where the next one starts.
+fn grow(sections: &[Section], chain: &[usize], config: &ProfileConfig) -> (Vec<usize>, usize) {
+    let (mut members, mut end) = (Vec::new(), 0);
     let mut sums = Sums::new(&sections[chain[0]]);
-    let mut end = 0;
     for (position, &index) in chain.iter().enumerate() {
         let section = &sections[index];
         if sums.foresees(section, config) {
@@ -58,7 +40,7 @@ fn grow(sections: &[Section], chain: &[usize], members: &mut Vec<usize>, config:
             break;
         }
     }
-    end
+    (members, end)
 }
 
 /// Running sums over the sections of a body.

@@ -159,9 +159,9 @@ impl<'a> Candidate<'a> {
         (self.sections().map(|section| solid.square_sum(section)).sum::<f64>() / self.points()).sqrt()
     }
 
-    /// The members from `seed` on to both sides whose points lie on a surface, given the distance of those that it was
-    /// fitted to; sections that took in points of a floor or of a neighbour stay out, and k in a row end the body.
-    pub fn inliers(&self, solid: &Solid, rms: f64, seed: Range<usize>, inliers: &mut Vec<usize>) -> Range<usize> {
+    /// From where to where the members reach, from `seed` on to both sides, whose points lie on a surface, given the distance
+    /// of those that it was fitted to; and these members. Sections that took in points of a floor or of a neighbour stay out, and k in a row end the body.
+    pub fn inliers(&self, solid: &Solid, rms: f64, seed: Range<usize>) -> (Range<usize>, Vec<usize>) {
         let limit = OUTLIER_RMS * rms;
         let fits = |position: &usize| {
             let section = &self.sections[self.members[*position]];
@@ -171,9 +171,7 @@ impl<'a> Candidate<'a> {
         let first = reach((0..seed.end).rev(), self.config.profile.neighbors, fits);
         let start = first.map_or(seed.start, |first| first.min(seed.start));
         let end = last.map_or(seed.end, |last| seed.end.max(last + 1));
-        inliers.clear();
-        inliers.extend((start..end).filter(fits).map(|position| self.members[position]));
-        start..end
+        (start..end, (start..end).filter(fits).map(|position| self.members[position]).collect())
     }
 
     /// Root mean square distance of the points of the sections from a line each.
