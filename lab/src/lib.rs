@@ -8,7 +8,6 @@
 //! - [`bound`]: how well an object can be measured at all;
 //! - [`score`]: what was found of what is there, and how well; [`experiment`]: tables and plots of that.
 
-mod arc;
 pub mod bound;
 pub mod experiment;
 pub mod noise_estimator;
@@ -18,5 +17,6 @@ pub mod random;
 pub mod ransac;
 pub mod rendered;
 pub mod running_stats;
+mod scan_line;
 pub mod score;
 pub mod simulator;

@@ -50,26 +50,15 @@ impl Draws {
     }
 }
 
-/// The points on the best ellipse of a line; its buffer is used again for the next.
-#[derive(Debug, Default)]
-pub(super) struct Consensus {
-    /// They are in the order of their pixels.
-    pub inliers: Vec<Point>,
-}
-
-impl Consensus {
-    /// Takes the points on the best ellipse out of `points`; `false` where no ellipse has enough of them.
-    pub fn find(&mut self, points: &mut Vec<Point>, config: &RansacParameters, draws: &mut Draws) -> bool {
-        self.inliers.clear();
-        let Some(best) = best_ellipse(points, config, draws) else { return false };
-        let is_outlier = |point: &Point| {
-            let lies_on = lies_on(&best, point);
-            self.inliers.extend(lies_on.then_some(*point));
-            !lies_on
-        };
-        points.retain(is_outlier);
-        true
-    }
+/// Takes the points on the best ellipse out of `points`, in the order of their pixels; `None` where no ellipse has enough of
+/// them.
+pub(super) fn take_consensus(
+    points: &mut Vec<Point>,
+    config: &RansacParameters,
+    draws: &mut Draws,
+) -> Option<Vec<Point>> {
+    let best = best_ellipse(points, config, draws)?;
+    Some(points.extract_if(.., |point| lies_on(&best, point)).collect())
 }
 
 /// The ellipse that most points lie on, the first of several.
@@ -170,11 +159,10 @@ mod tests {
             .map(|pixel| Point { pixel, st: on_ellipse(0.2 + 0.07 * f64::from(pixel)), limit2 })
             .chain((40..100).map(|pixel| Point { pixel, st: [0.05 * (f64::from(pixel) - 70.0), 3.0], limit2 }))
             .collect();
-        let (config, mut consensus) = (RansacParameters::default(), Consensus::default());
-        let mut draws = Draws::new(CounterRng::new(1, 0));
-        assert!(consensus.find(&mut points, &config, &mut draws));
-        assert_eq!(consensus.inliers.iter().map(|point| point.pixel).collect::<Vec<_>>(), (0..40).collect::<Vec<_>>());
-        assert!(!consensus.find(&mut points, &config, &mut draws), "the wall is none");
+        let (config, mut draws) = (RansacParameters::default(), Draws::new(CounterRng::new(1, 0)));
+        let inliers = take_consensus(&mut points, &config, &mut draws).unwrap();
+        assert_eq!(inliers.iter().map(|point| point.pixel).collect::<Vec<_>>(), (0..40).collect::<Vec<_>>());
+        assert!(take_consensus(&mut points, &config, &mut draws).is_none(), "the wall is none");
         assert_eq!(points.len(), 60);
     }
 }

@@ -10,13 +10,12 @@ mod consensus;
 #[cfg(test)]
 mod tests;
 
-use crate::arc::{message, span};
 use crate::random::CounterRng;
+use crate::scan_line::{self, ScanLine, span};
 use conicflow_detection::ScanLines;
-use conicflow_detection::camera::pinhole;
-use conicflow_geometry::{self as geometry, PlaneMoments, Scan, ScanPlane, fit_ellipse};
-use conicflow_messages::{Ellipse, Header, is_measured};
-use consensus::{Consensus, Draws, Point};
+use conicflow_geometry::{self as geometry, PlaneMoments, fit_ellipse};
+use conicflow_messages::{Ellipse, Header, NoiseModel};
+use consensus::{Draws, Point, take_consensus};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -100,6 +99,12 @@ impl RansacParameters {
         ((1.0 - self.confidence).ln() / (1.0 - right).ln()).ceil() as u32
     }
 
+    /// A measurement with how far it may be off an ellipse that it lies on.
+    fn limited(&self, &scan_line::Point { pixel, depth, st }: &scan_line::Point, noise: &NoiseModel) -> Point {
+        let limit = self.max_distance_floor_m + self.max_distance_sigmas * noise.sigma(depth);
+        Point { pixel, st, limit2: limit * limit }
+    }
+
     /// Whether an ellipse is of a size and shape that is looked for.
     fn admits(&self, ellipse: &geometry::Ellipse) -> bool {
         let [long, short] = ellipse.semi_axes;
@@ -111,8 +116,6 @@ impl RansacParameters {
 #[derive(Debug)]
 pub struct RansacEllipseExtractor {
     config: RansacParameters,
-    points: Vec<Point>,
-    consensus: Consensus,
     ellipses: Vec<Ellipse>,
     rejections: BTreeMap<&'static str, u64>,
 }
@@ -120,24 +123,25 @@ pub struct RansacEllipseExtractor {
 impl RansacEllipseExtractor {
     /// An extractor with these parameters.
     pub fn new(config: RansacParameters) -> Self {
-        Self {
-            config,
-            points: Vec::new(),
-            consensus: Consensus::default(),
-            ellipses: Vec::new(),
-            rejections: BTreeMap::new(),
-        }
+        Self { config, ellipses: Vec::new(), rejections: BTreeMap::new() }
     }
 
     /// The ellipses of the depth image `pixels` (row by row, `width * height` of them), in the order of the scan lines.
     pub fn extract(&mut self, header: &Header, pixels: &[u16]) -> &[Ellipse] {
         self.ellipses.clear();
         self.rejections.clear();
-        let mut draws = Draws::new(CounterRng::new(self.config.seed, header.sequence));
-        for &scan in self.config.scan.directions() {
-            self.scan(header, pixels, scan, &mut draws);
+        let config = &self.config;
+        let mut draws = Draws::new(CounterRng::new(config.seed, header.sequence));
+        for line in ScanLine::all(header, pixels, config.scan, config.line_step) {
+            let mut points = line.points.iter().map(|point| config.limited(point, &header.noise)).collect();
+            for _ in 0..config.max_ellipses {
+                let Some(inliers) = take_consensus(&mut points, config, &mut draws) else { break };
+                match fitted(&inliers, &line, config) {
+                    Ok(ellipse) => self.ellipses.push(ellipse),
+                    Err(reason) => *self.rejections.entry(reason).or_default() += 1,
+                }
+            }
         }
-        self.ellipses.iter_mut().for_each(|ellipse| ellipse.line_step = self.config.line_step);
         &self.ellipses
     }
 
@@ -145,60 +149,15 @@ impl RansacEllipseExtractor {
     pub fn rejections(&self) -> impl Iterator<Item = (&'static str, u64)> {
         self.rejections.iter().map(|(reason, times)| (*reason, *times))
     }
-
-    fn scan(&mut self, header: &Header, pixels: &[u16], scan: Scan, draws: &mut Draws) {
-        let lines = if scan == Scan::Row { header.camera.height } else { header.camera.width };
-        for line in (0..lines).step_by(self.config.line_step.max(1) as usize) {
-            let plane = self.read(header, pixels, scan, line);
-            self.ellipses_of_line(&plane, line, draws);
-        }
-    }
-
-    /// Takes the measurements of a line; the plane that they lie in.
-    fn read(&mut self, header: &Header, pixels: &[u16], scan: Scan, line: u32) -> ScanPlane {
-        let camera = pinhole(&header.camera);
-        let plane = camera.plane(scan, f64::from(line));
-        let (width, line) = (header.camera.width as usize, line as usize);
-        let (first, step, length) = match scan {
-            Scan::Row => (line * width, 1, width),
-            Scan::Column => (line, width, header.camera.height as usize),
-        };
-        self.points.clear();
-        for (pixel, &raw) in (0..).zip(pixels[first..].iter().step_by(step).take(length)) {
-            if !is_measured(raw) {
-                continue;
-            }
-            let depth = f64::from(raw) * header.depth_scale;
-            let st = [depth * camera.ray_slope(scan, f64::from(pixel)), depth * plane.stretch()];
-            let limit = self.config.max_distance_floor_m + self.config.max_distance_sigmas * header.noise.sigma(depth);
-            self.points.push(Point { pixel, st, limit2: limit * limit });
-        }
-        plane
-    }
-
-    fn ellipses_of_line(&mut self, plane: &ScanPlane, line: u32, draws: &mut Draws) {
-        for _ in 0..self.config.max_ellipses {
-            if !self.consensus.find(&mut self.points, &self.config, draws) {
-                break;
-            }
-            match fitted(&self.consensus.inliers, plane, line, &self.config) {
-                Ok(ellipse) => self.ellipses.push(ellipse),
-                Err(reason) => *self.rejections.entry(reason).or_default() += 1,
-            }
-        }
-    }
 }
 
 /// The ellipse of all points of a consensus, or why it is none.
-fn fitted(points: &[Point], plane: &ScanPlane, line: u32, config: &RansacParameters) -> Result<Ellipse, &'static str> {
-    let (Some(first), Some(last)) = (points.first(), points.last()) else { return Err("consensus of no points") };
+fn fitted(points: &[Point], line: &ScanLine, config: &RansacParameters) -> Result<Ellipse, &'static str> {
+    let (first, last) = points.first().zip(points.last()).ok_or("consensus of no points")?;
     let moments = PlaneMoments::of(first.st, points.iter().map(|point| point.st));
-    let (Some(conic), Some([_, depth])) = (fit_ellipse(&moments), moments.mean()) else {
-        return Err("consensus without ellipse");
-    };
-    let (Some(ellipse), Some(rms)) = (conic.to_ellipse(), conic.rms(&moments)) else {
-        return Err("consensus without ellipse");
-    };
+    let none = "consensus without ellipse";
+    let (conic, [_, depth]) = fit_ellipse(&moments).zip(moments.mean()).ok_or(none)?;
+    let (ellipse, rms) = conic.to_ellipse().zip(conic.rms(&moments)).ok_or(none)?;
     if !config.admits(&ellipse) {
         return Err("fitted ellipses beyond the limits");
     }
@@ -206,5 +165,5 @@ fn fitted(points: &[Point], plane: &ScanPlane, line: u32, config: &RansacParamet
         return Err("concave arcs");
     }
     let arc = span(&ellipse, [first.st, last.st]);
-    Ok(message(&ellipse, (plane, line), [first.pixel, last.pixel], &moments, rms, arc))
+    Ok(line.message(&ellipse, [first.pixel, last.pixel], &moments, rms, arc))
 }

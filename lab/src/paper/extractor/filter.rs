@@ -3,8 +3,7 @@
 use super::growth::{self, Arc};
 use super::parameters::ConicConfig;
 use super::rejection::ArcRejection;
-use super::scan_line::ScanLine;
-use crate::arc::{message, span};
+use crate::scan_line::{ScanLine, span};
 use conicflow_geometry::{self as geometry, line_rms};
 use conicflow_messages::{Ellipse, NoiseModel};
 
@@ -30,7 +29,7 @@ pub(super) fn accept(
     if angle < config.conic.min_arc_deg.to_radians() {
         return Err(ArcRejection::ShortArc);
     }
-    Ok(message(&ellipse, (&line.plane, line.number), [first.pixel, last.pixel], &arc.moments, rms, angle))
+    Ok(line.message(&ellipse, [first.pixel, last.pixel], &arc.moments, rms, angle))
 }
 
 fn check_shape(ellipse: &geometry::Ellipse, arc: &Arc, config: &ConicConfig) -> Result<(), ArcRejection> {

@@ -5,7 +5,7 @@
 //! bisection. As long as the error does not fall again once it is too great, the result is the same.
 
 use super::parameters::ConicConfig;
-use super::scan_line::Point;
+use crate::scan_line::Point;
 use conicflow_geometry::{Conic, PlaneMoments, ScanPlane, fit_ellipse, line_rms};
 use conicflow_messages::NoiseModel;
 
