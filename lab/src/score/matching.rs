@@ -187,20 +187,29 @@ impl Matcher {
                 }
             }
         }
-        right.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then((a.2, a.3).cmp(&(b.2, b.3))));
         let (mut answer_of, mut used) = (vec![None; truths.len()], vec![false; answers.len()]);
-        for (_, _, index, number) in right {
-            if answer_of[index].is_none() && !used[number] {
-                (answer_of[index], used[number]) = (Some(answers[number]), true);
-                if let Some(id) = answers[number].id {
-                    self.identities.insert(truths[index].name.clone(), id);
-                }
+        for (index, number) in one_to_one(right) {
+            (answer_of[index], used[number]) = (Some(answers[number]), true);
+            if let Some(id) = answers[number].id {
+                self.identities.insert(truths[index].name.clone(), id);
             }
         }
         let unused = answers.iter().zip(used).filter(|(_, used)| !used).map(|(answer, _)| answer.object);
         let wrong = unused.map(|object| (object, mildest_fault(&truths, &object))).collect();
         MatchedFrame { pairs: truths.into_iter().zip(answer_of).collect(), wrong, neither: Vec::new() }
     }
+}
+
+/// Pairs of places in two lists, no place twice: of all these the one of the least rank goes first, then the nearest.
+pub(super) fn one_to_one<R: Ord>(mut pairs: Vec<(R, f64, usize, usize)>) -> Vec<(usize, usize)> {
+    pairs.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then((a.2, a.3).cmp(&(b.2, b.3))));
+    let mut taken: Vec<(usize, usize)> = Vec::new();
+    for (_, _, first, second) in pairs {
+        if taken.iter().all(|pair| pair.0 != first && pair.1 != second) {
+            taken.push((first, second));
+        }
+    }
+    taken
 }
 
 /// What is wrong with an answer as compared with the object that it comes nearest to.

@@ -5,7 +5,7 @@
 //! wide: whether they agree is for their differences to tell. Pairs are taken one to one. Those of one kind go before those of
 //! two, then the nearest pair goes first.
 
-use super::matching::{Comparison, compare, is_near};
+use super::matching::{Comparison, compare, is_near, one_to_one};
 use conicflow_messages::Object;
 
 /// Wider than so many times the other is another thing: a ball before a wall is not the wall.
@@ -57,18 +57,11 @@ pub fn pair_up(a: &[Object], b: &[Object]) -> Paired {
             }
         }
     }
-    pairs.sort_by(|p, q| p.0.cmp(&q.0).then(p.1.total_cmp(&q.1)).then((p.2, p.3).cmp(&(q.2, q.3))));
-    let (mut free_a, mut free_b) = (vec![true; a.len()], vec![true; b.len()]);
-    let mut both = Vec::new();
-    for (_, _, first, second) in pairs {
-        if free_a[first] && free_b[second] {
-            (free_a[first], free_b[second]) = (false, false);
-            both.push((first, second));
-        }
-    }
+    let mut both = one_to_one(pairs);
     both.sort_unstable();
-    let left = |free: Vec<bool>| (0..free.len()).filter(|number| free[*number]).collect();
-    Paired { both, only_a: left(free_a), only_b: left(free_b) }
+    let only_a = (0..a.len()).filter(|number| both.iter().all(|(first, _)| first != number)).collect();
+    let only_b = (0..b.len()).filter(|number| both.iter().all(|(_, second)| second != number)).collect();
+    Paired { both, only_a, only_b }
 }
 
 fn is_same_thing(a: &Object, b: &Object) -> bool {
