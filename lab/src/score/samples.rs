@@ -45,6 +45,22 @@ impl Sample {
         let (shape, distance) = (object.shape(), Vector3::from(object.center).norm());
         Self { group, shape, distance, radius_m: object.radius, hidden: None, found: None, fault: None }
     }
+
+    /// Distance between where it is and where it was found, in millimetres.
+    pub fn position_error_mm(&self) -> Option<f64> {
+        Some(1e3 * self.found?.0.position_m)
+    }
+
+    /// Angle between the axis as it is and as it was found, in degrees, where its shape has one.
+    pub fn axis_error_deg(&self) -> Option<f64> {
+        self.found.filter(|_| self.shape.has_axis()).map(|(comparison, _)| comparison.axis.to_degrees())
+    }
+
+    /// By how much the half-angle that was found is off, in degrees, where its shape has one.
+    pub fn half_angle_error_deg(&self) -> Option<f64> {
+        let found = self.found.filter(|_| self.shape.has_half_angle());
+        found.map(|(comparison, _)| comparison.half_angle.abs().to_degrees())
+    }
 }
 
 impl Score {

@@ -13,15 +13,9 @@ const SHARES: [&str; 4] = ["wrong_per_frame", "recall", "precision", "f1"];
 const MEDIANS: [Median; 5] = [
     ("radius_error_mm", |sample| Some(1e3 * (sample.found?.0.radius_m - sample.radius_m).abs())),
     ("radius_bias_mm", |sample| Some(1e3 * (sample.found?.0.radius_m - sample.radius_m))),
-    ("position_error_mm", |sample| Some(1e3 * sample.found?.0.position_m)),
-    ("axis_error_deg", |sample| {
-        let axis = sample.found?.0.axis.to_degrees();
-        sample.shape.has_axis().then_some(axis)
-    }),
-    ("half_angle_error_deg", |sample| {
-        let half_angle = sample.found?.0.half_angle.abs().to_degrees();
-        sample.shape.has_half_angle().then_some(half_angle)
-    }),
+    ("position_error_mm", Sample::position_error_mm),
+    ("axis_error_deg", Sample::axis_error_deg),
+    ("half_angle_error_deg", Sample::half_angle_error_deg),
 ];
 
 /// The names of all columns that a row can have.

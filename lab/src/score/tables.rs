@@ -18,15 +18,9 @@ const COUNTS: [(&str, usize); 6] = [("truth", 6), ("found", 6), ("wrong", 6), ("
 const ERRORS: [(&str, usize, Pairing); 5] = [
     ("radius %", 10, |sample| Some(radius_error(sample)?.abs())),
     ("bias %", 8, radius_error),
-    ("pos. mm", 9, |sample| Some(1e3 * sample.found?.0.position_m)),
-    ("axis deg", 10, |sample| {
-        let axis = sample.found?.0.axis.to_degrees();
-        sample.shape.has_axis().then_some(axis)
-    }),
-    ("half deg", 10, |sample| {
-        let half_angle = sample.found?.0.half_angle.abs().to_degrees();
-        sample.shape.has_half_angle().then_some(half_angle)
-    }),
+    ("pos. mm", 9, Sample::position_error_mm),
+    ("axis deg", 10, Sample::axis_error_deg),
+    ("half deg", 10, Sample::half_angle_error_deg),
 ];
 
 /// The standard deviations that are judged.
