@@ -73,14 +73,9 @@ impl<'a> Results<'a> {
         let cell = |group: &Figure, share: f64, column: &String| {
             let rows = self.rows.iter().filter(|row| row.get(by) == Some(group));
             let mut numbers: Vec<f64> = rows.filter_map(|row| row.number_of(column)).collect();
-            quantile(&mut numbers, share, f64::total_cmp)
-                .map_or("-".to_owned(), |number| shown(&Figure::Number(number)))
+            quantile(&mut numbers, share).map_or("-".to_owned(), |number| shown(&Figure::Number(number)))
         };
-        let titles = [by.as_str(), "of all rows"]
-            .into_iter()
-            .chain(columns.iter().map(String::as_str))
-            .map(str::to_owned)
-            .collect();
+        let titles = [by, "of all rows"].map(str::to_owned).into_iter().chain(columns.iter().cloned()).collect();
         let rows = groups.iter().flat_map(|group| {
             [("least", 0.0), ("median", 0.5), ("greatest", 1.0)].map(|(name, share)| {
                 let names = [shown(group), name.to_owned()].into_iter();

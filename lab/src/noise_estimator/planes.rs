@@ -282,7 +282,7 @@ fn table(windows: &[(f64, Covariances)], f: &mut fmt::Formatter<'_>) -> fmt::Res
         let inside: Vec<_> = windows.iter().filter(|(depth, _)| (band[0]..band[1]).contains(depth)).collect();
         let Some(depth) = median(inside.iter().map(|(depth, _)| *depth).collect()) else { continue };
         let mut sigmas: Vec<f64> = inside.iter().map(|(_, c)| 1e3 * c[0][0].max(0.0).sqrt()).collect();
-        let [low, middle, high] = [0.25, 0.5, 0.75].map(|share| quantile(&mut sigmas, share, f64::total_cmp));
+        let [low, middle, high] = [0.25, 0.5, 0.75].map(|share| quantile(&mut sigmas, share));
         let sigma = |quartile: Option<f64>| quartile.unwrap_or(f64::NAN);
         write!(
             f,

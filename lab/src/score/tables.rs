@@ -159,7 +159,7 @@ fn honesty_table(score: &Score) -> String {
 fn honesty(values: &[f64]) -> String {
     let mean_square = values.iter().map(|value| value * value).sum::<f64>() / values.len().max(1) as f64;
     let mut magnitudes: Vec<f64> = values.iter().map(|value| value.abs()).collect();
-    let usual = quantile(&mut magnitudes, 0.68, f64::total_cmp);
+    let usual = quantile(&mut magnitudes, 0.68);
     usual.map_or_else(|| "-".to_owned(), |usual| format!("{:.2} ({usual:.2})", mean_square.sqrt()))
 }
 

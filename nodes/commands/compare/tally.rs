@@ -116,7 +116,7 @@ impl Unlike {
 
 /// The value below which a share of the values lies; none of no numbers.
 pub(super) fn share_below(values: impl Iterator<Item = f64>, share: f64) -> Option<f64> {
-    quantile(&mut values.filter(|value| value.is_finite()).collect::<Vec<_>>(), share, f64::total_cmp)
+    quantile(&mut values.filter(|value| value.is_finite()).collect::<Vec<_>>(), share)
 }
 
 fn ensure_same_frames(a: &[Frame], b: &[Frame]) -> Result<()> {
