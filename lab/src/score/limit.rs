@@ -193,38 +193,24 @@ impl Sights {
     }
 
     fn row(&self, quantity: &Quantity, sums: &Sums, frames: u64, wrong: u64) -> Row {
-        let mut row = Row::default();
-        row.text("object", &self.truth.name);
-        row.text("quantity", quantity.name);
-        row.count("frames", frames);
-        row.number("found", self.found as f64 / frames as f64);
-        row.number("wrong", wrong as f64 / frames as f64);
         let bound = |of: fn(&Bounds) -> &Bound| {
             let bound = self.bounds.as_ref().and_then(|bounds| (quantity.bound)(of(bounds)));
             bound.map_or(f64::NAN, |bound| bound * quantity.units)
         };
         let (depths, contour) = (bound(|bounds| &bounds.depths), bound(|bounds| &bounds.contour));
-        row.number("bound_a", depths);
-        row.number("bound_b", contour);
-        if self.found < FEWEST {
-            return row;
-        }
-        let scatter = sums.error.iter().map(RunningStats::variance).sum::<f64>().sqrt() * quantity.units;
-        let mean = Vector3::from(sums.error.map(|sum| sum.mean())) * quantity.units;
+        let enough = if self.found < FEWEST { f64::NAN } else { quantity.units };
+        let scatter = sums.error.iter().map(RunningStats::variance).sum::<f64>().sqrt() * enough;
+        let mean = Vector3::from(sums.error.map(|sum| sum.mean())) * enough;
         // a vector's has no sign
         let bias = if mean.yz() == nalgebra::Vector2::zeros() { mean.x } else { mean.norm() };
-        let sigma = sums.variance.mean().sqrt() * quantity.units;
-        for (column, number) in [
-            ("scatter", scatter),
-            ("bias", bias),
-            ("sigma", sigma),
-            ("efficiency_a", depths / scatter),
-            ("efficiency_b", contour / scatter),
-            ("bias_over_scatter", bias.abs() / scatter),
-            ("sigma_over_scatter", sigma / scatter),
-        ] {
-            row.number(column, number);
-        }
+        let sigma = sums.variance.mean().sqrt() * enough;
+        let [found, wrong] = [self.found, wrong].map(|count| count as f64 / frames as f64);
+        let ratios = [depths / scatter, contour / scatter, bias.abs() / scatter, sigma / scatter];
+        let mut row = Row::default();
+        row.text("object", &self.truth.name);
+        row.text("quantity", quantity.name);
+        let numbers = [frames as f64, found, wrong, depths, contour, scatter, bias, sigma].into_iter().chain(ratios);
+        COLUMNS[2..].iter().zip(numbers).for_each(|(column, number)| row.number(column, number));
         row
     }
 }
