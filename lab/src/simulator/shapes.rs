@@ -254,36 +254,15 @@ impl Surface for Plane {
 
 impl Surface for Shape {
     fn hit(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
-        match self {
-            Self::Sphere(sphere) => sphere.hit(origin, direction),
-            Self::Frustum(frustum) => frustum.hit(origin, direction),
-            Self::Bowl(bowl) => bowl.hit(origin, direction),
-            Self::Block(block) => block.hit(origin, direction),
-            Self::Plane(plane) => plane.hit(origin, direction),
-            Self::Lump(lump) => lump.hit(origin, direction),
-        }
+        self.surface().hit(origin, direction)
     }
 
     fn normal(&self, point: &Vector3<f64>) -> Vector3<f64> {
-        match self {
-            Self::Sphere(sphere) => sphere.normal(point),
-            Self::Frustum(frustum) => frustum.normal(point),
-            Self::Bowl(bowl) => bowl.normal(point),
-            Self::Block(block) => block.normal(point),
-            Self::Plane(plane) => plane.normal(point),
-            Self::Lump(lump) => lump.normal(point),
-        }
+        self.surface().normal(point)
     }
 
     fn bounds(&self) -> Option<[Vector3<f64>; 2]> {
-        match self {
-            Self::Sphere(sphere) => sphere.bounds(),
-            Self::Frustum(frustum) => frustum.bounds(),
-            Self::Bowl(bowl) => bowl.bounds(),
-            Self::Block(block) => block.bounds(),
-            Self::Plane(plane) => plane.bounds(),
-            Self::Lump(lump) => lump.bounds(),
-        }
+        self.surface().bounds()
     }
 
     fn transformed(&self, target_from_source: &Pose) -> Self {
@@ -299,6 +278,17 @@ impl Surface for Shape {
 }
 
 impl Shape {
+    fn surface(&self) -> &dyn Surface {
+        match self {
+            Self::Sphere(sphere) => sphere,
+            Self::Frustum(frustum) => frustum,
+            Self::Bowl(bowl) => bowl,
+            Self::Block(block) => block,
+            Self::Plane(plane) => plane,
+            Self::Lump(lump) => lump,
+        }
+    }
+
     /// The point that a scene file places: the centre, the middle of the first end, the plane's point.
     pub fn anchor(&self) -> Vector3<f64> {
         match self {

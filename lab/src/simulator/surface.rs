@@ -15,7 +15,9 @@ pub trait Surface {
     /// Least and greatest coordinates; `None`: without end.
     fn bounds(&self) -> Option<[Vector3<f64>; 2]>;
     /// The same shape in another frame.
-    fn transformed(&self, target_from_source: &Pose) -> Self;
+    fn transformed(&self, target_from_source: &Pose) -> Self
+    where
+        Self: Sized;
 }
 
 /// A `t` that lies ahead, else infinity.
