@@ -13,6 +13,7 @@
 //! du)`, and u is known with a variance of `1/12 + jitter^2` square pixels. Each piece of the contour counts once: rows count
 //! where it is steeper than 45 degrees, columns where it is flatter.
 
+use crate::bisection::end_of;
 use crate::simulator::raster::{NOBODY, Raster, ray};
 use conicflow_geometry::{Coefficients, Conical, FixedSlope, FreeSlope, Sphere, Surface, gradient};
 use conicflow_messages::{NoiseModel, Object, ObjectKind};
@@ -192,16 +193,12 @@ impl View<'_> {
         let pixel = pixel * (step_u + step_v) as f64;
         let discriminant = |share: f64| Along::new(q, &(start + pixel * share)).discriminant();
         // beyond half a pixel more the contour is not the edge that was seen
-        let (mut seen, mut unseen) = (0.0, 1.5);
+        let [seen, unseen] = [0.0, 1.5];
         if discriminant(seen) < 0.0 || discriminant(unseen) >= 0.0 {
             return None;
         }
         const HALVINGS: u32 = 40;
-        for _ in 0..HALVINGS {
-            let middle = 0.5 * (seen + unseen);
-            *(if discriminant(middle) < 0.0 { &mut unseen } else { &mut seen }) = middle;
-        }
-        let ray = start + pixel * seen;
+        let ray = start + pixel * end_of(|share| discriminant(share) >= 0.0, [seen, unseen], HALVINGS);
         let along = Along::new(q, &ray);
         let per_pixel = along.change(&Along::change_of_ray(q, &ray, &pixel));
         let per_other = along.change(&Along::change_of_ray(q, &ray, &other));

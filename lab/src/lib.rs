@@ -8,6 +8,7 @@
 //! - [`bound`]: how well an object can be measured at all;
 //! - [`score`]: what was found of what is there, and how well; [`experiment`]: tables and plots of that.
 
+mod bisection;
 pub mod bound;
 pub mod experiment;
 pub mod noise_estimator;

@@ -4,6 +4,7 @@ use super::block::Block;
 use super::fields::{finite, not_negative, vector};
 use super::pose::Pose;
 use super::surface::{NEAREST, Surface};
+use crate::bisection::end_of;
 use nalgebra::{Matrix3, Vector3};
 use serde::Deserialize;
 
@@ -113,7 +114,7 @@ impl Surface for Lump {
             let next = t + (before.abs() / steepest).max(LEAST_STEP) / speed;
             let there = value(next);
             if (there > 0.0) != starts_outside {
-                return halved([t, next], |t| (value(t) > 0.0) == starts_outside);
+                return end_of(|t| (value(t) > 0.0) == starts_outside, [t, next], HALVINGS);
             }
             (t, before) = (next, there);
         }
@@ -133,15 +134,6 @@ impl Surface for Lump {
         let axes = target_from_source.rotation * self.axes;
         Self { center: target_from_source.point(&self.center), axes, ..*self }
     }
-}
-
-/// The end of what is `true` within a range, from its first end on.
-fn halved([mut first, mut last]: [f64; 2], is_before: impl Fn(f64) -> bool) -> f64 {
-    for _ in 0..HALVINGS {
-        let middle = 0.5 * (first + last);
-        *(if is_before(middle) { &mut first } else { &mut last }) = middle;
-    }
-    first
 }
 
 #[cfg(test)]

@@ -2,10 +2,13 @@
 
 use super::pose::Pose;
 use super::shapes::{Plane, Shape, Surface};
+use crate::bisection::end_of;
 use nalgebra::Vector3;
 
 /// Half of the width and height of a screen, in metres.
 const HALF_M: [f64; 2] = [0.4, 2.0];
+/// Halvings of the stretch in which an edge of a body lies.
+const HALVINGS: u32 = 50;
 
 /// A board `distance_m` before the camera that hides the share `hides` of a body's width from the left, along the line of
 /// the image on which its middle lies; in the world frame. `None` where the camera does not see the body there.
@@ -19,7 +22,7 @@ pub fn screen(body: &Shape, world_from_camera: &Pose, distance_m: f64, hides: f6
         return None;
     }
     let reach = (most - least).norm() / least.z.max(distance_m);
-    let [left, right] = [-reach, reach].map(|reach| edge(column, column + reach, is_hit));
+    let [left, right] = [-reach, reach].map(|reach| end_of(is_hit, [column, column + reach], HALVINGS));
     let end = (left + hides * (right - left)) * distance_m;
     let plane = Plane {
         point: Vector3::new(end - HALF_M[0], row * distance_m, distance_m),
@@ -28,16 +31,6 @@ pub fn screen(body: &Shape, world_from_camera: &Pose, distance_m: f64, hides: f6
         half: HALF_M,
     };
     Some(Shape::Plane(plane).transformed(world_from_camera))
-}
-
-/// Where `holds` ends between a place where it does and one where it does not.
-fn edge(mut inside: f64, mut outside: f64, holds: impl Fn(f64) -> bool) -> f64 {
-    const HALVINGS: u32 = 50;
-    for _ in 0..HALVINGS {
-        let middle = 0.5 * (inside + outside);
-        *(if holds(middle) { &mut inside } else { &mut outside }) = middle;
-    }
-    inside
 }
 
 #[cfg(test)]
