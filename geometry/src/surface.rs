@@ -211,10 +211,11 @@ impl Conical {
         pack(a, b, *e).map(|q| q * cosine)
     }
 
-    fn stepped(&self, tilt: [f64; 2], shift: [f64; 2], radius: f64, slope: f64) -> Option<Self> {
+    /// The surface whose parameters differ by two tilts of the axis, two shifts across it, a radius and a slope.
+    fn stepped(&self, &[tilt_u, tilt_v, shift_u, shift_v, radius, slope]: &[f64; 6]) -> Option<Self> {
         let [u, v] = self.across();
-        let axis = (self.axis + u * tilt[0] + v * tilt[1]).normalize();
-        let point = self.point + u * shift[0] + v * shift[1];
+        let axis = (self.axis + u * tilt_u + v * tilt_v).normalize();
+        let point = self.point + u * shift_u + v * shift_v;
         let moved = Self { point, axis, radius: self.radius + radius, slope: self.slope + slope };
         (moved.radius > 0.0 && axis.iter().all(|x| x.is_finite())).then_some(moved)
     }
@@ -229,60 +230,42 @@ impl Conical {
     }
 }
 
-impl Surface<5> for FixedSlope {
-    fn coefficients(&self) -> Coefficients {
-        self.0.coefficients()
-    }
+/// Frees so many of the parameters of a [`Conical`].
+macro_rules! free_parameters {
+    ($surface:ident: $count:literal) => {
+        impl Surface<$count> for $surface {
+            fn coefficients(&self) -> Coefficients {
+                self.0.coefficients()
+            }
 
-    fn derivatives(&self) -> [Coefficients; 5] {
-        let [a, b, c, d, e, _] = self.0.all_derivatives();
-        [a, b, c, d, e]
-    }
+            fn derivatives(&self) -> [Coefficients; $count] {
+                let all = self.0.all_derivatives();
+                std::array::from_fn(|i| all[i])
+            }
 
-    fn moved(&self, step: &[f64; 5]) -> Option<Self> {
-        let [a, b, c, d, e] = *step;
-        self.0.stepped([a, b], [c, d], e, 0.0).map(Self)
-    }
+            fn moved(&self, step: &[f64; $count]) -> Option<Self> {
+                let mut all = [0.0; 6];
+                all[..$count].copy_from_slice(step);
+                self.0.stepped(&all).map(Self)
+            }
 
-    fn lengths() -> [bool; 5] {
-        [false, false, true, true, true]
-    }
+            fn lengths() -> [bool; $count] {
+                std::array::from_fn(|i| (2..5).contains(&i))
+            }
 
-    fn to_local(&self, origin: &Vector3, scale: f64) -> Self {
-        Self(self.0.local(origin, scale))
-    }
+            fn to_local(&self, origin: &Vector3, scale: f64) -> Self {
+                Self(self.0.local(origin, scale))
+            }
 
-    fn to_camera(&self, origin: &Vector3, scale: f64) -> Self {
-        Self(self.0.camera(origin, scale))
-    }
+            fn to_camera(&self, origin: &Vector3, scale: f64) -> Self {
+                Self(self.0.camera(origin, scale))
+            }
+        }
+    };
 }
 
-impl Surface<6> for FreeSlope {
-    fn coefficients(&self) -> Coefficients {
-        self.0.coefficients()
-    }
-
-    fn derivatives(&self) -> [Coefficients; 6] {
-        self.0.all_derivatives()
-    }
-
-    fn moved(&self, step: &[f64; 6]) -> Option<Self> {
-        let [a, b, c, d, e, f] = *step;
-        self.0.stepped([a, b], [c, d], e, f).map(Self)
-    }
-
-    fn lengths() -> [bool; 6] {
-        [false, false, true, true, true, false]
-    }
-
-    fn to_local(&self, origin: &Vector3, scale: f64) -> Self {
-        Self(self.0.local(origin, scale))
-    }
-
-    fn to_camera(&self, origin: &Vector3, scale: f64) -> Self {
-        Self(self.0.camera(origin, scale))
-    }
-}
+free_parameters!(FixedSlope: 5);
+free_parameters!(FreeSlope: 6);
 
 /// `u v' + v u'`.
 fn symmetric(u: &Vector3, v: &Vector3) -> Matrix3<f64> {
