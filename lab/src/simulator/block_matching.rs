@@ -64,9 +64,34 @@ pub struct Matching {
 /// Neighbours whose disparities differ by no more are of one surface, in pixels.
 const ONE_SURFACE_PX: f32 = 1.0;
 
-/// Matches images; keeps its buffers.
-#[derive(Clone, Debug, Default)]
-pub struct BlockMatcher {
+/// The disparity of each pixel; not a number where there is none.
+pub fn disparities(images: &ImagePair, matching: &Matching) -> Vec<f32> {
+    let [width, height] = images.size;
+    let mut disparities = vec![f32::NAN; width * height];
+    let mut sums = RowSums::default();
+    for (v, row) in disparities.chunks_exact_mut(width).enumerate() {
+        sums.sum_columns(images, matching, v);
+        sums.sum_windows(matching, width);
+        if let Some(penalties) = matching.penalties {
+            sums.add_up_paths(shift_count(matching), penalties, v == 0);
+        }
+        if matching.left_right_px.is_some() {
+            sums.look_from_the_right(images, matching);
+        }
+        for (u, disparity) in row.iter_mut().enumerate() {
+            *disparity = sums.best(matching, width, u).unwrap_or(f32::NAN);
+        }
+    }
+    remove_small_regions(images.size, matching.smallest_region_px, &mut disparities);
+    if matching.smoothing != [1, 1] {
+        smooth(width, matching.smoothing, &mut disparities);
+    }
+    disparities
+}
+
+/// What is known of a row, and of those above it.
+#[derive(Default)]
+struct RowSums {
     /// For each column and shift the differences of the window's rows.
     columns: Vec<i16>,
     /// The same of the window.
@@ -79,36 +104,9 @@ pub struct BlockMatcher {
     /// For each pixel of the second image's row the least difference and its shift.
     least_right: Vec<i16>,
     shift_right: Vec<i16>,
-    region: Vec<usize>,
-    seen: Vec<bool>,
-    rough: Vec<f32>,
 }
 
-impl BlockMatcher {
-    /// Writes the disparity of each pixel; not a number where there is none.
-    pub fn disparities(&mut self, images: &ImagePair, matching: &Matching, disparities: &mut Vec<f32>) {
-        let [width, height] = images.size;
-        disparities.clear();
-        disparities.resize(width * height, f32::NAN);
-        for (v, row) in disparities.chunks_exact_mut(width).enumerate() {
-            self.sum_columns(images, matching, v);
-            self.sum_windows(matching, width);
-            if let Some(penalties) = matching.penalties {
-                self.add_up_paths(shift_count(matching), penalties, v == 0);
-            }
-            if matching.left_right_px.is_some() {
-                self.look_from_the_right(images, matching);
-            }
-            for (u, disparity) in row.iter_mut().enumerate() {
-                *disparity = self.best(matching, width, u).unwrap_or(f32::NAN);
-            }
-        }
-        self.remove_small_regions(images.size, matching.smallest_region_px, disparities);
-        if matching.smoothing != [1, 1] {
-            self.smooth(width, matching.smoothing, disparities);
-        }
-    }
-
+impl RowSums {
     /// Brings the sums of the window's rows about row `v` up to date; at the image's border the last row counts again.
     fn sum_columns(&mut self, images: &ImagePair, matching: &Matching, v: usize) {
         let [width, height] = images.size;
@@ -231,58 +229,53 @@ impl BlockMatcher {
         }
         Some((best + matching.shifts[0]) as f32 + between(sums[best - 1], least, sums[best + 1]))
     }
+}
 
-    /// Takes for each disparity the mean of those about it that are of the same surface.
-    fn smooth(&mut self, width: usize, [columns, rows]: [usize; 2], disparities: &mut [f32]) {
-        self.rough.clear();
-        self.rough.extend_from_slice(disparities);
-        let (rough, height) = (&self.rough, disparities.len() / width);
-        let near = |at: usize, side: usize, size: usize| at.saturating_sub(side / 2)..(at + side - side / 2).min(size);
-        for (index, disparity) in disparities.iter_mut().enumerate().filter(|(_, disparity)| !disparity.is_nan()) {
-            let (mut sum, mut count) = (0.0, 0.0);
-            for v in near(index / width, rows, height) {
-                for other in &rough[v * width..][near(index % width, columns, width)] {
-                    if (other - rough[index]).abs() <= ONE_SURFACE_PX {
-                        sum += other;
-                        count += 1.0;
-                    }
+/// Takes for each disparity the mean of those about it that are of the same surface.
+fn smooth(width: usize, [columns, rows]: [usize; 2], disparities: &mut [f32]) {
+    let (rough, height) = (disparities.to_vec(), disparities.len() / width);
+    let near = |at: usize, side: usize, size: usize| at.saturating_sub(side / 2)..(at + side - side / 2).min(size);
+    for (index, disparity) in disparities.iter_mut().enumerate().filter(|(_, disparity)| !disparity.is_nan()) {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for v in near(index / width, rows, height) {
+            for other in &rough[v * width..][near(index % width, columns, width)] {
+                if (other - rough[index]).abs() <= ONE_SURFACE_PX {
+                    sum += other;
+                    count += 1.0;
                 }
             }
-            *disparity = sum / count;
         }
+        *disparity = sum / count;
     }
+}
 
-    /// Removes regions of few pixels: what agrees with no neighbour is a chance match.
-    fn remove_small_regions(&mut self, [width, height]: [usize; 2], smallest: usize, disparities: &mut [f32]) {
-        self.seen.clear();
-        self.seen.resize(disparities.len(), false);
-        for start in 0..disparities.len() {
-            if self.seen[start] || disparities[start].is_nan() {
-                continue;
-            }
-            self.seen[start] = true;
-            self.region.clear();
-            self.region.push(start);
-            let mut next = 0;
-            while let Some(&index) = self.region.get(next) {
-                next += 1;
-                let (u, v) = (index % width, index / width);
-                let sides = [
-                    (u > 0).then(|| index - 1),
-                    (u + 1 < width).then_some(index + 1),
-                    (v > 0).then(|| index - width),
-                    (v + 1 < height).then_some(index + width),
-                ];
-                for side in sides.into_iter().flatten() {
-                    if !self.seen[side] && (disparities[side] - disparities[index]).abs() <= ONE_SURFACE_PX {
-                        self.seen[side] = true;
-                        self.region.push(side);
-                    }
+/// Removes regions of few pixels: what agrees with no neighbour is a chance match.
+fn remove_small_regions([width, height]: [usize; 2], smallest: usize, disparities: &mut [f32]) {
+    let mut seen = vec![false; disparities.len()];
+    for start in 0..disparities.len() {
+        if seen[start] || disparities[start].is_nan() {
+            continue;
+        }
+        seen[start] = true;
+        let (mut region, mut next) = (vec![start], 0);
+        while let Some(&index) = region.get(next) {
+            next += 1;
+            let (u, v) = (index % width, index / width);
+            let sides = [
+                (u > 0).then(|| index - 1),
+                (u + 1 < width).then_some(index + 1),
+                (v > 0).then(|| index - width),
+                (v + 1 < height).then_some(index + width),
+            ];
+            for side in sides.into_iter().flatten() {
+                if !seen[side] && (disparities[side] - disparities[index]).abs() <= ONE_SURFACE_PX {
+                    seen[side] = true;
+                    region.push(side);
                 }
             }
-            if self.region.len() < smallest {
-                self.region.iter().for_each(|&index| disparities[index] = f32::NAN);
-            }
+        }
+        if region.len() < smallest {
+            region.iter().for_each(|&index| disparities[index] = f32::NAN);
         }
     }
 }

@@ -30,16 +30,10 @@ fn shifted(shift: impl Fn(usize) -> i64) -> ImagePair {
     images
 }
 
-fn matched(images: &ImagePair, matching: &Matching) -> Vec<f32> {
-    let mut disparities = Vec::new();
-    BlockMatcher::default().disparities(images, matching, &mut disparities);
-    disparities
-}
-
 #[test]
 fn a_shift_is_found_in_each_pixel() {
     for shift in [4, 17, 29] {
-        let disparities = matched(&shifted(|_| shift), &MATCHING);
+        let disparities = disparities(&shifted(|_| shift), &MATCHING);
         let inside = disparities.chunks_exact(100).flat_map(|row| &row[4..96]);
         assert!(inside.clone().all(|disparity| (disparity - shift as f32).abs() < 0.2), "{shift}");
     }
@@ -47,7 +41,7 @@ fn a_shift_is_found_in_each_pixel() {
 
 #[test]
 fn a_shift_outside_of_the_range_is_not_found() {
-    let disparities = matched(&shifted(|_| 40), &Matching { smallest_region_px: 30, ..MATCHING });
+    let disparities = disparities(&shifted(|_| 40), &Matching { smallest_region_px: 30, ..MATCHING });
     let found = disparities.iter().filter(|disparity| !disparity.is_nan()).count();
     assert!(found * 50 < disparities.len(), "{found}");
 }
@@ -56,10 +50,10 @@ fn a_shift_outside_of_the_range_is_not_found() {
 fn sums_that_run_on_are_those_of_each_window() {
     let (images, window) = (shifted(|u| if u < 50 { 6 } else { 20 }), [5, 4]);
     let matching = Matching { window, left_right_px: None, uniqueness: 0.0, ..MATCHING };
-    let mut matcher = BlockMatcher::default();
+    let mut sums = RowSums::default();
     for v in 0..40 {
-        matcher.sum_columns(&images, &matching, v);
-        matcher.sum_windows(&matching, 100);
+        sums.sum_columns(&images, &matching, v);
+        sums.sum_windows(&matching, 100);
         for (u, shift) in [(0, 0), (1, 5), (49, 4), (50, 18), (99, 28)] {
             let mut sum = 0;
             for (i, j) in (0..5).flat_map(|i| (0..4).map(move |j| (i, j))) {
@@ -68,7 +62,7 @@ fn sums_that_run_on_are_those_of_each_window() {
                 let other = images.right_index(column as i64 - (shift as i64 + 2), row);
                 sum += (images.left[row * 100 + column] - images.right[other]).abs();
             }
-            assert_eq!(matcher.sums[u * 29 + shift], sum, "({u}, {v}), shift {shift}");
+            assert_eq!(sums.sums[u * 29 + shift], sum, "({u}, {v}), shift {shift}");
         }
     }
 }
@@ -88,7 +82,7 @@ fn smooth_paths_leave_fewer_false_matches() {
     let images = shifted(step);
     let false_matches = |penalties| {
         let matching = Matching { window: [1, 1], penalties, uniqueness: 0.0, left_right_px: None, ..MATCHING };
-        let disparities = matched(&images, &matching);
+        let disparities = disparities(&images, &matching);
         let is_false = |(index, disparity): (usize, &f32)| {
             let u = index % 100;
             (30..95).contains(&u) && !(45..55).contains(&u) && (disparity - step(u) as f32).abs() > 0.5
@@ -103,16 +97,16 @@ fn smooth_paths_leave_fewer_false_matches() {
 fn smoothing_leaves_a_step_sharp() {
     let step = |u: usize| if u < 50 { 6 } else { 20 };
     let smooth = Matching { smoothing: [9, 9], ..MATCHING };
-    let disparities = matched(&shifted(step), &smooth);
+    let disparities = disparities(&shifted(step), &smooth);
     let between = disparities.iter().filter(|disparity| (7.0..19.0).contains(*disparity)).count();
     assert!(between < 20, "{between}");
 }
 
 #[test]
 fn small_regions_are_removed() {
-    let (mut matcher, none) = (BlockMatcher::default(), f32::NAN);
+    let none = f32::NAN;
     let mut disparities = [5.0, 5.5, none, 9.0, 6.0, none, none, none, 6.5, none, 2.0, 2.0];
-    matcher.remove_small_regions([4, 3], 4, &mut disparities);
+    remove_small_regions([4, 3], 4, &mut disparities);
     let left: Vec<usize> = (0..12).filter(|&index| !disparities[index].is_nan()).collect();
     assert_eq!(left, [0, 1, 4, 8]);
 }

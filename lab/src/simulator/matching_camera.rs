@@ -6,7 +6,7 @@
 //! come from that alone. What matching cannot make is added: a bend of the lens that stays ([`waves`]), and whole steps of
 //! the disparity.
 
-use super::block_matching::{BRIGHTEST, BlockMatcher, ImagePair, LARGEST_PENALTY, LARGEST_WINDOW, Matching};
+use super::block_matching::{BRIGHTEST, ImagePair, LARGEST_PENALTY, LARGEST_WINDOW, Matching, disparities};
 use super::dot_pattern::DotPattern;
 use super::pose::Pose;
 use super::raster::{NOBODY, Raster};
@@ -230,11 +230,7 @@ pub struct MatchingCamera {
     bend: Vec<f64>,
     /// What the second eye sees; wider than the image.
     second: Raster,
-    second_shapes: Vec<Shape>,
-    shadow: Vec<bool>,
     images: ImagePair,
-    matcher: BlockMatcher,
-    disparities: Vec<f32>,
 }
 
 impl MatchingCamera {
@@ -274,19 +270,7 @@ impl MatchingCamera {
         };
         let images =
             ImagePair { size, reach, left: vec![0; size[0] * size[1]], right: vec![0; (size[0] + reach) * size[1]] };
-        let mut this = Self {
-            table,
-            second_eye,
-            matching,
-            pattern,
-            bend,
-            second: Raster::new(wide),
-            second_shapes: Vec::new(),
-            shadow: Vec::new(),
-            images,
-            matcher: BlockMatcher::default(),
-            disparities: Vec::new(),
-        };
+        let mut this = Self { table, second_eye, matching, pattern, bend, second: Raster::new(wide), images };
         if !second_eye {
             this.store_the_pattern();
         }
@@ -304,17 +288,15 @@ impl MatchingCamera {
 
     /// Measures a rendered image of `shapes` (camera frame): the depth of each pixel in metres, not a number where there is
     /// none.
-    pub fn measure(&mut self, raster: &Raster, shapes: &[Shape], dice: &CounterRng, depths: &mut Vec<f64>) {
+    pub fn measure(&mut self, raster: &Raster, shapes: &[Shape], dice: &CounterRng) -> Vec<f64> {
         self.look(raster, shapes, dice);
-        self.matcher.disparities(&self.images, &self.matching, &mut self.disparities);
         let scale = raster.camera.fx * self.table.baseline_m;
         let depth = |(disparity, bend): (&f32, &f64)| {
             let disparity = self.in_steps(f64::from(*disparity) + bend);
             let depth = scale / disparity;
             if (self.table.min_range_m..=self.table.max_range_m).contains(&depth) { depth } else { f64::NAN }
         };
-        depths.clear();
-        depths.extend(self.disparities.iter().zip(&self.bend).map(depth));
+        disparities(&self.images, &self.matching).iter().zip(&self.bend).map(depth).collect()
     }
 
     fn in_steps(&self, disparity: f64) -> f64 {
@@ -327,10 +309,10 @@ impl MatchingCamera {
     /// Takes the images.
     fn look(&mut self, raster: &Raster, shapes: &[Shape], dice: &CounterRng) {
         let projector = self.table.projector_m;
-        shadow::cast(raster, shapes, projector, &mut self.shadow);
+        let shadow = shadow::cast(raster, shapes, projector);
         let [width, height] = self.images.size;
         for index in 0..width * height {
-            let light = light(&self.pattern, raster, &self.shadow, index, projector);
+            let light = light(&self.pattern, raster, &shadow, index, projector);
             self.images.left[index] = exposed(light, self.table.image_noise, dice, index as u64);
         }
         if !self.second_eye {
@@ -338,13 +320,12 @@ impl MatchingCamera {
         }
         let place = self.table.baseline_m;
         let moved = Pose::shift(Vector3::new(-place, 0.0, 0.0));
-        self.second_shapes.clear();
-        self.second_shapes.extend(shapes.iter().map(|shape| shape.transformed(&moved)));
-        self.second.render(&self.second_shapes);
-        shadow::cast(&self.second, &self.second_shapes, projector - place, &mut self.shadow);
+        let shapes: Vec<Shape> = shapes.iter().map(|shape| shape.transformed(&moved)).collect();
+        self.second.render(&shapes);
+        let shadow = shadow::cast(&self.second, &shapes, projector - place);
         let (wide, count) = (width + self.images.reach, (width * height) as u64);
         for index in 0..wide * height {
-            let light = light(&self.pattern, &self.second, &self.shadow, index, projector - place);
+            let light = light(&self.pattern, &self.second, &shadow, index, projector - place);
             let (v, from_right) = (index / wide, wide - 1 - index % wide);
             self.images.right[v * wide + from_right] =
                 exposed(light, self.table.image_noise, dice, count + index as u64);

@@ -2,34 +2,13 @@
 
 use conicflow_messages::Camera;
 
-/// Normal deviates of variance one for each pixel of an image; the buffers are used again for the next.
-#[derive(Clone, Debug, Default)]
-pub(super) struct NoiseField {
-    deviates: Vec<f64>,
-    /// Sums along the rows.
-    sums: Vec<f64>,
-}
-
-impl NoiseField {
-    /// Draws one of which each pixel is the sum of `window` times `window` deviates, over `window`. What leaves the image on
-    /// one side comes back on the other.
-    pub fn draw(&mut self, camera: &Camera, window: usize, deviate: impl Fn(usize) -> f64) {
-        let (width, height) = (camera.width as usize, camera.height as usize);
-        let Self { deviates, sums } = self;
-        deviates.clear();
-        deviates.extend((0..width * height).map(deviate));
-        sums.clear();
-        for row in deviates.chunks_exact(width) {
-            sums.extend((0..width).map(|u| (0..window).map(|i| row[(u + i) % width]).sum::<f64>()));
-        }
-        let sum = |u: usize, v: usize| (0..window).map(|i| sums[(v + i) % height * width + u]).sum::<f64>();
-        for (index, deviate) in deviates.iter_mut().enumerate() {
-            *deviate = sum(index % width, index / width) / window as f64;
-        }
-    }
-
-    /// That of a pixel of the last image.
-    pub fn deviate(&self, index: usize) -> f64 {
-        self.deviates[index]
-    }
+/// Normal deviates of variance one for each pixel of an image, each the sum of `window` times `window` of those that `deviate`
+/// gives, over `window`. What leaves the image on one side comes back on the other.
+pub(super) fn noise_field(camera: &Camera, window: usize, deviate: impl Fn(usize) -> f64) -> Vec<f64> {
+    let (width, height) = (camera.width as usize, camera.height as usize);
+    let deviates: Vec<f64> = (0..width * height).map(deviate).collect();
+    let along = |row: &[f64], u: usize| (0..window).map(|i| row[(u + i) % width]).sum::<f64>();
+    let sums: Vec<f64> = deviates.chunks_exact(width).flat_map(|row| (0..width).map(move |u| along(row, u))).collect();
+    let sum = |u: usize, v: usize| (0..window).map(|i| sums[(v + i) % height * width + u]).sum::<f64>();
+    (0..width * height).map(|index| sum(index % width, index / width) / window as f64).collect()
 }

@@ -5,7 +5,7 @@
 //! 3D reconstruction and tracking" (2012), in the form of [`NoiseModel`]; the same paper finds the silhouettes uncertain by
 //! about 0.8 pixels at 640x480 and the noise growing beyond all bounds from 70 to 80 degrees on.
 
-use super::noise_field::NoiseField;
+use super::noise_field::noise_field;
 use super::raster::{Raster, is_jump};
 use super::shadow;
 use super::shapes::{Shape, Surface};
@@ -167,7 +167,8 @@ pub struct Sensor {
     /// Two standard deviations of the jitter, in pixels.
     edge_reach: i64,
     shadow: Vec<bool>,
-    noise: NoiseField,
+    /// Deviates that neighbours share, where they do.
+    noise: Vec<f64>,
 }
 
 /// The random numbers of a pixel.
@@ -201,7 +202,7 @@ impl Sensor {
             dropout_cosine,
             edge_reach,
             shadow: Vec::new(),
-            noise: NoiseField::default(),
+            noise: Vec::new(),
         }
     }
 
@@ -213,10 +214,10 @@ impl Sensor {
 
     /// Measures a rendered image of `shapes` (camera frame) into as many pixels.
     pub fn measure(&mut self, raster: &Raster, shapes: &[Shape], dice: &CounterRng, pixels: &mut [u16]) {
-        shadow::cast(raster, shapes, self.table.shadow_baseline_m, &mut self.shadow);
+        self.shadow = shadow::cast(raster, shapes, self.table.shadow_baseline_m);
         if self.table.noise_window_px > 1 {
             let deviate = |index: usize| dice.gaussian(Draw::Axial.counter(index));
-            self.noise.draw(&raster.camera, self.table.noise_window_px as usize, deviate);
+            self.noise = noise_field(&raster.camera, self.table.noise_window_px as usize, deviate);
         }
         let (width, height) = (i64::from(raster.camera.width), i64::from(raster.camera.height));
         for v in 0..height {
@@ -247,7 +248,7 @@ impl Sensor {
         }
         let deviate = match self.table.noise_window_px {
             0 | 1 => dice.gaussian(Draw::Axial.counter(index)),
-            _ => self.noise.deviate(index),
+            _ => self.noise[index],
         };
         let depth = self.in_steps(exact + sigma * deviate);
         (self.table.min_range_m..=self.table.max_range_m).contains(&depth).then_some(depth)

@@ -5,23 +5,23 @@ use super::raster::{Raster, Window};
 use super::shapes::{Shape, Surface};
 use nalgebra::Vector3;
 
-/// Marks in `shadow` the pixels whose points the projector at `(baseline_m, 0, 0)` does not see.
+/// Marks the pixels whose points the projector at `(baseline_m, 0, 0)` does not see.
 ///
 /// A shape can only darken points behind it that lie in its image as the projector sees it. The projector's image of a
 /// point of depth z is `fx baseline / z` pixels away from the camera's, so the pixels to be looked at are those of the
 /// shape's window, stretched by that shift.
-pub fn cast(raster: &Raster, shapes: &[Shape], baseline_m: f64, shadow: &mut Vec<bool>) {
-    shadow.clear();
-    shadow.resize(raster.depth.len(), false);
+pub fn cast(raster: &Raster, shapes: &[Shape], baseline_m: f64) -> Vec<bool> {
+    let mut shadow = vec![false; raster.depth.len()];
     if baseline_m == 0.0 {
-        return;
+        return shadow;
     }
     let projector = Vector3::new(baseline_m, 0.0, 0.0);
     for (owner, shape) in shapes.iter().enumerate() {
         if shape.bounds().is_some() {
-            darken(raster, shape, owner as u16, &projector, shadow);
+            darken(raster, shape, owner as u16, &projector, &mut shadow);
         }
     }
+    shadow
 }
 
 fn darken(raster: &Raster, shape: &Shape, owner: u16, projector: &Vector3<f64>, shadow: &mut [bool]) {
@@ -82,8 +82,7 @@ mod tests {
     /// First and last dark pixel of the middle row.
     fn dark_span(shapes: &[Shape], baseline_m: f64) -> Option<(usize, usize)> {
         let raster = Raster::of(CAMERA, shapes);
-        let mut shadow = Vec::new();
-        cast(&raster, shapes, baseline_m, &mut shadow);
+        let shadow = cast(&raster, shapes, baseline_m);
         let row = &shadow[120 * 320..121 * 320];
         Some((row.iter().position(|&dark| dark)?, row.iter().rposition(|&dark| dark)?))
     }

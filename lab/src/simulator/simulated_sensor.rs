@@ -82,7 +82,6 @@ enum Kind {
 pub struct SensorSimulation {
     kind: Kind,
     units_per_metre: f64,
-    depths: Vec<f64>,
 }
 
 impl SensorSimulation {
@@ -94,7 +93,7 @@ impl SensorSimulation {
             SensorNumbers::StructuredLight(table) => matching(MatchingCamera::structured_light(table, camera, seed)),
             SensorNumbers::TimeOfFlight(table) => Kind::TimeOfFlight(TimeOfFlightCamera::new(table)),
         };
-        Self { kind, units_per_metre: 1.0 / depth_scale, depths: Vec::new() }
+        Self { kind, units_per_metre: 1.0 / depth_scale }
     }
 
     /// The noise that the frames tell of.
@@ -107,11 +106,11 @@ impl SensorSimulation {
 
     /// Measures a rendered image of `shapes` (camera frame) into as many pixels.
     pub fn measure(&mut self, raster: &Raster, shapes: &[Shape], dice: &CounterRng, pixels: &mut [u16]) {
-        match &mut self.kind {
-            Kind::Matching(camera) => camera.measure(raster, shapes, dice, &mut self.depths),
-            Kind::TimeOfFlight(camera) => camera.measure(raster, shapes, dice, &mut self.depths),
-        }
-        for (pixel, depth) in pixels.iter_mut().zip(&self.depths) {
+        let depths = match &mut self.kind {
+            Kind::Matching(camera) => camera.measure(raster, shapes, dice),
+            Kind::TimeOfFlight(camera) => camera.measure(raster, shapes, dice),
+        };
+        for (pixel, depth) in pixels.iter_mut().zip(depths) {
             *pixel = sensor::pixel(depth * self.units_per_metre);
         }
     }

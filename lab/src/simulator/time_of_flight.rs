@@ -4,7 +4,7 @@
 //!
 //! Light comes back as `cos(a) / z^2`, a the angle between ray and normal; noise grows with what is missing of it.
 
-use super::noise_field::NoiseField;
+use super::noise_field::noise_field;
 use super::raster::{Raster, is_jump};
 use super::shapes::{Shape, Surface};
 use crate::random::CounterRng;
@@ -67,7 +67,8 @@ impl Default for TimeOfFlight {
 #[derive(Clone, Debug)]
 pub struct TimeOfFlightCamera {
     table: TimeOfFlight,
-    noise: NoiseField,
+    /// Deviates that neighbours share.
+    noise: Vec<f64>,
     /// The surfaces about a pixel.
     owners: Vec<u16>,
 }
@@ -96,7 +97,7 @@ fn cosine(shape: &Shape, point: &Vector3<f64>) -> f64 {
 impl TimeOfFlightCamera {
     /// A camera that has seen nothing.
     pub fn new(table: TimeOfFlight) -> Self {
-        Self { table, noise: NoiseField::default(), owners: Vec::new() }
+        Self { table, noise: Vec::new(), owners: Vec::new() }
     }
 
     /// The depth noise that the frames tell of.
@@ -107,15 +108,12 @@ impl TimeOfFlightCamera {
 
     /// Measures a rendered image of `shapes` (camera frame): the depth of each pixel in metres, not a number where there is
     /// none.
-    pub fn measure(&mut self, raster: &Raster, shapes: &[Shape], dice: &CounterRng, depths: &mut Vec<f64>) {
+    pub fn measure(&mut self, raster: &Raster, shapes: &[Shape], dice: &CounterRng) -> Vec<f64> {
         let window = self.table.noise_window_px.max(1) as usize;
-        self.noise.draw(&raster.camera, window, |index| dice.gaussian(index as u64));
-        depths.clear();
-        for v in 0..i64::from(raster.camera.height) {
-            for u in 0..i64::from(raster.camera.width) {
-                depths.push(self.depth(raster, shapes, [u, v]).unwrap_or(f64::NAN));
-            }
-        }
+        self.noise = noise_field(&raster.camera, window, |index| dice.gaussian(index as u64));
+        let (width, height) = (i64::from(raster.camera.width), i64::from(raster.camera.height));
+        let pixels = (0..height).flat_map(|v| (0..width).map(move |u| [u, v]));
+        pixels.map(|pixel| self.depth(raster, shapes, pixel).unwrap_or(f64::NAN)).collect()
     }
 
     fn depth(&mut self, raster: &Raster, shapes: &[Shape], at: [i64; 2]) -> Option<f64> {
@@ -126,7 +124,7 @@ impl TimeOfFlightCamera {
             return None;
         }
         let sigma = self.noise_model().sigma(exact) / returned.min(1.0);
-        let depth = exact + sigma * self.noise.deviate(raster.index(at[0], at[1]));
+        let depth = exact + sigma * self.noise[raster.index(at[0], at[1])];
         (self.table.min_range_m..=self.table.max_range_m).contains(&depth).then_some(depth)
     }
 
