@@ -53,8 +53,6 @@ pub struct Planes {
     windows: Vec<(f64, Covariances)>,
     /// The same place in all frames, for a camera that stands still.
     places: Vec<Place>,
-    inverse: Vec<f64>,
-    residuals: Vec<f64>,
 }
 
 /// A window's residuals over the frames.
@@ -75,50 +73,47 @@ impl Planes {
             true => 1.0 / (f64::from(pixel) * header.depth_scale),
             false => f64::NAN,
         };
-        self.inverse.clear();
-        self.inverse.extend(pixels.iter().map(inverse));
-        let planes = largest_planes(&self.inverse, width, &CounterRng::new(0, self.frames));
+        let inverse: Vec<f64> = pixels.iter().map(inverse).collect();
+        let planes = largest_planes(&inverse, width, &CounterRng::new(0, self.frames));
         self.frames += 1;
         let starts = |size: usize| (0..(size + STRIDE_PX).saturating_sub(WINDOW_PX) / STRIDE_PX).map(|i| i * STRIDE_PX);
         for (place, (top, left)) in starts(height).flat_map(|v| starts(width).map(move |u| (v, u))).enumerate() {
-            let Some(depth) = self.flatten(width, [left, top], &planes) else { continue };
-            let covariances = covariances(&self.residuals);
+            let Some((depth, residuals)) = flattened(&inverse, width, [left, top], &planes) else { continue };
+            let covariances = covariances(&residuals);
             self.windows.push((depth, covariances));
             if still {
                 self.places.resize_with(self.places.len().max(place + 1), Place::default);
-                self.places[place].add(depth, &covariances, &self.residuals);
+                self.places[place].add(depth, &covariances, &residuals);
             }
         }
     }
+}
 
-    /// Takes off its plane from a window that lies on one; the plane's depth in its middle. The residuals are in metres, not
-    /// a number where nothing is measured.
-    fn flatten(&mut self, width: usize, [left, top]: [usize; 2], planes: &[Plane]) -> Option<f64> {
-        let Self { inverse, residuals, .. } = self;
-        let pixels = || {
-            let places = (0..WINDOW_PX).flat_map(|j| (0..WINDOW_PX).map(move |i| (left + i, top + j)));
-            places.map(|(u, v)| (place_of(u, v), inverse[v * width + u]))
-        };
-        let on = |plane: &&Plane| {
-            let (mut measured, mut near) = (0, 0);
-            for (place, inverse) in pixels().filter(|(_, inverse)| !inverse.is_nan()) {
-                measured += 1;
-                near += usize::from(plane.explains(&place, inverse));
-            }
-            measured as f64 >= LEAST_MEASURED * (WINDOW_PX * WINDOW_PX) as f64
-                && near as f64 >= LEAST_ON_PLANE * measured as f64
-        };
-        let plane = planes.iter().find(on)?;
-        let own = fitted(pixels().filter(|(place, inverse)| plane.explains(place, *inverse)))?;
-        let depth = |place: &Vector3<f64>| 1.0 / own.dot(place);
-        residuals.clear();
-        residuals.extend(pixels().map(|(place, inverse)| match plane.explains(&place, inverse) {
-            true => (own.dot(&place) - inverse) * depth(&place) * depth(&place),
-            false => f64::NAN,
-        }));
-        let middle = depth(&place_of(left + WINDOW_PX / 2, top + WINDOW_PX / 2));
-        (middle > 0.0).then_some(middle)
-    }
+/// What is left of a window that lies on a plane when that is taken off, and the plane's depth in its middle. The residuals are
+/// in metres, not a number where nothing is measured.
+fn flattened(inverse: &[f64], width: usize, [left, top]: [usize; 2], planes: &[Plane]) -> Option<(f64, Vec<f64>)> {
+    let pixels = || {
+        let places = (0..WINDOW_PX).flat_map(|j| (0..WINDOW_PX).map(move |i| (left + i, top + j)));
+        places.map(|(u, v)| (place_of(u, v), inverse[v * width + u]))
+    };
+    let on = |plane: &&Plane| {
+        let (mut measured, mut near) = (0, 0);
+        for (place, inverse) in pixels().filter(|(_, inverse)| !inverse.is_nan()) {
+            measured += 1;
+            near += usize::from(plane.explains(&place, inverse));
+        }
+        measured as f64 >= LEAST_MEASURED * (WINDOW_PX * WINDOW_PX) as f64
+            && near as f64 >= LEAST_ON_PLANE * measured as f64
+    };
+    let plane = planes.iter().find(on)?;
+    let own = fitted(pixels().filter(|(place, inverse)| plane.explains(place, *inverse)))?;
+    let depth = |place: &Vector3<f64>| 1.0 / own.dot(place);
+    let residuals = pixels().map(|(place, inverse)| match plane.explains(&place, inverse) {
+        true => (own.dot(&place) - inverse) * depth(&place) * depth(&place),
+        false => f64::NAN,
+    });
+    let middle = depth(&place_of(left + WINDOW_PX / 2, top + WINDOW_PX / 2));
+    (middle > 0.0).then(|| (middle, residuals.collect()))
 }
 
 impl Place {
