@@ -83,8 +83,8 @@ pub(crate) struct Growing {
 }
 
 impl Growing {
-    /// What grows of each shape from the chain, or why nothing does: sphere, cylinder and cone. Where a cylinder explains all of that, a sphere has to as well;
-    /// and a slope needs many lines: a cone starts from what a cylinder took for one.
+    /// What grows of each shape from the chain, or why nothing does: sphere, cylinder and cone. Where a cylinder explains all of
+    /// that, a sphere has to as well; and a slope needs many lines: a cone starts from what a cylinder took for one.
     pub fn models(
         &mut self,
         arcs: &Arcs,

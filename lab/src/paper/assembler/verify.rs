@@ -160,7 +160,8 @@ impl<'a> Candidate<'a> {
     }
 
     /// From where to where the members reach, from `seed` on to both sides, whose points lie on a surface, given the distance
-    /// of those that it was fitted to; and these members. Sections that took in points of a floor or of a neighbour stay out, and k in a row end the body.
+    /// of those that it was fitted to; and these members. Sections that took in points of a floor or of a neighbour stay out,
+    /// and k in a row end the body.
     pub fn inliers(&self, solid: &Solid, rms: f64, seed: Range<usize>) -> (Range<usize>, Vec<usize>) {
         let limit = OUTLIER_RMS * rms;
         let fits = |position: &usize| {
