@@ -15,6 +15,7 @@ use std::path::Path;
 /// What is followed.
 #[derive(Deserialize, Serialize, JsonSchema)]
 #[serde(remote = "ObjectKind", rename_all = "snake_case")]
+#[schemars(rename = "TargetShape")]
 enum TargetShape {
     /// A sphere.
     Sphere,
