@@ -45,12 +45,15 @@ pub struct LostMessages {
     pub reader: String,
     /// How many were lost, and of how many.
     pub count: [u64; 2],
+    /// How many of the lost ones came, but made no sense.
+    pub malformed: u64,
 }
 
 impl Display for LostMessages {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { topic, reader, count: [lost, sent] } = self;
-        write!(f, "`{reader}` lost {lost} of {sent} messages of the lossless topic `{topic}`")
+        let Self { topic, reader, count: [lost, sent], malformed } = self;
+        write!(f, "`{reader}` lost {lost} of {sent} messages of the lossless topic `{topic}`")?;
+        if *malformed > 0 { write!(f, ", {malformed} of them because they made no sense") } else { Ok(()) }
     }
 }
 
@@ -105,7 +108,9 @@ impl Summary {
         let lost = self.statuses().filter_map(|(planned, status)| {
             let count = self.lost_by(planned, status).filter(|[lost, _]| *lost > 0)?;
             let topic = planned.wiring.input.as_ref()?.name.clone();
-            Some(LostMessages { topic, reader: planned.name.clone(), count })
+            // Others may have put in some that are not among those sent.
+            let malformed = status.inputs[0].malformed.min(count[0]);
+            Some(LostMessages { topic, reader: planned.name.clone(), count, malformed })
         });
         lost.collect()
     }
@@ -117,12 +122,11 @@ impl Summary {
         if self.ending.hurried || !wants_all {
             return None;
         }
-        let InputCounts { received, dropped, late, malformed, .. } = status.inputs[0];
+        let InputCounts { received, dropped, late, .. } = status.inputs[0];
         // What a stage of another machine has sent is known by the numbers of its messages alone. These come from outside.
         let sent = topic.writers.iter().map(|writer| self.sent_by(writer)).sum::<Option<u64>>();
         let sent = sent.unwrap_or(0).max(received.saturating_add(dropped));
-        let came = received + late + malformed;
-        Some([sent.saturating_sub(came).max(dropped.saturating_sub(malformed)), sent])
+        Some([sent.saturating_sub(received.saturating_add(late)).max(dropped), sent])
     }
 
     /// What an input has lost: what its stage has counted, and of one that is over also what came to nobody, because the stage
@@ -401,8 +405,13 @@ pub(super) mod tests {
         assert_eq!(lost(lossless(counts(37, 0), "writer")), [[3, 40]]);
         assert_eq!(lost(lossless(counts(37, 3), "writer")), [[3, 40]]);
         assert_eq!(lost(lossless(InputCounts { late: 3, ..counts(37, 0) }, "writer")), [[0; 2]; 0], "they came twice");
-        let malformed = InputCounts { malformed: 3, ..counts(37, 3) };
-        assert_eq!(lost(lossless(malformed, "writer")), [[0; 2]; 0], "they came, but made no sense");
+        let malformed = InputCounts { malformed: 3, ..counts(37, 0) };
+        let run = lossless(malformed, "writer");
+        let sentence = "of the lossless topic `in`, 3 of them because they made no sense\n";
+        assert!(!run.is_complete() && run.to_string().contains(sentence), "{run}");
+        assert_eq!(lost(run), [[3, 40]], "they came, but nobody could work on them");
+        let forged = InputCounts { malformed: 3, ..counts(40, 0) };
+        assert_eq!(lost(lossless(forged, "writer")), [[0; 2]; 0], "its writer has sent none of them");
         assert_eq!(lost(lossless(counts(37, 2), "elsewhere")), [[2, 39]], "its record is on another machine");
         assert_eq!(lost(lossless(counts(37, u64::MAX), "writer")), [[u64::MAX; 2]], "a number from outside");
         let run = lossless(counts(37, 0), "writer");
