@@ -206,6 +206,14 @@ pub trait Source: Sized {
     /// # Errors
     /// A device or a file that failed; the stage is started anew, as the pipeline file says.
     fn next(&mut self, side_inputs: &SideInputs, output: &mut Output<Self::Output>) -> Result<Next, StageError>;
+
+    /// Ends its work, after the last message, also where the run ends before it has no more.
+    ///
+    /// # Errors
+    /// What it was to send and could not; the stage is not started anew.
+    fn finish(&mut self) -> Result<(), StageError> {
+        Ok(())
+    }
 }
 
 /// What a source has to offer.

@@ -126,7 +126,7 @@ pub fn detect(arguments: &DetectArguments) -> Result<()> {
     }
     pictures.as_mut().map_or(Ok(()), PictureSink::end).context("pictures")?;
     say(totals.text(&frames.take_counts()));
-    Ok(())
+    frames.finish()
 }
 
 /// Refuses to write what is read, and one file in two ways, before anything is made or opened.
@@ -243,6 +243,15 @@ impl Frames {
                 *pixels = replayed.items_as();
                 Ok(Some((start, replayed.header)))
             }
+        }
+    }
+
+    /// Makes sure that all frames could be read that were there at the beginning.
+    fn finish(&self) -> Result<()> {
+        match self {
+            Self::Images(playback) => playback.finish(),
+            // It says so when it comes to the place.
+            Self::Recording(_) => Ok(()),
         }
     }
 

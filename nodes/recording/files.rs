@@ -7,7 +7,7 @@
 use super::indexed::Indexed;
 use super::sequential::{Reader, Sequential};
 use super::summary::{MAX_RECORD_BYTES, summary};
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Context as _, Error, Result, bail};
 use conicflow_messages::Hinted;
 use mcap::{Channel, McapError, Message, Summary};
 use std::collections::{BTreeMap, BTreeSet};
@@ -22,9 +22,9 @@ const MAX_EXPANSION: u64 = 256;
 /// How a file that is compressed as a whole ends.
 const COMPRESSED: [&str; 2] = ["zstd", "lz4"];
 
-/// The files of a recording.
+/// The files of a recording, and how long each was when they were found.
 #[derive(Clone, Debug)]
-pub struct Files(Vec<PathBuf>);
+pub struct Files(Vec<(PathBuf, u64)>);
 
 /// A channel of a recording.
 #[derive(Clone, Debug)]
@@ -50,7 +50,7 @@ impl Files {
     pub fn find(path: &Path) -> Result<Self> {
         if !path.is_dir() {
             refuse_other_formats(path)?;
-            return Ok(Self(vec![path.to_owned()]));
+            return Ok(Self(vec![with_length(path.to_owned())]));
         }
         let entries = fs::read_dir(path).with_context(|| format!("the folder `{}`", path.display()))?;
         let mut paths = entries.map(|entry| Ok(entry?.path())).collect::<std::io::Result<Vec<_>>>()?;
@@ -63,12 +63,12 @@ impl Files {
                 "name a file, or a folder that `ros2 bag record -s mcap` wrote"
             ));
         }
-        Ok(Self(recordings))
+        Ok(Self(recordings.into_iter().map(with_length).collect()))
     }
 
     /// Where they are.
-    pub fn paths(&self) -> &[PathBuf] {
-        &self.0
+    pub fn paths(&self) -> impl Iterator<Item = &PathBuf> {
+        self.0.iter().map(|(path, _)| path)
     }
 
     /// Each channel that has messages, with the first of them, by topic.
@@ -77,7 +77,7 @@ impl Files {
     /// A file cannot be read, or holds no MCAP.
     pub fn survey(&self) -> Result<Vec<Seen>> {
         let mut seen = BTreeMap::<String, Seen>::new();
-        for path in &self.0 {
+        for path in self.paths() {
             // Where the file says what it has, it need not be read to its end.
             let topics = summary(path).ok().flatten().map(|summary| topics_with_messages(&summary));
             for (count, message) in (0..).zip(OpenFile::open(path)?.reader) {
@@ -103,7 +103,7 @@ impl Files {
     /// The same, where each file tells what it has, so that not much of it need be read.
     pub fn survey_of_complete(&self) -> Option<Vec<Seen>> {
         let is_complete = |path: &PathBuf| summary(path).is_ok_and(|summary| summary.is_some());
-        if self.0.iter().all(is_complete) { self.survey().ok() } else { None }
+        if self.paths().all(is_complete) { self.survey().ok() } else { None }
     }
 
     /// The messages of some topics.
@@ -130,7 +130,7 @@ impl Files {
             let (first, last) = span.unwrap_or((begin, end));
             span = Some((first.min(begin), last.max(end)));
         };
-        for path in &self.0 {
+        for path in self.paths() {
             let stats = summary(path).ok().flatten().and_then(|summary| summary.stats);
             if let Some(stats) = stats.filter(|stats| stats.message_count > 0) {
                 reach(stats.message_start_time, stats.message_end_time);
@@ -153,6 +153,12 @@ impl Files {
     pub fn messages_again(&self, topics: &[&str]) -> Messages {
         Messages { is_told: true, ..self.messages(topics) }
     }
+}
+
+fn with_length(path: PathBuf) -> (PathBuf, u64) {
+    // What cannot be opened is told when it is.
+    let length = path.metadata().map_or(0, |about| about.len());
+    (path, length)
 }
 
 /// Whether this is a file that [`Files`] reads.
@@ -227,8 +233,9 @@ fn longest_record(file: &File) -> std::io::Result<usize> {
 
 /// Messages of some topics, file after file.
 pub struct Messages {
-    left: std::vec::IntoIter<PathBuf>,
-    open: Option<(OpenFile, u64)>,
+    left: std::vec::IntoIter<(PathBuf, u64)>,
+    /// The one that is read, how long it was when it was found, and how many messages came of it.
+    open: Option<(OpenFile, u64, u64)>,
     topics: Vec<String>,
     /// Messages that were written earlier are left out.
     from_ns: Option<u64>,
@@ -243,18 +250,20 @@ pub struct Messages {
 impl Messages {
     /// How many places were left out so far, because they are damaged.
     pub fn damaged(&self) -> u64 {
-        self.damaged + self.open.as_ref().map_or(0, |(file, _)| file.reader.left_out().count)
+        self.damaged + self.open.as_ref().map_or(0, |(file, ..)| file.reader.left_out().count)
     }
 
     fn read(&mut self) -> Result<Option<Message<'static>>> {
         loop {
-            let Some((file, count)) = &mut self.open else {
-                let Some(path) = self.left.next() else { return Ok(None) };
+            let Some((file, length, count)) = &mut self.open else {
+                let Some((path, length)) = self.left.next() else { return Ok(None) };
                 let file = match self.from_ns {
-                    Some(from_ns) => OpenFile::open_from(&path, &self.topics, from_ns)?,
-                    None => OpenFile::open(&path)?,
+                    Some(from_ns) => OpenFile::open_from(&path, &self.topics, from_ns),
+                    None => OpenFile::open(&path),
                 };
-                self.open = Some((file, 0));
+                let is_gone = || gone(&format!("`{}` is not there any more", path.display()));
+                let file = file.map_err(|error| if path.exists() { error } else { is_gone() })?;
+                self.open = Some((file, length, 0));
                 continue;
             };
             let next = file.reader.next();
@@ -274,6 +283,10 @@ impl Messages {
                 None => {
                     self.damaged += file.reader.left_out().count;
                     self.open = None;
+                }
+                Some(Err(_)) if file.path.metadata().is_ok_and(|about| about.len() < *length) => {
+                    let (path, count) = (file.path.display(), *count);
+                    return Err(gone(&format!("`{path}` has become shorter, and ends after {count} messages")));
                 }
                 Some(Err(error)) => {
                     // Nobody can tell what came before `from_ns`.
@@ -296,6 +309,12 @@ impl Iterator for Messages {
     fn next(&mut self) -> Option<Self::Item> {
         self.read().transpose()
     }
+}
+
+/// An error of a file that was there, whole, when the recording was opened: to read it anew would not help.
+fn gone(what: &impl Display) -> Error {
+    Hinted::lasting(format!("{what:#}"), "leave a recording as it is while it is played, and its disk in its place")
+        .into()
 }
 
 /// Whether nothing was said yet of what is left out of a file: it is read anew for each jump, and by several readers.

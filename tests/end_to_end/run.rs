@@ -321,6 +321,19 @@ fn a_bad_frame_among_good_ones_is_passed_over_and_counted() {
 }
 
 #[test]
+fn a_run_whose_recording_goes_while_it_is_played_says_how_much_of_it_was_read_and_fails() {
+    let playground = recording(0..40);
+    let mut run = playground.start(&["run", "--set", "source.rate_hz=20"]);
+    run.wait_until("it delivers", || playground.lines("objects.jsonl").len() > 3);
+    fs::remove_dir_all(playground.path("frames")).unwrap();
+    let ended = run.wait().expect_code(1);
+    let sent = ended.stage("source").messages;
+    assert!((4..40).contains(&sent) && playground.lines("objects.jsonl").len() as u64 == sent, "{}", ended.stderr);
+    let told = format!("{} of 40 frames could not be read any more when their turn came, {sent} were: `", 40 - sent);
+    ended.expect_told(&[&told, "No such file or directory", "not complete: a stage was lost"]);
+}
+
+#[test]
 fn the_level_of_the_log_is_that_of_the_stages_as_well() {
     let playground = recording(8..10);
     let told = |level: &str| playground.conicflow(&["run", "--log", level]).expect_code(0).stderr;

@@ -9,7 +9,7 @@ use super::{MemoryTrim, RunError, StageRuntime, guarded, is_stopped};
 use crate::clock::{monotonic_ns, unix_ns};
 use crate::item_type::{AnyMessage, ItemType};
 use crate::ports::{PortError, Transport};
-use crate::stage::{Next, Stop};
+use crate::stage::{Next, StageError, Stop};
 use crate::status::{Life, Pausing, Status, StatusFile, used};
 use conicflow_messages::Header;
 use std::collections::BTreeMap;
@@ -55,7 +55,8 @@ pub(crate) fn run_source<T: Transport>(new: &NewSource<'_>, mut runtime: StageRu
     let place = SourcePlace::begin(runtime, side_inputs, output_port, source.total(), source.rhythm())?;
     let mut running = SourceLoop { source, output, place, memory_trim };
     while running.place.is_due() && running.make_one()? {}
-    running.place.end()
+    let SourceLoop { mut source, place, .. } = running;
+    place.end(|| source.finish())
 }
 
 /// Tells what an earlier process of the same source came to.
@@ -147,16 +148,19 @@ impl<T: Transport> SourcePlace<T> {
         self.side_inputs.iter_mut().for_each(|side| side.acknowledge());
     }
 
-    /// Ends the stream; a source that was stopped at once, or replaced, leaves its readers waiting for its successor.
-    pub(crate) fn end(mut self) -> Result<(), RunError> {
+    /// Ends the work by `finish`, and the stream; a source that was stopped at once, or replaced, leaves its readers waiting for
+    /// its successor.
+    pub(crate) fn end(mut self, finish: impl FnOnce() -> Result<(), StageError>) -> Result<(), RunError> {
+        let finished = finish();
         drop(self.side_inputs);
         if !self.stop.forced() && !self.stop.leaving() {
             self.output_port.end()?;
-            self.record.status.set_life(Life::Ended);
+            // Where it could not end its work, there is nothing to be started anew for.
+            self.record.status.set_life(if finished.is_ok() { Life::Ended } else { Life::Gone });
         }
         self.output_port.await_finish();
         self.record.write();
-        Ok(())
+        finished.map_err(RunError::Unfinished)
     }
 }
 

@@ -50,6 +50,9 @@ pub(crate) trait AnySource {
 
     /// Calls [`Source::next`].
     fn next(&mut self, side_inputs: &SideInputs, place: Place<'_>) -> Result<(Next, Made<'_>), StageError>;
+
+    /// Calls [`Source::finish`].
+    fn finish(&mut self) -> Result<(), StageError>;
 }
 
 /// What a step has made.
@@ -139,6 +142,10 @@ impl<S: Source> AnySource for Typed<S, S::Output> {
         let next = self.inner.next(side_inputs, &mut output)?;
         let (header, is_image) = (output.header, output.is_image());
         Ok((next, Made { header, list: (!is_image).then_some(cast_slice(&self.list)) }))
+    }
+
+    fn finish(&mut self) -> Result<(), StageError> {
+        self.inner.finish()
     }
 }
 

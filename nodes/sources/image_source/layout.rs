@@ -70,6 +70,9 @@ impl Format {
     }
 }
 
+/// Told of each file that is looked at: how many were by now, and of how many. A folder may have so many that it takes minutes.
+pub(super) type Seen<'a> = dyn FnMut(usize, usize) + 'a;
+
 /// One depth frame.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct FrameFile {
@@ -97,16 +100,16 @@ pub(super) struct Layout {
 }
 
 impl Layout {
-    /// Finds the frames of `path`, a file or a folder.
+    /// Finds the frames of `path`, a file or a folder; tells `seen` how far it is.
     ///
     /// # Errors
     /// There is nothing there, or no frame that can be read.
-    pub(super) fn discover(path: &Path) -> Result<Self> {
+    pub(super) fn discover(path: &Path, seen: &mut Seen<'_>) -> Result<Self> {
         let path = fs::canonicalize(path).map_err(|error| {
             let what = format!("`{}` cannot be opened: {error}", path.display());
             Hinted::new(what, "relative paths start at the pipeline file's folder")
         })?;
-        let layout = if path.is_file() { single_file(&path) } else { folder(&path) };
+        let layout = if path.is_file() { single_file(&path, seen) } else { folder(&path, seen) };
         layout?.readable(&path)
     }
 
@@ -135,6 +138,28 @@ impl Layout {
     }
 }
 
+/// Width and height of a frame of `path`, without a look at more of the files than it takes to find one; those of all are the same,
+/// or the recording is refused.
+pub(super) fn first_size(path: &Path) -> Option<(u32, u32)> {
+    let size = |path: &PathBuf| format_of(path)?.size(path).ok();
+    if path.is_file() && path.file_name().is_none_or(|name| name != tum::LIST) {
+        return size(&path.to_owned());
+    }
+    let folder = if path.is_dir() { path } else { folder_of(path) };
+    for listed in [folder, folder_of(folder)] {
+        if let Ok(text) = fs::read_to_string(listed.join(tum::LIST)) {
+            return tum::parse(&text).ok()?.iter().find_map(|entry| size(&listed.join(entry.name)));
+        }
+    }
+    let in_folder = |folder: &Path| {
+        let mut files = sorted_files(folder, "").ok()?;
+        // As in a listing: where some names say `depth`, the others are no depth frames.
+        files.sort_by_key(|path| !file_name(path).to_lowercase().contains("depth"));
+        files.iter().find_map(size)
+    };
+    in_folder(folder).or_else(|| in_folder(&folder.join("depth")))
+}
+
 /// A file that should be a depth frame, and what its header says.
 struct Candidate {
     path: PathBuf,
@@ -142,9 +167,9 @@ struct Candidate {
     stamp_ns: Option<u64>,
 }
 
-fn single_file(path: &Path) -> Result<Layout> {
+fn single_file(path: &Path, seen: &mut Seen<'_>) -> Result<Layout> {
     if path.file_name().is_some_and(|name| name == tum::LIST) {
-        return tum_folder(folder_of(path));
+        return tum_folder(folder_of(path), seen);
     }
     let Some(format) = format_of(path) else {
         bail!(Hinted::new(
@@ -159,26 +184,28 @@ fn folder_of(path: &Path) -> &Path {
     path.parent().unwrap_or(Path::new("."))
 }
 
-fn folder(path: &Path) -> Result<Layout> {
+fn folder(path: &Path, seen: &mut Seen<'_>) -> Result<Layout> {
     let above = folder_of(path);
     if path.join(tum::LIST).is_file() {
-        return tum_folder(path);
+        return tum_folder(path, seen);
     }
     if path.file_name().is_some_and(|name| name == "depth") && above.join(tum::LIST).is_file() {
-        return tum_folder(above);
+        return tum_folder(above, seen);
     }
     let inner = path.join("depth");
-    let outer = Listing::read(path)?;
-    let listing = if outer.has_frames() || !inner.is_dir() { outer } else { Listing::read(&inner)? };
+    let outer = Listing::read(path, seen)?;
+    let listing = if outer.has_frames() || !inner.is_dir() { outer } else { Listing::read(&inner, seen)? };
     listing.into_layout()
 }
 
-fn tum_folder(folder: &Path) -> Result<Layout> {
+fn tum_folder(folder: &Path, seen: &mut Seen<'_>) -> Result<Layout> {
     let list = folder.join(tum::LIST);
     let named = |error: Error| hinted(error, tum::HINT).context(format!("`{}`", list.display()));
     let text = fs::read_to_string(&list).map_err(|error| named(error.into()))?;
     let entries = tum::parse(&text).map_err(named)?;
-    let candidates = entries.into_iter().map(|entry| {
+    let count = entries.len();
+    let candidates = (1..).zip(entries).map(|(number, entry)| {
+        seen(number, count);
         let path = folder.join(entry.name);
         Candidate { stamp_ns: Some(entry.stamp_ns), ..Format::Png.candidate(path) }
     });
@@ -218,9 +245,12 @@ struct Listing {
 }
 
 impl Listing {
-    fn read(folder: &Path) -> Result<Self> {
+    fn read(folder: &Path, seen: &mut Seen<'_>) -> Result<Self> {
         let mut listing = Self { folder: folder.to_owned(), frames: BTreeMap::new(), others: BTreeMap::new() };
-        for path in sorted_files(folder).with_context(|| format!("`{}` cannot be listed", folder.display()))? {
+        let files = sorted_files(folder, "").with_context(|| format!("`{}` cannot be listed", folder.display()))?;
+        let count = files.len();
+        for (number, path) in (1..).zip(files) {
+            seen(number, count);
             match format_of(&path) {
                 Some(format) => listing.add(format, path),
                 None => listing.add_other(other_kind(&path)),
@@ -231,12 +261,17 @@ impl Listing {
     }
 
     fn add(&mut self, format: Format, path: PathBuf) {
-        if format == Format::Png
-            && let Ok(picture @ depth_png::Content::Picture(..)) = depth_png::probe(&path)
-        {
-            return self.add_other(picture.name());
-        }
-        self.frames.entry(format).or_default().push(format.candidate(path));
+        let candidate = match format {
+            Format::Png => match depth_png::probe(&path) {
+                Ok(picture @ depth_png::Content::Picture(..)) => return self.add_other(picture.name()),
+                content => {
+                    let size = content.and_then(depth_png::Content::depth_size);
+                    Candidate { size: size.map_err(|error| hinted(error, format.hint())), path, stamp_ns: None }
+                }
+            },
+            _ => format.candidate(path),
+        };
+        self.frames.entry(format).or_default().push(candidate);
     }
 
     fn add_other(&mut self, what: String) {
@@ -286,10 +321,19 @@ impl Listing {
     }
 }
 
-/// The files that are not hidden, in natural order of their names.
-pub(super) fn sorted_files(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
-    let mut paths = fs::read_dir(folder)?.map(|entry| Ok(entry?.path())).collect::<std::io::Result<Vec<_>>>()?;
-    paths.retain(|path| !file_name(path).starts_with('.') && path.is_file());
+/// The files that are not hidden and whose names end so, in natural order of their names.
+pub(super) fn sorted_files(folder: &Path, ending: &str) -> std::io::Result<Vec<PathBuf>> {
+    let mut paths = Vec::new();
+    for entry in fs::read_dir(folder)? {
+        let entry = entry?;
+        let (path, kind) = (entry.path(), entry.file_type()?);
+        let name = file_name(&path);
+        // A link is what it leads to.
+        let is_wanted = || kind.is_file() || (kind.is_symlink() && path.is_file());
+        if !name.starts_with('.') && name.ends_with(ending) && is_wanted() {
+            paths.push(path);
+        }
+    }
     alphanumeric_sort::sort_path_slice(&mut paths);
     Ok(paths)
 }

@@ -2,7 +2,8 @@
 //! files.
 //!
 //! A frame that cannot be read is reported, counted as `frames unreadable` and passed over; its place in time is kept.
-//! It is an error when none can be read, and when frames are of different sizes.
+//! It is an error when none can be read, when frames are of different sizes, and at the end when some that could be read at the
+//! beginning could not be any more.
 
 mod config;
 mod depth_png;
@@ -31,6 +32,10 @@ use crate::faults::stage_error;
 use conicflow_dataflow::{ConfigFault, Context, FileUse, Next, Output, SideInputs, Source, StageError};
 use playback::UNREADABLE;
 use std::path::Path;
+use std::time::{Duration, Instant};
+
+/// How often it is told how far the look at the files of a recording is.
+const TELL: Duration = Duration::from_secs(5);
 
 /// Sends the frames of a recording.
 pub struct ImageSource(Playback);
@@ -52,12 +57,22 @@ impl Source for ImageSource {
 
     fn new(config: Config, context: &Context) -> Result<Self, StageError> {
         let counted = context.counted.get(UNREADABLE).copied().unwrap_or(0);
-        Ok(Self(Playback::open(&config, &context.base, context.resume_at, counted)?))
+        let mut told = Instant::now();
+        let mut seen = |seen: usize, all: usize| {
+            // Asking is the sign of life.
+            context.stop.requested();
+            if told.elapsed() > TELL {
+                told = Instant::now();
+                tracing::info!("looked at {seen} of {all} files of the recording");
+            }
+        };
+        let from = (context.resume_at, counted);
+        Ok(Self(Playback::open_seen(&config, &context.base, from, &mut seen)?))
     }
 
     fn message_length(config: &Config, base: &Path) -> Option<usize> {
         // What cannot be opened is told when the stage starts.
-        Recording::open(&base.join(config.path.as_ref()?), config).ok().map(|recording| recording.pixels())
+        Recording::pixels_of(&base.join(config.path.as_ref()?))
     }
 
     fn rate_hz(&self) -> f64 {
@@ -84,6 +99,10 @@ impl Source for ImageSource {
         }
         output.count_all(self.0.take_counts());
         Ok(Next::End)
+    }
+
+    fn finish(&mut self) -> Result<(), StageError> {
+        self.0.finish().map_err(stage_error)
     }
 }
 

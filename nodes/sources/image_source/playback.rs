@@ -26,8 +26,12 @@ pub struct Playback {
     repeat: bool,
     /// Frames sent or passed over, over all rounds.
     pub(super) position: u64,
+    /// Frames that were read and sent, over all rounds.
+    sent: u64,
     /// Frames passed over since the last one that could be read.
     misses: usize,
+    /// Frames that could be read when the recording was opened, and not when their turn came: how many, and why the first.
+    lost: Option<(u64, String)>,
     /// What has been counted since it was asked for last.
     counts: BTreeMap<&'static str, u64>,
     described: bool,
@@ -44,10 +48,23 @@ impl Playback {
     /// # Errors
     /// There is none, or its camera is not known.
     pub fn open(config: &Config, base: &Path, resume_at: u64, counted: u64) -> Result<Self> {
+        Self::open_seen(config, base, (resume_at, counted), &mut |_, _| ())
+    }
+
+    /// The same, which tells `seen` how many files it has looked at, and of how many.
+    ///
+    /// # Errors
+    /// Those of [`Playback::open`].
+    pub fn open_seen(
+        config: &Config,
+        base: &Path,
+        (resume_at, counted): (u64, u64),
+        seen: &mut dyn FnMut(usize, usize),
+    ) -> Result<Self> {
         let path =
             config.path.as_ref().ok_or_else(|| Hinted::new("`path` is missing", "write `path = \"folder/\"`"))?;
-        let recording = Recording::open(&base.join(path), config)?;
-        let poses = Poses::find(&config.poses, base, &recording)?;
+        let recording = Recording::open_seen(&base.join(path), config, seen)?;
+        let poses = Poses::find(&config.poses, base, &recording, seen)?;
         for error in recording.unreadable() {
             tracing::warn!("passed over: {error:#}");
         }
@@ -59,7 +76,9 @@ impl Playback {
             rate_hz: config.rate_hz,
             repeat: config.repeat,
             position: resume_at + counted.saturating_sub(unreadable),
+            sent: resume_at,
             misses: 0,
+            lost: None,
             counts: BTreeMap::from([(UNREADABLE, unreadable.saturating_sub(counted))]),
             described: false,
             told_empty: false,
@@ -97,6 +116,7 @@ impl Playback {
             }
         };
         self.misses = 0;
+        self.sent += 1;
         self.describe(frame, pixels);
         self.look_for_emptiness(frame, pixels, too_far);
         *self.counts.entry(TOO_FAR).or_default() += too_far;
@@ -104,6 +124,18 @@ impl Playback {
         let lacks_pose = self.poses.are_known() && header.pose().is_none();
         *self.counts.entry(WITHOUT_POSE).or_default() += u64::from(lacks_pose);
         Ok(Some(header))
+    }
+
+    /// Ends the playback.
+    ///
+    /// # Errors
+    /// Frames that could be read when it was opened could not be when their turn came: the recording was removed, or changed.
+    pub fn finish(&self) -> Result<()> {
+        let Some((lost, why)) = &self.lost else { return Ok(()) };
+        let (all, sent) = (self.recording.len(), self.sent);
+        let what =
+            format!("{lost} of {all} frames could not be read any more when their turn came, {sent} were: {why}");
+        Err(Hinted::lasting(what, "leave a recording as it is while it is played, and its disk in its place").into())
     }
 
     /// What was counted since this was asked last.
@@ -134,6 +166,11 @@ impl Playback {
     pub(super) fn pass_over(&mut self, error: &anyhow::Error) -> Result<()> {
         self.misses += 1;
         *self.counts.entry(UNREADABLE).or_default() += 1;
+        let index = (self.position.saturating_sub(1) % self.recording.len() as u64) as usize;
+        if self.recording.is_lost(index) {
+            let (lost, _) = self.lost.get_or_insert_with(|| (0, Hinted::of(error.as_ref(), "").what));
+            *lost += 1;
+        }
         if self.misses >= self.recording.len() {
             let hint = "look at one with another program; record them anew, or copy them again";
             let Hinted { what, hint, .. } = Hinted::of(error.as_ref(), hint);

@@ -6,7 +6,7 @@
 
 use super::config::PosesConfig;
 use super::faulty::hinted;
-use super::layout::{file_name, sorted_files};
+use super::layout::{Seen, file_name, sorted_files};
 use super::recording::{Frame, Recording};
 use super::trajectory::{self, Known, Trajectory};
 use anyhow::{Context as _, Error, Result, bail, ensure};
@@ -44,15 +44,15 @@ pub(super) enum Poses {
 }
 
 impl Poses {
-    /// The poses that a pipeline file in `base` asks for. Files that lie beside the frames and are not of them are left alone.
+    /// The poses that a pipeline file in `base` asks for; tells `seen` how many files it has looked at. Files that lie beside the frames and are not of them are left alone.
     ///
     /// # Errors
     /// A file cannot be read; one that was asked for does not go with the frames.
-    pub(super) fn find(config: &PosesConfig, base: &Path, recording: &Recording) -> Result<Self> {
+    pub(super) fn find(config: &PosesConfig, base: &Path, recording: &Recording, seen: &mut Seen<'_>) -> Result<Self> {
         let Some(path) = place(config, base, recording.folder())? else { return Ok(Self::Unknown) };
         let named =
             |error: Error| hinted(error, trajectory::HINT).context(format!("the poses of `{}`", path.display()));
-        let poses = if path.is_dir() { Self::of_folder(&path) } else { Self::of_file(&path) }.map_err(named)?;
+        let poses = if path.is_dir() { Self::of_folder(&path, seen) } else { Self::of_file(&path) }.map_err(named)?;
         match poses.check(recording).map_err(named) {
             Ok(()) => {
                 tracing::info!("the camera's poses come from `{}`", path.display());
@@ -75,10 +75,11 @@ impl Poses {
     }
 
     /// A file for each frame: `*.pose.txt`, or any `*.txt` where there is none of these.
-    fn of_folder(folder: &Path) -> Result<Self> {
+    fn of_folder(folder: &Path, seen: &mut Seen<'_>) -> Result<Self> {
         let paths = paths_in(folder)?;
         ensure!(!paths.is_empty(), "it has no `*{OF_FRAME}`, nor any `*.txt`");
-        let pose = |path: &PathBuf| {
+        let pose = |(number, path): (usize, &PathBuf)| {
+            seen(number, paths.len());
             let name = file_name(path);
             let Trajectory::Single(pose) = trajectory::parse(&text_of(path)?).with_context(|| format!("`{name}`"))?
             else {
@@ -86,7 +87,7 @@ impl Poses {
             };
             Ok((stem(&name).to_owned(), pose))
         };
-        Ok(Self::Named(paths.iter().map(pose).collect::<Result<_>>()?))
+        Ok(Self::Named((1..).zip(&paths).map(pose).collect::<Result<_>>()?))
     }
 
     /// Refuses poses that do not go with the frames.
@@ -216,9 +217,7 @@ fn beside(folder: &Path) -> Result<Option<PathBuf>> {
 
 /// The files of a folder whose names end so, in natural order.
 fn files(folder: &Path, ending: &str) -> Result<Vec<PathBuf>> {
-    let mut paths = sorted_files(folder).with_context(|| format!("`{}` cannot be listed", folder.display()))?;
-    paths.retain(|path| file_name(path).ends_with(ending));
-    Ok(paths)
+    sorted_files(folder, ending).with_context(|| format!("`{}` cannot be listed", folder.display()))
 }
 
 fn text_of(path: &Path) -> Result<String> {

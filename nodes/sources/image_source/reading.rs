@@ -10,7 +10,7 @@ use std::path::Path;
 /// The files that are read as `config` says, named by parameters that are called `path` and `poses`. Why there are no frames is
 /// told when they are opened.
 pub(crate) fn files(config: &Config, base: &Path, path: &'static str, poses: &'static str) -> Vec<FileUse> {
-    let layout = config.path.as_ref().and_then(|path| Layout::discover(&base.join(path)).ok());
+    let layout = config.path.as_ref().and_then(|path| Layout::discover(&base.join(path), &mut |_, _| ()).ok());
     let Some(Layout { frames, folder, format, .. }) = layout else { return Vec::new() };
     let list = (format == Format::Png).then(|| folder.join(tum::LIST));
     let beside = list.into_iter().chain(CameraFile::path_beside(&folder));

@@ -4,15 +4,16 @@ use super::config::Config;
 use super::depth_png;
 use super::faulty::hinted;
 use super::intrinsics::{self, CameraFile};
-use super::layout::{Format, FrameFile, Layout, file_name};
+use super::layout::{self, Format, FrameFile, Layout, file_name};
 use super::pcd::Cloud;
 use super::pinhole::{self, FAIR_RESIDUAL_PX, Pinhole};
 use super::raster::{self, Depths};
 use anyhow::{Context as _, Error, Result, bail, ensure};
 use conicflow_messages::{Camera, DEPTH_SCALES_M, Hinted, MAX_SIDE_PX, finest_scale, is_too_far, quantise};
-use std::fs::File;
+use std::fs::{self, File};
 use std::io::Read as _;
 use std::path::Path;
+use std::time::SystemTime;
 
 /// The depth frames of a file or a folder.
 pub struct Recording {
@@ -22,7 +23,11 @@ pub struct Recording {
     places: u64,
     camera: Option<Camera>,
     depth_scale: f64,
+    /// When its files were looked at.
+    opened: SystemTime,
+    /// The file of the frame that was loaded last, and whether all of it was read.
     file: Vec<u8>,
+    is_read: bool,
     cloud: Cloud,
     raster: Depths,
     /// Metres per unit of depths in floating point.
@@ -58,7 +63,16 @@ impl Recording {
     /// # Errors
     /// No frame can be read, frames are of different sizes, or their camera is not known.
     pub fn open(path: &Path, config: &Config) -> Result<Self> {
-        let mut layout = Layout::discover(path)?;
+        Self::open_seen(path, config, &mut |_, _| ())
+    }
+
+    /// The same, which tells `seen` how many files it has looked at, and of how many.
+    ///
+    /// # Errors
+    /// Those of [`Recording::open`].
+    pub fn open_seen(path: &Path, config: &Config, seen: &mut dyn FnMut(usize, usize)) -> Result<Self> {
+        let opened = SystemTime::now();
+        let mut layout = Layout::discover(path, seen)?;
         let places = (layout.frames.len() + layout.unreadable.len()) as u64;
         select(&mut layout, config)?;
         let size = common_size(&layout.frames)?;
@@ -80,7 +94,9 @@ impl Recording {
             places,
             camera,
             depth_scale,
+            opened,
             file: Vec::new(),
+            is_read: false,
             cloud: Cloud::default(),
             raster: Depths::Units(Vec::new()),
             metres_per_number: told.unwrap_or(1.0),
@@ -108,6 +124,12 @@ impl Recording {
     /// Number of frames of the whole recording, readable or not, also of those that are not used.
     pub(super) fn places(&self) -> u64 {
         self.places
+    }
+
+    /// Number of pixels of each frame of `path`, where it has any; looks at no more files than it takes.
+    pub fn pixels_of(path: &Path) -> Option<usize> {
+        let (width, height) = layout::first_size(path)?;
+        (width.max(height) <= MAX_SIDE_PX).then_some(width as usize * height as usize)
     }
 
     /// Number of pixels of each frame.
@@ -147,9 +169,19 @@ impl Recording {
         loaded.with_context(|| format!("`{}`", file.path.display()))
     }
 
+    /// Whether a frame that was loaded last, and cannot be used, was another one when the recording was opened: its file cannot be
+    /// read any more, or was written since.
+    pub(super) fn is_lost(&self, index: usize) -> bool {
+        let written =
+            self.layout.frames.get(index).map(|file| fs::metadata(&file.path).and_then(|about| about.modified()));
+        !self.is_read || matches!(written, Some(Ok(written)) if written > self.opened)
+    }
+
     fn load_file(&mut self, file: &FrameFile) -> Result<Frame> {
         self.file.clear();
+        self.is_read = false;
         File::open(&file.path)?.read_to_end(&mut self.file)?;
+        self.is_read = true;
         let (name, first) = (file_name(&file.path), self.layout.frames[0].slot);
         let (camera, depth_scale) = match (self.layout.format, self.camera) {
             (Format::Png, Some(camera)) => (camera, self.depth_scale),

@@ -6,6 +6,7 @@ use conicflow_detection::camera::Intrinsics;
 use conicflow_messages::{Camera, NoiseModel};
 use std::fs;
 use std::path::PathBuf;
+use std::time::SystemTime;
 use tempfile::TempDir;
 
 const XYZ: &[(&str, char, usize, usize)] = &[("x", 'F', 4, 1), ("y", 'F', 4, 1), ("z", 'F', 4, 1)];
@@ -362,6 +363,52 @@ fn a_restart_counts_the_frames_that_were_passed_over() {
 }
 
 #[test]
+fn frames_that_were_there_at_the_beginning_and_are_not_when_their_turn_comes_are_told_at_the_end() {
+    let mut damaged = png16(48, 36, &units(&depth_m(), 0.001));
+    damaged.truncate(damaged.len() / 2);
+    let names = ["0.png", "2.png", "3.png", "4.png", "5.png"];
+    let folder = Folder::new().depth(&names).file("1.png", &damaged);
+    let play = |change: fn(&Folder)| {
+        let mut playback = source(&folder, Config::default(), 0);
+        change(&folder);
+        let mut pixels = vec![0; 48 * 36];
+        let mut sent = 0;
+        while let Some(loaded) = playback.load().unwrap() {
+            sent += u64::from(playback.decode(&loaded, &mut pixels).unwrap().is_some());
+        }
+        (sent, playback.finish().map_err(|error| error.to_string()))
+    };
+    assert_eq!(play(|_| ()), (5, Ok(())), "one was damaged from the beginning");
+    let (sent, told) = play(|folder| {
+        fs::write(folder.at("3.png"), "no PNG any more").unwrap();
+        let later = SystemTime::now() + Duration::from_secs(1);
+        fs::File::options().write(true).open(folder.at("3.png")).unwrap().set_modified(later).unwrap();
+        fs::remove_file(folder.at("4.png")).unwrap();
+    });
+    let told = told.unwrap_err();
+    let expected = "2 of 6 frames could not be read any more when their turn came, 3 were: `";
+    assert!(
+        sent == 3 && told.starts_with(expected) && told.contains("3.png`") && told.contains("\n  hint: "),
+        "{told}"
+    );
+}
+
+#[test]
+fn the_look_at_the_files_tells_how_far_it_is() {
+    let folder =
+        Folder::new().depth(&["0.png", "1.png"]).file("0.pose.txt", matrix(0.0)).file("1.pose.txt", matrix(1.0));
+    let config = Config { path: Some("frames".into()), intrinsics: Some(GIVEN), ..Config::default() };
+    let mut told = Vec::new();
+    let mut seen = |seen, all| told.push((seen, all));
+    Playback::open_seen(&config, folder.path.parent().unwrap(), (0, 0), &mut seen).unwrap();
+    assert_eq!(
+        told,
+        [(1, 4), (2, 4), (3, 4), (4, 4), (1, 2), (2, 2)],
+        "the frames and what is beside them, then the poses"
+    );
+}
+
+#[test]
 fn stamps_follow_the_rate() {
     let folder = Folder::new().depth(&["0.png", "1.png", "2.png"]);
     let stamp = |rate_hz, round| {
@@ -415,8 +462,18 @@ fn how_long_its_messages_are_is_known_before_it_starts() {
     let folder = Folder::new().depth(&["0.png", "1.png"]);
     let config = |path: &str| Config { path: Some(path.into()), intrinsics: Some(GIVEN), ..Config::default() };
     let length = |config: &Config| ImageSource::message_length(config, folder.path.parent().unwrap());
-    assert_eq!(length(&config("frames")), Some((CAMERA.width * CAMERA.height) as usize));
+    let expected = Some((CAMERA.width * CAMERA.height) as usize);
+    assert_eq!(length(&config("frames")), expected);
+    assert_eq!(length(&config("frames/1.png")), expected);
     assert_eq!(length(&config("other")), None);
+    let among_others = Folder::new().colour(&["a.png"]).file("b.txt", "").depth(&["c.png"]);
+    let listed = Folder::new().depth(&["depth/1.png"]).file("depth.txt", "1.0 depth/0.png\n2.0 depth/1.png\n");
+    let inner = Folder::new().colour(&["rgb.png"]).depth(&["depth/1.png"]);
+    let paths =
+        [&among_others.path, &listed.path, &listed.path.join("depth"), &listed.path.join("depth.txt"), &inner.path];
+    for path in paths {
+        assert_eq!(Recording::pixels_of(path), expected, "{}", path.display());
+    }
 }
 
 #[test]

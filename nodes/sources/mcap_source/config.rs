@@ -70,7 +70,7 @@ impl Config {
     /// The files that are read, which a parameter called `path` names: of a folder those that are there, and those that come.
     pub fn reads(&self, base: &Path, key: &'static str) -> Vec<FileUse> {
         let Some(path) = self.path.as_ref().map(|path| base.join(path)) else { return Vec::new() };
-        let files = Files::find(&path).map(|files| files.paths().to_vec()).unwrap_or_default();
+        let files = Files::find(&path).map(|files| files.paths().cloned().collect::<Vec<_>>()).unwrap_or_default();
         let those_that_come = path.is_dir().then(|| FileUse::ending(key, path, ".mcap"));
         files.into_iter().map(|file| FileUse::one(key, file)).chain(those_that_come).collect()
     }

@@ -142,7 +142,8 @@ impl Replay {
     pub fn next_message(&mut self) -> Result<Option<Replayed>> {
         loop {
             let before = self.messages.damaged();
-            let message = self.messages.next().transpose()?;
+            let sent = self.round.sent;
+            let message = self.messages.next().transpose().with_context(|| format!("after {sent} messages"))?;
             let damaged = self.messages.damaged() - before;
             if damaged > 0 {
                 *self.counts.entry(DAMAGED).or_default() += damaged;

@@ -624,6 +624,30 @@ fn what_conicflow_records_comes_back_to_the_bit() {
 }
 
 #[test]
+fn a_file_that_goes_or_becomes_shorter_while_it_is_played_is_an_error_that_lasts() {
+    let by_time = Limits { split_ns: Some(100_000_000), ..Limits::default() };
+    let changes: [(fn(&Path), &str); 2] = [
+        (|path| fs::remove_file(path).unwrap(), "run_1.mcap` is not there any more"),
+        (|path| fs::File::options().write(true).open(path).unwrap().set_len(1000).unwrap(), "has become shorter"),
+    ];
+    for (change, expected) in changes {
+        let place = tempfile::tempdir().unwrap();
+        record(&place.path().join("new/run.mcap"), by_time, 0.001, 0..7);
+        let config = Config { path: Some("new".into()), ..Config::default() };
+        let mut replay = Replay::open(&config, place.path(), &DEPTH, 0).unwrap();
+        assert!(replay.next_message().unwrap().is_some());
+        change(&place.path().join("new/run_1.mcap"));
+        let error = all(&mut replay).unwrap_err();
+        let told = format!("{error:#}");
+        assert!(
+            told.starts_with("after ") && told.contains(expected) && told.contains("hint: leave a recording"),
+            "{told}"
+        );
+        assert!(conicflow_messages::lasts(error.as_ref()), "{told}");
+    }
+}
+
+#[test]
 fn what_a_killed_recorder_has_written_is_there_after_a_second() {
     let place = tempfile::tempdir().unwrap();
     let path = place.path().join("run.mcap");
