@@ -177,6 +177,19 @@ impl Recorder {
     }
 }
 
+impl Drop for Recorder {
+    /// Where it goes on beside an earlier process, and nothing came of it, such as of a stage that was made on trial, it leaves no
+    /// file behind.
+    fn drop(&mut self) {
+        let mut files = lock(&self.files);
+        let goes_on = files.next > 1;
+        if let Some(open) = files.open.take_if(|open| goes_on && open.channels.is_empty()) {
+            // It would be a recording of nothing.
+            fs::remove_file(&open.path).ok();
+        }
+    }
+}
+
 fn lock(files: &Mutex<Files>) -> MutexGuard<'_, Files> {
     files.lock().unwrap_or_else(PoisonError::into_inner)
 }

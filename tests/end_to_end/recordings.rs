@@ -2,7 +2,7 @@
 //! onlookers record without a change to the run; other programs read what is recorded, and what they record is read here.
 
 use crate::bridge::without_times;
-use crate::processes::{at_work, stages_of};
+use crate::processes::{at_work, stages_of, wait_for_lines};
 use crate::support::{Playground, Started, TRACKING, python_with, read_png, signal, wait_until};
 use rustix::process::Signal;
 use serde_json::Value as Json;
@@ -89,6 +89,24 @@ fn what_a_killed_recorder_has_written_is_replayed() {
     let both = again.len().min(tracks.len());
     assert_eq!(again[..both], tracks[..both]);
     ended.expect_told(&["ends in the middle: its first "]);
+}
+
+#[test]
+fn a_recorder_that_is_replaced_leaves_two_recordings_and_no_empty_file() {
+    let playground = Playground::with_pipeline(&recording());
+    let mut run = playground.start(&["run", "--set", "source.rate_hz=100"]);
+    wait_for_lines(&mut run, &playground);
+    playground.conicflow(&["swap", "recorder"]).expect_code(0);
+    wait_for_lines(&mut run, &playground);
+    run.end();
+    let entries = fs::read_dir(playground.path("")).unwrap().map(|entry| entry.unwrap().file_name());
+    let mut files: Vec<_> = entries.map(|name| name.into_string().unwrap()).collect();
+    files.retain(|name| name.ends_with(".mcap"));
+    files.sort();
+    assert_eq!(files, ["run.mcap", "run_1.mcap"]);
+    for file in files {
+        assert!(fs::metadata(playground.path(&file)).unwrap().len() > 10_000, "`{file}` has messages in it");
+    }
 }
 
 #[test]
