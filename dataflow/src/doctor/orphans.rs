@@ -1,7 +1,7 @@
 //! Stages that outlived their launcher, which they should not.
 
 use super::finding::Finding;
-use crate::launcher::{LAST_STAGES_GRACE, LAUNCHER, PIPELINE, RUNTIME_DIR, STAGE};
+use crate::launcher::{LAST_STAGES_GRACE, LAUNCHER, PIPELINE, RUNTIME_DIR, STAGE, user_folder};
 use conicflow_messages::Hinted;
 use rustix::process::geteuid;
 use std::fs;
@@ -37,7 +37,7 @@ fn orphan(process: u32) -> Option<Finding> {
         fs::metadata(&folder).is_ok_and(|about| about.uid() == geteuid().as_raw()) && is_in_own_numbering(&folder);
     let environment = own.then(|| fs::read(folder.join("environ")).ok())??;
     let variable = |name: &str| value(&environment, name);
-    let same_folder = variable(RUNTIME_DIR) == std::env::var(RUNTIME_DIR).ok();
+    let same_folder = variable(RUNTIME_DIR).is_some_and(|folder| Path::new(&folder) == user_folder());
     let (pipeline, stage, launcher) = (variable(PIPELINE)?, variable(STAGE)?, variable(LAUNCHER)?);
     // A process that a stage itself started has that stage for a parent, and ends when it will.
     let stat = fs::read_to_string(folder.join("stat")).ok()?;

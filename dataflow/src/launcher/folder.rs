@@ -348,7 +348,8 @@ fn is_only_looked_at(lock: &File) -> bool {
 /// The folder of this user in which all runs have theirs, whether it is there or not.
 pub fn user_folder() -> PathBuf {
     let path_in = |variable: &str| std::env::var_os(variable).map(PathBuf::from);
-    user_folder_of(path_in(RUNTIME_DIR), path_in("XDG_RUNTIME_DIR"))
+    let path = user_folder_of(path_in(RUNTIME_DIR), path_in("XDG_RUNTIME_DIR"));
+    std::path::absolute(&path).unwrap_or(path)
 }
 
 /// The user's folder: the one that was asked for, or one in that which the system has for this login, where there is one.

@@ -67,7 +67,7 @@ pub enum LaunchError {
     #[error(transparent)]
     InsufficientResource(#[from] InsufficientResource),
     /// Signals.
-    #[error("signals cannot be received: {0}")]
+    #[error("signals cannot be received: {reason}\n  hint: {hint}", reason = .0, hint = process::hint_of(.0))]
     Signals(std::io::Error),
 }
 
@@ -94,6 +94,9 @@ pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
     let signals = signals()?;
     SharedMemory::clean(folder.shared_memory())?;
     Requirements::of(plan, options.nodes).insufficient().into_iter().try_for_each(Err)?;
+    let requirements = Requirements::of(plan, options.nodes);
+    // Shared memory itself needs some; what dead runs have left of it is room, once it is removed.
+    requirements.short_of_files().map_or(Ok(()), Err)?;
     folder.empty()?;
     let memory = SharedMemory::open(folder.shared_memory(), &plan.namespace(), "launcher", Stop::default())?;
     let services = memory.kept_in(folder.path()).keep_services(plan.topics())?;

@@ -1,6 +1,6 @@
 //! A stage as a process of its own: finds its place in the plan, opens what it needs, and runs until it is done or told.
 
-use super::folder::{FolderError, PLAN, RunFolder};
+use super::folder::{FolderError, PLAN, RUNTIME_DIR, RunFolder, user_folder};
 use super::options::RunOptions;
 use crate::log::{DEFAULT_LOG, LOG, error_text, log_to_standard_error};
 use crate::network::{BridgePlan, BridgeRun, Carrier, NO_NETWORK, NO_NETWORK_HINT, Network, NetworkError, RunBridge};
@@ -18,6 +18,7 @@ use crate::runner::{RunError, StageRuntime};
 use crate::stage::{Context, Source, Stage, Stop};
 use crate::status::{NO_RUN, StatusFile};
 use conicflow_messages::Hinted;
+use rustix::io::Errno;
 use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal, test_kill_process};
 use serde_json::Value as Json;
 use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1, SIGXFSZ};
@@ -74,7 +75,7 @@ pub enum ProcessError {
     )]
     Between(String),
     /// Something of the operating system.
-    #[error("{doing}: {error}\n  hint: is the program there, and may this user run it?")]
+    #[error("{doing}: {error}\n  hint: {}", hint_of(error))]
     System {
         /// What was being done.
         doing: String,
@@ -89,12 +90,27 @@ pub enum ProcessError {
     NoRun(&'static str),
 }
 
+/// What to do where a process or a thread cannot be started.
+pub(super) fn hint_of(error: &io::Error) -> &'static str {
+    match Errno::from_io_error(error) {
+        Some(Errno::AGAIN) => {
+            "this user or this container may have no more processes and threads: `ulimit -u`, in a systemd unit `TasksMax=`, for \
+             a container `--pids-limit`"
+        }
+        Some(Errno::MFILE | Errno::NFILE) => "no more files may be open: `ulimit -n`, in a systemd unit `LimitNOFILE=`",
+        Some(Errno::NOMEM) => {
+            "there is no memory left, or no more may be taken: `ulimit -v`, in a systemd unit `MemoryMax=`"
+        }
+        _ => "is the program there, and may this user run it?",
+    }
+}
+
 impl ProcessError {
     /// The exit code that tells the launcher whether to try again.
     pub fn exit_code(&self) -> u8 {
-        use PortError::{Incompatible, PathTooLong};
+        use PortError::{Incompatible, PathTooLong, PathUnusable};
         match self {
-            Self::Run(RunError::Port(Incompatible { .. } | PathTooLong { .. })) => REFUSED,
+            Self::Run(RunError::Port(Incompatible { .. } | PathTooLong { .. } | PathUnusable { .. })) => REFUSED,
             Self::Bridge(NetworkError::Failed(_)) => 1,
             Self::Run(
                 RunError::Failed { .. } | RunError::Lasting { .. } | RunError::Unfinished(_) | RunError::Port(_),
@@ -106,11 +122,12 @@ impl ProcessError {
 }
 
 /// What runs a stage: `options.program`, whose environment tells it which stage it is, by the plan in the file `plan_file`
-/// of the run's folder.
+/// of the run's folder. It finds that folder whatever the stage's own variables, and the folder in which it works, say of others.
 pub(crate) fn as_stage(planned: &PlannedStage, plan: &Plan, plan_file: &str, options: &RunOptions) -> Command {
     let mut command = Command::new(&options.program);
     command
         .args(["node", &planned.name])
+        .env(RUNTIME_DIR, user_folder())
         .env(PIPELINE, &plan.pipeline)
         .env(STAGE, &planned.name)
         .env(PLAN_FILE, plan_file)
@@ -433,8 +450,23 @@ mod tests {
     }
 
     #[test]
+    fn what_keeps_a_process_from_starting_is_told_with_the_limit_that_does() {
+        for (errno, hint) in [
+            (Errno::AGAIN, "`ulimit -u`"),
+            (Errno::MFILE, "`ulimit -n`"),
+            (Errno::NOMEM, "`ulimit -v`"),
+            (Errno::NOENT, "is the program there"),
+        ] {
+            let told = system("stage `a` cannot be started", errno.into()).to_string();
+            let (_, hints) = told.split_once("\n  hint: ").unwrap();
+            assert!(hints.contains(hint), "{told}");
+        }
+    }
+
+    #[test]
     fn the_process_of_a_stage_is_told_its_place_by_its_environment() {
-        let planned = PlannedStage { env: vec![("KEY".into(), "value".into())], ..stage::<Object>() };
+        let env = [("KEY", "value"), ("XDG_RUNTIME_DIR", "/elsewhere")].map(|(key, value)| (key.into(), value.into()));
+        let planned = PlannedStage { env: env.to_vec(), ..stage::<Object>() };
         let options = RunOptions { program: "conicflow".into(), ..RunOptions::default() };
         let told = |log: Option<&str>| {
             let options = RunOptions { log: log.map(str::to_owned), ..options.clone() };
@@ -442,6 +474,8 @@ mod tests {
             let said: Vec<_> = [command.get_program()].into_iter().chain(command.get_args()).collect();
             assert_eq!(said, ["conicflow", "node", "stage"]);
             let of = |name: &str| command.get_envs().find(|(key, _)| *key == name).and_then(|(_, value)| value);
+            assert_eq!(of(RUNTIME_DIR), Some(user_folder().as_os_str()));
+            assert_eq!(of("XDG_RUNTIME_DIR"), Some("/elsewhere".as_ref()), "what it needs for itself is its own");
             [PIPELINE, STAGE, PLAN_FILE, LOG, "KEY"]
                 .map(|name| of(name).map(|value| value.to_str().unwrap().to_owned()))
         };

@@ -13,6 +13,7 @@ use crate::item_type::ItemType;
 use bytemuck::{try_cast_slice, try_cast_slice_mut};
 use capacity::in_words;
 use conicflow_messages::{Header, Hinted, Item, Text};
+use rustix::process::{Resource, getrlimit};
 use serde::{Deserialize, Serialize};
 use std::fmt::Debug;
 use std::path::{Path, PathBuf};
@@ -170,6 +171,15 @@ pub enum PortError {
         /// The longest that works.
         limit: usize,
     },
+    /// The path of the shared memory's folder has characters that names in shared memory may not have.
+    #[error(
+        "the folder `{}` has {} in its path, which shared memory cannot use\n  hint: set CONICFLOW_RUNTIME_DIR to a path of \
+         letters from a to z, digits and `/._-`", path.display(), in_quotes(path)
+    )]
+    PathUnusable {
+        /// The folder.
+        path: PathBuf,
+    },
     /// Another type of message goes through this topic.
     #[error("topic `{topic}` carries another type of message than {own}{said}\n  hint: {hint}")]
     Incompatible {
@@ -211,7 +221,7 @@ pub enum PortError {
     /// Shared memory failed.
     #[error(
         "{doing}: {reason}\n  hint: is there room in /dev/shm, may this user write to `{}`, and are there file \
-         descriptors left?", root.display()
+         descriptors left?{}", root.display(), of_address_space()
     )]
     SharedMemory {
         /// What was being done.
@@ -224,6 +234,21 @@ pub enum PortError {
     /// The run ended while the port waited.
     #[error("the run ended")]
     Stopped,
+}
+
+/// Those characters of a path that names in shared memory may not have.
+fn in_quotes(path: &Path) -> String {
+    let path = path.to_string_lossy();
+    let mut unusable: Vec<_> =
+        path.chars().filter(|c| !c.is_ascii_graphic() && *c != ' ' || "<>\"|?*".contains(*c)).collect();
+    unusable.dedup();
+    unusable.iter().map(|c| format!("`{}`", c.escape_debug())).collect::<Vec<_>>().join(", ")
+}
+
+/// What is to be asked, too, where a process may not take as much memory as it likes: shared memory counts.
+fn of_address_space() -> String {
+    let limit = getrlimit(Resource::As).current;
+    limit.map_or(String::new(), |bytes| format!(" `ulimit -v` lets a process have {} in all", in_words(bytes)))
 }
 
 impl PortError {

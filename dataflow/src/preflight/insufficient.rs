@@ -62,14 +62,18 @@ pub enum InsufficientResource {
 impl Requirements {
     /// What this machine has too little of, now.
     pub fn insufficient(&self) -> Vec<InsufficientResource> {
-        let limit = getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX);
-        let files =
-            (limit < self.open_files).then_some(InsufficientResource::OpenFiles { limit, needed: self.open_files });
+        let files = self.short_of_files();
         let room = match room() {
             Ok((free, size)) => self.short_of_room(free, size),
             Err(error) => Some(InsufficientResource::NoSharedMemory(error)),
         };
         room.into_iter().chain(files).collect()
+    }
+
+    /// Whether its stages may have fewer files open than they need.
+    pub(crate) fn short_of_files(&self) -> Option<InsufficientResource> {
+        let limit = getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX);
+        (limit < self.open_files).then_some(InsufficientResource::OpenFiles { limit, needed: self.open_files })
     }
 
     fn short_of_room(&self, free: u64, size: u64) -> Option<InsufficientResource> {

@@ -124,7 +124,7 @@ pub(crate) fn clear(root: &Path) -> Result<Litter, PortError> {
 /// It is too long.
 pub(crate) fn check_path(root: &Path) -> Result<(), PortError> {
     match configuration(root) {
-        Err(error @ PortError::PathTooLong { .. }) => Err(error),
+        Err(error @ (PortError::PathTooLong { .. } | PortError::PathUnusable { .. })) => Err(error),
         _ => Ok(()),
     }
 }

@@ -202,10 +202,10 @@ pub(super) type EventFactory = iceoryx2::service::port_factory::event::PortFacto
 
 pub(super) fn configuration(root: &Path) -> Result<Config, PortError> {
     let length = root.as_os_str().len();
-    let too_long = || PortError::PathTooLong { path: root.to_owned(), length, limit: ROOT_LIMIT };
     if length > ROOT_LIMIT {
-        return Err(too_long());
+        return Err(PortError::PathTooLong { path: root.to_owned(), length, limit: ROOT_LIMIT });
     }
+    let unusable = || PortError::PathUnusable { path: root.to_owned() };
     let prefix = cleanup::prefix(root).map_err(|error| {
         let doing = "the folder of shared memory cannot be used";
         PortError::of_shared_memory(root, doing, format_args!("{error}"))
@@ -213,11 +213,11 @@ pub(super) fn configuration(root: &Path) -> Result<Config, PortError> {
     let mut config = Config::default();
     // Each is room for a connection in every reader, whose writer may have gone while it holds messages of that.
     config.defaults.publish_subscribe.subscriber_expired_connection_buffer = MAX_HELD;
-    let path = iceoryx2::prelude::Path::new(root.as_os_str().as_encoded_bytes()).map_err(|_| too_long())?;
+    let path = iceoryx2::prelude::Path::new(root.as_os_str().as_encoded_bytes()).map_err(|_| unusable())?;
     // A process may be held up while it makes a part of its own; nobody who waits for that is to give up before it goes on.
     config.global.creation_timeout = CREATION_TIMEOUT;
     config.global.set_root_path(&path);
-    config.global.prefix = FileName::new(prefix.as_bytes()).map_err(|_| too_long())?;
+    config.global.prefix = FileName::new(prefix.as_bytes()).map_err(|_| unusable())?;
     Ok(config)
 }
 
@@ -244,6 +244,20 @@ mod tests {
         assert_eq!((rooms(&memory, &without_writers), rooms(&memory, &newest_only)), (vec![4, 4], vec![4]));
         let is_kept = |topic: &Topic| memory.folder_of(topic).is_some();
         assert_eq!([&topic, &without_writers, &newest_only].map(is_kept), [true, false, false]);
+    }
+
+    #[test]
+    fn a_folder_whose_path_cannot_be_used_is_told_with_what_is_wrong_with_it() {
+        let folder = tempfile::tempdir_in("/tmp").unwrap();
+        let told = |name: &str| configuration(&folder.path().join(name)).err().map(|error| error.to_string());
+        std::fs::create_dir(folder.path().join("a b")).unwrap();
+        assert_eq!(told("a b"), None);
+        for (name, named) in [("fr\u{fc}h", "has `\u{fc}` in its path"), ("a?\tb", "has `?`, `\\t` in its path")] {
+            std::fs::create_dir(folder.path().join(name)).unwrap();
+            let told = told(name).unwrap();
+            assert!(told.contains(named) && told.contains("\n  hint: set CONICFLOW_RUNTIME_DIR"), "{told}");
+        }
+        assert!(told(&"a".repeat(60)).unwrap().contains("bytes long, shared memory can use 48 at most"));
     }
 
     #[test]
