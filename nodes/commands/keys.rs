@@ -13,11 +13,12 @@ use rustix::io::Errno;
 use rustix::process::{Pid, Signal, getpgrp, getppid, kill_process, set_parent_process_death_signal};
 use rustix::termios::{LocalModes, OptionalActions, SpecialCodeIndex, Termios, tcgetattr, tcgetpgrp, tcsetattr};
 use signal_hook::consts::{SIGCONT, SIGHUP, SIGINT, SIGQUIT, SIGTERM, SIGTSTP};
-use signal_hook::iterator::{Handle, Signals};
+use signal_hook::iterator::Signals;
 use signal_hook::low_level::emulate_default_handler;
 use std::io::{IsTerminal, Write, stderr, stdin};
 use std::process::{Child, Command};
-use std::thread::{self, sleep};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::thread::sleep;
 use std::time::Duration;
 
 /// The command by which this program reads keys; people do not call it.
@@ -32,11 +33,10 @@ const RIGHT: [&[u8]; 2] = [b"\x1b[C", b"\x1bOC"];
 /// The keys of a run, until this is dropped.
 pub struct Keys {
     reader: Child,
-    /// How the terminal was, where the run began in its foreground.
-    before: Option<Termios>,
-    /// Hears of Ctrl-Z.
-    stops: Option<Handle>,
 }
+
+/// How the terminal was, where the run began in its foreground.
+static BEFORE: Mutex<Option<Termios>> = Mutex::new(None);
 
 impl Keys {
     /// Reads the keys for a pipeline, where there is a terminal; a run that nobody can pause by them is a run all the same.
@@ -49,29 +49,20 @@ impl Keys {
         let mut reader = Command::new("sh");
         reader.args(["-c", START, "sh"]).arg(std::env::current_exe().ok()?).args([NAME, pipeline, &own]);
         let reader = reader.spawn().ok()?;
-        let stops = before.clone().and_then(|before| stop_in_order(before).ok());
-        Some(Self { reader, before, stops })
+        *terminal_before() = before;
+        Some(Self { reader })
     }
 }
 
-/// At Ctrl-Z gives the terminal back, and then stops this process.
-fn stop_in_order(before: Termios) -> Result<Handle> {
-    let mut signals = Signals::new([SIGTSTP])?;
-    let handle = signals.handle();
-    let listen = move || {
-        for signal in signals.forever() {
-            give_back(&before);
-            // What else could be done where the system refuses it?
-            emulate_default_handler(signal).ok();
-        }
-    };
-    thread::Builder::new().name("keys".to_owned()).spawn(listen)?;
-    Ok(handle)
+fn terminal_before() -> MutexGuard<'static, Option<Termios>> {
+    BEFORE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Makes the terminal what it was, if it is that of this process's job.
-fn give_back(before: &Termios) {
-    if is_foreground() {
+/// Makes the terminal what it was before the run, if it is that of this process's job: at the end, and when the run stops.
+pub fn give_back() {
+    if let Some(before) = &*terminal_before()
+        && is_foreground()
+    {
         // What else could be done with a terminal that refuses it?
         tcsetattr(stdin(), OptionalActions::Now, before).ok();
     }
@@ -85,8 +76,8 @@ impl Drop for Keys {
             kill_process(reader, Signal::CONT).ok();
         }
         self.reader.wait().ok();
-        self.stops.iter().for_each(Handle::close);
-        self.before.iter().for_each(give_back);
+        give_back();
+        *terminal_before() = None;
     }
 }
 

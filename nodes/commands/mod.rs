@@ -345,7 +345,8 @@ fn run_once(pipeline: &Pipeline, arguments: &RunArguments, quiet: bool, log: &st
     check_machine(pipeline, arguments.machine.as_deref())?;
     let run = SystemTime::now().duration_since(UNIX_EPOCH)?.as_nanos() as u64;
     let plan = Plan::of(pipeline, arguments.machine.as_deref(), arguments.frames, run);
-    let options = RunOptions { duration: arguments.duration, quiet, ..options(log)? };
+    let before_stop = Some(keys::give_back as fn());
+    let options = RunOptions { duration: arguments.duration, quiet, before_stop, ..options(log)? };
     Ok(conicflow_dataflow::run(&plan, &options)?)
 }
 

@@ -3,7 +3,7 @@
 use crate::bridge::{joined, loopback, machines, top_link};
 use crate::processes::{at_work, files_in_shared_memory, shared_prefix, stages_of, start, wait_for_lines};
 use crate::programs::program;
-use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, signal};
+use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, signal, wait_until};
 use rustix::process::Signal;
 
 /// [`TRACKING`] with a stage between assembler and tracker that does wrong at one frame.
@@ -161,6 +161,103 @@ fn a_run_whose_shared_memory_somebody_removes_ends_in_order_and_says_so() {
     assert!(ended.stderr.contains(told) && ended.stderr.contains("RemoveIPC"), "{}", ended.stderr);
     let sequences = playground.sequences("tracks.jsonl");
     assert!(sequences.into_iter().eq(0..ended.stage("source").messages), "{}", ended.stderr);
+}
+
+#[test]
+fn a_run_whose_folder_somebody_removes_ends_in_order_and_says_so_also_where_a_stage_dies_then() {
+    for dies in [false, true] {
+        let playground = Playground::with_pipeline(TRACKING);
+        let mut run = playground.start(&["run", "--set", "source.rate_hz=100"]);
+        wait_for_lines(&mut run, &playground);
+        let tracker = stages_of(run.id())["tracker"];
+        std::fs::remove_dir_all(playground.runtime()).unwrap();
+        if dies {
+            signal(tracker, Signal::KILL);
+        }
+        let ended = run.wait().expect_code(1);
+        ended.expect_told(&[
+            "ERROR the run ends: its folder `",
+            "was removed while it went on\n  hint: systemd removes the folder of a login",
+            "not complete: its folder was removed while it went on",
+        ]);
+        for misleading in
+            ["without having joined", "could not be made ready", "set CONICFLOW_RUNTIME_DIR to a short path"]
+        {
+            assert!(!ended.stderr.contains(misleading), "{}", ended.stderr);
+        }
+        let sequences = playground.sequences("tracks.jsonl");
+        assert!(!sequences.is_empty() && sequences.iter().copied().eq(0..sequences.len() as u64), "{sequences:?}");
+        assert!(playground.processes().is_empty());
+        std::fs::create_dir(playground.runtime()).unwrap();
+    }
+}
+
+/// How many processes there are that [`in_a_shell`] has started in the background.
+fn background(playground: &Playground) -> usize {
+    playground.processes().into_iter().filter(|process| is_sleep(*process)).count()
+}
+
+#[test]
+fn what_a_program_has_started_ends_with_it_however_that_and_the_run_end() {
+    let playground = with_program(&in_a_shell("sleep 1000 & sleep 1000 & exec", ""), "");
+    let mut run = start(&playground);
+    wait_for_frame(&mut run, &playground, 20);
+    assert_eq!(background(&playground), 2);
+    signal(stages_of(run.id())["faulty"], Signal::KILL);
+    run.wait_for_text("stage `faulty` was killed by signal 9, and is started anew");
+    wait_for_frame(&mut run, &playground, playground.newest("tracks.jsonl") + 20);
+    assert_eq!(background(&playground), 2, "those of the new one alone");
+    run.end();
+    assert_eq!(background(&playground), 0);
+
+    std::fs::remove_file(playground.path("tracks.jsonl")).unwrap();
+    let mut run = start(&playground);
+    wait_for_frame(&mut run, &playground, 20);
+    assert_eq!(background(&playground), 2);
+    signal(run.id(), Signal::KILL);
+    wait_until("nothing of the run is left", || playground.processes().is_empty());
+}
+
+#[test]
+fn a_program_that_never_joins_is_waited_for_no_longer_than_the_file_says_when_the_others_have_ended() {
+    let idle = "\n[stage.idle]\nprogram = [\"sleep\", \"1000\"]\ninput = \"tracks\"\nrestart = { join_s = 15 }\n";
+    let playground = Playground::with_pipeline(&format!("{TRACKING}{idle}"));
+    let ended = playground.conicflow(&["run", "--frames", "5"]).expect_code(1);
+    ended.expect_told(&[
+        "the run waits for stage `idle`, which has not joined it: all that write for it have ended",
+        "stage `idle` has not joined the run 15 s after its start: nothing can come to it any more",
+    ]);
+    assert_eq!(playground.sequences("tracks.jsonl"), [0, 1, 2, 3, 4]);
+    assert!(playground.processes().is_empty());
+}
+
+#[test]
+fn a_stage_finds_its_run_whatever_its_own_variables_say_of_a_folder_for_it() {
+    let elsewhere = "env = { XDG_RUNTIME_DIR = \"/nowhere\" }\n[stage.tracker]";
+    let playground = Playground::with_pipeline(&TRACKING.replace("[stage.tracker]", elsewhere));
+    let mut command = playground.command(&["run", "--frames", "5"]);
+    command.env_remove("CONICFLOW_RUNTIME_DIR").env("XDG_RUNTIME_DIR", playground.runtime());
+    Started::new(command).wait().expect_code(0);
+    assert_eq!(playground.sequences("tracks.jsonl"), [0, 1, 2, 3, 4]);
+}
+
+#[test]
+fn a_run_that_is_stopped_as_by_ctrl_z_stands_still_as_a_whole_and_goes_on_as_a_whole() {
+    let (playground, mut run) = at_work(TRACKING, 50);
+    let all: Vec<_> = stages_of(run.id()).into_values().chain([run.id()]).collect();
+    let are_stopped = |expected: bool| all.iter().all(|process| is_stopped(*process) == expected);
+    signal(run.id(), Signal::TSTP);
+    wait_until("all are stopped", || are_stopped(true));
+    signal(run.id(), Signal::CONT);
+    wait_until("all go on", || are_stopped(false));
+    wait_for_lines(&mut run, &playground);
+    let ended = run.end();
+    playground.expect_each_frame(&ended);
+}
+
+fn is_stopped(process: u32) -> bool {
+    let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).unwrap();
+    stat.rsplit_once(')').unwrap().1.trim_start().starts_with('T')
 }
 
 /// A shell that starts the faulty stage, which does no wrong, with this before and after it.

@@ -1,6 +1,7 @@
 //! One stage as the launcher sees it: its process, and whether it is to be started anew.
 
 use super::folder::{PLAN, RunFolder};
+use super::guarded::Guarded;
 use super::options::RunOptions;
 use super::phase::Phase;
 use super::process::{LAUNCHER, ProcessError, REFUSED, as_stage};
@@ -9,12 +10,12 @@ use crate::pipeline::{Restart, TIME_TO_JOIN_S};
 use crate::plan::{Plan, PlannedStage, Runs};
 use crate::ports::Delivery;
 use crate::status::{Life, Status};
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::{Pid, Signal, kill_process, kill_process_group};
 use signal_hook::consts::SIGBUS;
 use std::collections::VecDeque;
 use std::io;
 use std::os::unix::process::{CommandExt, ExitStatusExt};
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::{Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 /// A stage that dies more often than this within a minute is given up.
@@ -32,7 +33,7 @@ const HOW_TO_JOIN: &str = "a program joins by `run_stage` or `run_source` of con
 
 /// Where a stage's process is.
 enum State {
-    Running(Child),
+    Running(Guarded),
     Waiting { until: Instant },
     Done,
     Gone,
@@ -55,6 +56,8 @@ pub(crate) struct RunState<'a> {
     pub(crate) folder: &'a RunFolder,
     pub(crate) options: &'a RunOptions,
     pub(crate) phase: Phase,
+    /// Whether its folder, or what its stages share, was removed: one that is started anew would not find the others.
+    pub(crate) is_removed: bool,
 }
 
 impl RunState<'_> {
@@ -75,6 +78,8 @@ pub(crate) struct Supervised {
     deaths: VecDeque<Instant>,
     /// The program that was named for not having joined the run.
     outsider: Option<u32>,
+    /// Whether it was named for being waited for although nothing can come to it.
+    is_last: bool,
     started: Instant,
     /// Whether it was started when the sources had been told to stop, and is still to be told, too.
     is_late: bool,
@@ -83,30 +88,31 @@ pub(crate) struct Supervised {
 impl Supervised {
     /// Starts a stage for the first time; a fault then is one of the run.
     pub(crate) fn start(planned: PlannedStage, plan: &Plan, options: &RunOptions) -> Result<Self, ProcessError> {
-        let child = command(&planned, plan, options).spawn().map_err(|error: io::Error| ProcessError::System {
+        let started = Guarded::start(&mut command(&planned, plan, options), &planned);
+        let process = started.map_err(|error: io::Error| ProcessError::System {
             doing: format!("stage `{}` cannot be started", planned.name),
             error,
         })?;
         let watchdog = Watchdog::new(0, Instant::now());
-        let (state, deaths, started) = (State::Running(child), VecDeque::new(), Instant::now());
-        Ok(Self { planned, state, watchdog, deaths, outsider: None, started, is_late: false })
+        let (state, deaths, started) = (State::Running(process), VecDeque::new(), Instant::now());
+        Ok(Self { planned, state, watchdog, deaths, outsider: None, is_last: false, started, is_late: false })
     }
 
     /// Its process, if there is one.
     pub(crate) fn process(&self) -> Option<u32> {
-        if let State::Running(child) = &self.state { Some(child.id()) } else { None }
+        if let State::Running(process) = &self.state { Some(process.child.id()) } else { None }
     }
 
     /// Its process, if that has ended; what follows from it is for the one who asks, or for the next look.
     pub(crate) fn exit(&mut self) -> Option<u32> {
-        let State::Running(child) = &mut self.state else { return None };
+        let State::Running(Guarded { child, .. }) = &mut self.state else { return None };
         let ended = !matches!(child.try_wait(), Ok(None));
         ended.then(|| child.id())
     }
 
     /// Gives its place to another process, which is there already.
-    pub(crate) fn take(&mut self, child: Child) {
-        (self.state, self.started) = (State::Running(child), Instant::now());
+    pub(crate) fn take(&mut self, process: Guarded) {
+        (self.state, self.started) = (State::Running(process), Instant::now());
     }
 
     /// Starts it anew at the next look, as `planned`.
@@ -127,17 +133,23 @@ impl Supervised {
 
     /// Sends a signal to its process, if there is one.
     pub(crate) fn signal(&self, signal: Signal) {
-        if let State::Running(child) = &self.state
-            && let Some(process) = Pid::from_raw(child.id().cast_signed())
-        {
+        if let Some(process) = self.process().and_then(|process| Pid::from_raw(process.cast_signed())) {
             // It may just have ended by itself.
             kill_process(process, signal).ok();
         }
     }
 
+    /// Sends a signal to its process and to all that this has started, if there is one. The group has the number of the process as
+    /// long as that is not waited for.
+    pub(crate) fn signal_group(&self, signal: Signal) {
+        if let Some(process) = self.process().and_then(|process| Pid::from_raw(process.cast_signed())) {
+            kill_process_group(process, signal).ok();
+        }
+    }
+
     /// Kills the process, if there is one, and waits until it is gone.
     pub(crate) fn kill(&mut self) {
-        if let State::Running(child) = &mut self.state {
+        if let State::Running(Guarded { child, .. }) = &mut self.state {
             child.kill().ok();
             child.wait().ok();
         }
@@ -150,13 +162,14 @@ impl Supervised {
     /// needed but the sources.
     pub(crate) fn look(&mut self, run: &RunState<'_>) -> Change {
         let ending = match run.phase {
+            _ if run.is_removed => true,
             Phase::Running => false,
             // What waits on its way to another machine, and what that has to hear, needs the bridge.
             Phase::Delivering { .. } => self.planned.is_source() && !self.planned.is_bridge(),
             Phase::Stopping { .. } | Phase::Killing => true,
         };
         match &mut self.state {
-            State::Running(child) => match child.try_wait() {
+            State::Running(Guarded { child, .. }) => match child.try_wait() {
                 Ok(Some(status)) => {
                     let process = child.id();
                     self.ended(process, status, run, ending)
@@ -186,9 +199,9 @@ impl Supervised {
     /// What keeps a stage from coming back, such as a program that is just being replaced, is no fault of the others: it
     /// counts as one more death.
     fn start_anew(&mut self, run: &RunState<'_>) -> Change {
-        match command(&self.planned, run.plan, run.options).spawn() {
-            Ok(child) => {
-                (self.state, self.started) = (State::Running(child), Instant::now());
+        match Guarded::start(&mut command(&self.planned, run.plan, run.options), &self.planned) {
+            Ok(process) => {
+                (self.state, self.started) = (State::Running(process), Instant::now());
                 Change::None
             }
             Err(error) => self.died(&format!("cannot be started ({error})"), run),
@@ -209,18 +222,26 @@ impl Supervised {
         }
         let limit = self.planned.hang_s.map(Duration::from_secs_f64);
         let steps = own.as_ref().map_or(0, |status| status.steps);
+        let has_ended = own.as_ref().is_some_and(|status| status.life() == Life::Ended);
         let news = self.watchdog.look(process, own.map(|status| status.alive_ns), limit, Instant::now());
         news.into_iter().for_each(|news| self.tell(news, steps));
-        if let (Some(News::Hangs(_)), Some(_), State::Running(child)) = (news, limit, &mut self.state) {
-            child.kill().ok();
+        let (Some(News::Hangs(_)), Some(_), State::Running(process)) = (news, limit, &mut self.state) else {
+            return Change::None;
+        };
+        process.child.kill().ok();
+        if has_ended {
+            tracing::error!("stage `{}` had ended its stream, and is not started anew", self.planned.name);
+            self.kill();
+            return self.give_up(run, Change::Lost);
         }
         Change::None
     }
 
-    /// Names a program that takes its time to join the run, and gives it up where nothing goes on without it for too long.
+    /// Names a program that takes its time to join the run, and gives it up where the run does not go on without it for too long.
     fn wait_to_join(&mut self, process: u32, command: &str, run: &RunState<'_>) -> Change {
         let (name, waited) = (&self.planned.name, self.started.elapsed());
         let (topic, limit_s) = (self.lossless_topic(), self.planned.join_s.unwrap_or(TIME_TO_JOIN_S));
+        let is_last = self.has_heard_all(run);
         if waited > NAMED_AFTER && self.outsider != Some(process) {
             let waits = topic.map(|topic| {
                 format!(", and topic `{topic}` waits for it: the run ends if it has not {limit_s} s after its start")
@@ -230,15 +251,22 @@ impl Supervised {
                 "stage `{name}` has not joined the run: `{command}` has no part in it{waits}\n  hint: {HOW_TO_JOIN}"
             );
             self.outsider = Some(process);
-        } else if waited > Duration::from_secs_f64(limit_s)
-            && let Some(topic) = topic
-        {
+        } else if waited > Duration::from_secs_f64(limit_s) && (topic.is_some() || is_last) {
+            let waits = topic.map(|topic| {
+                format!("`{command}` takes no part in topic `{topic}`, which is lossless and waits for it")
+            });
+            let waits = waits.unwrap_or_else(|| "nothing can come to it any more, and the run waits for it".to_owned());
             tracing::error!(
-                "stage `{name}` has not joined the run {limit_s} s after its start: `{command}` takes no part in topic \
-                 `{topic}`, which is lossless and waits for it\n  hint: {HOW_TO_JOIN}"
+                "stage `{name}` has not joined the run {limit_s} s after its start: {waits}\n  hint: {HOW_TO_JOIN}"
             );
             self.kill();
             return self.give_up(run, Change::Lost);
+        } else if waited > NAMED_AFTER && is_last && !self.is_last {
+            tracing::warn!(
+                "the run waits for stage `{name}`, which has not joined it: all that write for it have ended, and the run ends, \
+                 too, if it has not {limit_s} s after its start\n  hint: {HOW_TO_JOIN}"
+            );
+            self.is_last = true;
         }
         Change::None
     }
@@ -324,6 +352,12 @@ impl Supervised {
             tracing::error!("stage `{name}` {how}, and is not started anew: its `restart` is \"never\"");
             return self.give_up(run, Change::Left);
         }
+        if run.record(name).is_none() && self.has_heard_all(run) {
+            tracing::error!(
+                "stage `{name}` {how}, and is not started anew: it had not joined the run, and nothing can come any more"
+            );
+            return self.give_up(run, Change::Lost);
+        }
         let now = Instant::now();
         let Some(back_off) = back_off(&mut self.deaths, now) else {
             tracing::error!(
@@ -367,7 +401,7 @@ fn back_off(deaths: &mut VecDeque<Instant>, now: Instant) -> Option<Duration> {
 }
 
 /// What starts a stage. Each gets a process group of its own, so that Ctrl-C reaches the launcher alone, which ends them in
-/// order.
+/// order, and what a program has started can be told from all else.
 pub(crate) fn command(planned: &PlannedStage, plan: &Plan, options: &RunOptions) -> Command {
     let mut command = as_stage(planned, plan, PLAN, options);
     command.env(LAUNCHER, std::process::id().to_string()).stdin(Stdio::null()).process_group(0);
@@ -392,10 +426,12 @@ pub(super) mod tests {
     use crate::ports::{Topic, TopicReader};
     use conicflow_messages::Object;
     use std::io::{Read, Write};
+    use std::process::Child;
 
     fn supervised(planned: PlannedStage, state: State) -> Supervised {
         let (watchdog, started) = (Watchdog::new(0, Instant::now()), Instant::now());
-        Supervised { planned, state, watchdog, deaths: VecDeque::new(), outsider: None, started, is_late: false }
+        let deaths = VecDeque::new();
+        Supervised { planned, state, watchdog, deaths, outsider: None, is_last: false, started, is_late: false }
     }
 
     /// A program that gives back what it is given, and so ends when nobody gives it anything any more.
@@ -405,12 +441,12 @@ pub(super) mod tests {
 
     /// A stage with a process that has no part in the run.
     pub fn at_work(planned: PlannedStage) -> Supervised {
-        supervised(planned, State::Running(echo()))
+        supervised(planned, State::Running(echo().into()))
     }
 
     /// Whether the process of a stage [`at_work`] gives back what it is given.
     pub fn answers(stage: &mut Supervised) -> bool {
-        let State::Running(child) = &mut stage.state else { return false };
+        let State::Running(Guarded { child, .. }) = &mut stage.state else { return false };
         let (Some(stdin), Some(stdout)) = (&mut child.stdin, &mut child.stdout) else { return false };
         let mut answer = [0];
         stdin.write_all(b"?").is_ok() && stdout.read_exact(&mut answer).is_ok() && answer == *b"?"
@@ -429,7 +465,7 @@ pub(super) mod tests {
         let mut child = Command::new("sh").args(["-c", &format!("exit {exit}")]).spawn().unwrap();
         child.wait().unwrap();
         let process = child.id();
-        (supervised(planned, State::Running(child)), process)
+        (supervised(planned, State::Running(child.into())), process)
     }
 
     #[test]
@@ -494,14 +530,19 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn a_program_that_does_not_join_is_named_and_then_given_up_where_a_lossless_topic_waits_for_it() {
+    fn a_program_that_does_not_join_is_named_and_then_given_up_where_a_lossless_topic_or_the_end_of_the_run_waits_for_it()
+     {
         let mut run = TrialRun::new();
-        for (delivery, waited_s, is_named, change) in [
-            (Delivery::Lossless, 1.0, false, Change::None),
-            (Delivery::Lossless, 50.0, true, Change::None),
-            (Delivery::Lossless, 101.0, true, Change::Lost),
-            (Delivery::Latest, 101.0, true, Change::None),
+        let (works, over) = (Life::Running, Life::Ended);
+        for (delivery, writer, waited_s, is_named, change) in [
+            (Delivery::Lossless, works, 1.0, false, Change::None),
+            (Delivery::Lossless, works, 50.0, true, Change::None),
+            (Delivery::Lossless, works, 101.0, true, Change::Lost),
+            (Delivery::Latest, works, 101.0, true, Change::None),
+            (Delivery::Latest, over, 50.0, true, Change::None),
+            (Delivery::Latest, over, 101.0, true, Change::Lost),
         ] {
+            run.tell("writer", 42, writer);
             let (Supervised { mut planned, .. }, _) = ended(0, delivery);
             planned.join_s = Some(100.0);
             let mut stage = at_work(planned);
@@ -509,7 +550,9 @@ pub(super) mod tests {
             let state = run.state(Phase::Running);
             assert_eq!(stage.look(&state), Change::None);
             assert_eq!(stage.outsider, stage.process().filter(|_| is_named), "{delivery:?} after {waited_s} s");
-            assert_eq!(stage.look(&state), change, "{delivery:?} after {waited_s} s");
+            let told = logged(|| assert_eq!(stage.look(&state), change, "{delivery:?} after {waited_s} s"));
+            let is_last = (delivery, writer) == (Delivery::Latest, over);
+            assert_eq!(told.contains("the run waits for"), is_last, "{told}");
             assert_eq!((stage.is_gone(), stage.process().is_none()), (change == Change::Lost, change == Change::Lost));
             stage.kill();
         }
@@ -524,6 +567,47 @@ pub(super) mod tests {
     }
 
     #[test]
+    fn a_program_that_fails_before_it_has_joined_does_not_come_back_when_nothing_can_come_to_it() {
+        let mut run = TrialRun::new();
+        for (writer, change) in [(Life::Running, Change::None), (Life::Ended, Change::Lost)] {
+            run.tell("writer", 42, writer);
+            let (mut stage, _) = ended(1, Delivery::Latest);
+            stage.planned.restart = Restart::OnFailure;
+            assert_eq!(stage.look(&run.state(Phase::Running)), change, "its writer: {writer:?}");
+            assert_eq!(stage.is_over(), change == Change::Lost);
+        }
+    }
+
+    #[test]
+    fn a_stage_that_hangs_when_it_has_ended_its_stream_is_killed_for_good_where_the_file_says_so() {
+        let mut run = TrialRun::new();
+        for (life, change) in [(Life::Running, Change::None), (Life::Ended, Change::Lost)] {
+            let mut stage = at_work(PlannedStage { hang_s: Some(10.5), ..stage::<Object>() });
+            let process = stage.process().unwrap();
+            run.tell("stage", process, life);
+            let state = run.state(Phase::Running);
+            let sign = state.record("stage").map(|record| record.alive_ns);
+            let long_ago = Instant::now().checked_sub(Duration::from_secs(60)).unwrap();
+            for second in 0..=10 {
+                stage.watchdog.look(process, sign, None, long_ago + Duration::from_secs(second));
+            }
+            assert_eq!((stage.look(&state), stage.is_gone()), (change, change == Change::Lost), "{life:?}");
+            stage.kill();
+        }
+    }
+
+    #[test]
+    fn no_stage_of_a_run_whose_folder_was_removed_is_started_anew() {
+        let mut run = TrialRun::new();
+        for is_removed in [false, true] {
+            let (mut stage, _) = ended(1, Delivery::Latest);
+            stage.planned.restart = Restart::OnFailure;
+            let state = RunState { is_removed, ..run.state(Phase::Running) };
+            assert_eq!((stage.look(&state), stage.is_over()), (Change::None, is_removed));
+        }
+    }
+
+    #[test]
     fn a_source_that_was_started_late_is_told_to_stop_once_it_has_joined() {
         let (mut run, since) = (TrialRun::new(), Instant::now());
         let phase = Phase::Delivering { delivered: 0, since };
@@ -532,7 +616,7 @@ pub(super) mod tests {
         assert!(late.is_late && answers(&mut late));
         run.tell("stage", late.process().unwrap(), Life::Running);
         late.look(&run.state(phase));
-        let State::Running(child) = &mut late.state else { panic!("it is over already") };
+        let State::Running(Guarded { child, .. }) = &mut late.state else { panic!("it is over already") };
         assert_eq!(child.wait().unwrap().signal(), Some(Signal::INT.as_raw()));
         assert!(!late.is_late);
     }
@@ -622,7 +706,7 @@ pub(super) mod tests {
     fn a_process_is_there_until_it_is_killed() {
         let child = echo();
         let process = child.id();
-        let mut supervised = supervised(stage::<Object>(), State::Running(child));
+        let mut supervised = supervised(stage::<Object>(), State::Running(child.into()));
         assert_eq!((supervised.process(), supervised.exit(), supervised.is_over()), (Some(process), None, false));
         supervised.kill();
         assert_eq!((supervised.process(), supervised.exit()), (None, None));

@@ -103,7 +103,16 @@ pub struct RunFolder {
 /// Held as long as a run lasts: no other of the same name can start.
 #[derive(Debug)]
 pub struct RunLock {
-    _file: File,
+    file: File,
+    plan: PathBuf,
+}
+
+impl RunLock {
+    /// Whether the folder that it locks is there with the plan of its run: nobody but that run removes either.
+    pub(crate) fn is_there(&self) -> bool {
+        let is_linked = self.file.metadata().is_ok_and(|about| about.nlink() > 0);
+        is_linked && self.plan.exists()
+    }
 }
 
 impl FolderError {
@@ -192,7 +201,7 @@ impl RunFolder {
         let (path, stages) = self.open_lock("stages.lock")?;
         loop {
             match stages.try_lock() {
-                Ok(()) => return Ok(RunLock { _file: file }),
+                Ok(()) => return Ok(RunLock { file, plan: self.path.join(PLAN) }),
                 Err(TryLockError::WouldBlock) if Instant::now() < deadline => sleep(Duration::from_millis(10)),
                 Err(TryLockError::WouldBlock) => return Err(FolderError::Occupied { name: name.to_owned() }),
                 Err(TryLockError::Error(error)) => return Err(FolderError::Io { path, error }),
@@ -448,6 +457,22 @@ pub(super) mod tests {
         folder.empty().unwrap();
         fs::create_dir(files.path().join(PLAN)).unwrap();
         assert!(matches!(folder.empty(), Err(FolderError::Io { path, .. }) if path == files.path().join(PLAN)));
+    }
+
+    #[test]
+    fn a_lock_is_there_as_long_as_its_folder_is_and_has_a_plan_whoever_makes_it_anew() {
+        let files = tempfile::tempdir().unwrap();
+        let folder = folder_at(files.path());
+        let lock = folder.lock("tracking").unwrap();
+        assert!(!lock.is_there(), "no run has begun");
+        folder.begin(&plan_of(7)).unwrap();
+        assert!(lock.is_there());
+        fs::remove_file(files.path().join("plan.json")).unwrap();
+        assert!(!lock.is_there());
+        folder.begin(&plan_of(7)).unwrap();
+        fs::remove_file(files.path().join("lock")).unwrap();
+        let another = folder.lock("tracking").unwrap();
+        assert_eq!((lock.is_there(), another.is_there()), (false, true));
     }
 
     #[test]

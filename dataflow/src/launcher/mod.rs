@@ -5,6 +5,7 @@
 
 mod child;
 mod folder;
+mod guarded;
 mod options;
 mod phase;
 mod process;
@@ -27,7 +28,7 @@ pub use request::SwapError;
 use summary::Ending;
 pub use summary::{StageSummary, Summary, link_table};
 
-use crate::hangup::ending_signals;
+use crate::hangup::{ending_signals, stopping_signal};
 use crate::plan::Plan;
 use crate::ports::PortError;
 use crate::ports::shared_memory::{ServiceKeeper, SharedMemory};
@@ -37,8 +38,9 @@ use child::{Change, RunState, Supervised};
 use phase::{DELIVERY_GRACE, Due, Phase};
 use progress::Progress;
 use rustix::process::Signal;
-use signal_hook::consts::SIGCHLD;
+use signal_hook::consts::{SIGCHLD, SIGTSTP};
 use signal_hook::iterator::Signals;
+use signal_hook::low_level::emulate_default_handler;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 use swap::Swap;
@@ -89,27 +91,31 @@ impl LaunchError {
 /// What kept it from beginning; that a stage was lost later is told by [`Summary::is_complete`].
 pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
     let folder = RunFolder::open(&plan.pipeline)?;
-    let _lock = folder.lock(&plan.pipeline)?;
+    let lock = folder.lock(&plan.pipeline)?;
     // A signal that ended this process from here on would leave behind what it has made.
     let signals = signals()?;
-    SharedMemory::clean(folder.shared_memory())?;
-    Requirements::of(plan, options.nodes).insufficient().into_iter().try_for_each(Err)?;
     let requirements = Requirements::of(plan, options.nodes);
     // Shared memory itself needs some; what dead runs have left of it is room, once it is removed.
     requirements.short_of_files().map_or(Ok(()), Err)?;
+    SharedMemory::clean(folder.shared_memory())?;
+    requirements.insufficient().into_iter().try_for_each(Err)?;
     folder.empty()?;
     let memory = SharedMemory::open(folder.shared_memory(), &plan.namespace(), "launcher", Stop::default())?;
     let services = memory.kept_in(folder.path()).keep_services(plan.topics())?;
     // Whoever looks on from outside may come as soon as there is a plan.
     folder.begin(plan)?;
     let mut launcher = Launcher::new(plan.clone(), folder, options, signals);
-    let ended = launcher.supervise(&services);
+    let ended = launcher.supervise(&services, &lock);
     launcher.swap.take().into_iter().for_each(|swap| swap.abandon(&launcher.folder));
     launcher.stages.iter_mut().for_each(Supervised::kill);
     ended?;
     launcher.folder.settle(&launcher.plan);
     drop(services);
-    SharedMemory::clean(launcher.folder.shared_memory())?;
+    let cleaned = SharedMemory::clean(launcher.folder.shared_memory());
+    // Of a folder that was removed nobody can tell what dead processes have left; `doctor` looks for it.
+    if !launcher.is_removed {
+        cleaned?;
+    }
     Ok(launcher.summary())
 }
 
@@ -134,6 +140,8 @@ struct Launcher<'a> {
     looked: Instant,
     /// When it was last made sure that what the stages share is there.
     looked_for_removal: Instant,
+    /// Whether that, or its folder, was removed.
+    is_removed: bool,
 }
 
 /// When something last moved in a run.
@@ -164,19 +172,21 @@ impl<'a> Launcher<'a> {
             went_on: Duration::ZERO,
             looked: Instant::now(),
             looked_for_removal: Instant::now(),
+            is_removed: false,
         }
     }
 
-    fn supervise(&mut self, services: &ServiceKeeper) -> Result<(), LaunchError> {
+    fn supervise(&mut self, services: &ServiceKeeper, lock: &RunLock) -> Result<(), LaunchError> {
         for planned in &self.plan.stages {
             self.stages.push(Supervised::start(planned.clone(), &self.plan, self.options)?);
         }
         while !self.stages.iter().all(Supervised::is_over) {
             self.wait_for_events();
+            // What is missing from its stages' records may have been removed with them.
+            self.look_for_removal(services, lock);
             self.replace();
             self.look_at_stages();
             self.press();
-            self.look_for_removal(services);
             let summary = self.summary();
             self.look_for_pause(&summary);
             self.look_for_standstill(&summary);
@@ -191,6 +201,7 @@ impl<'a> Launcher<'a> {
         let look = if self.swap.is_some() { LOOK_AT_SWAP } else { LOOK };
         match self.signals.recv_timeout(look) {
             Ok(SIGCHLD) | Err(RecvTimeoutError::Timeout) => {}
+            Ok(SIGTSTP) => self.stop_until_told(),
             Ok(_) | Err(RecvTimeoutError::Disconnected) => {
                 self.hurried = !matches!(self.phase, Phase::Running);
                 match self.phase {
@@ -202,10 +213,26 @@ impl<'a> Launcher<'a> {
         }
     }
 
+    /// Stops with all stages, and goes on with them, as a job of a shell does: they are in groups of their own, and hear of neither
+    /// Ctrl-Z nor `fg`.
+    fn stop_until_told(&mut self) {
+        self.stages.iter().for_each(|stage| stage.signal_group(Signal::STOP));
+        self.options.before_stop.iter().for_each(|before_stop| before_stop());
+        // Where the system refuses it, the run goes on at once.
+        emulate_default_handler(SIGTSTP).ok();
+        self.stages.iter().for_each(|stage| stage.signal_group(Signal::CONT));
+        // Time in which it stood is none of the run.
+        let now = Instant::now();
+        (self.looked, self.moved) = (now, None);
+        if let Phase::Delivering { since, .. } | Phase::Stopping { since } = &mut self.phase {
+            *since = now;
+        }
+    }
+
     /// Goes on with the swap that is under way, or begins one that was asked for.
     fn replace(&mut self) {
-        let Self { plan, folder, options, stages, swap, phase, .. } = self;
-        let mut run = RunState { plan, folder, options, phase: *phase };
+        let Self { plan, folder, options, stages, swap, phase, is_removed, .. } = self;
+        let mut run = RunState { plan, folder, options, phase: *phase, is_removed: *is_removed };
         *swap = match swap.take() {
             Some(under_way) => under_way.go_on(stages, &mut run),
             None => run.folder.take_request().map(|request| Swap::begin(request, stages, &run)),
@@ -215,8 +242,8 @@ impl<'a> Launcher<'a> {
     fn look_at_stages(&mut self) {
         let ending = !matches!(self.phase, Phase::Running);
         let mut lost = false;
-        let Self { plan, folder, options, stages, swap, phase, .. } = self;
-        let run = RunState { plan, folder, options, phase: *phase };
+        let Self { plan, folder, options, stages, swap, phase, is_removed, .. } = self;
+        let run = RunState { plan, folder, options, phase: *phase, is_removed: *is_removed };
         let leaving = swap.as_ref().filter(|swap| swap.decides_about_exit()).map(Swap::stage);
         for stage in stages.iter_mut().filter(|stage| leaving != Some(&stage.planned.name)) {
             lost |= stage.look(&run) == Change::Lost;
@@ -247,21 +274,38 @@ impl<'a> Launcher<'a> {
         }
     }
 
-    /// Ends the run in order where what its stages share was removed: one that is started anew would not find the others.
-    fn look_for_removal(&mut self, services: &ServiceKeeper) {
-        let is_due = self.looked_for_removal.elapsed() > LOOK_FOR_REMOVAL;
-        if !is_due || !matches!(self.phase, Phase::Running) {
+    /// Ends the run in order where its folder, or what its stages share, was removed: one that is started anew would not find the
+    /// others.
+    fn look_for_removal(&mut self, services: &ServiceKeeper, lock: &RunLock) {
+        if self.is_removed {
             return;
         }
-        self.looked_for_removal = Instant::now();
-        if !services.is_there() {
+        let is_running = matches!(self.phase, Phase::Running);
+        let are_services_due = is_running && self.looked_for_removal.elapsed() > LOOK_FOR_REMOVAL;
+        if are_services_due {
+            self.looked_for_removal = Instant::now();
+        }
+        if !lock.is_there() {
+            let folder = self.folder.path().display();
+            tracing::error!(
+                "the run ends: its folder `{folder}`, or what is in it, was removed while it went on\n  hint: systemd removes the \
+                 folder of a login when its user logs out, and old files in /tmp: set CONICFLOW_RUNTIME_DIR to a folder that \
+                 stays; nobody may delete files there while a run goes on"
+            );
+            self.stalled.get_or_insert_with(|| "its folder was removed while it went on".to_owned());
+        } else if are_services_due && !services.is_there() {
             let why = "what its stages share was removed while it went on";
             tracing::error!(
                 "the run ends: {why}\n  hint: does systemd remove it when the user logs out (`RemoveIPC=no` in logind.conf)? \
                  nobody may delete files in /dev/shm or {} while a run goes on",
                 self.folder.shared_memory().display()
             );
-            self.stalled = Some(why.to_owned());
+            self.stalled.get_or_insert_with(|| why.to_owned());
+        } else {
+            return;
+        }
+        self.is_removed = true;
+        if is_running {
             self.stop_sources();
         }
     }
@@ -297,8 +341,9 @@ impl<'a> Launcher<'a> {
         }
         let reasons = [vec![format!("waited for {}", left.join(", "))], self.summary().who_waits()].concat();
         let seconds = DELIVERY_GRACE.as_secs();
-        self.stalled = Some(format!("nothing was delivered any more for {seconds} s: {}", reasons.join(", ")));
-        self.stalled.iter().for_each(|why| tracing::error!("the run is ended at once: {why}"));
+        let why = format!("nothing was delivered any more for {seconds} s: {}", reasons.join(", "));
+        tracing::error!("the run is ended at once: {why}");
+        self.stalled.get_or_insert(why);
         self.stop_all();
     }
 
@@ -330,7 +375,7 @@ impl<'a> Launcher<'a> {
 }
 
 fn signals() -> Result<Receiver<i32>, LaunchError> {
-    let heard = ending_signals().into_iter().chain([SIGCHLD]);
+    let heard = ending_signals().into_iter().chain(stopping_signal()).chain([SIGCHLD]);
     let mut signals = Signals::new(heard).map_err(LaunchError::Signals)?;
     let (sender, receiver) = channel();
     let listen = move || signals.forever().take_while(|signal| sender.send(*signal).is_ok()).for_each(drop);
@@ -413,8 +458,11 @@ mod tests {
         let (_sender, signals) = channel();
         let memory = SharedMemory::open(shared.path(), "test", "launcher", Stop::default()).unwrap();
         let services = memory.keep_services(std::iter::empty()).unwrap();
-        let mut launcher = Launcher::new(plan_of(7), folder_at(files.path()), &options, signals);
-        launcher.supervise(&services).unwrap();
+        let folder = folder_at(files.path());
+        let lock = folder.lock("test").unwrap();
+        folder.begin(&plan_of(7)).unwrap();
+        let mut launcher = Launcher::new(plan_of(7), folder, &options, signals);
+        launcher.supervise(&services, &lock).unwrap();
         assert_eq!(launcher.stages.iter().map(Supervised::is_over).collect::<Vec<_>>(), [true]);
         assert!(launcher.summary().is_complete());
     }

@@ -5,6 +5,7 @@
 
 use super::child::{RunState, Supervised, command};
 use super::folder::RunFolder;
+use super::guarded::Guarded;
 use super::options::RunOptions;
 use super::phase::Phase;
 use super::process::ProcessError;
@@ -17,7 +18,6 @@ use std::fmt::Display;
 use std::io::{Read, Write};
 use std::os::fd::OwnedFd;
 use std::os::unix::net::UnixStream;
-use std::process::Child;
 use std::time::{Duration, Instant};
 
 /// A successor is ready within this time, or not wanted any more.
@@ -62,7 +62,7 @@ impl Step {
 
 /// The process that is to take a stage's place.
 struct Successor {
-    child: Child,
+    process: Guarded,
     /// Its standard input.
     control: UnixStream,
 }
@@ -74,8 +74,8 @@ impl Successor {
         let (control, input) = UnixStream::pair().map_err(fault)?;
         control.set_nonblocking(true).map_err(fault)?;
         let mut command = command(planned, plan, options);
-        let child = command.env(SUCCESSOR, "1").stdin(OwnedFd::from(input)).spawn().map_err(fault)?;
-        Ok(Self { child, control })
+        let process = Guarded::start(command.env(SUCCESSOR, "1").stdin(OwnedFd::from(input)), planned);
+        Ok(Self { process: process.map_err(fault)?, control })
     }
 
     /// Whether it is ready; an error if it will not be.
@@ -89,10 +89,10 @@ impl Successor {
     }
 
     /// Gives it its turn.
-    fn begin(mut self) -> Child {
+    fn begin(mut self) -> Guarded {
         // If it has died meanwhile that is seen at the next look.
         self.control.write_all(b"b").ok();
-        self.child
+        self.process
     }
 
     /// Lets it end in order, so that it leaves nothing behind.
@@ -102,8 +102,9 @@ impl Successor {
 
     /// Tells it to end, and kills it where it has not after this time.
     fn end_within(self, grace: Duration) {
-        let Self { mut child, control } = self;
+        let Self { mut process, control } = self;
         drop(control);
+        let child = &mut process.child;
         let deadline = Instant::now() + grace;
         while matches!(child.try_wait(), Ok(None)) && Instant::now() < deadline {
             std::thread::sleep(Duration::from_millis(5));
@@ -301,7 +302,7 @@ mod tests {
     fn successor() -> Successor {
         let (control, input) = UnixStream::pair().unwrap();
         let child = Command::new("cat").stdin(OwnedFd::from(input)).stdout(Stdio::null()).spawn().unwrap();
-        Successor { child, control }
+        Successor { process: child.into(), control }
     }
 
     #[test]
@@ -311,7 +312,7 @@ mod tests {
             let request = request.clone();
             let since = Instant::now().checked_sub(Duration::from_secs(seconds)).unwrap();
             let successor = successor();
-            let process = successor.child.id();
+            let process = successor.process.child.id();
             (Swap { request, step: Step::Leaving(successor), since }, process)
         };
         let mut state = run.state(Phase::Running);
@@ -332,7 +333,7 @@ mod tests {
         let mut command = Command::new("sh");
         command.args(["-c", "printf r; exec sleep 60"]).stdin(input).stdout(output).stderr(Stdio::null());
         let child = command.spawn().unwrap();
-        Successor { child, control }
+        Successor { process: child.into(), control }
     }
 
     /// A stage and its run, whose folder has the plan by which the stage is to be replaced, and keeps the one before.
@@ -359,7 +360,7 @@ mod tests {
     fn a_successor_that_is_ready_takes_the_place_of_the_stage_and_who_asked_is_told_when_it_works() {
         let (mut stage, mut run, request) = to_replace();
         let (successor, since) = (ready_successor(), Instant::now());
-        let process = successor.child.id();
+        let process = successor.process.child.id();
         run.tell("stage", stage.process().unwrap(), Life::Running);
         let swap = Swap { request, step: Step::Preparing(successor), since };
         assert!(!swap.decides_about_exit());
@@ -418,8 +419,8 @@ mod tests {
             let (mut stage, mut run, request) = to_replace();
             let mut successor = successor();
             if kill_successor {
-                successor.child.kill().unwrap();
-                successor.child.wait().unwrap();
+                successor.process.child.kill().unwrap();
+                successor.process.child.wait().unwrap();
             }
             if kill_stage {
                 stage.kill();
@@ -437,7 +438,7 @@ mod tests {
     fn a_successor_is_waited_for_until_it_says_that_it_is_ready_or_is_gone() {
         let (control, mut input) = UnixStream::pair().unwrap();
         control.set_nonblocking(true).unwrap();
-        let mut successor = Successor { child: echo(), control };
+        let mut successor = Successor { process: echo().into(), control };
         assert_eq!(successor.is_ready(), Ok(false));
         input.write_all(b"r").unwrap();
         assert_eq!(successor.is_ready(), Ok(true));
@@ -453,9 +454,9 @@ mod tests {
 
     #[test]
     fn a_successor_that_is_not_wanted_is_gone_whether_it_ends_by_itself_or_not() {
-        let stays = Successor { child: echo(), control: UnixStream::pair().unwrap().0 };
+        let stays = Successor { process: echo().into(), control: UnixStream::pair().unwrap().0 };
         for (successor, grace) in [(successor(), DISMISS_GRACE), (stays, Duration::ZERO)] {
-            let process = Pid::from_child(&successor.child);
+            let process = Pid::from_child(&successor.process.child);
             test_kill_process(process).unwrap();
             successor.end_within(grace);
             test_kill_process(process).unwrap_err();
@@ -467,7 +468,7 @@ mod tests {
         let (mut stage, run, request) = to_replace();
         stage.kill();
         let successors = [successor(), successor()];
-        let processes = successors.each_ref().map(|successor| Pid::from_child(&successor.child));
+        let processes = successors.each_ref().map(|successor| Pid::from_child(&successor.process.child));
         let [preparing, leaving] = successors;
         for (step, fault) in [
             (Step::Preparing(preparing), r#""the run ended"#),
@@ -511,7 +512,7 @@ mod tests {
         let mut command = Command::new("sh");
         command.args(["-c", "read -r turn; : > in_order"]).current_dir(files.path()).stdin(OwnedFd::from(input));
         let child = command.spawn().unwrap();
-        Successor { child, control }.dismiss();
+        Successor { process: child.into(), control }.dismiss();
         assert!(files.path().join("in_order").exists());
     }
 
@@ -525,7 +526,7 @@ mod tests {
             let (mut stage, mut run, mut request) = to_replace();
             stage.kill();
             request.plan.stages[0].wiring.input = Some(Topic::default()).filter(|_| !is_source);
-            let successor = Successor { child: echo(), control: UnixStream::pair().unwrap().0 };
+            let successor = Successor { process: echo().into(), control: UnixStream::pair().unwrap().0 };
             take_place(successor, &mut stage, &request, &mut run.state(phase));
             assert_eq!(answers(&mut stage), !ends, "{phase:?}");
             stage.kill();

@@ -30,7 +30,7 @@ impl TrialRun {
     /// What is known of it while it is in this phase.
     pub fn state(&mut self, phase: Phase) -> RunState<'_> {
         let Self { folder, plan, options, .. } = self;
-        RunState { plan, folder, options, phase }
+        RunState { plan, folder, options, phase, is_removed: false }
     }
 
     /// Writes what a process of a stage tells of itself.
