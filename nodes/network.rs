@@ -11,8 +11,10 @@ use std::process::{Command, Stdio};
 
 /// The network part, for the registry.
 pub(crate) const NETWORK: Network = Network {
-    check: |machine| ask("check", machine),
-    listen_endpoints: |machine| ask("endpoints", machine),
+    check: |machine| ask("check", machine).flatten(),
+    // Only a file of Zenoh's settings names certificates.
+    warnings: |machine| machine.zenoh.as_ref().and_then(|_| ask("warnings", machine).ok()).unwrap_or_default(),
+    listen_endpoints: |machine| ask("endpoints", machine).flatten(),
     carrier: Carrier::Program(program),
 };
 
@@ -48,14 +50,14 @@ fn fault(what: &str) -> Hinted {
 /// What that program answers of a machine.
 fn ask<T: DeserializeOwned>(question: &str, machine: &Machine) -> Result<T, Hinted> {
     let program = program()?;
-    let answer = || -> anyhow::Result<Result<T, Hinted>> {
+    let answer = || -> anyhow::Result<T> {
         let mut child = Command::new(&program).arg(question).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn()?;
         if let Some(stdin) = child.stdin.take() {
             serde_json::to_writer(stdin, machine)?;
         }
         Ok(serde_json::from_slice(&child.wait_with_output()?.stdout)?)
     };
-    answer().unwrap_or_else(|error| Err(fault(&format!("`{}` does not answer: {error}", program.display()))))
+    answer().map_err(|error| fault(&format!("`{}` does not answer: {error}", program.display())))
 }
 
 #[cfg(test)]

@@ -2,12 +2,12 @@
 //! file has several, and runs the nodes that take part in ROS 2. It is a program of its own so that no other stage has the
 //! network in it.
 //!
-//! `conicflow-bridge check` and `conicflow-bridge endpoints` answer what `conicflow` asks of a machine's table: they read it
-//! as JSON and write what is wrong with it, or where it listens.
+//! `conicflow-bridge check`, `warnings` and `endpoints` answer what `conicflow` asks of a machine's table: they read it as JSON
+//! and write what is wrong with it, what may keep it from its links, or where it listens.
 
-use conicflow_bridge::{NETWORK, NODES};
+use conicflow_bridge::{NETWORK, NODES, ear};
 use conicflow_dataflow::pipeline::Machine;
-use conicflow_dataflow::{DEFAULT_LOG, LOG, ProcessError, Registry, error_text, log_to_standard_error, run_in_run};
+use conicflow_dataflow::{DEFAULT_LOG, LOG, ProcessError, Registry, error_text, log_beside, run_in_run};
 use std::io::{self, Read, Write};
 use std::process::ExitCode;
 
@@ -15,7 +15,7 @@ use std::process::ExitCode;
 const WRONG_INPUT: u8 = 2;
 
 fn main() -> ExitCode {
-    log_to_standard_error(&std::env::var(LOG).unwrap_or_else(|_| DEFAULT_LOG.to_owned()));
+    log_beside(&std::env::var(LOG).unwrap_or_else(|_| DEFAULT_LOG.to_owned()), ear());
     let question = std::env::args().nth(1);
     let (ended, code) = match question.as_deref() {
         None => {
@@ -43,6 +43,7 @@ fn answer(question: &str, table: impl Read) -> Result<String, Box<dyn std::error
     let machine = || serde_json::from_reader::<_, Machine>(table);
     match question {
         "check" => Ok(serde_json::to_string(&(NETWORK.check)(&machine()?))?),
+        "warnings" => Ok(serde_json::to_string(&(NETWORK.warnings)(&machine()?))?),
         "endpoints" => Ok(serde_json::to_string(&(NETWORK.listen_endpoints)(&machine()?))?),
         _ => Err(format!(
             "`{question}` is nothing that can be asked\n  hint: this program is part of `conicflow run`, which starts it where a \
@@ -72,6 +73,7 @@ mod tests {
         let endpoints = answer_about(&listening(endpoint), "endpoints");
         let endpoints = serde_json::from_str::<Result<Vec<String>, Hinted>>(&endpoints).unwrap();
         assert_eq!(endpoints.unwrap(), [endpoint]);
+        assert_eq!(answer_about(&listening(endpoint), "warnings"), "[]");
     }
 
     #[test]

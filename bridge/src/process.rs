@@ -2,6 +2,7 @@
 //! ended.
 
 use crate::error::BridgeError;
+use crate::handshakes;
 use crate::peer::heartbeat::News;
 use crate::peer::journal::Journal;
 use crate::peer::links::Links;
@@ -57,7 +58,11 @@ fn carry(
     let links = Arc::new(Links::new(journal, seal, bridge));
     let mut reporter = BridgeReporter::new(bridge, run, record, &links);
     reporter.report(false);
-    let Some(sessions) = Sessions::open(&bridge.settings, stop, || reporter.report(false))? else { return Ok(()) };
+    let mut failed = || {
+        handshakes::tell();
+        reporter.report(false);
+    };
+    let Some(sessions) = Sessions::open(&bridge.settings, stop, &mut failed)? else { return Ok(()) };
     let shared = Shared {
         sessions: &sessions,
         transport,
@@ -154,6 +159,7 @@ impl<'a> Watch<'a> {
     }
 
     fn report(&mut self) {
+        handshakes::tell();
         let reachable = self.sessions.reach_anybody();
         self.reporter.report(reachable);
         if reachable {

@@ -1,8 +1,10 @@
 //! From a machine's table to a Zenoh configuration that is closed unless the file opens it.
 
+use crate::certificates;
 use crate::wire::MAX_MESSAGE;
 use conicflow_dataflow::pipeline::{Machine, check_endpoint};
 use conicflow_dataflow::{Hinted, LinkKey};
+use rustls::pki_types::UnixTime;
 use serde_json::{Value as Json, json};
 use std::path::Path;
 
@@ -16,8 +18,21 @@ const MAX_CLOUD: usize = 64 << 20;
 /// Whether a machine's table can be used; a file that is not there is reported elsewhere.
 pub(crate) fn check(machine: &Machine) -> Result<(), Hinted> {
     machine.key.as_ref().filter(|file| file.is_file()).map_or(Ok(()), |file| LinkKey::read(file).map(drop))?;
-    let missing = machine.zenoh.as_ref().is_some_and(|file| !file.is_file());
-    if missing { Ok(()) } else { configurations(machine).map(drop) }
+    if is_missing(machine) { Ok(()) } else { configurations(machine).map(drop) }
+}
+
+/// What may keep a machine from its links, although its table can be used: its certificates, by what the clock says today.
+pub(crate) fn warnings(machine: &Machine) -> Vec<Hinted> {
+    let settings = if is_missing(machine) { Ok(Json::Null) } else { settings(machine) };
+    settings.map(|settings| certificates::warnings(tls(&settings), UnixTime::now())).unwrap_or_default()
+}
+
+fn is_missing(machine: &Machine) -> bool {
+    machine.zenoh.as_ref().is_some_and(|file| !file.is_file())
+}
+
+fn tls(settings: &Json) -> &Json {
+    &settings["transport"]["link"]["tls"]
 }
 
 /// The secret by which a machine tells the messages of the others: that of its table; else this user's own, where all endpoints
@@ -39,7 +54,7 @@ fn is_of_one_user(machine: &Machine, settings: &Json) -> bool {
 }
 
 fn asks_who(settings: &Json) -> bool {
-    settings["transport"]["link"]["tls"]["enable_mtls"] == true
+    tls(settings)["enable_mtls"] == true
 }
 
 /// Where a machine listens.

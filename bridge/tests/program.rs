@@ -23,6 +23,7 @@ fn it_answers_what_is_asked_of_a_machine() {
         r#"{"listen": ["tcp/127.0.0.1:7447"], "connect": [], "zenoh": null, "insecure": false, "outage_s": null}"#;
     assert_eq!(text(&ask(&["check"], local).stdout), "{\"Ok\":null}\n");
     assert_eq!(text(&ask(&["endpoints"], local).stdout), "{\"Ok\":[\"tcp/127.0.0.1:7447\"]}\n");
+    assert_eq!(text(&ask(&["warnings"], local).stdout), "[]\n");
     let open = local.replace("127.0.0.1", "0.0.0.0");
     let refused = ask(&["check"], &open);
     assert!(text(&refused.stdout).starts_with("{\"Err\":{\"what\":"), "{}", text(&refused.stdout));

@@ -65,7 +65,7 @@ pub use launcher::{
 };
 pub use link_key::LinkKey;
 pub use link_report::{EdgeReport, LinkReport, LinkState};
-pub use log::{CLEAR_LINE, DEFAULT_LOG, LOG, error_text, log_filter, log_to_standard_error};
+pub use log::{CLEAR_LINE, DEFAULT_LOG, LOG, error_text, log_beside, log_filter, log_to_standard_error};
 pub use network::{BridgePlan, BridgeRun, Carrier, Edge, Network, NetworkError, Receiver};
 pub use node::{Host, Node, Variables, Variant};
 pub use observe::{

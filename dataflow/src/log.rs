@@ -8,8 +8,9 @@ use tracing::field::Field;
 use tracing_subscriber::field::MakeExt;
 use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::fmt::format::{Writer, debug_fn};
-use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::layer::{Identity, SubscriberExt};
 use tracing_subscriber::util::SubscriberInitExt;
+use tracing_subscriber::{Layer, Registry};
 
 /// Environment variable: what is logged, as a level or a filter.
 pub const LOG: &str = "CONICFLOW_LOG";
@@ -40,6 +41,11 @@ fn parts(filter: &str) -> impl Iterator<Item = Result<(&str, LevelFilter), Strin
 
 /// From now on this process logs what the filter lets through, unless it logs somewhere already.
 pub fn log_to_standard_error(filter: &str) {
+    log_beside(filter, Identity::new());
+}
+
+/// The same, beside something that hears what happens by a filter of its own.
+pub fn log_beside(filter: &str, ear: impl Layer<Registry> + Send + Sync) {
     // A program from outside may have a filter that nobody has looked at.
     let told = |error| writeln!(stderr(), "in the filter of the log, {error}").ok();
     let parts = parts(filter).filter_map(|part| part.map_err(told).ok());
@@ -51,7 +57,7 @@ pub fn log_to_standard_error(filter: &str) {
     // A log that nobody reads any more is no fault of the run.
     let layer =
         layer.with_ansi(is_terminal).log_internal_errors(false).fmt_fields(debug_fn(write_field).delimited(" "));
-    tracing_subscriber::registry().with(layer).with(targets).try_init().ok();
+    tracing_subscriber::registry().with(ear).with(layer.with_filter(targets)).try_init().ok();
 }
 
 /// Writes what is logged, each time at the beginning of a line.

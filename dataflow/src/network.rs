@@ -24,6 +24,8 @@ pub(crate) const NO_NETWORK_HINT: &str =
 pub struct Network {
     /// Whether a machine's table can be used; a file that is not there is reported elsewhere.
     pub check: fn(&Machine) -> Result<(), Hinted>,
+    /// What may keep a machine from its links today, although its table can be used.
+    pub warnings: fn(&Machine) -> Vec<Hinted>,
     /// Where a machine listens.
     pub listen_endpoints: fn(&Machine) -> Result<Vec<String>, Hinted>,
     /// What carries the edges of a plan, as a process of its own, until all have ended.

@@ -1,21 +1,24 @@
 //! Who gets in where links are TLS: certificates of one authority, and of those only the ones on the list.
 
-use super::bridge::{self, apart, loopback, machines, newest, start, wait_for_frames};
+use super::bridge::{self, apart, loopback, machines, newest, start, top_link, wait_for_frames};
 use super::routers::session;
-use super::support::{Playground, Started, wait_until};
+use super::support::{Playground, Started};
 use std::path::Path;
 use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::{Duration, Instant};
 use zenoh::Wait;
 
-/// Both machines, live, joined by TLS with the settings in `tls/`.
-fn live(endpoint: &str) -> [Playground; 2] {
-    let text = bridge::live(&apart(endpoint, endpoint))
+/// The file of both machines, live, joined by TLS with the settings in `tls/`.
+fn live_text(endpoint: &str) -> String {
+    bridge::live(&apart(endpoint, endpoint))
         .replace("[machine.robot]\n", "[machine.robot]\nzenoh = \"tls/robot.json5\"\n")
-        .replace("[machine.base]\n", "[machine.base]\nzenoh = \"tls/base.json5\"\n");
-    machines(&text)
+        .replace("[machine.base]\n", "[machine.base]\nzenoh = \"tls/base.json5\"\n")
+}
+
+/// Both machines.
+fn live(endpoint: &str) -> [Playground; 2] {
+    machines(&live_text(endpoint))
 }
 
 /// Makes an authority in a folder, and certificates for these machines at this address; false, said loudly, where that
@@ -42,37 +45,122 @@ fn tls_loopback() -> String {
     loopback().replace("tcp/127.0.0.1", "tls/localhost")
 }
 
+/// Makes the certificate of a machine anew, for this time, by the authority in a folder.
+fn make_for_time(folder: &Path, name: &str, [from, until]: [&str; 2]) {
+    const AUTHORITY: &str = "[ca]\ndefault_ca=own\n[own]\ndatabase=index.txt\nrand_serial=yes\nnew_certs_dir=.\n\
+                             default_md=sha256\npolicy=any\nx509_extensions=all\nunique_subject=no\n\
+                             [any]\ncommonName=supplied\n[all]\n\
+                             subjectAltName=DNS:localhost\nbasicConstraints=CA:FALSE\nextendedKeyUsage=serverAuth,clientAuth\n";
+    std::fs::write(folder.join("authority.cnf"), AUTHORITY).unwrap();
+    std::fs::write(folder.join("index.txt"), "").unwrap();
+    let (key, certificate, subject) = (format!("{name}.key"), format!("{name}.pem"), format!("/CN={name}"));
+    let asked: &[&str] = &["req", "-new", "-key", &key, "-subj", &subject, "-out", "asked.csr"];
+    let authority = ["ca", "-batch", "-notext", "-config", "authority.cnf", "-cert", "ca.pem", "-keyfile", "ca.key"];
+    let times = ["-startdate", from, "-enddate", until, "-in", "asked.csr", "-out", &certificate];
+    for arguments in [asked, &[&authority[..], &times].concat()] {
+        let made = Command::new("openssl").current_dir(folder).args(arguments).output().unwrap();
+        assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+    }
+}
+
 #[test]
-fn only_who_has_the_right_certificate_gets_in() {
+fn only_who_has_the_right_certificate_gets_in_and_who_is_refused_is_told_why_on_both_sides() {
+    const PAST: [&str; 2] = ["20200101000000Z", "20200102000000Z"];
+    const FUTURE: [&str; 2] = ["22000101000000Z", "22000102000000Z"];
     let endpoint = tls_loopback();
     let [robot, base] = live(&endpoint);
-    if !make_certificates(&robot.path("tls"), &["robot", "base"], "localhost") {
+    let (folder, another_authority) = (robot.path("tls"), base.path("other"));
+    let names = ["robot", "base"];
+    if !make_certificates(&folder, &names, "localhost") || !make_certificates(&another_authority, &names, "localhost") {
         return;
     }
-    let another_authority = base.path("tls");
-    assert!(make_certificates(&another_authority, &["robot", "base"], "localhost"));
-    let robot_run = start(&robot, "robot");
-    // Another authority's certificate, then none, then the right one.
-    for stage in ["wrong", "none", "right"] {
-        if stage == "none" {
-            let only_ca = "{ transport: { link: { tls: { root_ca_certificate: 'ca.pem' } } } }";
-            base.write("tls/base.json5", only_ca);
-            std::fs::copy(robot.path("tls/ca.pem"), base.path("tls/ca.pem")).unwrap();
-        } else if stage == "right" {
-            hand_over(&robot, &base);
+    let mut robot_run = start(&robot, "robot");
+    let comes = "refused somebody who connects: its certificate ";
+    let there = format!("the machine at `{endpoint}` refuses this machine: ");
+    let out_of_time = there.clone() + "by the clock there its certificate has expired, or is not valid yet\n  hint: ";
+    for (what, at_robot, at_base) in [
+        ("other", &*(comes.to_owned() + "is of an authority that this machine does not know\n  hint: "), None),
+        (
+            "none",
+            "refused somebody who connects: it shows no certificate\n  hint: ",
+            Some("it asks for a certificate, and "),
+        ),
+        ("past", &(comes.to_owned() + "has expired\n  hint: "), Some(&*out_of_time)),
+        ("future", &(comes.to_owned() + "is not valid yet\n  hint: "), Some(&*out_of_time)),
+        ("right", "the link to machine `base` is up", Some("the link to machine `robot` is up")),
+    ] {
+        std::fs::create_dir_all(base.path("tls")).unwrap();
+        match what {
+            "past" => make_for_time(&folder, "base", PAST),
+            "future" => make_for_time(&folder, "base", FUTURE),
+            _ => assert!(make_certificates(&folder, &["base"], "localhost")),
+        }
+        hand_over(&robot, &base);
+        if what == "none" {
+            base.write("tls/base.json5", "{ transport: { link: { tls: { root_ca_certificate: 'ca.pem' } } } }");
+        } else if what == "other" {
+            for file in ["base.key", "base.pem"] {
+                std::fs::copy(another_authority.join(file), base.path("tls").join(file)).unwrap();
+            }
         }
         let mut base_run = start(&base, "base");
-        if stage == "right" {
+        robot_run.wait_for_text(at_robot);
+        at_base.into_iter().for_each(|text| base_run.wait_for_text(text));
+        if what == "right" {
             base_run.wait_until("tracks arrive", || newest(&base) > 0);
         } else {
-            // Long enough for many attempts; the right certificate takes a tenth of it.
-            let since = Instant::now();
-            wait_until("attempts were made", || since.elapsed() > Duration::from_secs(4));
-            assert_eq!(base.lines("tracks.jsonl").len(), 0, "{stage}");
+            assert_eq!((base.lines("tracks.jsonl").len(), top_link(&base)["was_heard"].as_bool()), (0, Some(false)));
         }
         base_run.end();
     }
     robot_run.end();
+}
+
+/// What is wrong with the certificate of who listens, the others find out.
+#[test]
+fn who_listens_with_a_certificate_out_of_its_time_is_refused_and_both_are_told() {
+    let endpoint = tls_loopback();
+    let [robot, base] = live(&endpoint);
+    let folder = robot.path("tls");
+    if !make_certificates(&folder, &["robot", "base"], "localhost") {
+        return;
+    }
+    make_for_time(&folder, "robot", ["20200101000000Z", "20200102000000Z"]);
+    hand_over(&robot, &base);
+    let mut runs = [start(&robot, "robot"), start(&base, "base")];
+    runs[1].wait_for_text(&format!("refused the machine at `{endpoint}`: its certificate has expired\n  hint: "));
+    runs[0].wait_for_text("somebody who connects refuses this machine: by the clock there its certificate has expired");
+    drop(runs.map(Started::end));
+}
+
+#[test]
+fn what_is_wrong_with_a_certificate_of_ones_own_is_told_before_and_stops_no_run() {
+    let text = live_text(&tls_loopback());
+    let robot = Playground::with_pipeline(&text);
+    let folder = robot.path("tls");
+    if !make_certificates(&folder, &["robot", "base"], "localhost") {
+        return;
+    }
+    let validate = || robot.conicflow(&["validate", "--machine", "robot"]);
+    let valid = validate().expect_code(0);
+    assert!(!valid.stdout.contains("certificate"), "{}", valid.stdout);
+    make_for_time(&folder, "robot", ["20200101000000Z", "20200102000000Z"]);
+    let is_told = |text: &str, kind: &str| {
+        let told = ["machine `robot`: the certificate in `", "robot.pem` has expired "];
+        text.lines().any(|line| line.trim().starts_with(kind) && told.iter().all(|told| line.contains(told)))
+    };
+    let warned = validate().expect_code(0);
+    assert!(is_told(&warned.stdout, "warning"), "{}", warned.stdout);
+    let found = robot.conicflow(&["doctor", "--machine", "robot"]).expect_code(1);
+    assert!(is_told(&found.stdout, "problem"), "{}", found.stdout);
+    // The clock may come right while it runs.
+    let mut run = start(&robot, "robot");
+    run.wait_until("it works", || robot.top()["stages"][0]["messages"].as_u64() > Some(10));
+    let ended = run.end();
+    assert!(is_told(&ended.stderr, "warning"), "{}", ended.stderr);
+    std::fs::copy(folder.join("base.key"), folder.join("robot.key")).unwrap();
+    let mixed = validate().expect_code(0).stdout;
+    assert!(mixed.contains("robot.key` is not the key of the certificate in `"), "{mixed}");
 }
 
 #[test]

@@ -1,7 +1,7 @@
-//! Whether the ports that a pipeline listens on are free.
+//! Whether the ports that a pipeline listens on are free, and whether others can take who listens or connects.
 
 use super::finding::Finding;
-use crate::network::Network;
+use crate::network::{BridgePlan, Network};
 use crate::plan::{Plan, Runs};
 use conicflow_messages::Hinted;
 use std::io::{self, ErrorKind};
@@ -9,11 +9,7 @@ use std::net::{TcpListener, UdpSocket};
 
 /// The ports that these plans need and cannot have. Addresses of other machines tell nothing here.
 pub(super) fn examine(plans: &[&Plan], network: &Network) -> Vec<Finding> {
-    let bridges = plans.iter().flat_map(|plan| &plan.stages).filter_map(|stage| match &stage.runs {
-        Runs::Bridge(bridge) => Some(bridge),
-        _ => None,
-    });
-    let endpoints = bridges.flat_map(|bridge| match (network.listen_endpoints)(&bridge.settings) {
+    let endpoints = bridges(plans).flat_map(|bridge| match (network.listen_endpoints)(&bridge.settings) {
         Ok(endpoints) => endpoints.into_iter().map(|endpoint| Ok((bridge.machine.clone(), endpoint))).collect(),
         Err(fault) => vec![Err(fault)],
     });
@@ -22,6 +18,22 @@ pub(super) fn examine(plans: &[&Plan], network: &Network) -> Vec<Finding> {
         Err(fault) => Some(fault.into()),
     });
     found.collect()
+}
+
+/// What may keep the machines of these plans from their links.
+pub(super) fn warnings(plans: &[&Plan], network: &Network) -> Vec<Finding> {
+    let warnings = bridges(plans).flat_map(|bridge| {
+        let warning = |Hinted { what, hint, .. }| Hinted::new(format!("machine `{}`: {what}", bridge.machine), hint);
+        (network.warnings)(&bridge.settings).into_iter().map(warning)
+    });
+    warnings.map(Finding::from).collect()
+}
+
+fn bridges<'a>(plans: &[&'a Plan]) -> impl Iterator<Item = &'a BridgePlan> {
+    plans.iter().flat_map(|plan| &plan.stages).filter_map(|stage| match &stage.runs {
+        Runs::Bridge(bridge) => Some(&**bridge),
+        _ => None,
+    })
 }
 
 fn taken(machine: &str, endpoint: &str) -> Option<Hinted> {

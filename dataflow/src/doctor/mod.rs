@@ -30,6 +30,7 @@ pub fn examine(plans: &[Plan], registry: &Registry) -> Vec<Finding> {
     );
     if let Some(network) = &registry.network {
         findings.extend(listening::examine(&idle, network));
+        findings.extend(listening::warnings(&plans.iter().collect::<Vec<_>>(), network));
     }
     findings.extend(orphans::examine());
     if usable {

@@ -418,8 +418,10 @@ mod tests {
     /// What is done for a stage: what the node makes that is run, the machine whose edges are carried, or the program.
     fn done(runs: Runs, nodes: &[Node], carrier: Option<Carrier>) -> Result<String, String> {
         let planned = PlannedStage { runs, parameters: Json::from(5), ..stage::<Object>() };
-        let network =
-            carrier.map(|carrier| Network { check: |_| Ok(()), listen_endpoints: |_| Ok(Vec::new()), carrier });
+        let network = carrier.map(|carrier| {
+            let (warnings, listen_endpoints): (fn(&_) -> _, fn(&_) -> _) = (|_| Vec::new(), |_| Ok(Vec::new()));
+            Network { check: |_| Ok(()), warnings, listen_endpoints, carrier }
+        });
         match work_of(&planned, Path::new("/base"), nodes, network) {
             Ok(Work::Node(variant)) => Ok(format!("node that makes {}", variant.output)),
             Ok(Work::Bridge(_, edges)) => Ok(format!("bridge of {}", edges.machine)),

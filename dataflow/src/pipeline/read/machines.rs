@@ -2,9 +2,10 @@
 
 use super::{MAX_STAGE_NAME, Reader};
 use crate::network::{NO_NETWORK, NO_NETWORK_HINT};
-use crate::pipeline::diagnostic::Place;
+use crate::pipeline::diagnostic::{Diagnostic, Place};
 use crate::pipeline::machine::Machine;
 use crate::pipeline::value::Entry;
+use conicflow_messages::Hinted;
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
@@ -50,10 +51,13 @@ impl Reader<'_> {
         let metrics = table.take("metrics").and_then(|entry| self.metrics(entry));
         self.unknown_keys(&table, &MACHINE_KEYS, &owner);
         let machine = Machine { listen, connect, zenoh, key, insecure, outage_s, metrics };
-        if let Some(network) = &self.context.registry.network
-            && let Err(error) = (network.check)(&machine)
-        {
+        let Some(network) = &self.context.registry.network else { return machine };
+        if let Err(error) = (network.check)(&machine) {
             self.fault(&place, format!("{owner}: {}", error.what), error.hint);
+        } else if !self.elsewhere {
+            let warnings = (network.warnings)(&machine).into_iter();
+            let warning = |Hinted { what, hint, .. }| Diagnostic::warning(&place, format!("{owner}: {what}"), hint);
+            self.faults.extend(warnings.map(warning));
         }
         machine
     }

@@ -120,6 +120,15 @@ fn a_machine_says_how_it_is_reached_and_all_have_a_key_or_none() {
 }
 
 #[test]
+fn what_may_keep_a_machine_from_its_links_is_a_warning_there() {
+    let text =
+        format!("name = 'test'\n[machine.robot]\noutage_s = 0\n[machine.base]\n{}", on("robot", &program("a", "")));
+    let warnings = |machine| read_on(Some(machine), &text, &[]).map(|(_, report)| first_lines(&report)).unwrap();
+    let expected = vec!["warning: machine `robot`: its certificate has expired".to_owned()];
+    assert_eq!([warnings("robot"), warnings("base")], [expected, vec![]], "it is that machine's concern");
+}
+
+#[test]
 fn an_endpoint_has_a_protocol_a_host_and_a_port() {
     for endpoint in ["tcp/192.168.0.2:7447", "udp/[::1]:7447", "tls/host:1#iface=eth0", "quic/host:65535?x"] {
         assert!(check_endpoint(endpoint).is_ok(), "{endpoint}");

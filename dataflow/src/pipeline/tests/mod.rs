@@ -83,7 +83,11 @@ fn of_camera() -> Json {
 fn network() -> Network {
     let check = |machine: &Machine| machine.listen.iter().try_for_each(|endpoint| check_endpoint(endpoint));
     let carrier = Carrier::Program(|| Err(Hinted::new("it is not there", "install it")));
-    Network { check, listen_endpoints: |_| Ok(Vec::new()), carrier }
+    let warnings = |machine: &Machine| match machine.outage_s {
+        Some(0.0) => vec![Hinted::new("its certificate has expired", "make another")],
+        _ => Vec::new(),
+    };
+    Network { check, warnings, listen_endpoints: |_| Ok(Vec::new()), carrier }
 }
 
 /// The folder of this package stands for that of the file.

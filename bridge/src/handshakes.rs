@@ -1,0 +1,177 @@
+//! Why a link by TLS does not come about. Zenoh says so in its log alone, and tries again for ever: what a handshake failed of is
+//! heard there, and told once, in words that say which side has refused whom and why.
+
+use std::collections::BTreeSet;
+use std::fmt::{Debug, Write as _};
+use std::sync::{Mutex, PoisonError};
+use tracing::field::{Field, Visit};
+use tracing::{Event, Level, Subscriber};
+use tracing_subscriber::Layer;
+use tracing_subscriber::filter::Targets;
+use tracing_subscriber::layer::Context;
+use tracing_subscriber::registry::LookupSpan;
+
+/// What was heard; and of that what was told.
+static HEARD: Mutex<[BTreeSet<String>; 2]> = Mutex::new([BTreeSet::new(), BTreeSet::new()]);
+/// So many reasons are told: who connects again and again with ever new faults fills no log.
+const REASONS: usize = 16;
+
+/// What hears Zenoh's log, beside what the user sees of it.
+pub fn ear<S: Subscriber + for<'a> LookupSpan<'a>>() -> impl Layer<S> {
+    let targets = Targets::new().with_target("zenoh::net::runtime::orchestrator", Level::DEBUG);
+    let links = ["zenoh_link_tls", "zenoh_link_quic", "zenoh_link_commons"].map(|target| (target, Level::WARN));
+    Ear.with_filter(targets.with_targets(links))
+}
+
+struct Ear;
+
+impl<S: Subscriber> Layer<S> for Ear {
+    /// Nothing is logged from here, where Zenoh logs.
+    fn on_event(&self, event: &Event<'_>, _: Context<'_, S>) {
+        let mut message = Message(String::new());
+        event.record(&mut message);
+        let Some(reason) = refusal(&message.0) else { return };
+        let [heard, told] = &mut *HEARD.lock().unwrap_or_else(PoisonError::into_inner);
+        if !told.contains(&reason) && heard.len() + told.len() < REASONS {
+            heard.insert(reason);
+        }
+    }
+}
+
+/// The text of an event.
+struct Message(String);
+
+impl Visit for Message {
+    fn record_debug(&mut self, field: &Field, value: &dyn Debug) {
+        if field.name() == "message" {
+            write!(self.0, "{value:?}").ok();
+        }
+    }
+}
+
+/// Tells what was heard since this was done last.
+pub(crate) fn tell() {
+    let [heard, told] = &mut *HEARD.lock().unwrap_or_else(PoisonError::into_inner);
+    for reason in std::mem::take(heard) {
+        tracing::error!("{reason}");
+        told.insert(reason);
+    }
+}
+
+/// What a line of Zenoh's log says of a handshake that failed, if it does.
+fn refusal(line: &str) -> Option<String> {
+    let endpoint = line.split_once("Unable to connect to ").and_then(|(_, rest)| {
+        let rest = rest.strip_prefix("configured peer ").unwrap_or(rest);
+        rest.split('!').next()
+    });
+    let there = endpoint.map_or("somebody who connects".to_owned(), |endpoint| format!("the machine at `{endpoint}`"));
+    let after = |phrase: &str| line.split_once(phrase).map(|(_, rest)| rest);
+    if let Some(fault) = after("invalid peer certificate: ") {
+        let (what, hint) = fault_of_theirs(fault);
+        return Some(format!("refused {there}: its certificate {what}\n  hint: {hint}"));
+    }
+    if after("peer sent no certificates").is_some() {
+        return Some(format!(
+            "refused {there}: it shows no certificate\n  hint: with enable_mtls: true here, each machine needs enable_mtls: \
+             true, connect_certificate and connect_private_key"
+        ));
+    }
+    let alert = after("received fatal alert: ")?.split(|letter: char| !letter.is_ascii_alphanumeric()).next()?;
+    let (what, hint) = fault_of_ours(alert);
+    Some(format!("{there} refuses this machine: {what}\n  hint: {hint}"))
+}
+
+const ONE_AUTHORITY: &str = "have certificates of one authority on all machines, and its ca.pem, as \
+                             examples/tls/certificates.sh makes them";
+
+/// What is wrong with a certificate that was shown, and what to do.
+fn fault_of_theirs(fault: &str) -> (String, &'static str) {
+    if fault.starts_with("certificate expired") || fault.starts_with("Expired") {
+        return ("has expired".to_owned(), "give that machine a new one; or is the clock of this one wrong?");
+    }
+    if fault.starts_with("certificate not valid yet") || fault.starts_with("NotValidYet") {
+        return ("is not valid yet".to_owned(), "is the clock of this machine right?");
+    }
+    if fault.starts_with("UnknownIssuer") || fault.starts_with("BadSignature") {
+        return ("is of an authority that this machine does not know".to_owned(), ONE_AUTHORITY);
+    }
+    let fault = fault.split(" at /").next().unwrap_or(fault);
+    match fault.strip_prefix("certificate not valid for name ") {
+        Some(names) => {
+            let names = names.replace("; certificate is", ", but is").replace("DnsName(", "").replace("IpAddress(", "");
+            let names = names.replace(')', "").replace('"', "`");
+            (
+                format!("is not for {names}"),
+                "name in the certificate the address by which others connect to that machine",
+            )
+        }
+        None => (format!("cannot be used: {fault}"), ONE_AUTHORITY),
+    }
+}
+
+/// What the other side says, by an alert of TLS, of the certificate that this machine shows.
+fn fault_of_ours(alert: &str) -> (String, &'static str) {
+    let (what, hint) = match alert {
+        "CertificateRequired" => (
+            "it asks for a certificate, and this one shows none",
+            "enable_mtls: true, connect_certificate and connect_private_key in the `zenoh` file show one",
+        ),
+        "CertificateExpired" => (
+            "by the clock there its certificate has expired, or is not valid yet",
+            "is the clock there right? if it is, give this machine a new certificate",
+        ),
+        "UnknownCA" | "DecryptError" => ("its certificate is of an authority that is not known there", ONE_AUTHORITY),
+        "BadCertificate" => (
+            "its certificate is not for the address by which it was reached, or is broken",
+            "name in the certificate the address by which others connect",
+        ),
+        other => return (format!("`{other}`, as TLS calls it"), ONE_AUTHORITY),
+    };
+    (what.to_owned(), hint)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn what(line: &str) -> Option<String> {
+        refusal(line).map(|told| told.split("\n  hint: ").next().unwrap().to_owned())
+    }
+
+    #[test]
+    fn a_failed_handshake_is_told_by_who_refuses_whom_and_why() {
+        let (begin, end) =
+            ("Can not create a new TLS link bound to DnsName(\"a\"): ", " at /root/zenoh/unicast.rs:343.");
+        let connecting =
+            |fault: &str| format!("Unable to connect to configured peer tls/a:1! {begin}{fault}{end}. Retry");
+        let accepting = |fault: &str| format!("{fault}. Hint: increase the system open file limit.");
+        let (theirs, alert) = ("invalid peer certificate: ", "received fatal alert: ");
+        let name = "certificate not valid for name \"a\"; certificate is only valid for DnsName(\"b\")";
+        let (to_there, who_comes) = ("refused the machine at `tls/a:1`: ", "refused somebody who connects: ");
+        let (there, comes) =
+            ("the machine at `tls/a:1` refuses this machine: ", "somebody who connects refuses this machine: ");
+        for (text, here, [from, expected]) in [
+            ("certificate expired: verification time 1", theirs, [to_there, "its certificate has expired"]),
+            ("UnknownIssuer", theirs, [to_there, "its certificate is of an authority that this machine does not know"]),
+            (name, theirs, [to_there, "its certificate is not for `a`, but is only valid for `b`"]),
+            ("CertificateRequired", alert, [there, "it asks for a certificate, and this one shows none"]),
+            ("CertificateUnknown", alert, [there, "`CertificateUnknown`, as TLS calls it"]),
+        ] {
+            assert_eq!(what(&connecting(&format!("{here}{text}"))), Some(format!("{from}{expected}")));
+        }
+        let expired = "by the clock there its certificate has expired, or is not valid yet";
+        for (text, here, [from, expected]) in [
+            ("certificate not valid yet: verification", theirs, [who_comes, "its certificate is not valid yet"]),
+            ("BadSignature", theirs, [who_comes, "its certificate is of an authority that this machine does not know"]),
+            ("peer sent no certificates", "", [who_comes, "it shows no certificate"]),
+            ("UnknownCA", alert, [comes, "its certificate is of an authority that is not known there"]),
+            ("CertificateExpired", alert, [comes, expired]),
+        ] {
+            assert_eq!(what(&accepting(&format!("{here}{text}"))), Some(format!("{from}{expected}")));
+        }
+        for other in ["Unable to connect to configured peer tcp/a:1! Connection refused", "Try to connect: tls/a:1", ""]
+        {
+            assert_eq!(what(other), None);
+        }
+    }
+}
