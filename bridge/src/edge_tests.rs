@@ -8,12 +8,12 @@ use crate::receiving::Receiving;
 use crate::sending::{Sending, Shared};
 use crate::session::Sessions;
 use crate::session::tests::joined;
-use crate::wire::seal::Seal;
+use crate::wire::seal::{Seal, secret};
 use crate::wire::{Place, encode_message};
 use conicflow_dataflow::pipeline::{BRIDGE, Compression};
 use conicflow_dataflow::ports::{Delivery, Reader, Received, Topic, TopicReader, Transport, Writer};
 use conicflow_dataflow::relay::{Peers, SharedMemory, end_of_stream};
-use conicflow_dataflow::{BridgePlan, Edge, ItemType, Receiver, Stop, monotonic_ns};
+use conicflow_dataflow::{BridgePlan, Edge, ItemType, LinkKey, Receiver, Stop, monotonic_ns};
 use conicflow_messages::{Camera, Header, Hop, Object, Text};
 use std::path::Path;
 use std::sync::Arc;
@@ -62,11 +62,11 @@ pub struct Side {
 }
 
 impl Side {
-    pub fn new(name: &'static str, edge: Edge, folder: &Path) -> Self {
+    pub fn new(name: &'static str, edge: Edge, folder: &Path, key: Option<&LinkKey>) -> Self {
         let (session, stop) = (if name == "robot" { 5 } else { 9 }, Stop::default());
         let [outgoing, incoming] = ["robot", "base"].map(|of| if of == name { vec![edge.clone()] } else { vec![] });
         let plan = BridgePlan { machine: name.to_owned(), outgoing, incoming, ..BridgePlan::default() };
-        let links = Arc::new(Links::new(Journal::open(None, 7, session), Seal::new(None, session), &plan));
+        let links = Arc::new(Links::new(Journal::open(None, 7, session), Seal::new(key, session), &plan));
         let memory = SharedMemory::open(folder, "test", BRIDGE, stop.clone()).unwrap();
         Self { name, edge, links, memory, counts: Arc::default(), stop }
     }
@@ -148,9 +148,14 @@ fn tell_each_other(robot: &Side, base: &Side) {
 /// What is left of messages that come to `base`, whose bridge has met that of `robot`: counts of those that were passed on, that
 /// came too late and that made no sense, and what is acknowledged.
 fn accepted(delivery: Delivery, messages: &[Vec<u8>]) -> ([u64; 3], Ack) {
+    accepted_with(Some(&secret()), delivery, messages)
+}
+
+/// The same with a key, or without one: then each message is sent until it is acknowledged.
+fn accepted_with(key: Option<&LinkKey>, delivery: Delivery, messages: &[Vec<u8>]) -> ([u64; 3], Ack) {
     let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
-    let robot = Side::new("robot", edge(delivery, BRIDGE), folders[0].path());
-    let base = Side::new("base", edge(delivery, "reader"), folders[1].path());
+    let robot = Side::new("robot", edge(delivery, BRIDGE), folders[0].path(), key);
+    let base = Side::new("base", edge(delivery, "reader"), folders[1].path(), key);
     let ([_, sessions], peers) = (joined(|address| address), Peers::default());
     (0..2).for_each(|_| tell_each_other(&robot, &base));
     let mut reader = memory(folders[1].path(), "reader").reader::<Object>(&base.edge.topic, "reader").unwrap();
@@ -164,7 +169,13 @@ fn accepted(delivery: Delivery, messages: &[Vec<u8>]) -> ([u64; 3], Ack) {
                 reader.wait(Duration::from_millis(5)).unwrap();
             }
         });
-        messages.iter().for_each(|bytes| receiving.accept(bytes).unwrap());
+        for bytes in messages {
+            let before = base.links.news();
+            wait_until("it is acknowledged", || {
+                receiving.accept(bytes).unwrap();
+                key.is_some() || base.links.news() != before
+            });
+        }
     });
     let EdgeCounts { messages, stale, malformed, .. } = &*base.counts;
     let counts = [messages, stale, malformed].map(|count| count.load(Ordering::Relaxed));
@@ -178,10 +189,10 @@ fn on_the_wire(header: &Header, number: u64, oldest: u64) -> Vec<u8> {
 }
 
 /// Carries so many messages over an edge: those that came, how many there were, and both sides afterwards.
-fn carry(delivery: Delivery, count: u64) -> (Vec<u64>, u64, [Side; 2]) {
+fn carry(key: Option<&LinkKey>, delivery: Delivery, count: u64) -> (Vec<u64>, u64, [Side; 2]) {
     let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
-    let robot = Side::new("robot", edge(delivery, BRIDGE), folders[0].path());
-    let base = Side::new("base", edge(delivery, "reader"), folders[1].path());
+    let robot = Side::new("robot", edge(delivery, BRIDGE), folders[0].path(), key);
+    let base = Side::new("base", edge(delivery, "reader"), folders[1].path(), key);
     let ([robot_sessions, base_sessions], peers, over) = (joined(|address| address), Peers::default(), Stop::default());
     let (sharing_there, sharing_here) = (robot.shared(&robot_sessions, &peers), base.shared(&base_sessions, &peers));
     let (came, told) = thread::scope(|scope| {
@@ -207,21 +218,23 @@ fn carry(delivery: Delivery, count: u64) -> (Vec<u64>, u64, [Side; 2]) {
 
 #[test]
 fn a_lossless_edge_carries_each_message_of_its_writers_and_their_end_and_both_machines_know_that_it_is_finished() {
-    let (came, told, [robot, base]) = carry(Delivery::Lossless, 40);
-    assert_eq!((came, told), ((0..40).collect(), 40));
-    for counts in [&robot.counts, &base.counts] {
-        let [messages, lost, malformed] =
-            [&counts.messages, &counts.lost, &counts.malformed].map(|it| it.load(Ordering::Relaxed));
-        assert_eq!([messages, lost, malformed], [40, 0, 0]);
-        let bytes = (0..40).sum::<usize>() * size_of::<Object>() + 40 * size_of::<Header>();
-        assert_eq!(counts.memory_bytes.load(Ordering::Relaxed), bytes as u64);
+    for key in [Some(&secret()), None] {
+        let (came, told, [robot, base]) = carry(key, Delivery::Lossless, 40);
+        assert_eq!((came, told), ((0..40).collect(), 40));
+        for counts in [&robot.counts, &base.counts] {
+            let [messages, lost, malformed] =
+                [&counts.messages, &counts.lost, &counts.malformed].map(|it| it.load(Ordering::Relaxed));
+            assert_eq!([messages, lost, malformed], [40, 0, 0]);
+            let bytes = (0..40).sum::<usize>() * size_of::<Object>() + 40 * size_of::<Header>();
+            assert_eq!(counts.memory_bytes.load(Ordering::Relaxed), bytes as u64);
+        }
+        assert!(robot.links.has_finished("base", "objects") && base.links.is_finished("robot", "objects").0);
     }
-    assert!(robot.links.has_finished("base", "objects") && base.links.is_finished("robot", "objects").0);
 }
 
 #[test]
 fn an_edge_where_the_newest_wins_carries_messages_in_their_order_and_the_end() {
-    let (came, told, [robot, base]) = carry(Delivery::Latest, 40);
+    let (came, told, [robot, base]) = carry(None, Delivery::Latest, 40);
     assert!(came.is_sorted_by(|a, b| a < b) && told == 40, "{came:?} of {told}");
     assert!(base.counts.messages.load(Ordering::Relaxed) <= robot.counts.messages.load(Ordering::Relaxed));
     assert!(base.links.is_finished("robot", "objects").0);
@@ -229,12 +242,12 @@ fn an_edge_where_the_newest_wins_carries_messages_in_their_order_and_the_end() {
 
 #[test]
 fn what_was_long_under_way_is_passed_on_only_where_none_may_be_missed() {
-    let sent_at = |sent_ns: u64| {
-        let mut header = header("writer", 0);
+    let sent_at = |number: u64, sent_ns: u64| {
+        let mut header = header("writer", number);
         header.hops[0].sent_ns = sent_ns;
         header
     };
-    let (late, just_sent) = (sent_at(0), sent_at(u64::MAX));
+    let (late, just_sent) = (sent_at(0, 0), sent_at(1, u64::MAX));
     let messages = [on_the_wire(&late, 0, 0), on_the_wire(&just_sent, 1, 0)];
     assert_eq!(accepted(Delivery::Lossless, &messages).0, [2, 0, 0]);
     assert_eq!(accepted(Delivery::Latest, &messages).0, [1, 1, 0]);
@@ -258,15 +271,41 @@ fn what_makes_no_sense_is_passed_over_and_acknowledged_so_that_what_follows_come
 #[test]
 fn a_message_whose_number_was_not_reached_is_told_when_the_true_ones_come() {
     let messages = [300, 1].map(|number| on_the_wire(&header("writer", number), number, number));
-    let (counts, ack) = accepted(Delivery::Lossless, &messages);
+    let (counts, ack) = accepted_with(None, Delivery::Lossless, &messages);
     assert_eq!((counts, ack.next), ([2, 0, 1], 2));
+}
+
+#[test]
+fn a_message_that_was_not_the_next_of_its_writer_is_left_out_and_told_when_the_true_one_comes() {
+    let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
+    let robot = Side::new("robot", edge(Delivery::Lossless, BRIDGE), folders[0].path(), None);
+    let base = Side::new("base", edge(Delivery::Lossless, "reader"), folders[1].path(), None);
+    let ([_, sessions], peers) = (joined(|address| address), Peers::default());
+    (0..2).for_each(|_| tell_each_other(&robot, &base));
+    let reader = memory(folders[1].path(), "reader").reader::<Object>(&base.edge.topic, "reader").unwrap();
+    let mut receiving = Receiving::new(&base.edge, &base.shared(&sessions, &peers), Arc::clone(&base.counts)).unwrap();
+    let of_number = |number| on_the_wire(&header("writer", number), 1, 0);
+    thread::scope(|scope| {
+        scope.spawn(|| read(reader));
+        let end = end_of_stream(&header("writer", 1), Text::new("writer"), 1);
+        for bytes in [&on_the_wire(&header("writer", 0), 0, 0), &of_number(1 << 40), &on_the_wire(&end, 1, 0)] {
+            receiving.accept(bytes).unwrap();
+        }
+        assert_eq!((base.counts.messages.load(Ordering::Relaxed), base.links.news().acks[0].next), (1, 1));
+        receiving.accept(&of_number(1)).unwrap();
+        let [messages, malformed] =
+            [&base.counts.messages, &base.counts.malformed].map(|it| it.load(Ordering::Relaxed));
+        assert_eq!((messages, malformed, base.links.news().acks[0].next), (2, 1, 2));
+        base.stop.request();
+        assert!(!receiving.carry().unwrap(), "its writer goes on");
+    });
 }
 
 #[test]
 fn an_edge_is_not_finished_where_the_run_ends_before_its_writers_and_readers() {
     let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
-    let robot = Side::new("robot", edge(Delivery::Latest, BRIDGE), folders[0].path());
-    let base = Side::new("base", edge(Delivery::Latest, "reader"), folders[1].path());
+    let robot = Side::new("robot", edge(Delivery::Latest, BRIDGE), folders[0].path(), None);
+    let base = Side::new("base", edge(Delivery::Latest, "reader"), folders[1].path(), None);
     let ([_, sessions], peers) = (joined(|address| address), Peers::default());
     (0..2).for_each(|_| tell_each_other(&robot, &base));
     let receiving = Receiving::new(&base.edge, &base.shared(&sessions, &peers), Arc::clone(&base.counts)).unwrap();

@@ -7,17 +7,18 @@ use crate::peer::heartbeat::Ack;
 use crate::peer::links::Links;
 use crate::reliable::passed_on::PassedOn;
 use crate::reliable::retransmit_queue::END_PATIENCE;
-use crate::reliable::sequence::{Sequence, Verdict};
+use crate::reliable::sequence::{Claim, Sequence, Verdict};
 use crate::sending::Shared;
 use crate::session::Subscriber;
 use crate::wire::codec::{Codec, codec_of};
+use crate::wire::seal::session_of;
 use crate::wire::{Place, WireError, open_message, place_of};
 use conicflow_dataflow::pipeline::BRIDGE;
 use conicflow_dataflow::ports::{Delivery, PortError, Transport};
 use conicflow_dataflow::relay::{OutputPort, Peers, SharedWriter};
 use conicflow_dataflow::{Edge, Life, Stop, monotonic_ns};
 use conicflow_messages::{Header, MAX_HOPS, Text};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
@@ -39,6 +40,8 @@ pub(super) struct Receiving<'a> {
     subscriber: Subscriber<'a>,
     output_port: OutputPort<SharedWriter>,
     sequence: Sequence,
+    /// By writer, the number that follows its last message of the stream.
+    follow: BTreeMap<String, u64>,
     passed_on: PassedOn,
     codec: Box<dyn Codec>,
     layout: String,
@@ -83,6 +86,7 @@ impl<'a> Receiving<'a> {
             subscriber,
             output_port: OutputPort::new(port, BRIDGE, 0, shared.peers.clone(), shared.stop.clone()),
             sequence: Sequence::new(lossless, shared.links.seal().has_key()),
+            follow: BTreeMap::new(),
             passed_on: PassedOn::default(),
             codec: codec_of(&edge.item),
             layout: edge.item.layout(),
@@ -108,7 +112,7 @@ impl<'a> Receiving<'a> {
 
     /// Carries messages until all writers have ended, or all readers, or the run does; whether nothing more is wanted of the other
     /// machine.
-    fn carry(&mut self) -> Result<bool, BridgeError> {
+    pub(super) fn carry(&mut self) -> Result<bool, BridgeError> {
         let mut wanted = Instant::now();
         while !self.stop.requested() && self.ended.len() < self.edge.writers.len() && wanted.elapsed() < END_PATIENCE {
             if wanted.elapsed() > TICK && !self.nobody_reads() {
@@ -171,20 +175,23 @@ impl<'a> Receiving<'a> {
                 self.refusals.leave_out(&error);
                 // Of another stream only what can be read tells.
                 let place = place_of(bytes).ok().filter(|place| self.sequence.is_of_stream(*place));
-                place.into_iter().for_each(|place| self.pass_over(place));
+                place.into_iter().for_each(|place| self.pass_over(place, bytes));
                 return Ok(());
             }
         };
         let writer = header.trace().last().map(|hop| hop.stage.to_string()).unwrap_or_default();
         if !self.edge.writers.contains(&writer) {
             self.refusals.leave_out(&format!("no stage `{writer}` of machine `{}` writes it", self.edge.from));
-            self.pass_over(place);
+            self.pass_over(place, bytes);
             return Ok(());
         }
-        let verdict = self.sequence.judge(place, header.ends_stream(), Instant::now());
-        if self.sequence.was_misled() {
-            self.refusals.warn_of_forgery();
-        }
+        let verdict = self.judge(Claim {
+            place,
+            session: session_of(bytes),
+            number: Some(header.number),
+            follows: self.follow.get(&writer).is_none_or(|follow| *follow == header.number),
+            may_be_repeated: header.ends_stream(),
+        });
         self.counts.lost.store(self.sequence.lost(), Ordering::Relaxed);
         if verdict == Verdict::Take {
             match self.pass_on(header, bytes.len()) {
@@ -198,6 +205,7 @@ impl<'a> Receiving<'a> {
                 passed_on => passed_on?,
             }
             self.sequence.taken();
+            self.follow.insert(writer.clone(), header.number.saturating_add(1));
         }
         if header.ends_stream() && self.sequence.is_end_to_hear(place, verdict) {
             self.output_port.note_count(Text::new(&writer), header.number);
@@ -244,12 +252,29 @@ impl<'a> Receiving<'a> {
     }
 
     /// What will never make sense would be sent again for ever, and nothing after it.
-    fn pass_over(&mut self, place: Place) {
+    fn pass_over(&mut self, place: Place, bytes: &[u8]) {
         let place = Place { oldest: place.oldest.min(place.number), ..place };
-        if self.sequence.judge(place, true, Instant::now()) == Verdict::Take {
+        let claim = Claim { place, session: session_of(bytes), may_be_repeated: true, ..Claim::default() };
+        if self.judge(claim) == Verdict::Take {
             self.sequence.taken();
         }
         self.acknowledge();
+    }
+
+    /// Whether a message is to be taken; tells what turns out to have been forged.
+    fn judge(&mut self, claim: Claim) -> Verdict {
+        let (stream, _) = self.sequence.expected();
+        let verdict = self.sequence.judge(claim, Instant::now());
+        if self.sequence.expected().0 != stream {
+            self.follow.clear();
+        }
+        if self.sequence.was_misled() {
+            self.refusals.warn_of_forgery("took", "its number was one that has not been reached");
+        }
+        if self.sequence.has_refuted() {
+            self.refusals.warn_of_forgery("left out", "what followed contradicts it");
+        }
+        verdict
     }
 }
 
@@ -304,10 +329,10 @@ impl Refusals {
         Self { topic, from, left_out: LeftOut::new(counts) }
     }
 
-    fn warn_of_forgery(&self) {
+    fn warn_of_forgery(&self, did: &str, why: &str) {
         let Self { topic, from, .. } = self;
         self.left_out.add(format_args!(
-            "took a message of topic `{topic}` that machine `{from}` has not sent: its number was one that has not been reached\n  \
+            "{did} a message of topic `{topic}` that machine `{from}` has not sent: {why}\n  \
              hint: whoever can connect can send; with the same `key` on all machines only these can"
         ));
     }

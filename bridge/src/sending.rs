@@ -144,6 +144,12 @@ impl<'a> Sending<'a> {
                 let (ack, heard) = (self.links.ack_of(&machine, topic), self.links.last_heard(&machine));
                 self.queue.acknowledge(&machine, ack.as_ref(), heard, now);
             }
+            if self.queue.was_overstated() {
+                self.encoder.left_out.add(format_args!(
+                    "left out what machine `{machine}` acknowledges of topic `{topic}`, as it was not sent yet\n  \
+                     hint: whoever can connect can send; with the same `key` on all machines only these can"
+                ));
+            }
         }
         let links = Arc::clone(&self.links);
         for bytes in self.queue.due(now, |machine| links.is_connected(machine)) {
@@ -295,7 +301,7 @@ mod tests {
     #[test]
     fn no_more_leaves_than_what_is_not_acknowledged_has_room_for() {
         let folder = tempfile::tempdir().unwrap();
-        let robot = Side::new("robot", edge(Delivery::Lossless, BRIDGE), folder.path());
+        let robot = Side::new("robot", edge(Delivery::Lossless, BRIDGE), folder.path(), None);
         let ([sessions, _], peers) = (joined(|address| address), Peers::default());
         let shared = robot.shared(&sessions, &peers);
         let mut sending = Sending::new(&robot.edge, &shared, Arc::clone(&robot.counts)).unwrap();
@@ -309,7 +315,7 @@ mod tests {
     #[test]
     fn where_the_newest_wins_an_edge_is_wanted_by_who_listens_to_its_key() {
         let folder = tempfile::tempdir().unwrap();
-        let robot = Side::new("robot", edge(Delivery::Latest, BRIDGE), folder.path());
+        let robot = Side::new("robot", edge(Delivery::Latest, BRIDGE), folder.path(), None);
         let ([sessions, base], peers) = (joined(|address| address), Peers::default());
         let sending = Sending::new(&robot.edge, &robot.shared(&sessions, &peers), Arc::clone(&robot.counts)).unwrap();
         assert!(!sending.is_wanted());
@@ -320,7 +326,7 @@ mod tests {
     #[test]
     fn who_is_made_to_end_counts_what_was_not_acknowledged_as_lost() {
         let folder = tempfile::tempdir().unwrap();
-        let robot = Side::new("robot", edge(Delivery::Lossless, BRIDGE), folder.path());
+        let robot = Side::new("robot", edge(Delivery::Lossless, BRIDGE), folder.path(), None);
         let ([sessions, _], peers) = (joined(|address| address), Peers::default());
         let shared = robot.shared(&sessions, &peers);
         let mut sending = Sending::new(&robot.edge, &shared, Arc::clone(&robot.counts)).unwrap();

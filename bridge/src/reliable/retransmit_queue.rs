@@ -30,6 +30,7 @@ pub(crate) struct RetransmitQueue {
     progress: Instant,
     resend_after: Duration,
     lost: u64,
+    overstated: bool,
 }
 
 /// The end of a writer's stream.
@@ -49,6 +50,8 @@ struct Remote {
     finished: u64,
     ended: BTreeSet<String>,
     heard: Option<Instant>,
+    /// Whether it has acknowledged last what was not sent.
+    overstates: bool,
     /// Whether it wants nothing more, as long as its run lasts.
     is_done: bool,
 }
@@ -77,6 +80,7 @@ impl RetransmitQueue {
             finished: 0,
             ended: BTreeSet::new(),
             heard: None,
+            overstates: false,
             is_done: false,
         };
         let (stream, next) = log.last().map_or((stream, 0), |last| (last.stream, last.number + 1));
@@ -92,6 +96,7 @@ impl RetransmitQueue {
             progress: now,
             resend_after: RESEND_AFTER,
             lost: 0,
+            overstated: false,
         }
     }
 
@@ -108,6 +113,11 @@ impl RetransmitQueue {
     /// Messages that a lossless receiver will not get.
     pub(crate) fn lost(&self) -> u64 {
         self.lost
+    }
+
+    /// Whether more was acknowledged than was sent, since this was asked last; of each such acknowledgement it is told once.
+    pub(crate) fn was_overstated(&mut self) -> bool {
+        std::mem::take(&mut self.overstated)
     }
 
     /// Messages that a lossless receiver may not have got yet.
@@ -183,7 +193,11 @@ impl RetransmitQueue {
             remote.finished = oldest;
         }
         // Nobody has more than was sent: such an acknowledgement is forged, or its machine has taken a forged message.
-        let ack = ack.filter(|ack| ack.stream == self.stream && ack.next <= self.next);
+        let ack = ack.filter(|ack| ack.stream == self.stream);
+        let overstates = ack.is_some_and(|ack| ack.next > self.next);
+        self.overstated |= overstates && !remote.overstates;
+        remote.overstates = overstates;
+        let ack = ack.filter(|_| !overstates);
         if let Some(ack) = ack {
             if ack.next > remote.expected {
                 (self.progress, self.resend_after) = (now, RESEND_AFTER);
@@ -295,6 +309,25 @@ mod tests {
         assert!(queue.is_settled(later + END_PATIENCE + WAIT), "it has all, and has fallen silent");
         queue.finish("base", later);
         assert!(queue.is_settled(later));
+    }
+
+    #[test]
+    fn what_was_not_sent_cannot_be_acknowledged_and_each_time_is_told_once() {
+        let start = Instant::now();
+        let mut queue = queue(Delivery::Lossless, start);
+        (0..4_u8).for_each(|number| queue.sent(&[number; 40], start));
+        let told: Vec<_> = [ack(4, &[]), ack(5, &[]), ack(5, &[]), ack(u64::MAX, &[]), ack(4, &[]), ack(9, &[])]
+            .iter()
+            .map(|ack| {
+                queue.acknowledge("base", Some(&Ack { finished: 2, ..ack.clone() }), Some(start), start);
+                queue.was_overstated()
+            })
+            .collect();
+        assert_eq!(told, [false, true, false, false, false, true]);
+        assert_eq!((queue.place().oldest, queue.was_overstated()), (2, false));
+        let other = Ack { stream: 2, ..ack(u64::MAX, &[]) };
+        queue.acknowledge("base", Some(&other), Some(start), start);
+        assert!(!queue.was_overstated(), "it is of another stream");
     }
 
     #[test]

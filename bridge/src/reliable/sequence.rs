@@ -1,7 +1,12 @@
 //! The receiving end of an edge's numbering: which messages are taken, and how many are gone for good.
+//!
+//! Without a key anybody can send under the name of the other machine. Where none may be missed that machine sends again what
+//! is not acknowledged, and who has forged a message most likely does not: so what the other machine does but seldom (to give
+//! messages up, to end, to begin another stream) is believed when it comes once more, and nothing has contradicted it by then.
 
 use super::send_log::CAPACITY;
 use crate::wire::Place;
+use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 /// Streams are numbered by the sender's clock, which may be set back: a stream that seems to be an earlier one is followed
@@ -12,6 +17,11 @@ const SILENCE: Duration = Duration::from_secs(3);
 /// it whose number the sender has not reached.
 const FARTHEST_BEHIND: u64 = CAPACITY as u64;
 
+/// What is in doubt is believed when it comes again after this time; the sender has it sent again by then, or soon after.
+const CONFIRMED_AFTER: Duration = Duration::from_millis(200);
+/// So many messages are remembered that are in doubt: more than a sender keeps.
+const MOST_DOUBTS: usize = 2 * CAPACITY;
+
 /// What is done with a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Verdict {
@@ -19,8 +29,30 @@ pub(crate) enum Verdict {
     Take,
     /// It came before.
     Old,
-    /// Others have to come before it; the sender will send all of them again.
+    /// Others have to come before it, or it has to come once more; the sender will send all of them again.
     Early,
+}
+
+/// What a message says of itself.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Claim {
+    /// Where it stands.
+    pub place: Place,
+    /// The start of the bridge that sends it.
+    pub session: u64,
+    /// Its number among those of the stage that wrote it, where it can be read.
+    pub number: Option<u64>,
+    /// Whether that follows the last number of that stage, as far as is known.
+    pub follows: bool,
+    /// Whether it tells nothing by being old, as an end does, which is sent until everybody knows it.
+    pub may_be_repeated: bool,
+}
+
+impl Claim {
+    /// By which it is known again when it comes once more; what the sender keeps may be less then.
+    fn identity(&self) -> Self {
+        Self { place: Place { oldest: 0, ..self.place }, follows: false, session: 0, ..*self }
+    }
 }
 
 /// What was received of an edge.
@@ -32,8 +64,15 @@ pub(crate) struct Sequence {
     trusted: bool,
     stream: u64,
     next: u64,
+    /// The start of the sending bridge that has sent the last message of the stream.
+    session: u64,
+    /// Stream and number that were expected before the last leap.
+    left: Option<(u64, u64)>,
     lost: u64,
     misled: bool,
+    refuted: bool,
+    /// Messages that are believed when they come once more, and when they came first.
+    doubts: VecDeque<(Claim, Instant)>,
     /// When something came of the stream.
     came: Option<Instant>,
     /// When something came that was new.
@@ -43,7 +82,20 @@ pub(crate) struct Sequence {
 impl Sequence {
     /// Of an edge of which nothing has come; `trusted` if codes show who made what comes.
     pub(crate) fn new(lossless: bool, trusted: bool) -> Self {
-        Self { lossless, trusted, stream: 0, next: 0, lost: 0, misled: false, came: None, new_came: None }
+        Self {
+            lossless,
+            trusted,
+            stream: 0,
+            next: 0,
+            session: 0,
+            left: None,
+            lost: 0,
+            misled: false,
+            refuted: false,
+            doubts: VecDeque::new(),
+            came: None,
+            new_came: None,
+        }
     }
 
     /// The stream that is received, and the number that is expected next.
@@ -76,44 +128,116 @@ impl Sequence {
         std::mem::take(&mut self.misled)
     }
 
-    /// Whether a message is to be taken; it counts as received only by [`Sequence::taken`]. What `may_be_repeated`, as an end is
-    /// until everybody knows it, tells nothing by being old.
-    pub(crate) fn judge(&mut self, place: Place, may_be_repeated: bool, now: Instant) -> Verdict {
-        let is_silent =
-            |since: Option<Instant>| since.is_none_or(|since| now.saturating_duration_since(since) > SILENCE);
-        if place.stream < self.stream && !is_silent(self.came) {
+    /// Whether it has turned out, since this was asked last, that a message in doubt was not the sender's.
+    pub(crate) fn has_refuted(&mut self) -> bool {
+        std::mem::take(&mut self.refuted)
+    }
+
+    /// Whether a message is to be taken; it counts as received only by [`Sequence::taken`].
+    pub(crate) fn judge(&mut self, claim: Claim, now: Instant) -> Verdict {
+        let place = claim.place;
+        if place.stream < self.stream && !is_silent(self.came, now) {
             return Verdict::Old;
         }
-        self.came = Some(now);
-        let oldest = match (self.lossless, may_be_repeated) {
+        let oldest = match (self.lossless, claim.may_be_repeated) {
             (true, false) => place.oldest.min(place.number),
             // It is told again also when it is not kept any more.
             (true, true) => place.oldest,
             (false, _) => place.number,
         };
-        if place.stream != self.stream {
-            (self.stream, self.next) = (place.stream, oldest);
+        let is_doubtful = self.is_doubtful(&claim, oldest);
+        if is_doubtful && !self.is_confirmed(&claim, now) {
+            return Verdict::Early;
         }
-        let is_far_behind = !self.trusted && self.next.saturating_sub(place.number) > FARTHEST_BEHIND;
+        (self.came, self.session) = (Some(now), claim.session);
+        if place.stream != self.stream {
+            let before = self.left.filter(|(stream, _)| *stream == place.stream);
+            self.leap(place.stream, before.map_or(oldest, |(_, next)| oldest.max(next)));
+        }
         // Where the newest wins, one way may be much slower than another: there nothing new must have come as well.
-        if is_far_behind && !may_be_repeated && (self.lossless || is_silent(self.new_came)) {
-            // What seemed to be lost up to that number has not been sent yet.
-            self.lost = self.lost.saturating_sub(self.next - oldest);
-            (self.next, self.misled) = (oldest, true);
+        if self.is_far_behind(&claim) && (self.lossless || is_silent(self.new_came, now)) {
+            // What was taken before the leap there is not taken again, and what seemed lost by that has not been sent yet.
+            let next = oldest.max(self.before_leap().filter(|next| *next < self.next).unwrap_or_default());
+            self.lost = self.lost.saturating_sub(self.next - next);
+            self.misled = true;
+            self.leap(self.stream, next);
         }
         if place.number < self.next {
             return Verdict::Old;
         }
         self.new_came = Some(now);
-        self.lost = self.lost.saturating_add(oldest.saturating_sub(self.next));
-        self.next = self.next.max(oldest);
-        if place.number == self.next { Verdict::Take } else { Verdict::Early }
+        if oldest > self.next {
+            let known = self.next.max(self.before_leap().filter(|next| *next <= oldest).unwrap_or_default());
+            self.lost = self.lost.saturating_add(oldest - known);
+            self.leap(self.stream, oldest);
+        }
+        if place.number != self.next {
+            return Verdict::Early;
+        }
+        if !is_doubtful {
+            self.refuted |= self.doubts.iter().any(|(doubt, _)| doubt.place.number >= self.next);
+            self.doubts.clear();
+        }
+        Verdict::Take
     }
 
     /// The message that was expected has been passed on.
     pub(crate) fn taken(&mut self) {
         self.next = self.next.saturating_add(1);
     }
+
+    /// Whether it comes after a message was taken whose number the sender had not reached.
+    fn is_far_behind(&self, claim: &Claim) -> bool {
+        let is_far = self.next.saturating_sub(claim.place.number) > FARTHEST_BEHIND;
+        is_far && !self.trusted && !claim.may_be_repeated
+    }
+
+    /// Whether somebody else may have sent a message, because its sender seldom sends such.
+    fn is_doubtful(&self, claim: &Claim, oldest: u64) -> bool {
+        if self.trusted || !self.lossless || self.came.is_none() {
+            return false;
+        }
+        let is_next = claim.place.number == self.next;
+        match claim.place.stream == self.stream {
+            // A start of a bridge has one stream.
+            false => claim.session == self.session,
+            true if claim.place.number < self.next => claim.may_be_repeated || self.is_far_behind(claim),
+            true => oldest > self.next || is_next && (claim.may_be_repeated || !claim.follows),
+        }
+    }
+
+    /// Whether a message in doubt came before, long enough ago for the true ones to contradict it.
+    fn is_confirmed(&mut self, claim: &Claim, now: Instant) -> bool {
+        let claim = claim.identity();
+        let Some(at) = self.doubts.iter().position(|(doubt, _)| *doubt == claim) else {
+            if self.doubts.len() == MOST_DOUBTS {
+                self.doubts.pop_front();
+            }
+            self.doubts.push_back((claim, now));
+            return false;
+        };
+        let is_confirmed = now.saturating_duration_since(self.doubts[at].1) > CONFIRMED_AFTER;
+        if is_confirmed {
+            self.doubts.remove(at);
+        }
+        is_confirmed
+    }
+
+    /// Expects this number of this stream next, and remembers what was expected before.
+    fn leap(&mut self, stream: u64, next: u64) {
+        self.left = Some((self.stream, self.next));
+        (self.stream, self.next) = (stream, next);
+        self.doubts.clear();
+    }
+
+    /// The number of the present stream that was expected before the last leap, if that was within the stream.
+    fn before_leap(&self) -> Option<u64> {
+        self.left.filter(|(stream, _)| *stream == self.stream).map(|(_, next)| next)
+    }
+}
+
+fn is_silent(since: Option<Instant>, now: Instant) -> bool {
+    since.is_none_or(|since| now.saturating_duration_since(since) > SILENCE)
 }
 
 #[cfg(test)]
@@ -124,8 +248,22 @@ mod tests {
         take_at(sequence, Place { stream, number, oldest }, Instant::now())
     }
 
+    /// What a message at this place says that a true sender has sent, whose bridge began with that stream.
+    fn claim(place: Place) -> Claim {
+        Claim { place, session: place.stream, number: Some(place.number), follows: true, may_be_repeated: false }
+    }
+
+    /// The same of an end.
+    fn end(place: Place) -> Claim {
+        Claim { may_be_repeated: true, ..claim(place) }
+    }
+
     fn take_at(sequence: &mut Sequence, place: Place, now: Instant) -> Verdict {
-        let verdict = sequence.judge(place, false, now);
+        take_claim(sequence, claim(place), now)
+    }
+
+    fn take_claim(sequence: &mut Sequence, claim: Claim, now: Instant) -> Verdict {
+        let verdict = sequence.judge(claim, now);
         if verdict == Verdict::Take {
             sequence.taken();
         }
@@ -142,12 +280,12 @@ mod tests {
 
     #[test]
     fn an_end_is_heard_also_when_it_is_told_again_but_not_that_of_an_earlier_stream() {
-        let mut sequence = Sequence::new(true, false);
+        let mut sequence = Sequence::new(true, true);
         take(&mut sequence, 5, 0, 0);
         take(&mut sequence, 5, 1, 0);
         let mut told = |stream: u64, number: u64| {
             let place = Place { stream, number, oldest: 0 };
-            let verdict = sequence.judge(place, true, Instant::now());
+            let verdict = sequence.judge(end(place), Instant::now());
             (sequence.is_of_stream(place), sequence.is_end_to_hear(place, verdict), verdict)
         };
         assert_eq!(told(5, 1), (true, true, Verdict::Old));
@@ -158,7 +296,7 @@ mod tests {
 
     #[test]
     fn what_the_sender_has_given_up_is_counted_and_not_waited_for() {
-        let mut sequence = Sequence::new(true, false);
+        let mut sequence = Sequence::new(true, true);
         take(&mut sequence, 1, 0, 0);
         assert_eq!(take(&mut sequence, 1, 9, 8), Verdict::Early);
         assert_eq!(take(&mut sequence, 1, 8, 8), Verdict::Take);
@@ -169,10 +307,10 @@ mod tests {
     fn an_end_that_is_told_again_counts_nothing_as_lost() {
         let now = Instant::now();
         for first in [Place { stream: 1, number: 2, oldest: 9 }, Place { stream: 1, number: 8, oldest: 9 }] {
-            let mut sequence = Sequence::new(true, false);
-            assert_eq!(sequence.judge(first, true, now), Verdict::Old, "what comes before it is finished");
+            let mut sequence = Sequence::new(true, true);
+            assert_eq!(sequence.judge(end(first), now), Verdict::Old, "what comes before it is finished");
             assert_eq!(take(&mut sequence, 1, 9, 9), Verdict::Take);
-            assert_eq!(sequence.judge(first, true, now), Verdict::Old);
+            assert_eq!(sequence.judge(end(first), now), Verdict::Old);
             assert_eq!((sequence.expected(), sequence.lost()), ((1, 10), 0));
         }
     }
@@ -196,18 +334,147 @@ mod tests {
         }
     }
 
+    const LATER: Duration = Duration::from_millis(201);
+
+    /// One of whose sender nothing is certain, which has taken the numbers 0 to 99 of stream 7.
+    fn at_work(now: Instant) -> Sequence {
+        let mut sequence = Sequence::new(true, false);
+        let place = |number| Place { stream: 7, number, oldest: number };
+        (0..100).for_each(|number| assert_eq!(take_at(&mut sequence, place(number), now), Verdict::Take));
+        sequence
+    }
+
+    /// What nobody has sent who has sent 0 to 99: numbers that were not reached or are long past, another stream, an end, what
+    /// cannot be read, and a message that does not follow the last of its writer.
+    fn forged() -> Vec<Claim> {
+        let place = |stream, number, oldest| Place { stream, number, oldest };
+        let far = [100_000, 1 << 63, u64::MAX].map(|number| claim(place(7, number, number)));
+        let next = claim(place(7, 100, 100));
+        let others = [
+            claim(place(7, 130, 130)),
+            claim(place(7, 0, 0)),
+            Claim { session: 7, ..claim(place(8, 0, 0)) },
+            Claim { session: 7, ..claim(place(u64::MAX, u64::MAX, u64::MAX)) },
+            end(place(7, 100, 100)),
+            end(place(7, 3, 3)),
+            Claim { number: None, follows: false, may_be_repeated: true, ..next },
+            Claim { number: Some(1 << 40), follows: false, ..next },
+        ];
+        far.into_iter().chain(others).collect()
+    }
+
     #[test]
-    fn a_number_that_the_sender_never_reached_stops_nothing() {
-        for (lossless, forged) in [(true, 1 << 63), (false, 1 << 63), (true, u64::MAX), (false, 100_000)] {
-            let (mut sequence, start) = (Sequence::new(lossless, false), Instant::now());
+    fn a_forged_message_is_not_taken_and_takes_nothing_from_the_true_ones() {
+        let start = Instant::now();
+        for forged in forged() {
+            let mut sequence = at_work(start);
+            let verdict = sequence.judge(forged, start);
+            assert!(!sequence.is_end_to_hear(forged.place, verdict) && verdict != Verdict::Take, "{forged:?}");
+            assert_eq!(sequence.expected(), (7, 100), "{forged:?}");
+            let true_ones = [100, 101].map(|number| claim(Place { stream: 7, number, oldest: 98 }));
+            assert_eq!(
+                true_ones.map(|claim| take_claim(&mut sequence, claim, start)),
+                [Verdict::Take; 2],
+                "{forged:?}"
+            );
+            assert_eq!((sequence.expected(), sequence.lost()), ((7, 102), 0), "{forged:?}");
+            assert_eq!(sequence.has_refuted(), forged.place.number >= 100, "{forged:?}");
+            assert!(!sequence.has_refuted() && !sequence.was_misled(), "it is told once");
+        }
+    }
+
+    #[test]
+    fn a_forged_message_that_comes_again_and_again_brings_the_edge_out_of_step_for_a_while_alone() {
+        let start = Instant::now();
+        for forged in forged() {
+            let (mut sequence, mut now, mut taken) = (at_work(start), start, Vec::new());
+            for _ in 0..3 {
+                take_claim(&mut sequence, forged, now);
+                now += LATER;
+            }
+            // The sender, which has sent 100 to 163 and is acknowledged nothing, sends all of them again; and so on.
+            let mut first = 100;
+            for _ in 0..40 {
+                now += Duration::from_millis(250);
+                for number in first..first + FARTHEST_BEHIND {
+                    let place = Place { stream: 7, number, oldest: first };
+                    if take_at(&mut sequence, place, now) == Verdict::Take {
+                        taken.push(number);
+                    }
+                }
+                let (stream, next) = sequence.expected();
+                first = if stream == 7 && next <= first + FARTHEST_BEHIND { first.max(next) } else { first };
+            }
+            let last = *taken.last().unwrap();
+            assert!(taken.is_sorted_by(|one, next| one < next) && taken[0] >= 100, "{forged:?}: {taken:?}");
+            assert!(last > 1000 && taken.len() as u64 + FARTHEST_BEHIND > last - 99, "{forged:?}: {taken:?}");
+            assert_eq!(sequence.expected(), (7, last + 1), "{forged:?}");
+            assert!(sequence.lost() <= FARTHEST_BEHIND, "{forged:?}: {} seem to be lost", sequence.lost());
+        }
+    }
+
+    #[test]
+    fn what_a_sender_seldom_does_is_believed_when_it_comes_again() {
+        let start = Instant::now();
+        let place = |stream, number, oldest| Place { stream, number, oldest };
+        for (seldom, next, lost) in [
+            (claim(place(7, 120, 120)), (7, 121), 20),
+            (claim(place(7, 121, 120)), (7, 120), 20),
+            (end(place(7, 100, 100)), (7, 101), 0),
+            (Claim { number: Some(102), follows: false, ..claim(place(7, 100, 100)) }, (7, 101), 0),
+            (Claim { number: None, ..end(place(7, 100, 100)) }, (7, 101), 0),
+        ] {
+            let mut sequence = at_work(start);
+            let verdict = take_claim(&mut sequence, seldom, start);
+            assert_eq!((verdict, sequence.expected()), (Verdict::Early, (7, 100)), "{seldom:?}");
+            assert_eq!(take_claim(&mut sequence, seldom, start + CONFIRMED_AFTER), Verdict::Early, "{seldom:?}");
+            // By then the sender may keep less than before.
+            let again = Claim { place: Place { oldest: seldom.place.oldest.max(100), ..seldom.place }, ..seldom };
+            take_claim(&mut sequence, again, start + LATER);
+            assert_eq!((sequence.expected(), sequence.lost()), (next, lost), "{seldom:?}");
+            let follows = claim(place(7, next.1, next.1.min(120)));
+            assert_eq!(take_claim(&mut sequence, follows, start + LATER), Verdict::Take, "{seldom:?}");
+            assert!(!sequence.has_refuted() && !sequence.was_misled(), "{seldom:?}");
+        }
+        let mut sequence = at_work(start);
+        let anew = claim(place(8, 0, 0));
+        assert_eq!(take_claim(&mut sequence, anew, start), Verdict::Take, "its bridge was started anew");
+    }
+
+    #[test]
+    fn an_end_that_was_heard_before_a_leap_is_heard_when_it_comes_again() {
+        let (start, mut sequence) = (Instant::now(), Sequence::new(true, false));
+        let old = Place { stream: 7, number: 3, oldest: 3 };
+        take(&mut sequence, 7, 50, 50);
+        let heard = [Duration::ZERO, LATER].map(|later| {
+            let verdict = sequence.judge(end(old), start + later);
+            sequence.is_end_to_hear(old, verdict)
+        });
+        assert_eq!((heard, sequence.expected(), sequence.has_refuted()), ([false, true], (7, 51), false));
+    }
+
+    #[test]
+    fn no_more_doubts_are_kept_than_tell_true_messages() {
+        let (start, mut sequence) = (Instant::now(), Sequence::new(true, false));
+        take(&mut sequence, 7, 0, 0);
+        for number in 2..1000 {
+            take(&mut sequence, 7, number, number);
+        }
+        assert_eq!((sequence.doubts.len(), sequence.expected()), (MOST_DOUBTS, (7, 1)));
+        assert_eq!(take_at(&mut sequence, Place { stream: 7, number: 1, oldest: 0 }, start), Verdict::Take);
+        assert!(sequence.doubts.is_empty() && sequence.has_refuted());
+    }
+
+    #[test]
+    fn a_number_that_the_sender_never_reached_stops_nothing_where_the_newest_wins() {
+        for forged in [1 << 63, 100_000] {
+            let (mut sequence, start) = (Sequence::new(false, false), Instant::now());
             let mut take = |number: u64, oldest: u64, now: Instant| {
                 take_at(&mut sequence, Place { stream: 1, number, oldest }, now)
             };
             assert_eq!([0, 1, 2].map(|number| take(number, 0, start)), [Verdict::Take; 3]);
             assert_eq!(take(forged, forged, start), Verdict::Take);
-            if !lossless {
-                assert_eq!(take(3, 3, start + SILENCE), Verdict::Old, "it may have come by a slow way");
-            }
+            assert_eq!(take(3, 3, start + SILENCE), Verdict::Old, "it may have come by a slow way");
             let later = start + SILENCE + Duration::from_millis(1);
             assert_eq!([3, 4].map(|number| take(number, 3, later)), [Verdict::Take; 2]);
             assert_eq!([sequence.was_misled(), sequence.was_misled()], [true, false], "it is told once");
@@ -249,8 +516,9 @@ mod tests {
         take(&mut sequence, 1, FARTHEST_BEHIND, FARTHEST_BEHIND);
         assert_eq!(take(&mut sequence, 1, 1, 1), Verdict::Old);
         take(&mut sequence, 1, FARTHEST_BEHIND + 1, FARTHEST_BEHIND + 1);
-        let end = Place { stream: 1, number: 0, oldest: 0 };
-        assert_eq!(sequence.judge(end, true, Instant::now()), Verdict::Old, "an end is told until everybody knows it");
+        let first = end(Place { stream: 1, number: 0, oldest: 0 });
+        let told = [Duration::ZERO, LATER].map(|later| sequence.judge(first, Instant::now() + later));
+        assert_eq!(told, [Verdict::Early, Verdict::Old], "an end is told until everybody knows it");
         assert_eq!((sequence.expected(), sequence.was_misled()), ((1, FARTHEST_BEHIND + 2), false));
     }
 

@@ -62,9 +62,9 @@ impl Seal {
     }
 }
 
-/// The session that a message claims to be of.
-fn session_of(bytes: &[u8]) -> u64 {
-    bytes[PREFIX..CODE].iter().rev().fold(0, |sum, &byte| sum << 8 | u64::from(byte))
+/// The session that a message claims to be of; 0 where it is too short for one.
+pub(crate) fn session_of(bytes: &[u8]) -> u64 {
+    bytes.get(PREFIX..CODE).unwrap_or_default().iter().rev().fold(0, |sum, &byte| sum << 8 | u64::from(byte))
 }
 
 /// The code of a message; what it holds in the place of its code does not count.
