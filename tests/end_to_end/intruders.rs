@@ -105,8 +105,10 @@ fn expect_in_order(base: &Playground) {
     assert!(sequences.is_sorted_by(|earlier, later| earlier < later), "{sequences:?}");
 }
 
-/// Where the code of a message stands, its number, and that of the oldest that is kept; of a heartbeat the code alone.
+/// Where the code of a message stands, its stream, its number, and that of the oldest that is kept; of a heartbeat the code
+/// alone.
 const CODE: std::ops::Range<usize> = 14..46;
+const STREAM: std::ops::Range<usize> = 46..54;
 const NUMBER: std::ops::Range<usize> = 54..62;
 const OLDEST: std::ops::Range<usize> = 62..70;
 
@@ -160,6 +162,61 @@ fn what_was_sent_before_a_bridge_was_started_anew_does_not_pass_again() {
     });
     expect_in_order(&base);
     drop(runs.map(Started::end));
+}
+
+/// Without a key whoever connects can send under the name of a machine. What its bridge cannot have sent is left out, and what
+/// was on its way comes through all the same, each message once.
+#[test]
+fn what_is_forged_where_all_is_believed_takes_nothing_from_a_lossless_edge() {
+    let ends = [loopback(), loopback()];
+    let text = apart(&ends[0], &ends[0]).replace("rate_hz    = 0", &format!("rate_hz = {}", bridge::LIVE_RATE_HZ));
+    let text =
+        text.replace("[machine.base]\n", &format!("[machine.base]\ninsecure = true\nlisten = [\"{}\"]\n", ends[1]));
+    let [robot, base] = machines(&text.replace("[machine.robot]\n", "[machine.robot]\ninsecure = true\n"));
+    let (robot_run, mut base_run) = (start(&robot, "robot"), start(&base, "base"));
+    base_run.wait_until("tracks arrive", || newest(&base) > 20);
+    let session = intruder(&[&ends[0], &ends[1]]);
+    let [ellipses, beats] =
+        ["robot/ellipses", "@link/robot"].map(|key| record(&session, &format!("conicflow/tracking/{key}")));
+    let beats_of_base = record(&session, "conicflow/tracking/@link/base");
+    let number = u64::from_le_bytes(ellipses[NUMBER].try_into().unwrap());
+    let with = |bytes: &[u8], numbers: &[(std::ops::Range<usize>, u64)]| {
+        let mut changed = bytes.to_vec();
+        numbers.iter().for_each(|(place, number)| changed[place.clone()].copy_from_slice(&number.to_le_bytes()));
+        changed
+    };
+    // Behind the code of a heartbeat: the numbers of its session and its run, and its time, each with a byte before it.
+    const TIME: std::ops::Range<usize> = 65..73;
+    assert_eq!([&beats, &beats_of_base].map(|bytes| bytes[TIME.start - 1]), [253; 2], "a number of eight bytes");
+    let before = newest(&base);
+    let mut ahead = 0;
+    base_run.wait_until("tracks go on among the forged ones", || {
+        ahead = (ahead + 1) % 70;
+        let near = number + newest(&base).saturating_sub(before) + ahead;
+        let mut forged: Vec<_> = [1 << 63, u64::MAX, number + 1000, near, 0]
+            .map(|number| with(&ellipses, &[(NUMBER, number), (OLDEST, number)]))
+            .into();
+        forged.push(with(&ellipses, &[(STREAM, u64::MAX), (NUMBER, 0), (OLDEST, 0)]));
+        forged.push(with(&ellipses, &[(NUMBER, near), (OLDEST, 0)])[..100].to_vec());
+        forged.iter().for_each(|bytes| session.put("conicflow/tracking/robot/ellipses", bytes.clone()).wait().unwrap());
+        for (name, bytes) in [("robot", &beats), ("base", &beats_of_base)] {
+            session.put(format!("conicflow/tracking/@link/{name}"), with(bytes, &[(TIME, u64::MAX)])).wait().unwrap();
+        }
+        newest(&base) > before + 100
+    });
+    let edge = top_link(&base)["edges"][0].clone();
+    assert!(edge["malformed"].as_u64() > Some(3) && edge["lost"] == 0, "{edge}");
+    let told = "left out a message of topic `ellipses` that machine `robot` has not sent: what followed contradicts it\n  hint: ";
+    assert!(base_run.stderr().contains(told), "{}", base_run.stderr());
+    let made = robot_run.end().stage("source").messages;
+    let ended = base_run.wait().expect_code(0);
+    assert!(base.sequences("tracks.jsonl").into_iter().eq(0..made), "{}", ended.stderr);
+}
+
+/// The next message under a key, as it goes over the link.
+fn record(session: &zenoh::Session, key: &str) -> Vec<u8> {
+    let heard = session.declare_subscriber(key).wait().unwrap();
+    heard.recv().unwrap().payload().to_bytes().into_owned()
 }
 
 /// A pipeline of two machines with a key.

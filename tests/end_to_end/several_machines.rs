@@ -1,8 +1,11 @@
 //! More than one edge between two machines: there and back, three machines, pipelines beside each other. What comes out is
 //! what one machine finds, bit for bit.
 
-use super::bridge::{HALVES, apart, joined, link, loopback, machines, newest, placed, start, tracks, without_times};
-use super::support::{Playground, TRACKING, signal, wait_until};
+use super::bridge::{
+    HALVES, LIVE_RATE_HZ, apart, joined, link, loopback, machines, newest, placed, start, tracks, wait_for_frames,
+    without_times,
+};
+use super::support::{Playground, Started, TRACKING, signal, wait_until};
 use rustix::process::Signal;
 use serde_json::Value as Json;
 
@@ -156,4 +159,102 @@ fn a_machine_that_stays_away_is_waited_for_as_long_as_the_file_says_and_what_it_
     assert!(sent == FRAMES && lost > 100 && arrived.abs_diff(came) < 64, "{came} came, {lost} of {sent} lost");
     let told = format!("{lost} messages of the lossless topic `ellipses` did not reach all machines that read it");
     ended.expect_told(&[&told]);
+}
+
+/// A lossless edge from `robot` to `base`, which `listens` or connects, and a source that goes on for ever.
+fn endless(base_listens: bool) -> String {
+    let endpoint = loopback();
+    let text = apart(&endpoint, &endpoint).replace("rate_hz    = 0", &format!("rate_hz = {LIVE_RATE_HZ}"));
+    let exchanged = || text.replace("listen = [", "@").replace("connect = [", "listen = [").replace('@', "connect = [");
+    if base_listens { exchanged() } else { text }
+}
+
+#[test]
+fn of_two_runs_that_send_as_one_machine_the_first_counts_and_the_second_after_it_and_all_are_told() {
+    let text = endless(true);
+    let ([first, base], second) = (machines(&text), Playground::with_pipeline(&text));
+    let (first_run, mut base_run) = (start(&first, "robot"), start(&base, "base"));
+    wait_for_frames(&mut base_run, &base, 20);
+    let mut second_run = start(&second, "robot");
+    base_run.wait_for_text(
+        "machine `robot` runs twice; what counts is the run that was heard first, as long as it is heard",
+    );
+    second_run
+        .wait_for_text("machine `base` hears another run of machine `robot`, too; what counts there is the run that ");
+    wait_for_frames(&mut base_run, &base, 40);
+    let lines = || base.sequences("tracks.jsonl").len();
+    assert_eq!(base.sequences("tracks.jsonl"), (0..lines() as u64).collect::<Vec<_>>(), "those of the first alone");
+    assert!(first_run.stderr().contains("machine `base` hears another run of machine `robot`, too"));
+    signal(first_run.id(), Signal::KILL);
+    drop(first_run);
+    wait_until("no process of the first is left", || first.processes().is_empty());
+    let before = lines();
+    base_run.wait_until("tracks of the second arrive", || lines() > before + 40);
+    let made = second_run.end().stage("source").messages;
+    base_run.wait().expect_code(0);
+    let sequences = base.sequences("tracks.jsonl");
+    let of_first = sequences.len() - made as usize;
+    assert!(sequences.iter().copied().eq((0..of_first as u64).chain(0..made)), "{of_first}, {made}: {sequences:?}");
+}
+
+#[test]
+fn of_two_runs_that_receive_as_one_machine_the_first_gets_all_and_all_are_told() {
+    let text = endless(false);
+    let ([robot, first], second) = (machines(&text), Playground::with_pipeline(&text));
+    let (mut robot_run, mut first_run) = (start(&robot, "robot"), start(&first, "base"));
+    wait_for_frames(&mut first_run, &first, 20);
+    let mut second_run = start(&second, "base");
+    robot_run.wait_for_text(
+        "machine `base` runs twice; what counts is the run that was heard first, as long as it is heard",
+    );
+    for run in [&mut first_run, &mut second_run] {
+        run.wait_for_text(
+            "machine `robot` hears another run of machine `base`, too; what counts there is the run that ",
+        );
+    }
+    // One that stands still keeps nobody.
+    second.processes().into_iter().for_each(|process| signal(process, Signal::STOP));
+    wait_for_frames(&mut first_run, &first, 80);
+    let made = robot_run.end().stage("source").messages;
+    first_run.wait().expect_code(0);
+    assert!(first.sequences("tracks.jsonl").into_iter().eq(0..made));
+    second.processes().into_iter().for_each(|process| signal(process, Signal::KILL));
+}
+
+/// Starts both machines anew, in either order, after both were ended in that order, or killed.
+fn begin_both_anew(is_killed: bool, robot_first: bool) {
+    let round = format!("killed: {is_killed}, robot first: {robot_first}");
+    let [robot, base] = machines(&endless(false));
+    let order = if robot_first { [(&robot, "robot"), (&base, "base")] } else { [(&base, "base"), (&robot, "robot")] };
+    for _ in 0..3 {
+        // Its next run writes over it.
+        std::fs::remove_file(base.path("tracks.jsonl")).ok();
+        let mut runs = order.map(|(machine, name)| start(machine, name));
+        runs[0].wait_until("tracks arrive", || newest(&base) > 40);
+        let mut made = None;
+        if is_killed {
+            runs.iter().for_each(|run| signal(run.id(), Signal::KILL));
+            drop(runs);
+        } else if robot_first {
+            let [robot_run, base_run] = runs;
+            made = Some(robot_run.end().stage("source").messages);
+            base_run.wait().expect_code(0);
+        } else {
+            drop(runs.map(Started::end));
+        }
+        order.iter().for_each(|(machine, _)| wait_until("no process is left", || machine.processes().is_empty()));
+        let sequences = base.sequences("tracks.jsonl");
+        let expected = made.unwrap_or(sequences.len() as u64);
+        assert!(sequences.iter().copied().eq(0..expected), "{round}: {made:?} in {sequences:?}");
+    }
+}
+
+#[test]
+fn both_machines_may_be_ended_and_begun_anew_in_either_order_and_none_of_a_run_is_lost() {
+    [true, false].into_iter().for_each(|robot_first| begin_both_anew(false, robot_first));
+}
+
+#[test]
+fn both_machines_may_be_killed_and_begun_anew_in_either_order_and_none_of_a_run_is_lost() {
+    [true, false].into_iter().for_each(|robot_first| begin_both_anew(true, robot_first));
 }

@@ -79,6 +79,12 @@ impl Journal {
         }
     }
 
+    pub(crate) fn forget_finished(&mut self, edge: &FinishedEdge, by: u64) {
+        if self.entries.finished.remove(&(edge.clone(), by)) {
+            self.write();
+        }
+    }
+
     /// Without the file this process goes on as well; only the next one would not know.
     fn write(&mut self) {
         let Some(path) = &self.path else { return };

@@ -4,6 +4,9 @@
 //! bridge has said. So a session is believed only when it has proved to be the present one: by a heartbeat that tells of a
 //! heartbeat of this bridge's own session, sent later than any that the session before has told of. Heartbeats of a session
 //! follow each other in time, and messages count only if they are of the session that has proved itself.
+//!
+//! A machine runs once. Where two runs of one name are there at a time, the one counts that was heard first, until it falls
+//! silent: else each would stop what the other one has begun. Each of them learns of the other by what is heard of both.
 
 use super::clock::{Clock, Exchange};
 use super::heartbeat::{Ack, ClockSample, Heartbeat, News, Route};
@@ -27,7 +30,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
 const SESSIONS: usize = 4;
 /// So many reasons are told for which a peer is refused, one of each kind of [`WireError`]; who comes with ever new texts fills
 /// no log.
-const REASONS: usize = 9;
+const REASONS: usize = 10;
 
 /// What is said of a message of a session that has been.
 pub(crate) const OF_EARLIER_START: &str = "it is of an earlier start of the bridge there\n  \
@@ -55,10 +58,18 @@ pub(crate) struct Peer {
     since: Option<Instant>,
     /// The last heartbeat of each of its sessions, proved or not, the newest last.
     samples: VecDeque<ClockSample>,
+    /// By session, when the last heartbeat from here was sent that those tell of.
+    told_ns: BTreeMap<u64, u64>,
     /// The session that has proved to be the present one.
     session: Option<u64>,
+    /// When the heartbeat from here was sent by which it has, and by that machine's clock when it came there.
+    proved_ns: [u64; 2],
     /// When the last heartbeat from here was sent that the peer has told of.
     answered_ns: u64,
+    /// A session of another run, heard beside that one.
+    rival: Option<Rival>,
+    /// Whether the user was told that there are two runs, there or here.
+    told_of_rivals: BTreeSet<Rivals>,
     /// Whether it has been told of a heartbeat of that session, and so knows the present one here.
     knows_us: bool,
     clock: Clock,
@@ -70,6 +81,21 @@ pub(crate) struct Peer {
     refused: BTreeSet<String>,
     unlike: Vec<Route>,
     missed: bool,
+}
+
+/// A session of a second run.
+#[derive(Clone, Copy)]
+struct Rival {
+    session: u64,
+    /// When the heartbeat from here was sent that it has told of first.
+    told_ns: u64,
+}
+
+/// Which machine runs twice.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Rivals {
+    There,
+    Here,
 }
 
 /// What is shown of a peer.
@@ -133,16 +159,21 @@ impl Links {
             sent_ns: heartbeat.sent_ns,
             received_ns: now_ns,
         };
-        let Some(is_new_session) = peer.note(sample) else { return };
+        let own = |sample: &&ClockSample| sample.machine == self.machine && sample.session == self.session;
+        let (said, ahead) = heartbeat.samples.iter().filter(own).partition::<Vec<_>, _>(|own| own.sent_ns <= now_ns);
+        if !ahead.is_empty() {
+            refuse(machine, peer, &WireError::Impossible("it has heard what this machine has not said yet"));
+        }
+        let Some(is_new_session) = peer.note(sample, said.first().map(|own| own.sent_ns)) else { return };
         if is_new_session {
             self.owes_answer.store(true, Ordering::Relaxed);
         }
-        let own = |sample: &&ClockSample| sample.machine == self.machine && sample.session == self.session;
-        let Some(own) = heartbeat.samples.iter().find(own) else { return };
-        if peer.session != Some(heartbeat.session) && own.sent_ns <= peer.answered_ns {
+        let Some(own) = said.first() else { return };
+        let told_ns = own.sent_ns;
+        if !peer.believes(&heartbeat, told_ns, now) {
             return;
         }
-        peer.answered_ns = peer.answered_ns.max(own.sent_ns);
+        peer.answered_ns = peer.answered_ns.max(told_ns);
         if !is_connected(peer, now) {
             tracing::info!("the link to machine `{machine}` is up");
             peer.since = Some(now);
@@ -152,15 +183,40 @@ impl Links {
         lock(&self.journal).note_heard(machine);
         self.compare(machine, peer, &heartbeat.routes);
         if peer.session.replace(heartbeat.session) != Some(heartbeat.session) {
+            (peer.proved_ns, peer.rival) = ([told_ns, own.received_ns], None);
             peer.knows_us = false;
             peer.clock.clear();
             peer.acks.clear();
         }
+        self.look_for_rivals(machine, peer, &heartbeat.samples, told_ns);
         peer.clock.add([own.sent_ns, own.received_ns, heartbeat.sent_ns, now_ns]);
         let News { acks, finished } = heartbeat.news;
         let acks = acks.into_iter().filter(|ack| ack.from == self.machine);
         peer.acks.extend(acks.map(|ack| (ack.topic.clone(), ack)));
         peer.finished = finished.into_iter().collect();
+    }
+
+    /// Says once that there are two runs of the other machine, or of this one. A run that was begun anew is none of two: of the
+    /// one before it nothing is heard that was said after this one had begun.
+    fn look_for_rivals(&self, machine: &str, peer: &mut Peer, samples: &[ClockSample], told_ns: u64) {
+        let is_twice_there = peer.rival.is_some_and(|rival| told_ns > rival.told_ns);
+        if is_twice_there && peer.told_of_rivals.insert(Rivals::There) {
+            tracing::error!(
+                "machine `{machine}` runs twice; what counts is the run that was heard first, as long as it is heard\n  \
+                 hint: end one of the two"
+            );
+        }
+        // What the one before has said may have been long under way.
+        let begun_ns = peer.proved_ns[1].saturating_add(PATIENCE.as_nanos() as u64);
+        let is_other = |sample: &ClockSample| sample.machine == self.machine && sample.session != self.session;
+        let is_twice_here = samples.iter().any(|sample| is_other(sample) && sample.received_ns > begun_ns);
+        if is_twice_here && peer.told_of_rivals.insert(Rivals::Here) {
+            tracing::error!(
+                "machine `{machine}` hears another run of machine `{}`, too; what counts there is the run that it heard \
+                 first\n  hint: end one of the two; somebody may also repeat what this machine once sent",
+                self.machine
+            );
+        }
     }
 
     /// Says once where the other machine's pipeline file is not this one's: what only one of the two expects never comes.
@@ -209,8 +265,11 @@ impl Links {
             FinishedEdge { from: self.machine.clone(), to: to.to_owned(), topic: topic.to_owned(), run: self.run };
         let (peers, mut journal) = (lock(&self.peers), lock(&self.journal));
         let Some(peer) = peers.get(to) else { return false };
-        if let Some(run) = peer.run.filter(|_| peer.finished.contains(&edge)) {
-            journal.note_finished(edge.clone(), run);
+        match peer.run {
+            Some(run) if peer.finished.contains(&edge) => journal.note_finished(edge.clone(), run),
+            // It says so as long as its run lasts: somebody else has said it.
+            Some(run) => journal.forget_finished(&edge, run),
+            None => {}
         }
         journal.finished().any(|(finished, by)| *finished == edge && peer.is_of_run(by))
     }
@@ -279,8 +338,11 @@ impl Links {
     /// # Errors
     /// It is of an earlier one.
     pub(crate) fn is_present(&self, machine: &str, session: u64) -> Result<bool, &'static str> {
-        match lock(&self.peers).get(machine).and_then(|peer| peer.session) {
-            Some(present) if session < present => Err(OF_EARLIER_START),
+        let peers = lock(&self.peers);
+        let Some(peer) = peers.get(machine) else { return Ok(false) };
+        let is_rival = || peer.rival.is_some_and(|rival| rival.session == session);
+        match peer.session {
+            Some(present) if session < present && !is_rival() => Err(OF_EARLIER_START),
             present => Ok(present == Some(session)),
         }
     }
@@ -330,18 +392,42 @@ impl Peer {
         self.run.is_none_or(|present| present == run)
     }
 
-    /// Notes a heartbeat; nothing if it is no later than another of its session, else whether that is a new one.
-    fn note(&mut self, sample: ClockSample) -> Option<bool> {
+    /// Notes a heartbeat; nothing if it is no later than another of its session, else whether that is a new one. Later is what
+    /// tells of a later one that was sent here, at `told_ns`, and else by the time of that machine: a forged time that is yet to
+    /// come shuts out none of the true ones.
+    fn note(&mut self, sample: ClockSample, told_ns: Option<u64>) -> Option<bool> {
         let known = self.samples.iter().position(|known| known.session == sample.session);
-        if known.is_some_and(|at| self.samples[at].sent_ns >= sample.sent_ns) {
+        let last_told_ns = self.told_ns.get(&sample.session).copied().unwrap_or_default();
+        let told_ns = told_ns.unwrap_or(last_told_ns);
+        if known.is_some_and(|at| (last_told_ns, self.samples[at].sent_ns) >= (told_ns, sample.sent_ns)) {
             return None;
         }
         // Of the session that has proved itself is told in any case.
         let other = || self.samples.iter().position(|known| Some(known.session) != self.session);
         let gives_way = known.or_else(|| other().filter(|_| self.samples.len() == SESSIONS));
-        gives_way.into_iter().for_each(|at| drop(self.samples.remove(at)));
+        if let Some(sample) = gives_way.and_then(|at| self.samples.remove(at)) {
+            self.told_ns.remove(&sample.session);
+        }
+        self.told_ns.insert(sample.session, told_ns);
         self.samples.push_back(sample);
         Some(known.is_none())
+    }
+
+    /// Whether a heartbeat counts that tells of one which was sent here at `told_ns`: it is of the present session, or of one
+    /// that proves by it to be that. Another run has to wait until nothing is heard of the present one.
+    fn believes(&mut self, heartbeat: &Heartbeat, told_ns: u64, now: Instant) -> bool {
+        let &Heartbeat { session, run, .. } = heartbeat;
+        if self.session == Some(session) {
+            return true;
+        }
+        if is_connected(self, now) && self.run != Some(run) {
+            // What was said to this bridge before that one had proved itself may be of a run that is no more.
+            if told_ns > self.proved_ns[0] && self.rival.is_none_or(|rival| rival.session != session) {
+                self.rival = Some(Rival { session, told_ns });
+            }
+            return false;
+        }
+        told_ns > self.answered_ns
     }
 }
 
@@ -544,6 +630,7 @@ mod tests {
         assert_eq!(second_base.is_finished("robot", "tracks"), (false, false));
         // Another run of the base wants what is sent from now on.
         let next_base = start("base", "robot", &base_folder, 10, 6);
+        fall_silent(&second_robot, "base");
         talk(&second_robot, &next_base);
         assert!(!second_robot.has_finished("base", "objects"));
         next_base.finish("robot", "objects");
@@ -558,8 +645,110 @@ mod tests {
         assert_eq!(next_base.is_finished("robot", "objects"), (true, true));
         // Another run of the robot sends anew.
         let other_run = start("robot", "base", &robot_folder, 9, 5);
+        fall_silent(&second_base, "robot");
         talk(&other_run, &second_base);
         assert!(!other_run.has_finished("base", "objects"));
+    }
+
+    /// Lets it be long ago that a peer was heard.
+    fn fall_silent(links: &Links, peer: &str) {
+        lock(&links.peers).get_mut(peer).unwrap().heard = Instant::now().checked_sub(SILENCE);
+    }
+
+    /// The runs of which a bridge was told that there are two.
+    fn rivals(links: &Links, peer: &str) -> [bool; 2] {
+        [Rivals::There, Rivals::Here].map(|which| lock(&links.peers)[peer].told_of_rivals.contains(&which))
+    }
+
+    #[test]
+    fn of_two_runs_of_a_machine_the_first_counts_while_it_is_heard_and_they_are_told_of() {
+        let secret = secret();
+        let robot = |run, session| links_of("robot", "base", Journal::open(None, run, session), &secret);
+        let (first, second, base) = (robot(7, 3), robot(8, 2), base(1, &secret));
+        talk(&first, &base);
+        for _ in 0..3 {
+            talk(&second, &base);
+            talk(&first, &base);
+            assert_eq!((believed(&base), base.is_present("robot", 2)), (Some(3), Ok(false)));
+        }
+        assert_eq!(rivals(&base, "robot"), [true, false]);
+        // Each of the two is told when the other one was heard for long after it.
+        assert_eq!((rivals(&first, "base"), rivals(&second, "base")), ([false; 2], [false; 2]));
+        for robot in [&first, &second] {
+            let mut peers = lock(&robot.peers);
+            let proved_ns = &mut peers.get_mut("base").unwrap().proved_ns[1];
+            *proved_ns = proved_ns.saturating_sub(2 * PATIENCE.as_nanos() as u64);
+        }
+        talk(&second, &base);
+        talk(&first, &base);
+        assert_eq!((rivals(&first, "base"), rivals(&second, "base")), ([false, true], [false, true]));
+        fall_silent(&base, "robot");
+        talk(&second, &base);
+        assert_eq!(believed(&base), Some(2), "the second takes its place");
+    }
+
+    #[test]
+    fn a_run_that_was_begun_anew_is_not_taken_for_a_second_one() {
+        let secret = secret();
+        let robot = |run, session| links_of("robot", "base", Journal::open(None, run, session), &secret);
+        let (first, second, base) = (robot(7, 1), robot(8, 2), base(1, &secret));
+        let mut said = talk(&first, &base);
+        said.push(beat(&first));
+        talk(&second, &base);
+        assert_eq!(believed(&base), Some(1), "the first was heard just now");
+        hear(&base, "robot", &said);
+        fall_silent(&base, "robot");
+        talk(&second, &base);
+        hear(&base, "robot", &said);
+        assert_eq!(
+            (believed(&base), rivals(&base, "robot"), rivals(&second, "base")),
+            (Some(2), [false; 2], [false; 2])
+        );
+    }
+
+    /// A heartbeat of a bridge after a change.
+    fn forged(links: &Links, change: impl FnOnce(&mut Heartbeat)) -> Vec<u8> {
+        let mut heartbeat = links.heartbeat(links.news());
+        change(&mut heartbeat);
+        let mut bytes = encode_note(&heartbeat).unwrap();
+        links.seal.close(&links.machine, &mut bytes);
+        bytes
+    }
+
+    #[test]
+    fn a_heartbeat_of_a_time_that_has_not_come_shuts_out_none_of_the_true_ones() {
+        let secret = secret();
+        let (robot, base) = (robot(1, &secret), base(2, &secret));
+        talk(&robot, &base);
+        hear(&base, "robot", &[forged(&robot, |heartbeat| heartbeat.sent_ns = u64::MAX)]);
+        let sent_ns = || lock(&base.peers)["robot"].samples[0].sent_ns;
+        assert_eq!(sent_ns(), u64::MAX);
+        talk(&robot, &base);
+        assert!(sent_ns() < u64::MAX && base.is_connected("robot"));
+    }
+
+    #[test]
+    fn a_heartbeat_that_tells_of_what_was_not_said_is_refused() {
+        let secret = secret();
+        let (robot, base) = (robot(1, &secret), base(2, &secret));
+        talk(&robot, &base);
+        let ahead = forged(&robot, |heartbeat| heartbeat.samples[0].sent_ns = u64::MAX);
+        hear(&base, "robot", &[ahead]);
+        assert_eq!(lock(&base.peers)["robot"].refused.len(), 1);
+        talk(&self::robot(3, &secret), &base);
+        assert_eq!(believed(&base), Some(3), "who is started anew proves itself all the same");
+    }
+
+    #[test]
+    fn an_edge_that_somebody_else_has_said_to_be_finished_goes_on() {
+        let secret = secret();
+        let (robot, base) = (robot(1, &secret), base(2, &secret));
+        talk(&robot, &base);
+        let finished = FinishedEdge { from: "robot".into(), to: "base".into(), topic: "objects".into(), run: 7 };
+        hear(&robot, "base", &[forged(&base, |heartbeat| heartbeat.news.finished.push(finished))]);
+        assert!(robot.has_finished("base", "objects"));
+        talk(&robot, &base);
+        assert!(!robot.has_finished("base", "objects"));
     }
 
     #[test]

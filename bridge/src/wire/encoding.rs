@@ -55,6 +55,11 @@ pub enum WireError {
          or all `insecure = true`"
     )]
     UnexpectedCode,
+    /// They say what the other machine cannot have said.
+    #[error(
+        "it cannot have said that {0}\n  hint: whoever can connect can send; with the same `key` on all machines only these can"
+    )]
+    Impossible(&'static str),
     /// They are too many.
     #[error("a message of {bytes} bytes, allowed are {MAX_MESSAGE}\n  hint: send smaller images, or lists")]
     TooLong {
