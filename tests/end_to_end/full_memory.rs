@@ -1,9 +1,10 @@
-//! Other programs that fill shared memory under a running pipeline, which needs root and `unshare`.
+//! Memory that runs out: other programs that fill shared memory under a running pipeline, which needs root and `unshare`, and a
+//! stage that takes more than it may have.
 
 use super::own_memory::OwnSharedMemory;
 use super::processes::stages_of;
 use super::room::{messages, pipeline};
-use super::support::{Playground, signal};
+use super::support::{Playground, TRACKING, signal, wait_until};
 use rustix::fs::{FallocateFlags, fallocate, statvfs};
 use rustix::process::Signal;
 use std::fs::File;
@@ -37,4 +38,30 @@ fn a_run_at_work_goes_on_where_others_fill_shared_memory() {
     let ended = run.end();
     stages.keys().for_each(|stage| assert_eq!(ended.stage(stage).starts, 1, "{}", ended.stderr));
     assert_eq!(memory.files(), ["of_another_program"]);
+}
+
+/// The limit is one that the kernel keeps for that process alone.
+#[test]
+fn a_stage_that_takes_more_memory_than_it_may_have_is_named_and_the_others_deliver_all() {
+    const FRAMES: u64 = 60;
+    let eater = r#"
+[stage.eater]
+program = ["sh", "-c", "ulimit -v 100000; x=xxxxxxxx; while :; do x=$x$x; done"]
+input   = "objects"
+restart = "never"
+"#;
+    let text = TRACKING.replace("rate_hz    = 0", &format!("rate_hz = 50\nframes = {FRAMES}")) + eater;
+    let playground = Playground::with_pipeline(&text);
+    let ended = playground.conicflow(&["run"]).expect_code(1);
+    let died: Vec<_> = ended.stderr.lines().filter(|line| line.contains("ERROR stage `")).collect();
+    assert!(died.len() == 1 && died[0].contains("stage `eater` "), "{}", ended.stderr);
+    // Shells die of it in ways of their own.
+    let says_of_what = ["was killed by signal ", "ended with exit code "].iter().any(|what| died[0].contains(what));
+    assert!(says_of_what && died[0].contains(", and is not started anew: its `restart` is "), "{}", ended.stderr);
+    ended.expect_told(&["not complete: a stage was lost, see above"]);
+    assert_eq!(playground.expect_each_frame(&ended), FRAMES);
+    for stage in ["source", "extractor", "assembler", "tracker", "json"] {
+        assert_eq!(ended.stage(stage).starts, 1, "{}", ended.stderr);
+    }
+    wait_until("no process is left", || playground.processes().is_empty());
 }
