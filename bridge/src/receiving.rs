@@ -321,17 +321,20 @@ struct Refusals {
     topic: String,
     from: String,
     left_out: LeftOut,
+    /// Told apart: of a flood of what makes no sense there is always something to tell.
+    forged: LeftOut,
 }
 
 impl Refusals {
     fn new(edge: &Edge, counts: Arc<EdgeCounts>) -> Self {
         let (topic, from) = (edge.topic.name.clone(), edge.from.clone());
-        Self { topic, from, left_out: LeftOut::new(counts) }
+        let left_out = LeftOut::new(Arc::clone(&counts));
+        Self { topic, from, left_out, forged: LeftOut::new(counts) }
     }
 
     fn warn_of_forgery(&self, did: &str, why: &str) {
         let Self { topic, from, .. } = self;
-        self.left_out.add(format_args!(
+        self.forged.add(format_args!(
             "{did} a message of topic `{topic}` that machine `{from}` has not sent: {why}\n  \
              hint: whoever can connect can send; with the same `key` on all machines only these can"
         ));

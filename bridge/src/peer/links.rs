@@ -162,6 +162,8 @@ impl Links {
         let own = |sample: &&ClockSample| sample.machine == self.machine && sample.session == self.session;
         let (said, ahead) = heartbeat.samples.iter().filter(own).partition::<Vec<_>, _>(|own| own.sent_ns <= now_ns);
         if !ahead.is_empty() {
+            // Either it is forged, or one of this machine's is that it has taken for true: each has to hear the true ones again.
+            peer.samples.retain(|known| known.session != heartbeat.session);
             refuse(machine, peer, &WireError::Impossible("it has heard what this machine has not said yet"));
         }
         let Some(is_new_session) = peer.note(sample, said.first().map(|own| own.sent_ns)) else { return };
@@ -718,13 +720,30 @@ mod tests {
     #[test]
     fn a_heartbeat_of_a_time_that_has_not_come_shuts_out_none_of_the_true_ones() {
         let secret = secret();
-        let (robot, base) = (robot(1, &secret), base(2, &secret));
-        talk(&robot, &base);
-        hear(&base, "robot", &[forged(&robot, |heartbeat| heartbeat.sent_ns = u64::MAX)]);
-        let sent_ns = || lock(&base.peers)["robot"].samples[0].sent_ns;
-        assert_eq!(sent_ns(), u64::MAX);
-        talk(&robot, &base);
-        assert!(sent_ns() < u64::MAX && base.is_connected("robot"));
+        let sent_ns = |links: &Links, peer: &str| lock(&links.peers)[peer].samples[0].sent_ns;
+        for both in [false, true] {
+            let (robot, base) = (robot(1, &secret), base(2, &secret));
+            talk(&robot, &base);
+            let yet_to_come = |links: &Links| forged(links, |heartbeat| heartbeat.sent_ns = u64::MAX);
+            hear(&base, "robot", &[yet_to_come(&robot)]);
+            assert_eq!(sent_ns(&base, "robot"), u64::MAX);
+            if both {
+                hear(&robot, "base", &[yet_to_come(&base)]);
+                // Those tell of the forged ones.
+                let told = [beat(&robot), beat(&base)];
+                hear(&base, "robot", &told[..1]);
+                hear(&robot, "base", &told[1..]);
+            }
+            let proved = [(&base, "robot"), (&robot, "base")].map(|(links, peer)| {
+                fall_silent(links, peer);
+                lock(&links.peers)[peer].answered_ns
+            });
+            talk(&robot, &base);
+            for ((links, peer), before) in [(&base, "robot"), (&robot, "base")].into_iter().zip(proved) {
+                assert!(sent_ns(links, peer) < u64::MAX, "{peer}, both: {both}");
+                assert!(lock(&links.peers)[peer].answered_ns > before, "{peer} is believed, both: {both}");
+            }
+        }
     }
 
     #[test]
