@@ -19,8 +19,8 @@ const NEW_ONE: &str =
 const CLOCK: &str = "is the clock of this machine right? if it is, have the certificate made anew, as \
                      examples/tls/certificates.sh does";
 
-/// What is wrong with the certificates of the table `transport.link.tls`: one that is not of its key, and what others would refuse,
-/// who know each other by the authority that is named. Files that are not here tell nothing.
+/// What is wrong with the certificates of the table `transport.link.tls`: one that is not of its key, and what others would
+/// refuse, who know each other by the authority that is named. Files that are not here tell nothing.
 pub(crate) fn warnings(tls: &Json, now: UnixTime) -> Vec<Hinted> {
     let mut warnings: Vec<Hinted> = Vec::new();
     for way in ["listen", "connect"] {
