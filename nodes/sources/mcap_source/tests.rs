@@ -625,8 +625,9 @@ fn what_conicflow_records_comes_back_to_the_bit() {
 
 #[test]
 fn a_file_that_goes_or_becomes_shorter_while_it_is_played_is_an_error_that_lasts() {
+    type Change = fn(&Path);
     let by_time = Limits { split_ns: Some(100_000_000), ..Limits::default() };
-    let changes: [(fn(&Path), &str); 2] = [
+    let changes: [(Change, &str); 2] = [
         (|path| fs::remove_file(path).unwrap(), "run_1.mcap` is not there any more"),
         (|path| fs::File::options().write(true).open(path).unwrap().set_len(1000).unwrap(), "has become shorter"),
     ];
