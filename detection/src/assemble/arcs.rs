@@ -9,6 +9,7 @@ use conicflow_messages::{END_POINTS, Ellipse, Header};
 use std::f64::consts::FRAC_PI_8;
 use std::iter;
 use std::ops::Range;
+use std::sync::OnceLock;
 
 /// Least variance of an arc, in square metres: surfaces are rough by a tenth of a millimetre. It is for images without noise.
 const LEAST_VARIANCE: f64 = 1e-8; // [algorithmic]
@@ -21,7 +22,7 @@ const APART: f64 = 4.0; // [sigmas]
 const LONGER: f64 = FRAC_PI_8; // [derived]
 
 /// An arc with what the assembler needs of it.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Arc {
     pub scan: Scan,
     /// Number of the line among those that were looked at.
@@ -34,8 +35,8 @@ pub(crate) struct Arc {
     ends: [[f64; END_POINTS]; 2],
     /// Variance of a depth for which the moments were corrected, in square metres.
     corrected: f64,
-    /// The same in space, about the camera centre.
-    pub space: SpaceMoments,
+    /// The same in space, once somebody asked for them.
+    space: OnceLock<SpaceMoments>,
     /// Number of points.
     pub count: u32,
     /// Effective number of points, whose noise is independent: the moments are scaled to this number.
@@ -100,7 +101,7 @@ impl Arc {
             moments,
             ends: ellipse.ends,
             corrected,
-            space: SpaceMoments::of_arc(&plane, &moments),
+            space: OnceLock::new(),
             count: ellipse.points,
             points: moments.count(),
             variance,
@@ -116,6 +117,11 @@ impl Arc {
             shared_lines: (ellipse.shared_lines / f64::from(step)).max(1.0),
             bulge: bulge(&moments, variance),
         })
+    }
+
+    /// The moments in space, about the camera centre. Most arcs are never asked for them.
+    pub fn space(&self) -> &SpaceMoments {
+        self.space.get_or_init(|| SpaceMoments::of_arc(&self.plane, &self.moments))
     }
 
     /// How far the points are off the quadric `q`.

@@ -327,7 +327,7 @@ mod tests {
     #[test]
     fn an_arc_may_be_off_as_a_whole_by_what_its_points_may_be_off() {
         let (arcs, _) = two_cans();
-        let mut arc = arcs.arcs[0];
+        let mut arc = arcs.arcs[0].clone();
         arc.points = 1e8;
         let sigma = arc.variance.sqrt();
         for (gate, most) in [(GROWING, 0.3_f64.sqrt()), (SETTLED, 0.15_f64.sqrt()), (BEYOND, 0.0)] {

@@ -143,7 +143,7 @@ impl Predictor {
 /// The arcs pooled, each with the weight of one over its variance, times what `excess` asks for.
 pub(super) fn pool<'a>(arcs: impl Iterator<Item = &'a Arc>, excess: impl Fn(&Arc) -> f64) -> SpaceMoments {
     let mut pool = SpaceMoments::default();
-    arcs.for_each(|arc| pool.add(&arc.space, 1.0 / (arc.variance * excess(arc).powi(2))));
+    arcs.for_each(|arc| pool.add(arc.space(), 1.0 / (arc.variance * excess(arc).powi(2))));
     pool
 }
 
@@ -153,7 +153,7 @@ pub(super) fn pool_within(region: &Region) -> SpaceMoments {
     let mut pool = SpaceMoments::default();
     for arc in region.arcs() {
         let weight = 1.0 / (arc.variance * model.excess(arc).unwrap_or(LEAST_EXCESS).powi(2));
-        pool.add(&arc.space, weight);
+        pool.add(arc.space(), weight);
         arc.outside(&q).for_each(|point| pool.add(&point, -weight));
     }
     pool

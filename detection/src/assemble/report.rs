@@ -325,7 +325,7 @@ mod tests {
         ellipse.moments[0] = 20.0;
         let mut arcs = Arcs::default();
         arcs.read(&Header { camera, ..Header::default() }, &[ellipse]);
-        arcs.arcs[0]
+        arcs.arcs[0].clone()
     }
 
     #[test]

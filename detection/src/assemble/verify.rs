@@ -260,7 +260,7 @@ fn span(arc: &Arc, region: &Region, ends: [Option<Vector3>; 2]) -> f64 {
 /// really scatter about the model.
 fn curvature(region: &Region, variance: f64, misfit: f64) -> f64 {
     let mut pool = SpaceMoments::default();
-    region.arcs().for_each(|arc| pool.add(&arc.space, 1.0));
+    region.arcs().for_each(|arc| pool.add(arc.space(), 1.0));
     let independent = region.points() / region.shared_lines();
     independent * (pool.least_variance() / variance - misfit) / (1.0 + misfit.max(0.0))
 }
