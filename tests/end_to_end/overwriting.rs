@@ -72,12 +72,16 @@ fn expect_refused(playground: &Playground, pipeline: &str, told: &str) {
 fn no_stage_writes_over_frames_or_what_belongs_to_them() {
     let playground = frames();
     fs::copy(playground.path("frames/0.png"), playground.path("frames/frame_000004.png")).unwrap();
+    // What comes there would make another recording of them; the link leads to what is not there yet.
+    symlink("frames/depth.txt", playground.path("dangling")).unwrap();
     for (sink, parameters, told) in [
         (PICTURES, "path = \"frames\"", "from which `path` of stage `source` reads"),
         (JSON, "path = \"frames/1.png\"", "frames/1.png`, which `path` of stage `source` reads"),
         (JSON, "path = \"link/1.png\"", "link/1.png`, which `path` of stage `source` reads"),
         (JSON, "path = \"new/../frames/1.png\"", "frames/1.png`, which `path` of stage `source` reads"),
         (JSON, "path = \"frames/camera.json\"", "frames/camera.json`, which `path` of stage `source` reads"),
+        (JSON, "path = \"frames/depth.txt\"", "frames/depth.txt`, which `path` of stage `source` reads"),
+        (JSON, "path = \"dangling\"", "dangling`, which `path` of stage `source` reads"),
         (JSON, "path = \"pipeline.toml\"", "pipeline.toml`, which this pipeline reads"),
         (PICTURES, "moving = \"frames/1.png\"", "`moving` of stage `sink` writes the file"),
         (PICTURES, "path = \"frames\"\nnames = \"source\"", "from which `path` of stage `source` reads"),
@@ -85,6 +89,15 @@ fn no_stage_writes_over_frames_or_what_belongs_to_them() {
     ] {
         expect_refused(&playground, &format!("{RECORDING}{sink}{parameters}\n"), told);
     }
+}
+
+#[test]
+fn no_stage_writes_over_the_poses_of_frames() {
+    let playground = frames();
+    playground.write("poses.log", "");
+    let posed = RECORDING.replace("rate_hz = 0", "rate_hz = 0\nposes = \"poses.log\"");
+    let told = "poses.log`, which `poses` of stage `source` reads";
+    expect_refused(&playground, &format!("{posed}{JSON}path = \"poses.log\"\n"), told);
 }
 
 #[test]
