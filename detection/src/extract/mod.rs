@@ -8,7 +8,8 @@
 //! columns of the image as rays ([`view`]), columns as rows of the image turned ([`turned`]), in much noise averaged over
 //! neighbouring lines ([`averaging`]); one line, split into runs at jumps and holes ([`line`]); the rays of a run, and its
 //! running sums ([`rays`], [`run`]); the segments of a run that one curve explains ([`segments`]); the arc of a segment, with
-//! its contour ([`arc`]); and which lines between the coarse ones are worth a look ([`coarse`]). The walk itself is `Extractor::extract` in `method.rs`.
+//! its contour ([`arc`]); and which lines between the coarse ones are worth a look ([`coarse`]). The walk itself is
+//! `Extractor::extract` in `method.rs`.
 
 mod arc;
 mod averaging;
