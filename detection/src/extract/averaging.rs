@@ -9,8 +9,7 @@
 //! the lines, the mean lies behind it. Of two pixels on either side both count or neither, so that a slope does not move the
 //! mean, and what is beyond a jump does not count, so that silhouettes stay where they are.
 
-use super::rays::SURROUNDINGS;
-use super::view::LeastStep;
+use super::view::{LeastStep, SURROUNDINGS};
 use conicflow_messages::is_measured;
 
 /// Most lines that are averaged: the contour of a small thing changes from line to line.

@@ -2,12 +2,9 @@
 //! most of the walls and floors, of which nothing else has to be known.
 
 use super::line::{Points, RayLine};
-use super::view::View;
+use super::view::{SURROUNDINGS, View};
 use conicflow_geometry::{ArcMoments, ArcSums, LineSums, RaySums, ScanPlane};
 use std::ops::Range;
-
-/// Number of neighbouring points that share one variance, that at their mean depth.
-pub(super) const SURROUNDINGS: usize = 16; // [algorithmic]
 
 /// Buffers of a run, used again for the next.
 #[derive(Debug, Default)]

@@ -1,6 +1,7 @@
 //! A run with its running sums, from which any interval's line and circle come by one subtraction.
 
-use super::rays::{Rays, SURROUNDINGS};
+use super::rays::Rays;
+use super::view::SURROUNDINGS;
 use conicflow_geometry::{ArcMoments, ArcSums};
 use std::ops::Deref;
 

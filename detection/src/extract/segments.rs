@@ -3,8 +3,8 @@
 //! Running sums give the moments of any interval by one subtraction, so an interval grows by galloping and bisection,
 //! with a handful of fits in place of one per point.
 
-use super::rays::SURROUNDINGS;
 use super::run::{FEWEST, FIRST_FIT, Run};
+use super::view::SURROUNDINGS;
 use std::ops::Range;
 
 /// Number of points on each side of a crease that are compared with the three in it.

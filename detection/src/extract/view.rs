@@ -27,6 +27,8 @@ const BELOW: f64 = 0.999; // [algorithmic]
 const ROOT_HALF: u16 = 46_340; // [derived]
 /// Number of neighbours that are tested for jumps together.
 pub(super) const BATCH: usize = 64; // [algorithmic]
+/// Number of neighbouring points that share one variance, that at their mean depth.
+pub(super) const SURROUNDINGS: usize = 16; // [algorithmic]
 
 /// The rows or the columns of an image; the tables are used again for the next.
 #[derive(Debug)]
