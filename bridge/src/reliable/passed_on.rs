@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 /// Stream and number of messages that were passed on, the oldest first.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct PassedOn {
     messages: VecDeque<(u64, u64)>,
 }

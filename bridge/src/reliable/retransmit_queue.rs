@@ -9,6 +9,8 @@ use conicflow_dataflow::Receiver;
 use conicflow_dataflow::ports::Delivery;
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
+#[cfg(test)]
+use std::{fmt::Debug, hash::Hash};
 
 /// What was not acknowledged after this time is sent again, and then each time after twice as long, up to a limit: a slow
 /// receiver lacks it no less than a bad link.
@@ -18,6 +20,7 @@ const LONGEST_RESEND_AFTER: Duration = Duration::from_secs(4);
 pub(crate) const END_PATIENCE: Duration = Duration::from_secs(5);
 
 /// What has left a machine by one edge and may have to leave it again.
+#[cfg_attr(test, derive(Clone))]
 pub(crate) struct RetransmitQueue {
     stream: u64,
     next: u64,
@@ -34,6 +37,7 @@ pub(crate) struct RetransmitQueue {
 }
 
 /// The end of a writer's stream.
+#[cfg_attr(test, derive(Clone))]
 struct End {
     writer: String,
     number: u64,
@@ -41,6 +45,7 @@ struct End {
 }
 
 /// What is known of a receiving machine.
+#[cfg_attr(test, derive(Clone))]
 struct Remote {
     machine: String,
     lossless: bool,
@@ -98,6 +103,22 @@ impl RetransmitQueue {
             lost: 0,
             overstated: false,
         }
+    }
+
+    /// What tells the states of two queues apart, but for times, in a model.
+    #[cfg(test)]
+    pub(super) fn essence(&self) -> impl Hash + PartialEq + Debug + use<> {
+        let known = |remote: &Remote| {
+            (remote.expected, remote.finished, remote.ended.clone(), remote.heard.is_some(), remote.is_done)
+        };
+        let ends: Vec<_> = self.ends.iter().map(|end| end.number).collect();
+        (self.stream, self.next, ends, self.receivers.iter().map(known).collect::<Vec<_>>(), self.lost)
+    }
+
+    /// The messages that lie in its log.
+    #[cfg(test)]
+    pub(super) fn kept(&self) -> Vec<Vec<u8>> {
+        self.log.since(0).cloned().collect()
     }
 
     /// The machines that receive this.

@@ -34,6 +34,13 @@ impl SendLog {
         Self { messages, files: Some(files) }
     }
 
+    /// A log with these messages, in memory alone.
+    #[cfg(test)]
+    pub(super) fn of(messages: &[Vec<u8>]) -> Self {
+        let place = |bytes: &Vec<u8>| Some((place_of(bytes).ok()?.number, bytes.clone()));
+        Self { messages: messages.iter().filter_map(place).collect(), files: None }
+    }
+
     /// The place of the last message.
     pub(crate) fn last(&self) -> Option<Place> {
         self.messages.back().and_then(|(_, bytes)| place_of(bytes).ok())
@@ -83,6 +90,13 @@ impl SendLog {
             tracing::warn!("what is not acknowledged is kept in memory alone: {error}");
             self.remove_files();
         }
+    }
+}
+
+#[cfg(test)]
+impl Clone for SendLog {
+    fn clone(&self) -> Self {
+        Self { messages: self.messages.clone(), files: None }
     }
 }
 

@@ -56,7 +56,7 @@ impl Claim {
 }
 
 /// What was received of an edge.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Sequence {
     lossless: bool,
     /// Whether its sender made whatever comes: then nothing that comes is ahead of that sender, and what is far behind is
@@ -96,6 +96,13 @@ impl Sequence {
             came: None,
             new_came: None,
         }
+    }
+
+    /// What tells two states apart, but for times, in a model.
+    #[cfg(test)]
+    pub(super) fn essence(&self) -> impl std::hash::Hash + PartialEq + std::fmt::Debug + use<> {
+        let doubts: Vec<_> = self.doubts.iter().map(|(claim, _)| (claim.place.stream, claim.place.number)).collect();
+        (self.expected(), self.session, self.left, self.lost, self.came.is_some(), doubts)
     }
 
     /// The stream that is received, and the number that is expected next.

@@ -15,6 +15,7 @@ const SURELY_LOST: Duration = Duration::from_secs(1);
 const MAX_ROUND_TRIP: Duration = Duration::from_millis(400);
 
 /// The messages of one edge that are under way.
+#[cfg_attr(test, derive(Clone))]
 pub(crate) struct Window {
     under_way: VecDeque<(u64, Instant)>,
     size: usize,
