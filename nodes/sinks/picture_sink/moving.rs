@@ -97,8 +97,9 @@ impl Moving {
     }
 
     fn encode(&self, (width, height): (u32, u32)) -> Result<Vec<u8>> {
-        let palette = self.palette();
-        let number = number_of(&palette);
+        let colours = self.colours();
+        let palette = &colours[..colours.len().min(COLOURS)];
+        let number = number_of(&colours, palette);
         let mut file = Vec::new();
         let mut encoder = Encoder::new(&mut file, width, height);
         encoder.set_color(ColorType::Indexed);
@@ -122,15 +123,15 @@ impl Moving {
         Ok(file)
     }
 
-    /// The most frequent colours of all pictures; the numbers of all colours follow from them.
-    fn palette(&self) -> Vec<u16> {
+    /// The colours of all pictures, the most frequent first; their numbers follow from this order.
+    fn colours(&self) -> Vec<u16> {
         let mut counts = BTreeMap::<u16, u64>::new();
         for code in self.pictures.iter().flat_map(|(picture, _)| picture).filter(|code| **code != SAME) {
             *counts.entry(*code).or_default() += 1;
         }
         let mut codes: Vec<_> = counts.into_iter().collect();
         codes.sort_by_key(|(code, count)| (Reverse(*count), *code));
-        codes.into_iter().map(|(code, _)| code).take(COLOURS).collect()
+        codes.into_iter().map(|(code, _)| code).collect()
     }
 
     /// How long each picture is shown: until the next was taken, the last as long as the one before it.
@@ -152,8 +153,8 @@ fn decoded(code: u16) -> [u8; 3] {
     [10, 5, 0].map(|shift| ((code >> shift & 31) << 3) as u8 | 4)
 }
 
-/// The number of each colour's nearest in the palette; 0 is that of none.
-fn number_of(palette: &[u16]) -> BTreeMap<u16, u8> {
+/// Of each of these colours, the number of its nearest in the palette; 0 is that of none.
+fn number_of(colours: &[u16], palette: &[u16]) -> BTreeMap<u16, u8> {
     let distance = |a: u16, b: u16| -> u32 {
         let apart = |(one, other): (u8, u8)| u32::from(one.abs_diff(other)).pow(2);
         decoded(a).into_iter().zip(decoded(b)).map(apart).sum()
@@ -161,7 +162,7 @@ fn number_of(palette: &[u16]) -> BTreeMap<u16, u8> {
     let nearest = |code: u16| {
         (1..=u8::MAX).zip(palette).min_by_key(|(_, known)| distance(code, **known)).map(|(number, _)| number)
     };
-    (0..1 << 15).filter_map(|code| Some((code, nearest(code)?))).collect()
+    colours.iter().filter_map(|code| Some((*code, nearest(*code)?))).collect()
 }
 
 #[cfg(test)]
@@ -240,17 +241,21 @@ mod tests {
         let mut moving = Moving::new(PathBuf::new(), 10);
         let all: Vec<u16> = (0..400).chain(100..355).collect();
         moving.pictures.push((all, 0));
-        let palette = moving.palette();
-        assert_eq!(palette, (100..355).collect::<Vec<_>>());
-        let number = number_of(&palette);
-        assert_eq!((number[&100], number[&354]), (1, 255));
+        let colours = moving.colours();
+        assert!(colours.iter().copied().eq((100..355).chain(0..100).chain(355..400)));
+        let file = moving.encode((655, 1)).unwrap();
+        let reader = png::Decoder::new(std::io::Cursor::new(file)).read_info().unwrap();
+        let palette = reader.info().palette.as_ref().unwrap();
+        assert_eq!(palette.len(), 3 * 256, "none, and 255 colours");
+        assert_eq!((&palette[3..6], &palette[3 * 255..]), (&decoded(100)[..], &decoded(354)[..]));
     }
 
     #[test]
     fn a_colour_that_the_palette_lacks_is_its_nearest() {
         let (dark, light) = (coded(&[10; 3]), coded(&[200; 3]));
-        let number = number_of(&[light, dark]);
-        assert_eq!([number[&dark], number[&light], number[&coded(&[60, 40, 40])]], [2, 1, 2]);
+        let brown = coded(&[60, 40, 40]);
+        let number = number_of(&[dark, light, brown], &[light, dark]);
+        assert_eq!([number[&dark], number[&light], number[&brown]], [2, 1, 2]);
         assert_eq!(decoded(coded(&[255, 135, 60])), [252, 132, 60]);
     }
 }

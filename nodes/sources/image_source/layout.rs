@@ -323,19 +323,20 @@ impl Listing {
 
 /// The files that are not hidden and whose names end so, in natural order of their names.
 pub(super) fn sorted_files(folder: &Path, ending: &str) -> std::io::Result<Vec<PathBuf>> {
-    let mut paths = Vec::new();
+    let mut names = Vec::new();
     for entry in fs::read_dir(folder)? {
         let entry = entry?;
-        let (path, kind) = (entry.path(), entry.file_type()?);
-        let name = file_name(&path);
+        let (name, kind) = (entry.file_name(), entry.file_type()?);
+        let text = name.to_string_lossy();
         // A link is what it leads to.
-        let is_wanted = || kind.is_file() || (kind.is_symlink() && path.is_file());
-        if !name.starts_with('.') && name.ends_with(ending) && is_wanted() {
-            paths.push(path);
+        let is_wanted = || kind.is_file() || (kind.is_symlink() && entry.path().is_file());
+        if !text.starts_with('.') && text.ends_with(ending) && is_wanted() {
+            names.push(name);
         }
     }
-    alphanumeric_sort::sort_path_slice(&mut paths);
-    Ok(paths)
+    // Names alone: what paths have in common takes longer to compare than they do.
+    alphanumeric_sort::sort_os_str_slice(&mut names);
+    Ok(names.into_iter().map(|name| folder.join(name)).collect())
 }
 
 /// The name of a file, as text.
