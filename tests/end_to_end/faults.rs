@@ -305,5 +305,5 @@ fn a_program_that_another_one_starts_is_refused_with_what_to_do() {
     let ended = start(&playground).wait().expect_code(1);
     let told = "error: stage `faulty` was not started by its launcher itself, which would not hear of its end\n  \
                 hint: name the program";
-    ended.expect_told(&[told]);
+    ended.expect_told(&[told, "ERROR stage `faulty` could not be made ready, for what it told"]);
 }

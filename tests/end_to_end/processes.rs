@@ -10,7 +10,7 @@ use std::fs;
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Stdio};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// A playground, and a run of these stages there at so many frames per second, which delivers until it is told to end.
 pub fn at_work(text: &str, rate_hz: u32) -> (Playground, Started) {
@@ -31,14 +31,15 @@ pub fn wait_for_lines(run: &mut Started, playground: &Playground) {
     run.wait_until("it delivers", || playground.lines("tracks.jsonl").len() > before + 3);
 }
 
-/// Waits until the source has made nothing for many looks: all writers wait.
+/// Waits until the source, which makes many messages in a second, has made none for a second: all writers wait.
 pub fn wait_for_standstill(run: &mut Started, playground: &Playground) {
-    let (mut made, mut looks) = (0, 0);
+    let (mut made, mut since) = (0, Instant::now());
     run.wait_until("all writers wait", || {
         let now = playground.top_stage("source")["messages"].as_u64().unwrap();
-        looks = if now == made { looks + 1 } else { 0 };
-        made = now;
-        looks > 20
+        if now != made {
+            (made, since) = (now, Instant::now());
+        }
+        since.elapsed() > Duration::from_secs(1)
     });
 }
 

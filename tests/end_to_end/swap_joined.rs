@@ -96,7 +96,11 @@ fn readers_and_writers_of_a_topic_with_several_writers_are_replaced_without_loss
     let playground = Playground::with_pipeline(TWO_CAMERAS);
     let mut run = playground.start(&["run"]);
     let wait = |run: &mut Started| {
-        let count = || CAMERAS.map(|(_, scene)| frames_of(&playground, scene).len());
+        // To read all numbers at each look would take from the stages what they are to work with.
+        let count = || {
+            let lines = playground.lines("ellipses.jsonl");
+            CAMERAS.map(|(_, scene)| lines.iter().filter(|line| line.contains(&format!("\"{scene}\""))).count())
+        };
         let before = count();
         run.wait_until("both cameras deliver", || {
             let now = count();
