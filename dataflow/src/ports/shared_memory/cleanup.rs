@@ -140,7 +140,7 @@ fn is_counter(prefix: &str) -> impl Fn(&str) -> bool {
 /// before, is gone.
 fn settle(path: &Path) -> io::Result<bool> {
     // While the file is held, and with it the lease, nobody can go on with it.
-    let file = open(path)?;
+    let Some(file) = open_unless_held(path)? else { return Ok(false) };
     let unused = is_unused(&file);
     let is_whole = file.metadata()?.mode() & Mode::RUSR.bits() != 0;
     if unused && !is_whole {
@@ -158,7 +158,7 @@ fn is_own(path: &Path) -> io::Result<bool> {
 /// Removes a file in shared memory, unless a process has it open; whether it was removed.
 pub(super) fn remove_unused(path: &Path) -> io::Result<bool> {
     // The file is held, and with it the lease, until its name is gone.
-    let file = open(path)?;
+    let Some(file) = open_unless_held(path)? else { return Ok(false) };
     let unused = is_unused(&file);
     if unused { fs::remove_file(path).map(|()| true) } else { Ok(false) }
 }
@@ -167,6 +167,14 @@ pub(super) fn remove_unused(path: &Path) -> io::Result<bool> {
 /// its owner, read what is not whole.
 pub(super) fn open(path: &Path) -> io::Result<File> {
     OpenOptions::new().write(true).custom_flags(libc::O_NOFOLLOW | libc::O_NONBLOCK).open(path)
+}
+
+/// The same; none where another one just looks whether somebody uses it, as all do that join at a time.
+fn open_unless_held(path: &Path) -> io::Result<Option<File>> {
+    match open(path) {
+        Err(error) if error.kind() == ErrorKind::WouldBlock => Ok(None),
+        opened => opened.map(Some),
+    }
 }
 
 /// Whether nobody else has the file open or mapped, in whatever container; it stays so until the file is closed here,
@@ -296,6 +304,24 @@ mod tests {
         making.join().unwrap();
         occupied.wait_for_counter(Duration::ZERO).unwrap();
         assert!(path.exists(), "nobody has it open, and it is whole");
+    }
+
+    #[test]
+    fn a_file_that_another_one_looks_at_is_looked_at_after_that() {
+        let folder = tempfile::tempdir().unwrap();
+        let occupied = Occupied::new(folder.path(), Stop::default()).unwrap();
+        let (path, maker) = begun_counter(folder.path());
+        drop(maker);
+        let held = open(&path).unwrap();
+        assert!(is_unused(&held));
+        assert!(!settle(&path).unwrap() && !remove_unused(&path).unwrap() && path.exists());
+        let looking = std::thread::spawn(move || {
+            sleep(Duration::from_millis(50));
+            drop(held);
+        });
+        occupied.wait_for_counter(Duration::from_secs(20)).unwrap();
+        looking.join().unwrap();
+        assert!(!path.exists(), "its maker is gone");
     }
 
     #[test]
