@@ -197,8 +197,7 @@ impl View<'_> {
         if discriminant(seen) < 0.0 || discriminant(unseen) >= 0.0 {
             return None;
         }
-        const HALVINGS: u32 = 40;
-        let ray = start + pixel * end_of(|share| discriminant(share) >= 0.0, [seen, unseen], HALVINGS);
+        let ray = start + pixel * end_of(|share| discriminant(share) >= 0.0, [seen, unseen]);
         let along = Along::new(q, &ray);
         let per_pixel = along.change(&Along::change_of_ray(q, &ray, &pixel));
         let per_other = along.change(&Along::change_of_ray(q, &ray, &other));

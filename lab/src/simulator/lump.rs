@@ -12,8 +12,6 @@ use serde::Deserialize;
 pub const CREASES: usize = 4; // [algorithmic]
 /// A step along a ray is at least so long, in half-sizes: 0.1 mm of what is as large as a head.
 const LEAST_STEP: f64 = 1e-3; // [algorithmic]
-/// Halvings of the last step.
-const HALVINGS: u32 = 40; // [algorithmic]
 
 /// A superellipsoid (Barr, "Superquadrics and angle-preserving transformations", 1981) with waves on its surface.
 ///
@@ -114,7 +112,7 @@ impl Surface for Lump {
             let next = t + (before.abs() / steepest).max(LEAST_STEP) / speed;
             let there = value(next);
             if (there > 0.0) != starts_outside {
-                return end_of(|t| (value(t) > 0.0) == starts_outside, [t, next], HALVINGS);
+                return end_of(|t| (value(t) > 0.0) == starts_outside, [t, next]);
             }
             (t, before) = (next, there);
         }

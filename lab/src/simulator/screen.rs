@@ -7,8 +7,6 @@ use nalgebra::Vector3;
 
 /// Half of the width and height of a screen, in metres.
 const HALF_M: [f64; 2] = [0.4, 2.0];
-/// Halvings of the stretch in which an edge of a body lies.
-const HALVINGS: u32 = 50;
 
 /// A board `distance_m` before the camera that hides the share `hides` of a body's width from the left, along the line of
 /// the image on which its middle lies; in the world frame. `None` where the camera does not see the body there.
@@ -22,7 +20,7 @@ pub fn screen(body: &Shape, world_from_camera: &Pose, distance_m: f64, hides: f6
         return None;
     }
     let reach = (most - least).norm() / least.z.max(distance_m);
-    let [left, right] = [-reach, reach].map(|reach| end_of(is_hit, [column, column + reach], HALVINGS));
+    let [left, right] = [-reach, reach].map(|reach| end_of(is_hit, [column, column + reach]));
     let end = (left + hides * (right - left)) * distance_m;
     let plane = Plane {
         point: Vector3::new(end - HALF_M[0], row * distance_m, distance_m),
