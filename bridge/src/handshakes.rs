@@ -1,7 +1,7 @@
 //! Why a link by TLS does not come about. Zenoh says so in its log alone, and tries again for ever: what a handshake failed of is
 //! heard there, and told once, in words that say which side has refused whom and why.
 
-use std::collections::BTreeSet;
+use crate::told_once::ToldOnce;
 use std::fmt::{Debug, Write as _};
 use std::sync::{Mutex, PoisonError};
 use tracing::field::{Field, Visit};
@@ -11,10 +11,8 @@ use tracing_subscriber::filter::Targets;
 use tracing_subscriber::layer::Context;
 use tracing_subscriber::registry::LookupSpan;
 
-/// What was heard; and of that what was told.
-static HEARD: Mutex<[BTreeSet<String>; 2]> = Mutex::new([BTreeSet::new(), BTreeSet::new()]);
-/// So many reasons are told: who connects again and again with ever new faults fills no log.
-const REASONS: usize = 16;
+/// What is to be told now; and all that ever was.
+static HEARD: Mutex<(Vec<String>, ToldOnce)> = Mutex::new((Vec::new(), ToldOnce::new()));
 
 /// What hears Zenoh's log, beside what the user sees of it.
 pub fn ear<S: Subscriber + for<'a> LookupSpan<'a>>() -> impl Layer<S> {
@@ -31,9 +29,9 @@ impl<S: Subscriber> Layer<S> for Ear {
         let mut message = Message(String::new());
         event.record(&mut message);
         let Some(reason) = refusal(&message.0) else { return };
-        let [heard, told] = &mut *HEARD.lock().unwrap_or_else(PoisonError::into_inner);
-        if !told.contains(&reason) && heard.len() + told.len() < REASONS {
-            heard.insert(reason);
+        let (heard, told) = &mut *HEARD.lock().unwrap_or_else(PoisonError::into_inner);
+        if told.admits(&reason) {
+            heard.push(reason);
         }
     }
 }
@@ -51,11 +49,8 @@ impl Visit for Message {
 
 /// Tells what was heard since this was done last.
 pub(crate) fn tell() {
-    let [heard, told] = &mut *HEARD.lock().unwrap_or_else(PoisonError::into_inner);
-    for reason in std::mem::take(heard) {
-        tracing::error!("{reason}");
-        told.insert(reason);
-    }
+    let (heard, _) = &mut *HEARD.lock().unwrap_or_else(PoisonError::into_inner);
+    heard.drain(..).for_each(|reason| tracing::error!("{reason}"));
 }
 
 /// What a line of Zenoh's log says of a handshake that failed, if it does.

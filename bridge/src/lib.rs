@@ -29,6 +29,7 @@ mod ros2;
 mod sending;
 mod session;
 mod settings;
+mod told_once;
 mod wire;
 
 pub use handshakes::ear;

@@ -11,6 +11,7 @@
 use super::clock::{Clock, Exchange};
 use super::heartbeat::{Ack, ClockSample, Heartbeat, News, Route};
 use super::journal::{FinishedEdge, Journal};
+use crate::told_once::ToldOnce;
 use crate::wire::seal::Seal;
 use crate::wire::{WireError, decode_note, encode_note, layouts};
 use conicflow_dataflow::ports::Delivery;
@@ -28,9 +29,6 @@ const PATIENCE: Duration = Duration::from_secs(5);
 /// So many sessions of a peer are told of: the present one, one that is about to prove itself, and as many again of which
 /// somebody repeats what they said. Those give way to one another, so that a new session proves itself all the same.
 const SESSIONS: usize = 4;
-/// So many reasons are told for which a peer is refused, one of each kind of [`WireError`]; who comes with ever new texts fills
-/// no log.
-const REASONS: usize = 10;
 
 /// What is said of a message of a session that has been.
 pub(crate) const OF_EARLIER_START: &str = "it is of an earlier start of the bridge there\n  \
@@ -78,7 +76,7 @@ pub(crate) struct Peer {
     acks: BTreeMap<String, Ack>,
     /// What it knows to be finished.
     finished: BTreeSet<FinishedEdge>,
-    refused: BTreeSet<String>,
+    refused: ToldOnce,
     unlike: Vec<Route>,
     missed: bool,
 }
@@ -444,7 +442,7 @@ fn is_connected(peer: &Peer, now: Instant) -> bool {
 
 /// Says once that a peer has never been heard of, or does not hear this one, and was not refused either.
 fn miss(machine: &str, peer: &mut Peer) {
-    if peer.heard.is_some() || !peer.refused.is_empty() || peer.missed {
+    if peer.heard.is_some() || !peer.refused.texts().is_empty() || peer.missed {
         return;
     }
     peer.missed = true;
@@ -463,12 +461,11 @@ fn miss(machine: &str, peer: &mut Peer) {
     }
 }
 
-/// Says once why a peer is not listened to; who comes with ever new reasons fills no log.
+/// Says once why a peer is not listened to.
 fn refuse(machine: &str, peer: &mut Peer, error: &WireError) {
     let reason = error.to_string();
-    if peer.refused.len() < REASONS && !peer.refused.contains(&reason) {
+    if peer.refused.admits(&reason) {
         tracing::error!("refused machine `{machine}`: {reason}");
-        peer.refused.insert(reason);
     }
 }
 
