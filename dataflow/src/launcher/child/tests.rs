@@ -1,0 +1,311 @@
+//! What follows from the end of a process, and from one that does not join or does not answer.
+
+use super::super::summary::tests::stage;
+use super::super::trial_run::{TrialRun, change_record, logged};
+use super::*;
+use crate::network::BridgePlan;
+use crate::ports::{Topic, TopicReader};
+use conicflow_messages::Object;
+use std::io::{Read, Write};
+use std::process::Child;
+
+fn supervised(planned: PlannedStage, state: State) -> Supervised {
+    let (watchdog, started) = (Watchdog::new(0, Instant::now()), Instant::now());
+    let deaths = VecDeque::new();
+    Supervised { planned, state, watchdog, deaths, outsider: None, is_last: false, started, is_late: false }
+}
+
+/// A program that gives back what it is given, and so ends when nobody gives it anything any more.
+pub fn echo() -> Child {
+    Command::new("cat").stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap()
+}
+
+/// A stage with a process that has no part in the run.
+pub fn at_work(planned: PlannedStage) -> Supervised {
+    supervised(planned, State::Running(echo().into()))
+}
+
+/// Whether the process of a stage [`at_work`] gives back what it is given.
+pub fn answers(stage: &mut Supervised) -> bool {
+    let State::Running(Guarded { child, .. }) = &mut stage.state else { return false };
+    let (Some(stdin), Some(stdout)) = (&mut child.stdin, &mut child.stdout) else { return false };
+    let mut answer = [0];
+    stdin.write_all(b"?").is_ok() && stdout.read_exact(&mut answer).is_ok() && answer == *b"?"
+}
+
+/// A stage that has done all its work.
+pub fn over(planned: PlannedStage) -> Supervised {
+    supervised(planned, State::Done)
+}
+
+/// A stage that reads what `writer` makes, and a process of it that has ended with this exit code.
+fn ended(exit: u8, delivery: Delivery) -> (Supervised, u32) {
+    let mut planned = stage::<Object>();
+    let readers = vec![TopicReader { stage: planned.name.clone(), delivery, queue: 4 }];
+    planned.wiring.input = Some(Topic { writers: vec!["writer".into()], readers, ..Topic::default() });
+    let mut child = Command::new("sh").args(["-c", &format!("exit {exit}")]).spawn().unwrap();
+    child.wait().unwrap();
+    let process = child.id();
+    (supervised(planned, State::Running(child.into())), process)
+}
+
+#[test]
+fn what_follows_from_the_end_of_a_process_depends_on_how_it_ended_on_its_record_and_on_the_run() {
+    use Restart::{Always, Never, OnFailure};
+    let (mut run, since) = (TrialRun::new(), Instant::now());
+    let (running, delivering, stopping) =
+        (Phase::Running, Phase::Delivering { delivered: 0, since }, Phase::Stopping { since });
+    let (done, gone, comes_back) = ((true, false), (true, true), (false, false));
+    for (exit, told, restart, phase, expected, change, life) in [
+        (0, Life::Ended, OnFailure, running, done, Change::None, Life::Ended),
+        (0, Life::Ended, Always, running, comes_back, Change::None, Life::Ended),
+        (0, Life::Ended, Always, delivering, done, Change::None, Life::Ended),
+        (0, Life::Running, OnFailure, running, comes_back, Change::None, Life::Running),
+        (0, Life::Gone, OnFailure, running, comes_back, Change::None, Life::Gone),
+        (1, Life::Ended, OnFailure, running, comes_back, Change::None, Life::Ended),
+        (1, Life::Running, OnFailure, delivering, comes_back, Change::None, Life::Running),
+        (1, Life::Running, OnFailure, stopping, done, Change::None, Life::Gone),
+        (1, Life::Running, OnFailure, Phase::Killing, done, Change::None, Life::Gone),
+        (1, Life::Gone, Always, running, gone, Change::Lost, Life::Gone),
+        (1, Life::Running, Never, running, gone, Change::Left, Life::Gone),
+        (REFUSED, Life::Starting, OnFailure, running, gone, Change::Lost, Life::Gone),
+    ] {
+        let (mut stage, process) = ended(exit, Delivery::Lossless);
+        stage.planned.restart = restart;
+        run.tell("stage", process, told);
+        let state = run.state(phase);
+        let how = format!("exit code {exit}, {told:?} in its record, {restart:?}, {phase:?}");
+        let looked = Instant::now();
+        assert_eq!(stage.look(&state), change, "{how}");
+        assert!(!matches!(stage.state, State::Waiting { until } if until < looked + FIRST_BACK_OFF), "{how}");
+        assert_eq!((stage.is_over(), stage.is_gone()), expected, "{how}");
+        assert_eq!(state.record("stage").map(|record| record.life()), Some(life), "{how}");
+    }
+}
+
+#[test]
+fn a_stage_that_always_comes_back_does_not_where_all_that_write_for_it_are_over() {
+    let mut run = TrialRun::new();
+    for (life, is_over) in [(Life::Running, false), (Life::Ended, true), (Life::Gone, true)] {
+        let (mut stage, process) = ended(0, Delivery::Latest);
+        stage.planned.restart = Restart::Always;
+        run.tell("stage", process, Life::Ended);
+        run.tell("writer", 42, life);
+        stage.look(&run.state(Phase::Running));
+        assert_eq!(stage.is_over(), is_over, "{life:?}");
+    }
+}
+
+#[test]
+fn a_program_that_ends_without_a_part_in_the_run_is_missed_where_it_was_to_lose_nothing() {
+    let (mut run, since) = (TrialRun::new(), Instant::now());
+    for (delivery, phase, change) in [
+        (Delivery::Lossless, Phase::Running, Change::Lost),
+        (Delivery::Lossless, Phase::Delivering { delivered: 0, since }, Change::None),
+        (Delivery::Latest, Phase::Running, Change::None),
+    ] {
+        let (mut stage, _) = ended(0, delivery);
+        let told = (stage.look(&run.state(phase)), stage.is_over(), stage.is_gone());
+        assert_eq!(told, (change, true, change == Change::Lost), "{delivery:?}");
+    }
+}
+
+#[test]
+fn a_program_that_does_not_join_is_named_and_then_given_up_where_a_lossless_topic_or_the_end_of_the_run_waits_for_it() {
+    let mut run = TrialRun::new();
+    let (works, over) = (Life::Running, Life::Ended);
+    for (delivery, writer, waited_s, is_named, change) in [
+        (Delivery::Lossless, works, 1.0, false, Change::None),
+        (Delivery::Lossless, works, 50.0, true, Change::None),
+        (Delivery::Lossless, works, 101.0, true, Change::Lost),
+        (Delivery::Latest, works, 101.0, true, Change::None),
+        (Delivery::Latest, over, 50.0, true, Change::None),
+        (Delivery::Latest, over, 101.0, true, Change::Lost),
+    ] {
+        run.tell("writer", 42, writer);
+        let (Supervised { mut planned, .. }, _) = ended(0, delivery);
+        planned.join_s = Some(100.0);
+        let mut stage = at_work(planned);
+        stage.started = Instant::now().checked_sub(Duration::from_secs_f64(waited_s)).unwrap();
+        let state = run.state(Phase::Running);
+        assert_eq!(stage.look(&state), Change::None);
+        assert_eq!(stage.outsider, stage.process().filter(|_| is_named), "{delivery:?} after {waited_s} s");
+        let told = logged(|| assert_eq!(stage.look(&state), change, "{delivery:?} after {waited_s} s"));
+        let is_last = (delivery, writer) == (Delivery::Latest, over);
+        assert_eq!(told.contains("the run waits for"), is_last, "{told}");
+        assert_eq!((stage.is_gone(), stage.process().is_none()), (change == Change::Lost, change == Change::Lost));
+        stage.kill();
+    }
+    let mut joined = at_work(stage::<Object>());
+    joined.outsider = joined.process();
+    run.tell("stage", joined.process().unwrap(), Life::Running);
+    assert_eq!((joined.look(&run.state(Phase::Running)), joined.outsider), (Change::None, None));
+    assert!(answers(&mut joined), "it is left at its work");
+    let stopping = run.state(Phase::Stopping { since: Instant::now() });
+    assert_eq!((joined.look(&stopping), joined.is_over()), (Change::None, false), "it has its time to end");
+    joined.kill();
+}
+
+#[test]
+fn a_program_that_fails_before_it_has_joined_does_not_come_back_when_nothing_can_come_to_it() {
+    let mut run = TrialRun::new();
+    for (writer, change) in [(Life::Running, Change::None), (Life::Ended, Change::Lost)] {
+        run.tell("writer", 42, writer);
+        let (mut stage, _) = ended(1, Delivery::Latest);
+        stage.planned.restart = Restart::OnFailure;
+        assert_eq!(stage.look(&run.state(Phase::Running)), change, "its writer: {writer:?}");
+        assert_eq!(stage.is_over(), change == Change::Lost);
+    }
+}
+
+#[test]
+fn a_stage_that_hangs_when_it_has_ended_its_stream_is_killed_for_good_where_the_file_says_so() {
+    let mut run = TrialRun::new();
+    for (life, change) in [(Life::Running, Change::None), (Life::Ended, Change::Lost)] {
+        let mut stage = at_work(PlannedStage { hang_s: Some(10.5), ..stage::<Object>() });
+        let process = stage.process().unwrap();
+        run.tell("stage", process, life);
+        let state = run.state(Phase::Running);
+        let sign = state.record("stage").map(|record| record.alive_ns);
+        let long_ago = Instant::now().checked_sub(Duration::from_secs(60)).unwrap();
+        for second in 0..=10 {
+            stage.watchdog.look(process, sign, None, long_ago + Duration::from_secs(second));
+        }
+        assert_eq!((stage.look(&state), stage.is_gone()), (change, change == Change::Lost), "{life:?}");
+        stage.kill();
+    }
+}
+
+#[test]
+fn no_stage_of_a_run_whose_folder_was_removed_is_started_anew() {
+    let mut run = TrialRun::new();
+    for is_removed in [false, true] {
+        let (mut stage, _) = ended(1, Delivery::Latest);
+        stage.planned.restart = Restart::OnFailure;
+        let state = RunState { is_removed, ..run.state(Phase::Running) };
+        assert_eq!((stage.look(&state), stage.is_over()), (Change::None, is_removed));
+    }
+}
+
+#[test]
+fn a_source_that_was_started_late_is_told_to_stop_once_it_has_joined() {
+    let (mut run, since) = (TrialRun::new(), Instant::now());
+    let phase = Phase::Delivering { delivered: 0, since };
+    let mut late = Supervised { is_late: true, ..at_work(stage::<Object>()) };
+    late.look(&run.state(phase));
+    assert!(late.is_late && answers(&mut late));
+    run.tell("stage", late.process().unwrap(), Life::Running);
+    late.look(&run.state(phase));
+    let State::Running(Guarded { child, .. }) = &mut late.state else { panic!("it is over already") };
+    assert_eq!(child.wait().unwrap().signal(), Some(Signal::INT.as_raw()));
+    assert!(!late.is_late);
+}
+
+#[test]
+fn a_stage_that_waits_to_come_back_stays_away_when_the_run_ends() {
+    let (mut run, since) = (TrialRun::new(), Instant::now());
+    run.tell("stage", 42, Life::Running);
+    for (phase, is_over) in [(Phase::Running, false), (Phase::Stopping { since }, true)] {
+        let mut stage = supervised(stage::<Object>(), State::Waiting { until: since + MINUTE });
+        let state = run.state(phase);
+        assert_eq!((stage.look(&state), stage.is_over()), (Change::None, is_over));
+        assert_eq!(state.record("stage").map(|record| record.life() == Life::Gone), Some(is_over));
+    }
+}
+
+#[test]
+fn a_stage_comes_back_when_it_is_time_but_a_source_of_a_run_that_ends_only_where_it_is_a_bridge() {
+    let (mut run, since) = (TrialRun::new(), Instant::now());
+    let options = RunOptions { program: "true".into(), ..RunOptions::default() };
+    let delivering = Phase::Delivering { delivered: 0, since };
+    let source = stage::<Object>;
+    let mut reader = source();
+    reader.wiring.input = Some(Topic::default());
+    let bridge = PlannedStage { runs: Runs::Bridge(BridgePlan::default().into()), ..source() };
+    for (planned, phase, comes_back, is_late) in [
+        (source(), Phase::Running, true, false),
+        (source(), delivering, false, false),
+        (reader, delivering, true, false),
+        (bridge, delivering, true, true),
+    ] {
+        let mut stage = supervised(planned, State::Waiting { until: since });
+        let state = RunState { options: &options, ..run.state(phase) };
+        assert_eq!((stage.look(&state), stage.is_over()), (Change::None, !comes_back), "{phase:?}");
+        assert_eq!((stage.process().is_some(), stage.is_late), (comes_back, is_late), "{phase:?}");
+        stage.kill();
+    }
+}
+
+#[test]
+fn a_stage_that_hangs_is_named_and_killed_where_the_file_says_so_and_it_is_told_when_one_goes_on() {
+    let mut run = TrialRun::new();
+    let long_ago = Instant::now().checked_sub(Duration::from_secs(60)).unwrap();
+    for hang_s in [None, Some(10.5)] {
+        let mut stage = at_work(PlannedStage { hang_s, ..stage::<Object>() });
+        let process = stage.process().unwrap();
+        run.tell("stage", process, Life::Running);
+        change_record(&run.folder, "stage", |status| status.steps = 12);
+        let state = run.state(Phase::Running);
+        let sign = state.record("stage").map(|record| record.alive_ns);
+        for second in 0..=10 {
+            stage.watchdog.look(process, sign, None, long_ago + Duration::from_secs(second));
+        }
+        let hangs = logged(|| assert_eq!(stage.look(&state), Change::None));
+        assert!(hangs.contains("stage `stage` hangs after 12 messages"), "{hangs}");
+        assert_eq!(hangs.contains("11.0 s ago, and is killed"), hang_s.is_some(), "{hangs}");
+        assert_eq!(answers(&mut stage), hang_s.is_none());
+        change_record(state.folder, "stage", |status| status.steps = 13);
+        let goes_on = logged(|| assert_eq!(stage.watch(&state), Change::None));
+        assert!(goes_on.contains("stage `stage` goes on after 11.0 s"), "{goes_on}");
+        stage.kill();
+    }
+}
+
+#[test]
+fn what_became_of_a_process_is_what_its_own_record_of_this_run_says() {
+    let (mut run, supervised) = (TrialRun::new(), over(stage::<Object>()));
+    let told = |run: &mut TrialRun| {
+        let own = supervised.own_record(42, &run.state(Phase::Running)).map(|own| own.life());
+        [own.is_some(), came_to_its_end(own), own == Some(Life::Gone)]
+    };
+    assert_eq!(told(&mut run), [false, true, false], "a program that keeps no record is believed");
+    for (number, process, life, expected) in [
+        (7, 42, Life::Running, [true, false, false]),
+        (7, 42, Life::Ended, [true, true, false]),
+        (7, 42, Life::Gone, [true, false, true]),
+        (7, 43, Life::Gone, [false, true, false]),
+        (8, 42, Life::Gone, [false, true, false]),
+    ] {
+        run.tell("stage", process, life);
+        run.plan.run = number;
+        assert_eq!(told(&mut run), expected, "{process} of run {number}: {life:?}");
+    }
+}
+
+#[test]
+fn a_process_is_there_until_it_is_killed() {
+    let child = echo();
+    let process = child.id();
+    let mut supervised = supervised(stage::<Object>(), State::Running(child.into()));
+    assert_eq!((supervised.process(), supervised.exit(), supervised.is_over()), (Some(process), None, false));
+    supervised.kill();
+    assert_eq!((supervised.process(), supervised.exit()), (None, None));
+    assert!(supervised.is_over() && !supervised.is_gone());
+}
+
+#[test]
+fn how_a_process_ended_is_told() {
+    let told = [0x100, 9, SIGBUS].map(|status| describe(ExitStatus::from_raw(status)));
+    assert_eq!(told[..2], ["ended with exit code 1", "was killed by signal 9"]);
+    assert!(told[2].contains("shared memory is full"), "{}", told[2]);
+}
+
+#[test]
+fn a_stage_comes_back_later_with_each_death_and_is_given_up_after_ten_within_a_minute() {
+    let (mut deaths, begin) = (VecDeque::new(), Instant::now());
+    let mut die = |seconds: u64| back_off(&mut deaths, begin + Duration::from_secs(seconds)).map(|it| it.as_millis());
+    let waits = [100, 200, 400, 800, 1600, 3200, 5000, 5000, 5000, 5000];
+    assert_eq!([0; 10].map(&mut die), waits.map(Some));
+    assert_eq!(die(59), None);
+    assert_eq!(die(60), Some(200), "a minute later only the last one counts");
+}
