@@ -105,35 +105,39 @@ impl Summary {
     /// What readers lost of topics of which they want all, in a run that has ended; nothing where somebody ended the run
     /// before all was delivered, or the reader wanted no more. A stage that is killed loses what waited for it.
     pub fn lost(&self) -> Vec<LostMessages> {
-        let lost = self.statuses().filter_map(|(planned, status)| {
-            let count = self.lost_by(planned, status).filter(|[lost, _]| *lost > 0)?;
-            let topic = planned.wiring.input.as_ref()?.name.clone();
-            // Others may have put in some that are not among those sent.
-            let malformed = status.inputs[0].malformed.min(count[0]);
-            Some(LostMessages { topic, reader: planned.name.clone(), count, malformed })
+        let lost = self.statuses().flat_map(|(planned, status)| {
+            planned.wiring.inputs().enumerate().filter_map(move |(index, topic)| {
+                let count = self.lost_by(planned, status, index).filter(|[lost, _]| *lost > 0)?;
+                // Others may have put in some that are not among those sent.
+                let malformed = status.inputs[index].malformed.min(count[0]);
+                Some(LostMessages { topic: topic.name.clone(), reader: planned.name.clone(), count, malformed })
+            })
         });
         lost.collect()
     }
 
-    /// How many messages of its driving input a stage that wants all of them did not get, and of how many.
-    fn lost_by(&self, planned: &PlannedStage, status: &Status) -> Option<[u64; 2]> {
-        let topic = planned.wiring.input.as_ref()?;
+    /// How many messages of an input a stage that wants all of them did not get, and of how many.
+    fn lost_by(&self, planned: &PlannedStage, status: &Status, index: usize) -> Option<[u64; 2]> {
+        let topic = planned.wiring.inputs().nth(index)?;
         let wants_all = topic.delivery_to(&planned.name) == Delivery::Lossless && status.had_enough == 0;
         if self.ending.hurried || !wants_all {
             return None;
         }
-        let InputCounts { received, dropped, late, .. } = status.inputs[0];
+        let InputCounts { received, dropped, late, malformed, .. } = status.inputs[index];
         // What a stage of another machine has sent is known by the numbers of its messages alone. These come from outside.
         let sent = topic.writers.iter().map(|writer| self.sent_by(writer)).sum::<Option<u64>>();
         let sent = sent.unwrap_or(0).max(received.saturating_add(dropped));
-        Some([sent.saturating_sub(received.saturating_add(late)).max(dropped), sent])
+        let missing = sent.saturating_sub(received.saturating_add(late)).max(dropped);
+        // What comes aside is wanted as long as the driving input lasts.
+        let wanted = if index == 0 { missing } else { missing.min(dropped.saturating_add(malformed)) };
+        Some([wanted, sent])
     }
 
     /// What an input has lost: what its stage has counted, and of one that is over also what came to nobody, because the stage
     /// was killed when its writers had ended.
     fn dropped_by(&self, planned: &PlannedStage, status: &Status, index: usize) -> u64 {
         let is_over = status.life().is_over();
-        let lost = self.lost_by(planned, status).filter(|_| is_over && index == 0);
+        let lost = self.lost_by(planned, status, index).filter(|_| is_over);
         status.inputs[index].dropped.max(lost.map_or(0, |[lost, _]| lost))
     }
 
@@ -430,6 +434,27 @@ pub(super) mod tests {
         assert_eq!(lost(sated), [[0; 2]; 0], "it wanted no more");
         let ending = Ending { hurried: true, ..run.ending.clone() };
         assert_eq!(lost(Summary { ending, ..run }), [[0; 2]; 0], "nobody waited for them");
+    }
+
+    #[test]
+    fn of_what_comes_aside_only_what_was_dropped_or_made_no_sense_is_lost() {
+        let topic = conicflow_messages::Text::new;
+        let lost = |aside: InputCounts| {
+            let mut run =
+                lossless(InputCounts { topic: topic("in"), received: 40, ..InputCounts::default() }, "writer");
+            let StageSummary { planned, status } = &mut run.stages[0];
+            let driving = planned.wiring.input.clone().unwrap();
+            planned.wiring.side_inputs.push(("known".into(), Topic { name: "aside".into(), ..driving }));
+            status.as_mut().unwrap().inputs[1] = InputCounts { topic: topic("aside"), ..aside };
+            run.lost().iter().map(LostMessages::to_string).collect::<Vec<_>>()
+        };
+        let came = |received| InputCounts { received, ..InputCounts::default() };
+        assert!(lost(came(30)).is_empty(), "its driving input had ended");
+        let told = "`stage` lost 2 of 40 messages of the lossless topic `aside`, 2 of them because they made no sense";
+        assert_eq!(lost(InputCounts { malformed: 2, ..came(30) }), [told]);
+        let told = "`stage` lost 3 of 40 messages of the lossless topic `aside`";
+        assert_eq!(lost(InputCounts { dropped: 3, ..came(30) }), [told]);
+        assert!(lost(InputCounts { malformed: 2, ..came(40) }).is_empty(), "its writer has sent none of them");
     }
 
     #[test]
