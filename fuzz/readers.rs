@@ -124,7 +124,7 @@ fn first_frame(name: &str, bytes: &[u8]) -> Result<()> {
 /// Replays all messages with such items.
 fn replayed(bytes: &[u8], item: &ItemType) -> Result<()> {
     let config = Config { path: Some(written("run.mcap", bytes)?), ..Config::default() };
-    let mut replay = Replay::open(&config, Path::new(""), item, 0)?;
+    let mut replay = Replay::open(&config, Path::new(""), item)?;
     while let Some(message) = replay.next_message()? {
         item.check(&message.header, &message.items)?;
     }

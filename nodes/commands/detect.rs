@@ -219,7 +219,7 @@ impl Frames {
         Ok(match FramesConfig::of(arguments) {
             FramesConfig::Images(config) => Self::Images(Box::new(Playback::open(&config, here, 0, 0)?)),
             FramesConfig::Recording(config) => {
-                Self::Recording(Box::new(Replay::open(&config, here, &ItemType::of::<u16>(), 0)?))
+                Self::Recording(Box::new(Replay::open(&config, here, &ItemType::of::<u16>())?))
             }
         })
     }

@@ -8,6 +8,7 @@ use super::indexed::Indexed;
 use super::sequential::{Reader, Sequential};
 use super::summary::{MAX_RECORD_BYTES, summary};
 use anyhow::{Context as _, Error, Result, bail};
+use conicflow_dataflow::Stop;
 use conicflow_messages::Hinted;
 use mcap::{Channel, McapError, Message, Summary};
 use std::collections::{BTreeMap, BTreeSet};
@@ -22,9 +23,14 @@ const MAX_EXPANSION: u64 = 256;
 /// How a file that is compressed as a whole ends.
 const COMPRESSED: [&str; 2] = ["zstd", "lz4"];
 
-/// The files of a recording, and how long each was when they were found.
+/// The files of a recording.
 #[derive(Clone, Debug)]
-pub struct Files(Vec<(PathBuf, u64)>);
+pub struct Files {
+    /// Where they are, and how long each was when they were found.
+    files: Vec<(PathBuf, u64)>,
+    /// To ask it is a sign of life. What is looked for may be gigabytes away.
+    stop: Stop,
+}
 
 /// A channel of a recording.
 #[derive(Clone, Debug)]
@@ -50,7 +56,7 @@ impl Files {
     pub fn find(path: &Path) -> Result<Self> {
         if !path.is_dir() {
             refuse_other_formats(path)?;
-            return Ok(Self(vec![with_length(path.to_owned())]));
+            return Ok(Self { files: vec![with_length(path.to_owned())], stop: Stop::default() });
         }
         let entries = fs::read_dir(path).with_context(|| format!("the folder `{}`", path.display()))?;
         let mut paths = entries.map(|entry| Ok(entry?.path())).collect::<std::io::Result<Vec<_>>>()?;
@@ -63,12 +69,18 @@ impl Files {
                 "name a file, or a folder that `ros2 bag record -s mcap` wrote"
             ));
         }
-        Ok(Self(recordings.into_iter().map(with_length).collect()))
+        Ok(Self { files: recordings.into_iter().map(with_length).collect(), stop: Stop::default() })
+    }
+
+    /// The same for a stage, which shows that it lives while it reads.
+    #[must_use]
+    pub fn of_stage(self, stop: &Stop) -> Self {
+        Self { stop: stop.clone(), ..self }
     }
 
     /// Where they are.
     pub fn paths(&self) -> impl Iterator<Item = &PathBuf> {
-        self.0.iter().map(|(path, _)| path)
+        self.files.iter().map(|(path, _)| path)
     }
 
     /// Each channel that has messages, with the first of them, by topic.
@@ -81,6 +93,7 @@ impl Files {
             // Where the file says what it has, it need not be read to its end.
             let topics = summary(path).ok().flatten().map(|summary| topics_with_messages(&summary));
             for (count, message) in (0..).zip(OpenFile::open(path)?.reader) {
+                self.stop.requested();
                 if topics.as_ref().is_some_and(|topics| topics.iter().all(|topic| seen.contains_key(topic))) {
                     break;
                 }
@@ -91,7 +104,7 @@ impl Files {
                     }
                     // It is said when the file is played.
                     Err(error) => {
-                        damage(&error, &path.display(), count, self.0.len() == 1)?;
+                        damage(&error, &path.display(), count, self.files.len() == 1)?;
                         break;
                     }
                 }
@@ -109,9 +122,10 @@ impl Files {
     /// The messages of some topics.
     pub fn messages(&self, topics: &[&str]) -> Messages {
         let topics = topics.iter().map(|&topic| topic.to_owned()).collect();
-        let is_only = self.0.len() == 1;
-        let left = self.0.clone().into_iter();
-        Messages { left, open: None, topics, from_ns: None, is_only, is_told: false, damaged: 0 }
+        let is_only = self.files.len() == 1;
+        let left = self.files.clone().into_iter();
+        let stop = self.stop.clone();
+        Messages { left, open: None, topics, from_ns: None, is_only, is_told: false, damaged: 0, stop }
     }
 
     /// Those that were written at `from_ns` or later, with not a word on files that end in the middle. Of a file whose end tells
@@ -140,7 +154,7 @@ impl Files {
                 match message {
                     Ok(message) => reach(message.log_time, message.log_time),
                     Err(error) => {
-                        damage(&error, &path.display(), count, self.0.len() == 1)?;
+                        damage(&error, &path.display(), count, self.files.len() == 1)?;
                         break;
                     }
                 }
@@ -245,6 +259,7 @@ pub struct Messages {
     is_told: bool,
     /// Places that were left out in the files before this one.
     damaged: u64,
+    stop: Stop,
 }
 
 impl Messages {
@@ -266,6 +281,7 @@ impl Messages {
                 self.open = Some((file, length, 0));
                 continue;
             };
+            self.stop.requested();
             let next = file.reader.next();
             if let Some(damage) = &file.reader.left_out().first
                 && is_first_of(&file.path)

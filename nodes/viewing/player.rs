@@ -80,7 +80,7 @@ impl Lists {
         let channels = Files::find(path)?.survey()?;
         let kind = [built_in::<Track>()?, built_in::<Object>()?].into_iter().find(|item| has_own(&channels, item));
         let config = Config { path: Some(path.to_owned()), ..Config::default() };
-        let open = |item: &ItemType| Replay::open(&config, Path::new(""), item, 0);
+        let open = |item: &ItemType| Replay::open(&config, Path::new(""), item);
         Ok(kind.map(open).transpose()?.map(|replay| Self { replay, key, read: VecDeque::new() }))
     }
 
@@ -119,7 +119,7 @@ impl Player {
     pub fn open(path: &Path, topic: Option<&str>, against: Option<&Path>, display: Arc<Display>) -> Result<Self> {
         let (file, topic_name, written_in) = (Some(path.to_owned()), topic.map(str::to_owned), WrittenIn::CommandLine);
         let config = Config { path: file, topic: topic_name, written_in, ..Config::default() };
-        let depths = Replay::open(&config, Path::new(""), built_in::<u16>()?, 0);
+        let depths = Replay::open(&config, Path::new(""), built_in::<u16>()?);
         let (frames, lists, notice) = match (depths, Lists::open(path, key)) {
             (Ok(depths), Ok(Some(lists))) => (depths, Some(lists), None),
             (Ok(depths), Ok(None)) => {

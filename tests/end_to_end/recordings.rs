@@ -10,6 +10,7 @@ use std::collections::HashSet;
 use std::fs;
 use std::path::Path;
 use std::process::Command;
+use std::time::{Duration, Instant};
 
 /// Frames of the runs.
 const FRAMES: &str = "60";
@@ -89,6 +90,32 @@ fn what_a_killed_recorder_has_written_is_replayed() {
     let both = again.len().min(tracks.len());
     assert_eq!(again[..both], tracks[..both]);
     ended.expect_told(&["ends in the middle: its first "]);
+}
+
+#[test]
+fn a_recording_without_an_index_may_begin_with_much_that_nobody_reads() {
+    let playground = Playground::with_pipeline(&recording());
+    playground.conicflow(&["run", "--quiet", "--frames", FRAMES]).expect_code(0);
+    let recorded = fs::read(playground.path("run.mcap")).unwrap();
+    let record = |opcode: u8, parts: &[&[u8]]| {
+        let content = parts.concat();
+        [&[opcode][..], &(content.len() as u64).to_le_bytes(), &content].concat()
+    };
+    // A channel without a schema, and messages of it: number, sequence, two times, 8 bytes.
+    let channel = record(4, &[&u16::MAX.to_le_bytes(), &[0; 2], &[1, 0, 0, 0, b'x'], &[0; 4], &[0; 4]]);
+    let messages = record(5, &[&u16::MAX.to_le_bytes(), &[0; 4 + 8 + 8 + 8]]).repeat(2_000_000);
+    // They stand between the header and all else, and the end of the file, which says where the rest is, is missing.
+    let header = 8 + 9 + u64::from_le_bytes(recorded[9..17].try_into().unwrap()) as usize;
+    let (before, after) = recorded[..recorded.len() - 8].split_at(header);
+    fs::write(playground.path("run.mcap"), [before, &channel, &messages, after].concat()).unwrap();
+    let patient = "rate_hz = 0\nrestart = { when = \"on_failure\", hang_s = 1 }\n";
+    let text = replay(TRACKING).replacen("rate_hz = 0\n", patient, 1).replace("tracks.jsonl", "again.jsonl");
+    playground.write("replay.toml", &text);
+    let begun = Instant::now();
+    let ended = playground.conicflow(&["run", "replay.toml"]).expect_code(0);
+    assert_eq!(ended.stage("source").starts, 1, "{}", ended.stderr);
+    assert_eq!(without_times(&playground, "again.jsonl"), without_times(&playground, "tracks.jsonl"));
+    assert!(begun.elapsed() > Duration::from_secs(3), "it was read at once, which shows nothing");
 }
 
 #[test]

@@ -99,7 +99,7 @@ impl Variant {
     /// The depth images that were recorded with the answers.
     pub(super) fn depth(&self) -> Result<Replay> {
         let config = mcap_source::Config { path: Some(self.recording.clone()), ..mcap_source::Config::default() };
-        Ok(Replay::open(&config, Path::new(""), &ItemType::of::<u16>(), 0)?.silent())
+        Ok(Replay::open(&config, Path::new(""), &ItemType::of::<u16>())?.silent())
     }
 }
 

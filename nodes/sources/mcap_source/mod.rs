@@ -42,13 +42,13 @@ impl Source for McapSource {
 
     fn new(config: Config, context: &Context) -> Result<Self, StageError> {
         let item = context.output.clone().unwrap_or(DEPTH);
-        let replay = Replay::open(&config, &context.base, &item, context.resume_at)?;
+        let replay = Replay::resume(&config, &context.base, &item, context.resume_at, &context.stop)?;
         Ok(Self { replay, rate_hz: config.rate_hz })
     }
 
     fn message_length(config: &Config, base: &Path) -> Option<usize> {
         // What cannot be opened is told when the stage starts.
-        Replay::open(config, base, &DEPTH, 0).ok()?.pixels()
+        Replay::open(config, base, &DEPTH).ok()?.pixels()
     }
 
     fn rate_hz(&self) -> f64 {

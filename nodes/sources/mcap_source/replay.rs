@@ -5,7 +5,7 @@ use super::config::Config;
 use crate::recording::files::{Files, Messages, Seen};
 use crate::recording::own;
 use anyhow::{Context as _, Result, bail, ensure};
-use conicflow_dataflow::{ItemType, tell_median};
+use conicflow_dataflow::{ItemType, Stop, tell_median};
 use conicflow_messages::{
     Camera, HAS_POSE, Header, Hinted, Hop, INVALID_FAR, INVALID_NEAR, Item, MAX_HOPS, RECORDED, Text, median_depth,
 };
@@ -66,16 +66,23 @@ struct Round {
 }
 
 impl Replay {
-    /// Opens the recording that `config` names, relative to `base`, to send messages of `item`, the first `resume_at` of which
-    /// were sent before.
+    /// Opens the recording that `config` names, relative to `base`, to send messages of `item`.
     ///
     /// # Errors
     /// There is none, or nothing in it fits.
-    pub fn open(config: &Config, base: &Path, item: &ItemType, resume_at: u64) -> Result<Self> {
+    pub fn open(config: &Config, base: &Path, item: &ItemType) -> Result<Self> {
+        Self::resume(config, base, item, 0, &Stop::default())
+    }
+
+    /// The same for a stage, which shows by `stop` that it lives; it has sent the first `resume_at` of them before.
+    ///
+    /// # Errors
+    /// As of [`Self::open`].
+    pub fn resume(config: &Config, base: &Path, item: &ItemType, resume_at: u64, stop: &Stop) -> Result<Self> {
         let path = config.path.as_ref();
         let path = path.ok_or_else(|| Hinted::new("`path` is missing", "write `path = \"run.mcap\"`"))?;
         let path = base.join(path);
-        let files = Files::find(&path)?;
+        let files = Files::find(&path)?.of_stage(stop);
         let channels = files.survey()?;
         let chosen = Chosen::of(&channels, config, item).with_context(|| format!("`{}`", path.display()))?;
         let transforms = config.world.as_deref().map(|world| transforms(&files, &channels, world)).transpose()?;

@@ -6,7 +6,7 @@ use crate::recording::files::Files;
 use crate::recording::own;
 use crate::recording::recorder::{Limits, Recorded, Recorder};
 use crate::sources::WrittenIn;
-use conicflow_dataflow::{AnyMessage, BUILT_IN};
+use conicflow_dataflow::{AnyMessage, BUILT_IN, Stop};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_messages::{Camera, HAS_POSE, Header, Hop, NoiseModel, Object, RECORDED, Text};
 use conicflow_ros::{
@@ -96,7 +96,7 @@ impl Place {
 
     fn open(&self, config: Config) -> anyhow::Result<Replay> {
         let path = config.path.clone().unwrap_or_else(|| "run.mcap".into());
-        Replay::open(&Config { path: Some(path), ..config }, self.0.path(), &DEPTH, 0)
+        Replay::open(&Config { path: Some(path), ..config }, self.0.path(), &DEPTH)
     }
 
     fn play(&self, config: Config) -> anyhow::Result<Vec<(Header, Vec<u16>)>> {
@@ -524,7 +524,7 @@ fn a_part_is_played_and_played_again() {
         twice.iter().map(|header| (header.sequence, (header.stamp_ns - BEGIN_NS) / 1_000_000)).collect();
     assert_eq!(numbers, [(0, 100), (1, 200), (2, 300), (3, 400), (4, 500)]);
     let config = Config { path: Some("run.mcap".into()), repeat: true, ..part };
-    let mut resumed = Replay::open(&config, place.0.path(), &DEPTH, 4).unwrap();
+    let mut resumed = Replay::resume(&config, place.0.path(), &DEPTH, 4, &Stop::default()).unwrap();
     assert_eq!(resumed.next_message().unwrap().unwrap().header, twice[4], "after a restart");
 }
 
@@ -610,7 +610,7 @@ fn what_conicflow_records_comes_back_to_the_bit() {
             assert_eq!((read, &depths[..]), (replayed(header(number, depth_scale)), &ANY[..]), "{depth_scale}");
         }
         let config = Config { path: Some("run.mcap".into()), ..Config::default() };
-        let mut lists = Replay::open(&config, place.0.path(), &BUILT_IN[2], 0).unwrap();
+        let mut lists = Replay::open(&config, place.0.path(), &BUILT_IN[2]).unwrap();
         for number in 0..3 {
             let Replayed { header: read, items, .. } = lists.next_message().unwrap().unwrap();
             let expected = [Object { radius: 0.1, ..Object::default() }; 2];
@@ -618,7 +618,7 @@ fn what_conicflow_records_comes_back_to_the_bit() {
             assert_eq!(read, replayed(header(number, depth_scale)));
         }
         assert!(lists.next_message().unwrap().is_none());
-        let none = Replay::open(&config, place.0.path(), &BUILT_IN[1], 0).err().unwrap();
+        let none = Replay::open(&config, place.0.path(), &BUILT_IN[1]).err().unwrap();
         assert!(format!("{none:#}").contains("has no ellipses; it has"), "{none:#}");
     }
 }
@@ -635,7 +635,7 @@ fn a_file_that_goes_or_becomes_shorter_while_it_is_played_is_an_error_that_lasts
         let place = tempfile::tempdir().unwrap();
         record(&place.path().join("new/run.mcap"), by_time, 0.001, 0..7);
         let config = Config { path: Some("new".into()), ..Config::default() };
-        let mut replay = Replay::open(&config, place.path(), &DEPTH, 0).unwrap();
+        let mut replay = Replay::open(&config, place.path(), &DEPTH).unwrap();
         assert!(replay.next_message().unwrap().is_some());
         change(&place.path().join("new/run_1.mcap"));
         let error = all(&mut replay).unwrap_err();
@@ -680,7 +680,7 @@ fn recordings_are_split_and_kept_to_a_limit() {
     assert_eq!(record(&path, by_time, 0.001, 0..7), Recorded::Written);
     assert_eq!(names(), ["run.mcap", "run_1.mcap"]);
     let config = Config { path: Some("new".into()), ..Config::default() };
-    assert_eq!(all(&mut Replay::open(&config, place.path(), &DEPTH, 0).unwrap()).unwrap().len(), 7);
+    assert_eq!(all(&mut Replay::open(&config, place.path(), &DEPTH).unwrap()).unwrap().len(), 7);
     fs::remove_dir_all(place.path().join("new")).unwrap();
     // A file that is complete has an index, and some kilobytes.
     let limited = Limits { total_bytes: Some(40_000), ..by_time };
@@ -747,7 +747,7 @@ fn own_headers_of_another_version_are_refused() {
     file.0.write_to_known_channel(&message, &[0; 900]).unwrap();
     let place = Place::of(&file.bytes());
     let config = Config { path: Some("run.mcap".into()), ..Config::default() };
-    let told = format!("{:#}", Replay::open(&config, place.0.path(), &BUILT_IN[2], 0).err().unwrap());
+    let told = format!("{:#}", Replay::open(&config, place.0.path(), &BUILT_IN[2]).err().unwrap());
     assert!(
         told.contains("they are `conicflow.Object.v0`") && told.contains("hint: replay them with the version"),
         "{told}"
