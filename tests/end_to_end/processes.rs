@@ -266,14 +266,14 @@ fn a_run_ends_by_itself_though_one_of_two_cameras_died_for_good() {
         format!("\n[stage.{name}]\nnode = \"synthetic_source\"\noutput = \"depth\"\nwidth = 64\nheight = 48\n{keys}\n")
     };
     let (_, rest) = TRACKING.split_once("[stage.extractor]").unwrap();
-    let [first, second] = [camera("first", "rate_hz = 50\nframes = 100"), camera("second", "restart = \"never\"")];
+    let [first, second] = [camera("first", "rate_hz = 50\nframes = 200"), camera("second", "restart = \"never\"")];
     let playground = Playground::with_pipeline(&format!("name = \"two\"\n{first}{second}\n[stage.extractor]{rest}"));
     let mut run = playground.start(&["run"]);
     wait_for_lines(&mut run, &playground);
     signal(stages_of(run.id())["second"], Signal::KILL);
     let ended = run.wait().expect_code(1);
     ended.expect_told(&["stage `second` was killed by signal 9, and is not started anew"]);
-    assert_eq!(ended.stage("first").messages, 100);
+    assert_eq!(ended.stage("first").messages, 200);
 }
 
 #[test]
