@@ -209,6 +209,24 @@ mod tests {
     }
 
     #[test]
+    fn a_certificate_for_servers_alone_can_be_listened_with_and_no_more() {
+        let Some(folder) = made() else { return };
+        let script = "printf 'subjectAltName=DNS:localhost\nextendedKeyUsage=serverAuth\n' > usage\n\
+                      openssl req -new -key robot.key -subj /CN=robot | openssl x509 -req -CA ca.pem -CAkey ca.key \
+                      -CAcreateserial -days 825 -extfile usage -out robot.pem";
+        let mut shell = Command::new("sh");
+        assert!(shell.args(["-ec", script]).current_dir(&folder).output().unwrap().status.success());
+        let faults = |other: &str| {
+            let mut table = table([folder.path(); 3]);
+            table.as_object_mut().unwrap().retain(|name, _| !name.starts_with(other));
+            warnings(&table, UnixTime::now())
+        };
+        assert_eq!(faults("connect"), []);
+        let fault = &faults("listen")[..];
+        assert!(fault.len() == 1 && told(fault)[0].starts_with("cannot be used: "), "{fault:?}");
+    }
+
+    #[test]
     fn times_are_told_in_units_that_suit_them() {
         let words = [0, 61, 7199, 7200, 172_799, 172_800].map(in_words);
         assert_eq!(words, ["0 min", "2 min", "120 min", "2 h", "47 h", "2 days"]);

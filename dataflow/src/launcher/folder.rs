@@ -401,6 +401,16 @@ pub(super) mod tests {
     use super::*;
     use crate::pause::PauseWish;
 
+    /// Gives the lock of a folder back. The processes that other tests start have a copy of it until they are other programs.
+    fn release(lock: RunLock, folder: &RunFolder) {
+        drop(lock);
+        let deadline = Instant::now() + Duration::from_secs(20);
+        while folder.is_running() {
+            assert!(Instant::now() < deadline, "it runs although nobody has the lock");
+            std::thread::yield_now();
+        }
+    }
+
     /// The run's folder at this place.
     pub fn folder_at(path: &Path) -> RunFolder {
         RunFolder { path: path.to_owned(), shared_memory: path.join("shm") }
@@ -420,13 +430,7 @@ pub(super) mod tests {
         looks.join().unwrap();
         assert!(folder.is_running());
         assert!(matches!(folder.lock("tracking"), Err(FolderError::Running { name }) if name == "tracking"));
-        drop(lock);
-        // The processes that other tests start have a copy of the lock until they are other programs.
-        let deadline = Instant::now() + Duration::from_secs(20);
-        while folder.is_running() {
-            assert!(Instant::now() < deadline, "it runs although nobody has the lock");
-            std::thread::yield_now();
-        }
+        release(lock, &folder);
         folder.lock("tracking").unwrap();
     }
 
@@ -575,7 +579,7 @@ pub(super) mod tests {
         let lock = folder.lock("tracking").unwrap();
         assert!(matches!(folder.discard(), Err(FolderError::Running { .. })));
         assert_eq!(left(), [true; 3]);
-        drop(lock);
+        release(lock, &folder);
         folder.discard().unwrap();
         assert_eq!(left(), [false, false, true]);
     }
