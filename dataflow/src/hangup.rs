@@ -1,5 +1,5 @@
-//! The signals that end a program, or stop it until it is told to go on, but for the one that says that the terminal has gone (SIGHUP) where whoever started it wants
-//! it to outlive that: `nohup` and its like have that signal ignored, and it stays so.
+//! The signals that end a program, or stop it until it is told to go on, but for the one that says that the terminal has gone
+//! (SIGHUP) where whoever started it wants it to outlive that: `nohup` and its like have that signal ignored, and it stays so.
 //!
 //! SIGINT is heard also where it is ignored at the start: shells do that to all that scripts start in the background, and such a
 //! script ends a run by that signal.

@@ -2,9 +2,9 @@
 //! frame.
 //!
 //! A process of its own reads them. However the launcher ends, also by SIGKILL, that process gives the terminal back as it was;
-//! and however that process ends, the launcher does. At Ctrl-Z the launcher does so before it stops, for then the shell takes the
-//! terminal. A terminal whose modes somebody else has set since, such as a shell that waits for a line, is left alone, as is that
-//! of a run in the background.
+//! and however that process ends, the launcher does. At Ctrl-Z the launcher ends it before the run stops, for then the shell
+//! takes the terminal and what is typed is the shell's, and starts another one when the run goes on. A terminal whose modes
+//! somebody else has set since, such as a shell that waits for a line, is left alone, as is that of a run in the background.
 
 use anyhow::{Context, Result};
 use conicflow_dataflow::{PauseWish, RunningPipeline};
@@ -12,9 +12,8 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 use rustix::process::{Pid, Signal, getpgrp, getppid, kill_process, set_parent_process_death_signal};
 use rustix::termios::{LocalModes, OptionalActions, SpecialCodeIndex, Termios, tcgetattr, tcgetpgrp, tcsetattr};
-use signal_hook::consts::{SIGCONT, SIGHUP, SIGINT, SIGQUIT, SIGTERM, SIGTSTP};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM};
 use signal_hook::iterator::Signals;
-use signal_hook::low_level::emulate_default_handler;
 use std::io::{IsTerminal, Write, stderr, stdin};
 use std::process::{Child, Command};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -25,59 +24,79 @@ use std::time::Duration;
 pub const NAME: &str = "keys";
 /// A run in the background looks this often whether it came to the foreground.
 const LOOK: Duration = Duration::from_millis(200);
-/// Starts what reads the keys, which may set the modes of a terminal that a shell has taken back (without SIGTTOU).
-const START: &str = "trap '' TTOU; exec \"$@\"";
+/// Starts what reads the keys, which may set the modes of a terminal that a shell has taken back (without SIGTTOU), and which the
+/// launcher, not Ctrl-Z, ends.
+const START: &str = "trap '' TTOU TSTP; exec \"$@\"";
 /// What a terminal sends for the right arrow, in both of its modes.
 const RIGHT: [&[u8]; 2] = [b"\x1b[C", b"\x1bOC"];
 
 /// The keys of a run, until this is dropped.
-pub struct Keys {
-    reader: Child,
-}
-
-/// How the terminal was, where the run began in its foreground.
-static BEFORE: Mutex<Option<Termios>> = Mutex::new(None);
+pub struct Keys;
 
 impl Keys {
     /// Reads the keys for a pipeline, where there is a terminal; a run that nobody can pause by them is a run all the same.
-    pub fn start(pipeline: &str) -> Option<Self> {
-        if !stdin().is_terminal() {
-            return None;
-        }
-        let before = is_foreground().then(|| tcgetattr(stdin()).ok()).flatten();
-        let own = std::process::id().to_string();
-        let mut reader = Command::new("sh");
-        reader.args(["-c", START, "sh"]).arg(std::env::current_exe().ok()?).args([NAME, pipeline, &own]);
-        let reader = reader.spawn().ok()?;
-        *terminal_before() = before;
-        Some(Self { reader })
-    }
-}
-
-fn terminal_before() -> MutexGuard<'static, Option<Termios>> {
-    BEFORE.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// Makes the terminal what it was before the run, if it is that of this process's job: at the end, and when the run stops.
-pub fn give_back() {
-    if let Some(before) = &*terminal_before()
-        && is_foreground()
-    {
-        // What else could be done with a terminal that refuses it?
-        tcsetattr(stdin(), OptionalActions::Now, before).ok();
+    pub fn read_for(pipeline: &str) -> Self {
+        *reader() = Reader::start(pipeline);
+        Self
     }
 }
 
 impl Drop for Keys {
     fn drop(&mut self) {
-        if let Some(reader) = Pid::from_raw(self.reader.id().cast_signed()) {
-            // It may be stopped, or be gone.
-            kill_process(reader, Signal::TERM).ok();
-            kill_process(reader, Signal::CONT).ok();
+        reader().take();
+    }
+}
+
+/// Stops the run as `stop` does it, and reads no keys meanwhile.
+pub fn stop_without(stop: &dyn Fn()) {
+    let Some(ended) = reader().take() else { return stop() };
+    let pipeline = ended.pipeline.clone();
+    drop(ended);
+    stop();
+    *reader() = Reader::start(&pipeline);
+}
+
+/// What reads the keys of this process's run; dropped, it has ended, and the terminal is as it was.
+struct Reader {
+    pipeline: String,
+    process: Child,
+    /// How the terminal was, where the run is in its foreground.
+    before: Option<Termios>,
+}
+
+static READER: Mutex<Option<Reader>> = Mutex::new(None);
+
+fn reader() -> MutexGuard<'static, Option<Reader>> {
+    READER.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Reader {
+    fn start(pipeline: &str) -> Option<Self> {
+        if !stdin().is_terminal() {
+            return None;
         }
-        self.reader.wait().ok();
-        give_back();
-        *terminal_before() = None;
+        let before = is_foreground().then(|| tcgetattr(stdin()).ok()).flatten();
+        let own = std::process::id().to_string();
+        let mut command = Command::new("sh");
+        command.args(["-c", START, "sh"]).arg(std::env::current_exe().ok()?).args([NAME, pipeline, &own]);
+        Some(Self { pipeline: pipeline.to_owned(), process: command.spawn().ok()?, before })
+    }
+}
+
+impl Drop for Reader {
+    fn drop(&mut self) {
+        if let Some(process) = Pid::from_raw(self.process.id().cast_signed()) {
+            // It may be stopped, or be gone.
+            kill_process(process, Signal::TERM).ok();
+            kill_process(process, Signal::CONT).ok();
+        }
+        self.process.wait().ok();
+        if let Some(before) = &self.before
+            && is_foreground()
+        {
+            // What else could be done with a terminal that refuses it?
+            tcsetattr(stdin(), OptionalActions::Now, before).ok();
+        }
     }
 }
 
@@ -136,19 +155,12 @@ impl Drop for Terminal {
 /// There is no terminal, or signals cannot be received.
 pub fn read(pipeline: &str, launcher: i32) -> Result<()> {
     set_parent_process_death_signal(Some(Signal::TERM))?;
-    let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGTSTP, SIGCONT])?;
+    let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP, SIGQUIT])?;
     let mut terminal = Terminal::default();
     while getppid().is_some_and(|parent| parent.as_raw_nonzero().get() == launcher) {
-        for signal in signals.pending() {
-            match signal {
-                SIGTERM | SIGHUP | SIGQUIT => return Ok(()),
-                SIGTSTP => {
-                    terminal.give_back();
-                    emulate_default_handler(SIGTSTP)?;
-                }
-                // The launcher ends the run after Ctrl-C, and then this process.
-                _ => {}
-            }
+        // The launcher ends the run after Ctrl-C, and then this process.
+        if signals.pending().any(|signal| signal != SIGINT) {
+            return Ok(());
         }
         if is_foreground() {
             terminal.take().context("the terminal gives no keys")?;

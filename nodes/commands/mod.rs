@@ -276,7 +276,7 @@ fn run(arguments: &RunArguments, log: &str) -> anyhow::Result<ExitCode> {
     if let Some(json) = &pipeline.experiment {
         return run_experiment(&pipeline, &Experiment::read(json)?, arguments, log);
     }
-    let keys = Keys::start(&pipeline.name);
+    let keys = Keys::read_for(&pipeline.name);
     let summary = run_once(&pipeline, arguments, arguments.quiet, log)?;
     drop(keys);
     if !arguments.quiet {
@@ -345,8 +345,8 @@ fn run_once(pipeline: &Pipeline, arguments: &RunArguments, quiet: bool, log: &st
     check_machine(pipeline, arguments.machine.as_deref())?;
     let run = SystemTime::now().duration_since(UNIX_EPOCH)?.as_nanos() as u64;
     let plan = Plan::of(pipeline, arguments.machine.as_deref(), arguments.frames, run);
-    let before_stop = Some(keys::give_back as fn());
-    let options = RunOptions { duration: arguments.duration, quiet, before_stop, ..options(log)? };
+    let around_stop = Some(keys::stop_without as fn(&dyn Fn()));
+    let options = RunOptions { duration: arguments.duration, quiet, around_stop, ..options(log)? };
     Ok(conicflow_dataflow::run(&plan, &options)?)
 }
 

@@ -55,6 +55,12 @@ impl Terminal {
         self.keys.write_all(keys.as_bytes()).unwrap();
     }
 
+    /// Ends the shell at it, which hears no request to end.
+    fn leave(&mut self, shell: Started) {
+        self.press("exit 0\n");
+        shell.wait().expect_code(0);
+    }
+
     /// Whether it gives keys as they are pressed, and does not show them.
     fn gives_keys(&self) -> bool {
         let modes = tcgetattr(&self.inner).unwrap().local_modes;
@@ -141,7 +147,7 @@ fn the_terminal_is_given_back_after_a_crash_and_while_the_run_is_stopped() {
     let playground = Playground::with_pipeline(TRACKING);
     let Some(mut terminal) = Terminal::open("dash") else { return };
     // A shell that leaves the modes of its terminal alone.
-    let _shell = Started::watched(terminal.command(&playground, &["dash", "-i"]));
+    let shell = Started::watched(terminal.command(&playground, &["dash", "-i"]));
     let begin = |terminal: &mut Terminal| {
         terminal.press(&format!("{PROGRAM} run --set source.rate_hz=20\n"));
         wait_until("the terminal gives keys", || terminal.gives_keys());
@@ -167,13 +173,14 @@ fn the_terminal_is_given_back_after_a_crash_and_while_the_run_is_stopped() {
     terminal.press("\x03");
     wait_until("the launcher gives it back", || terminal.is_as_before());
     wait_until("the run is over", || process_with(&playground, "run").is_none());
+    terminal.leave(shell);
 }
 
 #[test]
 fn a_run_in_the_background_leaves_the_terminal_alone() {
     let playground = Playground::with_pipeline(TRACKING);
     let Some(mut terminal) = Terminal::open("dash") else { return };
-    let _shell = Started::watched(terminal.command(&playground, &["dash", "-i"]));
+    let shell = Started::watched(terminal.command(&playground, &["dash", "-i"]));
     terminal.press(&format!("{PROGRAM} run --quiet --set source.rate_hz=20 &\n"));
     wait_until("it delivers", || playground.newest("tracks.jsonl") > 3);
     wait_until("somebody would read keys", || process_with(&playground, "keys").is_some());
@@ -187,6 +194,7 @@ fn a_run_in_the_background_leaves_the_terminal_alone() {
     standing_at(&playground);
     terminal.press("\x03");
     wait_until("it is given back", || terminal.is_as_before());
+    terminal.leave(shell);
 }
 
 #[test]

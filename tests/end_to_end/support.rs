@@ -450,14 +450,17 @@ impl Drop for Started {
     fn drop(&mut self) {
         // A run that is still going on gets the time to clean up after itself.
         let since = Instant::now();
-        if matches!(self.child.try_wait(), Ok(None)) {
+        let is_running = |child: &mut Child| matches!(child.try_wait(), Ok(None));
+        if is_running(&mut self.child) {
             signal(self.child.id(), Signal::TERM);
         }
-        while matches!(self.child.try_wait(), Ok(None)) && since.elapsed() < GRACE {
+        while is_running(&mut self.child) && since.elapsed() < GRACE {
             std::thread::sleep(LOOK);
         }
+        let ends = !is_running(&mut self.child);
         self.child.kill().ok();
         self.child.wait().ok();
+        assert!(ends || std::thread::panicking(), "it does not end when it is told to: {}", self.stderr());
     }
 }
 

@@ -217,9 +217,9 @@ impl<'a> Launcher<'a> {
     /// Ctrl-Z nor `fg`.
     fn stop_until_told(&mut self) {
         self.stages.iter().for_each(|stage| stage.signal_group(Signal::STOP));
-        self.options.before_stop.iter().for_each(|before_stop| before_stop());
         // Where the system refuses it, the run goes on at once.
-        emulate_default_handler(SIGTSTP).ok();
+        let stop = || drop(emulate_default_handler(SIGTSTP));
+        self.options.around_stop.map_or_else(stop, |around| around(&stop));
         self.stages.iter().for_each(|stage| stage.signal_group(Signal::CONT));
         // Time in which it stood is none of the run.
         let now = Instant::now();

@@ -17,6 +17,6 @@ pub struct RunOptions {
     pub quiet: bool,
     /// What its stages log, as they understand [`LOG`](crate::LOG); `None`: what they inherit.
     pub log: Option<String>,
-    /// Called before the run stops at Ctrl-Z.
-    pub before_stop: Option<fn()>,
+    /// Called at Ctrl-Z with what stops the run and returns when it goes on, to be called once.
+    pub around_stop: Option<fn(&dyn Fn())>,
 }
