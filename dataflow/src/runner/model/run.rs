@@ -69,9 +69,8 @@ enum Swap {
 /// The stage that is swapped.
 const MIDDLE: usize = 1;
 
-/// A state of the run; two are the same for the checker if their hashes are.
-#[allow(clippy::derived_hash_with_manual_eq)] // equal states have equal hashes, because that is how they are compared
-#[derive(Clone, Debug, Hash)]
+/// A state of the run; two are the same for the checker if their fingerprints are.
+#[derive(Clone, Debug)]
 pub(super) struct Run {
     pub(super) memory: Memory,
     stages: [Stage; 3],
@@ -81,11 +80,19 @@ pub(super) struct Run {
     /// How often each stage was killed.
     pub(super) kills: [u8; 3],
     swaps: u8,
+    /// The hash of all the rest.
+    fingerprint: u64,
 }
 
 impl PartialEq for Run {
     fn eq(&self, other: &Self) -> bool {
-        self.fingerprint() == other.fingerprint()
+        self.fingerprint == other.fingerprint
+    }
+}
+
+impl Hash for Run {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        self.fingerprint.hash(state);
     }
 }
 
@@ -99,13 +106,15 @@ impl Run {
             starts: 1,
         };
         let stages = [0, 1, 2].map(stage);
-        Self { memory, stages, swap: Swap::None, coming: None, is_ending: false, kills: [0; 3], swaps: 0 }
+        let (swap, coming, is_ending, kills, swaps) = (Swap::None, None, false, [0; 3], 0);
+        Self { memory, stages, swap, coming, is_ending, kills, swaps, fingerprint: 0 }.with_fingerprint()
     }
 
-    fn fingerprint(&self) -> u64 {
+    fn with_fingerprint(self) -> Self {
+        let Self { memory, stages, swap, coming, is_ending, kills, swaps, fingerprint: _ } = &self;
         let mut hasher = DefaultHasher::new();
-        self.hash(&mut hasher);
-        hasher.finish()
+        (memory, stages, swap, coming, is_ending, kills, swaps).hash(&mut hasher);
+        Self { fingerprint: hasher.finish(), ..self }
     }
 
     /// Whether the launcher has ended.
@@ -155,6 +164,7 @@ impl Run {
             Event::Interrupt => next.interrupt(),
             Event::Swap => next.begin_swap(),
         }
+        let next = next.with_fingerprint();
         (next != *self).then_some(next)
     }
 
