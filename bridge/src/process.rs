@@ -204,6 +204,7 @@ mod tests {
     use super::*;
     use crate::edge_tests::{Ending, edge, memory, read, wait_until, write};
     use crate::peer::heartbeat::Ack;
+    use crate::reliable::retransmit_queue::END_PATIENCE;
     use conicflow_dataflow::Status;
     use conicflow_dataflow::pipeline::{BRIDGE, Machine};
     use conicflow_dataflow::ports::{Delivery, Transport as _};
@@ -280,10 +281,14 @@ mod tests {
         reader.status.set_life(Life::Ended);
         reader.write();
         thread::scope(|scope| {
-            let _ending = Ending([stop.clone()]);
+            let (_ending, began) = (Ending([stop.clone()]), Instant::now());
             let bridge = scope.spawn(|| ended(&base, RUN, folder.path(), &stop));
             wait_until("it has ended", || bridge.is_finished());
             assert_eq!(bridge.join().unwrap(), Some(Life::Ended));
+            assert!(
+                began.elapsed() < 2 * END_PATIENCE,
+                "it waits for the other machine once, not for its messages and its word"
+            );
         });
     }
 

@@ -143,15 +143,16 @@ impl<'a> Receiving<'a> {
     }
 
     /// Tells the other machine that nothing more is wanted of it. Where none may be missed it stays until that knows: the
-    /// bridge there may be started anew, and has to hear it then.
+    /// bridge there may be started anew, and has to hear it then. It may have left, too, while a bridge was started anew here:
+    /// then this one has waited for it until now.
     fn stay(&self) {
         let (from, topic) = (&self.edge.from, &self.edge.topic.name);
         let began = Instant::now();
         loop {
             self.links.finish(from, topic);
             let (_, is_known) = self.links.is_finished(from, topic);
-            let heard = self.links.last_heard(from).map_or(began, |heard| heard.max(began));
-            if is_known || !self.lossless || self.stop.forced() || heard.elapsed() > END_PATIENCE {
+            let silence = self.links.silence(from, began);
+            if is_known || !self.lossless || self.stop.forced() || silence > END_PATIENCE {
                 return;
             }
             std::thread::sleep(TICK);

@@ -329,8 +329,17 @@ impl Links {
 
     /// When a peer was heard of last; before this process began, by the one that was killed, counts as then.
     pub(crate) fn last_heard(&self, machine: &str) -> Option<Instant> {
-        let heard = lock(&self.peers).get(machine).and_then(|peer| peer.heard);
-        heard.or_else(|| lock(&self.journal).has_heard(machine).then_some(self.started))
+        self.heard_here(machine).or_else(|| lock(&self.journal).has_heard(machine).then_some(self.started))
+    }
+
+    /// For how long a peer is silent to a process that waits for its word since then: one that this process has never heard is
+    /// silent since this process began.
+    pub(crate) fn silence(&self, machine: &str, since: Instant) -> Duration {
+        self.heard_here(machine).map_or(self.started, |heard| heard.max(since)).elapsed()
+    }
+
+    fn heard_here(&self, machine: &str) -> Option<Instant> {
+        lock(&self.peers).get(machine)?.heard
     }
 
     /// Whether a message is of the session of a machine that has proved to be the present one.

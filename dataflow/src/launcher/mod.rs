@@ -362,9 +362,11 @@ impl<'a> Launcher<'a> {
         self.stages.iter_mut().for_each(Supervised::kill);
     }
 
-    /// How far the delivery is: messages that have been worked on, and stages that are over.
+    /// How far the delivery is: messages that have been worked on, stages that are over, and those that were started anew, which
+    /// may have to wait for others as the ones before them had.
     fn delivered(&self) -> u64 {
-        self.summary().worked_on() + self.stages.iter().filter(|stage| stage.is_over()).count() as u64
+        let (summary, over) = (self.summary(), self.stages.iter().filter(|stage| stage.is_over()));
+        summary.worked_on() + summary.restarts() + over.count() as u64
     }
 
     fn summary(&self) -> Summary {
@@ -426,12 +428,14 @@ mod tests {
     }
 
     #[test]
-    fn the_delivery_is_as_far_as_messages_are_worked_on_and_stages_are_over() {
+    fn the_delivery_is_as_far_as_messages_are_worked_on_and_stages_are_over_or_started_anew() {
         let (files, options) = (tempfile::tempdir().unwrap(), RunOptions::default());
         let mut launcher = launcher(files.path(), &options, Phase::Running);
         assert_eq!(launcher.delivered(), 3 + 4 + 1);
+        change_record(&launcher.folder, "first", |status| (status.steps, status.starts) = (2, 2));
+        assert_eq!(launcher.delivered(), 2 + 4 + 1 + 1, "who waits for what does not come again has the time for it");
         launcher.kill_all();
-        assert_eq!(launcher.delivered(), 3 + 4 + 2);
+        assert_eq!(launcher.delivered(), 2 + 4 + 2 + 1);
     }
 
     #[test]

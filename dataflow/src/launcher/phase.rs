@@ -2,8 +2,8 @@
 
 use std::time::{Duration, Instant};
 
-/// An ending run in which nothing is delivered any more, and no stage ends, for this long is ended at once. A writer waits five
-/// seconds for readers that may still come, before it ends.
+/// An ending run in which nothing is delivered any more, and no stage ends or is started anew, for this long is ended at once. A
+/// writer waits five seconds for readers that may still come, before it ends.
 pub(super) const DELIVERY_GRACE: Duration = Duration::from_secs(7);
 /// Stages that were told to end at once are killed after this time.
 const KILL_GRACE: Duration = Duration::from_secs(5);
