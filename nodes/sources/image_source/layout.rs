@@ -70,7 +70,8 @@ impl Format {
     }
 }
 
-/// Told of each file that is looked at: how many were by now, and of how many. A folder may have so many that it takes minutes.
+/// Told of files that are looked at: how many were by now, and of how many as far as is known. A folder may have so many that it
+/// takes minutes, and a second to list them.
 pub(super) type Seen<'a> = dyn FnMut(usize, usize) + 'a;
 
 /// One depth frame.
@@ -152,7 +153,7 @@ pub(super) fn first_size(path: &Path) -> Option<(u32, u32)> {
         }
     }
     let in_folder = |folder: &Path| {
-        let mut files = sorted_files(folder, "").ok()?;
+        let mut files = sorted_files(folder, "", &mut |_, _| ()).ok()?;
         // As in a listing: where some names say `depth`, the others are no depth frames.
         files.sort_by_key(|path| !file_name(path).to_lowercase().contains("depth"));
         files.iter().find_map(size)
@@ -247,7 +248,8 @@ struct Listing {
 impl Listing {
     fn read(folder: &Path, seen: &mut Seen<'_>) -> Result<Self> {
         let mut listing = Self { folder: folder.to_owned(), frames: BTreeMap::new(), others: BTreeMap::new() };
-        let files = sorted_files(folder, "").with_context(|| format!("`{}` cannot be listed", folder.display()))?;
+        let files = sorted_files(folder, "", seen);
+        let files = files.with_context(|| format!("`{}` cannot be listed", folder.display()))?;
         let count = files.len();
         for (number, path) in (1..).zip(files) {
             seen(number, count);
@@ -322,9 +324,14 @@ impl Listing {
 }
 
 /// The files that are not hidden and whose names end so, in natural order of their names.
-pub(super) fn sorted_files(folder: &Path, ending: &str) -> std::io::Result<Vec<PathBuf>> {
+pub(super) fn sorted_files(folder: &Path, ending: &str, seen: &mut Seen<'_>) -> std::io::Result<Vec<PathBuf>> {
+    /// Names that are listed, or compared, without a word.
+    const AT_ONCE: usize = 1024;
     let mut names = Vec::new();
-    for entry in fs::read_dir(folder)? {
+    for (listed, entry) in fs::read_dir(folder)?.enumerate() {
+        if listed % AT_ONCE == 0 {
+            seen(0, listed);
+        }
         let entry = entry?;
         let (name, kind) = (entry.file_name(), entry.file_type()?);
         let text = name.to_string_lossy();
@@ -334,8 +341,15 @@ pub(super) fn sorted_files(folder: &Path, ending: &str) -> std::io::Result<Vec<P
             names.push(name);
         }
     }
+    let (count, mut compared) = (names.len(), 0);
     // Names alone: what paths have in common takes longer to compare than they do.
-    alphanumeric_sort::sort_os_str_slice(&mut names);
+    names.sort_unstable_by(|one, other| {
+        compared += 1;
+        if compared % AT_ONCE == 0 {
+            seen(0, count);
+        }
+        alphanumeric_sort::compare_os_str(one, other)
+    });
     Ok(names.into_iter().map(|name| folder.join(name)).collect())
 }
 

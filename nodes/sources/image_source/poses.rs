@@ -44,12 +44,13 @@ pub(super) enum Poses {
 }
 
 impl Poses {
-    /// The poses that a pipeline file in `base` asks for; tells `seen` how many files it has looked at. Files that lie beside the frames and are not of them are left alone.
+    /// The poses that a pipeline file in `base` asks for; tells `seen` how many files it has looked at. Files that lie beside the
+    /// frames and are not of them are left alone.
     ///
     /// # Errors
     /// A file cannot be read; one that was asked for does not go with the frames.
     pub(super) fn find(config: &PosesConfig, base: &Path, recording: &Recording, seen: &mut Seen<'_>) -> Result<Self> {
-        let Some(path) = place(config, base, recording.folder())? else { return Ok(Self::Unknown) };
+        let Some(path) = place(config, base, recording.folder(), seen)? else { return Ok(Self::Unknown) };
         let named =
             |error: Error| hinted(error, trajectory::HINT).context(format!("the poses of `{}`", path.display()));
         let poses = if path.is_dir() { Self::of_folder(&path, seen) } else { Self::of_file(&path) }.map_err(named)?;
@@ -76,7 +77,7 @@ impl Poses {
 
     /// A file for each frame: `*.pose.txt`, or any `*.txt` where there is none of these.
     fn of_folder(folder: &Path, seen: &mut Seen<'_>) -> Result<Self> {
-        let paths = paths_in(folder)?;
+        let paths = paths_in(folder, seen)?;
         ensure!(!paths.is_empty(), "it has no `*{OF_FRAME}`, nor any `*.txt`");
         let pose = |(number, path): (usize, &PathBuf)| {
             seen(number, paths.len());
@@ -168,28 +169,28 @@ fn stem(name: &str) -> &str {
 /// The files of poses at a path: one, or those of a folder.
 pub(super) fn paths(place: &Path) -> Vec<PathBuf> {
     // Of a folder that may not be listed it is told when it is read.
-    if place.is_dir() { paths_in(place).unwrap_or_default() } else { vec![place.to_owned()] }
+    if place.is_dir() { paths_in(place, &mut |_, _| ()).unwrap_or_default() } else { vec![place.to_owned()] }
 }
 
-fn paths_in(folder: &Path) -> Result<Vec<PathBuf>> {
-    let of_frames = files(folder, OF_FRAME)?;
-    if of_frames.is_empty() { files(folder, ".txt") } else { Ok(of_frames) }
+fn paths_in(folder: &Path, seen: &mut Seen<'_>) -> Result<Vec<PathBuf>> {
+    let of_frames = files(folder, OF_FRAME, seen)?;
+    if of_frames.is_empty() { files(folder, ".txt", seen) } else { Ok(of_frames) }
 }
 
 /// The file or folder of poses that a pipeline file in `base` asks for, if there is one.
-pub(super) fn place(config: &PosesConfig, base: &Path, frames: &Path) -> Result<Option<PathBuf>> {
+pub(super) fn place(config: &PosesConfig, base: &Path, frames: &Path, seen: &mut Seen<'_>) -> Result<Option<PathBuf>> {
     match config {
         PosesConfig::None => Ok(None),
         PosesConfig::Path(path) => Ok(Some(base.join(path))),
-        PosesConfig::Auto => beside(frames),
+        PosesConfig::Auto => beside(frames, seen),
     }
 }
 
 /// The file or folder of poses that lies beside the frames or above them, if there is one.
-fn beside(folder: &Path) -> Result<Option<PathBuf>> {
+fn beside(folder: &Path, seen: &mut Seen<'_>) -> Result<Option<PathBuf>> {
     for folder in [Some(folder), folder.parent()].into_iter().flatten() {
         // of a folder that may not be listed nothing is known
-        let files = |ending| files(folder, ending).unwrap_or_default();
+        let mut files = |ending| files(folder, ending, seen).unwrap_or_default();
         if !files(OF_FRAME).is_empty() {
             return Ok(Some(folder.to_owned()));
         }
@@ -216,8 +217,8 @@ fn beside(folder: &Path) -> Result<Option<PathBuf>> {
 }
 
 /// The files of a folder whose names end so, in natural order.
-fn files(folder: &Path, ending: &str) -> Result<Vec<PathBuf>> {
-    sorted_files(folder, ending).with_context(|| format!("`{}` cannot be listed", folder.display()))
+fn files(folder: &Path, ending: &str, seen: &mut Seen<'_>) -> Result<Vec<PathBuf>> {
+    sorted_files(folder, ending, seen).with_context(|| format!("`{}` cannot be listed", folder.display()))
 }
 
 fn text_of(path: &Path) -> Result<String> {

@@ -15,7 +15,7 @@ pub(crate) fn files(config: &Config, base: &Path, path: &'static str, poses: &'s
     let list = (format == Format::Png).then(|| folder.join(tum::LIST));
     let beside = list.into_iter().chain(CameraFile::path_beside(&folder));
     let of_path = frames.into_iter().map(|frame| frame.path).chain(beside).map(|file| FileUse::one(path, file));
-    let place = poses::place(&config.poses, base, &folder).ok().flatten();
+    let place = poses::place(&config.poses, base, &folder, &mut |_, _| ()).ok().flatten();
     let of_poses = place.map(|place| poses::paths(&place)).unwrap_or_default();
     of_path.chain(of_poses.into_iter().map(|file| FileUse::one(poses, file))).collect()
 }
