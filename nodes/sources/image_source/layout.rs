@@ -328,7 +328,7 @@ pub(super) fn sorted_files(folder: &Path, ending: &str, seen: &mut Seen<'_>) -> 
     /// Names that are listed, or compared, without a word.
     const AT_ONCE: usize = 1024;
     let mut names = Vec::new();
-    for (listed, entry) in fs::read_dir(folder)?.enumerate() {
+    for (listed, entry) in (1..).zip(fs::read_dir(folder)?) {
         if listed % AT_ONCE == 0 {
             seen(0, listed);
         }

@@ -409,6 +409,16 @@ fn the_look_at_the_files_tells_how_far_it_is() {
 }
 
 #[test]
+fn names_are_not_listed_and_sorted_in_silence() {
+    let folder = tempfile::tempdir().unwrap();
+    (0..1500).for_each(|number| fs::write(folder.path().join(format!("{number}.png")), "").unwrap());
+    let mut told = Vec::new();
+    let files = layout::sorted_files(folder.path(), "", &mut |seen, all| told.push((seen, all))).unwrap();
+    assert!(files.iter().map(|file| layout::file_name(file)).eq((0..1500).map(|number| format!("{number}.png"))));
+    assert_eq!(told[..2], [(0, 1024), (0, 1500)], "once while they are listed, then while they are compared");
+}
+
+#[test]
 fn stamps_follow_the_rate() {
     let folder = Folder::new().depth(&["0.png", "1.png", "2.png"]);
     let stamp = |rate_hz, round| {
