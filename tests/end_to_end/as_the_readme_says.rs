@@ -2,6 +2,7 @@
 //! builds anything builds it without optimisation, beside what the tests themselves are made of. Tests begin in the order of their
 //! names: these take longest, and are first by theirs.
 
+use crate::bridge::link;
 use crate::hosts::Host;
 use crate::outside_stage::ball_before_a_wall;
 use crate::programs::router;
@@ -101,7 +102,8 @@ fn who_has_two_machines_runs_the_halves_of_a_pipeline() {
         (host.start(shell.current_dir(ROOT)), playground)
     });
     let [robot, base] = runs.map(|(run, _playground)| run.wait().expect_code(0));
-    robot.expect_told(&["ellipses"]);
+    let [sent, lost, _] = link(&robot, "base", "ellipses");
+    assert!(sent > 200 && lost == 0, "{}", robot.stderr);
     assert!(base.stdout.lines().count() > 5, "{}", base.stdout);
 }
 

@@ -115,7 +115,7 @@ fn a_recording_without_an_index_may_begin_with_much_that_nobody_reads() {
     let ended = playground.conicflow(&["run", "replay.toml"]).expect_code(0);
     assert_eq!(ended.stage("source").starts, 1, "{}", ended.stderr);
     assert_eq!(without_times(&playground, "again.jsonl"), without_times(&playground, "tracks.jsonl"));
-    assert!(begun.elapsed() > Duration::from_secs(2), "it was read at once, which shows nothing");
+    assert!(begun.elapsed() > Duration::from_secs(3), "it was read at once, which shows nothing");
 }
 
 #[test]
@@ -138,7 +138,8 @@ fn a_recorder_that_is_replaced_leaves_two_recordings_and_no_empty_file() {
 
 #[test]
 fn an_onlooker_records_a_running_pipeline_until_it_ends() {
-    let (playground, mut run) = at_work(TRACKING, 50);
+    // Who only looks on gets what it has time for, on a busy machine too.
+    let (playground, mut run) = at_work(TRACKING, 25);
     let mut recorder = playground.start(&["record", "depth", "objects", "-o", "part.mcap"]);
     recorder.wait_for_text("records `depth`, `objects` into `part.mcap`");
     let there = playground.conicflow(&["record", "-o", "part.mcap"]).expect_code(2);
@@ -158,8 +159,7 @@ fn an_onlooker_records_a_running_pipeline_until_it_ends() {
     playground.write("part.toml", &part);
     playground.conicflow(&["run", "part.toml"]).expect_code(0);
     let sequences = playground.sequences("again.jsonl");
-    // Who only looks on gets what it has time for.
-    assert!(sequences.len() > 20 && sequences[0] > 0, "{sequences:?}");
+    assert!(sequences.len() > 50 && sequences[0] > 0, "{sequences:?}");
     assert!(sequences.is_sorted() && *sequences.last().unwrap() < made, "{sequences:?}");
 }
 
