@@ -80,12 +80,6 @@ impl ArcMoments {
         self.mean
     }
 
-    /// Mean square distance from `point`, in square metres.
-    pub fn square_from(&self, point: [f64; 2]) -> f64 {
-        let (x, y) = (self.mean[0] - point[0], self.mean[1] - point[1]);
-        self.xx + self.yy + x * x + y * y
-    }
-
     /// Mean square distance from the line of least squares.
     #[inline]
     pub fn line_square(&self) -> f64 {
@@ -247,14 +241,6 @@ mod tests {
         for (a, b) in arc.numbers().into_iter().zip(expected.numbers()) {
             assert!((a - b).abs() < 1e-13, "{arc:?} {expected:?}");
         }
-    }
-
-    #[test]
-    fn the_mean_square_distance_from_a_point_is_that_of_the_points() {
-        let (points, from) = (arc(4.0, 5.0), [0.3, 1.5]);
-        let square = points.clone().map(|[s, t]| (s - from[0]).powi(2) + (t - from[1]).powi(2)).sum::<f64>() / 40.0;
-        let moments = ArcMoments::of(&PlaneMoments::of([0.0, 0.0], points)).unwrap();
-        assert!((moments.square_from(from) - square).abs() < 1e-12);
     }
 
     #[test]

@@ -3,29 +3,24 @@
 
 use super::rays::Rays;
 use super::rejection::ArcRejection;
-use super::run::{FEWEST, FIRST_FIT, Run};
+use super::run::{FEWEST, Run};
 use super::segments::Segment;
 use conicflow_geometry::{ArcFit, ArcMoments, Circle, LineSums, PlaneMoments, Scan};
 use conicflow_messages::{END_POINTS, Ellipse};
 use std::ops::Range;
 
-/// For an arc that is a part of a run: its line error has to exceed its circle error by so many standard deviations.
+/// For an arc that is a part of a run and no contour sets off: its line error has to exceed its circle error by so many standard
+/// deviations.
 const CURVED: f64 = 3.0; // [sigmas]
-/// For an arc that is a whole run of at least [`WEAK`] points: its line error has to exceed its circle error by so many
-/// standard deviations. Most such runs are flat.
+/// For another arc of at least [`WEAK`] points: its line error has to exceed its circle error by so many standard deviations. Most
+/// such runs are flat.
 const CURVED_WHOLE: f64 = 0.5; // [sigmas]
-/// A whole run of fewer points has only to be curved at all, because many weak arcs together are strong evidence.
+/// Such an arc of fewer points has only to be curved at all, because many weak arcs together are strong evidence.
 const WEAK: usize = 16; // [tuned]
 /// Fewest points of an arc that is kept although noise bends it the wrong way, because jumps set it off.
 const SET_OFF: usize = 6; // [tuned]
 /// Besides `trim_px`, one point in so many is taken off each end: the larger an edge is seen, the wider it is smeared.
 const SMEARED: usize = 32; // [tuned]
-/// The mean of a few points at an end may be off the circle through the others by so many standard deviations.
-const STRAYING: f64 = 2.0; // [sigmas]
-/// The few points at an end that are tested together are one in so many of the arc, and at least three.
-const FEW: usize = 8; // [tuned]
-/// An end is shortened so many times at most: within that one curve goes over into the next.
-const TAKEN_OFF: usize = 4; // [algorithmic]
 /// Radius of a circle that looks like a line, in metres.
 const STRAIGHT_M: f64 = 500.0; // [algorithmic]
 
@@ -106,7 +101,8 @@ fn circle(
     fit: ArcFit,
 ) -> Result<ArcFit, ArcRejection> {
     let parameters = &rays.view.parameters;
-    let sigmas = if !is_whole(rays, segment) {
+    let is_set_off = is_whole(rays, segment) || contour(rays, segment) != [0.0; 2];
+    let sigmas = if !is_set_off {
         CURVED
     } else if points.len() >= WEAK {
         CURVED_WHOLE
@@ -174,28 +170,12 @@ fn is_whole(rays: &Rays, segment: &Segment) -> bool {
 }
 
 /// What is left of a segment when the ends that may belong to something else are taken off: pixels at a jump mix two
-/// depths, and where a curve breaks it has taken in some points of what follows.
+/// depths, and where a curve breaks it may have taken in a point of what follows.
 fn trimmed(run: &Run, segment: &Segment) -> Range<usize> {
-    let Segment { part, mut from, mut to, .. } = *segment;
-    let [few_before, few_behind] = reaches_ends(run, segment)
+    let &Segment { from, to, .. } = segment;
+    let [before, behind] = reaches_ends(run, segment)
         .map(|is_end| (to - from) / SMEARED + if is_end { 0 } else { run.view.parameters.trim_px as usize });
-    let (starts_part, ends_part) = (from == part[0], to == part[1]);
-    from += few_before;
-    to = to.saturating_sub(few_behind).max(from);
-    for _ in 0..TAKEN_OFF {
-        let few = ((to - from) / FEW).max(3);
-        if to - from < 2 * FIRST_FIT + few {
-            break;
-        }
-        let strays_behind = !ends_part && strays(run, from..to - few, to - few..to);
-        let strays_before = !starts_part && strays(run, from + few..to, from..from + few);
-        to -= if strays_behind { few } else { 0 };
-        from += if strays_before { few } else { 0 };
-        if !(strays_behind || strays_before) {
-            break;
-        }
-    }
-    from..to
+    from + before..to.saturating_sub(behind).max(from + before)
 }
 
 /// The points with the next one on either side, where that was taken off only because pixels at a jump may mix two depths,
@@ -231,14 +211,6 @@ fn with_ends(
         fit => fit.ok()?,
     };
     Some((wider, fit, moments))
-}
-
-/// Whether the points of `few` are off the circle through those of `others`.
-fn strays(run: &Run, others: Range<usize>, few: Range<usize>) -> bool {
-    let circle = run.moments(others.start, others.end).fit().circle;
-    let square = run.moments(few.start, few.end).square_from(circle.center);
-    let off = (square - circle.radius * circle.radius) / (2.0 * circle.radius);
-    off.powi(2) > STRAYING.powi(2) * run.variance(few.start, few.end) / few.len() as f64
 }
 
 fn message(rays: &Rays, image: &[u16], points: Range<usize>, fit: &ArcFit, moments: &PlaneMoments) -> Ellipse {

@@ -5,7 +5,7 @@ use super::line::RayLine;
 use super::rays::{RayBuffers, Rays};
 use super::rejection::{ArcRejection, ArcRejections};
 use super::run::{FIRST_FIT, Run};
-use super::segments::{cut, next_segment};
+use super::segments::{Segment, cut, cut_part};
 use super::view::View;
 use conicflow_geometry::ArcSums;
 use conicflow_messages::Ellipse;
@@ -25,6 +25,8 @@ pub(super) struct CurveSearch {
     pub(super) sums: Vec<ArcSums>,
     /// Where a run is cut, its ends included.
     cuts: Vec<usize>,
+    /// The segments between two of these cuts.
+    segments: Vec<Segment>,
     depth_sums: Vec<u32>,
 }
 
@@ -71,24 +73,13 @@ impl CurveSearch {
         let run = Run::new(rays, &mut self.sums);
         cut(&run, &mut self.cuts, &mut self.depth_sums);
         for ends in self.cuts.windows(2) {
-            arcs_of_part(&run, image, ends[0]..ends[1], ellipses, rejections);
+            cut_part(&run, &(ends[0]..ends[1]), &mut self.segments);
+            for segment in &self.segments {
+                match if segment.is_curve { accept(&run, image, segment) } else { Err(ArcRejection::Line) } {
+                    Ok(arc) => ellipses.push(arc),
+                    Err(reason) => rejections.count(reason),
+                }
+            }
         }
-    }
-}
-
-fn arcs_of_part(
-    run: &Run,
-    image: &[u16],
-    part: Range<usize>,
-    ellipses: &mut Vec<Ellipse>,
-    rejections: &mut ArcRejections,
-) {
-    let mut from = part.start;
-    while let Some(segment) = next_segment(run, &part, from) {
-        match if segment.is_curve { accept(run, image, &segment) } else { Err(ArcRejection::Line) } {
-            Ok(arc) => ellipses.push(arc),
-            Err(reason) => rejections.count(reason),
-        }
-        from = segment.to;
     }
 }

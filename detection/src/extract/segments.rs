@@ -1,7 +1,8 @@
 //! Segmentation: a run is cut at its creases, and where neither a line nor a circle explains its points.
 //!
 //! Running sums give the moments of any interval by one subtraction, so an interval grows by galloping and bisection,
-//! with a handful of fits in place of one per point.
+//! with a handful of fits in place of one per point. A segment that grows so takes in what follows, as long as its curve
+//! explains it: then the border between two segments moves to where both curves together explain their points best.
 
 use super::run::{FEWEST, FIRST_FIT, Run};
 use super::view::SURROUNDINGS;
@@ -12,6 +13,8 @@ const WING: usize = 5; // [tuned]
 /// Least depth of a crease, in standard deviations of one pixel. The mean of three less the mean of ten scatters by 0.66 of
 /// one, so that this is 5.3 of its own standard deviations.
 const CREASE: f64 = 3.5; // [sigmas]
+/// Steps by which the border between two segments moves, in points.
+const STEPS: [usize; 6] = [32, 16, 8, 4, 2, 1]; // [algorithmic]
 /// The depth of a crease is computed in whole numbers, in this part of a unit of the image: 30 is divided by 3 and by 10.
 const CREASE_UNIT: f64 = 30.0; // [derived]
 
@@ -88,6 +91,43 @@ fn crease_depths(sums: &[u32], block: Range<usize>) -> impl Iterator<Item = i32>
         // 13 middle - 3 wings, by what every processor does four at a time.
         (middle << 4).wrapping_sub(middle.wrapping_add(wings).wrapping_mul(3)).cast_signed()
     })
+}
+
+/// Puts the segments of a part of a run between two creases, one after another, into `segments`.
+pub(super) fn cut_part(run: &Run, part: &Range<usize>, segments: &mut Vec<Segment>) {
+    segments.clear();
+    let mut from = part.start;
+    while let Some(segment) = next_segment(run, part, from) {
+        from = segment.to;
+        segments.push(segment);
+    }
+    for right in 1..segments.len() {
+        if segments[right - 1].is_curve || segments[right].is_curve {
+            let border = border(run, &segments[right - 1], &segments[right]);
+            segments[right - 1].to = border;
+            segments[right].from = border;
+        }
+    }
+}
+
+/// Where one segment ends and the next one begins, so that the sum of their square errors is least.
+fn border(run: &Run, left: &Segment, right: &Segment) -> usize {
+    let error = |from: usize, to: usize, is_curve: bool| {
+        let moments = run.moments(from, to);
+        (to - from) as f64 * if is_curve { moments.fit().circle_square } else { moments.line_square() }
+    };
+    let both = |at: usize| error(left.from, at, left.is_curve) + error(at, right.to, right.is_curve);
+    let (mut border, mut least) = (left.to, both(left.to));
+    for step in STEPS {
+        for at in [border.saturating_sub(step), border + step] {
+            let are_enough = at >= left.from + FIRST_FIT && at + FIRST_FIT <= right.to;
+            let error = if are_enough { both(at) } else { f64::INFINITY };
+            if error < least {
+                (border, least) = (at, error);
+            }
+        }
+    }
+    border
 }
 
 /// The segment of a part of a run between two creases that begins at `from`; `None` where too few points are left.

@@ -118,6 +118,33 @@ fn a_pixel_between_two_jumps_is_of_neither_side() {
 }
 
 #[test]
+fn an_arc_ends_where_a_flat_side_goes_on_from_it() {
+    let (distance, radius) = (1.5, 0.2);
+    let (header, mut pixels) = render(KINECT_HALF, NoiseModel::KINECT_V1, &[can(0.0, distance, radius), wall(3.0)], 9);
+    let camera = crate::camera::pinhole(&header.camera);
+    let near_side = |pixel: u32| {
+        let slope = camera.ray_slope(Scan::Row, f64::from(pixel));
+        let square = 1.0 + slope * slope;
+        (distance - (distance * distance - square * (distance * distance - radius * radius)).sqrt()) / square
+    };
+    let (edge, width) = (180, header.camera.width);
+    let steepness = near_side(edge) - near_side(edge - 1) + 0.006;
+    for (index, depth) in (0..).zip(&mut pixels) {
+        let pixel = index % width;
+        if (edge..edge + 20).contains(&pixel) && (60..180).contains(&(index / width)) {
+            let flat = near_side(edge) + steepness * f64::from(pixel - edge);
+            *depth = depth.saturating_add_signed(((flat - near_side(pixel)) / header.depth_scale) as i16);
+        }
+    }
+    let arcs = arcs(config(ScanLines::Rows), &(header, pixels));
+    let mut ends: Vec<u32> =
+        arcs.iter().filter(|arc| (70..170).contains(&arc.line) && arc.first < 160).map(|arc| arc.last).collect();
+    ends.sort_unstable();
+    let [few, half, most] = [ends.len() / 10, ends.len() / 2, ends.len() * 9 / 10].map(|at| ends[at]);
+    assert!(ends.len() > 90 && half.abs_diff(edge) <= 2 && few + 5 > edge && most < edge + 5, "{ends:?}");
+}
+
+#[test]
 fn an_end_that_is_off_the_circle_is_left_off() {
     let plain = arc_in_row(120, |_| {});
     let last = plain.contour[1] as usize;
