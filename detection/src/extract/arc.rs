@@ -12,8 +12,8 @@ use std::ops::Range;
 /// For an arc that is a part of a run and no contour sets off: its line error has to exceed its circle error by so many standard
 /// deviations.
 const CURVED: f64 = 3.0; // [sigmas]
-/// For another arc of at least [`WEAK`] points: its line error has to exceed its circle error by so many standard deviations. Most
-/// such runs are flat.
+/// For any other arc of at least [`WEAK`] points: its line error has to exceed its circle error by so many standard deviations.
+/// Most such runs are flat.
 const CURVED_WHOLE: f64 = 0.5; // [sigmas]
 /// Such an arc of fewer points has only to be curved at all, because many weak arcs together are strong evidence.
 const WEAK: usize = 16; // [tuned]

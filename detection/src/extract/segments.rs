@@ -2,7 +2,7 @@
 //!
 //! Running sums give the moments of any interval by one subtraction, so an interval grows by galloping and bisection,
 //! with a handful of fits in place of one per point. A segment that grows so takes in what follows, as long as its curve
-//! explains it: then the border between two segments moves to where both curves together explain their points best.
+//! explains it. So the border between two segments is then moved to where both curves together explain their points best.
 
 use super::run::{FEWEST, FIRST_FIT, Run};
 use super::view::SURROUNDINGS;
@@ -13,10 +13,10 @@ const WING: usize = 5; // [tuned]
 /// Least depth of a crease, in standard deviations of one pixel. The mean of three less the mean of ten scatters by 0.66 of
 /// one, so that this is 5.3 of its own standard deviations.
 const CREASE: f64 = 3.5; // [sigmas]
-/// Steps by which the border between two segments moves, in points.
-const STEPS: [usize; 6] = [32, 16, 8, 4, 2, 1]; // [algorithmic]
 /// The depth of a crease is computed in whole numbers, in this part of a unit of the image: 30 is divided by 3 and by 10.
 const CREASE_UNIT: f64 = 30.0; // [derived]
+/// Steps by which the border between two segments is moved, in points: by 63 at most, to a point.
+const STEPS: [usize; 6] = [32, 16, 8, 4, 2, 1]; // [algorithmic]
 
 /// An interval of a run that one curve explains.
 #[derive(Clone, Copy, Debug)]
