@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 #[serde(default, deny_unknown_fields)]
 pub struct RandomScenes {
     /// Groups of scenes: `standing`, `tilted`, `occluded`, `tabletop`, `lying`, `composed`, `clutter`, `bowls`, `empty`;
-    /// and `flat_tins`, `furnished`, `kitchen` and `lived_in`, only where they are named.
+    /// and `flat_tins`, `furnished`, `kitchen`, `lived_in` and `hall`, only where they are named.
     pub groups: Vec<SceneGroup>,
     /// First and last seed.
     pub seeds: [u64; 2],

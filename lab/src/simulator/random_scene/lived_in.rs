@@ -40,6 +40,26 @@ fn living_room(set: &mut Set) {
     set.enclose(2.8..=4.0, 0.5);
 }
 
+/// The same seen from afar, where the depths of a camera show little of what is not round; and heads with hair, which are rounder.
+pub fn hall(set: &mut Set) {
+    for _ in 0..set.draws.count(0..=2) {
+        let thing = set.large_thing();
+        used(set, thing, 1.5..=3.5, 0.0, 0.05);
+    }
+    for _ in 0..set.draws.count(3..=6) {
+        let (reach, put): (f64, fn(&mut Set, Vector3<f64>)) = match set.draws.count(0..=5) {
+            0..=2 => (0.35, person_with_hair),
+            3 => (0.5, armchair),
+            4 => (0.25, bag),
+            _ => (0.3, plant),
+        };
+        if let Some(foot) = set.place(&(1.8..=6.0), 0.0, reach, 0.03) {
+            put(set, foot);
+        }
+    }
+    set.enclose(5.0..=8.0, 0.7);
+}
+
 fn breakfast_table(set: &mut Set) {
     let top = set.table();
     for _ in 0..set.draws.count(0..=2) {
@@ -140,6 +160,19 @@ fn used(set: &mut Set, thing: Thing, distance: RangeInclusive<f64>, level: f64, 
 
 /// Somebody in clothes, who stands.
 fn person(set: &mut Set, foot: Vector3<f64>) {
+    somebody(set, foot);
+}
+
+/// The same with hair or a cap about the head.
+fn person_with_hair(set: &mut Set, foot: Vector3<f64>) {
+    let (center, height) = somebody(set, foot);
+    let mut half = |least: f64, most: f64| set.draws.within(least..=most) * height;
+    let half = [half(0.05, 0.062), half(0.055, 0.065), half(0.055, 0.07)];
+    set.lump("hair", [center, Vector3::z()], half, ROUND, [0.002..=0.012, 0.04..=0.15]);
+}
+
+/// Puts somebody there; the middle of the head, and the height.
+fn somebody(set: &mut Set, foot: Vector3<f64>) -> (Vector3<f64>, f64) {
     let heading = set.draws.heading();
     let across = Vector3::z().cross(&heading);
     let height = set.draws.within(1.5..=1.9);
@@ -165,6 +198,7 @@ fn person(set: &mut Set, foot: Vector3<f64>) {
     bar(set, "neck", [at(0.0, 0.0, 0.8), at(0.01, 0.0, 0.87)], [0.033 * height, 0.03 * height]);
     let head = [at(0.015, 0.0, 0.93), Vector3::z()];
     set.lump("head", head, [0.045 * height, 0.056 * height, 0.068 * height], ROUND, [0.002..=0.01, 0.04..=0.12]);
+    (head[0], height)
 }
 
 /// A seat, a back and two arms with rounded edges, and a cushion.

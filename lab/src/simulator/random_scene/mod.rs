@@ -48,6 +48,8 @@ pub enum SceneGroup {
     /// A room with people in clothes, armchairs, bags and plants, or a table with fruit, oval bottles, cartons, crumpled cloth and
     /// paper: what is nearly round, and at most two objects.
     LivedIn,
+    /// A hall with people, armchairs, bags and plants up to 6 m away, and at most two objects beside the pots of the plants.
+    Hall,
 }
 
 impl SceneGroup {
@@ -79,7 +81,7 @@ impl SceneGroup {
 type Arranged = (SceneGroup, &'static str, fn(&mut Set));
 
 /// All groups, in their order.
-const GROUPS: [Arranged; 13] = [
+const GROUPS: [Arranged; 14] = [
     (SceneGroup::Standing, "standing", arrangements::standing),
     (SceneGroup::Tilted, "tilted", arrangements::tilted),
     (SceneGroup::Occluded, "occluded", arrangements::occluded),
@@ -93,6 +95,7 @@ const GROUPS: [Arranged; 13] = [
     (SceneGroup::Furnished, "furnished", rooms::furnished),
     (SceneGroup::Kitchen, "kitchen", rooms::kitchen),
     (SceneGroup::LivedIn, "lived_in", lived_in::lived_in),
+    (SceneGroup::Hall, "hall", lived_in::hall),
 ];
 
 /// A scene of a group; named `group/seed`.
