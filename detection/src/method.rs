@@ -8,6 +8,7 @@ use crate::assemble::arcs::Arcs;
 use crate::assemble::choice::{Chosen, choose};
 use crate::assemble::contours::Contours;
 use crate::assemble::growth::{Growing, chain, is_promising};
+use crate::assemble::place::overlap;
 use crate::assemble::seeds::Seeds;
 use crate::assemble::verify::verify_all;
 use crate::assemble::{Assembler, AssemblerParameters, Rejection, Rejections};
@@ -93,18 +94,19 @@ impl Assembler {
 
         while let Some(seed) = seeds.next(rejections) {
             match object_around(seed, arcs, seeds, growing, contours, parameters) {
-                // 10. Decision: all evidence together tells how probable it is that this is an object (`odds.rs`). The arcs that
-                //     an object explains are taken out before the next seed is tried, and what it shows of where this sensor
-                //     puts contours helps the next objects (`contours.rs`).
+                // 10. Decision: all evidence together tells how probable it is that this is an object (`odds.rs`); where there is
+                //     one already, there is no other (`place.rs`). The arcs that an object explains are taken out before the next
+                //     seed is tried, and what it shows of where this sensor puts contours helps the next objects (`contours.rs`).
                 Ok(Chosen { candidate, object, evidence }) => {
                     candidates.push((object, evidence));
-                    if f64::from(object.confidence) >= parameters.min_confidence {
+                    let is_probable = f64::from(object.confidence) >= parameters.min_confidence;
+                    if is_probable && !objects.iter().any(|other| overlap(other, &object)) {
                         contours.learn(&candidate.region);
                         seeds.take(&candidate, &object);
                         objects.push(object);
                         continue;
                     }
-                    rejections.count(Rejection::Odds);
+                    rejections.count(if is_probable { Rejection::Overlap } else { Rejection::Odds });
                     // From any other of its arcs the same would grow.
                     seeds.pass_over(candidate.region.members);
                 }

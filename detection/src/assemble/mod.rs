@@ -4,7 +4,8 @@
 //! ([`seeds`]); how a model grows from one over the lines ([`growth`]), with the three models and their fits ([`model`]), what
 //! they explain ([`region`]) and the contours that they show ([`contours`]); what an object has to fulfil as a whole
 //! ([`verify`]), with whether it is round at all ([`round`]); which of the shapes it is ([`choice`]); what is told of it
-//! ([`report`]); how probable it is that it is one ([`odds`]); and why candidates are turned down ([`rejection`]). The walk itself is `Assembler::assemble` in `method.rs`.
+//! ([`report`]); how probable it is that it is one ([`odds`]), and whether it is in the place of another ([`place`]); and why
+//! candidates are turned down ([`rejection`]). The walk itself is `Assembler::assemble` in `method.rs`.
 
 pub(crate) mod arcs;
 pub(crate) mod choice;
@@ -13,6 +14,7 @@ pub(crate) mod growth;
 mod model;
 pub mod odds;
 mod parameters;
+pub(crate) mod place;
 mod region;
 mod rejection;
 mod report;

@@ -13,6 +13,7 @@ crate::rejections! {
     Short => "candidates too short",
     Taper => "candidates that may taper or not",
     Odds => "candidates that are more probably something else",
+    Overlap => "candidates in the place of an object",
     Length => "candidates beyond the length limits",
     Small => "candidates that look too small",
     NotGrown => "candidates that no shape explains",
