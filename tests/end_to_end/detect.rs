@@ -7,7 +7,12 @@ use std::fs;
 
 /// Writes frames of a built-in scene down with their camera, and returns what `--camera` has to say.
 fn record(playground: &Playground, frames: u64) -> String {
-    let camera = playground.record_with_camera(Scene::built_in("tabletop").unwrap().unwrap(), 5, frames);
+    record_scene(playground, "tabletop", frames)
+}
+
+/// The same of another scene.
+fn record_scene(playground: &Playground, scene: &str, frames: u64) -> String {
+    let camera = playground.record_with_camera(Scene::built_in(scene).unwrap().unwrap(), 5, frames);
     format!("{},{},{},{}", camera.fx, camera.fy, camera.cx, camera.cy)
 }
 
@@ -54,7 +59,7 @@ fn results_and_pictures_go_where_they_are_asked_for() {
 #[test]
 fn a_moving_picture_is_of_every_second_frame_and_small() {
     let playground = Playground::new();
-    let camera = record(&playground, 6);
+    let camera = record_scene(&playground, "tilted_cones", 6);
     let what =
         ["detect", "frames", "--camera", &camera, "--every", "2", "--pictures", "pictures", "--out", "objects.jsonl"];
     playground.conicflow(&[&what[..], &["--moving", "moving.png", "--moving-width", "160"]].concat()).expect_code(0);

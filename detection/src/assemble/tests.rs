@@ -153,6 +153,18 @@ fn a_ball_on_a_can_is_cut_off_from_it() {
 }
 
 #[test]
+fn of_two_whose_middles_lie_in_each_other_one_is_reported() {
+    for seed in 0..4 {
+        let found = |apart: f64| {
+            let balls = [-0.5, 0.5].map(|side| sphere(Vector3::new(side * apart, 0.0, 1.4), 0.12));
+            kinect(&[&balls[..], &[wall(3.0)]].concat(), seed)
+        };
+        let (merged, touching) = (found(0.09), found(0.15));
+        assert_eq!([merged.len(), touching.len()], [1, 2], "{merged:?} {touching:?}");
+    }
+}
+
+#[test]
 fn where_a_surface_goes_on_it_is_told_and_speaks_against_a_sphere() {
     let ball = sphere(Vector3::new(0.0, -0.02, 1.4), 0.12);
     let axis = Vector3::y();
