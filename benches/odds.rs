@@ -3,7 +3,7 @@
 //!
 //! Each sensor shows scenes that no other one shows, one after another, and what it shows of its contours is learned, as in a run.
 //! A candidate is right if it is about a true object as the evaluation of an experiment asks for, whether it had to be found or not.
-//! Takes eight minutes on two cores.
+//! Takes six minutes on two cores.
 
 use conicflow_detection::Detector;
 use conicflow_detection::assemble::odds::{TERMS, WEIGHTS};

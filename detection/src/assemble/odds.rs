@@ -153,7 +153,7 @@ mod tests {
         noise_radii: 0.02,
         misfit: 0.0,
         outline_square: 1.0,
-        outline_far_off: 0.0,
+        outline_far_off: 0.05,
         length_radii: 1.0,
         continued: 0.5,
         beyond_radii: [0.0, 0.1],
@@ -199,10 +199,6 @@ mod tests {
             let told = evidence.probability();
             (told / (1.0 - told)).ln()
         };
-        let (less, more) = (
-            Evidence { beyond_radii: [0.0, 0.0], ..EVIDENCE },
-            Evidence { beyond_radii: [0.1, 0.2], outline_far_off: 0.1, ..EVIDENCE },
-        );
         for (better, worse) in [
             (Evidence { free_ends: 1.0, ..EVIDENCE }, Evidence { free_ends: 0.5, ..EVIDENCE }),
             (Evidence { radius_sigma: 0.005, ..EVIDENCE }, Evidence { radius_sigma: 0.05, ..EVIDENCE }),
@@ -211,7 +207,9 @@ mod tests {
             (Evidence { outline_square: 0.8, ..EVIDENCE }, Evidence { outline_square: 2.0, ..EVIDENCE }),
             (Evidence { length_radii: 2.0, ..EVIDENCE }, Evidence { length_radii: 0.5, ..EVIDENCE }),
             (Evidence { continued: 0.0, ..EVIDENCE }, Evidence { continued: 1.0, ..EVIDENCE }),
-            (less, more),
+            (Evidence { outline_far_off: 0.0, ..EVIDENCE }, Evidence { outline_far_off: 0.2, ..EVIDENCE }),
+            (Evidence { beyond_radii: [0.0, 0.0], ..EVIDENCE }, Evidence { beyond_radii: [0.0, 0.2], ..EVIDENCE }),
+            (Evidence { beyond_radii: [0.0, 0.0], ..EVIDENCE }, Evidence { beyond_radii: [0.05, 0.1], ..EVIDENCE }),
         ] {
             assert!(odds(better) > odds(EVIDENCE) && odds(EVIDENCE) > odds(worse) + 0.1, "{better:?} {worse:?}");
         }

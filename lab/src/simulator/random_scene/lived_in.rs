@@ -26,17 +26,8 @@ fn living_room(set: &mut Set) {
         let thing = set.large_thing();
         used(set, thing, 1.1..=2.6, 0.0, 0.05);
     }
-    for _ in 0..set.draws.count(2..=4) {
-        let (reach, put): (f64, fn(&mut Set, Vector3<f64>)) = match set.draws.count(0..=4) {
-            0 | 1 => (0.35, person),
-            2 => (0.5, armchair),
-            3 => (0.25, bag),
-            _ => (0.3, plant),
-        };
-        if let Some(foot) = set.place(&(1.1..=2.8), 0.0, reach, 0.03) {
-            put(set, foot);
-        }
-    }
+    let what: [Kind; 5] = [(0.35, person), (0.35, person), (0.5, armchair), (0.25, bag), (0.3, plant)];
+    scatter(set, 2..=4, &what, (1.1..=2.8, 0.0, 0.03));
     set.enclose(2.8..=4.0, 0.5);
 }
 
@@ -46,17 +37,13 @@ pub fn hall(set: &mut Set) {
         let thing = set.large_thing();
         used(set, thing, 1.5..=3.5, 0.0, 0.05);
     }
-    for _ in 0..set.draws.count(3..=6) {
-        let (reach, put): (f64, fn(&mut Set, Vector3<f64>)) = match set.draws.count(0..=5) {
-            0..=2 => (0.35, person_with_hair),
-            3 => (0.5, armchair),
-            4 => (0.25, bag),
-            _ => (0.3, plant),
-        };
-        if let Some(foot) = set.place(&(1.8..=6.0), 0.0, reach, 0.03) {
-            put(set, foot);
-        }
-    }
+    let somebody: Kind = (0.35, person_with_hair);
+    scatter(
+        set,
+        3..=6,
+        &[somebody, somebody, somebody, (0.5, armchair), (0.25, bag), (0.3, plant)],
+        (1.8..=6.0, 0.0, 0.03),
+    );
     set.enclose(5.0..=8.0, 0.7);
 }
 
@@ -66,19 +53,28 @@ fn breakfast_table(set: &mut Set) {
         let thing = set.small_thing();
         used(set, thing, 0.6..=1.15, top, 0.02);
     }
-    for _ in 0..set.draws.count(3..=6) {
-        let (reach, put): (f64, fn(&mut Set, Vector3<f64>)) = match set.draws.count(0..=5) {
-            0 => (0.06, oval_bottle),
-            1 => (0.07, carton),
-            2 | 3 => (0.05, fruit),
-            4 => (0.16, cloth),
-            _ => (0.05, paper),
-        };
-        if let Some(foot) = set.place(&(0.6..=1.15), top, reach, 0.01) {
+    let what: [Kind; 6] =
+        [(0.06, oval_bottle), (0.07, carton), (0.05, fruit), (0.05, fruit), (0.16, cloth), (0.05, paper)];
+    scatter(set, 3..=6, &what, (0.6..=1.15, top, 0.01));
+    set.enclose(1.8..=3.5, 0.06);
+}
+
+/// A kind of thing: the radius of the place that it takes, and what puts it there.
+type Kind = (f64, fn(&mut Set, Vector3<f64>));
+
+/// Puts so many things, each of one of the kinds, at free places at a distance, on a level, with a gap between them.
+fn scatter(
+    set: &mut Set,
+    count: RangeInclusive<u64>,
+    kinds: &[Kind],
+    (distance, level, gap): (RangeInclusive<f64>, f64, f64),
+) {
+    for _ in 0..set.draws.count(count) {
+        let (reach, put) = kinds[set.draws.count(0..=kinds.len() as u64 - 1) as usize];
+        if let Some(foot) = set.place(&distance, level, reach, gap) {
             put(set, foot);
         }
     }
-    set.enclose(1.8..=3.5, 0.06);
 }
 
 impl Set {
