@@ -37,7 +37,7 @@ use conicflow_geometry::Scan;
 use conicflow_messages::{Ellipse, Header, NoiseModel};
 use noise_estimate::NoiseEstimate;
 use noise_level::NoiseSamples;
-use noise_planes::{PlaneSquares, UNSEEN};
+use noise_planes::PlaneSquares;
 use search::LineSearch;
 use view::View;
 
@@ -89,7 +89,7 @@ impl Extractor {
         self.view.turn(header, Scan::Row, &NoiseEstimate::nominal(header.noise));
         let noise = noise_level::estimate(&self.view, image, &mut self.search, &mut self.samples);
         self.view.turn(header, Scan::Row, &noise);
-        let correlation_px = noise_planes::correlation_px(&self.view, image, &mut self.squares).unwrap_or(UNSEEN);
+        let correlation_px = noise_planes::correlation_px(&self.view, image, &mut self.squares);
         let noise = NoiseEstimate { correlation_px, ..noise };
         let range = self.samples.range();
         let averaged = [Scan::Row, Scan::Column].map(|scan| {

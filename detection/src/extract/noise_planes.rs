@@ -22,7 +22,7 @@ const MEASURED: f64 = 0.9; // [algorithmic]
 /// The flattest of all squares is this part of them: at least these show nothing but planes.
 const FLAT: f64 = 0.15; // [tuned]
 /// A square whose mean square residual exceeds that of the flat ones by this factor shows no plane. With 20 blobs to a square it
-/// scatters by a third: these are three standard deviations.
+/// scatters by a third: these are three standard deviations. A row or column that exceeds it shows more than a plane.
 const WITHIN: f64 = 2.0; // [sigmas]
 /// Fewest planes that tell the noise.
 const FEWEST: usize = 4; // [algorithmic]
@@ -77,27 +77,32 @@ pub(super) struct PlaneSquares {
 type Covariances = [[f64; 2]; FARTHEST + 1];
 
 /// How many neighbours along rows, and along columns, count as one in an image that `view` shows by its rows with the noise
-/// that it has: the mean of many has the variance of one, times these, over their number. `None` where too few planes are seen.
+/// that it has: the mean of many has the variance of one, times these, over their number; [`UNSEEN`] where too few planes are.
 ///
 /// Waves that are longer than what the level of the noise was taken from make planes uneven by more than that: they widen what
 /// counts as one.
-pub(super) fn correlation_px(view: &View, image: &[u16], buffers: &mut PlaneSquares) -> Option<[f64; 2]> {
+pub(super) fn correlation_px(view: &View, image: &[u16], buffers: &mut PlaneSquares) -> [f64; 2] {
     let PlaneSquares { cells, squares, residuals } = buffers;
     let side = (SIDE * view.length / USUAL_WIDTH).clamp(LEAST_SIDE, SIDE) / 2 * 2;
     collect(view, image, side, squares, cells);
-    let planes = planes(squares)?;
+    let Some(planes) = planes(squares) else { return UNSEEN };
+    let square = planes.iter().map(|square| square.square).sum::<f64>() / planes.len() as f64;
     let shared = [0, 1].map(|direction| {
         let mut covariances: Covariances = [[0.0; 2]; FARTHEST + 1];
-        for square in planes.iter().step_by(planes.len().div_ceil(MOST)) {
-            add_lines(view, image, square, (side, direction), residuals, &mut covariances);
+        for plane in planes.iter().step_by(planes.len().div_ceil(MOST)) {
+            for line in 0..LINES {
+                read_line(view, image, plane, (side, direction, line), residuals);
+                if residuals.len() == side as usize {
+                    add_line(residuals, WITHIN * square, &mut covariances);
+                }
+            }
         }
-        shared(&covariances)
+        shared(&covariances).unwrap_or(UNSEEN[direction])
     });
     // The plane has three parameters, and takes as much of the noise with it as of so many independent points.
     let independent = f64::from(side * side) / (shared[0] * shared[1]);
     let kept = 1.0 - (3.0 / independent).min(MOST_TAKEN);
-    let level = planes.iter().map(|square| square.square).sum::<f64>() / (kept * planes.len() as f64);
-    Some(shared.map(|px| px * level.max(1.0).sqrt()))
+    shared.map(|px| px * (square / kept).max(1.0).sqrt())
 }
 
 /// The squares of the image that are measured. Each overlaps its neighbours by half: what four of them have in common is summed
@@ -181,43 +186,46 @@ fn planes(squares: &mut [Square]) -> Option<&[Square]> {
     Some(&squares[..squares.partition_point(|square| square.square <= WITHIN * mean)])
 }
 
-/// Adds what some rows, or columns, of a square show that are measured in whole.
-fn add_lines(
+/// Reads how far one of the [`LINES`] rows, or columns, of a square is off the plane, as far as it is measured, in standard
+/// deviations of the model.
+fn read_line(
     view: &View,
     image: &[u16],
     square: &Square,
-    (side, direction): (u32, usize),
+    (side, direction, line): (u32, usize, u32),
     residuals: &mut Vec<f64>,
-    covariances: &mut Covariances,
 ) {
     let scale = square.depth.powi(2) / view.variance(square.depth).sqrt();
-    for line in (0..LINES).map(|line| (2 * line + 1) * side / (2 * LINES)) {
-        residuals.clear();
-        residuals.extend((0..side).map_while(|along| {
-            let [x, y] = if direction == 0 { [along, line] } else { [line, along] };
-            let depth = view.line(image, square.corner[1] + y)[(square.corner[0] + x) as usize];
-            let plane = square.plane.dot(&Vector3::new(1.0, f64::from(x), f64::from(y)));
-            is_measured(depth).then(|| (1.0 / (f64::from(depth) * view.scale) - plane) * scale)
-        }));
-        if residuals.len() < side as usize {
-            continue;
-        }
-        for (apart, [sum, count]) in covariances.iter_mut().enumerate().take(residuals.len() / 2) {
-            *sum += residuals.iter().zip(&residuals[apart..]).map(|(a, b)| a * b).sum::<f64>();
-            *count += (residuals.len() - apart) as f64;
-        }
+    let line = (2 * line + 1) * side / (2 * LINES);
+    residuals.clear();
+    residuals.extend((0..side).map_while(|along| {
+        let [x, y] = if direction == 0 { [along, line] } else { [line, along] };
+        let depth = view.line(image, square.corner[1] + y)[(square.corner[0] + x) as usize];
+        let plane = square.plane.dot(&Vector3::new(1.0, f64::from(x), f64::from(y)));
+        is_measured(depth).then(|| (1.0 / (f64::from(depth) * view.scale) - plane) * scale)
+    }));
+}
+
+/// Adds what a line of residuals shows. One of a greater mean square than `most` counts as one of that: it meets what the samples of
+/// the plane have missed, such as a thin thing before it, which would outweigh all other lines.
+fn add_line(residuals: &[f64], most: f64, covariances: &mut Covariances) {
+    let sum = |apart: usize| residuals.iter().zip(&residuals[apart..]).map(|(a, b)| a * b).sum::<f64>();
+    let square = sum(0) / residuals.len() as f64;
+    let share = if square > most { most / square } else { 1.0 };
+    for (apart, [known, count]) in covariances.iter_mut().enumerate().take(residuals.len() / 2) {
+        *known += share * sum(apart);
+        *count += (residuals.len() - apart) as f64;
     }
 }
 
-/// How many neighbours count as one, given their covariances.
-fn shared(covariances: &Covariances) -> f64 {
+/// How many neighbours count as one, given their covariances; `None` where there are none.
+fn shared(covariances: &Covariances) -> Option<f64> {
     let mean = |[sum, count]: [f64; 2]| if count > 0.0 { sum / count } else { 0.0 };
     let variance = mean(covariances[0]);
-    if variance <= 0.0 {
-        return 1.0;
-    }
     let correlations = covariances[1..].iter().map(|sums| mean(*sums) / variance);
-    1.0 + 2.0 * correlations.take_while(|correlation| *correlation > CHANCE).sum::<f64>()
+    // What has no noise at all has none in common.
+    let alike = correlations.take_while(|correlation| *correlation > CHANCE).sum::<f64>();
+    (covariances[0][1] > 0.0).then_some(1.0 + 2.0 * alike)
 }
 
 #[cfg(test)]
@@ -313,13 +321,17 @@ mod tests {
         assert_eq!(left(&many).map(|planes| planes.len()), Some(10));
     }
 
-    /// What a line of noise of one variance adds that changes its sign every `period` pixels.
+    const PLANE: Square = Square { corner: [12, 24], plane: Vector3::new(0.5, 0.0, 0.0), depth: 2.0, square: 1.0 };
+
+    /// What four lines add of a noise of one variance that changes its sign every `period` pixels.
     fn covariances_of(period: u32, direction: usize) -> Covariances {
         let sign = |at: u32| if (at / period).is_multiple_of(2) { 0.001 } else { -0.001 };
         let (view, image) = image(|x, y| 2.0 + sign(if direction == 0 { x } else { y }));
-        let square = Square { corner: [12, 24], plane: Vector3::new(0.5, 0.0, 0.0), depth: 2.0, square: 1.0 };
-        let mut covariances = [[0.0; 2]; FARTHEST + 1];
-        add_lines(&view, &image, &square, (24, direction), &mut Vec::new(), &mut covariances);
+        let (mut covariances, mut residuals) = ([[0.0; 2]; FARTHEST + 1], Vec::new());
+        for line in 0..LINES {
+            read_line(&view, &image, &PLANE, (24, direction, line), &mut residuals);
+            add_line(&residuals, 1.1, &mut covariances);
+        }
         covariances
     }
 
@@ -337,18 +349,34 @@ mod tests {
     }
 
     #[test]
-    fn a_line_that_lacks_a_pixel_tells_no_covariance() {
+    fn a_line_is_read_as_far_as_it_is_measured() {
         let (view, mut image) = image(|_, _| 2.001);
-        let square = Square { corner: [12, 24], plane: Vector3::new(0.5, 0.0, 0.0), depth: 2.0, square: 1.0 };
-        let mut count = || {
-            let mut covariances = [[0.0; 2]; FARTHEST + 1];
-            add_lines(&view, &image, &square, (24, 0), &mut Vec::new(), &mut covariances);
-            let whole = covariances[0][1];
-            // In the first row that is looked at, three pixels below the corner.
-            image[27 * 150 + 35] = 0;
-            whole
+        let mut residuals = Vec::new();
+        let mut read = |image: &[u16], direction: usize| {
+            read_line(&view, image, &PLANE, (24, direction, 0), &mut residuals);
+            residuals.len()
         };
-        assert_eq!([count(), count()], [96.0, 72.0]);
+        assert_eq!([0, 1].map(|direction| read(&image, direction)), [24, 24]);
+        // In the first row that is looked at, three pixels below the corner, and in none of the columns.
+        image[27 * 150 + 35] = 0;
+        assert_eq!([0, 1].map(|direction| read(&image, direction)), [23, 24]);
+    }
+
+    #[test]
+    fn a_line_that_meets_a_thin_thing_counts_no_more_than_one_without() {
+        let plain = [[1.0; 4], [-1.0; 4]].as_flattened().repeat(3);
+        let mut beside_a_wire = plain.clone();
+        beside_a_wire[10] = 100.0;
+        let of = |lines: &[&[f64]]| {
+            let mut covariances = [[0.0; 2]; FARTHEST + 1];
+            lines.iter().for_each(|line| add_line(line, 1.0, &mut covariances));
+            shared(&covariances).unwrap()
+        };
+        let alone = of(&[&plain]);
+        assert!(alone > 2.0, "{alone} of blobs of four");
+        // The wire has nothing in common with its neighbours: as one of eight such lines it takes an eighth of what they share.
+        let among_others = of(&[&[&plain[..]; 7][..], &[&beside_a_wire]].concat());
+        assert!((0.8..1.0).contains(&(among_others / alone)), "{among_others} {alone}");
     }
 
     #[test]
@@ -359,12 +387,15 @@ mod tests {
             for (known, (sum, count)) in covariances.iter_mut().zip(sums.into_iter().zip((1..20).rev())) {
                 *known = [4.0 * sum * f64::from(count), f64::from(count)];
             }
-            shared(&covariances)
+            shared(&covariances).unwrap()
         };
         assert_eq!(of(&[]), 1.0);
         assert!((of(&[0.5, 0.25, 0.05, 0.9]) - 2.5).abs() < 1e-12, "what comes back behind zero is chance");
         assert!((of(&[0.5, CHANCE]) - 2.0).abs() < 1e-12);
-        assert_eq!(shared(&[[0.0; 2]; FARTHEST + 1]), 1.0, "nothing is known");
+        assert_eq!(shared(&[[0.0; 2]; FARTHEST + 1]), None, "nothing is known");
+        let mut of_an_ideal_sensor = [[0.0; 2]; FARTHEST + 1];
+        add_line(&[0.0; 24], 1.0, &mut of_an_ideal_sensor);
+        assert_eq!(shared(&of_an_ideal_sensor), Some(1.0));
         assert_eq!(of(&[-0.5]), 1.0);
     }
 
@@ -374,7 +405,7 @@ mod tests {
         let of = |factor: f64, blob: u32| {
             let noise = |x: u32, y: u32| 0.001 * factor * random.gaussian(u64::from(150 * (y / blob) + x / blob));
             let (view, image) = image(|x, y| 2.0 + noise(x, y));
-            correlation_px(&view, &image, &mut PlaneSquares::default()).unwrap()
+            correlation_px(&view, &image, &mut PlaneSquares::default())
         };
         let ([alone, shared], louder) = ([1, 3].map(|blob| of(1.0, blob)), of(2.0, 1));
         for direction in [0, 1] {

@@ -416,8 +416,7 @@ fn what_is_noisier_than_its_model_shows_nearly_the_same_arcs() {
 fn a_blank_image_is_as_noisy_as_its_model() {
     let (header, pixels) = room(8);
     let seen = Extractor::new(config(ScanLines::Rows)).estimate_noise(&header, &vec![0; pixels.len()]);
-    let unseen = UNSEEN;
-    assert_eq!(seen, NoiseEstimate { correlation_px: unseen, ..NoiseEstimate::nominal(header.noise) });
+    assert_eq!(seen, NoiseEstimate { correlation_px: noise_planes::UNSEEN, ..NoiseEstimate::nominal(header.noise) });
 }
 
 #[test]
