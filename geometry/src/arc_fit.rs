@@ -109,11 +109,17 @@ impl ArcMoments {
         ]
     }
 
+    /// Mean square distance from the best circle.
+    #[inline]
+    pub fn circle_square(&self) -> f64 {
+        root_near_zero(&self.eigenvalue_polynomial())
+    }
+
     /// Fits both.
     pub fn fit(&self) -> ArcFit {
         let Self { xx, xy, yy, xz, yz, .. } = *self;
         let (z, covariance) = (xx + yy, xx * yy - xy * xy);
-        let eta = root_near_zero(&self.eigenvalue_polynomial());
+        let eta = self.circle_square();
         let half = 0.5 / (eta * eta - eta * z + covariance);
         let (x, y) = ((xz * (yy - eta) - yz * xy) * half, (yz * (xx - eta) - xz * xy) * half);
         let circle = Circle { center: [self.mean[0] + x, self.mean[1] + y], radius: (x * x + y * y + z).sqrt() };

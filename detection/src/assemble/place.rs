@@ -1,7 +1,7 @@
 //! Whether two objects would be in one place.
 //!
 //! A part of a thing, such as the lug of a pot or the curve between its rim and its side, may have a shape of its own that explains
-//! it. Where that would lie in what is known to be an object, or about it, it is none.
+//! it. Where that would lie in what is known to be an object, or about it, it is none; but what is seen inside of it is another thing.
 
 use conicflow_geometry::Vector3;
 use conicflow_messages::{Object, ObjectKind};
@@ -11,15 +11,26 @@ use nalgebra::Matrix3;
 /// by a can has its middle where the can ends.
 const WITHIN: f64 = 3.0; // [sigmas]
 
-/// Whether the middle of one of two objects surely lies in the other.
-pub(crate) fn overlap(one: &Object, other: &Object) -> bool {
-    holds(one, other) || holds(other, one)
+/// Whether the middle of one of two objects surely lies in the other, and the candidate is not seen inside of what is known: a fruit
+/// in a bowl shows that the bowl is hollow. The other way round, the candidate is explained by what is in it.
+pub(crate) fn overlap(known: &Object, candidate: &Object) -> bool {
+    let middle = |object: &Object| Vector3::from(object.center);
+    let is_in_it = holds(known, candidate, middle(candidate));
+    let is_content = is_in_it && holds(known, candidate, front(candidate));
+    (is_in_it || holds(candidate, known, middle(known))) && !is_content
 }
 
-/// Whether the middle of `inner` surely lies in `outer`: each surface of that is so many standard deviations away from it.
-fn holds(outer: &Object, inner: &Object) -> bool {
+/// The point of an object's surface, at its middle, that is nearest to the camera.
+fn front(object: &Object) -> Vector3 {
+    let (middle, axis) = (Vector3::from(object.center), Vector3::from(object.axis));
+    let across = middle - axis * middle.dot(&axis);
+    middle - across.try_normalize(0.0).unwrap_or_default() * object.radius
+}
+
+/// Whether this point of `inner` surely lies in `outer`: each surface of that is so many standard deviations away from it.
+fn holds(outer: &Object, inner: &Object, point: Vector3) -> bool {
     let covariance = [outer, inner].map(|object| Matrix3::from(object.sigma.center)).iter().sum::<Matrix3<f64>>();
-    let away = Vector3::from(inner.center) - Vector3::from(outer.center);
+    let away = point - Vector3::from(outer.center);
     let is_deep = |depth: f64, along: Vector3, sigma: f64| {
         let variance = along.dot(&(covariance * along)) + sigma * sigma;
         depth > WITHIN * variance.sqrt()
@@ -54,28 +65,41 @@ mod tests {
     #[test]
     fn one_thing_is_in_another_if_its_middle_is_deeper_in_it_than_noise_explains() {
         // The deviation of three of a millimetre each together is 1.7 mm, three times that 5.2 mm.
-        let ball = thing(ObjectKind::Sphere, 0.01, [0.0; 3]);
+        let ball = |z: f64| thing(ObjectKind::Sphere, 0.05, [0.0, 0.0, z]);
         let can = |center: [f64; 3]| thing(ObjectKind::Cylinder, 0.1, center);
-        for (other, overlaps) in [
-            (can([0.0; 3]), true),
-            (can([0.094, 0.0, 0.0]), true),
-            (can([0.096, 0.0, 0.0]), false),
-            (can([0.0, 0.094, 0.0]), true),
-            (can([0.0, 0.096, 0.0]), false),
-            (thing(ObjectKind::Sphere, 0.1, [0.0, 0.0, 0.094]), true),
-            (thing(ObjectKind::Sphere, 0.1, [0.0, 0.0, 0.096]), false),
+        for (one, other, overlaps) in [
+            (ball(0.95), can([0.0, 0.0, 1.0]), true),
+            (ball(0.906), can([0.0, 0.0, 1.0]), true),
+            (ball(0.904), can([0.0, 0.0, 1.0]), false),
+            (ball(0.95), can([0.0, 0.094, 1.0]), true),
+            (ball(0.95), can([0.0, 0.096, 1.0]), false),
+            (ball(0.906), thing(ObjectKind::Sphere, 0.1, [0.0, 0.0, 1.0]), true),
+            (ball(0.904), thing(ObjectKind::Sphere, 0.1, [0.0, 0.0, 1.0]), false),
         ] {
-            assert_eq!([overlap(&ball, &other), overlap(&other, &ball)], [overlaps; 2], "{other:?}");
+            assert_eq!(overlap(&other, &one), overlaps, "{one:?} {other:?}");
         }
-        let mut unsure = ball;
+        let mut unsure = ball(0.95);
         unsure.sigma.center = Matrix3::from_diagonal_element(1e-3).into();
-        assert!(!overlap(&unsure, &can([0.05, 0.0, 0.0])));
+        assert!(!overlap(&unsure, &can([0.0, 0.0, 1.0])));
+    }
+
+    #[test]
+    fn what_is_surely_seen_inside_of_another_thing_is_none_of_its_parts() {
+        for outer in [ObjectKind::Sphere, ObjectKind::Cylinder].map(|kind| thing(kind, 0.1, [0.0, 0.0, 1.0])) {
+            for inner in [ObjectKind::Sphere, ObjectKind::Cylinder] {
+                // Its front is 4 mm, or 6 mm, behind that of the other one.
+                for (radius, overlaps) in [(0.096, true), (0.094, false)] {
+                    let inner = Object { length: 0.02, ..thing(inner, radius, [0.0, 0.0, 1.0]) };
+                    assert_eq!([overlap(&outer, &inner), overlap(&inner, &outer)], [overlaps, true], "{inner:?}");
+                }
+            }
+        }
     }
 
     #[test]
     fn a_cone_is_as_wide_as_it_is_at_that_height() {
-        let cone = Object { half_angle: 0.5, ..thing(ObjectKind::Cone, 0.06, [0.0; 3]) };
-        let at = |y: f64| overlap(&cone, &thing(ObjectKind::Sphere, 0.01, [0.06, y, 0.0]));
+        let cone = Object { half_angle: 0.5, ..thing(ObjectKind::Cone, 0.06, [0.0, 0.0, 1.0]) };
+        let at = |y: f64| overlap(&cone, &thing(ObjectKind::Sphere, 0.07, [0.06, y, 1.0]));
         assert_eq!([at(0.05), at(-0.05)], [true, false]);
     }
 }

@@ -241,6 +241,22 @@ fn by_a_sensor(sensor: SensorTable, scene: &str, width: u32, seed: u64) -> Vec<O
     find(&header, &pixels)
 }
 
+#[test]
+fn a_ball_in_a_bowl_and_the_bowl_are_two_things() {
+    let scene = "
+        name = 'bowl'
+        camera = { position = [0, 0, 0.4], look_at = [0, 0.8, 0.1] }
+        bowl   = [{ name = 'bowl', center = [0, 0.8, 0.13], radius = 0.13 }]
+        sphere = [{ name = 'ball', center = [0, 0.82, 0.09], radius = 0.06 }]
+        plane  = [{ name = 'table', point = [0, 0, 0], normal = [0, 0, 1] }]
+    ";
+    for seed in 0..4 {
+        let found = by_a_kinect(scene, 640, seed);
+        let radii: Vec<_> = found.iter().map(|object| (object.shape(), (object.radius * 100.0).round())).collect();
+        assert_eq!(radii, [(ObjectKind::Sphere, 13.0), (ObjectKind::Sphere, 6.0)], "{found:?}");
+    }
+}
+
 /// A can of radius 0.1 m, 2.6 m before the camera.
 fn can_by_a_kinect(noise_window_px: u32, seed: u64) -> Object {
     const CAN: &str = "name = 'can'\n[camera]\nposition = [0.0, 0.0, 0.0]\nlook_at = [0.0, 1.0, 0.0]\n\

@@ -51,10 +51,16 @@ impl<'a> Run<'a> {
         self.sums[to].since(&self.sums[from])
     }
 
+    /// Mean square distance of an interval from its line of least squares.
+    #[inline]
+    pub fn line_square(&self, from: usize, to: usize) -> f64 {
+        self.sums_between(from, to).line_square((to - from) as f64, self.stretch)
+    }
+
     /// Whether a line explains the points of an interval.
     #[inline]
     pub fn is_line(&self, from: usize, to: usize) -> bool {
-        self.sums_between(from, to).line_square((to - from) as f64, self.stretch) <= self.limit(from, to)
+        self.line_square(from, to) <= self.limit(from, to)
     }
 
     /// Whether a circle explains them.

@@ -113,8 +113,8 @@ pub(super) fn cut_part(run: &Run, part: &Range<usize>, segments: &mut Vec<Segmen
 /// Where one segment ends and the next one begins, so that the sum of their square errors is least.
 fn border(run: &Run, left: &Segment, right: &Segment) -> usize {
     let error = |from: usize, to: usize, is_curve: bool| {
-        let moments = run.moments(from, to);
-        (to - from) as f64 * if is_curve { moments.fit().circle_square } else { moments.line_square() }
+        let square = if is_curve { run.moments(from, to).circle_square() } else { run.line_square(from, to) };
+        (to - from) as f64 * square
     };
     let both = |at: usize| error(left.from, at, left.is_curve) + error(at, right.to, right.is_curve);
     let (mut border, mut least) = (left.to, both(left.to));
