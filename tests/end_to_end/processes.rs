@@ -1,7 +1,8 @@
 //! The processes of a run: who starts whom, what is survived, how it ends, and that nothing stays behind.
 
 use crate::support::{
-    Playground, Started, TRACKING, TRACKING_STAGES, environment, parent, processes, signal, tracking_behind, wait_until,
+    Playground, Started, TRACKING, TRACKING_STAGES, environment, hearing_hangups, parent, processes, signal,
+    tracking_behind, wait_until,
 };
 use rustix::process::Signal;
 use serde_json::Value as Json;
@@ -22,7 +23,7 @@ pub fn at_work(text: &str, rate_hz: u32) -> (Playground, Started) {
 
 /// A paced run that goes on until it is told to end.
 pub fn start(playground: &Playground) -> Started {
-    playground.start(&["run", "--set", "source.rate_hz=50"])
+    Started::new(hearing_hangups(&playground.command(&["run", "--set", "source.rate_hz=50"])))
 }
 
 /// Waits until a run delivers more than it has so far.

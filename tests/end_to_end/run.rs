@@ -2,7 +2,8 @@
 
 use crate::programs::program;
 use crate::support::{
-    Playground, RECORDING, StageRow, Started, TRACKING, TRACKING_STAGES, TRACKING_TOPICS, read_png, signal, within,
+    Playground, RECORDING, StageRow, Started, TRACKING, TRACKING_STAGES, TRACKING_TOPICS, hearing_hangups, read_png,
+    signal, within,
 };
 use conicflow_lab::simulator::scene::Scene;
 use rustix::process::Signal;
@@ -77,7 +78,8 @@ fn what_is_to_outlive_its_terminal_does() {
 #[test]
 fn without_that_a_run_ends_with_its_terminal() {
     let playground = Playground::with_pipeline(TRACKING);
-    let mut run = playground.start(&["run", "--quiet", "--set", "source.rate_hz=100"]);
+    let mut run =
+        Started::new(hearing_hangups(&playground.command(&["run", "--quiet", "--set", "source.rate_hz=100"])));
     run.wait_until("the first frames", || playground.newest("tracks.jsonl") >= 3);
     signal(run.id(), Signal::HUP);
     run.wait();

@@ -325,6 +325,13 @@ pub fn within(mut outer: Command, inner: &Command) -> Command {
     outer
 }
 
+/// The same of a program that hears SIGHUP, which it does not where `nohup` runs the tests.
+pub fn hearing_hangups(inner: &Command) -> Command {
+    let mut env = Command::new("env");
+    env.arg("--default-signal=HUP");
+    within(env, inner)
+}
+
 /// Both ends of a terminal: the one at which somebody sits, and the one that a program has.
 pub fn terminal() -> (File, OwnedFd) {
     let outer = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
