@@ -380,6 +380,17 @@ mod tests {
     }
 
     #[test]
+    fn where_no_row_is_whole_as_many_share_their_noise_as_where_no_plane_is_seen() {
+        let random = CounterRng::new(7, 0);
+        let noise = |x: u32, y: u32| 0.001 * random.gaussian(u64::from(150 * y + x));
+        let (view, image) = image(|x, y| if x % 12 == 5 { 0.0 } else { 2.0 + noise(x, y) });
+        let [rows, columns] = correlation_px(&view, &image, &mut PlaneSquares::default());
+        assert!((6.9..7.6).contains(&rows) && (0.97..1.1).contains(&columns), "{rows} {columns}");
+        let (view, blank) = self::image(|_, _| 0.0);
+        assert_eq!(correlation_px(&view, &blank, &mut PlaneSquares::default()), UNSEEN);
+    }
+
+    #[test]
     fn neighbours_count_as_one_as_far_as_they_are_surely_alike() {
         let of = |correlations: &[f64]| {
             let mut covariances = [[0.0; 2]; FARTHEST + 1];
