@@ -97,6 +97,13 @@ mod tests {
     }
 
     #[test]
+    fn the_front_of_what_leans_away_lies_across_its_axis() {
+        let leaning = Object { axis: [0.0, 0.6, 0.8], ..thing(ObjectKind::Cylinder, 0.1, [0.0, 0.0, 1.0]) };
+        assert!((front(&leaning) - Vector3::new(0.0, 0.08, 0.94)).norm() < 1e-12, "{}", front(&leaning));
+        assert_eq!(front(&thing(ObjectKind::Sphere, 0.1, [0.0, 0.0, 1.0])), Vector3::new(0.0, 0.0, 0.9));
+    }
+
+    #[test]
     fn a_cone_is_as_wide_as_it_is_at_that_height() {
         let cone = Object { half_angle: 0.5, ..thing(ObjectKind::Cone, 0.06, [0.0, 0.0, 1.0]) };
         let at = |y: f64| overlap(&cone, &thing(ObjectKind::Sphere, 0.07, [0.06, y, 1.0]));

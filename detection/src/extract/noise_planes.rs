@@ -93,16 +93,19 @@ pub(super) fn correlation_px(view: &View, image: &[u16], buffers: &mut PlaneSqua
             for line in 0..LINES {
                 read_line(view, image, plane, (side, direction, line), residuals);
                 if residuals.len() == side as usize {
-                    add_line(residuals, WITHIN * square, &mut covariances);
+                    add_line(residuals, square, &mut covariances);
                 }
             }
         }
         shared(&covariances).unwrap_or(UNSEEN[direction])
     });
-    // The plane has three parameters, and takes as much of the noise with it as of so many independent points.
-    let independent = f64::from(side * side) / (shared[0] * shared[1]);
-    let kept = 1.0 - (3.0 / independent).min(MOST_TAKEN);
-    shared.map(|px| px * (square / kept).max(1.0).sqrt())
+    let level = square / kept(f64::from(side * side) / (shared[0] * shared[1]));
+    shared.map(|px| px * level.max(1.0).sqrt())
+}
+
+/// The part of the noise of so many independent points that a plane through them leaves: it has three parameters.
+fn kept(independent: f64) -> f64 {
+    1.0 - (3.0 / independent).min(MOST_TAKEN)
 }
 
 /// The squares of the image that are measured. Each overlaps its neighbours by half: what four of them have in common is summed
@@ -206,12 +209,12 @@ fn read_line(
     }));
 }
 
-/// Adds what a line of residuals shows. One of a greater mean square than `most` counts as one of that: it meets what the samples of
-/// the plane have missed, such as a thin thing before it, which would outweigh all other lines.
-fn add_line(residuals: &[f64], most: f64, covariances: &mut Covariances) {
+/// Adds what a line of residuals shows, given the mean square that is usual. One that exceeds it by more than [`WITHIN`] counts as one
+/// that does so by as much: it meets what the samples of the plane have missed, such as a thin thing, and would outweigh all others.
+fn add_line(residuals: &[f64], usual: f64, covariances: &mut Covariances) {
     let sum = |apart: usize| residuals.iter().zip(&residuals[apart..]).map(|(a, b)| a * b).sum::<f64>();
     let square = sum(0) / residuals.len() as f64;
-    let share = if square > most { most / square } else { 1.0 };
+    let share = (WITHIN * usual / square).min(1.0);
     for (apart, [known, count]) in covariances.iter_mut().enumerate().take(residuals.len() / 2) {
         *known += share * sum(apart);
         *count += (residuals.len() - apart) as f64;
@@ -330,7 +333,7 @@ mod tests {
         let (mut covariances, mut residuals) = ([[0.0; 2]; FARTHEST + 1], Vec::new());
         for line in 0..LINES {
             read_line(&view, &image, &PLANE, (24, direction, line), &mut residuals);
-            add_line(&residuals, 1.1, &mut covariances);
+            add_line(&residuals, 1.0, &mut covariances);
         }
         covariances
     }
@@ -372,6 +375,15 @@ mod tests {
             lines.iter().for_each(|line| add_line(line, 1.0, &mut covariances));
             shared(&covariances).unwrap()
         };
+        let [usual, wide] = [1.5, 2.0].map(|root| {
+            let (line, mut covariances) =
+                (plain.iter().map(|x| root * x).collect::<Vec<_>>(), [[0.0; 2]; FARTHEST + 1]);
+            add_line(&line, 1.2, &mut covariances);
+            covariances.map(|[sum, count]| sum / count)
+        });
+        // Mean squares of 2.25 and 4, of which at most 2.4 counts.
+        assert!((usual[0] - 2.25).abs() < 1e-12 && (wide[0] - 2.4).abs() < 1e-12, "{usual:?} {wide:?}");
+        assert!((wide[1] / wide[0] - usual[1] / usual[0]).abs() < 1e-12, "as alike as they are");
         let alone = of(&[&plain]);
         assert!(alone > 2.0, "{alone} of blobs of four");
         // The wire has nothing in common with its neighbours: as one of eight such lines it takes an eighth of what they share.
@@ -408,6 +420,12 @@ mod tests {
         add_line(&[0.0; 24], 1.0, &mut of_an_ideal_sensor);
         assert_eq!(shared(&of_an_ideal_sensor), Some(1.0));
         assert_eq!(of(&[-0.5]), 1.0);
+    }
+
+    #[test]
+    fn a_plane_takes_three_points_of_those_that_are_independent_and_at_most_half() {
+        assert!((kept(30.0) - 0.9).abs() < 1e-12);
+        assert_eq!([6.0, 2.0].map(kept), [0.5; 2]);
     }
 
     #[test]
