@@ -25,12 +25,14 @@ pub mod sources {
 }
 
 pub mod detection {
-    //! Depth images to ellipses, ellipses to objects.
+    //! Depth images to ellipses, ellipses to objects; and what turns either end about.
 
+    mod flipper;
     mod object_assembler;
     mod ransac_ellipse_extractor;
     mod row_ellipse_extractor;
 
+    pub use flipper::Flipper;
     pub use object_assembler::{Method, ObjectAssembler, ObjectAssemblerConfig};
     pub use ransac_ellipse_extractor::RansacEllipseExtractor;
     pub use row_ellipse_extractor::{ArcFinder, RowEllipseConfig, RowEllipseExtractor};
@@ -77,7 +79,7 @@ pub mod sinks {
 use conicflow_dataflow::{Node, Registry, Variant};
 use conicflow_messages::{AnyByte, Ellipse, Object, Track};
 use conicflow_ros2::{Elsewhere, Ros2Sink, Ros2Source};
-use detection::{ObjectAssembler, RansacEllipseExtractor, RowEllipseExtractor};
+use detection::{Flipper, ObjectAssembler, RansacEllipseExtractor, RowEllipseExtractor};
 use sinks::{
     ConsoleSink, EvaluationSink, JsonSink, LimitSink, McapSink, MeasurementSink, NoiseEstimator, PictureSink,
     SectionSink, ViewSink,
@@ -135,6 +137,8 @@ pub const NODES: &[Node] = &[
     Node::stage::<SectionSink>(),
     Node::stage::<LimitSink>(),
     Node::stage::<NoiseEstimator>(),
+    Node::stage::<Flipper<u16>>(),
+    Node::stage::<Flipper<Object>>(),
 ];
 
 /// What this program has built in, and beside it.

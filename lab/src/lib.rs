@@ -5,12 +5,14 @@
 //!   objects section by section;
 //! - [`ransac`]: ellipses by random sample consensus, which the paper compares itself with;
 //! - [`noise_estimator`]: the noise of a sensor from a recording;
+//! - [`flip`]: images turned and mirrored, as no detector should mind;
 //! - [`bound`]: how well an object can be measured at all;
 //! - [`score`]: what was found of what is there, and how well; [`experiment`]: tables and plots of that.
 
 mod bisection;
 pub mod bound;
 pub mod experiment;
+pub mod flip;
 pub mod noise_estimator;
 pub mod paper;
 pub mod quantile;

@@ -56,10 +56,10 @@ fn columns(experiment: &Experiment, pipeline: &Pipeline) -> Result<Vec<String>> 
     Ok(varied.chain(fixed).chain(times).collect::<IndexSet<_>>().into_iter().collect())
 }
 
-/// The table that is printed.
-pub fn table(experiment: &Experiment, results: &Results) -> String {
-    let spread = results.spread().map(|spread| format!("\n{}", laid_out(spread))).unwrap_or_default();
-    format!("{}\n\n{}{spread}", experiment.title, laid_out(results.table()))
+/// The tables that are printed.
+pub fn tables(experiment: &Experiment, results: &Results) -> String {
+    let below = results.spread().into_iter().chain(results.sums()).map(|table| format!("\n{}", laid_out(table)));
+    format!("{}\n\n{}{}", experiment.title, laid_out(results.table()), below.collect::<String>())
 }
 
 fn laid_out((titles, rows): (Vec<String>, Vec<Vec<String>>)) -> Table {
@@ -148,7 +148,7 @@ mod tests {
         assert!(read("detection.toml", &[]).is_ok());
         let size = ["source.width=640", "source.height=480", "source.scenes.groups=[\"tabletop\"]"].map(String::from);
         assert!(read("detection.toml", &size).is_ok());
-        for name in ["noise.toml", "recording.toml", "recorded_tracks.toml"] {
+        for name in ["noise.toml", "recording.toml", "flipped_recording.toml", "recorded_tracks.toml"] {
             assert!(read(name, &["source.path=\".\"".into()]).is_ok(), "{name}");
             assert!(
                 read(name, &[]).err().unwrap().to_string().contains("is missing"),

@@ -330,7 +330,7 @@ fn run_experiment(
         }
         results.add(rows.read(variation, &summary)?);
     }
-    let printed = write!(stdout(), "{}{}", experiment::table(experiment, &results), results.exponents());
+    let printed = write!(stdout(), "{}{}", experiment::tables(experiment, &results), results.exponents());
     results.write(&pipeline.base)?;
     printed?;
     Ok(ExitCode::SUCCESS)

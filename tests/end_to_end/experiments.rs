@@ -354,7 +354,7 @@ fn the_recordings_are_one_table() {
     let playground = playground("recording", &[]);
     record(&playground, "scenes/basic.toml", 2);
     let experiments = Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments");
-    for file in ["recordings.sh", "nothing_to_find.json"] {
+    for file in ["recordings.sh", "flipped_recording.toml", "nothing_to_find.json"] {
         fs::copy(experiments.join(file), playground.path(file)).unwrap();
     }
     let truth = r#"{"units": "m", "scenes": {"0.png": [], "1.png": []}, "visible_unmeasured": {
@@ -380,6 +380,23 @@ fn the_recordings_are_one_table() {
     assert_eq!((row("a"), row("b")), ([2.0, 0.0, 0.0, 3.0, 3.0, 1.5], [2.0, 0.0, 0.0, 6.0, 0.0, 3.0]));
     assert_eq!(table.0.len(), 2, "a folder without frames is none");
     assert!(playground.path("pictures/b/1.png").is_file());
+    let flipped = |arguments: &[&str]| {
+        let arguments = [&["recordings.sh", "--flip", "none clockwise"], arguments].concat();
+        let mut command = playground.command_of(Path::new("sh"), &arguments);
+        command.env("CONICFLOW", env!("CARGO_BIN_EXE_conicflow")).env("CONICFLOW_DATA", "data");
+        Started::new(command).wait()
+    };
+    // What is found a quarter turn on is turned back, else the box would not hold it.
+    let ended = flipped(&["--quiet"]).expect_code(0);
+    let table = Table::read(&playground, "results/recordings.csv");
+    let wrong =
+        |flip, name| ["wrong", "neither"].map(|cell| table.number(&[("flip", flip), ("recording", name)], cell));
+    for flip in ["none", "clockwise"] {
+        assert_eq!((wrong(flip, "a"), wrong(flip, "b")), ([3.0, 3.0], [6.0, 0.0]), "{flip}");
+    }
+    let sums: Vec<Vec<&str>> = ended.stdout.lines().map(|line| line.split_whitespace().collect()).collect();
+    assert!(sums.contains(&vec!["all", "8", "0", "0", "18"]), "{}", ended.stdout);
+    assert!(flipped(&["--pictures", "pictures"]).expect_code(2).stderr.contains("one way at a time"));
 }
 
 /// The judge itself in short: two of its configurations. What nobody can beat nobody beats, but for chance.

@@ -30,7 +30,9 @@ pub struct Experiment {
     /// The exponents of columns as powers of another one.
     pub exponent: Option<Exponent>,
     /// Columns whose least, median and greatest figures are shown below the table.
-    pub spread: Option<Spread>,
+    pub spread: Option<Grouping>,
+    /// Columns whose sums are shown below that: a table for each entry.
+    pub sums: Vec<Grouping>,
 }
 
 /// Something that is varied: one parameter, or several at a time.
@@ -107,10 +109,10 @@ pub struct Exponent {
     pub y: Vec<String>,
 }
 
-/// A second table: the least, median and greatest figures of columns, over all rows that are alike in another.
+/// What a further table sums up: columns, over all rows that are alike in another.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Spread {
+pub struct Grouping {
     /// The column that tells the groups of rows apart.
     pub by: String,
     /// The columns.
@@ -174,9 +176,11 @@ impl Experiment {
             wanted.push(("exponent.x", vec![&exponent.x]));
             wanted.push(("exponent.y", exponent.y.iter().collect()));
         }
-        if let Some(spread) = &self.spread {
-            wanted.push(("spread.by", vec![&spread.by]));
-            wanted.push(("spread.columns", spread.columns.iter().collect()));
+        let spread = self.spread.iter().map(|grouping| ("spread.by", "spread.columns", grouping));
+        let sums = self.sums.iter().map(|grouping| ("sums.by", "sums.columns", grouping));
+        for (by, columns, grouping) in spread.chain(sums) {
+            wanted.push((by, vec![&grouping.by]));
+            wanted.push((columns, grouping.columns.iter().collect()));
         }
         look(&wanted, known)?;
         let Some(plot) = &self.plot else { return Ok(()) };

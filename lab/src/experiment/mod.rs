@@ -8,6 +8,7 @@
 //! columns = ["n", "radius_m", "radius_sd_m"]         # of the rows that the measuring stages make
 //! csv     = "results/accuracy.csv"
 //! spread  = { by = "object", columns = ["radius_sd_m"] }          # least, median and greatest, below the table
+//! sums    = [{ by = "distance", columns = ["n"] }]                # one row for each distance, and one of all
 //! plot    = { path = "results/accuracy.svg", x = "distance", y = ["radius_m"], lines = ["stage"] }
 //! vary    = [
 //!     { name = "distance", set = ["source.values.distance"], values = [1.0, 1.5] },
@@ -24,5 +25,5 @@ mod definition;
 mod plot;
 mod results;
 
-pub use definition::{Case, Experiment, Exponent, Plot, Reference, Spread, Variation, Vary};
+pub use definition::{Case, Experiment, Exponent, Grouping, Plot, Reference, Variation, Vary};
 pub use results::Results;

@@ -1,13 +1,14 @@
 //! The rows of all runs: as a table for people, as CSV, as a plot, and their power laws.
 
-use super::definition::{Experiment, Exponent, Spread, prepared};
+use super::definition::{Experiment, Exponent, Grouping, prepared};
 use super::plot;
 use crate::quantile::quantile;
 use crate::score::{Figure, Row};
 use anyhow::{Context as _, Result};
 use conicflow_geometry::Regression;
-use indexmap::IndexSet;
+use indexmap::{IndexMap, IndexSet};
 use std::fmt::Write;
+use std::ops::Add as _;
 use std::path::Path;
 
 /// What an experiment has measured so far.
@@ -63,26 +64,40 @@ impl<'a> Results<'a> {
     /// The titles and the rows of the table of least, median and greatest figures, where one is asked for; rows without a
     /// figure do not count.
     pub fn spread(&self) -> Option<(Vec<String>, Vec<Vec<String>>)> {
-        let Spread { by, columns } = self.experiment.spread.as_ref()?;
-        let mut groups: Vec<&Figure> = Vec::new();
-        for group in self.rows.iter().filter_map(|row| row.get(by)) {
-            if !groups.contains(&group) {
-                groups.push(group);
-            }
-        }
-        let cell = |group: &Figure, share: f64, column: &String| {
-            let rows = self.rows.iter().filter(|row| row.get(by) == Some(group));
-            let mut numbers: Vec<f64> = rows.filter_map(|row| row.number_of(column)).collect();
-            quantile(&mut numbers, share).map_or("-".to_owned(), |number| shown(&Figure::Number(number)))
-        };
+        let Grouping { by, columns } = self.experiment.spread.as_ref()?;
         let titles = [by, "of all rows"].map(str::to_owned).into_iter().chain(columns.iter().cloned()).collect();
-        let rows = groups.iter().flat_map(|group| {
+        let rows = self.groups(by).into_iter().flat_map(|(group, rows)| {
             [("least", 0.0), ("median", 0.5), ("greatest", 1.0)].map(|(name, share)| {
-                let names = [shown(group), name.to_owned()].into_iter();
-                names.chain(columns.iter().map(|column| cell(group, share, column))).collect()
+                let cell = |column: &String| shown_number(quantile(&mut numbers_of(&rows, column), share));
+                [group.clone(), name.to_owned()].into_iter().chain(columns.iter().map(cell)).collect()
             })
         });
         Some((titles, rows.collect()))
+    }
+
+    /// The titles and the rows of the tables of sums that are asked for, in each the sums of all rows last; rows without a figure
+    /// do not count.
+    pub fn sums(&self) -> impl Iterator<Item = (Vec<String>, Vec<Vec<String>>)> {
+        self.experiment.sums.iter().map(|Grouping { by, columns }| {
+            let titles = std::iter::once(by).chain(columns).cloned().collect();
+            let all = ("all".to_owned(), self.rows.iter().collect());
+            let rows = self.groups(by).into_iter().chain([all]).map(|(name, rows)| {
+                let sum = |column: &String| shown_number(numbers_of(&rows, column).into_iter().reduce(f64::add));
+                std::iter::once(name).chain(columns.iter().map(sum)).collect()
+            });
+            (titles, rows.collect())
+        })
+    }
+
+    /// The rows that are alike in a column, by what stands there, in the order of the first of each group.
+    fn groups(&self, by: &str) -> IndexMap<String, Vec<&Row>> {
+        let mut groups: IndexMap<_, Vec<_>> = IndexMap::new();
+        for row in &self.rows {
+            if let Some(group) = row.get(by) {
+                groups.entry(exact(group)).or_default().push(row);
+            }
+        }
+        groups
     }
 
     /// One line for each power law: `y ~ x^exponent`, by least squares of the logarithms.
@@ -125,12 +140,22 @@ impl<'a> Results<'a> {
     }
 }
 
+/// The figures of a column.
+fn numbers_of(rows: &[&Row], column: &str) -> Vec<f64> {
+    rows.iter().filter_map(|row| row.number_of(column)).collect()
+}
+
 /// All digits.
 fn exact(figure: &Figure) -> String {
     match figure {
         Figure::Number(number) => number.to_string(),
         Figure::Text(text) => text.clone(),
     }
+}
+
+/// A number, or that there is none.
+fn shown_number(number: Option<f64>) -> String {
+    number.map_or("-".to_owned(), |number| shown(&Figure::Number(number)))
 }
 
 /// Four significant digits; counts as they are.
@@ -186,7 +211,7 @@ mod tests {
 
     #[test]
     fn the_spread_of_a_column_is_told_group_by_group() {
-        let spread = Some(Spread { by: "object".into(), columns: vec!["radius_m".into(), "sd".into()] });
+        let spread = Some(Grouping { by: "object".into(), columns: vec!["radius_m".into(), "sd".into()] });
         let experiment = Experiment { spread, ..experiment() };
         let mut results = Results::new(&experiment);
         let mut ball = Row::default();
@@ -199,6 +224,20 @@ mod tests {
         assert_eq!(rows[..3], expected.map(|[name, radius]| ["can", name, radius, "-"]));
         assert_eq!(rows[4], ["ball", "median", "-", "-"]);
         assert!(Results::new(&Experiment::default()).spread().is_none());
+    }
+
+    #[test]
+    fn columns_are_summed_up_group_by_group_and_over_all() {
+        let by_distance = Grouping { by: "distance".into(), columns: vec!["radius_m".into(), "sd".into()] };
+        let experiment = Experiment { sums: vec![by_distance], ..experiment() };
+        let mut results = Results::new(&experiment);
+        let mut without = row(4.0, f64::NAN);
+        without.number("sd", 0.5);
+        results.add(vec![row(4.0, 0.25), row(1.0, 0.5), row(4.0, 1.0), without]);
+        let tables: Vec<_> = results.sums().collect();
+        let [(titles, rows)] = &tables[..] else { panic!("{tables:?}") };
+        assert_eq!(titles, &["distance", "radius_m", "sd"]);
+        assert_eq!(rows, &[["4", "1.25", "0.5"], ["1", "0.5", "-"], ["all", "1.75", "0.5"]]);
     }
 
     #[test]
