@@ -17,7 +17,12 @@ fn supervised(planned: PlannedStage, state: State) -> Supervised {
 
 /// A program that gives back what it is given, and so ends when nobody gives it anything any more.
 pub fn echo() -> Child {
-    Command::new("cat").stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap()
+    // Where a script started the tests in the background, its processes would ignore SIGINT; this one no longer does once it
+    // answers.
+    let hearing = ["--default-signal=INT", "cat"];
+    let mut child = Command::new("env").args(hearing).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+    assert!(gives_back(&mut child));
+    child
 }
 
 /// A stage with a process that has no part in the run.
@@ -28,6 +33,10 @@ pub fn at_work(planned: PlannedStage) -> Supervised {
 /// Whether the process of a stage [`at_work`] gives back what it is given.
 pub fn answers(stage: &mut Supervised) -> bool {
     let State::Running(Guarded { child, .. }) = &mut stage.state else { return false };
+    gives_back(child)
+}
+
+fn gives_back(child: &mut Child) -> bool {
     let (Some(stdin), Some(stdout)) = (&mut child.stdin, &mut child.stdout) else { return false };
     let mut answer = [0];
     stdin.write_all(b"?").is_ok() && stdout.read_exact(&mut answer).is_ok() && answer == *b"?"
