@@ -77,14 +77,15 @@ mod tests {
     use super::super::summary::tests::stage;
     use super::*;
     use conicflow_messages::Object;
+    use rustix::process::kill_process_group;
     use std::io::{BufRead, BufReader, Read};
     use std::process::ChildStdout;
 
     /// A program that says `ready` when it has started another one, which keeps its output open; and that output.
-    fn parent(script: &str) -> (Guarded, BufReader<ChildStdout>) {
+    fn parent() -> (Guarded, BufReader<ChildStdout>) {
         let planned = PlannedStage { runs: Runs::Command(vec!["sh".into()]), ..stage::<Object>() };
         let mut command = Command::new("sh");
-        command.args(["-c", script]).process_group(0).stdin(Stdio::null()).stdout(Stdio::piped());
+        command.args(["-c", "sleep 1000 & echo ready"]).process_group(0).stdin(Stdio::null()).stdout(Stdio::piped());
         let mut program = Guarded::start(&mut command, &planned).unwrap();
         let mut output = BufReader::new(program.child.stdout.take().unwrap());
         let mut line = String::new();
@@ -95,9 +96,10 @@ mod tests {
 
     #[test]
     fn what_a_program_has_started_ends_with_it_also_where_it_is_stopped() {
-        for script in ["sleep 1000 & echo ready", "sleep 1000 & echo ready; kill -s STOP 0"] {
-            let (mut program, mut output) = parent(script);
-            if script.contains("STOP") {
+        for is_stopped in [false, true] {
+            let (mut program, mut output) = parent();
+            if is_stopped {
+                kill_process_group(Pid::from_child(&program.child), Signal::STOP).unwrap();
                 program.child.kill().unwrap();
             }
             program.child.wait().unwrap();

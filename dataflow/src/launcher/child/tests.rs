@@ -6,7 +6,8 @@ use super::*;
 use crate::network::BridgePlan;
 use crate::ports::{Topic, TopicReader};
 use conicflow_messages::Object;
-use std::io::{Read, Write};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::os::unix::process::CommandExt;
 use std::process::Child;
 
 fn supervised(planned: PlannedStage, state: State) -> Supervised {
@@ -317,4 +318,17 @@ fn a_stage_comes_back_later_with_each_death_and_is_given_up_after_ten_within_a_m
     assert_eq!([0; 10].map(&mut die), waits.map(Some));
     assert_eq!(die(59), None);
     assert_eq!(die(60), Some(200), "a minute later only the last one counts");
+}
+
+#[test]
+fn a_signal_to_the_group_of_a_stage_reaches_what_it_has_started() {
+    let mut command = Command::new("sh");
+    command.args(["-c", "sleep 1000 & echo ready; wait"]).process_group(0).stdin(Stdio::null()).stdout(Stdio::piped());
+    let mut child = command.spawn().unwrap();
+    let mut output = BufReader::new(child.stdout.take().unwrap());
+    output.read_line(&mut String::new()).unwrap();
+    let mut stage = supervised(stage::<Object>(), State::Running(child.into()));
+    stage.signal_group(Signal::KILL);
+    assert_eq!(output.read_to_end(&mut Vec::new()).unwrap(), 0, "nobody has it open any more");
+    stage.kill();
 }
