@@ -6,6 +6,10 @@
 
 mod channels;
 mod config;
+#[cfg(test)]
+mod fixtures;
+#[cfg(test)]
+mod own_tests;
 mod replay;
 #[cfg(test)]
 mod tests;

@@ -1,0 +1,169 @@
+//! What conicflow has recorded comes back to the bit, and what becomes of the files.
+
+use super::fixtures::*;
+use super::replay::Replayed;
+use super::*;
+use crate::recording::files::Files;
+use crate::recording::own;
+use crate::recording::recorder::{Limits, Recorded, Recorder};
+use conicflow_dataflow::{AnyMessage, BUILT_IN};
+use conicflow_messages::Object;
+use mcap::records::MessageHeader;
+use std::collections::BTreeMap;
+use std::fs;
+use std::time::{Duration, Instant};
+
+#[test]
+fn what_conicflow_records_comes_back_to_the_bit() {
+    for depth_scale in [0.001, 0.0002, 0.000_25, 0.000_123_456_7] {
+        let place = Place(tempfile::tempdir().unwrap());
+        record(&place.0.path().join("run.mcap"), Limits::default(), depth_scale, 0..3);
+        let frames = place.play(Config::default()).unwrap();
+        assert_eq!(frames.len(), 3);
+        for (number, (read, depths)) in (0..).zip(frames) {
+            assert_eq!((read, &depths[..]), (replayed(header(number, depth_scale)), &ANY[..]), "{depth_scale}");
+        }
+        let config = Config { path: Some("run.mcap".into()), ..Config::default() };
+        let mut lists = Replay::open(&config, place.0.path(), &BUILT_IN[2]).unwrap();
+        for number in 0..3 {
+            let Replayed { header: read, items, .. } = lists.next_message().unwrap().unwrap();
+            let expected = [Object { radius: 0.1, ..Object::default() }; 2];
+            assert_eq!(items, bytemuck::cast_slice::<_, u8>(&expected[..number as usize % 3]));
+            assert_eq!(read, replayed(header(number, depth_scale)));
+        }
+        assert!(lists.next_message().unwrap().is_none());
+        let none = Replay::open(&config, place.0.path(), &BUILT_IN[1]).err().unwrap();
+        assert!(format!("{none:#}").contains("has no ellipses; it has"), "{none:#}");
+    }
+}
+
+#[test]
+fn a_file_that_goes_or_becomes_shorter_while_it_is_played_is_an_error_that_lasts() {
+    type Change = fn(&Path);
+    let by_time = Limits { split_ns: Some(100_000_000), ..Limits::default() };
+    let changes: [(Change, &str); 2] = [
+        (|path| fs::remove_file(path).unwrap(), "run_1.mcap` is not there any more"),
+        (|path| fs::File::options().write(true).open(path).unwrap().set_len(1000).unwrap(), "has become shorter"),
+    ];
+    for (change, expected) in changes {
+        let place = tempfile::tempdir().unwrap();
+        record(&place.path().join("new/run.mcap"), by_time, 0.001, 0..7);
+        let config = Config { path: Some("new".into()), ..Config::default() };
+        let mut replay = Replay::open(&config, place.path(), &DEPTH).unwrap();
+        assert!(replay.next_message().unwrap().is_some());
+        change(&place.path().join("new/run_1.mcap"));
+        let error = all(&mut replay).unwrap_err();
+        let told = format!("{error:#}");
+        assert!(
+            told.starts_with("after ") && told.contains(expected) && told.contains("hint: leave a recording"),
+            "{told}"
+        );
+        assert!(conicflow_messages::lasts(error.as_ref()), "{told}");
+    }
+}
+
+#[test]
+fn what_a_killed_recorder_has_written_is_there_after_a_second() {
+    let place = tempfile::tempdir().unwrap();
+    let path = place.path().join("run.mcap");
+    let recorder = Recorder::create(&path, Limits::default(), false).unwrap();
+    let header = header(0, 0.001);
+    let depth = AnyMessage { header: &header, item: &BUILT_IN[0], bytes: bytemuck::cast_slice(&ANY) };
+    recorder.write("depth", &depth, None).unwrap();
+    // Nothing follows, and the recorder is not asked to finish: its thread sees to it.
+    let deadline = Instant::now() + Duration::from_secs(60);
+    while Files::find(&path).unwrap().survey().map_or(0, |seen| seen.len()) < 4 {
+        assert!(Instant::now() < deadline, "it never came into the file");
+        std::thread::yield_now();
+    }
+    let copy = Place::of(&fs::read(&path).unwrap());
+    assert_eq!(copy.play(Config::default()).unwrap(), [(replayed(header), ANY.to_vec())]);
+}
+
+#[test]
+fn recordings_are_split_and_kept_to_a_limit() {
+    let place = tempfile::tempdir().unwrap();
+    let path = place.path().join("new/run.mcap");
+    let names = || {
+        let mut names: Vec<_> =
+            fs::read_dir(place.path().join("new")).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+        names.sort();
+        names.into_iter().map(|name| name.into_string().unwrap()).collect::<Vec<_>>()
+    };
+    let by_time = Limits { split_ns: Some(100_000_000), ..Limits::default() };
+    assert_eq!(record(&path, by_time, 0.001, 0..7), Recorded::Written);
+    assert_eq!(names(), ["run.mcap", "run_1.mcap"]);
+    let config = Config { path: Some("new".into()), ..Config::default() };
+    assert_eq!(all(&mut Replay::open(&config, place.path(), &DEPTH).unwrap()).unwrap().len(), 7);
+    fs::remove_dir_all(place.path().join("new")).unwrap();
+    // A file that is complete has an index, and some kilobytes.
+    let limited = Limits { total_bytes: Some(40_000), ..by_time };
+    assert_eq!(record(&path, limited, 0.001, 0..30), Recorded::Written);
+    let left = names();
+    assert!(left.len() >= 2 && left.len() < 7 && !left.contains(&"run.mcap".to_owned()), "{left:?}");
+    fs::remove_dir_all(place.path().join("new")).unwrap();
+    let full = Limits { total_bytes: Some(1), ..Limits::default() };
+    assert_eq!(record(&path, full, 0.001, 0..2), Recorded::Full);
+    assert_eq!(names(), ["run.mcap"]);
+}
+
+#[test]
+fn a_restart_records_beside_what_was_recorded() {
+    let place = tempfile::tempdir().unwrap();
+    let path = place.path().join("run.mcap");
+    record(&path, Limits::default(), 0.001, 0..2);
+    let recorder = Recorder::create(&path, Limits::default(), true).unwrap();
+    let header = header(2, 0.001);
+    let message = AnyMessage { header: &header, item: &BUILT_IN[0], bytes: bytemuck::cast_slice(&ANY) };
+    recorder.write("depth", &message, None).unwrap();
+    drop(recorder);
+    assert!(place.path().join("run_1.mcap").is_file());
+    drop(Recorder::create(&path, Limits::default(), true).unwrap());
+    assert!(!place.path().join("run_2.mcap").exists(), "of what was made on trial nothing is left");
+    assert!(fs::metadata(&path).unwrap().len() > 1000, "it is left as it was");
+    drop(Recorder::create(&path, Limits::default(), false).unwrap());
+    assert!(fs::metadata(&path).unwrap().len() < 1000, "a new run begins anew");
+}
+
+#[test]
+fn what_cannot_be_written_is_told() {
+    let place = tempfile::tempdir().unwrap();
+    fs::write(place.path().join("file"), "").unwrap();
+    let told = |path: &Path| {
+        let written = Recorder::create(path, Limits::default(), false).and_then(|recorder| {
+            let header = header(0, 0.001);
+            recorder.write(
+                "depth",
+                &AnyMessage { header: &header, item: &BUILT_IN[0], bytes: bytemuck::cast_slice(&ANY) },
+                None,
+            )?;
+            recorder.finish()
+        });
+        written.unwrap_err().to_string()
+    };
+    assert!(told(&place.path().join("file/run.mcap")).contains("cannot write the recording"));
+    assert!(told(place.path()).contains("cannot write the recording"));
+    if Path::new("/dev/full").exists() {
+        let full = told(Path::new("/dev/full"));
+        assert!(full.contains("hint: free some space") && full.contains("No space left"), "{full}");
+    } else {
+        eprintln!("SKIPPED: this system has no /dev/full");
+    }
+}
+
+#[test]
+fn own_headers_of_another_version_are_refused() {
+    let other = serde_json::to_string(&own::Schema::of(&BUILT_IN[2])).unwrap().replace("Object.v2", "Object.v0");
+    let mut file = Foreign::new(None);
+    let schema = BTreeMap::from([(own::SCHEMA.to_owned(), other)]);
+    let channel_id = file.0.add_channel(0, "/left/objects/message", own::ENCODING, &schema).unwrap();
+    let message = MessageHeader { channel_id, sequence: 0, log_time: 0, publish_time: 0 };
+    file.0.write_to_known_channel(&message, &[0; 900]).unwrap();
+    let place = Place::of(&file.bytes());
+    let config = Config { path: Some("run.mcap".into()), ..Config::default() };
+    let told = format!("{:#}", Replay::open(&config, place.0.path(), &BUILT_IN[2]).err().unwrap());
+    assert!(
+        told.contains("they are `conicflow.Object.v0`") && told.contains("hint: replay them with the version"),
+        "{told}"
+    );
+}
