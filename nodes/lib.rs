@@ -25,7 +25,7 @@ pub mod sources {
 }
 
 pub mod detection {
-    //! Depth images to ellipses, ellipses to objects; and what turns either end about.
+    //! Depth images to ellipses, ellipses to objects; and what turns or mirrors images and objects.
 
     mod flipper;
     mod object_assembler;
