@@ -46,7 +46,9 @@ impl CoarseLines {
         find(&mut self.arcs);
         let square_stretch = plane.stretch().powi(2);
         let is_curved = |arc: &Ellipse| {
-            bulge(&PlaneMoments::from_sums(arc.origin, arc.moments), arc.sigma * arc.sigma * square_stretch) >= CURVED
+            // Where points share their noise, they tell no more than the fewer ones that share none.
+            let variance = arc.sigma * arc.sigma * square_stretch * arc.shared();
+            bulge(&PlaneMoments::from_sums(arc.origin, arc.moments), variance) >= CURVED
         };
         self.curved.extend(self.arcs[self.curved.len()..].iter().map(is_curved));
         self.ends.push(self.arcs.len());
@@ -105,6 +107,7 @@ fn unite(windows: &mut Vec<Range<u32>>) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use conicflow_geometry::{Pinhole, Scan};
 
     /// Coarse lines with arcs of these pixels, curved or not.
     fn lines(lines: &[&[(Range<u32>, bool)]]) -> CoarseLines {
@@ -122,6 +125,31 @@ mod tests {
     /// First pixels and ends of the windows before a line, of 100 pixels.
     fn windows(coarse: &mut CoarseLines, line: usize) -> Vec<[u32; 2]> {
         coarse.windows_before(line, 100).iter().map(|window| [window.start, window.end]).collect()
+    }
+
+    #[test]
+    fn an_arc_is_curved_by_the_points_that_share_no_noise() {
+        let plane = Pinhole { fx: 500.0, fy: 500.0, cx: 300.0, cy: 200.0 }.plane(Scan::Row, 200.0);
+        // A part of a circle.
+        let points = (-20..=20).map(|x| f64::from(x) * 1e-3).map(|s| [s, 2.2 - (0.04 - s * s).sqrt()]);
+        let moments = PlaneMoments::of([0.0, 2.0], points);
+        let arc = Ellipse {
+            origin: moments.origin(),
+            moments: *moments.sums(),
+            sigma: 4e-4,
+            points: 41,
+            ..Ellipse::default()
+        };
+        let is_curved = |shared_px: f64| {
+            let (mut coarse, mut arc) = (CoarseLines::default(), arc);
+            arc.shared_px = shared_px;
+            coarse.add(&plane, |arcs| arcs.push(arc));
+            coarse.curved[0]
+        };
+        let bulge = bulge(&moments, arc.sigma * arc.sigma);
+        assert!((25.0..25.5).contains(&bulge), "{bulge}");
+        // Of its 41 points 41, 14.3 and 4.3 count, and 25, 8.8 and 2.7 are left of the bulge.
+        assert_eq!([1.0, 3.0, 12.0].map(is_curved), [true, true, false]);
     }
 
     #[test]
