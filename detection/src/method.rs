@@ -86,13 +86,13 @@ impl Assembler {
         candidates.clear();
         *rejections = Rejections::default();
 
-        // 5. Arcs: each ellipse brings the moments of its points, free of the noise's bias (`arcs.rs`). The more an arc is
-        //    bent, the sooner it is a seed (`seeds.rs`).
+        // 5. Arcs: each ellipse brings the moments of its points, free of the noise's bias (`arcs.rs`). The more surely an arc is
+        //    bent, the sooner it is a seed; the oftener something grew in vain on its surface, the later (`seeds.rs`).
         arcs.read(header, ellipses);
         seeds.order(arcs, deadline);
         contours.next_image(&header.camera, parameters.pooled.contour_memory);
 
-        while let Some(seed) = seeds.next(rejections) {
+        while let Some(seed) = seeds.next(arcs, rejections) {
             match object_around(seed, arcs, seeds, growing, contours, parameters) {
                 // 10. Decision: all evidence together tells how probable it is that this is an object (`odds.rs`); where there is
                 //     one already, there is no other (`place.rs`). The arcs that an object explains are taken out before the next
@@ -118,7 +118,7 @@ impl Assembler {
                 }
                 Err(reason) => rejections.count(reason),
             }
-            seeds.give_up(&growing.chain);
+            seeds.give_up(arcs, &growing.chain, parameters.max_gap());
         }
         objects
     }

@@ -8,6 +8,7 @@ use conicflow_geometry::{
 use conicflow_messages::{END_POINTS, Ellipse, Header};
 use std::f64::consts::FRAC_PI_8;
 use std::iter;
+use std::mem;
 use std::ops::Range;
 use std::sync::OnceLock;
 
@@ -264,17 +265,40 @@ impl Arcs {
 
     /// The arc beside `index`, at most `gap` lines on in the direction `side` (1 or -1), that most likely is the same
     /// surface: the one that has the most columns in common, of those at the same depth.
-    pub fn beside(&self, index: usize, side: i64, gap: i64, free: impl Fn(usize) -> bool) -> Option<usize> {
+    pub fn beside(&self, index: usize, side: i64, gap: i64, free: impl Fn(usize) -> bool + Copy) -> Option<usize> {
         let arc = &self.arcs[index];
-        for distance in 1..=gap {
-            let line = i64::from(arc.line) + side * distance;
-            let near =
-                self.on_line(arc.scan, line).filter(|&other| free(other) && self.touches(arc, &self.arcs[other]));
-            if let Some(best) = near.max_by_key(|&other| arc.overlap(self.arcs[other].pixels)) {
-                return Some(best);
+        (1..=gap).find_map(|distance| {
+            let near = self.adjoining(index, side * distance, free);
+            near.max_by_key(|&other| arc.overlap(self.arcs[other].pixels))
+        })
+    }
+
+    /// Adds to `surface` all arcs that hang together with those in it, over gaps of at most `gap` lines, through arcs that are
+    /// free; none is there twice. `reached` is a buffer.
+    pub fn connect(
+        &self,
+        surface: &mut Vec<usize>,
+        reached: &mut Vec<bool>,
+        gap: i64,
+        free: impl Fn(usize) -> bool + Copy,
+    ) {
+        reached.clear();
+        reached.resize(self.arcs.len(), false);
+        surface.iter().for_each(|&arc| reached[arc] = true);
+        let mut next = 0;
+        while let Some(&arc) = surface.get(next) {
+            for by in (1..=gap).flat_map(|distance| [-distance, distance]) {
+                surface.extend(self.adjoining(arc, by, free).filter(|&other| !mem::replace(&mut reached[other], true)));
             }
+            next += 1;
         }
-        None
+    }
+
+    /// The free arcs of the line that is `by` lines from an arc which may belong to one surface with it.
+    fn adjoining(&self, index: usize, by: i64, free: impl Fn(usize) -> bool + Copy) -> impl Iterator<Item = usize> {
+        let arc = &self.arcs[index];
+        let line = self.on_line(arc.scan, i64::from(arc.line) + by);
+        line.filter(move |&other| free(other) && self.touches(arc, &self.arcs[other]))
     }
 
     /// Whether two arcs of near lines may belong to one surface.

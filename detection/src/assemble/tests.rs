@@ -455,6 +455,64 @@ fn after_the_budget_nothing_further_is_looked_for_and_that_is_counted() {
     assert_eq!([None, Some(0.0), Some(1e4), Some(1e-6)].map(found), [(1, 0), (1, 0), (1, 0), (0, 1)]);
 }
 
+/// Lines over which arcs hang together.
+const GAP: i64 = 2;
+
+#[test]
+fn what_grows_in_vain_on_one_surface_lets_another_one_come_first() {
+    let [near, far] = [(-0.2, 1.0), (0.3, 1.5)].map(|(x, z)| cylinder(Vector3::new(x, 0.0, z), Vector3::y(), 0.1, 0.4));
+    let arcs = arcs_of(&[near, far, wall(3.0)]);
+    let is_near = |arc: usize| arcs.arcs[arc].mean.x < 0.05;
+    let (mut seeds, mut rejections) = (Seeds::default(), Rejections::default());
+    seeds.order(&arcs, None);
+    let mut tried = Vec::new();
+    while let Some(seed) = seeds.next(&arcs, &mut rejections) {
+        seeds.give_up(&arcs, &[seed], GAP);
+        tried.push(seed);
+    }
+    let of_near = tried.iter().filter(|&&arc| is_near(arc)).count();
+    let bulges = |near: bool| {
+        let bulges = (0..arcs.arcs.len()).filter(move |&arc| is_near(arc) == near).map(|arc| arcs.arcs[arc].bulge);
+        let mut bulges: Vec<_> = bulges.collect();
+        bulges.sort_by(|a, b| b.total_cmp(a));
+        bulges
+    };
+    assert!(
+        bulges(true)[MAX_VAIN] > bulges(false)[0],
+        "each of the near can's is more curved than any of the far one's"
+    );
+    assert!(is_near(tried[0]) && (4..=8).contains(&of_near), "{of_near} of {}", tried.len());
+}
+
+#[test]
+fn a_surface_is_what_hangs_together_over_gaps_and_ends_at_what_is_taken() {
+    let at = |line: u32, first: u32| {
+        let mut ellipse =
+            Ellipse { line, first, last: first + 19, points: 20, origin: [0.0, 1.0], ..Ellipse::default() };
+        ellipse.moments[0] = 20.0;
+        ellipse
+    };
+    let header = Header { camera: KINECT_HALF, noise: NoiseModel::KINECT_V1, ..Header::default() };
+    let mut arcs = Arcs::default();
+    // Two arms that meet in the arc of line 103, and one beside them.
+    let ellipses = [at(100, 40), at(100, 80), at(102, 50), at(102, 70), at(103, 60), at(106, 60), at(100, 150)];
+    arcs.read(&header, &ellipses);
+    let named = |arc: usize| (arcs.arcs[arc].line, arcs.arcs[arc].pixels[0]);
+    let surface = |gap: i64, taken: Option<(u32, i64)>| {
+        let first = (0..7).find(|&arc| named(arc) == (100, 40)).unwrap();
+        let (mut surface, mut reached) = (vec![first], Vec::new());
+        arcs.connect(&mut surface, &mut reached, gap, |arc| Some(named(arc)) != taken);
+        let mut surface: Vec<_> = surface.into_iter().map(named).collect();
+        surface.sort_unstable();
+        surface
+    };
+    let arms = [(100, 40), (100, 80), (102, 50), (102, 70), (103, 60)];
+    assert_eq!(surface(1, None), [(100, 40)], "there is no arc in line 101");
+    assert_eq!(surface(2, None), arms);
+    assert_eq!(surface(3, None), [&arms[..], &[(106, 60)]].concat());
+    assert_eq!(surface(2, Some((103, 60))), [(100, 40), (102, 50)], "what is taken joins nothing");
+}
+
 #[test]
 fn seeds_that_were_tried_in_vain_come_to_an_end_and_objects_do_not_count() {
     let (header, ellipses) = ellipses_of_a_can();
@@ -464,12 +522,12 @@ fn seeds_that_were_tried_in_vain_come_to_an_end_and_objects_do_not_count() {
     seeds.order(&arcs, None);
     // Chains of too few lines are passed over.
     for _ in 0..5 {
-        let short = seeds.next(&mut rejections).unwrap();
+        let short = seeds.next(&arcs, &mut rejections).unwrap();
         seeds.pass_over(&[short]);
     }
     let (mut tries, mut untried) = (0, 0);
-    while let Some(seed) = seeds.next(&mut rejections) {
-        seeds.give_up(&[seed]);
+    while let Some(seed) = seeds.next(&arcs, &mut rejections) {
+        seeds.give_up(&arcs, &[seed], GAP);
         tries += 1;
     }
     rejections.iter().for_each(|(_, times)| untried += times);
