@@ -10,8 +10,8 @@ use std::ops::Range;
 
 /// One line in so many is searched as a whole. It is less than `min_lines` of the assembler, so that no object lies between.
 const COARSE_STEP: u32 = 6; // [algorithmic]
-/// Bulge of a curved arc: noise gives as much to one straight arc in 24.
-const CURVED: f64 = 3.0; // [sigmas]
+/// Bulge of a curved arc: noise gives as much to one straight arc in 13.
+const CURVED: f64 = 2.0; // [sigmas]
 /// Pixels beyond both ends of an arc that are searched in the lines beside it.
 const MARGIN_PX: u32 = 16; // [tuned]
 /// One further pixel is searched for each so many pixels of the arc.
@@ -148,8 +148,8 @@ mod tests {
         };
         let bulge = bulge(&moments, arc.sigma * arc.sigma);
         assert!((25.0..25.5).contains(&bulge), "{bulge}");
-        // Of its 41 points 41, 14.3 and 4.3 count, and 25, 8.8 and 2.7 are left of the bulge.
-        assert_eq!([1.0, 3.0, 12.0].map(is_curved), [true, true, false]);
+        // Of its 41 points 41, 14.3 and 3 count, and 25, 8.8 and 1.8 are left of the bulge.
+        assert_eq!([1.0, 3.0, 20.0].map(is_curved), [true, true, false]);
     }
 
     #[test]
