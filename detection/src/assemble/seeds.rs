@@ -11,7 +11,7 @@ use std::collections::BinaryHeap;
 use std::time::Instant;
 
 /// Most seeds from which something grows in vain in one image. It bounds the time, and what is found later is seldom right: with 8, 10
-/// and 14 of them, recordings that are turned and mirrored in five ways show 483, 487 and 489 of 520 things, and 36, 39 and 42 wrong
+/// and 14 of them, recordings that are turned and mirrored in five ways show 486, 489 and 491 of 520 things, and 37, 38 and 40 wrong
 /// answers; rooms that are lived in, seen by a Kinect, 106, 106 and 108 of 114, with 8, 10 and 13 wrong ones.
 pub(super) const MAX_VAIN: usize = 10; // [measured]
 /// Arcs up to so many radii beyond the visible ends of an object are tested for belonging to it; those farther off hardly ever do.
